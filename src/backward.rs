@@ -1,0 +1,321 @@
+//! [`Flow`] and [`Adjoint`]: the adjoint recursion, for one or two vector fields from one forward pass.
+//!
+//! ```text
+//! λ ← ∂φ/∂x_T
+//! for t = T-1 .. 0:
+//!     λ ← λ + ∂l/∂x(x_{t+1}, u_t)
+//!     h_t ← (∂S/∂u)ᵀ λ + ∂l/∂u(x_{t+1}, u_t)
+//!     λ ← physics·(∂S/∂x)ᵀ λ + control·(∂N/∂x)ᵀ h_t
+//! g ← Σ_t (∂N/∂θ)ᵀ h_t                                 after the loop, in large products
+//! ```
+
+use crate::kernels::{Vectorized, dispatch_narrow};
+use crate::policy::{Policy, PolicyColumns, Weights};
+use crate::rollout::{Divergence, Lane, Rollout, WIDTH, find_non_finite, gather};
+use crate::scalar::{Columns, Float, Real, Scalar};
+use crate::system::System;
+use crate::task::Task;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::ops::Range;
+
+/// Which paths carry the adjoint back in time. The forward values are the same for all.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Flow {
+    /// Through the physics, `∂S/∂x`.
+    pub physics: bool,
+    /// Through the policy's input, `∂N/∂x`.
+    pub control: bool,
+}
+
+impl Flow {
+    /// R: full backpropagation through time, the true gradient.
+    pub const REGULAR: Self = Self { physics: true, control: true };
+    /// M: the physics path only; the policy's input is detached.
+    pub const MODIFIED: Self = Self { physics: true, control: false };
+    /// N: the policy's path only; the physics' state input is detached.
+    pub const NETWORK: Self = Self { physics: false, control: true };
+    /// S: neither; every control sees only the cost of the step it caused.
+    pub const STOPPED: Self = Self { physics: false, control: false };
+    /// All four.
+    pub const ALL: [Self; 4] = [Self::REGULAR, Self::MODIFIED, Self::NETWORK, Self::STOPPED];
+}
+
+impl fmt::Display for Flow {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match (self.physics, self.control) {
+            (true, true) => "R",
+            (true, false) => "M",
+            (false, true) => "N",
+            (false, false) => "S",
+        })
+    }
+}
+
+/// Room for the reverse pass of a [`Rollout`]: sized once, then run without allocating.
+#[derive(Debug)]
+pub struct Adjoint<F: Float> {
+    flows: Vec<Flow>,
+    policy: PolicyAdjoint<F>,
+    one: Recursion<F, 1>,
+    two: Recursion<F, 2>,
+}
+
+/// The policy's side of the reverse pass.
+#[derive(Debug)]
+struct PolicyAdjoint<F> {
+    /// Control cotangents `h`, per flow, as the policy's columns.
+    controls_bar: Vec<Vec<F>>,
+    /// What the policy's backward pass keeps: per flow, or once for all if `unit`.
+    tape_bar: Vec<Vec<F>>,
+    /// `(∂N/∂x)ᵀ h` of one step, or `∂N/∂x` of all, as the policy's columns.
+    inputs_bar: Vec<F>,
+    /// The policy is linearized for the whole trajectory at once.
+    unit: bool,
+    /// With `unit`: ones, the cotangent of the only control.
+    ones: Vec<F>,
+    scratch: Vec<F>,
+}
+
+/// What the recursion carries for `K` flows.
+#[derive(Debug)]
+struct Recursion<F: Float, const K: usize> {
+    /// λ, `[block][component]`.
+    lambda: Vec<Columns<Lane<F>, K>>,
+    /// The next λ, before the flows choose.
+    x_bar: Vec<Columns<Lane<F>, K>>,
+    /// h, `[block][component]`.
+    u_bar: Vec<Columns<Lane<F>, K>>,
+    /// Gradients of the costs of one block.
+    cost_x: Vec<Lane<F>>,
+    cost_u: Vec<Lane<F>>,
+}
+
+impl<F: Float> Adjoint<F> {
+    /// Room for the gradients of one or two flows of such a rollout.
+    ///
+    /// # Panics
+    /// With no flow or more than two, or a rollout without tape.
+    #[track_caller]
+    pub fn new<P: Policy>(policy: &P, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
+        assert!(matches!(flows.len(), 1 | 2), "an adjoint carries one or two flows, not {}", flows.len());
+        assert!(rollout.has_tape(), "a rollout made for evaluation cannot be differentiated");
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let columns = rollout.capacity() * rollout.horizon;
+        let sizes = policy.sizes::<F>(columns);
+        let zeros = |len: usize| vec![F::zero(); len];
+        // With one control, ∂N/∂x and every layer's cotangent are known up to the factor h before the loop starts, and
+        // one linearization in large products serves every flow. With more controls it would take one each.
+        let unit = m == 1 && flows.iter().any(|flow| flow.control);
+        let policy = PolicyAdjoint {
+            controls_bar: flows.iter().map(|_| zeros(columns * m)).collect(),
+            tape_bar: flows.iter().take(if unit { 1 } else { 2 }).map(|_| zeros(sizes.tape_bar)).collect(),
+            inputs_bar: zeros(columns * n),
+            unit,
+            ones: vec![F::one(); if unit { columns } else { 0 }],
+            scratch: zeros(sizes.scratch),
+        };
+        Self { flows: flows.to_vec(), policy, one: Recursion::new(rollout), two: Recursion::new(rollout) }
+    }
+
+    /// The flows it was made for.
+    pub fn flows(&self) -> &[Flow] {
+        &self.flows
+    }
+
+    /// Runs the recursion back through `rollout`. Cotangents are scaled by `scale`: 1 / batch for a batch mean.
+    ///
+    /// # Errors
+    /// [`Divergence`] says where a cotangent was not finite.
+    pub fn run<T: Task, P: Policy>(
+        &mut self,
+        task: &T,
+        policy: &P,
+        weights: &Weights<F>,
+        rollout: &Rollout<F>,
+        scale: F,
+    ) -> Result<(), Divergence> {
+        let pass = Pass { task, policy, weights, rollout, scale };
+        let all = PolicyColumns::range(0..rollout.samples * rollout.horizon);
+        if self.policy.unit {
+            self.policy.backward(&pass, 0, all, true);
+        }
+        match *self.flows {
+            [flow] => self.one.run(&pass, [flow], &mut self.policy)?,
+            [first, second] => self.two.run(&pass, [first, second], &mut self.policy)?,
+            _ => unreachable!("checked when it was made"),
+        }
+        for (k, flow) in self.flows.iter().enumerate() {
+            if !flow.control && !self.policy.unit {
+                // Nothing in the loop needed the policy's derivative: all of it at once, without ∂N/∂x.
+                self.policy.backward(&pass, k, all, false);
+            }
+        }
+        Ok(())
+    }
+
+    /// `theta_bar += Σ (∂N/∂θ)ᵀ h` of flow number `k`, over the given samples, in large products.
+    pub fn param_gradient<P: Policy>(
+        &mut self,
+        k: usize,
+        policy: &P,
+        weights: &Weights<F>,
+        rollout: &Rollout<F>,
+        samples: Range<usize>,
+        theta_bar: &mut [F],
+    ) {
+        let at = samples.start * rollout.horizon..samples.end * rollout.horizon;
+        let p = &mut self.policy;
+        let h = &p.controls_bar[k];
+        let (u_bar, tape_bar, weight) = if p.unit { (&p.ones, &p.tape_bar[0], Some(&h[..])) } else { (h, &p.tape_bar[k], None) };
+        let (inputs, tape) = (rollout.inputs(), &rollout.tape);
+        policy.param_gradient(weights.packed(), at, inputs, tape, u_bar, tape_bar, weight, &mut p.scratch, theta_bar);
+    }
+}
+
+/// What stays the same throughout one reverse pass.
+struct Pass<'a, T, P, F: Float> {
+    task: &'a T,
+    policy: &'a P,
+    weights: &'a Weights<F>,
+    rollout: &'a Rollout<F>,
+    scale: F,
+}
+
+impl<F: Float> PolicyAdjoint<F> {
+    /// The policy's cotangents of flow `k` in the columns `at`; `∂N/∂x` only if `through_inputs`.
+    fn backward<T, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>, k: usize, at: PolicyColumns, through_inputs: bool) {
+        let (inputs, tape) = (pass.rollout.inputs(), &pass.rollout.tape);
+        let u_bar = if self.unit { &self.ones } else { &self.controls_bar[k] };
+        let x_bar = through_inputs.then_some(&mut self.inputs_bar[..]);
+        pass.policy.backward(pass.weights.packed(), at, inputs, tape, u_bar, &mut self.tape_bar[k], x_bar);
+    }
+}
+
+impl<F: Float, const K: usize> Recursion<F, K> {
+    fn new(rollout: &Rollout<F>) -> Self {
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let blocks = rollout.capacity().div_ceil(WIDTH);
+        let columns = |len: usize| vec![Columns([Lane::zero(); K]); len];
+        let lanes = |len: usize| vec![Lane::zero(); len];
+        Self {
+            lambda: columns(blocks * n),
+            x_bar: columns(blocks * n),
+            u_bar: columns(blocks * m),
+            cost_x: lanes(n),
+            cost_u: lanes(m),
+        }
+    }
+
+    /// The recursion at the head of this file, for the flows side by side.
+    fn run<T: Task, P: Policy>(
+        &mut self,
+        pass: &Pass<'_, T, P, F>,
+        flows: [Flow; K],
+        policy: &mut PolicyAdjoint<F>,
+    ) -> Result<(), Divergence> {
+        let Pass { task, rollout, scale, .. } = *pass;
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let last = rollout.states_at(rollout.horizon);
+        for (lambda, x) in self.lambda.chunks_exact_mut(n).zip(last.chunks_exact(n)) {
+            task.terminal_cost_gradient(x, &mut self.cost_x);
+            for (lambda, &x_bar) in lambda.iter_mut().zip(&self.cost_x) {
+                *lambda = Columns([x_bar * Lane::splat(scale); K]);
+            }
+        }
+        for t in (0..rollout.horizon).rev() {
+            let at = rollout.columns(t);
+            let mut finite = true;
+            dispatch_narrow(Back { task, flows, rollout, t, scale, carried: self, finite: &mut finite });
+            if !finite {
+                return Err(self.divergence(flows, rollout, t));
+            }
+            for (k, flow) in flows.into_iter().enumerate() {
+                gather(&self.u_bar, |h, lane| h.0[k].lane(lane), m, at, &mut policy.controls_bar[k]);
+                if flow.control {
+                    if !policy.unit {
+                        policy.backward(pass, k, at, true);
+                    }
+                    self.add_inputs(k, at, n, policy);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// `λ ← λ + (∂N/∂x)ᵀ h` in column `k`.
+    fn add_inputs(&mut self, k: usize, at: PolicyColumns, n: usize, policy: &PolicyAdjoint<F>) {
+        for (block, lambda) in self.lambda.chunks_exact_mut(n).take(at.count.div_ceil(WIDTH)).enumerate() {
+            for lane in 0..WIDTH {
+                let sample = (block * WIDTH + lane).min(at.count - 1);
+                let c = at.first + sample * at.step;
+                // A unit cotangent's result is still to be multiplied by the control's own.
+                let factor = if policy.unit { policy.controls_bar[k][c] } else { F::one() };
+                for (lambda, &x_bar) in lambda.iter_mut().zip(&policy.inputs_bar[c * n..][..n]) {
+                    lambda.0[k].0[lane] += x_bar * factor;
+                }
+            }
+        }
+    }
+
+    #[cold]
+    fn divergence(&self, flows: [Flow; K], rollout: &Rollout<F>, step: usize) -> Divergence {
+        let finite = |c: &Columns<Lane<F>, K>, k: usize| c.0[k].0.iter().all(|v| v.as_().is_finite());
+        let bad = |k: &usize| !self.lambda.iter().chain(&self.u_bar).all(|c| finite(c, *k));
+        let k = (0..K).find(bad).unwrap_or(0);
+        let (sample, component) = find_non_finite(&self.lambda, rollout.state_dim, rollout.samples, |c, lane| c.0[k].lane(lane));
+        Divergence::Cotangent { flow: flows[k], step, sample, component }
+    }
+}
+
+/// One step back, of all blocks: costs, physics, and whether the result is finite.
+struct Back<'a, T, F: Float, const K: usize> {
+    task: &'a T,
+    flows: [Flow; K],
+    rollout: &'a Rollout<F>,
+    t: usize,
+    scale: F,
+    carried: &'a mut Recursion<F, K>,
+    finite: &'a mut bool,
+}
+
+impl<T: Task, F: Float, const K: usize> Vectorized for Back<'_, T, F, K> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { task, flows, rollout, t, carried: r, .. } = self;
+        let system = task.system();
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let (states, next, controls) = (rollout.states_at(t), rollout.states_at(t + 1), rollout.controls_at(t));
+        let scale = Lane::splat(self.scale);
+        let through_physics = flows.iter().any(|flow| flow.physics);
+        let mut probe = Columns([Lane::<F>::zero(); K]);
+        for block in 0..states.len() / n {
+            let (x, next) = (&states[block * n..][..n], &next[block * n..][..n]);
+            let u = &controls[block * m..][..m];
+            let lambda = &mut r.lambda[block * n..][..n];
+            let x_bar = &mut r.x_bar[block * n..][..n];
+            let u_bar = &mut r.u_bar[block * m..][..m];
+
+            task.stage_cost_gradient(next, u, &mut r.cost_x, &mut r.cost_u);
+            for (lambda, &cost) in lambda.iter_mut().zip(&r.cost_x) {
+                *lambda += Columns([cost * scale; K]);
+            }
+            if through_physics {
+                system.vjp(x, u, lambda, x_bar, u_bar);
+            } else {
+                system.vjp_control(x, u, lambda, u_bar);
+            }
+            for (u_bar, &cost) in u_bar.iter_mut().zip(&r.cost_u) {
+                *u_bar += Columns([cost * scale; K]);
+                probe += *u_bar * Lane::zero();
+            }
+            for (lambda, &x_bar) in lambda.iter_mut().zip(&*x_bar) {
+                for (k, flow) in flows.iter().enumerate() {
+                    lambda.0[k] = if flow.physics { x_bar.0[k] } else { Lane::zero() };
+                }
+                probe += *lambda * Lane::zero();
+            }
+        }
+        *self.finite = probe.0.iter().all(|p| p.0.iter().all(|&p| p == F::zero()));
+    }
+}

@@ -1,0 +1,189 @@
+//! A mini-batch's gradients and a data set's loss, split over workers.
+//!
+//! Results do not depend on the number of workers: a sample's numbers do not depend on its neighbours, gradients are
+//! summed over fixed groups of samples, and groups are summed in their order.
+
+use crate::backward::{Adjoint, Flow};
+use crate::policy::{Policy, Weights};
+use crate::rollout::{Divergence, Rollout};
+use crate::scalar::Float;
+use crate::system::System;
+use crate::task::Task;
+
+/// Samples whose gradient is one sum, whatever the number of workers.
+const GROUP: usize = 4;
+/// Samples that are evaluated together.
+const EVALUATED: usize = 32;
+
+/// Workspace for the gradients of mini-batches of up to a fixed size.
+#[derive(Debug)]
+pub struct Batch<F: Float> {
+    workers: Vec<Worker<F>>,
+    gradients: Vec<Vec<F>>,
+}
+
+/// One worker's consecutive groups of samples.
+#[derive(Debug)]
+struct Worker<F: Float> {
+    rollout: Rollout<F>,
+    adjoint: Adjoint<F>,
+    /// `[group][flow][parameter]`.
+    groups: Vec<Vec<Vec<F>>>,
+    outcome: Result<(), Divergence>,
+}
+
+impl<F: Float> Batch<F> {
+    /// Room for mini-batches of up to `samples` samples and one or two flows, over at most `workers` workers.
+    ///
+    /// # Panics
+    /// Without samples, or if the shapes of task and policy differ.
+    #[track_caller]
+    pub fn new<T: Task, P: Policy>(task: &T, policy: &P, samples: usize, flows: &[Flow], workers: usize) -> Self {
+        assert!(samples > 0, "a mini-batch needs at least one sample");
+        let zeros = || vec![vec![F::zero(); policy.param_count()]; flows.len()];
+        let groups = samples.div_ceil(GROUP);
+        let each = groups.div_ceil(workers.clamp(1, groups));
+        let workers = (0..groups).step_by(each).map(|first| {
+            let last = groups.min(first + each);
+            let rollout = Rollout::new(task, policy, samples.min(last * GROUP) - first * GROUP);
+            let adjoint = Adjoint::new(policy, &rollout, flows);
+            Worker { rollout, adjoint, groups: (first..last).map(|_| zeros()).collect(), outcome: Ok(()) }
+        });
+        Self { workers: workers.collect(), gradients: zeros() }
+    }
+
+    /// Rollouts from `starts` (`state_dim` numbers per sample) and the gradients of their mean loss, for every flow.
+    /// Returns the mean loss.
+    ///
+    /// # Errors
+    /// The first [`Divergence`] of the batch. The gradients are then not to be used.
+    pub fn run<T: Task, P: Policy>(
+        &mut self,
+        task: &T,
+        policy: &P,
+        weights: &Weights<F>,
+        starts: &[F],
+    ) -> Result<f64, Divergence> {
+        let n = task.system().state_dim();
+        let samples = starts.len() / n;
+        let scale = F::lift(1.0 / samples as f64);
+        let per_worker = self.workers[0].rollout.capacity();
+        for_each(&mut self.workers, |index, worker| {
+            let own = starts.chunks(per_worker * n).nth(index).unwrap_or(&[]);
+            worker.outcome = worker.run(task, policy, weights, own, scale);
+        });
+
+        let active = samples.div_ceil(per_worker);
+        let diverged = self.workers[..active].iter().enumerate();
+        let diverged = diverged.filter_map(|(i, w)| w.outcome.err().map(|d| d.offset(i * per_worker)));
+        if let Some(first) = diverged.min_by_key(Divergence::order) {
+            return Err(first);
+        }
+        for (k, gradient) in self.gradients.iter_mut().enumerate() {
+            gradient.fill(F::zero());
+            for group in self.workers[..active].iter().flat_map(|w| w.groups.iter().take(w.rollout.samples().div_ceil(GROUP))) {
+                for (sum, &part) in gradient.iter_mut().zip(&group[k]) {
+                    *sum += part;
+                }
+            }
+        }
+        let costs = self.workers[..active].iter().flat_map(|w| (0..w.rollout.samples()).map(|s| w.rollout.cost(s).as_()));
+        Ok(costs.sum::<f64>() / samples as f64)
+    }
+
+    /// The gradients of the last [`run`](Batch::run), one per flow.
+    pub fn gradients(&self) -> &[Vec<F>] {
+        &self.gradients
+    }
+}
+
+impl<F: Float> Worker<F> {
+    fn run<T: Task, P: Policy>(
+        &mut self,
+        task: &T,
+        policy: &P,
+        weights: &Weights<F>,
+        starts: &[F],
+        scale: F,
+    ) -> Result<(), Divergence> {
+        if starts.is_empty() {
+            return Ok(());
+        }
+        self.rollout.start(starts);
+        self.rollout.run(task, policy, weights)?;
+        self.adjoint.run(task, policy, weights, &self.rollout, scale)?;
+        for (g, group) in self.groups.iter_mut().enumerate() {
+            let samples = g * GROUP..self.rollout.samples().min((g + 1) * GROUP);
+            if samples.is_empty() {
+                break;
+            }
+            for (k, gradient) in group.iter_mut().enumerate() {
+                gradient.fill(F::zero());
+                self.adjoint.param_gradient(k, policy, weights, &self.rollout, samples.clone(), gradient);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Workspace for the loss of a whole data set.
+#[derive(Debug)]
+pub struct Evaluation<F: Float> {
+    workers: Vec<Evaluator<F>>,
+}
+
+#[derive(Debug)]
+struct Evaluator<F: Float> {
+    rollout: Rollout<F>,
+    costs: Vec<f64>,
+    outcome: Result<(), Divergence>,
+}
+
+impl<F: Float> Evaluation<F> {
+    /// Room for data sets of any size, over so many workers.
+    pub fn new<T: Task, P: Policy>(task: &T, policy: &P, workers: usize) -> Self {
+        let evaluator =
+            || Evaluator { rollout: Rollout::for_evaluation(task, policy, EVALUATED), costs: Vec::new(), outcome: Ok(()) };
+        Self { workers: (0..workers.max(1)).map(|_| evaluator()).collect() }
+    }
+
+    /// The mean loss of rollouts from `starts`, `state_dim` numbers per sample.
+    ///
+    /// # Errors
+    /// The first [`Divergence`] of the data set.
+    pub fn run<T: Task, P: Policy>(
+        &mut self,
+        task: &T,
+        policy: &P,
+        weights: &Weights<F>,
+        starts: &[F],
+    ) -> Result<f64, Divergence> {
+        let n = task.system().state_dim();
+        let samples = starts.len() / n;
+        let per_worker = samples.div_ceil(EVALUATED).div_ceil(self.workers.len()) * EVALUATED;
+        for_each(&mut self.workers, |index, worker| {
+            worker.costs.clear();
+            let own = starts.chunks(per_worker * n).nth(index).unwrap_or(&[]);
+            worker.outcome = own.chunks(EVALUATED * n).enumerate().try_for_each(|(i, starts)| {
+                worker.rollout.start(starts);
+                let outcome = worker.rollout.run(task, policy, weights);
+                worker.costs.extend((0..worker.rollout.samples()).map(|s| worker.rollout.cost(s).as_()));
+                outcome.map_err(|d| d.offset(index * per_worker + i * EVALUATED))
+            });
+        });
+        match self.workers.iter().find_map(|w| w.outcome.err()) {
+            Some(divergence) => Err(divergence),
+            None => Ok(self.workers.iter().flat_map(|w| &w.costs).sum::<f64>() / samples as f64),
+        }
+    }
+}
+
+/// `work(i, item)` for every item; in parallel where that is compiled in and there is more than one.
+fn for_each<W: Send>(items: &mut [W], work: impl Fn(usize, &mut W) + Sync + Send) {
+    #[cfg(feature = "parallel")]
+    if items.len() > 1 {
+        use rayon::prelude::*;
+        return items.par_iter_mut().enumerate().for_each(|(i, item)| work(i, item));
+    }
+    items.iter_mut().enumerate().for_each(|(i, item)| work(i, item));
+}

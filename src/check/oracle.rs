@@ -1,0 +1,127 @@
+//! What the checks compare with: duals through `act` and `step`, with what a flow leaves out detached.
+
+use crate::backward::Flow;
+use crate::forward_mode::jacobian;
+use crate::policy::{Policy, Weights};
+use crate::rng::Rng;
+use crate::scalar::{Scalar, Tangents};
+use crate::system::System;
+use crate::task::Task;
+use num_dual::DualSVec64;
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+
+/// Tangents that go through one rollout together.
+const TOGETHER: usize = 4;
+/// Up to so many parameters, all are compared.
+const ALL: usize = 64;
+
+/// Initial parameters, with noise added so that no layer is zero.
+pub fn weights<P: Policy>(policy: &P, rng: &mut Rng) -> Weights<f64> {
+    let mut theta = vec![0.0; policy.param_count()];
+    policy.init(rng, &mut theta);
+    for theta in &mut theta {
+        let noise: f64 = StandardNormal.sample(rng);
+        *theta += 0.1 * noise;
+    }
+    Weights::new(policy, theta)
+}
+
+/// The mean loss of rollouts from `starts`, with the derivative that `flow` carries.
+fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, theta: &[S], starts: &[f64], flow: Flow) -> S {
+    let system = task.system();
+    let (n, m) = (system.state_dim(), system.control_dim());
+    let mut mean = S::zero();
+    for start in starts.chunks_exact(n) {
+        let mut x: Vec<S> = start.iter().map(|&x| S::lift(x)).collect();
+        let (mut next, mut u) = (x.clone(), vec![S::zero(); m]);
+        let seen = |x: &[S], with: bool| -> Vec<S> { x.iter().map(|&x| if with { x } else { x.detach() }).collect() };
+        for _ in 0..task.horizon() {
+            policy.act(theta, &seen(&x, flow.control), &mut u);
+            system.step(&seen(&x, flow.physics), &u, &mut next);
+            mean += task.stage_cost(&next, &u);
+            std::mem::swap(&mut x, &mut next);
+        }
+        mean += task.terminal_cost(&x);
+    }
+    mean * S::lift(n as f64 / starts.len() as f64)
+}
+
+/// The mean loss.
+pub fn loss<T: Task, P: Policy>(task: &T, policy: &P, theta: &[f64], starts: &[f64]) -> f64 {
+    rollouts(task, policy, theta, starts, Flow::REGULAR)
+}
+
+/// Derivatives of the mean loss in the directions that `tangent(parameter)` spans.
+fn derivatives<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    theta: &[f64],
+    starts: &[f64],
+    flow: Flow,
+    tangent: impl Fn(usize) -> [f64; TOGETHER],
+) -> [f64; TOGETHER] {
+    let theta: Vec<_> = theta.iter().enumerate().map(|(i, &t)| DualSVec64::seeded(t, tangent(i))).collect();
+    rollouts(task, policy, &theta, starts, flow).tangents()
+}
+
+/// Components of the gradient and their indices: all of a few, some of many.
+pub fn some_components<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    theta: &[f64],
+    starts: &[f64],
+    flow: Flow,
+    rng: &mut Rng,
+) -> Vec<(usize, f64)> {
+    let all = theta.len() <= ALL;
+    let indices: Vec<usize> =
+        if all { (0..theta.len()).collect() } else { (0..16).map(|_| rng.random_range(0..theta.len())).collect() };
+    let together = indices.chunks(TOGETHER).flat_map(|some| {
+        let unit = |i: usize| std::array::from_fn(|k| if some.get(k) == Some(&i) { 1.0 } else { 0.0 });
+        some.iter().copied().zip(derivatives(task, policy, theta, starts, flow, unit))
+    });
+    together.collect()
+}
+
+/// Random directions and the derivatives in them.
+pub fn some_directions<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    theta: &[f64],
+    starts: &[f64],
+    flow: Flow,
+    rng: &mut Rng,
+) -> Vec<(Vec<f64>, f64)> {
+    let directions: [Vec<f64>; TOGETHER] = std::array::from_fn(|_| super::normal(rng, theta.len()));
+    let slopes = derivatives(task, policy, theta, starts, flow, |i| std::array::from_fn(|k| directions[k][i]));
+    directions.into_iter().zip(slopes).collect()
+}
+
+/// `(∂N/∂x)ᵀ u_bar` of every column.
+pub fn policy_input_gradient<P: Policy>(policy: &P, theta: &[f64], x: &[f64], u_bar: &[f64]) -> Vec<f64> {
+    let (n, m) = (policy.state_dim(), policy.control_dim());
+    let theta: Vec<_> = theta.iter().map(|&t| Tangents::constant(t)).collect();
+    let mut x_bar = vec![0.0; x.len()];
+    for ((x, u_bar), x_bar) in x.chunks_exact(n).zip(u_bar.chunks_exact(m)).zip(x_bar.chunks_exact_mut(n)) {
+        jacobian(x, 0..n, m, |x, u| policy.act(&theta, x, u), |i, slope: &[f64]| x_bar[i] = dot(slope, u_bar));
+    }
+    x_bar
+}
+
+/// `Σ weight·(∂N/∂θ)ᵀ u_bar` over all columns.
+pub fn policy_param_gradient<P: Policy>(policy: &P, theta: &[f64], x: &[f64], u_bar: &[f64], weight: Option<&[f64]>) -> Vec<f64> {
+    let (n, m) = (policy.state_dim(), policy.control_dim());
+    let mut theta_bar = vec![0.0; theta.len()];
+    for (c, (x, u_bar)) in x.chunks_exact(n).zip(u_bar.chunks_exact(m)).enumerate() {
+        let x: Vec<_> = x.iter().map(|&x| Tangents::constant(x)).collect();
+        let weight = weight.map_or(1.0, |w| w[c]);
+        let act = |theta: &[_], u: &mut [_]| policy.act(theta, &x, u);
+        jacobian(theta, 0..theta.len(), m, act, |i, slope: &[f64]| theta_bar[i] += weight * dot(slope, u_bar));
+    }
+    theta_bar
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}

@@ -1,0 +1,60 @@
+//! Jacobians by dual numbers: the default derivatives, and the oracle that checks every hand-written one.
+
+use crate::scalar::{Float, Real, Scalar, Tangents};
+use smallvec::{SmallVec, smallvec};
+use std::ops::Range;
+
+/// Tangents carried through one evaluation. Four doubles fill an AVX register.
+const CHUNK: usize = 4;
+
+/// The dual number over `F` with [`CHUNK`] tangents.
+pub(crate) type Dual<F> = <F as Float>::Dual<CHUNK>;
+
+/// Room for this many numbers lives on the stack; larger systems allocate in every call, and are better served by a
+/// hand-written derivative.
+type Buffer<T> = SmallVec<[T; 32]>;
+
+/// Calls `visit(i, column)` with `column[j] = ∂f_j/∂input_i`, for every input `i` in `wrt`.
+///
+/// `f` maps all `inputs` to `outputs` numbers; the lanes of `R` are differentiated one after the other.
+#[inline]
+pub(crate) fn jacobian<R: Real>(
+    inputs: &[R],
+    wrt: Range<usize>,
+    outputs: usize,
+    f: impl Fn(&[Dual<R::Real>], &mut [Dual<R::Real>]),
+    mut visit: impl FnMut(usize, &[R]),
+) {
+    let constant = Dual::<R::Real>::constant(<R::Real as Scalar>::zero());
+    let mut x: Buffer<Dual<R::Real>> = smallvec![constant; inputs.len()];
+    let mut y: Buffer<Dual<R::Real>> = smallvec![constant; outputs];
+    let mut columns: Buffer<R> = smallvec![R::zero(); outputs * CHUNK];
+    for first in wrt.clone().step_by(CHUNK) {
+        let chunk = first..wrt.end.min(first + CHUNK);
+        for lane in 0..R::LANES {
+            for (i, (x, input)) in x.iter_mut().zip(inputs).enumerate() {
+                let value = input.lane(lane);
+                *x = if chunk.contains(&i) {
+                    Dual::<R::Real>::variable(value, i - first)
+                } else {
+                    Dual::<R::Real>::constant(value)
+                };
+            }
+            f(&x, &mut y);
+            for (j, y) in y.iter().enumerate() {
+                for (k, tangent) in y.tangents().into_iter().enumerate() {
+                    columns[k * outputs + j].set_lane(lane, tangent);
+                }
+            }
+        }
+        for (k, i) in chunk.enumerate() {
+            visit(i, &columns[k * outputs..(k + 1) * outputs]);
+        }
+    }
+}
+
+/// The inputs `x` and then `u` in one slice.
+#[inline]
+pub(crate) fn concat<R: Real>(x: &[R], u: &[R]) -> SmallVec<[R; 16]> {
+    x.iter().chain(u).copied().collect()
+}

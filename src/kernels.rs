@@ -1,0 +1,100 @@
+//! The three loops that decide the speed of training: matrix products, the tanh of a layer, and sine with cosine.
+//!
+//! Users build with default flags, so the instruction set is chosen at run time; a portable path serves every other
+//! processor. Nothing outside this module is `unsafe`.
+
+pub mod elementwise;
+pub mod gemm;
+pub mod tanh;
+pub mod trig;
+
+use std::sync::OnceLock;
+
+/// The instruction set that the kernels use. Only ever names instructions that this processor has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Level {
+    /// Plain Rust, vectorized as the build's target allows.
+    Portable,
+    /// AVX2 and fused multiply-add.
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+    /// AVX-512 (F, VL, DQ, BW).
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+}
+
+impl Level {
+    /// Every level of this processor, slowest first.
+    pub fn available() -> Vec<Level> {
+        #[allow(unused_mut)]
+        let mut levels = vec![Level::Portable];
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+            levels.push(Level::Avx2);
+            if is_x86_feature_detected!("avx512f")
+                && is_x86_feature_detected!("avx512vl")
+                && is_x86_feature_detected!("avx512dq")
+                && is_x86_feature_detected!("avx512bw")
+            {
+                levels.push(Level::Avx512);
+            }
+        }
+        levels
+    }
+
+    /// The fastest level of this processor, looked up once.
+    #[inline]
+    pub fn best() -> Level {
+        static BEST: OnceLock<Level> = OnceLock::new();
+        *BEST.get_or_init(|| Level::available().pop().unwrap_or(Level::Portable))
+    }
+}
+
+/// Work that is compiled once per instruction set. `run` must be `#[inline(always)]`: what is not inlined into the
+/// dispatching function is compiled without its instructions (still right, only slower).
+pub trait Vectorized {
+    /// Does the work.
+    fn run<const FMA: bool>(self);
+}
+
+/// Runs the work with the instructions of `level`.
+#[inline]
+pub fn dispatch(level: Level, work: impl Vectorized) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        #[target_feature(enable = "avx2,fma")]
+        unsafe fn avx2(work: impl Vectorized) {
+            work.run::<true>();
+        }
+        #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma")]
+        unsafe fn avx512(work: impl Vectorized) {
+            work.run::<true>();
+        }
+        match level {
+            Level::Portable => {}
+            // SAFETY: `Level` is only ever made for instructions this processor has.
+            Level::Avx2 => return unsafe { avx2(work) },
+            Level::Avx512 => return unsafe { avx512(work) },
+        }
+    }
+    let _ = level;
+    work.run::<false>();
+}
+
+/// As [`dispatch`], with AVX2 at most: simulators are compiled once per level, and eight lanes gain little from wider
+/// registers.
+#[inline]
+pub fn dispatch_narrow(work: impl Vectorized) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        #[target_feature(enable = "avx2,fma")]
+        unsafe fn avx2(work: impl Vectorized) {
+            work.run::<true>();
+        }
+        if Level::best() != Level::Portable {
+            // SAFETY: every level but the portable one has these instructions.
+            return unsafe { avx2(work) };
+        }
+    }
+    work.run::<false>();
+}

@@ -1,0 +1,207 @@
+//! Optimizers and clipping, on flat slices. The formulas and defaults are those of Keras 2.15.
+
+use crate::kernels::{Level, Vectorized, dispatch};
+use crate::scalar::{Float, Scalar};
+use serde::{Deserialize, Serialize};
+
+/// Limits the vector field just before the optimizer.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Clip {
+    /// As it is.
+    None,
+    /// Every component to ± the limit.
+    Value(f64),
+    /// The whole vector to at most this Euclidean length.
+    Norm(f64),
+}
+
+impl Clip {
+    /// Clips `gradient` in place; `norm` is its Euclidean length.
+    pub fn apply<F: Float>(self, gradient: &mut [F], norm: f64) {
+        match self {
+            Self::None => {}
+            Self::Value(limit) => {
+                let (low, high) = (F::lift(-limit), F::lift(limit));
+                for g in gradient {
+                    *g = Scalar::min(Scalar::max(*g, low), high);
+                }
+            }
+            Self::Norm(limit) if norm > limit => {
+                let factor = F::lift(limit / norm);
+                for g in gradient {
+                    *g *= factor;
+                }
+            }
+            Self::Norm(_) => {}
+        }
+    }
+}
+
+/// A rule that turns a vector field into steps.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Rule {
+    /// Kingma and Ba 2015 (arXiv:1412.6980), in Keras' form: ε is added to the root of the uncorrected second moment.
+    Adam {
+        /// Decay of the first moment.
+        beta1: f64,
+        /// Decay of the second moment.
+        beta2: f64,
+        /// Keeps the step finite.
+        epsilon: f64,
+    },
+    /// Plain descent.
+    Sgd,
+    /// Descent with (heavy-ball) momentum.
+    Momentum {
+        /// Share of the last step that is kept.
+        momentum: f64,
+    },
+    /// Tieleman and Hinton 2012; ε under the root.
+    RmsProp {
+        /// Decay of the mean square.
+        rho: f64,
+        /// Keeps the step finite.
+        epsilon: f64,
+    },
+    /// Duchi, Hazan and Singer 2011; ε under the root.
+    Adagrad {
+        /// The accumulators' start.
+        initial: f64,
+        /// Keeps the step finite.
+        epsilon: f64,
+    },
+    /// Zeiler 2012 (arXiv:1212.5701).
+    Adadelta {
+        /// Decay of the mean squares.
+        rho: f64,
+        /// Keeps the step finite.
+        epsilon: f64,
+    },
+}
+
+impl Rule {
+    /// The names that [`Rule::named`] knows.
+    pub const NAMES: [&str; 6] = ["adam", "sgd", "momentum", "rmsprop", "adagrad", "adadelta"];
+
+    /// A rule with its default parameters, by name.
+    pub fn named(name: &str) -> Option<Self> {
+        Some(match name {
+            "adam" => Self::Adam { beta1: 0.9, beta2: 0.999, epsilon: 1e-7 },
+            "sgd" => Self::Sgd,
+            "momentum" => Self::Momentum { momentum: 0.9 },
+            "rmsprop" => Self::RmsProp { rho: 0.9, epsilon: 1e-7 },
+            "adagrad" => Self::Adagrad { initial: 0.1, epsilon: 1e-7 },
+            "adadelta" => Self::Adadelta { rho: 0.95, epsilon: 1e-7 },
+            _ => return None,
+        })
+    }
+}
+
+/// A [`Rule`], its learning rate, and what it remembers. Part of every checkpoint.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Optimizer<F> {
+    rule: Rule,
+    learning_rate: f64,
+    steps: u64,
+    first: Vec<F>,
+    second: Vec<F>,
+}
+
+impl<F: Float> Optimizer<F> {
+    /// An optimizer of `params` parameters.
+    pub fn new(rule: Rule, learning_rate: f64, params: usize) -> Self {
+        let start = if let Rule::Adagrad { initial, .. } = rule { initial } else { 0.0 };
+        Self { rule, learning_rate, steps: 0, first: vec![F::lift(start); params], second: vec![F::zero(); params] }
+    }
+
+    /// Adam with Keras' defaults.
+    pub fn adam(learning_rate: f64, params: usize) -> Self {
+        Self::new(Rule::Adam { beta1: 0.9, beta2: 0.999, epsilon: 1e-7 }, learning_rate, params)
+    }
+
+    /// Steps taken so far.
+    pub fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    /// Number of parameters.
+    pub fn params(&self) -> usize {
+        self.first.len()
+    }
+
+    /// One step of `theta` against `gradient`.
+    ///
+    /// # Panics
+    /// If the lengths differ from the number of parameters.
+    #[track_caller]
+    pub fn step(&mut self, theta: &mut [F], gradient: &[F]) {
+        let n = self.first.len();
+        assert!(
+            theta.len() == n && gradient.len() == n,
+            "the optimizer has {n} parameters, θ {}, g {}",
+            theta.len(),
+            gradient.len()
+        );
+        self.steps += 1;
+        dispatch(Level::best(), Step { optimizer: self, theta, gradient });
+    }
+}
+
+struct Step<'a, F> {
+    optimizer: &'a mut Optimizer<F>,
+    theta: &'a mut [F],
+    gradient: &'a [F],
+}
+
+impl<F: Float> Vectorized for Step<'_, F> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Optimizer { rule, learning_rate, steps, first, second } = self.optimizer;
+        let rate = *learning_rate;
+        let all = self.theta.iter_mut().zip(self.gradient).zip(first).zip(second).map(|(((t, &g), m), v)| (t, g, m, v));
+        let lift = F::lift;
+        match *rule {
+            Rule::Adam { beta1, beta2, epsilon } => {
+                let steps = i32::try_from(*steps).unwrap_or(i32::MAX);
+                let rate = lift(rate * (1.0 - beta2.powi(steps)).sqrt() / (1.0 - beta1.powi(steps)));
+                let (share1, share2, epsilon) = (lift(1.0 - beta1), lift(1.0 - beta2), lift(epsilon));
+                for (theta, g, m, v) in all {
+                    *m += (g - *m) * share1;
+                    *v += (g * g - *v) * share2;
+                    *theta -= *m * rate / (Scalar::sqrt(*v) + epsilon);
+                }
+            }
+            Rule::Sgd => {
+                for (theta, g, _, _) in all {
+                    *theta -= g * lift(rate);
+                }
+            }
+            Rule::Momentum { momentum } => {
+                for (theta, g, m, _) in all {
+                    *m = *m * lift(momentum) - g * lift(rate);
+                    *theta += *m;
+                }
+            }
+            Rule::RmsProp { rho, epsilon } => {
+                for (theta, g, m, _) in all {
+                    *m = *m * lift(rho) + g * g * lift(1.0 - rho);
+                    *theta -= g * lift(rate) / Scalar::sqrt(*m + lift(epsilon));
+                }
+            }
+            Rule::Adagrad { epsilon, .. } => {
+                for (theta, g, m, _) in all {
+                    *m += g * g;
+                    *theta -= g * lift(rate) / Scalar::sqrt(*m + lift(epsilon));
+                }
+            }
+            Rule::Adadelta { rho, epsilon } => {
+                for (theta, g, m, v) in all {
+                    *m = *m * lift(rho) + g * g * lift(1.0 - rho);
+                    let step = g * Scalar::sqrt(*v + lift(epsilon)) / Scalar::sqrt(*m + lift(epsilon));
+                    *v = *v * lift(rho) + step * step * lift(1.0 - rho);
+                    *theta -= step * lift(rate);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,357 @@
+//! A multi-layer perceptron with tanh hidden layers and a linear output.
+//!
+//! `θ` holds, layer after layer, the kernel (inputs × outputs, row-major) and then the bias: the order of Keras. Kernel
+//! and bias together are one (inputs + 1) × outputs matrix, so every layer is one matrix product with a column of
+//! activations that ends in a constant 1, and its gradient is one product too.
+
+use super::{Policy, PolicyColumns, Sizes, Tensor};
+use crate::kernels::Level;
+use crate::kernels::elementwise::{self, Strided};
+use crate::kernels::gemm::Product;
+use crate::rng::Rng;
+use crate::scalar::{Float, Scalar};
+use rand::RngExt;
+use std::ops::Range;
+
+/// Columns that go through all layers together, so that their activations stay in the first-level cache.
+const BLOCK: usize = 32;
+/// Columns whose scaled cotangents are multiplied at a time in the weight gradient.
+const DEPTH: usize = 64;
+
+/// A multi-layer perceptron: tanh hidden layers of any widths, a linear output.
+///
+/// Kernels start Glorot-uniform, biases at zero. A zeroed last kernel ([`Mlp::zero_last`]) makes the initial control
+/// exactly zero.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mlp {
+    widths: Vec<usize>,
+    bias: bool,
+    zero_last: bool,
+}
+
+/// One layer's place in `θ`, and where its matrices and activations are in the padded buffers.
+#[derive(Clone, Copy, Debug)]
+struct Layer {
+    inputs: usize,
+    outputs: usize,
+    /// Rows of the weight matrix: the inputs, and 1 with a bias.
+    rows: usize,
+    /// Start in `θ`.
+    theta: usize,
+    /// Padded length of an input column, constant 1 included.
+    ld_in: usize,
+    /// Padded length of an output column.
+    ld_out: usize,
+    /// Start of the weights, one padded column of outputs per input row.
+    packed: usize,
+    /// Start of their transpose, one padded column of inputs per output.
+    transposed: usize,
+    /// Start of the input columns in the tape, per column of the tape.
+    tape: usize,
+}
+
+impl Mlp {
+    /// Widths from the state to the control, for instance `[10, 100, 100, 1]`. With biases, Glorot-uniform kernels.
+    ///
+    /// # Panics
+    /// With fewer than two widths, or a width of zero.
+    #[track_caller]
+    pub fn new(widths: impl Into<Vec<usize>>) -> Self {
+        let widths = widths.into();
+        assert!(widths.len() >= 2, "an MLP needs at least the widths of its input and output, not {widths:?}");
+        assert!(widths.iter().all(|&w| w > 0), "an MLP has no layer of width 0: {widths:?}");
+        Self { widths, bias: true, zero_last: false }
+    }
+
+    /// Starts with a zeroed last kernel: the initial control is exactly zero, and R equals M in the first update.
+    pub fn zero_last(mut self, zero: bool) -> Self {
+        self.zero_last = zero;
+        self
+    }
+
+    /// With biases (the default) or without.
+    pub fn bias(mut self, bias: bool) -> Self {
+        self.bias = bias;
+        self
+    }
+
+    /// The widths from the state to the control.
+    pub fn widths(&self) -> &[usize] {
+        &self.widths
+    }
+
+    fn layers<F: Float>(&self) -> impl DoubleEndedIterator<Item = Layer> + ExactSizeIterator {
+        (0..self.widths.len() - 1).map(|l| self.layer::<F>(l))
+    }
+
+    fn layer<F: Float>(&self, index: usize) -> Layer {
+        let mut layer =
+            Layer { inputs: 0, outputs: 0, rows: 0, theta: 0, ld_in: 0, ld_out: 0, packed: 0, transposed: 0, tape: 0 };
+        for pair in self.widths[..index + 2].windows(2) {
+            // After the layer before this one.
+            layer.theta += layer.rows * layer.outputs;
+            layer.packed = layer.transposed + layer.outputs * layer.ld_in;
+            layer.tape += layer.ld_in;
+            (layer.inputs, layer.outputs) = (pair[0], pair[1]);
+            layer.rows = layer.inputs + usize::from(self.bias);
+            (layer.ld_in, layer.ld_out) = (padded::<F>(layer.inputs), padded::<F>(layer.outputs));
+            layer.transposed = layer.packed + layer.rows * layer.ld_out;
+        }
+        layer
+    }
+
+    fn last<F: Float>(&self) -> Layer {
+        self.layer::<F>(self.widths.len() - 2)
+    }
+}
+
+/// Length of a column of `n` numbers and a constant 1: an odd number of cache lines, so that neighbouring columns do
+/// not compete for the same places in the cache.
+fn padded<F: Float>(n: usize) -> usize {
+    ((n + 1).div_ceil(F::PAD) | 1) * F::PAD
+}
+
+impl Layer {
+    /// The input columns `at` within a buffer of `total` columns.
+    fn input_columns(&self, total: usize, at: PolicyColumns) -> Strided {
+        let ld = self.ld_in;
+        Strided { first: total * self.tape + at.first * ld, step: at.step * ld, count: at.count, len: ld }
+    }
+}
+
+impl Policy for Mlp {
+    fn state_dim(&self) -> usize {
+        self.widths[0]
+    }
+
+    fn control_dim(&self) -> usize {
+        self.widths[self.widths.len() - 1]
+    }
+
+    fn param_count(&self) -> usize {
+        self.layers::<f64>().map(|l| l.rows * l.outputs).sum()
+    }
+
+    fn init(&self, rng: &mut Rng, theta: &mut [f64]) {
+        theta.fill(0.0);
+        let last = self.widths.len() - 2;
+        for (index, l) in self.layers::<f64>().enumerate() {
+            // Glorot and Bengio 2010: uniform within sqrt(6 / (fan_in + fan_out)).
+            let limit = (6.0 / (l.inputs + l.outputs) as f64).sqrt();
+            for weight in &mut theta[l.theta..][..l.inputs * l.outputs] {
+                // Drawn even if it is not used, so that the other layers do not depend on the setting.
+                let draw = rng.random_range(-limit..limit);
+                *weight = if self.zero_last && index == last { 0.0 } else { draw };
+            }
+        }
+    }
+
+    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
+        let mut h = x.to_vec();
+        for l in self.layers::<f64>() {
+            let weights = &theta[l.theta..][..l.rows * l.outputs];
+            let mut z = if self.bias { weights[l.inputs * l.outputs..].to_vec() } else { vec![T::zero(); l.outputs] };
+            for (&h, row) in h.iter().zip(weights.chunks_exact(l.outputs)) {
+                for (z, &w) in z.iter_mut().zip(row) {
+                    *z += h * w;
+                }
+            }
+            if l.theta + weights.len() < theta.len() {
+                h = z.into_iter().map(Scalar::tanh).collect();
+            } else {
+                u.copy_from_slice(&z);
+            }
+        }
+    }
+
+    fn tensors(&self) -> Vec<Tensor> {
+        let mut tensors = Vec::new();
+        for (i, l) in self.layers::<f64>().enumerate() {
+            let bias = l.theta + l.inputs * l.outputs;
+            let kernel =
+                Tensor { name: format!("layer{}.kernel", i + 1), shape: vec![l.inputs, l.outputs], range: l.theta..bias };
+            tensors.push(kernel);
+            if self.bias {
+                let range = bias..bias + l.outputs;
+                tensors.push(Tensor { name: format!("layer{}.bias", i + 1), shape: vec![l.outputs], range });
+            }
+        }
+        tensors
+    }
+
+    fn sizes<F: Float>(&self, columns: usize) -> Sizes {
+        let last = self.last::<F>();
+        let gradient = |l: Layer| l.ld_out * l.rows + DEPTH * l.ld_out.min(l.ld_in);
+        Sizes {
+            packed: last.transposed + last.outputs * last.ld_in,
+            tape: columns * (last.tape + last.ld_in),
+            tape_bar: columns * (last.tape + last.ld_in),
+            scratch: self.layers::<F>().map(gradient).max().unwrap_or(0).max(last.outputs * (last.ld_in + DEPTH)),
+        }
+    }
+
+    fn pack<F: Float>(&self, theta: &[F], packed: &mut [F]) {
+        for l in self.layers::<F>() {
+            for (i, row) in theta[l.theta..][..l.rows * l.outputs].chunks_exact(l.outputs).enumerate() {
+                packed[l.packed + i * l.ld_out..][..l.outputs].copy_from_slice(row);
+                for (o, &weight) in row.iter().enumerate() {
+                    packed[l.transposed + o * l.ld_in + i] = weight;
+                }
+            }
+        }
+    }
+
+    fn forward<F: Float>(&self, packed: &[F], at: PolicyColumns, x: &[F], tape: &mut [F], u: &mut [F]) {
+        let level = Level::best();
+        let n = self.state_dim();
+        let total = x.len() / n;
+        let first = self.layer::<F>(0);
+        for c in at.iter() {
+            let column = &mut tape[c * first.ld_in..][..first.ld_in];
+            column[..n].copy_from_slice(&x[c * n..][..n]);
+            column[n] = F::one();
+            column[n + 1..].fill(F::zero());
+        }
+        for at in at.blocks(BLOCK) {
+            for l in self.layers::<F>() {
+                let input = l.input_columns(total, at);
+                if l.tape == self.last::<F>().tape {
+                    let rows = Strided { first: l.transposed, step: l.ld_in, count: l.outputs, len: l.ld_in };
+                    let u = &mut u[at.first * l.outputs..];
+                    elementwise::dots(level, packed, rows, tape, input, u, at.step * l.outputs);
+                    continue;
+                }
+                let (before, after) = tape.split_at_mut(total * (l.tape + l.ld_in));
+                let output = Strided { first: at.first * l.ld_out, step: at.step * l.ld_out, count: at.count, len: l.ld_out };
+                F::product(
+                    level,
+                    Product {
+                        rows: l.ld_out,
+                        depth: l.rows,
+                        cols: at.count,
+                        a: &packed[l.packed..],
+                        lda: l.ld_out,
+                        b: &before[input.first..],
+                        b_row: 1,
+                        b_col: input.step,
+                        c: &mut after[output.first..],
+                        ldc: output.step,
+                        accumulate: false,
+                    },
+                );
+                elementwise::tanh(level, after, output);
+                for c in at.iter() {
+                    after[c * l.ld_out + l.outputs] = F::one();
+                }
+            }
+        }
+    }
+
+    fn backward<F: Float>(
+        &self,
+        packed: &[F],
+        at: PolicyColumns,
+        x: &[F],
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &mut [F],
+        mut x_bar: Option<&mut [F]>,
+    ) {
+        let level = Level::best();
+        let n = self.state_dim();
+        let total = x.len() / n;
+        for at in at.blocks(BLOCK) {
+            for l in self.layers::<F>().rev() {
+                let first_layer = l.tape == 0;
+                if first_layer && x_bar.is_none() {
+                    break;
+                }
+                let input = l.input_columns(total, at);
+                let (before, after) = tape_bar.split_at_mut(total * (l.tape + l.ld_in));
+                let (b, b_col) = if l.tape == self.last::<F>().tape {
+                    (&u_bar[at.first * l.outputs..], at.step * l.outputs)
+                } else {
+                    (&after[at.first * l.ld_out..], at.step * l.ld_out)
+                };
+                F::product(
+                    level,
+                    Product {
+                        rows: l.ld_in,
+                        depth: l.outputs,
+                        cols: at.count,
+                        a: &packed[l.transposed..],
+                        lda: l.ld_in,
+                        b,
+                        b_row: 1,
+                        b_col,
+                        c: &mut before[input.first..],
+                        ldc: input.step,
+                        accumulate: false,
+                    },
+                );
+                if !first_layer {
+                    elementwise::tanh_bar(level, tape, before, input);
+                } else if let Some(x_bar) = &mut x_bar {
+                    for c in at.iter() {
+                        x_bar[c * n..][..n].copy_from_slice(&before[c * l.ld_in..][..n]);
+                    }
+                }
+            }
+        }
+    }
+
+    fn param_gradient<F: Float>(
+        &self,
+        _packed: &[F],
+        at: Range<usize>,
+        x: &[F],
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &[F],
+        weight: Option<&[F]>,
+        scratch: &mut [F],
+        theta_bar: &mut [F],
+    ) {
+        if at.is_empty() {
+            return;
+        }
+        let level = Level::best();
+        let total = x.len() / self.state_dim();
+        for l in self.layers::<F>() {
+            let is_last = l.tape == self.last::<F>().tape;
+            let (bar, bar_len) = if is_last { (u_bar, l.outputs) } else { (&tape_bar[total * (l.tape + l.ld_in)..], l.ld_out) };
+            let input = &tape[total * l.tape..];
+            // A few outputs make a thin product the long way round; the transposed one has the inputs as its rows.
+            let (rows, cols) = if is_last { (l.ld_in, l.outputs) } else { (l.ld_out, l.rows) };
+            let (sum, scaled) = scratch.split_at_mut(rows * cols);
+            for block in PolicyColumns::range(at.clone()).blocks(DEPTH) {
+                let columns = block.first..block.first + block.count;
+                let mut bar = &bar[columns.start * bar_len..columns.end * bar_len];
+                let mut input = &input[columns.start * l.ld_in..columns.end * l.ld_in];
+                if let Some(weight) = weight {
+                    // The smaller factor is the cheaper one to scale.
+                    let (factor, len) = if bar_len <= l.ld_in { (&mut bar, bar_len) } else { (&mut input, l.ld_in) };
+                    elementwise::scale(level, factor, &weight[columns], len, scaled);
+                    *factor = scaled;
+                }
+                let (a, b, b_row) = if is_last { (input, bar, bar_len) } else { (bar, input, l.ld_in) };
+                let accumulate = block.first != at.start;
+                let product =
+                    Product { rows, depth: block.count, cols, a, lda: rows, b, b_row, b_col: 1, c: sum, ldc: rows, accumulate };
+                F::product(level, product);
+            }
+            let theta_bar = &mut theta_bar[l.theta..][..l.rows * l.outputs];
+            for (i, row) in theta_bar.chunks_exact_mut(l.outputs).enumerate() {
+                if is_last {
+                    for (o, bar) in row.iter_mut().enumerate() {
+                        *bar += sum[o * rows + i];
+                    }
+                } else {
+                    for (bar, &sum) in row.iter_mut().zip(&sum[i * rows..]) {
+                        *bar += sum;
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,366 @@
+//! [`Rollout`]: the forward pass of a batch of samples, and where it diverged.
+
+use crate::kernels::{Vectorized, dispatch_narrow};
+use crate::policy::{Policy, PolicyColumns, Weights};
+use crate::scalar::{Float, Lanes, Real, Scalar};
+use crate::system::System;
+use crate::task::Task;
+use std::fmt;
+
+/// Samples that go through the physics together.
+pub(crate) const WIDTH: usize = 8;
+
+/// One state or control component of [`WIDTH`] samples.
+pub(crate) type Lane<F> = Lanes<F, WIDTH>;
+
+/// A batch of rollouts: sized once, then run as often as one likes without allocating.
+///
+/// With a tape it keeps the trajectory and what the policy's derivative needs, for [`Adjoint`](crate::Adjoint); without
+/// one ([`Rollout::for_evaluation`]) it keeps a single step, and computes the same bits.
+#[derive(Debug)]
+pub struct Rollout<F: Float> {
+    capacity: usize,
+    /// Samples started, at most the capacity.
+    pub(crate) samples: usize,
+    pub(crate) state_dim: usize,
+    pub(crate) control_dim: usize,
+    pub(crate) horizon: usize,
+    /// Steps that are kept: the horizon, or 1.
+    kept: usize,
+    /// `[step][block][component]`, `kept + 1` steps.
+    states: Vec<Lane<F>>,
+    /// `[step][block][component]`, `kept` steps.
+    controls: Vec<Lane<F>>,
+    /// Policy columns `[sample][step][component]`.
+    inputs: Vec<F>,
+    outputs: Vec<F>,
+    pub(crate) tape: Vec<F>,
+    costs: Vec<Lane<F>>,
+}
+
+impl<F: Float> Rollout<F> {
+    /// Room for `samples` rollouts that can be differentiated.
+    pub fn new<T: Task, P: Policy>(task: &T, policy: &P, samples: usize) -> Self {
+        Self::with_steps(task, policy, samples, task.horizon())
+    }
+
+    /// Room for `samples` rollouts of which only the costs and the last state are wanted.
+    pub fn for_evaluation<T: Task, P: Policy>(task: &T, policy: &P, samples: usize) -> Self {
+        Self::with_steps(task, policy, samples, 1)
+    }
+
+    #[track_caller]
+    fn with_steps<T: Task, P: Policy>(task: &T, policy: &P, samples: usize, kept: usize) -> Self {
+        let (n, m) = (task.system().state_dim(), task.system().control_dim());
+        assert!(samples > 0, "a rollout needs at least one sample");
+        assert!(task.horizon() > 0, "a rollout needs a horizon of at least one step");
+        assert_eq!(policy.state_dim(), n, "the policy sees {} state components, the system has {n}", policy.state_dim());
+        assert_eq!(policy.control_dim(), m, "the policy sets {} controls, the system has {m}", policy.control_dim());
+        let blocks = samples.div_ceil(WIDTH);
+        let zeros = |len: usize| vec![F::zero(); len];
+        let lanes = |len: usize| vec![Lane::zero(); len];
+        Self {
+            capacity: samples,
+            samples,
+            state_dim: n,
+            control_dim: m,
+            horizon: task.horizon(),
+            kept,
+            states: lanes((kept + 1) * blocks * n),
+            controls: lanes(kept * blocks * m),
+            inputs: zeros(samples * kept * n),
+            outputs: zeros(samples * kept * m),
+            tape: zeros(policy.sizes::<F>(samples * kept).tape),
+            costs: lanes(blocks),
+        }
+    }
+
+    /// Number of samples started.
+    pub fn samples(&self) -> usize {
+        self.samples
+    }
+
+    /// Number of samples there is room for.
+    pub fn capacity(&self) -> usize {
+        self.capacity
+    }
+
+    /// Sets the start states, `state_dim` numbers per sample. There may be fewer samples than there is room for.
+    ///
+    /// # Panics
+    /// If `starts` is empty, no whole number of samples, or too long.
+    #[track_caller]
+    pub fn start(&mut self, starts: &[F]) {
+        let n = self.state_dim;
+        let samples = starts.len() / n;
+        assert!(
+            !starts.is_empty() && starts.len().is_multiple_of(n) && samples <= self.capacity,
+            "there is room for {} samples of {n} components, and {} numbers were given",
+            self.capacity,
+            starts.len()
+        );
+        self.samples = samples;
+        let len = self.blocks() * n;
+        for (block, x) in self.states[..len].chunks_exact_mut(n).enumerate() {
+            for lane in 0..WIDTH {
+                // Lanes without a sample repeat the last one: they cost nothing and stay as finite as it does.
+                let sample = (block * WIDTH + lane).min(samples - 1);
+                for (x, &start) in x.iter_mut().zip(&starts[sample * n..]) {
+                    x.set_lane(lane, start);
+                }
+            }
+        }
+    }
+
+    /// Runs all samples from their start states. Stops at the first step with a non-finite state.
+    ///
+    /// # Errors
+    /// [`Divergence`] says where a state or cost was not finite.
+    pub fn run<T: Task, P: Policy>(&mut self, task: &T, policy: &P, weights: &Weights<F>) -> Result<(), Divergence> {
+        self.costs.fill(Lane::zero());
+        for t in 0..self.horizon {
+            self.step(task, policy, weights, t)?;
+        }
+        let last = self.state_range(self.horizon);
+        for (x, cost) in self.states[last].chunks_exact(self.state_dim).zip(&mut self.costs) {
+            *cost += task.terminal_cost(x);
+        }
+        let bad = (0..self.samples).find(|&sample| !self.cost(sample).as_().is_finite());
+        bad.map_or(Ok(()), |sample| Err(Divergence::Cost { sample }))
+    }
+
+    fn step<T: Task, P: Policy>(&mut self, task: &T, policy: &P, weights: &Weights<F>, t: usize) -> Result<(), Divergence> {
+        let (n, m) = (self.state_dim, self.control_dim);
+        let (now, next) = (self.state_range(t), self.state_range(t + 1));
+        let at = self.columns(t);
+        let blocks = self.blocks();
+        gather(&self.states[now.clone()], Real::lane, n, at, &mut self.inputs);
+        let inputs = &self.inputs[..self.samples * self.kept * n];
+        policy.forward(weights.packed(), at, inputs, &mut self.tape, &mut self.outputs);
+        let controls = &mut self.controls[blocks * m * (t % self.kept)..][..blocks * m];
+        scatter(&self.outputs, m, at, controls);
+
+        // The two steps are neighbours, in either order.
+        let (x, next) = if now.start < next.start {
+            let (before, after) = self.states.split_at_mut(next.start);
+            (&before[now], &mut after[..next.len()])
+        } else {
+            let (before, after) = self.states.split_at_mut(now.start);
+            (&after[..now.len()], &mut before[next])
+        };
+        let mut finite = true;
+        dispatch_narrow(Step { task, x, u: controls, next, costs: &mut self.costs, finite: &mut finite });
+        if finite {
+            return Ok(());
+        }
+        let (sample, component) = find_non_finite(next, n, self.samples, Real::lane);
+        Err(Divergence::State { step: t + 1, sample, component })
+    }
+
+    /// The policy's columns of step `t`, one per sample.
+    pub(crate) fn columns(&self, t: usize) -> PolicyColumns {
+        PolicyColumns { first: t % self.kept, step: self.kept, count: self.samples }
+    }
+
+    /// The policy's inputs, as its columns.
+    pub(crate) fn inputs(&self) -> &[F] {
+        &self.inputs[..self.samples * self.kept * self.state_dim]
+    }
+
+    fn blocks(&self) -> usize {
+        self.samples.div_ceil(WIDTH)
+    }
+
+    fn state_range(&self, t: usize) -> std::ops::Range<usize> {
+        let len = self.blocks() * self.state_dim;
+        let slot = t % (self.kept + 1);
+        slot * len..(slot + 1) * len
+    }
+
+    /// All states at step `t`, blocks of [`WIDTH`] samples.
+    pub(crate) fn states_at(&self, t: usize) -> &[Lane<F>] {
+        &self.states[self.state_range(t)]
+    }
+
+    /// All controls at step `t`, blocks of [`WIDTH`] samples.
+    pub(crate) fn controls_at(&self, t: usize) -> &[Lane<F>] {
+        let len = self.blocks() * self.control_dim;
+        &self.controls[len * (t % self.kept)..][..len]
+    }
+
+    /// Whether the whole trajectory is kept.
+    pub(crate) fn has_tape(&self) -> bool {
+        self.kept == self.horizon
+    }
+
+    /// Cost of one sample.
+    pub fn cost(&self, sample: usize) -> F {
+        self.costs[sample / WIDTH].lane(sample % WIDTH)
+    }
+
+    /// Component `i` of the state of `sample` at step `t` (0 is the start, `horizon` the end).
+    ///
+    /// # Panics
+    /// If that step was not kept: without a tape only the last is.
+    #[track_caller]
+    pub fn state(&self, t: usize, sample: usize, i: usize) -> F {
+        assert!(t <= self.horizon && t + self.kept >= self.horizon, "step {t} was not kept");
+        self.states_at(t)[(sample / WIDTH) * self.state_dim + i].lane(sample % WIDTH)
+    }
+
+    /// Component `i` of the control of `sample` at step `t`, `t < horizon`.
+    ///
+    /// # Panics
+    /// If that step was not kept: without a tape only the last is.
+    #[track_caller]
+    pub fn control(&self, t: usize, sample: usize, i: usize) -> F {
+        assert!(t < self.horizon && t + self.kept >= self.horizon, "step {t} was not kept");
+        self.controls_at(t)[(sample / WIDTH) * self.control_dim + i].lane(sample % WIDTH)
+    }
+}
+
+/// One step of all blocks, with the costs, and whether the result is finite.
+struct Step<'a, T, F: Float> {
+    task: &'a T,
+    x: &'a [Lane<F>],
+    u: &'a [Lane<F>],
+    next: &'a mut [Lane<F>],
+    costs: &'a mut [Lane<F>],
+    finite: &'a mut bool,
+}
+
+impl<T: Task, F: Float> Vectorized for Step<'_, T, F> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let system = self.task.system();
+        let (n, m) = (system.state_dim(), system.control_dim());
+        let mut probe = Lane::<F>::zero();
+        let blocks = self.x.chunks_exact(n).zip(self.u.chunks_exact(m)).zip(self.next.chunks_exact_mut(n)).zip(self.costs);
+        for (((x, u), next), cost) in blocks {
+            system.step(x, u, next);
+            *cost += self.task.stage_cost(next, u);
+            for &x in &*next {
+                // 0·x is 0 unless x is infinite or NaN.
+                probe += x * Lane::zero();
+            }
+        }
+        *self.finite = probe.0.iter().all(|&p| p == F::zero());
+    }
+}
+
+/// First non-finite number, by sample and then component.
+#[cold]
+pub(crate) fn find_non_finite<L, F: Float>(
+    blocks: &[L],
+    n: usize,
+    samples: usize,
+    lane: impl Fn(&L, usize) -> F,
+) -> (usize, usize) {
+    (0..samples)
+        .flat_map(|sample| (0..n).map(move |i| (sample, i)))
+        .find(|&(sample, i)| !lane(&blocks[(sample / WIDTH) * n + i], sample % WIDTH).as_().is_finite())
+        .unwrap_or((0, 0))
+}
+
+/// Blocks of lanes to one column of `n` numbers per sample.
+pub(crate) fn gather<L, F: Float>(blocks: &[L], lane: impl Fn(&L, usize) -> F, n: usize, at: PolicyColumns, columns: &mut [F]) {
+    for (sample, c) in at.iter().enumerate() {
+        let block = &blocks[(sample / WIDTH) * n..][..n];
+        for (column, lanes) in columns[c * n..][..n].iter_mut().zip(block) {
+            *column = lane(lanes, sample % WIDTH);
+        }
+    }
+}
+
+/// One column of `n` numbers per sample to blocks of lanes; lanes without a sample repeat the last one.
+pub(crate) fn scatter<F: Float>(columns: &[F], n: usize, at: PolicyColumns, blocks: &mut [Lane<F>]) {
+    for (b, block) in blocks.chunks_exact_mut(n).enumerate() {
+        for lane in 0..WIDTH {
+            let sample = (b * WIDTH + lane).min(at.count - 1);
+            let c = at.first + sample * at.step;
+            for (lanes, &column) in block.iter_mut().zip(&columns[c * n..][..n]) {
+                lanes.set_lane(lane, column);
+            }
+        }
+    }
+}
+
+/// Where a number stopped being finite. The update it belongs to is not taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Divergence {
+    /// A state, in the forward pass.
+    State {
+        /// Time step, 1 being the first state after the start.
+        step: usize,
+        /// Index of the sample in its batch.
+        sample: usize,
+        /// State component.
+        component: usize,
+    },
+    /// The cost of a sample whose states are all finite.
+    Cost {
+        /// Index of the sample in its batch.
+        sample: usize,
+    },
+    /// A cotangent of the state, in the reverse pass.
+    Cotangent {
+        /// Flow whose adjoint it is.
+        flow: crate::Flow,
+        /// Time step.
+        step: usize,
+        /// Index of the sample in its batch.
+        sample: usize,
+        /// State component.
+        component: usize,
+    },
+    /// The sum of the gradient over a batch whose cotangents are all finite.
+    Gradient {
+        /// Flow whose gradient it is.
+        flow: crate::Flow,
+        /// Index of the parameter in `θ`.
+        parameter: usize,
+    },
+}
+
+impl Divergence {
+    /// The same, for a sample counted from `first` on.
+    pub(crate) fn offset(mut self, first: usize) -> Self {
+        match &mut self {
+            Self::State { sample, .. } | Self::Cost { sample } | Self::Cotangent { sample, .. } => *sample += first,
+            Self::Gradient { .. } => {}
+        }
+        self
+    }
+
+    /// Which of two to report: the one met first by a single pass over the whole batch.
+    pub(crate) fn order(&self) -> (u8, usize, usize) {
+        match *self {
+            Self::State { step, sample, .. } => (0, step, sample),
+            Self::Cost { sample } => (1, 0, sample),
+            Self::Cotangent { step, sample, .. } => (2, usize::MAX - step, sample),
+            Self::Gradient { parameter, .. } => (3, 0, parameter),
+        }
+    }
+}
+
+impl fmt::Display for Divergence {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::State { step, sample, component } => {
+                write!(f, "forward pass: state component {component} of sample {sample} is not finite at step {step}")
+            }
+            Self::Cost { sample } => write!(f, "forward pass: the cost of sample {sample} is not finite, though its states are"),
+            Self::Cotangent { flow, step, sample, component } => {
+                write!(
+                    f,
+                    "reverse pass of {flow}: cotangent component {component} of sample {sample} is not finite at step {step}"
+                )
+            }
+            Self::Gradient { flow, parameter } => {
+                write!(f, "gradient of {flow}: parameter {parameter} is not finite, though all cotangents are")
+            }
+        }
+    }
+}
+
+impl std::error::Error for Divergence {}

@@ -1,0 +1,206 @@
+//! The numbers a simulator computes with.
+//!
+//! A system is written once against [`Scalar`] and then runs on `f32` and `f64`, on dual numbers (which check and, by
+//! default, compute its derivatives) and on SIMD lanes. [`Real`] is a scalar without derivative; [`Float`] is one
+//! number of one precision; a [`Cotangent`] is what a reverse pass carries.
+
+mod dual;
+mod float;
+mod lanes;
+
+pub use dual::Tangents;
+pub use float::Float;
+pub use lanes::Lanes;
+
+use std::fmt::Debug;
+use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
+
+/// A number a simulator computes with: `f32`, `f64`, their duals, their lanes.
+///
+/// There is no ordering and no `if` on values: lanes and duals have several values at once. Branches are written with
+/// [`Scalar::select_lt`], or with [`min`](Scalar::min), [`max`](Scalar::max) and [`abs`](Scalar::abs), which use it.
+pub trait Scalar:
+    Copy
+    + Debug
+    + Send
+    + Sync
+    + 'static
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+    + AddAssign
+    + SubAssign
+    + MulAssign
+    + DivAssign
+{
+    /// The floating point number underneath, `f32` or `f64`.
+    type Real: Float;
+
+    /// A constant, rounded to the precision underneath.
+    fn lift(value: f64) -> Self;
+    /// The same value with its derivative dropped ("stop gradient").
+    fn detach(self) -> Self;
+
+    /// Square root. Its derivative at 0 is infinite.
+    fn sqrt(self) -> Self;
+    /// e to the power of `self`.
+    fn exp(self) -> Self;
+    /// Natural logarithm.
+    fn ln(self) -> Self;
+    /// Sine and cosine, angle in radians.
+    fn sin_cos(self) -> (Self, Self);
+    /// Hyperbolic tangent. Saturated values have derivative 0, never NaN.
+    fn tanh(self) -> Self;
+    /// The angle of the point (`x` = other, `y` = self), in radians.
+    fn atan2(self, x: Self) -> Self;
+
+    /// `yes` where `a < b`, else `no`, value and derivative; the branch not taken does not matter, NaN or not.
+    fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self;
+
+    /// The constant 0.
+    #[inline(always)]
+    fn zero() -> Self {
+        Self::lift(0.0)
+    }
+    /// The constant 1.
+    #[inline(always)]
+    fn one() -> Self {
+        Self::lift(1.0)
+    }
+    /// Sine, angle in radians. When the cosine is needed too, [`sin_cos`](Scalar::sin_cos) costs the same.
+    #[inline(always)]
+    fn sin(self) -> Self {
+        self.sin_cos().0
+    }
+    /// Cosine, angle in radians.
+    #[inline(always)]
+    fn cos(self) -> Self {
+        self.sin_cos().1
+    }
+    /// `self` to an integer power, by repeated multiplication.
+    #[inline(always)]
+    fn powi(self, exponent: u32) -> Self {
+        (0..exponent).fold(Self::one(), |product, _| product * self)
+    }
+    /// Absolute value; the derivative at 0 is that of the right side.
+    #[inline(always)]
+    fn abs(self) -> Self {
+        Self::select_lt(self, Self::zero(), -self, self)
+    }
+    /// The smaller of the two; `other` where they are equal.
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        Self::select_lt(self, other, self, other)
+    }
+    /// The larger of the two; `other` where they are equal.
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        Self::select_lt(other, self, self, other)
+    }
+}
+
+/// A [`Scalar`] without derivative: `f32`, `f64` ([`LANES`](Real::LANES) = 1), and [`Lanes`] of them.
+pub trait Real: Scalar {
+    /// How many numbers it holds.
+    const LANES: usize;
+    /// The number in lane `lane`.
+    fn lane(&self, lane: usize) -> Self::Real;
+    /// Replaces the number in lane `lane`.
+    fn set_lane(&mut self, lane: usize, value: Self::Real);
+    /// The same number in every lane.
+    #[inline(always)]
+    fn splat(value: Self::Real) -> Self {
+        let mut all = Self::zero();
+        for lane in 0..Self::LANES {
+            all.set_lane(lane, value);
+        }
+        all
+    }
+}
+
+/// What a reverse pass carries: a vector space over `R`, and nothing more.
+///
+/// A hand-written [`System::vjp`](crate::System::vjp) may add cotangents and multiply them by numbers; it cannot
+/// multiply two of them or take their sine. So it is linear because it compiles, and the same code carries one adjoint
+/// or, as [`Columns`], several through one linearization.
+pub trait Cotangent<R>:
+    Copy + Debug + Add<Output = Self> + Sub<Output = Self> + Neg<Output = Self> + Mul<R, Output = Self> + AddAssign + SubAssign
+{
+    /// The null vector.
+    fn null() -> Self;
+}
+
+impl<R: Real> Cotangent<R> for R {
+    #[inline(always)]
+    fn null() -> Self {
+        R::zero()
+    }
+}
+
+/// `K` cotangents that go through one linearization together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Columns<R, const K: usize>(pub [R; K]);
+
+impl<R: Real, const K: usize> Cotangent<R> for Columns<R, K> {
+    #[inline(always)]
+    fn null() -> Self {
+        Self([R::zero(); K])
+    }
+}
+
+impl<R: Real, const K: usize> Add for Columns<R, K> {
+    type Output = Self;
+    #[inline(always)]
+    fn add(mut self, other: Self) -> Self {
+        self += other;
+        self
+    }
+}
+
+impl<R: Real, const K: usize> Sub for Columns<R, K> {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(mut self, other: Self) -> Self {
+        self -= other;
+        self
+    }
+}
+
+impl<R: Real, const K: usize> AddAssign for Columns<R, K> {
+    #[inline(always)]
+    fn add_assign(&mut self, other: Self) {
+        for k in 0..K {
+            self.0[k] += other.0[k];
+        }
+    }
+}
+
+impl<R: Real, const K: usize> SubAssign for Columns<R, K> {
+    #[inline(always)]
+    fn sub_assign(&mut self, other: Self) {
+        for k in 0..K {
+            self.0[k] -= other.0[k];
+        }
+    }
+}
+
+impl<R: Real, const K: usize> Neg for Columns<R, K> {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self(self.0.map(|column| -column))
+    }
+}
+
+impl<R: Real, const K: usize> Mul<R> for Columns<R, K> {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(mut self, factor: R) -> Self {
+        for k in 0..K {
+            self.0[k] *= factor;
+        }
+        self
+    }
+}

@@ -1,0 +1,113 @@
+//! [`System`]: one discrete time step of physics, and its derivatives.
+
+use crate::forward_mode::{concat, jacobian};
+use crate::scalar::{Cotangent, Float, Real, Scalar, Tangents};
+use smallvec::SmallVec;
+
+/// One discrete time step of a physical system, `x' = S(x, u)`.
+///
+/// Only the dimensions and [`step`](System::step) must be written; every derivative is exact by dual numbers until it
+/// is overridden for speed, and [`check::system`](crate::check::system) compares the two.
+///
+/// A system is immutable: parameters are `f64` fields, lifted by [`Scalar::lift`]; what one differentiates with
+/// respect to is `x` or `u`.
+///
+/// Shapes everywhere: `x`, `next`, `x_bar`, `next_bar` have [`state_dim`](System::state_dim) entries, `u` and `u_bar`
+/// have [`control_dim`](System::control_dim).
+pub trait System: Sync {
+    /// Number of state components.
+    fn state_dim(&self) -> usize;
+    /// Number of control components.
+    fn control_dim(&self) -> usize;
+
+    /// Writes the next state. Mark it `#[inline(always)]` to have it compiled for the widest vectors there are.
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]);
+
+    /// `x_bar = (∂S/∂x)ᵀ next_bar` and `u_bar = (∂S/∂u)ᵀ next_bar`, plain transposes. Overwrites both.
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        vjp_by_duals(self, x, u, next_bar, Wrt::Both, x_bar, u_bar);
+    }
+
+    /// `x_bar = (∂S/∂x)ᵀ next_bar`.
+    #[inline(always)]
+    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
+        vjp_by_duals(self, x, u, next_bar, Wrt::State, x_bar, &mut []);
+    }
+
+    /// `u_bar = (∂S/∂u)ᵀ next_bar`: all that one-step gradients need.
+    #[inline(always)]
+    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
+        vjp_by_duals(self, x, u, next_bar, Wrt::Control, &mut [], u_bar);
+    }
+
+    /// `next_tan = (∂S/∂x) x_tan`.
+    fn jvp_state<F: Float>(&self, x: &[F], u: &[F], x_tan: &[F], next_tan: &mut [F]) {
+        jvp_by_duals(self, x, u, Some(x_tan), None, next_tan);
+    }
+
+    /// `next_tan = (∂S/∂u) u_tan`.
+    fn jvp_control<F: Float>(&self, x: &[F], u: &[F], u_tan: &[F], next_tan: &mut [F]) {
+        jvp_by_duals(self, x, u, None, Some(u_tan), next_tan);
+    }
+}
+
+/// The inputs to differentiate with respect to.
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) enum Wrt {
+    State,
+    Control,
+    Both,
+}
+
+/// The transposed Jacobian products of any system, exact, from `step` alone.
+#[inline]
+pub(crate) fn vjp_by_duals<S: System + ?Sized, R: Real, C: Cotangent<R>>(
+    system: &S,
+    x: &[R],
+    u: &[R],
+    next_bar: &[C],
+    wrt: Wrt,
+    x_bar: &mut [C],
+    u_bar: &mut [C],
+) {
+    let n = x.len();
+    let inputs = match wrt {
+        Wrt::State => 0..n,
+        Wrt::Control => n..n + u.len(),
+        Wrt::Both => 0..n + u.len(),
+    };
+    let step = |xu: &[_], next: &mut [_]| system.step(&xu[..n], &xu[n..], next);
+    jacobian(&concat(x, u), inputs, next_bar.len(), step, |i, column: &[R]| {
+        let mut bar = C::null();
+        for (&next_bar, &slope) in next_bar.iter().zip(column) {
+            bar += next_bar * slope;
+        }
+        if i < n {
+            x_bar[i] = bar;
+        } else {
+            u_bar[i - n] = bar;
+        }
+    });
+}
+
+fn jvp_by_duals<S: System + ?Sized, F: Float>(
+    system: &S,
+    x: &[F],
+    u: &[F],
+    x_tan: Option<&[F]>,
+    u_tan: Option<&[F]>,
+    next_tan: &mut [F],
+) {
+    type Duals<F> = SmallVec<[<F as Float>::Dual<1>; 32]>;
+    let lift = |values: &[F], tangents: Option<&[F]>| -> Duals<F> {
+        let tangent = |i: usize| tangents.map_or(F::zero(), |t| t[i]);
+        values.iter().enumerate().map(|(i, &value)| F::Dual::<1>::seeded(value, [tangent(i)])).collect()
+    };
+    let (x, u) = (lift(x, x_tan), lift(u, u_tan));
+    let mut next: Duals<F> = x.clone();
+    system.step(&x, &u, &mut next);
+    for (tan, next) in next_tan.iter_mut().zip(&next) {
+        [*tan] = next.tangents();
+    }
+}

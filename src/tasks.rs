@@ -1,0 +1,5 @@
+//! The tasks that come with the framework: physics only, each file self-contained.
+
+mod cart_pole;
+
+pub use cart_pole::{CartPole, CartPoleSystem, LossMode};

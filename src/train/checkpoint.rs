@@ -1,0 +1,135 @@
+//! Checkpoints: everything a session needs to go on as if it had never stopped.
+//!
+//! A checkpoint is a magic number, a format number, and a postcard body that ends in a CRC. It carries a label, a text
+//! that says which run it belongs to; a session only takes a checkpoint with its own label.
+
+use super::{Record, Session};
+use crate::field::Compose;
+use crate::optim::Optimizer;
+use crate::policy::Policy;
+use crate::scalar::Float;
+use crate::task::Task;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
+
+const MAGIC: &[u8; 8] = b"physgrad";
+/// Raised whenever the layout of [`Body`] changes.
+const FORMAT: u16 = 1;
+
+/// Known before the numbers are read, so that a mismatch is named and not guessed.
+#[derive(Serialize, Deserialize)]
+struct Header {
+    version: String,
+    precision: String,
+    label: String,
+    params: usize,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Body<'a, F: Clone> {
+    theta: Cow<'a, [F]>,
+    optimizer: Cow<'a, Optimizer<F>>,
+    records: Cow<'a, [Record]>,
+    skipped_in_a_row: usize,
+}
+
+/// Why a checkpoint was not taken. The session is as it was.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CheckpointError {
+    /// Not a checkpoint at all.
+    #[error("this is not a physgrad checkpoint")]
+    NotACheckpoint,
+    /// Written in another format.
+    #[error(
+        "this checkpoint has format {found}, and this version of physgrad reads format {FORMAT}; use the version that wrote it"
+    )]
+    Format {
+        /// The format found.
+        found: u16,
+    },
+    /// Damaged: cut off or changed.
+    #[error("this checkpoint is damaged: {0}")]
+    Damaged(String),
+    /// Of a run with other settings.
+    #[error("this checkpoint belongs to another run: it was written for\n{found}\nand this run is\n{expected}")]
+    Label {
+        /// The label found.
+        found: String,
+        /// The session's label.
+        expected: String,
+    },
+    /// In another precision.
+    #[error("this checkpoint is in {found}, and this run is in {expected}")]
+    Precision {
+        /// The precision found.
+        found: String,
+        /// The session's precision.
+        expected: String,
+    },
+    /// Of a policy of another shape.
+    #[error("this checkpoint has {found} parameters, and this policy has {expected}")]
+    Shape {
+        /// The number found.
+        found: usize,
+        /// The policy's number.
+        expected: usize,
+    },
+}
+
+const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
+
+impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
+    /// The session as bytes. `label` says which run it is; to take it back, the same label is needed.
+    pub fn checkpoint(&self, label: &str) -> Vec<u8> {
+        let header = Header {
+            version: env!("CARGO_PKG_VERSION").into(),
+            precision: F::NAME.into(),
+            label: label.into(),
+            params: self.weights.theta().len(),
+        };
+        let body = Body {
+            theta: Cow::Borrowed(self.weights.theta()),
+            optimizer: Cow::Borrowed(&self.optimizer),
+            records: Cow::Borrowed(&self.records),
+            skipped_in_a_row: self.skipped_in_a_row,
+        };
+        let mut bytes = [MAGIC.as_slice(), &FORMAT.to_le_bytes()].concat();
+        bytes
+            .extend(postcard::to_stdvec_crc32(&(header, body), CRC.digest()).expect("plain numbers and text are always written"));
+        bytes
+    }
+
+    /// Takes a checkpoint of the same run back: the epochs that follow are, bit for bit, those of a run that was never
+    /// interrupted.
+    ///
+    /// # Errors
+    /// [`CheckpointError`], with the session as it was.
+    pub fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError> {
+        let rest = bytes.strip_prefix(MAGIC).ok_or(CheckpointError::NotACheckpoint)?;
+        let (format, rest) = rest.split_first_chunk().ok_or_else(|| CheckpointError::Damaged("it ends after its name".into()))?;
+        let found = u16::from_le_bytes(*format);
+        if found != FORMAT {
+            return Err(CheckpointError::Format { found });
+        }
+        let damaged = |e: postcard::Error| CheckpointError::Damaged(e.to_string());
+        let (header, _) = postcard::take_from_bytes::<Header>(rest).map_err(damaged)?;
+        if header.label != label {
+            return Err(CheckpointError::Label { found: header.label, expected: label.into() });
+        }
+        if header.precision != F::NAME {
+            return Err(CheckpointError::Precision { found: header.precision, expected: F::NAME.into() });
+        }
+        let (_, body) = postcard::from_bytes_crc32::<(Header, Body<F>)>(rest, CRC.digest()).map_err(damaged)?;
+        let expected = self.policy.param_count();
+        for found in [header.params, body.theta.len(), body.optimizer.params()] {
+            if found != expected {
+                return Err(CheckpointError::Shape { found, expected });
+            }
+        }
+        self.weights.update(&self.policy, |theta| theta.copy_from_slice(&body.theta));
+        self.optimizer = body.optimizer.into_owned();
+        self.records = body.records.into_owned();
+        self.skipped_in_a_row = body.skipped_in_a_row;
+        Ok(())
+    }
+}

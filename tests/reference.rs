@@ -1,0 +1,233 @@
+//! Our numbers against those of the authors' code (TensorFlow in float64), file by file.
+//!
+//! `tests/reference/README.md` says what is in the files. `PHYSGRAD_REFERENCE` names another folder to test instead.
+//! Every error is relative to the largest component of its array and is printed: `cargo test --test reference --
+//! --nocapture`.
+
+use physgrad::policy::Mlp;
+use physgrad::tasks::{CartPole, CartPoleSystem, LossMode};
+use physgrad::{Batch, Clip, Field, Flow, Policy, Rollout, Rule, System, Trainer, Training, Weights};
+use serde_json::Value;
+use std::path::PathBuf;
+
+/// The folder's files of this task and kind. There must be some.
+fn files(task: &str, kind: &str) -> Vec<(String, Value)> {
+    let own = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/reference");
+    let folder = std::env::var_os("PHYSGRAD_REFERENCE").map_or(own, PathBuf::from);
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(&folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display())) {
+        let path = entry.expect("a folder entry").path();
+        let name = path.file_name().expect("a file name").to_string_lossy().into_owned();
+        if name.starts_with(task) && name.ends_with(&format!("_{kind}.json")) {
+            let text = std::fs::read_to_string(&path).expect("a readable file");
+            found.push((name, serde_json::from_str(&text).expect("JSON")));
+        }
+    }
+    assert!(!found.is_empty(), "{} has no {task}*_{kind}.json", folder.display());
+    found.sort_by(|a, b| a.0.cmp(&b.0));
+    found
+}
+
+/// The numbers of an array, row-major.
+fn data(array: &Value) -> Vec<f64> {
+    array["data"].as_array().expect("an array").iter().map(number).collect()
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().expect("a number")
+}
+
+fn count(value: &Value) -> usize {
+    value.as_u64().expect("a count") as usize
+}
+
+/// A list of kernels and biases, one after the other: the order of `θ`.
+fn variables(list: &Value) -> Vec<f64> {
+    list.as_array().expect("a list").iter().flat_map(data).collect()
+}
+
+/// Largest difference, relative to the largest expected component.
+fn error(got: &[f64], expected: &[f64]) -> f64 {
+    assert_eq!(got.len(), expected.len());
+    let scale = expected.iter().fold(0.0, |m: f64, e| m.max(e.abs()));
+    let worst = got.iter().zip(expected).map(|(g, e)| (g - e).abs()).fold(0.0, f64::max);
+    // Not `max`, which would lose a NaN.
+    assert!(got.iter().all(|g| g.is_finite()), "not finite: {got:?}");
+    if scale > 0.0 { worst / scale } else { worst }
+}
+
+/// Prints the worst error under a name and holds it to a tolerance.
+struct Worst {
+    file: String,
+    what: &'static str,
+    tolerance: f64,
+    worst: f64,
+    count: usize,
+}
+
+impl Worst {
+    fn new(file: &str, what: &'static str, tolerance: f64) -> Self {
+        Self { file: file.into(), what, tolerance, worst: 0.0, count: 0 }
+    }
+
+    fn add(&mut self, error: f64) {
+        self.worst = self.worst.max(error);
+        self.count += 1;
+    }
+}
+
+impl Drop for Worst {
+    fn drop(&mut self) {
+        println!(
+            "{:<28} {:<24} {:>4} compared, worst {:.1e}, allowed {:.0e}",
+            self.file, self.what, self.count, self.worst, self.tolerance
+        );
+        if !std::thread::panicking() {
+            assert!(self.count > 0, "{}: {}: nothing was compared", self.file, self.what);
+            assert!(self.worst <= self.tolerance, "{}: {}: {:e} > {:e}", self.file, self.what, self.worst, self.tolerance);
+        }
+    }
+}
+
+fn cart_pole(file: &Value, horizon: usize, loss: &str) -> CartPole {
+    let system = CartPoleSystem { poles: count(&file["n_poles"]), dt: number(&file["dt"]), ..CartPoleSystem::default() };
+    let loss = if loss == "FINAL" { LossMode::Final } else { LossMode::Continuous };
+    CartPole { system, loss, horizon }
+}
+
+fn mlp(file: &Value, task: &CartPole) -> Mlp {
+    let mut widths = vec![task.system.state_dim()];
+    widths.extend(vec![count(&file["width"]); count(&file["depth"])]);
+    widths.push(1);
+    Mlp::new(widths)
+}
+
+fn flow(mode: &str) -> Flow {
+    match mode {
+        "F" => Flow::REGULAR,
+        "P" => Flow::MODIFIED,
+        "S" => Flow::STOPPED,
+        _ => panic!("no flow {mode}"),
+    }
+}
+
+#[test]
+fn steps_and_vjps_are_the_authors() {
+    for (name, file) in files("cartpole", "step") {
+        let system = cart_pole(&file, 1, "FINAL").system;
+        let n = system.state_dim();
+        let mut steps = Worst::new(&name, "next state", 1e-12);
+        let mut by_state = Worst::new(&name, "vjp by state", 1e-12);
+        let mut by_control = Worst::new(&name, "vjp by control", 1e-12);
+        let field = |key: &str| data(&file[key]);
+        let (state, control, cotangent) = (field("state"), field("control"), field("cotangent"));
+        let (next, vjp_state, vjp_control) = (field("next_state"), field("vjp_state"), field("vjp_control"));
+        for case in 0..control.len() {
+            let of = |all: &[f64]| all[case * n..(case + 1) * n].to_vec();
+            let (x, u) = (of(&state), [control[case]]);
+            let (mut got, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], [0.0]);
+            system.step(&x, &u, &mut got);
+            system.vjp(&x, &u, &of(&cotangent), &mut x_bar, &mut u_bar);
+            steps.add(error(&got, &of(&next)));
+            by_state.add(error(&x_bar, &of(&vjp_state)));
+            by_control.add(error(&u_bar, &vjp_control[case..=case]));
+        }
+    }
+}
+
+#[test]
+fn trajectories_losses_and_gradients_are_the_authors() {
+    for (name, file) in files("cartpole", "rollout") {
+        let theta = variables(&file["controller"]);
+        let starts = data(&file["initial_states"]);
+        let mut states = Worst::new(&name, "states", 1e-9);
+        for trajectory in file["trajectories"].as_array().expect("a list") {
+            let task = cart_pole(&file, count(&trajectory["Nt"]), "FINAL");
+            let policy = mlp(&file, &task);
+            let n = task.system.state_dim();
+            let samples = starts.len() / n;
+            let mut rollout = Rollout::new(&task, &policy, samples);
+            rollout.start(&starts);
+            rollout.run(&task, &policy, &Weights::new(&policy, theta.clone())).expect("finite");
+            let each = (0..samples).flat_map(|s| (0..=task.horizon).flat_map(move |t| (0..n).map(move |i| (t, s, i))));
+            let got: Vec<f64> = each.map(|(t, s, i)| rollout.state(t, s, i)).collect();
+            states.add(error(&got, &data(&trajectory["states"])));
+        }
+
+        let mut losses = Worst::new(&name, "loss", 1e-9);
+        let mut gradients = Worst::new(&name, "gradient of F, P, S", 1e-9);
+        let mut combined = Worst::new(&name, "C, by component", 1e-9);
+        for case in file["cases"].as_array().expect("a list") {
+            let mode = case["mode"].as_str().expect("a mode");
+            let task = cart_pole(&file, count(&case["Nt"]), case["loss_mode"].as_str().expect("a loss mode"));
+            let policy = mlp(&file, &task);
+            let weights = Weights::new(&policy, theta.clone());
+            let samples = starts.len() / task.system.state_dim();
+            let flows = if mode == "C" { Field::combined().flows() } else { vec![flow(mode)] };
+            let mut batch = Batch::new(&task, &policy, samples, &flows, 1);
+            let loss = batch.run(&task, &policy, &weights, &starts).expect("finite");
+            losses.add(error(&[loss], &[number(&case["loss"])]));
+            let expected = variables(&case["grads"]);
+            if mode != "C" {
+                gradients.add(error(&batch.gradients()[0], &expected));
+                continue;
+            }
+            let mut got = vec![0.0; policy.param_count()];
+            Field::combined().compose(batch.gradients(), &mut got);
+            let kept = |g: &[f64]| g.iter().map(|&g| g != 0.0).collect::<Vec<_>>();
+            assert_eq!(kept(&got), kept(&expected), "{name}: C keeps other components than the authors'");
+            // Zeros are exactly zero, and what is kept is M.
+            for ((&c, &m), &r) in got.iter().zip(&batch.gradients()[0]).zip(&batch.gradients()[1]) {
+                assert!(if m * r > 0.0 { c == m } else { c == 0.0 }, "{name}: C = {c} of M = {m}, R = {r}");
+            }
+            combined.add(error(&got, &expected));
+        }
+    }
+}
+
+#[test]
+fn training_replays_the_authors() {
+    for (name, file) in files("cartpole", "train") {
+        let task = cart_pole(&file, count(&file["Nt"]), file["loss_mode"].as_str().expect("a loss mode"));
+        let policy = mlp(&file, &task);
+        let epochs = count(&file["epochs"]);
+        let mut losses = Worst::new(&name, "losses of two epochs", 1e-8);
+        let mut cosines = Worst::new(&name, "cosine of P and F", 1e-8);
+        let mut finals = Worst::new(&name, "variables after them", 1e-8);
+        for run in file["runs"].as_array().expect("a list") {
+            let (mode, limit) = (run["mode"].as_str().expect("a mode"), number(&run["clip_num"]));
+            let clip = match run["clip_mode"].as_str().expect("a clip mode") {
+                "VALUE" => Clip::Value(limit),
+                "NORM" => Clip::Norm(limit),
+                _ => Clip::None,
+            };
+            let field = if mode == "C" { Field::combined() } else { Field::Flow(flow(mode)) };
+            let training = Training {
+                epochs,
+                batch: count(&file["batch_size"]),
+                learning_rate: number(&file["lr"]),
+                rule: Rule::named("adam").expect("a rule"),
+                clip,
+                ..Training::default()
+            };
+            let trainer = Trainer::new(task, policy.clone()).precision::<f64>().field(field).training(training);
+            let states = |key: &str| data(&file[key]);
+            let mut session = trainer.session_from(variables(&file["controller"]), states("train_states"), states("test_states"));
+            let columns: Vec<_> =
+                file["log_columns"].as_array().expect("a list").iter().map(|c| c.as_str().expect("a name")).collect();
+            let log = data(&run["log"]);
+            let column = |epoch: usize, name: &str| {
+                log[epoch * columns.len() + columns.iter().position(|&c| c == name).expect("a column")]
+            };
+            for epoch in 0..epochs {
+                let record = session.epoch().expect("finite");
+                let got = [record.loss, record.train_loss, record.test_loss];
+                losses.add(error(&got, &["loss", "loss_train", "loss_test"].map(|c| column(epoch, c))));
+                if let Some(cosine) = record.cosine {
+                    cosines.add((cosine - column(epoch, "cossim")).abs());
+                }
+            }
+            finals.add(error(session.weights().theta(), &variables(&run["final_variables"])));
+        }
+    }
+}
