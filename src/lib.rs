@@ -9,6 +9,8 @@ pub mod kernels;
 mod optim;
 pub mod policy;
 pub mod rng;
+#[cfg(feature = "report")]
+pub mod report;
 mod rollout;
 mod scalar;
 mod system;

@@ -1,0 +1,78 @@
+//! The `physgrad` program.
+
+mod check;
+mod compare;
+mod folder;
+mod outputs;
+mod run;
+mod scene;
+mod settings;
+mod tasks;
+mod train;
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+use std::sync::atomic::Ordering;
+
+/// Train neural controllers through long rollouts of differentiable physics, and choose the vector field to follow.
+///
+/// Without a command: train cart_pole with its defaults.
+#[derive(Debug, Parser)]
+#[command(version, arg_required_else_help = false)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Option<Command>,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Train(train::Train),
+    Compare(compare::Compare),
+    Check(check::Check),
+    /// List the tasks and their settings
+    Tasks,
+}
+
+/// The program; what it returns is its exit status.
+pub fn main() -> ExitCode {
+    let command = Arguments::parse().command.unwrap_or_else(default_run);
+    match on_interrupt().and_then(|()| execute(&command)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn execute(command: &Command) -> Result<()> {
+    match command {
+        Command::Train(args) => train::train(args),
+        Command::Compare(args) => compare::compare(args),
+        Command::Check(args) => check::check(args),
+        Command::Tasks => tasks::tasks(),
+    }
+}
+
+fn default_run() -> Command {
+    Command::Train(train::Train {
+        task: "cart_pole".into(),
+        changes: train::Changes::default(),
+        threads: None,
+        out: None,
+        resume: false,
+        quiet: false,
+    })
+}
+
+/// The first Ctrl-C finishes the epoch and saves; the second stops at once.
+fn on_interrupt() -> Result<()> {
+    ctrlc::set_handler(|| {
+        if run::INTERRUPTED.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+        eprintln!("\nfinishing the epoch and saving; again to stop at once");
+    })?;
+    Ok(())
+}

@@ -1,0 +1,88 @@
+//! The folder of a run: files that are either old or new, never half-written.
+
+use anyhow::{Context, Result};
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+pub const SETTINGS: &str = "run.toml";
+pub const CHECKPOINT: &str = "checkpoint.bin";
+pub const METRICS: &str = "metrics.csv";
+
+/// A folder that has been shown to be writable.
+#[derive(Clone, Debug)]
+pub struct Folder {
+    path: PathBuf,
+}
+
+impl Folder {
+    /// Makes the folder and writes to it once, so that a problem shows before training and not after.
+    pub fn create(path: &Path) -> Result<Self> {
+        let folder = Self { path: path.to_owned() };
+        let attempt = || -> Result<()> {
+            fs::create_dir_all(path)?;
+            let probe = path.join(".physgrad-probe");
+            fs::write(&probe, b"")?;
+            fs::remove_file(&probe)?;
+            Ok(())
+        };
+        attempt().with_context(|| format!("the output folder {} cannot be written to; choose another with --out", path.display()))?;
+        Ok(folder)
+    }
+
+    /// `runs/<name>`, or `runs/<name>-2` and so on if that holds a run already.
+    pub fn fresh(name: &str) -> Result<Self> {
+        let candidate = |i: usize| Path::new("runs").join(if i == 1 { name.into() } else { format!("{name}-{i}") });
+        let free = (1..).map(candidate).find(|path| !path.join(SETTINGS).exists());
+        Self::create(&free.expect("there are enough numbers"))
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub fn file(&self, name: &str) -> PathBuf {
+        self.path.join(name)
+    }
+
+    pub fn has(&self, name: &str) -> bool {
+        self.file(name).exists()
+    }
+
+    /// Moves a run that is already there into a sub-folder, so that nothing is overwritten. Returns where to.
+    pub fn move_aside(&self) -> Result<Option<PathBuf>> {
+        if !self.has(SETTINGS) {
+            return Ok(None);
+        }
+        let free = (1..).map(|i| self.file(&format!("previous-{i}"))).find(|path| !path.exists());
+        let aside = free.expect("there are enough numbers");
+        fs::create_dir(&aside)?;
+        for entry in fs::read_dir(&self.path)? {
+            let entry = entry?;
+            if entry.file_type()?.is_file() {
+                fs::rename(entry.path(), aside.join(entry.file_name()))?;
+            }
+        }
+        Ok(Some(aside))
+    }
+
+    /// Writes a file beside its name and renames it: whoever reads it, or kills us, finds the old or the new.
+    pub fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<()> {
+        let (temporary, path) = (self.file(&format!(".{name}.new")), self.file(name));
+        let attempt = || -> std::io::Result<()> {
+            let mut file = fs::File::create(&temporary)?;
+            file.write_all(bytes.as_ref())?;
+            file.sync_all()?;
+            fs::rename(&temporary, &path)
+        };
+        attempt().with_context(|| format!("cannot write {}", path.display()))
+    }
+
+    pub fn read(&self, name: &str) -> Result<Vec<u8>> {
+        fs::read(self.file(name)).with_context(|| format!("cannot read {}", self.file(name).display()))
+    }
+
+    pub fn read_text(&self, name: &str) -> Result<String> {
+        fs::read_to_string(self.file(name)).with_context(|| format!("cannot read {}", self.file(name).display()))
+    }
+}

@@ -1,0 +1,128 @@
+//! The files a run leaves: metrics, policy, learning curve, trajectories.
+
+use super::folder::{Folder, METRICS};
+use super::scene::Scene;
+use anyhow::{Context, Result};
+use physgrad::policy::Mlp;
+use physgrad::{Divergence, Float, Policy, Record, Rollout, Session, System, report};
+use safetensors::tensor::{Dtype, TensorView};
+use std::collections::HashMap;
+use std::fs::File;
+
+/// Test rollouts that `trajectory.csv` holds.
+const ROLLOUTS: usize = 4;
+
+/// `metrics.csv`, one row an epoch, on disk as soon as the epoch is done.
+pub struct Metrics {
+    writer: csv::Writer<File>,
+}
+
+impl Metrics {
+    /// Starts the file anew, with the epochs done so far.
+    pub fn create(folder: &Folder, done: &[Record]) -> Result<Self> {
+        let path = folder.file(METRICS);
+        let writer = csv::Writer::from_path(&path).with_context(|| format!("cannot write {}", path.display()))?;
+        let mut metrics = Self { writer };
+        metrics.writer.write_record(METRICS_HEADER)?;
+        done.iter().try_for_each(|record| metrics.write(record))?;
+        metrics.writer.flush()?;
+        Ok(metrics)
+    }
+
+    /// One more epoch.
+    pub fn row(&mut self, record: &Record) -> Result<()> {
+        self.write(record)?;
+        Ok(self.writer.flush()?)
+    }
+
+    fn write(&mut self, record: &Record) -> Result<()> {
+        Ok(self.writer.write_record(metrics_row(record))?)
+    }
+}
+
+pub const METRICS_HEADER: [&str; 9] =
+    ["epoch", "loss", "train_loss", "test_loss", "grad_norm", "cosine", "seconds", "kept", "skipped"];
+
+pub fn metrics_row(record: &Record) -> [String; 9] {
+    let Record { epoch, loss, train_loss, test_loss, grad_norm, cosine, kept, skipped, seconds } = record;
+    let number = |x: &f64| x.to_string();
+    let optional = |x: &Option<f64>| x.as_ref().map_or_else(String::new, number);
+    [
+        epoch.to_string(),
+        number(loss),
+        number(train_loss),
+        number(test_loss),
+        number(grad_norm),
+        optional(cosine),
+        number(seconds),
+        optional(kept),
+        skipped.to_string(),
+    ]
+}
+
+/// Training and test loss against epochs.
+pub fn learning_curve(title: &str, records: &[Record]) -> String {
+    let points = |loss: fn(&Record) -> f64| records.iter().map(|r| (r.epoch as f64, loss(r))).collect::<Vec<_>>();
+    report::learning_curve(title, &points(|r| r.train_loss), &points(|r| r.test_loss))
+}
+
+/// The parameters as named tensors, for other programs.
+pub fn safetensors<F: Float>(task: &str, policy: &Mlp, theta: &[F]) -> Result<Vec<u8>> {
+    let bytes: Vec<u8> = theta.iter().flat_map(|t| t.to_le_bytes().as_ref().to_vec()).collect();
+    let dtype = if F::NAME == "f32" { Dtype::F32 } else { Dtype::F64 };
+    let width = size_of::<F>();
+    let views = policy.tensors().into_iter().map(|t| {
+        let view = TensorView::new(dtype, t.shape, &bytes[t.range.start * width..t.range.end * width])?;
+        Ok((t.name, view))
+    });
+    let views: Vec<_> = views.collect::<Result<_, safetensors::SafeTensorError>>()?;
+    let about = [
+        ("task", task.to_owned()),
+        ("policy", "mlp: u = W_L·tanh(… tanh(W_1 x + b_1) …) + b_L, kernels (inputs × outputs)".to_owned()),
+        ("widths", format!("{:?}", policy.widths())),
+        ("physgrad", env!("CARGO_PKG_VERSION").to_owned()),
+    ];
+    let about: HashMap<String, String> = about.into_iter().map(|(key, value)| (key.into(), value)).collect();
+    Ok(safetensors::serialize(views, Some(about))?)
+}
+
+/// One rollout, step by step, up to where it diverged if it did.
+pub struct Trajectory {
+    pub states: Vec<Vec<f64>>,
+    pub controls: Vec<Vec<f64>>,
+}
+
+/// The first few test rollouts under the session's policy.
+pub fn rollouts<S: Scene, F: Float>(session: &Session<S, Mlp, F>) -> Vec<Trajectory> {
+    let (task, starts) = (session.task(), session.test_starts());
+    let (n, m) = (task.system().state_dim(), task.system().control_dim());
+    let samples = ROLLOUTS.min(starts.len() / n);
+    let mut rollout = Rollout::new(task, session.policy(), samples);
+    rollout.start(&starts[..samples * n]);
+    let steps = match rollout.run(task, session.policy(), session.weights()) {
+        Err(Divergence::State { step, .. }) => step - 1,
+        _ => task.horizon(),
+    };
+    let trajectory = |sample: usize| Trajectory {
+        states: (0..=steps).map(|t| (0..n).map(|i| rollout.state(t, sample, i).as_()).collect()).collect(),
+        controls: (0..steps).map(|t| (0..m).map(|i| rollout.control(t, sample, i).as_()).collect()).collect(),
+    };
+    (0..samples).map(trajectory).collect()
+}
+
+/// `trajectory.csv`: one row a step of each rollout; the last state has no control.
+pub fn trajectories<S: Scene>(task: &S, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    let names = ["sample", "step", "time"].map(String::from).into_iter();
+    csv.write_record(names.chain(task.state_names()).chain(task.control_names()))?;
+    let none = vec![String::new(); task.system().control_dim()];
+    for (sample, rollout) in rollouts.iter().enumerate() {
+        for (t, state) in rollout.states.iter().enumerate() {
+            let place = [sample.to_string(), t.to_string(), (t as f64 * task.dt()).to_string()];
+            let text = |numbers: &[f64]| numbers.iter().map(f64::to_string).collect::<Vec<_>>();
+            let control = rollout.controls.get(t).map_or_else(|| none.clone(), |u| text(u));
+            csv.write_record(place.into_iter().chain(text(state)).chain(control))?;
+        }
+    }
+    Ok(csv.into_inner()?)
+}
