@@ -227,7 +227,7 @@ pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
     let (samples, steps) = (3, 3);
     let total = samples * steps;
     let mut c = Comparison::new(ONE_STEP);
-    for case in 0..CASES.min(5) {
+    for case in 0..2 {
         c.case = case;
         let mut rng = stream(case, Purpose::Check, 0);
         let weights = oracle::weights(policy, &mut rng);

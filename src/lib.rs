@@ -1,4 +1,53 @@
-//! wip
+//! Differentiable physics: write a physical system once, train a neural controller through long rollouts of it, and
+//! choose which vector field the optimizer follows.
+//!
+//! A simulator is written against [`Scalar`]; its derivatives are exact, by dual numbers, until one writes faster ones,
+//! and [`check`] compares the two. From one forward pass come the true gradient (R), the gradient through the physics
+//! only (M), and their combination (C) of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR
+//! 2024); see [`Flow`] for the recursion and [`Field`] for the fields.
+//!
+//! # A system of your own
+//! This file is `examples/pendulum.rs`; it is compiled, run and gradient-checked as a test.
+//! ```
+#![doc = include_str!("../examples/pendulum.rs")]
+//! ```
+//!
+//! # The pieces
+//! [`Trainer`] is thin. The same update by hand is five calls:
+//! ```
+//! use physgrad::{Adjoint, Clip, Field, Optimizer, Rollout, Task, Weights, policy::Mlp, rng, tasks::CartPole};
+//!
+//! let (task, policy, field) = (CartPole::new(1), Mlp::new([4, 16, 1]), Field::combined());
+//! let mut weights = Weights::<f64>::init(&policy, &mut rng::stream(0, rng::Purpose::Policy, 0));
+//! let mut start = [0.0; 4];
+//! task.start(&mut rng::stream(0, rng::Purpose::Train, 0), &mut start);
+//!
+//! // Sized once, used for every update.
+//! let mut rollout = Rollout::new(&task, &policy, 1);
+//! let mut adjoint = Adjoint::new(&policy, &rollout, &field.flows());
+//! let mut gradients = vec![vec![0.0; weights.theta().len()]; 2];
+//! let mut descent = vec![0.0; weights.theta().len()];
+//! let mut optimizer = Optimizer::adam(1e-3, weights.theta().len());
+//!
+//! rollout.start(&start);
+//! rollout.run(&task, &policy, &weights)?;
+//! adjoint.run(&task, &policy, &weights, &rollout, 1.0)?;
+//! for (k, gradient) in gradients.iter_mut().enumerate() {
+//!     adjoint.param_gradient(k, &policy, &weights, &rollout, 0..1, gradient);
+//! }
+//! field.compose(&gradients, &mut descent);
+//! let norm = descent.iter().map(|g| g * g).sum::<f64>().sqrt();
+//! Clip::Norm(1.0).apply(&mut descent, norm);
+//! weights.update(&policy, |theta| optimizer.step(theta, &descent));
+//! # Ok::<(), physgrad::Divergence>(())
+//! ```
+//!
+//! # Features
+//! `default-features = false` leaves the library alone. `parallel` splits mini-batches over cores, `report` draws
+//! curves and animations, `program` (the default) is everything the `physgrad` binary needs.
+
+#![deny(missing_docs, unsafe_op_in_unsafe_fn)]
+
 mod backward;
 mod batch;
 pub mod check;
@@ -8,22 +57,37 @@ mod forward_mode;
 pub mod kernels;
 mod optim;
 pub mod policy;
-pub mod rng;
 #[cfg(feature = "report")]
 pub mod report;
+pub mod rng;
 mod rollout;
 mod scalar;
 mod system;
 mod task;
 pub mod tasks;
 mod train;
+
 pub use backward::{Adjoint, Flow};
 pub use batch::{Batch, Evaluation};
 pub use field::{Compose, Field, SignAgreement, UnknownField};
 pub use optim::{Clip, Optimizer, Rule};
 pub use policy::{Policy, Weights};
 pub use rollout::{Divergence, Rollout};
-pub use scalar::*;
+pub use scalar::{Columns, Cotangent, Float, Lanes, Real, Scalar, Tangents};
 pub use system::System;
 pub use task::Task;
-pub use train::*;
+pub use train::{CheckpointError, Record, Report, Session, Skip, TrainError, Trainer, Training};
+
+/// What a file with a system of one's own needs.
+pub mod prelude {
+    pub use crate::check;
+    pub use crate::policy::Mlp;
+    pub use crate::rng::Rng;
+    pub use crate::{Field, Scalar, System, Task, Trainer};
+    #[doc(no_inline)]
+    pub use rand::RngExt as _;
+}
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -4,6 +4,7 @@ mod checkpoint;
 
 pub use checkpoint::CheckpointError;
 
+use crate::backward::Flow;
 use crate::batch::{Batch, Evaluation};
 use crate::field::{Compose, Field, SignAgreement};
 use crate::kernels::{Level, elementwise};
@@ -263,6 +264,7 @@ pub struct Session<T, P, F: Float, C = SignAgreement> {
     skips: Vec<Skip>,
     /// Skipped updates up to now, in a row.
     skipped_in_a_row: usize,
+    flows: Vec<Flow>,
     batch: Batch<F>,
     evaluation: Evaluation<F>,
     starts: Vec<F>,
@@ -273,8 +275,10 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
     fn new(task: T, policy: P, field: Field<C>, training: Training, weights: Weights<F>, train: Vec<F>, test: Vec<F>) -> Self {
         let params = policy.param_count();
         let n = task.system().state_dim();
+        let flows = field.flows();
         Self {
-            batch: Batch::new(&task, &policy, training.batch.min(train.len() / n), &field.flows(), training.workers),
+            batch: Batch::new(&task, &policy, training.batch.min(train.len() / n), &flows, training.workers),
+            flows,
             evaluation: Evaluation::new(&task, &policy, training.workers),
             optimizer: Optimizer::new(training.rule, training.learning_rate, params),
             order: (0..train.len() / n).collect(),
@@ -378,7 +382,7 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         let level = Level::best();
         let (first, second) = (&gradients[0], &gradients[gradients.len() - 1]);
         let (dot, first_square, second_square) = elementwise::moments(level, first, second);
-        for (&flow, (gradient, square)) in self.field.flows().iter().zip([(first, first_square), (second, second_square)]) {
+        for (&flow, (gradient, square)) in self.flows.iter().zip([(first, first_square), (second, second_square)]) {
             if !square.is_finite() {
                 let parameter = gradient.iter().position(|g| !g.as_().is_finite()).unwrap_or(0);
                 return Err(Divergence::Gradient { flow, parameter });

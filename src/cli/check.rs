@@ -4,6 +4,7 @@ use super::scene::{NAMES, Scene, with_scene};
 use super::settings::Settings;
 use anyhow::{Result, bail};
 use comfy_table::Table;
+use comfy_table::presets::UTF8_FULL_CONDENSED;
 use physgrad::check::{self, Mismatch, Passed};
 use physgrad::policy::{Linear, Mlp};
 use physgrad::{Flow, System};
@@ -19,7 +20,7 @@ pub struct Check {
 pub fn check(args: &Check) -> Result<()> {
     let names = args.task.as_deref().map_or_else(|| NAMES.to_vec(), |name| vec![name]);
     let mut results = Results { table: Table::new(), failures: Vec::new() };
-    results.table.set_header(["task", "checked", "compared", "worst error", "allowed", ""]);
+    results.table.load_style(UTF8_FULL_CONDENSED).set_header(["task", "checked", "compared", "worst error", "allowed", ""]);
     for name in names {
         with_scene!(name, S => check_scene::<S>(&mut results)?)
     }

@@ -7,6 +7,7 @@ use super::settings::{FieldName, Settings};
 use super::train::{Changes, Progress, threads};
 use anyhow::{Context, Result, bail};
 use comfy_table::Table;
+use comfy_table::presets::UTF8_FULL_CONDENSED;
 use physgrad::report::{Curve, Point, comparison, field_color};
 use physgrad::{Field, Record, Skip};
 use rayon::prelude::*;
@@ -63,7 +64,13 @@ fn compare_scene<S: Scene>(args: &Compare) -> Result<()> {
     let total = runs.iter().map(|r| r.settings.epochs).sum();
     let progress = Mutex::new(Progress::new(total, args.quiet));
     if !args.quiet {
-        eprintln!("{}: {} runs of {} epochs on {} threads", S::NAME, runs.len(), runs[0].settings.epochs, rayon::current_num_threads());
+        eprintln!(
+            "{}: {} runs of {} epochs on {} threads",
+            S::NAME,
+            runs.len(),
+            runs[0].settings.epochs,
+            rayon::current_num_threads()
+        );
     }
     let outcomes: Vec<Result<Finished>> = runs
         .par_iter()
@@ -88,7 +95,9 @@ fn compare_scene<S: Scene>(args: &Compare) -> Result<()> {
             Err(error) => failed = failed.or(Some(error)),
         }
     }
-    let folder = Folder::create(runs[0].folder.path().parent().and_then(|p| p.parent()).context("a run lies in the comparison's folder")?)?;
+    let folder = Folder::create(
+        runs[0].folder.path().parent().and_then(|p| p.parent()).context("a run lies in the comparison's folder")?,
+    )?;
     if interrupted {
         println!("interrupted; the same command with --out {} goes on", folder.path().display());
         return Ok(());
@@ -193,7 +202,15 @@ fn curves<S: Scene>(runs: &[Run<S>]) -> Vec<Curve> {
 /// Medians over the seeds.
 fn table<S: Scene>(runs: &[Run<S>]) -> Table {
     let mut table = Table::new();
-    table.set_header(["field", "seeds", "median final test loss", "lowest", "highest", "median best", "median seconds"]);
+    table.load_style(UTF8_FULL_CONDENSED).set_header([
+        "field",
+        "seeds",
+        "median final test loss",
+        "lowest",
+        "highest",
+        "median best",
+        "median seconds",
+    ]);
     for (field, runs) in by_field(runs) {
         let sorted = |value: &dyn Fn(&Run<S>) -> f64| {
             let mut values: Vec<f64> = runs.iter().map(value).collect();

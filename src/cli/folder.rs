@@ -26,7 +26,8 @@ impl Folder {
             fs::remove_file(&probe)?;
             Ok(())
         };
-        attempt().with_context(|| format!("the output folder {} cannot be written to; choose another with --out", path.display()))?;
+        attempt()
+            .with_context(|| format!("the output folder {} cannot be written to; choose another with --out", path.display()))?;
         Ok(folder)
     }
 

@@ -31,7 +31,13 @@ pub struct Finished {
 }
 
 /// Runs the settings in the folder. If `resume`, goes on from its checkpoint.
-pub fn run<S: Scene>(folder: &Folder, settings: &Settings<S>, workers: usize, resume: bool, watch: &mut dyn Watch) -> Result<Finished> {
+pub fn run<S: Scene>(
+    folder: &Folder,
+    settings: &Settings<S>,
+    workers: usize,
+    resume: bool,
+    watch: &mut dyn Watch,
+) -> Result<Finished> {
     match settings.precision {
         Precision::F32 => run_in::<S, f32>(folder, settings, workers, resume, watch),
         Precision::F64 => run_in::<S, f64>(folder, settings, workers, resume, watch),
@@ -105,4 +111,3 @@ fn leave<S: Scene, F: Float>(folder: &Folder, settings: &Settings<S>, session: &
     folder.write("trajectory.csv", outputs::trajectories(session.task(), &rollouts)?)?;
     folder.write("animation.svg", session.task().animation(&rollouts[0].states, &rollouts[0].controls).to_svg())
 }
-

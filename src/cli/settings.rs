@@ -111,7 +111,7 @@ impl<S: Scene> Settings<S> {
             horizon: S::HORIZON,
             system: S::system_defaults(),
             loss: S::Loss::default(),
-            policy: PolicySettings { widths: vec![100, 100], bias: true, zero_last: false },
+            policy: PolicySettings { widths: vec![100, 100], bias: true, zero_last: true },
             training: TrainingSettings {
                 batch,
                 train_samples,
@@ -134,7 +134,7 @@ impl<S: Scene> Settings<S> {
     /// From a table: shapes and names by serde, ranges by [`Scene`] and here.
     pub fn from_table(table: Table) -> Result<Self> {
         let settings: Self = serde_path_to_error::deserialize(Value::Table(table))
-            .map_err(|error| anyhow!("`{}`: {}", error.path(), error.inner().to_string().trim()))?;
+            .map_err(|error| anyhow!("`{}`: {}", error.path(), error.inner().message()))?;
         if settings.task != S::NAME {
             bail!("these settings are of the task `{}`, not `{}`", settings.task, S::NAME);
         }
@@ -208,8 +208,9 @@ pub fn positive(key: &str, value: f64) -> Result<()> {
 
 /// Changes one key of a table of settings: `training.learning_rate=3e-4`.
 pub fn set(table: &mut Table, assignment: &str) -> Result<()> {
-    let (key, text) =
-        assignment.split_once('=').with_context(|| format!("`--set {assignment}`: write KEY=VALUE, for example system.poles=4"))?;
+    let (key, text) = assignment
+        .split_once('=')
+        .with_context(|| format!("`--set {assignment}`: write KEY=VALUE, for example system.poles=4"))?;
     let (key, text) = (key.trim(), text.trim());
     // A word that is no TOML value is a string: shells take the quotes away.
     let value = format!("value = {text}").parse::<Table>().map_or_else(|_| Value::String(text.into()), |mut t| t["value"].take());

@@ -17,5 +17,8 @@ pub fn tasks() -> Result<()> {
 
 fn describe<S: Scene>() {
     println!("{}: {}\n", S::NAME, S::ABOUT);
-    println!("{}", Settings::<S>::defaults().to_table().to_string().trim_end().lines().map(|l| format!("    {l}\n")).collect::<String>());
+    println!(
+        "{}",
+        Settings::<S>::defaults().to_table().to_string().trim_end().lines().map(|l| format!("    {l}\n")).collect::<String>()
+    );
 }

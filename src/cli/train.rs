@@ -84,22 +84,19 @@ pub fn train(args: &Train) -> Result<()> {
 }
 
 fn train_scene<S: Scene>(args: &Train) -> Result<()> {
-    let folder = args.out.as_deref().map(Folder::create).transpose()?;
-    let (folder, settings) = match folder {
-        Some(folder) if args.resume => {
-            let settings = resumed_settings::<S>(&folder, &args.changes)?;
-            (folder, settings)
+    let (folder, settings) = if let (Some(out), true) = (&args.out, args.resume) {
+        let folder = Folder::create(out)?;
+        let settings = resumed_settings::<S>(&folder, &args.changes)?;
+        (folder, settings)
+    } else {
+        let mut table = Settings::<S>::defaults().to_table();
+        args.changes.apply(&mut table)?;
+        let settings = Settings::<S>::from_table(table)?;
+        let folder = args.out.as_deref().map_or_else(|| Folder::fresh(S::NAME), Folder::create)?;
+        if let Some(aside) = folder.move_aside()? {
+            eprintln!("{} held another run; it is now in {}", folder.path().display(), aside.display());
         }
-        folder => {
-            let mut table = Settings::<S>::defaults().to_table();
-            args.changes.apply(&mut table)?;
-            let settings = Settings::<S>::from_table(table)?;
-            let folder = folder.map_or_else(|| Folder::fresh(S::NAME), Ok)?;
-            if let Some(aside) = folder.move_aside()? {
-                eprintln!("{} held another run; it is now in {}", folder.path().display(), aside.display());
-            }
-            (folder, settings)
-        }
+        (folder, settings)
     };
     let workers = threads(args.threads)?;
     let mut progress = Progress::new(settings.epochs, args.quiet);

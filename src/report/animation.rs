@@ -1,0 +1,249 @@
+//! Animated pictures in SVG by SMIL: no scripts, so they also play inside an `<img>` tag.
+
+use std::fmt::Write;
+
+/// How long the last frame stays before the loop starts again, in seconds.
+const HOLD: f64 = 0.7;
+/// The largest size of the world's picture, in pixels.
+const MAX_SIZE: [f64; 2] = [720.0, 480.0];
+/// Height of the strip above the world that holds the title, in pixels.
+const TITLE_HEIGHT: f64 = 40.0;
+
+/// A thing to draw, in world coordinates: metres, y up.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Shape {
+    /// A straight line with round ends.
+    Line {
+        /// One end.
+        from: [f64; 2],
+        /// The other end.
+        to: [f64; 2],
+        /// Thickness.
+        width: f64,
+        /// CSS colour.
+        color: &'static str,
+    },
+    /// A filled circle.
+    Circle {
+        /// Its middle.
+        center: [f64; 2],
+        /// Its radius.
+        radius: f64,
+        /// CSS colour.
+        color: &'static str,
+    },
+    /// A filled rectangle along the axes, its corners slightly rounded.
+    Rect {
+        /// Its middle.
+        center: [f64; 2],
+        /// Width and height.
+        size: [f64; 2],
+        /// CSS colour.
+        color: &'static str,
+    },
+    /// A word that may move but not change.
+    Text {
+        /// The middle of its base line.
+        at: [f64; 2],
+        /// Size of the letters.
+        size: f64,
+        /// What it says.
+        text: String,
+        /// CSS colour.
+        color: &'static str,
+    },
+}
+
+/// Frames evenly spread over a time that repeats for ever, after a short halt at the last of them.
+pub struct Animation {
+    /// Written above the picture.
+    pub title: String,
+    /// From the first frame to the last.
+    pub seconds: f64,
+    /// The rectangle of the world that is seen: its lower left and upper right corner. What leaves it is cut off.
+    pub view: ([f64; 2], [f64; 2]),
+    /// The shapes of each frame: the same kinds in the same order; colours and words are those of the first frame.
+    pub frames: Vec<Vec<Shape>>,
+}
+
+impl Animation {
+    /// The animation as an SVG. What does not move is written once, everything else runs in straight lines from frame
+    /// to frame.
+    ///
+    /// # Panics
+    /// If the frames do not hold the same kinds of shapes in the same order.
+    pub fn to_svg(&self) -> String {
+        let (low, high) = self.view;
+        let world = [high[0] - low[0], high[1] - low[1]].map(|size| if size.is_normal() && size > 0.0 { size } else { 1.0 });
+        let scale = (MAX_SIZE[0] / world[0]).min(MAX_SIZE[1] / world[1]);
+        let (width, height) = (world[0] * scale, world[1] * scale);
+        // Room for the title also above a narrow world.
+        let full_width = width.max(MAX_SIZE[0] / 2.0);
+        let (w, h, full_w, full_h) = (px(width), px(height), px(full_width), px(height + TITLE_HEIGHT));
+        let (left, middle, title) = (px((full_width - width) / 2.0), px(full_width / 2.0), escaped(&self.title));
+        let mut svg = format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {full_w} {full_h}\" width=\"{full_w}\" \
+             height=\"{full_h}\" font-family=\"DejaVu Sans, Verdana, Arial, sans-serif\" text-anchor=\"middle\">\n\
+             <title>{title}</title>\n<rect width=\"{full_w}\" height=\"{full_h}\" rx=\"12\" fill=\"white\"/>\n\
+             <text x=\"{middle}\" y=\"27\" font-size=\"16\" fill=\"#222\">{title}</text>\n\
+             <svg x=\"{left}\" y=\"{TITLE_HEIGHT}\" width=\"{w}\" height=\"{h}\">\n"
+        );
+        let frames: Vec<Vec<Element>> = self
+            .frames
+            .iter()
+            .map(|shapes| shapes.iter().map(|shape| Element::new(shape, low[0], high[1], scale)).collect())
+            .collect();
+        let times = Times::new(frames.len(), self.seconds);
+        if let Some(first) = frames.first() {
+            for frame in &frames {
+                let kinds = |elements: &[Element]| elements.iter().map(|element| element.tag).collect::<Vec<_>>();
+                assert!(kinds(frame) == kinds(first), "every frame of an animation needs the same shapes in the same order");
+            }
+            for i in 0..first.len() {
+                let history: Vec<&Element> = frames.iter().map(|frame| &frame[i]).collect();
+                times.write_element(&mut svg, &history);
+            }
+        }
+        svg + "</svg>\n</svg>\n"
+    }
+}
+
+/// A shape as an SVG element in pixels.
+struct Element {
+    tag: &'static str,
+    /// What may change from frame to frame.
+    numbers: Vec<(&'static str, String)>,
+    /// What stays as in the first frame.
+    style: String,
+    /// What a text says.
+    content: String,
+}
+
+impl Element {
+    /// Places a shape in a picture whose upper left corner is at (left, top) in the world.
+    fn new(shape: &Shape, left: f64, top: f64, scale: f64) -> Self {
+        let (x, y) = (|x: f64| px((x - left) * scale), |y: f64| px((top - y) * scale));
+        let length = |length: f64| px(length.max(0.0) * scale);
+        let (tag, numbers, style) = match shape {
+            Shape::Line { from, to, width, color } => (
+                "line",
+                vec![
+                    ("x1", x(from[0])),
+                    ("y1", y(from[1])),
+                    ("x2", x(to[0])),
+                    ("y2", y(to[1])),
+                    ("stroke-width", length(*width)),
+                ],
+                format!("stroke=\"{color}\" stroke-linecap=\"round\""),
+            ),
+            Shape::Circle { center, radius, color } => {
+                ("circle", vec![("cx", x(center[0])), ("cy", y(center[1])), ("r", length(*radius))], format!("fill=\"{color}\""))
+            }
+            Shape::Rect { center: [cx, cy], size: [w, h], color } => (
+                "rect",
+                vec![("x", x(cx - w / 2.0)), ("y", y(cy + h / 2.0)), ("width", length(*w)), ("height", length(*h))],
+                format!("rx=\"2\" fill=\"{color}\""),
+            ),
+            Shape::Text { at, size, color, .. } => {
+                ("text", vec![("x", x(at[0])), ("y", y(at[1])), ("font-size", length(*size))], format!("fill=\"{color}\""))
+            }
+        };
+        let content = if let Shape::Text { text, .. } = shape { escaped(text) } else { String::new() };
+        Self { tag, numbers, style, content }
+    }
+}
+
+/// The clock of an animation, as SMIL attributes.
+struct Times {
+    key_times: String,
+    duration: String,
+}
+
+impl Times {
+    /// Spreads the frames over the seconds and adds the halt.
+    fn new(frames: usize, seconds: f64) -> Self {
+        let seconds = if seconds.is_finite() { seconds.max(0.1) } else { 0.1 };
+        let share = seconds / (seconds + HOLD) / frames.saturating_sub(1).max(1) as f64;
+        let mut key_times: Vec<String> = (0..frames).map(|i| trimmed(i as f64 * share, 4)).collect();
+        key_times.push("1".into());
+        Self { key_times: key_times.join(";"), duration: trimmed(seconds + HOLD, 2) }
+    }
+
+    /// Writes an element, given as it is in each of the frames.
+    fn write_element(&self, svg: &mut String, history: &[&Element]) {
+        let Element { tag, numbers, style, content } = history[0];
+        let _ = write!(svg, "<{tag} {style}");
+        let mut animations = String::new();
+        for (i, (name, start)) in numbers.iter().enumerate() {
+            let _ = write!(svg, " {name}=\"{start}\"");
+            let mut values: Vec<&str> = history.iter().map(|element| element.numbers[i].1.as_str()).collect();
+            if values.iter().any(|value| value != start) {
+                values.push(values[values.len() - 1]);
+                let _ = write!(
+                    animations,
+                    "<animate attributeName=\"{name}\" values=\"{}\" keyTimes=\"{}\" dur=\"{}s\" repeatCount=\"indefinite\"/>",
+                    values.join(";"),
+                    self.key_times,
+                    self.duration
+                );
+            }
+        }
+        let _ = writeln!(svg, ">{content}{animations}</{tag}>");
+    }
+}
+
+/// A length in pixels to a hundredth. What is not finite becomes 0 and what is far off the picture is brought nearer,
+/// since one wild number would make browsers drop the whole animation.
+fn px(value: f64) -> String {
+    trimmed(if value.is_finite() { value.clamp(-1e5, 1e5) } else { 0.0 }, 2)
+}
+
+/// The number with at most so many decimals and no useless zeros.
+fn trimmed(value: f64, decimals: usize) -> String {
+    let text = format!("{value:.decimals$}");
+    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    if text == "-0" { "0".into() } else { text.into() }
+}
+
+/// The text with the characters replaced that mean something to XML.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn moving_dot(xs: &[f64]) -> Animation {
+        let dot = |&x: &f64| vec![Shape::Circle { center: [x, 0.5], radius: 0.1, color: "red" }];
+        Animation { title: "a < b".into(), seconds: 2.0, view: ([0.0, 0.0], [2.0, 1.0]), frames: xs.iter().map(dot).collect() }
+    }
+
+    #[test]
+    fn only_what_moves_is_animated() {
+        let svg = moving_dot(&[0.0, 1.0, f64::NAN]).to_svg();
+        let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
+        let animated: Vec<_> = document.descendants().filter(|node| node.has_tag_name("animate")).collect();
+        assert_eq!(animated.len(), 1);
+        assert_eq!(animated[0].attribute("attributeName"), Some("cx"));
+        assert_eq!(animated[0].attribute("values"), Some("0;360;0;0"));
+        assert_eq!(animated[0].attribute("keyTimes"), Some("0;0.3704;0.7407;1"));
+        assert_eq!(animated[0].attribute("dur"), Some("2.7s"));
+    }
+
+    #[test]
+    fn few_frames_stand_still() {
+        for svg in [moving_dot(&[]).to_svg(), moving_dot(&[1.0]).to_svg()] {
+            roxmltree::Document::parse(&svg).expect("an SVG is XML");
+            assert!(!svg.contains("<animate"));
+        }
+    }
+
+    #[test]
+    #[should_panic(expected = "same shapes")]
+    fn frames_must_agree() {
+        let mut animation = moving_dot(&[0.0, 1.0]);
+        animation.frames[1].clear();
+        animation.to_svg();
+    }
+}

@@ -1,0 +1,194 @@
+//! The animation of a cart with one or more poles on a rail.
+
+use super::animation::{Animation, Shape};
+
+/// The colours of the poles in turn, which colour-blind readers can tell apart.
+const POLES: [&str; 5] = ["#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9"];
+const FORCE: &str = "#D55E00";
+const CART: &str = "#C9CED6";
+const DARK: &str = "#4A4F57";
+const RAIL: &str = "#9AA0A8";
+const TRACK: &str = "#ECEEF1";
+
+/// More frames than this are thinned; the poles move in straight lines from one to the next.
+const MAX_FRAMES: usize = 250;
+/// A cart farther than this many metres from the origin is taken for a simulation that blew up.
+const FAR: f64 = 1e6;
+
+/// Films a trajectory. Each state is x, its speed, then the angle (0 is upright) and angular speed of every pole, and
+/// `dt` seconds pass between two states. The arrow on the cart is its force, scaled to the largest of the trajectory.
+///
+/// A trajectory under 2 s is shown three times slower. When the cart travels far, the camera follows it and the rail
+/// moves. The film ends before the first state that is not finite or has another length than the first state.
+pub fn cart_pole(states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f64) -> Animation {
+    let length = if half_length.is_normal() && half_length > 0.0 { 2.0 * half_length } else { 1.0 };
+    let width = states.first().map_or(0, Vec::len).max(2);
+    let valid = |s: &&Vec<f64>| s.len() == width && s[0].abs() < FAR && s.iter().all(|v| v.is_finite());
+    let states: Vec<&Vec<f64>> = states.iter().take_while(valid).collect();
+    let time = states.len().saturating_sub(1) as f64 * dt;
+    let slowness = if time < 2.0 { 3.0 } else { 1.0 };
+    let speed = if time < 2.0 { "at ⅓ speed" } else { "in real time" };
+    let poles = (width - 2) / 2;
+    let title = match poles {
+        1 => format!("Cart with 1 pole: {time:.1} s {speed}"),
+        _ => format!("Cart with {poles} poles: {time:.1} s {speed}"),
+    };
+    let stage = Stage::around(&states, length);
+    let shown = states.len().min(MAX_FRAMES);
+    let frames = (0..shown).map(|frame| {
+        let step = frame * (states.len() - 1) / (shown - 1).max(1);
+        let progress = frame as f64 / (shown - 1).max(1) as f64;
+        stage.frame(states[step], relative_force(controls, step), progress)
+    });
+    Animation { title, seconds: time * slowness, frames: frames.collect(), view: (stage.low, stage.high) }
+}
+
+/// The force at a step as a share of the largest one; the last state has none of its own and keeps the one before.
+fn relative_force(controls: &[f64], step: usize) -> f64 {
+    let largest = controls.iter().map(|force| force.abs()).filter(|force| force.is_finite()).fold(0.0, f64::max);
+    match controls.get(step.min(controls.len().saturating_sub(1))) {
+        Some(force) if force.is_finite() && largest > 0.0 => force / largest,
+        _ => 0.0,
+    }
+}
+
+/// What all frames share: the view, and the rail with its marks.
+struct Stage {
+    length: f64,
+    low: [f64; 2],
+    high: [f64; 2],
+    follow: bool,
+    marks: Vec<f64>,
+}
+
+impl Stage {
+    /// A stage on which the whole trajectory can be seen, or across which the camera must follow the cart.
+    fn around(states: &[&Vec<f64>], length: f64) -> Self {
+        let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
+        for state in states {
+            (left, right) = (left.min(state[0]), right.max(state[0]));
+        }
+        if states.is_empty() {
+            (left, right) = (0.0, 0.0);
+        }
+        let follow = right - left > 6.0 * length;
+        let middle = if follow { 0.0 } else { (left + right) / 2.0 };
+        let half_width = if follow { 2.5 * length } else { ((right - left) / 2.0 + 1.15 * length).max(2.2 * length) };
+        let lowest = states.iter().flat_map(|state| state[2..].iter().step_by(2)).map(|angle| angle.cos()).fold(0.0, f64::min);
+        // Below the rail is room for its marks, and for the poles if they ever hang.
+        let bottom = length * (lowest * 1.1).min(-0.45) - 0.2 * length;
+        // Marks everywhere the camera can come, at round distances of about a pole, but not too many of them.
+        // A still camera must not cut the number of the last one in two.
+        let reach = if follow { (right - left) / 2.0 + half_width } else { half_width - 0.3 * length };
+        let (from, to) = ((left + right) / 2.0 - reach, (left + right) / 2.0 + reach);
+        let step = round_up(length.max((to - from) / 20.0));
+        let marks = ((from / step).ceil() as i64..=(to / step).floor() as i64).map(|i| i as f64 * step).collect();
+        Self { length, low: [middle - half_width, bottom], high: [middle + half_width, 1.2 * length], follow, marks }
+    }
+
+    /// One frame; progress runs from 0 to 1.
+    fn frame(&self, state: &[f64], force: f64, progress: f64) -> Vec<Shape> {
+        let unit = self.length;
+        let camera = if self.follow { state[0] } else { 0.0 };
+        let x = state[0] - camera;
+        let mut shapes = self.rail(camera);
+        for side in [-1.0, 1.0] {
+            shapes.push(Shape::Circle { center: [x + side * 0.16 * unit, -0.12 * unit], radius: 0.06 * unit, color: DARK });
+        }
+        shapes.push(Shape::Rect { center: [x, 0.0], size: [0.56 * unit, 0.2 * unit], color: CART });
+        shapes.extend(arrow([x, 0.0], force * unit, 0.03 * unit));
+        for (angle, color) in state[2..].iter().step_by(2).zip(POLES.iter().cycle()) {
+            let tip = [x + unit * angle.sin(), unit * angle.cos()];
+            shapes.push(Shape::Line { from: [x, 0.0], to: tip, width: 0.045 * unit, color });
+            shapes.push(Shape::Circle { center: tip, radius: 0.05 * unit, color });
+        }
+        shapes.push(Shape::Circle { center: [x, 0.0], radius: 0.04 * unit, color: DARK });
+        shapes.extend(self.progress_bar(progress));
+        shapes
+    }
+
+    /// The rail and its marks, whose place shows how far the camera has travelled.
+    fn rail(&self, camera: f64) -> Vec<Shape> {
+        let (unit, y) = (self.length, -0.2 * self.length);
+        let mut shapes = vec![Shape::Line { from: [self.low[0], y], to: [self.high[0], y], width: 0.02 * unit, color: RAIL }];
+        for &mark in &self.marks {
+            let x = mark - camera;
+            shapes.push(Shape::Rect { center: [x, y - 0.04 * unit], size: [0.015 * unit, 0.08 * unit], color: RAIL });
+            let text = format!("{} m", (mark * 1e6).round() / 1e6).replace('-', "−");
+            shapes.push(Shape::Text { at: [x, y - 0.2 * unit], size: 0.1 * unit, text, color: RAIL });
+        }
+        shapes
+    }
+
+    /// A thin bar along the lower edge that fills as time passes.
+    fn progress_bar(&self, progress: f64) -> [Shape; 2] {
+        let (thickness, left) = (0.03 * self.length, self.low[0] + 0.15 * self.length);
+        let full = self.high[0] - self.low[0] - 0.3 * self.length;
+        let bar = |width: f64, color| Shape::Rect {
+            center: [left + width / 2.0, self.low[1] + 0.1 * self.length],
+            size: [width, thickness],
+            color,
+        };
+        [bar(full, TRACK), bar(full * progress, DARK)]
+    }
+}
+
+/// A level arrow; its head shrinks with it, so that it passes through zero without a jump.
+fn arrow(from: [f64; 2], reach: f64, width: f64) -> [Shape; 3] {
+    let tip = [from[0] + reach, from[1]];
+    let head = reach.signum() * reach.abs().min(4.0 * width);
+    let line = |from, to| Shape::Line { from, to, width, color: FORCE };
+    [line(from, tip), line([tip[0] - head, tip[1] + 0.6 * head], tip), line([tip[0] - head, tip[1] - 0.6 * head], tip)]
+}
+
+/// The next 1, 2 or 5 times a power of ten.
+fn round_up(value: f64) -> f64 {
+    let power = 10f64.powf(value.log10().floor());
+    [1.0, 2.0, 5.0].into_iter().map(|m| m * power).find(|&round| round >= value * (1.0 - 1e-9)).unwrap_or(10.0 * power)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn trajectory(speed: f64) -> Vec<Vec<f64>> {
+        (0..100).map(|i| f64::from(i) * 0.01).map(|t| vec![speed * t, speed, 3.0 * t, 3.0, -t, -1.0]).collect()
+    }
+
+    #[test]
+    fn pole_points_up_at_angle_zero() {
+        let film = cart_pole(&[vec![0.3, 0.0, 0.0, 0.0]], &[], 0.5, 0.02);
+        let tip = film.frames[0].iter().find_map(|shape| match shape {
+            Shape::Line { to, color, .. } if *color == POLES[0] => Some(*to),
+            _ => None,
+        });
+        assert_eq!(tip, Some([0.3, 1.0]));
+    }
+
+    #[test]
+    fn film_ends_before_a_state_that_is_not_finite() {
+        let mut states = trajectory(1.0);
+        states[40][2] = f64::NAN;
+        let film = cart_pole(&states, &vec![1.0; 100], 0.5, 0.01);
+        assert_eq!(film.frames.len(), 40);
+        assert!((film.seconds - 3.0 * 0.39).abs() < 1e-9 && film.title.contains("⅓"));
+        let svg = film.to_svg();
+        roxmltree::Document::parse(&svg).expect("an SVG is XML");
+        assert!(!svg.contains("NaN") && !svg.contains("inf\""));
+    }
+
+    #[test]
+    fn camera_follows_a_cart_that_travels_far() {
+        let film = cart_pole(&trajectory(30.0), &[2.0, -2.0], 0.5, 0.01);
+        assert!(film.view.1[0] - film.view.0[0] < 6.0);
+        let svg = film.to_svg();
+        assert!(svg.len() < 200_000, "{} bytes", svg.len());
+    }
+
+    #[test]
+    fn empty_inputs_give_a_picture() {
+        for states in [vec![], vec![vec![]], vec![vec![f64::NAN; 4]], vec![vec![0.0]]] {
+            roxmltree::Document::parse(&cart_pole(&states, &[], 0.5, 0.02).to_svg()).expect("an SVG is XML");
+        }
+    }
+}

@@ -1,0 +1,167 @@
+//! Learning curves: the loss of one run, and the losses of several methods against effort.
+
+use super::log_figure::{Panel, Series, drawable, log_figure};
+
+/// A line of more points than this is thinned: no screen shows more, and the files stay small.
+const MAX_POINTS: usize = 250;
+
+/// The runs of one method, one run a seed.
+pub struct Curve {
+    /// Name in the legend.
+    pub label: String,
+    /// CSS colour, for example of [`field_color`].
+    pub color: &'static str,
+    /// One run a seed.
+    pub runs: Vec<Vec<Point>>,
+}
+
+/// The loss of a run at one time of its training.
+pub struct Point {
+    /// Epochs trained so far.
+    pub epoch: f64,
+    /// Wall time since the start of the training, in seconds.
+    pub seconds: f64,
+    /// The loss measured then.
+    pub loss: f64,
+}
+
+/// The colour of a field of numbers by its letter, the same in every picture; grey for an unknown letter.
+///
+/// These are colours of Okabe and Ito, which colour-blind readers can tell apart.
+pub fn field_color(letter: &str) -> &'static str {
+    match letter {
+        "R" => "#0072B2",
+        "M" => "#D55E00",
+        "S" => "#009E73",
+        "C" => "#CC79A7",
+        "N" => "#E69F00",
+        _ => "#666666",
+    }
+}
+
+/// The training and test loss, as (epoch, loss), of one run.
+///
+/// Losses that a log axis cannot show (not finite, zero or negative) are left out; an empty list leaves out its line.
+pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) -> String {
+    let series = |label: &str, color, points: &[(f64, f64)]| Series {
+        label: label.into(),
+        color,
+        line: thinned(cleaned(points.iter().copied())),
+        band: Vec::new(),
+    };
+    let series = vec![series("train", "#0072B2", train), series("test", "#D55E00", test)];
+    log_figure(title, "loss", &[Panel { x_label: "epoch", series }])
+}
+
+/// The test losses of several methods, against epochs on the left and against wall time on the right.
+///
+/// A line is the geometric mean over the seeds, which is the mean as the eye takes it on a log axis, so that one bad
+/// seed does not pull it to the upper edge. The band runs from the best to the worst seed: it never reaches zero or
+/// below, as mean minus deviation may, and with a handful of seeds it hides nothing. One seed has no band.
+///
+/// The runs of a curve are read at common places by interpolation, as far as all of them reached: where one seed stops
+/// or diverges for good, the curve ends. A run with no loss to show is left out and the legend says so.
+pub fn comparison(title: &str, curves: &[Curve]) -> String {
+    let panel = |x_label, x: fn(&Point) -> f64| Panel { x_label, series: curves.iter().map(|c| summary(c, x)).collect() };
+    log_figure(title, "test loss", &[panel("epoch", |p| p.epoch), panel("wall time (s)", |p| p.seconds)])
+}
+
+/// The mean line and band of a curve over the x read from its points.
+fn summary(curve: &Curve, x: fn(&Point) -> f64) -> Series {
+    let runs: Vec<Vec<(f64, f64)>> = curve.runs.iter().map(|run| cleaned(run.iter().map(|p| (x(p), p.loss)))).collect();
+    let runs: Vec<Vec<(f64, f64)>> = runs.into_iter().filter(|run| !run.is_empty()).collect();
+    let missing = curve.runs.len() - runs.len();
+    let label = match missing {
+        0 => curve.label.clone(),
+        _ => format!("{} ({} of {} seeds)", curve.label, runs.len(), curve.runs.len()),
+    };
+    let (mut line, mut band) = (Vec::new(), Vec::new());
+    for x in common_grid(&runs) {
+        let losses: Vec<f64> = runs.iter().map(|run| interpolated(run, x)).collect();
+        let mean_log = losses.iter().map(|loss| loss.ln()).sum::<f64>() / losses.len() as f64;
+        line.push((x, mean_log.exp()));
+        if losses.len() > 1 {
+            band.push((losses.iter().copied().fold(f64::INFINITY, f64::min), losses.iter().copied().fold(0.0, f64::max)));
+        }
+    }
+    Series { label, color: curve.color, line, band }
+}
+
+/// The points that a log plot can show, by increasing x.
+fn cleaned(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
+    let mut points: Vec<(f64, f64)> = points.filter(|&(x, y)| x.is_finite() && drawable(y)).collect();
+    points.sort_by(|a, b| a.0.total_cmp(&b.0));
+    points
+}
+
+/// Every x of any run that lies within all of the runs.
+fn common_grid(runs: &[Vec<(f64, f64)>]) -> Vec<f64> {
+    let start = runs.iter().map(|run| run[0].0).fold(f64::NEG_INFINITY, f64::max);
+    let end = runs.iter().map(|run| run[run.len() - 1].0).fold(f64::INFINITY, f64::min);
+    let mut grid: Vec<f64> = runs.iter().flatten().map(|&(x, _)| x).filter(|&x| start <= x && x <= end).collect();
+    grid.sort_by(f64::total_cmp);
+    grid.dedup();
+    thinned(grid)
+}
+
+/// The loss of a run at x within it, on a straight line between its neighbours as drawn on the log axis.
+fn interpolated(run: &[(f64, f64)], x: f64) -> f64 {
+    let right = run.partition_point(|&(at, _)| at < x).min(run.len() - 1);
+    let ((x0, y0), (x1, y1)) = (run[right.saturating_sub(1)], run[right]);
+    if x >= x1 || x1 <= x0 { y1 } else { y0 * (y1 / y0).powf((x - x0) / (x1 - x0)) }
+}
+
+/// At most [`MAX_POINTS`] of the items, evenly spread, with the first and the last among them.
+fn thinned<T: Copy>(items: Vec<T>) -> Vec<T> {
+    if items.len() <= MAX_POINTS {
+        return items;
+    }
+    (0..MAX_POINTS).map(|i| items[i * (items.len() - 1) / (MAX_POINTS - 1)]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(points: &[(f64, f64, f64)]) -> Vec<Point> {
+        points.iter().map(|&(epoch, seconds, loss)| Point { epoch, seconds, loss }).collect()
+    }
+
+    fn check(svg: &str) {
+        roxmltree::Document::parse(svg).expect("an SVG is XML");
+        assert!(!svg.contains("NaN") && !svg.contains("inf"));
+        assert!(svg.len() < 100_000, "{} bytes", svg.len());
+    }
+
+    #[test]
+    fn mean_is_geometric_and_band_spans_the_seeds() {
+        let runs = vec![run(&[(0.0, 0.0, 1.0), (1.0, 10.0, 1e-2), (2.0, 20.0, 1.0)]), run(&[(0.0, 0.0, 1.0), (1.0, 5.0, 1e-4)])];
+        let curve = Curve { label: "a".into(), color: "red", runs };
+        let by_epoch = summary(&curve, |p| p.epoch);
+        assert_eq!(by_epoch.line.len(), 2, "the curve ends with the shorter run");
+        assert!((by_epoch.line[1].1 / 1e-3 - 1.0).abs() < 1e-12);
+        assert_eq!(by_epoch.band[1], (1e-4, 1e-2));
+        let by_time = summary(&curve, |p| p.seconds);
+        assert_eq!(by_time.line.iter().map(|p| p.0).collect::<Vec<_>>(), [0.0, 5.0]);
+        assert!((by_time.band[1].1 / 0.1 - 1.0).abs() < 1e-12, "half way from 1 to 1e-2 on a log axis");
+    }
+
+    #[test]
+    fn one_seed_has_no_band_and_a_useless_one_is_told() {
+        let runs = vec![run(&[(0.0, 0.0, 1.0)]), run(&[(0.0, 0.0, f64::NAN)])];
+        let series = summary(&Curve { label: "a".into(), color: "red", runs }, |p| p.epoch);
+        assert!(series.band.is_empty());
+        assert_eq!(series.label, "a (1 of 2 seeds)");
+    }
+
+    #[test]
+    fn any_input_gives_a_picture() {
+        check(&learning_curve("nothing", &[], &[]));
+        check(&learning_curve("one <point> & no more", &[(0.0, 2.0)], &[(0.0, f64::NAN), (1.0, -1.0)]));
+        let long: Vec<(f64, f64)> = (0..10_000).map(|i| (f64::from(i), 1.0 / f64::from(i))).collect();
+        check(&learning_curve("long", &long, &long));
+        check(&comparison("nothing", &[]));
+        check(&comparison("no runs", &[Curve { label: "a".into(), color: field_color("R"), runs: vec![vec![]] }]));
+        assert!(learning_curve("nothing", &[], &[]).contains("no data"));
+    }
+}

@@ -1,0 +1,45 @@
+//! After the first time, neither rollouts, nor gradients, nor whole epochs allocate.
+
+use physgrad::policy::Mlp;
+use physgrad::tasks::{CartPole, LossMode};
+use physgrad::{Field, Trainer, Training};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+struct Counting;
+
+static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: everything is handed to the system's allocator.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+// One test alone in its file: another thread's allocations would be counted too.
+#[test]
+fn epochs_do_not_allocate_after_the_first() {
+    for field in Field::ALL {
+        for loss in [LossMode::Final, LossMode::Continuous] {
+            let task = CartPole { loss, ..CartPole::new(2) };
+            // A last mini-batch that is smaller than the others.
+            let training = Training { epochs: 4, train_samples: 20, test_samples: 40, ..Training::default() };
+            let trainer = Trainer::new(task, Mlp::new([6, 16, 16, 1])).field(field).training(training);
+            let mut session = trainer.session().expect("valid settings");
+            session.epoch().expect("finite");
+            let before = ALLOCATIONS.load(Ordering::Relaxed);
+            for _ in 0..3 {
+                session.epoch().expect("finite");
+            }
+            assert_eq!(ALLOCATIONS.load(Ordering::Relaxed) - before, 0, "field {field}, {loss:?}");
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! The same numbers, to the bit, however the work is split and wherever it was interrupted; single against double
+//! precision.
+
+use physgrad::policy::Mlp;
+use physgrad::rng::{Purpose, stream};
+use physgrad::tasks::{CartPole, LossMode};
+use physgrad::{
+    Batch, CheckpointError, Evaluation, Field, Float, Flow, Record, Rollout, Session, Task, Trainer, Training, Weights,
+};
+
+const STATES: usize = 6;
+
+fn task() -> CartPole {
+    CartPole { loss: LossMode::Continuous, horizon: 40, ..CartPole::new(2) }
+}
+
+fn policy() -> Mlp {
+    Mlp::new([STATES, 20, 12, 1])
+}
+
+fn starts<F: Float>(samples: usize) -> Vec<F> {
+    let draw = |sample: u64| {
+        let mut x = [0.0; STATES];
+        task().start(&mut stream(0, Purpose::Train, sample), &mut x);
+        x.map(F::lift)
+    };
+    (0..samples as u64).flat_map(draw).collect()
+}
+
+fn weights<F: Float>() -> Weights<F> {
+    Weights::init(&policy(), &mut stream(0, Purpose::Policy, 0))
+}
+
+fn gradients<F: Float>(samples: usize, workers: usize) -> (f64, Vec<Vec<F>>) {
+    let mut batch = Batch::new(&task(), &policy(), samples, &[Flow::MODIFIED, Flow::REGULAR], workers);
+    let loss = batch.run(&task(), &policy(), &weights(), &starts::<F>(samples)).expect("finite");
+    (loss, batch.gradients().to_vec())
+}
+
+#[test]
+fn gradients_do_not_depend_on_the_number_of_workers() {
+    for samples in [1, 4, 7, 8, 13, 32] {
+        let one = gradients::<f32>(samples, 1);
+        for workers in [2, 3, 5, 64] {
+            assert_eq!(gradients::<f32>(samples, workers), one, "{samples} samples, {workers} workers");
+        }
+    }
+}
+
+#[test]
+fn losses_do_not_depend_on_the_number_of_workers_nor_on_the_tape() {
+    for samples in [1, 31, 33, 100] {
+        let evaluate = |workers| {
+            Evaluation::new(&task(), &policy(), workers)
+                .run(&task(), &policy(), &weights(), &starts::<f32>(samples))
+                .expect("finite")
+        };
+        let one = evaluate(1);
+        for workers in [2, 3, 7] {
+            assert_eq!(evaluate(workers), one);
+        }
+        assert_eq!(gradients::<f32>(samples, 1).0, one, "with a tape");
+    }
+}
+
+#[test]
+fn a_sample_does_not_see_its_neighbours() {
+    let run = |samples: usize| {
+        let mut rollout = Rollout::new(&task(), &policy(), 19);
+        rollout.start(&starts::<f64>(19)[..samples * STATES]);
+        rollout.run(&task(), &policy(), &weights()).expect("finite");
+        let states: Vec<f64> = (0..STATES).map(|i| rollout.state(40, 2, i)).collect();
+        (rollout.cost(2), states)
+    };
+    assert_eq!(run(3), run(19));
+    assert_eq!(run(3), run(8));
+}
+
+#[test]
+fn single_precision_is_double_precision_rounded() {
+    // Rounding enters at 2^-24 a step and grows with the physics; 40 steps of hanging poles are tame.
+    let allowed = 1e-4;
+    let (loss32, g32) = gradients::<f32>(8, 1);
+    let (loss64, g64) = gradients::<f64>(8, 1);
+    assert!((loss32 - loss64).abs() <= allowed * loss64.abs(), "{loss32} {loss64}");
+    for (g32, g64) in g32.iter().zip(&g64) {
+        let scale = g64.iter().fold(0.0, |s: f64, g| s.max(g.abs()));
+        let worst = g32.iter().zip(g64).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
+        assert!(worst <= allowed * scale, "{worst:e} of {scale:e}");
+        assert!(worst > 0.0, "single precision cannot be exact");
+    }
+}
+
+fn session(seed: u64, epochs: usize, workers: usize) -> Session<CartPole, Mlp, f32> {
+    let training =
+        Training { epochs, seed, batch: 6, train_samples: 20, test_samples: 9, shuffle: true, workers, ..Training::default() };
+    Trainer::new(task(), policy()).training(training).session().expect("valid settings")
+}
+
+/// All of a record but the time it took.
+fn without_time(records: &[Record]) -> Vec<Record> {
+    records.iter().map(|r| Record { seconds: 0.0, ..r.clone() }).collect()
+}
+
+fn train(mut session: Session<CartPole, Mlp, f32>) -> (Vec<Record>, Vec<f32>) {
+    while !session.is_done() {
+        session.epoch().expect("finite");
+    }
+    (without_time(session.records()), session.weights().theta().to_vec())
+}
+
+#[test]
+fn training_does_not_depend_on_the_number_of_workers() {
+    let one = train(session(1, 4, 1));
+    for workers in [2, 8] {
+        assert_eq!(train(session(1, 4, workers)), one);
+    }
+    assert_ne!(train(session(2, 4, 1)).1, one.1, "another seed");
+}
+
+#[test]
+fn a_resumed_training_is_an_uninterrupted_one() {
+    let whole = train(session(1, 5, 1));
+    for stop in 0..5 {
+        let mut first = session(1, 5, 1);
+        for _ in 0..stop {
+            first.epoch().expect("finite");
+        }
+        let bytes = first.checkpoint("a run");
+        let mut second = session(1, 5, 2);
+        second.restore(&bytes, "a run").expect("its own checkpoint");
+        assert_eq!(train(second), whole, "interrupted after epoch {stop}");
+    }
+}
+
+#[test]
+fn a_checkpoint_that_does_not_belong_is_refused_and_changes_nothing() {
+    let mut first = session(1, 2, 1);
+    first.epoch().expect("finite");
+    let bytes = first.checkpoint("a run");
+    let mut other = session(1, 2, 1);
+    let before = other.weights().theta().to_vec();
+
+    assert_eq!(other.restore(b"something else", "a run"), Err(CheckpointError::NotACheckpoint));
+    assert!(matches!(other.restore(&bytes, "another run"), Err(CheckpointError::Label { .. })));
+    let mut newer = bytes.clone();
+    newer[8] = 77;
+    assert!(matches!(other.restore(&newer, "a run"), Err(CheckpointError::Format { found: 77 })));
+    for cut in [9, 40, bytes.len() / 2, bytes.len() - 1] {
+        assert!(matches!(other.restore(&bytes[..cut], "a run"), Err(CheckpointError::Damaged(_))), "cut at {cut}");
+    }
+    let mut flipped = bytes.clone();
+    let middle = flipped.len() / 2;
+    flipped[middle] ^= 1;
+    assert!(matches!(other.restore(&flipped, "a run"), Err(CheckpointError::Damaged(_))));
+
+    let trainer = || Trainer::new(task(), policy()).training(Training { train_samples: 20, ..Training::default() });
+    let mut double = trainer().precision::<f64>().session().expect("valid settings");
+    assert!(matches!(double.restore(&bytes, "a run"), Err(CheckpointError::Precision { .. })));
+    let mut wider = Trainer::new(task(), Mlp::new([STATES, 30, 1])).session().expect("valid settings");
+    assert!(matches!(wider.restore(&bytes, "a run"), Err(CheckpointError::Shape { .. })));
+    assert_eq!(other.weights().theta(), before);
+    assert!(other.records().is_empty());
+}
+
+#[test]
+fn composed_fields_share_one_forward_pass_with_the_same_bits() {
+    let alone = |flow: Flow| {
+        let mut batch = Batch::new(&task(), &policy(), 8, &[flow], 1);
+        batch.run(&task(), &policy(), &weights(), &starts::<f64>(8)).expect("finite");
+        batch.gradients()[0].clone()
+    };
+    let both = gradients::<f64>(8, 1).1;
+    assert_eq!(both[1], alone(Flow::REGULAR), "R beside M is R alone");
+    let mut composed = vec![0.0; both[0].len()];
+    Field::combined().compose(&both, &mut composed);
+    assert!(composed.iter().any(|&c| c != 0.0));
+}

@@ -1,0 +1,199 @@
+//! Numbers that stop being finite are named, and nothing is learned from them.
+
+use physgrad::policy::{Linear, Mlp};
+use physgrad::rng::Rng;
+use physgrad::{
+    Batch, Divergence, Evaluation, Field, Flow, Rollout, Scalar, System, Task, TrainError, Trainer, Training, Weights,
+};
+
+/// What goes wrong, and where.
+#[derive(Clone, Copy)]
+enum Fault {
+    /// Component 1 becomes infinite in step 5 of the samples that start above 0.5.
+    State,
+    /// The cost of those samples is NaN.
+    Cost,
+    /// A square root at 0 in step 3 of those samples: finite forward, an infinite derivative backward.
+    Cotangent,
+}
+
+struct Faulty(Fault);
+
+impl System for Faulty {
+    fn state_dim(&self) -> usize {
+        3
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        let marked = |yes: T, no: T| T::select_lt(T::lift(0.5), x[0], yes, no);
+        next[0] = x[0];
+        next[1] = x[1] + u[0] * T::lift(0.1);
+        // A clock.
+        next[2] = x[2] + T::one();
+        let (clock, huge) = (x[2], T::lift(1e30));
+        match self.0 {
+            Fault::State => {
+                let late = T::select_lt(
+                    T::lift(3.5),
+                    clock,
+                    huge * huge * huge * huge * huge * huge * huge * huge * huge * huge * huge,
+                    T::zero(),
+                );
+                next[1] += marked(late, T::zero());
+            }
+            Fault::Cost => {}
+            Fault::Cotangent => {
+                let root = (x[1] - x[1].detach()).sqrt();
+                let at_step_3 = T::select_lt((clock - T::lift(3.0)).abs(), T::lift(0.5), root, next[1]);
+                next[1] = marked(at_step_3, next[1]);
+            }
+        }
+    }
+}
+
+impl Task for Faulty {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        8
+    }
+    /// Every third sample is marked.
+    fn start(&self, _: &mut Rng, x: &mut [f64]) {
+        x.copy_from_slice(&[0.1, 0.3, 0.0]);
+    }
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        let bad = T::select_lt(T::lift(0.5), x[0], T::lift(f64::NAN), T::zero());
+        let cost = x[1] * x[1];
+        if let Fault::Cost = self.0 { cost + bad } else { cost }
+    }
+}
+
+/// Eleven samples, of which number 9 is marked.
+fn starts() -> Vec<f64> {
+    (0..11).flat_map(|sample| [if sample == 9 { 0.9 } else { 0.1 }, 0.3, 0.0]).collect()
+}
+
+fn run(fault: Fault, workers: usize) -> Result<f64, Divergence> {
+    let (task, policy) = (Faulty(fault), Linear::with_bias(3, 1));
+    let weights = Weights::new(&policy, vec![0.1, 0.2, -0.05, 0.3]);
+    Batch::new(&task, &policy, 11, &[Flow::MODIFIED, Flow::REGULAR], workers).run(&task, &policy, &weights, &starts())
+}
+
+#[test]
+fn the_step_sample_component_and_pass_are_named_whatever_the_workers() {
+    for workers in [1, 2, 3] {
+        assert_eq!(run(Fault::State, workers), Err(Divergence::State { step: 5, sample: 9, component: 1 }));
+        assert_eq!(run(Fault::Cost, workers), Err(Divergence::Cost { sample: 9 }));
+        let cotangent = Divergence::Cotangent { flow: Flow::MODIFIED, step: 3, sample: 9, component: 1 };
+        assert_eq!(run(Fault::Cotangent, workers), Err(cotangent));
+    }
+}
+
+#[test]
+fn the_message_says_where() {
+    let text = run(Fault::Cotangent, 1).unwrap_err().to_string();
+    for part in ["reverse pass of M", "component 1", "sample 9", "step 3"] {
+        assert!(text.contains(part), "{text}");
+    }
+}
+
+#[test]
+fn evaluation_names_the_sample_of_the_whole_set() {
+    let (task, policy) = (Faulty(Fault::State), Linear::with_bias(3, 1));
+    let weights = Weights::new(&policy, vec![0.1, 0.2, -0.05, 0.3]);
+    let mut many = vec![0.1, 0.3, 0.0].repeat(100);
+    many[71 * 3] = 0.9;
+    for workers in [1, 3] {
+        let found = Evaluation::new(&task, &policy, workers).run(&task, &policy, &weights, &many);
+        assert_eq!(found, Err(Divergence::State { step: 5, sample: 71, component: 1 }));
+    }
+}
+
+#[test]
+fn the_trajectory_up_to_there_can_be_read() {
+    let (task, policy) = (Faulty(Fault::State), Linear::with_bias(3, 1));
+    let weights = Weights::new(&policy, vec![0.0; 4]);
+    let mut rollout = Rollout::new(&task, &policy, 11);
+    rollout.start(&starts());
+    assert!(rollout.run(&task, &policy, &weights).is_err());
+    assert_eq!(rollout.state(4, 9, 1), 0.3);
+    assert!(rollout.state(5, 9, 1).is_infinite());
+}
+
+#[test]
+fn updates_with_a_bad_sample_are_skipped_counted_and_change_nothing() {
+    // Two mini-batches of 6 and 5; sample 9 is in the second.
+    let training = Training { epochs: 3, batch: 6, max_skipped: 10, ..Training::default() };
+    let trainer = Trainer::new(Faulty(Fault::Cotangent), Linear::with_bias(3, 1)).precision::<f64>().training(training.clone());
+    let mut session = trainer.session_from(vec![0.1; 4], starts(), starts());
+    let record = session.epoch().expect("one good update").clone();
+    assert_eq!(record.skipped, 1);
+    assert_eq!(session.skips()[0].update, 1);
+    assert_eq!(session.skips()[0].divergence, Divergence::Cotangent { flow: Flow::MODIFIED, step: 3, sample: 3, component: 1 });
+
+    // The same training without the second mini-batch.
+    let trainer = Trainer::new(Faulty(Fault::Cotangent), Linear::with_bias(3, 1)).precision::<f64>().training(training);
+    let mut good = trainer.session_from(vec![0.1; 4], starts()[..18].to_vec(), starts());
+    good.epoch().expect("finite");
+    assert_eq!(session.weights().theta(), good.weights().theta());
+}
+
+#[test]
+fn too_many_skips_in_a_row_stop_the_training_with_the_parameters_untouched() {
+    let training = Training { epochs: 100, batch: 11, max_skipped: 3, ..Training::default() };
+    let trainer = Trainer::new(Faulty(Fault::State), Linear::with_bias(3, 1)).precision::<f64>().training(training);
+    let mut session = trainer.session_from(vec![0.1; 4], starts(), starts());
+    for epoch in 1..=3 {
+        let record = session.epoch().expect("not yet too many");
+        assert_eq!((record.epoch, record.skipped), (epoch, 1));
+        assert!(record.loss.is_nan() && record.train_loss.is_nan());
+    }
+    let error = session.epoch().expect_err("the fourth in a row");
+    assert!(matches!(error, TrainError::Diverged { count: 4, .. }));
+    let text = error.to_string();
+    assert!(text.contains("step 5") && text.contains("sample 9") && text.contains("Try"), "{text}");
+    assert_eq!(session.weights().theta(), [0.1; 4]);
+}
+
+#[test]
+fn an_infinite_gradient_of_finite_cotangents_is_named() {
+    // Single precision: every cotangent is finite, their sum over the batch is not.
+    struct Steep;
+    impl System for Steep {
+        fn state_dim(&self) -> usize {
+            1
+        }
+        fn control_dim(&self) -> usize {
+            1
+        }
+        fn step<T: Scalar>(&self, _: &[T], u: &[T], next: &mut [T]) {
+            next[0] = u[0];
+        }
+    }
+    impl Task for Steep {
+        type System = Self;
+        fn system(&self) -> &Self {
+            self
+        }
+        fn horizon(&self) -> usize {
+            1
+        }
+        fn start(&self, _: &mut Rng, x: &mut [f64]) {
+            x[0] = 1e20;
+        }
+        fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+            x[0] * T::lift(1e30)
+        }
+    }
+    let policy = Mlp::new([1, 1]).bias(false);
+    let training = Training { train_samples: 8, test_samples: 8, ..Training::default() };
+    let trainer = Trainer::new(Steep, policy).field(Field::regular()).training(training);
+    let mut session = trainer.session_from(vec![0.0], vec![1e20; 8], vec![1e20; 8]);
+    session.epoch().expect("one skip");
+    assert_eq!(session.skips()[0].divergence, Divergence::Gradient { flow: Flow::REGULAR, parameter: 0 });
+    assert_eq!(session.weights().theta(), [0.0]);
+}

@@ -1,0 +1,246 @@
+//! Every gradient in the tree against dual numbers, and the checks themselves on planted faults.
+
+use physgrad::policy::{Linear, Mlp};
+use physgrad::rng::Rng;
+use physgrad::tasks::{CartPole, CartPoleSystem, LossMode};
+use physgrad::{Columns, Cotangent, Policy, Real, Scalar, System, Task, check};
+use rand::RngExt;
+
+#[test]
+fn cart_pole_with_any_number_of_poles() {
+    for poles in [1, 2, 3, 7] {
+        check::system(&CartPole::new(poles).system);
+    }
+}
+
+#[test]
+fn cart_pole_far_from_where_it_starts() {
+    let draw = |rng: &mut Rng, x: &mut [f64], u: &mut [f64]| {
+        x.fill_with(|| rng.random_range(-30.0..30.0));
+        u.fill_with(|| rng.random_range(-100.0..100.0));
+    };
+    let passed = check::try_system_at(&CartPole::new(2).system, draw).unwrap_or_else(|mismatch| panic!("{mismatch}"));
+    assert!(passed.compared > 0 && passed.worst <= passed.allowed);
+}
+
+#[test]
+fn policies_of_many_shapes() {
+    for widths in [&[1, 1][..], &[3, 2], &[2, 5, 1], &[10, 100, 100, 1], &[4, 31, 33, 17, 3], &[5, 16, 15, 64, 2]] {
+        for bias in [false, true] {
+            check::policy(&Mlp::new(widths).bias(bias));
+        }
+    }
+    check::policy(&Linear::new(3, 2));
+    check::policy(&Linear::with_bias(4, 1));
+}
+
+#[test]
+fn whole_rollouts_of_every_flow() {
+    for loss in [LossMode::Final, LossMode::Continuous] {
+        let task = CartPole { loss, ..CartPole::new(2) };
+        check::task(&task, &Mlp::new([6, 24, 24, 1]));
+        check::task(&task, &Linear::with_bias(6, 1));
+    }
+}
+
+/// Two masses pulled by two forces, with a cost of state and control: nothing written by hand.
+struct TwoControls;
+
+impl System for TwoControls {
+    fn state_dim(&self) -> usize {
+        3
+    }
+    fn control_dim(&self) -> usize {
+        2
+    }
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        let dt = T::lift(0.1);
+        next[0] = x[0] + x[1] * dt;
+        next[1] = x[1] + (u[0] * x[2].cos() - x[0].max(T::zero()) * T::lift(2.0)) * dt;
+        next[2] = x[2] + (u[1].tanh() - x[2] * x[1]) * dt;
+    }
+}
+
+impl Task for TwoControls {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        25
+    }
+    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+        x.fill_with(|| rng.random_range(-1.0..1.0));
+    }
+    fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
+        x[0] * x[0] + (u[0] * u[1]).exp() * T::lift(0.01) + u[0] * x[2]
+    }
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        (x[1] * x[1] + T::one()).sqrt() + x[2].atan2(T::lift(2.0))
+    }
+}
+
+#[test]
+fn a_system_of_ones_own_with_several_controls() {
+    check::system(&TwoControls);
+    check::task(&TwoControls, &Mlp::new([3, 9, 7, 2]));
+    check::task(&TwoControls, &Linear::with_bias(3, 2));
+}
+
+/// Cart-pole with one planted fault.
+struct Faulty {
+    system: CartPoleSystem,
+    fault: Fault,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Fault {
+    /// Component 3 of `x_bar` is a millionth off.
+    State,
+    /// `u_bar` has the wrong sign.
+    Control,
+    /// `vjp` is right, but the control alone is not.
+    ControlAlone,
+    /// Component 2 of `x_bar` is missing.
+    NaN,
+    /// Right for one number, wrong in lanes.
+    Lanes,
+}
+
+impl System for Faulty {
+    fn state_dim(&self) -> usize {
+        self.system.state_dim()
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        self.system.step(x, u, next);
+    }
+    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        self.system.vjp(x, u, next_bar, x_bar, u_bar);
+        match self.fault {
+            Fault::State => x_bar[3] += x_bar[3] * R::lift(1e-6),
+            Fault::Control => u_bar[0] = -u_bar[0],
+            Fault::NaN => x_bar[2] = x_bar[2] * R::lift(f64::NAN),
+            Fault::Lanes if R::LANES > 1 => x_bar[0] += x_bar[1] * R::lift(1e-15),
+            Fault::Lanes | Fault::ControlAlone => {}
+        }
+    }
+    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
+        self.system.vjp_control(x, u, next_bar, u_bar);
+        if self.fault == Fault::ControlAlone {
+            u_bar[0] += u_bar[0];
+        }
+    }
+}
+
+#[test]
+fn a_wrong_vjp_is_found_and_named() {
+    for (fault, what, index) in [
+        (Fault::State, "vjp: x_bar", 3),
+        (Fault::Control, "vjp: u_bar", 0),
+        (Fault::ControlAlone, "vjp_control: u_bar", 0),
+        (Fault::NaN, "vjp: x_bar", 2),
+        (Fault::Lanes, "vjp in lanes: x_bar", 0),
+    ] {
+        let faulty = Faulty { system: CartPole::new(1).system, fault };
+        let mismatch = check::try_system(&faulty).expect_err(what);
+        assert_eq!((mismatch.what.as_str(), mismatch.index), (what, index));
+        let text = mismatch.to_string();
+        assert!(text.contains(&format!("{what}[{index}]")) && text.contains("expected") && text.contains("case"), "{text}");
+    }
+}
+
+#[test]
+#[should_panic(expected = "vjp: x_bar[3]")]
+fn the_one_line_check_panics() {
+    check::system(&Faulty { system: CartPole::new(1).system, fault: Fault::State });
+}
+
+/// A task whose cost gradient is wrong.
+struct WrongCost(CartPole);
+
+impl Task for WrongCost {
+    type System = CartPoleSystem;
+    fn system(&self) -> &CartPoleSystem {
+        &self.0.system
+    }
+    fn horizon(&self) -> usize {
+        self.0.horizon
+    }
+    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+        self.0.start(rng, x);
+    }
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        self.0.terminal_cost(x)
+    }
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
+        self.0.terminal_cost_gradient(x, x_bar);
+        x_bar[2] *= R::lift(1.0 + 1e-6);
+    }
+}
+
+#[test]
+#[should_panic(expected = "the gradient of flow R is wrong: gradient[")]
+fn a_wrong_cost_gradient_is_found() {
+    check::task(&WrongCost(CartPole::new(1)), &Mlp::new([4, 5, 1]));
+}
+
+/// A linear policy whose batched pass forgets the second input.
+struct Forgetting(Linear);
+
+impl Policy for Forgetting {
+    fn state_dim(&self) -> usize {
+        self.0.state_dim()
+    }
+    fn control_dim(&self) -> usize {
+        self.0.control_dim()
+    }
+    fn param_count(&self) -> usize {
+        self.0.param_count()
+    }
+    fn init(&self, rng: &mut Rng, theta: &mut [f64]) {
+        self.0.init(rng, theta);
+    }
+    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
+        self.0.act(theta, x, u);
+    }
+    fn backward<F: physgrad::Float>(
+        &self,
+        packed: &[F],
+        at: physgrad::policy::PolicyColumns,
+        x: &[F],
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &mut [F],
+        mut x_bar: Option<&mut [F]>,
+    ) {
+        self.0.backward(packed, at, x, tape, u_bar, tape_bar, x_bar.as_deref_mut());
+        if let Some(x_bar) = x_bar {
+            x_bar[1] = F::zero();
+        }
+    }
+}
+
+#[test]
+#[should_panic(expected = "backward: x_bar[1]")]
+fn a_wrong_batched_policy_is_found() {
+    check::policy(&Forgetting(Linear::new(3, 1)));
+}
+
+#[test]
+fn cotangent_columns_do_not_mix() {
+    let system = CartPole::new(1).system;
+    let (x, u) = ([0.1, -0.2, 3.0, 0.5], [2.0]);
+    let bars = [[1.0, -0.5, 0.25, 2.0], [0.0, 3.0, -1.0, 0.5]];
+    let both: Vec<_> = (0..4).map(|i| Columns([bars[0][i], bars[1][i]])).collect();
+    let (mut x_bar, mut u_bar) = ([Columns([0.0; 2]); 4], [Columns([0.0; 2])]);
+    system.vjp(&x, &u, &both, &mut x_bar, &mut u_bar);
+    for (k, bar) in bars.iter().enumerate() {
+        let (mut x_alone, mut u_alone) = ([0.0; 4], [0.0]);
+        system.vjp(&x, &u, bar, &mut x_alone, &mut u_alone);
+        assert_eq!(x_bar.map(|c| c.0[k]), x_alone);
+        assert_eq!(u_bar.map(|c| c.0[k]), u_alone);
+    }
+}

@@ -1,0 +1,173 @@
+//! What the four flows and their compositions must satisfy, whatever the physics.
+
+use physgrad::policy::Mlp;
+use physgrad::rng::{Purpose, Rng, stream};
+use physgrad::tasks::{CartPole, LossMode};
+use physgrad::{Batch, Compose, Field, Flow, Policy, Scalar, SignAgreement, System, Task, Weights};
+use rand::RngExt;
+
+/// The gradients of R, M, N and S of one mini-batch.
+fn all_flows<T: Task, P: Policy>(task: &T, policy: &P) -> [Vec<f64>; 4] {
+    let mut rng = stream(3, Purpose::Check, 0);
+    let theta = (0..policy.param_count()).map(|_| rng.random_range(-0.5..0.5)).collect();
+    let weights = Weights::<f64>::new(policy, theta);
+    let mut starts = vec![0.0; 5 * task.system().state_dim()];
+    starts.chunks_exact_mut(task.system().state_dim()).for_each(|x| task.start(&mut rng, x));
+    Flow::ALL.map(|flow| {
+        let mut batch = Batch::new(task, policy, 5, &[flow], 1);
+        batch.run(task, policy, &weights, &starts).expect("finite");
+        batch.gradients()[0].clone()
+    })
+}
+
+fn assert_close(a: &[f64], b: &[f64]) {
+    let scale = a.iter().fold(0.0, |s: f64, a| s.max(a.abs()));
+    assert!(scale > 0.0, "an identity of zeros shows nothing");
+    for (i, (a, b)) in a.iter().zip(b).enumerate() {
+        assert!((a - b).abs() <= 1e-13 * scale, "component {i}: {a:e} and {b:e}");
+    }
+}
+
+fn assert_differ(a: &[f64], b: &[f64]) {
+    let scale = a.iter().fold(0.0, |s: f64, a| s.max(a.abs()));
+    assert!(a.iter().zip(b).any(|(a, b)| (a - b).abs() > 1e-6 * scale), "the two should differ");
+}
+
+/// One control, `u = θ_0 + sin θ_1`, whatever the state.
+struct Blind;
+
+impl Policy for Blind {
+    fn state_dim(&self) -> usize {
+        6
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn param_count(&self) -> usize {
+        2
+    }
+    fn init(&self, _: &mut Rng, theta: &mut [f64]) {
+        theta.fill(0.3);
+    }
+    fn act<T: Scalar>(&self, theta: &[T], _: &[T], u: &mut [T]) {
+        u[0] = theta[0] + theta[1].sin();
+    }
+}
+
+/// Physics that forgets: the next state depends on the control alone. Two controls, so that the policy is swept step
+/// by step rather than linearized at once.
+struct Forgetful<const CONTROLS: usize>;
+
+impl<const CONTROLS: usize> System for Forgetful<CONTROLS> {
+    fn state_dim(&self) -> usize {
+        2
+    }
+    fn control_dim(&self) -> usize {
+        CONTROLS
+    }
+    fn step<T: Scalar>(&self, _: &[T], u: &[T], next: &mut [T]) {
+        next[0] = u[0].sin() + T::lift(0.2);
+        next[1] = u[CONTROLS - 1] * u[0] - T::lift(0.1);
+    }
+}
+
+impl<const CONTROLS: usize> Task for Forgetful<CONTROLS> {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        7
+    }
+    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+        x.fill_with(|| rng.random_range(-1.0..1.0));
+    }
+    fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
+        x[0] * x[1] + u[0] * u[0]
+    }
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        x[0] * x[0] * x[1]
+    }
+}
+
+fn cart_pole(horizon: usize, loss: LossMode) -> CartPole {
+    CartPole { horizon, loss, ..CartPole::new(2) }
+}
+
+#[test]
+fn over_one_step_all_flows_are_one() {
+    for loss in [LossMode::Final, LossMode::Continuous] {
+        let [r, m, n, s] = all_flows(&cart_pole(1, loss), &Mlp::new([6, 8, 1]));
+        for other in [m, n, s] {
+            assert_close(&r, &other);
+        }
+    }
+}
+
+#[test]
+fn over_many_steps_all_flows_differ() {
+    let [r, m, n, s] = all_flows(&cart_pole(20, LossMode::Continuous), &Mlp::new([6, 8, 1]));
+    for (a, b) in [(&r, &m), (&r, &n), (&r, &s), (&m, &n), (&m, &s), (&n, &s)] {
+        assert_differ(a, b);
+    }
+}
+
+#[test]
+fn with_a_policy_blind_to_the_state_regular_is_modified_and_network_is_stopped() {
+    let [r, m, n, s] = all_flows(&cart_pole(20, LossMode::Continuous), &Blind);
+    assert_close(&r, &m);
+    assert_close(&n, &s);
+    assert_differ(&r, &s);
+}
+
+#[test]
+fn with_physics_blind_to_the_state_modified_is_stopped_and_regular_is_network() {
+    let with_one = all_flows(&Forgetful::<1>, &Mlp::new([2, 8, 1]));
+    let with_two = all_flows(&Forgetful::<2>, &Mlp::new([2, 8, 2]));
+    for [r, m, n, s] in [with_one, with_two] {
+        assert_close(&m, &s);
+        assert_close(&r, &n);
+        assert_differ(&r, &m);
+    }
+}
+
+#[test]
+fn a_final_loss_reaches_stopped_gradients_at_the_last_step_only() {
+    let [_, _, _, s] = all_flows(&cart_pole(20, LossMode::Final), &Mlp::new([6, 8, 1]));
+    let [r, _, _, _] = all_flows(&cart_pole(20, LossMode::Final), &Mlp::new([6, 8, 1]));
+    let norm = |g: &[f64]| g.iter().map(|g| g * g).sum::<f64>().sqrt();
+    assert!(norm(&s) < 0.1 * norm(&r));
+}
+
+#[test]
+fn composition_keeps_what_agrees_and_nothing_else() {
+    let compose = |a: &[f64], b: &[f64]| {
+        let mut out = vec![f64::NAN; a.len()];
+        SignAgreement.compose(a, b, &mut out);
+        out
+    };
+    let mut rng = stream(4, Purpose::Check, 0);
+    let g: Vec<f64> = (0..1000).map(|_| rng.random_range(-1.0..1.0)).collect();
+    let h: Vec<f64> = (0..1000).map(|_| rng.random_range(-1.0..1.0)).collect();
+    let minus: Vec<f64> = g.iter().map(|g| -g).collect();
+    assert_eq!(compose(&g, &g), g);
+    assert!(compose(&g, &minus).iter().all(|&c| c == 0.0));
+    for ((&c, &m), &r) in compose(&g, &h).iter().zip(&g).zip(&h) {
+        assert!(c.abs() <= m.abs());
+        assert_eq!(c, if (m > 0.0) == (r > 0.0) { m } else { 0.0 });
+    }
+    // Zeros have no sign, and what is not a number agrees with nothing.
+    let nan = f64::NAN;
+    assert_eq!(compose(&[0.0, -0.0, 1.0, 1.0, nan, -2.0], &[1.0, -1.0, 0.0, nan, 1.0, -1e-300]), [0.0, 0.0, 0.0, 0.0, 0.0, -2.0]);
+    assert_eq!(compose(&[1.0, -1.0], &[f64::INFINITY, f64::INFINITY]), [1.0, 0.0]);
+}
+
+#[test]
+fn fields_are_found_by_name_and_letter() {
+    for field in Field::ALL {
+        assert_eq!(field.name().parse(), Ok(field));
+        assert_eq!(field.letter().parse(), Ok(field));
+    }
+    let error = "sideways".parse::<Field>().unwrap_err().to_string();
+    assert!(error.contains("sideways") && error.contains("combined"), "{error}");
+}
