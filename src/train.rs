@@ -284,7 +284,8 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
             order: (0..train.len() / n).collect(),
             starts: Vec::with_capacity(training.batch * n),
             composed: vec![F::zero(); params],
-            records: Vec::with_capacity(training.epochs),
+            // Room for all of them, unless "for ever" was meant.
+            records: Vec::with_capacity(training.epochs.min(100_000)),
             skips: Vec::new(),
             skipped_in_a_row: 0,
             task,

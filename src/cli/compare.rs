@@ -146,8 +146,7 @@ impl Watch for Watched<'_> {
 
     fn epoch(&mut self, record: &Record, skips: &[Skip]) {
         if let Ok(mut progress) = self.progress.lock() {
-            progress.epoch(record, skips);
-            progress.bar.set_message(format!("{} test {:.3e}", self.label, record.test_loss));
+            progress.advance(format!("{}: test {:.3e}", self.label, record.test_loss), skips);
         }
     }
 }

@@ -76,13 +76,13 @@ pub fn safetensors<F: Float>(task: &str, policy: &Mlp, theta: &[F]) -> Result<Ve
         Ok((t.name, view))
     });
     let views: Vec<_> = views.collect::<Result<_, safetensors::SafeTensorError>>()?;
-    let about = [
-        ("task", task.to_owned()),
-        ("policy", "mlp: u = W_L·tanh(… tanh(W_1 x + b_1) …) + b_L, kernels (inputs × outputs)".to_owned()),
-        ("widths", format!("{:?}", policy.widths())),
-        ("physgrad", env!("CARGO_PKG_VERSION").to_owned()),
-    ];
-    let about: HashMap<String, String> = about.into_iter().map(|(key, value)| (key.into(), value)).collect();
+    // One entry: a map of several would be written in another order every time.
+    let about = format!(
+        "{task}, physgrad {}: tanh MLP of widths {:?}, kernels (inputs × outputs)",
+        env!("CARGO_PKG_VERSION"),
+        policy.widths()
+    );
+    let about = HashMap::from([("about".to_owned(), about)]);
     Ok(safetensors::serialize(views, Some(about))?)
 }
 

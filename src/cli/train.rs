@@ -5,7 +5,7 @@ use super::run::{self, Watch};
 use super::scene::{Scene, with_scene};
 use super::settings::{self, FieldName, Precision, Settings};
 use anyhow::{Context, Result, bail};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use physgrad::{Record, Skip};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
@@ -188,7 +188,7 @@ fn show(path: &Path) -> std::path::Display<'_> {
     path.display()
 }
 
-/// A progress bar with the losses and the time left.
+/// A progress bar with the losses and the time left; ten lines of text where there is no terminal.
 pub struct Progress {
     pub bar: ProgressBar,
     quiet: bool,
@@ -196,7 +196,10 @@ pub struct Progress {
 
 impl Progress {
     pub fn new(epochs: usize, quiet: bool) -> Self {
-        let bar = if quiet { ProgressBar::hidden() } else { ProgressBar::new(epochs as u64) };
+        let bar = ProgressBar::new(epochs as u64);
+        if quiet {
+            bar.set_draw_target(ProgressDrawTarget::hidden());
+        }
         let style = ProgressStyle::with_template("{bar:30} epoch {pos}/{len}  {msg}  {elapsed} gone, {eta} left");
         bar.set_style(style.expect("a fixed template"));
         Self { bar, quiet }
@@ -213,9 +216,23 @@ impl Watch for Progress {
     }
 
     fn epoch(&mut self, record: &Record, skips: &[Skip]) {
-        self.bar.set_message(format!("train {:.3e}  test {:.3e}", record.train_loss, record.test_loss));
+        self.advance(format!("train {:.3e}  test {:.3e}", record.train_loss, record.test_loss), skips);
+    }
+}
+
+impl Progress {
+    /// One more epoch.
+    pub fn advance(&mut self, message: String, skips: &[Skip]) {
+        self.bar.set_message(message);
         self.bar.inc(1);
-        if let (Some(skip), false) = (skips.first(), self.quiet) {
+        if self.quiet {
+            return;
+        }
+        let (done, all) = (self.bar.position(), self.bar.length().unwrap_or(0).max(1));
+        if self.bar.is_hidden() && done * 10 / all != (done - 1) * 10 / all {
+            eprintln!("epoch {done}/{all}: {}", self.bar.message());
+        }
+        if let Some(skip) = skips.first() {
             let (count, epoch, update) = (skips.len(), skip.epoch, skip.update);
             let text = format!("epoch {epoch}: {count} update(s) skipped, the first being update {update} ({})", skip.divergence);
             // Above the bar where there is one.

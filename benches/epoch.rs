@@ -1,0 +1,229 @@
+//! What an epoch of cart-pole costs, and what of it is matrix products, tanh, physics.
+//!
+//! `cargo bench --bench epoch`. Everything is measured in turn, round after round, and quoted as the median; ratios are
+//! medians of the rounds' ratios, so that they hold when the machine's speed drifts.
+
+use physgrad::kernels::elementwise::{self, Strided};
+use physgrad::kernels::gemm::Product;
+use physgrad::kernels::{Level, gemm};
+use physgrad::policy::{Mlp, Policy, PolicyColumns};
+use physgrad::rng::{Purpose, Rng, stream};
+use physgrad::tasks::CartPole;
+use physgrad::{Adjoint, Batch, Field, Float, Flow, Rollout, Scalar, System, Task, Trainer, Training, Weights};
+use std::hint::black_box;
+use std::time::Instant;
+
+const ROUNDS: usize = 60;
+const BATCH: usize = 8;
+const WIDTH: usize = 100;
+
+fn main() {
+    let rounds = if std::env::args().any(|a| a == "--quick") { 3 } else { ROUNDS };
+    println!("cart-pole, 4 poles, widths {WIDTH}, {WIDTH}, mini-batches of {BATCH}; instructions: {:?}", Level::best());
+    fields::<f32>(rounds);
+    fields::<f64>(rounds);
+    shares(rounds);
+    epochs(rounds.min(15));
+}
+
+fn task_and_policy() -> (CartPole, Mlp) {
+    let task = CartPole::new(4);
+    let n = task.system.state_dim();
+    (task, Mlp::new([n, WIDTH, WIDTH, 1]))
+}
+
+/// Start states of one mini-batch.
+fn starts<F: Float>(task: &CartPole) -> Vec<F> {
+    let mut x = vec![0.0; BATCH * task.system.state_dim()];
+    for (sample, x) in x.chunks_exact_mut(task.system.state_dim()).enumerate() {
+        task.start(&mut stream(0, Purpose::Train, sample as u64), x);
+    }
+    x.into_iter().map(F::lift).collect()
+}
+
+/// Runs every job once per round, in turn; microseconds of each, round by round.
+fn rounds(rounds: usize, jobs: &mut [&mut dyn FnMut()]) -> Vec<Vec<f64>> {
+    let mut times = vec![Vec::new(); jobs.len()];
+    for round in 0..=rounds {
+        for (job, times) in jobs.iter_mut().zip(&mut times) {
+            let begin = Instant::now();
+            job();
+            // The first round warms up.
+            if round > 0 {
+                times.push(begin.elapsed().as_secs_f64() * 1e6);
+            }
+        }
+    }
+    times
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[sorted.len() / 2]
+}
+
+fn ratio(a: &[f64], b: &[f64]) -> f64 {
+    median(&a.iter().zip(b).map(|(a, b)| a / b).collect::<Vec<_>>())
+}
+
+/// Forward pass and gradient of every field.
+fn fields<F: Float>(count: usize) {
+    let (task, policy) = task_and_policy();
+    let weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Policy, 0));
+    let starts = starts::<F>(&task);
+    let mut forward_only = Rollout::new(&task, &policy, BATCH);
+    let mut forward = || {
+        forward_only.start(&starts);
+        forward_only.run(&task, &policy, &weights).expect("finite");
+    };
+    let gradient = |flows: Vec<Flow>| {
+        let mut batch = Batch::new(&task, &policy, BATCH, &flows, 1);
+        let (task, policy, weights, starts) = (&task, &policy, &weights, &starts);
+        move || {
+            batch.run(task, policy, weights, starts).expect("finite");
+            black_box(batch.gradients());
+        }
+    };
+    let fields = [Field::regular(), Field::modified(), Field::stopped(), Field::network(), Field::combined()];
+    let [mut r, mut m, mut s, mut n, mut c] = fields.map(|field| gradient(field.flows()));
+    let times = rounds(count * 5, &mut [&mut forward, &mut r, &mut m, &mut s, &mut n, &mut c]);
+    println!("\n{} gradient of one mini-batch, forward pass included, one thread", F::NAME);
+    for (name, time) in ["forward", "R", "M", "S", "N", "C"].iter().zip(&times) {
+        let (to_forward, to_r) = (ratio(time, &times[0]), ratio(time, &times[1]));
+        println!("  {name:<8} {:>7.0} us   {to_forward:.2} x forward   {to_r:.2} x R", median(time));
+    }
+}
+
+/// A policy that does nothing: what is left of a rollout is physics and moving numbers about.
+struct Nothing(usize);
+
+impl Policy for Nothing {
+    fn state_dim(&self) -> usize {
+        self.0
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn param_count(&self) -> usize {
+        1
+    }
+    fn init(&self, _: &mut Rng, theta: &mut [f64]) {
+        theta.fill(0.0);
+    }
+    fn act<T: Scalar>(&self, _: &[T], _: &[T], u: &mut [T]) {
+        u[0] = T::zero();
+    }
+    fn forward<F: Float>(&self, _: &[F], _: PolicyColumns, _: &[F], _: &mut [F], _: &mut [F]) {}
+    fn backward<F: Float>(&self, _: &[F], _: PolicyColumns, _: &[F], _: &[F], _: &[F], _: &mut [F], _: Option<&mut [F]>) {}
+}
+
+/// The parts of R's gradient, each alone at the shapes it has there, in single precision.
+fn shares(count: usize) {
+    let (task, policy) = task_and_policy();
+    let n = task.system.state_dim();
+    let steps = task.horizon;
+    let columns = BATCH * steps;
+    let weights = Weights::<f32>::init(&policy, &mut stream(0, Purpose::Policy, 0));
+    let starts = starts::<f32>(&task);
+    let level = Level::best();
+
+    let mut rollout = Rollout::new(&task, &policy, BATCH);
+    let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::REGULAR]);
+    let mut theta_bar = vec![0.0; policy.param_count()];
+    let mut whole = || {
+        rollout.start(&starts);
+        rollout.run(&task, &policy, &weights).expect("finite");
+        adjoint.run(&task, &policy, &weights, &rollout, 0.125).expect("finite");
+        adjoint.param_gradient(0, &policy, &weights, &rollout, 0..BATCH, &mut theta_bar);
+    };
+
+    // (rows, depth, columns, times) of the products of one gradient, padded as there.
+    let (pad_n, pad_w) = (16, 112);
+    let products = [
+        (pad_w, n + 1, BATCH, steps),
+        (pad_w, WIDTH + 1, BATCH, steps),
+        (pad_w, 1, columns, 1),
+        (pad_w, WIDTH, columns, 1),
+        (pad_n, WIDTH, columns, 1),
+        (pad_w, 64, n + 1, columns / 64),
+        (pad_w, 64, WIDTH + 1, columns / 64),
+        (pad_w, 64, 1, columns / 64),
+    ];
+    let a = vec![0.5f32; 112 * 1024];
+    let b = vec![0.25f32; 112 * 1024];
+    let mut c = vec![0.0f32; 112 * 1024];
+    let mut own = || {
+        for (rows, depth, cols, times) in products {
+            for _ in 0..times {
+                let (a, b, c) = (black_box(&a), black_box(&b), &mut c);
+                let p = Product { rows, depth, cols, a, lda: rows, b, b_row: 1, b_col: depth, c, ldc: rows, accumulate: false };
+                gemm::single::product(level, p);
+            }
+        }
+    };
+    let mut c_crate = vec![0.0f32; 112 * 1024];
+    let mut by_crate = || {
+        for (rows, depth, cols, times) in products {
+            let a = nalgebra::DMatrixView::from_slice(black_box(&a[..rows * depth]), rows, depth);
+            let b = nalgebra::DMatrixView::from_slice(black_box(&b[..depth * cols]), depth, cols);
+            let mut c = nalgebra::DMatrixViewMut::from_slice(&mut c_crate[..rows * cols], rows, cols);
+            for _ in 0..times {
+                c.gemm(1.0, &a, &b, 0.0);
+            }
+        }
+    };
+    let mut layer: Vec<f32> = (0..pad_w * BATCH).map(|i| (i % 64) as f32 / 16.0 - 2.0).collect();
+    let mut tanh = || {
+        let all = Strided { first: 0, step: pad_w, count: BATCH, len: pad_w };
+        for _ in 0..2 * steps {
+            elementwise::tanh(level, black_box(&mut layer), all);
+        }
+    };
+    let nothing = Nothing(n);
+    let none = Weights::<f32>::init(&nothing, &mut stream(0, Purpose::Policy, 0));
+    let mut bare = Rollout::new(&task, &nothing, BATCH);
+    let mut bare_adjoint = Adjoint::new(&nothing, &bare, &[Flow::REGULAR]);
+    let mut physics = || {
+        bare.start(&starts);
+        bare.run(&task, &nothing, &none).expect("finite");
+        bare_adjoint.run(&task, &nothing, &none, &bare, 0.125).expect("finite");
+    };
+
+    let times = rounds(count * 5, &mut [&mut whole, &mut own, &mut tanh, &mut physics, &mut by_crate]);
+    let part = |i: usize| ratio(&times[i], &times[0]);
+    let (products, tanh, physics) = (part(1), part(2), part(3));
+    println!("\nf32 gradient of R: {:.0} us, of which (each part alone, at the same shapes)", median(&times[0]));
+    println!("  matrix products        {:>4.0} %", 100.0 * products);
+    println!("  tanh of the layers     {:>4.0} %", 100.0 * tanh);
+    println!("  physics and its VJP    {:>4.0} %   with costs, and moving numbers between lanes and columns", 100.0 * physics);
+    println!("  the rest               {:>4.0} %", 100.0 * (1.0 - products - tanh - physics));
+    let slower = 1.0 + part(4) - products;
+    println!("  the same products by nalgebra take {:.2} x as long: the gradient would take {slower:.2} x", part(4) / products);
+}
+
+/// Whole epochs: 32 updates of 8, then 256 training and 256 test states.
+fn epochs(count: usize) {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    println!("\nf32 epoch: {} updates, evaluation of 256 + 256 states", 256 / BATCH);
+    let session = |field: Field, workers: usize| {
+        let (task, policy) = task_and_policy();
+        let training = Training { epochs: usize::MAX >> 32, workers, ..Training::default() };
+        let mut session = Trainer::new(task, policy).field(field).training(training).session().expect("valid settings");
+        move || {
+            session.epoch().expect("finite");
+        }
+    };
+    let [mut r1, mut c1] = [Field::regular(), Field::combined()].map(|field| session(field, 1));
+    let [mut r2, mut c2] = [Field::regular(), Field::combined()].map(|field| session(field, cores));
+    let times = rounds(count * 2, &mut [&mut r1, &mut c1, &mut r2, &mut c2]);
+    for (i, name) in [(0, "R, 1 thread"), (1, "C, 1 thread"), (2, "R, all cores"), (3, "C, all cores")] {
+        println!("  {name:<14} {:>6.1} ms", median(&times[i]) * 1e-3);
+    }
+    println!(
+        "  {cores} cores: {:.2} x for R, {:.2} x for C; C / R {:.2}",
+        ratio(&times[0], &times[2]),
+        ratio(&times[1], &times[3]),
+        ratio(&times[1], &times[0])
+    );
+}

@@ -1,0 +1,283 @@
+//! The words of the program are a contract: files, headers, messages, exit codes.
+
+use assert_cmd::Command;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+/// A training small enough for a test.
+const SMALL: [&str; 8] = [
+    "--set",
+    "training.train_samples=24",
+    "--set",
+    "training.test_samples=12",
+    "--set",
+    "policy.widths=[12, 8]",
+    "--set",
+    "horizon=25",
+];
+
+fn physgrad(args: &[&str]) -> Command {
+    let mut command = Command::cargo_bin("physgrad").expect("the program is built");
+    command.args(args);
+    command
+}
+
+/// `train cart_pole` with the small settings, into `out`.
+fn train(out: &Path, args: &[&str]) -> Command {
+    let mut command = physgrad(&["train", "cart_pole", "--out"]);
+    command.arg(out).args(SMALL).args(args);
+    command
+}
+
+fn error_of(command: &mut Command) -> String {
+    let output = command.output().expect("it runs");
+    assert!(!output.status.success(), "it should fail");
+    String::from_utf8(output.stderr).expect("text")
+}
+
+/// The columns of a CSV file by name.
+fn columns(path: &Path) -> BTreeMap<String, Vec<String>> {
+    let text = fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    let mut rows = text.lines().map(|line| line.split(',').map(String::from).collect::<Vec<_>>());
+    let header = rows.next().expect("a header");
+    let rows: Vec<_> = rows.collect();
+    header.into_iter().enumerate().map(|(i, name)| (name, rows.iter().map(|row| row[i].clone()).collect())).collect()
+}
+
+/// The metrics but for the time they took.
+fn numbers(out: &Path) -> BTreeMap<String, Vec<String>> {
+    let mut columns = columns(&out.join("metrics.csv"));
+    columns.remove("seconds").expect("a column");
+    columns
+}
+
+fn policy(out: &Path) -> Vec<u8> {
+    fs::read(out.join("policy.safetensors")).expect("a policy")
+}
+
+#[test]
+fn a_training_leaves_every_file() {
+    let dir = TempDir::new().expect("a folder");
+    let out = dir.path().join("deep/run");
+    train(&out, &["--epochs", "3", "--set", "system.poles=3"]).assert().success();
+    let metrics = fs::read_to_string(out.join("metrics.csv")).expect("metrics");
+    assert!(metrics.starts_with("epoch,loss,train_loss,test_loss,grad_norm,cosine,seconds"), "{metrics}");
+    assert_eq!(metrics.lines().count(), 4);
+    let metrics = columns(&out.join("metrics.csv"));
+    assert_eq!(metrics["epoch"], ["1", "2", "3"]);
+    assert!(metrics["seconds"].iter().all(|s| s.parse::<f64>().expect("a number") > 0.0));
+    assert!(metrics["cosine"].iter().all(|c| (-1.0..=1.0).contains(&c.parse::<f64>().expect("a number"))));
+
+    let settings: toml::Table = fs::read_to_string(out.join("run.toml")).expect("settings").parse().expect("TOML");
+    assert_eq!(settings["task"].as_str(), Some("cart_pole"));
+    assert_eq!(settings["physgrad"].as_str(), Some(env!("CARGO_PKG_VERSION")));
+    assert_eq!(settings["system"]["poles"].as_integer(), Some(3));
+    assert!(settings.contains_key("seed"));
+
+    let tensors = policy(&out);
+    let tensors = safetensors::SafeTensors::deserialize(&tensors).expect("safetensors");
+    assert_eq!(tensors.tensor("layer1.kernel").expect("a kernel").shape(), [8, 12]);
+    assert_eq!(tensors.tensor("layer3.bias").expect("a bias").shape(), [1]);
+
+    let trajectory = columns(&out.join("trajectory.csv"));
+    assert_eq!(trajectory["step"].len(), 4 * 26);
+    assert!(trajectory.contains_key("theta_3") && trajectory.contains_key("force"));
+    for picture in ["learning_curve.svg", "animation.svg"] {
+        let text = fs::read_to_string(out.join(picture)).expect(picture);
+        roxmltree::Document::parse(&text).expect("an SVG is XML");
+    }
+    assert!(fs::read_to_string(out.join("animation.svg")).expect("an animation").contains("<animate"));
+    assert!(out.join("checkpoint.bin").exists());
+}
+
+#[test]
+fn the_cosine_is_empty_where_there_is_one_gradient() {
+    let dir = TempDir::new().expect("a folder");
+    for field in ["R", "modified", "S", "network"] {
+        let out = dir.path().join(field);
+        train(&out, &["--epochs", "1", "--field", field]).assert().success();
+        assert_eq!(columns(&out.join("metrics.csv"))["cosine"], [""]);
+    }
+}
+
+#[test]
+fn same_seed_same_bytes_whatever_the_threads() {
+    let dir = TempDir::new().expect("a folder");
+    let run = |name: &str, args: &[&str]| {
+        let out = dir.path().join(name);
+        train(&out, &["--epochs", "2"]).args(args).assert().success();
+        (numbers(&out), policy(&out), fs::read(out.join("trajectory.csv")).expect("a trajectory"))
+    };
+    let one = run("one", &["--threads", "1"]);
+    assert!(run("two", &["--threads", "2"]) == one);
+    assert!(run("five", &["--threads", "5"]) == one);
+    assert!(run("seed", &["--threads", "1", "--seed", "1"]).1 != one.1);
+}
+
+#[test]
+fn a_resumed_run_is_an_uninterrupted_one() {
+    let dir = TempDir::new().expect("a folder");
+    let (whole, parts) = (dir.path().join("whole"), dir.path().join("parts"));
+    train(&whole, &["--epochs", "5"]).assert().success();
+    train(&parts, &["--epochs", "2"]).assert().success();
+    let mut resume = physgrad(&["train", "cart_pole", "--resume", "--epochs", "5", "--out"]);
+    resume.arg(&parts).assert().success();
+    assert_eq!(numbers(&parts), numbers(&whole));
+    assert!(policy(&parts) == policy(&whole));
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupt_finishes_the_epoch_saves_and_says_how_to_resume() {
+    let dir = TempDir::new().expect("a folder");
+    let out = dir.path().join("run");
+    let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
+    command.args(["train", "cart_pole", "--epochs", "1000000", "--out"]).arg(&out).args(SMALL);
+    command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::null());
+    let child = command.spawn().expect("it runs");
+    let rows = || fs::read_to_string(out.join("metrics.csv")).map_or(0, |text| text.lines().count());
+    while rows() < 3 {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let killed = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+    assert!(killed.expect("kill runs").success());
+    let output = child.wait_with_output().expect("it ends");
+    assert!(output.status.success());
+    let text = String::from_utf8(output.stdout).expect("text");
+    assert!(text.contains("--resume"), "{text}");
+    let done = rows() - 1;
+    let mut resume = physgrad(&["train", "cart_pole", "--resume", "--epochs", &(done + 2).to_string(), "--out"]);
+    resume.arg(&out).assert().success();
+    assert_eq!(rows() - 1, done + 2);
+}
+
+#[test]
+fn a_run_that_is_there_is_not_overwritten() {
+    let dir = TempDir::new().expect("a folder");
+    train(dir.path(), &["--epochs", "1"]).assert().success();
+    let first = policy(dir.path());
+    train(dir.path(), &["--epochs", "1", "--seed", "9"]).assert().success();
+    assert!(policy(&dir.path().join("previous-1")) == first);
+    assert!(policy(dir.path()) != first);
+}
+
+#[test]
+fn mistakes_are_named_with_what_is_allowed() {
+    let dir = TempDir::new().expect("a folder");
+    let out = dir.path().join("run");
+    for (set, parts) in [
+        ("training.lerning_rate=1", &["training.lerning_rate", "learning_rate", "batch"][..]),
+        ("training.learning_rate=fast", &["training.learning_rate", "fast"]),
+        ("training.learning_rate=-1", &["training.learning_rate", "-1", "positive"]),
+        ("training.clip=big", &["training.clip", "big", "none", "value", "norm"]),
+        ("system.poles=0", &["system.poles", "0", "1 to"]),
+        ("system.dt=nan", &["system.dt", "NaN", "positive"]),
+        ("policy.widths=[8, 0]", &["policy.widths", "0"]),
+        ("policy.widths=wide", &["policy.widths", "wide"]),
+        ("system=4", &["system", "system.poles"]),
+        ("horizon=0", &["horizon", "0", "1 or more"]),
+        ("nonsense", &["nonsense", "KEY=VALUE"]),
+        ("task=other", &["task", "other"]),
+    ] {
+        let text = error_of(&mut train(&out, &["--set", set]));
+        for part in parts {
+            assert!(text.contains(part), "{set}: {text}");
+        }
+        assert!(!out.exists(), "{set}: nothing is written");
+    }
+    let text = error_of(&mut train(&out, &["--field", "sideways"]));
+    assert!(text.contains("sideways") && text.contains("combined"), "{text}");
+    let text = error_of(&mut physgrad(&["train", "cart_pool"]));
+    assert!(text.contains("cart_pool") && text.contains("cart_pole"), "{text}");
+}
+
+#[test]
+fn an_unwritable_folder_is_an_error_before_training() {
+    let dir = TempDir::new().expect("a folder");
+    let file = dir.path().join("file");
+    fs::write(&file, "").expect("a file");
+    let text = error_of(&mut train(&file.join("run"), &["--epochs", "100000"]));
+    assert!(text.contains("cannot be written to") && text.contains("--out"), "{text}");
+}
+
+#[test]
+fn what_cannot_be_resumed_is_refused_with_the_reason() {
+    let dir = TempDir::new().expect("a folder");
+    let resume = |args: &[&str]| {
+        let mut command = physgrad(&["train", "cart_pole", "--resume", "--epochs", "3", "--out"]);
+        command.arg(dir.path()).args(args);
+        command
+    };
+    assert!(error_of(&mut resume(&[])).contains("no run to resume"));
+    train(dir.path(), &["--epochs", "1"]).assert().success();
+    let before = policy(dir.path());
+
+    let text = error_of(&mut resume(&["--set", "system.poles=4"]));
+    assert!(text.contains("keeps its settings") && text.contains("poles = 4"), "{text}");
+
+    // A checkpoint of another shape, put in place of its own.
+    let other = dir.path().join("other");
+    train(&other, &["--epochs", "1", "--set", "policy.widths=[3]"]).assert().success();
+    let own = fs::read(dir.path().join("checkpoint.bin")).expect("a checkpoint");
+    fs::copy(other.join("checkpoint.bin"), dir.path().join("checkpoint.bin")).expect("a copy");
+    let text = error_of(&mut resume(&[]));
+    assert!(text.contains("another run") && text.contains("checkpoint.bin"), "{text}");
+    fs::write(dir.path().join("checkpoint.bin"), &own[..own.len() / 2]).expect("half a checkpoint");
+    assert!(error_of(&mut resume(&[])).contains("damaged"));
+    fs::write(dir.path().join("checkpoint.bin"), own).expect("a checkpoint");
+
+    let settings = fs::read_to_string(dir.path().join("run.toml")).expect("settings");
+    let of = |version: &str| {
+        settings.replace(&format!("physgrad = \"{}\"", env!("CARGO_PKG_VERSION")), &format!("physgrad = \"{version}\""))
+    };
+    fs::write(dir.path().join("run.toml"), of("99.0.0")).expect("settings");
+    assert!(error_of(&mut resume(&[])).contains("99.0.0"));
+    fs::write(dir.path().join("run.toml"), &settings).expect("settings");
+    assert!(policy(dir.path()) == before);
+    resume(&[]).assert().success();
+}
+
+#[test]
+fn a_run_that_diverges_says_where_and_keeps_what_it_has() {
+    let dir = TempDir::new().expect("a folder");
+    let text = error_of(&mut train(dir.path(), &["--epochs", "50", "--set", "system.gravity=1e38", "--set", "system.dt=1e5"]));
+    for part in ["forward pass", "step", "sample", "component", "in a row"] {
+        assert!(text.contains(part), "{text}");
+    }
+    assert!(dir.path().join("policy.safetensors").exists());
+}
+
+#[test]
+fn a_comparison_has_a_row_a_run_and_a_picture() {
+    let dir = TempDir::new().expect("a folder");
+    let mut compare = physgrad(&["compare", "cart_pole", "--fields", "R,combined", "--seeds", "2", "--epochs", "2", "--out"]);
+    compare.arg(dir.path()).args(SMALL).assert().success();
+    let text = fs::read_to_string(dir.path().join("summary.csv")).expect("a summary");
+    assert!(text.starts_with("field,seed,final_train_loss,final_test_loss,best_test_loss,seconds\n"), "{text}");
+    let summary = columns(&dir.path().join("summary.csv"));
+    assert_eq!(summary["field"], ["R", "R", "C", "C"]);
+    assert_eq!(summary["seed"], ["0", "1", "0", "1"]);
+    let curves = fs::read_to_string(dir.path().join("curves.svg")).expect("a picture");
+    roxmltree::Document::parse(&curves).expect("an SVG is XML");
+
+    // The same run alone, on several threads.
+    let alone = dir.path().join("alone");
+    train(&alone, &["--epochs", "2", "--field", "C", "--seed", "1", "--threads", "2"]).assert().success();
+    assert_eq!(columns(&alone.join("metrics.csv"))["test_loss"][1], summary["final_test_loss"][3]);
+}
+
+#[test]
+fn checks_pass_and_say_so() {
+    let output = physgrad(&["check", "cart_pole"]).assert().success();
+    let text = String::from_utf8(output.get_output().stdout.clone()).expect("text");
+    assert!(text.contains("rollout") && text.contains("ok") && !text.contains("FAILED"), "{text}");
+}
+
+#[test]
+fn tasks_are_listed_with_their_settings() {
+    let output = physgrad(&["tasks"]).assert().success();
+    let text = String::from_utf8(output.get_output().stdout.clone()).expect("text");
+    assert!(text.contains("cart_pole") && text.contains("poles") && text.contains("learning_rate"), "{text}");
+}
