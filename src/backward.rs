@@ -9,9 +9,10 @@
 //! g ← Σ_t (∂N/∂θ)ᵀ h_t                                 after the loop, in large products
 //! ```
 
+use crate::divergence::Divergence;
 use crate::kernels::{Vectorized, dispatch_narrow};
 use crate::policy::{Policy, PolicyColumns, Weights};
-use crate::rollout::{Divergence, Lane, Rollout, WIDTH, find_non_finite, gather};
+use crate::rollout::{Lane, Rollout, WIDTH, find_non_finite, gather};
 use crate::scalar::{Columns, Float, Real, Scalar};
 use crate::system::System;
 use crate::task::Task;

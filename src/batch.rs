@@ -4,8 +4,9 @@
 //! summed over fixed groups of samples, and groups are summed in their order.
 
 use crate::backward::{Adjoint, Flow};
+use crate::divergence::Divergence;
 use crate::policy::{Policy, Weights};
-use crate::rollout::{Divergence, Rollout};
+use crate::rollout::Rollout;
 use crate::scalar::Float;
 use crate::system::System;
 use crate::task::Task;

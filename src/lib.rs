@@ -51,6 +51,7 @@
 mod backward;
 mod batch;
 pub mod check;
+mod divergence;
 mod field;
 mod forward_mode;
 #[doc(hidden)]
@@ -69,10 +70,11 @@ mod train;
 
 pub use backward::{Adjoint, Flow};
 pub use batch::{Batch, Evaluation};
+pub use divergence::Divergence;
 pub use field::{Compose, Field, SignAgreement, UnknownField};
 pub use optim::{Clip, Optimizer, Rule};
 pub use policy::{Policy, Weights};
-pub use rollout::{Divergence, Rollout};
+pub use rollout::Rollout;
 pub use scalar::{Columns, Cotangent, Float, Lanes, Real, Scalar, Tangents};
 pub use system::System;
 pub use task::Task;

@@ -22,7 +22,7 @@ use std::ops::Range;
 /// They work on *columns*: one column is one evaluation, of one sample at one step. Of a rollout of `T` steps, sample
 /// `b` at step `t` is column `b·T + t`. `x` holds `state_dim` numbers per column, `u` and `u_bar` hold `control_dim`.
 /// Which columns a call works on is said by [`PolicyColumns`].
-pub trait Policy: Sync {
+pub trait Policy: Send + Sync {
     /// Number of state components it sees.
     fn state_dim(&self) -> usize;
     /// Number of control components it sets.

@@ -14,7 +14,7 @@ use smallvec::SmallVec;
 ///
 /// Shapes everywhere: `x`, `next`, `x_bar`, `next_bar` have [`state_dim`](System::state_dim) entries, `u` and `u_bar`
 /// have [`control_dim`](System::control_dim).
-pub trait System: Sync {
+pub trait System: Send + Sync {
     /// Number of state components.
     fn state_dim(&self) -> usize;
     /// Number of control components.

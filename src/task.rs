@@ -9,7 +9,7 @@ use crate::system::System;
 ///
 /// The loss of one sample is `terminal_cost(x_T) + Σ_t stage_cost(x_{t+1}, u_t)` for `t = 0 .. T-1`; the loss of a
 /// batch is the mean over its samples.
-pub trait Task: Sync {
+pub trait Task: Send + Sync {
     /// The physics.
     type System: System;
 

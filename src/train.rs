@@ -1,24 +1,21 @@
-//! [`Trainer`]: epochs, mini-batches, records. Thin: every step is a call that a user can make alone.
+//! [`Trainer`]: what is trained, and how. Thin: every step of it is a call that a user can make alone.
 
 mod checkpoint;
+mod record;
+mod session;
 
 pub use checkpoint::CheckpointError;
+pub use record::{Record, Skip};
+pub use session::Session;
 
-use crate::backward::Flow;
-use crate::batch::{Batch, Evaluation};
 use crate::field::{Compose, Field, SignAgreement};
-use crate::kernels::{Level, elementwise};
-use crate::optim::{Clip, Optimizer, Rule};
+use crate::optim::{Clip, Rule};
 use crate::policy::{Policy, Weights};
 use crate::rng::{Purpose, stream};
-use crate::rollout::Divergence;
 use crate::scalar::Float;
 use crate::system::System;
 use crate::task::Task;
-use rand::seq::SliceRandom;
-use serde::{Deserialize, Serialize};
 use std::marker::PhantomData;
-use std::time::Instant;
 
 /// How to train. The defaults are the paper's.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,40 +60,6 @@ impl Default for Training {
             workers: 1,
         }
     }
-}
-
-/// What happened in one epoch.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Record {
-    /// Number of the epoch, from 1.
-    pub epoch: usize,
-    /// Mean over the updates of the batch loss before each update.
-    pub loss: f64,
-    /// Loss of the whole training set after the epoch; NaN if it diverged.
-    pub train_loss: f64,
-    /// Loss of the whole test set after the epoch; NaN if it diverged.
-    pub test_loss: f64,
-    /// Mean over the updates of the length of the field, before clipping.
-    pub grad_norm: f64,
-    /// Mean over the updates of the cosine between the two gradients of a composed field.
-    pub cosine: Option<f64>,
-    /// Mean over the updates of the share of components that a composition leaves non-zero.
-    pub kept: Option<f64>,
-    /// Updates that were not taken because a number was not finite.
-    pub skipped: usize,
-    /// Wall time of the epoch, updates and evaluation, in seconds.
-    pub seconds: f64,
-}
-
-/// An update that was not taken.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Skip {
-    /// Number of the epoch, from 1.
-    pub epoch: usize,
-    /// Number of the update in its epoch, from 0.
-    pub update: usize,
-    /// Where a number was not finite; samples are counted in the mini-batch.
-    pub divergence: Divergence,
 }
 
 /// Why a training stopped.
@@ -189,7 +152,7 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Trainer<T, P, F, C> {
         while !session.is_done() {
             session.epoch()?;
         }
-        Ok(Report { weights: session.weights, records: session.records })
+        Ok(session.into_report())
     }
 
     /// Draws data and parameters and sizes every workspace; epochs are then run one by one.
@@ -246,206 +209,4 @@ pub struct Report<F> {
     pub weights: Weights<F>,
     /// One record an epoch.
     pub records: Vec<Record>,
-}
-
-/// A training under way.
-#[derive(Debug)]
-pub struct Session<T, P, F: Float, C = SignAgreement> {
-    task: T,
-    policy: P,
-    field: Field<C>,
-    training: Training,
-    weights: Weights<F>,
-    optimizer: Optimizer<F>,
-    train: Vec<F>,
-    test: Vec<F>,
-    order: Vec<usize>,
-    records: Vec<Record>,
-    skips: Vec<Skip>,
-    /// Skipped updates up to now, in a row.
-    skipped_in_a_row: usize,
-    flows: Vec<Flow>,
-    batch: Batch<F>,
-    evaluation: Evaluation<F>,
-    starts: Vec<F>,
-    composed: Vec<F>,
-}
-
-impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
-    fn new(task: T, policy: P, field: Field<C>, training: Training, weights: Weights<F>, train: Vec<F>, test: Vec<F>) -> Self {
-        let params = policy.param_count();
-        let n = task.system().state_dim();
-        let flows = field.flows();
-        Self {
-            batch: Batch::new(&task, &policy, training.batch.min(train.len() / n), &flows, training.workers),
-            flows,
-            evaluation: Evaluation::new(&task, &policy, training.workers),
-            optimizer: Optimizer::new(training.rule, training.learning_rate, params),
-            order: (0..train.len() / n).collect(),
-            starts: Vec::with_capacity(training.batch * n),
-            composed: vec![F::zero(); params],
-            // Room for all of them, unless "for ever" was meant.
-            records: Vec::with_capacity(training.epochs.min(100_000)),
-            skips: Vec::new(),
-            skipped_in_a_row: 0,
-            task,
-            policy,
-            field,
-            training,
-            weights,
-            train,
-            test,
-        }
-    }
-
-    /// Whether all epochs are done.
-    pub fn is_done(&self) -> bool {
-        self.records.len() >= self.training.epochs
-    }
-
-    /// The task.
-    pub fn task(&self) -> &T {
-        &self.task
-    }
-
-    /// The policy.
-    pub fn policy(&self) -> &P {
-        &self.policy
-    }
-
-    /// The parameters as they are now.
-    pub fn weights(&self) -> &Weights<F> {
-        &self.weights
-    }
-
-    /// One record per epoch done.
-    pub fn records(&self) -> &[Record] {
-        &self.records
-    }
-
-    /// The test start states, `state_dim` numbers per sample.
-    pub fn test_starts(&self) -> &[F] {
-        &self.test
-    }
-
-    /// The updates skipped in the last epoch.
-    pub fn skips(&self) -> &[Skip] {
-        &self.skips
-    }
-
-    /// Runs one epoch: all updates, then the losses of both data sets.
-    ///
-    /// # Errors
-    /// [`TrainError::Diverged`] after too many skipped updates in a row. The parameters are those before them.
-    pub fn epoch(&mut self) -> Result<&Record, TrainError> {
-        let begin = Instant::now();
-        let epoch = self.records.len() + 1;
-        self.skips.clear();
-        if self.training.shuffle {
-            // From the same start in every epoch, so that a resumed run has the same order.
-            self.order.sort_unstable();
-            self.order.shuffle(&mut stream(self.training.seed, Purpose::Shuffle, epoch as u64));
-        }
-        let mut means = Means::default();
-        for update in 0..self.order.len().div_ceil(self.training.batch) {
-            match self.update(update) {
-                Ok(step) => {
-                    means.add(&step);
-                    self.skipped_in_a_row = 0;
-                }
-                Err(divergence) => {
-                    let skip = Skip { epoch, update, divergence };
-                    self.skips.push(skip);
-                    self.skipped_in_a_row += 1;
-                    if self.skipped_in_a_row > self.training.max_skipped {
-                        return Err(TrainError::Diverged { count: self.skipped_in_a_row, last: skip });
-                    }
-                }
-            }
-        }
-        let mut loss = |starts: &[F]| self.evaluation.run(&self.task, &self.policy, &self.weights, starts).unwrap_or(f64::NAN);
-        let (train_loss, test_loss) = (loss(&self.train), loss(&self.test));
-        let seconds = begin.elapsed().as_secs_f64();
-        self.records.push(means.record(epoch, train_loss, test_loss, self.skips.len(), seconds));
-        Ok(&self.records[self.records.len() - 1])
-    }
-
-    /// One update, on mini-batch number `index` of the epoch.
-    fn update(&mut self, index: usize) -> Result<Step, Divergence> {
-        let n = self.task.system().state_dim();
-        let batch = self.training.batch;
-        self.starts.clear();
-        for &sample in self.order.chunks(batch).nth(index).unwrap_or(&[]) {
-            self.starts.extend_from_slice(&self.train[sample * n..][..n]);
-        }
-        let loss = self.batch.run(&self.task, &self.policy, &self.weights, &self.starts)?;
-        let gradients = self.batch.gradients();
-        let level = Level::best();
-        let (first, second) = (&gradients[0], &gradients[gradients.len() - 1]);
-        let (dot, first_square, second_square) = elementwise::moments(level, first, second);
-        for (&flow, (gradient, square)) in self.flows.iter().zip([(first, first_square), (second, second_square)]) {
-            if !square.is_finite() {
-                let parameter = gradient.iter().position(|g| !g.as_().is_finite()).unwrap_or(0);
-                return Err(Divergence::Gradient { flow, parameter });
-            }
-        }
-        self.field.compose(gradients, &mut self.composed);
-        let composed = gradients.len() > 1;
-        let norm =
-            if composed { elementwise::moments(level, &self.composed, &self.composed).0.sqrt() } else { first_square.sqrt() };
-        let zero = F::zero();
-        let step = Step {
-            loss,
-            norm,
-            cosine: composed.then(|| if dot == 0.0 { 0.0 } else { dot / (first_square.sqrt() * second_square.sqrt()) }),
-            kept: composed.then(|| self.composed.iter().filter(|&&g| g != zero).count() as f64 / self.composed.len() as f64),
-        };
-        self.training.clip.apply(&mut self.composed, norm);
-        self.weights.update(&self.policy, |theta| self.optimizer.step(theta, &self.composed));
-        Ok(step)
-    }
-}
-
-/// What one update tells.
-struct Step {
-    loss: f64,
-    norm: f64,
-    cosine: Option<f64>,
-    kept: Option<f64>,
-}
-
-/// Sums over the updates of an epoch.
-#[derive(Default)]
-struct Means {
-    updates: usize,
-    loss: f64,
-    norm: f64,
-    cosine: Option<f64>,
-    kept: Option<f64>,
-}
-
-impl Means {
-    fn add(&mut self, step: &Step) {
-        self.updates += 1;
-        self.loss += step.loss;
-        self.norm += step.norm;
-        self.cosine = step.cosine.map(|c| c + self.cosine.unwrap_or(0.0));
-        self.kept = step.kept.map(|k| k + self.kept.unwrap_or(0.0));
-    }
-
-    fn record(&self, epoch: usize, train_loss: f64, test_loss: f64, skipped: usize, seconds: f64) -> Record {
-        // NaN if there was no update at all.
-        let mean = |sum: f64| sum / self.updates as f64;
-        Record {
-            epoch,
-            loss: mean(self.loss),
-            train_loss,
-            test_loss,
-            grad_norm: mean(self.norm),
-            cosine: self.cosine.map(mean),
-            kept: self.kept.map(mean),
-            skipped,
-            seconds,
-        }
-    }
 }

@@ -1,0 +1,82 @@
+//! What one epoch tells, and the updates that were not taken.
+
+use crate::divergence::Divergence;
+use serde::{Deserialize, Serialize};
+
+/// What happened in one epoch.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// Number of the epoch, from 1.
+    pub epoch: usize,
+    /// Mean over the updates of the batch loss before each update.
+    pub loss: f64,
+    /// Loss of the whole training set after the epoch; NaN if it diverged.
+    pub train_loss: f64,
+    /// Loss of the whole test set after the epoch; NaN if it diverged.
+    pub test_loss: f64,
+    /// Mean over the updates of the length of the field, before clipping.
+    pub grad_norm: f64,
+    /// Mean over the updates of the cosine between the two gradients of a composed field.
+    pub cosine: Option<f64>,
+    /// Mean over the updates of the share of components that a composition leaves non-zero.
+    pub kept: Option<f64>,
+    /// Updates that were not taken because a number was not finite.
+    pub skipped: usize,
+    /// Wall time of the epoch, updates and evaluation, in seconds.
+    pub seconds: f64,
+}
+
+/// An update that was not taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Skip {
+    /// Number of the epoch, from 1.
+    pub epoch: usize,
+    /// Number of the update in its epoch, from 0.
+    pub update: usize,
+    /// Where a number was not finite; samples are counted in the mini-batch.
+    pub divergence: Divergence,
+}
+
+/// What one update tells.
+pub(super) struct Step {
+    pub loss: f64,
+    pub norm: f64,
+    pub cosine: Option<f64>,
+    pub kept: Option<f64>,
+}
+
+/// Sums over the updates of an epoch.
+#[derive(Default)]
+pub(super) struct Means {
+    updates: usize,
+    loss: f64,
+    norm: f64,
+    cosine: Option<f64>,
+    kept: Option<f64>,
+}
+
+impl Means {
+    pub fn add(&mut self, step: &Step) {
+        self.updates += 1;
+        self.loss += step.loss;
+        self.norm += step.norm;
+        self.cosine = step.cosine.map(|c| c + self.cosine.unwrap_or(0.0));
+        self.kept = step.kept.map(|k| k + self.kept.unwrap_or(0.0));
+    }
+
+    pub fn record(&self, epoch: usize, train_loss: f64, test_loss: f64, skipped: usize, seconds: f64) -> Record {
+        // NaN if there was no update at all.
+        let mean = |sum: f64| sum / self.updates as f64;
+        Record {
+            epoch,
+            loss: mean(self.loss),
+            train_loss,
+            test_loss,
+            grad_norm: mean(self.norm),
+            cosine: self.cosine.map(mean),
+            kept: self.kept.map(mean),
+            skipped,
+            seconds,
+        }
+    }
+}
