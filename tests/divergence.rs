@@ -105,7 +105,7 @@ fn the_message_says_where() {
 fn evaluation_names_the_sample_of_the_whole_set() {
     let (task, policy) = (Faulty(Fault::State), Linear::with_bias(3, 1));
     let weights = Weights::new(&policy, vec![0.1, 0.2, -0.05, 0.3]);
-    let mut many = vec![0.1, 0.3, 0.0].repeat(100);
+    let mut many = [0.1, 0.3, 0.0].repeat(100);
     many[71 * 3] = 0.9;
     for workers in [1, 3] {
         let found = Evaluation::new(&task, &policy, workers).run(&task, &policy, &weights, &many);

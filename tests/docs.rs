@@ -1,0 +1,9 @@
+//! The front page shows what is compiled, run and checked.
+
+#[test]
+fn the_readme_shows_the_pendulum_example_as_it_is() {
+    let readme = include_str!("../README.md");
+    let example = include_str!("../examples/pendulum.rs");
+    assert!(readme.contains(&format!("```rust\n{example}```")), "README.md and examples/pendulum.rs differ");
+    assert!(example.lines().count() < 40, "a newcomer's file has fewer than 40 lines");
+}
