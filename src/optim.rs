@@ -205,3 +205,77 @@ impl<F: Float> Vectorized for Step<'_, F> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// θ after each of two steps from 1 against the gradients 0.5 and -2.
+    fn two_steps(rule: &str) -> [f64; 2] {
+        let mut optimizer = Optimizer::<f64>::new(Rule::named(rule).expect(rule), 0.1, 1);
+        let mut theta = [1.0];
+        [0.5, -2.0].map(|gradient| {
+            optimizer.step(&mut theta, &[gradient]);
+            theta[0]
+        })
+    }
+
+    /// The formulas of Keras 2.15, written out for two steps.
+    #[test]
+    fn every_rule_takes_the_steps_of_its_formula() {
+        let epsilon = 1e-7;
+        let expected = |rule: &str| -> [f64; 2] {
+            match rule {
+                "adam" => {
+                    let (m1, v1) = (0.1 * 0.5, 0.001 * 0.25);
+                    let first = 1.0 - 0.1 * (1.0f64 - 0.999).sqrt() / (1.0 - 0.9) * m1 / (f64::sqrt(v1) + epsilon);
+                    let (m2, v2) = (0.9 * m1 - 0.1 * 2.0, 0.999 * v1 + 0.001 * 4.0);
+                    let rate = 0.1 * (1.0f64 - 0.999 * 0.999).sqrt() / (1.0 - 0.81);
+                    [first, first - rate * m2 / (f64::sqrt(v2) + epsilon)]
+                }
+                "sgd" => [0.95, 1.15],
+                "momentum" => [0.95, 0.95 + (0.9 * -0.05 + 0.2)],
+                "rmsprop" => {
+                    let (v1, v2): (f64, f64) = (0.1 * 0.25, 0.9 * 0.1 * 0.25 + 0.1 * 4.0);
+                    let first = 1.0 - 0.1 * 0.5 / (v1 + epsilon).sqrt();
+                    [first, first + 0.1 * 2.0 / (v2 + epsilon).sqrt()]
+                }
+                "adagrad" => {
+                    let first = 1.0 - 0.1 * 0.5 / (0.1 + 0.25 + epsilon).sqrt();
+                    [first, first + 0.1 * 2.0 / (0.1 + 0.25 + 4.0 + epsilon).sqrt()]
+                }
+                "adadelta" => {
+                    let g1 = 0.05 * 0.25;
+                    let d1 = 0.5 * epsilon.sqrt() / (g1 + epsilon).sqrt();
+                    let (x1, g2) = (0.05 * d1 * d1, 0.95 * g1 + 0.05 * 4.0);
+                    let first = 1.0 - 0.1 * d1;
+                    [first, first + 0.1 * 2.0 * (x1 + epsilon).sqrt() / (g2 + epsilon).sqrt()]
+                }
+                other => panic!("no formula for {other}"),
+            }
+        };
+        for rule in Rule::NAMES {
+            for (step, (got, expected)) in two_steps(rule).into_iter().zip(expected(rule)).enumerate() {
+                approx::assert_relative_eq!(got, expected, max_relative = 1e-14);
+                assert!(got != 1.0, "{rule} does nothing in step {step}");
+            }
+        }
+    }
+
+    #[test]
+    fn clipping_limits_and_leaves_the_rest_alone() {
+        let clipped = |clip: Clip| {
+            let mut g = [3.0f64, -4.0, 0.5];
+            let norm = g.iter().map(|g| g * g).sum::<f64>().sqrt();
+            clip.apply(&mut g, norm);
+            g
+        };
+        let norm = (9.0f64 + 16.0 + 0.25).sqrt();
+        assert_eq!(clipped(Clip::None), [3.0, -4.0, 0.5]);
+        assert_eq!(clipped(Clip::Value(1.0)), [1.0, -1.0, 0.5]);
+        assert_eq!(clipped(Clip::Norm(10.0)), [3.0, -4.0, 0.5]);
+        for (got, whole) in clipped(Clip::Norm(1.0)).into_iter().zip([3.0, -4.0, 0.5]) {
+            approx::assert_relative_eq!(got, whole / norm, max_relative = 1e-15);
+        }
+    }
+}
