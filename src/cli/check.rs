@@ -1,12 +1,12 @@
 //! `physgrad check`: the gradient checks of the library, as a table.
 
-use super::scene::{NAMES, Scene, with_scene};
+use super::scene::{NAMES, Network, Scene, with_scene};
 use super::settings::Settings;
 use anyhow::{Result, bail};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use physgrad::check::{self, Mismatch, Passed};
-use physgrad::policy::{Linear, Mlp};
+use physgrad::policy::Linear;
 use physgrad::{Flow, System};
 
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
@@ -37,14 +37,13 @@ fn check_scene<S: Scene>(results: &mut Results) -> Result<()> {
     for (name, task) in S::variants() {
         let system = task.system();
         let (n, m) = (system.state_dim(), system.control_dim());
-        let widths = &defaults.policy.widths;
-        let mlp = Mlp::new([&[n], &widths[..], &[m]].concat());
+        let network = defaults.policy.build(n, m);
         let linear = Linear::with_bias(n, m);
         results.add::<S>(&format!("{name}: system"), check::try_system(system));
-        results.add::<S>(&format!("{name}: MLP {widths:?}"), check::try_policy(&mlp));
+        results.add::<S>(&format!("{name}: network"), check::try_policy(&network));
         results.add::<S>(&format!("{name}: linear policy"), check::try_policy(&linear));
         for flow in Flow::ALL {
-            results.add::<S>(&format!("{name}: rollout, MLP, {flow}"), check::try_flow(&task, &mlp, flow));
+            results.add::<S>(&format!("{name}: rollout, network, {flow}"), check::try_flow(&task, &network, flow));
             results.add::<S>(&format!("{name}: rollout, linear, {flow}"), check::try_flow(&task, &linear, flow));
         }
     }

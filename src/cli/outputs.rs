@@ -1,9 +1,8 @@
 //! The files a run leaves: metrics, policy, learning curve, trajectories.
 
 use super::folder::{Folder, METRICS};
-use super::scene::Scene;
+use super::scene::{PolicyOf, Scene};
 use anyhow::{Context, Result};
-use physgrad::policy::Mlp;
 use physgrad::{Divergence, Float, Policy, Record, Rollout, Session, System, report};
 use safetensors::tensor::{Dtype, TensorView};
 use std::collections::HashMap;
@@ -67,7 +66,7 @@ pub fn learning_curve(title: &str, records: &[Record]) -> String {
 }
 
 /// The parameters as named tensors, for other programs.
-pub fn safetensors<F: Float>(task: &str, policy: &Mlp, theta: &[F]) -> Result<Vec<u8>> {
+pub fn safetensors<F: Float>(about: String, policy: &impl Policy, theta: &[F]) -> Result<Vec<u8>> {
     let bytes: Vec<u8> = theta.iter().flat_map(|t| t.to_le_bytes().as_ref().to_vec()).collect();
     let dtype = if F::NAME == "f32" { Dtype::F32 } else { Dtype::F64 };
     let width = size_of::<F>();
@@ -77,11 +76,6 @@ pub fn safetensors<F: Float>(task: &str, policy: &Mlp, theta: &[F]) -> Result<Ve
     });
     let views: Vec<_> = views.collect::<Result<_, safetensors::SafeTensorError>>()?;
     // One entry: a map of several would be written in another order every time.
-    let about = format!(
-        "{task}, physgrad {}: tanh MLP of widths {:?}, kernels (inputs × outputs)",
-        env!("CARGO_PKG_VERSION"),
-        policy.widths()
-    );
     let about = HashMap::from([("about".to_owned(), about)]);
     Ok(safetensors::serialize(views, Some(about))?)
 }
@@ -93,7 +87,7 @@ pub struct Trajectory {
 }
 
 /// The first few test rollouts under the session's policy.
-pub fn rollouts<S: Scene, F: Float>(session: &Session<S, Mlp, F>) -> Vec<Trajectory> {
+pub fn rollouts<S: Scene, F: Float>(session: &Session<S, PolicyOf<S>, F>) -> Vec<Trajectory> {
     let (task, starts) = (session.task(), session.test_starts());
     let (n, m) = (task.system().state_dim(), task.system().control_dim());
     let samples = ROLLOUTS.min(starts.len() / n);

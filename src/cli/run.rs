@@ -2,10 +2,9 @@
 
 use super::folder::{CHECKPOINT, Folder, SETTINGS};
 use super::outputs;
-use super::scene::Scene;
+use super::scene::{Network, PolicyOf, Scene};
 use super::settings::{Precision, Settings};
 use anyhow::{Context, Result};
-use physgrad::policy::Mlp;
 use physgrad::{Float, Record, Session, Skip, System, Trainer};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -93,19 +92,16 @@ fn run_in<S: Scene, F: Float>(
     Ok(Finished { records: session.records().to_vec(), interrupted: !session.is_done() })
 }
 
-/// The network from all state components to all controls.
-pub fn policy<S: Scene>(settings: &Settings<S>, task: &S) -> Mlp {
-    let system = task.system();
-    let mut widths = vec![system.state_dim()];
-    widths.extend(&settings.policy.widths);
-    widths.push(system.control_dim());
-    Mlp::new(widths).bias(settings.policy.bias).zero_last(settings.policy.zero_last)
+/// The policy from all state components to all controls.
+fn policy<S: Scene>(settings: &Settings<S>, task: &S) -> PolicyOf<S> {
+    settings.policy.build(task.system().state_dim(), task.system().control_dim())
 }
 
 /// The files that one looks at or uses elsewhere.
-fn leave<S: Scene, F: Float>(folder: &Folder, settings: &Settings<S>, session: &Session<S, Mlp, F>) -> Result<()> {
+fn leave<S: Scene, F: Float>(folder: &Folder, settings: &Settings<S>, session: &Session<S, PolicyOf<S>, F>) -> Result<()> {
     let title = format!("{}, field {}, seed {}", S::NAME, settings.field.0, settings.seed);
-    folder.write("policy.safetensors", outputs::safetensors(S::NAME, session.policy(), session.weights().theta())?)?;
+    let about = format!("physgrad {}, {}, policy: {:?}", settings.physgrad, S::NAME, settings.policy);
+    folder.write("policy.safetensors", outputs::safetensors(about, session.policy(), session.weights().theta())?)?;
     folder.write("learning_curve.svg", outputs::learning_curve(&title, session.records()))?;
     let rollouts = outputs::rollouts(session);
     folder.write("trajectory.csv", outputs::trajectories(session.task(), &rollouts)?)?;

@@ -1,10 +1,11 @@
 //! What the program knows of a task beyond its physics: names, defaults, limits, a picture.
 
-use super::settings::positive;
+mod cart_pole;
+
 use anyhow::{Result, bail};
 use physgrad::Task;
+use physgrad::policy::{Mlp, Policy};
 use physgrad::report::Animation;
-use physgrad::tasks::{CartPole, CartPoleSystem, LossMode};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::fmt::Debug;
 
@@ -12,6 +13,8 @@ use std::fmt::Debug;
 pub trait Scene: Task<System: Clone + Debug + Serialize + DeserializeOwned + Send> + Clone + Send {
     /// Settings of the cost; those of the physics are the system itself.
     type Loss: Clone + Debug + Default + Serialize + DeserializeOwned + Send + Sync;
+    /// Settings of the policy; its defaults are the task's.
+    type Network: Network;
 
     const NAME: &'static str;
     const ABOUT: &'static str;
@@ -22,7 +25,7 @@ pub trait Scene: Task<System: Clone + Debug + Serialize + DeserializeOwned + Sen
 
     fn system_defaults() -> Self::System;
     /// An error that names the key, its value and what is allowed.
-    fn validate(system: &Self::System) -> Result<()>;
+    fn validate(system: &Self::System, loss: &Self::Loss) -> Result<()>;
     fn build(system: &Self::System, loss: &Self::Loss, horizon: usize) -> Self;
     /// Variants worth checking, with a name for each.
     fn variants() -> Vec<(String, Self)>;
@@ -33,6 +36,50 @@ pub trait Scene: Task<System: Clone + Debug + Serialize + DeserializeOwned + Sen
     fn control_names(&self) -> Vec<String>;
     /// A rollout that moves: states and controls step by step.
     fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
+}
+
+/// The `policy` section of a task's settings.
+pub trait Network: Clone + Debug + Default + Serialize + DeserializeOwned + Send + Sync {
+    type Policy: Policy + Clone;
+    /// An error that names the key, its value and what is allowed.
+    fn validate(&self) -> Result<()>;
+    fn build(&self, state_dim: usize, control_dim: usize) -> Self::Policy;
+}
+
+/// The policy that a task's settings describe.
+pub type PolicyOf<S> = <<S as Scene>::Network as Network>::Policy;
+
+/// An MLP that sees the whole state.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MlpSettings {
+    /// Hidden layers; none is a linear policy.
+    widths: Vec<usize>,
+    bias: bool,
+    /// Start with a zeroed last kernel.
+    zero_last: bool,
+}
+
+impl Default for MlpSettings {
+    fn default() -> Self {
+        Self { widths: vec![100, 100], bias: true, zero_last: true }
+    }
+}
+
+impl Network for MlpSettings {
+    type Policy = Mlp;
+
+    fn validate(&self) -> Result<()> {
+        match self.widths.iter().find(|w| !(1..=10_000).contains(*w)) {
+            Some(width) => bail!("`policy.widths` has {width}; allowed: 1 to 10000 each, or [] for a linear policy"),
+            None => Ok(()),
+        }
+    }
+
+    fn build(&self, state_dim: usize, control_dim: usize) -> Mlp {
+        let widths = [&[state_dim], &self.widths[..], &[control_dim]].concat();
+        Mlp::new(widths).bias(self.bias).zero_last(self.zero_last)
+    }
 }
 
 /// Runs the body with the type of the task of that name.
@@ -51,67 +98,3 @@ pub(crate) use with_scene;
 
 /// Every task's name.
 pub const NAMES: [&str; 1] = ["cart_pole"];
-
-/// `loss` of cart-pole.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct CartPoleLoss {
-    mode: LossMode,
-}
-
-impl Scene for CartPole {
-    type Loss = CartPoleLoss;
-
-    const NAME: &'static str = "cart_pole";
-    const ABOUT: &'static str = "swing up any number of poles on one cart";
-    const EPOCHS: usize = 1000;
-    const HORIZON: usize = 100;
-
-    fn system_defaults() -> CartPoleSystem {
-        CartPoleSystem { poles: 2, ..CartPoleSystem::default() }
-    }
-
-    fn validate(system: &CartPoleSystem) -> Result<()> {
-        if !(1..=1000).contains(&system.poles) {
-            bail!("`system.poles` is {}; allowed: 1 to 1000", system.poles);
-        }
-        positive("system.cart_mass", system.cart_mass)?;
-        positive("system.pole_mass", system.pole_mass)?;
-        positive("system.half_length", system.half_length)?;
-        positive("system.dt", system.dt)?;
-        if !system.gravity.is_finite() {
-            bail!("`system.gravity` is {}; allowed: a finite number", system.gravity);
-        }
-        Ok(())
-    }
-
-    fn build(system: &CartPoleSystem, loss: &CartPoleLoss, horizon: usize) -> Self {
-        Self { system: *system, loss: loss.mode, horizon }
-    }
-
-    fn variants() -> Vec<(String, Self)> {
-        let modes = [(LossMode::Final, "final"), (LossMode::Continuous, "continuous")];
-        let variant = |poles: usize, (loss, name): (LossMode, &str)| {
-            (format!("{poles} pole{}, {name} loss", if poles == 1 { "" } else { "s" }), Self { loss, ..Self::new(poles) })
-        };
-        [1, 2, 4].into_iter().flat_map(|poles| modes.map(|mode| variant(poles, mode))).collect()
-    }
-
-    fn dt(&self) -> f64 {
-        self.system.dt
-    }
-
-    fn state_names(&self) -> Vec<String> {
-        let poles = (1..=self.system.poles).flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")]);
-        ["x".into(), "x_dot".into()].into_iter().chain(poles).collect()
-    }
-
-    fn control_names(&self) -> Vec<String> {
-        vec!["force".into()]
-    }
-
-    fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
-        let forces: Vec<f64> = controls.iter().map(|u| u[0]).collect();
-        physgrad::report::cart_pole(states, &forces, self.system.half_length, self.system.dt)
-    }
-}

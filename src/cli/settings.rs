@@ -1,6 +1,6 @@
 //! What a run is: one TOML document, from a task's defaults, changed key by key.
 
-use super::scene::Scene;
+use super::scene::{Network, Scene};
 use anyhow::{Context, Result, anyhow, bail};
 use physgrad::{Clip, Field, Rule, Training};
 use serde::{Deserialize, Serialize};
@@ -23,7 +23,8 @@ pub struct Settings<S: Scene> {
     pub system: S::System,
     #[serde(bound = "")]
     pub loss: S::Loss,
-    pub policy: PolicySettings,
+    #[serde(bound = "")]
+    pub policy: S::Network,
     pub training: TrainingSettings,
 }
 
@@ -50,16 +51,6 @@ impl From<FieldName> for String {
     fn from(field: FieldName) -> String {
         field.0.name().into()
     }
-}
-
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PolicySettings {
-    /// Hidden layers; none is a linear policy.
-    pub widths: Vec<usize>,
-    pub bias: bool,
-    /// Start with a zeroed last kernel.
-    pub zero_last: bool,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -111,7 +102,7 @@ impl<S: Scene> Settings<S> {
             horizon: S::HORIZON,
             system: S::system_defaults(),
             loss: S::Loss::default(),
-            policy: PolicySettings { widths: vec![100, 100], bias: true, zero_last: true },
+            policy: S::Network::default(),
             training: TrainingSettings {
                 batch,
                 train_samples,
@@ -157,10 +148,8 @@ impl<S: Scene> Settings<S> {
         }
         positive("training.learning_rate", t.learning_rate)?;
         positive("training.clip_limit", t.clip_limit)?;
-        if let Some(width) = self.policy.widths.iter().find(|w| !(1..=100_000).contains(*w)) {
-            bail!("`policy.widths` has {width}; allowed: 1 to 100000 each, or [] for a linear policy");
-        }
-        S::validate(&self.system)
+        self.policy.validate()?;
+        S::validate(&self.system, &self.loss)
     }
 
     /// The training they describe, on so many workers.
