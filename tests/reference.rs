@@ -6,7 +6,7 @@
 
 use physgrad::policy::Mlp;
 use physgrad::tasks::{CartPole, CartPoleSystem, LossMode};
-use physgrad::{Batch, Clip, Field, Flow, Policy, Rollout, Rule, System, Trainer, Training, Weights};
+use physgrad::{Batch, Clip, Field, Flow, Policy, Rollout, Rule, System, Task, Trainer, Training, Weights};
 use serde_json::Value;
 use std::path::PathBuf;
 
@@ -37,13 +37,21 @@ fn number(value: &Value) -> f64 {
     value.as_f64().expect("a number")
 }
 
+fn text(value: &Value) -> &str {
+    value.as_str().expect("a text")
+}
+
+fn list(value: &Value) -> &[Value] {
+    value.as_array().expect("a list")
+}
+
 fn count(value: &Value) -> usize {
     value.as_u64().expect("a count") as usize
 }
 
 /// A list of kernels and biases, one after the other: the order of `θ`.
 fn variables(list: &Value) -> Vec<f64> {
-    list.as_array().expect("a list").iter().flat_map(data).collect()
+    self::list(list).iter().flat_map(data).collect()
 }
 
 /// Largest difference, relative to the largest expected component.
@@ -89,17 +97,46 @@ impl Drop for Worst {
     }
 }
 
-fn cart_pole(file: &Value, horizon: usize, loss: &str) -> CartPole {
-    let system = CartPoleSystem { poles: count(&file["n_poles"]), dt: number(&file["dt"]), ..CartPoleSystem::default() };
-    let loss = if loss == "FINAL" { LossMode::Final } else { LossMode::Continuous };
-    CartPole { system, loss, horizon }
+/// One of the authors' tasks, as their files describe it.
+trait Authors {
+    /// How its files' names start.
+    const FILES: &'static str;
+    type Task: Task + Clone;
+    type Policy: Policy + Clone;
+
+    /// The task of a file; `case` is the part of it that says loss mode and the like, the file itself if there is none.
+    fn task(file: &Value, case: &Value, horizon: usize) -> Self::Task;
+    fn policy(file: &Value, task: &Self::Task) -> Self::Policy;
 }
 
-fn mlp(file: &Value, task: &CartPole) -> Mlp {
-    let mut widths = vec![task.system.state_dim()];
-    widths.extend(vec![count(&file["width"]); count(&file["depth"])]);
-    widths.push(1);
-    Mlp::new(widths)
+fn loss_mode(case: &Value) -> LossMode {
+    match case["loss_mode"].as_str() {
+        Some("CONTINUOUS") => LossMode::Continuous,
+        _ => LossMode::Final,
+    }
+}
+
+/// Hidden layers of one width.
+fn mlp(file: &Value, system: &impl System) -> Mlp {
+    let hidden = vec![count(&file["width"]); count(&file["depth"])];
+    Mlp::new([&[system.state_dim()], &hidden[..], &[system.control_dim()]].concat())
+}
+
+struct AuthorsCartPole;
+
+impl Authors for AuthorsCartPole {
+    const FILES: &'static str = "cartpole";
+    type Task = CartPole;
+    type Policy = Mlp;
+
+    fn task(file: &Value, case: &Value, horizon: usize) -> CartPole {
+        let system = CartPoleSystem { poles: count(&file["n_poles"]), dt: number(&file["dt"]), ..CartPoleSystem::default() };
+        CartPole { system, loss: loss_mode(case), horizon }
+    }
+
+    fn policy(file: &Value, task: &CartPole) -> Mlp {
+        mlp(file, &task.system)
+    }
 }
 
 fn flow(mode: &str) -> Flow {
@@ -111,58 +148,63 @@ fn flow(mode: &str) -> Flow {
     }
 }
 
-#[test]
-fn steps_and_vjps_are_the_authors() {
-    for (name, file) in files("cartpole", "step") {
-        let system = cart_pole(&file, 1, "FINAL").system;
-        let n = system.state_dim();
+fn steps_and_vjps<A: Authors>() {
+    for (name, file) in files(A::FILES, "step") {
+        let task = A::task(&file, &file, 1);
+        let system = task.system();
+        let (n, m) = (system.state_dim(), system.control_dim());
         let mut steps = Worst::new(&name, "next state", 1e-12);
         let mut by_state = Worst::new(&name, "vjp by state", 1e-12);
         let mut by_control = Worst::new(&name, "vjp by control", 1e-12);
         let field = |key: &str| data(&file[key]);
         let (state, control, cotangent) = (field("state"), field("control"), field("cotangent"));
         let (next, vjp_state, vjp_control) = (field("next_state"), field("vjp_state"), field("vjp_control"));
-        for case in 0..control.len() {
-            let of = |all: &[f64]| all[case * n..(case + 1) * n].to_vec();
-            let (x, u) = (of(&state), [control[case]]);
-            let (mut got, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], [0.0]);
-            system.step(&x, &u, &mut got);
-            system.vjp(&x, &u, &of(&cotangent), &mut x_bar, &mut u_bar);
-            steps.add(error(&got, &of(&next)));
-            by_state.add(error(&x_bar, &of(&vjp_state)));
-            by_control.add(error(&u_bar, &vjp_control[case..=case]));
+        for case in 0..control.len() / m {
+            let (states, controls) = (case * n..(case + 1) * n, case * m..(case + 1) * m);
+            let (x, u) = (&state[states.clone()], &control[controls.clone()]);
+            let (mut got, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], vec![0.0; m]);
+            system.step(x, u, &mut got);
+            system.vjp(x, u, &cotangent[states.clone()], &mut x_bar, &mut u_bar);
+            steps.add(error(&got, &next[states.clone()]));
+            by_state.add(error(&x_bar, &vjp_state[states]));
+            by_control.add(error(&u_bar, &vjp_control[controls]));
         }
     }
 }
 
-#[test]
-fn trajectories_losses_and_gradients_are_the_authors() {
-    for (name, file) in files("cartpole", "rollout") {
+fn trajectories<A: Authors>() {
+    for (name, file) in files(A::FILES, "rollout") {
         let theta = variables(&file["controller"]);
         let starts = data(&file["initial_states"]);
         let mut states = Worst::new(&name, "states", 1e-9);
-        for trajectory in file["trajectories"].as_array().expect("a list") {
-            let task = cart_pole(&file, count(&trajectory["Nt"]), "FINAL");
-            let policy = mlp(&file, &task);
-            let n = task.system.state_dim();
+        for trajectory in list(&file["trajectories"]) {
+            let task = A::task(&file, &file, count(&trajectory["Nt"]));
+            let policy = A::policy(&file, &task);
+            let n = task.system().state_dim();
             let samples = starts.len() / n;
             let mut rollout = Rollout::new(&task, &policy, samples);
             rollout.start(&starts);
             rollout.run(&task, &policy, &Weights::new(&policy, theta.clone())).expect("finite");
-            let each = (0..samples).flat_map(|s| (0..=task.horizon).flat_map(move |t| (0..n).map(move |i| (t, s, i))));
+            let each = (0..samples).flat_map(|s| (0..=task.horizon()).flat_map(move |t| (0..n).map(move |i| (t, s, i))));
             let got: Vec<f64> = each.map(|(t, s, i)| rollout.state(t, s, i)).collect();
             states.add(error(&got, &data(&trajectory["states"])));
         }
+    }
+}
 
+fn losses_and_gradients<A: Authors>() {
+    for (name, file) in files(A::FILES, "rollout") {
+        let theta = variables(&file["controller"]);
+        let starts = data(&file["initial_states"]);
         let mut losses = Worst::new(&name, "loss", 1e-9);
         let mut gradients = Worst::new(&name, "gradient of F, P, S", 1e-9);
         let mut combined = Worst::new(&name, "C, by component", 1e-9);
-        for case in file["cases"].as_array().expect("a list") {
-            let mode = case["mode"].as_str().expect("a mode");
-            let task = cart_pole(&file, count(&case["Nt"]), case["loss_mode"].as_str().expect("a loss mode"));
-            let policy = mlp(&file, &task);
+        for case in list(&file["cases"]) {
+            let mode = text(&case["mode"]);
+            let task = A::task(&file, case, count(&case["Nt"]));
+            let policy = A::policy(&file, &task);
             let weights = Weights::new(&policy, theta.clone());
-            let samples = starts.len() / task.system.state_dim();
+            let samples = starts.len() / task.system().state_dim();
             let flows = if mode == "C" { Field::combined().flows() } else { vec![flow(mode)] };
             let mut batch = Batch::new(&task, &policy, samples, &flows, 1);
             let loss = batch.run(&task, &policy, &weights, &starts).expect("finite");
@@ -185,18 +227,17 @@ fn trajectories_losses_and_gradients_are_the_authors() {
     }
 }
 
-#[test]
-fn training_replays_the_authors() {
-    for (name, file) in files("cartpole", "train") {
-        let task = cart_pole(&file, count(&file["Nt"]), file["loss_mode"].as_str().expect("a loss mode"));
-        let policy = mlp(&file, &task);
+fn training<A: Authors>() {
+    for (name, file) in files(A::FILES, "train") {
+        let task = A::task(&file, &file, count(&file["Nt"]));
+        let policy = A::policy(&file, &task);
         let epochs = count(&file["epochs"]);
         let mut losses = Worst::new(&name, "losses of two epochs", 1e-8);
         let mut cosines = Worst::new(&name, "cosine of P and F", 1e-8);
         let mut finals = Worst::new(&name, "variables after them", 1e-8);
-        for run in file["runs"].as_array().expect("a list") {
-            let (mode, limit) = (run["mode"].as_str().expect("a mode"), number(&run["clip_num"]));
-            let clip = match run["clip_mode"].as_str().expect("a clip mode") {
+        for run in list(&file["runs"]) {
+            let (mode, limit) = (text(&run["mode"]), number(&run["clip_num"]));
+            let clip = match text(&run["clip_mode"]) {
                 "VALUE" => Clip::Value(limit),
                 "NORM" => Clip::Norm(limit),
                 _ => Clip::None,
@@ -210,11 +251,10 @@ fn training_replays_the_authors() {
                 clip,
                 ..Training::default()
             };
-            let trainer = Trainer::new(task, policy.clone()).precision::<f64>().field(field).training(training);
+            let trainer = Trainer::new(task.clone(), policy.clone()).precision::<f64>().field(field).training(training);
             let states = |key: &str| data(&file[key]);
             let mut session = trainer.session_from(variables(&file["controller"]), states("train_states"), states("test_states"));
-            let columns: Vec<_> =
-                file["log_columns"].as_array().expect("a list").iter().map(|c| c.as_str().expect("a name")).collect();
+            let columns: Vec<_> = list(&file["log_columns"]).iter().map(text).collect();
             let log = data(&run["log"]);
             let column = |epoch: usize, name: &str| {
                 log[epoch * columns.len() + columns.iter().position(|&c| c == name).expect("a column")]
@@ -231,3 +271,30 @@ fn training_replays_the_authors() {
         }
     }
 }
+
+macro_rules! authors {
+    ($module:ident, $authors:ty) => {
+        mod $module {
+            use super::*;
+
+            #[test]
+            fn steps_and_vjps_are_the_authors() {
+                steps_and_vjps::<$authors>();
+            }
+            #[test]
+            fn trajectories_are_the_authors() {
+                trajectories::<$authors>();
+            }
+            #[test]
+            fn losses_and_gradients_are_the_authors() {
+                losses_and_gradients::<$authors>();
+            }
+            #[test]
+            fn training_replays_the_authors() {
+                training::<$authors>();
+            }
+        }
+    };
+}
+
+authors!(cart_pole, AuthorsCartPole);
