@@ -9,7 +9,7 @@
 //! g ← Σ_t (∂N/∂θ)ᵀ h_t                                 after the loop, in large products
 //! ```
 
-use crate::divergence::Divergence;
+use crate::divergence::{Divergence, Variable};
 use crate::kernels::{Vectorized, dispatch_narrow};
 use crate::policy::{Policy, PolicyColumns, Weights};
 use crate::rollout::{Lane, Rollout, WIDTH, find_non_finite, gather};
@@ -155,7 +155,7 @@ impl<F: Float> Adjoint<F> {
         Ok(())
     }
 
-    /// `theta_bar += Σ (∂N/∂θ)ᵀ h` of flow number `k`, over the given samples, in large products.
+    /// `theta_bar = Σ (∂N/∂θ)ᵀ h` of flow number `k`, over the given samples, in large products. Overwrites it.
     pub fn param_gradient<P: Policy>(
         &mut self,
         k: usize,
@@ -165,6 +165,7 @@ impl<F: Float> Adjoint<F> {
         samples: Range<usize>,
         theta_bar: &mut [F],
     ) {
+        theta_bar.fill(F::zero());
         let at = samples.start * rollout.horizon..samples.end * rollout.horizon;
         let p = &mut self.policy;
         let h = &p.controls_bar[k];
@@ -259,13 +260,17 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
+    /// The first flow, and in it the first sample, whose state or control cotangent is not finite.
     #[cold]
     fn divergence(&self, flows: [Flow; K], rollout: &Rollout<F>, step: usize) -> Divergence {
-        let finite = |c: &Columns<Lane<F>, K>, k: usize| c.0[k].0.iter().all(|v| v.as_().is_finite());
-        let bad = |k: &usize| !self.lambda.iter().chain(&self.u_bar).all(|c| finite(c, *k));
-        let k = (0..K).find(bad).unwrap_or(0);
-        let (sample, component) = find_non_finite(&self.lambda, rollout.state_dim, rollout.samples, |c, lane| c.0[k].lane(lane));
-        Divergence::Cotangent { flow: flows[k], step, sample, component }
+        let find = |columns: &[Columns<Lane<F>, K>], n: usize, k: usize| {
+            find_non_finite(columns, n, rollout.samples, |c, lane| c.0[k].lane(lane))
+        };
+        let state = |k: usize| find(&self.lambda, rollout.state_dim, k).map(|place| (k, Variable::State, place));
+        let control = |k: usize| find(&self.u_bar, rollout.control_dim, k).map(|place| (k, Variable::Control, place));
+        let first = (0..K).find_map(|k| state(k).or_else(|| control(k)));
+        let (k, variable, (sample, component)) = first.expect("the probe saw one of them");
+        Divergence::Cotangent { flow: flows[k], variable, step, sample, component }
     }
 }
 

@@ -58,6 +58,10 @@ impl<F: Float> Batch<F> {
     ///
     /// # Errors
     /// The first [`Divergence`] of the batch. The gradients are then not to be used.
+    ///
+    /// # Panics
+    /// Without samples, or with more than there is room for.
+    #[track_caller]
     pub fn run<T: Task, P: Policy>(
         &mut self,
         task: &T,
@@ -67,6 +71,12 @@ impl<F: Float> Batch<F> {
     ) -> Result<f64, Divergence> {
         let n = task.system().state_dim();
         let samples = starts.len() / n;
+        let capacity: usize = self.workers.iter().map(|w| w.rollout.capacity()).sum();
+        assert!(
+            samples > 0 && samples <= capacity && starts.len().is_multiple_of(n),
+            "there is room for 1 to {capacity} samples of {n} components, and {} numbers were given",
+            starts.len()
+        );
         let scale = F::lift(1.0 / samples as f64);
         let per_worker = self.workers[0].rollout.capacity();
         for_each(&mut self.workers, |index, worker| {
@@ -119,7 +129,6 @@ impl<F: Float> Worker<F> {
                 break;
             }
             for (k, gradient) in group.iter_mut().enumerate() {
-                gradient.fill(F::zero());
                 self.adjoint.param_gradient(k, policy, weights, &self.rollout, samples.clone(), gradient);
             }
         }
@@ -152,6 +161,10 @@ impl<F: Float> Evaluation<F> {
     ///
     /// # Errors
     /// The first [`Divergence`] of the data set.
+    ///
+    /// # Panics
+    /// Without samples.
+    #[track_caller]
     pub fn run<T: Task, P: Policy>(
         &mut self,
         task: &T,
@@ -161,6 +174,7 @@ impl<F: Float> Evaluation<F> {
     ) -> Result<f64, Divergence> {
         let n = task.system().state_dim();
         let samples = starts.len() / n;
+        assert!(samples > 0 && starts.len().is_multiple_of(n), "{} numbers are no samples of {n} components", starts.len());
         let per_worker = samples.div_ceil(EVALUATED).div_ceil(self.workers.len()) * EVALUATED;
         for_each(&mut self.workers, |index, worker| {
             worker.costs.clear();

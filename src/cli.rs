@@ -37,7 +37,7 @@ enum Command {
 /// The program; what it returns is its exit status.
 pub fn main() -> ExitCode {
     let command = Arguments::parse().command.unwrap_or_else(default_run);
-    match on_interrupt().and_then(|()| execute(&command)) {
+    match execute(&command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
@@ -48,8 +48,8 @@ pub fn main() -> ExitCode {
 
 fn execute(command: &Command) -> Result<()> {
     match command {
-        Command::Train(args) => train::train(args),
-        Command::Compare(args) => compare::compare(args),
+        Command::Train(args) => on_interrupt().and_then(|()| train::train(args)),
+        Command::Compare(args) => on_interrupt().and_then(|()| compare::compare(args)),
         Command::Check(args) => check::check(args),
         Command::Tasks => tasks::tasks(),
     }

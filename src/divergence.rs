@@ -6,13 +6,15 @@ use std::fmt;
 /// Where a number stopped being finite. The update it belongs to is not taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Divergence {
-    /// A state, in the forward pass.
-    State {
-        /// Time step, 1 being the first state after the start.
+    /// A state or control, in the forward pass.
+    Forward {
+        /// Which of the two.
+        variable: Variable,
+        /// Time step: of a state, 1 is the first after the start; of a control, 0 is the first.
         step: usize,
         /// Index of the sample in its batch.
         sample: usize,
-        /// State component.
+        /// Its component.
         component: usize,
     },
     /// The cost of a sample whose states are all finite.
@@ -20,32 +22,49 @@ pub enum Divergence {
         /// Index of the sample in its batch.
         sample: usize,
     },
-    /// A cotangent of the state, in the reverse pass.
+    /// The cotangent of a state or control, in the reverse pass.
     Cotangent {
         /// Flow whose adjoint it is.
         flow: Flow,
+        /// What it is the cotangent of.
+        variable: Variable,
         /// Time step.
         step: usize,
         /// Index of the sample in its batch.
         sample: usize,
-        /// State component.
+        /// Its component.
         component: usize,
     },
-    /// The sum of the gradient over a batch whose cotangents are all finite.
+    /// The gradient of a batch whose cotangents are all finite: a component is not, or its square is not.
     Gradient {
         /// Flow whose gradient it is.
         flow: Flow,
         /// Index of the parameter in `θ`.
         parameter: usize,
     },
+    /// The field made of finite gradients and clipped: a component is not finite, or too large to be squared by an
+    /// optimizer.
+    Field {
+        /// Index of the parameter in `θ`.
+        parameter: usize,
+    },
+}
+
+/// What a rollout computes at every step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Variable {
+    /// The state of the system.
+    State,
+    /// The control that the policy sets.
+    Control,
 }
 
 impl Divergence {
     /// The same, for a sample counted from `first` on.
     pub(crate) fn offset(mut self, first: usize) -> Self {
         match &mut self {
-            Self::State { sample, .. } | Self::Cost { sample } | Self::Cotangent { sample, .. } => *sample += first,
-            Self::Gradient { .. } => {}
+            Self::Forward { sample, .. } | Self::Cost { sample } | Self::Cotangent { sample, .. } => *sample += first,
+            Self::Gradient { .. } | Self::Field { .. } => {}
         }
         self
     }
@@ -53,29 +72,44 @@ impl Divergence {
     /// Which of two to report: the one met first by a single pass over the whole batch.
     pub(crate) fn order(&self) -> (u8, usize, usize) {
         match *self {
-            Self::State { step, sample, .. } => (0, step, sample),
+            // A control comes before the state it leads to, one step later by its number.
+            Self::Forward { variable: Variable::Control, step, sample, .. } => (0, 2 * step + 1, sample),
+            Self::Forward { variable: Variable::State, step, sample, .. } => (0, 2 * step, sample),
             Self::Cost { sample } => (1, 0, sample),
             Self::Cotangent { step, sample, .. } => (2, usize::MAX - step, sample),
-            Self::Gradient { parameter, .. } => (3, 0, parameter),
+            Self::Gradient { parameter, .. } | Self::Field { parameter } => (3, 0, parameter),
         }
+    }
+}
+
+impl fmt::Display for Variable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::State => "state",
+            Self::Control => "control",
+        })
     }
 }
 
 impl fmt::Display for Divergence {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::State { step, sample, component } => {
-                write!(f, "forward pass: state component {component} of sample {sample} is not finite at step {step}")
+            Self::Forward { variable, step, sample, component } => {
+                write!(f, "forward pass: {variable} component {component} of sample {sample} is not finite at step {step}")
             }
             Self::Cost { sample } => write!(f, "forward pass: the cost of sample {sample} is not finite, though its states are"),
-            Self::Cotangent { flow, step, sample, component } => {
+            Self::Cotangent { flow, variable, step, sample, component } => write!(
+                f,
+                "reverse pass of {flow}: the cotangent of {variable} component {component} of sample {sample} is not finite at step {step}"
+            ),
+            Self::Gradient { flow, parameter } => {
                 write!(
                     f,
-                    "reverse pass of {flow}: cotangent component {component} of sample {sample} is not finite at step {step}"
+                    "gradient of {flow}: parameter {parameter} is not finite, or its square is not, though all cotangents are"
                 )
             }
-            Self::Gradient { flow, parameter } => {
-                write!(f, "gradient of {flow}: parameter {parameter} is not finite, though all cotangents are")
+            Self::Field { parameter } => {
+                write!(f, "composed field: parameter {parameter} is not finite, or too large for an optimizer")
             }
         }
     }

@@ -10,9 +10,9 @@ const CHUNK: usize = 4;
 /// The dual number over `F` with [`CHUNK`] tangents.
 pub(crate) type Dual<F> = <F as Float>::Dual<CHUNK>;
 
-/// Room for this many numbers lives on the stack; larger systems allocate in every call, and are better served by a
-/// hand-written derivative.
-type Buffer<T> = SmallVec<[T; 32]>;
+/// Outputs and inputs up to here live on the stack.
+const STACK: usize = 32;
+type Buffer<T> = SmallVec<[T; 2 * STACK]>;
 
 /// Calls `visit(i, column)` with `column[j] = ∂f_j/∂input_i`, for every input `i` in `wrt`.
 ///
@@ -28,7 +28,7 @@ pub(crate) fn jacobian<R: Real>(
     let constant = Dual::<R::Real>::constant(<R::Real as Scalar>::zero());
     let mut x: Buffer<Dual<R::Real>> = smallvec![constant; inputs.len()];
     let mut y: Buffer<Dual<R::Real>> = smallvec![constant; outputs];
-    let mut columns: Buffer<R> = smallvec![R::zero(); outputs * CHUNK];
+    let mut columns: SmallVec<[R; CHUNK * STACK]> = smallvec![R::zero(); outputs * CHUNK];
     for first in wrt.clone().step_by(CHUNK) {
         let chunk = first..wrt.end.min(first + CHUNK);
         for lane in 0..R::LANES {

@@ -10,8 +10,8 @@ pub mod trig;
 
 use std::sync::OnceLock;
 
-/// The instruction set that the kernels use. Only ever names instructions that this processor has.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The instruction set that the kernels use, slowest first; every processor that has one has those before it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd)]
 pub enum Level {
     /// Plain Rust, vectorized as the build's target allows.
     Portable,
@@ -48,6 +48,16 @@ impl Level {
         static BEST: OnceLock<Level> = OnceLock::new();
         *BEST.get_or_init(|| Level::available().pop().unwrap_or(Level::Portable))
     }
+
+    /// The level itself.
+    ///
+    /// # Panics
+    /// If this processor does not have it.
+    #[inline]
+    fn checked(self) -> Level {
+        assert!(self <= Level::best(), "this processor has no {self:?}");
+        self
+    }
 }
 
 /// Work that is compiled once per instruction set. `run` must be `#[inline(always)]`: what is not inlined into the
@@ -70,9 +80,9 @@ pub fn dispatch(level: Level, work: impl Vectorized) {
         unsafe fn avx512(work: impl Vectorized) {
             work.run::<true>();
         }
-        match level {
+        match level.checked() {
             Level::Portable => {}
-            // SAFETY: `Level` is only ever made for instructions this processor has.
+            // SAFETY: it is checked that this processor has the level's instructions.
             Level::Avx2 => return unsafe { avx2(work) },
             Level::Avx512 => return unsafe { avx512(work) },
         }

@@ -70,7 +70,7 @@ mod train;
 
 pub use backward::{Adjoint, Flow};
 pub use batch::{Batch, Evaluation};
-pub use divergence::Divergence;
+pub use divergence::{Divergence, Variable};
 pub use field::{Compose, Field, SignAgreement, UnknownField};
 pub use optim::{Clip, Optimizer, Rule};
 pub use policy::{Policy, Weights};
@@ -78,7 +78,7 @@ pub use rollout::Rollout;
 pub use scalar::{Columns, Cotangent, Float, Lanes, Real, Scalar, Tangents};
 pub use system::System;
 pub use task::Task;
-pub use train::{CheckpointError, Record, Report, Session, Skip, TrainError, Trainer, Training};
+pub use train::{CheckpointError, Record, Report, Session, Skip, TrainError, Trainer, Training, differences};
 
 /// What a file with a system of one's own needs.
 pub mod prelude {

@@ -16,6 +16,14 @@ pub enum Clip {
 }
 
 impl Clip {
+    /// A bound on the components of a clipped vector that was `norm` long.
+    pub(crate) fn bound(self, norm: f64) -> f64 {
+        match self {
+            Self::None => norm,
+            Self::Value(limit) | Self::Norm(limit) => norm.min(limit),
+        }
+    }
+
     /// Clips `gradient` in place; `norm` is its Euclidean length.
     pub fn apply<F: Float>(self, gradient: &mut [F], norm: f64) {
         match self {
@@ -23,7 +31,14 @@ impl Clip {
             Self::Value(limit) => {
                 let (low, high) = (F::lift(-limit), F::lift(limit));
                 for g in gradient {
-                    *g = Scalar::min(Scalar::max(*g, low), high);
+                    // A NaN stays one.
+                    *g = if *g < low {
+                        low
+                    } else if *g > high {
+                        high
+                    } else {
+                        *g
+                    };
                 }
             }
             Self::Norm(limit) if norm > limit => {
@@ -127,6 +142,13 @@ impl<F: Float> Optimizer<F> {
     /// Number of parameters.
     pub fn params(&self) -> usize {
         self.first.len()
+    }
+
+    /// Becomes a copy of another optimizer of as many parameters, without allocating.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        (self.rule, self.learning_rate, self.steps) = (other.rule, other.learning_rate, other.steps);
+        self.first.copy_from_slice(&other.first);
+        self.second.copy_from_slice(&other.second);
     }
 
     /// One step of `theta` against `gradient`.

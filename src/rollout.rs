@@ -1,6 +1,6 @@
 //! [`Rollout`]: the forward pass of a batch of samples, and where it diverged.
 
-use crate::divergence::Divergence;
+use crate::divergence::{Divergence, Variable};
 use crate::kernels::{Vectorized, dispatch_narrow};
 use crate::policy::{Policy, PolicyColumns, Weights};
 use crate::scalar::{Float, Lanes, Real, Scalar};
@@ -112,10 +112,10 @@ impl<F: Float> Rollout<F> {
         }
     }
 
-    /// Runs all samples from their start states. Stops at the first step with a non-finite state.
+    /// Runs all samples from their start states. Stops at the first step with a non-finite state or control.
     ///
     /// # Errors
-    /// [`Divergence`] says where a state or cost was not finite.
+    /// [`Divergence`] says where a control, state or cost was not finite.
     pub fn run<T: Task, P: Policy>(&mut self, task: &T, policy: &P, weights: &Weights<F>) -> Result<(), Divergence> {
         self.costs.fill(Lane::zero());
         for t in 0..self.horizon {
@@ -153,8 +153,10 @@ impl<F: Float> Rollout<F> {
         if finite {
             return Ok(());
         }
-        let (sample, component) = find_non_finite(next, n, self.samples, Real::lane);
-        Err(Divergence::State { step: t + 1, sample, component })
+        let control = find_non_finite(controls, m, self.samples, Real::lane).map(|place| (Variable::Control, t, place));
+        let state = || find_non_finite(next, n, self.samples, Real::lane).map(|place| (Variable::State, t + 1, place));
+        let (variable, step, (sample, component)) = control.or_else(state).expect("the probe saw one of them");
+        Err(Divergence::Forward { variable, step, sample, component })
     }
 
     /// The policy's columns of step `t`, one per sample.
@@ -239,9 +241,9 @@ impl<T: Task, F: Float> Vectorized for Step<'_, T, F> {
         for (((x, u), next), cost) in blocks {
             system.step(x, u, next);
             *cost += self.task.stage_cost(next, u);
-            for &x in &*next {
+            for &number in u.iter().chain(&*next) {
                 // 0·x is 0 unless x is infinite or NaN.
-                probe += x * Lane::zero();
+                probe += number * Lane::zero();
             }
         }
         *self.finite = probe.0.iter().all(|&p| p == F::zero());
@@ -255,11 +257,10 @@ pub(crate) fn find_non_finite<L, F: Float>(
     n: usize,
     samples: usize,
     lane: impl Fn(&L, usize) -> F,
-) -> (usize, usize) {
+) -> Option<(usize, usize)> {
     (0..samples)
         .flat_map(|sample| (0..n).map(move |i| (sample, i)))
         .find(|&(sample, i)| !lane(&blocks[(sample / WIDTH) * n + i], sample % WIDTH).as_().is_finite())
-        .unwrap_or((0, 0))
 }
 
 /// Blocks of lanes to one column of `n` numbers per sample.

@@ -9,6 +9,9 @@ use smallvec::SmallVec;
 /// Only the dimensions and [`step`](System::step) must be written; every derivative is exact by dual numbers until it
 /// is overridden for speed, and [`check::system`](crate::check::system) compares the two.
 ///
+/// The defaults work on the stack for up to 32 state components; larger systems allocate in every call and are better
+/// served by derivatives of their own.
+///
 /// A system is immutable: parameters are `f64` fields, lifted by [`Scalar::lift`]; what one differentiates with
 /// respect to is `x` or `u`.
 ///
@@ -20,7 +23,8 @@ pub trait System: Send + Sync {
     /// Number of control components.
     fn control_dim(&self) -> usize;
 
-    /// Writes the next state. Mark it `#[inline(always)]` to have it compiled for the widest vectors there are.
+    /// Writes the next state. Mark it `#[inline(always)]` to have it compiled for AVX2 where there is
+    /// AVX2.
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]);
 
     /// `x_bar = (∂S/∂x)ᵀ next_bar` and `u_bar = (∂S/∂u)ᵀ next_bar`, plain transposes. Overwrites both.

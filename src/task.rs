@@ -17,7 +17,7 @@ pub trait Task: Send + Sync {
     fn system(&self) -> &Self::System;
     /// Number of steps `T` of one rollout.
     fn horizon(&self) -> usize;
-    /// Draws a start state; `x` has `state_dim` entries.
+    /// Draws a start state into `x`, `state_dim` zeros.
     fn start(&self, rng: &mut Rng, x: &mut [f64]);
 
     /// Cost `l(x_{t+1}, u_t)` of one step: the state it led to and the control it used.

@@ -4,7 +4,7 @@ mod checkpoint;
 mod record;
 mod session;
 
-pub use checkpoint::CheckpointError;
+pub use checkpoint::{CheckpointError, differences};
 pub use record::{Record, Skip};
 pub use session::Session;
 
@@ -38,7 +38,7 @@ pub struct Training {
     pub learning_rate: f64,
     /// Limits the field before the optimizer.
     pub clip: Clip,
-    /// Updates in a row that may be skipped because a number was not finite.
+    /// Updates in a row that may be skipped because a number was not finite; one more stops the training.
     pub max_skipped: usize,
     /// Threads a mini-batch is split over. Results do not depend on it.
     pub workers: usize,
@@ -62,6 +62,28 @@ impl Default for Training {
     }
 }
 
+impl Training {
+    /// # Errors
+    /// The first setting that cannot work.
+    fn validate(&self) -> Result<(), TrainError> {
+        let counts = [
+            ("batch", self.batch),
+            ("train_samples", self.train_samples),
+            ("test_samples", self.test_samples),
+            ("workers", self.workers),
+        ];
+        if let Some((setting, _)) = counts.into_iter().find(|&(_, count)| count == 0) {
+            return Err(TrainError::Setting { setting, problem: "is 0; at least 1 is needed".into() });
+        }
+        // Larger rates could overflow θ in one step.
+        if !(self.learning_rate > 0.0 && self.learning_rate <= 1e6) {
+            let problem = format!("is {}; a positive number up to 1e6 is needed", self.learning_rate);
+            return Err(TrainError::Setting { setting: "learning_rate", problem });
+        }
+        Ok(())
+    }
+}
+
 /// Why a training stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
@@ -76,7 +98,7 @@ pub enum TrainError {
     /// Too many updates in a row were skipped.
     #[error(
         "training stopped: {count} updates in a row were skipped, the last in epoch {}, update {} ({}). \
-         Nothing was changed by them. Try a smaller learning rate, clipping by norm, a shorter horizon, or field C or M",
+         The parameters are those before this epoch. Try a smaller learning rate, clipping by norm, a shorter horizon, or field C or M",
         last.epoch, last.update, last.divergence
     )]
     Diverged {
@@ -164,25 +186,12 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Trainer<T, P, F, C> {
     /// If task and policy have different dimensions.
     pub fn session(self) -> Result<Session<T, P, F, C>, TrainError> {
         let Self { task, policy, field, training, .. } = self;
-        for (setting, value) in [
-            ("batch", training.batch),
-            ("train_samples", training.train_samples),
-            ("test_samples", training.test_samples),
-            ("workers", training.workers),
-            ("max_skipped", training.max_skipped),
-        ] {
-            if value == 0 {
-                return Err(TrainError::Setting { setting, problem: "is 0; at least 1 is needed".into() });
-            }
-        }
-        if !(training.learning_rate.is_finite() && training.learning_rate > 0.0) {
-            let problem = format!("is {}; a positive number is needed", training.learning_rate);
-            return Err(TrainError::Setting { setting: "learning_rate", problem });
-        }
+        training.validate()?;
         let seed = training.seed;
         let starts = |purpose, samples| -> Vec<F> {
             let mut x = vec![0.0; task.system().state_dim()];
             let draw = |index| {
+                x.fill(0.0);
                 task.start(&mut stream(seed, purpose, index as u64), &mut x);
                 x.iter().map(|&x| F::lift(x)).collect::<Vec<F>>()
             };
@@ -190,12 +199,18 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Trainer<T, P, F, C> {
         };
         let (train, test) = (starts(Purpose::Train, training.train_samples), starts(Purpose::Test, training.test_samples));
         let weights = Weights::init(&policy, &mut stream(seed, Purpose::Policy, 0));
-        Ok(Session::new(task, policy, field, training, weights, train, test))
+        Session::new(task, policy, field, training, weights, train, test)
     }
 
     /// As [`session`](Trainer::session), with given parameters and start states (`state_dim` numbers per sample)
     /// instead of drawn ones.
-    pub fn session_from(self, theta: Vec<F>, train: Vec<F>, test: Vec<F>) -> Session<T, P, F, C> {
+    ///
+    /// # Errors
+    /// A setting that cannot work, or an empty set.
+    ///
+    /// # Panics
+    /// If `theta` is not the policy's, or task and policy have different dimensions.
+    pub fn session_from(self, theta: Vec<F>, train: Vec<F>, test: Vec<F>) -> Result<Session<T, P, F, C>, TrainError> {
         let Self { task, policy, field, training, .. } = self;
         let weights = Weights::new(&policy, theta);
         Session::new(task, policy, field, training, weights, train, test)

@@ -3,7 +3,8 @@
 use physgrad::policy::{Linear, Mlp};
 use physgrad::rng::Rng;
 use physgrad::{
-    Batch, Divergence, Evaluation, Field, Flow, Rollout, Scalar, System, Task, TrainError, Trainer, Training, Weights,
+    Batch, Clip, Compose, Divergence, Evaluation, Field, Float, Flow, Rollout, Scalar, System, Task, TrainError, Trainer,
+    Training, Variable, Weights,
 };
 
 /// What goes wrong, and where.
@@ -15,6 +16,8 @@ enum Fault {
     Cost,
     /// A square root at 0 in step 3 of those samples: finite forward, an infinite derivative backward.
     Cotangent,
+    /// The same in the control.
+    ControlCotangent,
 }
 
 struct Faulty(Fault);
@@ -46,6 +49,11 @@ impl System for Faulty {
             Fault::Cost => {}
             Fault::Cotangent => {
                 let root = (x[1] - x[1].detach()).sqrt();
+                let at_step_3 = T::select_lt((clock - T::lift(3.0)).abs(), T::lift(0.5), root, next[1]);
+                next[1] = marked(at_step_3, next[1]);
+            }
+            Fault::ControlCotangent => {
+                let root = (u[0] - u[0].detach()).sqrt();
                 let at_step_3 = T::select_lt((clock - T::lift(3.0)).abs(), T::lift(0.5), root, next[1]);
                 next[1] = marked(at_step_3, next[1]);
             }
@@ -86,17 +94,24 @@ fn run(fault: Fault, workers: usize) -> Result<f64, Divergence> {
 #[test]
 fn the_step_sample_component_and_pass_are_named_whatever_the_workers() {
     for workers in [1, 2, 3] {
-        assert_eq!(run(Fault::State, workers), Err(Divergence::State { step: 5, sample: 9, component: 1 }));
+        assert_eq!(
+            run(Fault::State, workers),
+            Err(Divergence::Forward { variable: Variable::State, step: 5, sample: 9, component: 1 })
+        );
         assert_eq!(run(Fault::Cost, workers), Err(Divergence::Cost { sample: 9 }));
-        let cotangent = Divergence::Cotangent { flow: Flow::MODIFIED, step: 3, sample: 9, component: 1 };
+        let cotangent =
+            Divergence::Cotangent { flow: Flow::MODIFIED, variable: Variable::State, step: 3, sample: 9, component: 1 };
         assert_eq!(run(Fault::Cotangent, workers), Err(cotangent));
+        let variable = Variable::Control;
+        let control = Divergence::Cotangent { flow: Flow::MODIFIED, variable, step: 3, sample: 9, component: 0 };
+        assert_eq!(run(Fault::ControlCotangent, workers), Err(control));
     }
 }
 
 #[test]
 fn the_message_says_where() {
     let text = run(Fault::Cotangent, 1).unwrap_err().to_string();
-    for part in ["reverse pass of M", "component 1", "sample 9", "step 3"] {
+    for part in ["reverse pass of M", "state component 1", "sample 9", "step 3"] {
         assert!(text.contains(part), "{text}");
     }
 }
@@ -109,7 +124,7 @@ fn evaluation_names_the_sample_of_the_whole_set() {
     many[71 * 3] = 0.9;
     for workers in [1, 3] {
         let found = Evaluation::new(&task, &policy, workers).run(&task, &policy, &weights, &many);
-        assert_eq!(found, Err(Divergence::State { step: 5, sample: 71, component: 1 }));
+        assert_eq!(found, Err(Divergence::Forward { variable: Variable::State, step: 5, sample: 71, component: 1 }));
     }
 }
 
@@ -129,15 +144,18 @@ fn updates_with_a_bad_sample_are_skipped_counted_and_change_nothing() {
     // Two mini-batches of 6 and 5; sample 9 is in the second.
     let training = Training { epochs: 3, batch: 6, max_skipped: 10, ..Training::default() };
     let trainer = Trainer::new(Faulty(Fault::Cotangent), Linear::with_bias(3, 1)).precision::<f64>().training(training.clone());
-    let mut session = trainer.session_from(vec![0.1; 4], starts(), starts());
+    let mut session = trainer.session_from(vec![0.1; 4], starts(), starts()).expect("valid settings");
     let record = session.epoch().expect("one good update").clone();
     assert_eq!(record.skipped, 1);
     assert_eq!(session.skips()[0].update, 1);
-    assert_eq!(session.skips()[0].divergence, Divergence::Cotangent { flow: Flow::MODIFIED, step: 3, sample: 3, component: 1 });
+    assert_eq!(
+        session.skips()[0].divergence,
+        Divergence::Cotangent { flow: Flow::MODIFIED, variable: Variable::State, step: 3, sample: 3, component: 1 }
+    );
 
     // The same training without the second mini-batch.
     let trainer = Trainer::new(Faulty(Fault::Cotangent), Linear::with_bias(3, 1)).precision::<f64>().training(training);
-    let mut good = trainer.session_from(vec![0.1; 4], starts()[..18].to_vec(), starts());
+    let mut good = trainer.session_from(vec![0.1; 4], starts()[..18].to_vec(), starts()).expect("valid settings");
     good.epoch().expect("finite");
     assert_eq!(session.weights().theta(), good.weights().theta());
 }
@@ -146,7 +164,7 @@ fn updates_with_a_bad_sample_are_skipped_counted_and_change_nothing() {
 fn too_many_skips_in_a_row_stop_the_training_with_the_parameters_untouched() {
     let training = Training { epochs: 100, batch: 11, max_skipped: 3, ..Training::default() };
     let trainer = Trainer::new(Faulty(Fault::State), Linear::with_bias(3, 1)).precision::<f64>().training(training);
-    let mut session = trainer.session_from(vec![0.1; 4], starts(), starts());
+    let mut session = trainer.session_from(vec![0.1; 4], starts(), starts()).expect("valid settings");
     for epoch in 1..=3 {
         let record = session.epoch().expect("not yet too many");
         assert_eq!((record.epoch, record.skipped), (epoch, 1));
@@ -192,8 +210,115 @@ fn an_infinite_gradient_of_finite_cotangents_is_named() {
     let policy = Mlp::new([1, 1]).bias(false);
     let training = Training { train_samples: 8, test_samples: 8, ..Training::default() };
     let trainer = Trainer::new(Steep, policy).field(Field::regular()).training(training);
-    let mut session = trainer.session_from(vec![0.0], vec![1e20; 8], vec![1e20; 8]);
+    let mut session = trainer.session_from(vec![0.0], vec![1e20; 8], vec![1e20; 8]).expect("valid settings");
     session.epoch().expect("one skip");
     assert_eq!(session.skips()[0].divergence, Divergence::Gradient { flow: Flow::REGULAR, parameter: 0 });
     assert_eq!(session.weights().theta(), [0.0]);
+}
+
+/// A saturated actuator: `min` and `max` let a NaN of the control vanish from the state.
+#[derive(Debug)]
+struct Saturated;
+
+impl System for Saturated {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        next[0] = x[0] + u[0].min(T::one()).max(-T::one());
+    }
+}
+
+impl Task for Saturated {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        4
+    }
+    fn start(&self, _: &mut Rng, x: &mut [f64]) {
+        x[0] = 1.0;
+    }
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        x[0] * x[0]
+    }
+}
+
+#[test]
+fn a_control_that_is_no_number_is_seen_though_the_state_hides_it() {
+    let policy = Linear::new(1, 1);
+    let weights = Weights::new(&policy, vec![f64::NAN]);
+    let mut rollout = Rollout::new(&Saturated, &policy, 2);
+    rollout.start(&[1.0, 2.0]);
+    let found = rollout.run(&Saturated, &policy, &weights);
+    assert_eq!(found, Err(Divergence::Forward { variable: Variable::Control, step: 0, sample: 0, component: 0 }));
+}
+
+/// A composition that makes something of nothing.
+struct Broken(f64);
+
+impl Compose for Broken {
+    fn name(&self) -> &str {
+        "broken"
+    }
+    fn compose<F: Float>(&self, first: &[F], _: &[F], out: &mut [F]) {
+        out.copy_from_slice(first);
+        out[0] = F::lift(self.0);
+    }
+}
+
+#[test]
+fn a_composition_is_checked_before_the_optimizer_sees_it() {
+    // In single precision, the square of 1e30 is infinite; clipping brings it back into reach.
+    for (value, clip, bad) in [
+        (f64::NAN, Clip::None, true),
+        (f64::NAN, Clip::Value(1.0), true),
+        (f64::INFINITY, Clip::Norm(1.0), true),
+        (1e30, Clip::None, true),
+        (1e30, Clip::Norm(1.0), false),
+        (1e30, Clip::Value(1.0), false),
+    ] {
+        let field = Field::composed(Flow::MODIFIED, Flow::REGULAR, Broken(value));
+        let training = Training { train_samples: 8, test_samples: 8, clip, ..Training::default() };
+        let mut session = Trainer::new(Saturated, Linear::new(1, 1)).field(field).training(training).session().expect("valid");
+        let before = session.weights().theta().to_vec();
+        let record = session.epoch().expect("one update").clone();
+        assert_eq!(record.skipped, usize::from(bad), "{value} {clip:?}");
+        assert_eq!(session.weights().theta() == before, bad, "{value} {clip:?}");
+        assert!(session.weights().theta().iter().all(|t| t.is_finite()));
+        if bad {
+            assert_eq!(session.skips()[0].divergence, Divergence::Field { parameter: 0 });
+        }
+    }
+}
+
+#[test]
+fn an_evaluation_that_diverges_is_told() {
+    let training = Training { batch: 6, max_skipped: 100, ..Training::default() };
+    let trainer = Trainer::new(Faulty(Fault::State), Linear::with_bias(3, 1)).precision::<f64>().training(training);
+    let good = [0.1, 0.3, 0.0].repeat(6);
+    let mut session = trainer.session_from(vec![0.1; 4], good, starts()).expect("valid settings");
+    assert!(session.epoch().expect("good updates").test_loss.is_nan());
+    assert_eq!(
+        session.diverged(),
+        [None, Some(Divergence::Forward { variable: Variable::State, step: 5, sample: 9, component: 1 })]
+    );
+}
+
+#[test]
+fn settings_that_cannot_work_are_refused_by_name() {
+    let refused = |training: Training| {
+        let trainer = Trainer::new(Saturated, Linear::new(1, 1)).training(training);
+        trainer.session_from(vec![0.0], vec![1.0], vec![1.0]).expect_err("a mistake").to_string()
+    };
+    assert!(refused(Training { batch: 0, ..Training::default() }).contains("batch"));
+    for learning_rate in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e9] {
+        assert!(refused(Training { learning_rate, ..Training::default() }).contains("learning_rate"));
+    }
+    let trainer = Trainer::new(Saturated, Linear::new(1, 1));
+    assert!(trainer.session_from(vec![0.0], vec![1.0], vec![]).expect_err("a mistake").to_string().contains("test_samples"));
 }

@@ -124,6 +124,8 @@ fn a_resumed_run_is_an_uninterrupted_one() {
     train(&parts, &["--epochs", "2"]).assert().success();
     let mut resume = physgrad(&["train", "cart_pole", "--resume", "--epochs", "5", "--out"]);
     resume.arg(&parts).assert().success();
+    let mut fewer = physgrad(&["train", "cart_pole", "--resume", "--epochs", "3", "--out"]);
+    assert!(error_of(fewer.arg(&parts)).contains("5 epochs already"));
     assert_eq!(numbers(&parts), numbers(&whole));
     assert!(policy(&parts) == policy(&whole));
 }
@@ -158,7 +160,11 @@ fn a_run_that_is_there_is_not_overwritten() {
     let dir = TempDir::new().expect("a folder");
     train(dir.path(), &["--epochs", "1"]).assert().success();
     let first = policy(dir.path());
+    fs::write(dir.path().join("notes.txt"), "mine").expect("a file");
+    assert!(error_of(&mut train(dir.path(), &["--threads", "0"])).contains("--threads"));
+    assert!(!dir.path().join("previous-1").exists(), "a mistake moves nothing");
     train(dir.path(), &["--epochs", "1", "--seed", "9"]).assert().success();
+    assert!(dir.path().join("notes.txt").exists(), "only the run's own files are moved");
     assert!(policy(&dir.path().join("previous-1")) == first);
     assert!(policy(dir.path()) != first);
 }
@@ -177,7 +183,11 @@ fn mistakes_are_named_with_what_is_allowed() {
         ("policy.widths=[8, 0]", &["policy.widths", "0"]),
         ("policy.widths=wide", &["policy.widths", "wide"]),
         ("system=4", &["system", "system.poles"]),
-        ("horizon=0", &["horizon", "0", "1 or more"]),
+        ("horizon=0", &["horizon", "0", "1 to"]),
+        ("horizon=99999999999", &["horizon", "1 to"]),
+        ("training.batch=1000000000000", &["training.batch", "1 to"]),
+        ("horizon=50000000", &["GB", "training.batch", "horizon"]),
+        ("physgrad=9.9", &["physgrad", "cannot be set"]),
         ("nonsense", &["nonsense", "KEY=VALUE"]),
         ("task=other", &["task", "other"]),
     ] {
@@ -223,7 +233,7 @@ fn what_cannot_be_resumed_is_refused_with_the_reason() {
     let own = fs::read(dir.path().join("checkpoint.bin")).expect("a checkpoint");
     fs::copy(other.join("checkpoint.bin"), dir.path().join("checkpoint.bin")).expect("a copy");
     let text = error_of(&mut resume(&[]));
-    assert!(text.contains("another run") && text.contains("checkpoint.bin"), "{text}");
+    assert!(text.contains("another run") && text.contains("checkpoint.bin") && text.contains("widths = [3]"), "{text}");
     fs::write(dir.path().join("checkpoint.bin"), &own[..own.len() / 2]).expect("half a checkpoint");
     assert!(error_of(&mut resume(&[])).contains("damaged"));
     fs::write(dir.path().join("checkpoint.bin"), own).expect("a checkpoint");
@@ -247,6 +257,7 @@ fn a_run_that_diverges_says_where_and_keeps_what_it_has() {
         assert!(text.contains(part), "{text}");
     }
     assert!(dir.path().join("policy.safetensors").exists());
+    assert!(dir.path().join("checkpoint.bin").exists());
 }
 
 #[test]
@@ -266,6 +277,37 @@ fn a_comparison_has_a_row_a_run_and_a_picture() {
     let alone = dir.path().join("alone");
     train(&alone, &["--epochs", "2", "--field", "C", "--seed", "1", "--threads", "2"]).assert().success();
     assert_eq!(columns(&alone.join("metrics.csv"))["test_loss"][1], summary["final_test_loss"][3]);
+}
+
+#[test]
+fn a_comparison_keeps_runs_that_broke_off_and_says_so() {
+    let dir = TempDir::new().expect("a folder");
+    let mut compare = physgrad(&["compare", "cart_pole", "--fields", "R,C", "--seeds", "2", "--epochs", "40", "--out"]);
+    compare.arg(dir.path()).args(SMALL).args(["--set", "system.gravity=1e38", "--set", "system.dt=1e5"]);
+    let text = error_of(&mut compare);
+    assert!(text.contains("4 of 4 runs broke off") && text.contains("R seed 1") && text.contains("forward pass"), "{text}");
+    let summary = columns(&dir.path().join("summary.csv"));
+    assert_eq!(summary["final_test_loss"], ["NaN"; 4]);
+}
+
+#[test]
+fn a_comparison_goes_on_where_it_was_and_refuses_what_is_not_one() {
+    let dir = TempDir::new().expect("a folder");
+    let compare = |args: &[&str]| {
+        let mut compare = physgrad(&["compare", "cart_pole", "--seeds", "1", "--out"]);
+        compare.arg(dir.path()).args(SMALL).args(args);
+        compare
+    };
+    compare(&["--fields", "R,S", "--epochs", "1"]).assert().success();
+    compare(&["--fields", "R,S", "--epochs", "3"]).assert().success();
+    assert_eq!(columns(&dir.path().join("runs/R-0/metrics.csv"))["epoch"].len(), 3);
+    let before = fs::read_to_string(dir.path().join("summary.csv")).expect("a summary");
+    let text = error_of(&mut compare(&["--fields", "R,S", "--epochs", "3", "--set", "system.poles=4"]));
+    assert!(text.contains("keeps its settings") && text.contains("poles = 4"), "{text}");
+    assert!(error_of(&mut compare(&["--fields", "R,regular"])).contains("twice"));
+    assert!(error_of(&mut compare(&["--set", "field=S"])).contains("--fields"));
+    assert!(error_of(&mut compare(&["--seed", "9223372036854775807", "--seeds", "2"])).contains("seeds"));
+    assert_eq!(fs::read_to_string(dir.path().join("summary.csv")).expect("a summary"), before, "nothing was lost");
 }
 
 #[test]

@@ -253,7 +253,8 @@ fn training<A: Authors>() {
             };
             let trainer = Trainer::new(task.clone(), policy.clone()).precision::<f64>().field(field).training(training);
             let states = |key: &str| data(&file[key]);
-            let mut session = trainer.session_from(variables(&file["controller"]), states("train_states"), states("test_states"));
+            let session = trainer.session_from(variables(&file["controller"]), states("train_states"), states("test_states"));
+            let mut session = session.expect("valid settings");
             let columns: Vec<_> = list(&file["log_columns"]).iter().map(text).collect();
             let log = data(&run["log"]);
             let column = |epoch: usize, name: &str| {

@@ -2,6 +2,7 @@
 
 use super::scene::{NAMES, Network, Scene, with_scene};
 use super::settings::Settings;
+use super::train::say;
 use anyhow::{Result, bail};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
@@ -24,8 +25,8 @@ pub fn check(args: &Check) -> Result<()> {
     for name in names {
         with_scene!(name, S => check_scene::<S>(&mut results)?)
     }
-    println!("{}", results.table);
-    println!("errors are relative to the largest component, in double precision, against dual numbers");
+    say(&results.table.to_string());
+    say("errors are relative to the largest component, in double precision, against dual numbers");
     if results.failures.is_empty() {
         return Ok(());
     }

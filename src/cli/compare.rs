@@ -4,12 +4,12 @@ use super::folder::{CHECKPOINT, Folder, SETTINGS};
 use super::run::{self, Finished, Watch};
 use super::scene::{Scene, with_scene};
 use super::settings::{FieldName, Settings};
-use super::train::{Changes, Progress, threads};
+use super::train::{Changes, Progress, best, check_resumable, say, settings, threads};
 use anyhow::{Context, Result, bail};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use physgrad::report::{Curve, Point, comparison, field_color};
-use physgrad::{Field, Record, Skip};
+use physgrad::{Divergence, Field, Record, Skip};
 use rayon::prelude::*;
 use std::path::PathBuf;
 use std::sync::Mutex;
@@ -43,90 +43,123 @@ pub fn compare(args: &Compare) -> Result<()> {
     with_scene!(args.task.as_str(), S => compare_scene::<S>(args))
 }
 
-/// One field and seed.
+/// One field and seed, and what came of it.
 struct Run<S: Scene> {
     field: Field,
     seed: u64,
     folder: Folder,
     settings: Settings<S>,
     records: Vec<Record>,
+    broken: bool,
+}
+
+impl<S: Scene> Run<S> {
+    fn label(&self) -> String {
+        format!("{} seed {}", self.field.letter(), self.seed)
+    }
+
+    /// Goes on where an earlier comparison stopped; that must have been the same run.
+    fn resumes(&self) -> Result<bool> {
+        if !self.folder.has(SETTINGS) || !self.folder.has(CHECKPOINT) {
+            return Ok(false);
+        }
+        check_resumable(&self.folder, &self.settings).map(|()| true)
+    }
+
+    /// The loss at the end; NaN for a run that broke off.
+    fn last(&self, loss: fn(&Record) -> f64) -> f64 {
+        self.records.last().filter(|_| !self.broken).map_or(f64::NAN, loss)
+    }
+
+    fn seconds(&self) -> f64 {
+        self.records.iter().map(|r| r.seconds).sum()
+    }
 }
 
 fn compare_scene<S: Scene>(args: &Compare) -> Result<()> {
-    if args.seeds == 0 {
-        bail!("--seeds is 0; allowed: 1 or more");
-    }
-    if args.changes.field.is_some() {
-        bail!("a comparison has --fields, not --field");
-    }
-    let mut runs = plan::<S>(args)?;
+    let base = settings::<S>(&args.changes)?;
+    let fields = fields(args)?;
     threads(args.threads)?;
+    let folder = match &args.out {
+        Some(path) => Folder::create(path)?,
+        None => Folder::fresh(&format!("compare-{}", S::NAME))?,
+    };
+    let mut runs = plan(&base, &fields, args.seeds, &folder)?;
+    let resumes = runs.iter().map(Run::resumes).collect::<Result<Vec<bool>>>()?;
     let total = runs.iter().map(|r| r.settings.epochs).sum();
     let progress = Mutex::new(Progress::new(total, args.quiet));
     if !args.quiet {
-        eprintln!(
-            "{}: {} runs of {} epochs on {} threads",
-            S::NAME,
-            runs.len(),
-            runs[0].settings.epochs,
-            rayon::current_num_threads()
-        );
+        eprintln!("{}: {} runs of {} epochs on {} threads", S::NAME, runs.len(), base.epochs, rayon::current_num_threads());
     }
     let outcomes: Vec<Result<Finished>> = runs
         .par_iter()
-        .map(|run| {
-            let mut watch = Watched { progress: &progress, label: format!("{} seed {}", run.field.letter(), run.seed) };
-            let resume = run.folder.has(SETTINGS) && run.folder.has(CHECKPOINT);
+        .zip(resumes)
+        .map(|(run, resume)| {
+            let mut watch = Watched { progress: &progress, label: run.label() };
             // One thread a run: the runs themselves fill the cores.
-            run::run(&run.folder, &run.settings, 1, resume, &mut watch).with_context(|| format!("the run {}", watch.label))
+            run::run(&run.folder, &run.settings, 1, resume, &mut watch)
         })
         .collect();
     if let Ok(progress) = progress.lock() {
         progress.bar.finish_and_clear();
     }
-    let mut interrupted = false;
-    let mut failed = None;
+
+    let (mut interrupted, mut failures) = (false, Vec::new());
     for (run, outcome) in runs.iter_mut().zip(outcomes) {
-        match outcome {
-            Ok(finished) => {
-                interrupted |= finished.interrupted;
-                run.records = finished.records;
-            }
-            Err(error) => failed = failed.or(Some(error)),
+        let broken = outcome.map(|finished| {
+            interrupted |= finished.interrupted;
+            run.records = finished.records;
+            finished.broken
+        });
+        let failure = match broken {
+            Ok(None) => continue,
+            Ok(Some(error)) => error.to_string(),
+            Err(error) => format!("{error:#}"),
+        };
+        run.broken = true;
+        failures.push(format!("{}: {failure}", run.label()));
+    }
+    if interrupted {
+        say(&format!("interrupted; the same command with --out {} goes on", folder.path().display()));
+    } else {
+        folder.write("summary.csv", summary(&runs)?)?;
+        folder.write("curves.svg", comparison(&title(&runs), &curves(&runs)))?;
+        if !args.quiet {
+            let files = "summary.csv, curves.svg, and every run in runs/";
+            say(&format!("{}\nresults in {}: {files}", table(&runs), folder.path().display()));
         }
     }
-    let folder = Folder::create(
-        runs[0].folder.path().parent().and_then(|p| p.parent()).context("a run lies in the comparison's folder")?,
-    )?;
-    if interrupted {
-        println!("interrupted; the same command with --out {} goes on", folder.path().display());
+    if failures.is_empty() {
         return Ok(());
     }
-    runs.retain(|run| !run.records.is_empty());
-    folder.write("summary.csv", summary(&runs)?)?;
-    folder.write("curves.svg", comparison(&title(&runs), &curves(&runs)))?;
-    if !args.quiet && !runs.is_empty() {
-        println!("{}", table(&runs));
-        println!("results in {}: summary.csv, curves.svg, and every run in runs/", folder.path().display());
+    bail!("{} of {} runs broke off:\n{}", failures.len(), runs.len(), failures.join("\n"))
+}
+
+/// The fields asked for, each once.
+fn fields(args: &Compare) -> Result<Vec<FieldName>> {
+    if args.seeds == 0 {
+        bail!("--seeds is 0; allowed: 1 or more");
     }
-    failed.map_or(Ok(()), Err)
+    if args.changes.field.is_some() || args.changes.set.iter().any(|set| set.trim_start().starts_with("field")) {
+        bail!("a comparison has --fields, not a single field");
+    }
+    for (i, field) in args.fields.iter().enumerate() {
+        if args.fields[..i].contains(field) {
+            bail!("--fields names {} twice", field.0);
+        }
+    }
+    Ok(args.fields.clone())
 }
 
 /// Every run with its folder and settings.
-fn plan<S: Scene>(args: &Compare) -> Result<Vec<Run<S>>> {
-    let mut table = Settings::<S>::defaults().to_table();
-    args.changes.apply(&mut table)?;
-    let base = Settings::<S>::from_table(table)?;
-    let folder = match &args.out {
-        Some(path) => Folder::create(path)?,
-        None => Folder::fresh(&format!("compare-{}", S::NAME))?,
-    };
-    let each = args.fields.iter().flat_map(|&field| (0..args.seeds).map(move |k| (field, k)));
-    each.map(|(field, k)| {
-        let seed = base.seed + k;
+fn plan<S: Scene>(base: &Settings<S>, fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Vec<Run<S>>> {
+    let last = base.seed.checked_add(seeds - 1).filter(|&last| i64::try_from(last).is_ok());
+    let last = last.with_context(|| format!("{seeds} seeds from {} on are more than there are", base.seed))?;
+    let each = fields.iter().flat_map(|&field| (base.seed..=last).map(move |seed| (field, seed)));
+    each.map(|(field, seed)| {
         let settings = Settings { field, seed, ..base.clone() };
         let folder = Folder::create(&folder.file("runs").join(format!("{}-{seed}", field.0.letter())))?;
-        Ok(Run { field: field.0, seed, folder, settings, records: Vec::new() })
+        Ok(Run { field: field.0, seed, folder, settings, records: Vec::new(), broken: false })
     })
     .collect()
 }
@@ -144,30 +177,22 @@ impl Watch for Watched<'_> {
         }
     }
 
-    fn epoch(&mut self, record: &Record, skips: &[Skip]) {
+    fn epoch(&mut self, record: &Record, skips: &[Skip], diverged: [Option<Divergence>; 2]) {
         if let Ok(mut progress) = self.progress.lock() {
-            progress.advance(format!("{}: test {:.3e}", self.label, record.test_loss), skips);
+            progress.advance(format!("{}: test {:.3e}", self.label, record.test_loss));
+            progress.trouble(&format!("{}, ", self.label), record, skips, diverged);
         }
     }
 }
 
-fn best(records: &[Record]) -> f64 {
-    records.iter().map(|r| r.test_loss).fold(f64::INFINITY, f64::min)
-}
-
-fn seconds(records: &[Record]) -> f64 {
-    records.iter().map(|r| r.seconds).sum()
-}
-
-/// `summary.csv`: one row a run.
+/// `summary.csv`: one row a run; a run that broke off has no final losses.
 fn summary<S: Scene>(runs: &[Run<S>]) -> Result<Vec<u8>> {
     let mut csv = csv::Writer::from_writer(Vec::new());
     csv.write_record(["field", "seed", "final_train_loss", "final_test_loss", "best_test_loss", "seconds"])?;
     for run in runs {
-        if let Some(last) = run.records.last() {
-            let numbers = [last.train_loss, last.test_loss, best(&run.records), seconds(&run.records)].map(|x| x.to_string());
-            csv.write_record([run.field.letter().to_owned(), run.seed.to_string()].into_iter().chain(numbers))?;
-        }
+        let numbers = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(&run.records), run.seconds()];
+        let names = [run.field.letter().to_owned(), run.seed.to_string()];
+        csv.write_record(names.into_iter().chain(numbers.map(|x| x.to_string())))?;
     }
     Ok(csv.into_inner()?)
 }
@@ -198,33 +223,27 @@ fn curves<S: Scene>(runs: &[Run<S>]) -> Vec<Curve> {
     by_field(runs).map(curve).collect()
 }
 
-/// Medians over the seeds.
+/// Medians over the seeds. A loss that is not there is worse than any that is.
 fn table<S: Scene>(runs: &[Run<S>]) -> Table {
     let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED).set_header([
-        "field",
-        "seeds",
-        "median final test loss",
-        "lowest",
-        "highest",
-        "median best",
-        "median seconds",
-    ]);
+    let header = ["field", "seeds", "broke off", "median final test loss", "lowest", "highest", "median best", "median seconds"];
+    table.load_style(UTF8_FULL_CONDENSED).set_header(header);
     for (field, runs) in by_field(runs) {
         let sorted = |value: &dyn Fn(&Run<S>) -> f64| {
-            let mut values: Vec<f64> = runs.iter().map(value).collect();
+            let mut values: Vec<f64> = runs.iter().map(|run| value(run).abs()).collect();
             values.sort_by(f64::total_cmp);
             values
         };
-        let last = sorted(&|r| r.records.last().map_or(f64::NAN, |r| r.test_loss));
+        let last = sorted(&|r| r.last(|r| r.test_loss));
         table.add_row([
             field.to_string(),
             runs.len().to_string(),
+            runs.iter().filter(|run| run.broken).count().to_string(),
             format!("{:.3e}", median(&last)),
             format!("{:.3e}", last[0]),
             format!("{:.3e}", last[last.len() - 1]),
             format!("{:.3e}", median(&sorted(&|r| best(&r.records)))),
-            format!("{:.1}", median(&sorted(&|r| seconds(&r.records)))),
+            format!("{:.1}", median(&sorted(&Run::seconds))),
         ]);
     }
     table

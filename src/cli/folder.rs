@@ -2,12 +2,19 @@
 
 use anyhow::{Context, Result};
 use std::fs;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 pub const SETTINGS: &str = "run.toml";
 pub const CHECKPOINT: &str = "checkpoint.bin";
 pub const METRICS: &str = "metrics.csv";
+pub const POLICY: &str = "policy.safetensors";
+pub const LEARNING_CURVE: &str = "learning_curve.svg";
+pub const TRAJECTORY: &str = "trajectory.csv";
+pub const ANIMATION: &str = "animation.svg";
+
+/// All that a run writes.
+const RUN_FILES: [&str; 7] = [SETTINGS, CHECKPOINT, METRICS, POLICY, LEARNING_CURVE, TRAJECTORY, ANIMATION];
 
 /// A folder that has been shown to be writable.
 #[derive(Clone, Debug)]
@@ -31,11 +38,18 @@ impl Folder {
         Ok(folder)
     }
 
-    /// `runs/<name>`, or `runs/<name>-2` and so on if that holds a run already.
+    /// A new folder `runs/<name>`, or `runs/<name>-2` and so on if that is taken.
     pub fn fresh(name: &str) -> Result<Self> {
-        let candidate = |i: usize| Path::new("runs").join(if i == 1 { name.into() } else { format!("{name}-{i}") });
-        let free = (1..).map(candidate).find(|path| !path.join(SETTINGS).exists());
-        Self::create(&free.expect("there are enough numbers"))
+        Self::create(Path::new("runs"))?;
+        for i in 1.. {
+            let path = Path::new("runs").join(if i == 1 { name.into() } else { format!("{name}-{i}") });
+            match fs::create_dir(&path) {
+                Ok(()) => return Ok(Self { path }),
+                Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+                Err(error) => return Err(error).with_context(|| format!("cannot make the folder {}", path.display())),
+            }
+        }
+        unreachable!("there are enough numbers")
     }
 
     pub fn path(&self) -> &Path {
@@ -50,7 +64,8 @@ impl Folder {
         self.file(name).exists()
     }
 
-    /// Moves a run that is already there into a sub-folder, so that nothing is overwritten. Returns where to.
+    /// Moves the files of a run that is already there into a sub-folder, so that nothing is overwritten. Returns where
+    /// to.
     pub fn move_aside(&self) -> Result<Option<PathBuf>> {
         if !self.has(SETTINGS) {
             return Ok(None);
@@ -58,11 +73,8 @@ impl Folder {
         let free = (1..).map(|i| self.file(&format!("previous-{i}"))).find(|path| !path.exists());
         let aside = free.expect("there are enough numbers");
         fs::create_dir(&aside)?;
-        for entry in fs::read_dir(&self.path)? {
-            let entry = entry?;
-            if entry.file_type()?.is_file() {
-                fs::rename(entry.path(), aside.join(entry.file_name()))?;
-            }
+        for name in RUN_FILES.into_iter().filter(|name| self.has(name)) {
+            fs::rename(self.file(name), aside.join(name))?;
         }
         Ok(Some(aside))
     }

@@ -3,7 +3,7 @@
 use super::folder::{Folder, METRICS};
 use super::scene::{PolicyOf, Scene};
 use anyhow::{Context, Result};
-use physgrad::{Divergence, Float, Policy, Record, Rollout, Session, System, report};
+use physgrad::{Divergence, Float, Policy, Record, Rollout, Session, System, Variable, report};
 use safetensors::tensor::{Dtype, TensorView};
 use std::collections::HashMap;
 use std::fs::File;
@@ -94,7 +94,8 @@ pub fn rollouts<S: Scene, F: Float>(session: &Session<S, PolicyOf<S>, F>) -> Vec
     let mut rollout = Rollout::new(task, session.policy(), samples);
     rollout.start(&starts[..samples * n]);
     let steps = match rollout.run(task, session.policy(), session.weights()) {
-        Err(Divergence::State { step, .. }) => step - 1,
+        Err(Divergence::Forward { variable: Variable::State, step, .. }) => step - 1,
+        Err(Divergence::Forward { variable: Variable::Control, step, .. }) => step,
         _ => task.horizon(),
     };
     let trajectory = |sample: usize| Trajectory {

@@ -1,11 +1,11 @@
 //! One run in its folder: train, save, resume, and leave files behind.
 
-use super::folder::{CHECKPOINT, Folder, SETTINGS};
+use super::folder::{ANIMATION, CHECKPOINT, Folder, LEARNING_CURVE, POLICY, SETTINGS, TRAJECTORY};
 use super::outputs;
 use super::scene::{Network, PolicyOf, Scene};
 use super::settings::{Precision, Settings};
-use anyhow::{Context, Result};
-use physgrad::{Float, Record, Session, Skip, System, Trainer};
+use anyhow::{Context, Result, bail};
+use physgrad::{Divergence, Float, Record, Session, Skip, System, TrainError, Trainer};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -19,14 +19,16 @@ pub static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 pub trait Watch {
     /// It goes on after this many epochs of an earlier session.
     fn resumed(&mut self, _epochs: usize) {}
-    /// An epoch is done.
-    fn epoch(&mut self, record: &Record, skips: &[Skip]);
+    /// An epoch is done, in which these updates and evaluations were not finite.
+    fn epoch(&mut self, record: &Record, skips: &[Skip], diverged: [Option<Divergence>; 2]);
 }
 
-/// A run that is done, or was interrupted.
+/// A run that is done, was interrupted, or broke off.
 pub struct Finished {
     pub records: Vec<Record>,
     pub interrupted: bool,
+    /// Why it broke off; the session was then left as it was after the last whole epoch.
+    pub broken: Option<TrainError>,
 }
 
 /// Runs the settings in the folder. If `resume`, goes on from its checkpoint.
@@ -59,37 +61,38 @@ fn run_in<S: Scene, F: Float>(
         let file = folder.file(CHECKPOINT);
         let restored = session.restore(&folder.read(CHECKPOINT)?, &identity);
         restored.with_context(|| format!("cannot resume from {}", file.display()))?;
-        watch.resumed(session.records().len());
+        let done = session.records().len();
+        if done > settings.epochs {
+            bail!("the run in {} has {done} epochs already, and asked for are {}", folder.path().display(), settings.epochs);
+        }
+        watch.resumed(done);
     }
     folder.write(SETTINGS, settings.to_table().to_string())?;
     // Rows that were written after the checkpoint are computed again.
     let mut metrics = outputs::Metrics::create(folder, session.records())?;
 
-    let mut saved = Instant::now();
-    let mut trained = Ok(());
+    let mut saved: Option<Instant> = None;
+    let mut broken = None;
     while !session.is_done() && !INTERRUPTED.load(Ordering::Relaxed) {
         match session.epoch() {
             Ok(record) => metrics.row(record)?,
             Err(error) => {
-                trained = Err(error);
+                broken = Some(error);
                 break;
             }
         }
         if let Some(record) = session.records().last() {
-            watch.epoch(record, session.skips());
+            watch.epoch(record, session.skips(), session.diverged());
         }
-        if saved.elapsed() >= SAVE_EVERY {
+        if saved.is_none_or(|at| at.elapsed() >= SAVE_EVERY) {
             folder.write(CHECKPOINT, session.checkpoint(&identity))?;
-            saved = Instant::now();
+            saved = Some(Instant::now());
         }
     }
-    if trained.is_ok() {
-        // A run that broke off within an epoch keeps the checkpoint of a whole one.
-        folder.write(CHECKPOINT, session.checkpoint(&identity))?;
-    }
+    folder.write(CHECKPOINT, session.checkpoint(&identity))?;
     leave(folder, settings, &session)?;
-    trained.with_context(|| format!("what was learned up to then is in {}", folder.path().display()))?;
-    Ok(Finished { records: session.records().to_vec(), interrupted: !session.is_done() })
+    let interrupted = broken.is_none() && !session.is_done();
+    Ok(Finished { records: session.records().to_vec(), interrupted, broken })
 }
 
 /// The policy from all state components to all controls.
@@ -101,9 +104,9 @@ fn policy<S: Scene>(settings: &Settings<S>, task: &S) -> PolicyOf<S> {
 fn leave<S: Scene, F: Float>(folder: &Folder, settings: &Settings<S>, session: &Session<S, PolicyOf<S>, F>) -> Result<()> {
     let title = format!("{}, field {}, seed {}", S::NAME, settings.field.0, settings.seed);
     let about = format!("physgrad {}, {}, policy: {:?}", settings.physgrad, S::NAME, settings.policy);
-    folder.write("policy.safetensors", outputs::safetensors(about, session.policy(), session.weights().theta())?)?;
-    folder.write("learning_curve.svg", outputs::learning_curve(&title, session.records()))?;
+    folder.write(POLICY, outputs::safetensors(about, session.policy(), session.weights().theta())?)?;
+    folder.write(LEARNING_CURVE, outputs::learning_curve(&title, session.records()))?;
     let rollouts = outputs::rollouts(session);
-    folder.write("trajectory.csv", outputs::trajectories(session.task(), &rollouts)?)?;
-    folder.write("animation.svg", session.task().animation(&rollouts[0].states, &rollouts[0].controls).to_svg())
+    folder.write(TRAJECTORY, outputs::trajectories(session.task(), &rollouts)?)?;
+    folder.write(ANIMATION, session.task().animation(&rollouts[0].states, &rollouts[0].controls).to_svg())
 }

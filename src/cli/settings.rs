@@ -2,9 +2,12 @@
 
 use super::scene::{Network, Scene};
 use anyhow::{Context, Result, anyhow, bail};
-use physgrad::{Clip, Field, Rule, Training};
+use physgrad::{Clip, Field, Float, Policy, Rule, System, Training};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
+
+/// Gigabytes that the workspaces of a run may take.
+const MEMORY: f64 = 32.0;
 
 /// Everything needed to repeat a run; `run.toml` is this.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -135,21 +138,51 @@ impl<S: Scene> Settings<S> {
 
     fn validate(&self) -> Result<()> {
         let t = &self.training;
-        for (key, value) in [
-            ("horizon", self.horizon),
-            ("training.batch", t.batch),
-            ("training.train_samples", t.train_samples),
-            ("training.test_samples", t.test_samples),
-            ("training.max_skipped", t.max_skipped),
+        for (key, value, limit) in [
+            ("horizon", self.horizon, 100_000_000),
+            ("training.batch", t.batch, 1_000_000),
+            ("training.train_samples", t.train_samples, 1_000_000),
+            ("training.test_samples", t.test_samples, 1_000_000),
         ] {
-            if value == 0 {
-                bail!("`{key}` is 0; allowed: 1 or more");
+            if !(1..=limit).contains(&value) {
+                bail!("`{key}` is {value}; allowed: 1 to {limit}");
             }
         }
         positive("training.learning_rate", t.learning_rate)?;
+        if t.learning_rate > 1e6 {
+            bail!("`training.learning_rate` is {}; allowed: a positive number up to 1e6", t.learning_rate);
+        }
         positive("training.clip_limit", t.clip_limit)?;
         self.policy.validate()?;
-        S::validate(&self.system, &self.loss)
+        S::validate(&self.system, &self.loss)?;
+        match self.precision {
+            Precision::F32 => self.check_memory::<f32>(),
+            Precision::F64 => self.check_memory::<f64>(),
+        }
+    }
+
+    /// An error if the workspaces would not fit into the memory of any ordinary machine, before any of it is asked for.
+    fn check_memory<F: Float>(&self) -> Result<()> {
+        let task = S::build(&self.system, &self.loss, self.horizon);
+        let (n, m) = (task.system().state_dim(), task.system().control_dim());
+        let samples = self.training.batch.min(self.training.train_samples);
+        let columns = samples as f64 * self.horizon as f64;
+        // The policy's needs grow with the columns; a few are enough to see how.
+        let policy = self.policy.build(n, m);
+        let few = policy.sizes::<F>(64);
+        let per_column = (few.tape + 2 * few.tape_bar) as f64 / 64.0 + 4.0 * (n + m) as f64;
+        // θ and its packed form, the optimizer and its copy, gradients of two flows.
+        let parameters = policy.param_count() as f64 * 16.0;
+        let sets = (self.training.train_samples + self.training.test_samples) as f64 * n as f64;
+        let gigabytes = (columns * per_column + parameters + sets) * size_of::<F>() as f64 * 1e-9;
+        if gigabytes > MEMORY {
+            bail!(
+                "a mini-batch of {samples} samples over {} steps would need about {gigabytes:.0} GB, and at most {MEMORY} GB are \
+                 used; choose a smaller `training.batch`, `horizon` or policy",
+                self.horizon
+            );
+        }
+        Ok(())
     }
 
     /// The training they describe, on so many workers.
@@ -201,6 +234,9 @@ pub fn set(table: &mut Table, assignment: &str) -> Result<()> {
         .split_once('=')
         .with_context(|| format!("`--set {assignment}`: write KEY=VALUE, for example system.poles=4"))?;
     let (key, text) = (key.trim(), text.trim());
+    if ["physgrad", "task"].contains(&key) {
+        bail!("`{key}` says what made a run, and cannot be set (to {text})");
+    }
     // A word that is no TOML value is a string: shells take the quotes away.
     let value = format!("value = {text}").parse::<Table>().map_or_else(|_| Value::String(text.into()), |mut t| t["value"].take());
     put(table, key, value)

@@ -3,11 +3,12 @@
 use super::folder::{CHECKPOINT, Folder, SETTINGS};
 use super::run::{self, Watch};
 use super::scene::{Scene, with_scene};
-use super::settings::{self, FieldName, Precision, Settings};
+use super::settings::{self as settings_table, FieldName, Precision, Settings};
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use physgrad::{Record, Skip};
-use std::path::{Path, PathBuf};
+use physgrad::{Divergence, Record, Skip, differences};
+use std::io::Write;
+use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Train a policy on a task.
@@ -55,7 +56,7 @@ impl Changes {
     /// Makes the changes in a table of settings.
     pub fn apply(&self, table: &mut Table) -> Result<()> {
         for assignment in &self.set {
-            settings::set(table, assignment)?;
+            settings_table::set(table, assignment)?;
         }
         let named = [
             ("field", self.field.map(|f| Value::String(f.into()))),
@@ -65,7 +66,7 @@ impl Changes {
         ];
         for (key, value) in named {
             if let Some(value) = value {
-                settings::put(table, key, value)?;
+                settings_table::put(table, key, value)?;
             }
         }
         Ok(())
@@ -84,21 +85,22 @@ pub fn train(args: &Train) -> Result<()> {
 }
 
 fn train_scene<S: Scene>(args: &Train) -> Result<()> {
-    let (folder, settings) = if let (Some(out), true) = (&args.out, args.resume) {
-        let folder = Folder::create(out)?;
-        let settings = resumed_settings::<S>(&folder, &args.changes)?;
-        (folder, settings)
-    } else {
-        let mut table = Settings::<S>::defaults().to_table();
-        args.changes.apply(&mut table)?;
-        let settings = Settings::<S>::from_table(table)?;
-        let folder = args.out.as_deref().map_or_else(|| Folder::fresh(S::NAME), Folder::create)?;
-        if let Some(aside) = folder.move_aside()? {
-            eprintln!("{} held another run; it is now in {}", folder.path().display(), aside.display());
-        }
-        (folder, settings)
-    };
     let workers = threads(args.threads)?;
+    let (folder, settings) = match (&args.out, args.resume) {
+        (Some(out), true) => {
+            let folder = Folder::create(out)?;
+            let settings = resumed_settings::<S>(&folder, &args.changes)?;
+            (folder, settings)
+        }
+        (out, _) => {
+            let settings = settings::<S>(&args.changes)?;
+            let folder = out.as_deref().map_or_else(|| Folder::fresh(S::NAME), Folder::create)?;
+            if let Some(aside) = folder.move_aside()? {
+                eprintln!("{} held another run; it is now in {}", folder.path().display(), aside.display());
+            }
+            (folder, settings)
+        }
+    };
     let mut progress = Progress::new(settings.epochs, args.quiet);
     if !args.quiet {
         eprintln!(
@@ -113,42 +115,67 @@ fn train_scene<S: Scene>(args: &Train) -> Result<()> {
     }
     let finished = run::run(&folder, &settings, workers, args.resume, &mut progress)?;
     progress.bar.finish_and_clear();
-    if args.quiet {
-        return Ok(());
+    if !args.quiet {
+        say(&summary(&folder, &finished.records));
     }
-    summary(&folder, &finished.records);
     if finished.interrupted {
         let done = finished.records.len();
-        println!("interrupted after epoch {done}; to go on: physgrad train {} --resume --out {}", S::NAME, show(folder.path()));
+        let command = format!("physgrad train {} --resume --out {}", S::NAME, folder.path().display());
+        say(&format!("interrupted after epoch {done}; to go on: {command}"));
     }
-    Ok(())
+    match finished.broken {
+        Some(error) => {
+            Err(error).with_context(|| format!("the run up to its last whole epoch is in {}", folder.path().display()))
+        }
+        None => Ok(()),
+    }
 }
 
-/// The settings of the run in the folder; only the number of epochs may differ.
-fn resumed_settings<S: Scene>(folder: &Folder, changes: &Changes) -> Result<Settings<S>> {
+/// A task's defaults with these changes.
+pub fn settings<S: Scene>(changes: &Changes) -> Result<Settings<S>> {
+    let mut table = Settings::<S>::defaults().to_table();
+    changes.apply(&mut table)?;
+    Settings::from_table(table)
+}
+
+/// Prints to the standard output. Who reads it may have stopped reading.
+pub fn say(text: &str) {
+    let _ = writeln!(std::io::stdout(), "{text}");
+}
+
+/// The settings of the run in the folder, which must be there.
+fn saved_settings<S: Scene>(folder: &Folder) -> Result<Settings<S>> {
     if !folder.has(SETTINGS) || !folder.has(CHECKPOINT) {
         bail!("there is no run to resume in {}; without --resume, a new one starts there", folder.path().display());
     }
     let context = || format!("{} is not usable", folder.file(SETTINGS).display());
     let saved: Table = folder.read_text(SETTINGS)?.parse().with_context(context)?;
-    if let Some(version) = saved.get("physgrad").and_then(Value::as_str)
-        && version != env!("CARGO_PKG_VERSION")
-    {
-        let own = env!("CARGO_PKG_VERSION");
+    let own = env!("CARGO_PKG_VERSION");
+    if let Some(version) = saved.get("physgrad").and_then(Value::as_str).filter(|&version| version != own) {
         bail!("this run was made by physgrad {version}, and this is {own}: its numbers would not be those of one run");
     }
-    let saved = Settings::<S>::from_table(saved).with_context(context)?;
-    let mut table = saved.to_table();
-    changes.apply(&mut table)?;
-    let settings = Settings::<S>::from_table(table)?;
-    if settings.identity() != saved.identity() {
+    Settings::from_table(saved).with_context(context)
+}
+
+/// An error unless the run in the folder has these settings; only the number of epochs may differ.
+pub fn check_resumable<S: Scene>(folder: &Folder, settings: &Settings<S>) -> Result<()> {
+    let saved = saved_settings::<S>(folder)?.identity();
+    if settings.identity() != saved {
         bail!(
-            "a resumed run keeps its settings (only --epochs may change). The run in {} was made with\n{}\nand asked for is\n{}",
+            "a resumed run keeps its settings (only the number of epochs may change); in {}, these differ:\n{}",
             folder.path().display(),
-            saved.identity(),
-            settings.identity()
+            differences(&saved, &settings.identity())
         );
     }
+    Ok(())
+}
+
+/// The settings of the run in the folder, with these changes.
+fn resumed_settings<S: Scene>(folder: &Folder, changes: &Changes) -> Result<Settings<S>> {
+    let mut table = saved_settings::<S>(folder)?.to_table();
+    changes.apply(&mut table)?;
+    let settings = Settings::<S>::from_table(table)?;
+    check_resumable(folder, &settings)?;
     Ok(settings)
 }
 
@@ -163,29 +190,30 @@ pub fn threads(asked: Option<usize>) -> Result<usize> {
     Ok(rayon::current_num_threads())
 }
 
-fn summary(folder: &Folder, records: &[Record]) {
-    let Some(last) = records.last() else { return };
-    let best = records.iter().map(|r| r.test_loss).fold(f64::INFINITY, f64::min);
-    let seconds: f64 = records.iter().map(|r| r.seconds).sum();
-    let skipped: usize = records.iter().map(|r| r.skipped).sum();
-    println!(
-        "{} epochs in {seconds:.1} s: training loss {:.3e}, test loss {:.3e} (best {best:.3e})",
-        records.len(),
-        last.train_loss,
-        last.test_loss
-    );
-    if skipped > 0 {
-        println!("{skipped} updates were skipped because a number was not finite");
+fn summary(folder: &Folder, records: &[Record]) -> String {
+    let mut text = String::new();
+    if let Some(last) = records.last() {
+        let seconds: f64 = records.iter().map(|r| r.seconds).sum();
+        let (train, test, best) = (last.train_loss, last.test_loss, best(records));
+        let epochs = records.len();
+        text +=
+            &format!("{epochs} epochs in {seconds:.1} s: training loss {train:.3e}, test loss {test:.3e} (best {best:.3e})\n");
+        let skipped: usize = records.iter().map(|r| r.skipped).sum();
+        if skipped > 0 {
+            text += &format!("{skipped} updates were skipped because a number was not finite\n");
+        }
     }
-    println!("results in {}:", show(folder.path()));
-    println!("  learning_curve.svg, animation.svg   to look at");
-    println!("  metrics.csv, trajectory.csv         numbers");
-    println!("  policy.safetensors                  the trained policy");
-    println!("  run.toml, checkpoint.bin            to repeat or resume");
+    text += &format!("results in {}:\n", folder.path().display());
+    text += "  learning_curve.svg, animation.svg   to look at\n";
+    text += "  metrics.csv, trajectory.csv         numbers\n";
+    text += "  policy.safetensors                  the trained policy\n";
+    text += "  run.toml, checkpoint.bin            to repeat or resume";
+    text
 }
 
-fn show(path: &Path) -> std::path::Display<'_> {
-    path.display()
+/// The lowest test loss; NaN if there is none.
+pub fn best(records: &[Record]) -> f64 {
+    records.iter().map(|r| r.test_loss).fold(f64::NAN, f64::min)
 }
 
 /// A progress bar with the losses and the time left; ten lines of text where there is no terminal.
@@ -215,26 +243,34 @@ impl Watch for Progress {
         }
     }
 
-    fn epoch(&mut self, record: &Record, skips: &[Skip]) {
-        self.advance(format!("train {:.3e}  test {:.3e}", record.train_loss, record.test_loss), skips);
+    fn epoch(&mut self, record: &Record, skips: &[Skip], diverged: [Option<Divergence>; 2]) {
+        self.advance(format!("train {:.3e}  test {:.3e}", record.train_loss, record.test_loss));
+        self.trouble("", record, skips, diverged);
     }
 }
 
 impl Progress {
     /// One more epoch.
-    pub fn advance(&mut self, message: String, skips: &[Skip]) {
+    pub fn advance(&mut self, message: String) {
         self.bar.set_message(message);
         self.bar.inc(1);
-        if self.quiet {
-            return;
-        }
         let (done, all) = (self.bar.position(), self.bar.length().unwrap_or(0).max(1));
-        if self.bar.is_hidden() && done * 10 / all != (done - 1) * 10 / all {
+        if !self.quiet && self.bar.is_hidden() && done * 10 / all != (done - 1) * 10 / all {
             eprintln!("epoch {done}/{all}: {}", self.bar.message());
         }
-        if let Some(skip) = skips.first() {
-            let (count, epoch, update) = (skips.len(), skip.epoch, skip.update);
-            let text = format!("epoch {epoch}: {count} update(s) skipped, the first being update {update} ({})", skip.divergence);
+    }
+
+    /// Says what was not finite in an epoch.
+    pub fn trouble(&self, run: &str, record: &Record, skips: &[Skip], diverged: [Option<Divergence>; 2]) {
+        let epoch = record.epoch;
+        let skipped = skips.first().map(|skip| {
+            let (count, update) = (skips.len(), skip.update);
+            format!("{run}epoch {epoch}: {count} update(s) skipped, the first being update {update} ({})", skip.divergence)
+        });
+        let evaluated = ["training", "test"].into_iter().zip(diverged).filter_map(|(set, divergence)| {
+            divergence.map(|divergence| format!("{run}epoch {epoch}: the {set} loss is not finite ({divergence})"))
+        });
+        for text in skipped.into_iter().chain(evaluated).filter(|_| !self.quiet) {
             // Above the bar where there is one.
             if self.bar.is_hidden() { eprintln!("{text}") } else { self.bar.println(text) }
         }

@@ -34,10 +34,15 @@ pub struct Product<'a, F> {
 impl<F> Product<'_, F> {
     fn check(&self, pad: usize) {
         let Self { rows, depth, cols, lda, b_row, b_col, ldc, .. } = *self;
+        // The last entry that is touched; too large to be counted is too large to be there.
+        let last = |count: usize, step: usize| (count - 1).checked_mul(step);
+        let within = |a: Option<usize>, b: Option<usize>, len: usize| {
+            a.zip(b).and_then(|(a, b)| a.checked_add(b)).is_some_and(|i| i < len)
+        };
         assert!(rows > 0 && depth > 0 && cols > 0 && rows.is_multiple_of(pad), "product: {rows}x{depth}x{cols}, padding {pad}");
-        assert!(lda >= rows && self.a.len() >= (depth - 1) * lda + rows, "product: A has {} entries", self.a.len());
-        assert!(self.b.len() > (depth - 1) * b_row + (cols - 1) * b_col, "product: B has {} entries", self.b.len());
-        assert!(ldc >= rows && self.c.len() >= (cols - 1) * ldc + rows, "product: C has {} entries", self.c.len());
+        assert!(lda >= rows && within(last(depth, lda), Some(rows - 1), self.a.len()), "product: A has {} entries", self.a.len());
+        assert!(within(last(depth, b_row), last(cols, b_col), self.b.len()), "product: B has {} entries", self.b.len());
+        assert!(ldc >= rows && within(last(cols, ldc), Some(rows - 1), self.c.len()), "product: C has {} entries", self.c.len());
     }
 }
 
@@ -209,6 +214,7 @@ macro_rules! gemm {
             /// Computes the product with the given instruction set.
             pub fn product(level: Level, p: Product<'_, $float>) {
                 p.check(PAD);
+                let level = level.checked();
                 #[cfg(target_arch = "x86_64")]
                 #[target_feature(enable = "avx2,fma")]
                 unsafe fn avx2(p: Product<'_, $float>) {
@@ -220,7 +226,7 @@ macro_rules! gemm {
                     unsafe { panels::<$avx512, 3, 8>(p) }
                 }
                 match level {
-                    // SAFETY: the shapes are checked; `Level` is only ever made for instructions this processor has.
+                    // SAFETY: the shapes are checked, and so is that this processor has the level's instructions.
                     Level::Portable => unsafe { panels::<Array, 1, 4>(p) },
                     #[cfg(target_arch = "x86_64")]
                     Level::Avx2 => unsafe { avx2(p) },

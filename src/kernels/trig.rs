@@ -1,5 +1,5 @@
 //! Sine and cosine together, without branches and without fused operations: the same bits alone, in a lane, and on
-//! every processor. At most 1.5 units in the last place for |x| up to 1e6; beyond, the standard library takes over.
+//! every processor. At most 1.6 units in the last place for |x| up to 1e6; beyond, the standard library takes over.
 
 /// Above this, `n·π/2` of the argument reduction is no longer exact and [`std`] computes the pair instead.
 pub const REACH: f64 = 1e6;

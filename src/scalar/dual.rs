@@ -1,11 +1,12 @@
 //! Forward mode: num-dual's numbers as [`Scalar`]s.
 //!
-//! Where num-dual's own rule loses digits or turns NaN, the rule is written here: `tanh` (sinh/cosh overflows, and its
-//! quotient rule cancels) and `sqrt` of a constant 0.
+//! Arithmetic is num-dual's. The elementary functions are chain rules over the plain number's own function, so that a
+//! dual's value has that number's bits; num-dual's `tanh` would overflow (sinh/cosh), and its `sqrt` and `ln` would make
+//! a NaN of the zero tangent of a constant 0.
 
 use super::{Float, Scalar};
 use nalgebra::{Const, SVector, U1};
-use num_dual::{Derivative, Dual32, Dual64, DualNum, DualSVec32, DualSVec64};
+use num_dual::{Derivative, Dual32, Dual64, DualSVec32, DualSVec64};
 
 /// A dual number with `N` tangents, taken apart and put together.
 pub trait Tangents<const N: usize>: Scalar {
@@ -45,11 +46,12 @@ macro_rules! scalar_for_dual {
             }
             #[inline]
             fn exp(self) -> Self {
-                DualNum::exp(&self)
+                let e = Scalar::exp(self.re);
+                self.chain(e, e)
             }
             #[inline]
             fn ln(self) -> Self {
-                DualNum::ln(&self)
+                self.chain(Scalar::ln(self.re), 1.0 / self.re)
             }
             #[inline]
             fn sin_cos(self) -> (Self, Self) {
@@ -63,7 +65,8 @@ macro_rules! scalar_for_dual {
             }
             #[inline]
             fn atan2(self, x: Self) -> Self {
-                DualNum::atan2(&self, x)
+                let square = self.re * self.re + x.re * x.re;
+                self.chain(Scalar::atan2(self.re, x.re), x.re / square) + x.chain(0.0, -self.re / square)
             }
             #[inline]
             fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {

@@ -16,6 +16,8 @@ pub trait Float:
     const NAME: &'static str;
     /// Distance from 1 to the next larger number.
     const EPSILON: f64;
+    /// The largest finite number.
+    const MAX: f64;
     /// The dual numbers (num-dual) over it, with `N` tangents at once.
     type Dual<const N: usize>: Tangents<N> + Scalar<Real = Self>;
 
@@ -96,6 +98,7 @@ macro_rules! float {
         impl Float for $float {
             const NAME: &'static str = stringify!($float);
             const EPSILON: f64 = $float::EPSILON as f64;
+            const MAX: f64 = $float::MAX as f64;
             type Dual<const N: usize> = $dual<N>;
 
             const PAD: usize = gemm::$gemm::PAD;

@@ -6,8 +6,9 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 
 /// `W` numbers that go through the same operations.
 ///
-/// Every lane has the bits that the same computation on a plain `F` would have, on every processor: no operation is
-/// fused, reordered or approximated differently.
+/// Every lane has the bits that the same computation on a plain `F` would have: no operation is fused, reordered or
+/// approximated differently. They are the same on every processor, but for `exp`, `ln`, `atan2` and angles beyond 1e6,
+/// which the platform's library computes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(32))]
 pub struct Lanes<F, const W: usize>(pub [F; W]);

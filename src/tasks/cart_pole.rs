@@ -160,7 +160,7 @@ pub enum LossMode {
 
 /// Swing all poles up: the loss is the mean of `1 - cos θ`, between 0 (all upright) and 2 (all hanging). Position and
 /// force are free.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CartPole {
     /// The physics.
     pub system: CartPoleSystem,

@@ -1,7 +1,7 @@
 //! Checkpoints: everything a session needs to go on as if it had never stopped.
 //!
-//! A checkpoint is a magic number, a format number, and a postcard body that ends in a CRC. It carries a label, a text
-//! that says which run it belongs to; a session only takes a checkpoint with its own label.
+//! A checkpoint is a magic number, a format number, a CRC of all that follows, and a postcard body. It carries a label, a
+//! text that says which run it belongs to; a session only takes a checkpoint with its own label.
 
 use super::{Record, Session};
 use crate::field::Compose;
@@ -50,8 +50,14 @@ pub enum CheckpointError {
     /// Damaged: cut off or changed.
     #[error("this checkpoint is damaged: {0}")]
     Damaged(String),
+    /// Written by another version, whose numbers may differ.
+    #[error("this checkpoint was written by physgrad {found}, and this is {own}", own = env!("CARGO_PKG_VERSION"))]
+    Version {
+        /// The version found.
+        found: String,
+    },
     /// Of a run with other settings.
-    #[error("this checkpoint belongs to another run: it was written for\n{found}\nand this run is\n{expected}")]
+    #[error("this checkpoint belongs to another run. Of its settings, these differ:\n{}", differences(found, expected))]
     Label {
         /// The label found.
         found: String,
@@ -76,6 +82,14 @@ pub enum CheckpointError {
     },
 }
 
+/// The lines that two texts of settings do not share, for messages.
+pub fn differences(found: &str, expected: &str) -> String {
+    let only = |a: &str, b: &str, whose: &str| -> Vec<String> {
+        a.lines().filter(|line| !b.lines().any(|l| l == *line)).map(|line| format!("  {whose} {line}")).collect()
+    };
+    [only(found, expected, "there:"), only(expected, found, "here: ")].concat().join("\n")
+}
+
 const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
 
 impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
@@ -93,10 +107,8 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
             records: Cow::Borrowed(&self.records),
             skipped_in_a_row: self.skipped_in_a_row,
         };
-        let mut bytes = [MAGIC.as_slice(), &FORMAT.to_le_bytes()].concat();
-        bytes
-            .extend(postcard::to_stdvec_crc32(&(header, body), CRC.digest()).expect("plain numbers and text are always written"));
-        bytes
+        let contents = postcard::to_stdvec(&(header, body)).expect("plain numbers and text are always written");
+        [MAGIC.as_slice(), &FORMAT.to_le_bytes(), &CRC.checksum(&contents).to_le_bytes(), &contents].concat()
     }
 
     /// Takes a checkpoint of the same run back: the epochs that follow are, bit for bit, those of a run that was never
@@ -111,15 +123,22 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         if found != FORMAT {
             return Err(CheckpointError::Format { found });
         }
-        let damaged = |e: postcard::Error| CheckpointError::Damaged(e.to_string());
-        let (header, _) = postcard::take_from_bytes::<Header>(rest).map_err(damaged)?;
+        let damaged = |what: &dyn ToString| CheckpointError::Damaged(what.to_string());
+        let (crc, contents) = rest.split_first_chunk().ok_or_else(|| damaged(&"it ends before its contents"))?;
+        if CRC.checksum(contents) != u32::from_le_bytes(*crc) {
+            return Err(damaged(&"its checksum is wrong"));
+        }
+        let (header, body) = postcard::take_from_bytes::<Header>(contents).map_err(|e| damaged(&e))?;
+        if header.version != env!("CARGO_PKG_VERSION") {
+            return Err(CheckpointError::Version { found: header.version });
+        }
         if header.label != label {
             return Err(CheckpointError::Label { found: header.label, expected: label.into() });
         }
         if header.precision != F::NAME {
             return Err(CheckpointError::Precision { found: header.precision, expected: F::NAME.into() });
         }
-        let (_, body) = postcard::from_bytes_crc32::<(Header, Body<F>)>(rest, CRC.digest()).map_err(damaged)?;
+        let body: Body<F> = postcard::from_bytes(body).map_err(|e| damaged(&e))?;
         let expected = self.policy.param_count();
         for found in [header.params, body.theta.len(), body.optimizer.params()] {
             if found != expected {

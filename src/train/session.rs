@@ -32,6 +32,10 @@ pub struct Session<T, P, F: Float, C = SignAgreement> {
     skips: Vec<Skip>,
     /// Skipped updates up to now, in a row.
     pub(super) skipped_in_a_row: usize,
+    /// θ, the optimizer and `skipped_in_a_row` as they were when the epoch began.
+    before: (Vec<F>, Optimizer<F>, usize),
+    /// Where the last evaluation of the training and of the test set was not finite.
+    diverged: [Option<Divergence>; 2],
     flows: Vec<Flow>,
     batch: Batch<F>,
     evaluation: Evaluation<F>,
@@ -48,17 +52,28 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         weights: Weights<F>,
         train: Vec<F>,
         test: Vec<F>,
-    ) -> Self {
+    ) -> Result<Self, TrainError> {
         let params = policy.param_count();
         let n = task.system().state_dim();
+        training.validate()?;
+        for (setting, starts) in [("train_samples", &train), ("test_samples", &test)] {
+            if starts.is_empty() || !starts.len().is_multiple_of(n) {
+                let problem = format!("{} numbers are no start states of {n} components", starts.len());
+                return Err(TrainError::Setting { setting, problem });
+            }
+        }
+        let samples = training.batch.min(train.len() / n);
         let flows = field.flows();
-        Self {
-            batch: Batch::new(&task, &policy, training.batch.min(train.len() / n), &flows, training.workers),
+        let optimizer = Optimizer::new(training.rule, training.learning_rate, params);
+        Ok(Self {
+            batch: Batch::new(&task, &policy, samples, &flows, training.workers),
             flows,
             evaluation: Evaluation::new(&task, &policy, training.workers),
-            optimizer: Optimizer::new(training.rule, training.learning_rate, params),
+            before: (weights.theta().to_vec(), optimizer.clone(), 0),
+            diverged: [None; 2],
+            optimizer,
             order: (0..train.len() / n).collect(),
-            starts: Vec::with_capacity(training.batch * n),
+            starts: Vec::with_capacity(samples * n),
             composed: vec![F::zero(); params],
             // Room for all of them, unless "for ever" was meant.
             records: Vec::with_capacity(training.epochs.min(100_000)),
@@ -71,7 +86,7 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
             weights,
             train,
             test,
-        }
+        })
     }
 
     pub(super) fn into_report(self) -> Report<F> {
@@ -113,10 +128,16 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         &self.skips
     }
 
+    /// Where the evaluation of the training set and of the test set at the end of the last epoch was not finite.
+    pub fn diverged(&self) -> [Option<Divergence>; 2] {
+        self.diverged
+    }
+
     /// Runs one epoch: all updates, then the losses of both data sets.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`] after too many skipped updates in a row. The parameters are those before them.
+    /// [`TrainError::Diverged`] after too many skipped updates in a row. The session is then as it was before this
+    /// epoch.
     pub fn epoch(&mut self) -> Result<&Record, TrainError> {
         // Among the workers rather than waiting for them: half the work starts without waking anybody.
         #[cfg(feature = "parallel")]
@@ -132,6 +153,9 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         let begin = Instant::now();
         let epoch = self.records.len() + 1;
         self.skips.clear();
+        self.before.0.copy_from_slice(self.weights.theta());
+        self.before.1.copy_from(&self.optimizer);
+        self.before.2 = self.skipped_in_a_row;
         if self.training.shuffle {
             // From the same start in every epoch, so that a resumed run has the same order.
             self.order.sort_unstable();
@@ -149,13 +173,18 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
                     self.skips.push(skip);
                     self.skipped_in_a_row += 1;
                     if self.skipped_in_a_row > self.training.max_skipped {
-                        return Err(TrainError::Diverged { count: self.skipped_in_a_row, last: skip });
+                        let count = self.skipped_in_a_row;
+                        self.weights.update(&self.policy, |theta| theta.copy_from_slice(&self.before.0));
+                        self.optimizer.copy_from(&self.before.1);
+                        self.skipped_in_a_row = self.before.2;
+                        return Err(TrainError::Diverged { count, last: skip });
                     }
                 }
             }
         }
-        let mut loss = |starts: &[F]| self.evaluation.run(&self.task, &self.policy, &self.weights, starts).unwrap_or(f64::NAN);
-        let (train_loss, test_loss) = (loss(&self.train), loss(&self.test));
+        let losses = [&self.train, &self.test].map(|starts| self.evaluation.run(&self.task, &self.policy, &self.weights, starts));
+        self.diverged = losses.map(Result::err);
+        let [train_loss, test_loss] = losses.map(|loss| loss.unwrap_or(f64::NAN));
         let seconds = begin.elapsed().as_secs_f64();
         self.records.push(means.record(epoch, train_loss, test_loss, self.skips.len(), seconds));
         Ok(())
@@ -176,14 +205,17 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         let (dot, first_square, second_square) = elementwise::moments(level, first, second);
         for (&flow, (gradient, square)) in self.flows.iter().zip([(first, first_square), (second, second_square)]) {
             if !square.is_finite() {
-                let parameter = gradient.iter().position(|g| !g.as_().is_finite()).unwrap_or(0);
-                return Err(Divergence::Gradient { flow, parameter });
+                return Err(Divergence::Gradient { flow, parameter: worst(gradient) });
             }
         }
         self.field.compose(gradients, &mut self.composed);
         let composed = gradients.len() > 1;
         let norm =
             if composed { elementwise::moments(level, &self.composed, &self.composed).0.sqrt() } else { first_square.sqrt() };
+        // Optimizers square what they are given, and sum the squares of many updates.
+        if !norm.is_finite() || self.training.clip.bound(norm) > F::MAX.sqrt() * 1e-3 {
+            return Err(Divergence::Field { parameter: worst(&self.composed) });
+        }
         let zero = F::zero();
         let step = Step {
             loss,
@@ -195,4 +227,12 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         self.weights.update(&self.policy, |theta| self.optimizer.step(theta, &self.composed));
         Ok(step)
     }
+}
+
+/// The first component that is not finite, or else the largest.
+#[cold]
+fn worst<F: Float>(gradient: &[F]) -> usize {
+    let size = |i: &usize| gradient[*i].as_().abs();
+    let all = 0..gradient.len();
+    all.clone().find(|i| !size(i).is_finite()).or_else(|| all.max_by(|i, j| size(i).total_cmp(&size(j)))).unwrap_or(0)
 }
