@@ -3,8 +3,10 @@
 mod animation;
 mod cart_pole;
 mod curves;
+mod guidance;
 mod log_figure;
 
 pub use animation::{Animation, Shape};
 pub use cart_pole::cart_pole;
 pub use curves::{Curve, Point, comparison, field_color, learning_curve};
+pub use guidance::guidance;

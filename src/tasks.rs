@@ -1,5 +1,9 @@
-//! The tasks that come with the framework: physics only, each file self-contained.
+//! The tasks that come with the framework: physics only, each self-contained.
 
 mod cart_pole;
+mod guidance;
+mod loss;
 
-pub use cart_pole::{CartPole, CartPoleSystem, LossMode};
+pub use cart_pole::{CartPole, CartPoleSystem};
+pub use guidance::{Guidance, GuidanceSystem};
+pub use loss::LossMode;

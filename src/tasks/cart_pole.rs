@@ -8,6 +8,7 @@ use crate::rng::Rng;
 use crate::scalar::{Cotangent, Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
+use crate::tasks::LossMode;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
@@ -145,17 +146,6 @@ impl System for CartPoleSystem {
     fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
         self.reverse(x, u, next_bar, None, u_bar);
     }
-}
-
-/// When the angles are paid for.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum LossMode {
-    /// At the last state only.
-    #[default]
-    Final,
-    /// At every state after the start, as a mean over time.
-    Continuous,
 }
 
 /// Swing all poles up: the loss is the mean of `1 - cos θ`, between 0 (all upright) and 2 (all hanging). Position and

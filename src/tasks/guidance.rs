@@ -1,0 +1,154 @@
+//! Guidance by repulsion: drivers in the plane herd evaders, who flee from them, to the origin.
+//!
+//! The task of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024), after Ko and Zuazua
+//! 2020 (doi:10.1142/S0218202520400047), with the signs and constants of the authors' code (tum-pbs/StableBPTT).
+
+mod gap;
+mod system;
+
+pub use system::GuidanceSystem;
+
+use crate::rng::Rng;
+use crate::scalar::{Real, Scalar};
+use crate::task::Task;
+use crate::tasks::LossMode;
+use rand::RngExt;
+use std::f64::consts::TAU;
+use system::AGENT;
+
+/// Bring the evaders to the origin with little control. The loss, in m²:
+///
+/// ```text
+/// mean over evaders k and coordinates of E_k² (and over time, or at the end)
+///   + regularization · mean over time, drivers j and their two numbers of c_j²
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Guidance {
+    /// The physics.
+    pub system: GuidanceSystem,
+    /// When the positions are paid for; controls always are.
+    pub loss: LossMode,
+    /// Price of the mean, over all steps, drivers and their two numbers, of the squared controls; in m² s⁴, since the
+    /// loss is in m².
+    pub regularization: f64,
+    /// Number of steps.
+    pub horizon: usize,
+}
+
+impl Guidance {
+    /// The paper's task: 60 steps in 4 s, every state counts, regularization 1. The paper has 2 drivers and 4 evaders,
+    /// and also the regularizations 0.1, 0.01 and 0.001.
+    pub fn new(drivers: usize, evaders: usize) -> Self {
+        let system = GuidanceSystem { drivers, evaders, ..GuidanceSystem::default() };
+        Self { system, loss: LossMode::Continuous, regularization: 1.0, horizon: 60 }
+    }
+
+    /// The weight of one squared control.
+    fn control_weight(&self) -> f64 {
+        self.regularization / (2 * self.system.drivers * self.horizon) as f64
+    }
+
+    /// The weight of one squared coordinate of an evader, in a state on the way.
+    fn stage_weight(&self) -> f64 {
+        1.0 / (2 * self.system.evaders * self.horizon) as f64
+    }
+
+    /// The weight of one squared coordinate of an evader, in the last state.
+    fn terminal_weight(&self) -> f64 {
+        1.0 / (2 * self.system.evaders) as f64
+    }
+
+    /// Sum of the evaders' squared coordinates, times a weight.
+    #[inline(always)]
+    fn distances<T: Scalar>(&self, weight: f64, x: &[T]) -> T {
+        let mut squares = T::zero();
+        for evader in self.system.evaders_of(x) {
+            squares += evader[0] * evader[0] + evader[1] * evader[1];
+        }
+        squares * T::lift(weight)
+    }
+
+    /// Gradient of [`distances`](Self::distances).
+    #[inline(always)]
+    fn distances_gradient<R: Real>(&self, weight: f64, x: &[R], x_bar: &mut [R]) {
+        x_bar.fill(R::zero());
+        let slope = R::lift(2.0 * weight);
+        for (bar, evader) in x_bar[AGENT * self.system.drivers..].chunks_exact_mut(AGENT).zip(self.system.evaders_of(x)) {
+            (bar[0], bar[1]) = (evader[0] * slope, evader[1] * slope);
+        }
+    }
+}
+
+impl Task for Guidance {
+    type System = GuidanceSystem;
+
+    fn system(&self) -> &GuidanceSystem {
+        &self.system
+    }
+
+    fn horizon(&self) -> usize {
+        self.horizon
+    }
+
+    /// At rest: every driver 3 to 4 m from the origin; the evaders within ±0.5 m in both directions of a common point
+    /// 1 to 2 m from it.
+    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+        let ring = |rng: &mut Rng, inner: f64| {
+            let (sin, cos) = rng.random_range(0.0..TAU).sin_cos();
+            let radius = rng.random_range(inner..inner + 1.0);
+            [radius * cos, radius * sin]
+        };
+        x.fill(0.0);
+        let (drivers, evaders) = x.split_at_mut(AGENT * self.system.drivers);
+        for driver in drivers.chunks_exact_mut(AGENT) {
+            driver[..2].copy_from_slice(&ring(rng, 3.0));
+        }
+        let center = ring(rng, 1.0);
+        for evader in evaders.chunks_exact_mut(AGENT) {
+            for (x, center) in evader.iter_mut().zip(center) {
+                *x = center + rng.random_range(-0.5..0.5);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
+        let mut squares = T::zero();
+        for &u in u {
+            squares += u * u;
+        }
+        let effort = squares * T::lift(self.control_weight());
+        match self.loss {
+            LossMode::Final => effort,
+            LossMode::Continuous => effort + self.distances(self.stage_weight(), x),
+        }
+    }
+
+    #[inline(always)]
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        match self.loss {
+            LossMode::Final => self.distances(self.terminal_weight(), x),
+            LossMode::Continuous => T::zero(),
+        }
+    }
+
+    #[inline(always)]
+    fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
+        let slope = R::lift(2.0 * self.control_weight());
+        for (u_bar, &u) in u_bar.iter_mut().zip(u) {
+            *u_bar = u * slope;
+        }
+        match self.loss {
+            LossMode::Final => x_bar.fill(R::zero()),
+            LossMode::Continuous => self.distances_gradient(self.stage_weight(), x, x_bar),
+        }
+    }
+
+    #[inline(always)]
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
+        match self.loss {
+            LossMode::Final => self.distances_gradient(self.terminal_weight(), x, x_bar),
+            LossMode::Continuous => x_bar.fill(R::zero()),
+        }
+    }
+}

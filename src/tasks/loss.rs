@@ -1,0 +1,14 @@
+//! When a task looks at its states.
+
+use serde::{Deserialize, Serialize};
+
+/// When the states are paid for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LossMode {
+    /// At the last state only.
+    #[default]
+    Final,
+    /// At every state after the start, as a mean over time.
+    Continuous,
+}

@@ -1,0 +1,261 @@
+//! Guidance by repulsion: gradients, the authors' steps, and agents at the same place or worlds apart.
+
+use physgrad::policy::Mlp;
+use physgrad::rng::{Purpose, stream};
+use physgrad::tasks::{Guidance, GuidanceSystem, LossMode};
+use physgrad::{Columns, Cotangent, Float, Real, Scalar, System, Task, check};
+use rand::RngExt;
+use serde_json::Value;
+
+fn system(drivers: usize, evaders: usize) -> GuidanceSystem {
+    Guidance::new(drivers, evaders).system
+}
+
+#[test]
+fn systems_of_any_number_of_agents() {
+    for (drivers, evaders) in [(1, 1), (1, 3), (2, 4), (3, 2), (4, 7)] {
+        check::system(&system(drivers, evaders));
+    }
+}
+
+#[test]
+fn systems_with_other_constants() {
+    let system = GuidanceSystem {
+        driver_friction: 0.3,
+        evader_friction: 2.5,
+        driver_repulsion: 1.7,
+        flight: 4.0,
+        flocking: 3.0,
+        flocking_distance: 1.5,
+        softening: 0.4,
+        dt: 0.2,
+        ..system(3, 3)
+    };
+    check::system(&system);
+}
+
+#[test]
+fn systems_from_crowded_to_scattered() {
+    for (drivers, evaders) in [(1, 1), (2, 4), (3, 2)] {
+        for scale in [1e-6, 1e-2, 1e3] {
+            let passed = check::try_system_at(&system(drivers, evaders), |rng, x, u| {
+                x.fill_with(|| scale * rng.random_range(-1.0..1.0));
+                u.fill_with(|| rng.random_range(-5.0..5.0));
+            });
+            passed.unwrap_or_else(|mismatch| panic!("{drivers} drivers, {evaders} evaders, within {scale}: {mismatch}"));
+        }
+    }
+}
+
+#[test]
+fn whole_rollouts_of_every_flow() {
+    for loss in [LossMode::Final, LossMode::Continuous] {
+        for (drivers, evaders) in [(2, 4), (1, 1)] {
+            let task = Guidance { loss, regularization: 0.3, horizon: 20, ..Guidance::new(drivers, evaders) };
+            check::task(&task, &Mlp::new([4 * (drivers + evaders), 12, 2 * drivers]));
+        }
+    }
+}
+
+#[test]
+fn starts_are_where_the_task_says() {
+    let task = Guidance::new(2, 4);
+    let radius = |p: &[f64]| p[0].hypot(p[1]);
+    for index in 0..200 {
+        let mut x = vec![f64::NAN; 24];
+        task.start(&mut stream(1, Purpose::Train, index), &mut x);
+        let agents: Vec<&[f64]> = x.chunks_exact(4).collect();
+        assert!(agents.iter().all(|agent| agent[2..] == [0.0, 0.0]));
+        assert!(agents[..2].iter().all(|driver| (3.0..4.0).contains(&radius(driver))));
+        for a in &agents[2..] {
+            assert!(radius(a) < 2.0 + 0.5 * 2f64.sqrt());
+            assert!(agents[2..].iter().all(|b| (a[0] - b[0]).abs() < 1.0 && (a[1] - b[1]).abs() < 1.0));
+        }
+    }
+}
+
+#[test]
+fn costs_are_means_over_time_agents_and_coordinates() {
+    let task = Guidance { loss: LossMode::Continuous, regularization: 0.5, horizon: 10, ..Guidance::new(1, 2) };
+    let x = [9.0, 9.0, 9.0, 9.0, 1.0, 2.0, 9.0, 9.0, 3.0, 4.0, 9.0, 9.0];
+    let near = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-14, "{found} is not {expected}");
+    near(task.stage_cost(&x, &[2.0, 4.0]), (30.0 / 4.0 + 0.5 * 20.0 / 2.0) / 10.0);
+    near(task.terminal_cost(&x), 0.0);
+    let task = Guidance { loss: LossMode::Final, ..task };
+    near(task.stage_cost(&x, &[2.0, 4.0]), 0.5 * 20.0 / 2.0 / 10.0);
+    near(task.terminal_cost(&x), 30.0 / 4.0);
+}
+
+/// Largest difference, relative to the largest expected component.
+fn error(found: &[f64], expected: &[f64]) -> f64 {
+    assert_eq!(found.len(), expected.len());
+    assert!(found.iter().all(|v| v.is_finite()), "not finite: {found:?}");
+    let scale = expected.iter().fold(0.0, |scale: f64, e| scale.max(e.abs()));
+    let worst = found.iter().zip(expected).map(|(f, e)| (f - e).abs()).fold(0.0, f64::max);
+    if scale > 0.0 { worst / scale } else { worst }
+}
+
+#[test]
+fn steps_and_vjps_are_the_authors() {
+    let text = include_str!("reference/gbr_2-4_step.json");
+    let file: Value = serde_json::from_str(text).expect("JSON");
+    let numbers = |key: &str| -> Vec<f64> {
+        let data = file[key]["data"].as_array().expect("an array");
+        data.iter().map(|v| v.as_f64().expect("a number")).collect()
+    };
+    let system = GuidanceSystem { dt: file["dt"].as_f64().expect("a number"), ..system(2, 4) };
+    let keys = ["state", "control", "next_state", "cotangent", "vjp_state", "vjp_control"];
+    let [state, control, next_state, cotangent, vjp_state, vjp_control] = keys.map(numbers);
+    assert_eq!(state.len(), 20 * 24);
+    let mut worst = [0.0; 3];
+    for case in 0..20 {
+        let (x, u) = (&state[24 * case..][..24], &control[4 * case..][..4]);
+        let (mut next, mut x_bar, mut u_bar) = ([0.0; 24], [0.0; 24], [0.0; 4]);
+        system.step(x, u, &mut next);
+        system.vjp(x, u, &cotangent[24 * case..][..24], &mut x_bar, &mut u_bar);
+        let expected = [&next_state[24 * case..][..24], &vjp_state[24 * case..][..24], &vjp_control[4 * case..][..4]];
+        for (worst, (found, expected)) in worst.iter_mut().zip([&next[..], &x_bar, &u_bar].into_iter().zip(expected)) {
+            *worst = f64::max(*worst, error(found, expected));
+        }
+    }
+    println!("next state, vjp by state, vjp by control: worst errors {worst:?}");
+    assert!(worst.iter().all(|&worst| worst <= 1e-12), "{worst:?}");
+}
+
+/// Nothing overridden: every derivative comes from `step` by dual numbers.
+struct ByDuals(GuidanceSystem);
+
+impl System for ByDuals {
+    fn state_dim(&self) -> usize {
+        self.0.state_dim()
+    }
+    fn control_dim(&self) -> usize {
+        self.0.control_dim()
+    }
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        self.0.step(x, u, next);
+    }
+}
+
+/// Agents at rest, one after the other at `distance`.
+fn apart<F: Float>(agents: usize, distance: f64, diagonal: bool) -> Vec<F> {
+    let position = |i: usize| [i as f64 * distance, if diagonal { (i % 2) as f64 * 0.75 * distance } else { 0.0 }];
+    (0..agents).flat_map(|i| [position(i)[0], position(i)[1], 0.0, 0.0].map(F::lift)).collect()
+}
+
+/// Value and derivatives of one step with agents at a distance: all finite, and VJP, JVP and duals agree. Nobody
+/// steers, and positions are compared apart from velocities, so that nothing larger hides the forces' slopes.
+fn derivatives_agree<F: Float>(drivers: usize, evaders: usize, distance: f64, diagonal: bool, allowed: f64) {
+    let system = system(drivers, evaders);
+    let (n, m) = (system.state_dim(), system.control_dim());
+    let (x, u): (Vec<F>, _) = (apart(drivers + evaders, distance, diagonal), vec![F::zero(); m]);
+    let mut next = vec![F::zero(); n];
+    system.step(&x, &u, &mut next);
+    assert!(next.iter().all(|v| (*v).as_().is_finite()), "{next:?}");
+
+    let mut columns = vec![vec![F::zero(); n]; n];
+    for (k, column) in columns.iter_mut().enumerate() {
+        let mut x_tan = vec![F::zero(); n];
+        x_tan[k] = F::one();
+        system.jvp_state(&x, &u, &x_tan, column);
+    }
+    for agent in 0..n / 4 {
+        // The velocity of one agent, along and across the separations.
+        let mut next_bar = vec![F::zero(); n];
+        (next_bar[4 * agent + 2], next_bar[4 * agent + 3]) = (F::one(), F::lift(0.5));
+        let (mut x_bar, mut u_bar) = (vec![F::zero(); n], vec![F::zero(); m]);
+        system.vjp(&x, &u, &next_bar, &mut x_bar, &mut u_bar);
+        let (mut x_dual, mut u_dual) = (x_bar.clone(), u_bar.clone());
+        ByDuals(system).vjp(&x, &u, &next_bar, &mut x_dual, &mut u_dual);
+        let jvp = |column: &Vec<F>| column[4 * agent + 2] + column[4 * agent + 3] * F::lift(0.5);
+        let x_jvp: Vec<F> = columns.iter().map(jvp).collect();
+
+        // Slopes too small for the precision have few digits left.
+        let smallest = if F::EPSILON < 1e-10 { f64::MIN_POSITIVE } else { f64::from(f32::MIN_POSITIVE) };
+        let rounded = |v: f64| if v.abs() < 10.0 * smallest { 0.0 } else { v };
+        let every = |v: &[F]| v.iter().map(|v| (*v).as_()).collect::<Vec<f64>>();
+        let positions = |v: &[F]| (0..n).filter(|k| k % 4 < 2).map(|k| rounded(v[k].as_())).collect::<Vec<f64>>();
+        for (what, error) in [
+            ("x_bar by duals", error(&every(&x_dual), &every(&x_bar))),
+            ("u_bar by duals", error(&every(&u_dual), &every(&u_bar))),
+            ("x_bar by jvp", error(&every(&x_jvp), &every(&x_bar))),
+            ("positions of x_bar by duals", error(&positions(&x_dual), &positions(&x_bar))),
+            ("positions of x_bar by jvp", error(&positions(&x_jvp), &positions(&x_bar))),
+        ] {
+            assert!(error <= allowed, "{}, {distance:e} apart, agent {agent}: {what}: {error:e}", F::NAME);
+        }
+    }
+}
+
+#[test]
+fn agents_at_one_place_or_worlds_apart() {
+    for diagonal in [false, true] {
+        for (drivers, evaders) in [(1, 1), (2, 4), (3, 2)] {
+            for distance in [0.0, 1e-300, 1e-150, 1e-20, 1e-3, 1.0, 1e20, 1e120, 1e150] {
+                derivatives_agree::<f64>(drivers, evaders, distance, diagonal, 1e-12);
+            }
+            for distance in [0.0, 1e-38, 1e-30, 1e-20, 1e-3, 1.0, 1e10, 1e20, 1e30] {
+                derivatives_agree::<f32>(drivers, evaders, distance, diagonal, 1e-5);
+            }
+        }
+    }
+}
+
+/// The acceleration of one evader that flees from one driver, along their separation.
+fn flight<F: Float>(distance: f64) -> (f64, f64) {
+    let system = GuidanceSystem { dt: 1.0, evader_friction: 1.0, ..system(1, 1) };
+    let (along, across) = (F::lift(0.6 * distance), F::lift(0.8 * distance));
+    let x = [F::zero(), F::zero(), F::zero(), F::zero(), along, across, F::zero(), F::zero()];
+    let mut next = [F::zero(); 8];
+    system.step(&x, &[F::zero(); 2], &mut next);
+    (next[6].as_(), next[7].as_())
+}
+
+#[test]
+fn forces_have_their_limits() {
+    fn check<F: Float>(distance: f64, force: f64) {
+        let (x, y) = flight::<F>(distance);
+        let error = (x / (0.6 * force) - 1.0).abs().max((y / (0.8 * force) - 1.0).abs());
+        assert!(error <= 10.0 * F::EPSILON, "{} at {distance:e}: {error:e}", F::NAME);
+    }
+    // 15 / d far away, 1500 |r| near, whatever squares would do.
+    for distance in [1e-300, 1e-200, 1e-150, 1e-50, 1e-20] {
+        check::<f64>(distance, 1500.0 * distance);
+    }
+    for distance in [1e20, 1e150, 1e200, 1e300] {
+        check::<f64>(distance, 15.0 / distance);
+    }
+    for distance in [1e-35, 1e-30, 1e-20, 1e-10] {
+        check::<f32>(distance, 1500.0 * distance);
+    }
+    for distance in [1e10, 1e20, 1e30, 1e35] {
+        check::<f32>(distance, 15.0 / distance);
+    }
+    for distance in [1e-4, 0.3, 2.0, 1e5] {
+        check::<f64>(distance, 15.0 * distance / (0.1 + distance).powi(2));
+    }
+}
+
+#[test]
+fn agents_at_one_place_in_lanes_beside_others() {
+    // Every lane takes its own branch of the safe length.
+    const W: usize = 4;
+    let system = system(2, 2);
+    let distances = [0.0, 1e-160, 1.0, 1e160];
+    let starts: [Vec<f64>; W] = distances.map(|distance| apart(4, distance, true));
+    let x: Vec<physgrad::Lanes<f64, W>> = (0..16).map(|i| physgrad::Lanes(std::array::from_fn(|l| starts[l][i]))).collect();
+    let u = [physgrad::Lanes([0.3; W]); 4];
+    let bars: Vec<_> = (0..16).map(|i| Columns([physgrad::Lanes([f64::from(i) - 7.5; W])])).collect();
+    let (mut next, mut x_bar, mut u_bar) = (x.clone(), vec![Columns::null(); 16], vec![Columns::null(); 4]);
+    system.step(&x, &u, &mut next);
+    system.vjp(&x, &u, &bars, &mut x_bar, &mut u_bar);
+    for (lane, start) in starts.iter().enumerate() {
+        let (mut plain, mut plain_bar, mut plain_u) = ([0.0; 16], [0.0; 16], [0.0; 4]);
+        system.step(start, &[0.3; 4], &mut plain);
+        let bar: Vec<f64> = (0..16).map(|i| f64::from(i) - 7.5).collect();
+        system.vjp(start, &[0.3; 4], &bar, &mut plain_bar, &mut plain_u);
+        assert!(next.iter().zip(plain).all(|(a, b)| a.lane(lane) == b));
+        assert!(x_bar.iter().zip(plain_bar).all(|(a, b)| a.0[0].lane(lane) == b));
+        assert!(u_bar.iter().zip(plain_u).all(|(a, b)| a.0[0].lane(lane) == b));
+    }
+}
