@@ -5,7 +5,7 @@
 //! --nocapture`.
 
 use physgrad::policy::Mlp;
-use physgrad::tasks::{CartPole, CartPoleSystem, LossMode};
+use physgrad::tasks::{CartPole, CartPoleSystem, Guidance, GuidanceSystem, LossMode};
 use physgrad::{Batch, Clip, Field, Flow, Policy, Rollout, Rule, System, Task, Trainer, Training, Weights};
 use serde_json::Value;
 use std::path::PathBuf;
@@ -120,6 +120,26 @@ fn loss_mode(case: &Value) -> LossMode {
 fn mlp(file: &Value, system: &impl System) -> Mlp {
     let hidden = vec![count(&file["width"]); count(&file["depth"])];
     Mlp::new([&[system.state_dim()], &hidden[..], &[system.control_dim()]].concat())
+}
+
+struct AuthorsGuidance;
+
+impl Authors for AuthorsGuidance {
+    const FILES: &'static str = "gbr";
+    type Task = Guidance;
+    type Policy = Mlp;
+
+    fn task(file: &Value, case: &Value, horizon: usize) -> Guidance {
+        let (drivers, evaders) = (count(&file["n_drivers"]), count(&file["n_evaders"]));
+        let system = GuidanceSystem { drivers, evaders, dt: number(&file["dt"]), ..GuidanceSystem::default() };
+        // Steps and trajectories do not depend on it.
+        let regularization = case["regularization"].as_f64().unwrap_or(0.0);
+        Guidance { system, loss: loss_mode(case), regularization, horizon }
+    }
+
+    fn policy(file: &Value, task: &Guidance) -> Mlp {
+        mlp(file, &task.system)
+    }
 }
 
 struct AuthorsCartPole;
@@ -299,3 +319,4 @@ macro_rules! authors {
 }
 
 authors!(cart_pole, AuthorsCartPole);
+authors!(guidance, AuthorsGuidance);

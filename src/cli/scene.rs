@@ -1,6 +1,7 @@
 //! What the program knows of a task beyond its physics: names, defaults, limits, a picture.
 
 mod cart_pole;
+mod guidance;
 
 use anyhow::{Result, bail};
 use physgrad::Task;
@@ -10,8 +11,10 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::fmt::Debug;
 
 /// A task that the program can run by name.
-pub trait Scene: Task<System: Clone + Debug + Serialize + DeserializeOwned + Send> + Clone + Send {
-    /// Settings of the cost; those of the physics are the system itself.
+pub trait Scene: Task + Clone + Send {
+    /// The `system` section: settings of the physics.
+    type Setup: Clone + Debug + Serialize + DeserializeOwned + Send + Sync;
+    /// The `loss` section: settings of the cost.
     type Loss: Clone + Debug + Default + Serialize + DeserializeOwned + Send + Sync;
     /// Settings of the policy; its defaults are the task's.
     type Network: Network;
@@ -23,10 +26,10 @@ pub trait Scene: Task<System: Clone + Debug + Serialize + DeserializeOwned + Sen
     /// Default number of steps.
     const HORIZON: usize;
 
-    fn system_defaults() -> Self::System;
+    fn setup() -> Self::Setup;
     /// An error that names the key, its value and what is allowed.
-    fn validate(system: &Self::System, loss: &Self::Loss) -> Result<()>;
-    fn build(system: &Self::System, loss: &Self::Loss, horizon: usize) -> Self;
+    fn validate(setup: &Self::Setup, loss: &Self::Loss) -> Result<()>;
+    fn build(setup: &Self::Setup, loss: &Self::Loss, horizon: usize) -> Self;
     /// Variants worth checking, with a name for each.
     fn variants() -> Vec<(String, Self)>;
 
@@ -90,6 +93,10 @@ macro_rules! with_scene {
                 type $scene = physgrad::tasks::CartPole;
                 $body
             }
+            "guidance" => {
+                type $scene = physgrad::tasks::Guidance;
+                $body
+            }
             other => anyhow::bail!("unknown task `{other}`; allowed: {}", $crate::cli::scene::NAMES.join(", ")),
         }
     };
@@ -97,4 +104,4 @@ macro_rules! with_scene {
 pub(crate) use with_scene;
 
 /// Every task's name.
-pub const NAMES: [&str; 1] = ["cart_pole"];
+pub const NAMES: [&str; 2] = ["cart_pole", "guidance"];

@@ -4,6 +4,7 @@ use super::scene::{Network, Scene};
 use anyhow::{Context, Result, anyhow, bail};
 use physgrad::{Clip, Field, Float, Policy, Rule, System, Training};
 use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
 use toml::{Table, Value};
 
 /// Gigabytes that the workspaces of a run may take.
@@ -23,7 +24,7 @@ pub struct Settings<S: Scene> {
     /// Steps of one rollout.
     pub horizon: usize,
     #[serde(bound = "")]
-    pub system: S::System,
+    pub system: S::Setup,
     #[serde(bound = "")]
     pub loss: S::Loss,
     #[serde(bound = "")]
@@ -103,7 +104,7 @@ impl<S: Scene> Settings<S> {
             seed,
             epochs: S::EPOCHS,
             horizon: S::HORIZON,
-            system: S::system_defaults(),
+            system: S::setup(),
             loss: S::Loss::default(),
             policy: S::Network::default(),
             training: TrainingSettings {
@@ -144,9 +145,7 @@ impl<S: Scene> Settings<S> {
             ("training.train_samples", t.train_samples, 1_000_000),
             ("training.test_samples", t.test_samples, 1_000_000),
         ] {
-            if !(1..=limit).contains(&value) {
-                bail!("`{key}` is {value}; allowed: 1 to {limit}");
-            }
+            count(key, value, 1..=limit)?;
         }
         positive("training.learning_rate", t.learning_rate)?;
         if t.learning_rate > 1e6 {
@@ -226,6 +225,11 @@ impl<S: Scene> Settings<S> {
 /// An error that names the key unless the value is a positive number.
 pub fn positive(key: &str, value: f64) -> Result<()> {
     if value.is_finite() && value > 0.0 { Ok(()) } else { bail!("`{key}` is {value}; allowed: a positive number") }
+}
+
+/// An error that names the key unless the value is within the range.
+pub fn count(key: &str, value: usize, range: RangeInclusive<usize>) -> Result<()> {
+    if range.contains(&value) { Ok(()) } else { bail!("`{key}` is {value}; allowed: {} to {}", range.start(), range.end()) }
 }
 
 /// Changes one key of a table of settings: `training.learning_rate=3e-4`.

@@ -1,7 +1,7 @@
 //! Cart-pole in the program.
 
 use super::{MlpSettings, Scene};
-use crate::cli::settings::positive;
+use crate::cli::settings::{count, positive};
 use anyhow::{Result, bail};
 use physgrad::report::{self, Animation};
 use physgrad::tasks::{CartPole, CartPoleSystem, LossMode};
@@ -15,6 +15,7 @@ pub struct CartPoleLoss {
 }
 
 impl Scene for CartPole {
+    type Setup = CartPoleSystem;
     type Loss = CartPoleLoss;
     type Network = MlpSettings;
 
@@ -23,14 +24,12 @@ impl Scene for CartPole {
     const EPOCHS: usize = 1000;
     const HORIZON: usize = 100;
 
-    fn system_defaults() -> CartPoleSystem {
+    fn setup() -> CartPoleSystem {
         CartPoleSystem { poles: 2, ..CartPoleSystem::default() }
     }
 
     fn validate(system: &CartPoleSystem, _loss: &CartPoleLoss) -> Result<()> {
-        if !(1..=1000).contains(&system.poles) {
-            bail!("`system.poles` is {}; allowed: 1 to 1000", system.poles);
-        }
+        count("system.poles", system.poles, 1..=1000)?;
         positive("system.cart_mass", system.cart_mass)?;
         positive("system.pole_mass", system.pole_mass)?;
         positive("system.half_length", system.half_length)?;
