@@ -1,7 +1,8 @@
 //! Quantum control against duals, against the authors' numbers and against conservation of probability.
 
+use physgrad::policy::Conv;
 use physgrad::rng::{Purpose, stream};
-use physgrad::tasks::{Quantum, QuantumSystem};
+use physgrad::tasks::{LossMode, Quantum, QuantumSystem};
 use physgrad::{Scalar, System, Task, check};
 use serde_json::Value;
 
@@ -24,6 +25,23 @@ fn derivatives_on_any_grid() {
         u[0] = -500.0;
     };
     check::try_system_at(&system(32), draw).unwrap_or_else(|mismatch| panic!("{mismatch}"));
+}
+
+#[test]
+fn convolutions_of_many_shapes() {
+    for (grid, width) in [(7, 1), (8, 3), (9, 8), (10, 15), (11, 16), (32, 5), (33, 17), (32, 60), (41, 4)] {
+        println!("grid {grid}, width {width}: {:?}", check::policy(&Conv::new(grid, width)));
+    }
+}
+
+#[test]
+fn whole_rollouts_of_every_flow() {
+    for loss in [LossMode::Final, LossMode::Continuous] {
+        let task = Quantum { loss, horizon: 25, ..Quantum::new(2) };
+        println!("{loss:?}: {:?}", check::task(&task, &Conv::new(32, 3)));
+        let small = Quantum { system: system(9), ..task };
+        println!("{loss:?}: {:?}", check::task(&small, &Conv::new(9, 4)));
+    }
 }
 
 /// The file's arrays, and the largest difference from one of them relative to its largest component.
