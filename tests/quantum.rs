@@ -1,9 +1,9 @@
 //! Quantum control against duals, against the authors' numbers and against conservation of probability.
 
-use physgrad::policy::Conv;
+use physgrad::policy::{Conv, PolicyColumns};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{LossMode, Quantum, QuantumSystem};
-use physgrad::{Scalar, System, Task, check};
+use physgrad::{Policy, Scalar, System, Task, Weights, check};
 use serde_json::Value;
 
 fn system(grid: usize) -> QuantumSystem {
@@ -29,8 +29,40 @@ fn derivatives_on_any_grid() {
 
 #[test]
 fn convolutions_of_many_shapes() {
-    for (grid, width) in [(7, 1), (8, 3), (9, 8), (10, 15), (11, 16), (32, 5), (33, 17), (32, 60), (41, 4)] {
+    for (grid, width) in [(7, 1), (8, 3), (9, 8), (10, 15), (11, 16), (32, 5), (33, 17), (32, 24), (41, 4)] {
         println!("grid {grid}, width {width}: {:?}", check::policy(&Conv::new(grid, width)));
+    }
+}
+
+/// Neighbours share a product, and windows over the border between them are computed: nothing may leak.
+#[test]
+fn a_column_does_not_depend_on_its_neighbours() {
+    let policy = Conv::new(33, 7);
+    let (n, total) = (66, 11);
+    let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
+    let mut x: Vec<f64> = (0..n * total).map(|i| Scalar::sin(i as f64)).collect();
+    x[4 * n..5 * n].fill(f64::NAN);
+    let run = |pieces: &[PolicyColumns]| {
+        let sizes = policy.sizes::<f64>(total);
+        let (mut tape, mut tape_bar) = (vec![0.0; sizes.tape], vec![0.0; sizes.tape_bar]);
+        let (mut u, mut x_bar) = (vec![f64::NAN; total], vec![f64::NAN; n * total]);
+        for &at in pieces {
+            policy.forward(weights.packed(), at, &x, &mut tape, &mut u);
+        }
+        for &at in pieces {
+            let ones = vec![1.0; total];
+            policy.backward(weights.packed(), at, &x, &tape, &ones, &mut tape_bar, Some(&mut x_bar));
+        }
+        u.into_iter().chain(x_bar).collect::<Vec<f64>>()
+    };
+    let together = run(&[PolicyColumns::range(0..total)]);
+    let apart: Vec<_> = (0..total).map(|c| PolicyColumns::range(c..c + 1)).collect();
+    let turns = [PolicyColumns { first: 0, step: 2, count: 6 }, PolicyColumns { first: 1, step: 2, count: 5 }];
+    for other in [run(&apart), run(&turns)] {
+        for (i, (&a, &b)) in together.iter().zip(&other).enumerate() {
+            let column = if i < total { i } else { (i - total) / n };
+            assert!(if column == 4 { a.is_nan() && b.is_nan() } else { a == b }, "number {i}: {a} and {b}");
+        }
     }
 }
 

@@ -7,12 +7,15 @@
 //! what a window computes that reaches over a border is set to zero. Every position ends in a constant 1, of which the
 //! last in a window meets the bias.
 
+mod layer;
+
 use super::{Policy, PolicyColumns, Sizes, Tensor};
 use crate::kernels::Level;
 use crate::kernels::elementwise::{self, Strided};
 use crate::kernels::gemm::Product;
 use crate::rng::Rng;
 use crate::scalar::{Float, Scalar};
+use layer::Layer;
 use rand::RngExt;
 use std::ops::Range;
 
@@ -40,71 +43,6 @@ pub struct Conv {
     grid: usize,
     width: usize,
     zero_last: bool,
-}
-
-/// One convolution, and where its numbers are.
-#[derive(Clone, Copy, Debug)]
-struct Layer {
-    /// Channels of the input.
-    channels: usize,
-    /// Numbers from one position of the input to the next: the channels, a constant 1, padding.
-    slot: usize,
-    /// Positions of the output.
-    positions: usize,
-    /// Positions of the output that a column has room for.
-    room: usize,
-    /// Numbers from one position of the output to the next.
-    slot_out: usize,
-    /// Start in `θ`.
-    theta: usize,
-    /// Start of the weights, one column of filters per entry of a window.
-    packed: usize,
-    /// From one column of the weights to the next.
-    lda: usize,
-    /// Start of their transpose, one column of window entries per filter.
-    transposed: usize,
-    /// From one column of the transpose to the next: the entries that have a cotangent, padded.
-    entries: usize,
-}
-
-impl Layer {
-    /// Entries of a window that have a weight or lie between those that have; the last is the constant 1 of the bias.
-    fn depth(&self) -> usize {
-        (KERNEL - 1) * self.slot + self.channels + 1
-    }
-
-    /// From one window to the next.
-    fn stride(&self) -> usize {
-        2 * self.slot
-    }
-
-    /// Numbers in a column of the input.
-    fn input(&self) -> usize {
-        self.room * self.stride()
-    }
-
-    /// Numbers in a column of the output.
-    fn output(&self) -> usize {
-        self.room * self.slot_out
-    }
-
-    /// Windows of so many neighbouring columns, from the first to the last that is wholly within its column.
-    fn windows(&self, columns: usize) -> usize {
-        (columns - 1) * self.room + self.positions
-    }
-
-    /// Where entry `j` of a window is in `θ`, for the first filter.
-    fn weight(&self, j: usize, width: usize) -> Option<usize> {
-        let (k, channel) = (j / self.slot, j % self.slot);
-        let row = if j + 1 == self.depth() {
-            KERNEL * self.channels
-        } else if channel < self.channels {
-            k * self.channels + channel
-        } else {
-            return None;
-        };
-        Some(self.theta + row * width)
-    }
 }
 
 /// Where the activations of a rollout are: those of one block, then those of all columns.
@@ -212,65 +150,6 @@ impl Conv {
         let first = windows[0].max(windows[1]);
         let second = first + total * one.output();
         [first, second, second + total * two.output()]
-    }
-}
-
-/// `z = W·windows`, tanh, constant ones; zero where a position has no window of its own column.
-fn convolve<F: Float>(level: Level, l: &Layer, width: usize, packed: &[F], input: &[F], output: &mut [F], columns: usize) {
-    F::product(
-        level,
-        Product {
-            rows: l.slot_out,
-            depth: l.depth(),
-            cols: l.windows(columns),
-            a: &packed[l.packed..],
-            lda: l.lda,
-            b: input,
-            b_row: 1,
-            b_col: l.stride(),
-            c: output,
-            ldc: l.slot_out,
-            accumulate: false,
-        },
-    );
-    let len = l.positions * l.slot_out;
-    elementwise::tanh(level, output, Strided { first: 0, step: l.output(), count: columns, len });
-    for column in output.chunks_exact_mut(l.output()).take(columns) {
-        let (inside, outside) = column.split_at_mut(len);
-        inside.chunks_exact_mut(l.slot_out).for_each(|position| position[width] = F::one());
-        outside.fill(F::zero());
-    }
-}
-
-/// The cotangents of the windows of so many columns: `Wᵀ z_bar`.
-fn windows_bar<F: Float>(level: Level, l: &Layer, width: usize, packed: &[F], bar: &[F], columns: usize, windows: &mut [F]) {
-    F::product(
-        level,
-        Product {
-            rows: l.entries,
-            depth: width,
-            cols: l.windows(columns),
-            a: &packed[l.transposed..],
-            lda: l.entries,
-            b: bar,
-            b_row: 1,
-            b_col: l.slot_out,
-            c: windows,
-            ldc: l.entries,
-            accumulate: false,
-        },
-    );
-}
-
-/// Adds the windows of one column to the positions they came from, `slot` numbers apart.
-fn add_windows<F: Float>(l: &Layer, windows: &[F], slot: usize, to: &mut [F]) {
-    for (q, window) in windows.chunks_exact(l.entries).take(l.positions).enumerate() {
-        for k in 0..KERNEL {
-            let from = &window[k * l.slot..][..l.channels];
-            for (to, &bar) in to[(2 * q + k) * slot..][..l.channels].iter_mut().zip(from) {
-                *to += bar;
-            }
-        }
     }
 }
 
@@ -399,8 +278,8 @@ impl Policy for Conv {
             }
             let (activations, inputs) = block.split_at_mut(input);
             let (first, second) = activations.split_at_mut(h2);
-            convolve(level, one, w, packed, inputs, &mut first[h1..], at.count);
-            convolve(level, two, w, packed, &first[h1..], second, at.count);
+            one.convolve(level, w, packed, inputs, &mut first[h1..], at.count);
+            two.convolve(level, w, packed, &first[h1..], second, at.count);
             let rows = Strided { first: self.packed_dense(two), step: 0, count: 1, len: lens[2] };
             let columns = Strided { first: 0, step: lens[2], count: at.count, len: lens[2] };
             elementwise::dots(level, packed, rows, second, columns, &mut u[at.first..], at.step);
@@ -456,19 +335,19 @@ impl Policy for Conv {
             let whole = |len: usize| Strided { first: 0, step: len, count: at.count, len };
             elementwise::tanh_bar(level, &tape[places.all[2] + at.first * len2..], bar2, whole(len2));
 
-            windows_bar(level, two, w, packed, bar2, at.count, windows);
+            two.windows_bar(level, w, packed, bar2, at.count, windows);
             bar1.fill(F::zero());
             for (to, windows) in bar1.chunks_exact_mut(len1).zip(windows.chunks(two.room * two.entries)) {
-                add_windows(two, windows, two.slot, to);
+                two.add_windows(windows, two.slot, to);
             }
             elementwise::tanh_bar(level, &tape[places.all[1] + at.first * len1..], bar1, whole(len1));
 
             if let Some(x_bar) = &mut x_bar {
-                windows_bar(level, one, w, packed, bar1, at.count, windows);
+                one.windows_bar(level, w, packed, bar1, at.count, windows);
                 for (c, windows) in at.iter().zip(windows.chunks(one.room * one.entries)) {
                     let x_bar = &mut x_bar[c * n..][..n];
                     x_bar.fill(F::zero());
-                    add_windows(one, windows, CHANNELS, x_bar);
+                    one.add_windows(windows, CHANNELS, x_bar);
                 }
             }
         }
