@@ -4,7 +4,9 @@ mod animation;
 mod cart_pole;
 mod curves;
 mod log_figure;
+mod quantum;
 
 pub use animation::{Animation, Shape};
 pub use cart_pole::cart_pole;
 pub use curves::{Curve, Point, comparison, field_color, learning_curve};
+pub use quantum::quantum;

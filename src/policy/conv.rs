@@ -93,7 +93,7 @@ impl Conv {
         let room = grid.div_ceil(4);
         let slot = padded::<F>(self.width + 1);
         // An odd number of cache lines, so that neighbouring columns do not compete for the same places in the cache.
-        let lda = (slot / F::PAD | 1) * F::PAD;
+        let lda = ((slot / F::PAD) | 1) * F::PAD;
         let mut one = Layer {
             channels: CHANNELS,
             slot: CHANNELS + 1,
