@@ -1,8 +1,10 @@
 //! [`Policy`]: the controller `u = N(x; θ)` that is trained.
 
+mod conv;
 mod linear;
 mod mlp;
 
+pub use conv::Conv;
 pub use linear::Linear;
 pub use mlp::Mlp;
 

@@ -5,8 +5,10 @@ mod cart_pole;
 mod curves;
 mod guidance;
 mod log_figure;
+mod quantum;
 
 pub use animation::{Animation, Shape};
 pub use cart_pole::cart_pole;
 pub use curves::{Curve, Point, comparison, field_color, learning_curve};
 pub use guidance::guidance;
+pub use quantum::quantum;

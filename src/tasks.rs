@@ -3,7 +3,9 @@
 mod cart_pole;
 mod guidance;
 mod loss;
+mod quantum;
 
 pub use cart_pole::{CartPole, CartPoleSystem};
 pub use guidance::{Guidance, GuidanceSystem};
 pub use loss::LossMode;
+pub use quantum::{Quantum, QuantumSystem};

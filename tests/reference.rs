@@ -4,8 +4,8 @@
 //! Every error is relative to the largest component of its array and is printed: `cargo test --test reference --
 //! --nocapture`.
 
-use physgrad::policy::Mlp;
-use physgrad::tasks::{CartPole, CartPoleSystem, Guidance, GuidanceSystem, LossMode};
+use physgrad::policy::{Conv, Mlp};
+use physgrad::tasks::{CartPole, CartPoleSystem, Guidance, GuidanceSystem, LossMode, Quantum, QuantumSystem};
 use physgrad::{Batch, Clip, Field, Flow, Policy, Rollout, Rule, System, Task, Trainer, Training, Weights};
 use serde_json::Value;
 use std::path::PathBuf;
@@ -139,6 +139,25 @@ impl Authors for AuthorsGuidance {
 
     fn policy(file: &Value, task: &Guidance) -> Mlp {
         mlp(file, &task.system)
+    }
+}
+
+struct AuthorsQuantum;
+
+impl Authors for AuthorsQuantum {
+    const FILES: &'static str = "quantum";
+    type Task = Quantum;
+    type Policy = Conv;
+
+    fn task(file: &Value, case: &Value, horizon: usize) -> Quantum {
+        let system = QuantumSystem { grid: count(&file["Nx"]), dt: number(&file["dt"]), ..QuantumSystem::default() };
+        // Steps and trajectories do not depend on it.
+        let target = case["target_state"].as_u64().unwrap_or(1) as usize;
+        Quantum { system, loss: loss_mode(case), horizon, ..Quantum::new(target) }
+    }
+
+    fn policy(file: &Value, task: &Quantum) -> Conv {
+        Conv::new(task.system.grid, count(&file["width"]))
     }
 }
 
@@ -320,3 +339,4 @@ macro_rules! authors {
 
 authors!(cart_pole, AuthorsCartPole);
 authors!(guidance, AuthorsGuidance);
+authors!(quantum, AuthorsQuantum);

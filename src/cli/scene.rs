@@ -2,6 +2,7 @@
 
 mod cart_pole;
 mod guidance;
+mod quantum;
 
 use anyhow::{Result, bail};
 use physgrad::Task;
@@ -97,6 +98,10 @@ macro_rules! with_scene {
                 type $scene = physgrad::tasks::Guidance;
                 $body
             }
+            "quantum" => {
+                type $scene = physgrad::tasks::Quantum;
+                $body
+            }
             other => anyhow::bail!("unknown task `{other}`; allowed: {}", $crate::cli::scene::NAMES.join(", ")),
         }
     };
@@ -104,4 +109,4 @@ macro_rules! with_scene {
 pub(crate) use with_scene;
 
 /// Every task's name.
-pub const NAMES: [&str; 2] = ["cart_pole", "guidance"];
+pub const NAMES: [&str; 3] = ["cart_pole", "guidance", "quantum"];

@@ -9,6 +9,6 @@ pub enum LossMode {
     /// At the last state only.
     #[default]
     Final,
-    /// At every state after the start, as a mean over time.
+    /// At every state after the start: as a mean over time, or as a sum where the task says so.
     Continuous,
 }

@@ -1,0 +1,451 @@
+//! A convolutional policy for a field of two channels on a one-dimensional grid, such as a wave function.
+//!
+//! `θ` holds kernel and bias of two convolutions and of the linear output, in the order of Keras. A convolution is one
+//! matrix product: activations are stored position after position, so the window that an output sees is a contiguous
+//! piece of its input, and all windows of neighbouring columns are columns of one matrix with a fixed stride. To keep
+//! that stride across the borders between columns, every column has room for twice the positions of the next layer;
+//! what a window computes that reaches over a border is set to zero. Every position ends in a constant 1, of which the
+//! last in a window meets the bias.
+
+mod layer;
+
+use super::{Policy, PolicyColumns, Sizes, Tensor};
+use crate::kernels::Level;
+use crate::kernels::elementwise::{self, Strided};
+use crate::kernels::gemm::Product;
+use crate::rng::Rng;
+use crate::scalar::{Float, Scalar};
+use layer::Layer;
+use rand::RngExt;
+use std::ops::Range;
+
+/// Columns that go through all layers together, so that their activations stay in the cache.
+const BLOCK: usize = 8;
+/// Windows that are multiplied at a time in the weight gradient.
+const DEPTH: usize = 64;
+/// Grid points under a kernel; kernels are two grid points apart.
+const KERNEL: usize = 3;
+/// Channels of the state: real and imaginary part.
+const CHANNELS: usize = 2;
+
+/// Two convolutions with tanh and a linear output: state (grid, 2) to one control.
+///
+/// ```text
+/// h₁[q, f] = tanh(b₁[f] + Σ_{k,c} x[2q + k, c] W₁[k, c, f])       q < (grid - 1)/2
+/// h₂[q, f] = tanh(b₂[f] + Σ_{k,c} h₁[2q + k, c] W₂[k, c, f])      k < 3, f < width, no padding
+/// u        = b₃ + Σ_{q,c} h₂[q, c] W₃[q, c]
+/// ```
+///
+/// The controller of the paper's quantum task, there with 32 grid points (then 15, then 7 positions) and width 60.
+/// Kernels start Glorot-uniform with the fans of Keras, biases at zero.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Conv {
+    grid: usize,
+    width: usize,
+    zero_last: bool,
+}
+
+/// Where the activations of a rollout are: those of one block, then those of all columns.
+struct Places {
+    /// Start of the columns of x, h₁, h₂ of one block.
+    block: [usize; 3],
+    /// Start of those of all columns.
+    all: [usize; 3],
+    len: usize,
+}
+
+/// The smallest multiple of the padding that is at least `n`.
+fn padded<F: Float>(n: usize) -> usize {
+    n.next_multiple_of(F::PAD)
+}
+
+impl Conv {
+    /// For a state of `grid` points with two channels, and `width` filters in each convolution.
+    ///
+    /// # Panics
+    /// With fewer than 7 grid points, which leave nothing after two convolutions, or a width of zero.
+    #[track_caller]
+    pub fn new(grid: usize, width: usize) -> Self {
+        assert!(grid >= 7, "two convolutions of kernel 3 and stride 2 need at least 7 grid points, not {grid}");
+        assert!(width > 0, "a convolution needs at least one filter");
+        Self { grid, width, zero_last: false }
+    }
+
+    /// Starts with a zeroed last kernel: the initial control is exactly zero, and R equals M in the first update.
+    pub fn zero_last(mut self, zero: bool) -> Self {
+        self.zero_last = zero;
+        self
+    }
+
+    /// Number of filters in each convolution.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Positions of x, h₁, h₂.
+    fn positions(&self) -> [usize; 3] {
+        let next = |positions: usize| (positions - KERNEL) / 2 + 1;
+        [self.grid, next(self.grid), next(next(self.grid))]
+    }
+
+    fn layers<F: Float>(&self) -> [Layer; 2] {
+        let [grid, first, second] = self.positions();
+        let room = grid.div_ceil(4);
+        let slot = padded::<F>(self.width + 1);
+        // An odd number of cache lines, so that neighbouring columns do not compete for the same places in the cache.
+        let lda = ((slot / F::PAD) | 1) * F::PAD;
+        let mut one = Layer {
+            channels: CHANNELS,
+            slot: CHANNELS + 1,
+            positions: first,
+            room: 2 * room,
+            slot_out: slot,
+            theta: 0,
+            packed: 0,
+            lda,
+            transposed: 0,
+            entries: 0,
+        };
+        let mut two = Layer { channels: self.width, slot, positions: second, room, ..one };
+        let mut end = 0;
+        for layer in [&mut one, &mut two] {
+            layer.packed = end;
+            layer.transposed = layer.packed + layer.depth() * lda;
+            layer.entries = padded::<F>(layer.depth() - 1);
+            end = layer.transposed + self.width * layer.entries;
+        }
+        two.theta = (KERNEL * CHANNELS + 1) * self.width;
+        [one, two]
+    }
+
+    /// Start of the output's kernel in `θ`.
+    fn dense(&self) -> usize {
+        (KERNEL * CHANNELS + 1) * self.width + (KERNEL * self.width + 1) * self.width
+    }
+
+    /// Start of the output's weights in the packed form, laid out as a column of h₂; its end is the end of all.
+    fn packed_dense(&self, two: &Layer) -> usize {
+        two.transposed + self.width * two.entries
+    }
+
+    fn places<F: Float>(&self, [one, two]: &[Layer; 2], total: usize) -> Places {
+        let lens = [one.input(), one.output(), two.output()];
+        let mut end = 0;
+        let mut place = |columns: usize| {
+            // Activations first: they stay aligned as long as the buffer is.
+            let mut starts = [0; 3];
+            for i in [1, 2, 0] {
+                starts[i] = end;
+                end += padded::<F>(columns * lens[i]);
+            }
+            starts
+        };
+        let (block, all) = (place(BLOCK), place(total));
+        Places { block, all, len: end }
+    }
+
+    /// Start of the cotangents of h₁ and h₂ in all columns, after the windows' cotangents of one block; and the end.
+    fn places_bar([one, two]: &[Layer; 2], total: usize) -> [usize; 3] {
+        let windows = [one, two].map(|l| BLOCK * l.room * l.entries);
+        let first = windows[0].max(windows[1]);
+        let second = first + total * one.output();
+        [first, second, second + total * two.output()]
+    }
+}
+
+impl Policy for Conv {
+    fn state_dim(&self) -> usize {
+        CHANNELS * self.grid
+    }
+
+    fn control_dim(&self) -> usize {
+        1
+    }
+
+    fn param_count(&self) -> usize {
+        self.dense() + self.positions()[2] * self.width + 1
+    }
+
+    fn init(&self, rng: &mut Rng, theta: &mut [f64]) {
+        theta.fill(0.0);
+        let (w, outputs) = (self.width, self.positions()[2] * self.width);
+        // Fans as Keras counts them: the receptive field times the channels. Its first layer is a two-dimensional
+        // convolution with a kernel of 3 × 2 and one channel.
+        let first = KERNEL * CHANNELS;
+        let kernels =
+            [(0, first, first * w), (self.layers::<f64>()[1].theta, KERNEL * w, KERNEL * w), (self.dense(), outputs, 1)];
+        for ((start, fan_in, fan_out), len) in kernels.into_iter().zip([first * w, KERNEL * w * w, outputs]) {
+            // Glorot and Bengio 2010: uniform within sqrt(6 / (fan_in + fan_out)).
+            let limit = (6.0 / (fan_in + fan_out) as f64).sqrt();
+            theta[start..start + len].fill_with(|| rng.random_range(-limit..limit));
+        }
+        if self.zero_last {
+            theta[self.dense()..].fill(0.0);
+        }
+    }
+
+    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
+        let w = self.width;
+        let mut h = x.to_vec();
+        for l in self.layers::<f64>() {
+            let weights = &theta[l.theta..][..(KERNEL * l.channels + 1) * w];
+            let (kernel, bias) = weights.split_at(KERNEL * l.channels * w);
+            let mut next = Vec::with_capacity(l.positions * w);
+            for q in 0..l.positions {
+                let mut z = bias.to_vec();
+                let window = &h[2 * q * l.channels..][..KERNEL * l.channels];
+                for (&h, row) in window.iter().zip(kernel.chunks_exact(w)) {
+                    for (z, &weight) in z.iter_mut().zip(row) {
+                        *z += h * weight;
+                    }
+                }
+                next.extend(z.into_iter().map(Scalar::tanh));
+            }
+            h = next;
+        }
+        let (kernel, bias) = theta[self.dense()..].split_at(h.len());
+        u[0] = h.iter().zip(kernel).fold(bias[0], |sum, (&h, &weight)| sum + h * weight);
+    }
+
+    fn tensors(&self) -> Vec<Tensor> {
+        let w = self.width;
+        let shapes = [vec![KERNEL, CHANNELS, 1, w], vec![KERNEL, w, w], vec![self.positions()[2] * w, 1]];
+        let (mut tensors, mut end) = (Vec::new(), 0);
+        for (i, shape) in shapes.into_iter().enumerate() {
+            let bias = vec![shape[shape.len() - 1]];
+            for (name, shape) in [("kernel", shape), ("bias", bias)] {
+                let range = end..end + shape.iter().product::<usize>();
+                end = range.end;
+                tensors.push(Tensor { name: format!("layer{}.{name}", i + 1), shape, range });
+            }
+        }
+        tensors
+    }
+
+    fn sizes<F: Float>(&self, columns: usize) -> Sizes {
+        let layers = self.layers::<F>();
+        let gradient = |l: &Layer| l.slot_out * l.depth() + DEPTH.max(l.room) / l.room * l.input().min(l.output());
+        let two = &layers[1];
+        Sizes {
+            packed: self.packed_dense(two) + two.output(),
+            tape: self.places::<F>(&layers, columns).len,
+            tape_bar: Self::places_bar(&layers, columns)[2],
+            scratch: layers.iter().map(gradient).max().unwrap_or(0).max(two.output() + DEPTH),
+        }
+    }
+
+    fn pack<F: Float>(&self, theta: &[F], packed: &mut [F]) {
+        let w = self.width;
+        let layers = self.layers::<F>();
+        for l in &layers {
+            for j in 0..l.depth() {
+                let Some(start) = l.weight(j, w) else { continue };
+                let row = &theta[start..start + w];
+                packed[l.packed + j * l.lda..][..w].copy_from_slice(row);
+                if j + 1 < l.depth() {
+                    for (f, &weight) in row.iter().enumerate() {
+                        packed[l.transposed + f * l.entries + j] = weight;
+                    }
+                }
+            }
+        }
+        let [_, two] = &layers;
+        let dense = &mut packed[self.packed_dense(two)..];
+        let (kernel, bias) = theta[self.dense()..].split_at(two.positions * w);
+        for (to, from) in dense.chunks_exact_mut(two.slot_out).zip(kernel.chunks_exact(w)) {
+            to[..w].copy_from_slice(from);
+        }
+        // The constant 1 of the first position.
+        dense[w] = bias[0];
+    }
+
+    fn forward<F: Float>(&self, packed: &[F], at: PolicyColumns, x: &[F], tape: &mut [F], u: &mut [F]) {
+        let level = Level::best();
+        let (n, w) = (self.state_dim(), self.width);
+        let layers = self.layers::<F>();
+        let [one, two] = &layers;
+        let places = self.places::<F>(&layers, x.len() / n);
+        let lens = [one.input(), one.output(), two.output()];
+        let (h1, h2, input) = (places.block[1], places.block[2], places.block[0]);
+        for at in at.blocks(BLOCK) {
+            // The columns of one step are far apart: they are brought together, worked on and put back.
+            let (block, all) = tape.split_at_mut(places.all[1]);
+            for (column, c) in block[input..].chunks_exact_mut(lens[0]).zip(at.iter()) {
+                for (position, x) in column.chunks_exact_mut(one.slot).zip(x[c * n..][..n].chunks_exact(CHANNELS)) {
+                    position[..CHANNELS].copy_from_slice(x);
+                    position[CHANNELS] = F::one();
+                }
+            }
+            let (activations, inputs) = block.split_at_mut(input);
+            let (first, second) = activations.split_at_mut(h2);
+            one.convolve(level, w, packed, inputs, &mut first[h1..], at.count);
+            two.convolve(level, w, packed, &first[h1..], second, at.count);
+            let rows = Strided { first: self.packed_dense(two), step: 0, count: 1, len: lens[2] };
+            let columns = Strided { first: 0, step: lens[2], count: at.count, len: lens[2] };
+            elementwise::dots(level, packed, rows, second, columns, &mut u[at.first..], at.step);
+            for (from, (to, len)) in places.block.into_iter().zip(places.all.into_iter().zip(lens)) {
+                let to = to - places.all[1];
+                for (i, c) in at.iter().enumerate() {
+                    all[to + c * len..][..len].copy_from_slice(&block[from + i * len..][..len]);
+                }
+            }
+        }
+    }
+
+    fn backward<F: Float>(
+        &self,
+        packed: &[F],
+        at: PolicyColumns,
+        x: &[F],
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &mut [F],
+        mut x_bar: Option<&mut [F]>,
+    ) {
+        let level = Level::best();
+        let (n, w) = (self.state_dim(), self.width);
+        let total = x.len() / n;
+        let layers = self.layers::<F>();
+        let [one, two] = &layers;
+        let (len1, len2) = (one.output(), two.output());
+        let places = self.places::<F>(&layers, total);
+        let [first, second, _] = Self::places_bar(&layers, total);
+        // Only neighbouring columns can go through a product together.
+        for at in at.blocks(if at.step == 1 { BLOCK } else { 1 }) {
+            let (windows, bars) = tape_bar.split_at_mut(first);
+            let (bar1, bar2) = bars.split_at_mut(second - first);
+            let bar1 = &mut bar1[at.first * len1..][..at.count * len1];
+            let bar2 = &mut bar2[at.first * len2..][..at.count * len2];
+            let (a, b) = (&packed[self.packed_dense(two)..], &u_bar[at.first..]);
+            let outer = Product {
+                rows: len2,
+                depth: 1,
+                cols: at.count,
+                a,
+                lda: len2,
+                b,
+                b_row: 1,
+                b_col: 1,
+                c: &mut *bar2,
+                ldc: len2,
+                accumulate: false,
+            };
+            F::product(level, outer);
+            // 1 - h² is zero at the constant ones, and so are the weights at the positions that are not used.
+            let whole = |len: usize| Strided { first: 0, step: len, count: at.count, len };
+            elementwise::tanh_bar(level, &tape[places.all[2] + at.first * len2..], bar2, whole(len2));
+
+            two.windows_bar(level, w, packed, bar2, at.count, windows);
+            bar1.fill(F::zero());
+            for (to, windows) in bar1.chunks_exact_mut(len1).zip(windows.chunks(two.room * two.entries)) {
+                two.add_windows(windows, two.slot, to);
+            }
+            elementwise::tanh_bar(level, &tape[places.all[1] + at.first * len1..], bar1, whole(len1));
+
+            if let Some(x_bar) = &mut x_bar {
+                one.windows_bar(level, w, packed, bar1, at.count, windows);
+                for (c, windows) in at.iter().zip(windows.chunks(one.room * one.entries)) {
+                    let x_bar = &mut x_bar[c * n..][..n];
+                    x_bar.fill(F::zero());
+                    one.add_windows(windows, CHANNELS, x_bar);
+                }
+            }
+        }
+    }
+
+    fn param_gradient<F: Float>(
+        &self,
+        _packed: &[F],
+        at: Range<usize>,
+        x: &[F],
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &[F],
+        weight: Option<&[F]>,
+        scratch: &mut [F],
+        theta_bar: &mut [F],
+    ) {
+        if at.is_empty() {
+            return;
+        }
+        let level = Level::best();
+        let w = self.width;
+        let total = x.len() / self.state_dim();
+        let layers = self.layers::<F>();
+        let [_, two] = &layers;
+        let places = self.places::<F>(&layers, total);
+        let bars = Self::places_bar(&layers, total);
+        for (i, l) in layers.iter().enumerate() {
+            let (sum, scaled) = scratch.split_at_mut(l.slot_out * l.depth());
+            let (all_inputs, all_bars) = (&tape[places.all[i]..], &tape_bar[bars[i]..]);
+            for block in PolicyColumns::range(at.clone()).blocks(DEPTH.max(l.room) / l.room) {
+                let columns = block.first..block.first + block.count;
+                let mut input = &all_inputs[columns.start * l.input()..columns.end * l.input()];
+                let mut bar = &all_bars[columns.start * l.output()..columns.end * l.output()];
+                if let Some(weight) = weight {
+                    // The smaller factor is the cheaper one to scale.
+                    let smaller = l.input().min(l.output());
+                    let factor = if l.output() <= l.input() { &mut bar } else { &mut input };
+                    elementwise::scale(level, factor, &weight[columns], smaller, scaled);
+                    *factor = &scaled[..block.count * smaller];
+                }
+                F::product(
+                    level,
+                    Product {
+                        rows: l.slot_out,
+                        depth: l.windows(block.count),
+                        cols: l.depth(),
+                        a: bar,
+                        lda: l.slot_out,
+                        b: input,
+                        b_row: l.stride(),
+                        b_col: 1,
+                        c: sum,
+                        ldc: l.slot_out,
+                        accumulate: block.first != at.start,
+                    },
+                );
+            }
+            for (j, sum) in sum.chunks_exact(l.slot_out).enumerate() {
+                let Some(start) = l.weight(j, w) else { continue };
+                for (bar, &sum) in theta_bar[start..start + w].iter_mut().zip(sum) {
+                    *bar += sum;
+                }
+            }
+        }
+
+        let len = two.output();
+        let (sum, scaled) = scratch.split_at_mut(len);
+        for block in PolicyColumns::range(at.clone()).blocks(DEPTH) {
+            let columns = block.first..block.first + block.count;
+            let mut b = &u_bar[columns.clone()];
+            if let Some(weight) = weight {
+                elementwise::scale(level, b, &weight[columns], 1, scaled);
+                b = scaled;
+            }
+            let a = &tape[places.all[2] + block.first * len..];
+            let accumulate = block.first != at.start;
+            let product = Product {
+                rows: len,
+                depth: block.count,
+                cols: 1,
+                a,
+                lda: len,
+                b,
+                b_row: 1,
+                b_col: 1,
+                c: sum,
+                ldc: len,
+                accumulate,
+            };
+            F::product(level, product);
+        }
+        let (kernel, bias) = theta_bar[self.dense()..].split_at_mut(two.positions * w);
+        for (bar, sum) in kernel.chunks_exact_mut(w).zip(sum.chunks_exact(two.slot_out)) {
+            for (bar, &sum) in bar.iter_mut().zip(sum) {
+                *bar += sum;
+            }
+        }
+        bias[0] += sum[w];
+    }
+}
