@@ -8,8 +8,10 @@ mod oracle;
 
 use crate::backward::Flow;
 use crate::batch::Batch;
-use crate::policy::{Policy, PolicyColumns};
+use crate::divergence::Divergence;
+use crate::policy::{Policy, PolicyColumns, Weights};
 use crate::rng::{Purpose, Rng, stream};
+use crate::rollout::Rollout;
 use crate::scalar::{Columns, Lanes, Real, Scalar};
 use crate::system::{System, Wrt, vjp_by_duals};
 use crate::task::Task;
@@ -51,6 +53,22 @@ pub struct Mismatch {
     pub allowed: f64,
     /// Number of the random case: its inputs are drawn from `stream(case, Purpose::Check, 0)`.
     pub case: u64,
+}
+
+/// Why a check of whole rollouts did not pass.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Failure {
+    /// A wrong number.
+    #[error(transparent)]
+    Mismatch(#[from] Mismatch),
+    /// There was nothing to compare.
+    #[error("case {case} cannot be checked: {divergence}")]
+    Diverged {
+        /// Number of the random case.
+        case: u64,
+        /// Where a number was not finite.
+        divergence: Divergence,
+    },
 }
 
 impl fmt::Display for Mismatch {
@@ -230,7 +248,7 @@ pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
     for case in 0..2 {
         c.case = case;
         let mut rng = stream(case, Purpose::Check, 0);
-        let weights = oracle::weights(policy, &mut rng);
+        let weights = oracle::weights(policy, 0.1, &mut rng);
         let (x, u_bar, weight) = (normal(&mut rng, total * n), normal(&mut rng, total * m), normal(&mut rng, total));
         let sizes = policy.sizes::<f64>(total);
         let mut tape = vec![0.0; sizes.tape];
@@ -271,7 +289,7 @@ pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
 #[track_caller]
 pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Passed {
     let all = Flow::ALL.map(|flow| {
-        try_flow(task, policy, flow).unwrap_or_else(|mismatch| panic!("the gradient of flow {flow} is wrong: {mismatch}"))
+        try_flow(task, policy, flow).unwrap_or_else(|failure| panic!("the gradient of flow {flow} is wrong: {failure}"))
     });
     all.into_iter().fold(Passed::default(), |sum, p| Passed {
         compared: sum.compared + p.compared,
@@ -283,27 +301,25 @@ pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Passed {
 /// As [`task`], for one flow, as a value.
 ///
 /// # Errors
-/// The first [`Mismatch`].
-pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<Passed, Mismatch> {
+/// The first [`Mismatch`], or rollouts that diverge whatever the parameters.
+pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<Passed, Failure> {
     const SAMPLES: usize = 3;
     let n = task.system().state_dim();
     let mut c = Comparison::new(ROLLOUT);
     for case in 0..2 {
         c.case = case;
         let mut rng = stream(case, Purpose::Check, 0);
-        let weights = oracle::weights(policy, &mut rng);
         let mut starts = vec![0.0; SAMPLES * n];
         starts.chunks_exact_mut(n).for_each(|x| task.start(&mut rng, x));
-
+        let weights = finite_weights(task, policy, &starts, case)?;
         let gradient = |flows: &[Flow]| {
             let mut batch = Batch::new(task, policy, SAMPLES, flows, 1);
-            match batch.run(task, policy, &weights, &starts) {
-                Ok(loss) => (loss, batch.gradients()[flows.len() - 1].clone()),
-                Err(divergence) => panic!("the rollouts of case {case} cannot be checked: {divergence}"),
-            }
+            let loss = batch.run(task, policy, &weights, &starts);
+            loss.map(|loss| (loss, batch.gradients()[flows.len() - 1].clone()))
+                .map_err(|divergence| Failure::Diverged { case, divergence })
         };
-        let (loss, gradient_alone) = gradient(&[flow]);
-        let (_, gradient_beside) = gradient(&[Flow::MODIFIED, flow]);
+        let (loss, gradient_alone) = gradient(&[flow])?;
+        let (_, gradient_beside) = gradient(&[Flow::MODIFIED, flow])?;
         let theta = weights.theta();
         c.slices("loss", &[loss], &[oracle::loss(task, policy, theta, &starts)])?;
         c.slices("gradient computed beside M", &gradient_beside, &gradient_alone)?;
@@ -320,4 +336,20 @@ pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<
         }
     }
     Ok(c.passed)
+}
+
+/// Random parameters with which the rollouts are finite: initial ones with noise, less of it if need be.
+fn finite_weights<T: Task, P: Policy>(task: &T, policy: &P, starts: &[f64], case: u64) -> Result<Weights<f64>, Failure> {
+    let mut rollout = Rollout::for_evaluation(task, policy, starts.len() / task.system().state_dim());
+    rollout.start(starts);
+    let mut found = Ok(());
+    for noise in [0.1, 0.01, 0.001] {
+        let weights = oracle::weights(policy, noise, &mut stream(case, Purpose::Check, 1));
+        found = rollout.run(task, policy, &weights);
+        if found.is_ok() {
+            return Ok(weights);
+        }
+        rollout.start(starts);
+    }
+    Err(found.map_or_else(|divergence| Failure::Diverged { case, divergence }, |()| unreachable!("a finite run is returned")))
 }

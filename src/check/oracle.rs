@@ -16,13 +16,13 @@ const TOGETHER: usize = 4;
 /// Up to so many parameters, all are compared.
 const ALL: usize = 64;
 
-/// Initial parameters, with noise added so that no layer is zero.
-pub fn weights<P: Policy>(policy: &P, rng: &mut Rng) -> Weights<f64> {
+/// Initial parameters, with noise of this size added so that no layer is zero.
+pub fn weights<P: Policy>(policy: &P, size: f64, rng: &mut Rng) -> Weights<f64> {
     let mut theta = vec![0.0; policy.param_count()];
     policy.init(rng, &mut theta);
     for theta in &mut theta {
         let noise: f64 = StandardNormal.sample(rng);
-        *theta += 0.1 * noise;
+        *theta += size * noise;
     }
     Weights::new(policy, theta)
 }
