@@ -311,6 +311,37 @@ fn a_comparison_goes_on_where_it_was_and_refuses_what_is_not_one() {
 }
 
 #[test]
+fn every_task_trains_and_leaves_its_pictures() {
+    let dir = TempDir::new().expect("a folder");
+    for (task, settings, column) in [
+        ("guidance", ["system.drivers=3", "system.evaders=2", "loss.regularization=0.01", "loss.mode=final"], "evader_2_vy"),
+        ("quantum", ["system.grid=16", "system.target=4", "system.weighting=[3, 1]", "policy.width=8"], "im_16"),
+    ] {
+        let out = dir.path().join(task);
+        let mut train = physgrad(&["train", task, "--epochs", "2", "--set", "training.train_samples=16", "--out"]);
+        train.arg(&out).args(settings.iter().flat_map(|set| ["--set", set])).assert().success();
+        assert!(columns(&out.join("trajectory.csv")).contains_key(column));
+        assert!(numbers(&out)["test_loss"].iter().all(|loss| loss.parse::<f64>().expect("a number").is_finite()));
+        let animation = fs::read_to_string(out.join("animation.svg")).expect("an animation");
+        roxmltree::Document::parse(&animation).expect("an SVG is XML");
+        assert!(animation.contains("<animate"));
+    }
+    for (task, set, allowed) in [
+        ("guidance", "system.drivers=0", "1 to"),
+        ("guidance", "system.evaders=0", "1 to"),
+        ("guidance", "loss.regularization=-1", "0 or more"),
+        ("quantum", "system.grid=2", "7 to"),
+        ("quantum", "system.target=33", "1 to 32"),
+        ("quantum", "system.dt=-1", "positive"),
+        ("quantum", "system.weighting=[0, 0]", "not both 0"),
+    ] {
+        let text = error_of(&mut physgrad(&["train", task, "--set", set]));
+        let (key, value) = set.split_once('=').expect("an assignment");
+        assert!(text.contains(key) && text.contains(value.trim_matches(['[', ']'])) && text.contains(allowed), "{text}");
+    }
+}
+
+#[test]
 fn checks_pass_and_say_so() {
     let output = physgrad(&["check", "cart_pole"]).assert().success();
     let text = String::from_utf8(output.get_output().stdout.clone()).expect("text");
