@@ -91,8 +91,12 @@ impl<F: Float> Batch<F> {
             return Err(first);
         }
         for (k, gradient) in self.gradients.iter_mut().enumerate() {
-            gradient.fill(F::zero());
-            for group in self.workers[..active].iter().flat_map(|w| w.groups.iter().take(w.rollout.samples().div_ceil(GROUP))) {
+            let groups = self.workers[..active].iter().flat_map(|w| w.groups.iter().take(w.rollout.samples().div_ceil(GROUP)));
+            for (g, group) in groups.enumerate() {
+                if g == 0 {
+                    gradient.copy_from_slice(&group[k]);
+                    continue;
+                }
                 for (sum, &part) in gradient.iter_mut().zip(&group[k]) {
                     *sum += part;
                 }

@@ -104,12 +104,12 @@ fn train_scene<S: Scene>(args: &Train) -> Result<()> {
     let mut progress = Progress::new(settings.epochs, args.quiet);
     if !args.quiet {
         eprintln!(
-            "{} ({}): field {}, seed {}, {:?}, {workers} thread{}",
+            "{} ({}): field {}, seed {}, {}, {workers} thread{}",
             S::NAME,
             S::ABOUT,
             settings.field.0,
             settings.seed,
-            settings.precision,
+            settings.precision.name(),
             if workers == 1 { "" } else { "s" }
         );
     }

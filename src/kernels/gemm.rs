@@ -91,20 +91,19 @@ unsafe fn panels<R: Register, const MAX: usize, const NR: usize>(p: Product<'_, 
 unsafe fn tiles<R: Register, const H: usize, const NR: usize>(p: &Product<'_, R::Float>, c: *mut R::Float, row: usize) {
     let mut col = 0;
     while col < p.cols {
-        let left = p.cols - col;
-        if left >= NR {
-            unsafe { tile::<R, H, NR>(p, c, row, col) };
-            col += NR;
-        } else if left >= 4 {
-            unsafe { tile::<R, H, 4>(p, c, row, col) };
-            col += 4;
-        } else if left >= 2 {
-            unsafe { tile::<R, H, 2>(p, c, row, col) };
-            col += 2;
-        } else {
-            unsafe { tile::<R, H, 1>(p, c, row, col) };
-            col += 1;
+        // What is left over is one narrower tile: two would each wait for their few sums.
+        let width = NR.min(p.cols - col);
+        match width {
+            1 => unsafe { tile::<R, H, 1>(p, c, row, col) },
+            2 => unsafe { tile::<R, H, 2>(p, c, row, col) },
+            3 => unsafe { tile::<R, H, 3>(p, c, row, col) },
+            4 => unsafe { tile::<R, H, 4>(p, c, row, col) },
+            5 => unsafe { tile::<R, H, 5>(p, c, row, col) },
+            6 => unsafe { tile::<R, H, 6>(p, c, row, col) },
+            7 => unsafe { tile::<R, H, 7>(p, c, row, col) },
+            _ => unsafe { tile::<R, H, NR>(p, c, row, col) },
         }
+        col += width;
     }
 }
 
