@@ -1,0 +1,42 @@
+//! Guidance by repulsion with the library alone: how much control may cost decides what is learned.
+//!
+//! `cargo run --release --example guidance -- [epochs]`
+
+use physgrad::policy::Mlp;
+use physgrad::tasks::Guidance;
+use physgrad::{Field, Rollout, System, TrainError, Trainer, check};
+
+fn main() -> Result<(), TrainError> {
+    let epochs = std::env::args().nth(1).map_or(50, |text| text.parse().expect("a number of epochs"));
+    for regularization in [1.0, 0.01] {
+        let task = Guidance { regularization, ..Guidance::new(2, 4) };
+        let n = task.system.state_dim();
+        let policy = Mlp::new([n, 100, 100, task.system.control_dim()]).zero_last(true);
+        check::system(&task.system);
+        println!("regularization {regularization}");
+        for field in [Field::regular(), Field::combined()] {
+            let mut session = Trainer::new(task, policy.clone()).field(field).epochs(epochs).session()?;
+            while !session.is_done() {
+                session.epoch()?;
+            }
+            let loss = session.records().last().map_or(f64::NAN, |record| record.test_loss);
+
+            // Where one test herd ends up.
+            let mut rollout = Rollout::new(&task, &policy, 1);
+            rollout.start(&session.test_starts()[..n]);
+            if let Err(divergence) = rollout.run(&task, &policy, session.weights()) {
+                println!("{divergence}");
+            }
+            let herd = |t: usize| {
+                let at = |evader: usize, axis: usize| rollout.state(t, 0, 4 * (task.system.drivers + evader) + axis);
+                let distance = |evader| at(evader, 0).hypot(at(evader, 1));
+                (0..task.system.evaders).map(distance).sum::<f32>() / task.system.evaders as f32
+            };
+            let (start, end) = (herd(0), herd(task.horizon));
+            println!(
+                "  {field:>8}: test loss {loss:.4}; mean distance of a herd from the origin {start:.2} m, after 4 s {end:.2} m"
+            );
+        }
+    }
+    Ok(())
+}
