@@ -1,5 +1,6 @@
 //! The `physgrad` program.
 
+mod changes;
 mod check;
 mod compare;
 mod folder;
@@ -8,6 +9,7 @@ mod run;
 mod scene;
 mod settings;
 mod tasks;
+mod terminal;
 mod train;
 
 use anyhow::Result;
@@ -58,7 +60,7 @@ fn execute(command: &Command) -> Result<()> {
 fn default_run() -> Command {
     Command::Train(train::Train {
         task: "cart_pole".into(),
-        changes: train::Changes::default(),
+        changes: changes::Changes::default(),
         threads: None,
         out: None,
         resume: false,

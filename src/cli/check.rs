@@ -2,7 +2,7 @@
 
 use super::scene::{NAMES, Network, Scene, with_scene};
 use super::settings::Settings;
-use super::train::say;
+use super::terminal::say;
 use anyhow::{Result, bail};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;

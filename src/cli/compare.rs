@@ -1,10 +1,12 @@
 //! `physgrad compare`: the same training along several fields and seeds, side by side.
 
+use super::changes::{Changes, changed_settings, check_resumable};
 use super::folder::{CHECKPOINT, Folder, SETTINGS};
 use super::run::{self, Finished, Watch};
 use super::scene::{Scene, with_scene};
 use super::settings::{FieldName, Settings};
-use super::train::{Changes, Progress, best, check_resumable, say, settings, threads};
+use super::terminal::{Progress, say};
+use super::train::{best, threads};
 use anyhow::{Context, Result, bail};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
@@ -77,7 +79,7 @@ impl<S: Scene> Run<S> {
 }
 
 fn compare_scene<S: Scene>(args: &Compare) -> Result<()> {
-    let base = settings::<S>(&args.changes)?;
+    let base = changed_settings::<S>(&args.changes)?;
     let fields = fields(args)?;
     threads(args.threads)?;
     let folder = match &args.out {

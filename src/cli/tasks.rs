@@ -2,7 +2,7 @@
 
 use super::scene::{NAMES, Scene, with_scene};
 use super::settings::Settings;
-use super::train::say;
+use super::terminal::say;
 use anyhow::Result;
 
 /// Runs the command.
