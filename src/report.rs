@@ -1,8 +1,9 @@
-//! Pictures of runs: plain numbers in, SVG text out. No scripts, no network, the same bytes every time.
+//! Pictures of runs: plain numbers in, SVG or PNG out. No scripts, no network, the same bytes every time.
 
 mod animation;
 mod cart_pole;
 mod curves;
+mod drawing;
 mod guidance;
 mod log_figure;
 mod quantum;
@@ -10,5 +11,6 @@ mod quantum;
 pub use animation::{Animation, Shape};
 pub use cart_pole::cart_pole;
 pub use curves::{Curve, Point, comparison, field_color, learning_curve};
+pub use drawing::Drawing;
 pub use guidance::guidance;
 pub use quantum::quantum;

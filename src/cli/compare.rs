@@ -125,7 +125,7 @@ fn compare_scene<S: Scene>(args: &Compare) -> Result<()> {
         say(&format!("interrupted; the same command with --out {} goes on", folder.path().display()));
     } else {
         folder.write("summary.csv", summary(&runs)?)?;
-        folder.write("curves.svg", comparison(&title(&runs), &curves(&runs)))?;
+        folder.write("curves.svg", comparison(&title(&runs), &curves(&runs)).to_svg())?;
         if !args.quiet {
             let files = "summary.csv, curves.svg, and every run in runs/";
             say(&format!("{}\nresults in {}: {files}", table(&runs), folder.path().display()));

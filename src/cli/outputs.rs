@@ -62,7 +62,7 @@ pub fn metrics_row(record: &Record) -> [String; 9] {
 /// Training and test loss against epochs.
 pub fn learning_curve(title: &str, records: &[Record]) -> String {
     let points = |loss: fn(&Record) -> f64| records.iter().map(|r| (r.epoch as f64, loss(r))).collect::<Vec<_>>();
-    report::learning_curve(title, &points(|r| r.train_loss), &points(|r| r.test_loss))
+    report::learning_curve(title, &points(|r| r.train_loss), &points(|r| r.test_loss)).to_svg()
 }
 
 /// The parameters as named tensors, for other programs.

@@ -1,5 +1,6 @@
 //! Learning curves: the loss of one run, and the losses of several methods against effort.
 
+use super::Drawing;
 use super::log_figure::{Panel, Series, drawable, log_figure};
 
 /// A line of more points than this is thinned: no screen shows more, and the files stay small.
@@ -42,7 +43,7 @@ pub fn field_color(letter: &str) -> &'static str {
 /// The training and test loss, as (epoch, loss), of one run.
 ///
 /// Losses that a log axis cannot show (not finite, zero or negative) are left out; an empty list leaves out its line.
-pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) -> String {
+pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) -> Drawing {
     let series = |label: &str, color, points: &[(f64, f64)]| Series {
         label: label.into(),
         color,
@@ -61,7 +62,7 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
 ///
 /// The runs of a curve are read at common places by interpolation, as far as all of them reached: where one seed stops
 /// or diverges for good, the curve ends. A run with no loss to show is left out and the legend says so.
-pub fn comparison(title: &str, curves: &[Curve]) -> String {
+pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
     let panel = |x_label, x: fn(&Point) -> f64| Panel { x_label, series: curves.iter().map(|c| summary(c, x)).collect() };
     log_figure(title, "test loss", &[panel("epoch", |p| p.epoch), panel("wall time (s)", |p| p.seconds)])
 }
@@ -127,8 +128,10 @@ mod tests {
         points.iter().map(|&(epoch, seconds, loss)| Point { epoch, seconds, loss }).collect()
     }
 
-    fn check(svg: &str) {
-        roxmltree::Document::parse(svg).expect("an SVG is XML");
+    fn check(drawing: &Drawing) {
+        let svg = drawing.to_svg();
+        roxmltree::Document::parse(&svg).expect("an SVG is XML");
+        assert!(drawing.to_png().starts_with(b"\x89PNG"));
         assert!(!svg.contains("NaN") && !svg.contains("inf"));
         assert!(svg.len() < 100_000, "{} bytes", svg.len());
     }
@@ -162,6 +165,6 @@ mod tests {
         check(&learning_curve("long", &long, &long));
         check(&comparison("nothing", &[]));
         check(&comparison("no runs", &[Curve { label: "a".into(), color: field_color("R"), runs: vec![vec![]] }]));
-        assert!(learning_curve("nothing", &[], &[]).contains("no data"));
+        assert!(learning_curve("nothing", &[], &[]).to_svg().contains("no data"));
     }
 }

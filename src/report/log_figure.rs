@@ -1,5 +1,6 @@
-//! Draws panels side by side that share one logarithmic y axis, as an SVG.
+//! Draws panels side by side that share one logarithmic y axis.
 
+use super::Drawing;
 use kuva::prelude::*;
 
 /// What one panel shows under its x axis label.
@@ -28,7 +29,7 @@ pub fn drawable(y: f64) -> bool {
 }
 
 /// Renders the panels. The legend stands to the right of them all, where it can cover no data.
-pub fn log_figure(title: &str, y_label: &str, panels: &[Panel]) -> String {
+pub fn log_figure(title: &str, y_label: &str, panels: &[Panel]) -> Drawing {
     let axis = LogAxis::around(panels.iter().flat_map(|panel| &panel.series).flat_map(|s| {
         let edges = s.band.iter().flat_map(|&(low, high)| [low, high]);
         s.line.iter().map(|&(_, y)| y).chain(edges)
@@ -46,10 +47,7 @@ pub fn log_figure(title: &str, y_label: &str, panels: &[Panel]) -> String {
         .with_plots(panels.iter().map(|panel| axis.plots(panel)).collect())
         .with_shared_legend_right_top()
         .with_shared_legend_entries(legend(panels));
-    let scene = figure.render();
-    // kuva writes no viewBox, without which a page that sets a width would crop the picture instead of scaling it.
-    let view_box = format!("<svg viewBox=\"0 0 {} {}\" ", scene.width, scene.height);
-    SvgBackend::new().render_scene(&scene).replacen("<svg ", &view_box, 1)
+    Drawing::of(figure)
 }
 
 /// One entry a label, also if several panels show it; a series without points is not named.
