@@ -57,6 +57,9 @@ impl fmt::Display for Flow {
 #[derive(Debug)]
 pub struct Adjoint<F: Float> {
     flows: Vec<Flow>,
+    horizon: usize,
+    /// Lengths of λ, per flow and step, if they are to be kept.
+    norms: Option<Vec<Vec<f64>>>,
     policy: PolicyAdjoint<F>,
     one: Recursion<F, 1>,
     two: Recursion<F, 2>,
@@ -116,12 +119,37 @@ impl<F: Float> Adjoint<F> {
             ones: vec![F::one(); if unit { columns } else { 0 }],
             scratch: zeros(sizes.scratch),
         };
-        Self { flows: flows.to_vec(), policy, one: Recursion::new(rollout), two: Recursion::new(rollout) }
+        Self {
+            flows: flows.to_vec(),
+            horizon: rollout.horizon,
+            norms: None,
+            policy,
+            one: Recursion::new(rollout),
+            two: Recursion::new(rollout),
+        }
     }
 
     /// The flows it was made for.
     pub fn flows(&self) -> &[Flow] {
         &self.flows
+    }
+
+    /// Keeps the length of the adjoint at every step of every run from now on, for [`norms`](Adjoint::norms).
+    pub fn keep_norms(mut self) -> Self {
+        self.norms = Some(vec![vec![f64::NAN; self.horizon + 1]; self.flows.len()]);
+        self
+    }
+
+    /// The length of the adjoint of flow number `k` at the states `x_0 .. x_T` of the last run, `horizon + 1` numbers:
+    /// how strongly the loss of a sample depends, along the paths of the flow, on a change of that state. It is the root
+    /// mean square over the samples of ‖λ_t‖, where λ_t holds the costs that come after `x_t`, and at `T` the terminal
+    /// cost. NaN before where a run diverged.
+    ///
+    /// # Panics
+    /// Without [`keep_norms`](Adjoint::keep_norms).
+    #[track_caller]
+    pub fn norms(&self, k: usize) -> &[f64] {
+        &self.norms.as_ref().expect("the norms of an adjoint are kept only after `keep_norms`")[k]
     }
 
     /// Runs the recursion back through `rollout`. Cotangents are scaled by `scale`: 1 / batch for a batch mean.
@@ -141,9 +169,11 @@ impl<F: Float> Adjoint<F> {
         if self.policy.unit {
             self.policy.backward(&pass, 0, all, true);
         }
+        let norms = self.norms.as_deref_mut().unwrap_or_default();
+        norms.iter_mut().for_each(|norms| norms.fill(f64::NAN));
         match *self.flows {
-            [flow] => self.one.run(&pass, [flow], &mut self.policy)?,
-            [first, second] => self.two.run(&pass, [first, second], &mut self.policy)?,
+            [flow] => self.one.run(&pass, [flow], &mut self.policy, norms)?,
+            [first, second] => self.two.run(&pass, [first, second], &mut self.policy, norms)?,
             _ => unreachable!("checked when it was made"),
         }
         for (k, flow) in self.flows.iter().enumerate() {
@@ -209,12 +239,13 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
-    /// The recursion at the head of this file, for the flows side by side.
+    /// The recursion at the head of this file, for the flows side by side. `norms` has a row for each flow, or none.
     fn run<T: Task, P: Policy>(
         &mut self,
         pass: &Pass<'_, T, P, F>,
         flows: [Flow; K],
         policy: &mut PolicyAdjoint<F>,
+        norms: &mut [Vec<f64>],
     ) -> Result<(), Divergence> {
         let Pass { task, rollout, scale, .. } = *pass;
         let (n, m) = (rollout.state_dim, rollout.control_dim);
@@ -225,6 +256,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                 *lambda = Columns([x_bar * Lane::splat(scale); K]);
             }
         }
+        self.note_norms(rollout, rollout.horizon, scale, norms);
         for t in (0..rollout.horizon).rev() {
             let at = rollout.columns(t);
             let mut finite = true;
@@ -241,8 +273,21 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                     self.add_inputs(k, at, n, policy);
                 }
             }
+            self.note_norms(rollout, t, scale, norms);
         }
         Ok(())
+    }
+
+    /// Notes the length of λ at step `t`, in f64: a square of an f32 overflows long before the f32 does.
+    fn note_norms(&self, rollout: &Rollout<F>, t: usize, scale: F, norms: &mut [Vec<f64>]) {
+        let lambda = |k: usize, sample: usize| {
+            let block = &self.lambda[sample / WIDTH * rollout.state_dim..][..rollout.state_dim];
+            block.iter().map(move |c| c.0[k].lane(sample % WIDTH).as_())
+        };
+        for (k, norms) in norms.iter_mut().enumerate() {
+            let squares: f64 = (0..rollout.samples).flat_map(|sample| lambda(k, sample)).map(|x: f64| x * x).sum();
+            norms[t] = (squares / rollout.samples as f64).sqrt() / scale.as_();
+        }
     }
 
     /// `λ ← λ + (∂N/∂x)ᵀ h` in column `k`.

@@ -1,11 +1,13 @@
 //! The `physgrad` program.
 
+mod animate;
 mod changes;
 mod check;
 mod compare;
 mod folder;
 mod outputs;
 mod run;
+mod saved;
 mod scene;
 mod settings;
 mod tasks;
@@ -31,6 +33,7 @@ struct Arguments {
 enum Command {
     Train(train::Train),
     Compare(compare::Compare),
+    Animate(animate::Animate),
     Check(check::Check),
     /// List the tasks and their settings
     Tasks,
@@ -52,6 +55,7 @@ fn execute(command: &Command) -> Result<()> {
     match command {
         Command::Train(args) => on_interrupt().and_then(|()| train::train(args)),
         Command::Compare(args) => on_interrupt().and_then(|()| compare::compare(args)),
+        Command::Animate(args) => animate::animate(args),
         Command::Check(args) => check::check(args),
         Command::Tasks => tasks::tasks(),
     }

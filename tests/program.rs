@@ -93,6 +93,35 @@ fn a_training_leaves_every_file() {
 }
 
 #[test]
+fn a_saved_run_is_filmed_from_any_test_start() {
+    let dir = TempDir::new().expect("a folder");
+    let (run, film) = (dir.path().join("run"), |path: &Path| fs::read(path.join("animation.svg")).expect("a film"));
+    train(&run, &["--epochs", "1"]).assert().success();
+    let first = film(&run);
+    let animate = |args: &[&str]| {
+        let mut command = physgrad(&["animate"]);
+        command.arg(dir.path().join("run")).args(args);
+        command
+    };
+    animate(&["--sample", "3"]).assert().success();
+    assert_ne!(film(&run), first, "another start state");
+    animate(&[]).assert().success();
+    assert_eq!(film(&run), first, "what `train` leaves is the film of sample 0");
+    let text = error_of(&mut animate(&["--sample", "100000"]));
+    assert!(text.contains("--sample is 100000; allowed: 0 to "), "{text}");
+
+    let compare = dir.path().join("compare");
+    physgrad(&["compare", "cart_pole", "--fields", "R,C", "--seeds", "1", "--epochs", "1", "--quiet", "--out"])
+        .arg(&compare)
+        .assert()
+        .success();
+    let films = physgrad(&["animate"]).arg(&compare).output().expect("it runs");
+    assert_eq!(String::from_utf8_lossy(&films.stdout).lines().count(), 2, "one film a run");
+    let text = error_of(physgrad(&["animate"]).arg(dir.path()));
+    assert!(text.contains("there is no run in"), "{text}");
+}
+
+#[test]
 fn the_cosine_is_empty_where_there_is_one_gradient() {
     let dir = TempDir::new().expect("a folder");
     for field in ["R", "modified", "S", "network"] {

@@ -1,6 +1,7 @@
 //! What a command line changes of a task's defaults, or of a run that is to be resumed.
 
-use super::folder::{CHECKPOINT, Folder, SETTINGS};
+use super::folder::Folder;
+use super::saved;
 use super::scene::Scene;
 use super::settings::{self, FieldName, Precision, Settings};
 use anyhow::{Context, Result, bail};
@@ -61,23 +62,9 @@ pub fn changed_settings<S: Scene>(changes: &Changes) -> Result<Settings<S>> {
     Settings::from_table(table)
 }
 
-/// The settings of the run in the folder, which must be there.
-fn saved_settings<S: Scene>(folder: &Folder) -> Result<Settings<S>> {
-    if !folder.has(SETTINGS) || !folder.has(CHECKPOINT) {
-        bail!("there is no run to resume in {}; without --resume, a new one starts there", folder.path().display());
-    }
-    let context = || format!("{} is not usable", folder.file(SETTINGS).display());
-    let saved: Table = folder.read_text(SETTINGS)?.parse().with_context(context)?;
-    let own = env!("CARGO_PKG_VERSION");
-    if let Some(version) = saved.get("physgrad").and_then(Value::as_str).filter(|&version| version != own) {
-        bail!("this run was made by physgrad {version}, and this is {own}: its numbers would not be those of one run");
-    }
-    Settings::from_table(saved).with_context(context)
-}
-
 /// An error unless the run in the folder has these settings; only the number of epochs may differ.
 pub fn check_resumable<S: Scene>(folder: &Folder, settings: &Settings<S>) -> Result<()> {
-    let saved = saved_settings::<S>(folder)?.identity();
+    let saved = saved::settings::<S>(folder)?.identity();
     if settings.identity() != saved {
         bail!(
             "a resumed run keeps its settings (only the number of epochs may change); in {}, these differ:\n{}",
@@ -90,7 +77,10 @@ pub fn check_resumable<S: Scene>(folder: &Folder, settings: &Settings<S>) -> Res
 
 /// The settings of the run in the folder, with these changes.
 pub fn resumed_settings<S: Scene>(folder: &Folder, changes: &Changes) -> Result<Settings<S>> {
-    let mut table = saved_settings::<S>(folder)?.to_table();
+    if !saved::has_run(folder) {
+        bail!("there is no run to resume in {}; without --resume, a new one starts there", folder.path().display());
+    }
+    let mut table = saved::settings::<S>(folder)?.to_table();
     changes.apply(&mut table)?;
     let settings = Settings::<S>::from_table(table)?;
     check_resumable(folder, &settings)?;

@@ -1,8 +1,9 @@
 //! `physgrad compare`: the same training along several fields and seeds, side by side.
 
 use super::changes::{Changes, changed_settings, check_resumable};
-use super::folder::{CHECKPOINT, Folder, SETTINGS};
+use super::folder::{Folder, RUNS};
 use super::run::{self, Finished, Watch};
+use super::saved;
 use super::scene::{Scene, with_scene};
 use super::settings::{FieldName, Settings};
 use super::terminal::{Progress, say};
@@ -62,7 +63,7 @@ impl<S: Scene> Run<S> {
 
     /// Goes on where an earlier comparison stopped; that must have been the same run.
     fn resumes(&self) -> Result<bool> {
-        if !self.folder.has(SETTINGS) || !self.folder.has(CHECKPOINT) {
+        if !saved::has_run(&self.folder) {
             return Ok(false);
         }
         check_resumable(&self.folder, &self.settings).map(|()| true)
@@ -160,7 +161,7 @@ fn plan<S: Scene>(base: &Settings<S>, fields: &[FieldName], seeds: u64, folder: 
     let each = fields.iter().flat_map(|&field| (base.seed..=last).map(move |seed| (field, seed)));
     each.map(|(field, seed)| {
         let settings = Settings { field, seed, ..base.clone() };
-        let folder = Folder::create(&folder.file("runs").join(format!("{}-{seed}", field.0.letter())))?;
+        let folder = Folder::create(&folder.file(RUNS).join(format!("{}-{seed}", field.0.letter())))?;
         Ok(Run { field: field.0, seed, folder, settings, records: Vec::new(), broken: false })
     })
     .collect()

@@ -1,6 +1,6 @@
 //! The folder of a run: files that are either old or new, never half-written.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use std::fs;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -12,6 +12,9 @@ pub const POLICY: &str = "policy.safetensors";
 pub const LEARNING_CURVE: &str = "learning_curve.svg";
 pub const TRAJECTORY: &str = "trajectory.csv";
 pub const ANIMATION: &str = "animation.svg";
+
+/// Where a comparison keeps its runs.
+pub const RUNS: &str = "runs";
 
 /// All that a run writes.
 const RUN_FILES: [&str; 7] = [SETTINGS, CHECKPOINT, METRICS, POLICY, LEARNING_CURVE, TRAJECTORY, ANIMATION];
@@ -38,11 +41,16 @@ impl Folder {
         Ok(folder)
     }
 
+    /// A folder that must be there.
+    pub fn existing(path: &Path) -> Result<Self> {
+        if path.is_dir() { Ok(Self { path: path.to_owned() }) } else { bail!("there is no folder {}", path.display()) }
+    }
+
     /// A new folder `runs/<name>`, or `runs/<name>-2` and so on if that is taken.
     pub fn fresh(name: &str) -> Result<Self> {
-        Self::create(Path::new("runs"))?;
+        Self::create(Path::new(RUNS))?;
         for i in 1.. {
-            let path = Path::new("runs").join(if i == 1 { name.into() } else { format!("{name}-{i}") });
+            let path = Path::new(RUNS).join(if i == 1 { name.into() } else { format!("{name}-{i}") });
             match fs::create_dir(&path) {
                 Ok(()) => return Ok(Self { path }),
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => {}

@@ -7,9 +7,10 @@ use physgrad::{Divergence, Float, Policy, Record, Rollout, Session, System, Vari
 use safetensors::tensor::{Dtype, TensorView};
 use std::collections::HashMap;
 use std::fs::File;
+use std::ops::Range;
 
 /// Test rollouts that `trajectory.csv` holds.
-const ROLLOUTS: usize = 4;
+pub const ROLLOUTS: usize = 4;
 
 /// `metrics.csv`, one row an epoch, on disk as soon as the epoch is done.
 pub struct Metrics {
@@ -86,13 +87,14 @@ pub struct Trajectory {
     pub controls: Vec<Vec<f64>>,
 }
 
-/// The first few test rollouts under the session's policy.
-pub fn rollouts<S: Scene, F: Float>(session: &Session<S, PolicyOf<S>, F>) -> Vec<Trajectory> {
+/// Rollouts from these test start states, or as many of them as there are, under the session's policy.
+pub fn rollouts<S: Scene, F: Float>(session: &Session<S, PolicyOf<S>, F>, chosen: Range<usize>) -> Vec<Trajectory> {
     let (task, starts) = (session.task(), session.test_starts());
     let (n, m) = (task.system().state_dim(), task.system().control_dim());
-    let samples = ROLLOUTS.min(starts.len() / n);
+    let starts = &starts[chosen.start * n..starts.len().min(chosen.end * n)];
+    let samples = starts.len() / n;
     let mut rollout = Rollout::new(task, session.policy(), samples);
-    rollout.start(&starts[..samples * n]);
+    rollout.start(starts);
     let steps = match rollout.run(task, session.policy(), session.weights()) {
         Err(Divergence::Forward { variable: Variable::State, step, .. }) => step - 1,
         Err(Divergence::Forward { variable: Variable::Control, step, .. }) => step,

@@ -2,10 +2,11 @@
 
 use super::folder::{ANIMATION, CHECKPOINT, Folder, LEARNING_CURVE, POLICY, SETTINGS, TRAJECTORY};
 use super::outputs;
-use super::scene::{Network, PolicyOf, Scene};
+use super::saved;
+use super::scene::{PolicyOf, Scene};
 use super::settings::{Precision, Settings};
-use anyhow::{Context, Result, bail};
-use physgrad::{Divergence, Float, Record, Session, Skip, System, TrainError, Trainer};
+use anyhow::{Result, bail};
+use physgrad::{Divergence, Float, Record, Session, Skip, TrainError};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -52,15 +53,10 @@ fn run_in<S: Scene, F: Float>(
     resume: bool,
     watch: &mut dyn Watch,
 ) -> Result<Finished> {
-    let task = S::build(&settings.system, &settings.loss, settings.horizon);
-    let policy = policy(settings, &task);
-    let trainer = Trainer::new(task, policy).precision::<F>().field(settings.field.0).training(settings.training(workers));
-    let mut session = trainer.session()?;
+    let mut session = saved::fresh::<S, F>(settings, workers)?;
     let identity = settings.identity();
     if resume {
-        let file = folder.file(CHECKPOINT);
-        let restored = session.restore(&folder.read(CHECKPOINT)?, &identity);
-        restored.with_context(|| format!("cannot resume from {}", file.display()))?;
+        saved::restore(folder, settings, &mut session)?;
         let done = session.records().len();
         if done > settings.epochs {
             bail!("the run in {} has {done} epochs already, and asked for are {}", folder.path().display(), settings.epochs);
@@ -95,18 +91,13 @@ fn run_in<S: Scene, F: Float>(
     Ok(Finished { records: session.records().to_vec(), interrupted, broken })
 }
 
-/// The policy from all state components to all controls.
-fn policy<S: Scene>(settings: &Settings<S>, task: &S) -> PolicyOf<S> {
-    settings.policy.build(task.system().state_dim(), task.system().control_dim())
-}
-
 /// The files that one looks at or uses elsewhere.
 fn leave<S: Scene, F: Float>(folder: &Folder, settings: &Settings<S>, session: &Session<S, PolicyOf<S>, F>) -> Result<()> {
     let title = format!("{}, field {}, seed {}", S::NAME, settings.field.0, settings.seed);
     let about = format!("physgrad {}, {}, policy: {:?}", settings.physgrad, S::NAME, settings.policy);
     folder.write(POLICY, outputs::safetensors(about, session.policy(), session.weights().theta())?)?;
     folder.write(LEARNING_CURVE, outputs::learning_curve(&title, session.records()))?;
-    let rollouts = outputs::rollouts(session);
+    let rollouts = outputs::rollouts(session, 0..outputs::ROLLOUTS);
     folder.write(TRAJECTORY, outputs::trajectories(session.task(), &rollouts)?)?;
     folder.write(ANIMATION, session.task().animation(&rollouts[0].states, &rollouts[0].controls).to_svg())
 }

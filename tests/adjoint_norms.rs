@@ -1,0 +1,101 @@
+//! The length of the adjoint along a rollout, on a plant whose adjoints are powers of a number.
+
+use physgrad::policy::Linear;
+use physgrad::rng::Rng;
+use physgrad::{Adjoint, Divergence, Flow, Rollout, Scalar, System, Task, Weights};
+
+/// `x' = 1.25 x + u` in each of `CONTROLS` components, over 60 steps, with half the squared end state as its loss.
+struct Plant<const CONTROLS: usize>;
+
+const GROWTH: f64 = 1.25;
+const GAIN: f64 = -0.5;
+const HORIZON: usize = 60;
+
+impl<const CONTROLS: usize> System for Plant<CONTROLS> {
+    fn state_dim(&self) -> usize {
+        CONTROLS
+    }
+    fn control_dim(&self) -> usize {
+        CONTROLS
+    }
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        for i in 0..CONTROLS {
+            next[i] = T::lift(GROWTH) * x[i] + u[i];
+        }
+    }
+}
+
+impl<const CONTROLS: usize> Task for Plant<CONTROLS> {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        HORIZON
+    }
+    fn start(&self, _: &mut Rng, x: &mut [f64]) {
+        x.fill(1.0);
+    }
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        x.iter().fold(T::zero(), |sum, &x| sum + T::lift(0.5) * x * x)
+    }
+}
+
+/// The norms of R and M for 11 samples that start at 1, 2, .. in every component.
+fn norms<const CONTROLS: usize>(scale: f64) -> [Vec<f64>; 2] {
+    let (task, samples) = (Plant::<CONTROLS>, 11);
+    let policy = Linear::new(CONTROLS, CONTROLS);
+    let gain = |i: usize| if i.is_multiple_of(CONTROLS + 1) { GAIN } else { 0.0 };
+    let weights = Weights::new(&policy, (0..CONTROLS * CONTROLS).map(gain).collect());
+    let mut rollout = Rollout::new(&task, &policy, samples);
+    rollout.start(&(0..samples * CONTROLS).map(|i| (1 + i / CONTROLS) as f64).collect::<Vec<_>>());
+    rollout.run(&task, &policy, &weights).expect("it decays");
+    let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]).keep_norms();
+    adjoint.run(&task, &policy, &weights, &rollout, scale).expect("it is finite");
+    [0, 1].map(|k| adjoint.norms(k).to_vec())
+}
+
+fn assert_powers<const CONTROLS: usize>() {
+    let [regular, modified] = norms::<CONTROLS>(1.0);
+    let closed_loop = GROWTH + GAIN;
+    // Root mean square over the samples of the end states.
+    let end =
+        closed_loop.powi(HORIZON as i32) * (CONTROLS as f64 * (1..=11).map(|b| f64::from(b * b)).sum::<f64>() / 11.0).sqrt();
+    assert_eq!((regular.len(), modified.len()), (HORIZON + 1, HORIZON + 1));
+    for t in 0..=HORIZON {
+        let steps = (HORIZON - t) as i32;
+        for (name, norm, factor) in [("R", regular[t], closed_loop), ("M", modified[t], GROWTH)] {
+            let expected = end * factor.powi(steps);
+            assert!((norm / expected - 1.0).abs() < 1e-12, "{name} at step {t}: {norm:e}, expected {expected:e}");
+        }
+    }
+}
+
+#[test]
+fn regular_shrinks_with_the_loop_and_modified_grows_with_the_plant() {
+    assert_powers::<1>();
+    // With more controls the policy is swept step by step instead.
+    assert_powers::<2>();
+}
+
+#[test]
+fn norms_are_of_the_loss_of_a_sample_whatever_the_scale() {
+    let ([a, b], [c, d]) = (norms::<2>(1.0), norms::<2>(0.125));
+    assert_eq!((a, b), (c, d));
+}
+
+#[test]
+fn where_an_adjoint_overflowed_it_has_no_norm_from_there_back() {
+    let (task, policy) = (Plant::<1>, Linear::new(1, 1));
+    let weights = Weights::<f32>::new(&policy, vec![GAIN as f32]);
+    let mut rollout = Rollout::new(&task, &policy, 1);
+    rollout.start(&[1e3]);
+    rollout.run(&task, &policy, &weights).expect("it decays");
+    let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::MODIFIED]).keep_norms();
+    // So large a scale that the growth of M no longer fits.
+    let error = adjoint.run(&task, &policy, &weights, &rollout, f32::MAX).expect_err("it overflows");
+    let Divergence::Cotangent { step, .. } = error else { panic!("{error}") };
+    assert!((1..HORIZON).contains(&step), "step {step}");
+    let norms = adjoint.norms(0);
+    assert!(norms[..=step].iter().all(|norm| norm.is_nan()) && norms[step + 1..].iter().all(|norm| norm.is_finite()));
+}
