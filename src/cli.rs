@@ -6,10 +6,13 @@ mod check;
 mod compare;
 mod folder;
 mod outputs;
+mod paper;
 mod run;
 mod saved;
 mod scene;
 mod settings;
+mod statistics;
+mod sweep;
 mod tasks;
 mod terminal;
 mod train;
@@ -35,6 +38,7 @@ enum Command {
     Compare(compare::Compare),
     Animate(animate::Animate),
     Check(check::Check),
+    Paper(paper::Paper),
     /// List the tasks and their settings
     Tasks,
 }
@@ -56,6 +60,7 @@ fn execute(command: &Command) -> Result<()> {
         Command::Train(args) => on_interrupt().and_then(|()| train::train(args)),
         Command::Compare(args) => on_interrupt().and_then(|()| compare::compare(args)),
         Command::Animate(args) => animate::animate(args),
+        Command::Paper(args) => on_interrupt().and_then(|()| paper::paper(args)),
         Command::Check(args) => check::check(args),
         Command::Tasks => tasks::tasks(),
     }

@@ -10,7 +10,7 @@ mod quantum;
 
 pub use animation::{Animation, Shape};
 pub use cart_pole::cart_pole;
-pub use curves::{Curve, Point, comparison, field_color, learning_curve};
+pub use curves::{Case, Curve, Point, comparison, field_color, learning_curve, study};
 pub use drawing::Drawing;
 pub use guidance::guidance;
 pub use quantum::quantum;

@@ -1,21 +1,19 @@
 //! `physgrad compare`: the same training along several fields and seeds, side by side.
 
-use super::changes::{Changes, changed_settings, check_resumable};
-use super::folder::{Folder, RUNS};
-use super::run::{self, Finished, Watch};
-use super::saved;
+use super::changes::{Changes, changed_settings};
+use super::folder::Folder;
 use super::scene::{Scene, with_scene};
-use super::settings::{FieldName, Settings};
-use super::terminal::{Progress, say};
+use super::settings::FieldName;
+use super::statistics::{quantile, sorted};
+use super::sweep::{Comparison, Run, sweep};
+use super::terminal::say;
 use super::train::{best, threads};
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
-use physgrad::report::{Curve, Point, comparison, field_color};
-use physgrad::{Divergence, Field, Record, Skip};
-use rayon::prelude::*;
+use physgrad::Field;
+use physgrad::report::{self, Curve, Point, field_color};
 use std::path::PathBuf;
-use std::sync::Mutex;
 
 /// Train along several fields and seeds, and compare.
 #[derive(Debug, clap::Args)]
@@ -46,153 +44,37 @@ pub fn compare(args: &Compare) -> Result<()> {
     with_scene!(args.task.as_str(), S => compare_scene::<S>(args))
 }
 
-/// One field and seed, and what came of it.
-struct Run<S: Scene> {
-    field: Field,
-    seed: u64,
-    folder: Folder,
-    settings: Settings<S>,
-    records: Vec<Record>,
-    broken: bool,
-}
-
-impl<S: Scene> Run<S> {
-    fn label(&self) -> String {
-        format!("{} seed {}", self.field.letter(), self.seed)
-    }
-
-    /// Goes on where an earlier comparison stopped; that must have been the same run.
-    fn resumes(&self) -> Result<bool> {
-        if !saved::has_run(&self.folder) {
-            return Ok(false);
-        }
-        check_resumable(&self.folder, &self.settings).map(|()| true)
-    }
-
-    /// The loss at the end; NaN for a run that broke off.
-    fn last(&self, loss: fn(&Record) -> f64) -> f64 {
-        self.records.last().filter(|_| !self.broken).map_or(f64::NAN, loss)
-    }
-
-    fn seconds(&self) -> f64 {
-        self.records.iter().map(|r| r.seconds).sum()
-    }
-}
-
 fn compare_scene<S: Scene>(args: &Compare) -> Result<()> {
+    if args.changes.field.is_some() || args.changes.set.iter().any(|set| set.trim_start().starts_with("field")) {
+        bail!("a comparison has --fields, not a single field");
+    }
     let base = changed_settings::<S>(&args.changes)?;
-    let fields = fields(args)?;
     threads(args.threads)?;
     let folder = match &args.out {
         Some(path) => Folder::create(path)?,
         None => Folder::fresh(&format!("compare-{}", S::NAME))?,
     };
-    let mut runs = plan(&base, &fields, args.seeds, &folder)?;
-    let resumes = runs.iter().map(Run::resumes).collect::<Result<Vec<bool>>>()?;
-    let total = runs.iter().map(|r| r.settings.epochs).sum();
-    let progress = Mutex::new(Progress::new(total, args.quiet));
-    if !args.quiet {
-        eprintln!("{}: {} runs of {} epochs on {} threads", S::NAME, runs.len(), base.epochs, rayon::current_num_threads());
-    }
-    let outcomes: Vec<Result<Finished>> = runs
-        .par_iter()
-        .zip(resumes)
-        .map(|(run, resume)| {
-            let mut watch = Watched { progress: &progress, label: run.label() };
-            // One thread a run: the runs themselves fill the cores.
-            run::run(&run.folder, &run.settings, 1, resume, &mut watch)
-        })
-        .collect();
-    if let Ok(progress) = progress.lock() {
-        progress.bar.finish_and_clear();
-    }
-
-    let (mut interrupted, mut failures) = (false, Vec::new());
-    for (run, outcome) in runs.iter_mut().zip(outcomes) {
-        let broken = outcome.map(|finished| {
-            interrupted |= finished.interrupted;
-            run.records = finished.records;
-            finished.broken
-        });
-        let failure = match broken {
-            Ok(None) => continue,
-            Ok(Some(error)) => error.to_string(),
-            Err(error) => format!("{error:#}"),
-        };
-        run.broken = true;
-        failures.push(format!("{}: {failure}", run.label()));
-    }
-    if interrupted {
+    let mut comparisons = [Comparison::plan("", &base, &args.fields, args.seeds, &folder)?];
+    let outcome = sweep(&mut comparisons, args.quiet)?;
+    let [comparison] = comparisons;
+    if outcome.interrupted {
         say(&format!("interrupted; the same command with --out {} goes on", folder.path().display()));
     } else {
-        folder.write("summary.csv", summary(&runs)?)?;
-        folder.write("curves.svg", comparison(&title(&runs), &curves(&runs)).to_svg())?;
+        folder.write("summary.csv", summary(&comparison)?)?;
+        folder.write("curves.svg", report::comparison(&title(&comparison), &curves(&comparison)).to_svg())?;
         if !args.quiet {
             let files = "summary.csv, curves.svg, and every run in runs/";
-            say(&format!("{}\nresults in {}: {files}", table(&runs), folder.path().display()));
+            say(&format!("{}\nresults in {}: {files}", table(&comparison), folder.path().display()));
         }
     }
-    if failures.is_empty() {
-        return Ok(());
-    }
-    bail!("{} of {} runs broke off:\n{}", failures.len(), runs.len(), failures.join("\n"))
-}
-
-/// The fields asked for, each once.
-fn fields(args: &Compare) -> Result<Vec<FieldName>> {
-    if args.seeds == 0 {
-        bail!("--seeds is 0; allowed: 1 or more");
-    }
-    if args.changes.field.is_some() || args.changes.set.iter().any(|set| set.trim_start().starts_with("field")) {
-        bail!("a comparison has --fields, not a single field");
-    }
-    for (i, field) in args.fields.iter().enumerate() {
-        if args.fields[..i].contains(field) {
-            bail!("--fields names {} twice", field.0);
-        }
-    }
-    Ok(args.fields.clone())
-}
-
-/// Every run with its folder and settings.
-fn plan<S: Scene>(base: &Settings<S>, fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Vec<Run<S>>> {
-    let last = base.seed.checked_add(seeds - 1).filter(|&last| i64::try_from(last).is_ok());
-    let last = last.with_context(|| format!("{seeds} seeds from {} on are more than there are", base.seed))?;
-    let each = fields.iter().flat_map(|&field| (base.seed..=last).map(move |seed| (field, seed)));
-    each.map(|(field, seed)| {
-        let settings = Settings { field, seed, ..base.clone() };
-        let folder = Folder::create(&folder.file(RUNS).join(format!("{}-{seed}", field.0.letter())))?;
-        Ok(Run { field: field.0, seed, folder, settings, records: Vec::new(), broken: false })
-    })
-    .collect()
-}
-
-/// Tells one bar of the epochs of all runs.
-struct Watched<'a> {
-    progress: &'a Mutex<Progress>,
-    label: String,
-}
-
-impl Watch for Watched<'_> {
-    fn resumed(&mut self, epochs: usize) {
-        if let Ok(progress) = self.progress.lock() {
-            progress.bar.inc(epochs as u64);
-        }
-    }
-
-    fn epoch(&mut self, record: &Record, skips: &[Skip], diverged: [Option<Divergence>; 2]) {
-        if let Ok(mut progress) = self.progress.lock() {
-            progress.advance(format!("{}: test {:.3e}", self.label, record.test_loss));
-            progress.trouble(&format!("{}, ", self.label), record, skips, diverged);
-        }
-    }
+    outcome.into_result()
 }
 
 /// `summary.csv`: one row a run; a run that broke off has no final losses.
-fn summary<S: Scene>(runs: &[Run<S>]) -> Result<Vec<u8>> {
+fn summary<S: Scene>(comparison: &Comparison<S>) -> Result<Vec<u8>> {
     let mut csv = csv::Writer::from_writer(Vec::new());
     csv.write_record(["field", "seed", "final_train_loss", "final_test_loss", "best_test_loss", "seconds"])?;
-    for run in runs {
+    for run in &comparison.runs {
         let numbers = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(&run.records), run.seconds()];
         let names = [run.field.letter().to_owned(), run.seed.to_string()];
         csv.write_record(names.into_iter().chain(numbers.map(|x| x.to_string())))?;
@@ -200,59 +82,45 @@ fn summary<S: Scene>(runs: &[Run<S>]) -> Result<Vec<u8>> {
     Ok(csv.into_inner()?)
 }
 
-/// The runs of one field after the other.
-fn by_field<S: Scene>(runs: &[Run<S>]) -> impl Iterator<Item = (Field, &[Run<S>])> {
-    runs.chunk_by(|a, b| a.field == b.field).map(|runs| (runs[0].field, runs))
-}
-
-fn title<S: Scene>(runs: &[Run<S>]) -> String {
-    let seeds = by_field(runs).map(|(_, runs)| runs.len()).max().unwrap_or(0);
+fn title<S: Scene>(comparison: &Comparison<S>) -> String {
+    let seeds = comparison.by_field().map(|(_, runs)| runs.len()).max().unwrap_or(0);
     format!("{}, {seeds} seed{}", S::NAME, if seeds == 1 { "" } else { "s" })
 }
 
-fn curves<S: Scene>(runs: &[Run<S>]) -> Vec<Curve> {
+fn curves<S: Scene>(comparison: &Comparison<S>) -> Vec<Curve> {
     let points = |run: &Run<S>| {
         let elapsed = run.records.iter().scan(0.0, |sum, r| {
             *sum += r.seconds;
             Some(*sum)
         });
-        run.records.iter().zip(elapsed).map(|(r, seconds)| Point { epoch: r.epoch as f64, seconds, loss: r.test_loss }).collect()
+        run.records.iter().zip(elapsed).map(|(r, seconds)| Point { epoch: r.epoch as f64, seconds, value: r.test_loss }).collect()
     };
     let curve = |(field, runs): (Field, &[Run<S>])| Curve {
         label: format!("{} ({field})", field.letter()),
         color: field_color(field.letter()),
         runs: runs.iter().map(points).collect(),
     };
-    by_field(runs).map(curve).collect()
+    comparison.by_field().map(curve).collect()
 }
 
 /// Medians over the seeds. A loss that is not there is worse than any that is.
-fn table<S: Scene>(runs: &[Run<S>]) -> Table {
+fn table<S: Scene>(comparison: &Comparison<S>) -> Table {
     let mut table = Table::new();
     let header = ["field", "seeds", "broke off", "median final test loss", "lowest", "highest", "median best", "median seconds"];
     table.load_style(UTF8_FULL_CONDENSED).set_header(header);
-    for (field, runs) in by_field(runs) {
-        let sorted = |value: &dyn Fn(&Run<S>) -> f64| {
-            let mut values: Vec<f64> = runs.iter().map(|run| value(run).abs()).collect();
-            values.sort_by(f64::total_cmp);
-            values
-        };
-        let last = sorted(&|r| r.last(|r| r.test_loss));
+    for (field, runs) in comparison.by_field() {
+        let median = |value: &dyn Fn(&Run<S>) -> f64| quantile(&sorted(runs.iter().map(value)), 0.5);
+        let last = sorted(runs.iter().map(|run| run.last(|r| r.test_loss)));
         table.add_row([
             field.to_string(),
             runs.len().to_string(),
-            runs.iter().filter(|run| run.broken).count().to_string(),
-            format!("{:.3e}", median(&last)),
+            runs.iter().filter(|run| run.broken.is_some()).count().to_string(),
+            format!("{:.3e}", quantile(&last, 0.5)),
             format!("{:.3e}", last[0]),
             format!("{:.3e}", last[last.len() - 1]),
-            format!("{:.3e}", median(&sorted(&|r| best(&r.records)))),
-            format!("{:.1}", median(&sorted(&Run::seconds))),
+            format!("{:.3e}", median(&|run| best(&run.records))),
+            format!("{:.1}", median(&Run::seconds)),
         ]);
     }
     table
-}
-
-fn median(sorted: &[f64]) -> f64 {
-    let n = sorted.len();
-    if n % 2 == 1 { sorted[n / 2] } else { 0.5 * (sorted[n / 2 - 1] + sorted[n / 2]) }
 }

@@ -82,12 +82,22 @@ pub struct TrainingSettings {
     pub max_skipped: usize,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum ClipName {
     None,
     Value,
     Norm,
+}
+
+impl ClipName {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Value => "value",
+            Self::Norm => "norm",
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -16,14 +16,14 @@ pub struct Curve {
     pub runs: Vec<Vec<Point>>,
 }
 
-/// The loss of a run at one time of its training.
+/// A number of a run at one time of its training.
 pub struct Point {
     /// Epochs trained so far.
     pub epoch: f64,
     /// Wall time since the start of the training, in seconds.
     pub seconds: f64,
-    /// The loss measured then.
-    pub loss: f64,
+    /// What was measured then: the loss, or any other positive number.
+    pub value: f64,
 }
 
 /// The colour of a field of numbers by its letter, the same in every picture; grey for an unknown letter.
@@ -51,7 +51,8 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
         band: Vec::new(),
     };
     let series = vec![series("train", "#0072B2", train), series("test", "#D55E00", test)];
-    log_figure(title, "loss", &[Panel { x_label: "epoch", series }])
+    let panel = Panel { title: String::new(), x_label: "epoch", y_label: "loss".into(), y_axis: 0, series };
+    log_figure(title, &[vec![panel]])
 }
 
 /// The test losses of several methods, against epochs on the left and against wall time on the right.
@@ -63,13 +64,40 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
 /// The runs of a curve are read at common places by interpolation, as far as all of them reached: where one seed stops
 /// or diverges for good, the curve ends. A run with no loss to show is left out and the legend says so.
 pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
-    let panel = |x_label, x: fn(&Point) -> f64| Panel { x_label, series: curves.iter().map(|c| summary(c, x)).collect() };
-    log_figure(title, "test loss", &[panel("epoch", |p| p.epoch), panel("wall time (s)", |p| p.seconds)])
+    let panel = |x_label, x: fn(&Point) -> f64| {
+        let series = curves.iter().map(|c| summary(c, x)).collect();
+        Panel { title: String::new(), x_label, y_label: "test loss".into(), y_axis: 0, series }
+    };
+    log_figure(title, &[vec![panel("epoch", |p| p.epoch), panel("wall time (s)", |p| p.seconds)]])
+}
+
+/// The curves of one case among several, for [`study`].
+pub struct Case {
+    /// Stands above it; may be empty.
+    pub title: String,
+    /// What its values are, and what the cases of its row have in common.
+    pub y_label: String,
+    /// Cases with the same number share the range of their y axes.
+    pub y_axis: usize,
+    /// One curve a method.
+    pub curves: Vec<Curve>,
+}
+
+/// Rows and columns of cases, each a panel of its own, against epochs. Lines and bands are those of [`comparison`].
+pub fn study(title: &str, rows: &[Vec<Case>]) -> Drawing {
+    let panel = |case: &Case| Panel {
+        title: case.title.clone(),
+        x_label: "epoch",
+        y_label: case.y_label.clone(),
+        y_axis: case.y_axis,
+        series: case.curves.iter().map(|c| summary(c, |p| p.epoch)).collect(),
+    };
+    log_figure(title, &rows.iter().map(|row| row.iter().map(panel).collect()).collect::<Vec<_>>())
 }
 
 /// The mean line and band of a curve over the x read from its points.
 fn summary(curve: &Curve, x: fn(&Point) -> f64) -> Series {
-    let runs: Vec<Vec<(f64, f64)>> = curve.runs.iter().map(|run| cleaned(run.iter().map(|p| (x(p), p.loss)))).collect();
+    let runs: Vec<Vec<(f64, f64)>> = curve.runs.iter().map(|run| cleaned(run.iter().map(|p| (x(p), p.value)))).collect();
     let runs: Vec<Vec<(f64, f64)>> = runs.into_iter().filter(|run| !run.is_empty()).collect();
     let missing = curve.runs.len() - runs.len();
     let label = match missing {
@@ -125,7 +153,7 @@ mod tests {
     use super::*;
 
     fn run(points: &[(f64, f64, f64)]) -> Vec<Point> {
-        points.iter().map(|&(epoch, seconds, loss)| Point { epoch, seconds, loss }).collect()
+        points.iter().map(|&(epoch, seconds, value)| Point { epoch, seconds, value }).collect()
     }
 
     fn check(drawing: &Drawing) {
@@ -164,6 +192,9 @@ mod tests {
         let long: Vec<(f64, f64)> = (0..10_000).map(|i| (f64::from(i), 1.0 / f64::from(i))).collect();
         check(&learning_curve("long", &long, &long));
         check(&comparison("nothing", &[]));
+        check(&study("nothing", &[]));
+        let case = || Case { title: "a".into(), y_label: "b".into(), y_axis: 1, curves: Vec::new() };
+        check(&study("two empty rows", &[vec![case(), case()], vec![case(), case()]]));
         check(&comparison("no runs", &[Curve { label: "a".into(), color: field_color("R"), runs: vec![vec![]] }]));
         assert!(learning_curve("nothing", &[], &[]).to_svg().contains("no data"));
     }

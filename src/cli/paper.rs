@@ -1,0 +1,112 @@
+//! `physgrad paper`: every figure of the paper, remade.
+
+mod study;
+
+use super::folder::Folder;
+use super::run::INTERRUPTED;
+use super::settings::{ClipName, FieldName};
+use super::train::threads;
+use anyhow::{Result, bail};
+use physgrad::report::Drawing;
+use physgrad::tasks::{CartPole, Guidance, Quantum};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use study::{FIG3, FIG4, FIG5};
+
+/// Remake a figure of the paper, with several seeds: picture, numbers and table.
+#[derive(Debug, clap::Args)]
+pub struct Paper {
+    /// Which figure
+    #[arg(value_enum)]
+    pub figure: Figure,
+    #[command(flatten)]
+    pub options: Options,
+    /// Number of threads, one run each [default: RAYON_NUM_THREADS, or all cores]
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Folder for the results; runs that are already there are taken up where they stopped [default: runs/paper, or
+    /// runs/paper-quick with --quick]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+/// How the runs of figures 3, 4 and 5 are trained.
+#[derive(Debug, clap::Args)]
+pub struct Options {
+    /// Number of seeds, from 0 on
+    #[arg(long, value_name = "K", default_value_t = 3)]
+    pub seeds: u64,
+    /// Epochs of every run [default: 1000, or 5 with --quick]
+    #[arg(long, value_name = "N")]
+    pub epochs: Option<usize>,
+    /// Fields to compare
+    #[arg(long, value_delimiter = ',', default_value = "R,M,S,C", value_parser = |name: &str| name.parse().map(FieldName))]
+    pub fields: Vec<FieldName>,
+    /// Kinds of clipping, one row of panels each
+    #[arg(long, value_delimiter = ',', default_value = "none,value,norm", value_enum)]
+    pub clip: Vec<ClipName>,
+    /// See that it works: few epochs, small data sets, coarse grids
+    #[arg(long)]
+    pub quick: bool,
+    /// Print nothing but errors
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Figure {
+    /// Toy example: loss landscape, gradient and modified field
+    Fig1,
+    /// Toy example: Adam along a gradient, a rotating field, and their combination
+    Fig2,
+    /// Guidance by repulsion with less and less regularization
+    Fig3,
+    /// Cart-pole with 1 to 4 poles
+    Fig4,
+    /// Quantum control towards the eigenstates 3, 4 and 5, and the update size
+    Fig5,
+    /// All of them
+    All,
+}
+
+/// A finished figure.
+pub struct Plain {
+    pub drawing: Drawing,
+    /// The numbers.
+    pub csv: Vec<u8>,
+    /// What they say, in Markdown.
+    pub table: String,
+}
+
+impl Plain {
+    /// Leaves `<name>.svg`, `.png`, `.csv` and `.md` in the folder.
+    pub fn write(&self, name: &str, folder: &Folder) -> Result<()> {
+        folder.write(&format!("{name}.svg"), self.drawing.to_svg())?;
+        folder.write(&format!("{name}.png"), self.drawing.to_png())?;
+        folder.write(&format!("{name}.csv"), &self.csv)?;
+        folder.write(&format!("{name}.md"), format!("{}\n", self.table.trim_end()))
+    }
+}
+
+/// Runs the command.
+pub fn paper(args: &Paper) -> Result<()> {
+    threads(args.threads)?;
+    let default = if args.options.quick { "runs/paper-quick" } else { "runs/paper" };
+    let folder = Folder::create(args.out.as_deref().unwrap_or(Path::new(default)))?;
+    let options = &args.options;
+    // The longest last.
+    let mut problems = Vec::new();
+    for figure in [Figure::Fig4, Figure::Fig3, Figure::Fig5] {
+        if INTERRUPTED.load(Ordering::Relaxed) || ![figure, Figure::All].contains(&args.figure) {
+            continue;
+        }
+        let made = match figure {
+            Figure::Fig3 => FIG3.run::<Guidance>(options, &folder),
+            Figure::Fig4 => FIG4.run::<CartPole>(options, &folder),
+            _ => FIG5.run::<Quantum>(options, &folder),
+        };
+        // A run that broke off does not keep the other figures from being made.
+        problems.extend(made.err().map(|error| format!("{error:#}")));
+    }
+    if problems.is_empty() { Ok(()) } else { bail!("{}", problems.join("\n")) }
+}

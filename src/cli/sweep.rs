@@ -1,0 +1,170 @@
+//! Many runs side by side, one thread each, every one in its folder and taken up where it stopped.
+
+use super::changes::check_resumable;
+use super::folder::{Folder, RUNS};
+use super::run::{self, Finished, Watch};
+use super::saved;
+use super::scene::Scene;
+use super::settings::{FieldName, Settings};
+use super::terminal::Progress;
+use anyhow::{Context, Result, bail};
+use physgrad::{Divergence, Field, Record, Skip};
+use rayon::prelude::*;
+use std::sync::Mutex;
+
+/// The same training along several fields and with several seeds.
+pub struct Comparison<S: Scene> {
+    /// Those of one field after the other.
+    pub runs: Vec<Run<S>>,
+    /// What tells it from others of the same sweep; may be empty.
+    label: String,
+}
+
+/// One field and seed, and what came of it.
+pub struct Run<S: Scene> {
+    pub field: Field,
+    pub seed: u64,
+    pub records: Vec<Record>,
+    /// Why it broke off.
+    pub broken: Option<String>,
+    pub settings: Settings<S>,
+    folder: Folder,
+}
+
+impl<S: Scene> Run<S> {
+    /// Goes on where an earlier sweep stopped; that must have been the same run.
+    fn resumes(&self) -> Result<bool> {
+        if !saved::has_run(&self.folder) {
+            return Ok(false);
+        }
+        check_resumable(&self.folder, &self.settings).map(|()| true)
+    }
+
+    /// The loss at the end; NaN for a run that broke off.
+    pub fn last(&self, loss: fn(&Record) -> f64) -> f64 {
+        self.records.last().filter(|_| self.broken.is_none()).map_or(f64::NAN, loss)
+    }
+
+    pub fn seconds(&self) -> f64 {
+        self.records.iter().map(|r| r.seconds).sum()
+    }
+}
+
+impl<S: Scene> Comparison<S> {
+    /// Every run with its folder, which is made, and its settings.
+    pub fn plan(label: &str, base: &Settings<S>, fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Self> {
+        if seeds == 0 {
+            bail!("--seeds is 0; allowed: 1 or more");
+        }
+        for (i, field) in fields.iter().enumerate() {
+            if fields[..i].contains(field) {
+                bail!("--fields names {} twice", field.0);
+            }
+        }
+        let last = base.seed.checked_add(seeds - 1).filter(|&last| i64::try_from(last).is_ok());
+        let last = last.with_context(|| format!("{seeds} seeds from {} on are more than there are", base.seed))?;
+        let each = fields.iter().flat_map(|&field| (base.seed..=last).map(move |seed| (field, seed)));
+        let run = |(field, seed): (FieldName, u64)| {
+            let settings = Settings { field, seed, ..base.clone() };
+            let folder = Folder::create(&folder.file(RUNS).join(format!("{}-{seed}", field.0.letter())))?;
+            Ok(Run { field: field.0, seed, folder, settings, records: Vec::new(), broken: None })
+        };
+        Ok(Self { runs: each.map(run).collect::<Result<_>>()?, label: label.to_owned() })
+    }
+
+    /// The runs of one field after the other.
+    pub fn by_field(&self) -> impl Iterator<Item = (Field, &[Run<S>])> {
+        self.runs.chunk_by(|a, b| a.field == b.field).map(|runs| (runs[0].field, runs))
+    }
+
+    fn label(&self, run: &Run<S>) -> String {
+        let space = if self.label.is_empty() { "" } else { " " };
+        format!("{}{space}{} seed {}", self.label, run.field.letter(), run.seed)
+    }
+}
+
+/// What became of a sweep.
+pub struct Outcome {
+    pub interrupted: bool,
+    /// A line for each run that broke off.
+    failures: Vec<String>,
+    runs: usize,
+}
+
+impl Outcome {
+    /// An error that names the runs that broke off, if there are any.
+    pub fn into_result(self) -> Result<()> {
+        if self.failures.is_empty() {
+            return Ok(());
+        }
+        bail!("{} of {} runs broke off:\n{}", self.failures.len(), self.runs, self.failures.join("\n"))
+    }
+}
+
+/// Runs them all. A run that breaks off does not stop the others.
+///
+/// # Errors
+/// Before anything is run: a folder that holds a run with other settings.
+pub fn sweep<S: Scene>(comparisons: &mut [Comparison<S>], quiet: bool) -> Result<Outcome> {
+    let mut runs = Vec::new();
+    for comparison in &*comparisons {
+        for run in &comparison.runs {
+            runs.push((run, comparison.label(run), run.resumes()?));
+        }
+    }
+    let total = runs.iter().map(|(run, ..)| run.settings.epochs).sum();
+    let progress = Mutex::new(Progress::new(total, quiet));
+    if !quiet {
+        eprintln!("{}: {} runs, {total} epochs in all, on {} threads", S::NAME, runs.len(), rayon::current_num_threads());
+    }
+    let finished: Vec<Result<Finished>> = runs
+        .par_iter()
+        .map(|(run, label, resume)| {
+            let mut watch = Watched { progress: &progress, label };
+            // One thread a run: the runs themselves fill the cores.
+            run::run(&run.folder, &run.settings, 1, *resume, &mut watch)
+        })
+        .collect();
+    if let Ok(progress) = progress.lock() {
+        progress.bar.finish_and_clear();
+    }
+
+    let labels: Vec<String> = runs.into_iter().map(|(_, label, _)| label).collect();
+    let mut outcome = Outcome { interrupted: false, failures: Vec::new(), runs: labels.len() };
+    let all = comparisons.iter_mut().flat_map(|comparison| &mut comparison.runs);
+    for ((run, finished), label) in all.zip(finished).zip(labels) {
+        run.broken = match finished {
+            Ok(finished) => {
+                outcome.interrupted |= finished.interrupted;
+                run.records = finished.records;
+                finished.broken.map(|error| error.to_string())
+            }
+            Err(error) => Some(format!("{error:#}")),
+        };
+        outcome.failures.extend(run.broken.as_ref().map(|error| format!("{label}: {error}")));
+    }
+    Ok(outcome)
+}
+
+/// Tells one bar of the epochs of all runs.
+struct Watched<'a> {
+    progress: &'a Mutex<Progress>,
+    label: &'a str,
+}
+
+impl Watch for Watched<'_> {
+    fn resumed(&mut self, epochs: usize) {
+        if let Ok(progress) = self.progress.lock() {
+            progress.bar.inc(epochs as u64);
+            // What was done before says nothing of the time it takes now.
+            progress.bar.reset_eta();
+        }
+    }
+
+    fn epoch(&mut self, record: &Record, skips: &[Skip], diverged: [Option<Divergence>; 2]) {
+        if let Ok(mut progress) = self.progress.lock() {
+            progress.advance(format!("{}: test {:.3e}", self.label, record.test_loss));
+            progress.trouble(&format!("{}, ", self.label), record, skips, diverged);
+        }
+    }
+}
