@@ -6,6 +6,6 @@ mod loss;
 mod quantum;
 
 pub use cart_pole::{CartPole, CartPoleSystem};
-pub use guidance::{Guidance, GuidanceSystem};
+pub use guidance::{Center, Guidance, GuidanceSystem};
 pub use loss::LossMode;
 pub use quantum::{Quantum, QuantumSystem};

@@ -2,7 +2,7 @@
 
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
-use physgrad::tasks::{Guidance, GuidanceSystem, LossMode};
+use physgrad::tasks::{Center, Guidance, GuidanceSystem, LossMode};
 use physgrad::{Columns, Cotangent, Float, Real, Scalar, System, Task, check};
 use rand::RngExt;
 use serde_json::Value;
@@ -32,6 +32,24 @@ fn systems_with_other_constants() {
         ..system(3, 3)
     };
     check::system(&system);
+}
+
+#[test]
+fn drivers_may_steer_by_the_mean() {
+    let by_mean = GuidanceSystem { center: Center::Mean, ..system(2, 3) };
+    check::system(&by_mean);
+    // Then, and only then, everything moved by one way moves by it after the step too.
+    let x: Vec<f64> = (0..20).map(|i| (i as f64 * 0.7).sin()).collect();
+    let moved: Vec<f64> = x.iter().enumerate().map(|(i, x)| if i % 4 < 2 { x + 3.0 } else { *x }).collect();
+    let largest_change = |system: &GuidanceSystem| {
+        let (mut near, mut far) = (vec![0.0; 20], vec![0.0; 20]);
+        system.step(&x, &[0.3, -0.2, 1.1, 0.4], &mut near);
+        system.step(&moved, &[0.3, -0.2, 1.1, 0.4], &mut far);
+        let way = |i: usize| if i % 4 < 2 { 3.0 } else { 0.0 };
+        near.iter().zip(&far).enumerate().map(|(i, (a, b))| (b - a - way(i)).abs()).fold(0.0, f64::max)
+    };
+    assert!(largest_change(&by_mean) < 1e-13);
+    assert!(largest_change(&system(2, 3)) > 0.1);
 }
 
 #[test]

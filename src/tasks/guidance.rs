@@ -6,7 +6,7 @@
 mod gap;
 mod system;
 
-pub use system::GuidanceSystem;
+pub use system::{Center, GuidanceSystem};
 
 use crate::rng::Rng;
 use crate::scalar::{Real, Scalar};

@@ -11,11 +11,11 @@ pub(super) const AGENT: usize = 4;
 /// The physics: explicit Euler, positions with the old velocities.
 ///
 /// State `[x, y, vx, vy]` of every driver, then of every evader, in m and m/s; control `[radial, tangential]` of every
-/// driver, in 1/s²: it multiplies the way `q` from the *sum* of the evaders' positions (as in the authors' code; their
-/// mean for one evader only) and `q⊥ = (-q_y, q_x)`. With `r` the separation and `d = softening + |r|`:
+/// driver, in 1/s²: it multiplies the way `q` from the evaders' [`center`](GuidanceSystem::center) and
+/// `q⊥ = (-q_y, q_x)`. With `r` the separation and `d = softening + |r|`:
 ///
 /// ```text
-/// q_j      = D_j - Σ_k E_k
+/// q_j      = D_j - center(E)
 /// driver j : v̇ = c_j0 q_j + c_j1 q_j⊥ - driver_friction v + driver_repulsion Σ_{i≠j} (D_j - D_i) / d²
 /// evader k : v̇ = flight Σ_j (E_k - D_j) / d² - evader_friction v
 ///                + flocking Σ_{i≠k} (flocking_distance / d - 1) / d (E_i - E_k)
@@ -30,6 +30,8 @@ pub struct GuidanceSystem {
     pub drivers: usize,
     /// Number of evaders.
     pub evaders: usize,
+    /// What a driver steers by.
+    pub center: Center,
     /// What slows a driver, 1/s.
     pub driver_friction: f64,
     /// What slows an evader, 1/s.
@@ -48,11 +50,23 @@ pub struct GuidanceSystem {
     pub dt: f64,
 }
 
+/// What is made of the evaders' positions for the drivers to steer by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Center {
+    /// Their sum, as in the authors' code. It moves with the herd, but faster, and depends on where the origin is.
+    #[default]
+    Sum,
+    /// Their mean. The physics is then the same everywhere in the plane.
+    Mean,
+}
+
 impl Default for GuidanceSystem {
     fn default() -> Self {
         Self {
             drivers: 2,
             evaders: 4,
+            center: Center::Sum,
             driver_friction: 1.0,
             evader_friction: 4.0,
             driver_repulsion: 0.2,
@@ -93,7 +107,15 @@ impl GuidanceSystem {
         self.drivers + self.evaders
     }
 
-    /// Sum of the evaders' positions.
+    /// The weight of an evader's position in the center of them.
+    fn weight(&self) -> f64 {
+        match self.center {
+            Center::Sum => 1.0,
+            Center::Mean => 1.0 / self.evaders as f64,
+        }
+    }
+
+    /// The center of the evaders' positions.
     #[inline(always)]
     fn herd<T: Scalar>(&self, x: &[T]) -> [T; 2] {
         let mut sum = [T::zero(); 2];
@@ -101,7 +123,7 @@ impl GuidanceSystem {
             sum[0] += evader[0];
             sum[1] += evader[1];
         }
-        sum
+        sum.map(|sum| sum * T::lift(self.weight()))
     }
 
     /// The evaders' parts of a state.
@@ -177,6 +199,7 @@ impl System for GuidanceSystem {
                 herd_bar[axis] -= q_bar[axis];
             }
         }
+        let herd_bar = herd_bar.map(|bar| bar * R::lift(self.weight()));
         for bar in x_bar[AGENT * self.drivers..].chunks_exact_mut(AGENT) {
             bar[0] += herd_bar[0];
             bar[1] += herd_bar[1];
