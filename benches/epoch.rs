@@ -3,15 +3,17 @@
 //! `cargo bench --bench epoch`. Everything is measured in turn, round after round, and quoted as the median; ratios are
 //! medians of the rounds' ratios, so that they hold when the machine's speed drifts.
 
+mod measure;
+
+use measure::{Nothing, median, ratio, rounds};
 use physgrad::kernels::elementwise::{self, Strided};
 use physgrad::kernels::gemm::Product;
 use physgrad::kernels::{Level, gemm};
-use physgrad::policy::{Mlp, Policy, PolicyColumns};
-use physgrad::rng::{Purpose, Rng, stream};
+use physgrad::policy::{Mlp, Policy};
+use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::CartPole;
-use physgrad::{Adjoint, Batch, Field, Float, Flow, Rollout, Scalar, System, Task, Trainer, Training, Weights};
+use physgrad::{Adjoint, Batch, Field, Float, Flow, Rollout, System, Task, Trainer, Training, Weights};
 use std::hint::black_box;
-use std::time::Instant;
 
 const ROUNDS: usize = 60;
 const BATCH: usize = 8;
@@ -41,32 +43,6 @@ fn starts<F: Float>(task: &CartPole) -> Vec<F> {
     x.into_iter().map(F::lift).collect()
 }
 
-/// Runs every job once per round, in turn; microseconds of each, round by round.
-fn rounds(rounds: usize, jobs: &mut [&mut dyn FnMut()]) -> Vec<Vec<f64>> {
-    let mut times = vec![Vec::new(); jobs.len()];
-    for round in 0..=rounds {
-        for (job, times) in jobs.iter_mut().zip(&mut times) {
-            let begin = Instant::now();
-            job();
-            // The first round warms up.
-            if round > 0 {
-                times.push(begin.elapsed().as_secs_f64() * 1e6);
-            }
-        }
-    }
-    times
-}
-
-fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted[sorted.len() / 2]
-}
-
-fn ratio(a: &[f64], b: &[f64]) -> f64 {
-    median(&a.iter().zip(b).map(|(a, b)| a / b).collect::<Vec<_>>())
-}
-
 /// Forward pass and gradient of every field.
 fn fields<F: Float>(count: usize) {
     let (task, policy) = task_and_policy();
@@ -93,29 +69,6 @@ fn fields<F: Float>(count: usize) {
         let (to_forward, to_r) = (ratio(time, &times[0]), ratio(time, &times[1]));
         println!("  {name:<8} {:>7.0} us   {to_forward:.2} x forward   {to_r:.2} x R", median(time));
     }
-}
-
-/// A policy that does nothing: what is left of a rollout is physics and moving numbers about.
-struct Nothing(usize);
-
-impl Policy for Nothing {
-    fn state_dim(&self) -> usize {
-        self.0
-    }
-    fn control_dim(&self) -> usize {
-        1
-    }
-    fn param_count(&self) -> usize {
-        1
-    }
-    fn init(&self, _: &mut Rng, theta: &mut [f64]) {
-        theta.fill(0.0);
-    }
-    fn act<T: Scalar>(&self, _: &[T], _: &[T], u: &mut [T]) {
-        u[0] = T::zero();
-    }
-    fn forward<F: Float>(&self, _: &[F], _: PolicyColumns, _: &[F], _: &mut [F], _: &mut [F]) {}
-    fn backward<F: Float>(&self, _: &[F], _: PolicyColumns, _: &[F], _: &[F], _: &[F], _: &mut [F], _: Option<&mut [F]>) {}
 }
 
 /// The parts of R's gradient, each alone at the shapes it has there, in single precision.
@@ -180,7 +133,7 @@ fn shares(count: usize) {
             elementwise::tanh(level, black_box(&mut layer), all);
         }
     };
-    let nothing = Nothing(n);
+    let nothing = Nothing { state_dim: n, control_dim: 1 };
     let none = Weights::<f32>::init(&nothing, &mut stream(0, Purpose::Policy, 0));
     let mut bare = Rollout::new(&task, &nothing, BATCH);
     let mut bare_adjoint = Adjoint::new(&nothing, &bare, &[Flow::REGULAR]);

@@ -43,10 +43,15 @@ enum Command {
     Tasks,
 }
 
+/// Exit status of a run that was interrupted, and saved.
+const INTERRUPTED: u8 = 130;
+
 /// The program; what it returns is its exit status.
 pub fn main() -> ExitCode {
     let command = Arguments::parse().command.unwrap_or_else(default_run);
     match execute(&command) {
+        // As a shell tells of a program that Ctrl-C ended: what stands after it in a script must not go on.
+        Ok(()) if run::INTERRUPTED.load(Ordering::Relaxed) => ExitCode::from(INTERRUPTED),
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
@@ -81,7 +86,7 @@ fn default_run() -> Command {
 fn on_interrupt() -> Result<()> {
     ctrlc::set_handler(|| {
         if run::INTERRUPTED.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
+            std::process::exit(INTERRUPTED.into());
         }
         eprintln!("\nfinishing the epoch and saving; again to stop at once");
     })?;

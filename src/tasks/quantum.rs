@@ -283,12 +283,16 @@ impl Task for Quantum {
     }
 
     /// `(c₁ e^{ip₁} φ₁ + c₂ e^{ip₂} φ₂) / sqrt(c₁² + c₂²)`: amplitudes c normal, times the weighting; phases p uniform.
+    ///
+    /// # Panics
+    /// If the weighting is so large, small or odd that the state cannot be normalized.
     fn start(&self, rng: &mut Rng, x: &mut [f64]) {
         let amplitudes = self.weighting.map(|weight| {
             let draw: f64 = StandardNormal.sample(rng);
             weight * draw
         });
         let norm = amplitudes[0].hypot(amplitudes[1]);
+        assert!(norm.is_normal(), "with the weighting {:?}, a start state cannot be normalized", self.weighting);
         x.fill(0.0);
         for (number, amplitude) in (1..).zip(amplitudes) {
             let (sin, cos) = Scalar::sin_cos(rng.random_range(0.0..TAU));

@@ -85,8 +85,10 @@ impl Scene for Quantum {
         positive("system.length", setup.length)?;
         positive("system.dt", setup.dt)?;
         let [first, second] = setup.weighting;
-        if !(first.is_finite() && second.is_finite() && first.hypot(second) > 0.0) {
-            bail!("`system.weighting` is [{first}, {second}]; allowed: finite numbers, not both 0");
+        // Within these limits every start state can be normalized.
+        let largest = first.abs().max(second.abs());
+        if !(first.is_finite() && second.is_finite() && (1e-6..=1e6).contains(&largest)) {
+            bail!("`system.weighting` is [{first}, {second}]; allowed: two numbers, the larger in size 1e-6 to 1e6");
         }
         Ok(())
     }

@@ -1,0 +1,59 @@
+//! What the benchmarks share: jobs in turn, medians, and a policy that does nothing.
+
+use physgrad::policy::{Policy, PolicyColumns};
+use physgrad::rng::Rng;
+use physgrad::{Float, Scalar};
+use std::time::Instant;
+
+/// Runs every job once per round, in turn; microseconds of each, round by round.
+pub fn rounds(rounds: usize, jobs: &mut [&mut dyn FnMut()]) -> Vec<Vec<f64>> {
+    let mut times = vec![Vec::new(); jobs.len()];
+    for round in 0..=rounds {
+        for (job, times) in jobs.iter_mut().zip(&mut times) {
+            let begin = Instant::now();
+            job();
+            // The first round warms up.
+            if round > 0 {
+                times.push(begin.elapsed().as_secs_f64() * 1e6);
+            }
+        }
+    }
+    times
+}
+
+pub fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[sorted.len() / 2]
+}
+
+/// The median of the ratios round by round, which holds when the machine's speed drifts.
+pub fn ratio(a: &[f64], b: &[f64]) -> f64 {
+    median(&a.iter().zip(b).map(|(a, b)| a / b).collect::<Vec<_>>())
+}
+
+/// A policy that does nothing: what is left of a rollout is physics and moving numbers about.
+pub struct Nothing {
+    pub state_dim: usize,
+    pub control_dim: usize,
+}
+
+impl Policy for Nothing {
+    fn state_dim(&self) -> usize {
+        self.state_dim
+    }
+    fn control_dim(&self) -> usize {
+        self.control_dim
+    }
+    fn param_count(&self) -> usize {
+        1
+    }
+    fn init(&self, _: &mut Rng, theta: &mut [f64]) {
+        theta.fill(0.0);
+    }
+    fn act<T: Scalar>(&self, _: &[T], _: &[T], u: &mut [T]) {
+        u.fill(T::zero());
+    }
+    fn forward<F: Float>(&self, _: &[F], _: PolicyColumns, _: &[F], _: &mut [F], _: &mut [F]) {}
+    fn backward<F: Float>(&self, _: &[F], _: PolicyColumns, _: &[F], _: &[F], _: &[F], _: &mut [F], _: Option<&mut [F]>) {}
+}
