@@ -5,6 +5,7 @@ mod check;
 mod compare;
 mod folder;
 mod outputs;
+mod paper;
 mod run;
 mod scene;
 mod settings;

@@ -30,10 +30,7 @@ pub fn drawable(y: f64) -> bool {
 
 /// Renders the panels. The legend stands to the right of them all, where it can cover no data.
 pub fn log_figure(title: &str, y_label: &str, panels: &[Panel]) -> Drawing {
-    let axis = LogAxis::around(panels.iter().flat_map(|panel| &panel.series).flat_map(|s| {
-        let edges = s.band.iter().flat_map(|&(low, high)| [low, high]);
-        s.line.iter().map(|&(_, y)| y).chain(edges)
-    }));
+    let axis = LogAxis::of(panels);
     let layouts = panels.iter().enumerate().map(|(i, panel)| panel_layout(panel, &axis, (i == 0).then_some(y_label)));
     let figure = Figure::new(1, panels.len().max(1))
         .with_title(title)
@@ -51,7 +48,7 @@ pub fn log_figure(title: &str, y_label: &str, panels: &[Panel]) -> Drawing {
 }
 
 /// One entry a label, also if several panels show it; a series without points is not named.
-fn legend(panels: &[Panel]) -> Vec<LegendEntry> {
+pub(super) fn legend(panels: &[Panel]) -> Vec<LegendEntry> {
     let mut entries: Vec<LegendEntry> = Vec::new();
     for s in panels.iter().flat_map(|panel| &panel.series).filter(|s| !s.line.is_empty()) {
         if entries.iter().all(|entry| entry.label != s.label) {
@@ -63,7 +60,7 @@ fn legend(panels: &[Panel]) -> Vec<LegendEntry> {
 }
 
 /// The axes of one panel; only the panel that is given a y label shows the numbers of the y axis.
-fn panel_layout(panel: &Panel, axis: &LogAxis, y_label: Option<&str>) -> Layout {
+pub(super) fn panel_layout(panel: &Panel, axis: &LogAxis, y_label: Option<&str>) -> Layout {
     let xs = || panel.series.iter().flat_map(|s| &s.line).map(|&(x, _)| x);
     let x_min = xs().fold(0.0, f64::min);
     let x_max = xs().fold(x_min, f64::max);
@@ -96,13 +93,21 @@ fn panel_layout(panel: &Panel, axis: &LogAxis, y_label: Option<&str>) -> Layout 
 }
 
 /// A logarithmic axis in units of 10^exponent: kuva draws nothing below 1e-10, so `low` is brought into [1, 10).
-struct LogAxis {
+pub(super) struct LogAxis {
     exponent: i32,
     low: f64,
     high: f64,
 }
 
 impl LogAxis {
+    /// The axis around everything that the panels show.
+    pub(super) fn of(panels: &[Panel]) -> Self {
+        Self::around(panels.iter().flat_map(|panel| &panel.series).flat_map(|s| {
+            let edges = s.band.iter().flat_map(|&(low, high)| [low, high]);
+            s.line.iter().map(|&(_, y)| y).chain(edges)
+        }))
+    }
+
     /// The axis around the values, rounded outward to 1, 2 or 5 times a power of ten so that ticks end it.
     /// It spans at least a factor of four, so that there are three of them.
     fn around(values: impl Iterator<Item = f64>) -> Self {
@@ -133,7 +138,7 @@ impl LogAxis {
     }
 
     /// The marks of a panel: all the bands below all the lines.
-    fn plots(&self, panel: &Panel) -> Vec<Plot> {
+    pub(super) fn plots(&self, panel: &Panel) -> Vec<Plot> {
         let bands = panel.series.iter().filter(|s| !s.band.is_empty()).map(|s| self.band(s));
         bands.chain(panel.series.iter().map(|s| self.line(s))).collect()
     }
@@ -157,7 +162,7 @@ impl LogAxis {
 }
 
 /// The exponent in raised digits.
-fn superscript(exponent: i32) -> String {
+pub(super) fn superscript(exponent: i32) -> String {
     let raise = |c: char| match c.to_digit(10) {
         Some(digit) => ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'][digit as usize],
         None => '⁻',
