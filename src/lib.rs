@@ -66,6 +66,7 @@ mod scalar;
 mod system;
 mod task;
 pub mod tasks;
+pub mod toy;
 mod train;
 
 pub use backward::{Adjoint, Flow};

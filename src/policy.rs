@@ -3,10 +3,12 @@
 mod conv;
 mod linear;
 mod mlp;
+mod toy;
 
 pub use conv::Conv;
 pub use linear::Linear;
 pub use mlp::Mlp;
+pub use toy::{Constant, Quadratic};
 
 use crate::forward_mode::{Dual, jacobian};
 use crate::rng::Rng;

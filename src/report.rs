@@ -6,6 +6,7 @@ mod curves;
 mod drawing;
 mod guidance;
 mod log_figure;
+mod plane;
 mod quantum;
 
 pub use animation::{Animation, Shape};
@@ -13,4 +14,5 @@ pub use cart_pole::cart_pole;
 pub use curves::{Case, Curve, Point, comparison, field_color, learning_curve, study};
 pub use drawing::Drawing;
 pub use guidance::guidance;
+pub use plane::{Map, Plane, maps};
 pub use quantum::quantum;

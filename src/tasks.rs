@@ -4,8 +4,10 @@ mod cart_pole;
 mod guidance;
 mod loss;
 mod quantum;
+mod toy;
 
 pub use cart_pole::{CartPole, CartPoleSystem};
 pub use guidance::{Center, Guidance, GuidanceSystem};
 pub use loss::LossMode;
 pub use quantum::{Quantum, QuantumSystem};
+pub use toy::{Bowl, Integrator, Reach};

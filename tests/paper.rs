@@ -27,6 +27,16 @@ fn assert_figure(dir: &Path, name: &str) {
 }
 
 #[test]
+fn toy_figures_are_drawn_and_told() {
+    let dir = TempDir::new().expect("a folder");
+    for figure in ["fig1", "fig2"] {
+        let said = paper(figure, dir.path(), &[]).assert().success();
+        assert_figure(dir.path(), figure);
+        assert!(String::from_utf8_lossy(&said.get_output().stdout).contains(&format!("{figure}.svg")));
+    }
+}
+
+#[test]
 fn a_trained_figure_has_a_row_for_every_run_and_every_case() {
     let dir = TempDir::new().expect("a folder");
     let args = ["--seeds", "2", "--epochs", "1", "--fields", "R,C", "--clip", "none,norm", "--quiet"];

@@ -1,10 +1,13 @@
 //! `physgrad paper`: every figure of the paper, remade.
 
+mod fig1;
+mod fig2;
 mod study;
 
 use super::folder::Folder;
 use super::run::INTERRUPTED;
 use super::settings::{ClipName, FieldName};
+use super::terminal::say;
 use super::train::threads;
 use anyhow::{Result, bail};
 use physgrad::report::Drawing;
@@ -79,12 +82,17 @@ pub struct Plain {
 }
 
 impl Plain {
-    /// Leaves `<name>.svg`, `.png`, `.csv` and `.md` in the folder.
-    pub fn write(&self, name: &str, folder: &Folder) -> Result<()> {
+    /// Leaves `<name>.svg`, `.png`, `.csv` and `.md` in the folder, and says so.
+    pub fn write(&self, name: &str, folder: &Folder, options: &Options) -> Result<()> {
         folder.write(&format!("{name}.svg"), self.drawing.to_svg())?;
         folder.write(&format!("{name}.png"), self.drawing.to_png())?;
         folder.write(&format!("{name}.csv"), &self.csv)?;
-        folder.write(&format!("{name}.md"), format!("{}\n", self.table.trim_end()))
+        folder.write(&format!("{name}.md"), format!("{}\n", self.table.trim_end()))?;
+        if !options.quiet {
+            let path = folder.path().display();
+            say(&format!("{}\n{name}.svg, {name}.png, {name}.csv and {name}.md are in {path}\n", self.table.trim_end()));
+        }
+        Ok(())
     }
 }
 
@@ -96,11 +104,13 @@ pub fn paper(args: &Paper) -> Result<()> {
     let options = &args.options;
     // The longest last.
     let mut problems = Vec::new();
-    for figure in [Figure::Fig4, Figure::Fig3, Figure::Fig5] {
+    for figure in [Figure::Fig1, Figure::Fig2, Figure::Fig4, Figure::Fig3, Figure::Fig5] {
         if INTERRUPTED.load(Ordering::Relaxed) || ![figure, Figure::All].contains(&args.figure) {
             continue;
         }
         let made = match figure {
+            Figure::Fig1 => fig1::fig1(options.quick).and_then(|plain| plain.write("fig1", &folder, options)),
+            Figure::Fig2 => fig2::fig2(options.quick).and_then(|plain| plain.write("fig2", &folder, options)),
             Figure::Fig3 => FIG3.run::<Guidance>(options, &folder),
             Figure::Fig4 => FIG4.run::<CartPole>(options, &folder),
             _ => FIG5.run::<Quantum>(options, &folder),
@@ -109,4 +119,28 @@ pub fn paper(args: &Paper) -> Result<()> {
         problems.extend(made.err().map(|error| format!("{error:#}")));
     }
     if problems.is_empty() { Ok(()) } else { bail!("{}", problems.join("\n")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An SVG that can be read, of a size for the web; numbers in every cell of the CSV; a table.
+    fn check(header: &str, figure: &Plain) {
+        let svg = figure.drawing.to_svg();
+        roxmltree::Document::parse(&svg).expect("an SVG is XML");
+        assert!(!svg.contains("NaN") && svg.len() < 500_000, "{} bytes", svg.len());
+        let csv = std::str::from_utf8(&figure.csv).expect("CSV is text");
+        assert_eq!(csv.lines().next(), Some(header));
+        assert!(csv.lines().count() > 100 && !csv.contains("NaN"));
+        assert!(figure.table.lines().count() >= 4);
+    }
+
+    #[test]
+    fn figures_without_training() {
+        for quick in [true, false] {
+            check("theta_1,theta_2,loss,r_1,r_2,m_1,m_2", &fig1::fig1(quick).expect("figure 1"));
+            check("method,iteration,theta_1,theta_2,loss", &fig2::fig2(quick).expect("figure 2"));
+        }
+    }
 }

@@ -142,10 +142,21 @@ fn interpolated(run: &[(f64, f64)], x: f64) -> f64 {
 
 /// At most [`MAX_POINTS`] of the items, evenly spread, with the first and the last among them.
 fn thinned<T: Copy>(items: Vec<T>) -> Vec<T> {
-    if items.len() <= MAX_POINTS {
+    thinned_to(MAX_POINTS, items)
+}
+
+/// At most so many of the items, evenly spread, with the first and the last among them.
+pub(super) fn thinned_to<T: Copy>(most: usize, items: Vec<T>) -> Vec<T> {
+    if items.len() <= most {
         return items;
     }
-    (0..MAX_POINTS).map(|i| items[i * (items.len() - 1) / (MAX_POINTS - 1)]).collect()
+    (0..most).map(|i| items[i * (items.len() - 1) / (most - 1)]).collect()
+}
+
+/// The line of a run, from its loss at the start and after every step.
+pub(super) fn losses(label: &str, color: &'static str, run: &[f64]) -> Series {
+    let points = run.iter().enumerate().map(|(i, &loss)| (i as f64, loss));
+    Series { label: label.into(), color, line: thinned(cleaned(points)), band: Vec::new() }
 }
 
 #[cfg(test)]

@@ -46,7 +46,7 @@ pub fn log_figure(title: &str, rows: &[Vec<Panel>]) -> Drawing {
     let panels = || rows.iter().flatten();
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0).max(1);
     let axes: Vec<LogAxis> = (0..=panels().map(|panel| panel.y_axis).max().unwrap_or(0))
-        .map(|axis| LogAxis::around(panels().filter(|panel| panel.y_axis == axis).flat_map(Panel::values)))
+        .map(|axis| LogAxis::of(panels().filter(|panel| panel.y_axis == axis)))
         .collect();
     let labelled = |row: &[Panel], column: usize| column == 0 || row[column - 1].y_axis != row[column].y_axis;
     let layouts = rows.iter().enumerate().flat_map(|(i, row)| {
@@ -86,7 +86,7 @@ impl Panel {
 }
 
 /// One entry a label, also if several panels show it; a series without points is not named.
-fn legend<'a>(panels: impl Iterator<Item = &'a Panel>) -> Vec<LegendEntry> {
+pub(super) fn legend<'a>(panels: impl Iterator<Item = &'a Panel>) -> Vec<LegendEntry> {
     let mut entries: Vec<LegendEntry> = Vec::new();
     for s in panels.flat_map(|panel| &panel.series).filter(|s| !s.line.is_empty()) {
         if entries.iter().all(|entry| entry.label != s.label) {
@@ -98,7 +98,7 @@ fn legend<'a>(panels: impl Iterator<Item = &'a Panel>) -> Vec<LegendEntry> {
 }
 
 /// The axes of one panel, with the names and numbers that are to be shown.
-fn panel_layout(panel: &Panel, axis: &LogAxis, y_labelled: bool, x_labelled: bool) -> Layout {
+pub(super) fn panel_layout(panel: &Panel, axis: &LogAxis, y_labelled: bool, x_labelled: bool) -> Layout {
     let xs = || panel.series.iter().flat_map(|s| &s.line).map(|&(x, _)| x);
     let x_min = xs().fold(0.0, f64::min);
     let x_max = xs().fold(x_min, f64::max);
@@ -138,13 +138,18 @@ fn panel_layout(panel: &Panel, axis: &LogAxis, y_labelled: bool, x_labelled: boo
 }
 
 /// A logarithmic axis in units of 10^exponent: kuva draws nothing below 1e-10, so `low` is brought into [1, 10).
-struct LogAxis {
+pub(super) struct LogAxis {
     exponent: i32,
     low: f64,
     high: f64,
 }
 
 impl LogAxis {
+    /// The axis around everything that the panels show.
+    pub(super) fn of<'a>(panels: impl Iterator<Item = &'a Panel>) -> Self {
+        Self::around(panels.flat_map(Panel::values))
+    }
+
     /// The axis around the values, rounded outward to one digit. It spans at least a factor of four, so that it has two
     /// or three ticks, which are at 1, 2 and 5 times the powers of ten.
     fn around(values: impl Iterator<Item = f64>) -> Self {
@@ -179,7 +184,7 @@ impl LogAxis {
     }
 
     /// The marks of a panel: all the bands below all the lines.
-    fn plots(&self, panel: &Panel) -> Vec<Plot> {
+    pub(super) fn plots(&self, panel: &Panel) -> Vec<Plot> {
         let bands = panel.series.iter().filter(|s| !s.band.is_empty()).map(|s| self.band(s));
         bands.chain(panel.series.iter().map(|s| self.line(s))).collect()
     }
@@ -203,7 +208,7 @@ impl LogAxis {
 }
 
 /// The exponent in raised digits.
-fn superscript(exponent: i32) -> String {
+pub(super) fn superscript(exponent: i32) -> String {
     let raise = |c: char| match c.to_digit(10) {
         Some(digit) => ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'][digit as usize],
         None => '⁻',

@@ -78,10 +78,7 @@ impl Study {
         let drawing = self.drawing(options, &comparisons);
         let table = table(self, &cells, &comparisons);
         let plain = Plain { drawing, csv: csv(self, &cells, &comparisons)?, table: table.to_string() };
-        plain.write(self.name, folder)?;
-        if !options.quiet {
-            say(&format!("{}\nevery run of it is in {}", plain.table, folder.file(self.name).display()));
-        }
+        plain.write(self.name, folder, options)?;
         outcome.into_result()
     }
 

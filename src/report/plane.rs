@@ -1,0 +1,290 @@
+//! Maps of a plane: lengths as colours on a logarithmic scale, with arrows, lines and paths upon them.
+
+use super::Drawing;
+use super::curves::{losses, thinned_to};
+use super::log_figure::{LogAxis, Panel, legend, panel_layout, superscript};
+use kuva::plot::QuiverPivot;
+use kuva::prelude::*;
+use std::sync::Arc;
+
+/// About how many colours the scale has. They are few enough to be told apart and to make rectangles of neighbours.
+const STEPS: i32 = 18;
+/// The colours of the smallest and the largest values and between them: light enough for dark arrows to be seen on all.
+const COLORS: [[f64; 3]; 5] =
+    [[255.0, 252.0, 235.0], [253.0, 217.0, 158.0], [247.0, 156.0, 110.0], [224.0, 100.0, 115.0], [172.0, 66.0, 138.0]];
+const INK: &str = "#1c1c24";
+const LINE: &str = "#0a4f8f";
+/// Colour and width of a line's seam and of the line, which is to be seen on every colour.
+const CASED: [(&str, f64); 2] = [("#ffffff", 3.4), (LINE, 1.6)];
+/// Length of an arrow, as a share of the distance between arrows.
+const ARROW: f64 = 0.72;
+/// More points of a path than this are thinned.
+const MAX_POINTS: usize = 700;
+
+/// What all maps of a figure share.
+pub struct Plane {
+    /// Names of the two axes.
+    pub labels: [&'static str; 2],
+    /// The maps reach from minus this to this, in both directions.
+    pub reach: f64,
+    /// Powers of ten at the ends of the colour scale; what is beyond has the colour of the end.
+    pub decades: [i32; 2],
+    /// Name of the colour scale.
+    pub values: &'static str,
+}
+
+/// One map. The grids' cells are equal squares over the whole plane, row by row from the lower left corner; whatever is
+/// empty is left out.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Map {
+    /// Written above it.
+    pub title: String,
+    /// Values in the cells of a grid, to be shown as colours; what is not positive has the colour of the smallest.
+    pub values: Vec<f64>,
+    /// Directions in the cells of another grid, to be shown as arrows of one length; where both components are 0 or one is
+    /// not finite, there is none.
+    pub arrows: Vec<[f64; 2]>,
+    /// Numbers in the cells of a grid, of which a line shows where they change sign.
+    pub signs: Vec<f64>,
+    /// A path, with a dot where it starts.
+    pub path: Vec<[f64; 2]>,
+    /// A place to be marked with a cross.
+    pub mark: Option<[f64; 2]>,
+}
+
+/// Draws the maps side by side with their colour scale, and to their right the losses of some runs, as the name, the CSS
+/// colour and the loss at the start and after every iteration, if there are any.
+pub fn maps(plane: &Plane, maps: &[Map], runs: &[(&str, &'static str, Vec<f64>)]) -> Drawing {
+    let mut layouts: Vec<Layout> = maps.iter().enumerate().map(|(i, map)| plane.layout(map, i == 0)).collect();
+    let mut plots: Vec<Vec<Plot>> = maps.iter().map(|map| plane.plots(map)).collect();
+    layouts.push(plane.scale_layout());
+    plots.push(vec![plane.colors(&plane.scale(), 1, Some(plane.decades))]);
+    if !runs.is_empty() {
+        let series = runs.iter().map(|(label, color, run)| losses(label, color, run)).collect();
+        let title = format!("({}) loss", char::from(b'a' + maps.len() as u8));
+        let panel = Panel { title, x_label: "iteration", y_label: "loss".into(), y_axis: 0, series };
+        let axis = LogAxis::of(std::iter::once(&panel));
+        let layout = panel_layout(&panel, &axis, true, true)
+            .with_y_label_offset(10.0, 0.0)
+            .with_legend_entries(legend(std::iter::once(&panel)))
+            .with_legend_position(LegendPosition::InsideBottomLeft);
+        layouts.push(layout);
+        plots.push(axis.plots(&panel));
+    }
+    let columns = plots.len();
+    let mut figure = Figure::new(1, columns)
+        .with_padding(10.0)
+        .with_spacing(12.0)
+        // The first map is wider by its y labels, and all are higher by theirs: the planes come out as equal squares.
+        .with_cell_size(300.0, 367.0)
+        .with_col_width(0, 348.0)
+        .with_col_width(maps.len(), 104.0)
+        .with_layouts(layouts)
+        .with_plots(plots);
+    if !runs.is_empty() {
+        figure = figure.with_col_width(columns - 1, 400.0);
+    }
+    Drawing::of(figure)
+}
+
+impl Plane {
+    fn layout(&self, map: &Map, first: bool) -> Layout {
+        let [x_label, y_label] = self.labels;
+        let mut layout =
+            framed((-self.reach, self.reach), (-self.reach, self.reach)).with_x_label(x_label).with_title(map.title.clone());
+        match first {
+            true => layout = layout.with_y_label(y_label),
+            false => layout.suppress_y_ticks = true,
+        }
+        layout
+    }
+
+    fn scale_layout(&self) -> Layout {
+        let [low, high] = self.decades.map(f64::from);
+        let tick = |power: f64| format!("10{}", superscript(power.round() as i32));
+        let mut layout = framed((0.0, 1.0), (low, high))
+            // As high as the maps, which have a title and a label.
+            .with_title(" ")
+            .with_x_label(" ")
+            .with_y_label(self.values)
+            .with_y_label_offset(-5.0, 0.0)
+            .with_y_tick_format(TickFormat::Custom(Arc::new(tick)))
+            .with_y_tick_step(((high - low) / 8.0).ceil());
+        layout.suppress_x_ticks = true;
+        layout
+    }
+
+    /// What the scale shows of itself: a value in the middle of each step of colour.
+    fn scale(&self) -> Vec<f64> {
+        let (steps, each) = self.steps();
+        (0..steps).map(|step| 10f64.powf(f64::from(self.decades[0]) + (f64::from(step) + 0.5) / each)).collect()
+    }
+
+    /// Steps of colour, all told and within a factor of ten.
+    fn steps(&self) -> (i32, f64) {
+        let decades = (self.decades[1] - self.decades[0]).max(1);
+        let each = (STEPS / decades).max(1);
+        (decades * each, f64::from(each))
+    }
+
+    fn plots(&self, map: &Map) -> Vec<Plot> {
+        let mut plots = Vec::new();
+        if !map.values.is_empty() {
+            plots.push(self.colors(&map.values, side(map.values.len()), None));
+        }
+        if !map.arrows.is_empty() {
+            plots.push(self.arrows(&map.arrows));
+        }
+        if !map.signs.is_empty() {
+            plots.extend(CASED.map(|(color, width)| self.line(&map.signs, color, width)));
+        }
+        let dots = |at: &[[f64; 2]]| ScatterPlot::new().with_data(at.iter().map(|p| (p[0], p[1])));
+        if !map.path.is_empty() {
+            let points = thinned_to(MAX_POINTS, map.path.iter().map(|p| (p[0], p[1])).collect());
+            let line =
+                |(color, width)| LinePlot::new().with_data(points.clone()).with_color(color).with_stroke_width(width).into();
+            plots.extend(CASED.map(line));
+            plots.push(dots(&map.path[..1]).with_color(LINE).with_size(4.0).into());
+        }
+        if let Some(mark) = map.mark {
+            plots.push(dots(&[mark]).with_color(INK).with_marker(MarkerShape::Cross).with_size(5.0).into());
+        }
+        plots
+    }
+
+    /// Coloured cells, over the plane or over the decades of the scale.
+    fn colors(&self, values: &[f64], columns: usize, scale: Option<[i32; 2]>) -> Plot {
+        let (steps, each) = self.steps();
+        let last = f64::from(steps - 1);
+        let step = |value: &f64| {
+            let position = (value.log10() - f64::from(self.decades[0])) * each;
+            // A NaN, of a negative value, becomes the smallest by max.
+            position.floor().max(0.0).min(last)
+        };
+        let cells: Vec<f64> = values.iter().map(step).collect();
+        let (low, high) = cells.iter().fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), &c| (low.min(c), high.max(c)));
+        // kuva spreads the colours between the smallest and the largest cell; this takes it back.
+        let color = move |share: f64| color((low + share * (high - low)).round() / last);
+        let (x_low, x_high) = if scale.is_some() { (0.0, 1.0) } else { (-self.reach, self.reach) };
+        let (y_low, y_high) = scale.map_or((x_low, x_high), |[low, high]| (f64::from(low), f64::from(high)));
+        Heatmap::new()
+            .with_data(cells.chunks(columns).map(<[f64]>::to_vec))
+            .with_color_map(ColorMap::Custom(Arc::new(color)))
+            .with_x_range(x_low, x_high)
+            .with_y_range(y_low, y_high)
+            .with_cell_size(1.0)
+            .into()
+    }
+
+    fn arrows(&self, directions: &[[f64; 2]]) -> Plot {
+        let cells = side(directions.len());
+        let long = ARROW * 2.0 * self.reach / cells as f64;
+        let arrows = directions.iter().enumerate().filter_map(|(i, d)| {
+            let norm = d[0].hypot(d[1]);
+            let drawn = norm > 0.0 && norm.is_finite();
+            drawn.then(|| (self.middle(i % cells, cells), self.middle(i / cells, cells), d[0] / norm * long, d[1] / norm * long))
+        });
+        QuiverPlot::new()
+            .with_arrows(arrows)
+            .with_scale(1.0)
+            .with_pivot(QuiverPivot::Middle)
+            .with_color(INK)
+            .with_shaft_width(0.9)
+            .with_head(4.0, 2.0)
+            .into()
+    }
+
+    /// Where the numbers in the cells change sign, taken to run straight between the middles of cells.
+    fn line(&self, signs: &[f64], color: &str, width: f64) -> Plot {
+        let cells = side(signs.len());
+        let middles: Vec<f64> = (0..cells).map(|i| self.middle(i, cells)).collect();
+        let rows = signs.chunks(cells).map(<[f64]>::to_vec).collect();
+        ContourPlot::new()
+            .with_grid(rows, middles.clone(), middles)
+            .with_levels(&[0.0])
+            .with_line_color(color)
+            .with_line_width(width)
+            .into()
+    }
+
+    fn middle(&self, i: usize, cells: usize) -> f64 {
+        self.reach * ((2 * i + 1) as f64 / cells as f64 - 1.0)
+    }
+}
+
+/// A panel with a frame and no grid.
+fn framed(x: (f64, f64), y: (f64, f64)) -> Layout {
+    let theme = Theme { axis_color: "#444".into(), legend_border: "none".into(), ..Theme::light() };
+    Layout::new(x, y)
+        .with_x_axis_min(x.0)
+        .with_x_axis_max(x.1)
+        .with_y_axis_min(y.0)
+        .with_y_axis_max(y.1)
+        .with_show_grid(false)
+        .with_box_axes()
+        .with_tick_size(11)
+        .with_label_size(13)
+        .with_title_size(14)
+        .with_theme(theme)
+}
+
+/// Cells along a side of a square grid.
+fn side(cells: usize) -> usize {
+    cells.isqrt().max(1)
+}
+
+/// The colour at a share of the scale.
+fn color(share: f64) -> String {
+    let position = share.clamp(0.0, 1.0) * (COLORS.len() - 1) as f64;
+    let i = (position as usize).min(COLORS.len() - 2);
+    let mix = |k: usize| COLORS[i][k] + (position - i as f64) * (COLORS[i + 1][k] - COLORS[i][k]);
+    format!("#{:02x}{:02x}{:02x}", mix(0).round() as u8, mix(1).round() as u8, mix(2).round() as u8)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PLANE: Plane = Plane { labels: ["a", "b"], reach: 2.0, decades: [-1, 2], values: "length" };
+
+    fn rects(drawing: &Drawing) -> usize {
+        drawing.to_svg().matches("<rect").count()
+    }
+
+    fn map(values: &[f64]) -> Map {
+        Map { title: "m".into(), values: values.to_vec(), ..Map::default() }
+    }
+
+    #[test]
+    fn the_colour_is_that_of_the_value_whatever_the_others_are() {
+        // The thirteenth of eighteen steps, six for each power of ten.
+        let twelve = format!("fill=\"{}\"", color(12.0 / 17.0));
+        for others in [[12.0, 12.0, 12.0], [1.0, 0.2, 30.0], [1e9, 1e-9, f64::NAN]] {
+            let values = [others[0], others[1], 12.0, others[2]];
+            let svg = maps(&PLANE, &[map(&values)], &[]).to_svg();
+            // Once at least in the map and once in the scale.
+            assert!(svg.matches(&twelve).count() >= 2, "{others:?}: {}", svg.matches(&twelve).count());
+        }
+    }
+
+    #[test]
+    fn neighbours_of_one_colour_are_one_rectangle() {
+        let flat = rects(&maps(&PLANE, &[map(&[1.0; 100])], &[]));
+        let board: Vec<f64> = (0..100).map(|i| if (i + i / 10) % 2 == 0 { 0.2 } else { 50.0 }).collect();
+        assert_eq!(rects(&maps(&PLANE, &[map(&board)], &[])) - flat, 100 - 10);
+    }
+
+    #[test]
+    fn what_cannot_be_drawn_is_left_out() {
+        let odd = Map {
+            values: vec![f64::NAN, 0.0, f64::INFINITY, -1.0],
+            arrows: vec![[0.0; 2], [f64::NAN, 1.0], [1.0, 0.0], [f64::INFINITY, 0.0]],
+            path: vec![[0.0; 2]],
+            mark: Some([1.0; 2]),
+            ..Map::default()
+        };
+        let svg = maps(&PLANE, &[odd, Map::default()], &[("x", "red", vec![1.0, 0.0, f64::NAN])]).to_svg();
+        roxmltree::Document::parse(&svg).expect("an SVG is XML");
+        assert!(!svg.contains("NaN") && !svg.contains("inf"));
+    }
+}

@@ -1,0 +1,137 @@
+//! The toy tasks of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024): physics so simple
+//! that what a vector field does to it can be drawn.
+
+use crate::rng::Rng;
+use crate::scalar::{Cotangent, Real, Scalar};
+use crate::system::System;
+use crate::task::Task;
+
+/// The plainest physics there is, `x' = x + u`. Its backward flow is the identity: it neither grows nor decays.
+///
+/// State and control have the same number of components, without units.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Integrator {
+    /// Number of components of state and control.
+    pub dim: usize,
+}
+
+impl System for Integrator {
+    fn state_dim(&self) -> usize {
+        self.dim
+    }
+
+    fn control_dim(&self) -> usize {
+        self.dim
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        for ((next, &x), &u) in next.iter_mut().zip(x).zip(u) {
+            *next = x + u;
+        }
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _x: &[R], _u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        x_bar.copy_from_slice(next_bar);
+        u_bar.copy_from_slice(next_bar);
+    }
+
+    #[inline(always)]
+    fn vjp_state<R: Real, C: Cotangent<R>>(&self, _x: &[R], _u: &[R], next_bar: &[C], x_bar: &mut [C]) {
+        x_bar.copy_from_slice(next_bar);
+    }
+
+    #[inline(always)]
+    fn vjp_control<R: Real, C: Cotangent<R>>(&self, _x: &[R], _u: &[R], next_bar: &[C], u_bar: &mut [C]) {
+        u_bar.copy_from_slice(next_bar);
+    }
+}
+
+/// The task of the paper's figure 1: from one start to a target, `L = (x_T - y)² / 2`. The default is the paper's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reach {
+    /// The physics, of one component.
+    pub system: Integrator,
+    /// The only start, x_0.
+    pub start: f64,
+    /// The target y.
+    pub target: f64,
+    /// Number of steps.
+    pub horizon: usize,
+}
+
+impl Default for Reach {
+    fn default() -> Self {
+        Self { system: Integrator { dim: 1 }, start: -0.3, target: 2.0, horizon: 4 }
+    }
+}
+
+impl Task for Reach {
+    type System = Integrator;
+
+    fn system(&self) -> &Integrator {
+        &self.system
+    }
+
+    fn horizon(&self) -> usize {
+        self.horizon
+    }
+
+    fn start(&self, _rng: &mut Rng, x: &mut [f64]) {
+        x.fill(self.start);
+    }
+
+    #[inline(always)]
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        let miss = x[0] - T::lift(self.target);
+        miss * miss * T::lift(0.5)
+    }
+}
+
+/// A loss in the plane for the paper's figure 2, which does not say what its loss is: an elongated bowl.
+///
+/// One step from the origin, so the control is where one ends: `L = (a p² + b q²) / 2`, where p and q are x_1 along the
+/// two axes of the bowl.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bowl {
+    /// The physics, of two components.
+    pub system: Integrator,
+    /// The curvatures a and b.
+    pub curvatures: [f64; 2],
+    /// How far the axis of a is turned from the first component, counter-clockwise, rad.
+    pub angle: f64,
+}
+
+impl Default for Bowl {
+    /// Curvatures 1 and 4, turned by 30°. A bowl along the axes would flatter Adam, which scales every component by
+    /// itself.
+    fn default() -> Self {
+        Self { system: Integrator { dim: 2 }, curvatures: [1.0, 4.0], angle: std::f64::consts::FRAC_PI_6 }
+    }
+}
+
+impl Task for Bowl {
+    type System = Integrator;
+
+    fn system(&self) -> &Integrator {
+        &self.system
+    }
+
+    fn horizon(&self) -> usize {
+        1
+    }
+
+    fn start(&self, _rng: &mut Rng, x: &mut [f64]) {
+        x.fill(0.0);
+    }
+
+    #[inline(always)]
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        let (sin, cos) = self.angle.sin_cos();
+        let (sin, cos) = (T::lift(sin), T::lift(cos));
+        let (p, q) = (x[0] * cos + x[1] * sin, x[1] * cos - x[0] * sin);
+        let [a, b] = self.curvatures.map(|curvature| T::lift(0.5 * curvature));
+        p * p * a + q * q * b
+    }
+}
