@@ -6,7 +6,9 @@ mod curves;
 mod drawing;
 mod guidance;
 mod log_figure;
+mod panel;
 mod quantum;
+mod raster;
 
 pub use animation::{Animation, Shape};
 pub use cart_pole::cart_pole;
@@ -14,3 +16,4 @@ pub use curves::{Curve, Point, comparison, field_color, learning_curve};
 pub use drawing::Drawing;
 pub use guidance::guidance;
 pub use quantum::quantum;
+pub use raster::Raster;
