@@ -5,11 +5,14 @@
 //! the largest component of what they are compared with.
 
 mod oracle;
+mod policies;
+
+pub use policies::{policy, try_policy};
 
 use crate::backward::Flow;
 use crate::batch::Batch;
 use crate::divergence::Divergence;
-use crate::policy::{Policy, PolicyColumns, Weights};
+use crate::policy::{Policy, Weights};
 use crate::rng::{Purpose, Rng, stream};
 use crate::rollout::Rollout;
 use crate::scalar::{Columns, Lanes, Real, Scalar};
@@ -20,6 +23,8 @@ use std::fmt;
 
 /// Random cases that each check tries.
 const CASES: u64 = 20;
+/// Random cases of the checks that evaluate a policy.
+const CASES_OF_LONG_CHECKS: u64 = 2;
 /// Allowed for one step of a system and for one evaluation of a policy.
 const ONE_STEP: f64 = 1e-12;
 /// Allowed for the gradient of a whole rollout.
@@ -130,6 +135,7 @@ impl Comparison {
     }
 }
 
+/// Normally distributed numbers.
 fn normal(rng: &mut Rng, len: usize) -> Vec<f64> {
     (0..len).map(|_| StandardNormal.sample(rng)).collect()
 }
@@ -226,63 +232,9 @@ fn lanes<S: System>(system: &S, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut 
     Ok(())
 }
 
-/// Checks a policy's batched passes against [`Policy::act`] and its duals.
-///
-/// # Panics
-/// With the [`Mismatch`].
-#[track_caller]
-pub fn policy<P: Policy>(policy: &P) -> Passed {
-    try_policy(policy).unwrap_or_else(|mismatch| panic!("the policy's batched passes are wrong: {mismatch}"))
-}
-
-/// As [`policy`], as a value.
-///
-/// # Errors
-/// The first [`Mismatch`].
-pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
-    let (n, m, params) = (policy.state_dim(), policy.control_dim(), policy.param_count());
-    // Three samples of three steps; the last step of each and then all are evaluated, as a rollout does.
-    let (samples, steps) = (3, 3);
-    let total = samples * steps;
-    let mut c = Comparison::new(ONE_STEP);
-    for case in 0..2 {
-        c.case = case;
-        let mut rng = stream(case, Purpose::Check, 0);
-        let weights = oracle::weights(policy, 0.1, &mut rng);
-        let (x, u_bar, weight) = (normal(&mut rng, total * n), normal(&mut rng, total * m), normal(&mut rng, total));
-        let sizes = policy.sizes::<f64>(total);
-        let mut tape = vec![0.0; sizes.tape];
-        let mut u = vec![f64::NAN; total * m];
-        for t in 0..steps {
-            let at = PolicyColumns { first: t, step: steps, count: samples };
-            policy.forward(weights.packed(), at, &x, &mut tape, &mut u);
-        }
-        let mut expected = vec![0.0; total * m];
-        for (x, u) in x.chunks_exact(n).zip(expected.chunks_exact_mut(m)) {
-            policy.act(weights.theta(), x, u);
-        }
-        c.slices("forward: u", &u, &expected)?;
-
-        let mut tape_bar = vec![0.0; sizes.tape_bar];
-        let mut x_bar = vec![f64::NAN; total * n];
-        let all = PolicyColumns::range(0..total);
-        policy.backward(weights.packed(), all, &x, &tape, &u_bar, &mut tape_bar, Some(&mut x_bar));
-        c.slices("backward: x_bar", &x_bar, &oracle::policy_input_gradient(policy, weights.theta(), &x, &u_bar))?;
-
-        let mut scratch = vec![0.0; sizes.scratch];
-        for weight in [None, Some(&weight[..])] {
-            let mut theta_bar = vec![0.0; params];
-            let packed = weights.packed();
-            policy.param_gradient(packed, 0..total, &x, &tape, &u_bar, &tape_bar, weight, &mut scratch, &mut theta_bar);
-            let expected = oracle::policy_param_gradient(policy, weights.theta(), &x, &u_bar, weight);
-            c.slices("param_gradient: theta_bar", &theta_bar, &expected)?;
-        }
-    }
-    Ok(c.passed)
-}
-
 /// Checks the gradients of whole rollouts for every flow (R, M, N, S) against duals of the same rollout in which what
-/// the flow leaves out is detached. With many parameters, random directions and random parameters are compared.
+/// the flow leaves out is detached. Random directions over all parameters are compared, and single parameters: all of
+/// few, some of many.
 ///
 /// # Panics
 /// With the [`Mismatch`].
@@ -306,7 +258,7 @@ pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<
     const SAMPLES: usize = 3;
     let n = task.system().state_dim();
     let mut c = Comparison::new(ROLLOUT);
-    for case in 0..2 {
+    for case in 0..CASES_OF_LONG_CHECKS {
         c.case = case;
         let mut rng = stream(case, Purpose::Check, 0);
         let mut starts = vec![0.0; SAMPLES * n];

@@ -6,8 +6,10 @@ mod curves;
 mod drawing;
 mod guidance;
 mod log_figure;
+mod panel;
 mod plane;
 mod quantum;
+mod raster;
 
 pub use animation::{Animation, Shape};
 pub use cart_pole::cart_pole;
@@ -16,3 +18,4 @@ pub use drawing::Drawing;
 pub use guidance::guidance;
 pub use plane::{Map, Plane, maps};
 pub use quantum::quantum;
+pub use raster::Raster;

@@ -1,10 +1,12 @@
 //! Every gradient in the tree against dual numbers, and the checks themselves on planted faults.
 
-use physgrad::policy::{Linear, Mlp};
+use num_traits::AsPrimitive;
+use physgrad::policy::{Conv, Linear, Mlp, PolicyColumns, Sizes, Tensor};
 use physgrad::rng::Rng;
-use physgrad::tasks::{CartPole, CartPoleSystem, LossMode};
-use physgrad::{Columns, Cotangent, Policy, Real, Scalar, System, Task, check};
+use physgrad::tasks::{CartPole, CartPoleSystem, LossMode, Quantum};
+use physgrad::{Columns, Cotangent, Float, Flow, Policy, Real, Scalar, System, Task, check};
 use rand::RngExt;
+use std::ops::Range;
 
 #[test]
 fn cart_pole_with_any_number_of_poles() {
@@ -227,6 +229,95 @@ impl Policy for Forgetting {
 #[should_panic(expected = "backward: x_bar[1]")]
 fn a_wrong_batched_policy_is_found() {
     check::policy(&Forgetting(Linear::new(3, 1)));
+}
+
+/// A convolution with one wrong component in its parameter gradient, off by a thousandth of the largest.
+struct OneOff {
+    conv: Conv,
+    index: usize,
+}
+
+impl Policy for OneOff {
+    fn state_dim(&self) -> usize {
+        self.conv.state_dim()
+    }
+    fn control_dim(&self) -> usize {
+        self.conv.control_dim()
+    }
+    fn param_count(&self) -> usize {
+        self.conv.param_count()
+    }
+    fn init(&self, rng: &mut Rng, theta: &mut [f64]) {
+        self.conv.init(rng, theta);
+    }
+    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
+        self.conv.act(theta, x, u);
+    }
+    fn tensors(&self) -> Vec<Tensor> {
+        self.conv.tensors()
+    }
+    fn sizes<F: Float>(&self, columns: usize) -> Sizes {
+        self.conv.sizes::<F>(columns)
+    }
+    fn pack<F: Float>(&self, theta: &[F], packed: &mut [F]) {
+        self.conv.pack(theta, packed);
+    }
+    fn forward<F: Float>(&self, packed: &[F], at: PolicyColumns, x: &[F], tape: &mut [F], u: &mut [F]) {
+        self.conv.forward(packed, at, x, tape, u);
+    }
+    fn backward<F: Float>(
+        &self,
+        packed: &[F],
+        at: PolicyColumns,
+        x: &[F],
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &mut [F],
+        x_bar: Option<&mut [F]>,
+    ) {
+        self.conv.backward(packed, at, x, tape, u_bar, tape_bar, x_bar);
+    }
+    fn param_gradient<F: Float>(
+        &self,
+        packed: &[F],
+        at: Range<usize>,
+        x: &[F],
+        tape: &[F],
+        u_bar: &[F],
+        tape_bar: &[F],
+        weight: Option<&[F]>,
+        scratch: &mut [F],
+        theta_bar: &mut [F],
+    ) {
+        self.conv.param_gradient(packed, at, x, tape, u_bar, tape_bar, weight, scratch, theta_bar);
+        let largest = theta_bar.iter().fold(0.0, |largest: f64, &bar| largest.max(AsPrimitive::<f64>::as_(bar).abs()));
+        theta_bar[self.index] += F::lift(1e-3 * largest);
+    }
+}
+
+/// More parameters than are compared one by one; 64 of the 120 weights in the first kernel are.
+fn one_off(index: usize) -> OneOff {
+    let conv = Conv::new(32, 20);
+    assert!(conv.param_count() > 1000 && conv.tensors()[0].range == (0..120));
+    OneOff { conv, index }
+}
+
+#[test]
+fn one_wrong_weight_among_many_is_found_and_named() {
+    for index in (0..120).step_by(11) {
+        let mismatch = check::try_policy(&one_off(index)).expect_err("a wrong gradient");
+        assert_eq!((mismatch.what.as_str(), mismatch.index), ("param_gradient: theta_bar", index));
+        assert!(mismatch.error > 1e-4 && mismatch.error < 2e-3, "{mismatch}");
+    }
+}
+
+#[test]
+fn one_wrong_weight_among_many_is_found_in_rollouts() {
+    let task = Quantum { horizon: 5, ..Quantum::new(3) };
+    for flow in Flow::ALL {
+        let failure = check::try_flow(&task, &one_off(37), flow).expect_err("a wrong gradient");
+        assert!(failure.to_string().starts_with("gradient"), "{failure}");
+    }
 }
 
 #[test]

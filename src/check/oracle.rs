@@ -93,7 +93,7 @@ pub fn some_directions<T: Task, P: Policy>(
     flow: Flow,
     rng: &mut Rng,
 ) -> Vec<(Vec<f64>, f64)> {
-    let directions: [Vec<f64>; TOGETHER] = std::array::from_fn(|_| super::normal(rng, theta.len()));
+    let directions: [Vec<f64>; TOGETHER] = std::array::from_fn(|_| dense(rng, theta.len()));
     let slopes = derivatives(task, policy, theta, starts, flow, |i| std::array::from_fn(|k| directions[k][i]));
     directions.into_iter().zip(slopes).collect()
 }
@@ -109,17 +109,65 @@ pub fn policy_input_gradient<P: Policy>(policy: &P, theta: &[f64], x: &[f64], u_
     x_bar
 }
 
-/// `Σ weight·(∂N/∂θ)ᵀ u_bar` over all columns.
-pub fn policy_param_gradient<P: Policy>(policy: &P, theta: &[f64], x: &[f64], u_bar: &[f64], weight: Option<&[f64]>) -> Vec<f64> {
+/// `⟨u_bar, (∂N/∂θ) v⟩` of every column, for the directions v that `tangent(parameter)` spans.
+fn policy_slopes<P: Policy>(
+    policy: &P,
+    theta: &[f64],
+    x: &[f64],
+    u_bar: &[f64],
+    tangent: impl Fn(usize) -> [f64; TOGETHER],
+) -> [Vec<f64>; TOGETHER] {
     let (n, m) = (policy.state_dim(), policy.control_dim());
-    let mut theta_bar = vec![0.0; theta.len()];
-    for (c, (x, u_bar)) in x.chunks_exact(n).zip(u_bar.chunks_exact(m)).enumerate() {
-        let x: Vec<_> = x.iter().map(|&x| Tangents::constant(x)).collect();
-        let weight = weight.map_or(1.0, |w| w[c]);
-        let act = |theta: &[_], u: &mut [_]| policy.act(theta, &x, u);
-        jacobian(theta, 0..theta.len(), m, act, |i, slope: &[f64]| theta_bar[i] += weight * dot(slope, u_bar));
+    let seeded = |(i, &t): (usize, &f64)| match tangent(i) {
+        // Without a tangent of its own, a number is cheaper to multiply.
+        zero if zero == [0.0; TOGETHER] => Tangents::constant(t),
+        tangents => DualSVec64::seeded(t, tangents),
+    };
+    let theta: Vec<_> = theta.iter().enumerate().map(seeded).collect();
+    let mut slopes = [(); TOGETHER].map(|()| Vec::with_capacity(x.len() / n));
+    for (x, u_bar) in x.chunks_exact(n).zip(u_bar.chunks_exact(m)) {
+        let x: Vec<DualSVec64<TOGETHER>> = x.iter().map(|&x| Tangents::constant(x)).collect();
+        let mut u = vec![Tangents::constant(0.0); m];
+        policy.act(&theta, &x, &mut u);
+        for (k, slopes) in slopes.iter_mut().enumerate() {
+            slopes.push(u.iter().zip(u_bar).map(|(u, u_bar)| u.tangents()[k] * u_bar).sum());
+        }
     }
-    theta_bar
+    slopes
+}
+
+/// `(∂N/∂θᵢ)ᵀ u_bar` of every column, for some of the parameters.
+pub fn policy_components<P: Policy>(
+    policy: &P,
+    theta: &[f64],
+    x: &[f64],
+    u_bar: &[f64],
+    indices: &[usize],
+) -> Vec<(usize, Vec<f64>)> {
+    let together = indices.chunks(TOGETHER).flat_map(|some| {
+        let unit = |i: usize| std::array::from_fn(|k| if some.get(k) == Some(&i) { 1.0 } else { 0.0 });
+        some.iter().copied().zip(policy_slopes(policy, theta, x, u_bar, unit))
+    });
+    together.collect()
+}
+
+/// Random directions, and `⟨u_bar, (∂N/∂θ) v⟩` of every column in them.
+pub fn policy_directions<P: Policy>(
+    policy: &P,
+    theta: &[f64],
+    x: &[f64],
+    u_bar: &[f64],
+    rng: &mut Rng,
+) -> Vec<(Vec<f64>, Vec<f64>)> {
+    let directions: [Vec<f64>; TOGETHER] = std::array::from_fn(|_| dense(rng, theta.len()));
+    let slopes = policy_slopes(policy, theta, x, u_bar, |i| std::array::from_fn(|k| directions[k][i]));
+    directions.into_iter().zip(slopes).collect()
+}
+
+/// A direction in which every parameter has a part: of either sign, its size between 1/2 and 3/2. One wrong component
+/// cannot hide in it, and several do not cancel but by chance.
+fn dense(rng: &mut Rng, len: usize) -> Vec<f64> {
+    (0..len).map(|_| rng.random_range(0.5..1.5) * if rng.random() { 1.0 } else { -1.0 }).collect()
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {

@@ -1,5 +1,6 @@
 //! Animated pictures in SVG by SMIL: no scripts, so they also play inside an `<img>` tag.
 
+use super::Raster;
 use std::fmt::Write;
 
 /// How long the last frame stays before the loop starts again, in seconds.
@@ -41,6 +42,24 @@ pub enum Shape {
         /// CSS colour.
         color: &'static str,
     },
+    /// A bent line, with round corners and ends.
+    Curve {
+        /// Its corners; as many in every frame.
+        points: Vec<[f64; 2]>,
+        /// Thickness.
+        width: f64,
+        /// CSS colour.
+        color: &'static str,
+    },
+    /// Coloured cells that fill a rectangle along the axes; they may move but not change.
+    Image {
+        /// Its middle.
+        center: [f64; 2],
+        /// Width and height.
+        size: [f64; 2],
+        /// The cells.
+        raster: Raster,
+    },
     /// A word that may move but not change.
     Text {
         /// The middle of its base line.
@@ -62,6 +81,8 @@ pub struct Animation {
     pub seconds: f64,
     /// The rectangle of the world that is seen: its lower left and upper right corner. What leaves it is cut off.
     pub view: ([f64; 2], [f64; 2]),
+    /// What is behind every frame.
+    pub still: Vec<Shape>,
     /// The shapes of each frame: the same kinds in the same order; colours and words are those of the first frame.
     pub frames: Vec<Vec<Shape>>,
 }
@@ -88,12 +109,14 @@ impl Animation {
              <text x=\"{middle}\" y=\"27\" font-size=\"16\" fill=\"#222\">{title}</text>\n\
              <svg x=\"{left}\" y=\"{TITLE_HEIGHT}\" width=\"{w}\" height=\"{h}\">\n"
         );
-        let frames: Vec<Vec<Element>> = self
-            .frames
-            .iter()
-            .map(|shapes| shapes.iter().map(|shape| Element::new(shape, low[0], high[1], scale)).collect())
-            .collect();
+        let elements = |shapes: &[Shape]| -> Vec<Element> {
+            shapes.iter().map(|shape| Element::new(shape, low[0], high[1], scale)).collect()
+        };
+        let frames: Vec<Vec<Element>> = self.frames.iter().map(|shapes| elements(shapes)).collect();
         let times = Times::new(frames.len(), self.seconds);
+        for element in elements(&self.still) {
+            times.write_element(&mut svg, &[&element]);
+        }
         if let Some(first) = frames.first() {
             for frame in &frames {
                 let kinds = |elements: &[Element]| elements.iter().map(|element| element.tag).collect::<Vec<_>>();
@@ -124,6 +147,9 @@ impl Element {
     fn new(shape: &Shape, left: f64, top: f64, scale: f64) -> Self {
         let (x, y) = (|x: f64| px((x - left) * scale), |y: f64| px((top - y) * scale));
         let length = |length: f64| px(length.max(0.0) * scale);
+        let rectangle = |[cx, cy]: [f64; 2], [w, h]: [f64; 2]| {
+            vec![("x", x(cx - w / 2.0)), ("y", y(cy + h / 2.0)), ("width", length(w)), ("height", length(h))]
+        };
         let (tag, numbers, style) = match shape {
             Shape::Line { from, to, width, color } => (
                 "line",
@@ -139,11 +165,17 @@ impl Element {
             Shape::Circle { center, radius, color } => {
                 ("circle", vec![("cx", x(center[0])), ("cy", y(center[1])), ("r", length(*radius))], format!("fill=\"{color}\""))
             }
-            Shape::Rect { center: [cx, cy], size: [w, h], color } => (
-                "rect",
-                vec![("x", x(cx - w / 2.0)), ("y", y(cy + h / 2.0)), ("width", length(*w)), ("height", length(*h))],
-                format!("rx=\"2\" fill=\"{color}\""),
-            ),
+            Shape::Rect { center, size, color } => ("rect", rectangle(*center, *size), format!("rx=\"2\" fill=\"{color}\"")),
+            Shape::Curve { points, width, color } => {
+                let points: Vec<String> = points.iter().map(|point| format!("{},{}", x(point[0]), y(point[1]))).collect();
+                let style = format!("fill=\"none\" stroke=\"{color}\" stroke-linecap=\"round\" stroke-linejoin=\"round\"");
+                ("polyline", vec![("points", points.join(" ")), ("stroke-width", length(*width))], style)
+            }
+            Shape::Image { center, size, raster } => {
+                // Cells with sharp edges; the first rule is for viewers that do not know the second.
+                let style = "preserveAspectRatio=\"none\" style=\"image-rendering:optimizeSpeed;image-rendering:pixelated\"";
+                ("image", rectangle(*center, *size), format!("{style} href=\"{}\"", raster.data_uri()))
+            }
             Shape::Text { at, size, color, .. } => {
                 ("text", vec![("x", x(at[0])), ("y", y(at[1])), ("font-size", length(*size))], format!("fill=\"{color}\""))
             }
@@ -216,7 +248,13 @@ mod tests {
 
     fn moving_dot(xs: &[f64]) -> Animation {
         let dot = |&x: &f64| vec![Shape::Circle { center: [x, 0.5], radius: 0.1, color: "red" }];
-        Animation { title: "a < b".into(), seconds: 2.0, view: ([0.0, 0.0], [2.0, 1.0]), frames: xs.iter().map(dot).collect() }
+        Animation {
+            title: "a < b".into(),
+            seconds: 2.0,
+            view: ([0.0, 0.0], [2.0, 1.0]),
+            still: Vec::new(),
+            frames: xs.iter().map(dot).collect(),
+        }
     }
 
     #[test]
@@ -237,6 +275,26 @@ mod tests {
             roxmltree::Document::parse(&svg).expect("an SVG is XML");
             assert!(!svg.contains("<animate"));
         }
+    }
+
+    #[test]
+    fn what_is_behind_is_written_once() {
+        let curve = |y: f64| Shape::Curve { points: vec![[0.0, y], [1.0, 0.5]], width: 0.1, color: "red" };
+        let raster = Raster::new(&[vec![0.0, 1.0]]);
+        let mut animation = moving_dot(&[0.0, 1.0]);
+        animation.still = vec![Shape::Image { center: [1.0, 0.5], size: [1.0, 0.5], raster }, curve(0.0)];
+        for (frame, y) in animation.frames.iter_mut().zip([0.0, 1.0]) {
+            frame.push(curve(y));
+        }
+        let svg = animation.to_svg();
+        let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
+        let all = |tag| document.descendants().filter(move |node| node.has_tag_name(tag)).collect::<Vec<_>>();
+        let (image, curves) = (all("image"), all("polyline"));
+        assert!(image[0].attribute("href").is_some_and(|href| href.starts_with("data:image/png;base64,")));
+        assert_eq!((image[0].attribute("x"), image[0].attribute("y")), (Some("180"), Some("90")));
+        assert_eq!(curves.iter().map(|curve| curve.children().count()).collect::<Vec<_>>(), [0, 1]);
+        let animated = curves[1].first_element_child().and_then(|node| node.attribute("values"));
+        assert_eq!(animated, Some("0,360 360,180;0,0 360,180;0,0 360,180"));
     }
 
     #[test]

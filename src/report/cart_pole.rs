@@ -1,6 +1,7 @@
 //! The animation of a cart with one or more poles on a rail.
 
 use super::animation::{Animation, Shape};
+use super::panel::round_up;
 
 /// The colours of the poles in turn, which colour-blind readers can tell apart.
 const POLES: [&str; 5] = ["#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9"];
@@ -40,7 +41,7 @@ pub fn cart_pole(states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f6
         let progress = frame as f64 / (shown - 1).max(1) as f64;
         stage.frame(states[step], relative_force(controls, step), progress)
     });
-    Animation { title, seconds: time * slowness, frames: frames.collect(), view: (stage.low, stage.high) }
+    Animation { title, seconds: time * slowness, still: Vec::new(), frames: frames.collect(), view: (stage.low, stage.high) }
 }
 
 /// The force at a step as a share of the largest one; the last state has none of its own and keeps the one before.
@@ -139,12 +140,6 @@ fn arrow(from: [f64; 2], reach: f64, width: f64) -> [Shape; 3] {
     let head = reach.signum() * reach.abs().min(4.0 * width);
     let line = |from, to| Shape::Line { from, to, width, color: FORCE };
     [line(from, tip), line([tip[0] - head, tip[1] + 0.6 * head], tip), line([tip[0] - head, tip[1] - 0.6 * head], tip)]
-}
-
-/// The next 1, 2 or 5 times a power of ten.
-fn round_up(value: f64) -> f64 {
-    let power = 10f64.powf(value.log10().floor());
-    [1.0, 2.0, 5.0].into_iter().map(|m| m * power).find(|&round| round >= value * (1.0 - 1e-9)).unwrap_or(10.0 * power)
 }
 
 #[cfg(test)]

@@ -50,6 +50,7 @@ pub fn guidance(states: &[Vec<f64>], drivers: usize, dt: f64) -> Animation {
     Animation {
         title,
         seconds: time * slowness,
+        still: Vec::new(),
         frames: (0..shown).map(|frame| film.frame(frame)).collect(),
         view: (film.low, film.high),
     }

@@ -1,128 +1,307 @@
 //! The animation of a particle in a box whose floor is tilted.
 
+use super::Raster;
 use super::animation::{Animation, Shape};
+use super::panel::{Panel, number, text, ticks};
 
-const DENSITY: &str = "#0072B2";
-const TILT: &str = "#D55E00";
-const DARK: &str = "#4A4F57";
-const RAIL: &str = "#9AA0A8";
-const TRACK: &str = "#ECEEF1";
+const DENSITY: &str = "#CF4446";
+const TARGET: &str = "#0072B2";
+const CONTROL: &str = "#D55E00";
+const FIDELITY: &str = "#0072B2";
+const ZERO: &str = "#D5D8DC";
+const CURSOR: &str = "#56B4E9";
 
 /// More frames than this are thinned.
-const MAX_FRAMES: usize = 250;
-/// More grid points than this share bars.
-const MAX_BARS: usize = 64;
-/// Width of the box in the picture, and heights of the density above its floor and of the potential around its own.
-const BOX: f64 = 2.0;
-const HEIGHT: f64 = 0.75;
-const REACH: f64 = 0.17;
-/// Where the potential is zero, and where the bar of progress is.
-const LEVEL: f64 = -0.34;
-const PROGRESS: f64 = -0.62;
-/// Room around the box.
-const MARGIN: f64 = 0.12;
+const MAX_FRAMES: usize = 200;
+/// More states and more grid points than this share the cells of the map, and the corners of a curve.
+const MAX_COLUMNS: usize = 256;
+const MAX_ROWS: usize = 64;
 
-/// Films a trajectory. Each state is the real and imaginary part of ψ at every grid point between the walls, and `dt`
-/// units of time pass between two states. Bars show |ψ|², scaled to the largest of the trajectory; the line below is
-/// the potential `c x` of the control c, scaled to the steepest.
+/// Films a trajectory. Each state is the real and imaginary part of ψ at every grid point between the walls of a box of
+/// this length, with `Σ |ψ_j|² = 1`; `dt` units of time pass between two states. `target` is the state to reach, real,
+/// at the same points.
+///
+/// The large map is the probability density over time and position. A line moves through it, and through the control
+/// and the fidelity `|⟨φ, ψ⟩|²` below; at the right are the density at that time, as bars, and the target's.
 ///
 /// The film ends before the first state that is not finite or has another length than the first state.
-pub fn quantum(states: &[Vec<f64>], controls: &[f64], dt: f64) -> Animation {
-    let width = states.first().map_or(0, Vec::len);
-    let valid = |s: &&Vec<f64>| s.len() == width && s.iter().all(|v| v.is_finite());
-    let densities: Vec<Vec<f64>> = states.iter().take_while(valid).map(|state| density(state)).collect();
-    let finite_or_one = |value: f64| if value.is_finite() && value > 0.0 { value } else { 1.0 };
-    let highest = finite_or_one(densities.iter().flatten().copied().fold(0.0, f64::max));
-    let steepest = controls.iter().map(|c| c.abs()).filter(|c| c.is_finite()).fold(0.0, f64::max);
-    let time = densities.len().saturating_sub(1) as f64 * dt;
-    let shown = densities.len().min(MAX_FRAMES);
-    let frames = (0..shown).map(|frame| {
-        let step = frame * (densities.len() - 1) / (shown - 1).max(1);
-        // The last state has no control of its own and keeps the one before.
-        let control = controls.get(step.min(controls.len().saturating_sub(1))).copied().unwrap_or(0.0);
-        let tilt = if control.is_finite() { control / finite_or_one(steepest) } else { 0.0 };
-        shapes(&densities[step], highest, tilt, frame as f64 / (shown - 1).max(1) as f64)
-    });
+pub fn quantum(states: &[Vec<f64>], controls: &[f64], target: &[f64], length: f64, dt: f64) -> Animation {
+    let film = Film::new(states, controls, target, positive(length), positive(dt));
+    let count = film.densities.len();
+    let shown = count.min(MAX_FRAMES);
+    let frames = (0..shown).map(|frame| film.frame(frame * (count - 1) / (shown - 1).max(1)));
+    let time = count.saturating_sub(1) as f64 * film.dt;
     Animation {
-        title: format!("Particle in a box: {time:.1} units of time, slopes up to ±{steepest:.2}"),
+        title: format!("Particle in a box, steered to an eigenstate: {} units of time", number(time)),
         seconds: time.clamp(4.0, 12.0),
-        view: ([-MARGIN, PROGRESS - 0.08], [BOX + MARGIN, HEIGHT + 0.1]),
+        view: ([0.0, 0.0], [720.0, 480.0]),
+        still: film.background(),
         frames: frames.collect(),
     }
 }
 
-/// |ψ|² at every grid point, or its mean over neighbours if there are many.
-fn density(state: &[f64]) -> Vec<f64> {
-    let points: Vec<f64> = state.chunks_exact(2).map(|psi| psi[0] * psi[0] + psi[1] * psi[1]).collect();
-    let bars = points.len().min(MAX_BARS);
-    let group = |bar: usize| &points[bar * points.len() / bars..(bar + 1) * points.len() / bars];
-    (0..bars).map(|bar| group(bar).iter().sum::<f64>() / group(bar).len() as f64).collect()
+fn positive(value: f64) -> f64 {
+    if value.is_normal() && value > 0.0 { value } else { 1.0 }
 }
 
-/// One frame; tilt is between -1 and 1, progress between 0 and 1.
-fn shapes(density: &[f64], highest: f64, tilt: f64, progress: f64) -> Vec<Shape> {
-    // The walls are half a grid point beyond the outermost bars.
-    let spacing = BOX / (density.len() + 1) as f64;
-    let mut shapes: Vec<Shape> = density
-        .iter()
-        .enumerate()
-        .map(|(j, density)| {
-            let height = HEIGHT * density / highest;
-            let center = [(j + 1) as f64 * spacing, height / 2.0];
-            Shape::Rect { center, size: [0.8 * spacing, height], color: DENSITY }
-        })
-        .collect();
-    let line = |from, to, width, color| Shape::Line { from, to, width, color };
-    shapes.push(line([0.0, 0.0], [BOX, 0.0], 0.012, DARK));
-    for x in [0.0, BOX] {
-        shapes.push(line([x, 0.0], [x, HEIGHT + 0.05], 0.025, DARK));
+/// The values, or means over neighbours if there are more than `most`.
+fn thinned(values: &[f64], most: usize) -> Vec<f64> {
+    groups(values, most).map(|group| group.iter().sum::<f64>() / group.len() as f64).collect()
+}
+
+/// At most so many pieces of nearly the same length.
+fn groups<T>(values: &[T], most: usize) -> impl Iterator<Item = &[T]> {
+    let count = values.len().min(most);
+    (0..count).map(move |i| &values[i * values.len() / count..(i + 1) * values.len() / count])
+}
+
+/// What all frames share.
+struct Film {
+    /// |ψ|² per unit of length, by state and position.
+    densities: Vec<Vec<f64>>,
+    /// The same of the target.
+    target: Vec<f64>,
+    /// By state.
+    fidelities: Vec<f64>,
+    /// By step.
+    controls: Vec<f64>,
+    /// Half the distance of two rows of the map, for the walls are half a row beyond the outermost.
+    half_row: f64,
+    dt: f64,
+    map: Panel,
+    profile: Panel,
+    /// The colours of the map along the axis of the profile.
+    scale: Panel,
+    control: Panel,
+    fidelity: Panel,
+}
+
+impl Film {
+    fn new(states: &[Vec<f64>], controls: &[f64], target: &[f64], length: f64, dt: f64) -> Self {
+        let width = states.first().map_or(0, Vec::len);
+        let valid = |s: &&Vec<f64>| s.len() == width && s.iter().all(|v| v.is_finite());
+        let states: Vec<&Vec<f64>> = states.iter().take_while(valid).collect();
+        // Numbers at grid points have to be divided by the distance of those to be a density.
+        let per_point = (width / 2 + 1) as f64 / length;
+        let density = |squares: Vec<f64>| thinned(&squares, MAX_ROWS).into_iter().map(|d| d * per_point).collect::<Vec<_>>();
+        let of_state = |s: &&Vec<f64>| density(s.chunks_exact(2).map(|psi| psi[0] * psi[0] + psi[1] * psi[1]).collect());
+        let densities: Vec<Vec<f64>> = states.iter().map(of_state).collect();
+        let target_density = density(target.iter().map(|phi| phi * phi).collect());
+        let fidelity = |s: &&Vec<f64>| {
+            let overlap = |part: usize| s.chunks_exact(2).zip(target).map(|(psi, phi)| psi[part] * phi).sum::<f64>();
+            overlap(0).powi(2) + overlap(1).powi(2)
+        };
+        let finite = |c: &f64| if c.is_finite() { *c } else { 0.0 };
+        let controls: Vec<f64> = controls.iter().take(states.len().saturating_sub(1)).map(finite).collect();
+
+        let highest = 1.04 * positive(densities.iter().flatten().chain(&target_density).copied().fold(0.0, f64::max));
+        let (least, most) = controls.iter().fold((0.0f64, 0.0f64), |(least, most), &c| (least.min(c), most.max(c)));
+        let (room, middle) = (0.55 * positive(most - least), 0.5 * (least + most));
+        // A column of the map is a state, and its middle is that state's time.
+        let time = [-0.5 * dt, (states.len().max(1) as f64 - 0.5) * dt];
+        let panel = |left, right, bottom, top, x, y| Panel { left, right, bottom, top, x, y };
+        Self {
+            fidelities: states.iter().map(fidelity).collect(),
+            half_row: 0.5 * length / (densities.first().map_or(0, Vec::len) + 1) as f64,
+            dt,
+            map: panel(100.0, 530.0, 236.0, 452.0, time, [0.0, length]),
+            profile: panel(548.0, 704.0, 236.0, 452.0, [0.0, highest], [0.0, length]),
+            scale: panel(548.0, 704.0, 226.0, 236.0, [0.0, highest], [0.0, 1.0]),
+            control: panel(100.0, 530.0, 138.0, 218.0, time, [middle - room, middle + room]),
+            fidelity: panel(100.0, 530.0, 44.0, 120.0, time, [-0.05, 1.05]),
+            densities,
+            target: target_density,
+            controls,
+        }
     }
-    let label = |x: f64, y: f64, text: &str| Shape::Text { at: [x, y], size: 0.055, text: text.into(), color: DARK };
-    shapes.push(label(BOX / 2.0, -0.08, "probability |ψ|²"));
-    shapes.push(line([0.0, LEVEL], [BOX, LEVEL], 0.006, RAIL));
-    shapes.push(line([0.0, LEVEL], [BOX, LEVEL + REACH * tilt], 0.02, TILT));
-    shapes.push(label(BOX / 2.0, LEVEL - REACH - 0.05, "potential c x"));
-    let bar = |width: f64, color| Shape::Rect { center: [width / 2.0, PROGRESS], size: [width, 0.02], color };
-    shapes.extend([bar(BOX, TRACK), bar(BOX * progress, DARK)]);
-    shapes
+
+    /// What does not move: the map, the curves, the axes.
+    fn background(&self) -> Vec<Shape> {
+        let Self { map, profile, scale, control, fidelity, .. } = self;
+        let [from, to] = map.x;
+        let length = map.y[1];
+        let mut shapes = self.colors();
+        let zero = |panel: &Panel| panel.curve([[from, 0.0], [to, 0.0]], 1.0, ZERO);
+        shapes.push(zero(control));
+        shapes.push(control.curve(self.steps(), 1.6, CONTROL));
+        shapes.extend([0.0, 1.0].map(|y| fidelity.curve([[from, y], [to, y]], 1.0, ZERO)));
+        let means = thinned(&self.fidelities, MAX_COLUMNS);
+        shapes.push(fidelity.curve((0..).zip(&means).map(|(i, &f)| [self.time(i, means.len()), f]), 2.0, FIDELITY));
+        shapes.extend([map, profile, scale, control, fidelity].map(Panel::frame));
+
+        let positions = [0.0, length / 2.0, length];
+        shapes.extend(map.ticks_left(&positions));
+        shapes.extend(control.ticks_left(&ticks(control.y[0], control.y[1], 4.0)));
+        shapes.extend(fidelity.ticks_left(&[0.0, 0.5, 1.0]));
+        shapes.extend(fidelity.ticks_below(&ticks(from, to, 5.0)));
+        shapes.extend(scale.ticks_below(&ticks(0.0, scale.x[1], 4.0)));
+        let middle = |panel: &Panel| ((panel.left + panel.right) / 2.0, (panel.bottom + panel.top) / 2.0);
+        let names = [(map, "position", "x"), (control, "control c", "in V = c x"), (fidelity, "fidelity", "|⟨φ, ψ⟩|²")];
+        for (panel, first, second) in names {
+            let (x, y) = (34.0, middle(panel).1);
+            shapes.extend([text([x, y + 2.0], first), text([x, y - 14.0], second)]);
+        }
+        shapes.push(text([middle(map).0, 460.0], "probability density |ψ(x, t)|²"));
+        shapes.push(text([middle(profile).0, 460.0], "density at time t"));
+        shapes.push(text([middle(fidelity).0, 8.0], "time t (units: ħ = 1, m = ½)"));
+        shapes.extend(self.legend());
+        shapes
+    }
+
+    /// The map, and the scale of its colours along the profile's axis.
+    fn colors(&self) -> Vec<Shape> {
+        let Self { map, scale, half_row, .. } = self;
+        let image = |(center, size), rows: &[Vec<f64>]| Shape::Image { center, size, raster: Raster::new(rows) };
+        let whole = |panel: &Panel| panel.area([panel.x[0], panel.y[0]], [panel.x[1], panel.y[1]]);
+        let all = (0..128).map(|i| f64::from(i) / 127.0).collect();
+        let mut shapes = vec![image(whole(scale), &[all]), image(whole(map), &[vec![0.0]])];
+        let columns: Vec<&[Vec<f64>]> = groups(&self.densities, MAX_COLUMNS).collect();
+        let cell = |row: usize, states: &[Vec<f64>]| states.iter().map(|s| s[row]).sum::<f64>() / states.len() as f64;
+        let row = |row: usize| columns.iter().map(|states| cell(row, states) / scale.x[1]).collect();
+        // The upper row, the first of a raster, is the last position.
+        let rows: Vec<Vec<f64>> = (0..self.densities.first().map_or(0, Vec::len)).rev().map(row).collect();
+        if !rows.is_empty() {
+            shapes.push(image(map.area([map.x[0], *half_row], [map.x[1], map.y[1] - half_row]), &rows));
+        }
+        shapes
+    }
+
+    /// The control over time, constant during a step.
+    fn steps(&self) -> Vec<[f64; 2]> {
+        let means = thinned(&self.controls, MAX_COLUMNS);
+        let step = self.dt * self.controls.len() as f64 / means.len().max(1) as f64;
+        (0..).zip(&means).flat_map(|(i, &c)| [[step * f64::from(i), c], [step * f64::from(i + 1), c]]).collect()
+    }
+
+    /// The time in the middle of one of so many columns.
+    fn time(&self, column: usize, columns: usize) -> f64 {
+        let [from, to] = self.map.x;
+        from + (to - from) * (column as f64 + 0.5) / columns as f64
+    }
+
+    /// What the shapes of the profile are, and how well it went.
+    fn legend(&self) -> Vec<Shape> {
+        let (x, middle) = (self.profile.left + 14.0, (self.profile.left + self.profile.right) / 2.0);
+        let ends = [self.fidelities.first(), self.fidelities.last()].map(|f| f.copied().unwrap_or(0.0));
+        vec![
+            text([middle, 190.0], "probability per length"),
+            Shape::Rect { center: [x, 162.0], size: [28.0, 8.0], color: DENSITY },
+            text([x + 52.0, 158.0], "|ψ|² now"),
+            Shape::Line { from: [x - 13.0, 142.0], to: [x + 13.0, 142.0], width: 2.0, color: TARGET },
+            text([x + 56.0, 138.0], "|φ|² target"),
+            text([middle, 84.0], format!("fidelity {:.3} at the start", ends[0])),
+            text([middle, 66.0], format!("{:.3} at the end", ends[1])),
+        ]
+    }
+
+    /// What moves.
+    fn frame(&self, state: usize) -> Vec<Shape> {
+        let Self { map, profile, fidelity, half_row, .. } = self;
+        let density = &self.densities[state];
+        let position = |j: usize| 2.0 * half_row * (j + 1) as f64;
+        let bar = |(j, &density): (usize, &f64)| {
+            let reach = 0.8 * half_row;
+            let (center, size) = profile.area([0.0, position(j) - reach], [density, position(j) + reach]);
+            Shape::Rect { center, size, color: DENSITY }
+        };
+        let mut shapes: Vec<Shape> = density.iter().enumerate().map(bar).collect();
+        let walls = [[0.0, 0.0], [0.0, profile.y[1]]];
+        let inside = self.target.iter().enumerate().map(|(j, &density)| [density, position(j)]);
+        shapes.push(profile.curve([walls[0]].into_iter().chain(inside).chain([walls[1]]), 2.0, TARGET));
+        let time = state as f64 * self.dt;
+        let x = map.at(time, 0.0)[0];
+        shapes.push(Shape::Line { from: [x, map.top], to: [x, fidelity.bottom], width: 1.6, color: CURSOR });
+        shapes.push(Shape::Circle { center: fidelity.at(time, self.fidelities[state]), radius: 4.0, color: FIDELITY });
+        shapes
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn trajectory(grid: usize) -> Vec<Vec<f64>> {
-        (0..50).map(|t| (0..2 * grid).map(|i| (f64::from(t) * 0.1 + i as f64).sin()).collect()).collect()
+    fn trajectory(grid: usize, states: usize) -> Vec<Vec<f64>> {
+        let part = |t: usize, i: usize| (t as f64 * 0.1 + i as f64).sin() / (grid as f64).sqrt();
+        (0..states).map(|t| (0..2 * grid).map(|i| part(t, i)).collect()).collect()
+    }
+
+    fn bars(film: &Animation, frame: usize) -> Vec<f64> {
+        let bar = |shape: &Shape| match shape {
+            Shape::Rect { size, color, .. } if *color == DENSITY => Some(size[0]),
+            _ => None,
+        };
+        film.frames[frame].iter().filter_map(bar).collect()
+    }
+
+    fn curve(shapes: &[Shape], of: &str) -> Vec<[f64; 2]> {
+        let points = |shape: &Shape| match shape {
+            Shape::Curve { points, color, .. } if *color == of => Some(points.clone()),
+            _ => None,
+        };
+        shapes.iter().find_map(points).unwrap_or_default()
     }
 
     #[test]
-    fn bars_are_as_high_as_the_density() {
-        let film = quantum(&[vec![0.6, 0.0, 0.0, 0.3]], &[], 0.1);
-        let heights: Vec<f64> = film.frames[0]
-            .iter()
-            .filter_map(|shape| match shape {
-                Shape::Rect { size, color, .. } if *color == DENSITY => Some(size[1]),
-                _ => None,
-            })
-            .collect();
-        assert!(heights.len() == 2 && (heights[0] - HEIGHT).abs() < 1e-12 && (heights[1] - HEIGHT / 4.0).abs() < 1e-12);
+    fn bars_are_as_long_as_the_density() {
+        let film = quantum(&[vec![0.6, 0.0, 0.0, 0.3]], &[], &[0.1, 0.2], 2.0, 0.1);
+        let lengths = bars(&film, 0);
+        assert!(lengths.len() == 2 && (lengths[0] - 150.0).abs() < 1e-9 && (lengths[1] - 37.5).abs() < 1e-9, "{lengths:?}");
+    }
+
+    #[test]
+    fn the_dot_is_where_the_fidelity_is() {
+        let states = [vec![0.6, 0.0, 0.0, 0.8], vec![0.0, 1.0, 0.0, 0.0]];
+        let film = quantum(&states, &[2.0], &[1.0, 0.0], 2.0, 0.5);
+        let expected = [0.36, 1.0].map(|f| 44.0 + (120.0 - 44.0) * (f + 0.05) / 1.1);
+        for (frame, expected) in expected.into_iter().enumerate() {
+            let Some(Shape::Circle { center, .. }) = film.frames[frame].last() else { panic!("the dot is in front") };
+            assert!((center[1] - expected).abs() < 1e-9);
+        }
+        // The two columns of the map have their middles at a quarter and three quarters.
+        let cursor: Vec<f64> = curve(&film.still, FIDELITY).iter().map(|point| point[0]).collect();
+        assert_eq!(cursor, [100.0 + 430.0 / 4.0, 100.0 + 430.0 * 3.0 / 4.0]);
+        assert_eq!(curve(&film.still, CONTROL).iter().map(|p| p[0]).collect::<Vec<_>>(), cursor);
+    }
+
+    #[test]
+    fn the_map_has_a_cell_for_every_state_and_position() {
+        for (grid, states, size) in [(7, 5, "5 × 7"), (32, 129, "129 × 32"), (100_000, 2, "2 × 64"), (9, 2000, "256 × 9")] {
+            let film = quantum(&trajectory(grid, states), &vec![1.0; states - 1], &vec![0.1; grid], 2.0, 0.1);
+            let images = film.still.iter().filter(|shape| format!("{shape:?}").contains(&format!("Raster({size})")));
+            assert_eq!(images.count(), 1, "{size}");
+        }
+    }
+
+    #[test]
+    fn large_films_are_small_files() {
+        let mut states = trajectory(200, 3000);
+        states.iter_mut().zip(0..).for_each(|(s, t)| s.iter_mut().for_each(|v| *v *= 1.0 + 0.5 * f64::sin(f64::from(t))));
+        let controls: Vec<f64> = (0..3000).map(|t| f64::from(t).sin()).collect();
+        let svg = quantum(&states, &controls, &[0.07; 200], 2.0, 0.0625).to_svg();
+        assert!(svg.len() < 300_000, "{} bytes", svg.len());
     }
 
     #[test]
     fn film_ends_before_a_state_that_is_not_finite() {
-        let mut states = trajectory(200);
+        let mut states = trajectory(200, 50);
         states[30][7] = f64::NAN;
-        let film = quantum(&states, &[1.0, f64::INFINITY, -2.0], 0.1);
+        let film = quantum(&states, &[1.0, f64::INFINITY, -2.0], &[0.07; 200], 2.0, 0.1);
         assert_eq!(film.frames.len(), 30);
         let svg = film.to_svg();
         roxmltree::Document::parse(&svg).expect("an SVG is XML");
-        assert!(!svg.contains("NaN") && !svg.contains("inf\"") && svg.len() < 200_000, "{} bytes", svg.len());
+        assert!(!svg.contains("NaN") && !svg.contains("inf"));
     }
 
     #[test]
     fn empty_inputs_give_a_picture() {
-        for states in [vec![], vec![vec![]], vec![vec![f64::NAN; 4]], vec![vec![0.0]], vec![vec![0.0; 6]; 2]] {
-            roxmltree::Document::parse(&quantum(&states, &[], 0.0625).to_svg()).expect("an SVG is XML");
+        for states in
+            [vec![], vec![vec![]], vec![vec![f64::NAN; 4]], vec![vec![0.0]], vec![vec![0.0; 6]; 2], vec![vec![1e200; 6]]]
+        {
+            for (target, length, dt) in [(vec![], 2.0, 0.0625), (vec![0.5; 3], f64::NAN, 0.0)] {
+                let svg = quantum(&states, &[], &target, length, dt).to_svg();
+                roxmltree::Document::parse(&svg).expect("an SVG is XML");
+                assert!(!svg.contains("NaN") && !svg.contains("inf<"));
+            }
         }
     }
 }

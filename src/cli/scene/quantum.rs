@@ -118,6 +118,7 @@ impl Scene for Quantum {
 
     fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
         let tilts: Vec<f64> = controls.iter().map(|u| u[0]).collect();
-        report::quantum(states, &tilts, self.system.dt)
+        let target: Vec<f64> = self.system.eigenstate(self.target).collect();
+        report::quantum(states, &tilts, &target, self.system.length, self.system.dt)
     }
 }

@@ -1,0 +1,142 @@
+//! The check of a policy's batched passes.
+
+use super::{CASES_OF_LONG_CHECKS, Comparison, Mismatch, ONE_STEP, Passed, normal, oracle};
+use crate::policy::{Policy, PolicyColumns};
+use crate::rng::{Purpose, Rng, stream};
+
+/// Up to so many parameters, all are compared one by one.
+const FEW: usize = 1000;
+/// Of more of them, so many of each tensor.
+const OF_EACH: usize = 64;
+
+/// Checks a policy's batched passes against [`Policy::act`] and its duals. See [`try_policy`].
+///
+/// # Panics
+/// With the [`Mismatch`].
+#[track_caller]
+pub fn policy<P: Policy>(policy: &P) -> Passed {
+    try_policy(policy).unwrap_or_else(|mismatch| panic!("the policy's batched passes are wrong: {mismatch}"))
+}
+
+/// As [`policy`], as a value.
+///
+/// The gradient `g` by the parameters is compared component by component, or if there are more than 1000, in 64 random
+/// components of each of [`Policy::tensors`]. In any case it is also compared in random directions `v` over all
+/// parameters: `⟨g, v⟩` with the derivative of `act` along v, by duals. As every `|vᵢ|` is between 1/2 and 3/2, no wrong
+/// component can stay unseen; when a direction is wrong, all components are compared to find which.
+///
+/// In a direction, `1e-12 Σ |gᵢ vᵢ|` is allowed. Rounding alone: a sum of n terms, each rounded to `ε = 1.1e-16`, is off
+/// by about `√n ε Σ |gᵢ vᵢ|`, which is 1.2e-14 for the 11,700 parameters of a usual network; what cancels within the
+/// `gᵢ`, which are sums over columns and positions, takes another digit or so. So one component that is wrong by d is
+/// found if `d > 2e-12 Σ |gᵢ vᵢ|`, which is at most `3e-12 n` of the largest: here 4e-8 of it.
+///
+/// # Errors
+/// The first [`Mismatch`].
+pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
+    let (n, m, params) = (policy.state_dim(), policy.control_dim(), policy.param_count());
+    // Three samples of three steps; the last step of each and then all are evaluated, as a rollout does.
+    let (samples, steps) = (3, 3);
+    let total = samples * steps;
+    let mut c = Comparison::new(ONE_STEP);
+    for case in 0..CASES_OF_LONG_CHECKS {
+        c.case = case;
+        let mut rng = stream(case, Purpose::Check, 0);
+        let weights = oracle::weights(policy, 0.1, &mut rng);
+        let (x, u_bar, weight) = (normal(&mut rng, total * n), normal(&mut rng, total * m), normal(&mut rng, total));
+        let sizes = policy.sizes::<f64>(total);
+        let mut tape = vec![0.0; sizes.tape];
+        let mut u = vec![f64::NAN; total * m];
+        for t in 0..steps {
+            let at = PolicyColumns { first: t, step: steps, count: samples };
+            policy.forward(weights.packed(), at, &x, &mut tape, &mut u);
+        }
+        let mut expected = vec![0.0; total * m];
+        for (x, u) in x.chunks_exact(n).zip(expected.chunks_exact_mut(m)) {
+            policy.act(weights.theta(), x, u);
+        }
+        c.slices("forward: u", &u, &expected)?;
+
+        let mut tape_bar = vec![0.0; sizes.tape_bar];
+        let mut x_bar = vec![f64::NAN; total * n];
+        let all = PolicyColumns::range(0..total);
+        policy.backward(weights.packed(), all, &x, &tape, &u_bar, &mut tape_bar, Some(&mut x_bar));
+        c.slices("backward: x_bar", &x_bar, &oracle::policy_input_gradient(policy, weights.theta(), &x, &u_bar))?;
+
+        let components = |indices: &[usize]| oracle::policy_components(policy, weights.theta(), &x, &u_bar, indices);
+        let some = components(&some_parameters(policy, &mut rng));
+        let directions = oracle::policy_directions(policy, weights.theta(), &x, &u_bar, &mut rng);
+        let mut scratch = vec![0.0; sizes.scratch];
+        for weight in [None, Some(&weight[..])] {
+            let mut theta_bar = vec![0.0; params];
+            let packed = weights.packed();
+            policy.param_gradient(packed, 0..total, &x, &tape, &u_bar, &tape_bar, weight, &mut scratch, &mut theta_bar);
+            c.components(&theta_bar, &some, weight)?;
+            for (index, (direction, slopes)) in directions.iter().enumerate() {
+                if let Err(mismatch) = c.direction(index, &theta_bar, direction, slopes, weight) {
+                    c.components(&theta_bar, &components(&(0..params).collect::<Vec<_>>()), weight)?;
+                    return Err(mismatch);
+                }
+            }
+        }
+    }
+    Ok(c.passed)
+}
+
+/// All of few parameters; of many, some of each tensor.
+fn some_parameters<P: Policy>(policy: &P, rng: &mut Rng) -> Vec<usize> {
+    if policy.param_count() <= FEW {
+        return (0..policy.param_count()).collect();
+    }
+    let mut indices = Vec::new();
+    for tensor in policy.tensors() {
+        let len = tensor.range.len();
+        indices.extend(rand::seq::index::sample(rng, len, len.min(OF_EACH)).iter().map(|i| tensor.range.start + i));
+    }
+    indices.sort_unstable();
+    indices
+}
+
+/// The sum over all columns.
+fn weighted(slopes: &[f64], weight: Option<&[f64]>) -> f64 {
+    weight.map_or_else(|| slopes.iter().sum(), |weight| slopes.iter().zip(weight).map(|(s, w)| s * w).sum())
+}
+
+impl Comparison {
+    /// Single components of the parameter gradient with their slopes in every column.
+    fn components(&mut self, found: &[f64], some: &[(usize, Vec<f64>)], weight: Option<&[f64]>) -> Result<(), Mismatch> {
+        let expected: Vec<(usize, f64)> = some.iter().map(|(index, slopes)| (*index, weighted(slopes, weight))).collect();
+        let scale = expected.iter().fold(0.0, |scale: f64, (_, e)| scale.max(e.abs()));
+        expected.iter().try_for_each(|&(index, e)| self.one("param_gradient: theta_bar", index, found[index], e, scale))
+    }
+
+    /// The parameter gradient in a direction.
+    fn direction(
+        &mut self,
+        index: usize,
+        found: &[f64],
+        direction: &[f64],
+        slopes: &[f64],
+        weight: Option<&[f64]>,
+    ) -> Result<(), Mismatch> {
+        let terms = || found.iter().zip(direction).map(|(g, v)| g * v);
+        let scale = terms().map(f64::abs).sum();
+        self.one("param_gradient: theta_bar in random direction", index, terms().sum(), weighted(slopes, weight), scale)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::{Conv, Linear};
+
+    #[test]
+    fn some_of_each_tensor_are_compared() {
+        let policy = Conv::new(32, 60);
+        let chosen = some_parameters(&policy, &mut stream(0, Purpose::Check, 0));
+        assert!(chosen.is_sorted_by(|a, b| a < b), "every index once");
+        let of = |tensor: crate::policy::Tensor| chosen.iter().filter(|i| tensor.range.contains(i)).count();
+        assert_eq!(policy.tensors().into_iter().map(of).collect::<Vec<_>>(), [64, 60, 64, 60, 64, 1]);
+        let few = some_parameters(&Linear::with_bias(3, 2), &mut stream(0, Purpose::Check, 0));
+        assert_eq!(few, (0..8).collect::<Vec<_>>());
+    }
+}

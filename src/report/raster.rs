@@ -1,0 +1,85 @@
+//! [`Raster`]: numbers as coloured cells, in one embedded PNG instead of thousands of rectangles.
+
+use std::fmt;
+
+/// Rows of cells, each a number between 0 and 1 as a colour that the eye sees grow evenly: black, red, yellow.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Raster {
+    columns: usize,
+    /// Red, green and blue of every cell, the upper row first.
+    rgb: Vec<u8>,
+}
+
+impl Raster {
+    /// The upper row first, all rows of the same length. What is not a number is 0.
+    ///
+    /// # Panics
+    /// Without a cell, or if the rows differ in length.
+    pub fn new(rows: &[Vec<f64>]) -> Self {
+        let columns = rows.first().map_or(0, Vec::len);
+        assert!(columns > 0 && rows.iter().all(|row| row.len() == columns), "a raster has rows of the same length, not 0");
+        // A NaN is not above 0.
+        let shown = |value: f64| if value > 0.0 { value.min(1.0) } else { 0.0 };
+        let color = |&value: &f64| colorous::INFERNO.eval_continuous(shown(value)).as_array();
+        Self { columns, rgb: rows.iter().flatten().flat_map(color).collect() }
+    }
+
+    /// The file, one pixel a cell.
+    fn png(&self) -> Vec<u8> {
+        let mut file = Vec::new();
+        let mut encoder = png::Encoder::new(&mut file, self.columns as u32, (self.rgb.len() / 3 / self.columns) as u32);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.write_header().and_then(|mut writer| writer.write_image_data(&self.rgb)).expect("a vector takes every byte");
+        file
+    }
+
+    /// The file within an address.
+    pub(super) fn data_uri(&self) -> String {
+        format!("data:image/png;base64,{}", base64(&self.png()))
+    }
+}
+
+impl fmt::Debug for Raster {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Raster({} × {})", self.columns, self.rgb.len() / 3 / self.columns)
+    }
+}
+
+/// RFC 4648: six bits a letter, `=` where the last three bytes are not full.
+fn base64(bytes: &[u8]) -> String {
+    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let letters = |three: &[u8]| {
+        let bits = three.iter().chain([0, 0].iter()).take(3).fold(0, |bits, &byte| bits << 8 | usize::from(byte));
+        let full = three.len();
+        (0..4).map(move |i| if i <= full { char::from(LETTERS[bits >> (18 - 6 * i) & 63]) } else { '=' })
+    };
+    bytes.chunks(3).flat_map(letters).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_is_that_of_the_rfc() {
+        for (bytes, text) in
+            [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("fooba", "Zm9vYmE=")]
+        {
+            assert_eq!(base64(bytes.as_bytes()), text);
+        }
+    }
+
+    #[test]
+    fn cells_come_back_from_the_file() {
+        let raster = Raster::new(&[vec![0.0, 0.5, 1.0], vec![f64::NAN, -1.0, f64::INFINITY]]);
+        let file = raster.png();
+        let mut reader = png::Decoder::new(std::io::Cursor::new(&file)).read_info().expect("a PNG");
+        let mut pixels = vec![0; 18];
+        let info = reader.next_frame(&mut pixels).expect("a picture");
+        assert_eq!((info.width, info.height, &pixels), (3, 2, &raster.rgb));
+        // Dark is low; what is beyond the scale is at its end.
+        assert!(pixels[..3].iter().all(|&c| c < 10) && pixels[6] > 240);
+        assert_eq!(pixels[9..15], [&pixels[..3], &pixels[..3]].concat());
+        assert_eq!(pixels[15..], pixels[6..9]);
+    }
+}
