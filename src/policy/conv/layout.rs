@@ -1,0 +1,91 @@
+//! Where a [`Conv`] keeps what: positions, weights in `θ` and packed, activations and cotangents.
+
+use super::layer::Layer;
+use super::{BLOCK, CHANNELS, Conv, KERNEL};
+use crate::scalar::Float;
+
+/// Where the activations of a rollout are: those of one block, then those of all columns.
+pub(super) struct Places {
+    /// Start of the columns of x, h₁, h₂ of one block.
+    pub(super) block: [usize; 3],
+    /// Start of those of all columns.
+    pub(super) all: [usize; 3],
+    pub(super) len: usize,
+}
+
+/// The smallest multiple of the padding that is at least `n`.
+fn padded<F: Float>(n: usize) -> usize {
+    n.next_multiple_of(F::PAD)
+}
+
+impl Conv {
+    /// Positions of x, h₁, h₂.
+    pub(super) fn positions(&self) -> [usize; 3] {
+        let next = |positions: usize| (positions - KERNEL) / 2 + 1;
+        [self.grid, next(self.grid), next(next(self.grid))]
+    }
+
+    pub(super) fn layers<F: Float>(&self) -> [Layer; 2] {
+        let [grid, first, second] = self.positions();
+        let room = grid.div_ceil(4);
+        let slot = padded::<F>(self.width + 1);
+        // An odd number of cache lines, so that neighbouring columns do not compete for the same places in the cache.
+        let lda = ((slot / F::PAD) | 1) * F::PAD;
+        let mut one = Layer {
+            channels: CHANNELS,
+            slot: CHANNELS + 1,
+            positions: first,
+            room: 2 * room,
+            slot_out: slot,
+            theta: 0,
+            packed: 0,
+            lda,
+            transposed: 0,
+            entries: 0,
+        };
+        let mut two = Layer { channels: self.width, slot, positions: second, room, ..one };
+        let mut end = 0;
+        for layer in [&mut one, &mut two] {
+            layer.packed = end;
+            layer.transposed = layer.packed + layer.depth() * lda;
+            layer.entries = padded::<F>(layer.depth() - 1);
+            end = layer.transposed + self.width * layer.entries;
+        }
+        two.theta = (KERNEL * CHANNELS + 1) * self.width;
+        [one, two]
+    }
+
+    /// Start of the output's kernel in `θ`.
+    pub(super) fn dense(&self) -> usize {
+        (KERNEL * CHANNELS + 1) * self.width + (KERNEL * self.width + 1) * self.width
+    }
+
+    /// Start of the output's weights in the packed form, laid out as a column of h₂; its end is the end of all.
+    pub(super) fn packed_dense(&self, two: &Layer) -> usize {
+        two.transposed + self.width * two.entries
+    }
+
+    pub(super) fn places<F: Float>(&self, [one, two]: &[Layer; 2], total: usize) -> Places {
+        let lens = [one.input(), one.output(), two.output()];
+        let mut end = 0;
+        let mut place = |columns: usize| {
+            // Activations first: they stay aligned as long as the buffer is.
+            let mut starts = [0; 3];
+            for i in [1, 2, 0] {
+                starts[i] = end;
+                end += padded::<F>(columns * lens[i]);
+            }
+            starts
+        };
+        let (block, all) = (place(BLOCK), place(total));
+        Places { block, all, len: end }
+    }
+
+    /// Start of the cotangents of h₁ and h₂ in all columns, after the windows' cotangents of one block; and the end.
+    pub(super) fn places_bar([one, two]: &[Layer; 2], total: usize) -> [usize; 3] {
+        let windows = [one, two].map(|l| BLOCK * l.room * l.entries);
+        let first = windows[0].max(windows[1]);
+        let second = first + total * one.output();
+        [first, second, second + total * two.output()]
+    }
+}
