@@ -1,15 +1,15 @@
 //! [`Drawing`]: a picture that stands still, as SVG or PNG.
 
 use kuva::backend::png::PngBackend;
-use kuva::prelude::{Figure, SvgBackend};
+use kuva::prelude::SvgBackend;
 use kuva::render::render::Scene;
 
 /// A finished picture. The same numbers give the same bytes, on every machine: fonts are built in.
 pub struct Drawing(Scene);
 
 impl Drawing {
-    pub(super) fn of(figure: Figure) -> Self {
-        Self(figure.render())
+    pub(super) fn of(scene: Scene) -> Self {
+        Self(scene)
     }
 
     /// As SVG: sharp at any size, text that can be searched.
