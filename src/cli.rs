@@ -6,10 +6,12 @@ mod check;
 mod compare;
 mod folder;
 mod outputs;
+mod report;
 mod run;
 mod saved;
 mod scene;
 mod settings;
+mod statistics;
 mod tasks;
 mod terminal;
 mod train;
@@ -34,6 +36,7 @@ enum Command {
     Train(train::Train),
     Compare(compare::Compare),
     Animate(animate::Animate),
+    Report(report::Report),
     Check(check::Check),
     /// List the tasks and their settings
     Tasks,
@@ -56,6 +59,7 @@ fn execute(command: &Command) -> Result<()> {
         Command::Train(args) => on_interrupt().and_then(|()| train::train(args)),
         Command::Compare(args) => on_interrupt().and_then(|()| compare::compare(args)),
         Command::Animate(args) => animate::animate(args),
+        Command::Report(args) => report::report(args),
         Command::Check(args) => check::check(args),
         Command::Tasks => tasks::tasks(),
     }

@@ -6,12 +6,13 @@ use super::run::{self, Finished, Watch};
 use super::saved;
 use super::scene::{Scene, with_scene};
 use super::settings::{FieldName, Settings};
+use super::statistics::{self, Outcome, by_field, curves};
 use super::terminal::{Progress, say};
 use super::train::{best, threads};
 use anyhow::{Context, Result, bail};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
-use physgrad::report::{Curve, Point, comparison, field_color};
+use physgrad::report::comparison;
 use physgrad::{Divergence, Field, Record, Skip};
 use rayon::prelude::*;
 use std::path::PathBuf;
@@ -69,13 +70,8 @@ impl<S: Scene> Run<S> {
         check_resumable(&self.folder, &self.settings).map(|()| true)
     }
 
-    /// The loss at the end; NaN for a run that broke off.
-    fn last(&self, loss: fn(&Record) -> f64) -> f64 {
-        self.records.last().filter(|_| !self.broken).map_or(f64::NAN, loss)
-    }
-
-    fn seconds(&self) -> f64 {
-        self.records.iter().map(|r| r.seconds).sum()
+    fn outcome(&self) -> Outcome<'_> {
+        Outcome { field: self.field, seed: self.seed, records: &self.records, broken: self.broken }
     }
 }
 
@@ -125,11 +121,12 @@ fn compare_scene<S: Scene>(args: &Compare) -> Result<()> {
     if interrupted {
         say(&format!("interrupted; the same command with --out {} goes on", folder.path().display()));
     } else {
-        folder.write("summary.csv", summary(&runs)?)?;
-        folder.write("curves.svg", comparison(&title(&runs), &curves(&runs)).to_svg())?;
+        let outcomes: Vec<Outcome> = runs.iter().map(Run::outcome).collect();
+        folder.write("summary.csv", summary(&outcomes)?)?;
+        folder.write("curves.svg", comparison(&title(S::NAME, &outcomes), &curves(&outcomes, |r| r.test_loss)).to_svg())?;
         if !args.quiet {
             let files = "summary.csv, curves.svg, and every run in runs/";
-            say(&format!("{}\nresults in {}: {files}", table(&runs), folder.path().display()));
+            say(&format!("{}\nresults in {}: {files}", table(&outcomes), folder.path().display()));
         }
     }
     if failures.is_empty() {
@@ -189,70 +186,25 @@ impl Watch for Watched<'_> {
 }
 
 /// `summary.csv`: one row a run; a run that broke off has no final losses.
-fn summary<S: Scene>(runs: &[Run<S>]) -> Result<Vec<u8>> {
+fn summary(runs: &[Outcome]) -> Result<Vec<u8>> {
     let mut csv = csv::Writer::from_writer(Vec::new());
     csv.write_record(["field", "seed", "final_train_loss", "final_test_loss", "best_test_loss", "seconds"])?;
     for run in runs {
-        let numbers = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(&run.records), run.seconds()];
+        let numbers = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(run.records), run.seconds()];
         let names = [run.field.letter().to_owned(), run.seed.to_string()];
         csv.write_record(names.into_iter().chain(numbers.map(|x| x.to_string())))?;
     }
     Ok(csv.into_inner()?)
 }
 
-/// The runs of one field after the other.
-fn by_field<S: Scene>(runs: &[Run<S>]) -> impl Iterator<Item = (Field, &[Run<S>])> {
-    runs.chunk_by(|a, b| a.field == b.field).map(|runs| (runs[0].field, runs))
-}
-
-fn title<S: Scene>(runs: &[Run<S>]) -> String {
+fn title(task: &str, runs: &[Outcome]) -> String {
     let seeds = by_field(runs).map(|(_, runs)| runs.len()).max().unwrap_or(0);
-    format!("{}, {seeds} seed{}", S::NAME, if seeds == 1 { "" } else { "s" })
+    format!("{task}, {seeds} seed{}", if seeds == 1 { "" } else { "s" })
 }
 
-fn curves<S: Scene>(runs: &[Run<S>]) -> Vec<Curve> {
-    let points = |run: &Run<S>| {
-        let elapsed = run.records.iter().scan(0.0, |sum, r| {
-            *sum += r.seconds;
-            Some(*sum)
-        });
-        run.records.iter().zip(elapsed).map(|(r, seconds)| Point { epoch: r.epoch as f64, seconds, loss: r.test_loss }).collect()
-    };
-    let curve = |(field, runs): (Field, &[Run<S>])| Curve {
-        label: format!("{} ({field})", field.letter()),
-        color: field_color(field.letter()),
-        runs: runs.iter().map(points).collect(),
-    };
-    by_field(runs).map(curve).collect()
-}
-
-/// Medians over the seeds. A loss that is not there is worse than any that is.
-fn table<S: Scene>(runs: &[Run<S>]) -> Table {
+fn table(runs: &[Outcome]) -> Table {
     let mut table = Table::new();
-    let header = ["field", "seeds", "broke off", "median final test loss", "lowest", "highest", "median best", "median seconds"];
-    table.load_style(UTF8_FULL_CONDENSED).set_header(header);
-    for (field, runs) in by_field(runs) {
-        let sorted = |value: &dyn Fn(&Run<S>) -> f64| {
-            let mut values: Vec<f64> = runs.iter().map(|run| value(run).abs()).collect();
-            values.sort_by(f64::total_cmp);
-            values
-        };
-        let last = sorted(&|r| r.last(|r| r.test_loss));
-        table.add_row([
-            field.to_string(),
-            runs.len().to_string(),
-            runs.iter().filter(|run| run.broken).count().to_string(),
-            format!("{:.3e}", median(&last)),
-            format!("{:.3e}", last[0]),
-            format!("{:.3e}", last[last.len() - 1]),
-            format!("{:.3e}", median(&sorted(&|r| best(&r.records)))),
-            format!("{:.1}", median(&sorted(&Run::seconds))),
-        ]);
-    }
+    table.load_style(UTF8_FULL_CONDENSED).set_header(statistics::TABLE_HEADER);
+    table.add_rows(statistics::table(runs));
     table
-}
-
-fn median(sorted: &[f64]) -> f64 {
-    let n = sorted.len();
-    if n % 2 == 1 { sorted[n / 2] } else { 0.5 * (sorted[n / 2 - 1] + sorted[n / 2]) }
 }

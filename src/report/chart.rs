@@ -10,9 +10,9 @@ use kuva::prelude::{Layout, render_multiple};
 /// Width and height; small, so that the letters are still readable where a telephone shrinks it.
 const SIZE: [f64; 2] = [460.0, 270.0];
 /// From the edges to the plotted area: left, top, right, bottom.
-const MARGINS: [f64; 4] = [66.0, 14.0, 16.0, 46.0];
+const MARGINS: [f64; 4] = [58.0, 12.0, 16.0, 44.0];
 
-/// One diagram without legend or title, which the page around it has.
+/// One diagram without title, legend and name of the y axis, which the page around it has.
 pub struct Chart {
     x_label: &'static str,
     y_label: &'static str,
@@ -101,7 +101,7 @@ impl Chart {
             .with_y_axis_min(low)
             .with_y_axis_max(high)
             .with_x_label(self.x_label)
-            .with_y_label(self.y_label)
+            .with_x_tick_step(tick_step(&self.x, &self.series))
             .with_tick_size(12)
             .with_label_size(13)
             .with_theme(theme());
@@ -130,6 +130,15 @@ fn x_range(series: &[Series]) -> [f64; 2] {
     let low = xs().fold(0.0, f64::min);
     let high = xs().fold(low, f64::max);
     [low, if high > low { high } else { low + 1.0 }]
+}
+
+/// 1, 2 or 5 times a power of ten, at most seven of them in the range; whole where all x are.
+fn tick_step([low, high]: &[f64; 2], series: &[Series]) -> f64 {
+    let least = (high - low) / 6.5;
+    let power = 10f64.powf(least.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|&step| step >= least).unwrap_or(least);
+    let whole = series.iter().flat_map(|s| &s.line).all(|&(x, _)| x.fract() == 0.0);
+    if whole { step.max(1.0) } else { step }
 }
 
 #[cfg(test)]
@@ -168,6 +177,13 @@ mod tests {
         }
         let points = [(1.0, -0.7), (2.0, 0.1), (5.0, 1.0)];
         check(&Chart::linear("x", "y", [-1.0, 1.0], vec![Series::new("a", "#123456", points.to_vec())]), &points);
+    }
+
+    #[test]
+    fn ticks_are_round_and_epochs_whole() {
+        let step = |high: f64, x: f64| tick_step(&[0.0, high], &[Series::new("a", "red", vec![(x, 1.0)])]);
+        assert_eq!([step(3.0, 1.0), step(15.0, 1.0), step(60.0, 1.0), step(1000.0, 1.0)], [1.0, 5.0, 10.0, 200.0]);
+        assert_eq!([step(3.0, 0.5), step(0.3, 0.1)], [0.5, 0.05]);
     }
 
     #[test]
