@@ -4,6 +4,7 @@ use super::counted;
 use super::figure::{Figure, Key};
 use super::study::Study;
 use crate::cli::statistics::{Outcome, by_field, curves, field_label};
+use physgrad::Record;
 use physgrad::report::{Chart, Point, Series, field_color};
 
 const EPOCH: &str = "epoch";
@@ -23,7 +24,7 @@ pub fn of_run(run: &Study) -> Vec<Figure> {
             "The loss of the whole training and test set after every epoch. Look for a test loss that stays behind while the \
              training loss falls (overfitting), and for jumps (steps that are too large).",
         )
-        .notes(left_out(&[outcome])),
+        .notes(left_out(&[outcome], &[|r| r.train_loss, |r| r.test_loss])),
         Figure::new(
             "Loss by time",
             Chart::log(SECONDS, "loss", series(|p| p.seconds)),
@@ -50,7 +51,7 @@ pub fn of_comparison(runs: &[Study]) -> Vec<Figure> {
                  the worst seed. Look for the lowest line, and for bands that do not overlap."
             },
         )
-        .notes(left_out(&outcomes)),
+        .notes(left_out(&outcomes, &[|r| r.test_loss])),
         Figure::new(
             "Test loss by time",
             Chart::log(SECONDS, "test loss", means(|p| p.seconds)),
@@ -86,19 +87,15 @@ pub fn field_keys<'a>(runs: impl IntoIterator<Item = &'a Study>) -> Vec<Key> {
 }
 
 /// Says what a logarithmic axis cannot show.
-fn left_out(runs: &[Outcome]) -> Vec<String> {
-    let losses = || runs.iter().flat_map(|run| run.records).map(|r| r.test_loss);
-    let infinite = losses().filter(|loss| !loss.is_finite()).count();
-    let rest = losses().filter(|&loss| loss <= 0.0).count();
-    let mut notes = Vec::new();
-    if infinite > 0 {
-        notes.push(format!(
-            "Left out, because a rollout of the test set diverged: the test loss of {}.",
-            counted(infinite, "epoch")
-        ));
-    }
-    if rest > 0 {
-        notes.push(format!("Left out, because a logarithmic axis has no zero: the test loss of {}.", counted(rest, "epoch")));
-    }
-    notes
+fn left_out(runs: &[Outcome], losses: &[fn(&Record) -> f64]) -> Vec<String> {
+    let epochs = |hidden: fn(f64) -> bool| {
+        let records = runs.iter().flat_map(|run| run.records);
+        records.filter(|record| losses.iter().any(|loss| hidden(loss(record)))).count()
+    };
+    let reasons = [
+        (epochs(|loss| !loss.is_finite()), "because a rollout diverged"),
+        (epochs(|loss| loss <= 0.0), "because a logarithmic axis has no zero"),
+    ];
+    let note = |(count, why)| format!("Left out, {why}: a loss of {}.", counted(count, "epoch"));
+    reasons.into_iter().filter(|&(count, _)| count > 0).map(note).collect()
 }
