@@ -231,7 +231,7 @@ fn runs_that_were_not_finished_have_a_page_that_says_so() {
         (dir.path().join("broken"), dir.path().join("all"), dir.path().join("none"), dir.path().join("one"));
     train(&broken, &["--epochs", "40"]).args(DIVERGES).assert().failure();
     let page = report(&broken);
-    assert!(page.contains("This run broke off after 3 epochs of 40: training stopped: 11 updates in a row"), "{page}");
+    assert!(page.contains("This run broke off after 3 epochs of 40: training stopped: 11 updates in a row"));
     assert!(page.contains("because a rollout diverged: a loss of 3 epochs.") && page.contains("There are no numbers to draw."));
     assert!(page.contains("Before training, a rollout diverged") && page.contains("state component 0 of sample 0"));
 

@@ -32,8 +32,8 @@ pub fn of_epochs(runs: &[Study]) -> Vec<Figure> {
             Figure::new(
                 "Agreement of M and R",
                 Chart::linear(EPOCH, "cosine", [-1.0, 1.0], by_epoch(|r| r.cosine.unwrap_or(f64::NAN))),
-                "The cosine of the angle between the gradients M and R of which C is made. At 1 they point the same way; look for \
-                 where it drops to 0 or below: there the way back through the network has turned R away from M.",
+                "The cosine of the angle between the gradients M and R of which C is made. At 1 they point the same way; look \
+                 for where it drops to 0 or below: there the way back through the network has turned R away from M.",
             )
             .keys(keys()),
         );
@@ -41,8 +41,8 @@ pub fn of_epochs(runs: &[Study]) -> Vec<Figure> {
             Figure::new(
                 "Share of components kept",
                 Chart::linear(EPOCH, "share kept", [0.0, 1.0], by_epoch(|r| r.kept.unwrap_or(f64::NAN))),
-                "The share of parameters in which M and R have the same sign: C follows M there and leaves the others alone. Chance \
-                 would keep a half; look for a share near or below it.",
+                "The share of parameters in which M and R have the same sign: C follows M there and leaves the others alone. \
+                 Chance would keep a half; look for a share near or below it.",
             )
             .keys(keys()),
         );
@@ -99,15 +99,15 @@ pub fn of_comparison(runs: &[Study]) -> Vec<Figure> {
         trained(
             "Growth of M as trained",
             1,
-            "The adjoint of M (through the physics only) under the same policies. Look for lines that stay level where those of R \
-             do not.",
+            "The adjoint of M (through the physics only) under the same policies. Look for lines that stay level where those \
+             of R do not.",
         ),
     ]
 }
 
-const GROWTH: &str = "How strongly the loss depends on the state at each step, going back through physics and network (R) or through \
-                      the physics alone (M); the root mean square over test rollouts. Read it from right to left: a line that climbs by \
-                      powers of ten explodes, one that sinks vanishes. Look for how far R and M part.";
+const GROWTH: &str = "How strongly the loss depends on the state at each step, going back through physics and network (R) or \
+                      through the physics alone (M); the root mean square over test rollouts. Read it from right to left: a \
+                      line that climbs by powers of ten explodes, one that sinks vanishes. Look for how far R and M part.";
 
 /// Says why a line ends, or why there is none.
 fn diverged(growths: &[Growth], when: &str) -> Vec<String> {

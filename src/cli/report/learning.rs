@@ -47,8 +47,8 @@ pub fn of_comparison(runs: &[Study]) -> Vec<Figure> {
                 "The loss of the test set after every epoch. Look for the field that ends lowest, and for lines that stay level \
                  (a gradient that leads nowhere)."
             } else {
-                "The loss of the test set after every epoch: lines are geometric means over the seeds, bands run from the best to \
-                 the worst seed. Look for the lowest line, and for bands that do not overlap."
+                "The loss of the test set after every epoch: lines are geometric means over the seeds, bands run from the best \
+                 to the worst seed. Look for the lowest line, and for bands that do not overlap."
             },
         )
         .notes(left_out(&outcomes, &[|r| r.test_loss])),

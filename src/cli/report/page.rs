@@ -42,7 +42,9 @@ pub fn comparison(folder: &str, runs: &[Study]) -> String {
             (table(&statistics::TABLE_HEADER, &statistics::table(&outcomes)))
             p.note {
                 "Medians, lowest and highest over the seeds."
-                @if outcomes.iter().any(|run| run.broken) { " A run that broke off has no final loss (NaN), which counts as the worst." }
+                @if outcomes.iter().any(|run| run.broken) {
+                    " A run that broke off has no final loss (NaN), which counts as the worst."
+                }
             }
         }))
         (section("Learning", figures(learning::of_comparison(runs))))
@@ -154,7 +156,8 @@ fn films(runs: &[&Study]) -> Markup {
             div.figures { @for run in runs { @if let Some(close) = &run.close {
                 figure {
                     @if runs.len() > 1 { h3 { (run.name()) } }
-                    img.film src=(data_uri(&close.film)) alt=(format!("Animation of {} under the policy of {}", run.task, run.name()));
+                    @let alt = format!("Animation of {} under the policy of {}", run.task, run.name());
+                img.film src=(data_uri(&close.film)) alt=(alt);
                 }
             } } }
             p.note { "One rollout from a start state of the test set, under the policy as the run left it." }
@@ -184,7 +187,10 @@ fn data_uri(svg: &str) -> String {
 fn remarks(runs: &[Study]) -> Markup {
     html! {
         @if let Some(missing) = diagnostics::missing(runs) { p.note { (missing) } }
-        p.note { "Adjoints are those of the first " (SAMPLES) " test starts, or of as many as there are. Diagrams leave out what their axes cannot show, and thin lines of many points." }
+        p.note {
+            "Adjoints are those of the first " (SAMPLES) " test starts, or of as many as there are. Diagrams leave out what \
+             their axes cannot show, and thin lines of many points."
+        }
     }
 }
 
