@@ -55,7 +55,9 @@ impl Chart {
 
     /// A diagram whose y axis runs from `range[0]` to `range[1]`. Points outside of it are left out.
     pub fn linear(x_label: &'static str, y_label: &'static str, range: [f64; 2], series: Vec<Series>) -> Self {
-        let series = shown(series, |y| range[0] <= y && y <= range[1]);
+        // A cosine may be larger than 1 by a rounding error.
+        let slack = 1e-9 * (range[1] - range[0]);
+        let series = shown(series, |y| range[0] - slack <= y && y <= range[1] + slack);
         Self { x_label, y_label, x: x_range(&series), y: Axis::Linear(range), series }
     }
 
@@ -192,6 +194,8 @@ mod tests {
         let chart =
             Chart::log("x", "y", vec![series(&[(0.0, f64::NAN), (1.0, 0.0)]), series(&[(0.0, f64::INFINITY), (1.0, 2.0)])]);
         assert_eq!(chart.series(), [series(&[(1.0, 2.0)])]);
+        let linear = Chart::linear("x", "y", [-1.0, 1.0], vec![series(&[(0.0, 1.0 + 1e-15), (1.0, 1.1), (2.0, f64::NAN)])]);
+        assert_eq!(linear.series()[0].line.len(), 1);
         assert!(chart.drawing().to_svg().contains("<circle"), "a single point is a dot");
         roxmltree::Document::parse(&Chart::log("x", "y", vec![]).drawing().to_svg()).expect("an SVG is XML");
     }
