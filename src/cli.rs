@@ -7,6 +7,7 @@ mod compare;
 mod folder;
 mod outputs;
 mod paper;
+mod report;
 mod run;
 mod saved;
 mod scene;
@@ -37,6 +38,7 @@ enum Command {
     Train(train::Train),
     Compare(compare::Compare),
     Animate(animate::Animate),
+    Report(report::Report),
     Check(check::Check),
     Paper(paper::Paper),
     /// List the tasks and their settings
@@ -66,6 +68,7 @@ fn execute(command: &Command) -> Result<()> {
         Command::Compare(args) => on_interrupt().and_then(|()| compare::compare(args)),
         Command::Animate(args) => animate::animate(args),
         Command::Paper(args) => on_interrupt().and_then(|()| paper::paper(args)),
+        Command::Report(args) => report::report(args),
         Command::Check(args) => check::check(args),
         Command::Tasks => tasks::tasks(),
     }

@@ -2,20 +2,26 @@
 
 mod animation;
 mod cart_pole;
+mod chart;
 mod curves;
 mod drawing;
 mod guidance;
+mod log_axis;
 mod log_figure;
+mod marks;
 mod panel;
 mod plane;
 mod quantum;
 mod raster;
+mod series;
 
 pub use animation::{Animation, Shape};
 pub use cart_pole::cart_pole;
+pub use chart::{Chart, Frame};
 pub use curves::{Case, Curve, Point, comparison, field_color, learning_curve, study};
 pub use drawing::Drawing;
 pub use guidance::guidance;
 pub use plane::{Map, Plane, maps};
 pub use quantum::quantum;
 pub use raster::Raster;
+pub use series::Series;

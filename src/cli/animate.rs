@@ -49,6 +49,5 @@ fn film_in<S: Scene, F: Float>(folder: &Folder, settings: &Settings<S>, sample: 
     if sample >= samples {
         bail!("--sample is {sample}; allowed: 0 to {}, the test start states of {}", samples - 1, folder.path().display());
     }
-    let rollouts = outputs::rollouts(&session, sample..sample + 1);
-    folder.write(ANIMATION, session.task().animation(&rollouts[0].states, &rollouts[0].controls).to_svg())
+    folder.write(ANIMATION, outputs::film(&session, sample))
 }

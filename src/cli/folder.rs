@@ -12,12 +12,13 @@ pub const POLICY: &str = "policy.safetensors";
 pub const LEARNING_CURVE: &str = "learning_curve.svg";
 pub const TRAJECTORY: &str = "trajectory.csv";
 pub const ANIMATION: &str = "animation.svg";
+pub const REPORT: &str = "report.html";
 
 /// Where a comparison keeps its runs.
 pub const RUNS: &str = "runs";
 
-/// All that a run writes.
-const RUN_FILES: [&str; 7] = [SETTINGS, CHECKPOINT, METRICS, POLICY, LEARNING_CURVE, TRAJECTORY, ANIMATION];
+/// All that a run writes, and the report on it.
+const RUN_FILES: [&str; 8] = [SETTINGS, CHECKPOINT, METRICS, POLICY, LEARNING_CURVE, TRAJECTORY, ANIMATION, REPORT];
 
 /// A folder that has been shown to be writable.
 #[derive(Clone, Debug)]
@@ -58,6 +59,12 @@ impl Folder {
             }
         }
         unreachable!("there are enough numbers")
+    }
+
+    /// Its own name, without the way there.
+    pub fn name(&self) -> String {
+        let whole = fs::canonicalize(&self.path).unwrap_or_else(|_| self.path.clone());
+        whole.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
     }
 
     pub fn path(&self) -> &Path {

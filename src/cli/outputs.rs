@@ -107,6 +107,12 @@ pub fn rollouts<S: Scene, F: Float>(session: &Session<S, PolicyOf<S>, F>, chosen
     (0..samples).map(trajectory).collect()
 }
 
+/// `animation.svg`: the rollout from one test start state.
+pub fn film<S: Scene, F: Float>(session: &Session<S, PolicyOf<S>, F>, sample: usize) -> String {
+    let rollouts = rollouts(session, sample..sample + 1);
+    session.task().animation(&rollouts[0].states, &rollouts[0].controls).to_svg()
+}
+
 /// `trajectory.csv`: one row a step of each rollout; the last state has no control.
 pub fn trajectories<S: Scene>(task: &S, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
     let mut csv = csv::Writer::from_writer(Vec::new());

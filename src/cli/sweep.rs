@@ -6,6 +6,7 @@ use super::run::{self, Finished, Watch};
 use super::saved;
 use super::scene::Scene;
 use super::settings::{FieldName, Settings};
+use super::statistics::Outcome;
 use super::terminal::Progress;
 use anyhow::{Context, Result, bail};
 use physgrad::{Divergence, Field, Record, Skip};
@@ -14,21 +15,19 @@ use std::sync::Mutex;
 
 /// The same training along several fields and with several seeds.
 pub struct Comparison<S: Scene> {
-    /// Those of one field after the other.
-    pub runs: Vec<Run<S>>,
+    runs: Vec<Run<S>>,
     /// What tells it from others of the same sweep; may be empty.
     label: String,
 }
 
 /// One field and seed, and what came of it.
-pub struct Run<S: Scene> {
-    pub field: Field,
-    pub seed: u64,
-    pub records: Vec<Record>,
-    /// Why it broke off.
-    pub broken: Option<String>,
-    pub settings: Settings<S>,
+struct Run<S: Scene> {
+    field: Field,
+    seed: u64,
+    settings: Settings<S>,
     folder: Folder,
+    records: Vec<Record>,
+    broken: bool,
 }
 
 impl<S: Scene> Run<S> {
@@ -40,13 +39,8 @@ impl<S: Scene> Run<S> {
         check_resumable(&self.folder, &self.settings).map(|()| true)
     }
 
-    /// The loss at the end; NaN for a run that broke off.
-    pub fn last(&self, loss: fn(&Record) -> f64) -> f64 {
-        self.records.last().filter(|_| self.broken.is_none()).map_or(f64::NAN, loss)
-    }
-
-    pub fn seconds(&self) -> f64 {
-        self.records.iter().map(|r| r.seconds).sum()
+    fn outcome(&self) -> Outcome<'_> {
+        Outcome { field: self.field, seed: self.seed, records: &self.records, broken: self.broken }
     }
 }
 
@@ -67,14 +61,14 @@ impl<S: Scene> Comparison<S> {
         let run = |(field, seed): (FieldName, u64)| {
             let settings = Settings { field, seed, ..base.clone() };
             let folder = Folder::create(&folder.file(RUNS).join(format!("{}-{seed}", field.0.letter())))?;
-            Ok(Run { field: field.0, seed, folder, settings, records: Vec::new(), broken: None })
+            Ok(Run { field: field.0, seed, folder, settings, records: Vec::new(), broken: false })
         };
         Ok(Self { runs: each.map(run).collect::<Result<_>>()?, label: label.to_owned() })
     }
 
-    /// The runs of one field after the other.
-    pub fn by_field(&self) -> impl Iterator<Item = (Field, &[Run<S>])> {
-        self.runs.chunk_by(|a, b| a.field == b.field).map(|runs| (runs[0].field, runs))
+    /// What came of its runs, those of one field after the other.
+    pub fn outcomes(&self) -> Vec<Outcome<'_>> {
+        self.runs.iter().map(Run::outcome).collect()
     }
 
     fn label(&self, run: &Run<S>) -> String {
@@ -84,14 +78,14 @@ impl<S: Scene> Comparison<S> {
 }
 
 /// What became of a sweep.
-pub struct Outcome {
+pub struct Swept {
     pub interrupted: bool,
     /// A line for each run that broke off.
     failures: Vec<String>,
     runs: usize,
 }
 
-impl Outcome {
+impl Swept {
     /// An error that names the runs that broke off, if there are any.
     pub fn into_result(self) -> Result<()> {
         if self.failures.is_empty() {
@@ -105,7 +99,7 @@ impl Outcome {
 ///
 /// # Errors
 /// Before anything is run: a folder that holds a run with other settings.
-pub fn sweep<S: Scene>(comparisons: &mut [Comparison<S>], quiet: bool) -> Result<Outcome> {
+pub fn sweep<S: Scene>(comparisons: &mut [Comparison<S>], quiet: bool) -> Result<Swept> {
     let mut runs = Vec::new();
     for comparison in &*comparisons {
         for run in &comparison.runs {
@@ -130,20 +124,21 @@ pub fn sweep<S: Scene>(comparisons: &mut [Comparison<S>], quiet: bool) -> Result
     }
 
     let labels: Vec<String> = runs.into_iter().map(|(_, label, _)| label).collect();
-    let mut outcome = Outcome { interrupted: false, failures: Vec::new(), runs: labels.len() };
+    let mut swept = Swept { interrupted: false, failures: Vec::new(), runs: labels.len() };
     let all = comparisons.iter_mut().flat_map(|comparison| &mut comparison.runs);
     for ((run, finished), label) in all.zip(finished).zip(labels) {
-        run.broken = match finished {
+        let failure = match finished {
             Ok(finished) => {
-                outcome.interrupted |= finished.interrupted;
+                swept.interrupted |= finished.interrupted;
                 run.records = finished.records;
                 finished.broken.map(|error| error.to_string())
             }
             Err(error) => Some(format!("{error:#}")),
         };
-        outcome.failures.extend(run.broken.as_ref().map(|error| format!("{label}: {error}")));
+        run.broken = failure.is_some();
+        swept.failures.extend(failure.map(|failure| format!("{label}: {failure}")));
     }
-    Ok(outcome)
+    Ok(swept)
 }
 
 /// Tells one bar of the epochs of all runs.

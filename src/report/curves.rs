@@ -1,10 +1,8 @@
 //! Learning curves: the loss of one run, and the losses of several methods against effort.
 
-use super::Drawing;
-use super::log_figure::{Panel, Series, drawable, log_figure};
-
-/// A line of more points than this is thinned: no screen shows more, and the files stay small.
-const MAX_POINTS: usize = 250;
+use super::log_figure::{Panel, log_figure};
+use super::series::{cleaned, drawable, thinned};
+use super::{Drawing, Series};
 
 /// The runs of one method, one run a seed.
 pub struct Curve {
@@ -44,12 +42,8 @@ pub fn field_color(letter: &str) -> &'static str {
 ///
 /// Losses that a log axis cannot show (not finite, zero or negative) are left out; an empty list leaves out its line.
 pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) -> Drawing {
-    let series = |label: &str, color, points: &[(f64, f64)]| Series {
-        label: label.into(),
-        color,
-        line: thinned(cleaned(points.iter().copied())),
-        band: Vec::new(),
-    };
+    let series =
+        |label, color, points: &[(f64, f64)]| Series::new(label, color, thinned(cleaned(points.iter().copied(), drawable)));
     let series = vec![series("train", "#0072B2", train), series("test", "#D55E00", test)];
     let panel = Panel { title: String::new(), x_label: "epoch", y_label: "loss".into(), y_axis: 0, series };
     log_figure(title, &[vec![panel]])
@@ -65,7 +59,7 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
 /// or diverges for good, the curve ends. A run with no loss to show is left out and the legend says so.
 pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
     let panel = |x_label, x: fn(&Point) -> f64| {
-        let series = curves.iter().map(|c| summary(c, x)).collect();
+        let series = curves.iter().map(|c| c.summary(x)).collect();
         Panel { title: String::new(), x_label, y_label: "test loss".into(), y_axis: 0, series }
     };
     log_figure(title, &[vec![panel("epoch", |p| p.epoch), panel("wall time (s)", |p| p.seconds)]])
@@ -90,37 +84,32 @@ pub fn study(title: &str, rows: &[Vec<Case>]) -> Drawing {
         x_label: "epoch",
         y_label: case.y_label.clone(),
         y_axis: case.y_axis,
-        series: case.curves.iter().map(|c| summary(c, |p| p.epoch)).collect(),
+        series: case.curves.iter().map(|c| c.summary(|p| p.epoch)).collect(),
     };
     log_figure(title, &rows.iter().map(|row| row.iter().map(panel).collect()).collect::<Vec<_>>())
 }
 
-/// The mean line and band of a curve over the x read from its points.
-fn summary(curve: &Curve, x: fn(&Point) -> f64) -> Series {
-    let runs: Vec<Vec<(f64, f64)>> = curve.runs.iter().map(|run| cleaned(run.iter().map(|p| (x(p), p.value)))).collect();
-    let runs: Vec<Vec<(f64, f64)>> = runs.into_iter().filter(|run| !run.is_empty()).collect();
-    let missing = curve.runs.len() - runs.len();
-    let label = match missing {
-        0 => curve.label.clone(),
-        _ => format!("{} ({} of {} seeds)", curve.label, runs.len(), curve.runs.len()),
-    };
-    let (mut line, mut band) = (Vec::new(), Vec::new());
-    for x in common_grid(&runs) {
-        let losses: Vec<f64> = runs.iter().map(|run| interpolated(run, x)).collect();
-        let mean_log = losses.iter().map(|loss| loss.ln()).sum::<f64>() / losses.len() as f64;
-        line.push((x, mean_log.exp()));
-        if losses.len() > 1 {
-            band.push((losses.iter().copied().fold(f64::INFINITY, f64::min), losses.iter().copied().fold(0.0, f64::max)));
+impl Curve {
+    /// The geometric mean and the band of the runs over the x read from their points, as in [`comparison`].
+    pub fn summary(&self, x: fn(&Point) -> f64) -> Series {
+        let clean = |run: &Vec<Point>| cleaned(run.iter().map(|p| (x(p), p.value)), drawable);
+        let runs: Vec<Vec<(f64, f64)>> = self.runs.iter().map(clean).filter(|run| !run.is_empty()).collect();
+        let missing = self.runs.len() - runs.len();
+        let label = match missing {
+            0 => self.label.clone(),
+            _ => format!("{} ({} of {} seeds)", self.label, runs.len(), self.runs.len()),
+        };
+        let (mut line, mut band) = (Vec::new(), Vec::new());
+        for x in common_grid(&runs) {
+            let losses: Vec<f64> = runs.iter().map(|run| interpolated(run, x)).collect();
+            let mean_log = losses.iter().map(|loss| loss.ln()).sum::<f64>() / losses.len() as f64;
+            line.push((x, mean_log.exp()));
+            if losses.len() > 1 {
+                band.push((losses.iter().copied().fold(f64::INFINITY, f64::min), losses.iter().copied().fold(0.0, f64::max)));
+            }
         }
+        Series { band, ..Series::new(label, self.color, line) }
     }
-    Series { label, color: curve.color, line, band }
-}
-
-/// The points that a log plot can show, by increasing x.
-fn cleaned(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
-    let mut points: Vec<(f64, f64)> = points.filter(|&(x, y)| x.is_finite() && drawable(y)).collect();
-    points.sort_by(|a, b| a.0.total_cmp(&b.0));
-    points
 }
 
 /// Every x of any run that lies within all of the runs.
@@ -138,25 +127,6 @@ fn interpolated(run: &[(f64, f64)], x: f64) -> f64 {
     let right = run.partition_point(|&(at, _)| at < x).min(run.len() - 1);
     let ((x0, y0), (x1, y1)) = (run[right.saturating_sub(1)], run[right]);
     if x >= x1 || x1 <= x0 { y1 } else { y0 * (y1 / y0).powf((x - x0) / (x1 - x0)) }
-}
-
-/// At most [`MAX_POINTS`] of the items, evenly spread, with the first and the last among them.
-fn thinned<T: Copy>(items: Vec<T>) -> Vec<T> {
-    thinned_to(MAX_POINTS, items)
-}
-
-/// At most so many of the items, evenly spread, with the first and the last among them.
-pub(super) fn thinned_to<T: Copy>(most: usize, items: Vec<T>) -> Vec<T> {
-    if items.len() <= most {
-        return items;
-    }
-    (0..most).map(|i| items[i * (items.len() - 1) / (most - 1)]).collect()
-}
-
-/// The line of a run, from its loss at the start and after every step.
-pub(super) fn losses(label: &str, color: &'static str, run: &[f64]) -> Series {
-    let points = run.iter().enumerate().map(|(i, &loss)| (i as f64, loss));
-    Series { label: label.into(), color, line: thinned(cleaned(points)), band: Vec::new() }
 }
 
 #[cfg(test)]
@@ -179,11 +149,11 @@ mod tests {
     fn mean_is_geometric_and_band_spans_the_seeds() {
         let runs = vec![run(&[(0.0, 0.0, 1.0), (1.0, 10.0, 1e-2), (2.0, 20.0, 1.0)]), run(&[(0.0, 0.0, 1.0), (1.0, 5.0, 1e-4)])];
         let curve = Curve { label: "a".into(), color: "red", runs };
-        let by_epoch = summary(&curve, |p| p.epoch);
+        let by_epoch = curve.summary(|p| p.epoch);
         assert_eq!(by_epoch.line.len(), 2, "the curve ends with the shorter run");
         assert!((by_epoch.line[1].1 / 1e-3 - 1.0).abs() < 1e-12);
         assert_eq!(by_epoch.band[1], (1e-4, 1e-2));
-        let by_time = summary(&curve, |p| p.seconds);
+        let by_time = curve.summary(|p| p.seconds);
         assert_eq!(by_time.line.iter().map(|p| p.0).collect::<Vec<_>>(), [0.0, 5.0]);
         assert!((by_time.band[1].1 / 0.1 - 1.0).abs() < 1e-12, "half way from 1 to 1e-2 on a log axis");
     }
@@ -191,7 +161,7 @@ mod tests {
     #[test]
     fn one_seed_has_no_band_and_a_useless_one_is_told() {
         let runs = vec![run(&[(0.0, 0.0, 1.0)]), run(&[(0.0, 0.0, f64::NAN)])];
-        let series = summary(&Curve { label: "a".into(), color: "red", runs }, |p| p.epoch);
+        let series = Curve { label: "a".into(), color: "red", runs }.summary(|p| p.epoch);
         assert!(series.band.is_empty());
         assert_eq!(series.label, "a (1 of 2 seeds)");
     }

@@ -1,7 +1,7 @@
 //! [`Drawing`]: a picture that stands still, as SVG or PNG.
 
 use kuva::backend::png::PngBackend;
-use kuva::prelude::{Figure, SvgBackend};
+use kuva::prelude::SvgBackend;
 use kuva::render::color::Color;
 use kuva::render::render::{Primitive, Scene};
 
@@ -9,8 +9,7 @@ use kuva::render::render::{Primitive, Scene};
 pub struct Drawing(Scene);
 
 impl Drawing {
-    pub(super) fn of(figure: Figure) -> Self {
-        let mut scene = figure.render();
+    pub(super) fn of(mut scene: Scene) -> Self {
         scene.elements.iter_mut().for_each(join_cells);
         Self(scene)
     }

@@ -1,8 +1,10 @@
 //! Maps of a plane: lengths as colours on a logarithmic scale, with arrows, lines and paths upon them.
 
-use super::Drawing;
-use super::curves::{losses, thinned_to};
-use super::log_figure::{LogAxis, Panel, legend, panel_layout, superscript};
+use super::log_axis::{LogAxis, superscript};
+use super::log_figure::{Panel, legend, panel_layout};
+use super::marks::marks;
+use super::series::{cleaned, drawable, thinned, thinned_to};
+use super::{Drawing, Series};
 use kuva::plot::QuiverPivot;
 use kuva::prelude::*;
 use std::sync::Arc;
@@ -60,16 +62,17 @@ pub fn maps(plane: &Plane, maps: &[Map], runs: &[(&str, &'static str, Vec<f64>)]
     layouts.push(plane.scale_layout());
     plots.push(vec![plane.colors(&plane.scale(), 1, Some(plane.decades))]);
     if !runs.is_empty() {
-        let series = runs.iter().map(|(label, color, run)| losses(label, color, run)).collect();
+        let line = |run: &[f64]| thinned(cleaned(run.iter().enumerate().map(|(i, &loss)| (i as f64, loss)), drawable));
+        let series = runs.iter().map(|(label, color, run)| Series::new(*label, color, line(run))).collect();
         let title = format!("({}) loss", char::from(b'a' + maps.len() as u8));
         let panel = Panel { title, x_label: "iteration", y_label: "loss".into(), y_axis: 0, series };
-        let axis = LogAxis::of(std::iter::once(&panel));
+        let axis = LogAxis::of(panel.series.iter());
         let layout = panel_layout(&panel, &axis, true, true)
             .with_y_label_offset(10.0, 0.0)
             .with_legend_entries(legend(std::iter::once(&panel)))
             .with_legend_position(LegendPosition::InsideBottomLeft);
         layouts.push(layout);
-        plots.push(axis.plots(&panel));
+        plots.push(marks(&panel.series, axis.unit()));
     }
     let columns = plots.len();
     let mut figure = Figure::new(1, columns)
@@ -84,7 +87,7 @@ pub fn maps(plane: &Plane, maps: &[Map], runs: &[(&str, &'static str, Vec<f64>)]
     if !runs.is_empty() {
         figure = figure.with_col_width(columns - 1, 400.0);
     }
-    Drawing::of(figure)
+    Drawing::of(figure.render())
 }
 
 impl Plane {

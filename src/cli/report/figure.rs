@@ -1,0 +1,121 @@
+//! A diagram on a page: the picture, its legend and caption, and the numbers that the script points at.
+
+use maud::{Markup, PreEscaped, html};
+use physgrad::report::{Chart, Series};
+use serde::Serialize;
+
+/// A diagram with the words around it.
+pub struct Figure {
+    pub title: &'static str,
+    pub chart: Chart,
+    pub keys: Vec<Key>,
+    /// What it shows and what to look for.
+    pub caption: &'static str,
+    /// What is particular to these data.
+    pub notes: Vec<String>,
+}
+
+/// An entry of a legend.
+#[derive(PartialEq)]
+pub struct Key {
+    pub label: String,
+    pub color: &'static str,
+    pub dashed: bool,
+}
+
+impl Figure {
+    /// With an entry of the legend for each series.
+    pub fn new(title: &'static str, chart: Chart, caption: &'static str) -> Self {
+        let key = |s: &Series| Key { label: s.label.clone(), color: s.color, dashed: s.dashed };
+        let keys = chart.series().iter().map(key).collect();
+        Self { title, chart, keys, caption, notes: Vec::new() }
+    }
+
+    pub fn keys(self, keys: Vec<Key>) -> Self {
+        Self { keys, ..self }
+    }
+
+    pub fn notes(self, notes: Vec<String>) -> Self {
+        Self { notes, ..self }
+    }
+
+    pub fn html(&self) -> Markup {
+        let chart = &self.chart;
+        let label = format!("{} against {}; arrow keys read the values", chart.y_label(), chart.x_label());
+        html! {
+            figure {
+                h3 { (self.title) }
+                @if chart.series().is_empty() {
+                    p.empty { "There are no numbers to draw." }
+                } @else {
+                    p.axis { (chart.y_label()) }
+                    div.chart tabindex="0" role="group" aria-label=(label) {
+                        (PreEscaped(chart.drawing().to_svg()))
+                        output.readout hidden aria-live="polite" {}
+                        script type="application/json" { (PreEscaped(self.data())) }
+                    }
+                    ul.legend {
+                        @for key in &self.keys {
+                            li { span.dashed[key.dashed] style={ "border-color:" (key.color) } {} (key.label) }
+                        }
+                    }
+                }
+                figcaption {
+                    p { (self.caption) }
+                    @for note in &self.notes { p.note { (note) } }
+                }
+            }
+        }
+    }
+
+    /// The numbers as JSON, safe inside a script element.
+    fn data(&self) -> String {
+        let frame = self.chart.frame();
+        let data = Data {
+            x_label: self.chart.x_label(),
+            size: frame.size,
+            across: frame.across,
+            up: frame.up,
+            x: frame.x,
+            y: frame.y,
+            log: frame.log,
+            series: self.chart.series().iter().map(Line::of).collect(),
+        };
+        serde_json::to_string(&data).expect("plain numbers and names").replace('<', "\\u003c")
+    }
+}
+
+#[derive(Serialize)]
+struct Data<'a> {
+    x_label: &'a str,
+    size: [f64; 2],
+    across: [f64; 2],
+    up: [f64; 2],
+    x: [f64; 2],
+    y: [f64; 2],
+    log: bool,
+    series: Vec<Line<'a>>,
+}
+
+#[derive(Serialize)]
+struct Line<'a> {
+    label: &'a str,
+    color: &'a str,
+    /// x and y, then the edges of the band if there is one.
+    points: Vec<Vec<f64>>,
+}
+
+impl<'a> Line<'a> {
+    fn of(series: &'a Series) -> Self {
+        let point = |(i, &(x, y)): (usize, &(f64, f64))| {
+            let band = series.band.get(i).map_or(Vec::new(), |&(low, high)| vec![low, high]);
+            [x, y].into_iter().chain(band).map(rounded).collect()
+        };
+        Self { label: &series.label, color: series.color, points: series.line.iter().enumerate().map(point).collect() }
+    }
+}
+
+/// To five significant digits, more than anybody reads off a diagram.
+fn rounded(x: f64) -> f64 {
+    format!("{x:.4e}").parse().unwrap_or(x)
+}

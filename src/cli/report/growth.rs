@@ -1,0 +1,44 @@
+//! How the adjoint grows on its way back through a rollout.
+
+use crate::cli::scene::{PolicyOf, Scene};
+use physgrad::{Adjoint, Divergence, Float, Flow, Rollout, Session, System};
+
+/// Test start states that are rolled out.
+pub const SAMPLES: usize = 64;
+
+/// The adjoint of one flow.
+pub struct Growth {
+    pub flow: Flow,
+    /// Its length at each state of the rollout; NaN before where it diverged.
+    pub norms: Vec<f64>,
+    /// Where a number was not finite.
+    pub diverged: Option<Divergence>,
+}
+
+impl Growth {
+    /// The lengths against the steps.
+    pub fn points(&self) -> Vec<(f64, f64)> {
+        self.norms.iter().enumerate().map(|(step, &norm)| (step as f64, norm)).collect()
+    }
+}
+
+/// The adjoints of R and M under the session's policy.
+pub fn growth<S: Scene, F: Float>(session: &Session<S, PolicyOf<S>, F>) -> [Growth; 2] {
+    let (task, policy, weights) = (session.task(), session.policy(), session.weights());
+    let n = task.system().state_dim();
+    let starts = session.test_starts();
+    let starts = &starts[..starts.len().min(SAMPLES * n)];
+    let mut rollout = Rollout::new(task, policy, starts.len() / n);
+    rollout.start(starts);
+    let forward = rollout.run(task, policy, weights);
+    // One after the other: side by side, the one that diverges would stop the other.
+    [Flow::REGULAR, Flow::MODIFIED].map(|flow| {
+        if let Err(divergence) = forward {
+            return Growth { flow, norms: Vec::new(), diverged: Some(divergence) };
+        }
+        let mut adjoint = Adjoint::new(policy, &rollout, &[flow]).keep_norms();
+        // A gradient of the mean, as in training.
+        let diverged = adjoint.run(task, policy, weights, &rollout, F::lift(1.0 / rollout.samples() as f64)).err();
+        Growth { flow, norms: adjoint.norms(0).to_vec(), diverged }
+    })
+}

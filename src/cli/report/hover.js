@@ -1,0 +1,105 @@
+// Points at the data of the diagrams: a line at the x nearest to the pointer, dots on the lines, and their values.
+// The pictures are complete without it.
+"use strict";
+
+const SVG = "http://www.w3.org/2000/svg";
+// So many values are read at once, those nearest to the pointer; and so near to the end of a line it still has one.
+const MOST_ROWS = 8;
+const NEAR = 12;
+
+const element = (name, attributes, parent) => {
+  const node = document.createElementNS(SVG, name);
+  for (const key in attributes) node.setAttribute(key, attributes[key]);
+  return parent.appendChild(node);
+};
+
+const format = (value) => {
+  const size = Math.abs(value);
+  if (value === 0 || Number.isInteger(value) && size < 1e5) return String(value);
+  return size < 1e-2 || size >= 1e5 ? value.toExponential(3) : value.toPrecision(4);
+};
+
+// The index of the x nearest to `x` in a rising list.
+const nearest = (xs, x) => {
+  let low = 0, high = xs.length - 1;
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (xs[middle] < x) low = middle; else high = middle;
+  }
+  return x - xs[low] <= xs[high] - x ? low : high;
+};
+
+const activate = (chart) => {
+  const data = JSON.parse(chart.querySelector("script").textContent);
+  const picture = chart.querySelector("svg");
+  const readout = chart.querySelector(".readout");
+  const between = (from, to, at) => to[0] + (to[1] - to[0]) * (at - from[0]) / (from[1] - from[0]);
+  const right = (x) => between(data.x, data.across, x);
+  const down = (y) => between(data.y, data.up, data.log ? Math.log10(y) : y);
+  const all = [...new Set(data.series.flatMap((line) => line.points.map((point) => point[0])))].sort((a, b) => a - b);
+  data.series.forEach((line) => { line.xs = line.points.map((point) => point[0]); });
+
+  const cursor = element("g", { visibility: "hidden", "pointer-events": "none" }, picture);
+  const rule = element("line", { y1: data.up[0], y2: data.up[1], stroke: "#444", "stroke-dasharray": "3 3" }, cursor);
+  const dots = data.series.map((line) =>
+    element("circle", { r: 4, fill: line.color, stroke: "white", "stroke-width": 1.5 }, cursor));
+  let index = all.length - 1;
+
+  const hide = () => {
+    cursor.setAttribute("visibility", "hidden");
+    readout.hidden = true;
+  };
+
+  // Reads the values at number `i` of all x, and of too many those nearest to the height `y` in the picture.
+  const show = (i, y) => {
+    index = Math.max(0, Math.min(all.length - 1, i));
+    const x = all[index];
+    rule.setAttribute("x1", right(x));
+    rule.setAttribute("x2", right(x));
+    dots.forEach((dot) => dot.setAttribute("visibility", "hidden"));
+    const rows = [];
+    data.series.forEach((line, number) => {
+      const [at, value, low, high] = line.points[nearest(line.xs, x)];
+      if ((x < line.xs[0] || x > line.xs[line.xs.length - 1]) && Math.abs(right(at) - right(x)) > NEAR) return;
+      rows.push({ line, number, at, value, low, high });
+    });
+    const chosen = [...rows].sort((a, b) => Math.abs(down(a.value) - y) - Math.abs(down(b.value) - y)).slice(0, MOST_ROWS);
+    readout.replaceChildren();
+    readout.append(Object.assign(document.createElement("b"), { textContent: `${data.x_label} ${format(x)}` }));
+    for (const row of rows.filter((row) => chosen.includes(row))) {
+      const dot = dots[row.number];
+      dot.setAttribute("cx", right(row.at));
+      dot.setAttribute("cy", down(row.value));
+      dot.setAttribute("visibility", "inherit");
+      const text = document.createElement("span");
+      const band = row.low === undefined ? "" : ` (${format(row.low)} to ${format(row.high)})`;
+      text.textContent = `${row.line.label}: ${format(row.value)}${band}`;
+      text.style.borderColor = row.line.color;
+      readout.append(text);
+    }
+    cursor.setAttribute("visibility", "visible");
+    readout.hidden = false;
+    // Beside the line, on the side with more room, and never outside of the diagram.
+    const width = chart.clientWidth, scale = width / data.size[0], place = right(x) * scale;
+    const left = place > width / 2 ? place - readout.offsetWidth - 10 : place + 10;
+    readout.style.left = `${Math.max(0, Math.min(width - readout.offsetWidth, left))}px`;
+  };
+
+  chart.addEventListener("pointermove", (event) => {
+    const box = picture.getBoundingClientRect(), scale = data.size[0] / box.width;
+    const [x, y] = [(event.clientX - box.left) * scale, (event.clientY - box.top) * scale];
+    show(nearest(all, between(data.across, data.x, x)), y);
+  });
+  chart.addEventListener("pointerleave", hide);
+  chart.addEventListener("blur", hide);
+  chart.addEventListener("keydown", (event) => {
+    const places = { ArrowLeft: index - 1, ArrowRight: index + 1, Home: 0, End: all.length - 1 };
+    if (event.key === "Escape") hide();
+    if (!(event.key in places)) return;
+    event.preventDefault();
+    show(readout.hidden ? index : places[event.key], data.up[1]);
+  });
+};
+
+document.querySelectorAll(".chart").forEach(activate);
+document.querySelectorAll(".hint").forEach((hint) => { hint.hidden = false; });

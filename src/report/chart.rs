@@ -1,0 +1,199 @@
+//! [`Chart`]: one diagram, and where in it the data lie, so that a page can point at them.
+
+use super::log_axis::LogAxis;
+use super::log_figure::theme;
+use super::marks::marks;
+use super::series::{cleaned, drawable, thinned};
+use super::{Drawing, Series};
+use kuva::prelude::{Layout, render_multiple};
+
+/// Width and height; small, so that the letters are still readable where a telephone shrinks it.
+const SIZE: [f64; 2] = [460.0, 270.0];
+/// From the edges to the plotted area: left, top, right, bottom.
+const MARGINS: [f64; 4] = [58.0, 12.0, 16.0, 44.0];
+
+/// One diagram without title, legend and name of the y axis, which the page around it has.
+pub struct Chart {
+    x_label: &'static str,
+    y_label: &'static str,
+    x: [f64; 2],
+    y: Axis,
+    series: Vec<Series>,
+}
+
+enum Axis {
+    Log(LogAxis),
+    Linear([f64; 2]),
+}
+
+/// Where the numbers of a [`Chart`] are in its picture. Everything runs linearly between the ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame {
+    /// Width and height of the picture.
+    pub size: [f64; 2],
+    /// Left and right edge of the plotted area, in the picture.
+    pub across: [f64; 2],
+    /// Lower and upper edge of the plotted area, in the picture, whose y points down.
+    pub up: [f64; 2],
+    /// The x of the data at the left and right edge.
+    pub x: [f64; 2],
+    /// The y of the data at the lower and upper edge, or its decimal logarithm.
+    pub y: [f64; 2],
+    /// Whether `y` holds logarithms.
+    pub log: bool,
+}
+
+impl Chart {
+    /// A diagram with a logarithmic y axis. Points that it cannot show (not finite, zero or negative) are left out.
+    pub fn log(x_label: &'static str, y_label: &'static str, series: Vec<Series>) -> Self {
+        let series = shown(series, drawable);
+        Self { x_label, y_label, x: x_range(&series), y: Axis::Log(LogAxis::of(series.iter())), series }
+    }
+
+    /// A diagram whose y axis runs from `range[0]` to `range[1]`. Points outside of it are left out.
+    pub fn linear(x_label: &'static str, y_label: &'static str, range: [f64; 2], series: Vec<Series>) -> Self {
+        // A cosine may be larger than 1 by a rounding error.
+        let slack = 1e-9 * (range[1] - range[0]);
+        let series = shown(series, |y| range[0] - slack <= y && y <= range[1] + slack);
+        Self { x_label, y_label, x: x_range(&series), y: Axis::Linear(range), series }
+    }
+
+    /// The name of the x axis.
+    pub fn x_label(&self) -> &'static str {
+        self.x_label
+    }
+
+    /// The name of the y axis.
+    pub fn y_label(&self) -> &'static str {
+        self.y_label
+    }
+
+    /// What it shows: series with at least one point.
+    pub fn series(&self) -> &[Series] {
+        &self.series
+    }
+
+    /// Where the numbers are in the picture.
+    pub fn frame(&self) -> Frame {
+        let ([width, height], [left, top, right, bottom]) = (SIZE, MARGINS);
+        let (y, log) = match &self.y {
+            Axis::Log(axis) => ([axis.low, axis.high].map(|y| y.log10() + f64::from(axis.exponent)), true),
+            Axis::Linear(range) => (*range, false),
+        };
+        Frame { size: SIZE, across: [left, width - right], up: [height - bottom, top], x: self.x, y, log }
+    }
+
+    /// The picture.
+    pub fn drawing(&self) -> Drawing {
+        let [left, top, right, bottom] = MARGINS;
+        let (low, high, unit) = match &self.y {
+            Axis::Log(axis) => (axis.low, axis.high, axis.unit()),
+            Axis::Linear([low, high]) => (*low, *high, 1.0),
+        };
+        let mut layout = Layout::new((self.x[0], self.x[1]), (low, high))
+            .with_width(SIZE[0])
+            .with_height(SIZE[1])
+            .with_force_margins(left, right)
+            .with_force_margins_y(top, bottom)
+            .with_x_axis_min(self.x[0])
+            .with_x_axis_max(self.x[1])
+            .with_y_axis_min(low)
+            .with_y_axis_max(high)
+            .with_x_label(self.x_label)
+            .with_x_tick_step(tick_step(&self.x, &self.series))
+            .with_tick_size(12)
+            .with_label_size(13)
+            .with_theme(theme());
+        if let Axis::Log(axis) = &self.y {
+            layout = layout.with_log_y().with_y_tick_format(axis.tick_format());
+        }
+        Drawing::of(render_multiple(marks(&self.series, unit), layout))
+    }
+}
+
+/// The series with what can be shown of them, thinned; those of which nothing can are left out.
+fn shown(series: Vec<Series>, can_be: impl Fn(f64) -> bool) -> Vec<Series> {
+    let clean = |mut s: Series| {
+        // A series with a band has been made by a summary, which leaves out what cannot be shown.
+        if s.band.is_empty() {
+            s.line = thinned(cleaned(s.line.into_iter(), &can_be));
+        }
+        s
+    };
+    series.into_iter().map(clean).filter(|s| !s.line.is_empty()).collect()
+}
+
+/// From the first to the last x, or from 0 if that is near; with some room if there is but one.
+fn x_range(series: &[Series]) -> [f64; 2] {
+    let xs = || series.iter().flat_map(|s| &s.line).map(|&(x, _)| x);
+    let low = xs().fold(0.0, f64::min);
+    let high = xs().fold(low, f64::max);
+    [low, if high > low { high } else { low + 1.0 }]
+}
+
+/// 1, 2 or 5 times a power of ten, at most seven of them in the range; whole where all x are.
+fn tick_step([low, high]: &[f64; 2], series: &[Series]) -> f64 {
+    let least = (high - low) / 6.5;
+    let power = 10f64.powf(least.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|&step| step >= least).unwrap_or(least);
+    let whole = series.iter().flat_map(|s| &s.line).all(|&(x, _)| x.fract() == 0.0);
+    if whole { step.max(1.0) } else { step }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The corners of the only line in the picture.
+    fn drawn(chart: &Chart) -> Vec<[f64; 2]> {
+        let svg = chart.drawing().to_svg();
+        let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
+        let is_line = |node: &roxmltree::Node| node.has_tag_name("path") && node.attribute("stroke") == Some("#123456");
+        let path = document.descendants().find(is_line).expect("a line").attribute("d").expect("corners");
+        let numbers: Vec<f64> =
+            path.split([' ', 'M', 'L', ',']).filter(|n| !n.is_empty()).map(|n| n.parse().expect("a number")).collect();
+        numbers.chunks(2).map(|xy| [xy[0], xy[1]]).collect()
+    }
+
+    fn check(chart: &Chart, points: &[(f64, f64)]) {
+        let Frame { across, up, x, y, log, .. } = chart.frame();
+        let between = |[a, b]: [f64; 2], [p, q]: [f64; 2], at: f64| p + (q - p) * (at - a) / (b - a);
+        let corners = drawn(chart);
+        assert_eq!(corners.len(), points.len());
+        for (corner, point) in corners.iter().zip(points) {
+            let expected = [between(x, across, point.0), between(y, up, if log { point.1.log10() } else { point.1 })];
+            for (found, expected) in corner.iter().zip(expected) {
+                assert!((found - expected).abs() < 0.02, "{corner:?} instead of {expected:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_frame_tells_where_the_numbers_are() {
+        // Far below the smallest number that can be drawn without units of its own.
+        for points in [[(0.0, 3e-14), (2.0, 4e-11), (7.0, 2e-12)], [(10.0, 0.3), (2000.0, 4e3), (4000.0, 1.0)]] {
+            check(&Chart::log("x", "y", vec![Series::new("a", "#123456", points.to_vec())]), &points);
+        }
+        let points = [(1.0, -0.7), (2.0, 0.1), (5.0, 1.0)];
+        check(&Chart::linear("x", "y", [-1.0, 1.0], vec![Series::new("a", "#123456", points.to_vec())]), &points);
+    }
+
+    #[test]
+    fn ticks_are_round_and_epochs_whole() {
+        let step = |high: f64, x: f64| tick_step(&[0.0, high], &[Series::new("a", "red", vec![(x, 1.0)])]);
+        assert_eq!([step(3.0, 1.0), step(15.0, 1.0), step(60.0, 1.0), step(1000.0, 1.0)], [1.0, 5.0, 10.0, 200.0]);
+        assert_eq!([step(3.0, 0.5), step(0.3, 0.1)], [0.5, 0.05]);
+    }
+
+    #[test]
+    fn what_cannot_be_shown_is_left_out() {
+        let series = |points: &[(f64, f64)]| Series::new("a", "#123456", points.to_vec());
+        let chart =
+            Chart::log("x", "y", vec![series(&[(0.0, f64::NAN), (1.0, 0.0)]), series(&[(0.0, f64::INFINITY), (1.0, 2.0)])]);
+        assert_eq!(chart.series(), [series(&[(1.0, 2.0)])]);
+        let linear = Chart::linear("x", "y", [-1.0, 1.0], vec![series(&[(0.0, 1.0 + 1e-15), (1.0, 1.1), (2.0, f64::NAN)])]);
+        assert_eq!(linear.series()[0].line.len(), 1);
+        assert!(chart.drawing().to_svg().contains("<circle"), "a single point is a dot");
+        roxmltree::Document::parse(&Chart::log("x", "y", vec![]).drawing().to_svg()).expect("an SVG is XML");
+    }
+}

@@ -1,0 +1,96 @@
+//! A logarithmic axis: where it begins and ends, and what its ticks are called.
+
+use super::Series;
+use kuva::prelude::*;
+
+/// A logarithmic axis in units of 10^exponent: kuva draws nothing below 1e-10, so `low` is brought into [1, 10).
+pub struct LogAxis {
+    pub exponent: i32,
+    pub low: f64,
+    pub high: f64,
+}
+
+impl LogAxis {
+    /// The axis around lines and bands.
+    pub fn of<'a>(series: impl Iterator<Item = &'a Series>) -> Self {
+        Self::around(series.flat_map(|s| {
+            let edges = s.band.iter().flat_map(|&(low, high)| [low, high]);
+            s.line.iter().map(|&(_, y)| y).chain(edges)
+        }))
+    }
+
+    /// The axis around the values, rounded outward to one digit. It spans at least a factor of four, so that it has two
+    /// or three ticks, which are at 1, 2 and 5 times the powers of ten.
+    fn around(values: impl Iterator<Item = f64>) -> Self {
+        let (min, max) = values.fold((f64::INFINITY, 0.0), |(min, max), y| (y.min(min), y.max(max)));
+        let (min, max) = if max > 0.0 { (min, max) } else { (0.1, 1.0) };
+        let exponent = min.log10().floor() as i32;
+        let unit = 10f64.powi(exponent);
+        let round_numbers = || (-1..=200).flat_map(|e| (1..10).map(move |m| f64::from(m) * 10f64.powi(e)));
+        // The tolerance keeps a rounding error in the division from adding a whole tick.
+        let low = round_numbers().take_while(|&y| y <= min / unit * (1.0 + 1e-9)).last().unwrap_or(1.0);
+        let high = round_numbers().find(|&y| y > low * 3.9 && y >= max / unit * (1.0 - 1e-9)).unwrap_or(1e200);
+        Self { exponent, low, high }
+    }
+
+    /// One unit of the axis.
+    pub fn unit(&self) -> f64 {
+        10f64.powi(self.exponent)
+    }
+
+    /// Ticks as powers of ten; where those would be too few, also 2 and 5 times them, as plain numbers if they are short.
+    pub fn tick_format(&self) -> TickFormat {
+        let (shift, decades) = (self.exponent, (self.high / self.low).log10());
+        let every = (decades / 12.0).ceil().max(1.0) as i32;
+        TickFormat::Custom(std::sync::Arc::new(move |tick: f64| {
+            let power = (tick.log10() + 1e-9).floor() as i32;
+            let mantissa = (tick / 10f64.powi(power)).round();
+            match (power + shift, mantissa as i32) {
+                (exponent, digit @ (1 | 2 | 5)) if decades <= 2.0 && exponent.abs() <= 3 => {
+                    let places = usize::try_from(-exponent).unwrap_or(0);
+                    format!("{:.places$}", f64::from(digit) * 10f64.powi(exponent))
+                }
+                (exponent, 1) if exponent % every == 0 => format!("10{}", superscript(exponent)),
+                (exponent, 2 | 5) if decades <= 2.0 => format!("{mantissa}·10{}", superscript(exponent)),
+                _ => String::new(),
+            }
+        }))
+    }
+}
+
+/// The exponent in raised digits.
+pub fn superscript(exponent: i32) -> String {
+    let raise = |c: char| match c.to_digit(10) {
+        Some(digit) => ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'][digit as usize],
+        None => '⁻',
+    };
+    exponent.to_string().chars().map(raise).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn labels(values: &[f64]) -> Vec<String> {
+        let axis = LogAxis::around(values.iter().copied());
+        let format = axis.tick_format();
+        [1.0, 2.0, 5.0, 10.0].iter().map(|&tick| format.format(tick)).collect()
+    }
+
+    #[test]
+    fn axis_is_rounded_outward_to_one_digit() {
+        let axis = LogAxis::around([0.03, 4.0].into_iter());
+        assert_eq!((axis.exponent, axis.low, axis.high), (-2, 3.0, 400.0));
+        let flat = LogAxis::around([1.0, 1.0].into_iter());
+        assert!(flat.low <= 1.0 && flat.high >= 4.0);
+        let tiny = LogAxis::around([1e-99, 1e99].into_iter());
+        assert!((1.0..10.0).contains(&tiny.low) && tiny.high.is_finite());
+    }
+
+    #[test]
+    fn ticks_are_named_in_the_units_of_the_data() {
+        assert_eq!(labels(&[1e-13, 1e-5]), ["10⁻¹³", "", "", "10⁻¹²"]);
+        assert_eq!(labels(&[0.1, 1.0]), ["0.1", "0.2", "0.5", "1"]);
+        assert_eq!(labels(&[1e-5, 1e-4]), ["10⁻⁵", "2·10⁻⁵", "5·10⁻⁵", "10⁻⁴"]);
+    }
+}

@@ -1,0 +1,26 @@
+//! The marks of a diagram: lines, dots and bands.
+
+use super::Series;
+use kuva::prelude::*;
+
+/// The marks of these series, their y in units of `unit`: all the bands below all the lines.
+pub fn marks(series: &[Series], unit: f64) -> Vec<Plot> {
+    let bands = series.iter().filter(|s| !s.band.is_empty()).map(|s| band(s, unit));
+    bands.chain(series.iter().map(|s| line(s, unit))).collect()
+}
+
+fn band(series: &Series, unit: f64) -> Plot {
+    let x = series.line.iter().map(|&(x, _)| x);
+    let (low, high) = (series.band.iter().map(|b| b.0 / unit), series.band.iter().map(|b| b.1 / unit));
+    BandPlot::new(x, low, high).with_color(series.color).with_opacity(0.16).into()
+}
+
+fn line(series: &Series, unit: f64) -> Plot {
+    let points: Vec<(f64, f64)> = series.line.iter().map(|&(x, y)| (x, y / unit)).collect();
+    if points.len() == 1 {
+        return ScatterPlot::new().with_data(points).with_color(series.color).with_size(4.0).into();
+    }
+    // A line without points is needed too: kuva leaves out a panel that has no plot, axes and all.
+    let line = LinePlot::new().with_data(points).with_color(series.color).with_stroke_width(1.8);
+    if series.dashed { line.with_dashed().into() } else { line.into() }
+}

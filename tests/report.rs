@@ -1,0 +1,285 @@
+//! `physgrad report`: what a page holds, that it stands alone, and that every run gets one.
+
+use assert_cmd::Command;
+use serde_json::Value;
+use std::fs;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+const SMALL: [&str; 8] = [
+    "--set",
+    "training.train_samples=24",
+    "--set",
+    "training.test_samples=12",
+    "--set",
+    "policy.widths=[12, 8]",
+    "--set",
+    "horizon=25",
+];
+/// Physics in which no rollout stays finite.
+const DIVERGES: [&str; 4] = ["--set", "system.gravity=1e38", "--set", "system.dt=1e5"];
+
+fn physgrad(args: &[&str]) -> Command {
+    let mut command = Command::cargo_bin("physgrad").expect("the program is built");
+    command.args(args);
+    command
+}
+
+fn train(out: &Path, args: &[&str]) -> Command {
+    let mut command = physgrad(&["train", "cart_pole", "--quiet", "--out"]);
+    command.arg(out).args(SMALL).args(args);
+    command
+}
+
+fn compare(out: &Path, args: &[&str]) -> Command {
+    let mut command = physgrad(&["compare", "cart_pole", "--out"]);
+    command.arg(out).args(SMALL).args(args);
+    command
+}
+
+fn report(folder: &Path) -> String {
+    let output = physgrad(&["report"]).arg(folder).output().expect("it runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("report.html"));
+    let page = fs::read_to_string(folder.join("report.html")).expect("a page");
+    assert_stands_alone(&page);
+    assert_nested(&page);
+    page
+}
+
+fn error_of(folder: &Path) -> String {
+    let output = physgrad(&["report"]).arg(folder).output().expect("it runs");
+    assert!(!output.status.success(), "it should fail");
+    String::from_utf8(output.stderr).expect("text")
+}
+
+/// Nothing on the page is fetched from anywhere: the only addresses are names of XML namespaces.
+fn assert_stands_alone(page: &str) {
+    for (at, _) in page.match_indices("://") {
+        let (before, after) = page.split_at(at);
+        let end = after.find(['"', ' ', '<']).unwrap_or(after.len());
+        assert!(before.ends_with("http") && after.starts_with("://www.w3.org/"), "{}", &after[..end]);
+    }
+    for (attribute, allowed) in [(" src=\"", "data:"), (" href=\"", "#"), ("url(", "#"), ("<link", "no"), ("@import", "no")] {
+        for (at, _) in page.match_indices(attribute) {
+            assert!(page[at + attribute.len()..].starts_with(allowed), "{}", &page[at..at + 40]);
+        }
+    }
+    assert!(page.contains("default-src 'none'"), "and the browser is told so");
+}
+
+/// Every element that is opened is closed in its place.
+fn assert_nested(page: &str) {
+    let mut open: Vec<&str> = Vec::new();
+    let mut rest = page;
+    while let Some(start) = rest.find('<') {
+        rest = &rest[start + 1..];
+        let tag = &rest[..rest.find('>').expect("a tag ends")];
+        let name = tag.split([' ', '/', '\n']).find(|part| !part.is_empty()).expect("a tag has a name");
+        if tag.starts_with('/') {
+            assert_eq!(open.pop(), Some(name), "in front of {}", &rest[..40.min(rest.len())]);
+        } else if !tag.starts_with('!') && !tag.ends_with('/') && !["meta", "img"].contains(&name) {
+            open.push(name);
+        }
+        if ["script", "style"].contains(&name) && !tag.starts_with('/') {
+            rest = &rest[rest.find(&format!("</{name}>")).expect("its end")..];
+        }
+    }
+    assert!(open.is_empty(), "{open:?}");
+}
+
+/// What stands between two words, each time.
+fn between<'a>(page: &'a str, start: &str, end: &str) -> Vec<&'a str> {
+    page.split(start).skip(1).map(|rest| &rest[..rest.find(end).expect("an end")]).collect()
+}
+
+/// The numbers of a diagram by its title, as (label, points).
+fn diagram(page: &str, title: &str) -> Vec<(String, Vec<Vec<f64>>)> {
+    let figure = page.split("<figure>").find(|figure| figure.contains(&format!("<h3>{title}</h3>")));
+    let figure = figure.unwrap_or_else(|| panic!("there is no diagram {title}"));
+    let data = between(figure, "<script type=\"application/json\">", "</script>");
+    let data: Value = serde_json::from_str(data.first().unwrap_or_else(|| panic!("{title} is empty"))).expect("JSON");
+    let picture = between(figure, "<svg ", "</svg>");
+    roxmltree::Document::parse(&format!("<svg {}</svg>", picture[0])).expect("an SVG is XML");
+    let numbers = |point: &Value| serde_json::from_value(point.clone()).expect("numbers");
+    let points = |line: &Value| line["points"].as_array().expect("points").iter().map(numbers).collect();
+    let label = |line: &Value| line["label"].as_str().expect("a label").to_owned();
+    data["series"].as_array().expect("series").iter().map(|line| (label(line), points(line))).collect()
+}
+
+fn labels(lines: &[(String, Vec<Vec<f64>>)]) -> Vec<&str> {
+    lines.iter().map(|(label, _)| label.as_str()).collect()
+}
+
+/// The cells of the first table, row by row.
+fn cells(page: &str) -> Vec<Vec<&str>> {
+    let table = between(page, "<tbody>", "</tbody>")[0];
+    between(table, "<tr>", "</tr>").iter().map(|row| between(row, "\">", "</td>")).collect()
+}
+
+/// The films on the page, as they are in their files.
+fn films(page: &str) -> Vec<String> {
+    let decoded = |film: &str| {
+        ["%0A", "%22", "%26", "%3E", "%3C", "%23", "%25"]
+            .into_iter()
+            .zip(["\n", "\"", "&", ">", "<", "#", "%"])
+            .fold(film.to_owned(), |text, (code, c)| text.replace(code, c))
+    };
+    between(page, "data:image/svg+xml;charset=utf-8,", "\"").iter().map(|film| decoded(film)).collect()
+}
+
+#[test]
+fn a_run_has_a_page_with_all_there_is_to_know() {
+    let dir = TempDir::new().expect("a folder");
+    let out = dir.path().join("run");
+    train(&out, &["--epochs", "4", "--set", "system.poles=3"]).assert().success();
+    let page = report(&out);
+    assert!(page.contains("<title>cart_pole: field C (combined), seed 0 (run)</title>"));
+    assert!(page.contains("<th scope=\"row\">poles</th><td>3</td>"));
+    assert!(page.contains("<th scope=\"row\">widths</th><td>[12, 8]</td>"));
+    assert!(page.contains(concat!("made by physgrad ", env!("CARGO_PKG_VERSION"))));
+
+    let metrics = fs::read_to_string(out.join("metrics.csv")).expect("metrics");
+    let rows: Vec<Vec<f64>> =
+        metrics.lines().skip(1).map(|row| row.split(',').map(|cell| cell.parse().expect("a number")).collect()).collect();
+    for (title, line, column) in [
+        ("Loss by epoch", 0, 2),
+        ("Loss by epoch", 1, 3),
+        ("Length of the field", 0, 4),
+        ("Agreement of M and R", 0, 5),
+        ("Share of components kept", 0, 7),
+    ] {
+        let (_, points) = &diagram(&page, title)[line];
+        assert_eq!(points.len(), 4, "{title}");
+        for (point, row) in points.iter().zip(&rows) {
+            assert_eq!(point[0], row[0], "{title}");
+            assert!((point[1] / row[column] - 1.0).abs() < 1e-4, "{title}: {} in place of {}", point[1], row[column]);
+        }
+    }
+    let times = &diagram(&page, "Loss by time")[0].1;
+    assert!((times[3][0] / rows.iter().map(|row| row[6]).sum::<f64>() - 1.0).abs() < 1e-4);
+    let growth = diagram(&page, "Growth of the adjoint");
+    assert_eq!(labels(&growth), ["R before training", "M before training", "R as trained", "M as trained"]);
+    assert!(growth.iter().all(|(_, points)| points.len() == 26 && points[25][0] == 25.0), "a length at every state");
+    assert_eq!(growth[0].1, growth[1].1, "the last kernel is zero");
+    assert_ne!(growth[2].1, growth[3].1);
+    let row = &cells(&page)[0];
+    assert_eq!((row[0], row[3], row[5]), ("4", &*format!("{:.3e}", rows[3][3]), "0"));
+    assert_eq!(films(&page), [fs::read_to_string(out.join("animation.svg")).expect("a film")]);
+
+    assert!(report(&out) == page, "the same bytes");
+    train(&out, &["--epochs", "1"]).assert().success();
+    assert!(out.join("previous-1/report.html").exists() && !out.join("report.html").exists(), "a page stays with its run");
+}
+
+#[test]
+fn what_only_some_fields_have_is_missing_in_words() {
+    let dir = TempDir::new().expect("a folder");
+    train(dir.path(), &["--epochs", "2", "--field", "M"]).assert().success();
+    let page = report(dir.path());
+    assert!(!page.contains("Agreement of M and R") && page.contains("recorded for the combined field (C) only"));
+}
+
+#[test]
+fn a_comparison_has_a_page_with_the_table_it_printed() {
+    let dir = TempDir::new().expect("a folder");
+    let args = ["--fields", "C,R", "--seeds", "2", "--seed", "9", "--epochs", "3"];
+    let printed = compare(dir.path(), &args).output().expect("it runs").stdout;
+    let printed = String::from_utf8(printed).expect("text");
+    let page = report(dir.path());
+    assert!(page.contains("<th scope=\"row\">field</th><td>regular, combined</td>"));
+    assert!(page.contains("<th scope=\"row\">seed</th><td>9, 10</td>"), "by number");
+    assert!(page.contains("<th scope=\"row\">horizon</th><td>25</td>"));
+    let rows = cells(&page);
+    assert_eq!((rows[0][0], rows[1][0]), ("regular", "combined"));
+    for row in &rows {
+        let words =
+            |line: &&str| line.split(|c: char| c.is_whitespace() || "│┆|".contains(c)).map(str::to_owned).collect::<Vec<_>>();
+        let line = printed.lines().find(|line| words(line).contains(&row[0].to_owned())).expect("the same row");
+        assert!(row.iter().all(|cell| words(&line).contains(&(*cell).to_owned())), "{row:?} in place of {line}");
+    }
+    let means = diagram(&page, "Test loss by epoch");
+    assert_eq!(labels(&means), ["R (regular)", "C (combined)"]);
+    for (_, points) in &means {
+        assert!(points.iter().all(|p| p.len() == 4 && p[2] <= p[1] && p[1] <= p[3]), "a mean within its band: {points:?}");
+    }
+    diagram(&page, "Test loss by time");
+    assert_eq!(labels(&diagram(&page, "Every run")), ["R seed 9", "R seed 10", "C seed 9", "C seed 10"]);
+    assert_eq!(labels(&diagram(&page, "Share of components kept")), ["C seed 9", "C seed 10"]);
+    assert_eq!(labels(&diagram(&page, "Growth of the adjoint before training")), ["R", "M"]);
+    assert_eq!(labels(&diagram(&page, "Growth of M as trained")), ["R seed 9", "C seed 9"]);
+
+    let film = |run: &str| -> PathBuf { dir.path().join("runs").join(run).join("animation.svg") };
+    assert_eq!(films(&page), ["R-9", "C-9"].map(|run| fs::read_to_string(film(run)).expect("a film")));
+    fs::remove_file(film("C-9")).expect("it was there");
+    assert!(report(dir.path()) == page, "a film that is not there is made");
+}
+
+#[test]
+fn names_are_text_and_not_markup() {
+    let dir = TempDir::new().expect("a folder");
+    let out = dir.path().join("<i>&\"x");
+    train(&out, &["--epochs", "1"]).assert().success();
+    let page = report(&out);
+    assert!(page.contains("&lt;i&gt;&amp;") && !page.contains("<i>"));
+}
+
+#[test]
+fn runs_that_were_not_finished_have_a_page_that_says_so() {
+    let dir = TempDir::new().expect("a folder");
+    let (broken, all, none, one) =
+        (dir.path().join("broken"), dir.path().join("all"), dir.path().join("none"), dir.path().join("one"));
+    train(&broken, &["--epochs", "40"]).args(DIVERGES).assert().failure();
+    let page = report(&broken);
+    assert!(page.contains("This run broke off after 3 epochs of 40: training stopped: 11 updates in a row"));
+    assert!(page.contains("because a rollout diverged: a loss of 3 epochs.") && page.contains("There are no numbers to draw."));
+    assert!(page.contains("Before training, a rollout diverged") && page.contains("state component 0 of sample 0"));
+
+    compare(&all, &["--fields", "R,C", "--seeds", "2", "--epochs", "40"]).args(DIVERGES).assert().failure();
+    let page = report(&all);
+    assert!(page.contains("4 runs were not finished") && page.contains("C seed 1 broke off after 3 epochs of 40"));
+    assert_eq!(cells(&page)[0][..4], ["regular", "2", "2", "NaN"]);
+
+    train(&none, &["--epochs", "0"]).assert().success();
+    let page = report(&none);
+    assert!(page.contains("No epoch was finished") && !page.contains("class=\"trouble\""));
+    diagram(&page, "Growth of the adjoint");
+
+    train(&one, &["--epochs", "1"]).assert().success();
+    assert_eq!(diagram(&report(&one), "Loss by epoch")[0].1.len(), 1);
+    // As an interrupt would have left it.
+    let settings = fs::read_to_string(one.join("run.toml")).expect("settings");
+    fs::write(one.join("run.toml"), settings.replace("epochs = 1", "epochs = 5")).expect("settings");
+    let before = fs::read(one.join("checkpoint.bin")).expect("a checkpoint");
+    let page = report(&one);
+    assert!(page.contains("This run was interrupted after 1 epoch of 5 and can be resumed."));
+    assert_eq!(cells(&page)[0][0], "1 of 5");
+    assert!(fs::read(one.join("checkpoint.bin")).expect("a checkpoint") == before, "it was only looked at");
+}
+
+#[test]
+fn an_adjoint_that_overflows_is_told_and_the_other_is_drawn() {
+    let dir = TempDir::new().expect("a folder");
+    // A cart so light that the policy's least noise throws it about: states stay finite, and what they depend on grows.
+    let light = ["--set", "system.cart_mass=1e-4", "--set", "system.pole_mass=1e-4", "--set", "policy.zero_last=false"];
+    train(dir.path(), &["--epochs", "0"]).args(light).args(["--set", "horizon=600"]).assert().success();
+    let page = report(dir.path());
+    assert!(page.contains("As trained, the adjoint of R diverged: reverse pass of R: the cotangent of state component"));
+    let growth = diagram(&page, "Growth of the adjoint");
+    let first = |line: usize| growth[line].1[0][0];
+    assert!(first(2) > 100.0 && first(3) == 0.0, "R from {} on, M from {} on", first(2), first(3));
+}
+
+#[test]
+fn what_cannot_be_reported_is_named() {
+    let dir = TempDir::new().expect("a folder");
+    assert!(error_of(&dir.path().join("nowhere")).contains("there is no folder"));
+    assert!(error_of(dir.path()).contains("there is no run in"));
+    let out = dir.path().join("run");
+    train(&out, &["--epochs", "1"]).assert().success();
+    let checkpoint = fs::read(out.join("checkpoint.bin")).expect("a checkpoint");
+    fs::write(out.join("checkpoint.bin"), &checkpoint[..checkpoint.len() / 2]).expect("half a checkpoint");
+    let text = error_of(&out);
+    assert!(text.contains("checkpoint.bin") && text.contains("damaged"), "{text}");
+    assert!(!out.join("report.html").exists());
+}
