@@ -8,6 +8,7 @@ use super::inspected::Inspected;
 use super::learning;
 use crate::cli::statistics::{self, Outcome, field_label};
 use crate::cli::train::best;
+use base64::prelude::{BASE64_STANDARD, Engine};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use toml::{Table, Value};
 
@@ -157,7 +158,7 @@ fn films(runs: &[&Inspected]) -> Markup {
                 figure {
                     @if runs.len() > 1 { h3 { (run.name()) } }
                     @let alt = format!("Animation of {} under the policy of {}", run.task, run.name());
-                img.film src=(data_uri(&close.film)) alt=(alt);
+                    img.film src=(data_uri(&close.film)) alt=(alt);
                 }
             } } }
             p.note { "One rollout from a start state of the test set, under the policy as the run left it." }
@@ -167,20 +168,7 @@ fn films(runs: &[&Inspected]) -> Markup {
 
 /// As an image of its own, so that its names cannot clash with those of others and nothing in it is run.
 fn data_uri(svg: &str) -> String {
-    let mut uri = String::from("data:image/svg+xml;charset=utf-8,");
-    for c in svg.chars() {
-        match c {
-            '%' => uri += "%25",
-            '#' => uri += "%23",
-            '<' => uri += "%3C",
-            '>' => uri += "%3E",
-            '&' => uri += "%26",
-            '"' => uri += "%22",
-            '\n' => uri += "%0A",
-            c => uri.push(c),
-        }
-    }
-    uri
+    format!("data:image/svg+xml;base64,{}", BASE64_STANDARD.encode(svg))
 }
 
 /// What holds for all diagrams of gradients.
