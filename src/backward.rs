@@ -11,7 +11,7 @@
 
 use crate::divergence::{Divergence, Variable};
 use crate::kernels::{Vectorized, dispatch_narrow};
-use crate::policy::{Policy, PolicyColumns, Weights};
+use crate::policy::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Weights};
 use crate::rollout::{Lane, Rollout, WIDTH, find_non_finite, gather};
 use crate::scalar::{Columns, Float, Real, Scalar};
 use crate::system::System;
@@ -196,12 +196,13 @@ impl<F: Float> Adjoint<F> {
         theta_bar: &mut [F],
     ) {
         theta_bar.fill(F::zero());
-        let at = samples.start * rollout.horizon..samples.end * rollout.horizon;
+        let at = PolicyColumns::range(samples.start * rollout.horizon..samples.end * rollout.horizon);
         let p = &mut self.policy;
         let h = &p.controls_bar[k];
         let (u_bar, tape_bar, weight) = if p.unit { (&p.ones, &p.tape_bar[0], Some(&h[..])) } else { (h, &p.tape_bar[k], None) };
-        let (inputs, tape) = (rollout.inputs(), &rollout.tape);
-        policy.param_gradient(weights.packed(), at, inputs, tape, u_bar, tape_bar, weight, &mut p.scratch, theta_bar);
+        let pass = PolicyPass { packed: weights.packed(), at, x: rollout.inputs() };
+        let record = PolicyRecord { tape: &rollout.tape, u_bar, tape_bar, weight };
+        policy.param_gradient(pass, record, &mut p.scratch, theta_bar);
     }
 }
 
@@ -217,10 +218,10 @@ struct Pass<'a, T, P, F: Float> {
 impl<F: Float> PolicyAdjoint<F> {
     /// The policy's cotangents of flow `k` in the columns `at`; `∂N/∂x` only if `through_inputs`.
     fn backward<T, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>, k: usize, at: PolicyColumns, through_inputs: bool) {
-        let (inputs, tape) = (pass.rollout.inputs(), &pass.rollout.tape);
+        let columns = PolicyPass { packed: pass.weights.packed(), at, x: pass.rollout.inputs() };
         let u_bar = if self.unit { &self.ones } else { &self.controls_bar[k] };
         let x_bar = through_inputs.then_some(&mut self.inputs_bar[..]);
-        pass.policy.backward(pass.weights.packed(), at, inputs, tape, u_bar, &mut self.tape_bar[k], x_bar);
+        pass.policy.backward(columns, &pass.rollout.tape, u_bar, &mut self.tape_bar[k], x_bar);
     }
 }
 

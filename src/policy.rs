@@ -56,59 +56,37 @@ pub trait Policy: Send + Sync {
     }
 
     /// `u = N(x)` in the columns `at`; what the derivative needs is kept in `tape`.
-    fn forward<F: Float>(&self, packed: &[F], at: PolicyColumns, x: &[F], _tape: &mut [F], u: &mut [F]) {
+    fn forward<F: Float>(&self, pass: PolicyPass<F>, _tape: &mut [F], u: &mut [F]) {
         let (n, m) = (self.state_dim(), self.control_dim());
-        for c in at.iter() {
-            self.act(packed, &x[c * n..][..n], &mut u[c * m..][..m]);
+        for c in pass.at.iter() {
+            self.act(pass.packed, &pass.x[c * n..][..n], &mut u[c * m..][..m]);
         }
     }
 
     /// `x_bar = (∂N/∂x)ᵀ u_bar` in the columns `at`, after [`forward`](Policy::forward); overwrites. What the
     /// parameter gradient needs is kept in `tape_bar`. Without `x_bar`, `∂N/∂x` is not evaluated.
-    #[allow(clippy::too_many_arguments)]
-    fn backward<F: Float>(
-        &self,
-        packed: &[F],
-        at: PolicyColumns,
-        x: &[F],
-        _tape: &[F],
-        u_bar: &[F],
-        _tape_bar: &mut [F],
-        x_bar: Option<&mut [F]>,
-    ) {
+    fn backward<F: Float>(&self, pass: PolicyPass<F>, _tape: &[F], u_bar: &[F], _tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
         let (n, m) = (self.state_dim(), self.control_dim());
         let Some(x_bar) = x_bar else { return };
-        let theta = constants(packed);
-        for c in at.iter() {
+        let theta = constants(pass.packed);
+        for c in pass.at.iter() {
             let act = |x: &[Dual<F>], u: &mut [Dual<F>]| self.act(&theta, x, u);
-            jacobian(&x[c * n..][..n], 0..n, m, act, |i, slope| {
+            jacobian(&pass.x[c * n..][..n], 0..n, m, act, |i, slope| {
                 x_bar[c * n + i] = dot(slope, &u_bar[c * m..][..m]);
             });
         }
     }
 
-    /// `theta_bar += Σ_c weight[c]·(∂N/∂θ)ᵀ u_bar[c]` over the columns `at`, which are contiguous, after
-    /// [`backward`](Policy::backward). `weight` has one number per column of the whole rollout; without it, all are 1.
-    #[allow(clippy::too_many_arguments)]
-    fn param_gradient<F: Float>(
-        &self,
-        packed: &[F],
-        at: Range<usize>,
-        x: &[F],
-        _tape: &[F],
-        u_bar: &[F],
-        _tape_bar: &[F],
-        weight: Option<&[F]>,
-        _scratch: &mut [F],
-        theta_bar: &mut [F],
-    ) {
+    /// `theta_bar += Σ_c weight[c]·(∂N/∂θ)ᵀ u_bar[c]` over the columns `at`, which are neighbours, after
+    /// [`backward`](Policy::backward).
+    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, _scratch: &mut [F], theta_bar: &mut [F]) {
         let (n, m) = (self.state_dim(), self.control_dim());
-        for c in at {
-            let x = constants(&x[c * n..][..n]);
-            let weight = weight.map_or(F::one(), |w| w[c]);
+        for c in pass.at.iter() {
+            let x = constants(&pass.x[c * n..][..n]);
+            let weight = record.weight.map_or(F::one(), |w| w[c]);
             let act = |theta: &[Dual<F>], u: &mut [Dual<F>]| self.act(theta, &x, u);
-            jacobian(packed, 0..packed.len(), m, act, |i, slope| {
-                theta_bar[i] += weight * dot(slope, &u_bar[c * m..][..m]);
+            jacobian(pass.packed, 0..pass.packed.len(), m, act, |i, slope| {
+                theta_bar[i] += weight * dot(slope, &record.u_bar[c * m..][..m]);
             });
         }
     }
@@ -120,6 +98,30 @@ fn constants<F: Float>(values: &[F]) -> SmallVec<[Dual<F>; 32]> {
 
 fn dot<F: Float>(a: &[F], b: &[F]) -> F {
     a.iter().zip(b).fold(F::zero(), |sum, (&a, &b)| sum + a * b)
+}
+
+/// What the batched passes of a [`Policy`] start from.
+#[derive(Clone, Copy, Debug)]
+pub struct PolicyPass<'a, F> {
+    /// The parameters, as [`Policy::pack`] left them.
+    pub packed: &'a [F],
+    /// The columns to work on.
+    pub at: PolicyColumns,
+    /// The states of all columns.
+    pub x: &'a [F],
+}
+
+/// What the passes before it left for [`Policy::param_gradient`], in all columns.
+#[derive(Clone, Copy, Debug)]
+pub struct PolicyRecord<'a, F> {
+    /// Kept by the forward pass.
+    pub tape: &'a [F],
+    /// The cotangents that the backward pass was given.
+    pub u_bar: &'a [F],
+    /// Kept by the backward pass.
+    pub tape_bar: &'a [F],
+    /// What each column counts, one number a column; without it, all count 1.
+    pub weight: Option<&'a [F]>,
 }
 
 /// A named piece of `θ`, row-major.
@@ -161,6 +163,12 @@ impl PolicyColumns {
     /// Contiguous columns.
     pub fn range(columns: Range<usize>) -> Self {
         Self { first: columns.start, step: 1, count: columns.len() }
+    }
+
+    /// The columns as a range; they must be neighbours.
+    pub fn as_range(self) -> Range<usize> {
+        debug_assert!(self.step == 1, "these columns are not neighbours");
+        self.first..self.first + self.count
     }
 
     /// Their indices.

@@ -2,7 +2,7 @@
 
 use crate::divergence::{Divergence, Variable};
 use crate::kernels::{Vectorized, dispatch_narrow};
-use crate::policy::{Policy, PolicyColumns, Weights};
+use crate::policy::{Policy, PolicyColumns, PolicyPass, Weights};
 use crate::scalar::{Float, Lanes, Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
@@ -136,7 +136,7 @@ impl<F: Float> Rollout<F> {
         let blocks = self.blocks();
         gather(&self.states[now.clone()], Real::lane, n, at, &mut self.inputs);
         let inputs = &self.inputs[..self.samples * self.kept * n];
-        policy.forward(weights.packed(), at, inputs, &mut self.tape, &mut self.outputs);
+        policy.forward(PolicyPass { packed: weights.packed(), at, x: inputs }, &mut self.tape, &mut self.outputs);
         let controls = &mut self.controls[blocks * m * (t % self.kept)..][..blocks * m];
         scatter(&self.outputs, m, at, controls);
 

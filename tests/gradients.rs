@@ -1,12 +1,11 @@
 //! Every gradient in the tree against dual numbers, and the checks themselves on planted faults.
 
 use num_traits::AsPrimitive;
-use physgrad::policy::{Conv, Linear, Mlp, PolicyColumns, Sizes, Tensor};
+use physgrad::policy::{Conv, Linear, Mlp, PolicyPass, PolicyRecord, Sizes, Tensor};
 use physgrad::rng::Rng;
 use physgrad::tasks::{CartPole, CartPoleSystem, LossMode, Quantum};
 use physgrad::{Columns, Cotangent, Float, Flow, Policy, Real, Scalar, System, Task, check};
 use rand::RngExt;
-use std::ops::Range;
 
 #[test]
 fn cart_pole_with_any_number_of_poles() {
@@ -210,15 +209,13 @@ impl Policy for Forgetting {
     }
     fn backward<F: physgrad::Float>(
         &self,
-        packed: &[F],
-        at: physgrad::policy::PolicyColumns,
-        x: &[F],
+        pass: PolicyPass<F>,
         tape: &[F],
         u_bar: &[F],
         tape_bar: &mut [F],
         mut x_bar: Option<&mut [F]>,
     ) {
-        self.0.backward(packed, at, x, tape, u_bar, tape_bar, x_bar.as_deref_mut());
+        self.0.backward(pass, tape, u_bar, tape_bar, x_bar.as_deref_mut());
         if let Some(x_bar) = x_bar {
             x_bar[1] = F::zero();
         }
@@ -262,34 +259,14 @@ impl Policy for OneOff {
     fn pack<F: Float>(&self, theta: &[F], packed: &mut [F]) {
         self.conv.pack(theta, packed);
     }
-    fn forward<F: Float>(&self, packed: &[F], at: PolicyColumns, x: &[F], tape: &mut [F], u: &mut [F]) {
-        self.conv.forward(packed, at, x, tape, u);
+    fn forward<F: Float>(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
+        self.conv.forward(pass, tape, u);
     }
-    fn backward<F: Float>(
-        &self,
-        packed: &[F],
-        at: PolicyColumns,
-        x: &[F],
-        tape: &[F],
-        u_bar: &[F],
-        tape_bar: &mut [F],
-        x_bar: Option<&mut [F]>,
-    ) {
-        self.conv.backward(packed, at, x, tape, u_bar, tape_bar, x_bar);
+    fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
+        self.conv.backward(pass, tape, u_bar, tape_bar, x_bar);
     }
-    fn param_gradient<F: Float>(
-        &self,
-        packed: &[F],
-        at: Range<usize>,
-        x: &[F],
-        tape: &[F],
-        u_bar: &[F],
-        tape_bar: &[F],
-        weight: Option<&[F]>,
-        scratch: &mut [F],
-        theta_bar: &mut [F],
-    ) {
-        self.conv.param_gradient(packed, at, x, tape, u_bar, tape_bar, weight, scratch, theta_bar);
+    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
+        self.conv.param_gradient(pass, record, scratch, theta_bar);
         let largest = theta_bar.iter().fold(0.0, |largest: f64, &bar| largest.max(AsPrimitive::<f64>::as_(bar).abs()));
         theta_bar[self.index] += F::lift(1e-3 * largest);
     }

@@ -1,6 +1,6 @@
 //! Quantum control against duals, against the authors' numbers and against conservation of probability.
 
-use physgrad::policy::{Conv, PolicyColumns};
+use physgrad::policy::{Conv, PolicyColumns, PolicyPass};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{LossMode, Quantum, QuantumSystem};
 use physgrad::{Policy, Scalar, System, Task, Weights, check};
@@ -46,12 +46,13 @@ fn a_column_does_not_depend_on_its_neighbours() {
         let sizes = policy.sizes::<f64>(total);
         let (mut tape, mut tape_bar) = (vec![0.0; sizes.tape], vec![0.0; sizes.tape_bar]);
         let (mut u, mut x_bar) = (vec![f64::NAN; total], vec![f64::NAN; n * total]);
-        for &at in pieces {
-            policy.forward(weights.packed(), at, &x, &mut tape, &mut u);
+        let pass = |&at: &PolicyColumns| PolicyPass { packed: weights.packed(), at, x: &x };
+        for at in pieces {
+            policy.forward(pass(at), &mut tape, &mut u);
         }
-        for &at in pieces {
+        for at in pieces {
             let ones = vec![1.0; total];
-            policy.backward(weights.packed(), at, &x, &tape, &ones, &mut tape_bar, Some(&mut x_bar));
+            policy.backward(pass(at), &tape, &ones, &mut tape_bar, Some(&mut x_bar));
         }
         u.into_iter().chain(x_bar).collect::<Vec<f64>>()
     };

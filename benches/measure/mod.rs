@@ -1,6 +1,6 @@
 //! What the benchmarks share: jobs in turn, medians, and a policy that does nothing.
 
-use physgrad::policy::{Policy, PolicyColumns};
+use physgrad::policy::{Policy, PolicyPass};
 use physgrad::rng::Rng;
 use physgrad::{Float, Scalar};
 use std::time::Instant;
@@ -54,6 +54,6 @@ impl Policy for Nothing {
     fn act<T: Scalar>(&self, _: &[T], _: &[T], u: &mut [T]) {
         u.fill(T::zero());
     }
-    fn forward<F: Float>(&self, _: &[F], _: PolicyColumns, _: &[F], _: &mut [F], _: &mut [F]) {}
-    fn backward<F: Float>(&self, _: &[F], _: PolicyColumns, _: &[F], _: &[F], _: &[F], _: &mut [F], _: Option<&mut [F]>) {}
+    fn forward<F: Float>(&self, _: PolicyPass<F>, _: &mut [F], _: &mut [F]) {}
+    fn backward<F: Float>(&self, _: PolicyPass<F>, _: &[F], _: &[F], _: &mut [F], _: Option<&mut [F]>) {}
 }

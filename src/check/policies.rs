@@ -1,7 +1,7 @@
 //! The check of a policy's batched passes.
 
 use super::{CASES_OF_LONG_CHECKS, Comparison, Mismatch, ONE_STEP, Passed, normal, oracle};
-use crate::policy::{Policy, PolicyColumns};
+use crate::policy::{Policy, PolicyColumns, PolicyPass, PolicyRecord};
 use crate::rng::{Purpose, Rng, stream};
 
 /// Up to so many parameters, all are compared one by one.
@@ -48,7 +48,7 @@ pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
         let mut u = vec![f64::NAN; total * m];
         for t in 0..steps {
             let at = PolicyColumns { first: t, step: steps, count: samples };
-            policy.forward(weights.packed(), at, &x, &mut tape, &mut u);
+            policy.forward(PolicyPass { packed: weights.packed(), at, x: &x }, &mut tape, &mut u);
         }
         let mut expected = vec![0.0; total * m];
         for (x, u) in x.chunks_exact(n).zip(expected.chunks_exact_mut(m)) {
@@ -58,8 +58,8 @@ pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
 
         let mut tape_bar = vec![0.0; sizes.tape_bar];
         let mut x_bar = vec![f64::NAN; total * n];
-        let all = PolicyColumns::range(0..total);
-        policy.backward(weights.packed(), all, &x, &tape, &u_bar, &mut tape_bar, Some(&mut x_bar));
+        let all = PolicyPass { packed: weights.packed(), at: PolicyColumns::range(0..total), x: &x };
+        policy.backward(all, &tape, &u_bar, &mut tape_bar, Some(&mut x_bar));
         c.slices("backward: x_bar", &x_bar, &oracle::policy_input_gradient(policy, weights.theta(), &x, &u_bar))?;
 
         let components = |indices: &[usize]| oracle::policy_components(policy, weights.theta(), &x, &u_bar, indices);
@@ -68,8 +68,8 @@ pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
         let mut scratch = vec![0.0; sizes.scratch];
         for weight in [None, Some(&weight[..])] {
             let mut theta_bar = vec![0.0; params];
-            let packed = weights.packed();
-            policy.param_gradient(packed, 0..total, &x, &tape, &u_bar, &tape_bar, weight, &mut scratch, &mut theta_bar);
+            let record = PolicyRecord { tape: &tape, u_bar: &u_bar, tape_bar: &tape_bar, weight };
+            policy.param_gradient(all, record, &mut scratch, &mut theta_bar);
             c.components(&theta_bar, &some, weight)?;
             for (index, (direction, slopes)) in directions.iter().enumerate() {
                 if let Err(mismatch) = c.direction(index, &theta_bar, direction, slopes, weight) {

@@ -10,7 +10,7 @@
 mod layer;
 mod layout;
 
-use super::{Policy, PolicyColumns, Sizes, Tensor};
+use super::{Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
 use crate::kernels::Level;
 use crate::kernels::elementwise::{self, Strided};
 use crate::kernels::gemm::Product;
@@ -18,7 +18,6 @@ use crate::rng::Rng;
 use crate::scalar::{Float, Scalar};
 use layer::Layer;
 use rand::RngExt;
-use std::ops::Range;
 
 /// Columns that go through all layers together, so that their activations stay in the cache.
 const BLOCK: usize = 8;
@@ -176,7 +175,8 @@ impl Policy for Conv {
         dense[w] = bias[0];
     }
 
-    fn forward<F: Float>(&self, packed: &[F], at: PolicyColumns, x: &[F], tape: &mut [F], u: &mut [F]) {
+    fn forward<F: Float>(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
+        let PolicyPass { packed, at, x } = pass;
         let level = Level::best();
         let (n, w) = (self.state_dim(), self.width);
         let layers = self.layers::<F>();
@@ -209,16 +209,8 @@ impl Policy for Conv {
         }
     }
 
-    fn backward<F: Float>(
-        &self,
-        packed: &[F],
-        at: PolicyColumns,
-        x: &[F],
-        tape: &[F],
-        u_bar: &[F],
-        tape_bar: &mut [F],
-        mut x_bar: Option<&mut [F]>,
-    ) {
+    fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], mut x_bar: Option<&mut [F]>) {
+        let PolicyPass { packed, at, x } = pass;
         let level = Level::best();
         let (n, w) = (self.state_dim(), self.width);
         let total = x.len() / n;
@@ -270,19 +262,10 @@ impl Policy for Conv {
         }
     }
 
-    fn param_gradient<F: Float>(
-        &self,
-        _packed: &[F],
-        at: Range<usize>,
-        x: &[F],
-        tape: &[F],
-        u_bar: &[F],
-        tape_bar: &[F],
-        weight: Option<&[F]>,
-        scratch: &mut [F],
-        theta_bar: &mut [F],
-    ) {
-        if at.is_empty() {
+    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
+        let PolicyPass { at, x, .. } = pass;
+        let PolicyRecord { tape, u_bar, tape_bar, weight } = record;
+        if at.count == 0 {
             return;
         }
         let level = Level::best();
@@ -295,8 +278,8 @@ impl Policy for Conv {
         for (i, l) in layers.iter().enumerate() {
             let (sum, scaled) = scratch.split_at_mut(l.slot_out * l.depth());
             let (all_inputs, all_bars) = (&tape[places.all[i]..], &tape_bar[bars[i]..]);
-            for block in PolicyColumns::range(at.clone()).blocks(DEPTH.max(l.room) / l.room) {
-                let columns = block.first..block.first + block.count;
+            for block in at.blocks(DEPTH.max(l.room) / l.room) {
+                let columns = block.as_range();
                 let mut input = &all_inputs[columns.start * l.input()..columns.end * l.input()];
                 let mut bar = &all_bars[columns.start * l.output()..columns.end * l.output()];
                 if let Some(weight) = weight {
@@ -319,7 +302,7 @@ impl Policy for Conv {
                         b_col: 1,
                         c: sum,
                         ldc: l.slot_out,
-                        accumulate: block.first != at.start,
+                        accumulate: block.first != at.first,
                     },
                 );
             }
@@ -333,15 +316,15 @@ impl Policy for Conv {
 
         let len = two.output();
         let (sum, scaled) = scratch.split_at_mut(len);
-        for block in PolicyColumns::range(at.clone()).blocks(DEPTH) {
-            let columns = block.first..block.first + block.count;
+        for block in at.blocks(DEPTH) {
+            let columns = block.as_range();
             let mut b = &u_bar[columns.clone()];
             if let Some(weight) = weight {
                 elementwise::scale(level, b, &weight[columns], 1, scaled);
                 b = scaled;
             }
             let a = &tape[places.all[2] + block.first * len..];
-            let accumulate = block.first != at.start;
+            let accumulate = block.first != at.first;
             let product = Product {
                 rows: len,
                 depth: block.count,

@@ -1,9 +1,8 @@
 //! A linear policy, `u = K x + k`.
 
-use super::{Policy, PolicyColumns, Tensor};
+use super::{Policy, PolicyPass, PolicyRecord, Tensor};
 use crate::rng::Rng;
 use crate::scalar::{Float, Scalar};
-use std::ops::Range;
 
 /// `u = K x`, or `u = K x + k` with a bias. `θ` is `K` row-major (control_dim × state_dim), then `k`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -53,45 +52,25 @@ impl Policy for Linear {
         }
     }
 
-    fn backward<F: Float>(
-        &self,
-        packed: &[F],
-        at: PolicyColumns,
-        _x: &[F],
-        _tape: &[F],
-        u_bar: &[F],
-        _tape_bar: &mut [F],
-        x_bar: Option<&mut [F]>,
-    ) {
+    fn backward<F: Float>(&self, pass: PolicyPass<F>, _tape: &[F], u_bar: &[F], _tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
         let (n, m) = (self.state_dim, self.control_dim);
         let Some(x_bar) = x_bar else { return };
-        for c in at.iter() {
+        for c in pass.at.iter() {
             let x_bar = &mut x_bar[c * n..][..n];
             x_bar.fill(F::zero());
-            for (&u_bar, row) in u_bar[c * m..][..m].iter().zip(packed.chunks_exact(n)) {
+            for (&u_bar, row) in u_bar[c * m..][..m].iter().zip(pass.packed.chunks_exact(n)) {
                 add_scaled(x_bar, row, u_bar);
             }
         }
     }
 
-    fn param_gradient<F: Float>(
-        &self,
-        _packed: &[F],
-        at: Range<usize>,
-        x: &[F],
-        _tape: &[F],
-        u_bar: &[F],
-        _tape_bar: &[F],
-        weight: Option<&[F]>,
-        _scratch: &mut [F],
-        theta_bar: &mut [F],
-    ) {
+    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, _scratch: &mut [F], theta_bar: &mut [F]) {
         let (n, m) = (self.state_dim, self.control_dim);
         let (gain_bar, bias_bar) = theta_bar.split_at_mut(m * n);
-        for c in at {
-            let weight = weight.map_or(F::one(), |w| w[c]);
-            for (i, (&u_bar, row)) in u_bar[c * m..][..m].iter().zip(gain_bar.chunks_exact_mut(n)).enumerate() {
-                add_scaled(row, &x[c * n..][..n], weight * u_bar);
+        for c in pass.at.iter() {
+            let weight = record.weight.map_or(F::one(), |w| w[c]);
+            for (i, (&u_bar, row)) in record.u_bar[c * m..][..m].iter().zip(gain_bar.chunks_exact_mut(n)).enumerate() {
+                add_scaled(row, &pass.x[c * n..][..n], weight * u_bar);
                 if self.bias {
                     bias_bar[i] += weight * u_bar;
                 }

@@ -4,14 +4,13 @@
 //! and bias together are one (inputs + 1) × outputs matrix, so every layer is one matrix product with a column of
 //! activations that ends in a constant 1, and its gradient is one product too.
 
-use super::{Policy, PolicyColumns, Sizes, Tensor};
+use super::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Sizes, Tensor};
 use crate::kernels::Level;
 use crate::kernels::elementwise::{self, Strided};
 use crate::kernels::gemm::Product;
 use crate::rng::Rng;
 use crate::scalar::{Float, Scalar};
 use rand::RngExt;
-use std::ops::Range;
 
 /// Columns that go through all layers together, so that their activations stay in the first-level cache.
 const BLOCK: usize = 32;
@@ -201,7 +200,8 @@ impl Policy for Mlp {
         }
     }
 
-    fn forward<F: Float>(&self, packed: &[F], at: PolicyColumns, x: &[F], tape: &mut [F], u: &mut [F]) {
+    fn forward<F: Float>(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
+        let PolicyPass { packed, at, x } = pass;
         let level = Level::best();
         let n = self.state_dim();
         let total = x.len() / n;
@@ -247,16 +247,8 @@ impl Policy for Mlp {
         }
     }
 
-    fn backward<F: Float>(
-        &self,
-        packed: &[F],
-        at: PolicyColumns,
-        x: &[F],
-        tape: &[F],
-        u_bar: &[F],
-        tape_bar: &mut [F],
-        mut x_bar: Option<&mut [F]>,
-    ) {
+    fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], mut x_bar: Option<&mut [F]>) {
+        let PolicyPass { packed, at, x } = pass;
         let level = Level::best();
         let n = self.state_dim();
         let total = x.len() / n;
@@ -300,19 +292,10 @@ impl Policy for Mlp {
         }
     }
 
-    fn param_gradient<F: Float>(
-        &self,
-        _packed: &[F],
-        at: Range<usize>,
-        x: &[F],
-        tape: &[F],
-        u_bar: &[F],
-        tape_bar: &[F],
-        weight: Option<&[F]>,
-        scratch: &mut [F],
-        theta_bar: &mut [F],
-    ) {
-        if at.is_empty() {
+    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
+        let PolicyPass { at, x, .. } = pass;
+        let PolicyRecord { tape, u_bar, tape_bar, weight } = record;
+        if at.count == 0 {
             return;
         }
         let level = Level::best();
@@ -324,8 +307,8 @@ impl Policy for Mlp {
             // A few outputs make a thin product the long way round; the transposed one has the inputs as its rows.
             let (rows, cols) = if is_last { (l.ld_in, l.outputs) } else { (l.ld_out, l.rows) };
             let (sum, scaled) = scratch.split_at_mut(rows * cols);
-            for block in PolicyColumns::range(at.clone()).blocks(DEPTH) {
-                let columns = block.first..block.first + block.count;
+            for block in at.blocks(DEPTH) {
+                let columns = block.as_range();
                 let mut bar = &bar[columns.start * bar_len..columns.end * bar_len];
                 let mut input = &input[columns.start * l.ld_in..columns.end * l.ld_in];
                 if let Some(weight) = weight {
@@ -335,7 +318,7 @@ impl Policy for Mlp {
                     *factor = scaled;
                 }
                 let (a, b, b_row) = if is_last { (input, bar, bar_len) } else { (bar, input, l.ld_in) };
-                let accumulate = block.first != at.start;
+                let accumulate = block.first != at.first;
                 let product =
                     Product { rows, depth: block.count, cols, a, lda: rows, b, b_row, b_col: 1, c: sum, ldc: rows, accumulate };
                 F::product(level, product);
