@@ -16,7 +16,7 @@ const STEPS: usize = 16;
 
 fn main() {
     let count = if std::env::args().any(|a| a == "--quick") { 3 } else { 60 };
-    println!("microseconds of one step and its adjoint, {BATCH} samples, f32, one thread; shares of the smallest size");
+    println!("microseconds of one step and its adjoint, {BATCH} samples, f32, one thread; multiples of the smallest size");
 
     let grids = [32, 64, 128, 256, 512, 1024];
     let quantum = |grid| {

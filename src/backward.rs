@@ -141,9 +141,10 @@ impl<F: Float> Adjoint<F> {
     }
 
     /// The length of the adjoint of flow number `k` at the states `x_0 .. x_T` of the last run, `horizon + 1` numbers:
-    /// how strongly the loss of a sample depends, along the paths of the flow, on a change of that state. It is the root
-    /// mean square over the samples of ‖λ_t‖, where λ_t holds the costs that come after `x_t`, and at `T` the terminal
-    /// cost. NaN before where a run diverged.
+    /// how strongly what comes after a state depends on it, along the paths of the flow. It is the root mean square over the
+    /// samples of ‖λ_t‖ for the loss of a sample. λ_t holds the costs after `x_t`, not that of `x_t` itself; at `T` it
+    /// is the terminal cost's gradient, which is 0 where only states on the way are paid for. NaN where a run that
+    /// diverged did not come.
     ///
     /// # Panics
     /// Without [`keep_norms`](Adjoint::keep_norms).

@@ -1,6 +1,7 @@
 //! Pictures of runs: plain numbers in, SVG or PNG out. No scripts, no network, the same bytes every time.
 
 mod animation;
+mod axes;
 mod cart_pole;
 mod chart;
 mod curves;
@@ -9,7 +10,6 @@ mod guidance;
 mod log_axis;
 mod log_figure;
 mod marks;
-mod panel;
 mod plane;
 mod quantum;
 mod raster;

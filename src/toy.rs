@@ -142,7 +142,7 @@ pub const ROTATION: f64 = 4.0;
 ///
 /// The combination leads down everywhere. It arrives from most starts, not from all: with the constants of figure 2 from
 /// 12 of 16 on a circle, while the others stop at losses of 0.02 to 0.2 and the rotation alone at 2 to 7. With ten times
-/// the learning rate it seldom arrives, but always comes fifty times as low as the rotation.
+/// the learning rate it seldom arrives, but always comes at least ten times as low as the rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rotated {
     /// Length of the rotated part, as a multiple of the gradient's.

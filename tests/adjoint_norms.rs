@@ -78,6 +78,44 @@ fn regular_shrinks_with_the_loop_and_modified_grows_with_the_plant() {
     assert_powers::<2>();
 }
 
+/// The same plant, whose states are paid for on the way: the one after step t by `x²/2`.
+struct OnTheWay;
+
+impl Task for OnTheWay {
+    type System = Plant<1>;
+    fn system(&self) -> &Plant<1> {
+        &Plant
+    }
+    fn horizon(&self) -> usize {
+        HORIZON
+    }
+    fn start(&self, _: &mut Rng, x: &mut [f64]) {
+        x.fill(1.0);
+    }
+    fn stage_cost<T: Scalar>(&self, x: &[T], _: &[T]) -> T {
+        T::lift(0.5) * x[0] * x[0]
+    }
+}
+
+#[test]
+fn the_cost_of_a_state_itself_is_not_in_its_norm() {
+    let policy = Linear::new(1, 1);
+    let weights = Weights::new(&policy, vec![GAIN]);
+    let mut rollout = Rollout::new(&OnTheWay, &policy, 1);
+    rollout.start(&[1.0]);
+    rollout.run(&OnTheWay, &policy, &weights).expect("it decays");
+    let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::REGULAR]).keep_norms();
+    adjoint.run(&OnTheWay, &policy, &weights, &rollout, 1.0).expect("it is finite");
+    let a = GROWTH + GAIN;
+    for (t, &norm) in adjoint.norms(0).iter().enumerate() {
+        // The costs after x_t are half of x_t² (a² + a⁴ + ...).
+        let later: f64 = (1..=HORIZON - t).map(|k| a.powi(2 * k as i32)).sum();
+        let expected = a.powi(t as i32) * later;
+        assert!((norm - expected).abs() <= 1e-12 * expected, "step {t}: {norm:e}, expected {expected:e}");
+    }
+    assert_eq!(adjoint.norms(0)[HORIZON], 0.0);
+}
+
 #[test]
 fn norms_are_of_the_loss_of_a_sample_whatever_the_scale() {
     let ([a, b], [c, d]) = (norms::<2>(1.0), norms::<2>(0.125));

@@ -46,7 +46,8 @@ fn a_trained_figure_has_a_row_for_every_run_and_every_case() {
         let (clips, fields, seeds) = (2, 2, 2);
         assert_eq!(read(&dir.path().join(format!("{figure}.csv"))).lines().count(), 1 + cases * clips * fields * seeds);
         let table = read(&dir.path().join(format!("{figure}.md")));
-        assert_eq!(table.lines().count(), 2 + cases * clips * fields);
+        assert_eq!(table.lines().filter(|line| line.starts_with('|')).count(), 2 + cases * clips * fields);
+        assert!(table.contains("geometric means over the seeds"), "and what it shows");
         assert!(table.contains(panel) && read(&dir.path().join(format!("{figure}.svg"))).contains(panel));
     }
 }
@@ -78,6 +79,58 @@ fn a_figure_goes_on_where_it_was_and_is_the_same_as_made_at_once() {
     assert!(!output.status.success());
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(text.contains("has 3 epochs already, and asked for are 1"), "{text}");
+    let kept = dir.path().join("once");
+    assert_eq!((read(&kept.join("fig3.svg")), read(&kept.join("fig3.md"))), once, "what was there is still there");
+}
+
+#[test]
+fn an_interrupted_figure_writes_nothing_of_runs_that_did_not_begin_and_goes_on() {
+    let dir = TempDir::new().expect("a folder");
+    let args = ["--seeds", "2", "--fields", "R,C", "--clip", "none", "--threads", "1"];
+    let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
+    command.args(["paper", "fig3", "--quick", "--epochs", "1000000", "--out"]).arg(dir.path()).args(args);
+    command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::null());
+    let child = command.spawn().expect("it runs");
+    let runs = || -> Vec<_> {
+        let cases = fs::read_dir(dir.path().join("fig3")).into_iter().flatten().flatten();
+        let runs = cases.flat_map(|case| fs::read_dir(case.path().join("runs")).into_iter().flatten().flatten());
+        runs.filter(|run| run.path().join("metrics.csv").exists()).map(|run| run.path()).collect()
+    };
+    while runs().is_empty() {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    std::thread::sleep(std::time::Duration::from_millis(100));
+    let killed = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+    assert!(killed.expect("kill runs").success());
+    let output = child.wait_with_output().expect("it ends");
+    assert_eq!(output.status.code(), Some(130));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("the same command goes on"));
+    assert!(!dir.path().join("fig3.svg").exists());
+    let [run] = &runs()[..] else { panic!("one thread begins one run, not {:?}", runs()) };
+    let done = read(&run.join("metrics.csv")).lines().count() - 1;
+    assert!(done > 0);
+
+    paper("fig3", dir.path(), &args).args(["--epochs", &(done + 1).to_string()]).assert().success();
+    assert_figure(dir.path(), "fig3");
+    assert_eq!(read(&run.join("metrics.csv")).lines().count() - 1, done + 1);
+}
+
+#[test]
+fn options_that_make_no_figure_are_refused_before_anything_is_made() {
+    let dir = TempDir::new().expect("a folder");
+    let out = dir.path().join("paper");
+    for (args, word) in [
+        (["--seeds", "0"], "--seeds is 0"),
+        (["--epochs", "0"], "--epochs is 0"),
+        (["--fields", "C,combined"], "--fields names combined twice"),
+        (["--clip", "norm,norm"], "--clip names norm twice"),
+    ] {
+        let output = paper("all", &out, &args).output().expect("it runs");
+        assert!(!output.status.success());
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(text.matches(word).count() == 1, "{text}");
+        assert!(!out.exists());
+    }
 }
 
 #[test]

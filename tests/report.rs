@@ -212,6 +212,45 @@ fn a_comparison_has_a_page_with_the_table_it_printed() {
 }
 
 #[test]
+fn a_page_shows_the_policy_as_it_is_now() {
+    let dir = TempDir::new().expect("a folder");
+    train(dir.path(), &["--epochs", "1"]).assert().success();
+    let film = fs::read_to_string(dir.path().join("animation.svg")).expect("a film");
+    let page = report(dir.path());
+    // As after a resumed run was killed, or after another sample was filmed.
+    physgrad(&["animate", "--sample", "3"]).arg(dir.path()).assert().success();
+    assert_ne!(fs::read_to_string(dir.path().join("animation.svg")).expect("a film"), film);
+    assert!(report(dir.path()) == page && films(&page) == [film]);
+}
+
+#[test]
+fn runs_of_different_things_are_not_a_comparison() {
+    let dir = TempDir::new().expect("a folder");
+    let out = |name: &str| dir.path().join("runs").join(name);
+    train(&out("a"), &["--epochs", "1", "--set", "system.poles=2"]).assert().success();
+    train(&out("b"), &["--epochs", "1", "--set", "system.poles=3"]).assert().success();
+    let error = |args: &[&str]| {
+        let output = physgrad(args).output().expect("it runs");
+        assert!(!output.status.success());
+        String::from_utf8(output.stderr).expect("text")
+    };
+    let path = dir.path().to_str().expect("a path");
+    let text = error(&["report", path]);
+    assert!(text.contains("not runs of one comparison") && text.contains("poles = 3"), "{text}");
+    fs::remove_dir_all(out("b")).expect("it was there");
+    physgrad(&["train", "guidance", "--epochs", "1", "--set", "training.train_samples=8", "--out"])
+        .arg(out("b"))
+        .assert()
+        .success();
+    let text = error(&["report", path]);
+    assert!(text.contains("(cart_pole)") && text.contains("(guidance) are not runs of one comparison"), "{text}");
+    fs::rename(dir.path().join("runs"), dir.path().join("others")).expect("it was there");
+    let others = dir.path().join("others");
+    let text = error(&["report", others.to_str().expect("a path")]);
+    assert!(text.contains("holds 2 runs or comparisons; choose one"), "{text}");
+}
+
+#[test]
 fn names_are_text_and_not_markup() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("<i>&\"x");

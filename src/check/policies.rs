@@ -22,8 +22,8 @@ pub fn policy<P: Policy>(policy: &P) -> Passed {
 ///
 /// The gradient `g` by the parameters is compared component by component, or if there are more than 1000, in 64 random
 /// components of each of [`Policy::tensors`]. In any case it is also compared in random directions `v` over all
-/// parameters: `⟨g, v⟩` with the derivative of `act` along v, by duals. As every `|vᵢ|` is between 1/2 and 3/2, no wrong
-/// component can stay unseen; when a direction is wrong, all components are compared to find which.
+/// parameters: `⟨g, v⟩` with the derivative of `act` along v, by duals. As every `|vᵢ|` is between 1/2 and 3/2, no single
+/// component that is wrong by more than the tolerance below can stay unseen; when a direction is wrong, all components are compared to find which.
 ///
 /// In a direction, `1e-12 Σ |gᵢ vᵢ|` is allowed. Rounding alone: a sum of n terms, each rounded to `ε = 1.1e-16`, is off
 /// by about `√n ε Σ |gᵢ vᵢ|`, which is 1.2e-14 for the 11,700 parameters of a usual network; what cancels within the

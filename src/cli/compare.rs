@@ -2,12 +2,12 @@
 
 use super::changes::{Changes, changed_settings};
 use super::folder::Folder;
+use super::run::threads;
 use super::scene::{Scene, with_scene};
 use super::settings::FieldName;
-use super::statistics::{self, Outcome, by_field, curves};
-use super::sweep::{Comparison, sweep};
+use super::statistics::{self, Outcome, best, by_field, curves};
+use super::sweep::{Comparison, check_options, sweep};
 use super::terminal::say;
-use super::train::{best, threads};
 use anyhow::{Result, bail};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
@@ -48,6 +48,7 @@ fn compare_scene<S: Scene>(args: &Compare) -> Result<()> {
         bail!("a comparison has --fields, not a single field");
     }
     let base = changed_settings::<S>(&args.changes)?;
+    check_options(&args.fields, args.seeds, base.epochs)?;
     threads(args.threads)?;
     let folder = match &args.out {
         Some(path) => Folder::create(path)?,

@@ -103,7 +103,12 @@ impl Folder {
             file.sync_all()?;
             fs::rename(&temporary, &path)
         };
-        attempt().with_context(|| format!("cannot write {}", path.display()))
+        let written = attempt().with_context(|| format!("cannot write {}", path.display()));
+        if written.is_err() {
+            // It may not even be there.
+            let _ = fs::remove_file(&temporary);
+        }
+        written
     }
 
     pub fn read(&self, name: &str) -> Result<Vec<u8>> {

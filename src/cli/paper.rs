@@ -5,10 +5,10 @@ mod fig2;
 mod study;
 
 use super::folder::Folder;
-use super::run::INTERRUPTED;
+use super::run::{INTERRUPTED, threads};
 use super::settings::{ClipName, FieldName};
+use super::sweep::{check_distinct, check_options};
 use super::terminal::say;
-use super::train::threads;
 use anyhow::{Result, bail};
 use physgrad::report::Drawing;
 use physgrad::tasks::{CartPole, Guidance, Quantum};
@@ -21,7 +21,7 @@ use study::{FIG3, FIG4, FIG5};
 pub struct Paper {
     /// Which figure
     #[arg(value_enum)]
-    pub figure: Figure,
+    pub figure: Which,
     #[command(flatten)]
     pub options: Options,
     /// Number of threads, one run each [default: RAYON_NUM_THREADS, or all cores]
@@ -57,7 +57,7 @@ pub struct Options {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum Figure {
+pub enum Which {
     /// Toy example: loss landscape, gradient and modified field
     Fig1,
     /// Toy example: Adam along a gradient, a rotating field, and their combination
@@ -72,8 +72,28 @@ pub enum Figure {
     All,
 }
 
-/// A finished figure.
-pub struct Plain {
+impl Which {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Fig1 => "fig1",
+            Self::Fig2 => "fig2",
+            Self::Fig3 => "fig3",
+            Self::Fig4 => "fig4",
+            Self::Fig5 => "fig5",
+            Self::All => "all",
+        }
+    }
+}
+
+impl Options {
+    /// Epochs of every run.
+    fn epochs(&self) -> usize {
+        self.epochs.unwrap_or(if self.quick { 5 } else { 1000 })
+    }
+}
+
+/// A figure as it is written.
+pub struct Made {
     pub drawing: Drawing,
     /// The numbers.
     pub csv: Vec<u8>,
@@ -81,7 +101,7 @@ pub struct Plain {
     pub table: String,
 }
 
-impl Plain {
+impl Made {
     /// Leaves `<name>.svg`, `.png`, `.csv` and `.md` in the folder, and says so.
     pub fn write(&self, name: &str, folder: &Folder, options: &Options) -> Result<()> {
         folder.write(&format!("{name}.svg"), self.drawing.to_svg())?;
@@ -98,25 +118,27 @@ impl Plain {
 
 /// Runs the command.
 pub fn paper(args: &Paper) -> Result<()> {
-    threads(args.threads)?;
-    let default = if args.options.quick { "runs/paper-quick" } else { "runs/paper" };
-    let folder = Folder::create(args.out.as_deref().unwrap_or(Path::new(default)))?;
     let options = &args.options;
+    check_options(&options.fields, options.seeds, options.epochs())?;
+    check_distinct("--clip", options.clip.iter().map(|clip| clip.name()))?;
+    threads(args.threads)?;
+    let default = if options.quick { "runs/paper-quick" } else { "runs/paper" };
+    let folder = Folder::create(args.out.as_deref().unwrap_or(Path::new(default)))?;
+    let write = |name: &str, made: Result<Made>| made?.write(name, &folder, options);
     // The longest last.
+    let figures: [(Which, &dyn Fn() -> Result<()>); 5] = [
+        (Which::Fig1, &|| write("fig1", fig1::fig1(options.quick))),
+        (Which::Fig2, &|| write("fig2", fig2::fig2(options.quick))),
+        (Which::Fig4, &|| FIG4.run::<CartPole>(options, &folder)),
+        (Which::Fig3, &|| FIG3.run::<Guidance>(options, &folder)),
+        (Which::Fig5, &|| FIG5.run::<Quantum>(options, &folder)),
+    ];
+    // What goes wrong with one figure does not keep the others from being made.
     let mut problems = Vec::new();
-    for figure in [Figure::Fig1, Figure::Fig2, Figure::Fig4, Figure::Fig3, Figure::Fig5] {
-        if INTERRUPTED.load(Ordering::Relaxed) || ![figure, Figure::All].contains(&args.figure) {
-            continue;
+    for (which, make) in figures {
+        if [which, Which::All].contains(&args.figure) && !INTERRUPTED.load(Ordering::Relaxed) {
+            problems.extend(make().err().map(|error| format!("{}: {error:#}", which.name())));
         }
-        let made = match figure {
-            Figure::Fig1 => fig1::fig1(options.quick).and_then(|plain| plain.write("fig1", &folder, options)),
-            Figure::Fig2 => fig2::fig2(options.quick).and_then(|plain| plain.write("fig2", &folder, options)),
-            Figure::Fig3 => FIG3.run::<Guidance>(options, &folder),
-            Figure::Fig4 => FIG4.run::<CartPole>(options, &folder),
-            _ => FIG5.run::<Quantum>(options, &folder),
-        };
-        // A run that broke off does not keep the other figures from being made.
-        problems.extend(made.err().map(|error| format!("{error:#}")));
     }
     if problems.is_empty() { Ok(()) } else { bail!("{}", problems.join("\n")) }
 }
@@ -126,7 +148,7 @@ mod tests {
     use super::*;
 
     /// An SVG that can be read, of a size for the web; numbers in every cell of the CSV; a table.
-    fn check(header: &str, figure: &Plain) {
+    fn check(header: &str, figure: &Made) {
         let svg = figure.drawing.to_svg();
         roxmltree::Document::parse(&svg).expect("an SVG is XML");
         assert!(!svg.contains("NaN") && svg.len() < 500_000, "{} bytes", svg.len());

@@ -11,8 +11,7 @@ use super::folder::{Folder, REPORT};
 use super::saved;
 use super::scene::{Scene, with_scene};
 use super::terminal::say;
-use anyhow::Result;
-use inspected::Inspected;
+use anyhow::{Result, bail};
 use std::path::PathBuf;
 
 /// Write one page (HTML) on a run or a comparison: results, curves, gradients, film and settings.
@@ -29,7 +28,15 @@ pub struct Report {
 pub fn report(args: &Report) -> Result<()> {
     let folder = Folder::existing(&args.folder)?;
     let runs = saved::runs(&folder)?;
-    let html = with_scene!(saved::task(&runs[0])?.as_str(), S => html::<S>(&folder, &runs))?;
+    let task = saved::task(&runs[0])?;
+    for run in &runs {
+        let other = saved::task(run)?;
+        if other != task {
+            let (first, run) = (runs[0].path().display(), run.path().display());
+            bail!("{first} ({task}) and {run} ({other}) are not runs of one comparison; report each by itself");
+        }
+    }
+    let html = with_scene!(task.as_str(), S => html::<S>(&folder, &runs))?;
     folder.write(REPORT, html)?;
     if !args.quiet {
         say(&folder.file(REPORT).display().to_string());
@@ -48,17 +55,4 @@ fn html<S: Scene>(folder: &Folder, runs: &[Folder]) -> Result<String> {
 /// A number and its noun, which the regular plural serves.
 fn counted(count: usize, noun: &str) -> String {
     format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
-}
-
-impl Inspected {
-    /// What the run did not finish, if so, in words.
-    fn trouble(&self) -> Option<String> {
-        let done = counted(self.records.len(), "epoch");
-        let asked = self.epochs;
-        match &self.end {
-            inspected::End::Done => None,
-            inspected::End::Interrupted => Some(format!("was interrupted after {done} of {asked} and can be resumed")),
-            inspected::End::Broke(why) => Some(format!("broke off after {done} of {asked}: {why}")),
-        }
-    }
 }

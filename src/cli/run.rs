@@ -32,6 +32,17 @@ pub struct Finished {
     pub broken: Option<TrainError>,
 }
 
+/// Sets up the thread pool and says how many threads it has.
+pub fn threads(asked: Option<usize>) -> Result<usize> {
+    if let Some(threads) = asked {
+        if threads == 0 {
+            bail!("--threads is 0; allowed: 1 or more");
+        }
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
+    }
+    Ok(rayon::current_num_threads())
+}
+
 /// Runs the settings in the folder. If `resume`, goes on from its checkpoint.
 pub fn run<S: Scene>(
     folder: &Folder,
@@ -53,6 +64,10 @@ fn run_in<S: Scene, F: Float>(
     resume: bool,
     watch: &mut dyn Watch,
 ) -> Result<Finished> {
+    if INTERRUPTED.load(Ordering::Relaxed) {
+        // Before it began: there is nothing to save, and an untrained policy is not worth a film.
+        return Ok(Finished { records: Vec::new(), interrupted: true, broken: None });
+    }
     let mut session = saved::fresh::<S, F>(settings, workers)?;
     let identity = settings.identity();
     if resume {

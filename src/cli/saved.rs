@@ -5,6 +5,7 @@ use super::scene::{Network, PolicyOf, Scene};
 use super::settings::Settings;
 use anyhow::{Context, Result, bail};
 use physgrad::{Float, Session, System, Trainer};
+use std::path::Path;
 use toml::{Table, Value};
 
 /// Whether there is a run in the folder that can be opened or resumed.
@@ -18,19 +19,27 @@ pub fn runs(folder: &Folder) -> Result<Vec<Folder>> {
         return Ok(vec![folder.clone()]);
     }
     let inside = folder.file(RUNS);
-    let mut paths = match std::fs::read_dir(&inside) {
-        Ok(entries) => entries.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>>>()?,
-        Err(_) => Vec::new(),
-    };
-    paths.sort();
-    let runs: Vec<Folder> = paths.iter().filter_map(|path| Folder::existing(path).ok()).filter(has_run).collect();
-    if runs.is_empty() {
-        bail!(
-            "there is no run in {}, nor in {RUNS}/ of it: neither `train` nor `compare` has saved one",
-            folder.path().display()
-        );
+    let runs = if inside.is_dir() { folders(&inside)?.into_iter().filter(has_run).collect() } else { Vec::new() };
+    if !runs.is_empty() {
+        return Ok(runs);
     }
-    Ok(runs)
+    let path = folder.path().display();
+    let cases: Vec<Folder> = folders(folder.path())?.into_iter().filter(|case| has_run(case) || case.has(RUNS)).collect();
+    match cases.first() {
+        Some(case) => {
+            bail!("{path} holds {} runs or comparisons; choose one, for example {}", cases.len(), case.path().display())
+        }
+        None => bail!("there is no run in {path}, nor in {RUNS}/ of it: neither `train` nor `compare` has saved one"),
+    }
+}
+
+/// The folders in a folder, by name.
+fn folders(path: &Path) -> Result<Vec<Folder>> {
+    let context = || format!("cannot look into {}", path.display());
+    let entries = std::fs::read_dir(path).with_context(context)?;
+    let mut paths = entries.map(|entry| Ok(entry.with_context(context)?.path())).collect::<Result<Vec<_>>>()?;
+    paths.sort();
+    Ok(paths.iter().filter_map(|path| Folder::existing(path).ok()).collect())
 }
 
 /// The name of the task of the run in the folder.
@@ -45,7 +54,11 @@ pub fn settings<S: Scene>(folder: &Folder) -> Result<Settings<S>> {
     let table = table(folder)?;
     let own = env!("CARGO_PKG_VERSION");
     if let Some(version) = table.get("physgrad").and_then(Value::as_str).filter(|&version| version != own) {
-        bail!("this run was made by physgrad {version}, and this is {own}: its numbers would not be those of one run");
+        bail!(
+            "the run in {} was made by physgrad {version}, and this is {own}, whose numbers may differ; use {version} for it, or \
+             train it anew",
+            folder.path().display()
+        );
     }
     Settings::from_table(table).with_context(|| unusable(folder))
 }

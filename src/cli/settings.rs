@@ -235,8 +235,19 @@ impl<S: Scene> Settings<S> {
 
     /// The settings that a resumed run must share: all but the number of epochs.
     pub fn identity(&self) -> String {
+        self.without(&["epochs"])
+    }
+
+    /// The settings that the runs of a comparison share: all but field, seed and the number of epochs.
+    pub fn comparable(&self) -> String {
+        self.without(&["epochs", "field", "seed"])
+    }
+
+    fn without(&self, keys: &[&str]) -> String {
         let mut table = self.to_table();
-        table.remove("epochs");
+        for &key in keys {
+            table.remove(key);
+        }
         table.to_string()
     }
 }

@@ -1,6 +1,5 @@
 //! What several runs of the same training say together: medians and curves, from plain records.
 
-use super::train::best;
 use physgrad::report::{Curve, Point, field_color};
 use physgrad::{Field, Record};
 
@@ -21,7 +20,8 @@ impl Outcome<'_> {
     }
 
     pub fn seconds(&self) -> f64 {
-        self.records.iter().map(|r| r.seconds).sum()
+        // An empty sum would be -0.
+        self.records.iter().fold(0.0, |sum, r| sum + r.seconds)
     }
 
     /// A number of every epoch, against epochs and against the time since the start.
@@ -76,6 +76,11 @@ pub fn table(runs: &[Outcome]) -> Vec<[String; 8]> {
     by_field(runs).map(row).collect()
 }
 
+/// The lowest test loss; NaN if there is none.
+pub fn best(records: &[Record]) -> f64 {
+    records.iter().map(|r| r.test_loss).fold(f64::NAN, f64::min)
+}
+
 /// The quantile `q` (0 to 1) of numbers in increasing order, by straight lines between them (Hyndman and Fan's type 7).
 /// A NaN, which stands for a run that broke off, is worse than any number, as `total_cmp` sorts it.
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
@@ -91,11 +96,11 @@ pub fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
     values
 }
 
-/// The mean of each number and up to `window - 1` before it.
+/// The mean of each number and up to `window - 1` before it. What is not finite stays as it is, and in no other mean.
 pub fn trailing_mean(values: &[f64], window: usize) -> Vec<f64> {
     let mean = |end: usize| {
-        let window = &values[(end + 1).saturating_sub(window)..=end];
-        window.iter().sum::<f64>() / window.len() as f64
+        let finite = || values[(end + 1).saturating_sub(window)..=end].iter().filter(|value| value.is_finite());
+        if values[end].is_finite() { finite().sum::<f64>() / finite().count() as f64 } else { values[end] }
     };
     (0..values.len()).map(mean).collect()
 }
@@ -123,5 +128,7 @@ mod tests {
     fn a_trailing_mean_looks_back_only() {
         assert_eq!(trailing_mean(&[1.0, 3.0, 5.0, 7.0], 2), [1.0, 2.0, 4.0, 6.0]);
         assert_eq!(trailing_mean(&[1.0, 3.0], 30), [1.0, 2.0]);
+        let with_a_gap = trailing_mean(&[1.0, f64::NAN, 3.0], 2);
+        assert!(with_a_gap[0] == 1.0 && with_a_gap[1].is_nan() && with_a_gap[2] == 3.0);
     }
 }

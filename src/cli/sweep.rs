@@ -11,6 +11,7 @@ use super::terminal::Progress;
 use anyhow::{Context, Result, bail};
 use physgrad::{Divergence, Field, Record, Skip};
 use rayon::prelude::*;
+use std::collections::HashSet;
 use std::sync::Mutex;
 
 /// The same training along several fields and with several seeds.
@@ -44,17 +45,29 @@ impl<S: Scene> Run<S> {
     }
 }
 
+/// An error unless there is something to be compared, and nothing of it twice.
+pub fn check_options(fields: &[FieldName], seeds: u64, epochs: usize) -> Result<()> {
+    if seeds == 0 {
+        bail!("--seeds is 0; allowed: 1 or more");
+    }
+    if epochs == 0 {
+        bail!("--epochs is 0; a comparison needs 1 or more");
+    }
+    check_distinct("--fields", fields.iter().map(|field| field.0.name()))
+}
+
+/// An error if an option names something twice.
+pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
+    let mut seen = HashSet::new();
+    match names.into_iter().find(|name| !seen.insert(*name)) {
+        Some(name) => bail!("{option} names {name} twice"),
+        None => Ok(()),
+    }
+}
+
 impl<S: Scene> Comparison<S> {
     /// Every run with its folder, which is made, and its settings.
     pub fn plan(label: &str, base: &Settings<S>, fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Self> {
-        if seeds == 0 {
-            bail!("--seeds is 0; allowed: 1 or more");
-        }
-        for (i, field) in fields.iter().enumerate() {
-            if fields[..i].contains(field) {
-                bail!("--fields names {} twice", field.0);
-            }
-        }
         let last = base.seed.checked_add(seeds - 1).filter(|&last| i64::try_from(last).is_ok());
         let last = last.with_context(|| format!("{seeds} seeds from {} on are more than there are", base.seed))?;
         let each = fields.iter().flat_map(|&field| (base.seed..=last).map(move |seed| (field, seed)));
@@ -81,24 +94,25 @@ impl<S: Scene> Comparison<S> {
 pub struct Swept {
     pub interrupted: bool,
     /// A line for each run that broke off.
-    failures: Vec<String>,
+    broke_off: Vec<String>,
     runs: usize,
 }
 
 impl Swept {
     /// An error that names the runs that broke off, if there are any.
     pub fn into_result(self) -> Result<()> {
-        if self.failures.is_empty() {
+        if self.broke_off.is_empty() {
             return Ok(());
         }
-        bail!("{} of {} runs broke off:\n{}", self.failures.len(), self.runs, self.failures.join("\n"))
+        bail!("{} of {} runs broke off:\n{}", self.broke_off.len(), self.runs, self.broke_off.join("\n"))
     }
 }
 
-/// Runs them all. A run that breaks off does not stop the others.
+/// Runs them all. A run that breaks off because a number was not finite does not stop the others, and is a result.
 ///
 /// # Errors
-/// Before anything is run: a folder that holds a run with other settings.
+/// Before anything is run: a folder that holds a run with other settings. After all others have run: the runs that could
+/// not be run at all, or not be saved.
 pub fn sweep<S: Scene>(comparisons: &mut [Comparison<S>], quiet: bool) -> Result<Swept> {
     let mut runs = Vec::new();
     for comparison in &*comparisons {
@@ -124,19 +138,22 @@ pub fn sweep<S: Scene>(comparisons: &mut [Comparison<S>], quiet: bool) -> Result
     }
 
     let labels: Vec<String> = runs.into_iter().map(|(_, label, _)| label).collect();
-    let mut swept = Swept { interrupted: false, failures: Vec::new(), runs: labels.len() };
+    let mut swept = Swept { interrupted: false, broke_off: Vec::new(), runs: labels.len() };
+    let mut failures = Vec::new();
     let all = comparisons.iter_mut().flat_map(|comparison| &mut comparison.runs);
     for ((run, finished), label) in all.zip(finished).zip(labels) {
-        let failure = match finished {
+        match finished {
             Ok(finished) => {
                 swept.interrupted |= finished.interrupted;
                 run.records = finished.records;
-                finished.broken.map(|error| error.to_string())
+                run.broken = finished.broken.is_some();
+                swept.broke_off.extend(finished.broken.map(|error| format!("{label}: {error}")));
             }
-            Err(error) => Some(format!("{error:#}")),
-        };
-        run.broken = failure.is_some();
-        swept.failures.extend(failure.map(|failure| format!("{label}: {failure}")));
+            Err(error) => failures.push(format!("{label}: {error:#}")),
+        }
+    }
+    if !failures.is_empty() {
+        bail!("{} of {} runs failed:\n{}", failures.len(), swept.runs, failures.join("\n"));
     }
     Ok(swept)
 }

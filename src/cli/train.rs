@@ -2,10 +2,11 @@
 
 use super::changes::{Changes, changed_settings, resumed_settings};
 use super::folder::Folder;
-use super::run;
+use super::run::{self, threads};
 use super::scene::{Scene, with_scene};
+use super::statistics::best;
 use super::terminal::{Progress, say};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use physgrad::Record;
 use std::path::PathBuf;
 
@@ -82,17 +83,6 @@ fn train_scene<S: Scene>(args: &Train) -> Result<()> {
     }
 }
 
-/// Sets up the thread pool and says how many threads it has.
-pub fn threads(asked: Option<usize>) -> Result<usize> {
-    if let Some(threads) = asked {
-        if threads == 0 {
-            bail!("--threads is 0; allowed: 1 or more");
-        }
-        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
-    }
-    Ok(rayon::current_num_threads())
-}
-
 fn summary(folder: &Folder, records: &[Record]) -> String {
     let mut text = String::new();
     if let Some(last) = records.last() {
@@ -112,9 +102,4 @@ fn summary(folder: &Folder, records: &[Record]) -> String {
     text += "  policy.safetensors                  the trained policy\n";
     text += "  run.toml, checkpoint.bin            to repeat or resume";
     text
-}
-
-/// The lowest test loss; NaN if there is none.
-pub fn best(records: &[Record]) -> f64 {
-    records.iter().map(|r| r.test_loss).fold(f64::NAN, f64::min)
 }

@@ -1,7 +1,7 @@
 //! The animation of a cart with one or more poles on a rail.
 
 use super::animation::{Animation, Shape};
-use super::panel::round_up;
+use super::axes::round_up;
 
 /// The colours of the poles in turn, which colour-blind readers can tell apart.
 const POLES: [&str; 5] = ["#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9"];

@@ -1,9 +1,10 @@
 //! [`Chart`]: one diagram, and where in it the data lie, so that a page can point at them.
 
+use super::axes::round_up;
 use super::log_axis::LogAxis;
 use super::log_figure::theme;
 use super::marks::marks;
-use super::series::{cleaned, drawable, thinned};
+use super::series::{cleaned, drawable, thinned, x_range};
 use super::{Drawing, Series};
 use kuva::prelude::{Layout, render_multiple};
 
@@ -114,28 +115,21 @@ impl Chart {
 /// The series with what can be shown of them, thinned; those of which nothing can are left out.
 fn shown(series: Vec<Series>, can_be: impl Fn(f64) -> bool) -> Vec<Series> {
     let clean = |mut s: Series| {
-        // A series with a band has been made by a summary, which leaves out what cannot be shown.
         if s.band.is_empty() {
             s.line = thinned(cleaned(s.line.into_iter(), &can_be));
+        } else {
+            let pairs = s.line.into_iter().zip(s.band);
+            let seen = pairs.filter(|&((x, y), (low, high))| x.is_finite() && [y, low, high].into_iter().all(&can_be));
+            (s.line, s.band) = thinned(seen.collect()).into_iter().unzip();
         }
         s
     };
     series.into_iter().map(clean).filter(|s| !s.line.is_empty()).collect()
 }
 
-/// From the first to the last x, or from 0 if that is near; with some room if there is but one.
-fn x_range(series: &[Series]) -> [f64; 2] {
-    let xs = || series.iter().flat_map(|s| &s.line).map(|&(x, _)| x);
-    let low = xs().fold(0.0, f64::min);
-    let high = xs().fold(low, f64::max);
-    [low, if high > low { high } else { low + 1.0 }]
-}
-
 /// 1, 2 or 5 times a power of ten, at most seven of them in the range; whole where all x are.
 fn tick_step([low, high]: &[f64; 2], series: &[Series]) -> f64 {
-    let least = (high - low) / 6.5;
-    let power = 10f64.powf(least.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|&step| step >= least).unwrap_or(least);
+    let step = round_up((high - low) / 6.5);
     let whole = series.iter().flat_map(|s| &s.line).all(|&(x, _)| x.fract() == 0.0);
     if whole { step.max(1.0) } else { step }
 }
@@ -191,6 +185,9 @@ mod tests {
         let chart =
             Chart::log("x", "y", vec![series(&[(0.0, f64::NAN), (1.0, 0.0)]), series(&[(0.0, f64::INFINITY), (1.0, 2.0)])]);
         assert_eq!(chart.series(), [series(&[(1.0, 2.0)])]);
+        let band = vec![(1.0, f64::NAN), (0.0, 3.0), (1.0, 3.0)];
+        let banded = Chart::log("x", "y", vec![Series { band, ..series(&[(0.0, 2.0), (1.0, 2.0), (2.0, 2.0)]) }]);
+        assert_eq!((&banded.series()[0].line[..], &banded.series()[0].band[..]), (&[(2.0, 2.0)][..], &[(1.0, 3.0)][..]));
         let linear = Chart::linear("x", "y", [-1.0, 1.0], vec![series(&[(0.0, 1.0 + 1e-15), (1.0, 1.1), (2.0, f64::NAN)])]);
         assert_eq!(linear.series()[0].line.len(), 1);
         assert!(chart.drawing().to_svg().contains("<circle"), "a single point is a dot");

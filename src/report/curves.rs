@@ -4,6 +4,9 @@ use super::log_figure::{Panel, log_figure};
 use super::series::{cleaned, drawable, thinned};
 use super::{Drawing, Series};
 
+/// A run that ends before this share of the longest run's epochs has ended early.
+const EARLY: f64 = 0.95;
+
 /// The runs of one method, one run a seed.
 pub struct Curve {
     /// Name in the legend.
@@ -55,8 +58,9 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
 /// seed does not pull it to the upper edge. The band runs from the best to the worst seed: it never reaches zero or
 /// below, as mean minus deviation may, and with a handful of seeds it hides nothing. One seed has no band.
 ///
-/// The runs of a curve are read at common places by interpolation, as far as all of them reached: where one seed stops
-/// or diverges for good, the curve ends. A run with no loss to show is left out and the legend says so.
+/// The runs of a curve are read at common places by interpolation, as far as all of them reached. A run that has nothing
+/// to show, or that ended early, because it broke off or diverged for good, is left out of line and band; the picture says
+/// how many remain.
 pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
     let panel = |x_label, x: fn(&Point) -> f64| {
         let series = curves.iter().map(|c| c.summary(x)).collect();
@@ -92,12 +96,14 @@ pub fn study(title: &str, rows: &[Vec<Case>]) -> Drawing {
 impl Curve {
     /// The geometric mean and the band of the runs over the x read from their points, as in [`comparison`].
     pub fn summary(&self, x: fn(&Point) -> f64) -> Series {
+        let end = |run: &Vec<Point>| run.iter().filter(|p| drawable(p.value)).map(|p| p.epoch).fold(f64::NEG_INFINITY, f64::max);
+        let last = self.runs.iter().map(end).fold(f64::NEG_INFINITY, f64::max);
+        let whole = self.runs.iter().filter(|run| end(run) >= EARLY * last);
         let clean = |run: &Vec<Point>| cleaned(run.iter().map(|p| (x(p), p.value)), drawable);
-        let runs: Vec<Vec<(f64, f64)>> = self.runs.iter().map(clean).filter(|run| !run.is_empty()).collect();
-        let missing = self.runs.len() - runs.len();
-        let label = match missing {
-            0 => self.label.clone(),
-            _ => format!("{} ({} of {} seeds)", self.label, runs.len(), self.runs.len()),
+        let runs: Vec<Vec<(f64, f64)>> = whole.map(clean).filter(|run| !run.is_empty()).collect();
+        let note = match self.runs.len() - runs.len() {
+            0 => String::new(),
+            _ => format!("{} of {} seeds", runs.len(), self.runs.len()),
         };
         let (mut line, mut band) = (Vec::new(), Vec::new());
         for x in common_grid(&runs) {
@@ -108,7 +114,7 @@ impl Curve {
                 band.push((losses.iter().copied().fold(f64::INFINITY, f64::min), losses.iter().copied().fold(0.0, f64::max)));
             }
         }
-        Series { band, ..Series::new(label, self.color, line) }
+        Series { band, note, ..Series::new(&*self.label, self.color, line) }
     }
 }
 
@@ -147,23 +153,32 @@ mod tests {
 
     #[test]
     fn mean_is_geometric_and_band_spans_the_seeds() {
-        let runs = vec![run(&[(0.0, 0.0, 1.0), (1.0, 10.0, 1e-2), (2.0, 20.0, 1.0)]), run(&[(0.0, 0.0, 1.0), (1.0, 5.0, 1e-4)])];
+        let runs = vec![
+            run(&[(0.0, 0.0, 1.0), (1.0, 10.0, 1e-2), (2.0, 20.0, 1.0)]),
+            run(&[(0.0, 0.0, 1.0), (1.0, 5.0, 1e-4), (2.0, 15.0, 1.0)]),
+        ];
         let curve = Curve { label: "a".into(), color: "red", runs };
         let by_epoch = curve.summary(|p| p.epoch);
-        assert_eq!(by_epoch.line.len(), 2, "the curve ends with the shorter run");
+        assert_eq!((by_epoch.line.len(), &*by_epoch.note), (3, ""));
         assert!((by_epoch.line[1].1 / 1e-3 - 1.0).abs() < 1e-12);
         assert_eq!(by_epoch.band[1], (1e-4, 1e-2));
         let by_time = curve.summary(|p| p.seconds);
-        assert_eq!(by_time.line.iter().map(|p| p.0).collect::<Vec<_>>(), [0.0, 5.0]);
+        assert_eq!(by_time.line.iter().map(|p| p.0).collect::<Vec<_>>(), [0.0, 5.0, 10.0, 15.0], "as far as both");
         assert!((by_time.band[1].1 / 0.1 - 1.0).abs() < 1e-12, "half way from 1 to 1e-2 on a log axis");
     }
 
     #[test]
-    fn one_seed_has_no_band_and_a_useless_one_is_told() {
+    fn seeds_without_a_loss_or_an_end_are_left_out_and_told() {
+        let long = run(&[(0.0, 0.0, 1.0), (99.0, 9.0, 0.5), (100.0, 10.0, f64::NAN)]);
+        let broke_off = run(&[(0.0, 0.0, 1.0), (5.0, 0.5, 1e9)]);
+        let runs = vec![long, run(&[(0.0, 0.0, 1.0), (100.0, 12.0, 1e-4)]), broke_off];
+        let series = Curve { label: "a".into(), color: "red", runs }.summary(|p| p.epoch);
+        assert_eq!((&*series.note, series.line.last().expect("a line").0), ("2 of 3 seeds", 99.0));
+
         let runs = vec![run(&[(0.0, 0.0, 1.0)]), run(&[(0.0, 0.0, f64::NAN)])];
         let series = Curve { label: "a".into(), color: "red", runs }.summary(|p| p.epoch);
         assert!(series.band.is_empty());
-        assert_eq!(series.label, "a (1 of 2 seeds)");
+        assert_eq!((&*series.label, &*series.note), ("a", "1 of 2 seeds"));
     }
 
     #[test]

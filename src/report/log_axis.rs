@@ -19,8 +19,8 @@ impl LogAxis {
         }))
     }
 
-    /// The axis around the values, rounded outward to one digit. It spans at least a factor of four, so that it has two
-    /// or three ticks, which are at 1, 2 and 5 times the powers of ten.
+    /// The axis around the values, rounded outward to one digit. It spans at least a factor of about two, so that it has
+    /// a tick or two, which are at 1, 2 and 5 times the powers of ten.
     fn around(values: impl Iterator<Item = f64>) -> Self {
         let (min, max) = values.fold((f64::INFINITY, 0.0), |(min, max), y| (y.min(min), y.max(max)));
         let (min, max) = if max > 0.0 { (min, max) } else { (0.1, 1.0) };
@@ -29,7 +29,7 @@ impl LogAxis {
         let round_numbers = || (-1..=200).flat_map(|e| (1..10).map(move |m| f64::from(m) * 10f64.powi(e)));
         // The tolerance keeps a rounding error in the division from adding a whole tick.
         let low = round_numbers().take_while(|&y| y <= min / unit * (1.0 + 1e-9)).last().unwrap_or(1.0);
-        let high = round_numbers().find(|&y| y > low * 3.9 && y >= max / unit * (1.0 - 1e-9)).unwrap_or(1e200);
+        let high = round_numbers().find(|&y| y > low * 1.9 && y >= max / unit * (1.0 - 1e-9)).unwrap_or(1e200);
         Self { exponent, low, high }
     }
 
@@ -82,7 +82,7 @@ mod tests {
         let axis = LogAxis::around([0.03, 4.0].into_iter());
         assert_eq!((axis.exponent, axis.low, axis.high), (-2, 3.0, 400.0));
         let flat = LogAxis::around([1.0, 1.0].into_iter());
-        assert!(flat.low <= 1.0 && flat.high >= 4.0);
+        assert!(flat.low <= 1.0 && flat.high >= 2.0);
         let tiny = LogAxis::around([1e-99, 1e99].into_iter());
         assert!((1.0..10.0).contains(&tiny.low) && tiny.high.is_finite());
     }

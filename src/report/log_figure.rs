@@ -2,6 +2,7 @@
 
 use super::log_axis::LogAxis;
 use super::marks::marks;
+use super::series::x_range;
 use super::{Drawing, Series};
 use kuva::prelude::*;
 
@@ -74,10 +75,7 @@ pub fn legend<'a>(panels: impl Iterator<Item = &'a Panel>) -> Vec<LegendEntry> {
 
 /// The axes of one panel, with the names and numbers that are to be shown.
 pub fn panel_layout(panel: &Panel, axis: &LogAxis, y_labelled: bool, x_labelled: bool) -> Layout {
-    let xs = || panel.series.iter().flat_map(|s| &s.line).map(|&(x, _)| x);
-    let x_min = xs().fold(0.0, f64::min);
-    let x_max = xs().fold(x_min, f64::max);
-    let x_max = if x_max > x_min { x_max } else { x_min + 1.0 };
+    let [x_min, x_max] = x_range(&panel.series);
     // A dot needs room, which a line that starts at the axis does not.
     let room = if panel.series.iter().any(|s| s.line.len() == 1) { 0.04 * (x_max - x_min) } else { 0.0 };
     let (x_min, x_max) = (x_min - room, x_max + room);
@@ -103,6 +101,13 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, y_labelled: bool, x_labelled:
         layout = layout.with_y_label(&*panel.y_label).with_y_label_offset(-6.0, 0.0);
     } else {
         layout.suppress_y_ticks = true;
+    }
+    for (i, s) in panel.series.iter().filter(|s| !s.note.is_empty()).enumerate() {
+        // From the lower left corner upwards.
+        let share = |share: f64, from: f64, to: f64| from + share * (to - from);
+        let y = share(0.04 + 0.07 * i as f64, axis.low.ln(), axis.high.ln()).exp();
+        let note = TextAnnotation::new(format!("{}: {}", s.label, s.note), share(0.25, x_min, x_max), y);
+        layout = layout.with_annotation(note.with_color(s.color).with_font_size(11));
     }
     if panel.series.iter().all(|s| s.line.is_empty()) {
         let middle = (axis.low * axis.high).sqrt();

@@ -2,7 +2,7 @@
 
 use super::Raster;
 use super::animation::{Animation, Shape};
-use super::panel::{Panel, number, text, ticks};
+use super::axes::{Axes, number, text, ticks};
 
 const DENSITY: &str = "#CF4446";
 const TARGET: &str = "#0072B2";
@@ -45,7 +45,7 @@ fn positive(value: f64) -> f64 {
 }
 
 /// The values, or means over neighbours if there are more than `most`.
-fn thinned(values: &[f64], most: usize) -> Vec<f64> {
+fn averaged(values: &[f64], most: usize) -> Vec<f64> {
     groups(values, most).map(|group| group.iter().sum::<f64>() / group.len() as f64).collect()
 }
 
@@ -68,12 +68,12 @@ struct Film {
     /// Half the distance of two rows of the map, for the walls are half a row beyond the outermost.
     half_row: f64,
     dt: f64,
-    map: Panel,
-    profile: Panel,
+    map: Axes,
+    profile: Axes,
     /// The colours of the map along the axis of the profile.
-    scale: Panel,
-    control: Panel,
-    fidelity: Panel,
+    scale: Axes,
+    control: Axes,
+    fidelity: Axes,
 }
 
 impl Film {
@@ -83,7 +83,7 @@ impl Film {
         let states: Vec<&Vec<f64>> = states.iter().take_while(valid).collect();
         // Numbers at grid points have to be divided by the distance of those to be a density.
         let per_point = (width / 2 + 1) as f64 / length;
-        let density = |squares: Vec<f64>| thinned(&squares, MAX_ROWS).into_iter().map(|d| d * per_point).collect::<Vec<_>>();
+        let density = |squares: Vec<f64>| averaged(&squares, MAX_ROWS).into_iter().map(|d| d * per_point).collect::<Vec<_>>();
         let of_state = |s: &&Vec<f64>| density(s.chunks_exact(2).map(|psi| psi[0] * psi[0] + psi[1] * psi[1]).collect());
         let densities: Vec<Vec<f64>> = states.iter().map(of_state).collect();
         let target_density = density(target.iter().map(|phi| phi * phi).collect());
@@ -99,7 +99,7 @@ impl Film {
         let (room, middle) = (0.55 * positive(most - least), 0.5 * (least + most));
         // A column of the map is a state, and its middle is that state's time.
         let time = [-0.5 * dt, (states.len().max(1) as f64 - 0.5) * dt];
-        let panel = |left, right, bottom, top, x, y| Panel { left, right, bottom, top, x, y };
+        let panel = |left, right, bottom, top, x, y| Axes { left, right, bottom, top, x, y };
         Self {
             fidelities: states.iter().map(fidelity).collect(),
             half_row: 0.5 * length / (densities.first().map_or(0, Vec::len) + 1) as f64,
@@ -121,13 +121,13 @@ impl Film {
         let [from, to] = map.x;
         let length = map.y[1];
         let mut shapes = self.colors();
-        let zero = |panel: &Panel| panel.curve([[from, 0.0], [to, 0.0]], 1.0, ZERO);
+        let zero = |panel: &Axes| panel.curve([[from, 0.0], [to, 0.0]], 1.0, ZERO);
         shapes.push(zero(control));
         shapes.push(control.curve(self.steps(), 1.6, CONTROL));
         shapes.extend([0.0, 1.0].map(|y| fidelity.curve([[from, y], [to, y]], 1.0, ZERO)));
-        let means = thinned(&self.fidelities, MAX_COLUMNS);
+        let means = averaged(&self.fidelities, MAX_COLUMNS);
         shapes.push(fidelity.curve((0..).zip(&means).map(|(i, &f)| [self.time(i, means.len()), f]), 2.0, FIDELITY));
-        shapes.extend([map, profile, scale, control, fidelity].map(Panel::frame));
+        shapes.extend([map, profile, scale, control, fidelity].map(Axes::frame));
 
         let positions = [0.0, length / 2.0, length];
         shapes.extend(map.ticks_left(&positions));
@@ -135,7 +135,7 @@ impl Film {
         shapes.extend(fidelity.ticks_left(&[0.0, 0.5, 1.0]));
         shapes.extend(fidelity.ticks_below(&ticks(from, to, 5.0)));
         shapes.extend(scale.ticks_below(&ticks(0.0, scale.x[1], 4.0)));
-        let middle = |panel: &Panel| ((panel.left + panel.right) / 2.0, (panel.bottom + panel.top) / 2.0);
+        let middle = |panel: &Axes| ((panel.left + panel.right) / 2.0, (panel.bottom + panel.top) / 2.0);
         let names = [(map, "position", "x"), (control, "control c", "in V = c x"), (fidelity, "fidelity", "|⟨φ, ψ⟩|²")];
         for (panel, first, second) in names {
             let (x, y) = (34.0, middle(panel).1);
@@ -152,7 +152,7 @@ impl Film {
     fn colors(&self) -> Vec<Shape> {
         let Self { map, scale, half_row, .. } = self;
         let image = |(center, size), rows: &[Vec<f64>]| Shape::Image { center, size, raster: Raster::new(rows) };
-        let whole = |panel: &Panel| panel.area([panel.x[0], panel.y[0]], [panel.x[1], panel.y[1]]);
+        let whole = |panel: &Axes| panel.area([panel.x[0], panel.y[0]], [panel.x[1], panel.y[1]]);
         let all = (0..128).map(|i| f64::from(i) / 127.0).collect();
         let mut shapes = vec![image(whole(scale), &[all]), image(whole(map), &[vec![0.0]])];
         let columns: Vec<&[Vec<f64>]> = groups(&self.densities, MAX_COLUMNS).collect();
@@ -168,7 +168,7 @@ impl Film {
 
     /// The control over time, constant during a step.
     fn steps(&self) -> Vec<[f64; 2]> {
-        let means = thinned(&self.controls, MAX_COLUMNS);
+        let means = averaged(&self.controls, MAX_COLUMNS);
         let step = self.dt * self.controls.len() as f64 / means.len().max(1) as f64;
         (0..).zip(&means).flat_map(|(i, &c)| [[step * f64::from(i), c], [step * f64::from(i + 1), c]]).collect()
     }

@@ -10,6 +10,8 @@ const MAX_POINTS: usize = 250;
 pub struct Series {
     /// Its name.
     pub label: String,
+    /// What has to be said of it where it is drawn; may be empty.
+    pub note: String,
     /// CSS colour of line and band.
     pub color: &'static str,
     /// Whether the line is broken into dashes.
@@ -23,7 +25,7 @@ pub struct Series {
 impl Series {
     /// A line without a band.
     pub fn new(label: impl Into<String>, color: &'static str, line: Vec<(f64, f64)>) -> Self {
-        Self { label: label.into(), color, dashed: false, line, band: Vec::new() }
+        Self { label: label.into(), note: String::new(), color, dashed: false, line, band: Vec::new() }
     }
 
     /// The same, dashed.
@@ -42,6 +44,14 @@ pub fn cleaned(points: impl Iterator<Item = (f64, f64)>, shown: impl Fn(f64) -> 
     let mut points: Vec<(f64, f64)> = points.filter(|&(x, y)| x.is_finite() && shown(y)).collect();
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
     points
+}
+
+/// From 0, or the first x if that is less, to the last x; with some room if there is no x but 0.
+pub fn x_range(series: &[Series]) -> [f64; 2] {
+    let xs = || series.iter().flat_map(|s| &s.line).map(|&(x, _)| x);
+    let low = xs().fold(0.0, f64::min);
+    let high = xs().fold(low, f64::max);
+    [low, if high > low { high } else { low + 1.0 }]
 }
 
 /// At most [`MAX_POINTS`] of the items, evenly spread, with the first and the last among them.

@@ -1,6 +1,7 @@
 //! Figure 1: the loss, R and M over the two parameters of a quadratic policy.
 
-use super::Plain;
+use super::Made;
+use crate::cli::statistics::{quantile, sorted};
 use anyhow::Result;
 use physgrad::Field;
 use physgrad::policy::Quadratic;
@@ -15,7 +16,7 @@ const REACH: f64 = 4.0;
 /// itself reaches 10⁷.
 const DECADES: [i32; 2] = [-2, 6];
 
-pub fn fig1(quick: bool) -> Result<Plain> {
+pub fn fig1(quick: bool) -> Result<Made> {
     let (cells, arrows) = if quick { (40, 14) } else { (80, 18) };
     let (fine, coarse) = (Fields::sample(cells)?, Fields::sample(arrows)?);
     let plane = Plane { labels: ["θ₁", "θ₂"], reach: REACH, decades: DECADES, values: "loss, |R|, |M|" };
@@ -38,7 +39,7 @@ pub fn fig1(quick: bool) -> Result<Plain> {
         ],
         &[],
     );
-    Ok(Plain { drawing, csv: fine.csv()?, table: fine.table() })
+    Ok(Made { drawing, csv: fine.csv()?, table: fine.table() })
 }
 
 /// R and M at the same parameters.
@@ -69,15 +70,15 @@ impl Fields {
         // How far x_4 is from the target, which both fields are proportional to.
         let miss = |s: &Sample| (2.0 * s.loss).sqrt();
         let mut table = "| over θ | min | median | max | orders of magnitude |\n|---|---|---|---|---|\n".to_string();
-        for (name, mut values) in [
+        for (name, values) in [
             ("loss", self.regular.iter().map(|s| s.loss).collect::<Vec<f64>>()),
             ("\\|R\\|", self.regular.iter().map(Sample::norm).collect()),
             ("\\|M\\|", self.modified.iter().map(Sample::norm).collect()),
             ("\\|R\\| / \\|x₄ - y\\|", self.regular.iter().map(|s| s.norm() / miss(s)).collect()),
             ("\\|M\\| / \\|x₄ - y\\|", self.modified.iter().map(|s| s.norm() / miss(s)).collect()),
         ] {
-            values.sort_by(f64::total_cmp);
-            let (min, median, max) = (values[0], values[values.len() / 2], values[values.len() - 1]);
+            let values = sorted(values.into_iter());
+            let [min, median, max] = [0.0, 0.5, 1.0].map(|q| quantile(&values, q));
             let _ = writeln!(table, "| {name} | {min:.1e} | {median:.1e} | {max:.1e} | {:.1} |", (max / min).log10());
         }
         table

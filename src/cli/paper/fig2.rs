@@ -1,6 +1,6 @@
 //! Figure 2: Adam along a gradient, along the same with a rotation, and along the combination of the two.
 
-use super::Plain;
+use super::Made;
 use anyhow::Result;
 use physgrad::policy::Constant;
 use physgrad::report::{Map, Plane, field_color, maps};
@@ -13,7 +13,7 @@ const REACH: f64 = 4.0;
 const ITERATIONS: usize = 1500;
 const LETTERS: [&str; 3] = ["(a)", "(b)", "(c)"];
 
-pub fn fig2(quick: bool) -> Result<Plain> {
+pub fn fig2(quick: bool) -> Result<Made> {
     let (cells, arrows) = if quick { (40, 11) } else { (80, 15) };
     let (task, policy) = (Bowl::default(), Constant::new(2, 2));
     let plane = Plane { labels: ["θ₁", "θ₂"], reach: REACH, decades: [-1, 2], values: "length of the vector" };
@@ -42,5 +42,5 @@ pub fn fig2(quick: bool) -> Result<Plain> {
         });
         runs.push((LETTERS[i], colors[i], path.iter().map(|s| s.loss).collect()));
     }
-    Ok(Plain { drawing: maps(&plane, &panels, &runs), csv: csv.into_inner()?, table })
+    Ok(Made { drawing: maps(&plane, &panels, &runs), csv: csv.into_inner()?, table })
 }

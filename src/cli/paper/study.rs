@@ -1,13 +1,12 @@
 //! The figures that are trained for: learning curves of several fields, over the values of one setting.
 
-use super::{Options, Plain};
+use super::{Made, Options};
 use crate::cli::folder::Folder;
 use crate::cli::scene::Scene;
 use crate::cli::settings::{self, ClipName, Settings};
-use crate::cli::statistics::{Outcome, by_field, curves, quantile, sorted, trailing_mean};
+use crate::cli::statistics::{Outcome, best, by_field, curves, quantile, sorted, trailing_mean};
 use crate::cli::sweep::{Comparison, sweep};
 use crate::cli::terminal::say;
-use crate::cli::train::best;
 use anyhow::Result;
 use comfy_table::Table;
 use comfy_table::presets::ASCII_MARKDOWN;
@@ -17,6 +16,10 @@ use toml::Value;
 
 /// Epochs that a point of a curve is the mean of, as in the paper.
 const SMOOTHING: usize = 30;
+
+/// What the figure and the table show.
+const NOTE: &str = "Table: test loss after the last epoch. Figure: the mean of up to 30 epochs, as in the paper; lines are \
+                    geometric means over the seeds, bands run from the lowest to the highest seed.";
 
 /// A figure with a column of panels for every value of a setting, and a row for every kind of clipping.
 pub struct Study {
@@ -78,9 +81,9 @@ impl Study {
         }
         let outcomes = comparisons.iter().map(Comparison::outcomes);
         let cells: Vec<Cell> = cells().zip(outcomes).map(|((value, clip), runs)| Cell { value, clip, runs }).collect();
-        let plain =
-            Plain { drawing: self.drawing(options, &cells), csv: self.csv(&cells)?, table: self.table(&cells).to_string() };
-        plain.write(self.name, folder, options)?;
+        let table = format!("{}\n\n{NOTE}", self.table(&cells));
+        let made = Made { drawing: self.drawing(options, &cells), csv: self.csv(&cells)?, table };
+        made.write(self.name, folder, options)?;
         swept.into_result()
     }
 
@@ -93,8 +96,7 @@ impl Study {
         let mut table = Settings::<S>::defaults().to_table();
         settings::set(&mut table, &format!("{}={}", self.key, value))?;
         settings::put(&mut table, "training.clip", Value::try_from(clip)?)?;
-        let epochs = options.epochs.unwrap_or(if options.quick { 5 } else { 1000 });
-        settings::put(&mut table, "epochs", Value::try_from(epochs)?)?;
+        settings::put(&mut table, "epochs", Value::try_from(options.epochs())?)?;
         if options.quick {
             for key in ["training.train_samples", "training.test_samples"] {
                 settings::put(&mut table, key, Value::Integer(64))?;
@@ -125,7 +127,7 @@ impl Study {
             losses.chain(sizes).collect()
         });
         let seeds = format!("{} seed{}", options.seeds, if options.seeds == 1 { "" } else { "s" });
-        report::study(&format!("{}, {seeds}", self.title), &rows.collect::<Vec<_>>())
+        report::study(&format!("{}: mean and range of {seeds}", self.title), &rows.collect::<Vec<_>>())
     }
 
     /// One row a run.

@@ -105,7 +105,7 @@ pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
     ]
 }
 
-const GROWTH: &str = "How strongly the loss depends on the state at each step, going back through physics and network (R) or \
+const GROWTH: &str = "How strongly what comes after each step depends on the state there, going back through physics and network (R) or \
                       through the physics alone (M); the root mean square over test rollouts. Read it from right to left: a \
                       line that climbs by powers of ten explodes, one that sinks vanishes. Look for how far R and M part.";
 

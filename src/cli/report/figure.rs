@@ -26,7 +26,11 @@ pub struct Key {
 impl Figure {
     /// With an entry of the legend for each series.
     pub fn new(title: &'static str, chart: Chart, caption: &'static str) -> Self {
-        let key = |s: &Series| Key { label: s.label.clone(), color: s.color, dashed: s.dashed };
+        let label = |s: &Series| match &*s.note {
+            "" => s.label.clone(),
+            note => format!("{} ({note})", s.label),
+        };
+        let key = |s: &Series| Key { label: label(s), color: s.color, dashed: s.dashed };
         let keys = chart.series().iter().map(key).collect();
         Self { title, chart, keys, caption, notes: Vec::new() }
     }

@@ -43,7 +43,7 @@ const activate = (chart) => {
   const rule = element("line", { y1: data.up[0], y2: data.up[1], stroke: "#444", "stroke-dasharray": "3 3" }, cursor);
   const dots = data.series.map((line) =>
     element("circle", { r: 4, fill: line.color, stroke: "white", "stroke-width": 1.5 }, cursor));
-  let index = all.length - 1;
+  let index = all.length - 1, height = data.up[1];
 
   const hide = () => {
     cursor.setAttribute("visibility", "hidden");
@@ -93,11 +93,14 @@ const activate = (chart) => {
   chart.addEventListener("pointerleave", hide);
   chart.addEventListener("blur", hide);
   chart.addEventListener("keydown", (event) => {
-    const places = { ArrowLeft: index - 1, ArrowRight: index + 1, Home: 0, End: all.length - 1 };
+    const places = { ArrowLeft: index - 1, ArrowRight: index + 1, Home: 0, End: all.length - 1, ArrowUp: index, ArrowDown: index };
     if (event.key === "Escape") hide();
     if (!(event.key in places)) return;
     event.preventDefault();
-    show(readout.hidden ? index : places[event.key], data.up[1]);
+    // Up and down choose among more lines than are read at once.
+    const step = { ArrowUp: -0.1, ArrowDown: 0.1 }[event.key] ?? 0;
+    height = Math.max(data.up[1], Math.min(data.up[0], height + step * (data.up[0] - data.up[1])));
+    show(readout.hidden ? index : places[event.key], height);
   });
 };
 

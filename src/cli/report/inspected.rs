@@ -1,14 +1,16 @@
 //! What a page needs to know of a run, read from its folder.
 
+use super::counted;
 use super::growth::{Growth, growth};
-use crate::cli::folder::{ANIMATION, Folder};
+use crate::cli::folder::Folder;
 use crate::cli::outputs;
 use crate::cli::saved;
 use crate::cli::scene::{PolicyOf, Scene};
 use crate::cli::settings::{Precision, Settings};
 use crate::cli::statistics::Outcome;
-use anyhow::Result;
-use physgrad::{Field, Float, Record, Session};
+use anyhow::{Result, bail};
+use physgrad::{Field, Float, Record, Session, differences};
+use rayon::prelude::*;
 use toml::Table;
 
 /// A run of any task and precision.
@@ -51,15 +53,37 @@ impl Inspected {
     pub fn name(&self) -> String {
         format!("{} seed {}", self.field.letter(), self.seed)
     }
+
+    /// What the run did not finish, if so, in words.
+    pub fn trouble(&self) -> Option<String> {
+        let done = counted(self.records.len(), "epoch");
+        let asked = self.epochs;
+        match &self.end {
+            End::Done => None,
+            End::Interrupted => Some(format!("was interrupted after {done} of {asked} and can be resumed")),
+            End::Broke(why) => Some(format!("broke off after {done} of {asked}: {why}")),
+        }
+    }
 }
 
 /// The runs in these folders by field and seed; the first of every field is looked at closely.
 pub fn inspect<S: Scene>(folders: &[Folder]) -> Result<Vec<Inspected>> {
     let mut runs = folders.iter().map(|folder| Ok((folder, saved::settings::<S>(folder)?))).collect::<Result<Vec<_>>>()?;
+    for (folder, settings) in &runs {
+        let [first, other] = [&runs[0].1, settings].map(Settings::comparable);
+        if other != first {
+            bail!(
+                "{} and {} are not runs of one comparison: apart from field, seed and epochs, these settings differ:\n{}",
+                runs[0].0.path().display(),
+                folder.path().display(),
+                differences(&first, &other)
+            );
+        }
+    }
     // In the order in which `compare` has its fields if it is not told another.
     runs.sort_by_key(|(_, settings)| ("RMSCN".find(settings.field.0.letter()), settings.seed));
     let first = |i: usize| i == 0 || runs[i - 1].1.field != runs[i].1.field;
-    let opened = runs.iter().enumerate().map(|(i, (folder, settings))| match settings.precision {
+    let opened = runs.par_iter().enumerate().map(|(i, (folder, settings))| match settings.precision {
         Precision::F32 => open::<S, f32>(folder, settings, first(i)),
         Precision::F64 => open::<S, f64>(folder, settings, first(i)),
     });
@@ -70,11 +94,7 @@ fn open<S: Scene, F: Float>(folder: &Folder, settings: &Settings<S>, closely: bo
     let mut session = saved::fresh::<S, F>(settings, 1)?;
     let before = closely.then(|| growth(&session));
     saved::restore(folder, settings, &mut session)?;
-    let film = || if folder.has(ANIMATION) { folder.read_text(ANIMATION) } else { Ok(outputs::film(&session, 0)) };
-    let close = match before {
-        Some(before) => Some(Close { before, after: growth(&session), film: film()? }),
-        None => None,
-    };
+    let close = before.map(|before| Close { before, after: growth(&session), film: outputs::film(&session, 0) });
     Ok(Inspected {
         task: S::NAME,
         field: settings.field.0,

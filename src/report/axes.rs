@@ -1,4 +1,4 @@
-//! [`Panel`]: a diagram within an animation.
+//! [`Axes`]: a diagram within an animation.
 
 use super::animation::Shape;
 
@@ -7,7 +7,7 @@ const INK: &str = "#4A4F57";
 const LETTERS: f64 = 12.0;
 
 /// A rectangle of a picture whose unit is the pixel, with a linear scale along each side.
-pub(super) struct Panel {
+pub(super) struct Axes {
     /// Its left and its right edge.
     pub left: f64,
     pub right: f64,
@@ -20,7 +20,7 @@ pub(super) struct Panel {
     pub y: [f64; 2],
 }
 
-impl Panel {
+impl Axes {
     /// Where a pair of numbers is in the picture.
     pub fn at(&self, x: f64, y: f64) -> [f64; 2] {
         let share = |value: f64, [from, to]: [f64; 2]| (value - from) / (to - from);
