@@ -118,7 +118,10 @@ fn a_saved_run_is_filmed_from_any_test_start() {
     let films = physgrad(&["animate"]).arg(&compare).output().expect("it runs");
     assert_eq!(String::from_utf8_lossy(&films.stdout).lines().count(), 2, "one film a run");
     let text = error_of(physgrad(&["animate"]).arg(dir.path()));
-    assert!(text.contains("there is no run in"), "{text}");
+    assert!(text.contains("holds 2 runs or comparisons; choose one"), "{text}");
+    let nothing = dir.path().join("nothing");
+    fs::create_dir(&nothing).expect("a folder");
+    assert!(error_of(physgrad(&["animate"]).arg(&nothing)).contains("there is no run in"));
 }
 
 #[test]
