@@ -22,23 +22,30 @@ pub struct Panel {
 
 /// Plotted area of a panel in a figure of one or two, and of many.
 const SIZES: [[f64; 2]; 2] = [[380.0, 350.0], [250.0, 240.0]];
-/// Room at the left for the numbers and the name of a y axis, or for nothing.
-const LABELLED: f64 = 116.0;
+/// Room beside the plotted area: at least, for the numbers of a y axis, and for its name.
 const BARE: f64 = 62.0;
+const NUMBERS: f64 = 30.0;
+const NAME: f64 = 24.0;
 
 /// Renders rows of panels, all of the same length. The legend stands to the right of them all, where it can cover no
-/// data. A panel shows the numbers of its y axis unless its left neighbour has the same axis.
+/// data. A panel shows numbers and name of its y axis unless they are those of its left neighbour.
 pub fn log_figure(title: &str, rows: &[Vec<Panel>]) -> Drawing {
     let panels = || rows.iter().flatten();
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0).max(1);
     let axes: Vec<LogAxis> = (0..=panels().map(|panel| panel.y_axis).max().unwrap_or(0))
         .map(|axis| LogAxis::of(panels().filter(|panel| panel.y_axis == axis).flat_map(|panel| &panel.series)))
         .collect();
-    let labelled = |row: &[Panel], column: usize| column == 0 || row[column - 1].y_axis != row[column].y_axis;
+    let shows = |row: &[Panel], j: usize| Shows {
+        y_numbers: j == 0 || row[j - 1].y_axis != row[j].y_axis,
+        y_name: j == 0 || row[j - 1].y_label != row[j].y_label,
+        x_name: false,
+    };
     let layouts = rows.iter().enumerate().flat_map(|(i, row)| {
         let last = i + 1 == rows.len();
         let axes = &axes;
-        row.iter().enumerate().map(move |(j, panel)| panel_layout(panel, &axes[panel.y_axis], labelled(row, j), last))
+        row.iter()
+            .enumerate()
+            .map(move |(j, panel)| panel_layout(panel, &axes[panel.y_axis], Shows { x_name: last, ..shows(row, j) }))
     });
     let [width, height] = SIZES[usize::from(rows.len() > 1 || columns > 2)];
     let figure = Figure::new(rows.len().max(1), columns)
@@ -51,7 +58,10 @@ pub fn log_figure(title: &str, rows: &[Vec<Panel>]) -> Drawing {
         .with_shared_legend_right_top()
         .with_shared_legend_entries(legend(panels()));
     // A panel is wider by what it shows of its y axis, so that the plotted areas come out equally wide.
-    let room = |column: usize| if rows.iter().any(|row| labelled(row, column)) { LABELLED } else { BARE };
+    let room = |column: usize| {
+        let any = |what: fn(Shows) -> bool| f64::from(u8::from(rows.iter().any(|row| what(shows(row, column)))));
+        BARE + NUMBERS * any(|shows| shows.y_numbers) + NAME * any(|shows| shows.y_name)
+    };
     let figure = (0..columns).fold(figure, |figure, column| figure.with_col_width(column, width + room(column)));
     // So are the names of the x axes under the last row, and the titles above the first.
     let figure = (0..rows.len()).fold(figure, |figure, row| {
@@ -73,8 +83,16 @@ pub fn legend<'a>(panels: impl Iterator<Item = &'a Panel>) -> Vec<LegendEntry> {
     entries
 }
 
-/// The axes of one panel, with the names and numbers that are to be shown.
-pub fn panel_layout(panel: &Panel, axis: &LogAxis, y_labelled: bool, x_labelled: bool) -> Layout {
+/// What a panel shows of its axes.
+#[derive(Clone, Copy)]
+pub struct Shows {
+    pub y_numbers: bool,
+    pub y_name: bool,
+    pub x_name: bool,
+}
+
+/// The axes of one panel.
+pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
     let [x_min, x_max] = x_range(&panel.series);
     // A dot needs room, which a line that starts at the axis does not.
     let room = if panel.series.iter().any(|s| s.line.len() == 1) { 0.04 * (x_max - x_min) } else { 0.0 };
@@ -93,15 +111,14 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, y_labelled: bool, x_labelled:
     if !panel.title.is_empty() {
         layout = layout.with_title(&*panel.title);
     }
-    if x_labelled {
+    if shows.x_name {
         layout = layout.with_x_label(panel.x_label);
     }
-    if y_labelled {
+    if shows.y_name {
         // kuva reserves room for its own, shorter names of the ticks.
         layout = layout.with_y_label(&*panel.y_label).with_y_label_offset(-6.0, 0.0);
-    } else {
-        layout.suppress_y_ticks = true;
     }
+    layout.suppress_y_ticks = !shows.y_numbers;
     for (i, s) in panel.series.iter().filter(|s| !s.note.is_empty()).enumerate() {
         // From the lower left corner upwards.
         let share = |share: f64, from: f64, to: f64| from + share * (to - from);

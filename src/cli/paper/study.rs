@@ -112,16 +112,17 @@ impl Study {
         let rows = cells.chunks(self.values.len()).enumerate().map(|(i, row)| {
             // Titles stand above the first row only.
             let title = |text: String| if i == 0 { text } else { String::new() };
-            let losses = row.iter().map(|cell| Case {
+            // One axis a column: what clipping does is seen, and the cases differ by orders of magnitude.
+            let losses = row.iter().enumerate().map(|(j, cell)| Case {
                 title: title(self.panel(cell.value)),
                 y_label: format!("test loss (clip: {})", cell.clip.name()),
-                y_axis: 0,
+                y_axis: j,
                 curves: smooth(&cell.runs, |r| r.test_loss),
             });
             let sizes = row.iter().filter(|cell| self.update_size_of == Some(cell.value)).map(|cell| Case {
                 title: title(format!("{}: update size", self.panel(cell.value))),
                 y_label: "length of the field".into(),
-                y_axis: 1,
+                y_axis: self.values.len(),
                 curves: smooth(&cell.runs, |r| r.grad_norm),
             });
             losses.chain(sizes).collect()
