@@ -1,41 +1,12 @@
 //! The words of the program are a contract: files, headers, messages, exit codes.
 
-use assert_cmd::Command;
+mod running;
+
+use running::{SMALL, error_of, physgrad, train};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
-
-/// A training small enough for a test.
-const SMALL: [&str; 8] = [
-    "--set",
-    "training.train_samples=24",
-    "--set",
-    "training.test_samples=12",
-    "--set",
-    "policy.widths=[12, 8]",
-    "--set",
-    "horizon=25",
-];
-
-fn physgrad(args: &[&str]) -> Command {
-    let mut command = Command::cargo_bin("physgrad").expect("the program is built");
-    command.args(args);
-    command
-}
-
-/// `train cart_pole` with the small settings, into `out`.
-fn train(out: &Path, args: &[&str]) -> Command {
-    let mut command = physgrad(&["train", "cart_pole", "--out"]);
-    command.arg(out).args(SMALL).args(args);
-    command
-}
-
-fn error_of(command: &mut Command) -> String {
-    let output = command.output().expect("it runs");
-    assert!(!output.status.success(), "it should fail");
-    String::from_utf8(output.stderr).expect("text")
-}
 
 /// The columns of a CSV file by name.
 fn columns(path: &Path) -> BTreeMap<String, Vec<String>> {

@@ -1,36 +1,17 @@
 //! `physgrad report`: what a page holds, that it stands alone, and that every run gets one.
 
+mod running;
+
 use assert_cmd::Command;
 use base64::prelude::{BASE64_STANDARD, Engine};
+use running::{SMALL, error_of, physgrad, train};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
-const SMALL: [&str; 8] = [
-    "--set",
-    "training.train_samples=24",
-    "--set",
-    "training.test_samples=12",
-    "--set",
-    "policy.widths=[12, 8]",
-    "--set",
-    "horizon=25",
-];
 /// Physics in which no rollout stays finite.
 const DIVERGES: [&str; 4] = ["--set", "system.gravity=1e38", "--set", "system.dt=1e5"];
-
-fn physgrad(args: &[&str]) -> Command {
-    let mut command = Command::cargo_bin("physgrad").expect("the program is built");
-    command.args(args);
-    command
-}
-
-fn train(out: &Path, args: &[&str]) -> Command {
-    let mut command = physgrad(&["train", "cart_pole", "--quiet", "--out"]);
-    command.arg(out).args(SMALL).args(args);
-    command
-}
 
 fn compare(out: &Path, args: &[&str]) -> Command {
     let mut command = physgrad(&["compare", "cart_pole", "--out"]);
@@ -48,10 +29,8 @@ fn report(folder: &Path) -> String {
     page
 }
 
-fn error_of(folder: &Path) -> String {
-    let output = physgrad(&["report"]).arg(folder).output().expect("it runs");
-    assert!(!output.status.success(), "it should fail");
-    String::from_utf8(output.stderr).expect("text")
+fn refusal(folder: &Path) -> String {
+    error_of(physgrad(&["report"]).arg(folder))
 }
 
 /// Nothing on the page is fetched from anywhere: the only addresses are names of XML namespaces.
@@ -229,24 +208,17 @@ fn runs_of_different_things_are_not_a_comparison() {
     let out = |name: &str| dir.path().join("runs").join(name);
     train(&out("a"), &["--epochs", "1", "--set", "system.poles=2"]).assert().success();
     train(&out("b"), &["--epochs", "1", "--set", "system.poles=3"]).assert().success();
-    let error = |args: &[&str]| {
-        let output = physgrad(args).output().expect("it runs");
-        assert!(!output.status.success());
-        String::from_utf8(output.stderr).expect("text")
-    };
-    let path = dir.path().to_str().expect("a path");
-    let text = error(&["report", path]);
+    let text = refusal(dir.path());
     assert!(text.contains("not runs of one comparison") && text.contains("poles = 3"), "{text}");
     fs::remove_dir_all(out("b")).expect("it was there");
     physgrad(&["train", "guidance", "--epochs", "1", "--set", "training.train_samples=8", "--out"])
         .arg(out("b"))
         .assert()
         .success();
-    let text = error(&["report", path]);
+    let text = refusal(dir.path());
     assert!(text.contains("(cart_pole)") && text.contains("(guidance) are not runs of one comparison"), "{text}");
     fs::rename(dir.path().join("runs"), dir.path().join("others")).expect("it was there");
-    let others = dir.path().join("others");
-    let text = error(&["report", others.to_str().expect("a path")]);
+    let text = refusal(&dir.path().join("others"));
     assert!(text.contains("holds 2 runs or comparisons; choose one"), "{text}");
 }
 
@@ -308,13 +280,13 @@ fn an_adjoint_that_overflows_is_told_and_the_other_is_drawn() {
 #[test]
 fn what_cannot_be_reported_is_named() {
     let dir = TempDir::new().expect("a folder");
-    assert!(error_of(&dir.path().join("nowhere")).contains("there is no folder"));
-    assert!(error_of(dir.path()).contains("there is no run in"));
+    assert!(refusal(&dir.path().join("nowhere")).contains("there is no folder"));
+    assert!(refusal(dir.path()).contains("there is no run in"));
     let out = dir.path().join("run");
     train(&out, &["--epochs", "1"]).assert().success();
     let checkpoint = fs::read(out.join("checkpoint.bin")).expect("a checkpoint");
     fs::write(out.join("checkpoint.bin"), &checkpoint[..checkpoint.len() / 2]).expect("half a checkpoint");
-    let text = error_of(&out);
+    let text = refusal(&out);
     assert!(text.contains("checkpoint.bin") && text.contains("damaged"), "{text}");
     assert!(!out.join("report.html").exists());
 }

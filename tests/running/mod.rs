@@ -1,0 +1,35 @@
+//! The program, and a training small enough for a test.
+
+use assert_cmd::Command;
+use std::path::Path;
+
+/// Settings of the small training.
+pub const SMALL: [&str; 8] = [
+    "--set",
+    "training.train_samples=24",
+    "--set",
+    "training.test_samples=12",
+    "--set",
+    "policy.widths=[12, 8]",
+    "--set",
+    "horizon=25",
+];
+
+pub fn physgrad(args: &[&str]) -> Command {
+    let mut command = Command::cargo_bin("physgrad").expect("the program is built");
+    command.args(args);
+    command
+}
+
+/// `train cart_pole` with the small settings, into `out`.
+pub fn train(out: &Path, args: &[&str]) -> Command {
+    let mut command = physgrad(&["train", "cart_pole", "--out"]);
+    command.arg(out).args(SMALL).args(args);
+    command
+}
+
+pub fn error_of(command: &mut Command) -> String {
+    let output = command.output().expect("it runs");
+    assert!(!output.status.success(), "it should fail");
+    String::from_utf8(output.stderr).expect("text")
+}
