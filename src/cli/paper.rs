@@ -10,6 +10,7 @@ use super::settings::{ClipName, FieldName};
 use super::sweep::{check_distinct, check_options};
 use super::terminal::say;
 use anyhow::{Result, bail};
+use clap::ValueEnum;
 use physgrad::report::Drawing;
 use physgrad::tasks::{CartPole, Guidance, Quantum};
 use std::path::{Path, PathBuf};
@@ -73,15 +74,9 @@ pub enum Which {
 }
 
 impl Which {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Fig1 => "fig1",
-            Self::Fig2 => "fig2",
-            Self::Fig3 => "fig3",
-            Self::Fig4 => "fig4",
-            Self::Fig5 => "fig5",
-            Self::All => "all",
-        }
+    /// As on the command line, and in the names of files.
+    fn name(self) -> String {
+        self.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
     }
 }
 
@@ -124,11 +119,11 @@ pub fn paper(args: &Paper) -> Result<()> {
     threads(args.threads)?;
     let default = if options.quick { "runs/paper-quick" } else { "runs/paper" };
     let folder = Folder::create(args.out.as_deref().unwrap_or(Path::new(default)))?;
-    let write = |name: &str, made: Result<Made>| made?.write(name, &folder, options);
+    let write = |which: Which, made: Result<Made>| made?.write(&which.name(), &folder, options);
     // The longest last.
     let figures: [(Which, &dyn Fn() -> Result<()>); 5] = [
-        (Which::Fig1, &|| write("fig1", fig1::fig1(options.quick))),
-        (Which::Fig2, &|| write("fig2", fig2::fig2(options.quick))),
+        (Which::Fig1, &|| write(Which::Fig1, fig1::fig1(options.quick))),
+        (Which::Fig2, &|| write(Which::Fig2, fig2::fig2(options.quick))),
         (Which::Fig4, &|| FIG4.run::<CartPole>(options, &folder)),
         (Which::Fig3, &|| FIG3.run::<Guidance>(options, &folder)),
         (Which::Fig5, &|| FIG5.run::<Quantum>(options, &folder)),

@@ -45,26 +45,6 @@ impl<S: Scene> Run<S> {
     }
 }
 
-/// An error unless there is something to be compared, and nothing of it twice.
-pub fn check_options(fields: &[FieldName], seeds: u64, epochs: usize) -> Result<()> {
-    if seeds == 0 {
-        bail!("--seeds is 0; allowed: 1 or more");
-    }
-    if epochs == 0 {
-        bail!("--epochs is 0; a comparison needs 1 or more");
-    }
-    check_distinct("--fields", fields.iter().map(|field| field.0.name()))
-}
-
-/// An error if an option names something twice.
-pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
-    let mut seen = HashSet::new();
-    match names.into_iter().find(|name| !seen.insert(*name)) {
-        Some(name) => bail!("{option} names {name} twice"),
-        None => Ok(()),
-    }
-}
-
 impl<S: Scene> Comparison<S> {
     /// Every run with its folder, which is made, and its settings.
     pub fn plan(label: &str, base: &Settings<S>, fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Self> {
@@ -87,6 +67,26 @@ impl<S: Scene> Comparison<S> {
     fn label(&self, run: &Run<S>) -> String {
         let space = if self.label.is_empty() { "" } else { " " };
         format!("{}{space}{} seed {}", self.label, run.field.letter(), run.seed)
+    }
+}
+
+/// An error unless there is something to be compared, and nothing of it twice.
+pub fn check_options(fields: &[FieldName], seeds: u64, epochs: usize) -> Result<()> {
+    if seeds == 0 {
+        bail!("--seeds is 0; allowed: 1 or more");
+    }
+    if epochs == 0 {
+        bail!("--epochs is 0; a comparison needs 1 or more");
+    }
+    check_distinct("--fields", fields.iter().map(|field| field.0.name()))
+}
+
+/// An error if an option names something twice.
+pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
+    let mut seen = HashSet::new();
+    match names.into_iter().find(|name| !seen.insert(*name)) {
+        Some(name) => bail!("{option} names {name} twice"),
+        None => Ok(()),
     }
 }
 
