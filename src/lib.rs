@@ -48,10 +48,12 @@
 
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 
+mod actuator;
 mod backward;
 mod batch;
 pub mod check;
 mod divergence;
+mod effect;
 mod field;
 mod forward_mode;
 #[doc(hidden)]
@@ -63,20 +65,24 @@ pub mod report;
 pub mod rng;
 mod rollout;
 mod scalar;
+mod substeps;
 mod system;
 mod task;
 pub mod tasks;
 pub mod toy;
 mod train;
 
+pub use actuator::{Actuated, Actuator, AnyActuator, Bars, Delay, Lag, Limit, LimitKind};
 pub use backward::{Adjoint, Flow};
 pub use batch::{Batch, Evaluation};
 pub use divergence::{Divergence, Variable};
+pub use effect::{Around, Effect, Host, With};
 pub use field::{Compose, Field, SignAgreement, UnknownField};
 pub use optim::{Clip, Optimizer, Rule};
 pub use policy::{Policy, Weights};
 pub use rollout::Rollout;
 pub use scalar::{Columns, Cotangent, Float, Lanes, Real, Scalar, Tangents};
+pub use substeps::Substeps;
 pub use system::System;
 pub use task::Task;
 pub use train::{CheckpointError, Record, Report, Session, Skip, TrainError, Trainer, Training, differences};

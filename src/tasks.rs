@@ -6,7 +6,10 @@ mod loss;
 mod quantum;
 mod toy;
 
-pub use cart_pole::{CartPole, CartPoleSystem};
+pub use cart_pole::{
+    Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, PoleDamping,
+    SteadyWind,
+};
 pub use guidance::{Center, Guidance, GuidanceSystem};
 pub use loss::LossMode;
 pub use quantum::{Quantum, QuantumSystem};

@@ -1,0 +1,353 @@
+//! [`Effect`]: an optional piece of physics, and the systems it acts in.
+//!
+//! What is in play is part of a system's type: `()` is nothing, a tuple is several effects. An effect that is absent is
+//! absent code: no branch, no state, no stored byte, no operation.
+
+mod list;
+
+use crate::forward_mode::jacobian;
+use crate::rng::Rng;
+use crate::scalar::{Cotangent, Real, Scalar};
+use crate::system::{System, Wrt, vjp_by_duals};
+pub(crate) use list::any_effect;
+use rand::RngExt;
+use std::fmt::Debug;
+
+/// An optional piece of physics that adds to the forces of a system, or to its Hamiltonian.
+///
+/// `B` is what it knows of the system: sizes, masses, lengths. The system's documentation says what its state and its
+/// forces are. Only [`act`](Effect::act) must be written; the derivative is exact by dual numbers until it is written by
+/// hand for speed, and [`check::system`](crate::check::system) of a system with the effect compares the two.
+///
+/// ```
+/// use physgrad::tasks::CartPoleSystem;
+/// use physgrad::{Effect, Scalar, With, check};
+///
+/// /// A spring that pulls the cart to the middle: F = -stiffness x.
+/// #[derive(Clone, Debug)]
+/// struct Spring { stiffness: f64 }
+///
+/// impl Effect<CartPoleSystem> for Spring {
+///     fn act<T: Scalar>(&self, _body: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+///         forces[0] -= x[0] * T::lift(self.stiffness);
+///     }
+/// }
+///
+/// let system = With { system: CartPoleSystem::default(), effects: Spring { stiffness: 3.0 } };
+/// check::system(&system);
+/// ```
+pub trait Effect<B>: Clone + Debug + Send + Sync {
+    /// Adds the effect's own forces to `forces`, at the state `x`.
+    ///
+    /// Mark it `#[inline(always)]` to have it compiled for AVX2 where there is AVX2.
+    fn act<T: Scalar>(&self, body: &B, x: &[T], forces: &mut [T]);
+
+    /// `x_bar += (∂forces/∂x)ᵀ forces_bar`. Adds; does not overwrite.
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        effect_vjp_by_duals(self, body, x, forces_bar, x_bar);
+    }
+
+    /// Whether its forces depend on the state. Where none does, the reverse pass has less to do.
+    #[inline(always)]
+    fn reads_state(&self) -> bool {
+        true
+    }
+
+    /// For effects that depend on time: rollouts start at a time drawn from 0 to this, in s. [`With`] then appends the
+    /// time to the state, as its last component.
+    #[inline(always)]
+    fn clock(&self) -> Option<f64> {
+        None
+    }
+}
+
+/// The transposed Jacobian product of any effect, exact, from `act` alone.
+#[inline]
+pub(crate) fn effect_vjp_by_duals<B, E: Effect<B> + ?Sized, R: Real, C: Cotangent<R>>(
+    effect: &E,
+    body: &B,
+    x: &[R],
+    forces_bar: &[C],
+    x_bar: &mut [C],
+) {
+    let act = |x: &[_], forces: &mut [_]| {
+        forces.fill(Scalar::zero());
+        effect.act(body, x, forces);
+    };
+    jacobian(x, 0..x.len(), forces_bar.len(), act, |i, column: &[R]| {
+        for (&force_bar, &slope) in forces_bar.iter().zip(column) {
+            x_bar[i] += force_bar * slope;
+        }
+    });
+}
+
+/// Nothing.
+impl<B> Effect<B> for () {
+    #[inline(always)]
+    fn act<T: Scalar>(&self, _body: &B, _x: &[T], _forces: &mut [T]) {}
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &B, _x: &[R], _forces_bar: &[C], _x_bar: &mut [C]) {}
+    #[inline(always)]
+    fn reads_state(&self) -> bool {
+        false
+    }
+}
+
+/// The later of two clocks, if there is one.
+#[inline(always)]
+fn later(a: Option<f64>, b: Option<f64>) -> Option<f64> {
+    match (a, b) {
+        (Some(a), Some(b)) => Some(a.max(b)),
+        (a, b) => a.or(b),
+    }
+}
+
+macro_rules! both {
+    ($($effect:ident $i:tt),+) => {
+        /// All of them, in this order.
+        impl<B, $($effect: Effect<B>),+> Effect<B> for ($($effect,)+) {
+            #[inline(always)]
+            fn act<T: Scalar>(&self, body: &B, x: &[T], forces: &mut [T]) {
+                $(self.$i.act(body, x, forces);)+
+            }
+            #[inline(always)]
+            fn vjp<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+                $(self.$i.vjp(body, x, forces_bar, x_bar);)+
+            }
+            #[inline(always)]
+            fn reads_state(&self) -> bool {
+                false $(|| self.$i.reads_state())+
+            }
+            #[inline(always)]
+            fn clock(&self) -> Option<f64> {
+                let clock = None;
+                $(let clock = later(clock, self.$i.clock());)+
+                clock
+            }
+        }
+    };
+}
+both!(E0 0);
+both!(E0 0, E1 1);
+both!(E0 0, E1 1, E2 2);
+both!(E0 0, E1 1, E2 2, E3 3);
+both!(E0 0, E1 1, E2 2, E3 3, E4 4);
+both!(E0 0, E1 1, E2 2, E3 3, E4 4, E5 5);
+
+/// A system to whose forces effects can be added.
+///
+/// Only [`step_with`](Host::step_with) and the sizes must be written. The state handed to it may be longer than
+/// [`state_dim`](Host::state_dim), by what effects need; it goes to the effects as it is.
+pub trait Host: Send + Sync {
+    /// What effects know of it; often the system itself.
+    type Body;
+
+    /// What effects know of it.
+    fn body(&self) -> &Self::Body;
+    /// Number of its own state components.
+    fn state_dim(&self) -> usize;
+    /// Number of control components.
+    fn control_dim(&self) -> usize;
+    /// Time step, s.
+    fn dt(&self) -> f64;
+
+    /// Writes the next state, `state_dim` numbers, under these effects.
+    fn step_with<E: Effect<Self::Body>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]);
+
+    /// The cotangents that are asked for. `u_bar` and the first `state_dim` of `x_bar` are overwritten; to what is in
+    /// `x_bar` beyond them, effects add. Exact by duals until it is written by hand for speed.
+    #[inline(always)]
+    fn reverse<E: Effect<Self::Body>, R: Real, C: Cotangent<R>>(
+        &self,
+        effects: &E,
+        x: &[R],
+        u: &[R],
+        next_bar: &[C],
+        x_bar: Option<&mut [C]>,
+        u_bar: Option<&mut [C]>,
+    ) {
+        reverse_by_duals(self, effects, x, u, next_bar, x_bar, u_bar);
+    }
+}
+
+/// [`Host::reverse`] of any host, exact, from `step_with` alone.
+#[inline]
+fn reverse_by_duals<H: Host + ?Sized, E: Effect<H::Body>, R: Real, C: Cotangent<R>>(
+    host: &H,
+    effects: &E,
+    x: &[R],
+    u: &[R],
+    next_bar: &[C],
+    x_bar: Option<&mut [C]>,
+    u_bar: Option<&mut [C]>,
+) {
+    let (n, steps) = (host.state_dim(), Stepping { host, effects });
+    let mut none: [C; 0] = [];
+    let (wrt, u_bar) = match (&x_bar, u_bar) {
+        (Some(_), Some(u_bar)) => (Wrt::Both, u_bar),
+        (None, Some(u_bar)) => (Wrt::Control, u_bar),
+        (_, None) => (Wrt::State, &mut none[..]),
+    };
+    let Some(x_bar) = x_bar else { return vjp_by_duals(&steps, x, u, next_bar, wrt, &mut [], u_bar) };
+    // What is there beyond the host's own components is kept.
+    let mut all: smallvec::SmallVec<[C; 33]> = smallvec::smallvec![C::null(); x.len()];
+    vjp_by_duals(&steps, x, u, next_bar, wrt, &mut all, u_bar);
+    x_bar[..n].copy_from_slice(&all[..n]);
+    for (x_bar, &more) in x_bar[n..].iter_mut().zip(&all[n..]) {
+        *x_bar += more;
+    }
+}
+
+/// A host under its effects, for its derivatives by duals.
+struct Stepping<'a, H: ?Sized, E> {
+    host: &'a H,
+    effects: &'a E,
+}
+
+impl<H: Host + ?Sized, E: Effect<H::Body>> System for Stepping<'_, H, E> {
+    fn state_dim(&self) -> usize {
+        self.host.state_dim()
+    }
+    fn control_dim(&self) -> usize {
+        self.host.control_dim()
+    }
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        self.host.step_with(self.effects, x, u, next);
+    }
+}
+
+/// A system with effects.
+///
+/// State: the system's own; then, if an effect depends on time, the time in s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct With<H, E> {
+    /// The system to whose forces the effects add.
+    pub system: H,
+    /// `()` for none, a tuple for several.
+    pub effects: E,
+}
+
+impl<H: Host, E: Effect<H::Body>> System for With<H, E> {
+    fn state_dim(&self) -> usize {
+        self.system.state_dim() + usize::from(self.effects.clock().is_some())
+    }
+
+    fn control_dim(&self) -> usize {
+        self.system.control_dim()
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        let n = self.system.state_dim();
+        self.system.step_with(&self.effects, x, u, &mut next[..n]);
+        if self.effects.clock().is_some() {
+            next[n] = x[n] + T::lift(self.system.dt());
+        }
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        let n = self.system.state_dim();
+        x_bar[n..].copy_from_slice(&next_bar[n..]);
+        self.system.reverse(&self.effects, x, u, &next_bar[..n], Some(x_bar), Some(u_bar));
+    }
+
+    #[inline(always)]
+    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
+        let n = self.system.state_dim();
+        x_bar[n..].copy_from_slice(&next_bar[n..]);
+        self.system.reverse(&self.effects, x, u, &next_bar[..n], Some(x_bar), None);
+    }
+
+    #[inline(always)]
+    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
+        self.system.reverse(&self.effects, x, u, &next_bar[..self.system.state_dim()], None, Some(u_bar));
+    }
+}
+
+/// A system around a body `B`: the body alone, with effects, behind an actuator. Tasks are written for what is around
+/// the body they are about, and look at the first components of the state, which are the body's.
+pub trait Around<B>: System {
+    /// The body.
+    fn body(&self) -> &B;
+    /// Draws the start of the state components that are not the body's into their places in `x`.
+    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]);
+}
+
+impl<H: Host, E: Effect<H::Body>> Around<H::Body> for With<H, E> {
+    #[inline(always)]
+    fn body(&self) -> &H::Body {
+        self.system.body()
+    }
+
+    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
+        if let Some(span) = self.effects.clock() {
+            x[self.system.state_dim()] = rng.random_range(0.0..=span);
+        }
+    }
+}
+
+/// Makes a [`Host`] a [`System`] of its own: the one without effects.
+macro_rules! system_without_effects {
+    ($host:ty) => {
+        impl crate::system::System for $host {
+            fn state_dim(&self) -> usize {
+                crate::effect::Host::state_dim(self)
+            }
+
+            fn control_dim(&self) -> usize {
+                crate::effect::Host::control_dim(self)
+            }
+
+            #[inline(always)]
+            fn step<T: crate::scalar::Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+                crate::effect::Host::step_with(self, &(), x, u, next);
+            }
+
+            #[inline(always)]
+            fn vjp<R: crate::scalar::Real, C: crate::scalar::Cotangent<R>>(
+                &self,
+                x: &[R],
+                u: &[R],
+                next_bar: &[C],
+                x_bar: &mut [C],
+                u_bar: &mut [C],
+            ) {
+                crate::effect::Host::reverse(self, &(), x, u, next_bar, Some(x_bar), Some(u_bar));
+            }
+
+            #[inline(always)]
+            fn vjp_state<R: crate::scalar::Real, C: crate::scalar::Cotangent<R>>(
+                &self,
+                x: &[R],
+                u: &[R],
+                next_bar: &[C],
+                x_bar: &mut [C],
+            ) {
+                crate::effect::Host::reverse(self, &(), x, u, next_bar, Some(x_bar), None);
+            }
+
+            #[inline(always)]
+            fn vjp_control<R: crate::scalar::Real, C: crate::scalar::Cotangent<R>>(
+                &self,
+                x: &[R],
+                u: &[R],
+                next_bar: &[C],
+                u_bar: &mut [C],
+            ) {
+                crate::effect::Host::reverse(self, &(), x, u, next_bar, None, Some(u_bar));
+            }
+        }
+
+        impl crate::effect::Around<<$host as crate::effect::Host>::Body> for $host {
+            #[inline(always)]
+            fn body(&self) -> &<$host as crate::effect::Host>::Body {
+                crate::effect::Host::body(self)
+            }
+
+            fn start_beyond(&self, _rng: &mut crate::rng::Rng, _x: &mut [f64]) {}
+        }
+    };
+}
+pub(crate) use system_without_effects;

@@ -1,0 +1,86 @@
+//! Effects that are chosen while the program runs: a list, walked in every step.
+
+use super::{Effect, later};
+use crate::scalar::{Cotangent, Real, Scalar};
+
+/// All of them, in this order: for combinations that are not known when the program is compiled. The numbers are those
+/// of a tuple of the same effects, bit for bit.
+impl<B, E: Effect<B>> Effect<B> for Vec<E> {
+    #[inline(always)]
+    fn act<T: Scalar>(&self, body: &B, x: &[T], forces: &mut [T]) {
+        for effect in self {
+            effect.act(body, x, forces);
+        }
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        for effect in self {
+            effect.vjp(body, x, forces_bar, x_bar);
+        }
+    }
+
+    #[inline(always)]
+    fn reads_state(&self) -> bool {
+        self.iter().any(Effect::reads_state)
+    }
+
+    #[inline(always)]
+    fn clock(&self) -> Option<f64> {
+        self.iter().fold(None, |clock, effect| later(clock, effect.clock()))
+    }
+}
+
+/// An enum of one variant for every effect of a body, named as the effect is, that is any of them.
+macro_rules! any_effect {
+    ($(#[$doc:meta])* $name:ident of $body:ty: $($effect:ident),+ $(,)?) => {
+        $(#[$doc])*
+        #[derive(Clone, Debug, PartialEq)]
+        pub enum $name {
+            $(#[doc = concat!("[`", stringify!($effect), "`].")] $effect($effect)),+
+        }
+
+        impl crate::effect::Effect<$body> for $name {
+            #[inline(always)]
+            fn act<T: crate::scalar::Scalar>(&self, body: &$body, x: &[T], forces: &mut [T]) {
+                match self {
+                    $(Self::$effect(effect) => effect.act(body, x, forces)),+
+                }
+            }
+
+            #[inline(always)]
+            fn vjp<R: crate::scalar::Real, C: crate::scalar::Cotangent<R>>(
+                &self,
+                body: &$body,
+                x: &[R],
+                forces_bar: &[C],
+                x_bar: &mut [C],
+            ) {
+                match self {
+                    $(Self::$effect(effect) => effect.vjp(body, x, forces_bar, x_bar)),+
+                }
+            }
+
+            #[inline(always)]
+            fn reads_state(&self) -> bool {
+                match self {
+                    $(Self::$effect(effect) => crate::effect::Effect::<$body>::reads_state(effect)),+
+                }
+            }
+
+            #[inline(always)]
+            fn clock(&self) -> Option<f64> {
+                match self {
+                    $(Self::$effect(effect) => crate::effect::Effect::<$body>::clock(effect)),+
+                }
+            }
+        }
+
+        $(impl From<$effect> for $name {
+            fn from(effect: $effect) -> Self {
+                Self::$effect(effect)
+            }
+        })+
+    };
+}
+pub(crate) use any_effect;

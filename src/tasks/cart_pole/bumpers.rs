@@ -1,0 +1,74 @@
+//! Bumpers at the ends of the rail.
+
+use super::CartPoleSystem;
+use crate::effect::Effect;
+use crate::scalar::{Cotangent, Real, Scalar};
+use serde::{Deserialize, Serialize};
+
+/// Springs at both ends of the rail that push a cart back, and never pull it. At the right end, with the depth
+/// `δ = max(0, x - reach)`, and likewise at the left:
+///
+/// ```text
+/// F = -stiffness δ max(0, 1 + damping ẋ)
+/// ```
+///
+/// The damping of Hunt and Crossley 1975 (doi:10.1115/1.3423596) with a linear spring: there is no leap in the force when
+/// the cart touches. Its derivative does leap; at the point of touch it is that of the free side. Explicit steps of length
+/// dt need `stiffness dt² < 4 M`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Bumpers {
+    /// Where the cart touches them: `|x| = reach`, m, positive.
+    pub reach: f64,
+    /// N/m, not negative.
+    pub stiffness: f64,
+    /// s/m, not negative: 0 gives all energy back.
+    pub damping: f64,
+}
+
+impl Default for Bumpers {
+    fn default() -> Self {
+        Self { reach: 2.4, stiffness: 1000.0, damping: 0.5 }
+    }
+}
+
+impl Effect<CartPoleSystem> for Bumpers {
+    #[inline(always)]
+    fn act<T: Scalar>(&self, _body: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+        let stiffness = T::lift(self.stiffness);
+        let (right, left) = self.sides(x).into();
+        forces[0] += stiffness * (left.depth * left.factor - right.depth * right.factor);
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        let (zero, stiffness, damping) = (R::zero(), R::lift(self.stiffness), R::lift(self.damping));
+        // Both sides push the harder, the deeper and the faster, outwards: the same sign for both.
+        let (mut by_x, mut by_speed) = (zero, zero);
+        for side in self.sides(x) {
+            by_x += R::select_lt(zero, side.depth, side.factor, zero);
+            by_speed += R::select_lt(zero, side.factor, side.depth, zero);
+        }
+        x_bar[0] -= forces_bar[0] * (stiffness * by_x);
+        x_bar[1] -= forces_bar[0] * (stiffness * damping * by_speed);
+    }
+}
+
+/// The contact at one end.
+struct Side<T> {
+    /// δ.
+    depth: T,
+    /// `max(0, 1 + damping δ̇)`.
+    factor: T,
+}
+
+impl Bumpers {
+    /// The right side and the left.
+    #[inline(always)]
+    fn sides<T: Scalar>(&self, x: &[T]) -> [Side<T>; 2] {
+        let (zero, reach, damping) = (T::zero(), T::lift(self.reach), T::lift(self.damping));
+        let side = |x: T, speed: T| Side { depth: (x - reach).max(zero), factor: (T::one() + damping * speed).max(zero) };
+        [side(x[0], x[1]), side(-x[0], -x[1])]
+    }
+}

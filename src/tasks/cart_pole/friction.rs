@@ -1,0 +1,102 @@
+//! What slows poles and cart down.
+
+use super::CartPoleSystem;
+use crate::effect::Effect;
+use crate::scalar::{Cotangent, Real, Scalar};
+use serde::{Deserialize, Serialize};
+
+/// Viscous friction in the joints of the poles: `τ_i = -damping ω_i`.
+///
+/// Barto, Sutton and Anderson 1983 (doi:10.1109/TSMC.1983.6313077), whose coefficient is 0.000002.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct PoleDamping {
+    /// Torque per rate, N m s/rad, not negative.
+    pub damping: f64,
+}
+
+impl Default for PoleDamping {
+    fn default() -> Self {
+        Self { damping: 0.002 }
+    }
+}
+
+impl Effect<CartPoleSystem> for PoleDamping {
+    #[inline(always)]
+    fn act<T: Scalar>(&self, body: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+        let damping = T::lift(self.damping);
+        for (pole, torque) in body.poles_of(x).zip(&mut forces[1..]) {
+            *torque -= damping * pole[1];
+        }
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &CartPoleSystem, _x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        let damping = R::lift(self.damping);
+        for (i, &torque_bar) in forces_bar[1..=body.poles].iter().enumerate() {
+            x_bar[3 + 2 * i] -= torque_bar * damping;
+        }
+    }
+}
+
+/// Viscous friction of the cart on its rail: `F = -damping ẋ`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct CartDamping {
+    /// Force per speed, N s/m, not negative.
+    pub damping: f64,
+}
+
+impl Default for CartDamping {
+    fn default() -> Self {
+        Self { damping: 0.1 }
+    }
+}
+
+impl Effect<CartPoleSystem> for CartDamping {
+    #[inline(always)]
+    fn act<T: Scalar>(&self, _body: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+        forces[0] -= T::lift(self.damping) * x[1];
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &CartPoleSystem, _x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        x_bar[1] -= forces_bar[0] * R::lift(self.damping);
+    }
+}
+
+/// Dry (Coulomb's) friction of the cart on its rail, smoothed: `F = -force tanh(ẋ / smoothing)`.
+///
+/// Smoothed, because sgn(ẋ) has no derivative where it matters: below `smoothing` the cart creeps instead of sticking.
+/// Explicit steps of length dt need `force dt < 2 smoothing M`. Andersson, Söderberg and Björklund 2007
+/// (doi:10.1016/j.triboint.2005.11.014), eq. 3.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct DryFriction {
+    /// Force on a sliding cart, N, not negative: friction coefficient times weight.
+    pub force: f64,
+    /// Speed at which three quarters of it are there, m/s, positive.
+    pub smoothing: f64,
+}
+
+impl Default for DryFriction {
+    fn default() -> Self {
+        Self { force: 0.5, smoothing: 0.05 }
+    }
+}
+
+impl Effect<CartPoleSystem> for DryFriction {
+    #[inline(always)]
+    fn act<T: Scalar>(&self, _body: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+        forces[0] -= T::lift(self.force) * (x[1] * T::lift(1.0 / self.smoothing)).tanh();
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        let share = (x[1] * R::lift(1.0 / self.smoothing)).tanh();
+        x_bar[1] -= forces_bar[0] * (R::lift(self.force / self.smoothing) * (R::one() - share * share));
+    }
+}

@@ -1,0 +1,202 @@
+//! Poles on a cart that do not act on each other: the authors' model.
+
+use crate::effect::{Effect, Host, system_without_effects};
+use crate::scalar::{Cotangent, Real, Scalar};
+use serde::{Deserialize, Serialize};
+use smallvec::{SmallVec, smallvec};
+
+/// Poles that are worked on without allocating; more of them allocate in every step.
+const STACK: usize = 16;
+/// A number for each pole.
+pub(super) type PerPole<T> = SmallVec<[T; STACK]>;
+/// The force on the cart, then the torque on each pole.
+pub(super) type Forces<T> = SmallVec<[T; STACK + 1]>;
+
+/// The physics: semi-implicit Euler, velocities first.
+///
+/// State `[x, ẋ, θ₁, ω₁, θ₂, ω₂, …]` in m, m/s, rad, rad/s, θ = 0 upright; control `[u]` in N.
+///
+/// ```text
+/// A_i = (F + m l sin θ_i ω_i²) / M
+/// α_i = (τ_i / (m l) - cos θ_i A_i) / (l (4/3 - m cos² θ_i / M))
+/// ẍ   = (F + m l Σ_i (sin θ_i ω_i² - α_i cos θ_i)) / M
+/// ```
+///
+/// Forces, for effects to add to: `[F, τ₁, τ₂, …]`, that on the cart in N and the torque on each pole about its joint in
+/// N m. Alone, F is the control and τ_i = m g l sin θ_i is gravity's. Friction of carts and joints comes in as in Barto,
+/// Sutton and Anderson.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct CartPoleSystem {
+    /// Number of poles.
+    pub poles: usize,
+    /// Mass of the cart, kg; M is this plus one pole.
+    pub cart_mass: f64,
+    /// Mass m of a pole, kg.
+    pub pole_mass: f64,
+    /// Half the length of a pole, l, m.
+    pub half_length: f64,
+    /// Gravity g, m/s².
+    pub gravity: f64,
+    /// Time step, s.
+    pub dt: f64,
+}
+
+impl Default for CartPoleSystem {
+    fn default() -> Self {
+        Self { poles: 1, cart_mass: 1.0, pole_mass: 0.1, half_length: 0.5, gravity: 9.8, dt: 0.01 }
+    }
+}
+
+impl CartPoleSystem {
+    /// The poles' part of a state: angle and rate of each.
+    #[inline(always)]
+    pub(crate) fn poles_of<'a, T>(&self, x: &'a [T]) -> std::slice::ChunksExact<'a, T> {
+        x[2..2 + 2 * self.poles].chunks_exact(2)
+    }
+
+    /// m l.
+    pub(super) fn moment(&self) -> f64 {
+        self.pole_mass * self.half_length
+    }
+
+    /// The forces without effects: control and gravity; and sine and cosine of every angle into the poles' places in
+    /// `trig`.
+    #[inline(always)]
+    pub(super) fn own_forces<T: Scalar>(&self, x: &[T], u: &[T], trig: &mut [T]) -> Forces<T> {
+        let weight = T::lift(self.moment() * self.gravity);
+        let mut forces: Forces<T> = smallvec![u[0]; 1 + self.poles];
+        for ((pole, trig), torque) in self.poles_of(x).zip(trig.chunks_exact_mut(2)).zip(&mut forces[1..]) {
+            (trig[0], trig[1]) = pole[0].sin_cos();
+            *torque = weight * trig[0];
+        }
+        forces
+    }
+}
+
+/// The constants of [`CartPoleSystem`] as numbers of one kind.
+struct Constants<T> {
+    dt: T,
+    /// m l.
+    moment: T,
+    /// m g l.
+    weight: T,
+    /// 1 / M.
+    per_mass: T,
+    /// 4 m l² / 3.
+    inertia: T,
+    /// (m l)² / M.
+    coupling: T,
+}
+
+impl CartPoleSystem {
+    #[inline(always)]
+    fn constants<T: Scalar>(&self) -> Constants<T> {
+        let (mass, moment) = (self.cart_mass + self.pole_mass, self.moment());
+        Constants {
+            dt: T::lift(self.dt),
+            moment: T::lift(moment),
+            weight: T::lift(moment * self.gravity),
+            per_mass: T::lift(1.0 / mass),
+            inertia: T::lift(4.0 / 3.0 * moment * self.half_length),
+            coupling: T::lift(moment * moment / mass),
+        }
+    }
+}
+
+impl Host for CartPoleSystem {
+    type Body = Self;
+
+    fn body(&self) -> &Self {
+        self
+    }
+
+    fn state_dim(&self) -> usize {
+        2 + 2 * self.poles
+    }
+
+    fn control_dim(&self) -> usize {
+        1
+    }
+
+    fn dt(&self) -> f64 {
+        self.dt
+    }
+
+    #[inline(always)]
+    fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+        let k = self.constants::<T>();
+        let mut forces = self.own_forces(x, u, &mut next[2..]);
+        effects.act(self, x, &mut forces);
+        let mut push = forces[0];
+        for ((pole, next), &torque) in self.poles_of(x).zip(next[2..].chunks_exact_mut(2)).zip(&forces[1..]) {
+            let (sin, cos) = (next[0], next[1]);
+            let lever = k.moment * cos;
+            let centrifugal = k.moment * sin * pole[1] * pole[1];
+            let a = (forces[0] + centrifugal) * k.per_mass;
+            let alpha = (torque - lever * a) / (k.inertia - k.coupling * cos * cos);
+            push += centrifugal - lever * alpha;
+            next[1] = pole[1] + k.dt * alpha;
+            next[0] = pole[0] + k.dt * next[1];
+        }
+        next[1] = x[1] + k.dt * push * k.per_mass;
+        next[0] = x[0] + k.dt * next[1];
+    }
+
+    #[inline(always)]
+    fn reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
+        &self,
+        effects: &E,
+        x: &[R],
+        u: &[R],
+        next_bar: &[C],
+        mut x_bar: Option<&mut [C]>,
+        u_bar: Option<&mut [C]>,
+    ) {
+        let k = self.constants::<R>();
+        let mut trig: PerPole<[R; 2]> = smallvec![[R::zero(); 2]; self.poles];
+        let mut forces = self.own_forces(x, u, trig.as_flattened_mut());
+        effects.act(self, x, &mut forces);
+
+        let speed_bar = next_bar[1] + next_bar[0] * k.dt;
+        // Of the bracket in ẍ = (…) / M.
+        let push_bar = speed_bar * (k.dt * k.per_mass);
+        let mut forces_bar: Forces<C> = smallvec![push_bar; 1 + self.poles];
+        if let Some(x_bar) = &mut x_bar {
+            (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar);
+        }
+        for (i, (pole, &[sin, cos])) in self.poles_of(x).zip(&trig).enumerate() {
+            let omega = pole[1];
+            let (lever, spin) = (k.moment * cos, omega * omega);
+            let a = (forces[0] + k.moment * sin * spin) * k.per_mass;
+            let per_inertia = R::one() / (k.inertia - k.coupling * cos * cos);
+            let alpha = (forces[1 + i] - lever * a) * per_inertia;
+
+            let (theta_bar, omega_bar) = (next_bar[2 + 2 * i], next_bar[3 + 2 * i]);
+            let omega_bar = omega_bar + theta_bar * k.dt;
+            let alpha_bar = omega_bar * k.dt - push_bar * lever;
+            // α = numerator / denominator, and the torque is the numerator's first term.
+            let torque_bar = alpha_bar * per_inertia;
+            let thrust_bar = -(torque_bar * (lever * k.per_mass));
+            forces_bar[0] += thrust_bar;
+            forces_bar[1 + i] = torque_bar;
+            if let Some(x_bar) = &mut x_bar {
+                let centrifugal_bar = push_bar + thrust_bar;
+                let sin_bar = torque_bar * k.weight + centrifugal_bar * (k.moment * spin);
+                let cos_bar =
+                    torque_bar * (R::lift(2.0) * k.coupling * cos * alpha - k.moment * a) - push_bar * (k.moment * alpha);
+                x_bar[2 + 2 * i] = theta_bar + sin_bar * cos - cos_bar * sin;
+                x_bar[3 + 2 * i] = omega_bar + centrifugal_bar * (R::lift(2.0) * k.moment * sin * omega);
+            }
+        }
+        if let Some(u_bar) = u_bar {
+            u_bar[0] = forces_bar[0];
+        }
+        if let Some(x_bar) = x_bar {
+            effects.vjp(self, x, &forces_bar, x_bar);
+        }
+    }
+}
+
+system_without_effects!(CartPoleSystem);

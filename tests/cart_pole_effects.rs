@@ -1,0 +1,250 @@
+//! Effects of cart-pole, its exact model, and what stands between policy and cart: derivatives, and the physics they
+//! claim.
+
+use physgrad::policy::Linear;
+use physgrad::rng::Rng;
+use physgrad::tasks::{
+    Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, PoleDamping,
+    SteadyWind,
+};
+use physgrad::{
+    Actuated, AnyActuator, Around, Delay, Effect, Host, Lag, Limit, LimitKind, Scalar, Substeps, System, With, check,
+};
+use rand::RngExt;
+
+fn poles(poles: usize) -> CartPoleSystem {
+    CartPoleSystem { poles, ..CartPoleSystem::default() }
+}
+
+fn every_effect() -> Vec<CartPoleEffect> {
+    vec![
+        PoleDamping::default().into(),
+        CartDamping::default().into(),
+        DryFriction::default().into(),
+        SteadyWind::default().into(),
+        GustyWind::default().into(),
+        // Within reach of the states that are checked.
+        Bumpers { reach: 0.4, ..Bumpers::default() }.into(),
+    ]
+}
+
+/// States with fast carts and poles, so that nothing hides behind a small number.
+fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
+    x.iter_mut().chain(u).for_each(|x| *x = rng.random_range(-3.0..3.0));
+}
+
+fn check_lively<S: System>(system: &S) {
+    check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{mismatch}"));
+}
+
+#[test]
+fn the_derivatives_of_every_effect_are_those_of_duals() {
+    for effect in every_effect() {
+        for n in [1, 3] {
+            check_lively(&With { system: poles(n), effects: vec![effect.clone()] });
+            check_lively(&With { system: CoupledCartPole(poles(n)), effects: vec![effect.clone()] });
+        }
+    }
+    check_lively(&With { system: poles(2), effects: every_effect() });
+    check_lively(&CoupledCartPole(poles(3)));
+}
+
+#[test]
+fn a_wrong_derivative_of_an_effect_is_found() {
+    /// A spring, whose derivative has the wrong sign.
+    #[derive(Clone, Debug)]
+    struct Spring;
+    impl Effect<CartPoleSystem> for Spring {
+        fn act<T: Scalar>(&self, _body: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+            forces[0] -= x[0];
+        }
+        fn vjp<R: physgrad::Real, C: physgrad::Cotangent<R>>(
+            &self,
+            _body: &CartPoleSystem,
+            _x: &[R],
+            forces_bar: &[C],
+            x_bar: &mut [C],
+        ) {
+            x_bar[0] += forces_bar[0];
+        }
+    }
+    let mismatch = check::try_system(&With { system: poles(1), effects: Spring }).expect_err("it is wrong");
+    assert_eq!((mismatch.what.as_str(), mismatch.index), ("vjp: x_bar", 0));
+}
+
+#[test]
+fn the_derivatives_behind_actuators_and_of_substeps_are_those_of_duals() {
+    let system = || With { system: poles(2), effects: every_effect() };
+    let dt = system().system.dt;
+    for kind in [LimitKind::Smooth, LimitKind::Hard] {
+        check_lively(&Actuated { system: system(), actuator: Limit { bound: 1.5, kind } });
+    }
+    check_lively(&Actuated { system: system(), actuator: Lag::new(0.03, dt) });
+    check_lively(&Actuated { system: system(), actuator: Delay { steps: 3 } });
+    check_lively(&Actuated { system: system(), actuator: (Limit { bound: 1.5, kind: LimitKind::Smooth }, Lag::new(0.03, dt)) });
+    let chain = vec![
+        AnyActuator::Limit(Limit { bound: 1.5, kind: LimitKind::Smooth }),
+        AnyActuator::Delay(Delay { steps: 2 }),
+        AnyActuator::Lag(Lag::new(0.03, dt)),
+    ];
+    check_lively(&Actuated { system: system(), actuator: chain });
+    for count in [1, 3] {
+        check_lively(&Substeps { system: system(), count });
+    }
+    // Whole rollouts, in all flows, with the states that effects and actuators add.
+    let full =
+        Actuated { system: With { system: CoupledCartPole(poles(2)), effects: every_effect() }, actuator: Delay { steps: 2 } };
+    let n = full.state_dim();
+    assert_eq!(n, 6 + 1 + 2);
+    check::task(&CartPole { horizon: 20, ..CartPole::around(full) }, &Linear::with_bias(n, 1));
+}
+
+fn step<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
+    let mut next = vec![0.0; x.len()];
+    system.step(x, &[u], &mut next);
+    next
+}
+
+#[test]
+fn with_one_pole_both_models_are_the_same_equations() {
+    let mut rng = physgrad::rng::stream(0, physgrad::rng::Purpose::Check, 0);
+    for _ in 0..100 {
+        let (mut x, mut u) = ([0.0; 4], [0.0]);
+        lively(&mut rng, &mut x, &mut u);
+        let effects = (PoleDamping::default(), SteadyWind::default());
+        let simple = step(&With { system: poles(1), effects }, &x, u[0]);
+        let exact = step(&With { system: CoupledCartPole(poles(1)), effects }, &x, u[0]);
+        for (a, b) in simple.iter().zip(&exact) {
+            assert!((a - b).abs() <= 1e-14 * (1.0 + a.abs()), "{a} and {b}");
+        }
+    }
+}
+
+/// Kinetic and potential energy of the exact model.
+fn energy(body: &CartPoleSystem, x: &[f64]) -> f64 {
+    let (m, l, v) = (body.pole_mass, body.half_length, x[1]);
+    let pole = |pole: &[f64]| {
+        let (theta, omega) = (pole[0], pole[1]);
+        // The middle of the pole moves with the cart and about the joint; about the middle, the inertia is m l² / 3.
+        let (vx, vy) = (v + l * omega * theta.cos(), -l * omega * theta.sin());
+        0.5 * m * (vx * vx + vy * vy) + 0.5 * (m * l * l / 3.0) * omega * omega + m * body.gravity * l * theta.cos()
+    };
+    0.5 * body.cart_mass * v * v + x[2..].chunks_exact(2).map(pole).sum::<f64>()
+}
+
+/// How far the energy is from where it began, after a second without control.
+fn drift<H: Host<Body = CartPoleSystem>>(host: impl Fn(f64) -> H, dt: f64) -> f64 {
+    let system = With { system: host(dt), effects: () };
+    let mut x = vec![0.0, 0.3, 3.0, 0.5, 2.0, -1.0, 1.0, 0.2];
+    let start = energy(system.body(), &x);
+    for _ in 0..(1.0 / dt).round() as usize {
+        x = step(&system, &x, 0.0);
+    }
+    (energy(system.body(), &x) - start).abs()
+}
+
+#[test]
+fn the_exact_model_keeps_energy_and_the_authors_does_not() {
+    let exact = |dt| CoupledCartPole(CartPoleSystem { dt, ..poles(3) });
+    let simple = |dt| CartPoleSystem { dt, ..poles(3) };
+    // First order: a tenth of the step, a tenth of the drift.
+    let (coarse, fine) = (drift(exact, 1e-3), drift(exact, 1e-4));
+    assert!(fine < 1e-3 && (8.0..12.0).contains(&(coarse / fine)), "{coarse:e}, {fine:e}");
+    assert!(drift(simple, 1e-4) > 20.0 * fine, "what poles do to each other is missing there");
+}
+
+#[test]
+fn friction_and_still_air_only_take_energy() {
+    let still = SteadyWind { speed: 0.0, ..SteadyWind::default() };
+    let effects: [CartPoleEffect; 4] =
+        [PoleDamping::default().into(), CartDamping::default().into(), DryFriction::default().into(), still.into()];
+    let body = poles(2);
+    let mut rng = physgrad::rng::stream(1, physgrad::rng::Purpose::Check, 0);
+    for effect in effects {
+        for _ in 0..100 {
+            let (mut x, mut forces) = ([0.0; 6], [0.0; 3]);
+            lively(&mut rng, &mut x, &mut []);
+            effect.act(&body, &x, &mut forces);
+            let power = forces[0] * x[1] + forces[1] * x[3] + forces[2] * x[5];
+            assert!(power < 0.0, "{effect:?} does work: {power} W at {x:?}");
+        }
+    }
+}
+
+#[test]
+fn bumpers_push_and_never_pull() {
+    let (bumpers, body) = (Bumpers { reach: 1.0, damping: 2.0, stiffness: 10.0 }, poles(1));
+    let force = |x: f64, v: f64| {
+        let mut forces = [0.0; 2];
+        bumpers.act(&body, &[x, v, 0.0, 0.0], &mut forces);
+        forces[0]
+    };
+    assert_eq!(force(0.99, 5.0), 0.0);
+    assert_eq!(force(1.5, 0.0), -5.0);
+    assert_eq!(force(-1.5, 0.0), 5.0);
+    assert!(force(1.5, 1.0) < force(1.5, 0.0), "harder on the way in");
+    assert_eq!(force(1.5, -1.0), 0.0, "let go, where a dashpot would pull");
+    assert_eq!(force(-1.5, 1.0), 0.0);
+}
+
+#[test]
+fn a_gusty_wind_without_gusts_is_a_steady_one() {
+    let SteadyWind { speed, cart_drag, pole_drag } = SteadyWind::default();
+    let gusty = GustyWind { speed, cart_drag, pole_drag, gust: 0.0, period: 1.0 };
+    let steady = With { system: poles(2), effects: SteadyWind::default() };
+    let gusty = With { system: poles(2), effects: gusty };
+    let x = [0.1, -0.2, 3.0, 0.4, 2.8, -0.5];
+    let after = step(&gusty, &[&x[..], &[7.0]].concat(), 1.5);
+    assert_eq!(after[..6], step(&steady, &x, 1.5));
+    assert_eq!(after[6], 7.0 + 0.01, "the clock");
+}
+
+#[test]
+fn wind_blows_a_still_cart_and_its_pole_away() {
+    let x = step(&With { system: poles(1), effects: SteadyWind::default() }, &[0.0; 4], 0.0);
+    // An upright pole: F = (cart_drag + pole_drag) w², and the pole is pushed the same way.
+    assert!(x[1] > 0.0);
+    let mut forces = [0.0; 2];
+    SteadyWind::default().act(&poles(1), &[0.0; 4], &mut forces);
+    assert!((forces[0] - 0.073 * 9.0).abs() < 1e-12 && (forces[1] - 0.5 * 0.013 * 9.0).abs() < 1e-12, "{forces:?}");
+}
+
+#[test]
+fn actuators_do_what_they_say() {
+    // Control 1 from rest; what the cart feels is its speed times M / dt, since a hanging pole is left out of it.
+    let body = CartPoleSystem { pole_mass: 1e-12, dt: 0.1, ..poles(1) };
+    fn felt<A: physgrad::Actuator>(body: CartPoleSystem, actuator: A, u: f64, steps: usize) -> Vec<f64> {
+        let system = Actuated { system: body, actuator };
+        let mut x = vec![0.0; system.state_dim()];
+        (0..steps)
+            .map(|_| {
+                let before = x[1];
+                x = step(&system, &x, u);
+                (x[1] - before) / 0.1
+            })
+            .collect()
+    }
+    let close = |found: Vec<f64>, expected: &[f64]| {
+        assert_eq!(found.len(), expected.len());
+        for (f, e) in found.iter().zip(expected) {
+            assert!((f - e).abs() < 1e-9, "{found:?}, expected {expected:?}");
+        }
+    };
+    close(felt(body, Delay { steps: 2 }, 1.0, 4), &[0.0, 0.0, 1.0, 1.0]);
+    let share = 1.0 - (-0.1f64 / 0.2).exp();
+    close(felt(body, Lag::new(0.2, 0.1), 1.0, 2), &[share, share + (1.0 - share) * share]);
+    close(felt(body, Limit { bound: 0.5, kind: LimitKind::Hard }, 3.0, 1), &[0.5]);
+    close(felt(body, Limit { bound: 0.5, kind: LimitKind::Smooth }, 0.3, 1), &[0.5 * 0.6f64.tanh()]);
+    close(felt(body, (Limit { bound: 0.5, kind: LimitKind::Hard }, Delay { steps: 1 }), 3.0, 2), &[0.0, 0.5]);
+}
+
+#[test]
+fn substeps_are_the_small_steps() {
+    let small = CartPoleSystem { dt: 0.0025, ..poles(2) };
+    let x = [0.1, -0.2, 3.0, 0.4, 2.8, -0.5];
+    let mut expected = x.to_vec();
+    for _ in 0..4 {
+        expected = step(&small, &expected, 1.5);
+    }
+    assert_eq!(step(&Substeps { system: small, count: 4 }, &x, 1.5), expected);
+}
