@@ -4,14 +4,17 @@
 //! default, compute its derivatives) and on SIMD lanes. [`Real`] is a scalar without derivative; [`Float`] is one
 //! number of one precision; a [`Cotangent`] is what a reverse pass carries.
 
+mod counted;
 mod dual;
 mod float;
 mod lanes;
 
+pub use counted::{Counted, Counts};
 pub use dual::Tangents;
 pub use float::Float;
 pub use lanes::Lanes;
 
+use crate::forward_mode::CHUNK;
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
@@ -101,8 +104,10 @@ pub trait Scalar:
     }
 }
 
-/// A [`Scalar`] without derivative: `f32`, `f64` ([`LANES`](Real::LANES) = 1), and [`Lanes`] of them.
+/// A [`Scalar`] without derivative: `f32`, `f64`, [`Counted`] ([`LANES`](Real::LANES) = 1), and [`Lanes`] of floats.
 pub trait Real: Scalar {
+    /// What its derivatives run on, lane by lane: dual numbers with four tangents.
+    type Dual: Tangents<CHUNK, Real = Self::Real>;
     /// How many numbers it holds.
     const LANES: usize;
     /// The number in lane `lane`.
