@@ -2,7 +2,8 @@
 //!
 //! A system is written once against [`Scalar`] and then runs on `f32` and `f64`, on dual numbers (which check and, by
 //! default, compute its derivatives) and on SIMD lanes. [`Real`] is a scalar without derivative; [`Float`] is one
-//! number of one precision; a [`Cotangent`] is what a reverse pass carries.
+//! number of one precision; [`Counted`] is an `f64` that counts its operations; a [`Cotangent`] is what a reverse pass
+//! carries.
 
 mod counted;
 mod dual;
