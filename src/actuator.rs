@@ -174,18 +174,19 @@ impl<A: Actuator> Actuator for Vec<A> {
         mut own_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
-        // What every actuator was given, and where its state ends.
+        // What every actuator was given. Nobody asks for what the last one made of it.
         let m = u.len();
         let mut given: SmallVec<[R; 4 * STACK]> = SmallVec::from_slice(u);
-        let mut end = 0;
-        for actuator in self {
+        let mut begin = 0;
+        for actuator in self.split_last().map_or(&[][..], |(_, before)| before) {
             let n = actuator.state_dim(m);
             let mut own_next: SmallVec<[R; 4 * STACK]> = smallvec![R::zero(); n];
             let mut out: Controls<R> = smallvec![R::zero(); m];
-            actuator.step(&own[end..end + n], &given[given.len() - m..], &mut own_next, &mut out);
+            actuator.step(&own[begin..begin + n], &given[given.len() - m..], &mut own_next, &mut out);
             given.extend_from_slice(&out);
-            end += n;
+            begin += n;
         }
+        let mut end = own.len();
         let mut out_bar: Controls<C> = SmallVec::from_slice(next_bar.out);
         let mut before_bar: Controls<C> = out_bar.clone();
         for (actuator, given) in self.iter().zip(given.chunks_exact(m)).rev() {

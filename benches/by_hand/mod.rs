@@ -31,7 +31,7 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
         let inertia = T::lift(4.0 / 3.0 * s.pole_mass * s.half_length * s.half_length);
         let coupling = T::lift((s.pole_mass * s.half_length).powi(2) / mass);
         let (pole_drag, damping) = (T::lift(self.wind.pole_drag), T::lift(self.pole.damping));
-        let headwind = T::lift(self.wind.speed) - x[1];
+        let headwind = if WIND { T::lift(self.wind.speed) - x[1] } else { T::zero() };
 
         // What the wind does to the poles pushes the cart too, and that each pole.
         let mut force = u[0];
@@ -81,7 +81,7 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
         let inertia = R::lift(4.0 / 3.0 * s.pole_mass * s.half_length * s.half_length);
         let coupling = R::lift((s.pole_mass * s.half_length).powi(2) / mass);
         let (pole_drag, damping) = (R::lift(self.wind.pole_drag), R::lift(self.pole.damping));
-        let headwind = R::lift(self.wind.speed) - x[1];
+        let headwind = if WIND { R::lift(self.wind.speed) - x[1] } else { R::zero() };
 
         let mut force = u[0];
         if FRICTION {

@@ -5,7 +5,6 @@ use crate::scalar::{Cotangent, Real, Scalar};
 use arrayvec::ArrayVec;
 use serde::{Deserialize, Serialize};
 
-
 /// A number for each pole.
 pub(super) type PerPole<T> = ArrayVec<T, { CartPoleSystem::MOST_POLES }>;
 /// The force on the cart, then the torque on each pole.

@@ -167,14 +167,7 @@ struct Drag {
 
 impl Drag {
     #[inline(always)]
-    fn act<T: Scalar>(
-        self,
-        body: &CartPoleSystem,
-        wind: T,
-        x: &[T],
-        trig: impl Iterator<Item = (T, T)>,
-        forces: &mut [T],
-    ) {
+    fn act<T: Scalar>(self, body: &CartPoleSystem, wind: T, x: &[T], trig: impl Iterator<Item = (T, T)>, forces: &mut [T]) {
         let (pole_drag, l) = (T::lift(self.pole), T::lift(body.half_length));
         let headwind = wind - x[1];
         let mut push = forces[0] + T::lift(self.cart) * headwind.abs() * headwind;
