@@ -1,39 +1,35 @@
-//! What the program knows of a task beyond its physics: names, defaults, limits, a picture.
+//! What is to be run, whatever the task: settings that have been read and can be used.
 
-mod cart_pole;
-mod guidance;
-mod quantum;
-
-use anyhow::{Result, bail};
-use physgrad::Task;
-use physgrad::policy::{Mlp, Policy};
+use super::any_run::{AnyRun, Open};
+use super::check::{Checking, Results};
+use super::kind::{AnyKind, Kind};
+use super::problem::Problem;
+use super::settings::{FieldName, Precision, Settings};
+use anyhow::Result;
 use physgrad::report::Animation;
-use serde::{Deserialize, Serialize, de::DeserializeOwned};
-use std::fmt::Debug;
+use std::ops::Deref;
+use std::sync::Arc;
+use toml::{Table, Value};
 
-/// A task that the program can run by name.
-pub trait Scene: Task + Clone + Send {
-    /// The `system` section: settings of the physics.
-    type Setup: Clone + Debug + Serialize + DeserializeOwned + Send + Sync;
-    /// The `loss` section: settings of the cost.
-    type Loss: Clone + Debug + Default + Serialize + DeserializeOwned + Send + Sync;
-    /// Settings of the policy; its defaults are the task's.
-    type Network: Network;
+/// Settings that have been read and can be used.
+#[derive(Clone)]
+pub struct Scene {
+    pub kind: &'static dyn AnyKind,
+    pub field: FieldName,
+    pub precision: Precision,
+    pub seed: u64,
+    pub epochs: usize,
+    /// All settings.
+    pub table: Table,
+    settings: Arc<dyn AnySettings>,
+}
 
-    const NAME: &'static str;
-    const ABOUT: &'static str;
-    /// Default number of epochs.
-    const EPOCHS: usize;
-    /// Default number of steps.
-    const HORIZON: usize;
-
-    fn setup() -> Self::Setup;
-    /// An error that names the key, its value and what is allowed.
-    fn validate(setup: &Self::Setup, loss: &Self::Loss) -> Result<()>;
-    fn build(setup: &Self::Setup, loss: &Self::Loss, horizon: usize) -> Self;
-    /// Variants worth checking, with a name for each.
-    fn variants() -> Vec<(String, Self)>;
-
+/// What can be made of a task's settings.
+pub trait AnySettings: Send + Sync {
+    /// A run of them, before its first epoch.
+    fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>>;
+    /// Checks the gradients of what they describe, called `variant` in the results.
+    fn check(&self, variant: &str, results: &mut Results);
     /// Seconds per step.
     fn dt(&self) -> f64;
     fn state_names(&self) -> Vec<String>;
@@ -42,71 +38,82 @@ pub trait Scene: Task + Clone + Send {
     fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
 }
 
-/// The `policy` section of a task's settings.
-pub trait Network: Clone + Debug + Default + Serialize + DeserializeOwned + Send + Sync {
-    type Policy: Policy + Clone;
-    /// An error that names the key, its value and what is allowed.
-    fn validate(&self) -> Result<()>;
-    fn build(&self, state_dim: usize, control_dim: usize) -> Self::Policy;
-}
+impl<K: Kind> AnySettings for Settings<K> {
+    fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>> {
+        let training = self.training.training(self.epochs, self.seed, workers);
+        Ok(self.visit(Open { precision: self.precision, field: self.field.0, training })?)
+    }
 
-/// The policy that a task's settings describe.
-pub type PolicyOf<S> = <<S as Scene>::Network as Network>::Policy;
+    fn check(&self, variant: &str, results: &mut Results) {
+        self.visit(Checking { variant, results });
+    }
 
-/// An MLP that sees the whole state.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MlpSettings {
-    /// Hidden layers; none is a linear policy.
-    widths: Vec<usize>,
-    bias: bool,
-    /// Start with a zeroed last kernel.
-    zero_last: bool,
-}
+    fn dt(&self) -> f64 {
+        K::dt(self)
+    }
 
-impl Default for MlpSettings {
-    fn default() -> Self {
-        Self { widths: vec![100, 100], bias: true, zero_last: true }
+    fn state_names(&self) -> Vec<String> {
+        K::state_names(self)
+    }
+
+    fn control_names(&self) -> Vec<String> {
+        K::control_names(self)
+    }
+
+    fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
+        K::animation(self, states, controls)
     }
 }
 
-impl Network for MlpSettings {
-    type Policy = Mlp;
+impl Deref for Scene {
+    type Target = dyn AnySettings;
 
-    fn validate(&self) -> Result<()> {
-        match self.widths.iter().find(|w| !(1..=10_000).contains(*w)) {
-            Some(width) => bail!("`policy.widths` has {width}; allowed: 1 to 10000 each, or [] for a linear policy"),
-            None => Ok(()),
+    fn deref(&self) -> &Self::Target {
+        &*self.settings
+    }
+}
+
+impl Scene {
+    pub fn new<K: Kind>(kind: &'static dyn AnyKind, settings: Settings<K>) -> Self {
+        let Settings { field, precision, seed, epochs, .. } = settings;
+        Self { kind, field, precision, seed, epochs, table: settings.table(), settings: Arc::new(settings) }
+    }
+
+    /// The same with another field and seed.
+    pub fn with(&self, field: FieldName, seed: u64) -> Result<Self, Problem> {
+        let mut table = self.table.clone();
+        table.insert("field".into(), Value::String(field.into()));
+        table.insert("seed".into(), Value::Integer(seed as i64));
+        self.kind.scene(table)
+    }
+
+    /// The settings that a resumed run must share: what differs from the task's defaults, but for the number of epochs.
+    /// So a setting that later versions add, with a default that changes nothing, leaves the identity of a run as it is.
+    pub fn identity(&self) -> String {
+        self.unusual(&["epochs"])
+    }
+
+    /// The settings that the runs of a comparison share: as [`identity`](Self::identity), but for field and seed.
+    pub fn comparable(&self) -> String {
+        self.unusual(&["epochs", "field", "seed"])
+    }
+
+    /// A line for every setting that is not the task's default, and none of these.
+    fn unusual(&self, but: &[&str]) -> String {
+        let defaults = flat(&self.kind.defaults());
+        let unusual = flat(&self.table).into_iter().filter(|setting| !defaults.contains(setting) && !but.contains(&&*setting.0));
+        let lines = unusual.map(|(key, value)| format!("\n{key} = {value}"));
+        format!("task = {:?}{}", self.kind.name(), lines.collect::<String>())
+    }
+}
+
+/// All settings by their dotted keys. A section that holds nothing is a setting too: an effect without parameters.
+pub fn flat(table: &Table) -> Vec<(String, Value)> {
+    let inner = |(key, value): (&String, &Value)| match value {
+        Value::Table(section) if !section.is_empty() => {
+            flat(section).into_iter().map(|(rest, value)| (format!("{key}.{rest}"), value)).collect()
         }
-    }
-
-    fn build(&self, state_dim: usize, control_dim: usize) -> Mlp {
-        let widths = [&[state_dim], &self.widths[..], &[control_dim]].concat();
-        Mlp::new(widths).bias(self.bias).zero_last(self.zero_last)
-    }
-}
-
-/// Runs the body with the type of the task of that name.
-macro_rules! with_scene {
-    ($name:expr, $scene:ident => $body:expr) => {
-        match $name {
-            "cart_pole" => {
-                type $scene = physgrad::tasks::CartPole;
-                $body
-            }
-            "guidance" => {
-                type $scene = physgrad::tasks::Guidance;
-                $body
-            }
-            "quantum" => {
-                type $scene = physgrad::tasks::Quantum;
-                $body
-            }
-            other => anyhow::bail!("unknown task `{other}`; allowed: {}", $crate::cli::scene::NAMES.join(", ")),
-        }
+        value => vec![(key.clone(), value.clone())],
     };
+    table.iter().flat_map(inner).collect()
 }
-pub(crate) use with_scene;
-
-/// Every task's name.
-pub const NAMES: [&str; 3] = ["cart_pole", "guidance", "quantum"];

@@ -23,6 +23,7 @@ use std::f64::consts::PI;
 /// ẍ   = (u + m l Σ_i (sin θ_i ω_i² - α_i cos θ_i)) / M
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct CartPoleSystem {
     /// Number of poles.
