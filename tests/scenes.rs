@@ -172,7 +172,7 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
     let said = error_of(&mut train_scene(&dir.path().join("nowhere.toml"), &out, &[]));
     assert!(said.contains("cannot read") && said.contains("nowhere.toml"), "{said}");
     let said = error_of(&mut physgrad(&["train", "cart_pool"]));
-    assert!(said.contains("unknown scene `cart_pool`; allowed: cart_pole, ") && said.contains("ends in .toml"), "{said}");
+    assert!(said.contains("there is no preset `cart_pool`, only cart_pole, ") && said.contains("ends in .toml"), "{said}");
 }
 
 #[test]

@@ -34,12 +34,6 @@ pub struct Changes {
 }
 
 impl Changes {
-    /// Whether nothing is changed.
-    pub fn is_empty(&self) -> bool {
-        let Self { field, epochs, seed, precision, set, without } = self;
-        field.is_none() && epochs.is_none() && seed.is_none() && precision.is_none() && set.is_empty() && without.is_empty()
-    }
-
     /// Makes the changes in a document.
     pub fn apply(&self, document: &mut Document) -> Result<()> {
         for name in &self.without {

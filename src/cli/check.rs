@@ -1,7 +1,7 @@
 //! `physgrad check`: the gradient checks of the library, as a table.
 
-use super::changes::{Changes, changed};
 use super::kind::{KINDS, Visit};
+use super::presets;
 use super::scene::Scene;
 use super::terminal::say;
 use anyhow::{Result, bail};
@@ -18,15 +18,13 @@ use std::time::Duration;
 pub struct Check {
     /// A task, a preset (see `physgrad scene`), or the path of a scene [default: all tasks]
     pub scene: Option<String>,
-    #[command(flatten)]
-    pub changes: Changes,
 }
 
 /// Runs the command.
 pub fn check(args: &Check) -> Result<()> {
     let mut results =
         Results { task: "", dims: None, table: Table::new(), failures: Vec::new(), spinner: ProgressBar::new_spinner() };
-    let scenes = scenes(args)?;
+    let scenes = scenes(args.scene.as_deref())?;
     let header = ["task", "checked", "compared", "worst error", "allowed", ""];
     results.table.load_style(UTF8_FULL_CONDENSED).set_header(header);
     results.spinner.enable_steady_tick(Duration::from_millis(100));
@@ -46,13 +44,11 @@ pub fn check(args: &Check) -> Result<()> {
 }
 
 /// What is to be checked, with a name for each.
-fn scenes(args: &Check) -> Result<Vec<(String, Scene)>> {
-    let plain = args.changes.is_empty();
-    let tasks = KINDS.into_iter().filter(|kind| plain && args.scene.as_ref().is_none_or(|name| name == kind.name()));
+fn scenes(name: Option<&str>) -> Result<Vec<(String, Scene)>> {
+    let tasks = KINDS.into_iter().filter(|kind| name.is_none_or(|name| name == kind.name()));
     let variants: Vec<_> = tasks.flat_map(|kind| kind.variants()).collect();
-    match &args.scene {
-        Some(name) if variants.is_empty() => Ok(vec![(name.clone(), changed(name, &args.changes)?)]),
-        None if !plain => bail!("changes are made to a scene; name one"),
+    match name {
+        Some(name) if variants.is_empty() => Ok(vec![(name.to_owned(), presets::document(name)?.scene()?)]),
         _ => Ok(variants),
     }
 }

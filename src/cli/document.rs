@@ -12,7 +12,7 @@ use toml::de::{DeTable, DeValue, Deserializer};
 use toml::{Table, Value};
 
 /// The sections whose parts are there or not.
-const OPTIONAL: [&str; 2] = ["effects", "actuator"];
+pub const OPTIONAL: [&str; 2] = ["effects", "actuator"];
 
 /// Settings of a file, and what the command line makes of them, before anything is known of the task.
 pub struct Document {
@@ -115,6 +115,10 @@ impl Document {
         let kind = kind.ok_or_else(|| Problem::new("task", format!("is {task}; allowed: {}", tasks())))?;
         let mut settings = kind.defaults();
         overlay(&mut settings, &self.table);
+        if settings.get("physgrad").is_some_and(Value::is_str) {
+            // Whatever version a saved run is of, what is made of it now is of this one.
+            settings.insert("physgrad".into(), env!("CARGO_PKG_VERSION").into());
+        }
         kind.scene(settings)
     }
 
@@ -165,5 +169,43 @@ fn overlay(lower: &mut Table, upper: &Table) {
                 lower.insert(key.clone(), value.clone());
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WINDY: &str = "scene = 1\n[effects.wind]\nspeed = 3\n[actuator]\nlag = { time = 1 }\n[[effects.walls]]\nx = 1\n";
+
+    #[test]
+    fn every_key_knows_its_line() {
+        let document = Document::parse("a.toml", WINDY).expect("TOML");
+        for (key, line) in [
+            ("scene", 1),
+            ("effects.wind", 2),
+            ("effects.wind.speed", 3),
+            ("effects.wind.of_the_default", 2),
+            ("actuator.lag.time", 5),
+            ("effects.walls[0].x", 7),
+        ] {
+            assert_eq!(document.origin(key), format!("a.toml:{line}"), "{key}");
+        }
+        assert_eq!(document.origin("task"), "a.toml");
+    }
+
+    #[test]
+    fn effects_come_and_go() {
+        let mut document = Document::parse("a.toml", WINDY).expect("TOML");
+        let error = document.without("rain").expect_err("there is none").to_string();
+        assert!(error.ends_with("it has wind, walls, lag"), "{error}");
+        document.without("wind").expect("an effect");
+        document.without("lag").expect("a part of the actuator");
+        assert!(document.without("wind").is_err(), "it is gone");
+        document.put("effects.rain.rate", Value::Integer(2), "--set").expect("another");
+        assert_eq!(document.table["effects"]["rain"]["rate"].as_integer(), Some(2));
+        assert_eq!([document.origin("effects.rain"), document.origin("effects.rain.rate")], ["--set"; 2]);
+        let error = document.put("effects.rain", Value::Integer(2), "--set").expect_err("a section").to_string();
+        assert!(error.ends_with("set one of its keys: effects.rain.rate"), "{error}");
     }
 }

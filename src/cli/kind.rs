@@ -34,7 +34,9 @@ pub trait Kind: Clone + Debug + Send + Sync + 'static {
     /// The `policy` section; its defaults are the task's.
     type Network: Network;
 
+    /// The task's name.
     const NAME: &'static str;
+    /// What it is about, in a line.
     const ABOUT: &'static str;
     /// Default number of epochs.
     const EPOCHS: usize;
@@ -52,7 +54,9 @@ pub trait Kind: Clone + Debug + Send + Sync + 'static {
 
     /// Seconds per step.
     fn dt(settings: &Settings<Self>) -> f64;
+    /// What the components of the state are called, those that effects add included.
     fn state_names(settings: &Settings<Self>) -> Vec<String>;
+    /// What the components of the control are called.
     fn control_names(settings: &Settings<Self>) -> Vec<String>;
     /// A rollout that moves: states and controls step by step.
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
@@ -60,7 +64,9 @@ pub trait Kind: Clone + Debug + Send + Sync + 'static {
 
 /// What needs the types of task and policy. It is compiled once for each of them, so it should do little.
 pub trait Visit {
+    /// What comes of it.
     type Out;
+    /// Does its work.
     fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Self::Out;
 }
 
@@ -69,10 +75,14 @@ pub const KINDS: [&dyn AnyKind; 3] = [&cart_pole::CartPole, &guidance::Guidance,
 
 /// A [`Kind`] of which one need not know which.
 pub trait AnyKind: Send + Sync {
+    /// The task's name.
     fn name(&self) -> &'static str;
+    /// What it is about, in a line.
     fn about(&self) -> &'static str;
     /// The default settings.
     fn defaults(&self) -> Table;
+    /// These settings, in which nothing is missing but what has a default of its own, in full.
+    fn fill(&self, settings: Table) -> Result<Table, Problem>;
     /// A scene of these settings, which must be complete.
     fn scene(&'static self, settings: Table) -> Result<Scene, Problem>;
     /// The JSON schema of its scenes.
@@ -94,8 +104,14 @@ impl<K: Kind> AnyKind for K {
         Settings::<K>::defaults().table()
     }
 
+    fn fill(&self, settings: Table) -> Result<Table, Problem> {
+        Ok(Settings::<K>::fill(settings)?.table())
+    }
+
     fn scene(&'static self, settings: Table) -> Result<Scene, Problem> {
-        Ok(Scene::new(self, Settings::<K>::read(settings)?))
+        let settings = Settings::<K>::fill(settings)?;
+        settings.validate()?;
+        Ok(Scene::new(self, settings))
     }
 
     fn schema(&self) -> serde_json::Value {

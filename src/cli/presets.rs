@@ -1,7 +1,7 @@
 //! Scenes that come with the program.
 
 use super::document::Document;
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, anyhow};
 use std::path::Path;
 
 /// A line for every file in `presets/`.
@@ -29,18 +29,20 @@ pub fn all() -> impl Iterator<Item = (&'static str, &'static str)> {
 
 /// The file of a preset.
 pub fn text(name: &str) -> Result<&'static str> {
-    match PRESETS.into_iter().find(|(preset, _)| *preset == name) {
-        Some((_, text)) => Ok(text),
-        None => {
-            let names: Vec<&str> = all().map(|(name, _)| name).collect();
-            bail!("unknown scene `{name}`; allowed: {}, or the path of a file that ends in .toml", names.join(", "))
-        }
-    }
+    let found = PRESETS.into_iter().find(|(preset, _)| *preset == name).map(|(_, text)| text);
+    found.with_context(|| {
+        let names: Vec<&str> = all().map(|(name, _)| name).collect();
+        format!("there is no preset `{name}`, only {}", names.join(", "))
+    })
 }
 
 /// The preset of this name, or the scene in the file at this path.
 pub fn document(name: &str) -> Result<Document> {
-    if is_path(name) { Document::read(Path::new(name)) } else { Document::parse(&format!("preset {name}"), text(name)?) }
+    if is_path(name) {
+        return Document::read(Path::new(name));
+    }
+    let text = text(name).map_err(|none| anyhow!("{none}; a scene of your own is named by its path, which ends in .toml"))?;
+    Document::parse(&format!("preset {name}"), text)
 }
 
 /// What results of the preset or file are called.
@@ -53,4 +55,19 @@ pub fn short_name(name: &str) -> String {
 
 fn is_path(name: &str) -> bool {
     name.ends_with(".toml") || name.contains(std::path::is_separator)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_preset_is_a_scene_and_begins_with_what_it_is() {
+        for (name, text) in PRESETS {
+            assert!(text.starts_with("# "), "{name}");
+            if let Err(error) = document(name).and_then(|document| document.scene()) {
+                panic!("{error}");
+            }
+        }
+    }
 }

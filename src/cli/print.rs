@@ -29,7 +29,10 @@ pub struct Schema {
 pub fn scene(args: &Scene) -> Result<()> {
     match &args.preset {
         Some(name) => say(presets::text(name)?.trim_end()),
-        None => presets::all().for_each(|(name, about)| say(&format!("{name:15} {about}"))),
+        None => {
+            let width = presets::all().map(|(name, _)| name.len()).max().unwrap_or(0);
+            presets::all().for_each(|(name, about)| say(&format!("{name:width$}  {about}")));
+        }
     }
     Ok(())
 }

@@ -21,7 +21,8 @@ impl Problem {
     /// What serde says of a key, in our words: what was found, and what is allowed.
     pub fn unreadable(path: &str, message: &str) -> Self {
         if let Some(field) = message.strip_prefix("missing field `") {
-            return Self::new(format!("{path}.{}", field.trim_end_matches('`')), "is missing");
+            let key = format!("{path}.{}", field.trim_end_matches('`'));
+            return Self::new(key.trim_start_matches('.'), "is missing");
         }
         if message.ends_with(", there are no fields") {
             return Self::new(path, "is unknown; allowed: nothing");

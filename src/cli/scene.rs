@@ -2,6 +2,7 @@
 
 use super::any_run::{AnyRun, Open};
 use super::check::{Checking, Results};
+use super::document::OPTIONAL;
 use super::kind::{AnyKind, Kind};
 use super::problem::Problem;
 use super::settings::{FieldName, Precision, Settings};
@@ -98,12 +99,22 @@ impl Scene {
         self.unusual(&["epochs", "field", "seed"])
     }
 
-    /// A line for every setting that is not the task's default, and none of these.
+    /// A line for every effect, and for every setting that is not the default of its task or effect, and none of these.
     fn unusual(&self, but: &[&str]) -> String {
-        let defaults = flat(&self.kind.defaults());
-        let unusual = flat(&self.table).into_iter().filter(|setting| !defaults.contains(setting) && !but.contains(&&*setting.0));
-        let lines = unusual.map(|(key, value)| format!("\n{key} = {value}"));
-        format!("task = {:?}{}", self.kind.name(), lines.collect::<String>())
+        let mut lines = vec![format!("task = {:?}", self.kind.name())];
+        // The effects that are here with the parameters they have by default.
+        let mut usual = self.kind.defaults();
+        for section in OPTIONAL {
+            let parts: Vec<&String> =
+                self.table.get(section).and_then(Value::as_table).into_iter().flat_map(Table::keys).collect();
+            lines.extend(parts.iter().map(|part| format!("{section}.{part}")));
+            let bare: Table = parts.into_iter().map(|part| (part.clone(), Value::Table(Table::new()))).collect();
+            usual.insert(section.into(), Value::Table(bare));
+        }
+        let usual = flat(&self.kind.fill(usual.clone()).unwrap_or(usual));
+        let unusual = flat(&self.table).into_iter().filter(|setting| !usual.contains(setting) && !but.contains(&&*setting.0));
+        lines.extend(unusual.map(|(key, value)| format!("{key} = {value}")));
+        lines.join("\n")
     }
 }
 
@@ -116,4 +127,113 @@ pub fn flat(table: &Table) -> Vec<(String, Value)> {
         value => vec![(key.clone(), value.clone())],
     };
     table.iter().flat_map(inner).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cli::kind::{MlpSettings, Network, Visit};
+    use physgrad::report;
+    use physgrad::tasks::{CartPole, CartPoleSystem};
+    use schemars::JsonSchema;
+    use serde::{Deserialize, Serialize};
+
+    /// A task with an effect.
+    #[derive(Clone, Debug)]
+    struct Windy;
+
+    #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+    #[serde(deny_unknown_fields)]
+    struct Effects {
+        /// It blows.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        wind: Option<Wind>,
+    }
+
+    #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+    #[serde(deny_unknown_fields, default)]
+    struct Wind {
+        /// How fast, m/s.
+        speed: f64,
+    }
+
+    impl Default for Wind {
+        fn default() -> Self {
+            Self { speed: 3.0 }
+        }
+    }
+
+    impl Kind for Windy {
+        type System = CartPoleSystem;
+        type Effects = Effects;
+        type Loss = Effects;
+        type Network = MlpSettings;
+
+        const NAME: &'static str = "windy";
+        const ABOUT: &'static str = "a test";
+        const EPOCHS: usize = 1;
+        const HORIZON: usize = 2;
+
+        fn system() -> CartPoleSystem {
+            CartPoleSystem::default()
+        }
+
+        fn validate(_settings: &Settings<Self>) -> Result<(), Problem> {
+            Ok(())
+        }
+
+        fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+            settings.policy.visit(CartPole::new(1), visitor)
+        }
+
+        fn variants() -> Vec<(String, Settings<Self>)> {
+            Vec::new()
+        }
+
+        fn dt(_settings: &Settings<Self>) -> f64 {
+            1.0
+        }
+
+        fn state_names(_settings: &Settings<Self>) -> Vec<String> {
+            Vec::new()
+        }
+
+        fn control_names(_settings: &Settings<Self>) -> Vec<String> {
+            Vec::new()
+        }
+
+        fn animation(_settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
+            report::cart_pole(states, &[], 1.0, 1.0)
+        }
+    }
+
+    fn scene(effects: &str, epochs: i64) -> Scene {
+        let mut table = Windy.defaults();
+        table.insert("epochs".into(), Value::Integer(epochs));
+        table.extend(effects.parse::<Table>().expect("TOML"));
+        AnyKind::scene(&Windy, table).expect("a scene")
+    }
+
+    #[test]
+    fn an_identity_is_what_differs_from_the_defaults() {
+        assert_eq!(scene("", 7).identity(), "task = \"windy\"");
+        assert_eq!(scene("seed = 4", 1).identity(), "task = \"windy\"\nseed = 4");
+        assert_eq!(scene("seed = 4", 1).comparable(), "task = \"windy\"");
+        // With its default parameters an effect is there all the same.
+        assert_eq!(scene("effects.wind = {}", 1).identity(), "task = \"windy\"\neffects.wind");
+        let fast = scene("effects.wind.speed = 5", 1);
+        assert_eq!(fast.identity(), "task = \"windy\"\neffects.wind\neffects.wind.speed = 5.0");
+        assert_eq!(fast.with(fast.field, 4).expect("a scene").comparable(), fast.identity());
+    }
+
+    #[test]
+    fn what_is_optional_is_left_out_of_a_scene_and_no_null_in_its_schema() {
+        assert!(!scene("", 1).table.contains_key("effects"));
+        assert_eq!(scene("effects.wind = {}", 1).table["effects"]["wind"]["speed"].as_float(), Some(3.0));
+        let schema = Windy.schema();
+        let wind = &schema["properties"]["effects"]["properties"]["wind"];
+        assert_eq!((&wind["type"], &wind["description"]), (&"object".into(), &"It blows.".into()));
+        assert_eq!(wind["properties"]["speed"]["default"], 3.0);
+        assert!(!schema.to_string().contains("null"), "{schema}");
+    }
 }

@@ -9,6 +9,7 @@ pub use actuator::ActuatorSettings;
 pub use names::{ClipName, FieldName, OptimizerName, Precision};
 pub use training::TrainingSettings;
 
+use super::document::OPTIONAL;
 use super::kind::{Kind, Network, Visit};
 use super::problem::{Problem, count};
 use memory::Memory;
@@ -81,23 +82,28 @@ impl<K: Kind> Settings<K> {
         }
     }
 
-    /// As a table, without the sections that hold nothing.
+    /// As a table, without the sections of what is absent.
     pub fn table(&self) -> Table {
         let mut table = Table::try_from(self).expect("settings are plain tables");
-        table.retain(|_, value| value.as_table().is_none_or(|section| !section.is_empty()));
+        for section in OPTIONAL {
+            if table.get(section).and_then(Value::as_table).is_some_and(Table::is_empty) {
+                table.remove(section);
+            }
+        }
         table
     }
 
-    /// From a table in which nothing is missing but effects: shapes and names by serde, ranges by [`Kind`] and here.
-    pub fn read(table: Table) -> Result<Self, Problem> {
+    /// From a table in which nothing is missing but effects, and what has a default of its own: shapes and names by
+    /// serde.
+    pub fn fill(table: Table) -> Result<Self, Problem> {
         let mut settings: Self = serde_path_to_error::deserialize(Value::Table(table))
             .map_err(|error| Problem::unreadable(&error.path().to_string(), error.inner().message()))?;
         settings.training.complete();
-        settings.validate()?;
         Ok(settings)
     }
 
-    fn validate(&self) -> Result<(), Problem> {
+    /// What is out of range, here or by [`Kind`], and what nothing reads.
+    pub fn validate(&self) -> Result<(), Problem> {
         count("horizon", self.horizon, 1..=100_000_000)?;
         self.training.validate()?;
         self.policy.validate()?;

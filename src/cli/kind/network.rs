@@ -9,9 +9,11 @@ use serde::{Deserialize, Serialize};
 
 /// The `policy` section of a task's settings.
 pub trait Network: Section + Default {
+    /// What is built of it.
     type Policy: Policy + Clone + 'static;
     /// What is out of range.
     fn validate(&self) -> Result<(), Problem>;
+    /// The policy of a task of these dimensions.
     fn build(&self, state_dim: usize, control_dim: usize) -> Self::Policy;
 
     /// Hands the task to the visitor, with a policy that fits it.

@@ -4,7 +4,7 @@ use super::{AnyKind, KINDS};
 use crate::cli::settings::VERSION;
 use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, SchemaGenerator};
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 use toml::Table;
 
 /// The schema of all scenes.
@@ -38,6 +38,7 @@ pub fn of<S: JsonSchema>(kind: &dyn AnyKind) -> Value {
 /// Nothing need be written, and what is not has its default.
 fn complete(schema: &mut Value, defaults: Option<&Table>) {
     let Some(schema) = schema.as_object_mut() else { return };
+    without_null(schema);
     schema.remove("required");
     let Some(properties) = schema.get_mut("properties").and_then(Value::as_object_mut) else { return };
     for (key, property) in properties {
@@ -49,4 +50,26 @@ fn complete(schema: &mut Value, defaults: Option<&Table>) {
             property["default"] = default;
         }
     }
+}
+
+/// TOML has no null: what is optional is left out.
+fn without_null(schema: &mut Map<String, Value>) {
+    if let Some(Value::Array(types)) = schema.get_mut("type") {
+        types.retain(|name| name != "null");
+        if let [one] = &types[..] {
+            schema["type"] = one.clone();
+        }
+    }
+    if let Some(Value::Array(choices)) = schema.get_mut("anyOf") {
+        choices.retain(|choice| choice["type"] != "null");
+        if let [Value::Object(one)] = &choices[..] {
+            let one = one.clone();
+            schema.remove("anyOf");
+            // What is said of the section here is more than what is said of it in general.
+            one.into_iter().for_each(|(key, value)| {
+                schema.entry(key).or_insert(value);
+            });
+        }
+    }
+    schema.retain(|key, value| key != "default" || !value.is_null());
 }
