@@ -1,12 +1,18 @@
 //! The `physgrad` program.
 
 mod animate;
+mod any_run;
 mod changes;
 mod check;
 mod compare;
+mod document;
 mod folder;
+mod kind;
 mod outputs;
 mod paper;
+mod presets;
+mod print;
+mod problem;
 mod report;
 mod run;
 mod saved;
@@ -43,6 +49,8 @@ enum Command {
     Paper(paper::Paper),
     /// List the tasks and their settings
     Tasks,
+    Scene(print::Scene),
+    Schema(print::Schema),
 }
 
 /// Exit status of a run that was interrupted, and saved.
@@ -71,12 +79,14 @@ fn execute(command: &Command) -> Result<()> {
         Command::Report(args) => report::report(args),
         Command::Check(args) => check::check(args),
         Command::Tasks => tasks::tasks(),
+        Command::Scene(args) => print::scene(args),
+        Command::Schema(args) => print::schema(args),
     }
 }
 
 fn default_run() -> Command {
     Command::Train(train::Train {
-        task: "cart_pole".into(),
+        scene: "cart_pole".into(),
         changes: changes::Changes::default(),
         threads: None,
         out: None,

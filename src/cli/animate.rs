@@ -3,11 +3,8 @@
 use super::folder::{ANIMATION, Folder};
 use super::outputs;
 use super::saved;
-use super::scene::{Scene, with_scene};
-use super::settings::{Precision, Settings};
 use super::terminal::say;
 use anyhow::{Result, bail};
-use physgrad::{Float, System};
 use std::path::PathBuf;
 
 /// Film a trained policy, starting from a state it was not trained on.
@@ -26,7 +23,7 @@ pub struct Animate {
 /// Runs the command.
 pub fn animate(args: &Animate) -> Result<()> {
     for folder in saved::runs(&Folder::existing(&args.folder)?)? {
-        with_scene!(saved::task(&folder)?.as_str(), S => film::<S>(&folder, args.sample))?;
+        film(&folder, args.sample)?;
         if !args.quiet {
             say(&folder.file(ANIMATION).display().to_string());
         }
@@ -34,20 +31,13 @@ pub fn animate(args: &Animate) -> Result<()> {
     Ok(())
 }
 
-fn film<S: Scene>(folder: &Folder, sample: usize) -> Result<()> {
-    let settings = saved::settings::<S>(folder)?;
-    match settings.precision {
-        Precision::F32 => film_in::<S, f32>(folder, &settings, sample),
-        Precision::F64 => film_in::<S, f64>(folder, &settings, sample),
-    }
-}
-
-fn film_in<S: Scene, F: Float>(folder: &Folder, settings: &Settings<S>, sample: usize) -> Result<()> {
-    let mut session = saved::fresh::<S, F>(settings, 1)?;
-    saved::restore(folder, settings, &mut session)?;
-    let samples = session.test_starts().len() / session.task().system().state_dim();
+fn film(folder: &Folder, sample: usize) -> Result<()> {
+    let scene = saved::scene(folder)?;
+    let mut run = scene.open(1)?;
+    saved::restore(folder, &scene, &mut *run)?;
+    let samples = run.test_samples();
     if sample >= samples {
         bail!("--sample is {sample}; allowed: 0 to {}, the test start states of {}", samples - 1, folder.path().display());
     }
-    folder.write(ANIMATION, outputs::film(&session, sample))
+    folder.write(ANIMATION, outputs::film(&scene, &run.rollouts(sample..sample + 1)[0]))
 }

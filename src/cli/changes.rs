@@ -1,14 +1,16 @@
-//! What a command line changes of a task's defaults, or of a run that is to be resumed.
+//! What a command line changes of a scene, or of a run that is to be resumed.
 
-use super::folder::Folder;
+use super::document::Document;
+use super::folder::{Folder, SETTINGS};
+use super::presets;
 use super::saved;
 use super::scene::Scene;
-use super::settings::{self, FieldName, Precision, Settings};
+use super::settings::{FieldName, Precision};
 use anyhow::{Context, Result, bail};
 use physgrad::differences;
 use toml::{Table, Value};
 
-/// What differs from a task's defaults.
+/// What differs from the scene.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct Changes {
     /// Vector field to follow: combined, regular, modified, network, stopped (C, R, M, N, S)
@@ -23,16 +25,22 @@ pub struct Changes {
     /// Precision of all numbers
     #[arg(long, value_enum)]
     pub precision: Option<Precision>,
-    /// Change a setting, for example system.poles=4; `physgrad tasks` lists them
+    /// Change or add a setting, for example system.poles=4; `physgrad tasks` lists them
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
+    /// Leave an effect or a part of the actuator out
+    #[arg(long, value_name = "NAME")]
+    pub without: Vec<String>,
 }
 
 impl Changes {
-    /// Makes the changes in a table of settings.
-    pub fn apply(&self, table: &mut Table) -> Result<()> {
+    /// Makes the changes in a document.
+    pub fn apply(&self, document: &mut Document) -> Result<()> {
+        for name in &self.without {
+            document.without(name)?;
+        }
         for assignment in &self.set {
-            settings::set(table, assignment)?;
+            set(document, assignment)?;
         }
         let named = [
             ("field", self.field.map(|f| Value::String(f.into()))),
@@ -42,7 +50,7 @@ impl Changes {
         ];
         for (key, value) in named {
             if let Some(value) = value {
-                settings::put(table, key, value)?;
+                document.put(key, value, &format!("--{key}"))?;
             }
         }
         Ok(())
@@ -55,34 +63,48 @@ fn integer(option: &str, value: u64) -> Result<Value> {
     Ok(Value::Integer(value))
 }
 
-/// A task's defaults with these changes.
-pub fn changed_settings<S: Scene>(changes: &Changes) -> Result<Settings<S>> {
-    let mut table = Settings::<S>::defaults().to_table();
-    changes.apply(&mut table)?;
-    Settings::from_table(table)
+/// Changes one setting: `training.learning_rate=3e-4`.
+pub fn set(document: &mut Document, assignment: &str) -> Result<()> {
+    let option = format!("--set {assignment}");
+    let (key, text) =
+        assignment.split_once('=').with_context(|| format!("{option}: write KEY=VALUE, for example system.poles=4"))?;
+    let (key, text) = (key.trim(), text.trim());
+    if ["physgrad", "scene", "task"].contains(&key) {
+        bail!("{option}: `{key}` says what the other settings are of, and cannot be set");
+    }
+    // A word that is no TOML value is a string: shells take the quotes away.
+    let value = format!("value = {text}").parse::<Table>().ok().and_then(|mut table| table.remove("value"));
+    document.put(key, value.unwrap_or_else(|| Value::String(text.into())), &option)
+}
+
+/// The preset or file of this name, with these changes.
+pub fn changed(name: &str, changes: &Changes) -> Result<Scene> {
+    let mut document = presets::document(name)?;
+    changes.apply(&mut document)?;
+    document.scene()
 }
 
 /// An error unless the run in the folder has these settings; only the number of epochs may differ.
-pub fn check_resumable<S: Scene>(folder: &Folder, settings: &Settings<S>) -> Result<()> {
-    let saved = saved::settings::<S>(folder)?.identity();
-    if settings.identity() != saved {
+pub fn check_resumable(folder: &Folder, scene: &Scene) -> Result<()> {
+    let saved = saved::scene(folder)?.identity();
+    if scene.identity() != saved {
         bail!(
             "a resumed run keeps its settings (only the number of epochs may change); in {}, these differ:\n{}",
             folder.path().display(),
-            differences(&saved, &settings.identity())
+            differences(&saved, &scene.identity())
         );
     }
     Ok(())
 }
 
-/// The settings of the run in the folder, with these changes.
-pub fn resumed_settings<S: Scene>(folder: &Folder, changes: &Changes) -> Result<Settings<S>> {
+/// The scene of the run in the folder, with these changes.
+pub fn resumed(folder: &Folder, changes: &Changes) -> Result<Scene> {
     if !saved::has_run(folder) {
         bail!("there is no run to resume in {}; without --resume, a new one starts there", folder.path().display());
     }
-    let mut table = saved::settings::<S>(folder)?.to_table();
-    changes.apply(&mut table)?;
-    let settings = Settings::<S>::from_table(table)?;
-    check_resumable(folder, &settings)?;
-    Ok(settings)
+    let mut document = Document::read(&folder.file(SETTINGS))?;
+    changes.apply(&mut document)?;
+    let scene = document.scene()?;
+    check_resumable(folder, &scene)?;
+    Ok(scene)
 }

@@ -1,7 +1,8 @@
 //! `physgrad check`: the gradient checks of the library, as a table.
 
-use super::scene::{NAMES, Network, Scene, with_scene};
-use super::settings::Settings;
+use super::kind::{KINDS, Visit};
+use super::presets;
+use super::scene::Scene;
 use super::terminal::say;
 use anyhow::{Result, bail};
 use comfy_table::Table;
@@ -9,25 +10,29 @@ use comfy_table::presets::UTF8_FULL_CONDENSED;
 use indicatif::ProgressBar;
 use physgrad::check::{self, Failure, Passed};
 use physgrad::policy::Linear;
-use physgrad::{Flow, System};
+use physgrad::{Flow, Policy, System, Task};
 use std::time::Duration;
 
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
 #[derive(Debug, clap::Args)]
 pub struct Check {
-    /// The task to check [default: all]
-    pub task: Option<String>,
+    /// A task, a preset (see `physgrad scene`), or the path of a scene [default: all tasks]
+    pub scene: Option<String>,
 }
 
 /// Runs the command.
 pub fn check(args: &Check) -> Result<()> {
-    let names = args.task.as_deref().map_or_else(|| NAMES.to_vec(), |name| vec![name]);
-    let mut results = Results { table: Table::new(), failures: Vec::new(), spinner: ProgressBar::new_spinner() };
+    let mut results =
+        Results { task: "", dims: None, table: Table::new(), failures: Vec::new(), spinner: ProgressBar::new_spinner() };
+    let scenes = scenes(args.scene.as_deref())?;
     let header = ["task", "checked", "compared", "worst error", "allowed", ""];
     results.table.load_style(UTF8_FULL_CONDENSED).set_header(header);
     results.spinner.enable_steady_tick(Duration::from_millis(100));
-    for name in names {
-        with_scene!(name, S => check_scene::<S>(&mut results))
+    for (variant, scene) in scenes {
+        if results.task != scene.kind.name() {
+            (results.task, results.dims) = (scene.kind.name(), None);
+        }
+        scene.check(&variant, &mut results);
     }
     results.spinner.finish_and_clear();
     say(&results.table.to_string());
@@ -38,43 +43,65 @@ pub fn check(args: &Check) -> Result<()> {
     bail!("{} of the checks failed:\n{}", results.failures.len(), results.failures.join("\n"));
 }
 
-fn check_scene<S: Scene>(results: &mut Results) {
-    let defaults = Settings::<S>::defaults();
-    let mut checked = None;
-    for (name, task) in S::variants() {
+/// What is to be checked, with a name for each.
+fn scenes(name: Option<&str>) -> Result<Vec<(String, Scene)>> {
+    let tasks = KINDS.into_iter().filter(|kind| name.is_none_or(|name| name == kind.name()));
+    let variants: Vec<_> = tasks.flat_map(|kind| kind.variants()).collect();
+    match name {
+        Some(name) if variants.is_empty() => Ok(vec![(name.to_owned(), presets::document(name)?.scene()?)]),
+        _ => Ok(variants),
+    }
+}
+
+/// Adds the checks of a task and policy to the results.
+pub struct Checking<'a> {
+    pub variant: &'a str,
+    pub results: &'a mut Results,
+}
+
+impl Visit for Checking<'_> {
+    type Out = ();
+
+    fn visit<T: Task, P: Policy>(self, task: T, network: P) {
+        let Self { variant, results } = self;
         let system = task.system();
         let (n, m) = (system.state_dim(), system.control_dim());
-        let network = defaults.policy.build(n, m);
         let linear = Linear::with_bias(n, m);
-        results.add::<S>(&format!("{name}: system"), || check::try_system(system).map_err(Failure::from));
+        results.add(&format!("{variant}: system"), || check::try_system(system).map_err(Failure::from));
         // The same policies as in the variant before need no second look.
-        if checked.replace((n, m)) != Some((n, m)) {
-            results.add::<S>(&format!("{name}: network"), || check::try_policy(&network).map_err(Failure::from));
-            results.add::<S>(&format!("{name}: linear policy"), || check::try_policy(&linear).map_err(Failure::from));
+        if results.dims.replace((n, m)) != Some((n, m)) {
+            results.add(&format!("{variant}: network"), || check::try_policy(&network).map_err(Failure::from));
+            results.add(&format!("{variant}: linear policy"), || check::try_policy(&linear).map_err(Failure::from));
         }
         for flow in Flow::ALL {
-            results.add::<S>(&format!("{name}: rollout, network, {flow}"), || check::try_flow(&task, &network, flow));
-            results.add::<S>(&format!("{name}: rollout, linear, {flow}"), || check::try_flow(&task, &linear, flow));
+            results.add(&format!("{variant}: rollout, network, {flow}"), || check::try_flow(&task, &network, flow));
+            results.add(&format!("{variant}: rollout, linear, {flow}"), || check::try_flow(&task, &linear, flow));
         }
     }
 }
 
-struct Results {
+/// What the checks found.
+pub struct Results {
+    /// The task that is being checked.
+    task: &'static str,
+    /// Dimensions of state and control for which its policies were checked last.
+    dims: Option<(usize, usize)>,
     table: Table,
     failures: Vec<String>,
     spinner: ProgressBar,
 }
 
 impl Results {
-    fn add<S: Scene>(&mut self, what: &str, check: impl FnOnce() -> Result<Passed, Failure>) {
-        self.spinner.set_message(format!("{}, {what}", S::NAME));
+    fn add(&mut self, what: &str, check: impl FnOnce() -> Result<Passed, Failure>) {
+        let task = self.task;
+        self.spinner.set_message(format!("{task}, {what}"));
         let (compared, worst, allowed, verdict) = match check() {
             Ok(p) => (p.compared.to_string(), format!("{:.1e}", p.worst), format!("{:.0e}", p.allowed), "ok"),
             Err(failure) => {
-                self.failures.push(format!("{}, {what}: {failure}", S::NAME));
+                self.failures.push(format!("{task}, {what}: {failure}"));
                 (String::new(), String::new(), String::new(), "FAILED")
             }
         };
-        self.table.add_row([S::NAME, what, &compared, &worst, &allowed, verdict]);
+        self.table.add_row([task, what, &compared, &worst, &allowed, verdict]);
     }
 }

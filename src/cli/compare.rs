@@ -1,9 +1,9 @@
 //! `physgrad compare`: the same training along several fields and seeds, side by side.
 
-use super::changes::{Changes, changed_settings};
+use super::changes::{Changes, changed};
 use super::folder::Folder;
+use super::presets;
 use super::run::threads;
-use super::scene::{Scene, with_scene};
 use super::settings::FieldName;
 use super::statistics::{self, Outcome, best, by_field, curves};
 use super::sweep::{Comparison, check_options, sweep};
@@ -17,8 +17,8 @@ use std::path::PathBuf;
 /// Train along several fields and seeds, and compare.
 #[derive(Debug, clap::Args)]
 pub struct Compare {
-    /// The task; see `physgrad tasks`
-    pub task: String,
+    /// A task or another preset (see `physgrad scene`), or the path of a scene
+    pub scene: String,
     /// Fields to compare
     #[arg(long, value_delimiter = ',', default_value = "R,M,S,C", value_parser = |name: &str| name.parse().map(FieldName))]
     pub fields: Vec<FieldName>,
@@ -40,19 +40,15 @@ pub struct Compare {
 
 /// Runs the command.
 pub fn compare(args: &Compare) -> Result<()> {
-    with_scene!(args.task.as_str(), S => compare_scene::<S>(args))
-}
-
-fn compare_scene<S: Scene>(args: &Compare) -> Result<()> {
     if args.changes.field.is_some() || args.changes.set.iter().any(|set| set.trim_start().starts_with("field")) {
         bail!("a comparison has --fields, not a single field");
     }
-    let base = changed_settings::<S>(&args.changes)?;
+    let base = changed(&args.scene, &args.changes)?;
     check_options(&args.fields, args.seeds, base.epochs)?;
     threads(args.threads)?;
     let folder = match &args.out {
         Some(path) => Folder::create(path)?,
-        None => Folder::fresh(&format!("compare-{}", S::NAME))?,
+        None => Folder::fresh(&format!("compare-{}", presets::short_name(&args.scene)))?,
     };
     let mut comparisons = [Comparison::plan("", &base, &args.fields, args.seeds, &folder)?];
     let swept = sweep(&mut comparisons, args.quiet)?;
@@ -61,7 +57,8 @@ fn compare_scene<S: Scene>(args: &Compare) -> Result<()> {
     } else {
         let outcomes = comparisons[0].outcomes();
         folder.write("summary.csv", summary(&outcomes)?)?;
-        folder.write("curves.svg", comparison(&title(S::NAME, &outcomes), &curves(&outcomes, |r| r.test_loss)).to_svg())?;
+        folder
+            .write("curves.svg", comparison(&title(base.kind.name(), &outcomes), &curves(&outcomes, |r| r.test_loss)).to_svg())?;
         if !args.quiet {
             let files = "summary.csv, curves.svg, and every run in runs/";
             say(&format!("{}\nresults in {}: {files}", table(&outcomes), folder.path().display()));

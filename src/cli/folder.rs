@@ -114,8 +114,4 @@ impl Folder {
     pub fn read(&self, name: &str) -> Result<Vec<u8>> {
         fs::read(self.file(name)).with_context(|| format!("cannot read {}", self.file(name).display()))
     }
-
-    pub fn read_text(&self, name: &str) -> Result<String> {
-        fs::read_to_string(self.file(name)).with_context(|| format!("cannot read {}", self.file(name).display()))
-    }
 }

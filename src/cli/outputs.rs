@@ -1,9 +1,9 @@
 //! The files a run leaves: metrics, policy, learning curve, trajectories.
 
 use super::folder::{Folder, METRICS};
-use super::scene::{PolicyOf, Scene};
+use super::scene::Scene;
 use anyhow::{Context, Result};
-use physgrad::{Divergence, Float, Policy, Record, Rollout, Session, System, Variable, report};
+use physgrad::{Divergence, Float, Policy, Record, Rollout, Session, System, Task, Variable, report};
 use safetensors::tensor::{Dtype, TensorView};
 use std::collections::HashMap;
 use std::fs::File;
@@ -88,7 +88,7 @@ pub struct Trajectory {
 }
 
 /// Rollouts from these test start states, or as many of them as there are, under the session's policy.
-pub fn rollouts<S: Scene, F: Float>(session: &Session<S, PolicyOf<S>, F>, chosen: Range<usize>) -> Vec<Trajectory> {
+pub fn rollouts<T: Task, P: Policy, F: Float>(session: &Session<T, P, F>, chosen: Range<usize>) -> Vec<Trajectory> {
     let (task, starts) = (session.task(), session.test_starts());
     let (n, m) = (task.system().state_dim(), task.system().control_dim());
     let starts = &starts[chosen.start * n..starts.len().min(chosen.end * n)];
@@ -107,21 +107,22 @@ pub fn rollouts<S: Scene, F: Float>(session: &Session<S, PolicyOf<S>, F>, chosen
     (0..samples).map(trajectory).collect()
 }
 
-/// `animation.svg`: the rollout from one test start state.
-pub fn film<S: Scene, F: Float>(session: &Session<S, PolicyOf<S>, F>, sample: usize) -> String {
-    let rollouts = rollouts(session, sample..sample + 1);
-    session.task().animation(&rollouts[0].states, &rollouts[0].controls).to_svg()
+/// `animation.svg`: a rollout that moves.
+pub fn film(scene: &Scene, rollout: &Trajectory) -> String {
+    scene.animation(&rollout.states, &rollout.controls).to_svg()
 }
 
 /// `trajectory.csv`: one row a step of each rollout; the last state has no control.
-pub fn trajectories<S: Scene>(task: &S, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
+pub fn trajectories(scene: &Scene, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
     let mut csv = csv::Writer::from_writer(Vec::new());
     let names = ["sample", "step", "time"].map(String::from).into_iter();
-    csv.write_record(names.chain(task.state_names()).chain(task.control_names()))?;
-    let none = vec![String::new(); task.system().control_dim()];
+    let controls = scene.control_names();
+    let none = vec![String::new(); controls.len()];
+    csv.write_record(names.chain(scene.state_names()).chain(controls))?;
+    let dt = scene.dt();
     for (sample, rollout) in rollouts.iter().enumerate() {
         for (t, state) in rollout.states.iter().enumerate() {
-            let place = [sample.to_string(), t.to_string(), (t as f64 * task.dt()).to_string()];
+            let place = [sample.to_string(), t.to_string(), (t as f64 * dt).to_string()];
             let text = |numbers: &[f64]| numbers.iter().map(f64::to_string).collect::<Vec<_>>();
             let control = rollout.controls.get(t).map_or_else(|| none.clone(), |u| text(u));
             csv.write_record(place.into_iter().chain(text(state)).chain(control))?;

@@ -12,7 +12,6 @@ use super::terminal::say;
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use physgrad::report::Drawing;
-use physgrad::tasks::{CartPole, Guidance, Quantum};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use study::{FIG3, FIG4, FIG5};
@@ -124,9 +123,9 @@ pub fn paper(args: &Paper) -> Result<()> {
     let figures: [(Which, &dyn Fn() -> Result<()>); 5] = [
         (Which::Fig1, &|| write(Which::Fig1, fig1::fig1(options.quick))),
         (Which::Fig2, &|| write(Which::Fig2, fig2::fig2(options.quick))),
-        (Which::Fig4, &|| FIG4.run::<CartPole>(options, &folder)),
-        (Which::Fig3, &|| FIG3.run::<Guidance>(options, &folder)),
-        (Which::Fig5, &|| FIG5.run::<Quantum>(options, &folder)),
+        (Which::Fig4, &|| FIG4.run(options, &folder)),
+        (Which::Fig3, &|| FIG3.run(options, &folder)),
+        (Which::Fig5, &|| FIG5.run(options, &folder)),
     ];
     // What goes wrong with one figure does not keep the others from being made.
     let mut problems = Vec::new();

@@ -1,39 +1,36 @@
-//! What the program knows of a task beyond its physics: names, defaults, limits, a picture.
+//! What is to be run, whatever the task: settings that have been read and can be used.
 
-mod cart_pole;
-mod guidance;
-mod quantum;
-
-use anyhow::{Result, bail};
-use physgrad::Task;
-use physgrad::policy::{Mlp, Policy};
+use super::any_run::{AnyRun, Open};
+use super::check::{Checking, Results};
+use super::document::OPTIONAL;
+use super::kind::{AnyKind, Kind};
+use super::problem::Problem;
+use super::settings::{FieldName, Precision, Settings};
+use anyhow::Result;
 use physgrad::report::Animation;
-use serde::{Deserialize, Serialize, de::DeserializeOwned};
-use std::fmt::Debug;
+use std::ops::Deref;
+use std::sync::Arc;
+use toml::{Table, Value};
 
-/// A task that the program can run by name.
-pub trait Scene: Task + Clone + Send {
-    /// The `system` section: settings of the physics.
-    type Setup: Clone + Debug + Serialize + DeserializeOwned + Send + Sync;
-    /// The `loss` section: settings of the cost.
-    type Loss: Clone + Debug + Default + Serialize + DeserializeOwned + Send + Sync;
-    /// Settings of the policy; its defaults are the task's.
-    type Network: Network;
+/// Settings that have been read and can be used.
+#[derive(Clone)]
+pub struct Scene {
+    pub kind: &'static dyn AnyKind,
+    pub field: FieldName,
+    pub precision: Precision,
+    pub seed: u64,
+    pub epochs: usize,
+    /// All settings.
+    pub table: Table,
+    settings: Arc<dyn AnySettings>,
+}
 
-    const NAME: &'static str;
-    const ABOUT: &'static str;
-    /// Default number of epochs.
-    const EPOCHS: usize;
-    /// Default number of steps.
-    const HORIZON: usize;
-
-    fn setup() -> Self::Setup;
-    /// An error that names the key, its value and what is allowed.
-    fn validate(setup: &Self::Setup, loss: &Self::Loss) -> Result<()>;
-    fn build(setup: &Self::Setup, loss: &Self::Loss, horizon: usize) -> Self;
-    /// Variants worth checking, with a name for each.
-    fn variants() -> Vec<(String, Self)>;
-
+/// What can be made of a task's settings.
+pub trait AnySettings: Send + Sync {
+    /// A run of them, before its first epoch.
+    fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>>;
+    /// Checks the gradients of what they describe, called `variant` in the results.
+    fn check(&self, variant: &str, results: &mut Results);
     /// Seconds per step.
     fn dt(&self) -> f64;
     fn state_names(&self) -> Vec<String>;
@@ -42,71 +39,201 @@ pub trait Scene: Task + Clone + Send {
     fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
 }
 
-/// The `policy` section of a task's settings.
-pub trait Network: Clone + Debug + Default + Serialize + DeserializeOwned + Send + Sync {
-    type Policy: Policy + Clone;
-    /// An error that names the key, its value and what is allowed.
-    fn validate(&self) -> Result<()>;
-    fn build(&self, state_dim: usize, control_dim: usize) -> Self::Policy;
-}
+impl<K: Kind> AnySettings for Settings<K> {
+    fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>> {
+        let training = self.training.training(self.epochs, self.seed, workers);
+        Ok(self.visit(Open { precision: self.precision, field: self.field.0, training })?)
+    }
 
-/// The policy that a task's settings describe.
-pub type PolicyOf<S> = <<S as Scene>::Network as Network>::Policy;
+    fn check(&self, variant: &str, results: &mut Results) {
+        self.visit(Checking { variant, results });
+    }
 
-/// An MLP that sees the whole state.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MlpSettings {
-    /// Hidden layers; none is a linear policy.
-    widths: Vec<usize>,
-    bias: bool,
-    /// Start with a zeroed last kernel.
-    zero_last: bool,
-}
+    fn dt(&self) -> f64 {
+        K::dt(self)
+    }
 
-impl Default for MlpSettings {
-    fn default() -> Self {
-        Self { widths: vec![100, 100], bias: true, zero_last: true }
+    fn state_names(&self) -> Vec<String> {
+        K::state_names(self)
+    }
+
+    fn control_names(&self) -> Vec<String> {
+        K::control_names(self)
+    }
+
+    fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
+        K::animation(self, states, controls)
     }
 }
 
-impl Network for MlpSettings {
-    type Policy = Mlp;
+impl Deref for Scene {
+    type Target = dyn AnySettings;
 
-    fn validate(&self) -> Result<()> {
-        match self.widths.iter().find(|w| !(1..=10_000).contains(*w)) {
-            Some(width) => bail!("`policy.widths` has {width}; allowed: 1 to 10000 each, or [] for a linear policy"),
-            None => Ok(()),
+    fn deref(&self) -> &Self::Target {
+        &*self.settings
+    }
+}
+
+impl Scene {
+    pub fn new<K: Kind>(kind: &'static dyn AnyKind, settings: Settings<K>) -> Self {
+        let Settings { field, precision, seed, epochs, .. } = settings;
+        Self { kind, field, precision, seed, epochs, table: settings.table(), settings: Arc::new(settings) }
+    }
+
+    /// The same with another field and seed.
+    pub fn with(&self, field: FieldName, seed: u64) -> Result<Self, Problem> {
+        let mut table = self.table.clone();
+        table.insert("field".into(), Value::String(field.into()));
+        table.insert("seed".into(), Value::Integer(seed as i64));
+        self.kind.scene(table)
+    }
+
+    /// The settings that a resumed run must share: what differs from the task's defaults, but for the number of epochs.
+    /// So a setting that later versions add, with a default that changes nothing, leaves the identity of a run as it is.
+    pub fn identity(&self) -> String {
+        self.unusual(&["epochs"])
+    }
+
+    /// The settings that the runs of a comparison share: as [`identity`](Self::identity), but for field and seed.
+    pub fn comparable(&self) -> String {
+        self.unusual(&["epochs", "field", "seed"])
+    }
+
+    /// A line for every effect, and for every setting that is not the default of its task or effect, and none of these.
+    fn unusual(&self, but: &[&str]) -> String {
+        let mut lines = vec![format!("task = {:?}", self.kind.name())];
+        // The effects that are here with the parameters they have by default.
+        let mut usual = self.kind.defaults();
+        for section in OPTIONAL {
+            let parts: Vec<&String> =
+                self.table.get(section).and_then(Value::as_table).into_iter().flat_map(Table::keys).collect();
+            lines.extend(parts.iter().map(|part| format!("{section}.{part}")));
+            let bare: Table = parts.into_iter().map(|part| (part.clone(), Value::Table(Table::new()))).collect();
+            usual.insert(section.into(), Value::Table(bare));
         }
-    }
-
-    fn build(&self, state_dim: usize, control_dim: usize) -> Mlp {
-        let widths = [&[state_dim], &self.widths[..], &[control_dim]].concat();
-        Mlp::new(widths).bias(self.bias).zero_last(self.zero_last)
+        let usual = flat(&self.kind.fill(usual.clone()).unwrap_or(usual));
+        let unusual = flat(&self.table).into_iter().filter(|setting| !usual.contains(setting) && !but.contains(&&*setting.0));
+        lines.extend(unusual.map(|(key, value)| format!("{key} = {value}")));
+        lines.join("\n")
     }
 }
 
-/// Runs the body with the type of the task of that name.
-macro_rules! with_scene {
-    ($name:expr, $scene:ident => $body:expr) => {
-        match $name {
-            "cart_pole" => {
-                type $scene = physgrad::tasks::CartPole;
-                $body
-            }
-            "guidance" => {
-                type $scene = physgrad::tasks::Guidance;
-                $body
-            }
-            "quantum" => {
-                type $scene = physgrad::tasks::Quantum;
-                $body
-            }
-            other => anyhow::bail!("unknown task `{other}`; allowed: {}", $crate::cli::scene::NAMES.join(", ")),
+/// All settings by their dotted keys. A section that holds nothing is a setting too: an effect without parameters.
+pub fn flat(table: &Table) -> Vec<(String, Value)> {
+    let inner = |(key, value): (&String, &Value)| match value {
+        Value::Table(section) if !section.is_empty() => {
+            flat(section).into_iter().map(|(rest, value)| (format!("{key}.{rest}"), value)).collect()
         }
+        value => vec![(key.clone(), value.clone())],
     };
+    table.iter().flat_map(inner).collect()
 }
-pub(crate) use with_scene;
 
-/// Every task's name.
-pub const NAMES: [&str; 3] = ["cart_pole", "guidance", "quantum"];
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cli::kind::{MlpSettings, Network, Visit};
+    use physgrad::report;
+    use physgrad::tasks::{CartPole, CartPoleSystem};
+    use schemars::JsonSchema;
+    use serde::{Deserialize, Serialize};
+
+    /// A task with an effect.
+    #[derive(Clone, Debug)]
+    struct Windy;
+
+    #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+    #[serde(deny_unknown_fields)]
+    struct Effects {
+        /// It blows.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        wind: Option<Wind>,
+    }
+
+    #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+    #[serde(deny_unknown_fields, default)]
+    struct Wind {
+        /// How fast, m/s.
+        speed: f64,
+    }
+
+    impl Default for Wind {
+        fn default() -> Self {
+            Self { speed: 3.0 }
+        }
+    }
+
+    impl Kind for Windy {
+        type System = CartPoleSystem;
+        type Effects = Effects;
+        type Loss = Effects;
+        type Network = MlpSettings;
+
+        const NAME: &'static str = "windy";
+        const ABOUT: &'static str = "a test";
+        const EPOCHS: usize = 1;
+        const HORIZON: usize = 2;
+
+        fn system() -> CartPoleSystem {
+            CartPoleSystem::default()
+        }
+
+        fn validate(_settings: &Settings<Self>) -> Result<(), Problem> {
+            Ok(())
+        }
+
+        fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+            settings.policy.visit(CartPole::new(1), visitor)
+        }
+
+        fn variants() -> Vec<(String, Settings<Self>)> {
+            Vec::new()
+        }
+
+        fn dt(_settings: &Settings<Self>) -> f64 {
+            1.0
+        }
+
+        fn state_names(_settings: &Settings<Self>) -> Vec<String> {
+            Vec::new()
+        }
+
+        fn control_names(_settings: &Settings<Self>) -> Vec<String> {
+            Vec::new()
+        }
+
+        fn animation(_settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
+            report::cart_pole(states, &[], 1.0, 1.0)
+        }
+    }
+
+    fn scene(effects: &str, epochs: i64) -> Scene {
+        let mut table = Windy.defaults();
+        table.insert("epochs".into(), Value::Integer(epochs));
+        table.extend(effects.parse::<Table>().expect("TOML"));
+        AnyKind::scene(&Windy, table).expect("a scene")
+    }
+
+    #[test]
+    fn an_identity_is_what_differs_from_the_defaults() {
+        assert_eq!(scene("", 7).identity(), "task = \"windy\"");
+        assert_eq!(scene("seed = 4", 1).identity(), "task = \"windy\"\nseed = 4");
+        assert_eq!(scene("seed = 4", 1).comparable(), "task = \"windy\"");
+        // With its default parameters an effect is there all the same.
+        assert_eq!(scene("effects.wind = {}", 1).identity(), "task = \"windy\"\neffects.wind");
+        let fast = scene("effects.wind.speed = 5", 1);
+        assert_eq!(fast.identity(), "task = \"windy\"\neffects.wind\neffects.wind.speed = 5.0");
+        assert_eq!(fast.with(fast.field, 4).expect("a scene").comparable(), fast.identity());
+    }
+
+    #[test]
+    fn what_is_optional_is_left_out_of_a_scene_and_no_null_in_its_schema() {
+        assert!(!scene("", 1).table.contains_key("effects"));
+        assert_eq!(scene("effects.wind = {}", 1).table["effects"]["wind"]["speed"].as_float(), Some(3.0));
+        let schema = Windy.schema();
+        let wind = &schema["properties"]["effects"]["properties"]["wind"];
+        assert_eq!((&wind["type"], &wind["description"]), (&"object".into(), &"It blows.".into()));
+        assert_eq!(wind["properties"]["speed"]["default"], 3.0);
+        assert!(!schema.to_string().contains("null"), "{schema}");
+    }
+}

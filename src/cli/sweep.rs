@@ -5,7 +5,7 @@ use super::folder::{Folder, RUNS};
 use super::run::{self, Finished, Watch};
 use super::saved;
 use super::scene::Scene;
-use super::settings::{FieldName, Settings};
+use super::settings::FieldName;
 use super::statistics::Outcome;
 use super::terminal::Progress;
 use anyhow::{Context, Result, bail};
@@ -15,29 +15,29 @@ use std::collections::HashSet;
 use std::sync::Mutex;
 
 /// The same training along several fields and with several seeds.
-pub struct Comparison<S: Scene> {
-    runs: Vec<Run<S>>,
+pub struct Comparison {
+    runs: Vec<Run>,
     /// What tells it from others of the same sweep; may be empty.
     label: String,
 }
 
 /// One field and seed, and what came of it.
-struct Run<S: Scene> {
+struct Run {
     field: Field,
     seed: u64,
-    settings: Settings<S>,
+    scene: Scene,
     folder: Folder,
     records: Vec<Record>,
     broken: bool,
 }
 
-impl<S: Scene> Run<S> {
+impl Run {
     /// Goes on where an earlier sweep stopped; that must have been the same run.
     fn resumes(&self) -> Result<bool> {
         if !saved::has_run(&self.folder) {
             return Ok(false);
         }
-        check_resumable(&self.folder, &self.settings).map(|()| true)
+        check_resumable(&self.folder, &self.scene).map(|()| true)
     }
 
     fn outcome(&self) -> Outcome<'_> {
@@ -45,16 +45,16 @@ impl<S: Scene> Run<S> {
     }
 }
 
-impl<S: Scene> Comparison<S> {
-    /// Every run with its folder, which is made, and its settings.
-    pub fn plan(label: &str, base: &Settings<S>, fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Self> {
+impl Comparison {
+    /// Every run with its folder, which is made, and its scene.
+    pub fn plan(label: &str, base: &Scene, fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Self> {
         let last = base.seed.checked_add(seeds - 1).filter(|&last| i64::try_from(last).is_ok());
         let last = last.with_context(|| format!("{seeds} seeds from {} on are more than there are", base.seed))?;
         let each = fields.iter().flat_map(|&field| (base.seed..=last).map(move |seed| (field, seed)));
         let run = |(field, seed): (FieldName, u64)| {
-            let settings = Settings { field, seed, ..base.clone() };
+            let scene = base.with(field, seed)?;
             let folder = Folder::create(&folder.file(RUNS).join(format!("{}-{seed}", field.0.letter())))?;
-            Ok(Run { field: field.0, seed, folder, settings, records: Vec::new(), broken: false })
+            Ok(Run { field: field.0, seed, folder, scene, records: Vec::new(), broken: false })
         };
         Ok(Self { runs: each.map(run).collect::<Result<_>>()?, label: label.to_owned() })
     }
@@ -64,7 +64,7 @@ impl<S: Scene> Comparison<S> {
         self.runs.iter().map(Run::outcome).collect()
     }
 
-    fn label(&self, run: &Run<S>) -> String {
+    fn label(&self, run: &Run) -> String {
         let space = if self.label.is_empty() { "" } else { " " };
         format!("{}{space}{} seed {}", self.label, run.field.letter(), run.seed)
     }
@@ -113,24 +113,25 @@ impl Swept {
 /// # Errors
 /// Before anything is run: a folder that holds a run with other settings. After all others have run: the runs that could
 /// not be run at all, or not be saved.
-pub fn sweep<S: Scene>(comparisons: &mut [Comparison<S>], quiet: bool) -> Result<Swept> {
+pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<Swept> {
     let mut runs = Vec::new();
     for comparison in &*comparisons {
         for run in &comparison.runs {
             runs.push((run, comparison.label(run), run.resumes()?));
         }
     }
-    let total = runs.iter().map(|(run, ..)| run.settings.epochs).sum();
+    let total = runs.iter().map(|(run, ..)| run.scene.epochs).sum();
     let progress = Mutex::new(Progress::new(total, quiet));
     if !quiet {
-        eprintln!("{}: {} runs, {total} epochs in all, on {} threads", S::NAME, runs.len(), rayon::current_num_threads());
+        let task = runs.first().map_or("nothing", |(run, ..)| run.scene.kind.name());
+        eprintln!("{task}: {} runs, {total} epochs in all, on {} threads", runs.len(), rayon::current_num_threads());
     }
     let finished: Vec<Result<Finished>> = runs
         .par_iter()
         .map(|(run, label, resume)| {
             let mut watch = Watched { progress: &progress, label };
             // One thread a run: the runs themselves fill the cores.
-            run::run(&run.folder, &run.settings, 1, *resume, &mut watch)
+            run::run(&run.folder, &run.scene, 1, *resume, &mut watch)
         })
         .collect();
     if let Ok(progress) = progress.lock() {

@@ -1,20 +1,20 @@
 //! `physgrad train`: one run, watched.
 
-use super::changes::{Changes, changed_settings, resumed_settings};
+use super::changes::{Changes, changed, resumed};
 use super::folder::Folder;
+use super::presets;
 use super::run::{self, threads};
-use super::scene::{Scene, with_scene};
 use super::statistics::best;
 use super::terminal::{Progress, say};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use physgrad::Record;
 use std::path::PathBuf;
 
 /// Train a policy on a task.
 #[derive(Debug, clap::Args)]
 pub struct Train {
-    /// The task; see `physgrad tasks`
-    pub task: String,
+    /// A task or another preset (see `physgrad scene`), or the path of a scene
+    pub scene: String,
     #[command(flatten)]
     pub changes: Changes,
     /// Number of threads [default: RAYON_NUM_THREADS, or all cores]; results do not depend on it
@@ -33,46 +33,47 @@ pub struct Train {
 
 /// Runs the command.
 pub fn train(args: &Train) -> Result<()> {
-    with_scene!(args.task.as_str(), S => train_scene::<S>(args))
-}
-
-fn train_scene<S: Scene>(args: &Train) -> Result<()> {
     let workers = threads(args.threads)?;
-    let (folder, settings) = match (&args.out, args.resume) {
+    let (folder, scene) = match (&args.out, args.resume) {
         (Some(out), true) => {
             let folder = Folder::create(out)?;
-            let settings = resumed_settings::<S>(&folder, &args.changes)?;
-            (folder, settings)
+            let scene = resumed(&folder, &args.changes)?;
+            let [here, there] = [presets::document(&args.scene)?.scene()?, scene.clone()].map(|scene| scene.kind.name());
+            if here != there {
+                bail!("the run in {} is of the task {there}, and {} is of {here}", folder.path().display(), args.scene);
+            }
+            (folder, scene)
         }
         (out, _) => {
-            let settings = changed_settings::<S>(&args.changes)?;
-            let folder = out.as_deref().map_or_else(|| Folder::fresh(S::NAME), Folder::create)?;
+            let scene = changed(&args.scene, &args.changes)?;
+            let name = presets::short_name(&args.scene);
+            let folder = out.as_deref().map_or_else(|| Folder::fresh(&name), Folder::create)?;
             if let Some(aside) = folder.move_aside()? {
                 eprintln!("{} held another run; it is now in {}", folder.path().display(), aside.display());
             }
-            (folder, settings)
+            (folder, scene)
         }
     };
-    let mut progress = Progress::new(settings.epochs, args.quiet);
+    let mut progress = Progress::new(scene.epochs, args.quiet);
     if !args.quiet {
         eprintln!(
             "{} ({}): field {}, seed {}, {}, {workers} thread{}",
-            S::NAME,
-            S::ABOUT,
-            settings.field.0,
-            settings.seed,
-            settings.precision.name(),
+            scene.kind.name(),
+            scene.kind.about(),
+            scene.field.0,
+            scene.seed,
+            scene.precision.name(),
             if workers == 1 { "" } else { "s" }
         );
     }
-    let finished = run::run(&folder, &settings, workers, args.resume, &mut progress)?;
+    let finished = run::run(&folder, &scene, workers, args.resume, &mut progress)?;
     progress.bar.finish_and_clear();
     if !args.quiet {
         say(&summary(&folder, &finished.records));
     }
     if finished.interrupted {
         let done = finished.records.len();
-        let command = format!("physgrad train {} --resume --out {}", S::NAME, folder.path().display());
+        let command = format!("physgrad train {} --resume --out {}", args.scene, folder.path().display());
         say(&format!("interrupted after epoch {done}; to go on: {command}"));
     }
     match finished.broken {

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// When the states are paid for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum LossMode {
     /// At the last state only.

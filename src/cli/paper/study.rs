@@ -1,9 +1,10 @@
 //! The figures that are trained for: learning curves of several fields, over the values of one setting.
 
 use super::{Made, Options};
+use crate::cli::changes;
 use crate::cli::folder::Folder;
-use crate::cli::scene::Scene;
-use crate::cli::settings::{self, ClipName, Settings};
+use crate::cli::presets;
+use crate::cli::settings::ClipName;
 use crate::cli::statistics::{Outcome, best, by_field, curves, quantile, sorted, trailing_mean};
 use crate::cli::sweep::{Comparison, sweep};
 use crate::cli::terminal::say;
@@ -25,7 +26,8 @@ const NOTE: &str = "Table: test loss after the last epoch. Figure: the mean of u
 pub struct Study {
     pub name: &'static str,
     pub title: &'static str,
-    /// The setting, and its values.
+    /// The preset, the setting that is changed in it, and the values.
+    scene: &'static str,
     key: &'static str,
     values: &'static [&'static str],
     /// What the values are called, with `{}` for the value.
@@ -37,6 +39,7 @@ pub struct Study {
 pub const FIG3: Study = Study {
     name: "fig3",
     title: "Guidance by repulsion",
+    scene: "guidance",
     key: "loss.regularization",
     values: &["1.0", "0.1", "0.01", "0.001"],
     panel: "regularization {}",
@@ -46,6 +49,7 @@ pub const FIG3: Study = Study {
 pub const FIG4: Study = Study {
     name: "fig4",
     title: "Cart-pole swing-up",
+    scene: "cart_pole",
     key: "system.poles",
     values: &["1", "2", "3", "4"],
     panel: "poles: {}",
@@ -55,6 +59,7 @@ pub const FIG4: Study = Study {
 pub const FIG5: Study = Study {
     name: "fig5",
     title: "Quantum control",
+    scene: "quantum",
     key: "system.target",
     values: &["3", "4", "5"],
     panel: "eigenstate {}",
@@ -70,9 +75,9 @@ struct Cell<'a> {
 
 impl Study {
     /// Trains what the figure needs, and writes it.
-    pub fn run<S: Scene>(&self, options: &Options, folder: &Folder) -> Result<()> {
+    pub fn run(&self, options: &Options, folder: &Folder) -> Result<()> {
         let cells = || options.clip.iter().flat_map(|&clip| self.values.iter().map(move |&value| (value, clip)));
-        let plans = cells().map(|(value, clip)| self.plan::<S>(value, clip, options, folder));
+        let plans = cells().map(|(value, clip)| self.plan(value, clip, options, folder));
         let mut comparisons = plans.collect::<Result<Vec<_>>>()?;
         let swept = sweep(&mut comparisons, options.quiet)?;
         if swept.interrupted {
@@ -92,20 +97,20 @@ impl Study {
     }
 
     /// The runs of one cell; its folder is one that `physgrad report` understands.
-    fn plan<S: Scene>(&self, value: &str, clip: ClipName, options: &Options, folder: &Folder) -> Result<Comparison<S>> {
-        let mut table = Settings::<S>::defaults().to_table();
-        settings::set(&mut table, &format!("{}={}", self.key, value))?;
-        settings::put(&mut table, "training.clip", Value::try_from(clip)?)?;
-        settings::put(&mut table, "epochs", Value::try_from(options.epochs())?)?;
+    fn plan(&self, value: &str, clip: ClipName, options: &Options, folder: &Folder) -> Result<Comparison> {
+        let mut document = presets::document(self.scene)?;
+        changes::set(&mut document, &format!("{}={}", self.key, value))?;
+        document.put("training.clip", Value::try_from(clip)?, "--clip")?;
+        document.put("epochs", Value::try_from(options.epochs())?, "--epochs")?;
         if options.quick {
             for key in ["training.train_samples", "training.test_samples"] {
-                settings::put(&mut table, key, Value::Integer(64))?;
+                document.put(key, Value::Integer(64), "--quick")?;
             }
         }
         let label = format!("{}, clip {}", self.panel(value), clip.name());
         let setting = self.key.rsplit('.').next().unwrap_or(self.key);
         let inner = folder.file(self.name).join(format!("{setting}-{value}-clip-{}", clip.name()));
-        Comparison::plan(&label, &Settings::from_table(table)?, &options.fields, options.seeds, &Folder::create(&inner)?)
+        Comparison::plan(&label, &document.scene()?, &options.fields, options.seeds, &Folder::create(&inner)?)
     }
 
     fn drawing(&self, options: &Options, cells: &[Cell]) -> Drawing {

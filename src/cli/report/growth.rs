@@ -1,7 +1,6 @@
 //! How the adjoint grows on its way back through a rollout.
 
-use crate::cli::scene::{PolicyOf, Scene};
-use physgrad::{Adjoint, Divergence, Float, Flow, Rollout, Session, System};
+use physgrad::{Adjoint, Divergence, Float, Flow, Policy, Rollout, Session, System, Task};
 
 /// Test start states that are rolled out.
 pub const SAMPLES: usize = 64;
@@ -23,7 +22,7 @@ impl Growth {
 }
 
 /// The adjoints of R and M under the session's policy.
-pub fn growth<S: Scene, F: Float>(session: &Session<S, PolicyOf<S>, F>) -> [Growth; 2] {
+pub fn growth<T: Task, P: Policy, F: Float>(session: &Session<T, P, F>) -> [Growth; 2] {
     let (task, policy, weights) = (session.task(), session.policy(), session.weights());
     let n = task.system().state_dim();
     let starts = session.test_starts();

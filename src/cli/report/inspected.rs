@@ -1,15 +1,15 @@
 //! What a page needs to know of a run, read from its folder.
 
 use super::counted;
-use super::growth::{Growth, growth};
+use super::growth::Growth;
+use crate::cli::any_run::AnyRun;
 use crate::cli::folder::Folder;
 use crate::cli::outputs;
 use crate::cli::saved;
-use crate::cli::scene::{PolicyOf, Scene};
-use crate::cli::settings::{Precision, Settings};
+use crate::cli::scene::Scene;
 use crate::cli::statistics::Outcome;
 use anyhow::{Result, bail};
-use physgrad::{Field, Float, Record, Session, differences};
+use physgrad::{Field, Record, differences};
 use rayon::prelude::*;
 use toml::Table;
 
@@ -67,52 +67,57 @@ impl Inspected {
 }
 
 /// The runs in these folders by field and seed; the first of every field is looked at closely.
-pub fn inspect<S: Scene>(folders: &[Folder]) -> Result<Vec<Inspected>> {
-    let mut runs = folders.iter().map(|folder| Ok((folder, saved::settings::<S>(folder)?))).collect::<Result<Vec<_>>>()?;
-    for (folder, settings) in &runs {
-        let [first, other] = [&runs[0].1, settings].map(Settings::comparable);
-        if other != first {
-            bail!(
-                "{} and {} are not runs of one comparison: apart from field, seed and epochs, these settings differ:\n{}",
-                runs[0].0.path().display(),
-                folder.path().display(),
-                differences(&first, &other)
-            );
-        }
+pub fn inspect(folders: &[Folder]) -> Result<Vec<Inspected>> {
+    let mut runs = folders.iter().map(|folder| Ok((folder, saved::scene(folder)?))).collect::<Result<Vec<_>>>()?;
+    for run in &runs {
+        check_comparable(&runs[0], run)?;
     }
     // In the order in which `compare` has its fields if it is not told another.
-    runs.sort_by_key(|(_, settings)| ("RMSCN".find(settings.field.0.letter()), settings.seed));
+    runs.sort_by_key(|(_, scene)| ("RMSCN".find(scene.field.0.letter()), scene.seed));
     let first = |i: usize| i == 0 || runs[i - 1].1.field != runs[i].1.field;
-    let opened = runs.par_iter().enumerate().map(|(i, (folder, settings))| match settings.precision {
-        Precision::F32 => open::<S, f32>(folder, settings, first(i)),
-        Precision::F64 => open::<S, f64>(folder, settings, first(i)),
-    });
-    opened.collect()
+    runs.par_iter().enumerate().map(|(i, (folder, scene))| open(folder, scene, first(i))).collect()
 }
 
-fn open<S: Scene, F: Float>(folder: &Folder, settings: &Settings<S>, closely: bool) -> Result<Inspected> {
-    let mut session = saved::fresh::<S, F>(settings, 1)?;
-    let before = closely.then(|| growth(&session));
-    saved::restore(folder, settings, &mut session)?;
-    let close = before.map(|before| Close { before, after: growth(&session), film: outputs::film(&session, 0) });
+/// An error unless the two can stand in one comparison.
+fn check_comparable(first: &(&Folder, Scene), other: &(&Folder, Scene)) -> Result<()> {
+    let [(here, task), (there, other_task)] = [first, other].map(|(folder, scene)| (folder.path().display(), scene.kind.name()));
+    if task != other_task {
+        bail!("{here} ({task}) and {there} ({other_task}) are not runs of one comparison; report each by itself");
+    }
+    let [first, other] = [first, other].map(|(_, scene)| scene.comparable());
+    if first != other {
+        bail!(
+            "{here} and {there} are not runs of one comparison: apart from field, seed and epochs, these settings differ:\n{}",
+            differences(&first, &other)
+        );
+    }
+    Ok(())
+}
+
+fn open(folder: &Folder, scene: &Scene, closely: bool) -> Result<Inspected> {
+    let mut run = scene.open(1)?;
+    let before = closely.then(|| run.growth());
+    saved::restore(folder, scene, &mut *run)?;
+    let film = || outputs::film(scene, &run.rollouts(0..1)[0]);
+    let close = before.map(|before| Close { before, after: run.growth(), film: film() });
     Ok(Inspected {
-        task: S::NAME,
-        field: settings.field.0,
-        seed: settings.seed,
-        epochs: settings.epochs,
-        settings: settings.to_table(),
-        records: session.records().to_vec(),
+        task: scene.kind.name(),
+        field: scene.field.0,
+        seed: scene.seed,
+        epochs: scene.epochs,
+        settings: scene.table.clone(),
+        records: run.records().to_vec(),
         close,
-        end: end(&mut session, settings.epochs),
+        end: end(&mut *run, scene.epochs),
     })
 }
 
 /// A checkpoint does not say why there is none after it. But the same epoch fails again where it failed.
-fn end<S: Scene, F: Float>(session: &mut Session<S, PolicyOf<S>, F>, epochs: usize) -> End {
-    if session.records().len() >= epochs {
+fn end(run: &mut dyn AnyRun, epochs: usize) -> End {
+    if run.records().len() >= epochs {
         return End::Done;
     }
-    match session.epoch() {
+    match run.epoch() {
         Ok(_) => End::Interrupted,
         Err(why) => End::Broke(why.to_string()),
     }

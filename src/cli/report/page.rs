@@ -6,10 +6,11 @@ use super::figure::Figure;
 use super::growth::SAMPLES;
 use super::inspected::Inspected;
 use super::learning;
+use crate::cli::scene::flat;
 use crate::cli::statistics::{self, Outcome, best, field_label};
 use base64::prelude::{BASE64_STANDARD, Engine};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
-use toml::{Table, Value};
+use toml::Value;
 
 /// The page on one run.
 pub fn run(folder: &str, run: &Inspected) -> String {
@@ -183,29 +184,22 @@ fn remarks(runs: &[Inspected]) -> Markup {
 
 /// Every setting; where runs differ, the values of all of them.
 fn settings(runs: &[&Inspected]) -> Markup {
-    let of_section = |name: Option<&str>| -> Vec<(String, String)> {
-        let table = |run: &'_ Inspected| -> Option<Table> {
-            name.map_or_else(|| Some(run.settings.clone()), |name| run.settings.get(name)?.as_table().cloned())
-        };
-        let tables: Vec<Table> = runs.iter().filter_map(|run| table(run)).collect();
-        let keys = tables.first().map(|table| table.keys().cloned().collect::<Vec<_>>()).unwrap_or_default();
-        let values = |key: &String| {
-            let mut values: Vec<String> = Vec::new();
-            for value in tables.iter().filter_map(|table| table.get(key)).filter(|value| !value.is_table()).map(plain) {
-                if !values.contains(&value) {
-                    values.push(value);
-                }
-            }
-            values.join(", ")
-        };
-        keys.iter().map(|key| (key.clone(), values(key))).filter(|(_, value)| !value.is_empty()).collect()
-    };
-    let sections = runs[0].settings.iter().filter(|(_, value)| value.is_table()).map(|(name, _)| Some(name.as_str()));
+    let mut values: Vec<(String, Vec<String>)> = Vec::new();
+    for (key, value) in runs.iter().flat_map(|run| flat(&run.settings)) {
+        match values.iter_mut().find(|(other, _)| *other == key) {
+            Some((_, values)) if values.contains(&plain(&value)) => {}
+            Some((_, values)) => values.push(plain(&value)),
+            None => values.push((key, vec![plain(&value)])),
+        }
+    }
+    let section = |key: &str| key.rsplit_once('.').map_or("run", |(section, _)| section).to_owned();
     html! {
-        div.settings { @for name in [None].into_iter().chain(sections) {
+        div.settings { @for settings in values.chunk_by(|a, b| section(&a.0) == section(&b.0)) {
             table {
-                caption { (name.unwrap_or("run")) }
-                tbody { @for (key, value) in of_section(name) { tr { th scope="row" { (key) } td { (value) } } } }
+                caption { (section(&settings[0].0)) }
+                tbody { @for (key, values) in settings {
+                    tr { th scope="row" { (key.rsplit('.').next().unwrap_or(key)) } td { (values.join(", ")) } }
+                } }
             }
         } }
         @if runs.len() > 1 { p.note { "Several values: the runs have one of them each." } }

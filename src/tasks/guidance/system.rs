@@ -24,6 +24,7 @@ pub(super) const AGENT: usize = 4;
 ///
 /// Drivers do not feel the evaders. Evaders nearer than `flocking_distance` attract each other, farther ones repel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct GuidanceSystem {
     /// Number of drivers.
@@ -52,6 +53,7 @@ pub struct GuidanceSystem {
 
 /// What is made of the evaders' positions for the drivers to steer by.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Center {
     /// Their sum, as in the authors' code. It moves with the herd, but faster, and depends on where the origin is.

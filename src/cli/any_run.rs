@@ -1,0 +1,102 @@
+//! A run under way, whatever its task, policy and precision.
+
+use super::kind::Visit;
+use super::outputs::{self, Trajectory};
+use super::report::growth::{self, Growth};
+use super::settings::Precision;
+use anyhow::Result;
+use physgrad::{
+    CheckpointError, Divergence, Field, Float, Policy, Record, Session, Skip, System, Task, TrainError, Trainer, Training,
+};
+use std::ops::Range;
+
+/// What the program needs of a [`Session`].
+pub trait AnyRun {
+    /// Runs one epoch.
+    fn epoch(&mut self) -> Result<&Record, TrainError>;
+    /// Whether all epochs are done.
+    fn is_done(&self) -> bool;
+    /// One record per epoch done.
+    fn records(&self) -> &[Record];
+    /// The updates skipped in the last epoch.
+    fn skips(&self) -> &[Skip];
+    /// Where the evaluations at the end of the last epoch were not finite.
+    fn diverged(&self) -> [Option<Divergence>; 2];
+    /// The run as bytes, which only a run of the same label takes back.
+    fn checkpoint(&self, label: &str) -> Vec<u8>;
+    /// Takes a checkpoint back.
+    fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError>;
+    /// The parameters as named tensors, for other programs.
+    fn safetensors(&self, about: String) -> Result<Vec<u8>>;
+    /// Number of test start states.
+    fn test_samples(&self) -> usize;
+    /// Rollouts from these test start states, or as many of them as there are.
+    fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
+    /// The adjoints of R and M.
+    fn growth(&self) -> [Growth; 2];
+}
+
+impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
+    fn epoch(&mut self) -> Result<&Record, TrainError> {
+        Session::epoch(self)
+    }
+
+    fn is_done(&self) -> bool {
+        Session::is_done(self)
+    }
+
+    fn records(&self) -> &[Record] {
+        Session::records(self)
+    }
+
+    fn skips(&self) -> &[Skip] {
+        Session::skips(self)
+    }
+
+    fn diverged(&self) -> [Option<Divergence>; 2] {
+        Session::diverged(self)
+    }
+
+    fn checkpoint(&self, label: &str) -> Vec<u8> {
+        Session::checkpoint(self, label)
+    }
+
+    fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError> {
+        Session::restore(self, bytes, label)
+    }
+
+    fn safetensors(&self, about: String) -> Result<Vec<u8>> {
+        outputs::safetensors(about, self.policy(), self.weights().theta())
+    }
+
+    fn test_samples(&self) -> usize {
+        self.test_starts().len() / self.task().system().state_dim()
+    }
+
+    fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory> {
+        outputs::rollouts(self, chosen)
+    }
+
+    fn growth(&self) -> [Growth; 2] {
+        growth::growth(self)
+    }
+}
+
+/// Makes a run, before its first epoch.
+pub struct Open {
+    pub precision: Precision,
+    pub field: Field,
+    pub training: Training,
+}
+
+impl Visit for Open {
+    type Out = Result<Box<dyn AnyRun>, TrainError>;
+
+    fn visit<T: Task + 'static, P: Policy + 'static>(self, task: T, policy: P) -> Self::Out {
+        let trainer = Trainer::new(task, policy).field(self.field).training(self.training);
+        Ok(match self.precision {
+            Precision::F32 => Box::new(trainer.precision::<f32>().session()?),
+            Precision::F64 => Box::new(trainer.precision::<f64>().session()?),
+        })
+    }
+}

@@ -1,0 +1,72 @@
+//! What can be wrong with a setting.
+
+use std::fmt::Display;
+use std::ops::RangeInclusive;
+
+/// A setting that cannot be used. Who reads the settings knows where the key was written, and says so.
+#[derive(Debug, thiserror::Error)]
+#[error("`{key}` {what}")]
+pub struct Problem {
+    /// Dotted: `system.dt`.
+    pub key: String,
+    /// What it is, and what is allowed.
+    pub what: String,
+}
+
+impl Problem {
+    pub fn new(key: impl Into<String>, what: impl Into<String>) -> Self {
+        Self { key: key.into(), what: what.into() }
+    }
+
+    /// What serde says of a key, in our words: what was found, and what is allowed.
+    pub fn unreadable(path: &str, message: &str) -> Self {
+        if let Some(field) = message.strip_prefix("missing field `") {
+            let key = format!("{path}.{}", field.trim_end_matches('`'));
+            return Self::new(key.trim_start_matches('.'), "is missing");
+        }
+        if message.ends_with(", there are no fields") {
+            return Self::new(path, "is unknown; allowed: nothing");
+        }
+        let Some((found, expected)) = message.split_once(", expected ") else {
+            return Self::new(path, format!("cannot be used: {message}"));
+        };
+        if found.starts_with("unknown field ") {
+            return Self::new(path, format!("is unknown; allowed: {}", expected.trim_start_matches("one of ")));
+        }
+        let starts = ["invalid type: ", "invalid value: ", "unknown variant "];
+        let found = starts.iter().find_map(|start| found.strip_prefix(start)).unwrap_or(found);
+        let expected = match expected {
+            "usize" | "u64" => "a whole number, 0 or more",
+            "f64" => "a number",
+            "a sequence" => "a list",
+            section if section.starts_with("struct ") => "a section",
+            names => names.trim_start_matches("one of "),
+        };
+        Self::new(path, format!("is {found}; allowed: {expected}"))
+    }
+
+    /// The setting is there, but has no use because of another.
+    pub fn unread(key: &str, value: impl Display, because: &str) -> Self {
+        Self::new(key, format!("is {value}, but nothing reads it: {because}"))
+    }
+}
+
+/// A problem unless the value is within what is allowed.
+pub fn allowed(key: &str, value: impl Display, is_allowed: bool, allowed: impl Display) -> Result<(), Problem> {
+    if is_allowed { Ok(()) } else { Err(Problem::new(key, format!("is {value}; allowed: {allowed}"))) }
+}
+
+/// A problem unless the value is a positive number.
+pub fn positive(key: &str, value: f64) -> Result<(), Problem> {
+    allowed(key, value, value.is_finite() && value > 0.0, "a positive number")
+}
+
+/// A problem unless the value is a number.
+pub fn finite(key: &str, value: f64) -> Result<(), Problem> {
+    allowed(key, value, value.is_finite(), "a finite number")
+}
+
+/// A problem unless the value is within the range.
+pub fn count(key: &str, value: usize, range: RangeInclusive<usize>) -> Result<(), Problem> {
+    allowed(key, value, range.contains(&value), format!("{} to {}", range.start(), range.end()))
+}

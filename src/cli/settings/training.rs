@@ -1,0 +1,101 @@
+//! The `training` section.
+
+use super::{ClipName, OptimizerName};
+use crate::cli::problem::{Problem, allowed, count, positive};
+use physgrad::{Clip, Rule, Training};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// How to train.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TrainingSettings {
+    /// Samples per update.
+    pub batch: usize,
+    /// Start states to train on.
+    pub train_samples: usize,
+    /// Start states to test on.
+    pub test_samples: usize,
+    /// A new order of the training set in every epoch.
+    pub shuffle: bool,
+    /// What makes steps of the field.
+    pub optimizer: OptimizerName,
+    /// The optimizer's learning rate.
+    pub learning_rate: f64,
+    /// Limits the field before the optimizer: every component (value), or the length (norm).
+    pub clip: ClipName,
+    /// Limit of `clip`; 1 if there is a `clip` and no limit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clip_limit: Option<f64>,
+    /// Updates in a row that may be skipped because a number was not finite.
+    pub max_skipped: usize,
+}
+
+impl Default for TrainingSettings {
+    fn default() -> Self {
+        let Training { batch, train_samples, test_samples, shuffle, learning_rate, max_skipped, .. } = Training::default();
+        Self {
+            batch,
+            train_samples,
+            test_samples,
+            shuffle,
+            optimizer: OptimizerName::Adam,
+            learning_rate,
+            clip: ClipName::None,
+            clip_limit: None,
+            max_skipped,
+        }
+    }
+}
+
+impl TrainingSettings {
+    /// Decides what depends on other settings.
+    pub fn complete(&mut self) {
+        if self.clip != ClipName::None {
+            self.clip_limit.get_or_insert(1.0);
+        }
+    }
+
+    /// What is out of range, and what nothing reads.
+    pub fn validate(&self) -> Result<(), Problem> {
+        count("training.batch", self.batch, 1..=1_000_000)?;
+        count("training.train_samples", self.train_samples, 1..=1_000_000)?;
+        count("training.test_samples", self.test_samples, 1..=1_000_000)?;
+        let rate = self.learning_rate;
+        allowed("training.learning_rate", rate, rate > 0.0 && rate <= 1e6, "a positive number up to 1e6")?;
+        match (self.clip, self.clip_limit) {
+            (_, None) => Ok(()),
+            (ClipName::None, Some(limit)) => Err(Problem::unread("training.clip_limit", limit, "`training.clip` is none")),
+            (_, Some(limit)) => positive("training.clip_limit", limit),
+        }
+    }
+
+    /// The same for the library.
+    pub fn training(&self, epochs: usize, seed: u64, workers: usize) -> Training {
+        let rule = match self.optimizer {
+            OptimizerName::Adam => "adam",
+            OptimizerName::Sgd => "sgd",
+            OptimizerName::Momentum => "momentum",
+            OptimizerName::RmsProp => "rmsprop",
+            OptimizerName::Adagrad => "adagrad",
+            OptimizerName::Adadelta => "adadelta",
+        };
+        Training {
+            epochs,
+            batch: self.batch,
+            train_samples: self.train_samples,
+            test_samples: self.test_samples,
+            seed,
+            shuffle: self.shuffle,
+            rule: Rule::named(rule).expect("every name is a rule"),
+            learning_rate: self.learning_rate,
+            clip: match (self.clip, self.clip_limit) {
+                (ClipName::Value, Some(limit)) => Clip::Value(limit),
+                (ClipName::Norm, Some(limit)) => Clip::Norm(limit),
+                _ => Clip::None,
+            },
+            max_skipped: self.max_skipped,
+            workers,
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! Scene files: presets, a file in place of a preset, what is wrong with a file, and the schema.
+
+mod running;
+
+use running::{SMALL, error_of, physgrad, train};
+use serde_json::Value;
+use std::fs;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+use toml::Table;
+
+/// `train` on a preset or file, small, into `out`.
+fn train_scene(scene: &Path, out: &Path, args: &[&str]) -> assert_cmd::Command {
+    let mut command = physgrad(&["train"]);
+    command.arg(scene).args(args).arg("--out").arg(out);
+    command
+}
+
+fn stdout(args: &[&str]) -> String {
+    let output = physgrad(args).output().expect("it runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).expect("text")
+}
+
+fn presets() -> Vec<String> {
+    stdout(&["scene"]).lines().map(|line| line.split(' ').next().expect("a name").to_owned()).collect()
+}
+
+fn settings(run: &Path) -> Table {
+    fs::read_to_string(run.join("run.toml")).expect("settings").parse().expect("TOML")
+}
+
+fn policy(run: &Path) -> Vec<u8> {
+    fs::read(run.join("policy.safetensors")).expect("a policy")
+}
+
+fn write(dir: &TempDir, text: &str) -> PathBuf {
+    let path = dir.path().join("my_scene.toml");
+    fs::write(&path, text).expect("a file");
+    path
+}
+
+#[test]
+fn every_preset_is_what_its_name_says() {
+    let dir = TempDir::new().expect("a folder");
+    let names = presets();
+    assert!(names.len() >= 14, "{names:?}");
+    for name in &names {
+        let out = dir.path().join(name);
+        let few = ["--epochs", "0", "--set", "training.train_samples=4", "--set", "training.test_samples=4"];
+        train_scene(Path::new(name), &out, &few).assert().success();
+        let settings = settings(&out);
+        assert!(name.starts_with(settings["task"].as_str().expect("a task")), "{name}");
+        let number = name.rsplit('_').next().and_then(|number| number.parse::<f64>().ok());
+        let value = match settings["task"].as_str() {
+            Some("cart_pole") => settings["system"]["poles"].as_integer().map(|poles| poles as f64),
+            Some("guidance") => settings["loss"]["regularization"].as_float(),
+            _ => settings["system"]["target"].as_integer().map(|target| target as f64),
+        };
+        assert!(number.is_none() || number == value, "{name}: {value:?}");
+    }
+}
+
+#[test]
+fn the_presets_of_the_tasks_are_their_defaults_in_full() {
+    let tasks = stdout(&["tasks"]);
+    for task in ["cart_pole", "guidance", "quantum"] {
+        let listed = tasks.split(&format!("{task}: ")).nth(1).expect("the task").lines().skip(2);
+        let listed: String = listed
+            .take_while(|line| line.is_empty() || line.starts_with("    "))
+            .fold(String::new(), |all, line| all + line + "\n");
+        let mut defaults: Table = listed.parse().expect("TOML");
+        defaults.remove("physgrad");
+        let preset: Table = stdout(&["scene", task]).parse().expect("TOML");
+        assert_eq!(preset, defaults, "{task}");
+    }
+    assert!(stdout(&["scene", "cart_pole"]).contains("# kg"), "with its comments");
+}
+
+#[test]
+fn a_file_is_the_same_as_the_preset_and_a_saved_run_repeats_itself() {
+    let dir = TempDir::new().expect("a folder");
+    let file = write(&dir, &stdout(&["scene", "cart_pole"]));
+    let [of_preset, of_file, again] = ["preset", "file", "again"].map(|name| dir.path().join(name));
+    let few = [&SMALL[..], &["--epochs", "2", "--set", "training.clip=norm"]].concat();
+    train_scene(Path::new("cart_pole"), &of_preset, &few).assert().success();
+    train_scene(&file, &of_file, &few).assert().success();
+    assert!(policy(&of_preset) == policy(&of_file));
+    train_scene(&of_file.join("run.toml"), &again, &[]).assert().success();
+    assert!(policy(&again) == policy(&of_file));
+    assert_eq!(settings(&again), settings(&of_preset));
+    assert_eq!(settings(&again)["training"]["clip_limit"].as_float(), Some(1.0));
+}
+
+#[test]
+fn a_file_says_only_what_differs() {
+    let dir = TempDir::new().expect("a folder");
+    let file =
+        write(&dir, "scene = 1\ntask = \"cart_pole\"\nepochs = 0\n[system]\ncart_mass = 2\n[training]\ntrain_samples = 8\n");
+    let out = dir.path().join("run");
+    train_scene(&file, &out, &["--quiet"]).assert().success();
+    let settings = settings(&out);
+    assert_eq!(settings["system"]["cart_mass"].as_float(), Some(2.0));
+    assert_eq!(settings["system"]["poles"].as_integer(), Some(2), "as the task has it");
+    assert!(!settings.contains_key("effects") && !settings.contains_key("actuator"), "nothing that is absent is written");
+    assert!(settings["training"].get("clip_limit").is_none(), "nor what nothing reads");
+
+    // Where a file goes, besides `train`.
+    let compare = dir.path().join("compare");
+    physgrad(&["compare"])
+        .arg(&file)
+        .args(["--epochs", "1", "--fields", "R", "--seeds", "1", "--out"])
+        .arg(&compare)
+        .assert()
+        .success();
+    assert!(compare.join("runs/R-0/run.toml").exists());
+    let checks = physgrad(&["check"]).arg(&file).output().expect("it runs");
+    assert!(String::from_utf8_lossy(&checks.stdout).contains("my_scene.toml: system"));
+}
+
+/// The first lines of a scene of cart-pole.
+const CART_POLE: &str = "scene = 1\ntask = \"cart_pole\"\n";
+
+#[test]
+fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
+    let dir = TempDir::new().expect("a folder");
+    let out = dir.path().join("run");
+    for (text, message) in [
+        (
+            "[training]\nlerning_rate = 1\n",
+            "my_scene.toml:4: `training.lerning_rate` is unknown; allowed: `batch`, `train_samples`",
+        ),
+        ("\n[sytem]\npoles = 1\n", "my_scene.toml:4: `sytem` is unknown; allowed: "),
+        ("[effects.wind]\nspeed = 1\n", "my_scene.toml:3: `effects.wind` is unknown; allowed: "),
+        ("[actuator]\nlog = 1\n", "my_scene.toml:4: `actuator.log` is unknown; allowed: "),
+        ("[system]\nenabled = false\n", "my_scene.toml:4: `system.enabled` is unknown; allowed: `poles`"),
+        (
+            "[training]\nclip_limit = 2\n",
+            "my_scene.toml:4: `training.clip_limit` is 2, but nothing reads it: `training.clip` is none",
+        ),
+        ("[system]\npoles = \"two\"\n", "my_scene.toml:4: `system.poles` is string \"two\"; allowed: a whole number"),
+        (
+            "[policy]\nwidths = [\n  8,\n  true,\n]\n",
+            "my_scene.toml:6: `policy.widths[1]` is boolean `true`; allowed: a whole number",
+        ),
+        ("policy = { widths = [0] }\n", "my_scene.toml:3: `policy.widths` has 0; allowed: 1 to 10000"),
+        ("system = 4\n", "my_scene.toml:3: `system` is integer `4`; allowed: a section"),
+        ("system.dt = -1\n", "my_scene.toml:3: `system.dt` is -1; allowed: a positive number"),
+        ("epochs = -1\n", "my_scene.toml:3: `epochs` is integer `-1`; allowed: a whole number"),
+        ("field = \"sideways\"\n", "my_scene.toml:3: `field` cannot be used: unknown field `sideways`; expected combined, "),
+        ("precision = \"f16\"\n", "my_scene.toml:3: `precision` is `f16`; allowed: `f32` or `f64`"),
+        ("horizon = \n", "my_scene.toml:3: "),
+        ("epochs = 1\nepochs = 2\n", "my_scene.toml:4: "),
+    ] {
+        let file = write(&dir, &format!("{CART_POLE}{text}"));
+        let said = error_of(&mut train_scene(&file, &out, &[]));
+        assert!(said.contains(message), "{message}\n{said}");
+        assert!(!out.exists(), "nothing is written");
+    }
+    for (text, message) in [
+        ("task = \"cart_pole\"\n", "my_scene.toml: `scene` is missing; a scene begins with `scene = 1`"),
+        ("scene = 1\n", "my_scene.toml: `task` is missing; allowed: cart_pole, guidance, quantum"),
+        (
+            "scene = 2\ntask = \"cart_pole\"\n",
+            "my_scene.toml:1: `scene` is 2; this version of physgrad reads scenes of version 1",
+        ),
+        ("scene = 1\ntask = \"cart_pool\"\n", "my_scene.toml:2: `task` is \"cart_pool\"; allowed: cart_pole, guidance, quantum"),
+    ] {
+        let said = error_of(&mut train_scene(&write(&dir, text), &out, &[]));
+        assert!(said.contains(message), "{message}\n{said}");
+    }
+    let said = error_of(&mut train_scene(&dir.path().join("nowhere.toml"), &out, &[]));
+    assert!(said.contains("cannot read") && said.contains("nowhere.toml"), "{said}");
+    let said = error_of(&mut physgrad(&["train", "cart_pool"]));
+    assert!(said.contains("there is no preset `cart_pool`, only cart_pole, ") && said.contains("ends in .toml"), "{said}");
+}
+
+#[test]
+fn a_mistake_of_the_command_line_is_told_from_one_of_the_file() {
+    let dir = TempDir::new().expect("a folder");
+    let out = dir.path().join("run");
+    let file = write(&dir, &format!("{CART_POLE}[system]\ndt = -1\n"));
+    let said = error_of(&mut train_scene(&file, &out, &["--set", "system.dt=-2"]));
+    assert!(said.contains("error: --set system.dt=-2: `system.dt` is -2"), "{said}");
+    let said = error_of(&mut train_scene(&file, &out, &["--set", "system.poles=1"]));
+    assert!(said.contains("my_scene.toml:4: `system.dt` is -1"), "{said}");
+    for (set, message) in [
+        ("effects.wind.speed=1", "--set effects.wind.speed=1: `effects.wind` is unknown"),
+        ("task=quantum", "`task` says what the other settings are of"),
+        ("scene=2", "`scene` says what the other settings are of"),
+        ("system.dt.unit=s", "`system.dt` is no section"),
+    ] {
+        let said = error_of(&mut train_scene(&file, &out, &["--set", set]));
+        assert!(said.contains(message), "{message}\n{said}");
+    }
+}
+
+#[test]
+fn what_is_left_out_must_be_there() {
+    let dir = TempDir::new().expect("a folder");
+    let said = error_of(&mut train(dir.path(), &["--without", "wind"]));
+    assert!(said.contains("--without wind: preset cart_pole has no such effect or part of the actuator; it has none"), "{said}");
+}
+
+/// Every key of a table is a property of the schema, with a description unless it is a section's.
+fn assert_described(schema: &Value, table: &Table, path: &str) {
+    for (key, value) in table {
+        let property = &schema["properties"][key];
+        assert!(property.is_object(), "{path}.{key} is missing: {schema}");
+        assert!(property["description"].is_string(), "{path}.{key} is not described");
+        match value {
+            toml::Value::Table(section) => assert_described(property, section, key),
+            _ => assert!(!property["default"].is_null() || ["scene", "task"].contains(&&**key), "{path}.{key} has no default"),
+        }
+    }
+    assert_eq!(schema["additionalProperties"], false, "{path}");
+}
+
+#[test]
+fn the_schema_has_a_branch_a_task_with_every_setting() {
+    let dir = TempDir::new().expect("a folder");
+    let file = dir.path().join("schema.json");
+    physgrad(&["schema", "--out"]).arg(&file).assert().success();
+    let text = fs::read_to_string(&file).expect("a schema");
+    assert_eq!(text, stdout(&["schema"]));
+    let schema: Value = serde_json::from_str(&text).expect("JSON");
+    let branches = schema["oneOf"].as_array().expect("branches");
+    for task in ["cart_pole", "guidance", "quantum"] {
+        let of_task = |branch: &&Value| branch["properties"]["task"]["const"] == task;
+        let branch = branches.iter().find(of_task).expect("a branch of the task");
+        assert_eq!(branch["required"], serde_json::json!(["scene", "task"]));
+        assert_described(branch, &stdout(&["scene", task]).parse().expect("TOML"), task);
+        assert!(branch["properties"]["training"]["properties"]["clip_limit"].is_object());
+    }
+}
