@@ -42,6 +42,8 @@ pub trait Kind: Clone + Debug + Send + Sync + 'static {
     const EPOCHS: usize;
     /// Default number of steps.
     const HORIZON: usize;
+    /// Every effect, in the order of the section.
+    const EFFECTS: &'static [Info];
 
     /// The default physics.
     fn system() -> Self::System;
@@ -62,6 +64,17 @@ pub trait Kind: Clone + Debug + Send + Sync + 'static {
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
 }
 
+/// What one may want to know of an effect, or of what is between policy and physics.
+#[derive(Clone, Copy, Debug)]
+pub struct Info {
+    /// Its key in the section.
+    pub name: &'static str,
+    /// What it adds.
+    pub equation: &'static str,
+    /// How its derivative comes about, and where it is not one.
+    pub derivative: &'static str,
+}
+
 /// What needs the types of task and policy. It is compiled once for each of them, so it should do little.
 pub trait Visit {
     /// What comes of it.
@@ -79,6 +92,8 @@ pub trait AnyKind: Send + Sync {
     fn name(&self) -> &'static str;
     /// What it is about, in a line.
     fn about(&self) -> &'static str;
+    /// Every effect.
+    fn effects(&self) -> &'static [Info];
     /// The default settings.
     fn defaults(&self) -> Table;
     /// These settings, in which nothing is missing but what has a default of its own, in full.
@@ -98,6 +113,10 @@ impl<K: Kind> AnyKind for K {
 
     fn about(&self) -> &'static str {
         K::ABOUT
+    }
+
+    fn effects(&self) -> &'static [Info] {
+        K::EFFECTS
     }
 
     fn defaults(&self) -> Table {

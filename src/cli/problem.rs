@@ -61,6 +61,23 @@ pub fn positive(key: &str, value: f64) -> Result<(), Problem> {
     allowed(key, value, value.is_finite() && value > 0.0, "a positive number")
 }
 
+/// A problem unless the value is 0 or a positive number.
+pub fn not_negative(key: &str, value: f64) -> Result<(), Problem> {
+    allowed(key, value, value.is_finite() && value >= 0.0, "0 or more")
+}
+
+/// A problem if more than one of these effects is present.
+pub fn exclusive(effects: &[(&str, bool)], because: &str) -> Result<(), Problem> {
+    let mut present = effects.iter().filter(|(_, present)| *present).map(|(name, _)| *name);
+    match (present.next(), present.next()) {
+        (Some(first), Some(second)) => Err(Problem::new(
+            format!("effects.{second}"),
+            format!("cannot be beside `effects.{first}`: {because}; allowed: one of them"),
+        )),
+        _ => Ok(()),
+    }
+}
+
 /// A problem unless the value is a number.
 pub fn finite(key: &str, value: f64) -> Result<(), Problem> {
     allowed(key, value, value.is_finite(), "a finite number")

@@ -54,7 +54,9 @@ impl<K: Kind> AnySettings for Settings<K> {
     }
 
     fn state_names(&self) -> Vec<String> {
-        K::state_names(self)
+        let mut names = K::state_names(self);
+        names.extend(self.actuator.state_names(&K::control_names(self)));
+        names
     }
 
     fn control_names(&self) -> Vec<String> {
@@ -132,7 +134,7 @@ pub fn flat(table: &Table) -> Vec<(String, Value)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::kind::{MlpSettings, Network, Visit};
+    use crate::cli::kind::{Info, MlpSettings, Network, Visit};
     use physgrad::report;
     use physgrad::tasks::{CartPole, CartPoleSystem};
     use schemars::JsonSchema;
@@ -173,6 +175,7 @@ mod tests {
         const ABOUT: &'static str = "a test";
         const EPOCHS: usize = 1;
         const HORIZON: usize = 2;
+        const EFFECTS: &'static [Info] = &[];
 
         fn system() -> CartPoleSystem {
             CartPoleSystem::default()

@@ -5,7 +5,7 @@ mod memory;
 mod names;
 mod training;
 
-pub use actuator::ActuatorSettings;
+pub use actuator::{ACTUATORS, ActuatorSettings};
 pub use names::{ClipName, FieldName, OptimizerName, Precision};
 pub use training::TrainingSettings;
 
@@ -107,6 +107,7 @@ impl<K: Kind> Settings<K> {
         count("horizon", self.horizon, 1..=100_000_000)?;
         self.training.validate()?;
         self.policy.validate()?;
+        self.actuator.validate()?;
         K::validate(self)?;
         let TrainingSettings { batch, train_samples, test_samples, .. } = self.training;
         let samples = batch.min(train_samples);

@@ -1,10 +1,14 @@
 //! Cart-pole in the program.
 
-use super::{Kind, MlpSettings, Network, Visit};
-use crate::cli::problem::{Problem, count, finite, positive};
+use super::{Info, Kind, MlpSettings, Network, Visit};
+use crate::cli::problem::{Problem, count, exclusive, finite, not_negative, positive};
 use crate::cli::settings::Settings;
 use physgrad::report::{self, Animation};
-use physgrad::tasks::{self, CartPoleSystem, LossMode};
+use physgrad::tasks::{
+    self, Bumpers, CartDamping, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, LossMode, PoleDamping,
+    SteadyWind,
+};
+use physgrad::{Around, Host, System, With};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -12,10 +16,106 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug)]
 pub struct CartPole;
 
-/// `effects` of cart-pole.
+/// `system` of cart-pole.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CartPoleSettings {
+    /// Whether the poles act on each other.
+    model: Model,
+    /// Number of poles.
+    poles: usize,
+    /// Mass of the cart, kg.
+    cart_mass: f64,
+    /// Mass of a pole, kg.
+    pole_mass: f64,
+    /// Half the length of a pole, m.
+    half_length: f64,
+    /// Gravity, m/s².
+    gravity: f64,
+    /// Time step, s.
+    dt: f64,
+}
+
+/// The equations of motion.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+enum Model {
+    /// The authors': every pole feels the control, and none feels another.
+    Uncoupled,
+    /// The exact ones: the poles act on each other through the cart.
+    Coupled,
+}
+
+/// `effects` of cart-pole, in the order in which they are computed.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct CartPoleEffects {}
+pub struct CartPoleEffects {
+    /// Viscous friction in the joints of the poles.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pole_damping: Option<PoleDamping>,
+    /// Viscous friction of the cart on its rail.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cart_damping: Option<CartDamping>,
+    /// Dry friction of the cart on its rail, smoothed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    dry_friction: Option<DryFriction>,
+    /// A steady wind along the rail.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    steady_wind: Option<SteadyWind>,
+    /// A wind along the rail, in gusts; adds the time to the state.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    gusty_wind: Option<GustyWind>,
+    /// Springs at both ends of the rail.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    bumpers: Option<Bumpers>,
+}
+
+impl CartPoleEffects {
+    fn list(&self) -> Vec<CartPoleEffect> {
+        let Self { pole_damping, cart_damping, dry_friction, steady_wind, gusty_wind, bumpers } = self.clone();
+        let effects: [Option<CartPoleEffect>; 6] = [
+            pole_damping.map(Into::into),
+            cart_damping.map(Into::into),
+            dry_friction.map(Into::into),
+            steady_wind.map(Into::into),
+            gusty_wind.map(Into::into),
+            bumpers.map(Into::into),
+        ];
+        effects.into_iter().flatten().collect()
+    }
+
+    fn validate(&self) -> Result<(), Problem> {
+        if let Some(PoleDamping { damping }) = self.pole_damping {
+            not_negative("effects.pole_damping.damping", damping)?;
+        }
+        if let Some(CartDamping { damping }) = self.cart_damping {
+            not_negative("effects.cart_damping.damping", damping)?;
+        }
+        if let Some(DryFriction { force, smoothing }) = self.dry_friction {
+            not_negative("effects.dry_friction.force", force)?;
+            positive("effects.dry_friction.smoothing", smoothing)?;
+        }
+        if let Some(SteadyWind { speed, cart_drag, pole_drag }) = self.steady_wind {
+            finite("effects.steady_wind.speed", speed)?;
+            not_negative("effects.steady_wind.cart_drag", cart_drag)?;
+            not_negative("effects.steady_wind.pole_drag", pole_drag)?;
+        }
+        if let Some(GustyWind { speed, gust, period, cart_drag, pole_drag }) = self.gusty_wind {
+            finite("effects.gusty_wind.speed", speed)?;
+            finite("effects.gusty_wind.gust", gust)?;
+            positive("effects.gusty_wind.period", period)?;
+            not_negative("effects.gusty_wind.cart_drag", cart_drag)?;
+            not_negative("effects.gusty_wind.pole_drag", pole_drag)?;
+        }
+        if let Some(Bumpers { reach, stiffness, damping }) = self.bumpers {
+            positive("effects.bumpers.reach", reach)?;
+            not_negative("effects.bumpers.stiffness", stiffness)?;
+            not_negative("effects.bumpers.damping", damping)?;
+        }
+        let winds = [("steady_wind", self.steady_wind.is_some()), ("gusty_wind", self.gusty_wind.is_some())];
+        exclusive(&winds, "there is one wind")
+    }
+}
 
 /// `loss` of cart-pole.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize, JsonSchema)]
@@ -25,8 +125,34 @@ pub struct CartPoleLoss {
     mode: LossMode,
 }
 
+impl CartPoleSettings {
+    fn body(&self) -> CartPoleSystem {
+        let Self { model: _, poles, cart_mass, pole_mass, half_length, gravity, dt } = *self;
+        CartPoleSystem { poles, cart_mass, pole_mass, half_length, gravity, dt }
+    }
+}
+
+/// Hands over the task of swinging up the poles of this system.
+fn swing_up<S: Around<CartPoleSystem> + Clone + 'static, V: Visit>(
+    system: S,
+    settings: &Settings<CartPole>,
+    visitor: V,
+) -> V::Out {
+    let task = tasks::CartPole { system, loss: settings.loss.mode, horizon: settings.horizon };
+    settings.policy.visit(task, visitor)
+}
+
+/// Any combination of effects, walked as a list, behind any actuator.
+fn listed<H, V: Visit>(system: H, effects: Vec<CartPoleEffect>, settings: &Settings<CartPole>, visitor: V) -> V::Out
+where
+    H: Host<Body = CartPoleSystem> + Clone + 'static,
+{
+    let system = settings.actuator.around(With { system, effects }, settings.system.dt);
+    swing_up(system, settings, visitor)
+}
+
 impl Kind for CartPole {
-    type System = CartPoleSystem;
+    type System = CartPoleSettings;
     type Effects = CartPoleEffects;
     type Loss = CartPoleLoss;
     type Network = MlpSettings;
@@ -35,24 +161,62 @@ impl Kind for CartPole {
     const ABOUT: &'static str = "swing up any number of poles on one cart";
     const EPOCHS: usize = 1000;
     const HORIZON: usize = 100;
+    const EFFECTS: &'static [Info] = &[
+        Info { name: "pole_damping", equation: "τ_i = -damping ω_i", derivative: "by hand" },
+        Info { name: "cart_damping", equation: "F = -damping ẋ", derivative: "by hand" },
+        Info { name: "dry_friction", equation: "F = -force tanh(ẋ / smoothing)", derivative: "by hand; smoothed" },
+        Info {
+            name: "steady_wind",
+            equation: "F = cart_drag |w - ẋ| (w - ẋ) + Σ D_i cos θ_i, τ_i = l D_i, D_i = pole_drag |v_i| v_i, v_i = (w - ẋ) cos θ_i - l ω_i, w = speed",
+            derivative: "by hand",
+        },
+        Info {
+            name: "gusty_wind",
+            equation: "as steady_wind, w = speed + gust sin(2π t / period); adds t to the state",
+            derivative: "by hand",
+        },
+        Info {
+            name: "bumpers",
+            equation: "F = -stiffness δ max(0, 1 + damping dδ/dt), δ = max(0, |x| - reach), outwards",
+            derivative: "by hand; one-sided at the touch",
+        },
+    ];
 
-    fn system() -> CartPoleSystem {
-        CartPoleSystem { poles: 2, ..CartPoleSystem::default() }
+    fn system() -> CartPoleSettings {
+        let CartPoleSystem { poles: _, cart_mass, pole_mass, half_length, gravity, dt } = CartPoleSystem::default();
+        CartPoleSettings { model: Model::Uncoupled, poles: 2, cart_mass, pole_mass, half_length, gravity, dt }
     }
 
     fn validate(settings: &Settings<Self>) -> Result<(), Problem> {
         let system = &settings.system;
-        count("system.poles", system.poles, 1..=1000)?;
+        count("system.poles", system.poles, 1..=CartPoleSystem::MOST_POLES)?;
         positive("system.cart_mass", system.cart_mass)?;
         positive("system.pole_mass", system.pole_mass)?;
         positive("system.half_length", system.half_length)?;
         positive("system.dt", system.dt)?;
-        finite("system.gravity", system.gravity)
+        finite("system.gravity", system.gravity)?;
+        settings.effects.validate()
     }
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
-        let task = tasks::CartPole { system: settings.system, loss: settings.loss.mode, horizon: settings.horizon };
-        settings.policy.visit(task, visitor)
+        let (system, effects) = (settings.system.body(), settings.effects.list());
+        let coupled = settings.system.model == Model::Coupled;
+        // Common combinations are types of their own.
+        if settings.actuator.is_empty() {
+            match (&effects[..], coupled) {
+                ([], false) => return swing_up(system, settings, visitor),
+                ([], true) => return swing_up(CoupledCartPole(system), settings, visitor),
+                ([CartPoleEffect::PoleDamping(pole), CartPoleEffect::CartDamping(cart)], false) => {
+                    return swing_up(With { system, effects: (*pole, *cart) }, settings, visitor);
+                }
+                _ => {}
+            }
+        }
+        if coupled {
+            listed(CoupledCartPole(system), effects, settings, visitor)
+        } else {
+            listed(system, effects, settings, visitor)
+        }
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {
@@ -72,7 +236,8 @@ impl Kind for CartPole {
 
     fn state_names(settings: &Settings<Self>) -> Vec<String> {
         let poles = (1..=settings.system.poles).flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")]);
-        ["x".into(), "x_dot".into()].into_iter().chain(poles).collect()
+        let time = settings.effects.gusty_wind.map(|_| "time_of_gusts".to_owned());
+        ["x".into(), "x_dot".into()].into_iter().chain(poles).chain(time).collect()
     }
 
     fn control_names(_settings: &Settings<Self>) -> Vec<String> {
@@ -81,6 +246,8 @@ impl Kind for CartPole {
 
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
         let forces: Vec<f64> = controls.iter().map(|u| u[0]).collect();
-        report::cart_pole(states, &forces, settings.system.half_length, settings.system.dt)
+        let own = System::state_dim(&settings.system.body());
+        let states: Vec<Vec<f64>> = states.iter().map(|x| x[..own].to_vec()).collect();
+        report::cart_pole(&states, &forces, settings.system.half_length, settings.system.dt)
     }
 }

@@ -1,6 +1,6 @@
 //! Guidance by repulsion in the program.
 
-use super::{Kind, MlpSettings, Network, Visit};
+use super::{Info, Kind, MlpSettings, Network, Visit};
 use crate::cli::problem::{Problem, allowed, count, finite, positive};
 use crate::cli::settings::Settings;
 use physgrad::report::{self, Animation};
@@ -44,6 +44,8 @@ impl Kind for Guidance {
     const ABOUT: &'static str = "drivers herd evaders, who flee from them, to the origin";
     const EPOCHS: usize = 200;
     const HORIZON: usize = 60;
+
+    const EFFECTS: &'static [Info] = &[];
 
     fn system() -> GuidanceSystem {
         GuidanceSystem::default()

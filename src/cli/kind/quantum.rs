@@ -1,6 +1,6 @@
 //! Quantum control in the program.
 
-use super::{Kind, Network, Visit};
+use super::{Info, Kind, Network, Visit};
 use crate::cli::problem::{Problem, allowed, count, positive};
 use crate::cli::settings::Settings;
 use physgrad::policy::Conv;
@@ -86,6 +86,8 @@ impl Kind for Quantum {
     const ABOUT: &'static str = "bring a particle in a box into an eigenstate by tilting the floor";
     const EPOCHS: usize = 200;
     const HORIZON: usize = 128;
+
+    const EFFECTS: &'static [Info] = &[];
 
     fn system() -> QuantumSettings {
         let tasks::Quantum { system: QuantumSystem { grid, length, dt }, target, weighting, .. } = tasks::Quantum::new(3);
