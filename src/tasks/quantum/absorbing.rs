@@ -63,14 +63,6 @@ impl<S: Around<QuantumSystem>> Absorbing<S> {
             }
         }
     }
-
-    /// The cotangents of the state before the edges act.
-    #[inline(always)]
-    fn before<R: Real, C: Cotangent<R>>(&self, next_bar: &[C]) -> Wave<C> {
-        let mut bar: Wave<C> = SmallVec::from_slice(next_bar);
-        self.damp::<R, C>(&mut bar);
-        bar
-    }
 }
 
 impl<S: Around<QuantumSystem>> System for Absorbing<S> {
@@ -90,17 +82,23 @@ impl<S: Around<QuantumSystem>> System for Absorbing<S> {
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        self.system.vjp(x, u, &self.before(next_bar), x_bar, u_bar);
+        let mut bar: Wave<C> = SmallVec::from_slice(next_bar);
+        self.damp::<R, C>(&mut bar);
+        self.system.vjp(x, u, &bar, x_bar, u_bar);
     }
 
     #[inline(always)]
     fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        self.system.vjp_state(x, u, &self.before(next_bar), x_bar);
+        let mut bar: Wave<C> = SmallVec::from_slice(next_bar);
+        self.damp::<R, C>(&mut bar);
+        self.system.vjp_state(x, u, &bar, x_bar);
     }
 
     #[inline(always)]
     fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        self.system.vjp_control(x, u, &self.before(next_bar), u_bar);
+        let mut bar: Wave<C> = SmallVec::from_slice(next_bar);
+        self.damp::<R, C>(&mut bar);
+        self.system.vjp_control(x, u, &bar, u_bar);
     }
 }
 

@@ -1,8 +1,7 @@
 //! The linear solve in a step of Crank and Nicolson.
 
-use super::system::{Pair, STACK};
+use super::system::Pair;
 use crate::scalar::Scalar;
-use smallvec::{SmallVec, smallvec};
 use std::ops::{Add, Mul, Neg, Sub};
 
 /// What a solve with [`Elimination`] can be applied to: numbers, and cotangents in several columns.
@@ -14,19 +13,18 @@ pub(super) trait Vector<T>:
 impl<T, V> Vector<T> for V where V: Copy + Add<Output = V> + Sub<Output = V> + Neg<Output = V> + Mul<T, Output = V> {}
 
 /// `A = I + i dt/2 H`, eliminated: complex symmetric, with `-ib` beside the diagonal.
-pub(super) struct Elimination<T> {
+pub(super) struct Elimination<'a, T> {
     b: T,
     /// One over the pivot of each row.
-    per_pivot: SmallVec<[Pair<T>; STACK]>,
+    per_pivot: &'a mut [Pair<T>],
 }
 
-impl<T: Scalar> Elimination<T> {
-    /// With `H = -D₂ + diag(potential)`.
+impl<'a, T: Scalar> Elimination<'a, T> {
+    /// With `H = -D₂ + diag(potential)`. Writes to `per_pivot`, a place for each row.
     #[inline(always)]
-    pub(super) fn new(dt: f64, dx: f64, potential: &[T]) -> Self {
+    pub(super) fn new(dt: f64, dx: f64, potential: &[T], per_pivot: &'a mut [Pair<T>]) -> Self {
         let off_diagonal = 0.5 * dt / (dx * dx);
         let (b, kinetic, half_dt) = (T::lift(off_diagonal), T::lift(2.0 * off_diagonal), T::lift(0.5 * dt));
-        let mut per_pivot: SmallVec<[Pair<T>; STACK]> = smallvec![(T::zero(), T::zero()); potential.len()];
         let b_squared = b * b;
         let (mut q_re, mut q_im) = (T::zero(), T::zero());
         for (per_pivot, &v) in per_pivot.iter_mut().zip(potential) {
@@ -45,7 +43,7 @@ impl<T: Scalar> Elimination<T> {
         let b = self.b;
         // Forward: s_j = (rhs_j + ib s_{j-1}) / p_j.
         let mut before: Option<Pair<V>> = None;
-        for ((rhs, y), &(q_re, q_im)) in rhs.chunks_exact(2).zip(y.chunks_exact_mut(2)).zip(&self.per_pivot) {
+        for ((rhs, y), &(q_re, q_im)) in rhs.chunks_exact(2).zip(y.chunks_exact_mut(2)).zip(self.per_pivot.iter()) {
             let (mut re, mut im) = (rhs[0], rhs[1]);
             if let Some((s_re, s_im)) = before {
                 (re, im) = (re - s_im * b, im + s_re * b);
@@ -56,7 +54,7 @@ impl<T: Scalar> Elimination<T> {
         }
         // Back: y_j = s_j + ib y_{j+1} / p_j.
         let mut after: Option<Pair<V>> = None;
-        for (y, &(q_re, q_im)) in y.chunks_exact_mut(2).zip(&self.per_pivot).rev() {
+        for (y, &(q_re, q_im)) in y.chunks_exact_mut(2).zip(self.per_pivot.iter()).rev() {
             if let Some((y_re, y_im)) = after {
                 let (re, im) = (q_re * b, q_im * b);
                 y[0] = y[0] - (y_re * im + y_im * re);
@@ -70,7 +68,7 @@ impl<T: Scalar> Elimination<T> {
     #[inline(always)]
     pub(super) fn conjugate(&mut self) {
         self.b = -self.b;
-        for (_, im) in &mut self.per_pivot {
+        for (_, im) in self.per_pivot.iter_mut() {
             *im = -*im;
         }
     }

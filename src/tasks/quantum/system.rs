@@ -131,21 +131,27 @@ impl QuantumSystem {
         })
     }
 
-    /// A of a step.
+    /// A of a step. What it works with, it writes to `potential`, which begins as the control, and to `per_pivot`: a
+    /// full array that is returned may be copied.
     #[inline(always)]
-    fn eliminate<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T]) -> Elimination<T> {
-        let mut potential: PerPoint<T> = smallvec![u[0]; self.grid];
+    fn eliminate<'a, E: Effect<Self>, T: Scalar>(
+        &self,
+        effects: &E,
+        x: &[T],
+        potential: &mut [T],
+        per_pivot: &'a mut [Pair<T>],
+    ) -> Elimination<'a, T> {
         for (v, lever) in potential.iter_mut().zip(self.lever()) {
             *v *= T::lift(lever);
         }
-        effects.act(self, x, &mut potential);
-        Elimination::new(self.dt, self.spacing(), &potential)
+        effects.act(self, x, potential);
+        Elimination::new(self.dt, self.spacing(), potential, per_pivot)
     }
 
     /// `x_bar = 2 w - v` with `w = A⁻ᴴ v`: the cotangents of real and imaginary parts are carried by the conjugate
     /// transpose of the complex matrix.
     #[inline(always)]
-    fn reverse_state<R: Real, C: Cotangent<R>>(conjugate: &Elimination<R>, next_bar: &[C], x_bar: &mut [C]) {
+    fn reverse_state<R: Real, C: Cotangent<R>>(conjugate: &Elimination<'_, R>, next_bar: &[C], x_bar: &mut [C]) {
         conjugate.solve(next_bar, x_bar);
         for (x_bar, &next_bar) in x_bar.iter_mut().zip(next_bar) {
             *x_bar = *x_bar + *x_bar - next_bar;
@@ -159,15 +165,13 @@ impl QuantumSystem {
     /// V_bar_j = Re ⟨v, dψ'/dV_j⟩ = dt Im(w̄_j y_j)
     /// ```
     #[inline(always)]
-    fn reverse_potential<R: Real, C: Cotangent<R>>(&self, y: &[R], next_bar: &[C], x_bar: &[C]) -> PerPoint<C> {
+    fn reverse_potential<R: Real, C: Cotangent<R>>(&self, y: &[R], next_bar: &[C], x_bar: &[C], potential_bar: &mut [C]) {
         let half_dt = R::lift(0.5 * self.dt);
-        let mut potential_bar: PerPoint<C> = smallvec![C::null(); self.grid];
         let waves = y.chunks_exact(2).zip(next_bar.chunks_exact(2)).zip(x_bar.chunks_exact(2));
         for (potential_bar, ((y, v), x_bar)) in potential_bar.iter_mut().zip(waves) {
             let (twice_re, twice_im) = (x_bar[0] + v[0], x_bar[1] + v[1]);
             *potential_bar = (twice_re * y[1] - twice_im * y[0]) * half_dt;
         }
-        potential_bar
     }
 }
 
@@ -192,7 +196,9 @@ impl Host for QuantumSystem {
 
     #[inline(always)]
     fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
-        self.eliminate(effects, x, u).solve(x, next);
+        let mut potential: PerPoint<T> = smallvec![u[0]; self.grid];
+        let mut per_pivot: PerPoint<Pair<T>> = smallvec![(T::zero(), T::zero()); self.grid];
+        self.eliminate(effects, x, &mut potential, &mut per_pivot).solve(x, next);
         for (next, &x) in next.iter_mut().zip(x) {
             *next = *next + *next - x;
         }
@@ -209,7 +215,9 @@ impl Host for QuantumSystem {
         u_bar: Option<&mut [C]>,
     ) {
         let n = 2 * self.grid;
-        let mut a = self.eliminate(effects, x, u);
+        let mut potential: PerPoint<R> = smallvec![u[0]; self.grid];
+        let mut per_pivot: PerPoint<Pair<R>> = smallvec![(R::zero(), R::zero()); self.grid];
+        let mut a = self.eliminate(effects, x, &mut potential, &mut per_pivot);
         let effects_read = x_bar.is_some() && effects.reads_state();
         // What only the state's cotangent needs ends here.
         if u_bar.is_none() && !effects_read {
@@ -226,7 +234,8 @@ impl Host for QuantumSystem {
         let mut scratch: Wave<C> = smallvec![C::null(); if x_bar.is_some() { 0 } else { n }];
         let x_bar = x_bar.unwrap_or(&mut scratch);
         Self::reverse_state(&a, next_bar, &mut x_bar[..n]);
-        let potential_bar = self.reverse_potential(&y, next_bar, x_bar);
+        let mut potential_bar: PerPoint<C> = smallvec![C::null(); self.grid];
+        self.reverse_potential(&y, next_bar, x_bar, &mut potential_bar);
         if let Some(u_bar) = u_bar {
             u_bar[0] = C::null();
             for (&potential_bar, lever) in potential_bar.iter().zip(self.lever()) {
