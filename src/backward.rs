@@ -56,13 +56,18 @@ impl fmt::Display for Flow {
 /// Room for the reverse pass of a [`Rollout`]: sized once, then run without allocating.
 #[derive(Debug)]
 pub struct Adjoint<F: Float> {
-    flows: Vec<Flow>,
     horizon: usize,
     /// Lengths of λ, per flow and step, if they are to be kept.
     norms: Option<Vec<Vec<f64>>>,
     policy: PolicyAdjoint<F>,
-    one: Recursion<F, 1>,
-    two: Recursion<F, 2>,
+    carried: Carried<F>,
+}
+
+/// The flows, and what the recursion carries for them.
+#[derive(Debug)]
+enum Carried<F: Float> {
+    One([Flow; 1], Recursion<F, 1>),
+    Two([Flow; 2], Recursion<F, 2>),
 }
 
 /// The policy's side of the reverse pass.
@@ -72,7 +77,7 @@ struct PolicyAdjoint<F> {
     controls_bar: Vec<Vec<F>>,
     /// What the policy's backward pass keeps: per flow, or once for all if `unit`.
     tape_bar: Vec<Vec<F>>,
-    /// `(∂N/∂x)ᵀ h` of one step, or `∂N/∂x` of all, as the policy's columns.
+    /// `(∂N/∂x)ᵀ h` of one step, or `∂N/∂x` of all, as the policy's columns; nothing where no flow goes through it.
     inputs_bar: Vec<F>,
     /// The policy is linearized for the whole trajectory at once.
     unit: bool,
@@ -102,41 +107,51 @@ impl<F: Float> Adjoint<F> {
     /// With no flow or more than two, or a rollout without tape.
     #[track_caller]
     pub fn new<P: Policy>(policy: &P, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
-        assert!(matches!(flows.len(), 1 | 2), "an adjoint carries one or two flows, not {}", flows.len());
         assert!(rollout.has_tape(), "a rollout made for evaluation cannot be differentiated");
+        let carried = match *flows {
+            [flow] => Carried::One([flow], Recursion::new(rollout)),
+            [first, second] => Carried::Two([first, second], Recursion::new(rollout)),
+            _ => panic!("an adjoint carries one or two flows, not {}", flows.len()),
+        };
         let (n, m) = (rollout.state_dim, rollout.control_dim);
         let columns = rollout.capacity() * rollout.horizon;
         let sizes = policy.sizes::<F>(columns);
         let zeros = |len: usize| vec![F::zero(); len];
         // With one control, ∂N/∂x and every layer's cotangent are known up to the factor h before the loop starts, and
         // one linearization in large products serves every flow. With more controls it would take one each.
-        let unit = m == 1 && flows.iter().any(|flow| flow.control);
+        let through_inputs = flows.iter().any(|flow| flow.control);
+        let unit = m == 1 && through_inputs;
         let policy = PolicyAdjoint {
             controls_bar: flows.iter().map(|_| zeros(columns * m)).collect(),
             tape_bar: flows.iter().take(if unit { 1 } else { 2 }).map(|_| zeros(sizes.tape_bar)).collect(),
-            inputs_bar: zeros(columns * n),
+            inputs_bar: zeros(if through_inputs { columns * n } else { 0 }),
             unit,
             ones: vec![F::one(); if unit { columns } else { 0 }],
             scratch: zeros(sizes.scratch),
         };
-        Self {
-            flows: flows.to_vec(),
-            horizon: rollout.horizon,
-            norms: None,
-            policy,
-            one: Recursion::new(rollout),
-            two: Recursion::new(rollout),
-        }
+        Self { horizon: rollout.horizon, norms: None, policy, carried }
     }
 
     /// The flows it was made for.
     pub fn flows(&self) -> &[Flow] {
-        &self.flows
+        match &self.carried {
+            Carried::One(flows, _) => flows,
+            Carried::Two(flows, _) => flows,
+        }
+    }
+
+    /// Bytes on the heap, beyond those of the rollout it belongs to. They do not depend on how many samples are started.
+    pub fn stored_bytes(&self) -> usize {
+        let carried = match &self.carried {
+            Carried::One(_, recursion) => recursion.stored_bytes(),
+            Carried::Two(_, recursion) => recursion.stored_bytes(),
+        };
+        carried + self.policy.stored_bytes() + self.norms.as_deref().map_or(0, nested_bytes)
     }
 
     /// Keeps the length of the adjoint at every step of every run from now on, for [`norms`](Adjoint::norms).
     pub fn keep_norms(mut self) -> Self {
-        self.norms = Some(vec![vec![f64::NAN; self.horizon + 1]; self.flows.len()]);
+        self.norms = Some(vec![vec![f64::NAN; self.horizon + 1]; self.flows().len()]);
         self
     }
 
@@ -172,13 +187,12 @@ impl<F: Float> Adjoint<F> {
         }
         let norms = self.norms.as_deref_mut().unwrap_or_default();
         norms.iter_mut().for_each(|norms| norms.fill(f64::NAN));
-        match *self.flows {
-            [flow] => self.one.run(&pass, [flow], &mut self.policy, norms)?,
-            [first, second] => self.two.run(&pass, [first, second], &mut self.policy, norms)?,
-            _ => unreachable!("checked when it was made"),
+        match &mut self.carried {
+            Carried::One(flows, recursion) => recursion.run(&pass, *flows, &mut self.policy, norms)?,
+            Carried::Two(flows, recursion) => recursion.run(&pass, *flows, &mut self.policy, norms)?,
         }
-        for (k, flow) in self.flows.iter().enumerate() {
-            if !flow.control && !self.policy.unit {
+        for k in 0..self.flows().len() {
+            if !self.flows()[k].control && !self.policy.unit {
                 // Nothing in the loop needed the policy's derivative: all of it at once, without ∂N/∂x.
                 self.policy.backward(&pass, k, all, false);
             }
@@ -207,6 +221,11 @@ impl<F: Float> Adjoint<F> {
     }
 }
 
+/// Bytes of a vector of vectors on the heap, if none has room to spare.
+fn nested_bytes<T>(rows: &[Vec<T>]) -> usize {
+    size_of_val(rows) + rows.iter().map(|row| size_of_val(&row[..])).sum::<usize>()
+}
+
 /// What stays the same throughout one reverse pass.
 struct Pass<'a, T, P, F: Float> {
     task: &'a T,
@@ -217,6 +236,11 @@ struct Pass<'a, T, P, F: Float> {
 }
 
 impl<F: Float> PolicyAdjoint<F> {
+    fn stored_bytes(&self) -> usize {
+        let flat = size_of_val(&self.inputs_bar[..]) + size_of_val(&self.ones[..]) + size_of_val(&self.scratch[..]);
+        flat + nested_bytes(&self.controls_bar) + nested_bytes(&self.tape_bar)
+    }
+
     /// The policy's cotangents of flow `k` in the columns `at`; `∂N/∂x` only if `through_inputs`.
     fn backward<T, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>, k: usize, at: PolicyColumns, through_inputs: bool) {
         let columns = PolicyPass { packed: pass.weights.packed(), at, x: pass.rollout.inputs() };
@@ -239,6 +263,12 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             cost_x: lanes(n),
             cost_u: lanes(m),
         }
+    }
+
+    fn stored_bytes(&self) -> usize {
+        let columns = [&self.lambda, &self.x_bar, &self.u_bar].map(|columns| size_of_val(&columns[..]));
+        let costs = [&self.cost_x, &self.cost_u].map(|costs| size_of_val(&costs[..]));
+        columns.into_iter().chain(costs).sum()
     }
 
     /// The recursion at the head of this file, for the flows side by side. `norms` has a row for each flow, or none.

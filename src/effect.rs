@@ -48,6 +48,19 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
         effect_vjp_by_duals(self, body, x, forces_bar, x_bar);
     }
 
+    /// As [`act`](Effect::act), where the system has worked out something about the state already that the effect can use,
+    /// for speed: sines and cosines of angles, for instance. The system's documentation says what is `known`.
+    #[inline(always)]
+    fn act_knowing<T: Scalar>(&self, body: &B, x: &[T], _known: &[T], forces: &mut [T]) {
+        self.act(body, x, forces);
+    }
+
+    /// As [`vjp`](Effect::vjp), with what is known about the state. Cotangents go to the state alone.
+    #[inline(always)]
+    fn vjp_knowing<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], _known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        self.vjp(body, x, forces_bar, x_bar);
+    }
+
     /// Whether its forces depend on the state. Where none does, the reverse pass has less to do.
     #[inline(always)]
     fn reads_state(&self) -> bool {
@@ -114,6 +127,21 @@ macro_rules! both {
             #[inline(always)]
             fn vjp<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
                 $(self.$i.vjp(body, x, forces_bar, x_bar);)+
+            }
+            #[inline(always)]
+            fn act_knowing<T: Scalar>(&self, body: &B, x: &[T], known: &[T], forces: &mut [T]) {
+                $(self.$i.act_knowing(body, x, known, forces);)+
+            }
+            #[inline(always)]
+            fn vjp_knowing<R: Real, C: Cotangent<R>>(
+                &self,
+                body: &B,
+                x: &[R],
+                known: &[R],
+                forces_bar: &[C],
+                x_bar: &mut [C],
+            ) {
+                $(self.$i.vjp_knowing(body, x, known, forces_bar, x_bar);)+
             }
             #[inline(always)]
             fn reads_state(&self) -> bool {

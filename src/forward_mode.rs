@@ -1,14 +1,14 @@
 //! Jacobians by dual numbers: the default derivatives, and the oracle that checks every hand-written one.
 
-use crate::scalar::{Float, Real, Scalar, Tangents};
+use crate::scalar::{Real, Scalar, Tangents};
 use smallvec::{SmallVec, smallvec};
 use std::ops::Range;
 
 /// Tangents carried through one evaluation. Four doubles fill an AVX register.
-const CHUNK: usize = 4;
+pub(crate) const CHUNK: usize = 4;
 
-/// The dual number over `F` with [`CHUNK`] tangents.
-pub(crate) type Dual<F> = <F as Float>::Dual<CHUNK>;
+/// The dual number with [`CHUNK`] tangents that derivatives of `R` run on.
+pub(crate) type Dual<R> = <R as Real>::Dual;
 
 /// Outputs and inputs up to here live on the stack.
 const STACK: usize = 32;
@@ -22,23 +22,19 @@ pub(crate) fn jacobian<R: Real>(
     inputs: &[R],
     wrt: Range<usize>,
     outputs: usize,
-    f: impl Fn(&[Dual<R::Real>], &mut [Dual<R::Real>]),
+    f: impl Fn(&[Dual<R>], &mut [Dual<R>]),
     mut visit: impl FnMut(usize, &[R]),
 ) {
-    let constant = Dual::<R::Real>::constant(<R::Real as Scalar>::zero());
-    let mut x: Buffer<Dual<R::Real>> = smallvec![constant; inputs.len()];
-    let mut y: Buffer<Dual<R::Real>> = smallvec![constant; outputs];
+    let constant = Dual::<R>::constant(<R::Real as Scalar>::zero());
+    let mut x: Buffer<Dual<R>> = smallvec![constant; inputs.len()];
+    let mut y: Buffer<Dual<R>> = smallvec![constant; outputs];
     let mut columns: SmallVec<[R; CHUNK * STACK]> = smallvec![R::zero(); outputs * CHUNK];
     for first in wrt.clone().step_by(CHUNK) {
         let chunk = first..wrt.end.min(first + CHUNK);
         for lane in 0..R::LANES {
             for (i, (x, input)) in x.iter_mut().zip(inputs).enumerate() {
                 let value = input.lane(lane);
-                *x = if chunk.contains(&i) {
-                    Dual::<R::Real>::variable(value, i - first)
-                } else {
-                    Dual::<R::Real>::constant(value)
-                };
+                *x = if chunk.contains(&i) { Dual::<R>::variable(value, i - first) } else { Dual::<R>::constant(value) };
             }
             f(&x, &mut y);
             for (j, y) in y.iter().enumerate() {

@@ -81,7 +81,7 @@ pub use field::{Compose, Field, SignAgreement, UnknownField};
 pub use optim::{Clip, Optimizer, Rule};
 pub use policy::{Policy, Weights};
 pub use rollout::Rollout;
-pub use scalar::{Columns, Cotangent, Float, Lanes, Real, Scalar, Tangents};
+pub use scalar::{Columns, Cotangent, Counted, Counts, Float, Lanes, Real, Scalar, Tangents};
 pub use substeps::Substeps;
 pub use system::System;
 pub use task::Task;

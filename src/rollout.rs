@@ -85,6 +85,14 @@ impl<F: Float> Rollout<F> {
         self.capacity
     }
 
+    /// Bytes on the heap. They do not depend on how many samples are started; without a tape they do not on the horizon
+    /// either.
+    pub fn stored_bytes(&self) -> usize {
+        let lanes = [&self.states, &self.controls, &self.costs].map(|lanes| size_of_val(&lanes[..]));
+        let numbers = [&self.inputs, &self.outputs, &self.tape].map(|numbers| size_of_val(&numbers[..]));
+        lanes.into_iter().chain(numbers).sum()
+    }
+
     /// Sets the start states, `state_dim` numbers per sample. There may be fewer samples than there is room for.
     ///
     /// # Panics

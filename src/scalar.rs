@@ -2,16 +2,20 @@
 //!
 //! A system is written once against [`Scalar`] and then runs on `f32` and `f64`, on dual numbers (which check and, by
 //! default, compute its derivatives) and on SIMD lanes. [`Real`] is a scalar without derivative; [`Float`] is one
-//! number of one precision; a [`Cotangent`] is what a reverse pass carries.
+//! number of one precision; [`Counted`] is an `f64` that counts its operations; a [`Cotangent`] is what a reverse pass
+//! carries.
 
+mod counted;
 mod dual;
 mod float;
 mod lanes;
 
+pub use counted::{Counted, Counts};
 pub use dual::Tangents;
 pub use float::Float;
 pub use lanes::Lanes;
 
+use crate::forward_mode::CHUNK;
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
@@ -101,8 +105,10 @@ pub trait Scalar:
     }
 }
 
-/// A [`Scalar`] without derivative: `f32`, `f64` ([`LANES`](Real::LANES) = 1), and [`Lanes`] of them.
+/// A [`Scalar`] without derivative: `f32`, `f64`, [`Counted`] ([`LANES`](Real::LANES) = 1), and [`Lanes`] of floats.
 pub trait Real: Scalar {
+    /// What its derivatives run on, lane by lane: dual numbers with four tangents.
+    type Dual: Tangents<CHUNK, Real = Self::Real>;
     /// How many numbers it holds.
     const LANES: usize;
     /// The number in lane `lane`.

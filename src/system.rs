@@ -106,7 +106,7 @@ fn jvp_by_duals<S: System + ?Sized, F: Float>(
     type Duals<F> = SmallVec<[<F as Float>::Dual<1>; 32]>;
     let lift = |values: &[F], tangents: Option<&[F]>| -> Duals<F> {
         let tangent = |i: usize| tangents.map_or(F::zero(), |t| t[i]);
-        values.iter().enumerate().map(|(i, &value)| F::Dual::<1>::seeded(value, [tangent(i)])).collect()
+        values.iter().enumerate().map(|(i, &value)| <F as Float>::Dual::<1>::seeded(value, [tangent(i)])).collect()
     };
     let (x, u) = (lift(x, x_tan), lift(u, u_tan));
     let mut next: Duals<F> = x.clone();

@@ -3,9 +3,9 @@
 
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
-use physgrad::tasks::{CartPole, LossMode};
+use physgrad::tasks::{CartPole, Guidance, LossMode, Quantum};
 use physgrad::{
-    Batch, CheckpointError, Evaluation, Field, Float, Flow, Record, Rollout, Session, Task, Trainer, Training, Weights,
+    Batch, CheckpointError, Evaluation, Field, Float, Flow, Record, Rollout, Session, System, Task, Trainer, Training, Weights,
 };
 
 const STATES: usize = 6;
@@ -61,6 +61,32 @@ fn losses_do_not_depend_on_the_number_of_workers_nor_on_the_tape() {
         }
         assert_eq!(gradients::<f32>(samples, 1).0, one, "with a tape");
     }
+}
+
+/// The cost and the last state of every sample, as bits.
+fn ends<T: Task>(task: &T, make: impl Fn(&T, &Mlp, usize) -> Rollout<f64>) -> Vec<u64> {
+    let (n, m) = (task.system().state_dim(), task.system().control_dim());
+    let policy = Mlp::new([n, 8, m]);
+    let mut starts = vec![0.0; 11 * n];
+    let mut rng = stream(0, Purpose::Train, 0);
+    starts.chunks_exact_mut(n).for_each(|x| task.start(&mut rng, x));
+    let mut rollout = make(task, &policy, 11);
+    rollout.start(&starts);
+    let weights = Weights::init(&policy, &mut stream(0, Purpose::Policy, 0));
+    rollout.run(task, &policy, &weights).expect("finite");
+    let rollout = &rollout;
+    let last = |sample| (0..n).map(move |i| rollout.state(task.horizon(), sample, i));
+    let states = (0..11).flat_map(last);
+    (0..11).map(|sample| rollout.cost(sample)).chain(states).map(f64::to_bits).collect()
+}
+
+#[test]
+fn costs_and_last_states_do_not_depend_on_the_tape() {
+    assert_eq!(ends(&task(), Rollout::new), ends(&task(), Rollout::for_evaluation));
+    let guidance = Guidance::new(1, 2);
+    assert_eq!(ends(&guidance, Rollout::new), ends(&guidance, Rollout::for_evaluation));
+    let quantum = Quantum::new(2);
+    assert_eq!(ends(&quantum, Rollout::new), ends(&quantum, Rollout::for_evaluation));
 }
 
 #[test]

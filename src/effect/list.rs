@@ -21,6 +21,20 @@ impl<B, E: Effect<B>> Effect<B> for Vec<E> {
     }
 
     #[inline(always)]
+    fn act_knowing<T: Scalar>(&self, body: &B, x: &[T], known: &[T], forces: &mut [T]) {
+        for effect in self {
+            effect.act_knowing(body, x, known, forces);
+        }
+    }
+
+    #[inline(always)]
+    fn vjp_knowing<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        for effect in self {
+            effect.vjp_knowing(body, x, known, forces_bar, x_bar);
+        }
+    }
+
+    #[inline(always)]
     fn reads_state(&self) -> bool {
         self.iter().any(Effect::reads_state)
     }
@@ -58,6 +72,27 @@ macro_rules! any_effect {
             ) {
                 match self {
                     $(Self::$effect(effect) => effect.vjp(body, x, forces_bar, x_bar)),+
+                }
+            }
+
+            #[inline(always)]
+            fn act_knowing<T: crate::scalar::Scalar>(&self, body: &$body, x: &[T], known: &[T], forces: &mut [T]) {
+                match self {
+                    $(Self::$effect(effect) => effect.act_knowing(body, x, known, forces)),+
+                }
+            }
+
+            #[inline(always)]
+            fn vjp_knowing<R: crate::scalar::Real, C: crate::scalar::Cotangent<R>>(
+                &self,
+                body: &$body,
+                x: &[R],
+                known: &[R],
+                forces_bar: &[C],
+                x_bar: &mut [C],
+            ) {
+                match self {
+                    $(Self::$effect(effect) => effect.vjp_knowing(body, x, known, forces_bar, x_bar)),+
                 }
             }
 

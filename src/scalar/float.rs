@@ -1,6 +1,7 @@
 //! `f32` and `f64`, and what the framework needs of them beyond [`Scalar`].
 
 use super::{Real, Scalar, Tangents};
+use crate::forward_mode::CHUNK;
 use crate::kernels::gemm::{self, Product};
 use crate::kernels::{Level, tanh, trig};
 use num_dual::{DualSVec32, DualSVec64};
@@ -84,6 +85,7 @@ macro_rules! float {
         }
 
         impl Real for $float {
+            type Dual = $dual<CHUNK>;
             const LANES: usize = 1;
             #[inline(always)]
             fn lane(&self, _: usize) -> Self {

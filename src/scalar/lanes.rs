@@ -119,6 +119,7 @@ impl<F: Float, const W: usize> Scalar for Lanes<F, W> {
 }
 
 impl<F: Float, const W: usize> Real for Lanes<F, W> {
+    type Dual = <F as Real>::Dual;
     const LANES: usize = W;
     #[inline(always)]
     fn lane(&self, lane: usize) -> F {

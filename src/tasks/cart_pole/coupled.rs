@@ -3,7 +3,6 @@
 use super::system::{CartPoleSystem, Forces, PerPole};
 use crate::effect::{Effect, Host, system_without_effects};
 use crate::scalar::{Cotangent, Real, Scalar};
-use smallvec::smallvec;
 
 /// The physics of rigid, uniform poles on joints side by side on one cart: semi-implicit Euler, velocities first.
 ///
@@ -71,8 +70,9 @@ impl Host for CoupledCartPole {
     #[inline(always)]
     fn step_with<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let k = self.constants::<T>();
-        let mut forces = self.0.own_forces(x, u, &mut next[2..]);
-        effects.act(&self.0, x, &mut forces);
+        let mut forces = Forces::new();
+        self.0.own_forces(x, u, &mut next[2..], &mut forces);
+        effects.act_knowing(&self.0, x, &next[2..], &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
         for ((pole, next), &torque) in self.0.poles_of(x).zip(next[2..].chunks_exact_mut(2)).zip(&forces[1..]) {
             let (sin, lever) = (next[0], k.moment * next[1]);
@@ -101,9 +101,10 @@ impl Host for CoupledCartPole {
         u_bar: Option<&mut [C]>,
     ) {
         let k = self.constants::<R>();
-        let mut trig: PerPole<[R; 2]> = smallvec![[R::zero(); 2]; self.0.poles];
-        let mut forces = self.0.own_forces(x, u, trig.as_flattened_mut());
-        effects.act(&self.0, x, &mut forces);
+        let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
+        trig.extend(self.0.poles_of(x).map(|_| [R::zero(); 2]));
+        self.0.own_forces(x, u, trig.as_flattened_mut(), &mut forces);
+        effects.act_knowing(&self.0, x, trig.as_flattened(), &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
         let speed_bar = next_bar[1] + next_bar[0] * k.dt;
         // From ẋ' and from every α_i = (τ_i - m l cos θ_i ẍ) / J.
@@ -119,7 +120,7 @@ impl Host for CoupledCartPole {
         let per_mass = R::one() / mass;
         let a = push * per_mass;
         let push_bar = a_bar * per_mass;
-        let mut forces_bar: Forces<C> = smallvec![push_bar; 1 + self.0.poles];
+        forces_bar.push(push_bar);
         if let Some(x_bar) = &mut x_bar {
             (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar);
         }
@@ -128,9 +129,10 @@ impl Host for CoupledCartPole {
             let lever = k.moment * cos;
             let omega_bar = next_bar[1] + next_bar[0] * k.dt;
             let alpha_bar = omega_bar * (k.dt * k.per_inertia);
-            forces_bar[1 + i] = alpha_bar - push_bar * (lever * k.per_inertia);
+            let torque_bar = alpha_bar - push_bar * (lever * k.per_inertia);
+            forces_bar.push(torque_bar);
             if let Some(x_bar) = &mut x_bar {
-                let sin_bar = forces_bar[1 + i] * k.weight + push_bar * (k.moment * omega * omega);
+                let sin_bar = torque_bar * k.weight + push_bar * (k.moment * omega * omega);
                 // In α, in the push, and twice in the mass, whose cotangent is -ẍ times that of the push.
                 let in_push = (R::lift(2.0) * lever * a - torque) * k.per_inertia;
                 let cos_bar = (push_bar * in_push - alpha_bar * a) * k.moment;
@@ -142,7 +144,7 @@ impl Host for CoupledCartPole {
             u_bar[0] = forces_bar[0];
         }
         if let Some(x_bar) = x_bar {
-            effects.vjp(&self.0, x, &forces_bar, x_bar);
+            effects.vjp_knowing(&self.0, x, trig.as_flattened(), &forces_bar, x_bar);
         }
     }
 }

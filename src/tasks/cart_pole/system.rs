@@ -2,15 +2,14 @@
 
 use crate::effect::{Effect, Host, system_without_effects};
 use crate::scalar::{Cotangent, Real, Scalar};
+use arrayvec::ArrayVec;
 use serde::{Deserialize, Serialize};
-use smallvec::{SmallVec, smallvec};
 
-/// Poles that are worked on without allocating; more of them allocate in every step.
-const STACK: usize = 16;
+
 /// A number for each pole.
-pub(super) type PerPole<T> = SmallVec<[T; STACK]>;
+pub(super) type PerPole<T> = ArrayVec<T, { CartPoleSystem::MOST_POLES }>;
 /// The force on the cart, then the torque on each pole.
-pub(super) type Forces<T> = SmallVec<[T; STACK + 1]>;
+pub(super) type Forces<T> = ArrayVec<T, { CartPoleSystem::MOST_POLES + 1 }>;
 
 /// The physics: semi-implicit Euler, velocities first.
 ///
@@ -24,12 +23,12 @@ pub(super) type Forces<T> = SmallVec<[T; STACK + 1]>;
 ///
 /// Forces, for effects to add to: `[F, τ₁, τ₂, …]`, that on the cart in N and the torque on each pole about its joint in
 /// N m. Alone, F is the control and τ_i = m g l sin θ_i is gravity's. Friction of carts and joints comes in as in Barto,
-/// Sutton and Anderson.
+/// Sutton and Anderson. Known about the state: `[sin θ₁, cos θ₁, sin θ₂, …]`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct CartPoleSystem {
-    /// Number of poles.
+    /// Number of poles, at most [`MOST_POLES`](CartPoleSystem::MOST_POLES).
     pub poles: usize,
     /// Mass of the cart, kg; M is this plus one pole.
     pub cart_mass: f64,
@@ -61,17 +60,18 @@ impl CartPoleSystem {
         self.pole_mass * self.half_length
     }
 
-    /// The forces without effects: control and gravity; and sine and cosine of every angle into the poles' places in
-    /// `trig`.
+    /// The most poles there can be: what a step works with is on the stack.
+    pub const MOST_POLES: usize = 64;
+
+    /// Appends the forces without effects, control and gravity, to none; and writes sine and cosine of every angle.
     #[inline(always)]
-    pub(super) fn own_forces<T: Scalar>(&self, x: &[T], u: &[T], trig: &mut [T]) -> Forces<T> {
+    pub(super) fn own_forces<T: Scalar>(&self, x: &[T], u: &[T], trig: &mut [T], forces: &mut Forces<T>) {
         let weight = T::lift(self.moment() * self.gravity);
-        let mut forces: Forces<T> = smallvec![u[0]; 1 + self.poles];
-        for ((pole, trig), torque) in self.poles_of(x).zip(trig.chunks_exact_mut(2)).zip(&mut forces[1..]) {
+        forces.push(u[0]);
+        for (pole, trig) in self.poles_of(x).zip(trig.chunks_exact_mut(2)) {
             (trig[0], trig[1]) = pole[0].sin_cos();
-            *torque = weight * trig[0];
+            forces.push(weight * trig[0]);
         }
-        forces
     }
 }
 
@@ -127,8 +127,9 @@ impl Host for CartPoleSystem {
     #[inline(always)]
     fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let k = self.constants::<T>();
-        let mut forces = self.own_forces(x, u, &mut next[2..]);
-        effects.act(self, x, &mut forces);
+        let mut forces = Forces::new();
+        self.own_forces(x, u, &mut next[2..], &mut forces);
+        effects.act_knowing(self, x, &next[2..], &mut forces);
         let mut push = forces[0];
         for ((pole, next), &torque) in self.poles_of(x).zip(next[2..].chunks_exact_mut(2)).zip(&forces[1..]) {
             let (sin, cos) = (next[0], next[1]);
@@ -155,14 +156,16 @@ impl Host for CartPoleSystem {
         u_bar: Option<&mut [C]>,
     ) {
         let k = self.constants::<R>();
-        let mut trig: PerPole<[R; 2]> = smallvec![[R::zero(); 2]; self.poles];
-        let mut forces = self.own_forces(x, u, trig.as_flattened_mut());
-        effects.act(self, x, &mut forces);
+        // Made where they are: a full array that is returned is a copy of all there is room for.
+        let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
+        trig.extend(self.poles_of(x).map(|_| [R::zero(); 2]));
+        self.own_forces(x, u, trig.as_flattened_mut(), &mut forces);
+        effects.act_knowing(self, x, trig.as_flattened(), &mut forces);
 
         let speed_bar = next_bar[1] + next_bar[0] * k.dt;
         // Of the bracket in ẍ = (…) / M.
         let push_bar = speed_bar * (k.dt * k.per_mass);
-        let mut forces_bar: Forces<C> = smallvec![push_bar; 1 + self.poles];
+        forces_bar.push(push_bar);
         if let Some(x_bar) = &mut x_bar {
             (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar);
         }
@@ -180,7 +183,7 @@ impl Host for CartPoleSystem {
             let torque_bar = alpha_bar * per_inertia;
             let thrust_bar = -(torque_bar * (lever * k.per_mass));
             forces_bar[0] += thrust_bar;
-            forces_bar[1 + i] = torque_bar;
+            forces_bar.push(torque_bar);
             if let Some(x_bar) = &mut x_bar {
                 let centrifugal_bar = push_bar + thrust_bar;
                 let sin_bar = torque_bar * k.weight + centrifugal_bar * (k.moment * spin);
@@ -194,7 +197,7 @@ impl Host for CartPoleSystem {
             u_bar[0] = forces_bar[0];
         }
         if let Some(x_bar) = x_bar {
-            effects.vjp(self, x, &forces_bar, x_bar);
+            effects.vjp_knowing(self, x, trig.as_flattened(), &forces_bar, x_bar);
         }
     }
 }

@@ -34,15 +34,38 @@ impl Default for SteadyWind {
     }
 }
 
+impl SteadyWind {
+    fn drag(&self) -> Drag {
+        Drag { cart: self.cart_drag, pole: self.pole_drag }
+    }
+}
+
 impl Effect<CartPoleSystem> for SteadyWind {
     #[inline(always)]
     fn act<T: Scalar>(&self, body: &CartPoleSystem, x: &[T], forces: &mut [T]) {
-        Drag { cart: self.cart_drag, pole: self.pole_drag }.act(body, T::lift(self.speed), x, forces);
+        self.drag().act(body, T::lift(self.speed), x, trig(body, x), forces);
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, body: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        Drag { cart: self.cart_drag, pole: self.pole_drag }.vjp(body, R::lift(self.speed), x, forces_bar, x_bar);
+        self.drag().vjp(body, R::lift(self.speed), x, trig(body, x), forces_bar, x_bar);
+    }
+
+    #[inline(always)]
+    fn act_knowing<T: Scalar>(&self, body: &CartPoleSystem, x: &[T], known: &[T], forces: &mut [T]) {
+        self.drag().act(body, T::lift(self.speed), x, known_trig(known), forces);
+    }
+
+    #[inline(always)]
+    fn vjp_knowing<R: Real, C: Cotangent<R>>(
+        &self,
+        body: &CartPoleSystem,
+        x: &[R],
+        known: &[R],
+        forces_bar: &[C],
+        x_bar: &mut [C],
+    ) {
+        self.drag().vjp(body, R::lift(self.speed), x, known_trig(known), forces_bar, x_bar);
     }
 }
 
@@ -73,32 +96,67 @@ impl Default for GustyWind {
 }
 
 impl GustyWind {
-    /// The phase of the wind: the time is the last component of the state.
+    fn drag(&self) -> Drag {
+        Drag { cart: self.cart_drag, pole: self.pole_drag }
+    }
+
+    /// The wind and its slope in time: the time is the last component of the state.
     #[inline(always)]
-    fn phase<T: Scalar>(&self, x: &[T]) -> T {
-        x[x.len() - 1] * T::lift(TAU / self.period)
+    fn wind<T: Scalar>(&self, x: &[T]) -> (T, T) {
+        let rate = TAU / self.period;
+        let (sin, cos) = (x[x.len() - 1] * T::lift(rate)).sin_cos();
+        (T::lift(self.speed) + T::lift(self.gust) * sin, T::lift(self.gust * rate) * cos)
     }
 }
 
 impl Effect<CartPoleSystem> for GustyWind {
     #[inline(always)]
     fn act<T: Scalar>(&self, body: &CartPoleSystem, x: &[T], forces: &mut [T]) {
-        let wind = T::lift(self.speed) + T::lift(self.gust) * self.phase(x).sin();
-        Drag { cart: self.cart_drag, pole: self.pole_drag }.act(body, wind, x, forces);
+        self.drag().act(body, self.wind(x).0, x, trig(body, x), forces);
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, body: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        let (sin, cos) = self.phase(x).sin_cos();
-        let wind = R::lift(self.speed) + R::lift(self.gust) * sin;
-        let wind_bar = Drag { cart: self.cart_drag, pole: self.pole_drag }.vjp(body, wind, x, forces_bar, x_bar);
-        x_bar[x.len() - 1] += wind_bar * (R::lift(self.gust * TAU / self.period) * cos);
+        let (wind, slope) = self.wind(x);
+        let wind_bar = self.drag().vjp(body, wind, x, trig(body, x), forces_bar, x_bar);
+        x_bar[x.len() - 1] += wind_bar * slope;
+    }
+
+    #[inline(always)]
+    fn act_knowing<T: Scalar>(&self, body: &CartPoleSystem, x: &[T], known: &[T], forces: &mut [T]) {
+        self.drag().act(body, self.wind(x).0, x, known_trig(known), forces);
+    }
+
+    #[inline(always)]
+    fn vjp_knowing<R: Real, C: Cotangent<R>>(
+        &self,
+        body: &CartPoleSystem,
+        x: &[R],
+        known: &[R],
+        forces_bar: &[C],
+        x_bar: &mut [C],
+    ) {
+        let (wind, slope) = self.wind(x);
+        let wind_bar = self.drag().vjp(body, wind, x, known_trig(known), forces_bar, x_bar);
+        x_bar[x.len() - 1] += wind_bar * slope;
     }
 
     #[inline(always)]
     fn clock(&self) -> Option<f64> {
         Some(self.period)
     }
+}
+
+/// Sine and cosine of every pole's angle.
+#[inline(always)]
+fn trig<T: Scalar>(body: &CartPoleSystem, x: &[T]) -> impl Iterator<Item = (T, T)> {
+    body.poles_of(x).map(|pole| pole[0].sin_cos())
+}
+
+/// The same from what [`CartPoleSystem`] knows about the state.
+#[inline(always)]
+fn known_trig<T: Scalar>(known: &[T]) -> impl Iterator<Item = (T, T)> {
+    known.chunks_exact(2).map(|trig| (trig[0], trig[1]))
 }
 
 /// The drag of [`SteadyWind`], at any speed of the wind.
@@ -109,35 +167,49 @@ struct Drag {
 
 impl Drag {
     #[inline(always)]
-    fn act<T: Scalar>(self, body: &CartPoleSystem, wind: T, x: &[T], forces: &mut [T]) {
+    fn act<T: Scalar>(
+        self,
+        body: &CartPoleSystem,
+        wind: T,
+        x: &[T],
+        trig: impl Iterator<Item = (T, T)>,
+        forces: &mut [T],
+    ) {
         let (pole_drag, l) = (T::lift(self.pole), T::lift(body.half_length));
         let headwind = wind - x[1];
-        forces[0] += T::lift(self.cart) * headwind.abs() * headwind;
-        for (i, pole) in body.poles_of(x).enumerate() {
-            let cos = pole[0].cos();
+        let mut push = forces[0] + T::lift(self.cart) * headwind.abs() * headwind;
+        for ((pole, (_, cos)), torque) in body.poles_of(x).zip(trig).zip(&mut forces[1..]) {
             let across = headwind * cos - l * pole[1];
             let drag = pole_drag * across.abs() * across;
-            forces[0] += drag * cos;
-            forces[1 + i] += drag * l;
+            push += drag * cos;
+            *torque += drag * l;
         }
+        forces[0] = push;
     }
 
     /// Returns the cotangent of the wind. |v| v has the derivative 2 |v|, at 0 as well.
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(self, body: &CartPoleSystem, wind: R, x: &[R], forces_bar: &[C], x_bar: &mut [C]) -> C {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        self,
+        body: &CartPoleSystem,
+        wind: R,
+        x: &[R],
+        trig: impl Iterator<Item = (R, R)>,
+        forces_bar: &[C],
+        x_bar: &mut [C],
+    ) -> C {
         let (pole_drag, l) = (R::lift(self.pole), R::lift(body.half_length));
         let headwind = wind - x[1];
-        let mut headwind_bar = forces_bar[0] * (R::lift(2.0 * self.cart) * headwind.abs());
-        for (i, pole) in body.poles_of(x).enumerate() {
-            let (sin, cos) = pole[0].sin_cos();
+        let push_bar = forces_bar[0];
+        let mut headwind_bar = push_bar * (R::lift(2.0 * self.cart) * headwind.abs());
+        let bars = x_bar[2..].chunks_exact_mut(2).zip(&forces_bar[1..]);
+        for ((pole, (sin, cos)), (bar, &torque_bar)) in body.poles_of(x).zip(trig).zip(bars) {
             let across = headwind * cos - l * pole[1];
             let strength = pole_drag * across.abs();
-            let drag_bar = forces_bar[0] * cos + forces_bar[1 + i] * l;
-            let across_bar = drag_bar * (strength + strength);
+            let across_bar = (push_bar * cos + torque_bar * l) * (strength + strength);
             headwind_bar += across_bar * cos;
-            let cos_bar = forces_bar[0] * (strength * across) + across_bar * headwind;
-            x_bar[2 + 2 * i] -= cos_bar * sin;
-            x_bar[3 + 2 * i] -= across_bar * l;
+            bar[0] -= (push_bar * (strength * across) + across_bar * headwind) * sin;
+            bar[1] -= across_bar * l;
         }
         x_bar[1] -= headwind_bar;
         headwind_bar

@@ -1,0 +1,227 @@
+//! [`Counted`]: an `f64` that counts what is done with it.
+
+mod dual;
+
+use super::{Real, Scalar};
+use dual::CountedDual;
+use std::cell::Cell;
+use std::fmt;
+use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
+
+/// How many operations of each kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Additions and subtractions.
+    pub add: u64,
+    /// Changes of sign.
+    pub negate: u64,
+    /// Multiplications; [`powi`](Scalar::powi) is as many as its exponent says.
+    pub multiply: u64,
+    /// Divisions.
+    pub divide: u64,
+    /// Square roots.
+    pub sqrt: u64,
+    /// `exp`, `ln`, `tanh`, `atan2`, and `sin_cos`, which is one whether one or both of its results are used.
+    pub transcendental: u64,
+    /// Choices by [`select_lt`](Scalar::select_lt), which [`min`](Scalar::min), [`max`](Scalar::max) and
+    /// [`abs`](Scalar::abs) are made of; `abs` changes a sign besides.
+    pub compare: u64,
+}
+
+thread_local! {
+    static DONE: Cell<Counts> = const { Cell::new(Counts::NONE) };
+}
+
+impl Counts {
+    const NONE: Self = Self { add: 0, negate: 0, multiply: 0, divide: 0, sqrt: 0, transcendental: 0, compare: 0 };
+
+    /// What `work` does with [`Counted`] numbers, and what it returns. Only this thread's operations count. One such call
+    /// may contain another, whose operations count in both.
+    pub fn of<T>(work: impl FnOnce() -> T) -> (Self, T) {
+        let before = DONE.get();
+        let result = work();
+        (DONE.get() - before, result)
+    }
+
+    /// Operations of all kinds together.
+    pub fn total(&self) -> u64 {
+        self.each().iter().map(|(count, _)| count).sum()
+    }
+
+    fn each(&self) -> [(u64, &'static str); 7] {
+        [
+            (self.add, "add"),
+            (self.negate, "negate"),
+            (self.multiply, "multiply"),
+            (self.divide, "divide"),
+            (self.sqrt, "sqrt"),
+            (self.transcendental, "transcendental"),
+            (self.compare, "compare"),
+        ]
+    }
+
+    fn map2(self, other: Self, f: impl Fn(u64, u64) -> u64) -> Self {
+        Self {
+            add: f(self.add, other.add),
+            negate: f(self.negate, other.negate),
+            multiply: f(self.multiply, other.multiply),
+            divide: f(self.divide, other.divide),
+            sqrt: f(self.sqrt, other.sqrt),
+            transcendental: f(self.transcendental, other.transcendental),
+            compare: f(self.compare, other.compare),
+        }
+    }
+
+    /// Counts these as done.
+    fn note(self) {
+        DONE.set(DONE.get() + self);
+    }
+}
+
+impl Add for Counts {
+    type Output = Self;
+    fn add(self, other: Self) -> Self {
+        self.map2(other, |a, b| a + b)
+    }
+}
+
+impl Sub for Counts {
+    type Output = Self;
+    fn sub(self, other: Self) -> Self {
+        self.map2(other, |a, b| a - b)
+    }
+}
+
+impl AddAssign for Counts {
+    fn add_assign(&mut self, other: Self) {
+        *self = *self + other;
+    }
+}
+
+/// The kinds there are any of, as in `3 add, 2 multiply`.
+impl fmt::Display for Counts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let some = self.each().into_iter().filter(|&(count, _)| count > 0);
+        let words: Vec<String> = some.map(|(count, kind)| format!("{count} {kind}")).collect();
+        if words.is_empty() { f.write_str("nothing") } else { f.write_str(&words.join(", ")) }
+    }
+}
+
+/// An `f64` that counts what is done with it: what a step, or a derivative of it, costs on any machine.
+///
+/// It has the bits of an `f64`. [`Counts`] says which operations are of which kind, and [`Counts::of`] has the counts.
+/// Constants ([`lift`](Scalar::lift)), copies and [`detach`](Scalar::detach) are free, and so is all that a system
+/// computes with its `f64` parameters before it lifts them.
+///
+/// As derivatives by duals count the operations that the dual numbers do: those on the value, and those on the
+/// four tangents of every operand that is not a constant.
+///
+/// ```
+/// use physgrad::{Counted, Counts, Scalar};
+///
+/// let (counts, y) = Counts::of(|| Counted(2.0) * Counted(3.0) + Counted(0.5).sqrt());
+/// assert_eq!(y, Counted(6.0 + 0.5_f64.sqrt()));
+/// assert_eq!(counts.to_string(), "1 add, 1 multiply, 1 sqrt");
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Counted(pub f64);
+
+/// The two operators of one kind, for numbers that say what each `costs`.
+macro_rules! operator {
+    ($number:ty, $trait:ident, $method:ident, $assign_trait:ident, $assign:ident, $costs:expr) => {
+        impl $trait for $number {
+            type Output = Self;
+            #[inline]
+            fn $method(self, other: Self) -> Self {
+                let costs: fn(&Self, &Self) -> Counts = $costs;
+                costs(&self, &other).note();
+                Self(self.0.$method(other.0))
+            }
+        }
+        impl $assign_trait for $number {
+            #[inline]
+            fn $assign(&mut self, other: Self) {
+                *self = self.$method(other);
+            }
+        }
+    };
+}
+use operator;
+
+operator!(Counted, Add, add, AddAssign, add_assign, |_, _| Counts { add: 1, ..Counts::NONE });
+operator!(Counted, Sub, sub, SubAssign, sub_assign, |_, _| Counts { add: 1, ..Counts::NONE });
+operator!(Counted, Mul, mul, MulAssign, mul_assign, |_, _| Counts { multiply: 1, ..Counts::NONE });
+operator!(Counted, Div, div, DivAssign, div_assign, |_, _| Counts { divide: 1, ..Counts::NONE });
+
+impl Neg for Counted {
+    type Output = Self;
+    #[inline]
+    fn neg(self) -> Self {
+        Counts { negate: 1, ..Counts::NONE }.note();
+        Self(-self.0)
+    }
+}
+
+/// One of the elementary functions that are called transcendental.
+const FUNCTION: Counts = Counts { transcendental: 1, ..Counts::NONE };
+
+impl Scalar for Counted {
+    type Real = f64;
+    #[inline]
+    fn lift(value: f64) -> Self {
+        Self(value)
+    }
+    #[inline]
+    fn detach(self) -> Self {
+        self
+    }
+    #[inline]
+    fn sqrt(self) -> Self {
+        Counts { sqrt: 1, ..Counts::NONE }.note();
+        Self(Scalar::sqrt(self.0))
+    }
+    #[inline]
+    fn exp(self) -> Self {
+        FUNCTION.note();
+        Self(Scalar::exp(self.0))
+    }
+    #[inline]
+    fn ln(self) -> Self {
+        FUNCTION.note();
+        Self(Scalar::ln(self.0))
+    }
+    #[inline]
+    fn sin_cos(self) -> (Self, Self) {
+        FUNCTION.note();
+        let (sin, cos) = Scalar::sin_cos(self.0);
+        (Self(sin), Self(cos))
+    }
+    #[inline]
+    fn tanh(self) -> Self {
+        FUNCTION.note();
+        Self(Scalar::tanh(self.0))
+    }
+    #[inline]
+    fn atan2(self, x: Self) -> Self {
+        FUNCTION.note();
+        Self(Scalar::atan2(self.0, x.0))
+    }
+    #[inline]
+    fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
+        Counts { compare: 1, ..Counts::NONE }.note();
+        if a.0 < b.0 { yes } else { no }
+    }
+}
+
+impl Real for Counted {
+    type Dual = CountedDual;
+    const LANES: usize = 1;
+    #[inline]
+    fn lane(&self, _: usize) -> f64 {
+        self.0
+    }
+    #[inline]
+    fn set_lane(&mut self, _: usize, value: f64) {
+        self.0 = value;
+    }
+}

@@ -1,0 +1,287 @@
+//! Which derivatives a rollout asks for at all: no flow pays for a path it does not take.
+
+use physgrad::policy::{Mlp, PolicyPass, PolicyRecord, Sizes};
+use physgrad::rng::{Purpose, Rng, stream};
+use physgrad::tasks::{CartPole, Guidance};
+use physgrad::{Adjoint, Cotangent, Float, Flow, Policy, Real, Rollout, Scalar, System, Task, Weights};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// How often something was asked for.
+#[derive(Default)]
+struct Calls(AtomicUsize);
+
+impl Calls {
+    fn note(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+    /// The number, from here on 0.
+    fn take(&self) -> usize {
+        self.0.swap(0, Ordering::Relaxed)
+    }
+}
+
+/// A task and its system, watched.
+struct WatchedTask<T> {
+    inner: T,
+    step: Calls,
+    vjp: Calls,
+    vjp_state: Calls,
+    vjp_control: Calls,
+    stage_cost_gradient: Calls,
+    terminal_cost_gradient: Calls,
+}
+
+/// What was asked of a task.
+#[derive(Debug, PartialEq, Default)]
+struct OfTask {
+    step: usize,
+    vjp: usize,
+    vjp_state: usize,
+    vjp_control: usize,
+    stage_cost_gradient: usize,
+    terminal_cost_gradient: usize,
+}
+
+impl<T> WatchedTask<T> {
+    fn new(inner: T) -> Self {
+        let [step, vjp, vjp_state, vjp_control, stage_cost_gradient, terminal_cost_gradient] = Default::default();
+        Self { inner, step, vjp, vjp_state, vjp_control, stage_cost_gradient, terminal_cost_gradient }
+    }
+
+    fn take(&self) -> OfTask {
+        OfTask {
+            step: self.step.take(),
+            vjp: self.vjp.take(),
+            vjp_state: self.vjp_state.take(),
+            vjp_control: self.vjp_control.take(),
+            stage_cost_gradient: self.stage_cost_gradient.take(),
+            terminal_cost_gradient: self.terminal_cost_gradient.take(),
+        }
+    }
+}
+
+impl<T: Task> System for WatchedTask<T> {
+    fn state_dim(&self) -> usize {
+        self.inner.system().state_dim()
+    }
+    fn control_dim(&self) -> usize {
+        self.inner.system().control_dim()
+    }
+    fn step<S: Scalar>(&self, x: &[S], u: &[S], next: &mut [S]) {
+        self.step.note();
+        self.inner.system().step(x, u, next);
+    }
+    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        self.vjp.note();
+        self.inner.system().vjp(x, u, next_bar, x_bar, u_bar);
+    }
+    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
+        self.vjp_state.note();
+        self.inner.system().vjp_state(x, u, next_bar, x_bar);
+    }
+    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
+        self.vjp_control.note();
+        self.inner.system().vjp_control(x, u, next_bar, u_bar);
+    }
+}
+
+impl<T: Task> Task for WatchedTask<T> {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        self.inner.horizon()
+    }
+    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+        self.inner.start(rng, x);
+    }
+    fn stage_cost<S: Scalar>(&self, x: &[S], u: &[S]) -> S {
+        self.inner.stage_cost(x, u)
+    }
+    fn terminal_cost<S: Scalar>(&self, x: &[S]) -> S {
+        self.inner.terminal_cost(x)
+    }
+    fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
+        self.stage_cost_gradient.note();
+        self.inner.stage_cost_gradient(x, u, x_bar, u_bar);
+    }
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
+        self.terminal_cost_gradient.note();
+        self.inner.terminal_cost_gradient(x, x_bar);
+    }
+}
+
+/// A policy, watched.
+struct WatchedPolicy {
+    inner: Mlp,
+    forward: Calls,
+    backward_with_inputs: Calls,
+    backward_without: Calls,
+    param_gradient: Calls,
+}
+
+/// What was asked of a policy.
+#[derive(Debug, PartialEq, Default)]
+struct OfPolicy {
+    forward: usize,
+    backward_with_inputs: usize,
+    backward_without: usize,
+    param_gradient: usize,
+}
+
+impl WatchedPolicy {
+    fn new(inner: Mlp) -> Self {
+        let [forward, backward_with_inputs, backward_without, param_gradient] = Default::default();
+        Self { inner, forward, backward_with_inputs, backward_without, param_gradient }
+    }
+
+    fn take(&self) -> OfPolicy {
+        OfPolicy {
+            forward: self.forward.take(),
+            backward_with_inputs: self.backward_with_inputs.take(),
+            backward_without: self.backward_without.take(),
+            param_gradient: self.param_gradient.take(),
+        }
+    }
+}
+
+impl Policy for WatchedPolicy {
+    fn state_dim(&self) -> usize {
+        self.inner.state_dim()
+    }
+    fn control_dim(&self) -> usize {
+        self.inner.control_dim()
+    }
+    fn param_count(&self) -> usize {
+        self.inner.param_count()
+    }
+    fn init(&self, rng: &mut Rng, theta: &mut [f64]) {
+        self.inner.init(rng, theta);
+    }
+    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
+        self.inner.act(theta, x, u);
+    }
+    fn sizes<F: Float>(&self, columns: usize) -> Sizes {
+        self.inner.sizes::<F>(columns)
+    }
+    fn pack<F: Float>(&self, theta: &[F], packed: &mut [F]) {
+        self.inner.pack(theta, packed);
+    }
+    fn forward<F: Float>(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
+        self.forward.note();
+        self.inner.forward(pass, tape, u);
+    }
+    fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
+        if x_bar.is_some() { &self.backward_with_inputs } else { &self.backward_without }.note();
+        self.inner.backward(pass, tape, u_bar, tape_bar, x_bar);
+    }
+    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
+        self.param_gradient.note();
+        self.inner.param_gradient(pass, record, scratch, theta_bar);
+    }
+}
+
+/// Steps.
+const T: usize = 5;
+/// Blocks of eight samples.
+const B: usize = 3;
+/// The last block has one sample.
+const SAMPLES: usize = 17;
+
+/// What a rollout with `flows` asks for in its forward pass, and then for the gradients. Without flows it is an evaluation.
+fn asked<S: Task>(task: S, flows: &[Flow]) -> [(OfTask, OfPolicy); 2] {
+    let task = WatchedTask::new(task);
+    let (n, m) = (task.state_dim(), task.control_dim());
+    let policy = WatchedPolicy::new(Mlp::new([n, 8, m]));
+    let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
+    let mut starts = vec![0.0; SAMPLES * n];
+    let mut rng = stream(0, Purpose::Train, 0);
+    starts.chunks_exact_mut(n).for_each(|x| task.start(&mut rng, x));
+
+    let with_tape = !flows.is_empty();
+    let make = if with_tape { Rollout::new } else { Rollout::for_evaluation };
+    let mut rollout = make(&task, &policy, SAMPLES);
+    rollout.start(&starts);
+    rollout.run(&task, &policy, &weights).expect("finite");
+    let forward = (task.take(), policy.take());
+    if with_tape {
+        let mut adjoint = Adjoint::new(&policy, &rollout, flows);
+        adjoint.run(&task, &policy, &weights, &rollout, 1.0).expect("finite");
+        let mut theta_bar = vec![0.0; weights.theta().len()];
+        for k in 0..flows.len() {
+            adjoint.param_gradient(k, &policy, &weights, &rollout, 0..SAMPLES, &mut theta_bar);
+            assert!(theta_bar.iter().any(|&g| g != 0.0), "a gradient of zeros shows nothing");
+        }
+    }
+    [forward, (task.take(), policy.take())]
+}
+
+/// A step of every block, and the policy once for all samples of a step.
+fn one_forward_pass() -> (OfTask, OfPolicy) {
+    (OfTask { step: T * B, ..OfTask::default() }, OfPolicy { forward: T, ..OfPolicy::default() })
+}
+
+fn one_control() -> CartPole {
+    CartPole { horizon: T, ..CartPole::new(1) }
+}
+
+fn two_controls() -> Guidance {
+    Guidance { horizon: T, ..Guidance::new(1, 1) }
+}
+
+/// Whatever the flow: the gradient of every cost is asked for once a block and never once a flow.
+fn costs() -> OfTask {
+    OfTask { stage_cost_gradient: T * B, terminal_cost_gradient: B, ..OfTask::default() }
+}
+
+/// Both derivatives of the physics, at once, of every block of every step.
+fn both() -> OfTask {
+    OfTask { vjp: T * B, ..costs() }
+}
+
+/// Of the physics only the control's derivative.
+fn control_alone() -> OfTask {
+    OfTask { vjp_control: T * B, ..costs() }
+}
+
+fn policy(backward_with_inputs: usize, backward_without: usize, param_gradient: usize) -> OfPolicy {
+    OfPolicy { forward: 0, backward_with_inputs, backward_without, param_gradient }
+}
+
+#[test]
+fn an_evaluation_asks_for_no_derivative() {
+    for all in [asked(one_control(), &[]), asked(two_controls(), &[])] {
+        assert_eq!(all, [one_forward_pass(), Default::default()]);
+    }
+}
+
+#[test]
+fn with_one_control_the_policy_is_asked_for_its_derivatives_once() {
+    // ∂N/∂x of all steps in one call if a flow takes that path, even with a flow beside it that does not.
+    for (flows, physics, network) in [
+        (&[Flow::REGULAR][..], both(), policy(1, 0, 1)),
+        (&[Flow::MODIFIED], both(), policy(0, 1, 1)),
+        (&[Flow::NETWORK], control_alone(), policy(1, 0, 1)),
+        (&[Flow::STOPPED], control_alone(), policy(0, 1, 1)),
+        (&[Flow::MODIFIED, Flow::REGULAR], both(), policy(1, 0, 2)),
+        (&[Flow::MODIFIED, Flow::STOPPED], both(), policy(0, 2, 2)),
+    ] {
+        assert_eq!(asked(one_control(), flows), [one_forward_pass(), (physics, network)], "{flows:?}");
+    }
+}
+
+#[test]
+fn with_two_controls_the_policy_is_asked_for_its_input_derivative_step_by_step() {
+    // A flow through the policy's input: ∂N/∂x at every step. One that is not: the rest, of all steps in one call.
+    for (flows, physics, network) in [
+        (&[Flow::REGULAR][..], both(), policy(T, 0, 1)),
+        (&[Flow::MODIFIED], both(), policy(0, 1, 1)),
+        (&[Flow::NETWORK], control_alone(), policy(T, 0, 1)),
+        (&[Flow::STOPPED], control_alone(), policy(0, 1, 1)),
+        (&[Flow::MODIFIED, Flow::REGULAR], both(), policy(T, 1, 2)),
+        (&[Flow::NETWORK, Flow::REGULAR], both(), policy(2 * T, 0, 2)),
+    ] {
+        assert_eq!(asked(two_controls(), flows), [one_forward_pass(), (physics, network)], "{flows:?}");
+    }
+}

@@ -1,0 +1,99 @@
+//! A rollout and its adjoint say exactly how many bytes they hold, take them when they are made, and no more when they
+//! are run.
+
+use physgrad::policy::Mlp;
+use physgrad::rng::{Purpose, stream};
+use physgrad::tasks::CartPole;
+use physgrad::{Adjoint, Float, Flow, Rollout, Task, Weights};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+struct Counting;
+
+/// Bytes ever asked for.
+static ALLOCATED: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: everything is handed to the system's allocator.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATED.fetch_add(layout.size(), Ordering::Relaxed);
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// What `work` returns, and the bytes it asks for.
+fn allocated<T>(work: impl FnOnce() -> T) -> (T, usize) {
+    let before = ALLOCATED.load(Ordering::Relaxed);
+    let result = work();
+    (result, ALLOCATED.load(Ordering::Relaxed) - before)
+}
+
+/// One more than two blocks of eight.
+const SAMPLES: usize = 17;
+
+fn bytes_are_those_asked_for<F: Float>() {
+    let (task, policy) = (CartPole { horizon: 20, ..CartPole::new(2) }, Mlp::new([6, 16, 16, 1]));
+    let weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Policy, 0));
+    let mut start = [0.0; 6];
+    task.start(&mut stream(0, Purpose::Train, 0), &mut start);
+    let starts: Vec<F> = start.into_iter().cycle().take(SAMPLES * 6).map(F::lift).collect();
+    let mut theta_bar = vec![F::zero(); weights.theta().len()];
+
+    // The first run of a process finds out what its processor can do.
+    let mut first = Rollout::for_evaluation(&task, &policy, SAMPLES);
+    first.start(&starts);
+    first.run(&task, &policy, &weights).expect("finite");
+
+    let (mut rollout, bytes) = allocated(|| Rollout::<F>::new(&task, &policy, SAMPLES));
+    assert_eq!(rollout.stored_bytes(), bytes);
+    // Three blocks of lanes: 21 states, 20 controls, one cost.
+    let lanes = 3 * 8 * (21 * 6 + 20 + 1);
+    let columns = SAMPLES * 20 * (6 + 1);
+    assert!(bytes > (lanes + columns) * size_of::<F>(), "the policy's tape is on top of that");
+    let run = allocated(|| {
+        rollout.start(&starts);
+        rollout.run(&task, &policy, &weights).expect("finite");
+    });
+    assert_eq!(run.1, 0, "a rollout is run without allocating");
+
+    let one = Flow::ALL.map(|flow| vec![flow]);
+    for flows in one.into_iter().chain([vec![Flow::MODIFIED, Flow::REGULAR], vec![Flow::MODIFIED, Flow::STOPPED]]) {
+        let names: Vec<String> = flows.iter().map(Flow::to_string).collect();
+        for norms in [false, true] {
+            let (mut adjoint, bytes) = allocated(|| {
+                let adjoint = Adjoint::new(&policy, &rollout, &flows);
+                if norms { adjoint.keep_norms() } else { adjoint }
+            });
+            assert_eq!(adjoint.stored_bytes(), bytes, "{names:?}, norms {norms}");
+            let run = allocated(|| {
+                adjoint.run(&task, &policy, &weights, &rollout, F::one()).expect("finite");
+                (0..flows.len()).for_each(|k| adjoint.param_gradient(k, &policy, &weights, &rollout, 0..SAMPLES, &mut theta_bar));
+            });
+            assert_eq!(run.1, 0, "{names:?}, norms {norms}: an adjoint is run without allocating");
+        }
+    }
+
+    let (mut evaluation, bytes) = allocated(|| Rollout::<F>::for_evaluation(&task, &policy, SAMPLES));
+    assert_eq!(evaluation.stored_bytes(), bytes);
+    assert!(5 * bytes < rollout.stored_bytes());
+    let run = allocated(|| {
+        evaluation.start(&starts);
+        evaluation.run(&task, &policy, &weights).expect("finite");
+    });
+    assert_eq!(run.1, 0, "an evaluation is run without allocating");
+    let longer = CartPole { horizon: 2000, ..task };
+    assert_eq!(Rollout::<F>::for_evaluation(&longer, &policy, SAMPLES).stored_bytes(), bytes);
+}
+
+// One test alone in its file: another thread's allocations would be counted too.
+#[test]
+fn rollouts_and_adjoints_hold_the_bytes_they_say() {
+    bytes_are_those_asked_for::<f64>();
+    bytes_are_those_asked_for::<f32>();
+}

@@ -1,0 +1,285 @@
+//! What [`Counted`] counts, and that it computes what an `f64` does.
+
+use physgrad::rng::{Purpose, stream};
+use physgrad::tasks::{CartPole, Guidance, Quantum};
+use physgrad::{Columns, Cotangent, Counted, Counts, Real, Scalar, System, Tangents, Task};
+use rand::RngExt;
+
+const NONE: Counts = Counts { add: 0, negate: 0, multiply: 0, divide: 0, sqrt: 0, transcendental: 0, compare: 0 };
+
+type Operation<T> = fn(T, T) -> T;
+
+/// All operations, under names, for any number.
+fn operations<T: Scalar>() -> [(&'static str, Operation<T>); 23] {
+    [
+        ("add", |a, b| a + b),
+        ("sub", |a, b| a - b),
+        ("mul", |a, b| a * b),
+        ("div", |a, b| a / b),
+        ("add_assign", |mut a, b| {
+            a += b;
+            a
+        }),
+        ("sub_assign", |mut a, b| {
+            a -= b;
+            a
+        }),
+        ("mul_assign", |mut a, b| {
+            a *= b;
+            a
+        }),
+        ("div_assign", |mut a, b| {
+            a /= b;
+            a
+        }),
+        ("neg", |a, _| -a),
+        ("sqrt", |a, _| a.sqrt()),
+        ("exp", |a, _| a.exp()),
+        ("ln", |a, _| a.ln()),
+        ("sin", |a, _| a.sin()),
+        ("cos", |a, _| a.cos()),
+        ("tanh", |a, _| a.tanh()),
+        ("atan2", |a, b| a.atan2(b)),
+        ("select_lt", |a, b| T::select_lt(a, b, b, a)),
+        ("powi", |a, _| a.powi(3)),
+        ("abs", |a, _| a.abs()),
+        ("min", |a, b| a.min(b)),
+        ("max", |a, b| a.max(b)),
+        ("lift", |_, _| T::lift(0.1)),
+        ("detach", |a, _| a.detach()),
+    ]
+}
+
+/// Numbers with something special about them, and some without.
+const NUMBERS: [f64; 12] = [0.0, -0.0, 1.0, -1.0, 0.3, -2.7, 1e-300, 1e300, 1e7, f64::INFINITY, f64::NEG_INFINITY, f64::NAN];
+
+/// The bits of a number. Which bits a NaN has, the language leaves open.
+fn bits_of(number: f64) -> u64 {
+    if number.is_nan() { f64::NAN } else { number }.to_bits()
+}
+
+#[test]
+fn every_operation_has_the_bits_of_f64() {
+    for ((name, plain), (_, counted)) in operations().into_iter().zip(operations()) {
+        for (a, b) in NUMBERS.into_iter().flat_map(|a| NUMBERS.map(|b| (a, b))) {
+            let (expected, found): (f64, Counted) = (plain(a, b), counted(Counted(a), Counted(b)));
+            assert_eq!(bits_of(found.0), bits_of(expected), "{name} of {a} and {b}");
+        }
+    }
+}
+
+type Dual<R> = <R as Real>::Dual;
+
+#[test]
+fn every_operation_on_duals_has_the_bits_of_f64() {
+    for ((name, plain), (_, counted)) in operations().into_iter().zip(operations()) {
+        for (a, b) in NUMBERS.into_iter().flat_map(|a| NUMBERS.map(|b| (a, b))) {
+            let (da, db) = ([0.5, -1.0, 0.0, 3.0], [2.0, 0.0, 0.7, -0.1]);
+            let expected: Dual<f64> = plain(Tangents::seeded(a, da), Tangents::seeded(b, db));
+            let found: Dual<Counted> = counted(Tangents::seeded(a, da), Tangents::seeded(b, db));
+            assert_eq!(bits_of(found.value()), bits_of(expected.value()), "{name} of {a} and {b}");
+            let (found, expected) = (found.tangents().map(bits_of), expected.tangents().map(bits_of));
+            assert_eq!(found, expected, "tangents of {name} of {a} and {b}");
+        }
+    }
+}
+
+#[test]
+fn every_operation_counts_what_it_does() {
+    let add = Counts { add: 1, ..NONE };
+    let multiply = Counts { multiply: 1, ..NONE };
+    let divide = Counts { divide: 1, ..NONE };
+    let function = Counts { transcendental: 1, ..NONE };
+    let compare = Counts { compare: 1, ..NONE };
+    for (name, operation) in operations::<Counted>() {
+        let expected = match name {
+            "add" | "sub" | "add_assign" | "sub_assign" => add,
+            "mul" | "mul_assign" => multiply,
+            "div" | "div_assign" => divide,
+            "neg" => Counts { negate: 1, ..NONE },
+            "sqrt" => Counts { sqrt: 1, ..NONE },
+            "exp" | "ln" | "sin" | "cos" | "tanh" | "atan2" => function,
+            "select_lt" | "min" | "max" => compare,
+            "abs" => Counts { compare: 1, negate: 1, ..NONE },
+            "powi" => Counts { multiply: 3, ..NONE },
+            "lift" | "detach" => NONE,
+            other => panic!("{other} is not counted here"),
+        };
+        assert_eq!(Counts::of(|| operation(Counted(0.4), Counted(0.3))).0, expected, "{name}");
+    }
+    assert_eq!(Counts::of(|| Counted(0.4).sin_cos()).0, function);
+}
+
+/// With tangents in both operands, in the first, in the second, in none.
+#[test]
+fn every_operation_on_duals_counts_the_tangents_it_works_on() {
+    for (name, operation) in operations::<Dual<Counted>>() {
+        let four = |with: bool| if with { 4 } else { 0 };
+        for (a, b) in [(true, true), (true, false), (false, true), (false, false)] {
+            let number = |value, with: bool| -> Dual<Counted> {
+                if with { Tangents::variable(value, 1) } else { Tangents::constant(value) }
+            };
+            let (x, y) = (number(0.4, a), number(0.3, b));
+            let (both, second_alone, any) = (four(a && b), four(b && !a), four(a || b));
+            let (a, b) = (four(a), four(b));
+            let expected = match name {
+                "add" | "add_assign" => Counts { add: 1 + both, ..NONE },
+                "sub" | "sub_assign" => Counts { add: 1 + both, negate: second_alone, ..NONE },
+                // a' b + b' a.
+                "mul" | "mul_assign" => Counts { multiply: 1 + a + b, add: both, ..NONE },
+                // i = 1 / b; a i; (a' b - b' a) i i.
+                "div" | "div_assign" => {
+                    Counts { divide: 1, multiply: 1 + a + b + 2 * any, add: both, negate: second_alone, ..NONE }
+                }
+                "neg" => Counts { negate: 1 + a, ..NONE },
+                "sqrt" => Counts { sqrt: 1, divide: 1, multiply: a, ..NONE },
+                "exp" => Counts { transcendental: 1, multiply: a, ..NONE },
+                "ln" => Counts { transcendental: 1, divide: 1, multiply: a, ..NONE },
+                "sin" | "cos" => Counts { transcendental: 1, negate: 1, multiply: 2 * a, ..NONE },
+                "tanh" => Counts { transcendental: 1, add: 1, multiply: 1 + a, ..NONE },
+                // a a + b b; b / that, -a / that; times a' and b'; their sum, that of the values included.
+                "atan2" => Counts { transcendental: 1, add: 2 + both, negate: 1, multiply: 2 + a + b, divide: 2, ..NONE },
+                "select_lt" | "min" | "max" => Counts { compare: 1, ..NONE },
+                "abs" => Counts { compare: 1, negate: 1 + a, ..NONE },
+                // 1·x: one and a. x·x, x²·x: one and 2a, and a sum for each tangent.
+                "powi" => Counts { multiply: 3 + 5 * a, add: 2 * a, ..NONE },
+                "lift" | "detach" => NONE,
+                other => panic!("{other} is not counted here"),
+            };
+            assert_eq!(Counts::of(|| operation(x, y)).0, expected, "{name} with {a} and {b} tangents");
+        }
+    }
+}
+
+#[test]
+fn counts_within_counts_are_counted_in_both() {
+    let (outer, inner) = Counts::of(|| {
+        let x = Counted(2.0) * Counted(3.0);
+        let (inner, y) = Counts::of(|| (x + x) / x);
+        assert_eq!(y, Counted(2.0));
+        let _ = -y;
+        inner
+    });
+    assert_eq!(inner, Counts { add: 1, divide: 1, ..NONE });
+    assert_eq!(outer, Counts { add: 1, divide: 1, multiply: 1, negate: 1, ..NONE });
+    assert_eq!(outer - inner, Counts { multiply: 1, negate: 1, ..NONE });
+    assert_eq!((outer.total(), inner.total(), Counts::default().total()), (4, 2, 0));
+    assert_eq!(outer.to_string(), "1 add, 1 negate, 1 multiply, 1 divide");
+    assert_eq!(Counts::default().to_string(), "nothing");
+}
+
+/// A mass on a spring that stiffens, q' = q + v' dt, v' = v + (u - q³) dt: 4 multiplications, 3 additions. With its
+/// derivatives by hand, or without.
+struct Spring<const BY_HAND: bool>;
+
+const DT: f64 = 0.1;
+
+impl<const BY_HAND: bool> System for Spring<BY_HAND> {
+    fn state_dim(&self) -> usize {
+        2
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        next[1] = x[1] + (u[0] - x[0] * x[0] * x[0]) * T::lift(DT);
+        next[0] = x[0] + next[1] * T::lift(DT);
+    }
+    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        if !BY_HAND {
+            return ByDuals(self).vjp(x, u, next_bar, x_bar, u_bar);
+        }
+        let dt = R::lift(DT);
+        let speed_bar = next_bar[1] + next_bar[0] * dt;
+        x_bar[0] = next_bar[0] - speed_bar * (R::lift(3.0) * x[0] * x[0] * dt);
+        x_bar[1] = speed_bar;
+        u_bar[0] = speed_bar * dt;
+    }
+}
+
+/// A system with nothing but its step.
+struct ByDuals<'a, S>(&'a S);
+
+impl<S: System> System for ByDuals<'_, S> {
+    fn state_dim(&self) -> usize {
+        self.0.state_dim()
+    }
+    fn control_dim(&self) -> usize {
+        self.0.control_dim()
+    }
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        self.0.step(x, u, next);
+    }
+}
+
+/// Cost of step, `vjp`, `vjp_state` and `vjp_control` of a spring, with cotangents of one kind.
+fn spring<S: System, C: Cotangent<Counted>>(system: &S, bar: C) -> [Counts; 4] {
+    let (x, u) = ([Counted(0.3), Counted(-1.2)], [Counted(0.8)]);
+    let (mut next, mut x_bar, mut u_bar) = (x, [bar; 2], [bar; 1]);
+    [
+        Counts::of(|| system.step(&x, &u, &mut next)).0,
+        Counts::of(|| system.vjp(&x, &u, &[bar; 2], &mut x_bar, &mut u_bar)).0,
+        Counts::of(|| system.vjp_state(&x, &u, &[bar; 2], &mut x_bar)).0,
+        Counts::of(|| system.vjp_control(&x, &u, &[bar; 2], &mut u_bar)).0,
+    ]
+}
+
+#[test]
+fn a_spring_costs_what_it_does_by_hand() {
+    let counts = |multiply, add, negate| Counts { multiply, add, negate, ..NONE };
+    let step = counts(4, 3, 0);
+    let (one, two) = (Counted(0.7), Columns([Counted(0.7), Counted(-0.4)]));
+
+    // By hand: 3 multiplications for 3 q² dt; of cotangents one by dt, one by that, one by dt again; 2 sums. Only what is
+    // done to the cotangents is done once more for a second column.
+    assert_eq!(spring(&Spring::<true>, one)[..2], [step, counts(3 + 3, 2, 0)]);
+    assert_eq!(spring(&Spring::<true>, two)[..2], [step, counts(3 + 2 * 3, 2 * 2, 0)]);
+
+    // By duals, with q, v and u as variables, all of them at once. Both factors vary in q·q and q²·q: 9 multiplications
+    // and 4 sums each. dt is a constant: 5 multiplications, twice. 3 sums of variables: 5 each. Then the 3 inputs' columns of
+    // 2 slopes, with a product and a sum each.
+    let both = |columns: u64| counts(9 + 9 + 5 + 5 + columns * 6, 4 + 4 + 3 * 5 + columns * 6, 0);
+    // u is a constant: u - q³ is one sum and the 4 tangents change sign. 2 inputs.
+    let state = |columns: u64| counts(9 + 9 + 5 + 5 + columns * 4, 4 + 4 + 1 + 2 * 5 + columns * 4, 4);
+    // u alone varies: q³ is two multiplications, and no sum has two variables. 1 input.
+    let control = |columns: u64| counts(1 + 1 + 5 + 5 + columns * 2, 3 + columns * 2, 0);
+    assert_eq!(spring(&Spring::<false>, one), [step, both(1), state(1), control(1)]);
+    assert_eq!(spring(&Spring::<false>, two), [step, both(2), state(2), control(2)]);
+}
+
+/// The steps of a system and its derivatives, as bits: from random controls, and cotangents in two columns.
+fn bits<R: Real<Real = f64>, S: System>(system: &S, x: &[f64]) -> Vec<u64> {
+    let mut rng = stream(5, Purpose::Check, 0);
+    let mut draw = |len: usize| -> Vec<R> { (0..len).map(|_| R::lift(rng.random_range(-1.0..1.0))).collect() };
+    let (n, m) = (system.state_dim(), system.control_dim());
+    let x: Vec<R> = x.iter().map(|&x| R::lift(x)).collect();
+    let (u, bars) = (draw(m), draw(2 * n));
+    let next_bar: Vec<_> = bars.chunks_exact(2).map(|bars| Columns([bars[0], bars[1]])).collect();
+    let mut all = vec![R::zero(); n];
+    let null = Columns::<R, 2>::null();
+    let (mut x_bar, mut state_bar, mut u_bar, mut control_bar) = (vec![null; n], vec![null; n], vec![null; m], vec![null; m]);
+    system.step(&x, &u, &mut all);
+    system.vjp(&x, &u, &next_bar, &mut x_bar, &mut u_bar);
+    system.vjp_state(&x, &u, &next_bar, &mut state_bar);
+    system.vjp_control(&x, &u, &next_bar, &mut control_bar);
+    let columns = [x_bar, state_bar, u_bar, control_bar].concat();
+    all.extend(columns.iter().flat_map(|c| c.0));
+    all.iter().map(|number| number.lane(0).to_bits()).collect()
+}
+
+fn counted_is_f64<T: Task>(task: &T) {
+    for sample in 0..4 {
+        let mut x = vec![0.0; task.system().state_dim()];
+        task.start(&mut stream(6, Purpose::Train, sample), &mut x);
+        assert_eq!(bits::<Counted, _>(task.system(), &x), bits::<f64, _>(task.system(), &x));
+        let by_duals = ByDuals(task.system());
+        assert_eq!(bits::<Counted, _>(&by_duals, &x), bits::<f64, _>(&by_duals, &x));
+    }
+}
+
+#[test]
+fn systems_have_the_bits_of_f64() {
+    counted_is_f64(&CartPole::new(2));
+    counted_is_f64(&Guidance::new(2, 4));
+    counted_is_f64(&Quantum::new(3));
+}
