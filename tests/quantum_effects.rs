@@ -7,7 +7,10 @@ use physgrad::tasks::{
     Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode, Quantum, QuantumEffect,
     QuantumSystem,
 };
-use physgrad::{Actuated, Around, Cotangent, Delay, Effect, Limit, LimitKind, Real, Scalar, Substeps, System, Task, With, check};
+use physgrad::{
+    Actuated, Around, Cotangent, Counted, Counts, Delay, Effect, Limit, LimitKind, Real, Scalar, Substeps, System, Task, With,
+    check,
+};
 use rand::RngExt;
 use std::f64::consts::{PI, TAU};
 
@@ -209,6 +212,70 @@ fn a_list_has_the_numbers_of_a_tuple_and_what_does_nothing_changes_none() {
             assert_eq!(alone, everything(&Absorbing { system, edges }, &x, u[0]));
         }
     }
+}
+
+/// What a step, `vjp`, `vjp_state` and `vjp_control` do.
+fn counts<S: System>(system: &S) -> [Counts; 4] {
+    let n = system.state_dim();
+    let x: Vec<Counted> = (0..n).map(|i| Counted(Scalar::sin(i as f64))).collect();
+    let (u, mut next, mut x_bar, mut u_bar) = ([Counted(3.0)], x.clone(), x.clone(), [Counted(0.0)]);
+    [
+        Counts::of(|| system.step(&x, &u, &mut next)).0,
+        Counts::of(|| system.vjp(&x, &u, &x, &mut x_bar, &mut u_bar)).0,
+        Counts::of(|| system.vjp_state(&x, &u, &x, &mut x_bar)).0,
+        Counts::of(|| system.vjp_control(&x, &u, &x, &mut u_bar)).0,
+    ]
+}
+
+fn sums(add: u64, multiply: u64) -> Counts {
+    Counts { add, multiply, ..Counts::default() }
+}
+
+#[test]
+fn an_effect_costs_its_own_operations_and_no_others() {
+    let (body, n) = (box_of(32), 32);
+    let plain = counts(&body);
+    let solve = sums(8 * n - 6, 12 * n - 8);
+    // The potential is one multiplication; a pivot is 4 additions, 7 multiplications, a change of sign and a division.
+    let eliminated = Counts { divide: n, negate: n, ..sums(4 * n, 8 * n + 1) };
+    assert_eq!(plain[0], eliminated + solve + sums(4 * n, 0));
+    // Eliminated and conjugated, and solved once.
+    let state = eliminated + Counts { negate: n + 1, ..solve } + sums(4 * n, 0);
+    assert_eq!(plain[2], state);
+    // Solved twice; and the cotangents of the potential and of the control.
+    let potential = sums(3 * n, 3 * n);
+    let control = sums(n, n);
+    assert_eq!(plain[1], state + solve + potential + control);
+    assert_eq!(plain[3], plain[1]);
+    assert_eq!(counts(&dipole(32)), plain);
+    assert_eq!(counts(&With { system: body, effects: () }), plain);
+    assert_eq!(counts(&With { system: body, effects: Vec::<QuantumEffect>::new() }), plain);
+
+    // The cubic term reads the state, so that the state's cotangent needs the second solve.
+    let (act, act_and_reverse) = (sums(2 * n, 3 * n), sums(4 * n, 6 * n));
+    let cubic = [act, act_and_reverse, act_and_reverse + solve + potential, act];
+    let added = |effect: &QuantumEffect| match effect {
+        QuantumEffect::Cubic(_) => cubic,
+        _ => [sums(n, 0); 4],
+    };
+    let mut all = plain;
+    for effect in every_effect() {
+        let found = counts(&With { system: body, effects: vec![effect.clone()] });
+        let more = added(&effect);
+        for i in 0..4 {
+            assert_eq!(found[i], plain[i] + more[i], "{effect:?}, {i}");
+            all[i] += more[i];
+        }
+    }
+    let mut effects = every_effect();
+    assert_eq!(counts(&With { system: body, effects: effects.clone() }), all);
+    effects.reverse();
+    assert_eq!(counts(&With { system: body, effects }), all);
+    assert_eq!(counts(&With { system: body, effects: every_effect_typed() }), all);
+
+    // Points at 2 j / 33: three are within 0.2 of either wall.
+    let edges = counts(&Absorbing { system: body, edges: AbsorbingEdges { width: 0.2, strength: 1.0 } });
+    assert_eq!(edges, plain.map(|plain| plain + sums(0, 2 * 6)));
 }
 
 #[test]
