@@ -12,5 +12,7 @@ pub use cart_pole::{
 };
 pub use guidance::{Center, Guidance, GuidanceSystem};
 pub use loss::LossMode;
-pub use quantum::{Quantum, QuantumSystem};
+pub use quantum::{
+    Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, Quantum, QuantumEffect, QuantumSystem,
+};
 pub use toy::{Bowl, Integrator, Reach};

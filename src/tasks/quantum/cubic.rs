@@ -1,0 +1,48 @@
+//! Many particles in one wave.
+
+use super::QuantumSystem;
+use crate::effect::Effect;
+use crate::scalar::{Cotangent, Real, Scalar};
+use serde::{Deserialize, Serialize};
+
+/// What particles of one wave, a Bose-Einstein condensate, do to each other: `V_j = strength |ψ_j|² / dx`.
+///
+/// The equation of Gross 1961 (doi:10.1007/BF02731494) and Pitaevskii 1961 (Sov. Phys. JETP 13, 451),
+/// `i ∂ψ/∂t = -∂²ψ/∂x² + V ψ + strength |ψ|² ψ`. Its ψ has `∫ |ψ|² dx = 1`; a state has `Σ_j |ψ_j|² = 1`, so that
+/// `|ψ_j|² / dx` is the density of probability.
+///
+/// The density is that of the state in which the step begins: the step stays unitary and one solve, and is of the first
+/// order in dt.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Cubic {
+    /// Energy times length; positive repels, negative attracts.
+    pub strength: f64,
+}
+
+impl Default for Cubic {
+    fn default() -> Self {
+        Self { strength: 5.0 }
+    }
+}
+
+impl Effect<QuantumSystem> for Cubic {
+    #[inline(always)]
+    fn act<T: Scalar>(&self, body: &QuantumSystem, x: &[T], potential: &mut [T]) {
+        let strength = T::lift(self.strength / body.spacing());
+        for (v, psi) in potential.iter_mut().zip(x.chunks_exact(2)) {
+            *v += strength * (psi[0] * psi[0] + psi[1] * psi[1]);
+        }
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &QuantumSystem, x: &[R], potential_bar: &[C], x_bar: &mut [C]) {
+        let twice = R::lift(2.0 * self.strength / body.spacing());
+        for ((&v_bar, psi), x_bar) in potential_bar.iter().zip(x.chunks_exact(2)).zip(x_bar.chunks_exact_mut(2)) {
+            let v_bar = v_bar * twice;
+            x_bar[0] += v_bar * psi[0];
+            x_bar[1] += v_bar * psi[1];
+        }
+    }
+}
