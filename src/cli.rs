@@ -6,6 +6,8 @@ mod changes;
 mod check;
 mod compare;
 mod document;
+mod effects;
+mod explain;
 mod folder;
 mod kind;
 mod outputs;
@@ -51,6 +53,8 @@ enum Command {
     Tasks,
     Scene(print::Scene),
     Schema(print::Schema),
+    Explain(explain::Explain),
+    Effects(effects::Effects),
 }
 
 /// Exit status of a run that was interrupted, and saved.
@@ -81,6 +85,8 @@ fn execute(command: &Command) -> Result<()> {
         Command::Tasks => tasks::tasks(),
         Command::Scene(args) => print::scene(args),
         Command::Schema(args) => print::schema(args),
+        Command::Explain(args) => explain::explain(args),
+        Command::Effects(args) => effects::effects(args),
     }
 }
 

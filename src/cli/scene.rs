@@ -3,11 +3,13 @@
 use super::any_run::{AnyRun, Open};
 use super::check::{Checking, Results};
 use super::document::OPTIONAL;
+use super::explain::{Costing, Storing};
 use super::kind::{AnyKind, Kind};
 use super::problem::Problem;
 use super::settings::{FieldName, Precision, Settings};
 use anyhow::Result;
 use physgrad::report::Animation;
+use physgrad::{Cost, Field};
 use std::ops::Deref;
 use std::sync::Arc;
 use toml::{Table, Value};
@@ -20,6 +22,8 @@ pub struct Scene {
     pub precision: Precision,
     pub seed: u64,
     pub epochs: usize,
+    /// Steps of one rollout.
+    pub horizon: usize,
     /// All settings.
     pub table: Table,
     settings: Arc<dyn AnySettings>,
@@ -31,6 +35,10 @@ pub trait AnySettings: Send + Sync {
     fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>>;
     /// Checks the gradients of what they describe, called `variant` in the results.
     fn check(&self, variant: &str, results: &mut Results);
+    /// Operations of a step of the physics and of its reverse.
+    fn cost(&self) -> Cost;
+    /// Bytes of a rollout of a few samples, with the adjoint of a field or for evaluation.
+    fn stored(&self, field: Option<Field>) -> usize;
     /// Seconds per step.
     fn dt(&self) -> f64;
     fn state_names(&self) -> Vec<String>;
@@ -47,6 +55,14 @@ impl<K: Kind> AnySettings for Settings<K> {
 
     fn check(&self, variant: &str, results: &mut Results) {
         self.visit(Checking { variant, results });
+    }
+
+    fn cost(&self) -> Cost {
+        self.visit(Costing)
+    }
+
+    fn stored(&self, field: Option<Field>) -> usize {
+        self.visit(Storing { precision: self.precision, field })
     }
 
     fn dt(&self) -> f64 {
@@ -78,8 +94,8 @@ impl Deref for Scene {
 
 impl Scene {
     pub fn new<K: Kind>(kind: &'static dyn AnyKind, settings: Settings<K>) -> Self {
-        let Settings { field, precision, seed, epochs, .. } = settings;
-        Self { kind, field, precision, seed, epochs, table: settings.table(), settings: Arc::new(settings) }
+        let Settings { field, precision, seed, epochs, horizon, .. } = settings;
+        Self { kind, field, precision, seed, epochs, horizon, table: settings.table(), settings: Arc::new(settings) }
     }
 
     /// The same with another field and seed.

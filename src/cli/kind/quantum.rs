@@ -1,11 +1,14 @@
 //! Quantum control in the program.
 
 use super::{Info, Kind, Network, Visit};
-use crate::cli::problem::{Problem, allowed, count, positive};
+use crate::cli::problem::{Problem, allowed, count, exclusive, finite, not_negative, positive};
 use crate::cli::settings::Settings;
 use physgrad::policy::Conv;
 use physgrad::report::{self, Animation};
-use physgrad::tasks::{self, LossMode, QuantumSystem};
+use physgrad::tasks::{
+    self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode, QuantumEffect, QuantumSystem,
+};
+use physgrad::{Around, With};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -23,16 +26,73 @@ pub struct QuantumSettings {
     length: f64,
     /// Time step.
     dt: f64,
+    /// What the control makes of the floor.
+    control: ControlShape,
     /// Number of the eigenstate to reach; 1 is the ground state.
     target: usize,
     /// How strongly the first and the second eigenstate come into the start states.
     weighting: [f64; 2],
 }
 
-/// `effects` of quantum control.
+/// `effects` of quantum control, in the order in which they are computed.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct QuantumEffects {}
+pub struct QuantumEffects {
+    /// A harmonic trap.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    harmonic: Option<Harmonic>,
+    /// A barrier, or a well, in the box.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    barrier: Option<Barrier>,
+    /// Two wells with a hill between them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    double_well: Option<DoubleWell>,
+    /// The cubic term of Gross and Pitaevskii: the particle is a condensate that acts on itself.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cubic: Option<Cubic>,
+    /// Walls that swallow what runs into them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    absorbing_edges: Option<AbsorbingEdges>,
+}
+
+impl QuantumEffects {
+    /// What adds to the potential.
+    fn list(&self) -> Vec<QuantumEffect> {
+        let Self { harmonic, barrier, double_well, cubic, absorbing_edges: _ } = self.clone();
+        let effects: [Option<QuantumEffect>; 4] =
+            [harmonic.map(Into::into), barrier.map(Into::into), double_well.map(Into::into), cubic.map(Into::into)];
+        effects.into_iter().flatten().collect()
+    }
+
+    fn validate(&self) -> Result<(), Problem> {
+        if let Some(Harmonic { stiffness, center }) = self.harmonic {
+            finite("effects.harmonic.stiffness", stiffness)?;
+            finite("effects.harmonic.center", center)?;
+        }
+        if let Some(Barrier { height, width, center }) = self.barrier {
+            finite("effects.barrier.height", height)?;
+            positive("effects.barrier.width", width)?;
+            finite("effects.barrier.center", center)?;
+        }
+        if let Some(DoubleWell { height, separation }) = self.double_well {
+            finite("effects.double_well.height", height)?;
+            positive("effects.double_well.separation", separation)?;
+        }
+        if let Some(Cubic { strength }) = self.cubic {
+            finite("effects.cubic.strength", strength)?;
+        }
+        if let Some(AbsorbingEdges { width, strength }) = self.absorbing_edges {
+            positive("effects.absorbing_edges.width", width)?;
+            not_negative("effects.absorbing_edges.strength", strength)?;
+        }
+        let potentials = [
+            ("harmonic", self.harmonic.is_some()),
+            ("barrier", self.barrier.is_some()),
+            ("double_well", self.double_well.is_some()),
+        ];
+        exclusive(&potentials, "there is one static potential")
+    }
+}
 
 /// `loss` of quantum control.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
@@ -76,6 +136,13 @@ impl Network for ConvSettings {
     }
 }
 
+/// Hands over the task of bringing this system into its target.
+fn reach<S: Around<QuantumSystem> + Clone + 'static, V: Visit>(system: S, settings: &Settings<Quantum>, visitor: V) -> V::Out {
+    let QuantumSettings { target, weighting, .. } = settings.system;
+    let task = tasks::Quantum { system, target, loss: settings.loss.mode, horizon: settings.horizon, weighting };
+    settings.policy.visit(task, visitor)
+}
+
 impl Kind for Quantum {
     type System = QuantumSettings;
     type Effects = QuantumEffects;
@@ -87,15 +154,34 @@ impl Kind for Quantum {
     const EPOCHS: usize = 200;
     const HORIZON: usize = 128;
 
-    const EFFECTS: &'static [Info] = &[];
+    const EFFECTS: &'static [Info] = &[
+        Info { name: "harmonic", equation: "V = stiffness (ξ - center)²", derivative: "none is needed: it does not see ψ" },
+        Info {
+            name: "barrier",
+            equation: "V = height / cosh²((ξ - center) / width)",
+            derivative: "none is needed: it does not see ψ",
+        },
+        Info {
+            name: "double_well",
+            equation: "V = height ((2 ξ / separation)² - 1)²",
+            derivative: "none is needed: it does not see ψ",
+        },
+        Info { name: "cubic", equation: "V = strength |ψ_j|² / dx", derivative: "by hand" },
+        Info {
+            name: "absorbing_edges",
+            equation: "ψ_j ← exp(-dt W) ψ_j, W = strength ((width - d) / width)² at the distance d < width from a wall",
+            derivative: "by hand",
+        },
+    ];
 
     fn system() -> QuantumSettings {
-        let tasks::Quantum { system: QuantumSystem { grid, length, dt }, target, weighting, .. } = tasks::Quantum::new(3);
-        QuantumSettings { grid, length, dt, target, weighting }
+        let tasks::Quantum { system, target, weighting, .. } = tasks::Quantum::new(3);
+        let QuantumSystem { grid, length, dt, control } = system;
+        QuantumSettings { grid, length, dt, control, target, weighting }
     }
 
     fn validate(settings: &Settings<Self>) -> Result<(), Problem> {
-        let QuantumSettings { grid, length, dt, target, weighting: [first, second] } = settings.system;
+        let QuantumSettings { grid, length, dt, target, weighting: [first, second], control: _ } = settings.system;
         // Two convolutions leave nothing of fewer points.
         count("system.grid", grid, 7..=100_000)?;
         count("system.target", target, 1..=grid)?;
@@ -104,18 +190,22 @@ impl Kind for Quantum {
         // Within these limits every start state can be normalized.
         let can_be_normalized = first.is_finite() && second.is_finite() && (1e-6..=1e6).contains(&first.abs().max(second.abs()));
         let weighting = format!("[{first}, {second}]");
-        allowed("system.weighting", weighting, can_be_normalized, "two numbers, the larger in size 1e-6 to 1e6")
+        allowed("system.weighting", weighting, can_be_normalized, "two numbers, the larger in size 1e-6 to 1e6")?;
+        settings.effects.validate()?;
+        // The network's convolutions run over the wave function, and there is no place for other numbers.
+        settings.actuator.without_state("the network of this task sees the wave function alone")
     }
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
-        let task = tasks::Quantum {
-            system: settings.physics(),
-            target: settings.system.target,
-            loss: settings.loss.mode,
-            horizon: settings.horizon,
-            weighting: settings.system.weighting,
-        };
-        settings.policy.visit(task, visitor)
+        let (system, effects) = (settings.physics(), settings.effects.list());
+        if effects.is_empty() && settings.effects.absorbing_edges.is_none() && settings.actuator.is_empty() {
+            return reach(system, settings, visitor);
+        }
+        let system = With { system, effects };
+        match settings.effects.absorbing_edges {
+            Some(edges) => reach(settings.actuator.around(Absorbing { system, edges }, settings.system.dt), settings, visitor),
+            None => reach(settings.actuator.around(system, settings.system.dt), settings, visitor),
+        }
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {
@@ -135,8 +225,12 @@ impl Kind for Quantum {
         (1..=settings.system.grid).flat_map(|j| [format!("re_{j}"), format!("im_{j}")]).collect()
     }
 
-    fn control_names(_settings: &Settings<Self>) -> Vec<String> {
-        vec!["tilt".into()]
+    fn control_names(settings: &Settings<Self>) -> Vec<String> {
+        let name = match settings.system.control {
+            ControlShape::Tilt => "tilt",
+            ControlShape::Dipole => "dipole",
+        };
+        vec![name.into()]
     }
 
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
@@ -149,7 +243,7 @@ impl Kind for Quantum {
 
 impl Settings<Quantum> {
     fn physics(&self) -> QuantumSystem {
-        let QuantumSettings { grid, length, dt, .. } = self.system;
-        QuantumSystem { grid, length, dt }
+        let QuantumSettings { grid, length, dt, control, .. } = self.system;
+        QuantumSystem { grid, length, dt, control }
     }
 }

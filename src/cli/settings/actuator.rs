@@ -52,6 +52,18 @@ impl ActuatorSettings {
         self.lag.map_or(Ok(()), |lag| positive("actuator.lag.time", lag.time))
     }
 
+    /// What adds to the state, where nothing may.
+    pub fn without_state(&self, because: &str) -> Result<(), Problem> {
+        let parts = [("delay", self.delay.is_some()), ("lag", self.lag.is_some())];
+        match parts.into_iter().find(|(_, present)| *present) {
+            Some((name, _)) => Err(Problem::new(
+                format!("actuator.{name}"),
+                format!("adds to the state, and {because}; allowed here: actuator.limit"),
+            )),
+            None => Ok(()),
+        }
+    }
+
     /// Whether there is nothing.
     pub fn is_empty(&self) -> bool {
         self.limit.is_none() && self.delay.is_none() && self.lag.is_none()
