@@ -15,10 +15,15 @@ use toml::{Table, Value};
 /// Settings that have been read and can be used.
 #[derive(Clone)]
 pub struct Scene {
+    /// What its task name stands for.
     pub kind: &'static dyn AnyKind,
+    /// The field to follow.
     pub field: FieldName,
+    /// The precision of all numbers.
     pub precision: Precision,
+    /// The seed of start states and parameters.
     pub seed: u64,
+    /// Epochs in all.
     pub epochs: usize,
     /// All settings.
     pub table: Table,
@@ -33,7 +38,9 @@ pub trait AnySettings: Send + Sync {
     fn check(&self, variant: &str, results: &mut Results);
     /// Seconds per step.
     fn dt(&self) -> f64;
+    /// What the components of the state are called.
     fn state_names(&self) -> Vec<String>;
+    /// What the components of the control are called.
     fn control_names(&self) -> Vec<String>;
     /// A rollout that moves: states and controls step by step.
     fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
@@ -75,6 +82,7 @@ impl Deref for Scene {
 }
 
 impl Scene {
+    /// The scene of settings that have been checked.
     pub fn new<K: Kind>(kind: &'static dyn AnyKind, settings: Settings<K>) -> Self {
         let Settings { field, precision, seed, epochs, .. } = settings;
         Self { kind, field, precision, seed, epochs, table: settings.table(), settings: Arc::new(settings) }
