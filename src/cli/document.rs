@@ -32,7 +32,7 @@ impl Document {
 
     /// The text of the file of this name.
     pub fn parse(name: &str, text: &str) -> Result<Self> {
-        let line = |at: usize| format!("{name}:{}", 1 + text[..at.min(text.len())].matches('\n').count());
+        let line = |at: usize| format!("{name}:{}", 1 + text.bytes().take(at).filter(|&byte| byte == b'\n').count());
         let wrong = |error: toml::de::Error| anyhow!("{}: {error}", line(error.span().map_or(0, |span| span.start)));
         let parsed = DeTable::parse(text).map_err(wrong)?;
         let mut origins = HashMap::new();
@@ -69,6 +69,8 @@ impl Document {
             bail!("{option}: `{key}` is a section; set one of its keys: {}", keys.join(", "));
         }
         inner.insert(last.into(), value);
+        // What was within the old value is gone.
+        self.origins.retain(|other, _| !other.strip_prefix(key).is_some_and(|rest| rest.starts_with(['.', '['])));
         self.origins.insert(key.to_owned(), option.to_owned());
         Ok(())
     }
@@ -97,12 +99,12 @@ impl Document {
     fn checked(&self) -> Result<Scene, Problem> {
         match self.table.get("scene") {
             None => {
-                let what = format!("is missing; a scene begins with `scene = {}`, the version of the format", VERSION);
+                let what = format!("is missing; a scene begins with `scene = {VERSION}`, the version of the format");
                 return Err(Problem::new("scene", what));
             }
             Some(Value::Integer(VERSION)) => {}
             Some(other) => {
-                let what = format!("is {other}; this version of physgrad reads scenes of version {}", VERSION);
+                let what = format!("is {other}; this version of physgrad reads scenes of version {VERSION}");
                 return Err(Problem::new("scene", what));
             }
         }
@@ -205,6 +207,8 @@ mod tests {
         document.put("effects.rain.rate", Value::Integer(2), "--set").expect("another");
         assert_eq!(document.table["effects"]["rain"]["rate"].as_integer(), Some(2));
         assert_eq!([document.origin("effects.rain"), document.origin("effects.rain.rate")], ["--set"; 2]);
+        document.put("effects.walls", Value::Integer(2), "--set walls").expect("a list is a value");
+        assert_eq!(document.origin("effects.walls[0].x"), "--set walls", "the line of the old one is forgotten");
         let error = document.put("effects.rain", Value::Integer(2), "--set").expect_err("a section").to_string();
         assert!(error.ends_with("set one of its keys: effects.rain.rate"), "{error}");
     }

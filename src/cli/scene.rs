@@ -17,10 +17,15 @@ use toml::{Table, Value};
 /// Settings that have been read and can be used.
 #[derive(Clone)]
 pub struct Scene {
+    /// What its task name stands for.
     pub kind: &'static dyn AnyKind,
+    /// The field to follow.
     pub field: FieldName,
+    /// The precision of all numbers.
     pub precision: Precision,
+    /// The seed of start states and parameters.
     pub seed: u64,
+    /// Epochs in all.
     pub epochs: usize,
     /// Steps of one rollout.
     pub horizon: usize,
@@ -41,7 +46,9 @@ pub trait AnySettings: Send + Sync {
     fn stored(&self, field: Option<Field>) -> usize;
     /// Seconds per step.
     fn dt(&self) -> f64;
+    /// What the components of the state are called.
     fn state_names(&self) -> Vec<String>;
+    /// What the components of the control are called.
     fn control_names(&self) -> Vec<String>;
     /// A rollout that moves: states and controls step by step.
     fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
@@ -93,6 +100,7 @@ impl Deref for Scene {
 }
 
 impl Scene {
+    /// The scene of settings that have been checked.
     pub fn new<K: Kind>(kind: &'static dyn AnyKind, settings: Settings<K>) -> Self {
         let Settings { field, precision, seed, epochs, horizon, .. } = settings;
         Self { kind, field, precision, seed, epochs, horizon, table: settings.table(), settings: Arc::new(settings) }
