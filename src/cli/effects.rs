@@ -1,6 +1,5 @@
 //! `physgrad effects`: every effect there is, as a page.
 
-use super::explain::Costing;
 use super::kind::{AnyKind, Info, KINDS};
 use super::settings::ACTUATORS;
 use super::terminal::say;
