@@ -55,7 +55,7 @@ pub struct Bars<'a, C> {
 
 /// [`Actuator::reverse`] of any actuator, exact, from `step` alone.
 #[inline]
-fn reverse_by_duals<A: Actuator + ?Sized, R: Real, C: Cotangent<R>>(
+fn reverse_by_duals<A: Actuator, R: Real, C: Cotangent<R>>(
     actuator: &A,
     own: &[R],
     u: &[R],

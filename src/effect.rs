@@ -64,7 +64,7 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
 
 /// The transposed Jacobian product of any effect, exact, from `act` alone.
 #[inline]
-pub(crate) fn effect_vjp_by_duals<B, E: Effect<B> + ?Sized, R: Real, C: Cotangent<R>>(
+pub(crate) fn effect_vjp_by_duals<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
     effect: &E,
     body: &B,
     x: &[R],
