@@ -49,8 +49,8 @@ impl Effect<GuidanceSystem> for Obstacles {
     #[inline(always)]
     fn act<T: Scalar>(&self, body: &GuidanceSystem, x: &[T], forces: &mut [T]) {
         let stiffness = T::lift(self.stiffness);
-        for &center in &self.centers {
-            for (force, agent) in forces.chunks_exact_mut(2).zip(x.chunks_exact(AGENT)) {
+        for (force, agent) in forces.chunks_exact_mut(2).zip(x.chunks_exact(AGENT)) {
+            for &center in &self.centers {
                 let r = way(agent, center);
                 let push = stiffness * Gap::new(r, body.softening).depth_share(self.radius);
                 force[0] += push * r[0];
@@ -61,11 +61,11 @@ impl Effect<GuidanceSystem> for Obstacles {
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, body: &GuidanceSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        for &center in &self.centers {
-            let agents = x.chunks_exact(AGENT).zip(x_bar.chunks_exact_mut(AGENT));
-            for (force_bar, (agent, x_bar)) in forces_bar.chunks_exact(2).zip(agents) {
+        let agents = x.chunks_exact(AGENT).zip(x_bar.chunks_exact_mut(AGENT));
+        for (force_bar, (agent, x_bar)) in forces_bar.chunks_exact(2).zip(agents) {
+            let force_bar = [force_bar[0], force_bar[1]];
+            for &center in &self.centers {
                 let gap = Gap::new(way(agent, center), body.softening);
-                let force_bar = [force_bar[0], force_bar[1]];
                 let [by_x, by_y] = gap.depth_vjp(self.radius, body.softening, self.stiffness, force_bar);
                 x_bar[0] += by_x;
                 x_bar[1] += by_y;

@@ -173,15 +173,11 @@ impl Host for GuidanceSystem {
         effects.act(self, x, forces);
 
         let dt = T::lift(self.dt);
-        for (agent, x) in x.chunks_exact(AGENT).take(self.agents()).enumerate() {
+        for agent in 0..self.agents() {
             // What this agent overwrites is its own acceleration and that of agents before it.
-            let force = [next[half + 2 * agent], next[half + 2 * agent + 1]];
-            next[AGENT * agent..][..AGENT].copy_from_slice(&[
-                x[0] + dt * x[2],
-                x[1] + dt * x[3],
-                x[2] + dt * force[0],
-                x[3] + dt * force[1],
-            ]);
+            let (force, at) = ([next[half + 2 * agent], next[half + 2 * agent + 1]], AGENT * agent);
+            (next[at], next[at + 1]) = (x[at] + dt * x[at + 2], x[at + 1] + dt * x[at + 3]);
+            (next[at + 2], next[at + 3]) = (x[at + 2] + dt * force[0], x[at + 3] + dt * force[1]);
         }
     }
 
