@@ -27,16 +27,20 @@ impl Default for Friction {
 }
 
 impl Friction {
-    fn of(&self, body: &GuidanceSystem, agent: usize) -> f64 {
-        if agent < body.drivers { self.drivers } else { self.evaders }
+    /// The coefficient of every agent, as numbers of one kind.
+    #[inline(always)]
+    fn each<T: Scalar>(&self, body: &GuidanceSystem) -> impl Fn(usize) -> T {
+        let (split, drivers, evaders) = (body.drivers, T::lift(self.drivers), T::lift(self.evaders));
+        move |agent| if agent < split { drivers } else { evaders }
     }
 }
 
 impl Effect<GuidanceSystem> for Friction {
     #[inline(always)]
     fn act<T: Scalar>(&self, body: &GuidanceSystem, x: &[T], forces: &mut [T]) {
+        let each = self.each::<T>(body);
         for (agent, (force, x)) in forces.chunks_exact_mut(2).zip(x.chunks_exact(AGENT)).enumerate() {
-            let friction = T::lift(self.of(body, agent));
+            let friction = each(agent);
             force[0] -= friction * x[2];
             force[1] -= friction * x[3];
         }
@@ -44,8 +48,9 @@ impl Effect<GuidanceSystem> for Friction {
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, body: &GuidanceSystem, _x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        let each = self.each::<R>(body);
         for (agent, (force_bar, x_bar)) in forces_bar.chunks_exact(2).zip(x_bar.chunks_exact_mut(AGENT)).enumerate() {
-            let friction = R::lift(self.of(body, agent));
+            let friction = each(agent);
             x_bar[2] -= force_bar[0] * friction;
             x_bar[3] -= force_bar[1] * friction;
         }

@@ -29,13 +29,15 @@ fn add_gap_bar<R, C: Cotangent<R>>([x, y]: [C; 2], a: usize, b: usize, x_bar: &m
 #[inline(always)]
 pub(super) fn among<T: Scalar>(body: &GuidanceSystem, law: Law, agents: Range<usize>, x: &[T], forces: &mut [T]) {
     for a in agents.clone() {
+        let mut felt = [forces[2 * a], forces[2 * a + 1]];
         for b in a + 1..agents.end {
             let [along_x, along_y] = gap(body, x, a, b).force(law);
             forces[2 * b] += along_x;
             forces[2 * b + 1] += along_y;
-            forces[2 * a] -= along_x;
-            forces[2 * a + 1] -= along_y;
+            felt[0] -= along_x;
+            felt[1] -= along_y;
         }
+        (forces[2 * a], forces[2 * a + 1]) = (felt[0], felt[1]);
     }
 }
 
@@ -68,11 +70,13 @@ pub(super) fn from_to<T: Scalar>(
     forces: &mut [T],
 ) {
     for b in agents {
+        let mut felt = [forces[2 * b], forces[2 * b + 1]];
         for a in sources.clone() {
             let [along_x, along_y] = gap(body, x, a, b).force(law);
-            forces[2 * b] += along_x;
-            forces[2 * b + 1] += along_y;
+            felt[0] += along_x;
+            felt[1] += along_y;
         }
+        (forces[2 * b], forces[2 * b + 1]) = (felt[0], felt[1]);
     }
 }
 

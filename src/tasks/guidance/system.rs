@@ -114,14 +114,9 @@ impl GuidanceSystem {
         }
     }
 
-    /// Cotangents of the state by inertia and steering, from those of the next state and of the accelerations.
+    /// Adds the cotangents of the state by steering, from those of the accelerations.
     #[inline(always)]
-    fn reverse_state<R: Real, C: Cotangent<R>>(&self, u: &[R], next_bar: &[C], forces_bar: &[C], x_bar: &mut [C]) {
-        let dt = R::lift(self.dt);
-        for (bar, next) in x_bar.chunks_exact_mut(AGENT).zip(next_bar.chunks_exact(AGENT)) {
-            (bar[0], bar[1]) = (next[0], next[1]);
-            (bar[2], bar[3]) = (next[2] + next[0] * dt, next[3] + next[1] * dt);
-        }
+    fn reverse_steering<R: Real, C: Cotangent<R>>(&self, u: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         // q̄ = (∂v̇/∂q)ᵀ v̇̄, which every evader receives with the opposite sign.
         let mut herd_bar = [C::null(); 2];
         for ((bar, force), c) in x_bar.chunks_exact_mut(AGENT).zip(forces_bar.chunks_exact(2)).zip(u.chunks_exact(2)) {
@@ -196,10 +191,13 @@ impl Host for GuidanceSystem {
         if let Some(x_bar) = x_bar {
             let dt = R::lift(self.dt);
             let mut forces_bar: SmallVec<[C; 2 * STACK]> = smallvec![C::null(); 2 * self.agents()];
-            for (force, next) in forces_bar.chunks_exact_mut(2).zip(next_bar.chunks_exact(AGENT)) {
+            let bars = x_bar.chunks_exact_mut(AGENT).zip(forces_bar.chunks_exact_mut(2));
+            for (next, (x, force)) in next_bar.chunks_exact(AGENT).zip(bars) {
                 (force[0], force[1]) = (next[2] * dt, next[3] * dt);
+                (x[0], x[1]) = (next[0], next[1]);
+                (x[2], x[3]) = (next[2] + next[0] * dt, next[3] + next[1] * dt);
             }
-            self.reverse_state(u, next_bar, &forces_bar, x_bar);
+            self.reverse_steering(u, &forces_bar, x_bar);
             effects.vjp(self, x, &forces_bar, x_bar);
         }
         if let Some(u_bar) = u_bar {
