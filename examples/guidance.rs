@@ -4,12 +4,13 @@
 
 use physgrad::policy::Mlp;
 use physgrad::tasks::Guidance;
-use physgrad::{Field, Rollout, System, TrainError, Trainer, check};
+use physgrad::{Around, Field, Rollout, System, TrainError, Trainer, check};
 
 fn main() -> Result<(), TrainError> {
     let epochs = std::env::args().nth(1).map_or(50, |text| text.parse().expect("a number of epochs"));
     for regularization in [1.0, 0.01] {
         let task = Guidance { regularization, ..Guidance::new(2, 4) };
+        let herds = task.system.body();
         let n = task.system.state_dim();
         let policy = Mlp::new([n, 100, 100, task.system.control_dim()]).zero_last(true);
         check::system(&task.system);
@@ -28,9 +29,9 @@ fn main() -> Result<(), TrainError> {
                 println!("{divergence}");
             }
             let herd = |t: usize| {
-                let at = |evader: usize, axis: usize| rollout.state(t, 0, 4 * (task.system.drivers + evader) + axis);
+                let at = |evader: usize, axis: usize| rollout.state(t, 0, 4 * (herds.drivers + evader) + axis);
                 let distance = |evader| at(evader, 0).hypot(at(evader, 1));
-                (0..task.system.evaders).map(distance).sum::<f32>() / task.system.evaders as f32
+                (0..herds.evaders).map(distance).sum::<f32>() / herds.evaders as f32
             };
             let (start, end) = (herd(0), herd(task.horizon));
             println!(

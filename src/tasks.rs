@@ -10,7 +10,9 @@ pub use cart_pole::{
     Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, PoleDamping,
     SteadyWind,
 };
-pub use guidance::{Center, Guidance, GuidanceSystem};
+pub use guidance::{
+    Center, Drive, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, Herding, Obstacles, Spread, Walls,
+};
 pub use loss::LossMode;
 pub use quantum::{
     Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, Quantum, QuantumEffect, QuantumSystem,

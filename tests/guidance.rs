@@ -2,13 +2,17 @@
 
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
-use physgrad::tasks::{Center, Guidance, GuidanceSystem, LossMode};
-use physgrad::{Columns, Cotangent, Float, Real, Scalar, System, Task, check};
+use physgrad::tasks::{Center, Evade, Flock, Friction, Guidance, GuidanceSystem, Herding, LossMode, Spread};
+use physgrad::{Columns, Cotangent, Float, Real, Scalar, System, Task, With, check};
 use rand::RngExt;
 use serde_json::Value;
 
-fn system(drivers: usize, evaders: usize) -> GuidanceSystem {
-    Guidance::new(drivers, evaders).system
+fn agents(drivers: usize, evaders: usize) -> GuidanceSystem {
+    GuidanceSystem { drivers, evaders, ..GuidanceSystem::default() }
+}
+
+fn system(drivers: usize, evaders: usize) -> Herding {
+    agents(drivers, evaders).herding()
 }
 
 #[test]
@@ -20,28 +24,24 @@ fn systems_of_any_number_of_agents() {
 
 #[test]
 fn systems_with_other_constants() {
-    let system = GuidanceSystem {
-        driver_friction: 0.3,
-        evader_friction: 2.5,
-        driver_repulsion: 1.7,
-        flight: 4.0,
-        flocking: 3.0,
-        flocking_distance: 1.5,
-        softening: 0.4,
-        dt: 0.2,
-        ..system(3, 3)
-    };
+    let effects = (
+        Friction { drivers: 0.3, evaders: 2.5 },
+        Spread { strength: 1.7 },
+        Evade { strength: 4.0 },
+        Flock { strength: 3.0, distance: 1.5 },
+    );
+    let system = With { system: GuidanceSystem { softening: 0.4, dt: 0.2, ..agents(3, 3) }, effects };
     check::system(&system);
 }
 
 #[test]
 fn drivers_may_steer_by_the_mean() {
-    let by_mean = GuidanceSystem { center: Center::Mean, ..system(2, 3) };
+    let by_mean = GuidanceSystem { center: Center::Mean, ..agents(2, 3) }.herding();
     check::system(&by_mean);
     // Then, and only then, everything moved by one way moves by it after the step too.
     let x: Vec<f64> = (0..20).map(|i| (i as f64 * 0.7).sin()).collect();
     let moved: Vec<f64> = x.iter().enumerate().map(|(i, x)| if i % 4 < 2 { x + 3.0 } else { *x }).collect();
-    let largest_change = |system: &GuidanceSystem| {
+    let largest_change = |system: &Herding| {
         let (mut near, mut far) = (vec![0.0; 20], vec![0.0; 20]);
         system.step(&x, &[0.3, -0.2, 1.1, 0.4], &mut near);
         system.step(&moved, &[0.3, -0.2, 1.1, 0.4], &mut far);
@@ -121,7 +121,7 @@ fn steps_and_vjps_are_the_authors() {
         let data = file[key]["data"].as_array().expect("an array");
         data.iter().map(|v| v.as_f64().expect("a number")).collect()
     };
-    let system = GuidanceSystem { dt: file["dt"].as_f64().expect("a number"), ..system(2, 4) };
+    let system = GuidanceSystem { dt: file["dt"].as_f64().expect("a number"), ..agents(2, 4) }.herding();
     let keys = ["state", "control", "next_state", "cotangent", "vjp_state", "vjp_control"];
     let [state, control, next_state, cotangent, vjp_state, vjp_control] = keys.map(numbers);
     assert_eq!(state.len(), 20 * 24);
@@ -141,7 +141,7 @@ fn steps_and_vjps_are_the_authors() {
 }
 
 /// Nothing overridden: every derivative comes from `step` by dual numbers.
-struct ByDuals(GuidanceSystem);
+struct ByDuals(Herding);
 
 impl System for ByDuals {
     fn state_dim(&self) -> usize {
@@ -221,7 +221,7 @@ fn agents_at_one_place_or_worlds_apart() {
 
 /// The acceleration of one evader that flees from one driver, along their separation.
 fn flight<F: Float>(distance: f64) -> (f64, f64) {
-    let system = GuidanceSystem { dt: 1.0, evader_friction: 1.0, ..system(1, 1) };
+    let system = With { system: GuidanceSystem { dt: 1.0, ..agents(1, 1) }, effects: Evade::default() };
     let (along, across) = (F::lift(0.6 * distance), F::lift(0.8 * distance));
     let x = [F::zero(), F::zero(), F::zero(), F::zero(), along, across, F::zero(), F::zero()];
     let mut next = [F::zero(); 8];

@@ -134,7 +134,7 @@ impl Authors for AuthorsGuidance {
         let system = GuidanceSystem { drivers, evaders, dt: number(&file["dt"]), ..GuidanceSystem::default() };
         // Steps and trajectories do not depend on it.
         let regularization = case["regularization"].as_f64().unwrap_or(0.0);
-        Guidance { system, loss: loss_mode(case), regularization, horizon }
+        Guidance { system: system.herding(), loss: loss_mode(case), regularization, horizon }
     }
 
     fn policy(file: &Value, task: &Guidance) -> Mlp {

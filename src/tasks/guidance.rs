@@ -3,11 +3,27 @@
 //! The task of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024), after Ko and Zuazua
 //! 2020 (doi:10.1142/S0218202520400047), with the signs and constants of the authors' code (tum-pbs/StableBPTT).
 
+mod drive;
+mod evade;
+mod flock;
+mod friction;
 mod gap;
+mod obstacles;
+mod pairs;
+mod spread;
 mod system;
+mod walls;
 
+pub use drive::Drive;
+pub use evade::Evade;
+pub use flock::Flock;
+pub use friction::Friction;
+pub use obstacles::Obstacles;
+pub use spread::Spread;
 pub use system::{Center, GuidanceSystem};
+pub use walls::Walls;
 
+use crate::effect::{Around, With, any_effect};
 use crate::rng::Rng;
 use crate::scalar::{Real, Scalar};
 use crate::task::Task;
@@ -16,16 +32,33 @@ use rand::RngExt;
 use std::f64::consts::TAU;
 use system::AGENT;
 
+any_effect! {
+    /// Any effect of guidance.
+    GuidanceEffect of GuidanceSystem: Friction, Spread, Evade, Flock, Drive, Obstacles, Walls
+}
+
+/// The physics of the paper.
+pub type Herding = With<GuidanceSystem, (Friction, Spread, Evade, Flock)>;
+
+impl GuidanceSystem {
+    /// With the effects of the paper, and their defaults.
+    pub fn herding(self) -> Herding {
+        With { system: self, effects: Default::default() }
+    }
+}
+
 /// Bring the evaders to the origin with little control. The loss, in m²:
 ///
 /// ```text
 /// mean over evaders k and coordinates of E_k² (and over time, or at the end)
 ///   + regularization · mean over time, drivers j and their two numbers of c_j²
 /// ```
+///
+/// `S` is any system around a [`GuidanceSystem`]: alone, with effects, behind an actuator.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Guidance {
+pub struct Guidance<S = Herding> {
     /// The physics.
-    pub system: GuidanceSystem,
+    pub system: S,
     /// When the positions are paid for; controls always are.
     pub loss: LossMode,
     /// Price of the mean, over all steps, drivers and their two numbers, of the squared controls; in m² s⁴, since the
@@ -39,30 +72,36 @@ impl Guidance {
     /// The paper's task: 60 steps in 4 s, every state counts, regularization 1. The paper has 2 drivers and 4 evaders,
     /// and also the regularizations 0.1, 0.01 and 0.001.
     pub fn new(drivers: usize, evaders: usize) -> Self {
-        let system = GuidanceSystem { drivers, evaders, ..GuidanceSystem::default() };
+        Self::around(GuidanceSystem { drivers, evaders, ..GuidanceSystem::default() }.herding())
+    }
+}
+
+impl<S: Around<GuidanceSystem>> Guidance<S> {
+    /// The paper's task with another system: 60 steps, every state counts, regularization 1.
+    pub fn around(system: S) -> Self {
         Self { system, loss: LossMode::Continuous, regularization: 1.0, horizon: 60 }
     }
 
     /// The weight of one squared control.
     fn control_weight(&self) -> f64 {
-        self.regularization / (2 * self.system.drivers * self.horizon) as f64
+        self.regularization / (2 * self.system.body().drivers * self.horizon) as f64
     }
 
     /// The weight of one squared coordinate of an evader, in a state on the way.
     fn stage_weight(&self) -> f64 {
-        1.0 / (2 * self.system.evaders * self.horizon) as f64
+        1.0 / (2 * self.system.body().evaders * self.horizon) as f64
     }
 
     /// The weight of one squared coordinate of an evader, in the last state.
     fn terminal_weight(&self) -> f64 {
-        1.0 / (2 * self.system.evaders) as f64
+        1.0 / (2 * self.system.body().evaders) as f64
     }
 
     /// Sum of the evaders' squared coordinates, times a weight.
     #[inline(always)]
     fn distances<T: Scalar>(&self, weight: f64, x: &[T]) -> T {
         let mut squares = T::zero();
-        for evader in self.system.evaders_of(x) {
+        for evader in self.system.body().evaders_of(x) {
             squares += evader[0] * evader[0] + evader[1] * evader[1];
         }
         squares * T::lift(weight)
@@ -73,16 +112,17 @@ impl Guidance {
     fn distances_gradient<R: Real>(&self, weight: f64, x: &[R], x_bar: &mut [R]) {
         x_bar.fill(R::zero());
         let slope = R::lift(2.0 * weight);
-        for (bar, evader) in x_bar[AGENT * self.system.drivers..].chunks_exact_mut(AGENT).zip(self.system.evaders_of(x)) {
+        let body = self.system.body();
+        for (bar, evader) in x_bar[AGENT * body.drivers..].chunks_exact_mut(AGENT).zip(body.evaders_of(x)) {
             (bar[0], bar[1]) = (evader[0] * slope, evader[1] * slope);
         }
     }
 }
 
-impl Task for Guidance {
-    type System = GuidanceSystem;
+impl<S: Around<GuidanceSystem>> Task for Guidance<S> {
+    type System = S;
 
-    fn system(&self) -> &GuidanceSystem {
+    fn system(&self) -> &S {
         &self.system
     }
 
@@ -98,8 +138,10 @@ impl Task for Guidance {
             let radius = rng.random_range(inner..inner + 1.0);
             [radius * cos, radius * sin]
         };
-        x.fill(0.0);
-        let (drivers, evaders) = x.split_at_mut(AGENT * self.system.drivers);
+        let body = self.system.body();
+        let own = &mut x[..AGENT * body.agents()];
+        own.fill(0.0);
+        let (drivers, evaders) = own.split_at_mut(AGENT * body.drivers);
         for driver in drivers.chunks_exact_mut(AGENT) {
             driver[..2].copy_from_slice(&ring(rng, 3.0));
         }
@@ -109,6 +151,7 @@ impl Task for Guidance {
                 *x = center + rng.random_range(-0.5..0.5);
             }
         }
+        self.system.start_beyond(rng, x);
     }
 
     #[inline(always)]

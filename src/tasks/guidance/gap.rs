@@ -1,4 +1,4 @@
-//! The force between two agents, at any distance.
+//! Central forces, at any distance.
 
 use crate::scalar::{Cotangent, Float, Real, Scalar};
 
@@ -65,6 +65,12 @@ impl<T: Scalar> Gap<T> {
         let strength = T::lift(law.far) + T::lift(law.near) * self.per_distance;
         [self.share[0] * strength, self.share[1] * strength]
     }
+
+    /// `(radius - |r|) / d`, or 0 if that is negative.
+    #[inline(always)]
+    pub(super) fn depth_share(&self, radius: f64) -> T {
+        (T::lift(radius) * self.per_distance - self.length_share).max(T::zero())
+    }
 }
 
 /// 2 to the power of a normal double's exponent.
@@ -79,6 +85,21 @@ impl<R: Real> Gap<R> {
         let (far, near) = (R::lift(law.far), R::lift(law.near) * self.per_distance);
         let across = (far + near) * self.per_distance;
         let along = -((far + near + near) * self.per_distance * self.length_share);
+        self.central_vjp(across, along, force_bar)
+    }
+
+    /// The same for `F = stiffness max(0, radius - |r|) / d r`; at `|r| = radius` the derivative is that of the outside.
+    #[inline(always)]
+    pub(super) fn depth_vjp<C: Cotangent<R>>(&self, radius: f64, softening: f64, stiffness: f64, force_bar: [C; 2]) -> [C; 2] {
+        let (zero, stiffness, share) = (R::zero(), R::lift(stiffness), self.depth_share(radius));
+        let along = -(R::lift(radius + softening) * self.per_distance * self.length_share);
+        let along = R::select_lt(zero, share, along, zero);
+        self.central_vjp(stiffness * share, stiffness * along, force_bar)
+    }
+
+    /// `(across + along r̂ r̂ᵀ) F̄`.
+    #[inline(always)]
+    fn central_vjp<C: Cotangent<R>>(&self, across: R, along: R, force_bar: [C; 2]) -> [C; 2] {
         let [x, y] = self.direction;
         let radial = (force_bar[0] * x + force_bar[1] * y) * along;
         [force_bar[0] * across + radial * x, force_bar[1] * across + radial * y]

@@ -1,28 +1,32 @@
-//! The physics of drivers and evaders, and its reverse.
+//! Drivers and evaders that do nothing to each other, and the reverse of their steps.
 
-use super::gap::{Gap, Law};
+use crate::effect::{Effect, Host, system_without_effects};
 use crate::scalar::{Cotangent, Real, Scalar};
-use crate::system::System;
 use serde::{Deserialize, Serialize};
+use smallvec::{SmallVec, smallvec};
+use std::ops::Range;
 
 /// Numbers per agent: x, y, vx, vy.
 pub(super) const AGENT: usize = 4;
 
-/// The physics: explicit Euler, positions with the old velocities.
+/// Agents that are worked on without allocating; more of them allocate in every reverse step.
+const STACK: usize = 32;
+
+/// The physics: agents in the plane, of whom the drivers steer; explicit Euler, positions with the old velocities.
 ///
 /// State `[x, y, vx, vy]` of every driver, then of every evader, in m and m/s; control `[radial, tangential]` of every
 /// driver, in 1/s²: it multiplies the way `q` from the evaders' [`center`](GuidanceSystem::center) and
-/// `q⊥ = (-q_y, q_x)`. With `r` the separation and `d = softening + |r|`:
+/// `q⊥ = (-q_y, q_x)`:
 ///
 /// ```text
 /// q_j      = D_j - center(E)
-/// driver j : v̇ = c_j0 q_j + c_j1 q_j⊥ - driver_friction v + driver_repulsion Σ_{i≠j} (D_j - D_i) / d²
-/// evader k : v̇ = flight Σ_j (E_k - D_j) / d² - evader_friction v
-///                + flocking Σ_{i≠k} (flocking_distance / d - 1) / d (E_i - E_k)
+/// driver j : v̇ = c_j0 q_j + c_j1 q_j⊥
+/// evader k : v̇ = 0
 /// ẋ = v
 /// ```
 ///
-/// Drivers do not feel the evaders. Evaders nearer than `flocking_distance` attract each other, farther ones repel.
+/// Forces, for effects to add to: the accelerations `[ax, ay]` of every driver, then of every evader, in m/s². All that
+/// agents do to each other is effects; [`herding`](GuidanceSystem::herding) adds those of the paper.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -33,19 +37,8 @@ pub struct GuidanceSystem {
     pub evaders: usize,
     /// What a driver steers by.
     pub center: Center,
-    /// What slows a driver, 1/s.
-    pub driver_friction: f64,
-    /// What slows an evader, 1/s.
-    pub evader_friction: f64,
-    /// Repulsion between drivers, m²/s².
-    pub driver_repulsion: f64,
-    /// Repulsion of evaders by drivers, m²/s².
-    pub flight: f64,
-    /// Force between evaders, m/s².
-    pub flocking: f64,
-    /// The softened distance at which evaders neither attract nor repel each other, m.
-    pub flocking_distance: f64,
-    /// Added to every distance, m; positive, or there would be no force between agents at one place.
+    /// Added to the distances between agents in the effects, `d = softening + |r|`, m; positive, or there would be no
+    /// force between agents at one place.
     pub softening: f64,
     /// Time step, s.
     pub dt: f64,
@@ -65,48 +58,29 @@ pub enum Center {
 
 impl Default for GuidanceSystem {
     fn default() -> Self {
-        Self {
-            drivers: 2,
-            evaders: 4,
-            center: Center::Sum,
-            driver_friction: 1.0,
-            evader_friction: 4.0,
-            driver_repulsion: 0.2,
-            flight: 15.0,
-            flocking: 0.2,
-            flocking_distance: 0.5,
-            softening: 0.1,
-            dt: 4.0 / 60.0,
-        }
+        Self { drivers: 2, evaders: 4, center: Center::Sum, softening: 0.1, dt: 4.0 / 60.0 }
     }
 }
 
 impl GuidanceSystem {
-    /// The force on agent `b` as it depends on its separation from agent `a < b`, and whether `a` feels the reaction.
-    #[inline(always)]
-    fn law(&self, a: usize, b: usize) -> (Law, bool) {
-        if b < self.drivers {
-            (Law { far: 0.0, near: self.driver_repulsion }, true)
-        } else if a < self.drivers {
-            (Law { far: 0.0, near: self.flight }, false)
-        } else {
-            (Law { far: self.flocking, near: -self.flocking * self.flocking_distance }, true)
-        }
-    }
-
-    /// The separation of agent `b` from agent `a`.
-    #[inline(always)]
-    fn gap<T: Scalar>(&self, x: &[T], a: usize, b: usize) -> Gap<T> {
-        let (a, b) = (AGENT * a, AGENT * b);
-        Gap::new([x[b] - x[a], x[b + 1] - x[a + 1]], self.softening)
-    }
-
-    fn friction(&self, agent: usize) -> f64 {
-        if agent < self.drivers { self.driver_friction } else { self.evader_friction }
-    }
-
-    fn agents(&self) -> usize {
+    pub(super) fn agents(&self) -> usize {
         self.drivers + self.evaders
+    }
+
+    /// The indices of the drivers among the agents.
+    pub(super) fn all_drivers(&self) -> Range<usize> {
+        0..self.drivers
+    }
+
+    /// The indices of the evaders among the agents.
+    pub(super) fn all_evaders(&self) -> Range<usize> {
+        self.drivers..self.agents()
+    }
+
+    /// The evaders' parts of a state.
+    #[inline(always)]
+    pub(super) fn evaders_of<'a, T>(&self, x: &'a [T]) -> std::slice::ChunksExact<'a, T> {
+        x[AGENT * self.drivers..AGENT * self.agents()].chunks_exact(AGENT)
     }
 
     /// The weight of an evader's position in the center of them.
@@ -128,103 +102,9 @@ impl GuidanceSystem {
         sum.map(|sum| sum * T::lift(self.weight()))
     }
 
-    /// The evaders' parts of a state.
+    /// Cotangents of the control.
     #[inline(always)]
-    pub(super) fn evaders_of<'a, T>(&self, x: &'a [T]) -> std::slice::ChunksExact<'a, T> {
-        x[AGENT * self.drivers..].chunks_exact(AGENT)
-    }
-}
-
-impl System for GuidanceSystem {
-    fn state_dim(&self) -> usize {
-        AGENT * (self.drivers + self.evaders)
-    }
-
-    fn control_dim(&self) -> usize {
-        2 * self.drivers
-    }
-
-    #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        // Accelerations, gathered where the next velocities will be.
-        for (agent, (next, x)) in next.chunks_exact_mut(AGENT).zip(x.chunks_exact(AGENT)).enumerate() {
-            let friction = T::lift(-self.friction(agent));
-            (next[2], next[3]) = (friction * x[2], friction * x[3]);
-        }
-        let herd = self.herd(x);
-        for ((next, x), c) in next.chunks_exact_mut(AGENT).zip(x.chunks_exact(AGENT)).zip(u.chunks_exact(2)) {
-            let q = [x[0] - herd[0], x[1] - herd[1]];
-            next[2] += c[0] * q[0] - c[1] * q[1];
-            next[3] += c[0] * q[1] + c[1] * q[0];
-        }
-        for a in 0..self.agents() {
-            for b in a + 1..self.agents() {
-                let (law, reaction) = self.law(a, b);
-                let [x, y] = self.gap(x, a, b).force(law);
-                next[AGENT * b + 2] += x;
-                next[AGENT * b + 3] += y;
-                if reaction {
-                    next[AGENT * a + 2] -= x;
-                    next[AGENT * a + 3] -= y;
-                }
-            }
-        }
-        let dt = T::lift(self.dt);
-        for (next, x) in next.chunks_exact_mut(AGENT).zip(x.chunks_exact(AGENT)) {
-            (next[0], next[1]) = (x[0] + dt * x[2], x[1] + dt * x[3]);
-            (next[2], next[3]) = (x[2] + dt * next[2], x[3] + dt * next[3]);
-        }
-    }
-
-    /// State and control meet only in products of the two, so that the halves share no work.
-    #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        self.vjp_state(x, u, next_bar, x_bar);
-        self.vjp_control(x, u, next_bar, u_bar);
-    }
-
-    #[inline(always)]
-    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        let dt = R::lift(self.dt);
-        for (agent, (bar, next)) in x_bar.chunks_exact_mut(AGENT).zip(next_bar.chunks_exact(AGENT)).enumerate() {
-            let kept = R::lift(1.0 - self.dt * self.friction(agent));
-            (bar[0], bar[1]) = (next[0], next[1]);
-            (bar[2], bar[3]) = (next[2] * kept + next[0] * dt, next[3] * kept + next[1] * dt);
-        }
-        // q̄ = (∂v̇/∂q)ᵀ v̇̄, which every evader receives with the opposite sign.
-        let mut herd_bar = [C::null(); 2];
-        for ((bar, next), c) in x_bar.chunks_exact_mut(AGENT).zip(next_bar.chunks_exact(AGENT)).zip(u.chunks_exact(2)) {
-            let (radial, tangential) = (c[0] * dt, c[1] * dt);
-            let q_bar = [next[2] * radial + next[3] * tangential, next[3] * radial - next[2] * tangential];
-            for axis in 0..2 {
-                bar[axis] += q_bar[axis];
-                herd_bar[axis] -= q_bar[axis];
-            }
-        }
-        let herd_bar = herd_bar.map(|bar| bar * R::lift(self.weight()));
-        for bar in x_bar[AGENT * self.drivers..].chunks_exact_mut(AGENT) {
-            bar[0] += herd_bar[0];
-            bar[1] += herd_bar[1];
-        }
-        for a in 0..self.agents() {
-            for b in a + 1..self.agents() {
-                let (law, reaction) = self.law(a, b);
-                let mut force_bar = [next_bar[AGENT * b + 2] * dt, next_bar[AGENT * b + 3] * dt];
-                if reaction {
-                    force_bar[0] -= next_bar[AGENT * a + 2] * dt;
-                    force_bar[1] -= next_bar[AGENT * a + 3] * dt;
-                }
-                let [x, y] = self.gap(x, a, b).force_vjp(law, force_bar);
-                x_bar[AGENT * b] += x;
-                x_bar[AGENT * b + 1] += y;
-                x_bar[AGENT * a] -= x;
-                x_bar[AGENT * a + 1] -= y;
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], _u: &[R], next_bar: &[C], u_bar: &mut [C]) {
+    fn reverse_control<R: Real, C: Cotangent<R>>(&self, x: &[R], next_bar: &[C], u_bar: &mut [C]) {
         let dt = R::lift(self.dt);
         let herd = self.herd(x);
         for ((c_bar, x), next) in u_bar.chunks_exact_mut(2).zip(x.chunks_exact(AGENT)).zip(next_bar.chunks_exact(AGENT)) {
@@ -233,4 +113,97 @@ impl System for GuidanceSystem {
             c_bar[1] = next[3] * q[0] - next[2] * q[1];
         }
     }
+
+    /// Adds the cotangents of the state by steering, from those of the accelerations.
+    #[inline(always)]
+    fn reverse_steering<R: Real, C: Cotangent<R>>(&self, u: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        // q̄ = (∂v̇/∂q)ᵀ v̇̄, which every evader receives with the opposite sign.
+        let mut herd_bar = [C::null(); 2];
+        for ((bar, force), c) in x_bar.chunks_exact_mut(AGENT).zip(forces_bar.chunks_exact(2)).zip(u.chunks_exact(2)) {
+            let q_bar = [force[0] * c[0] + force[1] * c[1], force[1] * c[0] - force[0] * c[1]];
+            for axis in 0..2 {
+                bar[axis] += q_bar[axis];
+                herd_bar[axis] -= q_bar[axis];
+            }
+        }
+        let herd_bar = herd_bar.map(|bar| bar * R::lift(self.weight()));
+        for bar in x_bar[AGENT * self.drivers..AGENT * self.agents()].chunks_exact_mut(AGENT) {
+            bar[0] += herd_bar[0];
+            bar[1] += herd_bar[1];
+        }
+    }
 }
+
+impl Host for GuidanceSystem {
+    type Body = Self;
+
+    fn body(&self) -> &Self {
+        self
+    }
+
+    fn state_dim(&self) -> usize {
+        AGENT * self.agents()
+    }
+
+    fn control_dim(&self) -> usize {
+        2 * self.drivers
+    }
+
+    fn dt(&self) -> f64 {
+        self.dt
+    }
+
+    #[inline(always)]
+    fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+        // The accelerations are gathered in the second half of the next state.
+        let half = 2 * self.agents();
+        let forces = &mut next[half..2 * half];
+        let herd = self.herd(x);
+        for ((force, x), c) in forces.chunks_exact_mut(2).zip(x.chunks_exact(AGENT)).zip(u.chunks_exact(2)) {
+            let q = [x[0] - herd[0], x[1] - herd[1]];
+            force[0] = c[0] * q[0] - c[1] * q[1];
+            force[1] = c[0] * q[1] + c[1] * q[0];
+        }
+        forces[2 * self.drivers..].fill(T::zero());
+        effects.act(self, x, forces);
+
+        let dt = T::lift(self.dt);
+        for agent in 0..self.agents() {
+            // What this agent overwrites is its own acceleration and that of agents before it.
+            let (force, at) = ([next[half + 2 * agent], next[half + 2 * agent + 1]], AGENT * agent);
+            (next[at], next[at + 1]) = (x[at] + dt * x[at + 2], x[at + 1] + dt * x[at + 3]);
+            (next[at + 2], next[at + 3]) = (x[at + 2] + dt * force[0], x[at + 3] + dt * force[1]);
+        }
+    }
+
+    /// State and control meet only in products of the two, so that the halves share no work. The accelerations
+    /// themselves are not needed.
+    #[inline(always)]
+    fn reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
+        &self,
+        effects: &E,
+        x: &[R],
+        u: &[R],
+        next_bar: &[C],
+        x_bar: Option<&mut [C]>,
+        u_bar: Option<&mut [C]>,
+    ) {
+        if let Some(x_bar) = x_bar {
+            let dt = R::lift(self.dt);
+            let mut forces_bar: SmallVec<[C; 2 * STACK]> = smallvec![C::null(); 2 * self.agents()];
+            let bars = x_bar.chunks_exact_mut(AGENT).zip(forces_bar.chunks_exact_mut(2));
+            for (next, (x, force)) in next_bar.chunks_exact(AGENT).zip(bars) {
+                (force[0], force[1]) = (next[2] * dt, next[3] * dt);
+                (x[0], x[1]) = (next[0], next[1]);
+                (x[2], x[3]) = (next[2] + next[0] * dt, next[3] + next[1] * dt);
+            }
+            self.reverse_steering(u, &forces_bar, x_bar);
+            effects.vjp(self, x, &forces_bar, x_bar);
+        }
+        if let Some(u_bar) = u_bar {
+            self.reverse_control(x, next_bar, u_bar);
+        }
+    }
+}
+
+system_without_effects!(GuidanceSystem);

@@ -1,0 +1,47 @@
+//! Evaders flee from drivers.
+
+use super::GuidanceSystem;
+use super::gap::Law;
+use super::pairs::{from_to, from_to_vjp};
+use crate::effect::Effect;
+use crate::scalar::{Cotangent, Real, Scalar};
+use serde::{Deserialize, Serialize};
+
+/// Evaders flee from drivers; drivers do not feel them. With `r = E_k - D_j` and `d = softening + |r|`:
+///
+/// ```text
+/// evader k : v̇ += strength Σ_j r / d²
+/// ```
+///
+/// Ko and Zuazua 2020 (doi:10.1142/S0218202520400047), with the force of the authors' code (tum-pbs/StableBPTT).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Evade {
+    /// m²/s²; negative draws evaders to drivers.
+    pub strength: f64,
+}
+
+impl Default for Evade {
+    fn default() -> Self {
+        Self { strength: 15.0 }
+    }
+}
+
+impl Evade {
+    fn law(&self) -> Law {
+        Law { far: 0.0, near: self.strength }
+    }
+}
+
+impl Effect<GuidanceSystem> for Evade {
+    #[inline(always)]
+    fn act<T: Scalar>(&self, body: &GuidanceSystem, x: &[T], forces: &mut [T]) {
+        from_to(body, self.law(), body.all_drivers(), body.all_evaders(), x, forces);
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &GuidanceSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        from_to_vjp(body, self.law(), body.all_drivers(), body.all_evaders(), x, forces_bar, x_bar);
+    }
+}

@@ -1,0 +1,47 @@
+//! Drivers keep apart.
+
+use super::GuidanceSystem;
+use super::gap::Law;
+use super::pairs::{among, among_vjp};
+use crate::effect::Effect;
+use crate::scalar::{Cotangent, Real, Scalar};
+use serde::{Deserialize, Serialize};
+
+/// Drivers repel each other. With `r = D_j - D_i` and `d = softening + |r|`:
+///
+/// ```text
+/// driver j : v̇ += strength Σ_{i≠j} r / d²
+/// ```
+///
+/// Ko and Zuazua 2020 (doi:10.1142/S0218202520400047), with the force of the authors' code (tum-pbs/StableBPTT).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Spread {
+    /// m²/s²; negative draws drivers together.
+    pub strength: f64,
+}
+
+impl Default for Spread {
+    fn default() -> Self {
+        Self { strength: 0.2 }
+    }
+}
+
+impl Spread {
+    fn law(&self) -> Law {
+        Law { far: 0.0, near: self.strength }
+    }
+}
+
+impl Effect<GuidanceSystem> for Spread {
+    #[inline(always)]
+    fn act<T: Scalar>(&self, body: &GuidanceSystem, x: &[T], forces: &mut [T]) {
+        among(body, self.law(), body.all_drivers(), x, forces);
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &GuidanceSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        among_vjp(body, self.law(), body.all_drivers(), x, forces_bar, x_bar);
+    }
+}

@@ -1,0 +1,69 @@
+//! A fence around the field.
+
+use super::GuidanceSystem;
+use super::system::AGENT;
+use crate::effect::Effect;
+use crate::scalar::{Cotangent, Real, Scalar};
+use serde::{Deserialize, Serialize};
+
+/// Walls around a rectangular field about the origin: springs that push drivers and evaders back in, and never pull. At
+/// the right wall, and likewise at the other three:
+///
+/// ```text
+/// v̇_x += -stiffness max(0, x - half_width)
+/// ```
+///
+/// A penalty spring in the depth (Moore and Wilhelms 1988, Collision Detection and Response for Computer Animation). Its
+/// derivative leaps where an agent touches; at the point of touch it is that of the inside.
+///
+/// Explicit steps of length dt give an agent more speed back than it came with, unless `stiffness dt` is less than its
+/// friction: with the paper's dt and [`Friction`](super::Friction), 15/s² for drivers and 60/s² for evaders.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Walls {
+    /// Half the width of the field, along x, m, positive.
+    pub half_width: f64,
+    /// Half its height, along y, m, positive. The default field holds all start states.
+    pub half_height: f64,
+    /// 1/s², not negative.
+    pub stiffness: f64,
+}
+
+impl Default for Walls {
+    fn default() -> Self {
+        Self { half_width: 6.0, half_height: 4.0, stiffness: 10.0 }
+    }
+}
+
+impl Walls {
+    fn halves(&self) -> [f64; 2] {
+        [self.half_width, self.half_height]
+    }
+}
+
+impl Effect<GuidanceSystem> for Walls {
+    #[inline(always)]
+    fn act<T: Scalar>(&self, _body: &GuidanceSystem, x: &[T], forces: &mut [T]) {
+        let (zero, stiffness) = (T::zero(), T::lift(self.stiffness));
+        for (force, agent) in forces.chunks_exact_mut(2).zip(x.chunks_exact(AGENT)) {
+            for (axis, half) in self.halves().into_iter().enumerate() {
+                let half = T::lift(half);
+                let (right, left) = ((agent[axis] - half).max(zero), (-agent[axis] - half).max(zero));
+                force[axis] += stiffness * (left - right);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &GuidanceSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        let (zero, stiffness) = (R::zero(), R::lift(self.stiffness));
+        let agents = x.chunks_exact(AGENT).zip(x_bar.chunks_exact_mut(AGENT));
+        for (force_bar, (agent, x_bar)) in forces_bar.chunks_exact(2).zip(agents) {
+            for (axis, half) in self.halves().into_iter().enumerate() {
+                let slope = R::select_lt(R::lift(half), agent[axis].abs(), stiffness, zero);
+                x_bar[axis] -= force_bar[axis] * slope;
+            }
+        }
+    }
+}
