@@ -1,6 +1,6 @@
 //! A scene as it is written: its values, and where each of them is from.
 
-use super::kind;
+use super::kind::{self, AnyKind};
 use super::problem::Problem;
 use super::scene::Scene;
 use super::settings::VERSION;
@@ -121,7 +121,7 @@ impl Document {
             // Whatever version a saved run is of, what is made of it now is of this one.
             settings.insert("physgrad".into(), env!("CARGO_PKG_VERSION").into());
         }
-        kind.scene(settings)
+        kind.scene(settings).map_err(|problem| of_another_task(kind, problem))
     }
 
     /// Where a key is from, or else the section it is in.
@@ -134,6 +134,19 @@ impl Document {
                 (None, None) => return &self.name,
             }
         }
+    }
+}
+
+/// Says so if what is unknown here is an effect of another task.
+fn of_another_task(kind: &dyn AnyKind, problem: Problem) -> Problem {
+    let has = |kind: &dyn AnyKind| kind.effects().iter().any(|info| problem.key == format!("effects.{}", info.name));
+    match kind::KINDS.into_iter().find(|other| has(*other)) {
+        Some(other) if !has(kind) => {
+            let here: Vec<&str> = kind.effects().iter().map(|info| info.name).collect();
+            let what = format!("is an effect of {}, not of {}; allowed here: {}", other.name(), kind.name(), here.join(", "));
+            Problem::new(problem.key, what)
+        }
+        _ => problem,
     }
 }
 

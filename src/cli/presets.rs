@@ -5,21 +5,24 @@ use anyhow::{Context, Result, anyhow};
 use std::path::Path;
 
 /// A line for every file in `presets/`.
-const PRESETS: [(&str, &str); 14] = [
+const PRESETS: [(&str, &str); 17] = [
     ("cart_pole", include_str!("presets/cart_pole.toml")),
     ("cart_pole_1", include_str!("presets/cart_pole_1.toml")),
     ("cart_pole_2", include_str!("presets/cart_pole_2.toml")),
     ("cart_pole_3", include_str!("presets/cart_pole_3.toml")),
     ("cart_pole_4", include_str!("presets/cart_pole_4.toml")),
+    ("cart_pole_windy", include_str!("presets/cart_pole_windy.toml")),
     ("guidance", include_str!("presets/guidance.toml")),
     ("guidance_1", include_str!("presets/guidance_1.toml")),
     ("guidance_0.1", include_str!("presets/guidance_0.1.toml")),
     ("guidance_0.01", include_str!("presets/guidance_0.01.toml")),
     ("guidance_0.001", include_str!("presets/guidance_0.001.toml")),
+    ("guidance_walled", include_str!("presets/guidance_walled.toml")),
     ("quantum", include_str!("presets/quantum.toml")),
     ("quantum_3", include_str!("presets/quantum_3.toml")),
     ("quantum_4", include_str!("presets/quantum_4.toml")),
     ("quantum_5", include_str!("presets/quantum_5.toml")),
+    ("quantum_double_well", include_str!("presets/quantum_double_well.toml")),
 ];
 
 /// The names of all presets, each with the first line of its file.

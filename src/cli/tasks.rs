@@ -1,23 +1,32 @@
 //! `physgrad tasks`: what there is.
 
-use super::kind::{AnyKind, KINDS};
+use super::kind::{AnyKind, Info, KINDS};
+use super::presets;
+use super::settings::ACTUATORS;
 use super::terminal::say;
 use anyhow::Result;
 
 /// Runs the command.
 pub fn tasks() -> Result<()> {
     for kind in KINDS {
-        describe(kind);
+        describe(kind)?;
     }
-    say("These are presets too: `physgrad scene` lists all of them, and `physgrad scene cart_pole` prints a file to start from.
-Change a setting with --set KEY=VALUE, for example --set policy.widths=[64,64] --set training.clip=norm.
+    say(&format!("actuators of all tasks: {}\n", names(&ACTUATORS)));
+    say("These are presets: `physgrad scene` lists all of them, and `physgrad scene cart_pole` prints a file to start from.
+`physgrad explain cart_pole` tells what a scene simulates and what it costs; docs/effects.md describes every effect.
+Change a setting with --set KEY=VALUE, for example --set policy.widths=[64,64] --set effects.pole_damping.damping=0.01.
 field: combined, regular, modified, network, stopped; precision: f32, f64; training.clip: none, value, norm;
 training.optimizer: adam, sgd, momentum, rmsprop, adagrad, adadelta; loss.mode: final, continuous.");
     Ok(())
 }
 
-fn describe(kind: &dyn AnyKind) {
-    let settings = kind.defaults().to_string();
+fn describe(kind: &dyn AnyKind) -> Result<()> {
+    let settings = presets::document(kind.name())?.scene()?.table.to_string();
     let indented: String = settings.trim_end().lines().map(|line| format!("    {line}\n")).collect();
-    say(&format!("{}: {}\n\n{indented}", kind.name(), kind.about()));
+    say(&format!("{}: {}\neffects: {}\n\n{indented}", kind.name(), kind.about(), names(kind.effects())));
+    Ok(())
+}
+
+fn names(infos: &[Info]) -> String {
+    infos.iter().map(|info| info.name).collect::<Vec<_>>().join(", ")
 }

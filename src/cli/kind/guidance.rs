@@ -1,10 +1,11 @@
 //! Guidance by repulsion in the program.
 
 use super::{Info, Kind, MlpSettings, Network, Visit};
-use crate::cli::problem::{Problem, allowed, count, finite, positive};
+use crate::cli::problem::{Problem, count, finite, not_negative, positive};
 use crate::cli::settings::Settings;
 use physgrad::report::{self, Animation};
-use physgrad::tasks::{self, GuidanceSystem, LossMode};
+use physgrad::tasks::{self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles, Spread, Walls};
+use physgrad::{Around, System, With};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -12,10 +13,93 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug)]
 pub struct Guidance;
 
-/// `effects` of guidance.
+/// `effects` of guidance, in the order in which they are computed.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct GuidanceEffects {}
+pub struct GuidanceEffects {
+    /// What slows the agents.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    friction: Option<Friction>,
+    /// Drivers repel each other.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    spread: Option<Spread>,
+    /// Evaders flee from drivers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    evade: Option<Evade>,
+    /// Evaders attract each other nearby and repel each other farther off.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    flock: Option<Flock>,
+    /// Drivers are drawn to evaders.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    drive: Option<Drive>,
+    /// Round obstacles that push agents out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    obstacles: Option<Obstacles>,
+    /// Walls around a rectangular field.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    walls: Option<Walls>,
+}
+
+impl GuidanceEffects {
+    /// Those of the paper.
+    fn paper() -> Self {
+        Self {
+            friction: Some(Friction::default()),
+            spread: Some(Spread::default()),
+            evade: Some(Evade::default()),
+            flock: Some(Flock::default()),
+            ..Self::default()
+        }
+    }
+
+    fn list(&self) -> Vec<GuidanceEffect> {
+        let Self { friction, spread, evade, flock, drive, obstacles, walls } = self.clone();
+        let effects: [Option<GuidanceEffect>; 7] = [
+            friction.map(Into::into),
+            spread.map(Into::into),
+            evade.map(Into::into),
+            flock.map(Into::into),
+            drive.map(Into::into),
+            obstacles.map(Into::into),
+            walls.map(Into::into),
+        ];
+        effects.into_iter().flatten().collect()
+    }
+
+    fn validate(&self) -> Result<(), Problem> {
+        if let Some(Friction { drivers, evaders }) = self.friction {
+            not_negative("effects.friction.drivers", drivers)?;
+            not_negative("effects.friction.evaders", evaders)?;
+        }
+        if let Some(Spread { strength }) = self.spread {
+            finite("effects.spread.strength", strength)?;
+        }
+        if let Some(Evade { strength }) = self.evade {
+            finite("effects.evade.strength", strength)?;
+        }
+        if let Some(Flock { strength, distance }) = self.flock {
+            finite("effects.flock.strength", strength)?;
+            finite("effects.flock.distance", distance)?;
+        }
+        if let Some(Drive { strength }) = self.drive {
+            finite("effects.drive.strength", strength)?;
+        }
+        if let Some(Obstacles { centers, radius, stiffness }) = &self.obstacles {
+            for (i, [x, y]) in centers.iter().enumerate() {
+                finite(&format!("effects.obstacles.centers[{i}][0]"), *x)?;
+                finite(&format!("effects.obstacles.centers[{i}][1]"), *y)?;
+            }
+            positive("effects.obstacles.radius", *radius)?;
+            not_negative("effects.obstacles.stiffness", *stiffness)?;
+        }
+        if let Some(Walls { half_width, half_height, stiffness }) = self.walls {
+            positive("effects.walls.half_width", half_width)?;
+            positive("effects.walls.half_height", half_height)?;
+            not_negative("effects.walls.stiffness", stiffness)?;
+        }
+        Ok(())
+    }
+}
 
 /// `loss` of guidance.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
@@ -34,6 +118,13 @@ impl Default for GuidanceLoss {
     }
 }
 
+/// Hands over the task of herding in this system.
+fn herd<S: Around<GuidanceSystem> + Clone + 'static, V: Visit>(system: S, settings: &Settings<Guidance>, visitor: V) -> V::Out {
+    let GuidanceLoss { mode: loss, regularization } = settings.loss;
+    let task = tasks::Guidance { system, loss, regularization, horizon: settings.horizon };
+    settings.policy.visit(task, visitor)
+}
+
 impl Kind for Guidance {
     type System = GuidanceSystem;
     type Effects = GuidanceEffects;
@@ -45,7 +136,23 @@ impl Kind for Guidance {
     const EPOCHS: usize = 200;
     const HORIZON: usize = 60;
 
-    const EFFECTS: &'static [Info] = &[];
+    const EFFECTS: &'static [Info] = &[
+        Info { name: "friction", equation: "a = -friction v", derivative: "by hand" },
+        Info { name: "spread", equation: "driver j: a = strength Σ_i (D_j - D_i) / d²", derivative: "by hand" },
+        Info { name: "evade", equation: "evader k: a = strength Σ_j (E_k - D_j) / d²", derivative: "by hand" },
+        Info { name: "flock", equation: "evader k: a = strength Σ_i (distance / d - 1) / d (E_i - E_k)", derivative: "by hand" },
+        Info { name: "drive", equation: "driver j: a = strength Σ_k (E_k - D_j) / d²", derivative: "by hand" },
+        Info {
+            name: "obstacles",
+            equation: "a = stiffness max(0, radius - |r|) r / d, r from the center",
+            derivative: "by hand; one-sided at the touch",
+        },
+        Info {
+            name: "walls",
+            equation: "a = -stiffness max(0, |x| - half_width), outwards, and likewise in y",
+            derivative: "by hand; one-sided at the touch",
+        },
+    ];
 
     fn system() -> GuidanceSystem {
         GuidanceSystem::default()
@@ -57,24 +164,25 @@ impl Kind for Guidance {
         count("system.evaders", system.evaders, 1..=1000)?;
         positive("system.softening", system.softening)?;
         positive("system.dt", system.dt)?;
-        finite("system.driver_friction", system.driver_friction)?;
-        finite("system.evader_friction", system.evader_friction)?;
-        finite("system.driver_repulsion", system.driver_repulsion)?;
-        finite("system.flight", system.flight)?;
-        finite("system.flocking", system.flocking)?;
-        finite("system.flocking_distance", system.flocking_distance)?;
-        allowed("loss.regularization", price, price.is_finite() && price >= 0.0, "0 or more")
+        not_negative("loss.regularization", price)?;
+        settings.effects.validate()
     }
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
-        let GuidanceLoss { mode: loss, regularization } = settings.loss;
-        let task = tasks::Guidance { system: settings.system, loss, regularization, horizon: settings.horizon };
-        settings.policy.visit(task, visitor)
+        use GuidanceEffect as E;
+        let (system, effects) = (settings.system, settings.effects.list());
+        // The paper's combination is a type of its own.
+        if settings.actuator.is_empty()
+            && let [E::Friction(friction), E::Spread(spread), E::Evade(evade), E::Flock(flock)] = effects[..]
+        {
+            return herd(With { system, effects: (friction, spread, evade, flock) }, settings, visitor);
+        }
+        herd(settings.actuator.around(With { system, effects }, settings.system.dt), settings, visitor)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {
         let variant = |drivers, evaders, mode| {
-            let mut settings = Settings::<Self>::defaults();
+            let mut settings = Settings { effects: GuidanceEffects::paper(), ..Settings::<Self>::defaults() };
             (settings.system.drivers, settings.system.evaders) = (drivers, evaders);
             settings.loss.mode = mode;
             settings
@@ -100,6 +208,8 @@ impl Kind for Guidance {
     }
 
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
-        report::guidance(states, settings.system.drivers, settings.system.dt)
+        let own = System::state_dim(&settings.system);
+        let states: Vec<Vec<f64>> = states.iter().map(|x| x[..own].to_vec()).collect();
+        report::guidance(&states, settings.system.drivers, settings.system.dt)
     }
 }
