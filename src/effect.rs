@@ -9,7 +9,7 @@ use crate::forward_mode::jacobian;
 use crate::rng::Rng;
 use crate::scalar::{Cotangent, Real, Scalar};
 use crate::system::{System, Wrt, vjp_by_duals};
-pub(crate) use list::any_effect;
+pub(crate) use list::{Act, ActBack, any_effect};
 use rand::RngExt;
 use std::fmt::Debug;
 

@@ -1,6 +1,7 @@
 //! Effects that are chosen while the program runs: a list, walked in every step.
 
 use super::{Effect, later};
+use crate::kernels::{Vectorized, dispatch_apart};
 use crate::scalar::{Cotangent, Real, Scalar};
 
 /// All of them, in this order: for combinations that are not known when the program is compiled. The numbers are those
@@ -45,6 +46,64 @@ impl<B, E: Effect<B>> Effect<B> for Vec<E> {
     }
 }
 
+/// One effect at one state, compiled apart from the system: a list of many effects is in every loop of every system that
+/// takes one, and with all of them inlined such a loop takes minutes to compile.
+pub(crate) struct Act<'a, B, E, T> {
+    pub effect: &'a E,
+    pub body: &'a B,
+    pub x: &'a [T],
+    pub known: &'a [T],
+    pub forces: &'a mut [T],
+}
+
+impl<B, E: Effect<B>, T: Scalar> Act<'_, B, E, T> {
+    #[inline(always)]
+    pub(crate) fn apart(self) {
+        dispatch_apart(self);
+    }
+}
+
+impl<B, E: Effect<B>, T: Scalar> Vectorized for Act<'_, B, E, T> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { effect, body, x, known, forces } = self;
+        if known.is_empty() {
+            effect.act(body, x, forces);
+        } else {
+            effect.act_knowing(body, x, known, forces);
+        }
+    }
+}
+
+/// The reverse of [`Act`].
+pub(crate) struct ActBack<'a, B, E, R, C> {
+    pub effect: &'a E,
+    pub body: &'a B,
+    pub x: &'a [R],
+    pub known: &'a [R],
+    pub forces_bar: &'a [C],
+    pub x_bar: &'a mut [C],
+}
+
+impl<B, E: Effect<B>, R: Real, C: Cotangent<R>> ActBack<'_, B, E, R, C> {
+    #[inline(always)]
+    pub(crate) fn apart(self) {
+        dispatch_apart(self);
+    }
+}
+
+impl<B, E: Effect<B>, R: Real, C: Cotangent<R>> Vectorized for ActBack<'_, B, E, R, C> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { effect, body, x, known, forces_bar, x_bar } = self;
+        if known.is_empty() {
+            effect.vjp(body, x, forces_bar, x_bar);
+        } else {
+            effect.vjp_knowing(body, x, known, forces_bar, x_bar);
+        }
+    }
+}
+
 /// An enum of one variant for every effect of a body, named as the effect is, that is any of them.
 macro_rules! any_effect {
     ($(#[$doc:meta])* $name:ident of $body:ty: $($effect:ident),+ $(,)?) => {
@@ -58,7 +117,7 @@ macro_rules! any_effect {
             #[inline(always)]
             fn act<T: crate::scalar::Scalar>(&self, body: &$body, x: &[T], forces: &mut [T]) {
                 match self {
-                    $(Self::$effect(effect) => effect.act(body, x, forces)),+
+                    $(Self::$effect(effect) => crate::effect::Act { effect, body, x, known: &[], forces }.apart()),+
                 }
             }
 
@@ -71,14 +130,14 @@ macro_rules! any_effect {
                 x_bar: &mut [C],
             ) {
                 match self {
-                    $(Self::$effect(effect) => effect.vjp(body, x, forces_bar, x_bar)),+
+                    $(Self::$effect(effect) => crate::effect::ActBack { effect, body, x, known: &[], forces_bar, x_bar }.apart()),+
                 }
             }
 
             #[inline(always)]
             fn act_knowing<T: crate::scalar::Scalar>(&self, body: &$body, x: &[T], known: &[T], forces: &mut [T]) {
                 match self {
-                    $(Self::$effect(effect) => effect.act_knowing(body, x, known, forces)),+
+                    $(Self::$effect(effect) => crate::effect::Act { effect, body, x, known, forces }.apart()),+
                 }
             }
 
@@ -92,7 +151,7 @@ macro_rules! any_effect {
                 x_bar: &mut [C],
             ) {
                 match self {
-                    $(Self::$effect(effect) => effect.vjp_knowing(body, x, known, forces_bar, x_bar)),+
+                    $(Self::$effect(effect) => crate::effect::ActBack { effect, body, x, known, forces_bar, x_bar }.apart()),+
                 }
             }
 
