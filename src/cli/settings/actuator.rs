@@ -2,7 +2,7 @@
 
 use crate::cli::kind::Info;
 use crate::cli::problem::{Problem, count, positive};
-use physgrad::{Actuated, AnyActuator, Delay, Lag, Limit, System};
+use physgrad::{Actuated, Actuator, AnyActuator, Delay, Lag, Limit, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -71,10 +71,27 @@ impl ActuatorSettings {
 
     /// A system with time steps of this length behind all of it.
     pub fn around<S: System>(&self, system: S, dt: f64) -> Actuated<S, Vec<AnyActuator>> {
+        Actuated { system, actuator: self.chain(dt) }
+    }
+
+    /// What the physics got in place of the controls that were asked for in these states.
+    pub fn felt(&self, dt: f64, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let chain = self.chain(dt);
+        let step = |(state, asked): (&Vec<f64>, &Vec<f64>)| {
+            // Its own state comes last.
+            let own = &state[state.len() - chain.state_dim(asked.len())..];
+            let (mut own_next, mut felt) = (own.to_vec(), asked.clone());
+            chain.step(own, asked, &mut own_next, &mut felt);
+            felt
+        };
+        states.iter().zip(controls).map(step).collect()
+    }
+
+    fn chain(&self, dt: f64) -> Vec<AnyActuator> {
         let limit = self.limit.map(AnyActuator::Limit);
         let delay = self.delay.map(AnyActuator::Delay);
         let lag = self.lag.map(|lag| AnyActuator::Lag(Lag::new(lag.time, dt)));
-        Actuated { system, actuator: [limit, delay, lag].into_iter().flatten().collect() }
+        [limit, delay, lag].into_iter().flatten().collect()
     }
 
     /// The names of what it adds to the state.
