@@ -57,7 +57,7 @@ impl Axes {
     pub fn ticks_above(&self, values: &[f64]) -> Vec<Shape> {
         let tick = |&value: &f64| {
             let [x, y] = self.at(value, self.y[1]);
-            [Shape::Line { from: [x, y], to: [x, y - 4.0], width: 1.0, color: INK }, text([x, y + 3.0], number(value))]
+            [Shape::Line { from: [x, y], to: [x, y - 4.0], width: 1.0, color: INK }, text([x, y + 2.0], number(value))]
         };
         values.iter().flat_map(tick).collect()
     }

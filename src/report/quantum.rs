@@ -168,7 +168,7 @@ impl Film {
             shapes.extend([text([x, y + 2.0], first), text([x, y - 14.0], second)]);
         }
         // Above the scale of the potential, if there is one.
-        let top = if landscape.tilted() { 468.0 } else { 460.0 };
+        let top = if landscape.tilted() { 470.0 } else { 460.0 };
         shapes.push(text([middle(map).0, top], "probability density |ψ(x, t)|²"));
         shapes.push(text([middle(profile).0, top], "density at time t"));
         shapes.push(text([middle(fidelity).0, 8.0], "time t (units: ħ = 1, m = ½)"));

@@ -1,6 +1,6 @@
 //! What is around a cart: bumpers and wind.
 
-use super::{DARK, RAIL, Stage, TRACK, arrow};
+use super::{DARK, RAIL, Stage, arrow};
 use crate::report::animation::Shape;
 use crate::report::axes::number;
 
@@ -60,8 +60,9 @@ impl Bumpers {
         let plate =
             |x: f64, width: f64, color| Shape::Rect { center: [at(x), (low + high) / 2.0], size: [width, high - low], color };
         let (pad, post) = (pressed + HALF_CART * unit, self.end() - POST * unit);
-        let tooth = |i: u8| [at(pad + (post - pad) * f64::from(i) / 8.0), [0.0, 0.07, 0.0, -0.07][usize::from(i % 4)] * unit];
         let width = 0.03 * unit;
+        let coil = post - pad - width;
+        let tooth = |i: u8| [at(pad + width + coil * f64::from(i) / 8.0), [0.0, 0.07, 0.0, -0.07][usize::from(i % 4)] * unit];
         [
             Shape::Curve { points: (0..=8).map(tooth).collect(), width: 0.02 * unit, color: RAIL },
             plate(pad + width / 2.0, width, RAIL),
@@ -90,7 +91,7 @@ impl Wind {
     /// An arrow in the upper left corner of a stage, as long as the wind is strong at a state, with the speed for which it
     /// is longest.
     pub fn shapes(&self, stage: &Stage, step: usize) -> Vec<Shape> {
-        let (unit, size) = (stage.length, 0.1 * stage.length);
+        let (unit, size) = (stage.length, 0.12 * stage.length);
         let room = WIND * unit;
         let from = [stage.low[0] + 0.15 * unit + if self.back { room } else { 0.0 }, stage.high[1] - 0.12 * unit];
         let speed = self.speeds.get(step).or(self.speeds.last()).copied().unwrap_or(0.0);
@@ -102,10 +103,10 @@ impl Wind {
             from: [from[0], from[1] - 0.05 * unit],
             to: [from[0], from[1] + 0.05 * unit],
             width: 0.015 * unit,
-            color: TRACK,
+            color: RAIL,
         }];
         shapes.extend(arrow(from, reach, 0.02 * unit, RAIL));
-        shapes.push(Shape::Text { at: [middle, from[1] - 0.035 * unit], size, text, color: RAIL });
+        shapes.push(Shape::Text { at: [middle, from[1] - 0.042 * unit], size, text, color: RAIL });
         shapes
     }
 }
@@ -164,7 +165,9 @@ mod tests {
             .iter()
             .filter_map(|shapes| {
                 shapes.iter().find_map(|shape| match shape {
-                    Shape::Line { from, to, color, .. } if *color == RAIL && from[1] > 1.0 => Some(to[0] - from[0]),
+                    Shape::Line { from, to, color, .. } if *color == RAIL && from[1] > 1.0 && from[1] == to[1] => {
+                        Some(to[0] - from[0])
+                    }
                     _ => None,
                 })
             })

@@ -79,7 +79,7 @@ impl Landscape {
             shapes.push(Shape::Rect { center: [x, 106.0], size: [28.0, 10.0], color: ABSORBING });
             shapes.push(name(102.0, "absorbing edge"));
             let middle = (film.profile.left + film.profile.right) / 2.0;
-            shapes.push(text([middle, 48.0], format!("|ψ|² in all: {:.3} at the end", film.norm)));
+            shapes.push(text([middle, 48.0], format!("{:.3} not absorbed", film.norm)));
         }
         shapes
     }
@@ -128,7 +128,7 @@ mod tests {
             })
             .collect();
         assert_eq!(strips, [[430.0, 54.0], [430.0, 54.0], [156.0, 54.0], [156.0, 54.0]]);
-        assert!(film.to_svg().contains("|ψ|² in all: 0.500 at the end"));
+        assert!(film.to_svg().contains("0.500 not absorbed"));
     }
 
     #[test]
