@@ -104,3 +104,23 @@ impl ActuatorSettings {
         under_way.chain(lagging).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_felt_has_gone_through_all_of_it() {
+        let felt = |actuator: &str, state: &[f64]| {
+            let actuator: ActuatorSettings = toml::from_str(actuator).expect("settings");
+            actuator.felt(0.05, &[state.to_vec()], &[vec![9.0]])[0][0]
+        };
+        // The body's own state comes first, then the control under way and the one that lags behind.
+        let share = 1.0 - (-0.5f64).exp();
+        let all = "limit = { bound = 2.0, kind = 'hard' }\ndelay = { steps = 1 }\nlag = { time = 0.1 }";
+        assert!((felt(all, &[7.0, 3.0, 1.0]) - (1.0 + 2.0 * share)).abs() < 1e-12);
+        assert_eq!(felt("limit = { bound = 2.0, kind = 'hard' }", &[7.0]), 2.0);
+        assert_eq!(felt("delay = { steps = 2 }", &[7.0, 3.0, 4.0]), 3.0);
+        assert_eq!(felt("", &[7.0]), 9.0);
+    }
+}

@@ -96,7 +96,12 @@ impl Wind {
         let from = [stage.low[0] + 0.15 * unit + if self.back { room } else { 0.0 }, stage.high[1] - 0.12 * unit];
         let speed = self.speeds.get(step).or(self.speeds.last()).copied().unwrap_or(0.0);
         let reach = if self.strongest > 0.0 { room * speed / self.strongest } else { 0.0 };
-        let text = if self.strongest > 0.0 { format!("wind, up to {} m/s", number(self.strongest)) } else { "still air".into() };
+        let steady = self.speeds.iter().all(|speed| *speed == self.speeds[0]);
+        let text = match (self.strongest > 0.0, steady) {
+            (false, _) => "still air".into(),
+            (true, true) => format!("wind, {} m/s", number(self.strongest)),
+            (true, false) => format!("wind, up to {} m/s", number(self.strongest)),
+        };
         // Texts are placed by their middle, and letters are about 0.6 of their size wide.
         let middle = from[0] + room + 0.1 * unit + 0.3 * size * text.chars().count() as f64;
         let mut shapes = vec![Shape::Line {
@@ -159,8 +164,8 @@ mod tests {
     #[test]
     fn the_arrow_is_as_long_as_the_wind_is_strong() {
         let rail = Rail { wind: vec![4.0, -2.0, f64::NAN], ..Rail::default() };
-        let film = film(&rail, &[0.0; 3]);
-        let lengths: Vec<f64> = film
+        let windy = film(&rail, &[0.0; 3]);
+        let lengths: Vec<f64> = windy
             .frames
             .iter()
             .filter_map(|shapes| {
@@ -173,8 +178,10 @@ mod tests {
             })
             .collect();
         assert!(same(lengths[0], 0.5) && same(lengths[1], -0.25) && same(lengths[2], 0.0), "{lengths:?}");
-        let svg = film.to_svg();
+        let svg = windy.to_svg();
         assert!(svg.contains("wind, up to 4 m/s") && !svg.contains("NaN"));
+        let words = |speed: f64| film(&Rail { wind: vec![speed; 3], ..Rail::default() }, &[0.0; 3]).to_svg();
+        assert!(words(-3.0).contains("wind, 3 m/s") && words(0.0).contains("still air"));
     }
 
     #[test]
