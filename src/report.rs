@@ -16,12 +16,12 @@ mod raster;
 mod series;
 
 pub use animation::{Animation, Shape};
-pub use cart_pole::cart_pole;
+pub use cart_pole::{Rail, cart_pole, cart_pole_on};
 pub use chart::{Chart, Frame};
 pub use curves::{Case, Curve, Point, comparison, field_color, learning_curve, study};
 pub use drawing::Drawing;
-pub use guidance::guidance;
+pub use guidance::{Field, guidance, guidance_in};
 pub use plane::{Map, Plane, maps};
-pub use quantum::quantum;
+pub use quantum::{Landscape, quantum, quantum_in};
 pub use raster::Raster;
 pub use series::Series;

@@ -53,6 +53,15 @@ impl Axes {
         values.iter().flat_map(tick).collect()
     }
 
+    /// Marks above the upper edge, close to it, with what they stand for.
+    pub fn ticks_above(&self, values: &[f64]) -> Vec<Shape> {
+        let tick = |&value: &f64| {
+            let [x, y] = self.at(value, self.y[1]);
+            [Shape::Line { from: [x, y], to: [x, y - 4.0], width: 1.0, color: INK }, text([x, y + 2.0], number(value))]
+        };
+        values.iter().flat_map(tick).collect()
+    }
+
     /// Marks left of the left edge with what they stand for.
     pub fn ticks_left(&self, values: &[f64]) -> Vec<Shape> {
         let tick = |&value: &f64| {

@@ -1,7 +1,12 @@
 //! The animation of a cart with one or more poles on a rail.
 
+mod rail;
+
+pub use rail::Rail;
+
 use super::animation::{Animation, Shape};
 use super::axes::round_up;
+use rail::{Bumpers, HALF_CART, Wind};
 
 /// The colours of the poles in turn, which colour-blind readers can tell apart.
 const POLES: [&str; 5] = ["#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9"];
@@ -16,12 +21,21 @@ const MAX_FRAMES: usize = 250;
 /// A cart farther than this many metres from the origin is taken for a simulation that blew up.
 const FAR: f64 = 1e6;
 
-/// Films a trajectory. Each state is x, its speed, then the angle (0 is upright) and angular speed of every pole, and
-/// `dt` seconds pass between two states. The arrow on the cart is its force, scaled to the largest of the trajectory.
+/// Rails up to so many poles long are seen from end to end.
+const WHOLE: f64 = 10.0;
+
+/// Films a trajectory on a bare rail. Each state is x, its speed, then the angle (0 is upright) and angular speed of every pole, and
+/// `dt` seconds pass between two states. The arrow on the cart is the force in `controls`, scaled to the largest of the trajectory.
 ///
 /// A trajectory under 2 s is shown three times slower. When the cart travels far, the camera follows it and the rail
 /// moves. The film ends before the first state that is not finite or has another length than the first state.
 pub fn cart_pole(states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f64) -> Animation {
+    cart_pole_on(&Rail::default(), states, controls, half_length, dt)
+}
+
+/// [`cart_pole`] with what is around the cart. Bumpers are springs at the ends of the rail, and the whole rail is seen where
+/// it is not too long; the wind is an arrow in the upper left corner.
+pub fn cart_pole_on(rail: &Rail, states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f64) -> Animation {
     let length = if half_length.is_normal() && half_length > 0.0 { 2.0 * half_length } else { 1.0 };
     let width = states.first().map_or(0, Vec::len).max(2);
     let valid = |s: &&Vec<f64>| s.len() == width && s[0].abs() < FAR && s.iter().all(|v| v.is_finite());
@@ -34,12 +48,16 @@ pub fn cart_pole(states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f6
         1 => format!("Cart with 1 pole: {time:.1} s {speed}"),
         _ => format!("Cart with {poles} poles: {time:.1} s {speed}"),
     };
-    let stage = Stage::around(&states, length);
+    let bumpers = rail.bumpers.and_then(|reach| Bumpers::new(reach, &states, length));
+    let wind = Wind::new(&rail.wind);
+    let stage = Stage::around(&states, length, bumpers, wind.is_some());
     let shown = states.len().min(MAX_FRAMES);
     let frames = (0..shown).map(|frame| {
         let step = frame * (states.len() - 1) / (shown - 1).max(1);
         let progress = frame as f64 / (shown - 1).max(1) as f64;
-        stage.frame(states[step], relative_force(controls, step), progress)
+        let mut shapes = stage.frame(states[step], relative_force(controls, step), progress);
+        shapes.extend(wind.iter().flat_map(|wind| wind.shapes(&stage, step)));
+        shapes
     });
     Animation { title, seconds: time * slowness, still: Vec::new(), frames: frames.collect(), view: (stage.low, stage.high) }
 }
@@ -60,11 +78,12 @@ struct Stage {
     high: [f64; 2],
     follow: bool,
     marks: Vec<f64>,
+    bumpers: Option<Bumpers>,
 }
 
 impl Stage {
     /// A stage on which the whole trajectory can be seen, or across which the camera must follow the cart.
-    fn around(states: &[&Vec<f64>], length: f64) -> Self {
+    fn around(states: &[&Vec<f64>], length: f64, bumpers: Option<Bumpers>, windy: bool) -> Self {
         let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
         for state in states {
             (left, right) = (left.min(state[0]), right.max(state[0]));
@@ -72,7 +91,14 @@ impl Stage {
         if states.is_empty() {
             (left, right) = (0.0, 0.0);
         }
-        let follow = right - left > 6.0 * length;
+        let end = bumpers.map_or(f64::INFINITY, |bumpers| bumpers.end());
+        let whole = 2.0 * end <= WHOLE * length;
+        if whole {
+            // Nobody goes farther than the rail does.
+            let cart = end - 0.85 * length;
+            (left, right) = (left.min(-cart), right.max(cart));
+        }
+        let follow = !whole && right - left > 6.0 * length;
         let middle = if follow { 0.0 } else { (left + right) / 2.0 };
         let half_width = if follow { 2.5 * length } else { ((right - left) / 2.0 + 1.15 * length).max(2.2 * length) };
         let lowest = states.iter().flat_map(|state| state[2..].iter().step_by(2)).map(|angle| angle.cos()).fold(0.0, f64::min);
@@ -83,8 +109,10 @@ impl Stage {
         let reach = if follow { (right - left) / 2.0 + half_width } else { half_width - 0.3 * length };
         let (from, to) = ((left + right) / 2.0 - reach, (left + right) / 2.0 + reach);
         let step = round_up(length.max((to - from) / 20.0));
-        let marks = ((from / step).ceil() as i64..=(to / step).floor() as i64).map(|i| i as f64 * step).collect();
-        Self { length, low: [middle - half_width, bottom], high: [middle + half_width, 1.2 * length], follow, marks }
+        let marks = ((from / step).ceil() as i64..=(to / step).floor() as i64).map(|i| i as f64 * step);
+        let marks = marks.filter(|mark| mark.abs() <= end).collect();
+        let top = if windy { 1.35 } else { 1.2 } * length;
+        Self { length, low: [middle - half_width, bottom], high: [middle + half_width, top], follow, marks, bumpers }
     }
 
     /// One frame; progress runs from 0 to 1.
@@ -93,11 +121,12 @@ impl Stage {
         let camera = if self.follow { state[0] } else { 0.0 };
         let x = state[0] - camera;
         let mut shapes = self.rail(camera);
+        shapes.extend(self.bumpers.iter().flat_map(|bumpers| bumpers.shapes(state[0], camera)));
         for side in [-1.0, 1.0] {
             shapes.push(Shape::Circle { center: [x + side * 0.16 * unit, -0.12 * unit], radius: 0.06 * unit, color: DARK });
         }
-        shapes.push(Shape::Rect { center: [x, 0.0], size: [0.56 * unit, 0.2 * unit], color: CART });
-        shapes.extend(arrow([x, 0.0], force * unit, 0.03 * unit));
+        shapes.push(Shape::Rect { center: [x, 0.0], size: [2.0 * HALF_CART * unit, 0.2 * unit], color: CART });
+        shapes.extend(arrow([x, 0.0], force * unit, 0.03 * unit, FORCE));
         for (angle, color) in state[2..].iter().step_by(2).zip(POLES.iter().cycle()) {
             let tip = [x + unit * angle.sin(), unit * angle.cos()];
             shapes.push(Shape::Line { from: [x, 0.0], to: tip, width: 0.045 * unit, color });
@@ -111,7 +140,9 @@ impl Stage {
     /// The rail and its marks, whose place shows how far the camera has travelled.
     fn rail(&self, camera: f64) -> Vec<Shape> {
         let (unit, y) = (self.length, -0.2 * self.length);
-        let mut shapes = vec![Shape::Line { from: [self.low[0], y], to: [self.high[0], y], width: 0.02 * unit, color: RAIL }];
+        let end = self.bumpers.map_or(f64::INFINITY, |bumpers| bumpers.end());
+        let (left, right) = (self.low[0].max(-end - camera), self.high[0].min(end - camera));
+        let mut shapes = vec![Shape::Line { from: [left, y], to: [right, y], width: 0.02 * unit, color: RAIL }];
         for &mark in &self.marks {
             let x = mark - camera;
             shapes.push(Shape::Rect { center: [x, y - 0.04 * unit], size: [0.015 * unit, 0.08 * unit], color: RAIL });
@@ -135,10 +166,10 @@ impl Stage {
 }
 
 /// A level arrow; its head shrinks with it, so that it passes through zero without a jump.
-fn arrow(from: [f64; 2], reach: f64, width: f64) -> [Shape; 3] {
+fn arrow(from: [f64; 2], reach: f64, width: f64, color: &'static str) -> [Shape; 3] {
     let tip = [from[0] + reach, from[1]];
     let head = reach.signum() * reach.abs().min(4.0 * width);
-    let line = |from, to| Shape::Line { from, to, width, color: FORCE };
+    let line = |from, to| Shape::Line { from, to, width, color };
     [line(from, tip), line([tip[0] - head, tip[1] + 0.6 * head], tip), line([tip[0] - head, tip[1] - 0.6 * head], tip)]
 }
 

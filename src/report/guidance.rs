@@ -1,5 +1,9 @@
 //! The animation of drivers who herd evaders to a target.
 
+mod field;
+
+pub use field::Field;
+
 use super::animation::{Animation, Shape};
 
 const DRIVER: &str = "#D55E00";
@@ -25,13 +29,19 @@ const REACH: f64 = 2.0;
 /// Width over height of the picture.
 const ASPECT: f64 = 1.5;
 
-/// Films a trajectory. Each state is x, y and the velocity of every driver and then of every evader, in metres and
+/// Films a trajectory in an open field. Each state is x, y and the velocity of every driver and then of every evader, in metres and
 /// seconds, and `dt` seconds pass between two states. Behind every agent is a trail of where it was; the target is the
 /// origin.
 ///
 /// A trajectory under 2 s is shown three times slower. The view holds all of the trajectory, unless someone runs far
 /// away. The film ends before the first state that is not finite or has another length than the first state.
 pub fn guidance(states: &[Vec<f64>], drivers: usize, dt: f64) -> Animation {
+    guidance_in(&Field::default(), states, drivers, dt)
+}
+
+/// [`guidance`] with what is in the field. The view also holds the obstacles and the walls, unless they are far from
+/// everyone.
+pub fn guidance_in(field: &Field, states: &[Vec<f64>], drivers: usize, dt: f64) -> Animation {
     let width = states.first().map_or(0, Vec::len);
     let valid = |s: &&Vec<f64>| {
         let near = s.chunks_exact(4).all(|agent| agent[0].abs() < FAR && agent[1].abs() < FAR);
@@ -46,11 +56,11 @@ pub fn guidance(states: &[Vec<f64>], drivers: usize, dt: f64) -> Animation {
 
     let shown = states.len().min(MAX_FRAMES);
     let step = |frame: usize| frame * (states.len() - 1) / (shown - 1).max(1);
-    let film = Film::new((0..shown).map(|frame| positions(states[step(frame)])).collect(), drivers);
+    let film = Film::new((0..shown).map(|frame| positions(states[step(frame)])).collect(), drivers, field.finite());
     Animation {
         title,
         seconds: time * slowness,
-        still: Vec::new(),
+        still: film.field.shapes(&film),
         frames: (0..shown).map(|frame| film.frame(frame)).collect(),
         view: (film.low, film.high),
     }
@@ -66,16 +76,17 @@ struct Film {
     /// Position of every agent, by frame.
     path: Vec<Vec<[f64; 2]>>,
     drivers: usize,
+    field: Field,
     low: [f64; 2],
     high: [f64; 2],
 }
 
 impl Film {
-    fn new(path: Vec<Vec<[f64; 2]>>, drivers: usize) -> Self {
+    fn new(path: Vec<Vec<[f64; 2]>>, drivers: usize, field: Field) -> Self {
         let largest = |frame: &Vec<[f64; 2]>| frame.iter().flatten().fold(0.0, |m: f64, v| m.max(v.abs()));
         let limit = REACH * path.first().map_or(0.0, largest).max(0.5);
         let (mut low, mut high) = ([-0.5f64; 2], [0.5f64; 2]);
-        for position in path.iter().flatten() {
+        for position in path.iter().flatten().chain(&field.corners(limit)) {
             for axis in 0..2 {
                 low[axis] = low[axis].min(position[axis].max(-limit));
                 high[axis] = high[axis].max(position[axis].min(limit));
@@ -87,7 +98,7 @@ impl Film {
         let half = [ASPECT * height / 2.0, height / 2.0];
         let middle = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0];
         let corner = |sign: f64| [middle[0] + sign * half[0], middle[1] + sign * half[1]];
-        Self { path, drivers, low: corner(-1.0), high: corner(1.0) }
+        Self { path, drivers, field, low: corner(-1.0), high: corner(1.0) }
     }
 
     /// Everything is sized as a part of the picture's height.
@@ -135,7 +146,8 @@ impl Film {
         let (unit, size) = (self.unit(), 0.03 * self.unit());
         let (mut x, y) = (self.low[0] + 0.04 * unit, self.high[1] - 0.04 * unit);
         let mut shapes = Vec::new();
-        for (text, color) in [("drivers", DRIVER), ("evaders", EVADER), ("target", TARGET)] {
+        let agents = [("drivers", DRIVER), ("evaders", EVADER), ("target", TARGET)];
+        for (text, color) in agents.into_iter().chain(self.field.legend()) {
             // Letters are about 0.6 of their size wide, and texts are placed by their middle.
             let width = 0.6 * size * text.len() as f64;
             let at = [x + 0.6 * size + width / 2.0, y - 0.3 * size];

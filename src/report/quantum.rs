@@ -1,5 +1,11 @@
 //! The animation of a particle in a box whose floor is tilted.
 
+mod landscape;
+#[cfg(test)]
+mod tests;
+
+pub use landscape::Landscape;
+
 use super::Raster;
 use super::animation::{Animation, Shape};
 use super::axes::{Axes, number, text, ticks};
@@ -17,8 +23,8 @@ const MAX_FRAMES: usize = 200;
 const MAX_COLUMNS: usize = 256;
 const MAX_ROWS: usize = 64;
 
-/// Films a trajectory. Each state is the real and imaginary part of ψ at every grid point between the walls of a box of
-/// this length, with `Σ |ψ_j|² = 1`; `dt` units of time pass between two states. `target` is the state to reach, real,
+/// Films a trajectory in an empty box. Each state is the real and imaginary part of ψ at every grid point between the walls of a box of
+/// this length, with `Σ |ψ_j|² = 1` at first; `dt` units of time pass between two states. `target` is the state to reach, real,
 /// at the same points.
 ///
 /// The large map is the probability density over time and position. A line moves through it, and through the control
@@ -26,13 +32,27 @@ const MAX_ROWS: usize = 64;
 ///
 /// The film ends before the first state that is not finite or has another length than the first state.
 pub fn quantum(states: &[Vec<f64>], controls: &[f64], target: &[f64], length: f64, dt: f64) -> Animation {
-    let film = Film::new(states, controls, target, positive(length), positive(dt));
+    quantum_in(&Landscape::default(), states, controls, target, length, dt)
+}
+
+/// [`quantum`] with what is in the box: the potential is behind the density at the right, and absorbing edges are shaded
+/// there and on the map. Densities and fidelities are of the wave as it is, which in absorbing edges becomes less than 1.
+pub fn quantum_in(
+    landscape: &Landscape,
+    states: &[Vec<f64>],
+    controls: &[f64],
+    target: &[f64],
+    length: f64,
+    dt: f64,
+) -> Animation {
+    let film = Film::new(landscape, states, controls, target, positive(length), positive(dt));
     let count = film.densities.len();
     let shown = count.min(MAX_FRAMES);
     let frames = (0..shown).map(|frame| film.frame(frame * (count - 1) / (shown - 1).max(1)));
     let time = count.saturating_sub(1) as f64 * film.dt;
+    let of = if film.landscape.tilted() { " of the empty box" } else { "" };
     Animation {
-        title: format!("Particle in a box, steered to an eigenstate: {} units of time", number(time)),
+        title: format!("Particle in a box, steered to an eigenstate{of}: {} units of time", number(time)),
         seconds: time.clamp(4.0, 12.0),
         view: ([0.0, 0.0], [720.0, 480.0]),
         still: film.background(),
@@ -63,6 +83,9 @@ struct Film {
     target: Vec<f64>,
     /// By state.
     fidelities: Vec<f64>,
+    /// Σ |ψ_j|² at the end.
+    norm: f64,
+    landscape: Landscape,
     /// By step.
     controls: Vec<f64>,
     /// Half the distance of two rows of the map, for the walls are half a row beyond the outermost.
@@ -77,7 +100,7 @@ struct Film {
 }
 
 impl Film {
-    fn new(states: &[Vec<f64>], controls: &[f64], target: &[f64], length: f64, dt: f64) -> Self {
+    fn new(landscape: &Landscape, states: &[Vec<f64>], controls: &[f64], target: &[f64], length: f64, dt: f64) -> Self {
         let width = states.first().map_or(0, Vec::len);
         let valid = |s: &&Vec<f64>| s.len() == width && s.iter().all(|v| v.is_finite());
         let states: Vec<&Vec<f64>> = states.iter().take_while(valid).collect();
@@ -102,6 +125,8 @@ impl Film {
         let panel = |left, right, bottom, top, x, y| Axes { left, right, bottom, top, x, y };
         Self {
             fidelities: states.iter().map(fidelity).collect(),
+            norm: states.last().map_or(0.0, |s| s.iter().map(|part| part * part).sum()),
+            landscape: landscape.drawn(length),
             half_row: 0.5 * length / (densities.first().map_or(0, Vec::len) + 1) as f64,
             dt,
             map: panel(100.0, 530.0, 236.0, 452.0, time, [0.0, length]),
@@ -117,10 +142,12 @@ impl Film {
 
     /// What does not move: the map, the curves, the axes.
     fn background(&self) -> Vec<Shape> {
-        let Self { map, profile, scale, control, fidelity, .. } = self;
+        let Self { map, profile, scale, control, fidelity, landscape, .. } = self;
         let [from, to] = map.x;
         let length = map.y[1];
         let mut shapes = self.colors();
+        shapes.extend(landscape.floor(profile));
+        shapes.extend(landscape.edges(&[map, profile]));
         let zero = |panel: &Axes| panel.curve([[from, 0.0], [to, 0.0]], 1.0, ZERO);
         shapes.push(zero(control));
         shapes.push(control.curve(self.steps(), 1.6, CONTROL));
@@ -136,15 +163,19 @@ impl Film {
         shapes.extend(fidelity.ticks_below(&ticks(from, to, 5.0)));
         shapes.extend(scale.ticks_below(&ticks(0.0, scale.x[1], 4.0)));
         let middle = |panel: &Axes| ((panel.left + panel.right) / 2.0, (panel.bottom + panel.top) / 2.0);
-        let names = [(map, "position", "x"), (control, "control c", "in V = c x"), (fidelity, "fidelity", "|⟨φ, ψ⟩|²")];
+        let sum = if landscape.tilted() { "in V + c x" } else { "in V = c x" };
+        let names = [(map, "position", "x"), (control, "control c", sum), (fidelity, "fidelity", "|⟨φ, ψ⟩|²")];
         for (panel, first, second) in names {
             let (x, y) = (34.0, middle(panel).1);
             shapes.extend([text([x, y + 2.0], first), text([x, y - 14.0], second)]);
         }
-        shapes.push(text([middle(map).0, 460.0], "probability density |ψ(x, t)|²"));
-        shapes.push(text([middle(profile).0, 460.0], "density at time t"));
+        // Above the scale of the potential, if there is one.
+        let top = if landscape.tilted() { 470.0 } else { 460.0 };
+        shapes.push(text([middle(map).0, top], "probability density |ψ(x, t)|²"));
+        shapes.push(text([middle(profile).0, top], "density at time t"));
         shapes.push(text([middle(fidelity).0, 8.0], "time t (units: ħ = 1, m = ½)"));
         shapes.extend(self.legend());
+        shapes.extend(landscape.legend(self));
         shapes
     }
 
@@ -213,95 +244,5 @@ impl Film {
         shapes.push(Shape::Line { from: [x, map.top], to: [x, fidelity.bottom], width: 1.6, color: CURSOR });
         shapes.push(Shape::Circle { center: fidelity.at(time, self.fidelities[state]), radius: 4.0, color: FIDELITY });
         shapes
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn trajectory(grid: usize, states: usize) -> Vec<Vec<f64>> {
-        let part = |t: usize, i: usize| (t as f64 * 0.1 + i as f64).sin() / (grid as f64).sqrt();
-        (0..states).map(|t| (0..2 * grid).map(|i| part(t, i)).collect()).collect()
-    }
-
-    fn bars(film: &Animation, frame: usize) -> Vec<f64> {
-        let bar = |shape: &Shape| match shape {
-            Shape::Rect { size, color, .. } if *color == DENSITY => Some(size[0]),
-            _ => None,
-        };
-        film.frames[frame].iter().filter_map(bar).collect()
-    }
-
-    fn curve(shapes: &[Shape], of: &str) -> Vec<[f64; 2]> {
-        let points = |shape: &Shape| match shape {
-            Shape::Curve { points, color, .. } if *color == of => Some(points.clone()),
-            _ => None,
-        };
-        shapes.iter().find_map(points).unwrap_or_default()
-    }
-
-    #[test]
-    fn bars_are_as_long_as_the_density() {
-        let film = quantum(&[vec![0.6, 0.0, 0.0, 0.3]], &[], &[0.1, 0.2], 2.0, 0.1);
-        let lengths = bars(&film, 0);
-        assert!(lengths.len() == 2 && (lengths[0] - 150.0).abs() < 1e-9 && (lengths[1] - 37.5).abs() < 1e-9, "{lengths:?}");
-    }
-
-    #[test]
-    fn the_dot_is_where_the_fidelity_is() {
-        let states = [vec![0.6, 0.0, 0.0, 0.8], vec![0.0, 1.0, 0.0, 0.0]];
-        let film = quantum(&states, &[2.0], &[1.0, 0.0], 2.0, 0.5);
-        let expected = [0.36, 1.0].map(|f| 44.0 + (120.0 - 44.0) * (f + 0.05) / 1.1);
-        for (frame, expected) in expected.into_iter().enumerate() {
-            let Some(Shape::Circle { center, .. }) = film.frames[frame].last() else { panic!("the dot is in front") };
-            assert!((center[1] - expected).abs() < 1e-9);
-        }
-        // The two columns of the map have their middles at a quarter and three quarters.
-        let cursor: Vec<f64> = curve(&film.still, FIDELITY).iter().map(|point| point[0]).collect();
-        assert_eq!(cursor, [100.0 + 430.0 / 4.0, 100.0 + 430.0 * 3.0 / 4.0]);
-        assert_eq!(curve(&film.still, CONTROL).iter().map(|p| p[0]).collect::<Vec<_>>(), cursor);
-    }
-
-    #[test]
-    fn the_map_has_a_cell_for_every_state_and_position() {
-        for (grid, states, size) in [(7, 5, "5 × 7"), (32, 129, "129 × 32"), (100_000, 2, "2 × 64"), (9, 2000, "256 × 9")] {
-            let film = quantum(&trajectory(grid, states), &vec![1.0; states - 1], &vec![0.1; grid], 2.0, 0.1);
-            let images = film.still.iter().filter(|shape| format!("{shape:?}").contains(&format!("Raster({size})")));
-            assert_eq!(images.count(), 1, "{size}");
-        }
-    }
-
-    #[test]
-    fn large_films_are_small_files() {
-        let mut states = trajectory(200, 3000);
-        states.iter_mut().zip(0..).for_each(|(s, t)| s.iter_mut().for_each(|v| *v *= 1.0 + 0.5 * f64::sin(f64::from(t))));
-        let controls: Vec<f64> = (0..3000).map(|t| f64::from(t).sin()).collect();
-        let svg = quantum(&states, &controls, &[0.07; 200], 2.0, 0.0625).to_svg();
-        assert!(svg.len() < 300_000, "{} bytes", svg.len());
-    }
-
-    #[test]
-    fn film_ends_before_a_state_that_is_not_finite() {
-        let mut states = trajectory(200, 50);
-        states[30][7] = f64::NAN;
-        let film = quantum(&states, &[1.0, f64::INFINITY, -2.0], &[0.07; 200], 2.0, 0.1);
-        assert_eq!(film.frames.len(), 30);
-        let svg = film.to_svg();
-        roxmltree::Document::parse(&svg).expect("an SVG is XML");
-        assert!(!svg.contains("NaN") && !svg.contains("inf"));
-    }
-
-    #[test]
-    fn empty_inputs_give_a_picture() {
-        for states in
-            [vec![], vec![vec![]], vec![vec![f64::NAN; 4]], vec![vec![0.0]], vec![vec![0.0; 6]; 2], vec![vec![1e200; 6]]]
-        {
-            for (target, length, dt) in [(vec![], 2.0, 0.0625), (vec![0.5; 3], f64::NAN, 0.0)] {
-                let svg = quantum(&states, &[], &target, length, dt).to_svg();
-                roxmltree::Document::parse(&svg).expect("an SVG is XML");
-                assert!(!svg.contains("NaN") && !svg.contains("inf<"));
-            }
-        }
     }
 }

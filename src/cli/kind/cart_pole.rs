@@ -3,7 +3,7 @@
 use super::{Info, Kind, MlpSettings, Network, Visit};
 use crate::cli::problem::{Problem, count, exclusive, finite, not_negative, positive};
 use crate::cli::settings::Settings;
-use physgrad::report::{self, Animation};
+use physgrad::report::{self, Animation, Rail};
 use physgrad::tasks::{
     self, Bumpers, CartDamping, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, LossMode, PoleDamping,
     SteadyWind,
@@ -11,6 +11,7 @@ use physgrad::tasks::{
 use physgrad::{Around, Host, System, With};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
 
 /// `cart_pole`.
 #[derive(Clone, Debug)]
@@ -82,6 +83,13 @@ impl CartPoleEffects {
             bumpers.map(Into::into),
         ];
         effects.into_iter().flatten().collect()
+    }
+
+    /// Speed of the wind, from what follows the body's own state.
+    fn wind(&self, beyond: &[f64]) -> Option<f64> {
+        let steady = self.steady_wind.map(|wind| wind.speed);
+        let gusty = self.gusty_wind.map(|wind| wind.speed + wind.gust * (TAU * beyond[0] / wind.period).sin());
+        steady.or(gusty)
     }
 
     fn validate(&self) -> Result<(), Problem> {
@@ -234,9 +242,12 @@ impl Kind for CartPole {
     }
 
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
-        let forces: Vec<f64> = controls.iter().map(|u| u[0]).collect();
+        let CartPoleSettings { half_length, dt, .. } = settings.system;
         let own = System::state_dim(&settings.system.body());
+        let forces: Vec<f64> = settings.actuator.felt(dt, states, controls).iter().map(|u| u[0]).collect();
+        let wind = states.iter().filter_map(|x| settings.effects.wind(&x[own..])).collect();
+        let rail = Rail { bumpers: settings.effects.bumpers.map(|bumpers| bumpers.reach), wind };
         let states: Vec<Vec<f64>> = states.iter().map(|x| x[..own].to_vec()).collect();
-        report::cart_pole(&states, &forces, settings.system.half_length, settings.system.dt)
+        report::cart_pole_on(&rail, &states, &forces, half_length, dt)
     }
 }

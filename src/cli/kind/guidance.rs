@@ -3,7 +3,7 @@
 use super::{Info, Kind, MlpSettings, Network, Visit};
 use crate::cli::problem::{Problem, count, finite, not_negative, positive};
 use crate::cli::settings::Settings;
-use physgrad::report::{self, Animation};
+use physgrad::report::{self, Animation, Field};
 use physgrad::tasks::{self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles, Spread, Walls};
 use physgrad::{Around, System, With};
 use schemars::JsonSchema;
@@ -64,6 +64,13 @@ impl GuidanceEffects {
             walls.map(Into::into),
         ];
         effects.into_iter().flatten().collect()
+    }
+
+    /// What can be seen.
+    fn field(&self) -> Field {
+        let discs = |Obstacles { centers, radius, .. }: &Obstacles| centers.iter().map(|&center| (center, *radius)).collect();
+        let walls = self.walls.map(|walls| [walls.half_width, walls.half_height]);
+        Field { obstacles: self.obstacles.as_ref().map_or_else(Vec::new, discs), walls }
     }
 
     fn validate(&self) -> Result<(), Problem> {
@@ -210,6 +217,6 @@ impl Kind for Guidance {
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
         let own = System::state_dim(&settings.system);
         let states: Vec<Vec<f64>> = states.iter().map(|x| x[..own].to_vec()).collect();
-        report::guidance(&states, settings.system.drivers, settings.system.dt)
+        report::guidance_in(&settings.effects.field(), &states, settings.system.drivers, settings.system.dt)
     }
 }

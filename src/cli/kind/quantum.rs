@@ -4,11 +4,11 @@ use super::{Info, Kind, Network, Visit};
 use crate::cli::problem::{Problem, allowed, count, exclusive, finite, not_negative, positive};
 use crate::cli::settings::Settings;
 use physgrad::policy::Conv;
-use physgrad::report::{self, Animation};
+use physgrad::report::{self, Animation, Landscape};
 use physgrad::tasks::{
     self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode, QuantumEffect, QuantumSystem,
 };
-use physgrad::{Around, With};
+use physgrad::{Around, Effect, With};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -62,6 +62,14 @@ impl QuantumEffects {
         let effects: [Option<QuantumEffect>; 4] =
             [harmonic.map(Into::into), barrier.map(Into::into), double_well.map(Into::into), cubic.map(Into::into)];
         effects.into_iter().flatten().collect()
+    }
+
+    /// What can be seen.
+    fn landscape(&self, system: &QuantumSystem) -> Landscape {
+        let potentials = Self { cubic: None, ..self.clone() }.list();
+        let mut potential = vec![0.0; if potentials.is_empty() { 0 } else { system.grid }];
+        potentials.act(system, &[], &mut potential);
+        Landscape { potential, absorbing: self.absorbing_edges.map(|edges| edges.width) }
     }
 
     fn validate(&self) -> Result<(), Problem> {
@@ -233,10 +241,11 @@ impl Kind for Quantum {
     }
 
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
-        let tilts: Vec<f64> = controls.iter().map(|u| u[0]).collect();
         let system = settings.physics();
+        let tilts: Vec<f64> = settings.actuator.felt(system.dt, states, controls).iter().map(|u| u[0]).collect();
+        let landscape = settings.effects.landscape(&system);
         let target: Vec<f64> = system.eigenstate(settings.system.target).collect();
-        report::quantum(states, &tilts, &target, system.length, system.dt)
+        report::quantum_in(&landscape, states, &tilts, &target, system.length, system.dt)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::cli::kind::Info;
 use crate::cli::problem::{Problem, count, positive};
-use physgrad::{Actuated, AnyActuator, Delay, Lag, Limit, System};
+use physgrad::{Actuated, Actuator, AnyActuator, Delay, Lag, Limit, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -71,10 +71,27 @@ impl ActuatorSettings {
 
     /// A system with time steps of this length behind all of it.
     pub fn around<S: System>(&self, system: S, dt: f64) -> Actuated<S, Vec<AnyActuator>> {
+        Actuated { system, actuator: self.chain(dt) }
+    }
+
+    /// What the physics got in place of the controls that were asked for in these states.
+    pub fn felt(&self, dt: f64, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let chain = self.chain(dt);
+        let step = |(state, asked): (&Vec<f64>, &Vec<f64>)| {
+            // Its own state comes last.
+            let own = &state[state.len() - chain.state_dim(asked.len())..];
+            let (mut own_next, mut felt) = (own.to_vec(), asked.clone());
+            chain.step(own, asked, &mut own_next, &mut felt);
+            felt
+        };
+        states.iter().zip(controls).map(step).collect()
+    }
+
+    fn chain(&self, dt: f64) -> Vec<AnyActuator> {
         let limit = self.limit.map(AnyActuator::Limit);
         let delay = self.delay.map(AnyActuator::Delay);
         let lag = self.lag.map(|lag| AnyActuator::Lag(Lag::new(lag.time, dt)));
-        Actuated { system, actuator: [limit, delay, lag].into_iter().flatten().collect() }
+        [limit, delay, lag].into_iter().flatten().collect()
     }
 
     /// The names of what it adds to the state.
@@ -85,5 +102,25 @@ impl ActuatorSettings {
         });
         let lagging = controls.iter().filter(|_| self.lag.is_some()).map(|control| format!("{control}_felt"));
         under_way.chain(lagging).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_felt_has_gone_through_all_of_it() {
+        let felt = |actuator: &str, state: &[f64]| {
+            let actuator: ActuatorSettings = toml::from_str(actuator).expect("settings");
+            actuator.felt(0.05, &[state.to_vec()], &[vec![9.0]])[0][0]
+        };
+        // The body's own state comes first, then the control under way and the one that lags behind.
+        let share = 1.0 - (-0.5f64).exp();
+        let all = "limit = { bound = 2.0, kind = 'hard' }\ndelay = { steps = 1 }\nlag = { time = 0.1 }";
+        assert!((felt(all, &[7.0, 3.0, 1.0]) - (1.0 + 2.0 * share)).abs() < 1e-12);
+        assert_eq!(felt("limit = { bound = 2.0, kind = 'hard' }", &[7.0]), 2.0);
+        assert_eq!(felt("delay = { steps = 2 }", &[7.0, 3.0, 4.0]), 3.0);
+        assert_eq!(felt("", &[7.0]), 9.0);
     }
 }

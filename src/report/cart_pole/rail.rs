@@ -1,0 +1,200 @@
+//! What is around a cart: bumpers and wind.
+
+use super::{DARK, RAIL, Stage, arrow};
+use crate::report::animation::Shape;
+use crate::report::axes::number;
+
+/// Half the width of the drawn cart, in lengths of a pole.
+pub(super) const HALF_CART: f64 = 0.28;
+/// Height of the rail and of the upper edge of the cart, in lengths of a pole.
+const HEIGHTS: [f64; 2] = [-0.2, 0.1];
+/// Width of the post behind a spring, and length of the spring at least, in lengths of a pole.
+const POST: f64 = 0.07;
+const SPRING: f64 = 0.2;
+/// Length of the arrow of the strongest wind, in lengths of a pole.
+const WIND: f64 = 0.5;
+
+/// What is around the cart of [`cart_pole_on`](super::cart_pole_on).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Rail {
+    /// The cart touches a bumper at `|x|` = this, m. The rail ends behind the bumpers.
+    pub bumpers: Option<f64>,
+    /// The speed of the wind along the rail at every state, m/s, positive towards positive x. Empty where no wind is in
+    /// play.
+    pub wind: Vec<f64>,
+}
+
+/// Two bumpers that fit a trajectory.
+#[derive(Clone, Copy)]
+pub(super) struct Bumpers {
+    /// Where the cart touches.
+    reach: f64,
+    /// Length of a spring that is not touched.
+    spring: f64,
+    /// Length of a pole.
+    unit: f64,
+}
+
+impl Bumpers {
+    /// With springs that are longer than they are pressed in.
+    pub fn new(reach: f64, states: &[&Vec<f64>], unit: f64) -> Option<Self> {
+        let deepest = states.iter().map(|state| state[0].abs() - reach).fold(0.0, f64::max);
+        let spring = (1.25 * deepest).max(SPRING * unit);
+        (reach.is_finite() && reach >= 0.0).then_some(Self { reach, spring, unit })
+    }
+
+    /// Where the rail ends.
+    pub fn end(&self) -> f64 {
+        self.reach + self.spring + (HALF_CART + POST) * self.unit
+    }
+
+    /// Both of them, each with its pad at the cart where the cart presses it.
+    pub fn shapes(&self, x: f64, camera: f64) -> Vec<Shape> {
+        [-1.0, 1.0].into_iter().flat_map(|side| self.one(side, self.reach.max(side * x), camera)).collect()
+    }
+
+    fn one(&self, side: f64, pressed: f64, camera: f64) -> [Shape; 3] {
+        let unit = self.unit;
+        let (low, high) = (HEIGHTS[0] * unit, HEIGHTS[1] * unit);
+        let at = |x: f64| side * x - camera;
+        let plate =
+            |x: f64, width: f64, color| Shape::Rect { center: [at(x), (low + high) / 2.0], size: [width, high - low], color };
+        let (pad, post) = (pressed + HALF_CART * unit, self.end() - POST * unit);
+        let width = 0.03 * unit;
+        let coil = post - pad - width;
+        let tooth = |i: u8| [at(pad + width + coil * f64::from(i) / 8.0), [0.0, 0.07, 0.0, -0.07][usize::from(i % 4)] * unit];
+        [
+            Shape::Curve { points: (0..=8).map(tooth).collect(), width: 0.02 * unit, color: RAIL },
+            plate(pad + width / 2.0, width, RAIL),
+            plate(post + POST * unit / 2.0, POST * unit, DARK),
+        ]
+    }
+}
+
+/// The wind over a film.
+pub(super) struct Wind {
+    /// Speed at every state.
+    speeds: Vec<f64>,
+    strongest: f64,
+    /// Whether it ever blows towards negative x.
+    back: bool,
+}
+
+impl Wind {
+    pub fn new(speeds: &[f64]) -> Option<Self> {
+        let speeds: Vec<f64> = speeds.iter().map(|speed| if speed.is_finite() { *speed } else { 0.0 }).collect();
+        let strongest = speeds.iter().map(|speed| speed.abs()).fold(0.0, f64::max);
+        let back = speeds.iter().any(|speed| *speed < 0.0);
+        (!speeds.is_empty()).then_some(Self { speeds, strongest, back })
+    }
+
+    /// An arrow in the upper left corner of a stage, as long as the wind is strong at a state, with the speed for which it
+    /// is longest.
+    pub fn shapes(&self, stage: &Stage, step: usize) -> Vec<Shape> {
+        let (unit, size) = (stage.length, 0.12 * stage.length);
+        let room = WIND * unit;
+        let from = [stage.low[0] + 0.15 * unit + if self.back { room } else { 0.0 }, stage.high[1] - 0.12 * unit];
+        let speed = self.speeds.get(step).or(self.speeds.last()).copied().unwrap_or(0.0);
+        let reach = if self.strongest > 0.0 { room * speed / self.strongest } else { 0.0 };
+        let steady = self.speeds.iter().all(|speed| *speed == self.speeds[0]);
+        let text = match (self.strongest > 0.0, steady) {
+            (false, _) => "still air".into(),
+            (true, true) => format!("wind, {} m/s", number(self.strongest)),
+            (true, false) => format!("wind, up to {} m/s", number(self.strongest)),
+        };
+        // Texts are placed by their middle, and letters are about 0.6 of their size wide.
+        let middle = from[0] + room + 0.1 * unit + 0.3 * size * text.chars().count() as f64;
+        let mut shapes = vec![Shape::Line {
+            from: [from[0], from[1] - 0.05 * unit],
+            to: [from[0], from[1] + 0.05 * unit],
+            width: 0.015 * unit,
+            color: RAIL,
+        }];
+        shapes.extend(arrow(from, reach, 0.02 * unit, RAIL));
+        shapes.push(Shape::Text { at: [middle, from[1] - 0.042 * unit], size, text, color: RAIL });
+        shapes
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{CART, cart_pole, cart_pole_on};
+    use super::*;
+    use crate::report::Animation;
+
+    fn film(rail: &Rail, xs: &[f64]) -> Animation {
+        let states: Vec<Vec<f64>> = xs.iter().map(|x| vec![*x, 0.0, 0.1, 0.0]).collect();
+        cart_pole_on(rail, &states, &[1.0], 0.5, 0.02)
+    }
+
+    /// Left and right edges of the rectangles of a colour, that are as high as bumpers are or as the cart is.
+    fn plates(film: &Animation, frame: usize, of: &str, height: f64) -> Vec<[f64; 2]> {
+        let edges = |shape: &Shape| match shape {
+            Shape::Rect { center, size, color } if *color == of && (size[1] - height).abs() < 1e-9 => {
+                Some([center[0] - size[0] / 2.0, center[0] + size[0] / 2.0])
+            }
+            _ => None,
+        };
+        film.frames[frame].iter().filter_map(edges).collect()
+    }
+
+    fn same(a: f64, b: f64) -> bool {
+        (a - b).abs() < 1e-9
+    }
+
+    #[test]
+    fn nothing_around_is_the_bare_film() {
+        let states: Vec<Vec<f64>> = (0..50).map(f64::from).map(|t| vec![t * 0.1, 5.0, t, 1.0, -t, 1.0]).collect();
+        let forces: Vec<f64> = (0..50).map(|t| f64::from(t).sin()).collect();
+        let bare = cart_pole(&states, &forces, 0.5, 0.02).to_svg();
+        assert!(cart_pole_on(&Rail::default(), &states, &forces, 0.5, 0.02).to_svg() == bare);
+    }
+
+    #[test]
+    fn a_pad_meets_the_cart_where_the_cart_touches() {
+        let film = film(&Rail { bumpers: Some(2.0), ..Rail::default() }, &[1.0, 2.0, 2.3]);
+        let right = |frame: usize| (plates(&film, frame, CART, 0.2)[0][1], plates(&film, frame, RAIL, 0.3)[1][0]);
+        assert!(right(0).0 < right(0).1);
+        assert!(same(right(1).0, right(1).1) && same(right(2).0, right(2).1), "{:?}", right(2));
+        let post = plates(&film, 2, DARK, 0.3)[1];
+        assert!(right(2).1 + 0.03 < post[0], "a spring is never flat");
+        assert!(film.view.1[0] > post[1] && film.view.0[0] < -post[1], "both ends are seen");
+    }
+
+    #[test]
+    fn the_arrow_is_as_long_as_the_wind_is_strong() {
+        let rail = Rail { wind: vec![4.0, -2.0, f64::NAN], ..Rail::default() };
+        let windy = film(&rail, &[0.0; 3]);
+        let lengths: Vec<f64> = windy
+            .frames
+            .iter()
+            .filter_map(|shapes| {
+                shapes.iter().find_map(|shape| match shape {
+                    Shape::Line { from, to, color, .. } if *color == RAIL && from[1] > 1.0 && from[1] == to[1] => {
+                        Some(to[0] - from[0])
+                    }
+                    _ => None,
+                })
+            })
+            .collect();
+        assert!(same(lengths[0], 0.5) && same(lengths[1], -0.25) && same(lengths[2], 0.0), "{lengths:?}");
+        let svg = windy.to_svg();
+        assert!(svg.contains("wind, up to 4 m/s") && !svg.contains("NaN"));
+        let words = |speed: f64| film(&Rail { wind: vec![speed; 3], ..Rail::default() }, &[0.0; 3]).to_svg();
+        assert!(words(-3.0).contains("wind, 3 m/s") && words(0.0).contains("still air"));
+    }
+
+    #[test]
+    fn any_numbers_give_a_picture() {
+        for bumpers in [f64::NAN, f64::INFINITY, -1.0, 0.0, 1e-3, 1e9] {
+            for wind in [vec![], vec![0.0], vec![f64::INFINITY]] {
+                let rail = Rail { bumpers: Some(bumpers), wind };
+                for xs in [&[][..], &[0.3, 1.0], &[0.0, 20.0, -500.0]] {
+                    let svg = film(&rail, xs).to_svg();
+                    roxmltree::Document::parse(&svg).expect("an SVG is XML");
+                    assert!(!svg.contains("NaN") && !svg.contains("inf"));
+                }
+            }
+        }
+    }
+}
