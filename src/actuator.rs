@@ -1,5 +1,6 @@
 //! [`Actuator`]: what stands between the policy's control and the system's.
 
+mod chain;
 mod kinds;
 
 pub use kinds::{AnyActuator, Delay, Lag, Limit, LimitKind};
@@ -144,62 +145,6 @@ impl<A: Actuator, B: Actuator> Actuator for (A, B) {
         let bars = Bars { own: &next_bar.own[n..], out: next_bar.out };
         self.1.reverse(&own[n..], &between, bars, second, Some(&mut between_bar));
         self.0.reverse(&own[..n], u, Bars { own: &next_bar.own[..n], out: &between_bar }, first, u_bar);
-    }
-}
-
-/// One after the other, in this order. The numbers are those of nested pairs, bit for bit.
-impl<A: Actuator> Actuator for Vec<A> {
-    fn state_dim(&self, controls: usize) -> usize {
-        self.iter().map(|actuator| actuator.state_dim(controls)).sum()
-    }
-
-    #[inline(always)]
-    fn step<T: Scalar>(&self, mut own: &[T], u: &[T], mut own_next: &mut [T], out: &mut [T]) {
-        out.copy_from_slice(u);
-        for actuator in self {
-            let n = actuator.state_dim(u.len());
-            let before: Controls<T> = SmallVec::from_slice(out);
-            let (here, rest) = own_next.split_at_mut(n);
-            actuator.step(&own[..n], &before, here, out);
-            (own, own_next) = (&own[n..], rest);
-        }
-    }
-
-    #[inline(always)]
-    fn reverse<R: Real, C: Cotangent<R>>(
-        &self,
-        own: &[R],
-        u: &[R],
-        next_bar: Bars<'_, C>,
-        mut own_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
-    ) {
-        // What every actuator was given. Nobody asks for what the last one made of it.
-        let m = u.len();
-        let mut given: SmallVec<[R; 4 * STACK]> = SmallVec::from_slice(u);
-        let mut begin = 0;
-        for actuator in self.split_last().map_or(&[][..], |(_, before)| before) {
-            let n = actuator.state_dim(m);
-            let mut own_next: SmallVec<[R; 4 * STACK]> = smallvec![R::zero(); n];
-            let mut out: Controls<R> = smallvec![R::zero(); m];
-            actuator.step(&own[begin..begin + n], &given[given.len() - m..], &mut own_next, &mut out);
-            given.extend_from_slice(&out);
-            begin += n;
-        }
-        let mut end = own.len();
-        let mut out_bar: Controls<C> = SmallVec::from_slice(next_bar.out);
-        let mut before_bar: Controls<C> = out_bar.clone();
-        for (actuator, given) in self.iter().zip(given.chunks_exact(m)).rev() {
-            let begin = end - actuator.state_dim(m);
-            let bars = Bars { own: &next_bar.own[begin..end], out: &out_bar };
-            let here = own_bar.as_deref_mut().map(|own_bar| &mut own_bar[begin..end]);
-            actuator.reverse(&own[begin..end], given, bars, here, Some(&mut before_bar));
-            std::mem::swap(&mut out_bar, &mut before_bar);
-            end = begin;
-        }
-        if let Some(u_bar) = u_bar {
-            u_bar.copy_from_slice(&out_bar);
-        }
     }
 }
 

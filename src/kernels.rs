@@ -91,12 +91,6 @@ pub fn dispatch(level: Level, work: impl Vectorized) {
     work.run::<false>();
 }
 
-/// As [`dispatch_narrow`], but never inlined: for work of which there is so much that callers would grow without bound.
-#[inline(never)]
-pub fn dispatch_apart(work: impl Vectorized) {
-    dispatch_narrow(work);
-}
-
 /// As [`dispatch`], with AVX2 at most: simulators are compiled once per level, and eight lanes gain little from wider
 /// registers.
 #[inline]

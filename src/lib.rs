@@ -49,6 +49,7 @@
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 
 mod actuator;
+mod apart;
 mod backward;
 mod batch;
 pub mod check;

@@ -41,6 +41,9 @@ pub trait Scalar:
 {
     /// The floating point number underneath, `f32` or `f64`.
     type Real: Float;
+    /// Whether it is worth compiling loops over it for the widest registers: numbers that rollouts run on.
+    #[doc(hidden)]
+    const WIDE: bool = false;
 
     /// A constant, rounded to the precision underneath.
     fn lift(value: f64) -> Self;

@@ -1,7 +1,8 @@
 //! Effects that are chosen while the program runs: a list, walked in every step.
 
 use super::{Effect, later};
-use crate::kernels::{Vectorized, dispatch_apart};
+use crate::apart::apart;
+use crate::kernels::Vectorized;
 use crate::scalar::{Cotangent, Real, Scalar};
 
 /// All of them, in this order: for combinations that are not known when the program is compiled. The numbers are those
@@ -48,7 +49,7 @@ impl<B, E: Effect<B>> Effect<B> for Vec<E> {
 
 /// One effect at one state, compiled apart from the system: a list of many effects is in every loop of every system that
 /// takes one, and with all of them inlined such a loop takes minutes to compile.
-pub(crate) struct Act<'a, B, E, T> {
+pub(crate) struct Act<'a, B, E, T, const KNOWING: bool> {
     pub effect: &'a E,
     pub body: &'a B,
     pub x: &'a [T],
@@ -56,27 +57,27 @@ pub(crate) struct Act<'a, B, E, T> {
     pub forces: &'a mut [T],
 }
 
-impl<B, E: Effect<B>, T: Scalar> Act<'_, B, E, T> {
+impl<B, E: Effect<B>, T: Scalar, const KNOWING: bool> Act<'_, B, E, T, KNOWING> {
     #[inline(always)]
     pub(crate) fn apart(self) {
-        dispatch_apart(self);
+        apart::<T>(self);
     }
 }
 
-impl<B, E: Effect<B>, T: Scalar> Vectorized for Act<'_, B, E, T> {
+impl<B, E: Effect<B>, T: Scalar, const KNOWING: bool> Vectorized for Act<'_, B, E, T, KNOWING> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { effect, body, x, known, forces } = self;
-        if known.is_empty() {
-            effect.act(body, x, forces);
-        } else {
+        if KNOWING {
             effect.act_knowing(body, x, known, forces);
+        } else {
+            effect.act(body, x, forces);
         }
     }
 }
 
 /// The reverse of [`Act`].
-pub(crate) struct ActBack<'a, B, E, R, C> {
+pub(crate) struct ActBack<'a, B, E, R, C, const KNOWING: bool> {
     pub effect: &'a E,
     pub body: &'a B,
     pub x: &'a [R],
@@ -85,21 +86,21 @@ pub(crate) struct ActBack<'a, B, E, R, C> {
     pub x_bar: &'a mut [C],
 }
 
-impl<B, E: Effect<B>, R: Real, C: Cotangent<R>> ActBack<'_, B, E, R, C> {
+impl<B, E: Effect<B>, R: Real, C: Cotangent<R>, const KNOWING: bool> ActBack<'_, B, E, R, C, KNOWING> {
     #[inline(always)]
     pub(crate) fn apart(self) {
-        dispatch_apart(self);
+        apart::<R>(self);
     }
 }
 
-impl<B, E: Effect<B>, R: Real, C: Cotangent<R>> Vectorized for ActBack<'_, B, E, R, C> {
+impl<B, E: Effect<B>, R: Real, C: Cotangent<R>, const KNOWING: bool> Vectorized for ActBack<'_, B, E, R, C, KNOWING> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { effect, body, x, known, forces_bar, x_bar } = self;
-        if known.is_empty() {
-            effect.vjp(body, x, forces_bar, x_bar);
-        } else {
+        if KNOWING {
             effect.vjp_knowing(body, x, known, forces_bar, x_bar);
+        } else {
+            effect.vjp(body, x, forces_bar, x_bar);
         }
     }
 }
@@ -117,7 +118,7 @@ macro_rules! any_effect {
             #[inline(always)]
             fn act<T: crate::scalar::Scalar>(&self, body: &$body, x: &[T], forces: &mut [T]) {
                 match self {
-                    $(Self::$effect(effect) => crate::effect::Act { effect, body, x, known: &[], forces }.apart()),+
+                    $(Self::$effect(effect) => crate::effect::Act::<_, _, _, false> { effect, body, x, known: &[], forces }.apart()),+
                 }
             }
 
@@ -130,14 +131,14 @@ macro_rules! any_effect {
                 x_bar: &mut [C],
             ) {
                 match self {
-                    $(Self::$effect(effect) => crate::effect::ActBack { effect, body, x, known: &[], forces_bar, x_bar }.apart()),+
+                    $(Self::$effect(effect) => crate::effect::ActBack::<_, _, _, _, false> { effect, body, x, known: &[], forces_bar, x_bar }.apart()),+
                 }
             }
 
             #[inline(always)]
             fn act_knowing<T: crate::scalar::Scalar>(&self, body: &$body, x: &[T], known: &[T], forces: &mut [T]) {
                 match self {
-                    $(Self::$effect(effect) => crate::effect::Act { effect, body, x, known, forces }.apart()),+
+                    $(Self::$effect(effect) => crate::effect::Act::<_, _, _, true> { effect, body, x, known, forces }.apart()),+
                 }
             }
 
@@ -151,7 +152,7 @@ macro_rules! any_effect {
                 x_bar: &mut [C],
             ) {
                 match self {
-                    $(Self::$effect(effect) => crate::effect::ActBack { effect, body, x, known, forces_bar, x_bar }.apart()),+
+                    $(Self::$effect(effect) => crate::effect::ActBack::<_, _, _, _, true> { effect, body, x, known, forces_bar, x_bar }.apart()),+
                 }
             }
 

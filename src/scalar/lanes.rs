@@ -58,6 +58,7 @@ impl<F: Float, const W: usize> Neg for Lanes<F, W> {
 
 impl<F: Float, const W: usize> Scalar for Lanes<F, W> {
     type Real = F;
+    const WIDE: bool = W >= 8;
     #[inline(always)]
     fn lift(value: f64) -> Self {
         Self([F::lift(value); W])
