@@ -233,3 +233,60 @@ fn the_schema_has_a_branch_a_task_with_every_setting() {
         assert!(branch["properties"]["training"]["properties"]["clip_limit"].is_object());
     }
 }
+
+/// A page of the documentation.
+fn page(name: &str) -> String {
+    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).expect("a page")
+}
+
+/// What stands in a page between fences of a language.
+fn blocks<'a>(page: &'a str, language: &str) -> Vec<&'a str> {
+    let begin = format!("```{language}\n");
+    page.split(&begin).skip(1).map(|rest| rest.split("```").next().expect("a block")).collect()
+}
+
+#[test]
+fn every_scene_in_the_documentation_is_one() {
+    let dir = TempDir::new().expect("a folder");
+    for (name, least) in [("docs/scenes.md", 3), ("README.md", 1)] {
+        let page = page(name);
+        let scenes = blocks(&page, "toml");
+        assert!(scenes.len() >= least, "{name}");
+        for scene in scenes {
+            let file = write(&dir, scene);
+            physgrad(&["explain"]).arg(&file).assert().success();
+        }
+    }
+}
+
+#[test]
+fn what_the_documentation_says_the_program_says_is_what_it_says() {
+    let dir = TempDir::new().expect("a folder");
+    let page = page("docs/scenes.md");
+    let first = blocks(&page, "toml")[0];
+    let file = dir.path().join("windy.toml");
+    fs::write(&file, first).expect("a file");
+    let mut explain = physgrad(&["explain", "windy.toml"]);
+    let output = explain.current_dir(dir.path()).output().expect("it runs");
+    let output = String::from_utf8(output.stdout).expect("text");
+    let shown = blocks(&page, "text").into_iter().find(|block| block.starts_with("windy.toml: ")).expect("an explanation");
+    // Lines are left out, and cut off.
+    for line in shown.lines().map(|line| line.trim_end_matches('…').trim_end()) {
+        assert!(output.lines().any(|said| said.starts_with(line)), "{line}\n{output}");
+    }
+    for mistaken in [
+        first.replace("speed = 4.0", "sped = 4.0"),
+        first.replace("speed = 4.0", "cart_drag = -1"),
+        first.replace("bumpers", "gusty_wind"),
+        first.replace("steady_wind", "walls").replace("speed = 4.0\n", ""),
+    ] {
+        fs::write(&file, mistaken).expect("a file");
+        let said = error_of(physgrad(&["train", "windy.toml"]).current_dir(dir.path()));
+        assert!(page.contains(&said), "{said}");
+    }
+}
+
+#[test]
+fn the_page_of_effects_is_the_one_that_the_command_writes() {
+    assert!(page("docs/effects.md") == stdout(&["effects"]), "docs/effects.md is old: physgrad effects > docs/effects.md");
+}
