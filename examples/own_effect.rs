@@ -54,9 +54,10 @@ fn main() -> Result<(), TrainError> {
     // What it costs, counted. An effect that is not named costs nothing.
     let alone = Cost::of(&system);
     let (by_duals, by_hand) = (Cost::of(&With { system, effects: brake }), Cost::of(&With { system, effects: ByHand(brake) }));
-    println!("step    alone {:>4}, with the brake {:>4}: {}", alone.step.total(), by_hand.step.total(), by_hand.step - alone.step);
-    println!("reverse alone {:>4}, with the brake {:>4}: {}", alone.vjp.total(), by_hand.vjp.total(), by_hand.vjp - alone.vjp);
-    println!("                    by dual numbers {:>4}", by_duals.vjp.total());
+    for (pass, alone, with) in [("step", alone.step, by_hand.step), ("reverse", alone.vjp, by_hand.vjp)] {
+        println!("{pass:>8}: {} operations, with the brake {}: {}", alone.total(), with.total(), with - alone);
+    }
+    println!("          with its derivative by dual numbers {}", by_duals.vjp.total());
 
     // It stands beside effects of ours as if it were one of them.
     let braked = CartPole::around(With { system, effects: (PoleDamping::default(), ByHand(brake)) });

@@ -114,7 +114,8 @@ fn parameters(page: &mut String, schema: &Value) {
         };
         // What is one of several words says what each of them means.
         let choices = of["oneOf"].as_array().into_iter().flatten();
-        let choices = choices.map(|choice| format!("<br>`{}`: {}", choice["const"].as_str().unwrap_or_default(), description(choice)));
+        let choices =
+            choices.map(|choice| format!("<br>`{}`: {}", choice["const"].as_str().unwrap_or_default(), description(choice)));
         let _ = writeln!(page, "| `{name}` | {default} | {}{} |", description(of), choices.collect::<String>());
     }
 }
