@@ -15,7 +15,7 @@ use crate::divergence::Divergence;
 use crate::policy::{Policy, Weights};
 use crate::rng::{Purpose, Rng, stream};
 use crate::rollout::Rollout;
-use crate::scalar::{Columns, Lanes, Real, Scalar};
+use crate::scalar::{Columns, Cotangent, Lanes, Real, Scalar};
 use crate::system::{System, Wrt, vjp_by_duals};
 use crate::task::Task;
 use rand_distr::{Distribution, StandardNormal};
@@ -179,7 +179,7 @@ pub fn try_system_at<S: System>(system: &S, draw: impl Fn(&mut Rng, &mut [f64], 
         let (mut x_dual, mut u_dual) = (vec![0.0; n], vec![0.0; m]);
         vjp_by_duals(system, &x, &u, &next_bar, Wrt::Both, &mut x_dual, &mut u_dual);
         let (mut x_bar, mut u_bar) = (vec![f64::NAN; n], vec![f64::NAN; m]);
-        system.vjp(&x, &u, &next_bar, &mut x_bar, &mut u_bar);
+        vjp(system, &x, &u, &next_bar, &mut x_bar, &mut u_bar);
         c.slices("vjp: x_bar", &x_bar, &x_dual)?;
         c.slices("vjp: u_bar", &u_bar, &u_dual)?;
         let (mut x_only, mut u_only) = (vec![f64::NAN; n], vec![f64::NAN; m]);
@@ -203,6 +203,19 @@ pub fn try_system_at<S: System>(system: &S, draw: impl Fn(&mut Rng, &mut [f64], 
     Ok(c.passed)
 }
 
+/// [`System::step`] in one place for each kind of number: simulators are inlined wherever they are called, and checks are
+/// in no hurry.
+#[inline(never)]
+fn step<S: System, T: Scalar>(system: &S, x: &[T], u: &[T], next: &mut [T]) {
+    system.step(x, u, next);
+}
+
+/// [`System::vjp`], likewise.
+#[inline(never)]
+fn vjp<S: System, R: Real, C: Cotangent<R>>(system: &S, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+    system.vjp(x, u, next_bar, x_bar, u_bar);
+}
+
 /// Two columns of lanes, each lane another input, against the same on plain numbers: the same bits.
 fn lanes<S: System>(system: &S, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
     const W: usize = 4;
@@ -214,16 +227,16 @@ fn lanes<S: System>(system: &S, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut 
     let (n, m) = (x.len(), u.len());
     let (x_lanes, u_lanes) = (pack(x), pack(u));
     let mut next = vec![Lanes::zero(); n];
-    system.step(&x_lanes, &u_lanes, &mut next);
+    step(system, &x_lanes, &u_lanes, &mut next);
     let column = |v: Lanes<f64, W>| Columns([v, -v]);
     let next_bars: Vec<_> = pack(next_bar).into_iter().map(column).collect();
     let (mut x_bars, mut u_bars) = (vec![column(Lanes::zero()); n], vec![column(Lanes::zero()); m]);
-    system.vjp(&x_lanes, &u_lanes, &next_bars, &mut x_bars, &mut u_bars);
+    vjp(system, &x_lanes, &u_lanes, &next_bars, &mut x_bars, &mut u_bars);
     for lane in 0..W {
         let (x, u, next_bar) = (vary(x, lane), vary(u, lane), vary(next_bar, lane));
         let (mut plain, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], vec![0.0; m]);
-        system.step(&x, &u, &mut plain);
-        system.vjp(&x, &u, &next_bar, &mut x_bar, &mut u_bar);
+        step(system, &x, &u, &mut plain);
+        vjp(system, &x, &u, &next_bar, &mut x_bar, &mut u_bar);
         c.equal("step in lanes", &next.iter().map(|v| v.lane(lane)).collect::<Vec<_>>(), &plain)?;
         let first = |v: &[Columns<Lanes<f64, W>, 2>]| v.iter().map(|v| v.0[0].lane(lane)).collect::<Vec<_>>();
         c.equal("vjp in lanes: x_bar", &first(&x_bars), &x_bar)?;

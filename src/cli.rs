@@ -1,5 +1,6 @@
 //! The `physgrad` program.
 
+mod allocations;
 mod animate;
 mod any_run;
 mod changes;

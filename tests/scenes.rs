@@ -133,7 +133,7 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
         ("\n[sytem]\npoles = 1\n", "my_scene.toml:4: `sytem` is unknown; allowed: "),
         ("[effects.wind]\nspeed = 1\n", "my_scene.toml:3: `effects.wind` is unknown; allowed: "),
         ("[actuator]\nlog = 1\n", "my_scene.toml:4: `actuator.log` is unknown; allowed: "),
-        ("[system]\nenabled = false\n", "my_scene.toml:4: `system.enabled` is unknown; allowed: `poles`"),
+        ("[system]\nenabled = false\n", "my_scene.toml:4: `system.enabled` is unknown; allowed: `model`, `poles`"),
         (
             "[training]\nclip_limit = 2\n",
             "my_scene.toml:4: `training.clip_limit` is 2, but nothing reads it: `training.clip` is none",
@@ -150,6 +150,24 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
         ("field = \"sideways\"\n", "my_scene.toml:3: `field` cannot be used: unknown field `sideways`; expected combined, "),
         ("precision = \"f16\"\n", "my_scene.toml:3: `precision` is `f16`; allowed: `f32` or `f64`"),
         ("horizon = \n", "my_scene.toml:3: "),
+        ("[effects.bumpers]\nenabled = false\n", "my_scene.toml:4: `effects.bumpers.enabled` is unknown; allowed: `reach`"),
+        ("[effects.bumpers]\nreach = \"far\"\n", "my_scene.toml:4: `effects.bumpers.reach` is string \"far\"; allowed: a number"),
+        (
+            "[effects.dry_friction]\n\nsmoothing = 0\n",
+            "my_scene.toml:5: `effects.dry_friction.smoothing` is 0; allowed: a positive number",
+        ),
+        ("[effects.steady_wind]\ngust = 1\n", "my_scene.toml:4: `effects.steady_wind.gust` is unknown; allowed: `speed`"),
+        (
+            "[effects.steady_wind]\n[effects.gusty_wind]\n",
+            "my_scene.toml:4: `effects.gusty_wind` cannot be beside `effects.steady_wind`: there is one wind; allowed: one of them",
+        ),
+        (
+            "[effects.cubic]\nstrength = 1\n",
+            "my_scene.toml:3: `effects.cubic` is an effect of quantum, not of cart_pole; allowed here: pole_damping, ",
+        ),
+        ("[actuator.limit]\nkind = \"hard\"\n", "my_scene.toml:3: `actuator.limit.bound` is missing"),
+        ("[actuator.lag]\ntime = 0\n", "my_scene.toml:4: `actuator.lag.time` is 0; allowed: a positive number"),
+        ("[actuator.delay]\nsteps = 0\n", "my_scene.toml:4: `actuator.delay.steps` is 0; allowed: 1 to 1000"),
         ("epochs = 1\nepochs = 2\n", "my_scene.toml:4: "),
     ] {
         let file = write(&dir, &format!("{CART_POLE}{text}"));
@@ -163,6 +181,18 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
         (
             "scene = 2\ntask = \"cart_pole\"\n",
             "my_scene.toml:1: `scene` is 2; this version of physgrad reads scenes of version 1",
+        ),
+        (
+            "scene = 1\ntask = \"quantum\"\n[effects]\nharmonic = {}\nbarrier = {}\n",
+            "my_scene.toml:5: `effects.barrier` cannot be beside `effects.harmonic`: there is one static potential",
+        ),
+        (
+            "scene = 1\ntask = \"quantum\"\n[actuator.lag]\ntime = 1\n",
+            "my_scene.toml:3: `actuator.lag` adds to the state, and the network of this task sees the wave function alone",
+        ),
+        (
+            "scene = 1\ntask = \"guidance\"\n[effects.obstacles]\ncenters = [[0, 0], [1, nan]]\n",
+            "my_scene.toml:4: `effects.obstacles.centers[1][1]` is NaN; allowed: a finite number",
         ),
         ("scene = 1\ntask = \"cart_pool\"\n", "my_scene.toml:2: `task` is \"cart_pool\"; allowed: cart_pole, guidance, quantum"),
     ] {
@@ -193,6 +223,32 @@ fn a_mistake_of_the_command_line_is_told_from_one_of_the_file() {
         let said = error_of(&mut train_scene(&file, &out, &["--set", set]));
         assert!(said.contains(message), "{message}\n{said}");
     }
+}
+
+#[test]
+fn effects_are_added_and_left_out_on_the_command_line() {
+    let dir = TempDir::new().expect("a folder");
+    let out = dir.path().join("run");
+    let few = [&SMALL[..], &["--epochs", "1"]].concat();
+    let change = ["--without", "gusty_wind", "--without", "lag", "--set", "effects.steady_wind.speed=1"];
+    train_scene(Path::new("cart_pole_windy"), &out, &[&few[..], &change[..]].concat()).assert().success();
+    let settings = settings(&out);
+    let parts = |section: &str| settings[section].as_table().expect("a section").keys().cloned().collect::<Vec<_>>();
+    assert_eq!(parts("effects"), ["pole_damping", "dry_friction", "steady_wind", "bumpers"]);
+    assert_eq!(parts("actuator"), ["limit"]);
+    assert_eq!(settings["effects"]["steady_wind"]["cart_drag"].as_float(), Some(0.06), "as the effect has it");
+}
+
+#[test]
+fn states_that_effects_and_actuators_add_are_named_in_trajectories() {
+    let dir = TempDir::new().expect("a folder");
+    let few = [&SMALL[..], &["--epochs", "1", "--set", "actuator.delay.steps=2"]].concat();
+    train_scene(Path::new("cart_pole_windy"), dir.path(), &few).assert().success();
+    let text = fs::read_to_string(dir.path().join("trajectory.csv")).expect("trajectories");
+    let header = text.lines().next().expect("a header");
+    assert!(header.ends_with("omega_2,time_of_gusts,force_in_1,force_in_2,force_felt,force"), "{header}");
+    let widths: Vec<usize> = text.lines().map(|line| line.split(',').count()).collect();
+    assert!(widths.iter().all(|&width| width == widths[0]), "every state has its number");
 }
 
 #[test]

@@ -9,7 +9,6 @@ use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use indicatif::ProgressBar;
 use physgrad::check::{self, Failure, Passed};
-use physgrad::policy::Linear;
 use physgrad::{Flow, Policy, System, Task};
 use std::time::Duration;
 
@@ -66,16 +65,13 @@ impl Visit for Checking<'_> {
         let Self { variant, results } = self;
         let system = task.system();
         let (n, m) = (system.state_dim(), system.control_dim());
-        let linear = Linear::with_bias(n, m);
         results.add(&format!("{variant}: system"), || check::try_system(system).map_err(Failure::from));
         // The same policies as in the variant before need no second look.
         if results.dims.replace((n, m)) != Some((n, m)) {
             results.add(&format!("{variant}: network"), || check::try_policy(&network).map_err(Failure::from));
-            results.add(&format!("{variant}: linear policy"), || check::try_policy(&linear).map_err(Failure::from));
         }
         for flow in Flow::ALL {
-            results.add(&format!("{variant}: rollout, network, {flow}"), || check::try_flow(&task, &network, flow));
-            results.add(&format!("{variant}: rollout, linear, {flow}"), || check::try_flow(&task, &linear, flow));
+            results.add(&format!("{variant}: rollout, {flow}"), || check::try_flow(&task, &network, flow));
         }
     }
 }

@@ -1,15 +1,19 @@
 //! `physgrad explain`: what a scene simulates, what it leaves out, and what that costs.
 
+mod visitors;
+
 use super::document::OPTIONAL;
-use super::kind::{Info, Visit};
+use super::kind::Info;
 use super::presets;
 use super::scene::Scene;
-use super::settings::{ACTUATORS, Precision};
+use super::settings::ACTUATORS;
 use super::terminal::say;
 use anyhow::Result;
-use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
-use physgrad::{Adjoint, Cost, Counts, Field, Float, Policy, Rollout, Task};
+use comfy_table::{ContentArrangement, Table};
+use physgrad::{Cost, Counts, Field};
+use visitors::SAMPLES;
+pub use visitors::{Costing, Stored, Storing};
 
 /// Tell what a scene simulates and what it leaves out; operations of a step and its reverse, by effect; and what is stored.
 ///
@@ -23,8 +27,10 @@ pub struct Explain {
     pub without: Vec<String>,
 }
 
-/// Samples that go through a rollout together when its bytes are counted: all lanes are in use.
-const SAMPLES: usize = 8;
+/// Characters that a table may be wide.
+const WIDTH: u16 = 130;
+/// Steps of the rollouts whose bytes are counted.
+const FEW_STEPS: usize = 8;
 
 /// Runs the command.
 pub fn explain(args: &Explain) -> Result<()> {
@@ -37,10 +43,10 @@ pub fn explain(args: &Explain) -> Result<()> {
     let controls = scene.control_names();
     say(&format!("control of {} number{}, {}\n", controls.len(), if controls.len() == 1 { "" } else { "s" }, names(&controls)));
     say(&effects(&scene).to_string());
-    say("\noperations of one step of one sample; its VJP to state and control (R, M), and to the control alone (N, S)");
+    say("\noperations of one step of one sample; of its VJP to state and control (R, M); of its VJP to the control alone (N, S)");
     say(&operations(&scene)?.to_string());
     say(&format!(
-        "\nstored for one sample, in {}; a rollout that is evaluated keeps no step, and there is no allocation in any time loop",
+        "\nwhat is kept of one sample, in {}; and allocations in a step of all {SAMPLES} samples of a block, once it has run",
         scene.precision.name()
     ));
     say(&bytes(&scene)?.to_string());
@@ -58,6 +64,7 @@ fn names(names: &[String]) -> String {
 fn table(header: &[&str]) -> Table {
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED).set_header(header);
+    table.set_content_arrangement(ContentArrangement::Dynamic).set_width(WIDTH);
     table
 }
 
@@ -86,17 +93,25 @@ fn effects(scene: &Scene) -> Table {
 
 /// Operations of the system alone, of each part that is present, and of all.
 fn operations(scene: &Scene) -> Result<Table> {
-    let mut table = table(&["", "step", "VJP", "VJP to control"]);
-    let mut row = |name: &str, cost: &Cost| {
-        let all = [cost.step, cost.vjp, cost.vjp_control].map(|counts| format!("{}: {counts}", counts.total()));
-        table.add_row([name.to_owned()].into_iter().chain(all));
+    let kinds = ["all", "add, subtract", "negate", "multiply", "divide", "root", "function", "compare"];
+    let mut table = table(&[&["", "pass"][..], &kinds].concat());
+    let mut rows = |name: &str, cost: &Cost| {
+        let passes = [("step", cost.step), ("VJP", cost.vjp), ("VJP to control", cost.vjp_control)];
+        for (i, (pass, counts)) in passes.into_iter().enumerate() {
+            let Counts { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
+            let numbers = [counts.total(), add, negate, multiply, divide, sqrt, transcendental, compare];
+            let names = [if i == 0 { name } else { "" }, pass].map(str::to_owned);
+            table.add_row(names.into_iter().chain(numbers.map(|count| count.to_string())));
+        }
     };
-    let present: Vec<_> = parts(scene).into_iter().filter(|(section, info)| is_present(scene, section, info.name)).collect();
     let mut bare = scene.table.clone();
     OPTIONAL.iter().for_each(|section| drop(bare.remove(*section)));
-    row("system alone", &scene.kind.scene(bare)?.cost());
+    rows("system alone", &scene.kind.scene(bare)?.cost());
     let whole = scene.cost();
-    for (section, info) in present {
+    for (section, info) in parts(scene) {
+        if !is_present(scene, section, info.name) {
+            continue;
+        }
         let mut without = scene.table.clone();
         if let Some(section) = without.get_mut(section).and_then(toml::Value::as_table_mut) {
             section.remove(info.name);
@@ -104,68 +119,39 @@ fn operations(scene: &Scene) -> Result<Table> {
         let rest = scene.kind.scene(without)?.cost();
         let own = |of: fn(&Cost) -> Counts| of(&whole) - of(&rest);
         let own = Cost { step: own(|c| c.step), vjp: own(|c| c.vjp), vjp_control: own(|c| c.vjp_control) };
-        row(&format!("{section}.{}", info.name), &own);
+        rows(&format!("{section}.{}", info.name), &own);
     }
-    row("all", &whole);
+    rows("together", &whole);
     Ok(table)
 }
 
-/// Bytes of a rollout and of the adjoint of each field, for each step and besides.
+/// Bytes of a rollout and of the adjoint of each field, for each step and besides; and allocations in a step.
 fn bytes(scene: &Scene) -> Result<Table> {
-    let mut table = table(&["", "each step", "besides", "whole rollout"]);
+    let mut table = table(&["", "bytes each step", "besides", "whole rollout", "allocations each step"]);
     let steps = scene.horizon;
-    let mut row = |name: &str, stored: &dyn Fn(&Scene) -> usize| -> Result<()> {
-        // Two horizons tell what a step takes.
-        let mut longer = scene.table.clone();
-        longer.insert("horizon".into(), toml::Value::Integer(steps as i64 + 1));
-        let (whole, longer) = (stored(scene), stored(&scene.kind.scene(longer)?));
-        let each = (longer - whole) / SAMPLES;
-        let whole = whole / SAMPLES;
-        table.add_row([name.to_owned(), each.to_string(), (whole - each * steps).to_string(), whole.to_string()]);
-        Ok(())
+    let with_horizon = |horizon: usize| {
+        let mut table = scene.table.clone();
+        table.insert("horizon".into(), toml::Value::Integer(horizon as i64));
+        scene.kind.scene(table)
     };
-    row("evaluation", &|scene| scene.stored(None))?;
+    // Two horizons tell what a step takes.
+    let (short, long) = (with_horizon(FEW_STEPS)?, with_horizon(2 * FEW_STEPS)?);
+    let mut row = |name: &str, field: Option<Field>| {
+        let [short, long] = [&short, &long].map(|scene| scene.stored(field));
+        let each = (long.bytes - short.bytes) / (FEW_STEPS * SAMPLES);
+        let besides = short.bytes / SAMPLES - each * FEW_STEPS;
+        let allocations = (long.allocations - short.allocations) / FEW_STEPS;
+        table.add_row([
+            name.to_owned(),
+            each.to_string(),
+            besides.to_string(),
+            (besides + each * steps).to_string(),
+            allocations.to_string(),
+        ]);
+    };
+    row("evaluation", None);
     for field in Field::ALL {
-        row(&field.to_string(), &|scene| scene.stored(Some(field)))?;
+        row(&field.to_string(), Some(field));
     }
     Ok(table)
-}
-
-/// Counts the operations of the physics.
-pub struct Costing;
-
-impl Visit for Costing {
-    type Out = Cost;
-
-    fn visit<T: Task, P: Policy>(self, task: T, _policy: P) -> Cost {
-        Cost::of(task.system())
-    }
-}
-
-/// Bytes that a rollout of [`SAMPLES`] samples and its adjoint hold.
-pub struct Storing {
-    pub precision: Precision,
-    /// None: for evaluation.
-    pub field: Option<Field>,
-}
-
-impl Visit for Storing {
-    type Out = usize;
-
-    fn visit<T: Task, P: Policy>(self, task: T, policy: P) -> usize {
-        match self.precision {
-            Precision::F32 => self.bytes::<f32>(&task, &policy),
-            Precision::F64 => self.bytes::<f64>(&task, &policy),
-        }
-    }
-}
-
-impl Storing {
-    fn bytes<F: Float>(&self, task: &impl Task, policy: &impl Policy) -> usize {
-        let Some(field) = self.field else {
-            return Rollout::<F>::for_evaluation(task, policy, SAMPLES).stored_bytes();
-        };
-        let rollout = Rollout::<F>::new(task, policy, SAMPLES);
-        rollout.stored_bytes() + Adjoint::new(policy, &rollout, &field.flows()).stored_bytes()
-    }
 }

@@ -3,7 +3,7 @@
 use super::any_run::{AnyRun, Open};
 use super::check::{Checking, Results};
 use super::document::OPTIONAL;
-use super::explain::{Costing, Storing};
+use super::explain::{Costing, Stored, Storing};
 use super::kind::{AnyKind, Kind};
 use super::problem::Problem;
 use super::settings::{FieldName, Precision, Settings};
@@ -42,8 +42,8 @@ pub trait AnySettings: Send + Sync {
     fn check(&self, variant: &str, results: &mut Results);
     /// Operations of a step of the physics and of its reverse.
     fn cost(&self) -> Cost;
-    /// Bytes of a rollout of a few samples, with the adjoint of a field or for evaluation.
-    fn stored(&self, field: Option<Field>) -> usize;
+    /// What a rollout of a few samples takes, with the adjoint of a field or for evaluation.
+    fn stored(&self, field: Option<Field>) -> Stored;
     /// Seconds per step.
     fn dt(&self) -> f64;
     /// What the components of the state are called.
@@ -68,7 +68,7 @@ impl<K: Kind> AnySettings for Settings<K> {
         self.visit(Costing)
     }
 
-    fn stored(&self, field: Option<Field>) -> usize {
+    fn stored(&self, field: Option<Field>) -> Stored {
         self.visit(Storing { precision: self.precision, field })
     }
 

@@ -201,11 +201,10 @@ impl Kind for Quantum {
         if effects.is_empty() && settings.effects.absorbing_edges.is_none() && settings.actuator.is_empty() {
             return reach(system, settings, visitor);
         }
-        let system = With { system, effects };
-        match settings.effects.absorbing_edges {
-            Some(edges) => reach(settings.actuator.around(Absorbing { system, edges }, settings.system.dt), settings, visitor),
-            None => reach(settings.actuator.around(system, settings.system.dt), settings, visitor),
-        }
+        // Edges that reach nowhere multiply nothing: one type serves with and without them.
+        let edges = settings.effects.absorbing_edges.unwrap_or(AbsorbingEdges { width: 0.0, strength: 0.0 });
+        let system = Absorbing { system: With { system, effects }, edges };
+        reach(settings.actuator.around(system, settings.system.dt), settings, visitor)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {

@@ -1,0 +1,122 @@
+//! What `physgrad explain` says is what the library counts.
+
+use assert_cmd::Command;
+use physgrad::policy::Mlp;
+use physgrad::tasks::{CartPole, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, PoleDamping};
+use physgrad::{Adjoint, Cost, Field, Rollout, System, With};
+use std::fs;
+use tempfile::TempDir;
+
+fn physgrad(args: &[&str]) -> Command {
+    let mut command = Command::cargo_bin("physgrad").expect("the program is built");
+    command.args(args);
+    command
+}
+
+/// The rows of all tables in the output: their cells.
+fn explained(scene: &str, args: &[&str]) -> Vec<Vec<String>> {
+    let dir = TempDir::new().expect("a folder");
+    let file = dir.path().join("scene.toml");
+    fs::write(&file, scene).expect("a file");
+    let output = physgrad(&["explain"]).arg(&file).args(args).output().expect("it runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8(output.stdout).expect("text");
+    let cells = |line: &str| line.split(['│', '┆']).map(|cell| cell.trim().to_owned()).collect::<Vec<_>>();
+    text.lines().map(cells).map(|cells| cells.into_iter().filter(|cell| !cell.is_empty()).collect()).collect()
+}
+
+fn row<'a>(rows: &'a [Vec<String>], name: &str) -> &'a [String] {
+    rows.iter().find(|row| row.first().is_some_and(|first| first == name)).unwrap_or_else(|| panic!("{name}: {rows:?}"))
+}
+
+/// The three rows of operations that begin with this name.
+fn passes(rows: &[Vec<String>], name: &str) -> Vec<Vec<String>> {
+    let first = rows.iter().position(|row| row.len() == 10 && row[0] == name).unwrap_or_else(|| panic!("{name}: {rows:?}"));
+    vec![rows[first][1..].to_vec(), rows[first + 1].clone(), rows[first + 2].clone()]
+}
+
+const SCENE: &str = "
+scene = 1
+task = \"cart_pole\"
+horizon = 40
+[system]
+model = \"coupled\"
+poles = 3
+[effects]
+pole_damping = {}
+dry_friction = {}
+[policy]
+widths = [20]
+";
+
+fn body() -> CartPoleSystem {
+    CartPoleSystem { poles: 3, ..CartPoleSystem::default() }
+}
+
+#[test]
+fn operations_are_those_of_the_library_by_effect() {
+    let rows = explained(SCENE, &[]);
+    let cost = |system: &With<CoupledCartPole, Vec<CartPoleEffect>>| Cost::of(system);
+    let with = |effects: Vec<CartPoleEffect>| cost(&With { system: CoupledCartPole(body()), effects });
+    let (alone, damped, all) = (
+        with(vec![]),
+        with(vec![PoleDamping::default().into()]),
+        with(vec![PoleDamping::default().into(), DryFriction::default().into()]),
+    );
+    let of = |pass: &str, counts: physgrad::Counts| {
+        let physgrad::Counts { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
+        let numbers = [counts.total(), add, negate, multiply, divide, sqrt, transcendental, compare];
+        [pass.to_owned()].into_iter().chain(numbers.map(|count| count.to_string())).collect::<Vec<_>>()
+    };
+    let cells = |cost: &Cost| vec![of("step", cost.step), of("VJP", cost.vjp), of("VJP to control", cost.vjp_control)];
+    let told = |name: &str| passes(&rows, name);
+    assert_eq!(told("system alone"), cells(&alone));
+    assert_eq!(told("together"), cells(&all));
+    let own =
+        Cost { step: damped.step - alone.step, vjp: damped.vjp - alone.vjp, vjp_control: damped.vjp_control - alone.vjp_control };
+    assert_eq!(told("effects.pole_damping"), cells(&own));
+    assert!(rows.iter().any(|row| row.first().is_some_and(|cell| cell == "in play") && row[1] == "effects.dry_friction"));
+    assert!(rows.iter().any(|row| row.first().is_some_and(|cell| cell == "absent") && row[1] == "effects.bumpers"));
+    let without = explained(SCENE, &["--without", "dry_friction"]);
+    assert_eq!(passes(&without, "together"), cells(&damped));
+}
+
+#[test]
+fn bytes_are_those_that_the_library_holds() {
+    let rows = explained(SCENE, &[]);
+    let system = With { system: CoupledCartPole(body()), effects: (PoleDamping::default(), DryFriction::default()) };
+    let policy = Mlp::new([system.state_dim(), 20, 1]);
+    let samples = 8;
+    let stored = |horizon: usize, field: Option<Field>| {
+        let task = CartPole { horizon, ..CartPole::around(system) };
+        let Some(field) = field else { return Rollout::<f32>::for_evaluation(&task, &policy, samples).stored_bytes() };
+        let rollout = Rollout::<f32>::new(&task, &policy, samples);
+        rollout.stored_bytes() + Adjoint::new(&policy, &rollout, &field.flows()).stored_bytes()
+    };
+    let told = |name: &str| row(&rows, name)[1..].iter().map(|cell| cell.parse::<usize>().expect("a number")).collect::<Vec<_>>();
+    let fields = Field::ALL.map(|field| (field.to_string(), Some(field)));
+    for (name, field) in fields.into_iter().chain([("evaluation".to_owned(), None)]) {
+        let (short, long) = (stored(40, field), stored(140, field));
+        assert_eq!((long - short) % (100 * samples), 0, "every step takes the same");
+        let (each, whole) = ((long - short) / (100 * samples), short / samples);
+        assert_eq!(told(&name), [each, whole - 40 * each, whole, 0], "{name}: bytes, and no allocation");
+    }
+    assert_eq!(told("evaluation")[0], 0, "evaluation stores no step");
+    assert!(told("modified")[0] < told("regular")[0], "M keeps nothing of the policy's input derivative");
+}
+
+#[test]
+fn allocations_are_told_where_there_are_any() {
+    // A step of a grid that is too large for the stack works on the heap.
+    let rows = explained("scene = 1\ntask = \"quantum\"\n[system]\ngrid = 200\n[policy]\nwidth = 4\n", &[]);
+    assert_ne!(row(&rows, "evaluation")[4], "0");
+}
+
+#[test]
+fn the_rich_presets_have_right_gradients() {
+    for preset in ["cart_pole_windy", "guidance_walled", "quantum_double_well"] {
+        let output = physgrad(&["check", preset]).output().expect("it runs");
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert!(output.status.success() && text.contains("rollout, R"), "{text}{}", String::from_utf8_lossy(&output.stderr));
+    }
+}
