@@ -34,7 +34,7 @@ pub fn effects(_args: &Effects) -> Result<()> {
 fn page() -> Result<String> {
     let mut page = HEAD.to_owned();
     for kind in KINDS {
-        let _ = writeln!(page, "\n## {}\n\nTo {}.\n", kind.name(), kind.about());
+        let _ = writeln!(page, "\n## {}\n\n{} {}\n", kind.name(), sentence(kind.about()), symbols(kind.name()));
         section(&mut page, kind, "effects", kind.effects())?;
     }
     let _ = writeln!(
@@ -117,6 +117,25 @@ fn parameters(page: &mut String, schema: &Value) {
         let choices =
             choices.map(|choice| format!("<br>`{}`: {}", choice["const"].as_str().unwrap_or_default(), description(choice)));
         let _ = writeln!(page, "| `{name}` | {default} | {}{} |", description(of), choices.collect::<String>());
+    }
+}
+
+/// What the letters in the equations of a task stand for, and the sizes that its costs are those of.
+fn symbols(task: &str) -> &'static str {
+    match task {
+        "cart_pole" => {
+            "x is the place of the cart, θ_i and ω_i are angle and rate of pole i, l is `half_length`; F is the force on the cart and τ_i the \
+             torque on a pole. Costs are those with 2 poles."
+        }
+        "guidance" => {
+            "D_j and E_k are the places of drivers and evaders, a is an acceleration, and d is the distance plus `softening`. Costs are \
+             those with 2 drivers and 4 evaders."
+        }
+        "quantum" => {
+            "V is the potential and ξ the place, from the middle of the box; ħ = 1 and m = 1/2. There is one static potential: `harmonic`, \
+             `barrier` or `double_well`. Costs are those with 32 grid points."
+        }
+        _ => "",
     }
 }
 
