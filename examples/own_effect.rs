@@ -43,7 +43,7 @@ impl Effect<CartPoleSystem> for ByHand {
 }
 
 fn main() -> Result<(), TrainError> {
-    let epochs = std::env::args().nth(1).map_or(10, |text| text.parse().expect("a number of epochs"));
+    let epochs = std::env::args().nth(1).map_or(3, |text| text.parse().expect("a number of epochs"));
     let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
     let brake = EddyBrake { force: 5.0, speed: 1.0 };
 
