@@ -42,9 +42,26 @@
 //! # Ok::<(), physgrad::Divergence>(())
 //! ```
 //!
+//! # Effects
+//! Friction, wind, obstacles, potentials: optional physics is an [`Effect`], and what is in play is part of a system's
+//! type. What is absent is absent code, which [`Cost`] counts exactly. [`Actuator`]s stand between policy and system, and
+//! [`Substeps`] make several small steps of one.
+//! ```
+//! use physgrad::tasks::{CartPole, CartPoleSystem, PoleDamping, SteadyWind};
+//! use physgrad::{Actuated, Cost, Lag, With, check};
+//!
+//! let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
+//! let windy = With { system, effects: (PoleDamping::default(), SteadyWind { speed: 4.0, ..SteadyWind::default() }) };
+//! assert_eq!(Cost::of(&With { system, effects: () }), Cost::of(&system));
+//! let task = CartPole::around(Actuated { system: windy, actuator: Lag::new(0.05, system.dt) });
+//! check::system(&task.system);
+//! ```
+//! One of your own is a few lines: see `docs/scenes.md` and `examples/own_effect.rs`.
+//!
 //! # Features
 //! `default-features = false` leaves the library alone. `parallel` splits mini-batches over cores, `report` draws
-//! curves and animations, `program` (the default) is everything the `physgrad` binary needs.
+//! curves and animations, `schema` gives the settings of systems and effects a JSON schema, `program` (the default) is
+//! everything the `physgrad` binary needs.
 
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 
@@ -103,3 +120,7 @@ pub mod prelude {
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/scenes.md")]
+struct Scenes;

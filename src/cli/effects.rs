@@ -4,6 +4,7 @@ use super::kind::{AnyKind, Info, KINDS};
 use super::settings::ACTUATORS;
 use super::terminal::say;
 use anyhow::Result;
+use physgrad::Counts;
 use serde_json::Value;
 use std::fmt::Write;
 use toml::Table;
@@ -15,9 +16,10 @@ pub struct Effects {}
 const HEAD: &str = "\
 # Effects
 
-What a scene can name beyond its system. This page is made by `physgrad effects`. Costs are operations of one step of one sample and of
-its VJP to state and control, in the task's default scene beside nothing else: an effect costs the same whatever else is there. They are
-counted, not estimated, and a test holds this page to them. What a scene does not name costs nothing.
+What a scene can name beyond its system; how to name it is in [scenes.md](scenes.md). This page is made by `physgrad effects`.
+
+Costs are operations of one step of one sample and of its VJP to state and control, in the task's default system. They are counted, and a
+test holds this page to them. An effect costs the same whatever else is there, and what a scene does not name costs nothing.
 
 Derivatives by hand are compared with dual numbers by `physgrad check` and in the tests. *Smoothed*: a leap in the physics was made a
 slope. *One-sided*: the derivative leaps at a point, where that of one side is taken.
@@ -32,33 +34,109 @@ pub fn effects(_args: &Effects) -> Result<()> {
 fn page() -> Result<String> {
     let mut page = HEAD.to_owned();
     for kind in KINDS {
-        let _ = writeln!(page, "\n## {}\n\n{}.\n", kind.name(), kind.about());
+        let _ = writeln!(page, "\n## {}\n\n{} {}\n", kind.name(), sentence(kind.about()), symbols(kind.name()));
         section(&mut page, kind, "effects", kind.effects())?;
     }
     let _ = writeln!(
         page,
-        "\n## Actuators\n\nFor every task, between the policy's control u and the physics; the costs are those in cart_pole.\n"
+        "\n## Actuators\n\nFor every task, between the policy's control u and what the physics gets of it, u'; in this order. Their own \
+         state begins at 0. Costs are those in cart_pole, which has one control.\n"
     );
     section(&mut page, KINDS[0], "actuator", &ACTUATORS)?;
     Ok(page)
 }
 
+/// A table of the parts of a section, then each of them.
 fn section(page: &mut String, kind: &'static dyn AnyKind, section: &str, infos: &[Info]) -> Result<()> {
-    let _ = writeln!(page, "| effect | equation | parameters | derivative | step | VJP |\n|---|---|---|---|---|---|");
     let schema = kind.schema();
-    let alone = kind.scene(kind.defaults())?.cost();
-    for info in infos {
-        let schema = &schema["properties"][section]["properties"][info.name]["properties"];
-        let mut settings = kind.defaults();
-        let with: Table = [(info.name.to_owned(), toml::Value::Table(required(info.name)))].into_iter().collect();
-        settings.insert(section.into(), toml::Value::Table(with));
-        let with = kind.scene(settings)?.cost();
-        let (step, vjp) = (with.step - alone.step, with.vjp - alone.vjp);
-        let equation = info.equation.replace('|', "\\|");
-        let _ =
-            writeln!(page, "| `{}` | {equation} | {} | {} | {step} | {vjp} |", info.name, parameters(schema), info.derivative);
+    let of = |info: &Info| &schema["properties"][section]["properties"][info.name];
+    let costs: Vec<[Counts; 2]> = infos.iter().map(|info| cost(kind, section, info.name)).collect::<Result<_>>()?;
+    let _ = writeln!(page, "| | | step | VJP |\n|---|---|--:|--:|");
+    for (info, [step, vjp]) in infos.iter().zip(&costs) {
+        let name = info.name;
+        let _ = writeln!(page, "| [{name}](#{name}) | {} | {} | {} |", description(of(info)), step.total(), vjp.total());
+    }
+    for (info, [step, vjp]) in infos.iter().zip(&costs) {
+        let (equation, note) = info.equation.split_once("; ").unwrap_or((info.equation, ""));
+        let _ = writeln!(page, "\n### {}\n\n```text\n{}\n```\n", info.name, lines(equation));
+        if !note.is_empty() {
+            let _ = write!(page, "{} ", sentence(note));
+        }
+        let _ = writeln!(page, "Derivative: {}. Step: {step}. VJP: {vjp}.\n", info.derivative);
+        parameters(page, &of(info)["properties"]);
     }
     Ok(())
+}
+
+/// What a part adds to a step and to its VJP, beside nothing else.
+fn cost(kind: &'static dyn AnyKind, section: &str, name: &str) -> Result<[Counts; 2]> {
+    let mut settings = kind.defaults();
+    let alone = kind.scene(settings.clone())?.cost();
+    let part: Table = [(name.to_owned(), toml::Value::Table(required(name)))].into_iter().collect();
+    settings.insert(section.into(), toml::Value::Table(part));
+    let with = kind.scene(settings)?.cost();
+    Ok([with.step - alone.step, with.vjp - alone.vjp])
+}
+
+/// A line for every equation: they are separated by commas, as are the arguments of functions and what is said of them.
+fn lines(equations: &str) -> String {
+    let mut lines = String::new();
+    for part in equations.split(", ") {
+        let open = lines.matches('(').count() > lines.matches(')').count();
+        lines += match (lines.is_empty(), part.contains(" = ") && !open) {
+            (true, _) => "",
+            (false, true) => "\n",
+            (false, false) => ", ",
+        };
+        lines += part;
+    }
+    lines
+}
+
+fn sentence(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| format!("{}{}.", first.to_uppercase(), letters.as_str()))
+}
+
+/// What the schema says of a setting, fit for a table.
+fn description(of: &Value) -> String {
+    of["description"].as_str().unwrap_or_default().replace('\n', " ").replace('|', "\\|")
+}
+
+/// Names, defaults and descriptions from the schema.
+fn parameters(page: &mut String, schema: &Value) {
+    let _ = writeln!(page, "| parameter | default | |\n|---|---|---|");
+    for (name, of) in schema.as_object().into_iter().flatten() {
+        let default = match &of["default"] {
+            Value::Null => "to be given".to_owned(),
+            Value::String(word) => format!("`{word}`"),
+            default => default.to_string(),
+        };
+        // What is one of several words says what each of them means.
+        let choices = of["oneOf"].as_array().into_iter().flatten();
+        let choices =
+            choices.map(|choice| format!("<br>`{}`: {}", choice["const"].as_str().unwrap_or_default(), description(choice)));
+        let _ = writeln!(page, "| `{name}` | {default} | {}{} |", description(of), choices.collect::<String>());
+    }
+}
+
+/// What the letters in the equations of a task stand for, and the sizes that its costs are those of.
+fn symbols(task: &str) -> &'static str {
+    match task {
+        "cart_pole" => {
+            "x is the place of the cart, θ_i and ω_i are angle and rate of pole i, l is `half_length`; F is the force on the cart and τ_i the \
+             torque on a pole. Costs are those with 2 poles."
+        }
+        "guidance" => {
+            "D_j and E_k are the places of drivers and evaders, a is an acceleration, and d is the distance plus `softening`. Costs are \
+             those with 2 drivers and 4 evaders."
+        }
+        "quantum" => {
+            "V is the potential and ξ the place, from the middle of the box; ħ = 1 and m = 1/2. There is one static potential: `harmonic`, \
+             `barrier` or `double_well`. Costs are those with 32 grid points."
+        }
+        _ => "",
+    }
 }
 
 /// What has no default, with a value for it.
@@ -69,17 +147,4 @@ fn required(name: &str) -> Table {
         "lag" => toml::toml! { time = 0.05 },
         _ => Table::new(),
     }
-}
-
-/// Names, defaults and descriptions from the schema.
-fn parameters(schema: &Value) -> String {
-    let all = schema.as_object().into_iter().flatten().map(|(name, of)| {
-        let default = match &of["default"] {
-            Value::Null => String::new(),
-            default => format!(" = {default}"),
-        };
-        let about = of["description"].as_str().unwrap_or_default().replace('\n', " ").replace('|', "\\|");
-        format!("`{name}{default}`: {about}")
-    });
-    all.collect::<Vec<_>>().join("<br>")
 }

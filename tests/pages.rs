@@ -1,0 +1,77 @@
+//! What the pages of the documentation show of scenes and of the program is so.
+
+use assert_cmd::Command;
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+fn physgrad(args: &[&str]) -> Command {
+    let mut command = Command::cargo_bin("physgrad").expect("the program is built");
+    command.args(args);
+    command
+}
+
+fn stdout(args: &[&str]) -> String {
+    let output = physgrad(args).output().expect("it runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).expect("text")
+}
+
+/// A page of the documentation.
+fn page(name: &str) -> String {
+    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).expect("a page")
+}
+
+/// What stands in a page between fences of a language.
+fn blocks<'a>(page: &'a str, language: &str) -> Vec<&'a str> {
+    let begin = format!("```{language}\n");
+    page.split(&begin).skip(1).map(|rest| rest.split("```").next().expect("a block")).collect()
+}
+
+#[test]
+fn every_scene_in_the_documentation_is_one() {
+    let dir = TempDir::new().expect("a folder");
+    for (name, least) in [("docs/scenes.md", 3), ("README.md", 1)] {
+        let page = page(name);
+        let scenes = blocks(&page, "toml");
+        assert!(scenes.len() >= least, "{name}");
+        for scene in scenes {
+            let file = dir.path().join("a_scene.toml");
+            fs::write(&file, scene).expect("a file");
+            physgrad(&["explain"]).arg(&file).assert().success();
+        }
+    }
+}
+
+#[test]
+fn what_the_program_is_shown_to_say_is_what_it_says() {
+    let dir = TempDir::new().expect("a folder");
+    let page = page("docs/scenes.md");
+    let first = blocks(&page, "toml")[0];
+    let file = dir.path().join("windy.toml");
+    fs::write(&file, first).expect("a file");
+    let mut explain = physgrad(&["explain", "windy.toml"]);
+    let output = explain.current_dir(dir.path()).output().expect("it runs");
+    let output = String::from_utf8(output.stdout).expect("text");
+    let shown = blocks(&page, "text").into_iter().find(|block| block.starts_with("windy.toml: ")).expect("an explanation");
+    // Rows are left out.
+    for line in shown.lines() {
+        assert!(output.lines().any(|said| said == line), "{line}\n{output}");
+    }
+    for mistaken in [
+        first.replace("speed = 4.0", "sped = 4.0"),
+        first.replace("speed = 4.0", "cart_drag = -1"),
+        first.replace("bumpers", "gusty_wind"),
+        first.replace("steady_wind", "walls").replace("speed = 4.0\n", ""),
+    ] {
+        fs::write(&file, mistaken).expect("a file");
+        let output = physgrad(&["train", "windy.toml"]).current_dir(dir.path()).output().expect("it runs");
+        let said = String::from_utf8(output.stderr).expect("text");
+        assert!(!output.status.success() && page.contains(&said), "{said}");
+    }
+}
+
+#[test]
+fn the_page_of_effects_is_the_one_that_the_command_writes() {
+    assert!(page("docs/effects.md") == stdout(&["effects"]), "docs/effects.md is old: physgrad effects > docs/effects.md");
+}
