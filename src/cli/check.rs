@@ -15,7 +15,7 @@ use std::time::Duration;
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
 #[derive(Debug, clap::Args)]
 pub struct Check {
-    /// A task, a preset (see `physgrad scene`), or the path of a scene [default: all tasks]
+    /// A task, a preset (see `physgrad scene`), or the path of a scene [default: all tasks, and a rich scene of each]
     pub scene: Option<String>,
 }
 
@@ -46,9 +46,11 @@ pub fn check(args: &Check) -> Result<()> {
 fn scenes(name: Option<&str>) -> Result<Vec<(String, Scene)>> {
     let tasks = KINDS.into_iter().filter(|kind| name.is_none_or(|name| name == kind.name()));
     let variants: Vec<_> = tasks.flat_map(|kind| kind.variants()).collect();
+    let preset = |name: &str| Ok((name.to_owned(), presets::document(name)?.scene()?));
     match name {
-        Some(name) if variants.is_empty() => Ok(vec![(name.to_owned(), presets::document(name)?.scene()?)]),
-        _ => Ok(variants),
+        Some(name) if variants.is_empty() => Ok(vec![preset(name)?]),
+        Some(_) => Ok(variants),
+        None => variants.into_iter().map(Ok).chain(presets::RICH.into_iter().map(preset)).collect(),
     }
 }
 

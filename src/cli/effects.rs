@@ -21,7 +21,7 @@ What a scene can name beyond its system; how to name it is in [scenes.md](scenes
 Costs are operations of one step of one sample and of its VJP to state and control, in the task's default system. They are counted, and a
 test holds this page to them. An effect costs the same whatever else is there, and what a scene does not name costs nothing.
 
-Derivatives by hand are compared with dual numbers by `physgrad check` and in the tests. *Smoothed*: a leap in the physics was made a
+Derivatives by hand are compared with dual numbers in the tests, and in any scene by `physgrad check SCENE`. *Smoothed*: a leap in the physics was made a
 slope. *One-sided*: the derivative leaps at a point, where that of one side is taken.
 ";
 

@@ -2,6 +2,7 @@
 
 mod visitors;
 
+use super::changes::Changes;
 use super::document::OPTIONAL;
 use super::kind::Info;
 use super::presets;
@@ -22,9 +23,8 @@ pub use visitors::{Costing, Stored, Storing};
 pub struct Explain {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     pub scene: String,
-    /// Take an effect or a part of the actuator away
-    #[arg(long, value_name = "NAME")]
-    pub without: Vec<String>,
+    #[command(flatten)]
+    pub changes: Changes,
 }
 
 /// Characters that a table may be wide.
@@ -35,7 +35,7 @@ const FEW_STEPS: usize = 8;
 /// Runs the command.
 pub fn explain(args: &Explain) -> Result<()> {
     let mut document = presets::document(&args.scene)?;
-    args.without.iter().try_for_each(|name| document.without(name))?;
+    args.changes.apply(&mut document)?;
     let scene = document.scene()?;
     say(&format!("{}: {}\n", args.scene, scene.kind.about()));
     let states = scene.state_names();

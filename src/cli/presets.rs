@@ -25,6 +25,9 @@ const PRESETS: [(&str, &str); 17] = [
     ("quantum_double_well", include_str!("presets/quantum_double_well.toml")),
 ];
 
+/// The presets with more in play than the paper has: one a task.
+pub const RICH: [&str; 3] = ["cart_pole_windy", "guidance_walled", "quantum_double_well"];
+
 /// The names of all presets, each with the first line of its file.
 pub fn all() -> impl Iterator<Item = (&'static str, &'static str)> {
     PRESETS.into_iter().map(|(name, text)| (name, text.lines().next().unwrap_or_default().trim_start_matches(['#', ' '])))

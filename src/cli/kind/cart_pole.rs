@@ -224,7 +224,11 @@ impl Kind for CartPole {
             settings.loss.mode = mode;
             (format!("{poles} pole{}, {name} loss", if poles == 1 { "" } else { "s" }), settings)
         };
-        [1, 2, 4].into_iter().flat_map(|poles| modes.map(|mode| variant(poles, mode))).collect()
+        let mut windy = variant(2, modes[0]).1;
+        windy.effects.cart_damping = Some(CartDamping::default());
+        windy.effects.steady_wind = Some(SteadyWind::default());
+        let plain = [1, 2, 4].into_iter().flat_map(|poles| modes.map(|mode| variant(poles, mode)));
+        plain.chain([("2 poles, cart damping, steady wind".to_owned(), windy)]).collect()
     }
 
     fn dt(settings: &Settings<Self>) -> f64 {
