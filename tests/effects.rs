@@ -3,7 +3,7 @@
 #[path = "../benches/by_hand/mod.rs"]
 mod by_hand;
 
-use by_hand::ByHand;
+use by_hand::cart_pole::ByHand;
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
