@@ -84,6 +84,7 @@ pub mod report;
 pub mod rng;
 mod rollout;
 mod scalar;
+mod scratch;
 mod substeps;
 mod system;
 mod task;

@@ -3,16 +3,17 @@
 #[path = "../benches/by_hand/mod.rs"]
 mod by_hand;
 
-use by_hand::ByHand;
+use by_hand::{cart_pole::ByHand, guidance, quantum};
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
-    Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, PoleDamping,
-    SteadyWind,
+    Absorbing, AbsorbingEdges, Barrier, Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleSystem, CoupledCartPole, Cubic,
+    DoubleWell, Drive, DryFriction, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, GustyWind, Harmonic,
+    Obstacles, PoleDamping, Quantum, QuantumEffect, QuantumSystem, Spread, SteadyWind, Walls,
 };
 use physgrad::{
-    Actuated, AnyActuator, Around, Batch, Cost, Delay, Effect, Float, Flow, Host, Lag, Limit, LimitKind, Rollout, System, Task,
-    Weights, With,
+    Actuated, AnyActuator, Around, Batch, Cost, Counts, Delay, Effect, Float, Flow, Host, Lag, Limit, LimitKind, Rollout, System,
+    Task, Weights, With,
 };
 
 fn cart_pole(poles: usize) -> CartPoleSystem {
@@ -30,13 +31,33 @@ fn cart_pole_effects() -> Vec<CartPoleEffect> {
     ]
 }
 
+fn agents(drivers: usize, evaders: usize) -> GuidanceSystem {
+    GuidanceSystem { drivers, evaders, ..GuidanceSystem::default() }
+}
+
+fn guidance_effects() -> Vec<GuidanceEffect> {
+    vec![
+        Friction::default().into(),
+        Spread::default().into(),
+        Evade::default().into(),
+        Flock::default().into(),
+        Drive::default().into(),
+        Obstacles::default().into(),
+        Walls::default().into(),
+    ]
+}
+
+fn quantum_effects() -> Vec<QuantumEffect> {
+    vec![Harmonic::default().into(), Barrier::default().into(), DoubleWell::default().into(), Cubic::default().into()]
+}
+
 /// Counts of step, VJP and VJP to the control alone, one after the other.
-fn counts<S: System>(system: &S) -> [physgrad::Counts; 3] {
+fn counts<S: System>(system: &S) -> [Counts; 3] {
     let Cost { step, vjp, vjp_control } = Cost::of(system);
     [step, vjp, vjp_control]
 }
 
-fn minus(a: [physgrad::Counts; 3], b: [physgrad::Counts; 3]) -> [physgrad::Counts; 3] {
+fn minus(a: [Counts; 3], b: [Counts; 3]) -> [Counts; 3] {
     std::array::from_fn(|i| a[i] - b[i])
 }
 
@@ -69,6 +90,29 @@ fn an_effect_costs_its_own_operations_and_nothing_when_absent() {
         costs_add_up(&cart_pole(poles), &cart_pole_effects());
         costs_add_up(&CoupledCartPole(cart_pole(poles)), &cart_pole_effects());
     }
+    // No effect of guidance is without work: there are two drivers at least, and two evaders.
+    for (drivers, evaders) in [(2, 2), (2, 4), (3, 2)] {
+        costs_add_up(&agents(drivers, evaders), &guidance_effects());
+    }
+    for grid in [3, 10] {
+        costs_add_up(&QuantumSystem { grid, ..QuantumSystem::default() }, &quantum_effects());
+    }
+}
+
+#[test]
+fn absorbing_edges_cost_the_same_whatever_they_are_around() {
+    let (system, edges) = (QuantumSystem { grid: 10, ..QuantumSystem::default() }, AbsorbingEdges::default());
+    let own = |effects: &[QuantumEffect]| {
+        let system = With { system, effects: effects.to_vec() };
+        minus(counts(&Absorbing { system: system.clone(), edges }), counts(&system))
+    };
+    // Two numbers at each of the points within a tenth of the box of a wall; that is the first point and the last.
+    let two_points = Counts { multiply: 4, ..Counts::default() };
+    let effects = quantum_effects();
+    for present in 0..=effects.len() {
+        assert_eq!(own(&effects[..present]), [two_points; 3]);
+    }
+    assert_eq!(minus(counts(&Absorbing { system, edges }), counts(&system)), [two_points; 3]);
 }
 
 #[test]
@@ -82,6 +126,80 @@ fn a_bare_scene_has_the_operations_of_a_system_that_never_heard_of_effects() {
     let by_hand = ByHand::<true, false> { system, pole, cart, wind };
     assert_eq!(Cost::of(&friction).step, Cost::of(&by_hand).step);
     assert_eq!(Cost::of(&friction).vjp, Cost::of(&by_hand).vjp);
+}
+
+/// The herding of the paper.
+fn herding_by_hand(system: GuidanceSystem) -> guidance::ByHand {
+    let (friction, spread, evade, flock) = Default::default();
+    guidance::ByHand { system, friction, spread, evade, flock }
+}
+
+#[test]
+fn a_herd_has_the_operations_of_one_by_hand_and_those_of_what_can_be_chosen() {
+    for (drivers, evaders) in [(1, 1), (2, 4), (3, 2)] {
+        let (machinery, by_hand) = (agents(drivers, evaders).herding(), herding_by_hand(agents(drivers, evaders)));
+        let (machinery, by_hand) = (Cost::of(&machinery), Cost::of(&by_hand));
+        let (d, e) = (drivers as u64, evaders as u64);
+        // Friction is subtracted from the 0 there is of an evader's acceleration, x and y. The center of the herd has a
+        // weight, x and y, so that it can be the mean.
+        let step = Counts { add: 2 * e, multiply: 2, ..Counts::default() };
+        assert_eq!(machinery.step - by_hand.step, step);
+        // Friction is not part of the factor by which velocities are kept: one subtraction more for each. The weight comes
+        // in there and back. And the control's cotangents, which may be asked for alone, are multiplied by dt by themselves.
+        let vjp = Counts { add: 2 * (d + e), multiply: 4 + 2 * d, ..Counts::default() };
+        assert_eq!(machinery.vjp - by_hand.vjp, vjp);
+    }
+}
+
+#[test]
+fn a_particle_has_the_operations_of_one_by_hand_and_a_product_for_each_point() {
+    for grid in [3, 10] {
+        let system = QuantumSystem { grid, ..QuantumSystem::default() };
+        let (trap, cubic) = (Harmonic::default(), Cubic::default());
+        // The potential is multiplied by dt/2 at every point: by hand that is done to the control, once.
+        let more = Counts { multiply: grid as u64 - 1, ..Counts::default() };
+        let bare = Cost::of(&quantum::ByHand::<false, false> { system, trap, cubic });
+        assert_eq!(Cost::of(&system).step - bare.step, more);
+        assert_eq!(Cost::of(&system).vjp - bare.vjp, more);
+        let (full, machinery) = (quantum::ByHand::<true, true> { system, trap, cubic }, With { system, effects: (trap, cubic) });
+        assert_eq!(Cost::of(&machinery).step - Cost::of(&full).step, more);
+        assert_eq!(Cost::of(&machinery).vjp - Cost::of(&full).vjp, more);
+    }
+}
+
+/// Next state and cotangents agree but for rounding.
+fn same_physics<A: System, B: System>(a: &A, b: &B) {
+    let (n, m) = (a.state_dim(), a.control_dim());
+    let wave = |len: usize, speed: f64| (0..len).map(|i| (1.0 + speed * i as f64).sin()).collect::<Vec<_>>();
+    let (x, u, bars) = (wave(n, 1.3), wave(m, 0.7), wave(n, 2.1));
+    let mut found = [vec![0.0; 2 * n + m], vec![0.0; 2 * n + m]];
+    for (found, by_hand) in found.iter_mut().zip([false, true]) {
+        let (next, rest) = found.split_at_mut(n);
+        let (x_bar, u_bar) = rest.split_at_mut(n);
+        if by_hand {
+            b.step(&x, &u, next);
+            b.vjp(&x, &u, &bars, x_bar, u_bar);
+        } else {
+            a.step(&x, &u, next);
+            a.vjp(&x, &u, &bars, x_bar, u_bar);
+        }
+    }
+    for (a, b) in found[0].iter().zip(&found[1]) {
+        assert!((a - b).abs() <= 1e-12 * (1.0 + a.abs()), "{a} and {b}");
+    }
+}
+
+#[test]
+fn by_hand_is_the_same_physics() {
+    let system = cart_pole(3);
+    let (pole, cart, wind) = (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
+    same_physics(&system, &ByHand::<false, false> { system, pole, cart, wind });
+    same_physics(&With { system, effects: (pole, cart) }, &ByHand::<true, false> { system, pole, cart, wind });
+    same_physics(&With { system, effects: (pole, cart, wind) }, &ByHand::<true, true> { system, pole, cart, wind });
+    same_physics(&agents(2, 4).herding(), &herding_by_hand(agents(2, 4)));
+    let (system, trap, cubic) = (QuantumSystem::default(), Harmonic::default(), Cubic::default());
+    same_physics(&system, &quantum::ByHand::<false, false> { system, trap, cubic });
+    same_physics(&With { system, effects: (trap, cubic) }, &quantum::ByHand::<true, true> { system, trap, cubic });
 }
 
 /// Mean loss, last states and the gradients of all flows, as bits.
@@ -118,6 +236,14 @@ fn swing<S: Around<CartPoleSystem>>(system: S) -> CartPole<S> {
     CartPole { horizon: 30, ..CartPole::around(system) }
 }
 
+fn herd<S: Around<GuidanceSystem>>(system: S) -> Guidance<S> {
+    Guidance { horizon: 20, ..Guidance::around(system) }
+}
+
+fn particle<S: Around<QuantumSystem>>(system: S) -> Quantum<S> {
+    Quantum { horizon: 20, ..Quantum::around(system, 3) }
+}
+
 #[test]
 fn without_effects_a_rollout_has_the_bits_of_the_system_alone() {
     let system = cart_pole(2);
@@ -125,6 +251,12 @@ fn without_effects_a_rollout_has_the_bits_of_the_system_alone() {
     same_bits(&swing(system), &swing(With { system, effects: Vec::<CartPoleEffect>::new() }));
     same_bits(&swing(system), &swing(Actuated { system, actuator: () }));
     same_bits(&swing(system), &swing(Actuated { system, actuator: Vec::<AnyActuator>::new() }));
+    let system = agents(2, 3);
+    same_bits(&herd(system), &herd(With { system, effects: () }));
+    same_bits(&herd(system), &herd(With { system, effects: Vec::<GuidanceEffect>::new() }));
+    let system = QuantumSystem { grid: 9, ..QuantumSystem::default() };
+    same_bits(&particle(system), &particle(With { system, effects: () }));
+    same_bits(&particle(system), &particle(With { system, effects: Vec::<QuantumEffect>::new() }));
 }
 
 #[test]
@@ -136,6 +268,21 @@ fn typed_and_listed_effects_have_the_same_bits() {
     same_bits(&swing(With { system, effects }), &swing(With { system, effects: list.clone() }));
     let system = CoupledCartPole(system);
     same_bits(&swing(With { system, effects }), &swing(With { system, effects: list }));
+
+    let system = agents(2, 4);
+    let (drive, obstacles, walls) = (Drive::default(), Obstacles::default(), Walls { half_width: 2.0, ..Walls::default() });
+    let paper = (Friction::default(), Spread::default(), Evade::default(), Flock::default());
+    let effects = (paper, (drive, obstacles.clone(), walls));
+    let list: Vec<GuidanceEffect> =
+        vec![paper.0.into(), paper.1.into(), paper.2.into(), paper.3.into(), drive.into(), obstacles.into(), walls.into()];
+    same_bits(&herd(With { system, effects }), &herd(With { system, effects: list }));
+
+    let system = QuantumSystem { grid: 9, ..QuantumSystem::default() };
+    let (edges, effects) =
+        (AbsorbingEdges::default(), (Harmonic::default(), (Barrier::default(), DoubleWell::default()), Cubic::default()));
+    let (typed, listed) = (With { system, effects }, With { system, effects: quantum_effects() });
+    same_bits(&particle(typed), &particle(listed.clone()));
+    same_bits(&particle(Absorbing { system: typed, edges }), &particle(Absorbing { system: listed, edges }));
 }
 
 #[test]

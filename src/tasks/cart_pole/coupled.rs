@@ -102,8 +102,7 @@ impl Host for CoupledCartPole {
     ) {
         let k = self.constants::<R>();
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
-        trig.extend(self.0.poles_of(x).map(|_| [R::zero(); 2]));
-        self.0.own_forces(x, u, trig.as_flattened_mut(), &mut forces);
+        self.0.own_forces_again(x, u, &mut trig, &mut forces);
         effects.act_knowing(&self.0, x, trig.as_flattened(), &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
         let speed_bar = next_bar[1] + next_bar[0] * k.dt;

@@ -72,6 +72,18 @@ impl CartPoleSystem {
             forces.push(weight * trig[0]);
         }
     }
+
+    /// The same with room for sines and cosines that is empty. (To fill it with zeros first would be a call of memset.)
+    #[inline(always)]
+    pub(super) fn own_forces_again<T: Scalar>(&self, x: &[T], u: &[T], trig: &mut PerPole<[T; 2]>, forces: &mut Forces<T>) {
+        let weight = T::lift(self.moment() * self.gravity);
+        forces.push(u[0]);
+        for pole in self.poles_of(x) {
+            let (sin, cos) = pole[0].sin_cos();
+            trig.push([sin, cos]);
+            forces.push(weight * sin);
+        }
+    }
 }
 
 /// The constants of [`CartPoleSystem`] as numbers of one kind.
@@ -157,14 +169,16 @@ impl Host for CartPoleSystem {
         let k = self.constants::<R>();
         // Made where they are: a full array that is returned is a copy of all there is room for.
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
-        trig.extend(self.poles_of(x).map(|_| [R::zero(); 2]));
-        self.own_forces(x, u, trig.as_flattened_mut(), &mut forces);
+        self.own_forces_again(x, u, &mut trig, &mut forces);
         effects.act_knowing(self, x, trig.as_flattened(), &mut forces);
 
         let speed_bar = next_bar[1] + next_bar[0] * k.dt;
         // Of the bracket in ẍ = (…) / M.
         let push_bar = speed_bar * (k.dt * k.per_mass);
-        forces_bar.push(push_bar);
+        let (mut force_bar, effects_read) = (push_bar, x_bar.is_some() && effects.reads_state());
+        if effects_read {
+            forces_bar.push(push_bar);
+        }
         if let Some(x_bar) = &mut x_bar {
             (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar);
         }
@@ -181,8 +195,10 @@ impl Host for CartPoleSystem {
             // α = numerator / denominator, and the torque is the numerator's first term.
             let torque_bar = alpha_bar * per_inertia;
             let thrust_bar = -(torque_bar * (lever * k.per_mass));
-            forces_bar[0] += thrust_bar;
-            forces_bar.push(torque_bar);
+            force_bar += thrust_bar;
+            if effects_read {
+                forces_bar.push(torque_bar);
+            }
             if let Some(x_bar) = &mut x_bar {
                 let centrifugal_bar = push_bar + thrust_bar;
                 let sin_bar = torque_bar * k.weight + centrifugal_bar * (k.moment * spin);
@@ -193,9 +209,10 @@ impl Host for CartPoleSystem {
             }
         }
         if let Some(u_bar) = u_bar {
-            u_bar[0] = forces_bar[0];
+            u_bar[0] = force_bar;
         }
-        if let Some(x_bar) = x_bar {
+        if let (Some(x_bar), true) = (x_bar, effects_read) {
+            forces_bar[0] = force_bar;
             effects.vjp_knowing(self, x, trig.as_flattened(), &forces_bar, x_bar);
         }
     }

@@ -26,33 +26,28 @@ impl Default for Friction {
     }
 }
 
-impl Friction {
-    /// The coefficient of every agent, as numbers of one kind.
-    #[inline(always)]
-    fn each<T: Scalar>(&self, body: &GuidanceSystem) -> impl Fn(usize) -> T {
-        let (split, drivers, evaders) = (body.drivers, T::lift(self.drivers), T::lift(self.evaders));
-        move |agent| if agent < split { drivers } else { evaders }
-    }
-}
-
 impl Effect<GuidanceSystem> for Friction {
     #[inline(always)]
     fn act<T: Scalar>(&self, body: &GuidanceSystem, x: &[T], forces: &mut [T]) {
-        let each = self.each::<T>(body);
-        for (agent, (force, x)) in forces.chunks_exact_mut(2).zip(x.chunks_exact(AGENT)).enumerate() {
-            let friction = each(agent);
-            force[0] -= friction * x[2];
-            force[1] -= friction * x[3];
+        let (forces, agents) = (forces.as_chunks_mut::<2>().0, x.as_chunks::<AGENT>().0);
+        for (friction, range) in [(self.drivers, body.all_drivers()), (self.evaders, body.all_evaders())] {
+            let friction = T::lift(friction);
+            for (force, agent) in forces[range.clone()].iter_mut().zip(&agents[range]) {
+                force[0] -= friction * agent[2];
+                force[1] -= friction * agent[3];
+            }
         }
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, body: &GuidanceSystem, _x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        let each = self.each::<R>(body);
-        for (agent, (force_bar, x_bar)) in forces_bar.chunks_exact(2).zip(x_bar.chunks_exact_mut(AGENT)).enumerate() {
-            let friction = each(agent);
-            x_bar[2] -= force_bar[0] * friction;
-            x_bar[3] -= force_bar[1] * friction;
+        let (forces_bar, bars) = (forces_bar.as_chunks::<2>().0, x_bar.as_chunks_mut::<AGENT>().0);
+        for (friction, range) in [(self.drivers, body.all_drivers()), (self.evaders, body.all_evaders())] {
+            let friction = R::lift(friction);
+            for (force_bar, bar) in forces_bar[range.clone()].iter().zip(&mut bars[range]) {
+                bar[2] -= force_bar[0] * friction;
+                bar[3] -= force_bar[1] * friction;
+            }
         }
     }
 }

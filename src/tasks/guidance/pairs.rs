@@ -11,33 +11,25 @@ use std::ops::Range;
 
 /// The separation of agent `b` from agent `a`.
 #[inline(always)]
-fn gap<T: Scalar>(body: &GuidanceSystem, x: &[T], a: usize, b: usize) -> Gap<T> {
-    let (a, b) = (AGENT * a, AGENT * b);
-    Gap::new([x[b] - x[a], x[b + 1] - x[a + 1]], body.softening)
-}
-
-/// Adds the cotangent of a separation of `b` from `a` to those of their positions.
-#[inline(always)]
-fn add_gap_bar<R, C: Cotangent<R>>([x, y]: [C; 2], a: usize, b: usize, x_bar: &mut [C]) {
-    x_bar[AGENT * b] += x;
-    x_bar[AGENT * b + 1] += y;
-    x_bar[AGENT * a] -= x;
-    x_bar[AGENT * a + 1] -= y;
+fn gap<T: Scalar>(body: &GuidanceSystem, a: &[T; AGENT], b: &[T; AGENT]) -> Gap<T> {
+    Gap::new([b[0] - a[0], b[1] - a[1]], body.softening)
 }
 
 /// Every two of the `agents` act on each other.
 #[inline(always)]
 pub(super) fn among<T: Scalar>(body: &GuidanceSystem, law: Law, agents: Range<usize>, x: &[T], forces: &mut [T]) {
-    for a in agents.clone() {
-        let mut felt = [forces[2 * a], forces[2 * a + 1]];
-        for b in a + 1..agents.end {
-            let [along_x, along_y] = gap(body, x, a, b).force(law);
-            forces[2 * b] += along_x;
-            forces[2 * b + 1] += along_y;
-            felt[0] -= along_x;
-            felt[1] -= along_y;
+    let (x, forces) = (&x.as_chunks().0[agents.clone()], &mut forces.as_chunks_mut::<2>().0[agents]);
+    for (b, at) in x.iter().enumerate() {
+        let (before, own) = forces.split_at_mut(b);
+        let mut felt = own[0];
+        for (a, reaction) in x.iter().zip(before) {
+            let [along_x, along_y] = gap(body, a, at).force(law);
+            felt[0] += along_x;
+            felt[1] += along_y;
+            reaction[0] -= along_x;
+            reaction[1] -= along_y;
         }
-        (forces[2 * a], forces[2 * a + 1]) = (felt[0], felt[1]);
+        own[0] = felt;
     }
 }
 
@@ -51,11 +43,20 @@ pub(super) fn among_vjp<R: Real, C: Cotangent<R>>(
     forces_bar: &[C],
     x_bar: &mut [C],
 ) {
-    for a in agents.clone() {
-        for b in a + 1..agents.end {
-            let bar = [forces_bar[2 * b] - forces_bar[2 * a], forces_bar[2 * b + 1] - forces_bar[2 * a + 1]];
-            add_gap_bar(gap(body, x, a, b).force_vjp(law, bar), a, b, x_bar);
+    let (x, forces_bar) = (&x.as_chunks().0[agents.clone()], &forces_bar.as_chunks::<2>().0[agents.clone()]);
+    let x_bar = &mut x_bar.as_chunks_mut::<AGENT>().0[agents];
+    for (b, (at, force_bar)) in x.iter().zip(forces_bar).enumerate() {
+        let (before, own) = x_bar.split_at_mut(b);
+        let mut own_bar = [own[0][0], own[0][1]];
+        for ((a, reaction_bar), a_bar) in x.iter().zip(forces_bar).zip(before) {
+            let bar = [force_bar[0] - reaction_bar[0], force_bar[1] - reaction_bar[1]];
+            let [bar_x, bar_y] = gap(body, a, at).force_vjp(law, bar);
+            own_bar[0] += bar_x;
+            own_bar[1] += bar_y;
+            a_bar[0] -= bar_x;
+            a_bar[1] -= bar_y;
         }
+        (own[0][0], own[0][1]) = (own_bar[0], own_bar[1]);
     }
 }
 
@@ -69,14 +70,15 @@ pub(super) fn from_to<T: Scalar>(
     x: &[T],
     forces: &mut [T],
 ) {
-    for b in agents {
-        let mut felt = [forces[2 * b], forces[2 * b + 1]];
-        for a in sources.clone() {
-            let [along_x, along_y] = gap(body, x, a, b).force(law);
+    let (x, forces) = (x.as_chunks().0, &mut forces.as_chunks_mut::<2>().0[agents.clone()]);
+    for (at, force) in x[agents].iter().zip(forces) {
+        let mut felt = *force;
+        for source in &x[sources.clone()] {
+            let [along_x, along_y] = gap(body, source, at).force(law);
             felt[0] += along_x;
             felt[1] += along_y;
         }
-        (forces[2 * b], forces[2 * b + 1]) = (felt[0], felt[1]);
+        *force = felt;
     }
 }
 
@@ -91,10 +93,16 @@ pub(super) fn from_to_vjp<R: Real, C: Cotangent<R>>(
     forces_bar: &[C],
     x_bar: &mut [C],
 ) {
+    let (x, forces_bar, x_bar) = (x.as_chunks().0, forces_bar.as_chunks::<2>().0, x_bar.as_chunks_mut::<AGENT>().0);
     for b in agents {
-        for a in sources.clone() {
-            let bar = [forces_bar[2 * b], forces_bar[2 * b + 1]];
-            add_gap_bar(gap(body, x, a, b).force_vjp(law, bar), a, b, x_bar);
+        let mut own_bar = [x_bar[b][0], x_bar[b][1]];
+        for (source, source_bar) in x[sources.clone()].iter().zip(&mut x_bar[sources.clone()]) {
+            let [bar_x, bar_y] = gap(body, source, &x[b]).force_vjp(law, forces_bar[b]);
+            own_bar[0] += bar_x;
+            own_bar[1] += bar_y;
+            source_bar[0] -= bar_x;
+            source_bar[1] -= bar_y;
         }
+        (x_bar[b][0], x_bar[b][1]) = (own_bar[0], own_bar[1]);
     }
 }

@@ -2,8 +2,9 @@
 
 use crate::effect::{Effect, Host, system_without_effects};
 use crate::scalar::{Cotangent, Real, Scalar};
+use crate::scratch::Scratch;
 use serde::{Deserialize, Serialize};
-use smallvec::{SmallVec, smallvec};
+use std::hint::black_box;
 use std::ops::Range;
 
 /// Numbers per agent: x, y, vx, vy.
@@ -164,7 +165,8 @@ impl Host for GuidanceSystem {
             force[0] = c[0] * q[0] - c[1] * q[1];
             force[1] = c[0] * q[1] + c[1] * q[0];
         }
-        forces[2 * self.drivers..].fill(T::zero());
+        // Zeros that are known to be zeros become a call of memset, which costs more than a short loop.
+        forces[2 * self.drivers..].fill(black_box(T::zero()));
         effects.act(self, x, forces);
 
         let dt = T::lift(self.dt);
@@ -190,15 +192,15 @@ impl Host for GuidanceSystem {
     ) {
         if let Some(x_bar) = x_bar {
             let dt = R::lift(self.dt);
-            let mut forces_bar: SmallVec<[C; 2 * STACK]> = smallvec![C::null(); 2 * self.agents()];
-            let bars = x_bar.chunks_exact_mut(AGENT).zip(forces_bar.chunks_exact_mut(2));
-            for (next, (x, force)) in next_bar.chunks_exact(AGENT).zip(bars) {
-                (force[0], force[1]) = (next[2] * dt, next[3] * dt);
-                (x[0], x[1]) = (next[0], next[1]);
-                (x[2], x[3]) = (next[2] + next[0] * dt, next[3] + next[1] * dt);
+            let (bars, next_bars) = (x_bar.as_chunks_mut::<AGENT>().0, next_bar.as_chunks::<AGENT>().0);
+            let mut forces_bar = Scratch::<[C; 2], STACK>::new();
+            let forces_bar = forces_bar.collect(next_bars[..self.agents()].iter().map(|next| [next[2] * dt, next[3] * dt]));
+            for (bar, next) in bars.iter_mut().zip(next_bars) {
+                *bar = [next[0], next[1], next[2] + next[0] * dt, next[3] + next[1] * dt];
             }
-            self.reverse_steering(u, &forces_bar, x_bar);
-            effects.vjp(self, x, &forces_bar, x_bar);
+            let forces_bar = forces_bar.as_flattened();
+            self.reverse_steering(u, forces_bar, x_bar);
+            effects.vjp(self, x, forces_bar, x_bar);
         }
         if let Some(u_bar) = u_bar {
             self.reverse_control(x, next_bar, u_bar);

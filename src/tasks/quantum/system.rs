@@ -3,16 +3,17 @@
 use super::elimination::Elimination;
 use crate::effect::{Effect, Host, system_without_effects};
 use crate::scalar::{Cotangent, Real, Scalar};
+use crate::scratch::Scratch;
 use serde::{Deserialize, Serialize};
-use smallvec::{SmallVec, smallvec};
+use smallvec::SmallVec;
 use std::f64::consts::PI;
 
 /// Grid points that are worked on without allocating; larger grids allocate in every step.
 pub(super) const STACK: usize = 64;
 /// A complex number as its real and imaginary part.
 pub(super) type Pair<T> = (T, T);
-/// A number for each grid point.
-type PerPoint<T> = SmallVec<[T; STACK]>;
+/// A value for each grid point.
+type PerPoint<T> = Scratch<T, STACK>;
 /// Real and imaginary part for each grid point.
 pub(super) type Wave<T> = SmallVec<[T; 2 * STACK]>;
 
@@ -117,61 +118,65 @@ impl QuantumSystem {
 
     /// The grid points from `origin`, which is in grid points.
     #[inline(always)]
-    fn places(&self, origin: f64) -> impl Iterator<Item = f64> + use<> {
+    fn places(&self, origin: f64) -> impl ExactSizeIterator<Item = f64> + use<> {
         let dx = self.spacing();
-        (1..=self.grid).map(move |j| (j as f64 - origin) * dx)
+        (0..self.grid).map(move |j| ((j + 1) as f64 - origin) * dx)
     }
 
     /// The potential under control 1.
     #[inline(always)]
-    fn lever(&self) -> impl Iterator<Item = f64> + use<> {
+    fn lever(&self) -> impl ExactSizeIterator<Item = f64> + use<> {
         self.places(match self.control {
             ControlShape::Tilt => 0.0,
             ControlShape::Dipole => self.middle(),
         })
     }
 
-    /// A of a step. What it works with, it writes to `potential`, which begins as the control, and to `per_pivot`: a
-    /// full array that is returned may be copied.
+    /// A of a step. What it works with, it writes to `potential` and to `per_pivot`.
     #[inline(always)]
     fn eliminate<'a, E: Effect<Self>, T: Scalar>(
         &self,
         effects: &E,
         x: &[T],
-        potential: &mut [T],
-        per_pivot: &'a mut [Pair<T>],
+        u: &[T],
+        potential: &mut PerPoint<T>,
+        per_pivot: &'a mut PerPoint<Pair<T>>,
     ) -> Elimination<'a, T> {
-        for (v, lever) in potential.iter_mut().zip(self.lever()) {
-            *v *= T::lift(lever);
-        }
+        let control = u[0];
+        let potential = potential.collect(self.lever().map(|lever| control * T::lift(lever)));
         effects.act(self, x, potential);
-        Elimination::new(self.dt, self.spacing(), potential, per_pivot)
+        Elimination::new(self.dt, self.spacing(), potential, per_pivot.fill((T::zero(), T::zero()), self.grid))
     }
 
-    /// `x_bar = 2 w - v` with `w = A⁻ᴴ v`: the cotangents of real and imaginary parts are carried by the conjugate
-    /// transpose of the complex matrix.
-    #[inline(always)]
-    fn reverse_state<R: Real, C: Cotangent<R>>(conjugate: &Elimination<'_, R>, next_bar: &[C], x_bar: &mut [C]) {
-        conjugate.solve(next_bar, x_bar);
-        for (x_bar, &next_bar) in x_bar.iter_mut().zip(next_bar) {
-            *x_bar = *x_bar + *x_bar - next_bar;
-        }
-    }
-
-    /// The potential's cotangent, from `w = (x_bar + v) / 2`:
+    /// Makes `x_bar = 2 w - v` of `w = A⁻ᴴ v`: the cotangents of real and imaginary parts are carried by the conjugate
+    /// transpose of the complex matrix. Returns the control's cotangent, if it is asked for, and keeps the potential's:
     ///
     /// ```text
     /// A y = ψ, so dψ'/dV_j = 2 dy/dV_j = -i dt A⁻¹ e_j y_j
     /// V_bar_j = Re ⟨v, dψ'/dV_j⟩ = dt Im(w̄_j y_j)
     /// ```
     #[inline(always)]
-    fn reverse_potential<R: Real, C: Cotangent<R>>(&self, y: &[R], next_bar: &[C], x_bar: &[C], potential_bar: &mut [C]) {
-        let half_dt = R::lift(0.5 * self.dt);
-        let waves = y.chunks_exact(2).zip(next_bar.chunks_exact(2)).zip(x_bar.chunks_exact(2));
-        for (potential_bar, ((y, v), x_bar)) in potential_bar.iter_mut().zip(waves) {
-            let (twice_re, twice_im) = (x_bar[0] + v[0], x_bar[1] + v[1]);
-            *potential_bar = (twice_re * y[1] - twice_im * y[0]) * half_dt;
+    fn reverse_potential<R: Real, C: Cotangent<R>>(
+        &self,
+        y: &[[R; 2]],
+        next_bar: &[C],
+        x_bar: &mut [C],
+        asked: bool,
+        mut potential_bar: Option<&mut [C]>,
+    ) -> C {
+        let (dt, mut control_bar) = (R::lift(self.dt), C::null());
+        let waves = y.iter().zip(next_bar.chunks_exact(2)).zip(x_bar.chunks_exact_mut(2));
+        for (j, (((y, v), w), lever)) in waves.zip(self.lever()).enumerate() {
+            let bar = (w[0] * y[1] - w[1] * y[0]) * dt;
+            (w[0], w[1]) = (w[0] + w[0] - v[0], w[1] + w[1] - v[1]);
+            if asked {
+                control_bar += bar * R::lift(lever);
+            }
+            if let Some(potential_bar) = &mut potential_bar {
+                potential_bar[j] = bar;
+            }
         }
+        control_bar
     }
 }
 
@@ -196,9 +201,8 @@ impl Host for QuantumSystem {
 
     #[inline(always)]
     fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
-        let mut potential: PerPoint<T> = smallvec![u[0]; self.grid];
-        let mut per_pivot: PerPoint<Pair<T>> = smallvec![(T::zero(), T::zero()); self.grid];
-        self.eliminate(effects, x, &mut potential, &mut per_pivot).solve(x, next);
+        let (mut potential, mut per_pivot) = (PerPoint::new(), PerPoint::new());
+        self.eliminate(effects, x, u, &mut potential, &mut per_pivot).solve(x, next);
         for (next, &x) in next.iter_mut().zip(x) {
             *next = *next + *next - x;
         }
@@ -215,35 +219,43 @@ impl Host for QuantumSystem {
         u_bar: Option<&mut [C]>,
     ) {
         let n = 2 * self.grid;
-        let mut potential: PerPoint<R> = smallvec![u[0]; self.grid];
-        let mut per_pivot: PerPoint<Pair<R>> = smallvec![(R::zero(), R::zero()); self.grid];
-        let mut a = self.eliminate(effects, x, &mut potential, &mut per_pivot);
+        let (mut potential, mut per_pivot) = (PerPoint::new(), PerPoint::new());
+        let mut a = self.eliminate(effects, x, u, &mut potential, &mut per_pivot);
         let effects_read = x_bar.is_some() && effects.reads_state();
         // What only the state's cotangent needs ends here.
         if u_bar.is_none() && !effects_read {
             if let Some(x_bar) = x_bar {
                 a.conjugate();
-                Self::reverse_state(&a, next_bar, &mut x_bar[..n]);
+                a.solve(next_bar, &mut x_bar[..n]);
+                for (x_bar, &next_bar) in x_bar[..n].iter_mut().zip(next_bar) {
+                    *x_bar = *x_bar + *x_bar - next_bar;
+                }
             }
             return;
         }
         // Solved again rather than kept by the forward pass.
-        let mut y: Wave<R> = smallvec![R::zero(); n];
-        a.solve(x, &mut y);
+        let mut y = PerPoint::new();
+        let y = y.fill([R::zero(); 2], self.grid);
+        a.solve(x, y.as_flattened_mut());
         a.conjugate();
-        let mut scratch: Wave<C> = smallvec![C::null(); if x_bar.is_some() { 0 } else { n }];
-        let x_bar = x_bar.unwrap_or(&mut scratch);
-        Self::reverse_state(&a, next_bar, &mut x_bar[..n]);
-        let mut potential_bar: PerPoint<C> = smallvec![C::null(); self.grid];
-        self.reverse_potential(&y, next_bar, x_bar, &mut potential_bar);
+        let mut scratch = PerPoint::new();
+        let x_bar = match x_bar {
+            Some(x_bar) => x_bar,
+            None => scratch.fill([C::null(); 2], self.grid).as_flattened_mut(),
+        };
+        a.solve(next_bar, &mut x_bar[..n]);
+        let asked = u_bar.is_some();
+        let control_bar = if effects_read {
+            let mut potential_bar = PerPoint::new();
+            let potential_bar = potential_bar.fill(C::null(), self.grid);
+            let control_bar = self.reverse_potential(y, next_bar, &mut x_bar[..n], asked, Some(&mut *potential_bar));
+            effects.vjp(self, x, potential_bar, x_bar);
+            control_bar
+        } else {
+            self.reverse_potential(y, next_bar, &mut x_bar[..n], asked, None)
+        };
         if let Some(u_bar) = u_bar {
-            u_bar[0] = C::null();
-            for (&potential_bar, lever) in potential_bar.iter().zip(self.lever()) {
-                u_bar[0] += potential_bar * R::lift(lever);
-            }
-        }
-        if effects_read {
-            effects.vjp(self, x, &potential_bar, x_bar);
+            u_bar[0] = control_bar;
         }
     }
 }

@@ -1,0 +1,172 @@
+//! Cart-pole with friction and wind.
+
+use arrayvec::ArrayVec;
+use physgrad::rng::Rng;
+use physgrad::tasks::{CartDamping, CartPoleSystem, PoleDamping, SteadyWind};
+use physgrad::{Around, Cotangent, Real, Scalar, System};
+
+/// With these pieces of physics or, at compile time, without.
+#[derive(Clone)]
+pub struct ByHand<const FRICTION: bool, const WIND: bool> {
+    pub system: CartPoleSystem,
+    pub pole: PoleDamping,
+    pub cart: CartDamping,
+    pub wind: SteadyWind,
+}
+
+/// A value for each pole.
+type PerPole<T> = ArrayVec<T, 16>;
+
+impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
+    fn state_dim(&self) -> usize {
+        2 + 2 * self.system.poles
+    }
+
+    fn control_dim(&self) -> usize {
+        1
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        let s = &self.system;
+        let mass = s.cart_mass + s.pole_mass;
+        let (dt, per_mass) = (T::lift(s.dt), T::lift(1.0 / mass));
+        let (ml, l) = (T::lift(s.pole_mass * s.half_length), T::lift(s.half_length));
+        let weight = T::lift(s.pole_mass * s.half_length * s.gravity);
+        let inertia = T::lift(4.0 / 3.0 * s.pole_mass * s.half_length * s.half_length);
+        let coupling = T::lift((s.pole_mass * s.half_length).powi(2) / mass);
+        let (pole_drag, damping) = (T::lift(self.wind.pole_drag), T::lift(self.pole.damping));
+        let headwind = if WIND { T::lift(self.wind.speed) - x[1] } else { T::zero() };
+
+        // What the wind does to the poles pushes the cart too, and that each pole.
+        let mut force = u[0];
+        if FRICTION {
+            force -= T::lift(self.cart.damping) * x[1];
+        }
+        if WIND {
+            force += T::lift(self.wind.cart_drag) * headwind.abs() * headwind;
+        }
+        let mut drags = PerPole::new();
+        for (pole, next) in x[2..].chunks_exact(2).zip(next[2..].chunks_exact_mut(2)) {
+            (next[0], next[1]) = pole[0].sin_cos();
+            if WIND {
+                let across = headwind * next[1] - l * pole[1];
+                let drag = pole_drag * across.abs() * across;
+                force += drag * next[1];
+                drags.push(drag);
+            }
+        }
+        let mut push = force;
+        for (i, (pole, next)) in x[2..].chunks_exact(2).zip(next[2..].chunks_exact_mut(2)).enumerate() {
+            let (sin, cos, omega) = (next[0], next[1], pole[1]);
+            let mut torque = weight * sin;
+            if FRICTION {
+                torque -= damping * omega;
+            }
+            if WIND {
+                torque += drags[i] * l;
+            }
+            let lever = ml * cos;
+            let centrifugal = ml * sin * omega * omega;
+            let a = (force + centrifugal) * per_mass;
+            let alpha = (torque - lever * a) / (inertia - coupling * cos * cos);
+            push += centrifugal - lever * alpha;
+            next[1] = omega + dt * alpha;
+            next[0] = pole[0] + dt * next[1];
+        }
+        next[1] = x[1] + dt * push * per_mass;
+        next[0] = x[0] + dt * next[1];
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        let s = &self.system;
+        let mass = s.cart_mass + s.pole_mass;
+        let (dt, per_mass) = (R::lift(s.dt), R::lift(1.0 / mass));
+        let (ml, l) = (R::lift(s.pole_mass * s.half_length), R::lift(s.half_length));
+        let weight = R::lift(s.pole_mass * s.half_length * s.gravity);
+        let inertia = R::lift(4.0 / 3.0 * s.pole_mass * s.half_length * s.half_length);
+        let coupling = R::lift((s.pole_mass * s.half_length).powi(2) / mass);
+        let (pole_drag, damping) = (R::lift(self.wind.pole_drag), R::lift(self.pole.damping));
+        let headwind = if WIND { R::lift(self.wind.speed) - x[1] } else { R::zero() };
+
+        let mut force = u[0];
+        if FRICTION {
+            force -= R::lift(self.cart.damping) * x[1];
+        }
+        if WIND {
+            force += R::lift(self.wind.cart_drag) * headwind.abs() * headwind;
+        }
+        let (mut trig, mut air, mut torques_bar) = (PerPole::new(), PerPole::new(), PerPole::new());
+        for pole in x[2..].chunks_exact(2) {
+            let (sin, cos) = pole[0].sin_cos();
+            trig.push((sin, cos));
+            if WIND {
+                let across = headwind * cos - l * pole[1];
+                let strength = pole_drag * across.abs();
+                let drag = strength * across;
+                force += drag * cos;
+                air.push((strength, drag));
+            }
+        }
+        let speed_bar = next_bar[1] + next_bar[0] * dt;
+        let push_bar = speed_bar * (dt * per_mass);
+        let mut force_bar = push_bar;
+        for (i, (pole, &(sin, cos))) in x[2..].chunks_exact(2).zip(&trig).enumerate() {
+            let omega = pole[1];
+            let mut torque = weight * sin;
+            if FRICTION {
+                torque -= damping * omega;
+            }
+            if WIND {
+                torque += air[i].1 * l;
+            }
+            let (lever, spin) = (ml * cos, omega * omega);
+            let a = (force + ml * sin * spin) * per_mass;
+            let per_inertia = R::one() / (inertia - coupling * cos * cos);
+            let alpha = (torque - lever * a) * per_inertia;
+            let mut omega_bar = next_bar[3 + 2 * i] + next_bar[2 + 2 * i] * dt;
+            let alpha_bar = omega_bar * dt - push_bar * lever;
+            let torque_bar = alpha_bar * per_inertia;
+            let thrust_bar = -(torque_bar * (lever * per_mass));
+            force_bar += thrust_bar;
+            let centrifugal_bar = push_bar + thrust_bar;
+            let sin_bar = torque_bar * weight + centrifugal_bar * (ml * spin);
+            let cos_bar = torque_bar * (R::lift(2.0) * coupling * cos * alpha - ml * a) - push_bar * (ml * alpha);
+            omega_bar += centrifugal_bar * (R::lift(2.0) * ml * sin * omega);
+            if FRICTION {
+                omega_bar -= torque_bar * damping;
+            }
+            x_bar[2 + 2 * i] = next_bar[2 + 2 * i] + sin_bar * cos - cos_bar * sin;
+            x_bar[3 + 2 * i] = omega_bar;
+            if WIND {
+                torques_bar.push(torque_bar);
+            }
+        }
+        let mut speed_bar = speed_bar;
+        if WIND {
+            // Here and not above: the drag on a pole pushes the cart, with a force whose cotangent is complete only now.
+            for (i, (&(sin, cos), &(strength, drag))) in trig.iter().zip(&air).enumerate() {
+                let across_bar = (force_bar * cos + torques_bar[i] * l) * (strength + strength);
+                speed_bar -= across_bar * cos;
+                x_bar[2 + 2 * i] -= (force_bar * drag + across_bar * headwind) * sin;
+                x_bar[3 + 2 * i] -= across_bar * l;
+            }
+            speed_bar -= force_bar * (R::lift(2.0 * self.wind.cart_drag) * headwind.abs());
+        }
+        if FRICTION {
+            speed_bar -= force_bar * R::lift(self.cart.damping);
+        }
+        (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar);
+        u_bar[0] = force_bar;
+    }
+}
+
+impl<const FRICTION: bool, const WIND: bool> Around<CartPoleSystem> for ByHand<FRICTION, WIND> {
+    #[inline(always)]
+    fn body(&self) -> &CartPoleSystem {
+        &self.system
+    }
+
+    fn start_beyond(&self, _rng: &mut Rng, _x: &mut [f64]) {}
+}

@@ -1,0 +1,224 @@
+//! The herding of the paper: friction, drivers that spread, evaders that flee and flock.
+
+use arrayvec::ArrayVec;
+use physgrad::rng::Rng;
+use physgrad::tasks::{Evade, Flock, Friction, GuidanceSystem, Spread};
+use physgrad::{Around, Cotangent, Float, Real, Scalar, System};
+
+/// [`GuidanceSystem::herding`], for at most 32 agents who steer by the sum of the evaders' positions.
+#[derive(Clone)]
+pub struct ByHand {
+    pub system: GuidanceSystem,
+    pub friction: Friction,
+    pub spread: Spread,
+    pub evade: Evade,
+    pub flock: Flock,
+}
+
+/// Numbers per agent: x, y, vx, vy.
+const AGENT: usize = 4;
+
+/// What is made of the separation r of two agents, with d = softening + |r|: r / d, |r| / d, 1 / d and r / |r|.
+struct Gap<T> {
+    share: [T; 2],
+    length_share: T,
+    per_distance: T,
+    direction: [T; 2],
+}
+
+/// `(far / d + near / d²) r`.
+#[derive(Clone, Copy)]
+struct Law<T> {
+    far: T,
+    near: T,
+}
+
+impl<T: Scalar> Gap<T> {
+    /// Of agent `b` from agent `a`; where squares would overflow or lose digits, of a multiple of it.
+    #[inline(always)]
+    fn new(x: &[T], a: usize, b: usize, softening: T) -> Self {
+        let (range, shift) = if T::Real::EPSILON < 1e-10 { (500, 600) } else { (60, 90) };
+        let (huge, tiny) = (T::lift(power_of_two(range)), T::lift(power_of_two(-range)));
+        let (up, down) = (T::lift(power_of_two(shift)), T::lift(power_of_two(-shift)));
+        let (zero, one) = (T::zero(), T::one());
+        let (x, y) = (x[AGENT * b] - x[AGENT * a], x[AGENT * b + 1] - x[AGENT * a + 1]);
+        let largest = x.abs().max(y.abs()).detach();
+        let unit = T::select_lt(huge, largest, down, one);
+        let (x, y) = (x * unit, y * unit);
+        let enlarged = T::select_lt(largest, tiny, up, one);
+        let reduced = T::select_lt(largest, tiny, down, one);
+        let (near_x, near_y) = (x * enlarged, y * enlarged);
+        let square = near_x * near_x + near_y * near_y;
+        let root = T::select_lt(zero, square, square, one).sqrt();
+        let length = T::select_lt(zero, square, root * reduced, zero);
+        let per_length = one / (softening * unit + length);
+        let per_root = one / root;
+        Self {
+            share: [x * per_length, y * per_length],
+            length_share: length * per_length,
+            per_distance: unit * per_length,
+            direction: [near_x * per_root, near_y * per_root],
+        }
+    }
+
+    #[inline(always)]
+    fn force(&self, law: Law<T>) -> [T; 2] {
+        let strength = law.far + law.near * self.per_distance;
+        [self.share[0] * strength, self.share[1] * strength]
+    }
+}
+
+impl<R: Real> Gap<R> {
+    #[inline(always)]
+    fn force_vjp<C: Cotangent<R>>(&self, law: Law<R>, force_bar: [C; 2]) -> [C; 2] {
+        let (far, near) = (law.far, law.near * self.per_distance);
+        let across = (far + near) * self.per_distance;
+        let along = -((far + near + near) * self.per_distance * self.length_share);
+        let [x, y] = self.direction;
+        let radial = (force_bar[0] * x + force_bar[1] * y) * along;
+        [force_bar[0] * across + radial * x, force_bar[1] * across + radial * y]
+    }
+}
+
+const fn power_of_two(exponent: i32) -> f64 {
+    f64::from_bits(((1023 + exponent) as u64) << 52)
+}
+
+impl ByHand {
+    /// The forces of spreading, evading and flocking.
+    #[inline(always)]
+    fn laws<T: Scalar>(&self) -> [Law<T>; 3] {
+        let law = |far, near| Law { far: T::lift(far), near: T::lift(near) };
+        let flock = self.flock;
+        [law(0.0, self.spread.strength), law(0.0, self.evade.strength), law(flock.strength, -flock.strength * flock.distance)]
+    }
+
+    /// The sum of the evaders' positions.
+    #[inline(always)]
+    fn herd<T: Scalar>(&self, x: &[T]) -> [T; 2] {
+        let mut sum = [T::zero(); 2];
+        for evader in x[AGENT * self.system.drivers..].chunks_exact(AGENT) {
+            sum[0] += evader[0];
+            sum[1] += evader[1];
+        }
+        sum
+    }
+}
+
+impl System for ByHand {
+    fn state_dim(&self) -> usize {
+        AGENT * (self.system.drivers + self.system.evaders)
+    }
+
+    fn control_dim(&self) -> usize {
+        2 * self.system.drivers
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        let (drivers, agents) = (self.system.drivers, self.system.drivers + self.system.evaders);
+        let (softening, [spread, evade, flock]) = (T::lift(self.system.softening), self.laws::<T>());
+        // Accelerations, gathered where the next velocities will be.
+        let herd = self.herd(x);
+        let friction = T::lift(self.friction.drivers);
+        for ((next, x), c) in next.chunks_exact_mut(AGENT).zip(x.chunks_exact(AGENT)).zip(u.chunks_exact(2)) {
+            let q = [x[0] - herd[0], x[1] - herd[1]];
+            next[2] = c[0] * q[0] - c[1] * q[1] - friction * x[2];
+            next[3] = c[0] * q[1] + c[1] * q[0] - friction * x[3];
+        }
+        let friction = T::lift(-self.friction.evaders);
+        for (next, x) in next.chunks_exact_mut(AGENT).zip(x.chunks_exact(AGENT)).skip(drivers) {
+            (next[2], next[3]) = (friction * x[2], friction * x[3]);
+        }
+        for b in 0..agents {
+            let mut felt = [next[AGENT * b + 2], next[AGENT * b + 3]];
+            for a in 0..b {
+                let own = (a < drivers) == (b < drivers);
+                let law = if !own {
+                    evade
+                } else if b < drivers {
+                    spread
+                } else {
+                    flock
+                };
+                let [x, y] = Gap::new(x, a, b, softening).force(law);
+                felt[0] += x;
+                felt[1] += y;
+                if own {
+                    next[AGENT * a + 2] -= x;
+                    next[AGENT * a + 3] -= y;
+                }
+            }
+            (next[AGENT * b + 2], next[AGENT * b + 3]) = (felt[0], felt[1]);
+        }
+        let dt = T::lift(self.system.dt);
+        for (next, x) in next.chunks_exact_mut(AGENT).zip(x.chunks_exact(AGENT)) {
+            (next[0], next[1]) = (x[0] + dt * x[2], x[1] + dt * x[3]);
+            (next[2], next[3]) = (x[2] + dt * next[2], x[3] + dt * next[3]);
+        }
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        let (drivers, agents) = (self.system.drivers, self.system.drivers + self.system.evaders);
+        let (softening, [spread, evade, flock]) = (R::lift(self.system.softening), self.laws::<R>());
+        let dt = R::lift(self.system.dt);
+        let kept = [self.friction.drivers, self.friction.evaders].map(|friction| R::lift(1.0 - self.system.dt * friction));
+        let mut forces_bar: ArrayVec<[C; 2], 32> = ArrayVec::new();
+        for (agent, (bar, next)) in x_bar.chunks_exact_mut(AGENT).zip(next_bar.chunks_exact(AGENT)).enumerate() {
+            let kept = if agent < drivers { kept[0] } else { kept[1] };
+            forces_bar.push([next[2] * dt, next[3] * dt]);
+            (bar[0], bar[1]) = (next[0], next[1]);
+            (bar[2], bar[3]) = (next[2] * kept + next[0] * dt, next[3] * kept + next[1] * dt);
+        }
+        let (herd, mut herd_bar) = (self.herd(x), [C::null(); 2]);
+        for agent in 0..drivers {
+            let (force, x, c) = (forces_bar[agent], &x[AGENT * agent..], &u[2 * agent..2 * agent + 2]);
+            let q = [x[0] - herd[0], x[1] - herd[1]];
+            u_bar[2 * agent] = force[0] * q[0] + force[1] * q[1];
+            u_bar[2 * agent + 1] = force[1] * q[0] - force[0] * q[1];
+            let q_bar = [force[0] * c[0] + force[1] * c[1], force[1] * c[0] - force[0] * c[1]];
+            for axis in 0..2 {
+                x_bar[AGENT * agent + axis] += q_bar[axis];
+                herd_bar[axis] -= q_bar[axis];
+            }
+        }
+        for bar in x_bar[AGENT * drivers..].chunks_exact_mut(AGENT) {
+            bar[0] += herd_bar[0];
+            bar[1] += herd_bar[1];
+        }
+        for b in 0..agents {
+            let mut felt = [x_bar[AGENT * b], x_bar[AGENT * b + 1]];
+            for a in 0..b {
+                let own = (a < drivers) == (b < drivers);
+                let law = if !own {
+                    evade
+                } else if b < drivers {
+                    spread
+                } else {
+                    flock
+                };
+                let mut force_bar = forces_bar[b];
+                if own {
+                    force_bar[0] -= forces_bar[a][0];
+                    force_bar[1] -= forces_bar[a][1];
+                }
+                let [x, y] = Gap::new(x, a, b, softening).force_vjp(law, force_bar);
+                felt[0] += x;
+                felt[1] += y;
+                x_bar[AGENT * a] -= x;
+                x_bar[AGENT * a + 1] -= y;
+            }
+            (x_bar[AGENT * b], x_bar[AGENT * b + 1]) = (felt[0], felt[1]);
+        }
+    }
+}
+
+impl Around<GuidanceSystem> for ByHand {
+    #[inline(always)]
+    fn body(&self) -> &GuidanceSystem {
+        &self.system
+    }
+
+    fn start_beyond(&self, _rng: &mut Rng, _x: &mut [f64]) {}
+}

@@ -1,0 +1,132 @@
+//! A particle in a box with a tilted floor, in a harmonic trap and with a cubic term.
+
+use arrayvec::ArrayVec;
+use physgrad::rng::Rng;
+use physgrad::tasks::{Cubic, Harmonic, QuantumSystem};
+use physgrad::{Around, Cotangent, Real, Scalar, System};
+use std::ops::{Add, Mul, Sub};
+
+/// For at most 64 grid points; with these pieces of physics or, at compile time, without.
+#[derive(Clone)]
+pub struct ByHand<const TRAP: bool, const CUBIC: bool> {
+    pub system: QuantumSystem,
+    pub trap: Harmonic,
+    pub cubic: Cubic,
+}
+
+/// A value for each grid point.
+type PerPoint<T> = ArrayVec<T, 64>;
+
+/// Solves `A y = rhs`, from one over the pivots of A and what is beside its diagonal, `-ib`.
+#[inline(always)]
+fn solve<T, V>(per_pivot: &[(T, T)], b: T, rhs: &[V], y: &mut [V])
+where
+    T: Scalar,
+    V: Copy + Add<Output = V> + Sub<Output = V> + Mul<T, Output = V>,
+{
+    let mut before: Option<(V, V)> = None;
+    for ((rhs, y), &(q_re, q_im)) in rhs.chunks_exact(2).zip(y.chunks_exact_mut(2)).zip(per_pivot) {
+        let (mut re, mut im) = (rhs[0], rhs[1]);
+        if let Some((s_re, s_im)) = before {
+            (re, im) = (re - s_im * b, im + s_re * b);
+        }
+        (y[0], y[1]) = (re * q_re - im * q_im, re * q_im + im * q_re);
+        before = Some((y[0], y[1]));
+    }
+    let mut after: Option<(V, V)> = None;
+    for (y, &(q_re, q_im)) in y.chunks_exact_mut(2).zip(per_pivot).rev() {
+        if let Some((y_re, y_im)) = after {
+            let (re, im) = (q_re * b, q_im * b);
+            y[0] = y[0] - (y_re * im + y_im * re);
+            y[1] = y[1] + (y_re * re - y_im * im);
+        }
+        after = Some((y[0], y[1]));
+    }
+}
+
+impl<const TRAP: bool, const CUBIC: bool> ByHand<TRAP, CUBIC> {
+    /// What is beside the diagonal of A, and one over each of its pivots.
+    #[inline(always)]
+    fn eliminate<T: Scalar>(&self, x: &[T], u: &[T], per_pivot: &mut PerPoint<(T, T)>) -> T {
+        let (s, dx, half_dt) = (&self.system, self.system.spacing(), 0.5 * self.system.dt);
+        let off_diagonal = half_dt / (dx * dx);
+        let (b, kinetic) = (T::lift(off_diagonal), T::lift(2.0 * off_diagonal));
+        let (tilt, strength) = (u[0] * T::lift(half_dt * dx), T::lift(half_dt * self.cubic.strength / dx));
+        let b_squared = b * b;
+        let (mut q_re, mut q_im) = (T::zero(), T::zero());
+        for (j, psi) in x.chunks_exact(2).enumerate() {
+            let place = (j + 1) as f64;
+            let mut potential = kinetic + tilt * T::lift(place);
+            if TRAP {
+                let xi = place * dx - 0.5 * s.length - self.trap.center;
+                potential += T::lift(half_dt * self.trap.stiffness * xi * xi);
+            }
+            if CUBIC {
+                potential += strength * (psi[0] * psi[0] + psi[1] * psi[1]);
+            }
+            let re = T::one() + b_squared * q_re;
+            let im = potential + b_squared * q_im;
+            let per_square = T::one() / (re * re + im * im);
+            (q_re, q_im) = (re * per_square, -(im * per_square));
+            per_pivot.push((q_re, q_im));
+        }
+        b
+    }
+}
+
+impl<const TRAP: bool, const CUBIC: bool> System for ByHand<TRAP, CUBIC> {
+    fn state_dim(&self) -> usize {
+        2 * self.system.grid
+    }
+
+    fn control_dim(&self) -> usize {
+        1
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        let mut per_pivot = PerPoint::new();
+        let b = self.eliminate(x, u, &mut per_pivot);
+        solve(&per_pivot, b, x, next);
+        for (next, &x) in next.iter_mut().zip(x) {
+            *next = *next + *next - x;
+        }
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        let mut per_pivot = PerPoint::new();
+        let b = self.eliminate(x, u, &mut per_pivot);
+        let mut y = PerPoint::new();
+        y.extend(x.chunks_exact(2).map(|_| [R::zero(); 2]));
+        solve(&per_pivot, b, x, y.as_flattened_mut());
+        for (_, im) in &mut per_pivot {
+            *im = -*im;
+        }
+        solve(&per_pivot, -b, next_bar, x_bar);
+        let (factor, dx) = (0.5 * self.system.dt * self.system.spacing(), self.system.spacing());
+        let slope = R::lift(self.system.dt * self.cubic.strength / dx);
+        u_bar[0] = C::null();
+        let waves = x.chunks_exact(2).zip(&y).zip(next_bar.chunks_exact(2)).zip(x_bar.chunks_exact_mut(2));
+        for (j, (((psi, y), v), x_bar)) in waves.enumerate() {
+            // w = A⁻ᴴ v, and V_bar = dt Im(w̄ y).
+            let bar = (x_bar[0] * y[1] - x_bar[1] * y[0]) * R::lift(2.0);
+            u_bar[0] += bar * R::lift(factor * (j + 1) as f64);
+            (x_bar[0], x_bar[1]) = (x_bar[0] + x_bar[0] - v[0], x_bar[1] + x_bar[1] - v[1]);
+            if CUBIC {
+                let bar = bar * slope;
+                x_bar[0] += bar * psi[0];
+                x_bar[1] += bar * psi[1];
+            }
+        }
+    }
+}
+
+impl<const TRAP: bool, const CUBIC: bool> Around<QuantumSystem> for ByHand<TRAP, CUBIC> {
+    #[inline(always)]
+    fn body(&self) -> &QuantumSystem {
+        &self.system
+    }
+
+    fn start_beyond(&self, _rng: &mut Rng, _x: &mut [f64]) {}
+}
