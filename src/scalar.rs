@@ -152,6 +152,19 @@ impl<R: Real> Cotangent<R> for R {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Columns<R, const K: usize>(pub [R; K]);
 
+/// Every column in turn; the one or two of a rollout without a loop, of which there would be hundreds to compile.
+#[inline(always)]
+fn each<const K: usize>(mut column: impl FnMut(usize)) {
+    match K {
+        1 => column(0),
+        2 => {
+            column(0);
+            column(1);
+        }
+        _ => (0..K).for_each(column),
+    }
+}
+
 impl<R: Real, const K: usize> Cotangent<R> for Columns<R, K> {
     #[inline(always)]
     fn null() -> Self {
@@ -180,26 +193,23 @@ impl<R: Real, const K: usize> Sub for Columns<R, K> {
 impl<R: Real, const K: usize> AddAssign for Columns<R, K> {
     #[inline(always)]
     fn add_assign(&mut self, other: Self) {
-        for k in 0..K {
-            self.0[k] += other.0[k];
-        }
+        each::<K>(|k| self.0[k] += other.0[k]);
     }
 }
 
 impl<R: Real, const K: usize> SubAssign for Columns<R, K> {
     #[inline(always)]
     fn sub_assign(&mut self, other: Self) {
-        for k in 0..K {
-            self.0[k] -= other.0[k];
-        }
+        each::<K>(|k| self.0[k] -= other.0[k]);
     }
 }
 
 impl<R: Real, const K: usize> Neg for Columns<R, K> {
     type Output = Self;
     #[inline(always)]
-    fn neg(self) -> Self {
-        Self(self.0.map(|column| -column))
+    fn neg(mut self) -> Self {
+        each::<K>(|k| self.0[k] = -self.0[k]);
+        self
     }
 }
 
@@ -207,9 +217,7 @@ impl<R: Real, const K: usize> Mul<R> for Columns<R, K> {
     type Output = Self;
     #[inline(always)]
     fn mul(mut self, factor: R) -> Self {
-        for k in 0..K {
-            self.0[k] *= factor;
-        }
+        each::<K>(|k| self.0[k] *= factor);
         self
     }
 }
