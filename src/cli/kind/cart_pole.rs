@@ -208,7 +208,7 @@ impl Kind for CartPole {
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
         let (system, effects) = (settings.system.body(), settings.effects.list());
-        // The paper's system is a type of its own. Every type costs compile time, and saves a few percent over the list.
+        // The paper's system is a type of its own. Every type costs compile time.
         match settings.system.model {
             Model::Uncoupled if effects.is_empty() && settings.actuator.is_empty() => swing_up(system, settings, visitor),
             Model::Uncoupled => listed(system, effects, settings, visitor),
