@@ -5,7 +5,8 @@ use crate::system::System;
 
 /// The operations of one step of one sample and of its reverse, for one adjoint.
 ///
-/// Exact, and the same on every machine: the step is run on numbers that count. Systems have no `if` on values, so that
+/// Exact, and the same on every machine: the step is run on numbers that count. What is worked out of a system's constants,
+/// in plain numbers, is not seen. Systems have no `if` on values, so that
 /// the counts are those of every state.
 ///
 /// ```

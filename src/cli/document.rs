@@ -65,6 +65,10 @@ impl Document {
             inner = section.as_table_mut().with_context(|| format!("{option}: `{path}` is no section"))?;
         }
         if let Some(Value::Table(section)) = inner.get(last) {
+            if value.as_table().is_some_and(Table::is_empty) {
+                // It is asked for, and there.
+                return Ok(());
+            }
             let keys: Vec<String> = section.keys().map(|inner| format!("{key}.{inner}")).collect();
             bail!("{option}: `{key}` is a section; set one of its keys: {}", keys.join(", "));
         }

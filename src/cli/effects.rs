@@ -19,7 +19,8 @@ const HEAD: &str = "\
 What a scene can name beyond its system; how to name it is in [scenes.md](scenes.md). This page is made by `physgrad effects`.
 
 Costs are operations of one step of one sample and of its VJP to state and control, in the task's default system. They are counted, and a
-test holds this page to them. An effect costs the same whatever else is there, and what a scene does not name costs nothing.
+test holds this page to them. An effect costs the same whatever else is there; actuators in a chain share work. What a scene does not name costs
+nothing. Only operations on the state are counted: what is worked out of a scene's constants, a static potential for instance, is not.
 
 Derivatives by hand are compared with dual numbers in the tests, and in any scene by `physgrad check SCENE`. *Smoothed*: a leap in the physics was made a
 slope. *One-sided*: the derivative leaps at a point, where that of one side is taken.

@@ -23,7 +23,7 @@ use smallvec::SmallVec;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct AbsorbingEdges {
-    /// How far they reach from either wall, length, not negative.
+    /// How far they reach from either wall, length, positive.
     pub width: f64,
     /// W at the walls, energy, not negative. The defaults take a fifth of a ground state of the default box in 8 units of
     /// time, and five sixths of its third eigenstate.
