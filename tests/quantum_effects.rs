@@ -242,8 +242,8 @@ fn an_effect_costs_its_own_operations_and_no_others() {
     // Eliminated and conjugated, and solved once.
     let state = eliminated + Counts { negate: n + 1, ..solve } + sums(4 * n, 0);
     assert_eq!(plain[2], state);
-    // Solved twice; and the cotangents of the potential and of the control.
-    let potential = sums(3 * n, 3 * n);
+    // Solved twice; and the cotangents of the potential, Im(w̄ y) times dt, and of the control.
+    let potential = sums(n, 3 * n);
     let control = sums(n, n);
     assert_eq!(plain[1], state + solve + potential + control);
     assert_eq!(plain[3], plain[1]);
