@@ -267,9 +267,10 @@ fn runs_that_were_not_finished_have_a_page_that_says_so() {
 #[test]
 fn an_adjoint_that_overflows_is_told_and_the_other_is_drawn() {
     let dir = TempDir::new().expect("a folder");
-    // A cart so light that the policy's least noise throws it about: states stay finite, and what they depend on grows.
-    let light = ["--set", "system.cart_mass=1e-4", "--set", "system.pole_mass=1e-4", "--set", "policy.zero_last=false"];
-    train(dir.path(), &["--epochs", "0"]).args(light).args(["--set", "horizon=600"]).assert().success();
+    // A cart so light that the policy's least noise throws it about: states stay finite, and what they depend on grows. (Lighter
+    // still, and whether states stay finite depends on the last bit.)
+    let light = ["--set", "system.cart_mass=2e-4", "--set", "system.pole_mass=2e-4", "--set", "policy.zero_last=false"];
+    train(dir.path(), &["--epochs", "0"]).args(light).args(["--set", "horizon=1500"]).assert().success();
     let page = report(dir.path());
     assert!(page.contains("As trained, the adjoint of R diverged: reverse pass of R: the cotangent of state component"));
     let growth = diagram(&page, "Growth of the adjoint");
