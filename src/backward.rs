@@ -9,13 +9,14 @@
 //! g ← Σ_t (∂N/∂θ)ᵀ h_t                                 after the loop, in large products
 //! ```
 
-use crate::divergence::{Divergence, Variable};
-use crate::kernels::{Vectorized, dispatch_narrow};
+mod recursion;
+
+use crate::divergence::Divergence;
 use crate::policy::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Weights};
-use crate::rollout::{Lane, Rollout, WIDTH, find_non_finite, gather};
-use crate::scalar::{Columns, Float, Real, Scalar};
-use crate::system::System;
+use crate::rollout::Rollout;
+use crate::scalar::Float;
 use crate::task::Task;
+use recursion::Recursion;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::Range;
@@ -84,20 +85,6 @@ struct PolicyAdjoint<F> {
     /// With `unit`: ones, the cotangent of the only control.
     ones: Vec<F>,
     scratch: Vec<F>,
-}
-
-/// What the recursion carries for `K` flows.
-#[derive(Debug)]
-struct Recursion<F: Float, const K: usize> {
-    /// λ, `[block][component]`.
-    lambda: Vec<Columns<Lane<F>, K>>,
-    /// The next λ, before the flows choose.
-    x_bar: Vec<Columns<Lane<F>, K>>,
-    /// h, `[block][component]`.
-    u_bar: Vec<Columns<Lane<F>, K>>,
-    /// Gradients of the costs of one block.
-    cost_x: Vec<Lane<F>>,
-    cost_u: Vec<Lane<F>>,
 }
 
 impl<F: Float> Adjoint<F> {
@@ -250,155 +237,47 @@ impl<F: Float> PolicyAdjoint<F> {
     }
 }
 
-impl<F: Float, const K: usize> Recursion<F, K> {
-    fn new(rollout: &Rollout<F>) -> Self {
-        let (n, m) = (rollout.state_dim, rollout.control_dim);
-        let blocks = rollout.capacity().div_ceil(WIDTH);
-        let columns = |len: usize| vec![Columns([Lane::zero(); K]); len];
-        let lanes = |len: usize| vec![Lane::zero(); len];
-        Self {
-            lambda: columns(blocks * n),
-            x_bar: columns(blocks * n),
-            u_bar: columns(blocks * m),
-            cost_x: lanes(n),
-            cost_u: lanes(m),
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effect::With;
+    use crate::kernels::portable;
+    use crate::policy::Mlp;
+    use crate::rng::{Purpose, stream};
+    use crate::tasks::{Bumpers, CartDamping, CartPole, CartPoleSystem};
+
+    /// The last state of every sample, the costs, and the gradients of two flows.
+    fn all_of_it<F: Float>(samples: usize) -> Vec<F> {
+        let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
+        let task = CartPole::around(With { system, effects: (CartDamping::default(), Bumpers::default()) });
+        let policy = Mlp::new(vec![6, 8, 1]);
+        let weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Policy, 0));
+        let mut starts = vec![0.0; 6 * samples];
+        for (i, x) in starts.chunks_exact_mut(6).enumerate() {
+            task.start(&mut stream(0, Purpose::Train, i as u64), x);
         }
-    }
-
-    fn stored_bytes(&self) -> usize {
-        let columns = [&self.lambda, &self.x_bar, &self.u_bar].map(|columns| size_of_val(&columns[..]));
-        let costs = [&self.cost_x, &self.cost_u].map(|costs| size_of_val(&costs[..]));
-        columns.into_iter().chain(costs).sum()
-    }
-
-    /// The recursion at the head of this file, for the flows side by side. `norms` has a row for each flow, or none.
-    fn run<T: Task, P: Policy>(
-        &mut self,
-        pass: &Pass<'_, T, P, F>,
-        flows: [Flow; K],
-        policy: &mut PolicyAdjoint<F>,
-        norms: &mut [Vec<f64>],
-    ) -> Result<(), Divergence> {
-        let Pass { task, rollout, scale, .. } = *pass;
-        let (n, m) = (rollout.state_dim, rollout.control_dim);
-        let last = rollout.states_at(rollout.horizon);
-        for (lambda, x) in self.lambda.chunks_exact_mut(n).zip(last.chunks_exact(n)) {
-            task.terminal_cost_gradient(x, &mut self.cost_x);
-            for (lambda, &x_bar) in lambda.iter_mut().zip(&self.cost_x) {
-                *lambda = Columns([x_bar * Lane::splat(scale); K]);
+        let starts: Vec<F> = starts.into_iter().map(F::lift).collect();
+        let mut rollout = Rollout::new(&task, &policy, 16);
+        rollout.start(&starts);
+        rollout.run(&task, &policy, &weights).expect("finite");
+        let mut all: Vec<F> = (0..samples).flat_map(|sample| [rollout.cost(sample), rollout.state(100, sample, 0)]).collect();
+        for flows in [&[Flow::REGULAR, Flow::MODIFIED][..], &[Flow::STOPPED]] {
+            let mut adjoint = Adjoint::new(&policy, &rollout, flows);
+            adjoint.run(&task, &policy, &weights, &rollout, F::one()).expect("finite");
+            for k in 0..flows.len() {
+                let mut theta_bar = vec![F::zero(); weights.theta().len()];
+                adjoint.param_gradient(k, &policy, &weights, &rollout, 0..samples, &mut theta_bar);
+                all.extend(theta_bar);
             }
         }
-        self.note_norms(rollout, rollout.horizon, scale, norms);
-        for t in (0..rollout.horizon).rev() {
-            let at = rollout.columns(t);
-            let mut finite = true;
-            dispatch_narrow(Back { task, flows, rollout, t, scale, carried: self, finite: &mut finite });
-            if !finite {
-                return Err(self.divergence(flows, rollout, t));
-            }
-            for (k, flow) in flows.into_iter().enumerate() {
-                gather(&self.u_bar, |h, lane| h.0[k].lane(lane), m, at, &mut policy.controls_bar[k]);
-                if flow.control {
-                    if !policy.unit {
-                        policy.backward(pass, k, at, true);
-                    }
-                    self.add_inputs(k, at, n, policy);
-                }
-            }
-            self.note_norms(rollout, t, scale, norms);
-        }
-        Ok(())
+        all
     }
 
-    /// Notes the length of λ at step `t`, in f64: a square of an f32 overflows long before the f32 does.
-    fn note_norms(&self, rollout: &Rollout<F>, t: usize, scale: F, norms: &mut [Vec<f64>]) {
-        let lambda = |k: usize, sample: usize| {
-            let block = &self.lambda[sample / WIDTH * rollout.state_dim..][..rollout.state_dim];
-            block.iter().map(move |c| c.0[k].lane(sample % WIDTH).as_())
-        };
-        for (k, norms) in norms.iter_mut().enumerate() {
-            let squares: f64 = (0..rollout.samples).flat_map(|sample| lambda(k, sample)).map(|x: f64| x * x).sum();
-            norms[t] = (squares / rollout.samples as f64).sqrt() / scale.as_();
+    #[test]
+    fn samples_one_by_one_have_the_bits_of_samples_in_lanes() {
+        for samples in [1, 8, 13] {
+            assert_eq!(all_of_it::<f32>(samples), portable::force(|| all_of_it::<f32>(samples)));
+            assert_eq!(all_of_it::<f64>(samples), portable::force(|| all_of_it::<f64>(samples)));
         }
-    }
-
-    /// `λ ← λ + (∂N/∂x)ᵀ h` in column `k`.
-    fn add_inputs(&mut self, k: usize, at: PolicyColumns, n: usize, policy: &PolicyAdjoint<F>) {
-        for (block, lambda) in self.lambda.chunks_exact_mut(n).take(at.count.div_ceil(WIDTH)).enumerate() {
-            for lane in 0..WIDTH {
-                let sample = (block * WIDTH + lane).min(at.count - 1);
-                let c = at.first + sample * at.step;
-                // A unit cotangent's result is still to be multiplied by the control's own.
-                let factor = if policy.unit { policy.controls_bar[k][c] } else { F::one() };
-                for (lambda, &x_bar) in lambda.iter_mut().zip(&policy.inputs_bar[c * n..][..n]) {
-                    lambda.0[k].0[lane] += x_bar * factor;
-                }
-            }
-        }
-    }
-
-    /// The first flow, and in it the first sample, whose state or control cotangent is not finite.
-    #[cold]
-    fn divergence(&self, flows: [Flow; K], rollout: &Rollout<F>, step: usize) -> Divergence {
-        let find = |columns: &[Columns<Lane<F>, K>], n: usize, k: usize| {
-            find_non_finite(columns, n, rollout.samples, |c, lane| c.0[k].lane(lane))
-        };
-        let state = |k: usize| find(&self.lambda, rollout.state_dim, k).map(|place| (k, Variable::State, place));
-        let control = |k: usize| find(&self.u_bar, rollout.control_dim, k).map(|place| (k, Variable::Control, place));
-        let first = (0..K).find_map(|k| state(k).or_else(|| control(k)));
-        let (k, variable, (sample, component)) = first.expect("the probe saw one of them");
-        Divergence::Cotangent { flow: flows[k], variable, step, sample, component }
-    }
-}
-
-/// One step back, of all blocks: costs, physics, and whether the result is finite.
-struct Back<'a, T, F: Float, const K: usize> {
-    task: &'a T,
-    flows: [Flow; K],
-    rollout: &'a Rollout<F>,
-    t: usize,
-    scale: F,
-    carried: &'a mut Recursion<F, K>,
-    finite: &'a mut bool,
-}
-
-impl<T: Task, F: Float, const K: usize> Vectorized for Back<'_, T, F, K> {
-    #[inline(always)]
-    fn run<const FMA: bool>(self) {
-        let Self { task, flows, rollout, t, carried: r, .. } = self;
-        let system = task.system();
-        let (n, m) = (rollout.state_dim, rollout.control_dim);
-        let (states, next, controls) = (rollout.states_at(t), rollout.states_at(t + 1), rollout.controls_at(t));
-        let scale = Lane::splat(self.scale);
-        let through_physics = flows.iter().any(|flow| flow.physics);
-        let mut probe = Columns([Lane::<F>::zero(); K]);
-        for block in 0..states.len() / n {
-            let (x, next) = (&states[block * n..][..n], &next[block * n..][..n]);
-            let u = &controls[block * m..][..m];
-            let lambda = &mut r.lambda[block * n..][..n];
-            let x_bar = &mut r.x_bar[block * n..][..n];
-            let u_bar = &mut r.u_bar[block * m..][..m];
-
-            task.stage_cost_gradient(next, u, &mut r.cost_x, &mut r.cost_u);
-            for (lambda, &cost) in lambda.iter_mut().zip(&r.cost_x) {
-                *lambda += Columns([cost * scale; K]);
-            }
-            if through_physics {
-                system.vjp(x, u, lambda, x_bar, u_bar);
-            } else {
-                system.vjp_control(x, u, lambda, u_bar);
-            }
-            for (u_bar, &cost) in u_bar.iter_mut().zip(&r.cost_u) {
-                *u_bar += Columns([cost * scale; K]);
-                probe += *u_bar * Lane::zero();
-            }
-            for (lambda, &x_bar) in lambda.iter_mut().zip(&*x_bar) {
-                for (k, flow) in flows.iter().enumerate() {
-                    lambda.0[k] = if flow.physics { x_bar.0[k] } else { Lane::zero() };
-                }
-                probe += *lambda * Lane::zero();
-            }
-        }
-        *self.finite = probe.0.iter().all(|p| p.0.iter().all(|&p| p == F::zero()));
     }
 }

@@ -61,6 +61,17 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
         self.vjp(body, x, forces_bar, x_bar);
     }
 
+    /// Whether it is written as [`act_at`](Effect::act_at) too. A system with a long loop over its forces can then have
+    /// them in that loop, where it would wait otherwise, and not beforehand.
+    const LOCAL: bool = false;
+
+    /// Of an effect that is [`LOCAL`](Effect::LOCAL): what has become of the force in place `i`, which was `force`, after
+    /// [`act`](Effect::act).
+    #[inline(always)]
+    fn act_at<T: Scalar>(&self, _body: &B, _x: &[T], _i: usize, _force: T) -> T {
+        unreachable!("{self:?} is not local")
+    }
+
     /// Whether its forces depend on the state. Where none does, the reverse pass has less to do.
     #[inline(always)]
     fn reads_state(&self) -> bool {
@@ -97,8 +108,13 @@ pub(crate) fn effect_vjp_by_duals<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
 
 /// Nothing.
 impl<B> Effect<B> for () {
+    const LOCAL: bool = true;
     #[inline(always)]
     fn act<T: Scalar>(&self, _body: &B, _x: &[T], _forces: &mut [T]) {}
+    #[inline(always)]
+    fn act_at<T: Scalar>(&self, _body: &B, _x: &[T], _i: usize, force: T) -> T {
+        force
+    }
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &B, _x: &[R], _forces_bar: &[C], _x_bar: &mut [C]) {}
     #[inline(always)]
@@ -120,9 +136,15 @@ macro_rules! both {
     ($($effect:ident $i:tt),+) => {
         /// All of them, in this order.
         impl<B, $($effect: Effect<B>),+> Effect<B> for ($($effect,)+) {
+            const LOCAL: bool = true $(&& $effect::LOCAL)+;
             #[inline(always)]
             fn act<T: Scalar>(&self, body: &B, x: &[T], forces: &mut [T]) {
                 $(self.$i.act(body, x, forces);)+
+            }
+            #[inline(always)]
+            fn act_at<T: Scalar>(&self, body: &B, x: &[T], i: usize, force: T) -> T {
+                $(let force = self.$i.act_at(body, x, i, force);)+
+                force
             }
             #[inline(always)]
             fn vjp<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {

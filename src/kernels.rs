@@ -91,6 +91,13 @@ pub fn dispatch(level: Level, work: impl Vectorized) {
     work.run::<false>();
 }
 
+/// Whether work on simulators goes through samples in lanes. On an x86-64 without AVX2 they go one by one, with the same
+/// bits: such processors are old, and every simulator would have to be compiled in lanes for them once more.
+#[inline(always)]
+pub(crate) fn in_lanes<const FMA: bool>() -> bool {
+    FMA || !cfg!(target_arch = "x86_64")
+}
+
 /// As [`dispatch`], with AVX2 at most: simulators are compiled once per level, and eight lanes gain little from wider
 /// registers.
 #[inline]
@@ -101,10 +108,40 @@ pub fn dispatch_narrow(work: impl Vectorized) {
         unsafe fn avx2(work: impl Vectorized) {
             work.run::<true>();
         }
-        if Level::best() != Level::Portable {
+        if Level::best() != Level::Portable && !portable::is_forced() {
             // SAFETY: every level but the portable one has these instructions.
             return unsafe { avx2(work) };
         }
     }
     work.run::<false>();
+}
+
+/// What an old processor would do, for tests.
+#[cfg(test)]
+pub(crate) mod portable {
+    use std::cell::Cell;
+
+    thread_local! {
+        static FORCED: Cell<bool> = const { Cell::new(false) };
+    }
+
+    pub(crate) fn is_forced() -> bool {
+        FORCED.get()
+    }
+
+    /// Does the work, on this thread, without the instructions of [`dispatch_narrow`](super::dispatch_narrow).
+    pub(crate) fn force<T>(work: impl FnOnce() -> T) -> T {
+        FORCED.set(true);
+        let result = work();
+        FORCED.set(false);
+        result
+    }
+}
+
+#[cfg(not(test))]
+mod portable {
+    #[inline(always)]
+    pub(super) fn is_forced() -> bool {
+        false
+    }
 }

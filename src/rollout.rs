@@ -1,11 +1,15 @@
 //! [`Rollout`]: the forward pass of a batch of samples, and where it diverged.
 
+mod step;
+
 use crate::divergence::{Divergence, Variable};
-use crate::kernels::{Vectorized, dispatch_narrow};
+use crate::kernels::dispatch_narrow;
 use crate::policy::{Policy, PolicyColumns, PolicyPass, Weights};
 use crate::scalar::{Float, Lanes, Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
+use step::Step;
+pub(crate) use step::{FEW, read_lane};
 
 /// Samples that go through the physics together.
 pub(crate) const WIDTH: usize = 8;
@@ -226,35 +230,6 @@ impl<F: Float> Rollout<F> {
     pub fn control(&self, t: usize, sample: usize, i: usize) -> F {
         assert!(t < self.horizon && t + self.kept >= self.horizon, "step {t} was not kept");
         self.controls_at(t)[(sample / WIDTH) * self.control_dim + i].lane(sample % WIDTH)
-    }
-}
-
-/// One step of all blocks, with the costs, and whether the result is finite.
-struct Step<'a, T, F: Float> {
-    task: &'a T,
-    x: &'a [Lane<F>],
-    u: &'a [Lane<F>],
-    next: &'a mut [Lane<F>],
-    costs: &'a mut [Lane<F>],
-    finite: &'a mut bool,
-}
-
-impl<T: Task, F: Float> Vectorized for Step<'_, T, F> {
-    #[inline(always)]
-    fn run<const FMA: bool>(self) {
-        let system = self.task.system();
-        let (n, m) = (system.state_dim(), system.control_dim());
-        let mut probe = Lane::<F>::zero();
-        let blocks = self.x.chunks_exact(n).zip(self.u.chunks_exact(m)).zip(self.next.chunks_exact_mut(n)).zip(self.costs);
-        for (((x, u), next), cost) in blocks {
-            system.step(x, u, next);
-            *cost += self.task.stage_cost(next, u);
-            for &number in u.iter().chain(&*next) {
-                // 0·x is 0 unless x is infinite or NaN.
-                probe += number * Lane::zero();
-            }
-        }
-        *self.finite = probe.0.iter().all(|&p| p == F::zero());
     }
 }
 

@@ -18,6 +18,29 @@ impl<T: Copy, const FEW: usize> Scratch<T, FEW> {
         Self { few: ArrayVec::new(), many: Vec::new() }
     }
 
+    /// Makes room for `len` numbers, to be [`set`](Self::set) in order; a filler is any number.
+    #[inline(always)]
+    pub(crate) fn reserve(&mut self, len: usize, filler: T) {
+        self.few.clear();
+        self.many.clear();
+        if len > FEW {
+            self.many.resize(len, filler);
+        }
+    }
+
+    /// Sets number `i`, those before being set. Never calls anything: a call would cost the numbers in registers.
+    #[inline(always)]
+    pub(crate) fn set(&mut self, i: usize, value: T) {
+        debug_assert!(i == self.few.len() || i < self.many.len());
+        if self.many.is_empty() { self.few.push(value) } else { self.many[i] = value }
+    }
+
+    /// What has been set.
+    #[inline(always)]
+    pub(crate) fn all(&mut self) -> &mut [T] {
+        if self.many.is_empty() { &mut self.few } else { &mut self.many }
+    }
+
     /// `len` times this, in place of what there was.
     #[inline(always)]
     pub(crate) fn fill(&mut self, value: T, len: usize) -> &mut [T] {

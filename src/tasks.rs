@@ -16,5 +16,6 @@ pub use guidance::{
 pub use loss::LossMode;
 pub use quantum::{
     Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, Quantum, QuantumEffect, QuantumSystem,
+    Tabulated,
 };
 pub use toy::{Bowl, Integrator, Reach};

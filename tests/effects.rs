@@ -104,7 +104,7 @@ fn absorbing_edges_cost_the_same_whatever_they_are_around() {
     let (system, edges) = (QuantumSystem { grid: 10, ..QuantumSystem::default() }, AbsorbingEdges::default());
     let own = |effects: &[QuantumEffect]| {
         let system = With { system, effects: effects.to_vec() };
-        minus(counts(&Absorbing { system: system.clone(), edges }), counts(&system))
+        minus(counts(&Absorbing::new(system.clone(), edges)), counts(&system))
     };
     // Two numbers at each of the points within a tenth of the box of a wall; that is the first point and the last.
     let two_points = Counts { multiply: 4, ..Counts::default() };
@@ -112,7 +112,7 @@ fn absorbing_edges_cost_the_same_whatever_they_are_around() {
     for present in 0..=effects.len() {
         assert_eq!(own(&effects[..present]), [two_points; 3]);
     }
-    assert_eq!(minus(counts(&Absorbing { system, edges }), counts(&system)), [two_points; 3]);
+    assert_eq!(minus(counts(&Absorbing::new(system, edges)), counts(&system)), [two_points; 3]);
 }
 
 #[test]
@@ -282,7 +282,7 @@ fn typed_and_listed_effects_have_the_same_bits() {
         (AbsorbingEdges::default(), (Harmonic::default(), (Barrier::default(), DoubleWell::default()), Cubic::default()));
     let (typed, listed) = (With { system, effects }, With { system, effects: quantum_effects() });
     same_bits(&particle(typed), &particle(listed.clone()));
-    same_bits(&particle(Absorbing { system: typed, edges }), &particle(Absorbing { system: listed, edges }));
+    same_bits(&particle(Absorbing::new(typed, edges)), &particle(Absorbing::new(listed, edges)));
 }
 
 #[test]

@@ -194,6 +194,18 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
             "scene = 1\ntask = \"guidance\"\n[effects.obstacles]\ncenters = [[0, 0], [1, nan]]\n",
             "my_scene.toml:4: `effects.obstacles.centers[1][1]` is NaN; allowed: a finite number",
         ),
+        (
+            "scene = 1\ntask = \"guidance\"\n[effects.obstacles]\ncenters = [[0, 0, 1]]\n",
+            "my_scene.toml:4: `effects.obstacles.centers[0]` is 3; allowed: a list of 2",
+        ),
+        (
+            "scene = 1\ntask = \"guidance\"\n[effects.obstacles]\ncenters = []\n",
+            "my_scene.toml:4: `effects.obstacles.centers` is []; allowed: one center or more, each [x, y]",
+        ),
+        (
+            "scene = 1\ntask = \"quantum\"\n[effects.absorbing_edges]\nwidth = 1.5\n",
+            "my_scene.toml:4: `effects.absorbing_edges.width` is 1.5; allowed: more than 0, up to 1, half the length of the box",
+        ),
         ("scene = 1\ntask = \"cart_pool\"\n", "my_scene.toml:2: `task` is \"cart_pool\"; allowed: cart_pole, guidance, quantum"),
     ] {
         let said = error_of(&mut train_scene(&write(&dir, text), &out, &[]));
@@ -237,6 +249,24 @@ fn effects_are_added_and_left_out_on_the_command_line() {
     assert_eq!(parts("effects"), ["pole_damping", "dry_friction", "steady_wind", "bumpers"]);
     assert_eq!(parts("actuator"), ["limit"]);
     assert_eq!(settings["effects"]["steady_wind"]["cart_drag"].as_float(), Some(0.06), "as the effect has it");
+}
+
+#[test]
+fn a_run_is_resumed_by_the_command_that_started_it_and_says_where_a_file_differs() {
+    let dir = TempDir::new().expect("a folder");
+    let out = dir.path().join("run");
+    let start = [&SMALL[..], &["--epochs", "1", "--without", "effects.lag"]].concat();
+    train_scene(Path::new("cart_pole_windy"), &out, &start).assert().success();
+    let resume = [&SMALL[..], &["--epochs", "2", "--without", "effects.lag", "--resume"]].concat();
+    train_scene(Path::new("cart_pole_windy"), &out, &resume).assert().success();
+
+    let file = write(&dir, &format!("{CART_POLE}[system]\ndt = 0.5\n"));
+    let output = train_scene(&file, &out, &["--epochs", "3", "--resume"]).assert().success().get_output().clone();
+    let said = String::from_utf8(output.stderr).expect("UTF-8");
+    assert!(said.contains("goes on with its own scene") && said.contains("system.dt = 0.5"), "{said}");
+
+    let said = error_of(&mut train_scene(&out, &dir.path().join("again"), &[]));
+    assert!(said.contains("is a folder, and not a scene") && said.contains("run.toml"), "{said}");
 }
 
 #[test]

@@ -55,6 +55,12 @@ impl Changes {
         }
         Ok(())
     }
+
+    /// Makes the changes in a document in which they may have been made before: what it was left without may be gone.
+    pub fn apply_again(&self, document: &mut Document) -> Result<()> {
+        let without = self.without.iter().filter(|name| document.has(name)).cloned().collect();
+        Self { without, ..self.clone() }.apply(document)
+    }
 }
 
 /// TOML's integers are signed.
@@ -103,7 +109,7 @@ pub fn resumed(folder: &Folder, changes: &Changes) -> Result<Scene> {
         bail!("there is no run to resume in {}; without --resume, a new one starts there", folder.path().display());
     }
     let mut document = Document::read(&folder.file(SETTINGS))?;
-    changes.apply(&mut document)?;
+    changes.apply_again(&mut document)?;
     let scene = document.scene()?;
     check_resumable(folder, &scene)?;
     Ok(scene)

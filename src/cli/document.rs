@@ -79,11 +79,18 @@ impl Document {
         Ok(())
     }
 
+    /// Whether it has this effect or part of the actuator.
+    pub fn has(&self, name: &str) -> bool {
+        let name = part(name);
+        OPTIONAL.iter().any(|section| self.table.get(*section).is_some_and(|section| section.get(name).is_some()))
+    }
+
     /// Takes an effect or a part of the actuator away, which must be there.
     pub fn without(&mut self, name: &str) -> Result<()> {
+        let name = part(name);
         let sections = || OPTIONAL.into_iter().filter_map(|section| self.table.get(section)?.as_table());
         let there: Vec<String> = sections().flat_map(|section| section.keys().cloned()).collect();
-        if !there.iter().any(|part| part == name) {
+        if !self.has(name) {
             let there = if there.is_empty() { "none".into() } else { there.join(", ") };
             bail!("--without {name}: {} has no such effect or part of the actuator; it has {there}", self.name);
         }
@@ -175,6 +182,11 @@ fn locate(table: &DeTable, path: &str, tell: &mut impl FnMut(String, usize)) {
     }
 }
 
+/// What is called `bumpers` may also be called `effects.bumpers`.
+fn part(name: &str) -> &str {
+    OPTIONAL.iter().find_map(|section| name.strip_prefix(section)?.strip_prefix('.')).unwrap_or(name)
+}
+
 fn join(path: &str, key: &str) -> String {
     if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") }
 }
@@ -218,7 +230,7 @@ mod tests {
         let mut document = Document::parse("a.toml", WINDY).expect("TOML");
         let error = document.without("rain").expect_err("there is none").to_string();
         assert!(error.ends_with("it has wind, walls, lag"), "{error}");
-        document.without("wind").expect("an effect");
+        document.without("effects.wind").expect("an effect");
         document.without("lag").expect("a part of the actuator");
         assert!(document.without("wind").is_err(), "it is gone");
         document.put("effects.rain.rate", Value::Integer(2), "--set").expect("another");

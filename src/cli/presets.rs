@@ -1,7 +1,8 @@
 //! Scenes that come with the program.
 
 use super::document::Document;
-use anyhow::{Context, Result, anyhow};
+use super::folder::SETTINGS;
+use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
 
 /// A line for every file in `presets/`.
@@ -44,8 +45,14 @@ pub fn text(name: &str) -> Result<&'static str> {
 
 /// The preset of this name, or the scene in the file at this path.
 pub fn document(name: &str) -> Result<Document> {
+    let path = Path::new(name);
+    if path.is_dir() && !PRESETS.iter().any(|(preset, _)| *preset == name) {
+        let scene = path.join(SETTINGS);
+        let hint = if scene.exists() { format!("; the scene of the run in it is {}", scene.display()) } else { String::new() };
+        bail!("{name} is a folder, and not a scene{hint}");
+    }
     if is_path(name) {
-        return Document::read(Path::new(name));
+        return Document::read(path);
     }
     let text = text(name).map_err(|none| anyhow!("{none}; a scene of your own is named by its path, which ends in .toml"))?;
     Document::parse(&format!("preset {name}"), text)
@@ -53,19 +60,31 @@ pub fn document(name: &str) -> Result<Document> {
 
 /// What results of the preset or file are called.
 pub fn short_name(name: &str) -> String {
-    match Path::new(name).file_stem() {
+    let path = Path::new(name);
+    // The scene of a run is called as its folder is.
+    let folder = path.parent().and_then(Path::file_name).filter(|_| path.ends_with(SETTINGS));
+    match folder.or_else(|| path.file_stem()) {
         Some(stem) if is_path(name) => stem.to_string_lossy().into_owned(),
         _ => name.to_owned(),
     }
 }
 
-fn is_path(name: &str) -> bool {
+/// Whether it names a file, and not a preset.
+pub fn is_path(name: &str) -> bool {
     name.ends_with(".toml") || name.contains(std::path::is_separator)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn results_are_called_as_the_scene_or_as_the_run_it_is_of() {
+        assert_eq!(short_name("guidance_0.1"), "guidance_0.1");
+        assert_eq!(short_name("scenes/windy.toml"), "windy");
+        assert_eq!(short_name("runs/windy_2/run.toml"), "windy_2");
+        assert_eq!(short_name("run.toml"), "run");
+    }
 
     #[test]
     fn every_preset_is_a_scene_and_begins_with_what_it_is() {

@@ -33,12 +33,13 @@ impl Problem {
         if found.starts_with("unknown field ") {
             return Self::new(path, format!("is unknown; allowed: {}", expected.trim_start_matches("one of ")));
         }
-        let starts = ["invalid type: ", "invalid value: ", "unknown variant "];
+        let starts = ["invalid type: ", "invalid value: ", "invalid length ", "unknown variant "];
         let found = starts.iter().find_map(|start| found.strip_prefix(start)).unwrap_or(found);
         let expected = match expected {
             "usize" | "u64" => "a whole number, 0 or more",
             "f64" => "a number",
             "a sequence" => "a list",
+            "an array of length 2" => "a list of 2",
             section if section.starts_with("struct ") => "a section",
             names => names.trim_start_matches("one of "),
         };

@@ -4,10 +4,11 @@ use super::changes::{Changes, changed, resumed};
 use super::folder::Folder;
 use super::presets;
 use super::run::{self, threads};
+use super::scene::Scene;
 use super::statistics::best;
 use super::terminal::{Progress, say};
 use anyhow::{Context, Result, bail};
-use physgrad::Record;
+use physgrad::{Record, differences};
 use std::path::PathBuf;
 
 /// Train a policy on a task.
@@ -41,6 +42,9 @@ pub fn train(args: &Train) -> Result<()> {
             let [here, there] = [presets::document(&args.scene)?.scene()?, scene.clone()].map(|scene| scene.kind.name());
             if here != there {
                 bail!("the run in {} is of the task {there}, and {} is of {here}", folder.path().display(), args.scene);
+            }
+            if presets::is_path(&args.scene) {
+                note_differences(&folder, &scene, &args.scene, &args.changes)?;
             }
             (folder, scene)
         }
@@ -82,6 +86,21 @@ pub fn train(args: &Train) -> Result<()> {
         }
         None => Ok(()),
     }
+}
+
+/// Tells of what the file says otherwise than the run that is resumed.
+fn note_differences(folder: &Folder, scene: &Scene, file: &str, changes: &Changes) -> Result<()> {
+    let mut document = presets::document(file)?;
+    changes.apply_again(&mut document)?;
+    let (saved, named) = (scene.identity(), document.scene()?.identity());
+    if saved != named {
+        eprintln!(
+            "note: the run in {} goes on with its own scene; {file} differs in:\n{}",
+            folder.path().display(),
+            differences(&saved, &named)
+        );
+    }
+    Ok(())
 }
 
 fn summary(folder: &Folder, records: &[Record]) -> String {

@@ -11,7 +11,7 @@ mod system;
 
 pub use absorbing::{Absorbing, AbsorbingEdges};
 pub use cubic::Cubic;
-pub use potential::{Barrier, DoubleWell, Harmonic};
+pub use potential::{Barrier, DoubleWell, Harmonic, Tabulated};
 pub use system::{ControlShape, QuantumSystem};
 
 use super::LossMode;
@@ -26,7 +26,7 @@ use system::Pair;
 
 any_effect! {
     /// Any effect of quantum control.
-    QuantumEffect of QuantumSystem: Harmonic, Barrier, DoubleWell, Cubic
+    QuantumEffect of QuantumSystem: Harmonic, Barrier, DoubleWell, Tabulated, Cubic
 }
 
 /// Bring the particle into an eigenstate of the box: the cost of a state is its infidelity `1 - |⟨φ, ψ⟩|²`, between 0

@@ -1,7 +1,7 @@
 //! Guidance by repulsion in the program.
 
 use super::{Info, Kind, MlpSettings, Network, Visit};
-use crate::cli::problem::{Problem, count, finite, not_negative, positive};
+use crate::cli::problem::{Problem, allowed, count, finite, not_negative, positive};
 use crate::cli::settings::Settings;
 use physgrad::report::{self, Animation, Field};
 use physgrad::tasks::{self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles, Spread, Walls};
@@ -92,6 +92,7 @@ impl GuidanceEffects {
             finite("effects.drive.strength", strength)?;
         }
         if let Some(Obstacles { centers, radius, stiffness }) = &self.obstacles {
+            allowed("effects.obstacles.centers", "[]", !centers.is_empty(), "one center or more, each [x, y]")?;
             for (i, [x, y]) in centers.iter().enumerate() {
                 finite(&format!("effects.obstacles.centers[{i}][0]"), *x)?;
                 finite(&format!("effects.obstacles.centers[{i}][1]"), *y)?;

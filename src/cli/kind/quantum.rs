@@ -7,8 +7,9 @@ use physgrad::policy::Conv;
 use physgrad::report::{self, Animation, Landscape};
 use physgrad::tasks::{
     self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode, QuantumEffect, QuantumSystem,
+    Tabulated,
 };
-use physgrad::{Around, Effect, With};
+use physgrad::{Around, With};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -56,23 +57,27 @@ pub struct QuantumEffects {
 }
 
 impl QuantumEffects {
+    /// The static potential.
+    fn potential(&self, system: &QuantumSystem) -> Option<Tabulated> {
+        let Self { harmonic, barrier, double_well, .. } = self;
+        let harmonic = harmonic.map(|effect| Tabulated::of(system, &effect));
+        let barrier = barrier.map(|effect| Tabulated::of(system, &effect));
+        harmonic.or(barrier).or_else(|| double_well.map(|effect| Tabulated::of(system, &effect)))
+    }
+
     /// What adds to the potential.
-    fn list(&self) -> Vec<QuantumEffect> {
-        let Self { harmonic, barrier, double_well, cubic, absorbing_edges: _ } = self.clone();
-        let effects: [Option<QuantumEffect>; 4] =
-            [harmonic.map(Into::into), barrier.map(Into::into), double_well.map(Into::into), cubic.map(Into::into)];
-        effects.into_iter().flatten().collect()
+    fn list(&self, system: &QuantumSystem) -> Vec<QuantumEffect> {
+        let potential = self.potential(system).map(QuantumEffect::from);
+        potential.into_iter().chain(self.cubic.map(QuantumEffect::from)).collect()
     }
 
     /// What can be seen.
     fn landscape(&self, system: &QuantumSystem) -> Landscape {
-        let potentials = Self { cubic: None, ..self.clone() }.list();
-        let mut potential = vec![0.0; if potentials.is_empty() { 0 } else { system.grid }];
-        potentials.act(system, &[], &mut potential);
+        let potential = self.potential(system).map_or(Vec::new(), |potential| potential.values);
         Landscape { potential, absorbing: self.absorbing_edges.map(|edges| edges.width) }
     }
 
-    fn validate(&self) -> Result<(), Problem> {
+    fn validate(&self, length: f64) -> Result<(), Problem> {
         if let Some(Harmonic { stiffness, center }) = self.harmonic {
             finite("effects.harmonic.stiffness", stiffness)?;
             finite("effects.harmonic.center", center)?;
@@ -84,13 +89,13 @@ impl QuantumEffects {
         }
         if let Some(DoubleWell { height, separation }) = self.double_well {
             finite("effects.double_well.height", height)?;
-            positive("effects.double_well.separation", separation)?;
+            within("effects.double_well.separation", separation, length, "the length of the box")?;
         }
         if let Some(Cubic { strength }) = self.cubic {
             finite("effects.cubic.strength", strength)?;
         }
         if let Some(AbsorbingEdges { width, strength }) = self.absorbing_edges {
-            positive("effects.absorbing_edges.width", width)?;
+            within("effects.absorbing_edges.width", width, 0.5 * length, "half the length of the box")?;
             not_negative("effects.absorbing_edges.strength", strength)?;
         }
         let potentials = [
@@ -100,6 +105,11 @@ impl QuantumEffects {
         ];
         exclusive(&potentials, "there is one static potential")
     }
+}
+
+/// A problem unless the value is positive and at most the limit, which is `what`.
+fn within(key: &str, value: f64, limit: f64, what: &str) -> Result<(), Problem> {
+    allowed(key, value, value > 0.0 && value <= limit, format!("more than 0, up to {limit}, {what}"))
 }
 
 /// `loss` of quantum control.
@@ -199,19 +209,19 @@ impl Kind for Quantum {
         let can_be_normalized = first.is_finite() && second.is_finite() && (1e-6..=1e6).contains(&first.abs().max(second.abs()));
         let weighting = format!("[{first}, {second}]");
         allowed("system.weighting", weighting, can_be_normalized, "two numbers, the larger in size 1e-6 to 1e6")?;
-        settings.effects.validate()?;
+        settings.effects.validate(length)?;
         // The network's convolutions run over the wave function, and there is no place for other numbers.
         settings.actuator.without_state("the network of this task sees the wave function alone")
     }
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
-        let (system, effects) = (settings.physics(), settings.effects.list());
+        let (system, effects) = (settings.physics(), settings.effects.list(&settings.physics()));
         if effects.is_empty() && settings.effects.absorbing_edges.is_none() && settings.actuator.is_empty() {
             return reach(system, settings, visitor);
         }
         // Edges that reach nowhere multiply nothing: one type serves with and without them.
         let edges = settings.effects.absorbing_edges.unwrap_or(AbsorbingEdges { width: 0.0, strength: 0.0 });
-        let system = Absorbing { system: With { system, effects }, edges };
+        let system = Absorbing::new(With { system, effects }, edges);
         reach(settings.actuator.around(system, settings.system.dt), settings, visitor)
     }
 

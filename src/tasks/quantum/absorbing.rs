@@ -40,27 +40,37 @@ impl Default for AbsorbingEdges {
 ///
 /// The edges act once in each step of `system`, for the time of one step of the body: under
 /// [`Substeps`](crate::Substeps), they belong inside.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Absorbing<S = QuantumSystem> {
-    /// What steps before the edges act.
-    pub system: S,
-    /// The edges.
-    pub edges: AbsorbingEdges,
+    system: S,
+    /// Grid points within the edges, counted from 0, and what their waves are multiplied by in a step.
+    factors: Vec<(usize, f64)>,
 }
 
 impl<S: Around<QuantumSystem>> Absorbing<S> {
-    /// Multiplies the waves at points within the edges; touches nothing else.
+    /// The system, with these edges. Nothing else is touched than grid points within them.
+    pub fn new(system: S, edges: AbsorbingEdges) -> Self {
+        let (body, AbsorbingEdges { width, strength }) = (system.body(), edges);
+        let factor = |(j, xi): (usize, f64)| {
+            let depth = width - (0.5 * body.length - xi.abs());
+            let share = depth / width;
+            (depth > 0.0).then(|| (j, (-body.dt * strength * share * share).exp()))
+        };
+        let factors = body.centered_points().enumerate().filter_map(factor).collect();
+        Self { system, factors }
+    }
+
+    /// What steps before the edges act.
+    pub fn system(&self) -> &S {
+        &self.system
+    }
+
+    /// Multiplies the waves at points within the edges.
     #[inline(always)]
     fn damp<T: Scalar, V: Copy + std::ops::Mul<T, Output = V>>(&self, psi: &mut [V]) {
-        let (body, AbsorbingEdges { width, strength }) = (self.system.body(), self.edges);
-        let own = psi[..2 * body.grid].chunks_exact_mut(2);
-        for (psi, xi) in own.zip(body.centered_points()) {
-            let depth = width - (0.5 * body.length - xi.abs());
-            if depth > 0.0 {
-                let share = depth / width;
-                let factor = T::lift((-body.dt * strength * share * share).exp());
-                (psi[0], psi[1]) = (psi[0] * factor, psi[1] * factor);
-            }
+        for &(j, factor) in &self.factors {
+            let (psi, factor) = (&mut psi[2 * j..2 * j + 2], T::lift(factor));
+            (psi[0], psi[1]) = (psi[0] * factor, psi[1] * factor);
         }
     }
 }

@@ -28,12 +28,19 @@ impl Default for Cubic {
 }
 
 impl Effect<QuantumSystem> for Cubic {
+    const LOCAL: bool = true;
+
     #[inline(always)]
     fn act<T: Scalar>(&self, body: &QuantumSystem, x: &[T], potential: &mut [T]) {
-        let strength = T::lift(self.strength / body.spacing());
-        for (v, psi) in potential.iter_mut().zip(x.chunks_exact(2)) {
-            *v += strength * (psi[0] * psi[0] + psi[1] * psi[1]);
+        for (j, v) in potential.iter_mut().enumerate() {
+            *v = self.act_at(body, x, j, *v);
         }
+    }
+
+    #[inline(always)]
+    fn act_at<T: Scalar>(&self, body: &QuantumSystem, x: &[T], j: usize, v: T) -> T {
+        let strength = T::lift(self.strength / body.spacing());
+        v + strength * (x[2 * j] * x[2 * j] + x[2 * j + 1] * x[2 * j + 1])
     }
 
     #[inline(always)]

@@ -12,55 +12,75 @@ pub(super) trait Vector<T>:
 
 impl<T, V> Vector<T> for V where V: Copy + Add<Output = V> + Sub<Output = V> + Neg<Output = V> + Mul<T, Output = V> {}
 
-/// `A = I + i dt/2 H`, eliminated: complex symmetric, with `-ib` beside the diagonal.
+/// The pivots of `A = I + i dt/2 H`, `H = -D₂ + diag(V)`, one after another.
+pub(super) struct Pivots<T> {
+    b: T,
+    b_squared: T,
+    kinetic: T,
+    half_dt: T,
+    per_pivot: Pair<T>,
+}
+
+impl<T: Scalar> Pivots<T> {
+    #[inline(always)]
+    pub(super) fn new(dt: f64, dx: f64) -> Self {
+        let off_diagonal = 0.5 * dt / (dx * dx);
+        let (b, kinetic, half_dt) = (T::lift(off_diagonal), T::lift(2.0 * off_diagonal), T::lift(0.5 * dt));
+        Self { b, b_squared: b * b, kinetic, half_dt, per_pivot: (T::zero(), T::zero()) }
+    }
+
+    /// One over the pivot of the next row, in which the potential is `v`.
+    #[inline(always)]
+    pub(super) fn next(&mut self, v: T) -> Pair<T> {
+        let (q_re, q_im) = self.per_pivot;
+        let re = T::one() + self.b_squared * q_re;
+        let im = self.kinetic + self.half_dt * v + self.b_squared * q_im;
+        let per_square = T::one() / (re * re + im * im);
+        self.per_pivot = (re * per_square, -(im * per_square));
+        self.per_pivot
+    }
+
+    /// A, eliminated, with what [`next`](Self::next) gave for each row.
+    #[inline(always)]
+    pub(super) fn elimination(self, per_pivot: &mut [Pair<T>]) -> Elimination<'_, T> {
+        Elimination { b: self.b, per_pivot }
+    }
+}
+
+/// A, eliminated: complex symmetric, with `-ib` beside the diagonal.
 pub(super) struct Elimination<'a, T> {
     b: T,
     /// One over the pivot of each row.
     per_pivot: &'a mut [Pair<T>],
 }
 
-impl<'a, T: Scalar> Elimination<'a, T> {
-    /// With `H = -D₂ + diag(potential)`. Writes to `per_pivot`, a place for each row.
-    #[inline(always)]
-    pub(super) fn new(dt: f64, dx: f64, potential: &[T], per_pivot: &'a mut [Pair<T>]) -> Self {
-        let off_diagonal = 0.5 * dt / (dx * dx);
-        let (b, kinetic, half_dt) = (T::lift(off_diagonal), T::lift(2.0 * off_diagonal), T::lift(0.5 * dt));
-        let b_squared = b * b;
-        let (mut q_re, mut q_im) = (T::zero(), T::zero());
-        for (per_pivot, &v) in per_pivot.iter_mut().zip(potential) {
-            let re = T::one() + b_squared * q_re;
-            let im = kinetic + half_dt * v + b_squared * q_im;
-            let per_square = T::one() / (re * re + im * im);
-            (q_re, q_im) = (re * per_square, -(im * per_square));
-            *per_pivot = (q_re, q_im);
-        }
-        Self { b, per_pivot }
-    }
-
+impl<T: Scalar> Elimination<'_, T> {
     /// `y ← A⁻¹ rhs`, both with real and imaginary parts in turn.
     #[inline(always)]
     pub(super) fn solve<V: Vector<T>>(&self, rhs: &[V], y: &mut [V]) {
-        let b = self.b;
+        let (b, n) = (self.b, self.per_pivot.len());
+        let (rhs, y, per_pivot) = (&rhs.as_chunks::<2>().0[..n], &mut y.as_chunks_mut::<2>().0[..n], &self.per_pivot[..n]);
         // Forward: s_j = (rhs_j + ib s_{j-1}) / p_j.
-        let mut before: Option<Pair<V>> = None;
-        for ((rhs, y), &(q_re, q_im)) in rhs.chunks_exact(2).zip(y.chunks_exact_mut(2)).zip(self.per_pivot.iter()) {
-            let (mut re, mut im) = (rhs[0], rhs[1]);
-            if let Some((s_re, s_im)) = before {
+        let mut before: Option<[V; 2]> = None;
+        for j in 0..n {
+            let ([mut re, mut im], (q_re, q_im)) = (rhs[j], per_pivot[j]);
+            if let Some([s_re, s_im]) = before {
                 (re, im) = (re - s_im * b, im + s_re * b);
             }
-            let s = (re * q_re - im * q_im, re * q_im + im * q_re);
-            (y[0], y[1]) = s;
-            before = Some(s);
+            y[j] = [re * q_re - im * q_im, re * q_im + im * q_re];
+            before = Some(y[j]);
         }
         // Back: y_j = s_j + ib y_{j+1} / p_j.
-        let mut after: Option<Pair<V>> = None;
-        for (y, &(q_re, q_im)) in y.chunks_exact_mut(2).zip(self.per_pivot.iter()).rev() {
-            if let Some((y_re, y_im)) = after {
-                let (re, im) = (q_re * b, q_im * b);
-                y[0] = y[0] - (y_re * im + y_im * re);
-                y[1] = y[1] + (y_re * re - y_im * im);
+        let mut after: Option<[V; 2]> = None;
+        for j in (0..n).rev() {
+            let ([mut re, mut im], (q_re, q_im)) = (y[j], per_pivot[j]);
+            if let Some([y_re, y_im]) = after {
+                let (f_re, f_im) = (q_re * b, q_im * b);
+                re = re - (y_re * f_im + y_im * f_re);
+                im = im + (y_re * f_re - y_im * f_im);
             }
-            after = Some((y[0], y[1]));
+            y[j] = [re, im];
+            after = Some(y[j]);
         }
     }
 

@@ -7,13 +7,35 @@ use crate::effect::Effect;
 use crate::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
-/// Adds a function of ξ to the potential.
-#[inline(always)]
-fn add<T: Scalar>(body: &QuantumSystem, potential: &mut [T], at: impl Fn(f64) -> f64) {
-    for (v, xi) in potential.iter_mut().zip(body.centered_points()) {
-        *v += T::lift(at(xi));
-    }
+/// Makes effects of functions of ξ: types with `fn potential(&self, xi: f64) -> f64`.
+macro_rules! stand_still {
+    ($($effect:ty),+) => {$(
+        impl Effect<QuantumSystem> for $effect {
+            const LOCAL: bool = true;
+
+            #[inline(always)]
+            fn act<T: Scalar>(&self, body: &QuantumSystem, _x: &[T], potential: &mut [T]) {
+                for (v, xi) in potential.iter_mut().zip(body.centered_points()) {
+                    *v += T::lift(self.potential(xi));
+                }
+            }
+
+            #[inline(always)]
+            fn act_at<T: Scalar>(&self, body: &QuantumSystem, _x: &[T], j: usize, v: T) -> T {
+                v + T::lift(self.potential(body.centered_point(j)))
+            }
+
+            #[inline(always)]
+            fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &QuantumSystem, _x: &[R], _v_bar: &[C], _x_bar: &mut [C]) {}
+
+            #[inline(always)]
+            fn reads_state(&self) -> bool {
+                false
+            }
+        }
+    )+};
 }
+stand_still!(Harmonic, Barrier, DoubleWell);
 
 /// A parabola: `V = stiffness (ξ - center)²`, the harmonic oscillator.
 ///
@@ -35,18 +57,11 @@ impl Default for Harmonic {
     }
 }
 
-impl Effect<QuantumSystem> for Harmonic {
+impl Harmonic {
+    /// V at the distance ξ from the middle of the box.
     #[inline(always)]
-    fn act<T: Scalar>(&self, body: &QuantumSystem, _x: &[T], potential: &mut [T]) {
-        add(body, potential, |xi| self.stiffness * (xi - self.center) * (xi - self.center));
-    }
-
-    #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &QuantumSystem, _x: &[R], _potential_bar: &[C], _x_bar: &mut [C]) {}
-
-    #[inline(always)]
-    fn reads_state(&self) -> bool {
-        false
+    pub fn potential(&self, xi: f64) -> f64 {
+        self.stiffness * (xi - self.center) * (xi - self.center)
     }
 }
 
@@ -78,22 +93,12 @@ impl Default for Barrier {
     }
 }
 
-impl Effect<QuantumSystem> for Barrier {
+impl Barrier {
+    /// V at the distance ξ from the middle of the box.
     #[inline(always)]
-    fn act<T: Scalar>(&self, body: &QuantumSystem, _x: &[T], potential: &mut [T]) {
-        let per_width = 1.0 / self.width;
-        add(body, potential, |xi| {
-            let t = Scalar::tanh((xi - self.center) * per_width);
-            self.height * (1.0 - t * t)
-        });
-    }
-
-    #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &QuantumSystem, _x: &[R], _potential_bar: &[C], _x_bar: &mut [C]) {}
-
-    #[inline(always)]
-    fn reads_state(&self) -> bool {
-        false
+    pub fn potential(&self, xi: f64) -> f64 {
+        let t = Scalar::tanh((xi - self.center) * (1.0 / self.width));
+        self.height * (1.0 - t * t)
     }
 }
 
@@ -117,19 +122,55 @@ impl Default for DoubleWell {
     }
 }
 
-impl Effect<QuantumSystem> for DoubleWell {
+impl DoubleWell {
+    /// V at the distance ξ from the middle of the box.
     #[inline(always)]
-    fn act<T: Scalar>(&self, body: &QuantumSystem, _x: &[T], potential: &mut [T]) {
-        let per_half = 2.0 / self.separation;
-        add(body, potential, |xi| {
-            let ratio = xi * per_half;
-            let depth = ratio * ratio - 1.0;
-            self.height * depth * depth
-        });
+    pub fn potential(&self, xi: f64) -> f64 {
+        let ratio = xi * (2.0 / self.separation);
+        let depth = ratio * ratio - 1.0;
+        self.height * depth * depth
+    }
+}
+
+/// A potential given by its value at every grid point: any other, or what other effects add up to, worked out once rather
+/// than in every step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tabulated {
+    /// V at the grid points.
+    pub values: Vec<f64>,
+}
+
+impl Tabulated {
+    /// What these effects add to the potential. Of one effect, the numbers of a step are the same, bit for bit; of several, they are
+    /// added up before the control's.
+    ///
+    /// # Panics
+    /// If an effect depends on the state.
+    pub fn of<E: Effect<QuantumSystem>>(body: &QuantumSystem, effects: &E) -> Self {
+        assert!(!effects.reads_state(), "an effect that depends on the state has no table: {effects:?}");
+        let mut values = vec![0.0; body.grid];
+        effects.act(body, &[], &mut values);
+        Self { values }
+    }
+}
+
+impl Effect<QuantumSystem> for Tabulated {
+    const LOCAL: bool = true;
+
+    #[inline(always)]
+    fn act<T: Scalar>(&self, _body: &QuantumSystem, _x: &[T], potential: &mut [T]) {
+        for (v, &value) in potential.iter_mut().zip(&self.values) {
+            *v += T::lift(value);
+        }
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &QuantumSystem, _x: &[R], _potential_bar: &[C], _x_bar: &mut [C]) {}
+    fn act_at<T: Scalar>(&self, _body: &QuantumSystem, _x: &[T], j: usize, v: T) -> T {
+        v + T::lift(self.values[j])
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &QuantumSystem, _x: &[R], _v_bar: &[C], _x_bar: &mut [C]) {}
 
     #[inline(always)]
     fn reads_state(&self) -> bool {

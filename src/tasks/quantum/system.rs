@@ -1,6 +1,6 @@
 //! The physics of a particle in a box.
 
-use super::elimination::Elimination;
+use super::elimination::{Elimination, Pivots};
 use crate::effect::{Effect, Host, system_without_effects};
 use crate::scalar::{Cotangent, Real, Scalar};
 use crate::scratch::Scratch;
@@ -110,6 +110,12 @@ impl QuantumSystem {
         self.places(self.middle())
     }
 
+    /// Grid point `j`, counted from 0, from the middle of the box.
+    #[inline(always)]
+    pub(super) fn centered_point(&self, j: usize) -> f64 {
+        ((j + 1) as f64 - self.middle()) * self.spacing()
+    }
+
     /// The middle of the box, in grid points.
     #[inline(always)]
     fn middle(&self) -> f64 {
@@ -118,18 +124,18 @@ impl QuantumSystem {
 
     /// The grid points from `origin`, which is in grid points.
     #[inline(always)]
-    fn places(&self, origin: f64) -> impl ExactSizeIterator<Item = f64> + use<> {
+    fn places(&self, origin: f64) -> impl Iterator<Item = f64> + use<> {
         let dx = self.spacing();
         (0..self.grid).map(move |j| ((j + 1) as f64 - origin) * dx)
     }
 
-    /// The potential under control 1.
+    /// Where the control's potential is 0, in grid points.
     #[inline(always)]
-    fn lever(&self) -> impl ExactSizeIterator<Item = f64> + use<> {
-        self.places(match self.control {
+    fn control_origin(&self) -> f64 {
+        match self.control {
             ControlShape::Tilt => 0.0,
             ControlShape::Dipole => self.middle(),
-        })
+        }
     }
 
     /// A of a step. What it works with, it writes to `potential` and to `per_pivot`.
@@ -142,10 +148,23 @@ impl QuantumSystem {
         potential: &mut PerPoint<T>,
         per_pivot: &'a mut PerPoint<Pair<T>>,
     ) -> Elimination<'a, T> {
-        let control = u[0];
-        let potential = potential.collect(self.lever().map(|lever| control * T::lift(lever)));
-        effects.act(self, x, potential);
-        Elimination::new(self.dt, self.spacing(), potential, per_pivot.fill((T::zero(), T::zero()), self.grid))
+        let (control, dx, origin) = (u[0], self.spacing(), self.control_origin());
+        let tilted = |j: usize| control * T::lift(((j + 1) as f64 - origin) * dx);
+        let mut pivots = Pivots::new(self.dt, dx);
+        per_pivot.reserve(self.grid, (T::zero(), T::zero()));
+        if E::LOCAL {
+            // The chain of divisions in the elimination leaves the time for it.
+            for j in 0..self.grid {
+                per_pivot.set(j, pivots.next(effects.act_at(self, x, j, tilted(j))));
+            }
+        } else {
+            let potential = potential.collect((0..self.grid).map(tilted));
+            effects.act(self, x, potential);
+            for (j, &v) in potential.iter().enumerate() {
+                per_pivot.set(j, pivots.next(v));
+            }
+        }
+        pivots.elimination(per_pivot.all())
     }
 
     /// Makes `x_bar = 2 w - v` of `w = A⁻ᴴ v`: the cotangents of real and imaginary parts are carried by the conjugate
@@ -164,13 +183,14 @@ impl QuantumSystem {
         asked: bool,
         mut potential_bar: Option<&mut [C]>,
     ) -> C {
-        let (dt, mut control_bar) = (R::lift(self.dt), C::null());
-        let waves = y.iter().zip(next_bar.chunks_exact(2)).zip(x_bar.chunks_exact_mut(2));
-        for (j, (((y, v), w), lever)) in waves.zip(self.lever()).enumerate() {
-            let bar = (w[0] * y[1] - w[1] * y[0]) * dt;
-            (w[0], w[1]) = (w[0] + w[0] - v[0], w[1] + w[1] - v[1]);
+        let (dt, dx, origin, n) = (R::lift(self.dt), self.spacing(), self.control_origin(), y.len());
+        let (v, w) = (&next_bar.as_chunks::<2>().0[..n], &mut x_bar.as_chunks_mut::<2>().0[..n]);
+        let mut control_bar = C::null();
+        for j in 0..n {
+            let bar = (w[j][0] * y[j][1] - w[j][1] * y[j][0]) * dt;
+            w[j] = [w[j][0] + w[j][0] - v[j][0], w[j][1] + w[j][1] - v[j][1]];
             if asked {
-                control_bar += bar * R::lift(lever);
+                control_bar += bar * R::lift(((j + 1) as f64 - origin) * dx);
             }
             if let Some(potential_bar) = &mut potential_bar {
                 potential_bar[j] = bar;

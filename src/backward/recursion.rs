@@ -1,0 +1,247 @@
+//! The recursion itself, for one flow or two side by side.
+
+use super::{Flow, Pass, PolicyAdjoint};
+use crate::divergence::{Divergence, Variable};
+use crate::kernels::{Vectorized, dispatch_narrow, in_lanes};
+use crate::policy::{Policy, PolicyColumns};
+use crate::rollout::{FEW, Lane, Rollout, WIDTH, find_non_finite, gather, read_lane};
+use crate::scalar::{Columns, Float, Real, Scalar};
+use crate::system::System;
+use crate::task::Task;
+use smallvec::{SmallVec, smallvec};
+
+/// What the recursion carries for `K` flows.
+#[derive(Debug)]
+pub(super) struct Recursion<F: Float, const K: usize> {
+    /// λ, `[block][component]`.
+    lambda: Vec<Columns<Lane<F>, K>>,
+    /// The next λ, before the flows choose.
+    x_bar: Vec<Columns<Lane<F>, K>>,
+    /// h, `[block][component]`.
+    u_bar: Vec<Columns<Lane<F>, K>>,
+    /// Gradients of the costs of one block.
+    cost_x: Vec<Lane<F>>,
+    cost_u: Vec<Lane<F>>,
+}
+
+impl<F: Float, const K: usize> Recursion<F, K> {
+    pub(super) fn new(rollout: &Rollout<F>) -> Self {
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let blocks = rollout.capacity().div_ceil(WIDTH);
+        let columns = |len: usize| vec![Columns([Lane::zero(); K]); len];
+        let lanes = |len: usize| vec![Lane::zero(); len];
+        Self {
+            lambda: columns(blocks * n),
+            x_bar: columns(blocks * n),
+            u_bar: columns(blocks * m),
+            cost_x: lanes(n),
+            cost_u: lanes(m),
+        }
+    }
+
+    pub(super) fn stored_bytes(&self) -> usize {
+        let columns = [&self.lambda, &self.x_bar, &self.u_bar].map(|columns| size_of_val(&columns[..]));
+        let costs = [&self.cost_x, &self.cost_u].map(|costs| size_of_val(&costs[..]));
+        columns.into_iter().chain(costs).sum()
+    }
+
+    /// The recursion at the head of this file, for the flows side by side. `norms` has a row for each flow, or none.
+    pub(super) fn run<T: Task, P: Policy>(
+        &mut self,
+        pass: &Pass<'_, T, P, F>,
+        flows: [Flow; K],
+        policy: &mut PolicyAdjoint<F>,
+        norms: &mut [Vec<f64>],
+    ) -> Result<(), Divergence> {
+        let Pass { task, rollout, scale, .. } = *pass;
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let last = rollout.states_at(rollout.horizon);
+        for (lambda, x) in self.lambda.chunks_exact_mut(n).zip(last.chunks_exact(n)) {
+            task.terminal_cost_gradient(x, &mut self.cost_x);
+            for (lambda, &x_bar) in lambda.iter_mut().zip(&self.cost_x) {
+                *lambda = Columns([x_bar * Lane::splat(scale); K]);
+            }
+        }
+        self.note_norms(rollout, rollout.horizon, scale, norms);
+        for t in (0..rollout.horizon).rev() {
+            let at = rollout.columns(t);
+            let mut finite = true;
+            dispatch_narrow(Back { task, flows, rollout, t, scale, carried: self, finite: &mut finite });
+            if !finite {
+                return Err(self.divergence(flows, rollout, t));
+            }
+            for (k, flow) in flows.into_iter().enumerate() {
+                gather(&self.u_bar, |h, lane| h.0[k].lane(lane), m, at, &mut policy.controls_bar[k]);
+                if flow.control {
+                    if !policy.unit {
+                        policy.backward(pass, k, at, true);
+                    }
+                    self.add_inputs(k, at, n, policy);
+                }
+            }
+            self.note_norms(rollout, t, scale, norms);
+        }
+        Ok(())
+    }
+
+    /// Notes the length of λ at step `t`, in f64: a square of an f32 overflows long before the f32 does.
+    fn note_norms(&self, rollout: &Rollout<F>, t: usize, scale: F, norms: &mut [Vec<f64>]) {
+        let lambda = |k: usize, sample: usize| {
+            let block = &self.lambda[sample / WIDTH * rollout.state_dim..][..rollout.state_dim];
+            block.iter().map(move |c| c.0[k].lane(sample % WIDTH).as_())
+        };
+        for (k, norms) in norms.iter_mut().enumerate() {
+            let squares: f64 = (0..rollout.samples).flat_map(|sample| lambda(k, sample)).map(|x: f64| x * x).sum();
+            norms[t] = (squares / rollout.samples as f64).sqrt() / scale.as_();
+        }
+    }
+
+    /// `λ ← λ + (∂N/∂x)ᵀ h` in column `k`.
+    fn add_inputs(&mut self, k: usize, at: PolicyColumns, n: usize, policy: &PolicyAdjoint<F>) {
+        for (block, lambda) in self.lambda.chunks_exact_mut(n).take(at.count.div_ceil(WIDTH)).enumerate() {
+            for lane in 0..WIDTH {
+                let sample = (block * WIDTH + lane).min(at.count - 1);
+                let c = at.first + sample * at.step;
+                // A unit cotangent's result is still to be multiplied by the control's own.
+                let factor = if policy.unit { policy.controls_bar[k][c] } else { F::one() };
+                for (lambda, &x_bar) in lambda.iter_mut().zip(&policy.inputs_bar[c * n..][..n]) {
+                    lambda.0[k].0[lane] += x_bar * factor;
+                }
+            }
+        }
+    }
+
+    /// The first flow, and in it the first sample, whose state or control cotangent is not finite.
+    #[cold]
+    fn divergence(&self, flows: [Flow; K], rollout: &Rollout<F>, step: usize) -> Divergence {
+        let find = |columns: &[Columns<Lane<F>, K>], n: usize, k: usize| {
+            find_non_finite(columns, n, rollout.samples, |c, lane| c.0[k].lane(lane))
+        };
+        let state = |k: usize| find(&self.lambda, rollout.state_dim, k).map(|place| (k, Variable::State, place));
+        let control = |k: usize| find(&self.u_bar, rollout.control_dim, k).map(|place| (k, Variable::Control, place));
+        let first = (0..K).find_map(|k| state(k).or_else(|| control(k)));
+        let (k, variable, (sample, component)) = first.expect("the probe saw one of them");
+        Divergence::Cotangent { flow: flows[k], variable, step, sample, component }
+    }
+}
+
+/// One step back, of all blocks: costs, physics, and whether the result is finite.
+struct Back<'a, T, F: Float, const K: usize> {
+    task: &'a T,
+    flows: [Flow; K],
+    rollout: &'a Rollout<F>,
+    t: usize,
+    scale: F,
+    carried: &'a mut Recursion<F, K>,
+    finite: &'a mut bool,
+}
+
+/// What one step back reads and writes, of a block of samples or of one.
+struct Block<'a, R, const K: usize> {
+    x: &'a [R],
+    next: &'a [R],
+    u: &'a [R],
+    lambda: &'a mut [Columns<R, K>],
+    x_bar: &'a mut [Columns<R, K>],
+    u_bar: &'a mut [Columns<R, K>],
+    cost_x: &'a mut [R],
+    cost_u: &'a mut [R],
+}
+
+impl<R: Real, const K: usize> Block<'_, R, K> {
+    /// Returns 0 in every column, unless a cotangent is not finite there.
+    #[inline(always)]
+    fn back<T: Task>(self, task: &T, flows: [Flow; K], scale: R) -> Columns<R, K> {
+        let Self { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u } = self;
+        let system = task.system();
+        let mut probe = Columns([R::zero(); K]);
+        task.stage_cost_gradient(next, u, cost_x, cost_u);
+        for (lambda, &cost) in lambda.iter_mut().zip(&*cost_x) {
+            *lambda += Columns([cost * scale; K]);
+        }
+        if flows.iter().any(|flow| flow.physics) {
+            system.vjp(x, u, lambda, x_bar, u_bar);
+        } else {
+            system.vjp_control(x, u, lambda, u_bar);
+        }
+        for (u_bar, &cost) in u_bar.iter_mut().zip(&*cost_u) {
+            *u_bar += Columns([cost * scale; K]);
+            probe += *u_bar * R::zero();
+        }
+        for (lambda, &x_bar) in lambda.iter_mut().zip(&*x_bar) {
+            for (k, flow) in flows.iter().enumerate() {
+                lambda.0[k] = if flow.physics { x_bar.0[k] } else { R::zero() };
+            }
+            probe += *lambda * R::zero();
+        }
+        probe
+    }
+}
+
+impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
+    #[inline(always)]
+    fn in_lanes(self) {
+        let Self { task, flows, rollout, t, carried: r, .. } = self;
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let (states, next, controls) = (rollout.states_at(t), rollout.states_at(t + 1), rollout.controls_at(t));
+        let scale = Lane::splat(self.scale);
+        let mut probe = Columns([Lane::<F>::zero(); K]);
+        for block in 0..states.len() / n {
+            let (of_state, of_control) = (block * n..(block + 1) * n, block * m..(block + 1) * m);
+            let block = Block {
+                x: &states[of_state.clone()],
+                next: &next[of_state.clone()],
+                u: &controls[of_control.clone()],
+                lambda: &mut r.lambda[of_state.clone()],
+                x_bar: &mut r.x_bar[of_state],
+                u_bar: &mut r.u_bar[of_control],
+                cost_x: &mut r.cost_x,
+                cost_u: &mut r.cost_u,
+            };
+            probe += block.back(task, flows, scale);
+        }
+        *self.finite = probe.0.iter().all(|p| p.0.iter().all(|&p| p == F::zero()));
+    }
+
+    #[inline(always)]
+    fn one_by_one(self) {
+        let Self { task, flows, rollout, t, carried: r, .. } = self;
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let mut numbers: SmallVec<[F; FEW]> = smallvec![F::zero(); 3 * n + 2 * m];
+        let mut columns: SmallVec<[Columns<F, K>; FEW]> = smallvec![Columns([F::zero(); K]); 2 * n + m];
+        let (x, rest) = numbers.split_at_mut(n);
+        let (next, rest) = rest.split_at_mut(n);
+        let (cost_x, rest) = rest.split_at_mut(n);
+        let (u, cost_u) = rest.split_at_mut(m);
+        let (lambda, rest) = columns.split_at_mut(n);
+        let (x_bar, u_bar) = rest.split_at_mut(n);
+        *self.finite = true;
+        for sample in 0..rollout.states_at(t).len() / n * WIDTH {
+            let (block, lane) = (sample / WIDTH, sample % WIDTH);
+            let (of_state, of_control) = (block * n..(block + 1) * n, block * m..(block + 1) * m);
+            read_lane(&rollout.states_at(t)[of_state.clone()], lane, x);
+            read_lane(&rollout.states_at(t + 1)[of_state.clone()], lane, next);
+            read_lane(&rollout.controls_at(t)[of_control.clone()], lane, u);
+            for (one, lanes) in lambda.iter_mut().zip(&r.lambda[of_state.clone()]) {
+                *one = Columns(std::array::from_fn(|k| lanes.0[k].0[lane]));
+            }
+            let one = Block { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u };
+            let probe = one.back(task, flows, self.scale);
+            *self.finite &= probe.0.iter().all(|&p| p == F::zero());
+            let write = |ones: &[Columns<F, K>], lanes: &mut [Columns<Lane<F>, K>]| {
+                for (one, lanes) in ones.iter().zip(lanes) {
+                    (0..K).for_each(|k| lanes.0[k].0[lane] = one.0[k]);
+                }
+            };
+            write(lambda, &mut r.lambda[of_state]);
+            write(u_bar, &mut r.u_bar[of_control]);
+        }
+    }
+}
+
+impl<T: Task, F: Float, const K: usize> Vectorized for Back<'_, T, F, K> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        if in_lanes::<FMA>() { self.in_lanes() } else { self.one_by_one() }
+    }
+}

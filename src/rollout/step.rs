@@ -1,0 +1,75 @@
+//! One step of all samples.
+
+use super::{Lane, WIDTH};
+use crate::kernels::{Vectorized, in_lanes};
+use crate::scalar::{Float, Real, Scalar};
+use crate::system::System;
+use crate::task::Task;
+use smallvec::{SmallVec, smallvec};
+
+/// Numbers of one sample that are worked on without allocating, where samples go one by one.
+pub(crate) const FEW: usize = 512;
+
+/// Reads one sample of a block.
+pub(crate) fn read_lane<F: Float>(block: &[Lane<F>], lane: usize, one: &mut [F]) {
+    one.iter_mut().zip(block).for_each(|(one, lanes)| *one = lanes.0[lane]);
+}
+
+/// One step of all blocks, with the costs, and whether the result is finite.
+pub(super) struct Step<'a, T, F: Float> {
+    pub(super) task: &'a T,
+    pub(super) x: &'a [Lane<F>],
+    pub(super) u: &'a [Lane<F>],
+    pub(super) next: &'a mut [Lane<F>],
+    pub(super) costs: &'a mut [Lane<F>],
+    pub(super) finite: &'a mut bool,
+}
+
+/// One step of a block of samples, or of one. Returns the cost, and 0 unless a number is not finite.
+#[inline(always)]
+fn advance<T: Task, R: Real>(task: &T, x: &[R], u: &[R], next: &mut [R]) -> (R, R) {
+    task.system().step(x, u, next);
+    // 0·x is 0 unless x is infinite or NaN.
+    let probed = |probe: R, &number: &R| probe + number * R::zero();
+    (task.stage_cost(next, u), next.iter().fold(u.iter().fold(R::zero(), probed), probed))
+}
+
+impl<T: Task, F: Float> Step<'_, T, F> {
+    #[inline(always)]
+    fn in_lanes(self) {
+        let (n, m) = (self.task.system().state_dim(), self.task.system().control_dim());
+        let mut probe = Lane::<F>::zero();
+        let blocks = self.x.chunks_exact(n).zip(self.u.chunks_exact(m)).zip(self.next.chunks_exact_mut(n)).zip(self.costs);
+        for (((x, u), next), cost) in blocks {
+            let (more, seen) = advance(self.task, x, u, next);
+            *cost += more;
+            probe += seen;
+        }
+        *self.finite = probe.0.iter().all(|&p| p == F::zero());
+    }
+
+    #[inline(always)]
+    fn one_by_one(self) {
+        let (n, m) = (self.task.system().state_dim(), self.task.system().control_dim());
+        let mut numbers: SmallVec<[F; FEW]> = smallvec![F::zero(); 2 * n + m];
+        let (x, rest) = numbers.split_at_mut(n);
+        let (next, u) = rest.split_at_mut(n);
+        *self.finite = true;
+        for sample in 0..self.x.len() / n * WIDTH {
+            let (block, lane) = (sample / WIDTH, sample % WIDTH);
+            read_lane(&self.x[block * n..], lane, x);
+            read_lane(&self.u[block * m..], lane, u);
+            let (more, seen) = advance(self.task, x, u, next);
+            self.costs[block].0[lane] += more;
+            *self.finite &= seen == F::zero();
+            self.next[block * n..].iter_mut().zip(&*next).for_each(|(lanes, &one)| lanes.0[lane] = one);
+        }
+    }
+}
+
+impl<T: Task, F: Float> Vectorized for Step<'_, T, F> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        if in_lanes::<FMA>() { self.in_lanes() } else { self.one_by_one() }
+    }
+}

@@ -1,0 +1,93 @@
+//! What tests of quantum control share: boxes, effects, waves.
+#![allow(dead_code)]
+
+use physgrad::System;
+use physgrad::rng::Rng;
+use physgrad::tasks::{Barrier, ControlShape, Cubic, DoubleWell, Harmonic, QuantumEffect, QuantumSystem};
+use rand::RngExt;
+
+pub fn box_of(grid: usize) -> QuantumSystem {
+    QuantumSystem { grid, ..QuantumSystem::default() }
+}
+
+pub fn dipole(grid: usize) -> QuantumSystem {
+    QuantumSystem { control: ControlShape::Dipole, ..box_of(grid) }
+}
+
+/// Off the middle, where there is a choice: nothing hides behind a symmetry.
+pub fn every_effect() -> Vec<QuantumEffect> {
+    vec![
+        Harmonic { center: 0.3, ..Harmonic::default() }.into(),
+        Barrier { center: -0.2, ..Barrier::default() }.into(),
+        DoubleWell::default().into(),
+        Cubic::default().into(),
+    ]
+}
+
+pub fn every_effect_typed() -> (Harmonic, Barrier, DoubleWell, Cubic) {
+    (
+        Harmonic { center: 0.3, ..Harmonic::default() },
+        Barrier { center: -0.2, ..Barrier::default() },
+        DoubleWell::default(),
+        Cubic::default(),
+    )
+}
+
+pub fn step<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
+    let mut next = vec![f64::NAN; x.len()];
+    system.step(x, &[u], &mut next);
+    next
+}
+
+pub fn run<S: System>(system: &S, mut x: Vec<f64>, steps: usize) -> Vec<f64> {
+    for _ in 0..steps {
+        x = step(system, &x, 0.0);
+    }
+    x
+}
+
+/// A state from a wave function of the place, normalized.
+pub fn wave(body: &QuantumSystem, psi: impl Fn(f64) -> (f64, f64)) -> Vec<f64> {
+    let x: Vec<f64> = body.points().flat_map(|x| <[f64; 2]>::from(psi(x))).collect();
+    let norm = norm(&x);
+    x.into_iter().map(|x| x / norm).collect()
+}
+
+/// A Gaussian whose density has the standard deviation `sigma`, with the wave number k.
+pub fn packet(body: &QuantumSystem, center: f64, sigma: f64, k: f64) -> Vec<f64> {
+    wave(body, |x| {
+        let size = (-((x - center) / (2.0 * sigma)).powi(2)).exp();
+        (size * (k * x).cos(), size * (k * x).sin())
+    })
+}
+
+pub fn norm(x: &[f64]) -> f64 {
+    x.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+pub fn densities(x: &[f64]) -> Vec<f64> {
+    x.chunks_exact(2).map(|psi| psi[0] * psi[0] + psi[1] * psi[1]).collect()
+}
+
+pub fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
+    assert!(a.len() == b.len() && a.iter().chain(b).all(|x| x.is_finite()));
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+}
+
+/// `⟨a, b⟩` as size and phase.
+pub fn overlap(a: &[f64], b: &[f64]) -> (f64, f64) {
+    let (mut re, mut im) = (0.0, 0.0);
+    for (a, b) in a.chunks_exact(2).zip(b.chunks_exact(2)) {
+        re += a[0] * b[0] + a[1] * b[1];
+        im += a[0] * b[1] - a[1] * b[0];
+    }
+    (re.hypot(im), im.atan2(re))
+}
+
+/// States of norm about 1, and large controls. There is one control: its cotangent must not nearly vanish by chance, for
+/// errors are measured against it.
+pub fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
+    let size = (3.0 / x.len() as f64).sqrt();
+    x.iter_mut().for_each(|x| *x = rng.random_range(-size..size));
+    u.iter_mut().for_each(|u| *u = rng.random_range(-30.0..30.0));
+}
