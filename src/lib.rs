@@ -75,8 +75,10 @@ mod divergence;
 mod effect;
 mod field;
 mod forward_mode;
+mod integrator;
 #[doc(hidden)]
 pub mod kernels;
+mod ode;
 mod optim;
 pub mod policy;
 #[cfg(feature = "report")]
@@ -99,6 +101,10 @@ pub use cost::Cost;
 pub use divergence::{Divergence, Variable};
 pub use effect::{Around, Effect, Host, With};
 pub use field::{Compose, Field, SignAgreement, UnknownField};
+pub use integrator::{
+    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, SemiImplicit, Verlet,
+};
+pub use ode::{Flowing, Ode};
 pub use optim::{Clip, Optimizer, Rule};
 pub use policy::{Policy, Weights};
 pub use rollout::Rollout;

@@ -66,6 +66,10 @@ pub trait Scalar:
     /// `yes` where `a < b`, else `no`, value and derivative; the branch not taken does not matter, NaN or not.
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self;
 
+    /// Whether `a < b` in any lane: for loops that end when every lane is done. Lanes that are done before must not be
+    /// changed any more, or a lane would not have the bits it has alone.
+    fn any_lt(a: Self, b: Self) -> bool;
+
     /// The constant 0.
     #[inline(always)]
     fn zero() -> Self {

@@ -196,7 +196,7 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
         ),
         (
             "scene = 1\ntask = \"guidance\"\n[effects.obstacles]\ncenters = [[0, 0, 1]]\n",
-            "my_scene.toml:4: `effects.obstacles.centers[0]` is 3; allowed: a list of 2",
+            "my_scene.toml:4: `effects.obstacles.centers[0]` is 3; allowed: a shorter list",
         ),
         (
             "scene = 1\ntask = \"guidance\"\n[effects.obstacles]\ncenters = []\n",

@@ -40,6 +40,7 @@ impl Problem {
             "f64" => "a number",
             "a sequence" => "a list",
             "an array of length 2" => "a list of 2",
+            "fewer elements in array" => "a shorter list",
             section if section.starts_with("struct ") => "a section",
             names => names.trim_start_matches("one of "),
         };

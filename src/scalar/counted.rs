@@ -211,6 +211,11 @@ impl Scalar for Counted {
         Counts { compare: 1, ..Counts::NONE }.note();
         if a.0 < b.0 { yes } else { no }
     }
+    #[inline]
+    fn any_lt(a: Self, b: Self) -> bool {
+        Counts { compare: 1, ..Counts::NONE }.note();
+        a.0 < b.0
+    }
 }
 
 impl Real for Counted {

@@ -72,6 +72,10 @@ macro_rules! scalar_for_dual {
             fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
                 if a.re < b.re { yes } else { no }
             }
+            #[inline]
+            fn any_lt(a: Self, b: Self) -> bool {
+                a.re < b.re
+            }
         }
     };
 }

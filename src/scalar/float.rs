@@ -82,6 +82,10 @@ macro_rules! float {
             fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
                 if a < b { yes } else { no }
             }
+            #[inline(always)]
+            fn any_lt(a: Self, b: Self) -> bool {
+                a < b
+            }
         }
 
         impl Real for $float {

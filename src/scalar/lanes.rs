@@ -92,6 +92,10 @@ macro_rules! lanes {
             fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
                 Self([$(if a.0[$i] < b.0[$i] { yes.0[$i] } else { no.0[$i] }),+])
             }
+            #[inline(always)]
+            fn any_lt(a: Self, b: Self) -> bool {
+                $(a.0[$i] < b.0[$i])||+
+            }
         }
 
         impl<F: Float> Real for Lanes<F, $width> {

@@ -107,6 +107,11 @@ impl Scalar for CountedDual {
         Counts { compare: 1, ..Counts::NONE }.note();
         Self(Scalar::select_lt(a.0, b.0, yes.0, no.0))
     }
+    #[inline]
+    fn any_lt(a: Self, b: Self) -> bool {
+        Counts { compare: 1, ..Counts::NONE }.note();
+        Scalar::any_lt(a.0, b.0)
+    }
 }
 
 impl Tangents<CHUNK> for CountedDual {

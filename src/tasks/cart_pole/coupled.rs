@@ -1,7 +1,8 @@
 //! Poles on a cart that act on each other through it: the exact model.
 
-use super::system::{CartPoleSystem, Forces, PerPole};
+use super::system::{CartPoleSystem, Forces, PerPole, velocity_of};
 use crate::effect::{Effect, Host, system_without_effects};
+use crate::ode::Flowing;
 use crate::scalar::{Cotangent, Real, Scalar};
 
 /// The physics of rigid, uniform poles on joints side by side on one cart: semi-implicit Euler, velocities first.
@@ -70,20 +71,9 @@ impl Host for CoupledCartPole {
     #[inline(always)]
     fn step_with<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let k = self.constants::<T>();
-        let mut forces = Forces::new();
-        self.0.own_forces(x, u, &mut next[2..], &mut forces);
-        effects.act_knowing(&self.0, x, &next[2..], &mut forces);
-        let (mut push, mut mass) = (forces[0], k.mass);
-        for ((pole, next), &torque) in self.0.poles_of(x).zip(next[2..].chunks_exact_mut(2)).zip(&forces[1..]) {
-            let (sin, lever) = (next[0], k.moment * next[1]);
-            let lever_per_inertia = lever * k.per_inertia;
-            push += k.moment * sin * pole[1] * pole[1] - lever_per_inertia * torque;
-            mass -= lever_per_inertia * lever;
-        }
-        let a = push / mass;
-        for ((pole, next), &torque) in self.0.poles_of(x).zip(next[2..].chunks_exact_mut(2)).zip(&forces[1..]) {
-            let alpha = (torque - k.moment * next[1] * a) * k.per_inertia;
-            next[1] = pole[1] + k.dt * alpha;
+        let a = self.accelerate(&k, effects, x, u, &mut next[2..]);
+        for (pole, next) in self.0.poles_of(x).zip(next[2..].chunks_exact_mut(2)) {
+            next[1] = pole[1] + k.dt * next[1];
             next[0] = pole[0] + k.dt * next[1];
         }
         next[1] = x[1] + k.dt * a;
@@ -101,33 +91,87 @@ impl Host for CoupledCartPole {
         u_bar: Option<&mut [C]>,
     ) {
         let k = self.constants::<R>();
+        let speed_bar = next_bar[1] + next_bar[0] * k.dt;
+        if let Some(x_bar) = &mut x_bar {
+            (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar);
+            for i in 0..self.0.poles {
+                let theta_bar = next_bar[2 + 2 * i];
+                (x_bar[2 + 2 * i], x_bar[3 + 2 * i]) = (theta_bar, next_bar[3 + 2 * i] + theta_bar * k.dt);
+            }
+        }
+        let alpha_bar = |i: usize, x_bar: Option<&[C]>| match x_bar {
+            Some(x_bar) => x_bar[3 + 2 * i] * k.dt,
+            None => (next_bar[3 + 2 * i] + next_bar[2 + 2 * i] * k.dt) * k.dt,
+        };
+        let force_bar = self.accelerate_reverse(&k, effects, x, u, speed_bar * k.dt, alpha_bar, x_bar);
+        if let Some(u_bar) = u_bar {
+            u_bar[0] = force_bar;
+        }
+    }
+}
+
+impl CoupledCartPole {
+    /// Writes α_i in the second place of each pole, and returns ẍ.
+    #[inline(always)]
+    fn accelerate<E: Effect<CartPoleSystem>, T: Scalar>(
+        &self,
+        k: &Constants<T>,
+        effects: &E,
+        x: &[T],
+        u: &[T],
+        poles: &mut [T],
+    ) -> T {
+        let mut forces = Forces::new();
+        self.0.own_forces(x, u, poles, &mut forces);
+        effects.act_knowing(&self.0, x, poles, &mut forces);
+        let (mut push, mut mass) = (forces[0], k.mass);
+        for ((pole, out), &torque) in self.0.poles_of(x).zip(poles.chunks_exact(2)).zip(&forces[1..]) {
+            let (sin, lever) = (out[0], k.moment * out[1]);
+            let lever_per_inertia = lever * k.per_inertia;
+            push += k.moment * sin * pole[1] * pole[1] - lever_per_inertia * torque;
+            mass -= lever_per_inertia * lever;
+        }
+        let a = push / mass;
+        for (out, &torque) in poles.chunks_exact_mut(2).zip(&forces[1..]) {
+            out[1] = (torque - k.moment * out[1] * a) * k.per_inertia;
+        }
+        a
+    }
+
+    /// The reverse of [`accelerate`](Self::accelerate): adds to `x_bar`, if it is asked for, and returns the control's
+    /// cotangent. Pole `i` is asked for its `alpha_bar` while its own part of `x_bar` is as it was.
+    #[inline(always)]
+    fn accelerate_reverse<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
+        &self,
+        k: &Constants<R>,
+        effects: &E,
+        x: &[R],
+        u: &[R],
+        mut a_bar: C,
+        alpha_bar: impl Fn(usize, Option<&[C]>) -> C,
+        mut x_bar: Option<&mut [C]>,
+    ) -> C {
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
         self.0.own_forces_again(x, u, &mut trig, &mut forces);
         effects.act_knowing(&self.0, x, trig.as_flattened(), &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
-        let speed_bar = next_bar[1] + next_bar[0] * k.dt;
-        // From ẋ' and from every α_i = (τ_i - m l cos θ_i ẍ) / J.
-        let mut a_bar = speed_bar * k.dt;
-        let poles = self.0.poles_of(x).zip(&trig).zip(next_bar[2..].chunks_exact(2)).zip(&forces[1..]);
-        for (((pole, &[sin, cos]), next_bar), &torque) in poles.clone() {
+        // ẍ is in every α_i = (τ_i - m l cos θ_i ẍ) / J, too.
+        let poles = self.0.poles_of(x).zip(&trig).zip(&forces[1..]);
+        for (i, ((pole, &[sin, cos]), &torque)) in poles.clone().enumerate() {
             let lever = k.moment * cos;
             let lever_per_inertia = lever * k.per_inertia;
             push += k.moment * sin * pole[1] * pole[1] - lever_per_inertia * torque;
             mass -= lever_per_inertia * lever;
-            a_bar -= (next_bar[1] + next_bar[0] * k.dt) * (k.dt * lever_per_inertia);
+            a_bar -= alpha_bar(i, x_bar.as_deref()) * lever_per_inertia;
         }
         let per_mass = R::one() / mass;
         let a = push * per_mass;
         let push_bar = a_bar * per_mass;
         forces_bar.push(push_bar);
-        if let Some(x_bar) = &mut x_bar {
-            (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar);
-        }
-        for (i, (((pole, &[sin, cos]), next_bar), &torque)) in poles.enumerate() {
+        for (i, ((pole, &[sin, cos]), &torque)) in poles.enumerate() {
             let omega = pole[1];
             let lever = k.moment * cos;
-            let omega_bar = next_bar[1] + next_bar[0] * k.dt;
-            let alpha_bar = omega_bar * (k.dt * k.per_inertia);
+            let alpha_bar = alpha_bar(i, x_bar.as_deref()) * k.per_inertia;
             let torque_bar = alpha_bar - push_bar * (lever * k.per_inertia);
             forces_bar.push(torque_bar);
             if let Some(x_bar) = &mut x_bar {
@@ -135,16 +179,48 @@ impl Host for CoupledCartPole {
                 // In α, in the push, and twice in the mass, whose cotangent is -ẍ times that of the push.
                 let in_push = (R::lift(2.0) * lever * a - torque) * k.per_inertia;
                 let cos_bar = (push_bar * in_push - alpha_bar * a) * k.moment;
-                x_bar[2 + 2 * i] = next_bar[0] + sin_bar * cos - cos_bar * sin;
-                x_bar[3 + 2 * i] = omega_bar + push_bar * (R::lift(2.0) * k.moment * sin * omega);
+                x_bar[2 + 2 * i] = x_bar[2 + 2 * i] + sin_bar * cos - cos_bar * sin;
+                x_bar[3 + 2 * i] += push_bar * (R::lift(2.0) * k.moment * sin * omega);
             }
-        }
-        if let Some(u_bar) = u_bar {
-            u_bar[0] = forces_bar[0];
         }
         if let Some(x_bar) = x_bar {
             effects.vjp_knowing(&self.0, x, trig.as_flattened(), &forces_bar, x_bar);
         }
+        forces_bar[0]
+    }
+}
+
+impl Flowing for CoupledCartPole {
+    #[inline(always)]
+    fn rate_with<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
+        rate[1] = self.accelerate(&self.constants::<T>(), effects, x, u, &mut rate[2..]);
+        for i in (0..rate.len()).step_by(2) {
+            rate[i] = x[i + 1];
+        }
+    }
+
+    #[inline(always)]
+    fn rate_reverse<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
+        &self,
+        effects: &E,
+        x: &[R],
+        u: &[R],
+        rate_bar: &[C],
+        x_bar: &mut [C],
+        u_bar: Option<&mut [C]>,
+    ) {
+        for i in (0..rate_bar.len()).step_by(2) {
+            x_bar[i + 1] += rate_bar[i];
+        }
+        let alpha_bar = |i: usize, _: Option<&[C]>| rate_bar[3 + 2 * i];
+        let force_bar = self.accelerate_reverse(&self.constants::<R>(), effects, x, u, rate_bar[1], alpha_bar, Some(x_bar));
+        if let Some(u_bar) = u_bar {
+            u_bar[0] += force_bar;
+        }
+    }
+
+    fn velocity_of(&self, i: usize) -> Option<usize> {
+        velocity_of(i)
     }
 }
 

@@ -1,6 +1,7 @@
 //! Poles on a cart that do not act on each other: the authors' model.
 
 use crate::effect::{Effect, Host, system_without_effects};
+use crate::ode::Flowing;
 use crate::scalar::{Cotangent, Real, Scalar};
 use arrayvec::ArrayVec;
 use serde::{Deserialize, Serialize};
@@ -138,18 +139,9 @@ impl Host for CartPoleSystem {
     #[inline(always)]
     fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let k = self.constants::<T>();
-        let mut forces = Forces::new();
-        self.own_forces(x, u, &mut next[2..], &mut forces);
-        effects.act_knowing(self, x, &next[2..], &mut forces);
-        let mut push = forces[0];
-        for ((pole, next), &torque) in self.poles_of(x).zip(next[2..].chunks_exact_mut(2)).zip(&forces[1..]) {
-            let (sin, cos) = (next[0], next[1]);
-            let lever = k.moment * cos;
-            let centrifugal = k.moment * sin * pole[1] * pole[1];
-            let a = (forces[0] + centrifugal) * k.per_mass;
-            let alpha = (torque - lever * a) / (k.inertia - k.coupling * cos * cos);
-            push += centrifugal - lever * alpha;
-            next[1] = pole[1] + k.dt * alpha;
+        let push = self.accelerate(&k, effects, x, u, &mut next[2..]);
+        for (pole, next) in self.poles_of(x).zip(next[2..].chunks_exact_mut(2)) {
+            next[1] = pole[1] + k.dt * next[1];
             next[0] = pole[0] + k.dt * next[1];
         }
         next[1] = x[1] + k.dt * push * k.per_mass;
@@ -167,20 +159,66 @@ impl Host for CartPoleSystem {
         u_bar: Option<&mut [C]>,
     ) {
         let k = self.constants::<R>();
+        let speed_bar = next_bar[1] + next_bar[0] * k.dt;
+        if let Some(x_bar) = &mut x_bar {
+            (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar);
+            for i in 0..self.poles {
+                let theta_bar = next_bar[2 + 2 * i];
+                (x_bar[2 + 2 * i], x_bar[3 + 2 * i]) = (theta_bar, next_bar[3 + 2 * i] + theta_bar * k.dt);
+            }
+        }
+        let alpha_bar = |i: usize, x_bar: Option<&[C]>| match x_bar {
+            Some(x_bar) => x_bar[3 + 2 * i] * k.dt,
+            None => (next_bar[3 + 2 * i] + next_bar[2 + 2 * i] * k.dt) * k.dt,
+        };
+        let force_bar = self.accelerate_reverse(&k, effects, x, u, speed_bar * (k.dt * k.per_mass), alpha_bar, x_bar);
+        if let Some(u_bar) = u_bar {
+            u_bar[0] = force_bar;
+        }
+    }
+}
+
+impl CartPoleSystem {
+    /// Writes α_i in the second place of each pole, and returns the bracket in ẍ = (…) / M.
+    #[inline(always)]
+    fn accelerate<E: Effect<Self>, T: Scalar>(&self, k: &Constants<T>, effects: &E, x: &[T], u: &[T], poles: &mut [T]) -> T {
+        let mut forces = Forces::new();
+        self.own_forces(x, u, poles, &mut forces);
+        effects.act_knowing(self, x, poles, &mut forces);
+        let mut push = forces[0];
+        for ((pole, out), &torque) in self.poles_of(x).zip(poles.chunks_exact_mut(2)).zip(&forces[1..]) {
+            let (sin, cos) = (out[0], out[1]);
+            let lever = k.moment * cos;
+            let centrifugal = k.moment * sin * pole[1] * pole[1];
+            let a = (forces[0] + centrifugal) * k.per_mass;
+            let alpha = (torque - lever * a) / (k.inertia - k.coupling * cos * cos);
+            push += centrifugal - lever * alpha;
+            out[1] = alpha;
+        }
+        push
+    }
+
+    /// The reverse of [`accelerate`](Self::accelerate): adds to `x_bar`, if it is asked for, and returns the control's
+    /// cotangent. Pole `i` is asked for its `alpha_bar` while its own part of `x_bar` is as it was.
+    #[inline(always)]
+    fn accelerate_reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
+        &self,
+        k: &Constants<R>,
+        effects: &E,
+        x: &[R],
+        u: &[R],
+        push_bar: C,
+        alpha_bar: impl Fn(usize, Option<&[C]>) -> C,
+        mut x_bar: Option<&mut [C]>,
+    ) -> C {
         // Made where they are: a full array that is returned is a copy of all there is room for.
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
         self.own_forces_again(x, u, &mut trig, &mut forces);
         effects.act_knowing(self, x, trig.as_flattened(), &mut forces);
 
-        let speed_bar = next_bar[1] + next_bar[0] * k.dt;
-        // Of the bracket in ẍ = (…) / M.
-        let push_bar = speed_bar * (k.dt * k.per_mass);
         let (mut force_bar, effects_read) = (push_bar, x_bar.is_some() && effects.reads_state());
         if effects_read {
             forces_bar.push(push_bar);
-        }
-        if let Some(x_bar) = &mut x_bar {
-            (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar);
         }
         for (i, (pole, &[sin, cos])) in self.poles_of(x).zip(&trig).enumerate() {
             let omega = pole[1];
@@ -189,9 +227,7 @@ impl Host for CartPoleSystem {
             let per_inertia = R::one() / (k.inertia - k.coupling * cos * cos);
             let alpha = (forces[1 + i] - lever * a) * per_inertia;
 
-            let (theta_bar, omega_bar) = (next_bar[2 + 2 * i], next_bar[3 + 2 * i]);
-            let omega_bar = omega_bar + theta_bar * k.dt;
-            let alpha_bar = omega_bar * k.dt - push_bar * lever;
+            let alpha_bar = alpha_bar(i, x_bar.as_deref()) - push_bar * lever;
             // α = numerator / denominator, and the torque is the numerator's first term.
             let torque_bar = alpha_bar * per_inertia;
             let thrust_bar = -(torque_bar * (lever * k.per_mass));
@@ -204,17 +240,56 @@ impl Host for CartPoleSystem {
                 let sin_bar = torque_bar * k.weight + centrifugal_bar * (k.moment * spin);
                 let cos_bar =
                     torque_bar * (R::lift(2.0) * k.coupling * cos * alpha - k.moment * a) - push_bar * (k.moment * alpha);
-                x_bar[2 + 2 * i] = theta_bar + sin_bar * cos - cos_bar * sin;
-                x_bar[3 + 2 * i] = omega_bar + centrifugal_bar * (R::lift(2.0) * k.moment * sin * omega);
+                x_bar[2 + 2 * i] = x_bar[2 + 2 * i] + sin_bar * cos - cos_bar * sin;
+                x_bar[3 + 2 * i] += centrifugal_bar * (R::lift(2.0) * k.moment * sin * omega);
             }
-        }
-        if let Some(u_bar) = u_bar {
-            u_bar[0] = force_bar;
         }
         if let (Some(x_bar), true) = (x_bar, effects_read) {
             forces_bar[0] = force_bar;
             effects.vjp_knowing(self, x, trig.as_flattened(), &forces_bar, x_bar);
         }
+        force_bar
+    }
+}
+
+/// Positions and their velocities come in turn.
+pub(super) fn velocity_of(i: usize) -> Option<usize> {
+    (i % 2 == 0).then_some(i + 1)
+}
+
+impl Flowing for CartPoleSystem {
+    #[inline(always)]
+    fn rate_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
+        let k = self.constants::<T>();
+        rate[1] = self.accelerate(&k, effects, x, u, &mut rate[2..]) * k.per_mass;
+        for i in (0..rate.len()).step_by(2) {
+            rate[i] = x[i + 1];
+        }
+    }
+
+    #[inline(always)]
+    fn rate_reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
+        &self,
+        effects: &E,
+        x: &[R],
+        u: &[R],
+        rate_bar: &[C],
+        x_bar: &mut [C],
+        u_bar: Option<&mut [C]>,
+    ) {
+        let k = self.constants::<R>();
+        for i in (0..rate_bar.len()).step_by(2) {
+            x_bar[i + 1] += rate_bar[i];
+        }
+        let alpha_bar = |i: usize, _: Option<&[C]>| rate_bar[3 + 2 * i];
+        let force_bar = self.accelerate_reverse(&k, effects, x, u, rate_bar[1] * k.per_mass, alpha_bar, Some(x_bar));
+        if let Some(u_bar) = u_bar {
+            u_bar[0] += force_bar;
+        }
+    }
+
+    fn velocity_of(&self, i: usize) -> Option<usize> {
+        velocity_of(i)
     }
 }
 

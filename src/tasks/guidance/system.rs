@@ -1,6 +1,7 @@
 //! Drivers and evaders that do nothing to each other, and the reverse of their steps.
 
 use crate::effect::{Effect, Host, system_without_effects};
+use crate::ode::Flowing;
 use crate::scalar::{Cotangent, Real, Scalar};
 use crate::scratch::Scratch;
 use serde::{Deserialize, Serialize};
@@ -135,6 +136,22 @@ impl GuidanceSystem {
     }
 }
 
+impl GuidanceSystem {
+    /// Writes the accelerations.
+    #[inline(always)]
+    fn accelerate<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], forces: &mut [T]) {
+        let herd = self.herd(x);
+        for ((force, x), c) in forces.chunks_exact_mut(2).zip(x.chunks_exact(AGENT)).zip(u.chunks_exact(2)) {
+            let q = [x[0] - herd[0], x[1] - herd[1]];
+            force[0] = c[0] * q[0] - c[1] * q[1];
+            force[1] = c[0] * q[1] + c[1] * q[0];
+        }
+        // Zeros that are known to be zeros become a call of memset, which costs more than a short loop.
+        forces[2 * self.drivers..].fill(black_box(T::zero()));
+        effects.act(self, x, forces);
+    }
+}
+
 impl Host for GuidanceSystem {
     type Body = Self;
 
@@ -158,17 +175,7 @@ impl Host for GuidanceSystem {
     fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         // The accelerations are gathered in the second half of the next state.
         let half = 2 * self.agents();
-        let forces = &mut next[half..2 * half];
-        let herd = self.herd(x);
-        for ((force, x), c) in forces.chunks_exact_mut(2).zip(x.chunks_exact(AGENT)).zip(u.chunks_exact(2)) {
-            let q = [x[0] - herd[0], x[1] - herd[1]];
-            force[0] = c[0] * q[0] - c[1] * q[1];
-            force[1] = c[0] * q[1] + c[1] * q[0];
-        }
-        // Zeros that are known to be zeros become a call of memset, which costs more than a short loop.
-        forces[2 * self.drivers..].fill(black_box(T::zero()));
-        effects.act(self, x, forces);
-
+        self.accelerate(effects, x, u, &mut next[half..2 * half]);
         let dt = T::lift(self.dt);
         for agent in 0..self.agents() {
             // What this agent overwrites is its own acceleration and that of agents before it.
@@ -205,6 +212,52 @@ impl Host for GuidanceSystem {
         if let Some(u_bar) = u_bar {
             self.reverse_control(x, next_bar, u_bar);
         }
+    }
+}
+
+impl Flowing for GuidanceSystem {
+    #[inline(always)]
+    fn rate_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
+        let half = 2 * self.agents();
+        self.accelerate(effects, x, u, &mut rate[half..2 * half]);
+        for agent in 0..self.agents() {
+            // What this agent overwrites is its own acceleration and that of agents before it.
+            let (force, at) = ([rate[half + 2 * agent], rate[half + 2 * agent + 1]], AGENT * agent);
+            (rate[at], rate[at + 1], rate[at + 2], rate[at + 3]) = (x[at + 2], x[at + 3], force[0], force[1]);
+        }
+    }
+
+    #[inline(always)]
+    fn rate_reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
+        &self,
+        effects: &E,
+        x: &[R],
+        u: &[R],
+        rate_bar: &[C],
+        x_bar: &mut [C],
+        u_bar: Option<&mut [C]>,
+    ) {
+        let rate_bars = &rate_bar.as_chunks::<AGENT>().0[..self.agents()];
+        let mut forces_bar = Scratch::<[C; 2], STACK>::new();
+        let forces_bar = forces_bar.collect(rate_bars.iter().map(|rate| [rate[2], rate[3]])).as_flattened();
+        for (bar, rate) in x_bar.as_chunks_mut::<AGENT>().0.iter_mut().zip(rate_bars) {
+            bar[2] += rate[0];
+            bar[3] += rate[1];
+        }
+        self.reverse_steering(u, forces_bar, x_bar);
+        effects.vjp(self, x, forces_bar, x_bar);
+        if let Some(u_bar) = u_bar {
+            let herd = self.herd(x);
+            for ((c_bar, x), force) in u_bar.chunks_exact_mut(2).zip(x.chunks_exact(AGENT)).zip(forces_bar.chunks_exact(2)) {
+                let q = [x[0] - herd[0], x[1] - herd[1]];
+                c_bar[0] += force[0] * q[0] + force[1] * q[1];
+                c_bar[1] += force[1] * q[0] - force[0] * q[1];
+            }
+        }
+    }
+
+    fn velocity_of(&self, i: usize) -> Option<usize> {
+        (i % AGENT < 2).then_some(i + 2)
     }
 }
 

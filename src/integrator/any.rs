@@ -1,0 +1,187 @@
+//! Integrators that are chosen while the program runs.
+
+use super::{Adaptive, ImplicitMidpoint, Integrator, RungeKutta, SemiImplicit, Verlet, room};
+use crate::apart::apart;
+use crate::effect::Around;
+use crate::kernels::Vectorized;
+use crate::ode::Ode;
+use crate::rng::Rng;
+use crate::scalar::{Cotangent, Real, Scalar};
+use crate::system::System;
+
+/// Any integrator.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum AnyIntegrator {
+    /// [`RungeKutta`], any of them.
+    RungeKutta(RungeKutta),
+    /// [`SemiImplicit`].
+    SemiImplicit(SemiImplicit),
+    /// [`Verlet`].
+    Verlet(Verlet),
+    /// [`Adaptive`].
+    Adaptive(Adaptive),
+    /// [`ImplicitMidpoint`].
+    ImplicitMidpoint(ImplicitMidpoint),
+}
+
+/// The vector field, compiled apart from the integrators: all of them call it, and with it inlined everywhere they would
+/// take minutes to compile.
+struct Apart<'a, O>(&'a O);
+
+struct Rate<'a, O, T> {
+    ode: &'a O,
+    x: &'a [T],
+    u: &'a [T],
+    rate: &'a mut [T],
+}
+
+impl<O: Ode, T: Scalar> Vectorized for Rate<'_, O, T> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        self.ode.rate(self.x, self.u, self.rate);
+    }
+}
+
+struct RateBack<'a, O, R, C> {
+    ode: &'a O,
+    x: &'a [R],
+    u: &'a [R],
+    rate_bar: &'a [C],
+    x_bar: &'a mut [C],
+    u_bar: Option<&'a mut [C]>,
+}
+
+impl<O: Ode, R: Real, C: Cotangent<R>> Vectorized for RateBack<'_, O, R, C> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        self.ode.rate_vjp(self.x, self.u, self.rate_bar, self.x_bar, self.u_bar);
+    }
+}
+
+impl<O: Ode> Ode for Apart<'_, O> {
+    fn state_dim(&self) -> usize {
+        self.0.state_dim()
+    }
+
+    fn control_dim(&self) -> usize {
+        self.0.control_dim()
+    }
+
+    #[inline(always)]
+    fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
+        apart::<T>(Rate { ode: self.0, x, u, rate });
+    }
+
+    #[inline(always)]
+    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
+        apart::<R>(RateBack { ode: self.0, x, u, rate_bar, x_bar, u_bar });
+    }
+
+    #[inline(always)]
+    fn velocity(&self, i: usize) -> Option<usize> {
+        self.0.velocity(i)
+    }
+}
+
+impl Integrator for AnyIntegrator {
+    #[inline(always)]
+    fn advance<O: Ode, T: Scalar>(&self, ode: &O, h: T, x: &[T], u: &[T], next: &mut [T]) {
+        let ode = &Apart(ode);
+        match self {
+            Self::RungeKutta(method) => method.advance(ode, h, x, u, next),
+            Self::SemiImplicit(method) => method.advance(ode, h, x, u, next),
+            Self::Verlet(method) => method.advance(ode, h, x, u, next),
+            Self::Adaptive(method) => method.advance(ode, h, x, u, next),
+            Self::ImplicitMidpoint(method) => method.advance(ode, h, x, u, next),
+        }
+    }
+
+    #[inline(always)]
+    fn reverse<O: Ode, R: Real, C: Cotangent<R>>(
+        &self,
+        ode: &O,
+        h: R,
+        x: &[R],
+        u: &[R],
+        next_bar: &[C],
+        x_bar: &mut [C],
+        u_bar: Option<&mut [C]>,
+    ) {
+        let ode = &Apart(ode);
+        match self {
+            Self::RungeKutta(method) => method.reverse(ode, h, x, u, next_bar, x_bar, u_bar),
+            Self::SemiImplicit(method) => method.reverse(ode, h, x, u, next_bar, x_bar, u_bar),
+            Self::Verlet(method) => method.reverse(ode, h, x, u, next_bar, x_bar, u_bar),
+            Self::Adaptive(method) => method.reverse(ode, h, x, u, next_bar, x_bar, u_bar),
+            Self::ImplicitMidpoint(method) => method.reverse(ode, h, x, u, next_bar, x_bar, u_bar),
+        }
+    }
+}
+
+/// A system that is a vector field too, in steps as it takes them itself or as an integrator does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Discretized<S> {
+    /// The system. Its own step has the length `dt`.
+    pub system: S,
+    /// What takes the steps; without, the system itself.
+    pub integrator: Option<AnyIntegrator>,
+    /// Time step, s.
+    pub dt: f64,
+}
+
+impl<S: System + Ode> System for Discretized<S> {
+    fn state_dim(&self) -> usize {
+        System::state_dim(&self.system)
+    }
+
+    fn control_dim(&self) -> usize {
+        System::control_dim(&self.system)
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        match &self.integrator {
+            None => self.system.step(x, u, next),
+            Some(integrator) => integrator.advance(&self.system, T::lift(self.dt), x, u, next),
+        }
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        match &self.integrator {
+            None => self.system.vjp(x, u, next_bar, x_bar, u_bar),
+            Some(integrator) => {
+                u_bar.fill(C::null());
+                integrator.reverse(&self.system, R::lift(self.dt), x, u, next_bar, x_bar, Some(u_bar));
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
+        match &self.integrator {
+            None => self.system.vjp_state(x, u, next_bar, x_bar),
+            Some(integrator) => integrator.reverse(&self.system, R::lift(self.dt), x, u, next_bar, x_bar, None),
+        }
+    }
+
+    #[inline(always)]
+    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
+        if self.integrator.is_none() {
+            return self.system.vjp_control(x, u, next_bar, u_bar);
+        }
+        let mut x_bar = room(C::null(), x.len());
+        self.vjp(x, u, next_bar, &mut x_bar, u_bar);
+    }
+}
+
+impl<B, S: Ode + Around<B>> Around<B> for Discretized<S> {
+    #[inline(always)]
+    fn body(&self) -> &B {
+        self.system.body()
+    }
+
+    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
+        self.system.start_beyond(rng, x);
+    }
+}

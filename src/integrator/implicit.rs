@@ -1,0 +1,195 @@
+//! The implicit midpoint rule.
+
+use super::{Integrator, Room, room};
+use crate::forward_mode::jacobian;
+use crate::ode::Ode;
+use crate::scalar::{Cotangent, Float, Real, Scalar};
+
+/// The implicit midpoint rule, `x' = x + h f((x + x')/2, u)`: order 2, symplectic, and stable however stiff the field is.
+///
+/// It is solved by Newton's iteration, of which every sample does as many rounds as it needs; the Jacobian is that by
+/// differences at the first guess, Euler's. A step whose iteration does not converge in 30 rounds is not a number.
+///
+/// Its reverse is that of the solution, by the theorem of implicit functions, and not of the iteration: it solves to
+/// rounding, whatever the tolerance of the forward step. With `A = I - h/2 ∂f/∂x` at the middle,
+///
+/// ```text
+/// w = A⁻ᵀ x̄',   x̄ = 2 w - x̄',   ū += h (∂f/∂u)ᵀ w
+/// ```
+///
+/// Hairer, Lubich and Wanner, Geometric Numerical Integration, II.1 and VIII.6.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImplicitMidpoint {
+    /// When to stop: the largest correction of a component, in relation to 1 and its size. It is never asked to be less
+    /// than 32 roundings.
+    pub tolerance: f64,
+}
+
+impl Default for ImplicitMidpoint {
+    fn default() -> Self {
+        Self { tolerance: 1e-12 }
+    }
+}
+
+/// Rounds of Newton's iteration before it is given up.
+const MOST: usize = 30;
+
+impl ImplicitMidpoint {
+    /// `h/2 ∂f/∂x` by central differences, as constants: Newton's iteration converges to the same with any good Jacobian.
+    #[inline(always)]
+    fn differences<O: Ode, T: Scalar>(ode: &O, h: T, x: &[T], u: &[T]) -> Room<T> {
+        let n = x.len();
+        let (mut at, mut before, mut after) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
+        let mut matrix = room(T::zero(), n * n);
+        at.copy_from_slice(x);
+        let width = <T::Real as Float>::EPSILON.cbrt();
+        for j in 0..n {
+            let by = (T::lift(width) * (T::one() + x[j].abs())).detach();
+            at[j] = x[j] - by;
+            ode.rate(&at, u, &mut before);
+            at[j] = x[j] + by;
+            ode.rate(&at, u, &mut after);
+            at[j] = x[j];
+            let factor = h * T::lift(0.25) / by;
+            for i in 0..n {
+                matrix[i * n + j] = ((after[i] - before[i]) * factor).detach();
+            }
+        }
+        matrix
+    }
+
+    /// Solves for the next state, to this tolerance.
+    #[inline(always)]
+    fn solve<O: Ode, T: Scalar>(tolerance: f64, ode: &O, h: T, x: &[T], u: &[T], next: &mut [T]) {
+        let n = x.len();
+        let (mut middle, mut rate, mut residual) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
+        let half = T::lift(0.5);
+        ode.rate(x, u, &mut rate);
+        for i in 0..n {
+            next[i] = x[i] + h * rate[i];
+            middle[i] = (x[i] + next[i]) * half;
+        }
+        let inverse = inverse_of_one_minus(Self::differences(ode, h, &middle, u), n);
+        let tolerance = T::lift(tolerance.max(32.0 * <T::Real as Float>::EPSILON));
+        // Derivatives of a dual number converge a round later than its value.
+        let rounds_after = T::lift(2.0);
+        let mut to_go = rounds_after;
+        for _ in 0..MOST {
+            if !T::any_lt(T::zero(), to_go) {
+                break;
+            }
+            for i in 0..n {
+                middle[i] = (x[i] + next[i]) * half;
+            }
+            ode.rate(&middle, u, &mut rate);
+            for i in 0..n {
+                residual[i] = next[i] - x[i] - h * rate[i];
+            }
+            let mut largest = T::zero();
+            for i in 0..n {
+                let mut correction = T::zero();
+                for j in 0..n {
+                    correction += inverse[i * n + j] * residual[j];
+                }
+                let size = correction.abs() / (T::one() + next[i].abs());
+                largest = T::select_lt(size, largest, largest, size);
+                next[i] = T::select_lt(T::zero(), to_go, next[i] - correction, next[i]);
+            }
+            to_go = T::select_lt(largest, tolerance, to_go - T::one(), rounds_after).detach();
+        }
+        for next in next {
+            *next = T::select_lt(T::zero(), to_go, T::lift(f64::NAN), *next);
+        }
+    }
+}
+
+/// `(I - M)⁻¹`, by Gauss and Jordan. Rows are exchanged without a branch: each column's largest number sinks to the
+/// diagonal.
+#[inline(always)]
+fn inverse_of_one_minus<T: Scalar>(mut matrix: Room<T>, n: usize) -> Room<T> {
+    let mut inverse = room(T::zero(), n * n);
+    for i in 0..n {
+        for j in 0..n {
+            let one = if i == j { T::one() } else { T::zero() };
+            matrix[i * n + j] = one - matrix[i * n + j];
+            inverse[i * n + j] = one;
+        }
+    }
+    for column in 0..n {
+        for row in column + 1..n {
+            let (here, below) = (matrix[column * n + column].abs(), matrix[row * n + column].abs());
+            for both in [&mut matrix, &mut inverse] {
+                for j in 0..n {
+                    let (a, b) = (both[column * n + j], both[row * n + j]);
+                    both[column * n + j] = T::select_lt(here, below, b, a);
+                    both[row * n + j] = T::select_lt(here, below, a, b);
+                }
+            }
+        }
+        let per_pivot = T::one() / matrix[column * n + column];
+        for both in [&mut matrix, &mut inverse] {
+            for j in 0..n {
+                both[column * n + j] *= per_pivot;
+            }
+        }
+        for row in (0..n).filter(|&row| row != column) {
+            let factor = matrix[row * n + column];
+            for both in [&mut matrix, &mut inverse] {
+                for j in 0..n {
+                    let above = both[column * n + j];
+                    both[row * n + j] -= factor * above;
+                }
+            }
+        }
+    }
+    inverse
+}
+
+impl Integrator for ImplicitMidpoint {
+    #[inline(always)]
+    fn advance<O: Ode, T: Scalar>(&self, ode: &O, h: T, x: &[T], u: &[T], next: &mut [T]) {
+        Self::solve(self.tolerance, ode, h, x, u, next);
+    }
+
+    #[inline(always)]
+    fn reverse<O: Ode, R: Real, C: Cotangent<R>>(
+        &self,
+        ode: &O,
+        h: R,
+        x: &[R],
+        u: &[R],
+        next_bar: &[C],
+        x_bar: &mut [C],
+        u_bar: Option<&mut [C]>,
+    ) {
+        let n = x.len();
+        let mut middle = room(R::zero(), n);
+        Self::solve(0.0, ode, h, x, u, &mut middle);
+        for i in 0..n {
+            middle[i] = (x[i] + middle[i]) * R::lift(0.5);
+        }
+        let mut matrix = room(R::zero(), n * n);
+        let rate = |xu: &[_], rate: &mut [_]| ode.rate(&xu[..n], &xu[n..], rate);
+        let inputs: Room<R> = middle.iter().chain(u).copied().collect();
+        jacobian(&inputs, 0..n, n, rate, |j, column: &[R]| {
+            for i in 0..n {
+                matrix[i * n + j] = column[i] * h * R::lift(0.5);
+            }
+        });
+        let inverse = inverse_of_one_minus(matrix, n);
+        // w, times h for the rate.
+        let mut rate_bar = room(C::null(), n);
+        for j in 0..n {
+            let mut w = C::null();
+            for i in 0..n {
+                w += next_bar[i] * inverse[i * n + j];
+            }
+            rate_bar[j] = w * h;
+            x_bar[j] = w + w - next_bar[j];
+        }
+        if let Some(u_bar) = u_bar {
+            let mut unused = room(C::null(), n);
+            ode.rate_vjp(&middle, u, &rate_bar, &mut unused, Some(u_bar));
+        }
+    }
+}
