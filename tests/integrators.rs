@@ -1,0 +1,277 @@
+//! Integrators: their derivatives, their order, and what they promise.
+
+use physgrad::rng::{Purpose, stream};
+use physgrad::tasks::{
+    Bumpers, CartDamping, CartPoleSystem, CoupledCartPole, DryFriction, GuidanceSystem, GustyWind, PoleDamping, SteadyWind,
+};
+use physgrad::{
+    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, Ode, RungeKutta, Scalar, SemiImplicit,
+    Substeps, System, Verlet, With, check,
+};
+use rand::RngExt;
+
+const FIXED: [(&str, AnyIntegrator, f64); 7] = [
+    ("Euler", AnyIntegrator::RungeKutta(RungeKutta::EULER), 1.0),
+    ("semi-implicit", AnyIntegrator::SemiImplicit(SemiImplicit), 1.0),
+    ("Verlet", AnyIntegrator::Verlet(Verlet), 2.0),
+    ("Heun", AnyIntegrator::RungeKutta(RungeKutta::HEUN), 2.0),
+    ("midpoint", AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint { tolerance: 1e-14 }), 2.0),
+    ("RK4", AnyIntegrator::RungeKutta(RungeKutta::RK4), 4.0),
+    ("Tsitouras", AnyIntegrator::RungeKutta(RungeKutta::TSIT5), 5.0),
+];
+
+fn adaptive(rtol: f64) -> AnyIntegrator {
+    AnyIntegrator::Adaptive(Adaptive { rtol, atol: 1e-3 * rtol, most: 1000 })
+}
+
+fn cart_pole() -> With<CartPoleSystem, (PoleDamping, CartDamping, SteadyWind)> {
+    let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
+    With { system, effects: (PoleDamping::default(), CartDamping::default(), SteadyWind::default()) }
+}
+
+fn coupled() -> With<CoupledCartPole, (PoleDamping, GustyWind)> {
+    let system = CoupledCartPole(CartPoleSystem { poles: 2, ..CartPoleSystem::default() });
+    With { system, effects: (PoleDamping::default(), GustyWind::default()) }
+}
+
+fn integrated<O: Ode, I>(ode: O, integrator: I, dt: f64) -> Integrated<O, I> {
+    Integrated { ode, integrator, dt }
+}
+
+#[test]
+fn the_reverse_of_every_integrator_is_that_of_duals() {
+    let all = FIXED.map(|(_, integrator, _)| integrator).into_iter().chain([adaptive(1e-6), adaptive(1e-3)]);
+    for integrator in all {
+        check::system(&integrated(cart_pole(), integrator, 0.05));
+        check::system(&integrated(coupled(), integrator, 0.05));
+        check::system(&integrated(GuidanceSystem::default().herding(), integrator, 0.05));
+        check::system(&integrated(ByDuals, integrator, 0.1));
+        check::system(&Discretized { system: cart_pole(), integrator: Some(integrator), dt: 0.05 });
+    }
+    check::system(&Discretized { system: cart_pole(), integrator: None, dt: 0.01 });
+}
+
+/// A field whose derivative is by duals, and in which nothing is a velocity: Van der Pol's.
+#[derive(Clone, Debug)]
+struct ByDuals;
+
+impl Ode for ByDuals {
+    fn state_dim(&self) -> usize {
+        2
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
+        rate[0] = x[1];
+        rate[1] = (T::one() - x[0] * x[0]) * x[1] - x[0] + u[0];
+    }
+}
+
+/// The state after `steps` steps in the time `span`, and the cotangents of start and control of a fixed cotangent at the
+/// end.
+fn reached<O: Ode + Clone, I: Integrator>(ode: &O, integrator: &I, span: f64, steps: usize) -> (Vec<f64>, Vec<f64>) {
+    let (n, m) = (ode.state_dim(), ode.control_dim());
+    let mut rng = stream(3, Purpose::Test, 0);
+    let x: Vec<f64> = (0..n).map(|_| rng.random_range(-1.0..1.0)).collect();
+    let u: Vec<f64> = (0..m).map(|_| rng.random_range(-1.0..1.0)).collect();
+    let bar: Vec<f64> = (0..n).map(|_| rng.random_range(-1.0..1.0)).collect();
+    let system = Substeps { system: integrated(ode.clone(), integrator.clone(), span / steps as f64), count: steps };
+    let (mut next, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], vec![0.0; m]);
+    system.step(&x, &u, &mut next);
+    system.vjp(&x, &u, &bar, &mut x_bar, &mut u_bar);
+    x_bar.extend(u_bar);
+    (next, x_bar)
+}
+
+fn distance(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+}
+
+/// The order that shows from one number of steps to twice as many, of the state and of the gradient: that of the halving
+/// nearest to theory, as errors of different sign may cancel in another.
+fn orders<O: Ode + Clone, I: Integrator>(ode: &O, integrator: &I, span: f64, theory: f64) -> [f64; 2] {
+    let (state, gradient) = reached(ode, &RungeKutta::TSIT5, span, 2000);
+    let coarsest = if theory < 3.0 { 128 } else { 32 };
+    let errors: Vec<[f64; 2]> = [1, 2, 4, 8]
+        .into_iter()
+        .map(|finer| coarsest * finer)
+        .map(|steps| {
+            let found = reached(ode, integrator, span, steps);
+            [distance(&found.0, &state), distance(&found.1, &gradient)]
+        })
+        .collect();
+    [0, 1].map(|which| {
+        let orders = errors.windows(2).filter(|pair| pair[1][which] > 1e-13).map(|pair| (pair[0][which] / pair[1][which]).log2());
+        orders.min_by(|a, b| (a - theory).abs().total_cmp(&(b - theory).abs())).expect("errors above rounding")
+    })
+}
+
+#[test]
+fn every_integrator_has_its_order_in_state_and_gradient() {
+    let smooth = (PoleDamping::default(), CartDamping::default());
+    for (name, integrator, theory) in FIXED {
+        for (task, found) in [
+            // The drag of a wind has a second derivative that jumps where the wind stands still.
+            ("cart-pole", orders(&With { system: cart_pole().system, effects: smooth }, &integrator, 1.0, theory)),
+            ("coupled", orders(&With { system: coupled().system, effects: smooth }, &integrator, 1.0, theory)),
+            ("guidance", orders(&GuidanceSystem::default().herding(), &integrator, 0.4, theory)),
+            ("Van der Pol", orders(&ByDuals, &integrator, 2.0, theory)),
+        ] {
+            println!("{name:<14} {task:<12} order {theory}: state {:.2}, gradient {:.2}", found[0], found[1]);
+            assert!(found.iter().all(|order| (order - theory).abs() < 0.3), "{name}, {task}: {found:?}");
+        }
+    }
+}
+
+#[test]
+fn the_steps_of_the_tasks_are_their_integrators() {
+    let step = |system: &dyn Fn(&[f64], &[f64], &mut [f64]), n: usize, m: usize| {
+        let mut rng = stream(0, Purpose::Test, 0);
+        let mut numbers = |len: usize| (0..len).map(|_| rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
+        let (x, u, mut next) = (numbers(n), numbers(m), vec![0.0; n]);
+        system(&x, &u, &mut next);
+        next
+    };
+    let own = cart_pole();
+    let by = integrated(own, SemiImplicit, own.system.dt);
+    let pair = [step(&|x, u, next| own.step(x, u, next), 6, 1), step(&|x, u, next| by.step(x, u, next), 6, 1)];
+    assert!(distance(&pair[0], &pair[1]) < 1e-15, "{pair:?}");
+    let own = GuidanceSystem::default().herding();
+    let by = integrated(own, RungeKutta::EULER, own.system.dt);
+    let pair = [step(&|x, u, next| own.step(x, u, next), 24, 4), step(&|x, u, next| by.step(x, u, next), 24, 4)];
+    assert_eq!(pair[0], pair[1]);
+}
+
+#[test]
+fn adaptive_steps_keep_the_error_they_are_allowed() {
+    let (state, _) = reached(&ByDuals, &RungeKutta::TSIT5, 10.0, 20_000);
+    let mut before = f64::INFINITY;
+    for rtol in [1e-3, 1e-5, 1e-7, 1e-9] {
+        let (found, _) = reached(&ByDuals, &Adaptive { rtol, atol: rtol, most: 10_000 }, 10.0, 1);
+        let error = distance(&found, &state);
+        // Errors of steps add up along the way.
+        assert!(error < 100.0 * rtol && error < before, "rtol {rtol:e}: {error:e}");
+        before = error;
+    }
+}
+
+#[test]
+fn adaptive_steps_that_do_not_arrive_are_no_number() {
+    let (found, _) = reached(&ByDuals, &Adaptive { rtol: 1e-9, atol: 1e-9, most: 3 }, 10.0, 1);
+    assert!(found.iter().all(|x| x.is_nan()), "{found:?}");
+}
+
+/// `x' = rate (u - x)`, and a square that may have no solution.
+#[derive(Clone, Debug)]
+struct Stiff {
+    rate: f64,
+    square: f64,
+}
+
+impl Ode for Stiff {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
+        rate[0] = (u[0] - x[0]) * T::lift(self.rate) + x[0] * x[0] * T::lift(self.square);
+    }
+}
+
+#[test]
+fn the_implicit_midpoint_rule_is_stable_where_explicit_ones_are_not() {
+    let ode = Stiff { rate: 1e4, square: 0.0 };
+    let (found, _) = reached(&ode, &ImplicitMidpoint::default(), 10.0, 100);
+    assert!(found[0].abs() < 2.0, "{found:?}");
+    let (found, _) = reached(&ode, &RungeKutta::RK4, 10.0, 100);
+    assert!(!(found[0].abs() < 1e100), "{found:?}");
+}
+
+#[test]
+fn the_adjoint_of_the_midpoint_rule_does_not_depend_on_the_tolerance_of_newton() {
+    let (_, tight) = reached(&cart_pole(), &ImplicitMidpoint { tolerance: 1e-14 }, 0.1, 1);
+    for tolerance in [1e-10, 1e-6, 1e-2] {
+        let (_, loose) = reached(&cart_pole(), &ImplicitMidpoint { tolerance }, 0.1, 1);
+        assert!(distance(&tight, &loose) < 1e-10, "{tolerance:e}: {:e}", distance(&tight, &loose));
+    }
+}
+
+#[test]
+fn a_step_that_newton_does_not_solve_is_no_number() {
+    // x' = x + h ((x + x') / 2)² has no real solution where h x > 1/2.
+    let system = integrated(Stiff { rate: 0.0, square: 1.0 }, ImplicitMidpoint::default(), 10.0);
+    let mut next = [0.0_f64];
+    system.step(&[1.0], &[0.0], &mut next);
+    assert!(next[0].is_nan(), "{next:?}");
+}
+
+/// Two stiff springs: the energy of a free system.
+#[derive(Clone, Debug)]
+struct Springs;
+
+impl Ode for Springs {
+    fn state_dim(&self) -> usize {
+        4
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn rate<T: Scalar>(&self, x: &[T], _u: &[T], rate: &mut [T]) {
+        (rate[0], rate[2]) = (x[1], x[3]);
+        rate[1] = (x[2] - x[0] - x[0]) * T::lift(3.0);
+        rate[3] = (x[0] - x[2] - x[2] * x[2] * x[2]) * T::lift(3.0);
+    }
+    fn velocity(&self, i: usize) -> Option<usize> {
+        (i % 2 == 0).then_some(i + 1)
+    }
+}
+
+#[test]
+fn symplectic_methods_keep_energy_without_a_trend() {
+    let energy = |x: &[f64]| {
+        let kinetic = 0.5 * (x[1] * x[1] + x[3] * x[3]);
+        kinetic + 3.0 * (x[0] * x[0] - x[0] * x[2] + 0.5 * x[2] * x[2] + 0.25 * x[2].powi(4))
+    };
+    /// The largest error of the energy in the first and in the last tenth of the way.
+    fn drift<I: Integrator>(integrator: I, energy: impl Fn(&[f64]) -> f64) -> [f64; 2] {
+        let system = integrated(Springs, integrator, 0.05);
+        let mut x = vec![0.5, 0.0, -0.7, 0.1];
+        let (start, steps) = (energy(&x), 100_000);
+        let mut worst = [0.0_f64; 2];
+        for t in 0..steps {
+            let mut next = vec![0.0; 4];
+            system.step(&x, &[0.0], &mut next);
+            x = next;
+            let error = (energy(&x) - start).abs();
+            let error = if error.is_nan() { f64::INFINITY } else { error };
+            if t < steps / 10 {
+                worst[0] = worst[0].max(error);
+            } else if t >= steps / 10 * 9 {
+                worst[1] = worst[1].max(error);
+            }
+        }
+        worst
+    }
+    for (name, [first, last]) in [
+        ("semi-implicit", drift(SemiImplicit, energy)),
+        ("Verlet", drift(Verlet, energy)),
+        ("midpoint", drift(ImplicitMidpoint::default(), energy)),
+    ] {
+        assert!(last < 1.2 * first, "{name}: {first:e}, then {last:e}");
+    }
+    let [first, last] = drift(RungeKutta::HEUN, energy);
+    assert!(last > 3.0 * first, "Heun's method drifts: {first:e}, then {last:e}");
+}
+
+#[test]
+fn nothing_but_the_field_of_effects_is_needed() {
+    // Contacts and dry friction are fields too.
+    let system = CartPoleSystem { poles: 1, ..CartPoleSystem::default() };
+    let rough = With { system, effects: (DryFriction::default(), Bumpers::default()) };
+    for (_, integrator, _) in FIXED {
+        check::system(&integrated(rough, integrator, 0.01));
+    }
+}
