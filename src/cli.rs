@@ -1,5 +1,6 @@
 //! The `physgrad` program.
 
+mod accuracy;
 mod allocations;
 mod animate;
 mod any_run;
@@ -55,6 +56,7 @@ enum Command {
     Scene(print::Scene),
     Schema(print::Schema),
     Explain(explain::Explain),
+    Accuracy(accuracy::Accuracy),
     Effects(effects::Effects),
 }
 
@@ -77,6 +79,7 @@ pub fn main() -> ExitCode {
 
 fn execute(command: &Command) -> Result<()> {
     match command {
+        Command::Accuracy(args) => accuracy::accuracy(args),
         Command::Train(args) => on_interrupt().and_then(|()| train::train(args)),
         Command::Compare(args) => on_interrupt().and_then(|()| compare::compare(args)),
         Command::Animate(args) => animate::animate(args),

@@ -16,7 +16,7 @@ pub use partitioned::{SemiImplicit, Verlet};
 pub use runge_kutta::RungeKutta;
 
 use crate::effect::Around;
-use crate::ode::Ode;
+use crate::ode::{Ode, RateOn, ReverseOn};
 use crate::rng::Rng;
 use crate::scalar::{Cotangent, Real, Scalar};
 use crate::system::System;
@@ -35,13 +35,13 @@ fn room<T: Copy>(value: T, len: usize) -> Room<T> {
 /// A way to go from one state to that of a time `h` later.
 pub trait Integrator: Clone + Debug + Send + Sync {
     /// Writes the state after the time `h`, s.
-    fn advance<O: Ode, T: Scalar>(&self, ode: &O, h: T, x: &[T], u: &[T], next: &mut [T]);
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]);
 
     /// The reverse of [`advance`](Integrator::advance) at the same `h`: overwrites `x_bar`, and adds to `u_bar` if it is asked
     /// for.
-    fn reverse<O: Ode, R: Real, C: Cotangent<R>>(
+    fn reverse<R: Real, C: Cotangent<R>>(
         &self,
-        ode: &O,
+        ode: &dyn ReverseOn<R, C>,
         h: R,
         x: &[R],
         u: &[R],

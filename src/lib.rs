@@ -104,7 +104,7 @@ pub use field::{Compose, Field, SignAgreement, UnknownField};
 pub use integrator::{
     Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, SemiImplicit, Verlet,
 };
-pub use ode::{Flowing, Ode};
+pub use ode::{Flowing, Ode, RateOn, ReverseOn};
 pub use optim::{Clip, Optimizer, Rule};
 pub use policy::{Policy, Weights};
 pub use rollout::Rollout;

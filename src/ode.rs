@@ -75,6 +75,48 @@ fn rate_vjp_by_duals<O: Ode + ?Sized, R: Real, C: Cotangent<R>>(
     });
 }
 
+/// A vector field on one kind of number, of which an integrator need not know which field it is: an integrator is compiled
+/// once for a kind of number, and not for every field. Every [`Ode`] is one.
+pub trait RateOn<T> {
+    /// As [`Ode::rate`].
+    fn rate(&self, x: &[T], u: &[T], rate: &mut [T]);
+    /// As [`Ode::velocity`].
+    fn velocity(&self, i: usize) -> Option<usize>;
+}
+
+/// A [`RateOn`] with its derivatives.
+pub trait ReverseOn<R, C>: RateOn<R> {
+    /// As [`Ode::rate_vjp`].
+    fn rate_vjp(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>);
+    /// Tells of `∂f/∂x_j`, for every j, exact by dual numbers.
+    fn jacobian(&self, x: &[R], u: &[R], visit: &mut dyn FnMut(usize, &[R]));
+}
+
+impl<O: Ode, T: Scalar> RateOn<T> for O {
+    #[inline(always)]
+    fn rate(&self, x: &[T], u: &[T], rate: &mut [T]) {
+        Ode::rate(self, x, u, rate);
+    }
+
+    #[inline(always)]
+    fn velocity(&self, i: usize) -> Option<usize> {
+        Ode::velocity(self, i)
+    }
+}
+
+impl<O: Ode, R: Real, C: Cotangent<R>> ReverseOn<R, C> for O {
+    #[inline(always)]
+    fn rate_vjp(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
+        Ode::rate_vjp(self, x, u, rate_bar, x_bar, u_bar);
+    }
+
+    fn jacobian(&self, x: &[R], u: &[R], visit: &mut dyn FnMut(usize, &[R])) {
+        let n = x.len();
+        let rate = |xu: &[_], rate: &mut [_]| Ode::rate(self, &xu[..n], &xu[n..], rate);
+        jacobian(&concat(x, u), 0..n, n, rate, visit);
+    }
+}
+
 /// A [`Host`] whose forces make a vector field: with its effects it is an [`Ode`].
 ///
 /// As [`Host`]: what is handed to it may be longer than its own state, by what effects need.

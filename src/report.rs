@@ -14,6 +14,7 @@ mod plane;
 mod quantum;
 mod raster;
 mod series;
+mod work_precision;
 
 pub use animation::{Animation, Shape};
 pub use cart_pole::{Rail, cart_pole, cart_pole_on};
@@ -25,3 +26,4 @@ pub use plane::{Map, Plane, maps};
 pub use quantum::{Landscape, quantum, quantum_in};
 pub use raster::Raster;
 pub use series::Series;
+pub use work_precision::{Work, work_precision};

@@ -56,6 +56,9 @@ impl<S: System> System for Substeps<S> {
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        if self.count == 1 {
+            return self.system.vjp(x, u, next_bar, x_bar, u_bar);
+        }
         let mut bar: SmallVec<[C; STACK / 2]> = SmallVec::from_slice(next_bar);
         let mut part: SmallVec<[C; 8]> = smallvec![C::null(); u.len()];
         u_bar.fill(C::null());
@@ -70,6 +73,9 @@ impl<S: System> System for Substeps<S> {
 
     #[inline(always)]
     fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
+        if self.count == 1 {
+            return self.system.vjp_state(x, u, next_bar, x_bar);
+        }
         let mut bar: SmallVec<[C; STACK / 2]> = SmallVec::from_slice(next_bar);
         for state in self.states(x, u).chunks_exact(x.len()).rev() {
             self.system.vjp_state(state, u, &bar, x_bar);

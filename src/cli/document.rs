@@ -15,6 +15,7 @@ use toml::{Table, Value};
 pub const OPTIONAL: [&str; 2] = ["effects", "actuator"];
 
 /// Settings of a file, and what the command line makes of them, before anything is known of the task.
+#[derive(Clone)]
 pub struct Document {
     /// What it is called in messages.
     name: String,
@@ -77,6 +78,11 @@ impl Document {
         self.origins.retain(|other, _| !other.strip_prefix(key).is_some_and(|rest| rest.starts_with(['.', '['])));
         self.origins.insert(key.to_owned(), option.to_owned());
         Ok(())
+    }
+
+    /// Takes a whole section away, if it is there.
+    pub fn without_section(&mut self, name: &str) {
+        self.table.remove(name);
     }
 
     /// Whether it has this effect or part of the actuator.

@@ -11,7 +11,7 @@ pub use schema::schema;
 
 use super::problem::Problem;
 use super::scene::Scene;
-use super::settings::Settings;
+use super::settings::{Method, Settings};
 use physgrad::report::Animation;
 use physgrad::{Policy, Task};
 use schemars::JsonSchema;
@@ -42,6 +42,8 @@ pub trait Kind: Clone + Debug + Send + Sync + 'static {
     const EPOCHS: usize;
     /// Default number of steps.
     const HORIZON: usize;
+    /// The methods that can take its steps, beside its own.
+    const METHODS: &'static [Method];
     /// Every effect, in the order of the section.
     const EFFECTS: &'static [Info];
 
@@ -94,6 +96,10 @@ pub trait AnyKind: Send + Sync {
     fn about(&self) -> &'static str;
     /// Every effect.
     fn effects(&self) -> &'static [Info];
+    /// The methods that can take its steps, beside its own.
+    fn methods(&self) -> &'static [Method];
+    /// A method of high order and steps in one of the policy, to compare others with.
+    fn reference(&self) -> (&'static str, usize);
     /// The default settings.
     fn defaults(&self) -> Table;
     /// These settings, in which nothing is missing but what has a default of its own, in full.
@@ -117,6 +123,17 @@ impl<K: Kind> AnyKind for K {
 
     fn effects(&self) -> &'static [Info] {
         K::EFFECTS
+    }
+
+    fn methods(&self) -> &'static [Method] {
+        K::METHODS
+    }
+
+    fn reference(&self) -> (&'static str, usize) {
+        match K::METHODS.contains(&Method::Tsit5) {
+            true => (Method::Tsit5.name(), 128),
+            false => ("own", 4096),
+        }
     }
 
     fn defaults(&self) -> Table {

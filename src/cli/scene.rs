@@ -1,5 +1,6 @@
 //! What is to be run, whatever the task: settings that have been read and can be used.
 
+use super::accuracy::{Job, Preparing};
 use super::any_run::{AnyRun, Open};
 use super::check::{Checking, Results};
 use super::document::OPTIONAL;
@@ -40,6 +41,8 @@ pub trait AnySettings: Send + Sync {
     fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>>;
     /// Checks the gradients of what they describe, called `variant` in the results.
     fn check(&self, variant: &str, results: &mut Results);
+    /// A rollout with its adjoints, to be compared with others.
+    fn prepare(&self) -> Job;
     /// Operations of a step of the physics and of its reverse.
     fn cost(&self) -> Cost;
     /// What a rollout of a few samples takes, with the adjoint of a field or for evaluation.
@@ -62,6 +65,10 @@ impl<K: Kind> AnySettings for Settings<K> {
 
     fn check(&self, variant: &str, results: &mut Results) {
         self.visit(Checking { variant, results });
+    }
+
+    fn prepare(&self) -> Job {
+        self.visit(Preparing { precision: self.precision, seed: self.seed })
     }
 
     fn cost(&self) -> Cost {
@@ -159,6 +166,7 @@ pub fn flat(table: &Table) -> Vec<(String, Value)> {
 mod tests {
     use super::*;
     use crate::cli::kind::{Info, MlpSettings, Network, Visit};
+    use crate::cli::settings::Method;
     use physgrad::report;
     use physgrad::tasks::{CartPole, CartPoleSystem};
     use schemars::JsonSchema;
@@ -199,6 +207,7 @@ mod tests {
         const ABOUT: &'static str = "a test";
         const EPOCHS: usize = 1;
         const HORIZON: usize = 2;
+        const METHODS: &'static [Method] = &[];
         const EFFECTS: &'static [Info] = &[];
 
         fn system() -> CartPoleSystem {

@@ -1,11 +1,13 @@
 //! Everything there is to set of a run, by name and type.
 
 mod actuator;
+mod integrator;
 mod memory;
 mod names;
 mod training;
 
 pub use actuator::{ACTUATORS, ActuatorSettings};
+pub use integrator::{IntegratorSettings, Method};
 pub use names::{ClipName, FieldName, OptimizerName, Precision};
 pub use training::TrainingSettings;
 
@@ -53,6 +55,9 @@ pub struct Settings<K: Kind> {
     /// What stands between the policy and the physics: what is not here is absent.
     #[serde(default)]
     pub actuator: ActuatorSettings,
+    /// How the steps of the physics are taken.
+    #[serde(default)]
+    pub integrator: IntegratorSettings,
     /// What is paid for.
     pub loss: K::Loss,
     /// The network that is trained.
@@ -76,6 +81,7 @@ impl<K: Kind> Settings<K> {
             system: K::system(),
             effects: K::Effects::default(),
             actuator: ActuatorSettings::default(),
+            integrator: IntegratorSettings::default(),
             loss: K::Loss::default(),
             policy: K::Network::default(),
             training: TrainingSettings::default(),
@@ -85,7 +91,7 @@ impl<K: Kind> Settings<K> {
     /// As a table, without the sections of what is absent.
     pub fn table(&self) -> Table {
         let mut table = Table::try_from(self).expect("settings are plain tables");
-        for section in OPTIONAL {
+        for section in OPTIONAL.into_iter().chain(["integrator"]) {
             if table.get(section).and_then(Value::as_table).is_some_and(Table::is_empty) {
                 table.remove(section);
             }
@@ -108,6 +114,7 @@ impl<K: Kind> Settings<K> {
         self.training.validate()?;
         self.policy.validate()?;
         self.actuator.validate()?;
+        self.integrator.validate(self.precision, K::METHODS)?;
         K::validate(self)?;
         let TrainingSettings { batch, train_samples, test_samples, .. } = self.training;
         let samples = batch.min(train_samples);

@@ -1,7 +1,7 @@
 //! Tsitouras' method with control of its error.
 
 use super::{Integrator, Room, RungeKutta, room};
-use crate::ode::Ode;
+use crate::ode::{RateOn, ReverseOn};
 use crate::scalar::{Cotangent, Float, Real, Scalar};
 
 /// Tsitouras 5(4) (doi:10.1016/j.camwa.2011.06.002) with steps of its own choice within each step: as many as its estimate
@@ -46,7 +46,7 @@ const ERROR: [f64; 7] = [
 impl Adaptive {
     /// Goes through the attempts: tells of the state before each and of the time by which it went on, 0 if it was rejected.
     #[inline(always)]
-    fn attempts<O: Ode, T: Scalar>(&self, ode: &O, h: T, x: &[T], u: &[T], next: &mut [T], mut tell: impl FnMut(&[T], T)) {
+    fn attempts<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T], mut tell: impl FnMut(&[T], T)) {
         let (n, tableau, one) = (x.len(), RungeKutta::TSIT5, T::one());
         let (mut at, mut rates) = tableau.room(n);
         let (mut candidate, mut last) = (room(T::zero(), n), room(T::zero(), n));
@@ -97,14 +97,14 @@ impl Adaptive {
 
 impl Integrator for Adaptive {
     #[inline(always)]
-    fn advance<O: Ode, T: Scalar>(&self, ode: &O, h: T, x: &[T], u: &[T], next: &mut [T]) {
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
         self.attempts(ode, h, x, u, next, |_, _| {});
     }
 
     #[inline(always)]
-    fn reverse<O: Ode, R: Real, C: Cotangent<R>>(
+    fn reverse<R: Real, C: Cotangent<R>>(
         &self,
-        ode: &O,
+        ode: &dyn ReverseOn<R, C>,
         h: R,
         x: &[R],
         u: &[R],

@@ -4,7 +4,7 @@ use super::{Adaptive, ImplicitMidpoint, Integrator, RungeKutta, SemiImplicit, Ve
 use crate::apart::apart;
 use crate::effect::Around;
 use crate::kernels::Vectorized;
-use crate::ode::Ode;
+use crate::ode::{Ode, RateOn, ReverseOn};
 use crate::rng::Rng;
 use crate::scalar::{Cotangent, Real, Scalar};
 use crate::system::System;
@@ -24,8 +24,7 @@ pub enum AnyIntegrator {
     ImplicitMidpoint(ImplicitMidpoint),
 }
 
-/// The vector field, compiled apart from the integrators: all of them call it, and with it inlined everywhere they would
-/// take minutes to compile.
+/// The vector field, compiled apart from the integrators, and they from it.
 struct Apart<'a, O>(&'a O);
 
 struct Rate<'a, O, T> {
@@ -83,23 +82,58 @@ impl<O: Ode> Ode for Apart<'_, O> {
     }
 }
 
+/// A step of one method, compiled apart as well: every loop over samples would hold all of them otherwise.
+struct Advance<'a, I, T> {
+    method: &'a I,
+    ode: &'a dyn RateOn<T>,
+    h: T,
+    x: &'a [T],
+    u: &'a [T],
+    next: &'a mut [T],
+}
+
+impl<I: Integrator, T: Scalar> Vectorized for Advance<'_, I, T> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        self.method.advance(self.ode, self.h, self.x, self.u, self.next);
+    }
+}
+
+struct Reverse<'a, I, R, C> {
+    method: &'a I,
+    ode: &'a dyn ReverseOn<R, C>,
+    h: R,
+    x: &'a [R],
+    u: &'a [R],
+    next_bar: &'a [C],
+    x_bar: &'a mut [C],
+    u_bar: Option<&'a mut [C]>,
+}
+
+impl<I: Integrator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, I, R, C> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { method, ode, h, x, u, next_bar, x_bar, u_bar } = self;
+        method.reverse(ode, h, x, u, next_bar, x_bar, u_bar);
+    }
+}
+
 impl Integrator for AnyIntegrator {
     #[inline(always)]
-    fn advance<O: Ode, T: Scalar>(&self, ode: &O, h: T, x: &[T], u: &[T], next: &mut [T]) {
-        let ode = &Apart(ode);
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
         match self {
-            Self::RungeKutta(method) => method.advance(ode, h, x, u, next),
-            Self::SemiImplicit(method) => method.advance(ode, h, x, u, next),
-            Self::Verlet(method) => method.advance(ode, h, x, u, next),
-            Self::Adaptive(method) => method.advance(ode, h, x, u, next),
-            Self::ImplicitMidpoint(method) => method.advance(ode, h, x, u, next),
+            Self::RungeKutta(method) => apart::<T>(Advance { method, ode, h, x, u, next }),
+            Self::SemiImplicit(method) => apart::<T>(Advance { method, ode, h, x, u, next }),
+            Self::Verlet(method) => apart::<T>(Advance { method, ode, h, x, u, next }),
+            Self::Adaptive(method) => apart::<T>(Advance { method, ode, h, x, u, next }),
+            Self::ImplicitMidpoint(method) => apart::<T>(Advance { method, ode, h, x, u, next }),
         }
     }
 
     #[inline(always)]
-    fn reverse<O: Ode, R: Real, C: Cotangent<R>>(
+    fn reverse<R: Real, C: Cotangent<R>>(
         &self,
-        ode: &O,
+        ode: &dyn ReverseOn<R, C>,
         h: R,
         x: &[R],
         u: &[R],
@@ -107,13 +141,12 @@ impl Integrator for AnyIntegrator {
         x_bar: &mut [C],
         u_bar: Option<&mut [C]>,
     ) {
-        let ode = &Apart(ode);
         match self {
-            Self::RungeKutta(method) => method.reverse(ode, h, x, u, next_bar, x_bar, u_bar),
-            Self::SemiImplicit(method) => method.reverse(ode, h, x, u, next_bar, x_bar, u_bar),
-            Self::Verlet(method) => method.reverse(ode, h, x, u, next_bar, x_bar, u_bar),
-            Self::Adaptive(method) => method.reverse(ode, h, x, u, next_bar, x_bar, u_bar),
-            Self::ImplicitMidpoint(method) => method.reverse(ode, h, x, u, next_bar, x_bar, u_bar),
+            Self::RungeKutta(method) => apart::<R>(Reverse { method, ode, h, x, u, next_bar, x_bar, u_bar }),
+            Self::SemiImplicit(method) => apart::<R>(Reverse { method, ode, h, x, u, next_bar, x_bar, u_bar }),
+            Self::Verlet(method) => apart::<R>(Reverse { method, ode, h, x, u, next_bar, x_bar, u_bar }),
+            Self::Adaptive(method) => apart::<R>(Reverse { method, ode, h, x, u, next_bar, x_bar, u_bar }),
+            Self::ImplicitMidpoint(method) => apart::<R>(Reverse { method, ode, h, x, u, next_bar, x_bar, u_bar }),
         }
     }
 }
@@ -142,7 +175,7 @@ impl<S: System + Ode> System for Discretized<S> {
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
         match &self.integrator {
             None => self.system.step(x, u, next),
-            Some(integrator) => integrator.advance(&self.system, T::lift(self.dt), x, u, next),
+            Some(integrator) => integrator.advance(&Apart(&self.system), T::lift(self.dt), x, u, next),
         }
     }
 
@@ -152,7 +185,7 @@ impl<S: System + Ode> System for Discretized<S> {
             None => self.system.vjp(x, u, next_bar, x_bar, u_bar),
             Some(integrator) => {
                 u_bar.fill(C::null());
-                integrator.reverse(&self.system, R::lift(self.dt), x, u, next_bar, x_bar, Some(u_bar));
+                integrator.reverse(&Apart(&self.system), R::lift(self.dt), x, u, next_bar, x_bar, Some(u_bar));
             }
         }
     }
@@ -161,7 +194,7 @@ impl<S: System + Ode> System for Discretized<S> {
     fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
         match &self.integrator {
             None => self.system.vjp_state(x, u, next_bar, x_bar),
-            Some(integrator) => integrator.reverse(&self.system, R::lift(self.dt), x, u, next_bar, x_bar, None),
+            Some(integrator) => integrator.reverse(&Apart(&self.system), R::lift(self.dt), x, u, next_bar, x_bar, None),
         }
     }
 

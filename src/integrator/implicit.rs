@@ -1,8 +1,7 @@
 //! The implicit midpoint rule.
 
 use super::{Integrator, Room, room};
-use crate::forward_mode::jacobian;
-use crate::ode::Ode;
+use crate::ode::{RateOn, ReverseOn};
 use crate::scalar::{Cotangent, Float, Real, Scalar};
 
 /// The implicit midpoint rule, `x' = x + h f((x + x')/2, u)`: order 2, symplectic, and stable however stiff the field is.
@@ -37,7 +36,7 @@ const MOST: usize = 30;
 impl ImplicitMidpoint {
     /// `h/2 ∂f/∂x` by central differences, as constants: Newton's iteration converges to the same with any good Jacobian.
     #[inline(always)]
-    fn differences<O: Ode, T: Scalar>(ode: &O, h: T, x: &[T], u: &[T]) -> Room<T> {
+    fn differences<T: Scalar>(ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T]) -> Room<T> {
         let n = x.len();
         let (mut at, mut before, mut after) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
         let mut matrix = room(T::zero(), n * n);
@@ -60,7 +59,7 @@ impl ImplicitMidpoint {
 
     /// Solves for the next state, to this tolerance.
     #[inline(always)]
-    fn solve<O: Ode, T: Scalar>(tolerance: f64, ode: &O, h: T, x: &[T], u: &[T], next: &mut [T]) {
+    fn solve<T: Scalar>(tolerance: f64, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
         let n = x.len();
         let (mut middle, mut rate, mut residual) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
         let half = T::lift(0.5);
@@ -147,14 +146,14 @@ fn inverse_of_one_minus<T: Scalar>(mut matrix: Room<T>, n: usize) -> Room<T> {
 
 impl Integrator for ImplicitMidpoint {
     #[inline(always)]
-    fn advance<O: Ode, T: Scalar>(&self, ode: &O, h: T, x: &[T], u: &[T], next: &mut [T]) {
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
         Self::solve(self.tolerance, ode, h, x, u, next);
     }
 
     #[inline(always)]
-    fn reverse<O: Ode, R: Real, C: Cotangent<R>>(
+    fn reverse<R: Real, C: Cotangent<R>>(
         &self,
-        ode: &O,
+        ode: &dyn ReverseOn<R, C>,
         h: R,
         x: &[R],
         u: &[R],
@@ -169,9 +168,7 @@ impl Integrator for ImplicitMidpoint {
             middle[i] = (x[i] + middle[i]) * R::lift(0.5);
         }
         let mut matrix = room(R::zero(), n * n);
-        let rate = |xu: &[_], rate: &mut [_]| ode.rate(&xu[..n], &xu[n..], rate);
-        let inputs: Room<R> = middle.iter().chain(u).copied().collect();
-        jacobian(&inputs, 0..n, n, rate, |j, column: &[R]| {
+        ode.jacobian(&middle, u, &mut |j, column: &[R]| {
             for i in 0..n {
                 matrix[i * n + j] = column[i] * h * R::lift(0.5);
             }

@@ -3,7 +3,7 @@
 //! A position is a component that has an [`Ode::velocity`]; every other component is treated as velocities are.
 
 use super::{Integrator, room};
-use crate::ode::Ode;
+use crate::ode::{RateOn, ReverseOn};
 use crate::scalar::{Cotangent, Real, Scalar};
 
 /// Semi-implicit (symplectic) Euler: `v' = v + h a(x, v)`, then `q' = q + h v'`. Order 1, one evaluation of the field.
@@ -15,7 +15,7 @@ pub struct SemiImplicit;
 
 impl Integrator for SemiImplicit {
     #[inline(always)]
-    fn advance<O: Ode, T: Scalar>(&self, ode: &O, h: T, x: &[T], u: &[T], next: &mut [T]) {
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
         let mut rate = room(T::zero(), x.len());
         ode.rate(x, u, &mut rate);
         for i in 0..x.len() {
@@ -31,9 +31,9 @@ impl Integrator for SemiImplicit {
     }
 
     #[inline(always)]
-    fn reverse<O: Ode, R: Real, C: Cotangent<R>>(
+    fn reverse<R: Real, C: Cotangent<R>>(
         &self,
-        ode: &O,
+        ode: &dyn ReverseOn<R, C>,
         h: R,
         x: &[R],
         u: &[R],
@@ -72,7 +72,7 @@ pub struct Verlet;
 impl Verlet {
     /// Where the second evaluation is, from the first: the new positions, and velocities as guessed.
     #[inline(always)]
-    fn guess<O: Ode, T: Scalar>(ode: &O, h: T, x: &[T], rate: &[T], guess: &mut [T]) {
+    fn guess<T: Scalar>(ode: &dyn RateOn<T>, h: T, x: &[T], rate: &[T], guess: &mut [T]) {
         let half_square = h * h * T::lift(0.5);
         for i in 0..x.len() {
             guess[i] = match ode.velocity(i) {
@@ -85,7 +85,7 @@ impl Verlet {
 
 impl Integrator for Verlet {
     #[inline(always)]
-    fn advance<O: Ode, T: Scalar>(&self, ode: &O, h: T, x: &[T], u: &[T], next: &mut [T]) {
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
         let (mut first, mut second) = (room(T::zero(), x.len()), room(T::zero(), x.len()));
         ode.rate(x, u, &mut first);
         Self::guess(ode, h, x, &first, next);
@@ -99,9 +99,9 @@ impl Integrator for Verlet {
     }
 
     #[inline(always)]
-    fn reverse<O: Ode, R: Real, C: Cotangent<R>>(
+    fn reverse<R: Real, C: Cotangent<R>>(
         &self,
-        ode: &O,
+        ode: &dyn ReverseOn<R, C>,
         h: R,
         x: &[R],
         u: &[R],

@@ -1,7 +1,7 @@
 //! Explicit methods of Runge and Kutta, and their reverse, once for all of them.
 
 use super::{Integrator, Room, room};
-use crate::ode::Ode;
+use crate::ode::{RateOn, ReverseOn};
 use crate::scalar::{Cotangent, Real, Scalar};
 
 /// The most stages there are.
@@ -77,7 +77,7 @@ impl RungeKutta {
 
     /// Writes where each stage evaluates the field, and what it finds there.
     #[inline(always)]
-    pub(super) fn run<O: Ode, T: Scalar>(&self, ode: &O, h: T, x: &[T], u: &[T], at: &mut [T], rates: &mut [T]) {
+    pub(super) fn run<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], at: &mut [T], rates: &mut [T]) {
         let n = x.len();
         for i in 0..self.stages {
             let at = &mut at[i * n..(i + 1) * n];
@@ -124,7 +124,7 @@ pub(super) fn add_scaled<T: Scalar>(y: &mut [T], factor: T, x: &[T]) {
 
 impl Integrator for RungeKutta {
     #[inline(always)]
-    fn advance<O: Ode, T: Scalar>(&self, ode: &O, h: T, x: &[T], u: &[T], next: &mut [T]) {
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
         let (mut at, mut rates) = self.room(x.len());
         self.run(ode, h, x, u, &mut at, &mut rates);
         next.copy_from_slice(x);
@@ -132,9 +132,9 @@ impl Integrator for RungeKutta {
     }
 
     #[inline(always)]
-    fn reverse<O: Ode, R: Real, C: Cotangent<R>>(
+    fn reverse<R: Real, C: Cotangent<R>>(
         &self,
-        ode: &O,
+        ode: &dyn ReverseOn<R, C>,
         h: R,
         x: &[R],
         u: &[R],

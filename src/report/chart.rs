@@ -108,7 +108,7 @@ impl Chart {
         if let Axis::Log(axis) = &self.y {
             layout = layout.with_log_y().with_y_tick_format(axis.tick_format());
         }
-        Drawing::of(render_multiple(marks(&self.series, unit), layout))
+        Drawing::of(render_multiple(marks(&self.series, [1.0, unit]), layout))
     }
 }
 

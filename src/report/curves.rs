@@ -48,7 +48,7 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
     let series =
         |label, color, points: &[(f64, f64)]| Series::new(label, color, thinned(cleaned(points.iter().copied(), drawable)));
     let series = vec![series("train", "#0072B2", train), series("test", "#D55E00", test)];
-    let panel = Panel { title: String::new(), x_label: "epoch", y_label: "loss".into(), y_axis: 0, series };
+    let panel = Panel { title: String::new(), x_label: "epoch", log_x: false, y_label: "loss".into(), y_axis: 0, series };
     log_figure(title, &[vec![panel]])
 }
 
@@ -64,7 +64,7 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
 pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
     let panel = |x_label, x: fn(&Point) -> f64| {
         let series = curves.iter().map(|c| c.summary(x)).collect();
-        Panel { title: String::new(), x_label, y_label: "test loss".into(), y_axis: 0, series }
+        Panel { title: String::new(), x_label, log_x: false, y_label: "test loss".into(), y_axis: 0, series }
     };
     log_figure(title, &[vec![panel("epoch", |p| p.epoch), panel("wall time (s)", |p| p.seconds)]])
 }
@@ -86,6 +86,7 @@ pub fn study(title: &str, rows: &[Vec<Case>]) -> Drawing {
     let panel = |case: &Case| Panel {
         title: case.title.clone(),
         x_label: "epoch",
+        log_x: false,
         y_label: case.y_label.clone(),
         y_axis: case.y_axis,
         series: case.curves.iter().map(|c| c.summary(|p| p.epoch)).collect(),

@@ -21,7 +21,7 @@ impl LogAxis {
 
     /// The axis around the values, rounded outward to one digit. It spans at least a factor of about two, so that it has
     /// a tick or two, which are at 1, 2 and 5 times the powers of ten.
-    fn around(values: impl Iterator<Item = f64>) -> Self {
+    pub fn around(values: impl Iterator<Item = f64>) -> Self {
         let (min, max) = values.fold((f64::INFINITY, 0.0), |(min, max), y| (y.min(min), y.max(max)));
         let (min, max) = if max > 0.0 { (min, max) } else { (0.1, 1.0) };
         let exponent = min.log10().floor() as i32;

@@ -12,12 +12,27 @@ pub struct Panel {
     pub title: String,
     /// Name of the x axis.
     pub x_label: &'static str,
+    /// Whether the x axis is logarithmic too; every x must be positive then.
+    pub log_x: bool,
     /// Name of the y axis.
     pub y_label: String,
     /// Panels with the same number share the range of their y axes.
     pub y_axis: usize,
     /// The lines of the panel; one with the same label in another panel shares its legend entry.
     pub series: Vec<Series>,
+}
+
+impl Panel {
+    /// A logarithmic x axis.
+    fn x_axis(&self) -> Option<LogAxis> {
+        let xs = self.series.iter().flat_map(|s| &s.line).map(|&(x, _)| x);
+        self.log_x.then(|| LogAxis::around(xs))
+    }
+
+    /// One unit of the x axis.
+    pub fn x_unit(&self) -> f64 {
+        self.x_axis().map_or(1.0, |axis| axis.unit())
+    }
 }
 
 /// Plotted area of a panel in a figure of one or two, and of many.
@@ -54,7 +69,7 @@ pub fn log_figure(title: &str, rows: &[Vec<Panel>]) -> Drawing {
         .with_padding(12.0)
         .with_spacing(8.0)
         .with_layouts(layouts.collect())
-        .with_plots(panels().map(|panel| marks(&panel.series, axes[panel.y_axis].unit())).collect())
+        .with_plots(panels().map(|panel| marks(&panel.series, [panel.x_unit(), axes[panel.y_axis].unit()])).collect())
         .with_shared_legend_right_top()
         .with_shared_legend_entries(legend(panels()));
     // A panel is wider by what it shows of its y axis, so that the plotted areas come out equally wide.
@@ -93,10 +108,16 @@ pub struct Shows {
 
 /// The axes of one panel.
 pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
-    let [x_min, x_max] = x_range(&panel.series);
-    // A dot needs room, which a line that starts at the axis does not.
-    let room = if panel.series.iter().any(|s| s.line.len() == 1) { 0.04 * (x_max - x_min) } else { 0.0 };
-    let (x_min, x_max) = (x_min - room, x_max + room);
+    let x_axis = panel.x_axis();
+    let (x_min, x_max) = match &x_axis {
+        Some(axis) => (axis.low, axis.high),
+        None => {
+            let [x_min, x_max] = x_range(&panel.series);
+            // A dot needs room, which a line that starts at the axis does not.
+            let room = if panel.series.iter().any(|s| s.line.len() == 1) { 0.04 * (x_max - x_min) } else { 0.0 };
+            (x_min - room, x_max + room)
+        }
+    };
     let mut layout = Layout::new((x_min, x_max), (axis.low, axis.high))
         .with_log_y()
         .with_x_axis_min(x_min)
@@ -108,6 +129,9 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
         .with_label_size(13)
         .with_title_size(14)
         .with_theme(theme());
+    if let Some(axis) = &x_axis {
+        layout = layout.with_log_x().with_x_tick_format(axis.tick_format());
+    }
     if !panel.title.is_empty() {
         layout = layout.with_title(&*panel.title);
     }

@@ -3,20 +3,20 @@
 use super::Series;
 use kuva::prelude::*;
 
-/// The marks of these series, their y in units of `unit`: all the bands below all the lines.
-pub fn marks(series: &[Series], unit: f64) -> Vec<Plot> {
+/// The marks of these series, their x and y in these units: all the bands below all the lines.
+pub fn marks(series: &[Series], unit: [f64; 2]) -> Vec<Plot> {
     let bands = series.iter().filter(|s| !s.band.is_empty()).map(|s| band(s, unit));
     bands.chain(series.iter().map(|s| line(s, unit))).collect()
 }
 
-fn band(series: &Series, unit: f64) -> Plot {
-    let x = series.line.iter().map(|&(x, _)| x);
-    let (low, high) = (series.band.iter().map(|b| b.0 / unit), series.band.iter().map(|b| b.1 / unit));
+fn band(series: &Series, unit: [f64; 2]) -> Plot {
+    let x = series.line.iter().map(|&(x, _)| x / unit[0]);
+    let (low, high) = (series.band.iter().map(|b| b.0 / unit[1]), series.band.iter().map(|b| b.1 / unit[1]));
     BandPlot::new(x, low, high).with_color(series.color).with_opacity(0.16).into()
 }
 
-fn line(series: &Series, unit: f64) -> Plot {
-    let points: Vec<(f64, f64)> = series.line.iter().map(|&(x, y)| (x, y / unit)).collect();
+fn line(series: &Series, unit: [f64; 2]) -> Plot {
+    let points: Vec<(f64, f64)> = series.line.iter().map(|&(x, y)| (x / unit[0], y / unit[1])).collect();
     if points.len() == 1 {
         return ScatterPlot::new().with_data(points).with_color(series.color).with_size(4.0).into();
     }

@@ -2,13 +2,13 @@
 
 use super::{Info, Kind, MlpSettings, Network, Visit};
 use crate::cli::problem::{Problem, count, exclusive, finite, not_negative, positive};
-use crate::cli::settings::Settings;
+use crate::cli::settings::{Method, Settings};
 use physgrad::report::{self, Animation, Rail};
 use physgrad::tasks::{
     self, Bumpers, CartDamping, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, LossMode, PoleDamping,
     SteadyWind,
 };
-use physgrad::{Around, Host, System, With};
+use physgrad::{Around, Flowing, Host, System, With};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -140,6 +140,11 @@ impl CartPoleSettings {
     }
 }
 
+/// The time step of the physics, of which there are several in one of the policy.
+fn system_dt(settings: &Settings<CartPole>) -> f64 {
+    settings.system.dt / settings.integrator.count() as f64
+}
+
 /// Hands over the task of swinging up the poles of this system.
 fn swing_up<S: Around<CartPoleSystem> + Clone + 'static, V: Visit>(
     system: S,
@@ -153,9 +158,10 @@ fn swing_up<S: Around<CartPoleSystem> + Clone + 'static, V: Visit>(
 /// Any combination of effects, walked as a list, behind any actuator.
 fn listed<H, V: Visit>(system: H, effects: Vec<CartPoleEffect>, settings: &Settings<CartPole>, visitor: V) -> V::Out
 where
-    H: Host<Body = CartPoleSystem> + Clone + 'static,
+    H: Flowing + Host<Body = CartPoleSystem> + Clone + 'static,
 {
-    let system = settings.actuator.around(With { system, effects }, settings.system.dt);
+    let system = settings.integrator.around(With { system, effects }, system_dt(settings), settings.precision);
+    let system = settings.actuator.around(system, settings.system.dt);
     swing_up(system, settings, visitor)
 }
 
@@ -169,6 +175,7 @@ impl Kind for CartPole {
     const ABOUT: &'static str = "swing up any number of poles on one cart";
     const EPOCHS: usize = 1000;
     const HORIZON: usize = 100;
+    const METHODS: &'static [Method] = &Method::ODE;
     const EFFECTS: &'static [Info] = &[
         Info { name: "pole_damping", equation: "τ_i = -damping ω_i", derivative: "by hand" },
         Info { name: "cart_damping", equation: "F = -damping ẋ", derivative: "by hand" },
@@ -207,10 +214,13 @@ impl Kind for CartPole {
     }
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
-        let (system, effects) = (settings.system.body(), settings.effects.list());
+        let effects = settings.effects.list();
+        let system = CartPoleSystem { dt: system_dt(settings), ..settings.system.body() };
         // The paper's system is a type of its own. Every type costs compile time.
         match settings.system.model {
-            Model::Uncoupled if effects.is_empty() && settings.actuator.is_empty() => swing_up(system, settings, visitor),
+            Model::Uncoupled if effects.is_empty() && settings.actuator.is_empty() && settings.integrator.is_empty() => {
+                swing_up(system, settings, visitor)
+            }
             Model::Uncoupled => listed(system, effects, settings, visitor),
             Model::Coupled => listed(CoupledCartPole(system), effects, settings, visitor),
         }

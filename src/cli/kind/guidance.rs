@@ -2,7 +2,7 @@
 
 use super::{Info, Kind, MlpSettings, Network, Visit};
 use crate::cli::problem::{Problem, allowed, count, finite, not_negative, positive};
-use crate::cli::settings::Settings;
+use crate::cli::settings::{Method, Settings};
 use physgrad::report::{self, Animation, Field};
 use physgrad::tasks::{self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles, Spread, Walls};
 use physgrad::{Around, System, With};
@@ -143,6 +143,7 @@ impl Kind for Guidance {
     const ABOUT: &'static str = "drivers herd evaders, who flee from them, to the origin";
     const EPOCHS: usize = 200;
     const HORIZON: usize = 60;
+    const METHODS: &'static [Method] = &Method::ODE;
 
     const EFFECTS: &'static [Info] = &[
         Info { name: "friction", equation: "a = -friction v", derivative: "by hand" },
@@ -178,14 +179,17 @@ impl Kind for Guidance {
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
         use GuidanceEffect as E;
-        let (system, effects) = (settings.system, settings.effects.list());
+        let (dt, effects) = (settings.system.dt / settings.integrator.count() as f64, settings.effects.list());
+        let system = GuidanceSystem { dt, ..settings.system };
         // The paper's combination is a type of its own.
         if settings.actuator.is_empty()
+            && settings.integrator.is_empty()
             && let [E::Friction(friction), E::Spread(spread), E::Evade(evade), E::Flock(flock)] = effects[..]
         {
             return herd(With { system, effects: (friction, spread, evade, flock) }, settings, visitor);
         }
-        herd(settings.actuator.around(With { system, effects }, settings.system.dt), settings, visitor)
+        let system = settings.integrator.around(With { system, effects }, dt, settings.precision);
+        herd(settings.actuator.around(system, settings.system.dt), settings, visitor)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {

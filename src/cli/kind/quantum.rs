@@ -2,14 +2,14 @@
 
 use super::{Info, Kind, Network, Visit};
 use crate::cli::problem::{Problem, allowed, count, exclusive, finite, not_negative, positive};
-use crate::cli::settings::Settings;
+use crate::cli::settings::{Method, Settings};
 use physgrad::policy::Conv;
 use physgrad::report::{self, Animation, Landscape};
 use physgrad::tasks::{
     self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode, QuantumEffect, QuantumSystem,
     Tabulated,
 };
-use physgrad::{Around, With};
+use physgrad::{Around, Substeps, With};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -171,6 +171,7 @@ impl Kind for Quantum {
     const ABOUT: &'static str = "bring a particle in a box into an eigenstate by tilting the floor";
     const EPOCHS: usize = 200;
     const HORIZON: usize = 128;
+    const METHODS: &'static [Method] = &[];
 
     const EFFECTS: &'static [Info] = &[
         Info { name: "harmonic", equation: "V = stiffness (ξ - center)²", derivative: "none is needed: it does not see ψ" },
@@ -216,12 +217,15 @@ impl Kind for Quantum {
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
         let (system, effects) = (settings.physics(), settings.effects.list(&settings.physics()));
-        if effects.is_empty() && settings.effects.absorbing_edges.is_none() && settings.actuator.is_empty() {
+        let plain = settings.effects.absorbing_edges.is_none() && settings.actuator.is_empty() && settings.integrator.is_empty();
+        if effects.is_empty() && plain {
             return reach(system, settings, visitor);
         }
         // Edges that reach nowhere multiply nothing: one type serves with and without them.
         let edges = settings.effects.absorbing_edges.unwrap_or(AbsorbingEdges { width: 0.0, strength: 0.0 });
-        let system = Absorbing::new(With { system, effects }, edges);
+        let count = settings.integrator.count();
+        let system = QuantumSystem { dt: system.dt / count as f64, ..system };
+        let system = Substeps { system: Absorbing::new(With { system, effects }, edges), count };
         reach(settings.actuator.around(system, settings.system.dt), settings, visitor)
     }
 

@@ -19,6 +19,14 @@ impl Precision {
             Self::F64 => "f64",
         }
     }
+
+    /// The least tolerance that an integrator can keep: some hundred roundings.
+    pub fn tolerance_floor(self) -> f64 {
+        match self {
+            Self::F32 => 100.0 * f64::from(f32::EPSILON),
+            Self::F64 => 100.0 * f64::EPSILON,
+        }
+    }
 }
 
 /// A [`Field`] by name or letter; written by name.

@@ -1,0 +1,216 @@
+//! `physgrad accuracy`: what accuracy costs in time.
+
+mod job;
+mod outputs;
+mod row;
+
+pub use job::{Job, Preparing};
+
+use super::changes::Changes;
+use super::document::Document;
+use super::folder::Folder;
+use super::presets;
+use super::scene::Scene;
+use super::settings::Precision;
+use super::terminal::say;
+use anyhow::{Context, Result, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use job::Found;
+use row::{Errors, Row, Setting};
+use std::path::PathBuf;
+use toml::Value;
+
+/// Simulate a scene by every integrator, step size and precision; tell errors of trajectory, loss and gradients, time,
+/// operations and memory.
+///
+/// The reference is a run in f64 by a method of high order with small steps, checked by halving them. The policy is the
+/// scene's before its first epoch, with no kernel zeroed; eight samples on one thread.
+#[derive(Debug, clap::Args)]
+pub struct Accuracy {
+    /// A task, a preset (see `physgrad scene`), or the path of a scene
+    pub scene: String,
+    #[command(flatten)]
+    pub changes: Changes,
+    /// Name the cheapest setting with at most this error, and the lines to put in the scene
+    #[arg(long, value_name = "ERROR")]
+    pub target: Option<f64>,
+    /// The error that --target is about
+    #[arg(long, value_enum, default_value_t = Of::Trajectory)]
+    pub of: Of,
+    /// Folder for the results [default: a new one in `runs`]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print nothing but the results
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// An error that can be asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Of {
+    /// Of the states
+    Trajectory,
+    /// Of the loss
+    Loss,
+    /// Of the gradient of R
+    R,
+    /// Of the gradient of M
+    M,
+}
+
+impl Of {
+    fn read(self, errors: &Errors) -> f64 {
+        match self {
+            Self::Trajectory => errors.trajectory,
+            Self::Loss => errors.loss,
+            Self::R => errors.gradients[0],
+            Self::M => errors.gradients[1],
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Trajectory => "trajectory",
+            Self::Loss => "loss",
+            Self::R => "gradient of R",
+            Self::M => "gradient of M",
+        }
+    }
+}
+
+/// Steps of the physics in one of the policy.
+const SUBSTEPS: [usize; 5] = [1, 2, 4, 8, 16];
+/// Rounds of timing, and seconds in each for a setting, forward and with gradients.
+const ROUNDS: usize = 5;
+const LEAST: f64 = 0.003;
+
+/// Runs the command.
+pub fn accuracy(args: &Accuracy) -> Result<()> {
+    if let Some(target) = args.target
+        && !(target > 0.0)
+    {
+        bail!("--target {target}: an error to reach is more than 0, for example 1e-3");
+    }
+    let mut document = presets::document(&args.scene)?;
+    args.changes.apply(&mut document)?;
+    let given = document.scene()?;
+    if given.table.get("policy").is_some_and(|policy| policy.get("zero_last").is_some()) {
+        document.put("policy.zero_last", Value::Boolean(false), "accuracy")?;
+    }
+    let study = Study { document, scene: given };
+    let (reference, check) = study.reference()?;
+    let settings = study.settings();
+    let bar = ProgressBar::new((settings.len() * (1 + ROUNDS)) as u64);
+    if args.quiet {
+        bar.set_draw_target(indicatif::ProgressDrawTarget::hidden());
+    }
+    bar.set_style(ProgressStyle::with_template("{bar:30} {msg}  {elapsed} gone, {eta} left").expect("a fixed template"));
+    if !args.quiet && bar.is_hidden() {
+        eprintln!("{} settings, {ROUNDS} rounds of timing", settings.len());
+    }
+    let mut jobs = Vec::new();
+    for setting in &settings {
+        bar.set_message(setting.name());
+        jobs.push(study.job(setting)?);
+        bar.inc(1);
+    }
+    // Round after round, so that what else the machine does falls on all of them.
+    let mut times = vec![Vec::new(); jobs.len()];
+    for round in 0..ROUNDS {
+        for (job, times) in jobs.iter_mut().zip(&mut times) {
+            if job.found.is_ok() {
+                times.push(job.time(LEAST));
+            }
+            bar.inc(1);
+        }
+        bar.set_message(format!("round {} of {ROUNDS}", round + 1));
+    }
+    bar.finish_and_clear();
+    let rows: Vec<Row> = settings
+        .into_iter()
+        .zip(&jobs)
+        .zip(&times)
+        .map(|((setting, job), times)| Row::new(setting, job, &reference, times))
+        .collect();
+    let name = presets::short_name(&args.scene);
+    let folder = args.out.as_deref().map_or_else(|| Folder::fresh(&format!("accuracy_{name}")), Folder::create)?;
+    outputs::write(&folder, &name, &check, &rows)?;
+    say(&outputs::summary(&rows, &check));
+    say(&format!("results in {}: accuracy.csv, accuracy.svg, accuracy.md", folder.path().display()));
+    args.target.map_or(Ok(()), |target| name_cheapest(&rows, args.of, target))
+}
+
+/// A scene whose integrator and precision are varied.
+struct Study {
+    document: Document,
+    scene: Scene,
+}
+
+impl Study {
+    fn job(&self, setting: &Setting) -> Result<Job> {
+        let mut document = self.document.clone();
+        document.without_section("integrator");
+        document.put("precision", Value::String(setting.precision.name().into()), "accuracy")?;
+        document.put("integrator.substeps", Value::Integer(setting.substeps as i64), "accuracy")?;
+        if setting.method != "own" {
+            document.put("integrator.method", Value::String(setting.method.into()), "accuracy")?;
+        }
+        Ok(document.scene()?.prepare())
+    }
+
+    /// What is right, to the difference from half as many steps, which is told of too.
+    fn reference(&self) -> Result<(Found, Errors)> {
+        let (method, substeps) = self.scene.kind.reference();
+        let run = |substeps| {
+            let setting = Setting { method, substeps, precision: Precision::F64 };
+            let found = self.job(&setting)?.found;
+            found.map_err(anyhow::Error::msg).with_context(|| {
+                format!("the reference ({}) diverged: this scene has no finite trajectory to compare with", setting.name())
+            })
+        };
+        let (coarse, fine) = (run(substeps / 2)?, run(substeps)?);
+        let check = Errors::of(&coarse, &fine);
+        Ok((fine, check))
+    }
+
+    fn settings(&self) -> Vec<Setting> {
+        let methods = ["own"].into_iter().chain(self.scene.kind.methods().iter().map(|method| method.name()));
+        let each = methods.flat_map(|method| {
+            // What chooses its own steps needs no others.
+            let counts = if method == "adaptive" { &SUBSTEPS[..1] } else { &SUBSTEPS };
+            counts.iter().map(move |&substeps| (method, substeps))
+        });
+        each.flat_map(|(method, substeps)| {
+            [Precision::F32, Precision::F64].map(|precision| Setting { method, substeps, precision })
+        })
+        .collect()
+    }
+}
+
+/// The cheapest setting that reaches the target, or an error that says what was the best.
+fn name_cheapest(rows: &[Row], of: Of, target: f64) -> Result<()> {
+    let finite = || rows.iter().filter_map(|row| Some((row, of.read(row.errors.as_ref().ok()?))));
+    let time = |row: &Row| row.seconds[usize::from(matches!(of, Of::R | Of::M))][1];
+    let cheapest = finite().filter(|(_, error)| *error <= target).min_by(|a, b| time(a.0).total_cmp(&time(b.0)));
+    if let Some((row, error)) = cheapest {
+        say(&format!(
+            "\nthe cheapest with an error of the {} of at most {target:e} is {}, with {error:.1e} and {:.3} us a step of a sample:\n\n{}",
+            of.name(),
+            row.setting.name(),
+            time(row) * 1e6,
+            row.setting.lines()
+        ));
+        return Ok(());
+    }
+    let best = finite().min_by(|a, b| a.1.total_cmp(&b.1));
+    let Some((row, error)) = best else { bail!("--target {target:e}: every setting diverged") };
+    let why = match row.setting.precision {
+        Precision::F32 => "rounding in f32 is in the way",
+        Precision::F64 => "take smaller steps than those tried here, or a larger target",
+    };
+    bail!(
+        "--target {target:e}: no setting has so small an error of the {}; the best is {}, with {error:.1e}: {why}",
+        of.name(),
+        row.setting.name()
+    )
+}
