@@ -6,16 +6,18 @@
 //!     λ ← λ + ∂l/∂x(x_{t+1}, u_t)
 //!     h_t ← (∂S/∂u)ᵀ λ + ∂l/∂u(x_{t+1}, u_t)
 //!     λ ← physics·(∂S/∂x)ᵀ λ + control·(∂N/∂x)ᵀ h_t
-//! g ← Σ_t (∂N/∂θ)ᵀ h_t                                 after the loop, in large products
+//! g ← Σ_t (∂N/∂θ)ᵀ h_t                                 in large products, a fixed number of steps at a time
 //! ```
 
+mod policy;
 mod recursion;
 
 use crate::divergence::Divergence;
-use crate::policy::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Weights};
+use crate::policy::{Policy, PolicyPass, PolicyRecord, Weights};
 use crate::rollout::Rollout;
 use crate::scalar::Float;
 use crate::task::Task;
+use policy::{PolicyAdjoint, PolicyRoom, nested_bytes};
 use recursion::Recursion;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -71,22 +73,6 @@ enum Carried<F: Float> {
     Two([Flow; 2], Recursion<F, 2>),
 }
 
-/// The policy's side of the reverse pass.
-#[derive(Debug)]
-struct PolicyAdjoint<F> {
-    /// Control cotangents `h`, per flow, as the policy's columns.
-    controls_bar: Vec<Vec<F>>,
-    /// What the policy's backward pass keeps: per flow, or once for all if `unit`.
-    tape_bar: Vec<Vec<F>>,
-    /// `(∂N/∂x)ᵀ h` of one step, or `∂N/∂x` of all, as the policy's columns; nothing where no flow goes through it.
-    inputs_bar: Vec<F>,
-    /// The policy is linearized for the whole trajectory at once.
-    unit: bool,
-    /// With `unit`: ones, the cotangent of the only control.
-    ones: Vec<F>,
-    scratch: Vec<F>,
-}
-
 impl<F: Float> Adjoint<F> {
     /// Room for the gradients of one or two flows of such a rollout.
     ///
@@ -95,27 +81,18 @@ impl<F: Float> Adjoint<F> {
     #[track_caller]
     pub fn new<P: Policy>(policy: &P, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
         assert!(rollout.has_tape(), "a rollout made for evaluation cannot be differentiated");
+        Self::of_kept(policy, rollout, flows)
+    }
+
+    /// The same, for the steps that a rollout keeps.
+    #[track_caller]
+    pub(crate) fn of_kept<P: Policy>(policy: &P, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
         let carried = match *flows {
             [flow] => Carried::One([flow], Recursion::new(rollout)),
             [first, second] => Carried::Two([first, second], Recursion::new(rollout)),
             _ => panic!("an adjoint carries one or two flows, not {}", flows.len()),
         };
-        let (n, m) = (rollout.state_dim, rollout.control_dim);
-        let columns = rollout.capacity() * rollout.horizon;
-        let sizes = policy.sizes::<F>(columns);
-        let zeros = |len: usize| vec![F::zero(); len];
-        // With one control, ∂N/∂x and every layer's cotangent are known up to the factor h before the loop starts, and
-        // one linearization in large products serves every flow. With more controls it would take one each.
-        let through_inputs = flows.iter().any(|flow| flow.control);
-        let unit = m == 1 && through_inputs;
-        let policy = PolicyAdjoint {
-            controls_bar: flows.iter().map(|_| zeros(columns * m)).collect(),
-            tape_bar: flows.iter().take(if unit { 1 } else { 2 }).map(|_| zeros(sizes.tape_bar)).collect(),
-            inputs_bar: zeros(if through_inputs { columns * n } else { 0 }),
-            unit,
-            ones: vec![F::one(); if unit { columns } else { 0 }],
-            scratch: zeros(sizes.scratch),
-        };
+        let policy = PolicyAdjoint::new(&PolicyRoom::new::<P, F>(policy, rollout.capacity() * rollout.kept, flows));
         Self { horizon: rollout.horizon, norms: None, policy, carried }
     }
 
@@ -134,6 +111,16 @@ impl<F: Float> Adjoint<F> {
             Carried::Two(_, recursion) => recursion.stored_bytes(),
         };
         carried + self.policy.stored_bytes() + self.norms.as_deref().map_or(0, nested_bytes)
+    }
+
+    /// The [`stored_bytes`](Adjoint::stored_bytes) of an adjoint of a rollout that keeps so many steps.
+    pub(crate) fn bytes_of<P: Policy>(policy: &P, samples: usize, kept: usize, flows: &[Flow]) -> usize {
+        let (n, m) = (policy.state_dim(), policy.control_dim());
+        let carried = match flows.len() {
+            1 => Recursion::<F, 1>::bytes_of(n, m, samples),
+            _ => Recursion::<F, 2>::bytes_of(n, m, samples),
+        };
+        carried + PolicyRoom::new::<P, F>(policy, samples * kept, flows).bytes::<F>()
     }
 
     /// Keeps the length of the adjoint at every step of every run from now on, for [`norms`](Adjoint::norms).
@@ -168,20 +155,35 @@ impl<F: Float> Adjoint<F> {
         scale: F,
     ) -> Result<(), Divergence> {
         let pass = Pass { task, policy, weights, rollout, scale };
-        let all = PolicyColumns::range(0..rollout.samples * rollout.horizon);
-        if self.policy.unit {
-            self.policy.backward(&pass, 0, all, true);
-        }
+        self.begin(&pass);
+        Rollout::<F>::units(0..rollout.horizon).try_for_each(|unit| self.back(&pass, unit))
+    }
+
+    /// Begins at the last state.
+    pub(crate) fn begin<T: Task, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>) {
         let norms = self.norms.as_deref_mut().unwrap_or_default();
         norms.iter_mut().for_each(|norms| norms.fill(f64::NAN));
         match &mut self.carried {
-            Carried::One(flows, recursion) => recursion.run(&pass, *flows, &mut self.policy, norms)?,
-            Carried::Two(flows, recursion) => recursion.run(&pass, *flows, &mut self.policy, norms)?,
+            Carried::One(_, recursion) => recursion.begin(pass, norms),
+            Carried::Two(_, recursion) => recursion.begin(pass, norms),
+        }
+    }
+
+    /// Goes back through the steps of a unit that the rollout keeps, from the state they end with.
+    pub(crate) fn back<T: Task, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>, unit: Range<usize>) -> Result<(), Divergence> {
+        let all = pass.rollout.columns_of(&unit, 0..pass.rollout.samples);
+        if self.policy.unit {
+            self.policy.backward(pass, 0, all, true);
+        }
+        let norms = self.norms.as_deref_mut().unwrap_or_default();
+        match &mut self.carried {
+            Carried::One(flows, recursion) => recursion.back(pass, *flows, unit, &mut self.policy, norms)?,
+            Carried::Two(flows, recursion) => recursion.back(pass, *flows, unit, &mut self.policy, norms)?,
         }
         for k in 0..self.flows().len() {
             if !self.flows()[k].control && !self.policy.unit {
                 // Nothing in the loop needed the policy's derivative: all of it at once, without ∂N/∂x.
-                self.policy.backward(&pass, k, all, false);
+                self.policy.backward(pass, k, all, false);
             }
         }
         Ok(())
@@ -198,43 +200,39 @@ impl<F: Float> Adjoint<F> {
         theta_bar: &mut [F],
     ) {
         theta_bar.fill(F::zero());
-        let at = PolicyColumns::range(samples.start * rollout.horizon..samples.end * rollout.horizon);
+        for unit in Rollout::<F>::units(0..rollout.horizon) {
+            self.add_param_gradient(k, policy, weights, rollout, &unit, samples.clone(), theta_bar);
+        }
+    }
+
+    /// Adds the part of a unit that was gone [`back`](Self::back) through.
+    #[allow(clippy::too_many_arguments)]
+    pub(crate) fn add_param_gradient<P: Policy>(
+        &mut self,
+        k: usize,
+        policy: &P,
+        weights: &Weights<F>,
+        rollout: &Rollout<F>,
+        unit: &Range<usize>,
+        samples: Range<usize>,
+        theta_bar: &mut [F],
+    ) {
         let p = &mut self.policy;
         let h = &p.controls_bar[k];
         let (u_bar, tape_bar, weight) = if p.unit { (&p.ones, &p.tape_bar[0], Some(&h[..])) } else { (h, &p.tape_bar[k], None) };
-        let pass = PolicyPass { packed: weights.packed(), at, x: rollout.inputs() };
         let record = PolicyRecord { tape: &rollout.tape, u_bar, tape_bar, weight };
+        let pass = PolicyPass { packed: weights.packed(), at: rollout.columns_of(unit, samples), x: rollout.inputs() };
         policy.param_gradient(pass, record, &mut p.scratch, theta_bar);
     }
 }
 
-/// Bytes of a vector of vectors on the heap, if none has room to spare.
-fn nested_bytes<T>(rows: &[Vec<T>]) -> usize {
-    size_of_val(rows) + rows.iter().map(|row| size_of_val(&row[..])).sum::<usize>()
-}
-
 /// What stays the same throughout one reverse pass.
-struct Pass<'a, T, P, F: Float> {
-    task: &'a T,
-    policy: &'a P,
-    weights: &'a Weights<F>,
-    rollout: &'a Rollout<F>,
-    scale: F,
-}
-
-impl<F: Float> PolicyAdjoint<F> {
-    fn stored_bytes(&self) -> usize {
-        let flat = size_of_val(&self.inputs_bar[..]) + size_of_val(&self.ones[..]) + size_of_val(&self.scratch[..]);
-        flat + nested_bytes(&self.controls_bar) + nested_bytes(&self.tape_bar)
-    }
-
-    /// The policy's cotangents of flow `k` in the columns `at`; `∂N/∂x` only if `through_inputs`.
-    fn backward<T, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>, k: usize, at: PolicyColumns, through_inputs: bool) {
-        let columns = PolicyPass { packed: pass.weights.packed(), at, x: pass.rollout.inputs() };
-        let u_bar = if self.unit { &self.ones } else { &self.controls_bar[k] };
-        let x_bar = through_inputs.then_some(&mut self.inputs_bar[..]);
-        pass.policy.backward(columns, &pass.rollout.tape, u_bar, &mut self.tape_bar[k], x_bar);
-    }
+pub(crate) struct Pass<'a, T, P, F: Float> {
+    pub(crate) task: &'a T,
+    pub(crate) policy: &'a P,
+    pub(crate) weights: &'a Weights<F>,
+    pub(crate) rollout: &'a Rollout<F>,
+    pub(crate) scale: F,
 }
 
 #[cfg(test)]

@@ -3,13 +3,16 @@
 //! Results do not depend on the number of workers: a sample's numbers do not depend on its neighbours, gradients are
 //! summed over fixed groups of samples, and groups are summed in their order.
 
-use crate::backward::{Adjoint, Flow};
+use crate::backward::Flow;
+use crate::checkpointed::Checkpointed;
 use crate::divergence::Divergence;
 use crate::policy::{Policy, Weights};
 use crate::rollout::Rollout;
 use crate::scalar::Float;
+use crate::schedule::{MemoryError, Schedule};
 use crate::system::System;
 use crate::task::Task;
+use std::ops::Range;
 
 /// Samples whose gradient is one sum, whatever the number of workers.
 const GROUP: usize = 4;
@@ -26,8 +29,7 @@ pub struct Batch<F: Float> {
 /// One worker's consecutive groups of samples.
 #[derive(Debug)]
 struct Worker<F: Float> {
-    rollout: Rollout<F>,
-    adjoint: Adjoint<F>,
+    rollout: Checkpointed<F>,
     /// `[group][flow][parameter]`.
     groups: Vec<Vec<Vec<F>>>,
     outcome: Result<(), Divergence>,
@@ -40,17 +42,85 @@ impl<F: Float> Batch<F> {
     /// Without samples, or if the shapes of task and policy differ.
     #[track_caller]
     pub fn new<T: Task, P: Policy>(task: &T, policy: &P, samples: usize, flows: &[Flow], workers: usize) -> Self {
+        Self::scheduled(task, policy, samples, flows, workers, Schedule::store_all(task.horizon()))
+    }
+
+    /// The same in at most `budget` bytes, over all workers; gradients have the same bits. Runs as few steps again as that
+    /// allows.
+    ///
+    /// # Errors
+    /// [`MemoryError`] says how many bytes would do.
+    ///
+    /// # Panics
+    /// As [`new`](Batch::new).
+    #[track_caller]
+    pub fn within<T: Task, P: Policy>(
+        task: &T,
+        policy: &P,
+        samples: usize,
+        flows: &[Flow],
+        workers: usize,
+        budget: u64,
+    ) -> Result<Self, MemoryError> {
+        let bytes = |schedule: &Schedule| Self::bytes_of(policy, samples, flows, workers, schedule);
+        let schedule = Schedule::within(task.horizon(), budget, bytes)?;
+        Ok(Self::scheduled(task, policy, samples, flows, workers, schedule))
+    }
+
+    /// The same with a given schedule, which every worker follows.
+    ///
+    /// # Panics
+    /// As [`new`](Batch::new), or if the schedule is for another horizon.
+    #[track_caller]
+    pub fn scheduled<T: Task, P: Policy>(
+        task: &T,
+        policy: &P,
+        samples: usize,
+        flows: &[Flow],
+        workers: usize,
+        schedule: Schedule,
+    ) -> Self {
         assert!(samples > 0, "a mini-batch needs at least one sample");
-        let zeros = || vec![vec![F::zero(); policy.param_count()]; flows.len()];
-        let groups = samples.div_ceil(GROUP);
-        let each = groups.div_ceil(workers.clamp(1, groups));
-        let workers = (0..groups).step_by(each).map(|first| {
-            let last = groups.min(first + each);
-            let rollout = Rollout::new(task, policy, samples.min(last * GROUP) - first * GROUP);
-            let adjoint = Adjoint::new(policy, &rollout, flows);
-            Worker { rollout, adjoint, groups: (first..last).map(|_| zeros()).collect(), outcome: Ok(()) }
-        });
-        Self { workers: workers.collect(), gradients: zeros() }
+        let zeros = || flows.iter().map(|_| vec![F::zero(); policy.param_count()]).collect::<Vec<_>>();
+        let shares = shares(samples, workers);
+        // Exactly as many as there are, which are then counted.
+        let mut all = Vec::with_capacity(shares.len());
+        all.extend(shares.map(|share| {
+            let groups = share.len().div_ceil(GROUP);
+            let rollout = Checkpointed::new(task, policy, share.len(), flows, schedule);
+            Worker { rollout, groups: (0..groups).map(|_| zeros()).collect(), outcome: Ok(()) }
+        }));
+        Self { workers: all, gradients: zeros() }
+    }
+
+    /// The [`stored_bytes`](Batch::stored_bytes) of a schedule, without taking them.
+    ///
+    /// # Panics
+    /// Without samples.
+    #[track_caller]
+    pub fn bytes_of<P: Policy>(policy: &P, samples: usize, flows: &[Flow], workers: usize, schedule: &Schedule) -> usize {
+        assert!(samples > 0, "a mini-batch needs at least one sample");
+        let gradients = flows.len() * (size_of::<Vec<F>>() + policy.param_count() * size_of::<F>());
+        let worker = |share: Range<usize>| {
+            let groups = share.len().div_ceil(GROUP) * (size_of::<Vec<Vec<F>>>() + gradients);
+            size_of::<Worker<F>>() + groups + Checkpointed::<F>::bytes_of(policy, share.len(), flows, schedule)
+        };
+        shares(samples, workers).map(worker).sum::<usize>() + gradients
+    }
+
+    /// Bytes on the heap. They do not depend on how many samples are run.
+    pub fn stored_bytes(&self) -> usize {
+        let nested = |rows: &[Vec<F>]| size_of_val(rows) + rows.iter().map(|row| size_of_val(&row[..])).sum::<usize>();
+        let worker = |worker: &Worker<F>| {
+            let groups = worker.groups.iter().map(|group| nested(group)).sum::<usize>();
+            size_of_val(&worker.groups[..]) + groups + worker.rollout.stored_bytes()
+        };
+        size_of_val(&self.workers[..]) + self.workers.iter().map(worker).sum::<usize>() + nested(&self.gradients)
+    }
+
+    /// What its workers keep, and what they run again.
+    pub fn schedule(&self) -> Schedule {
+        self.workers[0].rollout.schedule()
     }
 
     /// Rollouts from `starts` (`state_dim` numbers per sample) and the gradients of their mean loss, for every flow.
@@ -124,20 +194,15 @@ impl<F: Float> Worker<F> {
         if starts.is_empty() {
             return Ok(());
         }
-        self.rollout.start(starts);
-        self.rollout.run(task, policy, weights)?;
-        self.adjoint.run(task, policy, weights, &self.rollout, scale)?;
-        for (g, group) in self.groups.iter_mut().enumerate() {
-            let samples = g * GROUP..self.rollout.samples().min((g + 1) * GROUP);
-            if samples.is_empty() {
-                break;
-            }
-            for (k, gradient) in group.iter_mut().enumerate() {
-                self.adjoint.param_gradient(k, policy, weights, &self.rollout, samples.clone(), gradient);
-            }
-        }
-        Ok(())
+        self.rollout.run(task, policy, weights, starts, scale, GROUP, &mut self.groups)
     }
+}
+
+/// The samples of every worker: whole groups, but for the last.
+fn shares(samples: usize, workers: usize) -> impl ExactSizeIterator<Item = Range<usize>> {
+    let groups = samples.div_ceil(GROUP);
+    let each = groups.div_ceil(workers.clamp(1, groups)) * GROUP;
+    (0..samples).step_by(each).map(move |first| first..samples.min(first + each))
 }
 
 /// Workspace for the loss of a whole data set.

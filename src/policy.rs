@@ -23,8 +23,8 @@ use std::ops::Range;
 /// all of them together, and [`check::policy`](crate::check::policy) compares them with `act`.
 ///
 /// # The batched passes
-/// They work on *columns*: one column is one evaluation, of one sample at one step. Of a rollout of `T` steps, sample
-/// `b` at step `t` is column `b·T + t`. `x` holds `state_dim` numbers per column, `u` and `u_bar` hold `control_dim`.
+/// They work on *columns*: one column is one evaluation, of one sample at one step. The columns of a sample at successive
+/// steps are neighbours, and so are those of successive samples over some steps. `x` holds `state_dim` numbers per column, `u` and `u_bar` hold `control_dim`.
 /// Which columns a call works on is said by [`PolicyColumns`].
 pub trait Policy: Send + Sync {
     /// Number of state components it sees.

@@ -1,5 +1,7 @@
 //! [`Rollout`]: the forward pass of a batch of samples, and where it diverged.
 
+mod moves;
+mod room;
 mod step;
 
 use crate::divergence::{Divergence, Variable};
@@ -8,11 +10,21 @@ use crate::policy::{Policy, PolicyColumns, PolicyPass, Weights};
 use crate::scalar::{Float, Lanes, Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
+use moves::scatter;
+pub(crate) use moves::{find_non_finite, gather};
+use room::Room;
+use std::ops::Range;
 use step::Step;
 pub(crate) use step::{FEW, read_lane};
 
 /// Samples that go through the physics together.
 pub(crate) const WIDTH: usize = 8;
+
+/// Steps whose parameter gradient is one sum, whatever is kept of a trajectory and whatever is run again.
+///
+/// Not fewer than the horizons of the paper, and so many that adding up the sums costs nothing beside making them. Odd,
+/// so that the columns of neighbouring samples do not compete for the same places in the cache.
+pub(crate) const UNIT: usize = 129;
 
 /// One state or control component of [`WIDTH`] samples.
 pub(crate) type Lane<F> = Lanes<F, WIDTH>;
@@ -29,17 +41,17 @@ pub struct Rollout<F: Float> {
     pub(crate) state_dim: usize,
     pub(crate) control_dim: usize,
     pub(crate) horizon: usize,
-    /// Steps that are kept: the horizon, or 1.
-    kept: usize,
-    /// `[step][block][component]`, `kept + 1` steps.
+    /// The last steps that are kept: the horizon, a multiple of [`UNIT`], or 1.
+    pub(crate) kept: usize,
+    /// `[step][block][component]`, `kept + 1` steps; step `t` is in place of step `t - kept - 1`.
     states: Vec<Lane<F>>,
-    /// `[step][block][component]`, `kept` steps.
+    /// `[step][block][component]`, `kept` steps; step `t` is in place of step `t - kept`.
     controls: Vec<Lane<F>>,
-    /// Policy columns `[sample][step][component]`.
+    /// Policy columns `[unit][sample][step][component]`, so that what is one sum lies together.
     inputs: Vec<F>,
     outputs: Vec<F>,
     pub(crate) tape: Vec<F>,
-    costs: Vec<Lane<F>>,
+    pub(crate) costs: Vec<Lane<F>>,
 }
 
 impl<F: Float> Rollout<F> {
@@ -53,14 +65,15 @@ impl<F: Float> Rollout<F> {
         Self::with_steps(task, policy, samples, 1)
     }
 
+    /// Room for `samples` rollouts of which the last `kept` steps can be differentiated.
     #[track_caller]
-    fn with_steps<T: Task, P: Policy>(task: &T, policy: &P, samples: usize, kept: usize) -> Self {
+    pub(crate) fn with_steps<T: Task, P: Policy>(task: &T, policy: &P, samples: usize, kept: usize) -> Self {
         let (n, m) = (task.system().state_dim(), task.system().control_dim());
         assert!(samples > 0, "a rollout needs at least one sample");
         assert!(task.horizon() > 0, "a rollout needs a horizon of at least one step");
         assert_eq!(policy.state_dim(), n, "the policy sees {} state components, the system has {n}", policy.state_dim());
         assert_eq!(policy.control_dim(), m, "the policy sets {} controls, the system has {m}", policy.control_dim());
-        let blocks = samples.div_ceil(WIDTH);
+        let room = Room::new::<P, F>(policy, samples, kept);
         let zeros = |len: usize| vec![F::zero(); len];
         let lanes = |len: usize| vec![Lane::zero(); len];
         Self {
@@ -70,12 +83,12 @@ impl<F: Float> Rollout<F> {
             control_dim: m,
             horizon: task.horizon(),
             kept,
-            states: lanes((kept + 1) * blocks * n),
-            controls: lanes(kept * blocks * m),
-            inputs: zeros(samples * kept * n),
-            outputs: zeros(samples * kept * m),
-            tape: zeros(policy.sizes::<F>(samples * kept).tape),
-            costs: lanes(blocks),
+            states: lanes(room.states),
+            controls: lanes(room.controls),
+            inputs: zeros(room.inputs),
+            outputs: zeros(room.outputs),
+            tape: zeros(room.tape),
+            costs: lanes(room.costs),
         }
     }
 
@@ -95,6 +108,11 @@ impl<F: Float> Rollout<F> {
         let lanes = [&self.states, &self.controls, &self.costs].map(|lanes| size_of_val(&lanes[..]));
         let numbers = [&self.inputs, &self.outputs, &self.tape].map(|numbers| size_of_val(&numbers[..]));
         lanes.into_iter().chain(numbers).sum()
+    }
+
+    /// The [`stored_bytes`](Rollout::stored_bytes) of a rollout that keeps so many steps.
+    pub(crate) fn bytes_of<P: Policy>(policy: &P, samples: usize, kept: usize) -> usize {
+        Room::new::<P, F>(policy, samples, kept).bytes::<F>()
     }
 
     /// Sets the start states, `state_dim` numbers per sample. There may be fewer samples than there is room for.
@@ -130,9 +148,47 @@ impl<F: Float> Rollout<F> {
     /// [`Divergence`] says where a control, state or cost was not finite.
     pub fn run<T: Task, P: Policy>(&mut self, task: &T, policy: &P, weights: &Weights<F>) -> Result<(), Divergence> {
         self.costs.fill(Lane::zero());
-        for t in 0..self.horizon {
-            self.step(task, policy, weights, t)?;
-        }
+        self.advance(task, policy, weights, 0..self.horizon)?;
+        self.finish(task)
+    }
+
+    /// Runs the given steps, from a state that is there. Their costs are added to what there is.
+    pub(crate) fn advance<T: Task, P: Policy>(
+        &mut self,
+        task: &T,
+        policy: &P,
+        weights: &Weights<F>,
+        steps: Range<usize>,
+    ) -> Result<(), Divergence> {
+        steps.into_iter().try_for_each(|t| self.step(task, policy, weights, t))
+    }
+
+    /// The same where only the state they lead to is wanted: in the room of one step, which stays in the cache. What was
+    /// kept is lost.
+    pub(crate) fn pass_over<T: Task, P: Policy>(
+        &mut self,
+        task: &T,
+        policy: &P,
+        weights: &Weights<F>,
+        steps: Range<usize>,
+    ) -> Result<(), Divergence> {
+        let kept = self.keep_from(steps.start, 1);
+        let outcome = self.advance(task, policy, weights, steps.clone());
+        self.keep_from(steps.end, kept);
+        outcome
+    }
+
+    /// Keeps so many steps from now on, of which there is the state at step `t`. Returns how many there were.
+    fn keep_from(&mut self, t: usize, kept: usize) -> usize {
+        let from = self.state_range(t);
+        let before = std::mem::replace(&mut self.kept, kept);
+        let to = self.state_range(t).start;
+        self.states.copy_within(from, to);
+        before
+    }
+
+    /// Adds the terminal costs, and says whether all costs are finite.
+    pub(crate) fn finish<T: Task>(&mut self, task: &T) -> Result<(), Divergence> {
         let last = self.state_range(self.horizon);
         for (x, cost) in self.states[last].chunks_exact(self.state_dim).zip(&mut self.costs) {
             *cost += task.terminal_cost(x);
@@ -173,7 +229,26 @@ impl<F: Float> Rollout<F> {
 
     /// The policy's columns of step `t`, one per sample.
     pub(crate) fn columns(&self, t: usize) -> PolicyColumns {
-        PolicyColumns { first: t % self.kept, step: self.kept, count: self.samples }
+        if self.kept < UNIT {
+            return PolicyColumns { first: t % self.kept, step: self.kept, count: self.samples };
+        }
+        let unit = t / UNIT * UNIT;
+        // Where all is kept, a comparison is cheaper than a division at every step.
+        let place = if unit < self.kept { unit } else { unit % self.kept };
+        let step = UNIT.min(self.horizon - unit);
+        PolicyColumns { first: place * self.samples + t - unit, step, count: self.samples }
+    }
+
+    /// The steps unit after unit, the last first, as a reverse pass comes by them. They begin with a unit.
+    pub(crate) fn units(steps: Range<usize>) -> impl Iterator<Item = Range<usize>> {
+        steps.clone().step_by(UNIT).rev().map(move |first| first..steps.end.min(first + UNIT))
+    }
+
+    /// The policy's columns of some samples at the steps of a unit.
+    pub(crate) fn columns_of(&self, unit: &Range<usize>, samples: Range<usize>) -> PolicyColumns {
+        let PolicyColumns { first, step, .. } = self.columns(unit.start);
+        debug_assert_eq!(step, unit.len(), "{unit:?} are not the steps of a unit");
+        PolicyColumns::range(first + samples.start * step..first + samples.end * step)
     }
 
     /// The policy's inputs, as its columns.
@@ -185,7 +260,7 @@ impl<F: Float> Rollout<F> {
         self.samples.div_ceil(WIDTH)
     }
 
-    fn state_range(&self, t: usize) -> std::ops::Range<usize> {
+    fn state_range(&self, t: usize) -> Range<usize> {
         let len = self.blocks() * self.state_dim;
         let slot = t % (self.kept + 1);
         slot * len..(slot + 1) * len
@@ -194,6 +269,12 @@ impl<F: Float> Rollout<F> {
     /// All states at step `t`, blocks of [`WIDTH`] samples.
     pub(crate) fn states_at(&self, t: usize) -> &[Lane<F>] {
         &self.states[self.state_range(t)]
+    }
+
+    /// The same, to be set.
+    pub(crate) fn states_at_mut(&mut self, t: usize) -> &mut [Lane<F>] {
+        let range = self.state_range(t);
+        &mut self.states[range]
     }
 
     /// All controls at step `t`, blocks of [`WIDTH`] samples.
@@ -230,41 +311,5 @@ impl<F: Float> Rollout<F> {
     pub fn control(&self, t: usize, sample: usize, i: usize) -> F {
         assert!(t < self.horizon && t + self.kept >= self.horizon, "step {t} was not kept");
         self.controls_at(t)[(sample / WIDTH) * self.control_dim + i].lane(sample % WIDTH)
-    }
-}
-
-/// First non-finite number, by sample and then component.
-#[cold]
-pub(crate) fn find_non_finite<L, F: Float>(
-    blocks: &[L],
-    n: usize,
-    samples: usize,
-    lane: impl Fn(&L, usize) -> F,
-) -> Option<(usize, usize)> {
-    (0..samples)
-        .flat_map(|sample| (0..n).map(move |i| (sample, i)))
-        .find(|&(sample, i)| !lane(&blocks[(sample / WIDTH) * n + i], sample % WIDTH).as_().is_finite())
-}
-
-/// Blocks of lanes to one column of `n` numbers per sample.
-pub(crate) fn gather<L, F: Float>(blocks: &[L], lane: impl Fn(&L, usize) -> F, n: usize, at: PolicyColumns, columns: &mut [F]) {
-    for (sample, c) in at.iter().enumerate() {
-        let block = &blocks[(sample / WIDTH) * n..][..n];
-        for (column, lanes) in columns[c * n..][..n].iter_mut().zip(block) {
-            *column = lane(lanes, sample % WIDTH);
-        }
-    }
-}
-
-/// One column of `n` numbers per sample to blocks of lanes; lanes without a sample repeat the last one.
-pub(crate) fn scatter<F: Float>(columns: &[F], n: usize, at: PolicyColumns, blocks: &mut [Lane<F>]) {
-    for (b, block) in blocks.chunks_exact_mut(n).enumerate() {
-        for lane in 0..WIDTH {
-            let sample = (b * WIDTH + lane).min(at.count - 1);
-            let c = at.first + sample * at.step;
-            for (lanes, &column) in block.iter_mut().zip(&columns[c * n..][..n]) {
-                lanes.set_lane(lane, column);
-            }
-        }
     }
 }

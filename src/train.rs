@@ -13,6 +13,7 @@ use crate::optim::{Clip, Rule};
 use crate::policy::{Policy, Weights};
 use crate::rng::{Purpose, stream};
 use crate::scalar::Float;
+use crate::schedule::MemoryError;
 use crate::system::System;
 use crate::task::Task;
 use std::marker::PhantomData;
@@ -42,6 +43,10 @@ pub struct Training {
     pub max_skipped: usize,
     /// Threads a mini-batch is split over. Results do not depend on it.
     pub workers: usize,
+    /// Bytes that the rollouts and gradients of a mini-batch may take, over all workers: steps are run again for what
+    /// there is no room for, see [`Schedule`](crate::Schedule). Without it everything is stored. Results do not depend on
+    /// it.
+    pub memory: Option<u64>,
 }
 
 impl Default for Training {
@@ -58,6 +63,7 @@ impl Default for Training {
             clip: Clip::None,
             max_skipped: 10,
             workers: 1,
+            memory: None,
         }
     }
 }
@@ -95,6 +101,9 @@ pub enum TrainError {
         /// What is wrong, and what is allowed.
         problem: String,
     },
+    /// The memory that a mini-batch may take is too little.
+    #[error("training.memory: {0}")]
+    Memory(#[from] MemoryError),
     /// Too many updates in a row were skipped.
     #[error(
         "training stopped: {count} updates in a row were skipped, the last in epoch {}, update {} ({}). \

@@ -9,6 +9,7 @@ use crate::scalar::{Columns, Float, Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
 use smallvec::{SmallVec, smallvec};
+use std::ops::Range;
 
 /// What the recursion carries for `K` flows.
 #[derive(Debug)]
@@ -39,22 +40,21 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
+    /// The bytes of one for so many state and control components and samples.
+    pub(super) fn bytes_of(n: usize, m: usize, samples: usize) -> usize {
+        samples.div_ceil(WIDTH) * (2 * n + m) * size_of::<Columns<Lane<F>, K>>() + (n + m) * size_of::<Lane<F>>()
+    }
+
     pub(super) fn stored_bytes(&self) -> usize {
         let columns = [&self.lambda, &self.x_bar, &self.u_bar].map(|columns| size_of_val(&columns[..]));
         let costs = [&self.cost_x, &self.cost_u].map(|costs| size_of_val(&costs[..]));
         columns.into_iter().chain(costs).sum()
     }
 
-    /// The recursion at the head of this file, for the flows side by side. `norms` has a row for each flow, or none.
-    pub(super) fn run<T: Task, P: Policy>(
-        &mut self,
-        pass: &Pass<'_, T, P, F>,
-        flows: [Flow; K],
-        policy: &mut PolicyAdjoint<F>,
-        norms: &mut [Vec<f64>],
-    ) -> Result<(), Divergence> {
+    /// λ at the last state. `norms` has a row for each flow, or none.
+    pub(super) fn begin<T: Task, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>, norms: &mut [Vec<f64>]) {
         let Pass { task, rollout, scale, .. } = *pass;
-        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let n = rollout.state_dim;
         let last = rollout.states_at(rollout.horizon);
         for (lambda, x) in self.lambda.chunks_exact_mut(n).zip(last.chunks_exact(n)) {
             task.terminal_cost_gradient(x, &mut self.cost_x);
@@ -63,7 +63,20 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             }
         }
         self.note_norms(rollout, rollout.horizon, scale, norms);
-        for t in (0..rollout.horizon).rev() {
+    }
+
+    /// The recursion at the head of [`backward`](super), through the given steps, for the flows side by side.
+    pub(super) fn back<T: Task, P: Policy>(
+        &mut self,
+        pass: &Pass<'_, T, P, F>,
+        flows: [Flow; K],
+        steps: Range<usize>,
+        policy: &mut PolicyAdjoint<F>,
+        norms: &mut [Vec<f64>],
+    ) -> Result<(), Divergence> {
+        let Pass { task, rollout, scale, .. } = *pass;
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        for t in steps.rev() {
             let at = rollout.columns(t);
             let mut finite = true;
             dispatch_narrow(Back { task, flows, rollout, t, scale, carried: self, finite: &mut finite });

@@ -11,6 +11,7 @@ use crate::optim::Optimizer;
 use crate::policy::{Policy, Weights};
 use crate::rng::{Purpose, stream};
 use crate::scalar::Float;
+use crate::schedule::Schedule;
 use crate::system::System;
 use crate::task::Task;
 use rand::seq::SliceRandom;
@@ -64,9 +65,13 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         }
         let samples = training.batch.min(train.len() / n);
         let flows = field.flows();
+        let batch = match training.memory {
+            None => Batch::new(&task, &policy, samples, &flows, training.workers),
+            Some(budget) => Batch::within(&task, &policy, samples, &flows, training.workers, budget)?,
+        };
         let optimizer = Optimizer::new(training.rule, training.learning_rate, params);
         Ok(Self {
-            batch: Batch::new(&task, &policy, samples, &flows, training.workers),
+            batch,
             flows,
             evaluation: Evaluation::new(&task, &policy, training.workers),
             before: (weights.theta().to_vec(), optimizer.clone(), 0),
@@ -111,6 +116,11 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
     /// The parameters as they are now.
     pub fn weights(&self) -> &Weights<F> {
         &self.weights
+    }
+
+    /// What is kept of the trajectories of a mini-batch, and what is run again.
+    pub fn schedule(&self) -> Schedule {
+        self.batch.schedule()
     }
 
     /// One record per epoch done.

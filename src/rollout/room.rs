@@ -1,0 +1,35 @@
+//! How long the vectors of a rollout are: what it allocates, and what it says it would.
+
+use super::{Lane, WIDTH};
+use crate::policy::Policy;
+use crate::scalar::Float;
+
+/// How long the vectors of a rollout are.
+pub(super) struct Room {
+    pub(super) states: usize,
+    pub(super) controls: usize,
+    pub(super) costs: usize,
+    pub(super) inputs: usize,
+    pub(super) outputs: usize,
+    pub(super) tape: usize,
+}
+
+impl Room {
+    pub(super) fn new<P: Policy, F: Float>(policy: &P, samples: usize, kept: usize) -> Self {
+        let (n, m) = (policy.state_dim(), policy.control_dim());
+        let (blocks, columns) = (samples.div_ceil(WIDTH), samples * kept);
+        Self {
+            states: (kept + 1) * blocks * n,
+            controls: kept * blocks * m,
+            costs: blocks,
+            inputs: columns * n,
+            outputs: columns * m,
+            tape: policy.sizes::<F>(columns).tape,
+        }
+    }
+
+    pub(super) fn bytes<F: Float>(&self) -> usize {
+        let lanes = self.states + self.controls + self.costs;
+        lanes * size_of::<Lane<F>>() + (self.inputs + self.outputs + self.tape) * size_of::<F>()
+    }
+}

@@ -1,0 +1,355 @@
+//! Whatever is kept of a trajectory, gradients have the same bits, and memory is what was allowed.
+
+use physgrad::policy::{Conv, Mlp};
+use physgrad::rng::{Purpose, Rng, stream};
+use physgrad::tasks::{CartPole, Guidance, LossMode, Quantum};
+use physgrad::{Adjoint, Batch, Checkpointed, Divergence, Field, Float, Flow, Policy, Rollout, Scalar, Schedule, Task};
+use physgrad::{TrainError, Trainer, Training, Weights};
+use rand::RngExt;
+use std::alloc::{GlobalAlloc, Layout};
+use std::cell::Cell;
+
+const UNIT: usize = Schedule::UNIT;
+
+/// Counts the bytes of each thread, so that tests can run side by side.
+struct Counting;
+
+thread_local! {
+    /// Bytes held, and the most there were.
+    static HELD: Cell<(usize, usize)> = const { Cell::new((0, 0)) };
+}
+
+// SAFETY: everything is handed to the system's allocator.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let (held, most) = HELD.get();
+        let held = held.wrapping_add(layout.size());
+        // What is freed by another thread than it was taken by makes a small number a huge one; not in these tests.
+        HELD.set((held, most.max(held)));
+        unsafe { std::alloc::System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        let (held, most) = HELD.get();
+        HELD.set((held.wrapping_sub(layout.size()), most));
+        unsafe { std::alloc::System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// What `work` returns, the bytes that it leaves and the most it held on the way.
+fn held<T>(work: impl FnOnce() -> T) -> (T, usize, usize) {
+    let (before, _) = HELD.get();
+    HELD.set((before, before));
+    let result = work();
+    let (after, most) = HELD.get();
+    (result, after - before, most - before)
+}
+
+/// Small parameters, so that long rollouts stay near where they start.
+fn weights<F: Float, P: Policy>(policy: &P) -> Weights<F> {
+    let mut rng = stream(3, Purpose::Check, 0);
+    Weights::new(policy, (0..policy.param_count()).map(|_| F::lift(rng.random_range(-0.1..0.1))).collect())
+}
+
+fn starts<F: Float, T: Task>(task: &T, samples: usize) -> Vec<F> {
+    use physgrad::System;
+    let n = task.system().state_dim();
+    let mut x = vec![0.0; samples * n];
+    x.chunks_exact_mut(n).enumerate().for_each(|(i, x)| task.start(&mut stream(0, Purpose::Train, i as u64), x));
+    x.into_iter().map(F::lift).collect()
+}
+
+/// Costs, and the gradients of all samples, with everything stored by `Rollout` and `Adjoint`.
+fn stored<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: usize, flows: &[Flow]) -> Result<Vec<F>, Divergence> {
+    let weights = weights::<F, P>(policy);
+    let mut rollout = Rollout::new(task, policy, samples + 1);
+    rollout.start(&starts(task, samples));
+    rollout.run(task, policy, &weights)?;
+    let mut adjoint = Adjoint::new(policy, &rollout, flows);
+    adjoint.run(task, policy, &weights, &rollout, F::lift(0.5))?;
+    let mut all: Vec<F> = (0..samples).map(|sample| rollout.cost(sample)).collect();
+    for k in 0..flows.len() {
+        let mut theta_bar = vec![F::zero(); policy.param_count()];
+        adjoint.param_gradient(k, policy, &weights, &rollout, 0..samples, &mut theta_bar);
+        all.extend(theta_bar);
+    }
+    Ok(all)
+}
+
+/// The same with a schedule.
+fn scheduled<F: Float, T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    samples: usize,
+    flows: &[Flow],
+    schedule: Schedule,
+) -> Result<Vec<F>, Divergence> {
+    let weights = weights::<F, P>(policy);
+    let mut rollout = Checkpointed::new(task, policy, samples + 1, flows, schedule);
+    let mut gradients = [vec![vec![F::zero(); policy.param_count()]; flows.len()]];
+    let starts = starts::<F, T>(task, samples);
+    // What a longer and larger run leaves behind is not seen.
+    let more = [&starts[..], &starts[..starts.len() / samples]].concat();
+    for starts in [&more, &starts] {
+        rollout.run(task, policy, &weights, starts, F::lift(0.5), samples + 1, &mut gradients)?;
+    }
+    let costs = (0..samples).map(|sample| rollout.cost(sample));
+    Ok(costs.chain(gradients.into_iter().flatten().flatten()).collect())
+}
+
+fn schedules(horizon: usize) -> Vec<Schedule> {
+    let binomial = [1, 2, 3, 100].map(|checkpoints| Schedule::binomial(horizon, checkpoints));
+    let others = [Schedule::store_all(horizon), Schedule::two_level(horizon), Schedule::new(horizon, 2 * UNIT, 1)];
+    binomial.into_iter().chain(others).collect()
+}
+
+/// Every flow alone, and pairs, with and without a flow through the policy's input.
+fn flows() -> Vec<Vec<Flow>> {
+    let pairs = [[Flow::MODIFIED, Flow::REGULAR], [Flow::MODIFIED, Flow::STOPPED], [Flow::NETWORK, Flow::REGULAR]];
+    Flow::ALL.map(|flow| vec![flow]).into_iter().chain(pairs.map(Vec::from)).collect()
+}
+
+fn bits_are_those_of_store_all<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: &[usize]) {
+    for &samples in samples {
+        for flows in flows() {
+            let all = stored::<F, T, P>(task, policy, samples, &flows).expect("finite");
+            assert!(all.iter().all(|g| g.as_().is_finite()) && all[samples..].iter().any(|&g| g != F::zero()));
+            for schedule in schedules(task.horizon()) {
+                let same = scheduled::<F, T, P>(task, policy, samples, &flows, schedule).expect("finite") == all;
+                assert!(same, "{schedule:?}, {samples} samples, {flows:?} in {}", F::NAME);
+            }
+        }
+    }
+}
+
+fn cart_pole(horizon: usize) -> CartPole {
+    CartPole { horizon, loss: LossMode::Continuous, ..CartPole::new(1) }
+}
+
+#[test]
+fn bits_are_those_of_store_all_with_one_control() {
+    let (task, policy) = (cart_pole(4 * UNIT + 17), Mlp::new([4, 8, 8, 1]));
+    bits_are_those_of_store_all::<f32, _, _>(&task, &policy, &[3, 11]);
+    bits_are_those_of_store_all::<f64, _, _>(&task, &policy, &[3, 11]);
+    // A last segment of one step, and none that is shorter.
+    for horizon in [2 * UNIT + 1, 3 * UNIT, UNIT + 1] {
+        bits_are_those_of_store_all::<f64, _, _>(&cart_pole(horizon), &policy, &[9]);
+    }
+}
+
+#[test]
+fn bits_are_those_of_store_all_with_several_controls() {
+    let task = Guidance { horizon: 3 * UNIT + 5, ..Guidance::new(1, 1) };
+    let policy = Mlp::new([physgrad::System::state_dim(&task.system), 8, 2]);
+    bits_are_those_of_store_all::<f32, _, _>(&task, &policy, &[5]);
+    bits_are_those_of_store_all::<f64, _, _>(&task, &policy, &[9]);
+}
+
+#[test]
+fn bits_are_those_of_store_all_with_a_convolution_and_with_derivatives_by_duals() {
+    let task = Quantum { horizon: 2 * UNIT + 9, ..Quantum::new(1) };
+    let n = physgrad::System::state_dim(&task.system);
+    let flows = [Flow::MODIFIED, Flow::REGULAR];
+    let conv = Conv::new(n / 2, 4);
+    let all = stored::<f32, _, _>(&task, &conv, 5, &flows).expect("finite");
+    for schedule in schedules(task.horizon) {
+        assert_eq!(scheduled(&task, &conv, 5, &flows, schedule), Ok(all.clone()), "{schedule:?}");
+    }
+    bits_are_those_of_store_all::<f64, _, _>(&cart_pole(2 * UNIT + 9), &Plain, &[3]);
+}
+
+#[test]
+fn mini_batches_over_several_workers_have_the_bits_of_store_all() {
+    let (task, policy) = (cart_pole(3 * UNIT + 2), Mlp::new([4, 8, 1]));
+    let (weights, starts) = (weights::<f32, _>(&policy), starts::<f32, _>(&task, 13));
+    let flows = Field::combined().flows();
+    let run = |mut batch: Batch<f32>| {
+        let loss = batch.run(&task, &policy, &weights, &starts).expect("finite");
+        (loss, batch.gradients().to_vec())
+    };
+    let all = run(Batch::new(&task, &policy, 17, &flows, 1));
+    for workers in [1, 2, 5] {
+        for schedule in schedules(task.horizon) {
+            assert_eq!(run(Batch::scheduled(&task, &policy, 17, &flows, workers, schedule)), all);
+        }
+    }
+}
+
+#[test]
+fn a_divergence_is_that_of_store_all() {
+    let task = CartPole { horizon: 3 * UNIT, ..CartPole::new(1) };
+    // A control that grows with the state.
+    for factor in [1e4, 1e10, 1e30] {
+        let policy = Growing(factor);
+        let all = stored::<f32, _, _>(&task, &policy, 3, &[Flow::REGULAR]);
+        for schedule in schedules(task.horizon) {
+            assert_eq!(scheduled::<f32, _, _>(&task, &policy, 3, &[Flow::REGULAR], schedule), all);
+        }
+    }
+    assert!(stored::<f32, _, _>(&task, &Growing(1e30), 3, &[Flow::REGULAR]).is_err());
+}
+
+/// `u = θ₀ x₀ + θ₁ sin x₂`, all batched passes by default.
+struct Plain;
+
+impl Policy for Plain {
+    fn state_dim(&self) -> usize {
+        4
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn param_count(&self) -> usize {
+        2
+    }
+    fn init(&self, _: &mut Rng, theta: &mut [f64]) {
+        theta.fill(0.1);
+    }
+    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
+        u[0] = theta[0] * x[0] + theta[1] * x[2].sin_cos().0;
+    }
+}
+
+/// `u = factor x₀ + θ`.
+struct Growing(f64);
+
+impl Policy for Growing {
+    fn state_dim(&self) -> usize {
+        4
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn param_count(&self) -> usize {
+        1
+    }
+    fn init(&self, _: &mut Rng, theta: &mut [f64]) {
+        theta.fill(1.0);
+    }
+    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
+        u[0] = theta[0] + x[0] * T::lift(self.0);
+    }
+}
+
+fn bytes_are_those_held<F: Float>() {
+    let (task, policy) = (cart_pole(6 * UNIT + 40), Mlp::new([4, 8, 1]));
+    let (weights, starts) = (weights::<F, _>(&policy), starts::<F, _>(&task, 17));
+    // The first run of a process finds out what its processor can do.
+    stored::<F, _, _>(&cart_pole(2), &policy, 1, &[Flow::REGULAR]).expect("finite");
+    for flows in flows() {
+        for schedule in schedules(task.horizon) {
+            let (mut rollout, bytes, most) = held(|| Checkpointed::<F>::new(&task, &policy, 17, &flows, schedule));
+            assert_eq!((rollout.stored_bytes(), most), (bytes, bytes), "{schedule:?}, {flows:?}");
+            assert_eq!(Checkpointed::<F>::bytes_of(&policy, 17, &flows, &schedule), bytes, "{schedule:?}, {flows:?}");
+            let mut gradients = vec![vec![vec![F::zero(); policy.param_count()]; flows.len()]; 5];
+            let run = || rollout.run(&task, &policy, &weights, &starts, F::one(), 4, &mut gradients);
+            let (outcome, _, most) = held(run);
+            assert_eq!((outcome, most), (Ok(()), 0), "a schedule is run without allocating");
+
+            for workers in [1, 3] {
+                let (batch, bytes, most) = held(|| Batch::<F>::scheduled(&task, &policy, 17, &flows, workers, schedule));
+                assert_eq!((batch.stored_bytes(), most), (bytes, bytes), "{schedule:?}, {flows:?}, {workers} workers");
+                assert_eq!(Batch::<F>::bytes_of(&policy, 17, &flows, workers, &schedule), bytes);
+            }
+        }
+    }
+}
+
+#[test]
+fn schedules_hold_the_bytes_they_say() {
+    bytes_are_those_held::<f32>();
+    bytes_are_those_held::<f64>();
+}
+
+#[test]
+fn budgets_are_kept_and_used() {
+    let (task, policy) = (cart_pole(40 * UNIT - 50), Mlp::new([4, 8, 1]));
+    let (weights, starts) = (weights::<f32, _>(&policy), starts::<f32, _>(&task, 6));
+    let flows = Field::combined().flows();
+    let all = Batch::<f32>::bytes_of(&policy, 6, &flows, 1, &Schedule::store_all(task.horizon)) as u64;
+    let error = Batch::<f32>::within(&task, &policy, 6, &flows, 1, 1000).unwrap_err();
+    assert_eq!((error.budget, error.everything), (1000, all));
+    let smallest = error.smallest;
+    assert!(20 * smallest < all && error.to_string().contains(&smallest.to_string()), "{error}");
+    assert!(Batch::<f32>::within(&task, &policy, 6, &flows, 1, smallest - 1).is_err());
+
+    let mut last = u64::MAX;
+    let mut expected: Option<Vec<Vec<f32>>> = None;
+    for budget in [smallest, smallest + 500, smallest + 3000, all / 15, all / 5, all / 2, all - 1, all, u64::MAX] {
+        let ((batch, loss), _, most) = held(|| {
+            let mut batch = Batch::<f32>::within(&task, &policy, 6, &flows, 1, budget).expect("enough");
+            let loss = batch.run(&task, &policy, &weights, &starts).expect("finite");
+            (batch, loss)
+        });
+        assert!(loss.is_finite() && most as u64 <= budget && most == batch.stored_bytes(), "{most} bytes of {budget}");
+        let schedule = batch.schedule();
+        assert!(schedule.recomputed_steps() <= last, "more memory makes no more work");
+        last = schedule.recomputed_steps();
+        // No other schedule within the budget runs fewer steps again.
+        for units in 1..=40 {
+            for checkpoints in 1..=40 {
+                let other = Schedule::new(task.horizon, units * UNIT, checkpoints);
+                let bytes = Batch::<f32>::bytes_of(&policy, 6, &flows, 1, &other) as u64;
+                assert!(bytes > budget || other.recomputed_steps() >= last, "{other:?} is better than {schedule:?}");
+            }
+        }
+        assert_eq!(expected.get_or_insert_with(|| batch.gradients().to_vec()), batch.gradients());
+    }
+    assert_eq!(last, 0);
+}
+
+#[test]
+fn a_training_within_a_budget_is_that_without() {
+    let train = |memory: Option<u64>| {
+        let task = CartPole { horizon: 2 * UNIT, ..CartPole::new(1) };
+        let training = Training { epochs: 2, train_samples: 20, test_samples: 4, memory, ..Training::default() };
+        let mut session = Trainer::new(task, Mlp::new([4, 8, 1])).training(training).session()?;
+        session.epoch()?;
+        let (_, held, _) = held(|| session.epoch().map(|_| ()));
+        assert_eq!(held, 0, "epochs do not allocate after the first");
+        Ok::<_, TrainError>((session.schedule().recomputed_steps(), session.weights().theta().to_vec()))
+    };
+    let error = train(Some(10_000)).unwrap_err();
+    assert!(error.to_string().starts_with("training.memory: 10000 bytes are not enough"), "{error}");
+    let TrainError::Memory(error) = error else { panic!("{error}") };
+    let (all, within) = (train(None).unwrap(), train(Some(error.smallest)).unwrap());
+    assert_eq!((all.0, within.0), (0, UNIT as u64));
+    assert_eq!(all.1, within.1);
+    assert_eq!(train(Some(error.everything)).unwrap(), all);
+}
+
+#[test]
+fn many_steps_fit_in_a_small_budget() {
+    let (task, policy) = (cart_pole(100_000), Mlp::new([4, 4, 1]).zero_last(true));
+    let flows = [Flow::REGULAR];
+    let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
+    let starts = starts::<f64, _>(&task, 2);
+    let run = |mut batch: Batch<f64>| {
+        batch.run(&task, &policy, &weights, &starts).expect("finite");
+        (batch.gradients().to_vec(), batch.schedule().recomputed_steps(), batch.stored_bytes())
+    };
+    let (all, none, bytes) = run(Batch::new(&task, &policy, 2, &flows, 1));
+    let (gradients, again, fewer) = run(Batch::within(&task, &policy, 2, &flows, 1, 300_000).expect("enough"));
+    assert!(all[0].iter().any(|&g| g != 0.0) && gradients == all);
+    assert!(none == 0 && again > 0 && again < 200_000 && fewer <= 300_000 && bytes > 100 * fewer, "{again} {fewer} {bytes}");
+}
+
+#[test]
+#[ignore = "a million steps take a minute"]
+fn a_million_steps_fit_in_64_megabytes() {
+    let (task, policy) = (cart_pole(1_000_000), Mlp::new([4, 16, 16, 1]).zero_last(true));
+    let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
+    let starts = starts::<f64, _>(&task, 8);
+    for budget in [64 << 20, 4 << 20] {
+        let time = std::time::Instant::now();
+        let (schedule, _, most) = held(|| {
+            let mut batch = Batch::within(&task, &policy, 8, &[Flow::REGULAR], 1, budget).expect("enough");
+            batch.run(&task, &policy, &weights, &starts).expect("finite");
+            batch.schedule()
+        });
+        println!("{schedule:?}: {} steps again, {most} bytes, {:?}", schedule.recomputed_steps(), time.elapsed());
+        assert!(most as u64 <= budget);
+    }
+}

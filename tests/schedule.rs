@@ -1,0 +1,98 @@
+//! As few steps are run again as the checkpoints allow, and as many as a schedule says.
+
+use physgrad::policy::PolicyPass;
+use physgrad::rng::Rng;
+use physgrad::tasks::CartPole;
+use physgrad::{Checkpointed, Float, Flow, Policy, Scalar, Schedule, Weights};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+const UNIT: usize = Schedule::UNIT;
+
+/// Counts how often the policy is asked: once a step.
+struct Asked(AtomicU64);
+
+impl Policy for Asked {
+    fn state_dim(&self) -> usize {
+        4
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn param_count(&self) -> usize {
+        1
+    }
+    fn init(&self, _: &mut Rng, theta: &mut [f64]) {
+        theta.fill(0.0);
+    }
+    fn act<T: Scalar>(&self, theta: &[T], _: &[T], u: &mut [T]) {
+        u.copy_from_slice(theta);
+    }
+    fn forward<F: Float>(&self, pass: PolicyPass<F>, _: &mut [F], u: &mut [F]) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+        pass.at.iter().for_each(|c| self.act(pass.packed, &pass.x[4 * c..][..4], &mut u[c..][..1]));
+    }
+}
+
+/// The fewest segments to run before each of `l` has its tape, with `s` checkpoints: from every place of the next one.
+fn fewest(most: usize) -> Vec<Vec<u64>> {
+    let mut table = vec![vec![0; most + 1]; most + 1];
+    for s in 1..=most {
+        for l in 2..=most {
+            // Without another checkpoint, all from the start each time.
+            let mut best = (l * (l - 1) / 2) as u64;
+            if s > 1 {
+                best = (1..l).map(|k| k as u64 + table[s - 1][l - k] + table[s][k]).min().unwrap().min(best);
+            }
+            table[s][l] = best;
+        }
+    }
+    table
+}
+
+#[test]
+fn binomial_runs_as_few_steps_again_as_there_can_be() {
+    let table = fewest(60);
+    for (s, row) in table.iter().enumerate().skip(1) {
+        for (l, &fewest) in row.iter().enumerate().skip(1) {
+            for shorter in [0, 7] {
+                let schedule = Schedule::binomial(l * UNIT - shorter, s);
+                assert_eq!(schedule.recomputed_steps(), fewest * UNIT as u64, "{l} segments, {s} checkpoints");
+            }
+        }
+    }
+    // Griewank and Walther: β(s, r) = C(s + r, s) segments are reversed with s checkpoints by at most r repeats.
+    let schedule = Schedule::binomial(220 * UNIT, 3);
+    assert_eq!(schedule.recomputed_steps(), (9 * 220 - 495) * UNIT as u64);
+}
+
+#[test]
+fn as_many_steps_are_run_again_as_a_schedule_says() {
+    let policy = Asked(AtomicU64::new(0));
+    let weights = Weights::<f64>::new(&policy, vec![0.0; policy.param_count()]);
+    let count = |segments: usize, schedule: &dyn Fn(usize) -> Schedule| {
+        let task = CartPole { horizon: segments * UNIT - 3, ..CartPole::new(1) };
+        let schedule = schedule(task.horizon);
+        let mut rollout = Checkpointed::new(&task, &policy, 1, &[Flow::STOPPED], schedule);
+        let mut gradients = [vec![vec![0.0; policy.param_count()]]];
+        let before = policy.0.load(Ordering::Relaxed);
+        rollout.run(&task, &policy, &weights, &[0.0, 0.0, 0.1, 0.0], 1.0, 1, &mut gradients).expect("finite");
+        let steps = policy.0.load(Ordering::Relaxed) - before;
+        assert_eq!(steps, task.horizon as u64 + schedule.recomputed_steps(), "{schedule:?}");
+    };
+    for segments in [1, 2, 3, 4, 7, 10, 21] {
+        for checkpoints in [1, 2, 3, 5, 9, 20, 30] {
+            count(segments, &|horizon| Schedule::binomial(horizon, checkpoints));
+        }
+        count(segments, &Schedule::two_level);
+        count(segments, &Schedule::store_all);
+        count(segments, &|horizon| Schedule::new(horizon, 3 * UNIT, 2));
+    }
+}
+
+#[test]
+fn two_levels_are_about_the_root_of_the_horizon() {
+    let schedule = Schedule::two_level(1_000_000);
+    assert_eq!((schedule.segment(), schedule.segments()), (8 * UNIT, 969));
+    assert_eq!(schedule.recomputed_steps(), 968 * 8 * UNIT as u64);
+    assert_eq!(Schedule::two_level(UNIT), Schedule::store_all(UNIT));
+}
