@@ -16,12 +16,12 @@ fn schemes(body: QuantumSystem) -> [QuantumScheme; 3] {
 }
 
 fn check_lively<S: System>(system: &S) {
-    check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{mismatch}"));
+    check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{}: {mismatch}", system.state_dim()));
 }
 
 #[test]
 fn the_derivatives_of_every_scheme_are_those_of_duals() {
-    for body in [box_of(3), dipole(4), box_of(7), dipole(32), box_of(65), dipole(66)] {
+    for body in [box_of(3), dipole(4), box_of(9), dipole(32), box_of(65), dipole(66)] {
         check_lively(&Pade(body));
         check_lively(&Strang::new(body));
         for system in schemes(body) {
@@ -139,7 +139,7 @@ fn orders<E: Effect<QuantumSystem>>(scheme: usize, effects: &E, count: usize, re
     };
     let (coarse, fine) = (errors(count), errors(2 * count));
     let orders = [0, 1].map(|i| (coarse[i] / fine[i]).log2());
-    println!("scheme {scheme}: {coarse:e?}, {fine:e?}: orders {orders:.2?}");
+    println!("scheme {scheme}: {coarse:?}, {fine:?}: orders {orders:.2?}");
     orders
 }
 
@@ -177,10 +177,10 @@ fn phase_error(scheme: usize, number: usize, count: usize) -> f64 {
 
 #[test]
 fn phases_of_eigenstates() {
-    for (number, crank_nicolson, pade) in [(3, 0.12, 0.004), (4, 0.28, 0.028), (5, 0.43, 0.098)] {
+    for (number, crank_nicolson, pade) in [(3, 0.12, 0.0045), (4, 0.28, 0.033), (5, 0.43, 0.116)] {
         let errors = [0, 1, 2].map(|scheme| phase_error(scheme, number, 1));
         println!("{number}: {errors:.4?}");
-        assert!((errors[0] - crank_nicolson).abs() < 0.006 && (errors[1] - pade).abs() < 0.1 * pade);
+        assert!((errors[0] - crank_nicolson).abs() < 0.006 && (errors[1] - pade).abs() < 0.03 * pade);
         assert!(errors[2] < 1e-14, "exact");
     }
     let least = |scheme| (1..).find(|&count| phase_error(scheme, 5, count) <= 0.01);

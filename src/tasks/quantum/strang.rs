@@ -16,12 +16,13 @@ use crate::scratch::Scratch;
 ///
 /// Each part is exact to rounding: phases at the grid points, and the exponential of the second difference, worked out
 /// once by [`new`](Strang::new). So the step is unitary whatever the potential, and without potential it is exact, whatever
-/// dt. With one, it is of the second order, with errors from the commutators of D₂ and V: what is strong is wrong, not
-/// what is fast. Phases have their full range, so energies beyond π/dt can resonate with 2π/dt, an artefact of its own.
+/// dt. With one, it is of the second order, with errors from the commutators of D₂ and V. A step must be short for the
+/// potential, not for the kinetic energy; but where energies differ by 2π/dt, they are the same to it, and a potential may
+/// couple what in continuous time it would not.
 ///
-/// H is that of [`QuantumSystem`], on the same grid. A step costs grid² complex multiplications at worst, half of them
-/// saved by symmetry, and two sines and cosines a grid point; it wins on small grids or where steps can be large. The
-/// memory is 24 grid² bytes.
+/// H is that of [`QuantumSystem`], on the same grid. A step is a product with two complex matrices of half the grid's size,
+/// and a sine and cosine for each grid point, two where the potential depends on the state: O(grid²), for small grids. The
+/// matrices take 12 grid² bytes, in both precisions.
 ///
 /// The potential of the second half is at the state after the motion, and |ψ| is not changed by the first half: with
 /// [`Cubic`](super::Cubic), both halves are exact and the step is of the second order too. (The other schemes take the
