@@ -31,7 +31,7 @@ fn main() {
     );
     for grid in [32, 64, 128, 512] {
         let horizon = if grid < 512 { 128 } else { 16 };
-        let (places, count) = if quick { (1, 3) } else { (7, (3200 / grid).max(9)) };
+        let (places, count) = if quick { (1, 3) } else { (5, (1600 / grid).max(5)) };
         table("f32", grid, horizon, places, count, forms::<f32>(grid, horizon));
         table("f64", grid, horizon, places, count, forms::<f64>(grid, horizon));
     }

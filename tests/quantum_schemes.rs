@@ -8,7 +8,7 @@ use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
     Absorbing, AbsorbingEdges, Cubic, Harmonic, Pade, Quantum, QuantumEffect, QuantumScheme, QuantumSystem, Strang,
 };
-use physgrad::{Actuated, Delay, Effect, Host, Limit, LimitKind, Scalar, Substeps, System, Task, With, check};
+use physgrad::{Actuated, Counted, Counts, Delay, Effect, Host, Limit, LimitKind, Scalar, Substeps, System, Task, With, check};
 use std::f64::consts::{PI, TAU};
 
 fn schemes(body: QuantumSystem) -> [QuantumScheme; 3] {
@@ -227,4 +227,29 @@ fn strang_moves_free_particles_exactly() {
         }
         assert!(largest_difference(&expected, &step(&Strang::new(body), &x, 0.0)) < 1e-12);
     }
+}
+
+/// What a step, `vjp`, `vjp_state` and `vjp_control` do.
+fn counts<S: System>(system: &S) -> [Counts; 4] {
+    let n = system.state_dim();
+    let x: Vec<Counted> = (0..n).map(|i| Counted(Scalar::sin(i as f64))).collect();
+    let (u, mut next, mut x_bar, mut u_bar) = ([Counted(3.0)], x.clone(), x.clone(), [Counted(0.0)]);
+    [
+        Counts::of(|| system.step(&x, &u, &mut next)).0,
+        Counts::of(|| system.vjp(&x, &u, &x, &mut x_bar, &mut u_bar)).0,
+        Counts::of(|| system.vjp_state(&x, &u, &x, &mut x_bar)).0,
+        Counts::of(|| system.vjp_control(&x, &u, &x, &mut u_bar)).0,
+    ]
+}
+
+#[test]
+fn a_step_of_pade_costs_two_and_works_out_the_potential_once() {
+    let sums = |add, multiply| Counts { add, multiply, ..Counts::default() };
+    let (crank_nicolson, pade) = (counts(&box_of(32)), counts(&Pade(box_of(32))));
+    // In the reverse, the state between the factors is worked out again, and their cotangents are added up.
+    let more = [sums(0, 0), sums(4 * 32 + 1, 0), sums(0, 0), sums(4 * 32 + 1, 0)];
+    for i in 0..4 {
+        assert_eq!(pade[i] + sums(0, 32), crank_nicolson[i] + crank_nicolson[i] + more[i], "{i}");
+    }
+    assert_eq!(counts(&QuantumScheme::Pade(Pade(box_of(32)))), pade);
 }

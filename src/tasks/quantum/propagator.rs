@@ -80,9 +80,9 @@ impl Propagator {
             parts[k] = [re + mirror_re, im + mirror_im, re - mirror_re, im - mirror_im];
         }
         for j in 0..half {
-            let [mut a_re, mut a_im, mut b_re, mut b_im] = self.term::<T, V, ADJOINT>(j * half, parts[0]);
+            let [mut a_re, mut a_im, mut b_re, mut b_im] = self.term::<T, V, ADJOINT>(j, 0, parts);
             for k in 1..half {
-                let term = self.term::<T, V, ADJOINT>(j * half + k, parts[k]);
+                let term = self.term::<T, V, ADJOINT>(j, k, parts);
                 (a_re, a_im) = (a_re + term[0], a_im + term[1]);
                 (b_re, b_im) = (b_re + term[2], b_im + term[3]);
             }
@@ -91,9 +91,10 @@ impl Propagator {
         }
     }
 
-    /// The products of both matrices' entries.
+    /// The products of entry (j, k) of both matrices with the even and the odd part.
     #[inline(always)]
-    fn term<T: Scalar, V: Vector<T>, const ADJOINT: bool>(&self, place: usize, [a_re, a_im, b_re, b_im]: [V; 4]) -> [V; 4] {
+    fn term<T: Scalar, V: Vector<T>, const ADJOINT: bool>(&self, j: usize, k: usize, parts: &[[V; 4]]) -> [V; 4] {
+        let (place, [a_re, a_im, b_re, b_im]) = (j * parts.len() + k, parts[k]);
         let entries =
             if size_of::<T::Real>() == size_of::<f32>() { self.rounded[place].map(f64::from) } else { self.table[place] };
         let [even_re, even_im, odd_re, odd_im] = entries.map(T::lift);
