@@ -88,7 +88,7 @@ impl Strang {
         phases.all()
     }
 
-    /// The control's cotangent from one half step, if it is asked for; adds the potential's to `potential_bar`, if there is
+    /// The control's cotangent from one half step, if it is asked for; writes the potential's to `potential_bar`, if there is
     /// one. Both `psi` and its cotangent are of before the half step, or of after it: both turn alike.
     ///
     /// ```text
