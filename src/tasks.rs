@@ -15,7 +15,7 @@ pub use guidance::{
 };
 pub use loss::LossMode;
 pub use quantum::{
-    Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, Quantum, QuantumEffect, QuantumSystem,
-    Tabulated,
+    Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, Pade, Quantum, QuantumEffect, QuantumScheme,
+    QuantumSystem, Strang, Tabulated,
 };
 pub use toy::{Bowl, Integrator, Reach};

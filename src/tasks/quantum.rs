@@ -6,12 +6,19 @@
 mod absorbing;
 mod cubic;
 mod elimination;
+mod pade;
 mod potential;
+mod propagator;
+mod scheme;
+mod strang;
 mod system;
 
 pub use absorbing::{Absorbing, AbsorbingEdges};
 pub use cubic::Cubic;
+pub use pade::Pade;
 pub use potential::{Barrier, DoubleWell, Harmonic, Tabulated};
+pub use scheme::QuantumScheme;
+pub use strang::Strang;
 pub use system::{ControlShape, QuantumSystem};
 
 use super::LossMode;
@@ -35,7 +42,7 @@ any_effect! {
 /// Rollouts start in a mixture of the two lowest eigenstates, so the third is the lowest that is new to them. These are
 /// the eigenstates of the box without potential, whatever else there is.
 ///
-/// `S` is any system around a [`QuantumSystem`]: alone, with effects, with [`Absorbing`] edges, behind an actuator.
+/// `S` is any system around a [`QuantumSystem`]: alone, by another scheme ([`Pade`], [`Strang`]), with effects, with [`Absorbing`] edges, behind an actuator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quantum<S = QuantumSystem> {
     /// The physics.

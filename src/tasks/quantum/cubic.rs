@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 /// `|ψ_j|² / dx` is the density of probability.
 ///
 /// The density is that of the state in which the step begins: the step stays unitary and one solve, and is of the first
-/// order in dt.
+/// order in dt. By [`Strang`](super::Strang), each half step has its own density, and the step is of the second order.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]

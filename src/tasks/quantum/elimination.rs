@@ -1,6 +1,6 @@
-//! The linear solve in a step of Crank and Nicolson.
+//! The linear solve in a factor of Cayley: one in a step of Crank and Nicolson, two in one of Padé.
 
-use super::system::Pair;
+use super::system::{Pair, PerPoint, PointByPoint};
 use crate::scalar::Scalar;
 use std::ops::{Add, Mul, Neg, Sub};
 
@@ -12,7 +12,7 @@ pub(super) trait Vector<T>:
 
 impl<T, V> Vector<T> for V where V: Copy + Add<Output = V> + Sub<Output = V> + Neg<Output = V> + Mul<T, Output = V> {}
 
-/// The pivots of `A = I + i dt/2 H`, `H = -D₂ + diag(V)`, one after another.
+/// The pivots of `A = I + i dt/2 (H + shift)`, `H = -D₂ + diag(V)`, one after another.
 pub(super) struct Pivots<T> {
     b: T,
     b_squared: T,
@@ -23,15 +23,16 @@ pub(super) struct Pivots<T> {
 
 impl<T: Scalar> Pivots<T> {
     #[inline(always)]
-    pub(super) fn new(dt: f64, dx: f64) -> Self {
+    pub(super) fn new(dt: f64, dx: f64, shift: f64) -> Self {
         let off_diagonal = 0.5 * dt / (dx * dx);
-        let (b, kinetic, half_dt) = (T::lift(off_diagonal), T::lift(2.0 * off_diagonal), T::lift(0.5 * dt));
+        let kinetic = 2.0 * off_diagonal + 0.5 * dt * shift;
+        let (b, kinetic, half_dt) = (T::lift(off_diagonal), T::lift(kinetic), T::lift(0.5 * dt));
         Self { b, b_squared: b * b, kinetic, half_dt, per_pivot: (T::zero(), T::zero()) }
     }
 
     /// One over the pivot of the next row, in which the potential is `v`.
     #[inline(always)]
-    pub(super) fn next(&mut self, v: T) -> Pair<T> {
+    fn next(&mut self, v: T) -> Pair<T> {
         let (q_re, q_im) = self.per_pivot;
         let re = T::one() + self.b_squared * q_re;
         let im = self.kinetic + self.half_dt * v + self.b_squared * q_im;
@@ -39,11 +40,32 @@ impl<T: Scalar> Pivots<T> {
         self.per_pivot = (re * per_square, -(im * per_square));
         self.per_pivot
     }
+}
 
-    /// A, eliminated, with what [`next`](Self::next) gave for each row.
+/// A while it is eliminated, row by row.
+pub(super) struct Rows<'a, T> {
+    pivots: Pivots<T>,
+    per_pivot: &'a mut PerPoint<Pair<T>>,
+}
+
+impl<'a, T: Scalar> Rows<'a, T> {
     #[inline(always)]
-    pub(super) fn elimination(self, per_pivot: &mut [Pair<T>]) -> Elimination<'_, T> {
-        Elimination { b: self.b, per_pivot }
+    pub(super) fn new(pivots: Pivots<T>, grid: usize, per_pivot: &'a mut PerPoint<Pair<T>>) -> Self {
+        per_pivot.reserve(grid, (T::zero(), T::zero()));
+        Self { pivots, per_pivot }
+    }
+
+    /// A, eliminated, when every row has been.
+    #[inline(always)]
+    pub(super) fn elimination(self) -> Elimination<'a, T> {
+        Elimination { b: self.pivots.b, per_pivot: self.per_pivot.all() }
+    }
+}
+
+impl<T: Scalar> PointByPoint<T> for Rows<'_, T> {
+    #[inline(always)]
+    fn put(&mut self, j: usize, v: T) {
+        self.per_pivot.set(j, self.pivots.next(v));
     }
 }
 

@@ -1,6 +1,6 @@
 //! The physics of a particle in a box.
 
-use super::elimination::{Elimination, Pivots};
+use super::elimination::{Elimination, Pivots, Rows};
 use crate::effect::{Effect, Host, system_without_effects};
 use crate::scalar::{Cotangent, Real, Scalar};
 use crate::scratch::Scratch;
@@ -13,9 +13,14 @@ pub(super) const STACK: usize = 64;
 /// A complex number as its real and imaginary part.
 pub(super) type Pair<T> = (T, T);
 /// A value for each grid point.
-type PerPoint<T> = Scratch<T, STACK>;
+pub(super) type PerPoint<T> = Scratch<T, STACK>;
 /// Real and imaginary part for each grid point.
 pub(super) type Wave<T> = SmallVec<[T; 2 * STACK]>;
+
+/// What takes the potential, grid point by grid point. (Not a closure: those may be compiled as calls.)
+pub(super) trait PointByPoint<T> {
+    fn put(&mut self, j: usize, v: T);
+}
 
 /// The physics: Schrödinger's equation in a box with a linear potential, by Crank and Nicolson.
 ///
@@ -31,6 +36,9 @@ pub(super) type Wave<T> = SmallVec<[T; 2 * STACK]>;
 ///
 /// Forces, for effects to add to: the potential `V_j` at the grid points, `grid` real numbers. Where it depends on the
 /// state, that is the state in which the step begins.
+///
+/// Other schemes for the same equation: [`Pade`](super::Pade), [`Strang`](super::Strang), or any of the three,
+/// [`QuantumScheme`](super::QuantumScheme).
 ///
 /// The step is unitary whatever the potential. It costs one tridiagonal solve, O(grid). Elimination without pivoting is
 /// safe although large potentials end the dominance of the diagonal: the Hermitian part of A is the identity, so the
@@ -131,40 +139,45 @@ impl QuantumSystem {
 
     /// Where the control's potential is 0, in grid points.
     #[inline(always)]
-    fn control_origin(&self) -> f64 {
+    pub(super) fn control_origin(&self) -> f64 {
         match self.control {
             ControlShape::Tilt => 0.0,
             ControlShape::Dipole => self.middle(),
         }
     }
 
-    /// A of a step. What it works with, it writes to `potential` and to `per_pivot`.
+    /// Hands the potential of the control and of the effects to `to`, grid point by grid point.
+    #[inline(always)]
+    pub(super) fn potential<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], to: &mut impl PointByPoint<T>) {
+        let (control, dx, origin) = (u[0], self.spacing(), self.control_origin());
+        let tilted = |j: usize| control * T::lift(((j + 1) as f64 - origin) * dx);
+        if E::LOCAL {
+            // The chain of divisions in an elimination leaves the time for it.
+            for j in 0..self.grid {
+                to.put(j, effects.act_at(self, x, j, tilted(j)));
+            }
+        } else {
+            let mut potential = PerPoint::new();
+            let potential = potential.collect((0..self.grid).map(tilted));
+            effects.act(self, x, potential);
+            for (j, &v) in potential.iter().enumerate() {
+                to.put(j, v);
+            }
+        }
+    }
+
+    /// A of a step. What it works with, it writes to `per_pivot`.
     #[inline(always)]
     fn eliminate<'a, E: Effect<Self>, T: Scalar>(
         &self,
         effects: &E,
         x: &[T],
         u: &[T],
-        potential: &mut PerPoint<T>,
         per_pivot: &'a mut PerPoint<Pair<T>>,
     ) -> Elimination<'a, T> {
-        let (control, dx, origin) = (u[0], self.spacing(), self.control_origin());
-        let tilted = |j: usize| control * T::lift(((j + 1) as f64 - origin) * dx);
-        let mut pivots = Pivots::new(self.dt, dx);
-        per_pivot.reserve(self.grid, (T::zero(), T::zero()));
-        if E::LOCAL {
-            // The chain of divisions in the elimination leaves the time for it.
-            for j in 0..self.grid {
-                per_pivot.set(j, pivots.next(effects.act_at(self, x, j, tilted(j))));
-            }
-        } else {
-            let potential = potential.collect((0..self.grid).map(tilted));
-            effects.act(self, x, potential);
-            for (j, &v) in potential.iter().enumerate() {
-                per_pivot.set(j, pivots.next(v));
-            }
-        }
-        pivots.elimination(per_pivot.all())
+        let mut rows = Rows::new(Pivots::new(self.dt, self.spacing(), 0.0), self.grid, per_pivot);
+        self.potential(effects, x, u, &mut rows);
+        rows.elimination()
     }
 
     /// Makes `x_bar = 2 w - v` of `w = A⁻ᴴ v`: the cotangents of real and imaginary parts are carried by the conjugate
@@ -174,16 +187,19 @@ impl QuantumSystem {
     /// A y = ψ, so dψ'/dV_j = 2 dy/dV_j = -i dt A⁻¹ e_j y_j
     /// V_bar_j = Re ⟨v, dψ'/dV_j⟩ = dt Im(w̄_j y_j)
     /// ```
+    ///
+    /// `dt` is that of the factor. What it keeps, it adds to what is there if this is one of `SEVERAL` factors.
     #[inline(always)]
-    fn reverse_potential<R: Real, C: Cotangent<R>>(
+    pub(super) fn reverse_potential<R: Real, C: Cotangent<R>, const SEVERAL: bool>(
         &self,
+        dt: f64,
         y: &[[R; 2]],
         next_bar: &[C],
         x_bar: &mut [C],
         asked: bool,
         mut potential_bar: Option<&mut [C]>,
     ) -> C {
-        let (dt, dx, origin, n) = (R::lift(self.dt), self.spacing(), self.control_origin(), y.len());
+        let (dt, dx, origin, n) = (R::lift(dt), self.spacing(), self.control_origin(), y.len());
         let (v, w) = (&next_bar.as_chunks::<2>().0[..n], &mut x_bar.as_chunks_mut::<2>().0[..n]);
         let mut control_bar = C::null();
         for j in 0..n {
@@ -193,7 +209,7 @@ impl QuantumSystem {
                 control_bar += bar * R::lift(((j + 1) as f64 - origin) * dx);
             }
             if let Some(potential_bar) = &mut potential_bar {
-                potential_bar[j] = bar;
+                potential_bar[j] = if SEVERAL { potential_bar[j] + bar } else { bar };
             }
         }
         control_bar
@@ -221,8 +237,8 @@ impl Host for QuantumSystem {
 
     #[inline(always)]
     fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
-        let (mut potential, mut per_pivot) = (PerPoint::new(), PerPoint::new());
-        self.eliminate(effects, x, u, &mut potential, &mut per_pivot).solve(x, next);
+        let mut per_pivot = PerPoint::new();
+        self.eliminate(effects, x, u, &mut per_pivot).solve(x, next);
         for (next, &x) in next.iter_mut().zip(x) {
             *next = *next + *next - x;
         }
@@ -239,8 +255,8 @@ impl Host for QuantumSystem {
         u_bar: Option<&mut [C]>,
     ) {
         let n = 2 * self.grid;
-        let (mut potential, mut per_pivot) = (PerPoint::new(), PerPoint::new());
-        let mut a = self.eliminate(effects, x, u, &mut potential, &mut per_pivot);
+        let mut per_pivot = PerPoint::new();
+        let mut a = self.eliminate(effects, x, u, &mut per_pivot);
         let effects_read = x_bar.is_some() && effects.reads_state();
         // What only the state's cotangent needs ends here.
         if u_bar.is_none() && !effects_read {
@@ -268,11 +284,12 @@ impl Host for QuantumSystem {
         let control_bar = if effects_read {
             let mut potential_bar = PerPoint::new();
             let potential_bar = potential_bar.fill(C::null(), self.grid);
-            let control_bar = self.reverse_potential(y, next_bar, &mut x_bar[..n], asked, Some(&mut *potential_bar));
+            let control_bar =
+                self.reverse_potential::<R, C, false>(self.dt, y, next_bar, &mut x_bar[..n], asked, Some(&mut *potential_bar));
             effects.vjp(self, x, potential_bar, x_bar);
             control_bar
         } else {
-            self.reverse_potential(y, next_bar, &mut x_bar[..n], asked, None)
+            self.reverse_potential::<R, C, false>(self.dt, y, next_bar, &mut x_bar[..n], asked, None)
         };
         if let Some(u_bar) = u_bar {
             u_bar[0] = control_bar;

@@ -1,0 +1,255 @@
+//! Schemes for Schrödinger's equation: derivatives, norm, order, phases.
+
+mod boxes;
+
+use boxes::{box_of, dipole, every_effect, every_effect_typed, largest_difference, lively, norm, overlap, step};
+use physgrad::policy::Linear;
+use physgrad::rng::{Purpose, stream};
+use physgrad::tasks::{
+    Absorbing, AbsorbingEdges, Cubic, Harmonic, Pade, Quantum, QuantumEffect, QuantumScheme, QuantumSystem, Strang,
+};
+use physgrad::{Actuated, Counted, Counts, Delay, Effect, Host, Limit, LimitKind, Scalar, Substeps, System, Task, With, check};
+use std::f64::consts::{PI, TAU};
+
+fn schemes(body: QuantumSystem) -> [QuantumScheme; 3] {
+    [QuantumScheme::CrankNicolson(body), QuantumScheme::Pade(Pade(body)), QuantumScheme::Strang(Strang::new(body))]
+}
+
+fn check_lively<S: System>(system: &S) {
+    check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{}: {mismatch}", system.state_dim()));
+}
+
+#[test]
+fn the_derivatives_of_every_scheme_are_those_of_duals() {
+    for body in [box_of(3), dipole(4), box_of(9), dipole(32), box_of(65), dipole(66)] {
+        check_lively(&Pade(body));
+        check_lively(&Strang::new(body));
+        for system in schemes(body) {
+            for effects in [vec![Harmonic::default().into()], every_effect()] {
+                check_lively(&With { system: system.clone(), effects });
+            }
+        }
+    }
+    check_lively(&With { system: Pade(dipole(32)), effects: every_effect_typed() });
+    check_lively(&With { system: Strang::new(dipole(32)), effects: every_effect_typed() });
+}
+
+/// A force that swings with time, and depends on the wave by more than its density.
+#[derive(Clone, Debug)]
+struct Swinging;
+
+impl Effect<QuantumSystem> for Swinging {
+    fn act<T: Scalar>(&self, body: &QuantumSystem, x: &[T], forces: &mut [T]) {
+        let push = x[x.len() - 1].sin() * x[0];
+        for (v, point) in forces.iter_mut().zip(body.points()) {
+            *v += push * T::lift(point);
+        }
+    }
+    fn clock(&self) -> Option<f64> {
+        Some(1.0)
+    }
+}
+
+#[test]
+fn effects_may_depend_on_time_and_wrappers_go_around_every_scheme() {
+    let (limit, edges) = (Limit { bound: 20.0, kind: LimitKind::Smooth }, AbsorbingEdges::default());
+    for system in schemes(dipole(8)) {
+        check_lively(&With { system: system.clone(), effects: (Swinging, Cubic::default()) });
+        let system = Absorbing::new(With { system, effects: every_effect() }, edges);
+        let system = Actuated { system: Substeps { system, count: 3 }, actuator: (limit, Delay { steps: 2 }) };
+        check_lively(&system);
+        let task = Quantum { horizon: 6, ..Quantum::around(system, 2) };
+        check::task(&task, &Linear::with_bias(18, 1));
+    }
+}
+
+/// Everything of a step and its reverse.
+fn everything<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
+    let n = x.len();
+    let bar: Vec<f64> = (0..n).map(|i| Scalar::sin(i as f64)).collect();
+    let (mut x_bar, mut u_bar) = (vec![0.0; n], [0.0]);
+    system.vjp(x, &[u], &bar, &mut x_bar, &mut u_bar);
+    [step(system, x, u), x_bar, u_bar.to_vec()].concat()
+}
+
+#[test]
+fn a_scheme_that_is_chosen_has_its_own_bits_and_a_list_those_of_a_tuple() {
+    fn same<H: Host<Body = QuantumSystem> + System + Clone>(alone: &H, chosen: &QuantumScheme) -> Vec<f64> {
+        let (mut x, mut u) = (vec![0.0; alone.body().grid * 2], [0.0]);
+        lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u);
+        let plain = everything(alone, &x, u[0]);
+        assert_eq!(plain, everything(chosen, &x, u[0]));
+        assert_eq!(plain, everything(&With { system: alone.clone(), effects: Vec::<QuantumEffect>::new() }, &x, u[0]));
+        let typed = everything(&With { system: alone.clone(), effects: every_effect_typed() }, &x, u[0]);
+        assert_eq!(typed, everything(&With { system: alone.clone(), effects: every_effect() }, &x, u[0]));
+        assert_eq!(typed, everything(&With { system: chosen.clone(), effects: every_effect() }, &x, u[0]));
+        assert_ne!(plain, typed);
+        plain
+    }
+    for body in [box_of(32), dipole(33)] {
+        let [a, b, c] = schemes(body);
+        let (a, b, c) = (same(&body, &a), same(&Pade(body), &b), same(&Strang::new(body), &c));
+        assert!(largest_difference(&a, &b) > 1e-3 && largest_difference(&b, &c) > 1e-3, "they are three");
+    }
+}
+
+#[test]
+fn every_scheme_is_unitary_whatever_the_potential() {
+    for (body, effects) in [(box_of(32), vec![]), (dipole(32), every_effect()), (box_of(7), every_effect())] {
+        for system in schemes(body) {
+            let system = With { system, effects: effects.clone() };
+            let mut x = vec![0.0; 2 * body.grid];
+            Quantum { weighting: [1.0, 1.0], ..Quantum::around(body, 3) }.start(&mut stream(0, Purpose::Test, 0), &mut x);
+            for t in 0..5000 {
+                x = step(&system, &x, 300.0 * (0.1 * f64::from(t)).sin());
+            }
+            println!("{:e}", norm(&x) - 1.0);
+            assert!((norm(&x) - 1.0).abs() < 1e-12, "{:?}: {:e}", system.system, norm(&x) - 1.0);
+        }
+    }
+}
+
+/// The state after half a unit of time under a control that is constant for 1/16 of one, and the derivatives of its
+/// infidelity with respect to those eight numbers. `count` time steps go into each.
+fn rollout<E: Effect<QuantumSystem>>(scheme: usize, effects: &E, count: usize) -> (Vec<f64>, Vec<f64>) {
+    const PIECES: usize = 8;
+    let body = QuantumSystem { dt: 0.0625 / count as f64, ..dipole(12) };
+    let system = Substeps { system: With { system: schemes(body)[scheme].clone(), effects: effects.clone() }, count };
+    let task = Quantum { horizon: PIECES, ..Quantum::around(system, 2) };
+    let mut states = vec![(body.eigenstate(1).zip(body.eigenstate(2)).flat_map(|(a, b)| [0.8 * a, 0.6 * b])).collect::<Vec<_>>()];
+    let control = |k: usize| 8.0 * (1.0 + 5.0 * (k as f64 + 0.5) / PIECES as f64).sin();
+    for k in 0..PIECES {
+        states.push(step(&task.system, &states[k], control(k)));
+    }
+    let (mut bar, mut gradient) = (vec![0.0; 2 * body.grid], vec![0.0; PIECES]);
+    task.stage_cost_gradient(&states[PIECES], &[0.0], &mut bar, &mut [0.0]);
+    for k in (0..PIECES).rev() {
+        let mut x_bar = bar.clone();
+        task.system.vjp(&states[k], &[control(k)], &bar, &mut x_bar, &mut gradient[k..=k]);
+        bar = x_bar;
+    }
+    (states[PIECES].clone(), gradient)
+}
+
+/// Orders of state and gradient, from `count` steps a piece to twice as many.
+fn orders<E: Effect<QuantumSystem>>(scheme: usize, effects: &E, count: usize, reference: &(Vec<f64>, Vec<f64>)) -> [f64; 2] {
+    let errors = |count| {
+        let (state, gradient) = rollout(scheme, effects, count);
+        [largest_difference(&state, &reference.0), largest_difference(&gradient, &reference.1)]
+    };
+    let (coarse, fine) = (errors(count), errors(2 * count));
+    let orders = [0, 1].map(|i| (coarse[i] / fine[i]).log2());
+    println!("scheme {scheme}: {coarse:?}, {fine:?}: orders {orders:.2?}");
+    orders
+}
+
+#[test]
+fn states_and_gradients_converge_with_the_order_of_the_scheme() {
+    let trap = Harmonic { stiffness: 50.0, center: 0.2 };
+    let reference = rollout(1, &trap, 512);
+    for (scheme, order, count) in [(0, 2.0, 32), (1, 4.0, 8), (2, 2.0, 8)] {
+        for found in orders(scheme, &trap, count, &reference) {
+            assert!((found - order).abs() < 0.3, "scheme {scheme}: {found}");
+        }
+    }
+}
+
+#[test]
+fn with_the_cubic_term_strang_keeps_its_order() {
+    let cubic = Cubic { strength: 3.0 };
+    let reference = rollout(2, &cubic, 2048);
+    for (scheme, order, count) in [(0, 1.0, 128), (1, 1.0, 64), (2, 2.0, 8)] {
+        for found in orders(scheme, &cubic, count, &reference) {
+            assert!((found - order).abs() < 0.3, "scheme {scheme}: {found}");
+        }
+    }
+}
+
+/// How wrong the phase of an eigenstate is after a time step of the default box, in shares of what it should be.
+fn phase_error(scheme: usize, number: usize, count: usize) -> f64 {
+    let body = QuantumSystem { dt: 0.0625 / count as f64, ..QuantumSystem::default() };
+    let phi: Vec<f64> = body.eigenstate(number).flat_map(|phi| [phi, 0.0]).collect();
+    let energy = 4.0 * ((PI * number as f64 / 66.0).sin() / body.spacing()).powi(2);
+    let (size, phase) = overlap(&phi, &step(&schemes(body)[scheme], &phi, 0.0));
+    assert!((size - 1.0).abs() < 1e-13, "it is an eigenstate");
+    ((-phase).rem_euclid(TAU) / (energy * body.dt) - 1.0).abs()
+}
+
+#[test]
+fn phases_of_eigenstates() {
+    for (number, crank_nicolson, pade) in [(3, 0.12, 0.0045), (4, 0.28, 0.033), (5, 0.43, 0.116)] {
+        let errors = [0, 1, 2].map(|scheme| phase_error(scheme, number, 1));
+        println!("{number}: {errors:.4?}");
+        assert!((errors[0] - crank_nicolson).abs() < 0.006 && (errors[1] - pade).abs() < 0.03 * pade);
+        assert!(errors[2] < 1e-14, "exact");
+    }
+    let least = |scheme| (1..).find(|&count| phase_error(scheme, 5, count) <= 0.01);
+    assert_eq!([0, 1, 2].map(least), [Some(11), Some(3), Some(1)]);
+}
+
+#[test]
+fn a_step_of_pade_is_two_of_crank_and_nicolson_with_shifted_energies() {
+    #[derive(Clone, Debug)]
+    struct Shift(f64);
+    impl Effect<QuantumSystem> for Shift {
+        fn act<T: Scalar>(&self, _body: &QuantumSystem, _x: &[T], potential: &mut [T]) {
+            potential.iter_mut().for_each(|v| *v += T::lift(self.0));
+        }
+    }
+    let (mut x, mut u) = (vec![0.0; 64], [0.0]);
+    lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u);
+    let (body, shift) = (box_of(32), 3f64.sqrt() / 0.0625);
+    let part = QuantumSystem { dt: body.dt * 2.0 / 3.0, ..body };
+    let halfway = step(&With { system: part, effects: Shift(-shift) }, &x, u[0]);
+    let twice = step(&With { system: part, effects: Shift(shift) }, &halfway, u[0]);
+    assert!(largest_difference(&twice, &step(&Pade(body), &x, u[0])) < 1e-13);
+}
+
+/// A step without potential, against the sum over all eigenstates.
+#[test]
+fn strang_moves_free_particles_exactly() {
+    for grid in [3, 6, 7, 33, 300] {
+        let body = QuantumSystem { length: 2.0 * (grid + 1) as f64 / 33.0, ..box_of(grid) };
+        let (mut x, mut u) = (vec![0.0; 2 * grid], [0.0]);
+        lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u);
+        let mut expected = vec![0.0; 2 * grid];
+        for number in 1..=grid {
+            let phi: Vec<f64> = (1..=grid).map(|j| (PI * (number * j) as f64 / (grid + 1) as f64).sin()).collect();
+            let share =
+                |i: usize| phi.iter().zip(x[i..].iter().step_by(2)).map(|(a, b)| a * b).sum::<f64>() * 2.0 / (grid + 1) as f64;
+            let (re, im) = (share(0), share(1));
+            let energy = 4.0 * ((PI * number as f64 / (2 * grid + 2) as f64).sin() / body.spacing()).powi(2);
+            let (sin, cos) = (-energy * body.dt).sin_cos();
+            for (expected, phi) in expected.chunks_exact_mut(2).zip(&phi) {
+                expected[0] += phi * (re * cos - im * sin);
+                expected[1] += phi * (re * sin + im * cos);
+            }
+        }
+        assert!(largest_difference(&expected, &step(&Strang::new(body), &x, 0.0)) < 1e-12);
+    }
+}
+
+/// What a step, `vjp`, `vjp_state` and `vjp_control` do.
+fn counts<S: System>(system: &S) -> [Counts; 4] {
+    let n = system.state_dim();
+    let x: Vec<Counted> = (0..n).map(|i| Counted(Scalar::sin(i as f64))).collect();
+    let (u, mut next, mut x_bar, mut u_bar) = ([Counted(3.0)], x.clone(), x.clone(), [Counted(0.0)]);
+    [
+        Counts::of(|| system.step(&x, &u, &mut next)).0,
+        Counts::of(|| system.vjp(&x, &u, &x, &mut x_bar, &mut u_bar)).0,
+        Counts::of(|| system.vjp_state(&x, &u, &x, &mut x_bar)).0,
+        Counts::of(|| system.vjp_control(&x, &u, &x, &mut u_bar)).0,
+    ]
+}
+
+#[test]
+fn a_step_of_pade_costs_two_and_works_out_the_potential_once() {
+    let sums = |add, multiply| Counts { add, multiply, ..Counts::default() };
+    let (crank_nicolson, pade) = (counts(&box_of(32)), counts(&Pade(box_of(32))));
+    // In the reverse, the state between the factors is worked out again, and their cotangents are added up.
+    let more = [sums(0, 0), sums(4 * 32 + 1, 0), sums(0, 0), sums(4 * 32 + 1, 0)];
+    for i in 0..4 {
+        assert_eq!(pade[i] + sums(0, 32), crank_nicolson[i] + crank_nicolson[i] + more[i], "{i}");
+    }
+    assert_eq!(counts(&QuantumScheme::Pade(Pade(box_of(32)))), pade);
+}
