@@ -1,6 +1,6 @@
 //! Work that is compiled apart from the loops that need it.
 
-use crate::kernels::{Vectorized, dispatch_narrow};
+use crate::kernels::{Vectorized, dispatch_lanes};
 use crate::scalar::Scalar;
 
 /// Runs it with the instructions of this processor, and is never inlined: what is chosen while the program runs is in
@@ -11,7 +11,7 @@ use crate::scalar::Scalar;
 pub(crate) fn apart<T: Scalar>(work: impl Vectorized) {
     #[inline(never)]
     fn best(work: impl Vectorized) {
-        dispatch_narrow(work);
+        dispatch_lanes(work);
     }
     #[inline(never)]
     fn portable(work: impl Vectorized) {

@@ -32,19 +32,28 @@ fn room<T: Copy>(value: T, len: usize) -> Room<T> {
     smallvec![value; len]
 }
 
+/// Where a step begins, and how far it goes.
+#[derive(Clone, Copy, Debug)]
+pub struct Stretch<'a, T> {
+    /// The time that it takes, s.
+    pub h: T,
+    /// The state in which it begins.
+    pub x: &'a [T],
+    /// The control, constant during it.
+    pub u: &'a [T],
+}
+
 /// A way to go from one state to that of a time `h` later.
 pub trait Integrator: Clone + Debug + Send + Sync {
-    /// Writes the state after the time `h`, s.
-    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]);
+    /// Writes the state at its end.
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]);
 
-    /// The reverse of [`advance`](Integrator::advance) at the same `h`: overwrites `x_bar`, and adds to `u_bar` if it is asked
+    /// The reverse of [`advance`](Integrator::advance) of the same stretch: overwrites `x_bar`, and adds to `u_bar` if it is asked
     /// for.
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn ReverseOn<R, C>,
-        h: R,
-        x: &[R],
-        u: &[R],
+        step: Stretch<'_, R>,
         next_bar: &[C],
         x_bar: &mut [C],
         u_bar: Option<&mut [C]>,
@@ -73,18 +82,18 @@ impl<O: Ode, I: Integrator> System for Integrated<O, I> {
 
     #[inline(always)]
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        self.integrator.advance(&self.ode, T::lift(self.dt), x, u, next);
+        self.integrator.advance(&self.ode, Stretch { h: T::lift(self.dt), x, u }, next);
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
         u_bar.fill(C::null());
-        self.integrator.reverse(&self.ode, R::lift(self.dt), x, u, next_bar, x_bar, Some(u_bar));
+        self.integrator.reverse(&self.ode, Stretch { h: R::lift(self.dt), x, u }, next_bar, x_bar, Some(u_bar));
     }
 
     #[inline(always)]
     fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        self.integrator.reverse(&self.ode, R::lift(self.dt), x, u, next_bar, x_bar, None);
+        self.integrator.reverse(&self.ode, Stretch { h: R::lift(self.dt), x, u }, next_bar, x_bar, None);
     }
 
     /// The control of the first stage reaches the end through the states of those after it.

@@ -116,6 +116,23 @@ pub fn dispatch_narrow(work: impl Vectorized) {
     work.run::<false>();
 }
 
+/// As [`dispatch_narrow`], for work on lanes alone, which the loops of an x86-64 without AVX2 do not use.
+#[inline]
+pub(crate) fn dispatch_lanes(work: impl Vectorized) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        #[target_feature(enable = "avx2,fma")]
+        unsafe fn avx2(work: impl Vectorized) {
+            work.run::<true>();
+        }
+        assert!(Level::best() != Level::Portable, "lists of effects take eight lanes at once only with AVX2, else four");
+        // SAFETY: every level but the portable one has these instructions.
+        unsafe { avx2(work) }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    work.run::<false>();
+}
+
 /// What an old processor would do, for tests.
 #[cfg(test)]
 pub(crate) mod portable {

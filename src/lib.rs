@@ -105,7 +105,7 @@ pub use divergence::{Divergence, Variable};
 pub use effect::{Around, Effect, Host, With};
 pub use field::{Compose, Field, SignAgreement, UnknownField};
 pub use integrator::{
-    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, SemiImplicit, Verlet,
+    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, SemiImplicit, Stretch, Verlet,
 };
 pub use ode::{Flowing, Ode, RateOn, ReverseOn};
 pub use optim::{Clip, Optimizer, Rule};

@@ -126,20 +126,20 @@ fn every_integrator_has_its_order_in_state_and_gradient() {
 
 #[test]
 fn the_steps_of_the_tasks_are_their_integrators() {
-    let step = |system: &dyn Fn(&[f64], &[f64], &mut [f64]), n: usize, m: usize| {
+    fn step<S: System>(system: &S) -> Vec<f64> {
         let mut rng = stream(0, Purpose::Test, 0);
         let mut numbers = |len: usize| (0..len).map(|_| rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
-        let (x, u, mut next) = (numbers(n), numbers(m), vec![0.0; n]);
-        system(&x, &u, &mut next);
+        let (x, u, mut next) = (numbers(system.state_dim()), numbers(system.control_dim()), numbers(system.state_dim()));
+        system.step(&x, &u, &mut next);
         next
-    };
+    }
     let own = cart_pole();
     let by = integrated(own, SemiImplicit, own.system.dt);
-    let pair = [step(&|x, u, next| own.step(x, u, next), 6, 1), step(&|x, u, next| by.step(x, u, next), 6, 1)];
+    let pair = [step(&own), step(&by)];
     assert!(distance(&pair[0], &pair[1]) < 1e-15, "{pair:?}");
     let own = GuidanceSystem::default().herding();
     let by = integrated(own, RungeKutta::EULER, own.system.dt);
-    let pair = [step(&|x, u, next| own.step(x, u, next), 24, 4), step(&|x, u, next| by.step(x, u, next), 24, 4)];
+    let pair = [step(&own), step(&by)];
     assert_eq!(pair[0], pair[1]);
 }
 
@@ -187,7 +187,7 @@ fn the_implicit_midpoint_rule_is_stable_where_explicit_ones_are_not() {
     let (found, _) = reached(&ode, &ImplicitMidpoint::default(), 10.0, 100);
     assert!(found[0].abs() < 2.0, "{found:?}");
     let (found, _) = reached(&ode, &RungeKutta::RK4, 10.0, 100);
-    assert!(!(found[0].abs() < 1e100), "{found:?}");
+    assert!(found[0].is_nan() || found[0].abs() > 1e100, "{found:?}");
 }
 
 #[test]
@@ -225,7 +225,7 @@ impl Ode for Springs {
         rate[3] = (x[0] - x[2] - x[2] * x[2] * x[2]) * T::lift(3.0);
     }
     fn velocity(&self, i: usize) -> Option<usize> {
-        (i % 2 == 0).then_some(i + 1)
+        i.is_multiple_of(2).then_some(i + 1)
     }
 }
 

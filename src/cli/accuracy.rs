@@ -87,7 +87,7 @@ const LEAST: f64 = 0.003;
 /// Runs the command.
 pub fn accuracy(args: &Accuracy) -> Result<()> {
     if let Some(target) = args.target
-        && !(target > 0.0)
+        && (target.is_nan() || target <= 0.0)
     {
         bail!("--target {target}: an error to reach is more than 0, for example 1e-3");
     }

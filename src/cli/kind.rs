@@ -130,10 +130,8 @@ impl<K: Kind> AnyKind for K {
     }
 
     fn reference(&self) -> (&'static str, usize) {
-        match K::METHODS.contains(&Method::Tsit5) {
-            true => (Method::Tsit5.name(), 128),
-            false => ("own", 4096),
-        }
+        let method = if K::METHODS.contains(&Method::Tsit5) { Method::Tsit5 } else { Method::Pade };
+        (method.name(), 128)
     }
 
     fn defaults(&self) -> Table {

@@ -121,15 +121,16 @@ impl Scene {
         self.kind.scene(table)
     }
 
-    /// The settings that a resumed run must share: what differs from the task's defaults, but for the number of epochs.
+    /// The settings that a resumed run must share: what differs from the task's defaults, but for the number of epochs
+    /// and what changes no bit.
     /// So a setting that later versions add, with a default that changes nothing, leaves the identity of a run as it is.
     pub fn identity(&self) -> String {
-        self.unusual(&["epochs"])
+        self.unusual(&["epochs", "training.memory"])
     }
 
     /// The settings that the runs of a comparison share: as [`identity`](Self::identity), but for field and seed.
     pub fn comparable(&self) -> String {
-        self.unusual(&["epochs", "field", "seed"])
+        self.unusual(&["epochs", "training.memory", "field", "seed"])
     }
 
     /// A line for every effect, and for every setting that is not the default of its task or effect, and none of these.

@@ -119,11 +119,12 @@ impl<K: Kind> Settings<K> {
         let TrainingSettings { batch, train_samples, test_samples, .. } = self.training;
         let samples = batch.min(train_samples);
         let memory = Memory { precision: self.precision, samples, start_states: train_samples + test_samples };
-        let bytes = self.visit(memory);
+        // With a budget, what does not fit is computed again.
+        let bytes = if self.training.memory.is_some() { 0.0 } else { self.visit(memory) };
         if bytes > MEMORY {
             let what = format!(
                 "is {}: a mini-batch of {samples} samples would need about {:.0} GB, and at most {:.0} GB are used; choose a \
-                 smaller `training.batch`, `horizon` or policy",
+                 smaller `training.batch`, `horizon` or policy, or a budget, as in `training.memory = \"1GB\"`",
                 self.horizon,
                 bytes * 1e-9,
                 MEMORY * 1e-9

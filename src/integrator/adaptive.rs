@@ -1,6 +1,6 @@
 //! Tsitouras' method with control of its error.
 
-use super::{Integrator, Room, RungeKutta, room};
+use super::{Integrator, Room, RungeKutta, Stretch, room};
 use crate::ode::{RateOn, ReverseOn};
 use crate::scalar::{Cotangent, Float, Real, Scalar};
 
@@ -34,7 +34,7 @@ impl Default for Adaptive {
 
 /// What the fifth-order result differs by from the fourth-order one: weights of the six stages, and of the rate at the end.
 const ERROR: [f64; 7] = [
-    -0.001_780_011_052_225_777_1,
+    -0.001_780_011_052_225_777,
     -0.000_816_434_459_656_746_9,
     0.007_880_878_010_261_995,
     -0.144_711_007_173_262_9,
@@ -97,7 +97,8 @@ impl Adaptive {
 
 impl Integrator for Adaptive {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
+        let Stretch { h, x, u } = step;
         self.attempts(ode, h, x, u, next, |_, _| {});
     }
 
@@ -105,13 +106,12 @@ impl Integrator for Adaptive {
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn ReverseOn<R, C>,
-        h: R,
-        x: &[R],
-        u: &[R],
+        step: Stretch<'_, R>,
         next_bar: &[C],
         x_bar: &mut [C],
         mut u_bar: Option<&mut [C]>,
     ) {
+        let Stretch { h, x, u } = step;
         let n = x.len();
         let (mut states, mut steps): (Room<R>, Room<R>) = (Room::new(), Room::new());
         let mut next = room(R::zero(), n);
@@ -122,7 +122,7 @@ impl Integrator for Adaptive {
         let mut bar = room(C::null(), n);
         bar.copy_from_slice(next_bar);
         for (state, &step) in states.chunks_exact(n).zip(&steps).rev() {
-            RungeKutta::TSIT5.reverse(ode, step, state, u, &bar, x_bar, u_bar.as_deref_mut());
+            RungeKutta::TSIT5.reverse(ode, Stretch { h: step, x: state, u }, &bar, x_bar, u_bar.as_deref_mut());
             bar.copy_from_slice(x_bar);
         }
         x_bar.copy_from_slice(&bar);

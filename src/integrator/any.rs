@@ -1,6 +1,6 @@
 //! Integrators that are chosen while the program runs.
 
-use super::{Adaptive, ImplicitMidpoint, Integrator, RungeKutta, SemiImplicit, Verlet, room};
+use super::{Adaptive, ImplicitMidpoint, Integrator, RungeKutta, SemiImplicit, Stretch, Verlet, room};
 use crate::apart::apart;
 use crate::effect::Around;
 use crate::kernels::Vectorized;
@@ -86,25 +86,21 @@ impl<O: Ode> Ode for Apart<'_, O> {
 struct Advance<'a, I, T> {
     method: &'a I,
     ode: &'a dyn RateOn<T>,
-    h: T,
-    x: &'a [T],
-    u: &'a [T],
+    step: Stretch<'a, T>,
     next: &'a mut [T],
 }
 
 impl<I: Integrator, T: Scalar> Vectorized for Advance<'_, I, T> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        self.method.advance(self.ode, self.h, self.x, self.u, self.next);
+        self.method.advance(self.ode, self.step, self.next);
     }
 }
 
 struct Reverse<'a, I, R, C> {
     method: &'a I,
     ode: &'a dyn ReverseOn<R, C>,
-    h: R,
-    x: &'a [R],
-    u: &'a [R],
+    step: Stretch<'a, R>,
     next_bar: &'a [C],
     x_bar: &'a mut [C],
     u_bar: Option<&'a mut [C]>,
@@ -113,20 +109,20 @@ struct Reverse<'a, I, R, C> {
 impl<I: Integrator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, I, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { method, ode, h, x, u, next_bar, x_bar, u_bar } = self;
-        method.reverse(ode, h, x, u, next_bar, x_bar, u_bar);
+        let Self { method, ode, step, next_bar, x_bar, u_bar } = self;
+        method.reverse(ode, step, next_bar, x_bar, u_bar);
     }
 }
 
 impl Integrator for AnyIntegrator {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
         match self {
-            Self::RungeKutta(method) => apart::<T>(Advance { method, ode, h, x, u, next }),
-            Self::SemiImplicit(method) => apart::<T>(Advance { method, ode, h, x, u, next }),
-            Self::Verlet(method) => apart::<T>(Advance { method, ode, h, x, u, next }),
-            Self::Adaptive(method) => apart::<T>(Advance { method, ode, h, x, u, next }),
-            Self::ImplicitMidpoint(method) => apart::<T>(Advance { method, ode, h, x, u, next }),
+            Self::RungeKutta(method) => apart::<T>(Advance { method, ode, step, next }),
+            Self::SemiImplicit(method) => apart::<T>(Advance { method, ode, step, next }),
+            Self::Verlet(method) => apart::<T>(Advance { method, ode, step, next }),
+            Self::Adaptive(method) => apart::<T>(Advance { method, ode, step, next }),
+            Self::ImplicitMidpoint(method) => apart::<T>(Advance { method, ode, step, next }),
         }
     }
 
@@ -134,19 +130,17 @@ impl Integrator for AnyIntegrator {
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn ReverseOn<R, C>,
-        h: R,
-        x: &[R],
-        u: &[R],
+        step: Stretch<'_, R>,
         next_bar: &[C],
         x_bar: &mut [C],
         u_bar: Option<&mut [C]>,
     ) {
         match self {
-            Self::RungeKutta(method) => apart::<R>(Reverse { method, ode, h, x, u, next_bar, x_bar, u_bar }),
-            Self::SemiImplicit(method) => apart::<R>(Reverse { method, ode, h, x, u, next_bar, x_bar, u_bar }),
-            Self::Verlet(method) => apart::<R>(Reverse { method, ode, h, x, u, next_bar, x_bar, u_bar }),
-            Self::Adaptive(method) => apart::<R>(Reverse { method, ode, h, x, u, next_bar, x_bar, u_bar }),
-            Self::ImplicitMidpoint(method) => apart::<R>(Reverse { method, ode, h, x, u, next_bar, x_bar, u_bar }),
+            Self::RungeKutta(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
+            Self::SemiImplicit(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
+            Self::Verlet(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
+            Self::Adaptive(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
+            Self::ImplicitMidpoint(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
         }
     }
 }
@@ -175,7 +169,7 @@ impl<S: System + Ode> System for Discretized<S> {
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
         match &self.integrator {
             None => self.system.step(x, u, next),
-            Some(integrator) => integrator.advance(&Apart(&self.system), T::lift(self.dt), x, u, next),
+            Some(integrator) => integrator.advance(&Apart(&self.system), Stretch { h: T::lift(self.dt), x, u }, next),
         }
     }
 
@@ -185,7 +179,7 @@ impl<S: System + Ode> System for Discretized<S> {
             None => self.system.vjp(x, u, next_bar, x_bar, u_bar),
             Some(integrator) => {
                 u_bar.fill(C::null());
-                integrator.reverse(&Apart(&self.system), R::lift(self.dt), x, u, next_bar, x_bar, Some(u_bar));
+                integrator.reverse(&Apart(&self.system), Stretch { h: R::lift(self.dt), x, u }, next_bar, x_bar, Some(u_bar));
             }
         }
     }
@@ -194,7 +188,9 @@ impl<S: System + Ode> System for Discretized<S> {
     fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
         match &self.integrator {
             None => self.system.vjp_state(x, u, next_bar, x_bar),
-            Some(integrator) => integrator.reverse(&Apart(&self.system), R::lift(self.dt), x, u, next_bar, x_bar, None),
+            Some(integrator) => {
+                integrator.reverse(&Apart(&self.system), Stretch { h: R::lift(self.dt), x, u }, next_bar, x_bar, None)
+            }
         }
     }
 

@@ -1,6 +1,6 @@
 //! The implicit midpoint rule.
 
-use super::{Integrator, Room, room};
+use super::{Integrator, Room, Stretch, room};
 use crate::ode::{RateOn, ReverseOn};
 use crate::scalar::{Cotangent, Float, Real, Scalar};
 
@@ -146,7 +146,8 @@ fn inverse_of_one_minus<T: Scalar>(mut matrix: Room<T>, n: usize) -> Room<T> {
 
 impl Integrator for ImplicitMidpoint {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
+        let Stretch { h, x, u } = step;
         Self::solve(self.tolerance, ode, h, x, u, next);
     }
 
@@ -154,13 +155,12 @@ impl Integrator for ImplicitMidpoint {
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn ReverseOn<R, C>,
-        h: R,
-        x: &[R],
-        u: &[R],
+        step: Stretch<'_, R>,
         next_bar: &[C],
         x_bar: &mut [C],
         u_bar: Option<&mut [C]>,
     ) {
+        let Stretch { h, x, u } = step;
         let n = x.len();
         let mut middle = room(R::zero(), n);
         Self::solve(0.0, ode, h, x, u, &mut middle);

@@ -2,7 +2,7 @@
 //!
 //! A position is a component that has an [`Ode::velocity`]; every other component is treated as velocities are.
 
-use super::{Integrator, room};
+use super::{Integrator, Stretch, room};
 use crate::ode::{RateOn, ReverseOn};
 use crate::scalar::{Cotangent, Real, Scalar};
 
@@ -15,7 +15,8 @@ pub struct SemiImplicit;
 
 impl Integrator for SemiImplicit {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
+        let Stretch { h, x, u } = step;
         let mut rate = room(T::zero(), x.len());
         ode.rate(x, u, &mut rate);
         for i in 0..x.len() {
@@ -34,17 +35,16 @@ impl Integrator for SemiImplicit {
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn ReverseOn<R, C>,
-        h: R,
-        x: &[R],
-        u: &[R],
+        step: Stretch<'_, R>,
         next_bar: &[C],
         x_bar: &mut [C],
         u_bar: Option<&mut [C]>,
     ) {
+        let Stretch { h, x, u } = step;
         x_bar.copy_from_slice(next_bar);
-        for i in 0..x.len() {
+        for (i, &next_bar) in next_bar.iter().enumerate() {
             if let Some(velocity) = ode.velocity(i) {
-                x_bar[velocity] += next_bar[i] * h;
+                x_bar[velocity] += next_bar * h;
             }
         }
         let mut rate_bar = room(C::null(), x.len());
@@ -85,7 +85,8 @@ impl Verlet {
 
 impl Integrator for Verlet {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
+        let Stretch { h, x, u } = step;
         let (mut first, mut second) = (room(T::zero(), x.len()), room(T::zero(), x.len()));
         ode.rate(x, u, &mut first);
         Self::guess(ode, h, x, &first, next);
@@ -102,13 +103,12 @@ impl Integrator for Verlet {
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn ReverseOn<R, C>,
-        h: R,
-        x: &[R],
-        u: &[R],
+        step: Stretch<'_, R>,
         next_bar: &[C],
         x_bar: &mut [C],
         mut u_bar: Option<&mut [C]>,
     ) {
+        let Stretch { h, x, u } = step;
         let n = x.len();
         let (half, half_square) = (h * R::lift(0.5), h * h * R::lift(0.5));
         let (mut rate, mut guess) = (room(R::zero(), n), room(R::zero(), n));

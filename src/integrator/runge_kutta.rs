@@ -1,6 +1,6 @@
 //! Explicit methods of Runge and Kutta, and their reverse, once for all of them.
 
-use super::{Integrator, Room, room};
+use super::{Integrator, Room, Stretch, room};
 use crate::ode::{RateOn, ReverseOn};
 use crate::scalar::{Cotangent, Real, Scalar};
 
@@ -16,7 +16,11 @@ const MOST: usize = 7;
 /// k̄_i = h (b_i x̄' + Σ_{j>i} a_ji ȳ_j),   ȳ_i = (∂f/∂x)ᵀ k̄_i,   ū += (∂f/∂u)ᵀ k̄_i,   x̄ = x̄' + Σ_i ȳ_i
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RungeKutta {
+pub struct RungeKutta(&'static Tableau);
+
+/// The coefficients of a method.
+#[derive(Debug, PartialEq)]
+struct Tableau {
     stages: usize,
     a: [[f64; MOST - 1]; MOST],
     b: [f64; MOST],
@@ -24,13 +28,14 @@ pub struct RungeKutta {
 
 impl RungeKutta {
     /// Euler's explicit method: order 1, one evaluation of the field.
-    pub const EULER: Self = Self::new(1, &[], &[1.0]);
+    pub const EULER: Self = Self(&Tableau::new(1, &[], &[1.0]));
     /// Heun's method, the explicit trapezoidal rule: order 2, two evaluations.
-    pub const HEUN: Self = Self::new(2, &[&[1.0]], &[0.5, 0.5]);
+    pub const HEUN: Self = Self(&Tableau::new(2, &[&[1.0]], &[0.5, 0.5]));
     /// The classical method: order 4, four evaluations.
-    pub const RK4: Self = Self::new(4, &[&[0.5], &[0.0, 0.5], &[0.0, 0.0, 1.0]], &[1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0]);
+    pub const RK4: Self =
+        Self(&Tableau::new(4, &[&[0.5], &[0.0, 0.5], &[0.0, 0.0, 1.0]], &[1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0]));
     /// Tsitouras 2011 (doi:10.1016/j.camwa.2011.06.002): order 5, six evaluations.
-    pub const TSIT5: Self = Self::new(
+    pub const TSIT5: Self = Self(&Tableau::new(
         6,
         &[
             &[0.161],
@@ -53,8 +58,53 @@ impl RungeKutta {
             -3.290_069_515_436_081,
             2.324_710_524_099_774,
         ],
-    );
+    ));
 
+    /// Evaluations of the field in a step.
+    pub fn stages(&self) -> usize {
+        self.0.stages
+    }
+
+    /// Writes where each stage evaluates the field, and what it finds there.
+    #[inline(always)]
+    pub(super) fn run<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], at: &mut [T], rates: &mut [T]) {
+        let n = x.len();
+        for i in 0..self.0.stages {
+            let at = &mut at[i * n..(i + 1) * n];
+            at.copy_from_slice(x);
+            for (j, &weight) in self.0.a[i][..i].iter().enumerate() {
+                if weight != 0.0 {
+                    add_scaled(at, h * T::lift(weight), &rates[j * n..(j + 1) * n]);
+                }
+            }
+            ode.rate(at, u, &mut rates[i * n..(i + 1) * n]);
+        }
+    }
+
+    /// Adds `h Σ_i weight_i k_i`.
+    #[inline(always)]
+    pub(super) fn sum<T: Scalar>(&self, weights: &[f64], h: T, rates: &[T], next: &mut [T]) {
+        let n = next.len();
+        for (i, &weight) in weights[..self.0.stages].iter().enumerate() {
+            if weight != 0.0 {
+                add_scaled(next, h * T::lift(weight), &rates[i * n..(i + 1) * n]);
+            }
+        }
+    }
+
+    /// Room for the stages of a step.
+    #[inline(always)]
+    pub(super) fn room<T: Scalar>(&self, n: usize) -> (Room<T>, Room<T>) {
+        (room(T::zero(), self.0.stages * n), room(T::zero(), self.0.stages * n))
+    }
+
+    /// The weights of the stages in the next state.
+    pub(super) fn weights(&self) -> &[f64] {
+        &self.0.b
+    }
+}
+
+impl Tableau {
     const fn new(stages: usize, rows: &[&[f64]], weights: &[f64]) -> Self {
         let (mut a, mut b) = ([[0.0; MOST - 1]; MOST], [0.0; MOST]);
         let mut i = 0;
@@ -69,49 +119,6 @@ impl RungeKutta {
         }
         Self { stages, a, b }
     }
-
-    /// Evaluations of the field in a step.
-    pub fn stages(&self) -> usize {
-        self.stages
-    }
-
-    /// Writes where each stage evaluates the field, and what it finds there.
-    #[inline(always)]
-    pub(super) fn run<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], at: &mut [T], rates: &mut [T]) {
-        let n = x.len();
-        for i in 0..self.stages {
-            let at = &mut at[i * n..(i + 1) * n];
-            at.copy_from_slice(x);
-            for (j, &weight) in self.a[i][..i].iter().enumerate() {
-                if weight != 0.0 {
-                    add_scaled(at, h * T::lift(weight), &rates[j * n..(j + 1) * n]);
-                }
-            }
-            ode.rate(at, u, &mut rates[i * n..(i + 1) * n]);
-        }
-    }
-
-    /// Adds `h Σ_i weight_i k_i`.
-    #[inline(always)]
-    pub(super) fn sum<T: Scalar>(&self, weights: &[f64], h: T, rates: &[T], next: &mut [T]) {
-        let n = next.len();
-        for (i, &weight) in weights[..self.stages].iter().enumerate() {
-            if weight != 0.0 {
-                add_scaled(next, h * T::lift(weight), &rates[i * n..(i + 1) * n]);
-            }
-        }
-    }
-
-    /// Room for the stages of a step.
-    #[inline(always)]
-    pub(super) fn room<T: Scalar>(&self, n: usize) -> (Room<T>, Room<T>) {
-        (room(T::zero(), self.stages * n), room(T::zero(), self.stages * n))
-    }
-
-    /// The weights of the stages in the next state.
-    pub(super) fn weights(&self) -> &[f64] {
-        &self.b
-    }
 }
 
 /// `y += factor x`.
@@ -124,34 +131,34 @@ pub(super) fn add_scaled<T: Scalar>(y: &mut [T], factor: T, x: &[T]) {
 
 impl Integrator for RungeKutta {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
+        let Stretch { h, x, u } = step;
         let (mut at, mut rates) = self.room(x.len());
         self.run(ode, h, x, u, &mut at, &mut rates);
         next.copy_from_slice(x);
-        self.sum(&self.b, h, &rates, next);
+        self.sum(&self.0.b, h, &rates, next);
     }
 
     #[inline(always)]
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn ReverseOn<R, C>,
-        h: R,
-        x: &[R],
-        u: &[R],
+        step: Stretch<'_, R>,
         next_bar: &[C],
         x_bar: &mut [C],
         mut u_bar: Option<&mut [C]>,
     ) {
+        let Stretch { h, x, u } = step;
         let n = x.len();
         let (mut at, mut rates) = self.room(n);
         self.run(ode, h, x, u, &mut at, &mut rates);
-        let (mut at_bar, mut rate_bar) = (room(C::null(), self.stages * n), room(C::null(), n));
-        for i in (0..self.stages).rev() {
+        let (mut at_bar, mut rate_bar) = (room(C::null(), self.0.stages * n), room(C::null(), n));
+        for i in (0..self.0.stages).rev() {
             for (c, rate_bar) in rate_bar.iter_mut().enumerate() {
-                *rate_bar = next_bar[c] * (h * R::lift(self.b[i]));
-                for j in i + 1..self.stages {
-                    if self.a[j][i] != 0.0 {
-                        *rate_bar += at_bar[j * n + c] * (h * R::lift(self.a[j][i]));
+                *rate_bar = next_bar[c] * (h * R::lift(self.0.b[i]));
+                for j in i + 1..self.0.stages {
+                    if self.0.a[j][i] != 0.0 {
+                        *rate_bar += at_bar[j * n + c] * (h * R::lift(self.0.a[j][i]));
                     }
                 }
             }

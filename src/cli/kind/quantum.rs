@@ -6,8 +6,8 @@ use crate::cli::settings::{Method, Settings};
 use physgrad::policy::Conv;
 use physgrad::report::{self, Animation, Landscape};
 use physgrad::tasks::{
-    self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode, QuantumEffect, QuantumSystem,
-    Tabulated,
+    self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode, Pade, QuantumEffect,
+    QuantumScheme, QuantumSystem, Strang, Tabulated,
 };
 use physgrad::{Around, Substeps, With};
 use schemars::JsonSchema;
@@ -171,7 +171,7 @@ impl Kind for Quantum {
     const ABOUT: &'static str = "bring a particle in a box into an eigenstate by tilting the floor";
     const EPOCHS: usize = 200;
     const HORIZON: usize = 128;
-    const METHODS: &'static [Method] = &[];
+    const METHODS: &'static [Method] = &Method::QUANTUM;
 
     const EFFECTS: &'static [Info] = &[
         Info { name: "harmonic", equation: "V = stiffness (ξ - center)²", derivative: "none is needed: it does not see ψ" },
@@ -225,7 +225,12 @@ impl Kind for Quantum {
         let edges = settings.effects.absorbing_edges.unwrap_or(AbsorbingEdges { width: 0.0, strength: 0.0 });
         let count = settings.integrator.count();
         let system = QuantumSystem { dt: system.dt / count as f64, ..system };
-        let system = Substeps { system: Absorbing::new(With { system, effects }, edges), count };
+        let scheme = match settings.integrator.method {
+            Some(Method::Pade) => QuantumScheme::Pade(Pade(system)),
+            Some(Method::Strang) => QuantumScheme::Strang(Strang::new(system)),
+            _ => QuantumScheme::CrankNicolson(system),
+        };
+        let system = Substeps { system: Absorbing::new(With { system: scheme, effects }, edges), count };
         reach(settings.actuator.around(system, settings.system.dt), settings, visitor)
     }
 

@@ -27,7 +27,7 @@ pub struct IntegratorSettings {
     tolerance: Option<f64>,
 }
 
-/// Methods for ordinary differential equations.
+/// Methods.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
@@ -47,6 +47,10 @@ pub enum Method {
     Tsit5,
     /// Tsitouras 5(4) with steps of its own choice.
     Adaptive,
+    /// Of quantum control: Padé's scheme, order 4.
+    Pade,
+    /// Of quantum control: Strang's splitting, order 2, exact without potential.
+    Strang,
 }
 
 impl Method {
@@ -62,6 +66,9 @@ impl Method {
         Self::Adaptive,
     ];
 
+    /// Those for Schrödinger's equation, beside that of Crank and Nicolson.
+    pub const QUANTUM: [Self; 2] = [Self::Pade, Self::Strang];
+
     /// As a scene spells it.
     pub fn name(self) -> &'static str {
         match self {
@@ -73,6 +80,8 @@ impl Method {
             Self::Rk4 => "rk4",
             Self::Tsit5 => "tsit5",
             Self::Adaptive => "adaptive",
+            Self::Pade => "pade",
+            Self::Strang => "strang",
         }
     }
 }
@@ -123,6 +132,7 @@ impl IntegratorSettings {
     pub fn around<S: System + Ode>(&self, system: S, dt: f64, precision: Precision) -> Substeps<Discretized<S>> {
         let floor = precision.tolerance_floor();
         let integrator = self.method.map(|method| match method {
+            Method::Pade | Method::Strang => unreachable!("validated: not a method of this task"),
             Method::Euler => AnyIntegrator::RungeKutta(RungeKutta::EULER),
             Method::SemiImplicit => AnyIntegrator::SemiImplicit(SemiImplicit),
             Method::Verlet => AnyIntegrator::Verlet(Verlet),

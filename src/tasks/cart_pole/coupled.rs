@@ -103,7 +103,7 @@ impl Host for CoupledCartPole {
             Some(x_bar) => x_bar[3 + 2 * i] * k.dt,
             None => (next_bar[3 + 2 * i] + next_bar[2 + 2 * i] * k.dt) * k.dt,
         };
-        let force_bar = self.accelerate_reverse(&k, effects, x, u, speed_bar * k.dt, alpha_bar, x_bar);
+        let force_bar = self.accelerate_reverse(effects, x, u, speed_bar * k.dt, alpha_bar, x_bar);
         if let Some(u_bar) = u_bar {
             u_bar[0] = force_bar;
         }
@@ -143,7 +143,6 @@ impl CoupledCartPole {
     #[inline(always)]
     fn accelerate_reverse<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
         &self,
-        k: &Constants<R>,
         effects: &E,
         x: &[R],
         u: &[R],
@@ -151,6 +150,7 @@ impl CoupledCartPole {
         alpha_bar: impl Fn(usize, Option<&[C]>) -> C,
         mut x_bar: Option<&mut [C]>,
     ) -> C {
+        let k = self.constants::<R>();
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
         self.0.own_forces_again(x, u, &mut trig, &mut forces);
         effects.act_knowing(&self.0, x, trig.as_flattened(), &mut forces);
@@ -213,7 +213,7 @@ impl Flowing for CoupledCartPole {
             x_bar[i + 1] += rate_bar[i];
         }
         let alpha_bar = |i: usize, _: Option<&[C]>| rate_bar[3 + 2 * i];
-        let force_bar = self.accelerate_reverse(&self.constants::<R>(), effects, x, u, rate_bar[1], alpha_bar, Some(x_bar));
+        let force_bar = self.accelerate_reverse(effects, x, u, rate_bar[1], alpha_bar, Some(x_bar));
         if let Some(u_bar) = u_bar {
             u_bar[0] += force_bar;
         }

@@ -171,7 +171,7 @@ impl Host for CartPoleSystem {
             Some(x_bar) => x_bar[3 + 2 * i] * k.dt,
             None => (next_bar[3 + 2 * i] + next_bar[2 + 2 * i] * k.dt) * k.dt,
         };
-        let force_bar = self.accelerate_reverse(&k, effects, x, u, speed_bar * (k.dt * k.per_mass), alpha_bar, x_bar);
+        let force_bar = self.accelerate_reverse(effects, x, u, speed_bar * (k.dt * k.per_mass), alpha_bar, x_bar);
         if let Some(u_bar) = u_bar {
             u_bar[0] = force_bar;
         }
@@ -203,7 +203,6 @@ impl CartPoleSystem {
     #[inline(always)]
     fn accelerate_reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
         &self,
-        k: &Constants<R>,
         effects: &E,
         x: &[R],
         u: &[R],
@@ -211,6 +210,7 @@ impl CartPoleSystem {
         alpha_bar: impl Fn(usize, Option<&[C]>) -> C,
         mut x_bar: Option<&mut [C]>,
     ) -> C {
+        let k = self.constants::<R>();
         // Made where they are: a full array that is returned is a copy of all there is room for.
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
         self.own_forces_again(x, u, &mut trig, &mut forces);
@@ -254,7 +254,7 @@ impl CartPoleSystem {
 
 /// Positions and their velocities come in turn.
 pub(super) fn velocity_of(i: usize) -> Option<usize> {
-    (i % 2 == 0).then_some(i + 1)
+    i.is_multiple_of(2).then_some(i + 1)
 }
 
 impl Flowing for CartPoleSystem {
@@ -282,7 +282,7 @@ impl Flowing for CartPoleSystem {
             x_bar[i + 1] += rate_bar[i];
         }
         let alpha_bar = |i: usize, _: Option<&[C]>| rate_bar[3 + 2 * i];
-        let force_bar = self.accelerate_reverse(&k, effects, x, u, rate_bar[1] * k.per_mass, alpha_bar, Some(x_bar));
+        let force_bar = self.accelerate_reverse(effects, x, u, rate_bar[1] * k.per_mass, alpha_bar, Some(x_bar));
         if let Some(u_bar) = u_bar {
             u_bar[0] += force_bar;
         }
