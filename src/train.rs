@@ -103,7 +103,7 @@ pub enum TrainError {
     },
     /// The memory that a mini-batch may take is too little.
     #[error("training.memory: {0}")]
-    Memory(#[from] MemoryError),
+    Memory(MemoryError),
     /// Too many updates in a row were skipped.
     #[error(
         "training stopped: {count} updates in a row were skipped, the last in epoch {}, update {} ({}). \
@@ -233,4 +233,10 @@ pub struct Report<F> {
     pub weights: Weights<F>,
     /// One record an epoch.
     pub records: Vec<Record>,
+}
+
+impl From<MemoryError> for TrainError {
+    fn from(error: MemoryError) -> Self {
+        Self::Memory(error)
+    }
 }
