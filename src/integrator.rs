@@ -5,12 +5,14 @@
 
 mod adaptive;
 mod any;
+mod discretized;
 mod implicit;
 mod partitioned;
 mod runge_kutta;
 
 pub use adaptive::Adaptive;
-pub use any::{AnyIntegrator, Discretized};
+pub use any::AnyIntegrator;
+pub use discretized::Discretized;
 pub use implicit::ImplicitMidpoint;
 pub use partitioned::{SemiImplicit, Verlet};
 pub use runge_kutta::RungeKutta;

@@ -7,8 +7,8 @@ mod quantum;
 mod toy;
 
 pub use cart_pole::{
-    Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, PoleDamping,
-    SteadyWind,
+    Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind,
+    PoleDamping, SteadyWind,
 };
 pub use guidance::{
     Center, Drive, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, Herding, Obstacles, Spread, Walls,

@@ -1,13 +1,10 @@
 //! Integrators that are chosen while the program runs.
 
-use super::{Adaptive, ImplicitMidpoint, Integrator, RungeKutta, SemiImplicit, Stretch, Verlet, room};
+use super::{Adaptive, ImplicitMidpoint, Integrator, RungeKutta, SemiImplicit, Stretch, Verlet};
 use crate::apart::apart;
-use crate::effect::Around;
 use crate::kernels::Vectorized;
 use crate::ode::{Ode, RateOn, ReverseOn};
-use crate::rng::Rng;
 use crate::scalar::{Cotangent, Real, Scalar};
-use crate::system::System;
 
 /// Any integrator.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,7 +22,7 @@ pub enum AnyIntegrator {
 }
 
 /// The vector field, compiled apart from the integrators, and they from it.
-struct Apart<'a, O>(&'a O);
+pub(super) struct Apart<'a, O>(pub &'a O);
 
 struct Rate<'a, O, T> {
     ode: &'a O,
@@ -142,75 +139,5 @@ impl Integrator for AnyIntegrator {
             Self::Adaptive(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
             Self::ImplicitMidpoint(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
         }
-    }
-}
-
-/// A system that is a vector field too, in steps as it takes them itself or as an integrator does.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Discretized<S> {
-    /// The system. Its own step has the length `dt`.
-    pub system: S,
-    /// What takes the steps; without, the system itself.
-    pub integrator: Option<AnyIntegrator>,
-    /// Time step, s.
-    pub dt: f64,
-}
-
-impl<S: System + Ode> System for Discretized<S> {
-    fn state_dim(&self) -> usize {
-        System::state_dim(&self.system)
-    }
-
-    fn control_dim(&self) -> usize {
-        System::control_dim(&self.system)
-    }
-
-    #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        match &self.integrator {
-            None => self.system.step(x, u, next),
-            Some(integrator) => integrator.advance(&Apart(&self.system), Stretch { h: T::lift(self.dt), x, u }, next),
-        }
-    }
-
-    #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        match &self.integrator {
-            None => self.system.vjp(x, u, next_bar, x_bar, u_bar),
-            Some(integrator) => {
-                u_bar.fill(C::null());
-                integrator.reverse(&Apart(&self.system), Stretch { h: R::lift(self.dt), x, u }, next_bar, x_bar, Some(u_bar));
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        match &self.integrator {
-            None => self.system.vjp_state(x, u, next_bar, x_bar),
-            Some(integrator) => {
-                integrator.reverse(&Apart(&self.system), Stretch { h: R::lift(self.dt), x, u }, next_bar, x_bar, None)
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        if self.integrator.is_none() {
-            return self.system.vjp_control(x, u, next_bar, u_bar);
-        }
-        let mut x_bar = room(C::null(), x.len());
-        self.vjp(x, u, next_bar, &mut x_bar, u_bar);
-    }
-}
-
-impl<B, S: Ode + Around<B>> Around<B> for Discretized<S> {
-    #[inline(always)]
-    fn body(&self) -> &B {
-        self.system.body()
-    }
-
-    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
-        self.system.start_beyond(rng, x);
     }
 }

@@ -8,12 +8,14 @@
 mod bumpers;
 mod coupled;
 mod friction;
+mod model;
 mod system;
 mod wind;
 
 pub use bumpers::Bumpers;
 pub use coupled::CoupledCartPole;
 pub use friction::{CartDamping, DryFriction, PoleDamping};
+pub use model::CartPoleModel;
 pub use system::CartPoleSystem;
 pub use wind::{GustyWind, SteadyWind};
 

@@ -69,14 +69,14 @@ fn diagrams(name: &str, rows: &[Row]) -> physgrad::report::Drawing {
             ["f32", "f64"].map(|precision| {
                 let own = rows.iter().filter(|row| row.setting.method == *method && row.setting.precision.name() == precision);
                 let line = own.filter_map(|row| Some(point(row, row.errors.as_ref().ok()?))).collect();
-                let series = Series::new(format!("{method} {precision}"), COLORS[i % COLORS.len()], line);
+                let series = Series::new(*method, COLORS[i % COLORS.len()], line);
                 if precision == "f32" { series.dashed() } else { series }
             })
         };
         methods.iter().enumerate().flat_map(of_method).collect::<Vec<Series>>()
     };
     work_precision(
-        &format!("{name}: errors against work"),
+        &format!("{name}: errors against work; f32 dashed, f64 in full"),
         vec![
             Work {
                 x_label: "forward, us a step",

@@ -5,10 +5,10 @@ use crate::cli::problem::{Problem, count, exclusive, finite, not_negative, posit
 use crate::cli::settings::{Method, Settings};
 use physgrad::report::{self, Animation, Rail};
 use physgrad::tasks::{
-    self, Bumpers, CartDamping, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, LossMode, PoleDamping,
-    SteadyWind,
+    self, Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, LossMode,
+    PoleDamping, SteadyWind,
 };
-use physgrad::{Around, Flowing, Host, System, With};
+use physgrad::{Around, System, With};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -156,10 +156,7 @@ fn swing_up<S: Around<CartPoleSystem> + Clone + 'static, V: Visit>(
 }
 
 /// Any combination of effects, walked as a list, behind any actuator.
-fn listed<H, V: Visit>(system: H, effects: Vec<CartPoleEffect>, settings: &Settings<CartPole>, visitor: V) -> V::Out
-where
-    H: Flowing + Host<Body = CartPoleSystem> + Clone + 'static,
-{
+fn listed<V: Visit>(system: CartPoleModel, effects: Vec<CartPoleEffect>, settings: &Settings<CartPole>, visitor: V) -> V::Out {
     let system = settings.integrator.around(With { system, effects }, system_dt(settings), settings.precision);
     let system = settings.actuator.around(system, settings.system.dt);
     swing_up(system, settings, visitor)
@@ -221,8 +218,8 @@ impl Kind for CartPole {
             Model::Uncoupled if effects.is_empty() && settings.actuator.is_empty() && settings.integrator.is_empty() => {
                 swing_up(system, settings, visitor)
             }
-            Model::Uncoupled => listed(system, effects, settings, visitor),
-            Model::Coupled => listed(CoupledCartPole(system), effects, settings, visitor),
+            Model::Uncoupled => listed(CartPoleModel::Uncoupled(system), effects, settings, visitor),
+            Model::Coupled => listed(CartPoleModel::Coupled(CoupledCartPole(system)), effects, settings, visitor),
         }
     }
 

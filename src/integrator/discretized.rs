@@ -1,0 +1,123 @@
+//! A system in its own steps, or in those of an integrator.
+
+use super::any::Apart;
+use super::{AnyIntegrator, Integrator, Stretch, room};
+use crate::apart::apart;
+use crate::effect::Around;
+use crate::kernels::Vectorized;
+use crate::ode::Ode;
+use crate::rng::Rng;
+use crate::scalar::{Cotangent, Real, Scalar};
+use crate::system::System;
+
+/// A system that is a vector field too, in steps as it takes them itself or as an integrator does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Discretized<S> {
+    /// The system. Its own step has the length `dt`.
+    pub system: S,
+    /// What takes the steps; without, the system itself.
+    pub integrator: Option<AnyIntegrator>,
+    /// Time step, s.
+    pub dt: f64,
+}
+
+/// A step of the system itself, compiled apart: what chooses while the program runs is a call, and what is around it may
+/// have several.
+struct Step<'a, S, T> {
+    system: &'a S,
+    x: &'a [T],
+    u: &'a [T],
+    next: &'a mut [T],
+}
+
+impl<S: System, T: Scalar> Vectorized for Step<'_, S, T> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        self.system.step(self.x, self.u, self.next);
+    }
+}
+
+/// Its reverse, to what is asked for.
+struct Reverse<'a, S, R, C> {
+    system: &'a S,
+    x: &'a [R],
+    u: &'a [R],
+    next_bar: &'a [C],
+    x_bar: Option<&'a mut [C]>,
+    u_bar: Option<&'a mut [C]>,
+}
+
+impl<S: System, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, S, R, C> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { system, x, u, next_bar, x_bar, u_bar } = self;
+        match (x_bar, u_bar) {
+            (Some(x_bar), Some(u_bar)) => system.vjp(x, u, next_bar, x_bar, u_bar),
+            (Some(x_bar), None) => system.vjp_state(x, u, next_bar, x_bar),
+            (None, Some(u_bar)) => system.vjp_control(x, u, next_bar, u_bar),
+            (None, None) => {}
+        }
+    }
+}
+
+impl<S: System + Ode> System for Discretized<S> {
+    fn state_dim(&self) -> usize {
+        System::state_dim(&self.system)
+    }
+
+    fn control_dim(&self) -> usize {
+        System::control_dim(&self.system)
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        match &self.integrator {
+            None => apart::<T>(Step { system: &self.system, x, u, next }),
+            Some(integrator) => integrator.advance(&Apart(&self.system), Stretch { h: T::lift(self.dt), x, u }, next),
+        }
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        match &self.integrator {
+            None => {
+                let system = &self.system;
+                apart::<R>(Reverse { system, x, u, next_bar, x_bar: Some(x_bar), u_bar: Some(u_bar) });
+            }
+            Some(integrator) => {
+                u_bar.fill(C::null());
+                integrator.reverse(&Apart(&self.system), Stretch { h: R::lift(self.dt), x, u }, next_bar, x_bar, Some(u_bar));
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
+        match &self.integrator {
+            None => apart::<R>(Reverse { system: &self.system, x, u, next_bar, x_bar: Some(x_bar), u_bar: None }),
+            Some(integrator) => {
+                integrator.reverse(&Apart(&self.system), Stretch { h: R::lift(self.dt), x, u }, next_bar, x_bar, None)
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
+        if self.integrator.is_none() {
+            return apart::<R>(Reverse { system: &self.system, x, u, next_bar, x_bar: None, u_bar: Some(u_bar) });
+        }
+        let mut x_bar = room(C::null(), x.len());
+        self.vjp(x, u, next_bar, &mut x_bar, u_bar);
+    }
+}
+
+impl<B, S: Ode + Around<B>> Around<B> for Discretized<S> {
+    #[inline(always)]
+    fn body(&self) -> &B {
+        self.system.body()
+    }
+
+    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
+        self.system.start_beyond(rng, x);
+    }
+}

@@ -1,0 +1,94 @@
+//! A model of poles on a cart, chosen while the program runs.
+
+use super::{CartPoleSystem, CoupledCartPole};
+use crate::effect::{Effect, Host, system_without_effects};
+use crate::ode::Flowing;
+use crate::scalar::{Cotangent, Real, Scalar};
+
+/// Either model. The numbers are those of the model by itself, bit for bit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum CartPoleModel {
+    /// Poles that do not act on each other.
+    Uncoupled(CartPoleSystem),
+    /// Poles that do.
+    Coupled(CoupledCartPole),
+}
+
+impl Host for CartPoleModel {
+    type Body = CartPoleSystem;
+
+    #[inline(always)]
+    fn body(&self) -> &CartPoleSystem {
+        match self {
+            Self::Uncoupled(system) | Self::Coupled(CoupledCartPole(system)) => system,
+        }
+    }
+
+    fn state_dim(&self) -> usize {
+        Host::state_dim(self.body())
+    }
+
+    fn control_dim(&self) -> usize {
+        1
+    }
+
+    fn dt(&self) -> f64 {
+        self.body().dt
+    }
+
+    #[inline(always)]
+    fn step_with<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+        match self {
+            Self::Uncoupled(host) => host.step_with(effects, x, u, next),
+            Self::Coupled(host) => host.step_with(effects, x, u, next),
+        }
+    }
+
+    #[inline(always)]
+    fn reverse<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
+        &self,
+        effects: &E,
+        x: &[R],
+        u: &[R],
+        next_bar: &[C],
+        x_bar: Option<&mut [C]>,
+        u_bar: Option<&mut [C]>,
+    ) {
+        match self {
+            Self::Uncoupled(host) => host.reverse(effects, x, u, next_bar, x_bar, u_bar),
+            Self::Coupled(host) => host.reverse(effects, x, u, next_bar, x_bar, u_bar),
+        }
+    }
+}
+
+impl Flowing for CartPoleModel {
+    #[inline(always)]
+    fn rate_with<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
+        match self {
+            Self::Uncoupled(host) => host.rate_with(effects, x, u, rate),
+            Self::Coupled(host) => host.rate_with(effects, x, u, rate),
+        }
+    }
+
+    #[inline(always)]
+    fn rate_reverse<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
+        &self,
+        effects: &E,
+        x: &[R],
+        u: &[R],
+        rate_bar: &[C],
+        x_bar: &mut [C],
+        u_bar: Option<&mut [C]>,
+    ) {
+        match self {
+            Self::Uncoupled(host) => host.rate_reverse(effects, x, u, rate_bar, x_bar, u_bar),
+            Self::Coupled(host) => host.rate_reverse(effects, x, u, rate_bar, x_bar, u_bar),
+        }
+    }
+
+    fn velocity_of(&self, i: usize) -> Option<usize> {
+        self.body().velocity_of(i)
+    }
+}
+
+system_without_effects!(CartPoleModel);
