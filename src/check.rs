@@ -218,7 +218,7 @@ fn vjp<S: System, R: Real, C: Cotangent<R>>(system: &S, x: &[R], u: &[R], next_b
 
 /// Two columns of lanes, each lane another input, against the same on plain numbers: the same bits.
 fn lanes<S: System>(system: &S, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
-    const W: usize = 4;
+    const W: usize = 2;
     let vary = |v: &[f64], lane: usize| v.iter().map(|v| v * (1.0 + 0.125 * lane as f64)).collect::<Vec<f64>>();
     let pack = |v: &[f64]| -> Vec<Lanes<f64, W>> {
         let lanes: [Vec<f64>; W] = std::array::from_fn(|lane| vary(v, lane));

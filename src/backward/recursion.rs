@@ -216,12 +216,13 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
         *self.finite = probe.0.iter().all(|p| p.0.iter().all(|&p| p == F::zero()));
     }
 
+    /// Sample by sample and flow by flow.
     #[inline(always)]
     fn one_by_one(self) {
         let Self { task, flows, rollout, t, carried: r, .. } = self;
         let (n, m) = (rollout.state_dim, rollout.control_dim);
         let mut numbers: SmallVec<[F; FEW]> = smallvec![F::zero(); 3 * n + 2 * m];
-        let mut columns: SmallVec<[Columns<F, K>; FEW]> = smallvec![Columns([F::zero(); K]); 2 * n + m];
+        let mut columns: SmallVec<[Columns<F, 1>; FEW]> = smallvec![Columns([F::zero()]); 2 * n + m];
         let (x, rest) = numbers.split_at_mut(n);
         let (next, rest) = rest.split_at_mut(n);
         let (cost_x, rest) = rest.split_at_mut(n);
@@ -235,19 +236,19 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
             read_lane(&rollout.states_at(t)[of_state.clone()], lane, x);
             read_lane(&rollout.states_at(t + 1)[of_state.clone()], lane, next);
             read_lane(&rollout.controls_at(t)[of_control.clone()], lane, u);
-            for (one, lanes) in lambda.iter_mut().zip(&r.lambda[of_state.clone()]) {
-                *one = Columns(std::array::from_fn(|k| lanes.0[k].0[lane]));
-            }
-            let one = Block { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u };
-            let probe = one.back(task, flows, self.scale);
-            *self.finite &= probe.0.iter().all(|&p| p == F::zero());
-            let write = |ones: &[Columns<F, K>], lanes: &mut [Columns<Lane<F>, K>]| {
-                for (one, lanes) in ones.iter().zip(lanes) {
-                    (0..K).for_each(|k| lanes.0[k].0[lane] = one.0[k]);
+            for (k, flow) in flows.into_iter().enumerate() {
+                for (one, lanes) in lambda.iter_mut().zip(&r.lambda[of_state.clone()]) {
+                    *one = Columns([lanes.0[k].0[lane]]);
                 }
-            };
-            write(lambda, &mut r.lambda[of_state]);
-            write(u_bar, &mut r.u_bar[of_control]);
+                let one = Block { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u };
+                let probe = one.back(task, [flow], self.scale);
+                *self.finite &= probe.0[0] == F::zero();
+                let write = |ones: &[Columns<F, 1>], lanes: &mut [Columns<Lane<F>, K>]| {
+                    ones.iter().zip(lanes).for_each(|(one, lanes)| lanes.0[k].0[lane] = one.0[0]);
+                };
+                write(lambda, &mut r.lambda[of_state.clone()]);
+                write(u_bar, &mut r.u_bar[of_control.clone()]);
+            }
         }
     }
 }
