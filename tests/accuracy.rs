@@ -2,7 +2,7 @@
 
 mod running;
 
-use running::{error_of, physgrad};
+use running::{error_of, physgrad, train};
 use std::collections::HashMap;
 use std::fs;
 use std::path::Path;
@@ -111,22 +111,18 @@ fn integrators_and_budgets_that_cannot_be_used_are_told_with_what_is_allowed() {
 #[test]
 fn a_budget_of_memory_changes_no_bit_and_an_integrator_does() {
     let dir = TempDir::new().expect("a folder");
-    let train = |name: &str, set: &[&str]| {
+    let policy = |name: &str, set: &[&str]| {
         let out = dir.path().join(name);
-        let small = ["--epochs", "2", "--set", "horizon=600", "--set", "policy.widths=[8]", "--quiet"];
-        let sizes = ["--set", "training.batch=8", "--set", "training.train_samples=8", "--set", "training.test_samples=4"];
-        let mut command = physgrad(&["train", "cart_pole"]);
-        for set in set {
-            command.args(["--set", set]);
-        }
-        command.args(small).args(sizes).arg("--out").arg(&out).assert().success();
+        let set: Vec<&str> = set.iter().flat_map(|set| ["--set", set]).collect();
+        let args = [&["--epochs", "2", "--set", "horizon=600", "--quiet"][..], &set].concat();
+        train(&out, &args).assert().success();
         fs::read(out.join("policy.safetensors")).expect("a policy")
     };
     let parameters = |file: &[u8]| {
         let header = u64::from_le_bytes(file[..8].try_into().expect("a length")) as usize;
         file[8 + header..].to_vec()
     };
-    let plain = train("plain", &[]);
-    assert_eq!(parameters(&plain), parameters(&train("budget", &["training.memory=\"400kB\""])));
-    assert_ne!(parameters(&plain), parameters(&train("verlet", &["integrator.method=\"verlet\""])));
+    let plain = policy("plain", &[]);
+    assert_eq!(parameters(&plain), parameters(&policy("budget", &["training.memory=\"400kB\""])));
+    assert_ne!(parameters(&plain), parameters(&policy("verlet", &["integrator.method=\"verlet\""])));
 }
