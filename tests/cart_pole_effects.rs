@@ -2,10 +2,10 @@
 //! claim.
 
 use physgrad::policy::Linear;
-use physgrad::rng::Rng;
+use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{
-    Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, PoleDamping,
-    SteadyWind,
+    Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind,
+    PoleDamping, SteadyWind,
 };
 use physgrad::{
     Actuated, AnyActuator, Around, Delay, Effect, Host, Lag, Limit, LimitKind, Scalar, Substeps, System, With, check,
@@ -247,4 +247,25 @@ fn substeps_are_the_small_steps() {
         expected = step(&small, &expected, 1.5);
     }
     assert_eq!(step(&Substeps { system: small, count: 4 }, &x, 1.5), expected);
+}
+
+/// The next state and all cotangents under every effect, at a lively state.
+fn everything<H: Host<Body = CartPoleSystem>>(host: H) -> Vec<f64> {
+    let system = With { system: host, effects: every_effect() };
+    let n = system.state_dim();
+    let (mut x, mut u) = (vec![0.0; n], [0.0]);
+    lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u);
+    let bar: Vec<f64> = (0..n).map(|i| 0.3 + i as f64).collect();
+    let (mut next, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], [0.0]);
+    system.step(&x, &u, &mut next);
+    system.vjp(&x, &u, &bar, &mut x_bar, &mut u_bar);
+    [&next[..], &x_bar, &u_bar].concat()
+}
+
+#[test]
+fn a_model_chosen_at_run_time_has_the_numbers_of_the_model() {
+    let (body, coupled) = (poles(3), CoupledCartPole(poles(3)));
+    assert_eq!(everything(CartPoleModel::Uncoupled(body)), everything(body));
+    assert_eq!(everything(CartPoleModel::Coupled(coupled)), everything(coupled));
+    assert_ne!(everything(coupled), everything(body));
 }
