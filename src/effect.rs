@@ -11,9 +11,9 @@ use crate::rng::Rng;
 use crate::scalar::{Cotangent, Real, Scalar};
 use crate::system::{System, Wrt, vjp_by_duals};
 pub(crate) use list::{Act, ActBack, any_effect};
-pub(crate) use without::system_without_effects;
 use rand::RngExt;
 use std::fmt::Debug;
+pub(crate) use without::system_without_effects;
 
 /// An optional piece of physics that adds to the forces of a system, or to its Hamiltonian.
 ///
