@@ -20,7 +20,7 @@ use crate::scalar::{Cotangent, Float, Real, Scalar};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImplicitMidpoint {
     /// When to stop: the largest correction of a component, in relation to 1 and its size. It is never asked to be less
-    /// than 32 roundings.
+    /// than 256 roundings, about which corrections of a stiff field stop falling; two more rounds follow.
     pub tolerance: f64,
 }
 
@@ -69,7 +69,7 @@ impl ImplicitMidpoint {
             middle[i] = (x[i] + next[i]) * half;
         }
         let inverse = inverse_of_one_minus(Self::differences(ode, h, &middle, u), n);
-        let tolerance = T::lift(tolerance.max(32.0 * <T::Real as Float>::EPSILON));
+        let tolerance = T::lift(tolerance.max(256.0 * <T::Real as Float>::EPSILON));
         // Derivatives of a dual number converge a round later than its value.
         let rounds_after = T::lift(2.0);
         let mut to_go = rounds_after;
