@@ -191,6 +191,15 @@ impl<R: Real, const K: usize> Block<'_, R, K> {
     }
 }
 
+impl<F: Float> Block<'_, F, 1> {
+    /// As [`back`](Block::back), for one sample and flow, and in one place however many flows there are: the processors
+    /// that need it are old. Whether the cotangents are finite.
+    #[inline(never)]
+    fn alone<T: Task>(self, task: &T, flow: Flow, scale: F) -> bool {
+        self.back(task, [flow], scale).0[0] == F::zero()
+    }
+}
+
 impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
     #[inline(always)]
     fn in_lanes(self) {
@@ -241,8 +250,7 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
                     *one = Columns([lanes.0[k].0[lane]]);
                 }
                 let one = Block { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u };
-                let probe = one.back(task, [flow], self.scale);
-                *self.finite &= probe.0[0] == F::zero();
+                *self.finite &= one.alone(task, flow, self.scale);
                 let write = |ones: &[Columns<F, 1>], lanes: &mut [Columns<Lane<F>, K>]| {
                     ones.iter().zip(lanes).for_each(|(one, lanes)| lanes.0[k].0[lane] = one.0[0]);
                 };
