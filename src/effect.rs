@@ -63,14 +63,20 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
         self.vjp(body, x, forces_bar, x_bar);
     }
 
-    /// Whether it is written as [`act_at`](Effect::act_at) too. A system with a long loop over its forces can then have
-    /// them in that loop, where it would wait otherwise, and not beforehand.
+    /// Whether it is written as [`act_at`](Effect::act_at) and [`vjp_at`](Effect::vjp_at) too. A system with a long loop over
+    /// its forces can then have them in that loop, where it would wait otherwise, and not beforehand.
     const LOCAL: bool = false;
 
     /// Of an effect that is [`LOCAL`](Effect::LOCAL): what has become of the force in place `i`, which was `force`, after
     /// [`act`](Effect::act).
     #[inline(always)]
     fn act_at<T: Scalar>(&self, _body: &B, _x: &[T], _i: usize, _force: T) -> T {
+        unreachable!("{self:?} is not local")
+    }
+
+    /// Of an effect that is [`LOCAL`](Effect::LOCAL): what [`vjp`](Effect::vjp) adds to `x_bar` for the force in place `i`.
+    #[inline(always)]
+    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _body: &B, _x: &[R], _i: usize, _force_bar: C, _x_bar: &mut [C]) {
         unreachable!("{self:?} is not local")
     }
 
@@ -120,6 +126,8 @@ impl<B> Effect<B> for () {
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &B, _x: &[R], _forces_bar: &[C], _x_bar: &mut [C]) {}
     #[inline(always)]
+    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _body: &B, _x: &[R], _i: usize, _force_bar: C, _x_bar: &mut [C]) {}
+    #[inline(always)]
     fn reads_state(&self) -> bool {
         false
     }
@@ -151,6 +159,10 @@ macro_rules! both {
             #[inline(always)]
             fn vjp<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
                 $(self.$i.vjp(body, x, forces_bar, x_bar);)+
+            }
+            #[inline(always)]
+            fn vjp_at<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], i: usize, force_bar: C, x_bar: &mut [C]) {
+                $(self.$i.vjp_at(body, x, i, force_bar, x_bar);)+
             }
             #[inline(always)]
             fn act_knowing<T: Scalar>(&self, body: &B, x: &[T], known: &[T], forces: &mut [T]) {

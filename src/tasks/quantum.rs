@@ -7,6 +7,7 @@ mod absorbing;
 mod cubic;
 mod elimination;
 mod pade;
+mod point_by_point;
 mod potential;
 mod propagator;
 mod scheme;

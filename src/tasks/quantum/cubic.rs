@@ -40,16 +40,22 @@ impl Effect<QuantumSystem> for Cubic {
     #[inline(always)]
     fn act_at<T: Scalar>(&self, body: &QuantumSystem, x: &[T], j: usize, v: T) -> T {
         let strength = T::lift(self.strength / body.spacing());
-        v + strength * (x[2 * j] * x[2 * j] + x[2 * j + 1] * x[2 * j + 1])
+        let [re, im] = x.as_chunks::<2>().0[j];
+        v + strength * (re * re + im * im)
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, body: &QuantumSystem, x: &[R], potential_bar: &[C], x_bar: &mut [C]) {
-        let twice = R::lift(2.0 * self.strength / body.spacing());
-        for ((&v_bar, psi), x_bar) in potential_bar.iter().zip(x.chunks_exact(2)).zip(x_bar.chunks_exact_mut(2)) {
-            let v_bar = v_bar * twice;
-            x_bar[0] += v_bar * psi[0];
-            x_bar[1] += v_bar * psi[1];
+        for (j, &v_bar) in potential_bar.iter().enumerate() {
+            self.vjp_at(body, x, j, v_bar, x_bar);
         }
+    }
+
+    #[inline(always)]
+    fn vjp_at<R: Real, C: Cotangent<R>>(&self, body: &QuantumSystem, x: &[R], j: usize, v_bar: C, x_bar: &mut [C]) {
+        let v_bar = v_bar * R::lift(2.0 * self.strength / body.spacing());
+        let ([re, im], [re_bar, im_bar]) = (x.as_chunks::<2>().0[j], &mut x_bar.as_chunks_mut::<2>().0[j]);
+        *re_bar += v_bar * re;
+        *im_bar += v_bar * im;
     }
 }

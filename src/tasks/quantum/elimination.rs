@@ -1,6 +1,7 @@
 //! The linear solve in a factor of Cayley: one in a step of Crank and Nicolson, two in one of Padé.
 
-use super::system::{Pair, PerPoint, PointByPoint};
+use super::point_by_point::PointByPoint;
+use super::system::{Pair, PerPoint};
 use crate::scalar::Scalar;
 use std::ops::{Add, Mul, Neg, Sub};
 

@@ -2,7 +2,8 @@
 
 use super::QuantumSystem;
 use super::elimination::{Elimination, Pivots, Rows};
-use super::system::{Pair, PerPoint, PointByPoint};
+use super::point_by_point::{Added, Dropped, Kept, PointByPoint};
+use super::system::{Pair, PerPoint};
 use crate::effect::{Effect, Host, system_without_effects};
 use crate::scalar::{Cotangent, Real, Scalar};
 
@@ -161,17 +162,20 @@ impl Host for Pade {
             None => scratch.fill([C::null(); 2], body.grid).as_flattened_mut(),
         };
         let asked = u_bar.is_some();
-        let mut potential_bar = PerPoint::new();
-        let mut potential_bar = effects_read.then(|| potential_bar.fill(C::null(), body.grid));
         plus.solve(next_bar, chi_bar);
-        let kept = potential_bar.as_deref_mut();
-        let mut control_bar = body.reverse_potential::<R, C, false>(dt, y_plus, next_bar, chi_bar, asked, kept);
-        minus.solve(chi_bar, &mut x_bar[..n]);
-        let kept = potential_bar.as_deref_mut();
-        control_bar += body.reverse_potential::<R, C, true>(dt, y_minus, chi_bar, &mut x_bar[..n], asked, kept);
-        if let Some(potential_bar) = potential_bar {
+        let control_bar = if effects_read {
+            let mut potential_bar = PerPoint::new();
+            let potential_bar = potential_bar.fill(C::null(), body.grid);
+            let plus_bar = body.reverse_potential(dt, y_plus, next_bar, chi_bar, asked, Kept(&mut *potential_bar));
+            minus.solve(chi_bar, &mut x_bar[..n]);
+            let minus_bar = body.reverse_potential(dt, y_minus, chi_bar, x_bar, asked, Added(&mut *potential_bar));
             effects.vjp(body, x, potential_bar, x_bar);
-        }
+            plus_bar + minus_bar
+        } else {
+            let plus_bar = body.reverse_potential(dt, y_plus, next_bar, chi_bar, asked, Dropped);
+            minus.solve(chi_bar, &mut x_bar[..n]);
+            plus_bar + body.reverse_potential(dt, y_minus, chi_bar, x_bar, asked, Dropped)
+        };
         if let Some(u_bar) = u_bar {
             u_bar[0] = control_bar;
         }

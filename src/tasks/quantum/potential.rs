@@ -29,6 +29,9 @@ macro_rules! stand_still {
             fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &QuantumSystem, _x: &[R], _v_bar: &[C], _x_bar: &mut [C]) {}
 
             #[inline(always)]
+            fn vjp_at<R: Real, C: Cotangent<R>>(&self, _body: &QuantumSystem, _x: &[R], _j: usize, _v_bar: C, _x_bar: &mut [C]) {}
+
+            #[inline(always)]
             fn reads_state(&self) -> bool {
                 false
             }
@@ -171,6 +174,9 @@ impl Effect<QuantumSystem> for Tabulated {
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &QuantumSystem, _x: &[R], _v_bar: &[C], _x_bar: &mut [C]) {}
+
+    #[inline(always)]
+    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _body: &QuantumSystem, _x: &[R], _j: usize, _v_bar: C, _x_bar: &mut [C]) {}
 
     #[inline(always)]
     fn reads_state(&self) -> bool {

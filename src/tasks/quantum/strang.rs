@@ -2,8 +2,9 @@
 
 use super::QuantumSystem;
 use super::elimination::Vector;
+use super::point_by_point::PointByPoint;
 use super::propagator::Propagator;
-use super::system::{Pair, PerPoint, PointByPoint, STACK};
+use super::system::{Pair, PerPoint, STACK};
 use crate::effect::{Effect, Host, system_without_effects};
 use crate::scalar::{Cotangent, Real, Scalar};
 use crate::scratch::Scratch;

@@ -1,6 +1,7 @@
 //! The physics of a particle in a box.
 
 use super::elimination::{Elimination, Pivots, Rows};
+use super::point_by_point::{AtOnce, Dropped, Kept, PointByPoint, PotentialBar};
 use crate::effect::{Effect, Host, system_without_effects};
 use crate::scalar::{Cotangent, Real, Scalar};
 use crate::scratch::Scratch;
@@ -16,11 +17,6 @@ pub(super) type Pair<T> = (T, T);
 pub(super) type PerPoint<T> = Scratch<T, STACK>;
 /// Real and imaginary part for each grid point.
 pub(super) type Wave<T> = SmallVec<[T; 2 * STACK]>;
-
-/// What takes the potential, grid point by grid point. (Not a closure: those may be compiled as calls.)
-pub(super) trait PointByPoint<T> {
-    fn put(&mut self, j: usize, v: T);
-}
 
 /// The physics: Schrödinger's equation in a box with a linear potential, by Crank and Nicolson.
 ///
@@ -181,36 +177,35 @@ impl QuantumSystem {
     }
 
     /// Makes `x_bar = 2 w - v` of `w = A⁻ᴴ v`: the cotangents of real and imaginary parts are carried by the conjugate
-    /// transpose of the complex matrix. Returns the control's cotangent, if it is asked for, and keeps the potential's:
+    /// transpose of the complex matrix. Returns the control's cotangent, if it is asked for, and hands the potential's on:
     ///
     /// ```text
     /// A y = ψ, so dψ'/dV_j = 2 dy/dV_j = -i dt A⁻¹ e_j y_j
     /// V_bar_j = Re ⟨v, dψ'/dV_j⟩ = dt Im(w̄_j y_j)
     /// ```
     ///
-    /// `dt` is that of the factor. What it keeps, it adds to what is there if this is one of `SEVERAL` factors.
+    /// `dt` is that of the factor.
     #[inline(always)]
-    pub(super) fn reverse_potential<R: Real, C: Cotangent<R>, const SEVERAL: bool>(
+    pub(super) fn reverse_potential<R: Real, C: Cotangent<R>>(
         &self,
         dt: f64,
         y: &[[R; 2]],
         next_bar: &[C],
         x_bar: &mut [C],
         asked: bool,
-        mut potential_bar: Option<&mut [C]>,
+        mut to: impl PotentialBar<C>,
     ) -> C {
         let (dt, dx, origin, n) = (R::lift(dt), self.spacing(), self.control_origin(), y.len());
-        let (v, w) = (&next_bar.as_chunks::<2>().0[..n], &mut x_bar.as_chunks_mut::<2>().0[..n]);
+        let v = &next_bar.as_chunks::<2>().0[..n];
         let mut control_bar = C::null();
         for j in 0..n {
-            let bar = (w[j][0] * y[j][1] - w[j][1] * y[j][0]) * dt;
-            w[j] = [w[j][0] + w[j][0] - v[j][0], w[j][1] + w[j][1] - v[j][1]];
+            let w = &mut x_bar.as_chunks_mut::<2>().0[j];
+            let bar = (w[0] * y[j][1] - w[1] * y[j][0]) * dt;
+            *w = [w[0] + w[0] - v[j][0], w[1] + w[1] - v[j][1]];
             if asked {
                 control_bar += bar * R::lift(((j + 1) as f64 - origin) * dx);
             }
-            if let Some(potential_bar) = &mut potential_bar {
-                potential_bar[j] = if SEVERAL { potential_bar[j] + bar } else { bar };
-            }
+            to.put(j, bar, x_bar);
         }
         control_bar
     }
@@ -281,15 +276,16 @@ impl Host for QuantumSystem {
         };
         a.solve(next_bar, &mut x_bar[..n]);
         let asked = u_bar.is_some();
-        let control_bar = if effects_read {
+        let control_bar = if !effects_read {
+            self.reverse_potential(self.dt, y, next_bar, x_bar, asked, Dropped)
+        } else if E::LOCAL {
+            self.reverse_potential(self.dt, y, next_bar, x_bar, asked, AtOnce { effects, body: self, x })
+        } else {
             let mut potential_bar = PerPoint::new();
             let potential_bar = potential_bar.fill(C::null(), self.grid);
-            let control_bar =
-                self.reverse_potential::<R, C, false>(self.dt, y, next_bar, &mut x_bar[..n], asked, Some(&mut *potential_bar));
+            let control_bar = self.reverse_potential(self.dt, y, next_bar, x_bar, asked, Kept(potential_bar));
             effects.vjp(self, x, potential_bar, x_bar);
             control_bar
-        } else {
-            self.reverse_potential::<R, C, false>(self.dt, y, next_bar, &mut x_bar[..n], asked, None)
         };
         if let Some(u_bar) = u_bar {
             u_bar[0] = control_bar;
