@@ -40,12 +40,12 @@ impl Effect<QuantumSystem> for Cubic {
     #[inline(always)]
     fn act_at<T: Scalar>(&self, body: &QuantumSystem, x: &[T], j: usize, v: T) -> T {
         let strength = T::lift(self.strength / body.spacing());
-        let [re, im] = x.as_chunks::<2>().0[j];
-        v + strength * (re * re + im * im)
+        v + strength * (x[2 * j] * x[2 * j] + x[2 * j + 1] * x[2 * j + 1])
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, body: &QuantumSystem, x: &[R], potential_bar: &[C], x_bar: &mut [C]) {
+        let (x, x_bar) = (&x[..2 * potential_bar.len()], &mut x_bar[..2 * potential_bar.len()]);
         for (j, &v_bar) in potential_bar.iter().enumerate() {
             self.vjp_at(body, x, j, v_bar, x_bar);
         }
