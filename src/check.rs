@@ -6,8 +6,12 @@
 
 mod oracle;
 mod policies;
+#[cfg(feature = "double-double")]
+mod reference;
 
 pub use policies::{policy, try_policy};
+#[cfg(feature = "double-double")]
+pub use reference::slope;
 
 use crate::backward::Flow;
 use crate::batch::Batch;

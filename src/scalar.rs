@@ -6,11 +6,19 @@
 //! carries.
 
 mod counted;
+#[cfg(feature = "double-double")]
+mod directional;
+#[cfg(feature = "double-double")]
+mod double_double;
 mod dual;
 mod float;
 mod lanes;
 
 pub use counted::{Counted, Counts};
+#[cfg(feature = "double-double")]
+pub use directional::Directional;
+#[cfg(feature = "double-double")]
+pub use double_double::DoubleDouble;
 pub use dual::Tangents;
 pub use float::Float;
 pub use lanes::Lanes;

@@ -28,7 +28,7 @@ pub fn weights<P: Policy>(policy: &P, size: f64, rng: &mut Rng) -> Weights<f64> 
 }
 
 /// The mean loss of rollouts from `starts`, with the derivative that `flow` carries.
-fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, theta: &[S], starts: &[f64], flow: Flow) -> S {
+pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, theta: &[S], starts: &[f64], flow: Flow) -> S {
     let system = task.system();
     let (n, m) = (system.state_dim(), system.control_dim());
     let mut mean = S::zero();

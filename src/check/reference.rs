@@ -1,0 +1,35 @@
+//! Losses and derivatives in double-double: what other gradients are measured by.
+
+use super::oracle::rollouts;
+use crate::backward::Flow;
+use crate::policy::Policy;
+use crate::scalar::{Directional, DoubleDouble, Scalar};
+use crate::task::Task;
+
+/// The mean loss of rollouts from `starts`, and the derivative that `flow` carries in the direction that has the component
+/// `direction(i)` along parameter i: forward mode in double-double arithmetic, rounded to `f64` at the end.
+///
+/// Parameters, starts and the constants of the physics are taken as the `f64` they are. It takes about two hundred
+/// times as long as a rollout in `f64` by plain numbers.
+/// ```
+/// use physgrad::{Flow, Task, check, policy::Linear, tasks::CartPole};
+///
+/// let task = CartPole { horizon: 10, ..CartPole::new(1) };
+/// let (policy, theta) = (Linear::new(4, 1), [0.1, -0.2, 0.3, -0.4, 0.5]);
+/// let start = [0.0, 0.0, 3.0, 0.0];
+/// let [loss, slope] = check::slope(&task, &policy, &theta, &start, Flow::REGULAR, |i| if i == 2 { 1.0 } else { 0.0 });
+/// assert!(loss > 0.0 && slope != 0.0);
+/// ```
+pub fn slope<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    theta: &[f64],
+    starts: &[f64],
+    flow: Flow,
+    direction: impl Fn(usize) -> f64,
+) -> [f64; 2] {
+    let seeded = |(i, &value)| Directional { value: DoubleDouble::lift(value), slope: DoubleDouble::lift(direction(i)) };
+    let theta: Vec<_> = theta.iter().enumerate().map(seeded).collect();
+    let Directional { value, slope } = rollouts(task, policy, &theta, starts, flow);
+    [value.0, slope.0]
+}
