@@ -8,7 +8,7 @@ pub use kinds::{AnyActuator, Delay, Lag, Limit, LimitKind};
 use crate::effect::Around;
 use crate::forward_mode::{concat, jacobian};
 use crate::rng::Rng;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::scalar::{Cotangent, Float, Real, Scalar};
 use crate::system::System;
 use smallvec::{SmallVec, smallvec};
 
@@ -186,6 +186,11 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         let (next, own_next) = next.split_at_mut(n);
         self.actuator.step(&x[n..], u, own_next, &mut out);
         self.system.step(&x[..n], &out, next);
+    }
+
+    fn unsolved<F: Float>(&self, x: &[F], u: &[F]) -> Option<f64> {
+        let (x, own) = x.split_at(self.system.state_dim());
+        self.system.unsolved(x, &self.control(own, u))
     }
 
     #[inline(always)]

@@ -9,6 +9,7 @@ mod policies;
 #[cfg(feature = "double-double")]
 mod reference;
 
+pub use oracle::slopes_by_duals;
 pub use policies::{policy, try_policy};
 #[cfg(feature = "double-double")]
 pub use reference::slope;

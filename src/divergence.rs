@@ -16,6 +16,8 @@ pub enum Divergence {
         sample: usize,
         /// Its component.
         component: usize,
+        /// If the step had to solve an equation and could not: the size of the residual it was left with.
+        unsolved: Option<f64>,
     },
     /// The cost of a sample whose states are all finite.
     Cost {
@@ -94,7 +96,13 @@ impl fmt::Display for Variable {
 impl fmt::Display for Divergence {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Forward { variable, step, sample, component } => {
+            Self::Forward { unsolved: Some(residual), step, sample, .. } => write!(
+                f,
+                "forward pass: the equation of the implicit rule could not be solved for sample {sample} at step {step}: Newton's iteration \
+                 was given up with a residual of {residual:.1e}. Smaller steps help (`integrator.substeps`), a larger tolerance if the \
+                 residual is small (`integrator.tolerance`), or a rule that solves nothing"
+            ),
+            Self::Forward { variable, step, sample, component, unsolved: None } => {
                 write!(f, "forward pass: {variable} component {component} of sample {sample} is not finite at step {step}")
             }
             Self::Cost { sample } => write!(f, "forward pass: the cost of sample {sample} is not finite, though its states are"),

@@ -20,7 +20,7 @@ pub use runge_kutta::RungeKutta;
 use crate::effect::Around;
 use crate::ode::{Ode, RateOn, ReverseOn};
 use crate::rng::Rng;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::scalar::{Cotangent, Float, Real, Scalar};
 use crate::system::System;
 use smallvec::{SmallVec, smallvec};
 use std::fmt::Debug;
@@ -49,6 +49,11 @@ pub struct Stretch<'a, T> {
 pub trait Integrator: Clone + Debug + Send + Sync {
     /// Writes the state at its end.
     fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]);
+
+    /// As [`System::unsolved`].
+    fn unsolved<F: Float>(&self, _ode: &dyn RateOn<F>, _step: Stretch<'_, F>) -> Option<f64> {
+        None
+    }
 
     /// The reverse of [`advance`](Integrator::advance) of the same stretch: overwrites `x_bar`, and adds to `u_bar` if it is asked
     /// for.
@@ -85,6 +90,10 @@ impl<O: Ode, I: Integrator> System for Integrated<O, I> {
     #[inline(always)]
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
         self.integrator.advance(&self.ode, Stretch { h: T::lift(self.dt), x, u }, next);
+    }
+
+    fn unsolved<F: Float>(&self, x: &[F], u: &[F]) -> Option<f64> {
+        self.integrator.unsolved(&self.ode, Stretch { h: F::lift(self.dt), x, u })
     }
 
     #[inline(always)]

@@ -224,7 +224,15 @@ impl<F: Float> Rollout<F> {
         let control = find_non_finite(controls, m, self.samples, Real::lane).map(|place| (Variable::Control, t, place));
         let state = || find_non_finite(next, n, self.samples, Real::lane).map(|place| (Variable::State, t + 1, place));
         let (variable, step, (sample, component)) = control.or_else(state).expect("the probe saw one of them");
-        Err(Divergence::Forward { variable, step, sample, component })
+        let of = |lanes: &[Lane<F>], n: usize| -> Vec<F> {
+            let block = &lanes[sample / WIDTH * n..][..n];
+            block.iter().map(|number| number.lane(sample % WIDTH)).collect()
+        };
+        let unsolved = match variable {
+            Variable::State => task.system().unsolved(&of(x, n), &of(controls, m)),
+            Variable::Control => None,
+        };
+        Err(Divergence::Forward { variable, step, sample, component, unsolved })
     }
 
     /// The policy's columns of step `t`, one per sample.

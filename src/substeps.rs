@@ -2,7 +2,7 @@
 
 use crate::effect::Around;
 use crate::rng::Rng;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::scalar::{Cotangent, Float, Real, Scalar};
 use crate::system::System;
 use smallvec::{SmallVec, smallvec};
 
@@ -52,6 +52,10 @@ impl<S: System> System for Substeps<S> {
             state.copy_from_slice(next);
             self.system.step(&state, u, next);
         }
+    }
+
+    fn unsolved<F: Float>(&self, x: &[F], u: &[F]) -> Option<f64> {
+        self.states(x, u).chunks_exact(x.len()).find_map(|state| self.system.unsolved(state, u))
     }
 
     #[inline(always)]

@@ -45,6 +45,12 @@ pub trait System: Send + Sync {
         vjp_by_duals(self, x, u, next_bar, Wrt::Control, &mut [], u_bar);
     }
 
+    /// Of a step that has to solve an equation: the size of the residual that it is left with, if it could not. Asked for
+    /// messages alone, where a step was not finite.
+    fn unsolved<F: Float>(&self, _x: &[F], _u: &[F]) -> Option<f64> {
+        None
+    }
+
     /// `next_tan = (∂S/∂x) x_tan`.
     fn jvp_state<F: Float>(&self, x: &[F], u: &[F], x_tan: &[F], next_tan: &mut [F]) {
         jvp_by_duals(self, x, u, Some(x_tan), None, next_tan);

@@ -96,7 +96,7 @@ fn the_step_sample_component_and_pass_are_named_whatever_the_workers() {
     for workers in [1, 2, 3] {
         assert_eq!(
             run(Fault::State, workers),
-            Err(Divergence::Forward { variable: Variable::State, step: 5, sample: 9, component: 1 })
+            Err(Divergence::Forward { variable: Variable::State, step: 5, sample: 9, component: 1, unsolved: None })
         );
         assert_eq!(run(Fault::Cost, workers), Err(Divergence::Cost { sample: 9 }));
         let cotangent =
@@ -124,7 +124,10 @@ fn evaluation_names_the_sample_of_the_whole_set() {
     many[71 * 3] = 0.9;
     for workers in [1, 3] {
         let found = Evaluation::new(&task, &policy, workers).run(&task, &policy, &weights, &many);
-        assert_eq!(found, Err(Divergence::Forward { variable: Variable::State, step: 5, sample: 71, component: 1 }));
+        assert_eq!(
+            found,
+            Err(Divergence::Forward { variable: Variable::State, step: 5, sample: 71, component: 1, unsolved: None })
+        );
     }
 }
 
@@ -255,7 +258,7 @@ fn a_control_that_is_no_number_is_seen_though_the_state_hides_it() {
     let mut rollout = Rollout::new(&Saturated, &policy, 2);
     rollout.start(&[1.0, 2.0]);
     let found = rollout.run(&Saturated, &policy, &weights);
-    assert_eq!(found, Err(Divergence::Forward { variable: Variable::Control, step: 0, sample: 0, component: 0 }));
+    assert_eq!(found, Err(Divergence::Forward { variable: Variable::Control, step: 0, sample: 0, component: 0, unsolved: None }));
 }
 
 /// A composition that makes something of nothing.
@@ -305,7 +308,7 @@ fn an_evaluation_that_diverges_is_told() {
     assert!(session.epoch().expect("good updates").test_loss.is_nan());
     assert_eq!(
         session.diverged(),
-        [None, Some(Divergence::Forward { variable: Variable::State, step: 5, sample: 9, component: 1 })]
+        [None, Some(Divergence::Forward { variable: Variable::State, step: 5, sample: 9, component: 1, unsolved: None })]
     );
 }
 

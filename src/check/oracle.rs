@@ -65,6 +65,19 @@ fn derivatives<T: Task, P: Policy>(
     rollouts(task, policy, &theta, starts, flow).tangents()
 }
 
+/// The derivatives of the mean loss of rollouts from `starts` that `flow` carries, along these parameters: forward mode by
+/// dual numbers, all four in one rollout.
+pub fn slopes_by_duals<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    theta: &[f64],
+    starts: &[f64],
+    flow: Flow,
+    parameters: [usize; TOGETHER],
+) -> [f64; TOGETHER] {
+    derivatives(task, policy, theta, starts, flow, |i| parameters.map(|p| f64::from(u8::from(p == i))))
+}
+
 /// Components of the gradient and their indices: all of a few, some of many.
 pub fn some_components<T: Task, P: Policy>(
     task: &T,

@@ -9,8 +9,8 @@ use crate::task::Task;
 /// The mean loss of rollouts from `starts`, and the derivative that `flow` carries in the direction that has the component
 /// `direction(i)` along parameter i: forward mode in double-double arithmetic, rounded to `f64` at the end.
 ///
-/// Parameters, starts and the constants of the physics are taken as the `f64` they are. It takes about two hundred
-/// times as long as a rollout in `f64` by plain numbers.
+/// Parameters, starts and the constants of the physics are taken as the `f64` they are. It takes about 700 times as long as
+/// the loss alone does in `f64`, in lanes.
 /// ```
 /// use physgrad::{Flow, Task, check, policy::Linear, tasks::CartPole};
 ///

@@ -1,10 +1,14 @@
 //! `physgrad accuracy`: what accuracy costs in time.
 
+mod derivatives;
+mod gradients;
 mod job;
 mod outputs;
 mod row;
+mod ways;
 
 pub use job::{Job, Preparing};
+pub use ways::{Derived, Deriving, Referring, Way};
 
 use super::changes::Changes;
 use super::document::Document;
@@ -37,6 +41,13 @@ pub struct Accuracy {
     /// The error that --target is about
     #[arg(long, value_enum, default_value_t = Of::Trajectory)]
     pub of: Of,
+    /// Measure instead what gradients cost: reverse passes, forward mode, differences, checkpoints, horizons
+    #[arg(long, conflicts_with_all = ["target", "of"])]
+    pub gradients: bool,
+    /// The horizons at which --gradients looks at R
+    #[arg(long, value_name = "STEPS", value_delimiter = ',', requires = "gradients",
+          default_values_t = [10, 32, 100, 316, 1000, 3162, 10_000, 31_623, 100_000])]
+    pub horizons: Vec<usize>,
     /// Folder for the results [default: a new one in `runs`]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -68,6 +79,11 @@ impl Of {
         }
     }
 
+    /// Seconds of what has this error.
+    fn time(self, row: &Row) -> f64 {
+        row.seconds[usize::from(matches!(self, Self::R | Self::M))][1]
+    }
+
     fn name(self) -> &'static str {
         match self {
             Self::Trajectory => "trajectory",
@@ -93,18 +109,21 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     }
     let mut document = presets::document(&args.scene)?;
     args.changes.apply(&mut document)?;
-    let given = document.scene()?;
-    if given.table.get("policy").is_some_and(|policy| policy.get("zero_last").is_some()) {
+    let given = document.clone();
+    let scene = document.scene()?;
+    if scene.table.get("policy").is_some_and(|policy| policy.get("zero_last").is_some()) {
         document.put("policy.zero_last", Value::Boolean(false), "accuracy")?;
     }
-    let study = Study { document, scene: given };
+    let name = presets::short_name(&args.scene);
+    let folder = || args.out.as_deref().map_or_else(|| Folder::fresh(&format!("accuracy_{name}")), Folder::create);
+    let study = Study { scene, given, document };
+    if args.gradients {
+        let horizons = gradients::parse(&args.horizons)?;
+        return gradients::gradients(&study, &name, &folder()?, &horizons, args.quiet);
+    }
     let (reference, check) = study.reference()?;
     let settings = study.settings();
-    let bar = ProgressBar::new((settings.len() * (1 + ROUNDS)) as u64);
-    if args.quiet {
-        bar.set_draw_target(indicatif::ProgressDrawTarget::hidden());
-    }
-    bar.set_style(ProgressStyle::with_template("{bar:30} {msg}  {elapsed} gone, {eta} left").expect("a fixed template"));
+    let bar = bar(settings.len() * (1 + ROUNDS), args.quiet);
     if !args.quiet && bar.is_hidden() {
         eprintln!("{} settings, {ROUNDS} rounds of timing", settings.len());
     }
@@ -126,36 +145,59 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         bar.set_message(format!("round {} of {ROUNDS}", round + 1));
     }
     bar.finish_and_clear();
+    let conserved = study.scene.conserved();
     let rows: Vec<Row> = settings
         .into_iter()
         .zip(&jobs)
         .zip(&times)
-        .map(|((setting, job), times)| Row::new(setting, job, &reference, times))
+        .map(|((setting, job), times)| Row::new(setting, job, &reference, conserved.as_ref(), times))
         .collect();
-    let name = presets::short_name(&args.scene);
-    let folder = args.out.as_deref().map_or_else(|| Folder::fresh(&format!("accuracy_{name}")), Folder::create)?;
-    outputs::write(&folder, &name, &check, &rows)?;
-    say(&outputs::summary(&rows, &check));
+    let folder = folder()?;
+    let conserved = conserved.map(|conserved| conserved.name);
+    outputs::write(&folder, &name, &check, conserved, &rows)?;
+    say(&outputs::summary(&rows, &check, conserved));
     say(&format!("results in {}: accuracy.csv, accuracy.svg, accuracy.md", folder.path().display()));
-    args.target.map_or(Ok(()), |target| name_cheapest(&rows, args.of, target))
+    let Some(target) = args.target else { return Ok(()) };
+    name_cheapest(&rows, args.of, target)?;
+    let inner = Folder::create(&folder.file("scenes"))?;
+    for (method, scene) in study.scenes(&rows, args.of, target)? {
+        inner.write(&format!("{method}.toml"), scene.table.to_string())?;
+    }
+    say(&format!("\nthe cheapest of every method, to train in: {}", inner.path().display()));
+    Ok(())
+}
+
+/// A bar of so many steps.
+fn bar(steps: usize, quiet: bool) -> ProgressBar {
+    let bar = ProgressBar::new(steps as u64);
+    if quiet {
+        bar.set_draw_target(indicatif::ProgressDrawTarget::hidden());
+    }
+    bar.set_style(ProgressStyle::with_template("{bar:30} {msg}  {elapsed} gone, {eta} left").expect("a fixed template"));
+    bar
 }
 
 /// A scene whose integrator and precision are varied.
 struct Study {
-    document: Document,
+    /// As it was given.
+    given: Document,
     scene: Scene,
+    /// The same, with no kernel zeroed.
+    document: Document,
 }
 
 impl Study {
     fn job(&self, setting: &Setting) -> Result<Job> {
-        let mut document = self.document.clone();
-        document.without_section("integrator");
-        document.put("precision", Value::String(setting.precision.name().into()), "accuracy")?;
-        document.put("integrator.substeps", Value::Integer(setting.substeps as i64), "accuracy")?;
-        if setting.method != "own" {
-            document.put("integrator.method", Value::String(setting.method.into()), "accuracy")?;
-        }
-        Ok(document.scene()?.prepare())
+        Ok(setting.of(&self.document)?.prepare())
+    }
+
+    /// The scene with the cheapest setting of every method that reaches the target.
+    fn scenes(&self, rows: &[Row], of: Of, target: f64) -> Result<Vec<(&'static str, Scene)>> {
+        let mut methods: Vec<&str> = rows.iter().map(|row| row.setting.method).collect();
+        methods.dedup();
+        let cheapest = |method: &str| cheapest(rows.iter().filter(|row| row.setting.method == method), of, target);
+        let all = methods.into_iter().filter_map(cheapest);
+        all.map(|(row, _)| Ok((row.setting.method, row.setting.of(&self.given)?))).collect()
     }
 
     /// What is right, to the difference from half as many steps, which is told of too.
@@ -187,17 +229,21 @@ impl Study {
     }
 }
 
+/// The cheapest of these that reaches the target, and its error.
+fn cheapest<'a>(rows: impl Iterator<Item = &'a Row>, of: Of, target: f64) -> Option<(&'a Row, f64)> {
+    let reached = rows.filter_map(|row| Some((row, of.read(row.errors.as_ref().ok()?)))).filter(|(_, error)| *error <= target);
+    reached.min_by(|a, b| of.time(a.0).total_cmp(&of.time(b.0)))
+}
+
 /// The cheapest setting that reaches the target, or an error that says what was the best.
 fn name_cheapest(rows: &[Row], of: Of, target: f64) -> Result<()> {
     let finite = || rows.iter().filter_map(|row| Some((row, of.read(row.errors.as_ref().ok()?))));
-    let time = |row: &Row| row.seconds[usize::from(matches!(of, Of::R | Of::M))][1];
-    let cheapest = finite().filter(|(_, error)| *error <= target).min_by(|a, b| time(a.0).total_cmp(&time(b.0)));
-    if let Some((row, error)) = cheapest {
+    if let Some((row, error)) = cheapest(rows.iter(), of, target) {
         say(&format!(
             "\nthe cheapest with an error of the {} of at most {target:e} is {}, with {error:.1e} and {:.3} us a step of a sample:\n\n{}",
             of.name(),
             row.setting.name(),
-            time(row) * 1e6,
+            of.time(row) * 1e6,
             row.setting.lines()
         ));
         return Ok(());

@@ -4,21 +4,24 @@ use super::changes::{Changes, changed};
 use super::folder::Folder;
 use super::presets;
 use super::run::threads;
+use super::scene::Scene;
 use super::settings::FieldName;
-use super::statistics::{self, Outcome, best, by_field, curves};
-use super::sweep::{Comparison, check_options, sweep};
+use super::statistics::{self, Outcome, best, curves};
+use super::sweep::{Comparison, check_distinct, check_options, sweep};
 use super::terminal::say;
 use anyhow::{Result, bail};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
-use physgrad::report::comparison;
+use physgrad::report::{Curve, comparison};
 use std::path::PathBuf;
 
-/// Train along several fields and seeds, and compare.
+/// Train along several fields and seeds, and compare; in one scene or in several, with integrators or precisions of their
+/// own for example.
 #[derive(Debug, clap::Args)]
 pub struct Compare {
-    /// A task or another preset (see `physgrad scene`), or the path of a scene
-    pub scene: String,
+    /// A task or another preset (see `physgrad scene`), or the path of a scene; several are compared with each other
+    #[arg(required = true, value_name = "SCENE")]
+    pub scenes: Vec<String>,
     /// Fields to compare
     #[arg(long, value_delimiter = ',', default_value = "R,M,S,C", value_parser = |name: &str| name.parse().map(FieldName))]
     pub fields: Vec<FieldName>,
@@ -43,50 +46,94 @@ pub fn compare(args: &Compare) -> Result<()> {
     if args.changes.field.is_some() || args.changes.set.iter().any(|set| set.trim_start().starts_with("field")) {
         bail!("a comparison has --fields, not a single field");
     }
-    let base = changed(&args.scene, &args.changes)?;
-    check_options(&args.fields, args.seeds, base.epochs)?;
+    let names: Vec<String> = args.scenes.iter().map(|scene| presets::short_name(scene)).collect();
+    check_distinct("the command", names.iter().map(String::as_str))?;
+    let bases = args.scenes.iter().map(|scene| changed(scene, &args.changes)).collect::<Result<Vec<Scene>>>()?;
+    for base in &bases {
+        check_options(&args.fields, args.seeds, base.epochs)?;
+    }
     threads(args.threads)?;
     let folder = match &args.out {
         Some(path) => Folder::create(path)?,
-        None => Folder::fresh(&format!("compare-{}", presets::short_name(&args.scene)))?,
+        None => Folder::fresh(&format!("compare-{}", names.join("-")))?,
     };
-    let mut comparisons = [Comparison::plan("", &base, &args.fields, args.seeds, &folder)?];
+    let one = bases.len() == 1;
+    let mut comparisons = Vec::new();
+    for (name, base) in names.iter().zip(&bases) {
+        // Each is a comparison for itself, too.
+        let (label, inner) = if one { ("", folder.clone()) } else { (&**name, Folder::create(&folder.file(name))?) };
+        comparisons.push(Comparison::plan(label, base, &args.fields, args.seeds, &inner)?);
+    }
     let swept = sweep(&mut comparisons, args.quiet)?;
     if swept.interrupted {
         say(&format!("interrupted; the same command with --out {} goes on", folder.path().display()));
-    } else {
-        let outcomes = comparisons[0].outcomes();
-        folder.write("summary.csv", summary(&outcomes)?)?;
-        folder
-            .write("curves.svg", comparison(&title(base.kind.name(), &outcomes), &curves(&outcomes, |r| r.test_loss)).to_svg())?;
-        if !args.quiet {
-            let files = "summary.csv, curves.svg, and every run in runs/";
-            say(&format!("{}\nresults in {}: {files}", table(&outcomes), folder.path().display()));
-        }
+        return swept.into_result();
+    }
+    let scenes: Vec<InScene> = names
+        .iter()
+        .zip(&comparisons)
+        .map(|(name, comparison)| InScene { name: if one { "" } else { name }, runs: comparison.outcomes() })
+        .collect();
+    folder.write("summary.csv", summary(&scenes)?)?;
+    let title = format!("{}, {} seed{}", names.join(", "), args.seeds, if args.seeds == 1 { "" } else { "s" });
+    folder.write("curves.svg", comparison(&title, &all_curves(&scenes)).to_svg())?;
+    if !args.quiet {
+        let files = if one {
+            "summary.csv, curves.svg, and every run in runs/"
+        } else {
+            "summary.csv, curves.svg, and a folder for every scene"
+        };
+        say(&format!("{}\nresults in {}: {files}", table(&scenes), folder.path().display()));
     }
     swept.into_result()
 }
 
+/// The runs in one scene, which has a name if there are several.
+struct InScene<'a> {
+    name: &'a str,
+    runs: Vec<Outcome<'a>>,
+}
+
+/// Colours of Okabe and Ito, for scenes; where there is one, fields have theirs.
+const COLORS: [&str; 8] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999"];
+
+/// A curve for every scene and field.
+fn all_curves(scenes: &[InScene]) -> Vec<Curve> {
+    let each = scenes.iter().flat_map(|scene| curves(&scene.runs, |r| r.test_loss).into_iter().map(|curve| (scene.name, curve)));
+    let named = |(i, (name, curve)): (usize, (&str, Curve))| {
+        if name.is_empty() {
+            return curve;
+        }
+        Curve { label: format!("{name}: {}", curve.label), color: COLORS[i % COLORS.len()], ..curve }
+    };
+    each.enumerate().map(named).collect()
+}
+
 /// `summary.csv`: one row a run; a run that broke off has no final losses.
-fn summary(runs: &[Outcome]) -> Result<Vec<u8>> {
+fn summary(scenes: &[InScene]) -> Result<Vec<u8>> {
     let mut csv = csv::Writer::from_writer(Vec::new());
-    csv.write_record(["field", "seed", "final_train_loss", "final_test_loss", "best_test_loss", "seconds"])?;
-    for run in runs {
-        let numbers = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(run.records), run.seconds()];
-        let names = [run.field.letter().to_owned(), run.seed.to_string()];
-        csv.write_record(names.into_iter().chain(numbers.map(|x| x.to_string())))?;
+    let several = scenes.len() > 1;
+    let header = ["scene", "field", "seed", "final_train_loss", "final_test_loss", "best_test_loss", "seconds"];
+    csv.write_record(&header[usize::from(!several)..])?;
+    for scene in scenes {
+        for run in &scene.runs {
+            let numbers = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(run.records), run.seconds()];
+            let names = [scene.name.to_owned(), run.field.letter().to_owned(), run.seed.to_string()];
+            csv.write_record(names.into_iter().skip(usize::from(!several)).chain(numbers.map(|x| x.to_string())))?;
+        }
     }
     Ok(csv.into_inner()?)
 }
 
-fn title(task: &str, runs: &[Outcome]) -> String {
-    let seeds = by_field(runs).map(|(_, runs)| runs.len()).max().unwrap_or(0);
-    format!("{task}, {seeds} seed{}", if seeds == 1 { "" } else { "s" })
-}
-
-fn table(runs: &[Outcome]) -> Table {
+fn table(scenes: &[InScene]) -> Table {
     let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED).set_header(statistics::TABLE_HEADER);
-    table.add_rows(statistics::table(runs));
+    let several = scenes.len() > 1;
+    let header = ["scene"].into_iter().chain(statistics::TABLE_HEADER).skip(usize::from(!several));
+    table.load_style(UTF8_FULL_CONDENSED).set_header(header);
+    for scene in scenes {
+        for row in statistics::table(&scene.runs) {
+            table.add_row([scene.name.to_owned()].into_iter().chain(row).skip(usize::from(!several)));
+        }
+    }
     table
 }

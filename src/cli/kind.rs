@@ -62,6 +62,10 @@ pub trait Kind: Clone + Debug + Send + Sync + 'static {
     fn state_names(settings: &Settings<Self>) -> Vec<String>;
     /// What the components of the control are called.
     fn control_names(settings: &Settings<Self>) -> Vec<String>;
+    /// What keeps its value while the policy does nothing, if anything does.
+    fn conserved(_settings: &Settings<Self>) -> Option<Conserved> {
+        None
+    }
     /// A rollout that moves: states and controls step by step.
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
 }
@@ -75,6 +79,29 @@ pub struct Info {
     pub equation: &'static str,
     /// How its derivative comes about, and where it is not one.
     pub derivative: &'static str,
+}
+
+/// A function of the state that keeps its value in continuous time.
+pub struct Conserved {
+    /// What it is called.
+    pub name: &'static str,
+    /// Its value at a state.
+    pub value: Box<dyn Fn(&[f64]) -> f64>,
+}
+
+impl Conserved {
+    /// How far it moves at most from where it began, over all samples, in relation to its largest size.
+    pub fn drift(&self, samples: &[Vec<Vec<f64>>]) -> f64 {
+        let (mut drift, mut size) = (0.0_f64, 0.0_f64);
+        for states in samples {
+            let start = (self.value)(&states[0]);
+            for value in states.iter().map(|x| (self.value)(x)) {
+                (drift, size) = (drift.max((value - start).abs()), size.max(value.abs()));
+            }
+        }
+        // Of no samples, NaN.
+        drift / size
+    }
 }
 
 /// What needs the types of task and policy. It is compiled once for each of them, so it should do little.

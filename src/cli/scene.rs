@@ -1,11 +1,11 @@
 //! What is to be run, whatever the task: settings that have been read and can be used.
 
-use super::accuracy::{Job, Preparing};
+use super::accuracy::{Derived, Deriving, Job, Preparing, Referring, Way};
 use super::any_run::{AnyRun, Open};
 use super::check::{Checking, Results};
 use super::document::OPTIONAL;
 use super::explain::{Costing, Stored, Storing};
-use super::kind::{AnyKind, Kind};
+use super::kind::{AnyKind, Conserved, Kind};
 use super::problem::Problem;
 use super::settings::{FieldName, Precision, Settings};
 use anyhow::Result;
@@ -43,6 +43,10 @@ pub trait AnySettings: Send + Sync {
     fn check(&self, variant: &str, results: &mut Results);
     /// A rollout with its adjoints, to be compared with others.
     fn prepare(&self) -> Job;
+    /// A gradient, in one way.
+    fn derive(&self, precision: Precision, way: Way) -> Derived;
+    /// Parts of the gradients of R, M and S in double-double; calls `done` after each.
+    fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3];
     /// Operations of a step of the physics and of its reverse.
     fn cost(&self) -> Cost;
     /// What a rollout of a few samples takes, with the adjoint of a field or for evaluation.
@@ -53,6 +57,8 @@ pub trait AnySettings: Send + Sync {
     fn state_names(&self) -> Vec<String>;
     /// What the components of the control are called.
     fn control_names(&self) -> Vec<String>;
+    /// What keeps its value while the policy does nothing, if anything does.
+    fn conserved(&self) -> Option<Conserved>;
     /// A rollout that moves: states and controls step by step.
     fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
 }
@@ -69,6 +75,14 @@ impl<K: Kind> AnySettings for Settings<K> {
 
     fn prepare(&self) -> Job {
         self.visit(Preparing { precision: self.precision, seed: self.seed })
+    }
+
+    fn derive(&self, precision: Precision, way: Way) -> Derived {
+        self.visit(Deriving { precision, seed: self.seed, way })
+    }
+
+    fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3] {
+        self.visit(Referring { seed: self.seed, done })
     }
 
     fn cost(&self) -> Cost {
@@ -91,6 +105,10 @@ impl<K: Kind> AnySettings for Settings<K> {
 
     fn control_names(&self) -> Vec<String> {
         K::control_names(self)
+    }
+
+    fn conserved(&self) -> Option<Conserved> {
+        K::conserved(self)
     }
 
     fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {

@@ -4,7 +4,7 @@ use super::{Adaptive, ImplicitMidpoint, Integrator, RungeKutta, SemiImplicit, St
 use crate::apart::apart;
 use crate::kernels::Vectorized;
 use crate::ode::{Ode, RateOn, ReverseOn};
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::scalar::{Cotangent, Float, Real, Scalar};
 
 /// Any integrator.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -120,6 +120,13 @@ impl Integrator for AnyIntegrator {
             Self::Verlet(method) => apart::<T>(Advance { method, ode, step, next }),
             Self::Adaptive(method) => apart::<T>(Advance { method, ode, step, next }),
             Self::ImplicitMidpoint(method) => apart::<T>(Advance { method, ode, step, next }),
+        }
+    }
+
+    fn unsolved<F: Float>(&self, ode: &dyn RateOn<F>, step: Stretch<'_, F>) -> Option<f64> {
+        match self {
+            Self::ImplicitMidpoint(method) => method.unsolved(ode, step),
+            _ => None,
         }
     }
 

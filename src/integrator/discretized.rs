@@ -7,7 +7,7 @@ use crate::effect::Around;
 use crate::kernels::Vectorized;
 use crate::ode::Ode;
 use crate::rng::Rng;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::scalar::{Cotangent, Float, Real, Scalar};
 use crate::system::System;
 
 /// A system that is a vector field too, in steps as it takes them itself or as an integrator does.
@@ -75,6 +75,11 @@ impl<S: System + Ode> System for Discretized<S> {
             None => apart::<T>(Step { system: &self.system, x, u, next }),
             Some(integrator) => integrator.advance(&Apart(&self.system), Stretch { h: T::lift(self.dt), x, u }, next),
         }
+    }
+
+    fn unsolved<F: Float>(&self, x: &[F], u: &[F]) -> Option<f64> {
+        let step = Stretch { h: F::lift(self.dt), x, u };
+        self.integrator.as_ref().and_then(|integrator| integrator.unsolved(&Apart(&self.system), step))
     }
 
     #[inline(always)]

@@ -57,9 +57,18 @@ impl ImplicitMidpoint {
         matrix
     }
 
-    /// Solves for the next state, to this tolerance.
+    /// Solves for the next state, to this tolerance. What was not solved is not a number.
     #[inline(always)]
     fn solve<T: Scalar>(tolerance: f64, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
+        let to_go = Self::iterate(tolerance, ode, h, x, u, next);
+        for next in next {
+            *next = T::select_lt(T::zero(), to_go, T::lift(f64::NAN), *next);
+        }
+    }
+
+    /// Newton's iteration. Returns how many rounds are still to go: 0, unless it was given up.
+    #[inline(always)]
+    fn iterate<T: Scalar>(tolerance: f64, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) -> T {
         let n = x.len();
         let (mut middle, mut rate, mut residual) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
         let half = T::lift(0.5);
@@ -96,9 +105,7 @@ impl ImplicitMidpoint {
             }
             to_go = T::select_lt(largest, tolerance, to_go - T::one(), rounds_after).detach();
         }
-        for next in next {
-            *next = T::select_lt(T::zero(), to_go, T::lift(f64::NAN), *next);
-        }
+        to_go
     }
 }
 
@@ -149,6 +156,20 @@ impl Integrator for ImplicitMidpoint {
     fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
         let Stretch { h, x, u } = step;
         Self::solve(self.tolerance, ode, h, x, u, next);
+    }
+
+    fn unsolved<F: Float>(&self, ode: &dyn RateOn<F>, step: Stretch<'_, F>) -> Option<f64> {
+        let Stretch { h, x, u } = step;
+        let (mut next, mut rate, mut middle) = (room(F::zero(), x.len()), room(F::zero(), x.len()), room(F::zero(), x.len()));
+        let to_go = Self::iterate(self.tolerance, ode, h, x, u, &mut next);
+        for i in 0..x.len() {
+            middle[i] = (x[i] + next[i]) * F::lift(0.5);
+        }
+        ode.rate(&middle, u, &mut rate);
+        let residual = (0..x.len()).map(|i| (next[i] - x[i] - h * rate[i]).as_().abs());
+        // Not by `f64::max`, which would hide a NaN.
+        let largest = residual.fold(0.0, |largest, r| if r <= largest { largest } else { r });
+        (to_go > F::zero()).then_some(largest)
     }
 
     #[inline(always)]

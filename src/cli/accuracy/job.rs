@@ -24,6 +24,8 @@ pub struct Found {
 pub struct Job {
     /// What comes of it, or where it diverged.
     pub found: Result<Found, String>,
+    /// The states of each sample, `[sample][step]`, where the policy does nothing; none if that diverged.
+    pub idle: Vec<Vec<Vec<f64>>>,
     /// Operations of a step of the policy, and of its reverse for one adjoint.
     pub operations: u64,
     /// Bytes of rollout and adjoint, for a step of a sample.
@@ -99,6 +101,12 @@ fn prepare<F: Float, T: Task + Clone + 'static, P: Policy + Clone + 'static>(tas
         let loss = (0..SAMPLES).map(|sample| rollout.cost(sample).as_()).sum::<f64>() / SAMPLES as f64;
         Found { states: (0..=horizon).flat_map(state).collect(), loss, gradients }
     });
+    // With parameters of 0 a network's control is 0.
+    let nothing = Weights::new(&policy, vec![F::zero(); weights.theta().len()]);
+    rollout.start(&starts);
+    let still = rollout.run(&task, &policy, &nothing).is_ok();
+    let state = |sample: usize, t: usize| (0..n).map(|i| rollout.state(t, sample, i).as_()).collect();
+    let idle = (0..SAMPLES).filter(|_| still).map(|sample| (0..=horizon).map(|t| state(sample, t)).collect()).collect();
     let cost = Cost::of(task.system());
     let steps = (SAMPLES * horizon) as f64;
     let bytes = (rollout.stored_bytes() + adjoint.stored_bytes()) as f64 / steps;
@@ -109,5 +117,5 @@ fn prepare<F: Float, T: Task + Clone + 'static, P: Policy + Clone + 'static>(tas
             let _ = adjoint.run(&task, &policy, &weights, &rollout, scale);
         }
     });
-    Job { found, operations: sum(cost.step) + sum(cost.vjp), bytes, steps, run }
+    Job { found, idle, operations: sum(cost.step) + sum(cost.vjp), bytes, steps, run }
 }

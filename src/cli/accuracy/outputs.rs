@@ -11,7 +11,7 @@ use physgrad::report::{Series, Work, work_precision};
 const COLORS: [&str; 10] =
     ["#000000", "#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7", "#888888", "#8B5A2B"];
 
-const HEADER: [&str; 18] = [
+const HEADER: [&str; 19] = [
     "method",
     "substeps",
     "precision",
@@ -22,6 +22,7 @@ const HEADER: [&str; 18] = [
     "r_signs_right",
     "m_error",
     "m_signs_right",
+    "drift",
     "operations",
     "bytes",
     "forward_us",
@@ -33,7 +34,7 @@ const HEADER: [&str; 18] = [
 ];
 
 /// Writes everything.
-pub fn write(folder: &Folder, name: &str, check: &Errors, rows: &[Row]) -> Result<()> {
+pub fn write(folder: &Folder, name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -> Result<()> {
     let path = folder.file("accuracy.csv");
     let mut csv = csv::Writer::from_path(&path).with_context(|| format!("cannot write {}", path.display()))?;
     csv.write_record(HEADER)?;
@@ -42,7 +43,7 @@ pub fn write(folder: &Folder, name: &str, check: &Errors, rows: &[Row]) -> Resul
     }
     csv.flush()?;
     folder.write("accuracy.svg", diagrams(name, rows).to_svg().as_bytes())?;
-    folder.write("accuracy.md", markdown(name, check, rows).as_bytes())
+    folder.write("accuracy.md", markdown(name, check, conserved, rows).as_bytes())
 }
 
 fn record(row: &Row) -> Vec<String> {
@@ -56,7 +57,8 @@ fn record(row: &Row) -> Vec<String> {
     let times = [forward[1], forward[0], forward[2], gradient[1], gradient[0], gradient[2]].map(|s| (s * 1e6).to_string());
     let head = [setting.method.into(), setting.substeps.to_string(), setting.precision.name().into()];
     let diverged = row.errors.as_ref().err().cloned().unwrap_or_default();
-    let counts = [row.operations.to_string(), row.bytes.to_string()];
+    let drift = if row.drift.is_nan() { String::new() } else { row.drift.to_string() };
+    let counts = [drift, row.operations.to_string(), row.bytes.to_string()];
     [&head[..], &[diverged], &errors, &counts, &times].concat()
 }
 
@@ -97,12 +99,16 @@ fn diagrams(name: &str, rows: &[Row]) -> physgrad::report::Drawing {
     )
 }
 
-const COLUMNS: [&str; 10] =
-    ["setting", "trajectory", "loss", "R", "signs of R", "M", "signs of M", "operations", "forward, us", "with gradients, us"];
+const COLUMNS: [&str; 7] = ["setting", "trajectory", "loss", "R", "signs of R", "M", "signs of M"];
+const COSTS: [&str; 3] = ["operations", "forward, us", "with gradients, us"];
 
-fn table(style: TableStyle, rows: &mut dyn Iterator<Item = &Row>) -> Table {
+fn table(style: TableStyle, conserved: Option<&str>, rows: &mut dyn Iterator<Item = &Row>) -> Table {
     let mut table = Table::new();
-    table.load_style(style).set_header(COLUMNS);
+    let drift = conserved.map(|name| format!("drift of the {name}"));
+    let header: Vec<String> = COLUMNS.map(String::from).into_iter().chain(drift).chain(COSTS.map(String::from)).collect();
+    let columns = header.len();
+    table.load_style(style).set_header(header);
+    let error = |error: f64| if error.is_nan() { "-".to_owned() } else { format!("{error:.1e}") };
     for row in rows {
         let time = |[low, median, high]: [f64; 3]| match (high - low) / median {
             spread if spread.is_nan() => "-".to_owned(),
@@ -112,15 +118,15 @@ fn table(style: TableStyle, rows: &mut dyn Iterator<Item = &Row>) -> Table {
         match &row.errors {
             Ok(Errors { trajectory, loss, gradients: [r, m], signs: [r_signs, m_signs] }) => {
                 let share = |share: f64| format!("{:.1} %", 100.0 * share);
-                let error = |error: f64| format!("{error:.1e}");
                 cells.extend([error(*trajectory), error(*loss), error(*r), share(*r_signs), error(*m), share(*m_signs)]);
             }
             Err(_) => cells.extend(["diverged"; 6].map(String::from)),
         }
+        cells.extend(conserved.map(|_| error(row.drift)));
         cells.extend([row.operations.to_string(), time(row.seconds[0]), time(row.seconds[1])]);
         table.add_row(cells);
     }
-    for column in 1..COLUMNS.len() {
+    for column in 1..columns {
         if let Some(column) = table.column_mut(column) {
             column.set_cell_alignment(CellAlignment::Right);
         }
@@ -136,18 +142,18 @@ fn about(check: &Errors) -> String {
     )
 }
 
-fn markdown(name: &str, check: &Errors, rows: &[Row]) -> String {
+fn markdown(name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -> String {
     format!(
         "# What accuracy costs: {name}\n\nErrors in relation to the size of what is right; operations of a step of the policy and of its \
          VJP; microseconds for a step of a sample, with half the spread of the rounds. {}\n\n![errors against \
          work](accuracy.svg)\n\n{}\n",
         about(check),
-        table(ASCII_MARKDOWN, &mut rows.iter())
+        table(ASCII_MARKDOWN, conserved, &mut rows.iter())
     )
 }
 
 /// Those that no other setting beats in both time and error of the trajectory, and how many diverged.
-pub fn summary(rows: &[Row], check: &Errors) -> String {
+pub fn summary(rows: &[Row], check: &Errors, conserved: Option<&str>) -> String {
     let point = |row: &Row| Some((row.seconds[0][1], row.errors.as_ref().ok()?.trajectory));
     let best =
         |row: &&Row| point(row).is_some_and(|(time, error)| !rows.iter().filter_map(point).any(|(t, e)| t < time && e < error));
@@ -158,7 +164,7 @@ pub fn summary(rows: &[Row], check: &Errors) -> String {
         "of {} settings, those that no other beats in both time and error of the trajectory; errors are in relation to the size of \
          what is right:\n{}\n{}",
         rows.len(),
-        table(UTF8_FULL_CONDENSED, &mut front.into_iter()),
+        table(UTF8_FULL_CONDENSED, conserved, &mut front.into_iter()),
         about(check)
     );
     if diverged > 0 {

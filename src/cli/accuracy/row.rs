@@ -1,7 +1,12 @@
 //! What is told of one way to simulate a scene.
 
 use super::job::{Found, Job};
+use crate::cli::document::Document;
+use crate::cli::kind::Conserved;
+use crate::cli::scene::Scene;
 use crate::cli::settings::Precision;
+use anyhow::Result;
+use toml::Value;
 
 /// A method, its steps, and a precision.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,6 +21,18 @@ pub struct Setting {
 impl Setting {
     pub fn name(&self) -> String {
         format!("{} x{} {}", self.method, self.substeps, self.precision.name())
+    }
+
+    /// The scene with this setting.
+    pub fn of(&self, document: &Document) -> Result<Scene> {
+        let mut document = document.clone();
+        document.without_section("integrator");
+        document.put("precision", Value::String(self.precision.name().into()), "accuracy")?;
+        document.put("integrator.substeps", Value::Integer(self.substeps as i64), "accuracy")?;
+        if self.method != "own" {
+            document.put("integrator.method", Value::String(self.method.into()), "accuracy")?;
+        }
+        document.scene()
     }
 
     /// The lines to put into a scene.
@@ -45,6 +62,8 @@ pub struct Row {
     pub setting: Setting,
     /// Or where it diverged.
     pub errors: Result<Errors, String>,
+    /// How far what should be conserved moves without control, in relation to its size; NaN if nothing is, or all diverged.
+    pub drift: f64,
     pub operations: u64,
     pub bytes: f64,
     /// Seconds for a step of a sample, forward and with the gradients: lowest, median, highest of the rounds.
@@ -52,7 +71,7 @@ pub struct Row {
 }
 
 impl Row {
-    pub fn new(setting: Setting, job: &Job, reference: &Found, rounds: &[[f64; 2]]) -> Self {
+    pub fn new(setting: Setting, job: &Job, reference: &Found, conserved: Option<&Conserved>, rounds: &[[f64; 2]]) -> Self {
         let errors = job.found.as_ref().map(|found| Errors::of(found, reference)).map_err(Clone::clone);
         let seconds = [0, 1].map(|which| {
             let mut times: Vec<f64> = rounds.iter().map(|round| round[which]).collect();
@@ -62,7 +81,8 @@ impl Row {
                 _ => [times[0], times[times.len() / 2], times[times.len() - 1]],
             }
         });
-        Self { setting, errors, operations: job.operations, bytes: job.bytes, seconds }
+        let drift = conserved.map_or(f64::NAN, |conserved| conserved.drift(&job.idle));
+        Self { setting, errors, drift, operations: job.operations, bytes: job.bytes, seconds }
     }
 }
 

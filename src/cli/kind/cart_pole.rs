@@ -1,6 +1,6 @@
 //! Cart-pole in the program.
 
-use super::{Info, Kind, MlpSettings, Network, Visit};
+use super::{Conserved, Info, Kind, MlpSettings, Network, Visit};
 use crate::cli::problem::{Problem, count, exclusive, finite, not_negative, positive};
 use crate::cli::settings::{Method, Settings};
 use physgrad::report::{self, Animation, Rail};
@@ -250,6 +250,14 @@ impl Kind for CartPole {
 
     fn control_names(_settings: &Settings<Self>) -> Vec<String> {
         vec!["force".into()]
+    }
+
+    fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
+        // Of several poles, only the exact model has an energy.
+        let exact = matches!(settings.system.model, Model::Coupled) || settings.system.poles == 1;
+        let free = settings.effects.list().is_empty() && settings.actuator.is_empty();
+        let system = CoupledCartPole(settings.system.body());
+        (exact && free).then(|| Conserved { name: "energy", value: Box::new(move |x| system.energy(x)) })
     }
 
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {

@@ -1,6 +1,6 @@
 //! Quantum control in the program.
 
-use super::{Info, Kind, Network, Visit};
+use super::{Conserved, Info, Kind, Network, Visit};
 use crate::cli::problem::{Problem, allowed, count, exclusive, finite, not_negative, positive};
 use crate::cli::settings::{Method, Settings};
 use physgrad::policy::Conv;
@@ -255,6 +255,11 @@ impl Kind for Quantum {
             ControlShape::Dipole => "dipole",
         };
         vec![name.into()]
+    }
+
+    fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
+        let norm = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
+        settings.effects.absorbing_edges.is_none().then(|| Conserved { name: "norm", value: Box::new(norm) })
     }
 
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {

@@ -35,6 +35,18 @@ struct Constants<T> {
 }
 
 impl CoupledCartPole {
+    /// Kinetic and potential energy of a state, J, 0 at rest with the joints' heights for zero. Free of control and effects,
+    /// the equations keep it.
+    ///
+    /// ```text
+    /// M ẋ²/2 + Σ_i (J ω_i²/2 + m l ẋ ω_i cos θ_i + m g l cos θ_i)
+    /// ```
+    pub fn energy(&self, x: &[f64]) -> f64 {
+        let Constants { moment, weight, mass, per_inertia, .. } = self.constants::<f64>();
+        let of_pole = |pole: &[f64]| 0.5 * pole[1] * pole[1] / per_inertia + (moment * x[1] * pole[1] + weight) * pole[0].cos();
+        0.5 * mass * x[1] * x[1] + self.0.poles_of(x).map(of_pole).sum::<f64>()
+    }
+
     #[inline(always)]
     fn constants<T: Scalar>(&self) -> Constants<T> {
         let body = &self.0;
