@@ -126,3 +126,91 @@ fn a_budget_of_memory_changes_no_bit_and_an_integrator_does() {
     assert_eq!(parameters(&plain), parameters(&policy("budget", &["training.memory=\"1MB\""])));
     assert_ne!(parameters(&plain), parameters(&policy("verlet", &["integrator.method=\"verlet\""])));
 }
+
+#[test]
+fn ways_to_come_by_a_gradient_are_measured_by_double_double() {
+    let dir = TempDir::new().expect("a folder");
+    let small = ["--set", "policy.widths=[4]", "--set", "horizon=20", "--horizons", "40,5", "--quiet"];
+    let mut command = physgrad(&["accuracy", "cart_pole", "--gradients"]);
+    let output = command.args(small).arg("--out").arg(dir.path()).assert().success().get_output().clone();
+    let said = String::from_utf8(output.stdout).expect("UTF-8");
+    assert!(said.contains("up to 40 steps, the longest tried"), "{said}");
+    let table = |name: &str| csv_of(&fs::read_to_string(dir.path().join(name)).expect("a table"));
+
+    let ways = table("gradients.csv");
+    let way = |name: &str, step: &str, precision: &str| {
+        let found = ways.iter().find(|row| row["way"] == name && row["step"] == step && row["precision"] == precision);
+        found.unwrap_or_else(|| panic!("{name} {step} {precision}"))
+    };
+    for field in ["R", "M", "S", "C"] {
+        let name = format!("reverse {field}");
+        let [single, double] = ["f32", "f64"].map(|precision| number(way(&name, "", precision), "error"));
+        assert!(double < 1e-13 && single > 1e-9 && single < 1e-4, "{field}: {single:e}, {double:e}");
+        assert!(number(way(&name, "", "f32"), "signs_as_in_f64") > 0.9);
+        assert!(number(way(&name, "", "f64"), "peak_bytes") > number(way("loss alone", "", "f64"), "peak_bytes"));
+    }
+    assert!(number(way("forward mode", "", "f64"), "error") < 1e-13);
+    // Truncation from one side, rounding from the other.
+    let differences = |step: &str| number(way("central differences", step, "f64"), "error");
+    assert!(differences("0.1") > 100.0 * differences("0.01"), "the order is two");
+    assert!(differences("0.0001") < 1e-6 && differences("0.0000000001") > 10.0 * differences("0.00001"));
+    // Twice the loss for every parameter.
+    let ratio = number(way("central differences", "0.1", "f64"), "ms") / number(way("loss alone", "", "f64"), "ms");
+    assert!(ratio > 20.0, "{ratio}");
+
+    let checkpoints = table("checkpoints.csv");
+    assert_eq!(checkpoints.len(), 4);
+    assert!(checkpoints[..3].iter().all(|row| row["same_bits"] == "true"), "{checkpoints:?}");
+    assert!(number(&checkpoints[2], "peak_bytes") <= number(&checkpoints[2], "budget_bytes"));
+    let horizons = table("horizons.csv");
+    assert_eq!(horizons.iter().map(|row| &*row["horizon"]).collect::<Vec<_>>(), ["5", "40"]);
+    assert!(horizons.iter().all(|row| number(row, "f64_error") < number(row, "f32_error")), "{horizons:?}");
+    roxmltree::Document::parse(&fs::read_to_string(dir.path().join("gradients.svg")).expect("diagrams")).expect("XML");
+}
+
+#[test]
+fn what_is_conserved_drifts_by_the_order_of_the_method() {
+    let dir = TempDir::new().expect("a folder");
+    let (said, rows) = run(dir.path(), &["--set", "system.poles=1"]);
+    assert!(said.contains("drift of the energy"), "{said}");
+    for (method, order) in [("euler", 1.0), ("verlet", 2.0), ("rk4", 4.0)] {
+        let [coarse, fine] = ["2", "4"].map(|substeps| number(&rows[&format!("{method} {substeps} f64")], "drift"));
+        let found = (coarse / fine).log2();
+        assert!((found - order).abs() < 1.2, "{method}: order {found}");
+    }
+    // Two poles that do not act on each other have no energy.
+    let (said, rows) = run(dir.path(), &[]);
+    assert!(!said.contains("drift") && rows["rk4 1 f64"]["drift"].is_empty(), "{said}");
+}
+
+#[test]
+fn scenes_of_equal_error_are_written_and_compared_in_training() {
+    let dir = TempDir::new().expect("a folder");
+    let (said, _) = run(&dir.path().join("accuracy"), &["--target", "1e-3"]);
+    assert!(said.contains("the cheapest of every method, to train in: "), "{said}");
+    let scene = |method: &str| dir.path().join(format!("accuracy/scenes/{method}.toml"));
+    let (out, small) = (dir.path().join("compared"), ["--fields", "R,C", "--seeds", "1", "--epochs", "2", "--quiet"]);
+    let sizes = ["--set", "training.train_samples=16", "--set", "training.test_samples=8"];
+    let mut compare = physgrad(&["compare"]);
+    compare.arg(scene("verlet")).arg(scene("rk4")).args(small).args(sizes).arg("--out").arg(&out).assert().success();
+    let rows = csv_of(&fs::read_to_string(out.join("summary.csv")).expect("a summary"));
+    let names = |key: &str| rows.iter().map(|row| row[key].clone()).collect::<Vec<String>>();
+    assert_eq!(names("scene"), ["verlet", "verlet", "rk4", "rk4"]);
+    assert_eq!(names("field"), ["R", "C", "R", "C"]);
+    assert!(fs::read_to_string(out.join("curves.svg")).expect("curves").contains("verlet: R"));
+    // Each is a comparison of its own.
+    physgrad(&["report"]).arg(out.join("rk4")).assert().success();
+    let said = error_of(physgrad(&["compare"]).arg(scene("rk4")).arg(scene("rk4")).args(small));
+    assert!(said.contains("names rk4 twice"), "{said}");
+}
+
+#[test]
+fn an_equation_that_was_not_solved_is_told_with_step_and_residual() {
+    let dir = TempDir::new().expect("a folder");
+    let out = dir.path().join("run");
+    let far = ["--epochs", "5", "--set", "integrator.method=implicit_midpoint", "--set", "system.dt=50"];
+    let said = error_of(&mut train(&out, &far));
+    for part in ["could not be solved for sample 0 at step 1", "given up with a residual of ", "`integrator.substeps`"] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+}

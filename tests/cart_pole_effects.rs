@@ -137,6 +137,8 @@ fn drift<H: Host<Body = CartPoleSystem>>(host: impl Fn(f64) -> H, dt: f64) -> f6
     let system = With { system: host(dt), effects: () };
     let mut x = vec![0.0, 0.3, 3.0, 0.5, 2.0, -1.0, 1.0, 0.2];
     let start = energy(system.body(), &x);
+    let library = CoupledCartPole(*system.body()).energy(&x);
+    assert!((library - start).abs() < 1e-12, "{library} and {start}");
     for _ in 0..(1.0 / dt).round() as usize {
         x = step(&system, &x, 0.0);
     }

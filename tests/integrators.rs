@@ -275,3 +275,36 @@ fn nothing_but_the_field_of_effects_is_needed() {
         check::system(&integrated(rough, integrator, 0.01));
     }
 }
+
+/// A field that reaches infinity in a time of exp(-x).
+struct Exploding;
+
+impl Ode for Exploding {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn rate<T: Scalar>(&self, x: &[T], _u: &[T], rate: &mut [T]) {
+        rate[0] = x[0].exp();
+    }
+}
+
+#[test]
+fn a_step_that_has_no_solution_is_not_a_number_and_tells_its_residual() {
+    let of = |dt| Integrated { ode: Exploding, integrator: ImplicitMidpoint::default(), dt };
+    let mut next = [0.0_f64];
+    // x' = h exp(x' / 2) has a solution up to h = 2 / e = 0.7358.
+    for (dt, solved) in [(0.5, true), (0.77, false)] {
+        of(dt).step(&[0.0], &[0.0], &mut next);
+        assert_eq!(next[0].is_finite(), solved, "{dt}");
+        let residual = of(dt).unsolved(&[0.0], &[0.0]);
+        assert_eq!(residual.is_none(), solved, "{dt}: {residual:?}");
+        // Through whatever is around it.
+        let around = Substeps { system: of(dt), count: 1 };
+        assert_eq!(around.unsolved(&[0.0], &[0.0]), residual);
+        // No state has a smaller one.
+        assert!(residual.is_none_or(|residual| residual > 2.0 * (dt * 0.5 * std::f64::consts::E).ln()), "{residual:?}");
+    }
+}

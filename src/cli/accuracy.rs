@@ -158,13 +158,15 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     say(&outputs::summary(&rows, &check, conserved));
     say(&format!("results in {}: accuracy.csv, accuracy.svg, accuracy.md", folder.path().display()));
     let Some(target) = args.target else { return Ok(()) };
-    name_cheapest(&rows, args.of, target)?;
-    let inner = Folder::create(&folder.file("scenes"))?;
-    for (method, scene) in study.scenes(&rows, args.of, target)? {
-        inner.write(&format!("{method}.toml"), scene.table.to_string())?;
+    let scenes = study.scenes(&rows, args.of, target)?;
+    if !scenes.is_empty() {
+        let inner = Folder::create(&folder.file("scenes"))?;
+        for (method, scene) in scenes {
+            inner.write(&format!("{method}.toml"), scene.table.to_string())?;
+        }
+        say(&format!("the cheapest of every method, to train in: {}", inner.path().display()));
     }
-    say(&format!("\nthe cheapest of every method, to train in: {}", inner.path().display()));
-    Ok(())
+    name_cheapest(&rows, args.of, target)
 }
 
 /// A bar of so many steps.

@@ -167,8 +167,8 @@ impl Integrator for ImplicitMidpoint {
         }
         ode.rate(&middle, u, &mut rate);
         let residual = (0..x.len()).map(|i| (next[i] - x[i] - h * rate[i]).as_().abs());
-        // Not by `f64::max`, which would hide a NaN.
-        let largest = residual.fold(0.0, |largest, r| if r <= largest { largest } else { r });
+        // What is not a number is as far from a solution as can be.
+        let largest = residual.fold(0.0, |largest, r| if r.is_nan() { f64::INFINITY } else { r.max(largest) });
         (to_go > F::zero()).then_some(largest)
     }
 

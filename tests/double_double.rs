@@ -1,0 +1,134 @@
+//! References in double-double: they agree with f64 where f64 is right, and are right where it is not.
+
+use num_dual::DualSVec64;
+use physgrad::policy::Linear;
+use physgrad::rng::{Purpose, stream};
+use physgrad::tasks::{CartPole, CoupledCartPole, Guidance, GuidanceSystem, Pade, Quantum, QuantumSystem, Strang};
+use physgrad::{
+    Batch, Directional, DoubleDouble, Flow, ImplicitMidpoint, Integrated, Policy, RungeKutta, Scalar, System, Tangents, Task,
+    Weights, check,
+};
+
+/// Value and slope of a step in a random direction, in double-double and by num-dual, each compared apart.
+fn agrees<S: System>(name: &str, system: &S, size: f64) {
+    use rand::RngExt;
+    let mut rng = stream(5, Purpose::Check, 0);
+    let mut draw = |len: usize| (0..len).map(|_| size * rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
+    let (n, m) = (system.state_dim(), system.control_dim());
+    let (x, u, tx, tu) = (draw(n), draw(m), draw(n), draw(m));
+    let fine =
+        |(value, slope): (&f64, &f64)| Directional { value: DoubleDouble::lift(*value), slope: DoubleDouble::lift(*slope) };
+    let dual = |(value, slope): (&f64, &f64)| DualSVec64::<1>::seeded(*value, [*slope]);
+    let (fx, fu): (Vec<_>, Vec<_>) = (x.iter().zip(&tx).map(fine).collect(), u.iter().zip(&tu).map(fine).collect());
+    let (dx, du): (Vec<_>, Vec<_>) = (x.iter().zip(&tx).map(dual).collect(), u.iter().zip(&tu).map(dual).collect());
+    let (mut fine_next, mut dual_next) = (fx.clone(), dx.clone());
+    system.step(&fx, &fu, &mut fine_next);
+    system.step(&dx, &du, &mut dual_next);
+    let largest = |numbers: &mut dyn Iterator<Item = f64>| numbers.fold(0.0_f64, |largest, x| largest.max(x.abs()));
+    let values = largest(&mut fine_next.iter().map(|x| x.value.0));
+    let slopes = largest(&mut fine_next.iter().map(|x| x.slope.0));
+    for (i, (fine, dual)) in fine_next.iter().zip(&dual_next).enumerate() {
+        assert!((fine.value.0 - dual.value()).abs() <= 1e-13 * values, "{name}: value {i}: {fine:?}, {dual:?}");
+        assert!((fine.slope.0 - dual.tangents()[0]).abs() <= 1e-12 * slopes, "{name}: slope {i}: {fine:?}, {dual:?}");
+    }
+    // Not f64 in disguise: the second half of some number is in use.
+    assert!(fine_next.iter().any(|x| x.value.1 != 0.0), "{name}");
+}
+
+#[test]
+fn steps_in_double_double_are_those_of_duals_to_rounding() {
+    let cart_pole = *CartPole::new(3).system();
+    agrees("cart-pole", &cart_pole, 1.0);
+    agrees("coupled", &CoupledCartPole(cart_pole), 1.0);
+    agrees("guidance", &GuidanceSystem::default().herding(), 1.0);
+    agrees("quantum", &QuantumSystem::default(), 1.0);
+    agrees("Padé", &Pade(QuantumSystem::default()), 1.0);
+    agrees("Strang", &Strang::new(QuantumSystem::default()), 1.0);
+    let coupled = physgrad::With { system: CoupledCartPole(cart_pole), effects: () };
+    agrees("RK4", &Integrated { ode: coupled, integrator: RungeKutta::RK4, dt: 0.05 }, 1.0);
+    agrees("midpoint", &Integrated { ode: coupled, integrator: ImplicitMidpoint { tolerance: 1e-14 }, dt: 0.01 }, 1.0);
+}
+
+/// The gradients of a flow by the reverse pass in f64, and by double-double.
+fn slopes<T: Task, P: Policy>(name: &str, task: &T, policy: &P, allowed: f64) {
+    let n = task.system().state_dim();
+    let mut starts = vec![0.0; 2 * n];
+    for (i, x) in starts.chunks_exact_mut(n).enumerate() {
+        task.start(&mut stream(1, Purpose::Test, i as u64), x);
+    }
+    let weights = Weights::<f64>::init(policy, &mut stream(1, Purpose::Policy, 0));
+    for flow in Flow::ALL {
+        let mut batch = Batch::new(task, policy, 2, &[flow], 1);
+        let loss = batch.run(task, policy, &weights, &starts).expect("finite");
+        let gradient = &batch.gradients()[0];
+        let largest = gradient.iter().fold(0.0_f64, |largest, g| largest.max(g.abs()));
+        for (i, found) in gradient.iter().enumerate().step_by(3) {
+            let [exact_loss, slope] = check::slope(task, policy, weights.theta(), &starts, flow, |j| f64::from(u8::from(i == j)));
+            assert!((loss - exact_loss).abs() <= 1e-13 * exact_loss.abs(), "{name}: {loss} and {exact_loss}");
+            assert!((found - slope).abs() <= allowed * largest, "{name}, {flow}, {i}: {found:e} and {slope:e}");
+        }
+    }
+}
+
+#[test]
+fn gradients_of_every_flow_are_those_in_double_double() {
+    slopes("cart-pole", &CartPole { horizon: 30, ..CartPole::new(2) }, &Linear::new(6, 1), 1e-12);
+    let guidance = Guidance { horizon: 20, ..Guidance::new(1, 2) };
+    let n = guidance.system().state_dim();
+    slopes("guidance", &guidance, &Linear::new(n, guidance.system().control_dim()), 1e-12);
+    let system = QuantumSystem { grid: 8, ..QuantumSystem::default() };
+    let quantum = Quantum { horizon: 20, ..Quantum::around(system, 2) };
+    slopes("quantum", &quantum, &Linear::new(16, 1), 1e-11);
+}
+
+/// A map in which rounding is doubled at every step, and what it comes to.
+struct Doubling {
+    system: Logistic,
+}
+
+/// The logistic map x' = 4 x (1 - x), whose k-th state is sin²(2^k asin √x).
+struct Logistic;
+
+impl System for Logistic {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn step<T: Scalar>(&self, x: &[T], _u: &[T], next: &mut [T]) {
+        next[0] = T::lift(4.0) * x[0] * (T::one() - x[0]);
+    }
+}
+
+impl Task for Doubling {
+    type System = Logistic;
+    fn system(&self) -> &Logistic {
+        &self.system
+    }
+    fn horizon(&self) -> usize {
+        60
+    }
+    fn start(&self, _rng: &mut physgrad::rng::Rng, x: &mut [f64]) {
+        x[0] = 0.3;
+    }
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        x[0]
+    }
+}
+
+#[test]
+fn double_double_is_right_where_f64_has_lost_every_digit() {
+    let (task, policy) = (Doubling { system: Logistic }, Linear::new(1, 1));
+    let [exact, _] = check::slope(&task, &policy, &[0.0, 0.0], &[0.3], Flow::REGULAR, |_| 0.0);
+    // 2^60 turns the argument's rounding into the angle's: known to 31 digits it is right to about 1e-13.
+    let start = Scalar::sqrt(DoubleDouble::lift(0.3));
+    let angle = start.atan2(Scalar::sqrt(DoubleDouble::lift(1.0) - start * start)) * DoubleDouble::lift(2.0_f64.powi(60));
+    let turns = DoubleDouble::lift(2.0) * DoubleDouble::PI;
+    let sin = (angle - (angle / turns).trunc() * turns).sin_cos().0;
+    let closed = (sin * sin).0;
+    assert!((exact - closed).abs() < 1e-9, "{exact} and {closed}");
+    let mut x = 0.3_f64;
+    (0..60).for_each(|_| x = 4.0 * x * (1.0 - x));
+    assert!((x - closed).abs() > 1e-3, "f64 would do: {x} and {closed}");
+}
