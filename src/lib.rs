@@ -60,7 +60,8 @@
 //!
 //! # Features
 //! `default-features = false` leaves the library alone. `parallel` splits mini-batches over cores, `report` draws
-//! curves and animations, `schema` gives the settings of systems and effects a JSON schema, `program` (the default) is
+//! curves and animations, `schema` gives the settings of systems and effects a JSON schema, `double-double` adds numbers of
+//! 31 digits and derivatives in them, as references, `program` (the default) is
 //! everything the `physgrad` binary needs.
 
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]

@@ -2,15 +2,11 @@
 
 mod boxes;
 
-use boxes::{box_of, dipole, every_effect, every_effect_typed, lively, norm, step};
+use boxes::{Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, lively, norm, step};
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{Absorbing, AbsorbingEdges, Cubic, LossMode, Quantum, QuantumEffect, QuantumSystem, Tabulated};
 use physgrad::{Actuated, Around, Counted, Counts, Delay, Effect, Limit, LimitKind, Scalar, Substeps, System, Task, With, check};
-
-fn check_lively<S: System>(system: &S) {
-    check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{mismatch}"));
-}
 
 #[test]
 fn the_derivatives_of_every_effect_are_those_of_duals() {
@@ -21,22 +17,6 @@ fn the_derivatives_of_every_effect_are_those_of_duals() {
         }
         check_lively(&With { system: box_of(grid), effects: every_effect() });
         check_lively(&dipole(grid));
-    }
-}
-
-/// An effect that somebody else may write: a force that swings with time, and depends on the state as well.
-#[derive(Clone, Debug)]
-struct Swinging;
-
-impl Effect<QuantumSystem> for Swinging {
-    fn act<T: Scalar>(&self, body: &QuantumSystem, x: &[T], forces: &mut [T]) {
-        let push = x[x.len() - 1].sin() * x[0];
-        for (v, point) in forces.iter_mut().zip(body.points()) {
-            *v += push * T::lift(point);
-        }
-    }
-    fn clock(&self) -> Option<f64> {
-        Some(1.0)
     }
 }
 

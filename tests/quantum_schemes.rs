@@ -2,7 +2,9 @@
 
 mod boxes;
 
-use boxes::{box_of, dipole, every_effect, every_effect_typed, largest_difference, lively, norm, overlap, step};
+use boxes::{
+    Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, largest_difference, lively, norm, overlap, step,
+};
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
@@ -13,10 +15,6 @@ use std::f64::consts::{PI, TAU};
 
 fn schemes(body: QuantumSystem) -> [QuantumScheme; 3] {
     [QuantumScheme::CrankNicolson(body), QuantumScheme::Pade(Pade(body)), QuantumScheme::Strang(Strang::new(body))]
-}
-
-fn check_lively<S: System>(system: &S) {
-    check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{}: {mismatch}", system.state_dim()));
 }
 
 #[test]
@@ -32,22 +30,6 @@ fn the_derivatives_of_every_scheme_are_those_of_duals() {
     }
     check_lively(&With { system: Pade(dipole(32)), effects: every_effect_typed() });
     check_lively(&With { system: Strang::new(dipole(32)), effects: every_effect_typed() });
-}
-
-/// A force that swings with time, and depends on the wave by more than its density.
-#[derive(Clone, Debug)]
-struct Swinging;
-
-impl Effect<QuantumSystem> for Swinging {
-    fn act<T: Scalar>(&self, body: &QuantumSystem, x: &[T], forces: &mut [T]) {
-        let push = x[x.len() - 1].sin() * x[0];
-        for (v, point) in forces.iter_mut().zip(body.points()) {
-            *v += push * T::lift(point);
-        }
-    }
-    fn clock(&self) -> Option<f64> {
-        Some(1.0)
-    }
 }
 
 #[test]

@@ -1,9 +1,9 @@
 //! What tests of quantum control share: boxes, effects, waves.
 #![allow(dead_code)]
 
-use physgrad::System;
 use physgrad::rng::Rng;
 use physgrad::tasks::{Barrier, ControlShape, Cubic, DoubleWell, Harmonic, QuantumEffect, QuantumSystem};
+use physgrad::{Effect, Scalar, System, check};
 use rand::RngExt;
 
 pub fn box_of(grid: usize) -> QuantumSystem {
@@ -90,4 +90,26 @@ pub fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     let size = (3.0 / x.len() as f64).sqrt();
     x.iter_mut().for_each(|x| *x = rng.random_range(-size..size));
     u.iter_mut().for_each(|u| *u = rng.random_range(-30.0..30.0));
+}
+
+/// A force that swings with time, and depends on the wave by more than its density: an effect that somebody else may write.
+#[derive(Clone, Debug)]
+pub struct Swinging;
+
+impl Effect<QuantumSystem> for Swinging {
+    fn act<T: Scalar>(&self, body: &QuantumSystem, x: &[T], forces: &mut [T]) {
+        let push = x[x.len() - 1].sin() * x[0];
+        for (v, point) in forces.iter_mut().zip(body.points()) {
+            *v += push * T::lift(point);
+        }
+    }
+    fn clock(&self) -> Option<f64> {
+        Some(1.0)
+    }
+}
+
+/// Checks a system at waves, and controls that do something to them.
+#[track_caller]
+pub fn check_lively<S: System>(system: &S) {
+    check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{} numbers: {mismatch}", system.state_dim()));
 }

@@ -134,12 +134,25 @@ fn table(style: TableStyle, conserved: Option<&str>, rows: &mut dyn Iterator<Ite
     table
 }
 
-fn about(check: &Errors) -> String {
-    format!(
-        "The reference differs from one with half as many steps by {:.1e} in the trajectory, {:.1e} in the gradient of R and {:.1e} in \
+/// The smallest error of the trajectory in each precision: what more steps do not get below.
+fn floors(rows: &[Row]) -> String {
+    let of = |precision: &str| {
+        let errors = rows.iter().filter(|row| row.setting.precision.name() == precision);
+        let least = errors.filter_map(|row| Some((row, row.errors.as_ref().ok()?.trajectory))).min_by(|a, b| a.1.total_cmp(&b.1));
+        least.map(|(row, error)| format!("{error:.1e} in {precision} ({} x{})", row.setting.method, row.setting.substeps))
+    };
+    let found: Vec<String> = ["f32", "f64"].into_iter().filter_map(of).collect();
+    format!("The smallest errors of the trajectory are {}.", found.join(" and "))
+}
+
+fn about(rows: &[Row], check: &Errors) -> String {
+    floors(rows)
+        + " "
+        + &format!(
+            "The reference differs from one with half as many steps by {:.1e} in the trajectory, {:.1e} in the gradient of R and {:.1e} in \
          that of M: smaller errors than that are not known.",
-        check.trajectory, check.gradients[0], check.gradients[1]
-    )
+            check.trajectory, check.gradients[0], check.gradients[1]
+        )
 }
 
 fn markdown(name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -> String {
@@ -147,7 +160,7 @@ fn markdown(name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -
         "# What accuracy costs: {name}\n\nErrors in relation to the size of what is right; operations of a step of the policy and of its \
          VJP; microseconds for a step of a sample, with half the spread of the rounds. {}\n\n![errors against \
          work](accuracy.svg)\n\n{}\n",
-        about(check),
+        about(rows, check),
         table(ASCII_MARKDOWN, conserved, &mut rows.iter())
     )
 }
@@ -165,7 +178,7 @@ pub fn summary(rows: &[Row], check: &Errors, conserved: Option<&str>) -> String 
          what is right:\n{}\n{}",
         rows.len(),
         table(UTF8_FULL_CONDENSED, conserved, &mut front.into_iter()),
-        about(check)
+        about(rows, check)
     );
     if diverged > 0 {
         text += &format!("\n{diverged} settings diverged");
