@@ -86,8 +86,10 @@ pub struct Conserved {
     /// What it is called.
     pub name: &'static str,
     /// Its value at a state.
-    pub value: Box<dyn Fn(&[f64]) -> f64>,
+    pub value: OfState,
 }
+
+type OfState = Box<dyn Fn(&[f64]) -> f64>;
 
 impl Conserved {
     /// How far it moves at most from where it began, over all samples, in relation to its largest size.

@@ -158,13 +158,13 @@ fn losses<F: Float, T: Task + 'static, P: Policy + 'static>(
     task: T,
     policy: P,
     starts: Vec<F>,
-) -> Box<dyn FnMut(&Weights<F>) -> Result<f64, String> + Send> {
+) -> impl FnMut(&Weights<F>) -> Result<f64, String> + Send + 'static {
     let mut rollout = Rollout::for_evaluation(&task, &policy, SAMPLES);
-    Box::new(move |weights| {
+    move |weights| {
         rollout.start(&starts);
         rollout.run(&task, &policy, weights).map_err(|divergence| divergence.to_string())?;
         Ok((0..SAMPLES).map(|sample| rollout.cost(sample).as_()).sum::<f64>() / SAMPLES as f64)
-    })
+    }
 }
 
 fn reverse<F: Float, T: Task + 'static, P: Policy + 'static>(
