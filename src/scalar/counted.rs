@@ -126,12 +126,14 @@ impl fmt::Display for Counts {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Counted(pub f64);
 
+// Operations that count are calls: nobody waits for them, and a step has hundreds, of every system, to compile.
+
 /// The two operators of one kind, for numbers that say what each `costs`.
 macro_rules! operator {
     ($number:ty, $trait:ident, $method:ident, $assign_trait:ident, $assign:ident, $costs:expr) => {
         impl $trait for $number {
             type Output = Self;
-            #[inline]
+            #[inline(never)]
             fn $method(self, other: Self) -> Self {
                 let costs: fn(&Self, &Self) -> Counts = $costs;
                 costs(&self, &other).note();
@@ -155,7 +157,7 @@ operator!(Counted, Div, div, DivAssign, div_assign, |_, _| Counts { divide: 1, .
 
 impl Neg for Counted {
     type Output = Self;
-    #[inline]
+    #[inline(never)]
     fn neg(self) -> Self {
         Counts { negate: 1, ..Counts::NONE }.note();
         Self(-self.0)
@@ -175,43 +177,43 @@ impl Scalar for Counted {
     fn detach(self) -> Self {
         self
     }
-    #[inline]
+    #[inline(never)]
     fn sqrt(self) -> Self {
         Counts { sqrt: 1, ..Counts::NONE }.note();
         Self(Scalar::sqrt(self.0))
     }
-    #[inline]
+    #[inline(never)]
     fn exp(self) -> Self {
         FUNCTION.note();
         Self(Scalar::exp(self.0))
     }
-    #[inline]
+    #[inline(never)]
     fn ln(self) -> Self {
         FUNCTION.note();
         Self(Scalar::ln(self.0))
     }
-    #[inline]
+    #[inline(never)]
     fn sin_cos(self) -> (Self, Self) {
         FUNCTION.note();
         let (sin, cos) = Scalar::sin_cos(self.0);
         (Self(sin), Self(cos))
     }
-    #[inline]
+    #[inline(never)]
     fn tanh(self) -> Self {
         FUNCTION.note();
         Self(Scalar::tanh(self.0))
     }
-    #[inline]
+    #[inline(never)]
     fn atan2(self, x: Self) -> Self {
         FUNCTION.note();
         Self(Scalar::atan2(self.0, x.0))
     }
-    #[inline]
+    #[inline(never)]
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
         Counts { compare: 1, ..Counts::NONE }.note();
         if a.0 < b.0 { yes } else { no }
     }
-    #[inline]
+    #[inline(never)]
     fn any_lt(a: Self, b: Self) -> bool {
         Counts { compare: 1, ..Counts::NONE }.note();
         a.0 < b.0

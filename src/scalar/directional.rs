@@ -1,4 +1,6 @@
 //! Forward mode over any scalar, in one direction.
+//!
+//! Its operations are calls: of double-doubles, each has a hundred instructions, and a step has hundreds of operations.
 
 use super::Scalar;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
@@ -23,6 +25,7 @@ impl<T: Scalar> Directional<T> {
 
 impl<T: Scalar> Add for Directional<T> {
     type Output = Self;
+    #[inline(never)]
     fn add(self, other: Self) -> Self {
         Self { value: self.value + other.value, slope: self.slope + other.slope }
     }
@@ -30,6 +33,7 @@ impl<T: Scalar> Add for Directional<T> {
 
 impl<T: Scalar> Sub for Directional<T> {
     type Output = Self;
+    #[inline(never)]
     fn sub(self, other: Self) -> Self {
         Self { value: self.value - other.value, slope: self.slope - other.slope }
     }
@@ -37,6 +41,7 @@ impl<T: Scalar> Sub for Directional<T> {
 
 impl<T: Scalar> Mul for Directional<T> {
     type Output = Self;
+    #[inline(never)]
     fn mul(self, other: Self) -> Self {
         Self { value: self.value * other.value, slope: self.slope * other.value + self.value * other.slope }
     }
@@ -44,6 +49,7 @@ impl<T: Scalar> Mul for Directional<T> {
 
 impl<T: Scalar> Div for Directional<T> {
     type Output = Self;
+    #[inline(never)]
     fn div(self, other: Self) -> Self {
         let value = self.value / other.value;
         Self { value, slope: (self.slope - value * other.slope) / other.value }
@@ -79,30 +85,36 @@ impl<T: Scalar> Scalar for Directional<T> {
         Self { value: self.value.detach(), slope: T::zero() }
     }
 
+    #[inline(never)]
     fn sqrt(self) -> Self {
         let root = self.value.sqrt();
         self.chain(root, T::lift(0.5) / root)
     }
 
+    #[inline(never)]
     fn exp(self) -> Self {
         let e = self.value.exp();
         self.chain(e, e)
     }
 
+    #[inline(never)]
     fn ln(self) -> Self {
         self.chain(self.value.ln(), T::one() / self.value)
     }
 
+    #[inline(never)]
     fn sin_cos(self) -> (Self, Self) {
         let (sin, cos) = self.value.sin_cos();
         (self.chain(sin, cos), self.chain(cos, -sin))
     }
 
+    #[inline(never)]
     fn tanh(self) -> Self {
         let t = self.value.tanh();
         self.chain(t, T::one() - t * t)
     }
 
+    #[inline(never)]
     fn atan2(self, x: Self) -> Self {
         let square = self.value * self.value + x.value * x.value;
         self.chain(self.value.atan2(x.value), x.value / square) + x.chain(T::zero(), -self.value / square)

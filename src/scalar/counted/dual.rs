@@ -47,7 +47,7 @@ operator!(CountedDual, Div, div, DivAssign, div_assign, |a, b| {
 
 impl Neg for CountedDual {
     type Output = Self;
-    #[inline]
+    #[inline(never)]
     fn neg(self) -> Self {
         Counts { negate: 1 + self.carried(), ..Counts::NONE }.note();
         Self(-self.0)
@@ -64,37 +64,37 @@ impl Scalar for CountedDual {
     fn detach(self) -> Self {
         Self(self.0.detach())
     }
-    #[inline]
+    #[inline(never)]
     fn sqrt(self) -> Self {
         // Slope: 0.5 / root.
         self.note(1, Counts { sqrt: 1, divide: 1, ..Counts::NONE });
         Self(Scalar::sqrt(self.0))
     }
-    #[inline]
+    #[inline(never)]
     fn exp(self) -> Self {
         self.note(1, FUNCTION);
         Self(Scalar::exp(self.0))
     }
-    #[inline]
+    #[inline(never)]
     fn ln(self) -> Self {
         // Slope: 1 / value.
         self.note(1, Counts { divide: 1, ..FUNCTION });
         Self(Scalar::ln(self.0))
     }
-    #[inline]
+    #[inline(never)]
     fn sin_cos(self) -> (Self, Self) {
         // Slopes: cos and -sin.
         self.note(2, Counts { negate: 1, ..FUNCTION });
         let (sin, cos) = Scalar::sin_cos(self.0);
         (Self(sin), Self(cos))
     }
-    #[inline]
+    #[inline(never)]
     fn tanh(self) -> Self {
         // Slope: 1 - t t.
         self.note(1, Counts { add: 1, multiply: 1, ..FUNCTION });
         Self(Scalar::tanh(self.0))
     }
-    #[inline]
+    #[inline(never)]
     fn atan2(self, x: Self) -> Self {
         // Slopes: x / (y y + x x) and -y / (y y + x x); the two chains are added, values too.
         let both = self.carried().min(x.carried());
@@ -102,12 +102,12 @@ impl Scalar for CountedDual {
         self.note(1, Counts::NONE);
         Self(Scalar::atan2(self.0, x.0))
     }
-    #[inline]
+    #[inline(never)]
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
         Counts { compare: 1, ..Counts::NONE }.note();
         Self(Scalar::select_lt(a.0, b.0, yes.0, no.0))
     }
-    #[inline]
+    #[inline(never)]
     fn any_lt(a: Self, b: Self) -> bool {
         Counts { compare: 1, ..Counts::NONE }.note();
         Scalar::any_lt(a.0, b.0)
