@@ -1,6 +1,7 @@
 //! `physgrad accuracy`: what accuracy costs in time.
 
 mod derivatives;
+mod gradient_outputs;
 mod gradients;
 mod job;
 mod outputs;

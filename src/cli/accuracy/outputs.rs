@@ -106,7 +106,6 @@ fn table(style: TableStyle, conserved: Option<&str>, rows: &mut dyn Iterator<Ite
     let mut table = Table::new();
     let drift = conserved.map(|name| format!("drift of the {name}"));
     let header: Vec<String> = COLUMNS.map(String::from).into_iter().chain(drift).chain(COSTS.map(String::from)).collect();
-    let columns = header.len();
     table.load_style(style).set_header(header);
     let error = |error: f64| if error.is_nan() { "-".to_owned() } else { format!("{error:.1e}") };
     for row in rows {
@@ -126,6 +125,12 @@ fn table(style: TableStyle, conserved: Option<&str>, rows: &mut dyn Iterator<Ite
         cells.extend([row.operations.to_string(), time(row.seconds[0]), time(row.seconds[1])]);
         table.add_row(cells);
     }
+    right_aligned(table)
+}
+
+/// The same with its numbers, which are all columns but the first, to the right.
+pub fn right_aligned(mut table: Table) -> Table {
+    let columns = table.column_count();
     for column in 1..columns {
         if let Some(column) = table.column_mut(column) {
             column.set_cell_alignment(CellAlignment::Right);

@@ -45,6 +45,15 @@ impl Setting {
     }
 }
 
+/// Lowest, median and highest; of nothing, NaN.
+pub fn spread(mut times: Vec<f64>) -> [f64; 3] {
+    times.sort_by(f64::total_cmp);
+    match times[..] {
+        [] => [f64::NAN; 3],
+        _ => [times[0], times[times.len() / 2], times[times.len() - 1]],
+    }
+}
+
 /// Errors, all in relation to the size of what is right.
 #[derive(Clone, Copy, Debug)]
 pub struct Errors {
@@ -73,14 +82,7 @@ pub struct Row {
 impl Row {
     pub fn new(setting: Setting, job: &Job, reference: &Found, conserved: Option<&Conserved>, rounds: &[[f64; 2]]) -> Self {
         let errors = job.found.as_ref().map(|found| Errors::of(found, reference)).map_err(Clone::clone);
-        let seconds = [0, 1].map(|which| {
-            let mut times: Vec<f64> = rounds.iter().map(|round| round[which]).collect();
-            times.sort_by(f64::total_cmp);
-            match times[..] {
-                [] => [f64::NAN; 3],
-                _ => [times[0], times[times.len() / 2], times[times.len() - 1]],
-            }
-        });
+        let seconds = [0, 1].map(|which| spread(rounds.iter().map(|round| round[which]).collect()));
         let drift = conserved.map_or(f64::NAN, |conserved| conserved.drift(&job.idle));
         Self { setting, errors, drift, operations: job.operations, bytes: job.bytes, seconds }
     }
