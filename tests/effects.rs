@@ -202,7 +202,40 @@ fn by_hand_is_the_same_physics() {
     same_physics(&With { system, effects: (trap, cubic) }, &quantum::ByHand::<true, true> { system, trap, cubic });
 }
 
-/// Mean loss, last states and the gradients of all flows, as bits.
+/// All states of a trajectory under a control that swings, and all cotangents on the way back, one sample in plain numbers,
+/// as bits.
+fn steps<F: Float, T: Task>(task: &T) -> Vec<u64> {
+    let (n, m, horizon) = (task.system().state_dim(), task.system().control_dim(), task.horizon());
+    let mut start = vec![0.0; n];
+    task.start(&mut stream(3, Purpose::Train, 0), &mut start);
+    let mut states: Vec<Vec<F>> = vec![start.into_iter().map(F::lift).collect()];
+    let control = |t: usize| (0..m).map(|i| F::lift((0.3 * t as f64 + i as f64).sin())).collect::<Vec<F>>();
+    for t in 0..horizon {
+        let mut next = vec![F::zero(); n];
+        task.system().step(&states[t], &control(t), &mut next);
+        states.push(next);
+    }
+    let mut found = states.concat();
+    let mut bar = vec![F::zero(); n];
+    task.terminal_cost_gradient(&states[horizon], &mut bar);
+    bar.iter_mut().for_each(|bar| *bar += F::lift(0.1));
+    for t in (0..horizon).rev() {
+        let (mut x_bar, mut u_bar, mut u_only) = (vec![F::zero(); n], vec![F::zero(); m], vec![F::zero(); m]);
+        task.system().vjp(&states[t], &control(t), &bar, &mut x_bar, &mut u_bar);
+        task.system().vjp_control(&states[t], &control(t), &bar, &mut u_only);
+        found.extend(x_bar.iter().chain(&u_bar).chain(&u_only));
+        bar = x_bar;
+    }
+    assert!(found.iter().all(|x| x.as_().is_finite()));
+    found.into_iter().map(|x| x.as_().to_bits()).collect()
+}
+
+fn same_bits<A: Task, B: Task>(a: &A, b: &B) {
+    assert_eq!(steps::<f32, _>(a), steps::<f32, _>(b));
+    assert_eq!(steps::<f64, _>(a), steps::<f64, _>(b));
+}
+
+/// Mean loss, last states and the gradients of all flows of a batch of rollouts, as bits.
 fn bits<F: Float, T: Task>(task: &T) -> Vec<u64> {
     let (n, m) = (task.system().state_dim(), task.system().control_dim());
     let policy = Mlp::new([n, 6, m]);
@@ -227,9 +260,10 @@ fn bits<F: Float, T: Task>(task: &T) -> Vec<u64> {
     found
 }
 
-/// In single precision: the code is the same in double.
-fn same_bits<A: Task, B: Task>(a: &A, b: &B) {
+/// The same for whole rollouts in lanes, in single precision: a minute to compile, if all were compared so.
+fn same_rollouts<A: Task, B: Task>(a: &A, b: &B) {
     assert_eq!(bits::<f32, _>(a), bits::<f32, _>(b));
+    same_bits(a, b);
 }
 
 fn swing<S: Around<CartPoleSystem>>(system: S) -> CartPole<S> {
@@ -265,7 +299,7 @@ fn typed_and_listed_effects_have_the_same_bits() {
         (PoleDamping::default(), DryFriction::default(), GustyWind::default(), Bumpers { reach: 0.8, ..Bumpers::default() });
     let list: Vec<CartPoleEffect> = vec![effects.0.into(), effects.1.into(), effects.2.into(), effects.3.into()];
     let system = cart_pole(2);
-    same_bits(&swing(With { system, effects }), &swing(With { system, effects: list.clone() }));
+    same_rollouts(&swing(With { system, effects }), &swing(With { system, effects: list.clone() }));
     let system = CoupledCartPole(system);
     same_bits(&swing(With { system, effects }), &swing(With { system, effects: list }));
 
@@ -275,13 +309,13 @@ fn typed_and_listed_effects_have_the_same_bits() {
     let effects = (paper, (drive, obstacles.clone(), walls));
     let list: Vec<GuidanceEffect> =
         vec![paper.0.into(), paper.1.into(), paper.2.into(), paper.3.into(), drive.into(), obstacles.into(), walls.into()];
-    same_bits(&herd(With { system, effects }), &herd(With { system, effects: list }));
+    same_rollouts(&herd(With { system, effects }), &herd(With { system, effects: list }));
 
     let system = QuantumSystem { grid: 9, ..QuantumSystem::default() };
     let (edges, effects) =
         (AbsorbingEdges::default(), (Harmonic::default(), (Barrier::default(), DoubleWell::default()), Cubic::default()));
     let (typed, listed) = (With { system, effects }, With { system, effects: quantum_effects() });
-    same_bits(&particle(typed), &particle(listed.clone()));
+    same_rollouts(&particle(typed), &particle(listed.clone()));
     same_bits(&particle(Absorbing::new(typed, edges)), &particle(Absorbing::new(listed, edges)));
 }
 
