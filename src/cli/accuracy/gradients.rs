@@ -1,13 +1,13 @@
 //! `physgrad accuracy --gradients`: what gradients cost, and at which horizon they stop being right.
 
-use super::super::folder::Folder;
-use super::super::scene::Scene;
-use super::super::settings::Precision;
-use super::super::terminal::say;
 use super::derivatives::{Checkpoint, Derivative, Horizon};
 use super::gradient_outputs::write;
 use super::ways::{Derived, REFERENCES, Way, chosen};
 use super::{Study, bar};
+use crate::cli::folder::Folder;
+use crate::cli::scene::Scene;
+use crate::cli::settings::Precision;
+use crate::cli::terminal::say;
 use anyhow::{Result, bail};
 use indicatif::ProgressBar;
 use physgrad::{Compose, Field, SignAgreement};

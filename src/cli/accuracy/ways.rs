@@ -115,12 +115,17 @@ fn derive<F: Float, T: Task + Clone + 'static, P: Policy + Clone + 'static>(task
             }
         }
         Way::Forward => {
-            let (mut loss, bytes) = peak_during(|| losses(task, policy, lifted));
+            let (mut loss, bytes) = peak_during(|| {
+                let mut loss = losses(task, policy, lifted);
+                drop(loss(&weights));
+                loss
+            });
             Derived { gradient: Ok(Vec::new()), bytes, rounds: 1.0, run: Box::new(move || drop(loss(&weights))) }
         }
         Way::Central(step) => {
-            let (mut loss, bytes) = peak_during(|| losses(task.clone(), policy.clone(), lifted));
+            let mut loss = None;
             let mut difference = move |i: usize| {
+                let loss = loss.get_or_insert_with(|| losses(task.clone(), policy.clone(), lifted.clone()));
                 let mut side = |step: f64| {
                     let mut theta = lift(&theta);
                     theta[i] = F::lift(theta[i].as_() + step);
@@ -130,7 +135,8 @@ fn derive<F: Float, T: Task + Clone + 'static, P: Policy + Clone + 'static>(task
                 // By the step as it is after rounding.
                 Ok((side(step)?, side(-step)?)).map(|((above, right), (below, left))| (above - below) / (right - left))
             };
-            let gradient = chosen(count).into_iter().map(&mut difference).collect();
+            // With the parameters that are moved, which every loss has its own copies of.
+            let (gradient, bytes) = peak_during(|| chosen(count).into_iter().map(&mut difference).collect());
             Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || drop::<Result<f64, String>>(difference(0))) }
         }
         Way::Duals => {
