@@ -90,6 +90,8 @@ mod rollout;
 mod scalar;
 mod schedule;
 mod scratch;
+#[cfg(feature = "stress")]
+pub mod stress;
 mod substeps;
 mod system;
 mod task;

@@ -1,0 +1,30 @@
+//! Every hard case passes.
+
+use physgrad::stress;
+
+fn passes(name: &str) {
+    let case = stress::cases().find(|case| case.name == name).unwrap_or_else(|| panic!("there is no case `{name}`"));
+    let findings = case.run();
+    let failed: Vec<String> = findings.iter().filter(|finding| !finding.pass).map(ToString::to_string).collect();
+    assert!(!findings.is_empty() && failed.is_empty(), "{name} asks for this: {}\n{}", case.criterion, failed.join("\n"));
+}
+
+/// A test for every case, by its name.
+macro_rules! cases {
+    ($($name:ident),+ $(,)?) => {
+        $(#[test]
+        fn $name() {
+            passes(stringify!($name));
+        })+
+
+        #[test]
+        fn no_case_is_left_out() {
+            let tested = [$(stringify!($name)),+];
+            for case in stress::cases() {
+                assert!(tested.contains(&case.name), "no test runs `{}`", case.name);
+            }
+        }
+    };
+}
+
+cases!(saturated_policy);
