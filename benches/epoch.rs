@@ -12,7 +12,7 @@ use physgrad::kernels::{Level, gemm};
 use physgrad::policy::{Mlp, Policy};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::CartPole;
-use physgrad::{Adjoint, Batch, Field, Float, Flow, Rollout, System, Task, Trainer, Training, Weights};
+use physgrad::{Adjoint, Batch, Field, Float, Flow, Gradient, Rollout, System, Task, Trainer, Training, Weights};
 use std::hint::black_box;
 
 const ROUNDS: usize = 60;
@@ -83,7 +83,7 @@ fn shares(count: usize) {
 
     let mut rollout = Rollout::new(&task, &policy, BATCH);
     let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::REGULAR]);
-    let mut theta_bar = vec![0.0; policy.param_count()];
+    let mut theta_bar = Gradient::zeros(policy.param_count());
     let mut whole = || {
         rollout.start(&starts);
         rollout.run(&task, &policy, &weights).expect("finite");

@@ -8,12 +8,18 @@
 //!     λ ← physics·(∂S/∂x)ᵀ λ + control·(∂N/∂x)ᵀ h_t
 //! g ← Σ_t (∂N/∂θ)ᵀ h_t                                 in large products, a fixed number of steps at a time
 //! ```
+//!
+//! λ and h of every sample are mantissas times a power of two, so that they neither overflow nor vanish; where that power
+//! is 1, as it is unless they are far from it, all bits are those of plain numbers.
 
+mod exponents;
 mod policy;
 mod recursion;
 
 use crate::divergence::Divergence;
-use crate::policy::{Policy, PolicyPass, PolicyRecord, Weights};
+use crate::gradient::Gradient;
+use crate::growth::Meter;
+use crate::policy::{Policy, PolicyPass, Weights};
 use crate::rollout::Rollout;
 use crate::scalar::Float;
 use crate::task::Task;
@@ -62,6 +68,8 @@ pub struct Adjoint<F: Float> {
     horizon: usize,
     /// Lengths of λ, per flow and step, if they are to be kept.
     norms: Option<Vec<Vec<f64>>>,
+    /// Whether the next run measures the growth of λ.
+    measured: bool,
     policy: PolicyAdjoint<F>,
     carried: Carried<F>,
 }
@@ -93,7 +101,7 @@ impl<F: Float> Adjoint<F> {
             _ => panic!("an adjoint carries one or two flows, not {}", flows.len()),
         };
         let policy = PolicyAdjoint::new(&PolicyRoom::new::<P, F>(policy, rollout.capacity() * rollout.kept, flows));
-        Self { horizon: rollout.horizon, norms: None, policy, carried }
+        Self { horizon: rollout.horizon, norms: None, measured: false, policy, carried }
     }
 
     /// The flows it was made for.
@@ -142,6 +150,24 @@ impl<F: Float> Adjoint<F> {
         &self.norms.as_ref().expect("the norms of an adjoint are kept only after `keep_norms`")[k]
     }
 
+    /// Whether the next runs measure how the adjoints grow, which takes a little time.
+    pub(crate) fn measure(&mut self, measured: bool) {
+        self.measured = measured;
+    }
+
+    /// Whether they do.
+    pub(crate) fn measures(&self) -> bool {
+        self.measured
+    }
+
+    /// Growth of flow number `k` in the last run, for every sample, if that was measured.
+    pub(crate) fn meters(&self, k: usize, samples: usize) -> Vec<&Meter> {
+        match &self.carried {
+            Carried::One(_, recursion) => recursion.meters(k, samples).collect(),
+            Carried::Two(_, recursion) => recursion.meters(k, samples).collect(),
+        }
+    }
+
     /// Runs the recursion back through `rollout`. Cotangents are scaled by `scale`: 1 / batch for a batch mean.
     ///
     /// # Errors
@@ -154,7 +180,7 @@ impl<F: Float> Adjoint<F> {
         rollout: &Rollout<F>,
         scale: F,
     ) -> Result<(), Divergence> {
-        let pass = Pass { task, policy, weights, rollout, scale };
+        let pass = Pass { task, policy, weights, rollout, scale, measured: self.measured };
         self.begin(&pass);
         Rollout::<F>::units(0..rollout.horizon).try_for_each(|unit| self.back(&pass, unit))
     }
@@ -163,6 +189,7 @@ impl<F: Float> Adjoint<F> {
     pub(crate) fn begin<T: Task, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>) {
         let norms = self.norms.as_deref_mut().unwrap_or_default();
         norms.iter_mut().for_each(|norms| norms.fill(f64::NAN));
+        self.policy.reset_exponents();
         match &mut self.carried {
             Carried::One(_, recursion) => recursion.begin(pass, norms),
             Carried::Two(_, recursion) => recursion.begin(pass, norms),
@@ -172,6 +199,7 @@ impl<F: Float> Adjoint<F> {
     /// Goes back through the steps of a unit that the rollout keeps, from the state they end with.
     pub(crate) fn back<T: Task, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>, unit: Range<usize>) -> Result<(), Divergence> {
         let all = pass.rollout.columns_of(&unit, 0..pass.rollout.samples);
+        self.policy.reset_exponents_of(all);
         if self.policy.unit {
             self.policy.backward(pass, 0, all, true);
         }
@@ -197,12 +225,13 @@ impl<F: Float> Adjoint<F> {
         weights: &Weights<F>,
         rollout: &Rollout<F>,
         samples: Range<usize>,
-        theta_bar: &mut [F],
+        theta_bar: &mut Gradient<F>,
     ) {
-        theta_bar.fill(F::zero());
+        theta_bar.clear();
         for unit in Rollout::<F>::units(0..rollout.horizon) {
             self.add_param_gradient(k, policy, weights, rollout, &unit, samples.clone(), theta_bar);
         }
+        theta_bar.settle();
     }
 
     /// Adds the part of a unit that was gone [`back`](Self::back) through.
@@ -215,14 +244,10 @@ impl<F: Float> Adjoint<F> {
         rollout: &Rollout<F>,
         unit: &Range<usize>,
         samples: Range<usize>,
-        theta_bar: &mut [F],
+        theta_bar: &mut Gradient<F>,
     ) {
-        let p = &mut self.policy;
-        let h = &p.controls_bar[k];
-        let (u_bar, tape_bar, weight) = if p.unit { (&p.ones, &p.tape_bar[0], Some(&h[..])) } else { (h, &p.tape_bar[k], None) };
-        let record = PolicyRecord { tape: &rollout.tape, u_bar, tape_bar, weight };
         let pass = PolicyPass { packed: weights.packed(), at: rollout.columns_of(unit, samples), x: rollout.inputs() };
-        policy.param_gradient(pass, record, &mut p.scratch, theta_bar);
+        self.policy.add_param_gradient(k, policy, pass, &rollout.tape, theta_bar);
     }
 }
 
@@ -233,6 +258,8 @@ pub(crate) struct Pass<'a, T, P, F: Float> {
     pub(crate) weights: &'a Weights<F>,
     pub(crate) rollout: &'a Rollout<F>,
     pub(crate) scale: F,
+    /// Whether the growth of the adjoints is measured on the way.
+    pub(crate) measured: bool,
 }
 
 #[cfg(test)]
@@ -263,9 +290,9 @@ mod tests {
             let mut adjoint = Adjoint::new(&policy, &rollout, flows);
             adjoint.run(&task, &policy, &weights, &rollout, F::one()).expect("finite");
             for k in 0..flows.len() {
-                let mut theta_bar = vec![F::zero(); weights.theta().len()];
+                let mut theta_bar = Gradient::zeros(weights.theta().len());
                 adjoint.param_gradient(k, &policy, &weights, &rollout, 0..samples, &mut theta_bar);
-                all.extend(theta_bar);
+                all.extend(theta_bar.plain());
             }
         }
         all

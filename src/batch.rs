@@ -6,6 +6,8 @@
 use crate::backward::Flow;
 use crate::checkpointed::Checkpointed;
 use crate::divergence::Divergence;
+use crate::gradient::Gradient;
+use crate::growth::{Growth, Meter};
 use crate::policy::{Policy, Weights};
 use crate::rollout::Rollout;
 use crate::scalar::Float;
@@ -23,7 +25,9 @@ const EVALUATED: usize = 32;
 #[derive(Debug)]
 pub struct Batch<F: Float> {
     workers: Vec<Worker<F>>,
-    gradients: Vec<Vec<F>>,
+    gradients: Vec<Gradient<F>>,
+    /// Whether the last run was measured.
+    measured: bool,
 }
 
 /// One worker's consecutive groups of samples.
@@ -31,8 +35,10 @@ pub struct Batch<F: Float> {
 struct Worker<F: Float> {
     rollout: Checkpointed<F>,
     /// `[group][flow][parameter]`.
-    groups: Vec<Vec<Vec<F>>>,
+    groups: Vec<Vec<Gradient<F>>>,
     outcome: Result<(), Divergence>,
+    /// Whether the last run had samples for it.
+    active: bool,
 }
 
 impl<F: Float> Batch<F> {
@@ -81,16 +87,16 @@ impl<F: Float> Batch<F> {
         schedule: Schedule,
     ) -> Self {
         assert!(samples > 0, "a mini-batch needs at least one sample");
-        let zeros = || flows.iter().map(|_| vec![F::zero(); policy.param_count()]).collect::<Vec<_>>();
+        let zeros = || flows.iter().map(|_| Gradient::zeros(policy.param_count())).collect::<Vec<_>>();
         let shares = shares(samples, workers);
         // Exactly as many as there are, which are then counted.
         let mut all = Vec::with_capacity(shares.len());
         all.extend(shares.map(|share| {
             let groups = share.len().div_ceil(GROUP);
             let rollout = Checkpointed::new(task, policy, share.len(), flows, schedule);
-            Worker { rollout, groups: (0..groups).map(|_| zeros()).collect(), outcome: Ok(()) }
+            Worker { rollout, groups: (0..groups).map(|_| zeros()).collect(), outcome: Ok(()), active: false }
         }));
-        Self { workers: all, gradients: zeros() }
+        Self { workers: all, gradients: zeros(), measured: false }
     }
 
     /// The [`stored_bytes`](Batch::stored_bytes) of a schedule, without taking them.
@@ -100,9 +106,9 @@ impl<F: Float> Batch<F> {
     #[track_caller]
     pub fn bytes_of<P: Policy>(policy: &P, samples: usize, flows: &[Flow], workers: usize, schedule: &Schedule) -> usize {
         assert!(samples > 0, "a mini-batch needs at least one sample");
-        let gradients = flows.len() * (size_of::<Vec<F>>() + policy.param_count() * size_of::<F>());
+        let gradients = flows.len() * (size_of::<Gradient<F>>() + Gradient::<F>::bytes_of(policy.param_count()));
         let worker = |share: Range<usize>| {
-            let groups = share.len().div_ceil(GROUP) * (size_of::<Vec<Vec<F>>>() + gradients);
+            let groups = share.len().div_ceil(GROUP) * (size_of::<Vec<Gradient<F>>>() + gradients);
             size_of::<Worker<F>>() + groups + Checkpointed::<F>::bytes_of(policy, share.len(), flows, schedule)
         };
         shares(samples, workers).map(worker).sum::<usize>() + gradients
@@ -110,7 +116,7 @@ impl<F: Float> Batch<F> {
 
     /// Bytes on the heap. They do not depend on how many samples are run.
     pub fn stored_bytes(&self) -> usize {
-        let nested = |rows: &[Vec<F>]| size_of_val(rows) + rows.iter().map(|row| size_of_val(&row[..])).sum::<usize>();
+        let nested = |rows: &[Gradient<F>]| size_of_val(rows) + rows.iter().map(Gradient::stored_bytes).sum::<usize>();
         let worker = |worker: &Worker<F>| {
             let groups = worker.groups.iter().map(|group| nested(group)).sum::<usize>();
             size_of_val(&worker.groups[..]) + groups + worker.rollout.stored_bytes()
@@ -164,21 +170,33 @@ impl<F: Float> Batch<F> {
             let groups = self.workers[..active].iter().flat_map(|w| w.groups.iter().take(w.rollout.samples().div_ceil(GROUP)));
             for (g, group) in groups.enumerate() {
                 if g == 0 {
-                    gradient.copy_from_slice(&group[k]);
-                    continue;
-                }
-                for (sum, &part) in gradient.iter_mut().zip(&group[k]) {
-                    *sum += part;
+                    gradient.copy_from(&group[k]);
+                } else {
+                    gradient.add(&group[k]);
                 }
             }
+            gradient.settle();
         }
         let costs = self.workers[..active].iter().flat_map(|w| (0..w.rollout.samples()).map(|s| w.rollout.cost(s).as_()));
         Ok(costs.sum::<f64>() / samples as f64)
     }
 
     /// The gradients of the last [`run`](Batch::run), one per flow.
-    pub fn gradients(&self) -> &[Vec<F>] {
+    pub fn gradients(&self) -> &[Gradient<F>] {
         &self.gradients
+    }
+
+    /// Whether the next runs measure how the adjoints grow, which takes a little time.
+    pub fn measure(&mut self, measured: bool) {
+        self.measured = measured;
+        self.workers.iter_mut().for_each(|worker| worker.rollout.measure(measured));
+    }
+
+    /// How the adjoint of flow number `k` grew in the last run, if that was to be measured.
+    pub fn growth(&self, k: usize) -> Option<Growth> {
+        let active = self.workers.iter().filter(|worker| worker.active);
+        let meters: Vec<&Meter> = active.flat_map(|worker| worker.rollout.meters(k)).collect();
+        (self.measured && !meters.is_empty()).then(|| Meter::growth(&meters))
     }
 }
 
@@ -191,10 +209,11 @@ impl<F: Float> Worker<F> {
         starts: &[F],
         scale: F,
     ) -> Result<(), Divergence> {
+        self.active = !starts.is_empty();
         if starts.is_empty() {
             return Ok(());
         }
-        self.rollout.run(task, policy, weights, starts, scale, GROUP, &mut self.groups)
+        self.rollout.run_unsettled(task, policy, weights, starts, scale, GROUP, &mut self.groups)
     }
 }
 

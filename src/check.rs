@@ -285,7 +285,7 @@ pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<
         let gradient = |flows: &[Flow]| {
             let mut batch = Batch::new(task, policy, SAMPLES, flows, 1);
             let loss = batch.run(task, policy, &weights, &starts);
-            loss.map(|loss| (loss, batch.gradients()[flows.len() - 1].clone()))
+            loss.map(|loss| (loss, batch.gradients()[flows.len() - 1].plain()))
                 .map_err(|divergence| Failure::Diverged { case, divergence })
         };
         let (loss, gradient_alone) = gradient(&[flow])?;

@@ -2,6 +2,8 @@
 
 use crate::backward::{Adjoint, Flow, Pass};
 use crate::divergence::Divergence;
+use crate::gradient::Gradient;
+use crate::growth::Meter;
 use crate::policy::{Policy, Weights};
 use crate::rollout::{Lane, Rollout, WIDTH};
 use crate::scalar::{Float, Real, Scalar};
@@ -14,7 +16,7 @@ use crate::task::Task;
 ///
 /// The gradients are bit for bit those of [`Rollout`] and [`Adjoint`], whatever the schedule.
 /// ```
-/// use physgrad::{Checkpointed, Flow, Schedule, Task, Weights, policy::Mlp, rng, tasks::CartPole};
+/// use physgrad::{Checkpointed, Flow, Gradient, Schedule, Task, Weights, policy::Mlp, rng, tasks::CartPole};
 ///
 /// let (task, policy) = (CartPole { horizon: 1000, ..CartPole::new(1) }, Mlp::new([4, 16, 1]));
 /// let weights = Weights::<f64>::init(&policy, &mut rng::stream(0, rng::Purpose::Policy, 0));
@@ -23,7 +25,7 @@ use crate::task::Task;
 ///
 /// let flows = [Flow::REGULAR];
 /// let schedule = Checkpointed::<f64>::schedule_within(&task, &policy, 1, &flows, 200_000)?;
-/// let mut gradient = [vec![vec![0.0; weights.theta().len()]]];
+/// let mut gradient = [vec![Gradient::zeros(weights.theta().len())]];
 /// let mut rollout = Checkpointed::new(&task, &policy, 1, &flows, schedule);
 /// rollout.run(&task, &policy, &weights, &start, 1.0, 1, &mut gradient)?;
 /// assert!(rollout.stored_bytes() <= 200_000);
@@ -139,24 +141,43 @@ impl<F: Float> Checkpointed<F> {
         starts: &[F],
         scale: F,
         group: usize,
-        gradients: &mut [Vec<Vec<F>>],
+        gradients: &mut [Vec<Gradient<F>>],
+    ) -> Result<(), Divergence> {
+        self.run_unsettled(task, policy, weights, starts, scale, group, gradients)?;
+        gradients.iter_mut().flatten().for_each(Gradient::settle);
+        Ok(())
+    }
+
+    /// As [`run`](Checkpointed::run), with gradients that are still to be added up.
+    #[track_caller]
+    #[allow(clippy::too_many_arguments)]
+    pub(crate) fn run_unsettled<T: Task, P: Policy>(
+        &mut self,
+        task: &T,
+        policy: &P,
+        weights: &Weights<F>,
+        starts: &[F],
+        scale: F,
+        group: usize,
+        gradients: &mut [Vec<Gradient<F>>],
     ) -> Result<(), Divergence> {
         let samples = starts.len() / task.system().state_dim();
         let groups = samples.div_ceil(group);
         assert!(groups <= gradients.len(), "{samples} samples are {groups} groups of {group}, not {}", gradients.len());
         let gradients = &mut gradients[..groups];
-        gradients.iter_mut().flatten().for_each(|gradient| gradient.fill(F::zero()));
+        gradients.iter_mut().flatten().for_each(Gradient::clear);
 
         let segments = self.schedule.segments();
         self.forward(task, policy, weights, starts)?;
-        self.adjoint.begin(&Pass { task, policy, weights, rollout: &self.rollout, scale });
+        let measured = self.adjoint.measures();
+        self.adjoint.begin(&Pass { task, policy, weights, rollout: &self.rollout, scale, measured });
         for index in (0..segments).rev() {
             if index + 1 < segments {
                 self.tape_again(task, policy, weights, index)?;
             }
             // The parameter gradient of a unit while its cotangents are in the cache.
             for unit in Rollout::<F>::units(self.schedule.steps(index)) {
-                self.adjoint.back(&Pass { task, policy, weights, rollout: &self.rollout, scale }, unit.clone())?;
+                self.adjoint.back(&Pass { task, policy, weights, rollout: &self.rollout, scale, measured }, unit.clone())?;
                 for (g, gradient) in gradients.iter_mut().enumerate() {
                     let own = g * group..samples.min((g + 1) * group);
                     for (k, sum) in gradient.iter_mut().enumerate() {
@@ -166,6 +187,16 @@ impl<F: Float> Checkpointed<F> {
             }
         }
         Ok(())
+    }
+
+    /// Whether the next runs measure how the adjoints grow, which takes a little time.
+    pub(crate) fn measure(&mut self, measured: bool) {
+        self.adjoint.measure(measured);
+    }
+
+    /// Growth of flow number `k` in the last run, for every sample, if that was measured.
+    pub(crate) fn meters(&self, k: usize) -> Vec<&Meter> {
+        self.adjoint.meters(k, self.rollout.samples())
     }
 
     /// The forward pass, which leaves checkpoints and the tape of the last segment.

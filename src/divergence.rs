@@ -1,6 +1,7 @@
 //! [`Divergence`]: a number that is no number any more, as data.
 
 use crate::backward::Flow;
+use crate::wide::Wide;
 use std::fmt;
 
 /// Where a number stopped being finite. The update it belongs to is not taken.
@@ -49,6 +50,8 @@ pub enum Divergence {
     Field {
         /// Index of the parameter in `θ`.
         parameter: usize,
+        /// The length of the field.
+        norm: Wide,
     },
 }
 
@@ -79,7 +82,7 @@ impl Divergence {
             Self::Forward { variable: Variable::State, step, sample, .. } => (0, 2 * step, sample),
             Self::Cost { sample } => (1, 0, sample),
             Self::Cotangent { step, sample, .. } => (2, usize::MAX - step, sample),
-            Self::Gradient { parameter, .. } | Self::Field { parameter } => (3, 0, parameter),
+            Self::Gradient { parameter, .. } | Self::Field { parameter, .. } => (3, 0, parameter),
         }
     }
 }
@@ -116,9 +119,11 @@ impl fmt::Display for Divergence {
                     "gradient of {flow}: parameter {parameter} is not finite, or its square is not, though all cotangents are"
                 )
             }
-            Self::Field { parameter } => {
-                write!(f, "composed field: parameter {parameter} is not finite, or too large for an optimizer")
-            }
+            Self::Field { parameter, norm } => write!(
+                f,
+                "composed field: it is {norm} long, most of all in parameter {parameter}, which is too much for an optimizer; clipping by \
+                 norm helps (`training.clip`), a shorter horizon, or another field"
+            ),
         }
     }
 }

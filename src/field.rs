@@ -1,6 +1,7 @@
 //! [`Field`]: the vector field that the optimizer follows.
 
 use crate::backward::Flow;
+use crate::gradient::Gradient;
 use crate::scalar::Float;
 use std::fmt;
 use std::str::FromStr;
@@ -49,6 +50,11 @@ pub trait Compose: Sync + Send {
     fn name(&self) -> &str;
     /// Writes `out`; all three have the length of `θ`.
     fn compose<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]);
+    /// Whether nothing of the second gradient is used but signs. Then it may be beyond the range of all numbers; else one of two
+    /// that have different exponents ([`Gradient`]) is brought to that of the other before they are composed.
+    fn by_signs_of_second(&self) -> bool {
+        false
+    }
 }
 
 /// The first gradient, in the components in which both have the same strict sign; else 0. Of M and R it makes the
@@ -66,6 +72,9 @@ impl Compose for SignAgreement {
             // Not by signum, for which 0 and a NaN have a sign too.
             *out = if (m > zero && r > zero) || (m < zero && r < zero) { m } else { zero };
         }
+    }
+    fn by_signs_of_second(&self) -> bool {
+        true
     }
 }
 
@@ -123,10 +132,18 @@ impl<C: Compose> Field<C> {
     ///
     /// # Panics
     /// If there are not as many gradients as flows.
-    pub fn compose<F: Float>(&self, gradients: &[Vec<F>], out: &mut [F]) {
+    pub fn compose<F: Float>(&self, gradients: &[Gradient<F>], out: &mut Gradient<F>) {
         match (self, gradients) {
-            (Self::Flow(_), [gradient]) => out.copy_from_slice(gradient),
-            (Self::Composed { by, .. }, [first, second]) => by.compose(first, second, out),
+            (Self::Flow(_), [gradient]) => out.copy_from(gradient),
+            (Self::Composed { by, .. }, [first, second]) => {
+                let exponent = first.exponent().max(second.exponent());
+                if by.by_signs_of_second() || first.exponent() == second.exponent() {
+                    by.compose(first.values(), second.values(), out.values_mut(first.exponent()));
+                } else {
+                    let [first, second] = [first, second].map(|gradient| gradient.clone().with_exponent(exponent));
+                    by.compose(first.values(), second.values(), out.values_mut(exponent));
+                }
+            }
             _ => panic!("{} gradients for the {} flows of {}", gradients.len(), self.flows().len(), self.name()),
         }
     }

@@ -15,7 +15,7 @@
 //! # The pieces
 //! [`Trainer`] is thin. The same update by hand is five calls:
 //! ```
-//! use physgrad::{Adjoint, Clip, Field, Optimizer, Rollout, Task, Weights, policy::Mlp, rng, tasks::CartPole};
+//! use physgrad::{Adjoint, Clip, Field, Gradient, Optimizer, Rollout, Task, Weights, policy::Mlp, rng, tasks::CartPole};
 //!
 //! let (task, policy, field) = (CartPole::new(1), Mlp::new([4, 16, 1]), Field::combined());
 //! let mut weights = Weights::<f64>::init(&policy, &mut rng::stream(0, rng::Purpose::Policy, 0));
@@ -25,8 +25,8 @@
 //! // Sized once, used for every update.
 //! let mut rollout = Rollout::new(&task, &policy, 1);
 //! let mut adjoint = Adjoint::new(&policy, &rollout, &field.flows());
-//! let mut gradients = vec![vec![0.0; weights.theta().len()]; 2];
-//! let mut descent = vec![0.0; weights.theta().len()];
+//! let mut gradients = vec![Gradient::zeros(weights.theta().len()); 2];
+//! let mut descent = Gradient::zeros(weights.theta().len());
 //! let mut optimizer = Optimizer::adam(1e-3, weights.theta().len());
 //!
 //! rollout.start(&start);
@@ -36,9 +36,8 @@
 //!     adjoint.param_gradient(k, &policy, &weights, &rollout, 0..1, gradient);
 //! }
 //! field.compose(&gradients, &mut descent);
-//! let norm = descent.iter().map(|g| g * g).sum::<f64>().sqrt();
-//! Clip::Norm(1.0).apply(&mut descent, norm);
-//! weights.update(&policy, |theta| optimizer.step(theta, &descent));
+//! Clip::Norm(1.0).apply(&mut descent);
+//! weights.update(&policy, |theta| optimizer.step(theta, descent.values()));
 //! # Ok::<(), physgrad::Divergence>(())
 //! ```
 //!
@@ -77,6 +76,8 @@ mod divergence;
 mod effect;
 mod field;
 mod forward_mode;
+mod gradient;
+mod growth;
 mod integrator;
 #[doc(hidden)]
 pub mod kernels;
@@ -98,6 +99,7 @@ mod task;
 pub mod tasks;
 pub mod toy;
 mod train;
+mod wide;
 
 pub use actuator::{Actuated, Actuator, AnyActuator, Bars, Delay, Lag, Limit, LimitKind};
 pub use backward::{Adjoint, Flow};
@@ -107,6 +109,8 @@ pub use cost::Cost;
 pub use divergence::{Divergence, Variable};
 pub use effect::{Around, Effect, Host, With};
 pub use field::{Compose, Field, SignAgreement, UnknownField};
+pub use gradient::Gradient;
+pub use growth::Growth;
 pub use integrator::{
     Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, SemiImplicit, Stretch, Verlet,
 };
@@ -122,6 +126,7 @@ pub use substeps::Substeps;
 pub use system::System;
 pub use task::Task;
 pub use train::{CheckpointError, Record, Report, Session, Skip, TrainError, Trainer, Training, differences};
+pub use wide::Wide;
 
 /// What a file with a system of one's own needs.
 pub mod prelude {

@@ -1,7 +1,9 @@
 //! Optimizers and clipping, on flat slices. The formulas and defaults are those of Keras 2.15.
 
+use crate::gradient::Gradient;
 use crate::kernels::{Level, Vectorized, dispatch};
 use crate::scalar::{Float, Scalar};
+use crate::wide::Wide;
 use serde::{Deserialize, Serialize};
 
 /// Limits the vector field just before the optimizer.
@@ -24,13 +26,24 @@ impl Clip {
         }
     }
 
-    /// Clips `gradient` in place; `norm` is its Euclidean length.
-    pub fn apply<F: Float>(self, gradient: &mut [F], norm: f64) {
+    /// Clips `gradient` in place, whatever its exponent: what is left are plain numbers. Without clipping, or where too little
+    /// is clipped, they may be infinite.
+    pub fn apply<F: Float>(self, gradient: &mut Gradient<F>) {
+        let norm = match self {
+            Self::Norm(_) => gradient.norm(),
+            Self::None | Self::Value(_) => Wide::default(),
+        };
+        self.apply_knowing(gradient, norm);
+    }
+
+    /// The same for a vector whose length is known.
+    pub(crate) fn apply_knowing<F: Float>(self, gradient: &mut Gradient<F>, norm: Wide) {
         match self {
-            Self::None => {}
+            Self::None => gradient.flatten(),
             Self::Value(limit) => {
+                gradient.flatten();
                 let (low, high) = (F::lift(-limit), F::lift(limit));
-                for g in gradient {
+                for g in gradient.values_mut(0) {
                     // A NaN stays one.
                     *g = if *g < low {
                         low
@@ -41,13 +54,15 @@ impl Clip {
                     };
                 }
             }
-            Self::Norm(limit) if norm > limit => {
-                let factor = F::lift(limit / norm);
-                for g in gradient {
+            Self::Norm(limit) if norm.get() > limit => {
+                // Of the values as they stand: the exponent goes with the length.
+                let length = norm.over_power_of_two(gradient.exponent());
+                let factor = F::lift(limit / length);
+                for g in gradient.values_mut(0) {
                     *g *= factor;
                 }
             }
-            Self::Norm(_) => {}
+            Self::Norm(_) => gradient.flatten(),
         }
     }
 }
@@ -286,18 +301,26 @@ mod tests {
 
     #[test]
     fn clipping_limits_and_leaves_the_rest_alone() {
-        let clipped = |clip: Clip| {
-            let mut g = [3.0f64, -4.0, 0.5];
-            let norm = g.iter().map(|g| g * g).sum::<f64>().sqrt();
-            clip.apply(&mut g, norm);
-            g
+        let clipped_with = |clip: Clip, exponent: i32| {
+            let mut g = Gradient::<f64>::zeros(3);
+            g.values_mut(exponent).copy_from_slice(&[3.0, -4.0, 0.5]);
+            clip.apply(&mut g);
+            assert_eq!(g.exponent(), 0);
+            g.plain()
         };
+        let clipped = |clip: Clip| clipped_with(clip, 0);
         let norm = (9.0f64 + 16.0 + 0.25).sqrt();
         assert_eq!(clipped(Clip::None), [3.0, -4.0, 0.5]);
         assert_eq!(clipped(Clip::Value(1.0)), [1.0, -1.0, 0.5]);
         assert_eq!(clipped(Clip::Norm(10.0)), [3.0, -4.0, 0.5]);
-        for (got, whole) in clipped(Clip::Norm(1.0)).into_iter().zip([3.0, -4.0, 0.5]) {
-            approx::assert_relative_eq!(got, whole / norm, max_relative = 1e-15);
+        // However long it was.
+        for exponent in [0, 5000] {
+            for (got, whole) in clipped_with(Clip::Norm(1.0), exponent).into_iter().zip([3.0, -4.0, 0.5]) {
+                approx::assert_relative_eq!(got, whole / norm, max_relative = 1e-15);
+            }
         }
+        assert_eq!(clipped_with(Clip::Value(1.0), 5000), [1.0, -1.0, 1.0]);
+        assert_eq!(clipped_with(Clip::None, 5000), [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY]);
+        assert_eq!(clipped_with(Clip::Norm(1.0), -5000), [0.0, -0.0, 0.0]);
     }
 }

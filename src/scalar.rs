@@ -184,6 +184,15 @@ impl<R: Real, const K: usize> Cotangent<R> for Columns<R, K> {
     }
 }
 
+impl<R: Real, const K: usize> Columns<R, K> {
+    /// Absolute values.
+    #[inline(always)]
+    pub(crate) fn abs(mut self) -> Self {
+        each::<K>(|k| self.0[k] = self.0[k].abs());
+        self
+    }
+}
+
 impl<R: Real, const K: usize> Add for Columns<R, K> {
     type Output = Self;
     #[inline(always)]

@@ -8,6 +8,7 @@
 //! assert!(case.run().iter().all(|finding| finding.pass));
 //! ```
 
+mod exponents;
 mod policies;
 
 use std::fmt;
@@ -33,7 +34,7 @@ impl Case {
 
 /// All of them, in the order of `docs/stability.md`.
 pub fn cases() -> impl Iterator<Item = Case> {
-    [policies::CASES].concat().into_iter()
+    [exponents::CASES, policies::CASES].concat().into_iter()
 }
 
 /// One number or fact that was measured, and what it had to be.

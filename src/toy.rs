@@ -12,6 +12,7 @@ use crate::backward::Flow;
 use crate::batch::Batch;
 use crate::divergence::Divergence;
 use crate::field::{Compose, Field, SignAgreement};
+use crate::gradient::Gradient;
 use crate::optim::Optimizer;
 use crate::policy::{Policy, Weights};
 use crate::rng::{Purpose, stream};
@@ -96,6 +97,7 @@ struct Sampler<'a, T: Task, P, C> {
     start: Vec<f64>,
     weights: Weights<f64>,
     batch: Batch<f64>,
+    vector: Gradient<f64>,
 }
 
 impl<'a, T: Task, P: Policy, C: Compose> Sampler<'a, T, P, C> {
@@ -111,15 +113,15 @@ impl<'a, T: Task, P: Policy, C: Compose> Sampler<'a, T, P, C> {
         task.start(&mut stream(0, Purpose::Train, 0), &mut start);
         let weights = Weights::new(policy, vec![0.0; 2]);
         let batch = Batch::new(task, policy, 1, &field.flows(), 1);
-        Self { task, policy, field, start, weights, batch }
+        Self { task, policy, field, start, weights, batch, vector: Gradient::zeros(2) }
     }
 
     fn at(&mut self, theta: [f64; 2]) -> Result<Sample, Divergence> {
         self.weights.update(self.policy, |weights| weights.copy_from_slice(&theta));
         let loss = self.batch.run(self.task, self.policy, &self.weights, &self.start)?;
-        let mut vector = [0.0; 2];
-        self.field.compose(self.batch.gradients(), &mut vector);
-        Ok(Sample { theta, loss, vector })
+        self.field.compose(self.batch.gradients(), &mut self.vector);
+        let vector = self.vector.plain();
+        Ok(Sample { theta, loss, vector: [vector[0], vector[1]] })
     }
 }
 

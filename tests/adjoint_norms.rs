@@ -2,7 +2,7 @@
 
 use physgrad::policy::Linear;
 use physgrad::rng::Rng;
-use physgrad::{Adjoint, Divergence, Flow, Rollout, Scalar, System, Task, Weights};
+use physgrad::{Adjoint, Flow, Gradient, Rollout, Scalar, System, Task, Weights};
 
 /// `x' = 1.25 x + u` in each of `CONTROLS` components, over 60 steps, with half the squared end state as its loss.
 struct Plant<const CONTROLS: usize>;
@@ -123,17 +123,23 @@ fn norms_are_of_the_loss_of_a_sample_whatever_the_scale() {
 }
 
 #[test]
-fn where_an_adjoint_overflowed_it_has_no_norm_from_there_back() {
+fn beyond_the_range_of_f32_an_adjoint_has_the_norms_it_should_have() {
     let (task, policy) = (Plant::<1>, Linear::new(1, 1));
     let weights = Weights::<f32>::new(&policy, vec![GAIN as f32]);
     let mut rollout = Rollout::new(&task, &policy, 1);
     rollout.start(&[1e3]);
     rollout.run(&task, &policy, &weights).expect("it decays");
     let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::MODIFIED]).keep_norms();
-    // So large a scale that the growth of M no longer fits.
-    let error = adjoint.run(&task, &policy, &weights, &rollout, f32::MAX).expect_err("it overflows");
-    let Divergence::Cotangent { step, .. } = error else { panic!("{error}") };
-    assert!((1..HORIZON).contains(&step), "step {step}");
-    let norms = adjoint.norms(0);
-    assert!(norms[..=step].iter().all(|norm| norm.is_nan()) && norms[step + 1..].iter().all(|norm| norm.is_finite()));
+    // So large a scale that neither the adjoint of M nor its gradient fits.
+    adjoint.run(&task, &policy, &weights, &rollout, f32::MAX).expect("it is carried with its exponent");
+    let end = f64::from(rollout.state(HORIZON, 0, 0));
+    for (t, &norm) in adjoint.norms(0).iter().enumerate() {
+        let expected = end * GROWTH.powi((HORIZON - t) as i32);
+        assert!((norm / expected - 1.0).abs() < 1e-4, "step {t}: {norm:e}, expected {expected:e}");
+    }
+    let mut gradient = Gradient::zeros(1);
+    adjoint.param_gradient(0, &policy, &weights, &rollout, 0..1, &mut gradient);
+    let expected: f64 = (0..HORIZON).map(|t| adjoint.norms(0)[t + 1] * f64::from(rollout.state(t, 0, 0))).sum();
+    assert!((gradient.norm().get() / f64::from(f32::MAX) / expected - 1.0).abs() < 1e-4, "{}", gradient.norm());
+    assert_eq!(gradient.plain(), [f32::INFINITY]);
 }

@@ -3,7 +3,7 @@
 use physgrad::policy::{Mlp, PolicyPass, PolicyRecord, Sizes};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, Guidance};
-use physgrad::{Adjoint, Cotangent, Float, Flow, Policy, Real, Rollout, Scalar, System, Task, Weights};
+use physgrad::{Adjoint, Cotangent, Float, Flow, Gradient, Policy, Real, Rollout, Scalar, System, Task, Weights};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// How often something was asked for.
@@ -208,10 +208,10 @@ fn asked<S: Task>(task: S, flows: &[Flow]) -> [(OfTask, OfPolicy); 2] {
     if with_tape {
         let mut adjoint = Adjoint::new(&policy, &rollout, flows);
         adjoint.run(&task, &policy, &weights, &rollout, 1.0).expect("finite");
-        let mut theta_bar = vec![0.0; weights.theta().len()];
+        let mut theta_bar = Gradient::zeros(weights.theta().len());
         for k in 0..flows.len() {
             adjoint.param_gradient(k, &policy, &weights, &rollout, 0..SAMPLES, &mut theta_bar);
-            assert!(theta_bar.iter().any(|&g| g != 0.0), "a gradient of zeros shows nothing");
+            assert!(theta_bar.values().iter().any(|&g| g != 0.0), "a gradient of zeros shows nothing");
         }
     }
     [forward, (task.take(), policy.take())]

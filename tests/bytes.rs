@@ -4,7 +4,7 @@
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::CartPole;
-use physgrad::{Adjoint, Float, Flow, Rollout, Task, Weights};
+use physgrad::{Adjoint, Float, Flow, Gradient, Rollout, Task, Weights};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -43,7 +43,7 @@ fn bytes_are_those_asked_for<F: Float>() {
     let mut start = [0.0; 6];
     task.start(&mut stream(0, Purpose::Train, 0), &mut start);
     let starts: Vec<F> = start.into_iter().cycle().take(SAMPLES * 6).map(F::lift).collect();
-    let mut theta_bar = vec![F::zero(); weights.theta().len()];
+    let mut theta_bar = Gradient::zeros(weights.theta().len());
 
     // The first run of a process finds out what its processor can do.
     let mut first = Rollout::for_evaluation(&task, &policy, SAMPLES);

@@ -5,7 +5,8 @@ use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{CartPole, Guidance, LossMode, Quantum};
 use physgrad::{
-    Batch, CheckpointError, Evaluation, Field, Float, Flow, Record, Rollout, Session, System, Task, Trainer, Training, Weights,
+    Batch, CheckpointError, Evaluation, Field, Float, Flow, Gradient, Record, Rollout, Session, System, Task, Trainer, Training,
+    Weights,
 };
 
 const STATES: usize = 6;
@@ -31,7 +32,7 @@ fn weights<F: Float>() -> Weights<F> {
     Weights::init(&policy(), &mut stream(0, Purpose::Policy, 0))
 }
 
-fn gradients<F: Float>(samples: usize, workers: usize) -> (f64, Vec<Vec<F>>) {
+fn gradients<F: Float>(samples: usize, workers: usize) -> (f64, Vec<Gradient<F>>) {
     let mut batch = Batch::new(&task(), &policy(), samples, &[Flow::MODIFIED, Flow::REGULAR], workers);
     let loss = batch.run(&task(), &policy(), &weights(), &starts::<F>(samples)).expect("finite");
     (loss, batch.gradients().to_vec())
@@ -110,8 +111,8 @@ fn single_precision_is_double_precision_rounded() {
     let (loss64, g64) = gradients::<f64>(8, 1);
     assert!((loss32 - loss64).abs() <= allowed * loss64.abs(), "{loss32} {loss64}");
     for (g32, g64) in g32.iter().zip(&g64) {
-        let scale = g64.iter().fold(0.0, |s: f64, g| s.max(g.abs()));
-        let worst = g32.iter().zip(g64).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
+        let scale = g64.values().iter().fold(0.0, |s: f64, g| s.max(g.abs()));
+        let worst = g32.values().iter().zip(g64.values()).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
         assert!(worst <= allowed * scale, "{worst:e} of {scale:e}");
         assert!(worst > 0.0, "single precision cannot be exact");
     }
@@ -198,7 +199,7 @@ fn composed_fields_share_one_forward_pass_with_the_same_bits() {
     };
     let both = gradients::<f64>(8, 1).1;
     assert_eq!(both[1], alone(Flow::REGULAR), "R beside M is R alone");
-    let mut composed = vec![0.0; both[0].len()];
+    let mut composed = Gradient::zeros(both[0].values().len());
     Field::combined().compose(&both, &mut composed);
-    assert!(composed.iter().any(|&c| c != 0.0));
+    assert!(composed.values().iter().any(|&c| c != 0.0));
 }

@@ -60,7 +60,7 @@ fn slopes<T: Task, P: Policy>(name: &str, task: &T, policy: &P, allowed: f64) {
     for flow in Flow::ALL {
         let mut batch = Batch::new(task, policy, 2, &[flow], 1);
         let loss = batch.run(task, policy, &weights, &starts).expect("finite");
-        let gradient = &batch.gradients()[0];
+        let gradient = batch.gradients()[0].values();
         let largest = gradient.iter().fold(0.0_f64, |largest, g| largest.max(g.abs()));
         for (i, found) in gradient.iter().enumerate().step_by(3) {
             let [exact_loss, slope] = check::slope(task, policy, weights.theta(), &starts, flow, |j| f64::from(u8::from(i == j)));

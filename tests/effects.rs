@@ -250,7 +250,7 @@ fn bits<F: Float, T: Task>(task: &T) -> Vec<u64> {
     for flow in Flow::ALL {
         let mut batch = Batch::new(task, &policy, samples, &[flow], 1);
         found.push(batch.run(task, &policy, &weights, &starts).expect("finite").to_bits());
-        found.extend(batch.gradients()[0].iter().map(|g| g.as_().to_bits()));
+        found.extend(batch.gradients()[0].values().iter().map(|g| g.as_().to_bits()));
     }
     let mut rollout = Rollout::for_evaluation(task, &policy, samples);
     rollout.start(&starts);

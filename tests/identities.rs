@@ -16,7 +16,7 @@ fn all_flows<T: Task, P: Policy>(task: &T, policy: &P) -> [Vec<f64>; 4] {
     Flow::ALL.map(|flow| {
         let mut batch = Batch::new(task, policy, 5, &[flow], 1);
         batch.run(task, policy, &weights, &starts).expect("finite");
-        batch.gradients()[0].clone()
+        batch.gradients()[0].plain()
     })
 }
 

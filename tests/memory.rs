@@ -3,7 +3,7 @@
 use physgrad::policy::{Conv, Mlp};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, Guidance, LossMode, Quantum};
-use physgrad::{Adjoint, Batch, Checkpointed, Divergence, Field, Float, Flow, Policy, Rollout, Scalar, Schedule, Task};
+use physgrad::{Adjoint, Batch, Checkpointed, Divergence, Field, Float, Flow, Gradient, Policy, Rollout, Scalar, Schedule, Task};
 use physgrad::{TrainError, Trainer, Training, Weights};
 use rand::RngExt;
 use std::alloc::{GlobalAlloc, Layout};
@@ -71,9 +71,9 @@ fn stored<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: usize, fl
     adjoint.run(task, policy, &weights, &rollout, F::lift(0.5))?;
     let mut all: Vec<F> = (0..samples).map(|sample| rollout.cost(sample)).collect();
     for k in 0..flows.len() {
-        let mut theta_bar = vec![F::zero(); policy.param_count()];
+        let mut theta_bar = Gradient::zeros(policy.param_count());
         adjoint.param_gradient(k, policy, &weights, &rollout, 0..samples, &mut theta_bar);
-        all.extend(theta_bar);
+        all.extend(theta_bar.plain());
     }
     Ok(all)
 }
@@ -88,7 +88,7 @@ fn scheduled<F: Float, T: Task, P: Policy>(
 ) -> Result<Vec<F>, Divergence> {
     let weights = weights::<F, P>(policy);
     let mut rollout = Checkpointed::new(task, policy, samples + 1, flows, schedule);
-    let mut gradients = [vec![vec![F::zero(); policy.param_count()]; flows.len()]];
+    let mut gradients = [vec![Gradient::zeros(policy.param_count()); flows.len()]];
     let starts = starts::<F, T>(task, samples);
     // What a longer and larger run leaves behind is not seen.
     let more = [&starts[..], &starts[..starts.len() / samples]].concat();
@@ -96,7 +96,7 @@ fn scheduled<F: Float, T: Task, P: Policy>(
         rollout.run(task, policy, &weights, starts, F::lift(0.5), samples + 1, &mut gradients)?;
     }
     let costs = (0..samples).map(|sample| rollout.cost(sample));
-    Ok(costs.chain(gradients.into_iter().flatten().flatten()).collect())
+    Ok(costs.chain(gradients.iter().flatten().flat_map(Gradient::plain)).collect())
 }
 
 fn schedules(horizon: usize) -> Vec<Schedule> {
@@ -243,7 +243,7 @@ fn bytes_are_those_held<F: Float>() {
             let (mut rollout, bytes, most) = held(|| Checkpointed::<F>::new(&task, &policy, 17, &flows, schedule));
             assert_eq!((rollout.stored_bytes(), most), (bytes, bytes), "{schedule:?}, {flows:?}");
             assert_eq!(Checkpointed::<F>::bytes_of(&policy, 17, &flows, &schedule), bytes, "{schedule:?}, {flows:?}");
-            let mut gradients = vec![vec![vec![F::zero(); policy.param_count()]; flows.len()]; 5];
+            let mut gradients = vec![vec![Gradient::zeros(policy.param_count()); flows.len()]; 5];
             let run = || rollout.run(&task, &policy, &weights, &starts, F::one(), 4, &mut gradients);
             let (outcome, _, most) = held(run);
             assert_eq!((outcome, most), (Ok(()), 0), "a schedule is run without allocating");
@@ -276,7 +276,7 @@ fn budgets_are_kept_and_used() {
     assert!(Batch::<f32>::within(&task, &policy, 6, &flows, 1, smallest - 1).is_err());
 
     let mut last = u64::MAX;
-    let mut expected: Option<Vec<Vec<f32>>> = None;
+    let mut expected: Option<Vec<Gradient<f32>>> = None;
     for budget in [smallest, smallest + 500, smallest + 3000, all / 15, all / 5, all / 2, all - 1, all, u64::MAX] {
         let ((batch, loss), _, most) = held(|| {
             let mut batch = Batch::<f32>::within(&task, &policy, 6, &flows, 1, budget).expect("enough");
@@ -332,7 +332,7 @@ fn many_steps_fit_in_a_small_budget() {
     };
     let (all, none, bytes) = run(Batch::new(&task, &policy, 2, &flows, 1));
     let (gradients, again, fewer) = run(Batch::within(&task, &policy, 2, &flows, 1, 300_000).expect("enough"));
-    assert!(all[0].iter().any(|&g| g != 0.0) && gradients == all);
+    assert!(all[0].values().iter().any(|&g| g != 0.0) && gradients == all);
     assert!(none == 0 && again > 0 && again < 200_000 && fewer <= 300_000 && bytes > 100 * fewer, "{again} {fewer} {bytes}");
 }
 

@@ -6,7 +6,7 @@
 
 use physgrad::policy::{Conv, Mlp};
 use physgrad::tasks::{CartPole, CartPoleSystem, Guidance, GuidanceSystem, LossMode, Quantum, QuantumSystem};
-use physgrad::{Batch, Clip, Field, Flow, Policy, Rollout, Rule, System, Task, Trainer, Training, Weights};
+use physgrad::{Batch, Clip, Field, Flow, Gradient, Policy, Rollout, Rule, System, Task, Trainer, Training, Weights};
 use serde_json::Value;
 use std::path::PathBuf;
 
@@ -250,15 +250,17 @@ fn losses_and_gradients<A: Authors>() {
             losses.add(error(&[loss], &[number(&case["loss"])]));
             let expected = variables(&case["grads"]);
             if mode != "C" {
-                gradients.add(error(&batch.gradients()[0], &expected));
+                gradients.add(error(batch.gradients()[0].values(), &expected));
                 continue;
             }
-            let mut got = vec![0.0; policy.param_count()];
+            let mut got = Gradient::zeros(policy.param_count());
             Field::combined().compose(batch.gradients(), &mut got);
+            let got = got.plain();
+            let [m, r] = [0, 1].map(|k| batch.gradients()[k].values());
             let kept = |g: &[f64]| g.iter().map(|&g| g != 0.0).collect::<Vec<_>>();
             assert_eq!(kept(&got), kept(&expected), "{name}: C keeps other components than the authors'");
             // Zeros are exactly zero, and what is kept is M.
-            for ((&c, &m), &r) in got.iter().zip(&batch.gradients()[0]).zip(&batch.gradients()[1]) {
+            for ((&c, &m), &r) in got.iter().zip(m).zip(r) {
                 assert!(if m * r > 0.0 { c == m } else { c == 0.0 }, "{name}: C = {c} of M = {m}, R = {r}");
             }
             combined.add(error(&got, &expected));

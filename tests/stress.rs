@@ -5,6 +5,7 @@ use physgrad::stress;
 fn passes(name: &str) {
     let case = stress::cases().find(|case| case.name == name).unwrap_or_else(|| panic!("there is no case `{name}`"));
     let findings = case.run();
+    findings.iter().for_each(|finding| println!("{finding}"));
     let failed: Vec<String> = findings.iter().filter(|finding| !finding.pass).map(ToString::to_string).collect();
     assert!(!findings.is_empty() && failed.is_empty(), "{name} asks for this: {}\n{}", case.criterion, failed.join("\n"));
 }
@@ -27,4 +28,4 @@ macro_rules! cases {
     };
 }
 
-cases!(saturated_policy);
+cases!(exploding_adjoint, saturated_policy);

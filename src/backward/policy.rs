@@ -1,8 +1,11 @@
 //! The policy's side of the reverse pass: what it keeps, and its cotangents.
 
 use super::{Flow, Pass};
-use crate::policy::{Policy, PolicyColumns, PolicyPass};
+use crate::gradient::Gradient;
+use crate::policy::{Policy, PolicyColumns, PolicyPass, PolicyRecord};
 use crate::scalar::Float;
+use crate::wide::{exponent_of, scaled};
+use std::ops::Range;
 
 /// The policy's side of the reverse pass.
 #[derive(Debug)]
@@ -18,6 +21,12 @@ pub(super) struct PolicyAdjoint<F> {
     /// With `unit`: ones, the cotangent of the only control.
     pub(super) ones: Vec<F>,
     pub(super) scratch: Vec<F>,
+    /// Per flow: the exponent of what is kept of a column. All 0 unless `scaled`.
+    exponents: Vec<Vec<i32>>,
+    scaled: bool,
+    /// What columns count that have different exponents, and their part of the gradient.
+    weights: Vec<F>,
+    part: Vec<F>,
 }
 
 /// How long the vectors of a policy's side are.
@@ -30,6 +39,8 @@ pub(super) struct PolicyRoom {
     unit: bool,
     ones: usize,
     scratch: usize,
+    columns: usize,
+    params: usize,
 }
 
 impl PolicyRoom {
@@ -49,12 +60,15 @@ impl PolicyRoom {
             unit,
             ones: if unit { columns } else { 0 },
             scratch: sizes.scratch,
+            columns,
+            params: policy.param_count(),
         }
     }
 
     pub(super) fn bytes<F>(&self) -> usize {
         let numbers = self.flows * self.controls_bar + self.tapes * self.tape_bar + self.inputs_bar + self.ones + self.scratch;
-        numbers * size_of::<F>() + (self.flows + self.tapes) * size_of::<Vec<F>>()
+        let scaled = self.flows * (size_of::<Vec<i32>>() + self.columns * size_of::<i32>());
+        (numbers + self.columns + self.params) * size_of::<F>() + (self.flows + self.tapes) * size_of::<Vec<F>>() + scaled
     }
 }
 
@@ -68,12 +82,82 @@ impl<F: Float> PolicyAdjoint<F> {
             unit: room.unit,
             ones: vec![F::one(); room.ones],
             scratch: zeros(room.scratch),
+            exponents: vec![vec![0; room.columns]; room.flows],
+            scaled: false,
+            weights: zeros(room.columns),
+            part: zeros(room.params),
         }
     }
 
     pub(super) fn stored_bytes(&self) -> usize {
-        let flat = size_of_val(&self.inputs_bar[..]) + size_of_val(&self.ones[..]) + size_of_val(&self.scratch[..]);
-        flat + nested_bytes(&self.controls_bar) + nested_bytes(&self.tape_bar)
+        let flat = [&self.inputs_bar, &self.ones, &self.scratch, &self.weights, &self.part].map(|flat| size_of_val(&flat[..]));
+        let nested = nested_bytes(&self.controls_bar) + nested_bytes(&self.tape_bar) + nested_bytes(&self.exponents);
+        flat.into_iter().sum::<usize>() + nested
+    }
+
+    /// No column has an exponent any more.
+    pub(super) fn reset_exponents(&mut self) {
+        if std::mem::take(&mut self.scaled) {
+            self.exponents.iter_mut().for_each(|exponents| exponents.fill(0));
+        }
+    }
+
+    /// None of these columns, which are neighbours, has an exponent any more.
+    pub(super) fn reset_exponents_of(&mut self, at: PolicyColumns) {
+        if self.scaled {
+            self.exponents.iter_mut().for_each(|exponents| exponents[at.as_range()].fill(0));
+        }
+    }
+
+    /// Notes the exponents of the columns of a step.
+    pub(super) fn note_exponents(&mut self, k: usize, at: PolicyColumns, of: impl Fn(usize) -> i32) {
+        self.scaled = true;
+        for (sample, c) in at.iter().enumerate() {
+            self.exponents[k][c] = of(sample);
+        }
+    }
+
+    /// Adds the columns' part to the parameter gradient of flow `k`.
+    pub(super) fn add_param_gradient<P: Policy>(
+        &mut self,
+        k: usize,
+        policy: &P,
+        pass: PolicyPass<F>,
+        tape: &[F],
+        theta_bar: &mut Gradient<F>,
+    ) {
+        let range = pass.at.as_range();
+        let one_exponent = !self.scaled || self.exponents[k][range.clone()].iter().all(|&exponent| exponent == 0);
+        let exponent = if one_exponent { 0 } else { self.weigh(k, range, policy.control_dim()) };
+        let h = &self.controls_bar[k];
+        let (u_bar, tape_bar, plain_weight) =
+            if self.unit { (&self.ones, &self.tape_bar[0], Some(&h[..])) } else { (h, &self.tape_bar[k], None) };
+        let weight = if one_exponent { plain_weight } else { Some(&self.weights[..]) };
+        let record = PolicyRecord { tape, u_bar, tape_bar, weight };
+        match theta_bar.plain_sum() {
+            Some(sum) if one_exponent => policy.param_gradient(pass, record, &mut self.scratch, sum),
+            _ => {
+                self.part.fill(F::zero());
+                policy.param_gradient(pass, record, &mut self.scratch, &mut self.part);
+                theta_bar.add_part(&self.part, exponent);
+            }
+        }
+    }
+
+    /// Weighs columns of different exponents such that the largest cotangent among them is about 1. Returns the exponent of
+    /// that.
+    fn weigh(&mut self, k: usize, columns: Range<usize>, m: usize) -> i32 {
+        let (h, exponents) = (&self.controls_bar[k], &self.exponents[k]);
+        let leading = |c: usize| {
+            let largest = h[c * m..][..m].iter().map(|h| h.as_().abs()).fold(0.0, f64::max);
+            (largest > 0.0).then(|| exponents[c] + exponent_of(largest))
+        };
+        let largest = columns.clone().filter_map(leading).max().unwrap_or(0);
+        for c in columns {
+            let own = if self.unit { h[c] } else { F::one() };
+            self.weights[c] = scaled(own, exponents[c] - largest);
+        }
+        largest
     }
 
     /// The policy's cotangents of flow `k` in the columns `at`; `∂N/∂x` only if `through_inputs`.

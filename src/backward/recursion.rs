@@ -1,13 +1,16 @@
 //! The recursion itself, for one flow or two side by side.
 
+use super::exponents::{Calm, Exponents, Size};
 use super::{Flow, Pass, PolicyAdjoint};
 use crate::divergence::{Divergence, Variable};
+use crate::growth::Meter;
 use crate::kernels::{Vectorized, dispatch_narrow, in_lanes};
 use crate::policy::{Policy, PolicyColumns};
 use crate::rollout::{FEW, Lane, Rollout, WIDTH, find_non_finite, gather, read_lane};
 use crate::scalar::{Columns, Float, Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
+use crate::wide::times_power_of_two;
 use smallvec::{SmallVec, smallvec};
 use std::ops::Range;
 
@@ -23,6 +26,13 @@ pub(super) struct Recursion<F: Float, const K: usize> {
     /// Gradients of the costs of one block.
     cost_x: Vec<Lane<F>>,
     cost_u: Vec<Lane<F>>,
+    /// Of every block.
+    exponents: Vec<Exponents<F, K>>,
+    /// Whether any exponent is not 0, and whether any is so small that costs need care.
+    scaled: bool,
+    low: bool,
+    /// `[sample][flow]`: growth, and the square of ‖λ‖ with its exponent before the step at hand.
+    meters: Vec<[(Meter, f64, i32); K]>,
 }
 
 impl<F: Float, const K: usize> Recursion<F, K> {
@@ -37,18 +47,27 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             u_bar: columns(blocks * m),
             cost_x: lanes(n),
             cost_u: lanes(m),
+            exponents: vec![Exponents::new(); blocks],
+            scaled: false,
+            low: false,
+            meters: vec![[(Meter::default(), 0.0, 0); K]; rollout.capacity()],
         }
     }
 
     /// The bytes of one for so many state and control components and samples.
     pub(super) fn bytes_of(n: usize, m: usize, samples: usize) -> usize {
-        samples.div_ceil(WIDTH) * (2 * n + m) * size_of::<Columns<Lane<F>, K>>() + (n + m) * size_of::<Lane<F>>()
+        let blocks = samples.div_ceil(WIDTH);
+        blocks * (2 * n + m) * size_of::<Columns<Lane<F>, K>>()
+            + (n + m) * size_of::<Lane<F>>()
+            + blocks * size_of::<Exponents<F, K>>()
+            + samples * size_of::<[(Meter, f64, i32); K]>()
     }
 
     pub(super) fn stored_bytes(&self) -> usize {
         let columns = [&self.lambda, &self.x_bar, &self.u_bar].map(|columns| size_of_val(&columns[..]));
         let costs = [&self.cost_x, &self.cost_u].map(|costs| size_of_val(&costs[..]));
-        columns.into_iter().chain(costs).sum()
+        let others = [size_of_val(&self.exponents[..]), size_of_val(&self.meters[..])];
+        columns.into_iter().chain(costs).chain(others).sum()
     }
 
     /// λ at the last state. `norms` has a row for each flow, or none.
@@ -56,6 +75,9 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let Pass { task, rollout, scale, .. } = *pass;
         let n = rollout.state_dim;
         let last = rollout.states_at(rollout.horizon);
+        self.exponents.iter_mut().for_each(|exponents| exponents.reset(scale));
+        (self.scaled, self.low) = (false, false);
+        self.meters.fill([(Meter::default(), 0.0, 0); K]);
         for (lambda, x) in self.lambda.chunks_exact_mut(n).zip(last.chunks_exact(n)) {
             task.terminal_cost_gradient(x, &mut self.cost_x);
             for (lambda, &x_bar) in lambda.iter_mut().zip(&self.cost_x) {
@@ -74,17 +96,27 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         policy: &mut PolicyAdjoint<F>,
         norms: &mut [Vec<f64>],
     ) -> Result<(), Divergence> {
-        let Pass { task, rollout, scale, .. } = *pass;
+        let Pass { task, rollout, scale, measured, .. } = *pass;
         let (n, m) = (rollout.state_dim, rollout.control_dim);
         for t in steps.rev() {
             let at = rollout.columns(t);
-            let mut finite = true;
-            dispatch_narrow(Back { task, flows, rollout, t, scale, carried: self, finite: &mut finite });
-            if !finite {
+            if self.low {
+                self.lift(pass, t);
+            }
+            if measured {
+                self.measure_before(pass, t);
+            }
+            let mut calm = true;
+            dispatch_narrow(Back { task, flows, rollout, t, carried: self, calm: &mut calm });
+            if !calm && self.settle(flows, rollout, scale) == Size::NotFinite {
                 return Err(self.divergence(flows, rollout, t));
             }
             for (k, flow) in flows.into_iter().enumerate() {
                 gather(&self.u_bar, |h, lane| h.0[k].lane(lane), m, at, &mut policy.controls_bar[k]);
+                if self.scaled {
+                    let of = |sample: usize| self.exponents[sample / WIDTH].of[k][sample % WIDTH];
+                    policy.note_exponents(k, at, of);
+                }
                 if flow.control {
                     if !policy.unit {
                         policy.backward(pass, k, at, true);
@@ -92,16 +124,97 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                     self.add_inputs(k, at, n, policy);
                 }
             }
+            if measured {
+                self.measure_after(rollout);
+            }
             self.note_norms(rollout, t, scale, norms);
         }
         Ok(())
+    }
+
+    /// Brings all cotangents to a size of about 1 that are far from it.
+    #[cold]
+    fn settle(&mut self, flows: [Flow; K], rollout: &Rollout<F>, scale: F) -> Size {
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let blocks = self.lambda.chunks_exact_mut(n).zip(self.u_bar.chunks_exact_mut(m)).zip(&mut self.exponents);
+        for ((lambda, u_bar), exponents) in blocks.take(rollout.samples.div_ceil(WIDTH)) {
+            for (k, flow) in flows.into_iter().enumerate() {
+                for lane in 0..WIDTH {
+                    if exponents.settle(flow, (k, lane), scale, lambda, u_bar) == Size::NotFinite {
+                        return Size::NotFinite;
+                    }
+                }
+            }
+        }
+        self.scaled = self.exponents.iter().any(Exponents::any);
+        self.low = self.exponents.iter().any(Exponents::any_low);
+        Size::Carried
+    }
+
+    /// Before step `t`: where an adjoint has vanished so far that the gradient of a cost would be infinite beside it, and there
+    /// is one.
+    #[cold]
+    fn lift<T: Task, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>, t: usize) {
+        let Pass { task, rollout, scale, .. } = *pass;
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        for block in 0..rollout.samples.div_ceil(WIDTH) {
+            let (next, u) = (&rollout.states_at(t + 1)[block * n..][..n], &rollout.controls_at(t)[block * m..][..m]);
+            task.stage_cost_gradient(next, u, &mut self.cost_x, &mut self.cost_u);
+            for lane in 0..WIDTH {
+                if self.cost_x.iter().chain(&self.cost_u).any(|cost| cost.lane(lane) != F::zero()) {
+                    let lambda = &mut self.lambda[block * n..][..n];
+                    (0..K).for_each(|k| self.exponents[block].lift((k, lane), scale, lambda));
+                }
+            }
+        }
+        self.low = self.exponents.iter().any(Exponents::any_low);
+    }
+
+    /// Notes how long what step `t` goes back from is: λ with the gradient of the cost.
+    fn measure_before<T: Task, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>, t: usize) {
+        let Pass { task, rollout, .. } = *pass;
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        for (sample, meters) in self.meters[..rollout.samples].iter_mut().enumerate() {
+            let (block, lane) = (sample / WIDTH, sample % WIDTH);
+            if lane == 0 {
+                let (next, u) = (&rollout.states_at(t + 1)[block * n..][..n], &rollout.controls_at(t)[block * m..][..m]);
+                task.stage_cost_gradient(next, u, &mut self.cost_x, &mut self.cost_u);
+            }
+            let exponents = &self.exponents[block];
+            for (k, (_, before, exponent)) in meters.iter_mut().enumerate() {
+                let sum = |(lambda, cost): (&Columns<Lane<F>, K>, &Lane<F>)| -> f64 {
+                    (lambda.0[k].lane(lane) + cost.lane(lane) * exponents.inject.0[k].lane(lane)).as_()
+                };
+                let terms = self.lambda[block * n..][..n].iter().zip(&self.cost_x).map(sum);
+                (*before, *exponent) = (terms.map(|x| x * x).sum(), exponents.of[k][lane]);
+            }
+        }
+    }
+
+    /// Adds what the step has made of it.
+    fn measure_after(&mut self, rollout: &Rollout<F>) {
+        let n = rollout.state_dim;
+        for (sample, meters) in self.meters[..rollout.samples].iter_mut().enumerate() {
+            let (block, lane) = (sample / WIDTH, sample % WIDTH);
+            for (k, (meter, before, exponent)) in meters.iter_mut().enumerate() {
+                let of_lane = |lambda: &Columns<Lane<F>, K>| -> f64 { lambda.0[k].lane(lane).as_() };
+                let after = self.lambda[block * n..][..n].iter().map(of_lane).map(|x| x * x).sum();
+                meter.step(*before, after, self.exponents[block].of[k][lane] - *exponent);
+            }
+        }
+    }
+
+    /// Growth of flow `k` in the last run that was measured, for every sample.
+    pub(super) fn meters(&self, k: usize, samples: usize) -> impl Iterator<Item = &Meter> + Clone {
+        self.meters[..samples].iter().map(move |meters| &meters[k].0)
     }
 
     /// Notes the length of λ at step `t`, in f64: a square of an f32 overflows long before the f32 does.
     fn note_norms(&self, rollout: &Rollout<F>, t: usize, scale: F, norms: &mut [Vec<f64>]) {
         let lambda = |k: usize, sample: usize| {
             let block = &self.lambda[sample / WIDTH * rollout.state_dim..][..rollout.state_dim];
-            block.iter().map(move |c| c.0[k].lane(sample % WIDTH).as_())
+            let exponent = self.exponents[sample / WIDTH].of[k][sample % WIDTH];
+            block.iter().map(move |c| times_power_of_two(c.0[k].lane(sample % WIDTH).as_(), exponent))
         };
         for (k, norms) in norms.iter_mut().enumerate() {
             let squares: f64 = (0..rollout.samples).flat_map(|sample| lambda(k, sample)).map(|x: f64| x * x).sum();
@@ -138,15 +251,14 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     }
 }
 
-/// One step back, of all blocks: costs, physics, and whether the result is finite.
+/// One step back, of all blocks: costs, physics, and whether the result is of a size that asks for nothing.
 struct Back<'a, T, F: Float, const K: usize> {
     task: &'a T,
     flows: [Flow; K],
     rollout: &'a Rollout<F>,
     t: usize,
-    scale: F,
     carried: &'a mut Recursion<F, K>,
-    finite: &'a mut bool,
+    calm: &'a mut bool,
 }
 
 /// What one step back reads and writes, of a block of samples or of one.
@@ -159,18 +271,19 @@ struct Block<'a, R, const K: usize> {
     u_bar: &'a mut [Columns<R, K>],
     cost_x: &'a mut [R],
     cost_u: &'a mut [R],
+    inject: Columns<R, K>,
 }
 
 impl<R: Real, const K: usize> Block<'_, R, K> {
-    /// Returns 0 in every column, unless a cotangent is not finite there.
+    /// Returns the size of the cotangents in every column, the sum of what is in λ and h.
     #[inline(always)]
-    fn back<T: Task>(self, task: &T, flows: [Flow; K], scale: R) -> Columns<R, K> {
-        let Self { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u } = self;
+    fn back<T: Task>(self, task: &T, flows: [Flow; K]) -> Columns<R, K> {
+        let Self { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject } = self;
         let system = task.system();
-        let mut probe = Columns([R::zero(); K]);
+        let mut size = Columns([R::zero(); K]);
         task.stage_cost_gradient(next, u, cost_x, cost_u);
         for (lambda, &cost) in lambda.iter_mut().zip(&*cost_x) {
-            *lambda += Columns([cost * scale; K]);
+            *lambda += inject * cost;
         }
         if flows.iter().any(|flow| flow.physics) {
             system.vjp(x, u, lambda, x_bar, u_bar);
@@ -178,25 +291,25 @@ impl<R: Real, const K: usize> Block<'_, R, K> {
             system.vjp_control(x, u, lambda, u_bar);
         }
         for (u_bar, &cost) in u_bar.iter_mut().zip(&*cost_u) {
-            *u_bar += Columns([cost * scale; K]);
-            probe += *u_bar * R::zero();
+            *u_bar += inject * cost;
+            size += u_bar.abs();
         }
         for (lambda, &x_bar) in lambda.iter_mut().zip(&*x_bar) {
             for (k, flow) in flows.iter().enumerate() {
                 lambda.0[k] = if flow.physics { x_bar.0[k] } else { R::zero() };
             }
-            probe += *lambda * R::zero();
+            size += lambda.abs();
         }
-        probe
+        size
     }
 }
 
 impl<F: Float> Block<'_, F, 1> {
     /// As [`back`](Block::back), for one sample and flow, and in one place however many flows there are: the processors
-    /// that need it are old. Whether the cotangents are finite.
+    /// that need it are old.
     #[inline(never)]
-    fn alone<T: Task>(self, task: &T, flow: Flow, scale: F) -> bool {
-        self.back(task, [flow], scale).0[0] == F::zero()
+    fn alone<T: Task>(self, task: &T, flow: Flow) -> F {
+        self.back(task, [flow]).0[0]
     }
 }
 
@@ -206,11 +319,11 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
         let Self { task, flows, rollout, t, carried: r, .. } = self;
         let (n, m) = (rollout.state_dim, rollout.control_dim);
         let (states, next, controls) = (rollout.states_at(t), rollout.states_at(t + 1), rollout.controls_at(t));
-        let scale = Lane::splat(self.scale);
-        let mut probe = Columns([Lane::<F>::zero(); K]);
+        let limits = Calm::new();
+        let mut calm = true;
         for block in 0..states.len() / n {
             let (of_state, of_control) = (block * n..(block + 1) * n, block * m..(block + 1) * m);
-            let block = Block {
+            let back = Block {
                 x: &states[of_state.clone()],
                 next: &next[of_state.clone()],
                 u: &controls[of_control.clone()],
@@ -219,10 +332,16 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
                 u_bar: &mut r.u_bar[of_control],
                 cost_x: &mut r.cost_x,
                 cost_u: &mut r.cost_u,
+                inject: r.exponents[block].inject,
             };
-            probe += block.back(task, flows, scale);
+            let size = back.back(task, flows);
+            for column in &size.0 {
+                for &size in &column.0 {
+                    calm &= limits.holds(size, r.scaled);
+                }
+            }
         }
-        *self.finite = probe.0.iter().all(|p| p.0.iter().all(|&p| p == F::zero()));
+        *self.calm = calm;
     }
 
     /// Sample by sample and flow by flow.
@@ -238,7 +357,8 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
         let (u, cost_u) = rest.split_at_mut(m);
         let (lambda, rest) = columns.split_at_mut(n);
         let (x_bar, u_bar) = rest.split_at_mut(n);
-        *self.finite = true;
+        let limits = Calm::new();
+        let mut calm = true;
         for sample in 0..rollout.states_at(t).len() / n * WIDTH {
             let (block, lane) = (sample / WIDTH, sample % WIDTH);
             let (of_state, of_control) = (block * n..(block + 1) * n, block * m..(block + 1) * m);
@@ -249,8 +369,9 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
                 for (one, lanes) in lambda.iter_mut().zip(&r.lambda[of_state.clone()]) {
                     *one = Columns([lanes.0[k].0[lane]]);
                 }
-                let one = Block { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u };
-                *self.finite &= one.alone(task, flow, self.scale);
+                let inject = Columns([r.exponents[block].inject.0[k].0[lane]]);
+                let one = Block { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject };
+                calm &= limits.holds(one.alone(task, flow), r.scaled);
                 let write = |ones: &[Columns<F, 1>], lanes: &mut [Columns<Lane<F>, K>]| {
                     ones.iter().zip(lanes).for_each(|(one, lanes)| lanes.0[k].0[lane] = one.0[0]);
                 };
@@ -258,6 +379,7 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
                 write(u_bar, &mut r.u_bar[of_control.clone()]);
             }
         }
+        *self.calm = calm;
     }
 }
 

@@ -3,7 +3,7 @@
 use super::folder::{Folder, METRICS};
 use super::scene::Scene;
 use anyhow::{Context, Result};
-use physgrad::{Divergence, Float, Policy, Record, Rollout, Session, System, Task, Variable, report};
+use physgrad::{Divergence, Float, Growth, Policy, Record, Rollout, Session, System, Task, Variable, report};
 use safetensors::tensor::{Dtype, TensorView};
 use std::collections::HashMap;
 use std::fs::File;
@@ -40,11 +40,28 @@ impl Metrics {
     }
 }
 
-pub const METRICS_HEADER: [&str; 9] =
-    ["epoch", "loss", "train_loss", "test_loss", "grad_norm", "cosine", "seconds", "kept", "skipped"];
+pub const METRICS_HEADER: [&str; 13] = [
+    "epoch",
+    "loss",
+    "train_loss",
+    "test_loss",
+    "grad_norm",
+    "cosine",
+    "seconds",
+    "kept",
+    "skipped",
+    "growth_R",
+    "stretch_R",
+    "growth_M",
+    "stretch_M",
+];
 
-pub fn metrics_row(record: &Record) -> [String; 9] {
-    let Record { epoch, loss, train_loss, test_loss, grad_norm, cosine, kept, skipped, seconds } = record;
+pub fn metrics_row(record: &Record) -> [String; 13] {
+    let Record { epoch, loss, train_loss, test_loss, grad_norm, cosine, kept, skipped, seconds, .. } = record;
+    let growth = |growth: Option<Growth>| {
+        growth.map_or_else(Default::default, |Growth { along, stretch }| [along.to_string(), stretch.to_string()])
+    };
+    let [[growth_r, stretch_r], [growth_m, stretch_m]] = [record.regular_growth, record.modified_growth].map(growth);
     let number = |x: &f64| x.to_string();
     let optional = |x: &Option<f64>| x.as_ref().map_or_else(String::new, number);
     [
@@ -52,11 +69,15 @@ pub fn metrics_row(record: &Record) -> [String; 9] {
         number(loss),
         number(train_loss),
         number(test_loss),
-        number(grad_norm),
+        grad_norm.to_string(),
         optional(cosine),
         number(seconds),
         optional(kept),
         skipped.to_string(),
+        growth_r,
+        stretch_r,
+        growth_m,
+        stretch_m,
     ]
 }
 

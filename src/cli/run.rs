@@ -20,8 +20,19 @@ pub static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 pub trait Watch {
     /// It goes on after this many epochs of an earlier run.
     fn resumed(&mut self, _epochs: usize) {}
-    /// An epoch is done, in which these updates and evaluations were not finite.
-    fn epoch(&mut self, record: &Record, skips: &[Skip], diverged: [Option<Divergence>; 2]);
+    /// An epoch is done.
+    fn epoch(&mut self, told: Told);
+}
+
+/// What there is to say of an epoch.
+#[derive(Clone, Copy)]
+pub struct Told<'a> {
+    pub record: &'a Record,
+    /// Updates that were not taken, and evaluations that were not finite.
+    pub skips: &'a [Skip],
+    pub diverged: [Option<Divergence>; 2],
+    /// What makes its gradients untrustworthy, unless it was said before.
+    pub warnings: &'a [String],
 }
 
 /// A run that is done, was interrupted, or broke off.
@@ -65,6 +76,7 @@ pub fn run(folder: &Folder, scene: &Scene, workers: usize, resume: bool, watch: 
 
     let mut saved: Option<Instant> = None;
     let mut broken = None;
+    let mut warned = 0;
     while !run.is_done() && !INTERRUPTED.load(Ordering::Relaxed) {
         match run.epoch() {
             Ok(record) => metrics.row(record)?,
@@ -74,7 +86,12 @@ pub fn run(folder: &Folder, scene: &Scene, workers: usize, resume: bool, watch: 
             }
         }
         if let Some(record) = run.records().last() {
-            watch.epoch(record, run.skips(), run.diverged());
+            // Once for each flow of a run: the numbers differ in every epoch.
+            let warnings: Vec<String> = record.warnings(scene.horizon, scene.precision.epsilon());
+            let news = warnings.len() > warned;
+            warned = warned.max(warnings.len());
+            let warnings = if news { &warnings[..] } else { &[] };
+            watch.epoch(Told { record, skips: run.skips(), diverged: run.diverged(), warnings });
         }
         if saved.is_none_or(|at| at.elapsed() >= SAVE_EVERY) {
             folder.write(CHECKPOINT, run.checkpoint(&identity))?;

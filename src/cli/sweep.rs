@@ -2,14 +2,14 @@
 
 use super::changes::check_resumable;
 use super::folder::{Folder, RUNS};
-use super::run::{self, Finished, Watch};
+use super::run::{self, Finished, Told, Watch};
 use super::saved;
 use super::scene::Scene;
 use super::settings::FieldName;
 use super::statistics::Outcome;
 use super::terminal::Progress;
 use anyhow::{Context, Result, bail};
-use physgrad::{Divergence, Field, Record, Skip};
+use physgrad::{Field, Record};
 use rayon::prelude::*;
 use std::collections::HashSet;
 use std::sync::Mutex;
@@ -174,10 +174,10 @@ impl Watch for Watched<'_> {
         }
     }
 
-    fn epoch(&mut self, record: &Record, skips: &[Skip], diverged: [Option<Divergence>; 2]) {
+    fn epoch(&mut self, told: Told) {
         if let Ok(mut progress) = self.progress.lock() {
-            progress.advance(format!("{}: test {:.3e}", self.label, record.test_loss));
-            progress.trouble(&format!("{}, ", self.label), record, skips, diverged);
+            progress.advance(format!("{}: test {:.3e}", self.label, told.record.test_loss));
+            progress.trouble(&format!("{}, ", self.label), told);
         }
     }
 }

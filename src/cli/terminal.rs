@@ -1,8 +1,8 @@
 //! What the program says: lines, and progress.
 
-use super::run::Watch;
+use super::run::{Told, Watch};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use physgrad::{Divergence, Record, Skip};
+use physgrad::Growth;
 use std::io::Write;
 
 /// Prints to the standard output. Who reads it may have stopped reading.
@@ -37,9 +37,13 @@ impl Watch for Progress {
         }
     }
 
-    fn epoch(&mut self, record: &Record, skips: &[Skip], diverged: [Option<Divergence>; 2]) {
-        self.advance(format!("train {:.3e}  test {:.3e}", record.train_loss, record.test_loss));
-        self.trouble("", record, skips, diverged);
+    fn epoch(&mut self, told: Told) {
+        let Told { record, .. } = told;
+        let growths = [("R", record.regular_growth), ("M", record.modified_growth)];
+        let growth = |(flow, growth): (&str, Option<Growth>)| growth.map(|growth| format!("  {flow} 10^{:+.1}", growth.along));
+        let growths: String = growths.into_iter().filter_map(growth).collect();
+        self.advance(format!("train {:.3e}  test {:.3e}{growths}", record.train_loss, record.test_loss));
+        self.trouble("", told);
     }
 }
 
@@ -54,8 +58,9 @@ impl Progress {
         }
     }
 
-    /// Says what was not finite in an epoch.
-    pub fn trouble(&self, run: &str, record: &Record, skips: &[Skip], diverged: [Option<Divergence>; 2]) {
+    /// Says what was not finite in an epoch, and what is not to be trusted.
+    pub fn trouble(&self, run: &str, told: Told) {
+        let Told { record, skips, diverged, warnings } = told;
         let epoch = record.epoch;
         let skipped = skips.first().map(|skip| {
             let (count, update) = (skips.len(), skip.update);
@@ -64,7 +69,8 @@ impl Progress {
         let evaluated = ["training", "test"].into_iter().zip(diverged).filter_map(|(set, divergence)| {
             divergence.map(|divergence| format!("{run}epoch {epoch}: the {set} loss is not finite ({divergence})"))
         });
-        for text in skipped.into_iter().chain(evaluated).filter(|_| !self.quiet) {
+        let warnings = warnings.iter().map(|warning| format!("{run}epoch {epoch}: {warning}"));
+        for text in skipped.into_iter().chain(evaluated).chain(warnings).filter(|_| !self.quiet) {
             // Above the bar where there is one.
             if self.bar.is_hidden() { eprintln!("{text}") } else { self.bar.println(text) }
         }

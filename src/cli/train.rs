@@ -73,7 +73,7 @@ pub fn train(args: &Train) -> Result<()> {
     let finished = run::run(&folder, &scene, workers, args.resume, &mut progress)?;
     progress.bar.finish_and_clear();
     if !args.quiet {
-        say(&summary(&folder, &finished.records));
+        say(&summary(&folder, &scene, &finished.records));
     }
     if finished.interrupted {
         let done = finished.records.len();
@@ -103,7 +103,7 @@ fn note_differences(folder: &Folder, scene: &Scene, file: &str, changes: &Change
     Ok(())
 }
 
-fn summary(folder: &Folder, records: &[Record]) -> String {
+fn summary(folder: &Folder, scene: &Scene, records: &[Record]) -> String {
     let mut text = String::new();
     if let Some(last) = records.last() {
         let seconds: f64 = records.iter().map(|r| r.seconds).sum();
@@ -114,6 +114,9 @@ fn summary(folder: &Folder, records: &[Record]) -> String {
         let skipped: usize = records.iter().map(|r| r.skipped).sum();
         if skipped > 0 {
             text += &format!("{skipped} updates were skipped because a number was not finite\n");
+        }
+        for warning in last.warnings(scene.horizon, scene.precision.epsilon()) {
+            text += &format!("not to be trusted: {warning}\n");
         }
     }
     text += &format!("results in {}:\n", folder.path().display());

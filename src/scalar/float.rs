@@ -86,6 +86,10 @@ macro_rules! float {
             fn any_lt(a: Self, b: Self) -> bool {
                 a < b
             }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                $float::abs(self)
+            }
         }
 
         impl Real for $float {

@@ -96,6 +96,10 @@ macro_rules! lanes {
             fn any_lt(a: Self, b: Self) -> bool {
                 $(a.0[$i] < b.0[$i])||+
             }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                Self([$(Scalar::abs(self.0[$i])),+])
+            }
         }
 
         impl<F: Float> Real for Lanes<F, $width> {

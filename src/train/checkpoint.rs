@@ -14,7 +14,7 @@ use std::borrow::Cow;
 
 const MAGIC: &[u8; 8] = b"physgrad";
 /// Raised whenever the layout of [`Body`] changes.
-const FORMAT: u16 = 1;
+const FORMAT: u16 = 2;
 
 /// Known before the numbers are read, so that a mismatch is named and not guessed.
 #[derive(Serialize, Deserialize)]

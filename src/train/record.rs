@@ -1,6 +1,9 @@
 //! What one epoch tells, and the updates that were not taken.
 
+use crate::backward::Flow;
 use crate::divergence::Divergence;
+use crate::growth::Growth;
+use crate::wide::Wide;
 use serde::{Deserialize, Serialize};
 
 /// What happened in one epoch.
@@ -15,15 +18,28 @@ pub struct Record {
     /// Loss of the whole test set after the epoch; NaN if it diverged.
     pub test_loss: f64,
     /// Mean over the updates of the length of the field, before clipping.
-    pub grad_norm: f64,
+    pub grad_norm: Wide,
     /// Mean over the updates of the cosine between the two gradients of a composed field.
     pub cosine: Option<f64>,
     /// Mean over the updates of the share of components that a composition leaves non-zero.
     pub kept: Option<f64>,
     /// Updates that were not taken because a number was not finite.
     pub skipped: usize,
+    /// How the adjoint of R grew along the rollouts of the epoch's first update, if the field has R.
+    pub regular_growth: Option<Growth>,
+    /// The same of M.
+    pub modified_growth: Option<Growth>,
     /// Wall time of the epoch, updates and evaluation, in seconds.
     pub seconds: f64,
+}
+
+impl Record {
+    /// What makes the gradients of the epoch untrustworthy, in words: of rollouts of so many steps, in a precision whose
+    /// numbers are `epsilon` apart at 1.
+    pub fn warnings(&self, horizon: usize, epsilon: f64) -> Vec<String> {
+        let growths = [(Flow::REGULAR, self.regular_growth), (Flow::MODIFIED, self.modified_growth)];
+        growths.into_iter().filter_map(|(flow, growth)| growth?.warning(flow, horizon, epsilon)).collect()
+    }
 }
 
 /// An update that was not taken.
@@ -40,7 +56,7 @@ pub struct Skip {
 /// What one update tells.
 pub(super) struct Step {
     pub loss: f64,
-    pub norm: f64,
+    pub norm: Wide,
     pub cosine: Option<f64>,
     pub kept: Option<f64>,
 }
@@ -50,16 +66,22 @@ pub(super) struct Step {
 pub(super) struct Means {
     updates: usize,
     loss: f64,
-    norm: f64,
+    norm: Wide,
     cosine: Option<f64>,
     kept: Option<f64>,
+    /// Of R and M, in one of the updates.
+    pub growths: [Option<Growth>; 2],
 }
 
 impl Means {
+    pub fn is_empty(&self) -> bool {
+        self.updates == 0
+    }
+
     pub fn add(&mut self, step: &Step) {
         self.updates += 1;
         self.loss += step.loss;
-        self.norm += step.norm;
+        self.norm = self.norm + step.norm;
         self.cosine = step.cosine.map(|c| c + self.cosine.unwrap_or(0.0));
         self.kept = step.kept.map(|k| k + self.kept.unwrap_or(0.0));
     }
@@ -72,10 +94,12 @@ impl Means {
             loss: mean(self.loss),
             train_loss,
             test_loss,
-            grad_norm: mean(self.norm),
+            grad_norm: self.norm / self.updates as f64,
             cosine: self.cosine.map(mean),
             kept: self.kept.map(mean),
             skipped,
+            regular_growth: self.growths[0],
+            modified_growth: self.growths[1],
             seconds,
         }
     }

@@ -6,6 +6,8 @@ use crate::backward::Flow;
 use crate::batch::{Batch, Evaluation};
 use crate::divergence::Divergence;
 use crate::field::{Compose, Field, SignAgreement};
+use crate::gradient::Gradient;
+use crate::growth::Growth;
 use crate::kernels::{Level, elementwise};
 use crate::optim::Optimizer;
 use crate::policy::{Policy, Weights};
@@ -14,6 +16,7 @@ use crate::scalar::Float;
 use crate::schedule::Schedule;
 use crate::system::System;
 use crate::task::Task;
+use crate::wide::Wide;
 use rand::seq::SliceRandom;
 use std::time::Instant;
 
@@ -41,7 +44,7 @@ pub struct Session<T, P, F: Float, C = SignAgreement> {
     batch: Batch<F>,
     evaluation: Evaluation<F>,
     starts: Vec<F>,
-    composed: Vec<F>,
+    composed: Gradient<F>,
 }
 
 impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
@@ -79,7 +82,7 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
             optimizer,
             order: (0..train.len() / n).collect(),
             starts: Vec::with_capacity(samples * n),
-            composed: vec![F::zero(); params],
+            composed: Gradient::zeros(params),
             // Room for all of them, unless "for ever" was meant.
             records: Vec::with_capacity(training.epochs.min(100_000)),
             skips: Vec::new(),
@@ -172,9 +175,15 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
             self.order.shuffle(&mut stream(self.training.seed, Purpose::Shuffle, epoch as u64));
         }
         let mut means = Means::default();
+        self.batch.measure(true);
         for update in 0..self.order.len().div_ceil(self.training.batch) {
             match self.update(update) {
                 Ok(step) => {
+                    if means.is_empty() {
+                        // One update tells how adjoints grow.
+                        means.growths = [Flow::REGULAR, Flow::MODIFIED].map(|flow| self.growth(flow));
+                        self.batch.measure(false);
+                    }
                     means.add(&step);
                     self.skipped_in_a_row = 0;
                 }
@@ -211,7 +220,7 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         let loss = self.batch.run(&self.task, &self.policy, &self.weights, &self.starts)?;
         let gradients = self.batch.gradients();
         let level = Level::best();
-        let (first, second) = (&gradients[0], &gradients[gradients.len() - 1]);
+        let (first, second) = (gradients[0].values(), gradients[gradients.len() - 1].values());
         let (dot, first_square, second_square) = elementwise::moments(level, first, second);
         for (&flow, (gradient, square)) in self.flows.iter().zip([(first, first_square), (second, second_square)]) {
             if !square.is_finite() {
@@ -220,22 +229,28 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         }
         self.field.compose(gradients, &mut self.composed);
         let composed = gradients.len() > 1;
-        let norm =
-            if composed { elementwise::moments(level, &self.composed, &self.composed).0.sqrt() } else { first_square.sqrt() };
+        let values = self.composed.values();
+        let length = if composed { elementwise::moments(level, values, values).0.sqrt() } else { first_square.sqrt() };
+        let norm = Wide::new(length, self.composed.exponent());
         // Optimizers square what they are given, and sum the squares of many updates.
-        if !norm.is_finite() || self.training.clip.bound(norm) > F::MAX.sqrt() * 1e-3 {
-            return Err(Divergence::Field { parameter: worst(&self.composed) });
+        if !length.is_finite() || self.training.clip.bound(norm.get()) > F::MAX.sqrt() * 1e-3 {
+            return Err(Divergence::Field { parameter: worst(values), norm });
         }
         let zero = F::zero();
         let step = Step {
             loss,
             norm,
             cosine: composed.then(|| if dot == 0.0 { 0.0 } else { dot / (first_square.sqrt() * second_square.sqrt()) }),
-            kept: composed.then(|| self.composed.iter().filter(|&&g| g != zero).count() as f64 / self.composed.len() as f64),
+            kept: composed.then(|| values.iter().filter(|&&g| g != zero).count() as f64 / values.len() as f64),
         };
-        self.training.clip.apply(&mut self.composed, norm);
-        self.weights.update(&self.policy, |theta| self.optimizer.step(theta, &self.composed));
+        self.training.clip.apply_knowing(&mut self.composed, norm);
+        self.weights.update(&self.policy, |theta| self.optimizer.step(theta, self.composed.values()));
         Ok(step)
+    }
+
+    /// How the adjoint of this flow grew in the last update, if the field has it.
+    fn growth(&self, flow: Flow) -> Option<Growth> {
+        self.flows.iter().position(|&own| own == flow).and_then(|k| self.batch.growth(k))
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::cli::kind::Visit;
 use crate::cli::settings::Precision;
 use physgrad::rng::{Purpose, stream};
-use physgrad::{Adjoint, Cost, Counts, Float, Flow, Policy, Rollout, System, Task, Weights};
+use physgrad::{Adjoint, Cost, Counts, Float, Flow, Gradient, Policy, Rollout, System, Task, Weights};
 use std::time::Instant;
 
 /// Samples that go through a rollout together: a block, in which all lanes are in use.
@@ -94,9 +94,9 @@ fn prepare<F: Float, T: Task + Clone + 'static, P: Policy + Clone + 'static>(tas
             (0..SAMPLES).flat_map(move |sample| (0..n).map(move |i| rollout.state(t, sample, i).as_()))
         };
         let gradients = [0, 1].map(|k| {
-            let mut theta_bar = vec![F::zero(); weights.theta().len()];
+            let mut theta_bar = Gradient::zeros(weights.theta().len());
             adjoint.param_gradient(k, &policy, &weights, &rollout, 0..SAMPLES, &mut theta_bar);
-            theta_bar.into_iter().map(|g| g.as_()).collect()
+            theta_bar.plain().into_iter().map(|g| g.as_()).collect()
         });
         let loss = (0..SAMPLES).map(|sample| rollout.cost(sample).as_()).sum::<f64>() / SAMPLES as f64;
         Found { states: (0..=horizon).flat_map(state).collect(), loss, gradients }

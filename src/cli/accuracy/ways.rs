@@ -4,7 +4,7 @@ use crate::cli::allocations::peak_during;
 use crate::cli::kind::Visit;
 use crate::cli::settings::Precision;
 use physgrad::rng::{Purpose, stream};
-use physgrad::{Batch, Field, Float, Flow, Policy, Rollout, System, Task, Weights, check};
+use physgrad::{Batch, Field, Float, Flow, Gradient, Policy, Rollout, System, Task, Weights, check};
 use rayon::prelude::*;
 use std::time::Instant;
 
@@ -189,12 +189,12 @@ fn reverse<F: Float, T: Task + 'static, P: Policy + 'static>(
     let mut batch = made.map_err(|error| error.to_string())?;
     let mut run = move || {
         batch.run(&task, &policy, &weights, &starts).map_err(|divergence| divergence.to_string())?;
-        let mut gradient = vec![F::zero(); weights.theta().len()];
+        let mut gradient = Gradient::zeros(weights.theta().len());
         field.compose(batch.gradients(), &mut gradient);
         Ok(gradient)
     };
-    let gradient = run()?.into_iter().map(|g| g.as_()).collect();
-    Ok((gradient, Box::new(move || drop::<Result<Vec<F>, String>>(run()))))
+    let gradient = run()?.plain().into_iter().map(|g| g.as_()).collect();
+    Ok((gradient, Box::new(move || drop::<Result<Gradient<F>, String>>(run()))))
 }
 
 /// The gradients of R, M and S in double-double, at the [`chosen`] parameters.

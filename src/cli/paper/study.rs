@@ -128,7 +128,7 @@ impl Study {
                 title: title(format!("{}: update size", self.panel(cell.value))),
                 y_label: "length of the field".into(),
                 y_axis: self.values.len(),
-                curves: smooth(&cell.runs, |r| r.grad_norm),
+                curves: smooth(&cell.runs, |r| r.grad_norm.get()),
             });
             losses.chain(sizes).collect()
         });

@@ -20,6 +20,9 @@ pub struct Inspected {
     pub seed: u64,
     /// Epochs asked for.
     pub epochs: usize,
+    /// Steps of a rollout, and the distance of its numbers at 1.
+    pub horizon: usize,
+    pub epsilon: f64,
     pub settings: Table,
     pub records: Vec<Record>,
     pub end: End,
@@ -105,6 +108,8 @@ fn open(folder: &Folder, scene: &Scene, closely: bool) -> Result<Inspected> {
         field: scene.field.0,
         seed: scene.seed,
         epochs: scene.epochs,
+        horizon: scene.horizon,
+        epsilon: scene.precision.epsilon(),
         settings: scene.table.clone(),
         records: run.records().to_vec(),
         close,

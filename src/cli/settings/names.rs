@@ -20,12 +20,17 @@ impl Precision {
         }
     }
 
+    /// Distance from 1 to the next larger number.
+    pub fn epsilon(self) -> f64 {
+        match self {
+            Self::F32 => f64::from(f32::EPSILON),
+            Self::F64 => f64::EPSILON,
+        }
+    }
+
     /// The least tolerance that an integrator can keep: some hundred roundings.
     pub fn tolerance_floor(self) -> f64 {
-        match self {
-            Self::F32 => 100.0 * f64::from(f32::EPSILON),
-            Self::F64 => 100.0 * f64::EPSILON,
-        }
+        100.0 * self.epsilon()
     }
 }
 

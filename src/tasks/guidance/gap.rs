@@ -1,6 +1,7 @@
 //! Central forces, at any distance.
 
 use crate::scalar::{Cotangent, Float, Real, Scalar};
+use crate::wide::power_of_two;
 
 /// A central force `(far / d + near / d²) r`; positive pushes apart.
 #[derive(Clone, Copy)]
@@ -71,11 +72,6 @@ impl<T: Scalar> Gap<T> {
     pub(super) fn depth_share(&self, radius: f64) -> T {
         (T::lift(radius) * self.per_distance - self.length_share).max(T::zero())
     }
-}
-
-/// 2 to the power of a normal double's exponent.
-const fn power_of_two(exponent: i32) -> f64 {
-    f64::from_bits(((1023 + exponent) as u64) << 52)
 }
 
 impl<R: Real> Gap<R> {
