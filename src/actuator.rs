@@ -5,6 +5,7 @@ mod kinds;
 
 pub use kinds::{AnyActuator, Delay, Lag, Limit, LimitKind};
 
+use crate::divergence::Cause;
 use crate::effect::Around;
 use crate::forward_mode::{concat, jacobian};
 use crate::rng::Rng;
@@ -188,9 +189,9 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         self.system.step(&x[..n], &out, next);
     }
 
-    fn unsolved<F: Float>(&self, x: &[F], u: &[F]) -> Option<f64> {
+    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
         let (x, own) = x.split_at(self.system.state_dim());
-        self.system.unsolved(x, &self.control(own, u))
+        self.system.cause(x, &self.control(own, u))
     }
 
     #[inline(always)]

@@ -17,8 +17,8 @@ pub enum Divergence {
         sample: usize,
         /// Its component.
         component: usize,
-        /// If the step had to solve an equation and could not: the size of the residual it was left with.
-        unsolved: Option<f64>,
+        /// What did it, if that is known.
+        cause: Option<Cause>,
     },
     /// The cost of a sample whose states are all finite.
     Cost {
@@ -37,6 +37,8 @@ pub enum Divergence {
         sample: usize,
         /// Its component.
         component: usize,
+        /// What did it, if that is known.
+        cause: Option<Cause>,
     },
     /// The gradient of a batch whose cotangents are all finite: a component is not, or its square is not.
     Gradient {
@@ -53,6 +55,15 @@ pub enum Divergence {
         /// The length of the field.
         norm: Wide,
     },
+}
+
+/// What made a step, or its derivative, a number that is none.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Cause {
+    /// The step had to solve an equation and could not: this is the size of the residual that it was left with.
+    Unsolved(f64),
+    /// The forces of this effect, or their derivatives, are not finite at the state in which the step begins.
+    Effect(&'static str),
 }
 
 /// What a rollout computes at every step.
@@ -99,19 +110,25 @@ impl fmt::Display for Variable {
 impl fmt::Display for Divergence {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Forward { unsolved: Some(residual), step, sample, .. } => write!(
+            Self::Forward { cause: Some(Cause::Unsolved(residual)), step, sample, .. } => write!(
                 f,
                 "forward pass: the equation of the implicit rule could not be solved for sample {sample} at step {step}: Newton's iteration \
                  was given up with a residual of {residual:.1e}. Smaller steps help (`integrator.substeps`), a larger tolerance if the \
                  residual is small (`integrator.tolerance`), or a rule that solves nothing"
             ),
-            Self::Forward { variable, step, sample, component, unsolved: None } => {
-                write!(f, "forward pass: {variable} component {component} of sample {sample} is not finite at step {step}")
+            Self::Forward { variable, step, sample, component, cause } => {
+                write!(
+                    f,
+                    "forward pass: {variable} component {component} of sample {sample} is not finite at step {step}{}",
+                    by(cause)
+                )
             }
             Self::Cost { sample } => write!(f, "forward pass: the cost of sample {sample} is not finite, though its states are"),
-            Self::Cotangent { flow, variable, step, sample, component } => write!(
+            Self::Cotangent { flow, variable, step, sample, component, cause } => write!(
                 f,
-                "reverse pass of {flow}: the cotangent of {variable} component {component} of sample {sample} is not finite at step {step}"
+                "reverse pass of {flow}: the cotangent of {variable} component {component} of sample {sample} is not finite at step \
+                 {step}{}",
+                by(cause)
             ),
             Self::Gradient { flow, parameter } => {
                 write!(
@@ -125,6 +142,14 @@ impl fmt::Display for Divergence {
                  norm helps (`training.clip`), a shorter horizon, or another field"
             ),
         }
+    }
+}
+
+/// The effect that did it.
+fn by(cause: &Option<Cause>) -> String {
+    match cause {
+        Some(Cause::Effect(name)) => format!(", for the effect {name} is not"),
+        _ => String::new(),
     }
 }
 

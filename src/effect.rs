@@ -6,9 +6,10 @@
 mod list;
 mod without;
 
+use crate::divergence::Cause;
 use crate::forward_mode::jacobian;
 use crate::rng::Rng;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::scalar::{Columns, Cotangent, Float, Real, Scalar};
 use crate::system::{System, Wrt, vjp_by_duals};
 pub(crate) use list::{Act, ActBack, any_effect};
 use rand::RngExt;
@@ -86,6 +87,13 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
         true
     }
 
+    /// The effect, if its forces or their derivatives are not finite at this finite state; `forces` is how many there are at
+    /// most. Asked for messages alone.
+    fn faulty<F: Float>(&self, body: &B, x: &[F], forces: usize) -> Option<&'static str> {
+        let name = || std::any::type_name::<Self>().split('<').next().and_then(|path| path.rsplit("::").next());
+        if is_finite(self, body, x, forces) { None } else { name() }
+    }
+
     /// For effects that depend on time: rollouts start at a time drawn from 0 to this, in s. [`With`] then appends the
     /// time to the state, as its last component.
     #[inline(always)]
@@ -114,6 +122,14 @@ pub(crate) fn effect_vjp_by_duals<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
     });
 }
 
+/// Whether the forces of an effect and their derivatives are finite at a state.
+pub(crate) fn is_finite<B, E: Effect<B>, F: Float>(effect: &E, body: &B, x: &[F], forces: usize) -> bool {
+    let (mut force, mut x_bar) = (vec![F::zero(); forces], vec![Columns([F::zero()]); x.len()]);
+    effect.act(body, x, &mut force);
+    effect.vjp(body, x, &vec![Columns([F::one()]); forces], &mut x_bar);
+    force.iter().chain(x_bar.iter().map(|bar| &bar.0[0])).all(|number| number.as_().is_finite())
+}
+
 /// Nothing.
 impl<B> Effect<B> for () {
     const LOCAL: bool = true;
@@ -130,6 +146,9 @@ impl<B> Effect<B> for () {
     #[inline(always)]
     fn reads_state(&self) -> bool {
         false
+    }
+    fn faulty<F: Float>(&self, _body: &B, _x: &[F], _forces: usize) -> Option<&'static str> {
+        None
     }
 }
 
@@ -182,6 +201,9 @@ macro_rules! both {
             #[inline(always)]
             fn reads_state(&self) -> bool {
                 false $(|| self.$i.reads_state())+
+            }
+            fn faulty<F: Float>(&self, body: &B, x: &[F], forces: usize) -> Option<&'static str> {
+                None$(.or_else(|| self.$i.faulty(body, x, forces)))+
             }
             #[inline(always)]
             fn clock(&self) -> Option<f64> {
@@ -308,6 +330,10 @@ impl<H: Host, E: Effect<H::Body>> System for With<H, E> {
         if self.effects.clock().is_some() {
             next[n] = x[n] + T::lift(self.system.dt());
         }
+    }
+
+    fn cause<F: Float>(&self, x: &[F], _u: &[F]) -> Option<Cause> {
+        self.effects.faulty(self.system.body(), x, self.system.state_dim()).map(Cause::Effect)
     }
 
     #[inline(always)]

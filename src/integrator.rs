@@ -17,6 +17,7 @@ pub use implicit::ImplicitMidpoint;
 pub use partitioned::{SemiImplicit, Verlet};
 pub use runge_kutta::RungeKutta;
 
+use crate::divergence::Cause;
 use crate::effect::Around;
 use crate::ode::{Ode, RateOn, ReverseOn};
 use crate::rng::Rng;
@@ -50,7 +51,7 @@ pub trait Integrator: Clone + Debug + Send + Sync {
     /// Writes the state at its end.
     fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]);
 
-    /// As [`System::unsolved`].
+    /// The size of the residual that a step is left with which has to solve an equation, if it could not.
     fn unsolved<F: Float>(&self, _ode: &dyn RateOn<F>, _step: Stretch<'_, F>) -> Option<f64> {
         None
     }
@@ -92,8 +93,9 @@ impl<O: Ode, I: Integrator> System for Integrated<O, I> {
         self.integrator.advance(&self.ode, Stretch { h: T::lift(self.dt), x, u }, next);
     }
 
-    fn unsolved<F: Float>(&self, x: &[F], u: &[F]) -> Option<f64> {
-        self.integrator.unsolved(&self.ode, Stretch { h: F::lift(self.dt), x, u })
+    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        let unsolved = self.integrator.unsolved(&self.ode, Stretch { h: F::lift(self.dt), x, u });
+        self.ode.cause(x, u).or(unsolved.map(Cause::Unsolved))
     }
 
     #[inline(always)]

@@ -106,7 +106,7 @@ pub use backward::{Adjoint, Flow};
 pub use batch::{Batch, Evaluation};
 pub use checkpointed::Checkpointed;
 pub use cost::Cost;
-pub use divergence::{Divergence, Variable};
+pub use divergence::{Cause, Divergence, Variable};
 pub use effect::{Around, Effect, Host, With};
 pub use field::{Compose, Field, SignAgreement, UnknownField};
 pub use gradient::Gradient;

@@ -1,8 +1,9 @@
 //! [`Ode`]: a vector field in continuous time, which an [`Integrator`](crate::Integrator) makes a [`System`].
 
+use crate::divergence::Cause;
 use crate::effect::{Effect, Host, With};
 use crate::forward_mode::{concat, jacobian};
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::scalar::{Cotangent, Float, Real, Scalar};
 
 /// An ordinary differential equation, `dx/dt = f(x, u)`, whose control is constant during a step.
 ///
@@ -46,6 +47,11 @@ pub trait Ode: Send + Sync {
     /// for mechanics treat the two differently.
     #[inline(always)]
     fn velocity(&self, _i: usize) -> Option<usize> {
+        None
+    }
+
+    /// As [`System::cause`](crate::System::cause).
+    fn cause<F: Float>(&self, _x: &[F], _u: &[F]) -> Option<Cause> {
         None
     }
 }
@@ -164,6 +170,10 @@ impl<H: Flowing, E: Effect<H::Body>> Ode for With<H, E> {
     #[inline(always)]
     fn velocity(&self, i: usize) -> Option<usize> {
         if i < self.system.state_dim() { self.system.velocity_of(i) } else { None }
+    }
+
+    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        crate::System::cause(self, x, u)
     }
 }
 

@@ -228,11 +228,11 @@ impl<F: Float> Rollout<F> {
             let block = &lanes[sample / WIDTH * n..][..n];
             block.iter().map(|number| number.lane(sample % WIDTH)).collect()
         };
-        let unsolved = match variable {
-            Variable::State => task.system().unsolved(&of(x, n), &of(controls, m)),
+        let cause = match variable {
+            Variable::State => task.system().cause(&of(x, n), &of(controls, m)),
             Variable::Control => None,
         };
-        Err(Divergence::Forward { variable, step, sample, component, unsolved })
+        Err(Divergence::Forward { variable, step, sample, component, cause })
     }
 
     /// The policy's columns of step `t`, one per sample.

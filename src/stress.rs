@@ -9,7 +9,9 @@
 //! ```
 
 mod exponents;
+mod failures;
 mod policies;
+mod reproducible;
 
 use std::fmt;
 
@@ -34,7 +36,7 @@ impl Case {
 
 /// All of them, in the order of `docs/stability.md`.
 pub fn cases() -> impl Iterator<Item = Case> {
-    [exponents::CASES, policies::CASES].concat().into_iter()
+    [exponents::CASES, policies::CASES, failures::CASES, reproducible::CASES].concat().into_iter()
 }
 
 /// One number or fact that was measured, and what it had to be.

@@ -1,5 +1,6 @@
 //! [`Substeps`]: several small steps for each one that the policy sees.
 
+use crate::divergence::Cause;
 use crate::effect::Around;
 use crate::rng::Rng;
 use crate::scalar::{Cotangent, Float, Real, Scalar};
@@ -54,8 +55,8 @@ impl<S: System> System for Substeps<S> {
         }
     }
 
-    fn unsolved<F: Float>(&self, x: &[F], u: &[F]) -> Option<f64> {
-        self.states(x, u).chunks_exact(x.len()).find_map(|state| self.system.unsolved(state, u))
+    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        self.states(x, u).chunks_exact(x.len()).find_map(|state| self.system.cause(state, u))
     }
 
     #[inline(always)]

@@ -1,5 +1,6 @@
 //! [`System`]: one discrete time step of physics, and its derivatives.
 
+use crate::divergence::Cause;
 use crate::forward_mode::{concat, jacobian};
 use crate::scalar::{Cotangent, Float, Real, Scalar, Tangents};
 use smallvec::SmallVec;
@@ -45,9 +46,8 @@ pub trait System: Send + Sync {
         vjp_by_duals(self, x, u, next_bar, Wrt::Control, &mut [], u_bar);
     }
 
-    /// Of a step that has to solve an equation: the size of the residual that it is left with, if it could not. Asked for
-    /// messages alone, where a step was not finite.
-    fn unsolved<F: Float>(&self, _x: &[F], _u: &[F]) -> Option<f64> {
+    /// Why the step from this finite state, or its derivative, is not finite, if the system knows. Asked for messages alone.
+    fn cause<F: Float>(&self, _x: &[F], _u: &[F]) -> Option<Cause> {
         None
     }
 

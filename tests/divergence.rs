@@ -96,14 +96,20 @@ fn the_step_sample_component_and_pass_are_named_whatever_the_workers() {
     for workers in [1, 2, 3] {
         assert_eq!(
             run(Fault::State, workers),
-            Err(Divergence::Forward { variable: Variable::State, step: 5, sample: 9, component: 1, unsolved: None })
+            Err(Divergence::Forward { variable: Variable::State, step: 5, sample: 9, component: 1, cause: None })
         );
         assert_eq!(run(Fault::Cost, workers), Err(Divergence::Cost { sample: 9 }));
-        let cotangent =
-            Divergence::Cotangent { flow: Flow::MODIFIED, variable: Variable::State, step: 3, sample: 9, component: 1 };
+        let cotangent = Divergence::Cotangent {
+            flow: Flow::MODIFIED,
+            variable: Variable::State,
+            step: 3,
+            sample: 9,
+            component: 1,
+            cause: None,
+        };
         assert_eq!(run(Fault::Cotangent, workers), Err(cotangent));
         let variable = Variable::Control;
-        let control = Divergence::Cotangent { flow: Flow::MODIFIED, variable, step: 3, sample: 9, component: 0 };
+        let control = Divergence::Cotangent { flow: Flow::MODIFIED, variable, step: 3, sample: 9, component: 0, cause: None };
         assert_eq!(run(Fault::ControlCotangent, workers), Err(control));
     }
 }
@@ -124,10 +130,7 @@ fn evaluation_names_the_sample_of_the_whole_set() {
     many[71 * 3] = 0.9;
     for workers in [1, 3] {
         let found = Evaluation::new(&task, &policy, workers).run(&task, &policy, &weights, &many);
-        assert_eq!(
-            found,
-            Err(Divergence::Forward { variable: Variable::State, step: 5, sample: 71, component: 1, unsolved: None })
-        );
+        assert_eq!(found, Err(Divergence::Forward { variable: Variable::State, step: 5, sample: 71, component: 1, cause: None }));
     }
 }
 
@@ -153,7 +156,7 @@ fn updates_with_a_bad_sample_are_skipped_counted_and_change_nothing() {
     assert_eq!(session.skips()[0].update, 1);
     assert_eq!(
         session.skips()[0].divergence,
-        Divergence::Cotangent { flow: Flow::MODIFIED, variable: Variable::State, step: 3, sample: 3, component: 1 }
+        Divergence::Cotangent { flow: Flow::MODIFIED, variable: Variable::State, step: 3, sample: 3, component: 1, cause: None }
     );
 
     // The same training without the second mini-batch.
@@ -269,7 +272,7 @@ fn a_control_that_is_no_number_is_seen_though_the_state_hides_it() {
     let mut rollout = Rollout::new(&Saturated, &policy, 2);
     rollout.start(&[1.0, 2.0]);
     let found = rollout.run(&Saturated, &policy, &weights);
-    assert_eq!(found, Err(Divergence::Forward { variable: Variable::Control, step: 0, sample: 0, component: 0, unsolved: None }));
+    assert_eq!(found, Err(Divergence::Forward { variable: Variable::Control, step: 0, sample: 0, component: 0, cause: None }));
 }
 
 /// A composition that makes something of nothing.
@@ -319,7 +322,7 @@ fn an_evaluation_that_diverges_is_told() {
     assert!(session.epoch().expect("good updates").test_loss.is_nan());
     assert_eq!(
         session.diverged(),
-        [None, Some(Divergence::Forward { variable: Variable::State, step: 5, sample: 9, component: 1, unsolved: None })]
+        [None, Some(Divergence::Forward { variable: Variable::State, step: 5, sample: 9, component: 1, cause: None })]
     );
 }
 

@@ -5,7 +5,7 @@ use physgrad::tasks::{
     Bumpers, CartDamping, CartPoleSystem, CoupledCartPole, DryFriction, GuidanceSystem, GustyWind, PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, Ode, RungeKutta, Scalar, SemiImplicit,
+    Adaptive, AnyIntegrator, Cause, Discretized, ImplicitMidpoint, Integrated, Integrator, Ode, RungeKutta, Scalar, SemiImplicit,
     Substeps, System, Verlet, With, check,
 };
 use rand::RngExt;
@@ -299,11 +299,14 @@ fn a_step_that_has_no_solution_is_not_a_number_and_tells_its_residual() {
     for (dt, solved) in [(0.5, true), (0.77, false)] {
         of(dt).step(&[0.0], &[0.0], &mut next);
         assert_eq!(next[0].is_finite(), solved, "{dt}");
-        let residual = of(dt).unsolved(&[0.0], &[0.0]);
+        let residual = of(dt).cause(&[0.0], &[0.0]).map(|cause| match cause {
+            Cause::Unsolved(residual) => residual,
+            Cause::Effect(name) => panic!("{name}"),
+        });
         assert_eq!(residual.is_none(), solved, "{dt}: {residual:?}");
         // Through whatever is around it.
         let around = Substeps { system: of(dt), count: 1 };
-        assert_eq!(around.unsolved(&[0.0], &[0.0]), residual);
+        assert_eq!(around.cause(&[0.0], &[0.0]), residual.map(Cause::Unsolved));
         // No state has a smaller one.
         assert!(residual.is_none_or(|residual| residual > 2.0 * (dt * 0.5 * std::f64::consts::E).ln()), "{residual:?}");
     }

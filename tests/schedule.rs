@@ -3,7 +3,7 @@
 use physgrad::policy::PolicyPass;
 use physgrad::rng::Rng;
 use physgrad::tasks::CartPole;
-use physgrad::{Checkpointed, Float, Flow, Policy, Scalar, Schedule, Weights};
+use physgrad::{Checkpointed, Float, Flow, Gradient, Policy, Scalar, Schedule, Weights};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 const UNIT: usize = Schedule::UNIT;
@@ -73,7 +73,7 @@ fn as_many_steps_are_run_again_as_a_schedule_says() {
         let task = CartPole { horizon: segments * UNIT - 3, ..CartPole::new(1) };
         let schedule = schedule(task.horizon);
         let mut rollout = Checkpointed::new(&task, &policy, 1, &[Flow::STOPPED], schedule);
-        let mut gradients = [vec![vec![0.0; policy.param_count()]]];
+        let mut gradients = [vec![Gradient::zeros(policy.param_count())]];
         let before = policy.0.load(Ordering::Relaxed);
         rollout.run(&task, &policy, &weights, &[0.0, 0.0, 0.1, 0.0], 1.0, 1, &mut gradients).expect("finite");
         let steps = policy.0.load(Ordering::Relaxed) - before;

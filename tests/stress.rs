@@ -28,4 +28,4 @@ macro_rules! cases {
     };
 }
 
-cases!(exploding_adjoint, saturated_policy);
+cases!(exploding_adjoint, saturated_policy, injected_nan, reproducible);

@@ -109,7 +109,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             let mut calm = true;
             dispatch_narrow(Back { task, flows, rollout, t, carried: self, calm: &mut calm });
             if !calm && self.settle(flows, rollout, scale) == Size::NotFinite {
-                return Err(self.divergence(flows, rollout, t));
+                return Err(self.divergence(task.system(), flows, rollout, t));
             }
             for (k, flow) in flows.into_iter().enumerate() {
                 gather(&self.u_bar, |h, lane| h.0[k].lane(lane), m, at, &mut policy.controls_bar[k]);
@@ -239,7 +239,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
 
     /// The first flow, and in it the first sample, whose state or control cotangent is not finite.
     #[cold]
-    fn divergence(&self, flows: [Flow; K], rollout: &Rollout<F>, step: usize) -> Divergence {
+    fn divergence<S: System>(&self, system: &S, flows: [Flow; K], rollout: &Rollout<F>, step: usize) -> Divergence {
         let find = |columns: &[Columns<Lane<F>, K>], n: usize, k: usize| {
             find_non_finite(columns, n, rollout.samples, |c, lane| c.0[k].lane(lane))
         };
@@ -247,7 +247,11 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let control = |k: usize| find(&self.u_bar, rollout.control_dim, k).map(|place| (k, Variable::Control, place));
         let first = (0..K).find_map(|k| state(k).or_else(|| control(k)));
         let (k, variable, (sample, component)) = first.expect("the probe saw one of them");
-        Divergence::Cotangent { flow: flows[k], variable, step, sample, component }
+        let of = |lanes: &[Lane<F>], n: usize| -> Vec<F> {
+            lanes[sample / WIDTH * n..][..n].iter().map(|number| number.lane(sample % WIDTH)).collect()
+        };
+        let (x, u) = (of(rollout.states_at(step), rollout.state_dim), of(rollout.controls_at(step), rollout.control_dim));
+        Divergence::Cotangent { flow: flows[k], variable, step, sample, component, cause: system.cause(&x, &u) }
     }
 }
 

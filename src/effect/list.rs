@@ -3,7 +3,7 @@
 use super::{Effect, later};
 use crate::apart::apart;
 use crate::kernels::Vectorized;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::scalar::{Cotangent, Float, Real, Scalar};
 
 /// All of them, in this order: for combinations that are not known when the program is compiled. The numbers are those
 /// of a tuple of the same effects, bit for bit.
@@ -39,6 +39,10 @@ impl<B, E: Effect<B>> Effect<B> for Vec<E> {
     #[inline(always)]
     fn reads_state(&self) -> bool {
         self.iter().any(Effect::reads_state)
+    }
+
+    fn faulty<F: Float>(&self, body: &B, x: &[F], forces: usize) -> Option<&'static str> {
+        self.iter().find_map(|effect| effect.faulty(body, x, forces))
     }
 
     #[inline(always)]
@@ -161,6 +165,13 @@ macro_rules! any_effect {
                 match self {
                     $(Self::$effect(effect) => crate::effect::Effect::<$body>::reads_state(effect)),+
                 }
+            }
+
+            fn faulty<F: crate::scalar::Float>(&self, body: &$body, x: &[F], forces: usize) -> Option<&'static str> {
+                let name = match self {
+                    $(Self::$effect(_) => stringify!($effect)),+
+                };
+                if crate::effect::is_finite(self, body, x, forces) { None } else { Some(name) }
             }
 
             #[inline(always)]

@@ -3,6 +3,7 @@
 use super::any::Apart;
 use super::{AnyIntegrator, Integrator, Stretch, room};
 use crate::apart::apart;
+use crate::divergence::Cause;
 use crate::effect::Around;
 use crate::kernels::Vectorized;
 use crate::ode::Ode;
@@ -77,9 +78,10 @@ impl<S: System + Ode> System for Discretized<S> {
         }
     }
 
-    fn unsolved<F: Float>(&self, x: &[F], u: &[F]) -> Option<f64> {
+    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
         let step = Stretch { h: F::lift(self.dt), x, u };
-        self.integrator.as_ref().and_then(|integrator| integrator.unsolved(&Apart(&self.system), step))
+        let unsolved = self.integrator.as_ref().and_then(|integrator| integrator.unsolved(&Apart(&self.system), step));
+        System::cause(&self.system, x, u).or(unsolved.map(Cause::Unsolved))
     }
 
     #[inline(always)]

@@ -2,9 +2,10 @@
 
 use super::QuantumSystem;
 use super::system::Wave;
+use crate::divergence::Cause;
 use crate::effect::Around;
 use crate::rng::Rng;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::scalar::{Cotangent, Float, Real, Scalar};
 use crate::system::System;
 use serde::{Deserialize, Serialize};
 use smallvec::SmallVec;
@@ -88,6 +89,10 @@ impl<S: Around<QuantumSystem>> System for Absorbing<S> {
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
         self.system.step(x, u, next);
         self.damp::<T, T>(next);
+    }
+
+    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        self.system.cause(x, u)
     }
 
     #[inline(always)]
