@@ -23,6 +23,7 @@ mod saved;
 mod scene;
 mod settings;
 mod statistics;
+mod stress;
 mod sweep;
 mod tasks;
 mod terminal;
@@ -57,6 +58,7 @@ enum Command {
     Schema(print::Schema),
     Explain(explain::Explain),
     Accuracy(accuracy::Accuracy),
+    Stress(stress::Stress),
     Effects(effects::Effects),
 }
 
@@ -80,6 +82,7 @@ pub fn main() -> ExitCode {
 fn execute(command: &Command) -> Result<()> {
     match command {
         Command::Accuracy(args) => accuracy::accuracy(args),
+        Command::Stress(args) => stress::stress(args),
         Command::Train(args) => on_interrupt().and_then(|()| train::train(args)),
         Command::Compare(args) => on_interrupt().and_then(|()| compare::compare(args)),
         Command::Animate(args) => animate::animate(args),
@@ -101,6 +104,7 @@ fn default_run() -> Command {
         threads: None,
         out: None,
         resume: false,
+        save_every: run::SAVE_EVERY.as_secs_f64(),
         quiet: false,
     })
 }

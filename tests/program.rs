@@ -357,3 +357,31 @@ fn tasks_are_listed_with_their_settings() {
     let text = String::from_utf8(output.get_output().stdout.clone()).expect("text");
     assert!(text.contains("cart_pole") && text.contains("poles") && text.contains("learning_rate"), "{text}");
 }
+
+#[test]
+fn a_run_that_is_killed_at_any_moment_can_be_resumed_and_ends_as_if_it_had_not_been() {
+    let dir = TempDir::new().expect("a folder");
+    let [whole, killed] = ["whole", "killed"].map(|name| dir.path().join(name));
+    let epochs = ["--epochs", "400", "--save-every", "0", "--threads", "1"];
+    train(&whole, &epochs).assert().success();
+    let mut random = 12345_u64;
+    let mut resume = Vec::new();
+    let mut resumed = 0;
+    for _ in 0..25 {
+        let out = killed.to_str().expect("a path");
+        let mut process = std::process::Command::new(assert_cmd::cargo::cargo_bin("physgrad"));
+        process.args(["train", "cart_pole", "--out", out, "--quiet"]).args(SMALL).args(epochs).args(&resume);
+        let mut process = process.spawn().expect("it starts");
+        random = random.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        std::thread::sleep(std::time::Duration::from_millis(20 + (random >> 33) % 120));
+        process.kill().expect("it can be killed, or has ended");
+        let ended = process.wait().expect("it has ended");
+        // Killed before there was anything, it leaves nothing; from then on, always a run.
+        resume = if killed.join("run.toml").exists() { vec!["--resume"] } else { Vec::new() };
+        resumed += resume.len();
+        assert!(ended.code().is_none_or(|code| code == 0), "a run that was left at some moment could not be resumed");
+    }
+    assert!(resumed > 10, "it was resumed {resumed} times");
+    train(&killed, &["--resume", "--epochs", "400", "--threads", "1"]).assert().success();
+    assert_eq!((policy(&killed), numbers(&killed)), (policy(&whole), numbers(&whole)));
+}

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// Time between two checkpoints: at most so much work is lost when the process is killed.
-const SAVE_EVERY: Duration = Duration::from_secs(5);
+pub const SAVE_EVERY: Duration = Duration::from_secs(5);
 
 /// Set by Ctrl-C: the epoch under way is finished, and the run saved.
 pub static INTERRUPTED: AtomicBool = AtomicBool::new(false);
@@ -54,8 +54,15 @@ pub fn threads(asked: Option<usize>) -> Result<usize> {
     Ok(rayon::current_num_threads())
 }
 
-/// Runs the scene in the folder. If `resume`, goes on from its checkpoint.
-pub fn run(folder: &Folder, scene: &Scene, workers: usize, resume: bool, watch: &mut dyn Watch) -> Result<Finished> {
+/// Runs the scene in the folder, and saves it so often. If `resume`, goes on from its checkpoint.
+pub fn run(
+    folder: &Folder,
+    scene: &Scene,
+    workers: usize,
+    resume: bool,
+    save_every: Duration,
+    watch: &mut dyn Watch,
+) -> Result<Finished> {
     if INTERRUPTED.load(Ordering::Relaxed) {
         // Before it began: there is nothing to save, and an untrained policy is not worth a film.
         return Ok(Finished { records: Vec::new(), interrupted: true, broken: None });
@@ -70,6 +77,8 @@ pub fn run(folder: &Folder, scene: &Scene, workers: usize, resume: bool, watch: 
         }
         watch.resumed(done);
     }
+    // First the checkpoint: where there are settings there is a run, and whoever kills us now can resume it.
+    folder.write(CHECKPOINT, run.checkpoint(&identity))?;
     folder.write(SETTINGS, scene.table.to_string())?;
     // Rows that were written after the checkpoint are computed again.
     let mut metrics = outputs::Metrics::create(folder, run.records())?;
@@ -93,7 +102,7 @@ pub fn run(folder: &Folder, scene: &Scene, workers: usize, resume: bool, watch: 
             let warnings = if news { &warnings[..] } else { &[] };
             watch.epoch(Told { record, skips: run.skips(), diverged: run.diverged(), warnings });
         }
-        if saved.is_none_or(|at| at.elapsed() >= SAVE_EVERY) {
+        if saved.is_none_or(|at| at.elapsed() >= save_every) {
             folder.write(CHECKPOINT, run.checkpoint(&identity))?;
             saved = Some(Instant::now());
         }

@@ -2,7 +2,7 @@
 
 use super::changes::check_resumable;
 use super::folder::{Folder, RUNS};
-use super::run::{self, Finished, Told, Watch};
+use super::run::{self, Finished, SAVE_EVERY, Told, Watch};
 use super::saved;
 use super::scene::Scene;
 use super::settings::FieldName;
@@ -131,7 +131,7 @@ pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<Swept> {
         .map(|(run, label, resume)| {
             let mut watch = Watched { progress: &progress, label };
             // One thread a run: the runs themselves fill the cores.
-            run::run(&run.folder, &run.scene, 1, *resume, &mut watch)
+            run::run(&run.folder, &run.scene, 1, *resume, SAVE_EVERY, &mut watch)
         })
         .collect();
     if let Ok(progress) = progress.lock() {

@@ -3,13 +3,14 @@
 use super::changes::{Changes, changed, resumed};
 use super::folder::Folder;
 use super::presets;
-use super::run::{self, threads};
+use super::run::{self, SAVE_EVERY, threads};
 use super::scene::Scene;
 use super::statistics::best;
 use super::terminal::{Progress, say};
 use anyhow::{Context, Result, bail};
 use physgrad::{Record, differences};
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// Train a policy on a task.
 #[derive(Debug, clap::Args)]
@@ -27,6 +28,9 @@ pub struct Train {
     /// Go on with the run in --out, up to --epochs in all
     #[arg(long, requires = "out")]
     pub resume: bool,
+    /// Seconds between two checkpoints: what is lost at most if the process is killed
+    #[arg(long, value_name = "SECONDS", default_value_t = SAVE_EVERY.as_secs_f64(), value_parser = seconds)]
+    pub save_every: f64,
     /// Print nothing but errors
     #[arg(long)]
     pub quiet: bool,
@@ -70,7 +74,7 @@ pub fn train(args: &Train) -> Result<()> {
             if workers == 1 { "" } else { "s" }
         );
     }
-    let finished = run::run(&folder, &scene, workers, args.resume, &mut progress)?;
+    let finished = run::run(&folder, &scene, workers, args.resume, Duration::from_secs_f64(args.save_every), &mut progress)?;
     progress.bar.finish_and_clear();
     if !args.quiet {
         say(&summary(&folder, &scene, &finished.records));
@@ -86,6 +90,12 @@ pub fn train(args: &Train) -> Result<()> {
         }
         None => Ok(()),
     }
+}
+
+/// A number of seconds from 0 to a day.
+fn seconds(text: &str) -> Result<f64, String> {
+    let allowed = |seconds: &f64| (0.0..=86400.0).contains(seconds);
+    text.parse().ok().filter(allowed).ok_or_else(|| "allowed: 0 (after every epoch) to 86400 s".to_owned())
 }
 
 /// Tells of what the file says otherwise than the run that is resumed.

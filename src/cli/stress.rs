@@ -1,0 +1,106 @@
+//! `physgrad stress`: the hard cases, what they ask for and what came out.
+
+mod malformed;
+
+use super::terminal::say;
+use anyhow::{Result, bail};
+use comfy_table::presets::{ASCII_MARKDOWN, UTF8_FULL_CONDENSED};
+use comfy_table::{Table, TableStyle};
+use indicatif::{ProgressBar, ProgressStyle};
+use physgrad::stress::{self, Case, Finding};
+use rayon::prelude::*;
+use std::fmt::Write;
+use std::time::Instant;
+
+/// Run the hard cases: long horizons, stiffness, chaos, singular geometry, overflow, damaged files.
+#[derive(Debug, clap::Args)]
+pub struct Stress {
+    /// Cases to run, or the beginnings of their names [default: all]
+    pub cases: Vec<String>,
+    /// Print the cases and what they ask for, and run none
+    #[arg(long)]
+    list: bool,
+    /// Print Markdown, as in docs/stability.md
+    #[arg(long)]
+    markdown: bool,
+}
+
+/// Runs the command.
+pub fn stress(args: &Stress) -> Result<()> {
+    let cases = chosen(&args.cases)?;
+    if args.list {
+        let lines: Vec<String> =
+            cases.iter().map(|case| format!("{}: {}\n    passes when: {}", case.name, case.about, case.criterion)).collect();
+        say(&lines.join("\n"));
+        return Ok(());
+    }
+    let bar = ProgressBar::new(cases.len() as u64);
+    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} cases  {msg}  {elapsed} gone");
+    bar.set_style(style.expect("a fixed template"));
+    bar.tick();
+    let run = |case: &Case| {
+        let begin = Instant::now();
+        let findings = case.run();
+        bar.set_message(case.name);
+        bar.inc(1);
+        (findings, begin.elapsed().as_secs_f64())
+    };
+    let results: Vec<(Vec<Finding>, f64)> = cases.par_iter().map(run).collect();
+    bar.finish_and_clear();
+    let tell = if args.markdown { markdown } else { text };
+    for (case, (findings, seconds)) in cases.iter().zip(&results) {
+        say(&tell(case, findings, *seconds));
+    }
+    let failed: Vec<&str> =
+        cases.iter().zip(&results).filter(|(_, (found, _))| !passes(found)).map(|(case, _)| case.name).collect();
+    if !failed.is_empty() {
+        bail!("{} of {} cases do not pass: {}", failed.len(), cases.len(), failed.join(", "));
+    }
+    if !args.markdown {
+        say(&format!("{} of {} cases pass", cases.len(), cases.len()));
+    }
+    Ok(())
+}
+
+/// Those of these names, or all.
+fn chosen(names: &[String]) -> Result<Vec<Case>> {
+    let all: Vec<Case> = stress::cases().chain(malformed::CASES).collect();
+    if let Some(name) = names.iter().find(|name| !all.iter().any(|case| case.name.starts_with(name.as_str()))) {
+        let known: Vec<&str> = all.iter().map(|case| case.name).collect();
+        bail!("there is no case `{name}`; there are: {}", known.join(", "));
+    }
+    let is_chosen = |case: &Case| names.is_empty() || names.iter().any(|name| case.name.starts_with(name.as_str()));
+    Ok(all.into_iter().filter(is_chosen).collect())
+}
+
+fn passes(findings: &[Finding]) -> bool {
+    !findings.is_empty() && findings.iter().all(|finding| finding.pass)
+}
+
+fn table(findings: &[Finding], style: TableStyle) -> Table {
+    let mut table = Table::new();
+    table.load_style(style).set_header(["", "measured", "asked for", ""]);
+    for Finding { what, measured, limit, pass } in findings {
+        let verdict = match (limit.is_empty(), pass) {
+            (true, _) => "",
+            (_, true) => "pass",
+            (_, false) => "FAIL",
+        };
+        table.add_row([what, measured, limit, verdict]);
+    }
+    table
+}
+
+fn text(case: &Case, findings: &[Finding], seconds: f64) -> String {
+    let Case { name, about, criterion, .. } = case;
+    let verdict = if passes(findings) { "pass" } else { "FAIL" };
+    let table = table(findings, UTF8_FULL_CONDENSED);
+    format!("{name}: {verdict} ({seconds:.1} s)\n  {about}\n  passes when: {criterion}\n{table}\n")
+}
+
+fn markdown(case: &Case, findings: &[Finding], _seconds: f64) -> String {
+    let Case { name, about, criterion, .. } = case;
+    let mut page = String::new();
+    let _ = write!(page, "## {name}\n\n{about}. Passes when: {criterion}.\n\n{}\n", table(findings, ASCII_MARKDOWN));
+    page
+}
