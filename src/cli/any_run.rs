@@ -2,7 +2,7 @@
 
 use super::kind::Visit;
 use super::outputs::{self, Trajectory};
-use super::report::growth::{self, Growth};
+use super::report::lengths::{self, Lengths};
 use super::settings::Precision;
 use anyhow::Result;
 use physgrad::{
@@ -32,8 +32,8 @@ pub trait AnyRun {
     fn test_samples(&self) -> usize;
     /// Rollouts from these test start states, or as many of them as there are.
     fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
-    /// The adjoints of R and M.
-    fn growth(&self) -> [Growth; 2];
+    /// The lengths of the adjoints of R and M along rollouts.
+    fn lengths(&self) -> [Lengths; 2];
 }
 
 impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
@@ -77,8 +77,8 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
         outputs::rollouts(self, chosen)
     }
 
-    fn growth(&self) -> [Growth; 2] {
-        growth::growth(self)
+    fn lengths(&self) -> [Lengths; 2] {
+        lengths::lengths(self)
     }
 }
 

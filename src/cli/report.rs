@@ -2,9 +2,9 @@
 
 mod diagnostics;
 mod figure;
-pub mod growth;
 mod inspected;
 mod learning;
+pub mod lengths;
 mod page;
 
 use super::folder::{Folder, REPORT};

@@ -1,9 +1,9 @@
 //! The diagrams of gradients: their length, how two of them agree, and how adjoints grow.
 
 use super::figure::Figure;
-use super::growth::Growth;
 use super::inspected::{Close, Inspected};
 use super::learning::{field_keys, lines};
+use super::lengths::Lengths;
 use crate::cli::statistics::{Outcome, curves};
 use physgrad::report::{Chart, Series, field_color};
 use physgrad::{Flow, Record};
@@ -67,7 +67,7 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
         Some(warnings.into_iter().map(|warning| format!("{}, last epoch: {warning}.", run.name())))
     });
     Figure::new(
-        "Growth of the adjoints",
+        "Growth by epoch",
         Chart::linear(EPOCH, "growth along a rollout (decades)", range, series),
         "By how many powers of ten the adjoints of the field's flows grow on their way back through a rollout, in the first update \
          of every epoch, the mean over its samples; 0 is balance. Look for R above 7 in f32 and 16 in f64, where its signs are those of \
@@ -88,7 +88,7 @@ pub fn missing(runs: &[Inspected]) -> Option<&'static str> {
 
 /// Adjoints along the rollout, before training and as trained.
 pub fn of_run(close: &Close) -> Figure {
-    let series = |growth: &Growth, when: &str| {
+    let series = |growth: &Lengths, when: &str| {
         let letter = growth.flow.to_string();
         Series::new(format!("{letter} {when}"), field_color(&letter), growth.points())
     };
@@ -137,18 +137,18 @@ const GROWTH: &str = "How strongly what comes after each step depends on the sta
                       line that climbs by powers of ten explodes, one that sinks vanishes. Look for how far R and M part.";
 
 /// Says why a line ends, or why there is none.
-fn diverged(growths: &[Growth], when: &str) -> Vec<String> {
-    if let [Growth { norms, diverged: Some(why), .. }, ..] = growths
+fn diverged(growths: &[Lengths], when: &str) -> Vec<String> {
+    if let [Lengths { norms, diverged: Some(why), .. }, ..] = growths
         && norms.is_empty()
     {
         return vec![format!("{when}, a rollout diverged, and there is nothing to go back through: {why}.")];
     }
-    let of = |growth: &Growth| growth.diverged.map(|why| format!("{when}, the adjoint of {} diverged: {why}.", growth.flow));
+    let of = |growth: &Lengths| growth.diverged.map(|why| format!("{when}, the adjoint of {} diverged: {why}.", growth.flow));
     growths.iter().filter_map(of).collect()
 }
 
 /// Says why one line seems to be missing.
-fn coincide(growths: &[Growth; 2]) -> Vec<String> {
+fn coincide(growths: &[Lengths; 2]) -> Vec<String> {
     let [r, m] = growths.each_ref().map(|growth| &growth.norms);
     if r.is_empty() || r.iter().zip(m).any(|(r, m)| r.to_bits() != m.to_bits()) {
         return Vec::new();

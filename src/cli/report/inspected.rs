@@ -1,7 +1,7 @@
 //! What a page needs to know of a run, read from its folder.
 
 use super::counted;
-use super::growth::Growth;
+use super::lengths::Growth;
 use crate::cli::any_run::AnyRun;
 use crate::cli::folder::Folder;
 use crate::cli::outputs;
@@ -99,10 +99,10 @@ fn check_comparable(first: &(&Folder, Scene), other: &(&Folder, Scene)) -> Resul
 
 fn open(folder: &Folder, scene: &Scene, closely: bool) -> Result<Inspected> {
     let mut run = scene.open(1)?;
-    let before = closely.then(|| run.growth());
+    let before = closely.then(|| run.lengths());
     saved::restore(folder, scene, &mut *run)?;
     let film = || outputs::film(scene, &run.rollouts(0..1)[0]);
-    let close = before.map(|before| Close { before, after: run.growth(), film: film() });
+    let close = before.map(|before| Close { before, after: run.lengths(), film: film() });
     Ok(Inspected {
         task: scene.kind.name(),
         field: scene.field.0,

@@ -3,9 +3,9 @@
 use super::counted;
 use super::diagnostics;
 use super::figure::Figure;
-use super::growth::SAMPLES;
 use super::inspected::Inspected;
 use super::learning;
+use super::lengths::SAMPLES;
 use crate::cli::scene::flat;
 use crate::cli::statistics::{self, Outcome, best, field_label};
 use base64::prelude::{BASE64_STANDARD, Engine};

@@ -6,7 +6,7 @@ use physgrad::{Adjoint, Divergence, Float, Flow, Policy, Rollout, Session, Syste
 pub const SAMPLES: usize = 64;
 
 /// The adjoint of one flow.
-pub struct Growth {
+pub struct Lengths {
     pub flow: Flow,
     /// Its length at each state of the rollout; NaN before where it diverged.
     pub norms: Vec<f64>,
@@ -14,7 +14,7 @@ pub struct Growth {
     pub diverged: Option<Divergence>,
 }
 
-impl Growth {
+impl Lengths {
     /// The lengths against the steps.
     pub fn points(&self) -> Vec<(f64, f64)> {
         self.norms.iter().enumerate().map(|(step, &norm)| (step as f64, norm)).collect()
@@ -22,7 +22,7 @@ impl Growth {
 }
 
 /// The adjoints of R and M under the session's policy.
-pub fn growth<T: Task, P: Policy, F: Float>(session: &Session<T, P, F>) -> [Growth; 2] {
+pub fn lengths<T: Task, P: Policy, F: Float>(session: &Session<T, P, F>) -> [Lengths; 2] {
     let (task, policy, weights) = (session.task(), session.policy(), session.weights());
     let n = task.system().state_dim();
     let starts = session.test_starts();
@@ -33,11 +33,11 @@ pub fn growth<T: Task, P: Policy, F: Float>(session: &Session<T, P, F>) -> [Grow
     // One after the other: side by side, the one that diverges would stop the other.
     [Flow::REGULAR, Flow::MODIFIED].map(|flow| {
         if let Err(divergence) = forward {
-            return Growth { flow, norms: Vec::new(), diverged: Some(divergence) };
+            return Lengths { flow, norms: Vec::new(), diverged: Some(divergence) };
         }
         let mut adjoint = Adjoint::new(policy, &rollout, &[flow]).keep_norms();
         // A gradient of the mean, as in training.
         let diverged = adjoint.run(task, policy, weights, &rollout, F::lift(1.0 / rollout.samples() as f64)).err();
-        Growth { flow, norms: adjoint.norms(0).to_vec(), diverged }
+        Lengths { flow, norms: adjoint.norms(0).to_vec(), diverged }
     })
 }
