@@ -1,7 +1,7 @@
 //! What a page needs to know of a run, read from its folder.
 
 use super::counted;
-use super::lengths::Growth;
+use super::lengths::Lengths;
 use crate::cli::any_run::AnyRun;
 use crate::cli::folder::Folder;
 use crate::cli::outputs;
@@ -41,9 +41,9 @@ pub enum End {
 /// What takes a look at rollouts.
 pub struct Close {
     /// Of R and M, before the first epoch.
-    pub before: [Growth; 2],
+    pub before: [Lengths; 2],
     /// The same as the run was left.
-    pub after: [Growth; 2],
+    pub after: [Lengths; 2],
     /// An animated SVG.
     pub film: String,
 }

@@ -1,4 +1,4 @@
-//! How the adjoint grows on its way back through a rollout.
+//! How long the adjoint is on its way back through a rollout.
 
 use physgrad::{Adjoint, Divergence, Float, Flow, Policy, Rollout, Session, System, Task};
 
