@@ -8,6 +8,10 @@
 //! assert!(case.run().iter().all(|finding| finding.pass));
 //! ```
 
+mod cart_mass;
+mod chaos;
+mod energy;
+mod lqr_optimum;
 mod policies;
 
 use std::fmt;
@@ -33,7 +37,7 @@ impl Case {
 
 /// All of them, in the order of `docs/stability.md`.
 pub fn cases() -> impl Iterator<Item = Case> {
-    [policies::CASES].concat().into_iter()
+    [policies::CASES, energy::CASES, chaos::CASES, cart_mass::CASES, lqr_optimum::CASES].concat().into_iter()
 }
 
 /// One number or fact that was measured, and what it had to be.

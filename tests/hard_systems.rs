@@ -165,7 +165,7 @@ fn energy_changes_by_the_work_that_is_done() {
     }
 }
 
-/// The change of energy over a second of free motion in steps of `dt`.
+/// The change of energy over so many steps of free motion.
 fn drift<S: System>(system: &S, steps: usize, energy: impl Fn(&[f64]) -> f64) -> f64 {
     let mut x = random(system.state_dim(), 7);
     let before = energy(&x);
@@ -177,23 +177,24 @@ fn drift<S: System>(system: &S, steps: usize, energy: impl Fn(&[f64]) -> f64) ->
 }
 
 #[test]
-fn energy_drifts_at_most_with_the_order_of_the_method() {
+fn energy_drifts_with_the_order_of_the_method() {
     let (pendulum, chain) = (unequal(), chain(3));
-    let order = |drift: &dyn Fn(usize) -> f64| (drift(100) / drift(200)).log2();
+    let order = |drift: &dyn Fn(usize) -> f64| (drift(40) / drift(80)).log2();
     let rk4 = RungeKutta::RK4;
-    let dt = |steps: usize| 1.0 / steps as f64;
+    // Long enough to fall, and too short for the whip that a chain is: its drift changes sign again and again.
+    let dt = |steps: usize| 0.3 / steps as f64;
     let of_pendulum = order(&|n| drift(&Integrated { ode: pendulum, integrator: rk4, dt: dt(n) }, n, |x| pendulum.energy(x)));
     let of_chain = order(&|n| drift(&Integrated { ode: chain, integrator: rk4, dt: dt(n) }, n, |x| chain.energy(x)));
     let by_verlet = order(&|n| drift(&Integrated { ode: chain, integrator: Verlet, dt: dt(n) }, n, |x| chain.energy(x)));
     for (what, found, expected) in
         [("pendulum, RK4", of_pendulum, 4.0), ("chain, RK4", of_chain, 4.0), ("chain, Verlet", by_verlet, 2.0)]
     {
-        // Where the leading terms cancel over an orbit, it drifts with a higher one.
-        assert!(found > expected - 0.3, "{what}: order {found}");
+        assert!((found - expected).abs() < 0.1, "{what}: order {found}");
     }
     // A chain in many small steps is a system like any other.
-    let substeps = Substeps { system: Integrated { ode: chain, integrator: rk4, dt: 1e-3 }, count: 10 };
-    assert!(drift(&substeps, 100, |x| chain.energy(x)) < 1e-8);
+    let substeps = Substeps { system: Integrated { ode: chain, integrator: rk4, dt: 1e-4 }, count: 100 };
+    let left = drift(&substeps, 100, |x| chain.energy(x));
+    assert!(left < 1e-11, "{left:e}");
 }
 
 #[test]
