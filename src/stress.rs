@@ -12,6 +12,7 @@ mod cart_mass;
 mod chaos;
 mod energy;
 mod lqr_optimum;
+mod lqr_unstable;
 mod policies;
 
 use std::fmt;
@@ -37,7 +38,7 @@ impl Case {
 
 /// All of them, in the order of `docs/stability.md`.
 pub fn cases() -> impl Iterator<Item = Case> {
-    [policies::CASES, energy::CASES, chaos::CASES, cart_mass::CASES, lqr_optimum::CASES].concat().into_iter()
+    [policies::CASES, energy::CASES, chaos::CASES, cart_mass::CASES, lqr_optimum::CASES, lqr_unstable::CASES].concat().into_iter()
 }
 
 /// One number or fact that was measured, and what it had to be.

@@ -118,8 +118,8 @@ fn what_cannot_be_held_is_said() {
     // The control does not reach the component that grows.
     let plant = LinearPlant::new(2, vec![0.5, 0.0, 0.0, 1.5], vec![1.0, 0.0]);
     let identity = vec![1.0, 0.0, 0.0, 1.0];
-    let error = Lqr::new(plant.clone(), identity.clone(), vec![1.0]).expect_err("it grows");
-    assert!(!error.to_string().is_empty());
+    let endless = Lqr::new(plant.clone(), identity.clone(), vec![1.0]);
+    assert!(matches!(endless, Err(NoOptimum::NotConverged { .. })), "{endless:?}");
     assert!(matches!(Lqr::new(plant, identity, vec![-1.0]), Err(NoOptimum::Indefinite)));
 }
 

@@ -27,4 +27,4 @@ macro_rules! cases {
     };
 }
 
-cases!(saturated_policy, energy, double_pendulum, cart_mass, lqr_optimum);
+cases!(saturated_policy, energy, double_pendulum, cart_mass, lqr_optimum, lqr_unstable);

@@ -1,14 +1,17 @@
 //! Adjoints of chaos: they grow as the motion's own errors do, and their sign is lost with the motion.
+//!
+//! The adjoint at the start falls into the line in which nearby motions part soonest, which the first seconds decide; how long
+//! it is, and its sign, the last ones do. So two rollouts that part by rounding agree about the line for ever, and about the
+//! sign no longer than they agree about the motion.
 
 use super::{Case, Finding};
 use crate::integrator::{Integrated, RungeKutta};
 use crate::system::System;
 use crate::tasks::DoublePendulum;
-use std::f64::consts::FRAC_PI_2;
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "double_pendulum",
-    about: "a chaotic double pendulum over a million steps of 2 ms, from rest with both rods horizontal",
+    about: "a chaotic double pendulum over a million steps of 2 ms, from rest with both rods 1 rad from upright",
     criterion: "its adjoint grows with its Lyapunov exponent λ, measured apart by tangents, to within 10 %, and is finite; of 64 \
                 pairs of rollouts that begin one rounding apart, all adjoints have the same direction (cosine at least 0.99) at \
                 half of ln(1/ε)/λ, and at twice of it their signs agree as those of tossed coins do, 30 to 70 % of them",
@@ -21,8 +24,8 @@ type State = [f64; 4];
 const STEPS: usize = 1_000_000;
 const PAIRS: usize = 64;
 const DT: f64 = 2e-3;
-/// Both rods to the side, at rest.
-const START: State = [FRAC_PI_2, 0.0, FRAC_PI_2, 0.0];
+/// At rest, both rods 1 rad from upright: λ is about 1.45 a second.
+const START: State = [1.0, 0.0, 1.0, 0.0];
 
 fn double_pendulum() -> Vec<Finding> {
     let system = Pendulum { ode: DoublePendulum::default(), integrator: RungeKutta::RK4, dt: DT };
@@ -39,7 +42,7 @@ fn double_pendulum() -> Vec<Finding> {
         Finding::near("growth of the adjoint, a second", per_second(growth), lambda, 0.1),
         Finding::holds("states and adjoint", "finite", finite, if finite { "finite" } else { "not" }),
         Finding::told(
-            "change of energy, of 19.6 J between lowest and highest rest",
+            "change of energy, of 58.9 J between all hanging and all upright",
             format!("{:.1e} J", energies[1] - energies[0]),
         ),
     ];
@@ -90,31 +93,29 @@ fn adjoint(system: &Pendulum, states: &[State]) -> (f64, State) {
 /// Pairs of rollouts that begin one rounding apart, and how far their adjoints agree.
 fn signs(system: &Pendulum, lambda: f64) -> Vec<Finding> {
     let horizon = (1.0 / f64::EPSILON).ln() / (lambda * DT);
-    let horizons = [0.5, 1.0, 2.0].map(|of| (of * horizon) as usize);
-    let mut cosines = [[0.0; PAIRS]; 3];
+    let horizons = [0.5, 2.0].map(|of| (of * horizon) as usize);
+    let mut cosines = [[0.0; PAIRS]; 2];
     for pair in 0..PAIRS {
         let mut start = START;
         start[0] += 0.01 * pair as f64;
         let beside = [start[0] * (1.0 + f64::EPSILON), start[1], start[2], start[3]];
-        let both = [start, beside].map(|start| rollout(system, start, horizons[2]));
+        let both = [start, beside].map(|start| rollout(system, start, horizons[1]));
         for (cosines, steps) in cosines.iter_mut().zip(horizons) {
             let [a, b] = [&both[0], &both[1]].map(|states| adjoint(system, &states[..=steps]).1);
             cosines[pair] = a.iter().zip(&b).map(|(a, b)| a * b).sum();
         }
     }
     let least = |cosines: &[f64]| cosines.iter().copied().fold(f64::INFINITY, f64::min);
-    let agree = |cosines: &[f64]| cosines.iter().filter(|&&cosine| cosine > 0.0).count() as f64 / PAIRS as f64;
-    let aligned = cosines[2].iter().filter(|cosine| cosine.abs() > 0.99).count();
-    let [_, at, twice] = [0, 1, 2].map(|i| agree(&cosines[i]));
+    let agree = cosines[1].iter().filter(|&&cosine| cosine > 0.0).count() as f64 / PAIRS as f64;
+    let aligned = cosines[1].iter().filter(|cosine| cosine.abs() > 0.99).count();
     vec![
         Finding::told("ln(1/ε)/λ", format!("{horizon:.0} steps, {:.1} s", horizon * DT)),
         Finding::at_least("least cosine of the two adjoints at half of it", least(&cosines[0]), 0.99),
-        Finding::told("share of the same sign at it", format!("{:.0} %", 100.0 * at)),
         Finding::holds(
             "share of the same sign at twice of it",
             "30 to 70 %",
-            (0.3..=0.7).contains(&twice),
-            format!("{:.0} %", 100.0 * twice),
+            (0.3..=0.7).contains(&agree),
+            format!("{:.0} %", 100.0 * agree),
         ),
         Finding::told("adjoints that are still on the same line there, whatever the sign", format!("{aligned} of {PAIRS}")),
     ]

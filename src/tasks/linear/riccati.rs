@@ -25,32 +25,34 @@ pub struct Optimum {
 /// Riccati's equation has no solution that was found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NoOptimum {
-    /// A control that costs nothing and does nothing, or a negative cost.
-    #[error(
-        "R + Bᵀ W B is not positive definite, so that no control is the best: make the cost of controls positive definite and \
-         that of states positive semidefinite"
-    )]
+    /// A control that costs nothing, or less.
+    #[error("the cost R of controls is not positive definite, so that no control is the best: make every eigenvalue positive")]
     Indefinite,
     /// What can be paid has no bound, or the bound is not found.
     #[error(
-        "Riccati's equation did not converge in {steps} steps (the last changed P by {change:.1e} of its size): the plant has \
-         motions that do not decay and that no control reaches, or that the cost does not see"
+        "Riccati's equation did not converge in 2^{doublings} steps (the last doubling changed W by {change:.1e} of its size): \
+         the plant has motions that do not decay and that no control reaches, or that the cost does not see"
     )]
     NotConverged {
-        /// Steps taken.
-        steps: usize,
+        /// Doublings of the horizon that were done.
+        doublings: usize,
         /// The last change, in relation to the largest entry.
         change: f64,
     },
 }
 
-/// Steps after which the iteration is given up: of loops that take longer, f64 does not hold the optimum either.
-const MOST: usize = 200_000;
-/// Changes below this, in relation to the largest entry, are rounding.
-const ROUNDING: f64 = 1e-15;
+/// Doublings after which it is given up: of loops that are slower, f64 does not hold the optimum either.
+const MOST: usize = 40;
 
 impl Optimum {
-    /// Of a plant and its costs Q and R, row-major: the limit of the recursion for finite horizons, from `P = 0`.
+    /// Of a plant and its costs Q and R, row-major, by doubling the horizon (Chu, Fan, Lin and Wang 2004,
+    /// doi:10.1080/00207170410001714988), from `A_0 = A`, `G_0 = B R⁻¹ Bᵀ`, `H_0 = Q`:
+    ///
+    /// ```text
+    /// N = (I + G H)⁻¹,   A' = A N A,   G' = G + A N G Aᵀ,   H' = H + Aᵀ H N A → W
+    /// ```
+    ///
+    /// One step at a time would need thousands, and carry the rounding of all that the loop has not forgotten.
     ///
     /// # Errors
     /// [`NoOptimum`].
@@ -58,23 +60,37 @@ impl Optimum {
         let (n, m) = (plant.state_dim(), plant.control_dim());
         let (a, b) = (plant.a(), plant.b());
         let (q, r) = (DMatrix::from_row_slice(n, n, state_cost), DMatrix::from_row_slice(m, m, control_cost));
-        let mut p = DMatrix::zeros(n, n);
-        let mut change = f64::INFINITY;
-        for _ in 0..MOST {
-            let w = &q + &p;
-            let towards = b.transpose() * &w;
-            let factor = (&r + &towards * &b).cholesky().ok_or(NoOptimum::Indefinite)?;
-            let gain = -factor.solve(&(towards * &a));
-            if change <= ROUNDING {
-                return Ok(Self { gain: row_major(&gain), cost_to_go: row_major(&p) });
-            }
-            // A sum of squares, for which rounding is not amplified; and symmetric to the last bit.
-            let closed = &a + &b * &gain;
-            let next = closed.transpose() * w * closed + gain.transpose() * &r * &gain;
-            let next = (&next + next.transpose()) * 0.5;
-            change = (&next - &p).amax() / next.amax().max(f64::MIN_POSITIVE);
-            p = next;
-        }
-        Err(NoOptimum::NotConverged { steps: MOST, change })
+        let g = &b * r.clone().cholesky().ok_or(NoOptimum::Indefinite)?.solve(&b.transpose());
+        let w = doubled(a.clone(), g, q)?;
+        let towards = b.transpose() * &w;
+        let factor = (&r + &towards * &b).cholesky().ok_or(NoOptimum::Indefinite)?;
+        let gain = -factor.solve(&(towards * &a));
+        // A sum of squares, for which rounding is not amplified.
+        let closed = a + b * &gain;
+        let p = symmetric(closed.transpose() * w * closed + gain.transpose() * r * &gain);
+        Ok(Self { gain: row_major(&gain), cost_to_go: row_major(&p) })
     }
+}
+
+fn symmetric(matrix: DMatrix<f64>) -> DMatrix<f64> {
+    (&matrix + matrix.transpose()) * 0.5
+}
+
+/// W, from the A, G and H of one step.
+fn doubled(mut a: DMatrix<f64>, mut g: DMatrix<f64>, mut h: DMatrix<f64>) -> Result<DMatrix<f64>, NoOptimum> {
+    let mut change = f64::INFINITY;
+    for doublings in 0..MOST {
+        let inverse = (DMatrix::identity(a.nrows(), a.nrows()) + &g * &h).try_inverse();
+        let inverse = inverse.ok_or(NoOptimum::NotConverged { doublings, change })?;
+        let onward = &a * &inverse;
+        let more = symmetric(a.transpose() * &h * inverse * &a);
+        g += symmetric(&onward * &g * a.transpose());
+        a = onward * a;
+        change = more.amax() / h.amax().max(f64::MIN_POSITIVE);
+        h += more;
+        if change < f64::EPSILON {
+            return Ok(h);
+        }
+    }
+    Err(NoOptimum::NotConverged { doublings: MOST, change })
 }
