@@ -5,6 +5,7 @@ use crate::check;
 use crate::integrator::{Integrated, SemiImplicit};
 use crate::ode::Ode;
 use crate::rng::{Purpose, stream};
+use crate::scalar::Float;
 use crate::tasks::{CartPoleSystem, CoupledCartPole, MassError, PoleChain};
 use rand::RngExt;
 use std::f64::consts::PI;
@@ -24,10 +25,12 @@ fn body(poles: usize, cart_mass: f64) -> CartPoleSystem {
 }
 
 fn cart_mass() -> Vec<Finding> {
-    let own = |body: CartPoleSystem| worst(&body, &body, in_the_authors_equations);
-    let coupled =
-        |body: CartPoleSystem| worst(&CoupledCartPole(body), &body, |body, x, rate, u| dalembert(body, false, x, rate, u));
-    let chain = |body: CartPoleSystem| worst(&PoleChain(body), &body, |body, x, rate, u| dalembert(body, true, x, rate, u));
+    let own = |body: CartPoleSystem| worst::<f64, _>(&body, &body, in_the_authors_equations);
+    let coupled = |body: CartPoleSystem| {
+        worst::<f64, _>(&CoupledCartPole(body), &body, |body, x, rate, u| dalembert(body, false, x, rate, u))
+    };
+    let chained = |body: &CartPoleSystem, x: &[f64], rate: &[f64], u: f64| dalembert(body, true, x, rate, u);
+    let chain = |body: CartPoleSystem| worst::<f64, _>(&PoleChain(body), &body, chained);
     let mut findings = Vec::new();
     for (name, poles, residual) in [
         ("the authors' model", &[1, 20][..], &own as &dyn Fn(CartPoleSystem) -> f64),
@@ -39,6 +42,8 @@ fn cart_mass() -> Vec<Finding> {
         findings.push(Finding::at_most(format!("{name}: residual down to 1e-8 kg"), worst, 1e-10));
         findings.push(Finding::told(format!("{name}: residual at 1e-12 kg, unchecked"), format!("{:.1e}", of_all(1e-12))));
     }
+    let single = worst::<f32, _>(&PoleChain(body(20, 1e-8)), &body(20, 1e-8), chained);
+    findings.push(Finding::told("20 poles end to end on 1e-8 kg, in f32: residual", format!("{single:.1e}")));
     findings.extend(derivatives());
     findings.extend(refused());
     let broken = |body: &CartPoleSystem, x: &[f64], rate: &[f64], u: f64| {
@@ -46,7 +51,7 @@ fn cart_mass() -> Vec<Finding> {
         rate[3] *= 1.0 + 1e-8;
         dalembert(body, true, x, &rate, u)
     };
-    let fault = worst(&PoleChain(body(5, 1e-8)), &body(5, 1e-8), broken);
+    let fault = worst::<f64, _>(&PoleChain(body(5, 1e-8)), &body(5, 1e-8), broken);
     findings.push(Finding::at_least("residual of an acceleration that is wrong by 1e-8", fault, 1e-10));
     findings
 }
@@ -87,16 +92,22 @@ fn larger(a: f64, b: f64) -> f64 {
     if a > b || a.is_nan() { a } else { b }
 }
 
-/// The largest residual at random states: any angles, rates within ±5, a force within ±10.
-fn worst<O: Ode>(ode: &O, body: &CartPoleSystem, residual: impl Fn(&CartPoleSystem, &[f64], &[f64], f64) -> f64) -> f64 {
+/// The largest residual at random states, of accelerations in this precision: any angles, rates within ±5, a force within ±10.
+fn worst<F: Float, O: Ode>(
+    ode: &O,
+    body: &CartPoleSystem,
+    residual: impl Fn(&CartPoleSystem, &[f64], &[f64], f64) -> f64,
+) -> f64 {
     let mut rng = stream(0, Purpose::Check, 0);
     let n = ode.state_dim();
-    let mut rate = vec![0.0; n];
+    let plain = |v: &[F]| v.iter().map(|v| v.as_()).collect::<Vec<f64>>();
     let residuals = (0..20).map(|_| {
-        let x: Vec<f64> = (0..n).map(|i| rng.random_range(-1.0..1.0) * if i % 2 == 0 { PI } else { 5.0 }).collect();
-        let u = rng.random_range(-10.0..10.0);
+        let draw = |i: usize| F::lift(rng.random_range(-1.0..1.0) * if i.is_multiple_of(2) { PI } else { 5.0 });
+        let x: Vec<F> = (0..n).map(draw).collect();
+        let u = F::lift(rng.random_range(-10.0..10.0));
+        let mut rate = vec![F::zero(); n];
         ode.rate(&x, &[u], &mut rate);
-        residual(body, &x, &rate, u)
+        residual(body, &plain(&x), &plain(&rate), u.as_())
     });
     residuals.fold(0.0, larger)
 }

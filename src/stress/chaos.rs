@@ -68,7 +68,7 @@ fn normalize(v: &mut State) -> f64 {
     length.ln()
 }
 
-/// By how many e-foldings a tangent grows along a rollout: Benettin et al. 1980 (doi:10.1007/BF02128236).
+/// By how many e-foldings a tangent grows along a rollout: Benettin et al. 1980 (doi:10.1007/BF02128237).
 fn by_tangents(system: &Pendulum, states: &[State]) -> f64 {
     let (mut tangent, mut next, mut growth) = ([0.5; 4], [0.0; 4], 0.0);
     for x in &states[..states.len() - 1] {

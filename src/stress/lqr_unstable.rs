@@ -33,13 +33,14 @@ fn lqr_unstable() -> Vec<Finding> {
     let n = lqr.system().state_dim();
     let stiff: Vec<f64> = lqr.optimum().gain.iter().map(|gain| 1.5 * gain).collect();
     let radius = lqr.system().spectral_radius();
-    let mut findings = vec![Finding::told("growth of the plant in 1000 steps", format!("{:.1e}", radius.powi(1000)))];
+    let mut findings = Vec::new();
     for horizon in HORIZONS {
         lqr.horizon = horizon;
         let [regular, modified] = lengths(&lqr, &stiff);
         let half = horizon / 2;
         let growth = (modified[0] / modified[half]).log10() / half as f64;
-        findings.push(Finding::near(format!("T = {horizon}: decades a step that M grows by"), growth, radius.log10(), 0.1));
+        let what = format!("T = {horizon}: decades that M grows by in 1000 steps");
+        findings.push(Finding::near(what, 1000.0 * growth, 1000.0 * radius.log10(), 0.1));
         let largest = regular.iter().fold(0.0, |largest: f64, &length| largest.max(length));
         findings.push(Finding::at_most(format!("T = {horizon}: longest R over that at the start"), largest / regular[0], 2.0));
     }
@@ -47,27 +48,27 @@ fn lqr_unstable() -> Vec<Finding> {
     for horizon in HORIZONS {
         lqr.horizon = horizon;
         for (name, gain) in [("no gain", &vec![0.0; n]), ("a gentle gain", &gentle)] {
-            let worst = (0..3)
+            let worst = (0..2)
                 .map(|seed| train(&lqr, Field::combined(), gain, one_by_one(seed)))
                 .max_by(|a, b| a.excess.total_cmp(&b.excess))
-                .expect("three runs");
-            let what = format!("T = {horizon}, from {name}: excess of C, the worst of 3 seeds{}", worst.remark());
+                .expect("two runs");
+            let what = format!("T = {horizon}, from {name}: excess of C, the worst of 2 seeds{}", worst.remark());
             findings.push(Finding::at_most(what, worst.excess, 1e-2));
-            for field in [Field::regular(), Field::modified()] {
-                let told = train(&lqr, field, gain, one_by_one(0));
-                findings.push(told.told(format!("T = {horizon}, from {name}: {}", field.letter())));
-            }
+        }
+    }
+    for (name, gain) in [("no gain", &vec![0.0; n]), ("a gentle gain", &gentle)] {
+        for field in [Field::regular(), Field::modified()] {
+            let told = train(&lqr, field, gain, one_by_one(0));
+            findings.push(told.told(format!("T = 400, from {name}: {}", field.letter())));
         }
     }
     // Where C does not get through, it is told.
-    for seed in 0..3 {
+    for seed in 1..3 {
         let told = train(&lqr, Field::combined(), &stiff, one_by_one(seed));
         findings.push(told.told(format!("T = 400, from 1.5 times the best gain, seed {seed}: C")));
     }
-    for field in [Field::combined(), Field::regular()] {
-        let told = train(&lqr, field, &gentle, in_batches());
-        findings.push(told.told(format!("T = 400, from a gentle gain, by Adam over batches of 8: {}", field.letter())));
-    }
+    let told = train(&lqr, Field::combined(), &gentle, in_batches());
+    findings.push(told.told("T = 400, from a gentle gain, by Adam over batches of 8: C".into()));
     findings
 }
 
