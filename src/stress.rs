@@ -8,8 +8,13 @@
 //! assert!(case.run().iter().all(|finding| finding.pass));
 //! ```
 
+mod cart_mass;
+mod chaos;
+mod energy;
 mod exponents;
 mod failures;
+mod lqr_optimum;
+mod lqr_unstable;
 mod policies;
 mod reproducible;
 
@@ -41,7 +46,19 @@ impl Case {
 
 /// All of them, in the order of `docs/stability.md`.
 pub fn cases() -> impl Iterator<Item = Case> {
-    [exponents::CASES, policies::CASES, failures::CASES, reproducible::CASES].concat().into_iter()
+    [
+        exponents::CASES,
+        lqr_optimum::CASES,
+        lqr_unstable::CASES,
+        chaos::CASES,
+        energy::CASES,
+        cart_mass::CASES,
+        policies::CASES,
+        failures::CASES,
+        reproducible::CASES,
+    ]
+    .concat()
+    .into_iter()
 }
 
 /// One number or fact that was measured, and what it had to be.

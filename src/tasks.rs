@@ -1,21 +1,29 @@
 //! The tasks that come with the framework: physics only, each self-contained.
 
 mod cart_pole;
+mod double_pendulum;
 mod guidance;
+mod linear;
 mod loss;
+mod pole_chain;
 mod quantum;
 mod toy;
+mod upright;
 
 pub use cart_pole::{
     Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind,
-    PoleDamping, SteadyWind,
+    MassError, PoleDamping, SteadyWind,
 };
+pub use double_pendulum::DoublePendulum;
 pub use guidance::{
     Center, Drive, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, Herding, Obstacles, Spread, Walls,
 };
+pub use linear::{LinearPlant, Lqr, NoOptimum, Optimum};
 pub use loss::LossMode;
+pub use pole_chain::PoleChain;
 pub use quantum::{
     Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, Pade, Quantum, QuantumEffect, QuantumScheme,
     QuantumSystem, Strang, Tabulated,
 };
 pub use toy::{Bowl, Integrator, Reach};
+pub use upright::Upright;

@@ -28,4 +28,14 @@ macro_rules! cases {
     };
 }
 
-cases!(exploding_adjoint, saturated_policy, injected_nan, reproducible);
+cases!(
+    exploding_adjoint,
+    lqr_optimum,
+    lqr_unstable,
+    double_pendulum,
+    energy,
+    cart_mass,
+    saturated_policy,
+    injected_nan,
+    reproducible
+);

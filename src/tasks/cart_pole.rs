@@ -8,6 +8,7 @@
 mod bumpers;
 mod coupled;
 mod friction;
+mod masses;
 mod model;
 mod system;
 mod wind;
@@ -15,6 +16,7 @@ mod wind;
 pub use bumpers::Bumpers;
 pub use coupled::CoupledCartPole;
 pub use friction::{CartDamping, DryFriction, PoleDamping};
+pub use masses::MassError;
 pub use model::CartPoleModel;
 pub use system::CartPoleSystem;
 pub use wind::{GustyWind, SteadyWind};

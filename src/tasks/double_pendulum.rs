@@ -1,0 +1,136 @@
+//! A planar double pendulum, free of friction: the smallest mechanics that is chaotic.
+
+use crate::ode::Ode;
+use crate::scalar::{Cotangent, Real, Scalar};
+
+/// Two point masses on massless rods, the second hanging from the first, with a torque on the first joint.
+///
+/// State `[θ₁, ω₁, θ₂, ω₂]` in rad and rad/s, both angles from upright; control `[u]`, the torque in N m about the fixed
+/// joint. Lagrange's equations, with Δ = θ₁ - θ₂:
+///
+/// ```text
+/// (m₁ + m₂) l₁² α₁ + m₂ l₁ l₂ cos Δ α₂ = (m₁ + m₂) g l₁ sin θ₁ - m₂ l₁ l₂ sin Δ ω₂² + u
+/// m₂ l₁ l₂ cos Δ α₁ + m₂ l₂² α₂        = m₂ g l₂ sin θ₂ + m₂ l₁ l₂ sin Δ ω₁²
+/// ```
+///
+/// Its determinant, `m₂ l₁² l₂² (m₁ + m₂ sin² Δ)`, is written so: the difference of products has no digits left where m₁ is
+/// small.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DoublePendulum {
+    /// The masses m₁ and m₂, kg.
+    pub masses: [f64; 2],
+    /// The rods' lengths l₁ and l₂, m.
+    pub lengths: [f64; 2],
+    /// Gravity g, m/s².
+    pub gravity: f64,
+}
+
+impl Default for DoublePendulum {
+    /// Masses of 1 kg on rods of 1 m, g = 9.81 m/s².
+    fn default() -> Self {
+        Self { masses: [1.0; 2], lengths: [1.0; 2], gravity: 9.81 }
+    }
+}
+
+/// Where it is and how it accelerates.
+struct Motion<T> {
+    /// `[sin, cos]` of θ₁, θ₂ and Δ.
+    first: [T; 2],
+    second: [T; 2],
+    between: [T; 2],
+    /// `[α₁, α₂]`.
+    accelerations: [T; 2],
+}
+
+impl DoublePendulum {
+    /// Kinetic and potential energy of a state, J, 0 at rest with the fixed joint's height for zero. Without torque, the
+    /// equations keep it.
+    pub fn energy(&self, x: &[f64]) -> f64 {
+        let ([inertia, coupling, second_inertia], [weight, second_weight]) = (self.inertias(), self.weights());
+        let [theta, omega, second_theta, second_omega] = [x[0], x[1], x[2], x[3]];
+        let kinetic = 0.5 * (inertia * omega * omega + second_inertia * second_omega * second_omega)
+            + coupling * omega * second_omega * (theta - second_theta).cos();
+        kinetic + weight * theta.cos() + second_weight * second_theta.cos()
+    }
+
+    /// `(m₁ + m₂) l₁²`, `m₂ l₁ l₂`, `m₂ l₂²`.
+    fn inertias(&self) -> [f64; 3] {
+        let ([m1, m2], [l1, l2]) = (self.masses, self.lengths);
+        [(m1 + m2) * l1 * l1, m2 * l1 * l2, m2 * l2 * l2]
+    }
+
+    /// `(m₁ + m₂) g l₁`, `m₂ g l₂`.
+    fn weights(&self) -> [f64; 2] {
+        let ([m1, m2], [l1, l2]) = (self.masses, self.lengths);
+        [(m1 + m2) * self.gravity * l1, m2 * self.gravity * l2]
+    }
+
+    /// The solution of the equations of motion for two right-hand sides: accelerations of torques, or their cotangents.
+    #[inline(always)]
+    fn solve<T: Scalar, V: Copy + std::ops::Sub<Output = V> + std::ops::Mul<T, Output = V>>(
+        &self,
+        [sin, cos]: [T; 2],
+        [first, second]: [V; 2],
+    ) -> [V; 2] {
+        let [inertia, coupling, second_inertia] = self.inertias();
+        let ([m1, m2], [l1, l2]) = (self.masses, self.lengths);
+        let per_determinant = T::one() / (T::lift(m2 * (l1 * l2) * (l1 * l2)) * (T::lift(m1) + T::lift(m2) * sin * sin));
+        let across = T::lift(coupling) * cos * per_determinant;
+        [
+            first * (T::lift(second_inertia) * per_determinant) - second * across,
+            second * (T::lift(inertia) * per_determinant) - first * across,
+        ]
+    }
+
+    #[inline(always)]
+    fn motion<T: Scalar>(&self, x: &[T], u: &[T]) -> Motion<T> {
+        let coupling = T::lift(self.inertias()[1]);
+        let [weight, second_weight] = self.weights().map(T::lift);
+        let ((s1, c1), (s2, c2)) = (x[0].sin_cos(), x[2].sin_cos());
+        let between = [s1 * c2 - c1 * s2, c1 * c2 + s1 * s2];
+        let throw = coupling * between[0];
+        let torques = [weight * s1 - throw * x[3] * x[3] + u[0], second_weight * s2 + throw * x[1] * x[1]];
+        Motion { first: [s1, c1], second: [s2, c2], between, accelerations: self.solve(between, torques) }
+    }
+}
+
+impl Ode for DoublePendulum {
+    fn state_dim(&self) -> usize {
+        4
+    }
+
+    fn control_dim(&self) -> usize {
+        1
+    }
+
+    #[inline(always)]
+    fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
+        let [first, second] = self.motion(x, u).accelerations;
+        (rate[0], rate[1], rate[2], rate[3]) = (x[1], first, x[3], second);
+    }
+
+    /// Of `M α = τ`: with `M w = ᾱ`, the torques have the cotangent w, and an entry of M has -w αᵀ.
+    #[inline(always)]
+    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
+        let Motion { first, second, between: [sin, cos], accelerations: [alpha, second_alpha] } = self.motion(x, u);
+        let coupling = R::lift(self.inertias()[1]);
+        let [weight, second_weight] = self.weights().map(R::lift);
+        let [w, second_w] = self.solve([sin, cos], [rate_bar[1], rate_bar[3]]);
+        let (spin, second_spin) = (x[1] * x[1], x[3] * x[3]);
+        let throw = coupling * sin * R::lift(2.0);
+        // sin Δ in the torques, and cos Δ in the matrix.
+        let delta_bar =
+            w * (coupling * (sin * second_alpha - cos * second_spin)) + second_w * (coupling * (sin * alpha + cos * spin));
+        x_bar[0] += w * (weight * first[1]) + delta_bar;
+        x_bar[1] += rate_bar[0] + second_w * (throw * x[1]);
+        x_bar[2] += second_w * (second_weight * second[1]) - delta_bar;
+        x_bar[3] += rate_bar[2] - w * (throw * x[3]);
+        if let Some(u_bar) = u_bar {
+            u_bar[0] += w;
+        }
+    }
+
+    fn velocity(&self, i: usize) -> Option<usize> {
+        i.is_multiple_of(2).then_some(i + 1)
+    }
+}

@@ -1,0 +1,144 @@
+//! Linear plants, and the linear-quadratic regulator: what has an optimum in closed form.
+
+mod lqr;
+mod riccati;
+
+pub use lqr::Lqr;
+pub use riccati::{NoOptimum, Optimum};
+
+use crate::scalar::{Cotangent, Real, Scalar};
+use crate::system::System;
+use nalgebra::DMatrix;
+
+/// `x' = A x + B u`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinearPlant {
+    state_dim: usize,
+    control_dim: usize,
+    /// Row-major, `state_dim × state_dim`.
+    a: Vec<f64>,
+    /// Row-major, `state_dim × control_dim`.
+    b: Vec<f64>,
+}
+
+impl LinearPlant {
+    /// With these matrices, row-major: A is `state_dim × state_dim`, B is `state_dim × control_dim`.
+    ///
+    /// # Panics
+    /// If A is not square, or B has not as many rows.
+    #[track_caller]
+    pub fn new(state_dim: usize, a: Vec<f64>, b: Vec<f64>) -> Self {
+        let (n, of_a, of_b) = (state_dim, a.len(), b.len());
+        assert!(n > 0 && of_a == n * n, "A of {n} components has {} entries, and {of_a} were given", n * n);
+        assert!(of_b > 0 && of_b.is_multiple_of(n), "{of_b} entries are no B of {n} rows");
+        Self { state_dim, control_dim: of_b / n, a, b }
+    }
+
+    /// What a system does near `S(x, u)`, to first order: `A = ∂S/∂x`, `B = ∂S/∂u`, exact.
+    ///
+    /// # Panics
+    /// If `x` and `u` are not the system's.
+    #[track_caller]
+    pub fn linearized<S: System>(system: &S, x: &[f64], u: &[f64]) -> Self {
+        let (n, m) = (system.state_dim(), system.control_dim());
+        assert!(x.len() == n && u.len() == m, "the system has {n} and {m} components, x {} and u {}", x.len(), u.len());
+        let (mut a, mut b, mut column) = (vec![0.0; n * n], vec![0.0; n * m], vec![0.0; n]);
+        let unit = |len: usize, i: usize| (0..len).map(|j| f64::from(u8::from(j == i))).collect::<Vec<f64>>();
+        for j in 0..n {
+            system.jvp_state(x, u, &unit(n, j), &mut column);
+            (0..n).for_each(|i| a[i * n + j] = column[i]);
+        }
+        for j in 0..m {
+            system.jvp_control(x, u, &unit(m, j), &mut column);
+            (0..n).for_each(|i| b[i * m + j] = column[i]);
+        }
+        Self { state_dim: n, control_dim: m, a, b }
+    }
+
+    /// The plant under the policy `u = K x`, and any further control beside it: `A + B K` for A. K is row-major.
+    ///
+    /// # Panics
+    /// If K is not `control_dim × state_dim`.
+    #[track_caller]
+    pub fn closed_by(&self, gain: &[f64]) -> Self {
+        let expected = self.control_dim * self.state_dim;
+        assert_eq!(gain.len(), expected, "the gain of this plant has {expected} entries");
+        let closed = self.a() + self.b() * DMatrix::from_row_slice(self.control_dim, self.state_dim, gain);
+        Self { a: row_major(&closed), ..self.clone() }
+    }
+
+    /// The largest modulus of an eigenvalue of A: below 1, the plant is stable by itself.
+    pub fn spectral_radius(&self) -> f64 {
+        self.a().complex_eigenvalues().iter().fold(0.0, |largest, value| value.norm().max(largest))
+    }
+
+    fn a(&self) -> DMatrix<f64> {
+        DMatrix::from_row_slice(self.state_dim, self.state_dim, &self.a)
+    }
+
+    fn b(&self) -> DMatrix<f64> {
+        DMatrix::from_row_slice(self.state_dim, self.control_dim, &self.b)
+    }
+}
+
+/// Its entries, row by row.
+fn row_major(matrix: &DMatrix<f64>) -> Vec<f64> {
+    matrix.transpose().as_slice().to_vec()
+}
+
+/// The product of a row with a vector.
+#[inline(always)]
+fn dot<T: Scalar>(row: &[f64], x: &[T]) -> T {
+    let mut sum = T::zero();
+    for (&entry, &x) in row.iter().zip(x) {
+        sum += T::lift(entry) * x;
+    }
+    sum
+}
+
+/// `bars = Mᵀ next_bar`, for M row-major with as many columns as there are `bars`.
+#[inline(always)]
+fn transposed<R: Real, C: Cotangent<R>>(matrix: &[f64], next_bar: &[C], bars: &mut [C]) {
+    let columns = bars.len();
+    for j in 0..columns {
+        let mut bar = C::null();
+        for i in 0..next_bar.len() {
+            bar += next_bar[i] * R::lift(matrix[i * columns + j]);
+        }
+        bars[j] = bar;
+    }
+}
+
+impl System for LinearPlant {
+    fn state_dim(&self) -> usize {
+        self.state_dim
+    }
+
+    fn control_dim(&self) -> usize {
+        self.control_dim
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        let (n, m) = (self.state_dim, self.control_dim);
+        for (i, next) in next.iter_mut().enumerate() {
+            *next = dot(&self.a[i * n..][..n], x) + dot(&self.b[i * m..][..m], u);
+        }
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _x: &[R], _u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        transposed(&self.a, next_bar, x_bar);
+        transposed(&self.b, next_bar, u_bar);
+    }
+
+    #[inline(always)]
+    fn vjp_state<R: Real, C: Cotangent<R>>(&self, _x: &[R], _u: &[R], next_bar: &[C], x_bar: &mut [C]) {
+        transposed(&self.a, next_bar, x_bar);
+    }
+
+    #[inline(always)]
+    fn vjp_control<R: Real, C: Cotangent<R>>(&self, _x: &[R], _u: &[R], next_bar: &[C], u_bar: &mut [C]) {
+        transposed(&self.b, next_bar, u_bar);
+    }
+}

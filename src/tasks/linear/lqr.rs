@@ -1,0 +1,147 @@
+//! The linear-quadratic regulator.
+
+use super::{LinearPlant, NoOptimum, Optimum, dot};
+use crate::rng::Rng;
+use crate::scalar::{Real, Scalar};
+use crate::system::System;
+use crate::task::Task;
+use crate::tasks::CartPoleSystem;
+use rand::RngExt;
+
+/// Hold a linear plant at 0, at a quadratic cost:
+///
+/// ```text
+/// l(x_{t+1}, u_t) = (x_{t+1}ᵀ Q x_{t+1} + u_tᵀ R u_t)/2,    φ(x_T) = x_Tᵀ P x_T / 2
+/// ```
+///
+/// P is what an endless rollout would still cost after `x_T`. So one gain, [`Optimum::gain`], is the best at every horizon and
+/// from every start, and the least loss is known.
+///
+/// That gain is a fixed point of R, M and C alike: with `λ_{t+1} = (Q + P) x_{t+1}`, the control's cotangent
+/// `h_t = Bᵀ λ_{t+1} + R u_t` is 0 at every step, so nothing comes back through the policy, and R and M have the same adjoint.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lqr {
+    plant: LinearPlant,
+    state_cost: Vec<f64>,
+    control_cost: Vec<f64>,
+    optimum: Optimum,
+    /// Where rollouts start.
+    pub start: Vec<f64>,
+    /// How far from there every component may be, to either side. 0 for one start.
+    pub spread: f64,
+    /// Number of steps.
+    pub horizon: usize,
+}
+
+impl Lqr {
+    /// For the costs Q and R, row-major; rollouts of 100 steps start within ±1 in every component.
+    ///
+    /// # Errors
+    /// [`NoOptimum`], where there is none.
+    ///
+    /// # Panics
+    /// If Q or R is not symmetric or has not the sizes of the plant.
+    #[track_caller]
+    pub fn new(plant: LinearPlant, state_cost: Vec<f64>, control_cost: Vec<f64>) -> Result<Self, NoOptimum> {
+        let (n, m) = (plant.state_dim(), plant.control_dim());
+        for (name, cost, n) in [("Q", &state_cost, n), ("R", &control_cost, m)] {
+            assert_eq!(cost.len(), n * n, "{name} of {n} components has {} entries", n * n);
+            let symmetric = (0..n).all(|i| (0..i).all(|j| cost[i * n + j] == cost[j * n + i]));
+            assert!(symmetric, "{name} has to be symmetric: a cost sees nothing else of it");
+        }
+        let optimum = Optimum::of(&plant, &state_cost, &control_cost)?;
+        Ok(Self { start: vec![0.0; n], spread: 1.0, horizon: 100, plant, state_cost, control_cost, optimum })
+    }
+
+    /// A stable plant: a mass of 1 kg on a spring of 1 N/m with a damper of 0.4 N s/m, in semi-implicit steps of 0.1 s. The
+    /// loss is the integral of `(|x|² + u²)/2`.
+    pub fn spring() -> Self {
+        let (dt, stiffness, damping) = (0.1, 1.0, 0.4);
+        let (by_place, by_speed) = (-dt * stiffness, 1.0 - dt * damping);
+        let a = vec![1.0 + dt * by_place, dt * by_speed, by_place, by_speed];
+        Self::per_second(LinearPlant::new(2, a, vec![dt * dt, dt]), dt)
+    }
+
+    /// An unstable plant: the default [`CartPoleSystem`] with one pole, linearized where the pole stands upright. The loss is
+    /// the integral of `(|x|² + u²)/2`, in SI units. By itself it grows by 1.04 a step, 1e17 in 1000.
+    pub fn upright_cart_pole() -> Self {
+        let system = CartPoleSystem::default();
+        Self::per_second(LinearPlant::linearized(&system, &[0.0; 4], &[0.0]), system.dt)
+    }
+
+    /// With costs of 1 a second.
+    fn per_second(plant: LinearPlant, dt: f64) -> Self {
+        let diagonal = |n: usize| (0..n * n).map(|i| if i.is_multiple_of(n + 1) { dt } else { 0.0 }).collect::<Vec<f64>>();
+        let (q, r) = (diagonal(plant.state_dim()), diagonal(plant.control_dim()));
+        Self::new(plant, q, r).expect("both plants can be held at 0 by their control")
+    }
+
+    /// The best there is.
+    pub fn optimum(&self) -> &Optimum {
+        &self.optimum
+    }
+
+    /// The least loss of a batch from `starts`, `state_dim` numbers a sample: the mean of `xᵀ P x / 2`.
+    pub fn least_loss(&self, starts: &[f64]) -> f64 {
+        let samples = starts.chunks_exact(self.plant.state_dim());
+        let count = samples.len() as f64;
+        samples.map(|x| self.terminal_cost(x)).sum::<f64>() / count
+    }
+}
+
+/// `xᵀ M x / 2`.
+#[inline(always)]
+fn quadratic<T: Scalar>(matrix: &[f64], x: &[T]) -> T {
+    let mut sum = T::zero();
+    for (row, &x_i) in matrix.chunks_exact(x.len()).zip(x) {
+        sum += dot(row, x) * x_i;
+    }
+    sum * T::lift(0.5)
+}
+
+/// Its gradient, for M symmetric: `M x`.
+#[inline(always)]
+fn quadratic_gradient<R: Real>(matrix: &[f64], x: &[R], x_bar: &mut [R]) {
+    for (row, x_bar) in matrix.chunks_exact(x.len()).zip(x_bar) {
+        *x_bar = dot(row, x);
+    }
+}
+
+impl Task for Lqr {
+    type System = LinearPlant;
+
+    fn system(&self) -> &LinearPlant {
+        &self.plant
+    }
+
+    fn horizon(&self) -> usize {
+        self.horizon
+    }
+
+    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+        for (x, &start) in x.iter_mut().zip(&self.start) {
+            *x = start + self.spread * rng.random_range(-1.0..1.0);
+        }
+    }
+
+    #[inline(always)]
+    fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
+        quadratic(&self.state_cost, x) + quadratic(&self.control_cost, u)
+    }
+
+    #[inline(always)]
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        quadratic(&self.optimum.cost_to_go, x)
+    }
+
+    #[inline(always)]
+    fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
+        quadratic_gradient(&self.state_cost, x, x_bar);
+        quadratic_gradient(&self.control_cost, u, u_bar);
+    }
+
+    #[inline(always)]
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
+        quadratic_gradient(&self.optimum.cost_to_go, x, x_bar);
+    }
+}

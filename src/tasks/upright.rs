@@ -1,0 +1,146 @@
+//! Everything upright: the task of any mechanics that is written in angles.
+
+use crate::integrator::{Integrated, RungeKutta};
+use crate::rng::Rng;
+use crate::scalar::{Real, Scalar};
+use crate::system::System;
+use crate::task::Task;
+use crate::tasks::{CartPoleSystem, DoublePendulum, LossMode, PoleChain};
+use rand::RngExt;
+use std::f64::consts::PI;
+
+/// Swing up, or hold: the loss is the mean of `1 - cos θ` over the angles, between 0 (all upright) and 2 (all hanging), at the
+/// end or as a mean over time, as that of [`CartPole`](crate::tasks::CartPole); and the mean over time of `effort |u|²/2`.
+///
+/// The angles are every second component of the state from [`first_angle`](Upright::first_angle) on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Upright<S> {
+    /// The physics.
+    pub system: S,
+    /// Place of the first angle in the state.
+    pub first_angle: usize,
+    /// The angle around which all start, rad: 0 upright, π hanging.
+    pub from: f64,
+    /// How far every component may be from there to either side, rad and SI units.
+    pub spread: f64,
+    /// When the angles are paid for.
+    pub loss: LossMode,
+    /// What control costs.
+    pub effort: f64,
+    /// Number of steps.
+    pub horizon: usize,
+}
+
+/// In steps of Runge and Kutta's classical method.
+type Stepped<O> = Integrated<O, RungeKutta>;
+
+impl<S> Upright<S> {
+    /// From within ±π/6 of hanging, in 100 steps; the last state counts, and control is free.
+    fn swing_up(system: S, first_angle: usize) -> Self {
+        Self { system, first_angle, from: PI, spread: PI / 6.0, loss: LossMode::Final, effort: 0.0, horizon: 100 }
+    }
+
+    /// The same task from within ±0.05 of upright, where every state counts, and control a little.
+    pub fn held(self) -> Self {
+        Self { from: 0.0, spread: 0.05, loss: LossMode::Continuous, effort: 1e-3, ..self }
+    }
+}
+
+impl Upright<Stepped<DoublePendulum>> {
+    /// The default double pendulum in steps of 0.01 s.
+    pub fn double_pendulum() -> Self {
+        Self::swing_up(Integrated { ode: DoublePendulum::default(), integrator: RungeKutta::RK4, dt: 0.01 }, 0)
+    }
+}
+
+impl Upright<Stepped<PoleChain>> {
+    /// A chain of so many default poles in steps of 0.01 s.
+    pub fn pole_chain(poles: usize) -> Self {
+        let body = CartPoleSystem { poles, ..CartPoleSystem::default() };
+        Self::swing_up(Integrated { ode: PoleChain(body), integrator: RungeKutta::RK4, dt: body.dt }, 2)
+    }
+}
+
+impl<S: System> Upright<S> {
+    /// One over the number of angles.
+    fn share(&self) -> f64 {
+        1.0 / (self.system.state_dim() - self.first_angle).div_ceil(2) as f64
+    }
+
+    /// `factor` times the mean of `1 - cos θ`.
+    #[inline(always)]
+    fn height<T: Scalar>(&self, factor: f64, x: &[T]) -> T {
+        let mut sum = T::zero();
+        for i in (self.first_angle..x.len()).step_by(2) {
+            sum += T::one() - x[i].cos();
+        }
+        sum * T::lift(factor * self.share())
+    }
+
+    #[inline(always)]
+    fn height_gradient<R: Real>(&self, factor: f64, x: &[R], x_bar: &mut [R]) {
+        let factor = R::lift(factor * self.share());
+        x_bar.fill(R::zero());
+        for i in (self.first_angle..x.len()).step_by(2) {
+            x_bar[i] = x[i].sin() * factor;
+        }
+    }
+
+    /// What an angle is worth at a state on the way, and at the last one.
+    fn worth(&self) -> [f64; 2] {
+        match self.loss {
+            LossMode::Final => [0.0, 1.0],
+            LossMode::Continuous => [1.0 / self.horizon as f64, 0.0],
+        }
+    }
+
+    fn effort_per_step(&self) -> f64 {
+        self.effort / self.horizon as f64
+    }
+}
+
+impl<S: System> Task for Upright<S> {
+    type System = S;
+
+    fn system(&self) -> &S {
+        &self.system
+    }
+
+    fn horizon(&self) -> usize {
+        self.horizon
+    }
+
+    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+        for (i, x) in x.iter_mut().enumerate() {
+            let is_angle = i >= self.first_angle && (i - self.first_angle).is_multiple_of(2);
+            *x = if is_angle { self.from } else { 0.0 } + self.spread * rng.random_range(-1.0..1.0);
+        }
+    }
+
+    #[inline(always)]
+    fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
+        let mut cost = self.height(self.worth()[0], x);
+        for &u in u {
+            cost += u * u * T::lift(0.5 * self.effort_per_step());
+        }
+        cost
+    }
+
+    #[inline(always)]
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        self.height(self.worth()[1], x)
+    }
+
+    #[inline(always)]
+    fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
+        self.height_gradient(self.worth()[0], x, x_bar);
+        for i in 0..u.len() {
+            u_bar[i] = u[i] * R::lift(self.effort_per_step());
+        }
+    }
+
+    #[inline(always)]
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
+        self.height_gradient(self.worth()[1], x, x_bar);
+    }
+}

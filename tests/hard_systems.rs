@@ -1,0 +1,216 @@
+//! The systems that are hard on derivatives: linear plants with a known optimum, the double pendulum, the chain of poles.
+
+use physgrad::policy::Linear;
+use physgrad::rng::{Purpose, stream};
+use physgrad::tasks::{
+    CartPoleSystem, CoupledCartPole, DoublePendulum, LinearPlant, LossMode, Lqr, MassError, NoOptimum, PoleChain, Upright,
+};
+use physgrad::{
+    Evaluation, ImplicitMidpoint, Integrated, Ode, RungeKutta, SemiImplicit, Substeps, System, Task, Verlet, Weights, check,
+};
+use rand::RngExt;
+
+fn chain(poles: usize) -> PoleChain {
+    PoleChain(CartPoleSystem { poles, ..CartPoleSystem::default() })
+}
+
+fn unequal() -> DoublePendulum {
+    DoublePendulum { masses: [1.3, 0.4], lengths: [0.7, 1.1], gravity: 9.81 }
+}
+
+/// Components within ±1.
+fn random(len: usize, case: u64) -> Vec<f64> {
+    let mut rng = stream(case, Purpose::Test, 0);
+    (0..len).map(|_| rng.random_range(-1.0..1.0)).collect()
+}
+
+#[test]
+fn the_derivatives_of_linear_plants_are_those_of_duals() {
+    let plant = LinearPlant::new(3, random(9, 0), random(6, 1));
+    assert_eq!((plant.state_dim(), plant.control_dim()), (3, 2));
+    check::system(&plant);
+    check::system(Lqr::upright_cart_pole().system());
+    let mut cost = vec![0.0; 9];
+    (0..3).for_each(|i| cost[4 * i] = 1.0 + i as f64);
+    (cost[1], cost[3]) = (0.3, 0.3);
+    let lqr = Lqr::new(plant, cost, vec![1.0, 0.2, 0.2, 0.5]).expect("random plants can be held");
+    check::task(&lqr, &Linear::new(3, 2));
+    check::task(&Lqr::spring(), &Linear::with_bias(2, 1));
+}
+
+#[test]
+fn the_derivatives_of_mechanics_are_those_of_duals() {
+    let dt = 0.01;
+    check::system(&Integrated { ode: unequal(), integrator: RungeKutta::RK4, dt });
+    check::system(&Integrated { ode: DoublePendulum::default(), integrator: SemiImplicit, dt });
+    for poles in [1, 2, 3, 6, 20] {
+        check::system(&Integrated { ode: chain(poles), integrator: SemiImplicit, dt });
+    }
+    check::system(&Integrated { ode: chain(3), integrator: RungeKutta::RK4, dt });
+    check::system(&Integrated { ode: chain(2), integrator: ImplicitMidpoint::default(), dt });
+    for task in [Upright::pole_chain(3), Upright::pole_chain(2).held()] {
+        check::task(&task, &Linear::new(task.system.state_dim(), 1));
+    }
+    let swing = Upright::double_pendulum();
+    check::task(&swing, &Linear::with_bias(4, 1));
+    check::task(&Upright { loss: LossMode::Continuous, effort: 0.3, ..swing }.held(), &Linear::new(4, 1));
+}
+
+#[test]
+fn a_linearized_plant_moves_as_the_system_does_nearby() {
+    let system = CartPoleSystem::default();
+    let plant = LinearPlant::linearized(&system, &[0.0; 4], &[0.0]);
+    let (mut next, mut linear) = ([0.0; 4], [0.0; 4]);
+    let far = |scale: f64| {
+        let x: Vec<f64> = random(4, 3).iter().map(|x| x * scale).collect();
+        system.step(&x, &[scale], &mut next);
+        plant.step(&x, &[scale], &mut linear);
+        next.iter().zip(&linear).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    };
+    let [near, nearer] = [1e-2, 1e-3].map({
+        let mut far = far;
+        move |scale| far(scale)
+    });
+    // All that is left out is odd: cubic.
+    assert!((near / nearer / 1e3 - 1.0).abs() < 0.01, "{near:e} and {nearer:e}");
+}
+
+/// Mean loss of a linear policy with this gain over 8 starts, and the least there is.
+fn losses(lqr: &Lqr, gain: Vec<f64>) -> [f64; 2] {
+    let (n, m) = (lqr.system().state_dim(), lqr.system().control_dim());
+    let policy = Linear::new(n, m);
+    let starts = random(8 * n, 5);
+    let weights = Weights::new(&policy, gain);
+    let loss = Evaluation::new(lqr, &policy, 1).run(lqr, &policy, &weights, &starts).expect("finite");
+    [loss, lqr.least_loss(&starts)]
+}
+
+#[test]
+fn riccatis_gain_pays_the_least_at_every_horizon() {
+    for mut lqr in [Lqr::spring(), Lqr::upright_cart_pole()] {
+        for horizon in [1, 7, 100] {
+            lqr.horizon = horizon;
+            let best = &lqr.optimum().gain;
+            let [loss, least] = losses(&lqr, best.clone());
+            assert!((loss / least - 1.0).abs() < 1e-11, "T = {horizon}: {loss} and {least}");
+            for i in 0..best.len() {
+                for by in [-1e-3, 1e-3] {
+                    let mut gain = best.clone();
+                    gain[i] *= 1.0 + by;
+                    let [worse, _] = losses(&lqr, gain);
+                    assert!(worse > least, "T = {horizon}: a gain {i} of {by} more pays {worse} instead of {least}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn loops_are_stable_at_the_optimum_whatever_the_plant() {
+    for (lqr, stable) in [(Lqr::spring(), true), (Lqr::upright_cart_pole(), false)] {
+        assert_eq!(lqr.system().spectral_radius() < 1.0, stable);
+        assert!(lqr.system().closed_by(&lqr.optimum().gain).spectral_radius() < 1.0);
+    }
+}
+
+#[test]
+fn what_cannot_be_held_is_said() {
+    // The control does not reach the component that grows.
+    let plant = LinearPlant::new(2, vec![0.5, 0.0, 0.0, 1.5], vec![1.0, 0.0]);
+    let identity = vec![1.0, 0.0, 0.0, 1.0];
+    let endless = Lqr::new(plant.clone(), identity.clone(), vec![1.0]);
+    assert!(matches!(endless, Err(NoOptimum::NotConverged { .. })), "{endless:?}");
+    assert!(matches!(Lqr::new(plant, identity, vec![-1.0]), Err(NoOptimum::Indefinite)));
+}
+
+#[test]
+fn with_one_pole_the_chain_is_the_coupled_model() {
+    let (one, coupled) = (chain(1), CoupledCartPole::default());
+    for case in 0..20 {
+        let (x, u) = (random(4, case).iter().map(|x| 3.0 * x).collect::<Vec<_>>(), random(1, 100 + case));
+        let (mut found, mut expected) = ([0.0; 4], [0.0; 4]);
+        Ode::rate(&one, &x, &u, &mut found);
+        Ode::rate(&coupled, &x, &u, &mut expected);
+        for (found, expected) in found.iter().zip(expected) {
+            assert!((found - expected).abs() <= 1e-13 * (1.0 + expected.abs()), "{found} and {expected}");
+        }
+        assert!((one.energy(&x) - coupled.energy(&x)).abs() < 1e-13);
+    }
+}
+
+/// `dE/dt - power`, by central differences of the energy along the motion, in relation to the energy's scale.
+fn power_missing<O: Ode>(ode: &O, energy: impl Fn(&[f64]) -> f64, power: impl Fn(&[f64], f64) -> f64, case: u64) -> f64 {
+    let (x, u) = (random(ode.state_dim(), case), random(1, 50 + case));
+    let mut rate = vec![0.0; x.len()];
+    ode.rate(&x, &u, &mut rate);
+    let speed = rate.iter().fold(1.0, |largest: f64, rate| largest.max(rate.abs()));
+    let width = 1e-4 / speed;
+    let at = |h: f64| energy(&x.iter().zip(&rate).map(|(x, rate)| x + h * rate).collect::<Vec<_>>());
+    let change = (at(width) - at(-width)) / (2.0 * width);
+    (change - power(&x, u[0])).abs() / (speed * (1.0 + at(0.0).abs()))
+}
+
+#[test]
+fn energy_changes_by_the_work_that_is_done() {
+    for case in 0..10 {
+        for pendulum in [DoublePendulum::default(), unequal()] {
+            let missing = power_missing(&pendulum, |x| pendulum.energy(x), |x, u| u * x[1], case);
+            assert!(missing < 1e-7, "double pendulum: {missing:e}");
+        }
+        for poles in [1, 2, 5, 20] {
+            let chain = chain(poles);
+            let missing = power_missing(&chain, |x| chain.energy(x), |x, u| u * x[1], case);
+            assert!(missing < 1e-7, "{poles} poles: {missing:e}");
+        }
+    }
+}
+
+/// The change of energy over so many steps of free motion.
+fn drift<S: System>(system: &S, steps: usize, energy: impl Fn(&[f64]) -> f64) -> f64 {
+    let mut x = random(system.state_dim(), 7);
+    let before = energy(&x);
+    for _ in 0..steps {
+        let from = x.clone();
+        system.step(&from, &[0.0], &mut x);
+    }
+    (energy(&x) - before).abs()
+}
+
+#[test]
+fn energy_drifts_with_the_order_of_the_method() {
+    let (pendulum, chain) = (unequal(), chain(3));
+    let order = |drift: &dyn Fn(usize) -> f64| (drift(40) / drift(80)).log2();
+    let rk4 = RungeKutta::RK4;
+    // Long enough to fall, and too short for the whip that a chain is: its drift changes sign again and again.
+    let dt = |steps: usize| 0.3 / steps as f64;
+    let of_pendulum = order(&|n| drift(&Integrated { ode: pendulum, integrator: rk4, dt: dt(n) }, n, |x| pendulum.energy(x)));
+    let of_chain = order(&|n| drift(&Integrated { ode: chain, integrator: rk4, dt: dt(n) }, n, |x| chain.energy(x)));
+    let by_verlet = order(&|n| drift(&Integrated { ode: chain, integrator: Verlet, dt: dt(n) }, n, |x| chain.energy(x)));
+    for (what, found, expected) in
+        [("pendulum, RK4", of_pendulum, 4.0), ("chain, RK4", of_chain, 4.0), ("chain, Verlet", by_verlet, 2.0)]
+    {
+        assert!((found - expected).abs() < 0.1, "{what}: order {found}");
+    }
+    // A chain in many small steps is a system like any other.
+    let substeps = Substeps { system: Integrated { ode: chain, integrator: rk4, dt: 1e-4 }, count: 100 };
+    let left = drift(&substeps, 100, |x| chain.energy(x));
+    assert!(left < 1e-11, "{left:e}");
+}
+
+#[test]
+fn masses_that_are_no_physics_are_refused() {
+    let body = |cart_mass: f64, pole_mass: f64| CartPoleSystem { poles: 3, cart_mass, pole_mass, ..CartPoleSystem::default() };
+    for good in [body(1.0, 0.1), body(1e-8, 0.1), body(1e6, 1e-6)] {
+        assert_eq!((good.check(), CoupledCartPole(good).check(), PoleChain(good).check()), (Ok(()), Ok(()), Ok(())));
+    }
+    let positive = |wrong: CartPoleSystem| matches!(wrong.check(), Err(MassError::NotPositive { .. }));
+    assert!(
+        [body(0.0, 0.1), body(-0.02, 0.1), body(1.0, 0.0), body(f64::NAN, 0.1), body(1.0, f64::INFINITY)].map(positive)
+            == [true; 5]
+    );
+    assert!(matches!(body(1e-12, 0.1).check(), Err(MassError::CartTooLight { .. })));
+    let message = body(1e-12, 0.1).check().expect_err("too light").to_string();
+    assert!(message.contains("1.0e-12") && message.contains("3.0e-10"), "{message}");
+    let long = CartPoleSystem { poles: 21, ..CartPoleSystem::default() };
+    assert_eq!((long.check(), PoleChain(long).check()), (Ok(()), Err(MassError::Poles { poles: 21, most: 20 })));
+}
