@@ -8,7 +8,15 @@
 //! assert!(case.run().iter().all(|finding| finding.pass));
 //! ```
 
+mod approach;
+mod contact;
+mod distances;
+mod dry_friction;
 mod policies;
+mod quantum_long;
+mod quantum_plateau;
+mod random_states;
+mod steps;
 
 use std::fmt;
 
@@ -33,7 +41,17 @@ impl Case {
 
 /// All of them, in the order of `docs/stability.md`.
 pub fn cases() -> impl Iterator<Item = Case> {
-    [policies::CASES].concat().into_iter()
+    let all = [
+        policies::CASES,
+        distances::CASES,
+        approach::CASES,
+        quantum_long::CASES,
+        quantum_plateau::CASES,
+        dry_friction::CASES,
+        contact::CASES,
+        random_states::CASES,
+    ];
+    all.concat().into_iter()
 }
 
 /// One number or fact that was measured, and what it had to be.

@@ -27,4 +27,13 @@ macro_rules! cases {
     };
 }
 
-cases!(saturated_policy);
+cases!(
+    saturated_policy,
+    guidance_distances,
+    guidance_close_approach,
+    quantum_long,
+    quantum_plateau,
+    dry_friction,
+    contact,
+    random_states,
+);
