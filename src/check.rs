@@ -3,16 +3,23 @@
 //! [`system`], [`policy`] and [`task`] panic with what was compared, the index, what was expected, what was found, and
 //! the seed of the case. The `try_` forms return the same as a value. Everything is checked in double precision; errors are relative to
 //! the largest component of what they are compared with.
+//!
+//! Derivatives may be right and useless: [`stability`] tells whether steps are too long for what they step through, and
+//! [`plateau`] whether there is a gradient to follow at all.
 
 mod oracle;
+mod plateau;
 mod policies;
 #[cfg(feature = "double-double")]
 mod reference;
+mod stability;
 
 pub use oracle::slopes_by_duals;
+pub use plateau::{Plateau, plateau};
 pub use policies::{policy, try_policy};
 #[cfg(feature = "double-double")]
 pub use reference::slope;
+pub use stability::{Stability, stability};
 
 use crate::backward::Flow;
 use crate::batch::Batch;

@@ -8,15 +8,23 @@
 //! assert!(case.run().iter().all(|finding| finding.pass));
 //! ```
 
+mod approach;
 mod cart_mass;
 mod chaos;
+mod contact;
+mod distances;
+mod dry_friction;
 mod energy;
 mod exponents;
 mod failures;
 mod lqr_optimum;
 mod lqr_unstable;
 mod policies;
+mod quantum_long;
+mod quantum_plateau;
+mod random_states;
 mod reproducible;
+mod steps;
 
 use std::fmt;
 
@@ -53,7 +61,14 @@ pub fn cases() -> impl Iterator<Item = Case> {
         chaos::CASES,
         energy::CASES,
         cart_mass::CASES,
+        distances::CASES,
+        approach::CASES,
+        quantum_long::CASES,
+        quantum_plateau::CASES,
+        dry_friction::CASES,
+        contact::CASES,
         policies::CASES,
+        random_states::CASES,
         failures::CASES,
         reproducible::CASES,
     ]

@@ -1,12 +1,14 @@
 //! The tasks that come with the framework: physics only, each self-contained.
 
 mod cart_pole;
+mod contact;
 mod double_pendulum;
 mod guidance;
 mod linear;
 mod loss;
 mod pole_chain;
 mod quantum;
+mod slider;
 mod toy;
 mod upright;
 
@@ -14,6 +16,7 @@ pub use cart_pole::{
     Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind,
     MassError, PoleDamping, SteadyWind,
 };
+pub use contact::{Bounce, BouncingBall, Contact, Push, TwoBodies};
 pub use double_pendulum::DoublePendulum;
 pub use guidance::{
     Center, Drive, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, Herding, Obstacles, Spread, Walls,
@@ -23,7 +26,8 @@ pub use loss::LossMode;
 pub use pole_chain::PoleChain;
 pub use quantum::{
     Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, Pade, Quantum, QuantumEffect, QuantumScheme,
-    QuantumSystem, Strang, Tabulated,
+    QuantumSystem, Renormalized, Strang, Tabulated,
 };
+pub use slider::{FrictionScheme, Slider, SliderSystem};
 pub use toy::{Bowl, Integrator, Reach};
 pub use upright::Upright;

@@ -5,7 +5,9 @@ mod boxes;
 use boxes::{Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, lively, norm, step};
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
-use physgrad::tasks::{Absorbing, AbsorbingEdges, Cubic, LossMode, Quantum, QuantumEffect, QuantumSystem, Tabulated};
+use physgrad::tasks::{
+    Absorbing, AbsorbingEdges, Cubic, LossMode, Quantum, QuantumEffect, QuantumSystem, Renormalized, Tabulated,
+};
 use physgrad::{Actuated, Around, Counted, Counts, Delay, Effect, Limit, LimitKind, Scalar, Substeps, System, Task, With, check};
 
 #[test]
@@ -196,4 +198,22 @@ fn a_table_has_the_numbers_of_what_it_is_of_and_its_derivatives() {
 #[should_panic(expected = "depends on the state has no table")]
 fn what_depends_on_the_state_has_no_table() {
     Tabulated::of(&box_of(8), &Cubic::default());
+}
+
+#[test]
+fn a_renormalized_wave_keeps_its_direction_and_its_derivatives() {
+    for grid in [3, 32, 65] {
+        check_lively(&Renormalized { system: box_of(grid) });
+        check_lively(&Renormalized { system: Substeps { system: box_of(grid), count: 3 } });
+    }
+    // What stands behind the wave is left alone.
+    let system = Renormalized { system: With { system: dipole(8), effects: (Swinging, Cubic::default()) } };
+    check_lively(&system);
+    let mut x: Vec<f64> = (0..17).map(|i| Scalar::sin(f64::from(i))).collect();
+    x[16] = 2.0;
+    let (kept, free) = (step(&system, &x, 1.0), step(&system.system, &x, 1.0));
+    assert!((norm(&kept[..16]) - 1.0).abs() < 1e-15 && kept[16] == free[16]);
+    let size = norm(&free[..16]);
+    assert!(size > 1.5 && kept[..16].iter().zip(&free).all(|(kept, free)| (kept * size - free).abs() < 1e-14));
+    assert!(step(&system, &[0.0; 17], 1.0)[0].is_nan(), "a wave that is nowhere has no direction");
 }

@@ -35,7 +35,14 @@ cases!(
     double_pendulum,
     energy,
     cart_mass,
+    guidance_distances,
+    guidance_close_approach,
+    quantum_long,
+    quantum_plateau,
+    dry_friction,
+    contact,
     saturated_policy,
+    random_states,
     injected_nan,
-    reproducible
+    reproducible,
 );

@@ -1,0 +1,95 @@
+//! Whether a gradient is 0 where it should not be.
+
+use super::normal;
+use crate::backward::Flow;
+use crate::batch::Batch;
+use crate::divergence::Divergence;
+use crate::policy::{Policy, Weights};
+use crate::rng::{Purpose, stream};
+use crate::task::Task;
+use std::fmt;
+
+/// Neighbours that are looked at.
+const NEIGHBOURS: u64 = 4;
+/// How far away they are: standard deviation of every parameter's difference.
+const AWAY: f64 = 0.01;
+/// A gradient is none if it is smaller than this share of its neighbours'.
+const NONE: f64 = 1e-6;
+
+/// What [`plateau`] has found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plateau {
+    /// The loss.
+    pub loss: f64,
+    /// The length of its gradient.
+    pub gradient: f64,
+    /// The lowest loss among neighbours.
+    pub lowest_nearby: f64,
+    /// The length of the longest gradient among neighbours.
+    pub gradient_nearby: f64,
+}
+
+impl Plateau {
+    /// Whether there is no gradient to follow, although a lower loss is near: a top, a saddle, a flat place, but not a
+    /// minimum.
+    pub fn is_stuck(&self) -> bool {
+        self.gradient <= NONE * self.gradient_nearby && self.lowest_nearby < self.loss
+    }
+}
+
+impl fmt::Display for Plateau {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { loss, gradient, lowest_nearby, gradient_nearby } = self;
+        let numbers = format!("a gradient of {gradient:.1e}, and up to {gradient_nearby:.1e} at parameters {AWAY} away");
+        if self.is_stuck() {
+            write!(
+                f,
+                "a plateau: {numbers}, where the loss is lower by {:.1e}. What is followed from here is rounding. Begin \
+                 elsewhere: with other parameters, with a last kernel that is not zero, or from other states",
+                loss - lowest_nearby
+            )
+        } else if *gradient <= NONE * gradient_nearby {
+            write!(f, "a minimum: {numbers}, and no lower loss there")
+        } else if *gradient == 0.0 {
+            write!(f, "flat: {numbers}")
+        } else {
+            write!(f, "a slope: {numbers}")
+        }
+    }
+}
+
+/// Looks at the gradient R of the mean loss from `starts` at some parameters, and at a few neighbours of them.
+///
+/// For what has a derivative of 0 where one begins: an overlap with a target that is 0, whose square is paid for; a policy
+/// that is saturated; a contact that is not made.
+/// ```
+/// use physgrad::{Weights, check, policy::Constant, tasks::Bowl};
+///
+/// // One step from the origin to the bottom of a bowl, and to its side.
+/// let policy = Constant::new(2, 2);
+/// let at = |theta: [f64; 2]| check::plateau(&Bowl::default(), &policy, &Weights::new(&policy, theta.to_vec()), &[0.0, 0.0]);
+/// assert!(at([0.0, 0.0])?.to_string().starts_with("a minimum"));
+/// assert!(at([0.3, 0.1])?.to_string().starts_with("a slope"));
+/// # Ok::<(), physgrad::Divergence>(())
+/// ```
+///
+/// # Errors
+/// [`Divergence`], if a gradient is not finite.
+pub fn plateau<T: Task, P: Policy>(task: &T, policy: &P, weights: &Weights<f64>, starts: &[f64]) -> Result<Plateau, Divergence> {
+    let mut batch = Batch::new(task, policy, starts.len() / crate::System::state_dim(task.system()), &[Flow::REGULAR], 1);
+    let mut slope = |weights: &Weights<f64>| -> Result<(f64, f64), Divergence> {
+        let loss = batch.run(task, policy, weights, starts)?;
+        Ok((loss, batch.gradients()[0].norm().get()))
+    };
+    let (loss, gradient) = slope(weights)?;
+    let mut found = Plateau { loss, gradient, lowest_nearby: f64::INFINITY, gradient_nearby: 0.0 };
+    for neighbour in 0..NEIGHBOURS {
+        let mut nearby = weights.clone();
+        let away = normal(&mut stream(neighbour, Purpose::Check, 2), weights.theta().len());
+        nearby.update(policy, |theta| theta.iter_mut().zip(&away).for_each(|(theta, away)| *theta += AWAY * away));
+        let (loss, gradient) = slope(&nearby)?;
+        found.lowest_nearby = found.lowest_nearby.min(loss);
+        found.gradient_nearby = found.gradient_nearby.max(gradient);
+    }
+    Ok(found)
+}

@@ -1,0 +1,159 @@
+//! Whether the steps of a system can be stable: what a disturbance of a state is multiplied by.
+
+use crate::system::System;
+use std::fmt;
+
+/// Squarings of the Jacobian: its power 2³⁰.
+const SQUARINGS: usize = 30;
+/// How far above 1 a multiplier may be and still be called stable: a disturbance that only adds up, a place by its speed,
+/// has `2³⁰` for `1 + 2e-8`.
+const ROUNDING: f64 = 1e-6;
+
+/// What [`stability`] has found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stability {
+    /// The spectral radius of ∂S/∂x: what the disturbance that grows fastest is multiplied by in a step, in the long run.
+    /// NaN if a derivative is not finite.
+    pub multiplier: f64,
+    /// The state component in which that disturbance is largest.
+    pub component: usize,
+}
+
+impl Stability {
+    /// Whether no disturbance grows, but for rounding.
+    pub fn is_stable(&self) -> bool {
+        self.multiplier <= 1.0 + ROUNDING
+    }
+}
+
+impl fmt::Display for Stability {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { multiplier, component } = *self;
+        if multiplier.is_nan() {
+            return write!(f, "unknown: the derivative of the step is not finite in component {component}");
+        }
+        if self.is_stable() {
+            return write!(f, "stable: no disturbance grows, the slowest to decay is multiplied by {multiplier:.4} in a step");
+        }
+        write!(
+            f,
+            "unstable: a disturbance of component {component} is multiplied by {multiplier:.4} in a step. Take shorter steps \
+             (`Substeps`), an implicit integrator (`ImplicitMidpoint`) or more damping; if in steps half as long it grows by \
+             about {:.4} in each, it is the physics that is unstable and not the step",
+            multiplier.sqrt()
+        )
+    }
+}
+
+/// How a disturbance of the state `x` grows under repeated steps like the one from there, with the control `u`.
+///
+/// An explicit step is unstable where the physics is too stiff for it: the disturbance then grows from step to step, as a
+/// rule with another sign in each, or in turns. A step may well be stable at one state and not at another: ask at the
+/// closest approach, in contact, at rest.
+///
+/// The spectral radius is found by Gelfand's formula, `ρ = lim |Jᵏ|^(1/k)`, by squaring the Jacobian 30 times: this is
+/// a power iteration that pairs of complex eigenvalues and missing eigenvectors do not disturb. It takes `state_dim`
+/// derivatives in forward mode and 30 products of their matrix.
+/// ```
+/// use physgrad::{check, tasks::{FrictionScheme, SliderSystem}};
+///
+/// let slider = SliderSystem { smoothing: 0.01, scheme: FrictionScheme::Explicit, ..SliderSystem::default() };
+/// // 1 - dt μ g / ε = -3.905
+/// let found = check::stability(&slider, &[0.0, 0.0], &[0.0]);
+/// assert!(!found.is_stable() && (found.multiplier - 3.905).abs() < 1e-6);
+/// assert!(check::stability(&SliderSystem::default(), &[0.0, 0.0], &[0.0]).is_stable());
+/// ```
+pub fn stability<S: System>(system: &S, x: &[f64], u: &[f64]) -> Stability {
+    let n = system.state_dim();
+    let mut power = jacobian(system, x, u);
+    if let Some(at) = power.iter().position(|slope| !slope.is_finite()) {
+        return Stability { multiplier: f64::NAN, component: at / n };
+    }
+    let (mut logarithm, mut share) = (0.0, 1.0);
+    for round in 0..=SQUARINGS {
+        let largest = power.iter().fold(0.0, |largest: f64, slope| largest.max(slope.abs()));
+        if largest == 0.0 {
+            return Stability { multiplier: 0.0, component: 0 };
+        }
+        logarithm += share * largest.ln();
+        share *= 0.5;
+        power.iter_mut().for_each(|slope| *slope /= largest);
+        if round < SQUARINGS {
+            power = square(&power, n);
+        }
+    }
+    let weight = |i: usize| power[i * n..(i + 1) * n].iter().map(|slope| slope * slope).sum::<f64>();
+    let component = (0..n).max_by(|&i, &j| weight(i).total_cmp(&weight(j))).unwrap_or(0);
+    Stability { multiplier: logarithm.exp(), component }
+}
+
+/// ∂S/∂x, row by row.
+fn jacobian<S: System>(system: &S, x: &[f64], u: &[f64]) -> Vec<f64> {
+    let n = x.len();
+    let (mut matrix, mut x_tan, mut column) = (vec![0.0; n * n], vec![0.0; n], vec![0.0; n]);
+    for j in 0..n {
+        x_tan[j] = 1.0;
+        system.jvp_state(x, u, &x_tan, &mut column);
+        x_tan[j] = 0.0;
+        for i in 0..n {
+            matrix[i * n + j] = column[i];
+        }
+    }
+    matrix
+}
+
+fn square(matrix: &[f64], n: usize) -> Vec<f64> {
+    let mut product = vec![0.0; n * n];
+    for i in 0..n {
+        for k in 0..n {
+            let factor = matrix[i * n + k];
+            for j in 0..n {
+                product[i * n + j] += factor * matrix[k * n + j];
+            }
+        }
+    }
+    product
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scalar::Scalar;
+
+    /// `x' = A x`.
+    struct Linear<const N: usize>([[f64; N]; N]);
+
+    impl<const N: usize> System for Linear<N> {
+        fn state_dim(&self) -> usize {
+            N
+        }
+        fn control_dim(&self) -> usize {
+            0
+        }
+        fn step<T: Scalar>(&self, x: &[T], _u: &[T], next: &mut [T]) {
+            for (next, row) in next.iter_mut().zip(&self.0) {
+                *next = row.iter().zip(x).fold(T::zero(), |sum, (&a, &x)| sum + T::lift(a) * x);
+            }
+        }
+    }
+
+    fn of<const N: usize>(matrix: [[f64; N]; N]) -> Stability {
+        stability(&Linear(matrix), &[0.0; N], &[])
+    }
+
+    #[test]
+    fn spectral_radii_of_every_kind() {
+        let near = |found: Stability, expected: f64| assert!((found.multiplier - expected).abs() < 1e-7, "{found:?}");
+        near(of([[0.5, 0.0, 0.0], [0.0, -3.0, 0.0], [0.0, 0.0, 2.0]]), 3.0);
+        assert_eq!(of([[0.5, 0.0, 0.0], [0.0, -3.0, 0.0], [0.0, 0.0, 2.0]]).component, 1);
+        // A turn by 1 rad: complex eigenvalues, of size 2.
+        let (sin, cos) = (2.0 * f64::sin(1.0), 2.0 * f64::cos(1.0));
+        near(of([[cos, -sin], [sin, cos]]), 2.0);
+        // Far from normal, without a second eigenvector, without any power.
+        near(of([[0.9, 1e6], [0.0, 0.8]]), 0.9);
+        near(of([[1.0, 0.1], [0.0, 1.0]]), 1.0);
+        near(of([[0.0, 1.0], [0.0, 0.0]]), 0.0);
+        assert!(of([[1.0, 0.1], [0.0, 1.0]]).is_stable() && !of([[1.001]]).is_stable());
+        assert!(of([[1.0, f64::NAN], [0.0, 1.0]]).multiplier.is_nan() && !of([[f64::INFINITY]]).is_stable());
+    }
+}

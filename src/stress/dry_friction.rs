@@ -1,0 +1,103 @@
+//! Friction that is nearly a step function of the speed.
+
+use super::steps::{derivative, finite, states};
+use super::{Case, Finding};
+use crate::check;
+use crate::tasks::{FrictionScheme, SliderSystem};
+
+pub(super) const CASES: &[Case] = &[Case {
+    name: "dry_friction",
+    about: "a sliding block that friction stops, smoothed over ε = 1e-1 to 1e-6 m/s, from 1 m/s, in steps of 0.01 s",
+    criterion: "implicit steps are stable and never turn the block round; the way it goes, in units of v₀²/(2 μ g) and less \
+                dt v₀/2 by which Euler's steps are short, is 1 to 1 % at 1e-6; it is at rest within a step of v₀/(μ g) + \
+                what smoothing adds; its derivative by v₀ is finite, and within 2 % of v₀/(μ g) at 1e-3 and below. Explicit \
+                steps chatter where, and only where, `check::stability` calls them unstable, with the multiplier |1 - dt μ \
+                g/ε| to 1e-6",
+    run: dry_friction,
+}];
+
+const START: [f64; 2] = [0.0, 1.0];
+const STEPS: usize = 400;
+
+fn slider(smoothing: f64, scheme: FrictionScheme) -> SliderSystem {
+    SliderSystem { smoothing, scheme, ..SliderSystem::default() }
+}
+
+/// μ g, m/s².
+fn deceleration(system: &SliderSystem) -> f64 {
+    system.grip() / system.dt
+}
+
+fn dry_friction() -> Vec<Finding> {
+    let mut findings = Vec::new();
+    for exponent in 1..=6 {
+        let smoothing = 10f64.powi(-exponent);
+        findings.extend(implicit(smoothing));
+        findings.extend(explicit(smoothing));
+    }
+    findings
+}
+
+fn implicit(smoothing: f64) -> Vec<Finding> {
+    let system = slider(smoothing, FrictionScheme::Implicit);
+    let states = states(&system, &START, [0.0; STEPS].into_iter());
+    let speeds = || states.iter().map(|x| x[1]);
+    let largest = speeds().map(|v| check::stability(&system, &[0.0, v], &[0.0]).multiplier).fold(0.0, f64::max);
+    // Its own place is remembered: a multiplier of 1.
+    let mut findings = vec![Finding::at_most(format!("ε = {smoothing:.0e}: multiplier of implicit steps"), largest, 1.0 + 1e-6)];
+    let turned = speeds().filter(|&v| v < 0.0).count();
+    findings.push(Finding::at_most(format!("ε = {smoothing:.0e}: implicit states with a speed below 0"), turned as f64, 0.0));
+
+    // v̇ = -a tanh(v/ε): sinh(v/ε) decays by exp(-a t/ε). At rest: 1 % of the speed, and no more than 3 ε.
+    let (a, rest) = (deceleration(&system), f64::min(0.01, 3.0 * smoothing));
+    let ln_sinh = |v: f64| v / smoothing + (-(-2.0 * v / smoothing).exp()).ln_1p() - std::f64::consts::LN_2;
+    let expected = smoothing / a * (ln_sinh(1.0) - ln_sinh(rest));
+    let stopped = speeds().position(|v| v < rest).map_or(f64::INFINITY, |step| step as f64 * system.dt);
+    let late =
+        format!("ε = {smoothing:.0e}: at rest after {stopped:.2} s, in the limit {:.4} s; steps from {expected:.4} s", 1.0 / a);
+    findings.push(Finding::at_most(late, (stopped - expected).abs() / system.dt, late_steps(smoothing, &system)));
+
+    let (by_start, _) = derivative(&system, &states, 0.0, 0);
+    let slope = by_start[1] * a;
+    let told = format!("ε = {smoothing:.0e}: derivative of the way by v₀, of v₀/(μ g)");
+    findings.push(match smoothing {
+        s if s < 5e-3 => Finding::near(told, slope, 1.0, 0.02),
+        _ => Finding::holds(told, "finite", finite(&by_start), format!("{slope:.4}")),
+    });
+    if smoothing < 5e-6 {
+        let way = (states[STEPS][0] + 0.5 * system.dt) * 2.0 * a;
+        findings.push(Finding::near(format!("ε = {smoothing:.0e}: way, of v₀²/(2 μ g)"), way, 1.0, 0.01));
+    }
+    findings
+}
+
+/// Steps by which rest may be early or late: one, and those that backward Euler takes longer where the decay is slower than
+/// a step.
+fn late_steps(smoothing: f64, system: &SliderSystem) -> f64 {
+    1.0 + smoothing / system.grip()
+}
+
+fn explicit(smoothing: f64) -> Vec<Finding> {
+    let system = slider(smoothing, FrictionScheme::Explicit);
+    let expected = f64::max(1.0, (1.0 - system.grip() / smoothing).abs());
+    let report = check::stability(&system, &[0.0, 0.0], &[0.0]);
+    let states = states(&system, &START, [0.0; STEPS].into_iter());
+    let last: Vec<f64> = states[STEPS - 49..].iter().map(|x| x[1]).collect();
+    let turns = last.windows(2).filter(|v| v[0] * v[1] < 0.0).count();
+    let left = last.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
+    let chatters = turns > 40 && left > 0.1 * system.grip();
+    let measured = format!("{report}; {turns} of 49 steps turn round, at up to {left:.1e} m/s");
+    vec![
+        Finding::at_most(
+            format!("ε = {smoothing:.0e}: multiplier of explicit steps at rest, {expected:.4}: error, as a share"),
+            (report.multiplier / expected - 1.0).abs(),
+            1e-6,
+        ),
+        Finding::holds(
+            format!("ε = {smoothing:.0e}: explicit steps"),
+            if expected > 1.0 { "chatter, and are called unstable" } else { "come to rest, and are called stable" },
+            chatters == (expected > 1.0) && report.is_stable() != chatters,
+            measured,
+        ),
+    ]
+}

@@ -1,0 +1,159 @@
+//! Gradients at very many random states.
+
+use super::steps::{error, finite, step, vjp};
+use super::{Case, Finding};
+use crate::rng::{Purpose, Rng, stream};
+use crate::scalar::Float;
+use crate::system::{System, Wrt, vjp_by_duals};
+use crate::tasks::{
+    BouncingBall, CartPoleSystem, Contact, CoupledCartPole, FrictionScheme, GuidanceSystem, QuantumSystem, Renormalized,
+    SliderSystem, TwoBodies,
+};
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+
+pub(super) const CASES: &[Case] = &[Case {
+    name: "random_states",
+    about: "one step, its JVP and its VJP at 10,000 random states of every task, in f64 and f32",
+    criterion: "all is finite; duals and VJP agree to 1e-12 in f64, and in f32 to 64 ε (1 + κ), where ε is its rounding and \
+                κ what a derivative changes by, as a share, per relative change of the state (measured in f64 at every \
+                state)",
+    run: random_states,
+}];
+
+const STATES: u64 = 10_000;
+
+fn random_states() -> Vec<Finding> {
+    let poles = |poles: usize| CartPoleSystem { poles, ..CartPoleSystem::default() };
+    let coupled = CoupledCartPole(poles(4));
+    let herding = GuidanceSystem::default().herding();
+    let quantum = QuantumSystem { grid: 16, ..QuantumSystem::default() };
+    let explicit = SliderSystem { scheme: FrictionScheme::Explicit, ..SliderSystem::default() };
+    let spring = Contact::Penalty { stiffness: 1e4, damping: 0.5 };
+    let ball = BouncingBall::default();
+    [
+        of("cart-pole, 1 pole", &poles(1), wide),
+        of("cart-pole, 4 poles", &poles(4), wide),
+        of("coupled cart-pole, 4 poles", &coupled, wide),
+        of("guidance, 2 drivers and 4 evaders", &herding, wide),
+        of("quantum, 16 points", &quantum, wave),
+        of("quantum, 16 points, renormalized", &Renormalized { system: quantum }, wave),
+        of("slider, explicit", &explicit, sliding),
+        of("slider, implicit", &SliderSystem::default(), sliding),
+        of("ball, time of impact", &ball, falling),
+        of("ball, spring", &BouncingBall { contact: spring, ..ball }, falling),
+        of("pusher, time of impact", &TwoBodies::pusher(), meeting),
+        of("balls, spring", &TwoBodies { contact: spring, ..TwoBodies::balls() }, meeting),
+    ]
+    .concat()
+}
+
+fn normal(rng: &mut Rng) -> f64 {
+    StandardNormal.sample(rng)
+}
+
+/// Either sign, and any size between two powers of ten.
+fn any_size(rng: &mut Rng, from: f64, to: f64) -> f64 {
+    10f64.powf(rng.random_range(from..to)) * if rng.random() { 1.0 } else { -1.0 }
+}
+
+fn wide(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
+    x.iter_mut().chain(u).for_each(|x| *x = 3.0 * normal(rng));
+}
+
+fn wave(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
+    x.iter_mut().for_each(|x| *x = normal(rng));
+    let norm = x.iter().map(|x| x * x).sum::<f64>().sqrt();
+    x.iter_mut().for_each(|x| *x /= norm);
+    u[0] = rng.random_range(-30.0..30.0);
+}
+
+fn sliding(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
+    (x[0], x[1], u[0]) = (normal(rng), any_size(rng, -9.0, 1.0), 10.0 * normal(rng));
+}
+
+/// Over the floor at any height, or on it and perhaps at rest.
+fn falling(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
+    let on_floor = rng.random_bool(0.1);
+    x[0] = if on_floor { 0.0 } else { any_size(rng, -6.0, 0.5).abs() };
+    x[1] = if on_floor && rng.random() { 0.0 } else { any_size(rng, -6.0, 1.0) };
+    u[0] = 10.0 * normal(rng);
+}
+
+fn meeting(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
+    x[0] = normal(rng);
+    x[1] = x[0] + 0.1 + if rng.random_bool(0.1) { 0.0 } else { any_size(rng, -6.0, 0.5).abs() };
+    (x[2], x[3], u[0]) = (normal(rng), normal(rng), 10.0 * normal(rng));
+}
+
+type Draw = fn(&mut Rng, &mut [f64], &mut [f64]);
+
+/// A state, a control, a cotangent and a tangent.
+struct Inputs<F> {
+    x: Vec<F>,
+    u: Vec<F>,
+    bar: Vec<F>,
+    x_tan: Vec<F>,
+}
+
+/// What a pass finds at one state.
+struct Found {
+    finite: bool,
+    error: f64,
+}
+
+fn of<S: System>(name: &str, system: &S, draw: Draw) -> Vec<Finding> {
+    let (mut double, mut single) = ([0, 0], [0.0f64, 0.0]);
+    for index in 0..STATES {
+        let mut rng = stream(0, Purpose::Check, index);
+        let (mut x, mut u) = (vec![0.0; system.state_dim()], vec![0.0; system.control_dim()]);
+        draw(&mut rng, &mut x, &mut u);
+        let [bar, x_tan] = [0, 1].map(|_| x.iter().map(|_| normal(&mut rng)).collect::<Vec<f64>>());
+        let inputs = Inputs { x, u, bar, x_tan };
+        let condition = condition(system, &inputs, &mut rng);
+        let (of_double, of_single) = (at(system, &inputs), at(system, &rounded(&inputs)));
+        double[0] += usize::from(of_double.finite);
+        double[1] += usize::from(of_single.finite);
+        single[0] = single[0].max(of_double.error);
+        single[1] = single[1].max(of_single.error / (64.0 * f64::from(f32::EPSILON) * (1.0 + condition)));
+    }
+    let all = STATES as usize;
+    vec![
+        Finding::all(format!("{name}: states at which all is finite, f64"), double[0], all),
+        Finding::all(format!("{name}: states at which all is finite, f32"), double[1], all),
+        Finding::at_most(format!("{name}: VJP against duals, f64"), single[0], 1e-12),
+        Finding::at_most(format!("{name}: VJP against duals, f32, in 64 ε (1 + κ)"), single[1], 1.0),
+    ]
+}
+
+fn rounded(inputs: &Inputs<f64>) -> Inputs<f32> {
+    let single = |v: &[f64]| v.iter().map(|&v| v as f32).collect();
+    Inputs { x: single(&inputs.x), u: single(&inputs.u), bar: single(&inputs.bar), x_tan: single(&inputs.x_tan) }
+}
+
+fn reverse<S: System, F: Float>(system: &S, inputs: &Inputs<F>) -> [Vec<F>; 2] {
+    let (mut x_bar, mut u_bar) = (inputs.x.clone(), inputs.u.clone());
+    vjp(system, &inputs.x, &inputs.u, &inputs.bar, &mut x_bar, &mut u_bar);
+    [x_bar, u_bar]
+}
+
+fn at<S: System, F: Float>(system: &S, inputs: &Inputs<F>) -> Found {
+    let Inputs { x, u, bar, x_tan } = inputs;
+    let (mut next, mut next_tan) = (x.clone(), x.clone());
+    step(system, x, u, &mut next);
+    system.jvp_state(x, u, x_tan, &mut next_tan);
+    let [x_bar, u_bar] = reverse(system, inputs);
+    let (mut x_dual, mut u_dual) = (x_bar.clone(), u_bar.clone());
+    vjp_by_duals(system, x, u, bar, Wrt::Both, &mut x_dual, &mut u_dual);
+    let finite = [&next, &next_tan, &x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|v| finite(v));
+    // The state's and the control's together: one of a single component may vanish by chance.
+    Found { finite, error: error(&[x_bar, u_bar].concat(), &[x_dual, u_dual].concat()) }
+}
+
+/// κ: what the VJP changes by, as a share, per relative change of the state, in a random direction.
+fn condition<S: System>(system: &S, inputs: &Inputs<f64>, rng: &mut Rng) -> f64 {
+    const BY: f64 = 1e-7;
+    let mut moved = |v: &[f64]| v.iter().map(|v| v * (1.0 + if rng.random() { BY } else { -BY })).collect::<Vec<f64>>();
+    let near = Inputs { x: moved(&inputs.x), u: moved(&inputs.u), bar: inputs.bar.clone(), x_tan: Vec::new() };
+    error(&reverse(system, &near).concat(), &reverse(system, inputs).concat()) / BY
+}

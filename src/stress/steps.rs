@@ -1,0 +1,57 @@
+//! Steps one after the other, and back. Simulators are inlined wherever they are called: here they are called once for each
+//! kind of number.
+
+use crate::scalar::{Cotangent, Float, Real, Scalar};
+use crate::system::System;
+
+/// [`System::step`].
+#[inline(never)]
+pub(super) fn step<S: System, T: Scalar>(system: &S, x: &[T], u: &[T], next: &mut [T]) {
+    system.step(x, u, next);
+}
+
+/// [`System::vjp`].
+#[inline(never)]
+pub(super) fn vjp<S: System, R: Real + Cotangent<R>>(system: &S, x: &[R], u: &[R], bar: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
+    system.vjp(x, u, bar, x_bar, u_bar);
+}
+
+/// The states `x_0 .. x_T` under the controls `u_0 .. u_{T-1}`.
+pub(super) fn states<S: System, F: Float>(system: &S, start: &[F], controls: impl Iterator<Item = F>) -> Vec<Vec<F>> {
+    let mut states = vec![start.to_vec()];
+    for u in controls {
+        let mut next = vec![F::zero(); start.len()];
+        step(system, &states[states.len() - 1], &[u], &mut next);
+        states.push(next);
+    }
+    states
+}
+
+/// The derivative of a component of the last state by the start, and by a control that is the same in every step.
+pub(super) fn derivative<S: System>(system: &S, states: &[Vec<f64>], u: f64, component: usize) -> (Vec<f64>, f64) {
+    let n = states[0].len();
+    let (mut bar, mut x_bar, mut part, mut u_bar) = (vec![0.0; n], vec![0.0; n], [0.0], 0.0);
+    bar[component] = 1.0;
+    for x in states[..states.len() - 1].iter().rev() {
+        vjp(system, x, &[u], &bar, &mut x_bar, &mut part);
+        bar.copy_from_slice(&x_bar);
+        u_bar += part[0];
+    }
+    (bar, u_bar)
+}
+
+/// Whether all of them are finite.
+pub(super) fn finite<F: Float>(numbers: &[F]) -> bool {
+    numbers.iter().all(|number| number.as_().is_finite())
+}
+
+/// The largest difference of two components, in relation to the largest of what is expected.
+pub(super) fn error<F: Float>(found: &[F], expected: &[F]) -> f64 {
+    let (mut scale, mut worst) = (0.0, 0.0f64);
+    for (found, expected) in found.iter().zip(expected) {
+        scale = f64::max(scale, expected.as_().abs());
+        let error = (found.as_() - expected.as_()).abs();
+        worst = if error.is_nan() { f64::INFINITY } else { worst.max(error) };
+    }
+    if scale > 0.0 { worst / scale } else { worst }
+}

@@ -1,0 +1,93 @@
+//! A ball over a floor.
+
+use super::{Contact, Gap};
+use crate::rng::Rng;
+use crate::scalar::Scalar;
+use crate::system::System;
+use crate::task::Task;
+use rand::RngExt;
+
+/// The physics: a ball that falls on a floor and bounces. State `[height m, speed m/s]`, up; control `[thrust N]`, up.
+///
+/// ```text
+/// v̇ = u / m - g
+/// ```
+///
+/// On the floor, at height 0, what [`Contact`] says. Between impacts, steps with the time of impact are exact.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BouncingBall {
+    /// m, kg, positive.
+    pub mass: f64,
+    /// g, m/s².
+    pub gravity: f64,
+    /// What the floor does.
+    pub contact: Contact,
+    /// Time step, s.
+    pub dt: f64,
+}
+
+impl Default for BouncingBall {
+    fn default() -> Self {
+        Self { mass: 1.0, gravity: 9.81, contact: Contact::TimeOfImpact { restitution: 0.8 }, dt: 0.01 }
+    }
+}
+
+impl System for BouncingBall {
+    fn state_dim(&self) -> usize {
+        2
+    }
+
+    fn control_dim(&self) -> usize {
+        1
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        let acceleration = u[0] * T::lift(1.0 / self.mass) - T::lift(self.gravity);
+        let gap = self.contact.advance(Gap { width: x[0], speed: x[1] }, acceleration, self.mass, self.dt);
+        (next[0], next[1]) = (gap.width, gap.speed);
+    }
+}
+
+/// Be at a height at the end: the cost is `(h - target)²`, in m². The thrust is free.
+///
+/// Balls start at 0.5 to 1.5 m, at up to 1 m/s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounce {
+    /// The physics.
+    pub system: BouncingBall,
+    /// m.
+    pub target: f64,
+    /// Number of steps.
+    pub horizon: usize,
+}
+
+impl Default for Bounce {
+    /// 1 m after 1 s: about one bounce.
+    fn default() -> Self {
+        Self { system: BouncingBall::default(), target: 1.0, horizon: 100 }
+    }
+}
+
+impl Task for Bounce {
+    type System = BouncingBall;
+
+    fn system(&self) -> &BouncingBall {
+        &self.system
+    }
+
+    fn horizon(&self) -> usize {
+        self.horizon
+    }
+
+    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+        x[0] = rng.random_range(0.5..1.5);
+        x[1] = rng.random_range(-1.0..1.0);
+    }
+
+    #[inline(always)]
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        let miss = x[0] - T::lift(self.target);
+        miss * miss
+    }
+}

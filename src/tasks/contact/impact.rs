@@ -1,0 +1,67 @@
+//! A gap that closes within a step.
+
+use super::Gap;
+use crate::scalar::Scalar;
+
+/// Impacts that are followed within a step.
+const IMPACTS: usize = 4;
+
+/// The next impact.
+struct Impact<T> {
+    /// When, s from now.
+    time: T,
+    /// How fast the gap closes then, m/s, not negative.
+    speed: T,
+}
+
+impl<T: Scalar> Impact<T> {
+    /// The first root of `g + v t + a t²/2` at which the gap closes, and the speed there, `s = sqrt(v² - 2 a g)`.
+    ///
+    /// ```text
+    /// closing, v ≤ 0 : t = 2 g / (s - v)                if s is real and not 0; a gap that is closed and pressed: 0
+    /// opening, v > 0 : t = (v + s) / -a                 if a < 0
+    /// ```
+    ///
+    /// Neither form subtracts what is nearly equal. Roots and quotients that are not used are of 1, so that no derivative
+    /// meets a root of 0. A gap that rounding has closed too far is taken back to its impact, by a step at most, if it came
+    /// there fast: if `v² > 2 |a g|`. Else it rests.
+    #[inline(always)]
+    fn next(gap: Gap<T>, acceleration: T, dt: f64) -> Self {
+        let (zero, one, never) = (T::zero(), T::one(), T::lift(4.0 * dt));
+        let (speed_squared, gain) = (gap.speed * gap.speed, -(acceleration + acceleration) * gap.width);
+        let square = speed_squared + gain;
+        let certain = T::select_lt(gap.width, zero, speed_squared - gain.abs(), square);
+        let root = T::select_lt(zero, square, square, one).sqrt();
+        // What is not a number stays so.
+        let speed = T::select_lt(zero, square, root, square * zero);
+
+        let pressed = T::select_lt(acceleration, zero, zero, never);
+        let closing = T::select_lt(zero, certain, root - gap.speed, one);
+        let ahead = T::select_lt(zero, certain, (gap.width + gap.width) / closing, pressed);
+        let pull = T::select_lt(acceleration, zero, -acceleration, one);
+        let back = T::select_lt(acceleration, zero, (gap.speed + speed) / pull, never);
+        let time = T::select_lt(zero, gap.speed, back, ahead);
+        Self { time: time.max(T::lift(-dt)), speed }
+    }
+}
+
+/// As [`Contact::TimeOfImpact`](super::Contact::TimeOfImpact). At an impact the gap is 0 whatever came before, with no
+/// derivative; that by the instant is in the time that is left.
+#[inline(always)]
+pub(super) fn advance<T: Scalar>(mut gap: Gap<T>, acceleration: T, restitution: f64, dt: f64) -> Gap<T> {
+    let (zero, restitution) = (T::zero(), T::lift(restitution));
+    let mut left = T::lift(dt);
+    for _ in 0..IMPACTS {
+        let impact = Impact::next(gap, acceleration, dt);
+        gap.width = T::select_lt(impact.time, left, zero, gap.width);
+        gap.speed = T::select_lt(impact.time, left, restitution * impact.speed, gap.speed);
+        left = T::select_lt(impact.time, left, left - impact.time, left);
+    }
+    let fifth = Impact::next(gap, acceleration, dt);
+    let free = gap.free(acceleration, left);
+    // At rest, unless it is not a number.
+    Gap {
+        width: T::select_lt(fifth.time, left, zero, free.width),
+        speed: T::select_lt(fifth.time, left, free.speed * zero, free.speed),
+    }
+}

@@ -1,0 +1,108 @@
+//! A wave that is kept at norm 1.
+
+use super::QuantumSystem;
+use super::system::Wave;
+use crate::effect::Around;
+use crate::rng::Rng;
+use crate::scalar::{Cotangent, Real, Scalar};
+use crate::system::System;
+use smallvec::smallvec;
+
+/// A system around a [`QuantumSystem`] whose wave is brought back to norm 1 after each step: `ψ ← ψ / |ψ|`.
+///
+/// Steps are unitary, but for rounding, which adds up: in single precision to 1e-3 or so in 1e5 steps. Around
+/// [`Substeps`](crate::Substeps) of `system` it acts once for all of them. Its reverse takes the share along ψ out of the
+/// cotangent, as costs do not depend on a norm that is always 1:
+///
+/// ```text
+/// ψ' = y / |y|,   ȳ = (ψ̄' - ψ' ⟨ψ', ψ̄'⟩) / |y|
+/// ```
+///
+/// A wave that is 0 everywhere has no direction, and becomes not a number.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Renormalized<S = QuantumSystem> {
+    /// What steps before the norm is brought back.
+    pub system: S,
+}
+
+/// `1 / |ψ|`.
+#[inline(always)]
+fn per_norm<T: Scalar>(psi: &[T]) -> T {
+    let mut square = T::zero();
+    for &psi in psi {
+        square += psi * psi;
+    }
+    T::one() / square.sqrt()
+}
+
+impl<S: Around<QuantumSystem>> Renormalized<S> {
+    /// The wave's part of a state.
+    fn wave(&self) -> usize {
+        2 * self.system.body().grid
+    }
+
+    /// The cotangent before the norm is brought back.
+    #[inline(always)]
+    fn reverse<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C]) -> Wave<C> {
+        let n = self.wave();
+        let mut y: Wave<R> = smallvec![R::zero(); x.len()];
+        self.system.step(x, u, &mut y);
+        let per_norm = per_norm(&y[..n]);
+        let mut along = C::null();
+        for i in 0..n {
+            y[i] *= per_norm;
+            along += next_bar[i] * y[i];
+        }
+        let mut bar: Wave<C> = Wave::from_slice(next_bar);
+        for i in 0..n {
+            bar[i] = (next_bar[i] - along * y[i]) * per_norm;
+        }
+        bar
+    }
+}
+
+impl<S: Around<QuantumSystem>> System for Renormalized<S> {
+    fn state_dim(&self) -> usize {
+        self.system.state_dim()
+    }
+
+    fn control_dim(&self) -> usize {
+        self.system.control_dim()
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        self.system.step(x, u, next);
+        let psi = &mut next[..self.wave()];
+        let per_norm = per_norm(psi);
+        for psi in psi {
+            *psi *= per_norm;
+        }
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        self.system.vjp(x, u, &self.reverse(x, u, next_bar), x_bar, u_bar);
+    }
+
+    #[inline(always)]
+    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
+        self.system.vjp_state(x, u, &self.reverse(x, u, next_bar), x_bar);
+    }
+
+    #[inline(always)]
+    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
+        self.system.vjp_control(x, u, &self.reverse(x, u, next_bar), u_bar);
+    }
+}
+
+impl<S: Around<QuantumSystem>> Around<QuantumSystem> for Renormalized<S> {
+    #[inline(always)]
+    fn body(&self) -> &QuantumSystem {
+        self.system.body()
+    }
+
+    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
+        self.system.start_beyond(rng, x);
+    }
+}

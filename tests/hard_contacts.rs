@@ -1,0 +1,289 @@
+//! Dry friction and impacts: gradients, and what their documentation claims.
+
+use physgrad::policy::Mlp;
+use physgrad::tasks::{Bounce, BouncingBall, Contact, FrictionScheme, Push, Slider, SliderSystem, TwoBodies};
+use physgrad::{Float, Scalar, System, check};
+use rand::RngExt;
+
+const SPRING: Contact = Contact::Penalty { stiffness: 1e3, damping: 0.3 };
+
+fn step<S: System, F: Float>(system: &S, x: &[F], u: F) -> Vec<F> {
+    let mut next = vec![F::lift(f64::NAN); x.len()];
+    system.step(x, &[u], &mut next);
+    next
+}
+
+fn run<S: System>(system: &S, x: &[f64], u: f64, steps: usize) -> Vec<f64> {
+    (0..steps).fold(x.to_vec(), |x, _| step(system, &x, u))
+}
+
+/// ∂S_i/∂x_j, and ∂S_i/∂u in the last column.
+fn jacobian<S: System>(system: &S, x: &[f64], u: f64) -> Vec<Vec<f64>> {
+    let row = |i: usize| {
+        let (mut bar, mut x_bar, mut u_bar) = (vec![0.0; x.len()], vec![f64::NAN; x.len()], [f64::NAN]);
+        bar[i] = 1.0;
+        system.vjp(x, &[u], &bar, &mut x_bar, &mut u_bar);
+        x_bar.push(u_bar[0]);
+        x_bar
+    };
+    (0..x.len()).map(row).collect()
+}
+
+/// The same by central differences.
+fn differences<S: System>(system: &S, x: &[f64], u: f64, by: f64) -> Vec<Vec<f64>> {
+    let mut rows = vec![vec![0.0; x.len() + 1]; x.len()];
+    for j in 0..=x.len() {
+        let at = |by: f64| {
+            let mut xu = [x, &[u]].concat();
+            xu[j] += by;
+            step(system, &xu[..x.len()], xu[x.len()])
+        };
+        for (row, (after, before)) in rows.iter_mut().zip(at(by).iter().zip(at(-by))) {
+            row[j] = (after - before) / (2.0 * by);
+        }
+    }
+    rows
+}
+
+#[track_caller]
+fn near(found: &[Vec<f64>], expected: &[Vec<f64>], allowed: f64) {
+    for (i, (found, expected)) in found.iter().flatten().zip(expected.iter().flatten()).enumerate() {
+        assert!((found - expected).abs() <= allowed * expected.abs().max(1.0), "{i}: {found} is not {expected}");
+    }
+}
+
+fn sliders() -> impl Iterator<Item = SliderSystem> {
+    let schemes = [FrictionScheme::Explicit, FrictionScheme::Implicit];
+    (1..=6).flat_map(move |exponent| {
+        schemes.map(|scheme| SliderSystem { smoothing: 10f64.powi(-exponent), scheme, mass: 1.7, ..SliderSystem::default() })
+    })
+}
+
+#[test]
+fn sliders_of_every_smoothing() {
+    for slider in sliders() {
+        check::system(&slider);
+        let passed = check::try_system_at(&slider, |rng, x, u| {
+            x[0] = rng.random_range(-1.0..1.0);
+            x[1] = 10f64.powf(rng.random_range(-9.0..1.0)) * if rng.random() { 1.0 } else { -1.0 };
+            u[0] = rng.random_range(-20.0..20.0);
+        });
+        passed.unwrap_or_else(|mismatch| panic!("{slider:?}: {mismatch}"));
+    }
+}
+
+/// `v' - v - dt u/m + dt μ g tanh(v'/ε) = 0`, as far as v' can be told.
+fn residual<F: Float>(slider: &SliderSystem, v: f64, u: f64) -> f64 {
+    let next = step(slider, &[F::zero(), F::lift(v)], F::lift(u))[1].as_();
+    let (v, u) = (F::lift(v).as_(), F::lift(u).as_());
+    let b = slider.grip();
+    let y = next / slider.smoothing;
+    let off = next - v - slider.dt * u / slider.mass + b * Scalar::tanh(y);
+    // What a rounding of v', of w or of tanh makes of it.
+    let rounding = F::EPSILON * (v.abs() + (slider.dt * u / slider.mass).abs() + b + b * y.abs().min(1.0));
+    off.abs() / rounding
+}
+
+#[test]
+fn implicit_friction_solves_its_equation() {
+    for slider in sliders().filter(|slider| slider.scheme == FrictionScheme::Implicit) {
+        let b = slider.grip();
+        // Sliding, creeping, and held by nearly all the friction there is.
+        let starts = [10.0, 1.0, 3.0 * b, b, 0.5 * b, 1e-3, 1e-6, 1e-12, 0.0].into_iter();
+        let edges = [-1e-3, -1e-6, -1e-12, 1e-12, 1e-6, 1e-3].map(|off| b * (1.0 + off));
+        for v in starts.chain(edges).flat_map(|v| [v, -v]) {
+            for u in [0.0, 3.0, -40.0] {
+                let (double, single) = (residual::<f64>(&slider, v, u), residual::<f32>(&slider, v, u));
+                assert!(double < 8.0 && single < 8.0, "{slider:?} at {v}, {u}: {double} and {single} roundings");
+            }
+            let there = step(&slider, &[0.0, v], 3.0)[1];
+            assert_eq!(there, -step(&slider, &[0.0, -v], -3.0)[1], "friction has no preferred side");
+        }
+    }
+}
+
+#[test]
+fn implicit_friction_has_the_slope_of_its_solution() {
+    for smoothing in [1e-1, 1e-2, 1e-3] {
+        let slider = SliderSystem { smoothing, ..SliderSystem::default() };
+        for v in [0.0, 1e-3, slider.grip(), 0.06, 1.0] {
+            near(&jacobian(&slider, &[0.2, v], 0.4), &differences(&slider, &[0.2, v], 0.4, 1e-3 * smoothing), 1e-5);
+        }
+    }
+}
+
+#[test]
+fn both_schemes_have_one_limit() {
+    let after = |scheme, dt: f64| {
+        let slider = SliderSystem { smoothing: 0.1, dt, scheme, ..SliderSystem::default() };
+        run(&slider, &[0.0, 1.0], 0.5, (0.3 / dt).round() as usize)
+    };
+    let apart = |dt| (after(FrictionScheme::Explicit, dt)[0] - after(FrictionScheme::Implicit, dt)[0]).abs();
+    let (coarse, fine) = (apart(1e-3), apart(1e-4));
+    assert!(fine < 1e-4 && (9.0..11.0).contains(&(coarse / fine)), "{coarse:e}, {fine:e}");
+}
+
+#[test]
+fn a_push_below_the_friction_does_not_move_a_block() {
+    let slider = SliderSystem { smoothing: 1e-6, ..SliderSystem::default() };
+    let hold = slider.mass * slider.grip() / slider.dt;
+    assert!(run(&slider, &[0.0, 0.0], 0.99 * hold, 100)[0] < 1e-5);
+    assert!(run(&slider, &[0.0, 0.0], 1.01 * hold, 100)[0] > 0.02);
+}
+
+fn balls() -> [BouncingBall; 4] {
+    let ball = BouncingBall { mass: 0.7, ..BouncingBall::default() };
+    [0.0, 0.8, 1.0]
+        .map(|restitution| Contact::TimeOfImpact { restitution })
+        .into_iter()
+        .chain([SPRING])
+        .map(|contact| BouncingBall { contact, ..ball })
+        .collect::<Vec<_>>()
+        .try_into()
+        .expect("four")
+}
+
+fn pairs() -> [TwoBodies; 4] {
+    [
+        TwoBodies::balls(),
+        TwoBodies::pusher(),
+        TwoBodies { contact: SPRING, ..TwoBodies::balls() },
+        TwoBodies { contact: Contact::TimeOfImpact { restitution: 0.5 }, ..TwoBodies::pusher() },
+    ]
+}
+
+#[test]
+fn contacts_of_every_kind() {
+    for ball in balls() {
+        check::system(&ball);
+        let passed = check::try_system_at(&ball, |rng, x, u| {
+            x[0] = rng.random_range(0.0..0.02);
+            x[1] = rng.random_range(-3.0..0.5);
+            u[0] = rng.random_range(-5.0..5.0);
+        });
+        passed.unwrap_or_else(|mismatch| panic!("{ball:?}: {mismatch}"));
+    }
+    for pair in pairs() {
+        check::system(&pair);
+        let passed = check::try_system_at(&pair, |rng, x, u| {
+            x[0] = rng.random_range(-1.0..1.0);
+            x[1] = x[0] + pair.reach + rng.random_range(0.0..0.02);
+            x[2] = rng.random_range(0.0..3.0);
+            x[3] = rng.random_range(-3.0..0.0);
+            u[0] = rng.random_range(-5.0..5.0);
+        });
+        passed.unwrap_or_else(|mismatch| panic!("{pair:?}: {mismatch}"));
+    }
+}
+
+#[test]
+fn whole_rollouts_of_every_flow() {
+    for scheme in [FrictionScheme::Explicit, FrictionScheme::Implicit] {
+        let system = SliderSystem { scheme, smoothing: 0.03, ..SliderSystem::default() };
+        check::task(&Slider { system, horizon: 40, ..Slider::default() }, &Mlp::new([2, 8, 1]));
+    }
+    for system in balls() {
+        check::task(&Bounce { system, horizon: 60, ..Bounce::default() }, &Mlp::new([2, 8, 1]));
+    }
+    for system in pairs() {
+        check::task(&Push { system, horizon: 60 }, &Mlp::new([4, 8, 1]));
+    }
+}
+
+#[test]
+fn steps_are_as_exact_as_one_is_long() {
+    for restitution in [0.5, 0.8, 1.0] {
+        let after = |dt: f64| {
+            let ball = BouncingBall { contact: Contact::TimeOfImpact { restitution }, dt, ..BouncingBall::default() };
+            run(&ball, &[1.0, -0.5], 2.0, (1.2 / dt).round() as usize)
+        };
+        let [long, short] = [0.4, 0.0125].map(after);
+        assert!((long[0] - short[0]).abs() < 1e-12 && (long[1] - short[1]).abs() < 1e-12, "{long:?}, {short:?}");
+    }
+}
+
+#[test]
+fn an_elastic_ball_keeps_its_energy() {
+    let ball = BouncingBall { contact: Contact::TimeOfImpact { restitution: 1.0 }, ..BouncingBall::default() };
+    let energy = |x: &[f64]| 9.81 * x[0] + 0.5 * x[1] * x[1];
+    let after = run(&ball, &[1.0, 0.3], 0.0, 100_000);
+    assert!((energy(&after) / energy(&[1.0, 0.3]) - 1.0).abs() < 1e-10, "{after:?}");
+}
+
+#[test]
+fn a_ball_comes_to_rest_after_infinitely_many_bounces() {
+    let ball = BouncingBall { contact: Contact::TimeOfImpact { restitution: 0.5 }, ..BouncingBall::default() };
+    // Falls for sqrt(2 h/g), then bounces for 2 e/(1 - e) times as long.
+    let rest = f64::sqrt(2.0 / 9.81) * (1.0 + 2.0 * 0.5 / (1.0 - 0.5));
+    let steps = (rest / ball.dt) as usize;
+    assert!(run(&ball, &[1.0, 0.0], 0.0, steps - 4)[0] > 0.0, "it still bounces");
+    assert_eq!(run(&ball, &[1.0, 0.0], 0.0, steps + 1), [0.0, 0.0]);
+    // A resting ball does not depend on how it came, nor on a push that does not lift it; one that does has its slope.
+    near(&jacobian(&ball, &[0.0, 0.0], 0.0), &[vec![0.0; 3], vec![0.0; 3]], 0.0);
+    near(&jacobian(&ball, &[0.0, 0.0], 15.0), &[vec![1.0, 0.01, 5e-5], vec![0.0, 1.0, 0.01]], 1e-14);
+}
+
+#[test]
+fn several_impacts_in_a_step_have_their_slope() {
+    // 0, 1, 2, 3 and 4 impacts.
+    let impacts = [(1.0, 0.0, 0), (0.2, 0.0, 1), (0.06, 0.0, 2), (0.03, -0.2, 3), (0.02, 0.0, 4)];
+    for (h, v, count) in impacts {
+        let ball = BouncingBall { contact: Contact::TimeOfImpact { restitution: 0.8 }, dt: 0.33, ..BouncingBall::default() };
+        let fall = f64::sqrt(v * v + 2.0 * 9.81 * h);
+        let times = (0..).scan(((v + fall) / 9.81, fall), |(time, speed), _| {
+            let now = *time;
+            *speed *= 0.8;
+            *time += 2.0 * *speed / 9.81;
+            Some(now)
+        });
+        assert_eq!(times.take_while(|&time| time < ball.dt).count(), count, "from {h} m");
+        near(&jacobian(&ball, &[h, v], 0.0), &differences(&ball, &[h, v], 0.0, 1e-7), 1e-5);
+    }
+}
+
+#[test]
+fn a_touch_at_the_end_of_a_step_keeps_its_derivative() {
+    let ball = BouncingBall::default();
+    // A rounding above the floor, on it, and below.
+    for h in [1e-17, 0.0, -1e-17] {
+        let by_height = jacobian(&ball, &[h, -2.0], 0.0)[0][0];
+        // e (g left / s - 1) + g left / s, with all of the step left.
+        let expected = 0.8 * (0.0981 / 2.0 - 1.0) + 0.0981 / 2.0;
+        assert!((by_height - expected).abs() < 1e-12, "{h:e}: {by_height} is not {expected}");
+    }
+}
+
+#[test]
+fn what_is_not_finite_does_not_come_to_rest() {
+    for ball in balls() {
+        for x in [[f64::NAN, 0.0], [0.5, f64::NAN], [0.0, f64::NAN]] {
+            assert!(step(&ball, &x, 0.0).iter().any(|x| x.is_nan()), "{ball:?} at {x:?}");
+        }
+        assert!(step(&ball, &[0.0, 0.0], f64::NAN).iter().any(|x| x.is_nan()), "{ball:?}");
+    }
+}
+
+#[test]
+fn two_bodies_keep_their_momentum_and_equal_balls_exchange_it() {
+    for pair in pairs() {
+        let momentum = |x: &[f64]| pair.masses[0] * x[2] + pair.masses[1] * x[3];
+        let after = run(&pair, &[0.0, 0.3, 2.0, -0.5], 0.7, 80);
+        let expected = momentum(&[0.0, 0.3, 2.0, -0.5]) + 0.7 * 0.8;
+        assert!((momentum(&after) - expected).abs() < 1e-12, "{pair:?}");
+        assert!(after[1] - after[0] > pair.reach - 0.1 && after[3] > 0.0, "{pair:?}: {after:?}");
+    }
+    let after = run(&TwoBodies::balls(), &[0.0, 0.3, 2.0, -0.5], 0.0, 50);
+    assert!((after[2] + 0.5).abs() < 1e-13 && (after[3] - 2.0).abs() < 1e-13, "{after:?}");
+}
+
+#[test]
+fn a_pusher_takes_a_box_along_and_lets_it_go() {
+    let pair = TwoBodies::pusher();
+    let pushed = run(&pair, &[0.0, 0.2, 0.0, 0.0], 6.0, 60);
+    assert!((pushed[1] - pushed[0] - pair.reach).abs() < 1e-13 && (pushed[3] - pushed[2]).abs() < 1e-13);
+    let pulled = run(&pair, &pushed, -6.0, 30);
+    assert!(pulled[1] - pulled[0] > pair.reach + 0.1 && (pulled[3] - pushed[3]).abs() < 1e-13);
+    // While it is pushed it is one body of 3 kg.
+    let slopes = jacobian(&pair, &pushed, 6.0);
+    assert!((slopes[3][4] - 0.01 / 3.0).abs() < 1e-15 && (slopes[3][2] - 1.0 / 3.0).abs() < 1e-15);
+}
