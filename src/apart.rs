@@ -1,7 +1,8 @@
 //! Work that is compiled apart from the loops that need it.
 
 use crate::kernels::{Vectorized, dispatch_lanes};
-use crate::scalar::Scalar;
+use crate::scalar::{Cotangent, Real, Scalar};
+use crate::system::System;
 
 /// Runs it with the instructions of this processor, and is never inlined: what is chosen while the program runs is in
 /// every loop of every system, and with all choices inlined such a loop takes minutes to compile.
@@ -18,4 +19,43 @@ pub(crate) fn apart<T: Scalar>(work: impl Vectorized) {
         work.run::<false>();
     }
     if T::WIDE { best(work) } else { portable(work) }
+}
+
+/// A step of a system, to be compiled apart: what chooses while the program runs is a call, and what is around it may have
+/// several.
+pub(crate) struct Step<'a, S, T> {
+    pub(crate) system: &'a S,
+    pub(crate) x: &'a [T],
+    pub(crate) u: &'a [T],
+    pub(crate) next: &'a mut [T],
+}
+
+impl<S: System, T: Scalar> Vectorized for Step<'_, S, T> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        self.system.step(self.x, self.u, self.next);
+    }
+}
+
+/// Its reverse, to what is asked for.
+pub(crate) struct Reverse<'a, S, R, C> {
+    pub(crate) system: &'a S,
+    pub(crate) x: &'a [R],
+    pub(crate) u: &'a [R],
+    pub(crate) next_bar: &'a [C],
+    pub(crate) x_bar: Option<&'a mut [C]>,
+    pub(crate) u_bar: Option<&'a mut [C]>,
+}
+
+impl<S: System, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, S, R, C> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { system, x, u, next_bar, x_bar, u_bar } = self;
+        match (x_bar, u_bar) {
+            (Some(x_bar), Some(u_bar)) => system.vjp(x, u, next_bar, x_bar, u_bar),
+            (Some(x_bar), None) => system.vjp_state(x, u, next_bar, x_bar),
+            (None, Some(u_bar)) => system.vjp_control(x, u, next_bar, u_bar),
+            (None, None) => {}
+        }
+    }
 }

@@ -4,6 +4,7 @@ mod cart_pole;
 mod contact;
 mod double_pendulum;
 mod guidance;
+mod hard;
 mod linear;
 mod loss;
 mod pole_chain;
@@ -21,6 +22,7 @@ pub use double_pendulum::DoublePendulum;
 pub use guidance::{
     Center, Drive, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, Herding, Obstacles, Spread, Walls,
 };
+pub use hard::{AnyHard, Hard};
 pub use linear::{LinearPlant, Lqr, NoOptimum, Optimum};
 pub use loss::LossMode;
 pub use pole_chain::PoleChain;

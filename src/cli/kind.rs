@@ -2,6 +2,7 @@
 
 mod cart_pole;
 mod guidance;
+mod hard;
 mod network;
 mod quantum;
 mod schema;
@@ -115,7 +116,17 @@ pub trait Visit {
 }
 
 /// Every task.
-pub const KINDS: [&dyn AnyKind; 3] = [&cart_pole::CartPole, &guidance::Guidance, &quantum::Quantum];
+pub const KINDS: [&dyn AnyKind; 9] = [
+    &cart_pole::CartPole,
+    &guidance::Guidance,
+    &quantum::Quantum,
+    &hard::Lqr,
+    &hard::DoublePendulum,
+    &hard::PoleChain,
+    &hard::Slider,
+    &hard::Bounce,
+    &hard::Push,
+];
 
 /// A [`Kind`] of which one need not know which.
 pub trait AnyKind: Send + Sync {

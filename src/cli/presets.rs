@@ -6,7 +6,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
 
 /// A line for every file in `presets/`.
-const PRESETS: [(&str, &str); 17] = [
+const PRESETS: [(&str, &str); 23] = [
     ("cart_pole", include_str!("presets/cart_pole.toml")),
     ("cart_pole_1", include_str!("presets/cart_pole_1.toml")),
     ("cart_pole_2", include_str!("presets/cart_pole_2.toml")),
@@ -24,6 +24,12 @@ const PRESETS: [(&str, &str); 17] = [
     ("quantum_4", include_str!("presets/quantum_4.toml")),
     ("quantum_5", include_str!("presets/quantum_5.toml")),
     ("quantum_double_well", include_str!("presets/quantum_double_well.toml")),
+    ("lqr", include_str!("presets/lqr.toml")),
+    ("double_pendulum", include_str!("presets/double_pendulum.toml")),
+    ("pole_chain", include_str!("presets/pole_chain.toml")),
+    ("slider", include_str!("presets/slider.toml")),
+    ("bounce", include_str!("presets/bounce.toml")),
+    ("push", include_str!("presets/push.toml")),
 ];
 
 /// The presets with more in play than the paper has: one a task.

@@ -2,10 +2,9 @@
 
 use super::any::Apart;
 use super::{AnyIntegrator, Integrator, Stretch, room};
-use crate::apart::apart;
+use crate::apart::{Reverse, Step, apart};
 use crate::divergence::Cause;
 use crate::effect::Around;
-use crate::kernels::Vectorized;
 use crate::ode::Ode;
 use crate::rng::Rng;
 use crate::scalar::{Cotangent, Float, Real, Scalar};
@@ -20,45 +19,6 @@ pub struct Discretized<S> {
     pub integrator: Option<AnyIntegrator>,
     /// Time step, s.
     pub dt: f64,
-}
-
-/// A step of the system itself, compiled apart: what chooses while the program runs is a call, and what is around it may
-/// have several.
-struct Step<'a, S, T> {
-    system: &'a S,
-    x: &'a [T],
-    u: &'a [T],
-    next: &'a mut [T],
-}
-
-impl<S: System, T: Scalar> Vectorized for Step<'_, S, T> {
-    #[inline(always)]
-    fn run<const FMA: bool>(self) {
-        self.system.step(self.x, self.u, self.next);
-    }
-}
-
-/// Its reverse, to what is asked for.
-struct Reverse<'a, S, R, C> {
-    system: &'a S,
-    x: &'a [R],
-    u: &'a [R],
-    next_bar: &'a [C],
-    x_bar: Option<&'a mut [C]>,
-    u_bar: Option<&'a mut [C]>,
-}
-
-impl<S: System, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, S, R, C> {
-    #[inline(always)]
-    fn run<const FMA: bool>(self) {
-        let Self { system, x, u, next_bar, x_bar, u_bar } = self;
-        match (x_bar, u_bar) {
-            (Some(x_bar), Some(u_bar)) => system.vjp(x, u, next_bar, x_bar, u_bar),
-            (Some(x_bar), None) => system.vjp_state(x, u, next_bar, x_bar),
-            (None, Some(u_bar)) => system.vjp_control(x, u, next_bar, u_bar),
-            (None, None) => {}
-        }
-    }
 }
 
 impl<S: System + Ode> System for Discretized<S> {

@@ -128,10 +128,10 @@ impl IntegratorSettings {
         self.substeps.unwrap_or(1)
     }
 
-    /// A system whose own step has the length `dt`, as it is to be integrated.
-    pub fn around<S: System + Ode>(&self, system: S, dt: f64, precision: Precision) -> Substeps<Discretized<S>> {
+    /// What the method is, if there is one.
+    pub fn integrator(&self, precision: Precision) -> Option<AnyIntegrator> {
         let floor = precision.tolerance_floor();
-        let integrator = self.method.map(|method| match method {
+        self.method.map(|method| match method {
             Method::Pade | Method::Strang => unreachable!("validated: not a method of this task"),
             Method::Euler => AnyIntegrator::RungeKutta(RungeKutta::EULER),
             Method::SemiImplicit => AnyIntegrator::SemiImplicit(SemiImplicit),
@@ -148,7 +148,11 @@ impl IntegratorSettings {
                 let rtol = self.rtol.unwrap_or(usual.rtol.max(floor));
                 AnyIntegrator::Adaptive(Adaptive { rtol, atol: self.atol.unwrap_or(usual.atol), ..usual })
             }
-        });
-        Substeps { system: Discretized { system, integrator, dt }, count: self.count() }
+        })
+    }
+
+    /// A system whose own step has the length `dt`, as it is to be integrated.
+    pub fn around<S: System + Ode>(&self, system: S, dt: f64, precision: Precision) -> Substeps<Discretized<S>> {
+        Substeps { system: Discretized { system, integrator: self.integrator(precision), dt }, count: self.count() }
     }
 }

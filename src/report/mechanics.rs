@@ -1,0 +1,106 @@
+//! The animation of rods and boxes: any small mechanics in the plane.
+
+use super::animation::{Animation, Shape};
+
+const ROD: &str = "#0072B2";
+const JOINT: &str = "#4A4F57";
+const BOXES: [&str; 3] = ["#E69F00", "#009E73", "#CC79A7"];
+const GROUND: &str = "#9AA0A8";
+const MARK: &str = "#D55E00";
+
+/// More frames than this are thinned.
+const MAX_FRAMES: usize = 250;
+/// What is farther than this many metres from the origin is taken for a simulation that blew up.
+const FAR: f64 = 1e6;
+
+/// Where things are at one time, m.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Posture {
+    /// Joints of a chain of rods, from one end to the other; none, if there is no chain. As many at every time.
+    pub chain: Vec<[f64; 2]>,
+    /// The middles of boxes. As many at every time.
+    pub boxes: Vec<[f64; 2]>,
+}
+
+/// What does not move.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stage {
+    /// What the film is of.
+    pub title: String,
+    /// Width of a box, m; joints and rods are drawn to match.
+    pub size: f64,
+    /// The height of a floor or rail, if there is one, m.
+    pub floor: Option<f64>,
+    /// Where things should be, if that is a place.
+    pub mark: Option<[f64; 2]>,
+}
+
+/// Films a motion, `dt` seconds from one posture to the next. A motion under 2 s is shown three times slower. The film ends
+/// before the first posture that is not finite.
+pub fn mechanics(stage: &Stage, postures: &[Posture], dt: f64) -> Animation {
+    let points = |posture: &Posture| [&posture.chain[..], &posture.boxes[..]].concat();
+    let near = |posture: &&Posture| points(posture).iter().flatten().all(|x| x.abs() < FAR);
+    let shown: Vec<&Posture> = postures.iter().take_while(near).collect();
+    let time = shown.len().saturating_sub(1) as f64 * dt;
+    let (slowness, speed) = if time < 2.0 { (3.0, "at ⅓ speed") } else { (1.0, "in real time") };
+
+    let still_points = stage.floor.map(|height| [0.0, height]).into_iter().chain(stage.mark);
+    let all: Vec<[f64; 2]> = shown.iter().flat_map(|posture| points(posture)).chain(still_points).collect();
+    let end = |i: usize, pick: fn(f64, f64) -> f64| all.iter().map(|point| point[i]).reduce(pick).unwrap_or(0.0);
+    let margin = 1.5 * stage.size;
+    let mut low = [end(0, f64::min) - margin, end(1, f64::min) - margin];
+    let mut high = [end(0, f64::max) + margin, end(1, f64::max) + margin];
+    // Motion along a line is seen in a strip that is not too narrow.
+    for (i, other) in [(0, 1), (1, 0)] {
+        let missing = (high[other] - low[other]) / 3.0 - (high[i] - low[i]);
+        if missing > 0.0 {
+            (low[i], high[i]) = (low[i] - missing / 2.0, high[i] + missing / 2.0);
+        }
+    }
+
+    let thin = 0.12 * stage.size;
+    let ground = stage.floor.map(|height| {
+        let (from, to) = ([low[0], height - 0.5 * thin], [high[0], height - 0.5 * thin]);
+        Shape::Line { from, to, width: thin, color: GROUND }
+    });
+    let mark = stage.mark.map(|center| Shape::Circle { center, radius: 0.25 * stage.size, color: MARK });
+    let count = shown.len().min(MAX_FRAMES);
+    let frames = (0..count).map(|frame| shapes(shown[frame * (shown.len() - 1) / (count - 1).max(1)], stage.size));
+    Animation {
+        title: format!("{}: {time:.1} s {speed}", stage.title),
+        seconds: time * slowness,
+        view: (low, high),
+        still: ground.into_iter().chain(mark).collect(),
+        frames: frames.collect(),
+    }
+}
+
+fn shapes(posture: &Posture, size: f64) -> Vec<Shape> {
+    let boxes = posture.boxes.iter().enumerate().map(|(i, &center)| Shape::Rect {
+        center,
+        size: [size; 2],
+        color: BOXES[i % BOXES.len()],
+    });
+    let rods = (posture.chain.len() > 1).then(|| Shape::Curve { points: posture.chain.clone(), width: 0.3 * size, color: ROD });
+    let joints = posture.chain.iter().map(|&center| Shape::Circle { center, radius: 0.22 * size, color: JOINT });
+    boxes.chain(rods).chain(joints).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_film_shows_everything_and_ends_where_the_motion_blows_up() {
+        let stage = Stage { title: "A test".into(), size: 0.2, floor: Some(0.0), mark: Some([3.0, 0.0]) };
+        let posture = |x: f64| Posture { chain: vec![[x, 0.0], [x, 1.0]], boxes: vec![[x, 0.1]] };
+        let film = mechanics(&stage, &[posture(0.0), posture(1.0), posture(f64::NAN), posture(2.0)], 0.5);
+        assert_eq!((film.frames.len(), film.still.len(), film.frames[0].len()), (2, 2, 4));
+        let (low, high) = film.view;
+        assert!(low[0] < 0.0 && high[0] > 3.0 && high[1] > 1.0, "{low:?} {high:?}");
+        let picture = film.to_svg();
+        roxmltree::Document::parse(&picture).expect("an SVG is XML");
+        assert!(picture.contains("A test: 0.5 s at ⅓ speed"));
+        mechanics(&stage, &[], 0.5).to_svg();
+    }
+}

@@ -1,0 +1,166 @@
+//! The small hard tasks, chosen while the program runs: one type, so that what trains them is compiled once.
+
+use super::{Bounce, DoublePendulum, Lqr, PoleChain, Push, Slider, Upright};
+use crate::apart::{Reverse, Step, apart};
+use crate::effect::Around;
+use crate::integrator::{AnyIntegrator, Integrated};
+use crate::rng::Rng;
+use crate::scalar::{Cotangent, Real, Scalar};
+use crate::system::System;
+use crate::task::Task;
+
+/// Any of them. As a [`System`] it is the task's physics, compiled apart; with whatever is around that, [`Hard`] is the task.
+#[derive(Clone, Debug, PartialEq)]
+pub enum AnyHard {
+    /// [`Lqr`].
+    Lqr(Lqr),
+    /// [`DoublePendulum`].
+    DoublePendulum(Upright<Integrated<DoublePendulum, AnyIntegrator>>),
+    /// [`PoleChain`].
+    PoleChain(Upright<Integrated<PoleChain, AnyIntegrator>>),
+    /// [`Slider`].
+    Slider(Slider),
+    /// [`Bounce`].
+    Bounce(Bounce),
+    /// [`Push`].
+    Push(Push),
+}
+
+/// The same work for whichever it is.
+macro_rules! whichever {
+    ($any:expr, $task:ident => $work:expr) => {
+        match $any {
+            AnyHard::Lqr($task) => $work,
+            AnyHard::DoublePendulum($task) => $work,
+            AnyHard::PoleChain($task) => $work,
+            AnyHard::Slider($task) => $work,
+            AnyHard::Bounce($task) => $work,
+            AnyHard::Push($task) => $work,
+        }
+    };
+}
+
+impl AnyHard {
+    #[inline(always)]
+    fn reverse<R: Real, C: Cotangent<R>>(
+        &self,
+        x: &[R],
+        u: &[R],
+        next_bar: &[C],
+        x_bar: Option<&mut [C]>,
+        u_bar: Option<&mut [C]>,
+    ) {
+        whichever!(self, task => apart::<R>(Reverse { system: task.system(), x, u, next_bar, x_bar, u_bar }));
+    }
+}
+
+impl System for AnyHard {
+    fn state_dim(&self) -> usize {
+        whichever!(self, task => task.system().state_dim())
+    }
+
+    fn control_dim(&self) -> usize {
+        whichever!(self, task => task.system().control_dim())
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        whichever!(self, task => apart::<T>(Step { system: task.system(), x, u, next }));
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        self.reverse(x, u, next_bar, Some(x_bar), Some(u_bar));
+    }
+
+    #[inline(always)]
+    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
+        self.reverse(x, u, next_bar, Some(x_bar), None);
+    }
+
+    #[inline(always)]
+    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
+        self.reverse(x, u, next_bar, None, Some(u_bar));
+    }
+}
+
+impl Around<AnyHard> for AnyHard {
+    #[inline(always)]
+    fn body(&self) -> &AnyHard {
+        self
+    }
+
+    fn start_beyond(&self, _rng: &mut Rng, _x: &mut [f64]) {}
+}
+
+/// One of them as a task, with what is around its physics.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Hard<S = AnyHard> {
+    /// The physics and what is around it.
+    pub system: S,
+}
+
+impl<S: Around<AnyHard>> Hard<S> {
+    /// The task by itself, and the state that it knows of, without that of what is around the physics.
+    #[inline(always)]
+    fn own<'a, T>(&self, x: &'a [T]) -> (&AnyHard, &'a [T]) {
+        let task = self.system.body();
+        (task, &x[..task.state_dim()])
+    }
+}
+
+impl<S: Around<AnyHard>> Task for Hard<S> {
+    type System = S;
+
+    fn system(&self) -> &S {
+        &self.system
+    }
+
+    fn horizon(&self) -> usize {
+        whichever!(self.system.body(), task => task.horizon())
+    }
+
+    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+        let task = self.system.body();
+        let own = task.state_dim();
+        whichever!(task, task => task.start(rng, &mut x[..own]));
+        self.system.start_beyond(rng, x);
+    }
+
+    #[inline(always)]
+    fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
+        let (task, x) = self.own(x);
+        whichever!(task, task => task.stage_cost(x, u))
+    }
+
+    #[inline(always)]
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        let (task, x) = self.own(x);
+        whichever!(task, task => task.terminal_cost(x))
+    }
+
+    #[inline(always)]
+    fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
+        let (task, x) = self.own(x);
+        let (own, beyond) = x_bar.split_at_mut(x.len());
+        beyond.fill(R::zero());
+        match task {
+            // These are paid for at the end alone.
+            AnyHard::Slider(_) | AnyHard::Bounce(_) | AnyHard::Push(_) => {
+                own.fill(R::zero());
+                u_bar.fill(R::zero());
+            }
+            AnyHard::Lqr(task) => task.stage_cost_gradient(x, u, own, u_bar),
+            AnyHard::DoublePendulum(task) => task.stage_cost_gradient(x, u, own, u_bar),
+            AnyHard::PoleChain(task) => task.stage_cost_gradient(x, u, own, u_bar),
+        }
+    }
+
+    #[inline(always)]
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
+        let (task, x) = self.own(x);
+        let (own, beyond) = x_bar.split_at_mut(x.len());
+        beyond.fill(R::zero());
+        whichever!(task, task => task.terminal_cost_gradient(x, own));
+    }
+}
