@@ -86,7 +86,8 @@ fn residual<F: Float>(slider: &SliderSystem, v: f64, u: f64) -> f64 {
 
 #[test]
 fn implicit_friction_solves_its_equation() {
-    for slider in sliders().filter(|slider| slider.scheme == FrictionScheme::Implicit) {
+    let sharp = [1e-8, 1e-9].map(|smoothing| SliderSystem { smoothing, ..SliderSystem::default() });
+    for slider in sliders().filter(|slider| slider.scheme == FrictionScheme::Implicit).chain(sharp) {
         let b = slider.grip();
         // Sliding, creeping, and held by nearly all the friction there is.
         let starts = [10.0, 1.0, 3.0 * b, b, 0.5 * b, 1e-3, 1e-6, 1e-12, 0.0].into_iter();
@@ -260,6 +261,9 @@ fn what_is_not_finite_does_not_come_to_rest() {
             assert!(step(&ball, &x, 0.0).iter().any(|x| x.is_nan()), "{ball:?} at {x:?}");
         }
         assert!(step(&ball, &[0.0, 0.0], f64::NAN).iter().any(|x| x.is_nan()), "{ball:?}");
+    }
+    for slider in sliders() {
+        assert!(step(&slider, &[0.0, f64::NAN], 0.0)[1].is_nan() && step(&slider, &[0.0, 0.0], f64::NAN)[1].is_nan());
     }
 }
 

@@ -15,7 +15,7 @@ pub(super) const CASES: &[Case] = &[Case {
                 they meet",
     criterion: "explicit Euler: reported as unstable, in words, with the multiplier 1 + dt sqrt(2k) or sqrt(1 + 2 dt² k) to \
                 1 %; 1000 states are finite, and the energy doubles. Semi-implicit in 128 substeps and the implicit midpoint \
-                rule in 32: the energy stays within 10 % for 10,000 steps. Attraction is reported as stable for \
+                rule in 16: the energy stays within 10 % for 10,000 steps. Attraction is reported as stable for \
                 semi-implicit steps a quarter as long and for whole implicit ones, and as unstable for whole semi-implicit \
                 ones",
     run: guidance_close_approach,
@@ -89,8 +89,8 @@ fn guidance_close_approach() -> Vec<Finding> {
         let (all, _, highest) = energies(&explicit, strength, 1000);
         findings.push(Finding::holds(format!("{what}: 1000 explicit states"), "finite", all, if all { "finite" } else { "not" }));
         findings.push(Finding::at_least(format!("{what}: energy by explicit steps, of the first"), highest, 2.0));
-        findings.extend(bounded(what, "semi-implicit", strength, &split(strength, SemiImplicit, 128)));
-        findings.extend(bounded(what, "implicit midpoint", strength, &split(strength, ImplicitMidpoint::default(), 32)));
+        findings.push(bounded(what, "semi-implicit", strength, &split(strength, SemiImplicit, 128)));
+        findings.push(bounded(what, "implicit midpoint", strength, &split(strength, ImplicitMidpoint::default(), 16)));
     }
     for (how, report, stable) in [
         ("semi-implicit in 4 substeps", close(&split(-STRENGTH, SemiImplicit, 4)), true),
@@ -104,8 +104,8 @@ fn guidance_close_approach() -> Vec<Finding> {
     findings
 }
 
-fn bounded<S: System>(what: &str, how: &str, strength: f64, system: &S) -> Vec<Finding> {
+fn bounded<S: System>(what: &str, how: &str, strength: f64, system: &S) -> Finding {
     let (all, lowest, highest) = energies(system, strength, 10_000);
     let off = if all { (highest - 1.0).max(1.0 - lowest) } else { f64::INFINITY };
-    vec![Finding::at_most(format!("{what}, {how}: largest change of energy in 10,000 steps, as a share"), off, 0.1)]
+    Finding::at_most(format!("{what}, {how}: largest change of energy in 10,000 steps, as a share"), off, 0.1)
 }

@@ -1,6 +1,6 @@
 //! Agents at one place, and worlds apart.
 
-use super::steps::{error, finite, step, vjp};
+use super::steps::{error, finite, larger, step, vjp};
 use super::{Case, Finding};
 use crate::effect::With;
 use crate::scalar::{Float, Scalar};
@@ -66,9 +66,9 @@ fn at<F: Float>(distances: &[f64], allowed: f64) -> Vec<Finding> {
     for &distance in distances {
         let (whether, error) = derivatives::<F>(&system, distance);
         finite += usize::from(whether);
-        agreeing = agreeing.max(error);
+        agreeing = larger(agreeing, error);
         if distance > 0.0 {
-            pushing = pushing.max(force::<F>(distance));
+            pushing = larger(pushing, force::<F>(distance));
         }
     }
     vec![
@@ -103,8 +103,9 @@ fn derivatives<F: Float>(system: &Crowd, distance: f64) -> (bool, f64) {
         vjp_by_duals(system, &x, &u, &bar, Wrt::Both, &mut x_dual, &mut u_dual);
         let positions = |v: &[F]| (0..n).filter(|k| k % 4 < 2).map(|k| v[k]).collect::<Vec<F>>();
         whether &= [&x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|bar| finite(bar));
-        worst = worst.max(error(&x_bar, &x_dual)).max(error(&u_bar, &u_dual));
-        worst = worst.max(error(&positions(&x_bar), &positions(&x_dual)));
+        for error in [error(&x_bar, &x_dual), error(&u_bar, &u_dual), error(&positions(&x_bar), &positions(&x_dual))] {
+            worst = larger(worst, error);
+        }
     }
     (whether, worst)
 }
@@ -119,5 +120,5 @@ fn force<F: Float>(distance: f64) -> f64 {
     step(&system, &[zero, zero, zero, zero, along, across, zero, zero], &[zero; 2], &mut next);
     let force = 15.0 / (0.1 + distance) * (distance / (0.1 + distance));
     let shares = [next[6].as_() / force, next[7].as_() / force];
-    (shares[0] - 0.6).abs().max((shares[1] - 0.8).abs())
+    larger((shares[0] - 0.6).abs(), (shares[1] - 0.8).abs())
 }

@@ -1,6 +1,6 @@
 //! Friction that is nearly a step function of the speed.
 
-use super::steps::{derivative, finite, states};
+use super::steps::{derivative, finite, larger, states};
 use super::{Case, Finding};
 use crate::check;
 use crate::tasks::{FrictionScheme, SliderSystem};
@@ -42,7 +42,7 @@ fn implicit(smoothing: f64) -> Vec<Finding> {
     let system = slider(smoothing, FrictionScheme::Implicit);
     let states = states(&system, &START, [0.0; STEPS].into_iter());
     let speeds = || states.iter().map(|x| x[1]);
-    let largest = speeds().map(|v| check::stability(&system, &[0.0, v], &[0.0]).multiplier).fold(0.0, f64::max);
+    let largest = speeds().map(|v| check::stability(&system, &[0.0, v], &[0.0]).multiplier).fold(0.0, larger);
     // Its own place is remembered: a multiplier of 1.
     let mut findings = vec![Finding::at_most(format!("ε = {smoothing:.0e}: multiplier of implicit steps"), largest, 1.0 + 1e-6)];
     let turned = speeds().filter(|&v| v < 0.0).count();

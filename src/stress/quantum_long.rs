@@ -1,6 +1,6 @@
 //! Waves and their adjoints over very many steps.
 
-use super::steps::step;
+use super::steps::{larger, step};
 use super::{Case, Finding};
 use crate::rng::{Purpose, stream};
 use crate::scalar::Float;
@@ -93,8 +93,7 @@ fn drift<S: System, F: Float>(system: &S, steps: usize, size: f64) -> f64 {
     for u in controls(steps, size) {
         step(system, &x, &[F::lift(u)], &mut next);
         x.copy_from_slice(&next);
-        let off = (norm(&x) - 1.0).abs();
-        worst = if off.is_nan() { f64::INFINITY } else { worst.max(off) };
+        worst = larger(worst, (norm(&x) - 1.0).abs());
     }
     worst
 }
@@ -109,7 +108,7 @@ fn adjoint_drift<S: System>(system: &S, steps: usize) -> f64 {
         // The step is linear in the state, so that the state does not matter.
         system.vjp_state(&x, &[u], &bar, &mut x_bar);
         bar.copy_from_slice(&x_bar);
-        worst = worst.max((norm(&bar) / first - 1.0).abs());
+        worst = larger(worst, (norm(&bar) / first - 1.0).abs());
     }
     worst
 }

@@ -1,6 +1,6 @@
 //! Gradients at very many random states.
 
-use super::steps::{error, finite, step, vjp};
+use super::steps::{error, finite, larger, step, vjp};
 use super::{Case, Finding};
 use crate::rng::{Purpose, Rng, stream};
 use crate::scalar::Float;
@@ -103,7 +103,7 @@ struct Found {
 }
 
 fn of<S: System>(name: &str, system: &S, draw: Draw) -> Vec<Finding> {
-    let (mut double, mut single) = ([0, 0], [0.0f64, 0.0]);
+    let (mut finite, mut worst) = ([0, 0], [0.0, 0.0]);
     for index in 0..STATES {
         let mut rng = stream(0, Purpose::Check, index);
         let (mut x, mut u) = (vec![0.0; system.state_dim()], vec![0.0; system.control_dim()]);
@@ -112,17 +112,17 @@ fn of<S: System>(name: &str, system: &S, draw: Draw) -> Vec<Finding> {
         let inputs = Inputs { x, u, bar, x_tan };
         let condition = condition(system, &inputs, &mut rng);
         let (of_double, of_single) = (at(system, &inputs), at(system, &rounded(&inputs)));
-        double[0] += usize::from(of_double.finite);
-        double[1] += usize::from(of_single.finite);
-        single[0] = single[0].max(of_double.error);
-        single[1] = single[1].max(of_single.error / (64.0 * f64::from(f32::EPSILON) * (1.0 + condition)));
+        finite[0] += usize::from(of_double.finite);
+        finite[1] += usize::from(of_single.finite);
+        worst[0] = larger(worst[0], of_double.error);
+        worst[1] = larger(worst[1], of_single.error / (64.0 * f64::from(f32::EPSILON) * (1.0 + condition)));
     }
     let all = STATES as usize;
     vec![
-        Finding::all(format!("{name}: states at which all is finite, f64"), double[0], all),
-        Finding::all(format!("{name}: states at which all is finite, f32"), double[1], all),
-        Finding::at_most(format!("{name}: VJP against duals, f64"), single[0], 1e-12),
-        Finding::at_most(format!("{name}: VJP against duals, f32, in 64 ε (1 + κ)"), single[1], 1.0),
+        Finding::all(format!("{name}: states at which all is finite, f64"), finite[0], all),
+        Finding::all(format!("{name}: states at which all is finite, f32"), finite[1], all),
+        Finding::at_most(format!("{name}: VJP against duals, f64"), worst[0], 1e-12),
+        Finding::at_most(format!("{name}: VJP against duals, f32, in 64 ε (1 + κ)"), worst[1], 1.0),
     ]
 }
 

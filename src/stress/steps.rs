@@ -45,13 +45,17 @@ pub(super) fn finite<F: Float>(numbers: &[F]) -> bool {
     numbers.iter().all(|number| number.as_().is_finite())
 }
 
+/// The larger of two errors. One that is not a number is larger than any.
+pub(super) fn larger(a: f64, b: f64) -> f64 {
+    if a.is_nan() || b.is_nan() { f64::INFINITY } else { a.max(b) }
+}
+
 /// The largest difference of two components, in relation to the largest of what is expected.
 pub(super) fn error<F: Float>(found: &[F], expected: &[F]) -> f64 {
     let (mut scale, mut worst) = (0.0, 0.0f64);
     for (found, expected) in found.iter().zip(expected) {
         scale = f64::max(scale, expected.as_().abs());
-        let error = (found.as_() - expected.as_()).abs();
-        worst = if error.is_nan() { f64::INFINITY } else { worst.max(error) };
+        worst = larger(worst, (found.as_() - expected.as_()).abs());
     }
     if scale > 0.0 { worst / scale } else { worst }
 }

@@ -88,9 +88,9 @@ impl SliderSystem {
     /// The root z of `z + b tanh(z/ε) = w`, with `b = dt μ g`, and dz/dw.
     ///
     /// In `y = |z|/ε` the left side, `ε y + b tanh y`, is rising and concave: from below, Newton's iteration neither leaps
-    /// over the root nor needs a safeguard. It begins at the better of two lower bounds, from `tanh y ≤ y` and `tanh y ≤ 1`.
-    /// It runs on plain values; a last round from there gives duals the derivative of the root by the theorem of implicit
-    /// functions, `dz/dw = ε / (ε + b (1 - tanh² y))`.
+    /// over the root nor needs a safeguard, but that no rounding may take it back, to where a saturated tanh would throw it. It
+    /// begins at the better of two lower bounds, from `tanh y ≤ y` and `tanh y ≤ 1`. It runs on plain values; duals get the
+    /// derivative of the root by the theorem of implicit functions, `dz/dw = ε / (ε + b (1 - tanh² y))`.
     #[inline(always)]
     fn solve<T: Scalar>(&self, w: T) -> (T, T) {
         let (eps, grip, one) = (T::lift(self.smoothing), T::lift(self.grip()), T::one());
@@ -98,12 +98,11 @@ impl SliderSystem {
         let mut y = (size / (eps + grip)).max((size - grip) / eps);
         for _ in 0..ROUNDS {
             let tanh = y.tanh();
-            y += (size - eps * y - grip * tanh) / (eps + grip * (one - tanh * tanh));
+            y += (size - eps * y - grip * tanh).max(T::zero()) / (eps + grip * (one - tanh * tanh));
         }
-        let y = T::select_lt(w, T::zero(), -y, y).detach();
-        let slope = (eps + grip * decline(y)).detach();
-        let y = y + (w - eps * y - grip * y.tanh()) / slope;
-        (y * eps, eps / slope)
+        let speed = eps * T::select_lt(w, T::zero(), -y, y);
+        let share = eps / (eps + grip * decline(y));
+        (speed + (w - w.detach()) * share, share)
     }
 }
 

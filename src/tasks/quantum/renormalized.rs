@@ -10,8 +10,8 @@ use smallvec::smallvec;
 
 /// A system around a [`QuantumSystem`] whose wave is brought back to norm 1 after each step: `ψ ← ψ / |ψ|`.
 ///
-/// Steps are unitary, but for rounding, which adds up: in single precision to 1e-3 or so in 1e5 steps. Around
-/// [`Substeps`](crate::Substeps) of `system` it acts once for all of them. Its reverse takes the share along ψ out of the
+/// Steps are unitary, but for rounding, which adds up where every step rounds alike: without control, to about 1e-2 in 1e5
+/// steps in single precision. Around [`Substeps`](crate::Substeps) of `system` it acts once for all of them. Its reverse takes the share along ψ out of the
 /// cotangent, as costs do not depend on a norm that is always 1:
 ///
 /// ```text
