@@ -34,7 +34,7 @@ pub fn effects(_args: &Effects) -> Result<()> {
 
 fn page() -> Result<String> {
     let mut page = HEAD.to_owned();
-    for kind in KINDS {
+    for kind in KINDS.into_iter().filter(|kind| !kind.effects().is_empty()) {
         let _ = writeln!(page, "\n## {}\n\n{} {}\n", kind.name(), sentence(kind.about()), symbols(kind.name()));
         section(&mut page, kind, "effects", kind.effects())?;
     }

@@ -170,8 +170,8 @@ impl<K: Kind> AnyKind for K {
     }
 
     fn reference(&self) -> (&'static str, usize) {
-        let method = if K::METHODS.contains(&Method::Tsit5) { Method::Tsit5 } else { Method::Pade };
-        (method.name(), 128)
+        let best = [Method::Tsit5, Method::Pade].into_iter().find(|method| K::METHODS.contains(method));
+        (best.map_or("own", Method::name), 128)
     }
 
     fn defaults(&self) -> Table {

@@ -23,7 +23,8 @@ training.optimizer: adam, sgd, momentum, rmsprop, adagrad, adadelta; loss.mode: 
 fn describe(kind: &dyn AnyKind) -> Result<()> {
     let settings = presets::document(kind.name())?.scene()?.table.to_string();
     let indented: String = settings.trim_end().lines().map(|line| format!("    {line}\n")).collect();
-    say(&format!("{}: {}\neffects: {}\n\n{indented}", kind.name(), kind.about(), names(kind.effects())));
+    let effects = if kind.effects().is_empty() { "none".into() } else { names(kind.effects()) };
+    say(&format!("{}: {}\neffects: {effects}\n\n{indented}", kind.name(), kind.about()));
     Ok(())
 }
 

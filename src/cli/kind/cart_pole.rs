@@ -207,6 +207,7 @@ impl Kind for CartPole {
         positive("system.half_length", system.half_length)?;
         positive("system.dt", system.dt)?;
         finite("system.gravity", system.gravity)?;
+        system.body().check().map_err(|error| Problem::new("system.cart_mass", format!("is {}: {error}", system.cart_mass)))?;
         settings.effects.validate()
     }
 
