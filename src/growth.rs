@@ -75,3 +75,41 @@ impl Meter {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stretch_is_the_worst_one_and_the_whole_may_still_decay() {
+        let mut meter = Meter::default();
+        // Lengths 1, 10, 1000, 1, 0.01, 0.1: squares are what it is told.
+        for (before, after) in [(1.0, 1e2), (1e2, 1e6), (1e6, 1.0), (1.0, 1e-4), (1e-4, 1e-2)] {
+            meter.step(before, after, 0);
+        }
+        assert!((meter.along + 1.0).abs() < 1e-12 && (meter.stretch - 3.0).abs() < 1e-12, "{meter:?}");
+        // What was taken out as a power of two counts.
+        meter.step(1.0, 1.0, 100);
+        assert!((meter.along + 1.0 - 100.0 * 2f64.log10()).abs() < 1e-9, "{meter:?}");
+        // Where there is nothing, nothing grows; where nothing is left, all of it has vanished.
+        meter.step(0.0, 0.0, 0);
+        assert!(meter.along.is_finite());
+        meter.step(1.0, 0.0, 0);
+        assert_eq!(meter.along, f64::NEG_INFINITY);
+    }
+
+    #[test]
+    fn words_are_said_where_and_only_where_a_flow_is_not_to_be_trusted() {
+        let growth = |along: f64, stretch: f64| Growth { along, stretch };
+        let said = |flow: Flow, growth: Growth, epsilon: f64| growth.warning(flow, 1000, epsilon).unwrap_or_default();
+        let (single, double) = (f64::from(f32::EPSILON), f64::EPSILON);
+        // Of 7 digits after 10 decades, 690 of 1000 steps are left.
+        assert!(said(Flow::REGULAR, growth(2.0, 10.0), single).contains("beyond about 692 of the 1000 steps"));
+        assert_eq!(said(Flow::REGULAR, growth(2.0, 10.0), double), "");
+        assert_eq!(said(Flow::REGULAR, growth(-30.0, 1.0), single), "");
+        assert!(said(Flow::REGULAR, growth(20.0, 20.0), double).contains("R grows by up to 10^20"));
+        assert!(said(Flow::MODIFIED, growth(4.0, 4.0), double).contains("M grows by 10^4"));
+        assert_eq!(said(Flow::MODIFIED, growth(2.0, 9.0), double), "");
+        assert_eq!(said(Flow::STOPPED, growth(f64::NEG_INFINITY, 0.0), double), "");
+    }
+}

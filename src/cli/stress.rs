@@ -9,7 +9,6 @@ use comfy_table::{Table, TableStyle};
 use indicatif::{ProgressBar, ProgressStyle};
 use physgrad::stress::{self, Case, Finding};
 use rayon::prelude::*;
-use std::fmt::Write;
 use std::time::Instant;
 
 /// Run the hard cases: long horizons, stiffness, chaos, singular geometry, overflow, damaged files.
@@ -48,6 +47,9 @@ pub fn stress(args: &Stress) -> Result<()> {
     let results: Vec<(Vec<Finding>, f64)> = cases.par_iter().map(run).collect();
     bar.finish_and_clear();
     let tell = if args.markdown { markdown } else { text };
+    if args.markdown {
+        say(HEAD);
+    }
     for (case, (findings, seconds)) in cases.iter().zip(&results) {
         say(&tell(case, findings, *seconds));
     }
@@ -99,8 +101,14 @@ fn text(case: &Case, findings: &[Finding], seconds: f64) -> String {
 }
 
 fn markdown(case: &Case, findings: &[Finding], _seconds: f64) -> String {
-    let Case { name, about, criterion, .. } = case;
-    let mut page = String::new();
-    let _ = write!(page, "## {name}\n\n{about}. Passes when: {criterion}.\n\n{}\n", table(findings, ASCII_MARKDOWN));
-    page
+    let Case { name, about, criterion, story, .. } = case;
+    format!("\n## {name}\n\n{about}.\n\nPasses when: {criterion}.\n\n{}\n\n{story}.", table(findings, ASCII_MARKDOWN))
 }
+
+/// The beginning of the page.
+const HEAD: &str = "\
+# Stability
+
+What is hard, what we promise of it, and what was measured. Every case has a criterion that was written down before it was measured; the program runs them all \
+(`physgrad stress`), and a test holds each. This page is made by `physgrad stress --markdown`; numbers depend on the processor in their last digits. What a \
+training does about growing adjoints and about numbers that are not finite is in [method.md](method.md#exponents).";

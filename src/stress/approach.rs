@@ -18,6 +18,9 @@ pub(super) const CASES: &[Case] = &[Case {
                 rule in 16: the energy stays within 10 % for 10,000 steps. Attraction is reported as stable for \
                 semi-implicit steps a quarter as long and for whole implicit ones, and as unstable for whole semi-implicit \
                 ones",
+    story: "A spring that steps do not resolve gains energy at every approach; a training takes that for a property of \
+            the world. `check::stability` gives the largest multiplier of a step at a state, and says what to change. \
+            What remains: it is asked for, and does not run by itself in a training",
     run: guidance_close_approach,
 }];
 

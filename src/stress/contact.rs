@@ -16,6 +16,10 @@ pub(super) const CASES: &[Case] = &[Case {
                 biased, and told. Springs with damping are biased: for a ball that bounces as high, errors stay above 10 %. \
                 A spring that steps do not resolve is called unstable. A step that reflects the speed below the floor is off \
                 by half or more (a planted fault)",
+    story: "An impact has a derivative that fixed steps get wrong, often with the wrong sign: that of the instant at \
+            which it happens. By time of impact it is exact. Penalty springs converge only in steps so short that \
+            stiffness times step vanishes too; with damping they are biased, and labelled so. What remains: impacts here \
+            are on a line; frictional contact in the plane is another matter",
     run: contact,
 }];
 

@@ -13,6 +13,9 @@ pub(super) const CASES: &[Case] = &[Case {
                 what smoothing adds; its derivative by v₀ is finite, and within 2 % of v₀/(μ g) at 1e-3 and below. Explicit \
                 steps chatter where, and only where, `check::stability` calls them unstable, with the multiplier |1 - dt μ \
                 g/ε| to 1e-6",
+    story: "Smoothed sharply, dry friction is stiff: an explicit step overshoots rest and chatters for ever, and its \
+            derivative alternates and grows. The implicit step solves for the speed after it, and its derivative is that \
+            of the solution. What remains: smoothed friction creeps where real friction sticks",
     run: dry_friction,
 }];
 

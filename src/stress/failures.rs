@@ -17,6 +17,10 @@ pub(super) const CASES: &[Case] = &[Case {
     name: "injected_nan",
     about: "an effect that fails at one step of one sample: in its force, or in its derivative alone",
     criterion: "step, sample, pass and effect are named exactly, for any number of workers; no parameter changes",
+    story: "Elsewhere a NaN is noticed in the loss, an epoch later, in all parameters. Here every step is tested, \
+            forward and back, at no cost that can be measured; what is found is named, to the effect whose force or \
+            derivative it is, the update is not taken, and training goes on, or stops by `max_skipped`. What remains: \
+            what a system of one's own computes inside is told as a component of the state",
     run: injected_nan,
 }];
 

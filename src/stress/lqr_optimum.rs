@@ -16,6 +16,11 @@ pub(super) const CASES: &[Case] = &[Case {
     about: "R, M and C at Riccati's gain, of a stable and of an unstable plant, over 1, 10, 50 and 100 steps",
     criterion: "no component is larger than 1e-11: the optimum is a fixed point of all three. With a gain that is wrong by 1e-6, \
                 R and M are larger than that",
+    story: "Where a field does not vanish at the optimum, an optimizer that follows it does not stay there. R vanishes \
+            at any optimum; M and C need not. For the regulator they do, since the cotangent of every control is 0 \
+            there. Riccati's equation is solved by doubling: its plain iteration leaves P with rounding that M's growth \
+            makes 3e-11 of over 100 steps. What remains: for other losses M has no such fixed point, which is why C \
+            exists",
     run: lqr_optimum,
 }];
 

@@ -19,6 +19,10 @@ pub(super) const CASES: &[Case] = &[Case {
                 (told without control, where each step rounds alike), and by 1e-6 where it is brought back in each step or \
                 in each 16th; the norm of the adjoint by 1e-10; forward and backward in time ends within 1e-9 of the start; \
                 a wave with losses does not pass (a planted fault)",
+    story: "Crank and Nicolson's step is unitary but for rounding, and its adjoint is too, so neither explodes. In f64 \
+            the norm holds to 1e-12. In f32 each step of a wave without control rounds alike, and the norm drifts by \
+            1e-2 in 1e5 steps, a little more or less by chance, here more than we hoped for; `Renormalized` brings it \
+            back, with the derivative of that. Mending the plain step would change the bits of the paper's runs",
     run: quantum_long,
 }];
 

@@ -12,6 +12,11 @@ pub(super) const CASES: &[Case] = &[Case {
     about: "zero overlap with the target and zero control, by a policy whose last kernel is 0",
     criterion: "the gradient is finite, smaller than 1e-6 of that of neighbouring parameters, and reported as a plateau in \
                 words; from a start with overlap it is not",
+    story: "Where the start has no overlap with the target, and nothing moves it, the gradient is 0 to rounding, and an \
+            optimizer that divides by its length, as Adam does, follows noise. `check::plateau` compares a gradient with \
+            those of neighbouring parameters and says plateau, minimum or slope. The paper's own start for eigenstate 3, \
+            with a zeroed last kernel, is such a plateau; runs leave it by rounding. What remains: training does not ask \
+            by itself",
     run: quantum_plateau,
 }];
 

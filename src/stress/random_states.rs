@@ -18,6 +18,8 @@ pub(super) const CASES: &[Case] = &[Case {
     criterion: "all is finite; duals and VJP agree to 1e-12 in f64, and in f32 to 64 ε (1 + κ), where ε is its rounding and \
                 κ what a derivative changes by, as a share, per relative change of the state (measured in f64 at every \
                 state)",
+    story: "Derivatives are usually tested at the few states somebody thought of. What remains: tasks whose VJP is by \
+            duals are compared with themselves here; closed forms and differences hold those in `tests/hard_contacts.rs`",
     run: random_states,
 }];
 

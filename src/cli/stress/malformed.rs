@@ -16,15 +16,21 @@ pub const CASES: [Case; 2] = [
         "malformed_scenes",
         "40,000 scenes made of presets by random damage: bytes, lines, numbers and keys changed, left out or put in",
         "each is read or refused with a message; no panic; at most 1 MB and 200 times the size of the file allocated",
-        scenes,
-    ),
+        "A parser that trusts a length, or a setting that trusts a number, ends a long queue of runs by a panic or takes all memory. \
+         Every key is checked for type and range before anything is made of it, and a message names file, line, what was found and what \
+         is allowed. What remains: a scene of a legal size may still be slow",
+    )
+    .measured_by(scenes),
     Case::new(
         "malformed_checkpoints",
         "60,000 checkpoints damaged at random, with a checksum that fits: header, parameters, optimizer and records",
         "each is read or refused with a message; no panic; at most 1 MB and 20 times the size of the file allocated; a session that \
          refuses is as it was",
-        checkpoints,
-    ),
+        "A file that was cut off by a full disk is taken up as if it were whole. Checkpoints have a checksum, are written beside \
+         their name and renamed, and what is behind the checksum is checked as well; a run that is killed at any moment \
+         resumes, which a test does 25 times. What remains: whoever forges a checksum can set parameters, as with any file of numbers",
+    )
+    .measured_by(checkpoints),
 ];
 
 /// What came of many inputs.
