@@ -91,7 +91,8 @@ mod rollout;
 mod scalar;
 mod schedule;
 mod scratch;
-#[cfg(feature = "stress")]
+// Not in the library's own unit tests, which would compile all of it once more: `tests/stress.rs` holds it.
+#[cfg(all(feature = "stress", not(test)))]
 pub mod stress;
 mod substeps;
 mod system;

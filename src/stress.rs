@@ -23,7 +23,6 @@ mod policies;
 mod quantum_long;
 mod quantum_plateau;
 mod random_states;
-mod reproducible;
 mod steps;
 
 use std::fmt;
@@ -77,7 +76,6 @@ pub fn cases() -> impl Iterator<Item = Case> {
         policies::CASES,
         random_states::CASES,
         failures::CASES,
-        reproducible::CASES,
     ]
     .concat()
     .into_iter()

@@ -44,5 +44,4 @@ cases!(
     saturated_policy,
     random_states,
     injected_nan,
-    reproducible,
 );

@@ -100,11 +100,17 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let (n, m) = (rollout.state_dim, rollout.control_dim);
         for t in steps.rev() {
             let at = rollout.columns(t);
-            if self.low {
-                self.lift(pass, t);
-            }
-            if measured {
-                self.measure_before(pass, t);
+            if self.low || measured {
+                let mut costs = |block: usize, of_state: &mut [Lane<F>], of_control: &mut [Lane<F>]| {
+                    let (next, u) = (&rollout.states_at(t + 1)[block * n..][..n], &rollout.controls_at(t)[block * m..][..m]);
+                    stage_costs(task, next, u, of_state, of_control);
+                };
+                if self.low {
+                    self.lift(rollout, scale, &mut costs);
+                }
+                if measured {
+                    self.measure_before(rollout, &mut costs);
+                }
             }
             let mut calm = true;
             dispatch_narrow(Back { task, flows, rollout, t, carried: self, calm: &mut calm });
@@ -151,15 +157,13 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         Size::Carried
     }
 
-    /// Before step `t`: where an adjoint has vanished so far that the gradient of a cost would be infinite beside it, and there
+    /// Before a step: where an adjoint has vanished so far that the gradient of a cost would be infinite beside it, and there
     /// is one.
     #[cold]
-    fn lift<T: Task, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>, t: usize) {
-        let Pass { task, rollout, scale, .. } = *pass;
-        let (n, m) = (rollout.state_dim, rollout.control_dim);
+    fn lift(&mut self, rollout: &Rollout<F>, scale: F, costs: CostsOf<'_, F>) {
+        let n = rollout.state_dim;
         for block in 0..rollout.samples.div_ceil(WIDTH) {
-            let (next, u) = (&rollout.states_at(t + 1)[block * n..][..n], &rollout.controls_at(t)[block * m..][..m]);
-            task.stage_cost_gradient(next, u, &mut self.cost_x, &mut self.cost_u);
+            costs(block, &mut self.cost_x, &mut self.cost_u);
             for lane in 0..WIDTH {
                 if self.cost_x.iter().chain(&self.cost_u).any(|cost| cost.lane(lane) != F::zero()) {
                     let lambda = &mut self.lambda[block * n..][..n];
@@ -170,15 +174,13 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         self.low = self.exponents.iter().any(Exponents::any_low);
     }
 
-    /// Notes how long what step `t` goes back from is: λ with the gradient of the cost.
-    fn measure_before<T: Task, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>, t: usize) {
-        let Pass { task, rollout, .. } = *pass;
-        let (n, m) = (rollout.state_dim, rollout.control_dim);
+    /// Notes how long what a step goes back from is: λ with the gradient of the cost.
+    fn measure_before(&mut self, rollout: &Rollout<F>, costs: CostsOf<'_, F>) {
+        let n = rollout.state_dim;
         for (sample, meters) in self.meters[..rollout.samples].iter_mut().enumerate() {
             let (block, lane) = (sample / WIDTH, sample % WIDTH);
             if lane == 0 {
-                let (next, u) = (&rollout.states_at(t + 1)[block * n..][..n], &rollout.controls_at(t)[block * m..][..m]);
-                task.stage_cost_gradient(next, u, &mut self.cost_x, &mut self.cost_u);
+                costs(block, &mut self.cost_x, &mut self.cost_u);
             }
             let exponents = &self.exponents[block];
             for (k, (_, before, exponent)) in meters.iter_mut().enumerate() {
@@ -253,6 +255,15 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let (x, u) = (of(rollout.states_at(step), rollout.state_dim), of(rollout.controls_at(step), rollout.control_dim));
         Divergence::Cotangent { flow: flows[k], variable, step, sample, component, cause: system.cause(&x, &u) }
     }
+}
+
+/// Writes the gradients of the costs of a block.
+type CostsOf<'a, F> = &'a mut dyn FnMut(usize, &mut [Lane<F>], &mut [Lane<F>]);
+
+/// The gradients of the costs of a block, in one place for each task: what is seldom asked for is not inlined.
+#[inline(never)]
+fn stage_costs<T: Task, F: Float>(task: &T, next: &[Lane<F>], u: &[Lane<F>], x_bar: &mut [Lane<F>], u_bar: &mut [Lane<F>]) {
+    task.stage_cost_gradient(next, u, x_bar, u_bar);
 }
 
 /// One step back, of all blocks: costs, physics, and whether the result is of a size that asks for nothing.

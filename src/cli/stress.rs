@@ -1,6 +1,7 @@
 //! `physgrad stress`: the hard cases, what they ask for and what came out.
 
 mod malformed;
+mod reproducible;
 
 use super::terminal::say;
 use anyhow::{Result, bail};
@@ -66,7 +67,7 @@ pub fn stress(args: &Stress) -> Result<()> {
 
 /// Those of these names, or all.
 fn chosen(names: &[String]) -> Result<Vec<Case>> {
-    let all: Vec<Case> = stress::cases().chain(malformed::CASES).collect();
+    let all: Vec<Case> = stress::cases().chain(reproducible::CASES).chain(malformed::CASES).collect();
     if let Some(name) = names.iter().find(|name| !all.iter().any(|case| case.name.starts_with(name.as_str()))) {
         let known: Vec<&str> = all.iter().map(|case| case.name).collect();
         bail!("there is no case `{name}`; there are: {}", known.join(", "));

@@ -109,6 +109,38 @@ impl<S: Around<AnyHard>> Hard<S> {
     }
 }
 
+/// Costs are calls: with those of all tasks inlined, every loop would be compiled for all of them.
+impl AnyHard {
+    #[inline(never)]
+    fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
+        whichever!(self, task => task.stage_cost(x, u))
+    }
+
+    #[inline(never)]
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        whichever!(self, task => task.terminal_cost(x))
+    }
+
+    #[inline(never)]
+    fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
+        match self {
+            // These are paid for at the end alone.
+            Self::Slider(_) | Self::Bounce(_) | Self::Push(_) => {
+                x_bar.fill(R::zero());
+                u_bar.fill(R::zero());
+            }
+            Self::Lqr(task) => task.stage_cost_gradient(x, u, x_bar, u_bar),
+            Self::DoublePendulum(task) => task.stage_cost_gradient(x, u, x_bar, u_bar),
+            Self::PoleChain(task) => task.stage_cost_gradient(x, u, x_bar, u_bar),
+        }
+    }
+
+    #[inline(never)]
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
+        whichever!(self, task => task.terminal_cost_gradient(x, x_bar));
+    }
+}
+
 impl<S: Around<AnyHard>> Task for Hard<S> {
     type System = S;
 
@@ -127,40 +159,27 @@ impl<S: Around<AnyHard>> Task for Hard<S> {
         self.system.start_beyond(rng, x);
     }
 
-    #[inline(always)]
     fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
         let (task, x) = self.own(x);
-        whichever!(task, task => task.stage_cost(x, u))
+        task.stage_cost(x, u)
     }
 
-    #[inline(always)]
     fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
         let (task, x) = self.own(x);
-        whichever!(task, task => task.terminal_cost(x))
+        task.terminal_cost(x)
     }
 
-    #[inline(always)]
     fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
         let (task, x) = self.own(x);
         let (own, beyond) = x_bar.split_at_mut(x.len());
         beyond.fill(R::zero());
-        match task {
-            // These are paid for at the end alone.
-            AnyHard::Slider(_) | AnyHard::Bounce(_) | AnyHard::Push(_) => {
-                own.fill(R::zero());
-                u_bar.fill(R::zero());
-            }
-            AnyHard::Lqr(task) => task.stage_cost_gradient(x, u, own, u_bar),
-            AnyHard::DoublePendulum(task) => task.stage_cost_gradient(x, u, own, u_bar),
-            AnyHard::PoleChain(task) => task.stage_cost_gradient(x, u, own, u_bar),
-        }
+        task.stage_cost_gradient(x, u, own, u_bar);
     }
 
-    #[inline(always)]
     fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
         let (task, x) = self.own(x);
         let (own, beyond) = x_bar.split_at_mut(x.len());
         beyond.fill(R::zero());
-        whichever!(task, task => task.terminal_cost_gradient(x, own));
+        task.terminal_cost_gradient(x, own);
     }
 }
