@@ -182,8 +182,11 @@ pub fn try_system_at<S: System>(system: &S, draw: impl Fn(&mut Rng, &mut [f64], 
     try_system_drawn(system, &draw)
 }
 
+/// Draws a state and a control.
+type Draw<'a> = &'a dyn Fn(&mut Rng, &mut [f64], &mut [f64]);
+
 /// The same, compiled once for each system.
-fn try_system_drawn<S: System>(system: &S, draw: &dyn Fn(&mut Rng, &mut [f64], &mut [f64])) -> Result<Passed, Mismatch> {
+fn try_system_drawn<S: System>(system: &S, draw: Draw) -> Result<Passed, Mismatch> {
     let (n, m) = (system.state_dim(), system.control_dim());
     let mut c = Comparison::new(ONE_STEP);
     for case in 0..CASES {

@@ -203,7 +203,8 @@ mod tests {
         sum.settle();
         assert_eq!((sum.exponent(), sum.values()), (0, &[9.0, 10.0][..]));
         let (mut a, mut b) = (Gradient::<f64>::zeros(1), Gradient::zeros(1));
-        (a.add_part(&[1.0], 2000), b.add_part(&[-1.0], 2000));
+        a.add_part(&[1.0], 2000);
+        b.add_part(&[-1.0], 2000);
         a.add(&b);
         a.settle();
         assert_eq!((a.exponent(), a.values()), (0, &[0.0][..]));

@@ -38,7 +38,15 @@ impl Record {
     /// numbers are `epsilon` apart at 1.
     pub fn warnings(&self, horizon: usize, epsilon: f64) -> Vec<String> {
         let growths = [(Flow::REGULAR, self.regular_growth), (Flow::MODIFIED, self.modified_growth)];
-        growths.into_iter().filter_map(|(flow, growth)| growth?.warning(flow, horizon, epsilon)).collect()
+        let growths = growths.into_iter().filter_map(|(flow, growth)| growth?.warning(flow, horizon, epsilon));
+        let plateau = (self.grad_norm == Wide::default()).then(|| {
+            let apart = if self.cosine.is_some() { ", or R and M agree in none of them" } else { "" };
+            format!(
+                "the field is exactly 0: the loss depends on none of the parameters here{apart}, and nothing is learned. Another start \
+                 helps: another seed, a last kernel that is not zero (`policy.zero_last = false`)"
+            )
+        });
+        growths.chain(plateau).collect()
     }
 }
 
