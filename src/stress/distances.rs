@@ -13,7 +13,7 @@ pub(super) const CASES: &[Case] = &[Case {
     criterion: "states, JVPs and VJPs are finite; duals and VJP agree to 1e-12 (f64) and 1e-5 (f32), slopes of positions on \
                 their own; forces have their direction and size to 1e-12 (f64) and 1e-5 (f32). A distance without these \
                 cares has a derivative that is not finite (a planted fault)",
-    story: "|r| has no derivative at 0, r² underflows at 1e-162 and overflows at 1e154, and each makes a NaN somewhere \
+    story: "A length |r| has no derivative at 0, r² underflows at 1e-162 and overflows at 1e154, and each makes a NaN somewhere \
             in the reverse pass of an ordinary distance. Here separations are brought into range by a power of two \
             before they are squared, and the derivative at 0 is taken as that of the force, which is smooth. What \
             remains: at 0 a force has no direction, and is 0",

@@ -35,7 +35,10 @@ fn quantum_long() -> Vec<Finding> {
     vec![
         Finding::at_most("drift of the norm in 1e5 steps, f64, control 0", drift::<_, f64>(&body, 100_000, 0.0), 1e-10),
         Finding::at_most("drift of the norm in 1e5 steps, f64", drift::<_, f64>(&body, 100_000, 30.0), 1e-10),
-        Finding::told("drift of the norm in 1e5 steps, f32, control 0", format!("{:.1e}", drift::<_, f32>(&body, 100_000, 0.0))),
+        Finding::told(
+            "drift of the norm in 1e5 steps, f32, control 0 (hoped for: 1e-2)",
+            not_promised(drift::<_, f32>(&body, 100_000, 0.0)),
+        ),
         Finding::at_most("the same, f32, control 0, renormalized in each", drift::<_, f32>(&each, 100_000, 0.0), 1e-6),
         Finding::at_most("drift of the norm in 1e5 steps, f32", drift::<_, f32>(&body, 100_000, 30.0), 1e-2),
         Finding::at_most("under random controls, f32, renormalized in each", drift::<_, f32>(&each, 100_000, 30.0), 1e-6),
@@ -71,6 +74,11 @@ impl<S: System> System for Scaled<S> {
             *next *= T::lift(self.factor);
         }
     }
+}
+
+/// A drift that is told of, whether it is within 1e-2 or not: which of the two is chance.
+fn not_promised(drift: f64) -> String {
+    format!("{drift:.1e}{}", if drift > 1e-2 { ", more than that: not promised" } else { "" })
 }
 
 fn norm<F: Float>(x: &[F]) -> f64 {
