@@ -75,3 +75,20 @@ fn what_the_program_is_shown_to_say_is_what_it_says() {
 fn the_page_of_effects_is_the_one_that_the_command_writes() {
     assert!(page("docs/effects.md") == stdout(&["effects"]), "docs/effects.md is old: physgrad effects > docs/effects.md");
 }
+
+#[test]
+fn the_page_of_hard_cases_has_all_of_them_with_what_they_ask_for() {
+    let page = page("docs/stability.md");
+    let list = stdout(&["stress", "--list"]);
+    let cases: Vec<&str> = list.lines().filter(|line| !line.starts_with(' ')).collect();
+    assert!(cases.len() >= 18, "{list}");
+    for case in cases {
+        let (name, about) = case.split_once(": ").expect("a name");
+        assert!(page.contains(&format!("\n## {name}\n\n{about}.")), "docs/stability.md does not tell of {name} as it is");
+    }
+    for criterion in list.lines().filter_map(|line| line.strip_prefix("    passes when: ")) {
+        assert!(page.contains(criterion), "docs/stability.md asks for something else than: {criterion}");
+    }
+    // What is measured is not compared: it is another on another processor. But nothing that fails is shown.
+    assert!(!page.contains("FAIL"), "docs/stability.md shows a case that fails");
+}
