@@ -56,7 +56,9 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
     let line = |run: &Inspected, flow: Flow| {
         let growth = |r: &Record| if flow.control { r.regular_growth } else { r.modified_growth };
         let points = run.records.iter().filter_map(|r| Some((r.epoch as f64, growth(r)?.along)));
-        Series::new(format!("{flow} of {}", run.name()), field_color(&flow.to_string()), points.collect())
+        let series = Series::new(format!("{flow} of {}", run.name()), field_color(&flow.to_string()), points.collect());
+        // Those of C beside those of R and of M.
+        if run.field.flows().len() > 1 { series.dashed() } else { series }
     };
     let both = runs.iter().flat_map(|run| [Flow::REGULAR, Flow::MODIFIED].map(|flow| line(run, flow)));
     let series: Vec<Series> = both.filter(|series| !series.line.is_empty()).collect();
