@@ -18,7 +18,7 @@ mod recursion;
 
 use crate::divergence::Divergence;
 use crate::gradient::Gradient;
-use crate::growth::Meter;
+use crate::growth::Together;
 use crate::policy::{Policy, PolicyPass, Weights};
 use crate::rollout::Rollout;
 use crate::scalar::Float;
@@ -160,11 +160,11 @@ impl<F: Float> Adjoint<F> {
         self.measured
     }
 
-    /// Growth of flow number `k` in the last run, for every sample, if that was measured.
-    pub(crate) fn meters(&self, k: usize, samples: usize) -> Vec<&Meter> {
+    /// Adds the growth of flow number `k` in the last run, of every sample, if that was measured.
+    pub(crate) fn add_growth(&self, k: usize, samples: usize, together: &mut Together) {
         match &self.carried {
-            Carried::One(_, recursion) => recursion.meters(k, samples).collect(),
-            Carried::Two(_, recursion) => recursion.meters(k, samples).collect(),
+            Carried::One(_, recursion) => recursion.meters(k, samples).for_each(|meter| together.add(meter)),
+            Carried::Two(_, recursion) => recursion.meters(k, samples).for_each(|meter| together.add(meter)),
         }
     }
 

@@ -7,7 +7,7 @@ use crate::backward::Flow;
 use crate::checkpointed::Checkpointed;
 use crate::divergence::Divergence;
 use crate::gradient::Gradient;
-use crate::growth::{Growth, Meter};
+use crate::growth::{Growth, Together};
 use crate::policy::{Policy, Weights};
 use crate::rollout::Rollout;
 use crate::scalar::Float;
@@ -194,9 +194,10 @@ impl<F: Float> Batch<F> {
 
     /// How the adjoint of flow number `k` grew in the last run, if that was to be measured.
     pub fn growth(&self, k: usize) -> Option<Growth> {
-        let active = self.workers.iter().filter(|worker| worker.active);
-        let meters: Vec<&Meter> = active.flat_map(|worker| worker.rollout.meters(k)).collect();
-        (self.measured && !meters.is_empty()).then(|| Meter::growth(&meters))
+        let mut together = Together::default();
+        let active = self.workers.iter().filter(|worker| self.measured && worker.active);
+        active.for_each(|worker| worker.rollout.add_growth(k, &mut together));
+        together.growth()
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::backward::{Adjoint, Flow, Pass};
 use crate::divergence::Divergence;
 use crate::gradient::Gradient;
-use crate::growth::Meter;
+use crate::growth::Together;
 use crate::policy::{Policy, Weights};
 use crate::rollout::{Lane, Rollout, WIDTH};
 use crate::scalar::{Float, Real, Scalar};
@@ -194,9 +194,9 @@ impl<F: Float> Checkpointed<F> {
         self.adjoint.measure(measured);
     }
 
-    /// Growth of flow number `k` in the last run, for every sample, if that was measured.
-    pub(crate) fn meters(&self, k: usize) -> Vec<&Meter> {
-        self.adjoint.meters(k, self.rollout.samples())
+    /// Adds the growth of flow number `k` in the last run, of every sample, if that was measured.
+    pub(crate) fn add_growth(&self, k: usize, together: &mut Together) {
+        self.adjoint.add_growth(k, self.rollout.samples(), together);
     }
 
     /// The forward pass, which leaves checkpoints and the tape of the last segment.

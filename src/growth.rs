@@ -66,13 +66,26 @@ impl Meter {
         self.running = (self.running + decades).max(0.0);
         self.stretch = self.stretch.max(self.running);
     }
+}
 
-    /// What many samples say together.
-    pub(crate) fn growth(meters: &[&Meter]) -> Growth {
-        Growth {
-            along: meters.iter().map(|meter| meter.along).sum::<f64>() / meters.len() as f64,
-            stretch: meters.iter().fold(0.0, |largest, meter| largest.max(meter.stretch)),
-        }
+/// What many samples say together.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Together {
+    samples: usize,
+    along: f64,
+    stretch: f64,
+}
+
+impl Together {
+    pub(crate) fn add(&mut self, meter: &Meter) {
+        self.samples += 1;
+        self.along += meter.along;
+        self.stretch = self.stretch.max(meter.stretch);
+    }
+
+    /// Nothing of no samples.
+    pub(crate) fn growth(&self) -> Option<Growth> {
+        (self.samples > 0).then(|| Growth { along: self.along / self.samples as f64, stretch: self.stretch })
     }
 }
 

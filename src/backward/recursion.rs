@@ -207,7 +207,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     }
 
     /// Growth of flow `k` in the last run that was measured, for every sample.
-    pub(super) fn meters(&self, k: usize, samples: usize) -> impl Iterator<Item = &Meter> + Clone {
+    pub(super) fn meters(&self, k: usize, samples: usize) -> impl Iterator<Item = &Meter> {
         self.meters[..samples].iter().map(move |meters| &meters[k].0)
     }
 
