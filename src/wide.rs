@@ -11,7 +11,7 @@ use std::ops::{Add, Div, Mul};
 /// use physgrad::Wide;
 ///
 /// let long = Wide::new(1.5, 5849);
-/// assert_eq!(long.to_string(), "4.84635e1760");
+/// assert_eq!(long.to_string(), "7.95309e1760");
 /// assert_eq!((long.get(), Wide::new(0.25, 3).to_string()), (f64::INFINITY, "2".to_owned()));
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

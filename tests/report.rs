@@ -265,17 +265,19 @@ fn runs_that_were_not_finished_have_a_page_that_says_so() {
 }
 
 #[test]
-fn an_adjoint_that_overflows_is_told_and_the_other_is_drawn() {
+fn an_adjoint_beyond_the_range_of_f32_is_drawn_to_the_start() {
     let dir = TempDir::new().expect("a folder");
     // A cart so light that the policy's least noise throws it about: states stay finite, and what they depend on grows. (Lighter
     // still, and whether states stay finite depends on the last bit.)
     let light = ["--set", "system.cart_mass=2e-4", "--set", "system.pole_mass=2e-4", "--set", "policy.zero_last=false"];
     train(dir.path(), &["--epochs", "0"]).args(light).args(["--set", "horizon=1500"]).assert().success();
     let page = report(dir.path());
-    assert!(page.contains("As trained, the adjoint of R diverged: reverse pass of R: the cotangent of state component"));
+    assert!(!page.contains("the adjoint of R diverged"));
     let growth = diagram(&page, "Growth of the adjoint");
     let first = |line: usize| growth[line].1[0][0];
-    assert!(first(2) > 100.0 && first(3) == 0.0, "R from {} on, M from {} on", first(2), first(3));
+    assert!(first(2) == 0.0 && first(3) == 0.0, "R from {} on, M from {} on", first(2), first(3));
+    let largest = growth[2].1.iter().fold(0.0_f64, |largest, point| largest.max(point[1]));
+    assert!(largest > f64::from(f32::MAX), "{largest:e}");
 }
 
 #[test]

@@ -214,6 +214,11 @@ impl Scalar for Counted {
         if a.0 < b.0 { yes } else { no }
     }
     #[inline(never)]
+    fn abs(self) -> Self {
+        Counts { compare: 1, negate: 1, ..Counts::NONE }.note();
+        Self(self.0.abs())
+    }
+    #[inline(never)]
     fn any_lt(a: Self, b: Self) -> bool {
         Counts { compare: 1, ..Counts::NONE }.note();
         a.0 < b.0
