@@ -15,6 +15,7 @@
 mod exponents;
 mod policy;
 mod recursion;
+mod step;
 
 use crate::divergence::Divergence;
 use crate::gradient::Gradient;

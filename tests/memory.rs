@@ -337,7 +337,7 @@ fn many_steps_fit_in_a_small_budget() {
 }
 
 #[test]
-#[ignore = "a million steps take a minute"]
+#[ignore = "a million steps take 7 s and more"]
 fn a_million_steps_fit_in_64_megabytes() {
     let (task, policy) = (cart_pole(1_000_000), Mlp::new([4, 16, 16, 1]).zero_last(true));
     let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));

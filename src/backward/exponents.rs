@@ -73,7 +73,7 @@ impl<F: Float, const K: usize> Exponents<F, K> {
     fn set(&mut self, k: usize, lane: usize, exponent: i32, scale: F) {
         self.of[k][lane] = exponent;
         // Where it would be infinite nothing is added: see `lift`.
-        let limit = 2 * reach::<F>() - reach::<F>() / 2;
+        let limit = reach::<F>() * 3 / 2;
         self.inject.0[k].set_lane(lane, scaled(scale, (-exponent).min(limit)));
     }
 

@@ -1,35 +1,35 @@
 //! The recursion itself, for one flow or two side by side.
 
-use super::exponents::{Calm, Exponents, Size};
+use super::exponents::{Exponents, Size};
+use super::step::{Back, CostsOf, stage_costs};
 use super::{Flow, Pass, PolicyAdjoint};
 use crate::divergence::{Divergence, Variable};
 use crate::growth::Meter;
-use crate::kernels::{Vectorized, dispatch_narrow, in_lanes};
+use crate::kernels::dispatch_narrow;
 use crate::policy::{Policy, PolicyColumns};
-use crate::rollout::{FEW, Lane, Rollout, WIDTH, find_non_finite, gather, read_lane};
+use crate::rollout::{Lane, Rollout, WIDTH, find_non_finite, gather};
 use crate::scalar::{Columns, Float, Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
 use crate::wide::times_power_of_two;
-use smallvec::{SmallVec, smallvec};
 use std::ops::Range;
 
 /// What the recursion carries for `K` flows.
 #[derive(Debug)]
 pub(super) struct Recursion<F: Float, const K: usize> {
     /// λ, `[block][component]`.
-    lambda: Vec<Columns<Lane<F>, K>>,
+    pub(super) lambda: Vec<Columns<Lane<F>, K>>,
     /// The next λ, before the flows choose.
-    x_bar: Vec<Columns<Lane<F>, K>>,
+    pub(super) x_bar: Vec<Columns<Lane<F>, K>>,
     /// h, `[block][component]`.
-    u_bar: Vec<Columns<Lane<F>, K>>,
+    pub(super) u_bar: Vec<Columns<Lane<F>, K>>,
     /// Gradients of the costs of one block.
-    cost_x: Vec<Lane<F>>,
-    cost_u: Vec<Lane<F>>,
+    pub(super) cost_x: Vec<Lane<F>>,
+    pub(super) cost_u: Vec<Lane<F>>,
     /// Of every block.
-    exponents: Vec<Exponents<F, K>>,
+    pub(super) exponents: Vec<Exponents<F, K>>,
     /// Whether any exponent is not 0, and whether any is so small that costs need care.
-    scaled: bool,
+    pub(super) scaled: bool,
     low: bool,
     /// `[sample][flow]`: growth, and the square of ‖λ‖ with its exponent before the step at hand.
     meters: Vec<[(Meter, f64, i32); K]>,
@@ -254,153 +254,5 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         };
         let (x, u) = (of(rollout.states_at(step), rollout.state_dim), of(rollout.controls_at(step), rollout.control_dim));
         Divergence::Cotangent { flow: flows[k], variable, step, sample, component, cause: system.cause(&x, &u) }
-    }
-}
-
-/// Writes the gradients of the costs of a block.
-type CostsOf<'a, F> = &'a mut dyn FnMut(usize, &mut [Lane<F>], &mut [Lane<F>]);
-
-/// The gradients of the costs of a block, in one place for each task: what is seldom asked for is not inlined.
-#[inline(never)]
-fn stage_costs<T: Task, F: Float>(task: &T, next: &[Lane<F>], u: &[Lane<F>], x_bar: &mut [Lane<F>], u_bar: &mut [Lane<F>]) {
-    task.stage_cost_gradient(next, u, x_bar, u_bar);
-}
-
-/// One step back, of all blocks: costs, physics, and whether the result is of a size that asks for nothing.
-struct Back<'a, T, F: Float, const K: usize> {
-    task: &'a T,
-    flows: [Flow; K],
-    rollout: &'a Rollout<F>,
-    t: usize,
-    carried: &'a mut Recursion<F, K>,
-    calm: &'a mut bool,
-}
-
-/// What one step back reads and writes, of a block of samples or of one.
-struct Block<'a, R, const K: usize> {
-    x: &'a [R],
-    next: &'a [R],
-    u: &'a [R],
-    lambda: &'a mut [Columns<R, K>],
-    x_bar: &'a mut [Columns<R, K>],
-    u_bar: &'a mut [Columns<R, K>],
-    cost_x: &'a mut [R],
-    cost_u: &'a mut [R],
-    inject: Columns<R, K>,
-}
-
-impl<R: Real, const K: usize> Block<'_, R, K> {
-    /// Returns the size of the cotangents in every column, the sum of what is in λ and h.
-    #[inline(always)]
-    fn back<T: Task>(self, task: &T, flows: [Flow; K]) -> Columns<R, K> {
-        let Self { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject } = self;
-        let system = task.system();
-        let mut size = Columns([R::zero(); K]);
-        task.stage_cost_gradient(next, u, cost_x, cost_u);
-        for (lambda, &cost) in lambda.iter_mut().zip(&*cost_x) {
-            *lambda += inject * cost;
-        }
-        if flows.iter().any(|flow| flow.physics) {
-            system.vjp(x, u, lambda, x_bar, u_bar);
-        } else {
-            system.vjp_control(x, u, lambda, u_bar);
-        }
-        for (u_bar, &cost) in u_bar.iter_mut().zip(&*cost_u) {
-            *u_bar += inject * cost;
-            size += u_bar.abs();
-        }
-        for (lambda, &x_bar) in lambda.iter_mut().zip(&*x_bar) {
-            for (k, flow) in flows.iter().enumerate() {
-                lambda.0[k] = if flow.physics { x_bar.0[k] } else { R::zero() };
-            }
-            size += lambda.abs();
-        }
-        size
-    }
-}
-
-impl<F: Float> Block<'_, F, 1> {
-    /// As [`back`](Block::back), for one sample and flow, and in one place however many flows there are: the processors
-    /// that need it are old.
-    #[inline(never)]
-    fn alone<T: Task>(self, task: &T, flow: Flow) -> F {
-        self.back(task, [flow]).0[0]
-    }
-}
-
-impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
-    #[inline(always)]
-    fn in_lanes(self) {
-        let Self { task, flows, rollout, t, carried: r, .. } = self;
-        let (n, m) = (rollout.state_dim, rollout.control_dim);
-        let (states, next, controls) = (rollout.states_at(t), rollout.states_at(t + 1), rollout.controls_at(t));
-        let limits = Calm::new();
-        let mut calm = true;
-        for block in 0..states.len() / n {
-            let (of_state, of_control) = (block * n..(block + 1) * n, block * m..(block + 1) * m);
-            let back = Block {
-                x: &states[of_state.clone()],
-                next: &next[of_state.clone()],
-                u: &controls[of_control.clone()],
-                lambda: &mut r.lambda[of_state.clone()],
-                x_bar: &mut r.x_bar[of_state],
-                u_bar: &mut r.u_bar[of_control],
-                cost_x: &mut r.cost_x,
-                cost_u: &mut r.cost_u,
-                inject: r.exponents[block].inject,
-            };
-            let size = back.back(task, flows);
-            for column in &size.0 {
-                for &size in &column.0 {
-                    calm &= limits.holds(size, r.scaled);
-                }
-            }
-        }
-        *self.calm = calm;
-    }
-
-    /// Sample by sample and flow by flow.
-    #[inline(always)]
-    fn one_by_one(self) {
-        let Self { task, flows, rollout, t, carried: r, .. } = self;
-        let (n, m) = (rollout.state_dim, rollout.control_dim);
-        let mut numbers: SmallVec<[F; FEW]> = smallvec![F::zero(); 3 * n + 2 * m];
-        let mut columns: SmallVec<[Columns<F, 1>; FEW]> = smallvec![Columns([F::zero()]); 2 * n + m];
-        let (x, rest) = numbers.split_at_mut(n);
-        let (next, rest) = rest.split_at_mut(n);
-        let (cost_x, rest) = rest.split_at_mut(n);
-        let (u, cost_u) = rest.split_at_mut(m);
-        let (lambda, rest) = columns.split_at_mut(n);
-        let (x_bar, u_bar) = rest.split_at_mut(n);
-        let limits = Calm::new();
-        let mut calm = true;
-        for sample in 0..rollout.states_at(t).len() / n * WIDTH {
-            let (block, lane) = (sample / WIDTH, sample % WIDTH);
-            let (of_state, of_control) = (block * n..(block + 1) * n, block * m..(block + 1) * m);
-            read_lane(&rollout.states_at(t)[of_state.clone()], lane, x);
-            read_lane(&rollout.states_at(t + 1)[of_state.clone()], lane, next);
-            read_lane(&rollout.controls_at(t)[of_control.clone()], lane, u);
-            for (k, flow) in flows.into_iter().enumerate() {
-                for (one, lanes) in lambda.iter_mut().zip(&r.lambda[of_state.clone()]) {
-                    *one = Columns([lanes.0[k].0[lane]]);
-                }
-                let inject = Columns([r.exponents[block].inject.0[k].0[lane]]);
-                let one = Block { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject };
-                calm &= limits.holds(one.alone(task, flow), r.scaled);
-                let write = |ones: &[Columns<F, 1>], lanes: &mut [Columns<Lane<F>, K>]| {
-                    ones.iter().zip(lanes).for_each(|(one, lanes)| lanes.0[k].0[lane] = one.0[0]);
-                };
-                write(lambda, &mut r.lambda[of_state.clone()]);
-                write(u_bar, &mut r.u_bar[of_control.clone()]);
-            }
-        }
-        *self.calm = calm;
-    }
-}
-
-impl<T: Task, F: Float, const K: usize> Vectorized for Back<'_, T, F, K> {
-    #[inline(always)]
-    fn run<const FMA: bool>(self) {
-        if in_lanes::<FMA>() { self.in_lanes() } else { self.one_by_one() }
     }
 }

@@ -44,9 +44,9 @@ pub trait Kind: Clone + Debug + Send + Sync + 'static {
     /// Default number of steps.
     const HORIZON: usize;
     /// The methods that can take its steps, beside its own.
-    const METHODS: &'static [Method];
+    const METHODS: &'static [Method] = &[];
     /// Every effect, in the order of the section.
-    const EFFECTS: &'static [Info];
+    const EFFECTS: &'static [Info] = &[];
 
     /// The default physics.
     fn system() -> Self::System;

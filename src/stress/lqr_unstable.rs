@@ -27,8 +27,8 @@ pub(super) const CASES: &[Case] = &[Case {
                 1e-2 of the least loss after 3000 updates",
     story: "On an unstable plant the roles are exchanged: R, which knows of the feedback, is balanced, and M, which does \
             not, grows as the plant does, by 17 decades in 1000 steps. The meter says so in every epoch, and finds 15 to 16 of \
-            the 17, for what a new cost adds to the adjoint does not grow as fast at first. C reaches 1e-2 of excess cost from these starts, with single starts a batch and clipping by norm; R reaches 1e-6 and below, \
-            and M stays at 0.4 and more. What remains: from a gain that is half too stiff C missed 1e-2 with two of \
+            the 17, for what a new cost adds to the adjoint does not grow as fast at first. C reaches 1e-2 of excess cost from these \
+            starts, with single starts a batch and clipping by norm; R reaches 1e-6 and below, and M stays at 0.4 and more. What remains: from a gain that is half too stiff C missed 1e-2 with two of \
             three seeds at 400 steps, and mini-batches of 4 or 8 left it without a component in most updates: with four \
             parameters there are regions where no sign agrees. On such plants follow R",
     run: lqr_unstable,

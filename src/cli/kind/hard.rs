@@ -1,15 +1,18 @@
 //! Tasks that are hard on purpose, in the program. All of them are one type, so they are compiled once.
 
+mod bounce;
 mod contact;
 mod double_pendulum;
 mod lqr;
 mod pole_chain;
+mod push;
 mod slider;
 
-pub use contact::{Bounce, Push};
+pub use bounce::Bounce;
 pub use double_pendulum::DoublePendulum;
 pub use lqr::Lqr;
 pub use pole_chain::PoleChain;
+pub use push::Push;
 pub use slider::Slider;
 
 use super::{Kind, MlpSettings, Network, Visit};

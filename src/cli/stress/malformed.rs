@@ -19,8 +19,8 @@ pub const CASES: [Case; 2] = [
         "A parser that trusts a length, or a setting that trusts a number, ends a long queue of runs by a panic or takes all memory. \
          Every key is checked for type and range before anything is made of it, and a message names file, line, what was found and what \
          is allowed. What remains: a scene of a legal size may still be slow",
-    )
-    .measured_by(scenes),
+        scenes,
+    ),
     Case::new(
         "malformed_checkpoints",
         "60,000 checkpoints damaged at random, with a checksum that fits: header, parameters, optimizer and records",
@@ -29,8 +29,8 @@ pub const CASES: [Case; 2] = [
         "A file that was cut off by a full disk is taken up as if it were whole. Checkpoints have a checksum, are written beside \
          their name and renamed, and what is behind the checksum is checked as well; a run that is killed at any moment \
          resumes, which a test does 25 times. What remains: whoever forges a checksum can set parameters, as with any file of numbers",
-    )
-    .measured_by(checkpoints),
+        checkpoints,
+    ),
 ];
 
 /// What came of many inputs.

@@ -14,8 +14,8 @@ pub const CASES: [Case; 1] = [Case::new(
      every epoch",
     "the same bytes of parameters and records; other bytes with another seed",
     STORY,
-)
-.measured_by(reproducible)];
+    reproducible,
+)];
 
 const STORY: &str = "Sums over threads in the order in which they finish give other bits in each run. Here every sum has a fixed \
             order. Between processors, bits may differ: matrix products and the layers' tanh fuse where the processor \

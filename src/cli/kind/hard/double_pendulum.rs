@@ -1,7 +1,7 @@
 //! The double pendulum in the program.
 
 use super::{Nothing, Start, UprightLoss, names, upright, validate_upright, visit};
-use crate::cli::kind::{Conserved, Info, Kind, MlpSettings, Visit};
+use crate::cli::kind::{Conserved, Kind, MlpSettings, Visit};
 use crate::cli::problem::{Problem, finite, positive};
 use crate::cli::settings::{Method, Settings};
 use physgrad::report::{Animation, Posture, Stage, mechanics};
@@ -45,7 +45,6 @@ impl Kind for DoublePendulum {
     const EPOCHS: usize = 300;
     const HORIZON: usize = 100;
     const METHODS: &'static [Method] = &Method::ODE;
-    const EFFECTS: &'static [Info] = &[];
 
     fn system() -> DoublePendulumSettings {
         let tasks::DoublePendulum { masses, lengths, gravity } = tasks::DoublePendulum::default();

@@ -1,9 +1,9 @@
 //! The linear-quadratic regulator in the program.
 
 use super::{Nothing, names, visit};
-use crate::cli::kind::{Info, Kind, MlpSettings, Visit};
+use crate::cli::kind::{Kind, MlpSettings, Visit};
 use crate::cli::problem::{Problem, allowed, positive};
-use crate::cli::settings::{Method, Settings};
+use crate::cli::settings::Settings;
 use physgrad::report::{Animation, Posture, Stage, mechanics};
 use physgrad::tasks::{self, AnyHard, CartPoleSystem};
 use schemars::JsonSchema;
@@ -43,8 +43,6 @@ impl Kind for Lqr {
     const ABOUT: &'static str = "hold a linear plant at rest, at a quadratic cost whose least value is known";
     const EPOCHS: usize = 300;
     const HORIZON: usize = 100;
-    const METHODS: &'static [Method] = &[];
-    const EFFECTS: &'static [Info] = &[];
 
     fn system() -> LqrSettings {
         LqrSettings { plant: Plant::Spring, spread: 1.0 }

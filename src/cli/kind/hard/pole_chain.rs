@@ -1,7 +1,7 @@
 //! A chain of poles on a cart in the program.
 
 use super::{Nothing, Start, UprightLoss, upright, validate_upright, visit};
-use crate::cli::kind::{Conserved, Info, Kind, MlpSettings, Visit};
+use crate::cli::kind::{Conserved, Kind, MlpSettings, Visit};
 use crate::cli::problem::{Problem, count, finite, positive};
 use crate::cli::settings::{Method, Settings};
 use physgrad::report::{Animation, Posture, Stage, mechanics};
@@ -49,7 +49,6 @@ impl Kind for PoleChain {
     const EPOCHS: usize = 300;
     const HORIZON: usize = 100;
     const METHODS: &'static [Method] = &Method::ODE;
-    const EFFECTS: &'static [Info] = &[];
 
     fn system() -> PoleChainSettings {
         let CartPoleSystem { poles: _, cart_mass, pole_mass, half_length, gravity, dt } = CartPoleSystem::default();

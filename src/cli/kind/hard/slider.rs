@@ -1,9 +1,9 @@
 //! A block with dry friction in the program.
 
 use super::{Nothing, names, small_step, visit};
-use crate::cli::kind::{Info, Kind, MlpSettings, Visit};
+use crate::cli::kind::{Kind, MlpSettings, Visit};
 use crate::cli::problem::{Problem, not_negative, positive};
-use crate::cli::settings::{Method, Settings};
+use crate::cli::settings::Settings;
 use physgrad::report::{Animation, Posture, Stage, mechanics};
 use physgrad::tasks::{self, AnyHard, FrictionScheme, SliderSystem};
 use schemars::JsonSchema;
@@ -63,8 +63,6 @@ impl Kind for Slider {
     const ABOUT: &'static str = "stop a block with stiff dry friction at a place";
     const EPOCHS: usize = 300;
     const HORIZON: usize = 100;
-    const METHODS: &'static [Method] = &[];
-    const EFFECTS: &'static [Info] = &[];
 
     fn system() -> SliderSettings {
         let SliderSystem { mass, coefficient, smoothing, dt, scheme: _ } = SliderSystem::default();
