@@ -11,6 +11,7 @@ use crate::forward_mode::{concat, jacobian};
 use crate::rng::Rng;
 use crate::scalar::{Cotangent, Float, Real, Scalar};
 use crate::system::System;
+use crate::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
 /// Controls that are worked on without allocating; more of them allocate in every step.
@@ -73,7 +74,7 @@ fn reverse_by_duals<A: Actuator, R: Real, C: Cotangent<R>>(
     };
     jacobian(&concat(own, u), wrt, n + m, step, |i, column: &[R]| {
         let mut bar = C::null();
-        for (&next_bar, &slope) in next_bar.own.iter().chain(next_bar.out).zip(column) {
+        for (&next_bar, &slope) in zip(next_bar.own.iter().chain(next_bar.out), column) {
             bar += next_bar * slope;
         }
         // Only what is asked for is visited.

@@ -1,7 +1,7 @@
 //! Work that is compiled apart from the loops that need it.
 
-use crate::kernels::{Vectorized, dispatch_lanes};
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::kernels::{Vectorized, dispatch_lanes, dispatch_narrow};
+use crate::scalar::{Columns, Cotangent, Float, Real, Scalar};
 use crate::system::System;
 
 /// Runs it with the instructions of this processor, and is never inlined: what is chosen while the program runs is in
@@ -23,17 +23,35 @@ pub(crate) fn apart<T: Scalar>(work: impl Vectorized) {
 
 /// A step of a system, to be compiled apart: what chooses while the program runs is a call, and what is around it may have
 /// several.
-pub(crate) struct Step<'a, S, T> {
+pub(crate) struct Step<'a, S: ?Sized, T> {
     pub(crate) system: &'a S,
     pub(crate) x: &'a [T],
     pub(crate) u: &'a [T],
     pub(crate) next: &'a mut [T],
 }
 
-impl<S: System, T: Scalar> Vectorized for Step<'_, S, T> {
+impl<S: System + ?Sized, T: Scalar> Vectorized for Step<'_, S, T> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         self.system.step(self.x, self.u, self.next);
+    }
+}
+
+/// [`System::step`] in one place for each kind of number: simulators are inlined wherever they are called, and derivatives by
+/// duals, and checks, call them from many places.
+#[inline(never)]
+pub(crate) fn step<S: System + ?Sized, T: Scalar>(system: &S, x: &[T], u: &[T], next: &mut [T]) {
+    dispatch_narrow(Step { system, x, u, next });
+}
+
+/// [`System::vjp`], likewise, of the columns that rollouts have.
+#[inline(never)]
+pub(crate) fn vjp<S: System, F: Float>(system: &S, x: &[F], u: &[F], next_bar: &[F], x_bar: &mut [F], u_bar: &mut [F]) {
+    let columns = |bars: &[F]| bars.iter().map(|&bar| Columns([bar])).collect::<Vec<_>>();
+    let (mut x_columns, mut u_columns) = (columns(x_bar), columns(u_bar));
+    system.vjp(x, u, &columns(next_bar), &mut x_columns, &mut u_columns);
+    for (bar, Columns([found])) in x_bar.iter_mut().chain(u_bar).zip(x_columns.into_iter().chain(u_columns)) {
+        *bar = found;
     }
 }
 

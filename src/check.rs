@@ -21,13 +21,14 @@ pub use policies::{policy, try_policy};
 pub use reference::slope;
 pub use stability::{Stability, stability};
 
+use crate::apart::{step, vjp};
 use crate::backward::Flow;
 use crate::batch::Batch;
 use crate::divergence::Divergence;
 use crate::policy::{Policy, Weights};
 use crate::rng::{Purpose, Rng, stream};
-use crate::rollout::Rollout;
-use crate::scalar::{Columns, Cotangent, Lanes, Real, Scalar};
+use crate::rollout::{Rollout, WIDTH};
+use crate::scalar::{Columns, Lanes, Real, Scalar};
 use crate::system::{System, Wrt, vjp_by_duals};
 use crate::task::Task;
 use rand_distr::{Distribution, StandardNormal};
@@ -202,11 +203,13 @@ fn try_system_drawn<S: System>(system: &S, draw: Draw) -> Result<Passed, Mismatc
         vjp(system, &x, &u, &next_bar, &mut x_bar, &mut u_bar);
         c.slices("vjp: x_bar", &x_bar, &x_dual)?;
         c.slices("vjp: u_bar", &u_bar, &u_dual)?;
-        let (mut x_only, mut u_only) = (vec![f64::NAN; n], vec![f64::NAN; m]);
-        system.vjp_state(&x, &u, &next_bar, &mut x_only);
-        system.vjp_control(&x, &u, &next_bar, &mut u_only);
-        c.slices("vjp_state: x_bar", &x_only, &x_dual)?;
-        c.slices("vjp_control: u_bar", &u_only, &u_dual)?;
+        let next_bars: Vec<_> = next_bar.iter().map(|&bar| Columns([bar])).collect();
+        let (mut x_only, mut u_only) = (vec![Columns([f64::NAN]); n], vec![Columns([f64::NAN]); m]);
+        system.vjp_state(&x, &u, &next_bars, &mut x_only);
+        system.vjp_control(&x, &u, &next_bars, &mut u_only);
+        let plain = |bars: &[Columns<f64, 1>]| bars.iter().map(|bar| bar.0[0]).collect::<Vec<_>>();
+        c.slices("vjp_state: x_bar", &plain(&x_only), &x_dual)?;
+        c.slices("vjp_control: u_bar", &plain(&u_only), &u_dual)?;
 
         let (x_tan, u_tan) = (normal(&mut rng, n), normal(&mut rng, m));
         let (mut by_x, mut by_u) = (vec![0.0; n], vec![0.0; n]);
@@ -223,23 +226,11 @@ fn try_system_drawn<S: System>(system: &S, draw: Draw) -> Result<Passed, Mismatc
     Ok(c.passed)
 }
 
-/// [`System::step`] in one place for each kind of number: simulators are inlined wherever they are called, and checks are
-/// in no hurry.
-#[inline(never)]
-fn step<S: System, T: Scalar>(system: &S, x: &[T], u: &[T], next: &mut [T]) {
-    system.step(x, u, next);
-}
-
-/// [`System::vjp`], likewise.
-#[inline(never)]
-fn vjp<S: System, R: Real, C: Cotangent<R>>(system: &S, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-    system.vjp(x, u, next_bar, x_bar, u_bar);
-}
-
-/// Two columns of lanes, each lane another input, against the same on plain numbers: the same bits.
+/// Two columns of lanes, as many as rollouts have, each lane another input, against the same on plain numbers: the same
+/// bits.
 fn lanes<S: System>(system: &S, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
-    const W: usize = 2;
-    let vary = |v: &[f64], lane: usize| v.iter().map(|v| v * (1.0 + 0.125 * lane as f64)).collect::<Vec<f64>>();
+    const W: usize = WIDTH;
+    let vary = |v: &[f64], lane: usize| v.iter().map(|v| v * (1.0 + lane as f64 / 64.0)).collect::<Vec<f64>>();
     let pack = |v: &[f64]| -> Vec<Lanes<f64, W>> {
         let lanes: [Vec<f64>; W] = std::array::from_fn(|lane| vary(v, lane));
         (0..v.len()).map(|i| Lanes(std::array::from_fn(|lane| lanes[lane][i]))).collect()
@@ -251,7 +242,7 @@ fn lanes<S: System>(system: &S, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut 
     let column = |v: Lanes<f64, W>| Columns([v, -v]);
     let next_bars: Vec<_> = pack(next_bar).into_iter().map(column).collect();
     let (mut x_bars, mut u_bars) = (vec![column(Lanes::zero()); n], vec![column(Lanes::zero()); m]);
-    vjp(system, &x_lanes, &u_lanes, &next_bars, &mut x_bars, &mut u_bars);
+    system.vjp(&x_lanes, &u_lanes, &next_bars, &mut x_bars, &mut u_bars);
     for lane in 0..W {
         let (x, u, next_bar) = (vary(x, lane), vary(u, lane), vary(next_bar, lane));
         let (mut plain, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], vec![0.0; m]);

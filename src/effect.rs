@@ -11,6 +11,7 @@ use crate::forward_mode::jacobian;
 use crate::rng::Rng;
 use crate::scalar::{Columns, Cotangent, Float, Real, Scalar};
 use crate::system::{System, Wrt, vjp_by_duals};
+use crate::zip::zip;
 pub(crate) use list::{Act, ActBack, any_effect};
 use rand::RngExt;
 use std::fmt::Debug;
@@ -116,7 +117,7 @@ pub(crate) fn effect_vjp_by_duals<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
         effect.act(body, x, forces);
     };
     jacobian(x, 0..x.len(), forces_bar.len(), act, |i, column: &[R]| {
-        for (&force_bar, &slope) in forces_bar.iter().zip(column) {
+        for (&force_bar, &slope) in zip(forces_bar.iter(), column) {
             x_bar[i] += force_bar * slope;
         }
     });
@@ -280,7 +281,7 @@ fn reverse_by_duals<H: Host + ?Sized, E: Effect<H::Body>, R: Real, C: Cotangent<
     let mut all: smallvec::SmallVec<[C; 33]> = smallvec::smallvec![C::null(); x.len()];
     vjp_by_duals(&steps, x, u, next_bar, wrt, &mut all, u_bar);
     x_bar[..n].copy_from_slice(&all[..n]);
-    for (x_bar, &more) in x_bar[n..].iter_mut().zip(&all[n..]) {
+    for (x_bar, &more) in zip(x_bar[n..].iter_mut(), &all[n..]) {
         *x_bar += more;
     }
 }

@@ -1,6 +1,7 @@
 //! Jacobians by dual numbers: the default derivatives, and the oracle that checks every hand-written one.
 
 use crate::scalar::{Real, Scalar, Tangents};
+use crate::zip::zip;
 use smallvec::{SmallVec, smallvec};
 use std::ops::Range;
 
@@ -25,6 +26,14 @@ pub(crate) fn jacobian<R: Real>(
     f: impl Fn(&[Dual<R>], &mut [Dual<R>]),
     mut visit: impl FnMut(usize, &[R]),
 ) {
+    jacobian_of(inputs, wrt, outputs, &f, &mut visit);
+}
+
+/// What is differentiated.
+type Function<'a, R> = &'a dyn Fn(&[Dual<R>], &mut [Dual<R>]);
+
+/// The same, compiled once for a kind of number, and not for every function.
+fn jacobian_of<R: Real>(inputs: &[R], wrt: Range<usize>, outputs: usize, f: Function<'_, R>, visit: &mut dyn FnMut(usize, &[R])) {
     let constant = Dual::<R>::constant(<R::Real as Scalar>::zero());
     let mut x: Buffer<Dual<R>> = smallvec![constant; inputs.len()];
     let mut y: Buffer<Dual<R>> = smallvec![constant; outputs];
@@ -32,7 +41,7 @@ pub(crate) fn jacobian<R: Real>(
     for first in wrt.clone().step_by(CHUNK) {
         let chunk = first..wrt.end.min(first + CHUNK);
         for lane in 0..R::LANES {
-            for (i, (x, input)) in x.iter_mut().zip(inputs).enumerate() {
+            for (i, (x, input)) in zip(x.iter_mut(), inputs).enumerate() {
                 let value = input.lane(lane);
                 *x = if chunk.contains(&i) { Dual::<R>::variable(value, i - first) } else { Dual::<R>::constant(value) };
             }

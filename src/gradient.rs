@@ -3,6 +3,7 @@
 use crate::kernels::{Level, elementwise};
 use crate::scalar::Float;
 use crate::wide::{Wide, exponent_of, scaled, scaled_with_sign};
+use crate::zip::zip;
 
 /// A gradient, `values · 2^exponent`. The exponent is 0 wherever plain numbers will do.
 ///
@@ -91,7 +92,7 @@ impl<F: Float> Gradient<F> {
     /// Adds a sum that need not be settled.
     pub(crate) fn add(&mut self, other: &Self) {
         if !self.spread && !other.spread && other.exponent == 0 {
-            for (sum, &part) in self.values.iter_mut().zip(&other.values) {
+            for (sum, &part) in zip(self.values.iter_mut(), &other.values) {
                 *sum += part;
             }
             return;
@@ -146,11 +147,11 @@ impl<F: Float> Gradient<F> {
             let size: f64 = value.as_();
             (size != 0.0 && size.is_finite()).then(|| exponent + exponent_of(size))
         };
-        let largest = self.values.iter().zip(&self.exponents).filter_map(leading).max().unwrap_or(0);
+        let largest = zip(self.values.iter(), &self.exponents).filter_map(leading).max().unwrap_or(0);
         // Large ones whose squares can be summed, small ones with most of the range below them.
         let reach = if F::EPSILON < 1e-10 { 500 } else { 60 };
         self.exponent = if (-reach..reach).contains(&largest) { 0 } else { largest };
-        for (value, &exponent) in self.values.iter_mut().zip(&self.exponents) {
+        for (value, &exponent) in zip(self.values.iter_mut(), &self.exponents) {
             if finite(*value) {
                 *value = scaled_with_sign(*value, exponent - self.exponent);
             }

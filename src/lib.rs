@@ -101,6 +101,7 @@ pub mod tasks;
 pub mod toy;
 mod train;
 mod wide;
+mod zip;
 
 pub use actuator::{Actuated, Actuator, AnyActuator, Bars, Delay, Lag, Limit, LimitKind};
 pub use backward::{Adjoint, Flow};

@@ -4,6 +4,7 @@ use crate::divergence::Cause;
 use crate::effect::{Effect, Host, With};
 use crate::forward_mode::{concat, jacobian};
 use crate::scalar::{Cotangent, Float, Real, Scalar};
+use crate::zip::zip;
 
 /// An ordinary differential equation, `dx/dt = f(x, u)`, whose control is constant during a step.
 ///
@@ -71,7 +72,7 @@ fn rate_vjp_by_duals<O: Ode + ?Sized, R: Real, C: Cotangent<R>>(
     let rate = |xu: &[_], rate: &mut [_]| ode.rate(&xu[..n], &xu[n..], rate);
     jacobian(&concat(x, u), inputs, n, rate, |i, column: &[R]| {
         let mut bar = C::null();
-        for (&rate_bar, &slope) in rate_bar.iter().zip(column) {
+        for (&rate_bar, &slope) in zip(rate_bar.iter(), column) {
             bar += rate_bar * slope;
         }
         match &mut u_bar {

@@ -5,6 +5,7 @@ use crate::effect::Around;
 use crate::rng::Rng;
 use crate::scalar::{Cotangent, Float, Real, Scalar};
 use crate::system::System;
+use crate::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
 /// Numbers that all states within a step may have to be kept on the stack; more are allocated in every step.
@@ -70,7 +71,7 @@ impl<S: System> System for Substeps<S> {
         for state in self.states(x, u).chunks_exact(x.len()).rev() {
             self.system.vjp(state, u, &bar, x_bar, &mut part);
             bar.copy_from_slice(x_bar);
-            for (u_bar, &part) in u_bar.iter_mut().zip(&part) {
+            for (u_bar, &part) in zip(u_bar.iter_mut(), &part) {
                 *u_bar += part;
             }
         }

@@ -1,8 +1,10 @@
 //! [`System`]: one discrete time step of physics, and its derivatives.
 
+use crate::apart;
 use crate::divergence::Cause;
-use crate::forward_mode::{concat, jacobian};
+use crate::forward_mode::{Dual, concat, jacobian};
 use crate::scalar::{Cotangent, Float, Real, Scalar, Tangents};
+use crate::zip::zip;
 use smallvec::SmallVec;
 
 /// One discrete time step of a physical system, `x' = S(x, u)`.
@@ -87,10 +89,10 @@ pub(crate) fn vjp_by_duals<S: System + ?Sized, R: Real, C: Cotangent<R>>(
         Wrt::Control => n..n + u.len(),
         Wrt::Both => 0..n + u.len(),
     };
-    let step = |xu: &[_], next: &mut [_]| system.step(&xu[..n], &xu[n..], next);
+    let step = |xu: &[_], next: &mut [_]| apart::step(system, &xu[..n], &xu[n..], next);
     jacobian(&concat(x, u), inputs, next_bar.len(), step, |i, column: &[R]| {
         let mut bar = C::null();
-        for (&next_bar, &slope) in next_bar.iter().zip(column) {
+        for (&next_bar, &slope) in zip(next_bar.iter(), column) {
             bar += next_bar * slope;
         }
         if i < n {
@@ -109,15 +111,15 @@ fn jvp_by_duals<S: System + ?Sized, F: Float>(
     u_tan: Option<&[F]>,
     next_tan: &mut [F],
 ) {
-    type Duals<F> = SmallVec<[<F as Float>::Dual<1>; 32]>;
-    let lift = |values: &[F], tangents: Option<&[F]>| -> Duals<F> {
-        let tangent = |i: usize| tangents.map_or(F::zero(), |t| t[i]);
-        values.iter().enumerate().map(|(i, &value)| <F as Float>::Dual::<1>::seeded(value, [tangent(i)])).collect()
+    // One tangent of those that there is room for: systems need not be compiled for another kind of dual number.
+    let lift = |values: &[F], tangents: Option<&[F]>| -> SmallVec<[Dual<F>; 32]> {
+        let tangent = |i: usize| std::array::from_fn(|k| tangents.filter(|_| k == 0).map_or(F::zero(), |t| t[i]));
+        values.iter().enumerate().map(|(i, &value)| Dual::<F>::seeded(value, tangent(i))).collect()
     };
     let (x, u) = (lift(x, x_tan), lift(u, u_tan));
-    let mut next: Duals<F> = x.clone();
-    system.step(&x, &u, &mut next);
-    for (tan, next) in next_tan.iter_mut().zip(&next) {
-        [*tan] = next.tangents();
+    let mut next = x.clone();
+    apart::step(system, &x, &u, &mut next);
+    for (tan, next) in zip(next_tan.iter_mut(), &next) {
+        *tan = next.tangents()[0];
     }
 }

@@ -2,6 +2,7 @@
 
 use super::{Actuator, Bars};
 use crate::scalar::{Cotangent, Real, Scalar};
+use crate::zip::zip;
 use serde::{Deserialize, Serialize};
 
 /// A limit on the size of every control.
@@ -36,7 +37,7 @@ impl Actuator for Limit {
     #[inline(always)]
     fn step<T: Scalar>(&self, _own: &[T], u: &[T], _own_next: &mut [T], out: &mut [T]) {
         let bound = T::lift(self.bound);
-        for (out, &u) in out.iter_mut().zip(u) {
+        for (out, &u) in zip(out.iter_mut(), u) {
             *out = match self.kind {
                 LimitKind::Smooth => bound * (u * T::lift(1.0 / self.bound)).tanh(),
                 LimitKind::Hard => u.min(bound).max(-bound),
@@ -53,7 +54,7 @@ impl Actuator for Limit {
         _own_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
-        for ((u_bar, &out_bar), &u) in u_bar.into_iter().flatten().zip(next_bar.out).zip(u) {
+        for ((u_bar, &out_bar), &u) in zip(zip(u_bar.into_iter().flatten(), next_bar.out), u) {
             *u_bar = match self.kind {
                 LimitKind::Smooth => {
                     let share = (u * R::lift(1.0 / self.bound)).tanh();
@@ -88,7 +89,7 @@ impl Actuator for Lag {
     #[inline(always)]
     fn step<T: Scalar>(&self, own: &[T], u: &[T], own_next: &mut [T], out: &mut [T]) {
         let share = T::lift(self.share);
-        for (((own_next, out), &own), &u) in own_next.iter_mut().zip(out).zip(own).zip(u) {
+        for (((own_next, out), &own), &u) in zip(zip(zip(own_next.iter_mut(), out), own), u) {
             *own_next = own + (u - own) * share;
             *out = *own_next;
         }
@@ -103,12 +104,12 @@ impl Actuator for Lag {
         own_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
-        let bars = || next_bar.own.iter().zip(next_bar.out);
+        let bars = || zip(next_bar.own.iter(), next_bar.out);
         let (share, rest) = (R::lift(self.share), R::lift(1.0 - self.share));
-        for (own_bar, (&own, &out)) in own_bar.into_iter().flatten().zip(bars()) {
+        for (own_bar, (&own, &out)) in zip(own_bar.into_iter().flatten(), bars()) {
             *own_bar = (own + out) * rest;
         }
-        for (u_bar, (&own, &out)) in u_bar.into_iter().flatten().zip(bars()) {
+        for (u_bar, (&own, &out)) in zip(u_bar.into_iter().flatten(), bars()) {
             *u_bar = (own + out) * share;
         }
     }

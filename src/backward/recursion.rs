@@ -12,6 +12,7 @@ use crate::scalar::{Columns, Float, Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
 use crate::wide::times_power_of_two;
+use crate::zip::zip;
 use std::ops::Range;
 
 /// What the recursion carries for `K` flows.
@@ -78,9 +79,9 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         self.exponents.iter_mut().for_each(|exponents| exponents.reset(scale));
         (self.scaled, self.low) = (false, false);
         self.meters.fill([(Meter::default(), 0.0, 0); K]);
-        for (lambda, x) in self.lambda.chunks_exact_mut(n).zip(last.chunks_exact(n)) {
+        for (lambda, x) in zip(self.lambda.chunks_exact_mut(n), last.chunks_exact(n)) {
             task.terminal_cost_gradient(x, &mut self.cost_x);
-            for (lambda, &x_bar) in lambda.iter_mut().zip(&self.cost_x) {
+            for (lambda, &x_bar) in zip(lambda.iter_mut(), &self.cost_x) {
                 *lambda = Columns([x_bar * Lane::splat(scale); K]);
             }
         }
@@ -142,7 +143,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     #[cold]
     fn settle(&mut self, flows: [Flow; K], rollout: &Rollout<F>, scale: F) -> Size {
         let (n, m) = (rollout.state_dim, rollout.control_dim);
-        let blocks = self.lambda.chunks_exact_mut(n).zip(self.u_bar.chunks_exact_mut(m)).zip(&mut self.exponents);
+        let blocks = zip(zip(self.lambda.chunks_exact_mut(n), self.u_bar.chunks_exact_mut(m)), &mut self.exponents);
         for ((lambda, u_bar), exponents) in blocks.take(rollout.samples.div_ceil(WIDTH)) {
             for (k, flow) in flows.into_iter().enumerate() {
                 for lane in 0..WIDTH {
@@ -187,7 +188,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                 let sum = |(lambda, cost): (&Columns<Lane<F>, K>, &Lane<F>)| -> f64 {
                     (lambda.0[k].lane(lane) + cost.lane(lane) * exponents.inject.0[k].lane(lane)).as_()
                 };
-                let terms = self.lambda[block * n..][..n].iter().zip(&self.cost_x).map(sum);
+                let terms = zip(self.lambda[block * n..][..n].iter(), &self.cost_x).map(sum);
                 (*before, *exponent) = (terms.map(|x| x * x).sum(), exponents.of[k][lane]);
             }
         }
@@ -232,7 +233,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                 let c = at.first + sample * at.step;
                 // A unit cotangent's result is still to be multiplied by the control's own.
                 let factor = if policy.unit { policy.controls_bar[k][c] } else { F::one() };
-                for (lambda, &x_bar) in lambda.iter_mut().zip(&policy.inputs_bar[c * n..][..n]) {
+                for (lambda, &x_bar) in zip(lambda.iter_mut(), &policy.inputs_bar[c * n..][..n]) {
                     lambda.0[k].0[lane] += x_bar * factor;
                 }
             }

@@ -8,6 +8,7 @@ use crate::rollout::{FEW, Lane, Rollout, WIDTH, read_lane};
 use crate::scalar::{Columns, Float, Real};
 use crate::system::System;
 use crate::task::Task;
+use crate::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
 /// Writes the gradients of the costs of a block.
@@ -56,7 +57,7 @@ impl<R: Real, const K: usize> Block<'_, R, K> {
         let system = task.system();
         let mut size = Columns([R::zero(); K]);
         task.stage_cost_gradient(next, u, cost_x, cost_u);
-        for (lambda, &cost) in lambda.iter_mut().zip(&*cost_x) {
+        for (lambda, &cost) in zip(lambda.iter_mut(), &*cost_x) {
             *lambda += inject * cost;
         }
         if flows.iter().any(|flow| flow.physics) {
@@ -64,11 +65,11 @@ impl<R: Real, const K: usize> Block<'_, R, K> {
         } else {
             system.vjp_control(x, u, lambda, u_bar);
         }
-        for (u_bar, &cost) in u_bar.iter_mut().zip(&*cost_u) {
+        for (u_bar, &cost) in zip(u_bar.iter_mut(), &*cost_u) {
             *u_bar += inject * cost;
             size += u_bar.abs();
         }
-        for (lambda, &x_bar) in lambda.iter_mut().zip(&*x_bar) {
+        for (lambda, &x_bar) in zip(lambda.iter_mut(), &*x_bar) {
             for (k, flow) in flows.iter().enumerate() {
                 lambda.0[k] = if flow.physics { x_bar.0[k] } else { R::zero() };
             }
@@ -140,14 +141,14 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
             read_lane(&rollout.states_at(t + 1)[of_state.clone()], lane, next);
             read_lane(&rollout.controls_at(t)[of_control.clone()], lane, u);
             for (k, flow) in flows.into_iter().enumerate() {
-                for (one, lanes) in lambda.iter_mut().zip(&r.lambda[of_state.clone()]) {
+                for (one, lanes) in zip(lambda.iter_mut(), &r.lambda[of_state.clone()]) {
                     *one = Columns([lanes.0[k].0[lane]]);
                 }
                 let inject = Columns([r.exponents[block].inject.0[k].0[lane]]);
                 let one = Block { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject };
                 calm &= limits.holds(one.alone(task, flow), r.scaled);
                 let write = |ones: &[Columns<F, 1>], lanes: &mut [Columns<Lane<F>, K>]| {
-                    ones.iter().zip(lanes).for_each(|(one, lanes)| lanes.0[k].0[lane] = one.0[0]);
+                    zip(ones, lanes).for_each(|(one, lanes)| lanes.0[k].0[lane] = one.0[0]);
                 };
                 write(lambda, &mut r.lambda[of_state.clone()]);
                 write(u_bar, &mut r.u_bar[of_control.clone()]);

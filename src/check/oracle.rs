@@ -38,7 +38,7 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
         let seen = |x: &[S], with: bool| -> Vec<S> { x.iter().map(|&x| if with { x } else { x.detach() }).collect() };
         for _ in 0..task.horizon() {
             policy.act(theta, &seen(&x, flow.control), &mut u);
-            super::step(system, &seen(&x, flow.physics), &u, &mut next);
+            crate::apart::step(system, &seen(&x, flow.physics), &u, &mut next);
             mean += task.stage_cost(&next, &u);
             std::mem::swap(&mut x, &mut next);
         }

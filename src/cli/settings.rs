@@ -102,8 +102,11 @@ impl<K: Kind> Settings<K> {
     /// From a table in which nothing is missing but effects, and what has a default of its own: shapes and names by
     /// serde.
     pub fn fill(table: Table) -> Result<Self, Problem> {
-        let mut settings: Self = serde_path_to_error::deserialize(Value::Table(table))
-            .map_err(|error| Problem::unreadable(&error.path().to_string(), error.inner().message()))?;
+        let mut track = serde_path_to_error::Track::new();
+        let tracked = serde_path_to_error::Deserializer::new(Value::Table(table), &mut track);
+        // Erased, as all that reads a table would otherwise be compiled for every section of every task.
+        let mut settings: Self = erased_serde::deserialize(&mut <dyn erased_serde::Deserializer>::erase(tracked))
+            .map_err(|error| Problem::unreadable(&track.path().to_string(), error.to_string().trim_end()))?;
         settings.training.complete();
         Ok(settings)
     }

@@ -3,6 +3,7 @@
 use super::{Integrator, Room, RungeKutta, Stretch, room};
 use crate::ode::{RateOn, ReverseOn};
 use crate::scalar::{Cotangent, Float, Real, Scalar};
+use crate::zip::zip;
 
 /// Tsitouras 5(4) (doi:10.1016/j.camwa.2011.06.002) with steps of its own choice within each step: as many as its estimate
 /// of the error asks for. Where the largest of `|error_i| / (atol + rtol |x_i|)` is
@@ -64,7 +65,7 @@ impl Adaptive {
             ode.rate(&candidate, u, &mut last);
             let error = self.error(step, next, &candidate, &rates, &last);
             tell(next, T::select_lt(error, one, step, T::zero()));
-            for (next, &candidate) in next.iter_mut().zip(&candidate) {
+            for (next, &candidate) in zip(next.iter_mut(), &candidate) {
                 *next = T::select_lt(error, one, candidate, *next);
             }
             left = T::select_lt(error, one, left - step, left);

@@ -1,4 +1,5 @@
-//! Passes over a layer's numbers, vectorized for the processor at hand.
+//! Passes over a layer's numbers, vectorized for the processor at hand. Loops go by index: an iterator over two slices is
+//! not seen through everywhere.
 
 use super::{Level, Vectorized, dispatch};
 use crate::scalar::Float;
@@ -26,9 +27,9 @@ pub fn tanh_bar<F: Float>(level: Level, h: &[F], bar: &mut [F], columns: Strided
         #[inline(always)]
         fn run<const FMA: bool>(self) {
             for start in self.2.starts() {
-                let h = &self.0[start..start + self.2.len];
-                for (bar, &h) in self.1[start..start + self.2.len].iter_mut().zip(h) {
-                    *bar *= F::one() - h * h;
+                let (h, bar) = (&self.0[start..][..self.2.len], &mut self.1[start..][..self.2.len]);
+                for i in 0..h.len() {
+                    bar[i] *= F::one() - h[i] * h[i];
                 }
             }
         }
@@ -42,10 +43,11 @@ pub fn scale<F: Float>(level: Level, from: &[F], weight: &[F], len: usize, to: &
     impl<F: Float> Vectorized for Work<'_, F> {
         #[inline(always)]
         fn run<const FMA: bool>(self) {
-            let columns = self.0.chunks_exact(self.2).zip(self.3.chunks_exact_mut(self.2));
-            for ((from, to), &weight) in columns.zip(self.1) {
-                for (to, &from) in to.iter_mut().zip(from) {
-                    *to = from * weight;
+            let Work(from, weight, len, to) = self;
+            for (c, &weight) in weight.iter().enumerate().take(to.len() / len) {
+                let (from, to) = (&from[c * len..][..len], &mut to[c * len..][..len]);
+                for i in 0..len {
+                    to[i] = from[i] * weight;
                 }
             }
         }
@@ -78,13 +80,13 @@ fn dot<F: Float, const FMA: bool>(a: &[F], b: &[F]) -> F {
     let mut sum = [F::zero(); WIDTH];
     let (a, a_rest) = a.as_chunks::<WIDTH>();
     let (b, b_rest) = b.as_chunks::<WIDTH>();
-    for (a, b) in a.iter().zip(b) {
+    for c in 0..a.len().min(b.len()) {
         for i in 0..WIDTH {
-            sum[i] = F::plus_product::<FMA>(sum[i], a[i], b[i]);
+            sum[i] = F::plus_product::<FMA>(sum[i], a[c][i], b[c][i]);
         }
     }
-    for (i, (&a, &b)) in a_rest.iter().zip(b_rest).enumerate() {
-        sum[i] = F::plus_product::<FMA>(sum[i], a, b);
+    for i in 0..a_rest.len().min(b_rest.len()) {
+        sum[i] = F::plus_product::<FMA>(sum[i], a_rest[i], b_rest[i]);
     }
     let mut half = WIDTH / 2;
     while half > 0 {
@@ -124,20 +126,22 @@ pub fn moments<F: Float>(level: Level, a: &[F], b: &[F]) -> (f64, f64, f64) {
         #[inline(always)]
         fn run<const FMA: bool>(self) {
             let Work(a, b, sums) = self;
-            let mut add = |a: &[F], b: &[F]| {
-                for (i, (&a, &b)) in a.iter().zip(b).enumerate() {
-                    let (a, b): (f64, f64) = (a.as_(), b.as_());
-                    sums[0][i] += a * b;
-                    sums[1][i] += a * a;
-                    sums[2][i] += b * b;
-                }
+            let mut add = |i: usize, a: F, b: F| {
+                let (a, b): (f64, f64) = (a.as_(), b.as_());
+                sums[0][i] += a * b;
+                sums[1][i] += a * a;
+                sums[2][i] += b * b;
             };
-            let (a_chunks, a_rest) = a.as_chunks::<WIDTH>();
-            let (b_chunks, b_rest) = b.as_chunks::<WIDTH>();
-            for (a, b) in a_chunks.iter().zip(b_chunks) {
-                add(a, b);
+            let (a, a_rest) = a.as_chunks::<WIDTH>();
+            let (b, b_rest) = b.as_chunks::<WIDTH>();
+            for c in 0..a.len().min(b.len()) {
+                for i in 0..WIDTH {
+                    add(i, a[c][i], b[c][i]);
+                }
             }
-            add(a_rest, b_rest);
+            for i in 0..a_rest.len().min(b_rest.len()) {
+                add(i, a_rest[i], b_rest[i]);
+            }
         }
     }
     let mut sums = [[0.0; WIDTH]; 3];

@@ -138,8 +138,9 @@ unsafe fn tile<R: Register, const H: usize, const NR: usize>(
             }
             for (j, column) in sum.iter_mut().enumerate() {
                 let b_kj = R::splat(*b.add(k * p.b_row + j * p.b_col));
-                for (sum, &a_k) in column.iter_mut().zip(&a_k) {
-                    *sum = sum.plus_product(a_k, b_kj);
+                // By index: the standard library's `zip` may stay a call, in the innermost loop of all.
+                for i in 0..H {
+                    column[i] = column[i].plus_product(a_k[i], b_kj);
                 }
             }
         }

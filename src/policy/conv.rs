@@ -16,6 +16,7 @@ use crate::kernels::elementwise::{self, Strided};
 use crate::kernels::gemm::Product;
 use crate::rng::Rng;
 use crate::scalar::{Float, Scalar};
+use crate::zip::zip;
 use layer::Layer;
 use rand::RngExt;
 
@@ -90,7 +91,7 @@ impl Policy for Conv {
         let first = KERNEL * CHANNELS;
         let kernels =
             [(0, first, first * w), (self.layers::<f64>()[1].theta, KERNEL * w, KERNEL * w), (self.dense(), outputs, 1)];
-        for ((start, fan_in, fan_out), len) in kernels.into_iter().zip([first * w, KERNEL * w * w, outputs]) {
+        for ((start, fan_in, fan_out), len) in zip(kernels, [first * w, KERNEL * w * w, outputs]) {
             // Glorot and Bengio 2010: uniform within sqrt(6 / (fan_in + fan_out)).
             let limit = (6.0 / (fan_in + fan_out) as f64).sqrt();
             theta[start..start + len].fill_with(|| rng.random_range(-limit..limit));
@@ -110,8 +111,8 @@ impl Policy for Conv {
             for q in 0..l.positions {
                 let mut z = bias.to_vec();
                 let window = &h[2 * q * l.channels..][..KERNEL * l.channels];
-                for (&h, row) in window.iter().zip(kernel.chunks_exact(w)) {
-                    for (z, &weight) in z.iter_mut().zip(row) {
+                for (&h, row) in zip(window.iter(), kernel.chunks_exact(w)) {
+                    for (z, &weight) in zip(z.iter_mut(), row) {
                         *z += h * weight;
                     }
                 }
@@ -168,7 +169,7 @@ impl Policy for Conv {
         let [_, two] = &layers;
         let dense = &mut packed[self.packed_dense(two)..];
         let (kernel, bias) = theta[self.dense()..].split_at(two.positions * w);
-        for (to, from) in dense.chunks_exact_mut(two.slot_out).zip(kernel.chunks_exact(w)) {
+        for (to, from) in zip(dense.chunks_exact_mut(two.slot_out), kernel.chunks_exact(w)) {
             to[..w].copy_from_slice(from);
         }
         // The constant 1 of the first position.
@@ -187,8 +188,8 @@ impl Policy for Conv {
         for at in at.blocks(BLOCK) {
             // The columns of one step are far apart: they are brought together, worked on and put back.
             let (block, all) = tape.split_at_mut(places.all[1]);
-            for (column, c) in block[input..].chunks_exact_mut(lens[0]).zip(at.iter()) {
-                for (position, x) in column.chunks_exact_mut(one.slot).zip(x[c * n..][..n].chunks_exact(CHANNELS)) {
+            for (column, c) in zip(block[input..].chunks_exact_mut(lens[0]), at.iter()) {
+                for (position, x) in zip(column.chunks_exact_mut(one.slot), x[c * n..][..n].chunks_exact(CHANNELS)) {
                     position[..CHANNELS].copy_from_slice(x);
                     position[CHANNELS] = F::one();
                 }
@@ -200,7 +201,7 @@ impl Policy for Conv {
             let rows = Strided { first: self.packed_dense(two), step: 0, count: 1, len: lens[2] };
             let columns = Strided { first: 0, step: lens[2], count: at.count, len: lens[2] };
             elementwise::dots(level, packed, rows, second, columns, &mut u[at.first..], at.step);
-            for (from, (to, len)) in places.block.into_iter().zip(places.all.into_iter().zip(lens)) {
+            for (from, (to, len)) in zip(places.block, zip(places.all, lens)) {
                 let to = to - places.all[1];
                 for (i, c) in at.iter().enumerate() {
                     all[to + c * len..][..len].copy_from_slice(&block[from + i * len..][..len]);
@@ -246,14 +247,14 @@ impl Policy for Conv {
 
             two.windows_bar(level, w, packed, bar2, at.count, windows);
             bar1.fill(F::zero());
-            for (to, windows) in bar1.chunks_exact_mut(len1).zip(windows.chunks(two.room * two.entries)) {
+            for (to, windows) in zip(bar1.chunks_exact_mut(len1), windows.chunks(two.room * two.entries)) {
                 two.add_windows(windows, two.slot, to);
             }
             elementwise::tanh_bar(level, &tape[places.all[1] + at.first * len1..], bar1, whole(len1));
 
             if let Some(x_bar) = &mut x_bar {
                 one.windows_bar(level, w, packed, bar1, at.count, windows);
-                for (c, windows) in at.iter().zip(windows.chunks(one.room * one.entries)) {
+                for (c, windows) in zip(at.iter(), windows.chunks(one.room * one.entries)) {
                     let x_bar = &mut x_bar[c * n..][..n];
                     x_bar.fill(F::zero());
                     one.add_windows(windows, CHANNELS, x_bar);
@@ -308,7 +309,7 @@ impl Policy for Conv {
             }
             for (j, sum) in sum.chunks_exact(l.slot_out).enumerate() {
                 let Some(start) = l.weight(j, w) else { continue };
-                for (bar, &sum) in theta_bar[start..start + w].iter_mut().zip(sum) {
+                for (bar, &sum) in zip(theta_bar[start..start + w].iter_mut(), sum) {
                     *bar += sum;
                 }
             }
@@ -341,8 +342,8 @@ impl Policy for Conv {
             F::product(level, product);
         }
         let (kernel, bias) = theta_bar[self.dense()..].split_at_mut(two.positions * w);
-        for (bar, sum) in kernel.chunks_exact_mut(w).zip(sum.chunks_exact(two.slot_out)) {
-            for (bar, &sum) in bar.iter_mut().zip(sum) {
+        for (bar, sum) in zip(kernel.chunks_exact_mut(w), sum.chunks_exact(two.slot_out)) {
+            for (bar, &sum) in zip(bar.iter_mut(), sum) {
                 *bar += sum;
             }
         }

@@ -3,6 +3,7 @@
 use super::{Policy, PolicyPass, PolicyRecord, Tensor};
 use crate::rng::Rng;
 use crate::scalar::{Float, Scalar};
+use crate::zip::zip;
 
 /// `u = K x`, or `u = K x + k` with a bias. `θ` is `K` row-major (control_dim × state_dim), then `k`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -44,9 +45,9 @@ impl Policy for Linear {
 
     fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
         let (gain, bias) = theta.split_at(self.control_dim * self.state_dim);
-        for (i, (u, row)) in u.iter_mut().zip(gain.chunks_exact(self.state_dim)).enumerate() {
+        for (i, (u, row)) in zip(u.iter_mut(), gain.chunks_exact(self.state_dim)).enumerate() {
             *u = if self.bias { bias[i] } else { T::zero() };
-            for (&k, &x) in row.iter().zip(x) {
+            for (&k, &x) in zip(row.iter(), x) {
                 *u += k * x;
             }
         }
@@ -58,7 +59,7 @@ impl Policy for Linear {
         for c in pass.at.iter() {
             let x_bar = &mut x_bar[c * n..][..n];
             x_bar.fill(F::zero());
-            for (&u_bar, row) in u_bar[c * m..][..m].iter().zip(pass.packed.chunks_exact(n)) {
+            for (&u_bar, row) in zip(u_bar[c * m..][..m].iter(), pass.packed.chunks_exact(n)) {
                 add_scaled(x_bar, row, u_bar);
             }
         }
@@ -69,7 +70,7 @@ impl Policy for Linear {
         let (gain_bar, bias_bar) = theta_bar.split_at_mut(m * n);
         for c in pass.at.iter() {
             let weight = record.weight.map_or(F::one(), |w| w[c]);
-            for (i, (&u_bar, row)) in record.u_bar[c * m..][..m].iter().zip(gain_bar.chunks_exact_mut(n)).enumerate() {
+            for (i, (&u_bar, row)) in zip(record.u_bar[c * m..][..m].iter(), gain_bar.chunks_exact_mut(n)).enumerate() {
                 add_scaled(row, &pass.x[c * n..][..n], weight * u_bar);
                 if self.bias {
                     bias_bar[i] += weight * u_bar;
@@ -90,7 +91,7 @@ impl Policy for Linear {
 
 /// `y += factor x`.
 fn add_scaled<F: Float>(y: &mut [F], x: &[F], factor: F) {
-    for (y, &x) in y.iter_mut().zip(x) {
+    for (y, &x) in zip(y.iter_mut(), x) {
         *y += factor * x;
     }
 }

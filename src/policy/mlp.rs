@@ -10,6 +10,7 @@ use crate::kernels::elementwise::{self, Strided};
 use crate::kernels::gemm::Product;
 use crate::rng::Rng;
 use crate::scalar::{Float, Scalar};
+use crate::zip::zip;
 use rand::RngExt;
 
 /// Columns that go through all layers together, so that their activations stay in the first-level cache.
@@ -150,8 +151,8 @@ impl Policy for Mlp {
         for l in self.layers::<f64>() {
             let weights = &theta[l.theta..][..l.rows * l.outputs];
             let mut z = if self.bias { weights[l.inputs * l.outputs..].to_vec() } else { vec![T::zero(); l.outputs] };
-            for (&h, row) in h.iter().zip(weights.chunks_exact(l.outputs)) {
-                for (z, &w) in z.iter_mut().zip(row) {
+            for (&h, row) in zip(h.iter(), weights.chunks_exact(l.outputs)) {
+                for (z, &w) in zip(z.iter_mut(), row) {
                     *z += h * w;
                 }
             }
@@ -330,7 +331,7 @@ impl Policy for Mlp {
                         *bar += sum[o * rows + i];
                     }
                 } else {
-                    for (bar, &sum) in row.iter_mut().zip(&sum[i * rows..]) {
+                    for (bar, &sum) in zip(row.iter_mut(), &sum[i * rows..]) {
                         *bar += sum;
                     }
                 }

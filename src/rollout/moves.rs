@@ -3,6 +3,7 @@
 use super::{Lane, WIDTH};
 use crate::policy::PolicyColumns;
 use crate::scalar::{Float, Real};
+use crate::zip::zip;
 
 /// First non-finite number, by sample and then component.
 #[cold]
@@ -21,7 +22,7 @@ pub(crate) fn find_non_finite<L, F: Float>(
 pub(crate) fn gather<L, F: Float>(blocks: &[L], lane: impl Fn(&L, usize) -> F, n: usize, at: PolicyColumns, columns: &mut [F]) {
     for (sample, c) in at.iter().enumerate() {
         let block = &blocks[(sample / WIDTH) * n..][..n];
-        for (column, lanes) in columns[c * n..][..n].iter_mut().zip(block) {
+        for (column, lanes) in zip(columns[c * n..][..n].iter_mut(), block) {
             *column = lane(lanes, sample % WIDTH);
         }
     }
@@ -33,7 +34,7 @@ pub(crate) fn scatter<F: Float>(columns: &[F], n: usize, at: PolicyColumns, bloc
         for lane in 0..WIDTH {
             let sample = (b * WIDTH + lane).min(at.count - 1);
             let c = at.first + sample * at.step;
-            for (lanes, &column) in block.iter_mut().zip(&columns[c * n..][..n]) {
+            for (lanes, &column) in zip(block.iter_mut(), &columns[c * n..][..n]) {
                 lanes.set_lane(lane, column);
             }
         }

@@ -5,6 +5,7 @@ use crate::kernels::{Vectorized, in_lanes};
 use crate::scalar::{Float, Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
+use crate::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
 /// Numbers of one sample that are worked on without allocating, where samples go one by one.
@@ -12,7 +13,7 @@ pub(crate) const FEW: usize = 512;
 
 /// Reads one sample of a block.
 pub(crate) fn read_lane<F: Float>(block: &[Lane<F>], lane: usize, one: &mut [F]) {
-    one.iter_mut().zip(block).for_each(|(one, lanes)| *one = lanes.0[lane]);
+    zip(one, block).for_each(|(one, lanes)| *one = lanes.0[lane]);
 }
 
 /// One step of all blocks, with the costs, and whether the result is finite.
@@ -39,7 +40,7 @@ impl<T: Task, F: Float> Step<'_, T, F> {
     fn in_lanes(self) {
         let (n, m) = (self.task.system().state_dim(), self.task.system().control_dim());
         let mut probe = Lane::<F>::zero();
-        let blocks = self.x.chunks_exact(n).zip(self.u.chunks_exact(m)).zip(self.next.chunks_exact_mut(n)).zip(self.costs);
+        let blocks = zip(zip(zip(self.x.chunks_exact(n), self.u.chunks_exact(m)), self.next.chunks_exact_mut(n)), self.costs);
         for (((x, u), next), cost) in blocks {
             let (more, seen) = advance(self.task, x, u, next);
             *cost += more;
@@ -62,7 +63,7 @@ impl<T: Task, F: Float> Step<'_, T, F> {
             let (more, seen) = advance(self.task, x, u, next);
             self.costs[block].0[lane] += more;
             *self.finite &= seen == F::zero();
-            self.next[block * n..].iter_mut().zip(&*next).for_each(|(lanes, &one)| lanes.0[lane] = one);
+            zip(&mut self.next[block * n..], &*next).for_each(|(lanes, &one)| lanes.0[lane] = one);
         }
     }
 }

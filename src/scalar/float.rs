@@ -1,6 +1,6 @@
 //! `f32` and `f64`, and what the framework needs of them beyond [`Scalar`].
 
-use super::{Real, Scalar, Tangents};
+use super::{Real, Scalar};
 use crate::forward_mode::CHUNK;
 use crate::kernels::gemm::{self, Product};
 use crate::kernels::{Level, tanh, trig};
@@ -19,8 +19,6 @@ pub trait Float:
     const EPSILON: f64;
     /// The largest finite number.
     const MAX: f64;
-    /// The dual numbers (num-dual) over it, with `N` tangents at once.
-    type Dual<const N: usize>: Tangents<N> + Scalar<Real = Self>;
 
     /// Entries in one cache line; what columns of kernels are padded to.
     #[doc(hidden)]
@@ -109,7 +107,6 @@ macro_rules! float {
             const NAME: &'static str = stringify!($float);
             const EPSILON: f64 = $float::EPSILON as f64;
             const MAX: f64 = $float::MAX as f64;
-            type Dual<const N: usize> = $dual<N>;
 
             const PAD: usize = gemm::$gemm::PAD;
 

@@ -1,7 +1,8 @@
 //! Agents that come too close for the steps they take.
 
-use super::steps::{finite, step};
+use super::steps::finite;
 use super::{Case, Finding};
+use crate::apart::step;
 use crate::check::{self, Stability};
 use crate::effect::With;
 use crate::integrator::{ImplicitMidpoint, Integrated, Integrator, SemiImplicit};

@@ -1,9 +1,10 @@
 //! Impacts, and what derivatives know of them.
 
-use super::steps::{derivative, larger, states, step};
+use super::steps::{derivative, larger, states};
 use super::{Case, Finding};
+use crate::apart::step;
 use crate::check;
-use crate::scalar::{Float, Scalar, Tangents};
+use crate::scalar::{Scalar, Tangents};
 use crate::system::System;
 use crate::tasks::{BouncingBall, Contact, TwoBodies};
 
@@ -119,7 +120,7 @@ impl Example {
 
     /// Of duals, which keep no states: for very many steps.
     fn forward_error<S: System>(&self, system: &S, dt: f64) -> f64 {
-        type Dual = <f64 as Float>::Dual<4>;
+        type Dual = crate::forward_mode::Dual<f64>;
         let inputs: Vec<f64> = self.start.iter().copied().chain([self.control]).collect();
         let mut index = 0;
         let mut seeded = |(value, expected): (&f64, &f64)| {

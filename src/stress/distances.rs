@@ -1,7 +1,8 @@
 //! Agents at one place, and worlds apart.
 
-use super::steps::{error, finite, larger, step, vjp};
+use super::steps::{error, finite, larger};
 use super::{Case, Finding};
+use crate::apart::{step, vjp};
 use crate::effect::With;
 use crate::scalar::{Float, Scalar};
 use crate::system::{System, Wrt, vjp_by_duals};

@@ -1,7 +1,8 @@
 //! Waves and their adjoints over very many steps.
 
-use super::steps::{larger, step};
+use super::steps::larger;
 use super::{Case, Finding};
+use crate::apart::step;
 use crate::rng::{Purpose, stream};
 use crate::scalar::Float;
 use crate::substeps::Substeps;

@@ -1,7 +1,8 @@
 //! Gradients at very many random states.
 
-use super::steps::{error, finite, larger, step, vjp};
+use super::steps::{error, finite, larger};
 use super::{Case, Finding};
+use crate::apart::{step, vjp};
 use crate::rng::{Purpose, Rng, stream};
 use crate::scalar::Float;
 use crate::system::{System, Wrt, vjp_by_duals};

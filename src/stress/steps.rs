@@ -1,20 +1,8 @@
-//! Steps one after the other, and back. Simulators are inlined wherever they are called: here they are called once for each
-//! kind of number.
+//! Steps one after the other, and back.
 
-use crate::scalar::{Cotangent, Float, Real, Scalar};
+use crate::apart::{step, vjp};
+use crate::scalar::Float;
 use crate::system::System;
-
-/// [`System::step`].
-#[inline(never)]
-pub(super) fn step<S: System, T: Scalar>(system: &S, x: &[T], u: &[T], next: &mut [T]) {
-    system.step(x, u, next);
-}
-
-/// [`System::vjp`].
-#[inline(never)]
-pub(super) fn vjp<S: System, R: Real + Cotangent<R>>(system: &S, x: &[R], u: &[R], bar: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
-    system.vjp(x, u, bar, x_bar, u_bar);
-}
 
 /// The states `x_0 .. x_T` under the controls `u_0 .. u_{T-1}`.
 pub(super) fn states<S: System, F: Float>(system: &S, start: &[F], controls: impl Iterator<Item = F>) -> Vec<Vec<F>> {

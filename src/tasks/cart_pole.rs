@@ -26,6 +26,7 @@ use crate::rng::Rng;
 use crate::scalar::{Real, Scalar};
 use crate::task::Task;
 use crate::tasks::LossMode;
+use crate::zip::zip;
 use rand::RngExt;
 use std::f64::consts::PI;
 
@@ -76,7 +77,7 @@ impl<S: Around<CartPoleSystem>> CartPole<S> {
     fn height_gradient<R: Real>(&self, factor: f64, x: &[R], x_bar: &mut [R]) {
         let factor = R::lift(factor / self.system.body().poles as f64);
         x_bar.fill(R::zero());
-        for (x_bar, pole) in x_bar[2..].chunks_exact_mut(2).zip(self.system.body().poles_of(x)) {
+        for (x_bar, pole) in zip(x_bar[2..].chunks_exact_mut(2), self.system.body().poles_of(x)) {
             x_bar[0] = pole[0].sin() * factor;
         }
     }

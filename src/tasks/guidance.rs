@@ -28,6 +28,7 @@ use crate::rng::Rng;
 use crate::scalar::{Real, Scalar};
 use crate::task::Task;
 use crate::tasks::LossMode;
+use crate::zip::zip;
 use rand::RngExt;
 use std::f64::consts::TAU;
 use system::AGENT;
@@ -113,7 +114,7 @@ impl<S: Around<GuidanceSystem>> Guidance<S> {
         x_bar.fill(R::zero());
         let slope = R::lift(2.0 * weight);
         let body = self.system.body();
-        for (bar, evader) in x_bar[AGENT * body.drivers..].chunks_exact_mut(AGENT).zip(body.evaders_of(x)) {
+        for (bar, evader) in zip(x_bar[AGENT * body.drivers..].chunks_exact_mut(AGENT), body.evaders_of(x)) {
             (bar[0], bar[1]) = (evader[0] * slope, evader[1] * slope);
         }
     }
@@ -147,7 +148,7 @@ impl<S: Around<GuidanceSystem>> Task for Guidance<S> {
         }
         let center = ring(rng, 1.0);
         for evader in evaders.chunks_exact_mut(AGENT) {
-            for (x, center) in evader.iter_mut().zip(center) {
+            for (x, center) in zip(evader.iter_mut(), center) {
                 *x = center + rng.random_range(-0.5..0.5);
             }
         }
@@ -178,7 +179,7 @@ impl<S: Around<GuidanceSystem>> Task for Guidance<S> {
     #[inline(always)]
     fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
         let slope = R::lift(2.0 * self.control_weight());
-        for (u_bar, &u) in u_bar.iter_mut().zip(u) {
+        for (u_bar, &u) in zip(u_bar.iter_mut(), u) {
             *u_bar = u * slope;
         }
         match self.loss {

@@ -8,6 +8,7 @@ pub use riccati::{NoOptimum, Optimum};
 
 use crate::scalar::{Cotangent, Real, Scalar};
 use crate::system::System;
+use crate::zip::zip;
 use nalgebra::DMatrix;
 
 /// `x' = A x + B u`.
@@ -90,7 +91,7 @@ fn row_major(matrix: &DMatrix<f64>) -> Vec<f64> {
 #[inline(always)]
 fn dot<T: Scalar>(row: &[f64], x: &[T]) -> T {
     let mut sum = T::zero();
-    for (&entry, &x) in row.iter().zip(x) {
+    for (&entry, &x) in zip(row.iter(), x) {
         sum += T::lift(entry) * x;
     }
     sum

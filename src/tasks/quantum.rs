@@ -29,6 +29,7 @@ use crate::effect::{Around, any_effect};
 use crate::rng::Rng;
 use crate::scalar::{Real, Scalar};
 use crate::task::Task;
+use crate::zip::zip;
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::TAU;
@@ -78,7 +79,7 @@ impl<S: Around<QuantumSystem>> Quantum<S> {
     #[inline(always)]
     fn overlap<T: Scalar>(&self, x: &[T]) -> Pair<T> {
         let (mut re, mut im) = (T::zero(), T::zero());
-        for (x, target) in x.chunks_exact(2).zip(self.system.body().eigenstate(self.target)) {
+        for (x, target) in zip(x.chunks_exact(2), self.system.body().eigenstate(self.target)) {
             let target = T::lift(target);
             re += x[0] * target;
             im += x[1] * target;
@@ -98,7 +99,7 @@ impl<S: Around<QuantumSystem>> Quantum<S> {
         let (re, im) = self.overlap(x);
         let (re, im) = (re * R::lift(-2.0), im * R::lift(-2.0));
         x_bar[2 * self.system.body().grid..].fill(R::zero());
-        for (x_bar, target) in x_bar.chunks_exact_mut(2).zip(self.system.body().eigenstate(self.target)) {
+        for (x_bar, target) in zip(x_bar.chunks_exact_mut(2), self.system.body().eigenstate(self.target)) {
             let target = R::lift(target);
             (x_bar[0], x_bar[1]) = (re * target, im * target);
         }
@@ -128,9 +129,9 @@ impl<S: Around<QuantumSystem>> Task for Quantum<S> {
         let norm = amplitudes[0].hypot(amplitudes[1]);
         assert!(norm.is_normal(), "with the weighting {:?}, a start state cannot be normalized", self.weighting);
         x[..2 * self.system.body().grid].fill(0.0);
-        for (number, amplitude) in (1..).zip(amplitudes) {
+        for (number, amplitude) in zip(1.., amplitudes) {
             let (sin, cos) = Scalar::sin_cos(rng.random_range(0.0..TAU));
-            for (x, eigenstate) in x.chunks_exact_mut(2).zip(self.system.body().eigenstate(number)) {
+            for (x, eigenstate) in zip(x.chunks_exact_mut(2), self.system.body().eigenstate(number)) {
                 x[0] += amplitude / norm * cos * eigenstate;
                 x[1] += amplitude / norm * sin * eigenstate;
             }

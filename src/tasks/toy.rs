@@ -5,6 +5,7 @@ use crate::rng::Rng;
 use crate::scalar::{Cotangent, Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
+use crate::zip::zip;
 
 /// The plainest physics there is, `x' = x + u`. Its backward flow is the identity: it neither grows nor decays.
 ///
@@ -26,7 +27,7 @@ impl System for Integrator {
 
     #[inline(always)]
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        for ((next, &x), &u) in next.iter_mut().zip(x).zip(u) {
+        for ((next, &x), &u) in zip(zip(next.iter_mut(), x), u) {
             *next = x + u;
         }
     }

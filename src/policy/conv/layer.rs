@@ -5,6 +5,7 @@ use crate::kernels::Level;
 use crate::kernels::elementwise::{self, Strided};
 use crate::kernels::gemm::Product;
 use crate::scalar::Float;
+use crate::zip::zip;
 
 /// One convolution, and where its numbers are.
 #[derive(Clone, Copy, Debug)]
@@ -122,7 +123,7 @@ impl Layer {
         for (q, window) in windows.chunks_exact(self.entries).take(self.positions).enumerate() {
             for k in 0..KERNEL {
                 let from = &window[k * self.slot..][..self.channels];
-                for (to, &bar) in to[(2 * q + k) * slot..][..self.channels].iter_mut().zip(from) {
+                for (to, &bar) in zip(to[(2 * q + k) * slot..][..self.channels].iter_mut(), from) {
                     *to += bar;
                 }
             }

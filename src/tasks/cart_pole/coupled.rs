@@ -4,6 +4,7 @@ use super::system::{CartPoleSystem, Forces, PerPole, velocity_of};
 use crate::effect::{Effect, Host, system_without_effects};
 use crate::ode::Flowing;
 use crate::scalar::{Cotangent, Real, Scalar};
+use crate::zip::zip;
 
 /// The physics of rigid, uniform poles on joints side by side on one cart: semi-implicit Euler, velocities first.
 ///
@@ -84,7 +85,7 @@ impl Host for CoupledCartPole {
     fn step_with<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let k = self.constants::<T>();
         let a = self.accelerate(&k, effects, x, u, &mut next[2..]);
-        for (pole, next) in self.0.poles_of(x).zip(next[2..].chunks_exact_mut(2)) {
+        for (pole, next) in zip(self.0.poles_of(x), next[2..].chunks_exact_mut(2)) {
             next[1] = pole[1] + k.dt * next[1];
             next[0] = pole[0] + k.dt * next[1];
         }
@@ -137,14 +138,14 @@ impl CoupledCartPole {
         self.0.own_forces(x, u, poles, &mut forces);
         effects.act_knowing(&self.0, x, poles, &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
-        for ((pole, out), &torque) in self.0.poles_of(x).zip(poles.chunks_exact(2)).zip(&forces[1..]) {
+        for ((pole, out), &torque) in zip(zip(self.0.poles_of(x), poles.chunks_exact(2)), &forces[1..]) {
             let (sin, lever) = (out[0], k.moment * out[1]);
             let lever_per_inertia = lever * k.per_inertia;
             push += k.moment * sin * pole[1] * pole[1] - lever_per_inertia * torque;
             mass -= lever_per_inertia * lever;
         }
         let a = push / mass;
-        for (out, &torque) in poles.chunks_exact_mut(2).zip(&forces[1..]) {
+        for (out, &torque) in zip(poles.chunks_exact_mut(2), &forces[1..]) {
             out[1] = (torque - k.moment * out[1] * a) * k.per_inertia;
         }
         a
@@ -168,7 +169,7 @@ impl CoupledCartPole {
         effects.act_knowing(&self.0, x, trig.as_flattened(), &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
         // ẍ is in every α_i = (τ_i - m l cos θ_i ẍ) / J, too.
-        let poles = self.0.poles_of(x).zip(&trig).zip(&forces[1..]);
+        let poles = zip(zip(self.0.poles_of(x), &trig), &forces[1..]);
         for (i, ((pole, &[sin, cos]), &torque)) in poles.clone().enumerate() {
             let lever = k.moment * cos;
             let lever_per_inertia = lever * k.per_inertia;

@@ -3,6 +3,7 @@
 use super::CartPoleSystem;
 use crate::effect::Effect;
 use crate::scalar::{Cotangent, Real, Scalar};
+use crate::zip::zip;
 use serde::{Deserialize, Serialize};
 
 /// Viscous friction in the joints of the poles: `τ_i = -damping ω_i`.
@@ -26,7 +27,7 @@ impl Effect<CartPoleSystem> for PoleDamping {
     #[inline(always)]
     fn act<T: Scalar>(&self, body: &CartPoleSystem, x: &[T], forces: &mut [T]) {
         let damping = T::lift(self.damping);
-        for (pole, torque) in body.poles_of(x).zip(&mut forces[1..]) {
+        for (pole, torque) in zip(body.poles_of(x), &mut forces[1..]) {
             *torque -= damping * pole[1];
         }
     }

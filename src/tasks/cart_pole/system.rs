@@ -3,6 +3,7 @@
 use crate::effect::{Effect, Host, system_without_effects};
 use crate::ode::Flowing;
 use crate::scalar::{Cotangent, Real, Scalar};
+use crate::zip::zip;
 use arrayvec::ArrayVec;
 use serde::{Deserialize, Serialize};
 
@@ -68,7 +69,7 @@ impl CartPoleSystem {
     pub(super) fn own_forces<T: Scalar>(&self, x: &[T], u: &[T], trig: &mut [T], forces: &mut Forces<T>) {
         let weight = T::lift(self.moment() * self.gravity);
         forces.push(u[0]);
-        for (pole, trig) in self.poles_of(x).zip(trig.chunks_exact_mut(2)) {
+        for (pole, trig) in zip(self.poles_of(x), trig.chunks_exact_mut(2)) {
             (trig[0], trig[1]) = pole[0].sin_cos();
             forces.push(weight * trig[0]);
         }
@@ -140,7 +141,7 @@ impl Host for CartPoleSystem {
     fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let k = self.constants::<T>();
         let push = self.accelerate(&k, effects, x, u, &mut next[2..]);
-        for (pole, next) in self.poles_of(x).zip(next[2..].chunks_exact_mut(2)) {
+        for (pole, next) in zip(self.poles_of(x), next[2..].chunks_exact_mut(2)) {
             next[1] = pole[1] + k.dt * next[1];
             next[0] = pole[0] + k.dt * next[1];
         }
@@ -186,7 +187,7 @@ impl CartPoleSystem {
         self.own_forces(x, u, poles, &mut forces);
         effects.act_knowing(self, x, poles, &mut forces);
         let mut push = forces[0];
-        for ((pole, out), &torque) in self.poles_of(x).zip(poles.chunks_exact_mut(2)).zip(&forces[1..]) {
+        for ((pole, out), &torque) in zip(zip(self.poles_of(x), poles.chunks_exact_mut(2)), &forces[1..]) {
             let (sin, cos) = (out[0], out[1]);
             let lever = k.moment * cos;
             let centrifugal = k.moment * sin * pole[1] * pole[1];
@@ -220,7 +221,7 @@ impl CartPoleSystem {
         if effects_read {
             forces_bar.push(push_bar);
         }
-        for (i, (pole, &[sin, cos])) in self.poles_of(x).zip(&trig).enumerate() {
+        for (i, (pole, &[sin, cos])) in zip(self.poles_of(x), &trig).enumerate() {
             let omega = pole[1];
             let (lever, spin) = (k.moment * cos, omega * omega);
             let a = (forces[0] + k.moment * sin * spin) * k.per_mass;

@@ -3,6 +3,7 @@
 use super::CartPoleSystem;
 use crate::effect::Effect;
 use crate::scalar::{Cotangent, Real, Scalar};
+use crate::zip::zip;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
@@ -171,7 +172,7 @@ impl Drag {
         let (pole_drag, l) = (T::lift(self.pole), T::lift(body.half_length));
         let headwind = wind - x[1];
         let mut push = forces[0] + T::lift(self.cart) * headwind.abs() * headwind;
-        for ((pole, (_, cos)), torque) in body.poles_of(x).zip(trig).zip(&mut forces[1..]) {
+        for ((pole, (_, cos)), torque) in zip(zip(body.poles_of(x), trig), &mut forces[1..]) {
             let across = headwind * cos - l * pole[1];
             let drag = pole_drag * across.abs() * across;
             push += drag * cos;
@@ -195,8 +196,8 @@ impl Drag {
         let headwind = wind - x[1];
         let push_bar = forces_bar[0];
         let mut headwind_bar = push_bar * (R::lift(2.0 * self.cart) * headwind.abs());
-        let bars = x_bar[2..].chunks_exact_mut(2).zip(&forces_bar[1..]);
-        for ((pole, (sin, cos)), (bar, &torque_bar)) in body.poles_of(x).zip(trig).zip(bars) {
+        let bars = zip(x_bar[2..].chunks_exact_mut(2), &forces_bar[1..]);
+        for ((pole, (sin, cos)), (bar, &torque_bar)) in zip(zip(body.poles_of(x), trig), bars) {
             let across = headwind * cos - l * pole[1];
             let strength = pole_drag * across.abs();
             let across_bar = (push_bar * cos + torque_bar * l) * (strength + strength);

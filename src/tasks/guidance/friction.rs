@@ -4,6 +4,7 @@ use super::GuidanceSystem;
 use super::system::AGENT;
 use crate::effect::Effect;
 use crate::scalar::{Cotangent, Real, Scalar};
+use crate::zip::zip;
 use serde::{Deserialize, Serialize};
 
 /// Viscous friction: `v̇ += -friction v`, with a coefficient for drivers and one for evaders.
@@ -32,7 +33,7 @@ impl Effect<GuidanceSystem> for Friction {
         let (forces, agents) = (forces.as_chunks_mut::<2>().0, x.as_chunks::<AGENT>().0);
         for (friction, range) in [(self.drivers, body.all_drivers()), (self.evaders, body.all_evaders())] {
             let friction = T::lift(friction);
-            for (force, agent) in forces[range.clone()].iter_mut().zip(&agents[range]) {
+            for (force, agent) in zip(forces[range.clone()].iter_mut(), &agents[range]) {
                 force[0] -= friction * agent[2];
                 force[1] -= friction * agent[3];
             }
@@ -44,7 +45,7 @@ impl Effect<GuidanceSystem> for Friction {
         let (forces_bar, bars) = (forces_bar.as_chunks::<2>().0, x_bar.as_chunks_mut::<AGENT>().0);
         for (friction, range) in [(self.drivers, body.all_drivers()), (self.evaders, body.all_evaders())] {
             let friction = R::lift(friction);
-            for (force_bar, bar) in forces_bar[range.clone()].iter().zip(&mut bars[range]) {
+            for (force_bar, bar) in zip(forces_bar[range.clone()].iter(), &mut bars[range]) {
                 bar[2] -= force_bar[0] * friction;
                 bar[3] -= force_bar[1] * friction;
             }

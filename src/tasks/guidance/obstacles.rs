@@ -5,6 +5,7 @@ use super::gap::Gap;
 use super::system::AGENT;
 use crate::effect::Effect;
 use crate::scalar::{Cotangent, Real, Scalar};
+use crate::zip::zip;
 use serde::{Deserialize, Serialize};
 
 /// Round obstacles that push drivers and evaders out, and never pull. With `r` the way from an obstacle's center to the
@@ -49,7 +50,7 @@ impl Effect<GuidanceSystem> for Obstacles {
     #[inline(always)]
     fn act<T: Scalar>(&self, body: &GuidanceSystem, x: &[T], forces: &mut [T]) {
         let stiffness = T::lift(self.stiffness);
-        for (force, agent) in forces.chunks_exact_mut(2).zip(x.chunks_exact(AGENT)) {
+        for (force, agent) in zip(forces.chunks_exact_mut(2), x.chunks_exact(AGENT)) {
             for &center in &self.centers {
                 let r = way(agent, center);
                 let push = stiffness * Gap::new(r, body.softening).depth_share(self.radius);
@@ -61,8 +62,8 @@ impl Effect<GuidanceSystem> for Obstacles {
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, body: &GuidanceSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        let agents = x.chunks_exact(AGENT).zip(x_bar.chunks_exact_mut(AGENT));
-        for (force_bar, (agent, x_bar)) in forces_bar.chunks_exact(2).zip(agents) {
+        let agents = zip(x.chunks_exact(AGENT), x_bar.chunks_exact_mut(AGENT));
+        for (force_bar, (agent, x_bar)) in zip(forces_bar.chunks_exact(2), agents) {
             let force_bar = [force_bar[0], force_bar[1]];
             for &center in &self.centers {
                 let gap = Gap::new(way(agent, center), body.softening);

@@ -7,6 +7,7 @@ use super::GuidanceSystem;
 use super::gap::{Gap, Law};
 use super::system::AGENT;
 use crate::scalar::{Cotangent, Real, Scalar};
+use crate::zip::zip;
 use std::ops::Range;
 
 /// The separation of agent `b` from agent `a`.
@@ -22,7 +23,7 @@ pub(super) fn among<T: Scalar>(body: &GuidanceSystem, law: Law, agents: Range<us
     for (b, at) in x.iter().enumerate() {
         let (before, own) = forces.split_at_mut(b);
         let mut felt = own[0];
-        for (a, reaction) in x.iter().zip(before) {
+        for (a, reaction) in zip(x.iter(), before) {
             let [along_x, along_y] = gap(body, a, at).force(law);
             felt[0] += along_x;
             felt[1] += along_y;
@@ -45,10 +46,10 @@ pub(super) fn among_vjp<R: Real, C: Cotangent<R>>(
 ) {
     let (x, forces_bar) = (&x.as_chunks().0[agents.clone()], &forces_bar.as_chunks::<2>().0[agents.clone()]);
     let x_bar = &mut x_bar.as_chunks_mut::<AGENT>().0[agents];
-    for (b, (at, force_bar)) in x.iter().zip(forces_bar).enumerate() {
+    for (b, (at, force_bar)) in zip(x.iter(), forces_bar).enumerate() {
         let (before, own) = x_bar.split_at_mut(b);
         let mut own_bar = [own[0][0], own[0][1]];
-        for ((a, reaction_bar), a_bar) in x.iter().zip(forces_bar).zip(before) {
+        for ((a, reaction_bar), a_bar) in zip(zip(x.iter(), forces_bar), before) {
             let bar = [force_bar[0] - reaction_bar[0], force_bar[1] - reaction_bar[1]];
             let [bar_x, bar_y] = gap(body, a, at).force_vjp(law, bar);
             own_bar[0] += bar_x;
@@ -71,7 +72,7 @@ pub(super) fn from_to<T: Scalar>(
     forces: &mut [T],
 ) {
     let (x, forces) = (x.as_chunks().0, &mut forces.as_chunks_mut::<2>().0[agents.clone()]);
-    for (at, force) in x[agents].iter().zip(forces) {
+    for (at, force) in zip(x[agents].iter(), forces) {
         let mut felt = *force;
         for source in &x[sources.clone()] {
             let [along_x, along_y] = gap(body, source, at).force(law);
@@ -96,7 +97,7 @@ pub(super) fn from_to_vjp<R: Real, C: Cotangent<R>>(
     let (x, forces_bar, x_bar) = (x.as_chunks().0, forces_bar.as_chunks::<2>().0, x_bar.as_chunks_mut::<AGENT>().0);
     for b in agents {
         let mut own_bar = [x_bar[b][0], x_bar[b][1]];
-        for (source, source_bar) in x[sources.clone()].iter().zip(&mut x_bar[sources.clone()]) {
+        for (source, source_bar) in zip(x[sources.clone()].iter(), &mut x_bar[sources.clone()]) {
             let [bar_x, bar_y] = gap(body, source, &x[b]).force_vjp(law, forces_bar[b]);
             own_bar[0] += bar_x;
             own_bar[1] += bar_y;

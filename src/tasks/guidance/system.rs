@@ -4,6 +4,7 @@ use crate::effect::{Effect, Host, system_without_effects};
 use crate::ode::Flowing;
 use crate::scalar::{Cotangent, Real, Scalar};
 use crate::scratch::Scratch;
+use crate::zip::zip;
 use serde::{Deserialize, Serialize};
 use std::hint::black_box;
 use std::ops::Range;
@@ -109,7 +110,7 @@ impl GuidanceSystem {
     fn reverse_control<R: Real, C: Cotangent<R>>(&self, x: &[R], next_bar: &[C], u_bar: &mut [C]) {
         let dt = R::lift(self.dt);
         let herd = self.herd(x);
-        for ((c_bar, x), next) in u_bar.chunks_exact_mut(2).zip(x.chunks_exact(AGENT)).zip(next_bar.chunks_exact(AGENT)) {
+        for ((c_bar, x), next) in zip(zip(u_bar.chunks_exact_mut(2), x.chunks_exact(AGENT)), next_bar.chunks_exact(AGENT)) {
             let q = [(x[0] - herd[0]) * dt, (x[1] - herd[1]) * dt];
             c_bar[0] = next[2] * q[0] + next[3] * q[1];
             c_bar[1] = next[3] * q[0] - next[2] * q[1];
@@ -121,7 +122,7 @@ impl GuidanceSystem {
     fn reverse_steering<R: Real, C: Cotangent<R>>(&self, u: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         // q̄ = (∂v̇/∂q)ᵀ v̇̄, which every evader receives with the opposite sign.
         let mut herd_bar = [C::null(); 2];
-        for ((bar, force), c) in x_bar.chunks_exact_mut(AGENT).zip(forces_bar.chunks_exact(2)).zip(u.chunks_exact(2)) {
+        for ((bar, force), c) in zip(zip(x_bar.chunks_exact_mut(AGENT), forces_bar.chunks_exact(2)), u.chunks_exact(2)) {
             let q_bar = [force[0] * c[0] + force[1] * c[1], force[1] * c[0] - force[0] * c[1]];
             for axis in 0..2 {
                 bar[axis] += q_bar[axis];
@@ -141,7 +142,7 @@ impl GuidanceSystem {
     #[inline(always)]
     fn accelerate<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], forces: &mut [T]) {
         let herd = self.herd(x);
-        for ((force, x), c) in forces.chunks_exact_mut(2).zip(x.chunks_exact(AGENT)).zip(u.chunks_exact(2)) {
+        for ((force, x), c) in zip(zip(forces.chunks_exact_mut(2), x.chunks_exact(AGENT)), u.chunks_exact(2)) {
             let q = [x[0] - herd[0], x[1] - herd[1]];
             force[0] = c[0] * q[0] - c[1] * q[1];
             force[1] = c[0] * q[1] + c[1] * q[0];
@@ -202,7 +203,7 @@ impl Host for GuidanceSystem {
             let (bars, next_bars) = (x_bar.as_chunks_mut::<AGENT>().0, next_bar.as_chunks::<AGENT>().0);
             let mut forces_bar = Scratch::<[C; 2], STACK>::new();
             let forces_bar = forces_bar.collect(next_bars[..self.agents()].iter().map(|next| [next[2] * dt, next[3] * dt]));
-            for (bar, next) in bars.iter_mut().zip(next_bars) {
+            for (bar, next) in zip(bars.iter_mut(), next_bars) {
                 *bar = [next[0], next[1], next[2] + next[0] * dt, next[3] + next[1] * dt];
             }
             let forces_bar = forces_bar.as_flattened();
@@ -240,7 +241,7 @@ impl Flowing for GuidanceSystem {
         let rate_bars = &rate_bar.as_chunks::<AGENT>().0[..self.agents()];
         let mut forces_bar = Scratch::<[C; 2], STACK>::new();
         let forces_bar = forces_bar.collect(rate_bars.iter().map(|rate| [rate[2], rate[3]])).as_flattened();
-        for (bar, rate) in x_bar.as_chunks_mut::<AGENT>().0.iter_mut().zip(rate_bars) {
+        for (bar, rate) in zip(x_bar.as_chunks_mut::<AGENT>().0.iter_mut(), rate_bars) {
             bar[2] += rate[0];
             bar[3] += rate[1];
         }
@@ -248,7 +249,7 @@ impl Flowing for GuidanceSystem {
         effects.vjp(self, x, forces_bar, x_bar);
         if let Some(u_bar) = u_bar {
             let herd = self.herd(x);
-            for ((c_bar, x), force) in u_bar.chunks_exact_mut(2).zip(x.chunks_exact(AGENT)).zip(forces_bar.chunks_exact(2)) {
+            for ((c_bar, x), force) in zip(zip(u_bar.chunks_exact_mut(2), x.chunks_exact(AGENT)), forces_bar.chunks_exact(2)) {
                 let q = [x[0] - herd[0], x[1] - herd[1]];
                 c_bar[0] += force[0] * q[0] + force[1] * q[1];
                 c_bar[1] += force[1] * q[0] - force[0] * q[1];

@@ -4,6 +4,7 @@ use super::GuidanceSystem;
 use super::system::AGENT;
 use crate::effect::Effect;
 use crate::scalar::{Cotangent, Real, Scalar};
+use crate::zip::zip;
 use serde::{Deserialize, Serialize};
 
 /// Walls around a rectangular field about the origin: springs that push drivers and evaders back in, and never pull. At
@@ -46,7 +47,7 @@ impl Effect<GuidanceSystem> for Walls {
     #[inline(always)]
     fn act<T: Scalar>(&self, _body: &GuidanceSystem, x: &[T], forces: &mut [T]) {
         let (zero, stiffness) = (T::zero(), T::lift(self.stiffness));
-        for (force, agent) in forces.chunks_exact_mut(2).zip(x.chunks_exact(AGENT)) {
+        for (force, agent) in zip(forces.chunks_exact_mut(2), x.chunks_exact(AGENT)) {
             for (axis, half) in self.halves().into_iter().enumerate() {
                 let half = T::lift(half);
                 let (right, left) = ((agent[axis] - half).max(zero), (-agent[axis] - half).max(zero));
@@ -58,8 +59,8 @@ impl Effect<GuidanceSystem> for Walls {
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &GuidanceSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         let (zero, stiffness) = (R::zero(), R::lift(self.stiffness));
-        let agents = x.chunks_exact(AGENT).zip(x_bar.chunks_exact_mut(AGENT));
-        for (force_bar, (agent, x_bar)) in forces_bar.chunks_exact(2).zip(agents) {
+        let agents = zip(x.chunks_exact(AGENT), x_bar.chunks_exact_mut(AGENT));
+        for (force_bar, (agent, x_bar)) in zip(forces_bar.chunks_exact(2), agents) {
             for (axis, half) in self.halves().into_iter().enumerate() {
                 let slope = R::select_lt(R::lift(half), agent[axis].abs(), stiffness, zero);
                 x_bar[axis] -= force_bar[axis] * slope;

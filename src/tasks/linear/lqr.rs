@@ -6,6 +6,7 @@ use crate::scalar::{Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
 use crate::tasks::CartPoleSystem;
+use crate::zip::zip;
 use rand::RngExt;
 
 /// Hold a linear plant at 0, at a quadratic cost:
@@ -93,7 +94,7 @@ impl Lqr {
 #[inline(always)]
 fn quadratic<T: Scalar>(matrix: &[f64], x: &[T]) -> T {
     let mut sum = T::zero();
-    for (row, &x_i) in matrix.chunks_exact(x.len()).zip(x) {
+    for (row, &x_i) in zip(matrix.chunks_exact(x.len()), x) {
         sum += dot(row, x) * x_i;
     }
     sum * T::lift(0.5)
@@ -102,7 +103,7 @@ fn quadratic<T: Scalar>(matrix: &[f64], x: &[T]) -> T {
 /// Its gradient, for M symmetric: `M x`.
 #[inline(always)]
 fn quadratic_gradient<R: Real>(matrix: &[f64], x: &[R], x_bar: &mut [R]) {
-    for (row, x_bar) in matrix.chunks_exact(x.len()).zip(x_bar) {
+    for (row, x_bar) in zip(matrix.chunks_exact(x.len()), x_bar) {
         *x_bar = dot(row, x);
     }
 }
@@ -119,7 +120,7 @@ impl Task for Lqr {
     }
 
     fn start(&self, rng: &mut Rng, x: &mut [f64]) {
-        for (x, &start) in x.iter_mut().zip(&self.start) {
+        for (x, &start) in zip(x.iter_mut(), &self.start) {
             *x = start + self.spread * rng.random_range(-1.0..1.0);
         }
     }

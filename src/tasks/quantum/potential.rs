@@ -5,6 +5,7 @@
 use super::QuantumSystem;
 use crate::effect::Effect;
 use crate::scalar::{Cotangent, Real, Scalar};
+use crate::zip::zip;
 use serde::{Deserialize, Serialize};
 
 /// Makes effects of functions of ξ: types with `fn potential(&self, xi: f64) -> f64`.
@@ -15,7 +16,7 @@ macro_rules! stand_still {
 
             #[inline(always)]
             fn act<T: Scalar>(&self, body: &QuantumSystem, _x: &[T], potential: &mut [T]) {
-                for (v, xi) in potential.iter_mut().zip(body.centered_points()) {
+                for (v, xi) in zip(potential.iter_mut(), body.centered_points()) {
                     *v += T::lift(self.potential(xi));
                 }
             }
@@ -162,7 +163,7 @@ impl Effect<QuantumSystem> for Tabulated {
 
     #[inline(always)]
     fn act<T: Scalar>(&self, _body: &QuantumSystem, _x: &[T], potential: &mut [T]) {
-        for (v, &value) in potential.iter_mut().zip(&self.values) {
+        for (v, &value) in zip(potential.iter_mut(), &self.values) {
             *v += T::lift(value);
         }
     }

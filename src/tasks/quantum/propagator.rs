@@ -5,6 +5,7 @@ use super::elimination::Vector;
 use super::system::STACK;
 use crate::scalar::Scalar;
 use crate::scratch::Scratch;
+use crate::zip::zip;
 use std::f64::consts::PI;
 
 /// `K = exp(i dt D₂)`, the exponential of the second difference, by its eigenvectors, which are sines. With M = grid + 1:
@@ -43,7 +44,7 @@ impl Propagator {
         let phases: Vec<(f64, f64)> = (1..=grid).map(phase).collect();
         let cosine_sum = |d: usize| {
             let (mut re, mut im) = (0.0, 0.0);
-            for (m, (sin, cos)) in (1..).zip(&phases) {
+            for (m, (sin, cos)) in zip(1.., &phases) {
                 let cosine = cosines[m * d % (2 * intervals)];
                 (re, im) = (re + cosine * cos, im + cosine * sin);
             }

@@ -5,6 +5,7 @@ use super::point_by_point::{AtOnce, Dropped, Kept, PointByPoint, PotentialBar};
 use crate::effect::{Effect, Host, system_without_effects};
 use crate::scalar::{Cotangent, Real, Scalar};
 use crate::scratch::Scratch;
+use crate::zip::zip;
 use serde::{Deserialize, Serialize};
 use smallvec::SmallVec;
 use std::f64::consts::PI;
@@ -234,7 +235,7 @@ impl Host for QuantumSystem {
     fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let mut per_pivot = PerPoint::new();
         self.eliminate(effects, x, u, &mut per_pivot).solve(x, next);
-        for (next, &x) in next.iter_mut().zip(x) {
+        for (next, &x) in zip(next.iter_mut(), x) {
             *next = *next + *next - x;
         }
     }
@@ -258,7 +259,7 @@ impl Host for QuantumSystem {
             if let Some(x_bar) = x_bar {
                 a.conjugate();
                 a.solve(next_bar, &mut x_bar[..n]);
-                for (x_bar, &next_bar) in x_bar[..n].iter_mut().zip(next_bar) {
+                for (x_bar, &next_bar) in zip(x_bar[..n].iter_mut(), next_bar) {
                     *x_bar = *x_bar + *x_bar - next_bar;
                 }
             }

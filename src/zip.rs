@@ -1,0 +1,33 @@
+//! [`zip`], for loops that are run for every sample and step.
+
+/// As [`std::iter::zip`], which small loops may spend most of their time in: it is not inlined from one code unit into
+/// another unless the whole program is optimized at once, which takes minutes.
+#[inline(always)]
+pub(crate) fn zip<A: IntoIterator, B: IntoIterator>(a: A, b: B) -> Zip<A::IntoIter, B::IntoIter> {
+    Zip(a.into_iter(), b.into_iter())
+}
+
+/// Two iterators side by side, until one ends.
+#[derive(Clone)]
+pub(crate) struct Zip<A, B>(A, B);
+
+impl<A: Iterator, B: Iterator> Iterator for Zip<A, B> {
+    type Item = (A::Item, B::Item);
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<Self::Item> {
+        Some((self.0.next()?, self.1.next()?))
+    }
+
+    #[inline(always)]
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        let (a, b) = (self.0.size_hint(), self.1.size_hint());
+        let most = match (a.1, b.1) {
+            (Some(a), Some(b)) => Some(a.min(b)),
+            (a, b) => a.or(b),
+        };
+        (a.0.min(b.0), most)
+    }
+}
+
+impl<A: ExactSizeIterator, B: ExactSizeIterator> ExactSizeIterator for Zip<A, B> {}
