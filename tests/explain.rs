@@ -82,6 +82,20 @@ fn operations_are_those_of_the_library_by_effect() {
 }
 
 #[test]
+fn parts_add_up_to_the_whole() {
+    let scene =
+        "scene = 1\ntask = \"cart_pole\"\n[effects.cart_damping]\n[actuator]\nlimit = { bound = 2 }\nlag = { time = 0.1 }\n";
+    let rows = explained(scene, &[]);
+    let total = |name: &str, pass: usize| passes(&rows, name)[pass][1].parse::<i64>().expect("a number");
+    let parts = ["effects.cart_damping", "actuator.limit", "actuator.lag"];
+    for pass in 0..3 {
+        let sum = total("system alone", pass) + parts.map(|part| total(part, pass)).into_iter().sum::<i64>();
+        assert_eq!(sum - total("counted twice", pass), total("together", pass));
+    }
+    assert!(total("counted twice", 1) > 0, "either actuator needs what the limit hands to the lag");
+}
+
+#[test]
 fn bytes_are_those_that_the_library_holds() {
     let rows = explained(SCENE, &[]);
     let system = With { system: CoupledCartPole(body()), effects: (PoleDamping::default(), DryFriction::default()) };

@@ -318,5 +318,9 @@ fn the_schema_has_a_branch_a_task_with_every_setting() {
         assert_eq!(branch["required"], serde_json::json!(["scene", "task"]));
         assert_described(branch, &stdout(&["scene", task]).parse().expect("TOML"), task);
         assert!(branch["properties"]["training"]["properties"]["clip_limit"].is_object());
+        // What has no default is asked for once the section is there, and the section is not.
+        let actuator = &branch["properties"]["actuator"];
+        assert_eq!(actuator["required"], Value::Null);
+        assert_eq!(actuator["properties"]["limit"]["required"], serde_json::json!(["bound"]));
     }
 }

@@ -44,6 +44,7 @@ pub fn explain(args: &Explain) -> Result<()> {
     say(&format!("control of {} number{}, {}\n", controls.len(), if controls.len() == 1 { "" } else { "s" }, names(&controls)));
     say(&effects(&scene).to_string());
     say("\noperations of one step of one sample; of its VJP to state and control (R, M); of its VJP to the control alone (N, S)");
+    say("(of a part: those that are saved without it)");
     say(&operations(&scene)?.to_string());
     say(&format!(
         "\nwhat is kept of one sample, in {}; and allocations in a step of all {SAMPLES} samples of a block, once it has run",
@@ -91,23 +92,31 @@ fn effects(scene: &Scene) -> Table {
     table
 }
 
-/// Operations of the system alone, of each part that is present, and of all.
+/// Operations by pass and kind, as in a row of the table: of all kinds, then of each.
+fn numbers(cost: &Cost) -> [[i64; 8]; 3] {
+    [cost.step, cost.vjp, cost.vjp_control].map(|counts| {
+        let Counts { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
+        [counts.total(), add, negate, multiply, divide, sqrt, transcendental, compare].map(|count| count as i64)
+    })
+}
+
+/// Operations of the system alone, of each part that is present (what is saved without it), and of all. Two actuators one
+/// after the other have to hand something on, which either of them saves.
 fn operations(scene: &Scene) -> Result<Table> {
     let kinds = ["all", "add, subtract", "negate", "multiply", "divide", "root", "function", "compare"];
     let mut table = table(&[&["", "pass"][..], &kinds].concat());
-    let mut rows = |name: &str, cost: &Cost| {
-        let passes = [("step", cost.step), ("VJP", cost.vjp), ("VJP to control", cost.vjp_control)];
-        for (i, (pass, counts)) in passes.into_iter().enumerate() {
-            let Counts { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
-            let numbers = [counts.total(), add, negate, multiply, divide, sqrt, transcendental, compare];
+    let mut rows = |name: &str, numbers: [[i64; 8]; 3]| {
+        for (i, (pass, numbers)) in ["step", "VJP", "VJP to control"].into_iter().zip(numbers).enumerate() {
             let names = [if i == 0 { name } else { "" }, pass].map(str::to_owned);
             table.add_row(names.into_iter().chain(numbers.map(|count| count.to_string())));
         }
     };
     let mut bare = scene.table.clone();
     OPTIONAL.iter().for_each(|section| drop(bare.remove(*section)));
-    rows("system alone", &scene.kind.scene(bare)?.cost());
-    let whole = scene.cost();
+    let alone = numbers(&scene.kind.scene(bare)?.cost());
+    rows("system alone", alone);
+    let whole = numbers(&scene.cost());
+    let mut twice = difference(alone, whole);
     for (section, info) in parts(scene) {
         if !is_present(scene, section, info.name) {
             continue;
@@ -116,13 +125,19 @@ fn operations(scene: &Scene) -> Result<Table> {
         if let Some(section) = without.get_mut(section).and_then(toml::Value::as_table_mut) {
             section.remove(info.name);
         }
-        let rest = scene.kind.scene(without)?.cost();
-        let own = |of: fn(&Cost) -> Counts| of(&whole) - of(&rest);
-        let own = Cost { step: own(|c| c.step), vjp: own(|c| c.vjp), vjp_control: own(|c| c.vjp_control) };
-        rows(&format!("{section}.{}", info.name), &own);
+        let rest = numbers(&scene.kind.scene(without)?.cost());
+        rows(&format!("{section}.{}", info.name), difference(whole, rest));
+        twice = difference(twice, difference(rest, whole));
     }
-    rows("together", &whole);
+    if twice.as_flattened().iter().any(|&count| count != 0) {
+        rows("counted twice", twice);
+    }
+    rows("together", whole);
     Ok(table)
+}
+
+fn difference(a: [[i64; 8]; 3], b: [[i64; 8]; 3]) -> [[i64; 8]; 3] {
+    std::array::from_fn(|pass| std::array::from_fn(|kind| a[pass][kind] - b[pass][kind]))
 }
 
 /// Bytes of a rollout and of the adjoint of each field, for each step and besides; and allocations in a step.

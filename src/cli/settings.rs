@@ -106,7 +106,8 @@ impl<K: Kind> Settings<K> {
         let tracked = serde_path_to_error::Deserializer::new(Value::Table(table), &mut track);
         // Erased, as all that reads a table would otherwise be compiled for every section of every task.
         let mut settings: Self = erased_serde::deserialize(&mut <dyn erased_serde::Deserializer>::erase(tracked))
-            .map_err(|error| Problem::unreadable(&track.path().to_string(), error.to_string().trim_end()))?;
+            // Below its first line, an erased error says where it is, as the path does.
+            .map_err(|error| Problem::unreadable(&track.path().to_string(), error.to_string().lines().next().unwrap_or("")))?;
         settings.training.complete();
         Ok(settings)
     }

@@ -35,11 +35,13 @@ pub fn of<S: JsonSchema>(kind: &dyn AnyKind) -> Value {
     schema
 }
 
-/// Nothing need be written, and what is not has its default.
+/// What has a default need not be written; what an effect or actuator asks for, once it is named, has none.
 fn complete(schema: &mut Value, defaults: Option<&Table>) {
     let Some(schema) = schema.as_object_mut() else { return };
     without_null(schema);
-    schema.remove("required");
+    if defaults.is_some() {
+        schema.remove("required");
+    }
     let Some(properties) = schema.get_mut("properties").and_then(Value::as_object_mut) else { return };
     for (key, property) in properties {
         let default = defaults.and_then(|defaults| defaults.get(key));
