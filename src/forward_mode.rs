@@ -26,14 +26,6 @@ pub(crate) fn jacobian<R: Real>(
     f: impl Fn(&[Dual<R>], &mut [Dual<R>]),
     mut visit: impl FnMut(usize, &[R]),
 ) {
-    jacobian_of(inputs, wrt, outputs, &f, &mut visit);
-}
-
-/// What is differentiated.
-type Function<'a, R> = &'a dyn Fn(&[Dual<R>], &mut [Dual<R>]);
-
-/// The same, compiled once for a kind of number, and not for every function.
-fn jacobian_of<R: Real>(inputs: &[R], wrt: Range<usize>, outputs: usize, f: Function<'_, R>, visit: &mut dyn FnMut(usize, &[R])) {
     let constant = Dual::<R>::constant(<R::Real as Scalar>::zero());
     let mut x: Buffer<Dual<R>> = smallvec![constant; inputs.len()];
     let mut y: Buffer<Dual<R>> = smallvec![constant; outputs];

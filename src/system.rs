@@ -3,9 +3,11 @@
 use crate::apart;
 use crate::divergence::Cause;
 use crate::forward_mode::{Dual, concat, jacobian};
+use crate::kernels::{Vectorized, dispatch_narrow};
 use crate::scalar::{Cotangent, Float, Real, Scalar, Tangents};
 use crate::zip::zip;
 use smallvec::SmallVec;
+use std::ops::Range;
 
 /// One discrete time step of a physical system, `x' = S(x, u)`.
 ///
@@ -89,8 +91,7 @@ pub(crate) fn vjp_by_duals<S: System + ?Sized, R: Real, C: Cotangent<R>>(
         Wrt::Control => n..n + u.len(),
         Wrt::Both => 0..n + u.len(),
     };
-    let step = |xu: &[_], next: &mut [_]| apart::step(system, &xu[..n], &xu[n..], next);
-    jacobian(&concat(x, u), inputs, next_bar.len(), step, |i, column: &[R]| {
+    step_jacobian(system, x, u, inputs, next_bar.len(), &mut |i, column: &[R]| {
         let mut bar = C::null();
         for (&next_bar, &slope) in zip(next_bar.iter(), column) {
             bar += next_bar * slope;
@@ -101,6 +102,35 @@ pub(crate) fn vjp_by_duals<S: System + ?Sized, R: Real, C: Cotangent<R>>(
             u_bar[i - n] = bar;
         }
     });
+}
+
+/// The [`jacobian`] of a step, compiled once for each kind of number, whatever is made of it.
+#[inline(never)]
+fn step_jacobian<S: System + ?Sized, R: Real>(
+    system: &S,
+    x: &[R],
+    u: &[R],
+    inputs: Range<usize>,
+    outputs: usize,
+    visit: &mut dyn FnMut(usize, &[R]),
+) {
+    struct Work<'a, S: ?Sized, R> {
+        system: &'a S,
+        x: &'a [R],
+        u: &'a [R],
+        inputs: Range<usize>,
+        outputs: usize,
+        visit: &'a mut dyn FnMut(usize, &[R]),
+    }
+    impl<S: System + ?Sized, R: Real> Vectorized for Work<'_, S, R> {
+        #[inline(always)]
+        fn run<const FMA: bool>(self) {
+            let Self { system, x, u, inputs, outputs, visit } = self;
+            let step = |xu: &[_], next: &mut [_]| system.step(&xu[..x.len()], &xu[x.len()..], next);
+            jacobian(&concat(x, u), inputs, outputs, step, visit);
+        }
+    }
+    dispatch_narrow(Work { system, x, u, inputs, outputs, visit });
 }
 
 fn jvp_by_duals<S: System + ?Sized, F: Float>(
