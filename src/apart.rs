@@ -1,6 +1,6 @@
 //! Work that is compiled apart from the loops that need it.
 
-use crate::kernels::{Vectorized, dispatch_lanes, dispatch_narrow};
+use crate::kernels::{Vectorized, dispatch_lanes};
 use crate::scalar::{Columns, Cotangent, Float, Real, Scalar};
 use crate::system::System;
 
@@ -23,25 +23,25 @@ pub(crate) fn apart<T: Scalar>(work: impl Vectorized) {
 
 /// A step of a system, to be compiled apart: what chooses while the program runs is a call, and what is around it may have
 /// several.
-pub(crate) struct Step<'a, S: ?Sized, T> {
+pub(crate) struct Step<'a, S, T> {
     pub(crate) system: &'a S,
     pub(crate) x: &'a [T],
     pub(crate) u: &'a [T],
     pub(crate) next: &'a mut [T],
 }
 
-impl<S: System + ?Sized, T: Scalar> Vectorized for Step<'_, S, T> {
+impl<S: System, T: Scalar> Vectorized for Step<'_, S, T> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         self.system.step(self.x, self.u, self.next);
     }
 }
 
-/// [`System::step`] in one place for each kind of number: simulators are inlined wherever they are called, and derivatives by
-/// duals, and checks, call them from many places.
+/// [`System::step`] in one place for each kind of number: simulators are inlined wherever they are called, and checks call them
+/// from many places, and are in no hurry.
 #[inline(never)]
 pub(crate) fn step<S: System + ?Sized, T: Scalar>(system: &S, x: &[T], u: &[T], next: &mut [T]) {
-    dispatch_narrow(Step { system, x, u, next });
+    system.step(x, u, next);
 }
 
 /// [`System::vjp`], likewise, of the columns that rollouts have.
