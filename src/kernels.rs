@@ -98,6 +98,11 @@ pub(crate) fn in_lanes<const FMA: bool>() -> bool {
     FMA || !cfg!(target_arch = "x86_64")
 }
 
+/// Whether rollouts on this processor go in lanes, see [`in_lanes`].
+pub(crate) fn has_lanes() -> bool {
+    Level::best() != Level::Portable || !cfg!(target_arch = "x86_64")
+}
+
 /// As [`dispatch`], with AVX2 at most: simulators are compiled once per level, and eight lanes gain little from wider
 /// registers.
 #[inline]
@@ -125,7 +130,7 @@ pub(crate) fn dispatch_lanes(work: impl Vectorized) {
         unsafe fn avx2(work: impl Vectorized) {
             work.run::<true>();
         }
-        assert!(Level::best() != Level::Portable, "lists of effects take eight lanes at once only with AVX2, else four");
+        assert!(Level::best() != Level::Portable, "systems take eight lanes at once only with AVX2, else four");
         // SAFETY: every level but the portable one has these instructions.
         unsafe { avx2(work) }
     }

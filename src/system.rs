@@ -3,7 +3,7 @@
 use crate::apart;
 use crate::divergence::Cause;
 use crate::forward_mode::{Dual, concat, jacobian};
-use crate::kernels::{Vectorized, dispatch_narrow};
+use crate::kernels::Vectorized;
 use crate::scalar::{Cotangent, Float, Real, Scalar, Tangents};
 use crate::zip::zip;
 use smallvec::SmallVec;
@@ -130,7 +130,7 @@ fn step_jacobian<S: System + ?Sized, R: Real>(
             jacobian(&concat(x, u), inputs, outputs, step, visit);
         }
     }
-    dispatch_narrow(Work { system, x, u, inputs, outputs, visit });
+    apart::apart::<R>(Work { system, x, u, inputs, outputs, visit });
 }
 
 fn jvp_by_duals<S: System + ?Sized, F: Float>(
