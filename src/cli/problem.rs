@@ -1,5 +1,6 @@
 //! What can be wrong with a setting.
 
+use super::settings::Unreadable;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
@@ -18,21 +19,20 @@ impl Problem {
         Self { key: key.into(), what: what.into() }
     }
 
-    /// What serde says of a key, in our words: what was found, and what is allowed.
-    pub fn unreadable(path: &str, message: &str) -> Self {
+    /// What serde says of a table, in our words: where it is, what was found, and what is allowed.
+    pub fn unreadable(error: &Unreadable) -> Self {
+        let Unreadable { key, message } = error;
+        let within = |field: &str| format!("{key}.{}", field.trim_end_matches('`')).trim_start_matches('.').to_owned();
         if let Some(field) = message.strip_prefix("missing field `") {
-            let key = format!("{path}.{}", field.trim_end_matches('`'));
-            return Self::new(key.trim_start_matches('.'), "is missing");
+            return Self::new(within(field), "is missing");
         }
-        if message.ends_with(", there are no fields") {
-            return Self::new(path, "is unknown; allowed: nothing");
+        if let Some((field, expected)) = message.strip_prefix("unknown field `").and_then(|rest| rest.split_once("`, ")) {
+            let allowed = expected.strip_prefix("expected ").map_or("nothing", |names| names.trim_start_matches("one of "));
+            return Self::new(within(field), format!("is unknown; allowed: {allowed}"));
         }
         let Some((found, expected)) = message.split_once(", expected ") else {
-            return Self::new(path, format!("cannot be used: {message}"));
+            return Self::new(key, format!("cannot be used: {message}"));
         };
-        if found.starts_with("unknown field ") {
-            return Self::new(path, format!("is unknown; allowed: {}", expected.trim_start_matches("one of ")));
-        }
         let starts = ["invalid type: ", "invalid value: ", "invalid length ", "unknown variant "];
         let found = starts.iter().find_map(|start| found.strip_prefix(start)).unwrap_or(found);
         let expected = match expected {
@@ -40,11 +40,11 @@ impl Problem {
             "f64" => "a number",
             "a sequence" => "a list",
             "an array of length 2" => "a list of 2",
-            "fewer elements in array" => "a shorter list",
+            "fewer elements" => "a shorter list",
             section if section.starts_with("struct ") => "a section",
             names => names.trim_start_matches("one of "),
         };
-        Self::new(path, format!("is {found}; allowed: {expected}"))
+        Self::new(key, format!("is {found}; allowed: {expected}"))
     }
 
     /// The setting is there, but has no use because of another.

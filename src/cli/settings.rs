@@ -4,11 +4,13 @@ mod actuator;
 mod integrator;
 mod memory;
 mod names;
+mod reading;
 mod training;
 
 pub use actuator::{ACTUATORS, ActuatorSettings};
 pub use integrator::{IntegratorSettings, Method};
 pub use names::{ClipName, FieldName, OptimizerName, Precision};
+pub use reading::Unreadable;
 pub use training::TrainingSettings;
 
 use super::document::OPTIONAL;
@@ -102,12 +104,7 @@ impl<K: Kind> Settings<K> {
     /// From a table in which nothing is missing but effects, and what has a default of its own: shapes and names by
     /// serde.
     pub fn fill(table: Table) -> Result<Self, Problem> {
-        let mut track = serde_path_to_error::Track::new();
-        let tracked = serde_path_to_error::Deserializer::new(Value::Table(table), &mut track);
-        // Erased, as all that reads a table would otherwise be compiled for every section of every task.
-        let mut settings: Self = erased_serde::deserialize(&mut <dyn erased_serde::Deserializer>::erase(tracked))
-            // Below its first line, an erased error says where it is, as the path does.
-            .map_err(|error| Problem::unreadable(&track.path().to_string(), error.to_string().lines().next().unwrap_or("")))?;
+        let mut settings: Self = reading::read(table).map_err(|error| Problem::unreadable(&error))?;
         settings.training.complete();
         Ok(settings)
     }
