@@ -15,6 +15,7 @@ mod reference;
 mod stability;
 
 pub use oracle::slopes_by_duals;
+pub(crate) use oracle::step_vjp;
 pub use plateau::{Plateau, plateau};
 pub use policies::{policy, try_policy};
 #[cfg(feature = "double-double")]
@@ -30,7 +31,7 @@ use crate::policy::{Policy, Weights};
 use crate::rng::{Purpose, Rng, stream};
 use crate::rollout::{Rollout, WIDTH};
 use crate::scalar::{Columns, Lanes, Real, Scalar};
-use crate::system::{System, Wrt, vjp_by_duals};
+use crate::system::System;
 use crate::task::Task;
 use rand_distr::{Distribution, StandardNormal};
 use std::fmt;
@@ -198,8 +199,7 @@ fn try_system_drawn<S: System>(system: &S, draw: Draw) -> Result<Passed, Mismatc
         draw(&mut rng, &mut x, &mut u);
         let next_bar = normal(&mut rng, n);
 
-        let (mut x_dual, mut u_dual) = (vec![0.0; n], vec![0.0; m]);
-        vjp_by_duals(system, &x, &u, &next_bar, Wrt::Both, &mut x_dual, &mut u_dual);
+        let (x_dual, u_dual) = step_vjp(system, &x, &u, &next_bar);
         let (mut x_bar, mut u_bar) = (vec![f64::NAN; n], vec![f64::NAN; m]);
         vjp(system, &x, &u, &next_bar, &mut x_bar, &mut u_bar);
         c.slices("vjp: x_bar", &x_bar, &x_dual)?;

@@ -1,15 +1,15 @@
-//! Jacobians by dual numbers: the default derivatives, and the oracle that checks every hand-written one.
+//! Jacobians by dual numbers: the default derivatives.
 
-use crate::scalar::{Real, Scalar, Tangents};
+use crate::scalar::{Dual, Real};
 use crate::zip::zip;
 use smallvec::{SmallVec, smallvec};
 use std::ops::Range;
 
-/// Tangents carried through one evaluation. Four doubles fill an AVX register.
+/// Directions carried through one evaluation, of which each has a number for every lane.
 pub(crate) const CHUNK: usize = 4;
 
-/// The dual number with [`CHUNK`] tangents that derivatives of `R` run on.
-pub(crate) type Dual<R> = <R as Real>::Dual;
+/// What derivatives of `R` run on, all lanes at once.
+pub(crate) type Chunk<R> = Dual<R, CHUNK>;
 
 /// Outputs and inputs up to here live on the stack.
 const STACK: usize = 32;
@@ -17,41 +17,36 @@ type Buffer<T> = SmallVec<[T; 2 * STACK]>;
 
 /// Calls `visit(i, column)` with `column[j] = ∂f_j/∂input_i`, for every input `i` in `wrt`.
 ///
-/// `f` maps all `inputs` to `outputs` numbers; the lanes of `R` are differentiated one after the other.
-#[inline]
+/// `f` maps all `inputs` to `outputs` numbers.
+#[inline(always)]
 pub(crate) fn jacobian<R: Real>(
     inputs: &[R],
     wrt: Range<usize>,
     outputs: usize,
-    f: impl Fn(&[Dual<R>], &mut [Dual<R>]),
+    f: impl Fn(&[Chunk<R>], &mut [Chunk<R>]),
     mut visit: impl FnMut(usize, &[R]),
 ) {
-    let constant = Dual::<R>::constant(<R::Real as Scalar>::zero());
-    let mut x: Buffer<Dual<R>> = smallvec![constant; inputs.len()];
-    let mut y: Buffer<Dual<R>> = smallvec![constant; outputs];
-    let mut columns: SmallVec<[R; CHUNK * STACK]> = smallvec![R::zero(); outputs * CHUNK];
+    let constant = Chunk::constant(R::zero());
+    let mut x: Buffer<Chunk<R>> = smallvec![constant; inputs.len()];
+    let mut y: Buffer<Chunk<R>> = smallvec![constant; outputs];
+    let mut column: Buffer<R> = smallvec![R::zero(); outputs];
     for first in wrt.clone().step_by(CHUNK) {
         let chunk = first..wrt.end.min(first + CHUNK);
-        for lane in 0..R::LANES {
-            for (i, (x, input)) in zip(x.iter_mut(), inputs).enumerate() {
-                let value = input.lane(lane);
-                *x = if chunk.contains(&i) { Dual::<R>::variable(value, i - first) } else { Dual::<R>::constant(value) };
-            }
-            f(&x, &mut y);
-            for (j, y) in y.iter().enumerate() {
-                for (k, tangent) in y.tangents().into_iter().enumerate() {
-                    columns[k * outputs + j].set_lane(lane, tangent);
-                }
-            }
+        for (i, (x, &input)) in zip(x.iter_mut(), inputs).enumerate() {
+            *x = if chunk.contains(&i) { Chunk::variable(input, i - first) } else { Chunk::constant(input) };
         }
+        f(&x, &mut y);
         for (k, i) in chunk.enumerate() {
-            visit(i, &columns[k * outputs..(k + 1) * outputs]);
+            for (column, y) in zip(column.iter_mut(), &y) {
+                *column = y.tangents[k];
+            }
+            visit(i, &column);
         }
     }
 }
 
 /// The inputs `x` and then `u` in one slice.
-#[inline]
+#[inline(always)]
 pub(crate) fn concat<R: Real>(x: &[R], u: &[R]) -> SmallVec<[R; 16]> {
     x.iter().chain(u).copied().collect()
 }

@@ -120,9 +120,9 @@ pub use ode::{Flowing, Ode, RateOn, ReverseOn};
 pub use optim::{Clip, Optimizer, Rule};
 pub use policy::{Policy, Weights};
 pub use rollout::Rollout;
-pub use scalar::{Columns, Cotangent, Counted, Counts, Float, Lanes, Real, Scalar, Tangents};
 #[cfg(feature = "double-double")]
-pub use scalar::{Directional, DoubleDouble};
+pub use scalar::DoubleDouble;
+pub use scalar::{Columns, Cotangent, Counted, Counts, Dual, Float, Lanes, Real, Scalar};
 pub use schedule::{MemoryError, Schedule};
 pub use substeps::Substeps;
 pub use system::System;

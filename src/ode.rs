@@ -1,10 +1,13 @@
 //! [`Ode`]: a vector field in continuous time, which an [`Integrator`](crate::Integrator) makes a [`System`].
 
+use crate::apart::apart;
 use crate::divergence::Cause;
 use crate::effect::{Effect, Host, With};
 use crate::forward_mode::{concat, jacobian};
-use crate::scalar::{Cotangent, Float, Real, Scalar};
+use crate::kernels::Vectorized;
+use crate::scalar::{Columns, Cotangent, Float, Real, Scalar};
 use crate::zip::zip;
+use smallvec::{SmallVec, smallvec};
 
 /// An ordinary differential equation, `dx/dt = f(x, u)`, whose control is constant during a step.
 ///
@@ -95,8 +98,8 @@ pub trait RateOn<T> {
 pub trait ReverseOn<R, C>: RateOn<R> {
     /// As [`Ode::rate_vjp`].
     fn rate_vjp(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>);
-    /// Tells of `∂f/∂x_j`, for every j, exact by dual numbers.
-    fn jacobian(&self, x: &[R], u: &[R], visit: &mut dyn FnMut(usize, &[R]));
+    /// Writes `∂f_i/∂x`, a row of the Jacobian.
+    fn slopes(&self, x: &[R], u: &[R], i: usize, row: &mut [R]);
 }
 
 impl<O: Ode, T: Scalar> RateOn<T> for O {
@@ -111,16 +114,38 @@ impl<O: Ode, T: Scalar> RateOn<T> for O {
     }
 }
 
+struct Slopes<'a, O, R> {
+    ode: &'a O,
+    x: &'a [R],
+    u: &'a [R],
+    i: usize,
+    row: &'a mut [R],
+}
+
+impl<O: Ode, R: Real> Vectorized for Slopes<'_, O, R> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        /// One adjoint, on the stack if it is small.
+        type Bars<R> = SmallVec<[Columns<R, 1>; 32]>;
+        let Self { ode, x, u, i, row } = self;
+        let none = Columns([R::zero()]);
+        let (mut rate_bar, mut x_bar): (Bars<R>, Bars<R>) = (smallvec![none; x.len()], smallvec![none; x.len()]);
+        rate_bar[i] = Columns([R::one()]);
+        ode.rate_vjp(x, u, &rate_bar, &mut x_bar, None);
+        for (slope, Columns([bar])) in zip(row.iter_mut(), x_bar) {
+            *slope = bar;
+        }
+    }
+}
+
 impl<O: Ode, R: Real, C: Cotangent<R>> ReverseOn<R, C> for O {
     #[inline(always)]
     fn rate_vjp(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
         Ode::rate_vjp(self, x, u, rate_bar, x_bar, u_bar);
     }
 
-    fn jacobian(&self, x: &[R], u: &[R], visit: &mut dyn FnMut(usize, &[R])) {
-        let n = x.len();
-        let rate = |xu: &[_], rate: &mut [_]| Ode::rate(self, &xu[..n], &xu[n..], rate);
-        jacobian(&concat(x, u), 0..n, n, rate, visit);
+    fn slopes(&self, x: &[R], u: &[R], i: usize, row: &mut [R]) {
+        apart::<R>(Slopes { ode: self, x, u, i, row });
     }
 }
 

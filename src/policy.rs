@@ -10,9 +10,9 @@ pub use linear::Linear;
 pub use mlp::Mlp;
 pub use toy::{Constant, Quadratic};
 
-use crate::forward_mode::{Dual, jacobian};
+use crate::forward_mode::{Chunk, jacobian};
 use crate::rng::Rng;
-use crate::scalar::{Float, Scalar, Tangents};
+use crate::scalar::{Float, Scalar};
 use smallvec::SmallVec;
 use std::ops::Range;
 
@@ -70,7 +70,7 @@ pub trait Policy: Send + Sync {
         let Some(x_bar) = x_bar else { return };
         let theta = constants(pass.packed);
         for c in pass.at.iter() {
-            let act = |x: &[Dual<F>], u: &mut [Dual<F>]| self.act(&theta, x, u);
+            let act = |x: &[_], u: &mut [_]| self.act(&theta, x, u);
             jacobian(&pass.x[c * n..][..n], 0..n, m, act, |i, slope| {
                 x_bar[c * n + i] = dot(slope, &u_bar[c * m..][..m]);
             });
@@ -84,7 +84,7 @@ pub trait Policy: Send + Sync {
         for c in pass.at.iter() {
             let x = constants(&pass.x[c * n..][..n]);
             let weight = record.weight.map_or(F::one(), |w| w[c]);
-            let act = |theta: &[Dual<F>], u: &mut [Dual<F>]| self.act(theta, &x, u);
+            let act = |theta: &[_], u: &mut [_]| self.act(theta, &x, u);
             jacobian(pass.packed, 0..pass.packed.len(), m, act, |i, slope| {
                 theta_bar[i] += weight * dot(slope, &record.u_bar[c * m..][..m]);
             });
@@ -92,8 +92,8 @@ pub trait Policy: Send + Sync {
     }
 }
 
-fn constants<F: Float>(values: &[F]) -> SmallVec<[Dual<F>; 32]> {
-    values.iter().map(|&value| Dual::<F>::constant(value)).collect()
+fn constants<F: Float>(values: &[F]) -> SmallVec<[Chunk<F>; 32]> {
+    values.iter().map(|&value| Chunk::constant(value)).collect()
 }
 
 fn dot<F: Float>(a: &[F], b: &[F]) -> F {

@@ -7,27 +7,23 @@
 
 mod counted;
 #[cfg(feature = "double-double")]
-mod directional;
-#[cfg(feature = "double-double")]
 mod double_double;
 mod dual;
 mod float;
 mod lanes;
+pub(crate) mod num_dual;
 
 pub use counted::{Counted, Counts};
 #[cfg(feature = "double-double")]
-pub use directional::Directional;
-#[cfg(feature = "double-double")]
 pub use double_double::DoubleDouble;
-pub use dual::Tangents;
+pub use dual::Dual;
 pub use float::Float;
 pub use lanes::Lanes;
 
-use crate::forward_mode::CHUNK;
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
-/// A number a simulator computes with: `f32`, `f64`, their duals, their lanes.
+/// A number a simulator computes with: `f32`, `f64`, their lanes, and duals of all of them.
 ///
 /// There is no ordering and no `if` on values: lanes and duals have several values at once. Branches are written with
 /// [`Scalar::select_lt`], or with [`min`](Scalar::min), [`max`](Scalar::max) and [`abs`](Scalar::abs), which use it.
@@ -122,8 +118,6 @@ pub trait Scalar:
 
 /// A [`Scalar`] without derivative: `f32`, `f64`, [`Counted`] ([`LANES`](Real::LANES) = 1), and [`Lanes`] of floats.
 pub trait Real: Scalar {
-    /// What its derivatives run on, lane by lane: dual numbers with four tangents.
-    type Dual: Tangents<CHUNK, Real = Self::Real>;
     /// How many numbers it holds.
     const LANES: usize;
     /// The number in lane `lane`.

@@ -2,9 +2,9 @@
 
 use crate::apart;
 use crate::divergence::Cause;
-use crate::forward_mode::{Dual, concat, jacobian};
+use crate::forward_mode::{concat, jacobian};
 use crate::kernels::Vectorized;
-use crate::scalar::{Cotangent, Float, Real, Scalar, Tangents};
+use crate::scalar::{Cotangent, Dual, Float, Real, Scalar};
 use crate::zip::zip;
 use smallvec::SmallVec;
 use std::ops::Range;
@@ -141,15 +141,14 @@ fn jvp_by_duals<S: System + ?Sized, F: Float>(
     u_tan: Option<&[F]>,
     next_tan: &mut [F],
 ) {
-    // One tangent of those that there is room for: systems need not be compiled for another kind of dual number.
-    let lift = |values: &[F], tangents: Option<&[F]>| -> SmallVec<[Dual<F>; 32]> {
-        let tangent = |i: usize| std::array::from_fn(|k| tangents.filter(|_| k == 0).map_or(F::zero(), |t| t[i]));
-        values.iter().enumerate().map(|(i, &value)| Dual::<F>::seeded(value, tangent(i))).collect()
+    let lift = |values: &[F], tangents: Option<&[F]>| -> SmallVec<[Dual<F, 1>; 32]> {
+        let tangent = |i: usize| [tangents.map_or(F::zero(), |tangents| tangents[i])];
+        values.iter().enumerate().map(|(i, &value)| Dual { value, tangents: tangent(i) }).collect()
     };
     let (x, u) = (lift(x, x_tan), lift(u, u_tan));
     let mut next = x.clone();
     apart::step(system, &x, &u, &mut next);
     for (tan, next) in zip(next_tan.iter_mut(), &next) {
-        *tan = next.tangents()[0];
+        [*tan] = next.tangents;
     }
 }

@@ -1,12 +1,12 @@
 //! References in double-double: they agree with f64 where f64 is right, and are right where it is not.
 
-use num_dual::DualSVec64;
+use nalgebra::SVector;
+use num_dual::{Derivative, DualSVec64};
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{CartPole, CoupledCartPole, Guidance, GuidanceSystem, Pade, Quantum, QuantumSystem, Strang};
 use physgrad::{
-    Batch, Directional, DoubleDouble, Flow, ImplicitMidpoint, Integrated, Policy, RungeKutta, Scalar, System, Tangents, Task,
-    Weights, check,
+    Batch, DoubleDouble, Dual, Flow, ImplicitMidpoint, Integrated, Policy, RungeKutta, Scalar, System, Task, Weights, check,
 };
 
 /// Value and slope of a step in a random direction, in double-double and by num-dual, each compared apart.
@@ -16,9 +16,8 @@ fn agrees<S: System>(name: &str, system: &S, size: f64) {
     let mut draw = |len: usize| (0..len).map(|_| size * rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
     let (n, m) = (system.state_dim(), system.control_dim());
     let (x, u, tx, tu) = (draw(n), draw(m), draw(n), draw(m));
-    let fine =
-        |(value, slope): (&f64, &f64)| Directional { value: DoubleDouble::lift(*value), slope: DoubleDouble::lift(*slope) };
-    let dual = |(value, slope): (&f64, &f64)| DualSVec64::<1>::seeded(*value, [*slope]);
+    let fine = |(value, slope): (&f64, &f64)| Dual { value: DoubleDouble::lift(*value), tangents: [DoubleDouble::lift(*slope)] };
+    let dual = |(value, slope): (&f64, &f64)| DualSVec64::new(*value, Derivative::some(SVector::from([*slope])));
     let (fx, fu): (Vec<_>, Vec<_>) = (x.iter().zip(&tx).map(fine).collect(), u.iter().zip(&tu).map(fine).collect());
     let (dx, du): (Vec<_>, Vec<_>) = (x.iter().zip(&tx).map(dual).collect(), u.iter().zip(&tu).map(dual).collect());
     let (mut fine_next, mut dual_next) = (fx.clone(), dx.clone());
@@ -26,10 +25,11 @@ fn agrees<S: System>(name: &str, system: &S, size: f64) {
     system.step(&dx, &du, &mut dual_next);
     let largest = |numbers: &mut dyn Iterator<Item = f64>| numbers.fold(0.0_f64, |largest, x| largest.max(x.abs()));
     let values = largest(&mut fine_next.iter().map(|x| x.value.0));
-    let slopes = largest(&mut fine_next.iter().map(|x| x.slope.0));
+    let slopes = largest(&mut fine_next.iter().map(|x| x.tangents[0].0));
     for (i, (fine, dual)) in fine_next.iter().zip(&dual_next).enumerate() {
-        assert!((fine.value.0 - dual.value()).abs() <= 1e-13 * values, "{name}: value {i}: {fine:?}, {dual:?}");
-        assert!((fine.slope.0 - dual.tangents()[0]).abs() <= 1e-12 * slopes, "{name}: slope {i}: {fine:?}, {dual:?}");
+        let slope = dual.eps.0.expect("a tangent")[0];
+        assert!((fine.value.0 - dual.re).abs() <= 1e-13 * values, "{name}: value {i}: {fine:?}, {dual:?}");
+        assert!((fine.tangents[0].0 - slope).abs() <= 1e-12 * slopes, "{name}: slope {i}: {fine:?}, {dual:?}");
     }
     // Not f64 in disguise: the second half of some number is in use.
     assert!(fine_next.iter().any(|x| x.value.1 != 0.0), "{name}");

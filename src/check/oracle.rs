@@ -1,10 +1,11 @@
-//! What the checks compare with: duals through `act` and `step`, with what a flow leaves out detached.
+//! What the checks compare with: num-dual's numbers through `act` and `step`, with what a flow leaves out detached.
 
+use crate::apart::step;
 use crate::backward::Flow;
-use crate::forward_mode::jacobian;
 use crate::policy::{Policy, Weights};
 use crate::rng::Rng;
-use crate::scalar::{Scalar, Tangents};
+use crate::scalar::Scalar;
+use crate::scalar::num_dual::{seeded, tangents};
 use crate::system::System;
 use crate::task::Task;
 use num_dual::DualSVec64;
@@ -13,6 +14,8 @@ use rand_distr::{Distribution, StandardNormal};
 
 /// Tangents that go through one rollout together.
 const TOGETHER: usize = 4;
+type Num = DualSVec64<TOGETHER>;
+
 /// Up to so many parameters, all are compared.
 const ALL: usize = 64;
 
@@ -38,7 +41,7 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
         let seen = |x: &[S], with: bool| -> Vec<S> { x.iter().map(|&x| if with { x } else { x.detach() }).collect() };
         for _ in 0..task.horizon() {
             policy.act(theta, &seen(&x, flow.control), &mut u);
-            crate::apart::step(system, &seen(&x, flow.physics), &u, &mut next);
+            step(system, &seen(&x, flow.physics), &u, &mut next);
             mean += task.stage_cost(&next, &u);
             std::mem::swap(&mut x, &mut next);
         }
@@ -61,8 +64,8 @@ fn derivatives<T: Task, P: Policy>(
     flow: Flow,
     tangent: impl Fn(usize) -> [f64; TOGETHER],
 ) -> [f64; TOGETHER] {
-    let theta: Vec<_> = theta.iter().enumerate().map(|(i, &t)| DualSVec64::seeded(t, tangent(i))).collect();
-    rollouts(task, policy, &theta, starts, flow).tangents()
+    let theta: Vec<_> = theta.iter().enumerate().map(|(i, &t)| seeded(t, tangent(i))).collect();
+    tangents(&rollouts(task, policy, &theta, starts, flow))
 }
 
 /// The derivatives of the mean loss of rollouts from `starts` that `flow` carries, along these parameters: forward mode by
@@ -113,13 +116,38 @@ pub fn some_directions<T: Task, P: Policy>(
 
 /// `(∂N/∂x)ᵀ u_bar` of every column.
 pub fn policy_input_gradient<P: Policy>(policy: &P, theta: &[f64], x: &[f64], u_bar: &[f64]) -> Vec<f64> {
-    let (n, m) = (policy.state_dim(), policy.control_dim());
-    let theta: Vec<_> = theta.iter().map(|&t| Tangents::constant(t)).collect();
-    let mut x_bar = vec![0.0; x.len()];
-    for ((x, u_bar), x_bar) in x.chunks_exact(n).zip(u_bar.chunks_exact(m)).zip(x_bar.chunks_exact_mut(n)) {
-        jacobian(x, 0..n, m, |x, u| policy.act(&theta, x, u), |i, slope: &[f64]| x_bar[i] = dot(slope, u_bar));
+    let theta: Vec<Num> = theta.iter().map(|&t| Num::from_re(t)).collect();
+    let columns = x.chunks_exact(policy.state_dim()).zip(u_bar.chunks_exact(policy.control_dim()));
+    columns.flat_map(|(x, u_bar)| pulled_back(x, u_bar, &|x, u| policy.act(&theta, x, u))).collect()
+}
+
+/// `(∂S/∂x)ᵀ next_bar` and `(∂S/∂u)ᵀ next_bar`.
+pub fn step_vjp<S: System>(system: &S, x: &[f64], u: &[f64], next_bar: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    let n = x.len();
+    let mut x_bar = pulled_back(&[x, u].concat(), next_bar, &|xu, next| step(system, &xu[..n], &xu[n..], next));
+    let u_bar = x_bar.split_off(n);
+    (x_bar, u_bar)
+}
+
+/// `(∂f/∂inputs)ᵀ bar`.
+fn pulled_back(inputs: &[f64], bar: &[f64], f: &dyn Fn(&[Num], &mut [Num])) -> Vec<f64> {
+    let mut outputs = vec![Num::from_re(0.0); bar.len()];
+    let mut inputs_bar = Vec::with_capacity(inputs.len());
+    for first in (0..inputs.len()).step_by(TOGETHER) {
+        let lift = |(i, &input): (usize, &f64)| match i.checked_sub(first) {
+            Some(k) if k < TOGETHER => seeded(input, unit(k)),
+            _ => Num::from_re(input),
+        };
+        f(&inputs.iter().enumerate().map(lift).collect::<Vec<_>>(), &mut outputs);
+        for k in 0..TOGETHER.min(inputs.len() - first) {
+            inputs_bar.push(outputs.iter().zip(bar).map(|(output, bar)| tangents(output)[k] * bar).sum());
+        }
     }
-    x_bar
+    inputs_bar
+}
+
+fn unit(k: usize) -> [f64; TOGETHER] {
+    std::array::from_fn(|i| f64::from(u8::from(i == k)))
 }
 
 /// `⟨u_bar, (∂N/∂θ) v⟩` of every column, for the directions v that `tangent(parameter)` spans.
@@ -131,19 +159,19 @@ fn policy_slopes<P: Policy>(
     tangent: impl Fn(usize) -> [f64; TOGETHER],
 ) -> [Vec<f64>; TOGETHER] {
     let (n, m) = (policy.state_dim(), policy.control_dim());
-    let seeded = |(i, &t): (usize, &f64)| match tangent(i) {
+    let lift = |(i, &t): (usize, &f64)| match tangent(i) {
         // Without a tangent of its own, a number is cheaper to multiply.
-        zero if zero == [0.0; TOGETHER] => Tangents::constant(t),
-        tangents => DualSVec64::seeded(t, tangents),
+        zero if zero == [0.0; TOGETHER] => Num::from_re(t),
+        tangents => seeded(t, tangents),
     };
-    let theta: Vec<_> = theta.iter().enumerate().map(seeded).collect();
+    let theta: Vec<_> = theta.iter().enumerate().map(lift).collect();
     let mut slopes = [(); TOGETHER].map(|()| Vec::with_capacity(x.len() / n));
     for (x, u_bar) in x.chunks_exact(n).zip(u_bar.chunks_exact(m)) {
-        let x: Vec<DualSVec64<TOGETHER>> = x.iter().map(|&x| Tangents::constant(x)).collect();
-        let mut u = vec![Tangents::constant(0.0); m];
+        let x: Vec<Num> = x.iter().map(|&x| Num::from_re(x)).collect();
+        let mut u = vec![Num::from_re(0.0); m];
         policy.act(&theta, &x, &mut u);
         for (k, slopes) in slopes.iter_mut().enumerate() {
-            slopes.push(u.iter().zip(u_bar).map(|(u, u_bar)| u.tangents()[k] * u_bar).sum());
+            slopes.push(u.iter().zip(u_bar).map(|(u, u_bar)| tangents(u)[k] * u_bar).sum());
         }
     }
     slopes
@@ -181,8 +209,4 @@ pub fn policy_directions<P: Policy>(
 /// cannot hide in it, and several do not cancel but by chance.
 fn dense(rng: &mut Rng, len: usize) -> Vec<f64> {
     (0..len).map(|_| rng.random_range(0.5..1.5) * if rng.random() { 1.0 } else { -1.0 }).collect()
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }

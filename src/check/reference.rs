@@ -3,7 +3,7 @@
 use super::oracle::rollouts;
 use crate::backward::Flow;
 use crate::policy::Policy;
-use crate::scalar::{Directional, DoubleDouble, Scalar};
+use crate::scalar::{DoubleDouble, Dual, Scalar};
 use crate::task::Task;
 
 /// The mean loss of rollouts from `starts`, and the derivative that `flow` carries in the direction that has the component
@@ -28,8 +28,8 @@ pub fn slope<T: Task, P: Policy>(
     flow: Flow,
     direction: impl Fn(usize) -> f64,
 ) -> [f64; 2] {
-    let seeded = |(i, &value)| Directional { value: DoubleDouble::lift(value), slope: DoubleDouble::lift(direction(i)) };
+    let seeded = |(i, &value)| Dual { value: DoubleDouble::lift(value), tangents: [DoubleDouble::lift(direction(i))] };
     let theta: Vec<_> = theta.iter().enumerate().map(seeded).collect();
-    let Directional { value, slope } = rollouts(task, policy, &theta, starts, flow);
+    let Dual { value, tangents: [slope] } = rollouts(task, policy, &theta, starts, flow);
     [value.0, slope.0]
 }

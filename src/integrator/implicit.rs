@@ -189,11 +189,13 @@ impl Integrator for ImplicitMidpoint {
             middle[i] = (x[i] + middle[i]) * R::lift(0.5);
         }
         let mut matrix = room(R::zero(), n * n);
-        ode.jacobian(&middle, u, &mut |j, column: &[R]| {
-            for i in 0..n {
-                matrix[i * n + j] = column[i] * h * R::lift(0.5);
+        for i in 0..n {
+            let row = &mut matrix[i * n..][..n];
+            ode.slopes(&middle, u, i, row);
+            for slope in row {
+                *slope *= h * R::lift(0.5);
             }
-        });
+        }
         let inverse = inverse_of_one_minus(matrix, n);
         // w, times h for the rate.
         let mut rate_bar = room(C::null(), n);

@@ -1,9 +1,6 @@
 //! [`Counted`]: an `f64` that counts what is done with it.
 
-mod dual;
-
 use super::{Real, Scalar};
-use dual::CountedDual;
 use std::cell::Cell;
 use std::fmt;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
@@ -114,7 +111,7 @@ impl fmt::Display for Counts {
 /// computes with its `f64` parameters before it lifts them.
 ///
 /// As derivatives by duals count the operations that the dual numbers do: those on the value, and those on the
-/// four tangents of every operand that is not a constant.
+/// four tangents of every operand.
 ///
 /// ```
 /// use physgrad::{Counted, Counts, Scalar};
@@ -128,32 +125,26 @@ pub struct Counted(pub f64);
 
 // Operations that count are calls: nobody waits for them, and a step has hundreds, of every system, to compile.
 
-/// The two operators of one kind, for numbers that say what each `costs`.
-macro_rules! operator {
-    ($number:ty, $trait:ident, $method:ident, $assign_trait:ident, $assign:ident, $costs:expr) => {
-        impl $trait for $number {
+macro_rules! operators {
+    ($($trait:ident $method:ident $assign_trait:ident $assign:ident $kind:ident),+) => {$(
+        impl $trait for Counted {
             type Output = Self;
             #[inline(never)]
             fn $method(self, other: Self) -> Self {
-                let costs: fn(&Self, &Self) -> Counts = $costs;
-                costs(&self, &other).note();
+                Counts { $kind: 1, ..Counts::NONE }.note();
                 Self(self.0.$method(other.0))
             }
         }
-        impl $assign_trait for $number {
+        impl $assign_trait for Counted {
             #[inline]
             fn $assign(&mut self, other: Self) {
                 *self = self.$method(other);
             }
         }
-    };
+    )+};
 }
-use operator;
-
-operator!(Counted, Add, add, AddAssign, add_assign, |_, _| Counts { add: 1, ..Counts::NONE });
-operator!(Counted, Sub, sub, SubAssign, sub_assign, |_, _| Counts { add: 1, ..Counts::NONE });
-operator!(Counted, Mul, mul, MulAssign, mul_assign, |_, _| Counts { multiply: 1, ..Counts::NONE });
-operator!(Counted, Div, div, DivAssign, div_assign, |_, _| Counts { divide: 1, ..Counts::NONE });
+operators!(Add add AddAssign add_assign add, Sub sub SubAssign sub_assign add,
+    Mul mul MulAssign mul_assign multiply, Div div DivAssign div_assign divide);
 
 impl Neg for Counted {
     type Output = Self;
@@ -226,7 +217,6 @@ impl Scalar for Counted {
 }
 
 impl Real for Counted {
-    type Dual = CountedDual;
     const LANES: usize = 1;
     #[inline]
     fn lane(&self, _: usize) -> f64 {

@@ -1,133 +1,186 @@
-//! Forward mode: num-dual's numbers as [`Scalar`]s.
+//! [`Dual`]: forward mode over any scalar, which the default derivatives run on.
 //!
-//! Arithmetic is num-dual's. The elementary functions are chain rules over the plain number's own function, so that a
-//! dual's value has that number's bits; num-dual's `tanh` would overflow (sinh/cosh), and its `sqrt` and `ln` would make
-//! a NaN of the zero tangent of a constant 0.
+//! The checks run on num-dual's numbers instead, which share nothing with these.
 
-use super::{Float, Scalar};
-use nalgebra::{Const, SVector, U1};
-use num_dual::{Derivative, Dual32, Dual64, DualSVec32, DualSVec64};
+use super::Scalar;
+use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
-/// A dual number with `N` tangents, taken apart and put together.
-pub trait Tangents<const N: usize>: Scalar {
-    /// `value` with the given tangents.
-    fn seeded(value: Self::Real, tangents: [Self::Real; N]) -> Self;
+/// A number with its derivatives in `N` directions, over any [`Scalar`]: over [`Lanes`](super::Lanes), of several samples at once,
+/// over [`Counted`](super::Counted), one whose operations count.
+///
+/// Its value goes through the operations that the plain number does, and has its bits. There is no branch on what the
+/// directions are: a constant has derivatives that are 0, and costs what any other number does.
+///
+/// ```
+/// use physgrad::{Dual, Scalar};
+///
+/// let x: Dual<f64, 1> = Dual::variable(3.0, 0);
+/// let y = x * x + Dual::constant(1.0);
+/// assert_eq!((y.value, y.tangents), (10.0, [6.0]));
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Dual<T, const N: usize> {
+    /// The number.
+    pub value: T,
+    /// Its derivatives.
+    pub tangents: [T; N],
+}
+
+impl<T: Scalar, const N: usize> Dual<T, N> {
     /// A constant.
-    fn constant(value: Self::Real) -> Self;
-    /// The value.
-    fn value(&self) -> Self::Real;
-    /// The tangents; zeros for a constant.
-    fn tangents(&self) -> [Self::Real; N];
-    /// `value`, the `index`-th variable of `N`.
-    fn variable(value: Self::Real, index: usize) -> Self {
-        let mut tangents = [<Self::Real as Scalar>::zero(); N];
-        tangents[index] = <Self::Real as Scalar>::one();
-        Self::seeded(value, tangents)
+    #[inline(always)]
+    pub fn constant(value: T) -> Self {
+        Self { value, tangents: [T::zero(); N] }
+    }
+
+    /// `value`, as the `index`-th variable.
+    #[inline(always)]
+    pub fn variable(value: T, index: usize) -> Self {
+        let mut variable = Self::constant(value);
+        variable.tangents[index] = T::one();
+        variable
+    }
+
+    /// With this value, and each derivative by this rule.
+    #[inline(always)]
+    fn with(mut self, value: T, rule: impl Fn(T) -> T) -> Self {
+        self.value = value;
+        for k in 0..N {
+            self.tangents[k] = rule(self.tangents[k]);
+        }
+        self
+    }
+
+    /// Of both numbers, with this value, and each derivative by this rule.
+    #[inline(always)]
+    fn join(mut self, other: Self, value: T, rule: impl Fn(T, T) -> T) -> Self {
+        self.value = value;
+        for k in 0..N {
+            self.tangents[k] = rule(self.tangents[k], other.tangents[k]);
+        }
+        self
+    }
+
+    /// The chain rule for a slope that may be infinite: a constant has no derivative to blow up.
+    #[inline(always)]
+    fn steep(self, value: T, slope: T) -> Self {
+        self.with(value, |tangent| T::select_lt(T::zero(), tangent.abs(), tangent * slope, tangent))
     }
 }
 
-macro_rules! scalar_for_dual {
-    ($float:ty, $dual:ty $(, $n:ident)?) => {
-        impl $(<const $n: usize>)? Scalar for $dual {
-            type Real = $float;
-            #[inline]
-            fn lift(value: f64) -> Self {
-                Self::from_re(value as $float)
-            }
-            #[inline]
-            fn detach(self) -> Self {
-                Self::from_re(self.re)
-            }
-            #[inline]
-            fn sqrt(self) -> Self {
-                // A constant stays one: num-dual's rule would make 0·∞ = NaN of its tangent at 0.
-                let root = Scalar::sqrt(self.re);
-                self.chain(root, 0.5 / root)
-            }
-            #[inline]
-            fn exp(self) -> Self {
-                let e = Scalar::exp(self.re);
-                self.chain(e, e)
-            }
-            #[inline]
-            fn ln(self) -> Self {
-                self.chain(Scalar::ln(self.re), 1.0 / self.re)
-            }
-            #[inline]
-            fn sin_cos(self) -> (Self, Self) {
-                let (sin, cos) = Scalar::sin_cos(self.re);
-                (self.chain(sin, cos), self.chain(cos, -sin))
-            }
-            #[inline]
-            fn tanh(self) -> Self {
-                let t = Scalar::tanh(self.re);
-                self.chain(t, 1.0 - t * t)
-            }
-            #[inline]
-            fn atan2(self, x: Self) -> Self {
-                let square = self.re * self.re + x.re * x.re;
-                self.chain(Scalar::atan2(self.re, x.re), x.re / square) + x.chain(0.0, -self.re / square)
-            }
-            #[inline]
-            fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
-                if a.re < b.re { yes } else { no }
-            }
-            #[inline]
-            fn any_lt(a: Self, b: Self) -> bool {
-                a.re < b.re
-            }
-        }
-    };
+impl<T: Scalar, const N: usize> Add for Dual<T, N> {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        self.join(other, self.value + other.value, |a, b| a + b)
+    }
 }
 
-/// Chain rule with a known value and slope. A zero tangent stays zero even where the slope is infinite: a constant has
-/// no derivative to blow up.
-trait Chain<F> {
-    fn chain(&self, value: F, slope: F) -> Self;
+impl<T: Scalar, const N: usize> Sub for Dual<T, N> {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        self.join(other, self.value - other.value, |a, b| a - b)
+    }
 }
 
-fn times<F: Float>(tangent: F, slope: F) -> F {
-    let zero = <F as Scalar>::zero();
-    if tangent == zero { zero } else { tangent * slope }
+impl<T: Scalar, const N: usize> Mul for Dual<T, N> {
+    type Output = Self;
+    #[inline(always)]
+    #[allow(clippy::suspicious_arithmetic_impl, reason = "the product rule is a sum")]
+    fn mul(self, other: Self) -> Self {
+        self.join(other, self.value * other.value, |a, b| a * other.value + self.value * b)
+    }
 }
 
-macro_rules! dual {
-    ($float:ty, $dual:ident, $vector:ident) => {
-        impl Chain<$float> for $dual {
-            #[inline]
-            fn chain(&self, value: $float, slope: $float) -> Self {
-                Self::new(value, times(self.eps, slope))
-            }
-        }
-        impl<const N: usize> Chain<$float> for $vector<N> {
-            #[inline]
-            fn chain(&self, value: $float, slope: $float) -> Self {
-                Self::new(value, Derivative::new(self.eps.0.map(|eps| eps.map(|eps| times(eps, slope)))))
-            }
-        }
-        scalar_for_dual!($float, $dual);
-        scalar_for_dual!($float, $vector<N>, N);
-
-        impl<const N: usize> Tangents<N> for $vector<N> {
-            #[inline]
-            fn seeded(value: $float, tangents: [$float; N]) -> Self {
-                Self::new(value, Derivative::some(SVector::from(tangents)))
-            }
-            #[inline]
-            fn constant(value: $float) -> Self {
-                Self::from_re(value)
-            }
-            #[inline]
-            fn value(&self) -> $float {
-                self.re
-            }
-            #[inline]
-            fn tangents(&self) -> [$float; N] {
-                self.eps.unwrap_generic(Const::<N>, U1).into()
-            }
-        }
-    };
+impl<T: Scalar, const N: usize> Div for Dual<T, N> {
+    type Output = Self;
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        let (value, inverse) = (self.value / other.value, T::one() / other.value);
+        self.join(other, value, |a, b| (a - value * b) * inverse)
+    }
 }
 
-dual!(f32, Dual32, DualSVec32);
-dual!(f64, Dual64, DualSVec64);
+impl<T: Scalar, const N: usize> Neg for Dual<T, N> {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        self.with(-self.value, |tangent| -tangent)
+    }
+}
+
+macro_rules! assign {
+    ($($trait:ident $method:ident $operator:tt),+) => {$(
+        impl<T: Scalar, const N: usize> $trait for Dual<T, N> {
+            #[inline(always)]
+            fn $method(&mut self, other: Self) {
+                *self = *self $operator other;
+            }
+        }
+    )+};
+}
+assign!(AddAssign add_assign +, SubAssign sub_assign -, MulAssign mul_assign *, DivAssign div_assign /);
+
+impl<T: Scalar, const N: usize> Scalar for Dual<T, N> {
+    type Real = T::Real;
+
+    #[inline(always)]
+    fn lift(value: f64) -> Self {
+        Self::constant(T::lift(value))
+    }
+
+    #[inline(always)]
+    fn detach(self) -> Self {
+        Self::constant(self.value.detach())
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        let root = self.value.sqrt();
+        self.steep(root, T::lift(0.5) / root)
+    }
+
+    #[inline(always)]
+    fn exp(self) -> Self {
+        let e = self.value.exp();
+        self.with(e, |tangent| tangent * e)
+    }
+
+    #[inline(always)]
+    fn ln(self) -> Self {
+        self.steep(self.value.ln(), T::one() / self.value)
+    }
+
+    #[inline(always)]
+    fn sin_cos(self) -> (Self, Self) {
+        let (sin, cos) = self.value.sin_cos();
+        let down = -sin;
+        (self.with(sin, |tangent| tangent * cos), self.with(cos, |tangent| tangent * down))
+    }
+
+    #[inline(always)]
+    fn tanh(self) -> Self {
+        let t = self.value.tanh();
+        let slope = T::one() - t * t;
+        self.with(t, |tangent| tangent * slope)
+    }
+
+    #[inline(always)]
+    fn atan2(self, x: Self) -> Self {
+        let square = self.value * self.value + x.value * x.value;
+        let (across, along) = (self.steep(T::zero(), x.value / square), x.steep(T::zero(), self.value / square));
+        across.join(along, self.value.atan2(x.value), |a, b| a - b)
+    }
+
+    #[inline(always)]
+    fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
+        let select = |yes, no| T::select_lt(a.value, b.value, yes, no);
+        yes.join(no, select(yes.value, no.value), select)
+    }
+
+    #[inline(always)]
+    fn any_lt(a: Self, b: Self) -> bool {
+        T::any_lt(a.value, b.value)
+    }
+}

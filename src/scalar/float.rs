@@ -1,10 +1,8 @@
 //! `f32` and `f64`, and what the framework needs of them beyond [`Scalar`].
 
 use super::{Real, Scalar};
-use crate::forward_mode::CHUNK;
 use crate::kernels::gemm::{self, Product};
 use crate::kernels::{Level, tanh, trig};
-use num_dual::{DualSVec32, DualSVec64};
 use num_traits::AsPrimitive;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Display;
@@ -41,7 +39,7 @@ pub trait Float:
 }
 
 macro_rules! float {
-    ($float:ident, $dual:ident, $gemm:ident, $sin_cos:ident, $tanh:ident) => {
+    ($float:ident, $gemm:ident, $sin_cos:ident, $tanh:ident) => {
         impl Scalar for $float {
             type Real = Self;
             #[inline(always)]
@@ -91,7 +89,6 @@ macro_rules! float {
         }
 
         impl Real for $float {
-            type Dual = $dual<CHUNK>;
             const LANES: usize = 1;
             #[inline(always)]
             fn lane(&self, _: usize) -> Self {
@@ -141,5 +138,5 @@ macro_rules! float {
     };
 }
 
-float!(f32, DualSVec32, single, sin_cos_32, tanh_32);
-float!(f64, DualSVec64, double, sin_cos_64, tanh_64);
+float!(f32, single, sin_cos_32, tanh_32);
+float!(f64, double, sin_cos_64, tanh_64);

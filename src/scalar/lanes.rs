@@ -103,7 +103,6 @@ macro_rules! lanes {
         }
 
         impl<F: Float> Real for Lanes<F, $width> {
-            type Dual = <F as Real>::Dual;
             const LANES: usize = $width;
             #[inline(always)]
             fn lane(&self, lane: usize) -> F {

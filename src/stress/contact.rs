@@ -4,7 +4,7 @@ use super::steps::{derivative, larger, states};
 use super::{Case, Finding};
 use crate::apart::step;
 use crate::check;
-use crate::scalar::{Scalar, Tangents};
+use crate::scalar::{Dual, Scalar};
 use crate::system::System;
 use crate::tasks::{BouncingBall, Contact, TwoBodies};
 
@@ -120,21 +120,20 @@ impl Example {
 
     /// Of duals, which keep no states: for very many steps.
     fn forward_error<S: System>(&self, system: &S, dt: f64) -> f64 {
-        type Dual = crate::forward_mode::Dual<f64>;
         let inputs: Vec<f64> = self.start.iter().copied().chain([self.control]).collect();
         let mut index = 0;
         let mut seeded = |(value, expected): (&f64, &f64)| {
             index += usize::from(!expected.is_nan());
             if expected.is_nan() { Dual::constant(*value) } else { Dual::variable(*value, index - 1) }
         };
-        let mut x: Vec<Dual> = inputs.iter().zip(&self.expected).map(&mut seeded).collect();
+        let mut x: Vec<Dual<f64, 4>> = inputs.iter().zip(&self.expected).map(&mut seeded).collect();
         let u = x.pop().expect("a control");
         let mut next = x.clone();
         for _ in 0..self.steps(dt) {
             step(system, &x, &[u], &mut next);
             std::mem::swap(&mut x, &mut next);
         }
-        self.off(x[self.component].tangents())
+        self.off(x[self.component].tangents)
     }
 
     fn exact<S: System>(&self, system: &S, dt: f64) -> Finding {

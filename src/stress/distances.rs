@@ -1,11 +1,11 @@
 //! Agents at one place, and worlds apart.
 
-use super::steps::{error, finite, larger};
+use super::steps::{error, finite, larger, vjp_by_duals};
 use super::{Case, Finding};
 use crate::apart::{step, vjp};
 use crate::effect::With;
 use crate::scalar::{Float, Scalar};
-use crate::system::{System, Wrt, vjp_by_duals};
+use crate::system::System;
 use crate::tasks::{Evade, Flock, Friction, GuidanceSystem, Obstacles, Spread, Walls};
 
 pub(super) const CASES: &[Case] = &[Case {
@@ -104,8 +104,7 @@ fn derivatives<F: Float>(system: &Crowd, distance: f64) -> (bool, f64) {
         (bar[4 * agent + 2], bar[4 * agent + 3]) = (F::one(), F::lift(0.5));
         let (mut x_bar, mut u_bar) = (vec![F::zero(); n], vec![F::zero(); m]);
         vjp(system, &x, &u, &bar, &mut x_bar, &mut u_bar);
-        let (mut x_dual, mut u_dual) = (x_bar.clone(), u_bar.clone());
-        vjp_by_duals(system, &x, &u, &bar, Wrt::Both, &mut x_dual, &mut u_dual);
+        let [x_dual, u_dual] = vjp_by_duals(system, &x, &u, &bar);
         let positions = |v: &[F]| (0..n).filter(|k| k % 4 < 2).map(|k| v[k]).collect::<Vec<F>>();
         whether &= [&x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|bar| finite(bar));
         for error in [error(&x_bar, &x_dual), error(&u_bar, &u_dual), error(&positions(&x_bar), &positions(&x_dual))] {

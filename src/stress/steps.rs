@@ -28,6 +28,24 @@ pub(super) fn derivative<S: System>(system: &S, states: &[Vec<f64>], u: f64, com
     (bar, u_bar)
 }
 
+/// `(∂S/∂x)ᵀ bar` and `(∂S/∂u)ᵀ bar` in forward mode, one component after the other.
+pub(super) fn vjp_by_duals<S: System, F: Float>(system: &S, x: &[F], u: &[F], bar: &[F]) -> [Vec<F>; 2] {
+    let mut next = x.to_vec();
+    let mut along = |len: usize, jvp: &dyn Fn(&[F], &mut [F])| -> Vec<F> {
+        let component = |i: usize| {
+            let mut tangent = vec![F::zero(); len];
+            tangent[i] = F::one();
+            jvp(&tangent, &mut next);
+            next.iter().zip(bar).fold(F::zero(), |sum, (&next, &bar)| sum + next * bar)
+        };
+        (0..len).map(component).collect()
+    };
+    [
+        along(x.len(), &|tangent, next| system.jvp_state(x, u, tangent, next)),
+        along(u.len(), &|tangent, next| system.jvp_control(x, u, tangent, next)),
+    ]
+}
+
 /// Whether all of them are finite.
 pub(super) fn finite<F: Float>(numbers: &[F]) -> bool {
     numbers.iter().all(|number| number.as_().is_finite())

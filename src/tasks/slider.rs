@@ -195,4 +195,9 @@ impl Task for Slider {
     fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
         x[0] * x[0] + x[1] * x[1] * T::lift(self.speed_weight)
     }
+
+    #[inline(always)]
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
+        (x_bar[0], x_bar[1]) = (R::lift(2.0) * x[0], R::lift(2.0 * self.speed_weight) * x[1]);
+    }
 }

@@ -2,7 +2,7 @@
 
 use super::{Contact, Gap};
 use crate::rng::Rng;
-use crate::scalar::Scalar;
+use crate::scalar::{Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
 use rand::RngExt;
@@ -89,5 +89,10 @@ impl Task for Bounce {
     fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
         let miss = x[0] - T::lift(self.target);
         miss * miss
+    }
+
+    #[inline(always)]
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
+        (x_bar[0], x_bar[1]) = (R::lift(2.0) * (x[0] - R::lift(self.target)), R::zero());
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{Contact, Gap};
 use crate::rng::Rng;
-use crate::scalar::Scalar;
+use crate::scalar::{Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
 use rand::RngExt;
@@ -106,5 +106,11 @@ impl Task for Push {
     #[inline(always)]
     fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
         x[1] * x[1]
+    }
+
+    #[inline(always)]
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
+        x_bar.fill(R::zero());
+        x_bar[1] = R::lift(2.0) * x[1];
     }
 }
