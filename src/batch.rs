@@ -8,6 +8,7 @@ use crate::checkpointed::Checkpointed;
 use crate::divergence::Divergence;
 use crate::gradient::Gradient;
 use crate::growth::{Growth, Together};
+use crate::parallel::for_each;
 use crate::policy::{Policy, Weights};
 use crate::rollout::Rollout;
 use crate::scalar::Float;
@@ -155,7 +156,7 @@ impl<F: Float> Batch<F> {
         );
         let scale = F::lift(1.0 / samples as f64);
         let per_worker = self.workers[0].rollout.capacity();
-        for_each(&mut self.workers, |index, worker| {
+        for_each(&mut self.workers, &|index, worker| {
             let own = starts.chunks(per_worker * n).nth(index).unwrap_or(&[]);
             worker.outcome = worker.run(task, policy, weights, own, scale);
         });
@@ -265,7 +266,7 @@ impl<F: Float> Evaluation<F> {
         let samples = starts.len() / n;
         assert!(samples > 0 && starts.len().is_multiple_of(n), "{} numbers are no samples of {n} components", starts.len());
         let per_worker = samples.div_ceil(EVALUATED).div_ceil(self.workers.len()) * EVALUATED;
-        for_each(&mut self.workers, |index, worker| {
+        for_each(&mut self.workers, &|index, worker| {
             worker.costs.clear();
             let own = starts.chunks(per_worker * n).nth(index).unwrap_or(&[]);
             worker.outcome = own.chunks(EVALUATED * n).enumerate().try_for_each(|(i, starts)| {
@@ -280,14 +281,4 @@ impl<F: Float> Evaluation<F> {
             None => Ok(self.workers.iter().flat_map(|w| &w.costs).sum::<f64>() / samples as f64),
         }
     }
-}
-
-/// `work(i, item)` for every item; in parallel where that is compiled in and there is more than one.
-fn for_each<W: Send>(items: &mut [W], work: impl Fn(usize, &mut W) + Sync + Send) {
-    #[cfg(feature = "parallel")]
-    if items.len() > 1 {
-        use rayon::prelude::*;
-        return items.par_iter_mut().enumerate().for_each(|(i, item)| work(i, item));
-    }
-    items.iter_mut().enumerate().for_each(|(i, item)| work(i, item));
 }

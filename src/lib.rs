@@ -83,6 +83,7 @@ mod integrator;
 pub mod kernels;
 mod ode;
 mod optim;
+mod parallel;
 pub mod policy;
 #[cfg(feature = "report")]
 pub mod report;

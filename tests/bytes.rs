@@ -6,17 +6,19 @@ use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::CartPole;
 use physgrad::{Adjoint, Float, Flow, Gradient, Rollout, Task, Weights};
 use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::cell::Cell;
 
 struct Counting;
 
-/// Bytes ever asked for.
-static ALLOCATED: AtomicUsize = AtomicUsize::new(0);
+thread_local! {
+    /// Bytes that this thread ever asked for: the test runner has a thread of its own, which allocates when it likes.
+    static ALLOCATED: Cell<usize> = const { Cell::new(0) };
+}
 
 // SAFETY: everything is handed to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATED.fetch_add(layout.size(), Ordering::Relaxed);
+        ALLOCATED.set(ALLOCATED.get() + layout.size());
         unsafe { System.alloc(layout) }
     }
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
@@ -29,9 +31,9 @@ static ALLOCATOR: Counting = Counting;
 
 /// What `work` returns, and the bytes it asks for.
 fn allocated<T>(work: impl FnOnce() -> T) -> (T, usize) {
-    let before = ALLOCATED.load(Ordering::Relaxed);
+    let before = ALLOCATED.get();
     let result = work();
-    (result, ALLOCATED.load(Ordering::Relaxed) - before)
+    (result, ALLOCATED.get() - before)
 }
 
 /// One more than two blocks of eight.
@@ -91,7 +93,6 @@ fn bytes_are_those_asked_for<F: Float>() {
     assert_eq!(Rollout::<F>::for_evaluation(&longer, &policy, SAMPLES).stored_bytes(), bytes);
 }
 
-// One test alone in its file: another thread's allocations would be counted too.
 #[test]
 fn rollouts_and_adjoints_hold_the_bytes_they_say() {
     bytes_are_those_asked_for::<f64>();

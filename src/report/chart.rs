@@ -116,7 +116,7 @@ impl Chart {
 fn shown(series: Vec<Series>, can_be: impl Fn(f64) -> bool) -> Vec<Series> {
     let clean = |mut s: Series| {
         if s.band.is_empty() {
-            s.line = thinned(cleaned(s.line.into_iter(), &can_be));
+            s.line = thinned(cleaned(s.line, &can_be));
         } else {
             let pairs = s.line.into_iter().zip(s.band);
             let seen = pairs.filter(|&((x, y), (low, high))| x.is_finite() && [y, low, high].into_iter().all(&can_be));

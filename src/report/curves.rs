@@ -45,8 +45,7 @@ pub fn field_color(letter: &str) -> &'static str {
 ///
 /// Losses that a log axis cannot show (not finite, zero or negative) are left out; an empty list leaves out its line.
 pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) -> Drawing {
-    let series =
-        |label, color, points: &[(f64, f64)]| Series::new(label, color, thinned(cleaned(points.iter().copied(), drawable)));
+    let series = |label, color, points: &[(f64, f64)]| Series::new(label, color, thinned(cleaned(points.to_vec(), &drawable)));
     let series = vec![series("train", "#0072B2", train), series("test", "#D55E00", test)];
     let panel = Panel { title: String::new(), x_label: "epoch", log_x: false, y_label: "loss".into(), y_axis: 0, series };
     log_figure(title, &[vec![panel]])
@@ -100,7 +99,7 @@ impl Curve {
         let end = |run: &Vec<Point>| run.iter().filter(|p| drawable(p.value)).map(|p| p.epoch).fold(f64::NEG_INFINITY, f64::max);
         let last = self.runs.iter().map(end).fold(f64::NEG_INFINITY, f64::max);
         let whole = self.runs.iter().filter(|run| end(run) >= EARLY * last);
-        let clean = |run: &Vec<Point>| cleaned(run.iter().map(|p| (x(p), p.value)), drawable);
+        let clean = |run: &Vec<Point>| cleaned(run.iter().map(|p| (x(p), p.value)).collect(), &drawable);
         let runs: Vec<Vec<(f64, f64)>> = whole.map(clean).filter(|run| !run.is_empty()).collect();
         let note = match self.runs.len() - runs.len() {
             0 => String::new(),

@@ -40,8 +40,8 @@ pub fn drawable(y: f64) -> bool {
 }
 
 /// The points whose y a diagram can show, by increasing x.
-pub fn cleaned(points: impl Iterator<Item = (f64, f64)>, shown: impl Fn(f64) -> bool) -> Vec<(f64, f64)> {
-    let mut points: Vec<(f64, f64)> = points.filter(|&(x, y)| x.is_finite() && shown(y)).collect();
+pub fn cleaned(mut points: Vec<(f64, f64)>, shown: &dyn Fn(f64) -> bool) -> Vec<(f64, f64)> {
+    points.retain(|&(x, y)| x.is_finite() && shown(y));
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
     points
 }

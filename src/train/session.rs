@@ -10,6 +10,8 @@ use crate::gradient::Gradient;
 use crate::growth::Growth;
 use crate::kernels::{Level, elementwise};
 use crate::optim::Optimizer;
+#[cfg(feature = "parallel")]
+use crate::parallel::among_workers;
 use crate::policy::{Policy, Weights};
 use crate::rng::{Purpose, stream};
 use crate::scalar::Float;
@@ -152,11 +154,11 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
     /// [`TrainError::Diverged`] after too many skipped updates in a row. The session is then as it was before this
     /// epoch.
     pub fn epoch(&mut self) -> Result<&Record, TrainError> {
-        // Among the workers rather than waiting for them: half the work starts without waking anybody.
         #[cfg(feature = "parallel")]
         if self.training.workers > 1 {
-            rayon::scope(|_| self.epoch_here())?;
-            return Ok(&self.records[self.records.len() - 1]);
+            let mut outcome = Ok(());
+            among_workers(&mut || outcome = self.epoch_here());
+            return outcome.map(|()| &self.records[self.records.len() - 1]);
         }
         self.epoch_here()?;
         Ok(&self.records[self.records.len() - 1])

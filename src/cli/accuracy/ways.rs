@@ -215,7 +215,7 @@ impl Visit for Referring<'_> {
 
     fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Self::Out {
         let (theta, starts) = inputs(&task, &policy, self.seed);
-        let along = |(flow, parameter): (Flow, usize)| {
+        let along: &(dyn Fn((Flow, usize)) -> f64 + Sync) = &|(flow, parameter)| {
             let direction = |i| f64::from(u8::from(i == parameter));
             let [_, slope] = check::slope(&task, &policy, &theta, &starts, flow, direction);
             (self.done)();
