@@ -174,6 +174,11 @@ impl<T: Scalar, const N: usize> Scalar for Dual<T, N> {
     }
 
     #[inline(always)]
+    fn abs(self) -> Self {
+        self.with(self.value.abs(), |tangent| T::select_lt(self.value, T::zero(), -tangent, tangent))
+    }
+
+    #[inline(always)]
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
         let select = |yes, no| T::select_lt(a.value, b.value, yes, no);
         yes.join(no, select(yes.value, no.value), select)

@@ -1,0 +1,80 @@
+//! [`Dual`] does what num-dual's numbers do, with the bits of plain numbers, over lanes as over one.
+
+mod operations;
+
+use nalgebra::SVector;
+use num_dual::{Derivative, DualSVec64};
+use operations::{NUMBERS, operations};
+use physgrad::{Dual, Lanes, Real, Scalar};
+
+const TANGENTS: [[f64; 2]; 2] = [[0.5, -1.25], [-2.0, 0.75]];
+
+fn bits(number: f64) -> u64 {
+    if number.is_nan() { f64::NAN } else { number }.to_bits()
+}
+
+#[test]
+fn values_have_the_bits_of_the_plain_number() {
+    for ((name, plain), (_, dual)) in operations::<f64>().into_iter().zip(operations()) {
+        for (a, b) in NUMBERS.into_iter().flat_map(|a| NUMBERS.map(|b| (a, b))) {
+            let [x, y] = [(a, TANGENTS[0]), (b, TANGENTS[1])].map(|(value, tangents)| Dual { value, tangents });
+            let found: Dual<f64, 2> = dual(x, y);
+            assert_eq!(bits(found.value), bits(plain(a, b)), "{name} of {a} and {b}");
+        }
+    }
+}
+
+#[test]
+fn tangents_are_those_of_num_dual() {
+    let numbers = [0.3, 2.5, 1.0, 7e-3, 12.0];
+    for ((name, ours), (_, theirs)) in operations().into_iter().zip(operations()) {
+        for (a, b) in numbers.into_iter().flat_map(|a| numbers.map(|b| (a, b))) {
+            let found: Dual<f64, 2> = ours(Dual { value: a, tangents: TANGENTS[0] }, Dual { value: b, tangents: TANGENTS[1] });
+            let num_dual = |value, tangents: [f64; 2]| DualSVec64::new(value, Derivative::some(SVector::from(tangents)));
+            let expected = theirs(num_dual(a, TANGENTS[0]), num_dual(b, TANGENTS[1]));
+            for k in 0..2 {
+                let slope = expected.eps.0.map_or(0.0, |slopes| slopes[k]);
+                let error = (found.tangents[k] - slope).abs();
+                assert!(error <= 1e-14 * (1.0 + slope.abs()), "{name} of {a} and {b}, {k}: {} for {slope}", found.tangents[k]);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_constant_has_no_derivative_that_could_blow_up() {
+    for value in [0.0, 1.0, -0.0] {
+        for (name, operation) in operations::<Dual<f64, 2>>() {
+            // 1/0 is not finite itself.
+            let divisor = if name.starts_with("div") { 1.0 } else { value };
+            let found = operation(Dual::constant(value), Dual::constant(divisor));
+            assert_eq!(found.tangents.map(f64::abs), [0.0; 2], "{name} of {value}");
+        }
+    }
+    // A variable does have one.
+    assert_eq!(Dual::<f64, 1>::variable(0.0, 0).sqrt().tangents, [f64::INFINITY]);
+}
+
+#[test]
+fn lanes_have_the_bits_of_one_number_each() {
+    let lanes: [[f32; 8]; 2] =
+        [[0.0, -0.5, 1.0, 3.25, -1e-3, 7e6, f32::INFINITY, 0.1], [0.25, -0.5, -1.0, 0.0, 1e3, 2.0, 1.0, 0.1]];
+    let slopes = [[0.5, -1.25], [0.0, 0.75]];
+    for ((name, all), (_, one)) in operations().into_iter().zip(operations()) {
+        let wide = |i: usize| Dual { value: Lanes::<f32, 8>(lanes[i]), tangents: slopes[i].map(Lanes::splat) };
+        let found: Dual<Lanes<f32, 8>, 2> = all(wide(0), wide(1));
+        for lane in 0..8 {
+            let narrow = |i: usize| Dual { value: lanes[i][lane], tangents: slopes[i].map(|slope| slope as f32) };
+            let expected: Dual<f32, 2> = one(narrow(0), narrow(1));
+            let pairs = [
+                (found.value, expected.value),
+                (found.tangents[0], expected.tangents[0]),
+                (found.tangents[1], expected.tangents[1]),
+            ];
+            for (found, expected) in pairs {
+                let found = found.lane(lane);
+                assert!(found.to_bits() == expected.to_bits() || found.is_nan() && expected.is_nan(), "{name}, lane {lane}");
+            }
+        }
+    }
+}
