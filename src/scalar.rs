@@ -1,9 +1,9 @@
 //! The numbers a simulator computes with.
 //!
-//! A system is written once against [`Scalar`] and then runs on `f32` and `f64`, on dual numbers (which check and, by
-//! default, compute its derivatives) and on SIMD lanes. [`Real`] is a scalar without derivative; [`Float`] is one
-//! number of one precision; [`Counted`] is an `f64` that counts its operations; a [`Cotangent`] is what a reverse pass
-//! carries.
+//! A system is written once against [`Scalar`] and then runs on `f32` and `f64`, on SIMD lanes, on [`Dual`] numbers, which
+//! by default compute its derivatives, and on num-dual's, which check them. [`Real`] is a scalar without derivative;
+//! [`Float`] is one number of one precision; [`Counted`] is an `f64` that counts its operations; a [`Cotangent`] is what
+//! a reverse pass carries.
 
 mod counted;
 #[cfg(feature = "double-double")]

@@ -57,21 +57,19 @@ fn a_constant_has_no_derivative_that_could_blow_up() {
 
 #[test]
 fn lanes_have_the_bits_of_one_number_each() {
-    let lanes: [[f32; 8]; 2] =
-        [[0.0, -0.5, 1.0, 3.25, -1e-3, 7e6, f32::INFINITY, 0.1], [0.25, -0.5, -1.0, 0.0, 1e3, 2.0, 1.0, 0.1]];
-    let slopes = [[0.5, -1.25], [0.0, 0.75]];
+    let firsts: [f32; 8] = [0.0, -0.5, 1.0, 3.25, -1e-3, 7e6, f32::INFINITY, 0.1];
+    let seconds: [f32; 8] = [0.25, -0.5, -1.0, 0.0, 1e3, 2.0, 1.0, 0.1];
+    let (first_slopes, second_slopes) = ([0.5, -1.25], [0.0, 0.75]);
     for ((name, all), (_, one)) in operations().into_iter().zip(operations()) {
-        let wide = |i: usize| Dual { value: Lanes::<f32, 8>(lanes[i]), tangents: slopes[i].map(Lanes::splat) };
-        let found: Dual<Lanes<f32, 8>, 2> = all(wide(0), wide(1));
-        for lane in 0..8 {
-            let narrow = |i: usize| Dual { value: lanes[i][lane], tangents: slopes[i].map(|slope| slope as f32) };
-            let expected: Dual<f32, 2> = one(narrow(0), narrow(1));
-            let pairs = [
-                (found.value, expected.value),
-                (found.tangents[0], expected.tangents[0]),
-                (found.tangents[1], expected.tangents[1]),
-            ];
-            for (found, expected) in pairs {
+        let wide = |value, slopes: [f32; 2]| Dual { value: Lanes::<f32, 8>(value), tangents: slopes.map(Lanes::splat) };
+        let found: Dual<Lanes<f32, 8>, 2> = all(wide(firsts, first_slopes), wide(seconds, second_slopes));
+        for (lane, (a, b)) in firsts.into_iter().zip(seconds).enumerate() {
+            let narrow = |value, tangents| Dual { value, tangents };
+            let expected: Dual<f32, 2> = one(narrow(a, first_slopes), narrow(b, second_slopes));
+            let [first, second] = found.tangents;
+            for (found, expected) in
+                [(found.value, expected.value), (first, expected.tangents[0]), (second, expected.tangents[1])]
+            {
                 let found = found.lane(lane);
                 assert!(found.to_bits() == expected.to_bits() || found.is_nan() && expected.is_nan(), "{name}, lane {lane}");
             }
