@@ -1,7 +1,7 @@
 //! Settings out of tables, and where it is that they cannot be read.
 //!
 //! serde_path_to_error tells places as well, around any format; everything that reads a section would then be compiled for its
-//! types besides those of the format, which was a fifth of the program.
+//! types besides those of the format: a fifth of the code that the program had before optimization was that.
 
 use serde::de::{
     Deserialize, DeserializeSeed, Deserializer, Error, Expected, IntoDeserializer, MapAccess, SeqAccess, Unexpected, Visitor,
