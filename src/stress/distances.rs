@@ -1,6 +1,6 @@
 //! Agents at one place, and worlds apart.
 
-use super::steps::{error, finite, larger, vjp_by_duals};
+use super::steps::{error, finite, larger, vjp_by_jvps};
 use super::{Case, Finding};
 use crate::apart::{step, vjp};
 use crate::effect::With;
@@ -104,7 +104,7 @@ fn derivatives<F: Float>(system: &Crowd, distance: f64) -> (bool, f64) {
         (bar[4 * agent + 2], bar[4 * agent + 3]) = (F::one(), F::lift(0.5));
         let (mut x_bar, mut u_bar) = (vec![F::zero(); n], vec![F::zero(); m]);
         vjp(system, &x, &u, &bar, &mut x_bar, &mut u_bar);
-        let [x_dual, u_dual] = vjp_by_duals(system, &x, &u, &bar);
+        let [x_dual, u_dual] = vjp_by_jvps(system, &x, &u, &bar);
         let positions = |v: &[F]| (0..n).filter(|k| k % 4 < 2).map(|k| v[k]).collect::<Vec<F>>();
         whether &= [&x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|bar| finite(bar));
         for error in [error(&x_bar, &x_dual), error(&u_bar, &u_dual), error(&positions(&x_bar), &positions(&x_dual))] {

@@ -1,6 +1,6 @@
 //! Gradients at very many random states.
 
-use super::steps::{error, finite, larger, vjp_by_duals};
+use super::steps::{error, finite, larger, vjp_by_jvps};
 use super::{Case, Finding};
 use crate::apart::{step, vjp};
 use crate::rng::{Purpose, Rng, stream};
@@ -144,7 +144,7 @@ fn at<S: System, F: Float>(system: &S, inputs: &Inputs<F>) -> Found {
     let mut next = x.clone();
     step(system, x, u, &mut next);
     let [x_bar, u_bar] = reverse(system, inputs);
-    let [x_dual, u_dual] = vjp_by_duals(system, x, u, bar);
+    let [x_dual, u_dual] = vjp_by_jvps(system, x, u, bar);
     let finite = [&next, &x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|v| finite(v));
     // The state's and the control's together: one of a single component may vanish by chance.
     Found { finite, error: error(&[x_bar, u_bar].concat(), &[x_dual, u_dual].concat()) }

@@ -29,7 +29,7 @@ pub(super) fn derivative<S: System>(system: &S, states: &[Vec<f64>], u: f64, com
 }
 
 /// `(∂S/∂x)ᵀ bar` and `(∂S/∂u)ᵀ bar` in forward mode, one component after the other.
-pub(super) fn vjp_by_duals<S: System, F: Float>(system: &S, x: &[F], u: &[F], bar: &[F]) -> [Vec<F>; 2] {
+pub(super) fn vjp_by_jvps<S: System, F: Float>(system: &S, x: &[F], u: &[F], bar: &[F]) -> [Vec<F>; 2] {
     let mut next = x.to_vec();
     let mut along = |len: usize, jvp: &dyn Fn(&[F], &mut [F])| -> Vec<F> {
         let component = |i: usize| {
