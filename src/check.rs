@@ -14,7 +14,7 @@ mod policies;
 mod reference;
 mod stability;
 
-pub use oracle::slopes_by_duals;
+pub use oracle::slope_by_duals;
 pub(crate) use oracle::step_vjp;
 pub use plateau::{Plateau, plateau};
 pub use policies::{policy, try_policy};

@@ -2,8 +2,7 @@
 
 mod operations;
 
-use nalgebra::SVector;
-use num_dual::{Derivative, DualSVec64};
+use num_dual::Dual64;
 use operations::{NUMBERS, operations};
 use physgrad::{Dual, Lanes, Real, Scalar};
 
@@ -30,12 +29,10 @@ fn tangents_are_those_of_num_dual() {
     for ((name, ours), (_, theirs)) in operations().into_iter().zip(operations()) {
         for (a, b) in numbers.into_iter().flat_map(|a| numbers.map(|b| (a, b))) {
             let found: Dual<f64, 2> = ours(Dual { value: a, tangents: TANGENTS[0] }, Dual { value: b, tangents: TANGENTS[1] });
-            let num_dual = |value, tangents: [f64; 2]| DualSVec64::new(value, Derivative::some(SVector::from(tangents)));
-            let expected = theirs(num_dual(a, TANGENTS[0]), num_dual(b, TANGENTS[1]));
-            for k in 0..2 {
-                let slope = expected.eps.0.map_or(0.0, |slopes| slopes[k]);
-                let error = (found.tangents[k] - slope).abs();
-                assert!(error <= 1e-14 * (1.0 + slope.abs()), "{name} of {a} and {b}, {k}: {} for {slope}", found.tangents[k]);
+            for (k, tangent) in found.tangents.into_iter().enumerate() {
+                let slope = theirs(Dual64::new(a, TANGENTS[0][k]), Dual64::new(b, TANGENTS[1][k])).eps;
+                let error = (tangent - slope).abs();
+                assert!(error <= 1e-14 * (1.0 + slope.abs()), "{name} of {a} and {b}, {k}: {tangent} for {slope}");
             }
         }
     }

@@ -5,7 +5,6 @@ use super::scene::Scene;
 use anyhow::{Context, Result};
 use physgrad::{Divergence, Float, Growth, Policy, Record, Rollout, Session, System, Task, Variable, report};
 use safetensors::tensor::{Dtype, TensorView};
-use std::collections::HashMap;
 use std::fs::File;
 use std::ops::Range;
 
@@ -98,7 +97,7 @@ pub fn safetensors<F: Float>(about: String, policy: &impl Policy, theta: &[F]) -
     });
     let views: Vec<_> = views.collect::<Result<_, safetensors::SafeTensorError>>()?;
     // One entry: a map of several would be written in another order every time.
-    let about = HashMap::from([("about".to_owned(), about)]);
+    let about = [("about".to_owned(), about)].into_iter().collect();
     Ok(safetensors::serialize(views, Some(about))?)
 }
 

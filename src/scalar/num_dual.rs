@@ -5,28 +5,16 @@
 //! a NaN of the zero tangent of a constant 0.
 
 use super::Scalar;
-use nalgebra::{Const, SVector, U1};
-use num_dual::{Derivative, DualSVec64};
-
-/// `value` with these tangents.
-pub(crate) fn seeded<const N: usize>(value: f64, tangents: [f64; N]) -> DualSVec64<N> {
-    DualSVec64::new(value, Derivative::some(SVector::from(tangents)))
-}
-
-/// The tangents; zeros for a constant.
-pub(crate) fn tangents<const N: usize>(dual: &DualSVec64<N>) -> [f64; N] {
-    dual.eps.unwrap_generic(Const::<N>, U1).into()
-}
+use num_dual::Dual64;
 
 /// Chain rule with a known value and slope. A zero tangent stays zero even where the slope is infinite: a constant has
 /// no derivative to blow up.
 #[inline]
-fn chain<const N: usize>(dual: &DualSVec64<N>, value: f64, slope: f64) -> DualSVec64<N> {
-    let times = |tangent: f64| if tangent == 0.0 { 0.0 } else { tangent * slope };
-    DualSVec64::new(value, Derivative::new(dual.eps.0.map(|eps| eps.map(times))))
+fn chain(dual: Dual64, value: f64, slope: f64) -> Dual64 {
+    Dual64::new(value, if dual.eps == 0.0 { 0.0 } else { dual.eps * slope })
 }
 
-impl<const N: usize> Scalar for DualSVec64<N> {
+impl Scalar for Dual64 {
     type Real = f64;
     #[inline]
     fn lift(value: f64) -> Self {
@@ -39,31 +27,31 @@ impl<const N: usize> Scalar for DualSVec64<N> {
     #[inline]
     fn sqrt(self) -> Self {
         let root = Scalar::sqrt(self.re);
-        chain(&self, root, 0.5 / root)
+        chain(self, root, 0.5 / root)
     }
     #[inline]
     fn exp(self) -> Self {
         let e = Scalar::exp(self.re);
-        chain(&self, e, e)
+        chain(self, e, e)
     }
     #[inline]
     fn ln(self) -> Self {
-        chain(&self, Scalar::ln(self.re), 1.0 / self.re)
+        chain(self, Scalar::ln(self.re), 1.0 / self.re)
     }
     #[inline]
     fn sin_cos(self) -> (Self, Self) {
         let (sin, cos) = Scalar::sin_cos(self.re);
-        (chain(&self, sin, cos), chain(&self, cos, -sin))
+        (chain(self, sin, cos), chain(self, cos, -sin))
     }
     #[inline]
     fn tanh(self) -> Self {
         let t = Scalar::tanh(self.re);
-        chain(&self, t, 1.0 - t * t)
+        chain(self, t, 1.0 - t * t)
     }
     #[inline]
     fn atan2(self, x: Self) -> Self {
         let square = self.re * self.re + x.re * x.re;
-        chain(&self, Scalar::atan2(self.re, x.re), x.re / square) + chain(&x, 0.0, -self.re / square)
+        chain(self, Scalar::atan2(self.re, x.re), x.re / square) + chain(x, 0.0, -self.re / square)
     }
     #[inline]
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {

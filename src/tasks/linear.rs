@@ -70,7 +70,7 @@ impl LinearPlant {
 
     /// The largest modulus of an eigenvalue of A: below 1, the plant is stable by itself.
     pub fn spectral_radius(&self) -> f64 {
-        self.a().complex_eigenvalues().iter().fold(0.0, |largest, value| value.norm().max(largest))
+        self.a().complex_eigenvalues().iter().fold(0.0, |largest, value| value.re.hypot(value.im).max(largest))
     }
 
     fn a(&self) -> DMatrix<f64> {

@@ -31,7 +31,7 @@ pub enum Way {
     },
     /// Central differences: two losses for every parameter.
     Central(f64),
-    /// Forward mode by dual numbers, four parameters at a time.
+    /// Forward mode by dual numbers, one parameter at a time.
     Duals,
 }
 
@@ -140,21 +140,11 @@ fn derive<F: Float, T: Task + Clone + 'static, P: Policy + Clone + 'static>(task
             Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || drop::<Result<f64, String>>(difference(0))) }
         }
         Way::Duals => {
-            let together = move |some: &[usize]| {
-                let four = std::array::from_fn(|k| some.get(k).copied().unwrap_or(usize::MAX));
-                check::slopes_by_duals(&task, &policy, &theta, &starts, Flow::REGULAR, four)
+            let slope = move |i: usize| {
+                check::slope_by_duals(&task, &policy, &theta, &starts, Flow::REGULAR, &|p| f64::from(u8::from(p == i)))
             };
-            let slopes = || chosen(count).chunks(4).flat_map(|some| together(some).into_iter().take(some.len())).collect();
-            let (gradient, bytes) = peak_during(slopes);
-            let rounds = count.div_ceil(4) as f64;
-            Derived {
-                gradient: Ok(gradient),
-                bytes,
-                rounds,
-                run: Box::new(move || {
-                    let _ = together(&[0, 1, 2, 3]);
-                }),
-            }
+            let (gradient, bytes) = peak_during(|| chosen(count).into_iter().map(|i| Ok(slope(i))).collect());
+            Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || _ = slope(0)) }
         }
     }
 }
