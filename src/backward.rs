@@ -17,18 +17,19 @@ mod policy;
 mod recursion;
 mod step;
 
+use crate::any::{AnyPolicy, AnyTask};
 use crate::divergence::Divergence;
 use crate::gradient::Gradient;
 use crate::growth::Together;
-use crate::policy::{Policy, PolicyPass, Weights};
+use crate::policy::{PolicyPass, Weights};
 use crate::rollout::Rollout;
 use crate::scalar::Float;
-use crate::task::Task;
 use policy::{PolicyAdjoint, PolicyRoom, nested_bytes};
 use recursion::Recursion;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::Range;
+pub use step::StepBack;
 
 /// Which paths carry the adjoint back in time. The forward values are the same for all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -88,20 +89,20 @@ impl<F: Float> Adjoint<F> {
     /// # Panics
     /// With no flow or more than two, or a rollout without tape.
     #[track_caller]
-    pub fn new<P: Policy>(policy: &P, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
+    pub fn new(policy: &dyn AnyPolicy<F>, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
         assert!(rollout.has_tape(), "a rollout made for evaluation cannot be differentiated");
         Self::of_kept(policy, rollout, flows)
     }
 
     /// The same, for the steps that a rollout keeps.
     #[track_caller]
-    pub(crate) fn of_kept<P: Policy>(policy: &P, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
+    pub(crate) fn of_kept(policy: &dyn AnyPolicy<F>, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
         let carried = match *flows {
             [flow] => Carried::One([flow], Recursion::new(rollout)),
             [first, second] => Carried::Two([first, second], Recursion::new(rollout)),
             _ => panic!("an adjoint carries one or two flows, not {}", flows.len()),
         };
-        let policy = PolicyAdjoint::new(&PolicyRoom::new::<P, F>(policy, rollout.capacity() * rollout.kept, flows));
+        let policy = PolicyAdjoint::new(&PolicyRoom::new(policy, rollout.capacity() * rollout.kept, flows));
         Self { horizon: rollout.horizon, norms: None, measured: false, policy, carried }
     }
 
@@ -123,13 +124,13 @@ impl<F: Float> Adjoint<F> {
     }
 
     /// The [`stored_bytes`](Adjoint::stored_bytes) of an adjoint of a rollout that keeps so many steps.
-    pub(crate) fn bytes_of<P: Policy>(policy: &P, samples: usize, kept: usize, flows: &[Flow]) -> usize {
+    pub(crate) fn bytes_of(policy: &dyn AnyPolicy<F>, samples: usize, kept: usize, flows: &[Flow]) -> usize {
         let (n, m) = (policy.state_dim(), policy.control_dim());
         let carried = match flows.len() {
             1 => Recursion::<F, 1>::bytes_of(n, m, samples),
             _ => Recursion::<F, 2>::bytes_of(n, m, samples),
         };
-        carried + PolicyRoom::new::<P, F>(policy, samples * kept, flows).bytes::<F>()
+        carried + PolicyRoom::new(policy, samples * kept, flows).bytes::<F>()
     }
 
     /// Keeps the length of the adjoint at every step of every run from now on, for [`norms`](Adjoint::norms).
@@ -173,10 +174,10 @@ impl<F: Float> Adjoint<F> {
     ///
     /// # Errors
     /// [`Divergence`] says where a cotangent was not finite.
-    pub fn run<T: Task, P: Policy>(
+    pub fn run(
         &mut self,
-        task: &T,
-        policy: &P,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
         weights: &Weights<F>,
         rollout: &Rollout<F>,
         scale: F,
@@ -187,7 +188,7 @@ impl<F: Float> Adjoint<F> {
     }
 
     /// Begins at the last state.
-    pub(crate) fn begin<T: Task, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>) {
+    pub(crate) fn begin(&mut self, pass: &Pass<'_, F>) {
         let norms = self.norms.as_deref_mut().unwrap_or_default();
         norms.iter_mut().for_each(|norms| norms.fill(f64::NAN));
         self.policy.reset_exponents();
@@ -198,7 +199,7 @@ impl<F: Float> Adjoint<F> {
     }
 
     /// Goes back through the steps of a unit that the rollout keeps, from the state they end with.
-    pub(crate) fn back<T: Task, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>, unit: Range<usize>) -> Result<(), Divergence> {
+    pub(crate) fn back(&mut self, pass: &Pass<'_, F>, unit: Range<usize>) -> Result<(), Divergence> {
         let all = pass.rollout.columns_of(&unit, 0..pass.rollout.samples);
         self.policy.reset_exponents_of(all);
         if self.policy.unit {
@@ -206,8 +207,8 @@ impl<F: Float> Adjoint<F> {
         }
         let norms = self.norms.as_deref_mut().unwrap_or_default();
         match &mut self.carried {
-            Carried::One(flows, recursion) => recursion.back(pass, *flows, unit, &mut self.policy, norms)?,
-            Carried::Two(flows, recursion) => recursion.back(pass, *flows, unit, &mut self.policy, norms)?,
+            Carried::One(flows, recursion) => recursion.back(pass, pass.task, *flows, unit, &mut self.policy, norms)?,
+            Carried::Two(flows, recursion) => recursion.back(pass, pass.task, *flows, unit, &mut self.policy, norms)?,
         }
         for k in 0..self.flows().len() {
             if !self.flows()[k].control && !self.policy.unit {
@@ -219,10 +220,10 @@ impl<F: Float> Adjoint<F> {
     }
 
     /// `theta_bar = Σ (∂N/∂θ)ᵀ h` of flow number `k`, over the given samples, in large products. Overwrites it.
-    pub fn param_gradient<P: Policy>(
+    pub fn param_gradient(
         &mut self,
         k: usize,
-        policy: &P,
+        policy: &dyn AnyPolicy<F>,
         weights: &Weights<F>,
         rollout: &Rollout<F>,
         samples: Range<usize>,
@@ -237,10 +238,10 @@ impl<F: Float> Adjoint<F> {
 
     /// Adds the part of a unit that was gone [`back`](Self::back) through.
     #[allow(clippy::too_many_arguments)]
-    pub(crate) fn add_param_gradient<P: Policy>(
+    pub(crate) fn add_param_gradient(
         &mut self,
         k: usize,
-        policy: &P,
+        policy: &dyn AnyPolicy<F>,
         weights: &Weights<F>,
         rollout: &Rollout<F>,
         unit: &Range<usize>,
@@ -253,9 +254,9 @@ impl<F: Float> Adjoint<F> {
 }
 
 /// What stays the same throughout one reverse pass.
-pub(crate) struct Pass<'a, T, P, F: Float> {
-    pub(crate) task: &'a T,
-    pub(crate) policy: &'a P,
+pub(crate) struct Pass<'a, F: Float> {
+    pub(crate) task: &'a dyn AnyTask<F>,
+    pub(crate) policy: &'a dyn AnyPolicy<F>,
     pub(crate) weights: &'a Weights<F>,
     pub(crate) rollout: &'a Rollout<F>,
     pub(crate) scale: F,
@@ -266,6 +267,7 @@ pub(crate) struct Pass<'a, T, P, F: Float> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Task;
     use crate::effect::With;
     use crate::kernels::portable;
     use crate::policy::Mlp;
@@ -280,7 +282,7 @@ mod tests {
         let weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Policy, 0));
         let mut starts = vec![0.0; 6 * samples];
         for (i, x) in starts.chunks_exact_mut(6).enumerate() {
-            task.start(&mut stream(0, Purpose::Train, i as u64), x);
+            Task::start(&task, &mut stream(0, Purpose::Train, i as u64), x);
         }
         let starts: Vec<F> = starts.into_iter().map(F::lift).collect();
         let mut rollout = Rollout::new(&task, &policy, 16);

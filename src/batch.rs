@@ -3,18 +3,17 @@
 //! Results do not depend on the number of workers: a sample's numbers do not depend on its neighbours, gradients are
 //! summed over fixed groups of samples, and groups are summed in their order.
 
+use crate::any::{AnyPolicy, AnyTask};
 use crate::backward::Flow;
 use crate::checkpointed::Checkpointed;
 use crate::divergence::Divergence;
 use crate::gradient::Gradient;
 use crate::growth::{Growth, Together};
 use crate::parallel::for_each;
-use crate::policy::{Policy, Weights};
+use crate::policy::Weights;
 use crate::rollout::Rollout;
 use crate::scalar::Float;
 use crate::schedule::{MemoryError, Schedule};
-use crate::system::System;
-use crate::task::Task;
 use std::ops::Range;
 
 /// Samples whose gradient is one sum, whatever the number of workers.
@@ -48,7 +47,7 @@ impl<F: Float> Batch<F> {
     /// # Panics
     /// Without samples, or if the shapes of task and policy differ.
     #[track_caller]
-    pub fn new<T: Task, P: Policy>(task: &T, policy: &P, samples: usize, flows: &[Flow], workers: usize) -> Self {
+    pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], workers: usize) -> Self {
         Self::scheduled(task, policy, samples, flows, workers, Schedule::store_all(task.horizon()))
     }
 
@@ -61,9 +60,9 @@ impl<F: Float> Batch<F> {
     /// # Panics
     /// As [`new`](Batch::new).
     #[track_caller]
-    pub fn within<T: Task, P: Policy>(
-        task: &T,
-        policy: &P,
+    pub fn within(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
         samples: usize,
         flows: &[Flow],
         workers: usize,
@@ -79,9 +78,9 @@ impl<F: Float> Batch<F> {
     /// # Panics
     /// As [`new`](Batch::new), or if the schedule is for another horizon.
     #[track_caller]
-    pub fn scheduled<T: Task, P: Policy>(
-        task: &T,
-        policy: &P,
+    pub fn scheduled(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
         samples: usize,
         flows: &[Flow],
         workers: usize,
@@ -105,7 +104,7 @@ impl<F: Float> Batch<F> {
     /// # Panics
     /// Without samples.
     #[track_caller]
-    pub fn bytes_of<P: Policy>(policy: &P, samples: usize, flows: &[Flow], workers: usize, schedule: &Schedule) -> usize {
+    pub fn bytes_of(policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], workers: usize, schedule: &Schedule) -> usize {
         assert!(samples > 0, "a mini-batch needs at least one sample");
         let gradients = flows.len() * (size_of::<Gradient<F>>() + Gradient::<F>::bytes_of(policy.param_count()));
         let worker = |share: Range<usize>| {
@@ -139,14 +138,14 @@ impl<F: Float> Batch<F> {
     /// # Panics
     /// Without samples, or with more than there is room for.
     #[track_caller]
-    pub fn run<T: Task, P: Policy>(
+    pub fn run(
         &mut self,
-        task: &T,
-        policy: &P,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
         weights: &Weights<F>,
         starts: &[F],
     ) -> Result<f64, Divergence> {
-        let n = task.system().state_dim();
+        let n = task.state_dim();
         let samples = starts.len() / n;
         let capacity: usize = self.workers.iter().map(|w| w.rollout.capacity()).sum();
         assert!(
@@ -203,10 +202,10 @@ impl<F: Float> Batch<F> {
 }
 
 impl<F: Float> Worker<F> {
-    fn run<T: Task, P: Policy>(
+    fn run(
         &mut self,
-        task: &T,
-        policy: &P,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
         weights: &Weights<F>,
         starts: &[F],
         scale: F,
@@ -241,7 +240,7 @@ struct Evaluator<F: Float> {
 
 impl<F: Float> Evaluation<F> {
     /// Room for data sets of any size, over so many workers.
-    pub fn new<T: Task, P: Policy>(task: &T, policy: &P, workers: usize) -> Self {
+    pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, workers: usize) -> Self {
         let evaluator =
             || Evaluator { rollout: Rollout::for_evaluation(task, policy, EVALUATED), costs: Vec::new(), outcome: Ok(()) };
         Self { workers: (0..workers.max(1)).map(|_| evaluator()).collect() }
@@ -255,14 +254,14 @@ impl<F: Float> Evaluation<F> {
     /// # Panics
     /// Without samples.
     #[track_caller]
-    pub fn run<T: Task, P: Policy>(
+    pub fn run(
         &mut self,
-        task: &T,
-        policy: &P,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
         weights: &Weights<F>,
         starts: &[F],
     ) -> Result<f64, Divergence> {
-        let n = task.system().state_dim();
+        let n = task.state_dim();
         let samples = starts.len() / n;
         assert!(samples > 0 && starts.len().is_multiple_of(n), "{} numbers are no samples of {n} components", starts.len());
         let per_worker = samples.div_ceil(EVALUATED).div_ceil(self.workers.len()) * EVALUATED;

@@ -1,15 +1,14 @@
 //! [`Checkpointed`]: forward and reverse pass of a batch of samples, in the memory that a [`Schedule`] takes.
 
+use crate::any::{AnyPolicy, AnyTask};
 use crate::backward::{Adjoint, Flow, Pass};
 use crate::divergence::Divergence;
 use crate::gradient::Gradient;
 use crate::growth::Together;
-use crate::policy::{Policy, Weights};
+use crate::policy::Weights;
 use crate::rollout::{Lane, Rollout, WIDTH};
 use crate::scalar::{Float, Real, Scalar};
 use crate::schedule::{MemoryError, Schedule, split};
-use crate::system::System;
-use crate::task::Task;
 
 /// A batch of rollouts and their gradients, with a tape of one segment at a time: sized once, then run as often as one
 /// likes without allocating.
@@ -54,7 +53,7 @@ impl<F: Float> Checkpointed<F> {
     /// If the schedule is for another horizon, without samples, with no flow or more than two, or if the shapes of task
     /// and policy differ.
     #[track_caller]
-    pub fn new<T: Task, P: Policy>(task: &T, policy: &P, samples: usize, flows: &[Flow], schedule: Schedule) -> Self {
+    pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], schedule: Schedule) -> Self {
         let (planned, horizon) = (schedule.horizon(), task.horizon());
         assert_eq!(planned, horizon, "the schedule is for a horizon of {planned} steps, the task has {horizon}");
         let rollout = Rollout::with_steps(task, policy, samples, schedule.segment());
@@ -76,9 +75,9 @@ impl<F: Float> Checkpointed<F> {
     ///
     /// # Errors
     /// [`MemoryError`] says how many bytes would do.
-    pub fn schedule_within<T: Task, P: Policy>(
-        task: &T,
-        policy: &P,
+    pub fn schedule_within(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
         samples: usize,
         flows: &[Flow],
         budget: u64,
@@ -87,7 +86,7 @@ impl<F: Float> Checkpointed<F> {
     }
 
     /// The [`stored_bytes`](Checkpointed::stored_bytes) of a schedule, without taking them.
-    pub fn bytes_of<P: Policy>(policy: &P, samples: usize, flows: &[Flow], schedule: &Schedule) -> usize {
+    pub fn bytes_of(policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], schedule: &Schedule) -> usize {
         let (segment, blocks) = (schedule.segment(), samples.div_ceil(WIDTH));
         let checkpoint = blocks * policy.state_dim() * size_of::<Lane<F>>() + size_of::<usize>();
         Rollout::<F>::bytes_of(policy, samples, segment)
@@ -133,10 +132,10 @@ impl<F: Float> Checkpointed<F> {
     /// If `starts` is empty, no whole number of samples or too long, or if there are too few groups.
     #[track_caller]
     #[allow(clippy::too_many_arguments)]
-    pub fn run<T: Task, P: Policy>(
+    pub fn run(
         &mut self,
-        task: &T,
-        policy: &P,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
         weights: &Weights<F>,
         starts: &[F],
         scale: F,
@@ -151,17 +150,17 @@ impl<F: Float> Checkpointed<F> {
     /// As [`run`](Checkpointed::run), with gradients that are still to be added up.
     #[track_caller]
     #[allow(clippy::too_many_arguments)]
-    pub(crate) fn run_unsettled<T: Task, P: Policy>(
+    pub(crate) fn run_unsettled(
         &mut self,
-        task: &T,
-        policy: &P,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
         weights: &Weights<F>,
         starts: &[F],
         scale: F,
         group: usize,
         gradients: &mut [Vec<Gradient<F>>],
     ) -> Result<(), Divergence> {
-        let samples = starts.len() / task.system().state_dim();
+        let samples = starts.len() / task.state_dim();
         let groups = samples.div_ceil(group);
         assert!(groups <= gradients.len(), "{samples} samples are {groups} groups of {group}, not {}", gradients.len());
         let gradients = &mut gradients[..groups];
@@ -200,10 +199,10 @@ impl<F: Float> Checkpointed<F> {
     }
 
     /// The forward pass, which leaves checkpoints and the tape of the last segment.
-    fn forward<T: Task, P: Policy>(
+    fn forward(
         &mut self,
-        task: &T,
-        policy: &P,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
         weights: &Weights<F>,
         starts: &[F],
     ) -> Result<(), Divergence> {
@@ -221,10 +220,10 @@ impl<F: Float> Checkpointed<F> {
     }
 
     /// Runs from the last checkpoint to the end of a segment, whose tape is then there.
-    fn tape_again<T: Task, P: Policy>(
+    fn tape_again(
         &mut self,
-        task: &T,
-        policy: &P,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
         weights: &Weights<F>,
         index: usize,
     ) -> Result<(), Divergence> {
@@ -239,10 +238,10 @@ impl<F: Float> Checkpointed<F> {
     }
 
     /// Runs from the start of segment `from` to the end of segment `to`, and keeps states on the way.
-    fn advance<T: Task, P: Policy>(
+    fn advance(
         &mut self,
-        task: &T,
-        policy: &P,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
         weights: &Weights<F>,
         from: usize,
         to: usize,

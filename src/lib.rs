@@ -66,6 +66,7 @@
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 
 mod actuator;
+pub mod any;
 mod apart;
 mod backward;
 mod batch;

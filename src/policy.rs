@@ -10,6 +10,7 @@ pub use linear::Linear;
 pub use mlp::Mlp;
 pub use toy::{Constant, Quadratic};
 
+use crate::any::AnyPolicy;
 use crate::forward_mode::{Chunk, jacobian};
 use crate::rng::Rng;
 use crate::scalar::{Float, Scalar};
@@ -199,15 +200,15 @@ impl<F: Float> Weights<F> {
     /// # Panics
     /// If there are not [`Policy::param_count`] of them.
     #[track_caller]
-    pub fn new<P: Policy>(policy: &P, theta: Vec<F>) -> Self {
+    pub fn new(policy: &dyn AnyPolicy<F>, theta: Vec<F>) -> Self {
         assert_eq!(theta.len(), policy.param_count(), "the policy has {} parameters, not {}", policy.param_count(), theta.len());
-        let mut packed = vec![F::zero(); policy.sizes::<F>(1).packed];
+        let mut packed = vec![F::zero(); policy.sizes(1).packed];
         policy.pack(&theta, &mut packed);
         Self { theta, packed }
     }
 
     /// Fresh parameters from [`Policy::init`].
-    pub fn init<P: Policy>(policy: &P, rng: &mut Rng) -> Self {
+    pub fn init(policy: &dyn AnyPolicy<F>, rng: &mut Rng) -> Self {
         let mut theta = vec![0.0; policy.param_count()];
         policy.init(rng, &mut theta);
         Self::new(policy, theta.into_iter().map(F::lift).collect())
@@ -224,7 +225,7 @@ impl<F: Float> Weights<F> {
     }
 
     /// Changes the parameters and packs them again.
-    pub fn update<P: Policy>(&mut self, policy: &P, change: impl FnOnce(&mut [F])) {
+    pub fn update(&mut self, policy: &dyn AnyPolicy<F>, change: impl FnOnce(&mut [F])) {
         change(&mut self.theta);
         policy.pack(&self.theta, &mut self.packed);
     }

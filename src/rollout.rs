@@ -4,17 +4,15 @@ mod moves;
 mod room;
 mod step;
 
+use crate::any::{AnyPolicy, AnyTask};
 use crate::divergence::{Divergence, Variable};
-use crate::kernels::dispatch_narrow;
-use crate::policy::{Policy, PolicyColumns, PolicyPass, Weights};
+use crate::policy::{PolicyColumns, PolicyPass, Weights};
 use crate::scalar::{Float, Lanes, Real, Scalar};
-use crate::system::System;
-use crate::task::Task;
 use moves::scatter;
 pub(crate) use moves::{find_non_finite, gather};
 use room::Room;
 use std::ops::Range;
-use step::Step;
+pub use step::StepForward;
 pub(crate) use step::{FEW, read_lane};
 
 /// Samples that go through the physics together.
@@ -56,24 +54,24 @@ pub struct Rollout<F: Float> {
 
 impl<F: Float> Rollout<F> {
     /// Room for `samples` rollouts that can be differentiated.
-    pub fn new<T: Task, P: Policy>(task: &T, policy: &P, samples: usize) -> Self {
+    pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize) -> Self {
         Self::with_steps(task, policy, samples, task.horizon())
     }
 
     /// Room for `samples` rollouts of which only the costs and the last state are wanted.
-    pub fn for_evaluation<T: Task, P: Policy>(task: &T, policy: &P, samples: usize) -> Self {
+    pub fn for_evaluation(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize) -> Self {
         Self::with_steps(task, policy, samples, 1)
     }
 
     /// Room for `samples` rollouts of which the last `kept` steps can be differentiated.
     #[track_caller]
-    pub(crate) fn with_steps<T: Task, P: Policy>(task: &T, policy: &P, samples: usize, kept: usize) -> Self {
-        let (n, m) = (task.system().state_dim(), task.system().control_dim());
+    pub(crate) fn with_steps(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> Self {
+        let (n, m) = (task.state_dim(), task.control_dim());
         assert!(samples > 0, "a rollout needs at least one sample");
         assert!(task.horizon() > 0, "a rollout needs a horizon of at least one step");
         assert_eq!(policy.state_dim(), n, "the policy sees {} state components, the system has {n}", policy.state_dim());
         assert_eq!(policy.control_dim(), m, "the policy sets {} controls, the system has {m}", policy.control_dim());
-        let room = Room::new::<P, F>(policy, samples, kept);
+        let room = Room::new(policy, samples, kept);
         let zeros = |len: usize| vec![F::zero(); len];
         let lanes = |len: usize| vec![Lane::zero(); len];
         Self {
@@ -111,8 +109,8 @@ impl<F: Float> Rollout<F> {
     }
 
     /// The [`stored_bytes`](Rollout::stored_bytes) of a rollout that keeps so many steps.
-    pub(crate) fn bytes_of<P: Policy>(policy: &P, samples: usize, kept: usize) -> usize {
-        Room::new::<P, F>(policy, samples, kept).bytes::<F>()
+    pub(crate) fn bytes_of(policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> usize {
+        Room::new(policy, samples, kept).bytes::<F>()
     }
 
     /// Sets the start states, `state_dim` numbers per sample. There may be fewer samples than there is room for.
@@ -146,17 +144,17 @@ impl<F: Float> Rollout<F> {
     ///
     /// # Errors
     /// [`Divergence`] says where a control, state or cost was not finite.
-    pub fn run<T: Task, P: Policy>(&mut self, task: &T, policy: &P, weights: &Weights<F>) -> Result<(), Divergence> {
+    pub fn run(&mut self, task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &Weights<F>) -> Result<(), Divergence> {
         self.costs.fill(Lane::zero());
         self.advance(task, policy, weights, 0..self.horizon)?;
         self.finish(task)
     }
 
     /// Runs the given steps, from a state that is there. Their costs are added to what there is.
-    pub(crate) fn advance<T: Task, P: Policy>(
+    pub(crate) fn advance(
         &mut self,
-        task: &T,
-        policy: &P,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
         weights: &Weights<F>,
         steps: Range<usize>,
     ) -> Result<(), Divergence> {
@@ -165,10 +163,10 @@ impl<F: Float> Rollout<F> {
 
     /// The same where only the state they lead to is wanted: in the room of one step, which stays in the cache. What was
     /// kept is lost.
-    pub(crate) fn pass_over<T: Task, P: Policy>(
+    pub(crate) fn pass_over(
         &mut self,
-        task: &T,
-        policy: &P,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
         weights: &Weights<F>,
         steps: Range<usize>,
     ) -> Result<(), Divergence> {
@@ -188,7 +186,7 @@ impl<F: Float> Rollout<F> {
     }
 
     /// Adds the terminal costs, and says whether all costs are finite.
-    pub(crate) fn finish<T: Task>(&mut self, task: &T) -> Result<(), Divergence> {
+    pub(crate) fn finish(&mut self, task: &dyn AnyTask<F>) -> Result<(), Divergence> {
         let last = self.state_range(self.horizon);
         for (x, cost) in self.states[last].chunks_exact(self.state_dim).zip(&mut self.costs) {
             *cost += task.terminal_cost(x);
@@ -197,7 +195,13 @@ impl<F: Float> Rollout<F> {
         bad.map_or(Ok(()), |sample| Err(Divergence::Cost { sample }))
     }
 
-    fn step<T: Task, P: Policy>(&mut self, task: &T, policy: &P, weights: &Weights<F>, t: usize) -> Result<(), Divergence> {
+    fn step(
+        &mut self,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        weights: &Weights<F>,
+        t: usize,
+    ) -> Result<(), Divergence> {
         let (n, m) = (self.state_dim, self.control_dim);
         let (now, next) = (self.state_range(t), self.state_range(t + 1));
         let at = self.columns(t);
@@ -216,9 +220,7 @@ impl<F: Float> Rollout<F> {
             let (before, after) = self.states.split_at_mut(now.start);
             (&after[..now.len()], &mut before[next])
         };
-        let mut finite = true;
-        dispatch_narrow(Step { task, x, u: controls, next, costs: &mut self.costs, finite: &mut finite });
-        if finite {
+        if task.step_forward(x, controls, next, &mut self.costs) {
             return Ok(());
         }
         let control = find_non_finite(controls, m, self.samples, Real::lane).map(|place| (Variable::Control, t, place));
@@ -229,7 +231,7 @@ impl<F: Float> Rollout<F> {
             block.iter().map(|number| number.lane(sample % WIDTH)).collect()
         };
         let cause = match variable {
-            Variable::State => task.system().cause(&of(x, n), &of(controls, m)),
+            Variable::State => task.cause(&of(x, n), &of(controls, m)),
             Variable::Control => None,
         };
         Err(Divergence::Forward { variable, step, sample, component, cause })

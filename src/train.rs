@@ -1,6 +1,7 @@
 //! [`Trainer`]: what is trained, and how. Thin: every step of it is a call that a user can make alone.
 
 mod checkpoint;
+mod progress;
 mod record;
 mod session;
 
@@ -8,13 +9,13 @@ pub use checkpoint::{CheckpointError, differences};
 pub use record::{Record, Skip};
 pub use session::Session;
 
+use crate::any::AnyTask;
 use crate::field::{Compose, Field, SignAgreement};
 use crate::optim::{Clip, Rule};
 use crate::policy::{Policy, Weights};
 use crate::rng::{Purpose, stream};
 use crate::scalar::Float;
 use crate::schedule::MemoryError;
-use crate::system::System;
 use crate::task::Task;
 use std::marker::PhantomData;
 
@@ -196,18 +197,9 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Trainer<T, P, F, C> {
     pub fn session(self) -> Result<Session<T, P, F, C>, TrainError> {
         let Self { task, policy, field, training, .. } = self;
         training.validate()?;
-        let seed = training.seed;
-        let starts = |purpose, samples| -> Vec<F> {
-            let mut x = vec![0.0; task.system().state_dim()];
-            let draw = |index| {
-                x.fill(0.0);
-                task.start(&mut stream(seed, purpose, index as u64), &mut x);
-                x.iter().map(|&x| F::lift(x)).collect::<Vec<F>>()
-            };
-            (0..samples).flat_map(draw).collect()
-        };
+        let starts = |purpose, samples| starts(&task, training.seed, purpose, samples);
         let (train, test) = (starts(Purpose::Train, training.train_samples), starts(Purpose::Test, training.test_samples));
-        let weights = Weights::init(&policy, &mut stream(seed, Purpose::Policy, 0));
+        let weights = Weights::init(&policy, &mut stream(training.seed, Purpose::Policy, 0));
         Session::new(task, policy, field, training, weights, train, test)
     }
 
@@ -224,6 +216,18 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Trainer<T, P, F, C> {
         let weights = Weights::new(&policy, theta);
         Session::new(task, policy, field, training, weights, train, test)
     }
+}
+
+/// Start states, each of its own stream.
+fn starts<F: Float>(task: &dyn AnyTask<F>, seed: u64, purpose: Purpose, samples: usize) -> Vec<F> {
+    let mut x = vec![0.0; task.state_dim()];
+    let mut all = Vec::with_capacity(samples * x.len());
+    for sample in 0..samples {
+        x.fill(0.0);
+        task.start(&mut stream(seed, purpose, sample as u64), &mut x);
+        all.extend(x.iter().map(|&x| F::lift(x)));
+    }
+    all
 }
 
 /// What a training leaves.

@@ -1,12 +1,12 @@
 //! The same numbers, to the bit, however the work is split and wherever it was interrupted; single against double
 //! precision.
 
+use physgrad::any;
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{CartPole, Guidance, LossMode, Quantum};
 use physgrad::{
-    Batch, CheckpointError, Evaluation, Field, Float, Flow, Gradient, Record, Rollout, Session, System, Task, Trainer, Training,
-    Weights,
+    Batch, CheckpointError, Evaluation, Field, Float, Flow, Gradient, Record, Rollout, Session, Task, Trainer, Training, Weights,
 };
 
 const STATES: usize = 6;
@@ -65,8 +65,11 @@ fn losses_do_not_depend_on_the_number_of_workers_nor_on_the_tape() {
 }
 
 /// The cost and the last state of every sample, as bits.
-fn ends<T: Task>(task: &T, make: impl Fn(&T, &Mlp, usize) -> Rollout<f64>) -> Vec<u64> {
-    let (n, m) = (task.system().state_dim(), task.system().control_dim());
+fn ends(
+    task: &dyn any::AnyTask<f64>,
+    make: impl Fn(&dyn any::AnyTask<f64>, &dyn any::AnyPolicy<f64>, usize) -> Rollout<f64>,
+) -> Vec<u64> {
+    let (n, m) = (task.state_dim(), task.control_dim());
     let policy = Mlp::new([n, 8, m]);
     let mut starts = vec![0.0; 11 * n];
     let mut rng = stream(0, Purpose::Train, 0);

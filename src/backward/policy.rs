@@ -1,8 +1,9 @@
 //! The policy's side of the reverse pass: what it keeps, and its cotangents.
 
 use super::{Flow, Pass};
+use crate::any::AnyPolicy;
 use crate::gradient::Gradient;
-use crate::policy::{Policy, PolicyColumns, PolicyPass, PolicyRecord};
+use crate::policy::{PolicyColumns, PolicyPass, PolicyRecord};
 use crate::scalar::Float;
 use crate::wide::{exponent_of, scaled};
 use std::ops::Range;
@@ -44,9 +45,9 @@ pub(super) struct PolicyRoom {
 }
 
 impl PolicyRoom {
-    pub(super) fn new<P: Policy, F: Float>(policy: &P, columns: usize, flows: &[Flow]) -> Self {
+    pub(super) fn new<F: Float>(policy: &dyn AnyPolicy<F>, columns: usize, flows: &[Flow]) -> Self {
         let (n, m) = (policy.state_dim(), policy.control_dim());
-        let sizes = policy.sizes::<F>(columns);
+        let sizes = policy.sizes(columns);
         // With one control, ∂N/∂x and every layer's cotangent are known up to the factor h before the loop starts, and
         // one linearization in large products serves every flow. With more controls it would take one each.
         let through_inputs = flows.iter().any(|flow| flow.control);
@@ -118,10 +119,10 @@ impl<F: Float> PolicyAdjoint<F> {
     }
 
     /// Adds the columns' part to the parameter gradient of flow `k`.
-    pub(super) fn add_param_gradient<P: Policy>(
+    pub(super) fn add_param_gradient(
         &mut self,
         k: usize,
-        policy: &P,
+        policy: &dyn AnyPolicy<F>,
         pass: PolicyPass<F>,
         tape: &[F],
         theta_bar: &mut Gradient<F>,
@@ -161,7 +162,7 @@ impl<F: Float> PolicyAdjoint<F> {
     }
 
     /// The policy's cotangents of flow `k` in the columns `at`; `∂N/∂x` only if `through_inputs`.
-    pub(super) fn backward<T, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>, k: usize, at: PolicyColumns, through_inputs: bool) {
+    pub(super) fn backward(&mut self, pass: &Pass<'_, F>, k: usize, at: PolicyColumns, through_inputs: bool) {
         let columns = PolicyPass { packed: pass.weights.packed(), at, x: pass.rollout.inputs() };
         let u_bar = if self.unit { &self.ones } else { &self.controls_bar[k] };
         let x_bar = through_inputs.then_some(&mut self.inputs_bar[..]);

@@ -1,23 +1,21 @@
 //! The recursion itself, for one flow or two side by side.
 
 use super::exponents::{Exponents, Size};
-use super::step::{Back, CostsOf, stage_costs};
+use super::step::{CostsOf, StepBack};
 use super::{Flow, Pass, PolicyAdjoint};
+use crate::any::AnyTask;
 use crate::divergence::{Divergence, Variable};
 use crate::growth::Meter;
-use crate::kernels::dispatch_narrow;
-use crate::policy::{Policy, PolicyColumns};
+use crate::policy::PolicyColumns;
 use crate::rollout::{Lane, Rollout, WIDTH, find_non_finite, gather};
 use crate::scalar::{Columns, Float, Real, Scalar};
-use crate::system::System;
-use crate::task::Task;
 use crate::wide::times_power_of_two;
 use crate::zip::zip;
 use std::ops::Range;
 
 /// What the recursion carries for `K` flows.
 #[derive(Debug)]
-pub(super) struct Recursion<F: Float, const K: usize> {
+pub struct Recursion<F: Float, const K: usize> {
     /// λ, `[block][component]`.
     pub(super) lambda: Vec<Columns<Lane<F>, K>>,
     /// The next λ, before the flows choose.
@@ -72,7 +70,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     }
 
     /// λ at the last state. `norms` has a row for each flow, or none.
-    pub(super) fn begin<T: Task, P: Policy>(&mut self, pass: &Pass<'_, T, P, F>, norms: &mut [Vec<f64>]) {
+    pub(super) fn begin(&mut self, pass: &Pass<'_, F>, norms: &mut [Vec<f64>]) {
         let Pass { task, rollout, scale, .. } = *pass;
         let n = rollout.state_dim;
         let last = rollout.states_at(rollout.horizon);
@@ -89,22 +87,23 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     }
 
     /// The recursion at the head of [`backward`](super), through the given steps, for the flows side by side.
-    pub(super) fn back<T: Task, P: Policy>(
+    pub(super) fn back(
         &mut self,
-        pass: &Pass<'_, T, P, F>,
+        pass: &Pass<'_, F>,
+        task: &dyn StepBack<F, K>,
         flows: [Flow; K],
         steps: Range<usize>,
         policy: &mut PolicyAdjoint<F>,
         norms: &mut [Vec<f64>],
     ) -> Result<(), Divergence> {
-        let Pass { task, rollout, scale, measured, .. } = *pass;
+        let Pass { rollout, scale, measured, .. } = *pass;
         let (n, m) = (rollout.state_dim, rollout.control_dim);
         for t in steps.rev() {
             let at = rollout.columns(t);
             if self.low || measured {
                 let mut costs = |block: usize, of_state: &mut [Lane<F>], of_control: &mut [Lane<F>]| {
                     let (next, u) = (&rollout.states_at(t + 1)[block * n..][..n], &rollout.controls_at(t)[block * m..][..m]);
-                    stage_costs(task, next, u, of_state, of_control);
+                    pass.task.stage_cost_gradient(next, u, of_state, of_control);
                 };
                 if self.low {
                     self.lift(rollout, scale, &mut costs);
@@ -113,10 +112,9 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                     self.measure_before(rollout, &mut costs);
                 }
             }
-            let mut calm = true;
-            dispatch_narrow(Back { task, flows, rollout, t, carried: self, calm: &mut calm });
+            let calm = task.step_back(flows, rollout, t, self);
             if !calm && self.settle(flows, rollout, scale) == Size::NotFinite {
-                return Err(self.divergence(task.system(), flows, rollout, t));
+                return Err(self.divergence(pass.task, flows, rollout, t));
             }
             for (k, flow) in flows.into_iter().enumerate() {
                 gather(&self.u_bar, |h, lane| h.0[k].lane(lane), m, at, &mut policy.controls_bar[k]);
@@ -242,7 +240,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
 
     /// The first flow, and in it the first sample, whose state or control cotangent is not finite.
     #[cold]
-    fn divergence<S: System>(&self, system: &S, flows: [Flow; K], rollout: &Rollout<F>, step: usize) -> Divergence {
+    fn divergence(&self, task: &dyn AnyTask<F>, flows: [Flow; K], rollout: &Rollout<F>, step: usize) -> Divergence {
         let find = |columns: &[Columns<Lane<F>, K>], n: usize, k: usize| {
             find_non_finite(columns, n, rollout.samples, |c, lane| c.0[k].lane(lane))
         };
@@ -254,6 +252,6 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             lanes[sample / WIDTH * n..][..n].iter().map(|number| number.lane(sample % WIDTH)).collect()
         };
         let (x, u) = (of(rollout.states_at(step), rollout.state_dim), of(rollout.controls_at(step), rollout.control_dim));
-        Divergence::Cotangent { flow: flows[k], variable, step, sample, component, cause: system.cause(&x, &u) }
+        Divergence::Cotangent { flow: flows[k], variable, step, sample, component, cause: task.cause(&x, &u) }
     }
 }

@@ -3,7 +3,7 @@
 use super::Flow;
 use super::exponents::Calm;
 use super::recursion::Recursion;
-use crate::kernels::{Vectorized, in_lanes};
+use crate::kernels::{Vectorized, dispatch_narrow, in_lanes};
 use crate::rollout::{FEW, Lane, Rollout, WIDTH, read_lane};
 use crate::scalar::{Columns, Float, Real};
 use crate::system::System;
@@ -14,26 +14,27 @@ use smallvec::{SmallVec, smallvec};
 /// Writes the gradients of the costs of a block.
 pub(super) type CostsOf<'a, F> = &'a mut dyn FnMut(usize, &mut [Lane<F>], &mut [Lane<F>]);
 
-/// The gradients of the costs of a block, in one place for each task: what is seldom asked for is not inlined.
-#[inline(never)]
-pub(super) fn stage_costs<T: Task, F: Float>(
-    task: &T,
-    next: &[Lane<F>],
-    u: &[Lane<F>],
-    x_bar: &mut [Lane<F>],
-    u_bar: &mut [Lane<F>],
-) {
-    task.stage_cost_gradient(next, u, x_bar, u_bar);
+/// A task's step back, of all samples at once, for `K` flows.
+pub trait StepBack<F: Float, const K: usize> {
+    /// One step back of all blocks: costs and physics. Returns whether the result is of a size that asks for nothing.
+    fn step_back(&self, flows: [Flow; K], rollout: &Rollout<F>, t: usize, carried: &mut Recursion<F, K>) -> bool;
 }
 
-/// One step back, of all blocks: costs, physics, and whether the result is of a size that asks for nothing.
-pub(super) struct Back<'a, T, F: Float, const K: usize> {
-    pub(super) task: &'a T,
-    pub(super) flows: [Flow; K],
-    pub(super) rollout: &'a Rollout<F>,
-    pub(super) t: usize,
-    pub(super) carried: &'a mut Recursion<F, K>,
-    pub(super) calm: &'a mut bool,
+impl<T: Task, F: Float, const K: usize> StepBack<F, K> for T {
+    fn step_back(&self, flows: [Flow; K], rollout: &Rollout<F>, t: usize, carried: &mut Recursion<F, K>) -> bool {
+        let mut calm = true;
+        dispatch_narrow(Back { task: self, flows, rollout, t, carried, calm: &mut calm });
+        calm
+    }
+}
+
+struct Back<'a, T, F: Float, const K: usize> {
+    task: &'a T,
+    flows: [Flow; K],
+    rollout: &'a Rollout<F>,
+    t: usize,
+    carried: &'a mut Recursion<F, K>,
+    calm: &'a mut bool,
 }
 
 /// What one step back reads and writes, of a block of samples or of one.

@@ -1,7 +1,7 @@
 //! How long the vectors of a rollout are: what it allocates, and what it says it would.
 
 use super::{Lane, WIDTH};
-use crate::policy::Policy;
+use crate::any::AnyPolicy;
 use crate::scalar::Float;
 
 /// How long the vectors of a rollout are.
@@ -15,7 +15,7 @@ pub(super) struct Room {
 }
 
 impl Room {
-    pub(super) fn new<P: Policy, F: Float>(policy: &P, samples: usize, kept: usize) -> Self {
+    pub(super) fn new<F: Float>(policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> Self {
         let (n, m) = (policy.state_dim(), policy.control_dim());
         let (blocks, columns) = (samples.div_ceil(WIDTH), samples * kept);
         Self {
@@ -24,7 +24,7 @@ impl Room {
             costs: blocks,
             inputs: columns * n,
             outputs: columns * m,
-            tape: policy.sizes::<F>(columns).tape,
+            tape: policy.sizes(columns).tape,
         }
     }
 

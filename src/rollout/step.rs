@@ -1,7 +1,7 @@
 //! One step of all samples.
 
 use super::{Lane, WIDTH};
-use crate::kernels::{Vectorized, in_lanes};
+use crate::kernels::{Vectorized, dispatch_narrow, in_lanes};
 use crate::scalar::{Float, Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
@@ -16,14 +16,27 @@ pub(crate) fn read_lane<F: Float>(block: &[Lane<F>], lane: usize, one: &mut [F])
     zip(one, block).for_each(|(one, lanes)| *one = lanes.0[lane]);
 }
 
-/// One step of all blocks, with the costs, and whether the result is finite.
-pub(super) struct Step<'a, T, F: Float> {
-    pub(super) task: &'a T,
-    pub(super) x: &'a [Lane<F>],
-    pub(super) u: &'a [Lane<F>],
-    pub(super) next: &'a mut [Lane<F>],
-    pub(super) costs: &'a mut [Lane<F>],
-    pub(super) finite: &'a mut bool,
+/// A task's step, of all samples at once.
+pub trait StepForward<F: Float> {
+    /// One step of all blocks; adds its costs. Returns whether the result is finite.
+    fn step_forward(&self, x: &[Lane<F>], u: &[Lane<F>], next: &mut [Lane<F>], costs: &mut [Lane<F>]) -> bool;
+}
+
+impl<T: Task, F: Float> StepForward<F> for T {
+    fn step_forward(&self, x: &[Lane<F>], u: &[Lane<F>], next: &mut [Lane<F>], costs: &mut [Lane<F>]) -> bool {
+        let mut finite = true;
+        dispatch_narrow(Step { task: self, x, u, next, costs, finite: &mut finite });
+        finite
+    }
+}
+
+struct Step<'a, T, F: Float> {
+    task: &'a T,
+    x: &'a [Lane<F>],
+    u: &'a [Lane<F>],
+    next: &'a mut [Lane<F>],
+    costs: &'a mut [Lane<F>],
+    finite: &'a mut bool,
 }
 
 /// One step of a block of samples, or of one. Returns the cost, and 0 unless a number is not finite.

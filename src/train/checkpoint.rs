@@ -3,12 +3,11 @@
 //! A checkpoint is a magic number, a format number, a CRC of all that follows, and a postcard body. It carries a label, a
 //! text that says which run it belongs to; a session only takes a checkpoint with its own label.
 
-use super::{Record, Session};
-use crate::field::Compose;
+use super::Record;
+use super::progress::Progress;
+use crate::any::AnyPolicy;
 use crate::optim::Optimizer;
-use crate::policy::Policy;
 use crate::scalar::Float;
-use crate::task::Task;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
@@ -92,9 +91,19 @@ pub fn differences(found: &str, expected: &str) -> String {
 
 const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
 
-impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
-    /// The session as bytes. `label` says which run it is; to take it back, the same label is needed.
-    pub fn checkpoint(&self, label: &str) -> Vec<u8> {
+/// Makes the checksum that of whatever the bytes are.
+pub(super) fn seal(bytes: &mut [u8]) {
+    const CONTENTS: usize = MAGIC.len() + size_of::<u16>() + size_of::<u32>();
+    if let Some((head, contents)) = bytes.split_at_mut_checked(CONTENTS) {
+        head[..MAGIC.len()].copy_from_slice(MAGIC);
+        head[MAGIC.len()..][..2].copy_from_slice(&FORMAT.to_le_bytes());
+        head[MAGIC.len() + 2..].copy_from_slice(&CRC.checksum(contents).to_le_bytes());
+    }
+}
+
+impl<F: Float> Progress<F> {
+    /// As bytes.
+    pub(super) fn checkpoint(&self, label: &str) -> Vec<u8> {
         let header = Header {
             version: env!("CARGO_PKG_VERSION").into(),
             precision: F::NAME.into(),
@@ -111,23 +120,8 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         [MAGIC.as_slice(), &FORMAT.to_le_bytes(), &CRC.checksum(&contents).to_le_bytes(), &contents].concat()
     }
 
-    /// Makes the checksum that of whatever the bytes are, so that tests reach what stands behind it.
-    #[doc(hidden)]
-    pub fn seal(bytes: &mut [u8]) {
-        const CONTENTS: usize = MAGIC.len() + size_of::<u16>() + size_of::<u32>();
-        if let Some((head, contents)) = bytes.split_at_mut_checked(CONTENTS) {
-            head[..MAGIC.len()].copy_from_slice(MAGIC);
-            head[MAGIC.len()..][..2].copy_from_slice(&FORMAT.to_le_bytes());
-            head[MAGIC.len() + 2..].copy_from_slice(&CRC.checksum(contents).to_le_bytes());
-        }
-    }
-
-    /// Takes a checkpoint of the same run back: the epochs that follow are, bit for bit, those of a run that was never
-    /// interrupted.
-    ///
-    /// # Errors
-    /// [`CheckpointError`], with the session as it was.
-    pub fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError> {
+    /// From bytes, or as it was.
+    pub(super) fn restore(&mut self, policy: &dyn AnyPolicy<F>, bytes: &[u8], label: &str) -> Result<(), CheckpointError> {
         let rest = bytes.strip_prefix(MAGIC).ok_or(CheckpointError::NotACheckpoint)?;
         let (format, rest) = rest.split_first_chunk().ok_or_else(|| CheckpointError::Damaged("it ends after its name".into()))?;
         let found = u16::from_le_bytes(*format);
@@ -150,13 +144,13 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
             return Err(CheckpointError::Precision { found: header.precision, expected: F::NAME.into() });
         }
         let body: Body<F> = postcard::from_bytes(body).map_err(|e| damaged(&e))?;
-        let expected = self.policy.param_count();
+        let expected = policy.param_count();
         for found in [header.params, body.theta.len(), body.optimizer.params()] {
             if found != expected {
                 return Err(CheckpointError::Shape { found, expected });
             }
         }
-        self.weights.update(&self.policy, |theta| theta.copy_from_slice(&body.theta));
+        self.weights.update(policy, |theta| theta.copy_from_slice(&body.theta));
         self.optimizer = body.optimizer.into_owned();
         self.records = body.records.into_owned();
         self.skipped_in_a_row = body.skipped_in_a_row;

@@ -1,52 +1,22 @@
 //! [`Session`]: a training under way, epoch by epoch.
 
-use super::record::{Means, Record, Skip, Step};
-use super::{Report, TrainError, Training};
-use crate::backward::Flow;
-use crate::batch::{Batch, Evaluation};
+use super::checkpoint;
+use super::progress::{Progress, Trained};
+use super::{CheckpointError, Record, Report, Skip, TrainError, Training};
 use crate::divergence::Divergence;
 use crate::field::{Compose, Field, SignAgreement};
-use crate::gradient::Gradient;
-use crate::growth::Growth;
-use crate::kernels::{Level, elementwise};
-use crate::optim::Optimizer;
-#[cfg(feature = "parallel")]
-use crate::parallel::among_workers;
 use crate::policy::{Policy, Weights};
-use crate::rng::{Purpose, stream};
 use crate::scalar::Float;
 use crate::schedule::Schedule;
-use crate::system::System;
 use crate::task::Task;
-use crate::wide::Wide;
-use rand::seq::SliceRandom;
-use std::time::Instant;
 
 /// A training under way.
 #[derive(Debug)]
 pub struct Session<T, P, F: Float, C = SignAgreement> {
     task: T,
-    pub(super) policy: P,
+    policy: P,
     field: Field<C>,
-    training: Training,
-    pub(super) weights: Weights<F>,
-    pub(super) optimizer: Optimizer<F>,
-    train: Vec<F>,
-    test: Vec<F>,
-    order: Vec<usize>,
-    pub(super) records: Vec<Record>,
-    skips: Vec<Skip>,
-    /// Skipped updates up to now, in a row.
-    pub(super) skipped_in_a_row: usize,
-    /// θ, the optimizer and `skipped_in_a_row` as they were when the epoch began.
-    before: (Vec<F>, Optimizer<F>, usize),
-    /// Where the last evaluation of the training and of the test set was not finite.
-    diverged: [Option<Divergence>; 2],
-    flows: Vec<Flow>,
-    batch: Batch<F>,
-    evaluation: Evaluation<F>,
-    starts: Vec<F>,
-    composed: Gradient<F>,
+    progress: Progress<F>,
 }
 
 impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
@@ -59,53 +29,17 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         train: Vec<F>,
         test: Vec<F>,
     ) -> Result<Self, TrainError> {
-        let params = policy.param_count();
-        let n = task.system().state_dim();
-        training.validate()?;
-        for (setting, starts) in [("train_samples", &train), ("test_samples", &test)] {
-            if starts.is_empty() || !starts.len().is_multiple_of(n) {
-                let problem = format!("{} numbers are no start states of {n} components", starts.len());
-                return Err(TrainError::Setting { setting, problem });
-            }
-        }
-        let samples = training.batch.min(train.len() / n);
-        let flows = field.flows();
-        let batch = match training.memory {
-            None => Batch::new(&task, &policy, samples, &flows, training.workers),
-            Some(budget) => Batch::within(&task, &policy, samples, &flows, training.workers, budget)?,
-        };
-        let optimizer = Optimizer::new(training.rule, training.learning_rate, params);
-        Ok(Self {
-            batch,
-            flows,
-            evaluation: Evaluation::new(&task, &policy, training.workers),
-            before: (weights.theta().to_vec(), optimizer.clone(), 0),
-            diverged: [None; 2],
-            optimizer,
-            order: (0..train.len() / n).collect(),
-            starts: Vec::with_capacity(samples * n),
-            composed: Gradient::zeros(params),
-            // Room for all of them, unless "for ever" was meant.
-            records: Vec::with_capacity(training.epochs.min(100_000)),
-            skips: Vec::new(),
-            skipped_in_a_row: 0,
-            task,
-            policy,
-            field,
-            training,
-            weights,
-            train,
-            test,
-        })
+        let progress = Progress::new(&task, &policy, field.flows(), training, weights, train, test)?;
+        Ok(Self { task, policy, field, progress })
     }
 
     pub(super) fn into_report(self) -> Report<F> {
-        Report { weights: self.weights, records: self.records }
+        Report { weights: self.progress.weights, records: self.progress.records }
     }
 
     /// Whether all epochs are done.
     pub fn is_done(&self) -> bool {
-        self.records.len() >= self.training.epochs
+        self.progress.records.len() >= self.progress.training.epochs
     }
 
     /// The task.
@@ -120,32 +54,32 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
 
     /// The parameters as they are now.
     pub fn weights(&self) -> &Weights<F> {
-        &self.weights
+        &self.progress.weights
     }
 
     /// What is kept of the trajectories of a mini-batch, and what is run again.
     pub fn schedule(&self) -> Schedule {
-        self.batch.schedule()
+        self.progress.batch.schedule()
     }
 
     /// One record per epoch done.
     pub fn records(&self) -> &[Record] {
-        &self.records
+        &self.progress.records
     }
 
     /// The test start states, `state_dim` numbers per sample.
     pub fn test_starts(&self) -> &[F] {
-        &self.test
+        &self.progress.test
     }
 
     /// The updates skipped in the last epoch.
     pub fn skips(&self) -> &[Skip] {
-        &self.skips
+        &self.progress.skips
     }
 
     /// Where the evaluation of the training set and of the test set at the end of the last epoch was not finite.
     pub fn diverged(&self) -> [Option<Divergence>; 2] {
-        self.diverged
+        self.progress.diverged
     }
 
     /// Runs one epoch: all updates, then the losses of both data sets.
@@ -154,112 +88,28 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
     /// [`TrainError::Diverged`] after too many skipped updates in a row. The session is then as it was before this
     /// epoch.
     pub fn epoch(&mut self) -> Result<&Record, TrainError> {
-        #[cfg(feature = "parallel")]
-        if self.training.workers > 1 {
-            let mut outcome = Ok(());
-            among_workers(&mut || outcome = self.epoch_here());
-            return outcome.map(|()| &self.records[self.records.len() - 1]);
-        }
-        self.epoch_here()?;
-        Ok(&self.records[self.records.len() - 1])
+        let Self { task, policy, field, progress } = self;
+        progress.epoch(Trained { task, policy, field })?;
+        Ok(&progress.records[progress.records.len() - 1])
     }
 
-    fn epoch_here(&mut self) -> Result<(), TrainError> {
-        let begin = Instant::now();
-        let epoch = self.records.len() + 1;
-        self.skips.clear();
-        self.before.0.copy_from_slice(self.weights.theta());
-        self.before.1.copy_from(&self.optimizer);
-        self.before.2 = self.skipped_in_a_row;
-        if self.training.shuffle {
-            // From the same start in every epoch, so that a resumed run has the same order.
-            self.order.sort_unstable();
-            self.order.shuffle(&mut stream(self.training.seed, Purpose::Shuffle, epoch as u64));
-        }
-        let mut means = Means::default();
-        self.batch.measure(true);
-        for update in 0..self.order.len().div_ceil(self.training.batch) {
-            match self.update(update) {
-                Ok(step) => {
-                    if means.is_empty() {
-                        // One update tells how adjoints grow.
-                        means.growths = [Flow::REGULAR, Flow::MODIFIED].map(|flow| self.growth(flow));
-                        self.batch.measure(false);
-                    }
-                    means.add(&step);
-                    self.skipped_in_a_row = 0;
-                }
-                Err(divergence) => {
-                    let skip = Skip { epoch, update, divergence };
-                    self.skips.push(skip);
-                    self.skipped_in_a_row += 1;
-                    if self.skipped_in_a_row > self.training.max_skipped {
-                        let count = self.skipped_in_a_row;
-                        self.weights.update(&self.policy, |theta| theta.copy_from_slice(&self.before.0));
-                        self.optimizer.copy_from(&self.before.1);
-                        self.skipped_in_a_row = self.before.2;
-                        return Err(TrainError::Diverged { count, last: skip });
-                    }
-                }
-            }
-        }
-        let losses = [&self.train, &self.test].map(|starts| self.evaluation.run(&self.task, &self.policy, &self.weights, starts));
-        self.diverged = losses.map(Result::err);
-        let [train_loss, test_loss] = losses.map(|loss| loss.unwrap_or(f64::NAN));
-        let seconds = begin.elapsed().as_secs_f64();
-        self.records.push(means.record(epoch, train_loss, test_loss, self.skips.len(), seconds));
-        Ok(())
+    /// The session as bytes. `label` says which run it is; to take it back, the same label is needed.
+    pub fn checkpoint(&self, label: &str) -> Vec<u8> {
+        self.progress.checkpoint(label)
     }
 
-    /// One update, on mini-batch number `index` of the epoch.
-    fn update(&mut self, index: usize) -> Result<Step, Divergence> {
-        let n = self.task.system().state_dim();
-        let batch = self.training.batch;
-        self.starts.clear();
-        for &sample in self.order.chunks(batch).nth(index).unwrap_or(&[]) {
-            self.starts.extend_from_slice(&self.train[sample * n..][..n]);
-        }
-        let loss = self.batch.run(&self.task, &self.policy, &self.weights, &self.starts)?;
-        let gradients = self.batch.gradients();
-        let level = Level::best();
-        let (first, second) = (gradients[0].values(), gradients[gradients.len() - 1].values());
-        let (dot, first_square, second_square) = elementwise::moments(level, first, second);
-        for (&flow, (gradient, square)) in self.flows.iter().zip([(first, first_square), (second, second_square)]) {
-            if !square.is_finite() {
-                return Err(Divergence::Gradient { flow, parameter: worst(gradient) });
-            }
-        }
-        self.field.compose(gradients, &mut self.composed);
-        let composed = gradients.len() > 1;
-        let values = self.composed.values();
-        let length = if composed { elementwise::moments(level, values, values).0.sqrt() } else { first_square.sqrt() };
-        let norm = Wide::new(length, self.composed.exponent());
-        // Optimizers square what they are given, and sum the squares of many updates.
-        if !length.is_finite() || self.training.clip.bound(norm.get()) > F::MAX.sqrt() * 1e-3 {
-            return Err(Divergence::Field { parameter: worst(values), norm });
-        }
-        let zero = F::zero();
-        let step = Step {
-            loss,
-            norm,
-            cosine: composed.then(|| if dot == 0.0 { 0.0 } else { dot / (first_square.sqrt() * second_square.sqrt()) }),
-            kept: composed.then(|| values.iter().filter(|&&g| g != zero).count() as f64 / values.len() as f64),
-        };
-        self.training.clip.apply_knowing(&mut self.composed, norm);
-        self.weights.update(&self.policy, |theta| self.optimizer.step(theta, self.composed.values()));
-        Ok(step)
+    /// Takes a checkpoint of the same run back: the epochs that follow are, bit for bit, those of a run that was never
+    /// interrupted.
+    ///
+    /// # Errors
+    /// [`CheckpointError`], with the session as it was.
+    pub fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError> {
+        self.progress.restore(&self.policy, bytes, label)
     }
 
-    /// How the adjoint of this flow grew in the last update, if the field has it.
-    fn growth(&self, flow: Flow) -> Option<Growth> {
-        self.flows.iter().position(|&own| own == flow).and_then(|k| self.batch.growth(k))
+    /// Makes the checksum that of whatever the bytes are, so that tests reach what stands behind it.
+    #[doc(hidden)]
+    pub fn seal(bytes: &mut [u8]) {
+        checkpoint::seal(bytes);
     }
-}
-
-/// The first component that is not finite, or else the largest.
-#[cold]
-fn worst<F: Float>(gradient: &[F]) -> usize {
-    let size = |i: &usize| gradient[*i].as_().abs();
-    let all = 0..gradient.len();
-    all.clone().find(|i| !size(i).is_finite()).or_else(|| all.max_by(|i, j| size(i).total_cmp(&size(j)))).unwrap_or(0)
 }

@@ -1,0 +1,211 @@
+//! [`Progress`]: a training under way, of a task and a policy behind pointers.
+
+use super::record::{Means, Record, Skip, Step};
+use super::{TrainError, Training};
+use crate::any::{AnyField, AnyPolicy, AnyTask};
+use crate::backward::Flow;
+use crate::batch::{Batch, Evaluation};
+use crate::divergence::Divergence;
+use crate::gradient::Gradient;
+use crate::growth::Growth;
+use crate::kernels::{Level, elementwise};
+use crate::optim::Optimizer;
+#[cfg(feature = "parallel")]
+use crate::parallel::among_workers;
+use crate::policy::Weights;
+use crate::rng::{Purpose, stream};
+use crate::scalar::Float;
+use crate::wide::Wide;
+use rand::seq::SliceRandom;
+use std::time::Instant;
+
+/// What is trained.
+#[derive(Clone, Copy)]
+pub(super) struct Trained<'a, F: Float> {
+    pub(super) task: &'a dyn AnyTask<F>,
+    pub(super) policy: &'a dyn AnyPolicy<F>,
+    pub(super) field: &'a dyn AnyField<F>,
+}
+
+/// Everything of a training that changes, and room for it.
+#[derive(Debug)]
+pub(super) struct Progress<F: Float> {
+    pub(super) training: Training,
+    pub(super) weights: Weights<F>,
+    pub(super) optimizer: Optimizer<F>,
+    pub(super) train: Vec<F>,
+    pub(super) test: Vec<F>,
+    order: Vec<usize>,
+    pub(super) records: Vec<Record>,
+    pub(super) skips: Vec<Skip>,
+    /// Skipped updates up to now, in a row.
+    pub(super) skipped_in_a_row: usize,
+    /// θ, the optimizer and `skipped_in_a_row` as they were when the epoch began.
+    before: (Vec<F>, Optimizer<F>, usize),
+    /// Where the last evaluation of the training and of the test set was not finite.
+    pub(super) diverged: [Option<Divergence>; 2],
+    flows: Vec<Flow>,
+    pub(super) batch: Batch<F>,
+    evaluation: Evaluation<F>,
+    starts: Vec<F>,
+    composed: Gradient<F>,
+}
+
+impl<F: Float> Progress<F> {
+    pub(super) fn new(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        flows: Vec<Flow>,
+        training: Training,
+        weights: Weights<F>,
+        train: Vec<F>,
+        test: Vec<F>,
+    ) -> Result<Self, TrainError> {
+        let params = policy.param_count();
+        let n = task.state_dim();
+        training.validate()?;
+        for (setting, starts) in [("train_samples", &train), ("test_samples", &test)] {
+            if starts.is_empty() || !starts.len().is_multiple_of(n) {
+                let problem = format!("{} numbers are no start states of {n} components", starts.len());
+                return Err(TrainError::Setting { setting, problem });
+            }
+        }
+        let samples = training.batch.min(train.len() / n);
+        let batch = match training.memory {
+            None => Batch::new(task, policy, samples, &flows, training.workers),
+            Some(budget) => Batch::within(task, policy, samples, &flows, training.workers, budget)?,
+        };
+        let optimizer = Optimizer::new(training.rule, training.learning_rate, params);
+        Ok(Self {
+            batch,
+            flows,
+            evaluation: Evaluation::new(task, policy, training.workers),
+            before: (weights.theta().to_vec(), optimizer.clone(), 0),
+            diverged: [None; 2],
+            optimizer,
+            order: (0..train.len() / n).collect(),
+            starts: Vec::with_capacity(samples * n),
+            composed: Gradient::zeros(params),
+            // Room for all of them, unless "for ever" was meant.
+            records: Vec::with_capacity(training.epochs.min(100_000)),
+            skips: Vec::new(),
+            skipped_in_a_row: 0,
+            training,
+            weights,
+            train,
+            test,
+        })
+    }
+
+    /// One epoch; on one of the threads that the work is split over, if there are several.
+    pub(super) fn epoch(&mut self, trained: Trained<'_, F>) -> Result<(), TrainError> {
+        #[cfg(feature = "parallel")]
+        if self.training.workers > 1 {
+            let mut outcome = Ok(());
+            among_workers(&mut || outcome = self.epoch_here(trained));
+            return outcome;
+        }
+        self.epoch_here(trained)
+    }
+
+    fn epoch_here(&mut self, trained: Trained<'_, F>) -> Result<(), TrainError> {
+        let Trained { task, policy, .. } = trained;
+        let begin = Instant::now();
+        let epoch = self.records.len() + 1;
+        self.skips.clear();
+        self.before.0.copy_from_slice(self.weights.theta());
+        self.before.1.copy_from(&self.optimizer);
+        self.before.2 = self.skipped_in_a_row;
+        if self.training.shuffle {
+            // From the same start in every epoch, so that a resumed run has the same order.
+            self.order.sort_unstable();
+            self.order.shuffle(&mut stream(self.training.seed, Purpose::Shuffle, epoch as u64));
+        }
+        let mut means = Means::default();
+        self.batch.measure(true);
+        for update in 0..self.order.len().div_ceil(self.training.batch) {
+            match self.update(trained, update) {
+                Ok(step) => {
+                    if means.is_empty() {
+                        // One update tells how adjoints grow.
+                        means.growths = [Flow::REGULAR, Flow::MODIFIED].map(|flow| self.growth(flow));
+                        self.batch.measure(false);
+                    }
+                    means.add(&step);
+                    self.skipped_in_a_row = 0;
+                }
+                Err(divergence) => {
+                    let skip = Skip { epoch, update, divergence };
+                    self.skips.push(skip);
+                    self.skipped_in_a_row += 1;
+                    if self.skipped_in_a_row > self.training.max_skipped {
+                        let count = self.skipped_in_a_row;
+                        self.weights.update(policy, |theta| theta.copy_from_slice(&self.before.0));
+                        self.optimizer.copy_from(&self.before.1);
+                        self.skipped_in_a_row = self.before.2;
+                        return Err(TrainError::Diverged { count, last: skip });
+                    }
+                }
+            }
+        }
+        let losses = [&self.train, &self.test].map(|starts| self.evaluation.run(task, policy, &self.weights, starts));
+        self.diverged = losses.map(Result::err);
+        let [train_loss, test_loss] = losses.map(|loss| loss.unwrap_or(f64::NAN));
+        let seconds = begin.elapsed().as_secs_f64();
+        self.records.push(means.record(epoch, train_loss, test_loss, self.skips.len(), seconds));
+        Ok(())
+    }
+
+    /// One update, on mini-batch number `index` of the epoch.
+    fn update(&mut self, trained: Trained<'_, F>, index: usize) -> Result<Step, Divergence> {
+        let Trained { task, policy, field } = trained;
+        let n = task.state_dim();
+        let batch = self.training.batch;
+        self.starts.clear();
+        for &sample in self.order.chunks(batch).nth(index).unwrap_or(&[]) {
+            self.starts.extend_from_slice(&self.train[sample * n..][..n]);
+        }
+        let loss = self.batch.run(task, policy, &self.weights, &self.starts)?;
+        let gradients = self.batch.gradients();
+        let level = Level::best();
+        let (first, second) = (gradients[0].values(), gradients[gradients.len() - 1].values());
+        let (dot, first_square, second_square) = elementwise::moments(level, first, second);
+        for (&flow, (gradient, square)) in self.flows.iter().zip([(first, first_square), (second, second_square)]) {
+            if !square.is_finite() {
+                return Err(Divergence::Gradient { flow, parameter: worst(gradient) });
+            }
+        }
+        field.compose(gradients, &mut self.composed);
+        let composed = gradients.len() > 1;
+        let values = self.composed.values();
+        let length = if composed { elementwise::moments(level, values, values).0.sqrt() } else { first_square.sqrt() };
+        let norm = Wide::new(length, self.composed.exponent());
+        // Optimizers square what they are given, and sum the squares of many updates.
+        if !length.is_finite() || self.training.clip.bound(norm.get()) > F::MAX.sqrt() * 1e-3 {
+            return Err(Divergence::Field { parameter: worst(values), norm });
+        }
+        let zero = F::zero();
+        let step = Step {
+            loss,
+            norm,
+            cosine: composed.then(|| if dot == 0.0 { 0.0 } else { dot / (first_square.sqrt() * second_square.sqrt()) }),
+            kept: composed.then(|| values.iter().filter(|&&g| g != zero).count() as f64 / values.len() as f64),
+        };
+        self.training.clip.apply_knowing(&mut self.composed, norm);
+        self.weights.update(policy, |theta| self.optimizer.step(theta, self.composed.values()));
+        Ok(step)
+    }
+
+    /// How the adjoint of this flow grew in the last update, if the field has it.
+    fn growth(&self, flow: Flow) -> Option<Growth> {
+        self.flows.iter().position(|&own| own == flow).and_then(|k| self.batch.growth(k))
+    }
+}
+
+/// The first component that is not finite, or else the largest.
+#[cold]
+fn worst<F: Float>(gradient: &[F]) -> usize {
+    let size = |i: &usize| gradient[*i].as_().abs();
+    let all = 0..gradient.len();
+    all.clone().find(|i| !size(i).is_finite()).or_else(|| all.max_by(|i, j| size(i).total_cmp(&size(j)))).unwrap_or(0)
+}
