@@ -7,7 +7,7 @@ use crate::backward::StepBack;
 use crate::divergence::Cause;
 use crate::field::{Compose, Field};
 use crate::gradient::Gradient;
-use crate::policy::{Policy, PolicyPass, PolicyRecord, Sizes};
+use crate::policy::{Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
 use crate::rng::Rng;
 use crate::rollout::{Lane, StepForward};
 use crate::scalar::Float;
@@ -70,6 +70,7 @@ pub trait AnyPolicy<F: Float>: Send + Sync {
     fn control_dim(&self) -> usize;
     fn param_count(&self) -> usize;
     fn init(&self, rng: &mut Rng, theta: &mut [f64]);
+    fn tensors(&self) -> Vec<Tensor>;
     fn sizes(&self, columns: usize) -> Sizes;
     fn pack(&self, theta: &[F], packed: &mut [F]);
     fn forward(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]);
@@ -92,6 +93,10 @@ impl<P: Policy, F: Float> AnyPolicy<F> for P {
 
     fn init(&self, rng: &mut Rng, theta: &mut [f64]) {
         Policy::init(self, rng, theta);
+    }
+
+    fn tensors(&self) -> Vec<Tensor> {
+        Policy::tensors(self)
     }
 
     fn sizes(&self, columns: usize) -> Sizes {

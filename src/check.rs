@@ -13,24 +13,22 @@ mod policies;
 #[cfg(feature = "double-double")]
 mod reference;
 mod stability;
+mod systems;
 
 pub use oracle::slope_by_duals;
-pub(crate) use oracle::step_vjp;
 pub use plateau::{Plateau, plateau};
 pub use policies::{policy, try_policy};
 #[cfg(feature = "double-double")]
 pub use reference::slope;
 pub use stability::{Stability, stability};
 
-use crate::apart::{step, vjp};
+use crate::any::{AnyPolicy, AnyTask};
 use crate::backward::Flow;
 use crate::batch::Batch;
 use crate::divergence::Divergence;
-use crate::kernels::has_lanes;
 use crate::policy::{Policy, Weights};
 use crate::rng::{Purpose, Rng, stream};
-use crate::rollout::{Rollout, WIDTH};
-use crate::scalar::{Columns, Lanes, Real, Scalar};
+use crate::rollout::Rollout;
 use crate::system::System;
 use crate::task::Task;
 use rand_distr::{Distribution, StandardNormal};
@@ -182,82 +180,7 @@ pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
 /// # Errors
 /// The first [`Mismatch`].
 pub fn try_system_at<S: System>(system: &S, draw: impl Fn(&mut Rng, &mut [f64], &mut [f64])) -> Result<Passed, Mismatch> {
-    try_system_drawn(system, &draw)
-}
-
-/// Draws a state and a control.
-type Draw<'a> = &'a dyn Fn(&mut Rng, &mut [f64], &mut [f64]);
-
-/// The same, compiled once for each system.
-fn try_system_drawn<S: System>(system: &S, draw: Draw) -> Result<Passed, Mismatch> {
-    let (n, m) = (system.state_dim(), system.control_dim());
-    let mut c = Comparison::new(ONE_STEP);
-    for case in 0..CASES {
-        c.case = case;
-        let mut rng = stream(case, Purpose::Check, 0);
-        let (mut x, mut u) = (vec![0.0; n], vec![0.0; m]);
-        draw(&mut rng, &mut x, &mut u);
-        let next_bar = normal(&mut rng, n);
-
-        let (x_dual, u_dual) = step_vjp(system, &x, &u, &next_bar);
-        let (mut x_bar, mut u_bar) = (vec![f64::NAN; n], vec![f64::NAN; m]);
-        vjp(system, &x, &u, &next_bar, &mut x_bar, &mut u_bar);
-        c.slices("vjp: x_bar", &x_bar, &x_dual)?;
-        c.slices("vjp: u_bar", &u_bar, &u_dual)?;
-        let next_bars: Vec<_> = next_bar.iter().map(|&bar| Columns([bar])).collect();
-        let (mut x_only, mut u_only) = (vec![Columns([f64::NAN]); n], vec![Columns([f64::NAN]); m]);
-        system.vjp_state(&x, &u, &next_bars, &mut x_only);
-        system.vjp_control(&x, &u, &next_bars, &mut u_only);
-        let plain = |bars: &[Columns<f64, 1>]| bars.iter().map(|bar| bar.0[0]).collect::<Vec<_>>();
-        c.slices("vjp_state: x_bar", &plain(&x_only), &x_dual)?;
-        c.slices("vjp_control: u_bar", &plain(&u_only), &u_dual)?;
-
-        let (x_tan, u_tan) = (normal(&mut rng, n), normal(&mut rng, m));
-        let (mut by_x, mut by_u) = (vec![0.0; n], vec![0.0; n]);
-        system.jvp_state(&x, &u, &x_tan, &mut by_x);
-        system.jvp_control(&x, &u, &u_tan, &mut by_u);
-        for (what, next_tan, bar, tan) in [("jvp_state", by_x, &x_dual, &x_tan), ("jvp_control", by_u, &u_dual, &u_tan)] {
-            let terms = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a * b).abs()).sum::<f64>();
-            let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-            let scale = terms(&next_bar, &next_tan).max(terms(bar, tan));
-            c.one(what, 0, dot(&next_bar, &next_tan), dot(bar, tan), scale)?;
-        }
-        // Elsewhere rollouts have no lanes.
-        if has_lanes() {
-            lanes(system, &x, &u, &next_bar, &mut c)?;
-        }
-    }
-    Ok(c.passed)
-}
-
-/// Two columns of lanes, as many as rollouts have, each lane another input, against the same on plain numbers: the same
-/// bits.
-fn lanes<S: System>(system: &S, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
-    const W: usize = WIDTH;
-    let vary = |v: &[f64], lane: usize| v.iter().map(|v| v * (1.0 + lane as f64 / 64.0)).collect::<Vec<f64>>();
-    let pack = |v: &[f64]| -> Vec<Lanes<f64, W>> {
-        let lanes: [Vec<f64>; W] = std::array::from_fn(|lane| vary(v, lane));
-        (0..v.len()).map(|i| Lanes(std::array::from_fn(|lane| lanes[lane][i]))).collect()
-    };
-    let (n, m) = (x.len(), u.len());
-    let (x_lanes, u_lanes) = (pack(x), pack(u));
-    let mut next = vec![Lanes::zero(); n];
-    step(system, &x_lanes, &u_lanes, &mut next);
-    let column = |v: Lanes<f64, W>| Columns([v, -v]);
-    let next_bars: Vec<_> = pack(next_bar).into_iter().map(column).collect();
-    let (mut x_bars, mut u_bars) = (vec![column(Lanes::zero()); n], vec![column(Lanes::zero()); m]);
-    system.vjp(&x_lanes, &u_lanes, &next_bars, &mut x_bars, &mut u_bars);
-    for lane in 0..W {
-        let (x, u, next_bar) = (vary(x, lane), vary(u, lane), vary(next_bar, lane));
-        let (mut plain, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], vec![0.0; m]);
-        step(system, &x, &u, &mut plain);
-        vjp(system, &x, &u, &next_bar, &mut x_bar, &mut u_bar);
-        c.equal("step in lanes", &next.iter().map(|v| v.lane(lane)).collect::<Vec<_>>(), &plain)?;
-        let first = |v: &[Columns<Lanes<f64, W>, 2>]| v.iter().map(|v| v.0[0].lane(lane)).collect::<Vec<_>>();
-        c.equal("vjp in lanes: x_bar", &first(&x_bars), &x_bar)?;
-        c.equal("vjp in lanes: u_bar", &first(&u_bars), &u_bar)?;
-    }
-    Ok(())
+    systems::check(system, &draw)
 }
 
 /// Checks the gradients of whole rollouts for every flow (R, M, N, S) against duals of the same rollout in which what
@@ -283,8 +206,27 @@ pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Passed {
 /// # Errors
 /// The first [`Mismatch`], or rollouts that diverge whatever the parameters.
 pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<Passed, Failure> {
+    let slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
+        oracle::slope_by_duals(task, policy, theta, starts, flow, tangent)
+    };
+    check_flow(task, policy, flow, &|theta, starts| oracle::loss(task, policy, theta, starts), &slope)
+}
+
+/// The mean loss with these parameters from these states.
+type Loss<'a> = &'a dyn Fn(&[f64], &[f64]) -> f64;
+/// Its derivative in a direction.
+type Slope<'a> = &'a dyn Fn(&[f64], &[f64], &dyn Fn(usize) -> f64) -> f64;
+
+/// The same, compiled once.
+fn check_flow(
+    task: &dyn AnyTask<f64>,
+    policy: &dyn AnyPolicy<f64>,
+    flow: Flow,
+    loss_by_duals: Loss,
+    slope: Slope,
+) -> Result<Passed, Failure> {
     const SAMPLES: usize = 3;
-    let n = task.system().state_dim();
+    let n = task.state_dim();
     let mut c = Comparison::new(ROLLOUT);
     for case in 0..CASES_OF_LONG_CHECKS {
         c.case = case;
@@ -301,15 +243,15 @@ pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<
         let (loss, gradient_alone) = gradient(&[flow])?;
         let (_, gradient_beside) = gradient(&[Flow::MODIFIED, flow])?;
         let theta = weights.theta();
-        c.slices("loss", &[loss], &[oracle::loss(task, policy, theta, &starts)])?;
+        c.slices("loss", &[loss], &[loss_by_duals(theta, &starts)])?;
         c.slices("gradient computed beside M", &gradient_beside, &gradient_alone)?;
 
         let largest = gradient_alone.iter().fold(0.0, |s: f64, g| s.max(g.abs()));
-        for (index, expected) in oracle::some_components(task, policy, theta, &starts, flow, &mut rng) {
+        for (index, expected) in oracle::some_components(theta.len(), &mut rng, &|tangent| slope(theta, &starts, tangent)) {
             c.one("gradient", index, gradient_alone[index], expected, largest.max(expected.abs()))?;
         }
         let length = gradient_alone.iter().map(|g| g * g).sum::<f64>().sqrt();
-        let directions = oracle::some_directions(task, policy, theta, &starts, flow, &mut rng);
+        let directions = oracle::some_directions(theta.len(), &mut rng, &|tangent| slope(theta, &starts, tangent));
         for (index, (direction, expected)) in directions.into_iter().enumerate() {
             let found = direction.iter().zip(&gradient_alone).map(|(d, g)| d * g).sum();
             c.one("gradient in random direction", index, found, expected, length.max(expected.abs()))?;
@@ -319,8 +261,13 @@ pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<
 }
 
 /// Random parameters with which the rollouts are finite: initial ones with noise, less of it if need be.
-fn finite_weights<T: Task, P: Policy>(task: &T, policy: &P, starts: &[f64], case: u64) -> Result<Weights<f64>, Failure> {
-    let mut rollout = Rollout::for_evaluation(task, policy, starts.len() / task.system().state_dim());
+fn finite_weights(
+    task: &dyn AnyTask<f64>,
+    policy: &dyn AnyPolicy<f64>,
+    starts: &[f64],
+    case: u64,
+) -> Result<Weights<f64>, Failure> {
+    let mut rollout = Rollout::for_evaluation(task, policy, starts.len() / task.state_dim());
     rollout.start(starts);
     let mut found = Ok(());
     for noise in [0.1, 0.01, 0.001] {

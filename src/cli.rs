@@ -14,6 +14,7 @@ mod folder;
 mod kind;
 mod outputs;
 mod paper;
+mod parallel;
 mod presets;
 mod print;
 mod problem;

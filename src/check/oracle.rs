@@ -1,5 +1,6 @@
 //! What the checks compare with: num-dual's numbers through `act` and `step`, with what a flow leaves out detached.
 
+use crate::any::AnyPolicy;
 use crate::apart::step;
 use crate::backward::Flow;
 use crate::policy::{Policy, Weights};
@@ -18,7 +19,7 @@ const DIRECTIONS: usize = 4;
 const ALL: usize = 64;
 
 /// Initial parameters, with noise of this size added so that no layer is zero.
-pub fn weights<P: Policy>(policy: &P, size: f64, rng: &mut Rng) -> Weights<f64> {
+pub fn weights(policy: &dyn AnyPolicy<f64>, size: f64, rng: &mut Rng) -> Weights<f64> {
     let mut theta = vec![0.0; policy.param_count()];
     policy.init(rng, &mut theta);
     for theta in &mut theta {
@@ -66,57 +67,37 @@ pub fn slope_by_duals<T: Task, P: Policy>(
     rollouts(task, policy, &along(theta, tangent), starts, flow).eps
 }
 
+/// The derivative in a direction, of which this is the tangent of every parameter.
+type Along<'a> = &'a dyn Fn(&dyn Fn(usize) -> f64) -> f64;
+
 /// Components of the gradient and their indices: all of a few, some of many.
-pub fn some_components<T: Task, P: Policy>(
-    task: &T,
-    policy: &P,
-    theta: &[f64],
-    starts: &[f64],
-    flow: Flow,
-    rng: &mut Rng,
-) -> Vec<(usize, f64)> {
-    let all = theta.len() <= ALL;
-    let indices: Vec<usize> =
-        if all { (0..theta.len()).collect() } else { (0..16).map(|_| rng.random_range(0..theta.len())).collect() };
-    indices.into_iter().map(|i| (i, slope_by_duals(task, policy, theta, starts, flow, &|p| unit(p, i)))).collect()
+pub fn some_components(params: usize, rng: &mut Rng, along: Along) -> Vec<(usize, f64)> {
+    let all = params <= ALL;
+    let indices: Vec<usize> = if all { (0..params).collect() } else { (0..16).map(|_| rng.random_range(0..params)).collect() };
+    indices.into_iter().map(|i| (i, along(&|p| unit(p, i)))).collect()
 }
 
 /// Random directions and the derivatives in them.
-pub fn some_directions<T: Task, P: Policy>(
-    task: &T,
-    policy: &P,
-    theta: &[f64],
-    starts: &[f64],
-    flow: Flow,
-    rng: &mut Rng,
-) -> Vec<(Vec<f64>, f64)> {
-    let slope = |direction: &[f64]| slope_by_duals(task, policy, theta, starts, flow, &|p| direction[p]);
-    directions(rng, theta.len())
-        .into_iter()
-        .map(|direction| {
-            let slope = slope(&direction);
-            (direction, slope)
-        })
-        .collect()
+pub fn some_directions(params: usize, rng: &mut Rng, along: Along) -> Vec<(Vec<f64>, f64)> {
+    let with_slope = |direction: Vec<f64>| {
+        let slope = along(&|p| direction[p]);
+        (direction, slope)
+    };
+    directions(rng, params).into_iter().map(with_slope).collect()
 }
+
+/// A policy on num-dual's numbers: θ, x and where u goes.
+pub type Act<'a> = &'a dyn Fn(&[Dual64], &[Dual64], &mut [Dual64]);
 
 /// `(∂N/∂x)ᵀ u_bar` of every column.
-pub fn policy_input_gradient<P: Policy>(policy: &P, theta: &[f64], x: &[f64], u_bar: &[f64]) -> Vec<f64> {
+pub fn policy_input_gradient(act: Act, (n, m): (usize, usize), theta: &[f64], x: &[f64], u_bar: &[f64]) -> Vec<f64> {
     let theta = constants(theta);
-    let columns = x.chunks_exact(policy.state_dim()).zip(u_bar.chunks_exact(policy.control_dim()));
-    columns.flat_map(|(x, u_bar)| pulled_back(x, u_bar, &|x, u| policy.act(&theta, x, u))).collect()
-}
-
-/// `(∂S/∂x)ᵀ next_bar` and `(∂S/∂u)ᵀ next_bar`.
-pub fn step_vjp<S: System>(system: &S, x: &[f64], u: &[f64], next_bar: &[f64]) -> (Vec<f64>, Vec<f64>) {
-    let n = x.len();
-    let mut x_bar = pulled_back(&[x, u].concat(), next_bar, &|xu, next| step(system, &xu[..n], &xu[n..], next));
-    let u_bar = x_bar.split_off(n);
-    (x_bar, u_bar)
+    let columns = x.chunks_exact(n).zip(u_bar.chunks_exact(m));
+    columns.flat_map(|(x, u_bar)| pulled_back(x, u_bar, &|x, u| act(&theta, x, u))).collect()
 }
 
 /// `(∂f/∂inputs)ᵀ bar`.
-fn pulled_back(inputs: &[f64], bar: &[f64], f: &dyn Fn(&[Dual64], &mut [Dual64])) -> Vec<f64> {
+pub fn pulled_back(inputs: &[f64], bar: &[f64], f: &dyn Fn(&[Dual64], &mut [Dual64])) -> Vec<f64> {
     let mut outputs = constants(&vec![0.0; bar.len()]);
     let mut component = |i: usize| {
         f(&along(inputs, &|j| unit(j, i)), &mut outputs);
@@ -126,15 +107,21 @@ fn pulled_back(inputs: &[f64], bar: &[f64], f: &dyn Fn(&[Dual64], &mut [Dual64])
 }
 
 /// `⟨u_bar, (∂N/∂θ) v⟩` of every column, for the direction v that `tangent(parameter)` is.
-fn policy_slope<P: Policy>(policy: &P, theta: &[f64], x: &[f64], u_bar: &[f64], tangent: &dyn Fn(usize) -> f64) -> Vec<f64> {
+fn policy_slope(
+    act: Act,
+    (n, m): (usize, usize),
+    theta: &[f64],
+    x: &[f64],
+    u_bar: &[f64],
+    tangent: &dyn Fn(usize) -> f64,
+) -> Vec<f64> {
     let theta = along(theta, tangent);
-    let mut u = constants(&vec![0.0; policy.control_dim()]);
-    let columns = x.chunks_exact(policy.state_dim()).zip(u_bar.chunks_exact(policy.control_dim()));
+    let mut u = constants(&vec![0.0; m]);
     let slope = |(x, u_bar): (&[f64], &[f64])| {
-        policy.act(&theta, &constants(x), &mut u);
+        act(&theta, &constants(x), &mut u);
         inner(&u, u_bar)
     };
-    columns.map(slope).collect()
+    x.chunks_exact(n).zip(u_bar.chunks_exact(m)).map(slope).collect()
 }
 
 fn constants(values: &[f64]) -> Vec<Dual64> {
@@ -156,32 +143,31 @@ fn inner(outputs: &[Dual64], bar: &[f64]) -> f64 {
 }
 
 /// `(∂N/∂θᵢ)ᵀ u_bar` of every column, for some of the parameters.
-pub fn policy_components<P: Policy>(
-    policy: &P,
+pub fn policy_components(
+    act: Act,
+    dims: (usize, usize),
     theta: &[f64],
     x: &[f64],
     u_bar: &[f64],
     indices: &[usize],
 ) -> Vec<(usize, Vec<f64>)> {
-    indices.iter().map(|&i| (i, policy_slope(policy, theta, x, u_bar, &|p| unit(p, i)))).collect()
+    indices.iter().map(|&i| (i, policy_slope(act, dims, theta, x, u_bar, &|p| unit(p, i)))).collect()
 }
 
 /// Random directions, and `⟨u_bar, (∂N/∂θ) v⟩` of every column in them.
-pub fn policy_directions<P: Policy>(
-    policy: &P,
+pub fn policy_directions(
+    act: Act,
+    dims: (usize, usize),
     theta: &[f64],
     x: &[f64],
     u_bar: &[f64],
     rng: &mut Rng,
 ) -> Vec<(Vec<f64>, Vec<f64>)> {
-    let slope = |direction: &[f64]| policy_slope(policy, theta, x, u_bar, &|p| direction[p]);
-    directions(rng, theta.len())
-        .into_iter()
-        .map(|direction| {
-            let slope = slope(&direction);
-            (direction, slope)
-        })
-        .collect()
+    let with_slopes = |direction: Vec<f64>| {
+        let slopes = policy_slope(act, dims, theta, x, u_bar, &|p| direction[p]);
+        (direction, slopes)
+    };
+    directions(rng, theta.len()).into_iter().map(with_slopes).collect()
 }
 
 /// Directions in which every parameter has a part: of either sign, its size between 1/2 and 3/2. One wrong component

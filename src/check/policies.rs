@@ -1,7 +1,8 @@
 //! The check of a policy's batched passes.
 
 use super::{CASES_OF_LONG_CHECKS, Comparison, Mismatch, ONE_STEP, Passed, normal, oracle};
-use crate::policy::{Policy, PolicyColumns, PolicyPass, PolicyRecord};
+use crate::any;
+use crate::policy::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Tensor};
 use crate::rng::{Purpose, Rng, stream};
 
 /// Up to so many parameters, all are compared one by one.
@@ -33,6 +34,14 @@ pub fn policy<P: Policy>(policy: &P) -> Passed {
 /// # Errors
 /// The first [`Mismatch`].
 pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
+    check(policy, &|theta, x, u| policy.act(theta, x, u), &|theta, x, u| policy.act(theta, x, u))
+}
+
+/// A policy on plain numbers: θ, x and where u goes.
+type Act<'a> = &'a dyn Fn(&[f64], &[f64], &mut [f64]);
+
+/// The same, compiled once.
+fn check(policy: &dyn any::AnyPolicy<f64>, act: Act, by_duals: oracle::Act) -> Result<Passed, Mismatch> {
     let (n, m, params) = (policy.state_dim(), policy.control_dim(), policy.param_count());
     // Three samples of three steps; the last step of each and then all are evaluated, as a rollout does.
     let (samples, steps) = (3, 3);
@@ -43,7 +52,7 @@ pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
         let mut rng = stream(case, Purpose::Check, 0);
         let weights = oracle::weights(policy, 0.1, &mut rng);
         let (x, u_bar, weight) = (normal(&mut rng, total * n), normal(&mut rng, total * m), normal(&mut rng, total));
-        let sizes = policy.sizes::<f64>(total);
+        let sizes = policy.sizes(total);
         let mut tape = vec![0.0; sizes.tape];
         let mut u = vec![f64::NAN; total * m];
         for t in 0..steps {
@@ -52,7 +61,7 @@ pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
         }
         let mut expected = vec![0.0; total * m];
         for (x, u) in x.chunks_exact(n).zip(expected.chunks_exact_mut(m)) {
-            policy.act(weights.theta(), x, u);
+            act(weights.theta(), x, u);
         }
         c.slices("forward: u", &u, &expected)?;
 
@@ -60,11 +69,11 @@ pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
         let mut x_bar = vec![f64::NAN; total * n];
         let all = PolicyPass { packed: weights.packed(), at: PolicyColumns::range(0..total), x: &x };
         policy.backward(all, &tape, &u_bar, &mut tape_bar, Some(&mut x_bar));
-        c.slices("backward: x_bar", &x_bar, &oracle::policy_input_gradient(policy, weights.theta(), &x, &u_bar))?;
+        c.slices("backward: x_bar", &x_bar, &oracle::policy_input_gradient(by_duals, (n, m), weights.theta(), &x, &u_bar))?;
 
-        let components = |indices: &[usize]| oracle::policy_components(policy, weights.theta(), &x, &u_bar, indices);
-        let some = components(&some_parameters(policy, &mut rng));
-        let directions = oracle::policy_directions(policy, weights.theta(), &x, &u_bar, &mut rng);
+        let components = |indices: &[usize]| oracle::policy_components(by_duals, (n, m), weights.theta(), &x, &u_bar, indices);
+        let some = components(&some_parameters(&policy.tensors(), &mut rng));
+        let directions = oracle::policy_directions(by_duals, (n, m), weights.theta(), &x, &u_bar, &mut rng);
         let mut scratch = vec![0.0; sizes.scratch];
         for weight in [None, Some(&weight[..])] {
             let mut theta_bar = vec![0.0; params];
@@ -83,14 +92,14 @@ pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
 }
 
 /// All of few parameters; of many, some of each tensor.
-fn some_parameters<P: Policy>(policy: &P, rng: &mut Rng) -> Vec<usize> {
-    if policy.param_count() <= FEW {
-        return (0..policy.param_count()).collect();
+fn some_parameters(tensors: &[Tensor], rng: &mut Rng) -> Vec<usize> {
+    let all = tensors.iter().map(|tensor| tensor.range.end).max().unwrap_or(0);
+    if all <= FEW {
+        return (0..all).collect();
     }
     let mut indices = Vec::new();
-    for tensor in policy.tensors() {
-        let len = tensor.range.len();
-        indices.extend(rand::seq::index::sample(rng, len, len.min(OF_EACH)).iter().map(|i| tensor.range.start + i));
+    for Tensor { range, .. } in tensors {
+        indices.extend(rand::seq::index::sample(rng, range.len(), range.len().min(OF_EACH)).iter().map(|i| range.start + i));
     }
     indices.sort_unstable();
     indices
@@ -132,11 +141,11 @@ mod tests {
     #[test]
     fn some_of_each_tensor_are_compared() {
         let policy = Conv::new(32, 60);
-        let chosen = some_parameters(&policy, &mut stream(0, Purpose::Check, 0));
+        let chosen = some_parameters(&policy.tensors(), &mut stream(0, Purpose::Check, 0));
         assert!(chosen.is_sorted_by(|a, b| a < b), "every index once");
         let of = |tensor: crate::policy::Tensor| chosen.iter().filter(|i| tensor.range.contains(i)).count();
         assert_eq!(policy.tensors().into_iter().map(of).collect::<Vec<_>>(), [64, 60, 64, 60, 64, 1]);
-        let few = some_parameters(&Linear::with_bias(3, 2), &mut stream(0, Purpose::Check, 0));
+        let few = some_parameters(&Linear::with_bias(3, 2).tensors(), &mut stream(0, Purpose::Check, 0));
         assert_eq!(few, (0..8).collect::<Vec<_>>());
     }
 }

@@ -3,13 +3,13 @@
 mod malformed;
 mod reproducible;
 
+use super::parallel;
 use super::terminal::say;
 use anyhow::{Result, bail};
 use comfy_table::presets::{ASCII_MARKDOWN, UTF8_FULL_CONDENSED};
 use comfy_table::{Table, TableStyle};
 use indicatif::{ProgressBar, ProgressStyle};
 use physgrad::stress::{self, Case, Finding};
-use rayon::prelude::*;
 use std::time::Instant;
 
 /// Run the hard cases: long horizons, stiffness, chaos, singular geometry, overflow, damaged files.
@@ -45,7 +45,7 @@ pub fn stress(args: &Stress) -> Result<()> {
         bar.inc(1);
         (findings, begin.elapsed().as_secs_f64())
     };
-    let results: Vec<(Vec<Finding>, f64)> = cases.par_iter().map(run).collect();
+    let results: Vec<(Vec<Finding>, f64)> = parallel::map(&cases, run);
     bar.finish_and_clear();
     let tell = if args.markdown { markdown } else { text };
     if args.markdown {

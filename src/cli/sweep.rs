@@ -2,6 +2,7 @@
 
 use super::changes::check_resumable;
 use super::folder::{Folder, RUNS};
+use super::parallel;
 use super::run::{self, Finished, SAVE_EVERY, Told, Watch};
 use super::saved;
 use super::scene::Scene;
@@ -10,7 +11,6 @@ use super::statistics::Outcome;
 use super::terminal::Progress;
 use anyhow::{Context, Result, bail};
 use physgrad::{Field, Record};
-use rayon::prelude::*;
 use std::collections::HashSet;
 use std::sync::Mutex;
 
@@ -126,14 +126,11 @@ pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<Swept> {
         let task = runs.first().map_or("nothing", |(run, ..)| run.scene.kind.name());
         eprintln!("{task}: {} runs, {total} epochs in all, on {} threads", runs.len(), rayon::current_num_threads());
     }
-    let finished: Vec<Result<Finished>> = runs
-        .par_iter()
-        .map(|(run, label, resume)| {
-            let mut watch = Watched { progress: &progress, label };
-            // One thread a run: the runs themselves fill the cores.
-            run::run(&run.folder, &run.scene, 1, *resume, SAVE_EVERY, &mut watch)
-        })
-        .collect();
+    let finished: Vec<Result<Finished>> = parallel::map(&runs, |(run, label, resume)| {
+        let mut watch = Watched { progress: &progress, label };
+        // One thread a run: the runs themselves fill the cores.
+        run::run(&run.folder, &run.scene, 1, *resume, SAVE_EVERY, &mut watch)
+    });
     if let Ok(progress) = progress.lock() {
         progress.bar.finish_and_clear();
     }

@@ -1,5 +1,6 @@
 //! `physgrad accuracy --gradients`: what gradients cost, and at which horizon they stop being right.
 
+use super::super::parallel;
 use super::derivatives::{Checkpoint, Derivative, Horizon};
 use super::gradient_outputs::write;
 use super::ways::{Derived, REFERENCES, Way, chosen};
@@ -11,7 +12,6 @@ use crate::cli::terminal::say;
 use anyhow::{Result, bail};
 use indicatif::ProgressBar;
 use physgrad::{Compose, Field, SignAgreement};
-use rayon::prelude::*;
 use toml::Value;
 
 /// Steps of central differences.
@@ -146,7 +146,9 @@ fn along(study: &Study, horizons: &[usize], bar: &ProgressBar) -> Result<Vec<Hor
         gradient
     };
     // The longest first, for they take longest.
-    let gradients: Vec<Result<Vec<f64>, String>> = jobs.into_par_iter().rev().map(run).rev().collect();
+    let jobs: Vec<_> = jobs.into_iter().rev().collect();
+    let mut gradients: Vec<Result<Vec<f64>, String>> = parallel::map(&jobs, |&job| run(job));
+    gradients.reverse();
     Ok(horizons.iter().zip(gradients.chunks(3)).map(|(&horizon, found)| Horizon::new(horizon, found)).collect())
 }
 

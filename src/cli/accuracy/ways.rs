@@ -1,11 +1,11 @@
 //! The ways to come by a gradient: what comes of each, and what it costs.
 
+use super::super::parallel;
 use crate::cli::allocations::peak_during;
 use crate::cli::kind::Visit;
 use crate::cli::settings::Precision;
 use physgrad::rng::{Purpose, stream};
 use physgrad::{Batch, Field, Float, Flow, Gradient, Policy, Rollout, System, Task, Weights, check};
-use rayon::prelude::*;
 use std::time::Instant;
 
 /// Samples whose mean loss is differentiated.
@@ -213,7 +213,7 @@ impl Visit for Referring<'_> {
         };
         let parameters = chosen(theta.len());
         let all: Vec<(Flow, usize)> = FLOWS.into_iter().flat_map(|flow| parameters.iter().map(move |&p| (flow, p))).collect();
-        let slopes: Vec<f64> = all.into_par_iter().map(along).collect();
+        let slopes: Vec<f64> = parallel::map(&all, |&at| along(at));
         let mut flows = slopes.chunks(parameters.len()).map(<[f64]>::to_vec);
         [(); 3].map(|()| flows.next().expect("a chunk for every flow"))
     }

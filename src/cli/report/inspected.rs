@@ -1,5 +1,6 @@
 //! What a page needs to know of a run, read from its folder.
 
+use super::super::parallel;
 use super::counted;
 use super::lengths::Lengths;
 use crate::cli::any_run::AnyRun;
@@ -10,7 +11,6 @@ use crate::cli::scene::Scene;
 use crate::cli::statistics::Outcome;
 use anyhow::{Result, bail};
 use physgrad::{Field, Record, differences};
-use rayon::prelude::*;
 use toml::Table;
 
 /// A run of any task and precision.
@@ -78,7 +78,8 @@ pub fn inspect(folders: &[Folder]) -> Result<Vec<Inspected>> {
     // In the order in which `compare` has its fields if it is not told another.
     runs.sort_by_key(|(_, scene)| ("RMSCN".find(scene.field.0.letter()), scene.seed));
     let first = |i: usize| i == 0 || runs[i - 1].1.field != runs[i].1.field;
-    runs.par_iter().enumerate().map(|(i, (folder, scene))| open(folder, scene, first(i))).collect()
+    let all: Vec<(usize, &(&Folder, Scene))> = runs.iter().enumerate().collect();
+    parallel::map(&all, |&(i, (folder, scene))| open(folder, scene, first(i))).into_iter().collect()
 }
 
 /// An error unless the two can stand in one comparison.

@@ -1,0 +1,160 @@
+//! The check of a system's derivatives.
+
+use super::oracle::pulled_back;
+use super::{CASES, Comparison, Mismatch, ONE_STEP, Passed, normal};
+use crate::apart::{step, vjp};
+use crate::kernels::has_lanes;
+use crate::rng::{Purpose, Rng, stream};
+use crate::rollout::{Lane, WIDTH};
+use crate::scalar::{Columns, Lanes, Real, Scalar};
+use crate::system::System;
+use num_dual::Dual64;
+
+/// A [`System`] behind a pointer, on the numbers that checks run it on: what compares them is compiled once. Its methods are
+/// the system's.
+pub(super) trait AnySystem {
+    fn control_dim(&self) -> usize;
+    fn state_dim(&self) -> usize;
+    fn step(&self, x: &[f64], u: &[f64], next: &mut [f64]);
+    fn step_by_duals(&self, x: &[Dual64], u: &[Dual64], next: &mut [Dual64]);
+    fn step_in_lanes(&self, x: &[Lane<f64>], u: &[Lane<f64>], next: &mut [Lane<f64>]);
+    fn vjp(&self, x: &[f64], u: &[f64], next_bar: &[f64], x_bar: &mut [f64], u_bar: &mut [f64]);
+    fn vjp_in_lanes(&self, x: &[Lane<f64>], u: &[Lane<f64>], next_bar: &[Two], x_bar: &mut [Two], u_bar: &mut [Two]);
+    fn vjp_state(&self, x: &[f64], u: &[f64], next_bar: &[One], x_bar: &mut [One]);
+    fn vjp_control(&self, x: &[f64], u: &[f64], next_bar: &[One], u_bar: &mut [One]);
+    fn jvp_state(&self, x: &[f64], u: &[f64], x_tan: &[f64], next_tan: &mut [f64]);
+    fn jvp_control(&self, x: &[f64], u: &[f64], u_tan: &[f64], next_tan: &mut [f64]);
+}
+
+type One = Columns<f64, 1>;
+/// What a reverse pass of two flows carries.
+type Two = Columns<Lane<f64>, 2>;
+
+impl<S: System> AnySystem for S {
+    fn control_dim(&self) -> usize {
+        System::control_dim(self)
+    }
+
+    fn state_dim(&self) -> usize {
+        System::state_dim(self)
+    }
+
+    fn step(&self, x: &[f64], u: &[f64], next: &mut [f64]) {
+        step(self, x, u, next);
+    }
+
+    fn step_by_duals(&self, x: &[Dual64], u: &[Dual64], next: &mut [Dual64]) {
+        step(self, x, u, next);
+    }
+
+    fn step_in_lanes(&self, x: &[Lane<f64>], u: &[Lane<f64>], next: &mut [Lane<f64>]) {
+        step(self, x, u, next);
+    }
+
+    fn vjp(&self, x: &[f64], u: &[f64], next_bar: &[f64], x_bar: &mut [f64], u_bar: &mut [f64]) {
+        vjp(self, x, u, next_bar, x_bar, u_bar);
+    }
+
+    fn vjp_in_lanes(&self, x: &[Lane<f64>], u: &[Lane<f64>], next_bar: &[Two], x_bar: &mut [Two], u_bar: &mut [Two]) {
+        System::vjp(self, x, u, next_bar, x_bar, u_bar);
+    }
+
+    fn vjp_state(&self, x: &[f64], u: &[f64], next_bar: &[One], x_bar: &mut [One]) {
+        System::vjp_state(self, x, u, next_bar, x_bar);
+    }
+
+    fn vjp_control(&self, x: &[f64], u: &[f64], next_bar: &[One], u_bar: &mut [One]) {
+        System::vjp_control(self, x, u, next_bar, u_bar);
+    }
+
+    fn jvp_state(&self, x: &[f64], u: &[f64], x_tan: &[f64], next_tan: &mut [f64]) {
+        System::jvp_state(self, x, u, x_tan, next_tan);
+    }
+
+    fn jvp_control(&self, x: &[f64], u: &[f64], u_tan: &[f64], next_tan: &mut [f64]) {
+        System::jvp_control(self, x, u, u_tan, next_tan);
+    }
+}
+
+/// `(∂S/∂x)ᵀ next_bar` and `(∂S/∂u)ᵀ next_bar`, by num-dual's numbers.
+fn step_vjp(system: &dyn AnySystem, x: &[f64], u: &[f64], next_bar: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    let n = x.len();
+    let mut x_bar = pulled_back(&[x, u].concat(), next_bar, &|xu, next| system.step_by_duals(&xu[..n], &xu[n..], next));
+    let u_bar = x_bar.split_off(n);
+    (x_bar, u_bar)
+}
+
+/// Draws a state and a control.
+type Draw<'a> = &'a dyn Fn(&mut Rng, &mut [f64], &mut [f64]);
+
+/// See [`try_system_at`](super::try_system_at).
+pub(super) fn check(system: &dyn AnySystem, draw: Draw) -> Result<Passed, Mismatch> {
+    let (n, m) = (system.state_dim(), system.control_dim());
+    let mut c = Comparison::new(ONE_STEP);
+    for case in 0..CASES {
+        c.case = case;
+        let mut rng = stream(case, Purpose::Check, 0);
+        let (mut x, mut u) = (vec![0.0; n], vec![0.0; m]);
+        draw(&mut rng, &mut x, &mut u);
+        let next_bar = normal(&mut rng, n);
+
+        let (x_dual, u_dual) = step_vjp(system, &x, &u, &next_bar);
+        let (mut x_bar, mut u_bar) = (vec![f64::NAN; n], vec![f64::NAN; m]);
+        system.vjp(&x, &u, &next_bar, &mut x_bar, &mut u_bar);
+        c.slices("vjp: x_bar", &x_bar, &x_dual)?;
+        c.slices("vjp: u_bar", &u_bar, &u_dual)?;
+        let next_bars: Vec<_> = next_bar.iter().map(|&bar| Columns([bar])).collect();
+        let (mut x_only, mut u_only) = (vec![Columns([f64::NAN]); n], vec![Columns([f64::NAN]); m]);
+        system.vjp_state(&x, &u, &next_bars, &mut x_only);
+        system.vjp_control(&x, &u, &next_bars, &mut u_only);
+        let plain = |bars: &[Columns<f64, 1>]| bars.iter().map(|bar| bar.0[0]).collect::<Vec<_>>();
+        c.slices("vjp_state: x_bar", &plain(&x_only), &x_dual)?;
+        c.slices("vjp_control: u_bar", &plain(&u_only), &u_dual)?;
+
+        let (x_tan, u_tan) = (normal(&mut rng, n), normal(&mut rng, m));
+        let (mut by_x, mut by_u) = (vec![0.0; n], vec![0.0; n]);
+        system.jvp_state(&x, &u, &x_tan, &mut by_x);
+        system.jvp_control(&x, &u, &u_tan, &mut by_u);
+        for (what, next_tan, bar, tan) in [("jvp_state", by_x, &x_dual, &x_tan), ("jvp_control", by_u, &u_dual, &u_tan)] {
+            let terms = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a * b).abs()).sum::<f64>();
+            let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+            let scale = terms(&next_bar, &next_tan).max(terms(bar, tan));
+            c.one(what, 0, dot(&next_bar, &next_tan), dot(bar, tan), scale)?;
+        }
+        // Elsewhere rollouts have no lanes.
+        if has_lanes() {
+            lanes(system, &x, &u, &next_bar, &mut c)?;
+        }
+    }
+    Ok(c.passed)
+}
+
+/// Two columns of lanes, as many as rollouts have, each lane another input, against the same on plain numbers: the same
+/// bits.
+fn lanes(system: &dyn AnySystem, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
+    const W: usize = WIDTH;
+    let vary = |v: &[f64], lane: usize| v.iter().map(|v| v * (1.0 + lane as f64 / 64.0)).collect::<Vec<f64>>();
+    let pack = |v: &[f64]| -> Vec<Lane<f64>> {
+        let lanes: [Vec<f64>; W] = std::array::from_fn(|lane| vary(v, lane));
+        (0..v.len()).map(|i| Lanes(std::array::from_fn(|lane| lanes[lane][i]))).collect()
+    };
+    let (n, m) = (x.len(), u.len());
+    let (x_lanes, u_lanes) = (pack(x), pack(u));
+    let mut next = vec![Lanes::zero(); n];
+    system.step_in_lanes(&x_lanes, &u_lanes, &mut next);
+    let column = |v: Lane<f64>| Columns([v, -v]);
+    let next_bars: Vec<_> = pack(next_bar).into_iter().map(column).collect();
+    let (mut x_bars, mut u_bars) = (vec![column(Lanes::zero()); n], vec![column(Lanes::zero()); m]);
+    system.vjp_in_lanes(&x_lanes, &u_lanes, &next_bars, &mut x_bars, &mut u_bars);
+    for lane in 0..W {
+        let (x, u, next_bar) = (vary(x, lane), vary(u, lane), vary(next_bar, lane));
+        let (mut plain, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], vec![0.0; m]);
+        system.step(&x, &u, &mut plain);
+        system.vjp(&x, &u, &next_bar, &mut x_bar, &mut u_bar);
+        c.equal("step in lanes", &next.iter().map(|v| v.lane(lane)).collect::<Vec<_>>(), &plain)?;
+        let first = |v: &[Two]| v.iter().map(|v| v.0[0].lane(lane)).collect::<Vec<_>>();
+        c.equal("vjp in lanes: x_bar", &first(&x_bars), &x_bar)?;
+        c.equal("vjp in lanes: u_bar", &first(&u_bars), &u_bar)?;
+    }
+    Ok(())
+}

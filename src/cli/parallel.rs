@@ -1,0 +1,16 @@
+//! Work on all threads, compiled once whatever the work is.
+
+use rayon::prelude::*;
+use std::sync::{Mutex, PoisonError};
+
+/// What becomes of every item, in their order. The first ones are begun first.
+pub fn map<I: Sync, R: Send>(items: &[I], work: impl Fn(&I) -> R + Sync) -> Vec<R> {
+    let results: Vec<Mutex<Option<R>>> = items.iter().map(|_| Mutex::new(None)).collect();
+    for_each(items.len(), &|i| *results[i].lock().unwrap_or_else(PoisonError::into_inner) = Some(work(&items[i])));
+    let done = |result: Mutex<Option<R>>| result.into_inner().unwrap_or_else(PoisonError::into_inner);
+    results.into_iter().map(|result| done(result).expect("every item was worked on")).collect()
+}
+
+fn for_each(count: usize, work: &(dyn Fn(usize) + Sync)) {
+    (0..count).into_par_iter().with_max_len(1).for_each(work);
+}
