@@ -1,8 +1,9 @@
 //! The linear solve in a factor of Cayley: one in a step of Crank and Nicolson, two in one of Padé.
 
 use super::point_by_point::PointByPoint;
-use super::system::{Pair, PerPoint};
+use super::system::{Pair, PerPoint, STACK};
 use crate::scalar::Scalar;
+use crate::scratch::Filling;
 use std::ops::{Add, Mul, Neg, Sub};
 
 /// What a solve with [`Elimination`] can be applied to: numbers, and cotangents in several columns.
@@ -46,14 +47,13 @@ impl<T: Scalar> Pivots<T> {
 /// A while it is eliminated, row by row.
 pub(super) struct Rows<'a, T> {
     pivots: Pivots<T>,
-    per_pivot: &'a mut PerPoint<Pair<T>>,
+    per_pivot: Filling<'a, Pair<T>, STACK>,
 }
 
 impl<'a, T: Scalar> Rows<'a, T> {
     #[inline(always)]
     pub(super) fn new(pivots: Pivots<T>, grid: usize, per_pivot: &'a mut PerPoint<Pair<T>>) -> Self {
-        per_pivot.reserve(grid, (T::zero(), T::zero()));
-        Self { pivots, per_pivot }
+        Self { pivots, per_pivot: per_pivot.filling(grid, (T::zero(), T::zero())) }
     }
 
     /// A, eliminated, when every row has been.

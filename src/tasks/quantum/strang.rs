@@ -4,10 +4,10 @@ use super::QuantumSystem;
 use super::elimination::Vector;
 use super::point_by_point::PointByPoint;
 use super::propagator::Propagator;
-use super::system::{Pair, PerPoint, STACK};
+use super::system::{Pair, PerPoint, STACK, place};
 use crate::effect::{Effect, Host, system_without_effects};
 use crate::scalar::{Cotangent, Real, Scalar};
-use crate::scratch::Scratch;
+use crate::scratch::{Filling, Scratch};
 
 /// A [`QuantumSystem`] that steps by the symmetric splitting of Strang:
 ///
@@ -39,7 +39,7 @@ pub struct Strang {
 /// `exp(-i dt/2 V_j)`, as they are worked out.
 struct Phases<'a, T> {
     half_dt: T,
-    phases: &'a mut PerPoint<Pair<T>>,
+    phases: Filling<'a, Pair<T>, STACK>,
 }
 
 impl<T: Scalar> PointByPoint<T> for Phases<'_, T> {
@@ -84,9 +84,10 @@ impl Strang {
         u: &[T],
         phases: &'a mut PerPoint<Pair<T>>,
     ) -> &'a [Pair<T>] {
-        phases.reserve(self.system.grid, (T::zero(), T::zero()));
-        self.system.potential(effects, x, u, &mut Phases { half_dt: T::lift(0.5 * self.system.dt), phases });
-        phases.all()
+        let phases = phases.filling(self.system.grid, (T::zero(), T::zero()));
+        let mut phases = Phases { half_dt: T::lift(0.5 * self.system.dt), phases };
+        self.system.potential(effects, x, u, &mut phases);
+        phases.phases.all()
     }
 
     /// The control's cotangent from one half step, if it is asked for; writes the potential's to `potential_bar`, if there is
@@ -110,7 +111,7 @@ impl Strang {
         for j in 0..n {
             let bar = (psi_bar[j][0] * psi[j][1] - psi_bar[j][1] * psi[j][0]) * half_dt;
             if asked {
-                control_bar += bar * R::lift(((j + 1) as f64 - origin) * dx);
+                control_bar += bar * R::lift((place(j) - origin) * dx);
             }
             if let Some(potential_bar) = &mut potential_bar {
                 potential_bar[j] = bar;

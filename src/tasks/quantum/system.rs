@@ -19,6 +19,13 @@ pub(super) type PerPoint<T> = Scratch<T, STACK>;
 /// Real and imaginary part for each grid point.
 pub(super) type Wave<T> = SmallVec<[T; 2 * STACK]>;
 
+/// Grid point `j`, counted from 0, in grid points from the left wall. (Numbers of 32 bits, because 64 without sign are five
+/// instructions.)
+#[inline(always)]
+pub(super) fn place(j: usize) -> f64 {
+    f64::from(j as u32 + 1)
+}
+
 /// The physics: Schrödinger's equation in a box with a linear potential, by Crank and Nicolson.
 ///
 /// State `[Re ψ_1, Im ψ_1, Re ψ_2, …]`, shape (grid, 2) row-major, at the points `x_j = j dx`, `j = 1 .. grid`; ψ is 0
@@ -118,7 +125,7 @@ impl QuantumSystem {
     /// Grid point `j`, counted from 0, from the middle of the box.
     #[inline(always)]
     pub(super) fn centered_point(&self, j: usize) -> f64 {
-        ((j + 1) as f64 - self.middle()) * self.spacing()
+        (place(j) - self.middle()) * self.spacing()
     }
 
     /// The middle of the box, in grid points.
@@ -131,7 +138,7 @@ impl QuantumSystem {
     #[inline(always)]
     fn places(&self, origin: f64) -> impl Iterator<Item = f64> + use<> {
         let dx = self.spacing();
-        (0..self.grid).map(move |j| ((j + 1) as f64 - origin) * dx)
+        (0..self.grid).map(move |j| (place(j) - origin) * dx)
     }
 
     /// Where the control's potential is 0, in grid points.
@@ -146,12 +153,13 @@ impl QuantumSystem {
     /// Hands the potential of the control and of the effects to `to`, grid point by grid point.
     #[inline(always)]
     pub(super) fn potential<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], to: &mut impl PointByPoint<T>) {
-        let (control, dx, origin) = (u[0], self.spacing(), self.control_origin());
-        let tilted = |j: usize| control * T::lift(((j + 1) as f64 - origin) * dx);
+        let body = *self;
+        let (control, dx, origin) = (u[0], body.spacing(), body.control_origin());
+        let tilted = |j: usize| control * T::lift((place(j) - origin) * dx);
         if E::LOCAL {
             // The chain of divisions in an elimination leaves the time for it.
             for j in 0..self.grid {
-                to.put(j, effects.act_at(self, x, j, tilted(j)));
+                to.put(j, effects.act_at(&body, x, j, tilted(j)));
             }
         } else {
             let mut potential = PerPoint::new();
@@ -204,7 +212,7 @@ impl QuantumSystem {
             let bar = (w[0] * y[j][1] - w[1] * y[j][0]) * dt;
             *w = [w[0] + w[0] - v[j][0], w[1] + w[1] - v[j][1]];
             if asked {
-                control_bar += bar * R::lift(((j + 1) as f64 - origin) * dx);
+                control_bar += bar * R::lift((place(j) - origin) * dx);
             }
             to.put(j, bar, x_bar);
         }
@@ -280,7 +288,7 @@ impl Host for QuantumSystem {
         let control_bar = if !effects_read {
             self.reverse_potential(self.dt, y, next_bar, x_bar, asked, Dropped)
         } else if E::LOCAL {
-            self.reverse_potential(self.dt, y, next_bar, x_bar, asked, AtOnce { effects, body: self, x })
+            self.reverse_potential(self.dt, y, next_bar, x_bar, asked, AtOnce { effects, body: *self, x })
         } else {
             let mut potential_bar = PerPoint::new();
             let potential_bar = potential_bar.fill(C::null(), self.grid);
