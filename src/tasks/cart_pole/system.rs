@@ -184,14 +184,22 @@ impl CartPoleSystem {
     #[inline(always)]
     fn accelerate<E: Effect<Self>, T: Scalar>(&self, k: &Constants<T>, effects: &E, x: &[T], u: &[T], poles: &mut [T]) -> T {
         let mut forces = Forces::new();
-        self.own_forces(x, u, poles, &mut forces);
-        effects.act_knowing(self, x, poles, &mut forces);
-        let mut push = forces[0];
-        for ((pole, out), &torque) in zip(zip(self.poles_of(x), poles.chunks_exact_mut(2)), &forces[1..]) {
-            let (sin, cos) = (out[0], out[1]);
+        if E::LOCAL {
+            for (pole, trig) in zip(self.poles_of(x), poles.chunks_exact_mut(2)) {
+                (trig[0], trig[1]) = pole[0].sin_cos();
+            }
+        } else {
+            self.own_forces(x, u, poles, &mut forces);
+            effects.act_knowing(self, x, poles, &mut forces);
+        }
+        let force = if E::LOCAL { effects.act_at(self, x, 0, u[0]) } else { forces[0] };
+        let mut push = force;
+        for (i, (pole, out)) in zip(self.poles_of(x), poles.chunks_exact_mut(2)).enumerate() {
+            let (sin, cos, omega) = (out[0], out[1], pole[1]);
+            let torque = if E::LOCAL { effects.act_at(self, x, 1 + i, k.weight * sin) } else { forces[1 + i] };
             let lever = k.moment * cos;
-            let centrifugal = k.moment * sin * pole[1] * pole[1];
-            let a = (forces[0] + centrifugal) * k.per_mass;
+            let centrifugal = k.moment * sin * omega * omega;
+            let a = (force + centrifugal) * k.per_mass;
             let alpha = (torque - lever * a) / (k.inertia - k.coupling * cos * cos);
             push += centrifugal - lever * alpha;
             out[1] = alpha;
@@ -214,26 +222,34 @@ impl CartPoleSystem {
         let k = self.constants::<R>();
         // Made where they are: a full array that is returned is a copy of all there is room for.
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
-        self.own_forces_again(x, u, &mut trig, &mut forces);
-        effects.act_knowing(self, x, trig.as_flattened(), &mut forces);
+        if E::LOCAL {
+            for pole in self.poles_of(x) {
+                trig.push(<[R; 2]>::from(pole[0].sin_cos()));
+            }
+        } else {
+            self.own_forces_again(x, u, &mut trig, &mut forces);
+            effects.act_knowing(self, x, trig.as_flattened(), &mut forces);
+        }
+        let force = if E::LOCAL { effects.act_at(self, x, 0, u[0]) } else { forces[0] };
 
         let (mut force_bar, effects_read) = (push_bar, x_bar.is_some() && effects.reads_state());
-        if effects_read {
+        if effects_read && !E::LOCAL {
             forces_bar.push(push_bar);
         }
         for (i, (pole, &[sin, cos])) in zip(self.poles_of(x), &trig).enumerate() {
             let omega = pole[1];
+            let torque = if E::LOCAL { effects.act_at(self, x, 1 + i, k.weight * sin) } else { forces[1 + i] };
             let (lever, spin) = (k.moment * cos, omega * omega);
-            let a = (forces[0] + k.moment * sin * spin) * k.per_mass;
+            let a = (force + k.moment * sin * spin) * k.per_mass;
             let per_inertia = R::one() / (k.inertia - k.coupling * cos * cos);
-            let alpha = (forces[1 + i] - lever * a) * per_inertia;
+            let alpha = (torque - lever * a) * per_inertia;
 
             let alpha_bar = alpha_bar(i, x_bar.as_deref()) - push_bar * lever;
             // α = numerator / denominator, and the torque is the numerator's first term.
             let torque_bar = alpha_bar * per_inertia;
             let thrust_bar = -(torque_bar * (lever * k.per_mass));
             force_bar += thrust_bar;
-            if effects_read {
+            if effects_read && !E::LOCAL {
                 forces_bar.push(torque_bar);
             }
             if let Some(x_bar) = &mut x_bar {
@@ -243,11 +259,18 @@ impl CartPoleSystem {
                     torque_bar * (R::lift(2.0) * k.coupling * cos * alpha - k.moment * a) - push_bar * (k.moment * alpha);
                 x_bar[2 + 2 * i] = x_bar[2 + 2 * i] + sin_bar * cos - cos_bar * sin;
                 x_bar[3 + 2 * i] += centrifugal_bar * (R::lift(2.0) * k.moment * sin * omega);
+                if effects_read && E::LOCAL {
+                    effects.vjp_at(self, x, 1 + i, torque_bar, x_bar);
+                }
             }
         }
         if let (Some(x_bar), true) = (x_bar, effects_read) {
-            forces_bar[0] = force_bar;
-            effects.vjp_knowing(self, x, trig.as_flattened(), &forces_bar, x_bar);
+            if E::LOCAL {
+                effects.vjp_at(self, x, 0, force_bar, x_bar);
+            } else {
+                forces_bar[0] = force_bar;
+                effects.vjp_knowing(self, x, trig.as_flattened(), &forces_bar, x_bar);
+            }
         }
         force_bar
     }
