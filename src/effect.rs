@@ -82,6 +82,39 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
         unreachable!("{self:?} is not local")
     }
 
+    /// What the local effects among these make of a force in place `i` before the first that is not local: a system works them
+    /// out where it has its own forces. The rest is [`act_rest`](Effect::act_rest); together they are
+    /// [`act_knowing`](Effect::act_knowing), in the same order.
+    #[doc(hidden)]
+    #[inline(always)]
+    fn act_first_at<T: Scalar>(&self, body: &B, x: &[T], i: usize, force: T) -> T {
+        if Self::LOCAL { self.act_at(body, x, i, force) } else { force }
+    }
+
+    #[doc(hidden)]
+    #[inline(always)]
+    fn act_rest<T: Scalar>(&self, body: &B, x: &[T], known: &[T], forces: &mut [T]) {
+        if !Self::LOCAL {
+            self.act_knowing(body, x, known, forces);
+        }
+    }
+
+    #[doc(hidden)]
+    #[inline(always)]
+    fn vjp_first_at<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], i: usize, force_bar: C, x_bar: &mut [C]) {
+        if Self::LOCAL {
+            self.vjp_at(body, x, i, force_bar, x_bar);
+        }
+    }
+
+    #[doc(hidden)]
+    #[inline(always)]
+    fn vjp_rest<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        if !Self::LOCAL {
+            self.vjp_knowing(body, x, known, forces_bar, x_bar);
+        }
+    }
+
     /// Whether its forces depend on the state. Where none does, the reverse pass has less to do.
     #[inline(always)]
     fn reads_state(&self) -> bool {
@@ -198,6 +231,38 @@ macro_rules! both {
                 x_bar: &mut [C],
             ) {
                 $(self.$i.vjp_knowing(body, x, known, forces_bar, x_bar);)+
+            }
+            #[inline(always)]
+            fn act_first_at<T: Scalar>(&self, body: &B, x: &[T], i: usize, force: T) -> T {
+                let first = true;
+                $(let first = first && $effect::LOCAL;
+                let force = if first { self.$i.act_at(body, x, i, force) } else { force };)+
+                let _ = first;
+                force
+            }
+            #[inline(always)]
+            fn act_rest<T: Scalar>(&self, body: &B, x: &[T], known: &[T], forces: &mut [T]) {
+                let first = true;
+                $(let first = first && $effect::LOCAL;
+                if !first {
+                    self.$i.act_knowing(body, x, known, forces);
+                })+
+            }
+            #[inline(always)]
+            fn vjp_first_at<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], i: usize, force_bar: C, x_bar: &mut [C]) {
+                let first = true;
+                $(let first = first && $effect::LOCAL;
+                if first {
+                    self.$i.vjp_at(body, x, i, force_bar, x_bar);
+                })+
+            }
+            #[inline(always)]
+            fn vjp_rest<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+                let first = true;
+                $(let first = first && $effect::LOCAL;
+                if !first {
+                    self.$i.vjp_knowing(body, x, known, forces_bar, x_bar);
+                })+
             }
             #[inline(always)]
             fn reads_state(&self) -> bool {

@@ -135,8 +135,7 @@ impl CoupledCartPole {
         poles: &mut [T],
     ) -> T {
         let mut forces = Forces::new();
-        self.0.own_forces(x, u, poles, &mut forces);
-        effects.act_knowing(&self.0, x, poles, &mut forces);
+        self.0.forces(effects, x, u, poles, &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
         for ((pole, out), &torque) in zip(zip(self.0.poles_of(x), poles.chunks_exact(2)), &forces[1..]) {
             let (sin, lever) = (out[0], k.moment * out[1]);
@@ -165,8 +164,7 @@ impl CoupledCartPole {
     ) -> C {
         let k = self.constants::<R>();
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
-        self.0.own_forces_again(x, u, &mut trig, &mut forces);
-        effects.act_knowing(&self.0, x, trig.as_flattened(), &mut forces);
+        self.0.forces_again(effects, x, u, &mut trig, &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
         // ẍ is in every α_i = (τ_i - m l cos θ_i ẍ) / J, too.
         let poles = zip(zip(self.0.poles_of(x), &trig), &forces[1..]);

@@ -64,27 +64,43 @@ impl CartPoleSystem {
     /// The most poles there can be: what a step works with is on the stack.
     pub const MOST_POLES: usize = 64;
 
-    /// Appends the forces without effects, control and gravity, to none; and writes sine and cosine of every angle.
+    /// Appends the forces, control and gravity with the effects on them, to none; and writes sine and cosine of every angle.
     #[inline(always)]
-    pub(super) fn own_forces<T: Scalar>(&self, x: &[T], u: &[T], trig: &mut [T], forces: &mut Forces<T>) {
+    pub(super) fn forces<E: Effect<Self>, T: Scalar>(
+        &self,
+        effects: &E,
+        x: &[T],
+        u: &[T],
+        trig: &mut [T],
+        forces: &mut Forces<T>,
+    ) {
         let weight = T::lift(self.moment() * self.gravity);
-        forces.push(u[0]);
-        for (pole, trig) in zip(self.poles_of(x), trig.chunks_exact_mut(2)) {
+        forces.push(effects.act_first_at(self, x, 0, u[0]));
+        for (i, (pole, trig)) in zip(self.poles_of(x), trig.chunks_exact_mut(2)).enumerate() {
             (trig[0], trig[1]) = pole[0].sin_cos();
-            forces.push(weight * trig[0]);
+            forces.push(effects.act_first_at(self, x, 1 + i, weight * trig[0]));
         }
+        effects.act_rest(self, x, trig, forces);
     }
 
     /// The same with room for sines and cosines that is empty. (To fill it with zeros first would be a call of memset.)
     #[inline(always)]
-    pub(super) fn own_forces_again<T: Scalar>(&self, x: &[T], u: &[T], trig: &mut PerPole<[T; 2]>, forces: &mut Forces<T>) {
+    pub(super) fn forces_again<E: Effect<Self>, T: Scalar>(
+        &self,
+        effects: &E,
+        x: &[T],
+        u: &[T],
+        trig: &mut PerPole<[T; 2]>,
+        forces: &mut Forces<T>,
+    ) {
         let weight = T::lift(self.moment() * self.gravity);
-        forces.push(u[0]);
-        for pole in self.poles_of(x) {
+        forces.push(effects.act_first_at(self, x, 0, u[0]));
+        for (i, pole) in self.poles_of(x).enumerate() {
             let (sin, cos) = pole[0].sin_cos();
             trig.push([sin, cos]);
-            forces.push(weight * sin);
+            forces.push(effects.act_first_at(self, x, 1 + i, weight * sin));
         }
+        effects.act_rest(self, x, trig.as_flattened(), forces);
     }
 }
 
@@ -189,8 +205,7 @@ impl CartPoleSystem {
                 (trig[0], trig[1]) = pole[0].sin_cos();
             }
         } else {
-            self.own_forces(x, u, poles, &mut forces);
-            effects.act_knowing(self, x, poles, &mut forces);
+            self.forces(effects, x, u, poles, &mut forces);
         }
         let force = if E::LOCAL { effects.act_at(self, x, 0, u[0]) } else { forces[0] };
         let mut push = force;
@@ -227,8 +242,7 @@ impl CartPoleSystem {
                 trig.push(<[R; 2]>::from(pole[0].sin_cos()));
             }
         } else {
-            self.own_forces_again(x, u, &mut trig, &mut forces);
-            effects.act_knowing(self, x, trig.as_flattened(), &mut forces);
+            self.forces_again(effects, x, u, &mut trig, &mut forces);
         }
         let force = if E::LOCAL { effects.act_at(self, x, 0, u[0]) } else { forces[0] };
 
@@ -259,17 +273,16 @@ impl CartPoleSystem {
                     torque_bar * (R::lift(2.0) * k.coupling * cos * alpha - k.moment * a) - push_bar * (k.moment * alpha);
                 x_bar[2 + 2 * i] = x_bar[2 + 2 * i] + sin_bar * cos - cos_bar * sin;
                 x_bar[3 + 2 * i] += centrifugal_bar * (R::lift(2.0) * k.moment * sin * omega);
-                if effects_read && E::LOCAL {
-                    effects.vjp_at(self, x, 1 + i, torque_bar, x_bar);
+                if effects_read {
+                    effects.vjp_first_at(self, x, 1 + i, torque_bar, x_bar);
                 }
             }
         }
         if let (Some(x_bar), true) = (x_bar, effects_read) {
-            if E::LOCAL {
-                effects.vjp_at(self, x, 0, force_bar, x_bar);
-            } else {
+            effects.vjp_first_at(self, x, 0, force_bar, x_bar);
+            if !E::LOCAL {
                 forces_bar[0] = force_bar;
-                effects.vjp_knowing(self, x, trig.as_flattened(), &forces_bar, x_bar);
+                effects.vjp_rest(self, x, trig.as_flattened(), &forces_bar, x_bar);
             }
         }
         force_bar
