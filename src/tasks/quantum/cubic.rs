@@ -39,8 +39,9 @@ impl Effect<QuantumSystem> for Cubic {
 
     #[inline(always)]
     fn act_at<T: Scalar>(&self, body: &QuantumSystem, x: &[T], j: usize, v: T) -> T {
-        let strength = T::lift(self.strength / body.spacing());
-        v + strength * (x[2 * j] * x[2 * j] + x[2 * j + 1] * x[2 * j + 1])
+        let strength = T::lift(self.strength * (1.0 / body.spacing()));
+        let [re, im] = x.as_chunks::<2>().0[j];
+        v + strength * (re * re + im * im)
     }
 
     #[inline(always)]
@@ -53,7 +54,7 @@ impl Effect<QuantumSystem> for Cubic {
 
     #[inline(always)]
     fn vjp_at<R: Real, C: Cotangent<R>>(&self, body: &QuantumSystem, x: &[R], j: usize, v_bar: C, x_bar: &mut [C]) {
-        let v_bar = v_bar * R::lift(2.0 * self.strength / body.spacing());
+        let v_bar = v_bar * R::lift(2.0 * self.strength * (1.0 / body.spacing()));
         let ([re, im], [re_bar, im_bar]) = (x.as_chunks::<2>().0[j], &mut x_bar.as_chunks_mut::<2>().0[j]);
         *re_bar += v_bar * re;
         *im_bar += v_bar * im;
