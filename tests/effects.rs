@@ -303,6 +303,15 @@ fn typed_and_listed_effects_have_the_same_bits() {
     let system = CoupledCartPole(system);
     same_bits(&swing(With { system, effects }), &swing(With { system, effects: list }));
 
+    // Local effects alone, before others, after others.
+    let (pole, cart, wind) = (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
+    let list: [CartPoleEffect; 3] = [pole.into(), cart.into(), wind.into()];
+    let system = cart_pole(3);
+    same_bits(&swing(With { system, effects: (pole, cart) }), &swing(With { system, effects: list[..2].to_vec() }));
+    same_bits(&swing(With { system, effects: (pole, cart, wind) }), &swing(With { system, effects: list.to_vec() }));
+    let others_first: Vec<CartPoleEffect> = vec![wind.into(), cart.into(), pole.into()];
+    same_bits(&swing(With { system, effects: (wind, (cart, pole)) }), &swing(With { system, effects: others_first }));
+
     let system = agents(2, 4);
     let (drive, obstacles, walls) = (Drive::default(), Obstacles::default(), Walls { half_width: 2.0, ..Walls::default() });
     let paper = (Friction::default(), Spread::default(), Evade::default(), Flock::default());

@@ -1,6 +1,7 @@
 //! Effects that are chosen while the program runs: a list, walked in every step.
 
-use super::{Effect, later};
+use super::Effect;
+use super::tuples::later;
 use crate::apart::apart;
 use crate::kernels::Vectorized;
 use crate::scalar::{Cotangent, Float, Real, Scalar};
