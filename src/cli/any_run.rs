@@ -74,11 +74,11 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
     }
 
     fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory> {
-        outputs::rollouts(self, chosen)
+        outputs::rollouts(self.task(), self.policy(), self.weights(), self.test_starts(), chosen)
     }
 
     fn lengths(&self) -> [Lengths; 2] {
-        lengths::lengths(self)
+        lengths::lengths(self.task(), self.policy(), self.weights(), self.test_starts())
     }
 }
 

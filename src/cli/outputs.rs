@@ -3,7 +3,8 @@
 use super::folder::{Folder, METRICS};
 use super::scene::Scene;
 use anyhow::{Context, Result};
-use physgrad::{Divergence, Float, Growth, Policy, Record, Rollout, Session, System, Task, Variable, report};
+use physgrad::any::{AnyPolicy, AnyTask};
+use physgrad::{Divergence, Float, Growth, Record, Rollout, Variable, Weights, report};
 use safetensors::tensor::{Dtype, TensorView};
 use std::fs::File;
 use std::ops::Range;
@@ -87,7 +88,7 @@ pub fn learning_curve(title: &str, records: &[Record]) -> String {
 }
 
 /// The parameters as named tensors, for other programs.
-pub fn safetensors<F: Float>(about: String, policy: &impl Policy, theta: &[F]) -> Result<Vec<u8>> {
+pub fn safetensors<F: Float>(about: String, policy: &dyn AnyPolicy<F>, theta: &[F]) -> Result<Vec<u8>> {
     let bytes: Vec<u8> = theta.iter().flat_map(|t| t.to_le_bytes().as_ref().to_vec()).collect();
     let dtype = if F::NAME == "f32" { Dtype::F32 } else { Dtype::F64 };
     let width = size_of::<F>();
@@ -107,15 +108,20 @@ pub struct Trajectory {
     pub controls: Vec<Vec<f64>>,
 }
 
-/// Rollouts from these test start states, or as many of them as there are, under the session's policy.
-pub fn rollouts<T: Task, P: Policy, F: Float>(session: &Session<T, P, F>, chosen: Range<usize>) -> Vec<Trajectory> {
-    let (task, starts) = (session.task(), session.test_starts());
-    let (n, m) = (task.system().state_dim(), task.system().control_dim());
+/// Rollouts from these start states, or as many of them as there are, under a policy.
+pub fn rollouts<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+    chosen: Range<usize>,
+) -> Vec<Trajectory> {
+    let (n, m) = (task.state_dim(), task.control_dim());
     let starts = &starts[chosen.start * n..starts.len().min(chosen.end * n)];
     let samples = starts.len() / n;
-    let mut rollout = Rollout::new(task, session.policy(), samples);
+    let mut rollout = Rollout::new(task, policy, samples);
     rollout.start(starts);
-    let steps = match rollout.run(task, session.policy(), session.weights()) {
+    let steps = match rollout.run(task, policy, weights) {
         Err(Divergence::Forward { variable: Variable::State, step, .. }) => step - 1,
         Err(Divergence::Forward { variable: Variable::Control, step, .. }) => step,
         _ => task.horizon(),

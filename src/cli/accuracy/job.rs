@@ -2,8 +2,9 @@
 
 use crate::cli::kind::Visit;
 use crate::cli::settings::Precision;
+use physgrad::any::{AnyPolicy, AnyTask};
 use physgrad::rng::{Purpose, stream};
-use physgrad::{Adjoint, Cost, Counts, Float, Flow, Gradient, Policy, Rollout, System, Task, Weights};
+use physgrad::{Adjoint, Cost, Counts, Float, Flow, Gradient, Policy, Rollout, Task, Weights};
 use std::time::Instant;
 
 /// Samples that go through a rollout together: a block, in which all lanes are in use.
@@ -59,9 +60,10 @@ impl Visit for Preparing {
     type Out = Job;
 
     fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Job {
+        let cost = Cost::of(task.system());
         match self.precision {
-            Precision::F32 => prepare::<f32, T, P>(task, policy, self.seed),
-            Precision::F64 => prepare::<f64, T, P>(task, policy, self.seed),
+            Precision::F32 => prepare::<f32>(Box::new(task), Box::new(policy), cost, self.seed),
+            Precision::F64 => prepare::<f64>(Box::new(task), Box::new(policy), cost, self.seed),
         }
     }
 }
@@ -71,22 +73,22 @@ fn sum(counts: Counts) -> u64 {
     add + negate + multiply + divide + sqrt + transcendental + compare
 }
 
-fn prepare<F: Float, T: Task + Clone + 'static, P: Policy + Clone + 'static>(task: T, policy: P, seed: u64) -> Job {
-    let (n, horizon) = (task.system().state_dim(), task.horizon());
-    let weights = Weights::<F>::init(&policy, &mut stream(seed, Purpose::Policy, 0));
+fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, cost: Cost, seed: u64) -> Job {
+    let (n, horizon) = (task.state_dim(), task.horizon());
+    let weights = Weights::<F>::init(&*policy, &mut stream(seed, Purpose::Policy, 0));
     let mut x = vec![0.0; SAMPLES * n];
     for (sample, x) in x.chunks_exact_mut(n).enumerate() {
         task.start(&mut stream(seed, Purpose::Test, sample as u64), x);
     }
     let starts: Vec<F> = x.into_iter().map(F::lift).collect();
-    let mut rollout = Rollout::new(&task, &policy, SAMPLES);
-    let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]);
+    let mut rollout = Rollout::new(&*task, &*policy, SAMPLES);
+    let mut adjoint = Adjoint::new(&*policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]);
     let scale = F::lift(1.0 / SAMPLES as f64);
 
     let run = |rollout: &mut Rollout<F>, adjoint: &mut Adjoint<F>| {
         rollout.start(&starts);
-        rollout.run(&task, &policy, &weights)?;
-        adjoint.run(&task, &policy, &weights, rollout, scale)
+        rollout.run(&*task, &*policy, &weights)?;
+        adjoint.run(&*task, &*policy, &weights, rollout, scale)
     };
     let found = run(&mut rollout, &mut adjoint).map_err(|divergence| divergence.to_string()).map(|()| {
         let state = |t: usize| {
@@ -95,26 +97,25 @@ fn prepare<F: Float, T: Task + Clone + 'static, P: Policy + Clone + 'static>(tas
         };
         let gradients = [0, 1].map(|k| {
             let mut theta_bar = Gradient::zeros(weights.theta().len());
-            adjoint.param_gradient(k, &policy, &weights, &rollout, 0..SAMPLES, &mut theta_bar);
+            adjoint.param_gradient(k, &*policy, &weights, &rollout, 0..SAMPLES, &mut theta_bar);
             theta_bar.plain().into_iter().map(|g| g.as_()).collect()
         });
         let loss = (0..SAMPLES).map(|sample| rollout.cost(sample).as_()).sum::<f64>() / SAMPLES as f64;
         Found { states: (0..=horizon).flat_map(state).collect(), loss, gradients }
     });
     // With parameters of 0 a network's control is 0.
-    let nothing = Weights::new(&policy, vec![F::zero(); weights.theta().len()]);
+    let nothing = Weights::new(&*policy, vec![F::zero(); weights.theta().len()]);
     rollout.start(&starts);
-    let still = rollout.run(&task, &policy, &nothing).is_ok();
+    let still = rollout.run(&*task, &*policy, &nothing).is_ok();
     let state = |sample: usize, t: usize| (0..n).map(|i| rollout.state(t, sample, i).as_()).collect();
     let idle = (0..SAMPLES).filter(|_| still).map(|sample| (0..=horizon).map(|t| state(sample, t)).collect()).collect();
-    let cost = Cost::of(task.system());
     let steps = (SAMPLES * horizon) as f64;
     let bytes = (rollout.stored_bytes() + adjoint.stored_bytes()) as f64 / steps;
     let run = Box::new(move |gradient: bool| {
         rollout.start(&starts);
         // What diverges is shown as such, and not timed.
-        if rollout.run(&task, &policy, &weights).is_ok() && gradient {
-            let _ = adjoint.run(&task, &policy, &weights, &rollout, scale);
+        if rollout.run(&*task, &*policy, &weights).is_ok() && gradient {
+            let _ = adjoint.run(&*task, &*policy, &weights, &rollout, scale);
         }
     });
     Job { found, idle, operations: sum(cost.step) + sum(cost.vjp), bytes, steps, run }

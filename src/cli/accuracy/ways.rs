@@ -4,8 +4,10 @@ use super::super::parallel;
 use crate::cli::allocations::peak_during;
 use crate::cli::kind::Visit;
 use crate::cli::settings::Precision;
+use physgrad::any::{AnyPolicy, AnyTask};
 use physgrad::rng::{Purpose, stream};
-use physgrad::{Batch, Field, Float, Flow, Gradient, Policy, Rollout, System, Task, Weights, check};
+use physgrad::{Batch, Field, Float, Flow, Gradient, Policy, Rollout, Task, Weights, check};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Samples whose mean loss is differentiated.
@@ -67,9 +69,9 @@ pub fn chosen(count: usize) -> Vec<usize> {
 }
 
 /// Parameters and start states, the same in every precision: they are f32.
-fn inputs<T: Task, P: Policy>(task: &T, policy: &P, seed: u64) -> (Vec<f64>, Vec<f64>) {
-    let weights = Weights::<f32>::init(policy, &mut stream(seed, Purpose::Policy, 0));
-    let n = task.system().state_dim();
+fn inputs(task: &dyn AnyTask<f32>, policy: &dyn AnyPolicy<f32>, seed: u64) -> (Vec<f64>, Vec<f64>) {
+    let weights = Weights::init(policy, &mut stream(seed, Purpose::Policy, 0));
+    let n = task.state_dim();
     let mut starts = vec![0.0; SAMPLES * n];
     for (sample, x) in starts.chunks_exact_mut(n).enumerate() {
         task.start(&mut stream(seed, Purpose::Test, sample as u64), x);
@@ -90,22 +92,39 @@ impl Visit for Deriving {
 
     fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Derived {
         let Self { precision, seed, way } = self;
+        let inputs = inputs(&task, &policy, seed);
+        let (task, policy) = (Arc::new(task), Arc::new(policy));
+        let slope: Slope = {
+            let (task, policy) = (task.clone(), policy.clone());
+            let unit = |i: usize, p: usize| f64::from(u8::from(p == i));
+            Box::new(move |theta, starts, i| {
+                check::slope_by_duals(&*task, &*policy, theta, starts, Flow::REGULAR, &|p| unit(i, p))
+            })
+        };
         match precision {
-            Precision::F32 => derive::<f32, T, P>(task, policy, seed, way),
-            Precision::F64 => derive::<f64, T, P>(task, policy, seed, way),
+            Precision::F32 => derive::<f32>(task, policy, inputs, way, slope),
+            Precision::F64 => derive::<f64>(task, policy, inputs, way, slope),
         }
     }
 }
 
-fn derive<F: Float, T: Task + Clone + 'static, P: Policy + Clone + 'static>(task: T, policy: P, seed: u64, way: Way) -> Derived {
-    let (theta, mut starts) = inputs(&task, &policy, seed);
+/// The derivative of the loss by a parameter, from parameters, start states and its index.
+type Slope = Box<dyn Fn(&[f64], &[f64], usize) -> f64 + Send>;
+
+fn derive<F: Float>(
+    task: Arc<dyn AnyTask<F>>,
+    policy: Arc<dyn AnyPolicy<F>>,
+    (theta, mut starts): (Vec<f64>, Vec<f64>),
+    way: Way,
+    slope: Slope,
+) -> Derived {
     let count = theta.len();
     if let Way::Reverse { nudged: true, .. } = way {
         let nudged = |(i, x): (usize, &mut f64)| *x *= if i % 2 == 0 { 1.0 + ROUNDING } else { 1.0 - ROUNDING };
         starts.iter_mut().enumerate().for_each(nudged);
     }
     let lift = |numbers: &[f64]| numbers.iter().map(|&x| F::lift(x)).collect::<Vec<F>>();
-    let (weights, lifted) = (Weights::new(&policy, lift(&theta)), lift(&starts));
+    let (weights, lifted) = (Weights::new(&*policy, lift(&theta)), lift(&starts));
     match way {
         Way::Reverse { field, budget, nudged: _ } => {
             let (made, bytes) = peak_during(|| reverse(task, policy, weights, lifted, field, budget));
@@ -130,7 +149,7 @@ fn derive<F: Float, T: Task + Clone + 'static, P: Policy + Clone + 'static>(task
                     let mut theta = lift(&theta);
                     theta[i] = F::lift(theta[i].as_() + step);
                     let moved = theta[i].as_();
-                    loss(&Weights::new(&policy, theta)).map(|loss| (loss, moved))
+                    loss(&Weights::new(&*policy, theta)).map(|loss| (loss, moved))
                 };
                 // By the step as it is after rounding.
                 Ok((side(step)?, side(-step)?)).map(|((above, right), (below, left))| (above - below) / (right - left))
@@ -140,9 +159,7 @@ fn derive<F: Float, T: Task + Clone + 'static, P: Policy + Clone + 'static>(task
             Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || drop::<Result<f64, String>>(difference(0))) }
         }
         Way::Duals => {
-            let slope = move |i: usize| {
-                check::slope_by_duals(&task, &policy, &theta, &starts, Flow::REGULAR, &|p| f64::from(u8::from(p == i)))
-            };
+            let slope = move |i: usize| slope(&theta, &starts, i);
             let (gradient, bytes) = peak_during(|| chosen(count).into_iter().map(|i| Ok(slope(i))).collect());
             Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || _ = slope(0)) }
         }
@@ -150,22 +167,22 @@ fn derive<F: Float, T: Task + Clone + 'static, P: Policy + Clone + 'static>(task
 }
 
 /// The mean loss as a function of the parameters.
-fn losses<F: Float, T: Task + 'static, P: Policy + 'static>(
-    task: T,
-    policy: P,
+fn losses<F: Float>(
+    task: Arc<dyn AnyTask<F>>,
+    policy: Arc<dyn AnyPolicy<F>>,
     starts: Vec<F>,
 ) -> impl FnMut(&Weights<F>) -> Result<f64, String> + Send + 'static {
-    let mut rollout = Rollout::for_evaluation(&task, &policy, SAMPLES);
+    let mut rollout = Rollout::for_evaluation(&*task, &*policy, SAMPLES);
     move |weights| {
         rollout.start(&starts);
-        rollout.run(&task, &policy, weights).map_err(|divergence| divergence.to_string())?;
+        rollout.run(&*task, &*policy, weights).map_err(|divergence| divergence.to_string())?;
         Ok((0..SAMPLES).map(|sample| rollout.cost(sample).as_()).sum::<f64>() / SAMPLES as f64)
     }
 }
 
-fn reverse<F: Float, T: Task + 'static, P: Policy + 'static>(
-    task: T,
-    policy: P,
+fn reverse<F: Float>(
+    task: Arc<dyn AnyTask<F>>,
+    policy: Arc<dyn AnyPolicy<F>>,
     weights: Weights<F>,
     starts: Vec<F>,
     field: Field,
@@ -173,12 +190,12 @@ fn reverse<F: Float, T: Task + 'static, P: Policy + 'static>(
 ) -> Result<(Vec<f64>, Run), String> {
     let flows = field.flows();
     let made = match budget {
-        Some(budget) => Batch::within(&task, &policy, SAMPLES, &flows, 1, budget),
-        None => Ok(Batch::new(&task, &policy, SAMPLES, &flows, 1)),
+        Some(budget) => Batch::within(&*task, &*policy, SAMPLES, &flows, 1, budget),
+        None => Ok(Batch::new(&*task, &*policy, SAMPLES, &flows, 1)),
     };
     let mut batch = made.map_err(|error| error.to_string())?;
     let mut run = move || {
-        batch.run(&task, &policy, &weights, &starts).map_err(|divergence| divergence.to_string())?;
+        batch.run(&*task, &*policy, &weights, &starts).map_err(|divergence| divergence.to_string())?;
         let mut gradient = Gradient::zeros(weights.theta().len());
         field.compose(batch.gradients(), &mut gradient);
         Ok(gradient)

@@ -1,6 +1,7 @@
 //! How long the adjoint is on its way back through a rollout.
 
-use physgrad::{Adjoint, Divergence, Float, Flow, Policy, Rollout, Session, System, Task};
+use physgrad::any::{AnyPolicy, AnyTask};
+use physgrad::{Adjoint, Divergence, Float, Flow, Rollout, Weights};
 
 /// Test start states that are rolled out.
 pub const SAMPLES: usize = 64;
@@ -21,11 +22,9 @@ impl Lengths {
     }
 }
 
-/// The adjoints of R and M under the session's policy.
-pub fn lengths<T: Task, P: Policy, F: Float>(session: &Session<T, P, F>) -> [Lengths; 2] {
-    let (task, policy, weights) = (session.task(), session.policy(), session.weights());
-    let n = task.system().state_dim();
-    let starts = session.test_starts();
+/// The adjoints of R and M under a policy.
+pub fn lengths<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &Weights<F>, starts: &[F]) -> [Lengths; 2] {
+    let n = task.state_dim();
     let starts = &starts[..starts.len().min(SAMPLES * n)];
     let mut rollout = Rollout::new(task, policy, starts.len() / n);
     rollout.start(starts);

@@ -3,6 +3,7 @@
 use super::QuantumSystem;
 use crate::effect::Effect;
 use crate::scalar::{Cotangent, Real, Scalar};
+use crate::zip::zip;
 use serde::{Deserialize, Serialize};
 
 /// What particles of one wave, a Bose-Einstein condensate, do to each other: `V_j = strength |ψ_j|² / dx`.
@@ -27,36 +28,46 @@ impl Default for Cubic {
     }
 }
 
+impl Cubic {
+    /// Energy per probability at a grid point.
+    #[inline(always)]
+    fn per_probability(&self, body: &QuantumSystem) -> f64 {
+        self.strength * (1.0 / body.spacing())
+    }
+}
+
 impl Effect<QuantumSystem> for Cubic {
     const LOCAL: bool = true;
 
     #[inline(always)]
     fn act<T: Scalar>(&self, body: &QuantumSystem, x: &[T], potential: &mut [T]) {
-        for (j, v) in potential.iter_mut().enumerate() {
-            *v = self.act_at(body, x, j, *v);
+        let strength = T::lift(self.per_probability(body));
+        for (v, [re, im]) in zip(potential.iter_mut(), x.as_chunks().0) {
+            *v += strength * (*re * *re + *im * *im);
         }
     }
 
     #[inline(always)]
     fn act_at<T: Scalar>(&self, body: &QuantumSystem, x: &[T], j: usize, v: T) -> T {
-        let strength = T::lift(self.strength * (1.0 / body.spacing()));
-        let [re, im] = x.as_chunks::<2>().0[j];
-        v + strength * (re * re + im * im)
+        let [re, im] = x.as_chunks().0[j];
+        v + T::lift(self.per_probability(body)) * (re * re + im * im)
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, body: &QuantumSystem, x: &[R], potential_bar: &[C], x_bar: &mut [C]) {
-        let (x, x_bar) = (&x[..2 * potential_bar.len()], &mut x_bar[..2 * potential_bar.len()]);
-        for (j, &v_bar) in potential_bar.iter().enumerate() {
-            self.vjp_at(body, x, j, v_bar, x_bar);
+        let slope = R::lift(2.0 * self.per_probability(body));
+        for ((&v_bar, [re, im]), bar) in zip(zip(potential_bar.iter(), x.as_chunks().0), x_bar.as_chunks_mut::<2>().0) {
+            let v_bar = v_bar * slope;
+            bar[0] += v_bar * *re;
+            bar[1] += v_bar * *im;
         }
     }
 
     #[inline(always)]
     fn vjp_at<R: Real, C: Cotangent<R>>(&self, body: &QuantumSystem, x: &[R], j: usize, v_bar: C, x_bar: &mut [C]) {
-        let v_bar = v_bar * R::lift(2.0 * self.strength * (1.0 / body.spacing()));
-        let ([re, im], [re_bar, im_bar]) = (x.as_chunks::<2>().0[j], &mut x_bar.as_chunks_mut::<2>().0[j]);
-        *re_bar += v_bar * re;
-        *im_bar += v_bar * im;
+        let v_bar = v_bar * R::lift(2.0 * self.per_probability(body));
+        let ([re, im], bar) = (x.as_chunks().0[j], &mut x_bar.as_chunks_mut::<2>().0[j]);
+        bar[0] += v_bar * re;
+        bar[1] += v_bar * im;
     }
 }
