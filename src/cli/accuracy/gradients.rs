@@ -1,11 +1,11 @@
 //! `physgrad accuracy --gradients`: what gradients cost, and at which horizon they stop being right.
 
-use super::super::parallel;
 use super::derivatives::{Checkpoint, Derivative, Horizon};
 use super::gradient_outputs::write;
 use super::ways::{Derived, REFERENCES, Way, chosen};
 use super::{Study, bar};
 use crate::cli::folder::Folder;
+use crate::cli::parallel;
 use crate::cli::scene::Scene;
 use crate::cli::settings::Precision;
 use crate::cli::terminal::say;

@@ -1,8 +1,8 @@
 //! The ways to come by a gradient: what comes of each, and what it costs.
 
-use super::super::parallel;
 use crate::cli::allocations::peak_during;
 use crate::cli::kind::Visit;
+use crate::cli::parallel;
 use crate::cli::settings::Precision;
 use physgrad::any::{AnyPolicy, AnyTask};
 use physgrad::rng::{Purpose, stream};
