@@ -1,11 +1,11 @@
 //! What a page needs to know of a run, read from its folder.
 
-use super::super::parallel;
 use super::counted;
 use super::lengths::Lengths;
 use crate::cli::any_run::AnyRun;
 use crate::cli::folder::Folder;
 use crate::cli::outputs;
+use crate::cli::parallel;
 use crate::cli::saved;
 use crate::cli::scene::Scene;
 use crate::cli::statistics::Outcome;
