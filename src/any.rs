@@ -1,8 +1,10 @@
-//! [`AnyTask`] and [`AnyPolicy`]: what rollouts and reverse passes see of a task and a policy.
+//! [`AnyTask`] and [`AnyPolicy`]: what rollouts and reverse passes see of a task and a policy. [`AnySystem`]: what checks see of
+//! a system.
 //!
 //! They are behind pointers: a step of all samples is work enough for a call through a pointer to cost nothing, and what goes
 //! through steps, mini-batches and epochs is compiled once for a precision, not for every task.
 
+use crate::apart::{self, One};
 use crate::backward::StepBack;
 use crate::divergence::Cause;
 use crate::field::{Compose, Field};
@@ -10,7 +12,7 @@ use crate::gradient::Gradient;
 use crate::policy::{Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
 use crate::rng::Rng;
 use crate::rollout::{Lane, StepForward};
-use crate::scalar::Float;
+use crate::scalar::{Columns, Float};
 use crate::system::System;
 use crate::task::Task;
 
@@ -30,11 +32,11 @@ pub trait AnyTask<F: Float>: StepForward<F> + StepBack<F, 1> + StepBack<F, 2> + 
 
 impl<T: Task, F: Float> AnyTask<F> for T {
     fn state_dim(&self) -> usize {
-        self.system().state_dim()
+        System::state_dim(self.system())
     }
 
     fn control_dim(&self) -> usize {
-        self.system().control_dim()
+        System::control_dim(self.system())
     }
 
     fn horizon(&self) -> usize {
@@ -129,4 +131,50 @@ impl<C: Compose, F: Float> AnyField<F> for Field<C> {
     fn compose(&self, gradients: &[Gradient<F>], composed: &mut Gradient<F>) {
         Field::compose(self, gradients, composed);
     }
+}
+
+/// A [`System`] in one precision, one sample at a time: for what steps through it to compare, and is compiled once. Its methods
+/// are the system's.
+pub(crate) trait AnySystem<F: Float> {
+    fn state_dim(&self) -> usize;
+    fn control_dim(&self) -> usize;
+    fn step(&self, x: &[F], u: &[F], next: &mut [F]);
+    fn vjp(&self, x: &[F], u: &[F], next_bar: &[One<F>], x_bar: &mut [One<F>], u_bar: &mut [One<F>]);
+    fn jvp_state(&self, x: &[F], u: &[F], x_tan: &[F], next_tan: &mut [F]);
+    fn jvp_control(&self, x: &[F], u: &[F], u_tan: &[F], next_tan: &mut [F]);
+}
+
+impl<S: System, F: Float> AnySystem<F> for S {
+    fn state_dim(&self) -> usize {
+        System::state_dim(self)
+    }
+
+    fn control_dim(&self) -> usize {
+        System::control_dim(self)
+    }
+
+    fn step(&self, x: &[F], u: &[F], next: &mut [F]) {
+        apart::step(self, x, u, next);
+    }
+
+    fn vjp(&self, x: &[F], u: &[F], next_bar: &[One<F>], x_bar: &mut [One<F>], u_bar: &mut [One<F>]) {
+        apart::vjp(self, x, u, next_bar, x_bar, u_bar);
+    }
+
+    fn jvp_state(&self, x: &[F], u: &[F], x_tan: &[F], next_tan: &mut [F]) {
+        System::jvp_state(self, x, u, x_tan, next_tan);
+    }
+
+    fn jvp_control(&self, x: &[F], u: &[F], u_tan: &[F], next_tan: &mut [F]) {
+        System::jvp_control(self, x, u, u_tan, next_tan);
+    }
+}
+
+/// [`System::vjp`] of plain numbers: `[x_bar, u_bar]`.
+pub(crate) fn vjp<F: Float>(system: &dyn AnySystem<F>, x: &[F], u: &[F], next_bar: &[F]) -> [Vec<F>; 2] {
+    let next_bar: Vec<_> = next_bar.iter().map(|&bar| Columns([bar])).collect();
+    // To be overwritten.
+    let [mut x_bar, mut u_bar] = [x, u].map(|inputs| vec![Columns([F::lift(f64::NAN)]); inputs.len()]);
+    system.vjp(x, u, &next_bar, &mut x_bar, &mut u_bar);
+    [x_bar, u_bar].map(|bars| bars.into_iter().map(|Columns([bar])| bar).collect())
 }

@@ -46,34 +46,51 @@ pub(crate) fn step<S: System + ?Sized, T: Scalar>(system: &S, x: &[T], u: &[T], 
 
 /// [`System::vjp`], likewise, of the columns that rollouts have.
 #[inline(never)]
-pub(crate) fn vjp<S: System, F: Float>(system: &S, x: &[F], u: &[F], next_bar: &[F], x_bar: &mut [F], u_bar: &mut [F]) {
-    let columns = |bars: &[F]| bars.iter().map(|&bar| Columns([bar])).collect::<Vec<_>>();
-    let (mut x_columns, mut u_columns) = (columns(x_bar), columns(u_bar));
-    system.vjp(x, u, &columns(next_bar), &mut x_columns, &mut u_columns);
-    for (bar, Columns([found])) in x_bar.iter_mut().chain(u_bar).zip(x_columns.into_iter().chain(u_columns)) {
-        *bar = found;
-    }
+pub(crate) fn vjp<S: System + ?Sized, F: Float>(
+    system: &S,
+    x: &[F],
+    u: &[F],
+    next_bar: &[One<F>],
+    x_bar: &mut [One<F>],
+    u_bar: &mut [One<F>],
+) {
+    system.vjp(x, u, next_bar, x_bar, u_bar);
 }
 
-/// Its reverse, to what is asked for.
+/// What a reverse pass of one flow carries.
+pub(crate) type One<F> = Columns<F, 1>;
+
+/// Its reverse. To the state alone nothing asks for it but checks, which get it from here as well.
 pub(crate) struct Reverse<'a, S, R, C> {
     pub(crate) system: &'a S,
     pub(crate) x: &'a [R],
     pub(crate) u: &'a [R],
     pub(crate) next_bar: &'a [C],
-    pub(crate) x_bar: Option<&'a mut [C]>,
-    pub(crate) u_bar: Option<&'a mut [C]>,
+    pub(crate) x_bar: &'a mut [C],
+    pub(crate) u_bar: &'a mut [C],
 }
 
 impl<S: System, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, S, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { system, x, u, next_bar, x_bar, u_bar } = self;
-        match (x_bar, u_bar) {
-            (Some(x_bar), Some(u_bar)) => system.vjp(x, u, next_bar, x_bar, u_bar),
-            (Some(x_bar), None) => system.vjp_state(x, u, next_bar, x_bar),
-            (None, Some(u_bar)) => system.vjp_control(x, u, next_bar, u_bar),
-            (None, None) => {}
-        }
+        system.vjp(x, u, next_bar, x_bar, u_bar);
+    }
+}
+
+/// Its reverse to the control alone.
+pub(crate) struct ReverseToControl<'a, S, R, C> {
+    pub(crate) system: &'a S,
+    pub(crate) x: &'a [R],
+    pub(crate) u: &'a [R],
+    pub(crate) next_bar: &'a [C],
+    pub(crate) u_bar: &'a mut [C],
+}
+
+impl<S: System, R: Real, C: Cotangent<R>> Vectorized for ReverseToControl<'_, S, R, C> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { system, x, u, next_bar, u_bar } = self;
+        system.vjp_control(x, u, next_bar, u_bar);
     }
 }

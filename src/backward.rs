@@ -84,7 +84,8 @@ enum Carried<F: Float> {
 }
 
 impl<F: Float> Adjoint<F> {
-    /// Room for the gradients of one or two flows of such a rollout.
+    /// Room for the gradients of one or two flows of such a rollout. Two are carried through the physics together, to state
+    /// and control: only N or S alone spares the system its derivative to the state.
     ///
     /// # Panics
     /// With no flow or more than two, or a rollout without tape.

@@ -61,7 +61,8 @@ impl<R: Real, const K: usize> Block<'_, R, K> {
         for (lambda, &cost) in zip(lambda.iter_mut(), &*cost_x) {
             *lambda += inject * cost;
         }
-        if flows.iter().any(|flow| flow.physics) {
+        // Of two flows one goes through the physics as a rule: what spares both the state's Jacobian is not compiled.
+        if K > 1 || flows.iter().any(|flow| flow.physics) {
             system.vjp(x, u, lambda, x_bar, u_bar);
         } else {
             system.vjp_control(x, u, lambda, u_bar);
@@ -77,15 +78,6 @@ impl<R: Real, const K: usize> Block<'_, R, K> {
             size += lambda.abs();
         }
         size
-    }
-}
-
-impl<F: Float> Block<'_, F, 1> {
-    /// As [`back`](Block::back), for one sample and flow, and in one place however many flows there are: the processors
-    /// that need it are old.
-    #[inline(never)]
-    fn alone<T: Task>(self, task: &T, flow: Flow) -> F {
-        self.back(task, [flow]).0[0]
     }
 }
 
@@ -120,43 +112,62 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
         *self.calm = calm;
     }
 
-    /// Sample by sample and flow by flow.
-    #[inline(always)]
     fn one_by_one(self) {
-        let Self { task, flows, rollout, t, carried: r, .. } = self;
-        let (n, m) = (rollout.state_dim, rollout.control_dim);
-        let mut numbers: SmallVec<[F; FEW]> = smallvec![F::zero(); 3 * n + 2 * m];
-        let mut columns: SmallVec<[Columns<F, 1>; FEW]> = smallvec![Columns([F::zero()]); 2 * n + m];
-        let (x, rest) = numbers.split_at_mut(n);
-        let (next, rest) = rest.split_at_mut(n);
-        let (cost_x, rest) = rest.split_at_mut(n);
-        let (u, cost_u) = rest.split_at_mut(m);
-        let (lambda, rest) = columns.split_at_mut(n);
-        let (x_bar, u_bar) = rest.split_at_mut(n);
-        let limits = Calm::new();
-        let mut calm = true;
-        for sample in 0..rollout.states_at(t).len() / n * WIDTH {
-            let (block, lane) = (sample / WIDTH, sample % WIDTH);
-            let (of_state, of_control) = (block * n..(block + 1) * n, block * m..(block + 1) * m);
-            read_lane(&rollout.states_at(t)[of_state.clone()], lane, x);
-            read_lane(&rollout.states_at(t + 1)[of_state.clone()], lane, next);
-            read_lane(&rollout.controls_at(t)[of_control.clone()], lane, u);
-            for (k, flow) in flows.into_iter().enumerate() {
-                for (one, lanes) in zip(lambda.iter_mut(), &r.lambda[of_state.clone()]) {
-                    *one = Columns([lanes.0[k].0[lane]]);
-                }
-                let inject = Columns([r.exponents[block].inject.0[k].0[lane]]);
-                let one = Block { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject };
-                calm &= limits.holds(one.alone(task, flow), r.scaled);
-                let write = |ones: &[Columns<F, 1>], lanes: &mut [Columns<Lane<F>, K>]| {
-                    zip(ones, lanes).for_each(|(one, lanes)| lanes.0[k].0[lane] = one.0[0]);
-                };
-                write(lambda, &mut r.lambda[of_state.clone()]);
-                write(u_bar, &mut r.u_bar[of_control.clone()]);
-            }
-        }
-        *self.calm = calm;
+        let Self { task, flows, rollout, t, carried, calm } = self;
+        *calm = one_by_one(&|block, flow| back_alone(task, block, flow), flows, rollout, t, carried);
     }
+}
+
+/// Of one sample and flow, in one place however many flows there are.
+#[inline(never)]
+fn back_alone<T: Task, F: Float>(task: &T, block: Block<F, 1>, flow: Flow) -> F {
+    block.back(task, [flow]).0[0]
+}
+
+/// One step back of one sample and flow.
+type Alone<'a, F> = &'a dyn Fn(Block<F, 1>, Flow) -> F;
+
+/// One step back, sample by sample and flow by flow: on processors that are old, so that it is compiled once for all tasks.
+#[inline(never)]
+fn one_by_one<F: Float, const K: usize>(
+    alone: Alone<F>,
+    flows: [Flow; K],
+    rollout: &Rollout<F>,
+    t: usize,
+    r: &mut Recursion<F, K>,
+) -> bool {
+    let (n, m) = (rollout.state_dim, rollout.control_dim);
+    let mut numbers: SmallVec<[F; FEW]> = smallvec![F::zero(); 3 * n + 2 * m];
+    let mut columns: SmallVec<[Columns<F, 1>; FEW]> = smallvec![Columns([F::zero()]); 2 * n + m];
+    let (x, rest) = numbers.split_at_mut(n);
+    let (next, rest) = rest.split_at_mut(n);
+    let (cost_x, rest) = rest.split_at_mut(n);
+    let (u, cost_u) = rest.split_at_mut(m);
+    let (lambda, rest) = columns.split_at_mut(n);
+    let (x_bar, u_bar) = rest.split_at_mut(n);
+    let limits = Calm::new();
+    let mut calm = true;
+    for sample in 0..rollout.states_at(t).len() / n * WIDTH {
+        let (block, lane) = (sample / WIDTH, sample % WIDTH);
+        let (of_state, of_control) = (block * n..(block + 1) * n, block * m..(block + 1) * m);
+        read_lane(&rollout.states_at(t)[of_state.clone()], lane, x);
+        read_lane(&rollout.states_at(t + 1)[of_state.clone()], lane, next);
+        read_lane(&rollout.controls_at(t)[of_control.clone()], lane, u);
+        for (k, flow) in flows.into_iter().enumerate() {
+            for (one, lanes) in zip(lambda.iter_mut(), &r.lambda[of_state.clone()]) {
+                *one = Columns([lanes.0[k].0[lane]]);
+            }
+            let inject = Columns([r.exponents[block].inject.0[k].0[lane]]);
+            let one = Block { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject };
+            calm &= limits.holds(alone(one, flow), r.scaled);
+            let write = |ones: &[Columns<F, 1>], lanes: &mut [Columns<Lane<F>, K>]| {
+                zip(ones, lanes).for_each(|(one, lanes)| lanes.0[k].0[lane] = one.0[0]);
+            };
+            write(lambda, &mut r.lambda[of_state.clone()]);
+            write(u_bar, &mut r.u_bar[of_control.clone()]);
+        }
+    }
+    calm
 }
 
 impl<T: Task, F: Float, const K: usize> Vectorized for Back<'_, T, F, K> {

@@ -1,5 +1,6 @@
 //! Whether the steps of a system can be stable: what a disturbance of a state is multiplied by.
 
+use crate::any::AnySystem;
 use crate::system::System;
 use std::fmt;
 
@@ -64,7 +65,11 @@ impl fmt::Display for Stability {
 /// assert!(check::stability(&SliderSystem::default(), &[0.0, 0.0], &[0.0]).is_stable());
 /// ```
 pub fn stability<S: System>(system: &S, x: &[f64], u: &[f64]) -> Stability {
-    let n = system.state_dim();
+    of_any(system, x, u)
+}
+
+fn of_any(system: &dyn AnySystem<f64>, x: &[f64], u: &[f64]) -> Stability {
+    let n = x.len();
     let mut power = jacobian(system, x, u);
     if let Some(at) = power.iter().position(|slope| !slope.is_finite()) {
         return Stability { multiplier: f64::NAN, component: at / n };
@@ -88,7 +93,7 @@ pub fn stability<S: System>(system: &S, x: &[f64], u: &[f64]) -> Stability {
 }
 
 /// ∂S/∂x, row by row.
-fn jacobian<S: System>(system: &S, x: &[f64], u: &[f64]) -> Vec<f64> {
+fn jacobian(system: &dyn AnySystem<f64>, x: &[f64], u: &[f64]) -> Vec<f64> {
     let n = x.len();
     let (mut matrix, mut x_tan, mut column) = (vec![0.0; n * n], vec![0.0; n], vec![0.0; n]);
     for j in 0..n {

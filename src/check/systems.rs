@@ -2,7 +2,8 @@
 
 use super::oracle::pulled_back;
 use super::{CASES, Comparison, Mismatch, ONE_STEP, Passed, normal};
-use crate::apart::{step, vjp};
+use crate::any::{AnySystem, vjp};
+use crate::apart::{One, step};
 use crate::kernels::has_lanes;
 use crate::rng::{Purpose, Rng, stream};
 use crate::rollout::{Lane, WIDTH};
@@ -10,39 +11,19 @@ use crate::scalar::{Columns, Lanes, Real, Scalar};
 use crate::system::System;
 use num_dual::Dual64;
 
-/// A [`System`] behind a pointer, on the numbers that checks run it on: what compares them is compiled once. Its methods are
-/// the system's.
-pub(super) trait AnySystem {
-    fn control_dim(&self) -> usize;
-    fn state_dim(&self) -> usize;
-    fn step(&self, x: &[f64], u: &[f64], next: &mut [f64]);
+/// A system on all numbers that its check runs it on.
+pub(super) trait Checked: AnySystem<f64> {
     fn step_by_duals(&self, x: &[Dual64], u: &[Dual64], next: &mut [Dual64]);
     fn step_in_lanes(&self, x: &[Lane<f64>], u: &[Lane<f64>], next: &mut [Lane<f64>]);
-    fn vjp(&self, x: &[f64], u: &[f64], next_bar: &[f64], x_bar: &mut [f64], u_bar: &mut [f64]);
     fn vjp_in_lanes(&self, x: &[Lane<f64>], u: &[Lane<f64>], next_bar: &[Two], x_bar: &mut [Two], u_bar: &mut [Two]);
-    fn vjp_state(&self, x: &[f64], u: &[f64], next_bar: &[One], x_bar: &mut [One]);
-    fn vjp_control(&self, x: &[f64], u: &[f64], next_bar: &[One], u_bar: &mut [One]);
-    fn jvp_state(&self, x: &[f64], u: &[f64], x_tan: &[f64], next_tan: &mut [f64]);
-    fn jvp_control(&self, x: &[f64], u: &[f64], u_tan: &[f64], next_tan: &mut [f64]);
+    fn vjp_state(&self, x: &[f64], u: &[f64], next_bar: &[One<f64>], x_bar: &mut [One<f64>]);
+    fn vjp_control(&self, x: &[f64], u: &[f64], next_bar: &[One<f64>], u_bar: &mut [One<f64>]);
 }
 
-type One = Columns<f64, 1>;
 /// What a reverse pass of two flows carries.
 type Two = Columns<Lane<f64>, 2>;
 
-impl<S: System> AnySystem for S {
-    fn control_dim(&self) -> usize {
-        System::control_dim(self)
-    }
-
-    fn state_dim(&self) -> usize {
-        System::state_dim(self)
-    }
-
-    fn step(&self, x: &[f64], u: &[f64], next: &mut [f64]) {
-        step(self, x, u, next);
-    }
-
+impl<S: System> Checked for S {
     fn step_by_duals(&self, x: &[Dual64], u: &[Dual64], next: &mut [Dual64]) {
         step(self, x, u, next);
     }
@@ -51,33 +32,21 @@ impl<S: System> AnySystem for S {
         step(self, x, u, next);
     }
 
-    fn vjp(&self, x: &[f64], u: &[f64], next_bar: &[f64], x_bar: &mut [f64], u_bar: &mut [f64]) {
-        vjp(self, x, u, next_bar, x_bar, u_bar);
-    }
-
     fn vjp_in_lanes(&self, x: &[Lane<f64>], u: &[Lane<f64>], next_bar: &[Two], x_bar: &mut [Two], u_bar: &mut [Two]) {
         System::vjp(self, x, u, next_bar, x_bar, u_bar);
     }
 
-    fn vjp_state(&self, x: &[f64], u: &[f64], next_bar: &[One], x_bar: &mut [One]) {
+    fn vjp_state(&self, x: &[f64], u: &[f64], next_bar: &[One<f64>], x_bar: &mut [One<f64>]) {
         System::vjp_state(self, x, u, next_bar, x_bar);
     }
 
-    fn vjp_control(&self, x: &[f64], u: &[f64], next_bar: &[One], u_bar: &mut [One]) {
+    fn vjp_control(&self, x: &[f64], u: &[f64], next_bar: &[One<f64>], u_bar: &mut [One<f64>]) {
         System::vjp_control(self, x, u, next_bar, u_bar);
-    }
-
-    fn jvp_state(&self, x: &[f64], u: &[f64], x_tan: &[f64], next_tan: &mut [f64]) {
-        System::jvp_state(self, x, u, x_tan, next_tan);
-    }
-
-    fn jvp_control(&self, x: &[f64], u: &[f64], u_tan: &[f64], next_tan: &mut [f64]) {
-        System::jvp_control(self, x, u, u_tan, next_tan);
     }
 }
 
 /// `(∂S/∂x)ᵀ next_bar` and `(∂S/∂u)ᵀ next_bar`, by num-dual's numbers.
-fn step_vjp(system: &dyn AnySystem, x: &[f64], u: &[f64], next_bar: &[f64]) -> (Vec<f64>, Vec<f64>) {
+fn step_vjp(system: &dyn Checked, x: &[f64], u: &[f64], next_bar: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let n = x.len();
     let mut x_bar = pulled_back(&[x, u].concat(), next_bar, &|xu, next| system.step_by_duals(&xu[..n], &xu[n..], next));
     let u_bar = x_bar.split_off(n);
@@ -88,7 +57,7 @@ fn step_vjp(system: &dyn AnySystem, x: &[f64], u: &[f64], next_bar: &[f64]) -> (
 type Draw<'a> = &'a dyn Fn(&mut Rng, &mut [f64], &mut [f64]);
 
 /// See [`try_system_at`](super::try_system_at).
-pub(super) fn check(system: &dyn AnySystem, draw: Draw) -> Result<Passed, Mismatch> {
+pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch> {
     let (n, m) = (system.state_dim(), system.control_dim());
     let mut c = Comparison::new(ONE_STEP);
     for case in 0..CASES {
@@ -99,8 +68,7 @@ pub(super) fn check(system: &dyn AnySystem, draw: Draw) -> Result<Passed, Mismat
         let next_bar = normal(&mut rng, n);
 
         let (x_dual, u_dual) = step_vjp(system, &x, &u, &next_bar);
-        let (mut x_bar, mut u_bar) = (vec![f64::NAN; n], vec![f64::NAN; m]);
-        system.vjp(&x, &u, &next_bar, &mut x_bar, &mut u_bar);
+        let [x_bar, u_bar] = vjp(system, &x, &u, &next_bar);
         c.slices("vjp: x_bar", &x_bar, &x_dual)?;
         c.slices("vjp: u_bar", &u_bar, &u_dual)?;
         let next_bars: Vec<_> = next_bar.iter().map(|&bar| Columns([bar])).collect();
@@ -131,7 +99,7 @@ pub(super) fn check(system: &dyn AnySystem, draw: Draw) -> Result<Passed, Mismat
 
 /// Two columns of lanes, as many as rollouts have, each lane another input, against the same on plain numbers: the same
 /// bits.
-fn lanes(system: &dyn AnySystem, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
+fn lanes(system: &dyn Checked, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
     const W: usize = WIDTH;
     let vary = |v: &[f64], lane: usize| v.iter().map(|v| v * (1.0 + lane as f64 / 64.0)).collect::<Vec<f64>>();
     let pack = |v: &[f64]| -> Vec<Lane<f64>> {
@@ -148,9 +116,9 @@ fn lanes(system: &dyn AnySystem, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut
     system.vjp_in_lanes(&x_lanes, &u_lanes, &next_bars, &mut x_bars, &mut u_bars);
     for lane in 0..W {
         let (x, u, next_bar) = (vary(x, lane), vary(u, lane), vary(next_bar, lane));
-        let (mut plain, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], vec![0.0; m]);
+        let mut plain = vec![0.0; n];
         system.step(&x, &u, &mut plain);
-        system.vjp(&x, &u, &next_bar, &mut x_bar, &mut u_bar);
+        let [x_bar, u_bar] = vjp(system, &x, &u, &next_bar);
         c.equal("step in lanes", &next.iter().map(|v| v.lane(lane)).collect::<Vec<_>>(), &plain)?;
         let first = |v: &[Two]| v.iter().map(|v| v.0[0].lane(lane)).collect::<Vec<_>>();
         c.equal("vjp in lanes: x_bar", &first(&x_bars), &x_bar)?;

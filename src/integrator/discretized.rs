@@ -2,7 +2,7 @@
 
 use super::any::Apart;
 use super::{AnyIntegrator, Integrator, Stretch, room};
-use crate::apart::{Reverse, Step, apart};
+use crate::apart::{Reverse, ReverseToControl, Step, apart};
 use crate::divergence::Cause;
 use crate::effect::Around;
 use crate::ode::Ode;
@@ -47,10 +47,7 @@ impl<S: System + Ode> System for Discretized<S> {
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
         match &self.integrator {
-            None => {
-                let system = &self.system;
-                apart::<R>(Reverse { system, x, u, next_bar, x_bar: Some(x_bar), u_bar: Some(u_bar) });
-            }
+            None => apart::<R>(Reverse { system: &self.system, x, u, next_bar, x_bar, u_bar }),
             Some(integrator) => {
                 u_bar.fill(C::null());
                 integrator.reverse(&Apart(&self.system), Stretch { h: R::lift(self.dt), x, u }, next_bar, x_bar, Some(u_bar));
@@ -60,18 +57,13 @@ impl<S: System + Ode> System for Discretized<S> {
 
     #[inline(always)]
     fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        match &self.integrator {
-            None => apart::<R>(Reverse { system: &self.system, x, u, next_bar, x_bar: Some(x_bar), u_bar: None }),
-            Some(integrator) => {
-                integrator.reverse(&Apart(&self.system), Stretch { h: R::lift(self.dt), x, u }, next_bar, x_bar, None)
-            }
-        }
+        self.vjp(x, u, next_bar, x_bar, &mut room(C::null(), u.len()));
     }
 
     #[inline(always)]
     fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
         if self.integrator.is_none() {
-            return apart::<R>(Reverse { system: &self.system, x, u, next_bar, x_bar: None, u_bar: Some(u_bar) });
+            return apart::<R>(ReverseToControl { system: &self.system, x, u, next_bar, u_bar });
         }
         let mut x_bar = room(C::null(), x.len());
         self.vjp(x, u, next_bar, &mut x_bar, u_bar);

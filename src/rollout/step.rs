@@ -62,23 +62,40 @@ impl<T: Task, F: Float> Step<'_, T, F> {
         *self.finite = probe.0.iter().all(|&p| p == F::zero());
     }
 
-    #[inline(always)]
     fn one_by_one(self) {
-        let (n, m) = (self.task.system().state_dim(), self.task.system().control_dim());
-        let mut numbers: SmallVec<[F; FEW]> = smallvec![F::zero(); 2 * n + m];
-        let (x, rest) = numbers.split_at_mut(n);
-        let (next, u) = rest.split_at_mut(n);
-        *self.finite = true;
-        for sample in 0..self.x.len() / n * WIDTH {
-            let (block, lane) = (sample / WIDTH, sample % WIDTH);
-            read_lane(&self.x[block * n..], lane, x);
-            read_lane(&self.u[block * m..], lane, u);
-            let (more, seen) = advance(self.task, x, u, next);
-            self.costs[block].0[lane] += more;
-            *self.finite &= seen == F::zero();
-            zip(&mut self.next[block * n..], &*next).for_each(|(lanes, &one)| lanes.0[lane] = one);
-        }
+        let Self { task, x, u, next, costs, finite } = self;
+        let sizes = [task.system().state_dim(), task.system().control_dim()];
+        *finite = one_by_one(&|x, u, next| advance(task, x, u, next), sizes, x, u, next, costs);
     }
+}
+
+/// A step of one sample: its cost, and 0 unless a number is not finite.
+type Advance<'a, F> = &'a dyn Fn(&[F], &[F], &mut [F]) -> (F, F);
+
+/// One step of all samples, one after the other: on processors that are old, so that it is compiled once for all tasks.
+#[inline(never)]
+fn one_by_one<F: Float>(
+    advance: Advance<F>,
+    [n, m]: [usize; 2],
+    x: &[Lane<F>],
+    u: &[Lane<F>],
+    next: &mut [Lane<F>],
+    costs: &mut [Lane<F>],
+) -> bool {
+    let mut numbers: SmallVec<[F; FEW]> = smallvec![F::zero(); 2 * n + m];
+    let (one, rest) = numbers.split_at_mut(n);
+    let (one_next, one_u) = rest.split_at_mut(n);
+    let mut finite = true;
+    for sample in 0..x.len() / n * WIDTH {
+        let (block, lane) = (sample / WIDTH, sample % WIDTH);
+        read_lane(&x[block * n..], lane, one);
+        read_lane(&u[block * m..], lane, one_u);
+        let (more, seen) = advance(one, one_u, one_next);
+        costs[block].0[lane] += more;
+        finite &= seen == F::zero();
+        zip(&mut next[block * n..], &*one_next).for_each(|(lanes, &one)| lanes.0[lane] = one);
+    }
+    finite
 }
 
 impl<T: Task, F: Float> Vectorized for Step<'_, T, F> {

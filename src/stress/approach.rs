@@ -5,10 +5,10 @@ use super::{Case, Finding};
 use crate::apart::step;
 use crate::check::{self, Stability};
 use crate::effect::With;
-use crate::integrator::{ImplicitMidpoint, Integrated, Integrator, SemiImplicit};
+use crate::integrator::{AnyIntegrator, ImplicitMidpoint, Integrated, SemiImplicit};
 use crate::substeps::Substeps;
 use crate::system::System;
-use crate::tasks::{GuidanceSystem, Spread, Walls};
+use crate::tasks::{GuidanceEffect, GuidanceSystem, Spread, Walls};
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "guidance_close_approach",
@@ -31,16 +31,17 @@ const DT: f64 = 4.0 / 60.0;
 const STRENGTH: f64 = 10.0;
 const STIFFNESS: f64 = STRENGTH / 0.01;
 
-type Room = With<GuidanceSystem, (Spread, Walls)>;
-type Split<I> = Substeps<Integrated<Room, I>>;
+type Room = With<GuidanceSystem, Vec<GuidanceEffect>>;
+type Split = Substeps<Integrated<Room, AnyIntegrator>>;
 
 /// Two agents who repel each other, or attract with a negative strength.
 fn room(strength: f64) -> Room {
     let system = GuidanceSystem { drivers: 2, evaders: 0, dt: DT, ..GuidanceSystem::default() };
-    With { system, effects: (Spread { strength }, Walls { half_width: 3.0, half_height: 3.0, stiffness: 10.0 }) }
+    let walls = Walls { half_width: 3.0, half_height: 3.0, stiffness: 10.0 };
+    With { system, effects: vec![Spread { strength }.into(), walls.into()] }
 }
 
-fn split<I: Integrator>(strength: f64, integrator: I, count: usize) -> Split<I> {
+fn split(strength: f64, integrator: AnyIntegrator, count: usize) -> Split {
     Substeps { system: Integrated { ode: room(strength), integrator, dt: DT / count as f64 }, count }
 }
 
@@ -59,7 +60,7 @@ fn start(strength: f64) -> [f64; 8] {
 }
 
 /// Whether all states are finite, and the lowest and the highest energy as a share of the first.
-fn energies<S: System>(system: &S, strength: f64, steps: usize) -> (bool, f64, f64) {
+fn energies(system: &impl System, strength: f64, steps: usize) -> (bool, f64, f64) {
     // Nobody steers, and there is nobody to steer by.
     let (mut x, mut next) = (start(strength), [0.0; 8]);
     let first = energy(strength, &x);
@@ -74,11 +75,13 @@ fn energies<S: System>(system: &S, strength: f64, steps: usize) -> (bool, f64, f
     (all, lowest, highest)
 }
 
-fn close<S: System>(system: &S) -> Stability {
+fn close(system: &impl System) -> Stability {
     check::stability(system, &[0.0, 0.0, 0.0, 0.0, 1e-6, 0.0, 0.0, 0.0], &[0.0; 4])
 }
 
 fn guidance_close_approach() -> Vec<Finding> {
+    let semi_implicit = AnyIntegrator::SemiImplicit(SemiImplicit);
+    let midpoint = AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint::default());
     let mut findings = Vec::new();
     for (what, strength, expected) in [
         ("repulsion", STRENGTH, 1.0 + DT * (2.0 * STIFFNESS).sqrt()),
@@ -93,13 +96,13 @@ fn guidance_close_approach() -> Vec<Finding> {
         let (all, _, highest) = energies(&explicit, strength, 1000);
         findings.push(Finding::holds(format!("{what}: 1000 explicit states"), "finite", all, if all { "finite" } else { "not" }));
         findings.push(Finding::at_least(format!("{what}: energy by explicit steps, of the first"), highest, 2.0));
-        findings.push(bounded(what, "semi-implicit", strength, &split(strength, SemiImplicit, 128)));
-        findings.push(bounded(what, "implicit midpoint", strength, &split(strength, ImplicitMidpoint::default(), 16)));
+        findings.push(bounded(what, "semi-implicit", strength, &split(strength, semi_implicit, 128)));
+        findings.push(bounded(what, "implicit midpoint", strength, &split(strength, midpoint, 16)));
     }
     for (how, report, stable) in [
-        ("semi-implicit in 4 substeps", close(&split(-STRENGTH, SemiImplicit, 4)), true),
-        ("semi-implicit, whole", close(&split(-STRENGTH, SemiImplicit, 1)), false),
-        ("implicit midpoint, whole", close(&split(-STRENGTH, ImplicitMidpoint::default(), 1)), true),
+        ("semi-implicit in 4 substeps", close(&split(-STRENGTH, semi_implicit, 4)), true),
+        ("semi-implicit, whole", close(&split(-STRENGTH, semi_implicit, 1)), false),
+        ("implicit midpoint, whole", close(&split(-STRENGTH, midpoint, 1)), true),
     ] {
         let measured = format!("multiplier {:.6}", report.multiplier);
         let asked = if stable { "stable" } else { "unstable" };
@@ -108,7 +111,7 @@ fn guidance_close_approach() -> Vec<Finding> {
     findings
 }
 
-fn bounded<S: System>(what: &str, how: &str, strength: f64, system: &S) -> Finding {
+fn bounded(what: &str, how: &str, strength: f64, system: &impl System) -> Finding {
     let (all, lowest, highest) = energies(system, strength, 10_000);
     let off = if all { (highest - 1.0).max(1.0 - lowest) } else { f64::INFINITY };
     Finding::at_most(format!("{what}, {how}: largest change of energy in 10,000 steps, as a share"), off, 0.1)

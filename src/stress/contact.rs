@@ -2,6 +2,7 @@
 
 use super::steps::{derivative, larger, states};
 use super::{Case, Finding};
+use crate::any;
 use crate::apart::step;
 use crate::check;
 use crate::scalar::{Dual, Scalar};
@@ -110,8 +111,8 @@ impl Example {
     }
 
     /// Of the reverse pass.
-    fn error<S: System>(&self, system: &S, dt: f64) -> f64 {
-        let states = states(system, &self.start, std::iter::repeat_n(self.control, self.steps(dt)));
+    fn error(&self, system: &dyn any::AnySystem<f64>, dt: f64) -> f64 {
+        let states = states(system, &self.start, self.control, self.steps(dt));
         let (mut found, by_control) = derivative(system, &states, self.control, self.component);
         found.push(by_control);
         let compared = found.iter().zip(&self.expected).filter(|(_, expected)| !expected.is_nan());
@@ -136,7 +137,7 @@ impl Example {
         self.off(x[self.component].tangents)
     }
 
-    fn exact<S: System>(&self, system: &S, dt: f64) -> Finding {
+    fn exact(&self, system: &dyn any::AnySystem<f64>, dt: f64) -> Finding {
         Finding::at_most(format!("{}, time of impact: error of derivatives, as a share", self.name), self.error(system, dt), 0.01)
     }
 
@@ -224,7 +225,7 @@ fn damped_ball() -> [Finding; 2] {
     let rebound = |damping: f64| {
         let contact = Contact::Penalty { stiffness: 1e6, damping };
         let system = BouncingBall { contact, dt: resolved(1e6), gravity: 0.0, ..BouncingBall::default() };
-        states(&system, &[0.0, -speed], std::iter::repeat_n(0.0, 120))[120][1] / speed
+        states(&system, &[0.0, -speed], 0.0, 120)[120][1] / speed
     };
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..40 {

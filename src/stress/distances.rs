@@ -2,11 +2,12 @@
 
 use super::steps::{error, finite, larger, vjp_by_jvps};
 use super::{Case, Finding};
-use crate::apart::{step, vjp};
+use crate::any::{AnySystem, vjp};
+use crate::apart::step;
 use crate::effect::With;
 use crate::scalar::{Float, Scalar};
 use crate::system::System;
-use crate::tasks::{Evade, Flock, Friction, GuidanceSystem, Obstacles, Spread, Walls};
+use crate::tasks::{Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, Obstacles, Spread, Walls};
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "guidance_distances",
@@ -21,21 +22,27 @@ pub(super) const CASES: &[Case] = &[Case {
     run: guidance_distances,
 }];
 
-type Crowd = With<GuidanceSystem, (Friction, Spread, Evade, Flock, Obstacles, Walls)>;
+type Crowd = With<GuidanceSystem, Vec<GuidanceEffect>>;
 
 /// Two drivers and two evaders, one of them in the very center of an obstacle; walls that are touched at 1e8 m only.
 fn crowd() -> Crowd {
     let system = GuidanceSystem { drivers: 2, evaders: 2, ..GuidanceSystem::default() };
     let obstacles = Obstacles { centers: vec![[0.0, 0.0]], ..Obstacles::default() };
-    let effects = (Friction::default(), Spread::default(), Evade::default(), Flock::default(), obstacles, Walls::default());
+    let effects = vec![
+        Friction::default().into(),
+        Spread::default().into(),
+        Evade::default().into(),
+        Flock::default().into(),
+        obstacles.into(),
+        Walls::default().into(),
+    ];
     With { system, effects }
 }
 
 fn guidance_distances() -> Vec<Finding> {
     let mut findings = at::<f64>(&[0.0, 1e-300, 1e-160, 1e-20, 1e-8, 1e8], 1e-12);
     findings.extend(at::<f32>(&[0.0, 1e-30, 1e-10], 1e-5));
-    let (mut x_bar, bar) = ([0.0; 2], [1.0; 2]);
-    vjp(&Unguarded, &[6e-301, 8e-301], &[], &bar, &mut x_bar, &mut []);
+    let [x_bar, _] = vjp(&Unguarded, &[6e-301, 8e-301], &[], &[1.0; 2]);
     let whether = finite(&x_bar);
     findings.push(Finding::holds(
         "unguarded distance of 1e-300",
@@ -85,13 +92,13 @@ fn at<F: Float>(distances: &[f64], allowed: f64) -> Vec<Finding> {
 
 /// Whether all is finite, and the largest error. Cotangents are those of one agent's velocity at a time, and nobody steers,
 /// so that nothing larger hides the slopes of the forces.
-fn derivatives<F: Float>(system: &Crowd, distance: f64) -> (bool, f64) {
+fn derivatives<F: Float>(system: &dyn AnySystem<F>, distance: f64) -> (bool, f64) {
     let (n, m) = (system.state_dim(), system.control_dim());
     let place = |agent: usize| [0.6, 0.8].map(|share| F::lift(agent as f64 * distance * share));
     let x: Vec<F> = (0..4).flat_map(|agent| place(agent).into_iter().chain([F::zero(); 2])).collect();
     let u = vec![F::zero(); m];
     let mut next = vec![F::zero(); n];
-    step(system, &x, &u, &mut next);
+    system.step(&x, &u, &mut next);
     let (mut whether, mut worst) = (finite(&next), 0.0f64);
     for k in 0..n {
         let mut x_tan = vec![F::zero(); n];
@@ -102,8 +109,7 @@ fn derivatives<F: Float>(system: &Crowd, distance: f64) -> (bool, f64) {
     for agent in 0..4 {
         let mut bar = vec![F::zero(); n];
         (bar[4 * agent + 2], bar[4 * agent + 3]) = (F::one(), F::lift(0.5));
-        let (mut x_bar, mut u_bar) = (vec![F::zero(); n], vec![F::zero(); m]);
-        vjp(system, &x, &u, &bar, &mut x_bar, &mut u_bar);
+        let [x_bar, u_bar] = vjp(system, &x, &u, &bar);
         let [x_dual, u_dual] = vjp_by_jvps(system, &x, &u, &bar);
         let positions = |v: &[F]| (0..n).filter(|k| k % 4 < 2).map(|k| v[k]).collect::<Vec<F>>();
         whether &= [&x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|bar| finite(bar));
@@ -120,7 +126,7 @@ fn force<F: Float>(distance: f64) -> f64 {
     let body = GuidanceSystem { drivers: 1, evaders: 1, dt: 1.0, ..GuidanceSystem::default() };
     let (zero, along, across) = (F::zero(), F::lift(0.6 * distance), F::lift(0.8 * distance));
     let mut next = [zero; 8];
-    let system = With { system: body, effects: Evade::default() };
+    let system: Crowd = With { system: body, effects: vec![Evade::default().into()] };
     step(&system, &[zero, zero, zero, zero, along, across, zero, zero], &[zero; 2], &mut next);
     let force = 15.0 / (0.1 + distance) * (distance / (0.1 + distance));
     let shares = [next[6].as_() / force, next[7].as_() / force];

@@ -43,7 +43,7 @@ fn dry_friction() -> Vec<Finding> {
 
 fn implicit(smoothing: f64) -> Vec<Finding> {
     let system = slider(smoothing, FrictionScheme::Implicit);
-    let states = states(&system, &START, [0.0; STEPS].into_iter());
+    let states = states(&system, &START, 0.0, STEPS);
     let speeds = || states.iter().map(|x| x[1]);
     let largest = speeds().map(|v| check::stability(&system, &[0.0, v], &[0.0]).multiplier).fold(0.0, larger);
     // Its own place is remembered: a multiplier of 1.
@@ -84,7 +84,7 @@ fn explicit(smoothing: f64) -> Vec<Finding> {
     let system = slider(smoothing, FrictionScheme::Explicit);
     let expected = f64::max(1.0, (1.0 - system.grip() / smoothing).abs());
     let report = check::stability(&system, &[0.0, 0.0], &[0.0]);
-    let states = states(&system, &START, [0.0; STEPS].into_iter());
+    let states = states(&system, &START, 0.0, STEPS);
     let last: Vec<f64> = states[STEPS - 49..].iter().map(|x| x[1]).collect();
     let turns = last.windows(2).filter(|v| v[0] * v[1] < 0.0).count();
     let left = last.iter().fold(0.0, |most: f64, v| most.max(v.abs()));

@@ -2,10 +2,9 @@
 
 use super::steps::{error, finite, larger, vjp_by_jvps};
 use super::{Case, Finding};
-use crate::apart::{step, vjp};
+use crate::any::{AnySystem, vjp};
 use crate::rng::{Purpose, Rng, stream};
 use crate::scalar::Float;
-use crate::system::System;
 use crate::tasks::{
     BouncingBall, CartPoleSystem, Contact, CoupledCartPole, FrictionScheme, GuidanceSystem, QuantumSystem, Renormalized,
     SliderSystem, TwoBodies,
@@ -104,16 +103,22 @@ struct Found {
     error: f64,
 }
 
-fn of<S: System>(name: &str, system: &S, draw: Draw) -> Vec<Finding> {
+/// In either precision.
+trait Either: AnySystem<f64> + AnySystem<f32> {}
+
+impl<S: AnySystem<f64> + AnySystem<f32>> Either for S {}
+
+fn of(name: &str, system: &dyn Either, draw: Draw) -> Vec<Finding> {
+    let (double, single): (&dyn AnySystem<f64>, &dyn AnySystem<f32>) = (system, system);
     let (mut finite, mut worst) = ([0, 0], [0.0, 0.0]);
     for index in 0..STATES {
         let mut rng = stream(0, Purpose::Check, index);
-        let (mut x, mut u) = (vec![0.0; system.state_dim()], vec![0.0; system.control_dim()]);
+        let (mut x, mut u) = (vec![0.0; double.state_dim()], vec![0.0; double.control_dim()]);
         draw(&mut rng, &mut x, &mut u);
         let bar = x.iter().map(|_| normal(&mut rng)).collect();
         let inputs = Inputs { x, u, bar };
-        let condition = condition(system, &inputs, &mut rng);
-        let (of_double, of_single) = (at(system, &inputs), at(system, &rounded(&inputs)));
+        let condition = condition(double, &inputs, &mut rng);
+        let (of_double, of_single) = (at(double, &inputs), at(single, &rounded(&inputs)));
         finite[0] += usize::from(of_double.finite);
         finite[1] += usize::from(of_single.finite);
         worst[0] = larger(worst[0], of_double.error);
@@ -133,16 +138,14 @@ fn rounded(inputs: &Inputs<f64>) -> Inputs<f32> {
     Inputs { x: single(&inputs.x), u: single(&inputs.u), bar: single(&inputs.bar) }
 }
 
-fn reverse<S: System, F: Float>(system: &S, inputs: &Inputs<F>) -> [Vec<F>; 2] {
-    let (mut x_bar, mut u_bar) = (inputs.x.clone(), inputs.u.clone());
-    vjp(system, &inputs.x, &inputs.u, &inputs.bar, &mut x_bar, &mut u_bar);
-    [x_bar, u_bar]
+fn reverse<F: Float>(system: &dyn AnySystem<F>, inputs: &Inputs<F>) -> [Vec<F>; 2] {
+    vjp(system, &inputs.x, &inputs.u, &inputs.bar)
 }
 
-fn at<S: System, F: Float>(system: &S, inputs: &Inputs<F>) -> Found {
+fn at<F: Float>(system: &dyn AnySystem<F>, inputs: &Inputs<F>) -> Found {
     let Inputs { x, u, bar } = inputs;
     let mut next = x.clone();
-    step(system, x, u, &mut next);
+    system.step(x, u, &mut next);
     let [x_bar, u_bar] = reverse(system, inputs);
     let [x_dual, u_dual] = vjp_by_jvps(system, x, u, bar);
     let finite = [&next, &x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|v| finite(v));
@@ -151,7 +154,7 @@ fn at<S: System, F: Float>(system: &S, inputs: &Inputs<F>) -> Found {
 }
 
 /// κ: what the VJP changes by, as a share, per relative change of the state, in a random direction.
-fn condition<S: System>(system: &S, inputs: &Inputs<f64>, rng: &mut Rng) -> f64 {
+fn condition(system: &dyn AnySystem<f64>, inputs: &Inputs<f64>, rng: &mut Rng) -> f64 {
     const BY: f64 = 1e-7;
     let mut moved = |v: &[f64]| v.iter().map(|v| v * (1.0 + if rng.random() { BY } else { -BY })).collect::<Vec<f64>>();
     let near = Inputs { x: moved(&inputs.x), u: moved(&inputs.u), bar: inputs.bar.clone() };

@@ -1,35 +1,34 @@
 //! Steps one after the other, and back.
 
-use crate::apart::{step, vjp};
+use crate::any::{AnySystem, vjp};
 use crate::scalar::Float;
-use crate::system::System;
 
-/// The states `x_0 .. x_T` under the controls `u_0 .. u_{T-1}`.
-pub(super) fn states<S: System, F: Float>(system: &S, start: &[F], controls: impl Iterator<Item = F>) -> Vec<Vec<F>> {
+/// The states `x_0 .. x_T` under a control that is the same in every step.
+pub(super) fn states(system: &dyn AnySystem<f64>, start: &[f64], u: f64, steps: usize) -> Vec<Vec<f64>> {
     let mut states = vec![start.to_vec()];
-    for u in controls {
-        let mut next = vec![F::zero(); start.len()];
-        step(system, &states[states.len() - 1], &[u], &mut next);
+    for _ in 0..steps {
+        let mut next = vec![0.0; start.len()];
+        system.step(&states[states.len() - 1], &[u], &mut next);
         states.push(next);
     }
     states
 }
 
 /// The derivative of a component of the last state by the start, and by a control that is the same in every step.
-pub(super) fn derivative<S: System>(system: &S, states: &[Vec<f64>], u: f64, component: usize) -> (Vec<f64>, f64) {
+pub(super) fn derivative(system: &dyn AnySystem<f64>, states: &[Vec<f64>], u: f64, component: usize) -> (Vec<f64>, f64) {
     let n = states[0].len();
-    let (mut bar, mut x_bar, mut part, mut u_bar) = (vec![0.0; n], vec![0.0; n], [0.0], 0.0);
+    let (mut bar, mut u_bar) = (vec![0.0; n], 0.0);
     bar[component] = 1.0;
     for x in states[..states.len() - 1].iter().rev() {
-        vjp(system, x, &[u], &bar, &mut x_bar, &mut part);
-        bar.copy_from_slice(&x_bar);
+        let [x_bar, part] = vjp(system, x, &[u], &bar);
+        bar = x_bar;
         u_bar += part[0];
     }
     (bar, u_bar)
 }
 
 /// `(∂S/∂x)ᵀ bar` and `(∂S/∂u)ᵀ bar` in forward mode, one component after the other.
-pub(super) fn vjp_by_jvps<S: System, F: Float>(system: &S, x: &[F], u: &[F], bar: &[F]) -> [Vec<F>; 2] {
+pub(super) fn vjp_by_jvps<F: Float>(system: &dyn AnySystem<F>, x: &[F], u: &[F], bar: &[F]) -> [Vec<F>; 2] {
     let mut next = x.to_vec();
     let mut along = |len: usize, jvp: &dyn Fn(&[F], &mut [F])| -> Vec<F> {
         let component = |i: usize| {

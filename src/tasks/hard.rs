@@ -1,13 +1,14 @@
 //! The small hard tasks, chosen while the program runs: one type, so that what trains them is compiled once.
 
 use super::{Bounce, DoublePendulum, Lqr, PoleChain, Push, Slider, Upright};
-use crate::apart::{Reverse, Step, apart};
+use crate::apart::{Reverse, ReverseToControl, Step, apart};
 use crate::effect::Around;
 use crate::integrator::{AnyIntegrator, Integrated};
 use crate::rng::Rng;
 use crate::scalar::{Cotangent, Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
+use smallvec::{SmallVec, smallvec};
 
 /// Any of them. As a [`System`] it is the task's physics, compiled apart; with whatever is around that, [`Hard`] is the task.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,20 +41,6 @@ macro_rules! whichever {
     };
 }
 
-impl AnyHard {
-    #[inline(always)]
-    fn reverse<R: Real, C: Cotangent<R>>(
-        &self,
-        x: &[R],
-        u: &[R],
-        next_bar: &[C],
-        x_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
-    ) {
-        whichever!(self, task => apart::<R>(Reverse { system: task.system(), x, u, next_bar, x_bar, u_bar }));
-    }
-}
-
 impl System for AnyHard {
     fn state_dim(&self) -> usize {
         whichever!(self, task => task.system().state_dim())
@@ -70,17 +57,18 @@ impl System for AnyHard {
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        self.reverse(x, u, next_bar, Some(x_bar), Some(u_bar));
+        whichever!(self, task => apart::<R>(Reverse { system: task.system(), x, u, next_bar, x_bar, u_bar }));
     }
 
     #[inline(always)]
     fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        self.reverse(x, u, next_bar, Some(x_bar), None);
+        let mut u_bar: SmallVec<[C; 8]> = smallvec![C::null(); u.len()];
+        self.vjp(x, u, next_bar, x_bar, &mut u_bar);
     }
 
     #[inline(always)]
     fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        self.reverse(x, u, next_bar, None, Some(u_bar));
+        whichever!(self, task => apart::<R>(ReverseToControl { system: task.system(), x, u, next_bar, u_bar }));
     }
 }
 
