@@ -258,6 +258,13 @@ pub struct With<H, E> {
     pub effects: E,
 }
 
+/// A copy of effects that are plain numbers: what is read through a reference is read, and made a number of many lanes, again
+/// after every number that is written.
+#[inline(always)]
+fn copied<E: Clone>(effects: &E) -> Option<E> {
+    if std::mem::needs_drop::<E>() { None } else { Some(effects.clone()) }
+}
+
 impl<H: Host, E: Effect<H::Body>> System for With<H, E> {
     fn state_dim(&self) -> usize {
         self.system.state_dim() + usize::from(self.effects.clock().is_some())
@@ -270,7 +277,8 @@ impl<H: Host, E: Effect<H::Body>> System for With<H, E> {
     #[inline(always)]
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
         let n = self.system.state_dim();
-        self.system.step_with(&self.effects, x, u, &mut next[..n]);
+        let own = copied(&self.effects);
+        self.system.step_with(own.as_ref().unwrap_or(&self.effects), x, u, &mut next[..n]);
         if self.effects.clock().is_some() {
             next[n] = x[n] + T::lift(self.system.dt());
         }
@@ -284,7 +292,8 @@ impl<H: Host, E: Effect<H::Body>> System for With<H, E> {
     fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
         let n = self.system.state_dim();
         x_bar[n..].copy_from_slice(&next_bar[n..]);
-        self.system.reverse(&self.effects, x, u, &next_bar[..n], Some(x_bar), Some(u_bar));
+        let own = copied(&self.effects);
+        self.system.reverse(own.as_ref().unwrap_or(&self.effects), x, u, &next_bar[..n], Some(x_bar), Some(u_bar));
     }
 
     #[inline(always)]
@@ -296,7 +305,9 @@ impl<H: Host, E: Effect<H::Body>> System for With<H, E> {
 
     #[inline(always)]
     fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        self.system.reverse(&self.effects, x, u, &next_bar[..self.system.state_dim()], None, Some(u_bar));
+        let n = self.system.state_dim();
+        let own = copied(&self.effects);
+        self.system.reverse(own.as_ref().unwrap_or(&self.effects), x, u, &next_bar[..n], None, Some(u_bar));
     }
 }
 

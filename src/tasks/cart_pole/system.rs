@@ -156,11 +156,10 @@ impl Host for CartPoleSystem {
     #[inline(always)]
     fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let k = self.constants::<T>();
-        let push = self.accelerate(&k, effects, x, u, &mut next[2..]);
-        for (pole, next) in zip(self.poles_of(x), next[2..].chunks_exact_mut(2)) {
-            next[1] = pole[1] + k.dt * next[1];
-            next[0] = pole[0] + k.dt * next[1];
-        }
+        let push = self.accelerate(&k, effects, x, u, &mut next[2..], |pole, alpha| {
+            let omega = pole[1] + k.dt * alpha;
+            [pole[0] + k.dt * omega, omega]
+        });
         next[1] = x[1] + k.dt * push * k.per_mass;
         next[0] = x[0] + k.dt * next[1];
     }
@@ -179,16 +178,13 @@ impl Host for CartPoleSystem {
         let speed_bar = next_bar[1] + next_bar[0] * k.dt;
         if let Some(x_bar) = &mut x_bar {
             (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar);
-            for i in 0..self.poles {
-                let theta_bar = next_bar[2 + 2 * i];
-                (x_bar[2 + 2 * i], x_bar[3 + 2 * i]) = (theta_bar, next_bar[3 + 2 * i] + theta_bar * k.dt);
-            }
         }
-        let alpha_bar = |i: usize, x_bar: Option<&[C]>| match x_bar {
-            Some(x_bar) => x_bar[3 + 2 * i] * k.dt,
-            None => (next_bar[3 + 2 * i] + next_bar[2 + 2 * i] * k.dt) * k.dt,
+        let pole_bar = |i: usize, _: Option<&[C]>| {
+            let theta_bar = next_bar[2 + 2 * i];
+            let omega_bar = next_bar[3 + 2 * i] + theta_bar * k.dt;
+            ([theta_bar, omega_bar], omega_bar * k.dt)
         };
-        let force_bar = self.accelerate_reverse(effects, x, u, speed_bar * (k.dt * k.per_mass), alpha_bar, x_bar);
+        let force_bar = self.accelerate_reverse(effects, x, u, speed_bar * (k.dt * k.per_mass), pole_bar, x_bar);
         if let Some(u_bar) = u_bar {
             u_bar[0] = force_bar;
         }
@@ -196,9 +192,17 @@ impl Host for CartPoleSystem {
 }
 
 impl CartPoleSystem {
-    /// Writes α_i in the second place of each pole, and returns the bracket in ẍ = (…) / M.
+    /// Writes what `of_pole` makes of the state of each pole and α_i, and returns the bracket in ẍ = (…) / M.
     #[inline(always)]
-    fn accelerate<E: Effect<Self>, T: Scalar>(&self, k: &Constants<T>, effects: &E, x: &[T], u: &[T], poles: &mut [T]) -> T {
+    fn accelerate<E: Effect<Self>, T: Scalar>(
+        &self,
+        k: &Constants<T>,
+        effects: &E,
+        x: &[T],
+        u: &[T],
+        poles: &mut [T],
+        of_pole: impl Fn(&[T], T) -> [T; 2],
+    ) -> T {
         let mut forces = Forces::new();
         if E::LOCAL {
             for (pole, trig) in zip(self.poles_of(x), poles.chunks_exact_mut(2)) {
@@ -217,13 +221,13 @@ impl CartPoleSystem {
             let a = (force + centrifugal) * k.per_mass;
             let alpha = (torque - lever * a) / (k.inertia - k.coupling * cos * cos);
             push += centrifugal - lever * alpha;
-            out[1] = alpha;
+            [out[0], out[1]] = of_pole(pole, alpha);
         }
         push
     }
 
-    /// The reverse of [`accelerate`](Self::accelerate): adds to `x_bar`, if it is asked for, and returns the control's
-    /// cotangent. Pole `i` is asked for its `alpha_bar` while its own part of `x_bar` is as it was.
+    /// The reverse of [`accelerate`](Self::accelerate): writes `x_bar`, if it is asked for, and returns the control's cotangent.
+    /// `pole_bar` gives what pole `i` has otherwise, of which the sum is written, and the cotangent of α_i.
     #[inline(always)]
     fn accelerate_reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
         &self,
@@ -231,7 +235,7 @@ impl CartPoleSystem {
         x: &[R],
         u: &[R],
         push_bar: C,
-        alpha_bar: impl Fn(usize, Option<&[C]>) -> C,
+        pole_bar: impl Fn(usize, Option<&[C]>) -> ([C; 2], C),
         mut x_bar: Option<&mut [C]>,
     ) -> C {
         let k = self.constants::<R>();
@@ -258,7 +262,8 @@ impl CartPoleSystem {
             let per_inertia = R::one() / (k.inertia - k.coupling * cos * cos);
             let alpha = (torque - lever * a) * per_inertia;
 
-            let alpha_bar = alpha_bar(i, x_bar.as_deref()) - push_bar * lever;
+            let ([theta_bar, omega_bar], alpha_bar) = pole_bar(i, x_bar.as_deref());
+            let alpha_bar = alpha_bar - push_bar * lever;
             // α = numerator / denominator, and the torque is the numerator's first term.
             let torque_bar = alpha_bar * per_inertia;
             let thrust_bar = -(torque_bar * (lever * k.per_mass));
@@ -271,8 +276,8 @@ impl CartPoleSystem {
                 let sin_bar = torque_bar * k.weight + centrifugal_bar * (k.moment * spin);
                 let cos_bar =
                     torque_bar * (R::lift(2.0) * k.coupling * cos * alpha - k.moment * a) - push_bar * (k.moment * alpha);
-                x_bar[2 + 2 * i] = x_bar[2 + 2 * i] + sin_bar * cos - cos_bar * sin;
-                x_bar[3 + 2 * i] += centrifugal_bar * (R::lift(2.0) * k.moment * sin * omega);
+                x_bar[2 + 2 * i] = theta_bar + sin_bar * cos - cos_bar * sin;
+                x_bar[3 + 2 * i] = omega_bar + centrifugal_bar * (R::lift(2.0) * k.moment * sin * omega);
                 if effects_read {
                     effects.vjp_first_at(self, x, 1 + i, torque_bar, x_bar);
                 }
@@ -298,10 +303,8 @@ impl Flowing for CartPoleSystem {
     #[inline(always)]
     fn rate_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
         let k = self.constants::<T>();
-        rate[1] = self.accelerate(&k, effects, x, u, &mut rate[2..]) * k.per_mass;
-        for i in (0..rate.len()).step_by(2) {
-            rate[i] = x[i + 1];
-        }
+        rate[1] = self.accelerate(&k, effects, x, u, &mut rate[2..], |pole, alpha| [pole[1], alpha]) * k.per_mass;
+        rate[0] = x[1];
     }
 
     #[inline(always)]
@@ -318,8 +321,11 @@ impl Flowing for CartPoleSystem {
         for i in (0..rate_bar.len()).step_by(2) {
             x_bar[i + 1] += rate_bar[i];
         }
-        let alpha_bar = |i: usize, _: Option<&[C]>| rate_bar[3 + 2 * i];
-        let force_bar = self.accelerate_reverse(effects, x, u, rate_bar[1] * k.per_mass, alpha_bar, Some(x_bar));
+        let pole_bar = |i: usize, x_bar: Option<&[C]>| {
+            let own = x_bar.map_or([C::null(); 2], |x_bar| [x_bar[2 + 2 * i], x_bar[3 + 2 * i]]);
+            (own, rate_bar[3 + 2 * i])
+        };
+        let force_bar = self.accelerate_reverse(effects, x, u, rate_bar[1] * k.per_mass, pole_bar, Some(x_bar));
         if let Some(u_bar) = u_bar {
             u_bar[0] += force_bar;
         }
