@@ -1,5 +1,4 @@
-//! [`AnyTask`] and [`AnyPolicy`]: what rollouts and reverse passes see of a task and a policy. [`AnySystem`]: what checks see of
-//! a system.
+//! [`AnyTask`] and [`AnyPolicy`]: what rollouts and reverse passes see of a task and a policy.
 //!
 //! They are behind pointers: a step of all samples is work enough for a call through a pointer to cost nothing, and what goes
 //! through steps, mini-batches and epochs is compiled once for a precision, not for every task.
