@@ -258,11 +258,13 @@ pub struct With<H, E> {
     pub effects: E,
 }
 
-/// A copy of effects that are plain numbers: what is read through a reference is read, and made a number of many lanes, again
-/// after every number that is written.
+/// A copy of effects that are a few plain numbers: what is read through a reference is read, and made a number of many lanes,
+/// again after every number that is written.
 #[inline(always)]
 fn copied<E: Clone>(effects: &E) -> Option<E> {
-    if std::mem::needs_drop::<E>() { None } else { Some(effects.clone()) }
+    const FEW: usize = 32 * size_of::<f64>();
+    let plain = !std::mem::needs_drop::<E>() && size_of::<E>() <= FEW;
+    plain.then(|| effects.clone())
 }
 
 impl<H: Host, E: Effect<H::Body>> System for With<H, E> {
