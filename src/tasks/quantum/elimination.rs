@@ -93,17 +93,16 @@ impl<T: Scalar> Elimination<'_, T> {
             y[j] = [re * q_re - im * q_im, re * q_im + im * q_re];
             before = Some(y[j]);
         }
-        // Back: y_j = s_j + ib y_{j+1} / p_j.
-        let mut after: Option<[V; 2]> = None;
+        // Back: y_j = s_j + ib y_{j+1} / p_j. Number by number: compilers carry a pair of columns with its lanes reversed.
+        let mut after: Option<(V, V)> = None;
         for j in (0..n).rev() {
-            let ([mut re, mut im], (q_re, q_im)) = (y[j], per_pivot[j]);
-            if let Some([y_re, y_im]) = after {
+            let (y, (q_re, q_im)) = (&mut y[j], per_pivot[j]);
+            if let Some((y_re, y_im)) = after {
                 let (f_re, f_im) = (q_re * b, q_im * b);
-                re = re - (y_re * f_im + y_im * f_re);
-                im = im + (y_re * f_re - y_im * f_im);
+                y[0] = y[0] - (y_re * f_im + y_im * f_re);
+                y[1] = y[1] + (y_re * f_re - y_im * f_im);
             }
-            y[j] = [re, im];
-            after = Some(y[j]);
+            after = Some((y[0], y[1]));
         }
     }
 
