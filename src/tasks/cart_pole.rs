@@ -10,6 +10,7 @@ mod coupled;
 mod friction;
 mod masses;
 mod model;
+mod motion;
 mod system;
 mod wind;
 

@@ -1,6 +1,7 @@
 //! Poles on a cart that act on each other through it: the exact model.
 
-use super::system::{CartPoleSystem, Forces, PerPole, velocity_of};
+use super::motion::{moved, moved_bar, rate_of, rate_of_bar, velocity_of};
+use super::system::{CartPoleSystem, Forces, PerPole};
 use crate::effect::{Effect, Host, system_without_effects};
 use crate::ode::Flowing;
 use crate::scalar::{Cotangent, Real, Scalar};
@@ -84,11 +85,7 @@ impl Host for CoupledCartPole {
     #[inline(always)]
     fn step_with<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let k = self.constants::<T>();
-        let a = self.accelerate(&k, effects, x, u, &mut next[2..]);
-        for (pole, next) in zip(self.0.poles_of(x), next[2..].chunks_exact_mut(2)) {
-            next[1] = pole[1] + k.dt * next[1];
-            next[0] = pole[0] + k.dt * next[1];
-        }
+        let a = self.accelerate(&k, effects, x, u, &mut next[2..], moved(k.dt));
         next[1] = x[1] + k.dt * a;
         next[0] = x[0] + k.dt * next[1];
     }
@@ -107,16 +104,8 @@ impl Host for CoupledCartPole {
         let speed_bar = next_bar[1] + next_bar[0] * k.dt;
         if let Some(x_bar) = &mut x_bar {
             (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar);
-            for i in 0..self.0.poles {
-                let theta_bar = next_bar[2 + 2 * i];
-                (x_bar[2 + 2 * i], x_bar[3 + 2 * i]) = (theta_bar, next_bar[3 + 2 * i] + theta_bar * k.dt);
-            }
         }
-        let alpha_bar = |i: usize, x_bar: Option<&[C]>| match x_bar {
-            Some(x_bar) => x_bar[3 + 2 * i] * k.dt,
-            None => (next_bar[3 + 2 * i] + next_bar[2 + 2 * i] * k.dt) * k.dt,
-        };
-        let force_bar = self.accelerate_reverse(effects, x, u, speed_bar * k.dt, alpha_bar, x_bar);
+        let force_bar = self.accelerate_reverse(effects, x, u, speed_bar * k.dt, moved_bar(next_bar, k.dt), x_bar);
         if let Some(u_bar) = u_bar {
             u_bar[0] = force_bar;
         }
@@ -124,7 +113,7 @@ impl Host for CoupledCartPole {
 }
 
 impl CoupledCartPole {
-    /// Writes α_i in the second place of each pole, and returns ẍ.
+    /// Writes what `of_pole` makes of the state of each pole and α_i, and returns ẍ.
     #[inline(always)]
     fn accelerate<E: Effect<CartPoleSystem>, T: Scalar>(
         &self,
@@ -133,6 +122,7 @@ impl CoupledCartPole {
         x: &[T],
         u: &[T],
         poles: &mut [T],
+        of_pole: impl Fn(&[T], T) -> [T; 2],
     ) -> T {
         let mut forces = Forces::new();
         self.0.forces(effects, x, u, poles, &mut forces);
@@ -144,14 +134,14 @@ impl CoupledCartPole {
             mass -= lever_per_inertia * lever;
         }
         let a = push / mass;
-        for (out, &torque) in zip(poles.chunks_exact_mut(2), &forces[1..]) {
-            out[1] = (torque - k.moment * out[1] * a) * k.per_inertia;
+        for ((pole, out), &torque) in zip(zip(self.0.poles_of(x), poles.chunks_exact_mut(2)), &forces[1..]) {
+            [out[0], out[1]] = of_pole(pole, (torque - k.moment * out[1] * a) * k.per_inertia);
         }
         a
     }
 
-    /// The reverse of [`accelerate`](Self::accelerate): adds to `x_bar`, if it is asked for, and returns the control's
-    /// cotangent. Pole `i` is asked for its `alpha_bar` while its own part of `x_bar` is as it was.
+    /// The reverse of [`accelerate`](Self::accelerate): writes `x_bar`, if it is asked for, and returns the control's cotangent.
+    /// `pole_bar` gives what pole `i` has otherwise, of which the sum is written, and the cotangent of α_i.
     #[inline(always)]
     fn accelerate_reverse<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
         &self,
@@ -159,7 +149,7 @@ impl CoupledCartPole {
         x: &[R],
         u: &[R],
         mut a_bar: C,
-        alpha_bar: impl Fn(usize, Option<&[C]>) -> C,
+        pole_bar: impl Fn(usize, Option<&[C]>) -> ([C; 2], C),
         mut x_bar: Option<&mut [C]>,
     ) -> C {
         let k = self.constants::<R>();
@@ -173,7 +163,7 @@ impl CoupledCartPole {
             let lever_per_inertia = lever * k.per_inertia;
             push += k.moment * sin * pole[1] * pole[1] - lever_per_inertia * torque;
             mass -= lever_per_inertia * lever;
-            a_bar -= alpha_bar(i, x_bar.as_deref()) * lever_per_inertia;
+            a_bar -= pole_bar(i, x_bar.as_deref()).1 * lever_per_inertia;
         }
         let per_mass = R::one() / mass;
         let a = push * per_mass;
@@ -182,7 +172,8 @@ impl CoupledCartPole {
         for (i, ((pole, &[sin, cos]), &torque)) in poles.enumerate() {
             let omega = pole[1];
             let lever = k.moment * cos;
-            let alpha_bar = alpha_bar(i, x_bar.as_deref()) * k.per_inertia;
+            let ([theta_bar, omega_bar], alpha_bar) = pole_bar(i, x_bar.as_deref());
+            let alpha_bar = alpha_bar * k.per_inertia;
             let torque_bar = alpha_bar - push_bar * (lever * k.per_inertia);
             forces_bar.push(torque_bar);
             if let Some(x_bar) = &mut x_bar {
@@ -190,8 +181,8 @@ impl CoupledCartPole {
                 // In α, in the push, and twice in the mass, whose cotangent is -ẍ times that of the push.
                 let in_push = (R::lift(2.0) * lever * a - torque) * k.per_inertia;
                 let cos_bar = (push_bar * in_push - alpha_bar * a) * k.moment;
-                x_bar[2 + 2 * i] = x_bar[2 + 2 * i] + sin_bar * cos - cos_bar * sin;
-                x_bar[3 + 2 * i] += push_bar * (R::lift(2.0) * k.moment * sin * omega);
+                x_bar[2 + 2 * i] = theta_bar + sin_bar * cos - cos_bar * sin;
+                x_bar[3 + 2 * i] = omega_bar + push_bar * (R::lift(2.0) * k.moment * sin * omega);
             }
         }
         if let Some(x_bar) = x_bar {
@@ -204,10 +195,8 @@ impl CoupledCartPole {
 impl Flowing for CoupledCartPole {
     #[inline(always)]
     fn rate_with<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
-        rate[1] = self.accelerate(&self.constants::<T>(), effects, x, u, &mut rate[2..]);
-        for i in (0..rate.len()).step_by(2) {
-            rate[i] = x[i + 1];
-        }
+        rate[1] = self.accelerate(&self.constants::<T>(), effects, x, u, &mut rate[2..], rate_of);
+        rate[0] = x[1];
     }
 
     #[inline(always)]
@@ -223,8 +212,7 @@ impl Flowing for CoupledCartPole {
         for i in (0..rate_bar.len()).step_by(2) {
             x_bar[i + 1] += rate_bar[i];
         }
-        let alpha_bar = |i: usize, _: Option<&[C]>| rate_bar[3 + 2 * i];
-        let force_bar = self.accelerate_reverse(effects, x, u, rate_bar[1], alpha_bar, Some(x_bar));
+        let force_bar = self.accelerate_reverse(effects, x, u, rate_bar[1], rate_of_bar(rate_bar), Some(x_bar));
         if let Some(u_bar) = u_bar {
             u_bar[0] += force_bar;
         }

@@ -1,5 +1,6 @@
 //! Poles on a cart that do not act on each other: the authors' model.
 
+use super::motion::{moved, moved_bar, rate_of, rate_of_bar, velocity_of};
 use crate::effect::{Effect, Host, system_without_effects};
 use crate::ode::Flowing;
 use crate::scalar::{Cotangent, Real, Scalar};
@@ -156,10 +157,7 @@ impl Host for CartPoleSystem {
     #[inline(always)]
     fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let k = self.constants::<T>();
-        let push = self.accelerate(&k, effects, x, u, &mut next[2..], |pole, alpha| {
-            let omega = pole[1] + k.dt * alpha;
-            [pole[0] + k.dt * omega, omega]
-        });
+        let push = self.accelerate(&k, effects, x, u, &mut next[2..], moved(k.dt));
         next[1] = x[1] + k.dt * push * k.per_mass;
         next[0] = x[0] + k.dt * next[1];
     }
@@ -179,11 +177,7 @@ impl Host for CartPoleSystem {
         if let Some(x_bar) = &mut x_bar {
             (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar);
         }
-        let pole_bar = |i: usize, _: Option<&[C]>| {
-            let theta_bar = next_bar[2 + 2 * i];
-            let omega_bar = next_bar[3 + 2 * i] + theta_bar * k.dt;
-            ([theta_bar, omega_bar], omega_bar * k.dt)
-        };
+        let pole_bar = moved_bar(next_bar, k.dt);
         let force_bar = self.accelerate_reverse(effects, x, u, speed_bar * (k.dt * k.per_mass), pole_bar, x_bar);
         if let Some(u_bar) = u_bar {
             u_bar[0] = force_bar;
@@ -294,16 +288,11 @@ impl CartPoleSystem {
     }
 }
 
-/// Positions and their velocities come in turn.
-pub(super) fn velocity_of(i: usize) -> Option<usize> {
-    i.is_multiple_of(2).then_some(i + 1)
-}
-
 impl Flowing for CartPoleSystem {
     #[inline(always)]
     fn rate_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
         let k = self.constants::<T>();
-        rate[1] = self.accelerate(&k, effects, x, u, &mut rate[2..], |pole, alpha| [pole[1], alpha]) * k.per_mass;
+        rate[1] = self.accelerate(&k, effects, x, u, &mut rate[2..], rate_of) * k.per_mass;
         rate[0] = x[1];
     }
 
@@ -321,11 +310,7 @@ impl Flowing for CartPoleSystem {
         for i in (0..rate_bar.len()).step_by(2) {
             x_bar[i + 1] += rate_bar[i];
         }
-        let pole_bar = |i: usize, x_bar: Option<&[C]>| {
-            let own = x_bar.map_or([C::null(); 2], |x_bar| [x_bar[2 + 2 * i], x_bar[3 + 2 * i]]);
-            (own, rate_bar[3 + 2 * i])
-        };
-        let force_bar = self.accelerate_reverse(effects, x, u, rate_bar[1] * k.per_mass, pole_bar, Some(x_bar));
+        let force_bar = self.accelerate_reverse(effects, x, u, rate_bar[1] * k.per_mass, rate_of_bar(rate_bar), Some(x_bar));
         if let Some(u_bar) = u_bar {
             u_bar[0] += force_bar;
         }
