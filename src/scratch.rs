@@ -76,7 +76,9 @@ impl<T: Copy, const FEW: usize> Scratch<T, FEW> {
     pub(crate) fn collect(&mut self, values: impl ExactSizeIterator<Item = T>) -> &mut [T] {
         if values.len() <= FEW {
             self.few.clear();
-            self.few.extend(values);
+            for value in values {
+                self.few.push(value);
+            }
             one_place(&mut self.few)
         } else {
             self.many.clear();

@@ -102,7 +102,8 @@ impl GuidanceSystem {
             sum[0] += evader[0];
             sum[1] += evader[1];
         }
-        sum.map(|sum| sum * T::lift(self.weight()))
+        let weight = T::lift(self.weight());
+        [sum[0] * weight, sum[1] * weight]
     }
 
     /// Cotangents of the control.
@@ -129,7 +130,8 @@ impl GuidanceSystem {
                 herd_bar[axis] -= q_bar[axis];
             }
         }
-        let herd_bar = herd_bar.map(|bar| bar * R::lift(self.weight()));
+        let weight = R::lift(self.weight());
+        let herd_bar = [herd_bar[0] * weight, herd_bar[1] * weight];
         for bar in x_bar[AGENT * self.drivers..AGENT * self.agents()].chunks_exact_mut(AGENT) {
             bar[0] += herd_bar[0];
             bar[1] += herd_bar[1];
