@@ -1,68 +1,81 @@
 //! [`Scratch`]: room for the intermediate numbers of a step.
 
-use arrayvec::ArrayVec;
 use std::hint::black_box;
+use std::mem::MaybeUninit;
 
 /// Room on the stack for `FEW` numbers; more of them allocate.
 ///
 /// It is filled where it is, and with no more than is asked for: a vector that is returned may be copied with all there
-/// is room for, and a call to fill it may be compiled without the processor's wide registers.
+/// is room for, and a call to fill it may be compiled without the processor's wide registers. Those of the vectors with room on
+/// the stack that were tried call something, unless they are optimized across code units.
 pub(crate) struct Scratch<T, const FEW: usize> {
-    few: ArrayVec<T, FEW>,
-    many: Vec<T>,
+    few: [MaybeUninit<T>; FEW],
+    many: Box<[MaybeUninit<T>]>,
+    /// How many numbers there are, all of them set.
+    len: usize,
 }
 
 /// A [`Scratch`] that is filled number by number, from the middle of a loop that has other work as well.
-pub(crate) struct Filling<'a, T, const FEW: usize> {
-    few: &'a mut ArrayVec<T, FEW>,
-    many: &'a mut [T],
+pub(crate) struct Filling<'a, T> {
+    room: &'a mut [MaybeUninit<T>],
+    set: usize,
+    len: &'a mut usize,
 }
 
-impl<'a, T: Copy, const FEW: usize> Filling<'a, T, FEW> {
-    /// Sets number `i`, those before being set. Never calls anything: a call would cost the numbers in registers.
+impl<'a, T: Copy> Filling<'a, T> {
+    /// Sets the next number. Never calls anything: a call would cost the numbers in registers.
     #[inline(always)]
-    pub(crate) fn set(&mut self, i: usize, value: T) {
-        match self.many.get_mut(i) {
-            Some(place) => *place = value,
-            None => self.few.push(value),
-        }
+    pub(crate) fn push(&mut self, value: T) {
+        self.room[self.set].write(value);
+        self.set += 1;
     }
 
-    /// What has been set.
+    /// All numbers, once they have been set.
     #[inline(always)]
     pub(crate) fn all(self) -> &'a mut [T] {
-        one_place(if self.many.is_empty() { self.few } else { self.many })
+        assert!(self.set == self.room.len(), "some numbers have not been set");
+        *self.len = self.set;
+        // SAFETY: so many have been written, one after another.
+        unsafe { written(self.room) }
     }
 }
 
-/// The numbers, wherever they are: what is read first would be read from either place, number by number, and one of the
-/// two chosen.
+/// The numbers, wherever they are: what is read first would be read from either place, number by number, and one of the two
+/// chosen.
+///
+/// # Safety
+/// They must have been written.
 #[inline(always)]
-fn one_place<T>(numbers: &mut [T]) -> &mut [T] {
-    black_box(numbers)
+unsafe fn written<T: Copy>(room: &mut [MaybeUninit<T>]) -> &mut [T] {
+    let numbers = std::ptr::from_mut(room) as *mut [T];
+    // SAFETY: the layout is the same, and the caller has written them.
+    black_box(unsafe { &mut *numbers })
 }
 
 impl<T: Copy, const FEW: usize> Scratch<T, FEW> {
     #[inline(always)]
     pub(crate) fn new() -> Self {
-        Self { few: ArrayVec::new(), many: Vec::new() }
+        Self { few: [const { MaybeUninit::uninit() }; FEW], many: Box::default(), len: 0 }
     }
 
-    /// Room for `len` numbers, which are [`set`](Filling::set) one after another; a filler is any number.
+    /// Room for `len` numbers, in place of what there was.
     #[inline(always)]
-    pub(crate) fn filling(&mut self, len: usize, filler: T) -> Filling<'_, T, FEW> {
-        self.few.clear();
-        self.many.clear();
-        if len > FEW {
-            self.many.resize(len, filler);
+    pub(crate) fn filling(&mut self, len: usize) -> Filling<'_, T> {
+        self.len = 0;
+        if len > FEW && self.many.len() < len {
+            self.many = Box::new_uninit_slice(len);
         }
-        Filling { few: &mut self.few, many: &mut self.many }
+        let room = if len <= FEW { &mut self.few[..len] } else { &mut self.many[..len] };
+        Filling { room, set: 0, len: &mut self.len }
     }
 
     /// What there is.
     #[inline(always)]
     pub(crate) fn all(&mut self) -> &mut [T] {
-        one_place(if self.many.is_empty() { &mut self.few } else { &mut self.many })
+        let len = self.len;
+        let room = if len <= FEW { &mut self.few[..len] } else { &mut self.many[..len] };
+        // SAFETY: of so many numbers, which go to this place, all have been written.
+        unsafe { written(room) }
     }
 
     /// `len` times this, in place of what there was.
@@ -71,19 +84,13 @@ impl<T: Copy, const FEW: usize> Scratch<T, FEW> {
         self.collect((0..len).map(|_| value))
     }
 
-    /// These values, in place of what there was. What works them out should be short: it is there twice.
+    /// These values, in place of what there was.
     #[inline(always)]
     pub(crate) fn collect(&mut self, values: impl ExactSizeIterator<Item = T>) -> &mut [T] {
-        if values.len() <= FEW {
-            self.few.clear();
-            for value in values {
-                self.few.push(value);
-            }
-            one_place(&mut self.few)
-        } else {
-            self.many.clear();
-            self.many.extend(values);
-            &mut self.many
+        let mut filling = self.filling(values.len());
+        for value in values {
+            filling.push(value);
         }
+        filling.all()
     }
 }

@@ -1,7 +1,7 @@
 //! The linear solve in a factor of Cayley: one in a step of Crank and Nicolson, two in one of Padé.
 
 use super::point_by_point::PointByPoint;
-use super::system::{Pair, PerPoint, STACK};
+use super::system::{Pair, PerPoint};
 use crate::scalar::Scalar;
 use crate::scratch::Filling;
 use std::ops::{Add, Mul, Neg, Sub};
@@ -47,13 +47,13 @@ impl<T: Scalar> Pivots<T> {
 /// A while it is eliminated, row by row.
 pub(super) struct Rows<'a, T> {
     pivots: Pivots<T>,
-    per_pivot: Filling<'a, Pair<T>, STACK>,
+    per_pivot: Filling<'a, Pair<T>>,
 }
 
 impl<'a, T: Scalar> Rows<'a, T> {
     #[inline(always)]
     pub(super) fn new(pivots: Pivots<T>, grid: usize, per_pivot: &'a mut PerPoint<Pair<T>>) -> Self {
-        Self { pivots, per_pivot: per_pivot.filling(grid, (T::zero(), T::zero())) }
+        Self { pivots, per_pivot: per_pivot.filling(grid) }
     }
 
     /// A, eliminated, when every row has been.
@@ -65,8 +65,8 @@ impl<'a, T: Scalar> Rows<'a, T> {
 
 impl<T: Scalar> PointByPoint<T> for Rows<'_, T> {
     #[inline(always)]
-    fn put(&mut self, j: usize, v: T) {
-        self.per_pivot.set(j, self.pivots.next(v));
+    fn put(&mut self, v: T) {
+        self.per_pivot.push(self.pivots.next(v));
     }
 }
 

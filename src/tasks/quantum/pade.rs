@@ -43,9 +43,9 @@ struct Both<'a, T> {
 
 impl<T: Scalar> PointByPoint<T> for Both<'_, T> {
     #[inline(always)]
-    fn put(&mut self, j: usize, v: T) {
-        self.minus.put(j, v);
-        self.plus.put(j, v);
+    fn put(&mut self, v: T) {
+        self.minus.put(v);
+        self.plus.put(v);
     }
 }
 

@@ -7,7 +7,7 @@ use std::ops::AddAssign;
 
 /// What takes the potential, grid point by grid point. (Not a closure: those may be compiled as calls.)
 pub(super) trait PointByPoint<T> {
-    fn put(&mut self, j: usize, v: T);
+    fn put(&mut self, v: T);
 }
 
 /// What takes the potential's cotangent, grid point by grid point. There, the state's has just become that of the step

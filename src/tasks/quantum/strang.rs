@@ -39,14 +39,14 @@ pub struct Strang {
 /// `exp(-i dt/2 V_j)`, as they are worked out.
 struct Phases<'a, T> {
     half_dt: T,
-    phases: Filling<'a, Pair<T>, STACK>,
+    phases: Filling<'a, Pair<T>>,
 }
 
 impl<T: Scalar> PointByPoint<T> for Phases<'_, T> {
     #[inline(always)]
-    fn put(&mut self, j: usize, v: T) {
+    fn put(&mut self, v: T) {
         let (sin, cos) = (v * self.half_dt).sin_cos();
-        self.phases.set(j, (cos, sin));
+        self.phases.push((cos, sin));
     }
 }
 
@@ -84,7 +84,7 @@ impl Strang {
         u: &[T],
         phases: &'a mut PerPoint<Pair<T>>,
     ) -> &'a [Pair<T>] {
-        let phases = phases.filling(self.system.grid, (T::zero(), T::zero()));
+        let phases = phases.filling(self.system.grid);
         let mut phases = Phases { half_dt: T::lift(0.5 * self.system.dt), phases };
         self.system.potential(effects, x, u, &mut phases);
         phases.phases.all()

@@ -159,14 +159,14 @@ impl QuantumSystem {
         if E::LOCAL {
             // The chain of divisions in an elimination leaves the time for it.
             for j in 0..self.grid {
-                to.put(j, effects.act_at(&body, x, j, tilted(j)));
+                to.put(effects.act_at(&body, x, j, tilted(j)));
             }
         } else {
             let mut potential = PerPoint::new();
             let potential = potential.collect((0..self.grid).map(tilted));
             effects.act(self, x, potential);
-            for (j, &v) in potential.iter().enumerate() {
-                to.put(j, v);
+            for &v in &*potential {
+                to.put(v);
             }
         }
     }
