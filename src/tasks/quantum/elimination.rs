@@ -83,26 +83,25 @@ impl<T: Scalar> Elimination<'_, T> {
     pub(super) fn solve<V: Vector<T>>(&self, rhs: &[V], y: &mut [V]) {
         let (b, n) = (self.b, self.per_pivot.len());
         let (rhs, y, per_pivot) = (&rhs.as_chunks::<2>().0[..n], &mut y.as_chunks_mut::<2>().0[..n], &self.per_pivot[..n]);
+        // The first row and the last apart, and number by number: compilers carry what a loop chooses, and pairs of columns, with
+        // their lanes in disorder.
         // Forward: s_j = (rhs_j + ib s_{j-1}) / p_j.
-        let mut before: Option<[V; 2]> = None;
-        for j in 0..n {
-            let ([mut re, mut im], (q_re, q_im)) = (rhs[j], per_pivot[j]);
-            if let Some([s_re, s_im]) = before {
-                (re, im) = (re - s_im * b, im + s_re * b);
-            }
-            y[j] = [re * q_re - im * q_im, re * q_im + im * q_re];
-            before = Some(y[j]);
+        let (q_re, q_im) = per_pivot[0];
+        let (mut s_re, mut s_im) = (rhs[0][0] * q_re - rhs[0][1] * q_im, rhs[0][0] * q_im + rhs[0][1] * q_re);
+        (y[0][0], y[0][1]) = (s_re, s_im);
+        for j in 1..n {
+            let (q_re, q_im) = per_pivot[j];
+            let (re, im) = (rhs[j][0] - s_im * b, rhs[j][1] + s_re * b);
+            (s_re, s_im) = (re * q_re - im * q_im, re * q_im + im * q_re);
+            (y[j][0], y[j][1]) = (s_re, s_im);
         }
-        // Back: y_j = s_j + ib y_{j+1} / p_j. Number by number: compilers carry a pair of columns with its lanes reversed.
-        let mut after: Option<(V, V)> = None;
-        for j in (0..n).rev() {
-            let (y, (q_re, q_im)) = (&mut y[j], per_pivot[j]);
-            if let Some((y_re, y_im)) = after {
-                let (f_re, f_im) = (q_re * b, q_im * b);
-                y[0] = y[0] - (y_re * f_im + y_im * f_re);
-                y[1] = y[1] + (y_re * f_re - y_im * f_im);
-            }
-            after = Some((y[0], y[1]));
+        // Back: y_j = s_j + ib y_{j+1} / p_j.
+        let (mut y_re, mut y_im) = (s_re, s_im);
+        for j in (0..n - 1).rev() {
+            let (q_re, q_im) = per_pivot[j];
+            let (f_re, f_im) = (q_re * b, q_im * b);
+            (y_re, y_im) = (y[j][0] - (y_re * f_im + y_im * f_re), y[j][1] + (y_re * f_re - y_im * f_im));
+            (y[j][0], y[j][1]) = (y_re, y_im);
         }
     }
 
