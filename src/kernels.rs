@@ -1,10 +1,12 @@
-//! The three loops that decide the speed of training: matrix products, the tanh of a layer, and sine with cosine.
+//! The three loops that decide the speed of training: matrix products, the tanh of a layer, and sine with cosine; and the room
+//! that steps work in.
 //!
 //! Users build with default flags, so the instruction set is chosen at run time; a portable path serves every other
 //! processor. Nothing outside this module is `unsafe`.
 
 pub mod elementwise;
 pub mod gemm;
+pub(crate) mod scratch;
 pub mod tanh;
 pub mod trig;
 

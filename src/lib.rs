@@ -66,6 +66,7 @@
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 
 mod actuator;
+mod aligned;
 pub mod any;
 mod apart;
 mod backward;
@@ -92,7 +93,6 @@ pub mod rng;
 mod rollout;
 mod scalar;
 mod schedule;
-mod scratch;
 // Not in the library's own unit tests, which would compile all of it once more: `tests/stress.rs` holds it.
 #[cfg(all(feature = "stress", not(test)))]
 pub mod stress;

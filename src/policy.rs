@@ -10,6 +10,7 @@ pub use linear::Linear;
 pub use mlp::Mlp;
 pub use toy::{Constant, Quadratic};
 
+use crate::aligned::Aligned;
 use crate::any::AnyPolicy;
 use crate::forward_mode::{Chunk, jacobian};
 use crate::rng::Rng;
@@ -191,7 +192,7 @@ impl PolicyColumns {
 #[derive(Clone, Debug)]
 pub struct Weights<F> {
     theta: Vec<F>,
-    packed: Vec<F>,
+    packed: Aligned<F>,
 }
 
 impl<F: Float> Weights<F> {
@@ -202,7 +203,7 @@ impl<F: Float> Weights<F> {
     #[track_caller]
     pub fn new(policy: &dyn AnyPolicy<F>, theta: Vec<F>) -> Self {
         assert_eq!(theta.len(), policy.param_count(), "the policy has {} parameters, not {}", policy.param_count(), theta.len());
-        let mut packed = vec![F::zero(); policy.sizes(1).packed];
+        let mut packed = Aligned::zeros(policy.sizes(1).packed);
         policy.pack(&theta, &mut packed);
         Self { theta, packed }
     }

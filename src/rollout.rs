@@ -4,6 +4,7 @@ mod moves;
 mod room;
 mod step;
 
+use crate::aligned::Aligned;
 use crate::any::{AnyPolicy, AnyTask};
 use crate::divergence::{Divergence, Variable};
 use crate::policy::{PolicyColumns, PolicyPass, Weights};
@@ -48,7 +49,7 @@ pub struct Rollout<F: Float> {
     /// Policy columns `[unit][sample][step][component]`, so that what is one sum lies together.
     inputs: Vec<F>,
     outputs: Vec<F>,
-    pub(crate) tape: Vec<F>,
+    pub(crate) tape: Aligned<F>,
     pub(crate) costs: Vec<Lane<F>>,
 }
 
@@ -85,7 +86,7 @@ impl<F: Float> Rollout<F> {
             controls: lanes(room.controls),
             inputs: zeros(room.inputs),
             outputs: zeros(room.outputs),
-            tape: zeros(room.tape),
+            tape: Aligned::zeros(room.tape),
             costs: lanes(room.costs),
         }
     }
@@ -104,8 +105,8 @@ impl<F: Float> Rollout<F> {
     /// either.
     pub fn stored_bytes(&self) -> usize {
         let lanes = [&self.states, &self.controls, &self.costs].map(|lanes| size_of_val(&lanes[..]));
-        let numbers = [&self.inputs, &self.outputs, &self.tape].map(|numbers| size_of_val(&numbers[..]));
-        lanes.into_iter().chain(numbers).sum()
+        let numbers = [&self.inputs, &self.outputs].map(|numbers| size_of_val(&numbers[..]));
+        lanes.into_iter().chain(numbers).sum::<usize>() + self.tape.stored_bytes()
     }
 
     /// The [`stored_bytes`](Rollout::stored_bytes) of a rollout that keeps so many steps.

@@ -1,6 +1,7 @@
 //! The policy's side of the reverse pass: what it keeps, and its cotangents.
 
 use super::{Flow, Pass};
+use crate::aligned::Aligned;
 use crate::any::AnyPolicy;
 use crate::gradient::Gradient;
 use crate::policy::{PolicyColumns, PolicyPass, PolicyRecord};
@@ -14,14 +15,14 @@ pub(super) struct PolicyAdjoint<F> {
     /// Control cotangents `h`, per flow, as the policy's columns.
     pub(super) controls_bar: Vec<Vec<F>>,
     /// What the policy's backward pass keeps: per flow, or once for all if `unit`.
-    pub(super) tape_bar: Vec<Vec<F>>,
+    pub(super) tape_bar: Vec<Aligned<F>>,
     /// `(∂N/∂x)ᵀ h` of one step, or `∂N/∂x` of all, as the policy's columns; nothing where no flow goes through it.
     pub(super) inputs_bar: Vec<F>,
     /// The policy is linearized for all steps of a unit at once.
     pub(super) unit: bool,
     /// With `unit`: ones, the cotangent of the only control.
     pub(super) ones: Vec<F>,
-    pub(super) scratch: Vec<F>,
+    pub(super) scratch: Aligned<F>,
     /// Per flow: the exponent of what is kept of a column. All 0 unless `scaled`.
     exponents: Vec<Vec<i32>>,
     scaled: bool,
@@ -67,9 +68,11 @@ impl PolicyRoom {
     }
 
     pub(super) fn bytes<F>(&self) -> usize {
-        let numbers = self.flows * self.controls_bar + self.tapes * self.tape_bar + self.inputs_bar + self.ones + self.scratch;
+        let numbers = self.flows * self.controls_bar + self.inputs_bar + self.ones + self.columns + self.params;
+        let vectors = self.flows * size_of::<Vec<F>>() + numbers * size_of::<F>();
+        let tapes = self.tapes * (size_of::<Aligned<F>>() + Aligned::<F>::bytes_of(self.tape_bar));
         let scaled = self.flows * (size_of::<Vec<i32>>() + self.columns * size_of::<i32>());
-        (numbers + self.columns + self.params) * size_of::<F>() + (self.flows + self.tapes) * size_of::<Vec<F>>() + scaled
+        vectors + tapes + Aligned::<F>::bytes_of(self.scratch) + scaled
     }
 }
 
@@ -78,11 +81,11 @@ impl<F: Float> PolicyAdjoint<F> {
         let zeros = |len: usize| vec![F::zero(); len];
         Self {
             controls_bar: (0..room.flows).map(|_| zeros(room.controls_bar)).collect(),
-            tape_bar: (0..room.tapes).map(|_| zeros(room.tape_bar)).collect(),
+            tape_bar: (0..room.tapes).map(|_| Aligned::zeros(room.tape_bar)).collect(),
             inputs_bar: zeros(room.inputs_bar),
             unit: room.unit,
             ones: vec![F::one(); room.ones],
-            scratch: zeros(room.scratch),
+            scratch: Aligned::zeros(room.scratch),
             exponents: vec![vec![0; room.columns]; room.flows],
             scaled: false,
             weights: zeros(room.columns),
@@ -91,9 +94,10 @@ impl<F: Float> PolicyAdjoint<F> {
     }
 
     pub(super) fn stored_bytes(&self) -> usize {
-        let flat = [&self.inputs_bar, &self.ones, &self.scratch, &self.weights, &self.part].map(|flat| size_of_val(&flat[..]));
-        let nested = nested_bytes(&self.controls_bar) + nested_bytes(&self.tape_bar) + nested_bytes(&self.exponents);
-        flat.into_iter().sum::<usize>() + nested
+        let flat = [&self.inputs_bar, &self.ones, &self.weights, &self.part].map(|flat| size_of_val(&flat[..]));
+        let tapes = size_of_val(&self.tape_bar[..]) + self.tape_bar.iter().map(Aligned::stored_bytes).sum::<usize>();
+        let nested = nested_bytes(&self.controls_bar) + tapes + nested_bytes(&self.exponents);
+        flat.into_iter().sum::<usize>() + self.scratch.stored_bytes() + nested
     }
 
     /// No column has an exponent any more.

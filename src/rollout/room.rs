@@ -1,6 +1,7 @@
 //! How long the vectors of a rollout are: what it allocates, and what it says it would.
 
 use super::{Lane, WIDTH};
+use crate::aligned::Aligned;
 use crate::any::AnyPolicy;
 use crate::scalar::Float;
 
@@ -30,6 +31,6 @@ impl Room {
 
     pub(super) fn bytes<F: Float>(&self) -> usize {
         let lanes = self.states + self.controls + self.costs;
-        lanes * size_of::<Lane<F>>() + (self.inputs + self.outputs + self.tape) * size_of::<F>()
+        lanes * size_of::<Lane<F>>() + (self.inputs + self.outputs) * size_of::<F>() + Aligned::<F>::bytes_of(self.tape)
     }
 }

@@ -1,9 +1,9 @@
 //! Drivers and evaders that do nothing to each other, and the reverse of their steps.
 
 use crate::effect::{Effect, Host, system_without_effects};
+use crate::kernels::scratch::Scratch;
 use crate::ode::Flowing;
 use crate::scalar::{Cotangent, Real, Scalar};
-use crate::scratch::Scratch;
 use crate::zip::zip;
 use serde::{Deserialize, Serialize};
 use std::hint::black_box;

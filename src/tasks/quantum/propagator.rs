@@ -3,8 +3,8 @@
 use super::QuantumSystem;
 use super::elimination::Vector;
 use super::system::STACK;
+use crate::kernels::scratch::Scratch;
 use crate::scalar::Scalar;
-use crate::scratch::Scratch;
 use crate::zip::zip;
 use std::f64::consts::PI;
 

@@ -6,8 +6,8 @@ use super::point_by_point::PointByPoint;
 use super::propagator::Propagator;
 use super::system::{Pair, PerPoint, STACK, place};
 use crate::effect::{Effect, Host, system_without_effects};
+use crate::kernels::scratch::{Filling, Scratch};
 use crate::scalar::{Cotangent, Real, Scalar};
-use crate::scratch::{Filling, Scratch};
 
 /// A [`QuantumSystem`] that steps by the symmetric splitting of Strang:
 ///

@@ -3,8 +3,8 @@
 use super::elimination::{Elimination, Pivots, Rows};
 use super::point_by_point::{AtOnce, Dropped, Kept, PointByPoint, PotentialBar};
 use crate::effect::{Effect, Host, system_without_effects};
+use crate::kernels::scratch::Scratch;
 use crate::scalar::{Cotangent, Real, Scalar};
-use crate::scratch::Scratch;
 use crate::zip::zip;
 use serde::{Deserialize, Serialize};
 use smallvec::SmallVec;
