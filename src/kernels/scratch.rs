@@ -94,3 +94,37 @@ impl<T: Copy, const FEW: usize> Scratch<T, FEW> {
         filling.all()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_those_that_were_set_last_in_either_place() {
+        let mut scratch = Scratch::<u8, 4>::new();
+        assert!(scratch.all().is_empty());
+        for len in [3, 9, 4, 5, 9, 10, 0, 1] {
+            let numbers: Vec<u8> = (0..len).map(|i| len + i).collect();
+            assert_eq!(scratch.collect(numbers.iter().copied()), numbers);
+            assert_eq!(scratch.all(), numbers);
+        }
+        assert_eq!(scratch.fill(7, 6), [7; 6]);
+    }
+
+    #[test]
+    #[should_panic(expected = "some numbers have not been set")]
+    fn numbers_that_have_not_been_set_are_not_read() {
+        let mut scratch = Scratch::<u8, 4>::new();
+        let mut filling = scratch.filling(3);
+        filling.push(1);
+        filling.all();
+    }
+
+    #[test]
+    fn a_filling_that_was_dropped_leaves_nothing() {
+        let mut scratch = Scratch::<u8, 4>::new();
+        scratch.fill(1, 3);
+        scratch.filling(6).push(1);
+        assert!(scratch.all().is_empty());
+    }
+}
