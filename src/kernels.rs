@@ -2,7 +2,7 @@
 //! that steps work in.
 //!
 //! Users build with default flags, so the instruction set is chosen at run time; a portable path serves every other
-//! processor. Nothing outside this module is `unsafe`.
+//! processor. Nothing of the library outside this module is `unsafe`.
 
 pub mod elementwise;
 pub mod gemm;

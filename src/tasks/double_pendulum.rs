@@ -85,7 +85,8 @@ impl DoublePendulum {
     #[inline(always)]
     fn motion<T: Scalar>(&self, x: &[T], u: &[T]) -> Motion<T> {
         let coupling = T::lift(self.inertias()[1]);
-        let [weight, second_weight] = self.weights().map(T::lift);
+        let [weight, second_weight] = self.weights();
+        let (weight, second_weight) = (T::lift(weight), T::lift(second_weight));
         let ((s1, c1), (s2, c2)) = (x[0].sin_cos(), x[2].sin_cos());
         let between = [s1 * c2 - c1 * s2, c1 * c2 + s1 * s2];
         let throw = coupling * between[0];
@@ -114,7 +115,8 @@ impl Ode for DoublePendulum {
     fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
         let Motion { first, second, between: [sin, cos], accelerations: [alpha, second_alpha] } = self.motion(x, u);
         let coupling = R::lift(self.inertias()[1]);
-        let [weight, second_weight] = self.weights().map(R::lift);
+        let [weight, second_weight] = self.weights();
+        let (weight, second_weight) = (R::lift(weight), R::lift(second_weight));
         let [w, second_w] = self.solve([sin, cos], [rate_bar[1], rate_bar[3]]);
         let (spin, second_spin) = (x[1] * x[1], x[3] * x[3]);
         let throw = coupling * sin * R::lift(2.0);

@@ -96,9 +96,15 @@ impl Propagator {
     #[inline(always)]
     fn term<T: Scalar, V: Vector<T>, const ADJOINT: bool>(&self, j: usize, k: usize, parts: &[[V; 4]]) -> [V; 4] {
         let (place, [a_re, a_im, b_re, b_im]) = (j * parts.len() + k, parts[k]);
-        let entries =
-            if size_of::<T::Real>() == size_of::<f32>() { self.rounded[place].map(f64::from) } else { self.table[place] };
-        let [even_re, even_im, odd_re, odd_im] = entries.map(T::lift);
+        // Not by `map` of arrays, which is compiled apart.
+        let (even_re, even_im, odd_re, odd_im) = if size_of::<T::Real>() == size_of::<f32>() {
+            let [even_re, even_im, odd_re, odd_im] = self.rounded[place];
+            (f64::from(even_re), f64::from(even_im), f64::from(odd_re), f64::from(odd_im))
+        } else {
+            self.table[place].into()
+        };
+        let (even_re, even_im) = (T::lift(even_re), T::lift(even_im));
+        let (odd_re, odd_im) = (T::lift(odd_re), T::lift(odd_im));
         if ADJOINT {
             [
                 a_re * even_re + a_im * even_im,
