@@ -39,22 +39,24 @@ impl ImplicitMidpoint {
     fn differences<T: Scalar>(ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T]) -> Room<T> {
         let n = x.len();
         let (mut at, mut before, mut after) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
-        let mut matrix = room(T::zero(), n * n);
+        let mut result = room(T::zero(), n * n);
+        // As slices: to index a room may be a call.
+        let (at, before, after, matrix) = (&mut at[..], &mut before[..], &mut after[..], &mut result[..]);
         at.copy_from_slice(x);
         let width = <T::Real as Float>::EPSILON.cbrt();
         for j in 0..n {
             let by = (T::lift(width) * (T::one() + x[j].abs())).detach();
             at[j] = x[j] - by;
-            ode.rate(&at, u, &mut before);
+            ode.rate(at, u, before);
             at[j] = x[j] + by;
-            ode.rate(&at, u, &mut after);
+            ode.rate(at, u, after);
             at[j] = x[j];
             let factor = h * T::lift(0.25) / by;
             for i in 0..n {
                 matrix[i * n + j] = ((after[i] - before[i]) * factor).detach();
             }
         }
-        matrix
+        result
     }
 
     /// Solves for the next state, to this tolerance. What was not solved is not a number.
@@ -71,13 +73,14 @@ impl ImplicitMidpoint {
     fn iterate<T: Scalar>(tolerance: f64, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) -> T {
         let n = x.len();
         let (mut middle, mut rate, mut residual) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
+        let (middle, rate, residual) = (&mut middle[..], &mut rate[..], &mut residual[..]);
         let half = T::lift(0.5);
-        ode.rate(x, u, &mut rate);
+        ode.rate(x, u, rate);
         for i in 0..n {
             next[i] = x[i] + h * rate[i];
             middle[i] = (x[i] + next[i]) * half;
         }
-        let inverse = inverse_of_one_minus(Self::differences(ode, h, &middle, u), n);
+        let inverse = &inverse_of_one_minus(Self::differences(ode, h, middle, u), n)[..];
         let tolerance = T::lift(tolerance.max(256.0 * <T::Real as Float>::EPSILON));
         // Derivatives of a dual number converge a round later than its value.
         let rounds_after = T::lift(2.0);
@@ -89,7 +92,7 @@ impl ImplicitMidpoint {
             for i in 0..n {
                 middle[i] = (x[i] + next[i]) * half;
             }
-            ode.rate(&middle, u, &mut rate);
+            ode.rate(middle, u, rate);
             for i in 0..n {
                 residual[i] = next[i] - x[i] - h * rate[i];
             }
@@ -113,7 +116,8 @@ impl ImplicitMidpoint {
 /// diagonal.
 #[inline(always)]
 fn inverse_of_one_minus<T: Scalar>(mut matrix: Room<T>, n: usize) -> Room<T> {
-    let mut inverse = room(T::zero(), n * n);
+    let mut result = room(T::zero(), n * n);
+    let (matrix, inverse) = (&mut matrix[..], &mut result[..]);
     for i in 0..n {
         for j in 0..n {
             let one = if i == j { T::one() } else { T::zero() };
@@ -124,7 +128,7 @@ fn inverse_of_one_minus<T: Scalar>(mut matrix: Room<T>, n: usize) -> Room<T> {
     for column in 0..n {
         for row in column + 1..n {
             let (here, below) = (matrix[column * n + column].abs(), matrix[row * n + column].abs());
-            for both in [&mut matrix, &mut inverse] {
+            for both in [&mut *matrix, &mut *inverse] {
                 for j in 0..n {
                     let (a, b) = (both[column * n + j], both[row * n + j]);
                     both[column * n + j] = T::select_lt(here, below, b, a);
@@ -133,14 +137,14 @@ fn inverse_of_one_minus<T: Scalar>(mut matrix: Room<T>, n: usize) -> Room<T> {
             }
         }
         let per_pivot = T::one() / matrix[column * n + column];
-        for both in [&mut matrix, &mut inverse] {
+        for both in [&mut *matrix, &mut *inverse] {
             for j in 0..n {
                 both[column * n + j] *= per_pivot;
             }
         }
         for row in (0..n).filter(|&row| row != column) {
             let factor = matrix[row * n + column];
-            for both in [&mut matrix, &mut inverse] {
+            for both in [&mut *matrix, &mut *inverse] {
                 for j in 0..n {
                     let above = both[column * n + j];
                     both[row * n + j] -= factor * above;
@@ -148,7 +152,7 @@ fn inverse_of_one_minus<T: Scalar>(mut matrix: Room<T>, n: usize) -> Room<T> {
             }
         }
     }
-    inverse
+    result
 }
 
 impl Integrator for ImplicitMidpoint {
@@ -196,7 +200,7 @@ impl Integrator for ImplicitMidpoint {
                 *slope *= h * R::lift(0.5);
             }
         }
-        let inverse = inverse_of_one_minus(matrix, n);
+        let inverse = &inverse_of_one_minus(matrix, n)[..];
         // w, times h for the rate.
         let mut rate_bar = room(C::null(), n);
         for j in 0..n {

@@ -153,6 +153,8 @@ impl Integrator for RungeKutta {
         let (mut at, mut rates) = self.room(n);
         self.run(ode, h, x, u, &mut at, &mut rates);
         let (mut at_bar, mut rate_bar) = (room(C::null(), self.0.stages * n), room(C::null(), n));
+        // As slices: to index a room may be a call.
+        let (at_bar, rate_bar) = (&mut at_bar[..], &mut rate_bar[..]);
         for i in (0..self.0.stages).rev() {
             for (c, rate_bar) in rate_bar.iter_mut().enumerate() {
                 *rate_bar = next_bar[c] * (h * R::lift(self.0.b[i]));
@@ -163,7 +165,7 @@ impl Integrator for RungeKutta {
                 }
             }
             let at_bar = &mut at_bar[i * n..(i + 1) * n];
-            ode.rate_vjp(&at[i * n..(i + 1) * n], u, &rate_bar, at_bar, u_bar.as_deref_mut());
+            ode.rate_vjp(&at[i * n..(i + 1) * n], u, rate_bar, at_bar, u_bar.as_deref_mut());
         }
         x_bar.copy_from_slice(next_bar);
         for stage in at_bar.chunks_exact(n) {
