@@ -1,6 +1,6 @@
 //! The implicit midpoint rule.
 
-use super::{Integrator, Room, Stretch, room};
+use super::{Integrator, Stretch, room};
 use crate::ode::{RateOn, ReverseOn};
 use crate::scalar::{Cotangent, Float, Real, Scalar};
 
@@ -34,14 +34,13 @@ impl Default for ImplicitMidpoint {
 const MOST: usize = 30;
 
 impl ImplicitMidpoint {
-    /// `h/2 ∂f/∂x` by central differences, as constants: Newton's iteration converges to the same with any good Jacobian.
+    /// Writes `h/2 ∂f/∂x` by central differences, as constants: Newton's iteration converges to the same with any good Jacobian.
     #[inline(always)]
-    fn differences<T: Scalar>(ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T]) -> Room<T> {
+    fn differences<T: Scalar>(ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], matrix: &mut [T]) {
         let n = x.len();
         let (mut at, mut before, mut after) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
-        let mut result = room(T::zero(), n * n);
         // As slices: to index a room may be a call.
-        let (at, before, after, matrix) = (&mut at[..], &mut before[..], &mut after[..], &mut result[..]);
+        let (at, before, after) = (&mut at[..], &mut before[..], &mut after[..]);
         at.copy_from_slice(x);
         let width = <T::Real as Float>::EPSILON.cbrt();
         for j in 0..n {
@@ -56,7 +55,6 @@ impl ImplicitMidpoint {
                 matrix[i * n + j] = ((after[i] - before[i]) * factor).detach();
             }
         }
-        result
     }
 
     /// Solves for the next state, to this tolerance. What was not solved is not a number.
@@ -80,7 +78,10 @@ impl ImplicitMidpoint {
             next[i] = x[i] + h * rate[i];
             middle[i] = (x[i] + next[i]) * half;
         }
-        let inverse = &inverse_of_one_minus(Self::differences(ode, h, middle, u), n)[..];
+        let (mut matrix, mut inverse) = (room(T::zero(), n * n), room(T::zero(), n * n));
+        let (matrix, inverse) = (&mut matrix[..], &mut inverse[..]);
+        Self::differences(ode, h, middle, u, matrix);
+        invert_one_minus(matrix, inverse, n);
         let tolerance = T::lift(tolerance.max(256.0 * <T::Real as Float>::EPSILON));
         // Derivatives of a dual number converge a round later than its value.
         let rounds_after = T::lift(2.0);
@@ -112,12 +113,10 @@ impl ImplicitMidpoint {
     }
 }
 
-/// `(I - M)⁻¹`, by Gauss and Jordan. Rows are exchanged without a branch: each column's largest number sinks to the
+/// Writes `(I - M)⁻¹`, by Gauss and Jordan; of the matrix nothing is left. Rows are exchanged without a branch: each column's largest number sinks to the
 /// diagonal.
 #[inline(always)]
-fn inverse_of_one_minus<T: Scalar>(mut matrix: Room<T>, n: usize) -> Room<T> {
-    let mut result = room(T::zero(), n * n);
-    let (matrix, inverse) = (&mut matrix[..], &mut result[..]);
+fn invert_one_minus<T: Scalar>(matrix: &mut [T], inverse: &mut [T], n: usize) {
     for i in 0..n {
         for j in 0..n {
             let one = if i == j { T::one() } else { T::zero() };
@@ -152,7 +151,6 @@ fn inverse_of_one_minus<T: Scalar>(mut matrix: Room<T>, n: usize) -> Room<T> {
             }
         }
     }
-    result
 }
 
 impl Integrator for ImplicitMidpoint {
@@ -192,7 +190,8 @@ impl Integrator for ImplicitMidpoint {
         for i in 0..n {
             middle[i] = (x[i] + middle[i]) * R::lift(0.5);
         }
-        let mut matrix = room(R::zero(), n * n);
+        let (mut matrix, mut inverse) = (room(R::zero(), n * n), room(R::zero(), n * n));
+        let (matrix, inverse) = (&mut matrix[..], &mut inverse[..]);
         for i in 0..n {
             let row = &mut matrix[i * n..][..n];
             ode.slopes(&middle, u, i, row);
@@ -200,7 +199,7 @@ impl Integrator for ImplicitMidpoint {
                 *slope *= h * R::lift(0.5);
             }
         }
-        let inverse = &inverse_of_one_minus(matrix, n)[..];
+        invert_one_minus(matrix, inverse, n);
         // w, times h for the rate.
         let mut rate_bar = room(C::null(), n);
         for j in 0..n {
