@@ -48,6 +48,44 @@ fn gradients_do_not_depend_on_the_number_of_workers() {
     }
 }
 
+/// A session of three epochs of four updates; the order of its samples changes from epoch to epoch.
+fn shuffled(starts: &[f32]) -> Session<CartPole, Mlp, f32> {
+    let training = Training { epochs: 3, batch: 4, shuffle: true, ..Training::default() };
+    let trainer = Trainer::new(task(), policy()).training(training);
+    trainer.session_from(weights::<f32>().theta().to_vec(), starts.to_vec(), starts.to_vec()).expect("it can be trained")
+}
+
+#[test]
+fn a_session_restored_after_every_update_is_an_uninterrupted_one() {
+    for skips in [false, true] {
+        let mut starts = starts::<f32>(16);
+        if skips {
+            // One update of each epoch is skipped.
+            starts[5 * STATES] = f32::NAN;
+        }
+        let mut whole = shuffled(&starts);
+        while !whole.is_done() {
+            whole.epoch().expect("it goes on");
+        }
+        let mut pauses = 0;
+        let mut parts = shuffled(&starts);
+        while !parts.is_done() {
+            pauses += usize::from(parts.advance(&|| true).expect("it goes on").is_none());
+            let mut next = shuffled(&starts);
+            next.restore(&parts.checkpoint("run"), "run").expect("its own checkpoint");
+            parts = next;
+        }
+        assert_eq!(pauses, 3 * 3);
+        assert_eq!(parts.weights().theta(), whole.weights().theta());
+        let numbers = |session: &Session<_, _, f32>| {
+            let record = |record: &Record| Record { seconds: 0.0, ..record.clone() };
+            format!("{:?}", session.records().iter().map(record).collect::<Vec<_>>())
+        };
+        assert_eq!(numbers(&parts), numbers(&whole));
+        assert_eq!(parts.records()[1].skipped, usize::from(skips));
+    }
+}
+
 #[test]
 fn losses_do_not_depend_on_the_number_of_workers_nor_on_the_tape() {
     for samples in [1, 31, 33, 100] {

@@ -4,7 +4,7 @@
 //! text that says which run it belongs to; a session only takes a checkpoint with its own label.
 
 use super::Record;
-use super::progress::Progress;
+use super::progress::{Epoch, Progress, Snapshot};
 use crate::any::AnyPolicy;
 use crate::optim::Optimizer;
 use crate::scalar::Float;
@@ -13,7 +13,7 @@ use std::borrow::Cow;
 
 const MAGIC: &[u8; 8] = b"physgrad";
 /// Raised whenever the layout of [`Body`] changes.
-const FORMAT: u16 = 2;
+const FORMAT: u16 = 3;
 
 /// Known before the numbers are read, so that a mismatch is named and not guessed.
 #[derive(Serialize, Deserialize)]
@@ -30,6 +30,8 @@ struct Body<'a, F: Clone> {
     optimizer: Cow<'a, Optimizer<F>>,
     records: Cow<'a, [Record]>,
     skipped_in_a_row: usize,
+    /// The epoch under way, and the state before it.
+    epoch: Option<(Epoch, Cow<'a, Snapshot<F>>)>,
 }
 
 /// Why a checkpoint was not taken. The session is as it was.
@@ -115,6 +117,7 @@ impl<F: Float> Progress<F> {
             optimizer: Cow::Borrowed(&self.optimizer),
             records: Cow::Borrowed(&self.records),
             skipped_in_a_row: self.skipped_in_a_row,
+            epoch: self.epoch.clone().map(|epoch| (epoch, Cow::Borrowed(&self.before))),
         };
         let contents = postcard::to_stdvec(&(header, body)).expect("plain numbers and text are always written");
         [MAGIC.as_slice(), &FORMAT.to_le_bytes(), &CRC.checksum(&contents).to_le_bytes(), &contents].concat()
@@ -145,15 +148,27 @@ impl<F: Float> Progress<F> {
         }
         let body: Body<F> = postcard::from_bytes(body).map_err(|e| damaged(&e))?;
         let expected = policy.param_count();
-        for found in [header.params, body.theta.len(), body.optimizer.params()] {
-            if found != expected {
-                return Err(CheckpointError::Shape { found, expected });
-            }
+        let before = body.epoch.as_ref().map(|(_, before)| &**before);
+        let lengths = before.map(|before| [before.theta.len(), before.optimizer.params()]);
+        let lengths = [header.params, body.theta.len(), body.optimizer.params()].into_iter().chain(lengths.into_iter().flatten());
+        if let Some(found) = lengths.into_iter().find(|&found| found != expected) {
+            return Err(CheckpointError::Shape { found, expected });
+        }
+        if let Some((epoch, _)) = &body.epoch
+            && (epoch.updates >= self.updates_per_epoch() || epoch.skipped > epoch.updates)
+        {
+            return Err(damaged(&"its epoch under way has more updates than an epoch"));
         }
         self.weights.update(policy, |theta| theta.copy_from_slice(&body.theta));
         self.optimizer = body.optimizer.into_owned();
         self.records = body.records.into_owned();
         self.skipped_in_a_row = body.skipped_in_a_row;
+        self.skips.clear();
+        self.epoch = body.epoch.map(|(epoch, before)| {
+            self.before = before.into_owned();
+            epoch
+        });
+        self.order_samples();
         Ok(())
     }
 }

@@ -17,6 +17,7 @@ use crate::rng::{Purpose, stream};
 use crate::scalar::Float;
 use crate::wide::Wide;
 use rand::seq::SliceRandom;
+use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
 /// What is trained.
@@ -25,6 +26,26 @@ pub(super) struct Trained<'a, F: Float> {
     pub(super) task: &'a dyn AnyTask<F>,
     pub(super) policy: &'a dyn AnyPolicy<F>,
     pub(super) field: &'a dyn AnyField<F>,
+}
+
+/// State that a failed epoch falls back to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Snapshot<F> {
+    pub(super) theta: Vec<F>,
+    pub(super) optimizer: Optimizer<F>,
+    pub(super) skipped_in_a_row: usize,
+}
+
+/// An epoch between two of its updates.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(super) struct Epoch {
+    /// Updates done, skipped ones included.
+    pub(super) updates: usize,
+    /// Updates skipped.
+    pub(super) skipped: usize,
+    means: Means,
+    /// Wall time so far, s.
+    seconds: f64,
 }
 
 /// Everything of a training that changes, and room for it.
@@ -40,8 +61,10 @@ pub(super) struct Progress<F: Float> {
     pub(super) skips: Vec<Skip>,
     /// Skipped updates up to now, in a row.
     pub(super) skipped_in_a_row: usize,
-    /// θ, the optimizer and `skipped_in_a_row` as they were when the epoch began.
-    before: (Vec<F>, Optimizer<F>, usize),
+    /// State at the start of the epoch.
+    pub(super) before: Snapshot<F>,
+    /// The epoch under way, if the training is paused within one.
+    pub(super) epoch: Option<Epoch>,
     /// Where the last evaluation of the training and of the test set was not finite.
     pub(super) diverged: [Option<Divergence>; 2],
     flows: Vec<Flow>,
@@ -80,7 +103,8 @@ impl<F: Float> Progress<F> {
             batch,
             flows,
             evaluation: Evaluation::new(task, policy, training.workers),
-            before: (weights.theta().to_vec(), optimizer.clone(), 0),
+            before: Snapshot { theta: weights.theta().to_vec(), optimizer: optimizer.clone(), skipped_in_a_row: 0 },
+            epoch: None,
             diverged: [None; 2],
             optimizer,
             order: (0..train.len() / n).collect(),
@@ -97,63 +121,87 @@ impl<F: Float> Progress<F> {
         })
     }
 
-    /// One epoch; on one of the threads that the work is split over, if there are several.
-    pub(super) fn epoch(&mut self, trained: Trained<'_, F>) -> Result<(), TrainError> {
+    /// Goes on to the end of the epoch and returns true, or to the first update after which `pause` returns true, and
+    /// returns false. Runs on one of the threads that the work is split over, if there are several.
+    pub(super) fn advance(&mut self, trained: Trained<'_, F>, pause: &(dyn Fn() -> bool + Sync)) -> Result<bool, TrainError> {
         #[cfg(feature = "parallel")]
         if self.training.workers > 1 {
-            let mut outcome = Ok(());
-            among_workers(&mut || outcome = self.epoch_here(trained));
+            let mut outcome = Ok(true);
+            among_workers(&mut || outcome = self.advance_here(trained, pause));
             return outcome;
         }
-        self.epoch_here(trained)
+        self.advance_here(trained, pause)
     }
 
-    fn epoch_here(&mut self, trained: Trained<'_, F>) -> Result<(), TrainError> {
+    fn advance_here(&mut self, trained: Trained<'_, F>, pause: &dyn Fn() -> bool) -> Result<bool, TrainError> {
         let Trained { task, policy, .. } = trained;
         let begin = Instant::now();
-        let epoch = self.records.len() + 1;
-        self.skips.clear();
-        self.before.0.copy_from_slice(self.weights.theta());
-        self.before.1.copy_from(&self.optimizer);
-        self.before.2 = self.skipped_in_a_row;
-        if self.training.shuffle {
-            // From the same start in every epoch, so that a resumed run has the same order.
-            self.order.sort_unstable();
-            self.order.shuffle(&mut stream(self.training.seed, Purpose::Shuffle, epoch as u64));
-        }
-        let mut means = Means::default();
-        self.batch.measure(true);
-        for update in 0..self.order.len().div_ceil(self.training.batch) {
-            match self.update(trained, update) {
+        let mut epoch = self.epoch.take().unwrap_or_else(|| self.begin_epoch());
+        let updates = self.updates_per_epoch();
+        self.batch.measure(epoch.means.is_empty());
+        while epoch.updates < updates {
+            match self.update(trained, epoch.updates) {
                 Ok(step) => {
-                    if means.is_empty() {
-                        // One update tells how adjoints grow.
-                        means.growths = [Flow::REGULAR, Flow::MODIFIED].map(|flow| self.growth(flow));
+                    if epoch.means.is_empty() {
+                        // Growth is measured in the first update only.
+                        epoch.means.growths = [Flow::REGULAR, Flow::MODIFIED].map(|flow| self.growth(flow));
                         self.batch.measure(false);
                     }
-                    means.add(&step);
+                    epoch.means.add(&step);
                     self.skipped_in_a_row = 0;
                 }
                 Err(divergence) => {
-                    let skip = Skip { epoch, update, divergence };
+                    let skip = Skip { epoch: self.records.len() + 1, update: epoch.updates, divergence };
                     self.skips.push(skip);
+                    epoch.skipped += 1;
                     self.skipped_in_a_row += 1;
                     if self.skipped_in_a_row > self.training.max_skipped {
                         let count = self.skipped_in_a_row;
-                        self.weights.update(policy, |theta| theta.copy_from_slice(&self.before.0));
-                        self.optimizer.copy_from(&self.before.1);
-                        self.skipped_in_a_row = self.before.2;
+                        self.weights.update(policy, |theta| theta.copy_from_slice(&self.before.theta));
+                        self.optimizer.copy_from(&self.before.optimizer);
+                        self.skipped_in_a_row = self.before.skipped_in_a_row;
                         return Err(TrainError::Diverged { count, last: skip });
                     }
                 }
+            }
+            epoch.updates += 1;
+            if epoch.updates < updates && pause() {
+                epoch.seconds += begin.elapsed().as_secs_f64();
+                self.epoch = Some(epoch);
+                return Ok(false);
             }
         }
         let losses = [&self.train, &self.test].map(|starts| self.evaluation.run(task, policy, &self.weights, starts));
         self.diverged = losses.map(Result::err);
         let [train_loss, test_loss] = losses.map(|loss| loss.unwrap_or(f64::NAN));
-        let seconds = begin.elapsed().as_secs_f64();
-        self.records.push(means.record(epoch, train_loss, test_loss, self.skips.len(), seconds));
-        Ok(())
+        let seconds = epoch.seconds + begin.elapsed().as_secs_f64();
+        let number = self.records.len() + 1;
+        self.records.push(epoch.means.record(number, train_loss, test_loss, epoch.skipped, seconds));
+        Ok(true)
+    }
+
+    /// A new epoch, before its first update.
+    fn begin_epoch(&mut self) -> Epoch {
+        self.skips.clear();
+        self.before.theta.copy_from_slice(self.weights.theta());
+        self.before.optimizer.copy_from(&self.optimizer);
+        self.before.skipped_in_a_row = self.skipped_in_a_row;
+        self.order_samples();
+        Epoch::default()
+    }
+
+    /// Puts the training samples in the order of the current epoch.
+    pub(super) fn order_samples(&mut self) {
+        if self.training.shuffle {
+            // Each epoch shuffles the sorted order, so that a resumed run has the same order.
+            self.order.sort_unstable();
+            let epoch = self.records.len() as u64 + 1;
+            self.order.shuffle(&mut stream(self.training.seed, Purpose::Shuffle, epoch));
+        }
+    }
+
+    pub(super) fn updates_per_epoch(&self) -> usize {
+        self.order.len().div_ceil(self.training.batch)
     }
 
     /// One update, on mini-batch number `index` of the epoch.

@@ -70,7 +70,7 @@ pub(super) struct Step {
 }
 
 /// Sums over the updates of an epoch.
-#[derive(Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(super) struct Means {
     updates: usize,
     loss: f64,

@@ -82,15 +82,31 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         self.progress.diverged
     }
 
-    /// Runs one epoch: all updates, then the losses of both data sets.
+    /// Updates applied so far, without skipped ones.
+    pub fn updates(&self) -> u64 {
+        self.progress.optimizer.steps()
+    }
+
+    /// Runs to the end of the epoch: all updates, then the losses of both data sets.
     ///
     /// # Errors
     /// [`TrainError::Diverged`] after too many skipped updates in a row. The session is then as it was before this
     /// epoch.
     pub fn epoch(&mut self) -> Result<&Record, TrainError> {
+        self.advance(&|| false).map(|record| record.expect("without a pause, the epoch ends"))
+    }
+
+    /// Runs to the end of the epoch and returns its record, or to the first update after which `pause` returns true, and
+    /// returns `None`. The next call goes on from there, and so does a session that takes a checkpoint of the pause.
+    /// Pauses do not change the results.
+    ///
+    /// # Errors
+    /// [`TrainError::Diverged`] after too many skipped updates in a row. The session is then as it was before this
+    /// epoch.
+    pub fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError> {
         let Self { task, policy, field, progress } = self;
-        progress.epoch(Trained { task, policy, field })?;
-        Ok(&progress.records[progress.records.len() - 1])
+        let ended = progress.advance(Trained { task, policy, field }, pause)?;
+        Ok(progress.records.last().filter(|_| ended))
     }
 
     /// The session as bytes. `label` says which run it is; to take it back, the same label is needed.
@@ -98,7 +114,7 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         self.progress.checkpoint(label)
     }
 
-    /// Takes a checkpoint of the same run back: the epochs that follow are, bit for bit, those of a run that was never
+    /// Takes a checkpoint of the same run back: the updates that follow are, bit for bit, those of a run that was never
     /// interrupted.
     ///
     /// # Errors
