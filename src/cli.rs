@@ -10,6 +10,7 @@ mod compare;
 mod document;
 mod effects;
 mod explain;
+mod files;
 mod folder;
 mod kind;
 mod outputs;
@@ -23,6 +24,7 @@ mod run;
 mod saved;
 mod scene;
 mod settings;
+mod signals;
 mod statistics;
 mod stress;
 mod sweep;
@@ -33,7 +35,7 @@ mod train;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
-use std::sync::atomic::Ordering;
+use terminal::tell;
 
 /// Train neural controllers through long rollouts of differentiable physics, and choose the vector field to follow.
 ///
@@ -63,19 +65,19 @@ enum Command {
     Effects(effects::Effects),
 }
 
-/// Exit status of a run that was interrupted, and saved.
-const INTERRUPTED: u8 = 130;
+/// Exit status of a training that applied no update.
+const NO_UPDATE: u8 = 3;
 
-/// The program; what it returns is its exit status.
+/// Runs the program and returns its exit status.
 pub fn main() -> ExitCode {
     let command = Arguments::parse().command.unwrap_or_else(default_run);
-    match execute(&command) {
-        // As a shell tells of a program that Ctrl-C ended: what stands after it in a script must not go on.
-        Ok(()) if run::INTERRUPTED.load(Ordering::Relaxed) => ExitCode::from(INTERRUPTED),
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error:#}");
-            ExitCode::FAILURE
+    match (execute(&command), signals::received()) {
+        // Commands that follow in a script do not run.
+        (Ok(()), Some(signal)) => ExitCode::from(signals::exit_status(signal)),
+        (Ok(()), None) => ExitCode::SUCCESS,
+        (Err(error), _) => {
+            tell(&format!("error: {error:#}"));
+            if error.is::<run::NoUpdate>() { ExitCode::from(NO_UPDATE) } else { ExitCode::FAILURE }
         }
     }
 }
@@ -84,10 +86,10 @@ fn execute(command: &Command) -> Result<()> {
     match command {
         Command::Accuracy(args) => accuracy::accuracy(args),
         Command::Stress(args) => stress::stress(args),
-        Command::Train(args) => on_interrupt().and_then(|()| train::train(args)),
-        Command::Compare(args) => on_interrupt().and_then(|()| compare::compare(args)),
+        Command::Train(args) => signals::handle().and_then(|()| train::train(args)),
+        Command::Compare(args) => signals::handle().and_then(|()| compare::compare(args)),
         Command::Animate(args) => animate::animate(args),
-        Command::Paper(args) => on_interrupt().and_then(|()| paper::paper(args)),
+        Command::Paper(args) => signals::handle().and_then(|()| paper::paper(args)),
         Command::Report(args) => report::report(args),
         Command::Check(args) => check::check(args),
         Command::Tasks => tasks::tasks(),
@@ -108,15 +110,4 @@ fn default_run() -> Command {
         save_every: run::SAVE_EVERY.as_secs_f64(),
         quiet: false,
     })
-}
-
-/// The first Ctrl-C finishes the epoch and saves; the second stops at once.
-fn on_interrupt() -> Result<()> {
-    ctrlc::set_handler(|| {
-        if run::INTERRUPTED.swap(true, Ordering::Relaxed) {
-            std::process::exit(INTERRUPTED.into());
-        }
-        eprintln!("\nfinishing the epoch and saving; again to stop at once");
-    })?;
-    Ok(())
 }

@@ -133,45 +133,6 @@ fn a_resumed_run_is_an_uninterrupted_one() {
     assert!(policy(&parts) == policy(&whole));
 }
 
-#[cfg(unix)]
-#[test]
-fn an_interrupt_finishes_the_epoch_saves_and_says_how_to_resume() {
-    let dir = TempDir::new().expect("a folder");
-    let out = dir.path().join("run");
-    let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
-    command.args(["train", "cart_pole", "--epochs", "1000000", "--out"]).arg(&out).args(SMALL);
-    command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::null());
-    let child = command.spawn().expect("it runs");
-    let rows = || fs::read_to_string(out.join("metrics.csv")).map_or(0, |text| text.lines().count());
-    while rows() < 3 {
-        std::thread::sleep(std::time::Duration::from_millis(5));
-    }
-    let killed = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status();
-    assert!(killed.expect("kill runs").success());
-    let output = child.wait_with_output().expect("it ends");
-    assert_eq!(output.status.code(), Some(130));
-    let text = String::from_utf8(output.stdout).expect("text");
-    assert!(text.contains("--resume"), "{text}");
-    let done = rows() - 1;
-    let mut resume = physgrad(&["train", "cart_pole", "--resume", "--epochs", &(done + 2).to_string(), "--out"]);
-    resume.arg(&out).assert().success();
-    assert_eq!(rows() - 1, done + 2);
-}
-
-#[test]
-fn a_run_that_is_there_is_not_overwritten() {
-    let dir = TempDir::new().expect("a folder");
-    train(dir.path(), &["--epochs", "1"]).assert().success();
-    let first = policy(dir.path());
-    fs::write(dir.path().join("notes.txt"), "mine").expect("a file");
-    assert!(error_of(&mut train(dir.path(), &["--threads", "0"])).contains("--threads"));
-    assert!(!dir.path().join("previous-1").exists(), "a mistake moves nothing");
-    train(dir.path(), &["--epochs", "1", "--seed", "9"]).assert().success();
-    assert!(dir.path().join("notes.txt").exists(), "only the run's own files are moved");
-    assert!(policy(&dir.path().join("previous-1")) == first);
-    assert!(policy(dir.path()) != first);
-}
-
 #[test]
 fn mistakes_are_named_with_what_is_allowed() {
     let dir = TempDir::new().expect("a folder");

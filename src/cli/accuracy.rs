@@ -17,7 +17,7 @@ use super::folder::Folder;
 use super::presets;
 use super::scene::Scene;
 use super::settings::Precision;
-use super::terminal::say;
+use super::terminal::{say, tell};
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use job::Found;
@@ -116,17 +116,17 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         document.put("policy.zero_last", Value::Boolean(false), "accuracy")?;
     }
     let name = presets::short_name(&args.scene);
-    let folder = || args.out.as_deref().map_or_else(|| Folder::fresh(&format!("accuracy_{name}")), Folder::create);
+    let folder = || Folder::named(args.out.as_deref(), &format!("accuracy_{name}"));
     let study = Study { scene, given, document };
     if args.gradients {
         let horizons = gradients::parse(&args.horizons)?;
-        return gradients::gradients(&study, &name, &folder()?, &horizons, args.quiet);
+        return gradients::gradients(&study, &name, &*folder()?, &horizons, args.quiet);
     }
     let (reference, check) = study.reference()?;
     let settings = study.settings();
     let bar = bar(settings.len() * (1 + ROUNDS), args.quiet);
     if !args.quiet && bar.is_hidden() {
-        eprintln!("{} settings, {ROUNDS} rounds of timing", settings.len());
+        tell(&format!("{} settings, {ROUNDS} rounds of timing", settings.len()));
     }
     let mut jobs = Vec::new();
     for setting in &settings {
@@ -156,16 +156,16 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     let folder = folder()?;
     let conserved = conserved.map(|conserved| conserved.name);
     outputs::write(&folder, &name, &check, conserved, &rows)?;
-    say(&outputs::summary(&rows, &check, conserved));
-    say(&format!("results in {}: accuracy.csv, accuracy.svg, accuracy.md", folder.path().display()));
+    say(&outputs::summary(&rows, &check, conserved))?;
+    say(&format!("results in {}: accuracy.csv, accuracy.svg, accuracy.md", folder.path().display()))?;
     let Some(target) = args.target else { return Ok(()) };
     let scenes = study.scenes(&rows, args.of, target)?;
     if !scenes.is_empty() {
-        let inner = Folder::create(&folder.file("scenes"))?;
+        let inner = Folder::at(folder.file("scenes")).lock()?;
         for (method, scene) in scenes {
             inner.write(&format!("{method}.toml"), scene.table.to_string())?;
         }
-        say(&format!("the cheapest of every method, to train in: {}", inner.path().display()));
+        say(&format!("the cheapest of every method, to train in: {}", inner.path().display()))?;
     }
     name_cheapest(&rows, args.of, target)
 }
@@ -248,7 +248,7 @@ fn name_cheapest(rows: &[Row], of: Of, target: f64) -> Result<()> {
             row.setting.name(),
             of.time(row) * 1e6,
             row.setting.lines()
-        ));
+        ))?;
         return Ok(());
     }
     let best = finite().min_by(|a, b| a.1.total_cmp(&b.1));

@@ -15,7 +15,7 @@ pub struct Animate {
     /// Number of the test start state, from 0
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub sample: usize,
-    /// Print nothing but errors
+    /// Print nothing but warnings and errors
     #[arg(long)]
     pub quiet: bool,
 }
@@ -25,7 +25,7 @@ pub fn animate(args: &Animate) -> Result<()> {
     for folder in saved::runs(&Folder::existing(&args.folder)?)? {
         film(&folder, args.sample)?;
         if !args.quiet {
-            say(&folder.file(ANIMATION).display().to_string());
+            say(&folder.file(ANIMATION).display().to_string())?;
         }
     }
     Ok(())

@@ -12,8 +12,10 @@ use std::ops::Range;
 
 /// What the program needs of a [`Session`].
 pub trait AnyRun {
-    /// Runs one epoch.
-    fn epoch(&mut self) -> Result<&Record, TrainError>;
+    /// Runs to the end of the epoch, or to the first update after which `pause` returns true.
+    fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError>;
+    /// Updates applied so far.
+    fn updates(&self) -> u64;
     /// Whether all epochs are done.
     fn is_done(&self) -> bool;
     /// One record per epoch done.
@@ -37,8 +39,12 @@ pub trait AnyRun {
 }
 
 impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
-    fn epoch(&mut self) -> Result<&Record, TrainError> {
-        Session::epoch(self)
+    fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError> {
+        Session::advance(self, pause)
+    }
+
+    fn updates(&self) -> u64 {
+        Session::updates(self)
     }
 
     fn is_done(&self) -> bool {

@@ -34,8 +34,8 @@ pub fn check(args: &Check) -> Result<()> {
         scene.check(&variant, &mut results);
     }
     results.spinner.finish_and_clear();
-    say(&results.table.to_string());
-    say("errors are relative to the largest component, in double precision, against dual numbers");
+    say(&results.table.to_string())?;
+    say("errors are relative to the largest component, in double precision, against dual numbers")?;
     if results.failures.is_empty() {
         return Ok(());
     }

@@ -7,7 +7,7 @@ use super::run::threads;
 use super::scene::Scene;
 use super::settings::FieldName;
 use super::statistics::{self, Outcome, best, curves};
-use super::sweep::{Comparison, check_distinct, check_options, sweep};
+use super::sweep::{Comparison, check_distinct, check_options, check_sessions, sweep};
 use super::terminal::say;
 use anyhow::{Result, bail};
 use comfy_table::Table;
@@ -36,7 +36,7 @@ pub struct Compare {
     /// Folder for the results; runs that are already there are taken up where they stopped [default: a new one in `runs`]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Print nothing but errors
+    /// Print nothing but warnings and errors
     #[arg(long)]
     pub quiet: bool,
 }
@@ -53,20 +53,18 @@ pub fn compare(args: &Compare) -> Result<()> {
         check_options(&args.fields, args.seeds, base.epochs)?;
     }
     threads(args.threads)?;
-    let folder = match &args.out {
-        Some(path) => Folder::create(path)?,
-        None => Folder::fresh(&format!("compare-{}", names.join("-")))?,
-    };
+    check_sessions(&bases, &args.fields)?;
+    let folder = Folder::named(args.out.as_deref(), &format!("compare-{}", names.join("-")))?;
     let one = bases.len() == 1;
     let mut comparisons = Vec::new();
     for (name, base) in names.iter().zip(&bases) {
         // Each is a comparison for itself, too.
-        let (label, inner) = if one { ("", folder.clone()) } else { (&**name, Folder::create(&folder.file(name))?) };
+        let (label, inner) = if one { ("", Folder::clone(&folder)) } else { (&**name, Folder::at(folder.file(name))) };
         comparisons.push(Comparison::plan(label, base, &args.fields, args.seeds, &inner)?);
     }
     let swept = sweep(&mut comparisons, args.quiet)?;
     if swept.interrupted {
-        say(&format!("interrupted; the same command with --out {} goes on", folder.path().display()));
+        say(&format!("interrupted; the same command with --out {} goes on", folder.path().display()))?;
         return swept.into_result();
     }
     let scenes: Vec<InScene> = names
@@ -83,7 +81,7 @@ pub fn compare(args: &Compare) -> Result<()> {
         } else {
             "summary.csv, curves.svg, and a folder for every scene"
         };
-        say(&format!("{}\nresults in {}: {files}", table(&scenes), folder.path().display()));
+        say(&format!("{}\nresults in {}: {files}", table(&scenes), folder.path().display()))?;
     }
     swept.into_result()
 }

@@ -28,7 +28,7 @@ slope. *One-sided*: the derivative leaps at a point, where that of one side is t
 
 /// Runs the command.
 pub fn effects(_args: &Effects) -> Result<()> {
-    say(page()?.trim_end());
+    say(page()?.trim_end())?;
     Ok(())
 }
 

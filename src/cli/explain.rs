@@ -37,20 +37,22 @@ pub fn explain(args: &Explain) -> Result<()> {
     let mut document = presets::document(&args.scene)?;
     args.changes.apply(&mut document)?;
     let scene = document.scene()?;
-    say(&format!("{}: {}\n", args.scene, scene.kind.about()));
+    say(&format!("{}: {}\n", args.scene, scene.kind.about()))?;
     let states = scene.state_names();
-    say(&format!("state of {} numbers, {}", states.len(), names(&states)));
+    say(&format!("state of {} numbers, {}", states.len(), names(&states)))?;
     let controls = scene.control_names();
-    say(&format!("control of {} number{}, {}\n", controls.len(), if controls.len() == 1 { "" } else { "s" }, names(&controls)));
-    say(&effects(&scene).to_string());
-    say("\noperations of one step of one sample; of its VJP to state and control (R, M); of its VJP to the control alone (N, S)");
-    say("(of a part: those that are saved without it)");
-    say(&operations(&scene)?.to_string());
+    say(&format!("control of {} number{}, {}\n", controls.len(), if controls.len() == 1 { "" } else { "s" }, names(&controls)))?;
+    say(&effects(&scene).to_string())?;
+    say(
+        "\noperations of one step of one sample; of its VJP to state and control (R, M); of its VJP to the control alone (N, S)",
+    )?;
+    say("(of a part: those that are saved without it)")?;
+    say(&operations(&scene)?.to_string())?;
     say(&format!(
         "\nwhat is kept of one sample, in {}; and allocations in a step of all {SAMPLES} samples of a block, once it has run",
         scene.precision.name()
-    ));
-    say(&bytes(&scene)?.to_string());
+    ))?;
+    say(&bytes(&scene)?.to_string())?;
     Ok(())
 }
 

@@ -1,9 +1,14 @@
-//! The folder of a run: files that are either old or new, never half-written.
+//! The folder of a run: files that are either old or new, never half-written, and one writer at a time.
 
+use super::files;
+use super::signals;
+use super::terminal::tell;
 use anyhow::{Context, Result, bail};
-use std::fs;
-use std::io::{ErrorKind, Write};
+use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
+use std::io::{self, ErrorKind, Read, Write};
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 pub const SETTINGS: &str = "run.toml";
 pub const CHECKPOINT: &str = "checkpoint.bin";
@@ -17,42 +22,45 @@ pub const REPORT: &str = "report.html";
 /// Where a comparison keeps its runs.
 pub const RUNS: &str = "runs";
 
+/// The file whose lock a process holds while it writes to the folder. It names the process.
+const LOCK: &str = ".lock";
+
+/// Between the name of a folder and a number: an earlier run.
+const PREVIOUS: &str = ".previous-";
+
 /// All that a run writes, and the report on it.
 const RUN_FILES: [&str; 8] = [SETTINGS, CHECKPOINT, METRICS, POLICY, LEARNING_CURVE, TRAJECTORY, ANIMATION, REPORT];
 
-/// A folder that has been shown to be writable.
+/// Files that only the process that holds the lock writes. Other commands write the rest to a run under way, too.
+const LOCKED_FILES: [&str; 6] = [SETTINGS, CHECKPOINT, METRICS, POLICY, LEARNING_CURVE, TRAJECTORY];
+
+/// Time between two attempts to get a lock.
+const PATIENCE: Duration = Duration::from_millis(100);
+
+/// A folder, which may not exist yet.
 #[derive(Clone, Debug)]
 pub struct Folder {
     path: PathBuf,
 }
 
 impl Folder {
-    /// Makes the folder and writes to it once, so that a problem shows before training and not after.
-    pub fn create(path: &Path) -> Result<Self> {
-        let folder = Self { path: path.to_owned() };
-        let attempt = || -> Result<()> {
-            fs::create_dir_all(path)?;
-            let probe = path.join(".physgrad-probe");
-            fs::write(&probe, b"")?;
-            fs::remove_file(&probe)?;
-            Ok(())
-        };
-        attempt()
-            .with_context(|| format!("the output folder {} cannot be written to; choose another with --out", path.display()))?;
-        Ok(folder)
+    /// The folder at this path. Nothing is made.
+    pub fn at(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into() }
     }
 
-    /// A folder that must be there.
+    /// A folder that must exist.
     pub fn existing(path: &Path) -> Result<Self> {
-        if path.is_dir() { Ok(Self { path: path.to_owned() }) } else { bail!("there is no folder {}", path.display()) }
+        if path.is_dir() { Ok(Self::at(path)) } else { bail!("there is no folder {}", path.display()) }
     }
 
-    /// A new folder `runs/<name>`, or `runs/<name>-2` and so on if that is taken.
+    /// A new folder `runs/<name>`, or `runs/<name>-2` and so on if that exists.
     pub fn fresh(name: &str) -> Result<Self> {
-        Self::create(Path::new(RUNS))?;
+        let runs = Self::at(RUNS);
+        runs.create()?;
         for i in 1.. {
-            let path = Path::new(RUNS).join(if i == 1 { name.into() } else { format!("{name}-{i}") });
-            match fs::create_dir(&path) {
+            let path = runs.file(&if i == 1 { name.into() } else { format!("{name}-{i}") });
+            match files::create_folder(&path) {
                 Ok(()) => return Ok(Self { path }),
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
                 Err(error) => return Err(error).with_context(|| format!("cannot make the folder {}", path.display())),
@@ -61,7 +69,93 @@ impl Folder {
         unreachable!("there are enough numbers")
     }
 
-    /// Its own name, without the way there.
+    /// The folder at this path, or a new one of this name in `runs`; locked.
+    pub fn named(path: Option<&Path>, name: &str) -> Result<Locked> {
+        path.map_or_else(|| Self::fresh(name), |path| Ok(Self::at(path)))?.lock()
+    }
+
+    /// Makes the folder, unless it exists.
+    fn create(&self) -> Result<()> {
+        files::create_folders(&self.path).with_context(|| unwritable(&self.path))
+    }
+
+    /// Makes the folder if necessary, and locks it until the returned value is dropped or the process ends.
+    ///
+    /// # Errors
+    /// The folder cannot be written to, or another process has locked it.
+    pub fn lock(self) -> Result<Locked> {
+        match self.try_lock()? {
+            Some(locked) => Ok(locked),
+            None => bail!(
+                "the folder {} is in use by {}; wait until that ends, or choose another with --out",
+                self.path.display(),
+                self.holder()
+            ),
+        }
+    }
+
+    /// As [`lock`](Folder::lock), but waits for another process. `None` if a signal ends the wait.
+    pub fn wait_and_lock(self) -> Result<Option<Locked>> {
+        let mut waits = false;
+        while signals::received().is_none() {
+            if let Some(locked) = self.try_lock()? {
+                return Ok(Some(locked));
+            }
+            if !waits {
+                tell(&format!("waiting for the folder {}, in use by {}", self.path.display(), self.holder()));
+                waits = true;
+            }
+            std::thread::sleep(PATIENCE);
+        }
+        Ok(None)
+    }
+
+    /// `None` if another process has locked the folder.
+    fn try_lock(&self) -> Result<Option<Locked>> {
+        loop {
+            self.create()?;
+            let path = self.file(LOCK);
+            if path.is_symlink() {
+                bail!("{} is a symbolic link, and is not followed; remove it", path.display());
+            }
+            let open = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
+            let mut file = open.with_context(|| unwritable(&self.path))?;
+            match file.try_lock() {
+                Ok(()) => {}
+                Err(TryLockError::WouldBlock) => return Ok(None),
+                Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => {
+                    tell(&format!(
+                        "warning: this file system has no locks; only one process may write to {}",
+                        self.path.display()
+                    ));
+                }
+                Err(TryLockError::Error(error)) => {
+                    return Err(error).with_context(|| format!("cannot lock the folder {}", self.path.display()));
+                }
+            }
+            let command: Vec<_> = std::env::args_os().map(|part| part.to_string_lossy().into_owned()).collect();
+            let holder = format!("process {} (`{}`)", std::process::id(), command.join(" "));
+            let write = |file: &mut File| -> io::Result<()> {
+                file.set_len(0)?;
+                file.write_all(holder.as_bytes())
+            };
+            write(&mut file).with_context(|| unwritable(&self.path))?;
+            let locked = Locked { folder: self.clone(), file };
+            // Between `open` and `try_lock`, its holder may have moved the folder.
+            if locked.is_in_place() {
+                return Ok(Some(locked));
+            }
+        }
+    }
+
+    /// The process that has locked the folder, for messages.
+    fn holder(&self) -> String {
+        let mut text = String::new();
+        let read = File::open(self.file(LOCK)).and_then(|file| file.take(1000).read_to_string(&mut text));
+        if read.is_ok() && !text.is_empty() { text } else { "another process".into() }
+    }
+
+    /// Last part of the path.
     pub fn name(&self) -> String {
         let whole = fs::canonicalize(&self.path).unwrap_or_else(|_| self.path.clone());
         whole.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
@@ -79,39 +173,141 @@ impl Folder {
         self.file(name).exists()
     }
 
-    /// Moves the files of a run that is already there into a sub-folder, so that nothing is overwritten. Returns where
-    /// to.
-    pub fn move_aside(&self) -> Result<Option<PathBuf>> {
-        if !self.has(SETTINGS) {
-            return Ok(None);
-        }
-        let free = (1..).map(|i| self.file(&format!("previous-{i}"))).find(|path| !path.exists());
-        let aside = free.expect("there are enough numbers");
-        fs::create_dir(&aside)?;
-        for name in RUN_FILES.into_iter().filter(|name| self.has(name)) {
-            fs::rename(self.file(name), aside.join(name))?;
-        }
-        Ok(Some(aside))
+    /// Whether an earlier run was moved here.
+    pub fn is_previous(&self) -> bool {
+        self.name().contains(PREVIOUS)
     }
 
-    /// Writes a file beside its name and renames it: whoever reads it, or kills us, finds the old or the new.
-    pub fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<()> {
-        let (temporary, path) = (self.file(&format!(".{name}.new")), self.file(name));
-        let attempt = || -> std::io::Result<()> {
-            let mut file = fs::File::create(&temporary)?;
-            file.write_all(bytes.as_ref())?;
-            file.sync_all()?;
-            fs::rename(&temporary, &path)
+    /// Names of the files and folders in it but for the lock, in order.
+    fn entries(&self) -> Result<Vec<String>> {
+        let read = || -> io::Result<Vec<String>> {
+            let entries = fs::read_dir(&self.path)?;
+            entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned())).collect()
         };
-        let written = attempt().with_context(|| format!("cannot write {}", path.display()));
-        if written.is_err() {
-            // It may not even be there.
-            let _ = fs::remove_file(&temporary);
-        }
-        written
+        let mut names = read().with_context(|| format!("cannot read the folder {}", self.path.display()))?;
+        names.retain(|name| name != LOCK);
+        names.sort();
+        Ok(names)
+    }
+
+    /// Replaces a file: a reader finds the old or the new, also after a kill or a power loss.
+    pub fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<()> {
+        self.start(name, bytes).map(drop)
+    }
+
+    /// As [`write`](Folder::write), and returns the file for what follows.
+    pub fn start(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<File> {
+        files::replace(&self.path, name, bytes.as_ref()).with_context(|| format!("cannot write {}", self.file(name).display()))
     }
 
     pub fn read(&self, name: &str) -> Result<Vec<u8>> {
         fs::read(self.file(name)).with_context(|| format!("cannot read {}", self.file(name).display()))
     }
+}
+
+fn unwritable(path: &Path) -> String {
+    format!("the output folder {} cannot be written to; choose another with --out", path.display())
+}
+
+/// A folder that no other process of the program writes to.
+#[derive(Debug)]
+pub struct Locked {
+    folder: Folder,
+    file: File,
+}
+
+impl Deref for Locked {
+    type Target = Folder;
+
+    fn deref(&self) -> &Folder {
+        &self.folder
+    }
+}
+
+impl Locked {
+    /// Whether the path still leads to the folder that was locked.
+    fn is_in_place(&self) -> bool {
+        let there = fs::symlink_metadata(self.folder.file(LOCK));
+        there.and_then(|there| Ok(is_same(&there, &self.file.metadata()?))).unwrap_or(false)
+    }
+
+    /// An error if the folder was removed, moved or replaced after it was locked.
+    pub fn check(&self) -> Result<()> {
+        if self.is_in_place() {
+            return Ok(());
+        }
+        bail!("the folder {} was removed or replaced during the run", self.path().display())
+    }
+
+    /// Removes temporary files of processes that were killed.
+    pub fn clean(&self) -> Result<()> {
+        for name in self.entries()? {
+            if files::replaced_by(&name).is_some_and(|name| LOCKED_FILES.contains(&name)) {
+                let path = self.folder.file(&name);
+                fs::remove_file(&path).with_context(|| format!("cannot remove {}", path.display()))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Renames the folder if it holds an earlier run, and makes an empty one in its place. Returns the empty one, and the
+    /// path of the earlier run.
+    ///
+    /// # Errors
+    /// The folder holds something else, too, or files of a run without [`SETTINGS`].
+    pub fn without_run(self) -> Result<(Self, Option<PathBuf>)> {
+        let path = self.path().to_owned();
+        let (run, other): (Vec<String>, Vec<String>) =
+            self.entries()?.into_iter().partition(|name| RUN_FILES.contains(&files::replaced_by(name).unwrap_or(name)));
+        if !run.iter().any(|name| name == SETTINGS) {
+            // A process that was killed before it wrote settings leaves at most a temporary file.
+            let foreign = run.iter().find(|name| files::replaced_by(name).is_none());
+            return match foreign {
+                Some(name) => bail!(
+                    "{} holds {name}, but no {SETTINGS}, so that it is not a run; remove the file, or choose another folder with --out",
+                    path.display()
+                ),
+                None => Ok((self, None)),
+            };
+        }
+        if let Some(name) = other.first() {
+            bail!(
+                "{} holds a run, which would be moved aside, and also {name}, which is not part of it; go on with --resume, or choose \
+                 another folder with --out",
+                path.display()
+            );
+        }
+        if path.is_symlink() {
+            bail!("{} holds a run, and is a symbolic link, which is not moved; choose another folder with --out", path.display());
+        }
+        let whole = fs::canonicalize(&path).with_context(|| unwritable(&path))?;
+        let free = (1..).map(|i| {
+            let mut name = whole.clone().into_os_string();
+            name.push(format!("{PREVIOUS}{i}"));
+            PathBuf::from(name)
+        });
+        // A folder that is not empty is never replaced by `rename`; an empty one may be, and nothing is lost.
+        let mut aside = free.filter(|path| fs::symlink_metadata(path).is_err());
+        let aside = aside.next().context("there are enough numbers")?;
+        if std::env::current_dir().is_ok_and(|here| here.starts_with(&whole)) {
+            bail!("{} holds a run, and is the current folder, which is not moved; choose another with --out", path.display());
+        }
+        let cannot = || format!("{} holds a run, which cannot be moved aside; choose another folder with --out", path.display());
+        files::rename(&whole, &aside).with_context(cannot)?;
+        // The lock moves with the folder: whoever waits for it finds that it is no longer in place.
+        let empty = Folder::at(&path).lock()?;
+        Ok((empty, Some(aside)))
+    }
+}
+
+#[cfg(unix)]
+fn is_same(a: &Metadata, b: &Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    (a.dev(), a.ino()) == (b.dev(), b.ino())
+}
+
+/// Elsewhere, a folder with a locked file in it cannot be moved or removed.
+#[cfg(not(unix))]
+fn is_same(_: &Metadata, _: &Metadata) -> bool {
+    true
 }

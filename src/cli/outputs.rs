@@ -1,5 +1,6 @@
 //! The files a run leaves: metrics, policy, learning curve, trajectories.
 
+use super::files;
 use super::folder::{Folder, METRICS};
 use super::scene::Scene;
 use anyhow::{Context, Result};
@@ -8,36 +9,46 @@ use physgrad::{Divergence, Float, Growth, Record, Rollout, Variable, Weights, re
 use safetensors::tensor::{Dtype, TensorView};
 use std::fs::File;
 use std::ops::Range;
+use std::path::PathBuf;
 
 /// Test rollouts that `trajectory.csv` holds.
 pub const ROLLOUTS: usize = 4;
 
-/// `metrics.csv`, one row an epoch, on disk as soon as the epoch is done.
+/// `metrics.csv`, one row per epoch, written at the end of the epoch.
 pub struct Metrics {
-    writer: csv::Writer<File>,
+    path: PathBuf,
+    file: File,
 }
 
 impl Metrics {
-    /// Starts the file anew, with the epochs done so far.
+    /// Replaces the file by one with the epochs done so far.
     pub fn create(folder: &Folder, done: &[Record]) -> Result<Self> {
-        let path = folder.file(METRICS);
-        let writer = csv::Writer::from_path(&path).with_context(|| format!("cannot write {}", path.display()))?;
-        let mut metrics = Self { writer };
-        metrics.writer.write_record(METRICS_HEADER)?;
-        done.iter().try_for_each(|record| metrics.write(record))?;
-        metrics.writer.flush()?;
-        Ok(metrics)
+        let rows = done.iter().map(|record| row(metrics_row(record)));
+        let text = [row(METRICS_HEADER)].into_iter().chain(rows).collect::<Result<String>>()?;
+        Ok(Self { path: folder.file(METRICS), file: folder.start(METRICS, text)? })
     }
 
-    /// One more epoch.
-    pub fn row(&mut self, record: &Record) -> Result<()> {
-        self.write(record)?;
-        Ok(self.writer.flush()?)
+    /// Appends an epoch.
+    pub fn append(&mut self, record: &Record) -> Result<()> {
+        let text = row(metrics_row(record))?;
+        files::append(&mut self.file, &self.path, text.as_bytes()).with_context(|| self.unwritable())
     }
 
-    fn write(&mut self, record: &Record) -> Result<()> {
-        Ok(self.writer.write_record(metrics_row(record))?)
+    /// Waits until all rows are on disk.
+    pub fn sync(&self) -> Result<()> {
+        files::sync(&self.file, &self.path).with_context(|| self.unwritable())
     }
+
+    fn unwritable(&self) -> String {
+        format!("cannot write {}", self.path.display())
+    }
+}
+
+/// One line of CSV.
+fn row<const N: usize>(fields: [impl AsRef<[u8]>; N]) -> Result<String> {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    csv.write_record(fields)?;
+    Ok(String::from_utf8(csv.into_inner()?)?)
 }
 
 pub const METRICS_HEADER: [&str; 13] = [

@@ -5,15 +5,15 @@ mod fig2;
 mod study;
 
 use super::folder::Folder;
-use super::run::{INTERRUPTED, threads};
+use super::run::threads;
 use super::settings::{ClipName, FieldName};
+use super::signals;
 use super::sweep::{check_distinct, check_options};
 use super::terminal::say;
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use physgrad::report::Drawing;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
 use study::{FIG3, FIG4, FIG5};
 
 /// Remake a figure of the paper, with several seeds: picture, numbers and table.
@@ -51,7 +51,7 @@ pub struct Options {
     /// See that it works: few epochs, small data sets, coarse grids
     #[arg(long)]
     pub quick: bool,
-    /// Print nothing but errors
+    /// Print nothing but warnings and errors
     #[arg(long)]
     pub quiet: bool,
 }
@@ -104,7 +104,7 @@ impl Made {
         folder.write(&format!("{name}.md"), format!("{}\n", self.table.trim_end()))?;
         if !options.quiet {
             let path = folder.path().display();
-            say(&format!("{}\n{name}.svg, {name}.png, {name}.csv and {name}.md are in {path}\n", self.table.trim_end()));
+            say(&format!("{}\n{name}.svg, {name}.png, {name}.csv and {name}.md are in {path}\n", self.table.trim_end()))?;
         }
         Ok(())
     }
@@ -117,7 +117,7 @@ pub fn paper(args: &Paper) -> Result<()> {
     check_distinct("--clip", options.clip.iter().map(|clip| clip.name()))?;
     threads(args.threads)?;
     let default = if options.quick { "runs/paper-quick" } else { "runs/paper" };
-    let folder = Folder::create(args.out.as_deref().unwrap_or(Path::new(default)))?;
+    let folder = Folder::at(args.out.as_deref().unwrap_or(Path::new(default))).lock()?;
     let write = |which: Which, made: Result<Made>| made?.write(&which.name(), &folder, options);
     // The longest last.
     let figures: [(Which, &dyn Fn() -> Result<()>); 5] = [
@@ -130,7 +130,7 @@ pub fn paper(args: &Paper) -> Result<()> {
     // What goes wrong with one figure does not keep the others from being made.
     let mut problems = Vec::new();
     for (which, make) in figures {
-        if [which, Which::All].contains(&args.figure) && !INTERRUPTED.load(Ordering::Relaxed) {
+        if [which, Which::All].contains(&args.figure) && signals::received().is_none() {
             problems.extend(make().err().map(|error| format!("{}: {error:#}", which.name())));
         }
     }

@@ -31,10 +31,9 @@ pub fn scene(args: &Scene) -> Result<()> {
         Some(name) => say(presets::text(name)?.trim_end()),
         None => {
             let width = presets::all().map(|(name, _)| name.len()).max().unwrap_or(0);
-            presets::all().for_each(|(name, about)| say(&format!("{name:width$}  {about}")));
+            presets::all().try_for_each(|(name, about)| say(&format!("{name:width$}  {about}")))
         }
     }
-    Ok(())
 }
 
 /// Runs `schema`.
@@ -42,9 +41,6 @@ pub fn schema(args: &Schema) -> Result<()> {
     let text = serde_json::to_string_pretty(&kind::schema())?;
     match &args.out {
         Some(path) => std::fs::write(path, text + "\n").with_context(|| format!("cannot write {}", path.display())),
-        None => {
-            say(&text);
-            Ok(())
-        }
+        None => say(&text),
     }
 }

@@ -18,7 +18,7 @@ use std::path::PathBuf;
 pub struct Report {
     /// Folder of a run or of a comparison
     pub folder: PathBuf,
-    /// Print nothing but errors
+    /// Print nothing but warnings and errors
     #[arg(long)]
     pub quiet: bool,
 }
@@ -33,7 +33,7 @@ pub fn report(args: &Report) -> Result<()> {
     };
     folder.write(REPORT, html)?;
     if !args.quiet {
-        say(&folder.file(REPORT).display().to_string());
+        say(&folder.file(REPORT).display().to_string())?;
     }
     Ok(())
 }

@@ -1,49 +1,74 @@
 //! One run in its folder: train, save, resume, and leave files behind.
 
 use super::any_run::AnyRun;
-use super::folder::{ANIMATION, CHECKPOINT, Folder, LEARNING_CURVE, POLICY, SETTINGS, TRAJECTORY};
-use super::outputs;
+use super::folder::{ANIMATION, CHECKPOINT, Folder, LEARNING_CURVE, Locked, POLICY, SETTINGS, TRAJECTORY};
+use super::outputs::{self, Metrics};
 use super::saved;
 use super::scene::Scene;
+use super::signals;
+use super::terminal::tell;
 use anyhow::{Result, bail};
 use physgrad::{Divergence, Record, Skip, TrainError};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::fmt;
 use std::time::{Duration, Instant};
 
-/// Time between two checkpoints: at most so much work is lost when the process is killed.
+/// Default time between two checkpoints.
 pub const SAVE_EVERY: Duration = Duration::from_secs(5);
 
-/// Set by Ctrl-C: the epoch under way is finished, and the run saved.
-pub static INTERRUPTED: AtomicBool = AtomicBool::new(false);
-
-/// What a run tells while it goes on.
+/// Observer of a run.
 pub trait Watch {
-    /// It goes on after this many epochs of an earlier run.
+    /// The run goes on after this many epochs of an earlier process.
     fn resumed(&mut self, _epochs: usize) {}
     /// An epoch is done.
     fn epoch(&mut self, told: Told);
 }
 
-/// What there is to say of an epoch.
+/// Events of an epoch.
 #[derive(Clone, Copy)]
 pub struct Told<'a> {
     pub record: &'a Record,
-    /// Updates that were not taken, and evaluations that were not finite.
+    /// Updates that were not applied, since the program was started.
     pub skips: &'a [Skip],
     pub diverged: [Option<Divergence>; 2],
-    /// What makes its gradients untrustworthy, unless it was said before.
+    /// Reasons not to trust the gradients, unless an earlier epoch gave them.
     pub warnings: &'a [String],
 }
 
-/// A run that is done, was interrupted, or broke off.
+/// A run that is done, was interrupted, or failed.
 pub struct Finished {
     pub records: Vec<Record>,
     pub interrupted: bool,
-    /// Why it broke off; it was then left as it was after the last whole epoch.
+    /// Reason of the failure; the run is then in its state after the last whole epoch.
     pub broken: Option<TrainError>,
+    /// Epochs have passed, and no update was applied.
+    pub no_update: bool,
 }
 
-/// Sets up the thread pool and says how many threads it has.
+impl Finished {
+    /// A run that a signal ended before it began.
+    pub fn before_start() -> Self {
+        Self { records: Vec::new(), interrupted: true, broken: None, no_update: false }
+    }
+}
+
+/// A training that applied no update.
+#[derive(Debug)]
+pub struct NoUpdate(pub String);
+
+impl fmt::Display for NoUpdate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(runs) = self;
+        write!(
+            f,
+            "no update was applied in {runs}: in each, a number was not finite. The policy is untrained. Try smaller time steps, a \
+             shorter horizon, or other settings of the effects"
+        )
+    }
+}
+
+impl std::error::Error for NoUpdate {}
+
+/// Sets up the thread pool and returns its number of threads.
 pub fn threads(asked: Option<usize>) -> Result<usize> {
     if let Some(threads) = asked {
         if threads == 0 {
@@ -54,20 +79,16 @@ pub fn threads(asked: Option<usize>) -> Result<usize> {
     Ok(rayon::current_num_threads())
 }
 
-/// Runs the scene in the folder, and saves it so often. If `resume`, goes on from its checkpoint.
+/// Runs the scene in the folder; `run` is the scene, opened. If `resume`, goes on from the checkpoint. Saves at least every
+/// `save_every`, but for the time of one update or evaluation.
 pub fn run(
-    folder: &Folder,
+    folder: &Locked,
     scene: &Scene,
-    workers: usize,
+    mut run: Box<dyn AnyRun>,
     resume: bool,
     save_every: Duration,
     watch: &mut dyn Watch,
 ) -> Result<Finished> {
-    if INTERRUPTED.load(Ordering::Relaxed) {
-        // Before it began: there is nothing to save, and an untrained policy is not worth a film.
-        return Ok(Finished { records: Vec::new(), interrupted: true, broken: None });
-    }
-    let mut run = scene.open(workers)?;
     let identity = scene.identity();
     if resume {
         saved::restore(folder, scene, &mut *run)?;
@@ -77,24 +98,29 @@ pub fn run(
         }
         watch.resumed(done);
     }
-    // First the checkpoint: where there are settings there is a run, and whoever kills us now can resume it.
-    folder.write(CHECKPOINT, run.checkpoint(&identity))?;
+    folder.clean()?;
+    // Settings make a folder a run. Without a checkpoint, it is at its start.
     folder.write(SETTINGS, scene.table.to_string())?;
-    // Rows that were written after the checkpoint are computed again.
-    let mut metrics = outputs::Metrics::create(folder, run.records())?;
+    let mut saver = Saver { folder, identity: &identity, metrics: None, save_every, last: Instant::now(), signal_seen: false };
+    saver.save(&*run)?;
 
-    let mut saved: Option<Instant> = None;
     let mut broken = None;
+    let mut within_epoch = false;
     let mut warned = 0;
-    while !run.is_done() && !INTERRUPTED.load(Ordering::Relaxed) {
-        match run.epoch() {
-            Ok(record) => metrics.row(record)?,
+    while !run.is_done() && (within_epoch || signals::received().is_none()) {
+        match run.advance(&|| saver.is_due()) {
+            Ok(record) => {
+                within_epoch = record.is_none();
+                if let Some(record) = record {
+                    saver.append(record);
+                }
+            }
             Err(error) => {
                 broken = Some(error);
                 break;
             }
         }
-        if let Some(record) = run.records().last() {
+        if let Some(record) = run.records().last().filter(|_| !within_epoch) {
             // Once for each flow of a run: the numbers differ in every epoch.
             let warnings: Vec<String> = record.warnings(scene.horizon, scene.precision.epsilon());
             let news = warnings.len() > warned;
@@ -102,15 +128,72 @@ pub fn run(
             let warnings = if news { &warnings[..] } else { &[] };
             watch.epoch(Told { record, skips: run.skips(), diverged: run.diverged(), warnings });
         }
-        if saved.is_none_or(|at| at.elapsed() >= save_every) {
-            folder.write(CHECKPOINT, run.checkpoint(&identity))?;
-            saved = Some(Instant::now());
+        if saver.is_due() {
+            saver.try_to_save(&*run)?;
         }
     }
-    folder.write(CHECKPOINT, run.checkpoint(&identity))?;
+    saver.save(&*run)?;
     leave(folder, scene, &*run)?;
+    folder.check()?;
     let interrupted = broken.is_none() && !run.is_done();
-    Ok(Finished { records: run.records().to_vec(), interrupted, broken })
+    let no_update = run.updates() == 0 && !run.records().is_empty();
+    Ok(Finished { records: run.records().to_vec(), interrupted, broken, no_update })
+}
+
+/// Writes checkpoints and metrics of a run.
+struct Saver<'a> {
+    folder: &'a Locked,
+    identity: &'a str,
+    /// `None` if the file has to be written anew.
+    metrics: Option<Metrics>,
+    save_every: Duration,
+    /// Time of the last attempt.
+    last: Instant,
+    /// A checkpoint was attempted after the signal that ends the run.
+    signal_seen: bool,
+}
+
+impl Saver<'_> {
+    fn is_due(&self) -> bool {
+        self.last.elapsed() >= self.save_every || (!self.signal_seen && signals::received().is_some())
+    }
+
+    /// Appends an epoch to the metrics. After an error, the next save writes the file anew.
+    fn append(&mut self, record: &Record) {
+        if self.metrics.as_mut().is_some_and(|metrics| metrics.append(record).is_err()) {
+            self.metrics = None;
+        }
+    }
+
+    fn save(&mut self, run: &dyn AnyRun) -> Result<()> {
+        self.folder.check()?;
+        self.folder.write(CHECKPOINT, run.checkpoint(self.identity))?;
+        match &self.metrics {
+            // Rows that were written after the last checkpoint of an earlier process are computed again.
+            None => self.metrics = Some(Metrics::create(self.folder, run.records())?),
+            Some(metrics) => metrics.sync()?,
+        }
+        self.last = Instant::now();
+        Ok(())
+    }
+
+    /// Saves, or prints a warning and lets the run go on: space may become free before its end.
+    ///
+    /// # Errors
+    /// The folder was removed or replaced.
+    fn try_to_save(&mut self, run: &dyn AnyRun) -> Result<()> {
+        if !self.signal_seen && signals::received().is_some() {
+            self.signal_seen = true;
+            tell("\nfinishing the epoch and saving; a second signal stops at once");
+        }
+        if let Err(error) = self.save(run) {
+            self.folder.check()?;
+            self.metrics = None;
+            self.last = Instant::now();
+            tell(&format!("warning: the run goes on, but is not saved: {error:#}"));
+        }
+        Ok(())
+    }
 }
 
 /// The files that one looks at or uses elsewhere.

@@ -2,14 +2,14 @@
 
 use super::any_run::AnyRun;
 use super::document::Document;
-use super::folder::{CHECKPOINT, Folder, RUNS, SETTINGS};
+use super::folder::{CHECKPOINT, Folder, METRICS, RUNS, SETTINGS};
 use super::scene::Scene;
 use anyhow::{Context, Result, bail};
 use std::path::Path;
 
 /// Whether there is a run in the folder that can be opened or resumed.
 pub fn has_run(folder: &Folder) -> bool {
-    folder.has(SETTINGS) && folder.has(CHECKPOINT)
+    folder.has(SETTINGS)
 }
 
 /// The folders of the run in the folder, or of all runs of the comparison in it, by name.
@@ -38,13 +38,14 @@ fn folders(path: &Path) -> Result<Vec<Folder>> {
     let entries = std::fs::read_dir(path).with_context(context)?;
     let mut paths = entries.map(|entry| Ok(entry.with_context(context)?.path())).collect::<Result<Vec<_>>>()?;
     paths.sort();
-    Ok(paths.iter().filter_map(|path| Folder::existing(path).ok()).collect())
+    let folders = paths.iter().filter_map(|path| Folder::existing(path).ok());
+    Ok(folders.filter(|folder| !folder.is_previous()).collect())
 }
 
 /// The scene of the run in the folder, which must be there.
 pub fn scene(folder: &Folder) -> Result<Scene> {
     if !has_run(folder) {
-        bail!("there is no run in {}: no {SETTINGS} with a {CHECKPOINT}", folder.path().display());
+        bail!("there is no run in {}: no {SETTINGS}", folder.path().display());
     }
     let document = Document::read(&folder.file(SETTINGS))?;
     let own = env!("CARGO_PKG_VERSION");
@@ -58,8 +59,12 @@ pub fn scene(folder: &Folder) -> Result<Scene> {
     document.scene()
 }
 
-/// Brings a fresh run to where the one in the folder was left.
+/// Brings a fresh run to the state of the one in the folder. A run that was killed before its first checkpoint is at its
+/// start.
 pub fn restore(folder: &Folder, scene: &Scene, run: &mut dyn AnyRun) -> Result<()> {
+    if !folder.has(CHECKPOINT) && !folder.has(METRICS) {
+        return Ok(());
+    }
     let restored = run.restore(&folder.read(CHECKPOINT)?, &scene.identity());
     restored.with_context(|| format!("cannot take up {}", folder.file(CHECKPOINT).display()))
 }

@@ -31,7 +31,7 @@ pub fn stress(args: &Stress) -> Result<()> {
     if args.list {
         let lines: Vec<String> =
             cases.iter().map(|case| format!("{}: {}\n    passes when: {}", case.name, case.about, case.criterion)).collect();
-        say(&lines.join("\n"));
+        say(&lines.join("\n"))?;
         return Ok(());
     }
     let bar = ProgressBar::new(cases.len() as u64);
@@ -49,10 +49,10 @@ pub fn stress(args: &Stress) -> Result<()> {
     bar.finish_and_clear();
     let tell = if args.markdown { markdown } else { text };
     if args.markdown {
-        say(HEAD);
+        say(HEAD)?;
     }
     for (case, (findings, seconds)) in cases.iter().zip(&results) {
-        say(&tell(case, findings, *seconds));
+        say(&tell(case, findings, *seconds))?;
     }
     let failed: Vec<&str> =
         cases.iter().zip(&results).filter(|(_, (found, _))| !passes(found)).map(|(case, _)| case.name).collect();
@@ -60,7 +60,7 @@ pub fn stress(args: &Stress) -> Result<()> {
         bail!("{} of {} cases do not pass: {}", failed.len(), cases.len(), failed.join(", "));
     }
     if !args.markdown {
-        say(&format!("{} of {} cases pass", cases.len(), cases.len()));
+        say(&format!("{} of {} cases pass", cases.len(), cases.len()))?;
     }
     Ok(())
 }

@@ -3,12 +3,12 @@
 use super::changes::check_resumable;
 use super::folder::{Folder, RUNS};
 use super::parallel;
-use super::run::{self, Finished, SAVE_EVERY, Told, Watch};
+use super::run::{self, Finished, NoUpdate, SAVE_EVERY, Told, Watch};
 use super::saved;
 use super::scene::Scene;
 use super::settings::FieldName;
 use super::statistics::Outcome;
-use super::terminal::Progress;
+use super::terminal::{Progress, tell};
 use anyhow::{Context, Result, bail};
 use physgrad::{Field, Record};
 use std::collections::HashSet;
@@ -40,20 +40,29 @@ impl Run {
         check_resumable(&self.folder, &self.scene).map(|()| true)
     }
 
+    /// Runs it in its folder, or goes on with it. Waits for another process that does.
+    fn run(&self, watch: &mut dyn Watch) -> Result<Finished> {
+        let Some(folder) = self.folder.clone().wait_and_lock()? else { return Ok(Finished::before_start()) };
+        let resume = self.resumes()?;
+        let folder = if resume { folder } else { folder.without_run()?.0 };
+        // One thread a run: the runs themselves fill the cores.
+        run::run(&folder, &self.scene, self.scene.open(1)?, resume, SAVE_EVERY, watch)
+    }
+
     fn outcome(&self) -> Outcome<'_> {
         Outcome { field: self.field, seed: self.seed, records: &self.records, broken: self.broken }
     }
 }
 
 impl Comparison {
-    /// Every run with its folder, which is made, and its scene.
+    /// Every run with its folder, which need not exist, and its scene.
     pub fn plan(label: &str, base: &Scene, fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Self> {
         let last = base.seed.checked_add(seeds - 1).filter(|&last| i64::try_from(last).is_ok());
         let last = last.with_context(|| format!("{seeds} seeds from {} on are more than there are", base.seed))?;
         let each = fields.iter().flat_map(|&field| (base.seed..=last).map(move |seed| (field, seed)));
         let run = |(field, seed): (FieldName, u64)| {
             let scene = base.with(field, seed)?;
-            let folder = Folder::create(&folder.file(RUNS).join(format!("{}-{seed}", field.0.letter())))?;
+            let folder = Folder::at(folder.file(RUNS).join(format!("{}-{seed}", field.0.letter())));
             Ok(Run { field: field.0, seed, folder, scene, records: Vec::new(), broken: false })
         };
         Ok(Self { runs: each.map(run).collect::<Result<_>>()?, label: label.to_owned() })
@@ -90,21 +99,37 @@ pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a str>) ->
     }
 }
 
-/// What became of a sweep.
+/// An error unless a run of each scene and field can be set up: memory may be too small, for example.
+pub fn check_sessions(bases: &[Scene], fields: &[FieldName]) -> Result<()> {
+    for base in bases {
+        for &field in fields {
+            base.with(field, base.seed)?.open(1)?;
+        }
+    }
+    Ok(())
+}
+
+/// Outcome of a sweep.
 pub struct Swept {
     pub interrupted: bool,
     /// A line for each run that broke off.
     broke_off: Vec<String>,
+    /// Runs that applied no update.
+    no_update: Vec<String>,
     runs: usize,
 }
 
 impl Swept {
-    /// An error that names the runs that broke off, if there are any.
+    /// An error that names the runs that broke off or applied no update, if there are any.
     pub fn into_result(self) -> Result<()> {
-        if self.broke_off.is_empty() {
-            return Ok(());
+        if !self.broke_off.is_empty() {
+            bail!("{} of {} runs broke off:\n{}", self.broke_off.len(), self.runs, self.broke_off.join("\n"))
         }
-        bail!("{} of {} runs broke off:\n{}", self.broke_off.len(), self.runs, self.broke_off.join("\n"))
+        if !self.no_update.is_empty() {
+            let count = format!("{} of {} runs", self.no_update.len(), self.runs);
+            bail!(NoUpdate(format!("{count} ({})", self.no_update.join(", "))));
+        }
+        Ok(())
     }
 }
 
@@ -117,26 +142,27 @@ pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<Swept> {
     let mut runs = Vec::new();
     for comparison in &*comparisons {
         for run in &comparison.runs {
-            runs.push((run, comparison.label(run), run.resumes()?));
+            // A run with other settings is an error before anything is written.
+            run.resumes()?;
+            runs.push((run, comparison.label(run)));
         }
     }
     let total = runs.iter().map(|(run, ..)| run.scene.epochs).sum();
     let progress = Mutex::new(Progress::new(total, quiet));
     if !quiet {
         let task = runs.first().map_or("nothing", |(run, ..)| run.scene.kind.name());
-        eprintln!("{task}: {} runs, {total} epochs in all, on {} threads", runs.len(), rayon::current_num_threads());
+        tell(&format!("{task}: {} runs, {total} epochs in all, on {} threads", runs.len(), rayon::current_num_threads()));
     }
-    let finished: Vec<Result<Finished>> = parallel::map(&runs, |(run, label, resume)| {
+    let finished: Vec<Result<Finished>> = parallel::map(&runs, |(run, label)| {
         let mut watch = Watched { progress: &progress, label };
-        // One thread a run: the runs themselves fill the cores.
-        run::run(&run.folder, &run.scene, 1, *resume, SAVE_EVERY, &mut watch)
+        run.run(&mut watch)
     });
     if let Ok(progress) = progress.lock() {
         progress.bar.finish_and_clear();
     }
 
-    let labels: Vec<String> = runs.into_iter().map(|(_, label, _)| label).collect();
-    let mut swept = Swept { interrupted: false, broke_off: Vec::new(), runs: labels.len() };
+    let labels: Vec<String> = runs.into_iter().map(|(_, label)| label).collect();
+    let mut swept = Swept { interrupted: false, broke_off: Vec::new(), no_update: Vec::new(), runs: labels.len() };
     let mut failures = Vec::new();
     let all = comparisons.iter_mut().flat_map(|comparison| &mut comparison.runs);
     for ((run, finished), label) in all.zip(finished).zip(labels) {
@@ -145,6 +171,9 @@ pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<Swept> {
                 swept.interrupted |= finished.interrupted;
                 run.records = finished.records;
                 run.broken = finished.broken.is_some();
+                if finished.no_update && finished.broken.is_none() {
+                    swept.no_update.push(label.clone());
+                }
                 swept.broke_off.extend(finished.broken.map(|error| format!("{label}: {error}")));
             }
             Err(error) => failures.push(format!("{label}: {error:#}")),

@@ -11,12 +11,12 @@ pub fn tasks() -> Result<()> {
     for kind in KINDS {
         describe(kind)?;
     }
-    say(&format!("actuators of all tasks: {}\n", names(&ACTUATORS)));
+    say(&format!("actuators of all tasks: {}\n", names(&ACTUATORS)))?;
     say("These are presets: `physgrad scene` lists all of them, and `physgrad scene cart_pole` prints a file to start from.
 `physgrad explain cart_pole` tells what a scene simulates and what it costs; docs/effects.md describes every effect.
 Change a setting with --set KEY=VALUE, for example --set policy.widths=[64,64] --set effects.pole_damping.damping=0.01.
 field: combined, regular, modified, network, stopped; precision: f32, f64; training.clip: none, value, norm;
-training.optimizer: adam, sgd, momentum, rmsprop, adagrad, adadelta; loss.mode: final, continuous.");
+training.optimizer: adam, sgd, momentum, rmsprop, adagrad, adadelta; loss.mode: final, continuous.")?;
     Ok(())
 }
 
@@ -24,7 +24,7 @@ fn describe(kind: &dyn AnyKind) -> Result<()> {
     let settings = presets::document(kind.name())?.scene()?.table.to_string();
     let indented: String = settings.trim_end().lines().map(|line| format!("    {line}\n")).collect();
     let effects = if kind.effects().is_empty() { "none".into() } else { names(kind.effects()) };
-    say(&format!("{}: {}\neffects: {effects}\n\n{indented}", kind.name(), kind.about()));
+    say(&format!("{}: {}\neffects: {effects}\n\n{indented}", kind.name(), kind.about()))?;
     Ok(())
 }
 

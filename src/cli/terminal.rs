@@ -1,13 +1,25 @@
 //! What the program says: lines, and progress.
 
 use super::run::{Told, Watch};
+use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use physgrad::Growth;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 
-/// Prints to the standard output. Who reads it may have stopped reading.
-pub fn say(text: &str) {
-    let _ = writeln!(std::io::stdout(), "{text}");
+/// Prints the result of a command to the standard output.
+///
+/// # Errors
+/// The text cannot be written, except to a reader that has stopped reading, as `head` does.
+pub fn say(text: &str) -> Result<()> {
+    match writeln!(std::io::stdout(), "{text}") {
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
+        written => written.context("the result cannot be written to the standard output"),
+    }
+}
+
+/// Prints a message to the standard error. A message that cannot be written stops nothing.
+pub fn tell(text: &str) {
+    let _ = writeln!(std::io::stderr(), "{text}");
 }
 
 /// A progress bar with the losses and the time left; ten lines of text where there is no terminal.
@@ -33,7 +45,7 @@ impl Watch for Progress {
         self.bar.set_position(epochs as u64);
         self.bar.reset_eta();
         if !self.quiet {
-            eprintln!("resumed after epoch {epochs}");
+            tell(&format!("resumed after epoch {epochs}"));
         }
     }
 
@@ -54,25 +66,25 @@ impl Progress {
         self.bar.inc(1);
         let (done, all) = (self.bar.position(), self.bar.length().unwrap_or(0).max(1));
         if !self.quiet && self.bar.is_hidden() && done * 10 / all != (done - 1) * 10 / all {
-            eprintln!("epoch {done}/{all}: {}", self.bar.message());
+            tell(&format!("epoch {done}/{all}: {}", self.bar.message()));
         }
     }
 
-    /// Says what was not finite in an epoch, and what is not to be trusted.
+    /// Prints warnings of an epoch, also if the run is quiet: non-finite numbers, gradients that are not to be trusted.
     pub fn trouble(&self, run: &str, told: Told) {
         let Told { record, skips, diverged, warnings } = told;
         let epoch = record.epoch;
         let skipped = skips.first().map(|skip| {
-            let (count, update) = (skips.len(), skip.update);
+            let (count, update) = (record.skipped, skip.update);
             format!("{run}epoch {epoch}: {count} update(s) skipped, the first being update {update} ({})", skip.divergence)
         });
         let evaluated = ["training", "test"].into_iter().zip(diverged).filter_map(|(set, divergence)| {
             divergence.map(|divergence| format!("{run}epoch {epoch}: the {set} loss is not finite ({divergence})"))
         });
         let warnings = warnings.iter().map(|warning| format!("{run}epoch {epoch}: {warning}"));
-        for text in skipped.into_iter().chain(evaluated).chain(warnings).filter(|_| !self.quiet) {
+        for text in skipped.into_iter().chain(evaluated).chain(warnings) {
             // Above the bar where there is one.
-            if self.bar.is_hidden() { eprintln!("{text}") } else { self.bar.println(text) }
+            if self.bar.is_hidden() { tell(&text) } else { self.bar.println(text) }
         }
     }
 }

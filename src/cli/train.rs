@@ -3,10 +3,10 @@
 use super::changes::{Changes, changed, resumed};
 use super::folder::Folder;
 use super::presets;
-use super::run::{self, SAVE_EVERY, threads};
+use super::run::{self, NoUpdate, SAVE_EVERY, threads};
 use super::scene::Scene;
 use super::statistics::best;
-use super::terminal::{Progress, say};
+use super::terminal::{Progress, say, tell};
 use anyhow::{Context, Result, bail};
 use physgrad::{Record, differences};
 use std::path::PathBuf;
@@ -28,10 +28,10 @@ pub struct Train {
     /// Go on with the run in --out, up to --epochs in all
     #[arg(long, requires = "out")]
     pub resume: bool,
-    /// Seconds between two checkpoints: what is lost at most if the process is killed
+    /// Seconds between two checkpoints: the most work that a kill loses; a checkpoint follows an update or an evaluation
     #[arg(long, value_name = "SECONDS", default_value_t = SAVE_EVERY.as_secs_f64(), value_parser = seconds)]
     pub save_every: f64,
-    /// Print nothing but errors
+    /// Print nothing but warnings and errors
     #[arg(long)]
     pub quiet: bool,
 }
@@ -39,9 +39,10 @@ pub struct Train {
 /// Runs the command.
 pub fn train(args: &Train) -> Result<()> {
     let workers = threads(args.threads)?;
-    let (folder, scene) = match (&args.out, args.resume) {
+    // Mistakes show before anything is written.
+    let (scene, run, folder) = match (&args.out, args.resume) {
         (Some(out), true) => {
-            let folder = Folder::create(out)?;
+            let folder = Folder::existing(out)?.lock()?;
             let scene = resumed(&folder, &args.changes)?;
             let [here, there] = [presets::document(&args.scene)?.scene()?, scene.clone()].map(|scene| scene.kind.name());
             if here != there {
@@ -50,21 +51,23 @@ pub fn train(args: &Train) -> Result<()> {
             if presets::is_path(&args.scene) {
                 note_differences(&folder, &scene, &args.scene, &args.changes)?;
             }
-            (folder, scene)
+            let run = scene.open(workers)?;
+            (scene, run, folder)
         }
         (out, _) => {
             let scene = changed(&args.scene, &args.changes)?;
-            let name = presets::short_name(&args.scene);
-            let folder = out.as_deref().map_or_else(|| Folder::fresh(&name), Folder::create)?;
-            if let Some(aside) = folder.move_aside()? {
-                eprintln!("{} held another run; it is now in {}", folder.path().display(), aside.display());
+            let run = scene.open(workers)?;
+            let folder = Folder::named(out.as_deref(), &presets::short_name(&args.scene))?;
+            let (folder, previous) = folder.without_run()?;
+            if let Some(previous) = previous {
+                tell(&format!("{} held another run, which is now in {}", folder.path().display(), previous.display()));
             }
-            (folder, scene)
+            (scene, run, folder)
         }
     };
     let mut progress = Progress::new(scene.epochs, args.quiet);
     if !args.quiet {
-        eprintln!(
+        tell(&format!(
             "{} ({}): field {}, seed {}, {}, {workers} thread{}",
             scene.kind.name(),
             scene.kind.about(),
@@ -72,30 +75,31 @@ pub fn train(args: &Train) -> Result<()> {
             scene.seed,
             scene.precision.name(),
             if workers == 1 { "" } else { "s" }
-        );
+        ));
     }
-    let finished = run::run(&folder, &scene, workers, args.resume, Duration::from_secs_f64(args.save_every), &mut progress)?;
+    let save_every = Duration::from_secs_f64(args.save_every);
+    let finished = run::run(&folder, &scene, run, args.resume, save_every, &mut progress)?;
     progress.bar.finish_and_clear();
-    if !args.quiet {
-        say(&summary(&folder, &scene, &finished.records));
-    }
+    let mut text = if args.quiet { String::new() } else { summary(&folder, &scene, &finished.records) };
     if finished.interrupted {
         let done = finished.records.len();
         let command = format!("physgrad train {} --resume --out {}", args.scene, folder.path().display());
-        say(&format!("interrupted after epoch {done}; to go on: {command}"));
+        text += &format!("\ninterrupted after epoch {done}; to go on: {command}");
     }
-    match finished.broken {
-        Some(error) => {
-            Err(error).with_context(|| format!("the run up to its last whole epoch is in {}", folder.path().display()))
-        }
-        None => Ok(()),
+    let said = if text.is_empty() { Ok(()) } else { say(text.trim_start()) };
+    if let Some(error) = finished.broken {
+        return Err(error).with_context(|| format!("the run up to its last whole epoch is in {}", folder.path().display()));
     }
+    if finished.no_update {
+        bail!(NoUpdate(folder.path().display().to_string()));
+    }
+    said
 }
 
 /// A number of seconds from 0 to a day.
 fn seconds(text: &str) -> Result<f64, String> {
     let allowed = |seconds: &f64| (0.0..=86400.0).contains(seconds);
-    text.parse().ok().filter(allowed).ok_or_else(|| "allowed: 0 (after every epoch) to 86400 s".to_owned())
+    text.parse().ok().filter(allowed).ok_or_else(|| "allowed: 0 (after every update) to 86400 s".to_owned())
 }
 
 /// Tells of what the file says otherwise than the run that is resumed.
@@ -104,11 +108,11 @@ fn note_differences(folder: &Folder, scene: &Scene, file: &str, changes: &Change
     changes.apply_again(&mut document)?;
     let (saved, named) = (scene.identity(), document.scene()?.identity());
     if saved != named {
-        eprintln!(
+        tell(&format!(
             "note: the run in {} goes on with its own scene; {file} differs in:\n{}",
             folder.path().display(),
             differences(&saved, &named)
-        );
+        ));
     }
     Ok(())
 }

@@ -2,6 +2,7 @@
 
 use assert_cmd::Command;
 use std::path::Path;
+use std::process::Stdio;
 
 /// Settings of the small training.
 pub const SMALL: [&str; 8] = [
@@ -22,14 +23,25 @@ pub fn physgrad(args: &[&str]) -> Command {
 }
 
 /// `train cart_pole` with the small settings, into `out`.
+#[allow(dead_code)]
 pub fn train(out: &Path, args: &[&str]) -> Command {
     let mut command = physgrad(&["train", "cart_pole", "--out"]);
     command.arg(out).args(SMALL).args(args);
     command
 }
 
+#[allow(dead_code)]
 pub fn error_of(command: &mut Command) -> String {
     let output = command.output().expect("it runs");
     assert!(!output.status.success(), "it should fail");
     String::from_utf8(output.stderr).expect("text")
+}
+
+/// `train cart_pole` with the small settings, into `out`, as a process to be started, watched and killed.
+#[allow(dead_code)]
+pub fn process(out: &Path, args: &[&str]) -> std::process::Command {
+    let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
+    command.args(["train", "cart_pole", "--out"]).arg(out).args(SMALL).args(args);
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
 }

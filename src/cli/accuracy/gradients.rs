@@ -8,7 +8,7 @@ use crate::cli::folder::Folder;
 use crate::cli::parallel;
 use crate::cli::scene::Scene;
 use crate::cli::settings::Precision;
-use crate::cli::terminal::say;
+use crate::cli::terminal::{say, tell};
 use anyhow::{Result, bail};
 use indicatif::ProgressBar;
 use physgrad::{Compose, Field, SignAgreement};
@@ -42,7 +42,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
 
     let bar = bar(ways.len() * (1 + ROUNDS) + REFERENCES + 3 * horizons.len() + PARTS.len(), quiet);
     if !quiet && bar.is_hidden() {
-        eprintln!("{} ways, {REFERENCES} derivatives in double-double, {} horizons", ways.len(), horizons.len());
+        tell(&format!("{} ways, {REFERENCES} derivatives in double-double, {} horizons", ways.len(), horizons.len()));
     }
     bar.set_message("reference in double-double");
     let [r, m, s] = study.scene.refer(&|| bar.inc(1));
@@ -93,11 +93,11 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     let horizons = along(study, horizons, &bar)?;
     bar.finish_and_clear();
     let text = write(folder, name, &derivatives, &checkpoints, &horizons)?;
-    say(&text);
+    say(&text)?;
     say(&format!(
         "results in {}: gradients.csv, horizons.csv, checkpoints.csv, gradients.svg, gradients.md",
         folder.path().display()
-    ));
+    ))?;
     Ok(())
 }
 

@@ -81,7 +81,7 @@ impl Study {
         let mut comparisons = plans.collect::<Result<Vec<_>>>()?;
         let swept = sweep(&mut comparisons, options.quiet)?;
         if swept.interrupted {
-            say(&format!("interrupted; the same command goes on, in {}", folder.path().display()));
+            say(&format!("interrupted; the same command goes on, in {}", folder.path().display()))?;
             return swept.into_result();
         }
         let outcomes = comparisons.iter().map(Comparison::outcomes);
@@ -110,7 +110,7 @@ impl Study {
         let label = format!("{}, clip {}", self.panel(value), clip.name());
         let setting = self.key.rsplit('.').next().unwrap_or(self.key);
         let inner = folder.file(self.name).join(format!("{setting}-{value}-clip-{}", clip.name()));
-        Comparison::plan(&label, &document.scene()?, &options.fields, options.seeds, &Folder::create(&inner)?)
+        Comparison::plan(&label, &document.scene()?, &options.fields, options.seeds, &Folder::at(inner))
     }
 
     fn drawing(&self, options: &Options, cells: &[Cell]) -> Drawing {

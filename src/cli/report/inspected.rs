@@ -123,7 +123,7 @@ fn end(run: &mut dyn AnyRun, epochs: usize) -> End {
     if run.records().len() >= epochs {
         return End::Done;
     }
-    match run.epoch() {
+    match run.advance(&|| false) {
         Ok(_) => End::Interrupted,
         Err(why) => End::Broke(why.to_string()),
     }

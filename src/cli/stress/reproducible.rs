@@ -38,7 +38,7 @@ fn scene(name: &str, changes: &[(&str, Value)]) -> Result<Scene> {
 /// Parameters, optimizer and records after all epochs, as bytes; the time that an epoch took is left out.
 fn trained(mut run: Box<dyn AnyRun>) -> Result<(Vec<u8>, Vec<Record>)> {
     while !run.is_done() {
-        run.epoch()?;
+        run.advance(&|| false)?;
     }
     let records = run.records().iter().map(|record| Record { seconds: 0.0, ..record.clone() });
     Ok((run.safetensors(String::new())?, records.collect()))
@@ -48,7 +48,7 @@ fn trained(mut run: Box<dyn AnyRun>) -> Result<(Vec<u8>, Vec<Record>)> {
 fn resumed(scene: &Scene, after: usize) -> Result<(Vec<u8>, Vec<Record>)> {
     let (mut first, mut second) = (scene.open(1)?, scene.open(2)?);
     for _ in 0..after {
-        first.epoch()?;
+        first.advance(&|| false)?;
     }
     second.restore(&first.checkpoint("a run"), "a run")?;
     trained(second)

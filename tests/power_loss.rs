@@ -1,0 +1,301 @@
+//! Power loss at every moment: the program logs its file operations, and each prefix of the log is replayed.
+//!
+//! The model of a disk is pessimistic. After a power loss, a folder has either its current names or those of its last
+//! synchronization; a file has its current bytes, those of its last synchronization, or these and half of the rest.
+#![cfg(unix)]
+
+mod running;
+
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use running::{SMALL, physgrad};
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Component, Path, PathBuf};
+use tempfile::TempDir;
+
+/// Names with their nodes.
+type Names = BTreeMap<String, usize>;
+
+#[derive(Clone)]
+enum Node {
+    Folder { now: Names, synced: Names },
+    File { now: Vec<u8>, synced: Vec<u8> },
+}
+
+/// Files after a power loss: `None` is a folder.
+type Tree = BTreeMap<PathBuf, Option<Vec<u8>>>;
+
+/// What survives of unsynchronized bytes.
+#[derive(Clone, Copy)]
+enum Bytes {
+    All,
+    None,
+    Half,
+}
+
+#[derive(Clone)]
+struct Disk {
+    root: PathBuf,
+    nodes: Vec<Node>,
+}
+
+impl Disk {
+    /// The folder as it is, synchronized.
+    fn of(root: &Path) -> Self {
+        let mut disk = Self { root: root.canonicalize().expect("a folder"), nodes: Vec::new() };
+        disk.load(root);
+        disk
+    }
+
+    fn load(&mut self, path: &Path) -> usize {
+        let number = self.nodes.len();
+        if path.is_dir() {
+            self.nodes.push(Node::Folder { now: Names::new(), synced: Names::new() });
+            let entries = fs::read_dir(path).expect("a folder").map(|entry| entry.expect("an entry").file_name());
+            let names: Names = entries
+                .map(|name| (name.to_string_lossy().into_owned(), self.load(&path.join(name))))
+                .filter(|(name, _)| name != ".lock")
+                .collect();
+            self.nodes[number] = Node::Folder { now: names.clone(), synced: names };
+        } else {
+            let bytes = fs::read(path).expect("a file");
+            self.nodes.push(Node::File { now: bytes.clone(), synced: bytes });
+        }
+        number
+    }
+
+    fn find(&self, path: &Path) -> usize {
+        // The program runs in the folder.
+        let inside = path.strip_prefix(&self.root).unwrap_or(path);
+        inside.components().fold(0, |node, part| match (&self.nodes[node], part) {
+            (_, Component::CurDir) => node,
+            (Node::Folder { now, .. }, Component::Normal(name)) => now[&*name.to_string_lossy()],
+            _ => panic!("{}", path.display()),
+        })
+    }
+
+    /// Current names in the parent folder, and the name.
+    fn parent(&mut self, path: &Path) -> (&mut Names, String) {
+        let parent = self.find(path.parent().expect("a parent"));
+        let name = path.file_name().expect("a name").to_string_lossy().into_owned();
+        match &mut self.nodes[parent] {
+            Node::Folder { now, .. } => (now, name),
+            Node::File { .. } => panic!("{}", path.display()),
+        }
+    }
+
+    fn add(&mut self, path: &Path, node: Node) {
+        self.nodes.push(node);
+        let number = self.nodes.len() - 1;
+        let (names, name) = self.parent(path);
+        names.insert(name, number);
+    }
+
+    fn replay(&mut self, operation: &Value) {
+        let path = |key: &str| operation[key].as_str().map(PathBuf::from);
+        if let Some(path) = path("create_folder") {
+            self.add(&path, Node::Folder { now: Names::new(), synced: Names::new() });
+        } else if let Some(path) = path("create") {
+            self.add(&path, Node::File { now: Vec::new(), synced: Vec::new() });
+        } else if let Some(path) = path("append") {
+            let bytes = BASE64_STANDARD.decode(operation["bytes"].as_str().expect("bytes")).expect("base64");
+            let file = self.find(&path);
+            match &mut self.nodes[file] {
+                Node::File { now, .. } => now.extend(bytes),
+                Node::Folder { .. } => panic!("{}", path.display()),
+            }
+        } else if let Some(from) = path("rename") {
+            let (names, name) = self.parent(&from);
+            let node = names.remove(&name).expect("a name");
+            let (names, name) = self.parent(&path("to").expect("a path"));
+            names.insert(name, node);
+        } else if let Some(path) = path("sync").or_else(|| path("sync_folder")) {
+            let node = self.find(&path);
+            match &mut self.nodes[node] {
+                Node::Folder { now, synced } => synced.clone_from(now),
+                Node::File { now, synced } => synced.clone_from(now),
+            }
+        } else {
+            panic!("{operation}");
+        }
+    }
+
+    fn after_power_loss(&self, names_survive: bool, bytes: Bytes) -> Tree {
+        let mut tree = Tree::new();
+        self.collect(0, Path::new(""), names_survive, bytes, &mut tree);
+        tree
+    }
+
+    fn collect(&self, node: usize, path: &Path, names_survive: bool, bytes: Bytes, tree: &mut Tree) {
+        match &self.nodes[node] {
+            Node::Folder { now, synced } => {
+                tree.insert(path.to_owned(), None);
+                for (name, &node) in if names_survive { now } else { synced } {
+                    self.collect(node, &path.join(name), names_survive, bytes, tree);
+                }
+            }
+            Node::File { now, synced } => {
+                let length = match bytes {
+                    Bytes::All => now.len(),
+                    Bytes::None => synced.len(),
+                    Bytes::Half => (synced.len() + now.len()) / 2,
+                };
+                tree.insert(path.to_owned(), Some(now[..length].to_vec()));
+            }
+        }
+    }
+}
+
+/// Every state that a power loss can leave, of a command that was run in the folder before `log`.
+fn states(mut disk: Disk, log: &[Value]) -> BTreeSet<Tree> {
+    let mut states = BTreeSet::new();
+    for operation in [None].into_iter().chain(log.iter().map(Some)) {
+        operation.into_iter().for_each(|operation| disk.replay(operation));
+        for names_survive in [true, false] {
+            states.extend([Bytes::All, Bytes::None, Bytes::Half].map(|bytes| disk.after_power_loss(names_survive, bytes)));
+        }
+    }
+    states
+}
+
+fn write(tree: &Tree, root: &Path) {
+    for (path, contents) in tree {
+        match contents {
+            None => fs::create_dir_all(root.join(path)).expect("a folder"),
+            Some(bytes) => fs::write(root.join(path), bytes).expect("a file"),
+        }
+    }
+}
+
+/// Runs the program in the folder, and returns whether it succeeds, with its messages.
+fn run(folder: &Path, args: &[&str]) -> Result<(), String> {
+    let output = physgrad(args).args(SMALL).current_dir(folder).output().expect("it runs");
+    if output.status.success() { Ok(()) } else { Err(String::from_utf8_lossy(&output.stderr).into_owned()) }
+}
+
+/// A command with a folder to run it in, and the file operations of one run.
+struct Scenario {
+    folder: TempDir,
+    before: Disk,
+    log: Vec<Value>,
+}
+
+impl Scenario {
+    /// Runs `first`, if there is one, and records `command`.
+    fn record(first: Option<&[&str]>, command: &[&str]) -> Self {
+        let folder = TempDir::new().expect("a folder");
+        let logs = TempDir::new().expect("a folder");
+        if let Some(first) = first {
+            run(folder.path(), first).expect("it succeeds");
+        }
+        let before = Disk::of(folder.path());
+        let log = logs.path().join("log");
+        let mut recorded = physgrad(command);
+        recorded.args(SMALL).current_dir(folder.path()).env("PHYSGRAD_FILE_LOG", &log).assert().success();
+        let log = fs::read_to_string(log).expect("a log");
+        let log = log.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON")).collect();
+        Self { folder, before, log }
+    }
+
+    /// A file as the whole command leaves it.
+    fn file(&self, path: &str) -> Vec<u8> {
+        fs::read(self.folder.path().join(path)).expect(path)
+    }
+
+    /// Recovers from every state, in a folder of its own. Returns the number of states, and those that fail.
+    fn recover(&self, recover: &dyn Fn(&Path) -> Result<(), String>) -> (usize, Vec<String>) {
+        let states = states(self.before.clone(), &self.log);
+        let failed = states.iter().filter_map(|tree| {
+            let folder = TempDir::new().expect("a folder");
+            write(tree, folder.path());
+            let names: Vec<_> =
+                tree.iter().map(|(path, file)| (path.display().to_string(), file.as_ref().map(Vec::len))).collect();
+            recover(folder.path()).err().map(|error| format!("{error}\nfrom {names:?}"))
+        });
+        (states.len(), failed.collect())
+    }
+
+    fn assert_recovers(&self, recover: &dyn Fn(&Path) -> Result<(), String>) {
+        let (states, failed) = self.recover(recover);
+        println!("{} operations, {states} states", self.log.len());
+        assert!(states > self.log.len() / 2, "{states}");
+        assert!(failed.is_empty(), "{} of {states} states: {}", failed.len(), failed[0]);
+    }
+}
+
+fn same(folder: &Path, path: &str, expected: &[u8]) -> Result<(), String> {
+    let found = fs::read(folder.join(path)).map_err(|error| format!("{path}: {error}"))?;
+    if found == expected { Ok(()) } else { Err(format!("{path} differs")) }
+}
+
+/// Goes on with the run, or starts it if it has no settings.
+fn go_on(folder: &Path, start: &[&str]) -> Result<(), String> {
+    if folder.join("run/run.toml").exists() {
+        run(folder, &["train", "cart_pole", "--out", "run", "--resume", "--epochs", "2", "--save-every", "0"])
+    } else {
+        run(folder, start)
+    }
+}
+
+const TRAIN: [&str; 8] = ["train", "cart_pole", "--out", "run", "--epochs", "2", "--save-every", "0"];
+
+#[test]
+fn a_training_survives_a_power_loss() {
+    let scenario = Scenario::record(None, &TRAIN);
+    let policy = scenario.file("run/policy.safetensors");
+    let recover = |folder: &Path| {
+        go_on(folder, &TRAIN)?;
+        same(folder, "run/policy.safetensors", &policy)
+    };
+    scenario.assert_recovers(&recover);
+
+    // Without synchronization of files, the replay finds lost runs.
+    let log = scenario.log.iter().filter(|operation| operation.get("sync").is_none()).cloned().collect();
+    let unsafe_scenario = Scenario { log, ..Scenario::record(None, &TRAIN) };
+    assert!(!unsafe_scenario.recover(&recover).1.is_empty());
+}
+
+#[test]
+fn a_resumed_training_survives_a_power_loss() {
+    let first = ["train", "cart_pole", "--out", "run", "--epochs", "1"];
+    let resume = ["train", "cart_pole", "--out", "run", "--resume", "--epochs", "2", "--save-every", "0"];
+    let scenario = Scenario::record(Some(&first), &resume);
+    let policy = scenario.file("run/policy.safetensors");
+    scenario.assert_recovers(&|folder| {
+        run(folder, &resume)?;
+        same(folder, "run/policy.safetensors", &policy)
+    });
+}
+
+#[test]
+fn moving_a_run_aside_survives_a_power_loss() {
+    let second = ["train", "cart_pole", "--out", "run", "--epochs", "2", "--seed", "1"];
+    let scenario = Scenario::record(Some(&["train", "cart_pole", "--out", "run", "--epochs", "2"]), &second);
+    let [old, new] = ["run.previous-1", "run"].map(|run| scenario.file(&format!("{run}/policy.safetensors")));
+    scenario.assert_recovers(&|folder| {
+        let is_moved = folder.join("run.previous-1").exists();
+        same(folder, if is_moved { "run.previous-1/policy.safetensors" } else { "run/policy.safetensors" }, &old)?;
+        if is_moved {
+            go_on(folder, &second)?
+        } else {
+            run(folder, &second)?
+        }
+        same(folder, "run.previous-1/policy.safetensors", &old)?;
+        same(folder, "run/policy.safetensors", &new)
+    });
+}
+
+#[test]
+fn a_comparison_survives_a_power_loss() {
+    let compare = ["compare", "cart_pole", "--fields", "R,C", "--seeds", "1", "--epochs", "1", "--threads", "1", "--out", "both"];
+    let scenario = Scenario::record(None, &compare);
+    let paths = ["R-0", "C-0"].map(|run| format!("both/runs/{run}/policy.safetensors"));
+    let policies = paths.each_ref().map(|path| scenario.file(path));
+    scenario.assert_recovers(&|folder| {
+        run(folder, &compare)?;
+        paths.iter().zip(&policies).try_for_each(|(path, policy)| same(folder, path, policy))?;
+        fs::metadata(folder.join("both/summary.csv")).map(drop).map_err(|error| error.to_string())
+    });
+}

@@ -1,0 +1,384 @@
+//! No work is lost, and no failure is silent: concurrent processes, signals, closed pipes, full disks.
+#![cfg(unix)]
+
+mod running;
+
+use running::{SMALL, error_of, physgrad, process, train};
+use std::fs::{self, File};
+use std::os::unix::fs::symlink;
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// More epochs than any test waits for.
+const ENDLESS: &str = "1000000";
+
+fn folder() -> (TempDir, PathBuf) {
+    let dir = TempDir::new().expect("a folder");
+    let out = dir.path().join("run");
+    (dir, out)
+}
+
+fn policy(out: &Path) -> Vec<u8> {
+    fs::read(out.join("policy.safetensors")).expect("a policy")
+}
+
+/// Rows of the metrics without the column of seconds.
+fn metrics(out: &Path) -> Vec<String> {
+    let text = fs::read_to_string(out.join("metrics.csv")).expect("metrics");
+    let row = |line: &str| {
+        let mut fields: Vec<&str> = line.split(',').collect();
+        assert_eq!(fields.len(), 13, "{line}");
+        fields.remove(6);
+        fields.join(",")
+    };
+    text.lines().map(row).collect()
+}
+
+fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
+    let begin = Instant::now();
+    while !holds() {
+        assert!(begin.elapsed() < Duration::from_secs(120), "{what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Waits until the run has done some epochs.
+fn wait_for_epochs(out: &Path, epochs: usize) {
+    wait_until("the run begins", || fs::read_to_string(out.join("metrics.csv")).is_ok_and(|text| text.lines().count() > epochs));
+}
+
+fn signal(child: &Child, name: &str) {
+    let killed = Command::new("kill").args([&format!("-{name}"), &child.id().to_string()]).status();
+    assert!(killed.expect("kill runs").success());
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+fn assert_complete(out: &Path) {
+    for name in ["run.toml", "checkpoint.bin", "metrics.csv", "policy.safetensors", "learning_curve.svg", "trajectory.csv"] {
+        assert!(fs::metadata(out.join(name)).is_ok_and(|file| file.len() > 0), "{name}");
+    }
+    let left: Vec<_> = fs::read_dir(out).expect("a folder").map(|entry| entry.expect("an entry").file_name()).collect();
+    assert!(!left.iter().any(|name| name.to_string_lossy().ends_with(".new")), "{left:?}");
+}
+
+#[test]
+fn of_a_hundred_simultaneous_starts_one_runs_and_the_others_are_refused() {
+    let (_dir, out) = folder();
+    let mut children: Vec<Child> =
+        (0..100).map(|_| process(&out, &["--epochs", ENDLESS, "--threads", "1"]).spawn().expect("it starts")).collect();
+    let mut refused: Vec<Output> = Vec::new();
+    wait_until("99 processes end", || {
+        while let Some(ended) = children.iter_mut().position(|child| child.try_wait().expect("it is a child").is_some()) {
+            refused.push(children.swap_remove(ended).wait_with_output().expect("it has ended"));
+        }
+        refused.len() >= 99
+    });
+    assert_eq!(children.len(), 1);
+    let survivor = children.remove(0);
+    for output in &refused {
+        let error = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{error}");
+        assert!(error.contains("is in use by process") && error.contains(&survivor.id().to_string()), "{error}");
+    }
+    wait_for_epochs(&out, 2);
+    signal(&survivor, "TERM");
+    assert_eq!(survivor.wait_with_output().expect("it ends").status.code(), Some(143));
+    assert_complete(&out);
+    assert_eq!(fs::read_dir(out.parent().expect("a parent")).expect("a folder").count(), 1, "nothing was moved aside");
+}
+
+#[test]
+fn two_resumes_of_one_run_give_the_metrics_of_one() {
+    let (dir, out) = folder();
+    let whole = dir.path().join("whole");
+    train(&whole, &["--epochs", "12"]).assert().success();
+    train(&out, &["--epochs", "2"]).assert().success();
+    for epochs in ["6", "12"] {
+        let resume = || {
+            let mut command = process(&out, &["--resume", "--epochs", epochs]);
+            command.spawn().expect("it starts")
+        };
+        let pair = [resume(), resume()].map(|child| child.wait_with_output().expect("it ends"));
+        assert!(pair.iter().any(|output| output.status.success()));
+        for output in pair {
+            assert!(output.status.success() || text(&output.stderr).contains("in use by"), "{}", text(&output.stderr));
+        }
+    }
+    assert_eq!(metrics(&out), metrics(&whole));
+    assert!(policy(&out) == policy(&whole));
+}
+
+#[test]
+fn a_comparison_waits_for_a_run_of_another_process() {
+    let dir = TempDir::new().expect("a folder");
+    let run = dir.path().join("runs/C-0");
+    let mut first = process(&run, &["--epochs", ENDLESS]).spawn().expect("it starts");
+    wait_for_epochs(&run, 1);
+    let mut compare = Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
+    compare.args(["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", ENDLESS, "--out"]).arg(dir.path());
+    let compare = compare.args(SMALL).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
+    wait_until("the comparison holds its folder", || dir.path().join(".lock").exists());
+    // A second comparison in the folder is refused.
+    let mut second = physgrad(&["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", ENDLESS, "--out"]);
+    assert!(error_of(second.arg(dir.path()).args(SMALL)).contains("in use by process"));
+    let done = metrics(&run).len();
+    first.kill().expect("it is killed");
+    first.wait().expect("it ends");
+    wait_for_epochs(&run, done + 5);
+    signal(&compare, "INT");
+    let output = compare.wait_with_output().expect("it ends");
+    assert_eq!(output.status.code(), Some(130), "{}", text(&output.stderr));
+    assert!(text(&output.stderr).contains("waiting for the folder"), "{}", text(&output.stderr));
+    assert_complete(&run);
+}
+
+#[test]
+fn a_reader_that_stops_reading_does_not_stop_the_training() {
+    for closed in ["stdout", "stderr", "both"] {
+        let (_dir, out) = folder();
+        let mut command = process(&out, &["--epochs", "3"]);
+        let pipe = || {
+            let (reader, writer) = std::io::pipe().expect("a pipe");
+            drop(reader);
+            writer
+        };
+        if closed != "stderr" {
+            command.stdout(pipe());
+        }
+        if closed != "stdout" {
+            command.stderr(pipe());
+        }
+        let status = command.status().expect("it runs");
+        assert!(status.success(), "{closed}: {status}");
+        assert_complete(&out);
+    }
+}
+
+#[cfg(target_os = "linux")]
+fn full() -> File {
+    File::options().write(true).open("/dev/full").expect("a device that is always full")
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn messages_that_cannot_be_written_stop_nothing_and_results_are_an_error() {
+    let (_dir, out) = folder();
+    let status = process(&out, &["--epochs", "2"]).stderr(full()).status().expect("it runs");
+    assert!(status.success(), "{status}");
+    assert_complete(&out);
+    let (_dir, out) = folder();
+    let output = process(&out, &["--epochs", "2"]).stdout(full()).output().expect("it runs");
+    assert_eq!(output.status.code(), Some(1));
+    assert!(text(&output.stderr).contains("standard output"), "{}", text(&output.stderr));
+    assert_complete(&out);
+    for args in [
+        &["scene"][..],
+        &["scene", "cart_pole"],
+        &["schema"],
+        &["tasks"],
+        &["effects"],
+        &["explain", "lqr"],
+        &["stress", "--list"],
+    ] {
+        let mut command = Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
+        let output = command.args(args).stdout(full()).stderr(Stdio::piped()).output().expect("it runs");
+        assert_eq!(output.status.code(), Some(1), "{args:?}");
+        assert!(text(&output.stderr).contains("No space left"), "{args:?}: {}", text(&output.stderr));
+    }
+}
+
+#[test]
+fn an_earlier_run_is_moved_by_one_rename_and_foreign_files_stay() {
+    let (dir, out) = folder();
+    let again = || train(&out, &["--epochs", "1", "--seed", "9"]);
+    train(&out, &["--epochs", "1"]).assert().success();
+    let first = policy(&out);
+    assert!(error_of(&mut train(&out, &["--threads", "0"])).contains("--threads"));
+    assert!(policy(&out) == first, "a mistake moves nothing");
+
+    fs::write(out.join("notes.txt"), "mine").expect("a file");
+    let error = error_of(&mut again());
+    assert!(error.contains("notes.txt") && error.contains("--out"), "{error}");
+    assert!(policy(&out) == first);
+    fs::remove_file(out.join("notes.txt")).expect("a file");
+
+    let output = again().output().expect("it runs");
+    assert!(output.status.success() && text(&output.stderr).contains("run.previous-1"));
+    assert!(policy(&dir.path().join("run.previous-1")) == first && policy(&out) != first);
+    again().assert().success();
+    assert!(policy(&dir.path().join("run.previous-2")) == policy(&out));
+    assert!(policy(&dir.path().join("run.previous-1")) == first);
+
+    for name in ["checkpoint.bin", "metrics.csv", "policy.safetensors"] {
+        let (_dir, out) = folder();
+        fs::create_dir(&out).expect("a folder");
+        fs::write(out.join(name), "mine").expect("a file");
+        let error = error_of(&mut train(&out, &["--epochs", "1"]));
+        assert!(error.contains(name) && error.contains("no run.toml"), "{error}");
+        assert_eq!(fs::read_to_string(out.join(name)).expect("a file"), "mine");
+    }
+}
+
+#[test]
+fn symbolic_links_are_not_written_through() {
+    let (dir, out) = folder();
+    let other = dir.path().join("other");
+    fs::write(&other, "mine").expect("a file");
+    train(&out, &["--epochs", "1"]).assert().success();
+    for name in ["metrics.csv", "policy.safetensors", ".metrics.csv.new"] {
+        let _ = fs::remove_file(out.join(name));
+        symlink(&other, out.join(name)).expect("a link");
+    }
+    train(&out, &["--resume", "--epochs", "3"]).assert().success();
+    assert_eq!(fs::read_to_string(&other).expect("a file"), "mine");
+    let (_dir, out) = folder();
+    fs::create_dir(&out).expect("a folder");
+    symlink(&other, out.join(".lock")).expect("a link");
+    assert!(error_of(&mut train(&out, &["--epochs", "1"])).contains("symbolic link"));
+    assert_eq!(fs::read_to_string(&other).expect("a file"), "mine");
+}
+
+#[test]
+fn the_first_signal_ends_the_run_in_order() {
+    for (name, status) in [("INT", 130), ("TERM", 143), ("HUP", 129)] {
+        let (_dir, out) = folder();
+        let child = process(&out, &["--epochs", ENDLESS]).spawn().expect("it starts");
+        wait_for_epochs(&out, 2);
+        signal(&child, name);
+        let output = child.wait_with_output().expect("it ends");
+        assert_eq!(output.status.code(), Some(status), "{name}");
+        assert!(text(&output.stdout).contains("--resume"), "{name}");
+        assert_complete(&out);
+        let done = metrics(&out).len() - 1;
+        train(&out, &["--resume", "--epochs", &(done + 1).to_string()]).assert().success();
+    }
+}
+
+/// Settings whose epochs last for minutes.
+const LONG_EPOCHS: [&str; 4] = ["--set", "training.train_samples=100000", "--set", "training.batch=1"];
+
+#[test]
+fn the_second_signal_stops_at_once_and_leaves_the_checkpoint() {
+    let (_dir, out) = folder();
+    let child = process(&out, &["--epochs", "2", "--threads", "1"]).args(LONG_EPOCHS).spawn().expect("it starts");
+    wait_until("the run begins", || out.join("metrics.csv").exists());
+    let start = fs::read(out.join("checkpoint.bin")).expect("a checkpoint");
+    signal(&child, "TERM");
+    wait_until("it saves within the epoch", || fs::read(out.join("checkpoint.bin")).is_ok_and(|now| now != start));
+    signal(&child, "HUP");
+    let output = child.wait_with_output().expect("it ends");
+    assert_eq!(output.status.code(), Some(129));
+    assert!(text(&output.stderr).contains("a second signal stops at once"), "{}", text(&output.stderr));
+    assert!(!out.join("policy.safetensors").exists());
+    physgrad(&["animate"]).arg(&out).assert().success();
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn an_ignored_signal_stays_ignored() {
+    let (_dir, out) = folder();
+    let mut shell = Command::new("sh");
+    shell.args(["-c", "trap '' HUP; exec \"$@\"", "sh"]);
+    let train = process(&out, &["--epochs", ENDLESS]);
+    shell.arg(train.get_program()).args(train.get_args()).stdout(Stdio::null()).stderr(Stdio::null());
+    let mut child = shell.spawn().expect("it starts");
+    wait_for_epochs(&out, 1);
+    signal(&child, "HUP");
+    let done = metrics(&out).len();
+    wait_for_epochs(&out, done + 3);
+    signal(&child, "TERM");
+    assert_eq!(child.wait().expect("it ends").code(), Some(143));
+}
+
+#[test]
+fn a_run_killed_within_an_epoch_resumes_there_to_the_same_bits() {
+    let (dir, out) = folder();
+    let args = ["--epochs", "2", "--save-every", "0", "--set", "training.train_samples=2000", "--set", "training.shuffle=true"];
+    let mut child = process(&out, &args).spawn().expect("it starts");
+    let mut states = Vec::new();
+    wait_until("five checkpoints of the first epoch", || {
+        states.extend(fs::read(out.join("checkpoint.bin")).ok().filter(|state| states.last() != Some(state)));
+        states.len() > 5
+    });
+    child.kill().expect("it is killed");
+    assert_eq!(child.wait().expect("it ends").signal(), Some(9));
+    assert_eq!(metrics(&out).len(), 1, "no epoch is done");
+    train(&out, &args).arg("--resume").assert().success();
+    let whole = dir.path().join("whole");
+    train(&whole, &args[..2]).args(&args[4..]).assert().success();
+    assert!(policy(&out) == policy(&whole));
+    assert_eq!(metrics(&out), metrics(&whole));
+}
+
+#[test]
+fn a_training_without_an_update_has_a_status_of_its_own() {
+    let diverges = ["--set", "system.gravity=1e38", "--set", "system.dt=1e5", "--quiet", "--epochs", "2"];
+    let (_dir, out) = folder();
+    let output = train(&out, &diverges).output().expect("it runs");
+    let error = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{error}");
+    assert!(error.contains("no update was applied") && error.contains("3 update(s) skipped"), "{error}");
+
+    let (_dir, out) = folder();
+    let mut compare = physgrad(&["compare", "cart_pole", "--fields", "R,C", "--seeds", "1", "--out"]);
+    let output = compare.arg(&out).args(SMALL).args(diverges).output().expect("it runs");
+    let error = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{error}");
+    assert!(error.contains("2 of 2 runs (R seed 0, C seed 0)"), "{error}");
+    assert!(out.join("summary.csv").exists());
+}
+
+#[test]
+fn mistakes_have_no_side_effects() {
+    let (dir, out) = folder();
+    train(&out, &["--epochs", "1"]).assert().success();
+    let first = policy(&out);
+    let error = error_of(&mut train(&out, &["--epochs", "1", "--set", "training.memory=\"1kB\""]));
+    assert!(error.contains("training.memory"), "{error}");
+    assert!(policy(&out) == first && fs::read_dir(dir.path()).expect("a folder").count() == 1);
+
+    let error = error_of(physgrad(&["train", "cart_pole", "--resume", "--out"]).arg(dir.path().join("typo/a/b")));
+    assert!(error.contains("there is no folder"), "{error}");
+    assert!(!dir.path().join("typo").exists());
+
+    let compare = dir.path().join("compare");
+    let mut command = physgrad(&["compare", "cart_pole", "--set", "training.memory=\"1kB\"", "--out"]);
+    assert!(error_of(command.arg(&compare)).contains("training.memory"));
+    assert!(!compare.exists());
+}
+
+#[test]
+fn a_limit_on_the_size_of_files_is_an_error() {
+    let (_dir, out) = folder();
+    let mut shell = Command::new("sh");
+    // Blocks of 512 bytes in POSIX, of 1,024 in some shells.
+    shell.args(["-c", "ulimit -f 4; exec \"$@\"", "sh"]);
+    let train = process(&out, &["--epochs", "60"]);
+    let output = shell.arg(train.get_program()).args(train.get_args()).output().expect("it runs");
+    let error = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert!(error.contains("cannot write") && error.contains("File too large"), "{error}");
+}
+
+#[test]
+fn a_folder_that_is_removed_or_replaced_during_the_run_is_an_error() {
+    for replaced in [false, true] {
+        let (dir, out) = folder();
+        let child = process(&out, &["--epochs", "2000", "--save-every", "0.05"]).spawn().expect("it starts");
+        wait_for_epochs(&out, 2);
+        fs::rename(&out, dir.path().join("moved")).expect("a folder");
+        if replaced {
+            fs::create_dir(&out).expect("a folder");
+        }
+        let output = child.wait_with_output().expect("it ends");
+        let error = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{error}");
+        assert!(error.contains("was removed or replaced"), "{error}");
+    }
+}
