@@ -11,7 +11,8 @@ mod measure;
 
 use by_hand::{cart_pole, guidance, quantum};
 use measure::{Nothing, median, ratio, rounds};
-use physgrad::any::{AnyPolicy, AnyTask};
+use physgrad::any::AnyTask;
+use physgrad::policy::AnyPolicy;
 use physgrad::policy::{Conv, Mlp, Policy};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{

@@ -65,78 +65,56 @@
 
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 
-mod actuator;
-mod aligned;
-pub mod any;
-mod apart;
-mod backward;
-mod batch;
+// Modules import downwards only: `tests/layout.rs` holds the list of allowed imports.
 pub mod check;
-mod checkpointed;
-mod cost;
-mod divergence;
-mod effect;
-mod field;
-mod forward_mode;
-mod gradient;
-mod growth;
-mod integrator;
-#[doc(hidden)]
-pub mod kernels;
-mod ode;
-mod optim;
-mod parallel;
+mod dynamics;
+mod engine;
+mod numbers;
 pub mod policy;
 #[cfg(feature = "report")]
 pub mod report;
-pub mod rng;
-mod rollout;
-mod scalar;
-mod schedule;
-// Not in the library's own unit tests, which would compile all of it once more: `tests/stress.rs` holds it.
-#[cfg(all(feature = "stress", not(test)))]
-pub mod stress;
-mod substeps;
-mod system;
-mod task;
 pub mod tasks;
-pub mod toy;
 mod train;
-mod wide;
-mod zip;
 
-pub use actuator::{Actuated, Actuator, AnyActuator, Bars, Delay, Lag, Limit, LimitKind};
-pub use backward::{Adjoint, Flow};
-pub use batch::{Batch, Evaluation};
-pub use checkpointed::Checkpointed;
-pub use cost::Cost;
-pub use divergence::{Cause, Divergence, Variable};
-pub use effect::{Around, Effect, Host, With};
-pub use field::{Compose, Field, SignAgreement, UnknownField};
-pub use gradient::Gradient;
-pub use growth::Growth;
-pub use integrator::{
+#[cfg(all(feature = "stress", not(test)))]
+pub use check::stress;
+pub use dynamics::actuator::{Actuated, Actuator, AnyActuator, Bars, Delay, Lag, Limit, LimitKind};
+pub use dynamics::cause::Cause;
+pub use dynamics::cost::Cost;
+pub use dynamics::effect::{Around, Effect, Host, With};
+pub use dynamics::integrator::{
     Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, SemiImplicit, Stretch, Verlet,
 };
-pub use ode::{Flowing, Ode, RateOn, ReverseOn};
-pub use optim::{Clip, Optimizer, Rule};
-pub use policy::{Policy, Weights};
-pub use rollout::Rollout;
+pub use dynamics::ode::{Flowing, Ode, RateOn, ReverseOn};
+pub use dynamics::substeps::Substeps;
+pub use dynamics::system::System;
+pub use dynamics::task::Task;
+pub use engine::adjoint::{Adjoint, Flow};
+pub use engine::any;
+pub use engine::batch::{Batch, Evaluation};
+pub use engine::checkpointed::Checkpointed;
+pub use engine::divergence::{Divergence, Variable};
+pub use engine::gradient::Gradient;
+pub use engine::growth::Growth;
+pub use engine::rollout::Rollout;
+pub use engine::schedule::{MemoryError, Schedule};
+#[doc(hidden)]
+pub use numbers::kernels;
+pub use numbers::rng;
 #[cfg(feature = "double-double")]
-pub use scalar::DoubleDouble;
-pub use scalar::{Columns, Cotangent, Counted, Counts, Dual, Float, Lanes, Real, Scalar};
-pub use schedule::{MemoryError, Schedule};
-pub use substeps::Substeps;
-pub use system::System;
-pub use task::Task;
-pub use train::{CheckpointError, Record, Report, Session, Skip, TrainError, Trainer, Training, differences};
-pub use wide::Wide;
+pub use numbers::scalar::DoubleDouble;
+pub use numbers::scalar::{Columns, Cotangent, Counted, Counts, Dual, Float, Lanes, Real, Scalar};
+pub use numbers::wide::Wide;
+pub use policy::{Policy, Weights};
+pub use train::field::{Compose, Field, SignAgreement, UnknownField};
+pub use train::optim::{Clip, Optimizer, Rule};
+pub use train::{CheckpointError, Record, Report, Session, Skip, TrainError, Trainer, Training, differences, toy};
 
 /// What a file with a system of one's own needs.
 pub mod prelude {
     pub use crate::check;
+    pub use crate::numbers::rng::Rng;
     pub use crate::policy::Mlp;
-    pub use crate::rng::Rng;
     pub use crate::{Field, Scalar, System, Task, Trainer};
     #[doc(no_inline)]
     pub use rand::RngExt as _;

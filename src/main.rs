@@ -3,8 +3,8 @@
 // `println!` panics if nobody reads: `terminal::say` and `terminal::tell` do not.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
-mod cli;
+mod program;
 
 fn main() -> std::process::ExitCode {
-    cli::main()
+    program::main()
 }

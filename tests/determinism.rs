@@ -2,7 +2,7 @@
 //! precision.
 
 use physgrad::any;
-use physgrad::policy::Mlp;
+use physgrad::policy::{self, Mlp};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{CartPole, Guidance, LossMode, Quantum};
 use physgrad::{
@@ -105,7 +105,7 @@ fn losses_do_not_depend_on_the_number_of_workers_nor_on_the_tape() {
 /// The cost and the last state of every sample, as bits.
 fn ends(
     task: &dyn any::AnyTask<f64>,
-    make: impl Fn(&dyn any::AnyTask<f64>, &dyn any::AnyPolicy<f64>, usize) -> Rollout<f64>,
+    make: impl Fn(&dyn any::AnyTask<f64>, &dyn policy::AnyPolicy<f64>, usize) -> Rollout<f64>,
 ) -> Vec<u64> {
     let (n, m) = (task.state_dim(), task.control_dim());
     let policy = Mlp::new([n, 8, m]);

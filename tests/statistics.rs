@@ -1,5 +1,5 @@
 //! What several runs say together: the unit tests of a module of the program, which is compiled alone here.
 
 #[allow(dead_code)]
-#[path = "../src/cli/statistics.rs"]
+#[path = "../src/program/statistics.rs"]
 mod statistics;

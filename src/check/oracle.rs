@@ -1,13 +1,13 @@
 //! What the checks compare with: num-dual's numbers through `act` and `step`, with what a flow leaves out detached.
 
-use crate::any::AnyPolicy;
-use crate::apart::step;
-use crate::backward::Flow;
+use crate::dynamics::apart::step;
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::engine::adjoint::Flow;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::Scalar;
+use crate::policy::AnyPolicy;
 use crate::policy::{Policy, Weights};
-use crate::rng::Rng;
-use crate::scalar::Scalar;
-use crate::system::System;
-use crate::task::Task;
 use num_dual::Dual64;
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};

@@ -1,12 +1,12 @@
 //! Whether a gradient is 0 where it should not be.
 
 use super::normal;
-use crate::backward::Flow;
-use crate::batch::Batch;
-use crate::divergence::Divergence;
+use crate::dynamics::task::Task;
+use crate::engine::adjoint::Flow;
+use crate::engine::batch::Batch;
+use crate::engine::divergence::Divergence;
+use crate::numbers::rng::{Purpose, stream};
 use crate::policy::{Policy, Weights};
-use crate::rng::{Purpose, stream};
-use crate::task::Task;
 use std::fmt;
 
 /// Neighbours that are looked at.
@@ -76,7 +76,8 @@ impl fmt::Display for Plateau {
 /// # Errors
 /// [`Divergence`], if a gradient is not finite.
 pub fn plateau<T: Task, P: Policy>(task: &T, policy: &P, weights: &Weights<f64>, starts: &[f64]) -> Result<Plateau, Divergence> {
-    let mut batch = Batch::new(task, policy, starts.len() / crate::System::state_dim(task.system()), &[Flow::REGULAR], 1);
+    let mut batch =
+        Batch::new(task, policy, starts.len() / crate::dynamics::system::System::state_dim(task.system()), &[Flow::REGULAR], 1);
     let mut slope = |weights: &Weights<f64>| -> Result<(f64, f64), Divergence> {
         let loss = batch.run(task, policy, weights, starts)?;
         Ok((loss, batch.gradients()[0].norm().get()))

@@ -1,9 +1,8 @@
 //! The check of a policy's batched passes.
 
 use super::{CASES_OF_LONG_CHECKS, Comparison, Mismatch, ONE_STEP, Passed, normal, oracle};
-use crate::any;
+use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::policy::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Tensor};
-use crate::rng::{Purpose, Rng, stream};
 
 /// Up to so many parameters, all are compared one by one.
 const FEW: usize = 1000;
@@ -41,7 +40,7 @@ pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
 type Act<'a> = &'a dyn Fn(&[f64], &[f64], &mut [f64]);
 
 /// The same, compiled once.
-fn check(policy: &dyn any::AnyPolicy<f64>, act: Act, by_duals: oracle::Act) -> Result<Passed, Mismatch> {
+fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle::Act) -> Result<Passed, Mismatch> {
     let (n, m, params) = (policy.state_dim(), policy.control_dim(), policy.param_count());
     // Three samples of three steps; the last step of each and then all are evaluated, as a rollout does.
     let (samples, steps) = (3, 3);

@@ -1,10 +1,10 @@
 //! Losses and derivatives in double-double: what other gradients are measured by.
 
 use super::oracle::rollouts;
-use crate::backward::Flow;
+use crate::dynamics::task::Task;
+use crate::engine::adjoint::Flow;
+use crate::numbers::scalar::{DoubleDouble, Dual, Scalar};
 use crate::policy::Policy;
-use crate::scalar::{DoubleDouble, Dual, Scalar};
-use crate::task::Task;
 
 /// The mean loss of rollouts from `starts`, and the derivative that `flow` carries in the direction that has the component
 /// `direction(i)` along parameter i: forward mode in double-double arithmetic, rounded to `f64` at the end.

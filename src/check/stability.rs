@@ -1,7 +1,7 @@
 //! Whether the steps of a system can be stable: what a disturbance of a state is multiplied by.
 
-use crate::any::AnySystem;
-use crate::system::System;
+use crate::dynamics::system::System;
+use crate::engine::any::AnySystem;
 use std::fmt;
 
 /// Squarings of the Jacobian: its power 2³⁰.
@@ -123,7 +123,7 @@ fn square(matrix: &[f64], n: usize) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scalar::Scalar;
+    use crate::numbers::scalar::Scalar;
 
     /// `x' = A x`.
     struct Linear<const N: usize>([[f64; N]; N]);

@@ -2,13 +2,13 @@
 
 use super::oracle::pulled_back;
 use super::{CASES, Comparison, Mismatch, ONE_STEP, Passed, normal};
-use crate::any::{AnySystem, vjp};
-use crate::apart::{One, step};
-use crate::kernels::has_lanes;
-use crate::rng::{Purpose, Rng, stream};
-use crate::rollout::{Lane, WIDTH};
-use crate::scalar::{Columns, Lanes, Real, Scalar};
-use crate::system::System;
+use crate::dynamics::apart::{One, step};
+use crate::dynamics::system::System;
+use crate::engine::any::{AnySystem, vjp};
+use crate::engine::rollout::{Lane, WIDTH};
+use crate::numbers::kernels::has_lanes;
+use crate::numbers::rng::{Purpose, Rng, stream};
+use crate::numbers::scalar::{Columns, Lanes, Real, Scalar};
 use num_dual::Dual64;
 
 /// A system on all numbers that its check runs it on.

@@ -11,12 +11,12 @@ mod layer;
 mod layout;
 
 use super::{Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
-use crate::kernels::Level;
-use crate::kernels::elementwise::{self, Strided};
-use crate::kernels::gemm::Product;
-use crate::rng::Rng;
-use crate::scalar::{Float, Scalar};
-use crate::zip::zip;
+use crate::numbers::kernels::Level;
+use crate::numbers::kernels::elementwise::{self, Strided};
+use crate::numbers::kernels::gemm::Product;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Float, Scalar};
+use crate::numbers::zip::zip;
 use layer::Layer;
 use rand::RngExt;
 

@@ -1,9 +1,9 @@
 //! A linear policy, `u = K x + k`.
 
 use super::{Policy, PolicyPass, PolicyRecord, Tensor};
-use crate::rng::Rng;
-use crate::scalar::{Float, Scalar};
-use crate::zip::zip;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Float, Scalar};
+use crate::numbers::zip::zip;
 
 /// `u = K x`, or `u = K x + k` with a bias. `θ` is `K` row-major (control_dim × state_dim), then `k`.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -5,12 +5,12 @@
 //! activations that ends in a constant 1, and its gradient is one product too.
 
 use super::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Sizes, Tensor};
-use crate::kernels::Level;
-use crate::kernels::elementwise::{self, Strided};
-use crate::kernels::gemm::Product;
-use crate::rng::Rng;
-use crate::scalar::{Float, Scalar};
-use crate::zip::zip;
+use crate::numbers::kernels::Level;
+use crate::numbers::kernels::elementwise::{self, Strided};
+use crate::numbers::kernels::gemm::Product;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Float, Scalar};
+use crate::numbers::zip::zip;
 use rand::RngExt;
 
 /// Columns that go through all layers together, so that their activations stay in the first-level cache.

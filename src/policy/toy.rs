@@ -1,8 +1,8 @@
 //! Policies of two parameters or so, whose vector fields can be drawn.
 
 use super::Policy;
-use crate::rng::Rng;
-use crate::scalar::Scalar;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::Scalar;
 
 /// The policy of the paper's figure 1, `u = θ₁ x² + θ₂ x`, of one state component. `θ` is `[θ₁, θ₂]`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -22,12 +22,12 @@ pub use model::CartPoleModel;
 pub use system::CartPoleSystem;
 pub use wind::{GustyWind, SteadyWind};
 
-use crate::effect::{Around, any_effect};
-use crate::rng::Rng;
-use crate::scalar::{Real, Scalar};
-use crate::task::Task;
+use crate::dynamics::effect::{Around, any_effect};
+use crate::dynamics::task::Task;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Real, Scalar};
+use crate::numbers::zip::zip;
 use crate::tasks::LossMode;
-use crate::zip::zip;
 use rand::RngExt;
 use std::f64::consts::PI;
 

@@ -10,7 +10,7 @@ mod pair;
 pub use ball::{Bounce, BouncingBall};
 pub use pair::{Push, TwoBodies};
 
-use crate::scalar::Scalar;
+use crate::numbers::scalar::Scalar;
 
 /// What happens where two bodies touch.
 ///

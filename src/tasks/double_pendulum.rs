@@ -1,7 +1,7 @@
 //! A planar double pendulum, free of friction: the smallest mechanics that is chaotic.
 
-use crate::ode::Ode;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::dynamics::ode::Ode;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// Two point masses on massless rods, the second hanging from the first, with a torque on the first joint.
 ///

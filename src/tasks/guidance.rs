@@ -23,12 +23,12 @@ pub use spread::Spread;
 pub use system::{Center, GuidanceSystem};
 pub use walls::Walls;
 
-use crate::effect::{Around, With, any_effect};
-use crate::rng::Rng;
-use crate::scalar::{Real, Scalar};
-use crate::task::Task;
+use crate::dynamics::effect::{Around, With, any_effect};
+use crate::dynamics::task::Task;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Real, Scalar};
+use crate::numbers::zip::zip;
 use crate::tasks::LossMode;
-use crate::zip::zip;
 use rand::RngExt;
 use std::f64::consts::TAU;
 use system::AGENT;

@@ -1,13 +1,13 @@
 //! The small hard tasks, chosen while the program runs: one type, so that what trains them is compiled once.
 
 use super::{Bounce, DoublePendulum, Lqr, PoleChain, Push, Slider, Upright};
-use crate::apart::{Reverse, ReverseToControl, Step, apart};
-use crate::effect::Around;
-use crate::integrator::{AnyIntegrator, Integrated};
-use crate::rng::Rng;
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::system::System;
-use crate::task::Task;
+use crate::dynamics::apart::{Reverse, ReverseToControl, Step, apart};
+use crate::dynamics::effect::Around;
+use crate::dynamics::integrator::{AnyIntegrator, Integrated};
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
 
 /// Any of them. As a [`System`] it is the task's physics, compiled apart; with whatever is around that, [`Hard`] is the task.

@@ -6,9 +6,9 @@ mod riccati;
 pub use lqr::Lqr;
 pub use riccati::{NoOptimum, Optimum};
 
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::system::System;
-use crate::zip::zip;
+use crate::dynamics::system::System;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::zip::zip;
 use nalgebra::DMatrix;
 
 /// `x' = A x + B u`.

@@ -2,8 +2,8 @@
 
 mod factor;
 
-use crate::ode::Ode;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::dynamics::ode::Ode;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::tasks::{CartPoleSystem, MassError};
 use arrayvec::ArrayVec;
 use factor::{factor, solve};

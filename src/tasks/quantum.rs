@@ -25,11 +25,11 @@ pub use strang::Strang;
 pub use system::{ControlShape, QuantumSystem};
 
 use super::LossMode;
-use crate::effect::{Around, any_effect};
-use crate::rng::Rng;
-use crate::scalar::{Real, Scalar};
-use crate::task::Task;
-use crate::zip::zip;
+use crate::dynamics::effect::{Around, any_effect};
+use crate::dynamics::task::Task;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Real, Scalar};
+use crate::numbers::zip::zip;
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::TAU;

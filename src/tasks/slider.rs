@@ -1,9 +1,9 @@
 //! A block that slides on a table with dry friction, to be stopped at a place.
 
-use crate::rng::Rng;
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::system::System;
-use crate::task::Task;
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use rand::RngExt;
 
 /// Standard gravity, m/s².

@@ -1,11 +1,11 @@
 //! The toy tasks of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024): physics so simple
 //! that what a vector field does to it can be drawn.
 
-use crate::rng::Rng;
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::system::System;
-use crate::task::Task;
-use crate::zip::zip;
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::zip::zip;
 
 /// The plainest physics there is, `x' = x + u`. Its backward flow is the identity: it neither grows nor decays.
 ///

@@ -1,10 +1,10 @@
 //! Everything upright: the task of any mechanics that is written in angles.
 
-use crate::integrator::{Integrated, RungeKutta};
-use crate::rng::Rng;
-use crate::scalar::{Real, Scalar};
-use crate::system::System;
-use crate::task::Task;
+use crate::dynamics::integrator::{Integrated, RungeKutta};
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Real, Scalar};
 use crate::tasks::{CartPoleSystem, DoublePendulum, LossMode, PoleChain};
 use rand::RngExt;
 use std::f64::consts::PI;

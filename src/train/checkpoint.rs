@@ -5,9 +5,9 @@
 
 use super::Record;
 use super::progress::{Epoch, Progress, Snapshot};
-use crate::any::AnyPolicy;
-use crate::optim::Optimizer;
-use crate::scalar::Float;
+use crate::numbers::scalar::Float;
+use crate::policy::AnyPolicy;
+use crate::train::optim::Optimizer;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 

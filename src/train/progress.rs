@@ -2,20 +2,22 @@
 
 use super::record::{Means, Record, Skip, Step};
 use super::{TrainError, Training};
-use crate::any::{AnyField, AnyPolicy, AnyTask};
-use crate::backward::Flow;
-use crate::batch::{Batch, Evaluation};
-use crate::divergence::Divergence;
-use crate::gradient::Gradient;
-use crate::growth::Growth;
-use crate::kernels::{Level, elementwise};
-use crate::optim::Optimizer;
+use crate::engine::adjoint::Flow;
+use crate::engine::any::AnyTask;
+use crate::engine::batch::{Batch, Evaluation};
+use crate::engine::divergence::Divergence;
+use crate::engine::gradient::Gradient;
+use crate::engine::growth::Growth;
 #[cfg(feature = "parallel")]
-use crate::parallel::among_workers;
+use crate::engine::parallel::among_workers;
+use crate::numbers::kernels::{Level, elementwise};
+use crate::numbers::rng::{Purpose, stream};
+use crate::numbers::scalar::Float;
+use crate::numbers::wide::Wide;
+use crate::policy::AnyPolicy;
 use crate::policy::Weights;
-use crate::rng::{Purpose, stream};
-use crate::scalar::Float;
-use crate::wide::Wide;
+use crate::train::field::AnyField;
+use crate::train::optim::Optimizer;
 use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;

@@ -1,9 +1,9 @@
 //! What one epoch tells, and the updates that were not taken.
 
-use crate::backward::Flow;
-use crate::divergence::Divergence;
-use crate::growth::Growth;
-use crate::wide::Wide;
+use crate::engine::adjoint::Flow;
+use crate::engine::divergence::Divergence;
+use crate::engine::growth::Growth;
+use crate::numbers::wide::Wide;
 use serde::{Deserialize, Serialize};
 
 /// What happened in one epoch.

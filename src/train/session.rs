@@ -3,12 +3,12 @@
 use super::checkpoint;
 use super::progress::{Progress, Trained};
 use super::{CheckpointError, Record, Report, Skip, TrainError, Training};
-use crate::divergence::Divergence;
-use crate::field::{Compose, Field, SignAgreement};
+use crate::dynamics::task::Task;
+use crate::engine::divergence::Divergence;
+use crate::engine::schedule::Schedule;
+use crate::numbers::scalar::Float;
 use crate::policy::{Policy, Weights};
-use crate::scalar::Float;
-use crate::schedule::Schedule;
-use crate::task::Task;
+use crate::train::field::{Compose, Field, SignAgreement};
 
 /// A training under way.
 #[derive(Debug)]

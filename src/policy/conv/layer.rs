@@ -1,11 +1,11 @@
 //! One convolution as matrix products, and where its numbers are in the padded buffers.
 
 use super::KERNEL;
-use crate::kernels::Level;
-use crate::kernels::elementwise::{self, Strided};
-use crate::kernels::gemm::Product;
-use crate::scalar::Float;
-use crate::zip::zip;
+use crate::numbers::kernels::Level;
+use crate::numbers::kernels::elementwise::{self, Strided};
+use crate::numbers::kernels::gemm::Product;
+use crate::numbers::scalar::Float;
+use crate::numbers::zip::zip;
 
 /// One convolution, and where its numbers are.
 #[derive(Clone, Copy, Debug)]

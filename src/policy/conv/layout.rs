@@ -2,7 +2,7 @@
 
 use super::layer::Layer;
 use super::{BLOCK, CHANNELS, Conv, KERNEL};
-use crate::scalar::Float;
+use crate::numbers::scalar::Float;
 
 /// Where the activations of a rollout are: those of one block, then those of all columns.
 pub(super) struct Places {

@@ -1,8 +1,8 @@
 //! Bumpers at the ends of the rail.
 
 use super::CartPoleSystem;
-use crate::effect::Effect;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::dynamics::effect::Effect;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
 /// Springs at both ends of the rail that push a cart back, and never pull it. At the right end, with the depth

@@ -2,10 +2,10 @@
 
 use super::motion::{moved, moved_bar, rate_of, rate_of_bar, velocity_of};
 use super::system::{CartPoleSystem, Forces, PerPole};
-use crate::effect::{Effect, Host, system_without_effects};
-use crate::ode::Flowing;
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::zip::zip;
+use crate::dynamics::effect::{Effect, Host, system_without_effects};
+use crate::dynamics::ode::Flowing;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::zip::zip;
 
 /// The physics of rigid, uniform poles on joints side by side on one cart: semi-implicit Euler, velocities first.
 ///

@@ -1,9 +1,9 @@
 //! What slows poles and cart down.
 
 use super::CartPoleSystem;
-use crate::effect::Effect;
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::zip::zip;
+use crate::dynamics::effect::Effect;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 
 /// Viscous friction in the joints of the poles: `τ_i = -damping ω_i`.

@@ -1,9 +1,9 @@
 //! A model of poles on a cart, chosen while the program runs.
 
 use super::{CartPoleSystem, CoupledCartPole};
-use crate::effect::{Effect, Host, system_without_effects};
-use crate::ode::Flowing;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::dynamics::effect::{Effect, Host, system_without_effects};
+use crate::dynamics::ode::Flowing;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// Either model. The numbers are those of the model by itself, bit for bit.
 #[derive(Clone, Copy, Debug, PartialEq)]

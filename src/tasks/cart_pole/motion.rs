@@ -1,6 +1,6 @@
 //! What accelerations make of the poles, in a step and in a vector field; the same for both models.
 
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// The next angle and rate of a pole with the angular acceleration α, by semi-implicit Euler.
 #[inline(always)]

@@ -1,10 +1,10 @@
 //! Poles on a cart that do not act on each other: the authors' model.
 
 use super::motion::{moved, moved_bar, rate_of, rate_of_bar, velocity_of};
-use crate::effect::{Effect, Host, system_without_effects};
-use crate::ode::Flowing;
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::zip::zip;
+use crate::dynamics::effect::{Effect, Host, system_without_effects};
+use crate::dynamics::ode::Flowing;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::zip::zip;
 use arrayvec::ArrayVec;
 use serde::{Deserialize, Serialize};
 

@@ -1,9 +1,9 @@
 //! Wind along the rail, steady or in gusts.
 
 use super::CartPoleSystem;
-use crate::effect::Effect;
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::zip::zip;
+use crate::dynamics::effect::Effect;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 

@@ -1,10 +1,10 @@
 //! A ball over a floor.
 
 use super::{Contact, Gap};
-use crate::rng::Rng;
-use crate::scalar::{Real, Scalar};
-use crate::system::System;
-use crate::task::Task;
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Real, Scalar};
 use rand::RngExt;
 
 /// The physics: a ball that falls on a floor and bounces. State `[height m, speed m/s]`, up; control `[thrust N]`, up.

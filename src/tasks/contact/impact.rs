@@ -1,7 +1,7 @@
 //! A gap that closes within a step.
 
 use super::Gap;
-use crate::scalar::Scalar;
+use crate::numbers::scalar::Scalar;
 
 /// Impacts that are followed within a step.
 const IMPACTS: usize = 4;

@@ -1,10 +1,10 @@
 //! Two bodies on a line.
 
 use super::{Contact, Gap};
-use crate::rng::Rng;
-use crate::scalar::{Real, Scalar};
-use crate::system::System;
-use crate::task::Task;
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Real, Scalar};
 use rand::RngExt;
 
 /// The physics: two bodies on a line without friction, of which the first is pushed. State `[p, q, ṗ, q̇]`, the places of

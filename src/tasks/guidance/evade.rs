@@ -3,8 +3,8 @@
 use super::GuidanceSystem;
 use super::gap::Law;
 use super::pairs::{from_to, from_to_vjp};
-use crate::effect::Effect;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::dynamics::effect::Effect;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
 /// Evaders flee from drivers; drivers do not feel them. With `r = E_k - D_j` and `d = softening + |r|`:

@@ -3,9 +3,9 @@
 use super::GuidanceSystem;
 use super::gap::Gap;
 use super::system::AGENT;
-use crate::effect::Effect;
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::zip::zip;
+use crate::dynamics::effect::Effect;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 
 /// Round obstacles that push drivers and evaders out, and never pull. With `r` the way from an obstacle's center to the

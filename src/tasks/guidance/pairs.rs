@@ -6,8 +6,8 @@
 use super::GuidanceSystem;
 use super::gap::{Gap, Law};
 use super::system::AGENT;
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::zip::zip;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::zip::zip;
 use std::ops::Range;
 
 /// The separation of agent `b` from agent `a`.

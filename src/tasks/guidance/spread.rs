@@ -3,8 +3,8 @@
 use super::GuidanceSystem;
 use super::gap::Law;
 use super::pairs::{among, among_vjp};
-use crate::effect::Effect;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::dynamics::effect::Effect;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
 /// Drivers repel each other. With `r = D_j - D_i` and `d = softening + |r|`:

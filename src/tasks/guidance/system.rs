@@ -1,10 +1,10 @@
 //! Drivers and evaders that do nothing to each other, and the reverse of their steps.
 
-use crate::effect::{Effect, Host, system_without_effects};
-use crate::kernels::scratch::Scratch;
-use crate::ode::Flowing;
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::zip::zip;
+use crate::dynamics::effect::{Effect, Host, system_without_effects};
+use crate::dynamics::ode::Flowing;
+use crate::numbers::kernels::scratch::Scratch;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 use std::hint::black_box;
 use std::ops::Range;

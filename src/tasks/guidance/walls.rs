@@ -2,9 +2,9 @@
 
 use super::GuidanceSystem;
 use super::system::AGENT;
-use crate::effect::Effect;
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::zip::zip;
+use crate::dynamics::effect::Effect;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 
 /// Walls around a rectangular field about the origin: springs that push drivers and evaders back in, and never pull. At

@@ -1,12 +1,12 @@
 //! The linear-quadratic regulator.
 
 use super::{LinearPlant, NoOptimum, Optimum, dot};
-use crate::rng::Rng;
-use crate::scalar::{Real, Scalar};
-use crate::system::System;
-use crate::task::Task;
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Real, Scalar};
+use crate::numbers::zip::zip;
 use crate::tasks::CartPoleSystem;
-use crate::zip::zip;
 use rand::RngExt;
 
 /// Hold a linear plant at 0, at a quadratic cost:

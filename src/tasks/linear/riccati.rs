@@ -1,7 +1,7 @@
 //! The gain that is optimal at every horizon: Riccati's equation, in discrete time.
 
 use super::{LinearPlant, row_major};
-use crate::system::System;
+use crate::dynamics::system::System;
 use nalgebra::DMatrix;
 
 /// What is best for a [`LinearPlant`] whose steps cost `(x_{t+1}ᵀ Q x_{t+1} + u_tᵀ R u_t)/2`.

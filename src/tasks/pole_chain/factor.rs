@@ -6,7 +6,7 @@
 //!
 //! A lower triangle is packed by rows: the entry (i, j), j ≤ i, is at `i (i + 1)/2 + j`.
 
-use crate::scalar::Scalar;
+use crate::numbers::scalar::Scalar;
 use std::ops::{Mul, SubAssign};
 
 /// Where row `i` begins.

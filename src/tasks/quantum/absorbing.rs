@@ -2,11 +2,11 @@
 
 use super::QuantumSystem;
 use super::system::Wave;
-use crate::divergence::Cause;
-use crate::effect::Around;
-use crate::rng::Rng;
-use crate::scalar::{Cotangent, Float, Real, Scalar};
-use crate::system::System;
+use crate::dynamics::cause::Cause;
+use crate::dynamics::effect::Around;
+use crate::dynamics::system::System;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 use serde::{Deserialize, Serialize};
 use smallvec::SmallVec;
 

@@ -1,9 +1,9 @@
 //! Many particles in one wave.
 
 use super::QuantumSystem;
-use crate::effect::Effect;
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::zip::zip;
+use crate::dynamics::effect::Effect;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 
 /// What particles of one wave, a Bose-Einstein condensate, do to each other: `V_j = strength |ψ_j|² / dx`.

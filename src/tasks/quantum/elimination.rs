@@ -2,8 +2,8 @@
 
 use super::point_by_point::PointByPoint;
 use super::system::{Pair, PerPoint};
-use crate::kernels::scratch::Filling;
-use crate::scalar::Scalar;
+use crate::numbers::kernels::scratch::Filling;
+use crate::numbers::scalar::Scalar;
 use std::ops::{Add, Mul, Neg, Sub};
 
 /// What a solve with [`Elimination`] can be applied to: numbers, and cotangents in several columns.

@@ -4,8 +4,8 @@ use super::QuantumSystem;
 use super::elimination::{Elimination, Pivots, Rows};
 use super::point_by_point::{Added, Dropped, Kept, PointByPoint};
 use super::system::{Pair, PerPoint};
-use crate::effect::{Effect, Host, system_without_effects};
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::dynamics::effect::{Effect, Host, system_without_effects};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// A [`QuantumSystem`] that steps by the diagonal Padé approximant of the fourth order. With `z = dt H`:
 ///

@@ -1,8 +1,8 @@
 //! What takes numbers for the grid points, one after another, from the middle of a loop that has other work as well.
 
 use super::QuantumSystem;
-use crate::effect::Effect;
-use crate::scalar::{Cotangent, Real};
+use crate::dynamics::effect::Effect;
+use crate::numbers::scalar::{Cotangent, Real};
 use std::ops::AddAssign;
 
 /// What takes the potential, grid point by grid point. (Not a closure: those may be compiled as calls.)

@@ -3,9 +3,9 @@
 //! In a scene there is at most one of them; as types they may be combined, and then add up.
 
 use super::QuantumSystem;
-use crate::effect::Effect;
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::zip::zip;
+use crate::dynamics::effect::Effect;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 
 /// Makes effects of functions of ξ: types with `fn potential(&self, xi: f64) -> f64`.

@@ -3,9 +3,9 @@
 use super::QuantumSystem;
 use super::elimination::Vector;
 use super::system::STACK;
-use crate::kernels::scratch::Scratch;
-use crate::scalar::Scalar;
-use crate::zip::zip;
+use crate::numbers::kernels::scratch::Scratch;
+use crate::numbers::scalar::Scalar;
+use crate::numbers::zip::zip;
 use std::f64::consts::PI;
 
 /// `K = exp(i dt D₂)`, the exponential of the second difference, by its eigenvectors, which are sines. With M = grid + 1:

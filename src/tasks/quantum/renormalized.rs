@@ -2,10 +2,10 @@
 
 use super::QuantumSystem;
 use super::system::Wave;
-use crate::effect::Around;
-use crate::rng::Rng;
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::system::System;
+use crate::dynamics::effect::Around;
+use crate::dynamics::system::System;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::smallvec;
 
 /// A system around a [`QuantumSystem`] whose wave is brought back to norm 1 after each step: `ψ ← ψ / |ψ|`.

@@ -1,10 +1,10 @@
 //! A scheme for Schrödinger's equation, chosen while the program runs.
 
 use super::{Pade, QuantumSystem, Strang};
-use crate::apart::apart;
-use crate::effect::{Effect, Host, system_without_effects};
-use crate::kernels::Vectorized;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::dynamics::apart::apart;
+use crate::dynamics::effect::{Effect, Host, system_without_effects};
+use crate::numbers::kernels::Vectorized;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// Any scheme for Schrödinger's equation. The numbers are those of the scheme by itself, bit for bit; all are compiled
 /// apart from the loops they run in, and a step is one call.

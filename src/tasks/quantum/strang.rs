@@ -5,9 +5,9 @@ use super::elimination::Vector;
 use super::point_by_point::PointByPoint;
 use super::propagator::Propagator;
 use super::system::{Pair, PerPoint, STACK, place};
-use crate::effect::{Effect, Host, system_without_effects};
-use crate::kernels::scratch::{Filling, Scratch};
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::dynamics::effect::{Effect, Host, system_without_effects};
+use crate::numbers::kernels::scratch::{Filling, Scratch};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// A [`QuantumSystem`] that steps by the symmetric splitting of Strang:
 ///

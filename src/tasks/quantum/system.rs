@@ -2,10 +2,10 @@
 
 use super::elimination::{Elimination, Pivots, Rows};
 use super::point_by_point::{AtOnce, Dropped, Kept, PointByPoint, PotentialBar};
-use crate::effect::{Effect, Host, system_without_effects};
-use crate::kernels::scratch::Scratch;
-use crate::scalar::{Cotangent, Real, Scalar};
-use crate::zip::zip;
+use crate::dynamics::effect::{Effect, Host, system_without_effects};
+use crate::numbers::kernels::scratch::Scratch;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 use smallvec::SmallVec;
 use std::f64::consts::PI;

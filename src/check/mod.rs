@@ -1,0 +1,286 @@
+//! Gradient checks, one line each: hand-written and batched derivatives against dual numbers.
+//!
+//! [`system`], [`policy`] and [`task`] panic with what was compared, the index, what was expected, what was found, and
+//! the seed of the case. The `try_` forms return the same as a value. Everything is checked in double precision; errors are relative to
+//! the largest component of what they are compared with.
+//!
+//! Derivatives may be right and useless: [`stability`] tells whether steps are too long for what they step through, and
+//! [`plateau`] whether there is a gradient to follow at all.
+
+mod oracle;
+mod plateau;
+mod policies;
+#[cfg(feature = "double-double")]
+mod reference;
+mod stability;
+// Not in the library's own unit tests, which would compile all of it once more: `tests/stress.rs` holds it.
+#[cfg(all(feature = "stress", not(test)))]
+pub mod stress;
+mod systems;
+
+pub use oracle::slope_by_duals;
+pub use plateau::{Plateau, plateau};
+pub use policies::{policy, try_policy};
+#[cfg(feature = "double-double")]
+pub use reference::slope;
+pub use stability::{Stability, stability};
+
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::engine::adjoint::Flow;
+use crate::engine::any::AnyTask;
+use crate::engine::batch::Batch;
+use crate::engine::divergence::Divergence;
+use crate::engine::rollout::Rollout;
+use crate::numbers::rng::{Purpose, Rng, stream};
+use crate::policy::AnyPolicy;
+use crate::policy::{Policy, Weights};
+use rand_distr::{Distribution, StandardNormal};
+use std::fmt;
+
+/// Random cases that each check tries.
+const CASES: u64 = 20;
+/// Random cases of the checks that evaluate a policy.
+const CASES_OF_LONG_CHECKS: u64 = 2;
+/// Allowed for one step of a system and for one evaluation of a policy.
+const ONE_STEP: f64 = 1e-12;
+/// Allowed for the gradient of a whole rollout.
+const ROLLOUT: f64 = 1e-10;
+
+/// What a check that passed has seen.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Passed {
+    /// Numbers compared.
+    pub compared: usize,
+    /// The largest relative error among them.
+    pub worst: f64,
+    /// The largest that would have passed.
+    pub allowed: f64,
+}
+
+/// What a check found wrong.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mismatch {
+    /// What was compared, for instance `vjp: x_bar`.
+    pub what: String,
+    /// Index of the first wrong number.
+    pub index: usize,
+    /// By dual numbers, or by the reference form.
+    pub expected: f64,
+    /// By the form under test.
+    pub found: f64,
+    /// Relative error.
+    pub error: f64,
+    /// The largest that would have passed.
+    pub allowed: f64,
+    /// Number of the random case: its inputs are drawn from `stream(case, Purpose::Check, 0)`.
+    pub case: u64,
+}
+
+/// Why a check of whole rollouts did not pass.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Failure {
+    /// A wrong number.
+    #[error(transparent)]
+    Mismatch(#[from] Mismatch),
+    /// There was nothing to compare.
+    #[error("case {case} cannot be checked: {divergence}")]
+    Diverged {
+        /// Number of the random case.
+        case: u64,
+        /// Where a number was not finite.
+        divergence: Divergence,
+    },
+}
+
+impl fmt::Display for Mismatch {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { what, index, expected, found, error, allowed, case } = self;
+        write!(
+            f,
+            "{what}[{index}] is {found:e}, expected {expected:e}: relative error {error:.1e}, allowed {allowed:.0e} (case {case})"
+        )
+    }
+}
+
+impl std::error::Error for Mismatch {}
+
+/// Collects comparisons of one random case after the other.
+struct Comparison {
+    passed: Passed,
+    case: u64,
+}
+
+impl Comparison {
+    fn new(allowed: f64) -> Self {
+        Self { passed: Passed { allowed, ..Passed::default() }, case: 0 }
+    }
+
+    fn slices(&mut self, what: &str, found: &[f64], expected: &[f64]) -> Result<(), Mismatch> {
+        let scale = expected.iter().fold(0.0, |scale: f64, e| scale.max(e.abs()));
+        let mut pairs = found.iter().zip(expected).enumerate();
+        pairs.try_for_each(|(index, (&found, &expected))| self.one(what, index, found, expected, scale))
+    }
+
+    /// With the error relative to `scale`.
+    fn one(&mut self, what: &str, index: usize, found: f64, expected: f64, scale: f64) -> Result<(), Mismatch> {
+        let error = (found - expected).abs() / if scale > 0.0 { scale } else { 1.0 };
+        let allowed = self.passed.allowed;
+        self.passed.compared += 1;
+        self.passed.worst = self.passed.worst.max(error);
+        // A NaN is not at most anything.
+        if error <= allowed {
+            Ok(())
+        } else {
+            Err(Mismatch { what: what.into(), index, expected, found, error, allowed, case: self.case })
+        }
+    }
+
+    /// The same bits.
+    fn equal(&mut self, what: &str, found: &[f64], expected: &[f64]) -> Result<(), Mismatch> {
+        match found.iter().zip(expected).position(|(f, e)| f.to_bits() != e.to_bits() && f != e) {
+            Some(index) => {
+                let (found, expected) = (found[index], expected[index]);
+                let error = (found - expected).abs();
+                Err(Mismatch { what: what.into(), index, expected, found, error, allowed: 0.0, case: self.case })
+            }
+            None => {
+                self.passed.compared += found.len();
+                Ok(())
+            }
+        }
+    }
+}
+
+/// Normally distributed numbers.
+fn normal(rng: &mut Rng, len: usize) -> Vec<f64> {
+    (0..len).map(|_| StandardNormal.sample(rng)).collect()
+}
+
+/// Checks a system at states and controls drawn from a standard normal distribution. See [`try_system_at`].
+///
+/// # Panics
+/// With the [`Mismatch`].
+#[track_caller]
+pub fn system<S: System>(system: &S) -> Passed {
+    self::try_system(system).unwrap_or_else(|mismatch| panic!("the system's derivatives are wrong: {mismatch}"))
+}
+
+/// As [`system`], as a value.
+///
+/// # Errors
+/// The first [`Mismatch`].
+pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
+    try_system_at(system, |rng, x, u| {
+        x.copy_from_slice(&normal(rng, x.len()));
+        u.copy_from_slice(&normal(rng, u.len()));
+    })
+}
+
+/// Checks a system at states and controls that `draw` makes: its [`vjp`](System::vjp), `vjp_state` and `vjp_control`
+/// against duals, both directions against each other (`⟨λ, J v⟩ = ⟨Jᵀλ, v⟩`), and lanes against plain numbers, bit for
+/// bit.
+///
+/// # Errors
+/// The first [`Mismatch`].
+pub fn try_system_at<S: System>(system: &S, draw: impl Fn(&mut Rng, &mut [f64], &mut [f64])) -> Result<Passed, Mismatch> {
+    systems::check(system, &draw)
+}
+
+/// Checks the gradients of whole rollouts for every flow (R, M, N, S) against duals of the same rollout in which what
+/// the flow leaves out is detached. Random directions over all parameters are compared, and single parameters: all of
+/// few, some of many.
+///
+/// # Panics
+/// With the [`Mismatch`].
+#[track_caller]
+pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Passed {
+    let all = Flow::ALL.map(|flow| {
+        try_flow(task, policy, flow).unwrap_or_else(|failure| panic!("the gradient of flow {flow} is wrong: {failure}"))
+    });
+    all.into_iter().fold(Passed::default(), |sum, p| Passed {
+        compared: sum.compared + p.compared,
+        worst: sum.worst.max(p.worst),
+        allowed: p.allowed,
+    })
+}
+
+/// As [`task`], for one flow, as a value.
+///
+/// # Errors
+/// The first [`Mismatch`], or rollouts that diverge whatever the parameters.
+pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<Passed, Failure> {
+    let slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
+        oracle::slope_by_duals(task, policy, theta, starts, flow, tangent)
+    };
+    check_flow(task, policy, flow, &|theta, starts| oracle::loss(task, policy, theta, starts), &slope)
+}
+
+/// The mean loss with these parameters from these states.
+type Loss<'a> = &'a dyn Fn(&[f64], &[f64]) -> f64;
+/// Its derivative in a direction.
+type Slope<'a> = &'a dyn Fn(&[f64], &[f64], &dyn Fn(usize) -> f64) -> f64;
+
+/// The same, compiled once.
+fn check_flow(
+    task: &dyn AnyTask<f64>,
+    policy: &dyn AnyPolicy<f64>,
+    flow: Flow,
+    loss_by_duals: Loss,
+    slope: Slope,
+) -> Result<Passed, Failure> {
+    const SAMPLES: usize = 3;
+    let n = task.state_dim();
+    let mut c = Comparison::new(ROLLOUT);
+    for case in 0..CASES_OF_LONG_CHECKS {
+        c.case = case;
+        let mut rng = stream(case, Purpose::Check, 0);
+        let mut starts = vec![0.0; SAMPLES * n];
+        starts.chunks_exact_mut(n).for_each(|x| task.start(&mut rng, x));
+        let weights = finite_weights(task, policy, &starts, case)?;
+        let gradient = |flows: &[Flow]| {
+            let mut batch = Batch::new(task, policy, SAMPLES, flows, 1);
+            let loss = batch.run(task, policy, &weights, &starts);
+            loss.map(|loss| (loss, batch.gradients()[flows.len() - 1].plain()))
+                .map_err(|divergence| Failure::Diverged { case, divergence })
+        };
+        let (loss, gradient_alone) = gradient(&[flow])?;
+        let (_, gradient_beside) = gradient(&[Flow::MODIFIED, flow])?;
+        let theta = weights.theta();
+        c.slices("loss", &[loss], &[loss_by_duals(theta, &starts)])?;
+        c.slices("gradient computed beside M", &gradient_beside, &gradient_alone)?;
+
+        let largest = gradient_alone.iter().fold(0.0, |s: f64, g| s.max(g.abs()));
+        for (index, expected) in oracle::some_components(theta.len(), &mut rng, &|tangent| slope(theta, &starts, tangent)) {
+            c.one("gradient", index, gradient_alone[index], expected, largest.max(expected.abs()))?;
+        }
+        let length = gradient_alone.iter().map(|g| g * g).sum::<f64>().sqrt();
+        let directions = oracle::some_directions(theta.len(), &mut rng, &|tangent| slope(theta, &starts, tangent));
+        for (index, (direction, expected)) in directions.into_iter().enumerate() {
+            let found = direction.iter().zip(&gradient_alone).map(|(d, g)| d * g).sum();
+            c.one("gradient in random direction", index, found, expected, length.max(expected.abs()))?;
+        }
+    }
+    Ok(c.passed)
+}
+
+/// Random parameters with which the rollouts are finite: initial ones with noise, less of it if need be.
+fn finite_weights(
+    task: &dyn AnyTask<f64>,
+    policy: &dyn AnyPolicy<f64>,
+    starts: &[f64],
+    case: u64,
+) -> Result<Weights<f64>, Failure> {
+    let mut rollout = Rollout::for_evaluation(task, policy, starts.len() / task.state_dim());
+    rollout.start(starts);
+    let mut found = Ok(());
+    for noise in [0.1, 0.01, 0.001] {
+        let weights = oracle::weights(policy, noise, &mut stream(case, Purpose::Check, 1));
+        found = rollout.run(task, policy, &weights);
+        if found.is_ok() {
+            return Ok(weights);
+        }
+        rollout.start(starts);
+    }
+    Err(found.map_or_else(|divergence| Failure::Diverged { case, divergence }, |()| unreachable!("a finite run is returned")))
+}

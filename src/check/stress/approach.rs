@@ -1,0 +1,118 @@
+//! Agents that come too close for the steps they take.
+
+use super::steps::finite;
+use super::{Case, Finding};
+use crate::check::{self, Stability};
+use crate::dynamics::apart::step;
+use crate::dynamics::effect::With;
+use crate::dynamics::integrator::{AnyIntegrator, ImplicitMidpoint, Integrated, SemiImplicit};
+use crate::dynamics::substeps::Substeps;
+use crate::dynamics::system::System;
+use crate::tasks::{GuidanceEffect, GuidanceSystem, Spread, Walls};
+
+pub(super) const CASES: &[Case] = &[Case {
+    name: "guidance_close_approach",
+    about: "two agents in a room, without friction, that repel or attract each other so strongly that dt² k = 4.4 where \
+                they meet",
+    criterion: "explicit Euler: reported as unstable, in words, with the multiplier 1 + dt sqrt(2k) or sqrt(1 + 2 dt² k) to \
+                1 %; 1000 states are finite, and the energy doubles. Semi-implicit in 128 substeps and the implicit midpoint \
+                rule in 16: the energy stays within 10 % for 10,000 steps. Attraction is reported as stable for \
+                semi-implicit steps a quarter as long and for whole implicit ones, and as unstable for whole semi-implicit \
+                ones",
+    story: "A spring that steps do not resolve gains energy at every approach; a training takes that for a property of \
+            the world. `check::stability` gives the largest multiplier of a step at a state, and says what to change. \
+            What remains: it is asked for, and does not run by itself in a training",
+    run: guidance_close_approach,
+}];
+
+/// Of the paper.
+const DT: f64 = 4.0 / 60.0;
+/// m²/s²; the stiffness at one place is this over the softening squared, 1000/s².
+const STRENGTH: f64 = 10.0;
+const STIFFNESS: f64 = STRENGTH / 0.01;
+
+type Room = With<GuidanceSystem, Vec<GuidanceEffect>>;
+type Split = Substeps<Integrated<Room, AnyIntegrator>>;
+
+/// Two agents who repel each other, or attract with a negative strength.
+fn room(strength: f64) -> Room {
+    let system = GuidanceSystem { drivers: 2, evaders: 0, dt: DT, ..GuidanceSystem::default() };
+    let walls = Walls { half_width: 3.0, half_height: 3.0, stiffness: 10.0 };
+    With { system, effects: vec![Spread { strength }.into(), walls.into()] }
+}
+
+fn split(strength: f64, integrator: AnyIntegrator, count: usize) -> Split {
+    Substeps { system: Integrated { ode: room(strength), integrator, dt: DT / count as f64 }, count }
+}
+
+/// Kinetic energy, that of walls and that of the pair, which is 0 at one place or, if they repel, 10 m apart; per mass.
+fn energy(strength: f64, x: &[f64]) -> f64 {
+    let pair = |r: f64| strength * (-(0.1 + r).ln() - 0.1 / (0.1 + r));
+    let least = pair(if strength > 0.0 { 10.0 } else { 0.0 });
+    let moving = [x[2], x[3], x[6], x[7]].map(|v| 0.5 * v * v).iter().sum::<f64>();
+    let walls = [x[0], x[1], x[4], x[5]].map(|p| 5.0 * (p.abs() - 3.0).max(0.0).powi(2)).iter().sum::<f64>();
+    moving + walls + pair((x[4] - x[0]).hypot(x[5] - x[1])) - least
+}
+
+/// Towards each other, fast enough to go through, and a little beside; those who attract each other begin near.
+fn start(strength: f64) -> [f64; 8] {
+    if strength > 0.0 { [-2.0, 0.05, 8.0, 0.0, 2.0, -0.05, -8.0, 0.0] } else { [-0.2, 0.0, 0.0, 1.0, 0.2, 0.0, 0.0, -1.0] }
+}
+
+/// Whether all states are finite, and the lowest and the highest energy as a share of the first.
+fn energies(system: &impl System, strength: f64, steps: usize) -> (bool, f64, f64) {
+    // Nobody steers, and there is nobody to steer by.
+    let (mut x, mut next) = (start(strength), [0.0; 8]);
+    let first = energy(strength, &x);
+    let (mut all, mut lowest, mut highest) = (true, f64::INFINITY, 0.0f64);
+    for _ in 0..steps {
+        step(system, &x, &[0.0; 4], &mut next);
+        x = next;
+        all &= finite(&x);
+        let share = energy(strength, &x) / first;
+        (lowest, highest) = (lowest.min(share), highest.max(share));
+    }
+    (all, lowest, highest)
+}
+
+fn close(system: &impl System) -> Stability {
+    check::stability(system, &[0.0, 0.0, 0.0, 0.0, 1e-6, 0.0, 0.0, 0.0], &[0.0; 4])
+}
+
+fn guidance_close_approach() -> Vec<Finding> {
+    let semi_implicit = AnyIntegrator::SemiImplicit(SemiImplicit);
+    let midpoint = AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint::default());
+    let mut findings = Vec::new();
+    for (what, strength, expected) in [
+        ("repulsion", STRENGTH, 1.0 + DT * (2.0 * STIFFNESS).sqrt()),
+        ("attraction", -STRENGTH, (1.0 + 2.0 * DT * DT * STIFFNESS).sqrt()),
+    ] {
+        let explicit = room(strength);
+        let report = close(&explicit);
+        findings.push(Finding::near(format!("{what}: multiplier of explicit steps"), report.multiplier, expected, 0.01));
+        let said = report.to_string();
+        let named = said.starts_with("unstable") && said.contains("Substeps") && said.contains("ImplicitMidpoint");
+        findings.push(Finding::holds(format!("{what}: what is said of it"), "unstable, and what to change", named, said));
+        let (all, _, highest) = energies(&explicit, strength, 1000);
+        findings.push(Finding::holds(format!("{what}: 1000 explicit states"), "finite", all, if all { "finite" } else { "not" }));
+        findings.push(Finding::at_least(format!("{what}: energy by explicit steps, of the first"), highest, 2.0));
+        findings.push(bounded(what, "semi-implicit", strength, &split(strength, semi_implicit, 128)));
+        findings.push(bounded(what, "implicit midpoint", strength, &split(strength, midpoint, 16)));
+    }
+    for (how, report, stable) in [
+        ("semi-implicit in 4 substeps", close(&split(-STRENGTH, semi_implicit, 4)), true),
+        ("semi-implicit, whole", close(&split(-STRENGTH, semi_implicit, 1)), false),
+        ("implicit midpoint, whole", close(&split(-STRENGTH, midpoint, 1)), true),
+    ] {
+        let measured = format!("multiplier {:.6}", report.multiplier);
+        let asked = if stable { "stable" } else { "unstable" };
+        findings.push(Finding::holds(format!("attraction, {how}"), asked, report.is_stable() == stable, measured));
+    }
+    findings
+}
+
+fn bounded(what: &str, how: &str, strength: f64, system: &impl System) -> Finding {
+    let (all, lowest, highest) = energies(system, strength, 10_000);
+    let off = if all { (highest - 1.0).max(1.0 - lowest) } else { f64::INFINITY };
+    Finding::at_most(format!("{what}, {how}: largest change of energy in 10,000 steps, as a share"), off, 0.1)
+}

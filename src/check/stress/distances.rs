@@ -1,0 +1,134 @@
+//! Agents at one place, and worlds apart.
+
+use super::steps::{error, finite, larger, vjp_by_jvps};
+use super::{Case, Finding};
+use crate::dynamics::apart::step;
+use crate::dynamics::effect::With;
+use crate::dynamics::system::System;
+use crate::engine::any::{AnySystem, vjp};
+use crate::numbers::scalar::{Float, Scalar};
+use crate::tasks::{Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, Obstacles, Spread, Walls};
+
+pub(super) const CASES: &[Case] = &[Case {
+    name: "guidance_distances",
+    about: "agents and an obstacle 0 to 1e8 m from each other, 1e-300 among them; f64 and f32",
+    criterion: "states, JVPs and VJPs are finite; duals and VJP agree to 1e-12 (f64) and 1e-5 (f32), slopes of positions on \
+                their own; forces have their direction and size to 1e-12 (f64) and 1e-5 (f32). A distance without these \
+                cares has a derivative that is not finite (a planted fault)",
+    story: "A length |r| has no derivative at 0, r² underflows at 1e-162 and overflows at 1e154, and each makes a NaN somewhere \
+            in the reverse pass of an ordinary distance. Here separations are brought into range by a power of two \
+            before they are squared, and the derivative at 0 is taken as that of the force, which is smooth. What \
+            remains: at 0 a force has no direction, and is 0",
+    run: guidance_distances,
+}];
+
+type Crowd = With<GuidanceSystem, Vec<GuidanceEffect>>;
+
+/// Two drivers and two evaders, one of them in the very center of an obstacle; walls that are touched at 1e8 m only.
+fn crowd() -> Crowd {
+    let system = GuidanceSystem { drivers: 2, evaders: 2, ..GuidanceSystem::default() };
+    let obstacles = Obstacles { centers: vec![[0.0, 0.0]], ..Obstacles::default() };
+    let effects = vec![
+        Friction::default().into(),
+        Spread::default().into(),
+        Evade::default().into(),
+        Flock::default().into(),
+        obstacles.into(),
+        Walls::default().into(),
+    ];
+    With { system, effects }
+}
+
+fn guidance_distances() -> Vec<Finding> {
+    let mut findings = at::<f64>(&[0.0, 1e-300, 1e-160, 1e-20, 1e-8, 1e8], 1e-12);
+    findings.extend(at::<f32>(&[0.0, 1e-30, 1e-10], 1e-5));
+    let [x_bar, _] = vjp(&Unguarded, &[6e-301, 8e-301], &[], &[1.0; 2]);
+    let whether = finite(&x_bar);
+    findings.push(Finding::holds(
+        "unguarded distance of 1e-300",
+        "not finite",
+        !whether,
+        if whether { "finite" } else { "not finite" },
+    ));
+    findings
+}
+
+/// The force of [`Evade`] by a distance as one would write it down.
+struct Unguarded;
+
+impl System for Unguarded {
+    fn state_dim(&self) -> usize {
+        2
+    }
+
+    fn control_dim(&self) -> usize {
+        0
+    }
+
+    fn step<T: Scalar>(&self, x: &[T], _u: &[T], next: &mut [T]) {
+        let distance = T::lift(0.1) + (x[0] * x[0] + x[1] * x[1]).sqrt();
+        let share = T::lift(15.0) / (distance * distance);
+        (next[0], next[1]) = (x[0] * share, x[1] * share);
+    }
+}
+
+fn at<F: Float>(distances: &[f64], allowed: f64) -> Vec<Finding> {
+    let system = crowd();
+    let (mut finite, mut agreeing, mut pushing) = (0, 0.0f64, 0.0f64);
+    for &distance in distances {
+        let (whether, error) = derivatives::<F>(&system, distance);
+        finite += usize::from(whether);
+        agreeing = larger(agreeing, error);
+        if distance > 0.0 {
+            pushing = larger(pushing, force::<F>(distance));
+        }
+    }
+    vec![
+        Finding::all(format!("distances in {} at which all is finite", F::NAME), finite, distances.len()),
+        Finding::at_most(format!("VJP against duals in {}", F::NAME), agreeing, allowed),
+        Finding::at_most(format!("forces against their limits in {}", F::NAME), pushing, allowed),
+    ]
+}
+
+/// Whether all is finite, and the largest error. Cotangents are those of one agent's velocity at a time, and nobody steers,
+/// so that nothing larger hides the slopes of the forces.
+fn derivatives<F: Float>(system: &dyn AnySystem<F>, distance: f64) -> (bool, f64) {
+    let (n, m) = (system.state_dim(), system.control_dim());
+    let place = |agent: usize| [0.6, 0.8].map(|share| F::lift(agent as f64 * distance * share));
+    let x: Vec<F> = (0..4).flat_map(|agent| place(agent).into_iter().chain([F::zero(); 2])).collect();
+    let u = vec![F::zero(); m];
+    let mut next = vec![F::zero(); n];
+    system.step(&x, &u, &mut next);
+    let (mut whether, mut worst) = (finite(&next), 0.0f64);
+    for k in 0..n {
+        let mut x_tan = vec![F::zero(); n];
+        x_tan[k] = F::one();
+        system.jvp_state(&x, &u, &x_tan, &mut next);
+        whether &= finite(&next);
+    }
+    for agent in 0..4 {
+        let mut bar = vec![F::zero(); n];
+        (bar[4 * agent + 2], bar[4 * agent + 3]) = (F::one(), F::lift(0.5));
+        let [x_bar, u_bar] = vjp(system, &x, &u, &bar);
+        let [x_dual, u_dual] = vjp_by_jvps(system, &x, &u, &bar);
+        let positions = |v: &[F]| (0..n).filter(|k| k % 4 < 2).map(|k| v[k]).collect::<Vec<F>>();
+        whether &= [&x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|bar| finite(bar));
+        for error in [error(&x_bar, &x_dual), error(&u_bar, &u_dual), error(&positions(&x_bar), &positions(&x_dual))] {
+            worst = larger(worst, error);
+        }
+    }
+    (whether, worst)
+}
+
+/// The acceleration of an evader by one driver against `15 r / (0.1 + |r|)²`. A square of 1e-160 would be 0, and the force with
+/// it.
+fn force<F: Float>(distance: f64) -> f64 {
+    let body = GuidanceSystem { drivers: 1, evaders: 1, dt: 1.0, ..GuidanceSystem::default() };
+    let (zero, along, across) = (F::zero(), F::lift(0.6 * distance), F::lift(0.8 * distance));
+    let mut next = [zero; 8];
+    let system: Crowd = With { system: body, effects: vec![Evade::default().into()] };
+    step(&system, &[zero, zero, zero, zero, along, across, zero, zero], &[zero; 2], &mut next);
+    let force = 15.0 / (0.1 + distance) * (distance / (0.1 + distance));
+    let shares = [next[6].as_() / force, next[7].as_() / force];
+    larger((shares[0] - 0.6).abs(), (shares[1] - 0.8).abs())
+}

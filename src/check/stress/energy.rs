@@ -1,0 +1,117 @@
+//! Energy over long free motion.
+
+use super::{Case, Finding};
+use crate::dynamics::apart::step;
+use crate::dynamics::integrator::{Integrated, Integrator, RungeKutta, SemiImplicit};
+use crate::dynamics::ode::Ode;
+use crate::numbers::scalar::Scalar;
+use crate::tasks::{CartPoleSystem, DoublePendulum, PoleChain};
+
+pub(super) const CASES: &[Case] = &[Case {
+    name: "energy",
+    about: "free motion: RK4 in 10,000 steps of 1 ms, symplectic Euler in a million of 10 ms",
+    criterion: "a pendulum's energy, by RK4, changes by at most 1e-8 of itself; by symplectic Euler its error neither grows nor \
+                has a trend: its mean over the last tenth is that over the first to within 1 % of its amplitude. Explicit \
+                Euler, judged alike, has one",
+    story: "Explicit Euler gains energy until something breaks, and a controller learns to live on it. RK4 loses little \
+            for long, symplectic methods lose nothing for ever; scenes choose with `integrator.method`, and `physgrad \
+            accuracy` tells what each costs. What remains: the energy of the double pendulum by RK4 drifts in chaos, as \
+            told",
+    run: energy,
+}];
+
+/// A pendulum of 1 m: x = [angle from hanging in rad, rate in rad/s].
+struct Pendulum;
+
+const GRAVITY: f64 = 9.81;
+
+impl Ode for Pendulum {
+    fn state_dim(&self) -> usize {
+        2
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
+        rate[0] = x[1];
+        rate[1] = u[0] - T::lift(GRAVITY) * x[0].sin();
+    }
+    fn velocity(&self, i: usize) -> Option<usize> {
+        (i == 0).then_some(1)
+    }
+}
+
+/// From far out, where a swing is no sine, at rest.
+const START: [f64; 2] = [2.0, 0.0];
+
+fn of_pendulum(x: &[f64]) -> f64 {
+    0.5 * x[1] * x[1] - GRAVITY * x[0].cos()
+}
+
+fn energy() -> Vec<Finding> {
+    let mut findings = vec![Finding::at_most(
+        "pendulum, RK4, 10 s: largest change of energy in relation to it",
+        drift(Pendulum, &START, &of_pendulum),
+        1e-8,
+    )];
+    let (double, chain) = (DoublePendulum::default(), PoleChain(CartPoleSystem { poles: 3, ..CartPoleSystem::default() }));
+    let horizontal = [1.57, 0.0, 1.57, 0.0];
+    for (name, drift) in [
+        ("double pendulum", drift(double, &horizontal, &|x| double.energy(x))),
+        ("chain of 3 poles", drift(chain, &[0.0, 0.0, 0.5, 0.0, 0.3, 0.0, 0.1, 0.0], &|x| chain.energy(x))),
+    ] {
+        findings.push(Finding::told(format!("{name}, RK4, 10 s: the same"), format!("{drift:.1e}")));
+    }
+    let long = tenths(SemiImplicit, 1_000_000);
+    findings.push(Finding::at_most("symplectic Euler, a million steps: trend in relation to the amplitude", long.trend, 0.01));
+    findings.push(Finding::at_most("its largest error in the last tenth over that in the first", long.growth, 1.01));
+    findings.push(Finding::told("its amplitude in relation to the energy", format!("{:.1e}", long.amplitude)));
+    let explicit = tenths(RungeKutta::EULER, 10_000);
+    findings.push(Finding::at_least("explicit Euler, 10,000 steps: trend in relation to the amplitude", explicit.trend, 0.1));
+    findings
+}
+
+/// The largest change of energy along 10 s of free motion in steps of 1 ms, in relation to the energy.
+fn drift<O: Ode>(ode: O, start: &[f64], energy: &dyn Fn(&[f64]) -> f64) -> f64 {
+    let system = Integrated { ode, integrator: RungeKutta::RK4, dt: 1e-3 };
+    let (mut x, mut next) = (start.to_vec(), start.to_vec());
+    let before = energy(start);
+    let mut largest: f64 = 0.0;
+    for _ in 0..10_000 {
+        step(&system, &x, &[0.0], &mut next);
+        std::mem::swap(&mut x, &mut next);
+        let change = (energy(&x) - before).abs();
+        // A NaN stays.
+        largest = if change <= largest { largest } else { change };
+    }
+    largest / before.abs()
+}
+
+/// The error of the energy in the first and in the last tenth of a rollout.
+struct Tenths {
+    /// Difference of the means, in units of half the range of all errors.
+    trend: f64,
+    /// Ratio of the largest.
+    growth: f64,
+    /// Half the range, in relation to the energy.
+    amplitude: f64,
+}
+
+fn tenths<I: Integrator>(integrator: I, steps: usize) -> Tenths {
+    let system = Integrated { ode: Pendulum, integrator, dt: 1e-2 };
+    let (mut x, mut next) = (START, START);
+    let before = of_pendulum(&x);
+    let (mut low, mut high): (f64, f64) = (0.0, 0.0);
+    let (mut sums, mut largest) = ([0.0; 10], [0.0_f64; 10]);
+    for t in 0..steps {
+        step(&system, &x, &[0.0], &mut next);
+        std::mem::swap(&mut x, &mut next);
+        let (error, tenth) = (of_pendulum(&x) - before, 10 * t / steps);
+        (low, high) = (low.min(error), high.max(error));
+        sums[tenth] += error;
+        largest[tenth] = largest[tenth].max(error.abs());
+    }
+    let amplitude = 0.5 * (high - low);
+    let trend = (sums[9] - sums[0]).abs() / (0.1 * steps as f64) / amplitude;
+    Tenths { trend, growth: largest[9] / largest[0], amplitude: amplitude / before.abs() }
+}

@@ -1,0 +1,137 @@
+//! Adjoints that explode or vanish far beyond the range of floats.
+
+use super::{Case, Finding};
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::engine::adjoint::Flow;
+use crate::engine::batch::Batch;
+use crate::engine::gradient::Gradient;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Float, Scalar};
+use crate::numbers::wide::Wide;
+use crate::policy::{Linear, Weights};
+use crate::train::field::Field;
+
+pub(super) const CASES: &[Case] = &[Case {
+    name: "exploding_adjoint",
+    about: "x' = a x + u, u = k x + b over 10,000 steps, a and a + k from -1.5 to 1.5, in f32 and f64; loss (x_T - 1)² / 2",
+    criterion: "R, M and C are those of a reference with 32-bit exponents: signs exactly, lengths to 1e-9 (f64) and 1e-2 (f32); a \
+                component is 0 only where that of the reference is",
+    story: "Elsewhere the adjoint overflows after 88 steps in f32 and 710 in f64 of a plant that grows by e a step, the \
+            gradient is NaN or is cut to something arbitrary, and C, which asks where M and R agree, is 0 without a \
+            word. Here λ and h of each sample carry a power of two, and the gradient has one too: signs are exact at any \
+            horizon in either precision, clipping by norm works on a gradient of 1e1761, and plain numbers keep their \
+            bits. What remains: numbers of one sample share an exponent, so of two decoupled states the one whose \
+            adjoint is 1e38 times smaller (f32) is lost; and a state that underflows is 0 before any adjoint sees it",
+    run: exploding_adjoint,
+}];
+
+const HORIZON: usize = 10_000;
+
+/// `x' = a x + u`.
+struct Plant {
+    a: f64,
+    start: f64,
+}
+
+impl System for Plant {
+    fn state_dim(&self) -> usize {
+        1
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    #[inline(always)]
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        next[0] = T::lift(self.a) * x[0] + u[0];
+    }
+}
+
+impl Task for Plant {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        HORIZON
+    }
+    fn start(&self, _rng: &mut Rng, x: &mut [f64]) {
+        x[0] = self.start;
+    }
+    #[inline(always)]
+    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        let miss = x[0] - T::one();
+        miss * miss * T::lift(0.5)
+    }
+}
+
+/// `[∂L/∂k, ∂L/∂b]` of a flow, with the states of the rollout in the precision of `F`, and adjoints in wide numbers.
+fn reference<F: Float>(plant: &Plant, gain: f64, flow: Flow) -> [Wide; 2] {
+    let mut states = vec![F::lift(plant.start)];
+    for t in 0..HORIZON {
+        states.push(F::lift(plant.a) * states[t] + F::lift(gain) * states[t]);
+    }
+    let factor = plant.a + if flow.control { gain } else { 0.0 };
+    let mut lambda = Wide::from(states[HORIZON].as_() - 1.0);
+    let mut sums = [Wide::default(); 2];
+    for t in (0..HORIZON).rev() {
+        sums = [sums[0] + lambda * states[t].as_(), sums[1] + lambda];
+        lambda = lambda * factor;
+    }
+    sums
+}
+
+fn exploding_adjoint() -> Vec<Finding> {
+    // [a, k, x_0]: states that neither explode nor vanish where it matters, adjoints of R and M that do.
+    let plants = [
+        [1.5, 0.0, 0.0],
+        [1.5, -0.5, 0.5],
+        [1.5, -1.0, 0.5],
+        [1.5, -3.0, 0.0],
+        [0.5, 0.0, 0.5],
+        [0.5, 0.5, 0.5],
+        [0.5, -1.5, 0.5],
+        [0.5, -2.0, 0.0],
+    ];
+    [of_precision::<f64>(&plants, 1e-9), of_precision::<f32>(&plants, 1e-2)].concat()
+}
+
+fn of_precision<F: Float>(plants: &[[f64; 3]], allowed: f64) -> Vec<Finding> {
+    let (mut right, mut all) = (0, 0);
+    let (mut worst, mut longest) = (0.0_f64, Wide::default());
+    for &[a, gain, start] in plants {
+        let plant = Plant { a, start };
+        let policy = Linear::with_bias(1, 1);
+        let weights = Weights::new(&policy, vec![F::lift(gain), F::zero()]);
+        let mut batch = Batch::new(&plant, &policy, 1, &Field::combined().flows(), 1);
+        if batch.run(&plant, &policy, &weights, &[F::lift(start)]).is_err() {
+            all += 6;
+            continue;
+        }
+        let mut combined = Gradient::zeros(2);
+        Field::combined().compose(batch.gradients(), &mut combined);
+        let [m, r] = [Flow::MODIFIED, Flow::REGULAR].map(|flow| reference::<F>(&plant, gain, flow));
+        let c = [0, 1].map(|i| if m[i].signum() == r[i].signum() { m[i] } else { Wide::default() });
+        for (found, expected) in [(&batch.gradients()[0], m), (&batch.gradients()[1], r), (&combined, c)] {
+            let sign = |g: f64| if g == 0.0 { 0.0 } else { g.signum() };
+            for (&value, expected) in found.values().iter().zip(expected) {
+                all += 1;
+                right += usize::from(sign(value.as_()) == expected.signum());
+            }
+            let largest = if expected[0].log10() > expected[1].log10() { expected[0] } else { expected[1] };
+            let i = usize::from(largest == expected[1]);
+            let value = Wide::new(found.values()[i].as_(), found.exponent());
+            if largest != Wide::default() {
+                worst = worst.max((10f64.powf(value.log10() - largest.log10()) - 1.0).abs());
+            }
+            if largest.log10() > longest.log10() {
+                longest = largest;
+            }
+        }
+    }
+    vec![
+        Finding::all(format!("components of R, M and C in {} with the right sign", F::NAME), right, all),
+        Finding::at_most(format!("relative error of their largest components in {}", F::NAME), worst, allowed),
+        Finding::told(format!("the largest among them in {}", F::NAME), longest.to_string()),
+    ]
+}

@@ -1,0 +1,148 @@
+//! A number that is none is named, and nothing is learned from it.
+
+use super::{Case, Finding};
+use crate::dynamics::cause::Cause;
+use crate::dynamics::effect::{Effect, Host, With};
+use crate::dynamics::task::Task;
+use crate::engine::adjoint::Flow;
+use crate::engine::batch::Batch;
+use crate::engine::divergence::{Divergence, Variable};
+use crate::numbers::rng::{Purpose, Rng, stream};
+use crate::numbers::scalar::Scalar;
+use crate::policy::{Linear, Weights};
+use crate::train::field::Field;
+use crate::train::{Trainer, Training};
+use rand::RngExt;
+
+pub(super) const CASES: &[Case] = &[Case {
+    name: "injected_nan",
+    about: "an effect that fails at one step of one sample: in its force, or in its derivative alone",
+    criterion: "step, sample, pass and effect are named exactly, for any number of workers; no parameter changes",
+    story: "Elsewhere a NaN is noticed in the loss, an epoch later, in all parameters. Here every step is tested, \
+            forward and back, at no cost that can be measured; what is found is named, to the effect whose force or \
+            derivative it is, the update is not taken, and training goes on, or stops by `max_skipped`. What remains: \
+            what a system of one's own computes inside is told as a component of the state",
+    run: injected_nan,
+}];
+
+/// A mass of 1 kg that is pushed along a line: `[place m, speed m/s]`, semi-implicit Euler.
+struct Pushed;
+
+const DT: f64 = 0.02;
+
+impl Host for Pushed {
+    type Body = Self;
+
+    fn body(&self) -> &Self {
+        self
+    }
+    fn state_dim(&self) -> usize {
+        2
+    }
+    fn control_dim(&self) -> usize {
+        1
+    }
+    fn dt(&self) -> f64 {
+        DT
+    }
+    #[inline(always)]
+    fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+        let mut force = [u[0]];
+        effects.act(self, x, &mut force);
+        next[1] = x[1] + force[0] * T::lift(DT);
+        next[0] = x[0] + next[1] * T::lift(DT);
+    }
+}
+
+/// Fails at one step in samples that start to the right of the others: its force, or its derivative alone.
+#[derive(Clone, Debug)]
+struct Injected {
+    step: usize,
+    in_derivative: bool,
+}
+
+impl Effect<Pushed> for Injected {
+    fn act<T: Scalar>(&self, _body: &Pushed, x: &[T], forces: &mut [T]) {
+        let nothing = if self.in_derivative { (x[1] - x[1].detach()).sqrt() } else { T::lift(f64::NAN) };
+        let late = (x[2] - T::lift(self.step as f64 * DT)).abs();
+        let here = T::select_lt(T::lift(50.0), x[0], nothing, T::zero());
+        forces[0] += T::select_lt(late, T::lift(0.5 * DT), here, T::zero());
+    }
+
+    fn clock(&self) -> Option<f64> {
+        Some(0.0)
+    }
+}
+
+/// Be at the origin.
+struct Return(With<Pushed, Injected>);
+
+impl Task for Return {
+    type System = With<Pushed, Injected>;
+
+    fn system(&self) -> &Self::System {
+        &self.0
+    }
+    fn horizon(&self) -> usize {
+        HORIZON
+    }
+    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+        x[0] = rng.random_range(-1.0..1.0);
+    }
+    #[inline(always)]
+    fn stage_cost<T: Scalar>(&self, x: &[T], _u: &[T]) -> T {
+        x[0] * x[0]
+    }
+}
+
+const SAMPLES: usize = 11;
+const HORIZON: usize = 30;
+
+fn injected_nan() -> Vec<Finding> {
+    let policy = Linear::with_bias(3, 1);
+    let weights = Weights::<f64>::new(&policy, vec![-0.5, -1.0, 0.1, 0.2]);
+    let field = Field::combined();
+    let (mut named, mut unchanged, mut all) = (0, 0, 0);
+    for (step, bad) in [(0, 0), (1, 10), (7, 3), (17, 8), (HORIZON - 1, 5)] {
+        for in_derivative in [false, true] {
+            let task = || Return(With { system: Pushed, effects: Injected { step, in_derivative } });
+            let starts: Vec<f64> = (0..SAMPLES)
+                .flat_map(|sample| {
+                    let mut x = [0.0; 3];
+                    task().start(&mut stream(0, Purpose::Train, sample as u64), &mut x);
+                    x[0] += if sample == bad { 100.0 } else { 0.0 };
+                    x
+                })
+                .collect();
+            let cause = Some(Cause::Effect("Injected"));
+            let is_named = |divergence: Divergence| match divergence {
+                Divergence::Forward { variable: Variable::State, step: at, sample, component, cause: found } => {
+                    !in_derivative && (at, sample, component, found) == (step + 1, bad, 0, cause)
+                }
+                Divergence::Cotangent {
+                    flow: Flow::MODIFIED,
+                    variable: Variable::State,
+                    step: at,
+                    sample,
+                    component,
+                    cause: found,
+                } => in_derivative && (at, sample, component, found) == (step, bad, 1, cause),
+                _ => false,
+            };
+            for workers in [1, 2, 8] {
+                let found =
+                    Batch::new(&task(), &policy, SAMPLES, &field.flows(), workers).run(&task(), &policy, &weights, &starts);
+                all += 1;
+                named += usize::from(found.err().is_some_and(is_named));
+                let training = Training { batch: SAMPLES, workers, ..Training::default() };
+                let trainer = Trainer::new(task(), policy.clone()).precision::<f64>().training(training);
+                let session = trainer.session_from(weights.theta().to_vec(), starts.clone(), starts.clone());
+                let same = session.is_ok_and(|mut session| {
+                    session.epoch().is_ok_and(|record| record.skipped == 1) && session.weights().theta() == weights.theta()
+                });
+                unchanged += usize::from(same);
+            }
+        }
+    }
+    vec![Finding::all("named exactly", named, all), Finding::all("without a change of the parameters", unchanged, all)]
+}

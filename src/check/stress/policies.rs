@@ -1,0 +1,70 @@
+//! Policies and angles far outside of where anything was trained.
+
+use super::{Case, Finding};
+use crate::check;
+use crate::numbers::rng::{Purpose, stream};
+use crate::numbers::scalar::Float;
+use crate::policy::{Mlp, Policy, PolicyColumns, PolicyPass, Weights};
+use crate::tasks::CartPoleSystem;
+use rand::RngExt;
+
+pub(super) const CASES: &[Case] = &[Case {
+    name: "saturated_policy",
+    about: "policy inputs of 1e6, weights times 1e3, angles of 1e6 rad",
+    criterion: "all is finite; a saturated tanh has a derivative of exactly 0; duals and VJP agree to 1e-12",
+    story: "Saturated layers give 0/0 or ∞ - ∞ where tanh is made of exponentials, and sines of large angles lose all \
+            digits where they are reduced carelessly. What remains: angles beyond 1e6 rad cost the time of the \
+            platform's library",
+    run: saturated_policy,
+}];
+
+fn saturated_policy() -> Vec<Finding> {
+    let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
+    let checked = check::try_system_at(&system, |rng, x, u| {
+        x.iter_mut().for_each(|x| *x = rng.random_range(-1.0..1.0));
+        (0..2).for_each(|pole| x[2 + 2 * pole] *= 1e6);
+        u[0] = rng.random_range(-1.0..1.0);
+    });
+    let (worst, told) = checked.map_or_else(|wrong| (f64::INFINITY, wrong.to_string()), |p| (p.worst, String::new()));
+    let mut findings = vec![Finding::at_most(format!("cart-pole at angles of 1e6 rad, VJP against duals{told}"), worst, 1e-12)];
+    findings.extend(saturated::<f32>());
+    findings.extend(saturated::<f64>());
+    findings
+}
+
+/// The batched passes of a policy whose inputs or weights are far too large.
+fn saturated<F: Float>() -> [Finding; 2] {
+    let policy = Mlp::new([4, 32, 32, 1]);
+    let (columns, x) = (8, [1e6, -2e6, 3e6, 1.5e6]);
+    let mut saturated = [true; 2];
+    let mut finite = true;
+    for (case, (of_weights, of_inputs)) in [(1.0, 1.0), (1e3, 1e-6)].into_iter().enumerate() {
+        let mut weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Check, 0));
+        weights.update(&policy, |theta| theta.iter_mut().for_each(|t| *t *= F::lift(of_weights)));
+        let x: Vec<F> = (0..columns).flat_map(|c| x.map(|x| F::lift(x * of_inputs * (1.0 + 0.1 * c as f64)))).collect();
+        let sizes = policy.sizes::<F>(columns);
+        let zeros = |len: usize| vec![F::zero(); len];
+        let (mut tape, mut u, mut tape_bar) = (zeros(sizes.tape), zeros(columns), zeros(sizes.tape_bar));
+        let mut x_bar = vec![F::lift(f64::NAN); 4 * columns];
+        let pass = PolicyPass { packed: weights.packed(), at: PolicyColumns::range(0..columns), x: &x };
+        policy.forward(pass, &mut tape, &mut u);
+        policy.backward(pass, &tape, &vec![F::one(); columns], &mut tape_bar, Some(&mut x_bar));
+        finite &= u.iter().chain(&x_bar).all(|x| x.as_().is_finite());
+        // A few units of the second layer may be in their linear range; with inputs of 1e6, none of the first is.
+        saturated[case] = x_bar.iter().all(|&x_bar| x_bar == F::zero());
+    }
+    [
+        Finding::holds(
+            format!("controls and derivatives in {}", F::NAME),
+            "finite",
+            finite,
+            if finite { "finite" } else { "not" },
+        ),
+        Finding::holds(
+            format!("∂N/∂x at inputs of 1e6 in {}", F::NAME),
+            "exactly 0",
+            saturated[0],
+            if saturated[0] { "exactly 0" } else { "not 0" },
+        ),
+    ]
+}

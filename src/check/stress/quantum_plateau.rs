@@ -1,0 +1,52 @@
+//! A target that has nothing in common with where one starts.
+
+use super::{Case, Finding};
+use crate::check::{self, Plateau};
+use crate::dynamics::task::Task;
+use crate::numbers::rng::{Purpose, stream};
+use crate::policy::{Mlp, Weights};
+use crate::tasks::{LossMode, Quantum};
+
+pub(super) const CASES: &[Case] = &[Case {
+    name: "quantum_plateau",
+    about: "zero overlap with the target and zero control, by a policy whose last kernel is 0",
+    criterion: "the gradient is finite, smaller than 1e-6 of that of neighbouring parameters, and reported as a plateau in \
+                words; from a start with overlap it is not",
+    story: "Where the start has no overlap with the target, and nothing moves it, the gradient is 0 to rounding, and an \
+            optimizer that divides by its length, as Adam does, follows noise. `check::plateau` compares a gradient with \
+            those of neighbouring parameters and says plateau, minimum or slope. The paper's own start for eigenstate 3, \
+            with a zeroed last kernel, is such a plateau; runs leave it by rounding. What remains: training does not ask \
+            by itself",
+    run: quantum_plateau,
+}];
+
+/// From random phases of eigenstates 1 and 2, as they are weighted.
+fn look(target: usize, weighting: [f64; 2], loss: LossMode) -> Option<Plateau> {
+    let task = Quantum { weighting, loss, ..Quantum::new(target) };
+    let policy = Mlp::new([64, 16, 1]).zero_last(true);
+    let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
+    let mut starts = vec![0.0; 8 * 64];
+    for (i, x) in starts.chunks_exact_mut(64).enumerate() {
+        task.start(&mut stream(0, Purpose::Train, i as u64), x);
+    }
+    check::plateau(&task, &policy, &weights, &starts).ok()
+}
+
+fn quantum_plateau() -> Vec<Finding> {
+    let mut findings = Vec::new();
+    for loss in [LossMode::Final, LossMode::Continuous] {
+        for (what, target, weighting, stuck) in [
+            ("from 1 to 2", 2, [1.0, 0.0], true),
+            ("from 1 to 3", 3, [1.0, 0.0], true),
+            ("from 1 and 2 to 3, as in the paper", 3, [1.0, 1.0], true),
+            ("from 1 and 2 to 2", 2, [1.0, 1.0], false),
+        ] {
+            let asked = if stuck { "finite, and a plateau" } else { "finite, and a slope" };
+            let found = look(target, weighting, loss);
+            let said = found.map_or("not finite".into(), |found| found.to_string());
+            let pass = said.starts_with(if stuck { "a plateau" } else { "a slope" });
+            findings.push(Finding::holds(format!("{what}, {loss:?}"), asked, pass, said));
+        }
+    }
+    findings
+}

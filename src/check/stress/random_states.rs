@@ -1,0 +1,162 @@
+//! Gradients at very many random states.
+
+use super::steps::{error, finite, larger, vjp_by_jvps};
+use super::{Case, Finding};
+use crate::engine::any::{AnySystem, vjp};
+use crate::numbers::rng::{Purpose, Rng, stream};
+use crate::numbers::scalar::Float;
+use crate::tasks::{
+    BouncingBall, CartPoleSystem, Contact, CoupledCartPole, FrictionScheme, GuidanceSystem, QuantumSystem, Renormalized,
+    SliderSystem, TwoBodies,
+};
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+
+pub(super) const CASES: &[Case] = &[Case {
+    name: "random_states",
+    about: "one step and its VJP at 10,000 random states of every task, in f64 and f32",
+    criterion: "all is finite; duals and VJP agree to 1e-12 in f64, and in f32 to 64 ε (1 + κ), where ε is its rounding and \
+                κ what a derivative changes by, as a share, per relative change of the state (measured in f64 at every \
+                state)",
+    story: "Derivatives are usually tested at the few states somebody thought of. What remains: tasks whose VJP is by \
+            duals are compared with themselves here; closed forms and differences hold those in `tests/hard_contacts.rs`",
+    run: random_states,
+}];
+
+const STATES: u64 = 10_000;
+
+fn random_states() -> Vec<Finding> {
+    let poles = |poles: usize| CartPoleSystem { poles, ..CartPoleSystem::default() };
+    let coupled = CoupledCartPole(poles(4));
+    let herding = GuidanceSystem::default().herding();
+    let quantum = QuantumSystem { grid: 16, ..QuantumSystem::default() };
+    let explicit = SliderSystem { scheme: FrictionScheme::Explicit, ..SliderSystem::default() };
+    let spring = Contact::Penalty { stiffness: 1e4, damping: 0.5 };
+    let ball = BouncingBall::default();
+    [
+        of("cart-pole, 1 pole", &poles(1), wide),
+        of("cart-pole, 4 poles", &poles(4), wide),
+        of("coupled cart-pole, 4 poles", &coupled, wide),
+        of("guidance, 2 drivers and 4 evaders", &herding, wide),
+        of("quantum, 16 points", &quantum, wave),
+        of("quantum, 16 points, renormalized", &Renormalized { system: quantum }, wave),
+        of("slider, explicit", &explicit, sliding),
+        of("slider, implicit", &SliderSystem::default(), sliding),
+        of("ball, time of impact", &ball, falling),
+        of("ball, spring", &BouncingBall { contact: spring, ..ball }, falling),
+        of("pusher, time of impact", &TwoBodies::pusher(), meeting),
+        of("balls, spring", &TwoBodies { contact: spring, ..TwoBodies::balls() }, meeting),
+    ]
+    .concat()
+}
+
+fn normal(rng: &mut Rng) -> f64 {
+    StandardNormal.sample(rng)
+}
+
+/// Either sign, and any size between two powers of ten.
+fn any_size(rng: &mut Rng, from: f64, to: f64) -> f64 {
+    10f64.powf(rng.random_range(from..to)) * if rng.random() { 1.0 } else { -1.0 }
+}
+
+fn wide(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
+    x.iter_mut().chain(u).for_each(|x| *x = 3.0 * normal(rng));
+}
+
+fn wave(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
+    x.iter_mut().for_each(|x| *x = normal(rng));
+    let norm = x.iter().map(|x| x * x).sum::<f64>().sqrt();
+    x.iter_mut().for_each(|x| *x /= norm);
+    u[0] = rng.random_range(-30.0..30.0);
+}
+
+fn sliding(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
+    (x[0], x[1], u[0]) = (normal(rng), any_size(rng, -9.0, 1.0), 10.0 * normal(rng));
+}
+
+/// Over the floor at any height, or on it and perhaps at rest.
+fn falling(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
+    let on_floor = rng.random_bool(0.1);
+    x[0] = if on_floor { 0.0 } else { any_size(rng, -6.0, 0.5).abs() };
+    x[1] = if on_floor && rng.random() { 0.0 } else { any_size(rng, -6.0, 1.0) };
+    u[0] = 10.0 * normal(rng);
+}
+
+fn meeting(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
+    x[0] = normal(rng);
+    x[1] = x[0] + 0.1 + if rng.random_bool(0.1) { 0.0 } else { any_size(rng, -6.0, 0.5).abs() };
+    (x[2], x[3], u[0]) = (normal(rng), normal(rng), 10.0 * normal(rng));
+}
+
+type Draw = fn(&mut Rng, &mut [f64], &mut [f64]);
+
+/// A state, a control and a cotangent.
+struct Inputs<F> {
+    x: Vec<F>,
+    u: Vec<F>,
+    bar: Vec<F>,
+}
+
+/// What a pass finds at one state.
+struct Found {
+    finite: bool,
+    error: f64,
+}
+
+/// In either precision.
+trait Either: AnySystem<f64> + AnySystem<f32> {}
+
+impl<S: AnySystem<f64> + AnySystem<f32>> Either for S {}
+
+fn of(name: &str, system: &dyn Either, draw: Draw) -> Vec<Finding> {
+    let (double, single): (&dyn AnySystem<f64>, &dyn AnySystem<f32>) = (system, system);
+    let (mut finite, mut worst) = ([0, 0], [0.0, 0.0]);
+    for index in 0..STATES {
+        let mut rng = stream(0, Purpose::Check, index);
+        let (mut x, mut u) = (vec![0.0; double.state_dim()], vec![0.0; double.control_dim()]);
+        draw(&mut rng, &mut x, &mut u);
+        let bar = x.iter().map(|_| normal(&mut rng)).collect();
+        let inputs = Inputs { x, u, bar };
+        let condition = condition(double, &inputs, &mut rng);
+        let (of_double, of_single) = (at(double, &inputs), at(single, &rounded(&inputs)));
+        finite[0] += usize::from(of_double.finite);
+        finite[1] += usize::from(of_single.finite);
+        worst[0] = larger(worst[0], of_double.error);
+        worst[1] = larger(worst[1], of_single.error / (64.0 * f64::from(f32::EPSILON) * (1.0 + condition)));
+    }
+    let all = STATES as usize;
+    vec![
+        Finding::all(format!("{name}: states at which all is finite, f64"), finite[0], all),
+        Finding::all(format!("{name}: states at which all is finite, f32"), finite[1], all),
+        Finding::at_most(format!("{name}: VJP against duals, f64"), worst[0], 1e-12),
+        Finding::at_most(format!("{name}: VJP against duals, f32, in 64 ε (1 + κ)"), worst[1], 1.0),
+    ]
+}
+
+fn rounded(inputs: &Inputs<f64>) -> Inputs<f32> {
+    let single = |v: &[f64]| v.iter().map(|&v| v as f32).collect();
+    Inputs { x: single(&inputs.x), u: single(&inputs.u), bar: single(&inputs.bar) }
+}
+
+fn reverse<F: Float>(system: &dyn AnySystem<F>, inputs: &Inputs<F>) -> [Vec<F>; 2] {
+    vjp(system, &inputs.x, &inputs.u, &inputs.bar)
+}
+
+fn at<F: Float>(system: &dyn AnySystem<F>, inputs: &Inputs<F>) -> Found {
+    let Inputs { x, u, bar } = inputs;
+    let mut next = x.clone();
+    system.step(x, u, &mut next);
+    let [x_bar, u_bar] = reverse(system, inputs);
+    let [x_dual, u_dual] = vjp_by_jvps(system, x, u, bar);
+    let finite = [&next, &x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|v| finite(v));
+    // The state's and the control's together: one of a single component may vanish by chance.
+    Found { finite, error: error(&[x_bar, u_bar].concat(), &[x_dual, u_dual].concat()) }
+}
+
+/// κ: what the VJP changes by, as a share, per relative change of the state, in a random direction.
+fn condition(system: &dyn AnySystem<f64>, inputs: &Inputs<f64>, rng: &mut Rng) -> f64 {
+    const BY: f64 = 1e-7;
+    let mut moved = |v: &[f64]| v.iter().map(|v| v * (1.0 + if rng.random() { BY } else { -BY })).collect::<Vec<f64>>();
+    let near = Inputs { x: moved(&inputs.x), u: moved(&inputs.u), bar: inputs.bar.clone() };
+    error(&reverse(system, &near).concat(), &reverse(system, inputs).concat()) / BY
+}

@@ -1,0 +1,66 @@
+//! Steps one after the other, and back.
+
+use crate::engine::any::{AnySystem, vjp};
+use crate::numbers::scalar::Float;
+
+/// The states `x_0 .. x_T` under a control that is the same in every step.
+pub(super) fn states(system: &dyn AnySystem<f64>, start: &[f64], u: f64, steps: usize) -> Vec<Vec<f64>> {
+    let mut states = vec![start.to_vec()];
+    for _ in 0..steps {
+        let mut next = vec![0.0; start.len()];
+        system.step(&states[states.len() - 1], &[u], &mut next);
+        states.push(next);
+    }
+    states
+}
+
+/// The derivative of a component of the last state by the start, and by a control that is the same in every step.
+pub(super) fn derivative(system: &dyn AnySystem<f64>, states: &[Vec<f64>], u: f64, component: usize) -> (Vec<f64>, f64) {
+    let n = states[0].len();
+    let (mut bar, mut u_bar) = (vec![0.0; n], 0.0);
+    bar[component] = 1.0;
+    for x in states[..states.len() - 1].iter().rev() {
+        let [x_bar, part] = vjp(system, x, &[u], &bar);
+        bar = x_bar;
+        u_bar += part[0];
+    }
+    (bar, u_bar)
+}
+
+/// `(∂S/∂x)ᵀ bar` and `(∂S/∂u)ᵀ bar` in forward mode, one component after the other.
+pub(super) fn vjp_by_jvps<F: Float>(system: &dyn AnySystem<F>, x: &[F], u: &[F], bar: &[F]) -> [Vec<F>; 2] {
+    let mut next = x.to_vec();
+    let mut along = |len: usize, jvp: &dyn Fn(&[F], &mut [F])| -> Vec<F> {
+        let component = |i: usize| {
+            let mut tangent = vec![F::zero(); len];
+            tangent[i] = F::one();
+            jvp(&tangent, &mut next);
+            next.iter().zip(bar).fold(F::zero(), |sum, (&next, &bar)| sum + next * bar)
+        };
+        (0..len).map(component).collect()
+    };
+    [
+        along(x.len(), &|tangent, next| system.jvp_state(x, u, tangent, next)),
+        along(u.len(), &|tangent, next| system.jvp_control(x, u, tangent, next)),
+    ]
+}
+
+/// Whether all of them are finite.
+pub(super) fn finite<F: Float>(numbers: &[F]) -> bool {
+    numbers.iter().all(|number| number.as_().is_finite())
+}
+
+/// The larger of two errors. One that is not a number is larger than any.
+pub(super) fn larger(a: f64, b: f64) -> f64 {
+    if a.is_nan() || b.is_nan() { f64::INFINITY } else { a.max(b) }
+}
+
+/// The largest difference of two components, in relation to the largest of what is expected.
+pub(super) fn error<F: Float>(found: &[F], expected: &[F]) -> f64 {
+    let (mut scale, mut worst) = (0.0, 0.0f64);
+    for (found, expected) in found.iter().zip(expected) {
+        scale = f64::max(scale, expected.as_().abs());
+        worst = larger(worst, (found.as_() - expected.as_()).abs());
+    }
+    if scale > 0.0 { worst / scale } else { worst }
+}

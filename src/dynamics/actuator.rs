@@ -1,0 +1,242 @@
+//! [`Actuator`]: what stands between the policy's control and the system's.
+
+mod chain;
+mod kinds;
+
+pub use kinds::{AnyActuator, Delay, Lag, Limit, LimitKind};
+
+use crate::dynamics::cause::Cause;
+use crate::dynamics::effect::Around;
+use crate::dynamics::system::System;
+use crate::numbers::forward_mode::{concat, jacobian};
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+use crate::numbers::zip::zip;
+use smallvec::{SmallVec, smallvec};
+
+/// Controls that are worked on without allocating; more of them allocate in every step.
+const STACK: usize = 8;
+type Controls<T> = SmallVec<[T; STACK]>;
+
+/// What stands between the policy's control `u` and the control `out` that the system gets: a limit, a lag, a delay.
+///
+/// `()` is nothing, a pair is one after the other, a `Vec` is a chain chosen while the program runs. It may have state of
+/// its own, which starts at 0. Only [`step`](Actuator::step) must be written.
+///
+/// Shapes: `u` and `out` have as many entries as the system has controls, `own` and `own_next`
+/// [`state_dim`](Actuator::state_dim).
+pub trait Actuator: Clone + Send + Sync {
+    /// Number of state components it adds, for a system with so many controls.
+    fn state_dim(&self, controls: usize) -> usize;
+
+    /// Writes its next state and the system's control.
+    fn step<T: Scalar>(&self, own: &[T], u: &[T], own_next: &mut [T], out: &mut [T]);
+
+    /// The cotangents that are asked for, from those of its next state and of the system's control; overwrites them.
+    /// Exact by duals until it is written by hand for speed.
+    #[inline(always)]
+    fn reverse<R: Real, C: Cotangent<R>>(
+        &self,
+        own: &[R],
+        u: &[R],
+        next_bar: Bars<'_, C>,
+        own_bar: Option<&mut [C]>,
+        u_bar: Option<&mut [C]>,
+    ) {
+        reverse_by_duals(self, own, u, next_bar, own_bar, u_bar);
+    }
+}
+
+/// The cotangents with which the reverse of an [`Actuator`] begins.
+#[derive(Clone, Copy, Debug)]
+pub struct Bars<'a, C> {
+    /// Of its next state.
+    pub own: &'a [C],
+    /// Of the system's control.
+    pub out: &'a [C],
+}
+
+/// [`Actuator::reverse`] of any actuator, exact, from `step` alone.
+#[inline]
+fn reverse_by_duals<A: Actuator, R: Real, C: Cotangent<R>>(
+    actuator: &A,
+    own: &[R],
+    u: &[R],
+    next_bar: Bars<'_, C>,
+    mut own_bar: Option<&mut [C]>,
+    mut u_bar: Option<&mut [C]>,
+) {
+    let (n, m) = (own.len(), u.len());
+    let wrt = if own_bar.is_some() { 0 } else { n }..if u_bar.is_some() { n + m } else { n };
+    let step = |x: &[_], next: &mut [_]| {
+        let (own_next, out) = next.split_at_mut(n);
+        actuator.step(&x[..n], &x[n..], own_next, out);
+    };
+    jacobian(&concat(own, u), wrt, n + m, step, |i, column: &[R]| {
+        let mut bar = C::null();
+        for (&next_bar, &slope) in zip(next_bar.own.iter().chain(next_bar.out), column) {
+            bar += next_bar * slope;
+        }
+        // Only what is asked for is visited.
+        let side = if i < n { own_bar.as_deref_mut() } else { u_bar.as_deref_mut() };
+        side.into_iter().for_each(|side| side[if i < n { i } else { i - n }] = bar);
+    });
+}
+
+/// Nothing: the policy's control is the system's.
+impl Actuator for () {
+    fn state_dim(&self, _controls: usize) -> usize {
+        0
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, _own: &[T], u: &[T], _own_next: &mut [T], out: &mut [T]) {
+        out.copy_from_slice(u);
+    }
+
+    #[inline(always)]
+    fn reverse<R: Real, C: Cotangent<R>>(
+        &self,
+        _own: &[R],
+        _u: &[R],
+        next_bar: Bars<'_, C>,
+        _own_bar: Option<&mut [C]>,
+        u_bar: Option<&mut [C]>,
+    ) {
+        if let Some(u_bar) = u_bar {
+            u_bar.copy_from_slice(next_bar.out);
+        }
+    }
+}
+
+/// The first, then the second.
+impl<A: Actuator, B: Actuator> Actuator for (A, B) {
+    fn state_dim(&self, controls: usize) -> usize {
+        self.0.state_dim(controls) + self.1.state_dim(controls)
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, own: &[T], u: &[T], own_next: &mut [T], out: &mut [T]) {
+        let n = self.0.state_dim(u.len());
+        let mut between: Controls<T> = SmallVec::from_slice(u);
+        self.0.step(&own[..n], u, &mut own_next[..n], &mut between);
+        self.1.step(&own[n..], &between, &mut own_next[n..], out);
+    }
+
+    #[inline(always)]
+    fn reverse<R: Real, C: Cotangent<R>>(
+        &self,
+        own: &[R],
+        u: &[R],
+        next_bar: Bars<'_, C>,
+        own_bar: Option<&mut [C]>,
+        u_bar: Option<&mut [C]>,
+    ) {
+        let n = self.0.state_dim(u.len());
+        let mut between: Controls<R> = SmallVec::from_slice(u);
+        let mut own_next: SmallVec<[R; 4 * STACK]> = smallvec![R::zero(); n];
+        self.0.step(&own[..n], u, &mut own_next, &mut between);
+        let mut between_bar: Controls<C> = smallvec![C::null(); u.len()];
+        let (first, second) = match own_bar {
+            Some(own_bar) => {
+                let (first, second) = own_bar.split_at_mut(n);
+                (Some(first), Some(second))
+            }
+            None => (None, None),
+        };
+        let bars = Bars { own: &next_bar.own[n..], out: next_bar.out };
+        self.1.reverse(&own[n..], &between, bars, second, Some(&mut between_bar));
+        self.0.reverse(&own[..n], u, Bars { own: &next_bar.own[..n], out: &between_bar }, first, u_bar);
+    }
+}
+
+/// A system behind an actuator.
+///
+/// State: the system's, then the actuator's own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Actuated<S, A> {
+    /// The system that gets the actuator's control.
+    pub system: S,
+    /// `()` for none, a pair for one after the other.
+    pub actuator: A,
+}
+
+impl<S: System, A: Actuator> Actuated<S, A> {
+    /// The system's control.
+    #[inline(always)]
+    fn control<R: Real>(&self, own: &[R], u: &[R]) -> Controls<R> {
+        let mut out: Controls<R> = SmallVec::from_slice(u);
+        let mut own_next: SmallVec<[R; 4 * STACK]> = SmallVec::from_slice(own);
+        self.actuator.step(own, u, &mut own_next, &mut out);
+        out
+    }
+}
+
+impl<S: System, A: Actuator> System for Actuated<S, A> {
+    fn state_dim(&self) -> usize {
+        self.system.state_dim() + self.actuator.state_dim(self.system.control_dim())
+    }
+
+    fn control_dim(&self) -> usize {
+        self.system.control_dim()
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        let n = self.system.state_dim();
+        let mut out: Controls<T> = SmallVec::from_slice(u);
+        let (next, own_next) = next.split_at_mut(n);
+        self.actuator.step(&x[n..], u, own_next, &mut out);
+        self.system.step(&x[..n], &out, next);
+    }
+
+    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        let (x, own) = x.split_at(self.system.state_dim());
+        self.system.cause(x, &self.control(own, u))
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        let (x, own) = x.split_at(self.system.state_dim());
+        let ((next_bar, own_next_bar), (x_bar, own_bar)) = (next_bar.split_at(x.len()), x_bar.split_at_mut(x.len()));
+        let mut out_bar: Controls<C> = smallvec![C::null(); u.len()];
+        self.system.vjp(x, &self.control(own, u), next_bar, x_bar, &mut out_bar);
+        self.actuator.reverse(own, u, Bars { own: own_next_bar, out: &out_bar }, Some(own_bar), Some(u_bar));
+    }
+
+    #[inline(always)]
+    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
+        let (x, own) = x.split_at(self.system.state_dim());
+        let ((next_bar, own_next_bar), (x_bar, own_bar)) = (next_bar.split_at(x.len()), x_bar.split_at_mut(x.len()));
+        let control = self.control(own, u);
+        if own.is_empty() {
+            return self.system.vjp_state(x, &control, next_bar, x_bar);
+        }
+        let mut out_bar: Controls<C> = smallvec![C::null(); u.len()];
+        self.system.vjp(x, &control, next_bar, x_bar, &mut out_bar);
+        self.actuator.reverse(own, u, Bars { own: own_next_bar, out: &out_bar }, Some(own_bar), None);
+    }
+
+    #[inline(always)]
+    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
+        let (x, own) = x.split_at(self.system.state_dim());
+        let (next_bar, own_next_bar) = next_bar.split_at(x.len());
+        let mut out_bar: Controls<C> = smallvec![C::null(); u.len()];
+        self.system.vjp_control(x, &self.control(own, u), next_bar, &mut out_bar);
+        self.actuator.reverse(own, u, Bars { own: own_next_bar, out: &out_bar }, None, Some(u_bar));
+    }
+}
+
+impl<B, S: Around<B>, A: Actuator> Around<B> for Actuated<S, A> {
+    #[inline(always)]
+    fn body(&self) -> &B {
+        self.system.body()
+    }
+
+    /// The actuator's own state starts at 0.
+    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
+        let (x, own) = x.split_at_mut(self.system.state_dim());
+        self.system.start_beyond(rng, x);
+        own.fill(0.0);
+    }
+}

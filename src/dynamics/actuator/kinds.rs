@@ -1,0 +1,207 @@
+//! The actuators there are.
+
+use super::{Actuator, Bars};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::zip::zip;
+use serde::{Deserialize, Serialize};
+
+/// A limit on the size of every control.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Limit {
+    /// The largest size, in the units of the control; positive.
+    pub bound: f64,
+    /// How it is reached.
+    #[serde(default)]
+    pub kind: LimitKind,
+}
+
+/// How a [`Limit`] is reached.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum LimitKind {
+    /// `bound tanh(u / bound)`: a policy that asks for too much still has a gradient, if a small one.
+    #[default]
+    Smooth,
+    /// `u`, cut off at ±bound: exact below it, and no gradient beyond it.
+    Hard,
+}
+
+impl Actuator for Limit {
+    fn state_dim(&self, _controls: usize) -> usize {
+        0
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, _own: &[T], u: &[T], _own_next: &mut [T], out: &mut [T]) {
+        let bound = T::lift(self.bound);
+        for (out, &u) in zip(out.iter_mut(), u) {
+            *out = match self.kind {
+                LimitKind::Smooth => bound * (u * T::lift(1.0 / self.bound)).tanh(),
+                LimitKind::Hard => u.min(bound).max(-bound),
+            };
+        }
+    }
+
+    #[inline(always)]
+    fn reverse<R: Real, C: Cotangent<R>>(
+        &self,
+        _own: &[R],
+        u: &[R],
+        next_bar: Bars<'_, C>,
+        _own_bar: Option<&mut [C]>,
+        u_bar: Option<&mut [C]>,
+    ) {
+        for ((u_bar, &out_bar), &u) in zip(zip(u_bar.into_iter().flatten(), next_bar.out), u) {
+            *u_bar = match self.kind {
+                LimitKind::Smooth => {
+                    let share = (u * R::lift(1.0 / self.bound)).tanh();
+                    out_bar * (R::one() - share * share)
+                }
+                LimitKind::Hard => out_bar * R::select_lt(u.abs(), R::lift(self.bound), R::one(), R::zero()),
+            };
+        }
+    }
+}
+
+/// An actuator that follows the policy with a lag of first order: `ḟ = (u - f) / time`, solved exactly over a step, at
+/// whose end the system gets it. Adds `f` to the state, one number a control.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lag {
+    /// The share of `u - f` that is made up in one step.
+    share: f64,
+}
+
+impl Lag {
+    /// With this time constant, for steps of this length, both in s.
+    pub fn new(time: f64, dt: f64) -> Self {
+        Self { share: -(-dt / time).exp_m1() }
+    }
+}
+
+impl Actuator for Lag {
+    fn state_dim(&self, controls: usize) -> usize {
+        controls
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, own: &[T], u: &[T], own_next: &mut [T], out: &mut [T]) {
+        let share = T::lift(self.share);
+        for (((own_next, out), &own), &u) in zip(zip(zip(own_next.iter_mut(), out), own), u) {
+            *own_next = own + (u - own) * share;
+            *out = *own_next;
+        }
+    }
+
+    #[inline(always)]
+    fn reverse<R: Real, C: Cotangent<R>>(
+        &self,
+        _own: &[R],
+        _u: &[R],
+        next_bar: Bars<'_, C>,
+        own_bar: Option<&mut [C]>,
+        u_bar: Option<&mut [C]>,
+    ) {
+        let bars = || zip(next_bar.own.iter(), next_bar.out);
+        let (share, rest) = (R::lift(self.share), R::lift(1.0 - self.share));
+        for (own_bar, (&own, &out)) in zip(own_bar.into_iter().flatten(), bars()) {
+            *own_bar = (own + out) * rest;
+        }
+        for (u_bar, (&own, &out)) in zip(u_bar.into_iter().flatten(), bars()) {
+            *u_bar = (own + out) * share;
+        }
+    }
+}
+
+/// The system gets the control of `steps` steps ago, and 0 before that. Adds the controls under way to the state, the
+/// oldest first.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Delay {
+    /// Steps from policy to system, at least 1.
+    pub steps: usize,
+}
+
+impl Actuator for Delay {
+    fn state_dim(&self, controls: usize) -> usize {
+        self.steps * controls
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, own: &[T], u: &[T], own_next: &mut [T], out: &mut [T]) {
+        let (oldest, waiting) = own.split_at(u.len());
+        out.copy_from_slice(oldest);
+        let (moved_up, newest) = own_next.split_at_mut(waiting.len());
+        moved_up.copy_from_slice(waiting);
+        newest.copy_from_slice(u);
+    }
+
+    #[inline(always)]
+    fn reverse<R: Real, C: Cotangent<R>>(
+        &self,
+        own: &[R],
+        u: &[R],
+        next_bar: Bars<'_, C>,
+        own_bar: Option<&mut [C]>,
+        u_bar: Option<&mut [C]>,
+    ) {
+        let (moved_up, newest) = next_bar.own.split_at(own.len() - u.len());
+        if let Some(own_bar) = own_bar {
+            let (oldest, waiting) = own_bar.split_at_mut(u.len());
+            oldest.copy_from_slice(next_bar.out);
+            waiting.copy_from_slice(moved_up);
+        }
+        if let Some(u_bar) = u_bar {
+            u_bar.copy_from_slice(newest);
+        }
+    }
+}
+
+/// Any of them, for chains that are chosen while the program runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum AnyActuator {
+    /// [`Limit`].
+    Limit(Limit),
+    /// [`Delay`].
+    Delay(Delay),
+    /// [`Lag`].
+    Lag(Lag),
+}
+
+impl Actuator for AnyActuator {
+    fn state_dim(&self, controls: usize) -> usize {
+        match self {
+            Self::Limit(limit) => limit.state_dim(controls),
+            Self::Delay(delay) => delay.state_dim(controls),
+            Self::Lag(lag) => lag.state_dim(controls),
+        }
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, own: &[T], u: &[T], own_next: &mut [T], out: &mut [T]) {
+        match self {
+            Self::Limit(limit) => limit.step(own, u, own_next, out),
+            Self::Delay(delay) => delay.step(own, u, own_next, out),
+            Self::Lag(lag) => lag.step(own, u, own_next, out),
+        }
+    }
+
+    #[inline(always)]
+    fn reverse<R: Real, C: Cotangent<R>>(
+        &self,
+        own: &[R],
+        u: &[R],
+        next_bar: Bars<'_, C>,
+        own_bar: Option<&mut [C]>,
+        u_bar: Option<&mut [C]>,
+    ) {
+        match self {
+            Self::Limit(limit) => limit.reverse(own, u, next_bar, own_bar, u_bar),
+            Self::Delay(delay) => delay.reverse(own, u, next_bar, own_bar, u_bar),
+            Self::Lag(lag) => lag.reverse(own, u, next_bar, own_bar, u_bar),
+        }
+    }
+}

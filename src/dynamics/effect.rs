@@ -1,0 +1,336 @@
+//! [`Effect`]: an optional piece of physics, and the systems it acts in.
+//!
+//! What is in play is part of a system's type: `()` is nothing, a tuple is several effects. An effect that is absent is
+//! absent code: no branch, no state, no stored byte, no operation.
+
+mod list;
+mod tuples;
+mod without;
+
+use crate::dynamics::cause::Cause;
+use crate::dynamics::system::{System, Wrt, vjp_by_duals};
+use crate::numbers::forward_mode::jacobian;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Columns, Cotangent, Float, Real, Scalar};
+use crate::numbers::zip::zip;
+pub(crate) use list::{Act, ActBack, any_effect};
+use rand::RngExt;
+use std::fmt::Debug;
+pub(crate) use without::system_without_effects;
+
+/// An optional piece of physics that adds to the forces of a system, or to its Hamiltonian.
+///
+/// `B` is what it knows of the system: sizes, masses, lengths. The system's documentation says what its state and its
+/// forces are. Only [`act`](Effect::act) must be written; the derivative is exact by dual numbers until it is written by
+/// hand for speed, and [`check::system`](crate::check::system) of a system with the effect compares the two.
+///
+/// ```
+/// use physgrad::tasks::CartPoleSystem;
+/// use physgrad::{Effect, Scalar, With, check};
+///
+/// /// A spring that pulls the cart to the middle: F = -stiffness x.
+/// #[derive(Clone, Debug)]
+/// struct Spring { stiffness: f64 }
+///
+/// impl Effect<CartPoleSystem> for Spring {
+///     fn act<T: Scalar>(&self, _body: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+///         forces[0] -= x[0] * T::lift(self.stiffness);
+///     }
+/// }
+///
+/// let system = With { system: CartPoleSystem::default(), effects: Spring { stiffness: 3.0 } };
+/// check::system(&system);
+/// ```
+pub trait Effect<B>: Clone + Debug + Send + Sync {
+    /// Adds the effect's own forces to `forces`, at the state `x`.
+    ///
+    /// Mark it `#[inline(always)]` to have it compiled for AVX2 where there is AVX2.
+    fn act<T: Scalar>(&self, body: &B, x: &[T], forces: &mut [T]);
+
+    /// `x_bar += (∂forces/∂x)ᵀ forces_bar`. Adds; does not overwrite.
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        effect_vjp_by_duals(self, body, x, forces_bar, x_bar);
+    }
+
+    /// As [`act`](Effect::act), where the system has worked out something about the state already that the effect can use,
+    /// for speed: sines and cosines of angles, for instance. The system's documentation says what is `known`.
+    #[inline(always)]
+    fn act_knowing<T: Scalar>(&self, body: &B, x: &[T], _known: &[T], forces: &mut [T]) {
+        self.act(body, x, forces);
+    }
+
+    /// As [`vjp`](Effect::vjp), with what is known about the state. Cotangents go to the state alone.
+    #[inline(always)]
+    fn vjp_knowing<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], _known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        self.vjp(body, x, forces_bar, x_bar);
+    }
+
+    /// Whether it is written as [`act_at`](Effect::act_at) and [`vjp_at`](Effect::vjp_at) too. A system with a long loop over
+    /// its forces can then have them in that loop, where it would wait otherwise, and not beforehand.
+    const LOCAL: bool = false;
+
+    /// Of an effect that is [`LOCAL`](Effect::LOCAL): what has become of the force in place `i`, which was `force`, after
+    /// [`act`](Effect::act).
+    #[inline(always)]
+    fn act_at<T: Scalar>(&self, _body: &B, _x: &[T], _i: usize, _force: T) -> T {
+        unreachable!("{self:?} is not local")
+    }
+
+    /// Of an effect that is [`LOCAL`](Effect::LOCAL): what [`vjp`](Effect::vjp) adds to `x_bar` for the force in place `i`.
+    #[inline(always)]
+    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _body: &B, _x: &[R], _i: usize, _force_bar: C, _x_bar: &mut [C]) {
+        unreachable!("{self:?} is not local")
+    }
+
+    /// What the local effects among these make of a force in place `i` before the first that is not local: a system works them
+    /// out where it has its own forces. The rest is [`act_rest`](Effect::act_rest); together they are
+    /// [`act_knowing`](Effect::act_knowing), in the same order.
+    #[doc(hidden)]
+    #[inline(always)]
+    fn act_first_at<T: Scalar>(&self, body: &B, x: &[T], i: usize, force: T) -> T {
+        if Self::LOCAL { self.act_at(body, x, i, force) } else { force }
+    }
+
+    #[doc(hidden)]
+    #[inline(always)]
+    fn act_rest<T: Scalar>(&self, body: &B, x: &[T], known: &[T], forces: &mut [T]) {
+        if !Self::LOCAL {
+            self.act_knowing(body, x, known, forces);
+        }
+    }
+
+    #[doc(hidden)]
+    #[inline(always)]
+    fn vjp_first_at<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], i: usize, force_bar: C, x_bar: &mut [C]) {
+        if Self::LOCAL {
+            self.vjp_at(body, x, i, force_bar, x_bar);
+        }
+    }
+
+    #[doc(hidden)]
+    #[inline(always)]
+    fn vjp_rest<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        if !Self::LOCAL {
+            self.vjp_knowing(body, x, known, forces_bar, x_bar);
+        }
+    }
+
+    /// Whether its forces depend on the state. Where none does, the reverse pass has less to do.
+    #[inline(always)]
+    fn reads_state(&self) -> bool {
+        true
+    }
+
+    /// The effect, if its forces or their derivatives are not finite at this finite state; `forces` is how many there are at
+    /// most. Asked for messages alone.
+    fn faulty<F: Float>(&self, body: &B, x: &[F], forces: usize) -> Option<&'static str> {
+        let name = || std::any::type_name::<Self>().split('<').next().and_then(|path| path.rsplit("::").next());
+        if is_finite(self, body, x, forces) { None } else { name() }
+    }
+
+    /// For effects that depend on time: rollouts start at a time drawn from 0 to this, in s. [`With`] then appends the
+    /// time to the state, as its last component.
+    #[inline(always)]
+    fn clock(&self) -> Option<f64> {
+        None
+    }
+}
+
+/// The transposed Jacobian product of any effect, exact, from `act` alone.
+#[inline]
+pub(crate) fn effect_vjp_by_duals<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
+    effect: &E,
+    body: &B,
+    x: &[R],
+    forces_bar: &[C],
+    x_bar: &mut [C],
+) {
+    let act = |x: &[_], forces: &mut [_]| {
+        forces.fill(Scalar::zero());
+        effect.act(body, x, forces);
+    };
+    jacobian(x, 0..x.len(), forces_bar.len(), act, |i, column: &[R]| {
+        for (&force_bar, &slope) in zip(forces_bar.iter(), column) {
+            x_bar[i] += force_bar * slope;
+        }
+    });
+}
+
+/// Whether the forces of an effect and their derivatives are finite at a state.
+pub(crate) fn is_finite<B, E: Effect<B>, F: Float>(effect: &E, body: &B, x: &[F], forces: usize) -> bool {
+    let (mut force, mut x_bar) = (vec![F::zero(); forces], vec![Columns([F::zero()]); x.len()]);
+    effect.act(body, x, &mut force);
+    effect.vjp(body, x, &vec![Columns([F::one()]); forces], &mut x_bar);
+    force.iter().chain(x_bar.iter().map(|bar| &bar.0[0])).all(|number| number.as_().is_finite())
+}
+
+/// A system to whose forces effects can be added.
+///
+/// Only [`step_with`](Host::step_with) and the sizes must be written. The state handed to it may be longer than
+/// [`state_dim`](Host::state_dim), by what effects need; it goes to the effects as it is.
+pub trait Host: Send + Sync {
+    /// What effects know of it; often the system itself.
+    type Body;
+
+    /// What effects know of it.
+    fn body(&self) -> &Self::Body;
+    /// Number of its own state components.
+    fn state_dim(&self) -> usize;
+    /// Number of control components.
+    fn control_dim(&self) -> usize;
+    /// Time step, s.
+    fn dt(&self) -> f64;
+
+    /// Writes the next state, `state_dim` numbers, under these effects.
+    fn step_with<E: Effect<Self::Body>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]);
+
+    /// The cotangents that are asked for. `u_bar` and the first `state_dim` of `x_bar` are overwritten; to what is in
+    /// `x_bar` beyond them, effects add. Exact by duals until it is written by hand for speed.
+    #[inline(always)]
+    fn reverse<E: Effect<Self::Body>, R: Real, C: Cotangent<R>>(
+        &self,
+        effects: &E,
+        x: &[R],
+        u: &[R],
+        next_bar: &[C],
+        x_bar: Option<&mut [C]>,
+        u_bar: Option<&mut [C]>,
+    ) {
+        reverse_by_duals(self, effects, x, u, next_bar, x_bar, u_bar);
+    }
+}
+
+/// [`Host::reverse`] of any host, exact, from `step_with` alone.
+#[inline]
+fn reverse_by_duals<H: Host + ?Sized, E: Effect<H::Body>, R: Real, C: Cotangent<R>>(
+    host: &H,
+    effects: &E,
+    x: &[R],
+    u: &[R],
+    next_bar: &[C],
+    x_bar: Option<&mut [C]>,
+    u_bar: Option<&mut [C]>,
+) {
+    let (n, steps) = (host.state_dim(), Stepping { host, effects });
+    let mut none: [C; 0] = [];
+    let (wrt, u_bar) = match (&x_bar, u_bar) {
+        (Some(_), Some(u_bar)) => (Wrt::Both, u_bar),
+        (None, Some(u_bar)) => (Wrt::Control, u_bar),
+        (_, None) => (Wrt::State, &mut none[..]),
+    };
+    let Some(x_bar) = x_bar else { return vjp_by_duals(&steps, x, u, next_bar, wrt, &mut [], u_bar) };
+    // What is there beyond the host's own components is kept.
+    let mut all: smallvec::SmallVec<[C; 33]> = smallvec::smallvec![C::null(); x.len()];
+    vjp_by_duals(&steps, x, u, next_bar, wrt, &mut all, u_bar);
+    x_bar[..n].copy_from_slice(&all[..n]);
+    for (x_bar, &more) in zip(x_bar[n..].iter_mut(), &all[n..]) {
+        *x_bar += more;
+    }
+}
+
+/// A host under its effects, for its derivatives by duals.
+struct Stepping<'a, H: ?Sized, E> {
+    host: &'a H,
+    effects: &'a E,
+}
+
+impl<H: Host + ?Sized, E: Effect<H::Body>> System for Stepping<'_, H, E> {
+    fn state_dim(&self) -> usize {
+        self.host.state_dim()
+    }
+    fn control_dim(&self) -> usize {
+        self.host.control_dim()
+    }
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        self.host.step_with(self.effects, x, u, next);
+    }
+}
+
+/// A system with effects.
+///
+/// State: the system's own; then, if an effect depends on time, the time in s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct With<H, E> {
+    /// The system to whose forces the effects add.
+    pub system: H,
+    /// `()` for none, a tuple for several.
+    pub effects: E,
+}
+
+/// A copy of effects that are a few plain numbers: what is read through a reference is read, and made a number of many lanes,
+/// again after every number that is written.
+#[inline(always)]
+fn copied<E: Clone>(effects: &E) -> Option<E> {
+    const FEW: usize = 32 * size_of::<f64>();
+    let plain = !std::mem::needs_drop::<E>() && size_of::<E>() <= FEW;
+    plain.then(|| effects.clone())
+}
+
+impl<H: Host, E: Effect<H::Body>> System for With<H, E> {
+    fn state_dim(&self) -> usize {
+        self.system.state_dim() + usize::from(self.effects.clock().is_some())
+    }
+
+    fn control_dim(&self) -> usize {
+        self.system.control_dim()
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        let n = self.system.state_dim();
+        let own = copied(&self.effects);
+        self.system.step_with(own.as_ref().unwrap_or(&self.effects), x, u, &mut next[..n]);
+        if self.effects.clock().is_some() {
+            next[n] = x[n] + T::lift(self.system.dt());
+        }
+    }
+
+    fn cause<F: Float>(&self, x: &[F], _u: &[F]) -> Option<Cause> {
+        self.effects.faulty(self.system.body(), x, self.system.state_dim()).map(Cause::Effect)
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        let n = self.system.state_dim();
+        x_bar[n..].copy_from_slice(&next_bar[n..]);
+        let own = copied(&self.effects);
+        self.system.reverse(own.as_ref().unwrap_or(&self.effects), x, u, &next_bar[..n], Some(x_bar), Some(u_bar));
+    }
+
+    #[inline(always)]
+    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
+        let n = self.system.state_dim();
+        x_bar[n..].copy_from_slice(&next_bar[n..]);
+        self.system.reverse(&self.effects, x, u, &next_bar[..n], Some(x_bar), None);
+    }
+
+    #[inline(always)]
+    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
+        let n = self.system.state_dim();
+        let own = copied(&self.effects);
+        self.system.reverse(own.as_ref().unwrap_or(&self.effects), x, u, &next_bar[..n], None, Some(u_bar));
+    }
+}
+
+/// A system around a body `B`: the body alone, with effects, behind an actuator. Tasks are written for what is around
+/// the body they are about, and look at the first components of the state, which are the body's.
+pub trait Around<B>: System {
+    /// The body.
+    fn body(&self) -> &B;
+    /// Draws the start of the state components that are not the body's into their places in `x`.
+    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]);
+}
+
+impl<H: Host, E: Effect<H::Body>> Around<H::Body> for With<H, E> {
+    #[inline(always)]
+    fn body(&self) -> &H::Body {
+        self.system.body()
+    }
+
+    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
+        if let Some(span) = self.effects.clock() {
+            x[self.system.state_dim()] = rng.random_range(0.0..=span);
+        }
+    }
+}

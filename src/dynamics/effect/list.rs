@@ -1,0 +1,193 @@
+//! Effects that are chosen while the program runs: a list, walked in every step.
+
+use super::Effect;
+use super::tuples::later;
+use crate::dynamics::apart::apart;
+use crate::numbers::kernels::Vectorized;
+use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+
+/// All of them, in this order: for combinations that are not known when the program is compiled. The numbers are those
+/// of a tuple of the same effects, bit for bit.
+impl<B, E: Effect<B>> Effect<B> for Vec<E> {
+    #[inline(always)]
+    fn act<T: Scalar>(&self, body: &B, x: &[T], forces: &mut [T]) {
+        for effect in self {
+            effect.act(body, x, forces);
+        }
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        for effect in self {
+            effect.vjp(body, x, forces_bar, x_bar);
+        }
+    }
+
+    #[inline(always)]
+    fn act_knowing<T: Scalar>(&self, body: &B, x: &[T], known: &[T], forces: &mut [T]) {
+        for effect in self {
+            effect.act_knowing(body, x, known, forces);
+        }
+    }
+
+    #[inline(always)]
+    fn vjp_knowing<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        for effect in self {
+            effect.vjp_knowing(body, x, known, forces_bar, x_bar);
+        }
+    }
+
+    #[inline(always)]
+    fn reads_state(&self) -> bool {
+        self.iter().any(Effect::reads_state)
+    }
+
+    fn faulty<F: Float>(&self, body: &B, x: &[F], forces: usize) -> Option<&'static str> {
+        self.iter().find_map(|effect| effect.faulty(body, x, forces))
+    }
+
+    #[inline(always)]
+    fn clock(&self) -> Option<f64> {
+        self.iter().fold(None, |clock, effect| later(clock, effect.clock()))
+    }
+}
+
+/// One effect at one state, compiled apart from the system: a list of many effects is in every loop of every system that
+/// takes one, and with all of them inlined such a loop takes minutes to compile.
+pub(crate) struct Act<'a, B, E, T, const KNOWING: bool> {
+    pub effect: &'a E,
+    pub body: &'a B,
+    pub x: &'a [T],
+    pub known: &'a [T],
+    pub forces: &'a mut [T],
+}
+
+impl<B, E: Effect<B>, T: Scalar, const KNOWING: bool> Act<'_, B, E, T, KNOWING> {
+    #[inline(always)]
+    pub(crate) fn apart(self) {
+        apart::<T>(self);
+    }
+}
+
+impl<B, E: Effect<B>, T: Scalar, const KNOWING: bool> Vectorized for Act<'_, B, E, T, KNOWING> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { effect, body, x, known, forces } = self;
+        if KNOWING {
+            effect.act_knowing(body, x, known, forces);
+        } else {
+            effect.act(body, x, forces);
+        }
+    }
+}
+
+/// The reverse of [`Act`].
+pub(crate) struct ActBack<'a, B, E, R, C, const KNOWING: bool> {
+    pub effect: &'a E,
+    pub body: &'a B,
+    pub x: &'a [R],
+    pub known: &'a [R],
+    pub forces_bar: &'a [C],
+    pub x_bar: &'a mut [C],
+}
+
+impl<B, E: Effect<B>, R: Real, C: Cotangent<R>, const KNOWING: bool> ActBack<'_, B, E, R, C, KNOWING> {
+    #[inline(always)]
+    pub(crate) fn apart(self) {
+        apart::<R>(self);
+    }
+}
+
+impl<B, E: Effect<B>, R: Real, C: Cotangent<R>, const KNOWING: bool> Vectorized for ActBack<'_, B, E, R, C, KNOWING> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { effect, body, x, known, forces_bar, x_bar } = self;
+        if KNOWING {
+            effect.vjp_knowing(body, x, known, forces_bar, x_bar);
+        } else {
+            effect.vjp(body, x, forces_bar, x_bar);
+        }
+    }
+}
+
+/// An enum of one variant for every effect of a body, named as the effect is, that is any of them.
+macro_rules! any_effect {
+    ($(#[$doc:meta])* $name:ident of $body:ty: $($effect:ident),+ $(,)?) => {
+        $(#[$doc])*
+        #[derive(Clone, Debug, PartialEq)]
+        pub enum $name {
+            $(#[doc = concat!("[`", stringify!($effect), "`].")] $effect($effect)),+
+        }
+
+        impl crate::dynamics::effect::Effect<$body> for $name {
+            #[inline(always)]
+            fn act<T: crate::numbers::scalar::Scalar>(&self, body: &$body, x: &[T], forces: &mut [T]) {
+                match self {
+                    $(Self::$effect(effect) => crate::dynamics::effect::Act::<_, _, _, false> { effect, body, x, known: &[], forces }.apart()),+
+                }
+            }
+
+            #[inline(always)]
+            fn vjp<R: crate::numbers::scalar::Real, C: crate::numbers::scalar::Cotangent<R>>(
+                &self,
+                body: &$body,
+                x: &[R],
+                forces_bar: &[C],
+                x_bar: &mut [C],
+            ) {
+                match self {
+                    $(Self::$effect(effect) => crate::dynamics::effect::ActBack::<_, _, _, _, false> { effect, body, x, known: &[], forces_bar, x_bar }.apart()),+
+                }
+            }
+
+            #[inline(always)]
+            fn act_knowing<T: crate::numbers::scalar::Scalar>(&self, body: &$body, x: &[T], known: &[T], forces: &mut [T]) {
+                match self {
+                    $(Self::$effect(effect) => crate::dynamics::effect::Act::<_, _, _, true> { effect, body, x, known, forces }.apart()),+
+                }
+            }
+
+            #[inline(always)]
+            fn vjp_knowing<R: crate::numbers::scalar::Real, C: crate::numbers::scalar::Cotangent<R>>(
+                &self,
+                body: &$body,
+                x: &[R],
+                known: &[R],
+                forces_bar: &[C],
+                x_bar: &mut [C],
+            ) {
+                match self {
+                    $(Self::$effect(effect) => crate::dynamics::effect::ActBack::<_, _, _, _, true> { effect, body, x, known, forces_bar, x_bar }.apart()),+
+                }
+            }
+
+            #[inline(always)]
+            fn reads_state(&self) -> bool {
+                match self {
+                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$body>::reads_state(effect)),+
+                }
+            }
+
+            fn faulty<F: crate::numbers::scalar::Float>(&self, body: &$body, x: &[F], forces: usize) -> Option<&'static str> {
+                let name = match self {
+                    $(Self::$effect(_) => stringify!($effect)),+
+                };
+                if crate::dynamics::effect::is_finite(self, body, x, forces) { None } else { Some(name) }
+            }
+
+            #[inline(always)]
+            fn clock(&self) -> Option<f64> {
+                match self {
+                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$body>::clock(effect)),+
+                }
+            }
+        }
+
+        $(impl From<$effect> for $name {
+            fn from(effect: $effect) -> Self {
+                Self::$effect(effect)
+            }
+        })+
+    };
+}
+pub(crate) use any_effect;

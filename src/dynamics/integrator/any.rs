@@ -1,0 +1,150 @@
+//! Integrators that are chosen while the program runs.
+
+use super::{Adaptive, ImplicitMidpoint, Integrator, RungeKutta, SemiImplicit, Stretch, Verlet};
+use crate::dynamics::apart::apart;
+use crate::dynamics::ode::{Ode, RateOn, ReverseOn};
+use crate::numbers::kernels::Vectorized;
+use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+
+/// Any integrator.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum AnyIntegrator {
+    /// [`RungeKutta`], any of them.
+    RungeKutta(RungeKutta),
+    /// [`SemiImplicit`].
+    SemiImplicit(SemiImplicit),
+    /// [`Verlet`].
+    Verlet(Verlet),
+    /// [`Adaptive`].
+    Adaptive(Adaptive),
+    /// [`ImplicitMidpoint`].
+    ImplicitMidpoint(ImplicitMidpoint),
+}
+
+/// The vector field, compiled apart from the integrators, and they from it.
+pub(super) struct Apart<'a, O>(pub &'a O);
+
+struct Rate<'a, O, T> {
+    ode: &'a O,
+    x: &'a [T],
+    u: &'a [T],
+    rate: &'a mut [T],
+}
+
+impl<O: Ode, T: Scalar> Vectorized for Rate<'_, O, T> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        self.ode.rate(self.x, self.u, self.rate);
+    }
+}
+
+struct RateBack<'a, O, R, C> {
+    ode: &'a O,
+    x: &'a [R],
+    u: &'a [R],
+    rate_bar: &'a [C],
+    x_bar: &'a mut [C],
+    u_bar: Option<&'a mut [C]>,
+}
+
+impl<O: Ode, R: Real, C: Cotangent<R>> Vectorized for RateBack<'_, O, R, C> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        self.ode.rate_vjp(self.x, self.u, self.rate_bar, self.x_bar, self.u_bar);
+    }
+}
+
+impl<O: Ode> Ode for Apart<'_, O> {
+    fn state_dim(&self) -> usize {
+        self.0.state_dim()
+    }
+
+    fn control_dim(&self) -> usize {
+        self.0.control_dim()
+    }
+
+    #[inline(always)]
+    fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
+        apart::<T>(Rate { ode: self.0, x, u, rate });
+    }
+
+    #[inline(always)]
+    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
+        apart::<R>(RateBack { ode: self.0, x, u, rate_bar, x_bar, u_bar });
+    }
+
+    #[inline(always)]
+    fn velocity(&self, i: usize) -> Option<usize> {
+        self.0.velocity(i)
+    }
+}
+
+/// A step of one method, compiled apart as well: every loop over samples would hold all of them otherwise.
+struct Advance<'a, I, T> {
+    method: &'a I,
+    ode: &'a dyn RateOn<T>,
+    step: Stretch<'a, T>,
+    next: &'a mut [T],
+}
+
+impl<I: Integrator, T: Scalar> Vectorized for Advance<'_, I, T> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        self.method.advance(self.ode, self.step, self.next);
+    }
+}
+
+struct Reverse<'a, I, R, C> {
+    method: &'a I,
+    ode: &'a dyn ReverseOn<R, C>,
+    step: Stretch<'a, R>,
+    next_bar: &'a [C],
+    x_bar: &'a mut [C],
+    u_bar: Option<&'a mut [C]>,
+}
+
+impl<I: Integrator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, I, R, C> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { method, ode, step, next_bar, x_bar, u_bar } = self;
+        method.reverse(ode, step, next_bar, x_bar, u_bar);
+    }
+}
+
+impl Integrator for AnyIntegrator {
+    #[inline(always)]
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
+        match self {
+            Self::RungeKutta(method) => apart::<T>(Advance { method, ode, step, next }),
+            Self::SemiImplicit(method) => apart::<T>(Advance { method, ode, step, next }),
+            Self::Verlet(method) => apart::<T>(Advance { method, ode, step, next }),
+            Self::Adaptive(method) => apart::<T>(Advance { method, ode, step, next }),
+            Self::ImplicitMidpoint(method) => apart::<T>(Advance { method, ode, step, next }),
+        }
+    }
+
+    fn unsolved<F: Float>(&self, ode: &dyn RateOn<F>, step: Stretch<'_, F>) -> Option<f64> {
+        match self {
+            Self::ImplicitMidpoint(method) => method.unsolved(ode, step),
+            _ => None,
+        }
+    }
+
+    #[inline(always)]
+    fn reverse<R: Real, C: Cotangent<R>>(
+        &self,
+        ode: &dyn ReverseOn<R, C>,
+        step: Stretch<'_, R>,
+        next_bar: &[C],
+        x_bar: &mut [C],
+        u_bar: Option<&mut [C]>,
+    ) {
+        match self {
+            Self::RungeKutta(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
+            Self::SemiImplicit(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
+            Self::Verlet(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
+            Self::Adaptive(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
+            Self::ImplicitMidpoint(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
+        }
+    }
+}

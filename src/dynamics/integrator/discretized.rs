@@ -1,0 +1,82 @@
+//! A system in its own steps, or in those of an integrator.
+
+use super::any::Apart;
+use super::{AnyIntegrator, Integrator, Stretch, room};
+use crate::dynamics::apart::{Reverse, ReverseToControl, Step, apart};
+use crate::dynamics::cause::Cause;
+use crate::dynamics::effect::Around;
+use crate::dynamics::ode::Ode;
+use crate::dynamics::system::System;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+
+/// A system that is a vector field too, in steps as it takes them itself or as an integrator does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Discretized<S> {
+    /// The system. Its own step has the length `dt`.
+    pub system: S,
+    /// What takes the steps; without, the system itself.
+    pub integrator: Option<AnyIntegrator>,
+    /// Time step, s.
+    pub dt: f64,
+}
+
+impl<S: System + Ode> System for Discretized<S> {
+    fn state_dim(&self) -> usize {
+        System::state_dim(&self.system)
+    }
+
+    fn control_dim(&self) -> usize {
+        System::control_dim(&self.system)
+    }
+
+    #[inline(always)]
+    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+        match &self.integrator {
+            None => apart::<T>(Step { system: &self.system, x, u, next }),
+            Some(integrator) => integrator.advance(&Apart(&self.system), Stretch { h: T::lift(self.dt), x, u }, next),
+        }
+    }
+
+    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        let step = Stretch { h: F::lift(self.dt), x, u };
+        let unsolved = self.integrator.as_ref().and_then(|integrator| integrator.unsolved(&Apart(&self.system), step));
+        System::cause(&self.system, x, u).or(unsolved.map(Cause::Unsolved))
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+        match &self.integrator {
+            None => apart::<R>(Reverse { system: &self.system, x, u, next_bar, x_bar, u_bar }),
+            Some(integrator) => {
+                u_bar.fill(C::null());
+                integrator.reverse(&Apart(&self.system), Stretch { h: R::lift(self.dt), x, u }, next_bar, x_bar, Some(u_bar));
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
+        self.vjp(x, u, next_bar, x_bar, &mut room(C::null(), u.len()));
+    }
+
+    #[inline(always)]
+    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
+        if self.integrator.is_none() {
+            return apart::<R>(ReverseToControl { system: &self.system, x, u, next_bar, u_bar });
+        }
+        let mut x_bar = room(C::null(), x.len());
+        self.vjp(x, u, next_bar, &mut x_bar, u_bar);
+    }
+}
+
+impl<B, S: Ode + Around<B>> Around<B> for Discretized<S> {
+    #[inline(always)]
+    fn body(&self) -> &B {
+        self.system.body()
+    }
+
+    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
+        self.system.start_beyond(rng, x);
+    }
+}

@@ -1,0 +1,218 @@
+//! The implicit midpoint rule.
+
+use super::{Integrator, Stretch, room};
+use crate::dynamics::ode::{RateOn, ReverseOn};
+use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+
+/// The implicit midpoint rule, `x' = x + h f((x + x')/2, u)`: order 2, symplectic, and stable however stiff the field is.
+///
+/// It is solved by Newton's iteration, of which every sample does as many rounds as it needs; the Jacobian is that by
+/// differences at the first guess, Euler's. A step whose iteration does not converge in 30 rounds is not a number.
+///
+/// Its reverse is that of the solution, by the theorem of implicit functions, and not of the iteration: it solves to
+/// rounding, whatever the tolerance of the forward step. With `A = I - h/2 ∂f/∂x` at the middle,
+///
+/// ```text
+/// w = A⁻ᵀ x̄',   x̄ = 2 w - x̄',   ū += h (∂f/∂u)ᵀ w
+/// ```
+///
+/// Hairer, Lubich and Wanner, Geometric Numerical Integration, II.1 and VIII.6.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImplicitMidpoint {
+    /// When to stop: the largest correction of a component, in relation to 1 and its size. It is never asked to be less
+    /// than 256 roundings, about which corrections of a stiff field stop falling; two more rounds follow.
+    pub tolerance: f64,
+}
+
+impl Default for ImplicitMidpoint {
+    fn default() -> Self {
+        Self { tolerance: 1e-12 }
+    }
+}
+
+/// Rounds of Newton's iteration before it is given up.
+const MOST: usize = 30;
+
+impl ImplicitMidpoint {
+    /// Writes `h/2 ∂f/∂x` by central differences, as constants: Newton's iteration converges to the same with any good Jacobian.
+    #[inline(always)]
+    fn differences<T: Scalar>(ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], matrix: &mut [T]) {
+        let n = x.len();
+        let (mut at, mut before, mut after) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
+        // As slices: to index a room may be a call.
+        let (at, before, after) = (&mut at[..], &mut before[..], &mut after[..]);
+        at.copy_from_slice(x);
+        let width = <T::Real as Float>::EPSILON.cbrt();
+        for j in 0..n {
+            let by = (T::lift(width) * (T::one() + x[j].abs())).detach();
+            at[j] = x[j] - by;
+            ode.rate(at, u, before);
+            at[j] = x[j] + by;
+            ode.rate(at, u, after);
+            at[j] = x[j];
+            let factor = h * T::lift(0.25) / by;
+            for i in 0..n {
+                matrix[i * n + j] = ((after[i] - before[i]) * factor).detach();
+            }
+        }
+    }
+
+    /// Solves for the next state, to this tolerance. What was not solved is not a number.
+    #[inline(always)]
+    fn solve<T: Scalar>(tolerance: f64, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
+        let to_go = Self::iterate(tolerance, ode, h, x, u, next);
+        for next in next {
+            *next = T::select_lt(T::zero(), to_go, T::lift(f64::NAN), *next);
+        }
+    }
+
+    /// Newton's iteration. Returns how many rounds are still to go: 0, unless it was given up.
+    #[inline(always)]
+    fn iterate<T: Scalar>(tolerance: f64, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) -> T {
+        let n = x.len();
+        let (mut middle, mut rate, mut residual) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
+        let (middle, rate, residual) = (&mut middle[..], &mut rate[..], &mut residual[..]);
+        let half = T::lift(0.5);
+        ode.rate(x, u, rate);
+        for i in 0..n {
+            next[i] = x[i] + h * rate[i];
+            middle[i] = (x[i] + next[i]) * half;
+        }
+        let (mut matrix, mut inverse) = (room(T::zero(), n * n), room(T::zero(), n * n));
+        let (matrix, inverse) = (&mut matrix[..], &mut inverse[..]);
+        Self::differences(ode, h, middle, u, matrix);
+        invert_one_minus(matrix, inverse, n);
+        let tolerance = T::lift(tolerance.max(256.0 * <T::Real as Float>::EPSILON));
+        // Derivatives of a dual number converge a round later than its value.
+        let rounds_after = T::lift(2.0);
+        let mut to_go = rounds_after;
+        for _ in 0..MOST {
+            if !T::any_lt(T::zero(), to_go) {
+                break;
+            }
+            for i in 0..n {
+                middle[i] = (x[i] + next[i]) * half;
+            }
+            ode.rate(middle, u, rate);
+            for i in 0..n {
+                residual[i] = next[i] - x[i] - h * rate[i];
+            }
+            let mut largest = T::zero();
+            for i in 0..n {
+                let mut correction = T::zero();
+                for j in 0..n {
+                    correction += inverse[i * n + j] * residual[j];
+                }
+                let size = correction.abs() / (T::one() + next[i].abs());
+                largest = T::select_lt(size, largest, largest, size);
+                next[i] = T::select_lt(T::zero(), to_go, next[i] - correction, next[i]);
+            }
+            to_go = T::select_lt(largest, tolerance, to_go - T::one(), rounds_after).detach();
+        }
+        to_go
+    }
+}
+
+/// Writes `(I - M)⁻¹`, by Gauss and Jordan; of the matrix nothing is left. Rows are exchanged without a branch: each column's largest number sinks to the
+/// diagonal.
+#[inline(always)]
+fn invert_one_minus<T: Scalar>(matrix: &mut [T], inverse: &mut [T], n: usize) {
+    for i in 0..n {
+        for j in 0..n {
+            let one = if i == j { T::one() } else { T::zero() };
+            matrix[i * n + j] = one - matrix[i * n + j];
+            inverse[i * n + j] = one;
+        }
+    }
+    for column in 0..n {
+        for row in column + 1..n {
+            let (here, below) = (matrix[column * n + column].abs(), matrix[row * n + column].abs());
+            for both in [&mut *matrix, &mut *inverse] {
+                for j in 0..n {
+                    let (a, b) = (both[column * n + j], both[row * n + j]);
+                    both[column * n + j] = T::select_lt(here, below, b, a);
+                    both[row * n + j] = T::select_lt(here, below, a, b);
+                }
+            }
+        }
+        let per_pivot = T::one() / matrix[column * n + column];
+        for both in [&mut *matrix, &mut *inverse] {
+            for j in 0..n {
+                both[column * n + j] *= per_pivot;
+            }
+        }
+        for row in (0..n).filter(|&row| row != column) {
+            let factor = matrix[row * n + column];
+            for both in [&mut *matrix, &mut *inverse] {
+                for j in 0..n {
+                    let above = both[column * n + j];
+                    both[row * n + j] -= factor * above;
+                }
+            }
+        }
+    }
+}
+
+impl Integrator for ImplicitMidpoint {
+    #[inline(always)]
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
+        let Stretch { h, x, u } = step;
+        Self::solve(self.tolerance, ode, h, x, u, next);
+    }
+
+    fn unsolved<F: Float>(&self, ode: &dyn RateOn<F>, step: Stretch<'_, F>) -> Option<f64> {
+        let Stretch { h, x, u } = step;
+        let (mut next, mut rate, mut middle) = (room(F::zero(), x.len()), room(F::zero(), x.len()), room(F::zero(), x.len()));
+        let to_go = Self::iterate(self.tolerance, ode, h, x, u, &mut next);
+        for i in 0..x.len() {
+            middle[i] = (x[i] + next[i]) * F::lift(0.5);
+        }
+        ode.rate(&middle, u, &mut rate);
+        let residual = (0..x.len()).map(|i| (next[i] - x[i] - h * rate[i]).as_().abs());
+        // What is not a number is as far from a solution as can be.
+        let largest = residual.fold(0.0, |largest, r| if r.is_nan() { f64::INFINITY } else { r.max(largest) });
+        (to_go > F::zero()).then_some(largest)
+    }
+
+    #[inline(always)]
+    fn reverse<R: Real, C: Cotangent<R>>(
+        &self,
+        ode: &dyn ReverseOn<R, C>,
+        step: Stretch<'_, R>,
+        next_bar: &[C],
+        x_bar: &mut [C],
+        u_bar: Option<&mut [C]>,
+    ) {
+        let Stretch { h, x, u } = step;
+        let n = x.len();
+        let mut middle = room(R::zero(), n);
+        Self::solve(0.0, ode, h, x, u, &mut middle);
+        for i in 0..n {
+            middle[i] = (x[i] + middle[i]) * R::lift(0.5);
+        }
+        let (mut matrix, mut inverse) = (room(R::zero(), n * n), room(R::zero(), n * n));
+        let (matrix, inverse) = (&mut matrix[..], &mut inverse[..]);
+        for i in 0..n {
+            let row = &mut matrix[i * n..][..n];
+            ode.slopes(&middle, u, i, row);
+            for slope in row {
+                *slope *= h * R::lift(0.5);
+            }
+        }
+        invert_one_minus(matrix, inverse, n);
+        // w, times h for the rate.
+        let mut rate_bar = room(C::null(), n);
+        for j in 0..n {
+            let mut w = C::null();
+            for i in 0..n {
+                w += next_bar[i] * inverse[i * n + j];
+            }
+            rate_bar[j] = w * h;
+            x_bar[j] = w + w - next_bar[j];
+        }
+        if let Some(u_bar) = u_bar {
+            let mut unused = room(C::null(), n);
+            ode.rate_vjp(&middle, u, &rate_bar, &mut unused, Some(u_bar));
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! Methods for mechanics, which treat positions and velocities differently.
+//!
+//! A position is a component that has an [`Ode::velocity`]; every other component is treated as velocities are.
+
+use super::{Integrator, Stretch, room};
+use crate::dynamics::ode::{RateOn, ReverseOn};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+
+/// Semi-implicit (symplectic) Euler: `v' = v + h a(x, v)`, then `q' = q + h v'`. Order 1, one evaluation of the field.
+///
+/// Where accelerations depend on positions alone it is symplectic: the energy of a free system does not drift (Hairer,
+/// Lubich and Wanner, Geometric Numerical Integration, I.1).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SemiImplicit;
+
+impl Integrator for SemiImplicit {
+    #[inline(always)]
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
+        let Stretch { h, x, u } = step;
+        let mut rate = room(T::zero(), x.len());
+        ode.rate(x, u, &mut rate);
+        for i in 0..x.len() {
+            if ode.velocity(i).is_none() {
+                next[i] = x[i] + h * rate[i];
+            }
+        }
+        for i in 0..x.len() {
+            if let Some(velocity) = ode.velocity(i) {
+                next[i] = x[i] + h * next[velocity];
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn reverse<R: Real, C: Cotangent<R>>(
+        &self,
+        ode: &dyn ReverseOn<R, C>,
+        step: Stretch<'_, R>,
+        next_bar: &[C],
+        x_bar: &mut [C],
+        u_bar: Option<&mut [C]>,
+    ) {
+        let Stretch { h, x, u } = step;
+        x_bar.copy_from_slice(next_bar);
+        for (i, &next_bar) in next_bar.iter().enumerate() {
+            if let Some(velocity) = ode.velocity(i) {
+                x_bar[velocity] += next_bar * h;
+            }
+        }
+        let mut rate_bar = room(C::null(), x.len());
+        for i in 0..x.len() {
+            if ode.velocity(i).is_none() {
+                rate_bar[i] = x_bar[i] * h;
+            }
+        }
+        ode.rate_vjp(x, u, &rate_bar, x_bar, u_bar);
+    }
+}
+
+/// Velocity Verlet (Swope et al. 1982, doi:10.1063/1.442716). Order 2, two evaluations of the field.
+///
+/// ```text
+/// q' = q + h v + h²/2 a(q, v)
+/// v' = v + h/2 (a(q, v) + a(q', v + h a(q, v)))
+/// ```
+///
+/// Where accelerations depend on positions alone it is symplectic. Where they depend on velocities, those of the second
+/// evaluation are Euler's guess, as in Heun's method: of order 2 all the same, but not symplectic.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Verlet;
+
+impl Verlet {
+    /// Where the second evaluation is, from the first: the new positions, and velocities as guessed.
+    #[inline(always)]
+    fn guess<T: Scalar>(ode: &dyn RateOn<T>, h: T, x: &[T], rate: &[T], guess: &mut [T]) {
+        let half_square = h * h * T::lift(0.5);
+        for i in 0..x.len() {
+            guess[i] = match ode.velocity(i) {
+                Some(velocity) => x[i] + h * x[velocity] + half_square * rate[velocity],
+                None => x[i] + h * rate[i],
+            };
+        }
+    }
+}
+
+impl Integrator for Verlet {
+    #[inline(always)]
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
+        let Stretch { h, x, u } = step;
+        let (mut first, mut second) = (room(T::zero(), x.len()), room(T::zero(), x.len()));
+        ode.rate(x, u, &mut first);
+        Self::guess(ode, h, x, &first, next);
+        ode.rate(next, u, &mut second);
+        let half = h * T::lift(0.5);
+        for i in 0..x.len() {
+            if ode.velocity(i).is_none() {
+                next[i] = x[i] + half * (first[i] + second[i]);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn reverse<R: Real, C: Cotangent<R>>(
+        &self,
+        ode: &dyn ReverseOn<R, C>,
+        step: Stretch<'_, R>,
+        next_bar: &[C],
+        x_bar: &mut [C],
+        mut u_bar: Option<&mut [C]>,
+    ) {
+        let Stretch { h, x, u } = step;
+        let n = x.len();
+        let (half, half_square) = (h * R::lift(0.5), h * h * R::lift(0.5));
+        let (mut rate, mut guess) = (room(R::zero(), n), room(R::zero(), n));
+        ode.rate(x, u, &mut rate);
+        Self::guess(ode, h, x, &rate, &mut guess);
+        let (mut rate_bar, mut guess_bar) = (room(C::null(), n), room(C::null(), n));
+        for i in 0..n {
+            match ode.velocity(i) {
+                Some(_) => guess_bar[i] = next_bar[i],
+                None => rate_bar[i] = next_bar[i] * half,
+            }
+        }
+        ode.rate_vjp(&guess, u, &rate_bar, &mut guess_bar, u_bar.as_deref_mut());
+        x_bar.fill(C::null());
+        for i in 0..n {
+            x_bar[i] += guess_bar[i];
+            match ode.velocity(i) {
+                Some(velocity) => {
+                    x_bar[velocity] += guess_bar[i] * h;
+                    rate_bar[velocity] += guess_bar[i] * half_square;
+                }
+                None => {
+                    x_bar[i] += next_bar[i];
+                    rate_bar[i] += guess_bar[i] * h;
+                }
+            }
+        }
+        ode.rate_vjp(x, u, &rate_bar, x_bar, u_bar);
+    }
+}

@@ -1,0 +1,177 @@
+//! Explicit methods of Runge and Kutta, and their reverse, once for all of them.
+
+use super::{Integrator, Room, Stretch, room};
+use crate::dynamics::ode::{RateOn, ReverseOn};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+
+/// The most stages there are.
+const MOST: usize = 7;
+
+/// An explicit method: `k_i = f(x + h Σ_{j<i} a_ij k_j)`, `x' = x + h Σ_i b_i k_i`.
+///
+/// Its reverse (Hairer, Lubich and Wanner, Geometric Numerical Integration, VI.4; Sanz-Serna 2016,
+/// doi:10.1137/151002769), from the last stage to the first:
+///
+/// ```text
+/// k̄_i = h (b_i x̄' + Σ_{j>i} a_ji ȳ_j),   ȳ_i = (∂f/∂x)ᵀ k̄_i,   ū += (∂f/∂u)ᵀ k̄_i,   x̄ = x̄' + Σ_i ȳ_i
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RungeKutta(&'static Tableau);
+
+/// The coefficients of a method.
+#[derive(Debug, PartialEq)]
+struct Tableau {
+    stages: usize,
+    a: [[f64; MOST - 1]; MOST],
+    b: [f64; MOST],
+}
+
+impl RungeKutta {
+    /// Euler's explicit method: order 1, one evaluation of the field.
+    pub const EULER: Self = Self(&Tableau::new(1, &[], &[1.0]));
+    /// Heun's method, the explicit trapezoidal rule: order 2, two evaluations.
+    pub const HEUN: Self = Self(&Tableau::new(2, &[&[1.0]], &[0.5, 0.5]));
+    /// The classical method: order 4, four evaluations.
+    pub const RK4: Self =
+        Self(&Tableau::new(4, &[&[0.5], &[0.0, 0.5], &[0.0, 0.0, 1.0]], &[1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0]));
+    /// Tsitouras 2011 (doi:10.1016/j.camwa.2011.06.002): order 5, six evaluations.
+    pub const TSIT5: Self = Self(&Tableau::new(
+        6,
+        &[
+            &[0.161],
+            &[-0.008_480_655_492_356_989, 0.335_480_655_492_357],
+            &[2.897_153_057_105_493, -6.359_448_489_975_075, 4.362_295_432_869_581_5],
+            &[5.325_864_828_439_257, -11.748_883_564_062_828, 7.495_539_342_889_836_5, -0.092_495_066_361_755_25],
+            &[
+                5.861_455_442_946_42,
+                -12.920_969_317_847_11,
+                8.159_367_898_576_159,
+                -0.071_584_973_281_401,
+                -0.028_269_050_394_068_383,
+            ],
+        ],
+        &[
+            0.096_460_766_818_065_23,
+            0.01,
+            0.479_889_650_414_499_6,
+            1.379_008_574_103_742,
+            -3.290_069_515_436_081,
+            2.324_710_524_099_774,
+        ],
+    ));
+
+    /// Evaluations of the field in a step.
+    pub fn stages(&self) -> usize {
+        self.0.stages
+    }
+
+    /// Writes where each stage evaluates the field, and what it finds there.
+    #[inline(always)]
+    pub(super) fn run<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], at: &mut [T], rates: &mut [T]) {
+        let n = x.len();
+        for i in 0..self.0.stages {
+            let at = &mut at[i * n..(i + 1) * n];
+            at.copy_from_slice(x);
+            for (j, &weight) in self.0.a[i][..i].iter().enumerate() {
+                if weight != 0.0 {
+                    add_scaled(at, h * T::lift(weight), &rates[j * n..(j + 1) * n]);
+                }
+            }
+            ode.rate(at, u, &mut rates[i * n..(i + 1) * n]);
+        }
+    }
+
+    /// Adds `h Σ_i weight_i k_i`.
+    #[inline(always)]
+    pub(super) fn sum<T: Scalar>(&self, weights: &[f64], h: T, rates: &[T], next: &mut [T]) {
+        let n = next.len();
+        for (i, &weight) in weights[..self.0.stages].iter().enumerate() {
+            if weight != 0.0 {
+                add_scaled(next, h * T::lift(weight), &rates[i * n..(i + 1) * n]);
+            }
+        }
+    }
+
+    /// Room for the stages of a step.
+    #[inline(always)]
+    pub(super) fn room<T: Scalar>(&self, n: usize) -> (Room<T>, Room<T>) {
+        (room(T::zero(), self.0.stages * n), room(T::zero(), self.0.stages * n))
+    }
+
+    /// The weights of the stages in the next state.
+    pub(super) fn weights(&self) -> &[f64] {
+        &self.0.b
+    }
+}
+
+impl Tableau {
+    const fn new(stages: usize, rows: &[&[f64]], weights: &[f64]) -> Self {
+        let (mut a, mut b) = ([[0.0; MOST - 1]; MOST], [0.0; MOST]);
+        let mut i = 0;
+        while i < weights.len() {
+            b[i] = weights[i];
+            let mut j = 0;
+            while i > 0 && j < rows[i - 1].len() {
+                a[i][j] = rows[i - 1][j];
+                j += 1;
+            }
+            i += 1;
+        }
+        Self { stages, a, b }
+    }
+}
+
+/// `y += factor x`.
+#[inline(always)]
+pub(super) fn add_scaled<T: Scalar>(y: &mut [T], factor: T, x: &[T]) {
+    for i in 0..y.len() {
+        y[i] += factor * x[i];
+    }
+}
+
+impl Integrator for RungeKutta {
+    #[inline(always)]
+    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
+        let Stretch { h, x, u } = step;
+        let (mut at, mut rates) = self.room(x.len());
+        self.run(ode, h, x, u, &mut at, &mut rates);
+        next.copy_from_slice(x);
+        self.sum(&self.0.b, h, &rates, next);
+    }
+
+    #[inline(always)]
+    fn reverse<R: Real, C: Cotangent<R>>(
+        &self,
+        ode: &dyn ReverseOn<R, C>,
+        step: Stretch<'_, R>,
+        next_bar: &[C],
+        x_bar: &mut [C],
+        mut u_bar: Option<&mut [C]>,
+    ) {
+        let Stretch { h, x, u } = step;
+        let n = x.len();
+        let (mut at, mut rates) = self.room(n);
+        self.run(ode, h, x, u, &mut at, &mut rates);
+        let (mut at_bar, mut rate_bar) = (room(C::null(), self.0.stages * n), room(C::null(), n));
+        // As slices: to index a room may be a call.
+        let (at_bar, rate_bar) = (&mut at_bar[..], &mut rate_bar[..]);
+        for i in (0..self.0.stages).rev() {
+            for (c, rate_bar) in rate_bar.iter_mut().enumerate() {
+                *rate_bar = next_bar[c] * (h * R::lift(self.0.b[i]));
+                for j in i + 1..self.0.stages {
+                    if self.0.a[j][i] != 0.0 {
+                        *rate_bar += at_bar[j * n + c] * (h * R::lift(self.0.a[j][i]));
+                    }
+                }
+            }
+            let at_bar = &mut at_bar[i * n..(i + 1) * n];
+            ode.rate_vjp(&at[i * n..(i + 1) * n], u, rate_bar, at_bar, u_bar.as_deref_mut());
+        }
+        x_bar.copy_from_slice(next_bar);
+        for stage in at_bar.chunks_exact(n) {
+            for c in 0..n {
+                x_bar[c] += stage[c];
+            }
+        }
+    }
+}

@@ -1,0 +1,18 @@
+//! Systems and their parts: steps, vector fields, integrators, effects, actuators.
+//!
+//! A [`System`](system::System) maps state and control to the next state. It is written as a step, or as a vector field
+//! ([`Ode`](ode::Ode)) that an integrator turns into a step. Effects add forces, actuators stand between policy and system,
+//! and a [`Task`](task::Task) adds a horizon, initial states and costs.
+//!
+//! Imports `numbers`. Start reading in `system.rs`.
+
+pub(crate) mod actuator;
+pub(crate) mod apart;
+pub(crate) mod cause;
+pub(crate) mod cost;
+pub(crate) mod effect;
+pub(crate) mod integrator;
+pub(crate) mod ode;
+pub(crate) mod substeps;
+pub(crate) mod system;
+pub(crate) mod task;

@@ -1,0 +1,180 @@
+//! The policy's side of the reverse pass: what it keeps, and its cotangents.
+
+use super::{Flow, Pass};
+use crate::engine::gradient::Gradient;
+use crate::numbers::aligned::Aligned;
+use crate::numbers::scalar::Float;
+use crate::numbers::wide::{exponent_of, scaled};
+use crate::policy::AnyPolicy;
+use crate::policy::{PolicyColumns, PolicyPass, PolicyRecord};
+use std::ops::Range;
+
+/// The policy's side of the reverse pass.
+#[derive(Debug)]
+pub(super) struct PolicyAdjoint<F> {
+    /// Control cotangents `h`, per flow, as the policy's columns.
+    pub(super) controls_bar: Vec<Vec<F>>,
+    /// What the policy's backward pass keeps: per flow, or once for all if `unit`.
+    pub(super) tape_bar: Vec<Aligned<F>>,
+    /// `(∂N/∂x)ᵀ h` of one step, or `∂N/∂x` of all, as the policy's columns; nothing where no flow goes through it.
+    pub(super) inputs_bar: Vec<F>,
+    /// The policy is linearized for all steps of a unit at once.
+    pub(super) unit: bool,
+    /// With `unit`: ones, the cotangent of the only control.
+    pub(super) ones: Vec<F>,
+    pub(super) scratch: Aligned<F>,
+    /// Per flow: the exponent of what is kept of a column. All 0 unless `scaled`.
+    exponents: Vec<Vec<i32>>,
+    scaled: bool,
+    /// What columns count that have different exponents, and their part of the gradient.
+    weights: Vec<F>,
+    part: Vec<F>,
+}
+
+/// How long the vectors of a policy's side are.
+pub(super) struct PolicyRoom {
+    flows: usize,
+    controls_bar: usize,
+    tapes: usize,
+    tape_bar: usize,
+    inputs_bar: usize,
+    unit: bool,
+    ones: usize,
+    scratch: usize,
+    columns: usize,
+    params: usize,
+}
+
+impl PolicyRoom {
+    pub(super) fn new<F: Float>(policy: &dyn AnyPolicy<F>, columns: usize, flows: &[Flow]) -> Self {
+        let (n, m) = (policy.state_dim(), policy.control_dim());
+        let sizes = policy.sizes(columns);
+        // With one control, ∂N/∂x and every layer's cotangent are known up to the factor h before the loop starts, and
+        // one linearization in large products serves every flow. With more controls it would take one each.
+        let through_inputs = flows.iter().any(|flow| flow.control);
+        let unit = m == 1 && through_inputs;
+        Self {
+            flows: flows.len(),
+            controls_bar: columns * m,
+            tapes: if unit { 1 } else { flows.len() },
+            tape_bar: sizes.tape_bar,
+            inputs_bar: if through_inputs { columns * n } else { 0 },
+            unit,
+            ones: if unit { columns } else { 0 },
+            scratch: sizes.scratch,
+            columns,
+            params: policy.param_count(),
+        }
+    }
+
+    pub(super) fn bytes<F>(&self) -> usize {
+        let numbers = self.flows * self.controls_bar + self.inputs_bar + self.ones + self.columns + self.params;
+        let vectors = self.flows * size_of::<Vec<F>>() + numbers * size_of::<F>();
+        let tapes = self.tapes * (size_of::<Aligned<F>>() + Aligned::<F>::bytes_of(self.tape_bar));
+        let scaled = self.flows * (size_of::<Vec<i32>>() + self.columns * size_of::<i32>());
+        vectors + tapes + Aligned::<F>::bytes_of(self.scratch) + scaled
+    }
+}
+
+impl<F: Float> PolicyAdjoint<F> {
+    pub(super) fn new(room: &PolicyRoom) -> Self {
+        let zeros = |len: usize| vec![F::zero(); len];
+        Self {
+            controls_bar: (0..room.flows).map(|_| zeros(room.controls_bar)).collect(),
+            tape_bar: (0..room.tapes).map(|_| Aligned::zeros(room.tape_bar)).collect(),
+            inputs_bar: zeros(room.inputs_bar),
+            unit: room.unit,
+            ones: vec![F::one(); room.ones],
+            scratch: Aligned::zeros(room.scratch),
+            exponents: vec![vec![0; room.columns]; room.flows],
+            scaled: false,
+            weights: zeros(room.columns),
+            part: zeros(room.params),
+        }
+    }
+
+    pub(super) fn stored_bytes(&self) -> usize {
+        let flat = [&self.inputs_bar, &self.ones, &self.weights, &self.part].map(|flat| size_of_val(&flat[..]));
+        let tapes = size_of_val(&self.tape_bar[..]) + self.tape_bar.iter().map(Aligned::stored_bytes).sum::<usize>();
+        let nested = nested_bytes(&self.controls_bar) + tapes + nested_bytes(&self.exponents);
+        flat.into_iter().sum::<usize>() + self.scratch.stored_bytes() + nested
+    }
+
+    /// No column has an exponent any more.
+    pub(super) fn reset_exponents(&mut self) {
+        if std::mem::take(&mut self.scaled) {
+            self.exponents.iter_mut().for_each(|exponents| exponents.fill(0));
+        }
+    }
+
+    /// None of these columns, which are neighbours, has an exponent any more.
+    pub(super) fn reset_exponents_of(&mut self, at: PolicyColumns) {
+        if self.scaled {
+            self.exponents.iter_mut().for_each(|exponents| exponents[at.as_range()].fill(0));
+        }
+    }
+
+    /// Notes the exponents of the columns of a step.
+    pub(super) fn note_exponents(&mut self, k: usize, at: PolicyColumns, of: impl Fn(usize) -> i32) {
+        self.scaled = true;
+        for (sample, c) in at.iter().enumerate() {
+            self.exponents[k][c] = of(sample);
+        }
+    }
+
+    /// Adds the columns' part to the parameter gradient of flow `k`.
+    pub(super) fn add_param_gradient(
+        &mut self,
+        k: usize,
+        policy: &dyn AnyPolicy<F>,
+        pass: PolicyPass<F>,
+        tape: &[F],
+        theta_bar: &mut Gradient<F>,
+    ) {
+        let range = pass.at.as_range();
+        let one_exponent = !self.scaled || self.exponents[k][range.clone()].iter().all(|&exponent| exponent == 0);
+        let exponent = if one_exponent { 0 } else { self.weigh(k, range, policy.control_dim()) };
+        let h = &self.controls_bar[k];
+        let (u_bar, tape_bar, plain_weight) =
+            if self.unit { (&self.ones, &self.tape_bar[0], Some(&h[..])) } else { (h, &self.tape_bar[k], None) };
+        let weight = if one_exponent { plain_weight } else { Some(&self.weights[..]) };
+        let record = PolicyRecord { tape, u_bar, tape_bar, weight };
+        match theta_bar.plain_sum() {
+            Some(sum) if one_exponent => policy.param_gradient(pass, record, &mut self.scratch, sum),
+            _ => {
+                self.part.fill(F::zero());
+                policy.param_gradient(pass, record, &mut self.scratch, &mut self.part);
+                theta_bar.add_part(&self.part, exponent);
+            }
+        }
+    }
+
+    /// Weighs columns of different exponents such that the largest cotangent among them is about 1. Returns the exponent of
+    /// that.
+    fn weigh(&mut self, k: usize, columns: Range<usize>, m: usize) -> i32 {
+        let (h, exponents) = (&self.controls_bar[k], &self.exponents[k]);
+        let leading = |c: usize| {
+            let largest = h[c * m..][..m].iter().map(|h| h.as_().abs()).fold(0.0, f64::max);
+            (largest > 0.0).then(|| exponents[c] + exponent_of(largest))
+        };
+        let largest = columns.clone().filter_map(leading).max().unwrap_or(0);
+        for c in columns {
+            let own = if self.unit { h[c] } else { F::one() };
+            self.weights[c] = scaled(own, exponents[c] - largest);
+        }
+        largest
+    }
+
+    /// The policy's cotangents of flow `k` in the columns `at`; `∂N/∂x` only if `through_inputs`.
+    pub(super) fn backward(&mut self, pass: &Pass<'_, F>, k: usize, at: PolicyColumns, through_inputs: bool) {
+        let columns = PolicyPass { packed: pass.weights.packed(), at, x: pass.rollout.inputs() };
+        let u_bar = if self.unit { &self.ones } else { &self.controls_bar[k] };
+        let x_bar = through_inputs.then_some(&mut self.inputs_bar[..]);
+        pass.policy.backward(columns, &pass.rollout.tape, u_bar, &mut self.tape_bar[k], x_bar);
+    }
+}
+
+/// Bytes of a vector of vectors on the heap, if none has room to spare.
+pub(super) fn nested_bytes<T>(rows: &[Vec<T>]) -> usize {
+    size_of_val(rows) + rows.iter().map(|row| size_of_val(&row[..])).sum::<usize>()
+}

@@ -1,0 +1,257 @@
+//! The recursion itself, for one flow or two side by side.
+
+use super::exponents::{Exponents, Size};
+use super::step::{CostsOf, StepBack};
+use super::{Flow, Pass, PolicyAdjoint};
+use crate::engine::any::AnyTask;
+use crate::engine::divergence::{Divergence, Variable};
+use crate::engine::growth::Meter;
+use crate::engine::rollout::{Lane, Rollout, WIDTH, find_non_finite, gather};
+use crate::numbers::scalar::{Columns, Float, Real, Scalar};
+use crate::numbers::wide::times_power_of_two;
+use crate::numbers::zip::zip;
+use crate::policy::PolicyColumns;
+use std::ops::Range;
+
+/// What the recursion carries for `K` flows.
+#[derive(Debug)]
+pub struct Recursion<F: Float, const K: usize> {
+    /// λ, `[block][component]`.
+    pub(super) lambda: Vec<Columns<Lane<F>, K>>,
+    /// The next λ, before the flows choose.
+    pub(super) x_bar: Vec<Columns<Lane<F>, K>>,
+    /// h, `[block][component]`.
+    pub(super) u_bar: Vec<Columns<Lane<F>, K>>,
+    /// Gradients of the costs of one block.
+    pub(super) cost_x: Vec<Lane<F>>,
+    pub(super) cost_u: Vec<Lane<F>>,
+    /// Of every block.
+    pub(super) exponents: Vec<Exponents<F, K>>,
+    /// Whether any exponent is not 0, and whether any is so small that costs need care.
+    pub(super) scaled: bool,
+    low: bool,
+    /// `[sample][flow]`: growth, and the square of ‖λ‖ with its exponent before the step at hand.
+    meters: Vec<[(Meter, f64, i32); K]>,
+}
+
+impl<F: Float, const K: usize> Recursion<F, K> {
+    pub(super) fn new(rollout: &Rollout<F>) -> Self {
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let blocks = rollout.capacity().div_ceil(WIDTH);
+        let columns = |len: usize| vec![Columns([Lane::zero(); K]); len];
+        let lanes = |len: usize| vec![Lane::zero(); len];
+        Self {
+            lambda: columns(blocks * n),
+            x_bar: columns(blocks * n),
+            u_bar: columns(blocks * m),
+            cost_x: lanes(n),
+            cost_u: lanes(m),
+            exponents: vec![Exponents::new(); blocks],
+            scaled: false,
+            low: false,
+            meters: vec![[(Meter::default(), 0.0, 0); K]; rollout.capacity()],
+        }
+    }
+
+    /// The bytes of one for so many state and control components and samples.
+    pub(super) fn bytes_of(n: usize, m: usize, samples: usize) -> usize {
+        let blocks = samples.div_ceil(WIDTH);
+        blocks * (2 * n + m) * size_of::<Columns<Lane<F>, K>>()
+            + (n + m) * size_of::<Lane<F>>()
+            + blocks * size_of::<Exponents<F, K>>()
+            + samples * size_of::<[(Meter, f64, i32); K]>()
+    }
+
+    pub(super) fn stored_bytes(&self) -> usize {
+        let columns = [&self.lambda, &self.x_bar, &self.u_bar].map(|columns| size_of_val(&columns[..]));
+        let costs = [&self.cost_x, &self.cost_u].map(|costs| size_of_val(&costs[..]));
+        let others = [size_of_val(&self.exponents[..]), size_of_val(&self.meters[..])];
+        columns.into_iter().chain(costs).chain(others).sum()
+    }
+
+    /// λ at the last state. `norms` has a row for each flow, or none.
+    pub(super) fn begin(&mut self, pass: &Pass<'_, F>, norms: &mut [Vec<f64>]) {
+        let Pass { task, rollout, scale, .. } = *pass;
+        let n = rollout.state_dim;
+        let last = rollout.states_at(rollout.horizon);
+        self.exponents.iter_mut().for_each(|exponents| exponents.reset(scale));
+        (self.scaled, self.low) = (false, false);
+        self.meters.fill([(Meter::default(), 0.0, 0); K]);
+        for (lambda, x) in zip(self.lambda.chunks_exact_mut(n), last.chunks_exact(n)) {
+            task.terminal_cost_gradient(x, &mut self.cost_x);
+            for (lambda, &x_bar) in zip(lambda.iter_mut(), &self.cost_x) {
+                *lambda = Columns([x_bar * Lane::splat(scale); K]);
+            }
+        }
+        self.note_norms(rollout, rollout.horizon, scale, norms);
+    }
+
+    /// The recursion at the head of [`backward`](super), through the given steps, for the flows side by side.
+    pub(super) fn back(
+        &mut self,
+        pass: &Pass<'_, F>,
+        task: &dyn StepBack<F, K>,
+        flows: [Flow; K],
+        steps: Range<usize>,
+        policy: &mut PolicyAdjoint<F>,
+        norms: &mut [Vec<f64>],
+    ) -> Result<(), Divergence> {
+        let Pass { rollout, scale, measured, .. } = *pass;
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        for t in steps.rev() {
+            let at = rollout.columns(t);
+            if self.low || measured {
+                let mut costs = |block: usize, of_state: &mut [Lane<F>], of_control: &mut [Lane<F>]| {
+                    let (next, u) = (&rollout.states_at(t + 1)[block * n..][..n], &rollout.controls_at(t)[block * m..][..m]);
+                    pass.task.stage_cost_gradient(next, u, of_state, of_control);
+                };
+                if self.low {
+                    self.lift(rollout, scale, &mut costs);
+                }
+                if measured {
+                    self.measure_before(rollout, &mut costs);
+                }
+            }
+            let calm = task.step_back(flows, rollout, t, self);
+            if !calm && self.settle(flows, rollout, scale) == Size::NotFinite {
+                return Err(self.divergence(pass.task, flows, rollout, t));
+            }
+            for (k, flow) in flows.into_iter().enumerate() {
+                gather(&self.u_bar, |h, lane| h.0[k].lane(lane), m, at, &mut policy.controls_bar[k]);
+                if self.scaled {
+                    let of = |sample: usize| self.exponents[sample / WIDTH].of[k][sample % WIDTH];
+                    policy.note_exponents(k, at, of);
+                }
+                if flow.control {
+                    if !policy.unit {
+                        policy.backward(pass, k, at, true);
+                    }
+                    self.add_inputs(k, at, n, policy);
+                }
+            }
+            if measured {
+                self.measure_after(rollout);
+            }
+            self.note_norms(rollout, t, scale, norms);
+        }
+        Ok(())
+    }
+
+    /// Brings all cotangents to a size of about 1 that are far from it.
+    #[cold]
+    fn settle(&mut self, flows: [Flow; K], rollout: &Rollout<F>, scale: F) -> Size {
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let blocks = zip(zip(self.lambda.chunks_exact_mut(n), self.u_bar.chunks_exact_mut(m)), &mut self.exponents);
+        for ((lambda, u_bar), exponents) in blocks.take(rollout.samples.div_ceil(WIDTH)) {
+            for (k, flow) in flows.into_iter().enumerate() {
+                for lane in 0..WIDTH {
+                    if exponents.settle(flow, (k, lane), scale, lambda, u_bar) == Size::NotFinite {
+                        return Size::NotFinite;
+                    }
+                }
+            }
+        }
+        self.scaled = self.exponents.iter().any(Exponents::any);
+        self.low = self.exponents.iter().any(Exponents::any_low);
+        Size::Carried
+    }
+
+    /// Before a step: where an adjoint has vanished so far that the gradient of a cost would be infinite beside it, and there
+    /// is one.
+    #[cold]
+    fn lift(&mut self, rollout: &Rollout<F>, scale: F, costs: CostsOf<'_, F>) {
+        let n = rollout.state_dim;
+        for block in 0..rollout.samples.div_ceil(WIDTH) {
+            costs(block, &mut self.cost_x, &mut self.cost_u);
+            for lane in 0..WIDTH {
+                if self.cost_x.iter().chain(&self.cost_u).any(|cost| cost.lane(lane) != F::zero()) {
+                    let lambda = &mut self.lambda[block * n..][..n];
+                    (0..K).for_each(|k| self.exponents[block].lift((k, lane), scale, lambda));
+                }
+            }
+        }
+        self.low = self.exponents.iter().any(Exponents::any_low);
+    }
+
+    /// Notes how long what a step goes back from is: λ with the gradient of the cost.
+    fn measure_before(&mut self, rollout: &Rollout<F>, costs: CostsOf<'_, F>) {
+        let n = rollout.state_dim;
+        for (sample, meters) in self.meters[..rollout.samples].iter_mut().enumerate() {
+            let (block, lane) = (sample / WIDTH, sample % WIDTH);
+            if lane == 0 {
+                costs(block, &mut self.cost_x, &mut self.cost_u);
+            }
+            let exponents = &self.exponents[block];
+            for (k, (_, before, exponent)) in meters.iter_mut().enumerate() {
+                let sum = |(lambda, cost): (&Columns<Lane<F>, K>, &Lane<F>)| -> f64 {
+                    (lambda.0[k].lane(lane) + cost.lane(lane) * exponents.inject.0[k].lane(lane)).as_()
+                };
+                let terms = zip(self.lambda[block * n..][..n].iter(), &self.cost_x).map(sum);
+                (*before, *exponent) = (terms.map(|x| x * x).sum(), exponents.of[k][lane]);
+            }
+        }
+    }
+
+    /// Adds what the step has made of it.
+    fn measure_after(&mut self, rollout: &Rollout<F>) {
+        let n = rollout.state_dim;
+        for (sample, meters) in self.meters[..rollout.samples].iter_mut().enumerate() {
+            let (block, lane) = (sample / WIDTH, sample % WIDTH);
+            for (k, (meter, before, exponent)) in meters.iter_mut().enumerate() {
+                let of_lane = |lambda: &Columns<Lane<F>, K>| -> f64 { lambda.0[k].lane(lane).as_() };
+                let after = self.lambda[block * n..][..n].iter().map(of_lane).map(|x| x * x).sum();
+                meter.step(*before, after, self.exponents[block].of[k][lane] - *exponent);
+            }
+        }
+    }
+
+    /// Growth of flow `k` in the last run that was measured, for every sample.
+    pub(super) fn meters(&self, k: usize, samples: usize) -> impl Iterator<Item = &Meter> {
+        self.meters[..samples].iter().map(move |meters| &meters[k].0)
+    }
+
+    /// Notes the length of λ at step `t`, in f64: a square of an f32 overflows long before the f32 does.
+    fn note_norms(&self, rollout: &Rollout<F>, t: usize, scale: F, norms: &mut [Vec<f64>]) {
+        let lambda = |k: usize, sample: usize| {
+            let block = &self.lambda[sample / WIDTH * rollout.state_dim..][..rollout.state_dim];
+            let exponent = self.exponents[sample / WIDTH].of[k][sample % WIDTH];
+            block.iter().map(move |c| times_power_of_two(c.0[k].lane(sample % WIDTH).as_(), exponent))
+        };
+        for (k, norms) in norms.iter_mut().enumerate() {
+            let squares: f64 = (0..rollout.samples).flat_map(|sample| lambda(k, sample)).map(|x: f64| x * x).sum();
+            norms[t] = (squares / rollout.samples as f64).sqrt() / scale.as_();
+        }
+    }
+
+    /// `λ ← λ + (∂N/∂x)ᵀ h` in column `k`.
+    fn add_inputs(&mut self, k: usize, at: PolicyColumns, n: usize, policy: &PolicyAdjoint<F>) {
+        for (block, lambda) in self.lambda.chunks_exact_mut(n).take(at.count.div_ceil(WIDTH)).enumerate() {
+            for lane in 0..WIDTH {
+                let sample = (block * WIDTH + lane).min(at.count - 1);
+                let c = at.first + sample * at.step;
+                // A unit cotangent's result is still to be multiplied by the control's own.
+                let factor = if policy.unit { policy.controls_bar[k][c] } else { F::one() };
+                for (lambda, &x_bar) in zip(lambda.iter_mut(), &policy.inputs_bar[c * n..][..n]) {
+                    lambda.0[k].0[lane] += x_bar * factor;
+                }
+            }
+        }
+    }
+
+    /// The first flow, and in it the first sample, whose state or control cotangent is not finite.
+    #[cold]
+    fn divergence(&self, task: &dyn AnyTask<F>, flows: [Flow; K], rollout: &Rollout<F>, step: usize) -> Divergence {
+        let find = |columns: &[Columns<Lane<F>, K>], n: usize, k: usize| {
+            find_non_finite(columns, n, rollout.samples, |c, lane| c.0[k].lane(lane))
+        };
+        let state = |k: usize| find(&self.lambda, rollout.state_dim, k).map(|place| (k, Variable::State, place));
+        let control = |k: usize| find(&self.u_bar, rollout.control_dim, k).map(|place| (k, Variable::Control, place));
+        let first = (0..K).find_map(|k| state(k).or_else(|| control(k)));
+        let (k, variable, (sample, component)) = first.expect("the probe saw one of them");
+        let of = |lanes: &[Lane<F>], n: usize| -> Vec<F> {
+            lanes[sample / WIDTH * n..][..n].iter().map(|number| number.lane(sample % WIDTH)).collect()
+        };
+        let (x, u) = (of(rollout.states_at(step), rollout.state_dim), of(rollout.controls_at(step), rollout.control_dim));
+        Divergence::Cotangent { flow: flows[k], variable, step, sample, component, cause: task.cause(&x, &u) }
+    }
+}

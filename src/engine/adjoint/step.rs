@@ -1,0 +1,178 @@
+//! One step back of all samples.
+
+use super::Flow;
+use super::exponents::Calm;
+use super::recursion::Recursion;
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::engine::rollout::{FEW, Lane, Rollout, WIDTH, read_lane};
+use crate::numbers::kernels::{Vectorized, dispatch_narrow, in_lanes};
+use crate::numbers::scalar::{Columns, Float, Real};
+use crate::numbers::zip::zip;
+use smallvec::{SmallVec, smallvec};
+
+/// Writes the gradients of the costs of a block.
+pub(super) type CostsOf<'a, F> = &'a mut dyn FnMut(usize, &mut [Lane<F>], &mut [Lane<F>]);
+
+/// A task's step back, of all samples at once, for `K` flows.
+pub trait StepBack<F: Float, const K: usize> {
+    /// One step back of all blocks: costs and physics. Returns whether the result is of a size that asks for nothing.
+    fn step_back(&self, flows: [Flow; K], rollout: &Rollout<F>, t: usize, carried: &mut Recursion<F, K>) -> bool;
+}
+
+impl<T: Task, F: Float, const K: usize> StepBack<F, K> for T {
+    fn step_back(&self, flows: [Flow; K], rollout: &Rollout<F>, t: usize, carried: &mut Recursion<F, K>) -> bool {
+        let mut calm = true;
+        dispatch_narrow(Back { task: self, flows, rollout, t, carried, calm: &mut calm });
+        calm
+    }
+}
+
+struct Back<'a, T, F: Float, const K: usize> {
+    task: &'a T,
+    flows: [Flow; K],
+    rollout: &'a Rollout<F>,
+    t: usize,
+    carried: &'a mut Recursion<F, K>,
+    calm: &'a mut bool,
+}
+
+/// What one step back reads and writes, of a block of samples or of one.
+struct Block<'a, R, const K: usize> {
+    x: &'a [R],
+    next: &'a [R],
+    u: &'a [R],
+    lambda: &'a mut [Columns<R, K>],
+    x_bar: &'a mut [Columns<R, K>],
+    u_bar: &'a mut [Columns<R, K>],
+    cost_x: &'a mut [R],
+    cost_u: &'a mut [R],
+    inject: Columns<R, K>,
+}
+
+impl<R: Real, const K: usize> Block<'_, R, K> {
+    /// Returns the size of the cotangents in every column, the sum of what is in λ and h.
+    #[inline(always)]
+    fn back<T: Task>(self, task: &T, flows: [Flow; K]) -> Columns<R, K> {
+        let Self { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject } = self;
+        let system = task.system();
+        let mut size = Columns([R::zero(); K]);
+        task.stage_cost_gradient(next, u, cost_x, cost_u);
+        for (lambda, &cost) in zip(lambda.iter_mut(), &*cost_x) {
+            *lambda += inject * cost;
+        }
+        // Of two flows one goes through the physics as a rule: what spares both the state's Jacobian is not compiled.
+        if K > 1 || flows.iter().any(|flow| flow.physics) {
+            system.vjp(x, u, lambda, x_bar, u_bar);
+        } else {
+            system.vjp_control(x, u, lambda, u_bar);
+        }
+        for (u_bar, &cost) in zip(u_bar.iter_mut(), &*cost_u) {
+            *u_bar += inject * cost;
+            size += u_bar.abs();
+        }
+        for (lambda, &x_bar) in zip(lambda.iter_mut(), &*x_bar) {
+            for (k, flow) in flows.iter().enumerate() {
+                lambda.0[k] = if flow.physics { x_bar.0[k] } else { R::zero() };
+            }
+            size += lambda.abs();
+        }
+        size
+    }
+}
+
+impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
+    #[inline(always)]
+    fn in_lanes(self) {
+        let Self { task, flows, rollout, t, carried: r, .. } = self;
+        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let (states, next, controls) = (rollout.states_at(t), rollout.states_at(t + 1), rollout.controls_at(t));
+        let limits = Calm::new();
+        let mut calm = true;
+        for block in 0..states.len() / n {
+            let (of_state, of_control) = (block * n..(block + 1) * n, block * m..(block + 1) * m);
+            let back = Block {
+                x: &states[of_state.clone()],
+                next: &next[of_state.clone()],
+                u: &controls[of_control.clone()],
+                lambda: &mut r.lambda[of_state.clone()],
+                x_bar: &mut r.x_bar[of_state],
+                u_bar: &mut r.u_bar[of_control],
+                cost_x: &mut r.cost_x,
+                cost_u: &mut r.cost_u,
+                inject: r.exponents[block].inject,
+            };
+            let size = back.back(task, flows);
+            for column in &size.0 {
+                for &size in &column.0 {
+                    calm &= limits.holds(size, r.scaled);
+                }
+            }
+        }
+        *self.calm = calm;
+    }
+
+    fn one_by_one(self) {
+        let Self { task, flows, rollout, t, carried, calm } = self;
+        *calm = one_by_one(&|block, flow| back_alone(task, block, flow), flows, rollout, t, carried);
+    }
+}
+
+/// Of one sample and flow, in one place however many flows there are.
+#[inline(never)]
+fn back_alone<T: Task, F: Float>(task: &T, block: Block<F, 1>, flow: Flow) -> F {
+    block.back(task, [flow]).0[0]
+}
+
+/// One step back of one sample and flow.
+type Alone<'a, F> = &'a dyn Fn(Block<F, 1>, Flow) -> F;
+
+/// One step back, sample by sample and flow by flow: on processors that are old, so that it is compiled once for all tasks.
+#[inline(never)]
+fn one_by_one<F: Float, const K: usize>(
+    alone: Alone<F>,
+    flows: [Flow; K],
+    rollout: &Rollout<F>,
+    t: usize,
+    r: &mut Recursion<F, K>,
+) -> bool {
+    let (n, m) = (rollout.state_dim, rollout.control_dim);
+    let mut numbers: SmallVec<[F; FEW]> = smallvec![F::zero(); 3 * n + 2 * m];
+    let mut columns: SmallVec<[Columns<F, 1>; FEW]> = smallvec![Columns([F::zero()]); 2 * n + m];
+    let (x, rest) = numbers.split_at_mut(n);
+    let (next, rest) = rest.split_at_mut(n);
+    let (cost_x, rest) = rest.split_at_mut(n);
+    let (u, cost_u) = rest.split_at_mut(m);
+    let (lambda, rest) = columns.split_at_mut(n);
+    let (x_bar, u_bar) = rest.split_at_mut(n);
+    let limits = Calm::new();
+    let mut calm = true;
+    for sample in 0..rollout.states_at(t).len() / n * WIDTH {
+        let (block, lane) = (sample / WIDTH, sample % WIDTH);
+        let (of_state, of_control) = (block * n..(block + 1) * n, block * m..(block + 1) * m);
+        read_lane(&rollout.states_at(t)[of_state.clone()], lane, x);
+        read_lane(&rollout.states_at(t + 1)[of_state.clone()], lane, next);
+        read_lane(&rollout.controls_at(t)[of_control.clone()], lane, u);
+        for (k, flow) in flows.into_iter().enumerate() {
+            for (one, lanes) in zip(lambda.iter_mut(), &r.lambda[of_state.clone()]) {
+                *one = Columns([lanes.0[k].0[lane]]);
+            }
+            let inject = Columns([r.exponents[block].inject.0[k].0[lane]]);
+            let one = Block { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject };
+            calm &= limits.holds(alone(one, flow), r.scaled);
+            let write = |ones: &[Columns<F, 1>], lanes: &mut [Columns<Lane<F>, K>]| {
+                zip(ones, lanes).for_each(|(one, lanes)| lanes.0[k].0[lane] = one.0[0]);
+            };
+            write(lambda, &mut r.lambda[of_state.clone()]);
+            write(u_bar, &mut r.u_bar[of_control.clone()]);
+        }
+    }
+    calm
+}
+
+impl<T: Task, F: Float, const K: usize> Vectorized for Back<'_, T, F, K> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        if in_lanes::<FMA>() { self.in_lanes() } else { self.one_by_one() }
+    }
+}

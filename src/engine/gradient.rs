@@ -1,0 +1,213 @@
+//! [`Gradient`]: a vector over the parameters, of any size.
+
+use crate::numbers::kernels::{Level, elementwise};
+use crate::numbers::scalar::Float;
+use crate::numbers::wide::{Wide, exponent_of, scaled, scaled_with_sign};
+use crate::numbers::zip::zip;
+
+/// A gradient, `values · 2^exponent`. The exponent is 0 wherever plain numbers will do.
+///
+/// Where they will not, because an adjoint exploded or vanished, the values are as large as the largest of them allows:
+/// it is between 1 and 2. A value that is too small beside it keeps its sign, as the smallest number there is.
+#[derive(Clone, Debug)]
+pub struct Gradient<F> {
+    values: Vec<F>,
+    /// Of all values, once they are [`settle`](Gradient::settle)d.
+    exponent: i32,
+    /// Of each value, while parts of different exponents are added up.
+    exponents: Vec<i32>,
+    /// Whether that is so.
+    spread: bool,
+}
+
+/// The same numbers.
+impl<F: Float> PartialEq for Gradient<F> {
+    fn eq(&self, other: &Self) -> bool {
+        (&self.values, self.exponent) == (&other.values, other.exponent)
+    }
+}
+
+/// Values of parts are kept within 2 to the power of ± this.
+const TAME: i32 = 60;
+
+impl<F: Float> Gradient<F> {
+    /// Zeros.
+    pub fn zeros(params: usize) -> Self {
+        Self { values: vec![F::zero(); params], exponent: 0, exponents: vec![0; params], spread: false }
+    }
+
+    /// The numbers, to be multiplied by 2 to the power of [`exponent`](Gradient::exponent).
+    pub fn values(&self) -> &[F] {
+        &self.values
+    }
+
+    /// The exponent of all of them.
+    pub fn exponent(&self) -> i32 {
+        self.exponent
+    }
+
+    /// The length.
+    pub fn norm(&self) -> Wide {
+        let square = elementwise::moments(Level::best(), &self.values, &self.values).0;
+        Wide::new(square.sqrt(), self.exponent)
+    }
+
+    /// The numbers as they are, multiplied: infinite, or 0, where that is beyond the range of `F`.
+    pub fn plain(&self) -> Vec<F> {
+        self.values.iter().map(|&value| scaled(value, self.exponent)).collect()
+    }
+
+    /// Bytes on the heap for so many parameters.
+    pub(crate) const fn bytes_of(params: usize) -> usize {
+        params * (size_of::<F>() + size_of::<i32>())
+    }
+
+    pub(crate) fn stored_bytes(&self) -> usize {
+        size_of_val(&self.values[..]) + size_of_val(&self.exponents[..])
+    }
+
+    /// The values with this exponent, to be written.
+    pub(crate) fn values_mut(&mut self, exponent: i32) -> &mut [F] {
+        (self.spread, self.exponent) = (false, exponent);
+        &mut self.values
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.values_mut(0).fill(F::zero());
+    }
+
+    /// The sum up to now, as long as all parts were plain numbers: more of them are added in place.
+    pub(crate) fn plain_sum(&mut self) -> Option<&mut [F]> {
+        (!self.spread).then_some(&mut self.values)
+    }
+
+    /// Adds `part · 2^exponent`.
+    pub(crate) fn add_part(&mut self, part: &[F], exponent: i32) {
+        self.spread();
+        for (i, &part) in part.iter().enumerate() {
+            self.add_to(i, part, exponent);
+        }
+    }
+
+    /// Adds a sum that need not be settled.
+    pub(crate) fn add(&mut self, other: &Self) {
+        if !self.spread && !other.spread && other.exponent == 0 {
+            for (sum, &part) in zip(self.values.iter_mut(), &other.values) {
+                *sum += part;
+            }
+            return;
+        }
+        self.spread();
+        for (i, &part) in other.values.iter().enumerate() {
+            self.add_to(i, part, if other.spread { other.exponents[i] } else { other.exponent });
+        }
+    }
+
+    /// Becomes a copy without allocating.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        self.values.copy_from_slice(&other.values);
+        (self.exponent, self.spread) = (other.exponent, other.spread);
+        if self.spread {
+            self.exponents.copy_from_slice(&other.exponents);
+        }
+    }
+
+    /// Values of sums have an exponent each from now on.
+    fn spread(&mut self) {
+        if !self.spread {
+            self.spread = true;
+            self.exponents.fill(0);
+        }
+    }
+
+    fn add_to(&mut self, i: usize, part: F, exponent: i32) {
+        let (value, own) = (&mut self.values[i], &mut self.exponents[i]);
+        if part == F::zero() {
+            return;
+        }
+        if *value == F::zero() || exponent > *own {
+            (*value, *own) = (scaled(*value, own.saturating_sub(exponent)) + part, exponent);
+        } else {
+            *value += scaled(part, exponent.saturating_sub(*own));
+        }
+        let size: f64 = value.as_();
+        if size.is_finite() && size != 0.0 && exponent_of(size).abs() > TAME {
+            let by = exponent_of(size);
+            (*value, *own) = (scaled(*value, -by), *own + by);
+        }
+    }
+
+    /// Gives all values one exponent: 0, if plain numbers will do.
+    pub(crate) fn settle(&mut self) {
+        if !std::mem::take(&mut self.spread) {
+            return;
+        }
+        let finite = |value: F| value.as_().is_finite();
+        let leading = |(&value, &exponent): (&F, &i32)| {
+            let size: f64 = value.as_();
+            (size != 0.0 && size.is_finite()).then(|| exponent + exponent_of(size))
+        };
+        let largest = zip(self.values.iter(), &self.exponents).filter_map(leading).max().unwrap_or(0);
+        // Large ones whose squares can be summed, small ones with most of the range below them.
+        let reach = if F::EPSILON < 1e-10 { 500 } else { 60 };
+        self.exponent = if (-reach..reach).contains(&largest) { 0 } else { largest };
+        for (value, &exponent) in zip(self.values.iter_mut(), &self.exponents) {
+            if finite(*value) {
+                *value = scaled_with_sign(*value, exponent - self.exponent);
+            }
+        }
+    }
+
+    /// The same vector with another exponent.
+    pub(crate) fn with_exponent(mut self, exponent: i32) -> Self {
+        let by = self.exponent.saturating_sub(exponent);
+        self.values.iter_mut().for_each(|value| *value = scaled_with_sign(*value, by));
+        self.exponent = exponent;
+        self
+    }
+
+    /// Becomes plain numbers: infinite, or 0, where that is beyond the range of `F`.
+    pub(crate) fn flatten(&mut self) {
+        let exponent = std::mem::take(&mut self.exponent);
+        if exponent != 0 {
+            self.values.iter_mut().for_each(|value| *value = scaled(*value, exponent));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_of_any_size_add_up_and_small_ones_keep_their_sign() {
+        let mut sum = Gradient::<f32>::zeros(4);
+        sum.add_part(&[1.0, 1.0, 0.0, -1.0], 3000);
+        sum.add_part(&[3.0, -1.0, -1.0, 1.0], 2999);
+        sum.add_part(&[0.0, 0.0, 1.0, 0.0], -5000);
+        sum.settle();
+        // 2.5 and 0.5 and -0.5 and -0.5 times 2^3000.
+        assert_eq!((sum.exponent(), sum.values()), (3001, &[1.25, 0.25, -0.25, -0.25][..]));
+        let mut tiny = Gradient::<f32>::zeros(2);
+        tiny.add_part(&[1.0, 0.0], 3000);
+        tiny.add_part(&[0.0, -1.0], -3000);
+        tiny.settle();
+        assert_eq!((tiny.exponent(), tiny.values()), (3000, &[1.0, -f32::from_bits(1)][..]));
+        approx::assert_relative_eq!(tiny.norm().log10(), 3000.0 * 2f64.log10(), max_relative = 1e-12);
+    }
+
+    #[test]
+    fn what_plain_numbers_can_hold_is_plain() {
+        let mut sum = Gradient::<f32>::zeros(2);
+        sum.plain_sum().expect("plain").copy_from_slice(&[1.0, 2.0]);
+        sum.add_part(&[1.0, 1.0], 3);
+        sum.settle();
+        assert_eq!((sum.exponent(), sum.values()), (0, &[9.0, 10.0][..]));
+        let (mut a, mut b) = (Gradient::<f64>::zeros(1), Gradient::zeros(1));
+        a.add_part(&[1.0], 2000);
+        b.add_part(&[-1.0], 2000);
+        a.add(&b);
+        a.settle();
+        assert_eq!((a.exponent(), a.values()), (0, &[0.0][..]));
+    }
+}

@@ -1,0 +1,327 @@
+//! [`Rollout`]: the forward pass of a batch of samples, and where it diverged.
+
+mod moves;
+mod room;
+mod step;
+
+use crate::engine::any::AnyTask;
+use crate::engine::divergence::{Divergence, Variable};
+use crate::numbers::aligned::Aligned;
+use crate::numbers::scalar::{Float, Lanes, Real, Scalar};
+use crate::policy::AnyPolicy;
+use crate::policy::{PolicyColumns, PolicyPass, Weights};
+use moves::scatter;
+pub(crate) use moves::{find_non_finite, gather};
+use room::Room;
+use std::ops::Range;
+pub use step::StepForward;
+pub(crate) use step::{FEW, read_lane};
+
+/// Samples that go through the physics together.
+pub(crate) const WIDTH: usize = 8;
+
+/// Steps whose parameter gradient is one sum, whatever is kept of a trajectory and whatever is run again.
+///
+/// Not fewer than the horizons of the paper, and so many that adding up the sums costs nothing beside making them. Odd,
+/// so that the columns of neighbouring samples do not compete for the same places in the cache.
+pub(crate) const UNIT: usize = 129;
+
+/// One state or control component of [`WIDTH`] samples.
+pub(crate) type Lane<F> = Lanes<F, WIDTH>;
+
+/// A batch of rollouts: sized once, then run as often as one likes without allocating.
+///
+/// With a tape it keeps the trajectory and what the policy's derivative needs, for [`Adjoint`](crate::Adjoint); without
+/// one ([`Rollout::for_evaluation`]) it keeps a single step, and computes the same bits.
+#[derive(Debug)]
+pub struct Rollout<F: Float> {
+    capacity: usize,
+    /// Samples started, at most the capacity.
+    pub(crate) samples: usize,
+    pub(crate) state_dim: usize,
+    pub(crate) control_dim: usize,
+    pub(crate) horizon: usize,
+    /// The last steps that are kept: the horizon, a multiple of [`UNIT`], or 1.
+    pub(crate) kept: usize,
+    /// `[step][block][component]`, `kept + 1` steps; step `t` is in place of step `t - kept - 1`.
+    states: Vec<Lane<F>>,
+    /// `[step][block][component]`, `kept` steps; step `t` is in place of step `t - kept`.
+    controls: Vec<Lane<F>>,
+    /// Policy columns `[unit][sample][step][component]`, so that what is one sum lies together.
+    inputs: Vec<F>,
+    outputs: Vec<F>,
+    pub(crate) tape: Aligned<F>,
+    pub(crate) costs: Vec<Lane<F>>,
+}
+
+impl<F: Float> Rollout<F> {
+    /// Room for `samples` rollouts that can be differentiated.
+    pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize) -> Self {
+        Self::with_steps(task, policy, samples, task.horizon())
+    }
+
+    /// Room for `samples` rollouts of which only the costs and the last state are wanted.
+    pub fn for_evaluation(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize) -> Self {
+        Self::with_steps(task, policy, samples, 1)
+    }
+
+    /// Room for `samples` rollouts of which the last `kept` steps can be differentiated.
+    #[track_caller]
+    pub(crate) fn with_steps(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> Self {
+        let (n, m) = (task.state_dim(), task.control_dim());
+        assert!(samples > 0, "a rollout needs at least one sample");
+        assert!(task.horizon() > 0, "a rollout needs a horizon of at least one step");
+        assert_eq!(policy.state_dim(), n, "the policy sees {} state components, the system has {n}", policy.state_dim());
+        assert_eq!(policy.control_dim(), m, "the policy sets {} controls, the system has {m}", policy.control_dim());
+        let room = Room::new(policy, samples, kept);
+        let zeros = |len: usize| vec![F::zero(); len];
+        let lanes = |len: usize| vec![Lane::zero(); len];
+        Self {
+            capacity: samples,
+            samples,
+            state_dim: n,
+            control_dim: m,
+            horizon: task.horizon(),
+            kept,
+            states: lanes(room.states),
+            controls: lanes(room.controls),
+            inputs: zeros(room.inputs),
+            outputs: zeros(room.outputs),
+            tape: Aligned::zeros(room.tape),
+            costs: lanes(room.costs),
+        }
+    }
+
+    /// Number of samples started.
+    pub fn samples(&self) -> usize {
+        self.samples
+    }
+
+    /// Number of samples there is room for.
+    pub fn capacity(&self) -> usize {
+        self.capacity
+    }
+
+    /// Bytes on the heap. They do not depend on how many samples are started; without a tape they do not on the horizon
+    /// either.
+    pub fn stored_bytes(&self) -> usize {
+        let lanes = [&self.states, &self.controls, &self.costs].map(|lanes| size_of_val(&lanes[..]));
+        let numbers = [&self.inputs, &self.outputs].map(|numbers| size_of_val(&numbers[..]));
+        lanes.into_iter().chain(numbers).sum::<usize>() + self.tape.stored_bytes()
+    }
+
+    /// The [`stored_bytes`](Rollout::stored_bytes) of a rollout that keeps so many steps.
+    pub(crate) fn bytes_of(policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> usize {
+        Room::new(policy, samples, kept).bytes::<F>()
+    }
+
+    /// Sets the start states, `state_dim` numbers per sample. There may be fewer samples than there is room for.
+    ///
+    /// # Panics
+    /// If `starts` is empty, no whole number of samples, or too long.
+    #[track_caller]
+    pub fn start(&mut self, starts: &[F]) {
+        let n = self.state_dim;
+        let samples = starts.len() / n;
+        assert!(
+            !starts.is_empty() && starts.len().is_multiple_of(n) && samples <= self.capacity,
+            "there is room for {} samples of {n} components, and {} numbers were given",
+            self.capacity,
+            starts.len()
+        );
+        self.samples = samples;
+        let len = self.blocks() * n;
+        for (block, x) in self.states[..len].chunks_exact_mut(n).enumerate() {
+            for lane in 0..WIDTH {
+                // Lanes without a sample repeat the last one: they cost nothing and stay as finite as it does.
+                let sample = (block * WIDTH + lane).min(samples - 1);
+                for (x, &start) in x.iter_mut().zip(&starts[sample * n..]) {
+                    x.set_lane(lane, start);
+                }
+            }
+        }
+    }
+
+    /// Runs all samples from their start states. Stops at the first step with a non-finite state or control.
+    ///
+    /// # Errors
+    /// [`Divergence`] says where a control, state or cost was not finite.
+    pub fn run(&mut self, task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &Weights<F>) -> Result<(), Divergence> {
+        self.costs.fill(Lane::zero());
+        self.advance(task, policy, weights, 0..self.horizon)?;
+        self.finish(task)
+    }
+
+    /// Runs the given steps, from a state that is there. Their costs are added to what there is.
+    pub(crate) fn advance(
+        &mut self,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        weights: &Weights<F>,
+        steps: Range<usize>,
+    ) -> Result<(), Divergence> {
+        steps.into_iter().try_for_each(|t| self.step(task, policy, weights, t))
+    }
+
+    /// The same where only the state they lead to is wanted: in the room of one step, which stays in the cache. What was
+    /// kept is lost.
+    pub(crate) fn pass_over(
+        &mut self,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        weights: &Weights<F>,
+        steps: Range<usize>,
+    ) -> Result<(), Divergence> {
+        let kept = self.keep_from(steps.start, 1);
+        let outcome = self.advance(task, policy, weights, steps.clone());
+        self.keep_from(steps.end, kept);
+        outcome
+    }
+
+    /// Keeps so many steps from now on, of which there is the state at step `t`. Returns how many there were.
+    fn keep_from(&mut self, t: usize, kept: usize) -> usize {
+        let from = self.state_range(t);
+        let before = std::mem::replace(&mut self.kept, kept);
+        let to = self.state_range(t).start;
+        self.states.copy_within(from, to);
+        before
+    }
+
+    /// Adds the terminal costs, and says whether all costs are finite.
+    pub(crate) fn finish(&mut self, task: &dyn AnyTask<F>) -> Result<(), Divergence> {
+        let last = self.state_range(self.horizon);
+        for (x, cost) in self.states[last].chunks_exact(self.state_dim).zip(&mut self.costs) {
+            *cost += task.terminal_cost(x);
+        }
+        let bad = (0..self.samples).find(|&sample| !self.cost(sample).as_().is_finite());
+        bad.map_or(Ok(()), |sample| Err(Divergence::Cost { sample }))
+    }
+
+    fn step(
+        &mut self,
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        weights: &Weights<F>,
+        t: usize,
+    ) -> Result<(), Divergence> {
+        let (n, m) = (self.state_dim, self.control_dim);
+        let (now, next) = (self.state_range(t), self.state_range(t + 1));
+        let at = self.columns(t);
+        let blocks = self.blocks();
+        gather(&self.states[now.clone()], Real::lane, n, at, &mut self.inputs);
+        let inputs = &self.inputs[..self.samples * self.kept * n];
+        policy.forward(PolicyPass { packed: weights.packed(), at, x: inputs }, &mut self.tape, &mut self.outputs);
+        let controls = &mut self.controls[blocks * m * (t % self.kept)..][..blocks * m];
+        scatter(&self.outputs, m, at, controls);
+
+        // The two steps are neighbours, in either order.
+        let (x, next) = if now.start < next.start {
+            let (before, after) = self.states.split_at_mut(next.start);
+            (&before[now], &mut after[..next.len()])
+        } else {
+            let (before, after) = self.states.split_at_mut(now.start);
+            (&after[..now.len()], &mut before[next])
+        };
+        if task.step_forward(x, controls, next, &mut self.costs) {
+            return Ok(());
+        }
+        let control = find_non_finite(controls, m, self.samples, Real::lane).map(|place| (Variable::Control, t, place));
+        let state = || find_non_finite(next, n, self.samples, Real::lane).map(|place| (Variable::State, t + 1, place));
+        let (variable, step, (sample, component)) = control.or_else(state).expect("the probe saw one of them");
+        let of = |lanes: &[Lane<F>], n: usize| -> Vec<F> {
+            let block = &lanes[sample / WIDTH * n..][..n];
+            block.iter().map(|number| number.lane(sample % WIDTH)).collect()
+        };
+        let cause = match variable {
+            Variable::State => task.cause(&of(x, n), &of(controls, m)),
+            Variable::Control => None,
+        };
+        Err(Divergence::Forward { variable, step, sample, component, cause })
+    }
+
+    /// The policy's columns of step `t`, one per sample.
+    pub(crate) fn columns(&self, t: usize) -> PolicyColumns {
+        if self.kept < UNIT {
+            return PolicyColumns { first: t % self.kept, step: self.kept, count: self.samples };
+        }
+        let unit = t / UNIT * UNIT;
+        // Where all is kept, a comparison is cheaper than a division at every step.
+        let place = if unit < self.kept { unit } else { unit % self.kept };
+        let step = UNIT.min(self.horizon - unit);
+        PolicyColumns { first: place * self.samples + t - unit, step, count: self.samples }
+    }
+
+    /// The steps unit after unit, the last first, as a reverse pass comes by them. They begin with a unit.
+    pub(crate) fn units(steps: Range<usize>) -> impl Iterator<Item = Range<usize>> {
+        steps.clone().step_by(UNIT).rev().map(move |first| first..steps.end.min(first + UNIT))
+    }
+
+    /// The policy's columns of some samples at the steps of a unit.
+    pub(crate) fn columns_of(&self, unit: &Range<usize>, samples: Range<usize>) -> PolicyColumns {
+        let PolicyColumns { first, step, .. } = self.columns(unit.start);
+        debug_assert_eq!(step, unit.len(), "{unit:?} are not the steps of a unit");
+        PolicyColumns::range(first + samples.start * step..first + samples.end * step)
+    }
+
+    /// The policy's inputs, as its columns.
+    pub(crate) fn inputs(&self) -> &[F] {
+        &self.inputs[..self.samples * self.kept * self.state_dim]
+    }
+
+    fn blocks(&self) -> usize {
+        self.samples.div_ceil(WIDTH)
+    }
+
+    fn state_range(&self, t: usize) -> Range<usize> {
+        let len = self.blocks() * self.state_dim;
+        let slot = t % (self.kept + 1);
+        slot * len..(slot + 1) * len
+    }
+
+    /// All states at step `t`, blocks of [`WIDTH`] samples.
+    pub(crate) fn states_at(&self, t: usize) -> &[Lane<F>] {
+        &self.states[self.state_range(t)]
+    }
+
+    /// The same, to be set.
+    pub(crate) fn states_at_mut(&mut self, t: usize) -> &mut [Lane<F>] {
+        let range = self.state_range(t);
+        &mut self.states[range]
+    }
+
+    /// All controls at step `t`, blocks of [`WIDTH`] samples.
+    pub(crate) fn controls_at(&self, t: usize) -> &[Lane<F>] {
+        let len = self.blocks() * self.control_dim;
+        &self.controls[len * (t % self.kept)..][..len]
+    }
+
+    /// Whether the whole trajectory is kept.
+    pub(crate) fn has_tape(&self) -> bool {
+        self.kept == self.horizon
+    }
+
+    /// Cost of one sample.
+    pub fn cost(&self, sample: usize) -> F {
+        self.costs[sample / WIDTH].lane(sample % WIDTH)
+    }
+
+    /// Component `i` of the state of `sample` at step `t` (0 is the start, `horizon` the end).
+    ///
+    /// # Panics
+    /// If that step was not kept: without a tape only the last is.
+    #[track_caller]
+    pub fn state(&self, t: usize, sample: usize, i: usize) -> F {
+        assert!(t <= self.horizon && t + self.kept >= self.horizon, "step {t} was not kept");
+        self.states_at(t)[(sample / WIDTH) * self.state_dim + i].lane(sample % WIDTH)
+    }
+
+    /// Component `i` of the control of `sample` at step `t`, `t < horizon`.
+    ///
+    /// # Panics
+    /// If that step was not kept: without a tape only the last is.
+    #[track_caller]
+    pub fn control(&self, t: usize, sample: usize, i: usize) -> F {
+        assert!(t < self.horizon && t + self.kept >= self.horizon, "step {t} was not kept");
+        self.controls_at(t)[(sample / WIDTH) * self.control_dim + i].lane(sample % WIDTH)
+    }
+}

@@ -1,0 +1,36 @@
+//! How long the vectors of a rollout are: what it allocates, and what it says it would.
+
+use super::{Lane, WIDTH};
+use crate::numbers::aligned::Aligned;
+use crate::numbers::scalar::Float;
+use crate::policy::AnyPolicy;
+
+/// How long the vectors of a rollout are.
+pub(super) struct Room {
+    pub(super) states: usize,
+    pub(super) controls: usize,
+    pub(super) costs: usize,
+    pub(super) inputs: usize,
+    pub(super) outputs: usize,
+    pub(super) tape: usize,
+}
+
+impl Room {
+    pub(super) fn new<F: Float>(policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> Self {
+        let (n, m) = (policy.state_dim(), policy.control_dim());
+        let (blocks, columns) = (samples.div_ceil(WIDTH), samples * kept);
+        Self {
+            states: (kept + 1) * blocks * n,
+            controls: kept * blocks * m,
+            costs: blocks,
+            inputs: columns * n,
+            outputs: columns * m,
+            tape: policy.sizes(columns).tape,
+        }
+    }
+
+    pub(super) fn bytes<F: Float>(&self) -> usize {
+        let lanes = self.states + self.controls + self.costs;
+        lanes * size_of::<Lane<F>>() + (self.inputs + self.outputs) * size_of::<F>() + Aligned::<F>::bytes_of(self.tape)
+    }
+}

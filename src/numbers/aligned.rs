@@ -1,0 +1,92 @@
+//! [`Aligned`]: numbers that begin at a cache line.
+
+use crate::numbers::scalar::Float;
+use std::ops::{Deref, DerefMut};
+
+/// Bytes of a cache line, and of the widest register.
+const LINE: usize = 64;
+
+/// Numbers that begin at a cache line. Matrices are padded to whole lines, so that no register of theirs lies in two, which
+/// takes a twentieth longer.
+#[derive(Debug)]
+pub(crate) struct Aligned<F> {
+    /// The numbers, wherever in here a line begins.
+    room: Vec<F>,
+    begin: usize,
+    len: usize,
+}
+
+impl<F> Aligned<F> {
+    pub(crate) fn zeros(len: usize) -> Self
+    where
+        F: Float,
+    {
+        let room = vec![F::zero(); Self::room_for(len)];
+        Self { begin: Self::line(&room, len), room, len }
+    }
+
+    /// Where in the room the numbers are. If it cannot be told where a line begins, anywhere: no result depends on it.
+    fn line(room: &[F], len: usize) -> usize {
+        room.as_ptr().align_offset(LINE).min(room.len() - len)
+    }
+
+    /// Bytes on the heap.
+    pub(crate) fn stored_bytes(&self) -> usize {
+        size_of_val(&self.room[..])
+    }
+
+    /// The [`stored_bytes`](Aligned::stored_bytes) of so many.
+    pub(crate) fn bytes_of(len: usize) -> usize {
+        Self::room_for(len) * size_of::<F>()
+    }
+
+    fn room_for(len: usize) -> usize {
+        if len == 0 { 0 } else { len + LINE / size_of::<F>() - 1 }
+    }
+}
+
+impl<F: Clone> Clone for Aligned<F> {
+    fn clone(&self) -> Self {
+        // Elsewhere, a line may begin elsewhere.
+        let (mut room, len) = (self.room.clone(), self.len);
+        let begin = Self::line(&room, len);
+        if begin >= self.begin {
+            room.rotate_right(begin - self.begin);
+        } else {
+            room.rotate_left(self.begin - begin);
+        }
+        Self { room, begin, len }
+    }
+}
+
+impl<F> Deref for Aligned<F> {
+    type Target = [F];
+
+    fn deref(&self) -> &[F] {
+        &self.room[self.begin..self.begin + self.len]
+    }
+}
+
+impl<F> DerefMut for Aligned<F> {
+    fn deref_mut(&mut self) -> &mut [F] {
+        &mut self.room[self.begin..self.begin + self.len]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_begin_at_a_line_wherever_they_are_cloned_to() {
+        let mut numbers = Aligned::<f64>::zeros(5);
+        numbers.copy_from_slice(&[1.0, 2.0, 3.0, 4.0, 5.0]);
+        // Kept, so that each is in another place.
+        let clones: Vec<(Aligned<f64>, Vec<u8>)> = (0..40).map(|i| (numbers.clone(), vec![0; 16 * i])).collect();
+        for (clone, _) in &clones {
+            assert_eq!(clone[..], [1.0, 2.0, 3.0, 4.0, 5.0]);
+            assert!(clone.as_ptr().addr().is_multiple_of(LINE));
+        }
+        assert!(Aligned::<f32>::zeros(0).is_empty());
+    }
+}

@@ -1,0 +1,52 @@
+//! Jacobians by dual numbers: the default derivatives.
+
+use crate::numbers::scalar::{Dual, Real};
+use crate::numbers::zip::zip;
+use smallvec::{SmallVec, smallvec};
+use std::ops::Range;
+
+/// Directions carried through one evaluation, of which each has a number for every lane.
+pub(crate) const CHUNK: usize = 4;
+
+/// What derivatives of `R` run on, all lanes at once.
+pub(crate) type Chunk<R> = Dual<R, CHUNK>;
+
+/// Outputs and inputs up to here live on the stack.
+const STACK: usize = 32;
+type Buffer<T> = SmallVec<[T; 2 * STACK]>;
+
+/// Calls `visit(i, column)` with `column[j] = ∂f_j/∂input_i`, for every input `i` in `wrt`.
+///
+/// `f` maps all `inputs` to `outputs` numbers.
+#[inline(always)]
+pub(crate) fn jacobian<R: Real>(
+    inputs: &[R],
+    wrt: Range<usize>,
+    outputs: usize,
+    f: impl Fn(&[Chunk<R>], &mut [Chunk<R>]),
+    mut visit: impl FnMut(usize, &[R]),
+) {
+    let constant = Chunk::constant(R::zero());
+    let mut x: Buffer<Chunk<R>> = smallvec![constant; inputs.len()];
+    let mut y: Buffer<Chunk<R>> = smallvec![constant; outputs];
+    let mut column: Buffer<R> = smallvec![R::zero(); outputs];
+    for first in wrt.clone().step_by(CHUNK) {
+        let chunk = first..wrt.end.min(first + CHUNK);
+        for (i, (x, &input)) in zip(x.iter_mut(), inputs).enumerate() {
+            *x = if chunk.contains(&i) { Chunk::variable(input, i - first) } else { Chunk::constant(input) };
+        }
+        f(&x, &mut y);
+        for (k, i) in chunk.enumerate() {
+            for (column, y) in zip(column.iter_mut(), &y) {
+                *column = y.tangents[k];
+            }
+            visit(i, &column);
+        }
+    }
+}
+
+/// The inputs `x` and then `u` in one slice.
+#[inline(always)]
+pub(crate) fn concat<R: Real>(x: &[R], u: &[R]) -> SmallVec<[R; 16]> {
+    x.iter().chain(u).copied().collect()
+}

@@ -1,0 +1,151 @@
+//! Passes over a layer's numbers, vectorized for the processor at hand. Loops go by index: an iterator over two slices is
+//! not seen through everywhere.
+
+use super::{Level, Vectorized, dispatch};
+use crate::numbers::scalar::Float;
+
+/// `v ← tanh v` in every one of the strided columns.
+pub fn tanh<F: Float>(level: Level, values: &mut [F], columns: Strided) {
+    struct Work<'a, F>(&'a mut [F], Strided);
+    impl<F: Float> Vectorized for Work<'_, F> {
+        #[inline(always)]
+        fn run<const FMA: bool>(self) {
+            for start in self.1.starts() {
+                for value in &mut self.0[start..start + self.1.len] {
+                    *value = value.layer_tanh::<FMA>();
+                }
+            }
+        }
+    }
+    dispatch(level, Work(values, columns));
+}
+
+/// `bar ← bar·(1 - h²)`: the cotangent of a tanh layer's output `h` becomes that of its input.
+pub fn tanh_bar<F: Float>(level: Level, h: &[F], bar: &mut [F], columns: Strided) {
+    struct Work<'a, F>(&'a [F], &'a mut [F], Strided);
+    impl<F: Float> Vectorized for Work<'_, F> {
+        #[inline(always)]
+        fn run<const FMA: bool>(self) {
+            for start in self.2.starts() {
+                let (h, bar) = (&self.0[start..][..self.2.len], &mut self.1[start..][..self.2.len]);
+                for i in 0..h.len() {
+                    bar[i] *= F::one() - h[i] * h[i];
+                }
+            }
+        }
+    }
+    dispatch(level, Work(h, bar, columns));
+}
+
+/// `to[:, c] = from[:, c]·weight[c]` for columns of `len` numbers, contiguous in both.
+pub fn scale<F: Float>(level: Level, from: &[F], weight: &[F], len: usize, to: &mut [F]) {
+    struct Work<'a, F>(&'a [F], &'a [F], usize, &'a mut [F]);
+    impl<F: Float> Vectorized for Work<'_, F> {
+        #[inline(always)]
+        fn run<const FMA: bool>(self) {
+            let Work(from, weight, len, to) = self;
+            for (c, &weight) in weight.iter().enumerate().take(to.len() / len) {
+                let (from, to) = (&from[c * len..][..len], &mut to[c * len..][..len]);
+                for i in 0..len {
+                    to[i] = from[i] * weight;
+                }
+            }
+        }
+    }
+    dispatch(level, Work(from, weight, len, to));
+}
+
+/// `out[c·rows.count + r] = row r · column c`. Rows and columns have the same length, a multiple of the padding.
+pub fn dots<F: Float>(level: Level, a: &[F], rows: Strided, b: &[F], columns: Strided, out: &mut [F], out_step: usize) {
+    struct Work<'a, F>(&'a [F], Strided, &'a [F], Strided, &'a mut [F], usize);
+    impl<F: Float> Vectorized for Work<'_, F> {
+        #[inline(always)]
+        fn run<const FMA: bool>(self) {
+            let Work(a, rows, b, columns, out, out_step) = self;
+            for (c, start) in columns.starts().enumerate() {
+                let column = &b[start..start + columns.len];
+                for (r, start) in rows.starts().enumerate() {
+                    out[c * out_step + r] = dot::<F, FMA>(&a[start..start + rows.len], column);
+                }
+            }
+        }
+    }
+    dispatch(level, Work(a, rows, b, columns, out, out_step));
+}
+
+/// Partial sums of a cache line each, then a tree: the same order for every vector width.
+#[inline(always)]
+fn dot<F: Float, const FMA: bool>(a: &[F], b: &[F]) -> F {
+    const WIDTH: usize = 16;
+    let mut sum = [F::zero(); WIDTH];
+    let (a, a_rest) = a.as_chunks::<WIDTH>();
+    let (b, b_rest) = b.as_chunks::<WIDTH>();
+    for c in 0..a.len().min(b.len()) {
+        for i in 0..WIDTH {
+            sum[i] = F::plus_product::<FMA>(sum[i], a[c][i], b[c][i]);
+        }
+    }
+    for i in 0..a_rest.len().min(b_rest.len()) {
+        sum[i] = F::plus_product::<FMA>(sum[i], a_rest[i], b_rest[i]);
+    }
+    let mut half = WIDTH / 2;
+    while half > 0 {
+        for i in 0..half {
+            sum[i] += sum[i + half];
+        }
+        half /= 2;
+    }
+    sum[0]
+}
+
+/// Columns of `len` numbers, `step` apart.
+#[derive(Clone, Copy, Debug)]
+pub struct Strided {
+    /// Where the first starts.
+    pub first: usize,
+    /// From the start of one to the start of the next.
+    pub step: usize,
+    /// How many.
+    pub count: usize,
+    /// Numbers in each.
+    pub len: usize,
+}
+
+impl Strided {
+    #[inline(always)]
+    fn starts(self) -> impl Iterator<Item = usize> {
+        (0..self.count).map(move |i| self.first + i * self.step)
+    }
+}
+
+/// `(Σ a·b, Σ a², Σ b²)` in double precision, in an order that does not depend on the processor.
+pub fn moments<F: Float>(level: Level, a: &[F], b: &[F]) -> (f64, f64, f64) {
+    const WIDTH: usize = 16;
+    struct Work<'a, F>(&'a [F], &'a [F], &'a mut [[f64; WIDTH]; 3]);
+    impl<F: Float> Vectorized for Work<'_, F> {
+        #[inline(always)]
+        fn run<const FMA: bool>(self) {
+            let Work(a, b, sums) = self;
+            let mut add = |i: usize, a: F, b: F| {
+                let (a, b): (f64, f64) = (a.as_(), b.as_());
+                sums[0][i] += a * b;
+                sums[1][i] += a * a;
+                sums[2][i] += b * b;
+            };
+            let (a, a_rest) = a.as_chunks::<WIDTH>();
+            let (b, b_rest) = b.as_chunks::<WIDTH>();
+            for c in 0..a.len().min(b.len()) {
+                for i in 0..WIDTH {
+                    add(i, a[c][i], b[c][i]);
+                }
+            }
+            for i in 0..a_rest.len().min(b_rest.len()) {
+                add(i, a_rest[i], b_rest[i]);
+            }
+        }
+    }
+    let mut sums = [[0.0; WIDTH]; 3];
+    dispatch(level, Work(a, b, &mut sums));
+    let [ab, aa, bb] = sums.map(|sum| sum.iter().sum());
+    (ab, aa, bb)
+}

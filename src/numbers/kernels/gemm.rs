@@ -1,0 +1,246 @@
+//! A register-tiled matrix product for the sizes that controllers have.
+//!
+//! `C = A·B` or `C += A·B` with `A` (m × k) and `C` (m × n) column-major and padded to whole cache lines, `B` (k × n)
+//! with any strides. Every element of `C` is summed over `k` in order, in one chain, whatever the tile, the vector
+//! width or the number of columns. So a column's result does not depend on which columns are computed with it, and
+//! results do not depend on how a batch is split over threads.
+
+/// One product, as borrowed slices. Shapes are checked against the slices before anything is read.
+pub struct Product<'a, F> {
+    /// Rows of `A` and `C`: a multiple of the padding (64 bytes), padding included.
+    pub rows: usize,
+    /// Columns of `A`, rows of `B`.
+    pub depth: usize,
+    /// Columns of `B` and `C`.
+    pub cols: usize,
+    /// `A[i, p] = a[i + p·lda]`.
+    pub a: &'a [F],
+    /// Leading dimension of `A`.
+    pub lda: usize,
+    /// `B[p, j] = b[p·b_row + j·b_col]`.
+    pub b: &'a [F],
+    /// Distance between rows of `B`.
+    pub b_row: usize,
+    /// Distance between columns of `B`.
+    pub b_col: usize,
+    /// `C[i, j] = c[i + j·ldc]`.
+    pub c: &'a mut [F],
+    /// Leading dimension of `C`.
+    pub ldc: usize,
+    /// `C += A·B` instead of `C = A·B`.
+    pub accumulate: bool,
+}
+
+impl<F> Product<'_, F> {
+    fn check(&self, pad: usize) {
+        let Self { rows, depth, cols, lda, b_row, b_col, ldc, .. } = *self;
+        // The last entry that is touched; too large to be counted is too large to be there.
+        let last = |count: usize, step: usize| (count - 1).checked_mul(step);
+        let within = |a: Option<usize>, b: Option<usize>, len: usize| {
+            a.zip(b).and_then(|(a, b)| a.checked_add(b)).is_some_and(|i| i < len)
+        };
+        assert!(rows > 0 && depth > 0 && cols > 0 && rows.is_multiple_of(pad), "product: {rows}x{depth}x{cols}, padding {pad}");
+        assert!(lda >= rows && within(last(depth, lda), Some(rows - 1), self.a.len()), "product: A has {} entries", self.a.len());
+        assert!(within(last(depth, b_row), last(cols, b_col), self.b.len()), "product: B has {} entries", self.b.len());
+        assert!(ldc >= rows && within(last(cols, ldc), Some(rows - 1), self.c.len()), "product: C has {} entries", self.c.len());
+    }
+}
+
+/// A vector register, or an array that stands in for one.
+trait Register: Copy {
+    type Float: Copy;
+    /// Numbers it holds.
+    const WIDTH: usize;
+    unsafe fn zero() -> Self;
+    unsafe fn splat(value: Self::Float) -> Self;
+    unsafe fn load(from: *const Self::Float) -> Self;
+    unsafe fn store(self, to: *mut Self::Float);
+    /// `a·b + self`, fused where the processor fuses.
+    unsafe fn plus_product(self, a: Self, b: Self) -> Self;
+}
+
+/// Rows in panels of up to `MAX` registers; within a panel, columns in tiles of `NR`. The panel of `A` stays in the
+/// first-level cache while the tiles pass over it.
+///
+/// # Safety
+/// `p.check()` has passed, and the processor has the instructions of `R`.
+#[inline(always)]
+unsafe fn panels<R: Register, const MAX: usize, const NR: usize>(p: Product<'_, R::Float>) {
+    let c = p.c.as_mut_ptr();
+    let mut row = 0;
+    while row < p.rows {
+        let registers = match (p.rows - row) / R::WIDTH {
+            // Four are better as 2 + 2 than as 3 + 1.
+            4 if MAX == 3 => 2,
+            left => left.min(MAX),
+        };
+        match registers {
+            3 if MAX >= 3 => unsafe { tiles::<R, 3, NR>(&p, c, row) },
+            2 if MAX >= 2 => unsafe { tiles::<R, 2, NR>(&p, c, row) },
+            _ => unsafe { tiles::<R, 1, NR>(&p, c, row) },
+        }
+        row += registers * R::WIDTH;
+    }
+}
+
+/// The tiles of one panel.
+///
+/// # Safety
+/// As for [`panels`].
+#[inline(always)]
+unsafe fn tiles<R: Register, const H: usize, const NR: usize>(p: &Product<'_, R::Float>, c: *mut R::Float, row: usize) {
+    let mut col = 0;
+    while col < p.cols {
+        // What is left over is one narrower tile: two would each wait for their few sums.
+        let width = NR.min(p.cols - col);
+        match width {
+            1 => unsafe { tile::<R, H, 1>(p, c, row, col) },
+            2 => unsafe { tile::<R, H, 2>(p, c, row, col) },
+            3 => unsafe { tile::<R, H, 3>(p, c, row, col) },
+            4 => unsafe { tile::<R, H, 4>(p, c, row, col) },
+            5 => unsafe { tile::<R, H, 5>(p, c, row, col) },
+            6 => unsafe { tile::<R, H, 6>(p, c, row, col) },
+            7 => unsafe { tile::<R, H, 7>(p, c, row, col) },
+            _ => unsafe { tile::<R, H, NR>(p, c, row, col) },
+        }
+        col += width;
+    }
+}
+
+/// One tile of `H` registers by `NR` columns, kept in registers over the whole depth.
+///
+/// # Safety
+/// As for [`panels`]; the tile lies within `C`.
+#[inline(always)]
+unsafe fn tile<R: Register, const H: usize, const NR: usize>(
+    p: &Product<'_, R::Float>,
+    c: *mut R::Float,
+    row: usize,
+    col: usize,
+) {
+    unsafe {
+        let a = p.a.as_ptr().add(row);
+        let b = p.b.as_ptr().add(col * p.b_col);
+        let c = c.add(row + col * p.ldc);
+        let mut sum = [[R::zero(); H]; NR];
+        if p.accumulate {
+            for (j, column) in sum.iter_mut().enumerate() {
+                for (i, sum) in column.iter_mut().enumerate() {
+                    *sum = R::load(c.add(i * R::WIDTH + j * p.ldc));
+                }
+            }
+        }
+        for k in 0..p.depth {
+            let a = a.add(k * p.lda);
+            let mut a_k = [R::zero(); H];
+            for (i, a_k) in a_k.iter_mut().enumerate() {
+                *a_k = R::load(a.add(i * R::WIDTH));
+            }
+            for (j, column) in sum.iter_mut().enumerate() {
+                let b_kj = R::splat(*b.add(k * p.b_row + j * p.b_col));
+                // By index: the standard library's `zip` may stay a call, in the innermost loop of all.
+                for i in 0..H {
+                    column[i] = column[i].plus_product(a_k[i], b_kj);
+                }
+            }
+        }
+        for (j, column) in sum.iter().enumerate() {
+            for (i, sum) in column.iter().enumerate() {
+                sum.store(c.add(i * R::WIDTH + j * p.ldc));
+            }
+        }
+    }
+}
+
+/// Implements [`Register`]. The array's operations are safe, the intrinsics are not.
+macro_rules! register {
+    ($register:ty, $float:ty, $width:literal, $splat:expr, $load:expr, $store:expr, $plus_product:expr) => {
+        #[allow(unused_unsafe)]
+        impl Register for $register {
+            type Float = $float;
+            const WIDTH: usize = $width;
+            #[inline(always)]
+            unsafe fn zero() -> Self {
+                unsafe { $splat(0.0) }
+            }
+            #[inline(always)]
+            unsafe fn splat(value: $float) -> Self {
+                unsafe { $splat(value) }
+            }
+            #[inline(always)]
+            unsafe fn load(from: *const $float) -> Self {
+                unsafe { $load(from) }
+            }
+            #[inline(always)]
+            unsafe fn store(self, to: *mut $float) {
+                unsafe { $store(to, self) }
+            }
+            #[inline(always)]
+            unsafe fn plus_product(self, a: Self, b: Self) -> Self {
+                unsafe { $plus_product(a, b, self) }
+            }
+        }
+    };
+}
+
+macro_rules! gemm {
+    ($module:ident, $float:ident, $avx2:ident, $avx512:ident, $half:literal, $pad:literal,
+     [$s2:ident $l2:ident $st2:ident $f2:ident], [$s5:ident $l5:ident $st5:ident $f5:ident]) => {
+        pub mod $module {
+            use super::{Product, Register, panels};
+            use crate::numbers::kernels::Level;
+            #[cfg(target_arch = "x86_64")]
+            use std::arch::x86_64::*;
+
+            /// Entries in one cache line: what rows are padded to.
+            pub const PAD: usize = $pad;
+
+            #[derive(Clone, Copy)]
+            struct Array([$float; $half]);
+            register!(
+                Array,
+                $float,
+                $half,
+                |value| Array([value; $half]),
+                |from: *const $float| Array(*from.cast()),
+                |to: *mut $float, Array(from)| *to.cast() = from,
+                |a: Array, b: Array, c: Array| Array(std::array::from_fn(|i| a.0[i] * b.0[i] + c.0[i]))
+            );
+            #[cfg(target_arch = "x86_64")]
+            register!($avx2, $float, $half, $s2, $l2, $st2, $f2);
+            #[cfg(target_arch = "x86_64")]
+            register!($avx512, $float, $pad, $s5, $l5, $st5, $f5);
+
+            /// Computes the product with the given instruction set.
+            pub fn product(level: Level, p: Product<'_, $float>) {
+                p.check(PAD);
+                let level = level.checked();
+                #[cfg(target_arch = "x86_64")]
+                #[target_feature(enable = "avx2,fma")]
+                unsafe fn avx2(p: Product<'_, $float>) {
+                    unsafe { panels::<$avx2, 2, 6>(p) }
+                }
+                #[cfg(target_arch = "x86_64")]
+                #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma")]
+                unsafe fn avx512(p: Product<'_, $float>) {
+                    unsafe { panels::<$avx512, 3, 8>(p) }
+                }
+                match level {
+                    // SAFETY: the shapes are checked, and so is that this processor has the level's instructions.
+                    Level::Portable => unsafe { panels::<Array, 1, 4>(p) },
+                    #[cfg(target_arch = "x86_64")]
+                    Level::Avx2 => unsafe { avx2(p) },
+                    #[cfg(target_arch = "x86_64")]
+                    Level::Avx512 => unsafe { avx512(p) },
+                }
+            }
+        }
+    };
+}
+
+gemm!(single, f32, __m256, __m512, 8, 16,
+    [_mm256_set1_ps _mm256_loadu_ps _mm256_storeu_ps _mm256_fmadd_ps],
+    [_mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm512_fmadd_ps]);
+gemm!(double, f64, __m256d, __m512d, 4, 8,
+    [_mm256_set1_pd _mm256_loadu_pd _mm256_storeu_pd _mm256_fmadd_pd],
+    [_mm512_set1_pd _mm512_loadu_pd _mm512_storeu_pd _mm512_fmadd_pd]);

@@ -1,0 +1,170 @@
+//! Double-double numbers, which references are computed with.
+
+use super::Scalar;
+use qd::Quad;
+
+/// A number of 31 digits, kept as the sum of two `f64` (the crate `qd`; Dekker 1971, doi:10.1007/BF01397083).
+///
+/// A [`Scalar`] for references: everything a system computes is right to about 1e-31 of what goes into it, and constants,
+/// which are `f64`, are the same as in `f64`. Some thirty times slower than `f64`. Its range is that of `f64`.
+pub type DoubleDouble = Quad;
+
+/// 1/n!.
+const INVERSE_FACTORIALS: [Quad; 30] = {
+    let mut all = [Quad::ONE; 30];
+    let mut n = 2;
+    while n < all.len() {
+        all[n] = all[n - 1].const_div(Quad(n as f64, 0.0));
+        n += 1;
+    }
+    all
+};
+
+/// `Σ_k sign^k x^(2k) / (first + 2k)!`, up to 1/29!.
+fn series(x_squared: Quad, first: usize, sign: f64) -> Quad {
+    let signed = x_squared * Quad(sign, 0.0);
+    let terms = INVERSE_FACTORIALS[first..].iter().step_by(2);
+    terms.rev().fold(Quad::ZERO, |sum, &term| sum * signed + term)
+}
+
+impl Scalar for Quad {
+    type Real = f64;
+
+    fn lift(value: f64) -> Self {
+        Quad(value, 0.0)
+    }
+
+    fn detach(self) -> Self {
+        self
+    }
+
+    fn sqrt(self) -> Self {
+        Quad::sqrt(self)
+    }
+
+    fn exp(self) -> Self {
+        Quad::exp(self)
+    }
+
+    fn ln(self) -> Self {
+        Quad::ln(self)
+    }
+
+    /// The absolute error grows by 1e-32 for every turn of the angle.
+    fn sin_cos(self) -> (Self, Self) {
+        // π/2 in three parts: k times the first is exact as a double-double.
+        const HALF_PI: [f64; 3] = [std::f64::consts::FRAC_PI_2, 6.123_233_995_736_766e-17, -1.497_384_904_859_169_8e-33];
+        let quarter = (self.0 / HALF_PI[0]).round();
+        let rest = HALF_PI.iter().fold(self, |rest, &part| rest - Quad(quarter, 0.0) * Quad(part, 0.0));
+        let square = rest * rest;
+        let (sin, cos) = (rest * series(square, 1, -1.0), series(square, 0, -1.0));
+        match quarter.rem_euclid(4.0) {
+            0.0 => (sin, cos),
+            1.0 => (cos, -sin),
+            2.0 => (-sin, -cos),
+            // Of what is not finite, too: sine and cosine are NaN then.
+            _ => (-cos, sin),
+        }
+    }
+
+    fn tanh(self) -> Self {
+        let size = if self.0 < 0.0 { -self } else { self };
+        let positive = if size.0 < 0.5 {
+            // Where the quotient of exponentials would cancel.
+            let sinh = size * series(size * size, 1, 1.0);
+            sinh / Quad::sqrt(Quad::ONE + sinh * sinh)
+        } else {
+            let decayed = Quad::exp(size * Quad(-2.0, 0.0));
+            (Quad::ONE - decayed) / (Quad::ONE + decayed)
+        };
+        if self.0 < 0.0 { -positive } else { positive }
+    }
+
+    fn atan2(self, x: Self) -> Self {
+        let near = Quad(self.0.atan2(x.0), 0.0);
+        // What is left is so small that it is its own tangent.
+        let (sin, cos) = near.sin_cos();
+        let (across, along) = (self * cos - x * sin, x * cos + self * sin);
+        if along.0 == 0.0 { near } else { near + across / along }
+    }
+
+    fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
+        if a < b { yes } else { no }
+    }
+
+    fn any_lt(a: Self, b: Self) -> bool {
+        a < b
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::numbers::rng::{Purpose, stream};
+    use rand::RngExt;
+
+    fn close(what: &str, at: Quad, found: Quad, expected: Quad, allowed: f64) {
+        let error = (found - expected).0.abs();
+        assert!(error <= allowed * expected.0.abs().max(1.0), "{what} at {at:?}: {found:?} for {expected:?}, error {error:e}");
+    }
+
+    /// Numbers with both parts at random, up to this size.
+    fn numbers(size: f64) -> impl Iterator<Item = Quad> {
+        let mut rng = stream(0, Purpose::Check, 0);
+        (0..2000).map(move |_| {
+            let first = size * rng.random_range(-1.0..1.0_f64);
+            let second = rng.random_range(-0.49..0.49) * f64::EPSILON * first.abs();
+            Quad(first, 0.0) + Quad(second, 0.0)
+        })
+    }
+
+    #[test]
+    fn known_values_to_31_digits() {
+        // From tables (Abramowitz and Stegun, 1.1, 4): two parts of the decimal expansions.
+        let one = Quad::ONE;
+        let e = Quad(std::f64::consts::E, 1.4456468917292502e-16);
+        let sin_1 = Quad(0.8414709848078965, 1.776845092935536e-18);
+        close("exp", one, Scalar::exp(one), e, 1e-31);
+        close("sin", one, one.sin_cos().0, sin_1, 2e-30);
+        close("atan2", one, Scalar::atan2(one, one) * Quad(4.0, 0.0), Quad::PI, 1e-31);
+        close("atan2", one, Scalar::atan2(one, -one) * Quad(4.0, 0.0), Quad::PI * Quad(3.0, 0.0), 1e-31);
+    }
+
+    #[test]
+    fn identities_hold_to_30_digits() {
+        for x in numbers(20.0) {
+            let (sin, cos) = x.sin_cos();
+            close("sin² + cos²", x, sin * sin + cos * cos, Quad::ONE, 1e-31);
+            let (sin_2, cos_2) = (x + x).sin_cos();
+            close("sin 2x", x, sin_2, sin * cos + sin * cos, 1e-30);
+            close("cos 2x", x, cos_2, cos * cos - sin * sin, 1e-30);
+            let (sin_there, cos_there) = (x + Quad::ONE).sin_cos();
+            let (sin_1, cos_1) = Quad::ONE.sin_cos();
+            close("sin (x + 1)", x, sin_there, sin * cos_1 + cos * sin_1, 1e-30);
+            close("cos (x + 1)", x, cos_there, cos * cos_1 - sin * sin_1, 1e-30);
+            close("atan2", x, Scalar::atan2(sin, cos).sin_cos().0, sin, 1e-31);
+        }
+        for x in numbers(3.0) {
+            let (e, t) = (Scalar::exp(x), Scalar::tanh(x));
+            close("exp x exp -x", x, e * Scalar::exp(-x), Quad::ONE, 1e-30);
+            close("ln exp x", x, Scalar::ln(e), x, 1e-30);
+            // Relative, also where it is small.
+            let t_2 = Scalar::tanh(x + x);
+            close("tanh 2x", x, t_2 / x, (t + t) / ((Quad::ONE + t * t) * x), 1e-30);
+            let (up, down) = (e, Scalar::exp(-x));
+            close("tanh", x, t, (up - down) / (up + down), 1e-30);
+        }
+    }
+
+    #[test]
+    fn what_saturates_or_is_not_finite_is_as_in_f64() {
+        let lift = <Quad as Scalar>::lift;
+        assert_eq!(Scalar::tanh(lift(1e3)), Quad::ONE);
+        assert_eq!(Scalar::tanh(lift(-1e3)), -Quad::ONE);
+        assert_eq!(Scalar::tanh(Quad::ZERO), Quad::ZERO);
+        assert_eq!(Scalar::sqrt(Quad::ZERO), Quad::ZERO);
+        assert!(Scalar::tanh(Quad::NAN).0.is_nan());
+        assert!(lift(f64::INFINITY).sin_cos().0.0.is_nan());
+        assert_eq!(Scalar::atan2(Quad::ZERO, Quad::ZERO), Quad::ZERO);
+    }
+}

@@ -1,0 +1,142 @@
+//! `f32` and `f64`, and what the framework needs of them beyond [`Scalar`].
+
+use super::{Real, Scalar};
+use crate::numbers::kernels::gemm::{self, Product};
+use crate::numbers::kernels::{Level, tanh, trig};
+use num_traits::AsPrimitive;
+use serde::{Serialize, de::DeserializeOwned};
+use std::fmt::Display;
+
+/// One number of one precision: `f32` or `f64`.
+pub trait Float:
+    Real + Scalar<Real = Self> + AsPrimitive<f64> + PartialOrd + Display + Default + Serialize + DeserializeOwned
+{
+    /// Its name, as settings and files spell it: `f32` or `f64`.
+    const NAME: &'static str;
+    /// Distance from 1 to the next larger number.
+    const EPSILON: f64;
+    /// The largest finite number.
+    const MAX: f64;
+
+    /// Entries in one cache line; what columns of kernels are padded to.
+    #[doc(hidden)]
+    const PAD: usize;
+    #[doc(hidden)]
+    fn product(level: Level, product: Product<'_, Self>);
+    /// `a·b + c`, fused if `FMA` (which says that it is one instruction here).
+    #[doc(hidden)]
+    fn plus_product<const FMA: bool>(c: Self, a: Self, b: Self) -> Self;
+    /// The branch-free tanh of the layers.
+    #[doc(hidden)]
+    fn layer_tanh<const FMA: bool>(self) -> Self;
+    /// sin and cos of |x| ≤ 1e6, without a branch.
+    #[doc(hidden)]
+    fn sin_cos_near(self) -> (Self, Self);
+    #[doc(hidden)]
+    fn to_le_bytes(self) -> impl AsRef<[u8]>;
+    #[doc(hidden)]
+    fn from_le_bytes(bytes: &[u8]) -> Self;
+}
+
+macro_rules! float {
+    ($float:ident, $gemm:ident, $sin_cos:ident, $tanh:ident) => {
+        impl Scalar for $float {
+            type Real = Self;
+            #[inline(always)]
+            fn lift(value: f64) -> Self {
+                value as $float
+            }
+            #[inline(always)]
+            fn detach(self) -> Self {
+                self
+            }
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                $float::sqrt(self)
+            }
+            #[inline(always)]
+            fn exp(self) -> Self {
+                $float::exp(self)
+            }
+            #[inline(always)]
+            fn ln(self) -> Self {
+                $float::ln(self)
+            }
+            #[inline(always)]
+            fn sin_cos(self) -> (Self, Self) {
+                if $float::abs(self) > trig::REACH as $float { $float::sin_cos(self) } else { trig::$sin_cos(self) }
+            }
+            #[inline(always)]
+            fn tanh(self) -> Self {
+                tanh::$tanh::<false>(self)
+            }
+            #[inline(always)]
+            fn atan2(self, x: Self) -> Self {
+                $float::atan2(self, x)
+            }
+            #[inline(always)]
+            fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
+                if a < b { yes } else { no }
+            }
+            #[inline(always)]
+            fn any_lt(a: Self, b: Self) -> bool {
+                a < b
+            }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                $float::abs(self)
+            }
+        }
+
+        impl Real for $float {
+            const LANES: usize = 1;
+            #[inline(always)]
+            fn lane(&self, _: usize) -> Self {
+                *self
+            }
+            #[inline(always)]
+            fn set_lane(&mut self, _: usize, value: Self) {
+                *self = value;
+            }
+        }
+
+        impl Float for $float {
+            const NAME: &'static str = stringify!($float);
+            const EPSILON: f64 = $float::EPSILON as f64;
+            const MAX: f64 = $float::MAX as f64;
+
+            const PAD: usize = gemm::$gemm::PAD;
+
+            #[inline]
+            fn product(level: Level, product: Product<'_, Self>) {
+                gemm::$gemm::product(level, product);
+            }
+
+            #[inline(always)]
+            fn plus_product<const FMA: bool>(c: Self, a: Self, b: Self) -> Self {
+                if FMA { a.mul_add(b, c) } else { a * b + c }
+            }
+
+            #[inline(always)]
+            fn layer_tanh<const FMA: bool>(self) -> Self {
+                tanh::$tanh::<FMA>(self)
+            }
+
+            #[inline(always)]
+            fn sin_cos_near(self) -> (Self, Self) {
+                trig::$sin_cos(self)
+            }
+
+            fn to_le_bytes(self) -> impl AsRef<[u8]> {
+                $float::to_le_bytes(self)
+            }
+
+            fn from_le_bytes(bytes: &[u8]) -> Self {
+                $float::from_le_bytes(bytes.try_into().expect("the width of the type"))
+            }
+        }
+    };
+}
+
+float!(f32, single, sin_cos_32, tanh_32);
+float!(f64, double, sin_cos_64, tanh_64);

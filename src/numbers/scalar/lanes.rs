@@ -1,0 +1,121 @@
+//! Several samples in one number, so that a simulator written for one sample runs on a vector register of them.
+
+use super::{Float, Real, Scalar};
+use crate::numbers::kernels::trig;
+use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
+
+/// `W` numbers that go through the same operations.
+///
+/// Every lane has the bits that the same computation on a plain `F` would have: no operation is fused, reordered or
+/// approximated differently. They are the same on every processor, but for `exp`, `ln`, `atan2` and angles beyond 1e6,
+/// which the platform's library computes.
+///
+/// There are 1, 2, 4 or 8 of them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(align(32))]
+pub struct Lanes<F, const W: usize>(pub [F; W]);
+
+macro_rules! operator {
+    ($width:literal, [$($i:tt)+], $trait:ident, $method:ident, $assign_trait:ident, $assign:ident) => {
+        impl<F: Float> $trait for Lanes<F, $width> {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, other: Self) -> Self {
+                Self([$(self.0[$i].$method(other.0[$i])),+])
+            }
+        }
+        impl<F: Float> $assign_trait for Lanes<F, $width> {
+            #[inline(always)]
+            fn $assign(&mut self, other: Self) {
+                *self = self.$method(other);
+            }
+        }
+    };
+}
+
+// Written out lane by lane: a step has hundreds of operations, and as many loops of eight rounds each take minutes to
+// compile into what this is at once.
+macro_rules! lanes {
+    ($width:literal: $($i:tt)+) => {
+        operator!($width, [$($i)+], Add, add, AddAssign, add_assign);
+        operator!($width, [$($i)+], Sub, sub, SubAssign, sub_assign);
+        operator!($width, [$($i)+], Mul, mul, MulAssign, mul_assign);
+        operator!($width, [$($i)+], Div, div, DivAssign, div_assign);
+
+        impl<F: Float> Neg for Lanes<F, $width> {
+            type Output = Self;
+            #[inline(always)]
+            fn neg(self) -> Self {
+                Self([$(-self.0[$i]),+])
+            }
+        }
+
+        impl<F: Float> Scalar for Lanes<F, $width> {
+            type Real = F;
+            const WIDE: bool = $width >= 8;
+            #[inline(always)]
+            fn lift(value: f64) -> Self {
+                Self([F::lift(value); $width])
+            }
+            #[inline(always)]
+            fn detach(self) -> Self {
+                self
+            }
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                Self([$(Scalar::sqrt(self.0[$i])),+])
+            }
+            #[inline(always)]
+            fn exp(self) -> Self {
+                Self([$(Scalar::exp(self.0[$i])),+])
+            }
+            #[inline(always)]
+            fn ln(self) -> Self {
+                Self([$(Scalar::ln(self.0[$i])),+])
+            }
+            #[inline(always)]
+            fn sin_cos(self) -> (Self, Self) {
+                let reach = F::lift(trig::REACH);
+                let far = false $(| (Scalar::abs(self.0[$i]) > reach))+;
+                let pairs = if far { [$(Scalar::sin_cos(self.0[$i])),+] } else { [$(F::sin_cos_near(self.0[$i])),+] };
+                (Self([$(pairs[$i].0),+]), Self([$(pairs[$i].1),+]))
+            }
+            #[inline(always)]
+            fn tanh(self) -> Self {
+                Self([$(Scalar::tanh(self.0[$i])),+])
+            }
+            #[inline(always)]
+            fn atan2(self, x: Self) -> Self {
+                Self([$(Scalar::atan2(self.0[$i], x.0[$i])),+])
+            }
+            #[inline(always)]
+            fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
+                Self([$(if a.0[$i] < b.0[$i] { yes.0[$i] } else { no.0[$i] }),+])
+            }
+            #[inline(always)]
+            fn any_lt(a: Self, b: Self) -> bool {
+                $(a.0[$i] < b.0[$i])||+
+            }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                Self([$(Scalar::abs(self.0[$i])),+])
+            }
+        }
+
+        impl<F: Float> Real for Lanes<F, $width> {
+            const LANES: usize = $width;
+            #[inline(always)]
+            fn lane(&self, lane: usize) -> F {
+                self.0[lane]
+            }
+            #[inline(always)]
+            fn set_lane(&mut self, lane: usize, value: F) {
+                self.0[lane] = value;
+            }
+        }
+    };
+}
+lanes!(1: 0);
+lanes!(2: 0 1);
+lanes!(4: 0 1 2 3);
+lanes!(8: 0 1 2 3 4 5 6 7);

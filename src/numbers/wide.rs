@@ -1,0 +1,183 @@
+//! Numbers far beyond the range of floats: a mantissa times a power of two.
+
+use crate::numbers::scalar::Float;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::ops::{Add, Div, Mul};
+
+/// A number of any size, `mantissa · 2^exponent`: the length of a gradient, which may explode or vanish beyond any float.
+///
+/// ```
+/// use physgrad::Wide;
+///
+/// let long = Wide::new(1.5, 5849);
+/// assert_eq!(long.to_string(), "7.95309e1760");
+/// assert_eq!((long.get(), Wide::new(0.25, 3).to_string()), (f64::INFINITY, "2".to_owned()));
+/// ```
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Wide {
+    mantissa: f64,
+    /// 0 wherever an `f64` alone will do.
+    exponent: i32,
+}
+
+impl Wide {
+    /// `mantissa · 2^exponent`.
+    pub fn new(mantissa: f64, exponent: i32) -> Self {
+        /// What an `f64` holds with room to spare.
+        const PLAIN: i32 = 960;
+        if mantissa == 0.0 || !mantissa.is_finite() {
+            return Self { mantissa, exponent: 0 };
+        }
+        let own = exponent_of(mantissa);
+        let whole = own.saturating_add(exponent);
+        if whole.abs() <= PLAIN {
+            return Self { mantissa: times_power_of_two(mantissa, exponent), exponent: 0 };
+        }
+        Self { mantissa: times_power_of_two(mantissa, -own), exponent: whole }
+    }
+
+    /// The nearest `f64`, infinite or 0 where it is beyond the range.
+    pub fn get(self) -> f64 {
+        times_power_of_two(self.mantissa, self.exponent)
+    }
+
+    /// The decimal logarithm of its size, `-∞` of 0.
+    pub fn log10(self) -> f64 {
+        self.mantissa.abs().log10() + f64::from(self.exponent) * std::f64::consts::LOG10_2
+    }
+
+    /// -1, 0 or 1.
+    pub fn signum(self) -> f64 {
+        if self.mantissa == 0.0 { 0.0 } else { self.mantissa.signum() }
+    }
+
+    /// What is left, as an `f64`, of this many factors 2 fewer.
+    pub(crate) fn over_power_of_two(self, exponent: i32) -> f64 {
+        times_power_of_two(self.mantissa, self.exponent.saturating_sub(exponent))
+    }
+}
+
+impl From<f64> for Wide {
+    fn from(number: f64) -> Self {
+        Self::new(number, 0)
+    }
+}
+
+impl Add for Wide {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        let exponent = if self.mantissa == 0.0 {
+            other.exponent
+        } else if other.mantissa == 0.0 {
+            self.exponent
+        } else {
+            self.exponent.max(other.exponent)
+        };
+        let part = |part: Self| times_power_of_two(part.mantissa, part.exponent - exponent);
+        Self::new(part(self) + part(other), exponent)
+    }
+}
+
+impl Mul<f64> for Wide {
+    type Output = Self;
+
+    fn mul(self, factor: f64) -> Self {
+        Self::new(self.mantissa * factor, self.exponent)
+    }
+}
+
+impl Div<f64> for Wide {
+    type Output = Self;
+
+    fn div(self, divisor: f64) -> Self {
+        Self::new(self.mantissa / divisor, self.exponent)
+    }
+}
+
+impl fmt::Display for Wide {
+    /// As an `f64` where it is one; else six digits and a decimal exponent.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.exponent == 0 {
+            return self.mantissa.fmt(f);
+        }
+        let log = self.log10();
+        let sign = if self.mantissa < 0.0 { "-" } else { "" };
+        write!(f, "{sign}{:.5}e{}", 10f64.powf(log - log.floor()), log.floor())
+    }
+}
+
+/// The exponent of the leading bit of a finite number that is not 0.
+pub(crate) fn exponent_of(x: f64) -> i32 {
+    let bits = |x: f64| ((x.to_bits() >> 52) & 0x7ff) as i32;
+    match bits(x) {
+        // Below the normal numbers.
+        0 => bits(x * power_of_two(200)) - 1023 - 200,
+        exponent => exponent - 1023,
+    }
+}
+
+/// 2 to the power of a normal double's exponent.
+pub(crate) const fn power_of_two(exponent: i32) -> f64 {
+    f64::from_bits(((1023 + exponent) as u64) << 52)
+}
+
+/// `x · 2^exponent`, exact unless it is beyond the range: then infinite, or rounded below it.
+pub(crate) fn times_power_of_two(x: f64, exponent: i32) -> f64 {
+    const STEP: i32 = 1000;
+    // More than twice the range: what is beyond it stays beyond it.
+    let (mut x, mut left) = (x, exponent.clamp(-3 * STEP, 3 * STEP));
+    while left > STEP {
+        (x, left) = (x * power_of_two(STEP), left - STEP);
+    }
+    while left < -STEP {
+        (x, left) = (x * power_of_two(-STEP), left + STEP);
+    }
+    x * power_of_two(left)
+}
+
+/// The same in the precision of `F`.
+pub(crate) fn scaled<F: Float>(x: F, exponent: i32) -> F {
+    F::lift(times_power_of_two(x.as_(), exponent))
+}
+
+/// The same, but never 0 unless `x` is: what is too small keeps its sign, as the smallest number there is.
+pub(crate) fn scaled_with_sign<F: Float>(x: F, exponent: i32) -> F {
+    let smallest = if F::EPSILON < 1e-10 { f64::from_bits(1) } else { f64::from(f32::from_bits(1)) };
+    let (zero, small) = (F::zero(), scaled(x, exponent));
+    if small != zero || x == zero {
+        return small;
+    }
+    F::lift(if x < zero { -smallest } else { smallest })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sums_and_logarithms_are_those_of_floats_and_go_beyond_them() {
+        let sum = Wide::from(3.0) + Wide::from(0.5);
+        assert_eq!((sum.get(), sum.exponent), (3.5, 0));
+        let huge = Wide::new(1.0, 4000);
+        assert_eq!(huge + Wide::from(1.0), huge);
+        assert_eq!((huge + huge, Wide::from(0.0) + Wide::new(1.0, -4000)), (Wide::new(1.0, 4001), Wide::new(1.0, -4000)));
+        approx::assert_relative_eq!(huge.log10(), 4000.0 * 2f64.log10(), max_relative = 1e-15);
+        assert_eq!((huge.get(), Wide::new(1.0, -4000).get()), (f64::INFINITY, 0.0));
+        // Back within the range, it is an ordinary number again.
+        assert_eq!((Wide::new(1.5, 1100) / power_of_two(1000) / power_of_two(100)).get(), 1.5);
+    }
+
+    #[test]
+    fn powers_of_two_are_exact_at_the_ends_of_the_range() {
+        for x in [1.0, -1.75, f64::MIN_POSITIVE, f64::from_bits(1), f64::MAX] {
+            let exponent = exponent_of(x);
+            let mantissa = times_power_of_two(x, -exponent);
+            assert!((1.0..2.0).contains(&mantissa.abs()), "{x:e} is {mantissa} times 2^{exponent}");
+            assert_eq!(times_power_of_two(mantissa, exponent), x);
+        }
+        assert_eq!((scaled(1.0f32, -200), scaled(-1.0f32, 200)), (0.0, f32::NEG_INFINITY));
+        assert_eq!((scaled_with_sign(-1.0f32, -200), scaled_with_sign(0.0f32, -200)), (-f32::from_bits(1), 0.0));
+    }
+}

@@ -1,0 +1,63 @@
+//! [`AnyPolicy`]: an object-safe [`Policy`] for one precision.
+
+use super::{Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::Float;
+
+/// A [`Policy`] in one precision. Every policy is one, so that `&policy` can be given where `&dyn AnyPolicy<F>` is asked
+/// for. Its methods are the policy's, and need no import.
+#[allow(missing_docs)]
+pub trait AnyPolicy<F: Float>: Send + Sync {
+    fn state_dim(&self) -> usize;
+    fn control_dim(&self) -> usize;
+    fn param_count(&self) -> usize;
+    fn init(&self, rng: &mut Rng, theta: &mut [f64]);
+    fn tensors(&self) -> Vec<Tensor>;
+    fn sizes(&self, columns: usize) -> Sizes;
+    fn pack(&self, theta: &[F], packed: &mut [F]);
+    fn forward(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]);
+    fn backward(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], x_bar: Option<&mut [F]>);
+    fn param_gradient(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]);
+}
+
+impl<P: Policy, F: Float> AnyPolicy<F> for P {
+    fn state_dim(&self) -> usize {
+        Policy::state_dim(self)
+    }
+
+    fn control_dim(&self) -> usize {
+        Policy::control_dim(self)
+    }
+
+    fn param_count(&self) -> usize {
+        Policy::param_count(self)
+    }
+
+    fn init(&self, rng: &mut Rng, theta: &mut [f64]) {
+        Policy::init(self, rng, theta);
+    }
+
+    fn tensors(&self) -> Vec<Tensor> {
+        Policy::tensors(self)
+    }
+
+    fn sizes(&self, columns: usize) -> Sizes {
+        Policy::sizes::<F>(self, columns)
+    }
+
+    fn pack(&self, theta: &[F], packed: &mut [F]) {
+        Policy::pack(self, theta, packed);
+    }
+
+    fn forward(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
+        Policy::forward(self, pass, tape, u);
+    }
+
+    fn backward(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
+        Policy::backward(self, pass, tape, u_bar, tape_bar, x_bar);
+    }
+
+    fn param_gradient(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
+        Policy::param_gradient(self, pass, record, scratch, theta_bar);
+    }
+}

@@ -1,0 +1,102 @@
+//! What is told of a way to come by a gradient, of a budget, and of a horizon.
+
+use super::gradients::at_chosen;
+use super::row::spread;
+use super::ways::{Derived, Way};
+use crate::program::settings::Precision;
+use std::fmt;
+
+impl fmt::Display for Way {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Forward => f.write_str("loss alone"),
+            Self::Reverse { field, .. } => write!(f, "reverse {}", field.letter()),
+            Self::Central(step) => write!(f, "central differences {step:e}"),
+            Self::Duals => f.write_str("forward mode"),
+        }
+    }
+}
+
+/// The length of a vector, whose squares may overflow.
+fn length(x: &[f64]) -> f64 {
+    let largest = x.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
+    if largest == 0.0 { 0.0 } else { largest * x.iter().map(|x| (x / largest) * (x / largest)).sum::<f64>().sqrt() }
+}
+
+/// The length of the difference by the length, and the share of components whose strict sign is right.
+fn compare(found: &[f64], right: &[f64]) -> (f64, f64) {
+    let difference: Vec<f64> = found.iter().zip(right).map(|(a, b)| a - b).collect();
+    let error = length(&difference) / length(right);
+    let same = |(a, b): &(&f64, &f64)| (**a > 0.0) == (**b > 0.0) && (**a < 0.0) == (**b < 0.0);
+    (error, found.iter().zip(right).filter(same).count() as f64 / right.len() as f64)
+}
+
+/// A way to come by a gradient.
+pub struct Derivative {
+    pub way: Way,
+    pub precision: Precision,
+    /// In relation to the reference in double-double, where that is, or where it diverged.
+    pub error: Result<f64, String>,
+    /// The share of all components that have the sign they have in f64.
+    pub signs: Option<f64>,
+    pub seconds: [f64; 3],
+    pub bytes: usize,
+}
+
+impl Derivative {
+    pub fn new(
+        way: Way,
+        precision: Precision,
+        derived: &Derived,
+        times: Vec<f64>,
+        right: &[f64],
+        full: Option<&Vec<f64>>,
+    ) -> Self {
+        let error = derived.gradient.as_ref().map(|found| compare(&at_chosen(found, right.len()), right).0).map_err(Clone::clone);
+        let signs = full.zip(derived.gradient.as_ref().ok()).map(|(full, found)| compare(found, full).1);
+        Self { way, precision, error, signs, seconds: spread(times), bytes: derived.bytes }
+    }
+}
+
+/// The reverse pass of R in a budget.
+pub struct Checkpoint {
+    pub horizon: usize,
+    pub budget: u64,
+    pub bytes: usize,
+    pub seconds: [f64; 3],
+    /// Whether the gradient has the bits it has without a budget, or why there is none.
+    pub same: Result<bool, String>,
+}
+
+impl Checkpoint {
+    pub fn new(horizon: usize, budget: u64, derived: &Derived, times: Vec<f64>, all: &Result<Vec<f64>, String>) -> Self {
+        let bits = |x: &[f64]| x.iter().map(|x| x.to_bits()).collect::<Vec<u64>>();
+        let same = match (&derived.gradient, all) {
+            (Ok(found), Ok(all)) => Ok(bits(found) == bits(all)),
+            (Err(error), _) | (_, Err(error)) => Err(error.clone()),
+        };
+        Self { horizon, budget, bytes: derived.bytes, seconds: spread(times), same }
+    }
+}
+
+/// R at a horizon.
+pub struct Horizon {
+    pub horizon: usize,
+    /// The length of the gradient in f64.
+    pub length: f64,
+    /// Error, and share of signs that are right: of f32 in relation to f64, of f64 to itself from starts that differ by a
+    /// rounding. Or where it diverged.
+    pub found: [Result<(f64, f64), String>; 2],
+}
+
+impl Horizon {
+    /// Of gradients in f32, in f64, and in f64 from the other starts.
+    pub fn new(horizon: usize, gradients: &[Result<Vec<f64>, String>]) -> Self {
+        let against = |found: &Result<Vec<f64>, String>| match (found, &gradients[1]) {
+            (Ok(found), Ok(right)) => Ok(compare(found, right)),
+            (Err(error), _) | (_, Err(error)) => Err(error.clone()),
+        };
+        let length = gradients[1].as_ref().map_or(f64::NAN, |gradient| length(gradient));
+        Self { horizon, length, found: [against(&gradients[0]), against(&gradients[2])] }
+    }
+}

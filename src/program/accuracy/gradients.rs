@@ -1,0 +1,174 @@
+//! `physgrad accuracy --gradients`: what gradients cost, and at which horizon they stop being right.
+
+use super::derivatives::{Checkpoint, Derivative, Horizon};
+use super::gradient_outputs::write;
+use super::ways::{Derived, REFERENCES, Way, chosen};
+use super::{Study, bar};
+use crate::program::folder::Folder;
+use crate::program::parallel;
+use crate::program::scene::Scene;
+use crate::program::settings::Precision;
+use crate::program::terminal::{say, tell};
+use anyhow::{Result, bail};
+use indicatif::ProgressBar;
+use physgrad::{Compose, Field, SignAgreement};
+use toml::Value;
+
+/// Steps of central differences.
+const STEPS: [f64; 10] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10];
+/// Rounds of timing, and seconds in each for a way.
+const ROUNDS: usize = 5;
+const LEAST: f64 = 0.01;
+/// The horizon at which checkpoints are told of, unless the scene's is longer, and the parts of the memory that all
+/// tapes take that they may have.
+const CHECKPOINTED: usize = 1024;
+const PARTS: [u64; 4] = [1, 2, 4, 8];
+/// Bytes for a rollout of any horizon.
+const BUDGET: u64 = 256_000_000;
+
+const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::F64];
+
+const fn reverse(field: Field, budget: Option<u64>) -> Way {
+    Way::Reverse { field, budget, nudged: false }
+}
+
+/// Runs it.
+pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize], quiet: bool) -> Result<()> {
+    let fields = [Field::regular(), Field::modified(), Field::stopped(), Field::combined()];
+    let exact = fields.map(|field| reverse(field, None));
+    let both = exact.into_iter().chain(STEPS.map(Way::Central)).flat_map(|way| PRECISIONS.map(|precision| (way, precision)));
+    let forward = PRECISIONS.map(|precision| (Way::Forward, precision));
+    let ways: Vec<(Way, Precision)> = forward.into_iter().chain(both).chain([(Way::Duals, Precision::F64)]).collect();
+
+    let bar = bar(ways.len() * (1 + ROUNDS) + REFERENCES + 3 * horizons.len() + PARTS.len(), quiet);
+    if !quiet && bar.is_hidden() {
+        tell(&format!("{} ways, {REFERENCES} derivatives in double-double, {} horizons", ways.len(), horizons.len()));
+    }
+    bar.set_message("reference in double-double");
+    let [r, m, s] = study.scene.refer(&|| bar.inc(1));
+    let mut c = vec![0.0; r.len()];
+    SignAgreement.compose(&m, &r, &mut c);
+    let right = |way: &Way| match way {
+        Way::Reverse { field, .. } => match field.letter() {
+            "M" => &m,
+            "S" => &s,
+            "C" => &c,
+            _ => &r,
+        },
+        _ => &r,
+    };
+
+    let mut derived = Vec::new();
+    for (way, precision) in &ways {
+        bar.set_message(format!("{way} {}", precision.name()));
+        derived.push(study.scene.derive(*precision, *way));
+        bar.inc(1);
+    }
+    // Round after round, so that what else the machine does falls on all of them.
+    let mut times = vec![Vec::new(); ways.len()];
+    for round in 0..ROUNDS {
+        bar.set_message(format!("round {} of {ROUNDS}", round + 1));
+        for (derived, times) in derived.iter_mut().zip(&mut times) {
+            if derived.gradient.is_ok() {
+                times.push(derived.time(LEAST));
+            }
+            bar.inc(1);
+        }
+    }
+    // Every component in f64, which the reference has shown to be right in some.
+    let full = |field: Field| {
+        let found = ways.iter().position(|way| *way == (reverse(field, None), Precision::F64));
+        found.and_then(|i| derived[i].gradient.as_ref().ok())
+    };
+    let derivatives: Vec<Derivative> = ways
+        .iter()
+        .zip(&derived)
+        .zip(times)
+        .map(|(((way, precision), derived), times)| {
+            let full = if let Way::Reverse { field, .. } = way { full(*field) } else { None };
+            Derivative::new(*way, *precision, derived, times, right(way), full)
+        })
+        .collect();
+    let checkpoints = checkpoints(study, &bar)?;
+    let horizons = along(study, horizons, &bar)?;
+    bar.finish_and_clear();
+    let text = write(folder, name, &derivatives, &checkpoints, &horizons)?;
+    say(&text)?;
+    say(&format!(
+        "results in {}: gradients.csv, horizons.csv, checkpoints.csv, gradients.svg, gradients.md",
+        folder.path().display()
+    ))?;
+    Ok(())
+}
+
+/// The scene with another horizon.
+fn with_horizon(study: &Study, horizon: usize) -> Result<Scene> {
+    let mut document = study.document.clone();
+    document.put("horizon", Value::Integer(horizon as i64), "accuracy --gradients")?;
+    // A scene is refused when its mini-batches would not fit, and these have a budget.
+    document.put("training.memory", Value::String("1GB".into()), "accuracy --gradients")?;
+    document.scene()
+}
+
+/// The reverse pass of R in less and less memory.
+fn checkpoints(study: &Study, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
+    let scene = with_horizon(study, study.scene.horizon.max(CHECKPOINTED))?;
+    let run = |budget| scene.derive(study.scene.precision, reverse(Field::regular(), budget));
+    let mut all = run(None);
+    let (bytes, gradient) = (all.bytes as u64, all.gradient.clone());
+    let mut jobs: Vec<Derived> = PARTS[1..].iter().map(|part| run(Some(bytes / part))).collect();
+    let mut jobs: Vec<&mut Derived> = std::iter::once(&mut all).chain(&mut jobs).collect();
+    let mut times = vec![Vec::new(); jobs.len()];
+    for _ in 0..ROUNDS {
+        for (job, times) in jobs.iter_mut().zip(&mut times) {
+            if job.gradient.is_ok() {
+                times.push(job.time(LEAST));
+            }
+        }
+    }
+    let checkpoint = |((part, job), times): ((u64, &mut Derived), Vec<f64>)| {
+        bar.inc(1);
+        Checkpoint::new(scene.horizon, bytes / part, job, times, &gradient)
+    };
+    Ok(PARTS.into_iter().zip(jobs).zip(times).map(checkpoint).collect())
+}
+
+/// R in f32 and f64 against the horizon.
+fn along(study: &Study, horizons: &[usize], bar: &ProgressBar) -> Result<Vec<Horizon>> {
+    let scenes = horizons.iter().map(|&horizon| with_horizon(study, horizon)).collect::<Result<Vec<Scene>>>()?;
+    bar.set_message("horizons");
+    let runs = [(Precision::F32, false), (Precision::F64, false), (Precision::F64, true)];
+    let jobs: Vec<(&Scene, (Precision, bool))> = scenes.iter().flat_map(|scene| runs.map(|run| (scene, run))).collect();
+    let run = |(scene, (precision, nudged)): (&Scene, (Precision, bool))| {
+        let way = Way::Reverse { field: Field::regular(), budget: Some(BUDGET), nudged };
+        let gradient = scene.derive(precision, way).gradient;
+        bar.inc(1);
+        gradient
+    };
+    // The longest first, for they take longest.
+    let jobs: Vec<_> = jobs.into_iter().rev().collect();
+    let mut gradients: Vec<Result<Vec<f64>, String>> = parallel::map(&jobs, |&job| run(job));
+    gradients.reverse();
+    Ok(horizons.iter().zip(gradients.chunks(3)).map(|(&horizon, found)| Horizon::new(horizon, found)).collect())
+}
+
+/// The horizons that were asked for, in order.
+pub fn parse(horizons: &[usize]) -> Result<Vec<usize>> {
+    if let Some(bad) = horizons.iter().find(|horizon| !(1..=100_000_000).contains(*horizon)) {
+        bail!("--horizons {bad}: a horizon is 1 to 100000000 steps");
+    }
+    let mut horizons = horizons.to_vec();
+    horizons.sort_unstable();
+    horizons.dedup();
+    Ok(horizons)
+}
+
+/// The components of a gradient that the reference has.
+pub fn at_chosen(gradient: &[f64], reference: usize) -> Vec<f64> {
+    // Those ways that take one component after another have taken no others.
+    if gradient.len() == reference {
+        gradient.to_vec()
+    } else {
+        chosen(gradient.len()).into_iter().map(|i| gradient[i]).collect()
+    }
+}

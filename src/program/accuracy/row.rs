@@ -1,0 +1,117 @@
+//! What is told of one way to simulate a scene.
+
+use super::job::{Found, Job};
+use crate::program::document::Document;
+use crate::program::kind::Conserved;
+use crate::program::scene::Scene;
+use crate::program::settings::Precision;
+use anyhow::Result;
+use toml::Value;
+
+/// A method, its steps, and a precision.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Setting {
+    /// As a scene spells it; `own` for the task's own scheme.
+    pub method: &'static str,
+    /// Steps of the physics in one of the policy.
+    pub substeps: usize,
+    pub precision: Precision,
+}
+
+impl Setting {
+    pub fn name(&self) -> String {
+        format!("{} x{} {}", self.method, self.substeps, self.precision.name())
+    }
+
+    /// The scene with this setting.
+    pub fn of(&self, document: &Document) -> Result<Scene> {
+        let mut document = document.clone();
+        document.without_section("integrator");
+        document.put("precision", Value::String(self.precision.name().into()), "accuracy")?;
+        document.put("integrator.substeps", Value::Integer(self.substeps as i64), "accuracy")?;
+        if self.method != "own" {
+            document.put("integrator.method", Value::String(self.method.into()), "accuracy")?;
+        }
+        document.scene()
+    }
+
+    /// The lines to put into a scene.
+    pub fn lines(&self) -> String {
+        let mut lines = format!("precision = \"{}\"\n\n[integrator]\n", self.precision.name());
+        if self.method != "own" {
+            lines += &format!("method = \"{}\"\n", self.method);
+        }
+        lines + &format!("substeps = {}", self.substeps)
+    }
+}
+
+/// Lowest, median and highest; of nothing, NaN.
+pub fn spread(mut times: Vec<f64>) -> [f64; 3] {
+    times.sort_by(f64::total_cmp);
+    match times[..] {
+        [] => [f64::NAN; 3],
+        _ => [times[0], times[times.len() / 2], times[times.len() - 1]],
+    }
+}
+
+/// Errors, all in relation to the size of what is right.
+#[derive(Clone, Copy, Debug)]
+pub struct Errors {
+    /// The largest over all samples and steps, by the largest state.
+    pub trajectory: f64,
+    pub loss: f64,
+    /// Of the gradients of R and M: the length of the difference by the length.
+    pub gradients: [f64; 2],
+    /// The share of parameters whose sign is right in R and M.
+    pub signs: [f64; 2],
+}
+
+/// One way to simulate a scene.
+pub struct Row {
+    pub setting: Setting,
+    /// Or where it diverged.
+    pub errors: Result<Errors, String>,
+    /// How far what should be conserved moves without control, in relation to its size; NaN if nothing is, or all diverged.
+    pub drift: f64,
+    pub operations: u64,
+    pub bytes: f64,
+    /// Seconds for a step of a sample, forward and with the gradients: lowest, median, highest of the rounds.
+    pub seconds: [[f64; 3]; 2],
+}
+
+impl Row {
+    pub fn new(setting: Setting, job: &Job, reference: &Found, conserved: Option<&Conserved>, rounds: &[[f64; 2]]) -> Self {
+        let errors = job.found.as_ref().map(|found| Errors::of(found, reference)).map_err(Clone::clone);
+        let seconds = [0, 1].map(|which| spread(rounds.iter().map(|round| round[which]).collect()));
+        let drift = conserved.map_or(f64::NAN, |conserved| conserved.drift(&job.idle));
+        Self { setting, errors, drift, operations: job.operations, bytes: job.bytes, seconds }
+    }
+}
+
+impl Errors {
+    pub fn of(found: &Found, reference: &Found) -> Self {
+        let length = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let largest = |x: &[f64]| x.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
+        let differences = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<f64>>();
+        let [r, m] = [0, 1].map(|k| {
+            let (found, right) = (&found.gradients[k], &reference.gradients[k]);
+            let sign = |x: f64| {
+                if x > 0.0 {
+                    1
+                } else if x < 0.0 {
+                    -1
+                } else {
+                    0
+                }
+            };
+            let right_signs = found.iter().zip(right).filter(|(a, b)| sign(**a) == sign(**b)).count();
+            (length(&differences(found, right)) / length(right), right_signs as f64 / right.len() as f64)
+        });
+        Self {
+            trajectory: largest(&differences(&found.states, &reference.states)) / largest(&reference.states),
+            loss: ((found.loss - reference.loss) / reference.loss).abs(),
+            gradients: [r.0, m.0],
+            signs: [r.1, m.1],
+        }
+    }
+}

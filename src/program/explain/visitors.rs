@@ -1,0 +1,83 @@
+//! What `explain` finds out from the types of task and policy.
+
+use crate::program::allocations;
+use crate::program::kind::Visit;
+use crate::program::settings::Precision;
+use physgrad::rng::{Purpose, stream};
+use physgrad::{Adjoint, Cost, Field, Float, Policy, Rollout, System, Task, Weights};
+
+/// Samples that go through a rollout together when its bytes are counted: a block, in which all lanes are in use.
+pub const SAMPLES: usize = 8;
+
+/// Counts the operations of the physics.
+pub struct Costing;
+
+impl Visit for Costing {
+    type Out = Cost;
+
+    fn visit<T: Task, P: Policy>(self, task: T, _policy: P) -> Cost {
+        Cost::of(task.system())
+    }
+}
+
+/// What a rollout of [`SAMPLES`] samples and its adjoint take.
+pub struct Storing {
+    pub precision: Precision,
+    /// None: for evaluation.
+    pub field: Option<Field>,
+}
+
+/// What they took.
+pub struct Stored {
+    /// Bytes that they hold.
+    pub bytes: usize,
+    /// Allocations of a run after the first.
+    pub allocations: usize,
+}
+
+impl Visit for Storing {
+    type Out = Stored;
+
+    fn visit<T: Task, P: Policy>(self, task: T, policy: P) -> Stored {
+        match self.precision {
+            Precision::F32 => self.measure::<f32>(&task, &policy),
+            Precision::F64 => self.measure::<f64>(&task, &policy),
+        }
+    }
+}
+
+impl Storing {
+    fn measure<F: Float>(&self, task: &impl Task, policy: &impl Policy) -> Stored {
+        let n = task.system().state_dim();
+        let mut starts = vec![0.0; SAMPLES * n];
+        for (sample, x) in starts.chunks_exact_mut(n).enumerate() {
+            task.start(&mut stream(0, Purpose::Test, sample as u64), x);
+        }
+        let starts: Vec<F> = starts.into_iter().map(F::lift).collect();
+        let weights = Weights::init(policy, &mut stream(0, Purpose::Policy, 0));
+        let Some(field) = self.field else {
+            let mut rollout = Rollout::<F>::for_evaluation(task, policy, SAMPLES);
+            let allocations = allocations_of_second(|| {
+                rollout.start(&starts);
+                // Where it diverges, it has taken fewer steps, and what it took is still counted.
+                let _ = rollout.run(task, policy, &weights);
+            });
+            return Stored { bytes: rollout.stored_bytes(), allocations };
+        };
+        let mut rollout = Rollout::<F>::new(task, policy, SAMPLES);
+        let mut adjoint = Adjoint::new(policy, &rollout, &field.flows());
+        let allocations = allocations_of_second(|| {
+            rollout.start(&starts);
+            if rollout.run(task, policy, &weights).is_ok() {
+                let _ = adjoint.run(task, policy, &weights, &rollout, F::one());
+            }
+        });
+        Stored { bytes: rollout.stored_bytes() + adjoint.stored_bytes(), allocations }
+    }
+}
+
+/// The first run sets up what later ones use.
+fn allocations_of_second(mut run: impl FnMut()) -> usize {
+    run();
+    allocations::during(run)
+}

@@ -1,0 +1,101 @@
+//! A ball that bounces on a floor, in the program.
+
+use super::contact::ContactSettings;
+use super::{Nothing, names, small_step, visit};
+use crate::program::kind::{Kind, MlpSettings, Visit};
+use crate::program::problem::{Problem, finite, positive};
+use crate::program::settings::Settings;
+use physgrad::report::{Animation, Posture, Stage, mechanics};
+use physgrad::tasks::{self, AnyHard, BouncingBall};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// `bounce`.
+#[derive(Clone, Debug)]
+pub struct Bounce;
+
+/// `system` of the ball.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct BounceSettings {
+    /// Mass, kg.
+    mass: f64,
+    /// Gravity, m/s².
+    gravity: f64,
+    /// Time step, s.
+    dt: f64,
+    /// What the floor does; a restitution of 0.8 without it.
+    contact: ContactSettings,
+}
+
+/// `loss` of the ball.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct BounceLoss {
+    /// The height to be at, at the end, m.
+    target: f64,
+}
+
+impl Default for BounceLoss {
+    fn default() -> Self {
+        Self { target: tasks::Bounce::default().target }
+    }
+}
+
+impl Kind for Bounce {
+    type System = BounceSettings;
+    type Effects = Nothing;
+    type Loss = BounceLoss;
+    type Network = MlpSettings;
+
+    const NAME: &'static str = "bounce";
+    const ABOUT: &'static str = "have a bouncing ball at a height at the end, by thrust";
+    const EPOCHS: usize = 300;
+    const HORIZON: usize = 100;
+
+    fn system() -> BounceSettings {
+        let BouncingBall { mass, gravity, dt, contact: _ } = BouncingBall::default();
+        BounceSettings { mass, gravity, dt, contact: ContactSettings::USUAL }
+    }
+
+    fn validate(settings: &Settings<Self>) -> Result<(), Problem> {
+        let BounceSettings { mass, gravity, dt, contact } = settings.system;
+        positive("system.mass", mass)?;
+        finite("system.gravity", gravity)?;
+        positive("system.dt", dt)?;
+        finite("loss.target", settings.loss.target)?;
+        contact.validate()
+    }
+
+    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+        let BounceSettings { mass, gravity, dt: _, contact } = settings.system;
+        let system = BouncingBall { mass, gravity, dt: small_step(settings), contact: contact.contact(0.8) };
+        let task = tasks::Bounce { system, target: settings.loss.target, horizon: settings.horizon };
+        visit(settings, AnyHard::Bounce(task), visitor)
+    }
+
+    fn variants() -> Vec<(String, Settings<Self>)> {
+        let mut soft = Settings::<Self>::defaults();
+        (soft.system.contact, soft.integrator.substeps) = (ContactSettings::soft(), Some(10));
+        vec![("by time of impact".into(), Settings::defaults()), ("by penalty".into(), soft)]
+    }
+
+    fn dt(settings: &Settings<Self>) -> f64 {
+        settings.system.dt
+    }
+
+    fn state_names(_settings: &Settings<Self>) -> Vec<String> {
+        names(&["height", "speed"])
+    }
+
+    fn control_names(_settings: &Settings<Self>) -> Vec<String> {
+        names(&["thrust"])
+    }
+
+    fn animation(settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
+        let target = settings.loss.target;
+        let posture = |x: &Vec<f64>| Posture { chain: vec![[0.0, x[0]]], boxes: Vec::new() };
+        let stage = Stage { title: "Bouncing ball".into(), size: 0.3, floor: Some(0.0), mark: Some([-0.3, target]) };
+        mechanics(&stage, &states.iter().map(posture).collect::<Vec<_>>(), settings.system.dt)
+    }
+}

@@ -1,0 +1,61 @@
+//! The `policy` section.
+
+use super::{Section, Visit};
+use crate::program::problem::Problem;
+use physgrad::policy::Mlp;
+use physgrad::{Policy, System, Task};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// The `policy` section of a task's settings.
+pub trait Network: Section + Default {
+    /// What is built of it.
+    type Policy: Policy + Clone + 'static;
+    /// What is out of range.
+    fn validate(&self) -> Result<(), Problem>;
+    /// The policy of a task of these dimensions.
+    fn build(&self, state_dim: usize, control_dim: usize) -> Self::Policy;
+
+    /// Hands the task to the visitor, with a policy that fits it.
+    fn visit<T: Task + Clone + 'static, V: Visit>(&self, task: T, visitor: V) -> V::Out {
+        let policy = self.build(task.system().state_dim(), task.system().control_dim());
+        visitor.visit(task, policy)
+    }
+}
+
+/// An MLP that sees the whole state.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MlpSettings {
+    /// Widths of the hidden layers; none is a linear policy.
+    widths: Vec<usize>,
+    /// Whether layers have a bias.
+    bias: bool,
+    /// Start with a zeroed last kernel.
+    zero_last: bool,
+}
+
+impl Default for MlpSettings {
+    fn default() -> Self {
+        Self { widths: vec![100, 100], bias: true, zero_last: true }
+    }
+}
+
+impl Network for MlpSettings {
+    type Policy = Mlp;
+
+    fn validate(&self) -> Result<(), Problem> {
+        match self.widths.iter().find(|w| !(1..=10_000).contains(*w)) {
+            Some(width) => {
+                let what = format!("has {width}; allowed: 1 to 10000 each, or [] for a linear policy");
+                Err(Problem::new("policy.widths", what))
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn build(&self, state_dim: usize, control_dim: usize) -> Mlp {
+        let widths = [&[state_dim], &self.widths[..], &[control_dim]].concat();
+        Mlp::new(widths).bias(self.bias).zero_last(self.zero_last)
+    }
+}

@@ -1,0 +1,170 @@
+//! The files a run leaves: metrics, policy, learning curve, trajectories.
+
+use super::files;
+use super::folder::{Folder, METRICS};
+use super::scene::Scene;
+use anyhow::{Context, Result};
+use physgrad::any::AnyTask;
+use physgrad::policy::AnyPolicy;
+use physgrad::{Divergence, Float, Growth, Record, Rollout, Variable, Weights, report};
+use safetensors::tensor::{Dtype, TensorView};
+use std::fs::File;
+use std::ops::Range;
+use std::path::PathBuf;
+
+/// Test rollouts that `trajectory.csv` holds.
+pub const ROLLOUTS: usize = 4;
+
+/// `metrics.csv`, one row per epoch, written at the end of the epoch.
+pub struct Metrics {
+    path: PathBuf,
+    file: File,
+}
+
+impl Metrics {
+    /// Replaces the file by one with the epochs done so far.
+    pub fn create(folder: &Folder, done: &[Record]) -> Result<Self> {
+        let rows = done.iter().map(|record| row(metrics_row(record)));
+        let text = [row(METRICS_HEADER)].into_iter().chain(rows).collect::<Result<String>>()?;
+        Ok(Self { path: folder.file(METRICS), file: folder.start(METRICS, text)? })
+    }
+
+    /// Appends an epoch.
+    pub fn append(&mut self, record: &Record) -> Result<()> {
+        let text = row(metrics_row(record))?;
+        files::append(&mut self.file, &self.path, text.as_bytes()).with_context(|| self.unwritable())
+    }
+
+    /// Waits until all rows are on disk.
+    pub fn sync(&self) -> Result<()> {
+        files::sync(&self.file, &self.path).with_context(|| self.unwritable())
+    }
+
+    fn unwritable(&self) -> String {
+        format!("cannot write {}", self.path.display())
+    }
+}
+
+/// One line of CSV.
+fn row<const N: usize>(fields: [impl AsRef<[u8]>; N]) -> Result<String> {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    csv.write_record(fields)?;
+    Ok(String::from_utf8(csv.into_inner()?)?)
+}
+
+pub const METRICS_HEADER: [&str; 13] = [
+    "epoch",
+    "loss",
+    "train_loss",
+    "test_loss",
+    "grad_norm",
+    "cosine",
+    "seconds",
+    "kept",
+    "skipped",
+    "growth_R",
+    "stretch_R",
+    "growth_M",
+    "stretch_M",
+];
+
+pub fn metrics_row(record: &Record) -> [String; 13] {
+    let Record { epoch, loss, train_loss, test_loss, grad_norm, cosine, kept, skipped, seconds, .. } = record;
+    let growth = |growth: Option<Growth>| {
+        growth.map_or_else(Default::default, |Growth { along, stretch }| [along.to_string(), stretch.to_string()])
+    };
+    let [[growth_r, stretch_r], [growth_m, stretch_m]] = [record.regular_growth, record.modified_growth].map(growth);
+    let number = |x: &f64| x.to_string();
+    let optional = |x: &Option<f64>| x.as_ref().map_or_else(String::new, number);
+    [
+        epoch.to_string(),
+        number(loss),
+        number(train_loss),
+        number(test_loss),
+        grad_norm.to_string(),
+        optional(cosine),
+        number(seconds),
+        optional(kept),
+        skipped.to_string(),
+        growth_r,
+        stretch_r,
+        growth_m,
+        stretch_m,
+    ]
+}
+
+/// Training and test loss against epochs.
+pub fn learning_curve(title: &str, records: &[Record]) -> String {
+    let points = |loss: fn(&Record) -> f64| records.iter().map(|r| (r.epoch as f64, loss(r))).collect::<Vec<_>>();
+    report::learning_curve(title, &points(|r| r.train_loss), &points(|r| r.test_loss)).to_svg()
+}
+
+/// The parameters as named tensors, for other programs.
+pub fn safetensors<F: Float>(about: String, policy: &dyn AnyPolicy<F>, theta: &[F]) -> Result<Vec<u8>> {
+    let bytes: Vec<u8> = theta.iter().flat_map(|t| t.to_le_bytes().as_ref().to_vec()).collect();
+    let dtype = if F::NAME == "f32" { Dtype::F32 } else { Dtype::F64 };
+    let width = size_of::<F>();
+    let views = policy.tensors().into_iter().map(|t| {
+        let view = TensorView::new(dtype, t.shape, &bytes[t.range.start * width..t.range.end * width])?;
+        Ok((t.name, view))
+    });
+    let views: Vec<_> = views.collect::<Result<_, safetensors::SafeTensorError>>()?;
+    // One entry: a map of several would be written in another order every time.
+    let about = [("about".to_owned(), about)].into_iter().collect();
+    Ok(safetensors::serialize(views, Some(about))?)
+}
+
+/// One rollout, step by step, up to where it diverged if it did.
+pub struct Trajectory {
+    pub states: Vec<Vec<f64>>,
+    pub controls: Vec<Vec<f64>>,
+}
+
+/// Rollouts from these start states, or as many of them as there are, under a policy.
+pub fn rollouts<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+    chosen: Range<usize>,
+) -> Vec<Trajectory> {
+    let (n, m) = (task.state_dim(), task.control_dim());
+    let starts = &starts[chosen.start * n..starts.len().min(chosen.end * n)];
+    let samples = starts.len() / n;
+    let mut rollout = Rollout::new(task, policy, samples);
+    rollout.start(starts);
+    let steps = match rollout.run(task, policy, weights) {
+        Err(Divergence::Forward { variable: Variable::State, step, .. }) => step - 1,
+        Err(Divergence::Forward { variable: Variable::Control, step, .. }) => step,
+        _ => task.horizon(),
+    };
+    let trajectory = |sample: usize| Trajectory {
+        states: (0..=steps).map(|t| (0..n).map(|i| rollout.state(t, sample, i).as_()).collect()).collect(),
+        controls: (0..steps).map(|t| (0..m).map(|i| rollout.control(t, sample, i).as_()).collect()).collect(),
+    };
+    (0..samples).map(trajectory).collect()
+}
+
+/// `animation.svg`: a rollout that moves.
+pub fn film(scene: &Scene, rollout: &Trajectory) -> String {
+    scene.animation(&rollout.states, &rollout.controls).to_svg()
+}
+
+/// `trajectory.csv`: one row a step of each rollout; the last state has no control.
+pub fn trajectories(scene: &Scene, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    let names = ["sample", "step", "time"].map(String::from).into_iter();
+    let controls = scene.control_names();
+    let none = vec![String::new(); controls.len()];
+    csv.write_record(names.chain(scene.state_names()).chain(controls))?;
+    let dt = scene.dt();
+    for (sample, rollout) in rollouts.iter().enumerate() {
+        for (t, state) in rollout.states.iter().enumerate() {
+            let place = [sample.to_string(), t.to_string(), (t as f64 * dt).to_string()];
+            let text = |numbers: &[f64]| numbers.iter().map(f64::to_string).collect::<Vec<_>>();
+            let control = rollout.controls.get(t).map_or_else(|| none.clone(), |u| text(u));
+            csv.write_record(place.into_iter().chain(text(state)).chain(control))?;
+        }
+    }
+    Ok(csv.into_inner()?)
+}

@@ -1,0 +1,216 @@
+//! The page itself: one document, with style, script, pictures and films inside.
+
+use super::counted;
+use super::diagnostics;
+use super::figure::Figure;
+use super::inspected::Inspected;
+use super::learning;
+use super::lengths::SAMPLES;
+use crate::program::scene::flat;
+use crate::program::statistics::{self, Outcome, best, field_label};
+use base64::prelude::{BASE64_STANDARD, Engine};
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+use toml::Value;
+
+/// The page on one run.
+pub fn run(folder: &str, run: &Inspected) -> String {
+    let title = format!("{}: field {}, seed {}", run.task, field_label(run.field), run.seed);
+    let trouble = run.trouble().map(|what| format!("This run {what}."));
+    let alone = std::slice::from_ref(run);
+    let content = html! {
+        (section("Result", result(run)))
+        (section("Learning", figures(learning::of_run(run))))
+        (films(&[run]))
+        (section("Gradients", html! {
+            (figures(diagnostics::of_epochs(alone).into_iter().chain(run.close.as_ref().map(diagnostics::of_run))))
+            (remarks(alone))
+        }))
+        (section("Settings", settings(&[run])))
+    };
+    document(&title, folder, run, trouble.as_slice(), &content)
+}
+
+/// The page on the runs of a comparison.
+pub fn comparison(folder: &str, runs: &[Inspected]) -> String {
+    let outcomes: Vec<Outcome> = runs.iter().map(Inspected::outcome).collect();
+    let letters: Vec<&str> = statistics::by_field(&outcomes).map(|(field, _)| field.letter()).collect();
+    let seeds = statistics::by_field(&outcomes).map(|(_, runs)| runs.len()).max().unwrap_or(0);
+    let title = format!("{}: fields {}, {}", runs[0].task, letters.join(", "), counted(seeds, "seed"));
+    let trouble: Vec<String> = runs.iter().filter_map(|run| Some(format!("{} {}.", run.name(), run.trouble()?))).collect();
+    let firsts: Vec<&Inspected> = runs.iter().filter(|run| run.close.is_some()).collect();
+    let content = html! {
+        (section("Result", html! {
+            (table(&statistics::TABLE_HEADER, &statistics::table(&outcomes)))
+            p.note {
+                "Medians, lowest and highest over the seeds."
+                @if outcomes.iter().any(|run| run.broken) {
+                    " A run that broke off has no final loss (NaN), which counts as the worst."
+                }
+            }
+        }))
+        (section("Learning", figures(learning::of_comparison(runs))))
+        (films(&firsts))
+        (section("Gradients", html! {
+            (figures(diagnostics::of_epochs(runs).into_iter().chain(diagnostics::of_comparison(runs))))
+            (remarks(runs))
+        }))
+        (section("Settings", settings(&runs.iter().collect::<Vec<_>>())))
+    };
+    document(&title, folder, &runs[0], &trouble, &content)
+}
+
+fn document(title: &str, folder: &str, run: &Inspected, trouble: &[String], content: &Markup) -> String {
+    let version = run.settings.get("physgrad").and_then(Value::as_str).unwrap_or_default();
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                // Nothing is fetched, whatever a settings file or a film says.
+                meta http-equiv="Content-Security-Policy"
+                    content="default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:";
+                title { (title) " (" (folder) ")" }
+                style { (PreEscaped(include_str!("style.css"))) }
+            }
+            body {
+                header {
+                    h1 { (title) }
+                    p { "Folder " b { (folder) } ", made by physgrad " (version) "." }
+                    p.note {
+                        "Fields: R is the true gradient, back through physics and network; M goes back through the physics only, \
+                         N through the network only, S through neither; C, the combined field, is M where M and R have the same \
+                         sign, and zero elsewhere."
+                    }
+                    (troubles(trouble))
+                    p.hint hidden { "Point at a diagram to read its values, or move to it with Tab and use the arrow keys." }
+                }
+                main { (content) }
+                script { (PreEscaped(include_str!("hover.js"))) }
+            }
+        }
+    }
+    .into_string()
+}
+
+/// What runs did not finish; a long list is folded.
+fn troubles(troubles: &[String]) -> Markup {
+    html! {
+        @match troubles {
+            [] => {}
+            [one] => p.trouble { (one) },
+            many => details.trouble open[many.len() < 4] {
+                summary { (many.len()) " runs were not finished" }
+                ul { @for what in many { li { (what) } } }
+            },
+        }
+    }
+}
+
+fn section(title: &str, content: Markup) -> Markup {
+    html! { section { h2 { (title) } (content) } }
+}
+
+fn figures(figures: impl IntoIterator<Item = Figure>) -> Markup {
+    html! { div.figures { @for figure in figures { (figure.html()) } } }
+}
+
+fn table<const N: usize>(header: &[&str; N], rows: &[[String; N]]) -> Markup {
+    html! {
+        div.wide { table {
+            thead { tr { @for name in header { th scope="col" { (name) } } } }
+            tbody { @for row in rows { tr {
+                // The name of a column again in each cell, for where there is no room for columns.
+                @for (name, cell) in header.iter().zip(row) { td data-name=(name) { (cell) } }
+            } } }
+        } }
+    }
+}
+
+/// The numbers of one run.
+fn result(run: &Inspected) -> Markup {
+    let header = ["epochs", "seconds", "final training loss", "final test loss", "best test loss", "skipped updates"];
+    let records = &run.records;
+    let Some(last) = records.last() else {
+        return html! { p { "No epoch was finished, so there are no losses yet." } };
+    };
+    let skipped: usize = records.iter().map(|r| r.skipped).sum();
+    let row = [
+        if records.len() < run.epochs { format!("{} of {}", records.len(), run.epochs) } else { records.len().to_string() },
+        format!("{:.1}", run.outcome().seconds()),
+        format!("{:.3e}", last.train_loss),
+        format!("{:.3e}", last.test_loss),
+        format!("{:.3e}", best(records)),
+        skipped.to_string(),
+    ];
+    html! {
+        (table(&header, &[row]))
+        @if skipped > 0 { p.note { "An update is skipped if a number in it is not finite." } }
+    }
+}
+
+/// The animations of these runs.
+fn films(runs: &[&Inspected]) -> Markup {
+    section(
+        "Film",
+        html! {
+            div.figures { @for run in runs { @if let Some(close) = &run.close {
+                figure {
+                    @if runs.len() > 1 { h3 { (run.name()) } }
+                    @let alt = format!("Animation of {} under the policy of {}", run.task, run.name());
+                    img.film src=(data_uri(&close.film)) alt=(alt);
+                }
+            } } }
+            p.note { "One rollout from a start state of the test set, under the policy as the run left it." }
+        },
+    )
+}
+
+/// As an image of its own, so that its names cannot clash with those of others and nothing in it is run.
+fn data_uri(svg: &str) -> String {
+    format!("data:image/svg+xml;base64,{}", BASE64_STANDARD.encode(svg))
+}
+
+/// What holds for all diagrams of gradients.
+fn remarks(runs: &[Inspected]) -> Markup {
+    html! {
+        @if let Some(missing) = diagnostics::missing(runs) { p.note { (missing) } }
+        p.note {
+            "Adjoints are those of the first " (SAMPLES) " test starts, or of as many as there are. Diagrams leave out what \
+             their axes cannot show, and thin lines of many points."
+        }
+    }
+}
+
+/// Every setting; where runs differ, the values of all of them.
+fn settings(runs: &[&Inspected]) -> Markup {
+    let mut values: Vec<(String, Vec<String>)> = Vec::new();
+    for (key, value) in runs.iter().flat_map(|run| flat(&run.settings)) {
+        match values.iter_mut().find(|(other, _)| *other == key) {
+            Some((_, values)) if values.contains(&plain(&value)) => {}
+            Some((_, values)) => values.push(plain(&value)),
+            None => values.push((key, vec![plain(&value)])),
+        }
+    }
+    let section = |key: &str| key.rsplit_once('.').map_or("run", |(section, _)| section).to_owned();
+    html! {
+        div.settings { @for settings in values.chunk_by(|a, b| section(&a.0) == section(&b.0)) {
+            table {
+                caption { (section(&settings[0].0)) }
+                tbody { @for (key, values) in settings {
+                    tr { th scope="row" { (key.rsplit('.').next().unwrap_or(key)) } td { (values.join(", ")) } }
+                } }
+            }
+        } }
+        @if runs.len() > 1 { p.note { "Several values: the runs have one of them each." } }
+    }
+}
+
+/// A value as one would say it.
+fn plain(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        Value::Float(x) if *x != 0.0 && !(1e-4..1e6).contains(&x.abs()) => format!("{x:e}"),
+        value => value.to_string(),
+    }
+}

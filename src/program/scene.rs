@@ -1,0 +1,294 @@
+//! What is to be run, whatever the task: settings that have been read and can be used.
+
+use super::accuracy::{Derived, Deriving, Job, Preparing, Referring, Way};
+use super::any_run::{AnyRun, Open};
+use super::check::{Checking, Results};
+use super::document::OPTIONAL;
+use super::explain::{Costing, Stored, Storing};
+use super::kind::{AnyKind, Conserved, Kind};
+use super::problem::Problem;
+use super::settings::{FieldName, Precision, Settings};
+use anyhow::Result;
+use physgrad::report::Animation;
+use physgrad::{Cost, Field};
+use std::ops::Deref;
+use std::sync::Arc;
+use toml::{Table, Value};
+
+/// Settings that have been read and can be used.
+#[derive(Clone)]
+pub struct Scene {
+    /// What its task name stands for.
+    pub kind: &'static dyn AnyKind,
+    /// The field to follow.
+    pub field: FieldName,
+    /// The precision of all numbers.
+    pub precision: Precision,
+    /// The seed of start states and parameters.
+    pub seed: u64,
+    /// Epochs in all.
+    pub epochs: usize,
+    /// Steps of one rollout.
+    pub horizon: usize,
+    /// All settings.
+    pub table: Table,
+    settings: Arc<dyn AnySettings>,
+}
+
+/// What can be made of a task's settings.
+pub trait AnySettings: Send + Sync {
+    /// A run of them, before its first epoch.
+    fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>>;
+    /// Checks the gradients of what they describe, called `variant` in the results.
+    fn check(&self, variant: &str, results: &mut Results);
+    /// A rollout with its adjoints, to be compared with others.
+    fn prepare(&self) -> Job;
+    /// A gradient, in one way.
+    fn derive(&self, precision: Precision, way: Way) -> Derived;
+    /// Parts of the gradients of R, M and S in double-double; calls `done` after each.
+    fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3];
+    /// Operations of a step of the physics and of its reverse.
+    fn cost(&self) -> Cost;
+    /// What a rollout of a few samples takes, with the adjoint of a field or for evaluation.
+    fn stored(&self, field: Option<Field>) -> Stored;
+    /// Seconds per step.
+    fn dt(&self) -> f64;
+    /// What the components of the state are called.
+    fn state_names(&self) -> Vec<String>;
+    /// What the components of the control are called.
+    fn control_names(&self) -> Vec<String>;
+    /// What keeps its value while the policy does nothing, if anything does.
+    fn conserved(&self) -> Option<Conserved>;
+    /// A rollout that moves: states and controls step by step.
+    fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
+}
+
+impl<K: Kind> AnySettings for Settings<K> {
+    fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>> {
+        let training = self.training.training(self.epochs, self.seed, workers);
+        Ok(self.visit(Open { precision: self.precision, field: self.field.0, training })?)
+    }
+
+    fn check(&self, variant: &str, results: &mut Results) {
+        self.visit(Checking { variant, results });
+    }
+
+    fn prepare(&self) -> Job {
+        self.visit(Preparing { precision: self.precision, seed: self.seed })
+    }
+
+    fn derive(&self, precision: Precision, way: Way) -> Derived {
+        self.visit(Deriving { precision, seed: self.seed, way })
+    }
+
+    fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3] {
+        self.visit(Referring { seed: self.seed, done })
+    }
+
+    fn cost(&self) -> Cost {
+        self.visit(Costing)
+    }
+
+    fn stored(&self, field: Option<Field>) -> Stored {
+        self.visit(Storing { precision: self.precision, field })
+    }
+
+    fn dt(&self) -> f64 {
+        K::dt(self)
+    }
+
+    fn state_names(&self) -> Vec<String> {
+        let mut names = K::state_names(self);
+        names.extend(self.actuator.state_names(&K::control_names(self)));
+        names
+    }
+
+    fn control_names(&self) -> Vec<String> {
+        K::control_names(self)
+    }
+
+    fn conserved(&self) -> Option<Conserved> {
+        K::conserved(self)
+    }
+
+    fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
+        K::animation(self, states, controls)
+    }
+}
+
+impl Deref for Scene {
+    type Target = dyn AnySettings;
+
+    fn deref(&self) -> &Self::Target {
+        &*self.settings
+    }
+}
+
+impl Scene {
+    /// The scene of settings that have been checked.
+    pub fn new<K: Kind>(kind: &'static dyn AnyKind, settings: Settings<K>) -> Self {
+        let Settings { field, precision, seed, epochs, horizon, .. } = settings;
+        Self { kind, field, precision, seed, epochs, horizon, table: settings.table(), settings: Arc::new(settings) }
+    }
+
+    /// The same with another field and seed.
+    pub fn with(&self, field: FieldName, seed: u64) -> Result<Self, Problem> {
+        let mut table = self.table.clone();
+        table.insert("field".into(), Value::String(field.into()));
+        table.insert("seed".into(), Value::Integer(seed as i64));
+        self.kind.scene(table)
+    }
+
+    /// The settings that a resumed run must share: what differs from the task's defaults, but for the number of epochs
+    /// and what changes no bit.
+    /// So a setting that later versions add, with a default that changes nothing, leaves the identity of a run as it is.
+    pub fn identity(&self) -> String {
+        self.unusual(&["epochs", "training.memory"])
+    }
+
+    /// The settings that the runs of a comparison share: as [`identity`](Self::identity), but for field and seed.
+    pub fn comparable(&self) -> String {
+        self.unusual(&["epochs", "training.memory", "field", "seed"])
+    }
+
+    /// A line for every effect, and for every setting that is not the default of its task or effect, and none of these.
+    fn unusual(&self, but: &[&str]) -> String {
+        let mut lines = vec![format!("task = {:?}", self.kind.name())];
+        // The effects that are here with the parameters they have by default.
+        let mut usual = self.kind.defaults();
+        for section in OPTIONAL {
+            let parts: Vec<&String> =
+                self.table.get(section).and_then(Value::as_table).into_iter().flat_map(Table::keys).collect();
+            lines.extend(parts.iter().map(|part| format!("{section}.{part}")));
+            let bare: Table = parts.into_iter().map(|part| (part.clone(), Value::Table(Table::new()))).collect();
+            usual.insert(section.into(), Value::Table(bare));
+        }
+        let usual = flat(&self.kind.fill(usual.clone()).unwrap_or(usual));
+        let unusual = flat(&self.table).into_iter().filter(|setting| !usual.contains(setting) && !but.contains(&&*setting.0));
+        lines.extend(unusual.map(|(key, value)| format!("{key} = {value}")));
+        lines.join("\n")
+    }
+}
+
+/// All settings by their dotted keys. A section that holds nothing is a setting too: an effect without parameters.
+pub fn flat(table: &Table) -> Vec<(String, Value)> {
+    let inner = |(key, value): (&String, &Value)| match value {
+        Value::Table(section) if !section.is_empty() => {
+            flat(section).into_iter().map(|(rest, value)| (format!("{key}.{rest}"), value)).collect()
+        }
+        value => vec![(key.clone(), value.clone())],
+    };
+    table.iter().flat_map(inner).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::program::kind::{Info, MlpSettings, Network, Visit};
+    use crate::program::settings::Method;
+    use physgrad::report;
+    use physgrad::tasks::{CartPole, CartPoleSystem};
+    use schemars::JsonSchema;
+    use serde::{Deserialize, Serialize};
+
+    /// A task with an effect.
+    #[derive(Clone, Debug)]
+    struct Windy;
+
+    #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+    #[serde(deny_unknown_fields)]
+    struct Effects {
+        /// It blows.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        wind: Option<Wind>,
+    }
+
+    #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+    #[serde(deny_unknown_fields, default)]
+    struct Wind {
+        /// How fast, m/s.
+        speed: f64,
+    }
+
+    impl Default for Wind {
+        fn default() -> Self {
+            Self { speed: 3.0 }
+        }
+    }
+
+    impl Kind for Windy {
+        type System = CartPoleSystem;
+        type Effects = Effects;
+        type Loss = Effects;
+        type Network = MlpSettings;
+
+        const NAME: &'static str = "windy";
+        const ABOUT: &'static str = "a test";
+        const EPOCHS: usize = 1;
+        const HORIZON: usize = 2;
+        const METHODS: &'static [Method] = &[];
+        const EFFECTS: &'static [Info] = &[];
+
+        fn system() -> CartPoleSystem {
+            CartPoleSystem::default()
+        }
+
+        fn validate(_settings: &Settings<Self>) -> Result<(), Problem> {
+            Ok(())
+        }
+
+        fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+            settings.policy.visit(CartPole::new(1), visitor)
+        }
+
+        fn variants() -> Vec<(String, Settings<Self>)> {
+            Vec::new()
+        }
+
+        fn dt(_settings: &Settings<Self>) -> f64 {
+            1.0
+        }
+
+        fn state_names(_settings: &Settings<Self>) -> Vec<String> {
+            Vec::new()
+        }
+
+        fn control_names(_settings: &Settings<Self>) -> Vec<String> {
+            Vec::new()
+        }
+
+        fn animation(_settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
+            report::cart_pole(states, &[], 1.0, 1.0)
+        }
+    }
+
+    fn scene(effects: &str, epochs: i64) -> Scene {
+        let mut table = Windy.defaults();
+        table.insert("epochs".into(), Value::Integer(epochs));
+        table.extend(effects.parse::<Table>().expect("TOML"));
+        AnyKind::scene(&Windy, table).expect("a scene")
+    }
+
+    #[test]
+    fn an_identity_is_what_differs_from_the_defaults() {
+        assert_eq!(scene("", 7).identity(), "task = \"windy\"");
+        assert_eq!(scene("seed = 4", 1).identity(), "task = \"windy\"\nseed = 4");
+        assert_eq!(scene("seed = 4", 1).comparable(), "task = \"windy\"");
+        // With its default parameters an effect is there all the same.
+        assert_eq!(scene("effects.wind = {}", 1).identity(), "task = \"windy\"\neffects.wind");
+        let fast = scene("effects.wind.speed = 5", 1);
+        assert_eq!(fast.identity(), "task = \"windy\"\neffects.wind\neffects.wind.speed = 5.0");
+        assert_eq!(fast.with(fast.field, 4).expect("a scene").comparable(), fast.identity());
+    }
+
+    #[test]
+    fn what_is_optional_is_left_out_of_a_scene_and_no_null_in_its_schema() {
+        assert!(!scene("", 1).table.contains_key("effects"));
+        assert_eq!(scene("effects.wind = {}", 1).table["effects"]["wind"]["speed"].as_float(), Some(3.0));
+        let schema = Windy.schema();
+        let wind = &schema["properties"]["effects"]["properties"]["wind"];
+        assert_eq!((&wind["type"], &wind["description"]), (&"object".into(), &"It blows.".into()));
+        assert_eq!(wind["properties"]["speed"]["default"], 3.0);
+        assert!(!schema.to_string().contains("null"), "{schema}");
+    }
+}

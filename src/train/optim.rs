@@ -1,0 +1,326 @@
+//! Optimizers and clipping, on flat slices. The formulas and defaults are those of Keras 2.15.
+
+use crate::engine::gradient::Gradient;
+use crate::numbers::kernels::{Level, Vectorized, dispatch};
+use crate::numbers::scalar::{Float, Scalar};
+use crate::numbers::wide::Wide;
+use serde::{Deserialize, Serialize};
+
+/// Limits the vector field just before the optimizer.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Clip {
+    /// As it is.
+    None,
+    /// Every component to ± the limit.
+    Value(f64),
+    /// The whole vector to at most this Euclidean length.
+    Norm(f64),
+}
+
+impl Clip {
+    /// A bound on the components of a clipped vector that was `norm` long.
+    pub(crate) fn bound(self, norm: f64) -> f64 {
+        match self {
+            Self::None => norm,
+            Self::Value(limit) | Self::Norm(limit) => norm.min(limit),
+        }
+    }
+
+    /// Clips `gradient` in place, whatever its exponent: what is left are plain numbers. Without clipping, or where too little
+    /// is clipped, they may be infinite.
+    pub fn apply<F: Float>(self, gradient: &mut Gradient<F>) {
+        let norm = match self {
+            Self::Norm(_) => gradient.norm(),
+            Self::None | Self::Value(_) => Wide::default(),
+        };
+        self.apply_knowing(gradient, norm);
+    }
+
+    /// The same for a vector whose length is known.
+    pub(crate) fn apply_knowing<F: Float>(self, gradient: &mut Gradient<F>, norm: Wide) {
+        match self {
+            Self::None => gradient.flatten(),
+            Self::Value(limit) => {
+                gradient.flatten();
+                let (low, high) = (F::lift(-limit), F::lift(limit));
+                for g in gradient.values_mut(0) {
+                    // A NaN stays one.
+                    *g = if *g < low {
+                        low
+                    } else if *g > high {
+                        high
+                    } else {
+                        *g
+                    };
+                }
+            }
+            Self::Norm(limit) if norm.get() > limit => {
+                // Of the values as they stand: the exponent goes with the length.
+                let length = norm.over_power_of_two(gradient.exponent());
+                let factor = F::lift(limit / length);
+                for g in gradient.values_mut(0) {
+                    *g *= factor;
+                }
+            }
+            Self::Norm(_) => gradient.flatten(),
+        }
+    }
+}
+
+/// A rule that turns a vector field into steps.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Rule {
+    /// Kingma and Ba 2015 (arXiv:1412.6980), in Keras' form: ε is added to the root of the uncorrected second moment.
+    Adam {
+        /// Decay of the first moment.
+        beta1: f64,
+        /// Decay of the second moment.
+        beta2: f64,
+        /// Keeps the step finite.
+        epsilon: f64,
+    },
+    /// Plain descent.
+    Sgd,
+    /// Descent with (heavy-ball) momentum.
+    Momentum {
+        /// Share of the last step that is kept.
+        momentum: f64,
+    },
+    /// Tieleman and Hinton 2012; ε under the root.
+    RmsProp {
+        /// Decay of the mean square.
+        rho: f64,
+        /// Keeps the step finite.
+        epsilon: f64,
+    },
+    /// Duchi, Hazan and Singer 2011; ε under the root.
+    Adagrad {
+        /// The accumulators' start.
+        initial: f64,
+        /// Keeps the step finite.
+        epsilon: f64,
+    },
+    /// Zeiler 2012 (arXiv:1212.5701).
+    Adadelta {
+        /// Decay of the mean squares.
+        rho: f64,
+        /// Keeps the step finite.
+        epsilon: f64,
+    },
+}
+
+impl Rule {
+    /// The names that [`Rule::named`] knows.
+    pub const NAMES: [&str; 6] = ["adam", "sgd", "momentum", "rmsprop", "adagrad", "adadelta"];
+
+    /// A rule with its default parameters, by name.
+    pub fn named(name: &str) -> Option<Self> {
+        Some(match name {
+            "adam" => Self::Adam { beta1: 0.9, beta2: 0.999, epsilon: 1e-7 },
+            "sgd" => Self::Sgd,
+            "momentum" => Self::Momentum { momentum: 0.9 },
+            "rmsprop" => Self::RmsProp { rho: 0.9, epsilon: 1e-7 },
+            "adagrad" => Self::Adagrad { initial: 0.1, epsilon: 1e-7 },
+            "adadelta" => Self::Adadelta { rho: 0.95, epsilon: 1e-7 },
+            _ => return None,
+        })
+    }
+}
+
+/// A [`Rule`], its learning rate, and what it remembers. Part of every checkpoint.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Optimizer<F> {
+    rule: Rule,
+    learning_rate: f64,
+    steps: u64,
+    first: Vec<F>,
+    second: Vec<F>,
+}
+
+impl<F: Float> Optimizer<F> {
+    /// An optimizer of `params` parameters.
+    pub fn new(rule: Rule, learning_rate: f64, params: usize) -> Self {
+        let start = if let Rule::Adagrad { initial, .. } = rule { initial } else { 0.0 };
+        Self { rule, learning_rate, steps: 0, first: vec![F::lift(start); params], second: vec![F::zero(); params] }
+    }
+
+    /// Adam with Keras' defaults.
+    pub fn adam(learning_rate: f64, params: usize) -> Self {
+        Self::new(Rule::Adam { beta1: 0.9, beta2: 0.999, epsilon: 1e-7 }, learning_rate, params)
+    }
+
+    /// Steps taken so far.
+    pub fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    /// Number of parameters.
+    pub fn params(&self) -> usize {
+        self.first.len()
+    }
+
+    /// Becomes a copy of another optimizer of as many parameters, without allocating.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        (self.rule, self.learning_rate, self.steps) = (other.rule, other.learning_rate, other.steps);
+        self.first.copy_from_slice(&other.first);
+        self.second.copy_from_slice(&other.second);
+    }
+
+    /// One step of `theta` against `gradient`.
+    ///
+    /// # Panics
+    /// If the lengths differ from the number of parameters.
+    #[track_caller]
+    pub fn step(&mut self, theta: &mut [F], gradient: &[F]) {
+        let n = self.first.len();
+        assert!(
+            theta.len() == n && gradient.len() == n,
+            "the optimizer has {n} parameters, θ {}, g {}",
+            theta.len(),
+            gradient.len()
+        );
+        self.steps += 1;
+        dispatch(Level::best(), Step { optimizer: self, theta, gradient });
+    }
+}
+
+struct Step<'a, F> {
+    optimizer: &'a mut Optimizer<F>,
+    theta: &'a mut [F],
+    gradient: &'a [F],
+}
+
+impl<F: Float> Vectorized for Step<'_, F> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Optimizer { rule, learning_rate, steps, first, second } = self.optimizer;
+        let rate = *learning_rate;
+        let all = self.theta.iter_mut().zip(self.gradient).zip(first).zip(second).map(|(((t, &g), m), v)| (t, g, m, v));
+        let lift = F::lift;
+        match *rule {
+            Rule::Adam { beta1, beta2, epsilon } => {
+                let steps = i32::try_from(*steps).unwrap_or(i32::MAX);
+                let rate = lift(rate * (1.0 - beta2.powi(steps)).sqrt() / (1.0 - beta1.powi(steps)));
+                let (share1, share2, epsilon) = (lift(1.0 - beta1), lift(1.0 - beta2), lift(epsilon));
+                for (theta, g, m, v) in all {
+                    *m += (g - *m) * share1;
+                    *v += (g * g - *v) * share2;
+                    *theta -= *m * rate / (Scalar::sqrt(*v) + epsilon);
+                }
+            }
+            Rule::Sgd => {
+                for (theta, g, _, _) in all {
+                    *theta -= g * lift(rate);
+                }
+            }
+            Rule::Momentum { momentum } => {
+                for (theta, g, m, _) in all {
+                    *m = *m * lift(momentum) - g * lift(rate);
+                    *theta += *m;
+                }
+            }
+            Rule::RmsProp { rho, epsilon } => {
+                for (theta, g, m, _) in all {
+                    *m = *m * lift(rho) + g * g * lift(1.0 - rho);
+                    *theta -= g * lift(rate) / Scalar::sqrt(*m + lift(epsilon));
+                }
+            }
+            Rule::Adagrad { epsilon, .. } => {
+                for (theta, g, m, _) in all {
+                    *m += g * g;
+                    *theta -= g * lift(rate) / Scalar::sqrt(*m + lift(epsilon));
+                }
+            }
+            Rule::Adadelta { rho, epsilon } => {
+                for (theta, g, m, v) in all {
+                    *m = *m * lift(rho) + g * g * lift(1.0 - rho);
+                    let step = g * Scalar::sqrt(*v + lift(epsilon)) / Scalar::sqrt(*m + lift(epsilon));
+                    *v = *v * lift(rho) + step * step * lift(1.0 - rho);
+                    *theta -= step * lift(rate);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// θ after each of two steps from 1 against the gradients 0.5 and -2.
+    fn two_steps(rule: &str) -> [f64; 2] {
+        let mut optimizer = Optimizer::<f64>::new(Rule::named(rule).expect(rule), 0.1, 1);
+        let mut theta = [1.0];
+        [0.5, -2.0].map(|gradient| {
+            optimizer.step(&mut theta, &[gradient]);
+            theta[0]
+        })
+    }
+
+    /// The formulas of Keras 2.15, written out for two steps.
+    #[test]
+    fn every_rule_takes_the_steps_of_its_formula() {
+        let epsilon = 1e-7;
+        let expected = |rule: &str| -> [f64; 2] {
+            match rule {
+                "adam" => {
+                    let (m1, v1) = (0.1 * 0.5, 0.001 * 0.25);
+                    let first = 1.0 - 0.1 * (1.0f64 - 0.999).sqrt() / (1.0 - 0.9) * m1 / (f64::sqrt(v1) + epsilon);
+                    let (m2, v2) = (0.9 * m1 - 0.1 * 2.0, 0.999 * v1 + 0.001 * 4.0);
+                    let rate = 0.1 * (1.0f64 - 0.999 * 0.999).sqrt() / (1.0 - 0.81);
+                    [first, first - rate * m2 / (f64::sqrt(v2) + epsilon)]
+                }
+                "sgd" => [0.95, 1.15],
+                "momentum" => [0.95, 0.95 + (0.9 * -0.05 + 0.2)],
+                "rmsprop" => {
+                    let (v1, v2): (f64, f64) = (0.1 * 0.25, 0.9 * 0.1 * 0.25 + 0.1 * 4.0);
+                    let first = 1.0 - 0.1 * 0.5 / (v1 + epsilon).sqrt();
+                    [first, first + 0.1 * 2.0 / (v2 + epsilon).sqrt()]
+                }
+                "adagrad" => {
+                    let first = 1.0 - 0.1 * 0.5 / (0.1 + 0.25 + epsilon).sqrt();
+                    [first, first + 0.1 * 2.0 / (0.1 + 0.25 + 4.0 + epsilon).sqrt()]
+                }
+                "adadelta" => {
+                    let g1 = 0.05 * 0.25;
+                    let d1 = 0.5 * epsilon.sqrt() / (g1 + epsilon).sqrt();
+                    let (x1, g2) = (0.05 * d1 * d1, 0.95 * g1 + 0.05 * 4.0);
+                    let first = 1.0 - 0.1 * d1;
+                    [first, first + 0.1 * 2.0 * (x1 + epsilon).sqrt() / (g2 + epsilon).sqrt()]
+                }
+                other => panic!("no formula for {other}"),
+            }
+        };
+        for rule in Rule::NAMES {
+            for (step, (got, expected)) in two_steps(rule).into_iter().zip(expected(rule)).enumerate() {
+                approx::assert_relative_eq!(got, expected, max_relative = 1e-14);
+                assert!(got != 1.0, "{rule} does nothing in step {step}");
+            }
+        }
+    }
+
+    #[test]
+    fn clipping_limits_and_leaves_the_rest_alone() {
+        let clipped_with = |clip: Clip, exponent: i32| {
+            let mut g = Gradient::<f64>::zeros(3);
+            g.values_mut(exponent).copy_from_slice(&[3.0, -4.0, 0.5]);
+            clip.apply(&mut g);
+            assert_eq!(g.exponent(), 0);
+            g.plain()
+        };
+        let clipped = |clip: Clip| clipped_with(clip, 0);
+        let norm = (9.0f64 + 16.0 + 0.25).sqrt();
+        assert_eq!(clipped(Clip::None), [3.0, -4.0, 0.5]);
+        assert_eq!(clipped(Clip::Value(1.0)), [1.0, -1.0, 0.5]);
+        assert_eq!(clipped(Clip::Norm(10.0)), [3.0, -4.0, 0.5]);
+        // However long it was.
+        for exponent in [0, 5000] {
+            for (got, whole) in clipped_with(Clip::Norm(1.0), exponent).into_iter().zip([3.0, -4.0, 0.5]) {
+                approx::assert_relative_eq!(got, whole / norm, max_relative = 1e-15);
+            }
+        }
+        assert_eq!(clipped_with(Clip::Value(1.0), 5000), [1.0, -1.0, 1.0]);
+        assert_eq!(clipped_with(Clip::None, 5000), [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY]);
+        assert_eq!(clipped_with(Clip::Norm(1.0), -5000), [0.0, -0.0, 0.0]);
+    }
+}
