@@ -1,19 +1,23 @@
-//! Differentiable physics: write a physical system once, train a neural controller through long rollouts of it, and
-//! choose which vector field the optimizer follows.
+//! Differentiable physics: adjoints of long rollouts, and training of neural controllers with a
+//! choice of vector fields.
 //!
-//! A simulator is written against [`Scalar`]; its derivatives are exact, by dual numbers, until one writes faster ones,
-//! and [`check`] compares the two. From one forward pass come the true gradient (R), the gradient through the physics
-//! only (M), and their combination (C) of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR
-//! 2024); see [`Flow`] for the recursion and [`Field`] for the fields.
+//! Systems are generic over [`Scalar`]. Dual numbers provide their exact derivatives by default.
+//! Faster, hand-written derivatives can replace them, and [`check`] compares the two.
 //!
-//! # A system of your own
-//! This file is `examples/pendulum.rs`; it is compiled, run and gradient-checked as a test.
+//! One forward pass yields three vector fields for the optimizer: the gradient of the loss (R), the
+//! gradient through the physics only (M), and their combination (C). They are those of "Stabilizing
+//! Backpropagation Through Time to Learn Complex Physics" (ICLR 2024). [`Flow`] documents the
+//! recursion and [`Field`] the fields.
+//!
+//! # A custom system
+//! The file is `examples/pendulum.rs`. Tests compile, run and gradient-check it.
 //! ```
 #![doc = include_str!("../examples/pendulum.rs")]
 //! ```
 //!
-//! # The pieces
-//! [`Trainer`] is thin. The same update by hand is five calls:
+//! # One update, step by step
+//! [`Trainer`] combines public parts. One update consists of a forward pass, a reverse pass,
+//! composition, clipping and an optimizer step:
 //! ```
 //! use physgrad::{Adjoint, Clip, Field, Gradient, Optimizer, Rollout, Task, Weights, policy::Mlp, rng, tasks::CartPole};
 //!
@@ -42,9 +46,10 @@
 //! ```
 //!
 //! # Effects
-//! Friction, wind, obstacles, potentials: optional physics is an [`Effect`], and what is in play is part of a system's
-//! type. What is absent is absent code, which [`Cost`] counts exactly. [`Actuator`]s stand between policy and system, and
-//! [`Substeps`] make several small steps of one.
+//! An [`Effect`] is an optional part of the physics: friction, wind, obstacles, potentials. The
+//! effects of a system are part of its type, so absent effects cost nothing. [`Cost`] counts the
+//! operations of a system exactly. An [`Actuator`] transforms controls between policy and system.
+//! [`Substeps`] performs several small steps of a system as one.
 //! ```
 //! use physgrad::tasks::{CartPole, CartPoleSystem, PoleDamping, SteadyWind};
 //! use physgrad::{Actuated, Cost, Lag, With, check};
@@ -55,17 +60,22 @@
 //! let task = CartPole::around(Actuated { system: windy, actuator: Lag::new(0.05, system.dt) });
 //! check::system(&task.system);
 //! ```
-//! One of your own is a few lines: see `docs/scenes.md` and `examples/own_effect.rs`.
+//! `docs/scenes.md` and `examples/own_effect.rs` show how to write a custom effect.
 //!
 //! # Features
-//! `default-features = false` leaves the library alone. `parallel` splits mini-batches over cores, `report` draws
-//! curves and animations, `schema` gives the settings of systems and effects a JSON schema, `double-double` adds numbers of
-//! 31 digits and derivatives in them, as references, `program` (the default) is
-//! everything the `physgrad` binary needs.
+//! - `parallel` splits mini-batches over threads.
+//! - `report` draws curves and animations.
+//! - `schema` provides a JSON schema for the settings of systems and effects.
+//! - `double-double` adds `DoubleDouble`, a 31-digit scalar type for reference results and their
+//!   derivatives.
+//! - `stress` adds the module `stress`, with hard test cases and their expected results.
+//! - `program`, the default, contains everything that the `physgrad` binary needs.
+//!
+//! With `default-features = false`, only the library without these features is built.
 
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 
-// Modules import downwards only: `tests/layout.rs` holds the list of allowed imports.
+// Modules import only lower modules. `tests/layout.rs` lists the allowed imports.
 pub mod check;
 mod dynamics;
 mod engine;
@@ -110,7 +120,7 @@ pub use train::field::{Compose, Field, SignAgreement, UnknownField};
 pub use train::optim::{Clip, Optimizer, Rule};
 pub use train::{CheckpointError, Record, Report, Session, Skip, TrainError, Trainer, Training, differences, toy};
 
-/// What a file with a system of one's own needs.
+/// Imports for a file that defines a system and trains a controller for it.
 pub mod prelude {
     pub use crate::check;
     pub use crate::numbers::rng::Rng;

@@ -1,11 +1,12 @@
-//! Gradient checks, one line each: hand-written and batched derivatives against dual numbers.
+//! Derivative checks: analytic and batched derivatives against dual numbers.
 //!
-//! [`system`], [`policy`] and [`task`] panic with what was compared, the index, what was expected, what was found, and
-//! the seed of the case. The `try_` forms return the same as a value. Everything is checked in double precision; errors are relative to
-//! the largest component of what they are compared with.
+//! Start with [`system`], [`policy`] and [`task`], one line each in a test. They panic with a
+//! [`Mismatch`]: the compared quantity, the index, the expected and found values, and the random
+//! case. The `try_` functions return it instead. All checks run in double precision. Errors are
+//! relative to the largest component of the reference unless stated otherwise.
 //!
-//! Derivatives may be right and useless: [`stability`] tells whether steps are too long for what they step through, and
-//! [`plateau`] whether there is a gradient to follow at all.
+//! Correct derivatives may still be useless. [`stability`] detects time steps that are too long for
+//! the dynamics. [`plateau`] detects vanishing gradients.
 
 mod oracle;
 mod plateau;
@@ -13,7 +14,7 @@ mod policies;
 #[cfg(feature = "double-double")]
 mod reference;
 mod stability;
-// Not in the library's own unit tests, which would compile all of it once more: `tests/stress.rs` holds it.
+// Excluded from unit tests to avoid compiling it twice; `tests/stress.rs` runs the cases.
 #[cfg(all(feature = "stress", not(test)))]
 pub mod stress;
 mod systems;
@@ -38,57 +39,57 @@ use crate::policy::{Policy, Weights};
 use rand_distr::{Distribution, StandardNormal};
 use std::fmt;
 
-/// Random cases that each check tries.
+/// Random cases per system check.
 const CASES: u64 = 20;
-/// Random cases of the checks that evaluate a policy.
+/// Random cases per check that evaluates a policy.
 const CASES_OF_LONG_CHECKS: u64 = 2;
-/// Allowed for one step of a system and for one evaluation of a policy.
+/// Tolerance for one step of a system and for one evaluation of a policy.
 const ONE_STEP: f64 = 1e-12;
-/// Allowed for the gradient of a whole rollout.
+/// Tolerance for the gradient of a whole rollout.
 const ROLLOUT: f64 = 1e-10;
 
-/// What a check that passed has seen.
+/// Summary of a passed check.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Passed {
     /// Numbers compared.
     pub compared: usize,
-    /// The largest relative error among them.
+    /// Largest relative error.
     pub worst: f64,
-    /// The largest that would have passed.
+    /// Tolerance of the relative error.
     pub allowed: f64,
 }
 
-/// What a check found wrong.
+/// First failed comparison of a check.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mismatch {
-    /// What was compared, for instance `vjp: x_bar`.
+    /// Compared quantity, for instance `vjp: x_bar`.
     pub what: String,
-    /// Index of the first wrong number.
+    /// Index of the first mismatching component.
     pub index: usize,
-    /// By dual numbers, or by the reference form.
+    /// Reference value, from dual numbers or from an equivalent reference form.
     pub expected: f64,
-    /// By the form under test.
+    /// Value of the tested form.
     pub found: f64,
-    /// Relative error.
+    /// Relative error; absolute for a bitwise comparison or a zero reference.
     pub error: f64,
-    /// The largest that would have passed.
+    /// Tolerance of the relative error.
     pub allowed: f64,
-    /// Number of the random case: its inputs are drawn from `stream(case, Purpose::Check, 0)`.
+    /// Index of the random case. Inputs are drawn from `stream(case, Purpose::Check, 0)`.
     pub case: u64,
 }
 
-/// Why a check of whole rollouts did not pass.
+/// Error of a check of whole rollouts.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Failure {
-    /// A wrong number.
+    /// A derivative or loss exceeds the tolerance.
     #[error(transparent)]
     Mismatch(#[from] Mismatch),
-    /// There was nothing to compare.
+    /// The rollout or its gradient is non-finite.
     #[error("case {case} cannot be checked: {divergence}")]
     Diverged {
-        /// Number of the random case.
+        /// Index of the random case.
         case: u64,
-        /// Where a number was not finite.
+        /// First non-finite value.
         divergence: Divergence,
     },
 }
@@ -105,7 +106,7 @@ impl fmt::Display for Mismatch {
 
 impl std::error::Error for Mismatch {}
 
-/// Collects comparisons of one random case after the other.
+/// Accumulates the comparisons of consecutive random cases.
 struct Comparison {
     passed: Passed,
     case: u64,
@@ -122,13 +123,13 @@ impl Comparison {
         pairs.try_for_each(|(index, (&found, &expected))| self.one(what, index, found, expected, scale))
     }
 
-    /// With the error relative to `scale`.
+    /// Compares two numbers; the error is relative to `scale`, or absolute if `scale` is zero.
     fn one(&mut self, what: &str, index: usize, found: f64, expected: f64, scale: f64) -> Result<(), Mismatch> {
         let error = (found - expected).abs() / if scale > 0.0 { scale } else { 1.0 };
         let allowed = self.passed.allowed;
         self.passed.compared += 1;
         self.passed.worst = self.passed.worst.max(error);
-        // A NaN is not at most anything.
+        // False for NaN.
         if error <= allowed {
             Ok(())
         } else {
@@ -136,7 +137,7 @@ impl Comparison {
         }
     }
 
-    /// The same bits.
+    /// Compares bit patterns; zeros of opposite sign are equal.
     fn equal(&mut self, what: &str, found: &[f64], expected: &[f64]) -> Result<(), Mismatch> {
         match found.iter().zip(expected).position(|(f, e)| f.to_bits() != e.to_bits() && f != e) {
             Some(index) => {
@@ -152,24 +153,25 @@ impl Comparison {
     }
 }
 
-/// Normally distributed numbers.
+/// Draws standard normal samples.
 fn normal(rng: &mut Rng, len: usize) -> Vec<f64> {
     (0..len).map(|_| StandardNormal.sample(rng)).collect()
 }
 
-/// Checks a system at states and controls drawn from a standard normal distribution. See [`try_system_at`].
+/// Checks a system at states and controls from a standard normal distribution. See
+/// [`try_system_at`].
 ///
 /// # Panics
-/// With the [`Mismatch`].
+/// Panics on the first [`Mismatch`].
 #[track_caller]
 pub fn system<S: System>(system: &S) -> Passed {
     self::try_system(system).unwrap_or_else(|mismatch| panic!("the system's derivatives are wrong: {mismatch}"))
 }
 
-/// As [`system`], as a value.
+/// Non-panicking form of [`system`].
 ///
 /// # Errors
-/// The first [`Mismatch`].
+/// Returns the first [`Mismatch`].
 pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
     try_system_at(system, |rng, x, u| {
         x.copy_from_slice(&normal(rng, x.len()));
@@ -177,22 +179,26 @@ pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
     })
 }
 
-/// Checks a system at states and controls that `draw` makes: its [`vjp`](System::vjp), `vjp_state` and `vjp_control`
-/// against duals, both directions against each other (`⟨λ, J v⟩ = ⟨Jᵀλ, v⟩`), and lanes against plain numbers, bit for
-/// bit.
+/// Checks the derivatives of a system at states and controls drawn by `draw`.
+///
+/// - [`vjp`](System::vjp), `vjp_state` and `vjp_control` against dual numbers.
+/// - Forward against reverse mode: `⟨λ, J v⟩ = ⟨Jᵀλ, v⟩`.
+/// - SIMD lanes against scalars, bit for bit.
 ///
 /// # Errors
-/// The first [`Mismatch`].
+/// Returns the first [`Mismatch`].
 pub fn try_system_at<S: System>(system: &S, draw: impl Fn(&mut Rng, &mut [f64], &mut [f64])) -> Result<Passed, Mismatch> {
     systems::check(system, &draw)
 }
 
-/// Checks the gradients of whole rollouts for every flow (R, M, N, S) against duals of the same rollout in which what
-/// the flow leaves out is detached. Random directions over all parameters are compared, and single parameters: all of
-/// few, some of many.
+/// Checks the gradients of whole rollouts for all flows (R, M, N, S).
+///
+/// The reference is the same rollout in dual numbers, with the paths that the flow omits detached.
+/// The check compares directional derivatives along random directions and single components. It
+/// compares all components of at most 64 parameters, otherwise 16 random ones.
 ///
 /// # Panics
-/// With the [`Mismatch`].
+/// Panics on the first [`Mismatch`], or if the rollouts or their gradients are non-finite.
 #[track_caller]
 pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Passed {
     let all = Flow::ALL.map(|flow| {
@@ -205,10 +211,11 @@ pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Passed {
     })
 }
 
-/// As [`task`], for one flow, as a value.
+/// Non-panicking form of [`task`] for one flow.
 ///
 /// # Errors
-/// The first [`Mismatch`], or rollouts that diverge whatever the parameters.
+/// Returns the first [`Mismatch`], or [`Failure::Diverged`] if the rollouts or their gradients are
+/// non-finite.
 pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<Passed, Failure> {
     let slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
         oracle::slope_by_duals(task, policy, theta, starts, flow, tangent)
@@ -216,12 +223,13 @@ pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<
     check_flow(task, policy, flow, &|theta, starts| oracle::loss(task, policy, theta, starts), &slope)
 }
 
-/// The mean loss with these parameters from these states.
+/// Mean loss for parameters and initial states.
 type Loss<'a> = &'a dyn Fn(&[f64], &[f64]) -> f64;
-/// Its derivative in a direction.
+/// Directional derivative of the mean loss for parameters, initial states and a tangent per
+/// parameter.
 type Slope<'a> = &'a dyn Fn(&[f64], &[f64], &dyn Fn(usize) -> f64) -> f64;
 
-/// The same, compiled once.
+/// Object-safe part of [`try_flow`]; limits monomorphization.
 fn check_flow(
     task: &dyn AnyTask<f64>,
     policy: &dyn AnyPolicy<f64>,
@@ -264,7 +272,7 @@ fn check_flow(
     Ok(c.passed)
 }
 
-/// Random parameters with which the rollouts are finite: initial ones with noise, less of it if need be.
+/// Draws parameters with finite rollouts: initial ones plus noise, reduced if a rollout diverges.
 fn finite_weights(
     task: &dyn AnyTask<f64>,
     policy: &dyn AnyPolicy<f64>,

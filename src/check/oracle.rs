@@ -1,4 +1,5 @@
-//! What the checks compare with: num-dual's numbers through `act` and `step`, with what a flow leaves out detached.
+//! Reference values of the checks: dual numbers through `act` and `step`, with the paths that a
+//! flow omits detached.
 
 use crate::dynamics::apart::step;
 use crate::dynamics::system::System;
@@ -12,13 +13,13 @@ use num_dual::Dual64;
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Random directions that are compared.
+/// Number of random directions.
 const DIRECTIONS: usize = 4;
 
-/// Up to so many parameters, all are compared.
+/// Largest number of parameters for which every component is compared.
 const ALL: usize = 64;
 
-/// Initial parameters, with noise of this size added so that no layer is zero.
+/// Initial parameters plus normal noise of standard deviation `size`, so that no layer is zero.
 pub fn weights(policy: &dyn AnyPolicy<f64>, size: f64, rng: &mut Rng) -> Weights<f64> {
     let mut theta = vec![0.0; policy.param_count()];
     policy.init(rng, &mut theta);
@@ -29,7 +30,8 @@ pub fn weights(policy: &dyn AnyPolicy<f64>, size: f64, rng: &mut Rng) -> Weights
     Weights::new(policy, theta)
 }
 
-/// The mean loss of rollouts from `starts`, with the derivative that `flow` carries.
+/// Mean loss of rollouts from the initial states `starts`. Its derivative follows only the paths of
+/// `flow`.
 pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, theta: &[S], starts: &[f64], flow: Flow) -> S {
     let system = task.system();
     let (n, m) = (system.state_dim(), system.control_dim());
@@ -49,13 +51,15 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
     mean * S::lift(n as f64 / starts.len() as f64)
 }
 
-/// The mean loss.
+/// Mean loss of rollouts from the initial states `starts`.
 pub fn loss<T: Task, P: Policy>(task: &T, policy: &P, theta: &[f64], starts: &[f64]) -> f64 {
     rollouts(task, policy, theta, starts, Flow::REGULAR)
 }
 
-/// The derivative of the mean loss of rollouts from `starts` that `flow` carries, in the direction `tangent(parameter)`:
-/// forward mode by num-dual's numbers.
+/// Directional derivative of the mean loss, by forward mode with num-dual.
+///
+/// `starts` holds the initial states, and `flow` selects the differentiated paths. `tangent(i)` is
+/// the component of the direction along parameter i.
 pub fn slope_by_duals<T: Task, P: Policy>(
     task: &T,
     policy: &P,
@@ -67,17 +71,18 @@ pub fn slope_by_duals<T: Task, P: Policy>(
     rollouts(task, policy, &along(theta, tangent), starts, flow).eps
 }
 
-/// The derivative in a direction, of which this is the tangent of every parameter.
+/// Directional derivative, as a function of the tangent of every parameter.
 type Along<'a> = &'a dyn Fn(&dyn Fn(usize) -> f64) -> f64;
 
-/// Components of the gradient and their indices: all of a few, some of many.
+/// Gradient components with their indices: all of at most [`ALL`] parameters, otherwise 16 random
+/// ones.
 pub fn some_components(params: usize, rng: &mut Rng, along: Along) -> Vec<(usize, f64)> {
     let all = params <= ALL;
     let indices: Vec<usize> = if all { (0..params).collect() } else { (0..16).map(|_| rng.random_range(0..params)).collect() };
     indices.into_iter().map(|i| (i, along(&|p| unit(p, i)))).collect()
 }
 
-/// Random directions and the derivatives in them.
+/// Random directions with their directional derivatives.
 pub fn some_directions(params: usize, rng: &mut Rng, along: Along) -> Vec<(Vec<f64>, f64)> {
     let with_slope = |direction: Vec<f64>| {
         let slope = along(&|p| direction[p]);
@@ -86,17 +91,17 @@ pub fn some_directions(params: usize, rng: &mut Rng, along: Along) -> Vec<(Vec<f
     directions(rng, params).into_iter().map(with_slope).collect()
 }
 
-/// A policy on num-dual's numbers: θ, x and where u goes.
+/// Policy in dual numbers: θ, x, and the output u.
 pub type Act<'a> = &'a dyn Fn(&[Dual64], &[Dual64], &mut [Dual64]);
 
-/// `(∂N/∂x)ᵀ u_bar` of every column.
+/// `(∂N/∂x)ᵀ u_bar` per column.
 pub fn policy_input_gradient(act: Act, (n, m): (usize, usize), theta: &[f64], x: &[f64], u_bar: &[f64]) -> Vec<f64> {
     let theta = constants(theta);
     let columns = x.chunks_exact(n).zip(u_bar.chunks_exact(m));
     columns.flat_map(|(x, u_bar)| pulled_back(x, u_bar, &|x, u| act(&theta, x, u))).collect()
 }
 
-/// `(∂f/∂inputs)ᵀ bar`.
+/// `(∂f/∂inputs)ᵀ bar`, one forward pass per input.
 pub fn pulled_back(inputs: &[f64], bar: &[f64], f: &dyn Fn(&[Dual64], &mut [Dual64])) -> Vec<f64> {
     let mut outputs = constants(&vec![0.0; bar.len()]);
     let mut component = |i: usize| {
@@ -106,7 +111,7 @@ pub fn pulled_back(inputs: &[f64], bar: &[f64], f: &dyn Fn(&[Dual64], &mut [Dual
     (0..inputs.len()).map(&mut component).collect()
 }
 
-/// `⟨u_bar, (∂N/∂θ) v⟩` of every column, for the direction v that `tangent(parameter)` is.
+/// `⟨u_bar, (∂N/∂θ) v⟩` per column, with `vᵢ = tangent(i)`.
 fn policy_slope(
     act: Act,
     (n, m): (usize, usize),
@@ -128,7 +133,7 @@ fn constants(values: &[f64]) -> Vec<Dual64> {
     values.iter().map(|&value| Dual64::from_re(value)).collect()
 }
 
-/// Numbers with the tangents of a direction.
+/// Dual numbers seeded with a direction.
 fn along(values: &[f64], tangent: &dyn Fn(usize) -> f64) -> Vec<Dual64> {
     values.iter().enumerate().map(|(i, &value)| Dual64::new(value, tangent(i))).collect()
 }
@@ -137,12 +142,12 @@ fn unit(i: usize, k: usize) -> f64 {
     f64::from(u8::from(i == k))
 }
 
-/// What a cotangent makes of tangents.
+/// Inner product of the output tangents and a cotangent.
 fn inner(outputs: &[Dual64], bar: &[f64]) -> f64 {
     outputs.iter().zip(bar).map(|(output, bar)| output.eps * bar).sum()
 }
 
-/// `(∂N/∂θᵢ)ᵀ u_bar` of every column, for some of the parameters.
+/// `(∂N/∂θᵢ)ᵀ u_bar` per column, for the given parameters.
 pub fn policy_components(
     act: Act,
     dims: (usize, usize),
@@ -154,7 +159,7 @@ pub fn policy_components(
     indices.iter().map(|&i| (i, policy_slope(act, dims, theta, x, u_bar, &|p| unit(p, i)))).collect()
 }
 
-/// Random directions, and `⟨u_bar, (∂N/∂θ) v⟩` of every column in them.
+/// Random directions v with `⟨u_bar, (∂N/∂θ) v⟩` per column.
 pub fn policy_directions(
     act: Act,
     dims: (usize, usize),
@@ -170,8 +175,8 @@ pub fn policy_directions(
     directions(rng, theta.len()).into_iter().map(with_slopes).collect()
 }
 
-/// Directions in which every parameter has a part: of either sign, its size between 1/2 and 3/2. One wrong component
-/// cannot hide in it, and several do not cancel but by chance.
+/// Random directions with components of either sign and magnitude between 1/2 and 3/2. A single
+/// wrong component always shows; several cancel only by chance.
 fn directions(rng: &mut Rng, len: usize) -> Vec<Vec<f64>> {
     let mut component = || rng.random_range(0.5..1.5) * if rng.random() { 1.0 } else { -1.0 };
     (0..DIRECTIONS).map(|_| (0..len).map(|_| component()).collect()).collect()

@@ -1,4 +1,4 @@
-//! Whether a gradient is 0 where it should not be.
+//! Detection of vanishing gradients away from a minimum.
 
 use super::normal;
 use crate::dynamics::task::Task;
@@ -9,29 +9,29 @@ use crate::numbers::rng::{Purpose, stream};
 use crate::policy::{Policy, Weights};
 use std::fmt;
 
-/// Neighbours that are looked at.
+/// Number of neighbouring parameter vectors.
 const NEIGHBOURS: u64 = 4;
-/// How far away they are: standard deviation of every parameter's difference.
+/// Standard deviation of the distance to a neighbour, per parameter.
 const AWAY: f64 = 0.01;
-/// A gradient is none if it is smaller than this share of its neighbours'.
+/// Gradients below this share of the largest neighbouring gradient count as zero.
 const NONE: f64 = 1e-6;
 
-/// What [`plateau`] has found.
+/// Result of [`plateau`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plateau {
-    /// The loss.
+    /// Mean loss.
     pub loss: f64,
-    /// The length of its gradient.
+    /// Norm of the gradient.
     pub gradient: f64,
-    /// The lowest loss among neighbours.
+    /// Lowest loss among the neighbours.
     pub lowest_nearby: f64,
-    /// The length of the longest gradient among neighbours.
+    /// Largest gradient norm among the neighbours.
     pub gradient_nearby: f64,
 }
 
 impl Plateau {
-    /// Whether there is no gradient to follow, although a lower loss is near: a top, a saddle, a flat place, but not a
-    /// minimum.
+    /// True if the gradient vanishes although a neighbour has a lower loss: at a maximum, a saddle
+    /// or a flat region, but not at a minimum.
     pub fn is_stuck(&self) -> bool {
         self.gradient <= NONE * self.gradient_nearby && self.lowest_nearby < self.loss
     }
@@ -58,10 +58,12 @@ impl fmt::Display for Plateau {
     }
 }
 
-/// Looks at the gradient R of the mean loss from `starts` at some parameters, and at a few neighbours of them.
+/// Compares the gradient R of the mean loss with the gradients at four neighbouring parameter
+/// vectors.
 ///
-/// For what has a derivative of 0 where one begins: an overlap with a target that is 0, whose square is paid for; a policy
-/// that is saturated; a contact that is not made.
+/// `starts` holds the initial states. Typical causes of a vanishing gradient are a zero overlap
+/// with the target under a squared-overlap cost, a saturated policy, and a contact that the rollout
+/// never makes.
 /// ```
 /// use physgrad::{Weights, check, policy::Constant, tasks::Bowl};
 ///
@@ -74,7 +76,7 @@ impl fmt::Display for Plateau {
 /// ```
 ///
 /// # Errors
-/// [`Divergence`], if a gradient is not finite.
+/// Returns [`Divergence`] if a loss or gradient is non-finite.
 pub fn plateau<T: Task, P: Policy>(task: &T, policy: &P, weights: &Weights<f64>, starts: &[f64]) -> Result<Plateau, Divergence> {
     let mut batch =
         Batch::new(task, policy, starts.len() / crate::dynamics::system::System::state_dim(task.system()), &[Flow::REGULAR], 1);

@@ -1,48 +1,55 @@
-//! The check of a policy's batched passes.
+//! Check of the batched passes of a policy.
 
 use super::{CASES_OF_LONG_CHECKS, Comparison, Mismatch, ONE_STEP, Passed, normal, oracle};
 use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::policy::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Tensor};
 
-/// Up to so many parameters, all are compared one by one.
+/// Largest number of parameters for which every component is compared.
 const FEW: usize = 1000;
-/// Of more of them, so many of each tensor.
+/// Number of components compared per tensor of a larger policy.
 const OF_EACH: usize = 64;
 
-/// Checks a policy's batched passes against [`Policy::act`] and its duals. See [`try_policy`].
+/// Checks the batched passes of a policy against [`Policy::act`] and its dual-number derivatives.
+/// See [`try_policy`].
 ///
 /// # Panics
-/// With the [`Mismatch`].
+/// Panics on the first [`Mismatch`].
 #[track_caller]
 pub fn policy<P: Policy>(policy: &P) -> Passed {
     try_policy(policy).unwrap_or_else(|mismatch| panic!("the policy's batched passes are wrong: {mismatch}"))
 }
 
-/// As [`policy`], as a value.
+/// Non-panicking form of [`policy`].
 ///
-/// The gradient `g` by the parameters is compared component by component, or if there are more than 1000, in 64 random
-/// components of each of [`Policy::tensors`]. In any case it is also compared in random directions `v` over all
-/// parameters: `⟨g, v⟩` with the derivative of `act` along v, by duals. As every `|vᵢ|` is between 1/2 and 3/2, no single
-/// component that is wrong by more than the tolerance below can stay unseen; when a direction is wrong, all components are compared to find which.
+/// The check compares the parameter gradient `g` with dual numbers in two ways:
 ///
-/// In a direction, `1e-12 Σ |gᵢ vᵢ|` is allowed. Rounding alone: a sum of n terms, each rounded to `ε = 1.1e-16`, is off
-/// by about `√n ε Σ |gᵢ vᵢ|`, which is 1.2e-14 for the 11,700 parameters of a usual network; what cancels within the
-/// `gᵢ`, which are sums over columns and positions, takes another digit or so. So one component that is wrong by d is
-/// found if `d > 2e-12 Σ |gᵢ vᵢ|`, which is at most `3e-12 n` of the largest: here 4e-8 of it.
+/// - By component: all of them up to 1000 parameters, otherwise 64 random ones of each of
+///   [`Policy::tensors`].
+/// - By random directions `v` over all parameters: `⟨g, v⟩` against the derivative of `act` along
+///   v.
+///
+/// Every `|vᵢ|` is between 1/2 and 3/2, so a direction detects any single wrong component above the
+/// tolerance below. If a direction fails, the check compares all components to locate the error.
+///
+/// The tolerance of a direction is `1e-12 Σ |gᵢ vᵢ|`. A sum of n terms, each rounded to
+/// `ε = 1.1e-16`, has an error of about `√n ε Σ |gᵢ vᵢ|`. Cancellation within the `gᵢ`, which are
+/// sums over columns and positions, adds about one digit. A single component with error d is
+/// detected if `d > 2e-12 Σ |gᵢ vᵢ|`. This bound is at most `3e-12 n` times the largest component.
 ///
 /// # Errors
-/// The first [`Mismatch`].
+/// Returns the first [`Mismatch`].
 pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
     check(policy, &|theta, x, u| policy.act(theta, x, u), &|theta, x, u| policy.act(theta, x, u))
 }
 
-/// A policy on plain numbers: θ, x and where u goes.
+/// Policy in double precision: θ, x, and the output u.
 type Act<'a> = &'a dyn Fn(&[f64], &[f64], &mut [f64]);
 
-/// The same, compiled once.
+/// Object-safe part of [`try_policy`]; limits monomorphization.
 fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle::Act) -> Result<Passed, Mismatch> {
     let (n, m, params) = (policy.state_dim(), policy.control_dim(), policy.param_count());
-    // Three samples of three steps; the last step of each and then all are evaluated, as a rollout does.
+    // Three samples of three steps: forward passes of one step each, then one backward pass over
+    // all, as in a rollout.
     let (samples, steps) = (3, 3);
     let total = samples * steps;
     let mut c = Comparison::new(ONE_STEP);
@@ -90,7 +97,7 @@ fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle:
     Ok(c.passed)
 }
 
-/// All of few parameters; of many, some of each tensor.
+/// Selects parameter indices: all of at most [`FEW`], otherwise up to [`OF_EACH`] per tensor.
 fn some_parameters(tensors: &[Tensor], rng: &mut Rng) -> Vec<usize> {
     let all = tensors.iter().map(|tensor| tensor.range.end).max().unwrap_or(0);
     if all <= FEW {
@@ -104,20 +111,21 @@ fn some_parameters(tensors: &[Tensor], rng: &mut Rng) -> Vec<usize> {
     indices
 }
 
-/// The sum over all columns.
+/// Sum over all columns, optionally weighted.
 fn weighted(slopes: &[f64], weight: Option<&[f64]>) -> f64 {
     weight.map_or_else(|| slopes.iter().sum(), |weight| slopes.iter().zip(weight).map(|(s, w)| s * w).sum())
 }
 
 impl Comparison {
-    /// Single components of the parameter gradient with their slopes in every column.
+    /// Compares single components of the parameter gradient with their slopes, given per column.
     fn components(&mut self, found: &[f64], some: &[(usize, Vec<f64>)], weight: Option<&[f64]>) -> Result<(), Mismatch> {
         let expected: Vec<(usize, f64)> = some.iter().map(|(index, slopes)| (*index, weighted(slopes, weight))).collect();
         let scale = expected.iter().fold(0.0, |scale: f64, (_, e)| scale.max(e.abs()));
         expected.iter().try_for_each(|&(index, e)| self.one("param_gradient: theta_bar", index, found[index], e, scale))
     }
 
-    /// The parameter gradient in a direction.
+    /// Compares the directional derivative of the parameter gradient with its slopes, given per
+    /// column.
     fn direction(
         &mut self,
         index: usize,

@@ -1,4 +1,4 @@
-//! Losses and derivatives in double-double: what other gradients are measured by.
+//! Reference losses and derivatives in double-double arithmetic.
 
 use super::oracle::rollouts;
 use crate::dynamics::task::Task;
@@ -6,11 +6,15 @@ use crate::engine::adjoint::Flow;
 use crate::numbers::scalar::{DoubleDouble, Dual, Scalar};
 use crate::policy::Policy;
 
-/// The mean loss of rollouts from `starts`, and the derivative that `flow` carries in the direction that has the component
-/// `direction(i)` along parameter i: forward mode in double-double arithmetic, rounded to `f64` at the end.
+/// Mean loss of rollouts and its directional derivative, by forward mode in double-double
+/// arithmetic.
 ///
-/// Parameters, starts and the constants of the physics are taken as the `f64` they are. It takes about 700 times as long as
-/// the loss alone does in `f64`, in lanes.
+/// `starts` holds the initial states, and `flow` selects the differentiated paths. `direction(i)`
+/// is the component of the direction along parameter i. The function returns `[loss, slope]`,
+/// rounded to `f64`.
+///
+/// Parameters, initial states and physical constants enter as exact `f64` values. Intended as a
+/// reference: it is orders of magnitude slower than `f64`.
 /// ```
 /// use physgrad::{Flow, Task, check, policy::Linear, tasks::CartPole};
 ///

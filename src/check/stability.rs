@@ -1,27 +1,27 @@
-//! Whether the steps of a system can be stable: what a disturbance of a state is multiplied by.
+//! Linear stability of a time step: spectral radius of its state Jacobian.
 
 use crate::dynamics::system::System;
 use crate::engine::any::AnySystem;
 use std::fmt;
 
-/// Squarings of the Jacobian: its power 2³⁰.
+/// Squarings of the Jacobian J, which give `J^(2³⁰)`.
 const SQUARINGS: usize = 30;
-/// How far above 1 a multiplier may be and still be called stable: a disturbance that only adds up, a place by its speed,
-/// has `2³⁰` for `1 + 2e-8`.
+/// Margin above 1 within which a multiplier counts as stable. Linear growth, such as a position
+/// under a velocity error, yields `(2³⁰)^(1/2³⁰) ≈ 1 + 2e-8`.
 const ROUNDING: f64 = 1e-6;
 
-/// What [`stability`] has found.
+/// Result of [`stability`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stability {
-    /// The spectral radius of ∂S/∂x: what the disturbance that grows fastest is multiplied by in a step, in the long run.
-    /// NaN if a derivative is not finite.
+    /// Spectral radius of ∂S/∂x: the asymptotic growth factor per step of the fastest growing
+    /// perturbation. NaN if the Jacobian is non-finite.
     pub multiplier: f64,
-    /// The state component in which that disturbance is largest.
+    /// State component in which that perturbation is largest.
     pub component: usize,
 }
 
 impl Stability {
-    /// Whether no disturbance grows, but for rounding.
+    /// True if no perturbation grows exponentially, up to rounding. False for NaN.
     pub fn is_stable(&self) -> bool {
         self.multiplier <= 1.0 + ROUNDING
     }
@@ -46,15 +46,15 @@ impl fmt::Display for Stability {
     }
 }
 
-/// How a disturbance of the state `x` grows under repeated steps like the one from there, with the control `u`.
+/// Growth of a perturbation of the state `x` under repeated steps with the Jacobian at (`x`, `u`).
 ///
-/// An explicit step is unstable where the physics is too stiff for it: the disturbance then grows from step to step, as a
-/// rule with another sign in each, or in turns. A step may well be stable at one state and not at another: ask at the
-/// closest approach, in contact, at rest.
+/// An explicit step is unstable where the dynamics are too stiff for it. The perturbation then
+/// grows with every step and usually alternates in sign. Stability depends on the state: evaluate
+/// it at the closest approach, in contact and at rest.
 ///
-/// The spectral radius is found by Gelfand's formula, `ρ = lim |Jᵏ|^(1/k)`, by squaring the Jacobian 30 times: this is
-/// a power iteration that pairs of complex eigenvalues and missing eigenvectors do not disturb. It takes `state_dim`
-/// derivatives in forward mode and 30 products of their matrix.
+/// The spectral radius follows from Gelfand's formula, `ρ = lim ‖Jᵏ‖^(1/k)`, with 30 squarings of
+/// the Jacobian. Unlike power iteration, it handles complex eigenvalue pairs and defective
+/// matrices. The cost is `state_dim` forward-mode derivatives and 30 matrix products.
 /// ```
 /// use physgrad::{check, tasks::{FrictionScheme, SliderSystem}};
 ///
@@ -92,7 +92,7 @@ fn of_any(system: &dyn AnySystem<f64>, x: &[f64], u: &[f64]) -> Stability {
     Stability { multiplier: logarithm.exp(), component }
 }
 
-/// ∂S/∂x, row by row.
+/// ∂S/∂x in row-major order.
 fn jacobian(system: &dyn AnySystem<f64>, x: &[f64], u: &[f64]) -> Vec<f64> {
     let n = x.len();
     let (mut matrix, mut x_tan, mut column) = (vec![0.0; n * n], vec![0.0; n], vec![0.0; n]);
@@ -151,10 +151,10 @@ mod tests {
         let near = |found: Stability, expected: f64| assert!((found.multiplier - expected).abs() < 1e-7, "{found:?}");
         near(of([[0.5, 0.0, 0.0], [0.0, -3.0, 0.0], [0.0, 0.0, 2.0]]), 3.0);
         assert_eq!(of([[0.5, 0.0, 0.0], [0.0, -3.0, 0.0], [0.0, 0.0, 2.0]]).component, 1);
-        // A turn by 1 rad: complex eigenvalues, of size 2.
+        // Rotation by 1 rad, scaled by 2: complex eigenvalues.
         let (sin, cos) = (2.0 * f64::sin(1.0), 2.0 * f64::cos(1.0));
         near(of([[cos, -sin], [sin, cos]]), 2.0);
-        // Far from normal, without a second eigenvector, without any power.
+        // Strongly non-normal, defective and nilpotent matrices.
         near(of([[0.9, 1e6], [0.0, 0.8]]), 0.9);
         near(of([[1.0, 0.1], [0.0, 1.0]]), 1.0);
         near(of([[0.0, 1.0], [0.0, 0.0]]), 0.0);

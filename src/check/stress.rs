@@ -1,7 +1,9 @@
-//! Hard cases: long horizons, stiffness, chaos, singular geometry, overflow. Each has a criterion that was written down before
-//! it was measured, and says what came out (feature `stress`).
+//! Stress cases: long horizons, stiffness, chaos, singular geometry and overflow (feature
+//! `stress`).
 //!
-//! `physgrad stress` prints them, `tests/stress.rs` holds them, and `docs/stability.md` tells of them.
+//! Each [`Case`] states a pass criterion, fixed before the first measurement, and reports its
+//! [`Finding`]s. Start with [`cases`]. `physgrad stress` prints the results, `tests/stress.rs`
+//! tests them, and `docs/stability.md` explains them.
 //!
 //! ```
 //! let case = physgrad::stress::cases().find(|case| case.name == "saturated_policy").expect("a case");
@@ -27,22 +29,22 @@ mod steps;
 
 use std::fmt;
 
-/// Something that breaks easily, and what has to come out of it.
+/// Numerically difficult problem with a pass criterion.
 #[derive(Clone, Copy, Debug)]
 pub struct Case {
-    /// Its name.
+    /// Identifier.
     pub name: &'static str,
-    /// What is done, in a line.
+    /// Setup in one line.
     pub about: &'static str,
-    /// When it passes, in words.
+    /// Pass criterion in words.
     pub criterion: &'static str,
-    /// What goes wrong elsewhere, what is done about it here, and what remains.
+    /// Usual failure, remedy in this library, and remaining limits.
     pub story: &'static str,
     run: fn() -> Vec<Finding>,
 }
 
 impl Case {
-    /// A case of one's own; what the texts say is said at the fields.
+    /// Creates a case; the fields describe the texts.
     pub const fn new(
         name: &'static str,
         about: &'static str,
@@ -53,13 +55,13 @@ impl Case {
         Self { name, about, criterion, story, run }
     }
 
-    /// Measures it. Takes up to some seconds.
+    /// Runs the case. Takes up to several seconds.
     pub fn run(&self) -> Vec<Finding> {
         (self.run)()
     }
 }
 
-/// All of them, in the order of `docs/stability.md`.
+/// All cases, in the order of `docs/stability.md`.
 pub fn cases() -> impl Iterator<Item = Case> {
     [
         exponents::CASES,
@@ -82,47 +84,47 @@ pub fn cases() -> impl Iterator<Item = Case> {
     .into_iter()
 }
 
-/// One number or fact that was measured, and what it had to be.
+/// Measured number or fact, with its limit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Finding {
-    /// What was measured.
+    /// Measured quantity.
     pub what: String,
-    /// What came out.
+    /// Measured value.
     pub measured: String,
-    /// What is asked for.
+    /// Required value; empty for information.
     pub limit: String,
-    /// Whether it is as asked for.
+    /// True if the value meets the limit, or if there is none.
     pub pass: bool,
 }
 
 impl Finding {
-    /// A number that may be at most `limit`. A NaN is not.
+    /// Passes if `measured <= limit`. Fails for NaN.
     pub fn at_most(what: impl Into<String>, measured: f64, limit: f64) -> Self {
         Self::new(what, short(measured), format!("at most {}", short(limit)), measured <= limit)
     }
 
-    /// A number that has to be at least `limit`.
+    /// Passes if `measured >= limit`. Fails for NaN.
     pub fn at_least(what: impl Into<String>, measured: f64, limit: f64) -> Self {
         Self::new(what, short(measured), format!("at least {}", short(limit)), measured >= limit)
     }
 
-    /// A number that may differ from another by a share of it.
+    /// Passes within the relative tolerance `share` of `expected`. Fails for NaN.
     pub fn near(what: impl Into<String>, measured: f64, expected: f64, share: f64) -> Self {
         let limit = format!("{} to within {} %", short(expected), share * 100.0);
         Self::new(what, short(measured), limit, (measured - expected).abs() <= share * expected.abs())
     }
 
-    /// A fact.
+    /// Passes if `pass` is true.
     pub fn holds(what: impl Into<String>, limit: impl Into<String>, pass: bool, measured: impl Into<String>) -> Self {
         Self::new(what, measured.into(), limit.into(), pass)
     }
 
-    /// So many of so many, all of which have to be.
+    /// Passes if `good == of` and `of > 0`.
     pub fn all(what: impl Into<String>, good: usize, of: usize) -> Self {
         Self::new(what, format!("{good} of {of}"), "all".into(), good == of && of > 0)
     }
 
-    /// A number that is told and not judged.
+    /// Information without a limit; always passes.
     pub fn told(what: impl Into<String>, measured: impl Into<String>) -> Self {
         Self::new(what, measured.into(), String::new(), true)
     }
@@ -140,7 +142,7 @@ impl fmt::Display for Finding {
     }
 }
 
-/// Three digits.
+/// Formats a number to about three significant digits.
 fn short(x: f64) -> String {
     if x == 0.0 || (1e-3..1e5).contains(&x.abs()) {
         let digits = if x.abs() >= 100.0 || x == x.round() { 0 } else { 3 };

@@ -1,4 +1,4 @@
-//! The check of a system's derivatives.
+//! Check of the derivatives of a system.
 
 use super::oracle::pulled_back;
 use super::{CASES, Comparison, Mismatch, ONE_STEP, Passed, normal};
@@ -11,7 +11,7 @@ use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::numbers::scalar::{Columns, Lanes, Real, Scalar};
 use num_dual::Dual64;
 
-/// A system on all numbers that its check runs it on.
+/// Object-safe system for all scalar types that the check uses.
 pub(super) trait Checked: AnySystem<f64> {
     fn step_by_duals(&self, x: &[Dual64], u: &[Dual64], next: &mut [Dual64]);
     fn step_in_lanes(&self, x: &[Lane<f64>], u: &[Lane<f64>], next: &mut [Lane<f64>]);
@@ -20,7 +20,7 @@ pub(super) trait Checked: AnySystem<f64> {
     fn vjp_control(&self, x: &[f64], u: &[f64], next_bar: &[One<f64>], u_bar: &mut [One<f64>]);
 }
 
-/// What a reverse pass of two flows carries.
+/// Cotangents of two flows, carried together by a reverse pass.
 type Two = Columns<Lane<f64>, 2>;
 
 impl<S: System> Checked for S {
@@ -45,7 +45,7 @@ impl<S: System> Checked for S {
     }
 }
 
-/// `(∂S/∂x)ᵀ next_bar` and `(∂S/∂u)ᵀ next_bar`, by num-dual's numbers.
+/// `(∂S/∂x)ᵀ next_bar` and `(∂S/∂u)ᵀ next_bar` by dual numbers.
 fn step_vjp(system: &dyn Checked, x: &[f64], u: &[f64], next_bar: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let n = x.len();
     let mut x_bar = pulled_back(&[x, u].concat(), next_bar, &|xu, next| system.step_by_duals(&xu[..n], &xu[n..], next));
@@ -89,7 +89,7 @@ pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch
             let scale = terms(&next_bar, &next_tan).max(terms(bar, tan));
             c.one(what, 0, dot(&next_bar, &next_tan), dot(bar, tan), scale)?;
         }
-        // Elsewhere rollouts have no lanes.
+        // Rollouts use lanes only on processors that support them.
         if has_lanes() {
             lanes(system, &x, &u, &next_bar, &mut c)?;
         }
@@ -97,8 +97,8 @@ pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch
     Ok(c.passed)
 }
 
-/// Two columns of lanes, as many as rollouts have, each lane another input, against the same on plain numbers: the same
-/// bits.
+/// Compares SIMD lanes with scalars, bit for bit. Every lane has other inputs; the VJP has two
+/// columns, of which the first is compared.
 fn lanes(system: &dyn Checked, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
     const W: usize = WIDTH;
     let vary = |v: &[f64], lane: usize| v.iter().map(|v| v * (1.0 + lane as f64 / 64.0)).collect::<Vec<f64>>();

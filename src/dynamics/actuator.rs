@@ -1,4 +1,7 @@
-//! [`Actuator`]: what stands between the policy's control and the system's.
+//! [`Actuator`]: maps the control of the policy to the control of the system.
+//!
+//! [`Limit`], [`Lag`] and [`Delay`] are built in. Pairs and `Vec`s compose actuators. [`Actuated`]
+//! combines a system and an actuator.
 
 mod chain;
 mod kinds;
@@ -14,26 +17,32 @@ use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
-/// Controls that are worked on without allocating; more of them allocate in every step.
+/// Stack capacity for controls. Systems with more controls allocate in every step.
 const STACK: usize = 8;
 type Controls<T> = SmallVec<[T; STACK]>;
 
-/// What stands between the policy's control `u` and the control `out` that the system gets: a limit, a lag, a delay.
+/// A map from the policy's control `u` to the system's control `out`: a limit, a lag, a delay.
 ///
-/// `()` is nothing, a pair is one after the other, a `Vec` is a chain chosen while the program runs. It may have state of
-/// its own, which starts at 0. Only [`step`](Actuator::step) must be written.
+/// `()` is the identity. A pair applies its first actuator, then its second. A `Vec` is a chain
+/// chosen at run time.
 ///
-/// Shapes: `u` and `out` have as many entries as the system has controls, `own` and `own_next`
-/// [`state_dim`](Actuator::state_dim).
+/// An actuator may have state (`own`), initially 0. Required: [`state_dim`](Actuator::state_dim)
+/// and [`step`](Actuator::step).
+///
+/// # Shapes
+/// `u` and `out` have one entry per control of the system. `own` and `own_next` have
+/// [`state_dim`](Actuator::state_dim) entries.
 pub trait Actuator: Clone + Send + Sync {
-    /// Number of state components it adds, for a system with so many controls.
+    /// Number of state components for a system with `controls` controls.
     fn state_dim(&self, controls: usize) -> usize;
 
-    /// Writes its next state and the system's control.
+    /// Writes the actuator's next state and the system's control.
     fn step<T: Scalar>(&self, own: &[T], u: &[T], own_next: &mut [T], out: &mut [T]);
 
-    /// The cotangents that are asked for, from those of its next state and of the system's control; overwrites them.
-    /// Exact by duals until it is written by hand for speed.
+    /// VJP of [`step`](Actuator::step). Overwrites `own_bar` and `u_bar` if given.
+    ///
+    /// Defaults to exact derivatives by dual numbers; override it with an analytic derivative for
+    /// speed.
     #[inline(always)]
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
@@ -47,16 +56,16 @@ pub trait Actuator: Clone + Send + Sync {
     }
 }
 
-/// The cotangents with which the reverse of an [`Actuator`] begins.
+/// Cotangents of the outputs of [`Actuator::step`].
 #[derive(Clone, Copy, Debug)]
 pub struct Bars<'a, C> {
-    /// Of its next state.
+    /// Cotangent of the actuator's next state.
     pub own: &'a [C],
-    /// Of the system's control.
+    /// Cotangent of the system's control.
     pub out: &'a [C],
 }
 
-/// [`Actuator::reverse`] of any actuator, exact, from `step` alone.
+/// Default [`Actuator::reverse`]: exact, by dual numbers through [`Actuator::step`].
 #[inline]
 fn reverse_by_duals<A: Actuator, R: Real, C: Cotangent<R>>(
     actuator: &A,
@@ -77,13 +86,13 @@ fn reverse_by_duals<A: Actuator, R: Real, C: Cotangent<R>>(
         for (&next_bar, &slope) in zip(next_bar.own.iter().chain(next_bar.out), column) {
             bar += next_bar * slope;
         }
-        // Only what is asked for is visited.
+        // `wrt` contains only inputs whose cotangent is given.
         let side = if i < n { own_bar.as_deref_mut() } else { u_bar.as_deref_mut() };
         side.into_iter().for_each(|side| side[if i < n { i } else { i - n }] = bar);
     });
 }
 
-/// Nothing: the policy's control is the system's.
+/// The identity: the system's control is the policy's.
 impl Actuator for () {
     fn state_dim(&self, _controls: usize) -> usize {
         0
@@ -109,7 +118,7 @@ impl Actuator for () {
     }
 }
 
-/// The first, then the second.
+/// Composition: the first actuator, then the second.
 impl<A: Actuator, B: Actuator> Actuator for (A, B) {
     fn state_dim(&self, controls: usize) -> usize {
         self.0.state_dim(controls) + self.1.state_dim(controls)
@@ -150,19 +159,19 @@ impl<A: Actuator, B: Actuator> Actuator for (A, B) {
     }
 }
 
-/// A system behind an actuator.
+/// A system with an actuator on its control.
 ///
-/// State: the system's, then the actuator's own.
+/// State: the system's components, then the actuator's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Actuated<S, A> {
-    /// The system that gets the actuator's control.
+    /// The controlled system.
     pub system: S,
-    /// `()` for none, a pair for one after the other.
+    /// The actuator: `()` for none, a pair for two in sequence.
     pub actuator: A,
 }
 
 impl<S: System, A: Actuator> Actuated<S, A> {
-    /// The system's control.
+    /// The system's control, for the policy's control `u`.
     #[inline(always)]
     fn control<R: Real>(&self, own: &[R], u: &[R]) -> Controls<R> {
         let mut out: Controls<R> = SmallVec::from_slice(u);
@@ -233,7 +242,7 @@ impl<B, S: Around<B>, A: Actuator> Around<B> for Actuated<S, A> {
         self.system.body()
     }
 
-    /// The actuator's own state starts at 0.
+    /// Sets the actuator's state to 0.
     fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
         let (x, own) = x.split_at_mut(self.system.state_dim());
         self.system.start_beyond(rng, x);

@@ -1,13 +1,16 @@
-//! Work that is compiled apart from the loops that need it.
+//! Outlined code, monomorphized once per scalar type.
+//!
+//! Simulators are `#[inline(always)]`. Without outlining, every run-time choice would be inlined
+//! into every loop over samples, which slows compilation.
 
 use crate::dynamics::system::System;
 use crate::numbers::kernels::{Vectorized, dispatch_lanes};
 use crate::numbers::scalar::{Columns, Cotangent, Float, Real, Scalar};
 
-/// Runs it with the instructions of this processor, and is never inlined: what is chosen while the program runs is in
-/// every loop of every system, and with all choices inlined such a loop takes minutes to compile.
+/// Runs `work` outlined, vectorized for this processor.
 ///
-/// Numbers that no rollout runs on take the portable path alone: nobody waits for them.
+/// Scalar types other than the lanes of rollouts (`T::WIDE` is false) take only the portable path:
+/// they are not performance-critical.
 #[inline(always)]
 pub(crate) fn apart<T: Scalar>(work: impl Vectorized) {
     #[inline(never)]
@@ -21,8 +24,7 @@ pub(crate) fn apart<T: Scalar>(work: impl Vectorized) {
     if T::WIDE { best(work) } else { portable(work) }
 }
 
-/// A step of a system, to be compiled apart: what chooses while the program runs is a call, and what is around it may have
-/// several.
+/// Outlined [`System::step`], to be run by [`apart`].
 pub(crate) struct Step<'a, S, T> {
     pub(crate) system: &'a S,
     pub(crate) x: &'a [T],
@@ -37,14 +39,14 @@ impl<S: System, T: Scalar> Vectorized for Step<'_, S, T> {
     }
 }
 
-/// [`System::step`] in one place for each kind of number: simulators are inlined wherever they are called, and checks call them
-/// from many places, and are in no hurry.
+/// [`System::step`], never inlined. Used by checks and default derivatives, which have many call
+/// sites and are not performance-critical.
 #[inline(never)]
 pub(crate) fn step<S: System + ?Sized, T: Scalar>(system: &S, x: &[T], u: &[T], next: &mut [T]) {
     system.step(x, u, next);
 }
 
-/// [`System::vjp`], likewise, of the columns that rollouts have.
+/// [`System::vjp`] with one cotangent column, never inlined.
 #[inline(never)]
 pub(crate) fn vjp<S: System + ?Sized, F: Float>(
     system: &S,
@@ -57,10 +59,12 @@ pub(crate) fn vjp<S: System + ?Sized, F: Float>(
     system.vjp(x, u, next_bar, x_bar, u_bar);
 }
 
-/// What a reverse pass of one flow carries.
+/// Cotangent of the reverse pass of one flow.
 pub(crate) type One<F> = Columns<F, 1>;
 
-/// Its reverse. To the state alone nothing asks for it but checks, which get it from here as well.
+/// Outlined [`System::vjp`], to be run by [`apart`].
+///
+/// Also serves [`System::vjp_state`], which is used only by checks.
 pub(crate) struct Reverse<'a, S, R, C> {
     pub(crate) system: &'a S,
     pub(crate) x: &'a [R],
@@ -78,7 +82,7 @@ impl<S: System, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, S, R, C> {
     }
 }
 
-/// Its reverse to the control alone.
+/// Outlined [`System::vjp_control`], to be run by [`apart`].
 pub(crate) struct ReverseToControl<'a, S, R, C> {
     pub(crate) system: &'a S,
     pub(crate) x: &'a [R],

@@ -1,10 +1,11 @@
-//! [`Cause`]: the reason for a non-finite step.
+//! [`Cause`]: the diagnosis of a non-finite step.
 
-/// What made a step, or its derivative, a number that is none.
+/// Reason why a step or its derivative is non-finite.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Cause {
-    /// The step had to solve an equation and could not: this is the size of the residual that it was left with.
+    /// An implicit step did not converge. Holds the largest remaining residual.
     Unsolved(f64),
-    /// The forces of this effect, or their derivatives, are not finite at the state in which the step begins.
+    /// The forces of the named effect, or their derivatives, are non-finite at the initial state of
+    /// the step.
     Effect(&'static str),
 }

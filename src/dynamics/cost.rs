@@ -1,13 +1,16 @@
-//! [`Cost`]: what a system's step and its derivatives cost, in operations.
+//! [`Cost`]: operation counts of a system's step and of its transposed Jacobian products.
 
 use crate::dynamics::system::System;
 use crate::numbers::scalar::{Counted, Counts};
 
-/// The operations of one step of one sample and of its reverse, for one adjoint.
+/// Operation counts of one step of one sample, and of its VJPs with one cotangent.
 ///
-/// Exact, and the same on every machine: the step is run on numbers that count. What is worked out of a system's constants,
-/// in plain numbers, is not seen. Systems have no `if` on values, so that
-/// the counts are those of every state.
+/// Exact and independent of the machine: the step is evaluated on [`Counted`] numbers. Operations
+/// on the `f64` constants of a system are not counted.
+///
+/// Systems do not branch on values, so the counts are independent of the state. Exceptions are
+/// systems that iterate ([`Adaptive`](crate::Adaptive),
+/// [`ImplicitMidpoint`](crate::ImplicitMidpoint)): their counts are those of one fixed state.
 ///
 /// ```
 /// use physgrad::tasks::{CartDamping, CartPoleSystem};
@@ -21,19 +24,19 @@ use crate::numbers::scalar::{Counted, Counts};
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Cost {
-    /// The step.
+    /// [`System::step`].
     pub step: Counts,
-    /// Its reverse, to state and control: what R and M ask for.
+    /// [`System::vjp`], to state and control. Evaluated by the flows R and M.
     pub vjp: Counts,
-    /// Its reverse to the control alone: what N and S ask for.
+    /// [`System::vjp_control`], to the control alone. Evaluated by the flows N and S.
     pub vjp_control: Counts,
 }
 
 impl Cost {
-    /// Counts the operations of a system.
+    /// Counts the operations of `system`.
     pub fn of<S: System>(system: &S) -> Self {
         let (n, m) = (system.state_dim(), system.control_dim());
-        // Numbers of ordinary size; which ones does not matter.
+        // Arbitrary values of moderate size.
         let numbers = |len: usize| (0..len).map(|i| Counted(0.1 + 0.01 * i as f64)).collect::<Vec<_>>();
         let (x, u, next_bar) = (numbers(n), numbers(m), numbers(n));
         let (mut next, mut x_bar, mut u_bar) = (numbers(n), numbers(n), numbers(m));

@@ -1,7 +1,13 @@
-//! [`Integrator`]: how an [`Ode`] becomes a [`System`], step by step.
+//! [`Integrator`]: discretizes an [`Ode`] into a [`System`].
 //!
-//! Every reverse here is that of the steps that were taken, by hand, once for all vector fields: gradients are exact for the
-//! computed trajectory. The reverse computes the stages of a step again rather than storing them.
+//! - Explicit methods: [`RungeKutta`], [`Adaptive`].
+//! - Methods for mechanics: [`SemiImplicit`], [`Verlet`].
+//! - Stiff systems: [`ImplicitMidpoint`].
+//! - Choice at run time: [`AnyIntegrator`], [`Discretized`].
+//!
+//! Each integrator has an analytic reverse for all vector fields (discretize, then differentiate).
+//! Gradients are therefore exact for the computed trajectory. The reverse pass recomputes the
+//! stages of a step. Start with [`Integrated`].
 
 mod adaptive;
 mod any;
@@ -26,38 +32,37 @@ use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
 use std::fmt::Debug;
 
-/// What a step works with: on the stack for small systems, else allocated in every step.
+/// Workspace of one step. Beyond 64 numbers, every step allocates.
 type Room<T> = SmallVec<[T; 64]>;
 
-/// Room for `len` numbers.
+/// A workspace of `len` copies of `value`.
 #[inline(always)]
 fn room<T: Copy>(value: T, len: usize) -> Room<T> {
     smallvec![value; len]
 }
 
-/// Where a step begins, and how far it goes.
+/// Inputs of one integration step.
 #[derive(Clone, Copy, Debug)]
 pub struct Stretch<'a, T> {
-    /// The time that it takes, s.
+    /// Duration of the step, s.
     pub h: T,
-    /// The state in which it begins.
+    /// Initial state.
     pub x: &'a [T],
-    /// The control, constant during it.
+    /// Control, constant during the step.
     pub u: &'a [T],
 }
 
-/// A way to go from one state to that of a time `h` later.
+/// A one-step method for `dx/dt = f(x, u)`.
 pub trait Integrator: Clone + Debug + Send + Sync {
-    /// Writes the state at its end.
+    /// Writes the state at the end of the step.
     fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]);
 
-    /// The size of the residual that a step is left with which has to solve an equation, if it could not.
+    /// Largest remaining residual of an implicit step that did not converge, else `None`.
     fn unsolved<F: Float>(&self, _ode: &dyn RateOn<F>, _step: Stretch<'_, F>) -> Option<f64> {
         None
     }
 
-    /// The reverse of [`advance`](Integrator::advance) of the same stretch: overwrites `x_bar`, and adds to `u_bar` if it is asked
-    /// for.
+    /// VJP of [`advance`](Integrator::advance). Overwrites `x_bar`; adds to `u_bar` if given.
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn ReverseOn<R, C>,
@@ -68,12 +73,12 @@ pub trait Integrator: Clone + Debug + Send + Sync {
     );
 }
 
-/// A vector field as a [`System`]: one step of the integrator for each of `dt`.
+/// An [`Ode`] as a [`System`]: each time step is one step of the integrator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Integrated<O, I> {
     /// The vector field.
     pub ode: O,
-    /// The way to go along it.
+    /// The integration method.
     pub integrator: I,
     /// Time step, s.
     pub dt: f64,
@@ -109,7 +114,7 @@ impl<O: Ode, I: Integrator> System for Integrated<O, I> {
         self.integrator.reverse(&self.ode, Stretch { h: R::lift(self.dt), x, u }, next_bar, x_bar, None);
     }
 
-    /// The control of the first stage reaches the end through the states of those after it.
+    /// Needs the full VJP: early stages influence the result through later ones.
     #[inline(always)]
     fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
         let mut x_bar = room(C::null(), x.len());

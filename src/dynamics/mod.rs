@@ -1,8 +1,10 @@
 //! Systems and their parts: steps, vector fields, integrators, effects, actuators.
 //!
-//! A [`System`](system::System) maps state and control to the next state. It is written as a step, or as a vector field
-//! ([`Ode`](ode::Ode)) that an integrator turns into a step. Effects add forces, actuators stand between policy and system,
-//! and a [`Task`](task::Task) adds a horizon, initial states and costs.
+//! - [`System`](system::System) maps state and control to the next state. It is written as a step,
+//!   or as a vector field ([`Ode`](ode::Ode)) that an integrator discretizes.
+//! - [`Effect`](effect::Effect)s add forces to a system.
+//! - [`Actuator`](actuator::Actuator)s map the control of the policy to the control of the system.
+//! - [`Task`](task::Task) adds a horizon, initial states and costs.
 //!
 //! Imports `numbers`. Start reading in `system.rs`.
 

@@ -1,4 +1,7 @@
-//! [`Ode`]: a vector field in continuous time, which an [`Integrator`](crate::Integrator) makes a [`System`].
+//! [`Ode`]: a vector field in continuous time.
+//!
+//! An [`Integrator`](crate::Integrator) discretizes it into a [`System`](crate::System); see
+//! [`Integrated`](crate::Integrated).
 
 use crate::dynamics::apart::apart;
 use crate::dynamics::cause::Cause;
@@ -9,10 +12,11 @@ use crate::numbers::scalar::{Columns, Cotangent, Float, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
-/// An ordinary differential equation, `dx/dt = f(x, u)`, whose control is constant during a step.
+/// An ordinary differential equation `dx/dt = f(x, u)`, with constant control during a step.
 ///
-/// Only the sizes and [`rate`](Ode::rate) must be written; the derivative is exact by dual numbers until it is written by
-/// hand for speed. [`Integrated`](crate::Integrated) makes it a [`System`](crate::System).
+/// Required: the dimensions and [`rate`](Ode::rate). [`rate_vjp`](Ode::rate_vjp) defaults to exact
+/// derivatives by dual numbers; override it with an analytic derivative for speed.
+/// [`Integrated`](crate::Integrated) turns an `Ode` into a [`System`](crate::System).
 ///
 /// ```
 /// use physgrad::{Integrated, Ode, RungeKutta, Scalar, check};
@@ -38,29 +42,31 @@ pub trait Ode: Send + Sync {
     /// Number of control components.
     fn control_dim(&self) -> usize;
 
-    /// Writes `dx/dt`, `state_dim` numbers.
+    /// Writes `f(x, u)`, of `state_dim` entries, into `rate`.
     fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]);
 
-    /// `x_bar += (∂f/∂x)ᵀ rate_bar`, and `u_bar += (∂f/∂u)ᵀ rate_bar` if it is asked for. Adds; does not overwrite.
+    /// Adds `(∂f/∂x)ᵀ rate_bar` to `x_bar`, and `(∂f/∂u)ᵀ rate_bar` to `u_bar` if given.
     #[inline(always)]
     fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
         rate_vjp_by_duals(self, x, u, rate_bar, x_bar, u_bar);
     }
 
-    /// If component `i` is a position, the component that is its velocity: `f_i(x, u) = x_velocity`, exactly. Integrators
-    /// for mechanics treat the two differently.
+    /// Index of the velocity of component `i`, or `None` if `i` is not a position.
+    ///
+    /// `Some(j)` promises `f_i(x, u) = x_j` exactly. Partitioned integrators
+    /// ([`SemiImplicit`](crate::SemiImplicit), [`Verlet`](crate::Verlet)) rely on it.
     #[inline(always)]
     fn velocity(&self, _i: usize) -> Option<usize> {
         None
     }
 
-    /// As [`System::cause`](crate::System::cause).
+    /// Diagnoses a non-finite rate; see [`System::cause`](crate::System::cause).
     fn cause<F: Float>(&self, _x: &[F], _u: &[F]) -> Option<Cause> {
         None
     }
 }
 
-/// [`Ode::rate_vjp`] of any vector field, exact, from `rate` alone.
+/// Default [`Ode::rate_vjp`]: exact, by dual numbers through [`Ode::rate`].
 #[inline]
 fn rate_vjp_by_duals<O: Ode + ?Sized, R: Real, C: Cotangent<R>>(
     ode: &O,
@@ -85,20 +91,22 @@ fn rate_vjp_by_duals<O: Ode + ?Sized, R: Real, C: Cotangent<R>>(
     });
 }
 
-/// A vector field on one kind of number, of which an integrator need not know which field it is: an integrator is compiled
-/// once for a kind of number, and not for every field. Every [`Ode`] is one.
+/// Object-safe [`Ode`] for one scalar type.
+///
+/// Integrators take `&dyn RateOn<T>`, so they are monomorphized once per scalar type and not once
+/// per vector field. Every [`Ode`] implements it.
 pub trait RateOn<T> {
-    /// As [`Ode::rate`].
+    /// See [`Ode::rate`].
     fn rate(&self, x: &[T], u: &[T], rate: &mut [T]);
-    /// As [`Ode::velocity`].
+    /// See [`Ode::velocity`].
     fn velocity(&self, i: usize) -> Option<usize>;
 }
 
-/// A [`RateOn`] with its derivatives.
+/// A [`RateOn`] with derivatives: object-safe [`Ode`] for one scalar and one cotangent type.
 pub trait ReverseOn<R, C>: RateOn<R> {
-    /// As [`Ode::rate_vjp`].
+    /// See [`Ode::rate_vjp`].
     fn rate_vjp(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>);
-    /// Writes `∂f_i/∂x`, a row of the Jacobian.
+    /// Writes row `i` of the Jacobian, `∂f_i/∂x`.
     fn slopes(&self, x: &[R], u: &[R], i: usize, row: &mut [R]);
 }
 
@@ -114,6 +122,7 @@ impl<O: Ode, T: Scalar> RateOn<T> for O {
     }
 }
 
+/// Outlined [`ReverseOn::slopes`].
 struct Slopes<'a, O, R> {
     ode: &'a O,
     x: &'a [R],
@@ -125,7 +134,7 @@ struct Slopes<'a, O, R> {
 impl<O: Ode, R: Real> Vectorized for Slopes<'_, O, R> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        /// One adjoint, on the stack if it is small.
+        /// One cotangent per component; on the stack for up to 32 components.
         type Bars<R> = SmallVec<[Columns<R, 1>; 32]>;
         let Self { ode, x, u, i, row } = self;
         let none = Columns([R::zero()]);
@@ -149,14 +158,17 @@ impl<O: Ode, R: Real, C: Cotangent<R>> ReverseOn<R, C> for O {
     }
 }
 
-/// A [`Host`] whose forces make a vector field: with its effects it is an [`Ode`].
+/// A [`Host`] in continuous time; with effects, it is an [`Ode`].
 ///
-/// As [`Host`]: what is handed to it may be longer than its own state, by what effects need.
+/// As for [`Host`], `x` and `x_bar` may be longer than `state_dim`: trailing components belong to
+/// the effects.
 pub trait Flowing: Host {
-    /// Writes the rates of its own components under these effects.
+    /// Writes the rates of the `state_dim` components under `effects`.
     fn rate_with<E: Effect<Self::Body>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]);
 
-    /// Adds the cotangents of the state, those beyond its own components by effects, and those of the control, if asked for.
+    /// Adds the cotangents of the state to `x_bar`, and those of the control to `u_bar` if given.
+    ///
+    /// Effects add the cotangents of the components beyond `state_dim`.
     fn rate_reverse<E: Effect<Self::Body>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
@@ -167,11 +179,11 @@ pub trait Flowing: Host {
         u_bar: Option<&mut [C]>,
     );
 
-    /// As [`Ode::velocity`].
+    /// See [`Ode::velocity`].
     fn velocity_of(&self, i: usize) -> Option<usize>;
 }
 
-/// State: the host's own; then, if an effect depends on time, the time.
+/// State: the components of the host, then the time if an effect depends on it.
 impl<H: Flowing, E: Effect<H::Body>> Ode for With<H, E> {
     fn state_dim(&self) -> usize {
         crate::dynamics::system::System::state_dim(self)
@@ -203,7 +215,7 @@ impl<H: Flowing, E: Effect<H::Body>> Ode for With<H, E> {
     }
 }
 
-/// The host alone.
+/// A host without effects.
 impl<H: Flowing> Ode for H {
     fn state_dim(&self) -> usize {
         Host::state_dim(self)

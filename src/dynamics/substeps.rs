@@ -1,4 +1,4 @@
-//! [`Substeps`]: several small steps for each one that the policy sees.
+//! [`Substeps`]: several small time steps per control.
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::Around;
@@ -8,22 +8,23 @@ use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
-/// Numbers that all states within a step may have to be kept on the stack; more are allocated in every step.
+/// Stack capacity for the intermediate states of one step, in numbers. Beyond it, every step
+/// allocates.
 const STACK: usize = 128;
 
-/// A system that takes `count` steps of its own, under the same control, for one of this one.
+/// A system whose time step consists of `count` steps of an inner system, with constant control.
 ///
-/// The reverse pass computes the states in between again rather than storing them.
+/// The reverse pass recomputes the intermediate states.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Substeps<S> {
-    /// The system that takes the small steps: its time step is one of them.
+    /// The inner system, which takes the small steps.
     pub system: S,
-    /// How many, at least 1.
+    /// Number of inner steps, at least 1.
     pub count: usize,
 }
 
 impl<S: System> Substeps<S> {
-    /// The states in which the small steps begin.
+    /// Initial states of the inner steps, concatenated.
     #[inline(always)]
     fn states<R: Real>(&self, x: &[R], u: &[R]) -> SmallVec<[R; STACK]> {
         let n = x.len();
@@ -89,7 +90,7 @@ impl<S: System> System for Substeps<S> {
         }
     }
 
-    /// The control of one small step reaches the end through the state of those after it.
+    /// Needs the full VJP: early inner steps influence the result through later states.
     #[inline(always)]
     fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
         if self.count == 1 {

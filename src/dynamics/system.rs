@@ -1,4 +1,4 @@
-//! [`System`]: one discrete time step of physics, and its derivatives.
+//! [`System`]: one discrete time step of a physical system, and its Jacobian products.
 
 use crate::dynamics::apart;
 use crate::dynamics::cause::Cause;
@@ -11,46 +11,52 @@ use std::ops::Range;
 
 /// One discrete time step of a physical system, `x' = S(x, u)`.
 ///
-/// Only the dimensions and [`step`](System::step) must be written; every derivative is exact by dual numbers until it
-/// is overridden for speed, and [`check::system`](crate::check::system) compares the two.
+/// Required: the dimensions and [`step`](System::step). The Jacobian products default to exact
+/// derivatives by dual numbers. Override them with analytic derivatives for speed;
+/// [`check::system`](crate::check::system) compares both.
 ///
-/// The defaults work on the stack for up to 32 state components; larger systems allocate in every call and are better
-/// served by derivatives of their own.
+/// The default transposed products avoid the heap while `x` and `u` together have at most 16
+/// components. Larger systems allocate in every call and should override them.
 ///
-/// A system is immutable: parameters are `f64` fields, lifted by [`Scalar::lift`]; what one differentiates with
-/// respect to is `x` or `u`.
+/// A system is immutable. Physical constants are `f64` fields, converted by [`Scalar::lift`].
+/// Derivatives are with respect to `x` and `u` only.
 ///
-/// Shapes everywhere: `x`, `next`, `x_bar`, `next_bar` have [`state_dim`](System::state_dim) entries, `u` and `u_bar`
-/// have [`control_dim`](System::control_dim).
+/// # Shapes
+/// `x`, `next`, `x_bar`, `next_bar`, `x_tan` and `next_tan` have
+/// [`state_dim`](System::state_dim) entries. `u`, `u_bar` and `u_tan` have
+/// [`control_dim`](System::control_dim).
 pub trait System: Send + Sync {
     /// Number of state components.
     fn state_dim(&self) -> usize;
     /// Number of control components.
     fn control_dim(&self) -> usize;
 
-    /// Writes the next state. Mark it `#[inline(always)]` to have it compiled for AVX2 where there is
-    /// AVX2.
+    /// Writes the next state `S(x, u)`.
+    ///
+    /// Mark implementations `#[inline(always)]`: only inlined code is compiled for AVX2.
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]);
 
-    /// `x_bar = (∂S/∂x)ᵀ next_bar` and `u_bar = (∂S/∂u)ᵀ next_bar`, plain transposes. Overwrites both.
+    /// `x_bar = (∂S/∂x)ᵀ next_bar` and `u_bar = (∂S/∂u)ᵀ next_bar`. Overwrites both.
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
         vjp_by_duals(self, x, u, next_bar, Wrt::Both, x_bar, u_bar);
     }
 
-    /// `x_bar = (∂S/∂x)ᵀ next_bar`.
+    /// `x_bar = (∂S/∂x)ᵀ next_bar`. Overwrites `x_bar`.
     #[inline(always)]
     fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
         vjp_by_duals(self, x, u, next_bar, Wrt::State, x_bar, &mut []);
     }
 
-    /// `u_bar = (∂S/∂u)ᵀ next_bar`: all that one-step gradients need.
+    /// `u_bar = (∂S/∂u)ᵀ next_bar`, sufficient for one-step gradients. Overwrites `u_bar`.
     #[inline(always)]
     fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
         vjp_by_duals(self, x, u, next_bar, Wrt::Control, &mut [], u_bar);
     }
 
-    /// Why the step from this finite state, or its derivative, is not finite, if the system knows. Asked for messages alone.
+    /// Diagnoses a non-finite step, or a non-finite derivative, from a finite state.
+    ///
+    /// Returns `None` if the cause is unknown. Used only for error messages.
     fn cause<F: Float>(&self, _x: &[F], _u: &[F]) -> Option<Cause> {
         None
     }
@@ -66,7 +72,7 @@ pub trait System: Send + Sync {
     }
 }
 
-/// The inputs to differentiate with respect to.
+/// Inputs of the differentiation.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Wrt {
     State,
@@ -74,7 +80,7 @@ pub(crate) enum Wrt {
     Both,
 }
 
-/// The transposed Jacobian products of any system, exact, from `step` alone.
+/// Default transposed Jacobian products: exact, by dual numbers through [`System::step`].
 #[inline]
 pub(crate) fn vjp_by_duals<S: System + ?Sized, R: Real, C: Cotangent<R>>(
     system: &S,
@@ -104,7 +110,7 @@ pub(crate) fn vjp_by_duals<S: System + ?Sized, R: Real, C: Cotangent<R>>(
     });
 }
 
-/// The [`jacobian`] of a step, compiled once for each kind of number, whatever is made of it.
+/// The [`jacobian`] of a step. Outlined; monomorphized once per system and scalar type.
 #[inline(never)]
 fn step_jacobian<S: System + ?Sized, R: Real>(
     system: &S,

@@ -1,4 +1,4 @@
-//! [`Flow`] and [`Adjoint`]: the adjoint recursion, for one or two vector fields from one forward pass.
+//! [`Flow`] and [`Adjoint`]: the adjoint recursion, for one or two flows of one forward pass.
 //!
 //! ```text
 //! λ ← ∂φ/∂x_T
@@ -9,8 +9,9 @@
 //! g ← Σ_t (∂N/∂θ)ᵀ h_t                                 in large products, a fixed number of steps at a time
 //! ```
 //!
-//! λ and h of every sample are mantissas times a power of two, so that they neither overflow nor vanish; where that power
-//! is 1, as it is unless they are far from it, all bits are those of plain numbers.
+//! λ and h of every sample are mantissas times a common power of two, so they neither overflow nor
+//! underflow. Within a moderate range the power is 1, and results are bitwise those of plain
+//! numbers.
 
 mod exponents;
 mod policy;
@@ -32,25 +33,34 @@ use std::fmt;
 use std::ops::Range;
 pub use step::StepBack;
 
-/// Which paths carry the adjoint back in time. The forward values are the same for all.
+/// Paths that carry the adjoint back in time. Forward values do not depend on the flow.
+///
+/// The reverse pass starts with `λ = ∂φ/∂x_T` and performs, for `t = T-1 .. 0`:
+///
+/// 1. `λ ← λ + ∂l/∂x(x_{t+1}, u_t)`
+/// 2. `h_t ← (∂S/∂u)ᵀ λ + ∂l/∂u(x_{t+1}, u_t)`
+/// 3. `λ ← physics·(∂S/∂x)ᵀ λ + control·(∂N/∂x)ᵀ h_t`
+///
+/// The parameter gradient is `Σ_t (∂N/∂θ)ᵀ h_t`. S is the step of the system, N the policy, l the
+/// stage cost and φ the terminal cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Flow {
-    /// Through the physics, `∂S/∂x`.
+    /// Enables the path through the physics, `∂S/∂x`.
     pub physics: bool,
-    /// Through the policy's input, `∂N/∂x`.
+    /// Enables the path through the policy's input, `∂N/∂x`.
     pub control: bool,
 }
 
 impl Flow {
-    /// R: full backpropagation through time, the true gradient.
+    /// R: full backpropagation through time, the gradient of the loss.
     pub const REGULAR: Self = Self { physics: true, control: true };
-    /// M: the physics path only; the policy's input is detached.
+    /// M: physics path only; the policy's input is detached.
     pub const MODIFIED: Self = Self { physics: true, control: false };
-    /// N: the policy's path only; the physics' state input is detached.
+    /// N: policy path only; the state input of the physics is detached.
     pub const NETWORK: Self = Self { physics: false, control: true };
-    /// S: neither; every control sees only the cost of the step it caused.
+    /// S: neither path; each control receives only the cost of the step it causes.
     pub const STOPPED: Self = Self { physics: false, control: false };
-    /// All four.
+    /// All flows.
     pub const ALL: [Self; 4] = [Self::REGULAR, Self::MODIFIED, Self::NETWORK, Self::STOPPED];
 }
 
@@ -65,19 +75,20 @@ impl fmt::Display for Flow {
     }
 }
 
-/// Room for the reverse pass of a [`Rollout`]: sized once, then run without allocating.
+/// Workspace of the reverse pass of a [`Rollout`]. The constructor allocates everything; runs do
+/// not allocate.
 #[derive(Debug)]
 pub struct Adjoint<F: Float> {
     horizon: usize,
-    /// Lengths of λ, per flow and step, if they are to be kept.
+    /// Norms of λ, per flow and step, if recorded.
     norms: Option<Vec<Vec<f64>>>,
-    /// Whether the next run measures the growth of λ.
+    /// True if runs measure the growth of λ.
     measured: bool,
     policy: PolicyAdjoint<F>,
     carried: Carried<F>,
 }
 
-/// The flows, and what the recursion carries for them.
+/// Flows, and the state of their recursion.
 #[derive(Debug)]
 enum Carried<F: Float> {
     One([Flow; 1], Recursion<F, 1>),
@@ -85,18 +96,21 @@ enum Carried<F: Float> {
 }
 
 impl<F: Float> Adjoint<F> {
-    /// Room for the gradients of one or two flows of such a rollout. Two are carried through the physics together, to state
-    /// and control: only N or S alone spares the system its derivative to the state.
+    /// Allocates a workspace for the gradients of one or two flows.
+    ///
+    /// Two flows share one pass through the physics, which always evaluates `∂S/∂x`. Only a single
+    /// N or S omits it.
     ///
     /// # Panics
-    /// With no flow or more than two, or a rollout without tape.
+    /// If `flows` does not have one or two elements, or `rollout` has no tape.
     #[track_caller]
     pub fn new(policy: &dyn AnyPolicy<F>, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
         assert!(rollout.has_tape(), "a rollout made for evaluation cannot be differentiated");
         Self::of_kept(policy, rollout, flows)
     }
 
-    /// The same, for the steps that a rollout keeps.
+    /// Allocates a workspace for the stored steps of a rollout, which may be fewer than the
+    /// horizon.
     #[track_caller]
     pub(crate) fn of_kept(policy: &dyn AnyPolicy<F>, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
         let carried = match *flows {
@@ -108,7 +122,7 @@ impl<F: Float> Adjoint<F> {
         Self { horizon: rollout.horizon, norms: None, measured: false, policy, carried }
     }
 
-    /// The flows it was made for.
+    /// Flows of the workspace, in order.
     pub fn flows(&self) -> &[Flow] {
         match &self.carried {
             Carried::One(flows, _) => flows,
@@ -116,7 +130,7 @@ impl<F: Float> Adjoint<F> {
         }
     }
 
-    /// Bytes on the heap, beyond those of the rollout it belongs to. They do not depend on how many samples are started.
+    /// Bytes on the heap, without the rollout. Independent of the number of samples started.
     pub fn stored_bytes(&self) -> usize {
         let carried = match &self.carried {
             Carried::One(_, recursion) => recursion.stored_bytes(),
@@ -125,7 +139,7 @@ impl<F: Float> Adjoint<F> {
         carried + self.policy.stored_bytes() + self.norms.as_deref().map_or(0, nested_bytes)
     }
 
-    /// The [`stored_bytes`](Adjoint::stored_bytes) of an adjoint of a rollout that keeps so many steps.
+    /// Returns the [`stored_bytes`](Adjoint::stored_bytes) for a rollout that stores `kept` steps.
     pub(crate) fn bytes_of(policy: &dyn AnyPolicy<F>, samples: usize, kept: usize, flows: &[Flow]) -> usize {
         let (n, m) = (policy.state_dim(), policy.control_dim());
         let carried = match flows.len() {
@@ -135,17 +149,20 @@ impl<F: Float> Adjoint<F> {
         carried + PolicyRoom::new(policy, samples * kept, flows).bytes::<F>()
     }
 
-    /// Keeps the length of the adjoint at every step of every run from now on, for [`norms`](Adjoint::norms).
+    /// Records the norm of the adjoint at every step of subsequent runs, for
+    /// [`norms`](Adjoint::norms).
     pub fn keep_norms(mut self) -> Self {
         self.norms = Some(vec![vec![f64::NAN; self.horizon + 1]; self.flows().len()]);
         self
     }
 
-    /// The length of the adjoint of flow number `k` at the states `x_0 .. x_T` of the last run, `horizon + 1` numbers:
-    /// how strongly what comes after a state depends on it, along the paths of the flow. It is the root mean square over the
-    /// samples of ‖λ_t‖ for the loss of a sample. λ_t holds the costs after `x_t`, not that of `x_t` itself; at `T` it
-    /// is the terminal cost's gradient, which is 0 where only states on the way are paid for. NaN where a run that
-    /// diverged did not come.
+    /// Norms of the adjoint of flow `k` at the states `x_0 .. x_T` of the last run, `horizon + 1`
+    /// numbers.
+    ///
+    /// Each is the root mean square over the samples of ‖λ_t‖, for the loss of one sample. It
+    /// measures how strongly later costs depend on a state, along the paths of the flow. λ_t
+    /// contains the costs after `x_t`, not the cost of `x_t` itself. λ_T is the gradient of the
+    /// terminal cost, which is 0 without one. Steps that a diverged run did not reach are NaN.
     ///
     /// # Panics
     /// Without [`keep_norms`](Adjoint::keep_norms).
@@ -154,17 +171,17 @@ impl<F: Float> Adjoint<F> {
         &self.norms.as_ref().expect("the norms of an adjoint are kept only after `keep_norms`")[k]
     }
 
-    /// Whether the next runs measure how the adjoints grow, which takes a little time.
+    /// Enables or disables the measurement of growth.
     pub(crate) fn measure(&mut self, measured: bool) {
         self.measured = measured;
     }
 
-    /// Whether they do.
+    /// Returns true if runs measure growth.
     pub(crate) fn measures(&self) -> bool {
         self.measured
     }
 
-    /// Adds the growth of flow number `k` in the last run, of every sample, if that was measured.
+    /// Adds the growth of flow `k` for each sample of the last run, if measured.
     pub(crate) fn add_growth(&self, k: usize, samples: usize, together: &mut Together) {
         match &self.carried {
             Carried::One(_, recursion) => recursion.meters(k, samples).for_each(|meter| together.add(meter)),
@@ -172,10 +189,12 @@ impl<F: Float> Adjoint<F> {
         }
     }
 
-    /// Runs the recursion back through `rollout`. Cotangents are scaled by `scale`: 1 / batch for a batch mean.
+    /// Runs the recursion backwards through `rollout`.
+    ///
+    /// All cotangents are multiplied by `scale`. For the gradient of a batch mean, it is 1 / batch.
     ///
     /// # Errors
-    /// [`Divergence`] says where a cotangent was not finite.
+    /// [`Divergence`] if a cotangent is not finite.
     pub fn run(
         &mut self,
         task: &dyn AnyTask<F>,
@@ -189,7 +208,7 @@ impl<F: Float> Adjoint<F> {
         Rollout::<F>::units(0..rollout.horizon).try_for_each(|unit| self.back(&pass, unit))
     }
 
-    /// Begins at the last state.
+    /// Initializes the recursion with the terminal cost.
     pub(crate) fn begin(&mut self, pass: &Pass<'_, F>) {
         let norms = self.norms.as_deref_mut().unwrap_or_default();
         norms.iter_mut().for_each(|norms| norms.fill(f64::NAN));
@@ -200,7 +219,7 @@ impl<F: Float> Adjoint<F> {
         }
     }
 
-    /// Goes back through the steps of a unit that the rollout keeps, from the state they end with.
+    /// Runs the recursion backwards through the stored steps of a unit, from its last state.
     pub(crate) fn back(&mut self, pass: &Pass<'_, F>, unit: Range<usize>) -> Result<(), Divergence> {
         let all = pass.rollout.columns_of(&unit, 0..pass.rollout.samples);
         self.policy.reset_exponents_of(all);
@@ -214,14 +233,16 @@ impl<F: Float> Adjoint<F> {
         }
         for k in 0..self.flows().len() {
             if !self.flows()[k].control && !self.policy.unit {
-                // Nothing in the loop needed the policy's derivative: all of it at once, without ∂N/∂x.
+                // M and S do not need `∂N/∂x`: one policy pass covers all steps.
                 self.policy.backward(pass, k, all, false);
             }
         }
         Ok(())
     }
 
-    /// `theta_bar = Σ (∂N/∂θ)ᵀ h` of flow number `k`, over the given samples, in large products. Overwrites it.
+    /// Computes `theta_bar = Σ (∂N/∂θ)ᵀ h` of flow `k` over `samples`, in large matrix products.
+    ///
+    /// Overwrites `theta_bar`.
     pub fn param_gradient(
         &mut self,
         k: usize,
@@ -238,7 +259,7 @@ impl<F: Float> Adjoint<F> {
         theta_bar.settle();
     }
 
-    /// Adds the part of a unit that was gone [`back`](Self::back) through.
+    /// Adds the contribution of a unit, after [`back`](Self::back).
     #[allow(clippy::too_many_arguments)]
     pub(crate) fn add_param_gradient(
         &mut self,
@@ -255,14 +276,14 @@ impl<F: Float> Adjoint<F> {
     }
 }
 
-/// What stays the same throughout one reverse pass.
+/// Constant arguments of one reverse pass.
 pub(crate) struct Pass<'a, F: Float> {
     pub(crate) task: &'a dyn AnyTask<F>,
     pub(crate) policy: &'a dyn AnyPolicy<F>,
     pub(crate) weights: &'a Weights<F>,
     pub(crate) rollout: &'a Rollout<F>,
     pub(crate) scale: F,
-    /// Whether the growth of the adjoints is measured on the way.
+    /// True if the pass measures the growth of the adjoints.
     pub(crate) measured: bool,
 }
 
@@ -276,7 +297,7 @@ mod tests {
     use crate::policy::Mlp;
     use crate::tasks::{Bumpers, CartDamping, CartPole, CartPoleSystem};
 
-    /// The last state of every sample, the costs, and the gradients of two flows.
+    /// Returns costs, one state component per sample, and the gradients of three flows.
     fn all_of_it<F: Float>(samples: usize) -> Vec<F> {
         let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
         let task = CartPole::around(With { system, effects: (CartDamping::default(), Bumpers::default()) });

@@ -1,7 +1,7 @@
 //! Object-safe [`Task`] and [`System`] for one precision: [`AnyTask`] and `AnySystem`.
 //!
-//! Rollouts and reverse passes are compiled once per precision, not once per task. One call steps all samples, so that the
-//! call through a pointer costs nothing.
+//! They let rollouts and reverse passes compile once per precision instead of once per task. One
+//! call steps all samples, so dynamic dispatch is negligible.
 
 use crate::dynamics::apart::{self, One};
 use crate::dynamics::cause::Cause;
@@ -12,8 +12,10 @@ use crate::engine::rollout::{Lane, StepForward};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Columns, Float};
 
-/// A [`Task`] in one precision. Every task is one, so that `&task` can be given where `&dyn AnyTask<F>` is asked for. Its
-/// methods are the task's, and need no import.
+/// Object-safe [`Task`] for one precision.
+///
+/// Every task implements it, so `&task` coerces to `&dyn AnyTask<F>`. Methods forward to those of
+/// the task. Calls on a `dyn AnyTask<F>` need no import of this trait.
 #[allow(missing_docs)]
 pub trait AnyTask<F: Float>: StepForward<F> + StepBack<F, 1> + StepBack<F, 2> + Send + Sync {
     fn state_dim(&self) -> usize;
@@ -60,8 +62,9 @@ impl<T: Task, F: Float> AnyTask<F> for T {
     }
 }
 
-/// A [`System`] in one precision, one sample at a time: for what steps through it to compare, and is compiled once. Its methods
-/// are the system's.
+/// Object-safe [`System`] for one precision and one sample at a time.
+///
+/// Used where a loop over steps should compile only once. Methods forward to those of the system.
 pub(crate) trait AnySystem<F: Float> {
     fn state_dim(&self) -> usize;
     fn control_dim(&self) -> usize;
@@ -97,10 +100,10 @@ impl<S: System, F: Float> AnySystem<F> for S {
     }
 }
 
-/// [`System::vjp`] of plain numbers: `[x_bar, u_bar]`.
+/// Evaluates [`System::vjp`] on plain numbers. Returns `[x_bar, u_bar]`.
 pub(crate) fn vjp<F: Float>(system: &dyn AnySystem<F>, x: &[F], u: &[F], next_bar: &[F]) -> [Vec<F>; 2] {
     let next_bar: Vec<_> = next_bar.iter().map(|&bar| Columns([bar])).collect();
-    // To be overwritten.
+    // NaN reveals an output that `vjp` does not overwrite.
     let [mut x_bar, mut u_bar] = [x, u].map(|inputs| vec![Columns([F::lift(f64::NAN)]); inputs.len()]);
     system.vjp(x, u, &next_bar, &mut x_bar, &mut u_bar);
     [x_bar, u_bar].map(|bars| bars.into_iter().map(|Columns([bar])| bar).collect())

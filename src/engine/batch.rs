@@ -1,7 +1,8 @@
-//! A mini-batch's gradients and a data set's loss, split over workers.
+//! [`Batch`]: gradients of a mini-batch. [`Evaluation`]: loss of a data set. Both use several
+//! workers.
 //!
-//! Results do not depend on the number of workers: a sample's numbers do not depend on its neighbours, gradients are
-//! summed over fixed groups of samples, and groups are summed in their order.
+//! Results do not depend on the number of workers. Samples do not influence each other, gradients
+//! are summed over fixed groups of samples, and groups are summed in order.
 
 use crate::engine::adjoint::Flow;
 use crate::engine::any::AnyTask;
@@ -17,9 +18,9 @@ use crate::policy::AnyPolicy;
 use crate::policy::Weights;
 use std::ops::Range;
 
-/// Samples whose gradient is one sum, whatever the number of workers.
+/// Number of samples in a group. One group has one gradient sum, for any number of workers.
 const GROUP: usize = 4;
-/// Samples that are evaluated together.
+/// Number of samples in one rollout of an evaluation.
 const EVALUATED: usize = 32;
 
 /// Workspace for the gradients of mini-batches of up to a fixed size.
@@ -27,36 +28,41 @@ const EVALUATED: usize = 32;
 pub struct Batch<F: Float> {
     workers: Vec<Worker<F>>,
     gradients: Vec<Gradient<F>>,
-    /// Whether the last run was measured.
+    /// True if runs measure the growth of the adjoints.
     measured: bool,
 }
 
-/// One worker's consecutive groups of samples.
+/// Workspace of one worker: consecutive groups of samples.
 #[derive(Debug)]
 struct Worker<F: Float> {
     rollout: Checkpointed<F>,
-    /// `[group][flow][parameter]`.
+    /// Gradients, `[group][flow][parameter]`.
     groups: Vec<Vec<Gradient<F>>>,
     outcome: Result<(), Divergence>,
-    /// Whether the last run had samples for it.
+    /// True if the last run assigned samples to this worker.
     active: bool,
 }
 
 impl<F: Float> Batch<F> {
-    /// Room for mini-batches of up to `samples` samples and one or two flows, over at most `workers` workers.
+    /// Allocates a workspace for mini-batches of up to `samples` samples and one or two flows.
+    ///
+    /// At most `workers` workers share a mini-batch. All steps are stored.
     ///
     /// # Panics
-    /// Without samples, or if the shapes of task and policy differ.
+    /// If `samples` is 0, `flows` does not have one or two elements, or the shapes of task and
+    /// policy differ.
     #[track_caller]
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], workers: usize) -> Self {
         Self::scheduled(task, policy, samples, flows, workers, Schedule::store_all(task.horizon()))
     }
 
-    /// The same in at most `budget` bytes, over all workers; gradients have the same bits. Runs as few steps again as that
-    /// allows.
+    /// Allocates a workspace of at most `budget` bytes, over all workers.
+    ///
+    /// Uses the schedule with the fewest recomputed steps. Gradients are bitwise equal to those of
+    /// [`new`](Batch::new).
     ///
     /// # Errors
-    /// [`MemoryError`] says how many bytes would do.
+    /// [`MemoryError`] if no schedule fits.
     ///
     /// # Panics
     /// As [`new`](Batch::new).
@@ -74,10 +80,10 @@ impl<F: Float> Batch<F> {
         Ok(Self::scheduled(task, policy, samples, flows, workers, schedule))
     }
 
-    /// The same with a given schedule, which every worker follows.
+    /// Allocates a workspace with a given schedule for each worker.
     ///
     /// # Panics
-    /// As [`new`](Batch::new), or if the schedule is for another horizon.
+    /// As [`new`](Batch::new), or if the horizons of schedule and task differ.
     #[track_caller]
     pub fn scheduled(
         task: &dyn AnyTask<F>,
@@ -90,7 +96,7 @@ impl<F: Float> Batch<F> {
         assert!(samples > 0, "a mini-batch needs at least one sample");
         let zeros = || flows.iter().map(|_| Gradient::zeros(policy.param_count())).collect::<Vec<_>>();
         let shares = shares(samples, workers);
-        // Exactly as many as there are, which are then counted.
+        // Allocates the exact capacity, which `stored_bytes` assumes.
         let mut all = Vec::with_capacity(shares.len());
         all.extend(shares.map(|share| {
             let groups = share.len().div_ceil(GROUP);
@@ -100,10 +106,10 @@ impl<F: Float> Batch<F> {
         Self { workers: all, gradients: zeros(), measured: false }
     }
 
-    /// The [`stored_bytes`](Batch::stored_bytes) of a schedule, without taking them.
+    /// Returns the [`stored_bytes`](Batch::stored_bytes) of a schedule without allocating.
     ///
     /// # Panics
-    /// Without samples.
+    /// If `samples` is 0.
     #[track_caller]
     pub fn bytes_of(policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], workers: usize, schedule: &Schedule) -> usize {
         assert!(samples > 0, "a mini-batch needs at least one sample");
@@ -115,7 +121,7 @@ impl<F: Float> Batch<F> {
         shares(samples, workers).map(worker).sum::<usize>() + gradients
     }
 
-    /// Bytes on the heap. They do not depend on how many samples are run.
+    /// Bytes on the heap, independent of the number of samples in a run.
     pub fn stored_bytes(&self) -> usize {
         let nested = |rows: &[Gradient<F>]| size_of_val(rows) + rows.iter().map(Gradient::stored_bytes).sum::<usize>();
         let worker = |worker: &Worker<F>| {
@@ -125,19 +131,20 @@ impl<F: Float> Batch<F> {
         size_of_val(&self.workers[..]) + self.workers.iter().map(worker).sum::<usize>() + nested(&self.gradients)
     }
 
-    /// What its workers keep, and what they run again.
+    /// Schedule of every worker.
     pub fn schedule(&self) -> Schedule {
         self.workers[0].rollout.schedule()
     }
 
-    /// Rollouts from `starts` (`state_dim` numbers per sample) and the gradients of their mean loss, for every flow.
-    /// Returns the mean loss.
+    /// Runs rollouts from `starts` (`state_dim` numbers per sample) and their reverse passes.
+    ///
+    /// Computes the gradient of the mean loss for each flow, and returns the mean loss.
     ///
     /// # Errors
-    /// The first [`Divergence`] of the batch. The gradients are then not to be used.
+    /// The first [`Divergence`] of the batch. The gradients are then invalid.
     ///
     /// # Panics
-    /// Without samples, or with more than there is room for.
+    /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples.
     #[track_caller]
     pub fn run(
         &mut self,
@@ -182,18 +189,18 @@ impl<F: Float> Batch<F> {
         Ok(costs.sum::<f64>() / samples as f64)
     }
 
-    /// The gradients of the last [`run`](Batch::run), one per flow.
+    /// Gradients of the last [`run`](Batch::run), one per flow.
     pub fn gradients(&self) -> &[Gradient<F>] {
         &self.gradients
     }
 
-    /// Whether the next runs measure how the adjoints grow, which takes a little time.
+    /// Enables or disables the measurement of growth, which takes a little time.
     pub fn measure(&mut self, measured: bool) {
         self.measured = measured;
         self.workers.iter_mut().for_each(|worker| worker.rollout.measure(measured));
     }
 
-    /// How the adjoint of flow number `k` grew in the last run, if that was to be measured.
+    /// Growth of the adjoint of flow `k` in the last run, if measured.
     pub fn growth(&self, k: usize) -> Option<Growth> {
         let mut together = Together::default();
         let active = self.workers.iter().filter(|worker| self.measured && worker.active);
@@ -219,14 +226,14 @@ impl<F: Float> Worker<F> {
     }
 }
 
-/// The samples of every worker: whole groups, but for the last.
+/// Ranges of samples of the workers, in whole groups except for the last.
 fn shares(samples: usize, workers: usize) -> impl ExactSizeIterator<Item = Range<usize>> {
     let groups = samples.div_ceil(GROUP);
     let each = groups.div_ceil(workers.clamp(1, groups)) * GROUP;
     (0..samples).step_by(each).map(move |first| first..samples.min(first + each))
 }
 
-/// Workspace for the loss of a whole data set.
+/// Workspace for the loss of a data set.
 #[derive(Debug)]
 pub struct Evaluation<F: Float> {
     workers: Vec<Evaluator<F>>,
@@ -240,20 +247,20 @@ struct Evaluator<F: Float> {
 }
 
 impl<F: Float> Evaluation<F> {
-    /// Room for data sets of any size, over so many workers.
+    /// Allocates a workspace for data sets of any size, split over `workers` workers.
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, workers: usize) -> Self {
         let evaluator =
             || Evaluator { rollout: Rollout::for_evaluation(task, policy, EVALUATED), costs: Vec::new(), outcome: Ok(()) };
         Self { workers: (0..workers.max(1)).map(|_| evaluator()).collect() }
     }
 
-    /// The mean loss of rollouts from `starts`, `state_dim` numbers per sample.
+    /// Returns the mean loss of rollouts from `starts`, `state_dim` numbers per sample.
     ///
     /// # Errors
     /// The first [`Divergence`] of the data set.
     ///
     /// # Panics
-    /// Without samples.
+    /// If `starts` is empty or not a whole number of samples.
     #[track_caller]
     pub fn run(
         &mut self,

@@ -1,4 +1,5 @@
-//! [`Checkpointed`]: forward and reverse pass of a batch of samples, in the memory that a [`Schedule`] takes.
+//! [`Checkpointed`]: forward and reverse pass of a batch of samples, in the memory of a
+//! [`Schedule`].
 
 use crate::engine::adjoint::{Adjoint, Flow, Pass};
 use crate::engine::any::AnyTask;
@@ -11,10 +12,10 @@ use crate::numbers::scalar::{Float, Real, Scalar};
 use crate::policy::AnyPolicy;
 use crate::policy::Weights;
 
-/// A batch of rollouts and their gradients, with a tape of one segment at a time: sized once, then run as often as one
-/// likes without allocating.
+/// Batch of rollouts and their gradients that stores the tape of one segment at a time.
 ///
-/// The gradients are bit for bit those of [`Rollout`] and [`Adjoint`], whatever the schedule.
+/// The constructor allocates everything; runs do not allocate. Gradients are bitwise equal to those
+/// of [`Rollout`] and [`Adjoint`], for each schedule.
 /// ```
 /// use physgrad::{Checkpointed, Flow, Gradient, Schedule, Task, Weights, policy::Mlp, rng, tasks::CartPole};
 ///
@@ -34,25 +35,25 @@ use crate::policy::Weights;
 #[derive(Debug)]
 pub struct Checkpointed<F: Float> {
     schedule: Schedule,
-    /// Keeps one segment.
+    /// Stores one segment.
     rollout: Rollout<F>,
     adjoint: Adjoint<F>,
-    /// Lanes of one state of all samples there is room for.
+    /// Length of the states of all samples at one step, in lanes.
     state_len: usize,
-    /// `[checkpoint][block][component]`.
+    /// Checkpoints, `[checkpoint][block][component]`.
     states: Vec<Lane<F>>,
-    /// The segments at whose start the checkpoints are, in ascending order.
+    /// Segments that start at a checkpoint, in ascending order.
     kept: Vec<usize>,
-    /// Of the forward pass: what is run again adds to those of the rollout.
+    /// Costs of the forward pass. Recomputed steps add to those of `rollout`.
     costs: Vec<Lane<F>>,
 }
 
 impl<F: Float> Checkpointed<F> {
-    /// Room for `samples` rollouts and the gradients of one or two flows.
+    /// Allocates a workspace for `samples` rollouts and the gradients of one or two flows.
     ///
     /// # Panics
-    /// If the schedule is for another horizon, without samples, with no flow or more than two, or if the shapes of task
-    /// and policy differ.
+    /// If the horizons of schedule and task differ, `samples` is 0, `flows` does not have one or
+    /// two elements, or the shapes of task and policy differ.
     #[track_caller]
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], schedule: Schedule) -> Self {
         let (planned, horizon) = (schedule.horizon(), task.horizon());
@@ -72,10 +73,10 @@ impl<F: Float> Checkpointed<F> {
         }
     }
 
-    /// The schedule that runs the fewest steps again among those that take at most `budget` bytes.
+    /// Finds the schedule with the fewest recomputed steps within `budget` bytes.
     ///
     /// # Errors
-    /// [`MemoryError`] says how many bytes would do.
+    /// [`MemoryError`] if no schedule fits.
     pub fn schedule_within(
         task: &dyn AnyTask<F>,
         policy: &dyn AnyPolicy<F>,
@@ -86,7 +87,7 @@ impl<F: Float> Checkpointed<F> {
         Schedule::within(task.horizon(), budget, |schedule| Self::bytes_of(policy, samples, flows, schedule))
     }
 
-    /// The [`stored_bytes`](Checkpointed::stored_bytes) of a schedule, without taking them.
+    /// Returns the [`stored_bytes`](Checkpointed::stored_bytes) of a schedule without allocating.
     pub fn bytes_of(policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], schedule: &Schedule) -> usize {
         let (segment, blocks) = (schedule.segment(), samples.div_ceil(WIDTH));
         let checkpoint = blocks * policy.state_dim() * size_of::<Lane<F>>() + size_of::<usize>();
@@ -96,13 +97,13 @@ impl<F: Float> Checkpointed<F> {
             + blocks * size_of::<Lane<F>>()
     }
 
-    /// Bytes on the heap. They do not depend on how many samples are started.
+    /// Bytes on the heap, independent of the number of samples in a run.
     pub fn stored_bytes(&self) -> usize {
         let own = size_of_val(&self.states[..]) + self.kept.capacity() * size_of::<usize>() + size_of_val(&self.costs[..]);
         self.rollout.stored_bytes() + self.adjoint.stored_bytes() + own
     }
 
-    /// What it keeps, and what it runs again.
+    /// Schedule of stored and recomputed steps.
     pub fn schedule(&self) -> Schedule {
         self.schedule
     }
@@ -112,7 +113,7 @@ impl<F: Float> Checkpointed<F> {
         self.rollout.samples()
     }
 
-    /// Number of samples there is room for.
+    /// Largest number of samples.
     pub fn capacity(&self) -> usize {
         self.rollout.capacity()
     }
@@ -122,15 +123,18 @@ impl<F: Float> Checkpointed<F> {
         self.costs[sample / WIDTH].lane(sample % WIDTH)
     }
 
-    /// Rollouts from `starts` (`state_dim` numbers per sample) and their gradients, `[group][flow][parameter]`, each the
-    /// sum over `group` successive samples. Those of groups without samples are left as they are. Cotangents are scaled by
-    /// `scale`: 1 / batch for a batch mean.
+    /// Runs rollouts from `starts` (`state_dim` numbers per sample) and their reverse passes.
+    ///
+    /// Writes `gradients`, `[group][flow][parameter]`, each the sum over `group` successive
+    /// samples. Groups without samples are unchanged. All cotangents are multiplied by `scale`. For
+    /// the gradient of a batch mean, it is 1 / batch.
     ///
     /// # Errors
-    /// [`Divergence`] says where a number was not finite. The gradients are then not to be used.
+    /// [`Divergence`] if a number is not finite. The gradients are then invalid.
     ///
     /// # Panics
-    /// If `starts` is empty, no whole number of samples or too long, or if there are too few groups.
+    /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples, or if
+    /// `gradients` has too few groups.
     #[track_caller]
     #[allow(clippy::too_many_arguments)]
     pub fn run(
@@ -148,7 +152,8 @@ impl<F: Float> Checkpointed<F> {
         Ok(())
     }
 
-    /// As [`run`](Checkpointed::run), with gradients that are still to be added up.
+    /// As [`run`](Checkpointed::run), without a common exponent: callers sum and settle the
+    /// gradients.
     #[track_caller]
     #[allow(clippy::too_many_arguments)]
     pub(crate) fn run_unsettled(
@@ -175,7 +180,7 @@ impl<F: Float> Checkpointed<F> {
             if index + 1 < segments {
                 self.tape_again(task, policy, weights, index)?;
             }
-            // The parameter gradient of a unit while its cotangents are in the cache.
+            // Adds the parameter gradient of a unit while its cotangents are in the cache.
             for unit in Rollout::<F>::units(self.schedule.steps(index)) {
                 self.adjoint.back(&Pass { task, policy, weights, rollout: &self.rollout, scale, measured }, unit.clone())?;
                 for (g, gradient) in gradients.iter_mut().enumerate() {
@@ -189,17 +194,17 @@ impl<F: Float> Checkpointed<F> {
         Ok(())
     }
 
-    /// Whether the next runs measure how the adjoints grow, which takes a little time.
+    /// Enables or disables the measurement of growth.
     pub(crate) fn measure(&mut self, measured: bool) {
         self.adjoint.measure(measured);
     }
 
-    /// Adds the growth of flow number `k` in the last run, of every sample, if that was measured.
+    /// Adds the growth of flow `k` for each sample of the last run, if measured.
     pub(crate) fn add_growth(&self, k: usize, together: &mut Together) {
         self.adjoint.add_growth(k, self.rollout.samples(), together);
     }
 
-    /// The forward pass, which leaves checkpoints and the tape of the last segment.
+    /// Runs the forward pass. It stores checkpoints and the tape of the last segment.
     fn forward(
         &mut self,
         task: &dyn AnyTask<F>,
@@ -220,7 +225,7 @@ impl<F: Float> Checkpointed<F> {
         finished
     }
 
-    /// Runs from the last checkpoint to the end of a segment, whose tape is then there.
+    /// Recomputes the tape of segment `index` from the nearest checkpoint.
     fn tape_again(
         &mut self,
         task: &dyn AnyTask<F>,
@@ -228,7 +233,7 @@ impl<F: Float> Checkpointed<F> {
         weights: &Weights<F>,
         index: usize,
     ) -> Result<(), Divergence> {
-        // Those after this segment have served.
+        // Discard checkpoints after this segment.
         self.kept.truncate(self.kept.partition_point(|&kept| kept <= index));
         let slot = self.kept.len() - 1;
         let from = self.kept[slot];
@@ -238,7 +243,10 @@ impl<F: Float> Checkpointed<F> {
         self.advance(task, policy, weights, from, index)
     }
 
-    /// Runs from the start of segment `from` to the end of segment `to`, and keeps states on the way.
+    /// Runs from the start of segment `from` to the end of segment `to`, and stores checkpoints
+    /// between.
+    ///
+    /// Leaves the tape of segment `to`.
     fn advance(
         &mut self,
         task: &dyn AnyTask<F>,
@@ -254,7 +262,7 @@ impl<F: Float> Checkpointed<F> {
             let steps = self.schedule.steps(at).start..self.schedule.steps(next).start;
             self.rollout.pass_over(task, policy, weights, steps)?;
             at = next;
-            // The last one's tape is about to be there.
+            // Segment `to` needs no checkpoint: its tape follows.
             if at < to {
                 self.keep(at);
             }
@@ -262,7 +270,7 @@ impl<F: Float> Checkpointed<F> {
         self.rollout.advance(task, policy, weights, self.schedule.steps(to))
     }
 
-    /// Keeps the state at the start of a segment.
+    /// Stores the state at the start of segment `index`.
     fn keep(&mut self, index: usize) {
         let state = self.rollout.states_at(self.schedule.steps(index).start);
         self.states[self.kept.len() * self.state_len..][..state.len()].copy_from_slice(state);

@@ -1,74 +1,75 @@
-//! [`Divergence`]: a number that is no number any more, as data.
+//! [`Divergence`]: place of a non-finite number.
 
 use crate::dynamics::cause::Cause;
 use crate::engine::adjoint::Flow;
 use crate::numbers::wide::Wide;
 use std::fmt;
 
-/// Where a number stopped being finite. The update it belongs to is not taken.
+/// Place where a number became non-finite. The update that it belongs to is skipped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Divergence {
-    /// A state or control, in the forward pass.
+    /// State or control in the forward pass.
     Forward {
-        /// Which of the two.
+        /// State or control.
         variable: Variable,
-        /// Time step: of a state, 1 is the first after the start; of a control, 0 is the first.
+        /// Time step. States start at 1, the first after the initial state. Controls start at 0.
         step: usize,
         /// Index of the sample in its batch.
         sample: usize,
-        /// Its component.
+        /// Component of the variable.
         component: usize,
-        /// What did it, if that is known.
+        /// Cause, if known.
         cause: Option<Cause>,
     },
-    /// The cost of a sample whose states are all finite.
+    /// Cost of a sample whose states are all finite.
     Cost {
         /// Index of the sample in its batch.
         sample: usize,
     },
-    /// The cotangent of a state or control, in the reverse pass.
+    /// Cotangent of a state or control in the reverse pass.
     Cotangent {
-        /// Flow whose adjoint it is.
+        /// Flow of the adjoint.
         flow: Flow,
-        /// What it is the cotangent of.
+        /// Variable of the cotangent.
         variable: Variable,
         /// Time step.
         step: usize,
         /// Index of the sample in its batch.
         sample: usize,
-        /// Its component.
+        /// Component of the variable.
         component: usize,
-        /// What did it, if that is known.
+        /// Cause, if known.
         cause: Option<Cause>,
     },
-    /// The gradient of a batch whose cotangents are all finite: a component is not, or its square is not.
+    /// Gradient of a batch whose cotangents are all finite. A component or its square is not
+    /// finite.
     Gradient {
-        /// Flow whose gradient it is.
+        /// Flow of the gradient.
         flow: Flow,
         /// Index of the parameter in `θ`.
         parameter: usize,
     },
-    /// The field made of finite gradients and clipped: a component is not finite, or too large to be squared by an
-    /// optimizer.
+    /// Composed and clipped field of finite gradients. A component is non-finite, or too large for
+    /// an optimizer to square.
     Field {
         /// Index of the parameter in `θ`.
         parameter: usize,
-        /// The length of the field.
+        /// Norm of the field before clipping.
         norm: Wide,
     },
 }
 
-/// What a rollout computes at every step.
+/// Variable of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Variable {
-    /// The state of the system.
+    /// State of the system.
     State,
-    /// The control that the policy sets.
+    /// Control computed by the policy.
     Control,
 }
 
 impl Divergence {
-    /// The same, for a sample counted from `first` on.
+    /// Adds `first` to the sample index, if there is one.
     pub(crate) fn offset(mut self, first: usize) -> Self {
         match &mut self {
             Self::Forward { sample, .. } | Self::Cost { sample } | Self::Cotangent { sample, .. } => *sample += first,
@@ -77,10 +78,11 @@ impl Divergence {
         self
     }
 
-    /// Which of two to report: the one met first by a single pass over the whole batch.
+    /// Sort key: the order in which a single pass over the whole batch would find divergences.
     pub(crate) fn order(&self) -> (u8, usize, usize) {
         match *self {
-            // A control comes before the state it leads to, one step later by its number.
+            // The control at step t precedes the state at step t + 1, but follows the state at step
+            // t.
             Self::Forward { variable: Variable::Control, step, sample, .. } => (0, 2 * step + 1, sample),
             Self::Forward { variable: Variable::State, step, sample, .. } => (0, 2 * step, sample),
             Self::Cost { sample } => (1, 0, sample),
@@ -137,7 +139,7 @@ impl fmt::Display for Divergence {
     }
 }
 
-/// The effect that did it.
+/// Describes the effect that caused the divergence, if known.
 fn by(cause: &Option<Cause>) -> String {
     match cause {
         Some(Cause::Effect(name)) => format!(", for the effect {name} is not"),

@@ -1,63 +1,63 @@
-//! [`Gradient`]: a vector over the parameters, of any size.
+//! [`Gradient`]: a vector over the parameters with a common exponent.
 
 use crate::numbers::kernels::{Level, elementwise};
 use crate::numbers::scalar::Float;
 use crate::numbers::wide::{Wide, exponent_of, scaled, scaled_with_sign};
 use crate::numbers::zip::zip;
 
-/// A gradient, `values · 2^exponent`. The exponent is 0 wherever plain numbers will do.
+/// Gradient `values · 2^exponent`. The exponent is 0 unless the values approach the limits of `F`.
 ///
-/// Where they will not, because an adjoint exploded or vanished, the values are as large as the largest of them allows:
-/// it is between 1 and 2. A value that is too small beside it keeps its sign, as the smallest number there is.
+/// If an adjoint explodes or vanishes, the values are scaled such that the largest is between 1 and
+/// 2 in size. A value that underflows keeps its sign and becomes the smallest subnormal number.
 #[derive(Clone, Debug)]
 pub struct Gradient<F> {
     values: Vec<F>,
-    /// Of all values, once they are [`settle`](Gradient::settle)d.
+    /// Common exponent, valid after [`settle`](Gradient::settle).
     exponent: i32,
-    /// Of each value, while parts of different exponents are added up.
+    /// Exponent of each value, valid if `spread`.
     exponents: Vec<i32>,
-    /// Whether that is so.
+    /// True while every value has its own exponent.
     spread: bool,
 }
 
-/// The same numbers.
+/// Compares values and common exponent.
 impl<F: Float> PartialEq for Gradient<F> {
     fn eq(&self, other: &Self) -> bool {
         (&self.values, self.exponent) == (&other.values, other.exponent)
     }
 }
 
-/// Values of parts are kept within 2 to the power of ± this.
+/// Bound on the binary exponents of partial sums.
 const TAME: i32 = 60;
 
 impl<F: Float> Gradient<F> {
-    /// Zeros.
+    /// Creates a zero gradient.
     pub fn zeros(params: usize) -> Self {
         Self { values: vec![F::zero(); params], exponent: 0, exponents: vec![0; params], spread: false }
     }
 
-    /// The numbers, to be multiplied by 2 to the power of [`exponent`](Gradient::exponent).
+    /// Values, to be multiplied by 2 to the power of [`exponent`](Gradient::exponent).
     pub fn values(&self) -> &[F] {
         &self.values
     }
 
-    /// The exponent of all of them.
+    /// Common binary exponent.
     pub fn exponent(&self) -> i32 {
         self.exponent
     }
 
-    /// The length.
+    /// Euclidean norm.
     pub fn norm(&self) -> Wide {
         let square = elementwise::moments(Level::best(), &self.values, &self.values).0;
         Wide::new(square.sqrt(), self.exponent)
     }
 
-    /// The numbers as they are, multiplied: infinite, or 0, where that is beyond the range of `F`.
+    /// Returns the values times 2^exponent. They become infinite, or 0, beyond the range of `F`.
     pub fn plain(&self) -> Vec<F> {
         self.values.iter().map(|&value| scaled(value, self.exponent)).collect()
     }
 
-    /// Bytes on the heap for so many parameters.
+    /// Bytes on the heap of a gradient of `params` parameters.
     pub(crate) const fn bytes_of(params: usize) -> usize {
         params * (size_of::<F>() + size_of::<i32>())
     }
@@ -66,7 +66,7 @@ impl<F: Float> Gradient<F> {
         size_of_val(&self.values[..]) + size_of_val(&self.exponents[..])
     }
 
-    /// The values with this exponent, to be written.
+    /// Sets the common exponent and returns the values for writing.
     pub(crate) fn values_mut(&mut self, exponent: i32) -> &mut [F] {
         (self.spread, self.exponent) = (false, exponent);
         &mut self.values
@@ -76,7 +76,7 @@ impl<F: Float> Gradient<F> {
         self.values_mut(0).fill(F::zero());
     }
 
-    /// The sum up to now, as long as all parts were plain numbers: more of them are added in place.
+    /// Returns the partial sum for in-place addition, if all parts so far had exponent 0.
     pub(crate) fn plain_sum(&mut self) -> Option<&mut [F]> {
         (!self.spread).then_some(&mut self.values)
     }
@@ -89,7 +89,7 @@ impl<F: Float> Gradient<F> {
         }
     }
 
-    /// Adds a sum that need not be settled.
+    /// Adds another sum, settled or not.
     pub(crate) fn add(&mut self, other: &Self) {
         if !self.spread && !other.spread && other.exponent == 0 {
             for (sum, &part) in zip(self.values.iter_mut(), &other.values) {
@@ -103,7 +103,7 @@ impl<F: Float> Gradient<F> {
         }
     }
 
-    /// Becomes a copy without allocating.
+    /// Copies another gradient without allocating.
     pub(crate) fn copy_from(&mut self, other: &Self) {
         self.values.copy_from_slice(&other.values);
         (self.exponent, self.spread) = (other.exponent, other.spread);
@@ -112,7 +112,7 @@ impl<F: Float> Gradient<F> {
         }
     }
 
-    /// Values of sums have an exponent each from now on.
+    /// Switches to one exponent per value.
     fn spread(&mut self) {
         if !self.spread {
             self.spread = true;
@@ -137,7 +137,7 @@ impl<F: Float> Gradient<F> {
         }
     }
 
-    /// Gives all values one exponent: 0, if plain numbers will do.
+    /// Brings all values to a common exponent, 0 if plain numbers suffice.
     pub(crate) fn settle(&mut self) {
         if !std::mem::take(&mut self.spread) {
             return;
@@ -148,7 +148,7 @@ impl<F: Float> Gradient<F> {
             (size != 0.0 && size.is_finite()).then(|| exponent + exponent_of(size))
         };
         let largest = zip(self.values.iter(), &self.exponents).filter_map(leading).max().unwrap_or(0);
-        // Large ones whose squares can be summed, small ones with most of the range below them.
+        // Keep the sum of squares finite above, and most of the range below for small values.
         let reach = if F::EPSILON < 1e-10 { 500 } else { 60 };
         self.exponent = if (-reach..reach).contains(&largest) { 0 } else { largest };
         for (value, &exponent) in zip(self.values.iter_mut(), &self.exponents) {
@@ -158,7 +158,7 @@ impl<F: Float> Gradient<F> {
         }
     }
 
-    /// The same vector with another exponent.
+    /// Returns the gradient with another common exponent.
     pub(crate) fn with_exponent(mut self, exponent: i32) -> Self {
         let by = self.exponent.saturating_sub(exponent);
         self.values.iter_mut().for_each(|value| *value = scaled_with_sign(*value, by));
@@ -166,7 +166,7 @@ impl<F: Float> Gradient<F> {
         self
     }
 
-    /// Becomes plain numbers: infinite, or 0, where that is beyond the range of `F`.
+    /// Sets the exponent to 0. Values become infinite, or 0, beyond the range of `F`.
     pub(crate) fn flatten(&mut self) {
         let exponent = std::mem::take(&mut self.exponent);
         if exponent != 0 {
@@ -186,7 +186,7 @@ mod tests {
         sum.add_part(&[3.0, -1.0, -1.0, 1.0], 2999);
         sum.add_part(&[0.0, 0.0, 1.0, 0.0], -5000);
         sum.settle();
-        // 2.5 and 0.5 and -0.5 and -0.5 times 2^3000.
+        // 2.5, 0.5, -0.5 and -0.5, times 2^3000.
         assert_eq!((sum.exponent(), sum.values()), (3001, &[1.25, 0.25, -0.25, -0.25][..]));
         let mut tiny = Gradient::<f32>::zeros(2);
         tiny.add_part(&[1.0, 0.0], 3000);

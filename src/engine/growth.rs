@@ -1,31 +1,35 @@
-//! [`Growth`]: how an adjoint grows on its way back through a rollout, and what that says of it.
+//! [`Growth`]: growth of an adjoint along a rollout, and the warnings derived from it.
 
 use crate::engine::adjoint::Flow;
 use serde::{Deserialize, Serialize};
 
-/// How the adjoint of one flow grew along a rollout, in decades: decimal logarithms of its length.
+/// Growth of the adjoint of one flow along a rollout, in decades (log10 of a ratio of norms).
 ///
-/// Growth is that of what is carried: `log10(‖λ_t‖ / ‖λ_{t+1} + ∂l/∂x‖)`, summed over steps. Gradients of costs that are
-/// added on the way do not count.
+/// One step contributes `log10(‖λ_t‖ / ‖λ_{t+1} + ∂l/∂x‖)`. The cost gradients added at each step
+/// therefore do not count as growth.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Growth {
-    /// From the end to the start, the mean over samples; negative where it vanishes, -∞ where nothing is left.
+    /// Growth from the last state to the initial state, mean over samples. Negative if the adjoint
+    /// vanishes, -∞ if it becomes 0.
     pub along: f64,
-    /// Over the stretch on which it grows the most, the largest over samples; at least 0.
+    /// Largest growth over any range of consecutive steps, maximum over samples. At least 0.
     pub stretch: f64,
 }
 
-/// Growth of M along a rollout above which it is pointed out, in decades.
+/// Threshold of the warning about the growth of M along a rollout, in decades.
 const UNSTABLE: f64 = 3.0;
 
 impl Growth {
-    /// What makes the flow untrustworthy over rollouts of so many steps, in words; nothing, if nothing does. `epsilon` is the
-    /// distance from 1 to the next number in the precision of the rollouts.
+    /// Returns a warning if the growth makes the gradient of `flow` unreliable.
     ///
-    /// - A rounding error of the forward pass grows as the adjoint of R does. Over a stretch on which that is by more than
-    ///   numbers have digits, what R says of the states before it, signs included, is of another trajectory.
-    /// - M leaves out what the policy does about a deviation. On a plant that is unstable without it, M grows, and its first
-    ///   steps count 10^growth times as much as the last.
+    /// `horizon` is the number of steps of a rollout, `epsilon` the machine epsilon of its
+    /// precision.
+    ///
+    /// - R, likewise N: a rounding error of the forward pass grows as the adjoint of R does. If it
+    ///   grows by more than the number of digits, the gradient before that range belongs to another
+    ///   trajectory. Even its signs are then wrong.
+    /// - M: it ignores the policy's response to a deviation. On a plant that is unstable without
+    ///   control, M grows. The first steps then outweigh the last by 10^growth.
     pub fn warning(&self, flow: Flow, horizon: usize, epsilon: f64) -> Option<String> {
         let digits = -epsilon.log10();
         let Self { along, stretch } = *self;
@@ -46,17 +50,20 @@ impl Growth {
     }
 }
 
-/// Growth of one sample's adjoint, step by step.
+/// Accumulates the growth of one sample's adjoint.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Meter {
     along: f64,
-    /// The largest growth of a stretch that ends at the step at hand, and of any.
+    /// Largest growth of a range that ends at the current step.
     running: f64,
     stretch: f64,
 }
 
 impl Meter {
-    /// One more step, which multiplied the square of the length by this.
+    /// Adds one step, from the squared norms before and after it.
+    ///
+    /// `exponent` is the change of the block exponent: the true ratio of norms is 2^`exponent`
+    /// times the stored one.
     pub(crate) fn step(&mut self, before: f64, after: f64, exponent: i32) {
         if before == 0.0 {
             return;
@@ -68,7 +75,7 @@ impl Meter {
     }
 }
 
-/// What many samples say together.
+/// Combines the growth of many samples.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Together {
     samples: usize,
@@ -83,7 +90,7 @@ impl Together {
         self.stretch = self.stretch.max(meter.stretch);
     }
 
-    /// Nothing of no samples.
+    /// Returns `None` without samples.
     pub(crate) fn growth(&self) -> Option<Growth> {
         (self.samples > 0).then(|| Growth { along: self.along / self.samples as f64, stretch: self.stretch })
     }
@@ -96,15 +103,15 @@ mod tests {
     #[test]
     fn a_stretch_is_the_worst_one_and_the_whole_may_still_decay() {
         let mut meter = Meter::default();
-        // Lengths 1, 10, 1000, 1, 0.01, 0.1: squares are what it is told.
+        // Norms 1, 10, 1000, 1, 0.01, 0.1; `step` takes squares.
         for (before, after) in [(1.0, 1e2), (1e2, 1e6), (1e6, 1.0), (1.0, 1e-4), (1e-4, 1e-2)] {
             meter.step(before, after, 0);
         }
         assert!((meter.along + 1.0).abs() < 1e-12 && (meter.stretch - 3.0).abs() < 1e-12, "{meter:?}");
-        // What was taken out as a power of two counts.
+        // Exponents count.
         meter.step(1.0, 1.0, 100);
         assert!((meter.along + 1.0 - 100.0 * 2f64.log10()).abs() < 1e-9, "{meter:?}");
-        // Where there is nothing, nothing grows; where nothing is left, all of it has vanished.
+        // A zero adjoint does not grow; one that becomes zero vanishes.
         meter.step(0.0, 0.0, 0);
         assert!(meter.along.is_finite());
         meter.step(1.0, 0.0, 0);
@@ -116,7 +123,7 @@ mod tests {
         let growth = |along: f64, stretch: f64| Growth { along, stretch };
         let said = |flow: Flow, growth: Growth, epsilon: f64| growth.warning(flow, 1000, epsilon).unwrap_or_default();
         let (single, double) = (f64::from(f32::EPSILON), f64::EPSILON);
-        // Of 7 digits after 10 decades, 690 of 1000 steps are left.
+        // 6.9 digits of 10 decades allow 692 of 1000 steps.
         assert!(said(Flow::REGULAR, growth(2.0, 10.0), single).contains("beyond about 692 of the 1000 steps"));
         assert_eq!(said(Flow::REGULAR, growth(2.0, 10.0), double), "");
         assert_eq!(said(Flow::REGULAR, growth(-30.0, 1.0), single), "");

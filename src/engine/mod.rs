@@ -1,10 +1,14 @@
 //! Rollouts and their gradients.
 //!
-//! [`rollout`] runs a task under a policy. [`adjoint`] runs back through it, for the flows R, M, N and S from one forward
-//! pass; `adjoint/recursion.rs` holds the recursion. [`schedule`] and [`checkpointed`] trade memory for operations, and
-//! [`batch`] splits samples over threads.
+//! - [`rollout`]: forward pass of a task under a policy.
+//! - [`adjoint`]: reverse pass for the flows R, M, N and S of one forward pass.
+//!   `adjoint/recursion.rs` contains the recursion.
+//! - [`schedule`], [`checkpointed`]: recomputation of steps in place of stored ones.
+//! - [`batch`]: mini-batches and data sets, split over threads.
+//! - [`gradient`], [`growth`], [`divergence`]: results and errors of the passes.
+//! - [`any`]: object-safe tasks and systems. [`parallel`]: threads.
 //!
-//! Imports `numbers`, `dynamics` and `policy`. Knows no concrete task. Start reading in `rollout.rs`.
+//! Imports `numbers`, `dynamics` and `policy`, but no concrete task. Start in `rollout.rs`.
 
 pub(crate) mod adjoint;
 pub mod any;

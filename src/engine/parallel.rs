@@ -1,6 +1,8 @@
-//! Work on several threads, of which there is one piece of code whatever the work is.
+//! Rayon wrappers that take the work as a trait object, which limits monomorphization.
 
-/// `work(i, item)` for every item; in parallel where that is compiled in and there is more than one.
+/// Calls `work(i, item)` for each item.
+///
+/// Runs in parallel with the feature `parallel` and at least two items.
 pub(crate) fn for_each<W: Send>(items: &mut [W], work: &(dyn Fn(usize, &mut W) + Sync)) {
     #[cfg(feature = "parallel")]
     if items.len() > 1 {
@@ -10,8 +12,10 @@ pub(crate) fn for_each<W: Send>(items: &mut [W], work: &(dyn Fn(usize, &mut W) +
     items.iter_mut().enumerate().for_each(|(i, item)| work(i, item));
 }
 
-/// Does it on one of the threads that [`for_each`] has rather than waiting for them: half the work then starts without waking
-/// anybody.
+/// Runs `work` on a thread of the pool of [`for_each`].
+///
+/// Parallel calls within `work` then start their first half on the calling thread, without waking
+/// another one.
 #[cfg(feature = "parallel")]
 pub(crate) fn among_workers(work: &mut (dyn FnMut() + Send)) {
     rayon::scope(|_| work());

@@ -1,4 +1,4 @@
-//! [`Rollout`]: the forward pass of a batch of samples, and where it diverged.
+//! [`Rollout`]: forward pass of a batch of samples.
 
 mod moves;
 mod room;
@@ -17,37 +17,40 @@ use std::ops::Range;
 pub use step::StepForward;
 pub(crate) use step::{FEW, read_lane};
 
-/// Samples that go through the physics together.
+/// Number of samples in a block, which the physics steps together.
 pub(crate) const WIDTH: usize = 8;
 
-/// Steps whose parameter gradient is one sum, whatever is kept of a trajectory and whatever is run again.
+/// Number of steps in a unit. All schedules sum the parameter gradient over one unit at a time.
 ///
-/// Not fewer than the horizons of the paper, and so many that adding up the sums costs nothing beside making them. Odd,
-/// so that the columns of neighbouring samples do not compete for the same places in the cache.
+/// A unit covers the horizons of the paper, and is large enough that adding up the sums is
+/// negligible. It is odd, so that columns of neighbouring samples do not compete for the same cache
+/// sets.
 pub(crate) const UNIT: usize = 129;
 
-/// One state or control component of [`WIDTH`] samples.
+/// State or control component of [`WIDTH`] samples.
 pub(crate) type Lane<F> = Lanes<F, WIDTH>;
 
-/// A batch of rollouts: sized once, then run as often as one likes without allocating.
+/// Batch of rollouts. The constructor allocates everything; runs do not allocate.
 ///
-/// With a tape it keeps the trajectory and what the policy's derivative needs, for [`Adjoint`](crate::Adjoint); without
-/// one ([`Rollout::for_evaluation`]) it keeps a single step, and computes the same bits.
+/// With a tape it stores the trajectory and the values that [`Adjoint`](crate::Adjoint) needs.
+/// Without one ([`Rollout::for_evaluation`]) it stores a single step, and results are bitwise
+/// equal.
 #[derive(Debug)]
 pub struct Rollout<F: Float> {
     capacity: usize,
-    /// Samples started, at most the capacity.
+    /// Number of samples started, at most `capacity`.
     pub(crate) samples: usize,
     pub(crate) state_dim: usize,
     pub(crate) control_dim: usize,
     pub(crate) horizon: usize,
-    /// The last steps that are kept: the horizon, a multiple of [`UNIT`], or 1.
+    /// Number of stored steps, the last ones: the horizon, a multiple of [`UNIT`], or 1.
     pub(crate) kept: usize,
-    /// `[step][block][component]`, `kept + 1` steps; step `t` is in place of step `t - kept - 1`.
+    /// States, `[step][block][component]`, a ring buffer of `kept + 1` steps.
     states: Vec<Lane<F>>,
-    /// `[step][block][component]`, `kept` steps; step `t` is in place of step `t - kept`.
+    /// Controls, `[step][block][component]`, a ring buffer of `kept` steps.
     controls: Vec<Lane<F>>,
-    /// Policy columns `[unit][sample][step][component]`, so that what is one sum lies together.
+    /// Policy inputs as columns, `[unit][sample][step][component]`. The columns of one sum are
+    /// contiguous.
     inputs: Vec<F>,
     outputs: Vec<F>,
     pub(crate) tape: Aligned<F>,
@@ -55,17 +58,23 @@ pub struct Rollout<F: Float> {
 }
 
 impl<F: Float> Rollout<F> {
-    /// Room for `samples` rollouts that can be differentiated.
+    /// Allocates `samples` rollouts with a tape.
+    ///
+    /// # Panics
+    /// If `samples` or the horizon is 0, or if the shapes of task and policy differ.
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize) -> Self {
         Self::with_steps(task, policy, samples, task.horizon())
     }
 
-    /// Room for `samples` rollouts of which only the costs and the last state are wanted.
+    /// Allocates `samples` rollouts without a tape, for costs and last states.
+    ///
+    /// # Panics
+    /// As [`new`](Rollout::new).
     pub fn for_evaluation(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize) -> Self {
         Self::with_steps(task, policy, samples, 1)
     }
 
-    /// Room for `samples` rollouts of which the last `kept` steps can be differentiated.
+    /// Allocates `samples` rollouts that store the last `kept` steps for differentiation.
     #[track_caller]
     pub(crate) fn with_steps(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> Self {
         let (n, m) = (task.state_dim(), task.control_dim());
@@ -97,28 +106,29 @@ impl<F: Float> Rollout<F> {
         self.samples
     }
 
-    /// Number of samples there is room for.
+    /// Largest number of samples.
     pub fn capacity(&self) -> usize {
         self.capacity
     }
 
-    /// Bytes on the heap. They do not depend on how many samples are started; without a tape they do not on the horizon
-    /// either.
+    /// Bytes on the heap, independent of the number of samples started. Without a tape, they are
+    /// also independent of the horizon.
     pub fn stored_bytes(&self) -> usize {
         let lanes = [&self.states, &self.controls, &self.costs].map(|lanes| size_of_val(&lanes[..]));
         let numbers = [&self.inputs, &self.outputs].map(|numbers| size_of_val(&numbers[..]));
         lanes.into_iter().chain(numbers).sum::<usize>() + self.tape.stored_bytes()
     }
 
-    /// The [`stored_bytes`](Rollout::stored_bytes) of a rollout that keeps so many steps.
+    /// Returns the [`stored_bytes`](Rollout::stored_bytes) of a rollout that stores `kept` steps.
     pub(crate) fn bytes_of(policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> usize {
         Room::new(policy, samples, kept).bytes::<F>()
     }
 
-    /// Sets the start states, `state_dim` numbers per sample. There may be fewer samples than there is room for.
+    /// Sets the initial states, `state_dim` numbers per sample. Their number may be below the
+    /// capacity.
     ///
     /// # Panics
-    /// If `starts` is empty, no whole number of samples, or too long.
+    /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples.
     #[track_caller]
     pub fn start(&mut self, starts: &[F]) {
         let n = self.state_dim;
@@ -133,7 +143,7 @@ impl<F: Float> Rollout<F> {
         let len = self.blocks() * n;
         for (block, x) in self.states[..len].chunks_exact_mut(n).enumerate() {
             for lane in 0..WIDTH {
-                // Lanes without a sample repeat the last one: they cost nothing and stay as finite as it does.
+                // Unused lanes repeat the last sample, so they are as finite as it is.
                 let sample = (block * WIDTH + lane).min(samples - 1);
                 for (x, &start) in x.iter_mut().zip(&starts[sample * n..]) {
                     x.set_lane(lane, start);
@@ -142,17 +152,17 @@ impl<F: Float> Rollout<F> {
         }
     }
 
-    /// Runs all samples from their start states. Stops at the first step with a non-finite state or control.
+    /// Runs all samples from their initial states. Stops at the first non-finite state or control.
     ///
     /// # Errors
-    /// [`Divergence`] says where a control, state or cost was not finite.
+    /// [`Divergence`] if a control, state or cost is not finite.
     pub fn run(&mut self, task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &Weights<F>) -> Result<(), Divergence> {
         self.costs.fill(Lane::zero());
         self.advance(task, policy, weights, 0..self.horizon)?;
         self.finish(task)
     }
 
-    /// Runs the given steps, from a state that is there. Their costs are added to what there is.
+    /// Runs `steps` from the stored state at their start, and adds their costs.
     pub(crate) fn advance(
         &mut self,
         task: &dyn AnyTask<F>,
@@ -163,8 +173,9 @@ impl<F: Float> Rollout<F> {
         steps.into_iter().try_for_each(|t| self.step(task, policy, weights, t))
     }
 
-    /// The same where only the state they lead to is wanted: in the room of one step, which stays in the cache. What was
-    /// kept is lost.
+    /// Runs `steps` with storage for one step, which stays in the cache.
+    ///
+    /// Only the last state is available afterwards; previously stored steps are lost.
     pub(crate) fn pass_over(
         &mut self,
         task: &dyn AnyTask<F>,
@@ -178,7 +189,9 @@ impl<F: Float> Rollout<F> {
         outcome
     }
 
-    /// Keeps so many steps from now on, of which there is the state at step `t`. Returns how many there were.
+    /// Changes the number of stored steps to `kept` and moves the state at step `t` into place.
+    ///
+    /// Returns the previous number.
     fn keep_from(&mut self, t: usize, kept: usize) -> usize {
         let from = self.state_range(t);
         let before = std::mem::replace(&mut self.kept, kept);
@@ -187,7 +200,7 @@ impl<F: Float> Rollout<F> {
         before
     }
 
-    /// Adds the terminal costs, and says whether all costs are finite.
+    /// Adds the terminal costs. Returns an error if a cost is not finite.
     pub(crate) fn finish(&mut self, task: &dyn AnyTask<F>) -> Result<(), Divergence> {
         let last = self.state_range(self.horizon);
         for (x, cost) in self.states[last].chunks_exact(self.state_dim).zip(&mut self.costs) {
@@ -214,7 +227,7 @@ impl<F: Float> Rollout<F> {
         let controls = &mut self.controls[blocks * m * (t % self.kept)..][..blocks * m];
         scatter(&self.outputs, m, at, controls);
 
-        // The two steps are neighbours, in either order.
+        // The two slots are adjacent, or the first and the last of the ring.
         let (x, next) = if now.start < next.start {
             let (before, after) = self.states.split_at_mut(next.start);
             (&before[now], &mut after[..next.len()])
@@ -239,31 +252,31 @@ impl<F: Float> Rollout<F> {
         Err(Divergence::Forward { variable, step, sample, component, cause })
     }
 
-    /// The policy's columns of step `t`, one per sample.
+    /// Policy columns of step `t`, one per sample.
     pub(crate) fn columns(&self, t: usize) -> PolicyColumns {
         if self.kept < UNIT {
             return PolicyColumns { first: t % self.kept, step: self.kept, count: self.samples };
         }
         let unit = t / UNIT * UNIT;
-        // Where all is kept, a comparison is cheaper than a division at every step.
+        // The comparison avoids a division per step if everything is stored.
         let place = if unit < self.kept { unit } else { unit % self.kept };
         let step = UNIT.min(self.horizon - unit);
         PolicyColumns { first: place * self.samples + t - unit, step, count: self.samples }
     }
 
-    /// The steps unit after unit, the last first, as a reverse pass comes by them. They begin with a unit.
+    /// Units of `steps` in reverse order. `steps` must start with a unit.
     pub(crate) fn units(steps: Range<usize>) -> impl Iterator<Item = Range<usize>> {
         steps.clone().step_by(UNIT).rev().map(move |first| first..steps.end.min(first + UNIT))
     }
 
-    /// The policy's columns of some samples at the steps of a unit.
+    /// Policy columns of `samples` at the steps of a unit.
     pub(crate) fn columns_of(&self, unit: &Range<usize>, samples: Range<usize>) -> PolicyColumns {
         let PolicyColumns { first, step, .. } = self.columns(unit.start);
         debug_assert_eq!(step, unit.len(), "{unit:?} are not the steps of a unit");
         PolicyColumns::range(first + samples.start * step..first + samples.end * step)
     }
 
-    /// The policy's inputs, as its columns.
+    /// Policy inputs, as columns.
     pub(crate) fn inputs(&self) -> &[F] {
         &self.inputs[..self.samples * self.kept * self.state_dim]
     }
@@ -278,37 +291,37 @@ impl<F: Float> Rollout<F> {
         slot * len..(slot + 1) * len
     }
 
-    /// All states at step `t`, blocks of [`WIDTH`] samples.
+    /// States of all samples at step `t`, in blocks of [`WIDTH`].
     pub(crate) fn states_at(&self, t: usize) -> &[Lane<F>] {
         &self.states[self.state_range(t)]
     }
 
-    /// The same, to be set.
+    /// Mutable [`states_at`](Self::states_at).
     pub(crate) fn states_at_mut(&mut self, t: usize) -> &mut [Lane<F>] {
         let range = self.state_range(t);
         &mut self.states[range]
     }
 
-    /// All controls at step `t`, blocks of [`WIDTH`] samples.
+    /// Controls of all samples at step `t`, in blocks of [`WIDTH`].
     pub(crate) fn controls_at(&self, t: usize) -> &[Lane<F>] {
         let len = self.blocks() * self.control_dim;
         &self.controls[len * (t % self.kept)..][..len]
     }
 
-    /// Whether the whole trajectory is kept.
+    /// Returns true if all steps are stored.
     pub(crate) fn has_tape(&self) -> bool {
         self.kept == self.horizon
     }
 
-    /// Cost of one sample.
+    /// Cost of `sample`.
     pub fn cost(&self, sample: usize) -> F {
         self.costs[sample / WIDTH].lane(sample % WIDTH)
     }
 
-    /// Component `i` of the state of `sample` at step `t` (0 is the start, `horizon` the end).
+    /// Component `i` of the state of `sample` at step `t`, from 0 (initial state) to `horizon`.
     ///
     /// # Panics
-    /// If that step was not kept: without a tape only the last is.
+    /// If that step is not stored. Without a tape, the last one and its predecessor are stored.
     #[track_caller]
     pub fn state(&self, t: usize, sample: usize, i: usize) -> F {
         assert!(t <= self.horizon && t + self.kept >= self.horizon, "step {t} was not kept");
@@ -318,7 +331,7 @@ impl<F: Float> Rollout<F> {
     /// Component `i` of the control of `sample` at step `t`, `t < horizon`.
     ///
     /// # Panics
-    /// If that step was not kept: without a tape only the last is.
+    /// If that step is not stored. Without a tape, only the last one is.
     #[track_caller]
     pub fn control(&self, t: usize, sample: usize, i: usize) -> F {
         assert!(t < self.horizon && t + self.kept >= self.horizon, "step {t} was not kept");

@@ -1,7 +1,7 @@
-//! [`Schedule`]: what is kept of a trajectory for the reverse pass, and what is run again.
+//! [`Schedule`]: stored and recomputed steps of a trajectory.
 //!
-//! A trajectory is cut into segments. The reverse pass needs the tape of one segment at a time; a segment whose tape is
-//! gone is run again from the nearest state before it that was kept, a checkpoint.
+//! A trajectory is cut into segments. The reverse pass needs the tape of one segment at a time. A
+//! segment without a tape is recomputed from the nearest stored state before it, its checkpoint.
 
 mod budget;
 
@@ -10,13 +10,15 @@ pub use budget::MemoryError;
 use crate::engine::rollout::UNIT;
 use std::ops::Range;
 
-/// What is kept of a trajectory: the tape of one segment, and the states at the start of some segments.
+/// Checkpointing schedule: stores the tape of one segment, and the states at the start of some
+/// segments.
 ///
-/// Gradients have the same bits with every schedule.
+/// All schedules yield bitwise equal gradients.
 ///
-/// With `s` checkpoints over `l` segments, as many steps are run again as the optimum of Griewank and Walther, "Algorithm
-/// 799: revolve", 2000, [doi:10.1145/347837.347846](https://doi.org/10.1145/347837.347846). The first checkpoint is the
-/// start state, and the last segment's tape is there when the forward pass ends.
+/// With `s` checkpoints over `l` segments, the number of recomputed steps is the optimum of
+/// Griewank and Walther, "Algorithm 799: revolve", 2000,
+/// [doi:10.1145/347837.347846](https://doi.org/10.1145/347837.347846). The first checkpoint is the
+/// initial state. The forward pass leaves the tape of the last segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Schedule {
     horizon: usize,
@@ -25,11 +27,15 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Steps of which segments are whole multiples: parameter gradients are summed over so many steps at a time,
-    /// whatever the schedule. Rollouts that are no longer are always kept as a whole.
+    /// Number of steps in a unit. Segments consist of whole units.
+    ///
+    /// All schedules sum the parameter gradient over one unit at a time. Rollouts of at most one
+    /// unit are always stored completely.
     pub const UNIT: usize = UNIT;
 
-    /// Segments of so many steps, rounded up to whole units, with at most so many checkpoints.
+    /// Creates a schedule with segments of `segment` steps, rounded up to whole units.
+    ///
+    /// `checkpoints` is an upper bound on the number of checkpoints.
     ///
     /// # Panics
     /// If a number is 0.
@@ -39,42 +45,46 @@ impl Schedule {
         assert!(segment > 0, "a segment needs at least one step");
         assert!(checkpoints > 0, "the start state is a checkpoint: at least 1 is needed");
         let segment = if horizon <= segment { horizon } else { horizon.min(segment.div_ceil(UNIT) * UNIT) };
-        // The last segment needs none: it is run but once.
+        // The last segment needs no checkpoint: it is never recomputed.
         let useful = horizon.div_ceil(segment) - 1;
         Self { horizon, segment, checkpoints: checkpoints.min(useful) }
     }
 
-    /// Everything: one segment, and nothing is run again.
+    /// Stores everything: one segment, no recomputation.
     #[track_caller]
     pub fn store_all(horizon: usize) -> Self {
         Self::new(horizon, horizon, 1)
     }
 
-    /// Segments of about √horizon steps with a checkpoint each: all but the last are run twice.
+    /// Uses segments of about √horizon steps with one checkpoint each. Recomputes each segment
+    /// once, except for the last.
     #[track_caller]
     pub fn two_level(horizon: usize) -> Self {
         let segment = (horizon as f64).sqrt() / UNIT as f64;
         Self::new(horizon, (segment.round() as usize).max(1) * UNIT, usize::MAX)
     }
 
-    /// The shortest segments, with so many checkpoints, the start state among them: memory for a given number of repeats
-    /// grows slower than any power of the horizon.
+    /// Uses the shortest segments and at most `checkpoints` checkpoints, including the initial
+    /// state.
+    ///
+    /// For a fixed number of repetitions, memory grows slower than any power of the horizon.
     #[track_caller]
     pub fn binomial(horizon: usize, checkpoints: usize) -> Self {
         Self::new(horizon, UNIT, checkpoints)
     }
 
-    /// Steps of the rollout.
+    /// Number of steps of the rollout.
     pub fn horizon(&self) -> usize {
         self.horizon
     }
 
-    /// Steps of a segment; the last may have fewer.
+    /// Number of steps of a segment. The last segment may be shorter.
     pub fn segment(&self) -> usize {
         self.segment
     }
 
-    /// States that are kept, of every sample, beside those of one segment; none if that is all there is.
+    /// Number of states stored per sample in addition to one segment. 0 if there is only one
+    /// segment.
     pub fn checkpoints(&self) -> usize {
         self.checkpoints
     }
@@ -84,21 +94,24 @@ impl Schedule {
         self.horizon.div_ceil(self.segment)
     }
 
-    /// Steps that are run again in a reverse pass, beyond the `horizon` steps of the forward pass.
+    /// Number of steps recomputed in the reverse pass, beyond the `horizon` steps of the forward
+    /// pass.
     pub fn recomputed_steps(&self) -> u64 {
-        // The last segment, the only one that may be shorter, is not among them.
+        // The last segment is never recomputed. All others have full length.
         let again = again(self.segments() as u64, self.checkpoints as u64);
         again.saturating_mul(self.segment as u64)
     }
 
-    /// The steps of segment number `index`.
+    /// Steps of segment `index`.
     pub(crate) fn steps(&self, index: usize) -> Range<usize> {
         index * self.segment..self.horizon.min((index + 1) * self.segment)
     }
 }
 
-/// β(s, r) = C(s + r, s): the most segments that can be reversed with `s` checkpoints if none is run more than `r` times
-/// before its tape is made. Huge ones are cut off.
+/// Returns β(s, r) = C(s + r, s), saturating at 2^62.
+///
+/// β is the largest number of segments that can be reversed with `s` checkpoints, if each runs at
+/// most `r` times before its tape is made.
 fn reach(s: u64, r: u64) -> u64 {
     const HUGE: u128 = 1 << 62;
     let (few, many) = (s.min(r) as u128, s.max(r) as u128);
@@ -112,7 +125,7 @@ fn reach(s: u64, r: u64) -> u64 {
     product as u64
 }
 
-/// The smallest `r` with β(s, r) ≥ l.
+/// Returns the smallest `r` with β(s, r) ≥ l.
 fn repeats(l: u64, s: u64) -> u64 {
     let (mut r, mut reached) = (0, 1);
     while reached < u128::from(l) {
@@ -122,8 +135,9 @@ fn repeats(l: u64, s: u64) -> u64 {
     r as u64
 }
 
-/// The fewest segments that are run without need of their tape, to reverse `l` of them with `s` checkpoints: as many as
-/// are run again in all. `r·l - β(s + 1, r - 1)`, theorem 1 there.
+/// Returns the smallest number of recomputed segments to reverse `l` segments with `s` checkpoints.
+///
+/// The result is `r·l - β(s + 1, r - 1)`, theorem 1 of Griewank and Walther 2000.
 fn again(l: u64, s: u64) -> u64 {
     match repeats(l, s) {
         0 => 0,
@@ -131,14 +145,16 @@ fn again(l: u64, s: u64) -> u64 {
     }
 }
 
-/// How many of `l ≥ 2` segments to run before the next checkpoint, where there is room for `s ≥ 1`, the one at the start of
-/// these segments included: any of the best.
+/// Returns an optimal number of segments to run before the next checkpoint.
+///
+/// `l ≥ 2` segments remain. `s ≥ 1` checkpoints are available, including the one at their start.
 pub(crate) fn split(l: usize, s: usize) -> usize {
     if s == 1 {
         return l - 1;
     }
     let (l, s) = (l as u64, s as u64);
     let r = repeats(l, s);
-    // What comes first can be run once more than what comes after, which has a checkpoint less.
+    // Both parts must fit the optimum: the first with s checkpoints and r - 1 more runs, the second
+    // with s - 1 checkpoints.
     reach(s, r - 1).min(l - reach(s - 1, r - 1)) as usize
 }

@@ -1,16 +1,17 @@
-//! [`Aligned`]: numbers that begin at a cache line.
+//! [`Aligned`]: a buffer aligned to a cache line.
 
 use crate::numbers::scalar::Float;
 use std::ops::{Deref, DerefMut};
 
-/// Bytes of a cache line, and of the widest register.
+/// Bytes of a cache line and of the widest vector register.
 const LINE: usize = 64;
 
-/// Numbers that begin at a cache line. Matrices are padded to whole lines, so that no register of theirs lies in two, which
-/// takes a twentieth longer.
+/// A fixed-size buffer aligned to a cache line.
+///
+/// With matrices padded to whole cache lines, no vector load crosses a line, which would be slower.
 #[derive(Debug)]
 pub(crate) struct Aligned<F> {
-    /// The numbers, wherever in here a line begins.
+    /// Allocation that contains the numbers at `begin .. begin + len`.
     room: Vec<F>,
     begin: usize,
     len: usize,
@@ -25,17 +26,19 @@ impl<F> Aligned<F> {
         Self { begin: Self::line(&room, len), room, len }
     }
 
-    /// Where in the room the numbers are. If it cannot be told where a line begins, anywhere: no result depends on it.
+    /// Offset of the first aligned entry of `room`, limited to leave `len` entries.
+    ///
+    /// `align_offset` may fail to find one. No result depends on the alignment.
     fn line(room: &[F], len: usize) -> usize {
         room.as_ptr().align_offset(LINE).min(room.len() - len)
     }
 
-    /// Bytes on the heap.
+    /// Number of bytes on the heap.
     pub(crate) fn stored_bytes(&self) -> usize {
         size_of_val(&self.room[..])
     }
 
-    /// The [`stored_bytes`](Aligned::stored_bytes) of so many.
+    /// The [`stored_bytes`](Aligned::stored_bytes) of a buffer of `len` numbers.
     pub(crate) fn bytes_of(len: usize) -> usize {
         Self::room_for(len) * size_of::<F>()
     }
@@ -47,7 +50,7 @@ impl<F> Aligned<F> {
 
 impl<F: Clone> Clone for Aligned<F> {
     fn clone(&self) -> Self {
-        // Elsewhere, a line may begin elsewhere.
+        // The copy may have another alignment: move the numbers to its first aligned entry.
         let (mut room, len) = (self.room.clone(), self.len);
         let begin = Self::line(&room, len);
         if begin >= self.begin {
@@ -81,7 +84,7 @@ mod tests {
     fn numbers_begin_at_a_line_wherever_they_are_cloned_to() {
         let mut numbers = Aligned::<f64>::zeros(5);
         numbers.copy_from_slice(&[1.0, 2.0, 3.0, 4.0, 5.0]);
-        // Kept, so that each is in another place.
+        // Store all clones, so that their addresses differ.
         let clones: Vec<(Aligned<f64>, Vec<u8>)> = (0..40).map(|i| (numbers.clone(), vec![0; 16 * i])).collect();
         for (clone, _) in &clones {
             assert_eq!(clone[..], [1.0, 2.0, 3.0, 4.0, 5.0]);

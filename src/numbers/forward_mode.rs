@@ -1,23 +1,24 @@
-//! Jacobians by dual numbers: the default derivatives.
+//! Forward-mode Jacobians by dual numbers, used by all default derivatives.
 
 use crate::numbers::scalar::{Dual, Real};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 use std::ops::Range;
 
-/// Directions carried through one evaluation, of which each has a number for every lane.
+/// Number of tangent directions per evaluation.
 pub(crate) const CHUNK: usize = 4;
 
-/// What derivatives of `R` run on, all lanes at once.
+/// Dual number over `R` with [`CHUNK`] tangents.
 pub(crate) type Chunk<R> = Dual<R, CHUNK>;
 
-/// Outputs and inputs up to here live on the stack.
+/// Half the stack capacity of a [`Buffer`].
 const STACK: usize = 32;
 type Buffer<T> = SmallVec<[T; 2 * STACK]>;
 
-/// Calls `visit(i, column)` with `column[j] = ∂f_j/∂input_i`, for every input `i` in `wrt`.
+/// Calls `visit(i, column)` with `column[j] = ∂f_j/∂input_i`, in order, for all inputs `i` in
+/// `wrt`.
 ///
-/// `f` maps all `inputs` to `outputs` numbers.
+/// `f` maps all `inputs` to `outputs` numbers. Each evaluation yields up to [`CHUNK`] columns.
 #[inline(always)]
 pub(crate) fn jacobian<R: Real>(
     inputs: &[R],
@@ -45,7 +46,7 @@ pub(crate) fn jacobian<R: Real>(
     }
 }
 
-/// The inputs `x` and then `u` in one slice.
+/// Concatenates `x` and `u`. Allocates beyond 16 numbers.
 #[inline(always)]
 pub(crate) fn concat<R: Real>(x: &[R], u: &[R]) -> SmallVec<[R; 16]> {
     x.iter().chain(u).copied().collect()

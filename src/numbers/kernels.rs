@@ -1,8 +1,8 @@
-//! The three loops that decide the speed of training: matrix products, the tanh of a layer, and sine with cosine; and the room
-//! that steps work in.
+//! Vectorized kernels: matrix products, elementwise functions, sine and cosine, and workspaces.
 //!
-//! Users build with default flags, so the instruction set is chosen at run time; a portable path serves every other
-//! processor. Nothing of the library outside this module is `unsafe`.
+//! The instruction set is chosen at run time ([`Level`]), since builds use default target flags. A
+//! portable path serves all other processors. Contains the only unsafe code of the library. Start
+//! with [`dispatch`].
 
 pub mod elementwise;
 pub mod gemm;
@@ -12,10 +12,10 @@ pub mod trig;
 
 use std::sync::OnceLock;
 
-/// The instruction set that the kernels use, slowest first; every processor that has one has those before it.
+/// Instruction set of the kernels, in ascending order. Each level implies the levels before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd)]
 pub enum Level {
-    /// Plain Rust, vectorized as the build's target allows.
+    /// Plain Rust, vectorized for the target of the build.
     Portable,
     /// AVX2 and fused multiply-add.
     #[cfg(target_arch = "x86_64")]
@@ -26,7 +26,7 @@ pub enum Level {
 }
 
 impl Level {
-    /// Every level of this processor, slowest first.
+    /// All levels of this processor, in ascending order.
     pub fn available() -> Vec<Level> {
         #[allow(unused_mut)]
         let mut levels = vec![Level::Portable];
@@ -44,17 +44,17 @@ impl Level {
         levels
     }
 
-    /// The fastest level of this processor, looked up once.
+    /// The highest level of this processor. Cached after the first call.
     #[inline]
     pub fn best() -> Level {
         static BEST: OnceLock<Level> = OnceLock::new();
         *BEST.get_or_init(|| Level::available().pop().unwrap_or(Level::Portable))
     }
 
-    /// The level itself.
+    /// Returns the level.
     ///
     /// # Panics
-    /// If this processor does not have it.
+    /// If this processor does not support it.
     #[inline]
     fn checked(self) -> Level {
         assert!(self <= Level::best(), "this processor has no {self:?}");
@@ -62,14 +62,19 @@ impl Level {
     }
 }
 
-/// Work that is compiled once per instruction set. `run` must be `#[inline(always)]`: what is not inlined into the
-/// dispatching function is compiled without its instructions (still right, only slower).
+/// Code to be compiled once per instruction set.
+///
+/// Implement `run` as `#[inline(always)]`. Code that is not inlined into the dispatching function
+/// is compiled for the default target: correct, but slower.
 pub trait Vectorized {
-    /// Does the work.
+    /// Executes the code. `FMA` states whether fused multiply-add is an instruction.
     fn run<const FMA: bool>(self);
 }
 
-/// Runs the work with the instructions of `level`.
+/// Runs `work` with the instructions of `level`.
+///
+/// # Panics
+/// If this processor does not support `level`.
 #[inline]
 pub fn dispatch(level: Level, work: impl Vectorized) {
     #[cfg(target_arch = "x86_64")]
@@ -84,7 +89,7 @@ pub fn dispatch(level: Level, work: impl Vectorized) {
         }
         match level.checked() {
             Level::Portable => {}
-            // SAFETY: it is checked that this processor has the level's instructions.
+            // SAFETY: `checked` asserts that this processor supports the level.
             Level::Avx2 => return unsafe { avx2(work) },
             Level::Avx512 => return unsafe { avx512(work) },
         }
@@ -93,20 +98,24 @@ pub fn dispatch(level: Level, work: impl Vectorized) {
     work.run::<false>();
 }
 
-/// Whether work on simulators goes through samples in lanes. On an x86-64 without AVX2 they go one by one, with the same
-/// bits: such processors are old, and every simulator would have to be compiled in lanes for them once more.
+/// Whether simulators process samples in lanes, given the `FMA` of the current dispatch.
+///
+/// On x86-64 without AVX2, samples are processed one by one with bit-identical results. This avoids
+/// a second compilation of all simulators in lanes for such processors.
 #[inline(always)]
 pub(crate) fn in_lanes<const FMA: bool>() -> bool {
     FMA || !cfg!(target_arch = "x86_64")
 }
 
-/// Whether rollouts on this processor go in lanes, see [`in_lanes`].
+/// Whether rollouts on this processor use lanes; see [`in_lanes`].
 pub(crate) fn has_lanes() -> bool {
     Level::best() != Level::Portable || !cfg!(target_arch = "x86_64")
 }
 
-/// As [`dispatch`], with AVX2 at most: simulators are compiled once per level, and eight lanes gain little from wider
-/// registers.
+/// Runs `work` with AVX2 if available, else with the portable path.
+///
+/// Used for simulators. Eight lanes gain little from wider registers, and a further level would
+/// increase compile time.
 #[inline]
 pub fn dispatch_narrow(work: impl Vectorized) {
     #[cfg(target_arch = "x86_64")]
@@ -116,14 +125,17 @@ pub fn dispatch_narrow(work: impl Vectorized) {
             work.run::<true>();
         }
         if Level::best() != Level::Portable && !portable::is_forced() {
-            // SAFETY: every level but the portable one has these instructions.
+            // SAFETY: all levels above `Portable` include these instructions.
             return unsafe { avx2(work) };
         }
     }
     work.run::<false>();
 }
 
-/// As [`dispatch_narrow`], for work on lanes alone, which the loops of an x86-64 without AVX2 do not use.
+/// Runs `work` on lanes with AVX2; portably on other architectures than x86-64.
+///
+/// # Panics
+/// On x86-64 without AVX2, where simulators do not use lanes (see [`in_lanes`]).
 #[inline]
 pub(crate) fn dispatch_lanes(work: impl Vectorized) {
     #[cfg(target_arch = "x86_64")]
@@ -133,14 +145,14 @@ pub(crate) fn dispatch_lanes(work: impl Vectorized) {
             work.run::<true>();
         }
         assert!(Level::best() != Level::Portable, "systems take eight lanes at once only with AVX2, else four");
-        // SAFETY: every level but the portable one has these instructions.
+        // SAFETY: all levels above `Portable` include these instructions.
         unsafe { avx2(work) }
     }
     #[cfg(not(target_arch = "x86_64"))]
     work.run::<false>();
 }
 
-/// What an old processor would do, for tests.
+/// Forces the portable path of [`dispatch_narrow`], for tests.
 #[cfg(test)]
 pub(crate) mod portable {
     use std::cell::Cell;
@@ -153,7 +165,8 @@ pub(crate) mod portable {
         FORCED.get()
     }
 
-    /// Does the work, on this thread, without the instructions of [`dispatch_narrow`](super::dispatch_narrow).
+    /// Runs `work` with [`dispatch_narrow`](super::dispatch_narrow) forced to the portable path on
+    /// this thread.
     pub(crate) fn force<T>(work: impl FnOnce() -> T) -> T {
         FORCED.set(true);
         let result = work();

@@ -1,10 +1,13 @@
-//! Numbers that simulators compute with, and the loops over them.
+//! Scalar types, vectorized kernels and random streams.
 //!
-//! [`scalar`] holds the traits: a simulator is written once against [`Scalar`](scalar::Scalar) and runs on plain floats, SIMD
-//! lanes, dual numbers, operation counters and double-doubles. [`kernels`] holds the matrix product and elementary functions
-//! for the processor at hand, and the only unsafe code of the library. [`rng`] holds seeded random streams.
+//! - [`scalar`]: traits of scalars. A simulator is generic over [`Scalar`](scalar::Scalar). It runs
+//!   on floats, SIMD lanes, dual numbers, operation counters and double-doubles.
+//! - [`kernels`]: the matrix product and elementary functions, dispatched by instruction set at run
+//!   time. Contains the only unsafe code of the library.
+//! - [`rng`]: seeded random streams.
 //!
-//! Imports nothing of the crate. Every other module may import it. Start reading in `scalar.rs`.
+//! Imports no other module of the crate; every other module may import it. Start reading in
+//! `scalar.rs`.
 
 pub(crate) mod aligned;
 pub(crate) mod forward_mode;

@@ -1,16 +1,16 @@
-//! Random numbers that are the same on every machine: one PCG stream for every (seed, purpose, index).
+//! Reproducible random numbers: one PCG stream per (seed, purpose, index), equal on all machines.
 
 use rand::SeedableRng;
 
-/// The generator that [`Task::start`](crate::Task::start) and [`Policy::init`](crate::Policy::init) draw from.
+/// Generator for [`Task::start`](crate::Task::start) and [`Policy::init`](crate::Policy::init).
 pub type Rng = rand_pcg::Pcg64Mcg;
 
-/// What a stream of random numbers is for.
+/// Purpose of a random stream. Streams of different purposes are independent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// Start states to train on.
+    /// Initial states of the training set.
     Train = 1,
-    /// Start states to test on.
+    /// Initial states of the test set.
     Test = 2,
     /// Initial parameters of the policy.
     Policy = 3,
@@ -20,7 +20,9 @@ pub enum Purpose {
     Check = 5,
 }
 
-/// The stream of one (seed, purpose, index): sample 7 is the same whether 8 or 256 samples are drawn.
+/// The stream of one (seed, purpose, index).
+///
+/// With the index of a sample, the draw is independent of the number of samples.
 pub fn stream(seed: u64, purpose: Purpose, index: u64) -> Rng {
     let mut state = seed;
     for word in [purpose as u64, index] {
@@ -29,7 +31,7 @@ pub fn stream(seed: u64, purpose: Purpose, index: u64) -> Rng {
     Rng::seed_from_u64(state)
 }
 
-/// SplitMix64's output function (Steele, Lea, Flood 2014, doi:10.1145/2660193.2660195).
+/// Output function of SplitMix64 (Steele, Lea and Flood 2014, doi:10.1145/2660193.2660195).
 fn mix(word: u64) -> u64 {
     let z = word.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

@@ -1,9 +1,12 @@
-//! The numbers a simulator computes with.
+//! Scalar types for simulators. Start with [`Scalar`].
 //!
-//! A system is written once against [`Scalar`] and then runs on `f32` and `f64`, on SIMD lanes, on [`Dual`] numbers, which
-//! by default compute its derivatives, and on num-dual's, which check them. [`Real`] is a scalar without derivative;
-//! [`Float`] is one number of one precision; [`Counted`] is an `f64` that counts its operations; a [`Cotangent`] is what
-//! a reverse pass carries.
+//! - [`Scalar`]: the trait that simulators are generic over.
+//! - [`Real`]: a scalar without derivatives. [`Float`]: `f32` or `f64`.
+//! - [`Lanes`]: several samples in one SIMD number.
+//! - [`Dual`]: forward-mode derivatives, the default derivatives of systems. The numbers of the
+//!   crate num-dual check them.
+//! - [`Counted`]: an `f64` that counts its operations.
+//! - [`Cotangent`]: the adjoint quantity of a reverse pass. [`Columns`]: several of them.
 
 mod counted;
 #[cfg(feature = "double-double")]
@@ -23,10 +26,11 @@ pub use lanes::Lanes;
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
-/// A number a simulator computes with: `f32`, `f64`, their lanes, and duals of all of them.
+/// A number that simulators are generic over: `f32`, `f64`, [`Lanes`], [`Dual`]s, [`Counted`].
 ///
-/// There is no ordering and no `if` on values: lanes and duals have several values at once. Branches are written with
-/// [`Scalar::select_lt`], or with [`min`](Scalar::min), [`max`](Scalar::max) and [`abs`](Scalar::abs), which use it.
+/// There is no ordering and no branching on values, since lanes hold several values at once. Write
+/// branches with [`select_lt`](Scalar::select_lt), [`min`](Scalar::min), [`max`](Scalar::max) and
+/// [`abs`](Scalar::abs).
 pub trait Scalar:
     Copy
     + Debug
@@ -43,20 +47,20 @@ pub trait Scalar:
     + MulAssign
     + DivAssign
 {
-    /// The floating point number underneath, `f32` or `f64`.
+    /// Underlying floating-point type, `f32` or `f64`.
     type Real: Float;
-    /// Whether it is worth compiling loops over it for the widest registers: numbers that rollouts run on.
+    /// Whether code for this type is compiled for wide vector registers: the lanes of rollouts.
     #[doc(hidden)]
     const WIDE: bool = false;
 
-    /// A constant, rounded to the precision underneath.
+    /// Converts a constant, rounded to the underlying precision.
     fn lift(value: f64) -> Self;
-    /// The same value with its derivative dropped ("stop gradient").
+    /// Drops the derivative and returns the value ("stop gradient").
     fn detach(self) -> Self;
 
-    /// Square root. Its derivative at 0 is infinite.
+    /// Square root. The derivative at 0 is infinite.
     fn sqrt(self) -> Self;
-    /// e to the power of `self`.
+    /// Exponential, `e^self`.
     fn exp(self) -> Self;
     /// Natural logarithm.
     fn ln(self) -> Self;
@@ -64,14 +68,19 @@ pub trait Scalar:
     fn sin_cos(self) -> (Self, Self);
     /// Hyperbolic tangent. Saturated values have derivative 0, never NaN.
     fn tanh(self) -> Self;
-    /// The angle of the point (`x` = other, `y` = self), in radians.
+    /// Angle of the point with coordinates `x` and `y = self`, in radians.
     fn atan2(self, x: Self) -> Self;
 
-    /// `yes` where `a < b`, else `no`, value and derivative; the branch not taken does not matter, NaN or not.
+    /// Selects `yes` where `a < b`, else `no`: value and derivative.
+    ///
+    /// Non-finite numbers in the other branch do not propagate.
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self;
 
-    /// Whether `a < b` in any lane: for loops that end when every lane is done. Lanes that are done before must not be
-    /// changed any more, or a lane would not have the bits it has alone.
+    /// Returns whether `a < b` in any lane, as the condition of loops that end when all lanes
+    /// finish.
+    ///
+    /// The loop must not change lanes that have finished. Otherwise a lane would differ from the
+    /// scalar computation.
     fn any_lt(a: Self, b: Self) -> bool;
 
     /// The constant 0.
@@ -84,7 +93,7 @@ pub trait Scalar:
     fn one() -> Self {
         Self::lift(1.0)
     }
-    /// Sine, angle in radians. When the cosine is needed too, [`sin_cos`](Scalar::sin_cos) costs the same.
+    /// Sine, angle in radians. [`sin_cos`](Scalar::sin_cos) computes both at the same cost.
     #[inline(always)]
     fn sin(self) -> Self {
         self.sin_cos().0
@@ -94,37 +103,37 @@ pub trait Scalar:
     fn cos(self) -> Self {
         self.sin_cos().1
     }
-    /// `self` to an integer power, by repeated multiplication.
+    /// Integer power by repeated multiplication, `exponent` products.
     #[inline(always)]
     fn powi(self, exponent: u32) -> Self {
         (0..exponent).fold(Self::one(), |product, _| product * self)
     }
-    /// Absolute value; the derivative at 0 is that of the right side.
+    /// Absolute value. The derivative at 0 is the one-sided derivative from the right.
     #[inline(always)]
     fn abs(self) -> Self {
         Self::select_lt(self, Self::zero(), -self, self)
     }
-    /// The smaller of the two; `other` where they are equal.
+    /// Minimum. Returns `other` if both are equal or one is NaN.
     #[inline(always)]
     fn min(self, other: Self) -> Self {
         Self::select_lt(self, other, self, other)
     }
-    /// The larger of the two; `other` where they are equal.
+    /// Maximum. Returns `other` if both are equal or one is NaN.
     #[inline(always)]
     fn max(self, other: Self) -> Self {
         Self::select_lt(other, self, self, other)
     }
 }
 
-/// A [`Scalar`] without derivative: `f32`, `f64`, [`Counted`] ([`LANES`](Real::LANES) = 1), and [`Lanes`] of floats.
+/// A [`Scalar`] without derivatives: `f32`, `f64`, [`Counted`], and [`Lanes`].
 pub trait Real: Scalar {
-    /// How many numbers it holds.
+    /// Number of lanes; 1 except for [`Lanes`].
     const LANES: usize;
-    /// The number in lane `lane`.
+    /// Returns the number in lane `lane`.
     fn lane(&self, lane: usize) -> Self::Real;
     /// Replaces the number in lane `lane`.
     fn set_lane(&mut self, lane: usize, value: Self::Real);
-    /// The same number in every lane.
+    /// Broadcasts a number to all lanes.
     #[inline(always)]
     fn splat(value: Self::Real) -> Self {
         let mut all = Self::zero();
@@ -135,15 +144,15 @@ pub trait Real: Scalar {
     }
 }
 
-/// What a reverse pass carries: a vector space over `R`, and nothing more.
+/// The adjoint quantity of a reverse pass: an element of a vector space over `R`.
 ///
-/// A hand-written [`System::vjp`](crate::System::vjp) may add cotangents and multiply them by numbers; it cannot
-/// multiply two of them or take their sine. So it is linear because it compiles, and the same code carries one adjoint
-/// or, as [`Columns`], several through one linearization.
+/// An analytic [`System::vjp`](crate::System::vjp) can add cotangents and multiply them by scalars,
+/// but not multiply two cotangents. The type system thus enforces linearity. One implementation
+/// propagates a single adjoint or, as [`Columns`], several through one linearization.
 pub trait Cotangent<R>:
     Copy + Debug + Add<Output = Self> + Sub<Output = Self> + Neg<Output = Self> + Mul<R, Output = Self> + AddAssign + SubAssign
 {
-    /// The null vector.
+    /// The zero vector.
     fn null() -> Self;
 }
 
@@ -154,11 +163,12 @@ impl<R: Real> Cotangent<R> for R {
     }
 }
 
-/// `K` cotangents that go through one linearization together.
+/// `K` cotangents, propagated together through one linearization.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Columns<R, const K: usize>(pub [R; K]);
 
-/// Every column in turn; the one or two of a rollout without a loop, of which there would be hundreds to compile.
+/// Calls `column(k)` for `k = 0 .. K`. Unrolled for `K ≤ 2`, as used by rollouts: small loops slow
+/// compilation.
 #[inline(always)]
 fn each<const K: usize>(mut column: impl FnMut(usize)) {
     match K {
@@ -179,7 +189,7 @@ impl<R: Real, const K: usize> Cotangent<R> for Columns<R, K> {
 }
 
 impl<R: Real, const K: usize> Columns<R, K> {
-    /// Absolute values.
+    /// Elementwise absolute value.
     #[inline(always)]
     pub(crate) fn abs(mut self) -> Self {
         each::<K>(|k| self.0[k] = self.0[k].abs());

@@ -1,11 +1,13 @@
-//! Numbers far beyond the range of floats: a mantissa times a power of two.
+//! [`Wide`]: a number with extended exponent range, and scaling by powers of two.
 
 use crate::numbers::scalar::Float;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::{Add, Div, Mul};
 
-/// A number of any size, `mantissa · 2^exponent`: the length of a gradient, which may explode or vanish beyond any float.
+/// A number with extended range, `mantissa · 2^exponent`.
+///
+/// Represents norms of gradients that explode or vanish beyond the range of `f64`.
 ///
 /// ```
 /// use physgrad::Wide;
@@ -17,14 +19,14 @@ use std::ops::{Add, Div, Mul};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Wide {
     mantissa: f64,
-    /// 0 wherever an `f64` alone will do.
+    /// 0 unless the number is outside, or near the ends of, the range of `f64`.
     exponent: i32,
 }
 
 impl Wide {
     /// `mantissa · 2^exponent`.
     pub fn new(mantissa: f64, exponent: i32) -> Self {
-        /// What an `f64` holds with room to spare.
+        /// Largest absolute exponent of numbers that are stored as a plain `f64`.
         const PLAIN: i32 = 960;
         if mantissa == 0.0 || !mantissa.is_finite() {
             return Self { mantissa, exponent: 0 };
@@ -37,22 +39,22 @@ impl Wide {
         Self { mantissa: times_power_of_two(mantissa, -own), exponent: whole }
     }
 
-    /// The nearest `f64`, infinite or 0 where it is beyond the range.
+    /// Converts to the nearest `f64`: infinite on overflow, 0 on underflow.
     pub fn get(self) -> f64 {
         times_power_of_two(self.mantissa, self.exponent)
     }
 
-    /// The decimal logarithm of its size, `-∞` of 0.
+    /// Decimal logarithm of the absolute value; `-∞` for 0.
     pub fn log10(self) -> f64 {
         self.mantissa.abs().log10() + f64::from(self.exponent) * std::f64::consts::LOG10_2
     }
 
-    /// -1, 0 or 1.
+    /// Sign: -1, 0 or 1.
     pub fn signum(self) -> f64 {
         if self.mantissa == 0.0 { 0.0 } else { self.mantissa.signum() }
     }
 
-    /// What is left, as an `f64`, of this many factors 2 fewer.
+    /// `self / 2^exponent` as an `f64`.
     pub(crate) fn over_power_of_two(self, exponent: i32) -> f64 {
         times_power_of_two(self.mantissa, self.exponent.saturating_sub(exponent))
     }
@@ -97,7 +99,7 @@ impl Div<f64> for Wide {
 }
 
 impl fmt::Display for Wide {
-    /// As an `f64` where it is one; else six digits and a decimal exponent.
+    /// Formats like an `f64` within its range, otherwise with six digits and a decimal exponent.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.exponent == 0 {
             return self.mantissa.fmt(f);
@@ -108,25 +110,25 @@ impl fmt::Display for Wide {
     }
 }
 
-/// The exponent of the leading bit of a finite number that is not 0.
+/// Binary exponent of a finite, nonzero number: `⌊log2 |x|⌋`.
 pub(crate) fn exponent_of(x: f64) -> i32 {
     let bits = |x: f64| ((x.to_bits() >> 52) & 0x7ff) as i32;
     match bits(x) {
-        // Below the normal numbers.
+        // Subnormal numbers.
         0 => bits(x * power_of_two(200)) - 1023 - 200,
         exponent => exponent - 1023,
     }
 }
 
-/// 2 to the power of a normal double's exponent.
+/// `2^exponent` for the exponent of a normal `f64`: -1022 to 1023.
 pub(crate) const fn power_of_two(exponent: i32) -> f64 {
     f64::from_bits(((1023 + exponent) as u64) << 52)
 }
 
-/// `x · 2^exponent`, exact unless it is beyond the range: then infinite, or rounded below it.
+/// `x · 2^exponent`. Exact within the normal range; infinite on overflow, rounded on underflow.
 pub(crate) fn times_power_of_two(x: f64, exponent: i32) -> f64 {
     const STEP: i32 = 1000;
-    // More than twice the range: what is beyond it stays beyond it.
+    // The clamp exceeds the range of all ratios of two `f64`s, so it changes no result.
     let (mut x, mut left) = (x, exponent.clamp(-3 * STEP, 3 * STEP));
     while left > STEP {
         (x, left) = (x * power_of_two(STEP), left - STEP);
@@ -137,12 +139,12 @@ pub(crate) fn times_power_of_two(x: f64, exponent: i32) -> f64 {
     x * power_of_two(left)
 }
 
-/// The same in the precision of `F`.
+/// [`times_power_of_two`] in the precision `F`.
 pub(crate) fn scaled<F: Float>(x: F, exponent: i32) -> F {
     F::lift(times_power_of_two(x.as_(), exponent))
 }
 
-/// The same, but never 0 unless `x` is: what is too small keeps its sign, as the smallest number there is.
+/// [`scaled`], with underflow to the smallest subnormal number of the sign of `x` instead of 0.
 pub(crate) fn scaled_with_sign<F: Float>(x: F, exponent: i32) -> F {
     let smallest = if F::EPSILON < 1e-10 { f64::from_bits(1) } else { f64::from(f32::from_bits(1)) };
     let (zero, small) = (F::zero(), scaled(x, exponent));
@@ -165,7 +167,7 @@ mod tests {
         assert_eq!((huge + huge, Wide::from(0.0) + Wide::new(1.0, -4000)), (Wide::new(1.0, 4001), Wide::new(1.0, -4000)));
         approx::assert_relative_eq!(huge.log10(), 4000.0 * 2f64.log10(), max_relative = 1e-15);
         assert_eq!((huge.get(), Wide::new(1.0, -4000).get()), (f64::INFINITY, 0.0));
-        // Back within the range, it is an ordinary number again.
+        // Within the range again, the result is a plain `f64`.
         assert_eq!((Wide::new(1.5, 1100) / power_of_two(1000) / power_of_two(100)).get(), 1.5);
     }
 

@@ -4,8 +4,10 @@ use super::{Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Float;
 
-/// A [`Policy`] in one precision. Every policy is one, so that `&policy` can be given where `&dyn AnyPolicy<F>` is asked
-/// for. Its methods are the policy's, and need no import.
+/// Object-safe [`Policy`] for one precision.
+///
+/// Every [`Policy`] implements it, so `&policy` coerces to `&dyn AnyPolicy<F>`. Each method
+/// forwards to the method of [`Policy`] of that name.
 #[allow(missing_docs)]
 pub trait AnyPolicy<F: Float>: Send + Sync {
     fn state_dim(&self) -> usize;

@@ -1,11 +1,15 @@
-//! A convolutional policy for a field of two channels on a one-dimensional grid, such as a wave function.
+//! [`Conv`]: a convolutional policy for a two-channel field on a one-dimensional grid, such as a
+//! wave function.
 //!
-//! `θ` holds kernel and bias of two convolutions and of the linear output, in the order of Keras. A convolution is one
-//! matrix product: activations are stored position after position, so the window that an output sees is a contiguous
-//! piece of its input, and all windows of neighbouring columns are columns of one matrix with a fixed stride. To keep
-//! that stride across the borders between columns, every column has room for twice the positions of the next layer;
-//! what a window computes that reaches over a border is set to zero. Every position ends in a constant 1, of which the
-//! last in a window meets the bias.
+//! `θ` holds kernel and bias of two convolutions and of the linear output, in the order of Keras.
+//!
+//! A convolution is one matrix product. Activations are stored position by position, so the window
+//! of an output is a contiguous slice of the input. The windows of adjacent columns form one matrix
+//! with a fixed stride.
+//!
+//! Every column has space for twice the positions of the next layer, which keeps that stride across
+//! columns. Outputs of windows that span two columns are set to 0. Every position ends in a
+//! constant 1; the last one in a window multiplies the bias.
 
 mod layer;
 mod layout;
@@ -20,16 +24,16 @@ use crate::numbers::zip::zip;
 use layer::Layer;
 use rand::RngExt;
 
-/// Columns that go through all layers together, so that their activations stay in the cache.
+/// Columns per block. A block passes all layers while its activations stay in the cache.
 const BLOCK: usize = 8;
-/// Windows that are multiplied at a time in the weight gradient.
+/// Windows per matrix product in the weight gradient.
 const DEPTH: usize = 64;
-/// Grid points under a kernel; kernels are two grid points apart.
+/// Kernel size, in positions; the stride is 2.
 const KERNEL: usize = 3;
-/// Channels of the state: real and imaginary part.
+/// Channels of the state: real and imaginary parts.
 const CHANNELS: usize = 2;
 
-/// Two convolutions with tanh and a linear output: state (grid, 2) to one control.
+/// Two tanh convolutions and a linear output: maps a state (grid × 2) to one control.
 ///
 /// ```text
 /// h₁[q, f] = tanh(b₁[f] + Σ_{k,c} x[2q + k, c] W₁[k, c, f])       q < (grid - 1)/2
@@ -37,8 +41,8 @@ const CHANNELS: usize = 2;
 /// u        = b₃ + Σ_{q,c} h₂[q, c] W₃[q, c]
 /// ```
 ///
-/// The controller of the paper's quantum task, there with 32 grid points (then 15, then 7 positions) and width 60.
-/// Kernels start Glorot-uniform with the fans of Keras, biases at zero.
+/// The controller of the paper's quantum task, there with 32 grid points (then 15 and 7 positions)
+/// and width 60. Initial kernels are Glorot-uniform with the fans of Keras; initial biases are 0.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Conv {
     grid: usize,
@@ -47,10 +51,11 @@ pub struct Conv {
 }
 
 impl Conv {
-    /// For a state of `grid` points with two channels, and `width` filters in each convolution.
+    /// A policy for a state of `grid` points with two channels, with `width` filters per
+    /// convolution.
     ///
     /// # Panics
-    /// With fewer than 7 grid points, which leave nothing after two convolutions, or a width of zero.
+    /// If `grid < 7`, which leaves no position after two convolutions, or if `width` is 0.
     #[track_caller]
     pub fn new(grid: usize, width: usize) -> Self {
         assert!(grid >= 7, "two convolutions of kernel 3 and stride 2 need at least 7 grid points, not {grid}");
@@ -58,7 +63,9 @@ impl Conv {
         Self { grid, width, zero_last: false }
     }
 
-    /// Starts with a zeroed last kernel: the initial control is exactly zero, and R equals M in the first update.
+    /// Sets whether the initial last kernel is 0 (default: false).
+    ///
+    /// With a zero kernel, the initial control is exactly 0, and R equals M in the first update.
     pub fn zero_last(mut self, zero: bool) -> Self {
         self.zero_last = zero;
         self
@@ -86,8 +93,8 @@ impl Policy for Conv {
     fn init(&self, rng: &mut Rng, theta: &mut [f64]) {
         theta.fill(0.0);
         let (w, outputs) = (self.width, self.positions()[2] * self.width);
-        // Fans as Keras counts them: the receptive field times the channels. Its first layer is a two-dimensional
-        // convolution with a kernel of 3 × 2 and one channel.
+        // Keras defines a fan as receptive field × channels. The first layer of the paper is a
+        // two-dimensional convolution with a 3 × 2 kernel and one channel.
         let first = KERNEL * CHANNELS;
         let kernels =
             [(0, first, first * w), (self.layers::<f64>()[1].theta, KERNEL * w, KERNEL * w), (self.dense(), outputs, 1)];
@@ -172,7 +179,7 @@ impl Policy for Conv {
         for (to, from) in zip(dense.chunks_exact_mut(two.slot_out), kernel.chunks_exact(w)) {
             to[..w].copy_from_slice(from);
         }
-        // The constant 1 of the first position.
+        // The bias multiplies the constant 1 of the first position.
         dense[w] = bias[0];
     }
 
@@ -186,7 +193,7 @@ impl Policy for Conv {
         let lens = [one.input(), one.output(), two.output()];
         let (h1, h2, input) = (places.block[1], places.block[2], places.block[0]);
         for at in at.blocks(BLOCK) {
-            // The columns of one step are far apart: they are brought together, worked on and put back.
+            // The columns of one time step are far apart: gather, evaluate, scatter.
             let (block, all) = tape.split_at_mut(places.all[1]);
             for (column, c) in zip(block[input..].chunks_exact_mut(lens[0]), at.iter()) {
                 for (position, x) in zip(column.chunks_exact_mut(one.slot), x[c * n..][..n].chunks_exact(CHANNELS)) {
@@ -220,7 +227,7 @@ impl Policy for Conv {
         let (len1, len2) = (one.output(), two.output());
         let places = self.places::<F>(&layers, total);
         let [first, second, _] = Self::places_bar(&layers, total);
-        // Only neighbouring columns can go through a product together.
+        // Only contiguous columns share a product.
         for at in at.blocks(if at.step == 1 { BLOCK } else { 1 }) {
             let (windows, bars) = tape_bar.split_at_mut(first);
             let (bar1, bar2) = bars.split_at_mut(second - first);
@@ -241,7 +248,7 @@ impl Policy for Conv {
                 accumulate: false,
             };
             F::product(level, outer);
-            // 1 - h² is zero at the constant ones, and so are the weights at the positions that are not used.
+            // 1 - h² is 0 at the constant ones; the weights of unused positions are 0.
             let whole = |len: usize| Strided { first: 0, step: len, count: at.count, len };
             elementwise::tanh_bar(level, &tape[places.all[2] + at.first * len2..], bar2, whole(len2));
 
@@ -284,7 +291,7 @@ impl Policy for Conv {
                 let mut input = &all_inputs[columns.start * l.input()..columns.end * l.input()];
                 let mut bar = &all_bars[columns.start * l.output()..columns.end * l.output()];
                 if let Some(weight) = weight {
-                    // The smaller factor is the cheaper one to scale.
+                    // Scale the smaller factor.
                     let smaller = l.input().min(l.output());
                     let factor = if l.output() <= l.input() { &mut bar } else { &mut input };
                     elementwise::scale(level, factor, &weight[columns], smaller, scaled);

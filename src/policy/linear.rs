@@ -1,11 +1,13 @@
-//! A linear policy, `u = K x + k`.
+//! [`Linear`]: affine state feedback, `u = K x + k`.
 
 use super::{Policy, PolicyPass, PolicyRecord, Tensor};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
 use crate::numbers::zip::zip;
 
-/// `u = K x`, or `u = K x + k` with a bias. `θ` is `K` row-major (control_dim × state_dim), then `k`.
+/// Linear state feedback, `u = K x`, or affine with a bias, `u = K x + k`.
+///
+/// `θ` holds `K` (control_dim × state_dim, row-major), then `k`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Linear {
     state_dim: usize,
@@ -14,12 +16,12 @@ pub struct Linear {
 }
 
 impl Linear {
-    /// `u = K x`.
+    /// Linear feedback `u = K x`.
     pub fn new(state_dim: usize, control_dim: usize) -> Self {
         Self { state_dim, control_dim, bias: false }
     }
 
-    /// `u = K x + k`.
+    /// Affine feedback `u = K x + k`.
     pub fn with_bias(state_dim: usize, control_dim: usize) -> Self {
         Self { state_dim, control_dim, bias: true }
     }
@@ -38,7 +40,7 @@ impl Policy for Linear {
         self.control_dim * (self.state_dim + usize::from(self.bias))
     }
 
-    /// All zero: the uncontrolled system.
+    /// Initializes all parameters to 0: the uncontrolled system.
     fn init(&self, _rng: &mut Rng, theta: &mut [f64]) {
         theta.fill(0.0);
     }

@@ -1,8 +1,9 @@
-//! A multi-layer perceptron with tanh hidden layers and a linear output.
+//! [`Mlp`]: a multi-layer perceptron with tanh hidden layers and a linear output.
 //!
-//! `θ` holds, layer after layer, the kernel (inputs × outputs, row-major) and then the bias: the order of Keras. Kernel
-//! and bias together are one (inputs + 1) × outputs matrix, so every layer is one matrix product with a column of
-//! activations that ends in a constant 1, and its gradient is one product too.
+//! `θ` holds for each layer the kernel (inputs × outputs, row-major), then the bias, as in Keras.
+//! Kernel and bias form one (inputs + 1) × outputs matrix, and every column of activations ends in
+//! a constant 1. The forward pass and the weight gradient of a layer are therefore one matrix
+//! product each.
 
 use super::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Sizes, Tensor};
 use crate::numbers::kernels::Level;
@@ -13,15 +14,15 @@ use crate::numbers::scalar::{Float, Scalar};
 use crate::numbers::zip::zip;
 use rand::RngExt;
 
-/// Columns that go through all layers together, so that their activations stay in the first-level cache.
+/// Columns per block. A block passes all layers while its activations stay in the L1 cache.
 const BLOCK: usize = 32;
-/// Columns whose scaled cotangents are multiplied at a time in the weight gradient.
+/// Columns per matrix product in the weight gradient.
 const DEPTH: usize = 64;
 
 /// A multi-layer perceptron: tanh hidden layers of any widths, a linear output.
 ///
-/// Kernels start Glorot-uniform, biases at zero. A zeroed last kernel ([`Mlp::zero_last`]) makes the initial control
-/// exactly zero.
+/// Initial kernels are Glorot-uniform (Glorot and Bengio 2010); initial biases are 0.
+/// [`Mlp::zero_last`] makes the initial control exactly 0.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mlp {
     widths: Vec<usize>,
@@ -29,32 +30,33 @@ pub struct Mlp {
     zero_last: bool,
 }
 
-/// One layer's place in `θ`, and where its matrices and activations are in the padded buffers.
+/// Shape of one layer, and its offsets in `θ` and in the padded buffers.
 #[derive(Clone, Copy, Debug)]
 struct Layer {
     inputs: usize,
     outputs: usize,
-    /// Rows of the weight matrix: the inputs, and 1 with a bias.
+    /// Rows of the weight matrix: the inputs, plus 1 with a bias.
     rows: usize,
-    /// Start in `θ`.
+    /// Offset in `θ`.
     theta: usize,
-    /// Padded length of an input column, constant 1 included.
+    /// Padded length of an input column, including the constant 1.
     ld_in: usize,
     /// Padded length of an output column.
     ld_out: usize,
-    /// Start of the weights, one padded column of outputs per input row.
+    /// Offset of the packed weights: one padded column of outputs per row.
     packed: usize,
-    /// Start of their transpose, one padded column of inputs per output.
+    /// Offset of the transposed weights: one padded column of inputs per output.
     transposed: usize,
-    /// Start of the input columns in the tape, per column of the tape.
+    /// Offset of the input columns in the tape, divided by the number of columns.
     tape: usize,
 }
 
 impl Mlp {
-    /// Widths from the state to the control, for instance `[10, 100, 100, 1]`. With biases, Glorot-uniform kernels.
+    /// An MLP with biases and these widths, from state to control: for instance
+    /// `[10, 100, 100, 1]`.
     ///
     /// # Panics
-    /// With fewer than two widths, or a width of zero.
+    /// If there are fewer than two widths, or a width is 0.
     #[track_caller]
     pub fn new(widths: impl Into<Vec<usize>>) -> Self {
         let widths = widths.into();
@@ -63,13 +65,15 @@ impl Mlp {
         Self { widths, bias: true, zero_last: false }
     }
 
-    /// Starts with a zeroed last kernel: the initial control is exactly zero, and R equals M in the first update.
+    /// Sets whether the initial last kernel is 0 (default: false).
+    ///
+    /// With a zero kernel, the initial control is exactly 0, and R equals M in the first update.
     pub fn zero_last(mut self, zero: bool) -> Self {
         self.zero_last = zero;
         self
     }
 
-    /// With biases (the default) or without.
+    /// Sets whether layers have biases (default: true).
     pub fn bias(mut self, bias: bool) -> Self {
         self.bias = bias;
         self
@@ -88,7 +92,7 @@ impl Mlp {
         let mut layer =
             Layer { inputs: 0, outputs: 0, rows: 0, theta: 0, ld_in: 0, ld_out: 0, packed: 0, transposed: 0, tape: 0 };
         for pair in self.widths[..index + 2].windows(2) {
-            // After the layer before this one.
+            // Offsets follow the end of the previous layer.
             layer.theta += layer.rows * layer.outputs;
             layer.packed = layer.transposed + layer.outputs * layer.ld_in;
             layer.tape += layer.ld_in;
@@ -105,14 +109,15 @@ impl Mlp {
     }
 }
 
-/// Length of a column of `n` numbers and a constant 1: an odd number of cache lines, so that neighbouring columns do
-/// not compete for the same places in the cache.
+/// Padded length of a column of `n` numbers and a constant 1.
+///
+/// An odd number of cache lines, so that adjacent columns do not map to the same cache sets.
 fn padded<F: Float>(n: usize) -> usize {
     ((n + 1).div_ceil(F::PAD) | 1) * F::PAD
 }
 
 impl Layer {
-    /// The input columns `at` within a buffer of `total` columns.
+    /// The input columns `at` in a tape of `total` columns.
     fn input_columns(&self, total: usize, at: PolicyColumns) -> Strided {
         let ld = self.ld_in;
         Strided { first: total * self.tape + at.first * ld, step: at.step * ld, count: at.count, len: ld }
@@ -139,7 +144,7 @@ impl Policy for Mlp {
             // Glorot and Bengio 2010: uniform within sqrt(6 / (fan_in + fan_out)).
             let limit = (6.0 / (l.inputs + l.outputs) as f64).sqrt();
             for weight in &mut theta[l.theta..][..l.inputs * l.outputs] {
-                // Drawn even if it is not used, so that the other layers do not depend on the setting.
+                // Always draw, so that other kernels are independent of `zero_last`.
                 let draw = rng.random_range(-limit..limit);
                 *weight = if self.zero_last && index == last { 0.0 } else { draw };
             }
@@ -305,7 +310,7 @@ impl Policy for Mlp {
             let is_last = l.tape == self.last::<F>().tape;
             let (bar, bar_len) = if is_last { (u_bar, l.outputs) } else { (&tape_bar[total * (l.tape + l.ld_in)..], l.ld_out) };
             let input = &tape[total * l.tape..];
-            // A few outputs make a thin product the long way round; the transposed one has the inputs as its rows.
+            // The last layer has few outputs; its transposed product avoids padding them.
             let (rows, cols) = if is_last { (l.ld_in, l.outputs) } else { (l.ld_out, l.rows) };
             let (sum, scaled) = scratch.split_at_mut(rows * cols);
             for block in at.blocks(DEPTH) {
@@ -313,7 +318,7 @@ impl Policy for Mlp {
                 let mut bar = &bar[columns.start * bar_len..columns.end * bar_len];
                 let mut input = &input[columns.start * l.ld_in..columns.end * l.ld_in];
                 if let Some(weight) = weight {
-                    // The smaller factor is the cheaper one to scale.
+                    // Scale the smaller factor.
                     let (factor, len) = if bar_len <= l.ld_in { (&mut bar, bar_len) } else { (&mut input, l.ld_in) };
                     elementwise::scale(level, factor, &weight[columns], len, scaled);
                     *factor = scaled;

@@ -1,4 +1,10 @@
-//! [`Policy`]: the controller `u = N(x; θ)` that is trained.
+//! [`Policy`]: the controller `u = N(x; θ)` to be trained.
+//!
+//! - Policies: [`Mlp`], [`Conv`], [`Linear`], and the small [`Quadratic`] and [`Constant`].
+//! - [`AnyPolicy`]: object-safe [`Policy`] for one precision.
+//! - [`Weights`]: parameters together with their packed form.
+//!
+//! Start with [`Policy::act`]; only large policies need the batched passes.
 
 mod any;
 mod conv;
@@ -19,46 +25,55 @@ use crate::numbers::scalar::{Float, Scalar};
 use smallvec::SmallVec;
 use std::ops::Range;
 
-/// A controller `u = N(x; θ)`, the same at every step. `θ` is one flat slice.
+/// A time-invariant controller `u = N(x; θ)` with parameters `θ` in one flat slice.
 ///
-/// Only the dimensions, [`init`](Policy::init) and [`act`](Policy::act) must be written. The batched passes default to
-/// `act`, one evaluation after the other, with exact derivatives by dual numbers; a policy with large layers overrides
-/// all of them together, and [`check::policy`](crate::check::policy) compares them with `act`.
+/// Required: the dimensions, [`init`](Policy::init) and [`act`](Policy::act). The batched passes
+/// default to one call of `act` per evaluation, with exact derivatives by dual numbers. A policy
+/// with large layers overrides all of them together; [`check::policy`](crate::check::policy)
+/// compares them with `act`.
 ///
-/// # The batched passes
-/// They work on *columns*: one column is one evaluation, of one sample at one step. The columns of a sample at successive
-/// steps are neighbours, and so are those of successive samples over some steps. `x` holds `state_dim` numbers per column, `u` and `u_bar` hold `control_dim`.
-/// Which columns a call works on is said by [`PolicyColumns`].
+/// # Batched passes
+/// The batched passes are [`sizes`](Policy::sizes), [`pack`](Policy::pack),
+/// [`forward`](Policy::forward), [`backward`](Policy::backward) and
+/// [`param_gradient`](Policy::param_gradient). They work on *columns*. One column is one
+/// evaluation: one sample at one time step. `x` holds `state_dim` numbers per column; `u` and
+/// `u_bar` hold `control_dim`.
+///
+/// Columns are stored in units of several time steps. Within a unit, the steps of one sample are
+/// adjacent, and the samples follow one another. [`PolicyColumns`] selects the columns of a call.
 pub trait Policy: Send + Sync {
-    /// Number of state components it sees.
+    /// Number of state components.
     fn state_dim(&self) -> usize;
-    /// Number of control components it sets.
+    /// Number of control components.
     fn control_dim(&self) -> usize;
-    /// Length of `θ`.
+    /// Number of parameters, the length of `θ`.
     fn param_count(&self) -> usize;
 
     /// Draws initial parameters into `theta`.
     fn init(&self, rng: &mut Rng, theta: &mut [f64]);
 
-    /// `u = N(x; θ)` for one state. The definition that everything else is checked against.
+    /// Evaluates `u = N(x; θ)` for one state.
+    ///
+    /// Defines the policy: all other methods must agree with it.
     fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]);
 
-    /// The named pieces of `θ`, in order, for files that other programs read.
+    /// Named tensors within `θ`, in order, for export to other programs. Default: one named
+    /// `theta`.
     fn tensors(&self) -> Vec<Tensor> {
         vec![Tensor { name: "theta".into(), shape: vec![self.param_count()], range: 0..self.param_count() }]
     }
 
-    /// Numbers that the batched passes need, for a rollout of so many columns.
+    /// Buffer sizes of the batched passes, for a rollout of `columns` columns.
     fn sizes<F: Float>(&self, _columns: usize) -> Sizes {
         Sizes { packed: self.param_count(), tape: 0, tape_bar: 0, scratch: 0 }
     }
 
-    /// Brings `θ` into the form the batched passes like. Called once per update.
+    /// Writes `θ` to `packed` in the layout of the batched passes. Called once per update.
     fn pack<F: Float>(&self, theta: &[F], packed: &mut [F]) {
         packed.copy_from_slice(theta);
     }
 
-    /// `u = N(x)` in the columns `at`; what the derivative needs is kept in `tape`.
+    /// Evaluates `u = N(x)` in the columns `pass.at`. Stores intermediate values in `tape`.
     fn forward<F: Float>(&self, pass: PolicyPass<F>, _tape: &mut [F], u: &mut [F]) {
         let (n, m) = (self.state_dim(), self.control_dim());
         for c in pass.at.iter() {
@@ -66,8 +81,12 @@ pub trait Policy: Send + Sync {
         }
     }
 
-    /// `x_bar = (∂N/∂x)ᵀ u_bar` in the columns `at`, after [`forward`](Policy::forward); overwrites. What the
-    /// parameter gradient needs is kept in `tape_bar`. Without `x_bar`, `∂N/∂x` is not evaluated.
+    /// Writes `x_bar = (∂N/∂x)ᵀ u_bar` in the columns `pass.at`, after
+    /// [`forward`](Policy::forward).
+    ///
+    /// Stores cotangents of intermediate values in `tape_bar`, for
+    /// [`param_gradient`](Policy::param_gradient). Skips the product with `∂N/∂x` if `x_bar` is
+    /// `None`.
     fn backward<F: Float>(&self, pass: PolicyPass<F>, _tape: &[F], u_bar: &[F], _tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
         let (n, m) = (self.state_dim(), self.control_dim());
         let Some(x_bar) = x_bar else { return };
@@ -80,8 +99,10 @@ pub trait Policy: Send + Sync {
         }
     }
 
-    /// `theta_bar += Σ_c weight[c]·(∂N/∂θ)ᵀ u_bar[c]` over the columns `at`, which are neighbours, after
+    /// Adds `Σ_c weight[c]·(∂N/∂θ)ᵀ u_bar[c]` to `theta_bar`, after
     /// [`backward`](Policy::backward).
+    ///
+    /// Sums over the columns `pass.at`, which must be contiguous.
     fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, _scratch: &mut [F], theta_bar: &mut [F]) {
         let (n, m) = (self.state_dim(), self.control_dim());
         for c in pass.at.iter() {
@@ -103,62 +124,62 @@ fn dot<F: Float>(a: &[F], b: &[F]) -> F {
     a.iter().zip(b).fold(F::zero(), |sum, (&a, &b)| sum + a * b)
 }
 
-/// What the batched passes of a [`Policy`] start from.
+/// Inputs of the batched passes of a [`Policy`].
 #[derive(Clone, Copy, Debug)]
 pub struct PolicyPass<'a, F> {
-    /// The parameters, as [`Policy::pack`] left them.
+    /// Parameters in the layout of [`Policy::pack`].
     pub packed: &'a [F],
-    /// The columns to work on.
+    /// Columns to evaluate.
     pub at: PolicyColumns,
-    /// The states of all columns.
+    /// States of all columns, `state_dim` numbers each.
     pub x: &'a [F],
 }
 
-/// What the passes before it left for [`Policy::param_gradient`], in all columns.
+/// Results of the forward and backward passes in all columns, for [`Policy::param_gradient`].
 #[derive(Clone, Copy, Debug)]
 pub struct PolicyRecord<'a, F> {
-    /// Kept by the forward pass.
+    /// Values stored by [`Policy::forward`].
     pub tape: &'a [F],
-    /// The cotangents that the backward pass was given.
+    /// Cotangents of the controls, the input of [`Policy::backward`].
     pub u_bar: &'a [F],
-    /// Kept by the backward pass.
+    /// Cotangents stored by [`Policy::backward`].
     pub tape_bar: &'a [F],
-    /// What each column counts, one number a column; without it, all count 1.
+    /// Weight of each column in the gradient; `None` for weights of 1.
     pub weight: Option<&'a [F]>,
 }
 
-/// A named piece of `θ`, row-major.
+/// A named, row-major tensor within `θ`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tensor {
-    /// What it is, for instance `layer1.kernel`.
+    /// Name, for instance `layer1.kernel`.
     pub name: String,
-    /// Its dimensions.
+    /// Dimensions.
     pub shape: Vec<usize>,
-    /// Where it is in `θ`.
+    /// Entries of `θ`.
     pub range: Range<usize>,
 }
 
-/// How many numbers the batched passes of a [`Policy`] need.
+/// Buffer sizes of the batched passes of a [`Policy`], in numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sizes {
-    /// For the parameters in the form the passes like.
+    /// Packed parameters, the output of [`Policy::pack`].
     pub packed: usize,
-    /// Kept by the forward pass.
+    /// Values stored by [`Policy::forward`].
     pub tape: usize,
-    /// Kept by the backward pass.
+    /// Cotangents stored by [`Policy::backward`].
     pub tape_bar: usize,
-    /// Used within one call.
+    /// Workspace within one call of [`Policy::param_gradient`].
     pub scratch: usize,
 }
 
-/// Columns `first, first + step, …`, `count` of them.
+/// A strided selection of `count` columns: `first, first + step, …`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PolicyColumns {
-    /// The first column.
+    /// Index of the first column.
     pub first: usize,
-    /// From one to the next.
+    /// Distance between successive columns.
     pub step: usize,
-    /// How many.
+    /// Number of columns.
     pub count: usize,
 }
 
@@ -168,18 +189,18 @@ impl PolicyColumns {
         Self { first: columns.start, step: 1, count: columns.len() }
     }
 
-    /// The columns as a range; they must be neighbours.
+    /// The columns as a range. They must be contiguous, which is a debug assertion.
     pub fn as_range(self) -> Range<usize> {
         debug_assert!(self.step == 1, "these columns are not neighbours");
         self.first..self.first + self.count
     }
 
-    /// Their indices.
+    /// Iterates over the column indices.
     pub fn iter(self) -> impl Iterator<Item = usize> {
         (0..self.count).map(move |i| self.first + i * self.step)
     }
 
-    /// The same columns in pieces of at most `size`.
+    /// Splits the columns into blocks of at most `size`.
     pub fn blocks(self, size: usize) -> impl Iterator<Item = PolicyColumns> {
         (0..self.count).step_by(size).map(move |done| Self {
             first: self.first + done * self.step,
@@ -189,7 +210,7 @@ impl PolicyColumns {
     }
 }
 
-/// Parameters and their packed form, kept in step.
+/// Parameters `θ` and their packed form, always consistent.
 #[derive(Clone, Debug)]
 pub struct Weights<F> {
     theta: Vec<F>,
@@ -197,10 +218,10 @@ pub struct Weights<F> {
 }
 
 impl<F: Float> Weights<F> {
-    /// The given parameters.
+    /// Packs the given parameters.
     ///
     /// # Panics
-    /// If there are not [`Policy::param_count`] of them.
+    /// If the length of `theta` is not [`Policy::param_count`].
     #[track_caller]
     pub fn new(policy: &dyn AnyPolicy<F>, theta: Vec<F>) -> Self {
         assert_eq!(theta.len(), policy.param_count(), "the policy has {} parameters, not {}", policy.param_count(), theta.len());
@@ -209,24 +230,24 @@ impl<F: Float> Weights<F> {
         Self { theta, packed }
     }
 
-    /// Fresh parameters from [`Policy::init`].
+    /// Draws initial parameters by [`Policy::init`].
     pub fn init(policy: &dyn AnyPolicy<F>, rng: &mut Rng) -> Self {
         let mut theta = vec![0.0; policy.param_count()];
         policy.init(rng, &mut theta);
         Self::new(policy, theta.into_iter().map(F::lift).collect())
     }
 
-    /// The parameters.
+    /// The parameters `θ`.
     pub fn theta(&self) -> &[F] {
         &self.theta
     }
 
-    /// The parameters in the form of the batched passes.
+    /// The parameters in the layout of the batched passes.
     pub fn packed(&self) -> &[F] {
         &self.packed
     }
 
-    /// Changes the parameters and packs them again.
+    /// Applies `change` to the parameters and repacks them.
     pub fn update(&mut self, policy: &dyn AnyPolicy<F>, change: impl FnOnce(&mut [F])) {
         change(&mut self.theta);
         policy.pack(&self.theta, &mut self.packed);

@@ -1,10 +1,10 @@
-//! Policies of two parameters or so, whose vector fields can be drawn.
+//! Policies with few parameters, for plots of gradient fields over `θ`.
 
 use super::Policy;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Scalar;
 
-/// The policy of the paper's figure 1, `u = θ₁ x² + θ₂ x`, of one state component. `θ` is `[θ₁, θ₂]`.
+/// The policy of figure 1 of the paper: `u = θ₁ x² + θ₂ x`, with `θ = [θ₁, θ₂]` and scalar `x`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Quadratic;
 
@@ -21,7 +21,7 @@ impl Policy for Quadratic {
         2
     }
 
-    /// All zero: the uncontrolled system.
+    /// Initializes all parameters to 0: the uncontrolled system.
     fn init(&self, _rng: &mut Rng, theta: &mut [f64]) {
         theta.fill(0.0);
     }
@@ -31,7 +31,7 @@ impl Policy for Quadratic {
     }
 }
 
-/// Open loop, `u = θ` whatever the state: as many parameters as controls.
+/// Open-loop control `u = θ`, independent of the state; one parameter per control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Constant {
     state_dim: usize,
@@ -39,7 +39,7 @@ pub struct Constant {
 }
 
 impl Constant {
-    /// `u = θ`, for a system of so many states and controls.
+    /// An open-loop control for a system with these dimensions.
     pub fn new(state_dim: usize, control_dim: usize) -> Self {
         Self { state_dim, control_dim }
     }
@@ -58,7 +58,7 @@ impl Policy for Constant {
         self.control_dim
     }
 
-    /// All zero: the uncontrolled system.
+    /// Initializes all parameters to 0: the uncontrolled system.
     fn init(&self, _rng: &mut Rng, theta: &mut [f64]) {
         theta.fill(0.0);
     }

@@ -1,104 +1,105 @@
-//! Animated pictures in SVG by SMIL: no scripts, so they also play inside an `<img>` tag.
+//! Animated SVG pictures by SMIL. They contain no scripts, so they also play inside an `<img>` tag.
 
 use super::Raster;
 use std::fmt::Write;
 
-/// How long the last frame stays before the loop starts again, in seconds.
+/// Time for which the last frame stays before the loop restarts, s.
 const HOLD: f64 = 0.7;
-/// The largest size of the world's picture, in pixels.
+/// Largest size of the view, in pixels.
 const MAX_SIZE: [f64; 2] = [720.0, 480.0];
-/// Height of the strip above the world that holds the title, in pixels.
+/// Height of the title strip above the view, in pixels.
 const TITLE_HEIGHT: f64 = 40.0;
 
-/// A thing to draw, in world coordinates: metres, y up.
+/// Shape in world coordinates: metres, y up.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shape {
-    /// A straight line with round ends.
+    /// Straight line with round ends.
     Line {
-        /// One end.
+        /// Start point.
         from: [f64; 2],
-        /// The other end.
+        /// End point.
         to: [f64; 2],
         /// Thickness.
         width: f64,
         /// CSS colour.
         color: &'static str,
     },
-    /// A filled circle.
+    /// Filled circle.
     Circle {
-        /// Its middle.
+        /// Center.
         center: [f64; 2],
-        /// Its radius.
+        /// Radius.
         radius: f64,
         /// CSS colour.
         color: &'static str,
     },
-    /// A filled rectangle along the axes, its corners slightly rounded.
+    /// Filled axis-aligned rectangle with slightly rounded corners.
     Rect {
-        /// Its middle.
+        /// Center.
         center: [f64; 2],
         /// Width and height.
         size: [f64; 2],
         /// CSS colour.
         color: &'static str,
     },
-    /// A bent line, with round corners and ends.
+    /// Polyline with round joins and ends.
     Curve {
-        /// Its corners; as many in every frame.
+        /// Vertices; the same number in every frame.
         points: Vec<[f64; 2]>,
         /// Thickness.
         width: f64,
         /// CSS colour.
         color: &'static str,
     },
-    /// Coloured cells that fill a rectangle along the axes; they may move but not change.
+    /// Image in an axis-aligned rectangle. It may move, but its cells are constant.
     Image {
-        /// Its middle.
+        /// Center.
         center: [f64; 2],
         /// Width and height.
         size: [f64; 2],
-        /// The cells.
+        /// Cells.
         raster: Raster,
     },
-    /// A word that may move but not change.
+    /// Text that may move, with constant content.
     Text {
-        /// The middle of its base line.
+        /// Center of the baseline.
         at: [f64; 2],
-        /// Size of the letters.
+        /// Font size.
         size: f64,
-        /// What it says.
+        /// Content.
         text: String,
         /// CSS colour.
         color: &'static str,
     },
 }
 
-/// Frames evenly spread over a time that repeats for ever, after a short halt at the last of them.
+/// Looping animation with evenly spaced frames and a short hold on the last one.
 pub struct Animation {
-    /// Written above the picture.
+    /// Title above the picture.
     pub title: String,
-    /// From the first frame to the last.
+    /// Duration from the first frame to the last, s.
     pub seconds: f64,
-    /// The rectangle of the world that is seen: its lower left and upper right corner. What leaves it is cut off.
+    /// Visible rectangle of the world: lower left and upper right corner. Shapes are clipped to it.
     pub view: ([f64; 2], [f64; 2]),
-    /// What is behind every frame.
+    /// Static background.
     pub still: Vec<Shape>,
-    /// The shapes of each frame: the same kinds in the same order; colours and words are those of the first frame.
+    /// Shapes of each frame: the same kinds in the same order. Colours and texts are those of the
+    /// first frame.
     pub frames: Vec<Vec<Shape>>,
 }
 
 impl Animation {
-    /// The animation as an SVG. What does not move is written once, everything else runs in straight lines from frame
-    /// to frame.
+    /// Renders to SVG. Static shapes are written once; moving ones are interpolated linearly
+    /// between frames.
     ///
     /// # Panics
-    /// If the frames do not hold the same kinds of shapes in the same order.
+    /// Panics if the frames differ in the kinds or order of their shapes.
     pub fn to_svg(&self) -> String {
         let (low, high) = self.view;
         let world = [high[0] - low[0], high[1] - low[1]].map(|size| if size.is_normal() && size > 0.0 { size } else { 1.0 });
         let scale = (MAX_SIZE[0] / world[0]).min(MAX_SIZE[1] / world[1]);
         let (width, height) = (world[0] * scale, world[1] * scale);
-        // Room for the title also above a narrow world.
+        // Reserves width for the title above a narrow view.
         let full_width = width.max(MAX_SIZE[0] / 2.0);
         let (w, h, full_w, full_h) = (px(width), px(height), px(full_width), px(height + TITLE_HEIGHT));
         let (left, middle, title) = (px((full_width - width) / 2.0), px(full_width / 2.0), escaped(&self.title));
@@ -131,19 +132,19 @@ impl Animation {
     }
 }
 
-/// A shape as an SVG element in pixels.
+/// SVG element of a shape, in pixels.
 struct Element {
     tag: &'static str,
-    /// What may change from frame to frame.
+    /// Attributes that may change between frames.
     numbers: Vec<(&'static str, String)>,
-    /// What stays as in the first frame.
+    /// Attributes fixed to those of the first frame.
     style: String,
-    /// What a text says.
+    /// Text content.
     content: String,
 }
 
 impl Element {
-    /// Places a shape in a picture whose upper left corner is at (left, top) in the world.
+    /// Places a shape in a picture whose upper left corner has the world coordinates (left, top).
     fn new(shape: &Shape, left: f64, top: f64, scale: f64) -> Self {
         let (x, y) = (|x: f64| px((x - left) * scale), |y: f64| px((top - y) * scale));
         let length = |length: f64| px(length.max(0.0) * scale);
@@ -172,7 +173,8 @@ impl Element {
                 ("polyline", vec![("points", points.join(" ")), ("stroke-width", length(*width))], style)
             }
             Shape::Image { center, size, raster } => {
-                // Cells with sharp edges; the first rule is for viewers that do not know the second.
+                // Sharp cell edges; the first rule is a fallback for viewers without support for
+                // the second.
                 let style = "preserveAspectRatio=\"none\" style=\"image-rendering:optimizeSpeed;image-rendering:pixelated\"";
                 ("image", rectangle(*center, *size), format!("{style} href=\"{}\"", raster.data_uri()))
             }
@@ -185,14 +187,14 @@ impl Element {
     }
 }
 
-/// The clock of an animation, as SMIL attributes.
+/// Timing of an animation, as SMIL attributes.
 struct Times {
     key_times: String,
     duration: String,
 }
 
 impl Times {
-    /// Spreads the frames over the seconds and adds the halt.
+    /// Spaces the frames evenly over `seconds` and adds the hold.
     fn new(frames: usize, seconds: f64) -> Self {
         let seconds = if seconds.is_finite() { seconds.max(0.1) } else { 0.1 };
         let share = seconds / (seconds + HOLD) / frames.saturating_sub(1).max(1) as f64;
@@ -201,7 +203,7 @@ impl Times {
         Self { key_times: key_times.join(";"), duration: trimmed(seconds + HOLD, 2) }
     }
 
-    /// Writes an element, given as it is in each of the frames.
+    /// Writes an element from its states in all frames.
     fn write_element(&self, svg: &mut String, history: &[&Element]) {
         let Element { tag, numbers, style, content } = history[0];
         let _ = write!(svg, "<{tag} {style}");
@@ -224,20 +226,20 @@ impl Times {
     }
 }
 
-/// A length in pixels to a hundredth. What is not finite becomes 0 and what is far off the picture is brought nearer,
-/// since one wild number would make browsers drop the whole animation.
+/// Formats a length in pixels to two decimals. Non-finite values become 0, and others are clamped:
+/// browsers reject an animation with an out-of-range number.
 fn px(value: f64) -> String {
     trimmed(if value.is_finite() { value.clamp(-1e5, 1e5) } else { 0.0 }, 2)
 }
 
-/// The number with at most so many decimals and no useless zeros.
+/// Formats with at most `decimals` decimals, without trailing zeros.
 fn trimmed(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
     if text == "-0" { "0".into() } else { text.into() }
 }
 
-/// The text with the characters replaced that mean something to XML.
+/// Escapes XML special characters.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }

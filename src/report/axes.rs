@@ -1,50 +1,50 @@
-//! [`Axes`]: a diagram within an animation.
+//! [`Axes`]: a chart within an animation.
 
 use super::animation::Shape;
 
 const INK: &str = "#4A4F57";
-/// Size of letters, in pixels.
+/// Font size, in pixels.
 const LETTERS: f64 = 12.0;
 
-/// A rectangle of a picture whose unit is the pixel, with a linear scale along each side.
+/// Rectangle in picture coordinates, in pixels, with a linear scale along each side.
 pub(super) struct Axes {
-    /// Its left and its right edge.
+    /// Left and right edge.
     pub left: f64,
     pub right: f64,
-    /// Its lower and its upper edge.
+    /// Lower and upper edge.
     pub bottom: f64,
     pub top: f64,
-    /// The numbers at the left and the right edge.
+    /// Data x at the left and right edge.
     pub x: [f64; 2],
-    /// The numbers at the lower and the upper edge.
+    /// Data y at the lower and upper edge.
     pub y: [f64; 2],
 }
 
 impl Axes {
-    /// Where a pair of numbers is in the picture.
+    /// Maps a data point to picture coordinates.
     pub fn at(&self, x: f64, y: f64) -> [f64; 2] {
         let share = |value: f64, [from, to]: [f64; 2]| (value - from) / (to - from);
         [self.left + (self.right - self.left) * share(x, self.x), self.bottom + (self.top - self.bottom) * share(y, self.y)]
     }
 
-    /// The middle and the size, in the picture, of what is between two pairs of numbers.
+    /// Maps the rectangle between two data points to its center and size in picture coordinates.
     pub fn area(&self, low: [f64; 2], high: [f64; 2]) -> ([f64; 2], [f64; 2]) {
         let (low, high) = (self.at(low[0], low[1]), self.at(high[0], high[1]));
         ([(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0], [high[0] - low[0], high[1] - low[1]])
     }
 
-    /// A line through pairs of numbers.
+    /// Polyline through data points.
     pub fn curve(&self, points: impl IntoIterator<Item = [f64; 2]>, width: f64, color: &'static str) -> Shape {
         Shape::Curve { points: points.into_iter().map(|[x, y]| self.at(x, y)).collect(), width, color }
     }
 
-    /// Its edges.
+    /// Outline of the rectangle.
     pub fn frame(&self) -> Shape {
         let ([left, right], [low, high]) = (self.x, self.y);
         self.curve([[left, low], [right, low], [right, high], [left, high], [left, low]], 1.0, INK)
     }
 
-    /// Marks below the lower edge with what they stand for.
+    /// Labelled ticks below the lower edge.
     pub fn ticks_below(&self, values: &[f64]) -> Vec<Shape> {
         let tick = |&value: &f64| {
             let [x, y] = self.at(value, self.y[0]);
@@ -53,7 +53,7 @@ impl Axes {
         values.iter().flat_map(tick).collect()
     }
 
-    /// Marks above the upper edge, close to it, with what they stand for.
+    /// Labelled ticks at the upper edge, with the labels above it.
     pub fn ticks_above(&self, values: &[f64]) -> Vec<Shape> {
         let tick = |&value: &f64| {
             let [x, y] = self.at(value, self.y[1]);
@@ -62,11 +62,11 @@ impl Axes {
         values.iter().flat_map(tick).collect()
     }
 
-    /// Marks left of the left edge with what they stand for.
+    /// Labelled ticks left of the left edge.
     pub fn ticks_left(&self, values: &[f64]) -> Vec<Shape> {
         let tick = |&value: &f64| {
             let ([x, y], label) = (self.at(self.x[0], value), number(value));
-            // Texts are placed by their middle, and digits are about 0.6 of their size wide.
+            // Texts are centered; digits are about 0.6 of the font size wide.
             let middle = x - 8.0 - 0.3 * LETTERS * label.chars().count() as f64;
             [Shape::Line { from: [x, y], to: [x - 4.0, y], width: 1.0, color: INK }, text([middle, y - 0.35 * LETTERS], label)]
         };
@@ -74,12 +74,12 @@ impl Axes {
     }
 }
 
-/// A word, placed by the middle of its base line.
+/// Text, positioned by the center of its baseline.
 pub(super) fn text(at: [f64; 2], text: impl Into<String>) -> Shape {
     Shape::Text { at, size: LETTERS, text: text.into(), color: INK }
 }
 
-/// Round numbers between two, about `count` of them.
+/// About `count` evenly spaced round numbers in a range; empty for a degenerate range.
 pub(super) fn ticks(from: f64, to: f64, count: f64) -> Vec<f64> {
     let step = round_up((to - from) / count);
     if !step.is_normal() {
@@ -88,13 +88,13 @@ pub(super) fn ticks(from: f64, to: f64, count: f64) -> Vec<f64> {
     ((from / step).ceil() as i64..=(to / step).floor() as i64).map(|i| i as f64 * step).collect()
 }
 
-/// The next 1, 2 or 5 times a power of ten.
+/// Rounds up to 1, 2 or 5 times a power of ten.
 pub(super) fn round_up(value: f64) -> f64 {
     let power = 10f64.powf(value.log10().floor());
     [1.0, 2.0, 5.0].into_iter().map(|m| m * power).find(|&round| round >= value * (1.0 - 1e-9)).unwrap_or(10.0 * power)
 }
 
-/// Three digits, as on paper: no useless zeros, a true minus.
+/// Formats with three significant digits, without trailing zeros and with a typographic minus.
 pub(super) fn number(value: f64) -> String {
     let text = match value.abs() {
         0.0 => "0".into(),

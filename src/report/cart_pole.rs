@@ -1,4 +1,4 @@
-//! The animation of a cart with one or more poles on a rail.
+//! Animation of a cart with one or more poles on a rail.
 
 mod rail;
 
@@ -8,7 +8,7 @@ use super::animation::{Animation, Shape};
 use super::axes::round_up;
 use rail::{Bumpers, HALF_CART, Wind};
 
-/// The colours of the poles in turn, which colour-blind readers can tell apart.
+/// Colours of the poles in turn, from a colour-blind safe palette.
 const POLES: [&str; 5] = ["#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9"];
 const FORCE: &str = "#D55E00";
 const CART: &str = "#C9CED6";
@@ -16,25 +16,31 @@ const DARK: &str = "#4A4F57";
 const RAIL: &str = "#9AA0A8";
 const TRACK: &str = "#ECEEF1";
 
-/// More frames than this are thinned; the poles move in straight lines from one to the next.
+/// Number of frames beyond which a trajectory is thinned; motion between frames is linear.
 const MAX_FRAMES: usize = 250;
-/// A cart farther than this many metres from the origin is taken for a simulation that blew up.
+/// Cart position that counts as diverged, m.
 const FAR: f64 = 1e6;
 
-/// Rails up to so many poles long are seen from end to end.
+/// Longest rail that is shown whole, in pole lengths.
 const WHOLE: f64 = 10.0;
 
-/// Films a trajectory on a bare rail. Each state is x, its speed, then the angle (0 is upright) and angular speed of every pole, and
-/// `dt` seconds pass between two states. The arrow on the cart is the force in `controls`, scaled to the largest of the trajectory.
+/// Animates a trajectory on a bare rail.
 ///
-/// A trajectory under 2 s is shown three times slower. When the cart travels far, the camera follows it and the rail
-/// moves. The film ends before the first state that is not finite or has another length than the first state.
+/// A state is `[x, ẋ, θ, θ̇, …]` with angle and angular velocity of every pole; angle 0 is upright.
+/// States are `dt` seconds apart. The arrow on the cart shows the force in `controls`, relative to
+/// the largest of the trajectory.
+///
+/// Trajectories shorter than 2 s play at one third of real time. For long distances the camera
+/// follows the cart. The animation ends before the first state that is non-finite, far away, or of
+/// a different length.
 pub fn cart_pole(states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f64) -> Animation {
     cart_pole_on(&Rail::default(), states, controls, half_length, dt)
 }
 
-/// [`cart_pole`] with what is around the cart. Bumpers are springs at the ends of the rail, and the whole rail is seen where
-/// it is not too long; the wind is an arrow in the upper left corner.
+/// Animates a trajectory as [`cart_pole`] does, with bumpers and wind.
+///
+/// Bumpers are springs at the ends of the rail; a rail that is not too long is shown whole. An
+/// arrow in the upper left corner shows the wind.
 pub fn cart_pole_on(rail: &Rail, states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f64) -> Animation {
     let length = if half_length.is_normal() && half_length > 0.0 { 2.0 * half_length } else { 1.0 };
     let width = states.first().map_or(0, Vec::len).max(2);
@@ -62,7 +68,7 @@ pub fn cart_pole_on(rail: &Rail, states: &[Vec<f64>], controls: &[f64], half_len
     Animation { title, seconds: time * slowness, still: Vec::new(), frames: frames.collect(), view: (stage.low, stage.high) }
 }
 
-/// The force at a step as a share of the largest one; the last state has none of its own and keeps the one before.
+/// Force at a step relative to the largest one; the last state reuses that of the previous step.
 fn relative_force(controls: &[f64], step: usize) -> f64 {
     let largest = controls.iter().map(|force| force.abs()).filter(|force| force.is_finite()).fold(0.0, f64::max);
     match controls.get(step.min(controls.len().saturating_sub(1))) {
@@ -71,7 +77,7 @@ fn relative_force(controls: &[f64], step: usize) -> f64 {
     }
 }
 
-/// What all frames share: the view, and the rail with its marks.
+/// Data shared by all frames: view and rail marks.
 struct Stage {
     length: f64,
     low: [f64; 2],
@@ -82,7 +88,7 @@ struct Stage {
 }
 
 impl Stage {
-    /// A stage on which the whole trajectory can be seen, or across which the camera must follow the cart.
+    /// Creates a stage that shows the whole trajectory, or whose camera follows the cart.
     fn around(states: &[&Vec<f64>], length: f64, bumpers: Option<Bumpers>, windy: bool) -> Self {
         let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
         for state in states {
@@ -94,7 +100,7 @@ impl Stage {
         let end = bumpers.map_or(f64::INFINITY, |bumpers| bumpers.end());
         let whole = 2.0 * end <= WHOLE * length;
         if whole {
-            // Nobody goes farther than the rail does.
+            // Includes the full range of the cart on the rail.
             let cart = end - 0.85 * length;
             (left, right) = (left.min(-cart), right.max(cart));
         }
@@ -102,10 +108,10 @@ impl Stage {
         let middle = if follow { 0.0 } else { (left + right) / 2.0 };
         let half_width = if follow { 2.5 * length } else { ((right - left) / 2.0 + 1.15 * length).max(2.2 * length) };
         let lowest = states.iter().flat_map(|state| state[2..].iter().step_by(2)).map(|angle| angle.cos()).fold(0.0, f64::min);
-        // Below the rail is room for its marks, and for the poles if they ever hang.
+        // Space below the rail for its marks, and for poles that hang down.
         let bottom = length * (lowest * 1.1).min(-0.45) - 0.2 * length;
-        // Marks everywhere the camera can come, at round distances of about a pole, but not too many of them.
-        // A still camera must not cut the number of the last one in two.
+        // Marks over the range of the camera, at round distances of about one pole length, limited
+        // in number. A fixed camera omits marks whose labels would be clipped.
         let reach = if follow { (right - left) / 2.0 + half_width } else { half_width - 0.3 * length };
         let (from, to) = ((left + right) / 2.0 - reach, (left + right) / 2.0 + reach);
         let step = round_up(length.max((to - from) / 20.0));
@@ -115,7 +121,7 @@ impl Stage {
         Self { length, low: [middle - half_width, bottom], high: [middle + half_width, top], follow, marks, bumpers }
     }
 
-    /// One frame; progress runs from 0 to 1.
+    /// Shapes of one frame; `progress` runs from 0 to 1.
     fn frame(&self, state: &[f64], force: f64, progress: f64) -> Vec<Shape> {
         let unit = self.length;
         let camera = if self.follow { state[0] } else { 0.0 };
@@ -137,7 +143,7 @@ impl Stage {
         shapes
     }
 
-    /// The rail and its marks, whose place shows how far the camera has travelled.
+    /// Rail and marks, shifted by the camera position.
     fn rail(&self, camera: f64) -> Vec<Shape> {
         let (unit, y) = (self.length, -0.2 * self.length);
         let end = self.bumpers.map_or(f64::INFINITY, |bumpers| bumpers.end());
@@ -152,7 +158,7 @@ impl Stage {
         shapes
     }
 
-    /// A thin bar along the lower edge that fills as time passes.
+    /// Thin progress bar along the lower edge.
     fn progress_bar(&self, progress: f64) -> [Shape; 2] {
         let (thickness, left) = (0.03 * self.length, self.low[0] + 0.15 * self.length);
         let full = self.high[0] - self.low[0] - 0.3 * self.length;
@@ -165,7 +171,7 @@ impl Stage {
     }
 }
 
-/// A level arrow; its head shrinks with it, so that it passes through zero without a jump.
+/// Horizontal arrow; its head shrinks with `reach`, so it is continuous through zero.
 fn arrow(from: [f64; 2], reach: f64, width: f64, color: &'static str) -> [Shape; 3] {
     let tip = [from[0] + reach, from[1]];
     let head = reach.signum() * reach.abs().min(4.0 * width);

@@ -1,4 +1,4 @@
-//! [`Chart`]: one diagram, and where in it the data lie, so that a page can point at them.
+//! [`Chart`]: a chart with its axis geometry, so that a page can locate the data.
 
 use super::axes::round_up;
 use super::log_axis::LogAxis;
@@ -8,12 +8,12 @@ use super::series::{cleaned, drawable, thinned, x_range};
 use super::{Drawing, Series};
 use kuva::prelude::{Layout, render_multiple};
 
-/// Width and height; small, so that the letters are still readable where a telephone shrinks it.
+/// Width and height; small enough to keep labels legible on phones.
 const SIZE: [f64; 2] = [460.0, 270.0];
-/// From the edges to the plotted area: left, top, right, bottom.
+/// Margins around the plotted area: left, top, right, bottom.
 const MARGINS: [f64; 4] = [58.0, 12.0, 16.0, 44.0];
 
-/// One diagram without title, legend and name of the y axis, which the page around it has.
+/// Chart without title, legend and y label, which the surrounding page supplies.
 pub struct Chart {
     x_label: &'static str,
     y_label: &'static str,
@@ -27,54 +27,56 @@ enum Axis {
     Linear([f64; 2]),
 }
 
-/// Where the numbers of a [`Chart`] are in its picture. Everything runs linearly between the ends.
+/// Axis geometry of a [`Chart`], linear between the ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame {
     /// Width and height of the picture.
     pub size: [f64; 2],
-    /// Left and right edge of the plotted area, in the picture.
+    /// Left and right edge of the plotted area, in picture coordinates.
     pub across: [f64; 2],
-    /// Lower and upper edge of the plotted area, in the picture, whose y points down.
+    /// Lower and upper edge of the plotted area, in picture coordinates, where y points down.
     pub up: [f64; 2],
-    /// The x of the data at the left and right edge.
+    /// Data x at the left and right edge.
     pub x: [f64; 2],
-    /// The y of the data at the lower and upper edge, or its decimal logarithm.
+    /// Data y at the lower and upper edge, or its decimal logarithm.
     pub y: [f64; 2],
-    /// Whether `y` holds logarithms.
+    /// True if `y` holds decimal logarithms.
     pub log: bool,
 }
 
 impl Chart {
-    /// A diagram with a logarithmic y axis. Points that it cannot show (not finite, zero or negative) are left out.
+    /// Creates a chart with a logarithmic y axis. Omits points that are non-finite, zero or
+    /// negative.
     pub fn log(x_label: &'static str, y_label: &'static str, series: Vec<Series>) -> Self {
         let series = shown(series, drawable);
         Self { x_label, y_label, x: x_range(&series), y: Axis::Log(LogAxis::of(series.iter())), series }
     }
 
-    /// A diagram whose y axis runs from `range[0]` to `range[1]`. Points outside of it are left out.
+    /// Creates a chart with a y axis from `range[0]` to `range[1]`. Omits points outside that
+    /// range.
     pub fn linear(x_label: &'static str, y_label: &'static str, range: [f64; 2], series: Vec<Series>) -> Self {
-        // A cosine may be larger than 1 by a rounding error.
+        // Tolerates rounding errors, for instance of a cosine above 1.
         let slack = 1e-9 * (range[1] - range[0]);
         let series = shown(series, |y| range[0] - slack <= y && y <= range[1] + slack);
         Self { x_label, y_label, x: x_range(&series), y: Axis::Linear(range), series }
     }
 
-    /// The name of the x axis.
+    /// Label of the x axis.
     pub fn x_label(&self) -> &'static str {
         self.x_label
     }
 
-    /// The name of the y axis.
+    /// Label of the y axis.
     pub fn y_label(&self) -> &'static str {
         self.y_label
     }
 
-    /// What it shows: series with at least one point.
+    /// Drawn series, each with at least one point.
     pub fn series(&self) -> &[Series] {
         &self.series
     }
 
-    /// Where the numbers are in the picture.
+    /// Axis geometry of the picture.
     pub fn frame(&self) -> Frame {
         let ([width, height], [left, top, right, bottom]) = (SIZE, MARGINS);
         let (y, log) = match &self.y {
@@ -84,7 +86,7 @@ impl Chart {
         Frame { size: SIZE, across: [left, width - right], up: [height - bottom, top], x: self.x, y, log }
     }
 
-    /// The picture.
+    /// Renders the picture.
     pub fn drawing(&self) -> Drawing {
         let [left, top, right, bottom] = MARGINS;
         let (low, high, unit) = match &self.y {
@@ -112,7 +114,7 @@ impl Chart {
     }
 }
 
-/// The series with what can be shown of them, thinned; those of which nothing can are left out.
+/// Cleans and thins the series and removes empty ones.
 fn shown(series: Vec<Series>, can_be: impl Fn(f64) -> bool) -> Vec<Series> {
     let clean = |mut s: Series| {
         if s.band.is_empty() {
@@ -127,7 +129,8 @@ fn shown(series: Vec<Series>, can_be: impl Fn(f64) -> bool) -> Vec<Series> {
     series.into_iter().map(clean).filter(|s| !s.line.is_empty()).collect()
 }
 
-/// 1, 2 or 5 times a power of ten, at most seven of them in the range; whole where all x are.
+/// Tick step: 1, 2 or 5 times a power of ten, for at most seven steps. An integer if all x are
+/// integers.
 fn tick_step([low, high]: &[f64; 2], series: &[Series]) -> f64 {
     let step = round_up((high - low) / 6.5);
     let whole = series.iter().flat_map(|s| &s.line).all(|&(x, _)| x.fract() == 0.0);
@@ -138,7 +141,7 @@ fn tick_step([low, high]: &[f64; 2], series: &[Series]) -> f64 {
 mod tests {
     use super::*;
 
-    /// The corners of the only line in the picture.
+    /// Vertices of the only line in the picture.
     fn drawn(chart: &Chart) -> Vec<[f64; 2]> {
         let svg = chart.drawing().to_svg();
         let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
@@ -164,7 +167,7 @@ mod tests {
 
     #[test]
     fn the_frame_tells_where_the_numbers_are() {
-        // Far below the smallest number that can be drawn without units of its own.
+        // Includes values below the smallest that kuva draws without rescaling.
         for points in [[(0.0, 3e-14), (2.0, 4e-11), (7.0, 2e-12)], [(10.0, 0.3), (2000.0, 4e3), (4000.0, 1.0)]] {
             check(&Chart::log("x", "y", vec![Series::new("a", "#123456", points.to_vec())]), &points);
         }

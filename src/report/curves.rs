@@ -4,32 +4,32 @@ use super::log_figure::{Panel, log_figure};
 use super::series::{cleaned, drawable, thinned};
 use super::{Drawing, Series};
 
-/// A run that ends before this share of the longest run's epochs has ended early.
+/// Runs that end before this share of the epochs of the longest run are excluded from a summary.
 const EARLY: f64 = 0.95;
 
-/// The runs of one method, one run a seed.
+/// Runs of one method, one per seed.
 pub struct Curve {
-    /// Name in the legend.
+    /// Legend label.
     pub label: String,
-    /// CSS colour, for example of [`field_color`].
+    /// CSS colour, for example from [`field_color`].
     pub color: &'static str,
-    /// One run a seed.
+    /// Points of each run, one run per seed.
     pub runs: Vec<Vec<Point>>,
 }
 
-/// A number of a run at one time of its training.
+/// Measured value at one time of a training run.
 pub struct Point {
-    /// Epochs trained so far.
+    /// Epochs completed.
     pub epoch: f64,
-    /// Wall time since the start of the training, in seconds.
+    /// Wall time since the start of training, s.
     pub seconds: f64,
-    /// What was measured then: the loss, or any other positive number.
+    /// Loss or any other positive quantity.
     pub value: f64,
 }
 
-/// The colour of a field of numbers by its letter, the same in every picture; grey for an unknown letter.
+/// Colour of a vector field by its letter; grey for an unknown letter.
 ///
-/// These are colours of Okabe and Ito, which colour-blind readers can tell apart.
+/// The colours are from the colour-blind safe palette of Okabe and Ito.
 pub fn field_color(letter: &str) -> &'static str {
     match letter {
         "R" => "#0072B2",
@@ -41,9 +41,10 @@ pub fn field_color(letter: &str) -> &'static str {
     }
 }
 
-/// The training and test loss, as (epoch, loss), of one run.
+/// Draws the training and test loss of one run, as points (epoch, loss).
 ///
-/// Losses that a log axis cannot show (not finite, zero or negative) are left out; an empty list leaves out its line.
+/// Omits losses that a log axis cannot show: non-finite, zero or negative. An empty list omits its
+/// line.
 pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) -> Drawing {
     let series = |label, color, points: &[(f64, f64)]| Series::new(label, color, thinned(cleaned(points.to_vec(), &drawable)));
     let series = vec![series("train", "#0072B2", train), series("test", "#D55E00", test)];
@@ -51,15 +52,14 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
     log_figure(title, &[vec![panel]])
 }
 
-/// The test losses of several methods, against epochs on the left and against wall time on the right.
+/// Draws the test losses of several methods, against epochs and against wall time.
 ///
-/// A line is the geometric mean over the seeds, which is the mean as the eye takes it on a log axis, so that one bad
-/// seed does not pull it to the upper edge. The band runs from the best to the worst seed: it never reaches zero or
-/// below, as mean minus deviation may, and with a handful of seeds it hides nothing. One seed has no band.
+/// - Line: geometric mean over the seeds, the natural mean on a log axis. A single bad seed does
+///   not dominate it.
+/// - Band: range from the best to the worst seed, always positive. A single seed has no band.
 ///
-/// The runs of a curve are read at common places by interpolation, as far as all of them reached. A run that has nothing
-/// to show, or that ended early, because it broke off or diverged for good, is left out of line and band; the picture says
-/// how many remain.
+/// Values are interpolated at common x, over the range that all runs cover. Runs without valid
+/// points, and runs that failed or diverged early, are excluded; the figure states how many remain.
 pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
     let panel = |x_label, x: fn(&Point) -> f64| {
         let series = curves.iter().map(|c| c.summary(x)).collect();
@@ -68,19 +68,19 @@ pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
     log_figure(title, &[vec![panel("epoch", |p| p.epoch), panel("wall time (s)", |p| p.seconds)]])
 }
 
-/// The curves of one case among several, for [`study`].
+/// Curves of one panel of a [`study`].
 pub struct Case {
-    /// Stands above it; may be empty.
+    /// Title above the panel; may be empty.
     pub title: String,
-    /// What its values are, and what the cases of its row have in common.
+    /// Label of the y axis; may also name a property shared by the row.
     pub y_label: String,
     /// Cases with the same number share the range of their y axes.
     pub y_axis: usize,
-    /// One curve a method.
+    /// One curve per method.
     pub curves: Vec<Curve>,
 }
 
-/// Rows and columns of cases, each a panel of its own, against epochs. Lines and bands are those of [`comparison`].
+/// Draws a grid of cases, one panel each, against epochs. Lines and bands are as in [`comparison`].
 pub fn study(title: &str, rows: &[Vec<Case>]) -> Drawing {
     let panel = |case: &Case| Panel {
         title: case.title.clone(),
@@ -94,7 +94,7 @@ pub fn study(title: &str, rows: &[Vec<Case>]) -> Drawing {
 }
 
 impl Curve {
-    /// The geometric mean and the band of the runs over the x read from their points, as in [`comparison`].
+    /// Geometric mean and band of the runs against `x`, as in [`comparison`].
     pub fn summary(&self, x: fn(&Point) -> f64) -> Series {
         let end = |run: &Vec<Point>| run.iter().filter(|p| drawable(p.value)).map(|p| p.epoch).fold(f64::NEG_INFINITY, f64::max);
         let last = self.runs.iter().map(end).fold(f64::NEG_INFINITY, f64::max);
@@ -118,7 +118,7 @@ impl Curve {
     }
 }
 
-/// Every x of any run that lies within all of the runs.
+/// All x of all runs within the range that every run covers.
 fn common_grid(runs: &[Vec<(f64, f64)>]) -> Vec<f64> {
     let start = runs.iter().map(|run| run[0].0).fold(f64::NEG_INFINITY, f64::max);
     let end = runs.iter().map(|run| run[run.len() - 1].0).fold(f64::INFINITY, f64::min);
@@ -128,7 +128,7 @@ fn common_grid(runs: &[Vec<(f64, f64)>]) -> Vec<f64> {
     thinned(grid)
 }
 
-/// The loss of a run at x within it, on a straight line between its neighbours as drawn on the log axis.
+/// Interpolates the loss of a run at x, linearly on the log axis.
 fn interpolated(run: &[(f64, f64)], x: f64) -> f64 {
     let right = run.partition_point(|&(at, _)| at < x).min(run.len() - 1);
     let ((x0, y0), (x1, y1)) = (run[right.saturating_sub(1)], run[right]);

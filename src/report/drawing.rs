@@ -1,11 +1,11 @@
-//! [`Drawing`]: a picture that stands still, as SVG or PNG.
+//! [`Drawing`]: a static picture, as SVG or PNG.
 
 use kuva::backend::png::PngBackend;
 use kuva::prelude::SvgBackend;
 use kuva::render::color::Color;
 use kuva::render::render::{Primitive, Scene};
 
-/// A finished picture. The same numbers give the same bytes, on every machine: fonts are built in.
+/// Static picture. Output is reproducible byte for byte on all machines: fonts are built in.
 pub struct Drawing(Scene);
 
 impl Drawing {
@@ -14,25 +14,25 @@ impl Drawing {
         Self(scene)
     }
 
-    /// As SVG: sharp at any size, text that can be searched.
+    /// Renders to SVG, with searchable text.
     pub fn to_svg(&self) -> String {
-        // kuva writes no viewBox, without which a page that sets a width would crop the picture instead of scaling it.
+        // kuva writes no viewBox; without one, a page that sets a width crops the picture.
         let view_box = format!("<svg viewBox=\"0 0 {} {}\" ", self.0.width, self.0.height);
         SvgBackend::new().render_scene(&self.0).replacen("<svg ", &view_box, 1)
     }
 
-    /// As PNG, two pixels to a unit of the SVG.
+    /// Renders to PNG, two pixels per SVG unit.
     ///
     /// # Panics
-    /// If the picture is too large to be held in memory.
+    /// Panics if the picture exceeds the available memory.
     pub fn to_png(&self) -> Vec<u8> {
         PngBackend::new().render_scene(&self.0).expect("a picture of ordinary size")
     }
 }
 
-/// Makes one rectangle of neighbours in a row of cells that have the same colour, which is most of them in a map of few
-/// colours: the file is a quarter of the size. And lets every rectangle reach a whole unit under the next, not half a one as
-/// kuva does, through which browsers let the background shine.
+/// Merges horizontally adjacent cells of the same colour, which shrinks the file.
+///
+/// Each rectangle also extends one unit under the next. With kuva's half unit, browsers show gaps.
 fn join_cells(element: &mut Primitive) {
     let Primitive::RectBatch { x, y, w, h, fills } = element else { return };
     let end = |from: &[f64], size: &[f64]| from.iter().zip(size).map(|(from, size)| from + size).fold(0.0, f64::max);

@@ -1,4 +1,4 @@
-//! The animation of drivers who herd evaders to a target.
+//! Animation of drivers that herd evaders to a target.
 
 mod field;
 
@@ -15,32 +15,34 @@ const TARGET_AREA: &str = "#DDF1EA";
 const DARK: &str = "#4A4F57";
 const TRACK: &str = "#ECEEF1";
 
-/// More frames than this are thinned; agents move in straight lines from one to the next.
+/// Number of frames beyond which a trajectory is thinned; motion between frames is linear.
 const MAX_FRAMES: usize = 120;
-/// Pieces that the trails of all agents have together at most; each agent's has at most [`MAX_PIECES`].
+/// Maximum number of trail segments, for all agents together and per agent.
 const ALL_PIECES: usize = 120;
 const MAX_PIECES: usize = 8;
-/// The part of the film that a trail goes back.
+/// Duration of a trail, relative to that of the animation.
 const TRAIL: f64 = 0.25;
-/// An agent farther than this many metres from the target is taken for a simulation that blew up.
+/// Coordinate of an agent that counts as diverged, m.
 const FAR: f64 = 1e6;
-/// The view reaches at most this many times as far as the start states do.
+/// Limit of the view, relative to the largest coordinate of the initial state.
 const REACH: f64 = 2.0;
-/// Width over height of the picture.
+/// Aspect ratio of the picture, width over height.
 const ASPECT: f64 = 1.5;
 
-/// Films a trajectory in an open field. Each state is x, y and the velocity of every driver and then of every evader, in metres and
-/// seconds, and `dt` seconds pass between two states. Behind every agent is a trail of where it was; the target is the
-/// origin.
+/// Animates a trajectory in an open field.
 ///
-/// A trajectory under 2 s is shown three times slower. The view holds all of the trajectory, unless someone runs far
-/// away. The film ends before the first state that is not finite or has another length than the first state.
+/// A state holds `[x, y, ẋ, ẏ]` of each driver, then of each evader, in m and m/s. States are `dt`
+/// seconds apart. Each agent has a trail of past positions; the target is the origin.
+///
+/// Trajectories shorter than 2 s play at one third of real time. The view contains the whole
+/// trajectory, except agents that move far away. The animation ends before the first state that is
+/// non-finite, far away, or of a different length.
 pub fn guidance(states: &[Vec<f64>], drivers: usize, dt: f64) -> Animation {
     guidance_in(&Field::default(), states, drivers, dt)
 }
 
-/// [`guidance`] with what is in the field. The view also holds the obstacles and the walls, unless they are far from
-/// everyone.
+/// Animates a trajectory as [`guidance`] does, with obstacles and walls. The view
+/// includes them unless they are far from all agents.
 pub fn guidance_in(field: &Field, states: &[Vec<f64>], drivers: usize, dt: f64) -> Animation {
     let width = states.first().map_or(0, Vec::len);
     let valid = |s: &&Vec<f64>| {
@@ -66,12 +68,12 @@ pub fn guidance_in(field: &Field, states: &[Vec<f64>], drivers: usize, dt: f64) 
     }
 }
 
-/// Where the agents are.
+/// Positions of the agents.
 fn positions(state: &[f64]) -> Vec<[f64; 2]> {
     state.chunks_exact(4).map(|agent| [agent[0], agent[1]]).collect()
 }
 
-/// What all frames share.
+/// Data shared by all frames.
 struct Film {
     /// Position of every agent, by frame.
     path: Vec<Vec<[f64; 2]>>,
@@ -93,7 +95,7 @@ impl Film {
             }
         }
         let size = [high[0] - low[0], high[1] - low[1]].map(|size| 1.15 * size);
-        // Room above for the legend and below for the bar.
+        // Space for the legend above and for the progress bar below.
         let height = 1.1 * size[1].max(size[0] / ASPECT);
         let half = [ASPECT * height / 2.0, height / 2.0];
         let middle = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0];
@@ -101,7 +103,7 @@ impl Film {
         Self { path, drivers, field, low: corner(-1.0), high: corner(1.0) }
     }
 
-    /// Everything is sized as a part of the picture's height.
+    /// Height of the picture, to which all sizes are relative.
     fn unit(&self) -> f64 {
         self.high[1] - self.low[1]
     }
@@ -113,7 +115,7 @@ impl Film {
         for agent in 0..agents {
             shapes.extend(self.trail(frame, agent, radius));
         }
-        // Drivers are in front.
+        // Drivers are drawn in front of evaders.
         for agent in (0..agents).rev() {
             let color = if agent < self.drivers { DRIVER } else { EVADER };
             shapes.push(Shape::Circle { center: self.path[frame][agent], radius, color });
@@ -123,7 +125,8 @@ impl Film {
         shapes
     }
 
-    /// Where an agent was, thinner the longer ago. Before the start it was where it started.
+    /// Trail of past positions, thinner with age. Before the start it stays at the initial
+    /// position.
     fn trail(&self, frame: usize, agent: usize, radius: f64) -> Vec<Shape> {
         let pieces = (ALL_PIECES / self.path[frame].len()).clamp(1, MAX_PIECES);
         let length = (TRAIL * (self.path.len() - 1) as f64).ceil() as usize;
@@ -133,7 +136,7 @@ impl Film {
         (0..pieces).rev().map(|p| Shape::Line { from: at(p + 1), to: at(p), width: width(p), color }).collect()
     }
 
-    /// A cross in a disc at the origin.
+    /// Cross in a disc at the origin.
     fn target(&self) -> Vec<Shape> {
         let arm = 0.028 * self.unit();
         let line = |x: f64, y: f64| Shape::Line { from: [-x, -y], to: [x, y], width: 0.005 * self.unit(), color: TARGET };
@@ -141,14 +144,14 @@ impl Film {
         vec![disc, line(arm, 0.0), line(0.0, arm)]
     }
 
-    /// Who is who, in the upper left corner.
+    /// Legend in the upper left corner.
     fn legend(&self, radius: f64) -> Vec<Shape> {
         let (unit, size) = (self.unit(), 0.03 * self.unit());
         let (mut x, y) = (self.low[0] + 0.04 * unit, self.high[1] - 0.04 * unit);
         let mut shapes = Vec::new();
         let agents = [("drivers", DRIVER), ("evaders", EVADER), ("target", TARGET)];
         for (text, color) in agents.into_iter().chain(self.field.legend()) {
-            // Letters are about 0.6 of their size wide, and texts are placed by their middle.
+            // Texts are centered; letters are about 0.6 of the font size wide.
             let width = 0.6 * size * text.len() as f64;
             let at = [x + 0.6 * size + width / 2.0, y - 0.3 * size];
             shapes.push(Shape::Circle { center: [x, y], radius: 0.8 * radius, color });
@@ -158,7 +161,7 @@ impl Film {
         shapes
     }
 
-    /// A thin bar along the lower edge that fills as time passes.
+    /// Thin progress bar along the lower edge.
     fn progress_bar(&self, progress: f64) -> [Shape; 2] {
         let unit = self.unit();
         let (left, full) = (self.low[0] + 0.04 * unit, self.high[0] - self.low[0] - 0.08 * unit);
@@ -175,7 +178,7 @@ impl Film {
 mod tests {
     use super::*;
 
-    /// Two agents, the first a driver, who run away from each other.
+    /// Two agents that move apart; the first is a driver.
     fn trajectory(speed: f64) -> Vec<Vec<f64>> {
         (0..61).map(|i| f64::from(i) / 15.0).map(|t| vec![3.0 - t, 1.0, -1.0, 0.0, speed * t, 0.5, speed, 0.0]).collect()
     }
@@ -192,7 +195,7 @@ mod tests {
     fn everyone_is_in_the_picture() {
         let film = guidance(&trajectory(1.0), 1, 1.0 / 15.0);
         assert_eq!(film.title, "1 driver, 1 evader: 4.0 s in real time");
-        // The first is the agent, the second its entry in the legend.
+        // The first circle is the agent, the second its legend entry.
         assert_eq!(dots(&film, 60, DRIVER)[0], [-1.0, 1.0]);
         assert_eq!(dots(&film, 60, EVADER)[0], [4.0, 0.5]);
         let (low, high) = film.view;

@@ -1,9 +1,10 @@
-//! A logarithmic axis: where it begins and ends, and what its ticks are called.
+//! Logarithmic axis: range, unit and tick labels.
 
 use super::Series;
 use kuva::prelude::*;
 
-/// A logarithmic axis in units of 10^exponent: kuva draws nothing below 1e-10, so `low` is brought into [1, 10).
+/// Logarithmic axis in units of 10^exponent. kuva draws nothing below 1e-10, so `low` is scaled
+/// into [1, 10).
 pub struct LogAxis {
     pub exponent: i32,
     pub low: f64,
@@ -11,7 +12,7 @@ pub struct LogAxis {
 }
 
 impl LogAxis {
-    /// The axis around lines and bands.
+    /// Creates the axis for lines and bands.
     pub fn of<'a>(series: impl Iterator<Item = &'a Series>) -> Self {
         Self::around(series.flat_map(|s| {
             let edges = s.band.iter().flat_map(|&(low, high)| [low, high]);
@@ -19,26 +20,29 @@ impl LogAxis {
         }))
     }
 
-    /// The axis around the values, rounded outward to one digit. It spans at least a factor of about two, so that it has
-    /// a tick or two, which are at 1, 2 and 5 times the powers of ten.
+    /// Creates the axis for the values, rounded outward to one digit.
+    ///
+    /// The range spans at least a factor of about two, so that it contains a tick at 1, 2 or 5
+    /// times a power of ten.
     pub fn around(values: impl Iterator<Item = f64>) -> Self {
         let (min, max) = values.fold((f64::INFINITY, 0.0), |(min, max), y| (y.min(min), y.max(max)));
         let (min, max) = if max > 0.0 { (min, max) } else { (0.1, 1.0) };
         let exponent = min.log10().floor() as i32;
         let unit = 10f64.powi(exponent);
         let round_numbers = || (-1..=200).flat_map(|e| (1..10).map(move |m| f64::from(m) * 10f64.powi(e)));
-        // The tolerance keeps a rounding error in the division from adding a whole tick.
+        // Tolerance, so that a rounding error of the division does not extend the range by a tick.
         let low = round_numbers().take_while(|&y| y <= min / unit * (1.0 + 1e-9)).last().unwrap_or(1.0);
         let high = round_numbers().find(|&y| y > low * 1.9 && y >= max / unit * (1.0 - 1e-9)).unwrap_or(1e200);
         Self { exponent, low, high }
     }
 
-    /// One unit of the axis.
+    /// Value of one axis unit.
     pub fn unit(&self) -> f64 {
         10f64.powi(self.exponent)
     }
 
-    /// Ticks as powers of ten; where those would be too few, also 2 and 5 times them, as plain numbers if they are short.
+    /// Formats ticks as powers of ten. Short ranges also label 2 and 5 times them, as plain numbers
+    /// if these are short.
     pub fn tick_format(&self) -> TickFormat {
         let (shift, decades) = (self.exponent, (self.high / self.low).log10());
         let every = (decades / 12.0).ceil().max(1.0) as i32;
@@ -58,7 +62,7 @@ impl LogAxis {
     }
 }
 
-/// The exponent in raised digits.
+/// Formats the exponent in superscript digits.
 pub fn superscript(exponent: i32) -> String {
     let raise = |c: char| match c.to_digit(10) {
         Some(digit) => ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'][digit as usize],

@@ -1,4 +1,4 @@
-//! Draws panels with logarithmic y axes, in rows and columns.
+//! Grids of panels with logarithmic y axes.
 
 use super::log_axis::LogAxis;
 use super::marks::marks;
@@ -8,42 +8,44 @@ use kuva::prelude::*;
 
 /// One panel of a figure.
 pub struct Panel {
-    /// Stands above it; may be empty.
+    /// Title above the panel; may be empty.
     pub title: String,
-    /// Name of the x axis.
+    /// Label of the x axis.
     pub x_label: &'static str,
-    /// Whether the x axis is logarithmic too; every x must be positive then.
+    /// True for a logarithmic x axis; every x must then be positive.
     pub log_x: bool,
-    /// Name of the y axis.
+    /// Label of the y axis.
     pub y_label: String,
     /// Panels with the same number share the range of their y axes.
     pub y_axis: usize,
-    /// The lines of the panel; one with the same label in another panel shares its legend entry.
+    /// Lines of the panel; equal labels in different panels share a legend entry.
     pub series: Vec<Series>,
 }
 
 impl Panel {
-    /// A logarithmic x axis.
+    /// Logarithmic x axis, if the panel has one.
     fn x_axis(&self) -> Option<LogAxis> {
         let xs = self.series.iter().flat_map(|s| &s.line).map(|&(x, _)| x);
         self.log_x.then(|| LogAxis::around(xs))
     }
 
-    /// One unit of the x axis.
+    /// Value of one unit of the x axis.
     pub fn x_unit(&self) -> f64 {
         self.x_axis().map_or(1.0, |axis| axis.unit())
     }
 }
 
-/// Plotted area of a panel in a figure of one or two, and of many.
+/// Plotted area of a panel, in figures of one row with at most two panels and in larger ones.
 const SIZES: [[f64; 2]; 2] = [[380.0, 350.0], [250.0, 240.0]];
-/// Room beside the plotted area: at least, for the numbers of a y axis, and for its name.
+/// Widths beside the plotted area: minimum, y tick labels, y label.
 const BARE: f64 = 62.0;
 const NUMBERS: f64 = 30.0;
 const NAME: f64 = 24.0;
 
-/// Renders rows of panels, all of the same length. The legend stands to the right of them all, where it can cover no
-/// data. A panel shows numbers and name of its y axis unless they are those of its left neighbour.
+/// Renders rows of panels, all of the same length.
+///
+/// The legend stands to the right of all panels, so it covers no data. A panel omits the tick
+/// labels and the label of its y axis if its left neighbour shows the same.
 pub fn log_figure(title: &str, rows: &[Vec<Panel>]) -> Drawing {
     let panels = || rows.iter().flatten();
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0).max(1);
@@ -72,13 +74,14 @@ pub fn log_figure(title: &str, rows: &[Vec<Panel>]) -> Drawing {
         .with_plots(panels().map(|panel| marks(&panel.series, [panel.x_unit(), axes[panel.y_axis].unit()])).collect())
         .with_shared_legend_right_top()
         .with_shared_legend_entries(legend(panels()));
-    // A panel is wider by what it shows of its y axis, so that the plotted areas come out equally wide.
+    // Widens panels by the visible parts of their y axes, so that all plotted areas have the same
+    // width.
     let room = |column: usize| {
         let any = |what: fn(Shows) -> bool| f64::from(u8::from(rows.iter().any(|row| what(shows(row, column)))));
         BARE + NUMBERS * any(|shows| shows.y_numbers) + NAME * any(|shows| shows.y_name)
     };
     let figure = (0..columns).fold(figure, |figure, column| figure.with_col_width(column, width + room(column)));
-    // So are the names of the x axes under the last row, and the titles above the first.
+    // Likewise adds height for titles, and for the x labels of the last row.
     let figure = (0..rows.len()).fold(figure, |figure, row| {
         let title = if rows[row].iter().any(|panel| !panel.title.is_empty()) { 24.0 } else { 0.0 };
         figure.with_row_height(row, height + title + if row + 1 == rows.len() { 18.0 } else { 0.0 })
@@ -86,7 +89,7 @@ pub fn log_figure(title: &str, rows: &[Vec<Panel>]) -> Drawing {
     Drawing::of(figure.render())
 }
 
-/// One entry a label, also if several panels show it; a series without points is not named.
+/// Builds one legend entry per label across all panels; omits series without points.
 pub fn legend<'a>(panels: impl Iterator<Item = &'a Panel>) -> Vec<LegendEntry> {
     let mut entries: Vec<LegendEntry> = Vec::new();
     for s in panels.flat_map(|panel| &panel.series).filter(|s| !s.line.is_empty()) {
@@ -98,7 +101,7 @@ pub fn legend<'a>(panels: impl Iterator<Item = &'a Panel>) -> Vec<LegendEntry> {
     entries
 }
 
-/// What a panel shows of its axes.
+/// Visible axis elements of a panel.
 #[derive(Clone, Copy)]
 pub struct Shows {
     pub y_numbers: bool,
@@ -106,14 +109,14 @@ pub struct Shows {
     pub x_name: bool,
 }
 
-/// The axes of one panel.
+/// Layout of one panel with its axes.
 pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
     let x_axis = panel.x_axis();
     let (x_min, x_max) = match &x_axis {
         Some(axis) => (axis.low, axis.high),
         None => {
             let [x_min, x_max] = x_range(&panel.series);
-            // A dot needs room, which a line that starts at the axis does not.
+            // Adds a margin for single dots; lines may start at the axis.
             let room = if panel.series.iter().any(|s| s.line.len() == 1) { 0.04 * (x_max - x_min) } else { 0.0 };
             (x_min - room, x_max + room)
         }
@@ -139,12 +142,12 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
         layout = layout.with_x_label(panel.x_label);
     }
     if shows.y_name {
-        // kuva reserves room for its own, shorter names of the ticks.
+        // Shifts the label left: kuva reserves space only for its own, shorter tick labels.
         layout = layout.with_y_label(&*panel.y_label).with_y_label_offset(-6.0, 0.0);
     }
     layout.suppress_y_ticks = !shows.y_numbers;
     for (i, s) in panel.series.iter().filter(|s| !s.note.is_empty()).enumerate() {
-        // From the lower left corner upwards.
+        // Stacks notes upwards from the lower left corner.
         let share = |share: f64, from: f64, to: f64| from + share * (to - from);
         let y = share(0.04 + 0.07 * i as f64, axis.low.ln(), axis.high.ln()).exp();
         let note = TextAnnotation::new(format!("{}: {}", s.label, s.note), share(0.25, x_min, x_max), y);
@@ -157,7 +160,7 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
     layout
 }
 
-/// Quiet lines behind the data.
+/// Light theme with faint grid lines.
 pub fn theme() -> Theme {
     Theme { grid_color: "#e6e6e6".into(), axis_color: "#444".into(), legend_border: "none".into(), ..Theme::light() }
 }

@@ -1,9 +1,9 @@
-//! The marks of a diagram: lines, dots and bands.
+//! Marks of a chart: lines, dots and bands.
 
 use super::Series;
 use kuva::prelude::*;
 
-/// The marks of these series, their x and y in these units: all the bands below all the lines.
+/// Creates the marks of the series in the given x and y units, with all bands below all lines.
 pub fn marks(series: &[Series], unit: [f64; 2]) -> Vec<Plot> {
     let bands = series.iter().filter(|s| !s.band.is_empty()).map(|s| band(s, unit));
     bands.chain(series.iter().map(|s| line(s, unit))).collect()
@@ -20,7 +20,7 @@ fn line(series: &Series, unit: [f64; 2]) -> Plot {
     if points.len() == 1 {
         return ScatterPlot::new().with_data(points).with_color(series.color).with_size(4.0).into();
     }
-    // A line without points is needed too: kuva leaves out a panel that has no plot, axes and all.
+    // Also adds lines without points: kuva omits a panel without plots, including its axes.
     let line = LinePlot::new().with_data(points).with_color(series.color).with_stroke_width(1.8);
     if series.dashed { line.with_dashed().into() } else { line.into() }
 }

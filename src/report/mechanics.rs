@@ -1,4 +1,4 @@
-//! The animation of rods and boxes: any small mechanics in the plane.
+//! Animation of rods and boxes, for small planar mechanical systems.
 
 use super::animation::{Animation, Shape};
 
@@ -8,35 +8,37 @@ const BOXES: [&str; 3] = ["#E69F00", "#009E73", "#CC79A7"];
 const GROUND: &str = "#9AA0A8";
 const MARK: &str = "#D55E00";
 
-/// More frames than this are thinned.
+/// Number of frames beyond which a motion is thinned.
 const MAX_FRAMES: usize = 250;
-/// What is farther than this many metres from the origin is taken for a simulation that blew up.
+/// Coordinate that counts as diverged, m.
 const FAR: f64 = 1e6;
 
-/// Where things are at one time, m.
+/// Configuration at one time, m.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Posture {
-    /// Joints of a chain of rods, from one end to the other; none, if there is no chain. As many at every time.
+    /// Joints of a chain of rods, in order; empty for no chain. The same number at every time.
     pub chain: Vec<[f64; 2]>,
-    /// The middles of boxes. As many at every time.
+    /// Centers of the boxes. The same number at every time.
     pub boxes: Vec<[f64; 2]>,
 }
 
-/// What does not move.
+/// Static surroundings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stage {
-    /// What the film is of.
+    /// Title of the animation.
     pub title: String,
-    /// Width of a box, m; joints and rods are drawn to match.
+    /// Width of a box, m; joints and rods scale with it.
     pub size: f64,
-    /// The height of a floor or rail, if there is one, m.
+    /// Height of a floor or rail, m.
     pub floor: Option<f64>,
-    /// Where things should be, if that is a place.
+    /// Target position, m.
     pub mark: Option<[f64; 2]>,
 }
 
-/// Films a motion, `dt` seconds from one posture to the next. A motion under 2 s is shown three times slower. The film ends
-/// before the first posture that is not finite.
+/// Animates a motion, with postures `dt` seconds apart.
+///
+/// Motions shorter than 2 s play at one third of real time. The animation ends before the first
+/// posture that is non-finite or far away.
 pub fn mechanics(stage: &Stage, postures: &[Posture], dt: f64) -> Animation {
     let points = |posture: &Posture| [&posture.chain[..], &posture.boxes[..]].concat();
     let near = |posture: &&Posture| points(posture).iter().flatten().all(|x| x.abs() < FAR);
@@ -50,7 +52,7 @@ pub fn mechanics(stage: &Stage, postures: &[Posture], dt: f64) -> Animation {
     let margin = 1.5 * stage.size;
     let mut low = [end(0, f64::min) - margin, end(1, f64::min) - margin];
     let mut high = [end(0, f64::max) + margin, end(1, f64::max) + margin];
-    // Motion along a line is seen in a strip that is not too narrow.
+    // Widens the view of a motion along a line to an aspect ratio of at least 1/3.
     for (i, other) in [(0, 1), (1, 0)] {
         let missing = (high[other] - low[other]) / 3.0 - (high[i] - low[i]);
         if missing > 0.0 {

@@ -1,4 +1,15 @@
-//! Pictures of runs: plain numbers in, SVG or PNG out. No scripts, no network, the same bytes every time.
+//! Figures and animations of training runs, as SVG or PNG, from plain numbers.
+//!
+//! Contents:
+//!
+//! - Charts: [`learning_curve`], [`comparison`], [`study`] and [`work_precision`], and [`Chart`]
+//!   for interactive pages.
+//! - Maps of a plane: [`maps`].
+//! - Animations: [`cart_pole()`], [`guidance()`], [`quantum()`], [`mechanics()`], or
+//!   [`Animation`] for other systems.
+//!
+//! Start with [`learning_curve`]. Output contains no scripts, needs no network, and is reproducible
+//! byte for byte.
 
 mod animation;
 mod axes;

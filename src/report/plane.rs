@@ -1,4 +1,4 @@
-//! Maps of a plane: lengths as colours on a logarithmic scale, with arrows, lines and paths upon them.
+//! Maps of a plane: norms as colours on a logarithmic scale, with arrows, lines and paths.
 
 use super::log_axis::{LogAxis, superscript};
 use super::log_figure::{Panel, Shows, legend, panel_layout};
@@ -9,53 +9,59 @@ use kuva::plot::QuiverPivot;
 use kuva::prelude::*;
 use std::sync::Arc;
 
-/// About how many colours the scale has. They are few enough to be told apart and to make rectangles of neighbours.
+/// Approximate number of colours; few enough to be distinguishable and to merge neighbouring cells.
 const STEPS: i32 = 18;
-/// The colours of the smallest and the largest values and between them: light enough for dark arrows to be seen on all.
+/// Colour stops from the smallest to the largest value, light enough for dark arrows.
 const COLORS: [[f64; 3]; 5] =
     [[255.0, 252.0, 235.0], [253.0, 217.0, 158.0], [247.0, 156.0, 110.0], [224.0, 100.0, 115.0], [172.0, 66.0, 138.0]];
 const INK: &str = "#1c1c24";
 const LINE: &str = "#0a4f8f";
-/// Colour and width of a line's seam and of the line, which is to be seen on every colour.
+/// Colour and width of the casing of a line and of the line itself, for contrast on every
+/// background.
 const CASED: [(&str, f64); 2] = [("#ffffff", 3.4), (LINE, 1.6)];
-/// Length of an arrow, as a share of the distance between arrows.
+/// Length of an arrow, relative to the spacing of arrows.
 const ARROW: f64 = 0.72;
-/// More points of a path than this are thinned.
+/// Number of points beyond which a path is thinned.
 const MAX_POINTS: usize = 700;
 
-/// What all maps of a figure share.
+/// Common settings of all maps of a figure.
 pub struct Plane {
-    /// Names of the two axes.
+    /// Labels of the x and y axes.
     pub labels: [&'static str; 2],
-    /// The maps reach from minus this to this, in both directions.
+    /// Half-width of the maps: both axes run from `-reach` to `reach`.
     pub reach: f64,
-    /// Powers of ten at the ends of the colour scale; what is beyond has the colour of the end.
+    /// Powers of ten at the ends of the colour scale; values beyond are clamped.
     pub decades: [i32; 2],
-    /// Name of the colour scale.
+    /// Label of the colour scale.
     pub values: &'static str,
 }
 
-/// One map. The grids' cells are equal squares over the whole plane, row by row from the lower left corner; whatever is
-/// empty is left out.
+/// One map.
+///
+/// Grid cells are equal squares over the whole plane, row by row from the lower left corner. Empty
+/// fields are omitted.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Map {
-    /// Written above it.
+    /// Title above the map.
     pub title: String,
-    /// Values in the cells of a grid, to be shown as colours; what is not positive has the colour of the smallest.
+    /// Values in the cells of a grid, shown as colours. Values that are not positive have the
+    /// lowest colour.
     pub values: Vec<f64>,
-    /// Directions in the cells of another grid, to be shown as arrows of one length; where both components are 0 or one is
-    /// not finite, there is none.
+    /// Directions in the cells of another grid, shown as arrows of equal length. Zero and
+    /// non-finite vectors are omitted.
     pub arrows: Vec<[f64; 2]>,
-    /// Numbers in the cells of a grid, of which a line shows where they change sign.
+    /// Values in the cells of a grid; a line shows their zero level set.
     pub signs: Vec<f64>,
-    /// A path, with a dot where it starts.
+    /// Path, with a dot at its start.
     pub path: Vec<[f64; 2]>,
-    /// A place to be marked with a cross.
+    /// Position marked with a cross.
     pub mark: Option<[f64; 2]>,
 }
 
-/// Draws the maps side by side with their colour scale, and to their right the losses of some runs, as the name, the CSS
-/// colour and the loss at the start and after every iteration, if there are any.
+/// Draws maps side by side with their colour scale, and an optional panel of losses.
+///
+/// Each entry of `runs` holds a name, a CSS colour, and the losses at the start and after every
+/// iteration.
 pub fn maps(plane: &Plane, maps: &[Map], runs: &[(&str, &'static str, Vec<f64>)]) -> Drawing {
     let mut layouts: Vec<Layout> = maps.iter().enumerate().map(|(i, map)| plane.layout(map, i == 0)).collect();
     let mut plots: Vec<Vec<Plot>> = maps.iter().map(|map| plane.plots(map)).collect();
@@ -78,7 +84,8 @@ pub fn maps(plane: &Plane, maps: &[Map], runs: &[(&str, &'static str, Vec<f64>)]
     let mut figure = Figure::new(1, columns)
         .with_padding(10.0)
         .with_spacing(12.0)
-        // The first map is wider by its y labels, and all are higher by theirs: the planes come out as equal squares.
+        // Extra width for the y labels of the first map and extra height for the titles and x
+        // labels. The plotted areas are then equal squares.
         .with_cell_size(300.0, 367.0)
         .with_col_width(0, 348.0)
         .with_col_width(maps.len(), 104.0)
@@ -106,7 +113,7 @@ impl Plane {
         let [low, high] = self.decades.map(f64::from);
         let tick = |power: f64| format!("10{}", superscript(power.round() as i32));
         let mut layout = framed((0.0, 1.0), (low, high))
-            // As high as the maps, which have a title and a label.
+            // Blank title and label, for the same height as the maps.
             .with_title(" ")
             .with_x_label(" ")
             .with_y_label(self.values)
@@ -117,13 +124,13 @@ impl Plane {
         layout
     }
 
-    /// What the scale shows of itself: a value in the middle of each step of colour.
+    /// Values of the colour scale: the middle of each colour step.
     fn scale(&self) -> Vec<f64> {
         let (steps, each) = self.steps();
         (0..steps).map(|step| 10f64.powf(f64::from(self.decades[0]) + (f64::from(step) + 0.5) / each)).collect()
     }
 
-    /// Steps of colour, all told and within a factor of ten.
+    /// Number of colour steps, in total and per decade.
     fn steps(&self) -> (i32, f64) {
         let decades = (self.decades[1] - self.decades[0]).max(1);
         let each = (STEPS / decades).max(1);
@@ -161,12 +168,12 @@ impl Plane {
         let last = f64::from(steps - 1);
         let step = |value: &f64| {
             let position = (value.log10() - f64::from(self.decades[0])) * each;
-            // A NaN, of a negative value, becomes the smallest by max.
+            // `max` maps NaN, from negative values, to the lowest step.
             position.floor().max(0.0).min(last)
         };
         let cells: Vec<f64> = values.iter().map(step).collect();
         let (low, high) = cells.iter().fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), &c| (low.min(c), high.max(c)));
-        // kuva spreads the colours between the smallest and the largest cell; this takes it back.
+        // Inverts kuva's normalization of colours to the range of the cells.
         let color = move |share: f64| color((low + share * (high - low)).round() / last);
         let (x_low, x_high) = if scale.is_some() { (0.0, 1.0) } else { (-self.reach, self.reach) };
         let (y_low, y_high) = scale.map_or((x_low, x_high), |[low, high]| (f64::from(low), f64::from(high)));
@@ -197,7 +204,7 @@ impl Plane {
             .into()
     }
 
-    /// Where the numbers in the cells change sign, taken to run straight between the middles of cells.
+    /// Zero level set of the cell values, interpolated linearly between cell centers.
     fn line(&self, signs: &[f64], color: &str, width: f64) -> Plot {
         let cells = side(signs.len());
         let middles: Vec<f64> = (0..cells).map(|i| self.middle(i, cells)).collect();
@@ -215,7 +222,7 @@ impl Plane {
     }
 }
 
-/// A panel with a frame and no grid.
+/// Layout with a frame and without grid lines.
 fn framed(x: (f64, f64), y: (f64, f64)) -> Layout {
     let theme = Theme { axis_color: "#444".into(), legend_border: "none".into(), ..Theme::light() };
     Layout::new(x, y)
@@ -231,12 +238,12 @@ fn framed(x: (f64, f64), y: (f64, f64)) -> Layout {
         .with_theme(theme)
 }
 
-/// Cells along a side of a square grid.
+/// Number of cells along a side of a square grid.
 fn side(cells: usize) -> usize {
     cells.isqrt().max(1)
 }
 
-/// The colour at a share of the scale.
+/// Colour at a position in [0, 1] of the scale.
 fn color(share: f64) -> String {
     let position = share.clamp(0.0, 1.0) * (COLORS.len() - 1) as f64;
     let i = (position as usize).min(COLORS.len() - 2);
@@ -260,12 +267,12 @@ mod tests {
 
     #[test]
     fn the_colour_is_that_of_the_value_whatever_the_others_are() {
-        // The thirteenth of eighteen steps, six for each power of ten.
+        // Thirteenth of eighteen steps, six per decade.
         let twelve = format!("fill=\"{}\"", color(12.0 / 17.0));
         for others in [[12.0, 12.0, 12.0], [1.0, 0.2, 30.0], [1e9, 1e-9, f64::NAN]] {
             let values = [others[0], others[1], 12.0, others[2]];
             let svg = maps(&PLANE, &[map(&values)], &[]).to_svg();
-            // Once at least in the map and once in the scale.
+            // At least once in the map and once in the scale.
             assert!(svg.matches(&twelve).count() >= 2, "{others:?}: {}", svg.matches(&twelve).count());
         }
     }

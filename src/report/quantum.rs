@@ -1,4 +1,4 @@
-//! The animation of a particle in a box whose floor is tilted.
+//! Animation of a quantum particle in a box with a tilted floor.
 
 mod landscape;
 #[cfg(test)]
@@ -17,26 +17,31 @@ const FIDELITY: &str = "#0072B2";
 const ZERO: &str = "#D5D8DC";
 const CURSOR: &str = "#56B4E9";
 
-/// More frames than this are thinned.
+/// Number of frames beyond which a trajectory is thinned.
 const MAX_FRAMES: usize = 200;
-/// More states and more grid points than this share the cells of the map, and the corners of a curve.
+/// Numbers of states and grid points beyond which map cells and curve vertices are averages.
 const MAX_COLUMNS: usize = 256;
 const MAX_ROWS: usize = 64;
 
-/// Films a trajectory in an empty box. Each state is the real and imaginary part of ψ at every grid point between the walls of a box of
-/// this length, with `Σ |ψ_j|² = 1` at first; `dt` units of time pass between two states. `target` is the state to reach, real,
-/// at the same points.
+/// Animates a trajectory in an empty box.
 ///
-/// The large map is the probability density over time and position. A line moves through it, and through the control
-/// and the fidelity `|⟨φ, ψ⟩|²` below; at the right are the density at that time, as bars, and the target's.
+/// A state holds the real and imaginary part of ψ at every grid point between the walls, initially
+/// with `Σ |ψ_j|² = 1`. `length` is that of the box, and states are `dt` units of time apart.
+/// `target` is the real target state φ at the grid points.
 ///
-/// The film ends before the first state that is not finite or has another length than the first state.
+/// The large map shows the probability density over time and position. A cursor moves through it,
+/// and through the control and the fidelity `|⟨φ, ψ⟩|²` below. The panel at the right shows the
+/// current density as bars, and that of the target.
+///
+/// The animation ends before the first state that is non-finite or of a different length.
 pub fn quantum(states: &[Vec<f64>], controls: &[f64], target: &[f64], length: f64, dt: f64) -> Animation {
     quantum_in(&Landscape::default(), states, controls, target, length, dt)
 }
 
-/// [`quantum`] with what is in the box: the potential is behind the density at the right, and absorbing edges are shaded
-/// there and on the map. Densities and fidelities are of the wave as it is, which in absorbing edges becomes less than 1.
+/// Animates a trajectory as [`quantum`] does, with a potential and absorbing edges.
+///
+/// The potential is drawn behind the density at the right; absorbing edges are shaded there and on
+/// the map. Densities and fidelities are not renormalized, so they include absorption losses.
 pub fn quantum_in(
     landscape: &Landscape,
     states: &[Vec<f64>],
@@ -64,36 +69,36 @@ fn positive(value: f64) -> f64 {
     if value.is_normal() && value > 0.0 { value } else { 1.0 }
 }
 
-/// The values, or means over neighbours if there are more than `most`.
+/// Returns the values, or averages over neighbours if there are more than `most`.
 fn averaged(values: &[f64], most: usize) -> Vec<f64> {
     groups(values, most).map(|group| group.iter().sum::<f64>() / group.len() as f64).collect()
 }
 
-/// At most so many pieces of nearly the same length.
+/// Splits into at most `most` groups of nearly equal length.
 fn groups<T>(values: &[T], most: usize) -> impl Iterator<Item = &[T]> {
     let count = values.len().min(most);
     (0..count).map(move |i| &values[i * values.len() / count..(i + 1) * values.len() / count])
 }
 
-/// What all frames share.
+/// Data shared by all frames.
 struct Film {
-    /// |ψ|² per unit of length, by state and position.
+    /// Density |ψ|² per unit length, by state and position.
     densities: Vec<Vec<f64>>,
-    /// The same of the target.
+    /// Density |φ|² of the target per unit length, by position.
     target: Vec<f64>,
-    /// By state.
+    /// Fidelity by state.
     fidelities: Vec<f64>,
-    /// Σ |ψ_j|² at the end.
+    /// Final Σ |ψ_j|².
     norm: f64,
     landscape: Landscape,
-    /// By step.
+    /// Control by step.
     controls: Vec<f64>,
-    /// Half the distance of two rows of the map, for the walls are half a row beyond the outermost.
+    /// Half the spacing of the map rows; the walls are one spacing beyond the outermost rows.
     half_row: f64,
     dt: f64,
     map: Axes,
     profile: Axes,
-    /// The colours of the map along the axis of the profile.
+    /// Colour scale of the map, along the x axis of the profile.
     scale: Axes,
     control: Axes,
     fidelity: Axes,
@@ -104,7 +109,7 @@ impl Film {
         let width = states.first().map_or(0, Vec::len);
         let valid = |s: &&Vec<f64>| s.len() == width && s.iter().all(|v| v.is_finite());
         let states: Vec<&Vec<f64>> = states.iter().take_while(valid).collect();
-        // Numbers at grid points have to be divided by the distance of those to be a density.
+        // Divides by the grid spacing to obtain a density.
         let per_point = (width / 2 + 1) as f64 / length;
         let density = |squares: Vec<f64>| averaged(&squares, MAX_ROWS).into_iter().map(|d| d * per_point).collect::<Vec<_>>();
         let of_state = |s: &&Vec<f64>| density(s.chunks_exact(2).map(|psi| psi[0] * psi[0] + psi[1] * psi[1]).collect());
@@ -120,7 +125,7 @@ impl Film {
         let highest = 1.04 * positive(densities.iter().flatten().chain(&target_density).copied().fold(0.0, f64::max));
         let (least, most) = controls.iter().fold((0.0f64, 0.0f64), |(least, most), &c| (least.min(c), most.max(c)));
         let (room, middle) = (0.55 * positive(most - least), 0.5 * (least + most));
-        // A column of the map is a state, and its middle is that state's time.
+        // Each column of the map is centered at the time of its state.
         let time = [-0.5 * dt, (states.len().max(1) as f64 - 0.5) * dt];
         let panel = |left, right, bottom, top, x, y| Axes { left, right, bottom, top, x, y };
         Self {
@@ -140,7 +145,7 @@ impl Film {
         }
     }
 
-    /// What does not move: the map, the curves, the axes.
+    /// Static shapes: map, curves and axes.
     fn background(&self) -> Vec<Shape> {
         let Self { map, profile, scale, control, fidelity, landscape, .. } = self;
         let [from, to] = map.x;
@@ -169,7 +174,7 @@ impl Film {
             let (x, y) = (34.0, middle(panel).1);
             shapes.extend([text([x, y + 2.0], first), text([x, y - 14.0], second)]);
         }
-        // Above the scale of the potential, if there is one.
+        // Raises the captions above the scale of the potential, if there is one.
         let top = if landscape.tilted() { 470.0 } else { 460.0 };
         shapes.push(text([middle(map).0, top], "probability density |ψ(x, t)|²"));
         shapes.push(text([middle(profile).0, top], "density at time t"));
@@ -179,7 +184,7 @@ impl Film {
         shapes
     }
 
-    /// The map, and the scale of its colours along the profile's axis.
+    /// Map and colour scale.
     fn colors(&self) -> Vec<Shape> {
         let Self { map, scale, half_row, .. } = self;
         let image = |(center, size), rows: &[Vec<f64>]| Shape::Image { center, size, raster: Raster::new(rows) };
@@ -189,7 +194,7 @@ impl Film {
         let columns: Vec<&[Vec<f64>]> = groups(&self.densities, MAX_COLUMNS).collect();
         let cell = |row: usize, states: &[Vec<f64>]| states.iter().map(|s| s[row]).sum::<f64>() / states.len() as f64;
         let row = |row: usize| columns.iter().map(|states| cell(row, states) / scale.x[1]).collect();
-        // The upper row, the first of a raster, is the last position.
+        // Reverses the rows: a raster starts with the upper row, which is the last position.
         let rows: Vec<Vec<f64>> = (0..self.densities.first().map_or(0, Vec::len)).rev().map(row).collect();
         if !rows.is_empty() {
             shapes.push(image(map.area([map.x[0], *half_row], [map.x[1], map.y[1] - half_row]), &rows));
@@ -197,20 +202,20 @@ impl Film {
         shapes
     }
 
-    /// The control over time, constant during a step.
+    /// Control over time, piecewise constant.
     fn steps(&self) -> Vec<[f64; 2]> {
         let means = averaged(&self.controls, MAX_COLUMNS);
         let step = self.dt * self.controls.len() as f64 / means.len().max(1) as f64;
         (0..).zip(&means).flat_map(|(i, &c)| [[step * f64::from(i), c], [step * f64::from(i + 1), c]]).collect()
     }
 
-    /// The time in the middle of one of so many columns.
+    /// Time at the middle of a column.
     fn time(&self, column: usize, columns: usize) -> f64 {
         let [from, to] = self.map.x;
         from + (to - from) * (column as f64 + 0.5) / columns as f64
     }
 
-    /// What the shapes of the profile are, and how well it went.
+    /// Legend of the profile, with the initial and final fidelity.
     fn legend(&self) -> Vec<Shape> {
         let (x, middle) = (self.profile.left + 14.0, (self.profile.left + self.profile.right) / 2.0);
         let ends = [self.fidelities.first(), self.fidelities.last()].map(|f| f.copied().unwrap_or(0.0));
@@ -225,7 +230,7 @@ impl Film {
         ]
     }
 
-    /// What moves.
+    /// Moving shapes of one frame.
     fn frame(&self, state: usize) -> Vec<Shape> {
         let Self { map, profile, fidelity, half_row, .. } = self;
         let density = &self.densities[state];

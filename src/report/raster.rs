@@ -1,31 +1,32 @@
-//! [`Raster`]: numbers as coloured cells, in one embedded PNG instead of thousands of rectangles.
+//! [`Raster`]: an image of coloured cells, embedded as one PNG instead of thousands of rectangles.
 
 use base64::prelude::{BASE64_STANDARD, Engine};
 use std::fmt;
 
-/// Rows of cells, each a number between 0 and 1 as a colour that the eye sees grow evenly: black, red, yellow.
+/// Grid of cells, each a number between 0 and 1 on the perceptually uniform Inferno colour scale.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Raster {
     columns: usize,
-    /// Red, green and blue of every cell, the upper row first.
+    /// Red, green and blue of every cell, upper row first.
     rgb: Vec<u8>,
 }
 
 impl Raster {
-    /// The upper row first, all rows of the same length. What is not a number is 0.
+    /// Creates a raster from rows of equal length, upper row first. Clamps values to `[0, 1]`; NaN
+    /// becomes 0.
     ///
     /// # Panics
-    /// Without a cell, or if the rows differ in length.
+    /// Panics without cells, or if the rows differ in length.
     pub fn new(rows: &[Vec<f64>]) -> Self {
         let columns = rows.first().map_or(0, Vec::len);
         assert!(columns > 0 && rows.iter().all(|row| row.len() == columns), "a raster has rows of the same length, not 0");
-        // A NaN is not above 0.
+        // False for NaN.
         let shown = |value: f64| if value > 0.0 { value.min(1.0) } else { 0.0 };
         let color = |&value: &f64| colorous::INFERNO.eval_continuous(shown(value)).as_array();
         Self { columns, rgb: rows.iter().flatten().flat_map(color).collect() }
     }
 
-    /// The file, one pixel a cell.
+    /// Encodes as PNG, one pixel per cell.
     fn png(&self) -> Vec<u8> {
         let mut file = Vec::new();
         let mut encoder = png::Encoder::new(&mut file, self.columns as u32, (self.rgb.len() / 3 / self.columns) as u32);
@@ -34,7 +35,7 @@ impl Raster {
         file
     }
 
-    /// The file within an address.
+    /// Data URI of the PNG.
     pub(super) fn data_uri(&self) -> String {
         format!("data:image/png;base64,{}", BASE64_STANDARD.encode(self.png()))
     }
@@ -58,7 +59,7 @@ mod tests {
         let mut pixels = vec![0; 18];
         let info = reader.next_frame(&mut pixels).expect("a picture");
         assert_eq!((info.width, info.height, &pixels), (3, 2, &raster.rgb));
-        // Dark is low; what is beyond the scale is at its end.
+        // Low values are dark; values beyond the scale are clamped.
         assert!(pixels[..3].iter().all(|&c| c < 10) && pixels[6] > 240);
         assert_eq!(pixels[9..15], [&pixels[..3], &pixels[..3]].concat());
         assert_eq!(pixels[15..], pixels[6..9]);

@@ -1,52 +1,53 @@
-//! [`Series`]: a line in a diagram, made of what can be drawn of some numbers.
+//! [`Series`]: a line in a chart, cleaned and thinned for drawing.
 
-/// A line of more points than this is thinned: no screen shows more, and the files stay small.
+/// Number of points beyond which a line is thinned: no screen resolves more, and files stay small.
 const MAX_POINTS: usize = 250;
 
-/// One line, with an optional band around it.
+/// Line with an optional band around it.
 ///
-/// On a log axis every y must be positive; [`Chart`](super::Chart) leaves out what is not.
+/// On a log axis every y must be positive; [`Chart`](super::Chart) omits other points.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
-    /// Its name.
+    /// Legend label.
     pub label: String,
-    /// What has to be said of it where it is drawn; may be empty.
+    /// Note shown in the chart; may be empty.
     pub note: String,
     /// CSS colour of line and band.
     pub color: &'static str,
-    /// Whether the line is broken into dashes.
+    /// True for a dashed line.
     pub dashed: bool,
-    /// The points (x, y) of the line, by increasing x; a single one is drawn as a dot.
+    /// Points (x, y) in order of increasing x; a single point is drawn as a dot.
     pub line: Vec<(f64, f64)>,
-    /// The lower and upper edge of the band at each point of the line, or nothing.
+    /// Lower and upper edge of the band at each point of the line; empty for no band.
     pub band: Vec<(f64, f64)>,
 }
 
 impl Series {
-    /// A line without a band.
+    /// Creates a solid line without a band.
     pub fn new(label: impl Into<String>, color: &'static str, line: Vec<(f64, f64)>) -> Self {
         Self { label: label.into(), note: String::new(), color, dashed: false, line, band: Vec::new() }
     }
 
-    /// The same, dashed.
+    /// Makes the line dashed.
     pub fn dashed(self) -> Self {
         Self { dashed: true, ..self }
     }
 }
 
-/// Whether a value can be put on a log axis: finite, positive and not absurdly large or small.
+/// True if a log axis can show the value: between 1e-100 and 1e100.
 pub fn drawable(y: f64) -> bool {
     y > 1e-100 && y < 1e100
 }
 
-/// The points whose y a diagram can show, by increasing x.
+/// Removes points that a chart cannot show and sorts the others by x.
 pub fn cleaned(mut points: Vec<(f64, f64)>, shown: &dyn Fn(f64) -> bool) -> Vec<(f64, f64)> {
     points.retain(|&(x, y)| x.is_finite() && shown(y));
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
     points
 }
 
-/// From 0, or the first x if that is less, to the last x; with some room if there is no x but 0.
+/// Range of x: from 0, or the smallest x if negative, to the largest. An empty range is widened by
+/// 1.
 pub fn x_range(series: &[Series]) -> [f64; 2] {
     let xs = || series.iter().flat_map(|s| &s.line).map(|&(x, _)| x);
     let low = xs().fold(0.0, f64::min);
@@ -54,12 +55,12 @@ pub fn x_range(series: &[Series]) -> [f64; 2] {
     [low, if high > low { high } else { low + 1.0 }]
 }
 
-/// At most [`MAX_POINTS`] of the items, evenly spread, with the first and the last among them.
+/// At most [`MAX_POINTS`] evenly spaced items, including the first and the last.
 pub fn thinned<T: Copy>(items: Vec<T>) -> Vec<T> {
     thinned_to(MAX_POINTS, items)
 }
 
-/// At most so many of the items, evenly spread, with the first and the last among them.
+/// At most `most` evenly spaced items, including the first and the last.
 pub fn thinned_to<T: Copy>(most: usize, items: Vec<T>) -> Vec<T> {
     if items.len() <= most {
         return items;

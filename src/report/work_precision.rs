@@ -1,20 +1,21 @@
-//! What accuracy costs: errors against work, both on logarithmic axes.
+//! Work-precision diagrams: error against work, on logarithmic axes.
 
 use super::log_figure::{Panel, log_figure};
 use super::series::drawable;
 use super::{Drawing, Series};
 
-/// One diagram of [`work_precision`].
+/// One panel of [`work_precision`].
 pub struct Work {
-    /// Name of the x axis.
+    /// Label of the x axis.
     pub x_label: &'static str,
-    /// Name of the y axis; diagrams with the same name share its range.
+    /// Label of the y axis; panels with the same label share its range.
     pub y_label: &'static str,
-    /// A line for every method, its points (work, error) in the order in which they are to be joined.
+    /// One line per method, with points (work, error) in drawing order.
     pub series: Vec<Series>,
 }
 
-/// Diagrams of errors against work side by side. Points that a logarithmic axis cannot show are left out.
+/// Draws panels of error against work side by side. Omits points that a logarithmic axis cannot
+/// show.
 pub fn work_precision(title: &str, diagrams: Vec<Work>) -> Drawing {
     let labels: Vec<&str> = diagrams.iter().map(|diagram| diagram.y_label).collect();
     let panel = |Work { x_label, y_label, mut series }: Work| {

@@ -1,7 +1,7 @@
-//! Checkpoints: everything a session needs to go on as if it had never stopped.
+//! Checkpoints: serialization of a [`Session`](crate::Session).
 //!
-//! A checkpoint is a magic number, a format number, a CRC of all that follows, and a postcard body. It carries a label, a
-//! text that says which run it belongs to; a session only takes a checkpoint with its own label.
+//! A checkpoint is a magic number, a format number, a CRC-32C of the rest, and a postcard body. Its
+//! label identifies the run. A session restores only checkpoints with its own label.
 
 use super::Record;
 use super::progress::{Epoch, Progress, Snapshot};
@@ -12,10 +12,10 @@ use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
 const MAGIC: &[u8; 8] = b"physgrad";
-/// Raised whenever the layout of [`Body`] changes.
+/// Incremented whenever the layout of [`Body`] changes.
 const FORMAT: u16 = 3;
 
-/// Known before the numbers are read, so that a mismatch is named and not guessed.
+/// Decoded before the body, so that a mismatch yields a specific error.
 #[derive(Serialize, Deserialize)]
 struct Header {
     version: String,
@@ -30,60 +30,60 @@ struct Body<'a, F: Clone> {
     optimizer: Cow<'a, Optimizer<F>>,
     records: Cow<'a, [Record]>,
     skipped_in_a_row: usize,
-    /// The epoch under way, and the state before it.
+    /// Unfinished epoch, and the state before it.
     epoch: Option<(Epoch, Cow<'a, Snapshot<F>>)>,
 }
 
-/// Why a checkpoint was not taken. The session is as it was.
+/// Error of [`Session::restore`](crate::Session::restore). The session is unchanged.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CheckpointError {
-    /// Not a checkpoint at all.
+    /// Bytes that are not a checkpoint.
     #[error("this is not a physgrad checkpoint")]
     NotACheckpoint,
-    /// Written in another format.
+    /// Checkpoint in another format.
     #[error(
         "this checkpoint has format {found}, and this version of physgrad reads format {FORMAT}; use the version that wrote it"
     )]
     Format {
-        /// The format found.
+        /// Format of the checkpoint.
         found: u16,
     },
-    /// Damaged: cut off or changed.
+    /// Truncated or modified checkpoint.
     #[error("this checkpoint is damaged: {0}")]
     Damaged(String),
-    /// Written by another version, whose numbers may differ.
+    /// Checkpoint of another version of physgrad. Its results may differ.
     #[error("this checkpoint was written by physgrad {found}, and this is {own}", own = env!("CARGO_PKG_VERSION"))]
     Version {
-        /// The version found.
+        /// Version that wrote the checkpoint.
         found: String,
     },
-    /// Of a run with other settings.
+    /// Checkpoint of a run with other settings.
     #[error("this checkpoint belongs to another run. Of its settings, these differ:\n{}", differences(found, expected))]
     Label {
-        /// The label found.
+        /// Label of the checkpoint.
         found: String,
-        /// The session's label.
+        /// Label of the session.
         expected: String,
     },
-    /// In another precision.
+    /// Checkpoint in another precision.
     #[error("this checkpoint is in {found}, and this run is in {expected}")]
     Precision {
-        /// The precision found.
+        /// Precision of the checkpoint.
         found: String,
-        /// The session's precision.
+        /// Precision of the session.
         expected: String,
     },
-    /// Of a policy of another shape.
+    /// Checkpoint of a policy with another number of parameters.
     #[error("this checkpoint has {found} parameters, and this policy has {expected}")]
     Shape {
-        /// The number found.
+        /// Number of parameters in the checkpoint.
         found: usize,
-        /// The policy's number.
+        /// Number of parameters of the policy.
         expected: usize,
     },
 }
 
-/// The lines that two texts of settings do not share, for messages.
+/// Lists the lines that occur in only one of two settings texts. Used only for error messages.
 pub fn differences(found: &str, expected: &str) -> String {
     let only = |a: &str, b: &str, whose: &str| -> Vec<String> {
         a.lines().filter(|line| !b.lines().any(|l| l == *line)).map(|line| format!("  {whose} {line}")).collect()
@@ -93,7 +93,7 @@ pub fn differences(found: &str, expected: &str) -> String {
 
 const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
 
-/// Makes the checksum that of whatever the bytes are.
+/// Writes magic number, format and a matching checksum into the head of `bytes`.
 pub(super) fn seal(bytes: &mut [u8]) {
     const CONTENTS: usize = MAGIC.len() + size_of::<u16>() + size_of::<u32>();
     if let Some((head, contents)) = bytes.split_at_mut_checked(CONTENTS) {
@@ -104,7 +104,8 @@ pub(super) fn seal(bytes: &mut [u8]) {
 }
 
 impl<F: Float> Progress<F> {
-    /// As bytes.
+    /// Serializes the training in progress, see
+    /// [`Session::checkpoint`](crate::Session::checkpoint).
     pub(super) fn checkpoint(&self, label: &str) -> Vec<u8> {
         let header = Header {
             version: env!("CARGO_PKG_VERSION").into(),
@@ -123,7 +124,7 @@ impl<F: Float> Progress<F> {
         [MAGIC.as_slice(), &FORMAT.to_le_bytes(), &CRC.checksum(&contents).to_le_bytes(), &contents].concat()
     }
 
-    /// From bytes, or as it was.
+    /// Restores a checkpoint, or returns an error and changes nothing.
     pub(super) fn restore(&mut self, policy: &dyn AnyPolicy<F>, bytes: &[u8], label: &str) -> Result<(), CheckpointError> {
         let rest = bytes.strip_prefix(MAGIC).ok_or(CheckpointError::NotACheckpoint)?;
         let (format, rest) = rest.split_first_chunk().ok_or_else(|| CheckpointError::Damaged("it ends after its name".into()))?;

@@ -1,4 +1,4 @@
-//! [`Field`]: the vector field that the optimizer follows.
+//! [`Field`]: the vector field that the optimizer follows, and [`Compose`] for custom ones.
 
 use crate::engine::adjoint::Flow;
 use crate::engine::gradient::Gradient;
@@ -6,23 +6,23 @@ use crate::numbers::scalar::Float;
 use std::fmt;
 use std::str::FromStr;
 
-/// The gradient of one [`Flow`], or a composition of two. Knows nothing but flat slices.
+/// Vector field over the parameters: the gradient of one [`Flow`], or a composition of two.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Field<C = SignAgreement> {
-    /// The gradient of one flow.
+    /// Gradient of one flow.
     Flow(Flow),
-    /// Two gradients of the same rollout, made into one vector.
+    /// Composition of two gradients of the same rollout.
     Composed {
-        /// The first gradient.
+        /// Flow of the first gradient.
         first: Flow,
-        /// The second gradient.
+        /// Flow of the second gradient.
         second: Flow,
-        /// What is made of them.
+        /// Rule of composition.
         by: C,
     },
 }
 
-/// Makes one vector of two gradients. Implement it to follow a field of your own.
+/// Composes two gradients into one vector. Implement it to train with a custom field.
 ///
 /// ```
 /// use physgrad::{Compose, Field, Float, Flow};
@@ -46,19 +46,22 @@ pub enum Field<C = SignAgreement> {
 /// assert_eq!(field.flows(), [Flow::MODIFIED, Flow::REGULAR]);
 /// ```
 pub trait Compose: Sync + Send {
-    /// Its name, for records.
+    /// Name, used in records.
     fn name(&self) -> &str;
-    /// Writes `out`; all three have the length of `θ`.
+    /// Writes the composition into `out`. All three slices have the length of `θ`.
     fn compose<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]);
-    /// Whether nothing of the second gradient is used but signs. Then it may be beyond the range of all numbers; else one of two
-    /// that have different exponents ([`Gradient`]) is brought to that of the other before they are composed.
+    /// Returns true if `compose` uses only the signs of `second`.
+    ///
+    /// The exponents of the two gradients ([`Gradient::exponent`]) may then differ. Otherwise both
+    /// are brought to the larger exponent before the composition.
     fn by_signs_of_second(&self) -> bool {
         false
     }
 }
 
-/// The first gradient, in the components in which both have the same strict sign; else 0. Of M and R it makes the
-/// paper's combined gradient C.
+/// Components of the first gradient whose sign agrees strictly with the second; 0 elsewhere.
+///
+/// With M and R it yields the combined gradient C of the paper.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SignAgreement;
 
@@ -69,7 +72,7 @@ impl Compose for SignAgreement {
     fn compose<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]) {
         let zero = F::zero();
         for ((out, &m), &r) in out.iter_mut().zip(first).zip(second) {
-            // Not by signum, for which 0 and a NaN have a sign too.
+            // `signum` would give 0 and NaN a sign.
             *out = if (m > zero && r > zero) || (m < zero && r < zero) { m } else { zero };
         }
     }
@@ -79,15 +82,15 @@ impl Compose for SignAgreement {
 }
 
 impl Field {
-    /// R: the true gradient.
+    /// R: gradient of the loss.
     pub const fn regular() -> Self {
         Self::Flow(Flow::REGULAR)
     }
-    /// M: the physics path only.
+    /// M: physics path only.
     pub const fn modified() -> Self {
         Self::Flow(Flow::MODIFIED)
     }
-    /// N: the network path only.
+    /// N: policy path only.
     pub const fn network() -> Self {
         Self::Flow(Flow::NETWORK)
     }
@@ -99,17 +102,17 @@ impl Field {
     pub const fn combined() -> Self {
         Self::Composed { first: Flow::MODIFIED, second: Flow::REGULAR, by: SignAgreement }
     }
-    /// The five of the paper.
+    /// All fields of the paper.
     pub const ALL: [Self; 5] = [Self::combined(), Self::regular(), Self::modified(), Self::network(), Self::stopped()];
 }
 
 impl<C: Compose> Field<C> {
-    /// Any composition of two flows.
+    /// Composes two flows with a custom rule.
     pub const fn composed(first: Flow, second: Flow, by: C) -> Self {
         Self::Composed { first, second, by }
     }
 
-    /// The flows whose gradients it needs, in order.
+    /// Flows whose gradients [`compose`](Field::compose) takes, in order.
     pub fn flows(&self) -> Vec<Flow> {
         match *self {
             Self::Flow(flow) => vec![flow],
@@ -117,7 +120,7 @@ impl<C: Compose> Field<C> {
         }
     }
 
-    /// Its name.
+    /// Name, as used in settings and records.
     pub fn name(&self) -> &str {
         match self {
             Self::Flow(Flow::REGULAR) => "regular",
@@ -128,10 +131,10 @@ impl<C: Compose> Field<C> {
         }
     }
 
-    /// Its vector, from the gradients of [`flows`](Field::flows).
+    /// Composes the gradients of [`flows`](Field::flows) into `out`.
     ///
     /// # Panics
-    /// If there are not as many gradients as flows.
+    /// If the number of gradients differs from the number of flows.
     pub fn compose<F: Float>(&self, gradients: &[Gradient<F>], out: &mut Gradient<F>) {
         match (self, gradients) {
             (Self::Flow(_), [gradient]) => out.copy_from(gradient),
@@ -150,7 +153,7 @@ impl<C: Compose> Field<C> {
 }
 
 impl Field {
-    /// Its letter in the paper.
+    /// Letter used in the paper.
     pub fn letter(&self) -> &'static str {
         match self.name() {
             "regular" => "R",
@@ -175,12 +178,12 @@ impl FromStr for Field {
     }
 }
 
-/// A name that is none of the paper's fields.
+/// Error for a name that matches no field of the paper.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("unknown field `{0}`; expected combined, regular, modified, network or stopped (C, R, M, N, S)")]
 pub struct UnknownField(String);
 
-/// A [`Field`] in one precision.
+/// Object-safe [`Field`] for one precision.
 pub(crate) trait AnyField<F: Float>: Sync {
     fn compose(&self, gradients: &[Gradient<F>], composed: &mut Gradient<F>);
 }

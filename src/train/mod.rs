@@ -1,4 +1,13 @@
-//! [`Trainer`]: what is trained, and how. Thin: every step of it is a call that a user can make alone.
+//! Training: data sets, mini-batches, vector fields, optimizers, sessions and checkpoints.
+//!
+//! - [`Trainer`]: builder of a training.
+//! - [`Session`]: a training in progress, one epoch at a time, with checkpoints.
+//! - [`Training`]: settings. [`Record`]: results of one epoch.
+//! - [`Field`] and [`Compose`]: the vector field that the optimizer follows.
+//! - [`toy`]: the two-parameter examples of the paper.
+//!
+//! Imports `numbers`, `dynamics`, `policy` and `engine`. Start in this file, then `progress.rs`,
+//! which contains the update. Every part of an update is public, so that users can write their own.
 
 mod checkpoint;
 pub(crate) mod field;
@@ -22,34 +31,35 @@ use crate::train::field::{Compose, Field, SignAgreement};
 use crate::train::optim::{Clip, Rule};
 use std::marker::PhantomData;
 
-/// How to train. The defaults are the paper's.
+/// Settings of a training. The defaults are those of the paper.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Training {
-    /// Passes over the training set, in all.
+    /// Number of passes over the training set.
     pub epochs: usize,
     /// Samples per update.
     pub batch: usize,
-    /// Start states to train on.
+    /// Number of initial states in the training set.
     pub train_samples: usize,
-    /// Start states to test on.
+    /// Number of initial states in the test set.
     pub test_samples: usize,
-    /// Decides start states, initial parameters and, if shuffled, the order.
+    /// Seed of the initial states, the initial parameters and, with `shuffle`, the sample order.
     pub seed: u64,
-    /// A new order of the training set in every epoch. The paper keeps one order.
+    /// Shuffles the training set before every epoch. The paper uses one fixed order.
     pub shuffle: bool,
     /// The optimizer.
     pub rule: Rule,
-    /// Its learning rate.
+    /// Learning rate of the optimizer, positive and at most 1e6.
     pub learning_rate: f64,
-    /// Limits the field before the optimizer.
+    /// Clipping of the composed field, before the optimizer.
     pub clip: Clip,
-    /// Updates in a row that may be skipped because a number was not finite; one more stops the training.
+    /// Largest number of consecutive updates skipped because of a non-finite number. One more stops
+    /// the training.
     pub max_skipped: usize,
-    /// Threads a mini-batch is split over. Results do not depend on it.
+    /// Number of threads that share a mini-batch. Results do not depend on it.
     pub workers: usize,
-    /// Bytes that the rollouts and gradients of a mini-batch may take, over all workers: steps are run again for what
-    /// there is no room for, see [`Schedule`](crate::Schedule). Without it everything is stored. Results do not depend on
-    /// it.
+    /// Upper bound in bytes on the workspace of a mini-batch, over all workers. Steps whose tape
+    /// does not fit are recomputed, see [`Schedule`](crate::Schedule). `None` stores everything.
+    /// Results do not depend on it.
     pub memory: Option<u64>,
 }
 
@@ -74,7 +84,7 @@ impl Default for Training {
 
 impl Training {
     /// # Errors
-    /// The first setting that cannot work.
+    /// [`TrainError::Setting`] for the first invalid setting.
     fn validate(&self) -> Result<(), TrainError> {
         let counts = [
             ("batch", self.batch),
@@ -85,7 +95,7 @@ impl Training {
         if let Some((setting, _)) = counts.into_iter().find(|&(_, count)| count == 0) {
             return Err(TrainError::Setting { setting, problem: "is 0; at least 1 is needed".into() });
         }
-        // Larger rates could overflow θ in one step.
+        // Larger rates can overflow θ in one step.
         if !(self.learning_rate > 0.0 && self.learning_rate <= 1e6) {
             let problem = format!("is {}; a positive number up to 1e6 is needed", self.learning_rate);
             return Err(TrainError::Setting { setting: "learning_rate", problem });
@@ -94,35 +104,35 @@ impl Training {
     }
 }
 
-/// Why a training stopped.
+/// Error of a training.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
-    /// A setting that cannot work.
+    /// Invalid setting.
     #[error("training.{setting}: {problem}")]
     Setting {
-        /// Its name.
+        /// Name of the setting.
         setting: &'static str,
-        /// What is wrong, and what is allowed.
+        /// Problem and allowed values.
         problem: String,
     },
-    /// The memory that a mini-batch may take is too little.
+    /// No schedule fits the memory limit of a mini-batch.
     #[error("training.memory: {0}")]
     Memory(MemoryError),
-    /// Too many updates in a row were skipped.
+    /// More than [`Training::max_skipped`] consecutive updates were skipped.
     #[error(
         "training stopped: {count} updates in a row were skipped, the last in epoch {}, update {} ({}). \
          The parameters are those before this epoch. Try a smaller learning rate, clipping by norm, a shorter horizon, or field C or M",
         last.epoch, last.update, last.divergence
     )]
     Diverged {
-        /// How many.
+        /// Number of consecutive skipped updates.
         count: usize,
-        /// The last of them.
+        /// Last skipped update.
         last: Skip,
     },
 }
 
-/// A training to be run: what, with which policy, following which field.
+/// Builder of a training: a task, a policy, a vector field and settings.
 ///
 /// ```
 /// use physgrad::{Field, Trainer, policy::Mlp, tasks::CartPole};
@@ -141,32 +151,32 @@ pub struct Trainer<T, P, F = f32, C = SignAgreement> {
 }
 
 impl<T: Task, P: Policy> Trainer<T, P> {
-    /// The paper's settings: the combined field, Adam, 1000 epochs, single precision.
+    /// Creates a trainer with the settings of the paper: combined field, Adam, 1000 epochs, `f32`.
     pub fn new(task: T, policy: P) -> Self {
         Self { task, policy, field: Field::combined(), training: Training::default(), precision: PhantomData }
     }
 }
 
 impl<T: Task, P: Policy, F: Float, C: Compose> Trainer<T, P, F, C> {
-    /// Follows this field.
+    /// Sets the vector field.
     pub fn field<D: Compose>(self, field: Field<D>) -> Trainer<T, P, F, D> {
         let Self { task, policy, training, precision, .. } = self;
         Trainer { task, policy, field, training, precision }
     }
 
-    /// Computes in this precision, `f32` or `f64`.
+    /// Sets the precision, `f32` or `f64`.
     pub fn precision<G: Float>(self) -> Trainer<T, P, G, C> {
         let Self { task, policy, field, training, .. } = self;
         Trainer { task, policy, field, training, precision: PhantomData }
     }
 
-    /// Trains for so many epochs in all.
+    /// Sets the number of epochs.
     pub fn epochs(mut self, epochs: usize) -> Self {
         self.training.epochs = epochs;
         self
     }
 
-    /// Draws start states and initial parameters from this seed.
+    /// Sets the seed of the initial states and initial parameters.
     pub fn seed(mut self, seed: u64) -> Self {
         self.training.seed = seed;
         self
@@ -178,10 +188,11 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Trainer<T, P, F, C> {
         self
     }
 
-    /// Trains to the end.
+    /// Runs all epochs.
     ///
     /// # Errors
-    /// A setting that cannot work, or too many non-finite updates in a row.
+    /// [`TrainError`] if a setting is invalid, the memory limit is too small, or too many
+    /// consecutive updates are skipped.
     pub fn run(self) -> Result<Report<F>, TrainError> {
         let mut session = self.session()?;
         while !session.is_done() {
@@ -190,13 +201,15 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Trainer<T, P, F, C> {
         Ok(session.into_report())
     }
 
-    /// Draws data and parameters and sizes every workspace; epochs are then run one by one.
+    /// Draws data sets and initial parameters and allocates all workspaces.
+    ///
+    /// The caller then runs the epochs, one at a time.
     ///
     /// # Errors
-    /// A setting that cannot work.
+    /// [`TrainError`] if a setting is invalid or the memory limit is too small.
     ///
     /// # Panics
-    /// If task and policy have different dimensions.
+    /// If the dimensions of task and policy differ.
     pub fn session(self) -> Result<Session<T, P, F, C>, TrainError> {
         let Self { task, policy, field, training, .. } = self;
         training.validate()?;
@@ -206,14 +219,15 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Trainer<T, P, F, C> {
         Session::new(task, policy, field, training, weights, train, test)
     }
 
-    /// As [`session`](Trainer::session), with given parameters and start states (`state_dim` numbers per sample)
-    /// instead of drawn ones.
+    /// Creates a session from given parameters and initial states, `state_dim` numbers per sample.
     ///
     /// # Errors
-    /// A setting that cannot work, or an empty set.
+    /// [`TrainError`] if a setting is invalid, the memory limit is too small, or a set is empty or
+    /// not a whole number of samples.
     ///
     /// # Panics
-    /// If `theta` is not the policy's, or task and policy have different dimensions.
+    /// If the length of `theta` differs from the policy's `param_count`, or if the dimensions of
+    /// task and policy differ.
     pub fn session_from(self, theta: Vec<F>, train: Vec<F>, test: Vec<F>) -> Result<Session<T, P, F, C>, TrainError> {
         let Self { task, policy, field, training, .. } = self;
         let weights = Weights::new(&policy, theta);
@@ -221,7 +235,7 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Trainer<T, P, F, C> {
     }
 }
 
-/// Start states, each of its own stream.
+/// Draws initial states, each from its own random stream.
 fn starts<F: Float>(task: &dyn AnyTask<F>, seed: u64, purpose: Purpose, samples: usize) -> Vec<F> {
     let mut x = vec![0.0; task.state_dim()];
     let mut all = Vec::with_capacity(samples * x.len());
@@ -233,12 +247,12 @@ fn starts<F: Float>(task: &dyn AnyTask<F>, seed: u64, purpose: Purpose, samples:
     all
 }
 
-/// What a training leaves.
+/// Result of a training.
 #[derive(Clone, Debug)]
 pub struct Report<F> {
-    /// The trained parameters.
+    /// Trained parameters.
     pub weights: Weights<F>,
-    /// One record an epoch.
+    /// One record per epoch.
     pub records: Vec<Record>,
 }
 

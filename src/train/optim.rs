@@ -1,4 +1,4 @@
-//! Optimizers and clipping, on flat slices. The formulas and defaults are those of Keras 2.15.
+//! Optimizers and gradient clipping. Formulas and defaults are those of Keras 2.15.
 
 use crate::engine::gradient::Gradient;
 use crate::numbers::kernels::{Level, Vectorized, dispatch};
@@ -6,19 +6,19 @@ use crate::numbers::scalar::{Float, Scalar};
 use crate::numbers::wide::Wide;
 use serde::{Deserialize, Serialize};
 
-/// Limits the vector field just before the optimizer.
+/// Clipping of the vector field, applied before the optimizer.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Clip {
-    /// As it is.
+    /// No clipping.
     None,
-    /// Every component to ± the limit.
+    /// Clamps every component to ± the limit.
     Value(f64),
-    /// The whole vector to at most this Euclidean length.
+    /// Scales the vector to at most this Euclidean norm.
     Norm(f64),
 }
 
 impl Clip {
-    /// A bound on the components of a clipped vector that was `norm` long.
+    /// Upper bound on the components after clipping, given the norm before it.
     pub(crate) fn bound(self, norm: f64) -> f64 {
         match self {
             Self::None => norm,
@@ -26,8 +26,10 @@ impl Clip {
         }
     }
 
-    /// Clips `gradient` in place, whatever its exponent: what is left are plain numbers. Without clipping, or where too little
-    /// is clipped, they may be infinite.
+    /// Clips `gradient` in place and sets its exponent to 0.
+    ///
+    /// Values below the range of `F` become 0. Values above it become infinite, unless clipping
+    /// limits them.
     pub fn apply<F: Float>(self, gradient: &mut Gradient<F>) {
         let norm = match self {
             Self::Norm(_) => gradient.norm(),
@@ -36,7 +38,7 @@ impl Clip {
         self.apply_knowing(gradient, norm);
     }
 
-    /// The same for a vector whose length is known.
+    /// Clips a gradient whose norm is known. Only [`Clip::Norm`] reads `norm`.
     pub(crate) fn apply_knowing<F: Float>(self, gradient: &mut Gradient<F>, norm: Wide) {
         match self {
             Self::None => gradient.flatten(),
@@ -44,7 +46,7 @@ impl Clip {
                 gradient.flatten();
                 let (low, high) = (F::lift(-limit), F::lift(limit));
                 for g in gradient.values_mut(0) {
-                    // A NaN stays one.
+                    // Comparisons let a NaN through.
                     *g = if *g < low {
                         low
                     } else if *g > high {
@@ -55,7 +57,7 @@ impl Clip {
                 }
             }
             Self::Norm(limit) if norm.get() > limit => {
-                // Of the values as they stand: the exponent goes with the length.
+                // Norm of the stored values, without the exponent.
                 let length = norm.over_power_of_two(gradient.exponent());
                 let factor = F::lift(limit / length);
                 for g in gradient.values_mut(0) {
@@ -67,53 +69,54 @@ impl Clip {
     }
 }
 
-/// A rule that turns a vector field into steps.
+/// Update rule of an optimizer.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Rule {
-    /// Kingma and Ba 2015 (arXiv:1412.6980), in Keras' form: ε is added to the root of the uncorrected second moment.
+    /// Adam, Kingma and Ba 2015 (arXiv:1412.6980), as in Keras: ε is added to the root of the
+    /// uncorrected second moment.
     Adam {
         /// Decay of the first moment.
         beta1: f64,
         /// Decay of the second moment.
         beta2: f64,
-        /// Keeps the step finite.
+        /// ε, avoids a division by zero.
         epsilon: f64,
     },
-    /// Plain descent.
+    /// Gradient descent.
     Sgd,
-    /// Descent with (heavy-ball) momentum.
+    /// Gradient descent with heavy-ball momentum.
     Momentum {
-        /// Share of the last step that is kept.
+        /// Factor of the previous step.
         momentum: f64,
     },
-    /// Tieleman and Hinton 2012; ε under the root.
+    /// RMSprop, Tieleman and Hinton 2012; ε under the root.
     RmsProp {
         /// Decay of the mean square.
         rho: f64,
-        /// Keeps the step finite.
+        /// ε, avoids a division by zero.
         epsilon: f64,
     },
-    /// Duchi, Hazan and Singer 2011; ε under the root.
+    /// Adagrad, Duchi, Hazan and Singer 2011; ε under the root.
     Adagrad {
-        /// The accumulators' start.
+        /// Initial value of the accumulators.
         initial: f64,
-        /// Keeps the step finite.
+        /// ε, avoids a division by zero.
         epsilon: f64,
     },
-    /// Zeiler 2012 (arXiv:1212.5701).
+    /// Adadelta, Zeiler 2012 (arXiv:1212.5701).
     Adadelta {
         /// Decay of the mean squares.
         rho: f64,
-        /// Keeps the step finite.
+        /// ε, avoids a division by zero.
         epsilon: f64,
     },
 }
 
 impl Rule {
-    /// The names that [`Rule::named`] knows.
+    /// Names accepted by [`Rule::named`].
     pub const NAMES: [&str; 6] = ["adam", "sgd", "momentum", "rmsprop", "adagrad", "adadelta"];
 
-    /// A rule with its default parameters, by name.
+    /// Returns the named rule with default parameters, or `None` for an unknown name.
     pub fn named(name: &str) -> Option<Self> {
         Some(match name {
             "adam" => Self::Adam { beta1: 0.9, beta2: 0.999, epsilon: 1e-7 },
@@ -127,7 +130,7 @@ impl Rule {
     }
 }
 
-/// A [`Rule`], its learning rate, and what it remembers. Part of every checkpoint.
+/// Optimizer: a [`Rule`], a learning rate and the accumulated moments. Checkpoints contain it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Optimizer<F> {
     rule: Rule,
@@ -138,18 +141,18 @@ pub struct Optimizer<F> {
 }
 
 impl<F: Float> Optimizer<F> {
-    /// An optimizer of `params` parameters.
+    /// Creates an optimizer for `params` parameters.
     pub fn new(rule: Rule, learning_rate: f64, params: usize) -> Self {
         let start = if let Rule::Adagrad { initial, .. } = rule { initial } else { 0.0 };
         Self { rule, learning_rate, steps: 0, first: vec![F::lift(start); params], second: vec![F::zero(); params] }
     }
 
-    /// Adam with Keras' defaults.
+    /// Creates Adam with the defaults of Keras.
     pub fn adam(learning_rate: f64, params: usize) -> Self {
         Self::new(Rule::Adam { beta1: 0.9, beta2: 0.999, epsilon: 1e-7 }, learning_rate, params)
     }
 
-    /// Steps taken so far.
+    /// Number of steps taken.
     pub fn steps(&self) -> u64 {
         self.steps
     }
@@ -159,17 +162,17 @@ impl<F: Float> Optimizer<F> {
         self.first.len()
     }
 
-    /// Becomes a copy of another optimizer of as many parameters, without allocating.
+    /// Copies another optimizer with the same number of parameters, without allocating.
     pub(crate) fn copy_from(&mut self, other: &Self) {
         (self.rule, self.learning_rate, self.steps) = (other.rule, other.learning_rate, other.steps);
         self.first.copy_from_slice(&other.first);
         self.second.copy_from_slice(&other.second);
     }
 
-    /// One step of `theta` against `gradient`.
+    /// Takes one step of `theta` against `gradient`.
     ///
     /// # Panics
-    /// If the lengths differ from the number of parameters.
+    /// If a length differs from the number of parameters.
     #[track_caller]
     pub fn step(&mut self, theta: &mut [F], gradient: &[F]) {
         let n = self.first.len();
@@ -247,7 +250,7 @@ impl<F: Float> Vectorized for Step<'_, F> {
 mod tests {
     use super::*;
 
-    /// θ after each of two steps from 1 against the gradients 0.5 and -2.
+    /// Returns θ after each of two steps from 1 with the gradients 0.5 and -2.
     fn two_steps(rule: &str) -> [f64; 2] {
         let mut optimizer = Optimizer::<f64>::new(Rule::named(rule).expect(rule), 0.1, 1);
         let mut theta = [1.0];
@@ -313,7 +316,7 @@ mod tests {
         assert_eq!(clipped(Clip::None), [3.0, -4.0, 0.5]);
         assert_eq!(clipped(Clip::Value(1.0)), [1.0, -1.0, 0.5]);
         assert_eq!(clipped(Clip::Norm(10.0)), [3.0, -4.0, 0.5]);
-        // However long it was.
+        // Norm clipping works for any exponent.
         for exponent in [0, 5000] {
             for (got, whole) in clipped_with(Clip::Norm(1.0), exponent).into_iter().zip([3.0, -4.0, 0.5]) {
                 approx::assert_relative_eq!(got, whole / norm, max_relative = 1e-15);

@@ -1,4 +1,4 @@
-//! [`Progress`]: a training under way, of a task and a policy behind pointers.
+//! [`Progress`]: the training loop, independent of the types of task, policy and field.
 
 use super::record::{Means, Record, Skip, Step};
 use super::{TrainError, Training};
@@ -22,7 +22,7 @@ use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
-/// What is trained.
+/// Task, policy and field of a training, as trait objects.
 #[derive(Clone, Copy)]
 pub(super) struct Trained<'a, F: Float> {
     pub(super) task: &'a dyn AnyTask<F>,
@@ -30,7 +30,7 @@ pub(super) struct Trained<'a, F: Float> {
     pub(super) field: &'a dyn AnyField<F>,
 }
 
-/// State that a failed epoch falls back to.
+/// State that a failed epoch restores.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Snapshot<F> {
     pub(super) theta: Vec<F>,
@@ -38,7 +38,7 @@ pub(super) struct Snapshot<F> {
     pub(super) skipped_in_a_row: usize,
 }
 
-/// An epoch between two of its updates.
+/// Unfinished epoch.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(super) struct Epoch {
     /// Updates done, skipped ones included.
@@ -50,7 +50,7 @@ pub(super) struct Epoch {
     seconds: f64,
 }
 
-/// Everything of a training that changes, and room for it.
+/// Mutable state of a training, and its workspaces.
 #[derive(Debug)]
 pub(super) struct Progress<F: Float> {
     pub(super) training: Training,
@@ -61,13 +61,13 @@ pub(super) struct Progress<F: Float> {
     order: Vec<usize>,
     pub(super) records: Vec<Record>,
     pub(super) skips: Vec<Skip>,
-    /// Skipped updates up to now, in a row.
+    /// Number of consecutive skipped updates.
     pub(super) skipped_in_a_row: usize,
     /// State at the start of the epoch.
     pub(super) before: Snapshot<F>,
-    /// The epoch under way, if the training is paused within one.
+    /// Unfinished epoch, if the training is paused within one.
     pub(super) epoch: Option<Epoch>,
-    /// Where the last evaluation of the training and of the test set was not finite.
+    /// Non-finite numbers in the last evaluation of the training set and of the test set.
     pub(super) diverged: [Option<Divergence>; 2],
     flows: Vec<Flow>,
     pub(super) batch: Batch<F>,
@@ -112,7 +112,7 @@ impl<F: Float> Progress<F> {
             order: (0..train.len() / n).collect(),
             starts: Vec::with_capacity(samples * n),
             composed: Gradient::zeros(params),
-            // Room for all of them, unless "for ever" was meant.
+            // Capacity for all epochs, within reason: `epochs` may be huge.
             records: Vec::with_capacity(training.epochs.min(100_000)),
             skips: Vec::new(),
             skipped_in_a_row: 0,
@@ -123,8 +123,8 @@ impl<F: Float> Progress<F> {
         })
     }
 
-    /// Goes on to the end of the epoch and returns true, or to the first update after which `pause` returns true, and
-    /// returns false. Runs on one of the threads that the work is split over, if there are several.
+    /// Runs until the end of the epoch and returns true, or until `pause` returns true after an
+    /// update and returns false. With several workers, it runs on one of the worker threads.
     pub(super) fn advance(&mut self, trained: Trained<'_, F>, pause: &(dyn Fn() -> bool + Sync)) -> Result<bool, TrainError> {
         #[cfg(feature = "parallel")]
         if self.training.workers > 1 {
@@ -145,7 +145,7 @@ impl<F: Float> Progress<F> {
             match self.update(trained, epoch.updates) {
                 Ok(step) => {
                     if epoch.means.is_empty() {
-                        // Growth is measured in the first update only.
+                        // Only the first update measures growth.
                         epoch.means.growths = [Flow::REGULAR, Flow::MODIFIED].map(|flow| self.growth(flow));
                         self.batch.measure(false);
                     }
@@ -182,7 +182,7 @@ impl<F: Float> Progress<F> {
         Ok(true)
     }
 
-    /// A new epoch, before its first update.
+    /// Starts a new epoch and records the state that a failure restores.
     fn begin_epoch(&mut self) -> Epoch {
         self.skips.clear();
         self.before.theta.copy_from_slice(self.weights.theta());
@@ -192,10 +192,10 @@ impl<F: Float> Progress<F> {
         Epoch::default()
     }
 
-    /// Puts the training samples in the order of the current epoch.
+    /// Orders the training samples for the current epoch.
     pub(super) fn order_samples(&mut self) {
         if self.training.shuffle {
-            // Each epoch shuffles the sorted order, so that a resumed run has the same order.
+            // Each epoch shuffles the sorted order, so a resumed run has the same order.
             self.order.sort_unstable();
             let epoch = self.records.len() as u64 + 1;
             self.order.shuffle(&mut stream(self.training.seed, Purpose::Shuffle, epoch));
@@ -206,7 +206,7 @@ impl<F: Float> Progress<F> {
         self.order.len().div_ceil(self.training.batch)
     }
 
-    /// One update, on mini-batch number `index` of the epoch.
+    /// Performs one update with mini-batch `index` of the epoch.
     fn update(&mut self, trained: Trained<'_, F>, index: usize) -> Result<Step, Divergence> {
         let Trained { task, policy, field } = trained;
         let n = task.state_dim();
@@ -230,7 +230,7 @@ impl<F: Float> Progress<F> {
         let values = self.composed.values();
         let length = if composed { elementwise::moments(level, values, values).0.sqrt() } else { first_square.sqrt() };
         let norm = Wide::new(length, self.composed.exponent());
-        // Optimizers square what they are given, and sum the squares of many updates.
+        // Optimizers square the components and sum the squares of many updates.
         if !length.is_finite() || self.training.clip.bound(norm.get()) > F::MAX.sqrt() * 1e-3 {
             return Err(Divergence::Field { parameter: worst(values), norm });
         }
@@ -246,13 +246,13 @@ impl<F: Float> Progress<F> {
         Ok(step)
     }
 
-    /// How the adjoint of this flow grew in the last update, if the field has it.
+    /// Growth of the adjoint of `flow` in the last update, if the field contains it.
     fn growth(&self, flow: Flow) -> Option<Growth> {
         self.flows.iter().position(|&own| own == flow).and_then(|k| self.batch.growth(k))
     }
 }
 
-/// The first component that is not finite, or else the largest.
+/// Returns the index of the first non-finite component, or else of the largest.
 #[cold]
 fn worst<F: Float>(gradient: &[F]) -> usize {
     let size = |i: &usize| gradient[*i].as_().abs();

@@ -1,4 +1,4 @@
-//! What one epoch tells, and the updates that were not taken.
+//! [`Record`]: results of one epoch. [`Skip`]: a skipped update.
 
 use crate::engine::adjoint::Flow;
 use crate::engine::divergence::Divergence;
@@ -6,7 +6,7 @@ use crate::engine::growth::Growth;
 use crate::numbers::wide::Wide;
 use serde::{Deserialize, Serialize};
 
-/// What happened in one epoch.
+/// Results of one epoch.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     /// Number of the epoch, from 1.
@@ -17,25 +17,27 @@ pub struct Record {
     pub train_loss: f64,
     /// Loss of the whole test set after the epoch; NaN if it diverged.
     pub test_loss: f64,
-    /// Mean over the updates of the length of the field, before clipping.
+    /// Mean over the updates of the norm of the field, before clipping.
     pub grad_norm: Wide,
     /// Mean over the updates of the cosine between the two gradients of a composed field.
     pub cosine: Option<f64>,
-    /// Mean over the updates of the share of components that a composition leaves non-zero.
+    /// Mean over the updates of the fraction of non-zero components of a composed field.
     pub kept: Option<f64>,
-    /// Updates that were not taken because a number was not finite.
+    /// Number of updates skipped because of a non-finite number.
     pub skipped: usize,
-    /// How the adjoint of R grew along the rollouts of the epoch's first update, if the field has R.
+    /// Growth of the adjoint of R in the first update of the epoch, if the field contains R.
     pub regular_growth: Option<Growth>,
-    /// The same of M.
+    /// Growth of the adjoint of M in the first update of the epoch, if the field contains M.
     pub modified_growth: Option<Growth>,
-    /// Wall time of the epoch, updates and evaluation, in seconds.
+    /// Wall time of the epoch in seconds, updates and evaluation.
     pub seconds: f64,
 }
 
 impl Record {
-    /// What makes the gradients of the epoch untrustworthy, in words: of rollouts of so many steps, in a precision whose
-    /// numbers are `epsilon` apart at 1.
+    /// Returns warnings about the gradients of the epoch, as text.
+    ///
+    /// `horizon` is the number of steps of a rollout, `epsilon` the machine epsilon of its
+    /// precision.
     pub fn warnings(&self, horizon: usize, epsilon: f64) -> Vec<String> {
         let growths = [(Flow::REGULAR, self.regular_growth), (Flow::MODIFIED, self.modified_growth)];
         let growths = growths.into_iter().filter_map(|(flow, growth)| growth?.warning(flow, horizon, epsilon));
@@ -50,18 +52,18 @@ impl Record {
     }
 }
 
-/// An update that was not taken.
+/// An update skipped because of a non-finite number.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Skip {
     /// Number of the epoch, from 1.
     pub epoch: usize,
-    /// Number of the update in its epoch, from 0.
+    /// Index of the update in its epoch, from 0.
     pub update: usize,
-    /// Where a number was not finite; samples are counted in the mini-batch.
+    /// Place of the non-finite number. Samples are counted within the mini-batch.
     pub divergence: Divergence,
 }
 
-/// What one update tells.
+/// Results of one update.
 pub(super) struct Step {
     pub loss: f64,
     pub norm: Wide,
@@ -77,7 +79,7 @@ pub(super) struct Means {
     norm: Wide,
     cosine: Option<f64>,
     kept: Option<f64>,
-    /// Of R and M, in one of the updates.
+    /// Growth of R and M in the first update.
     pub growths: [Option<Growth>; 2],
 }
 
@@ -95,7 +97,7 @@ impl Means {
     }
 
     pub fn record(&self, epoch: usize, train_loss: f64, test_loss: f64, skipped: usize, seconds: f64) -> Record {
-        // NaN if there was no update at all.
+        // NaN without an update.
         let mean = |sum: f64| sum / self.updates as f64;
         Record {
             epoch,

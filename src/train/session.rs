@@ -1,4 +1,4 @@
-//! [`Session`]: a training under way, epoch by epoch.
+//! [`Session`]: a training in progress, one epoch at a time.
 
 use super::checkpoint;
 use super::progress::{Progress, Trained};
@@ -10,7 +10,7 @@ use crate::numbers::scalar::Float;
 use crate::policy::{Policy, Weights};
 use crate::train::field::{Compose, Field, SignAgreement};
 
-/// A training under way.
+/// A training in progress. [`Trainer::session`](crate::Trainer::session) creates it.
 #[derive(Debug)]
 pub struct Session<T, P, F: Float, C = SignAgreement> {
     task: T,
@@ -37,7 +37,7 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         Report { weights: self.progress.weights, records: self.progress.records }
     }
 
-    /// Whether all epochs are done.
+    /// Returns true after the last epoch.
     pub fn is_done(&self) -> bool {
         self.progress.records.len() >= self.progress.training.epochs
     }
@@ -52,37 +52,37 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
         &self.policy
     }
 
-    /// The parameters as they are now.
+    /// Current parameters.
     pub fn weights(&self) -> &Weights<F> {
         &self.progress.weights
     }
 
-    /// What is kept of the trajectories of a mini-batch, and what is run again.
+    /// Schedule of stored and recomputed steps of a mini-batch.
     pub fn schedule(&self) -> Schedule {
         self.progress.batch.schedule()
     }
 
-    /// One record per epoch done.
+    /// One record per completed epoch.
     pub fn records(&self) -> &[Record] {
         &self.progress.records
     }
 
-    /// The test start states, `state_dim` numbers per sample.
+    /// Initial states of the test set, `state_dim` numbers per sample.
     pub fn test_starts(&self) -> &[F] {
         &self.progress.test
     }
 
-    /// The updates skipped in the last epoch.
+    /// Updates skipped in the current or last epoch.
     pub fn skips(&self) -> &[Skip] {
         &self.progress.skips
     }
 
-    /// Where the evaluation of the training set and of the test set at the end of the last epoch was not finite.
+    /// Non-finite numbers in the last evaluation of the training set and of the test set.
     pub fn diverged(&self) -> [Option<Divergence>; 2] {
         self.progress.diverged
     }
 
-    /// Updates applied so far, without skipped ones.
+    /// Number of updates applied, without skipped ones.
     pub fn updates(&self) -> u64 {
         self.progress.optimizer.steps()
     }
@@ -90,40 +90,43 @@ impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
     /// Runs to the end of the epoch: all updates, then the losses of both data sets.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`] after too many skipped updates in a row. The session is then as it was before this
-    /// epoch.
+    /// [`TrainError::Diverged`] after too many consecutive skipped updates. The session then
+    /// returns to the state before this epoch.
     pub fn epoch(&mut self) -> Result<&Record, TrainError> {
         self.advance(&|| false).map(|record| record.expect("without a pause, the epoch ends"))
     }
 
-    /// Runs to the end of the epoch and returns its record, or to the first update after which `pause` returns true, and
-    /// returns `None`. The next call goes on from there, and so does a session that takes a checkpoint of the pause.
-    /// Pauses do not change the results.
+    /// Runs until the end of the epoch, or until `pause` returns true after an update.
+    ///
+    /// Returns the record of the epoch, or `None` after a pause. The next call resumes, as does a
+    /// session restored from a checkpoint taken in between. Pauses do not change the results.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`] after too many skipped updates in a row. The session is then as it was before this
-    /// epoch.
+    /// [`TrainError::Diverged`] after too many consecutive skipped updates. The session then
+    /// returns to the state before this epoch.
     pub fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError> {
         let Self { task, policy, field, progress } = self;
         let ended = progress.advance(Trained { task, policy, field }, pause)?;
         Ok(progress.records.last().filter(|_| ended))
     }
 
-    /// The session as bytes. `label` says which run it is; to take it back, the same label is needed.
+    /// Serializes the session. `label` identifies the run; [`restore`](Session::restore) requires
+    /// the same label.
     pub fn checkpoint(&self, label: &str) -> Vec<u8> {
         self.progress.checkpoint(label)
     }
 
-    /// Takes a checkpoint of the same run back: the updates that follow are, bit for bit, those of a run that was never
-    /// interrupted.
+    /// Restores a checkpoint of the same run. The updates that follow are bit for bit those of an
+    /// uninterrupted run.
     ///
     /// # Errors
-    /// [`CheckpointError`], with the session as it was.
+    /// [`CheckpointError`]. The session is then unchanged.
     pub fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError> {
         self.progress.restore(&self.policy, bytes, label)
     }
 
-    /// Makes the checksum that of whatever the bytes are, so that tests reach what stands behind it.
+    /// Rewrites magic number, format and checksum to match `bytes`. Tests use it to corrupt the
+    /// body.
     #[doc(hidden)]
     pub fn seal(bytes: &mut [u8]) {
         checkpoint::seal(bytes);

@@ -1,12 +1,14 @@
-//! The toy examples of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024), in numbers:
-//! vector fields over the plane of two parameters, and the paths that Adam takes in them.
+//! Toy examples of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024):
+//! vector fields over the plane of two parameters, and the paths of Adam in them.
 //!
-//! - Figure 1 samples R and M of [`Reach`](crate::tasks::Reach) with the policy [`Quadratic`](crate::policy::Quadratic).
-//! - Figure 2 lets Adam follow three fields with one minimum, that of [`Bowl`](crate::tasks::Bowl) with the policy
-//!   [`Constant`](crate::policy::Constant): its gradient, the gradient with a rotation, and of the latter the components that
-//!   agree with the gradient in sign ([`Rotated`]).
+//! - Figure 1 samples R and M of [`Reach`](crate::tasks::Reach) with the policy
+//!   [`Quadratic`](crate::policy::Quadratic).
+//! - Figure 2 runs Adam in three fields with the same minimum, with the task
+//!   [`Bowl`](crate::tasks::Bowl) and the policy [`Constant`](crate::policy::Constant). The fields
+//!   are the gradient, the gradient with a rotation, and the components of the latter that agree
+//!   with the gradient in sign ([`Rotated`]).
 //!
-//! Nothing here is derived by hand: the tasks are tasks like any other, and every vector comes from their rollouts.
+//! All vectors come from rollouts of these tasks; no derivative is coded separately.
 
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
@@ -20,37 +22,38 @@ use crate::policy::{Policy, Weights};
 use crate::train::field::{Compose, Field, SignAgreement};
 use crate::train::optim::Optimizer;
 
-/// A vector field at one place.
+/// Vector field at one point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// The two parameters.
+    /// Parameters.
     pub theta: [f64; 2],
-    /// The loss there.
+    /// Loss.
     pub loss: f64,
-    /// The vector that an optimizer would go against.
+    /// Vector that an optimizer descends along.
     pub vector: [f64; 2],
 }
 
 impl Sample {
-    /// The length of the vector.
+    /// Norm of the vector.
     pub fn norm(&self) -> f64 {
         self.vector[0].hypot(self.vector[1])
     }
 }
 
-/// The middles of `cells` × `cells` equal squares over `[-reach, reach]²`, row by row: θ₁ runs first.
+/// Centers of `cells` × `cells` equal squares over `[-reach, reach]²`, row by row: θ₁ varies
+/// fastest.
 pub fn grid(reach: f64, cells: usize) -> Vec<[f64; 2]> {
     let middle = |i: usize| reach * ((2 * i + 1) as f64 / cells as f64 - 1.0);
     (0..cells * cells).map(|i| [middle(i % cells), middle(i / cells)]).collect()
 }
 
-/// The field of a task with one start state at each of the given parameters.
+/// Samples the field of a task with one initial state at the given parameters.
 ///
 /// # Errors
 /// The first [`Divergence`].
 ///
 /// # Panics
-/// If the policy has not two parameters, or does not fit the task.
+/// If the policy does not have two parameters, or does not fit the task.
 #[track_caller]
 pub fn sample<T: Task, P: Policy, C: Compose>(
     task: &T,
@@ -62,13 +65,14 @@ pub fn sample<T: Task, P: Policy, C: Compose>(
     thetas.iter().map(|&theta| sampler.at(theta)).collect()
 }
 
-/// The path of Adam along a field: the start and where each iteration leads, `iterations + 1` samples.
+/// Runs Adam along a field and returns the path: `start` and every iterate, `iterations + 1`
+/// samples.
 ///
 /// # Errors
 /// The first [`Divergence`].
 ///
 /// # Panics
-/// If the policy has not two parameters, or does not fit the task.
+/// If the policy does not have two parameters, or does not fit the task.
 #[track_caller]
 pub fn descend<T: Task, P: Policy, C: Compose>(
     task: &T,
@@ -89,7 +93,7 @@ pub fn descend<T: Task, P: Policy, C: Compose>(
     Ok(path)
 }
 
-/// One rollout, run again for every parameter.
+/// Workspace that evaluates the field, reused for all parameters.
 struct Sampler<'a, T: Task, P, C> {
     task: &'a T,
     policy: &'a P,
@@ -125,46 +129,51 @@ impl<'a, T: Task, P: Policy, C: Compose> Sampler<'a, T, P, C> {
     }
 }
 
-/// Where figure 2 starts.
+/// Initial parameters of figure 2.
 pub const START: [f64; 2] = [-1.5, 1.5];
 /// Adam's learning rate in figure 2.
 pub const LEARNING_RATE: f64 = 0.01;
-/// The share of the rotation in figure 2.
+/// Strength of the rotation in figure 2.
 pub const ROTATION: f64 = 4.0;
 
-/// A gradient `g` and its rotation: `g + strength · (-g₂, g₁)`. It vanishes where the gradient does, but it is no
-/// gradient: it also leads around the minimum.
+/// Gradient `g` plus its rotation: `g + strength · (-g₂, g₁)`.
 ///
-/// Plain descent in small steps still arrives, for `g` always has its share. Adam does not: near the minimum it divides
-/// by ever smaller root mean squares and so lengthens its steps, until its momentum, with a memory of β₁ / (1 - β₁) = 9
-/// iterations, carries it past the turn as fast as `g` pulls it in. That is where the learning rate over the root mean square
-/// is `1 / (9 · strength² · curvature)`; without a rotation it may grow to `38 / curvature`. So it keeps going around at a
-/// distance of about `√2 · 9 · learning rate · strength`, if the curvature is the same in all directions and the strength
-/// well above 1.
+/// It vanishes where the gradient does, but is not a gradient: it also leads around the minimum.
 ///
-/// The combination leads down everywhere. It arrives from most starts, not from all: with the constants of figure 2 from
-/// 12 of 16 on a circle, while the others stop at losses of 0.02 to 0.2 and the rotation alone at 2 to 7. With ten times
-/// the learning rate it seldom arrives, but always comes at least ten times as low as the rotation.
+/// Gradient descent with small steps still converges, because `g` is always a component. Adam does
+/// not converge. Near the minimum it divides by ever smaller root mean squares, so its steps grow.
+/// The momentum has a memory of β₁ / (1 - β₁) = 9 iterations. At some distance it carries the
+/// iterate outwards as fast as `g` pulls it inwards.
+///
+/// The balance holds at `1 / (9 · strength² · curvature)`, in terms of the learning rate over the
+/// root mean square. Without a rotation this ratio may grow to `38 / curvature`. The iterate
+/// circles at a distance of about `√2 · 9 · learning rate · strength`. The estimate assumes an
+/// isotropic curvature and a strength well above 1.
+///
+/// The combination descends everywhere. It converges from most initial parameters, but not from
+/// all, and seldom with a large learning rate. It always ends at a far smaller loss than the
+/// rotation alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rotated {
-    /// Length of the rotated part, as a multiple of the gradient's.
+    /// Norm of the rotated part, as a multiple of the norm of the gradient.
     pub strength: f64,
-    /// Only the components that agree with the gradient in sign are kept, as the paper's C does with M and R.
+    /// Sets the components to 0 whose sign differs from the gradient's, as C of the paper does with
+    /// M and R.
     pub combined: bool,
 }
 
 impl Rotated {
-    /// The gradient with a rotation, as a field.
+    /// Gradient with a rotation.
     pub fn field(strength: f64) -> Field<Self> {
         Field::composed(Flow::REGULAR, Flow::REGULAR, Self { strength, combined: false })
     }
 
-    /// The same, where it agrees with the gradient.
+    /// Gradient with a rotation, in the components that agree with the gradient in sign.
     pub fn combined_field(strength: f64) -> Field<Self> {
         Field::composed(Flow::REGULAR, Flow::REGULAR, Self { strength, combined: true })
     }
 
-    /// The three fields of figure 2, with the names of its panels.
+    /// Fields of figure 2, with the titles of its panels.
     pub fn figure() -> [(&'static str, Field<Self>); 3] {
         [
             ("gradient", Field::Flow(Flow::REGULAR)),
@@ -179,7 +188,7 @@ impl Compose for Rotated {
         if self.combined { "rotated, combined" } else { "rotated" }
     }
 
-    /// Of two components; rotates the first vector, and compares with the second.
+    /// Rotates `first` and compares with `second`. Requires two components.
     fn compose<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]) {
         let strength = F::lift(self.strength);
         let rotated = [first[0] - strength * first[1], first[1] + strength * first[0]];

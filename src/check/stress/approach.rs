@@ -1,4 +1,4 @@
-//! Agents that come too close for the steps they take.
+//! Stress case: close approaches that the time step does not resolve.
 
 use super::steps::finite;
 use super::{Case, Finding};
@@ -25,16 +25,17 @@ pub(super) const CASES: &[Case] = &[Case {
     run: guidance_close_approach,
 }];
 
-/// Of the paper.
+/// Time step of the ICLR 2024 paper, s.
 const DT: f64 = 4.0 / 60.0;
-/// m²/s²; the stiffness at one place is this over the softening squared, 1000/s².
+/// Strength of the pair force, m²/s². The stiffness at zero distance is this over the squared
+/// softening length, 1000/s².
 const STRENGTH: f64 = 10.0;
 const STIFFNESS: f64 = STRENGTH / 0.01;
 
 type Room = With<GuidanceSystem, Vec<GuidanceEffect>>;
 type Split = Substeps<Integrated<Room, AnyIntegrator>>;
 
-/// Two agents who repel each other, or attract with a negative strength.
+/// Two drivers that repel each other, or attract each other for negative `strength`.
 fn room(strength: f64) -> Room {
     let system = GuidanceSystem { drivers: 2, evaders: 0, dt: DT, ..GuidanceSystem::default() };
     let walls = Walls { half_width: 3.0, half_height: 3.0, stiffness: 10.0 };
@@ -45,7 +46,8 @@ fn split(strength: f64, integrator: AnyIntegrator, count: usize) -> Split {
     Substeps { system: Integrated { ode: room(strength), integrator, dt: DT / count as f64 }, count }
 }
 
-/// Kinetic energy, that of walls and that of the pair, which is 0 at one place or, if they repel, 10 m apart; per mass.
+/// Energy per mass: kinetic, walls and pair. The pair term is zero at distance 0 for attraction and
+/// at 10 m for repulsion.
 fn energy(strength: f64, x: &[f64]) -> f64 {
     let pair = |r: f64| strength * (-(0.1 + r).ln() - 0.1 / (0.1 + r));
     let least = pair(if strength > 0.0 { 10.0 } else { 0.0 });
@@ -54,14 +56,16 @@ fn energy(strength: f64, x: &[f64]) -> f64 {
     moving + walls + pair((x[4] - x[0]).hypot(x[5] - x[1])) - least
 }
 
-/// Towards each other, fast enough to go through, and a little beside; those who attract each other begin near.
+/// Initial state. Repelling agents pass through each other with a small offset; attracting agents
+/// start nearby.
 fn start(strength: f64) -> [f64; 8] {
     if strength > 0.0 { [-2.0, 0.05, 8.0, 0.0, 2.0, -0.05, -8.0, 0.0] } else { [-0.2, 0.0, 0.0, 1.0, 0.2, 0.0, 0.0, -1.0] }
 }
 
-/// Whether all states are finite, and the lowest and the highest energy as a share of the first.
+/// Returns whether all states are finite, and the lowest and highest energy relative to the initial
+/// one.
 fn energies(system: &impl System, strength: f64, steps: usize) -> (bool, f64, f64) {
-    // Nobody steers, and there is nobody to steer by.
+    // All controls are zero.
     let (mut x, mut next) = (start(strength), [0.0; 8]);
     let first = energy(strength, &x);
     let (mut all, mut lowest, mut highest) = (true, f64::INFINITY, 0.0f64);

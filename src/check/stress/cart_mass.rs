@@ -1,4 +1,4 @@
-//! Carts that weigh almost nothing.
+//! Stress case: very light carts.
 
 use super::{Case, Finding};
 use crate::check;
@@ -60,7 +60,7 @@ fn cart_mass() -> Vec<Finding> {
     findings
 }
 
-/// Steps of both exact models under the lightest cart, against duals.
+/// Compares steps of both exact models with the lightest cart against dual numbers.
 fn derivatives() -> [Finding; 2] {
     let error = |checked: Result<check::Passed, check::Mismatch>| checked.map_or_else(|wrong| wrong.error, |passed| passed.worst);
     let (coupled, chain) = (CoupledCartPole(body(20, 1e-8)), PoleChain(body(20, 1e-8)));
@@ -79,7 +79,8 @@ fn refused() -> Vec<Finding> {
     };
     let light = [1, 20].map(|poles| body(poles, 1e-12));
     let (lights, all_lights) = count(&light, |error| matches!(error, MassError::CartTooLight { .. }));
-    // With a cart of minus a quarter of its pole the equations are singular; all others have solutions.
+    // The equations are singular for a cart of −1/4 of the pole mass. All other mass splits have
+    // solutions.
     let split = |cart_mass: f64, pole_mass: f64| CartPoleSystem { cart_mass, pole_mass, ..CartPoleSystem::default() };
     let unphysical =
         [split(0.0, 0.1), split(-0.01, 0.1), split(-0.025, 0.1), split(1.2, -0.1), split(1.0, 0.0), split(f64::NAN, 0.1)];
@@ -91,12 +92,13 @@ fn refused() -> Vec<Finding> {
     ]
 }
 
-/// The larger; a NaN if either is.
+/// Larger of two numbers; NaN if either is NaN.
 fn larger(a: f64, b: f64) -> f64 {
     if a > b || a.is_nan() { a } else { b }
 }
 
-/// The largest residual at random states, of accelerations in this precision: any angles, rates within ±5, a force within ±10.
+/// Largest residual at random states for accelerations in the precision of `F`. Angles are
+/// arbitrary, rates within ±5 and forces within ±10.
 fn worst<F: Float, O: Ode>(
     ode: &O,
     body: &CartPoleSystem,
@@ -116,12 +118,13 @@ fn worst<F: Float, O: Ode>(
     residuals.fold(0.0, larger)
 }
 
-/// What a sum of terms that has to be 0 leaves, in relation to the largest of them.
+/// Residual of an equation: absolute sum of its terms relative to the largest term.
 fn left(terms: &[f64]) -> f64 {
     terms.iter().sum::<f64>().abs() / terms.iter().fold(f64::MIN_POSITIVE, |largest, term| larger(largest, term.abs()))
 }
 
-/// By d'Alembert's principle, from the motion of the middle of every pole: no mass matrix is in it.
+/// Residual by d'Alembert's principle, from the accelerations of the pole centers. It uses no mass
+/// matrix.
 ///
 /// ```text
 /// M_c ẍ + Σ_i m a_i,x = u
@@ -129,7 +132,7 @@ fn left(terms: &[f64]) -> f64 {
 /// ```
 fn dalembert(body: &CartPoleSystem, chained: bool, x: &[f64], rate: &[f64], u: f64) -> f64 {
     let (m, l, n) = (body.pole_mass, body.half_length, body.poles);
-    // How far the middle of pole i moves with the angle of pole k.
+    // Lever arm of the center of pole i about the joint of pole k.
     let arm = |i: usize, k: usize| {
         if i == k {
             l
@@ -165,7 +168,7 @@ fn dalembert(body: &CartPoleSystem, chained: bool, x: &[f64], rate: &[f64], u: f
     worst
 }
 
-/// In the equations of the authors' model, as they are written at [`CartPoleSystem`].
+/// Residual in the equations of the authors' model, as documented at [`CartPoleSystem`].
 fn in_the_authors_equations(body: &CartPoleSystem, x: &[f64], rate: &[f64], u: f64) -> f64 {
     let (m, l, mass) = (body.pole_mass, body.half_length, body.cart_mass + body.pole_mass);
     let (mut worst, mut terms) = (0.0, vec![mass * rate[1], -u]);

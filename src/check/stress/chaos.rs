@@ -1,8 +1,9 @@
-//! Adjoints of chaos: they grow as the motion's own errors do, and their sign is lost with the motion.
+//! Stress case: adjoints of chaotic motion.
 //!
-//! The adjoint at the start falls into the line in which nearby motions part soonest, which the first seconds decide; how long
-//! it is, and its sign, the last ones do. So two rollouts that part by rounding agree about the line for ever, and about the
-//! sign no longer than they agree about the motion.
+//! The adjoint at the initial state aligns with the covector of fastest growth, which the first
+//! seconds determine. Its norm and sign depend on the last seconds. The adjoints of two rollouts
+//! that differ by rounding therefore stay collinear. Their signs agree only while the trajectories
+//! agree.
 
 use super::{Case, Finding};
 use crate::dynamics::integrator::{Integrated, RungeKutta};
@@ -28,7 +29,7 @@ type State = [f64; 4];
 const STEPS: usize = 1_000_000;
 const PAIRS: usize = 64;
 const DT: f64 = 2e-3;
-/// At rest, both rods 1 rad from upright: λ is about 1.45 a second.
+/// At rest, both rods 1 rad from upright. The Lyapunov exponent λ is about 1.45/s.
 const START: State = [1.0, 0.0, 1.0, 0.0];
 
 fn double_pendulum() -> Vec<Finding> {
@@ -65,14 +66,15 @@ fn rollout(system: &Pendulum, start: State, steps: usize) -> Vec<State> {
     states
 }
 
-/// Makes it of length 1, and returns the logarithm of what it was.
+/// Scales the vector to norm 1 and returns the logarithm of its previous norm.
 fn normalize(v: &mut State) -> f64 {
     let length = v.iter().map(|v| v * v).sum::<f64>().sqrt();
     v.iter_mut().for_each(|v| *v /= length);
     length.ln()
 }
 
-/// By how many e-foldings a tangent grows along a rollout: Benettin et al. 1980 (doi:10.1007/BF02128237).
+/// Growth of a tangent along a rollout, in e-foldings: Benettin et al. 1980
+/// (doi:10.1007/BF02128237).
 fn by_tangents(system: &Pendulum, states: &[State]) -> f64 {
     let (mut tangent, mut next, mut growth) = ([0.5; 4], [0.0; 4], 0.0);
     for x in &states[..states.len() - 1] {
@@ -83,7 +85,8 @@ fn by_tangents(system: &Pendulum, states: &[State]) -> f64 {
     growth
 }
 
-/// By how many e-foldings the adjoint of the last first angle grows back to the start, and its direction there.
+/// Growth of the adjoint of the last first angle back to the initial state, in e-foldings, and its
+/// normalized value there.
 fn adjoint(system: &Pendulum, states: &[State]) -> (f64, State) {
     let (mut bar, mut x_bar, mut growth) = ([1.0, 0.0, 0.0, 0.0], [0.0; 4], 0.0);
     for x in states[..states.len() - 1].iter().rev() {
@@ -94,7 +97,8 @@ fn adjoint(system: &Pendulum, states: &[State]) -> (f64, State) {
     (growth, bar)
 }
 
-/// Pairs of rollouts that begin one rounding apart, and how far their adjoints agree.
+/// Agreement of adjoint directions between pairs of rollouts whose initial states differ by one
+/// rounding error.
 fn signs(system: &Pendulum, lambda: f64) -> Vec<Finding> {
     let horizon = (1.0 / f64::EPSILON).ln() / (lambda * DT);
     let horizons = [0.5, 2.0].map(|of| (of * horizon) as usize);

@@ -1,4 +1,4 @@
-//! Impacts, and what derivatives know of them.
+//! Stress case: derivatives through impacts.
 
 use super::steps::{derivative, larger, states};
 use super::{Case, Finding};
@@ -25,17 +25,18 @@ pub(super) const CASES: &[Case] = &[Case {
     run: contact,
 }];
 
-/// Without damping.
+/// Spring contact without damping.
 fn spring(stiffness: f64) -> Contact {
     Contact::Penalty { stiffness, damping: 0.0 }
 }
 
-/// 60 steps while a reduced mass of 1 kg touches.
+/// Time step that resolves the contact of a reduced mass of 1 kg in 60 steps, s.
 fn resolved(stiffness: f64) -> f64 {
     std::f64::consts::PI / stiffness.sqrt() / 60.0
 }
 
-/// Steps for derivatives: `stiffness dt` falls as the duration of the contact does.
+/// Time step for accurate derivatives: `stiffness dt` decreases in proportion to the contact
+/// duration.
 fn short(stiffness: f64) -> f64 {
     5.0 / stiffness.powf(1.5)
 }
@@ -47,21 +48,25 @@ fn told(errors: [f64; 3]) -> String {
     format!("{a}, {b}, {c} at 1e4, 1e5, 1e6 N/m")
 }
 
-/// A body, or two, whose impact has a closed form.
+/// One or two bodies whose impact has a closed form.
 struct Example {
     name: &'static str,
     start: Vec<f64>,
     control: f64,
-    /// The component of the last state whose derivatives are taken.
+    /// Component of the last state that is differentiated.
     component: usize,
-    /// When, s.
+    /// Duration, s.
     time: f64,
-    /// By every component of the start, and by the control; NaN where it is not compared.
+    /// Derivatives with respect to the initial state and the control; NaN for entries that are not
+    /// compared.
     expected: Vec<f64>,
 }
 
-/// The height of a ball after one bounce, `e s (T - t) - g (T - t)²/2` with `t = (v + s)/g` and `s² = v² + 2 g h`, by h and v.
-/// `ds/dh = g/s`, `dt/dh = 1/s`, `ds/dv = v/s`, `dt/dv = (1 + v/s)/g`.
+/// Ball height after one bounce: `e s (T - t) - g (T - t)²/2` with `t = (v + s)/g` and
+/// `s² = v² + 2 g h`.
+///
+/// Derivatives with respect to h and v follow from `ds/dh = g/s`, `dt/dh = 1/s`, `ds/dv = v/s` and
+/// `dt/dv = (1 + v/s)/g`.
 fn ball(name: &'static str, restitution: f64, h: f64, v: f64, time: f64) -> Example {
     let g = 9.81;
     let s = f64::sqrt(v * v + 2.0 * g * h);
@@ -77,14 +82,17 @@ fn ball(name: &'static str, restitution: f64, h: f64, v: f64, time: f64) -> Exam
     }
 }
 
-/// The place of the second ball after the first, with the speed v, has hit it: `q + v (T - t) = p + reach + v T`.
+/// Position of the second ball after the first hits it with speed v:
+/// `q + v (T - t) = p + reach + v T`.
 fn balls(second: f64, time: f64) -> Example {
     let expected = vec![1.0, 0.0, time, 0.0, f64::NAN];
     Example { name: "two equal balls", start: vec![0.0, second, 2.0, 0.0], control: 0.0, component: 1, time, expected }
 }
 
-/// The place of a box that a pusher, from rest, meets at `t = sqrt(2 g m/u)` and pushes on: with `M = m + m₂` and
-/// `V = sqrt(2 g m u)/M`, `q + V (T - t) + u (T - t)²/2M`; by the gap's width g, by p as by -g, and by u.
+/// Position of a box that a pusher meets from rest and then pushes.
+///
+/// Impact at `t = sqrt(2 g m/u)` with gap g; then `q + V (T - t) + u (T - t)²/2M` with `M = m + m₂`
+/// and `V = sqrt(2 g m u)/M`. The derivative with respect to p is minus that with respect to g.
 fn pusher() -> Example {
     let (u, gap, [first, second], time) = (4.0, 0.2, [1.0, 2.0], 1.2f64);
     let total = first + second;
@@ -102,7 +110,7 @@ impl Example {
         (self.time / dt).round() as usize
     }
 
-    /// The largest error of a derivative, as a share of its closed form.
+    /// Largest error of a derivative, relative to its closed form; absolute if that is zero.
     fn off(&self, found: impl IntoIterator<Item = f64>) -> f64 {
         let compared = self.expected.iter().filter(|expected| !expected.is_nan());
         let share =
@@ -110,7 +118,7 @@ impl Example {
         found.into_iter().zip(compared).map(share).fold(0.0, larger)
     }
 
-    /// Of the reverse pass.
+    /// Error of the reverse pass.
     fn error(&self, system: &dyn any::AnySystem<f64>, dt: f64) -> f64 {
         let states = states(system, &self.start, self.control, self.steps(dt));
         let (mut found, by_control) = derivative(system, &states, self.control, self.component);
@@ -119,7 +127,7 @@ impl Example {
         self.off(compared.map(|(&found, _)| found))
     }
 
-    /// Of duals, which keep no states: for very many steps.
+    /// Error of forward mode, which stores no states; suited to very many steps.
     fn forward_error<S: System>(&self, system: &S, dt: f64) -> f64 {
         let inputs: Vec<f64> = self.start.iter().copied().chain([self.control]).collect();
         let mut index = 0;
@@ -141,7 +149,8 @@ impl Example {
         Finding::at_most(format!("{}, time of impact: error of derivatives, as a share", self.name), self.error(system, dt), 0.01)
     }
 
-    /// Errors by springs, in steps that are short enough for derivatives and in steps that resolve the contact.
+    /// Errors of spring contacts, in steps short enough for derivatives and in steps that resolve
+    /// the contact.
     fn springs<S: System>(&self, system: impl Fn(Contact, f64) -> S) -> [Finding; 2] {
         let [converging, biased] =
             [short, resolved].map(|dt: fn(f64) -> f64| STIFFNESSES.map(|k| self.forward_error(&system(spring(k), dt(k)), dt(k))));
@@ -156,7 +165,8 @@ impl Example {
 fn contact() -> Vec<Finding> {
     let bouncing = BouncingBall::default();
     let mut findings = Vec::new();
-    // Just after the bounce a higher start is a lower end; later it is the other way round.
+    // Shortly after the bounce, a higher initial position lowers the final one; later the sign
+    // reverses.
     for (name, time) in [("bouncing ball, soon after", 0.55), ("bouncing ball, long after", 0.95)] {
         let example = ball(name, 0.8, 1.0, -0.5, time);
         findings.push(Finding::told(format!("{name}: closed form, by height"), format!("{:.4}", example.expected[0])));
@@ -177,7 +187,7 @@ fn contact() -> Vec<Finding> {
     findings
 }
 
-/// `v ← -e v` where a step ends below the floor.
+/// Planted fault: `v ← -e v` where a step ends below the floor.
 struct Reflected(BouncingBall);
 
 impl System for Reflected {
@@ -198,14 +208,15 @@ impl System for Reflected {
     }
 }
 
-/// However short its steps.
+/// Derivative error of the reflected speed, which does not vanish with the time step.
 fn reflected(example: &Example) -> Finding {
     let dt = 1e-4;
     let error = example.error(&Reflected(BouncingBall { dt, ..BouncingBall::default() }), dt);
     Finding::at_least(format!("{}, speed reflected below the floor, steps of 1e-4 s: error", example.name), error, 0.5)
 }
 
-/// A pusher and a box that come to rest on each other: where they go is a matter of momentum, by any contact.
+/// Pusher and box with inelastic contact. Momentum conservation determines the final motion for any
+/// contact model.
 fn damped_pusher() -> [Finding; 2] {
     let error = |stiffness: f64, dt: f64| {
         let contact = Contact::Penalty { stiffness, damping: 5.0 };
@@ -218,7 +229,7 @@ fn damped_pusher() -> [Finding; 2] {
     ]
 }
 
-/// With the damping that bounces as high as a restitution of 0.8 does, at the speed of the impact and at no other.
+/// Ball with damping tuned to a restitution of 0.8 at the speed of this impact.
 fn damped_ball() -> [Finding; 2] {
     let example = ball("", 0.8, 0.01, -4.0, 0.0525);
     let speed = f64::sqrt(16.0 + 2.0 * 9.81 * 0.01);
@@ -240,7 +251,7 @@ fn damped_ball() -> [Finding; 2] {
     [Finding::told(what, told(errors)), Finding::at_least("ball, damped springs (biased): error at 1e6 N/m", errors[2], 0.1)]
 }
 
-/// 1e6 N/m in steps of 0.01 s.
+/// Stability report for 1e6 N/m in steps of 0.01 s.
 fn too_stiff() -> Finding {
     let contact = Contact::Penalty { stiffness: 1e6, damping: 0.0 };
     let system = BouncingBall { contact, ..BouncingBall::default() };

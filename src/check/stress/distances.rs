@@ -1,4 +1,4 @@
-//! Agents at one place, and worlds apart.
+//! Stress case: coincident and very distant agents.
 
 use super::steps::{error, finite, larger, vjp_by_jvps};
 use super::{Case, Finding};
@@ -24,7 +24,8 @@ pub(super) const CASES: &[Case] = &[Case {
 
 type Crowd = With<GuidanceSystem, Vec<GuidanceEffect>>;
 
-/// Two drivers and two evaders, one of them in the very center of an obstacle; walls that are touched at 1e8 m only.
+/// Two drivers and two evaders, with an obstacle centered at the origin and walls that only agents
+/// at 1e8 m touch.
 fn crowd() -> Crowd {
     let system = GuidanceSystem { drivers: 2, evaders: 2, ..GuidanceSystem::default() };
     let obstacles = Obstacles { centers: vec![[0.0, 0.0]], ..Obstacles::default() };
@@ -53,7 +54,7 @@ fn guidance_distances() -> Vec<Finding> {
     findings
 }
 
-/// The force of [`Evade`] by a distance as one would write it down.
+/// Planted fault: the force of [`Evade`] with an unguarded distance.
 struct Unguarded;
 
 impl System for Unguarded {
@@ -90,8 +91,10 @@ fn at<F: Float>(distances: &[f64], allowed: f64) -> Vec<Finding> {
     ]
 }
 
-/// Whether all is finite, and the largest error. Cotangents are those of one agent's velocity at a time, and nobody steers,
-/// so that nothing larger hides the slopes of the forces.
+/// Returns whether all values are finite, and the largest error of the VJP.
+///
+/// Cotangents select the velocity of one agent at a time, and controls are zero. Otherwise larger
+/// terms would mask the force derivatives.
 fn derivatives<F: Float>(system: &dyn AnySystem<F>, distance: f64) -> (bool, f64) {
     let (n, m) = (system.state_dim(), system.control_dim());
     let place = |agent: usize| [0.6, 0.8].map(|share| F::lift(agent as f64 * distance * share));
@@ -120,8 +123,8 @@ fn derivatives<F: Float>(system: &dyn AnySystem<F>, distance: f64) -> (bool, f64
     (whether, worst)
 }
 
-/// The acceleration of an evader by one driver against `15 r / (0.1 + |r|)²`. A square of 1e-160 would be 0, and the force with
-/// it.
+/// Relative error of an evader's acceleration by one driver, against `15 r / (0.1 + |r|)²`.
+/// Squaring 1e-160 directly would underflow to a zero force.
 fn force<F: Float>(distance: f64) -> f64 {
     let body = GuidanceSystem { drivers: 1, evaders: 1, dt: 1.0, ..GuidanceSystem::default() };
     let (zero, along, across) = (F::zero(), F::lift(0.6 * distance), F::lift(0.8 * distance));

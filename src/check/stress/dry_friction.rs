@@ -1,4 +1,4 @@
-//! Friction that is nearly a step function of the speed.
+//! Stress case: stiff dry friction, nearly a step function of the speed.
 
 use super::steps::{derivative, finite, larger, states};
 use super::{Case, Finding};
@@ -26,7 +26,7 @@ fn slider(smoothing: f64, scheme: FrictionScheme) -> SliderSystem {
     SliderSystem { smoothing, scheme, ..SliderSystem::default() }
 }
 
-/// μ g, m/s².
+/// Deceleration μ g, m/s².
 fn deceleration(system: &SliderSystem) -> f64 {
     system.grip() / system.dt
 }
@@ -46,12 +46,13 @@ fn implicit(smoothing: f64) -> Vec<Finding> {
     let states = states(&system, &START, 0.0, STEPS);
     let speeds = || states.iter().map(|x| x[1]);
     let largest = speeds().map(|v| check::stability(&system, &[0.0, v], &[0.0]).multiplier).fold(0.0, larger);
-    // Its own place is remembered: a multiplier of 1.
+    // Position is neutrally stable: its multiplier is 1.
     let mut findings = vec![Finding::at_most(format!("ε = {smoothing:.0e}: multiplier of implicit steps"), largest, 1.0 + 1e-6)];
     let turned = speeds().filter(|&v| v < 0.0).count();
     findings.push(Finding::at_most(format!("ε = {smoothing:.0e}: implicit states with a speed below 0"), turned as f64, 0.0));
 
-    // v̇ = -a tanh(v/ε): sinh(v/ε) decays by exp(-a t/ε). At rest: 1 % of the speed, and no more than 3 ε.
+    // v̇ = -a tanh(v/ε): sinh(v/ε) decays by exp(-a t/ε). "At rest" means below 1 % of the initial
+    // speed and below 3 ε.
     let (a, rest) = (deceleration(&system), f64::min(0.01, 3.0 * smoothing));
     let ln_sinh = |v: f64| v / smoothing + (-(-2.0 * v / smoothing).exp()).ln_1p() - std::f64::consts::LN_2;
     let expected = smoothing / a * (ln_sinh(1.0) - ln_sinh(rest));
@@ -74,8 +75,8 @@ fn implicit(smoothing: f64) -> Vec<Finding> {
     findings
 }
 
-/// Steps by which rest may be early or late: one, and those that backward Euler takes longer where the decay is slower than
-/// a step.
+/// Tolerance of the stopping time, in steps. One step, plus the delay of backward Euler where the
+/// decay is slower than a step.
 fn late_steps(smoothing: f64, system: &SliderSystem) -> f64 {
     1.0 + smoothing / system.grip()
 }

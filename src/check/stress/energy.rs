@@ -1,4 +1,4 @@
-//! Energy over long free motion.
+//! Stress case: energy over long free motion.
 
 use super::{Case, Finding};
 use crate::dynamics::apart::step;
@@ -20,7 +20,7 @@ pub(super) const CASES: &[Case] = &[Case {
     run: energy,
 }];
 
-/// A pendulum of 1 m: x = [angle from hanging in rad, rate in rad/s].
+/// Pendulum of 1 m: x = [angle from hanging in rad, rate in rad/s].
 struct Pendulum;
 
 const GRAVITY: f64 = 9.81;
@@ -41,7 +41,7 @@ impl Ode for Pendulum {
     }
 }
 
-/// From far out, where a swing is no sine, at rest.
+/// At rest with a large amplitude, where the swing is not sinusoidal.
 const START: [f64; 2] = [2.0, 0.0];
 
 fn of_pendulum(x: &[f64]) -> f64 {
@@ -71,7 +71,8 @@ fn energy() -> Vec<Finding> {
     findings
 }
 
-/// The largest change of energy along 10 s of free motion in steps of 1 ms, in relation to the energy.
+/// Largest energy change along 10 s of free motion in steps of 1 ms, relative to the initial
+/// energy.
 fn drift<O: Ode>(ode: O, start: &[f64], energy: &dyn Fn(&[f64]) -> f64) -> f64 {
     let system = Integrated { ode, integrator: RungeKutta::RK4, dt: 1e-3 };
     let (mut x, mut next) = (start.to_vec(), start.to_vec());
@@ -81,19 +82,19 @@ fn drift<O: Ode>(ode: O, start: &[f64], energy: &dyn Fn(&[f64]) -> f64) -> f64 {
         step(&system, &x, &[0.0], &mut next);
         std::mem::swap(&mut x, &mut next);
         let change = (energy(&x) - before).abs();
-        // A NaN stays.
+        // Propagates NaN.
         largest = if change <= largest { largest } else { change };
     }
     largest / before.abs()
 }
 
-/// The error of the energy in the first and in the last tenth of a rollout.
+/// Energy error in the first and last tenth of a rollout.
 struct Tenths {
-    /// Difference of the means, in units of half the range of all errors.
+    /// Difference of the mean errors, in units of the amplitude.
     trend: f64,
-    /// Ratio of the largest.
+    /// Ratio of the largest errors.
     growth: f64,
-    /// Half the range, in relation to the energy.
+    /// Half the range of the error, relative to the initial energy.
     amplitude: f64,
 }
 

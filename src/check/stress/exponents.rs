@@ -1,4 +1,4 @@
-//! Adjoints that explode or vanish far beyond the range of floats.
+//! Stress case: adjoints that explode or vanish far beyond the floating-point range.
 
 use super::{Case, Finding};
 use crate::dynamics::system::System;
@@ -65,7 +65,8 @@ impl Task for Plant {
     }
 }
 
-/// `[∂L/∂k, ∂L/∂b]` of a flow, with the states of the rollout in the precision of `F`, and adjoints in wide numbers.
+/// `[∂L/∂k, ∂L/∂b]` of a flow, with states in the precision of `F` and adjoints with 32-bit
+/// exponents.
 fn reference<F: Float>(plant: &Plant, gain: f64, flow: Flow) -> [Wide; 2] {
     let mut states = vec![F::lift(plant.start)];
     for t in 0..HORIZON {
@@ -82,7 +83,7 @@ fn reference<F: Float>(plant: &Plant, gain: f64, flow: Flow) -> [Wide; 2] {
 }
 
 fn exploding_adjoint() -> Vec<Finding> {
-    // [a, k, x_0]: states that neither explode nor vanish where it matters, adjoints of R and M that do.
+    // [a, k, x_0]: the states stay in range where they matter; the adjoints of R and M do not.
     let plants = [
         [1.5, 0.0, 0.0],
         [1.5, -0.5, 0.5],

@@ -1,4 +1,4 @@
-//! A number that is none is named, and nothing is learned from it.
+//! Stress case: non-finite values are located, and the update is skipped.
 
 use super::{Case, Finding};
 use crate::dynamics::cause::Cause;
@@ -25,7 +25,7 @@ pub(super) const CASES: &[Case] = &[Case {
     run: injected_nan,
 }];
 
-/// A mass of 1 kg that is pushed along a line: `[place m, speed m/s]`, semi-implicit Euler.
+/// Mass of 1 kg pushed along a line: `[position m, velocity m/s]`, semi-implicit Euler.
 struct Pushed;
 
 const DT: f64 = 0.02;
@@ -54,7 +54,8 @@ impl Host for Pushed {
     }
 }
 
-/// Fails at one step in samples that start to the right of the others: its force, or its derivative alone.
+/// Effect with a non-finite force, or only a non-finite derivative, at one step. It affects samples
+/// with x > 50.
 #[derive(Clone, Debug)]
 struct Injected {
     step: usize,
@@ -74,7 +75,7 @@ impl Effect<Pushed> for Injected {
     }
 }
 
-/// Be at the origin.
+/// Task with the running cost x².
 struct Return(With<Pushed, Injected>);
 
 impl Task for Return {

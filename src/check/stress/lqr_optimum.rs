@@ -1,4 +1,4 @@
-//! The optimum of the linear-quadratic regulator, where every field has to vanish.
+//! Stress case: all fields vanish at the optimum of the linear-quadratic regulator.
 
 use super::{Case, Finding};
 use crate::dynamics::system::System;
@@ -44,7 +44,7 @@ fn lqr_optimum() -> Vec<Finding> {
     findings
 }
 
-/// The largest component of M, R and C at a gain.
+/// Largest absolute components of M, R and C for a gain; NaN if a rollout diverges.
 fn largest(lqr: &Lqr, gain: &[f64]) -> [f64; 3] {
     let n = lqr.system().state_dim();
     let policy = Linear::new(n, lqr.system().control_dim());

@@ -1,9 +1,10 @@
-//! The linear-quadratic regulator on an unstable plant: there R is bounded, and M is not.
+//! Stress case: linear-quadratic regulator on an unstable plant, where R is bounded and M grows.
 //!
-//! M's adjoint is that of the plant by itself, which the policy does not hold. Of one sample it soon is one vector, the plant's
-//! unstable direction, times a number that the end of the rollout decides: M's parameter gradient points along
-//! `Σ_t a^{-t} x_t`, a the plant's largest eigenvalue, whatever the loss is, and its sign depends on the last states. C keeps of
-//! it what R agrees with.
+//! The adjoint of M is that of the open loop, which the policy does not stabilize. For one sample
+//! it converges to the unstable left eigenvector of the plant times a scalar set by the end of the
+//! rollout. The parameter gradient of M thus points along `Σ_t a^{-t} x_t` for any loss, with a the
+//! largest eigenvalue of the plant. Its sign depends on the last states. C retains the components
+//! of M that agree in sign with R.
 
 use super::{Case, Finding};
 use crate::dynamics::system::System;
@@ -85,7 +86,7 @@ fn lqr_unstable() -> Vec<Finding> {
             findings.push(told.told(format!("T = 400, from {name}: {}", field.letter())));
         }
     }
-    // Where C does not get through, it is told.
+    // Report cases in which C does not converge.
     for seed in 1..3 {
         let told = train(&lqr, Field::combined(), &stiff, one_by_one(seed));
         findings.push(told.told(format!("T = 400, from 1.5 times the best gain, seed {seed}: C")));
@@ -95,7 +96,7 @@ fn lqr_unstable() -> Vec<Finding> {
     findings
 }
 
-/// `count` starts.
+/// Draws `count` initial states.
 fn starts(lqr: &Lqr, seed: u64, purpose: Purpose, count: usize) -> Vec<f64> {
     let n = lqr.system().state_dim();
     let mut starts = vec![0.0; count * n];
@@ -105,7 +106,7 @@ fn starts(lqr: &Lqr, seed: u64, purpose: Purpose, count: usize) -> Vec<f64> {
     starts
 }
 
-/// How M grows along rollouts with a gain, as a training measures it.
+/// Growth of M along rollouts with a gain, as measured during training.
 fn metered(lqr: &Lqr, gain: &[f64]) -> Option<Growth> {
     let policy = Linear::new(lqr.system().state_dim(), 1);
     let weights = Weights::<f64>::new(&policy, gain.to_vec());
@@ -115,20 +116,21 @@ fn metered(lqr: &Lqr, gain: &[f64]) -> Option<Growth> {
     batch.growth(0)
 }
 
-/// The lengths of the adjoints of R and M along rollouts with a gain.
+/// Adjoint norms of R and M along rollouts with a gain.
 fn lengths(lqr: &Lqr, gain: &[f64]) -> [Vec<f64>; 2] {
     let policy = Linear::new(lqr.system().state_dim(), 1);
     let weights = Weights::<f64>::new(&policy, gain.to_vec());
     let mut rollout = Rollout::new(lqr, &policy, 8);
     rollout.start(&starts(lqr, 0, Purpose::Train, 8));
     let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]).keep_norms();
-    // What is not finite has no length, and a NaN passes nothing.
+    // Norms of a diverged rollout are NaN, which fails every check.
     let ran = rollout.run(lqr, &policy, &weights);
     let _ = ran.and_then(|()| adjoint.run(lqr, &policy, &weights, &rollout, 1.0));
     [0, 1].map(|k| adjoint.norms(k).to_vec())
 }
 
-/// What M's gradient of one start is, at a gain: how far it points along `Σ_t a^{-t} x_t`, and how often it descends.
+/// Reports M for single initial states: its least alignment with `Σ_t a^{-t} x_t`, and how often it
+/// is a descent direction.
 fn directions(lqr: &Lqr, name: &str, gain: &[f64]) -> [Finding; 2] {
     const STARTS: usize = 64;
     let n = gain.len();
@@ -162,7 +164,7 @@ fn cosine(a: &[f64], b: &[f64]) -> f64 {
     dot(a, b) / (dot(a, a) * dot(b, b)).sqrt()
 }
 
-/// The best gain where controls cost a hundred times as much: about the least that holds the plant.
+/// Optimal gain for hundredfold control cost: nearly the smallest stabilizing gain.
 fn gentle(lqr: &Lqr) -> Vec<f64> {
     let n = lqr.system().state_dim();
     let states = (0..n * n).map(|i| if i.is_multiple_of(n + 1) { 1.0 } else { 0.0 }).collect();
@@ -170,13 +172,13 @@ fn gentle(lqr: &Lqr) -> Vec<f64> {
     costly.optimum().gain.clone()
 }
 
-/// What a training came to.
+/// Result of a training run.
 struct Trained {
-    /// Loss over the least, less 1, in the end.
+    /// Final loss relative to the optimum, minus 1.
     excess: f64,
-    /// Updates after which it was 1e-2 or less for the first time.
+    /// Updates until the excess first reaches 1e-2, to the next evaluation.
     reached: Option<usize>,
-    /// Share of components of the field that were not 0, if it is a composed one.
+    /// Mean share of non-zero field components; only for composed fields.
     kept: Option<f64>,
 }
 
@@ -192,18 +194,19 @@ impl Trained {
     }
 }
 
-/// Updates between two evaluations.
+/// Updates between evaluations.
 const EPOCH: usize = 250;
 
-/// 3000 updates on one start each, every one of length 0.1 or less.
+/// 3000 updates of norm at most 0.1, each on a single initial state.
 ///
-/// The mean over a batch hides what C lives on: the starts differ in how M agrees with R, and M of the mean over 4 of them
-/// agrees in no component for most of the time.
+/// Larger batches remove the sign agreement that C requires: M varies between initial states, and
+/// its mean rarely agrees with R.
 fn one_by_one(seed: u64) -> Training {
     Training { batch: 1, seed, rule: Rule::Sgd, learning_rate: 0.1, clip: Clip::Norm(1.0), ..in_batches() }
 }
 
-/// 3000 updates by the paper's rule, at a rate that crosses the distance to the optimum in them.
+/// 3000 updates by the rule of the ICLR 2024 paper, with a learning rate large enough to reach the
+/// optimum.
 fn in_batches() -> Training {
     Training { epochs: 3000 / EPOCH, batch: 8, shuffle: true, learning_rate: 0.03, ..Training::default() }
 }

@@ -1,4 +1,4 @@
-//! Policies and angles far outside of where anything was trained.
+//! Stress case: saturated policies and very large angles.
 
 use super::{Case, Finding};
 use crate::check;
@@ -32,7 +32,7 @@ fn saturated_policy() -> Vec<Finding> {
     findings
 }
 
-/// The batched passes of a policy whose inputs or weights are far too large.
+/// Batched passes of a policy with very large inputs or weights.
 fn saturated<F: Float>() -> [Finding; 2] {
     let policy = Mlp::new([4, 32, 32, 1]);
     let (columns, x) = (8, [1e6, -2e6, 3e6, 1.5e6]);
@@ -50,7 +50,8 @@ fn saturated<F: Float>() -> [Finding; 2] {
         policy.forward(pass, &mut tape, &mut u);
         policy.backward(pass, &tape, &vec![F::one(); columns], &mut tape_bar, Some(&mut x_bar));
         finite &= u.iter().chain(&x_bar).all(|x| x.as_().is_finite());
-        // A few units of the second layer may be in their linear range; with inputs of 1e6, none of the first is.
+        // With inputs of 1e6, all units of the first layer saturate. With large weights, a few
+        // units of the second layer may stay linear.
         saturated[case] = x_bar.iter().all(|&x_bar| x_bar == F::zero());
     }
     [

@@ -1,4 +1,4 @@
-//! Waves and their adjoints over very many steps.
+//! Stress case: norms of waves and adjoints over very many steps.
 
 use super::steps::larger;
 use super::{Case, Finding};
@@ -54,7 +54,7 @@ fn quantum_long() -> Vec<Finding> {
     ]
 }
 
-/// A system whose states lose a share in each step.
+/// Planted fault: a system that scales its state in every step.
 struct Scaled<S> {
     system: S,
     factor: f64,
@@ -77,7 +77,7 @@ impl<S: System> System for Scaled<S> {
     }
 }
 
-/// A drift that is told of, whether it is within 1e-2 or not: which of the two is chance.
+/// Formats a drift without a guarantee; exceeding 1e-2 depends on rounding.
 fn not_promised(drift: f64) -> String {
     format!("{drift:.1e}{}", if drift > 1e-2 { ", more than that: not promised" } else { "" })
 }
@@ -92,13 +92,13 @@ fn start<F: Float>() -> Vec<F> {
     x.into_iter().map(F::lift).collect()
 }
 
-/// Random controls of up to a size.
+/// Random controls in `[-size, size)`.
 fn controls(count: usize, size: f64) -> Vec<f64> {
     let mut rng = stream(1, Purpose::Test, 0);
     (0..count).map(|_| size * rng.random_range(-1.0..1.0)).collect()
 }
 
-/// The largest difference of a norm on the way from 1, in double precision.
+/// Largest deviation of the norm from 1 along a rollout, evaluated in double precision.
 fn drift<S: System, F: Float>(system: &S, steps: usize, size: f64) -> f64 {
     let mut x = start::<F>();
     let mut next = x.clone();
@@ -111,14 +111,14 @@ fn drift<S: System, F: Float>(system: &S, steps: usize, size: f64) -> f64 {
     worst
 }
 
-/// The largest relative change of the norm of a random cotangent on its way back.
+/// Largest relative change of the norm of a random cotangent in a reverse pass.
 fn adjoint_drift<S: System>(system: &S, steps: usize) -> f64 {
     let mut rng = stream(2, Purpose::Test, 0);
     let mut bar: Vec<f64> = (0..64).map(|_| StandardNormal.sample(&mut rng)).collect();
     let (x, mut x_bar, first) = (start::<f64>(), vec![0.0; 64], norm(&bar));
     let mut worst = 0.0f64;
     for u in controls(steps, 30.0) {
-        // The step is linear in the state, so that the state does not matter.
+        // The step is linear in the state, so its Jacobian does not depend on the state.
         system.vjp_state(&x, &[u], &bar, &mut x_bar);
         bar.copy_from_slice(&x_bar);
         worst = larger(worst, (norm(&bar) / first - 1.0).abs());
@@ -126,7 +126,7 @@ fn adjoint_drift<S: System>(system: &S, steps: usize) -> f64 {
     worst
 }
 
-/// How far from the start one is, forward and backward in time again.
+/// Distance from the initial state after integrating forward and then backward in time.
 fn return_error<S: System>(there: &S, back: &S, steps: usize) -> f64 {
     let first = start::<f64>();
     let (mut x, mut next) = (first.clone(), first.clone());

@@ -1,4 +1,4 @@
-//! A target that has nothing in common with where one starts.
+//! Stress case: zero overlap between the initial and the target state.
 
 use super::{Case, Finding};
 use crate::check::{self, Plateau};
@@ -20,7 +20,7 @@ pub(super) const CASES: &[Case] = &[Case {
     run: quantum_plateau,
 }];
 
-/// From random phases of eigenstates 1 and 2, as they are weighted.
+/// Plateau report from eigenstates 1 and 2 with weighted random amplitudes and random phases.
 fn look(target: usize, weighting: [f64; 2], loss: LossMode) -> Option<Plateau> {
     let task = Quantum { weighting, loss, ..Quantum::new(target) };
     let policy = Mlp::new([64, 16, 1]).zero_last(true);

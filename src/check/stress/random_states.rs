@@ -1,4 +1,4 @@
-//! Gradients at very many random states.
+//! Stress case: gradients at many random states.
 
 use super::steps::{error, finite, larger, vjp_by_jvps};
 use super::{Case, Finding};
@@ -54,7 +54,7 @@ fn normal(rng: &mut Rng) -> f64 {
     StandardNormal.sample(rng)
 }
 
-/// Either sign, and any size between two powers of ten.
+/// Log-uniform magnitude between two powers of ten, with random sign.
 fn any_size(rng: &mut Rng, from: f64, to: f64) -> f64 {
     10f64.powf(rng.random_range(from..to)) * if rng.random() { 1.0 } else { -1.0 }
 }
@@ -74,7 +74,7 @@ fn sliding(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     (x[0], x[1], u[0]) = (normal(rng), any_size(rng, -9.0, 1.0), 10.0 * normal(rng));
 }
 
-/// Over the floor at any height, or on it and perhaps at rest.
+/// Above the floor at any height, or on it and possibly at rest.
 fn falling(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     let on_floor = rng.random_bool(0.1);
     x[0] = if on_floor { 0.0 } else { any_size(rng, -6.0, 0.5).abs() };
@@ -90,20 +90,20 @@ fn meeting(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
 
 type Draw = fn(&mut Rng, &mut [f64], &mut [f64]);
 
-/// A state, a control and a cotangent.
+/// State, control and cotangent.
 struct Inputs<F> {
     x: Vec<F>,
     u: Vec<F>,
     bar: Vec<F>,
 }
 
-/// What a pass finds at one state.
+/// Result at one state: finiteness, and error of the VJP.
 struct Found {
     finite: bool,
     error: f64,
 }
 
-/// In either precision.
+/// Object-safe system for both precisions.
 trait Either: AnySystem<f64> + AnySystem<f32> {}
 
 impl<S: AnySystem<f64> + AnySystem<f32>> Either for S {}
@@ -149,11 +149,13 @@ fn at<F: Float>(system: &dyn AnySystem<F>, inputs: &Inputs<F>) -> Found {
     let [x_bar, u_bar] = reverse(system, inputs);
     let [x_dual, u_dual] = vjp_by_jvps(system, x, u, bar);
     let finite = [&next, &x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|v| finite(v));
-    // The state's and the control's together: one of a single component may vanish by chance.
+    // State and control cotangents share one scale: a single-component cotangent may vanish by
+    // chance.
     Found { finite, error: error(&[x_bar, u_bar].concat(), &[x_dual, u_dual].concat()) }
 }
 
-/// κ: what the VJP changes by, as a share, per relative change of the state, in a random direction.
+/// Condition number κ: relative change of the VJP per relative change of state and control, in a
+/// random direction.
 fn condition(system: &dyn AnySystem<f64>, inputs: &Inputs<f64>, rng: &mut Rng) -> f64 {
     const BY: f64 = 1e-7;
     let mut moved = |v: &[f64]| v.iter().map(|v| v * (1.0 + if rng.random() { BY } else { -BY })).collect::<Vec<f64>>();

@@ -1,9 +1,9 @@
-//! Steps one after the other, and back.
+//! Helpers of the stress cases: rollouts, adjoints and error norms.
 
 use crate::engine::any::{AnySystem, vjp};
 use crate::numbers::scalar::Float;
 
-/// The states `x_0 .. x_T` under a control that is the same in every step.
+/// States `x_0 .. x_T` under a constant control.
 pub(super) fn states(system: &dyn AnySystem<f64>, start: &[f64], u: f64, steps: usize) -> Vec<Vec<f64>> {
     let mut states = vec![start.to_vec()];
     for _ in 0..steps {
@@ -14,7 +14,8 @@ pub(super) fn states(system: &dyn AnySystem<f64>, start: &[f64], u: f64, steps: 
     states
 }
 
-/// The derivative of a component of the last state by the start, and by a control that is the same in every step.
+/// Derivatives of a component of the last state with respect to the initial state and to the
+/// constant control.
 pub(super) fn derivative(system: &dyn AnySystem<f64>, states: &[Vec<f64>], u: f64, component: usize) -> (Vec<f64>, f64) {
     let n = states[0].len();
     let (mut bar, mut u_bar) = (vec![0.0; n], 0.0);
@@ -27,7 +28,7 @@ pub(super) fn derivative(system: &dyn AnySystem<f64>, states: &[Vec<f64>], u: f6
     (bar, u_bar)
 }
 
-/// `(∂S/∂x)ᵀ bar` and `(∂S/∂u)ᵀ bar` in forward mode, one component after the other.
+/// `(∂S/∂x)ᵀ bar` and `(∂S/∂u)ᵀ bar` in forward mode, one component at a time.
 pub(super) fn vjp_by_jvps<F: Float>(system: &dyn AnySystem<F>, x: &[F], u: &[F], bar: &[F]) -> [Vec<F>; 2] {
     let mut next = x.to_vec();
     let mut along = |len: usize, jvp: &dyn Fn(&[F], &mut [F])| -> Vec<F> {
@@ -45,17 +46,18 @@ pub(super) fn vjp_by_jvps<F: Float>(system: &dyn AnySystem<F>, x: &[F], u: &[F],
     ]
 }
 
-/// Whether all of them are finite.
+/// True if all numbers are finite.
 pub(super) fn finite<F: Float>(numbers: &[F]) -> bool {
     numbers.iter().all(|number| number.as_().is_finite())
 }
 
-/// The larger of two errors. One that is not a number is larger than any.
+/// Larger of two errors; infinite if either is NaN.
 pub(super) fn larger(a: f64, b: f64) -> f64 {
     if a.is_nan() || b.is_nan() { f64::INFINITY } else { a.max(b) }
 }
 
-/// The largest difference of two components, in relation to the largest of what is expected.
+/// Largest absolute difference, relative to the largest expected component; absolute if all of
+/// these are zero.
 pub(super) fn error<F: Float>(found: &[F], expected: &[F]) -> f64 {
     let (mut scale, mut worst) = (0.0, 0.0f64);
     for (found, expected) in found.iter().zip(expected) {

@@ -1,4 +1,4 @@
-//! Actuators that are chosen while the program runs.
+//! Chains of actuators chosen at run time.
 
 use super::{Actuator, Bars, Controls, STACK};
 use crate::dynamics::apart::apart;
@@ -6,8 +6,7 @@ use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
 
-/// One after the other, in this order. The numbers are those of nested pairs, bit for bit. Compiled apart from the systems
-/// behind it, as effects in a list are.
+/// Composition in order, bit-identical to nested pairs. Outlined, like effects in a `Vec`.
 impl<A: Actuator> Actuator for Vec<A> {
     fn state_dim(&self, controls: usize) -> usize {
         self.iter().map(|actuator| actuator.state_dim(controls)).sum()
@@ -31,6 +30,7 @@ impl<A: Actuator> Actuator for Vec<A> {
     }
 }
 
+/// Outlined [`Actuator::step`] of a chain.
 struct Step<'a, A, T> {
     chain: &'a [A],
     own: &'a [T],
@@ -54,6 +54,7 @@ impl<A: Actuator, T: Scalar> Vectorized for Step<'_, A, T> {
     }
 }
 
+/// Outlined [`Actuator::reverse`] of a chain.
 struct Reverse<'a, A, R, C> {
     chain: &'a [A],
     own: &'a [R],
@@ -67,7 +68,7 @@ impl<A: Actuator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, A, R, C> 
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { chain, own, u, next_bar, mut own_bar, u_bar } = self;
-        // What every actuator was given. Nobody asks for what the last one made of it.
+        // Recompute the input of every actuator; the output of the last is not needed.
         let m = u.len();
         let mut given: SmallVec<[R; 4 * STACK]> = SmallVec::from_slice(u);
         let mut begin = 0;

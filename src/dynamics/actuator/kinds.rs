@@ -1,11 +1,11 @@
-//! The actuators there are.
+//! Built-in actuators: [`Limit`], [`Lag`], [`Delay`], and [`AnyActuator`], a choice at run time.
 
 use super::{Actuator, Bars};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 
-/// A limit on the size of every control.
+/// Bounds the magnitude of every control.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -17,12 +17,13 @@ pub struct Limit {
     pub kind: LimitKind,
 }
 
-/// How a [`Limit`] is reached.
+/// Shape of the saturation of a [`Limit`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum LimitKind {
-    /// `bound tanh(u / bound)`: a policy that asks for too much still has a gradient, if a small one.
+    /// `bound tanh(u / bound)`: a policy that asks for too much still has a gradient, if a small
+    /// one.
     #[default]
     Smooth,
     /// `u`, cut off at ±bound: exact below it, and no gradient beyond it.
@@ -66,16 +67,18 @@ impl Actuator for Limit {
     }
 }
 
-/// An actuator that follows the policy with a lag of first order: `ḟ = (u - f) / time`, solved exactly over a step, at
-/// whose end the system gets it. Adds `f` to the state, one number a control.
+/// First-order lag: `ḟ = (u - f) / time`, solved exactly over a step with constant `u`.
+///
+/// The system's control is `f` at the end of the step. Adds `f` to the state, one component per
+/// control.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lag {
-    /// The share of `u - f` that is made up in one step.
+    /// `1 - exp(-dt/time)`: the fraction of `u - f` covered in one step.
     share: f64,
 }
 
 impl Lag {
-    /// With this time constant, for steps of this length, both in s.
+    /// A lag with time constant `time`, for time steps `dt`; both in s.
     pub fn new(time: f64, dt: f64) -> Self {
         Self { share: -(-dt / time).exp_m1() }
     }
@@ -115,8 +118,9 @@ impl Actuator for Lag {
     }
 }
 
-/// The system gets the control of `steps` steps ago, and 0 before that. Adds the controls under way to the state, the
-/// oldest first.
+/// Delays every control by `steps` time steps; the first `steps` controls of the system are 0.
+///
+/// Adds the pending controls to the state, oldest first.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -160,7 +164,7 @@ impl Actuator for Delay {
     }
 }
 
-/// Any of them, for chains that are chosen while the program runs.
+/// A built-in actuator chosen at run time, for chains.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum AnyActuator {
     /// [`Limit`].

@@ -1,29 +1,31 @@
-//! Tsitouras' method with control of its error.
+//! [`Adaptive`]: Tsitouras' method with error control.
 
 use super::{Integrator, Room, RungeKutta, Stretch, room};
 use crate::dynamics::ode::{RateOn, ReverseOn};
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 use crate::numbers::zip::zip;
 
-/// Tsitouras 5(4) (doi:10.1016/j.camwa.2011.06.002) with steps of its own choice within each step: as many as its estimate
-/// of the error asks for. Where the largest of `|error_i| / (atol + rtol |x_i|)` is
+/// Tsitouras 5(4) (doi:10.1016/j.camwa.2011.06.002) with adaptive steps within each time step.
+///
+/// The error of an attempt is the largest `|error_i| / (atol + rtol max(|x_i|, |x'_i|))`:
 ///
 /// ```text
 /// below 1          the step is taken, and the next is tried as long; twice as long if it is below 1/64
 /// 1 or more        it is tried again, half as long
 /// ```
 ///
-/// Every sample chooses for itself, and so has the bits that it would have alone. The accepted steps are differentiated as
-/// taken: their lengths, which jump from one power of two to another, count as constants.
+/// Every sample has its own step lengths. A sample in a lane has the bits of a scalar computation.
+/// The derivative is that of the accepted steps, with constant step lengths (they are piecewise
+/// constant functions of the state).
 ///
-/// A step that `most` attempts do not finish is not a number.
+/// A time step that `most` attempts do not complete yields NaN.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Adaptive {
-    /// Error allowed in relation to a component's size. Below some 100 roundings nothing is gained.
+    /// Relative tolerance. Below [`floor`](Adaptive::floor), rounding errors dominate.
     pub rtol: f64,
-    /// Error allowed whatever the size, in the component's unit.
+    /// Absolute tolerance, in the unit of each component.
     pub atol: f64,
-    /// The most attempts in a step.
+    /// Maximal number of attempts per time step.
     pub most: usize,
 }
 
@@ -33,7 +35,8 @@ impl Default for Adaptive {
     }
 }
 
-/// What the fifth-order result differs by from the fourth-order one: weights of the six stages, and of the rate at the end.
+/// Error estimate, fifth-order minus fourth-order result: weights of the six stages and of the rate
+/// at the end of the step.
 const ERROR: [f64; 7] = [
     -0.001_780_011_052_225_777,
     -0.000_816_434_459_656_746_9,
@@ -45,7 +48,10 @@ const ERROR: [f64; 7] = [
 ];
 
 impl Adaptive {
-    /// Goes through the attempts: tells of the state before each and of the time by which it went on, 0 if it was rejected.
+    /// Integrates over `h`, attempt by attempt, and writes the final state to `next`.
+    ///
+    /// Calls `tell(state, step)` for each attempt with its initial state and its accepted
+    /// duration, which is 0 if the attempt was rejected.
     #[inline(always)]
     fn attempts<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T], mut tell: impl FnMut(&[T], T)) {
         let (n, tableau, one) = (x.len(), RungeKutta::TSIT5, T::one());
@@ -57,7 +63,7 @@ impl Adaptive {
             if !T::any_lt(T::zero(), left) {
                 break;
             }
-            // Samples that have arrived take steps of length 0, which change nothing.
+            // Finished lanes take steps of length 0, which leave the state unchanged.
             let step = left.min(trial);
             tableau.run(ode, step, next, u, &mut at, &mut rates);
             candidate.copy_from_slice(next);
@@ -77,7 +83,7 @@ impl Adaptive {
         }
     }
 
-    /// The largest error in relation to what is allowed, as a constant.
+    /// Largest error relative to the tolerance, detached from differentiation.
     #[inline(always)]
     fn error<T: Scalar>(&self, step: T, x: &[T], candidate: &[T], rates: &[T], last: &[T]) -> T {
         let n = x.len();
@@ -89,7 +95,7 @@ impl Adaptive {
             }
             let size = x[c].abs().max(candidate[c].abs());
             let ratio = (error * step).abs() / (T::lift(self.atol) + T::lift(self.rtol) * size);
-            // What is not a number is not allowed either.
+            // Selects a NaN ratio, unless a later finite ratio replaces it.
             largest = T::select_lt(ratio, largest, largest, ratio);
         }
         largest.detach()
@@ -131,7 +137,7 @@ impl Integrator for Adaptive {
 }
 
 impl Adaptive {
-    /// The least `rtol` worth asking for in this precision.
+    /// Smallest effective `rtol` in the precision `F`: 100 times the machine epsilon.
     pub fn floor<F: Float>() -> f64 {
         100.0 * F::EPSILON
     }

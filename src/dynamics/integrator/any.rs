@@ -1,4 +1,4 @@
-//! Integrators that are chosen while the program runs.
+//! [`AnyIntegrator`]: an integrator chosen at run time.
 
 use super::{Adaptive, ImplicitMidpoint, Integrator, RungeKutta, SemiImplicit, Stretch, Verlet};
 use crate::dynamics::apart::apart;
@@ -6,10 +6,10 @@ use crate::dynamics::ode::{Ode, RateOn, ReverseOn};
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
-/// Any integrator.
+/// An integrator chosen at run time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum AnyIntegrator {
-    /// [`RungeKutta`], any of them.
+    /// [`RungeKutta`], any tableau.
     RungeKutta(RungeKutta),
     /// [`SemiImplicit`].
     SemiImplicit(SemiImplicit),
@@ -21,9 +21,10 @@ pub enum AnyIntegrator {
     ImplicitMidpoint(ImplicitMidpoint),
 }
 
-/// The vector field, compiled apart from the integrators, and they from it.
+/// A vector field whose evaluations are outlined calls.
 pub(super) struct Apart<'a, O>(pub &'a O);
 
+/// Outlined [`Ode::rate`].
 struct Rate<'a, O, T> {
     ode: &'a O,
     x: &'a [T],
@@ -38,6 +39,7 @@ impl<O: Ode, T: Scalar> Vectorized for Rate<'_, O, T> {
     }
 }
 
+/// Outlined [`Ode::rate_vjp`].
 struct RateBack<'a, O, R, C> {
     ode: &'a O,
     x: &'a [R],
@@ -79,7 +81,7 @@ impl<O: Ode> Ode for Apart<'_, O> {
     }
 }
 
-/// A step of one method, compiled apart as well: every loop over samples would hold all of them otherwise.
+/// Outlined [`Integrator::advance`]: loops over samples would otherwise contain all methods.
 struct Advance<'a, I, T> {
     method: &'a I,
     ode: &'a dyn RateOn<T>,
@@ -94,6 +96,7 @@ impl<I: Integrator, T: Scalar> Vectorized for Advance<'_, I, T> {
     }
 }
 
+/// Outlined [`Integrator::reverse`].
 struct Reverse<'a, I, R, C> {
     method: &'a I,
     ode: &'a dyn ReverseOn<R, C>,

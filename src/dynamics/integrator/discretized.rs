@@ -1,4 +1,4 @@
-//! A system in its own steps, or in those of an integrator.
+//! [`Discretized`]: a choice at run time between a system's own step and an integrator.
 
 use super::any::Apart;
 use super::{AnyIntegrator, Integrator, Stretch, room};
@@ -10,12 +10,12 @@ use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
-/// A system that is a vector field too, in steps as it takes them itself or as an integrator does.
+/// A system that is also a vector field, advanced by its own step or by an integrator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Discretized<S> {
-    /// The system. Its own step has the length `dt`.
+    /// The system. Its own time step must equal `dt`.
     pub system: S,
-    /// What takes the steps; without, the system itself.
+    /// The integrator; `None` selects [`System::step`].
     pub integrator: Option<AnyIntegrator>,
     /// Time step, s.
     pub dt: f64,

@@ -1,16 +1,17 @@
-//! The implicit midpoint rule.
+//! [`ImplicitMidpoint`]: the implicit midpoint rule.
 
 use super::{Integrator, Stretch, room};
 use crate::dynamics::ode::{RateOn, ReverseOn};
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
-/// The implicit midpoint rule, `x' = x + h f((x + x')/2, u)`: order 2, symplectic, and stable however stiff the field is.
+/// The implicit midpoint rule, `x' = x + h f((x + x')/2, u)`: order 2, symplectic, A-stable.
 ///
-/// It is solved by Newton's iteration, of which every sample does as many rounds as it needs; the Jacobian is that by
-/// differences at the first guess, Euler's. A step whose iteration does not converge in 30 rounds is not a number.
+/// Solved by simplified Newton iteration. The Jacobian is constant: central differences at the
+/// midpoint of an explicit Euler step. Every sample iterates until its own convergence. A step that
+/// does not converge within 30 iterations yields NaN.
 ///
-/// Its reverse is that of the solution, by the theorem of implicit functions, and not of the iteration: it solves to
-/// rounding, whatever the tolerance of the forward step. With `A = I - h/2 ∂f/∂x` at the middle,
+/// The reverse differentiates the solution by the implicit function theorem, not the iteration. It
+/// solves to rounding error, regardless of `tolerance`. With `A = I - h/2 ∂f/∂x` at the midpoint,
 ///
 /// ```text
 /// w = A⁻ᵀ x̄',   x̄ = 2 w - x̄',   ū += h (∂f/∂u)ᵀ w
@@ -19,8 +20,8 @@ use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 /// Hairer, Lubich and Wanner, Geometric Numerical Integration, II.1 and VIII.6.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImplicitMidpoint {
-    /// When to stop: the largest correction of a component, in relation to 1 and its size. It is never asked to be less
-    /// than 256 roundings, about which corrections of a stiff field stop falling; two more rounds follow.
+    /// Bound on the largest correction `|Δx'_i| / (1 + |x'_i|)`, to be met in two successive
+    /// iterations. Clamped to at least 256 ε: corrections of stiff fields stagnate near that size.
     pub tolerance: f64,
 }
 
@@ -30,16 +31,18 @@ impl Default for ImplicitMidpoint {
     }
 }
 
-/// Rounds of Newton's iteration before it is given up.
+/// Maximal number of Newton iterations.
 const MOST: usize = 30;
 
 impl ImplicitMidpoint {
-    /// Writes `h/2 ∂f/∂x` by central differences, as constants: Newton's iteration converges to the same with any good Jacobian.
+    /// Writes `h/2 ∂f/∂x` by central differences, detached from differentiation.
+    ///
+    /// The Jacobian affects the rate of convergence, not the solution.
     #[inline(always)]
     fn differences<T: Scalar>(ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], matrix: &mut [T]) {
         let n = x.len();
         let (mut at, mut before, mut after) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
-        // As slices: to index a room may be a call.
+        // Slices: indexing a `SmallVec` may compile to a call.
         let (at, before, after) = (&mut at[..], &mut before[..], &mut after[..]);
         at.copy_from_slice(x);
         let width = <T::Real as Float>::EPSILON.cbrt();
@@ -57,7 +60,7 @@ impl ImplicitMidpoint {
         }
     }
 
-    /// Solves for the next state, to this tolerance. What was not solved is not a number.
+    /// Solves for the next state to `tolerance`. Writes NaN in lanes that do not converge.
     #[inline(always)]
     fn solve<T: Scalar>(tolerance: f64, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
         let to_go = Self::iterate(tolerance, ode, h, x, u, next);
@@ -66,7 +69,7 @@ impl ImplicitMidpoint {
         }
     }
 
-    /// Newton's iteration. Returns how many rounds are still to go: 0, unless it was given up.
+    /// Simplified Newton iteration. Returns 0 in lanes that converged, else a positive number.
     #[inline(always)]
     fn iterate<T: Scalar>(tolerance: f64, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) -> T {
         let n = x.len();
@@ -83,7 +86,7 @@ impl ImplicitMidpoint {
         Self::differences(ode, h, middle, u, matrix);
         invert_one_minus(matrix, inverse, n);
         let tolerance = T::lift(tolerance.max(256.0 * <T::Real as Float>::EPSILON));
-        // Derivatives of a dual number converge a round later than its value.
+        // The tangents of a dual number converge one iteration after its value.
         let rounds_after = T::lift(2.0);
         let mut to_go = rounds_after;
         for _ in 0..MOST {
@@ -113,7 +116,9 @@ impl ImplicitMidpoint {
     }
 }
 
-/// Writes `(I - M)⁻¹`, by Gauss and Jordan; of the matrix nothing is left. Rows are exchanged without a branch: each column's largest number sinks to the
+/// Writes `(I - M)⁻¹` by Gauss–Jordan elimination; destroys `matrix`.
+///
+/// Pivoting is branch-free: conditional row swaps move the largest entry of each column to the
 /// diagonal.
 #[inline(always)]
 fn invert_one_minus<T: Scalar>(matrix: &mut [T], inverse: &mut [T], n: usize) {
@@ -169,7 +174,7 @@ impl Integrator for ImplicitMidpoint {
         }
         ode.rate(&middle, u, &mut rate);
         let residual = (0..x.len()).map(|i| (next[i] - x[i] - h * rate[i]).as_().abs());
-        // What is not a number is as far from a solution as can be.
+        // A NaN residual is reported as infinite.
         let largest = residual.fold(0.0, |largest, r| if r.is_nan() { f64::INFINITY } else { r.max(largest) });
         (to_go > F::zero()).then_some(largest)
     }
@@ -200,7 +205,7 @@ impl Integrator for ImplicitMidpoint {
             }
         }
         invert_one_minus(matrix, inverse, n);
-        // w, times h for the rate.
+        // rate_bar = h w.
         let mut rate_bar = room(C::null(), n);
         for j in 0..n {
             let mut w = C::null();

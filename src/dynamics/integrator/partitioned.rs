@@ -1,15 +1,16 @@
-//! Methods for mechanics, which treat positions and velocities differently.
+//! Partitioned methods for mechanics: [`SemiImplicit`] and [`Verlet`].
 //!
-//! A position is a component that has an [`Ode::velocity`]; every other component is treated as velocities are.
+//! A component is a position if [`Ode::velocity`](crate::Ode::velocity) returns its velocity. All
+//! other components are updated like velocities.
 
 use super::{Integrator, Stretch, room};
 use crate::dynamics::ode::{RateOn, ReverseOn};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
-/// Semi-implicit (symplectic) Euler: `v' = v + h a(x, v)`, then `q' = q + h v'`. Order 1, one evaluation of the field.
+/// Semi-implicit Euler: `v' = v + h a(q, v)`, then `q' = q + h v'`. Order 1, one evaluation.
 ///
-/// Where accelerations depend on positions alone it is symplectic: the energy of a free system does not drift (Hairer,
-/// Lubich and Wanner, Geometric Numerical Integration, I.1).
+/// Symplectic if accelerations depend on positions alone: the energy of a conservative system then
+/// does not drift (Hairer, Lubich and Wanner, Geometric Numerical Integration, I.1).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SemiImplicit;
 
@@ -57,20 +58,21 @@ impl Integrator for SemiImplicit {
     }
 }
 
-/// Velocity Verlet (Swope et al. 1982, doi:10.1063/1.442716). Order 2, two evaluations of the field.
+/// Velocity Verlet (Swope et al. 1982, doi:10.1063/1.442716). Order 2, two evaluations.
 ///
 /// ```text
 /// q' = q + h v + h²/2 a(q, v)
 /// v' = v + h/2 (a(q, v) + a(q', v + h a(q, v)))
 /// ```
 ///
-/// Where accelerations depend on positions alone it is symplectic. Where they depend on velocities, those of the second
-/// evaluation are Euler's guess, as in Heun's method: of order 2 all the same, but not symplectic.
+/// Symplectic if accelerations depend on positions alone. If they depend on velocities, the second
+/// evaluation uses the velocities of an explicit Euler step, as in Heun's method. The order is then
+/// still 2, but the method is not symplectic.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Verlet;
 
 impl Verlet {
-    /// Where the second evaluation is, from the first: the new positions, and velocities as guessed.
+    /// Writes the argument of the second evaluation: the new positions and predicted velocities.
     #[inline(always)]
     fn guess<T: Scalar>(ode: &dyn RateOn<T>, h: T, x: &[T], rate: &[T], guess: &mut [T]) {
         let half_square = h * h * T::lift(0.5);

@@ -1,16 +1,16 @@
-//! Explicit methods of Runge and Kutta, and their reverse, once for all of them.
+//! [`RungeKutta`]: explicit Runge–Kutta methods with one analytic reverse for all tableaus.
 
 use super::{Integrator, Room, Stretch, room};
 use crate::dynamics::ode::{RateOn, ReverseOn};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
-/// The most stages there are.
+/// Maximal number of stages of a tableau.
 const MOST: usize = 7;
 
-/// An explicit method: `k_i = f(x + h Σ_{j<i} a_ij k_j)`, `x' = x + h Σ_i b_i k_i`.
+/// An explicit Runge–Kutta method: `k_i = f(x + h Σ_{j<i} a_ij k_j, u)`, `x' = x + h Σ_i b_i k_i`.
 ///
-/// Its reverse (Hairer, Lubich and Wanner, Geometric Numerical Integration, VI.4; Sanz-Serna 2016,
-/// doi:10.1137/151002769), from the last stage to the first:
+/// The reverse runs from the last stage to the first (Hairer, Lubich and Wanner, Geometric
+/// Numerical Integration, VI.4; Sanz-Serna 2016, doi:10.1137/151002769):
 ///
 /// ```text
 /// k̄_i = h (b_i x̄' + Σ_{j>i} a_ji ȳ_j),   ȳ_i = (∂f/∂x)ᵀ k̄_i,   ū += (∂f/∂u)ᵀ k̄_i,   x̄ = x̄' + Σ_i ȳ_i
@@ -18,7 +18,7 @@ const MOST: usize = 7;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RungeKutta(&'static Tableau);
 
-/// The coefficients of a method.
+/// Butcher tableau; unused entries are 0.
 #[derive(Debug, PartialEq)]
 struct Tableau {
     stages: usize,
@@ -27,11 +27,11 @@ struct Tableau {
 }
 
 impl RungeKutta {
-    /// Euler's explicit method: order 1, one evaluation of the field.
+    /// Explicit Euler method: order 1, one evaluation of the vector field.
     pub const EULER: Self = Self(&Tableau::new(1, &[], &[1.0]));
     /// Heun's method, the explicit trapezoidal rule: order 2, two evaluations.
     pub const HEUN: Self = Self(&Tableau::new(2, &[&[1.0]], &[0.5, 0.5]));
-    /// The classical method: order 4, four evaluations.
+    /// Classical Runge–Kutta method: order 4, four evaluations.
     pub const RK4: Self =
         Self(&Tableau::new(4, &[&[0.5], &[0.0, 0.5], &[0.0, 0.0, 1.0]], &[1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0]));
     /// Tsitouras 2011 (doi:10.1016/j.camwa.2011.06.002): order 5, six evaluations.
@@ -60,12 +60,12 @@ impl RungeKutta {
         ],
     ));
 
-    /// Evaluations of the field in a step.
+    /// Number of stages: evaluations of the vector field per step.
     pub fn stages(&self) -> usize {
         self.0.stages
     }
 
-    /// Writes where each stage evaluates the field, and what it finds there.
+    /// Writes the argument of each stage to `at` and the rate there to `rates`, each stages × n.
     #[inline(always)]
     pub(super) fn run<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], at: &mut [T], rates: &mut [T]) {
         let n = x.len();
@@ -81,7 +81,7 @@ impl RungeKutta {
         }
     }
 
-    /// Adds `h Σ_i weight_i k_i`.
+    /// Adds `h Σ_i weight_i k_i` to `next`.
     #[inline(always)]
     pub(super) fn sum<T: Scalar>(&self, weights: &[f64], h: T, rates: &[T], next: &mut [T]) {
         let n = next.len();
@@ -92,13 +92,13 @@ impl RungeKutta {
         }
     }
 
-    /// Room for the stages of a step.
+    /// Workspace for the arguments and rates of all stages.
     #[inline(always)]
     pub(super) fn room<T: Scalar>(&self, n: usize) -> (Room<T>, Room<T>) {
         (room(T::zero(), self.0.stages * n), room(T::zero(), self.0.stages * n))
     }
 
-    /// The weights of the stages in the next state.
+    /// The weights `b_i` of the stages in the next state.
     pub(super) fn weights(&self) -> &[f64] {
         &self.0.b
     }
@@ -153,7 +153,7 @@ impl Integrator for RungeKutta {
         let (mut at, mut rates) = self.room(n);
         self.run(ode, h, x, u, &mut at, &mut rates);
         let (mut at_bar, mut rate_bar) = (room(C::null(), self.0.stages * n), room(C::null(), n));
-        // As slices: to index a room may be a call.
+        // Slices: indexing a `SmallVec` may compile to a call.
         let (at_bar, rate_bar) = (&mut at_bar[..], &mut rate_bar[..]);
         for i in (0..self.0.stages).rev() {
             for (c, rate_bar) in rate_bar.iter_mut().enumerate() {

@@ -1,31 +1,34 @@
-//! Block exponents: every sample's cotangents are mantissas times a power of two, which goes with them.
+//! Block exponents: the cotangents of each sample and flow are mantissas times a common power of
+//! two.
 //!
-//! The recursion is linear in λ, so a power of two taken out of λ and h is taken out of all that follows, exactly; only the
-//! gradients of the costs, which are added on the way, have to be multiplied by it. As long as nothing is very large or
-//! small all exponents are 0, and every number has the bits it would have without them.
+//! The recursion is linear in λ. A power of two taken out of λ and h is therefore taken out of all
+//! later values, exactly. Only the cost gradients added at each step must be divided by it. At
+//! moderate sizes all exponents are 0, and results are bitwise those of plain numbers.
 
 use super::Flow;
 use crate::engine::rollout::{Lane, WIDTH};
 use crate::numbers::scalar::{Columns, Float, Real};
 use crate::numbers::wide::{exponent_of, scaled};
 
-/// The exponents of one block of samples, for `K` flows.
+/// Exponents of one block of samples, for `K` flows.
 #[derive(Clone, Debug)]
 pub(super) struct Exponents<F: Float, const K: usize> {
-    /// `[flow][lane]`: λ and h are what is carried, times 2 to the power of this.
+    /// Exponents, `[flow][lane]`: λ and h are the stored values times 2^exponent.
     pub(super) of: [[i32; WIDTH]; K],
-    /// What gradients of costs are multiplied by: the scale of the pass, over that power of two.
+    /// Factor of the cost gradients: `scale` of the pass times 2^-exponent.
     pub(super) inject: Columns<Lane<F>, K>,
 }
 
-/// Cotangents of a size from `low` to `high` are left as they are.
+/// Range of sizes, `low` to `high`, that needs no rescaling.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Calm<F> {
     low: F,
     high: F,
 }
 
-/// Exponents of `high` and, negative, `low`: far from the ends of the range, for a step may multiply by 1e19 (f32).
+/// Exponent of `high`, and of `low` with a negative sign.
+///
+/// Far from the ends of the range of `F`: one step may multiply by 1e19 (f32).
 const fn reach<F: Float>() -> i32 {
     if F::EPSILON < 1e-10 { 300 } else { 60 }
 }
@@ -36,14 +39,16 @@ impl<F: Float> Calm<F> {
         Self { low: power(-reach::<F>()), high: power(reach::<F>()) }
     }
 
-    /// Whether a size asks for nothing. `any_scaled`: 0 then asks for the exponent 0. A NaN is not calm.
+    /// Returns false if rescaling is needed. False for NaN.
+    ///
+    /// `any_scaled`: some exponent is not 0, so the exponent of a zero cotangent may need a reset.
     #[inline(always)]
     pub(super) fn holds(self, size: F, any_scaled: bool) -> bool {
         size <= self.high && (size >= self.low || (size == F::zero() && !any_scaled))
     }
 }
 
-/// Whether a sample's cotangents can be carried on.
+/// Outcome of a rescaling.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Size {
     Carried,
@@ -55,29 +60,32 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         Self { of: [[0; WIDTH]; K], inject: Columns([Lane::splat(F::zero()); K]) }
     }
 
-    /// No exponents, for a pass of this scale.
+    /// Sets all exponents to 0, for a pass with this `scale`.
     pub(super) fn reset(&mut self, scale: F) {
         (self.of, self.inject) = ([[0; WIDTH]; K], Columns([Lane::splat(scale); K]));
     }
 
-    /// Whether any is not 0.
+    /// Returns true if an exponent is not 0.
     pub(super) fn any(&self) -> bool {
         self.of.iter().flatten().any(|&exponent| exponent != 0)
     }
 
-    /// Whether the gradients of costs may be too large beside what is carried to be added to it.
+    /// Returns true if an exponent is so low that scaled cost gradients may overflow.
     pub(super) fn any_low(&self) -> bool {
         self.of.iter().flatten().any(|&exponent| exponent < -reach::<F>())
     }
 
     fn set(&mut self, k: usize, lane: usize, exponent: i32, scale: F) {
         self.of[k][lane] = exponent;
-        // Where it would be infinite nothing is added: see `lift`.
+        // Limited to stay finite. `lift` resets such exponents before a non-zero cost gradient is
+        // added.
         let limit = reach::<F>() * 3 / 2;
         self.inject.0[k].set_lane(lane, scaled(scale, (-exponent).min(limit)));
     }
 
-    /// Brings one sample's cotangents of one flow to a size of about 1. `sizes` are λ and h.
+    /// Rescales the cotangents of one sample and flow to a size of about 1, if needed.
+    ///
+    /// `lambda` and `u_bar` are λ and h of the block.
     pub(super) fn settle(
         &mut self,
         flow: Flow,
@@ -86,12 +94,12 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         lambda: &mut [Columns<Lane<F>, K>],
         u_bar: &mut [Columns<Lane<F>, K>],
     ) -> Size {
-        // In the order of the loop that noticed it: whether a sample is scaled does not depend on its neighbours.
+        // Sums in the order of the step, so the decision does not depend on other samples.
         let size = u_bar.iter().chain(&*lambda).fold(F::zero(), |size, bar| size + bar.0[k].lane(lane).abs());
         if !size.as_().is_finite() {
             return Size::NotFinite;
         }
-        // Where nothing is carried back, nothing explodes or vanishes.
+        // S carries nothing back, so it cannot explode or vanish.
         let carries = flow.physics || flow.control;
         if !carries || Calm::new().holds(size, false) && size != F::zero() {
             return Size::Carried;
@@ -106,8 +114,9 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         Size::Carried
     }
 
-    /// Takes one sample's exponent of one flow back to 0, if it is so small that what is to be added to λ would be infinite
-    /// beside it. What is carried may become 0, as it does beside numbers so much larger.
+    /// Resets the exponent of one sample and flow to 0, if cost gradients may overflow beside it.
+    ///
+    /// λ may underflow to 0, which is negligible beside such cost gradients.
     pub(super) fn lift(&mut self, (k, lane): (usize, usize), scale: F, lambda: &mut [Columns<Lane<F>, K>]) {
         let own = self.of[k][lane];
         if own < -reach::<F>() {

@@ -1,4 +1,4 @@
-//! The policy's side of the reverse pass: what it keeps, and its cotangents.
+//! Policy part of the reverse pass: cotangents, buffers and parameter gradients.
 
 use super::{Flow, Pass};
 use crate::engine::gradient::Gradient;
@@ -9,29 +9,31 @@ use crate::policy::AnyPolicy;
 use crate::policy::{PolicyColumns, PolicyPass, PolicyRecord};
 use std::ops::Range;
 
-/// The policy's side of the reverse pass.
+/// Policy part of the reverse pass.
 #[derive(Debug)]
 pub(super) struct PolicyAdjoint<F> {
-    /// Control cotangents `h`, per flow, as the policy's columns.
+    /// Control cotangents h, per flow, as policy columns.
     pub(super) controls_bar: Vec<Vec<F>>,
-    /// What the policy's backward pass keeps: per flow, or once for all if `unit`.
+    /// Tape of the policy's backward pass, per flow, or one for all flows if `unit`.
     pub(super) tape_bar: Vec<Aligned<F>>,
-    /// `(∂N/∂x)ᵀ h` of one step, or `∂N/∂x` of all, as the policy's columns; nothing where no flow goes through it.
+    /// `(∂N/∂x)ᵀ h` of one step, or `∂N/∂x` of all steps if `unit`, as policy columns.
+    ///
+    /// Empty if no flow has a control path.
     pub(super) inputs_bar: Vec<F>,
-    /// The policy is linearized for all steps of a unit at once.
+    /// True if the policy is linearized for all steps of a unit at once.
     pub(super) unit: bool,
-    /// With `unit`: ones, the cotangent of the only control.
+    /// Unit cotangents of the only control, if `unit`.
     pub(super) ones: Vec<F>,
     pub(super) scratch: Aligned<F>,
-    /// Per flow: the exponent of what is kept of a column. All 0 unless `scaled`.
+    /// Exponent of each column, per flow. All 0 unless `scaled`.
     exponents: Vec<Vec<i32>>,
     scaled: bool,
-    /// What columns count that have different exponents, and their part of the gradient.
+    /// Column weights and partial parameter gradient, for columns of different exponents.
     weights: Vec<F>,
     part: Vec<F>,
 }
 
-/// How long the vectors of a policy's side are.
+/// Buffer lengths of the policy part.
 pub(super) struct PolicyRoom {
     flows: usize,
     controls_bar: usize,
@@ -49,8 +51,9 @@ impl PolicyRoom {
     pub(super) fn new<F: Float>(policy: &dyn AnyPolicy<F>, columns: usize, flows: &[Flow]) -> Self {
         let (n, m) = (policy.state_dim(), policy.control_dim());
         let sizes = policy.sizes(columns);
-        // With one control, ∂N/∂x and every layer's cotangent are known up to the factor h before the loop starts, and
-        // one linearization in large products serves every flow. With more controls it would take one each.
+        // With one control, ∂N/∂x and the cotangents of all layers are known up to the factor h
+        // before the loop. One linearization in large products then serves all flows. With more
+        // controls, each would need its own.
         let through_inputs = flows.iter().any(|flow| flow.control);
         let unit = m == 1 && through_inputs;
         Self {
@@ -100,21 +103,21 @@ impl<F: Float> PolicyAdjoint<F> {
         flat.into_iter().sum::<usize>() + self.scratch.stored_bytes() + nested
     }
 
-    /// No column has an exponent any more.
+    /// Sets the exponents of all columns to 0.
     pub(super) fn reset_exponents(&mut self) {
         if std::mem::take(&mut self.scaled) {
             self.exponents.iter_mut().for_each(|exponents| exponents.fill(0));
         }
     }
 
-    /// None of these columns, which are neighbours, has an exponent any more.
+    /// Sets the exponents of these columns to 0. The columns must be contiguous.
     pub(super) fn reset_exponents_of(&mut self, at: PolicyColumns) {
         if self.scaled {
             self.exponents.iter_mut().for_each(|exponents| exponents[at.as_range()].fill(0));
         }
     }
 
-    /// Notes the exponents of the columns of a step.
+    /// Stores the exponents of the columns of one step. `of` maps a sample to its exponent.
     pub(super) fn note_exponents(&mut self, k: usize, at: PolicyColumns, of: impl Fn(usize) -> i32) {
         self.scaled = true;
         for (sample, c) in at.iter().enumerate() {
@@ -122,7 +125,7 @@ impl<F: Float> PolicyAdjoint<F> {
         }
     }
 
-    /// Adds the columns' part to the parameter gradient of flow `k`.
+    /// Adds the contribution of the columns to the parameter gradient of flow `k`.
     pub(super) fn add_param_gradient(
         &mut self,
         k: usize,
@@ -149,8 +152,9 @@ impl<F: Float> PolicyAdjoint<F> {
         }
     }
 
-    /// Weighs columns of different exponents such that the largest cotangent among them is about 1. Returns the exponent of
-    /// that.
+    /// Weights columns of different exponents such that the largest cotangent is about 1.
+    ///
+    /// Returns the common exponent of the weighted columns.
     fn weigh(&mut self, k: usize, columns: Range<usize>, m: usize) -> i32 {
         let (h, exponents) = (&self.controls_bar[k], &self.exponents[k]);
         let leading = |c: usize| {
@@ -165,7 +169,9 @@ impl<F: Float> PolicyAdjoint<F> {
         largest
     }
 
-    /// The policy's cotangents of flow `k` in the columns `at`; `∂N/∂x` only if `through_inputs`.
+    /// Runs the policy's backward pass of flow `k` for the columns `at`.
+    ///
+    /// Evaluates `∂N/∂x` only if `through_inputs`.
     pub(super) fn backward(&mut self, pass: &Pass<'_, F>, k: usize, at: PolicyColumns, through_inputs: bool) {
         let columns = PolicyPass { packed: pass.weights.packed(), at, x: pass.rollout.inputs() };
         let u_bar = if self.unit { &self.ones } else { &self.controls_bar[k] };
@@ -174,7 +180,7 @@ impl<F: Float> PolicyAdjoint<F> {
     }
 }
 
-/// Bytes of a vector of vectors on the heap, if none has room to spare.
+/// Bytes on the heap of nested vectors without spare capacity.
 pub(super) fn nested_bytes<T>(rows: &[Vec<T>]) -> usize {
     size_of_val(rows) + rows.iter().map(|row| size_of_val(&row[..])).sum::<usize>()
 }

@@ -1,4 +1,4 @@
-//! The recursion itself, for one flow or two side by side.
+//! Adjoint recursion, for one flow or two flows side by side.
 
 use super::exponents::{Exponents, Size};
 use super::step::{CostsOf, StepBack};
@@ -13,24 +13,25 @@ use crate::numbers::zip::zip;
 use crate::policy::PolicyColumns;
 use std::ops::Range;
 
-/// What the recursion carries for `K` flows.
+/// State of the recursion for `K` flows.
 #[derive(Debug)]
 pub struct Recursion<F: Float, const K: usize> {
     /// λ, `[block][component]`.
     pub(super) lambda: Vec<Columns<Lane<F>, K>>,
-    /// The next λ, before the flows choose.
+    /// `(∂S/∂x)ᵀ λ`, before the flows select their paths.
     pub(super) x_bar: Vec<Columns<Lane<F>, K>>,
     /// h, `[block][component]`.
     pub(super) u_bar: Vec<Columns<Lane<F>, K>>,
-    /// Gradients of the costs of one block.
+    /// Cost gradients of one block.
     pub(super) cost_x: Vec<Lane<F>>,
     pub(super) cost_u: Vec<Lane<F>>,
-    /// Of every block.
+    /// Exponents, per block.
     pub(super) exponents: Vec<Exponents<F, K>>,
-    /// Whether any exponent is not 0, and whether any is so small that costs need care.
+    /// `scaled`: an exponent is not 0. `low`: an exponent is so low that cost gradients may
+    /// overflow.
     pub(super) scaled: bool,
     low: bool,
-    /// `[sample][flow]`: growth, and the square of ‖λ‖ with its exponent before the step at hand.
+    /// Growth, `[sample][flow]`, with ‖λ‖² and its exponent before the current step.
     meters: Vec<[(Meter, f64, i32); K]>,
 }
 
@@ -53,7 +54,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
-    /// The bytes of one for so many state and control components and samples.
+    /// Returns the [`stored_bytes`](Self::stored_bytes) for `n` state and `m` control components.
     pub(super) fn bytes_of(n: usize, m: usize, samples: usize) -> usize {
         let blocks = samples.div_ceil(WIDTH);
         blocks * (2 * n + m) * size_of::<Columns<Lane<F>, K>>()
@@ -69,7 +70,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         columns.into_iter().chain(costs).chain(others).sum()
     }
 
-    /// λ at the last state. `norms` has a row for each flow, or none.
+    /// Initializes λ with the gradient of the terminal cost. `norms` has one row per flow, or none.
     pub(super) fn begin(&mut self, pass: &Pass<'_, F>, norms: &mut [Vec<f64>]) {
         let Pass { task, rollout, scale, .. } = *pass;
         let n = rollout.state_dim;
@@ -86,7 +87,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         self.note_norms(rollout, rollout.horizon, scale, norms);
     }
 
-    /// The recursion at the head of [`backward`](super), through the given steps, for the flows side by side.
+    /// Runs the recursion (see [`adjoint`](super)) backwards through `steps`, for all flows at
+    /// once.
     pub(super) fn back(
         &mut self,
         pass: &Pass<'_, F>,
@@ -137,7 +139,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         Ok(())
     }
 
-    /// Brings all cotangents to a size of about 1 that are far from it.
+    /// Rescales cotangents outside the range of [`Calm`](super::exponents::Calm).
     #[cold]
     fn settle(&mut self, flows: [Flow; K], rollout: &Rollout<F>, scale: F) -> Size {
         let (n, m) = (rollout.state_dim, rollout.control_dim);
@@ -156,8 +158,9 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         Size::Carried
     }
 
-    /// Before a step: where an adjoint has vanished so far that the gradient of a cost would be infinite beside it, and there
-    /// is one.
+    /// Resets exponents that are too low for the cost gradients of the next step.
+    ///
+    /// Samples without a cost gradient at this step keep their exponent.
     #[cold]
     fn lift(&mut self, rollout: &Rollout<F>, scale: F, costs: CostsOf<'_, F>) {
         let n = rollout.state_dim;
@@ -173,7 +176,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         self.low = self.exponents.iter().any(Exponents::any_low);
     }
 
-    /// Notes how long what a step goes back from is: λ with the gradient of the cost.
+    /// Records ‖λ + ∂l/∂x‖² before the step.
     fn measure_before(&mut self, rollout: &Rollout<F>, costs: CostsOf<'_, F>) {
         let n = rollout.state_dim;
         for (sample, meters) in self.meters[..rollout.samples].iter_mut().enumerate() {
@@ -192,7 +195,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
-    /// Adds what the step has made of it.
+    /// Adds the growth over the step to the meters.
     fn measure_after(&mut self, rollout: &Rollout<F>) {
         let n = rollout.state_dim;
         for (sample, meters) in self.meters[..rollout.samples].iter_mut().enumerate() {
@@ -205,12 +208,12 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
-    /// Growth of flow `k` in the last run that was measured, for every sample.
+    /// Growth of flow `k` for each sample of the last measured run.
     pub(super) fn meters(&self, k: usize, samples: usize) -> impl Iterator<Item = &Meter> {
         self.meters[..samples].iter().map(move |meters| &meters[k].0)
     }
 
-    /// Notes the length of λ at step `t`, in f64: a square of an f32 overflows long before the f32 does.
+    /// Records the norm of λ at step `t`, in f64: squares of f32 overflow early.
     fn note_norms(&self, rollout: &Rollout<F>, t: usize, scale: F, norms: &mut [Vec<f64>]) {
         let lambda = |k: usize, sample: usize| {
             let block = &self.lambda[sample / WIDTH * rollout.state_dim..][..rollout.state_dim];
@@ -223,13 +226,13 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
-    /// `λ ← λ + (∂N/∂x)ᵀ h` in column `k`.
+    /// Adds `(∂N/∂x)ᵀ h` to λ of flow `k`.
     fn add_inputs(&mut self, k: usize, at: PolicyColumns, n: usize, policy: &PolicyAdjoint<F>) {
         for (block, lambda) in self.lambda.chunks_exact_mut(n).take(at.count.div_ceil(WIDTH)).enumerate() {
             for lane in 0..WIDTH {
                 let sample = (block * WIDTH + lane).min(at.count - 1);
                 let c = at.first + sample * at.step;
-                // A unit cotangent's result is still to be multiplied by the control's own.
+                // Results for a unit cotangent still lack the factor h.
                 let factor = if policy.unit { policy.controls_bar[k][c] } else { F::one() };
                 for (lambda, &x_bar) in zip(lambda.iter_mut(), &policy.inputs_bar[c * n..][..n]) {
                     lambda.0[k].0[lane] += x_bar * factor;
@@ -238,7 +241,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
-    /// The first flow, and in it the first sample, whose state or control cotangent is not finite.
+    /// Finds the first flow, and its first sample, with a non-finite state or control cotangent.
     #[cold]
     fn divergence(&self, task: &dyn AnyTask<F>, flows: [Flow; K], rollout: &Rollout<F>, step: usize) -> Divergence {
         let find = |columns: &[Columns<Lane<F>, K>], n: usize, k: usize| {

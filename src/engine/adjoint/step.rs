@@ -1,4 +1,4 @@
-//! One step back of all samples.
+//! Reverse step of all samples.
 
 use super::Flow;
 use super::exponents::Calm;
@@ -11,12 +11,12 @@ use crate::numbers::scalar::{Columns, Float, Real};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
-/// Writes the gradients of the costs of a block.
+/// Writes the cost gradients of a block to the two slices, for state and control.
 pub(super) type CostsOf<'a, F> = &'a mut dyn FnMut(usize, &mut [Lane<F>], &mut [Lane<F>]);
 
-/// A task's step back, of all samples at once, for `K` flows.
+/// Reverse step of a task for all samples at once, for `K` flows.
 pub trait StepBack<F: Float, const K: usize> {
-    /// One step back of all blocks: costs and physics. Returns whether the result is of a size that asks for nothing.
+    /// Applies costs and physics to all blocks. Returns false if rescaling is needed.
     fn step_back(&self, flows: [Flow; K], rollout: &Rollout<F>, t: usize, carried: &mut Recursion<F, K>) -> bool;
 }
 
@@ -37,7 +37,7 @@ struct Back<'a, T, F: Float, const K: usize> {
     calm: &'a mut bool,
 }
 
-/// What one step back reads and writes, of a block of samples or of one.
+/// Inputs and outputs of the reverse step of one block of samples, or of one sample.
 struct Block<'a, R, const K: usize> {
     x: &'a [R],
     next: &'a [R],
@@ -51,7 +51,7 @@ struct Block<'a, R, const K: usize> {
 }
 
 impl<R: Real, const K: usize> Block<'_, R, K> {
-    /// Returns the size of the cotangents in every column, the sum of what is in λ and h.
+    /// Performs the reverse step. Returns Σ|λ| + Σ|h| per flow.
     #[inline(always)]
     fn back<T: Task>(self, task: &T, flows: [Flow; K]) -> Columns<R, K> {
         let Self { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject } = self;
@@ -61,7 +61,7 @@ impl<R: Real, const K: usize> Block<'_, R, K> {
         for (lambda, &cost) in zip(lambda.iter_mut(), &*cost_x) {
             *lambda += inject * cost;
         }
-        // Of two flows one goes through the physics as a rule: what spares both the state's Jacobian is not compiled.
+        // Two flows without a physics path are rare: their special case is not compiled.
         if K > 1 || flows.iter().any(|flow| flow.physics) {
             system.vjp(x, u, lambda, x_bar, u_bar);
         } else {
@@ -118,16 +118,18 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
     }
 }
 
-/// Of one sample and flow, in one place however many flows there are.
+/// Outlined: one copy of the reverse step serves any number of flows.
 #[inline(never)]
 fn back_alone<T: Task, F: Float>(task: &T, block: Block<F, 1>, flow: Flow) -> F {
     block.back(task, [flow]).0[0]
 }
 
-/// One step back of one sample and flow.
+/// Reverse step of one sample and flow. Returns Σ|λ| + Σ|h|.
 type Alone<'a, F> = &'a dyn Fn(Block<F, 1>, Flow) -> F;
 
-/// One step back, sample by sample and flow by flow: on processors that are old, so that it is compiled once for all tasks.
+/// Performs the reverse step one sample and flow at a time, for processors without AVX2.
+///
+/// Takes the step as a trait object, so it is compiled once for all tasks.
 #[inline(never)]
 fn one_by_one<F: Float, const K: usize>(
     alone: Alone<F>,

@@ -1,11 +1,11 @@
-//! Numbers on their way between blocks of lanes and the policy's columns.
+//! Conversion between blocks of lanes and policy columns.
 
 use super::{Lane, WIDTH};
 use crate::numbers::scalar::{Float, Real};
 use crate::numbers::zip::zip;
 use crate::policy::PolicyColumns;
 
-/// First non-finite number, by sample and then component.
+/// Finds the first non-finite number, ordered by sample, then by component: `(sample, component)`.
 #[cold]
 pub(crate) fn find_non_finite<L, F: Float>(
     blocks: &[L],
@@ -18,7 +18,7 @@ pub(crate) fn find_non_finite<L, F: Float>(
         .find(|&(sample, i)| !lane(&blocks[(sample / WIDTH) * n + i], sample % WIDTH).as_().is_finite())
 }
 
-/// Blocks of lanes to one column of `n` numbers per sample.
+/// Copies blocks of lanes to policy columns, `n` numbers per sample.
 pub(crate) fn gather<L, F: Float>(blocks: &[L], lane: impl Fn(&L, usize) -> F, n: usize, at: PolicyColumns, columns: &mut [F]) {
     for (sample, c) in at.iter().enumerate() {
         let block = &blocks[(sample / WIDTH) * n..][..n];
@@ -28,7 +28,8 @@ pub(crate) fn gather<L, F: Float>(blocks: &[L], lane: impl Fn(&L, usize) -> F, n
     }
 }
 
-/// One column of `n` numbers per sample to blocks of lanes; lanes without a sample repeat the last one.
+/// Copies policy columns to blocks of lanes, `n` numbers per sample. Unused lanes repeat the last
+/// sample.
 pub(crate) fn scatter<F: Float>(columns: &[F], n: usize, at: PolicyColumns, blocks: &mut [Lane<F>]) {
     for (b, block) in blocks.chunks_exact_mut(n).enumerate() {
         for lane in 0..WIDTH {

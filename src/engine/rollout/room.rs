@@ -1,11 +1,11 @@
-//! How long the vectors of a rollout are: what it allocates, and what it says it would.
+//! Buffer lengths of a rollout, for allocation and for size estimates.
 
 use super::{Lane, WIDTH};
 use crate::numbers::aligned::Aligned;
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
 
-/// How long the vectors of a rollout are.
+/// Buffer lengths of a rollout.
 pub(super) struct Room {
     pub(super) states: usize,
     pub(super) controls: usize,

@@ -1,4 +1,4 @@
-//! One step of all samples.
+//! Forward step of all samples.
 
 use super::{Lane, WIDTH};
 use crate::dynamics::system::System;
@@ -8,17 +8,17 @@ use crate::numbers::scalar::{Float, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
-/// Numbers of one sample that are worked on without allocating, where samples go one by one.
+/// Stack capacity, in numbers, for the scalar fallback. Larger samples allocate.
 pub(crate) const FEW: usize = 512;
 
-/// Reads one sample of a block.
+/// Copies one lane of a block to `one`.
 pub(crate) fn read_lane<F: Float>(block: &[Lane<F>], lane: usize, one: &mut [F]) {
     zip(one, block).for_each(|(one, lanes)| *one = lanes.0[lane]);
 }
 
-/// A task's step, of all samples at once.
+/// Forward step of a task for all samples at once.
 pub trait StepForward<F: Float> {
-    /// One step of all blocks; adds its costs. Returns whether the result is finite.
+    /// Steps all blocks and adds their costs. Returns true if all states and controls are finite.
     fn step_forward(&self, x: &[Lane<F>], u: &[Lane<F>], next: &mut [Lane<F>], costs: &mut [Lane<F>]) -> bool;
 }
 
@@ -39,11 +39,12 @@ struct Step<'a, T, F: Float> {
     finite: &'a mut bool,
 }
 
-/// One step of a block of samples, or of one. Returns the cost, and 0 unless a number is not finite.
+/// Steps one block of samples, or one sample. Returns the cost and a probe: 0 if all numbers are
+/// finite, else NaN.
 #[inline(always)]
 fn advance<T: Task, R: Real>(task: &T, x: &[R], u: &[R], next: &mut [R]) -> (R, R) {
     task.system().step(x, u, next);
-    // 0·x is 0 unless x is infinite or NaN.
+    // 0·x is NaN if x is infinite or NaN, else 0.
     let probed = |probe: R, &number: &R| probe + number * R::zero();
     (task.stage_cost(next, u), next.iter().fold(u.iter().fold(R::zero(), probed), probed))
 }
@@ -69,10 +70,12 @@ impl<T: Task, F: Float> Step<'_, T, F> {
     }
 }
 
-/// A step of one sample: its cost, and 0 unless a number is not finite.
+/// Forward step of one sample. Returns cost and probe as [`advance`] does.
 type Advance<'a, F> = &'a dyn Fn(&[F], &[F], &mut [F]) -> (F, F);
 
-/// One step of all samples, one after the other: on processors that are old, so that it is compiled once for all tasks.
+/// Steps the samples one at a time, for processors without AVX2.
+///
+/// Takes the step as a trait object, so it is compiled once for all tasks.
 #[inline(never)]
 fn one_by_one<F: Float>(
     advance: Advance<F>,

@@ -1,37 +1,40 @@
-//! The schedule that a number of bytes allows.
+//! Choice of a [`Schedule`] within a memory limit.
 
 use super::Schedule;
 use crate::engine::rollout::UNIT;
 
-/// No schedule needs as little memory as was allowed.
+/// Error: no schedule fits the memory limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{budget} bytes are not enough for the gradients: at least {smallest} are needed, and {everything} to run no step twice. \
      Smaller mini-batches and a smaller policy need less"
 )]
 pub struct MemoryError {
-    /// The bytes that were allowed.
+    /// Memory limit in bytes.
     pub budget: u64,
-    /// The smallest budget that would do.
+    /// Smallest sufficient limit in bytes.
     pub smallest: u64,
-    /// The smallest budget with which no step is run twice.
+    /// Smallest limit in bytes without recomputation.
     pub everything: u64,
 }
 
-/// A tape that stays in the cache is worth a few steps more: of schedules whose steps differ by less than one part in so
-/// many of the horizon, the smaller is the faster.
+/// Tolerance on recomputed steps, as the fraction 1 / `SAME` of the horizon.
+///
+/// Within it, the schedule with the smaller tape is faster, because the tape stays in the cache.
 const SAME: u64 = 100;
 
 impl Schedule {
-    /// The schedule that runs the fewest steps again among those that take at most `budget` bytes; of those that run hardly
-    /// more, the one that takes the least. `bytes` says what a schedule takes.
+    /// Finds the schedule with the fewest recomputed steps within `budget` bytes.
+    ///
+    /// Among schedules with nearly as few (see [`SAME`]), it returns the smallest. `bytes` returns
+    /// the size of a schedule.
     pub(crate) fn within(horizon: usize, budget: u64, bytes: impl Fn(&Self) -> usize) -> Result<Self, MemoryError> {
         let bytes = |schedule: &Self| bytes(schedule) as u64;
         let all = Self::store_all(horizon);
         if bytes(&all) <= budget {
             return Ok(all);
         }
-        // Longer segments take more, and every checkpoint takes the same.
+        // Sizes increase with the segment length, and linearly with the number of checkpoints.
         let fitting = (1..horizon.div_ceil(UNIT))
             .map(|units| Self::new(horizon, units * UNIT, 1))
             .map(|schedule| (schedule, bytes(&schedule)))

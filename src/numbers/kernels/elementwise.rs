@@ -1,10 +1,11 @@
-//! Passes over a layer's numbers, vectorized for the processor at hand. Loops go by index: an iterator over two slices is
-//! not seen through everywhere.
+//! Elementwise operations, dot products and moments, vectorized at run time.
+//!
+//! Loops use indices: zipped iterators are not always vectorized.
 
 use super::{Level, Vectorized, dispatch};
 use crate::numbers::scalar::Float;
 
-/// `v ← tanh v` in every one of the strided columns.
+/// `v ← tanh v` elementwise in the given columns.
 pub fn tanh<F: Float>(level: Level, values: &mut [F], columns: Strided) {
     struct Work<'a, F>(&'a mut [F], Strided);
     impl<F: Float> Vectorized for Work<'_, F> {
@@ -20,7 +21,7 @@ pub fn tanh<F: Float>(level: Level, values: &mut [F], columns: Strided) {
     dispatch(level, Work(values, columns));
 }
 
-/// `bar ← bar·(1 - h²)`: the cotangent of a tanh layer's output `h` becomes that of its input.
+/// `bar ← bar·(1 - h²)` elementwise: VJP of tanh, given its output `h`.
 pub fn tanh_bar<F: Float>(level: Level, h: &[F], bar: &mut [F], columns: Strided) {
     struct Work<'a, F>(&'a [F], &'a mut [F], Strided);
     impl<F: Float> Vectorized for Work<'_, F> {
@@ -37,7 +38,7 @@ pub fn tanh_bar<F: Float>(level: Level, h: &[F], bar: &mut [F], columns: Strided
     dispatch(level, Work(h, bar, columns));
 }
 
-/// `to[:, c] = from[:, c]·weight[c]` for columns of `len` numbers, contiguous in both.
+/// `to[:, c] = from[:, c]·weight[c]` for contiguous columns of `len` numbers.
 pub fn scale<F: Float>(level: Level, from: &[F], weight: &[F], len: usize, to: &mut [F]) {
     struct Work<'a, F>(&'a [F], &'a [F], usize, &'a mut [F]);
     impl<F: Float> Vectorized for Work<'_, F> {
@@ -55,7 +56,7 @@ pub fn scale<F: Float>(level: Level, from: &[F], weight: &[F], len: usize, to: &
     dispatch(level, Work(from, weight, len, to));
 }
 
-/// `out[c·rows.count + r] = row r · column c`. Rows and columns have the same length, a multiple of the padding.
+/// `out[c·out_step + r] = row r · column c`. Rows and columns have equal length.
 pub fn dots<F: Float>(level: Level, a: &[F], rows: Strided, b: &[F], columns: Strided, out: &mut [F], out_step: usize) {
     struct Work<'a, F>(&'a [F], Strided, &'a [F], Strided, &'a mut [F], usize);
     impl<F: Float> Vectorized for Work<'_, F> {
@@ -73,7 +74,7 @@ pub fn dots<F: Float>(level: Level, a: &[F], rows: Strided, b: &[F], columns: St
     dispatch(level, Work(a, rows, b, columns, out, out_step));
 }
 
-/// Partial sums of a cache line each, then a tree: the same order for every vector width.
+/// Dot product: 16 partial sums, then a tree. The order is independent of the vector width.
 #[inline(always)]
 fn dot<F: Float, const FMA: bool>(a: &[F], b: &[F]) -> F {
     const WIDTH: usize = 16;
@@ -98,16 +99,16 @@ fn dot<F: Float, const FMA: bool>(a: &[F], b: &[F]) -> F {
     sum[0]
 }
 
-/// Columns of `len` numbers, `step` apart.
+/// A strided selection of columns in a buffer.
 #[derive(Clone, Copy, Debug)]
 pub struct Strided {
-    /// Where the first starts.
+    /// Offset of the first column.
     pub first: usize,
-    /// From the start of one to the start of the next.
+    /// Distance between the starts of successive columns.
     pub step: usize,
-    /// How many.
+    /// Number of columns.
     pub count: usize,
-    /// Numbers in each.
+    /// Length of each column.
     pub len: usize,
 }
 
@@ -118,7 +119,7 @@ impl Strided {
     }
 }
 
-/// `(Σ a·b, Σ a², Σ b²)` in double precision, in an order that does not depend on the processor.
+/// `(Σ a·b, Σ a², Σ b²)` in double precision, summed in an order independent of the processor.
 pub fn moments<F: Float>(level: Level, a: &[F], b: &[F]) -> (f64, f64, f64) {
     const WIDTH: usize = 16;
     struct Work<'a, F>(&'a [F], &'a [F], &'a mut [[f64; WIDTH]; 3]);

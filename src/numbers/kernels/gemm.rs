@@ -1,13 +1,15 @@
-//! A register-tiled matrix product for the sizes that controllers have.
+//! A register-tiled matrix product for small matrices, such as the layers of controllers.
 //!
-//! `C = A·B` or `C += A·B` with `A` (m × k) and `C` (m × n) column-major and padded to whole cache lines, `B` (k × n)
-//! with any strides. Every element of `C` is summed over `k` in order, in one chain, whatever the tile, the vector
-//! width or the number of columns. So a column's result does not depend on which columns are computed with it, and
-//! results do not depend on how a batch is split over threads.
+//! `C = A·B` or `C += A·B`. `A` (m × k) and `C` (m × n) are column-major and padded to whole cache
+//! lines; `B` (k × n) has arbitrary strides. Start with [`Product`].
+//!
+//! Every element of `C` is one sequential sum over `k`, independent of tile, vector width and
+//! number of columns. The result of a column is therefore independent of the other columns, and of
+//! the distribution of a batch over threads.
 
-/// One product, as borrowed slices. Shapes are checked against the slices before anything is read.
+/// Operands of one matrix product. Shapes are checked against the slices before any access.
 pub struct Product<'a, F> {
-    /// Rows of `A` and `C`: a multiple of the padding (64 bytes), padding included.
+    /// Rows of `A` and `C`, including padding: a multiple of one cache line (64 bytes).
     pub rows: usize,
     /// Columns of `A`, rows of `B`.
     pub depth: usize,
@@ -34,7 +36,7 @@ pub struct Product<'a, F> {
 impl<F> Product<'_, F> {
     fn check(&self, pad: usize) {
         let Self { rows, depth, cols, lda, b_row, b_col, ldc, .. } = *self;
-        // The last entry that is touched; too large to be counted is too large to be there.
+        // Offset of the last entry; arithmetic overflow counts as out of bounds.
         let last = |count: usize, step: usize| (count - 1).checked_mul(step);
         let within = |a: Option<usize>, b: Option<usize>, len: usize| {
             a.zip(b).and_then(|(a, b)| a.checked_add(b)).is_some_and(|i| i < len)
@@ -46,31 +48,32 @@ impl<F> Product<'_, F> {
     }
 }
 
-/// A vector register, or an array that stands in for one.
+/// A vector register, or an array in its place on the portable path.
 trait Register: Copy {
     type Float: Copy;
-    /// Numbers it holds.
+    /// Numbers per register.
     const WIDTH: usize;
     unsafe fn zero() -> Self;
     unsafe fn splat(value: Self::Float) -> Self;
     unsafe fn load(from: *const Self::Float) -> Self;
     unsafe fn store(self, to: *mut Self::Float);
-    /// `a·b + self`, fused where the processor fuses.
+    /// `a·b + self`, fused except on the portable path.
     unsafe fn plus_product(self, a: Self, b: Self) -> Self;
 }
 
-/// Rows in panels of up to `MAX` registers; within a panel, columns in tiles of `NR`. The panel of `A` stays in the
-/// first-level cache while the tiles pass over it.
+/// Computes the product in panels of up to `MAX` registers of rows and tiles of `NR` columns.
+///
+/// The panel of `A` stays in the L1 cache during its tiles.
 ///
 /// # Safety
-/// `p.check()` has passed, and the processor has the instructions of `R`.
+/// `p.check()` has passed, and the processor supports the instructions of `R`.
 #[inline(always)]
 unsafe fn panels<R: Register, const MAX: usize, const NR: usize>(p: Product<'_, R::Float>) {
     let c = p.c.as_mut_ptr();
     let mut row = 0;
     while row < p.rows {
         let registers = match (p.rows - row) / R::WIDTH {
-            // Four are better as 2 + 2 than as 3 + 1.
+            // Split four registers as 2 + 2, which is faster than 3 + 1.
             4 if MAX == 3 => 2,
             left => left.min(MAX),
         };
@@ -83,7 +86,7 @@ unsafe fn panels<R: Register, const MAX: usize, const NR: usize>(p: Product<'_, 
     }
 }
 
-/// The tiles of one panel.
+/// Computes the tiles of one panel.
 ///
 /// # Safety
 /// As for [`panels`].
@@ -91,7 +94,7 @@ unsafe fn panels<R: Register, const MAX: usize, const NR: usize>(p: Product<'_, 
 unsafe fn tiles<R: Register, const H: usize, const NR: usize>(p: &Product<'_, R::Float>, c: *mut R::Float, row: usize) {
     let mut col = 0;
     while col < p.cols {
-        // What is left over is one narrower tile: two would each wait for their few sums.
+        // The remainder is one narrower tile: two tiles would have too few independent sums each.
         let width = NR.min(p.cols - col);
         match width {
             1 => unsafe { tile::<R, H, 1>(p, c, row, col) },
@@ -107,7 +110,7 @@ unsafe fn tiles<R: Register, const H: usize, const NR: usize>(p: &Product<'_, R:
     }
 }
 
-/// One tile of `H` registers by `NR` columns, kept in registers over the whole depth.
+/// Computes one tile of `H` registers by `NR` columns, accumulated in registers.
 ///
 /// # Safety
 /// As for [`panels`]; the tile lies within `C`.
@@ -138,7 +141,7 @@ unsafe fn tile<R: Register, const H: usize, const NR: usize>(
             }
             for (j, column) in sum.iter_mut().enumerate() {
                 let b_kj = R::splat(*b.add(k * p.b_row + j * p.b_col));
-                // By index: the standard library's `zip` may stay a call, in the innermost loop of all.
+                // Index loop: `std::iter::zip` may not be inlined here.
                 for i in 0..H {
                     column[i] = column[i].plus_product(a_k[i], b_kj);
                 }
@@ -152,7 +155,7 @@ unsafe fn tile<R: Register, const H: usize, const NR: usize>(
     }
 }
 
-/// Implements [`Register`]. The array's operations are safe, the intrinsics are not.
+/// Implements [`Register`]. Operations of the array are safe; intrinsics are unsafe.
 macro_rules! register {
     ($register:ty, $float:ty, $width:literal, $splat:expr, $load:expr, $store:expr, $plus_product:expr) => {
         #[allow(unused_unsafe)]
@@ -192,7 +195,7 @@ macro_rules! gemm {
             #[cfg(target_arch = "x86_64")]
             use std::arch::x86_64::*;
 
-            /// Entries in one cache line: what rows are padded to.
+            /// Entries per cache line, the padding of rows.
             pub const PAD: usize = $pad;
 
             #[derive(Clone, Copy)]
@@ -211,7 +214,11 @@ macro_rules! gemm {
             #[cfg(target_arch = "x86_64")]
             register!($avx512, $float, $pad, $s5, $l5, $st5, $f5);
 
-            /// Computes the product with the given instruction set.
+            /// Computes the product with the instruction set `level`.
+            ///
+            /// # Panics
+            /// If the shapes do not fit the slices or the padding, or the processor does not
+            /// support `level`.
             pub fn product(level: Level, p: Product<'_, $float>) {
                 p.check(PAD);
                 let level = level.checked();
@@ -226,7 +233,7 @@ macro_rules! gemm {
                     unsafe { panels::<$avx512, 3, 8>(p) }
                 }
                 match level {
-                    // SAFETY: the shapes are checked, and so is that this processor has the level's instructions.
+                    // SAFETY: the shapes and the level are checked above.
                     Level::Portable => unsafe { panels::<Array, 1, 4>(p) },
                     #[cfg(target_arch = "x86_64")]
                     Level::Avx2 => unsafe { avx2(p) },

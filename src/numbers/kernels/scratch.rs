@@ -1,21 +1,22 @@
-//! [`Scratch`]: room for the intermediate numbers of a step.
+//! [`Scratch`]: a workspace for the intermediate values of a step.
 
 use std::hint::black_box;
 use std::mem::MaybeUninit;
 
-/// Room on the stack for `FEW` numbers; more of them allocate.
+/// A workspace with stack capacity for `FEW` numbers; larger sizes allocate.
 ///
-/// It is filled where it is, and with no more than is asked for: a vector that is returned may be copied with all there
-/// is room for, and a call to fill it may be compiled without the processor's wide registers. Those of the vectors with room on
-/// the stack that were tried call something, unless they are optimized across code units.
+/// Used in place of `SmallVec` in performance-critical loops:
+///
+/// - It is filled in place. A returned vector may be copied with its whole capacity.
+/// - All methods are inlined. A call may be compiled without the wide registers of the caller.
 pub(crate) struct Scratch<T, const FEW: usize> {
     few: [MaybeUninit<T>; FEW],
     many: Box<[MaybeUninit<T>]>,
-    /// How many numbers there are, all of them set.
+    /// Number of initialized entries.
     len: usize,
 }
 
-/// A [`Scratch`] that is filled number by number, from the middle of a loop that has other work as well.
+/// A [`Scratch`] during initialization, number by number, within a loop of the caller.
 pub(crate) struct Filling<'a, T> {
     room: &'a mut [MaybeUninit<T>],
     set: usize,
@@ -23,32 +24,40 @@ pub(crate) struct Filling<'a, T> {
 }
 
 impl<'a, T: Copy> Filling<'a, T> {
-    /// Sets the next number. Never calls anything: a call would cost the numbers in registers.
+    /// Writes the next number. Calls nothing except to panic: a call would spill registers.
+    ///
+    /// # Panics
+    /// If all numbers are written.
     #[inline(always)]
     pub(crate) fn push(&mut self, value: T) {
         self.room[self.set].write(value);
         self.set += 1;
     }
 
-    /// All numbers, once they have been set.
+    /// Returns all numbers.
+    ///
+    /// # Panics
+    /// If some numbers have not been written.
     #[inline(always)]
     pub(crate) fn all(self) -> &'a mut [T] {
         assert!(self.set == self.room.len(), "some numbers have not been set");
         *self.len = self.set;
-        // SAFETY: so many have been written, one after another.
+        // SAFETY: `push` has written the first `set` entries, which is all of them.
         unsafe { written(self.room) }
     }
 }
 
-/// The numbers, wherever they are: what is read first would be read from either place, number by number, and one of the two
-/// chosen.
+/// Views the entries as initialized.
+///
+/// The `black_box` hides which storage is used, stack or heap. Otherwise the compiler may load each
+/// number from both and select one.
 ///
 /// # Safety
-/// They must have been written.
+/// All entries of `room` must have been written.
 #[inline(always)]
 unsafe fn written<T: Copy>(room: &mut [MaybeUninit<T>]) -> &mut [T] {
     let numbers = std::ptr::from_mut(room) as *mut [T];
-    // SAFETY: the layout is the same, and the caller has written them.
+    // SAFETY: the layouts are equal, and the caller guarantees initialization.
     black_box(unsafe { &mut *numbers })
 }
 
@@ -58,7 +67,7 @@ impl<T: Copy, const FEW: usize> Scratch<T, FEW> {
         Self { few: [const { MaybeUninit::uninit() }; FEW], many: Box::default(), len: 0 }
     }
 
-    /// Room for `len` numbers, in place of what there was.
+    /// Discards the contents and begins the initialization of `len` numbers.
     #[inline(always)]
     pub(crate) fn filling(&mut self, len: usize) -> Filling<'_, T> {
         self.len = 0;
@@ -69,22 +78,22 @@ impl<T: Copy, const FEW: usize> Scratch<T, FEW> {
         Filling { room, set: 0, len: &mut self.len }
     }
 
-    /// What there is.
+    /// Returns the current contents.
     #[inline(always)]
     pub(crate) fn all(&mut self) -> &mut [T] {
         let len = self.len;
         let room = if len <= FEW { &mut self.few[..len] } else { &mut self.many[..len] };
-        // SAFETY: of so many numbers, which go to this place, all have been written.
+        // SAFETY: `len` is set only after `len` entries of this storage have been written.
         unsafe { written(room) }
     }
 
-    /// `len` times this, in place of what there was.
+    /// Replaces the contents by `len` copies of `value`.
     #[inline(always)]
     pub(crate) fn fill(&mut self, value: T, len: usize) -> &mut [T] {
         self.collect((0..len).map(|_| value))
     }
 
-    /// These values, in place of what there was.
+    /// Replaces the contents by `values`.
     #[inline(always)]
     pub(crate) fn collect(&mut self, values: impl ExactSizeIterator<Item = T>) -> &mut [T] {
         let mut filling = self.filling(values.len());

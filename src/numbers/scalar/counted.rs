@@ -1,27 +1,28 @@
-//! [`Counted`]: an `f64` that counts what is done with it.
+//! [`Counted`]: an `f64` that counts its operations.
 
 use super::{Real, Scalar};
 use std::cell::Cell;
 use std::fmt;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
-/// How many operations of each kind.
+/// Number of operations of each kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Additions and subtractions.
     pub add: u64,
-    /// Changes of sign.
+    /// Negations.
     pub negate: u64,
-    /// Multiplications; [`powi`](Scalar::powi) is as many as its exponent says.
+    /// Multiplications. [`powi`](Scalar::powi) counts as many as its exponent.
     pub multiply: u64,
     /// Divisions.
     pub divide: u64,
     /// Square roots.
     pub sqrt: u64,
-    /// `exp`, `ln`, `tanh`, `atan2`, and `sin_cos`, which is one whether one or both of its results are used.
+    /// `exp`, `ln`, `tanh`, `atan2` and `sin_cos`. `sin`, `cos` and `sin_cos` count as one each.
     pub transcendental: u64,
-    /// Choices by [`select_lt`](Scalar::select_lt), which [`min`](Scalar::min), [`max`](Scalar::max) and
-    /// [`abs`](Scalar::abs) are made of; `abs` changes a sign besides.
+    /// Comparisons by [`select_lt`](Scalar::select_lt), [`any_lt`](Scalar::any_lt),
+    /// [`min`](Scalar::min), [`max`](Scalar::max) and [`abs`](Scalar::abs). `abs` also counts one
+    /// negation.
     pub compare: u64,
 }
 
@@ -32,15 +33,17 @@ thread_local! {
 impl Counts {
     const NONE: Self = Self { add: 0, negate: 0, multiply: 0, divide: 0, sqrt: 0, transcendental: 0, compare: 0 };
 
-    /// What `work` does with [`Counted`] numbers, and what it returns. Only this thread's operations count. One such call
-    /// may contain another, whose operations count in both.
+    /// Runs `work`; returns its operations on [`Counted`] numbers and its result.
+    ///
+    /// Counts only the operations of the current thread. Calls may be nested; inner operations
+    /// count in both.
     pub fn of<T>(work: impl FnOnce() -> T) -> (Self, T) {
         let before = DONE.get();
         let result = work();
         (DONE.get() - before, result)
     }
 
-    /// Operations of all kinds together.
+    /// Total number of operations.
     pub fn total(&self) -> u64 {
         self.each().iter().map(|(count, _)| count).sum()
     }
@@ -69,7 +72,7 @@ impl Counts {
         }
     }
 
-    /// Counts these as done.
+    /// Adds to the counter of the current thread.
     fn note(self) {
         DONE.set(DONE.get() + self);
     }
@@ -95,7 +98,7 @@ impl AddAssign for Counts {
     }
 }
 
-/// The kinds there are any of, as in `3 add, 2 multiply`.
+/// Lists the nonzero counts, for instance `3 add, 2 multiply`.
 impl fmt::Display for Counts {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let some = self.each().into_iter().filter(|&(count, _)| count > 0);
@@ -104,14 +107,14 @@ impl fmt::Display for Counts {
     }
 }
 
-/// An `f64` that counts what is done with it: what a step, or a derivative of it, costs on any machine.
+/// An `f64` that counts its operations: a machine-independent cost of a step or a derivative.
 ///
-/// It has the bits of an `f64`. [`Counts`] says which operations are of which kind, and [`Counts::of`] has the counts.
-/// Constants ([`lift`](Scalar::lift)), copies and [`detach`](Scalar::detach) are free, and so is all that a system
-/// computes with its `f64` parameters before it lifts them.
+/// Values are bit-identical to `f64`. [`Counts`] defines the kinds of operations; [`Counts::of`]
+/// measures them. Constants ([`lift`](Scalar::lift)), copies, [`detach`](Scalar::detach) and
+/// arithmetic on `f64` parameters are not counted.
 ///
-/// As derivatives by duals count the operations that the dual numbers do: those on the value, and those on the
-/// four tangents of every operand.
+/// Default derivatives count the operations of the dual numbers: those on the value and on all four
+/// tangents.
 ///
 /// ```
 /// use physgrad::{Counted, Counts, Scalar};
@@ -123,7 +126,7 @@ impl fmt::Display for Counts {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Counted(pub f64);
 
-// Operations that count are calls: nobody waits for them, and a step has hundreds, of every system, to compile.
+// Outlined: inlining them slows compilation, and they are not performance-critical.
 
 macro_rules! operators {
     ($($trait:ident $method:ident $assign_trait:ident $assign:ident $kind:ident),+) => {$(
@@ -155,7 +158,7 @@ impl Neg for Counted {
     }
 }
 
-/// One of the elementary functions that are called transcendental.
+/// Count of one transcendental function.
 const FUNCTION: Counts = Counts { transcendental: 1, ..Counts::NONE };
 
 impl Scalar for Counted {

@@ -1,15 +1,16 @@
-//! Double-double numbers, which references are computed with.
+//! [`DoubleDouble`]: double-double numbers for reference solutions.
 
 use super::Scalar;
 use qd::Quad;
 
-/// A number of 31 digits, kept as the sum of two `f64` (the crate `qd`; Dekker 1971, doi:10.1007/BF01397083).
+/// A number with 31 digits, stored as the sum of two `f64`s (Dekker 1971, doi:10.1007/BF01397083).
 ///
-/// A [`Scalar`] for references: everything a system computes is right to about 1e-31 of what goes into it, and constants,
-/// which are `f64`, are the same as in `f64`. Some thirty times slower than `f64`. Its range is that of `f64`.
+/// A [`Scalar`] for reference solutions, from the crate `qd`. The relative error of an operation is
+/// about 1e-31. Constants are `f64` and thus equal to those of an `f64` computation. The range is
+/// that of `f64`. Much slower than `f64`.
 pub type DoubleDouble = Quad;
 
-/// 1/n!.
+/// `1/n!` for `n = 0 .. 29`.
 const INVERSE_FACTORIALS: [Quad; 30] = {
     let mut all = [Quad::ONE; 30];
     let mut n = 2;
@@ -20,7 +21,7 @@ const INVERSE_FACTORIALS: [Quad; 30] = {
     all
 };
 
-/// `Σ_k sign^k x^(2k) / (first + 2k)!`, up to 1/29!.
+/// `Σ_k sign^k x^(2k) / (first + 2k)!`, with factorials up to 29!.
 fn series(x_squared: Quad, first: usize, sign: f64) -> Quad {
     let signed = x_squared * Quad(sign, 0.0);
     let terms = INVERSE_FACTORIALS[first..].iter().step_by(2);
@@ -50,9 +51,9 @@ impl Scalar for Quad {
         Quad::ln(self)
     }
 
-    /// The absolute error grows by 1e-32 for every turn of the angle.
+    /// The absolute error grows by 1e-32 per revolution of the angle.
     fn sin_cos(self) -> (Self, Self) {
-        // π/2 in three parts: k times the first is exact as a double-double.
+        // π/2 in three parts: the product of `quarter` and the first is exact in double-double.
         const HALF_PI: [f64; 3] = [std::f64::consts::FRAC_PI_2, 6.123_233_995_736_766e-17, -1.497_384_904_859_169_8e-33];
         let quarter = (self.0 / HALF_PI[0]).round();
         let rest = HALF_PI.iter().fold(self, |rest, &part| rest - Quad(quarter, 0.0) * Quad(part, 0.0));
@@ -62,7 +63,7 @@ impl Scalar for Quad {
             0.0 => (sin, cos),
             1.0 => (cos, -sin),
             2.0 => (-sin, -cos),
-            // Of what is not finite, too: sine and cosine are NaN then.
+            // 3, and NaN for a non-finite angle, where sine and cosine are NaN.
             _ => (-cos, sin),
         }
     }
@@ -70,7 +71,7 @@ impl Scalar for Quad {
     fn tanh(self) -> Self {
         let size = if self.0 < 0.0 { -self } else { self };
         let positive = if size.0 < 0.5 {
-            // Where the quotient of exponentials would cancel.
+            // Avoids cancellation in the quotient of exponentials.
             let sinh = size * series(size * size, 1, 1.0);
             sinh / Quad::sqrt(Quad::ONE + sinh * sinh)
         } else {
@@ -82,7 +83,7 @@ impl Scalar for Quad {
 
     fn atan2(self, x: Self) -> Self {
         let near = Quad(self.0.atan2(x.0), 0.0);
-        // What is left is so small that it is its own tangent.
+        // The remaining angle is so small that it equals its tangent.
         let (sin, cos) = near.sin_cos();
         let (across, along) = (self * cos - x * sin, x * cos + self * sin);
         if along.0 == 0.0 { near } else { near + across / along }
@@ -108,7 +109,7 @@ mod tests {
         assert!(error <= allowed * expected.0.abs().max(1.0), "{what} at {at:?}: {found:?} for {expected:?}, error {error:e}");
     }
 
-    /// Numbers with both parts at random, up to this size.
+    /// Numbers with random high and low parts, up to `size`.
     fn numbers(size: f64) -> impl Iterator<Item = Quad> {
         let mut rng = stream(0, Purpose::Check, 0);
         (0..2000).map(move |_| {
@@ -120,7 +121,7 @@ mod tests {
 
     #[test]
     fn known_values_to_31_digits() {
-        // From tables (Abramowitz and Stegun, 1.1, 4): two parts of the decimal expansions.
+        // Tabulated values (Abramowitz and Stegun, 1.1 and 4), split into high and low parts.
         let one = Quad::ONE;
         let e = Quad(std::f64::consts::E, 1.4456468917292502e-16);
         let sin_1 = Quad(0.8414709848078965, 1.776845092935536e-18);
@@ -148,7 +149,7 @@ mod tests {
             let (e, t) = (Scalar::exp(x), Scalar::tanh(x));
             close("exp x exp -x", x, e * Scalar::exp(-x), Quad::ONE, 1e-30);
             close("ln exp x", x, Scalar::ln(e), x, 1e-30);
-            // Relative, also where it is small.
+            // Relative error, also for small x.
             let t_2 = Scalar::tanh(x + x);
             close("tanh 2x", x, t_2 / x, (t + t) / ((Quad::ONE + t * t) * x), 1e-30);
             let (up, down) = (e, Scalar::exp(-x));

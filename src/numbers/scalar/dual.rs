@@ -1,15 +1,17 @@
-//! [`Dual`]: forward mode over any scalar, which the default derivatives run on.
+//! [`Dual`]: forward-mode differentiation over any scalar, used by the default derivatives.
 //!
-//! The checks run on num-dual's numbers instead, which share nothing with these.
+//! Checks use the independent dual numbers of the crate num-dual.
 
 use super::Scalar;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
-/// A number with its derivatives in `N` directions, over any [`Scalar`]: over [`Lanes`](super::Lanes), of several samples at once,
-/// over [`Counted`](super::Counted), one whose operations count.
+/// A dual number: a value with its derivatives in `N` directions.
 ///
-/// Its value goes through the operations that the plain number does, and has its bits. There is no branch on what the
-/// directions are: a constant has derivatives that are 0, and costs what any other number does.
+/// Generic over the scalar: [`Lanes`](super::Lanes) differentiate several samples at once,
+/// [`Counted`](super::Counted) counts operations.
+///
+/// Values are bit-identical to those of the scalar `T`. Constants have zero tangents and cost as
+/// much as variables: there is no branch on tangents.
 ///
 /// ```
 /// use physgrad::{Dual, Scalar};
@@ -20,20 +22,20 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dual<T, const N: usize> {
-    /// The number.
+    /// Value.
     pub value: T,
-    /// Its derivatives.
+    /// Derivatives of the value, one per direction.
     pub tangents: [T; N],
 }
 
 impl<T: Scalar, const N: usize> Dual<T, N> {
-    /// A constant.
+    /// A constant: all tangents are 0.
     #[inline(always)]
     pub fn constant(value: T) -> Self {
         Self { value, tangents: [T::zero(); N] }
     }
 
-    /// `value`, as the `index`-th variable.
+    /// A variable: tangent `index` is 1, the others are 0.
     #[inline(always)]
     pub fn variable(value: T, index: usize) -> Self {
         let mut variable = Self::constant(value);
@@ -41,7 +43,7 @@ impl<T: Scalar, const N: usize> Dual<T, N> {
         variable
     }
 
-    /// With this value, and each derivative by this rule.
+    /// Applies a unary rule: sets the value and maps each tangent.
     #[inline(always)]
     fn with(mut self, value: T, rule: impl Fn(T) -> T) -> Self {
         self.value = value;
@@ -51,7 +53,7 @@ impl<T: Scalar, const N: usize> Dual<T, N> {
         self
     }
 
-    /// Of both numbers, with this value, and each derivative by this rule.
+    /// Applies a binary rule: sets the value and combines the tangents of both numbers.
     #[inline(always)]
     fn join(mut self, other: Self, value: T, rule: impl Fn(T, T) -> T) -> Self {
         self.value = value;
@@ -61,7 +63,7 @@ impl<T: Scalar, const N: usize> Dual<T, N> {
         self
     }
 
-    /// The chain rule for a slope that may be infinite: a constant has no derivative to blow up.
+    /// Chain rule for a slope that may be infinite: zero tangents stay 0 instead of NaN.
     #[inline(always)]
     fn steep(self, value: T, slope: T) -> Self {
         self.with(value, |tangent| T::select_lt(T::zero(), tangent.abs(), tangent * slope, tangent))

@@ -1,4 +1,4 @@
-//! `f32` and `f64`, and what the framework needs of them beyond [`Scalar`].
+//! [`Float`]: `f32` and `f64`, with constants and kernels beyond [`Scalar`].
 
 use super::{Real, Scalar};
 use crate::numbers::kernels::gemm::{self, Product};
@@ -7,29 +7,30 @@ use num_traits::AsPrimitive;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Display;
 
-/// One number of one precision: `f32` or `f64`.
+/// A floating-point type: `f32` or `f64`.
 pub trait Float:
     Real + Scalar<Real = Self> + AsPrimitive<f64> + PartialOrd + Display + Default + Serialize + DeserializeOwned
 {
-    /// Its name, as settings and files spell it: `f32` or `f64`.
+    /// Name in settings and files: `f32` or `f64`.
     const NAME: &'static str;
-    /// Distance from 1 to the next larger number.
+    /// Machine epsilon: the distance from 1 to the next larger number.
     const EPSILON: f64;
-    /// The largest finite number.
+    /// Largest finite number.
     const MAX: f64;
 
-    /// Entries in one cache line; what columns of kernels are padded to.
+    /// Entries per cache line, the padding of columns.
     #[doc(hidden)]
     const PAD: usize;
+    /// Matrix product with the instruction set `level`.
     #[doc(hidden)]
     fn product(level: Level, product: Product<'_, Self>);
-    /// `a·b + c`, fused if `FMA` (which says that it is one instruction here).
+    /// `a·b + c`, fused if `FMA`, which the caller sets where fused multiply-add is an instruction.
     #[doc(hidden)]
     fn plus_product<const FMA: bool>(c: Self, a: Self, b: Self) -> Self;
-    /// The branch-free tanh of the layers.
+    /// Branch-free tanh for policy layers.
     #[doc(hidden)]
     fn layer_tanh<const FMA: bool>(self) -> Self;
-    /// sin and cos of |x| ≤ 1e6, without a branch.
+    /// Branch-free sine and cosine for |x| ≤ 1e6.
     #[doc(hidden)]
     fn sin_cos_near(self) -> (Self, Self);
     #[doc(hidden)]

@@ -1,16 +1,14 @@
-//! Several samples in one number, so that a simulator written for one sample runs on a vector register of them.
+//! [`Lanes`]: several samples in one number, so that simulators use SIMD registers.
 
 use super::{Float, Real, Scalar};
 use crate::numbers::kernels::trig;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
-/// `W` numbers that go through the same operations.
+/// `W` numbers with elementwise operations, where `W` is 1, 2, 4 or 8.
 ///
-/// Every lane has the bits that the same computation on a plain `F` would have: no operation is fused, reordered or
-/// approximated differently. They are the same on every processor, but for `exp`, `ln`, `atan2` and angles beyond 1e6,
-/// which the platform's library computes.
-///
-/// There are 1, 2, 4 or 8 of them.
+/// Every lane is bit-identical to the computation on a plain `F`: no operation is fused, reordered
+/// or approximated differently. Results are equal on all processors, except for `exp`, `ln`,
+/// `atan2` and the sine and cosine of angles beyond 1e6, which the platform's library computes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(32))]
 pub struct Lanes<F, const W: usize>(pub [F; W]);
@@ -33,8 +31,7 @@ macro_rules! operator {
     };
 }
 
-// Written out lane by lane: a step has hundreds of operations, and as many loops of eight rounds each take minutes to
-// compile into what this is at once.
+// Unrolled by the macro: loops over lanes slow compilation.
 macro_rules! lanes {
     ($width:literal: $($i:tt)+) => {
         operator!($width, [$($i)+], Add, add, AddAssign, add_assign);

@@ -1,14 +1,13 @@
-//! num-dual's numbers as [`Scalar`]s: what every derivative is checked with.
+//! [`Scalar`] for the dual numbers of the crate num-dual, used by checks of derivatives.
 //!
-//! Arithmetic is num-dual's. The elementary functions are chain rules over the plain number's own function, so that a
-//! dual's value has that number's bits; num-dual's `tanh` would overflow (sinh/cosh), and its `sqrt` and `ln` would make
-//! a NaN of the zero tangent of a constant 0.
+//! Arithmetic is that of num-dual. Elementary functions apply the chain rule to the function of the
+//! plain number, so values are bit-identical to `f64`. The `tanh` of num-dual overflows
+//! (sinh/cosh); its `sqrt` and `ln` return NaN tangents for a constant 0.
 
 use super::Scalar;
 use num_dual::Dual64;
 
-/// Chain rule with a known value and slope. A zero tangent stays zero even where the slope is infinite: a constant has
-/// no derivative to blow up.
+/// Chain rule with a known value and slope. Zero tangents stay 0 even if the slope is infinite.
 #[inline]
 fn chain(dual: Dual64, value: f64, slope: f64) -> Dual64 {
     Dual64::new(value, if dual.eps == 0.0 { 0.0 } else { dual.eps * slope })

@@ -1,4 +1,4 @@
-//! One convolution as matrix products, and where its numbers are in the padded buffers.
+//! [`Layer`]: one convolution as matrix products on padded buffers.
 
 use super::KERNEL;
 use crate::numbers::kernels::Level;
@@ -7,58 +7,58 @@ use crate::numbers::kernels::gemm::Product;
 use crate::numbers::scalar::Float;
 use crate::numbers::zip::zip;
 
-/// One convolution, and where its numbers are.
+/// Shape of one convolution, and its offsets in `θ` and in the padded buffers.
 #[derive(Clone, Copy, Debug)]
 pub struct Layer {
     /// Channels of the input.
     pub channels: usize,
-    /// Numbers from one position of the input to the next: the channels, a constant 1, padding.
+    /// Distance between positions of the input: the channels, a constant 1, padding.
     pub slot: usize,
     /// Positions of the output.
     pub positions: usize,
-    /// Positions of the output that a column has room for.
+    /// Capacity of an output column, in positions.
     pub room: usize,
-    /// Numbers from one position of the output to the next.
+    /// Distance between positions of the output.
     pub slot_out: usize,
-    /// Start in `θ`.
+    /// Offset in `θ`.
     pub theta: usize,
-    /// Start of the weights, one column of filters per entry of a window.
+    /// Offset of the packed weights: one column of filters per window entry.
     pub packed: usize,
-    /// From one column of the weights to the next.
+    /// Distance between columns of the weights.
     pub lda: usize,
-    /// Start of their transpose, one column of window entries per filter.
+    /// Offset of the transposed weights: one column of window entries per filter.
     pub transposed: usize,
-    /// From one column of the transpose to the next: the entries that have a cotangent, padded.
+    /// Distance between columns of the transpose: the window entries without the last 1, padded.
     pub entries: usize,
 }
 
 impl Layer {
-    /// Entries of a window that have a weight or lie between those that have; the last is the constant 1 of the bias.
+    /// Length of a window, including padding between positions and the final constant 1.
     pub fn depth(&self) -> usize {
         (KERNEL - 1) * self.slot + self.channels + 1
     }
 
-    /// From one window to the next.
+    /// Distance between windows.
     pub fn stride(&self) -> usize {
         2 * self.slot
     }
 
-    /// Numbers in a column of the input.
+    /// Length of an input column.
     pub fn input(&self) -> usize {
         self.room * self.stride()
     }
 
-    /// Numbers in a column of the output.
+    /// Length of an output column.
     pub fn output(&self) -> usize {
         self.room * self.slot_out
     }
 
-    /// Windows of so many neighbouring columns, from the first to the last that is wholly within its column.
+    /// Number of windows of `columns` contiguous columns, up to the last valid one.
     pub fn windows(&self, columns: usize) -> usize {
         (columns - 1) * self.room + self.positions
     }
 
-    /// Where entry `j` of a window is in `θ`, for the first filter.
+    /// Offset in `θ` of the weight of window entry `j` for the first filter; `None` for padding.
     pub fn weight(&self, j: usize, width: usize) -> Option<usize> {
         let (k, channel) = (j / self.slot, j % self.slot);
         let row = if j + 1 == self.depth() {
@@ -71,7 +71,7 @@ impl Layer {
         Some(self.theta + row * width)
     }
 
-    /// `z = W·windows`, tanh, constant ones; zero where a position has no window of its own column.
+    /// Writes `tanh(W·windows)` and the constant ones; 0 at positions without a valid window.
     pub fn convolve<F: Float>(&self, level: Level, width: usize, packed: &[F], input: &[F], output: &mut [F], columns: usize) {
         F::product(
             level,
@@ -98,7 +98,7 @@ impl Layer {
         }
     }
 
-    /// The cotangents of the windows of so many columns: `Wᵀ z_bar`.
+    /// Writes the cotangents of the windows of `columns` columns, `Wᵀ z_bar`.
     pub fn windows_bar<F: Float>(&self, level: Level, width: usize, packed: &[F], bar: &[F], columns: usize, windows: &mut [F]) {
         F::product(
             level,
@@ -118,7 +118,7 @@ impl Layer {
         );
     }
 
-    /// Adds the windows of one column to the positions they came from, `slot` numbers apart.
+    /// Adds the window cotangents of one column to its input positions, which are `slot` apart.
     pub fn add_windows<F: Float>(&self, windows: &[F], slot: usize, to: &mut [F]) {
         for (q, window) in windows.chunks_exact(self.entries).take(self.positions).enumerate() {
             for k in 0..KERNEL {

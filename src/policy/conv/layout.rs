@@ -1,25 +1,25 @@
-//! Where a [`Conv`] keeps what: positions, weights in `θ` and packed, activations and cotangents.
+//! Memory layout of [`Conv`]: positions, weights in `θ` and packed, activations and cotangents.
 
 use super::layer::Layer;
 use super::{BLOCK, CHANNELS, Conv, KERNEL};
 use crate::numbers::scalar::Float;
 
-/// Where the activations of a rollout are: those of one block, then those of all columns.
+/// Layout of the tape: the activations of one block, then those of all columns.
 pub(super) struct Places {
-    /// Start of the columns of x, h₁, h₂ of one block.
+    /// Offsets of the columns of x, h₁, h₂ of one block.
     pub(super) block: [usize; 3],
-    /// Start of those of all columns.
+    /// Offsets of the columns of x, h₁, h₂ of the whole rollout.
     pub(super) all: [usize; 3],
     pub(super) len: usize,
 }
 
-/// The smallest multiple of the padding that is at least `n`.
+/// Rounds `n` up to a multiple of the padding.
 fn padded<F: Float>(n: usize) -> usize {
     n.next_multiple_of(F::PAD)
 }
 
 impl Conv {
-    /// Positions of x, h₁, h₂.
+    /// Number of positions of x, h₁, h₂.
     pub(super) fn positions(&self) -> [usize; 3] {
         let next = |positions: usize| (positions - KERNEL) / 2 + 1;
         [self.grid, next(self.grid), next(next(self.grid))]
@@ -29,7 +29,7 @@ impl Conv {
         let [grid, first, second] = self.positions();
         let room = grid.div_ceil(4);
         let slot = padded::<F>(self.width + 1);
-        // An odd number of cache lines, so that neighbouring columns do not compete for the same places in the cache.
+        // An odd number of cache lines: adjacent columns do not map to the same cache sets.
         let lda = ((slot / F::PAD) | 1) * F::PAD;
         let mut one = Layer {
             channels: CHANNELS,
@@ -55,12 +55,12 @@ impl Conv {
         [one, two]
     }
 
-    /// Start of the output's kernel in `θ`.
+    /// Offset of the output kernel in `θ`.
     pub(super) fn dense(&self) -> usize {
         (KERNEL * CHANNELS + 1) * self.width + (KERNEL * self.width + 1) * self.width
     }
 
-    /// Start of the output's weights in the packed form, laid out as a column of h₂; its end is the end of all.
+    /// Offset of the packed output weights, laid out like a column of h₂ at the end of the buffer.
     pub(super) fn packed_dense(&self, two: &Layer) -> usize {
         two.transposed + self.width * two.entries
     }
@@ -69,7 +69,7 @@ impl Conv {
         let lens = [one.input(), one.output(), two.output()];
         let mut end = 0;
         let mut place = |columns: usize| {
-            // Activations first: they stay aligned as long as the buffer is.
+            // Activations first, so that their offsets are multiples of the padding.
             let mut starts = [0; 3];
             for i in [1, 2, 0] {
                 starts[i] = end;
@@ -81,7 +81,9 @@ impl Conv {
         Places { block, all, len: end }
     }
 
-    /// Start of the cotangents of h₁ and h₂ in all columns, after the windows' cotangents of one block; and the end.
+    /// Offsets of the cotangents of h₁ and h₂ in all columns, and the total length.
+    ///
+    /// The buffer begins with the window cotangents of one block.
     pub(super) fn places_bar([one, two]: &[Layer; 2], total: usize) -> [usize; 3] {
         let windows = [one, two].map(|l| BLOCK * l.room * l.entries);
         let first = windows[0].max(windows[1]);

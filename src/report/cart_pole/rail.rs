@@ -1,54 +1,54 @@
-//! What is around a cart: bumpers and wind.
+//! Bumpers and wind of the cart-pole animation.
 
 use super::{DARK, RAIL, Stage, arrow};
 use crate::report::animation::Shape;
 use crate::report::axes::number;
 
-/// Half the width of the drawn cart, in lengths of a pole.
+/// Half-width of the drawn cart, in pole lengths.
 pub(super) const HALF_CART: f64 = 0.28;
-/// Height of the rail and of the upper edge of the cart, in lengths of a pole.
+/// Heights of the rail and of the upper edge of the cart, in pole lengths.
 const HEIGHTS: [f64; 2] = [-0.2, 0.1];
-/// Width of the post behind a spring, and length of the spring at least, in lengths of a pole.
+/// Width of the post behind a spring, and minimum length of the spring, in pole lengths.
 const POST: f64 = 0.07;
 const SPRING: f64 = 0.2;
-/// Length of the arrow of the strongest wind, in lengths of a pole.
+/// Length of the arrow for the strongest wind, in pole lengths.
 const WIND: f64 = 0.5;
 
-/// What is around the cart of [`cart_pole_on`](super::cart_pole_on).
+/// Surroundings of the cart in [`cart_pole_on`](super::cart_pole_on).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rail {
-    /// The cart touches a bumper at `|x|` = this, m. The rail ends behind the bumpers.
+    /// Distance `|x|` at which the cart touches a bumper, m. The rail ends behind the bumpers.
     pub bumpers: Option<f64>,
-    /// The speed of the wind along the rail at every state, m/s, positive towards positive x. Empty where no wind is in
-    /// play.
+    /// Wind speed along the rail at every state, m/s, positive towards positive x. Empty for no
+    /// wind.
     pub wind: Vec<f64>,
 }
 
-/// Two bumpers that fit a trajectory.
+/// Two bumpers sized for a trajectory.
 #[derive(Clone, Copy)]
 pub(super) struct Bumpers {
-    /// Where the cart touches.
+    /// Distance `|x|` of contact.
     reach: f64,
-    /// Length of a spring that is not touched.
+    /// Rest length of a spring.
     spring: f64,
     /// Length of a pole.
     unit: f64,
 }
 
 impl Bumpers {
-    /// With springs that are longer than they are pressed in.
+    /// Sizes the springs to exceed the deepest compression; `None` for an invalid `reach`.
     pub fn new(reach: f64, states: &[&Vec<f64>], unit: f64) -> Option<Self> {
         let deepest = states.iter().map(|state| state[0].abs() - reach).fold(0.0, f64::max);
         let spring = (1.25 * deepest).max(SPRING * unit);
         (reach.is_finite() && reach >= 0.0).then_some(Self { reach, spring, unit })
     }
 
-    /// Where the rail ends.
+    /// Distance of the end of the rail from the origin.
     pub fn end(&self) -> f64 {
         self.reach + self.spring + (HALF_CART + POST) * self.unit
     }
 
-    /// Both of them, each with its pad at the cart where the cart presses it.
+    /// Shapes of both bumpers; the cart pushes a pad that it presses.
     pub fn shapes(&self, x: f64, camera: f64) -> Vec<Shape> {
         [-1.0, 1.0].into_iter().flat_map(|side| self.one(side, self.reach.max(side * x), camera)).collect()
     }
@@ -71,12 +71,12 @@ impl Bumpers {
     }
 }
 
-/// The wind over a film.
+/// Wind over an animation.
 pub(super) struct Wind {
     /// Speed at every state.
     speeds: Vec<f64>,
     strongest: f64,
-    /// Whether it ever blows towards negative x.
+    /// True if the wind ever blows towards negative x.
     back: bool,
 }
 
@@ -88,8 +88,8 @@ impl Wind {
         (!speeds.is_empty()).then_some(Self { speeds, strongest, back })
     }
 
-    /// An arrow in the upper left corner of a stage, as long as the wind is strong at a state, with the speed for which it
-    /// is longest.
+    /// Arrow in the upper left corner, proportional to the wind speed at a step, with the maximum
+    /// as label.
     pub fn shapes(&self, stage: &Stage, step: usize) -> Vec<Shape> {
         let (unit, size) = (stage.length, 0.12 * stage.length);
         let room = WIND * unit;
@@ -102,7 +102,7 @@ impl Wind {
             (true, true) => format!("wind, {} m/s", number(self.strongest)),
             (true, false) => format!("wind, up to {} m/s", number(self.strongest)),
         };
-        // Texts are placed by their middle, and letters are about 0.6 of their size wide.
+        // Texts are centered; letters are about 0.6 of the font size wide.
         let middle = from[0] + room + 0.1 * unit + 0.3 * size * text.chars().count() as f64;
         let mut shapes = vec![Shape::Line {
             from: [from[0], from[1] - 0.05 * unit],
@@ -127,7 +127,7 @@ mod tests {
         cart_pole_on(rail, &states, &[1.0], 0.5, 0.02)
     }
 
-    /// Left and right edges of the rectangles of a colour, that are as high as bumpers are or as the cart is.
+    /// Left and right edges of the rectangles of a colour and height.
     fn plates(film: &Animation, frame: usize, of: &str, height: f64) -> Vec<[f64; 2]> {
         let edges = |shape: &Shape| match shape {
             Shape::Rect { center, size, color } if *color == of && (size[1] - height).abs() < 1e-9 => {

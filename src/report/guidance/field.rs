@@ -1,4 +1,4 @@
-//! What is in the field: obstacles and walls.
+//! Obstacles and walls of the guidance animation.
 
 use super::Film;
 use crate::report::animation::Shape;
@@ -6,24 +6,24 @@ use crate::report::animation::Shape;
 const OBSTACLE: &str = "#C9CED6";
 const WALL: &str = "#9AA0A8";
 
-/// What is in the field of [`guidance_in`](super::guidance_in).
+/// Surroundings of the agents in [`guidance_in`](super::guidance_in).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Field {
     /// Center and radius of every round obstacle, m.
     pub obstacles: Vec<([f64; 2], f64)>,
-    /// Half the width and half the height of a walled rectangle about the origin, m.
+    /// Half-width and half-height of a walled rectangle centered at the origin, m.
     pub walls: Option<[f64; 2]>,
 }
 
 impl Field {
-    /// What can be drawn of it.
+    /// Removes obstacles and walls with non-finite numbers, and walls of non-positive size.
     pub(super) fn finite(&self) -> Self {
         let round = |(center, radius): &&([f64; 2], f64)| center.iter().all(|c| c.is_finite()) && radius.is_finite();
         let walls = self.walls.filter(|walls| walls.iter().all(|half| half.is_finite() && *half > 0.0));
         Self { obstacles: self.obstacles.iter().filter(round).copied().collect(), walls }
     }
 
-    /// Corners of what should be seen: of all that does not reach farther than a limit.
+    /// Corners of the bounding boxes of obstacles and walls that lie within `limit` of the axes.
     pub(super) fn corners(&self, limit: f64) -> Vec<[f64; 2]> {
         let around = |([x, y], [w, h]): ([f64; 2], [f64; 2])| [[x - w, y - h], [x + w, y + h]];
         let obstacles = self.obstacles.iter().map(|&(center, radius)| (center, [radius; 2]));
@@ -32,7 +32,7 @@ impl Field {
         obstacles.chain(walls).map(around).filter(near).flatten().collect()
     }
 
-    /// Everything, in a film.
+    /// Shapes of walls and obstacles.
     pub(super) fn shapes(&self, film: &Film) -> Vec<Shape> {
         let thin = 0.006 * film.unit();
         let disc = |&(center, radius): &([f64; 2], f64)| {
@@ -46,7 +46,7 @@ impl Field {
         self.walls.map(fence).into_iter().chain(self.obstacles.iter().flat_map(disc)).collect()
     }
 
-    /// Names and colours for the legend.
+    /// Labels and colours for the legend.
     pub(super) fn legend(&self) -> Vec<(&'static str, &'static str)> {
         let obstacles = (!self.obstacles.is_empty()).then_some(("obstacles", OBSTACLE));
         obstacles.into_iter().chain(self.walls.map(|_| ("walls", WALL))).collect()

@@ -1,4 +1,4 @@
-//! What the particle meets in its box: a potential and absorbing edges.
+//! Potential and absorbing edges of the quantum animation.
 
 use super::{Film, MAX_ROWS, averaged};
 use crate::report::animation::Shape;
@@ -6,20 +6,21 @@ use crate::report::axes::{Axes, text, ticks};
 
 const POTENTIAL: &str = "#9AA0A8";
 const BELOW: &str = "#ECEEF1";
-/// Seen through, also on the map.
+/// Translucent, also over the map.
 const ABSORBING: &str = "rgba(86,180,233,0.3)";
 
-/// What is in the box of [`quantum_in`](super::quantum_in).
+/// Contents of the box in [`quantum_in`](super::quantum_in).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Landscape {
-    /// A potential that stands still, at the grid points. Empty where none is in play.
+    /// Static potential at the grid points. Empty for none.
     pub potential: Vec<f64>,
-    /// How far absorbing edges reach from either wall, length.
+    /// Width of the absorbing edge at either wall, in units of length.
     pub absorbing: Option<f64>,
 }
 
 impl Landscape {
-    /// What can be drawn of it, in a box of this length.
+    /// Drawable part for a box of the given length: averaged potential and clamped edges. Omits a
+    /// non-finite potential and invalid edges.
     pub(super) fn drawn(&self, length: f64) -> Self {
         let finite = self.potential.iter().all(|v| v.is_finite());
         let potential = if finite { averaged(&self.potential, MAX_ROWS) } else { Vec::new() };
@@ -27,12 +28,12 @@ impl Landscape {
         Self { potential, absorbing }
     }
 
-    /// Whether there is a potential.
+    /// True if there is a potential.
     pub(super) fn tilted(&self) -> bool {
         !self.potential.is_empty()
     }
 
-    /// The shape of the floor, in the panel of the momentary density but with a scale of its own along the upper edge.
+    /// Potential in the density panel, with a separate scale along the upper edge.
     pub(super) fn floor(&self, profile: &Axes) -> Vec<Shape> {
         if !self.tilted() {
             return Vec::new();
@@ -45,7 +46,7 @@ impl Landscape {
         let position = |i: usize| row * (i + 1) as f64;
         let bar = |(i, &v): (usize, &f64)| {
             let (center, size) = panel.area([panel.x[0], position(i) - 0.5 * row], [v, position(i) + 0.5 * row]);
-            // A little over the next, so that no light comes through.
+            // Overlaps the next bar, so that no gap shows.
             Shape::Rect { center, size: [size[0], size[1] + 0.6], color: BELOW }
         };
         let mut shapes: Vec<Shape> = self.potential.iter().enumerate().map(bar).collect();
@@ -54,7 +55,7 @@ impl Landscape {
         shapes
     }
 
-    /// Where the wave is absorbed.
+    /// Shaded absorbing edges in the given panels.
     pub(super) fn edges(&self, panels: &[&Axes]) -> Vec<Shape> {
         let strip = |panel: &Axes, width: f64, side: bool| {
             let (from, to) = if side { (panel.y[1] - width, panel.y[1]) } else { (0.0, width) };
@@ -65,10 +66,10 @@ impl Landscape {
         self.absorbing.into_iter().flat_map(both).collect()
     }
 
-    /// What the shapes are, and how much of the wave is left.
+    /// Legend of potential and edges, with the final norm.
     pub(super) fn legend(&self, film: &Film) -> Vec<Shape> {
         let x = film.profile.left + 14.0;
-        // Texts are placed by their middle, and letters are about 0.55 of their size wide.
+        // Texts are centered; letters are about 0.55 of the font size wide.
         let name = |y: f64, words: &str| text([x + 20.0 + 3.3 * words.chars().count() as f64, y], words);
         let mut shapes = Vec::new();
         if self.tilted() {

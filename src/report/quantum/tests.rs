@@ -37,7 +37,7 @@ fn the_dot_is_where_the_fidelity_is() {
         let Some(Shape::Circle { center, .. }) = film.frames[frame].last() else { panic!("the dot is in front") };
         assert!((center[1] - expected).abs() < 1e-9);
     }
-    // The two columns of the map have their middles at a quarter and three quarters.
+    // The two columns of the map are centered at 1/4 and 3/4 of its width.
     let cursor: Vec<f64> = curve(&film.still, FIDELITY).iter().map(|point| point[0]).collect();
     assert_eq!(cursor, [100.0 + 430.0 / 4.0, 100.0 + 430.0 * 3.0 / 4.0]);
     assert_eq!(curve(&film.still, CONTROL).iter().map(|p| p[0]).collect::<Vec<_>>(), cursor);
