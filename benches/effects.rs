@@ -1,10 +1,12 @@
-//! What a scene costs through the machinery of effects, against the same physics written by hand in one function.
+//! Benchmark of the effect system against the same physics in a single handwritten function.
 //!
-//! `cargo bench --bench effects`; with `-- guidance` for one task. Steps of a batch of eight samples on one thread: forward, and
-//! forward with the gradients of R and of C; of the scene, with the policy of the paper, and of its physics alone, with a policy
-//! that does nothing. Everything is measured in turn, round after round; a ratio is the median of the rounds' ratios. How fast
-//! code is depends a little on where its data happen to be: the jobs are made anew, elsewhere and in another order, several
-//! times, and the ratio is the median of these.
+//! Usage: `cargo bench --bench effects`, or with `-- guidance` for one task. Measures steps of
+//! eight samples on one thread: forward, and forward with the gradients of R and C.
+//! Covers the whole scene with the policy of the paper, and the physics alone with zero control.
+//!
+//! Jobs alternate within each round; a ratio is the median over rounds. Timings depend on the
+//! memory layout. The benchmark therefore constructs all jobs several times, in varying order and
+//! layout, and reports the median of the ratios.
 
 mod by_hand;
 mod measure;
@@ -27,16 +29,16 @@ const PASSES: [(&str, &[Flow]); 3] = [("forward", &[]), ("R", &[Flow::REGULAR]),
 
 type Job = Box<dyn FnMut()>;
 
-/// What is measured.
+/// Scope of a measurement.
 #[derive(Clone, Copy, PartialEq)]
 enum Of {
-    /// The physics, under a policy that does nothing.
+    /// Physics with zero control.
     Physics,
-    /// All of a scene, with its policy.
+    /// Complete scene with its policy.
     Scene,
 }
 
-/// A scene, in one form: its name, and a job for each pass.
+/// One implementation of a scene: its name, and a factory of one job per pass.
 struct Form {
     name: &'static str,
     jobs: Box<dyn Fn(Of) -> [Job; 3]>,
@@ -48,7 +50,7 @@ fn main() {
     println!("microseconds of a step, {BATCH} samples, one thread; through effects, by hand: ratio (lowest, highest)");
     let wanted = |task: &str| args.iter().all(|a| a.starts_with('-')) || args.iter().any(|a| a == task);
     let tables = |of: Of, name: &str, single: Vec<Vec<Form>>, double: Vec<Vec<Form>>, horizon: usize| {
-        // A network takes ten times as long as the physics, and varies less.
+        // Fewer rounds: a scene with a network takes longer and varies less.
         let (what, count) = if of == Of::Physics { ("physics alone", count) } else { ("the scene", count.div_ceil(4)) };
         println!("\n{name}: {what}");
         table(of, single, "f32", horizon, places, count);
@@ -122,14 +124,14 @@ fn quantum_scenes<F: Float>() -> Vec<Vec<Form>> {
     ]
 }
 
-/// Of each scene, the first form is the one by hand.
+/// Prints times and ratios. The first form of each scene is the handwritten one.
 fn table(of: Of, scenes: Vec<Vec<Form>>, precision: &str, horizon: usize, places: usize, count: usize) {
     println!("{precision}");
     for forms in scenes {
-        // [pass][form][place]
+        // Index order: [pass][form][place].
         let mut found = [(); 3].map(|()| vec![(Vec::new(), Vec::new()); forms.len()]);
         for place in 0..places {
-            // Made in another order, and with gaps of odd sizes between them.
+            // Varies the order of construction and the memory layout between repetitions.
             let order: Vec<usize> = (0..forms.len()).map(|i| (i + place) % forms.len()).collect();
             let mut gaps = Vec::new();
             let mut jobs: Vec<[Job; 3]> = Vec::new();
@@ -160,7 +162,7 @@ fn table(of: Of, scenes: Vec<Vec<Form>>, precision: &str, horizon: usize, places
     }
 }
 
-/// Does the work with the stack elsewhere.
+/// Calls `work` at a greater stack depth, which changes the stack addresses.
 #[inline(never)]
 fn deeper<T>(calls: usize, work: &mut dyn FnMut() -> T) -> T {
     let space = black_box([0_u8; 208]);
@@ -183,7 +185,7 @@ fn form<F: Float>(network: &(impl Policy + Clone + 'static), name: &'static str,
     }
 }
 
-/// A rollout and the adjoints of the flows, of a scene with the gradients of the policy's parameters.
+/// A rollout with the adjoints of the flows; for scenes, also the parameter gradients.
 fn job<F: Float>(of: Of, task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, flows: &[Flow]) -> Job {
     let weights = Weights::<F>::init(&*policy, &mut stream(0, Purpose::Policy, 0));
     let mut x = vec![0.0; BATCH * task.state_dim()];

@@ -1,7 +1,7 @@
-//! What an epoch of cart-pole costs, and what of it is matrix products, tanh, physics.
+//! Benchmark of a cart-pole epoch, with the shares of matrix products, tanh and physics.
 //!
-//! `cargo bench --bench epoch`. Everything is measured in turn, round after round, and quoted as the median; ratios are
-//! medians of the rounds' ratios, so that they hold when the machine's speed drifts.
+//! Usage: `cargo bench --bench epoch`. Jobs alternate within each round; times are medians. Ratios
+//! are medians of the ratios per round, which cancels drifts of the machine's speed.
 
 mod measure;
 
@@ -34,7 +34,7 @@ fn task_and_policy() -> (CartPole, Mlp) {
     (task, Mlp::new([n, WIDTH, WIDTH, 1]))
 }
 
-/// Start states of one mini-batch.
+/// Initial states of one mini-batch.
 fn starts<F: Float>(task: &CartPole) -> Vec<F> {
     let mut x = vec![0.0; BATCH * task.system.state_dim()];
     for (sample, x) in x.chunks_exact_mut(task.system.state_dim()).enumerate() {
@@ -43,7 +43,7 @@ fn starts<F: Float>(task: &CartPole) -> Vec<F> {
     x.into_iter().map(F::lift).collect()
 }
 
-/// Forward pass and gradient of every field.
+/// Times the forward pass and the gradient of every field.
 fn fields<F: Float>(count: usize) {
     let (task, policy) = task_and_policy();
     let weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Policy, 0));
@@ -71,7 +71,7 @@ fn fields<F: Float>(count: usize) {
     }
 }
 
-/// The parts of R's gradient, each alone at the shapes it has there, in single precision.
+/// Times the parts of R's gradient in f32, each alone with its actual shapes.
 fn shares(count: usize) {
     let (task, policy) = task_and_policy();
     let n = task.system.state_dim();
@@ -91,7 +91,7 @@ fn shares(count: usize) {
         adjoint.param_gradient(0, &policy, &weights, &rollout, 0..BATCH, &mut theta_bar);
     };
 
-    // (rows, depth, columns, times) of the products of one gradient, padded as there.
+    // (rows, depth, columns, calls) of the products in one gradient, with the same padding.
     let (pad_n, pad_w) = (16, 112);
     let products = [
         (pad_w, n + 1, BATCH, steps),
@@ -119,11 +119,11 @@ fn shares(count: usize) {
     let mut by_crate = || {
         for (rows, depth, cols, times) in products {
             let (a, b, c) = (&black_box(&a)[..rows * depth], &black_box(&b)[..depth * cols], &mut c_crate[..rows * cols]);
-            // Columns lie together in all three.
+            // Column-major layout for all three matrices.
             let (down, [a_right, b_right, c_right]) = (1, [rows, depth, rows].map(|rows| rows as isize));
             for _ in 0..times {
                 let (a, b, c) = (a.as_ptr(), b.as_ptr(), c.as_mut_ptr());
-                // SAFETY: the three slices are whole matrices of these shapes.
+                // SAFETY: the three slices are complete matrices of these shapes.
                 unsafe {
                     matrixmultiply::sgemm(rows, depth, cols, 1.0, a, down, a_right, b, down, b_right, 0.0, c, down, c_right)
                 };
@@ -162,7 +162,8 @@ fn shares(count: usize) {
     );
 }
 
-/// Whole epochs: 32 updates of 8, then 256 training and 256 test states.
+/// Times whole epochs: 32 updates of 8 samples, then evaluations of 256 training and 256 test
+/// samples.
 fn epochs(count: usize) {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     println!("\nf32 epoch: {} updates, evaluation of 256 + 256 states", 256 / BATCH);

@@ -1,8 +1,10 @@
-//! What schemes for Schrödinger's equation cost where their phases are equally right.
+//! Benchmark of schemes for Schrödinger's equation at equal phase accuracy.
 //!
-//! `cargo bench --bench quantum_schemes`. Rollouts with their adjoints of R, of a batch of eight samples
-//! on one thread, with a policy that does nothing. Every scheme takes as few substeps as turn the fifth eigenstate to 1 %.
-//! Everything is measured in turn, round after round; a ratio is the median of the rounds' ratios to Crank and Nicolson's.
+//! Usage: `cargo bench --bench quantum_schemes`. Measures rollouts with the adjoint of R: eight
+//! samples, one thread, zero control. Each scheme takes the fewest substeps for which the phase of
+//! the fifth eigenstate is correct to 1 %.
+//!
+//! Jobs alternate within each round. Ratios are medians over rounds, relative to Crank-Nicolson.
 
 mod measure;
 
@@ -17,7 +19,7 @@ const BATCH: usize = 8;
 
 type Job = Box<dyn FnMut()>;
 
-/// A scheme: its name, its substeps, and a job made anew.
+/// A scheme: name, number of substeps, and a factory of jobs.
 struct Form {
     name: String,
     count: usize,
@@ -30,7 +32,7 @@ fn main() {
         "microseconds of a rollout with adjoint, {BATCH} samples, one thread; ratio to Crank and Nicolson (lowest, highest)"
     );
     for grid in [32, 64, 128, 512] {
-        // Short, so that other work on the machine does not get into most rounds of the slow ones.
+        // Short jobs: disturbances of the machine then affect few rounds.
         let horizon = if grid < 128 { 16 } else { 4 };
         let (places, count) = if quick { (1, 3) } else { (5, (6400 / grid).max(25)) };
         table("f32", grid, horizon, places, count, forms::<f32>(grid, horizon));
@@ -66,7 +68,8 @@ fn forms<F: Float>(grid: usize, horizon: usize) -> [Vec<Form>; 2] {
     all
 }
 
-/// For a phase of the fifth eigenstate that is right to 1 % after a time step of `body`.
+/// Fewest substeps for which the phase of the fifth eigenstate is correct to 1 % after one step of
+/// `body`.
 fn least_substeps<S: System>(body: QuantumSystem, make: impl Fn(QuantumSystem) -> S) -> usize {
     let phi: Vec<f64> = body.eigenstate(5).flat_map(|phi| [phi, 0.0]).collect();
     let sine = (5.0 * PI / (2.0 * (body.grid + 1) as f64)).sin() / body.spacing();
@@ -85,7 +88,7 @@ fn table(precision: &str, grid: usize, horizon: usize, places: usize, count: usi
         println!("\n{precision}, {grid} grid points, {horizon} steps, {scene}");
         let mut found = vec![(Vec::new(), Vec::new()); forms.len()];
         for place in 0..places {
-            // Made in another order, and with gaps of odd sizes between them.
+            // Varies the order of construction and the memory layout between repetitions.
             let order: Vec<usize> = (0..forms.len()).map(|i| (i + place) % forms.len()).collect();
             let mut gaps = Vec::new();
             let mut jobs: Vec<Job> = Vec::new();
@@ -122,7 +125,7 @@ where
     Form { name: String::new(), count, job: Box::new(job) }
 }
 
-/// A rollout and its adjoint.
+/// A rollout with its adjoint.
 fn job<F: Float, S: Around<QuantumSystem> + 'static>(system: S, horizon: usize) -> Job {
     let task = Quantum { horizon, ..Quantum::around(system, 3) };
     let (state_dim, control_dim) = (task.system().state_dim(), task.system().control_dim());

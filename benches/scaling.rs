@@ -1,7 +1,7 @@
-//! How the cost of a step and its adjoint grows with the size of a system.
+//! Benchmark of the cost of a step and its adjoint over the size of the system.
 //!
-//! `cargo bench --bench scaling`. A batch of eight samples in f32 on one thread, with a policy that does nothing: what
-//! is measured is physics, costs, and moving numbers about. All sizes are measured in turn, round after round.
+//! Usage: `cargo bench --bench scaling`. Eight samples in f32, one thread, zero control: measures
+//! physics, costs and data movement. Sizes alternate within each round.
 
 mod measure;
 
@@ -11,7 +11,7 @@ use physgrad::tasks::{Guidance, Quantum, QuantumSystem};
 use physgrad::{Adjoint, Flow, Rollout, System, Task, Weights};
 
 const BATCH: usize = 8;
-/// Few, so that the largest trajectories stay in the cache.
+/// Small enough that the largest trajectories stay in the cache.
 const STEPS: usize = 16;
 
 fn main() {
@@ -26,7 +26,7 @@ fn main() {
     println!("\nquantum: a tridiagonal solve each way, O(grid)");
     table("grid points", count, &grids.map(|grid| (grid, quantum(grid))));
 
-    // Drivers and evaders: n (n - 1) / 2 pairs.
+    // Numbers of drivers and evaders. n agents form n (n - 1) / 2 pairs.
     let herds = [(1, 2), (2, 4), (4, 8), (8, 16), (16, 32)];
     let guidance = |(drivers, evaders)| Guidance { horizon: STEPS, ..Guidance::new(drivers, evaders) };
     let pairs = |(drivers, evaders)| (drivers + evaders) * (drivers + evaders - 1) / 2;

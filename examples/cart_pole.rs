@@ -1,6 +1,7 @@
-//! Cart-pole with the library alone: the same training along R and C, and what a policy does afterwards.
+//! Cart-pole with the library alone: trains with R and C, then prints a rollout of each trained
+//! policy.
 //!
-//! `cargo run --release --example cart_pole -- [epochs] [poles]`
+//! Run: `cargo run --release --example cart_pole -- [epochs] [poles]`
 
 use physgrad::policy::Mlp;
 use physgrad::tasks::CartPole;
@@ -24,7 +25,7 @@ fn main() -> Result<(), TrainError> {
             }
         }
 
-        // One test rollout under the trained policy, every tenth step.
+        // Rolls out one test sample under the trained policy and prints every twentieth step.
         let mut rollout = Rollout::new(&task, &policy, 1);
         rollout.start(&session.test_starts()[..n]);
         if let Err(divergence) = rollout.run(&task, &policy, session.weights()) {

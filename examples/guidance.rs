@@ -1,6 +1,6 @@
-//! Guidance by repulsion with the library alone: how much control may cost decides what is learned.
+//! Guidance by repulsion with the library alone: compares two weights of the control cost.
 //!
-//! `cargo run --release --example guidance -- [epochs]`
+//! Run: `cargo run --release --example guidance -- [epochs]`
 
 use physgrad::policy::Mlp;
 use physgrad::tasks::Guidance;
@@ -22,7 +22,7 @@ fn main() -> Result<(), TrainError> {
             }
             let loss = session.records().last().map_or(f64::NAN, |record| record.test_loss);
 
-            // Where one test herd ends up.
+            // Mean distance of the evaders from the origin in one test rollout.
             let mut rollout = Rollout::new(&task, &policy, 1);
             rollout.start(&session.test_starts()[..n]);
             if let Err(divergence) = rollout.run(&task, &policy, session.weights()) {

@@ -1,6 +1,7 @@
-//! Quantum control with the library alone: from a mixture of the two lowest eigenstates into the third.
+//! Quantum control with the library alone: steers a superposition of the two lowest eigenstates
+//! into the third.
 //!
-//! `cargo run --release --example quantum -- [epochs]`
+//! Run: `cargo run --release --example quantum -- [epochs]`
 
 use physgrad::policy::Conv;
 use physgrad::tasks::Quantum;
@@ -21,7 +22,7 @@ fn main() -> Result<(), TrainError> {
         }
     }
 
-    // One test rollout: how much of it is in the target, and how much of it is there at all.
+    // Rolls out one test sample and prints its fidelity with the target and its norm.
     let mut rollout = Rollout::new(&task, &policy, 1);
     rollout.start(&session.test_starts()[..n]);
     if let Err(divergence) = rollout.run(&task, &policy, session.weights()) {
@@ -30,7 +31,7 @@ fn main() -> Result<(), TrainError> {
     for t in (0..=task.horizon).step_by(32) {
         let psi: Vec<f64> = (0..n).map(|i| f64::from(rollout.state(t, 0, i))).collect();
         let norm: f64 = psi.iter().map(|x| x * x).sum();
-        // Quantum's cost of a last state is its infidelity.
+        // The terminal cost of `LossMode::Final` is the infidelity.
         let fidelity = 1.0 - Quantum { loss: physgrad::tasks::LossMode::Final, ..task }.terminal_cost(&psi);
         println!("  time {:>4.1}: fidelity {fidelity:.3}, norm {norm:.6}", t as f64 * task.system.dt);
     }

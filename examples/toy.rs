@@ -1,7 +1,7 @@
-//! The paper's two toy examples in numbers: how long R and M are over the two parameters of a policy, and what a rotation
-//! does to Adam.
+//! The two toy examples of the paper: norms of R and M over two policy parameters, and Adam on a
+//! field with a rotation.
 //!
-//! `cargo run --release --example toy`
+//! Run: `cargo run --release --example toy`
 
 use physgrad::policy::{Constant, Quadratic};
 use physgrad::tasks::{Bowl, Reach};
@@ -12,7 +12,8 @@ fn main() -> Result<(), Divergence> {
     let task = Reach::default();
     println!("u = θ₁ x² + θ₂ x from x = {}, {} steps, target {}:", task.start, task.horizon, task.target);
     println!("{:>12} {:>9} {:>9} {:>9}", "θ", "loss", "|R|", "|M|");
-    // Explosion, an ordinary place, the plateau where R has all but vanished, and close to a minimum.
+    // Exploding gradient, typical point, plateau with a vanishing R, and a point close to a
+    // minimum.
     let thetas = [[-3.5, 3.5], [1.0, 1.0], [0.1, -1.05], [1.3, -2.99]];
     let [r, m] = [Field::regular(), Field::modified()].map(|field| toy::sample(&task, &Quadratic, &field, &thetas));
     for (r, m) in r?.iter().zip(&m?) {

@@ -5,7 +5,7 @@ use physgrad::rng::Rng;
 use physgrad::tasks::{CartDamping, CartPoleSystem, PoleDamping, SteadyWind};
 use physgrad::{Around, Cotangent, Real, Scalar, System};
 
-/// With these pieces of physics or, at compile time, without.
+/// Physics whose constant parameters switch friction and wind on.
 #[derive(Clone)]
 pub struct ByHand<const FRICTION: bool, const WIND: bool> {
     pub system: CartPoleSystem,
@@ -14,7 +14,7 @@ pub struct ByHand<const FRICTION: bool, const WIND: bool> {
     pub wind: SteadyWind,
 }
 
-/// A value for each pole.
+/// One value per pole.
 type PerPole<T> = ArrayVec<T, 16>;
 
 impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
@@ -38,7 +38,7 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
         let (pole_drag, damping) = (T::lift(self.wind.pole_drag), T::lift(self.pole.damping));
         let headwind = if WIND { T::lift(self.wind.speed) - x[1] } else { T::zero() };
 
-        // What the wind does to the poles pushes the cart too, and that each pole.
+        // Drag on one pole pushes the cart, which accelerates every pole. Sums all forces first.
         let mut force = u[0];
         if FRICTION {
             force -= T::lift(self.cart.damping) * x[1];
@@ -145,7 +145,8 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
         }
         let mut speed_bar = speed_bar;
         if WIND {
-            // Here and not above: the drag on a pole pushes the cart, with a force whose cotangent is complete only now.
+            // Separate loop: the cotangent of the force is complete only after the loop over the
+            // poles.
             for (i, (&(sin, cos), &(strength, drag))) in trig.iter().zip(&air).enumerate() {
                 let across_bar = (force_bar * cos + torques_bar[i] * l) * (strength + strength);
                 speed_bar -= across_bar * cos;

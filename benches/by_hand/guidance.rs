@@ -1,11 +1,12 @@
-//! The herding of the paper: friction, drivers that spread, evaders that flee and flock.
+//! Herding as in the paper: friction, drivers that repel each other, evaders that flee and flock.
 
 use arrayvec::ArrayVec;
 use physgrad::rng::Rng;
 use physgrad::tasks::{Evade, Flock, Friction, GuidanceSystem, Spread};
 use physgrad::{Around, Cotangent, Float, Real, Scalar, System};
 
-/// [`GuidanceSystem::herding`], for at most 32 agents who steer by the sum of the evaders' positions.
+/// [`GuidanceSystem::herding`] for at most 32 agents, with a control frame at the sum of the
+/// evaders' positions.
 #[derive(Clone)]
 pub struct ByHand {
     pub system: GuidanceSystem,
@@ -18,7 +19,8 @@ pub struct ByHand {
 /// Numbers per agent: x, y, vx, vy.
 const AGENT: usize = 4;
 
-/// What is made of the separation r of two agents, with d = softening + |r|: r / d, |r| / d, 1 / d and r / |r|.
+/// Quantities of the separation r of two agents, with d = softening + |r|: r / d, |r| / d, 1 / d
+/// and r / |r|.
 struct Gap<T> {
     share: [T; 2],
     length_share: T,
@@ -26,7 +28,7 @@ struct Gap<T> {
     direction: [T; 2],
 }
 
-/// `(far / d + near / d²) r`.
+/// Force law `(far / d + near / d²) r`.
 #[derive(Clone, Copy)]
 struct Law<T> {
     far: T,
@@ -34,7 +36,8 @@ struct Law<T> {
 }
 
 impl<T: Scalar> Gap<T> {
-    /// Of agent `b` from agent `a`; where squares would overflow or lose digits, of a multiple of it.
+    /// Separation from agent `a` to agent `b`. Rescales it where squares would overflow or lose
+    /// digits.
     #[inline(always)]
     fn new(x: &[T], a: usize, b: usize, softening: T) -> Self {
         let (range, shift) = if T::Real::EPSILON < 1e-10 { (500, 600) } else { (60, 90) };
@@ -85,7 +88,7 @@ const fn power_of_two(exponent: i32) -> f64 {
 }
 
 impl ByHand {
-    /// The forces of spreading, evading and flocking.
+    /// Force laws of spreading, evading and flocking.
     #[inline(always)]
     fn laws<T: Scalar>(&self) -> [Law<T>; 3] {
         let law = |far, near| Law { far: T::lift(far), near: T::lift(near) };
@@ -93,7 +96,7 @@ impl ByHand {
         [law(0.0, self.spread.strength), law(0.0, self.evade.strength), law(flock.strength, -flock.strength * flock.distance)]
     }
 
-    /// The sum of the evaders' positions.
+    /// Sum of the evaders' positions.
     #[inline(always)]
     fn herd<T: Scalar>(&self, x: &[T]) -> [T; 2] {
         let mut sum = [T::zero(); 2];
@@ -118,7 +121,7 @@ impl System for ByHand {
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
         let (drivers, agents) = (self.system.drivers, self.system.drivers + self.system.evaders);
         let (softening, [spread, evade, flock]) = (T::lift(self.system.softening), self.laws::<T>());
-        // Accelerations, gathered where the next velocities will be.
+        // Stores accelerations in the velocity components of `next`.
         let herd = self.herd(x);
         let friction = T::lift(self.friction.drivers);
         for ((next, x), c) in next.chunks_exact_mut(AGENT).zip(x.chunks_exact(AGENT)).zip(u.chunks_exact(2)) {

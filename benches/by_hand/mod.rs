@@ -1,4 +1,4 @@
-//! Physics as one would write it for one scene: one function each way, nothing that could be left out or added.
+//! Handwritten physics: one step and one VJP per scene, without the effect system.
 
 pub mod cart_pole;
 pub mod guidance;

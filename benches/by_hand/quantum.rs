@@ -1,4 +1,4 @@
-//! A particle in a box with a tilted floor, in a harmonic trap and with a cubic term.
+//! A particle in a box with a tilt as control, a harmonic trap and a cubic term.
 
 use arrayvec::ArrayVec;
 use physgrad::rng::Rng;
@@ -6,7 +6,7 @@ use physgrad::tasks::{Cubic, Harmonic, QuantumSystem};
 use physgrad::{Around, Cotangent, Real, Scalar, System};
 use std::ops::{Add, Mul, Sub};
 
-/// For at most 64 grid points; with these pieces of physics or, at compile time, without.
+/// Physics for at most 64 grid points. Constant parameters switch the trap and the cubic term on.
 #[derive(Clone)]
 pub struct ByHand<const TRAP: bool, const CUBIC: bool> {
     pub system: QuantumSystem,
@@ -14,10 +14,11 @@ pub struct ByHand<const TRAP: bool, const CUBIC: bool> {
     pub cubic: Cubic,
 }
 
-/// A value for each grid point.
+/// One value per grid point.
 type PerPoint<T> = ArrayVec<T, 64>;
 
-/// Solves `A y = rhs`, from one over the pivots of A and what is beside its diagonal, `-ib`.
+/// Solves `A y = rhs` for a tridiagonal A, from its reciprocal pivots and its off-diagonal entry
+/// `-ib`.
 #[inline(always)]
 fn solve<T, V>(per_pivot: &[(T, T)], b: T, rhs: &[V], y: &mut [V])
 where
@@ -45,7 +46,7 @@ where
 }
 
 impl<const TRAP: bool, const CUBIC: bool> ByHand<TRAP, CUBIC> {
-    /// What is beside the diagonal of A, and one over each of its pivots.
+    /// Returns the off-diagonal magnitude `b` and stores the reciprocal pivots of A.
     #[inline(always)]
     fn eliminate<T: Scalar>(&self, x: &[T], u: &[T], per_pivot: &mut PerPoint<(T, T)>) -> T {
         let (s, dx, half_dt) = (&self.system, self.system.spacing(), 0.5 * self.system.dt);

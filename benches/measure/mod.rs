@@ -1,18 +1,18 @@
-//! What the benchmarks share: jobs in turn, medians, and a policy that does nothing.
+//! Shared parts of the benchmarks: alternating jobs, medians, and a policy with zero control.
 
 use physgrad::policy::{Policy, PolicyPass};
 use physgrad::rng::Rng;
 use physgrad::{Float, Scalar};
 use std::time::Instant;
 
-/// Runs every job once per round, in turn; microseconds of each, round by round.
+/// Runs every job once per round, in turn. Returns microseconds, indexed by job and round.
 pub fn rounds(rounds: usize, jobs: &mut [&mut dyn FnMut()]) -> Vec<Vec<f64>> {
     let mut times = vec![Vec::new(); jobs.len()];
     for round in 0..=rounds {
         for (job, times) in jobs.iter_mut().zip(&mut times) {
             let begin = Instant::now();
             job();
-            // The first round warms up.
+            // Discards the first round as warm-up.
             if round > 0 {
                 times.push(begin.elapsed().as_secs_f64() * 1e6);
             }
@@ -27,12 +27,12 @@ pub fn median(values: &[f64]) -> f64 {
     sorted[sorted.len() / 2]
 }
 
-/// The median of the ratios round by round, which holds when the machine's speed drifts.
+/// Median of the ratios per round, which cancels drifts of the machine's speed.
 pub fn ratio(a: &[f64], b: &[f64]) -> f64 {
     median(&a.iter().zip(b).map(|(a, b)| a / b).collect::<Vec<_>>())
 }
 
-/// A policy that does nothing: what is left of a rollout is physics and moving numbers about.
+/// Policy with zero control, which leaves physics and data movement to measure.
 pub struct Nothing {
     pub state_dim: usize,
     pub control_dim: usize,

@@ -1,4 +1,4 @@
-//! `physgrad accuracy`: what accuracy costs in time.
+//! `physgrad accuracy`: errors and costs of integrators, step sizes and precisions.
 
 mod derivatives;
 mod gradient_outputs;
@@ -25,48 +25,50 @@ use row::{Errors, Row, Setting};
 use std::path::PathBuf;
 use toml::Value;
 
-/// Simulate a scene by every integrator, step size and precision; tell errors of trajectory, loss and gradients, time,
-/// operations and memory.
+/// Simulate a scene with every integrator, step size and precision; report errors of trajectory,
+/// loss and gradients, times, operations and memory.
 ///
-/// The reference is a run in f64 by a method of high order with small steps, checked by halving them. The policy is the
-/// scene's before its first epoch, with no kernel zeroed; eight samples on one thread.
+/// The reference is a run in f64 with a high-order method and small steps, checked against half as
+/// many steps. The policy has the initial parameters of the scene, without zeroed kernels. Eight
+/// samples run on one thread.
 #[derive(Debug, clap::Args)]
 pub struct Accuracy {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     pub scene: String,
     #[command(flatten)]
     pub changes: Changes,
-    /// Name the cheapest setting with at most this error, and the lines to put in the scene
+    /// Name the cheapest setting with at most this error, and print its lines for the scene file
     #[arg(long, value_name = "ERROR")]
     pub target: Option<f64>,
-    /// The error that --target is about
+    /// Error that --target refers to
     #[arg(long, value_enum, default_value_t = Of::Trajectory)]
     pub of: Of,
-    /// Measure instead what gradients cost: reverse passes, forward mode, differences, checkpoints, horizons
+    /// Measure the costs of gradients instead: reverse passes, forward mode, differences,
+    /// checkpoints, horizons
     #[arg(long, conflicts_with_all = ["target", "of"])]
     pub gradients: bool,
-    /// The horizons at which --gradients looks at R
+    /// Horizons at which --gradients computes R, in steps
     #[arg(long, value_name = "STEPS", value_delimiter = ',', requires = "gradients",
           default_values_t = [10, 32, 100, 316, 1000, 3162, 10_000, 31_623, 100_000])]
     pub horizons: Vec<usize>,
     /// Folder for the results [default: a new one in `runs`]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Print nothing but the results
+    /// Print only the results
     #[arg(long)]
     pub quiet: bool,
 }
 
-/// An error that can be asked for.
+/// Error measure of `--target`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Of {
-    /// Of the states
+    /// Error of the states
     Trajectory,
-    /// Of the loss
+    /// Error of the loss
     Loss,
-    /// Of the gradient of R
+    /// Error of the gradient of R
     R,
-    /// Of the gradient of M
+    /// Error of the gradient of M
     M,
 }
 
@@ -80,7 +82,7 @@ impl Of {
         }
     }
 
-    /// Seconds of what has this error.
+    /// Seconds of the pass that this error refers to: forward, or forward with gradients.
     fn time(self, row: &Row) -> f64 {
         row.seconds[usize::from(matches!(self, Self::R | Self::M))][1]
     }
@@ -95,9 +97,9 @@ impl Of {
     }
 }
 
-/// Steps of the physics in one of the policy.
+/// Numbers of physics steps per control step.
 const SUBSTEPS: [usize; 5] = [1, 2, 4, 8, 16];
-/// Rounds of timing, and seconds in each for a setting, forward and with gradients.
+/// Timing rounds, and the least time in seconds per round for each setting and pass.
 const ROUNDS: usize = 5;
 const LEAST: f64 = 0.003;
 
@@ -134,7 +136,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         jobs.push(study.job(setting)?);
         bar.inc(1);
     }
-    // Round after round, so that what else the machine does falls on all of them.
+    // Interleaves the settings, so that disturbances of the machine affect all of them.
     let mut times = vec![Vec::new(); jobs.len()];
     for round in 0..ROUNDS {
         for (job, times) in jobs.iter_mut().zip(&mut times) {
@@ -170,7 +172,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     name_cheapest(&rows, args.of, target)
 }
 
-/// A bar of so many steps.
+/// Progress bar with the given number of steps.
 fn bar(steps: usize, quiet: bool) -> ProgressBar {
     let bar = ProgressBar::new(steps as u64);
     if quiet {
@@ -180,12 +182,12 @@ fn bar(steps: usize, quiet: bool) -> ProgressBar {
     bar
 }
 
-/// A scene whose integrator and precision are varied.
+/// Scene whose integrator and precision are varied.
 struct Study {
-    /// As it was given.
+    /// Document with the user's changes only.
     given: Document,
     scene: Scene,
-    /// The same, with no kernel zeroed.
+    /// Document without zeroed kernels.
     document: Document,
 }
 
@@ -194,7 +196,7 @@ impl Study {
         Ok(setting.of(&self.document)?.prepare())
     }
 
-    /// The scene with the cheapest setting of every method that reaches the target.
+    /// Scenes with the cheapest setting of every method that reaches the target.
     fn scenes(&self, rows: &[Row], of: Of, target: f64) -> Result<Vec<(&'static str, Scene)>> {
         let mut methods: Vec<&str> = rows.iter().map(|row| row.setting.method).collect();
         methods.dedup();
@@ -203,7 +205,7 @@ impl Study {
         all.map(|(row, _)| Ok((row.setting.method, row.setting.of(&self.given)?))).collect()
     }
 
-    /// What is right, to the difference from half as many steps, which is told of too.
+    /// Reference solution, and its difference from the solution with half as many steps.
     fn reference(&self) -> Result<(Found, Errors)> {
         let (method, substeps) = self.scene.kind.reference();
         let run = |substeps| {
@@ -221,7 +223,7 @@ impl Study {
     fn settings(&self) -> Vec<Setting> {
         let methods = ["own"].into_iter().chain(self.scene.kind.methods().iter().map(|method| method.name()));
         let each = methods.flat_map(|method| {
-            // What chooses its own steps needs no others.
+            // Skips further step counts for the adaptive method, which selects its own steps.
             let counts = if method == "adaptive" { &SUBSTEPS[..1] } else { &SUBSTEPS };
             counts.iter().map(move |&substeps| (method, substeps))
         });
@@ -232,13 +234,16 @@ impl Study {
     }
 }
 
-/// The cheapest of these that reaches the target, and its error.
+/// Cheapest setting that reaches the target, with its error.
 fn cheapest<'a>(rows: impl Iterator<Item = &'a Row>, of: Of, target: f64) -> Option<(&'a Row, f64)> {
     let reached = rows.filter_map(|row| Some((row, of.read(row.errors.as_ref().ok()?)))).filter(|(_, error)| *error <= target);
     reached.min_by(|a, b| of.time(a.0).total_cmp(&of.time(b.0)))
 }
 
-/// The cheapest setting that reaches the target, or an error that says what was the best.
+/// Prints the cheapest setting that reaches the target.
+///
+/// # Errors
+/// No setting reaches it. The message names the most accurate setting.
 fn name_cheapest(rows: &[Row], of: Of, target: f64) -> Result<()> {
     let finite = || rows.iter().filter_map(|row| Some((row, of.read(row.errors.as_ref().ok()?))));
     if let Some((row, error)) = cheapest(rows.iter(), of, target) {

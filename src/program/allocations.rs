@@ -1,11 +1,11 @@
-//! Counts what this thread allocates, so that `explain` and `accuracy` need not be believed.
+//! Per-thread allocation counter, for the measurements of `explain` and `accuracy`.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 thread_local! {
     static DONE: Cell<usize> = const { Cell::new(0) };
-    // What another thread took may be given back here: the difference can be negative.
+    // Can be negative: a thread may free memory that another thread allocated.
     static TAKEN: Cell<isize> = const { Cell::new(0) };
     static PEAK: Cell<isize> = const { Cell::new(0) };
 }
@@ -16,10 +16,11 @@ fn note(bytes: isize) {
     PEAK.set(PEAK.get().max(taken));
 }
 
-/// The system's allocator, with a count for each thread.
+/// System allocator with counters for each thread.
 struct Counting;
 
-// SAFETY: everything is handed to the system's allocator. The count has no destructor and does not allocate.
+// SAFETY: all calls forward to the system allocator. The counters have no destructor and do not
+// allocate.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         DONE.set(DONE.get() + 1);
@@ -48,14 +49,14 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Allocations of this thread while it does this.
+/// Counts this thread's allocations during `work`.
 pub fn during(work: impl FnOnce()) -> usize {
     let before = DONE.get();
     work();
     DONE.get() - before
 }
 
-/// What comes of the work, and the most bytes that this thread held during it, beyond those it held before.
+/// Result of `work`, and the peak of bytes held by this thread above the level before it.
 pub fn peak_during<T>(work: impl FnOnce() -> T) -> (T, usize) {
     let before = TAKEN.get();
     PEAK.set(before);

@@ -1,4 +1,4 @@
-//! `physgrad animate`: a film of a trained policy at work.
+//! `physgrad animate`: an animation of a trained policy.
 
 use super::folder::{ANIMATION, Folder};
 use super::outputs;
@@ -7,15 +7,15 @@ use super::terminal::say;
 use anyhow::{Result, bail};
 use std::path::PathBuf;
 
-/// Film a trained policy, starting from a state it was not trained on.
+/// Animate a trained policy, from an initial state of the test set.
 #[derive(Debug, clap::Args)]
 pub struct Animate {
-    /// Folder of a run or of a comparison; of a comparison, every run is filmed
+    /// Folder of a run or of a comparison; for a comparison, animate every run
     pub folder: PathBuf,
-    /// Number of the test start state, from 0
+    /// Index of the test initial state, from 0
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub sample: usize,
-    /// Print nothing but warnings and errors
+    /// Print only warnings and errors
     #[arg(long)]
     pub quiet: bool,
 }

@@ -1,4 +1,4 @@
-//! A run under way, whatever its task, policy and precision.
+//! Object-safe training session, independent of task, policy and precision.
 
 use super::kind::Visit;
 use super::outputs::{self, Trajectory};
@@ -10,31 +10,33 @@ use physgrad::{
 };
 use std::ops::Range;
 
-/// What the program needs of a [`Session`].
+/// Object-safe part of a [`Session`].
 pub trait AnyRun {
     /// Runs to the end of the epoch, or to the first update after which `pause` returns true.
+    ///
+    /// Returns the record of the epoch, or None if paused.
     fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError>;
-    /// Updates applied so far.
+    /// Number of updates applied so far.
     fn updates(&self) -> u64;
-    /// Whether all epochs are done.
+    /// True after the last epoch.
     fn is_done(&self) -> bool;
-    /// One record per epoch done.
+    /// Records of the completed epochs.
     fn records(&self) -> &[Record];
-    /// The updates skipped in the last epoch.
+    /// Updates skipped in the last epoch.
     fn skips(&self) -> &[Skip];
-    /// Where the evaluations at the end of the last epoch were not finite.
+    /// First non-finite value in the training and test evaluations of the last epoch.
     fn diverged(&self) -> [Option<Divergence>; 2];
-    /// The run as bytes, which only a run of the same label takes back.
+    /// Serializes the run. Only a run with the same label can restore it.
     fn checkpoint(&self, label: &str) -> Vec<u8>;
-    /// Takes a checkpoint back.
+    /// Restores a checkpoint.
     fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError>;
-    /// The parameters as named tensors, for other programs.
+    /// Parameters as named tensors in the safetensors format.
     fn safetensors(&self, about: String) -> Result<Vec<u8>>;
-    /// Number of test start states.
+    /// Number of initial states in the test set.
     fn test_samples(&self) -> usize;
-    /// Rollouts from these test start states, or as many of them as there are.
+    /// Rollouts from the chosen test initial states. Truncates the range to the test set.
     fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
-    /// The lengths of the adjoints of R and M along rollouts.
+    /// Norms of the adjoints of R and M along rollouts.
     fn lengths(&self) -> [Lengths; 2];
 }
 
@@ -88,7 +90,7 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
     }
 }
 
-/// Makes a run, before its first epoch.
+/// Visitor that opens a session before its first epoch.
 pub struct Open {
     pub precision: Precision,
     pub field: Field,

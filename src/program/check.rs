@@ -15,7 +15,8 @@ use std::time::Duration;
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
 #[derive(Debug, clap::Args)]
 pub struct Check {
-    /// A task, a preset (see `physgrad scene`), or the path of a scene [default: all tasks, and a rich scene of each]
+    /// A task, a preset (see `physgrad scene`), or the path of a scene
+    /// [default: all tasks, and each task of the paper with effects]
     pub scene: Option<String>,
 }
 
@@ -42,7 +43,7 @@ pub fn check(args: &Check) -> Result<()> {
     bail!("{} of the checks failed:\n{}", results.failures.len(), results.failures.join("\n"));
 }
 
-/// What is to be checked, with a name for each.
+/// Named scenes to check.
 fn scenes(name: Option<&str>) -> Result<Vec<(String, Scene)>> {
     let tasks = KINDS.into_iter().filter(|kind| name.is_none_or(|name| name == kind.name()));
     let variants: Vec<_> = tasks.flat_map(|kind| kind.variants()).collect();
@@ -54,7 +55,7 @@ fn scenes(name: Option<&str>) -> Result<Vec<(String, Scene)>> {
     }
 }
 
-/// Adds the checks of a task and policy to the results.
+/// Visitor that adds the checks of one task and policy to the results.
 pub struct Checking<'a> {
     pub variant: &'a str,
     pub results: &'a mut Results,
@@ -68,7 +69,7 @@ impl Visit for Checking<'_> {
         let system = task.system();
         let (n, m) = (system.state_dim(), system.control_dim());
         results.add(&format!("{variant}: system"), || check::try_system(system).map_err(Failure::from));
-        // The same policies as in the variant before need no second look.
+        // Skips the policy check if the dimensions did not change since the last variant.
         if results.dims.replace((n, m)) != Some((n, m)) {
             results.add(&format!("{variant}: network"), || check::try_policy(&network).map_err(Failure::from));
         }
@@ -78,11 +79,11 @@ impl Visit for Checking<'_> {
     }
 }
 
-/// What the checks found.
+/// Results of the checks so far.
 pub struct Results {
-    /// The task that is being checked.
+    /// Name of the task under check.
     task: &'static str,
-    /// Dimensions of state and control for which its policies were checked last.
+    /// Dimensions of state and control in the last policy check of this task.
     dims: Option<(usize, usize)>,
     table: Table,
     failures: Vec<String>,

@@ -1,4 +1,4 @@
-//! `physgrad compare`: the same training along several fields and seeds, side by side.
+//! `physgrad compare`: one training configuration with several fields and seeds, side by side.
 
 use super::changes::{Changes, changed};
 use super::folder::Folder;
@@ -15,11 +15,12 @@ use comfy_table::presets::UTF8_FULL_CONDENSED;
 use physgrad::report::{Curve, comparison};
 use std::path::PathBuf;
 
-/// Train along several fields and seeds, and compare; in one scene or in several, with integrators or precisions of their
-/// own for example.
+/// Train with several fields and seeds, and compare the results; in one scene or in several, which
+/// may differ in integrator or precision.
 #[derive(Debug, clap::Args)]
 pub struct Compare {
-    /// A task or another preset (see `physgrad scene`), or the path of a scene; several are compared with each other
+    /// A task or another preset (see `physgrad scene`), or the path of a scene; several scenes are
+    /// compared with each other
     #[arg(required = true, value_name = "SCENE")]
     pub scenes: Vec<String>,
     /// Fields to compare
@@ -33,10 +34,10 @@ pub struct Compare {
     /// Number of threads, one run each [default: RAYON_NUM_THREADS, or all cores]
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
-    /// Folder for the results; runs that are already there are taken up where they stopped [default: a new one in `runs`]
+    /// Folder for the results; runs already in it are resumed [default: a new one in `runs`]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Print nothing but warnings and errors
+    /// Print only warnings and errors
     #[arg(long)]
     pub quiet: bool,
 }
@@ -58,7 +59,7 @@ pub fn compare(args: &Compare) -> Result<()> {
     let one = bases.len() == 1;
     let mut comparisons = Vec::new();
     for (name, base) in names.iter().zip(&bases) {
-        // Each is a comparison for itself, too.
+        // Gives each scene a complete comparison folder of its own.
         let (label, inner) = if one { ("", Folder::clone(&folder)) } else { (&**name, Folder::at(folder.file(name))) };
         comparisons.push(Comparison::plan(label, base, &args.fields, args.seeds, &inner)?);
     }
@@ -86,16 +87,16 @@ pub fn compare(args: &Compare) -> Result<()> {
     swept.into_result()
 }
 
-/// The runs in one scene, which has a name if there are several.
+/// Runs of one scene. The name is empty if there is only one scene.
 struct InScene<'a> {
     name: &'a str,
     runs: Vec<Outcome<'a>>,
 }
 
-/// Colours of Okabe and Ito, for scenes; where there is one, fields have theirs.
+/// Okabe-Ito colours, one per scene and field. With a single scene, curves have the field's colour.
 const COLORS: [&str; 8] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999"];
 
-/// A curve for every scene and field.
+/// One curve per scene and field.
 fn all_curves(scenes: &[InScene]) -> Vec<Curve> {
     let each = scenes.iter().flat_map(|scene| curves(&scene.runs, |r| r.test_loss).into_iter().map(|curve| (scene.name, curve)));
     let named = |(i, (name, curve)): (usize, (&str, Curve))| {
@@ -107,7 +108,7 @@ fn all_curves(scenes: &[InScene]) -> Vec<Curve> {
     each.enumerate().map(named).collect()
 }
 
-/// `summary.csv`: one row a run; a run that broke off has no final losses.
+/// `summary.csv`: one row per run. Final losses of a failed run are NaN.
 fn summary(scenes: &[InScene]) -> Result<Vec<u8>> {
     let mut csv = csv::Writer::from_writer(Vec::new());
     let several = scenes.len() > 1;

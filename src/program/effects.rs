@@ -1,4 +1,4 @@
-//! `physgrad effects`: every effect there is, as a page.
+//! `physgrad effects`: the reference page of all effects.
 
 use super::kind::{AnyKind, Info, KINDS};
 use super::settings::ACTUATORS;
@@ -9,7 +9,8 @@ use serde_json::Value;
 use std::fmt::Write;
 use toml::Table;
 
-/// Write the page of all effects, in Markdown: equation, parameters with units and defaults, derivative, cost.
+/// Print the reference page of all effects, in Markdown: equation, parameters with units and
+/// defaults, derivative, cost.
 #[derive(Debug, clap::Args)]
 pub struct Effects {}
 
@@ -47,7 +48,7 @@ fn page() -> Result<String> {
     Ok(page)
 }
 
-/// A table of the parts of a section, then each of them.
+/// Writes a table of the effects of a section, then a paragraph for each.
 fn section(page: &mut String, kind: &'static dyn AnyKind, section: &str, infos: &[Info]) -> Result<()> {
     let schema = kind.schema();
     let of = |info: &Info| &schema["properties"][section]["properties"][info.name];
@@ -69,7 +70,7 @@ fn section(page: &mut String, kind: &'static dyn AnyKind, section: &str, infos: 
     Ok(())
 }
 
-/// What a part adds to a step and to its VJP, beside nothing else.
+/// Operations that an effect adds to a step and to its VJP, in a scene with no other effect.
 fn cost(kind: &'static dyn AnyKind, section: &str, name: &str) -> Result<[Counts; 2]> {
     let mut settings = kind.defaults();
     let alone = kind.scene(settings.clone())?.cost();
@@ -79,7 +80,7 @@ fn cost(kind: &'static dyn AnyKind, section: &str, name: &str) -> Result<[Counts
     Ok([with.step - alone.step, with.vjp - alone.vjp])
 }
 
-/// A line for every equation: they are separated by commas, as are the arguments of functions and what is said of them.
+/// Splits at commas into one line per equation. Commas within parentheses or remarks do not split.
 fn lines(equations: &str) -> String {
     let mut lines = String::new();
     for part in equations.split(", ") {
@@ -99,12 +100,12 @@ fn sentence(text: &str) -> String {
     letters.next().map_or_else(String::new, |first| format!("{}{}.", first.to_uppercase(), letters.as_str()))
 }
 
-/// What the schema says of a setting, fit for a table.
+/// Schema description as one line, with `|` escaped for Markdown tables.
 fn description(of: &Value) -> String {
     of["description"].as_str().unwrap_or_default().replace('\n', " ").replace('|', "\\|")
 }
 
-/// Names, defaults and descriptions from the schema.
+/// Table of parameter names, defaults and descriptions, from the schema.
 fn parameters(page: &mut String, schema: &Value) {
     let _ = writeln!(page, "| parameter | default | |\n|---|---|---|");
     for (name, of) in schema.as_object().into_iter().flatten() {
@@ -113,7 +114,7 @@ fn parameters(page: &mut String, schema: &Value) {
             Value::String(word) => format!("`{word}`"),
             default => default.to_string(),
         };
-        // What is one of several words says what each of them means.
+        // Appends the description of every variant of an enumeration.
         let choices = of["oneOf"].as_array().into_iter().flatten();
         let choices =
             choices.map(|choice| format!("<br>`{}`: {}", choice["const"].as_str().unwrap_or_default(), description(choice)));
@@ -121,7 +122,7 @@ fn parameters(page: &mut String, schema: &Value) {
     }
 }
 
-/// What the letters in the equations of a task stand for, and the sizes that its costs are those of.
+/// Symbols in the equations of a task, and the system size of its operation counts.
 fn symbols(task: &str) -> &'static str {
     match task {
         "cart_pole" => {
@@ -140,7 +141,7 @@ fn symbols(task: &str) -> &'static str {
     }
 }
 
-/// What has no default, with a value for it.
+/// Values for parameters without a default.
 fn required(name: &str) -> Table {
     match name {
         "limit" => toml::toml! { bound = 10.0 },

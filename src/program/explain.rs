@@ -1,4 +1,4 @@
-//! `physgrad explain`: what a scene simulates, what it leaves out, and what that costs.
+//! `physgrad explain`: equations, operation counts and memory of a scene.
 
 mod visitors;
 
@@ -16,9 +16,10 @@ use physgrad::{Cost, Counts, Field};
 use visitors::SAMPLES;
 pub use visitors::{Costing, Stored, Storing};
 
-/// Tell what a scene simulates and what it leaves out; operations of a step and its reverse, by effect; and what is stored.
+/// Explain what a scene simulates and what it leaves out; count operations of a step and its VJP by
+/// effect, and stored bytes.
 ///
-/// Everything is counted, nothing is timed: the numbers are the same on every machine.
+/// All figures are counts, not timings: they are the same on every machine.
 #[derive(Debug, clap::Args)]
 pub struct Explain {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
@@ -27,9 +28,9 @@ pub struct Explain {
     pub changes: Changes,
 }
 
-/// Characters that a table may be wide.
+/// Largest width of a table, in characters.
 const WIDTH: u16 = 130;
-/// Steps of the rollouts whose bytes are counted.
+/// Time steps of the rollouts whose memory is counted.
 const FEW_STEPS: usize = 8;
 
 /// Runs the command.
@@ -56,7 +57,7 @@ pub fn explain(args: &Explain) -> Result<()> {
     Ok(())
 }
 
-/// The first few of them.
+/// Joins the names. Abbreviates more than 12.
 fn names(names: &[String]) -> String {
     match names {
         [first, second, third, _, .., last] if names.len() > 12 => format!("{first}, {second}, {third} … {last}"),
@@ -71,7 +72,7 @@ fn table(header: &[&str]) -> Table {
     table
 }
 
-/// The parts of a scene that may be absent: the section, and what is known of each.
+/// Section and documentation of every effect and actuator available in a scene.
 fn parts(scene: &Scene) -> Vec<(&'static str, &'static Info)> {
     let sections = [scene.kind.effects(), &ACTUATORS];
     OPTIONAL.into_iter().zip(sections).flat_map(|(section, infos)| infos.iter().map(move |info| (section, info))).collect()
@@ -81,7 +82,7 @@ fn is_present(scene: &Scene, section: &str, name: &str) -> bool {
     scene.table.get(section).and_then(|section| section.get(name)).is_some()
 }
 
-/// What is in play, and what is available but absent.
+/// Table of the effects and actuators: those present, then those absent.
 fn effects(scene: &Scene) -> Table {
     let mut table = table(&["", "effect", "equation", "derivative"]);
     let parts = parts(scene);
@@ -94,7 +95,7 @@ fn effects(scene: &Scene) -> Table {
     table
 }
 
-/// Operations by pass and kind, as in a row of the table: of all kinds, then of each.
+/// Operation counts by pass and kind. The first entry of each pass is the total.
 fn numbers(cost: &Cost) -> [[i64; 8]; 3] {
     [cost.step, cost.vjp, cost.vjp_control].map(|counts| {
         let Counts { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
@@ -102,8 +103,10 @@ fn numbers(cost: &Cost) -> [[i64; 8]; 3] {
     })
 }
 
-/// Operations of the system alone, of each part that is present (what is saved without it), and of all. Two actuators one
-/// after the other have to hand something on, which either of them saves.
+/// Operation counts of the system alone, of each part that is present, and of the whole.
+///
+/// The count of a part is the whole minus the scene without it. Two actuators share the hand-over
+/// between them, which both differences contain. The row "counted twice" shows this overlap.
 fn operations(scene: &Scene) -> Result<Table> {
     let kinds = ["all", "add, subtract", "negate", "multiply", "divide", "root", "function", "compare"];
     let mut table = table(&[&["", "pass"][..], &kinds].concat());
@@ -142,7 +145,8 @@ fn difference(a: [[i64; 8]; 3], b: [[i64; 8]; 3]) -> [[i64; 8]; 3] {
     std::array::from_fn(|pass| std::array::from_fn(|kind| a[pass][kind] - b[pass][kind]))
 }
 
-/// Bytes of a rollout and of the adjoint of each field, for each step and besides; and allocations in a step.
+/// Bytes of a rollout and of the adjoint of each field, per step and constant, and allocations per
+/// step.
 fn bytes(scene: &Scene) -> Result<Table> {
     let mut table = table(&["", "bytes each step", "besides", "whole rollout", "allocations each step"]);
     let steps = scene.horizon;
@@ -151,7 +155,7 @@ fn bytes(scene: &Scene) -> Result<Table> {
         table.insert("horizon".into(), toml::Value::Integer(horizon as i64));
         scene.kind.scene(table)
     };
-    // Two horizons tell what a step takes.
+    // Separates the part per step from the constant part by two horizons.
     let (short, long) = (with_horizon(FEW_STEPS)?, with_horizon(2 * FEW_STEPS)?);
     let mut row = |name: &str, field: Option<Field>| {
         let [short, long] = [&short, &long].map(|scene| scene.stored(field));

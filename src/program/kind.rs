@@ -1,4 +1,10 @@
-//! What the program knows of a task beyond its physics: settings, defaults, limits, names, a picture.
+//! Task kinds: the part of a task that only the program needs.
+//!
+//! A [`Kind`] adds settings, defaults, limits, column names and an animation to the physics of a
+//! task.
+//! [`KINDS`] lists all of them. [`AnyKind`] is the object-safe form, and [`Visit`] gives access to
+//! the concrete types.
+//! Start with `cart_pole`.
 
 mod cart_pole;
 mod guidance;
@@ -24,76 +30,80 @@ use toml::Table;
 pub trait Section: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static {}
 impl<T: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static> Section for T {}
 
-/// What a task name stands for. Which effects are present decides which type of task it becomes.
+/// Task name and its settings. The effects that are present select the concrete [`Task`] type.
 pub trait Kind: Clone + Debug + Send + Sync + 'static {
     /// The `system` section: settings of the physics.
     type System: Section;
-    /// The `effects` section: a subsection for every effect that is present.
+    /// The `effects` section: one subsection per effect that is present.
     type Effects: Section + Default;
-    /// The `loss` section: settings of the cost.
+    /// The `loss` section: settings of the cost function.
     type Loss: Section + Default;
-    /// The `policy` section; its defaults are the task's.
+    /// The `policy` section. Default values depend on the task.
     type Network: Network;
 
     /// The task's name.
     const NAME: &'static str;
-    /// What it is about, in a line.
+    /// One-line description.
     const ABOUT: &'static str;
     /// Default number of epochs.
     const EPOCHS: usize;
-    /// Default number of steps.
+    /// Default number of time steps.
     const HORIZON: usize;
-    /// The methods that can take its steps, beside its own.
+    /// Integrators that can replace the task's own.
     const METHODS: &'static [Method] = &[];
     /// Every effect, in the order of the section.
     const EFFECTS: &'static [Info] = &[];
 
     /// The default physics.
     fn system() -> Self::System;
-    /// What is out of range among the sections `system`, `effects` and `loss`, and what nothing reads.
+    /// Checks the sections `system`, `effects` and `loss`.
+    ///
+    /// # Errors
+    /// A value is out of range, or no part of the task reads a setting.
     fn validate(settings: &Settings<Self>) -> Result<(), Problem>;
-    /// Hands the task and the policy that the settings describe to the visitor. One arm for every combination of effects.
+    /// Calls the visitor with the task and the policy of these settings.
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out;
-    /// Settings worth a gradient check, with a name for each.
+    /// Named settings for gradient checks.
     fn variants() -> Vec<(String, Settings<Self>)>;
 
-    /// Seconds per step.
+    /// Time step in seconds.
     fn dt(settings: &Settings<Self>) -> f64;
-    /// What the components of the state are called, those that effects add included.
+    /// Names of the state components, including those that effects add.
     fn state_names(settings: &Settings<Self>) -> Vec<String>;
-    /// What the components of the control are called.
+    /// Names of the control components.
     fn control_names(settings: &Settings<Self>) -> Vec<String>;
-    /// What keeps its value while the policy does nothing, if anything does.
+    /// A quantity that is conserved while the control is zero, or None.
     fn conserved(_settings: &Settings<Self>) -> Option<Conserved> {
         None
     }
-    /// A rollout that moves: states and controls step by step.
+    /// Animation of one rollout, from the states and controls of each step.
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
 }
 
-/// What one may want to know of an effect, or of what is between policy and physics.
+/// Documentation of an effect or actuator.
 #[derive(Clone, Copy, Debug)]
 pub struct Info {
-    /// Its key in the section.
+    /// Key in the section.
     pub name: &'static str,
-    /// What it adds.
+    /// Equation of the added term.
     pub equation: &'static str,
-    /// How its derivative comes about, and where it is not one.
+    /// Method of differentiation, and where it smooths or takes a one-sided derivative.
     pub derivative: &'static str,
 }
 
-/// A function of the state that keeps its value in continuous time.
+/// A function of the state that is conserved in continuous time.
 pub struct Conserved {
-    /// What it is called.
+    /// Name of the quantity.
     pub name: &'static str,
-    /// Its value at a state.
+    /// Evaluates the quantity at a state.
     pub value: OfState,
 }
 
 type OfState = Box<dyn Fn(&[f64]) -> f64>;
 
 impl Conserved {
-    /// How far it moves at most from where it began, over all samples, in relation to its largest size.
+    /// Largest deviation from the initial value over all samples, relative to the largest absolute
+    /// value.
     pub fn drift(&self, samples: &[Vec<Vec<f64>>]) -> f64 {
         let (mut drift, mut size) = (0.0_f64, 0.0_f64);
         for states in samples {
@@ -102,16 +112,18 @@ impl Conserved {
                 (drift, size) = (drift.max((value - start).abs()), size.max(value.abs()));
             }
         }
-        // Of no samples, NaN.
+        // NaN without samples.
         drift / size
     }
 }
 
-/// What needs the types of task and policy. It is compiled once for each of them, so it should do little.
+/// Computation that needs the concrete types of task and policy.
+///
+/// Keep implementations short: the compiler monomorphizes them once per task and policy.
 pub trait Visit {
-    /// What comes of it.
+    /// Result type.
     type Out;
-    /// Does its work.
+    /// Runs the computation.
     fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Self::Out;
 }
 
@@ -128,27 +140,28 @@ pub const KINDS: [&dyn AnyKind; 9] = [
     &hard::Push,
 ];
 
-/// A [`Kind`] of which one need not know which.
+/// Object-safe [`Kind`].
 pub trait AnyKind: Send + Sync {
     /// The task's name.
     fn name(&self) -> &'static str;
-    /// What it is about, in a line.
+    /// One-line description.
     fn about(&self) -> &'static str;
     /// Every effect.
     fn effects(&self) -> &'static [Info];
-    /// The methods that can take its steps, beside its own.
+    /// Integrators that can replace the task's own.
     fn methods(&self) -> &'static [Method];
-    /// A method of high order and steps in one of the policy, to compare others with.
+    /// A high-order integrator and the number of substeps per control step, used as reference
+    /// solution.
     fn reference(&self) -> (&'static str, usize);
     /// The default settings.
     fn defaults(&self) -> Table;
-    /// These settings, in which nothing is missing but what has a default of its own, in full.
+    /// Fills in missing settings that have a default of their own.
     fn fill(&self, settings: Table) -> Result<Table, Problem>;
-    /// A scene of these settings, which must be complete.
+    /// Makes a scene from complete settings.
     fn scene(&'static self, settings: Table) -> Result<Scene, Problem>;
-    /// The JSON schema of its scenes.
+    /// JSON schema of scenes of this task.
     fn schema(&self) -> serde_json::Value;
-    /// Scenes worth a gradient check, with a name for each.
+    /// Named scenes for gradient checks.
     fn variants(&'static self) -> Vec<(String, Scene)>;
 }
 

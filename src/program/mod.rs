@@ -1,4 +1,16 @@
-//! The `physgrad` program.
+//! The `physgrad` command-line program (feature `program`).
+//!
+//! A scene file becomes a run in five steps:
+//!
+//! 1. `presets` and `document` read the text.
+//! 2. `settings` holds the sections.
+//! 3. `kind` maps a task name to types.
+//! 4. `scene` hides the types.
+//! 5. `run` trains and saves.
+//!
+//! There is one module per command: `train`, `compare`, `animate`, `report`, `check`, `paper`,
+//! `tasks`, `print` (`scene` and `schema`), `explain`, `accuracy`, `stress` and `effects`.
+//! Start with `train` and `scene`.
 
 mod accuracy;
 mod allocations;
@@ -37,9 +49,10 @@ use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 use terminal::tell;
 
-/// Train neural controllers through long rollouts of differentiable physics, and choose the vector field to follow.
+/// Train neural controllers through long rollouts of differentiable physics; choose the vector
+/// field that the optimizer follows.
 ///
-/// Without a command: train cart_pole with its defaults.
+/// Without a command: train cart_pole with its default settings.
 #[derive(Debug, Parser)]
 #[command(version, arg_required_else_help = false)]
 struct Arguments {
@@ -65,14 +78,14 @@ enum Command {
     Effects(effects::Effects),
 }
 
-/// Exit status of a training that applied no update.
+/// Exit status of a training run that applied no update.
 const NO_UPDATE: u8 = 3;
 
 /// Runs the program and returns its exit status.
 pub fn main() -> ExitCode {
     let command = Arguments::parse().command.unwrap_or_else(default_run);
     match (execute(&command), signals::received()) {
-        // Commands that follow in a script do not run.
+        // Makes a shell script stop: its next command does not run.
         (Ok(()), Some(signal)) => ExitCode::from(signals::exit_status(signal)),
         (Ok(()), None) => ExitCode::SUCCESS,
         (Err(error), _) => {

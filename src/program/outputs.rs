@@ -1,4 +1,4 @@
-//! The files a run leaves: metrics, policy, learning curve, trajectories.
+//! Output files of a run: metrics, policy, learning curve, animation, trajectories.
 
 use super::files;
 use super::folder::{Folder, METRICS};
@@ -12,24 +12,24 @@ use std::fs::File;
 use std::ops::Range;
 use std::path::PathBuf;
 
-/// Test rollouts that `trajectory.csv` holds.
+/// Number of test rollouts in `trajectory.csv`.
 pub const ROLLOUTS: usize = 4;
 
-/// `metrics.csv`, one row per epoch, written at the end of the epoch.
+/// Writer of `metrics.csv`: one row per epoch, appended at the end of the epoch.
 pub struct Metrics {
     path: PathBuf,
     file: File,
 }
 
 impl Metrics {
-    /// Replaces the file by one with the epochs done so far.
+    /// Replaces the file by one with the completed epochs.
     pub fn create(folder: &Folder, done: &[Record]) -> Result<Self> {
         let rows = done.iter().map(|record| row(metrics_row(record)));
         let text = [row(METRICS_HEADER)].into_iter().chain(rows).collect::<Result<String>>()?;
         Ok(Self { path: folder.file(METRICS), file: folder.start(METRICS, text)? })
     }
 
-    /// Appends an epoch.
+    /// Appends the row of an epoch.
     pub fn append(&mut self, record: &Record) -> Result<()> {
         let text = row(metrics_row(record))?;
         files::append(&mut self.file, &self.path, text.as_bytes()).with_context(|| self.unwritable())
@@ -93,13 +93,13 @@ pub fn metrics_row(record: &Record) -> [String; 13] {
     ]
 }
 
-/// Training and test loss against epochs.
+/// SVG chart of training and test loss over epochs.
 pub fn learning_curve(title: &str, records: &[Record]) -> String {
     let points = |loss: fn(&Record) -> f64| records.iter().map(|r| (r.epoch as f64, loss(r))).collect::<Vec<_>>();
     report::learning_curve(title, &points(|r| r.train_loss), &points(|r| r.test_loss)).to_svg()
 }
 
-/// The parameters as named tensors, for other programs.
+/// Parameters as named tensors in the safetensors format.
 pub fn safetensors<F: Float>(about: String, policy: &dyn AnyPolicy<F>, theta: &[F]) -> Result<Vec<u8>> {
     let bytes: Vec<u8> = theta.iter().flat_map(|t| t.to_le_bytes().as_ref().to_vec()).collect();
     let dtype = if F::NAME == "f32" { Dtype::F32 } else { Dtype::F64 };
@@ -109,18 +109,18 @@ pub fn safetensors<F: Float>(about: String, policy: &dyn AnyPolicy<F>, theta: &[
         Ok((t.name, view))
     });
     let views: Vec<_> = views.collect::<Result<_, safetensors::SafeTensorError>>()?;
-    // One entry: a map of several would be written in another order every time.
+    // A single entry keeps the output deterministic: the map has no fixed iteration order.
     let about = [("about".to_owned(), about)].into_iter().collect();
     Ok(safetensors::serialize(views, Some(about))?)
 }
 
-/// One rollout, step by step, up to where it diverged if it did.
+/// One rollout, truncated at the step where it diverged.
 pub struct Trajectory {
     pub states: Vec<Vec<f64>>,
     pub controls: Vec<Vec<f64>>,
 }
 
-/// Rollouts from these start states, or as many of them as there are, under a policy.
+/// Rollouts of the policy from the chosen initial states. Truncates the range to those available.
 pub fn rollouts<F: Float>(
     task: &dyn AnyTask<F>,
     policy: &dyn AnyPolicy<F>,
@@ -145,12 +145,12 @@ pub fn rollouts<F: Float>(
     (0..samples).map(trajectory).collect()
 }
 
-/// `animation.svg`: a rollout that moves.
+/// `animation.svg`: animation of a rollout.
 pub fn film(scene: &Scene, rollout: &Trajectory) -> String {
     scene.animation(&rollout.states, &rollout.controls).to_svg()
 }
 
-/// `trajectory.csv`: one row a step of each rollout; the last state has no control.
+/// `trajectory.csv`: one row per rollout and step. The last state has no control.
 pub fn trajectories(scene: &Scene, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
     let mut csv = csv::Writer::from_writer(Vec::new());
     let names = ["sample", "step", "time"].map(String::from).into_iter();

@@ -1,4 +1,4 @@
-//! `physgrad paper`: every figure of the paper, remade.
+//! `physgrad paper`: reproduces the figures of the paper.
 
 mod fig1;
 mod fig2;
@@ -16,10 +16,10 @@ use physgrad::report::Drawing;
 use std::path::{Path, PathBuf};
 use study::{FIG3, FIG4, FIG5};
 
-/// Remake a figure of the paper, with several seeds: picture, numbers and table.
+/// Reproduce a figure of the paper, with several seeds: picture, numbers and table.
 #[derive(Debug, clap::Args)]
 pub struct Paper {
-    /// Which figure
+    /// Figure to reproduce
     #[arg(value_enum)]
     pub figure: Which,
     #[command(flatten)]
@@ -27,16 +27,16 @@ pub struct Paper {
     /// Number of threads, one run each [default: RAYON_NUM_THREADS, or all cores]
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
-    /// Folder for the results; runs that are already there are taken up where they stopped [default: runs/paper, or
+    /// Folder for the results; runs already in it are resumed [default: runs/paper, or
     /// runs/paper-quick with --quick]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 }
 
-/// How the runs of figures 3, 4 and 5 are trained.
+/// Training options of figures 3, 4 and 5.
 #[derive(Debug, clap::Args)]
 pub struct Options {
-    /// Number of seeds, from 0 on
+    /// Number of seeds, counted from 0
     #[arg(long, value_name = "K", default_value_t = 3)]
     pub seeds: u64,
     /// Epochs of every run [default: 1000, or 5 with --quick]
@@ -48,10 +48,10 @@ pub struct Options {
     /// Kinds of clipping, one row of panels each
     #[arg(long, value_delimiter = ',', default_value = "none,value,norm", value_enum)]
     pub clip: Vec<ClipName>,
-    /// See that it works: few epochs, small data sets, coarse grids
+    /// Make a fast trial run: few epochs, small data sets, coarse grids
     #[arg(long)]
     pub quick: bool,
-    /// Print nothing but warnings and errors
+    /// Print only warnings and errors
     #[arg(long)]
     pub quiet: bool,
 }
@@ -62,41 +62,41 @@ pub enum Which {
     Fig1,
     /// Toy example: Adam along a gradient, a rotating field, and their combination
     Fig2,
-    /// Guidance by repulsion with less and less regularization
+    /// Guidance by repulsion with four weights of regularization
     Fig3,
     /// Cart-pole with 1 to 4 poles
     Fig4,
     /// Quantum control towards the eigenstates 3, 4 and 5, and the update size
     Fig5,
-    /// All of them
+    /// All figures
     All,
 }
 
 impl Which {
-    /// As on the command line, and in the names of files.
+    /// Name on the command line and in file names.
     fn name(self) -> String {
         self.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
     }
 }
 
 impl Options {
-    /// Epochs of every run.
+    /// Number of epochs of every run.
     fn epochs(&self) -> usize {
         self.epochs.unwrap_or(if self.quick { 5 } else { 1000 })
     }
 }
 
-/// A figure as it is written.
+/// A finished figure.
 pub struct Made {
     pub drawing: Drawing,
-    /// The numbers.
+    /// Plotted numbers.
     pub csv: Vec<u8>,
-    /// What they say, in Markdown.
+    /// Summary as a Markdown table.
     pub table: String,
 }
 
 impl Made {
-    /// Leaves `<name>.svg`, `.png`, `.csv` and `.md` in the folder, and says so.
+    /// Writes `<name>.svg`, `.png`, `.csv` and `.md`, and prints the table.
     pub fn write(&self, name: &str, folder: &Folder, options: &Options) -> Result<()> {
         folder.write(&format!("{name}.svg"), self.drawing.to_svg())?;
         folder.write(&format!("{name}.png"), self.drawing.to_png())?;
@@ -119,7 +119,7 @@ pub fn paper(args: &Paper) -> Result<()> {
     let default = if options.quick { "runs/paper-quick" } else { "runs/paper" };
     let folder = Folder::at(args.out.as_deref().unwrap_or(Path::new(default))).lock()?;
     let write = |which: Which, made: Result<Made>| made?.write(&which.name(), &folder, options);
-    // The longest last.
+    // Longest figure last.
     let figures: [(Which, &dyn Fn() -> Result<()>); 5] = [
         (Which::Fig1, &|| write(Which::Fig1, fig1::fig1(options.quick))),
         (Which::Fig2, &|| write(Which::Fig2, fig2::fig2(options.quick))),
@@ -127,7 +127,7 @@ pub fn paper(args: &Paper) -> Result<()> {
         (Which::Fig3, &|| FIG3.run(options, &folder)),
         (Which::Fig5, &|| FIG5.run(options, &folder)),
     ];
-    // What goes wrong with one figure does not keep the others from being made.
+    // Continues with the other figures after an error.
     let mut problems = Vec::new();
     for (which, make) in figures {
         if [which, Which::All].contains(&args.figure) && signals::received().is_none() {
@@ -141,7 +141,7 @@ pub fn paper(args: &Paper) -> Result<()> {
 mod tests {
     use super::*;
 
-    /// An SVG that can be read, of a size for the web; numbers in every cell of the CSV; a table.
+    /// Checks that the SVG parses and is small, that the CSV has no NaN, and that there is a table.
     fn check(header: &str, figure: &Made) {
         let svg = figure.drawing.to_svg();
         roxmltree::Document::parse(&svg).expect("an SVG is XML");

@@ -1,9 +1,9 @@
-//! Work on all threads, compiled once whatever the work is.
+//! Non-generic rayon wrapper; limits monomorphization.
 
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
-/// What becomes of every item, in their order. The first ones are begun first.
+/// Maps every item in parallel and returns the results in order. Starts the items in order.
 pub fn map<I: Sync, R: Send>(items: &[I], work: impl Fn(&I) -> R + Sync) -> Vec<R> {
     let results: Vec<Mutex<Option<R>>> = items.iter().map(|_| Mutex::new(None)).collect();
     for_each(items.len(), &|i| *results[i].lock().unwrap_or_else(PoisonError::into_inner) = Some(work(&items[i])));

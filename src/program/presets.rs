@@ -1,11 +1,11 @@
-//! Scenes that come with the program.
+//! Presets: scenes that are compiled into the program.
 
 use super::document::Document;
 use super::folder::SETTINGS;
 use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
 
-/// A line for every file in `presets/`.
+/// Name and text of every file in `presets/`.
 const PRESETS: [(&str, &str); 23] = [
     ("cart_pole", include_str!("presets/cart_pole.toml")),
     ("cart_pole_1", include_str!("presets/cart_pole_1.toml")),
@@ -32,15 +32,15 @@ const PRESETS: [(&str, &str); 23] = [
     ("push", include_str!("presets/push.toml")),
 ];
 
-/// The presets with more in play than the paper has: one a task.
+/// Presets with more effects than in the paper, one per task.
 pub const RICH: [&str; 3] = ["cart_pole_windy", "guidance_walled", "quantum_double_well"];
 
-/// The names of all presets, each with the first line of its file.
+/// Name and first line of every preset.
 pub fn all() -> impl Iterator<Item = (&'static str, &'static str)> {
     PRESETS.into_iter().map(|(name, text)| (name, text.lines().next().unwrap_or_default().trim_start_matches(['#', ' '])))
 }
 
-/// The file of a preset.
+/// Text of a preset.
 pub fn text(name: &str) -> Result<&'static str> {
     let found = PRESETS.into_iter().find(|(preset, _)| *preset == name).map(|(_, text)| text);
     found.with_context(|| {
@@ -49,7 +49,7 @@ pub fn text(name: &str) -> Result<&'static str> {
     })
 }
 
-/// The preset of this name, or the scene in the file at this path.
+/// Document of the preset with this name, or of the file at this path.
 pub fn document(name: &str) -> Result<Document> {
     let path = Path::new(name);
     if path.is_dir() && !PRESETS.iter().any(|(preset, _)| *preset == name) {
@@ -64,10 +64,10 @@ pub fn document(name: &str) -> Result<Document> {
     Document::parse(&format!("preset {name}"), text)
 }
 
-/// What results of the preset or file are called.
+/// Name for the results of a preset or file.
 pub fn short_name(name: &str) -> String {
     let path = Path::new(name);
-    // The scene of a run is called as its folder is.
+    // Uses the folder's name for the scene of a saved run.
     let folder = path.parent().and_then(Path::file_name).filter(|_| path.ends_with(SETTINGS));
     match folder.or_else(|| path.file_stem()) {
         Some(stem) if is_path(name) => stem.to_string_lossy().into_owned(),
@@ -75,7 +75,7 @@ pub fn short_name(name: &str) -> String {
     }
 }
 
-/// Whether it names a file, and not a preset.
+/// True if the name is a file path rather than a preset.
 pub fn is_path(name: &str) -> bool {
     name.ends_with(".toml") || name.contains(std::path::is_separator)
 }

@@ -1,4 +1,4 @@
-//! `physgrad scene` and `physgrad schema`: what one needs to write a scene of one's own.
+//! `physgrad scene` and `physgrad schema`: print presets and the JSON schema of scenes.
 
 use super::kind;
 use super::presets;
@@ -6,21 +6,22 @@ use super::terminal::say;
 use anyhow::{Context, Result};
 use std::path::PathBuf;
 
-/// Print a preset, to start a scene of your own from: physgrad scene cart_pole > my_scene.toml
+/// Print a preset, as a template for your own scene: physgrad scene cart_pole > my_scene.toml
 ///
-/// A scene is a TOML file. It is run by `physgrad train my_scene.toml`, and goes wherever the name of a preset goes. What
-/// it does not say has the task's default; effects that it does not name are absent. For completion and hints in an
-/// editor: `physgrad schema --out scene.schema.json`, and `#:schema scene.schema.json` as the first line of the scene.
+/// A scene is a TOML file. `physgrad train my_scene.toml` runs it; every command that takes a
+/// preset also takes a path. Missing settings have the task's defaults. Effects that the file does
+/// not name are absent. For completion and hints in an editor: `physgrad schema --out
+/// scene.schema.json`, and `#:schema scene.schema.json` as the first line of the scene.
 #[derive(Debug, clap::Args)]
 pub struct Scene {
-    /// The preset [default: list all]
+    /// Name of the preset [default: list all]
     pub preset: Option<String>,
 }
 
-/// Write the JSON schema of scenes, by which editors complete and check them.
+/// Write the JSON schema of scenes, for completion and validation in editors.
 #[derive(Debug, clap::Args)]
 pub struct Schema {
-    /// The file [default: print it]
+    /// Output file [default: standard output]
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 }

@@ -1,16 +1,16 @@
-//! What can be wrong with a setting.
+//! Errors in settings, and functions that check single values.
 
 use super::settings::Unreadable;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
-/// A setting that cannot be used. Who reads the settings knows where the key was written, and says so.
+/// An invalid setting. The caller adds file and line.
 #[derive(Debug, thiserror::Error)]
 #[error("`{key}` {what}")]
 pub struct Problem {
-    /// Dotted: `system.dt`.
+    /// Dotted key: `system.dt`.
     pub key: String,
-    /// What it is, and what is allowed.
+    /// The value found and the values allowed.
     pub what: String,
 }
 
@@ -19,7 +19,7 @@ impl Problem {
         Self { key: key.into(), what: what.into() }
     }
 
-    /// What serde says of a table, in our words: where it is, what was found, and what is allowed.
+    /// Rewords a serde error: key, value found, values allowed.
     pub fn unreadable(error: &Unreadable) -> Self {
         let Unreadable { key, message } = error;
         let within = |field: &str| format!("{key}.{}", field.trim_end_matches('`')).trim_start_matches('.').to_owned();
@@ -47,28 +47,28 @@ impl Problem {
         Self::new(key, format!("is {found}; allowed: {expected}"))
     }
 
-    /// The setting is there, but has no use because of another.
+    /// Reports a setting that another setting makes ineffective.
     pub fn unread(key: &str, value: impl Display, because: &str) -> Self {
         Self::new(key, format!("is {value}, but nothing reads it: {because}"))
     }
 }
 
-/// A problem unless the value is within what is allowed.
+/// Returns an error unless `is_allowed`.
 pub fn allowed(key: &str, value: impl Display, is_allowed: bool, allowed: impl Display) -> Result<(), Problem> {
     if is_allowed { Ok(()) } else { Err(Problem::new(key, format!("is {value}; allowed: {allowed}"))) }
 }
 
-/// A problem unless the value is a positive number.
+/// Returns an error unless the value is finite and positive.
 pub fn positive(key: &str, value: f64) -> Result<(), Problem> {
     allowed(key, value, value.is_finite() && value > 0.0, "a positive number")
 }
 
-/// A problem unless the value is 0 or a positive number.
+/// Returns an error unless the value is finite and not negative.
 pub fn not_negative(key: &str, value: f64) -> Result<(), Problem> {
     allowed(key, value, value.is_finite() && value >= 0.0, "0 or more")
 }
 
-/// A problem if more than one of these effects is present.
+/// Returns an error if more than one of these effects is present.
 pub fn exclusive(effects: &[(&str, bool)], because: &str) -> Result<(), Problem> {
     let mut present = effects.iter().filter(|(_, present)| *present).map(|(name, _)| *name);
     match (present.next(), present.next()) {
@@ -80,12 +80,12 @@ pub fn exclusive(effects: &[(&str, bool)], because: &str) -> Result<(), Problem>
     }
 }
 
-/// A problem unless the value is a number.
+/// Returns an error unless the value is finite.
 pub fn finite(key: &str, value: f64) -> Result<(), Problem> {
     allowed(key, value, value.is_finite(), "a finite number")
 }
 
-/// A problem unless the value is within the range.
+/// Returns an error unless the value is within the range.
 pub fn count(key: &str, value: usize, range: RangeInclusive<usize>) -> Result<(), Problem> {
     allowed(key, value, range.contains(&value), format!("{} to {}", range.start(), range.end()))
 }

@@ -1,4 +1,4 @@
-//! `physgrad report`: one page on a run or on a comparison.
+//! `physgrad report`: an HTML page about a run or a comparison.
 
 mod diagnostics;
 mod figure;
@@ -13,12 +13,13 @@ use super::terminal::say;
 use anyhow::Result;
 use std::path::PathBuf;
 
-/// Write one page (HTML) on a run or a comparison: results, curves, gradients, film and settings.
+/// Write an HTML page about a run or a comparison: results, curves, gradients, animation and
+/// settings.
 #[derive(Debug, clap::Args)]
 pub struct Report {
     /// Folder of a run or of a comparison
     pub folder: PathBuf,
-    /// Print nothing but warnings and errors
+    /// Print only warnings and errors
     #[arg(long)]
     pub quiet: bool,
 }
@@ -38,7 +39,7 @@ pub fn report(args: &Report) -> Result<()> {
     Ok(())
 }
 
-/// A number and its noun, which the regular plural serves.
+/// Count with its noun, in the regular plural if needed.
 fn counted(count: usize, noun: &str) -> String {
     format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
 }

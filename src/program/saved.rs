@@ -1,4 +1,4 @@
-//! A run that is in its folder: its scene, and the state it was left in.
+//! Saved runs: finds them in folders, reads their scenes, restores their state.
 
 use super::any_run::AnyRun;
 use super::document::Document;
@@ -7,12 +7,15 @@ use super::scene::Scene;
 use anyhow::{Context, Result, bail};
 use std::path::Path;
 
-/// Whether there is a run in the folder that can be opened or resumed.
+/// True if the folder contains a run that can be opened or resumed.
 pub fn has_run(folder: &Folder) -> bool {
     folder.has(SETTINGS)
 }
 
-/// The folders of the run in the folder, or of all runs of the comparison in it, by name.
+/// Folders of the run, or of all runs of the comparison, sorted by name.
+///
+/// # Errors
+/// The folder contains no run, or several comparisons.
 pub fn runs(folder: &Folder) -> Result<Vec<Folder>> {
     if has_run(folder) {
         return Ok(vec![folder.clone()]);
@@ -32,7 +35,7 @@ pub fn runs(folder: &Folder) -> Result<Vec<Folder>> {
     }
 }
 
-/// The folders in a folder, by name.
+/// Subfolders, sorted by name.
 fn folders(path: &Path) -> Result<Vec<Folder>> {
     let context = || format!("cannot look into {}", path.display());
     let entries = std::fs::read_dir(path).with_context(context)?;
@@ -42,7 +45,10 @@ fn folders(path: &Path) -> Result<Vec<Folder>> {
     Ok(folders.filter(|folder| !folder.is_previous()).collect())
 }
 
-/// The scene of the run in the folder, which must be there.
+/// Scene of the run in the folder.
+///
+/// # Errors
+/// There is no run, or another version of the program made it.
 pub fn scene(folder: &Folder) -> Result<Scene> {
     if !has_run(folder) {
         bail!("there is no run in {}: no {SETTINGS}", folder.path().display());
@@ -59,8 +65,7 @@ pub fn scene(folder: &Folder) -> Result<Scene> {
     document.scene()
 }
 
-/// Brings a fresh run to the state of the one in the folder. A run that was killed before its first checkpoint is at its
-/// start.
+/// Restores the saved state of a run. Without a checkpoint, the run stays at its start.
 pub fn restore(folder: &Folder, scene: &Scene, run: &mut dyn AnyRun) -> Result<()> {
     if !folder.has(CHECKPOINT) && !folder.has(METRICS) {
         return Ok(());

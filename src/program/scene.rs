@@ -1,4 +1,7 @@
-//! What is to be run, whatever the task: settings that have been read and can be used.
+//! Scenes: validated settings, independent of the task.
+//!
+//! [`Scene`] holds the settings that all tasks share. [`AnySettings`] is the object-safe interface
+//! to the settings of one task.
 
 use super::accuracy::{Derived, Deriving, Job, Preparing, Referring, Way};
 use super::any_run::{AnyRun, Open};
@@ -15,51 +18,53 @@ use std::ops::Deref;
 use std::sync::Arc;
 use toml::{Table, Value};
 
-/// Settings that have been read and can be used.
+/// Validated settings.
 #[derive(Clone)]
 pub struct Scene {
-    /// What its task name stands for.
+    /// Task kind.
     pub kind: &'static dyn AnyKind,
-    /// The field to follow.
+    /// Vector field that the optimizer follows.
     pub field: FieldName,
-    /// The precision of all numbers.
+    /// Floating-point precision.
     pub precision: Precision,
-    /// The seed of start states and parameters.
+    /// Seed of initial states and parameters.
     pub seed: u64,
-    /// Epochs in all.
+    /// Total number of epochs.
     pub epochs: usize,
-    /// Steps of one rollout.
+    /// Time steps of a rollout.
     pub horizon: usize,
     /// All settings.
     pub table: Table,
     settings: Arc<dyn AnySettings>,
 }
 
-/// What can be made of a task's settings.
+/// Object-safe operations on the settings of a task.
 pub trait AnySettings: Send + Sync {
-    /// A run of them, before its first epoch.
+    /// Opens a run before its first epoch.
     fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>>;
-    /// Checks the gradients of what they describe, called `variant` in the results.
+    /// Checks the gradients of system, policy and rollout. Results carry the name `variant`.
     fn check(&self, variant: &str, results: &mut Results);
-    /// A rollout with its adjoints, to be compared with others.
+    /// Rollout with its adjoints, for comparison with other methods.
     fn prepare(&self) -> Job;
-    /// A gradient, in one way.
+    /// Gradient, computed in the given way.
     fn derive(&self, precision: Precision, way: Way) -> Derived;
-    /// Parts of the gradients of R, M and S in double-double; calls `done` after each.
+    /// Components of the gradients of R, M and S in double-double arithmetic. Calls `done` after
+    /// each.
     fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3];
-    /// Operations of a step of the physics and of its reverse.
+    /// Operation counts of a physics step and of its VJPs.
     fn cost(&self) -> Cost;
-    /// What a rollout of a few samples takes, with the adjoint of a field or for evaluation.
+    /// Memory and allocations of a rollout of a few samples, for evaluation or with the adjoint of
+    /// a field.
     fn stored(&self, field: Option<Field>) -> Stored;
-    /// Seconds per step.
+    /// Time step in seconds.
     fn dt(&self) -> f64;
-    /// What the components of the state are called.
+    /// Names of the state components.
     fn state_names(&self) -> Vec<String>;
-    /// What the components of the control are called.
+    /// Names of the control components.
     fn control_names(&self) -> Vec<String>;
-    /// What keeps its value while the policy does nothing, if anything does.
+    /// A quantity that is conserved while the control is zero, or None.
     fn conserved(&self) -> Option<Conserved>;
-    /// A rollout that moves: states and controls step by step.
+    /// Animation of one rollout, from the states and controls of each step.
     fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
 }
 
@@ -125,13 +130,13 @@ impl Deref for Scene {
 }
 
 impl Scene {
-    /// The scene of settings that have been checked.
+    /// Makes a scene from validated settings.
     pub fn new<K: Kind>(kind: &'static dyn AnyKind, settings: Settings<K>) -> Self {
         let Settings { field, precision, seed, epochs, horizon, .. } = settings;
         Self { kind, field, precision, seed, epochs, horizon, table: settings.table(), settings: Arc::new(settings) }
     }
 
-    /// The same with another field and seed.
+    /// Copy with another field and seed.
     pub fn with(&self, field: FieldName, seed: u64) -> Result<Self, Problem> {
         let mut table = self.table.clone();
         table.insert("field".into(), Value::String(field.into()));
@@ -139,22 +144,26 @@ impl Scene {
         self.kind.scene(table)
     }
 
-    /// The settings that a resumed run must share: what differs from the task's defaults, but for the number of epochs
-    /// and what changes no bit.
-    /// So a setting that later versions add, with a default that changes nothing, leaves the identity of a run as it is.
+    /// Identity of a run: the settings that a resumed run must share, one per line.
+    ///
+    /// Lists the differences from the task's defaults. Excludes the number of epochs and settings
+    /// that do not change results. A setting added by a later version, with a default that
+    /// preserves the behaviour, does not change the identity.
     pub fn identity(&self) -> String {
         self.unusual(&["epochs", "training.memory"])
     }
 
-    /// The settings that the runs of a comparison share: as [`identity`](Self::identity), but for field and seed.
+    /// Settings shared by the runs of a comparison: [`identity`](Self::identity) without field and
+    /// seed.
     pub fn comparable(&self) -> String {
         self.unusual(&["epochs", "training.memory", "field", "seed"])
     }
 
-    /// A line for every effect, and for every setting that is not the default of its task or effect, and none of these.
+    /// One line per effect and per setting that differs from the default of its task or effect.
+    /// Skips the keys in `but`.
     fn unusual(&self, but: &[&str]) -> String {
         let mut lines = vec![format!("task = {:?}", self.kind.name())];
-        // The effects that are here with the parameters they have by default.
+        // Default settings with the same effects, each with its default parameters.
         let mut usual = self.kind.defaults();
         for section in OPTIONAL {
             let parts: Vec<&String> =
@@ -170,7 +179,8 @@ impl Scene {
     }
 }
 
-/// All settings by their dotted keys. A section that holds nothing is a setting too: an effect without parameters.
+/// All settings by dotted key. An empty section counts as a setting: it is an effect without
+/// parameters.
 pub fn flat(table: &Table) -> Vec<(String, Value)> {
     let inner = |(key, value): (&String, &Value)| match value {
         Value::Table(section) if !section.is_empty() => {
@@ -191,7 +201,7 @@ mod tests {
     use schemars::JsonSchema;
     use serde::{Deserialize, Serialize};
 
-    /// A task with an effect.
+    /// Task with one effect.
     #[derive(Clone, Debug)]
     struct Windy;
 
@@ -206,7 +216,7 @@ mod tests {
     #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
     #[serde(deny_unknown_fields, default)]
     struct Wind {
-        /// How fast, m/s.
+        /// Wind speed, m/s.
         speed: f64,
     }
 
@@ -274,7 +284,7 @@ mod tests {
         assert_eq!(scene("", 7).identity(), "task = \"windy\"");
         assert_eq!(scene("seed = 4", 1).identity(), "task = \"windy\"\nseed = 4");
         assert_eq!(scene("seed = 4", 1).comparable(), "task = \"windy\"");
-        // With its default parameters an effect is there all the same.
+        // Lists an effect even if all its parameters have their defaults.
         assert_eq!(scene("effects.wind = {}", 1).identity(), "task = \"windy\"\neffects.wind");
         let fast = scene("effects.wind.speed = 5", 1);
         assert_eq!(fast.identity(), "task = \"windy\"\neffects.wind\neffects.wind.speed = 5.0");

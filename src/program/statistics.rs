@@ -1,30 +1,30 @@
-//! What several runs of the same training say together: medians and curves, from plain records.
+//! Statistics over runs with several seeds: medians, quantiles and learning curves.
 
 use physgrad::report::{Curve, Point, field_color};
 use physgrad::{Field, Record};
 
-/// One field and seed, and what came of it.
+/// Field, seed and records of one run.
 #[derive(Clone, Copy)]
 pub struct Outcome<'a> {
     pub field: Field,
     pub seed: u64,
     pub records: &'a [Record],
-    /// It stopped because a number was not finite, and has no final losses.
+    /// The run stopped at a non-finite number and has no final losses.
     pub broken: bool,
 }
 
 impl Outcome<'_> {
-    /// The loss at the end; NaN for a run that broke off.
+    /// Loss of the last epoch. NaN for a failed run.
     pub fn last(&self, loss: fn(&Record) -> f64) -> f64 {
         self.records.last().filter(|_| !self.broken).map_or(f64::NAN, loss)
     }
 
     pub fn seconds(&self) -> f64 {
-        // An empty sum would be -0.
+        // Avoids `sum`, which returns -0 for no records.
         self.records.iter().fold(0.0, |sum, r| sum + r.seconds)
     }
 
-    /// A number of every epoch, against epochs and against the time since the start.
+    /// One value per epoch, with the epoch and the elapsed time in seconds.
     pub fn points(&self, value: fn(&Record) -> f64) -> Vec<Point> {
         let elapsed = self.records.iter().scan(0.0, |sum, r| {
             *sum += r.seconds;
@@ -34,17 +34,17 @@ impl Outcome<'_> {
     }
 }
 
-/// The runs of one field after the other; those of a field must be neighbours.
+/// Groups runs by field. Runs of a field must be consecutive.
 pub fn by_field<'a, 'r>(runs: &'a [Outcome<'r>]) -> impl Iterator<Item = (Field, &'a [Outcome<'r>])> {
     runs.chunk_by(|a, b| a.field == b.field).map(|runs| (runs[0].field, runs))
 }
 
-/// A field in a legend.
+/// Legend entry of a field.
 pub fn field_label(field: Field) -> String {
     format!("{} ({field})", field.letter())
 }
 
-/// The losses of every field, or another positive number of each epoch.
+/// One curve per field: the loss, or another positive quantity per epoch.
 pub fn curves(runs: &[Outcome], loss: fn(&Record) -> f64) -> Vec<Curve> {
     let curve = |(field, runs): (Field, &[Outcome])| Curve {
         label: field_label(field),
@@ -57,7 +57,7 @@ pub fn curves(runs: &[Outcome], loss: fn(&Record) -> f64) -> Vec<Curve> {
 pub const TABLE_HEADER: [&str; 8] =
     ["field", "seeds", "broke off", "median final test loss", "lowest", "highest", "median best", "median seconds"];
 
-/// A row a field: medians over the seeds. A loss that is not there is worse than any that is.
+/// One row per field, with medians over the seeds. NaN ranks above every number.
 pub fn table(runs: &[Outcome]) -> Vec<[String; 8]> {
     let row = |(field, runs): (Field, &[Outcome])| {
         let median = |value: &dyn Fn(&Outcome) -> f64| quantile(&sorted(runs.iter().map(value)), 0.5);
@@ -76,27 +76,30 @@ pub fn table(runs: &[Outcome]) -> Vec<[String; 8]> {
     by_field(runs).map(row).collect()
 }
 
-/// The lowest test loss; NaN if there is none.
+/// Lowest test loss. NaN if no loss is a number.
 pub fn best(records: &[Record]) -> f64 {
     records.iter().map(|r| r.test_loss).fold(f64::NAN, f64::min)
 }
 
-/// The quantile `q` (0 to 1) of numbers in increasing order, by straight lines between them (Hyndman and Fan's type 7).
-/// A NaN, which stands for a run that broke off, is worse than any number, as `total_cmp` sorts it.
+/// Quantile `q` in [0, 1] of ascending numbers, by linear interpolation (Hyndman and Fan, type 7).
+///
+/// NaN, the loss of a failed run, ranks above every number, as in `total_cmp`.
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     let at = q * (sorted.len() - 1) as f64;
     let (below, above) = (sorted[at.floor() as usize], sorted[at.ceil() as usize]);
     if at.fract() == 0.0 { below } else { below + at.fract() * (above - below) }
 }
 
-/// The numbers in increasing order; NaN, whatever its sign, comes last.
+/// Sorts in ascending order. NaN of either sign comes last.
 pub fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
     let mut values: Vec<f64> = values.map(|x| if x.is_nan() { f64::NAN } else { x }).collect();
     values.sort_by(f64::total_cmp);
     values
 }
 
-/// The mean of each number and up to `window - 1` before it. What is not finite stays as it is, and in no other mean.
+/// Mean over each value and up to `window - 1` before it.
+///
+/// Non-finite values stay as they are and do not enter other means.
 pub fn trailing_mean(values: &[f64], window: usize) -> Vec<f64> {
     let mean = |end: usize| {
         let finite = || values[(end + 1).saturating_sub(window)..=end].iter().filter(|value| value.is_finite());

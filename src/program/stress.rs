@@ -1,4 +1,4 @@
-//! `physgrad stress`: the hard cases, what they ask for and what came out.
+//! `physgrad stress`: runs the hard cases and compares them with their criteria.
 
 mod malformed;
 mod reproducible;
@@ -15,9 +15,9 @@ use std::time::Instant;
 /// Run the hard cases: long horizons, stiffness, chaos, singular geometry, overflow, damaged files.
 #[derive(Debug, clap::Args)]
 pub struct Stress {
-    /// Cases to run, or the beginnings of their names [default: all]
+    /// Cases to run, by name or prefix [default: all]
     pub cases: Vec<String>,
-    /// Print the cases and what they ask for, and run none
+    /// List the cases and their criteria without running them
     #[arg(long)]
     list: bool,
     /// Print Markdown, as in docs/stability.md
@@ -65,7 +65,7 @@ pub fn stress(args: &Stress) -> Result<()> {
     Ok(())
 }
 
-/// Those of these names, or all.
+/// Cases whose names start with one of these prefixes, or all.
 fn chosen(names: &[String]) -> Result<Vec<Case>> {
     let all: Vec<Case> = stress::cases().chain(reproducible::CASES).chain(malformed::CASES).collect();
     if let Some(name) = names.iter().find(|name| !all.iter().any(|case| case.name.starts_with(name.as_str()))) {
@@ -106,7 +106,7 @@ fn markdown(case: &Case, findings: &[Finding], _seconds: f64) -> String {
     format!("\n## {name}\n\n{about}.\n\nPasses when: {criterion}.\n\n{}\n\n{story}.", table(findings, ASCII_MARKDOWN))
 }
 
-/// The beginning of the page.
+/// Head of the Markdown page.
 const HEAD: &str = "\
 # Stability
 

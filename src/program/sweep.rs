@@ -1,4 +1,4 @@
-//! Many runs side by side, one thread each, every one in its folder and taken up where it stopped.
+//! Sweeps: many runs in parallel, one thread each, each resumed from its folder.
 
 use super::changes::check_resumable;
 use super::folder::{Folder, RUNS};
@@ -14,14 +14,14 @@ use physgrad::{Field, Record};
 use std::collections::HashSet;
 use std::sync::Mutex;
 
-/// The same training along several fields and with several seeds.
+/// Runs of one training configuration with several fields and seeds.
 pub struct Comparison {
     runs: Vec<Run>,
-    /// What tells it from others of the same sweep; may be empty.
+    /// Prefix in messages that distinguishes comparisons of one sweep. May be empty.
     label: String,
 }
 
-/// One field and seed, and what came of it.
+/// One field and seed, with its records.
 struct Run {
     field: Field,
     seed: u64,
@@ -32,7 +32,10 @@ struct Run {
 }
 
 impl Run {
-    /// Goes on where an earlier sweep stopped; that must have been the same run.
+    /// True if the folder already contains this run.
+    ///
+    /// # Errors
+    /// The folder contains a run with other settings.
     fn resumes(&self) -> Result<bool> {
         if !saved::has_run(&self.folder) {
             return Ok(false);
@@ -40,12 +43,12 @@ impl Run {
         check_resumable(&self.folder, &self.scene).map(|()| true)
     }
 
-    /// Runs it in its folder, or goes on with it. Waits for another process that does.
+    /// Trains in the run's folder, or resumes there. Waits while another process holds the lock.
     fn run(&self, watch: &mut dyn Watch) -> Result<Finished> {
         let Some(folder) = self.folder.clone().wait_and_lock()? else { return Ok(Finished::before_start()) };
         let resume = self.resumes()?;
         let folder = if resume { folder } else { folder.without_run()?.0 };
-        // One thread a run: the runs themselves fill the cores.
+        // Uses one thread: the parallel runs already occupy all cores.
         run::run(&folder, &self.scene, self.scene.open(1)?, resume, SAVE_EVERY, watch)
     }
 
@@ -55,7 +58,7 @@ impl Run {
 }
 
 impl Comparison {
-    /// Every run with its folder, which need not exist, and its scene.
+    /// Plans one run per field and seed. The folders need not exist.
     pub fn plan(label: &str, base: &Scene, fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Self> {
         let last = base.seed.checked_add(seeds - 1).filter(|&last| i64::try_from(last).is_ok());
         let last = last.with_context(|| format!("{seeds} seeds from {} on are more than there are", base.seed))?;
@@ -68,7 +71,7 @@ impl Comparison {
         Ok(Self { runs: each.map(run).collect::<Result<_>>()?, label: label.to_owned() })
     }
 
-    /// What came of its runs, those of one field after the other.
+    /// Outcomes of all runs, grouped by field.
     pub fn outcomes(&self) -> Vec<Outcome<'_>> {
         self.runs.iter().map(Run::outcome).collect()
     }
@@ -79,7 +82,10 @@ impl Comparison {
     }
 }
 
-/// An error unless there is something to be compared, and nothing of it twice.
+/// Checks the options of a comparison.
+///
+/// # Errors
+/// `seeds` or `epochs` is 0, or a field occurs twice.
 pub fn check_options(fields: &[FieldName], seeds: u64, epochs: usize) -> Result<()> {
     if seeds == 0 {
         bail!("--seeds is 0; allowed: 1 or more");
@@ -90,7 +96,7 @@ pub fn check_options(fields: &[FieldName], seeds: u64, epochs: usize) -> Result<
     check_distinct("--fields", fields.iter().map(|field| field.0.name()))
 }
 
-/// An error if an option names something twice.
+/// Returns an error if an option contains a name twice.
 pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
     let mut seen = HashSet::new();
     match names.into_iter().find(|name| !seen.insert(*name)) {
@@ -99,7 +105,10 @@ pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a str>) ->
     }
 }
 
-/// An error unless a run of each scene and field can be set up: memory may be too small, for example.
+/// Checks that each scene and field can open a session.
+///
+/// # Errors
+/// A setting is unusable; the memory budget may be too small, for example.
 pub fn check_sessions(bases: &[Scene], fields: &[FieldName]) -> Result<()> {
     for base in bases {
         for &field in fields {
@@ -112,7 +121,7 @@ pub fn check_sessions(bases: &[Scene], fields: &[FieldName]) -> Result<()> {
 /// Outcome of a sweep.
 pub struct Swept {
     pub interrupted: bool,
-    /// A line for each run that broke off.
+    /// One message per failed run.
     broke_off: Vec<String>,
     /// Runs that applied no update.
     no_update: Vec<String>,
@@ -120,7 +129,7 @@ pub struct Swept {
 }
 
 impl Swept {
-    /// An error that names the runs that broke off or applied no update, if there are any.
+    /// Returns an error that lists the runs that failed or applied no update.
     pub fn into_result(self) -> Result<()> {
         if !self.broke_off.is_empty() {
             bail!("{} of {} runs broke off:\n{}", self.broke_off.len(), self.runs, self.broke_off.join("\n"))
@@ -133,16 +142,17 @@ impl Swept {
     }
 }
 
-/// Runs them all. A run that breaks off because a number was not finite does not stop the others, and is a result.
+/// Trains all runs. A run that stops at a non-finite number counts as a result; the others
+/// continue.
 ///
 /// # Errors
-/// Before anything is run: a folder that holds a run with other settings. After all others have run: the runs that could
-/// not be run at all, or not be saved.
+/// Before training: a folder contains a run with other settings. After training: some runs could
+/// not start or could not be saved.
 pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<Swept> {
     let mut runs = Vec::new();
     for comparison in &*comparisons {
         for run in &comparison.runs {
-            // A run with other settings is an error before anything is written.
+            // Reports a run with other settings before writing anything.
             run.resumes()?;
             runs.push((run, comparison.label(run)));
         }
@@ -185,7 +195,7 @@ pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<Swept> {
     Ok(swept)
 }
 
-/// Tells one bar of the epochs of all runs.
+/// Reports the epochs of all runs to a shared progress bar.
 struct Watched<'a> {
     progress: &'a Mutex<Progress>,
     label: &'a str,
@@ -195,7 +205,7 @@ impl Watch for Watched<'_> {
     fn resumed(&mut self, epochs: usize) {
         if let Ok(progress) = self.progress.lock() {
             progress.bar.inc(epochs as u64);
-            // What was done before says nothing of the time it takes now.
+            // Excludes resumed epochs from the estimate of the remaining time.
             progress.bar.reset_eta();
         }
     }

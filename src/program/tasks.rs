@@ -1,4 +1,4 @@
-//! `physgrad tasks`: what there is.
+//! `physgrad tasks`: lists the tasks and their settings.
 
 use super::kind::{AnyKind, Info, KINDS};
 use super::presets;

@@ -1,4 +1,4 @@
-//! What the program says: lines, and progress.
+//! Terminal output: results, messages and progress bars.
 
 use super::run::{Told, Watch};
 use anyhow::{Context, Result};
@@ -6,10 +6,10 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use physgrad::Growth;
 use std::io::{ErrorKind, Write};
 
-/// Prints the result of a command to the standard output.
+/// Prints the result of a command to standard output.
 ///
 /// # Errors
-/// The text cannot be written, except to a reader that has stopped reading, as `head` does.
+/// The text cannot be written. A closed pipe, for instance with `head`, is not an error.
 pub fn say(text: &str) -> Result<()> {
     match writeln!(std::io::stdout(), "{text}") {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
@@ -17,12 +17,13 @@ pub fn say(text: &str) -> Result<()> {
     }
 }
 
-/// Prints a message to the standard error. A message that cannot be written stops nothing.
+/// Prints a message to standard error. Ignores write errors.
 pub fn tell(text: &str) {
     let _ = writeln!(std::io::stderr(), "{text}");
 }
 
-/// A progress bar with the losses and the time left; ten lines of text where there is no terminal.
+/// Progress bar with losses and remaining time. Without a terminal, prints ten lines of text
+/// instead.
 pub struct Progress {
     pub bar: ProgressBar,
     quiet: bool,
@@ -60,7 +61,7 @@ impl Watch for Progress {
 }
 
 impl Progress {
-    /// One more epoch.
+    /// Advances by one epoch.
     pub fn advance(&mut self, message: String) {
         self.bar.set_message(message);
         self.bar.inc(1);
@@ -70,7 +71,7 @@ impl Progress {
         }
     }
 
-    /// Prints warnings of an epoch, also if the run is quiet: non-finite numbers, gradients that are not to be trusted.
+    /// Prints the warnings of an epoch, even if quiet: non-finite numbers, unreliable gradients.
     pub fn trouble(&self, run: &str, told: Told) {
         let Told { record, skips, diverged, warnings } = told;
         let epoch = record.epoch;
@@ -83,7 +84,7 @@ impl Progress {
         });
         let warnings = warnings.iter().map(|warning| format!("{run}epoch {epoch}: {warning}"));
         for text in skipped.into_iter().chain(evaluated).chain(warnings) {
-            // Above the bar where there is one.
+            // Prints above a visible bar.
             if self.bar.is_hidden() { tell(&text) } else { self.bar.println(text) }
         }
     }

@@ -1,4 +1,4 @@
-//! `physgrad train`: one run, watched.
+//! `physgrad train`: one training run with progress output.
 
 use super::changes::{Changes, changed, resumed};
 use super::folder::Folder;
@@ -25,13 +25,14 @@ pub struct Train {
     /// Folder for the results [default: a new one in `runs`]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Go on with the run in --out, up to --epochs in all
+    /// Resume the run in --out, up to --epochs in total
     #[arg(long, requires = "out")]
     pub resume: bool,
-    /// Seconds between two checkpoints: the most work that a kill loses; a checkpoint follows an update or an evaluation
+    /// Largest time between two checkpoints, in seconds, from 0 to 86400: bounds the work lost if
+    /// the process is killed; checkpoints follow updates and evaluations
     #[arg(long, value_name = "SECONDS", default_value_t = SAVE_EVERY.as_secs_f64(), value_parser = seconds)]
     pub save_every: f64,
-    /// Print nothing but warnings and errors
+    /// Print only warnings and errors
     #[arg(long)]
     pub quiet: bool,
 }
@@ -39,7 +40,7 @@ pub struct Train {
 /// Runs the command.
 pub fn train(args: &Train) -> Result<()> {
     let workers = threads(args.threads)?;
-    // Mistakes show before anything is written.
+    // Reports invalid settings before writing anything.
     let (scene, run, folder) = match (&args.out, args.resume) {
         (Some(out), true) => {
             let folder = Folder::existing(out)?.lock()?;
@@ -96,13 +97,13 @@ pub fn train(args: &Train) -> Result<()> {
     said
 }
 
-/// A number of seconds from 0 to a day.
+/// Parses a number of seconds from 0 to 86400 (one day).
 fn seconds(text: &str) -> Result<f64, String> {
     let allowed = |seconds: &f64| (0.0..=86400.0).contains(seconds);
     text.parse().ok().filter(allowed).ok_or_else(|| "allowed: 0 (after every update) to 86400 s".to_owned())
 }
 
-/// Tells of what the file says otherwise than the run that is resumed.
+/// Prints the settings in which the scene file differs from the resumed run.
 fn note_differences(folder: &Folder, scene: &Scene, file: &str, changes: &Changes) -> Result<()> {
     let mut document = presets::document(file)?;
     changes.apply_again(&mut document)?;

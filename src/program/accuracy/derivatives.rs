@@ -1,4 +1,4 @@
-//! What is told of a way to come by a gradient, of a budget, and of a horizon.
+//! Measured quantities per gradient method, memory budget and horizon.
 
 use super::gradients::at_chosen;
 use super::row::spread;
@@ -17,13 +17,14 @@ impl fmt::Display for Way {
     }
 }
 
-/// The length of a vector, whose squares may overflow.
+/// Euclidean norm, scaled so that squares do not overflow.
 fn length(x: &[f64]) -> f64 {
     let largest = x.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
     if largest == 0.0 { 0.0 } else { largest * x.iter().map(|x| (x / largest) * (x / largest)).sum::<f64>().sqrt() }
 }
 
-/// The length of the difference by the length, and the share of components whose strict sign is right.
+/// Relative error in the Euclidean norm, and the share of components with the correct sign
+/// (negative, zero or positive).
 fn compare(found: &[f64], right: &[f64]) -> (f64, f64) {
     let difference: Vec<f64> = found.iter().zip(right).map(|(a, b)| a - b).collect();
     let error = length(&difference) / length(right);
@@ -31,13 +32,13 @@ fn compare(found: &[f64], right: &[f64]) -> (f64, f64) {
     (error, found.iter().zip(right).filter(same).count() as f64 / right.len() as f64)
 }
 
-/// A way to come by a gradient.
+/// Error and cost of one gradient method.
 pub struct Derivative {
     pub way: Way,
     pub precision: Precision,
-    /// In relation to the reference in double-double, where that is, or where it diverged.
+    /// Error relative to the double-double reference, or the message of a divergence.
     pub error: Result<f64, String>,
-    /// The share of all components that have the sign they have in f64.
+    /// Share of all components with the same sign as in f64.
     pub signs: Option<f64>,
     pub seconds: [f64; 3],
     pub bytes: usize,
@@ -58,13 +59,14 @@ impl Derivative {
     }
 }
 
-/// The reverse pass of R in a budget.
+/// Reverse pass of R within a memory budget.
 pub struct Checkpoint {
     pub horizon: usize,
     pub budget: u64,
     pub bytes: usize,
     pub seconds: [f64; 3],
-    /// Whether the gradient has the bits it has without a budget, or why there is none.
+    /// True if the gradient is bitwise equal to the gradient without a budget, or the message of an
+    /// error.
     pub same: Result<bool, String>,
 }
 
@@ -79,18 +81,20 @@ impl Checkpoint {
     }
 }
 
-/// R at a horizon.
+/// Gradient R at one horizon.
 pub struct Horizon {
     pub horizon: usize,
-    /// The length of the gradient in f64.
+    /// Norm of the gradient in f64.
     pub length: f64,
-    /// Error, and share of signs that are right: of f32 in relation to f64, of f64 to itself from starts that differ by a
-    /// rounding. Or where it diverged.
+    /// Relative error and share of correct signs, or the message of a divergence.
+    ///
+    /// The first entry compares f32 with f64. The second compares f64 with f64 from initial states
+    /// perturbed by one rounding.
     pub found: [Result<(f64, f64), String>; 2],
 }
 
 impl Horizon {
-    /// Of gradients in f32, in f64, and in f64 from the other starts.
+    /// Takes the gradients in f32, in f64, and in f64 from perturbed initial states.
     pub fn new(horizon: usize, gradients: &[Result<Vec<f64>, String>]) -> Self {
         let against = |found: &Result<Vec<f64>, String>| match (found, &gradients[1]) {
             (Ok(found), Ok(right)) => Ok(compare(found, right)),

@@ -1,4 +1,4 @@
-//! What `physgrad accuracy --gradients` leaves: numbers, diagrams, tables.
+//! Output files of `physgrad accuracy --gradients`: CSV, charts and tables.
 
 use super::derivatives::{Checkpoint, Derivative, Horizon};
 use super::outputs::right_aligned;
@@ -57,7 +57,7 @@ fn tables(style: TableStyle, ways: &[Derivative], kept: &[Checkpoint], along: &[
             (of(Precision::F32), of(Precision::F64));
         vec![way.to_string(), single, signs, single_time, single_bytes, double, double_time, double_bytes]
     };
-    // With a budget it does what it does without.
+    // A divergence without a budget also occurs with one.
     let diverged = kept.first().is_some_and(|row| row.same.is_err());
     let checkpoint = |row: &Checkpoint| {
         let same = match &row.same {
@@ -83,7 +83,7 @@ fn tables(style: TableStyle, ways: &[Derivative], kept: &[Checkpoint], along: &[
     ]
 }
 
-/// The last horizon up to which at least 99 % of the signs are right.
+/// Sentence with the last horizon up to which at least 99 % of the signs are correct.
 fn trusted(along: &[Horizon], which: usize) -> String {
     let right = |row: &&Horizon| row.found[which].as_ref().is_ok_and(|(_, signs)| *signs >= 0.99);
     let precision = ["f32", "f64"][which];
@@ -98,7 +98,7 @@ fn trusted(along: &[Horizon], which: usize) -> String {
     }
 }
 
-/// Writes everything, and returns what is to be said.
+/// Writes all files and returns the text for the terminal.
 pub fn write(folder: &Folder, name: &str, ways: &[Derivative], kept: &[Checkpoint], along: &[Horizon]) -> Result<String> {
     folder.write("gradients.csv", ways_csv(ways)?)?;
     folder.write("checkpoints.csv", kept_csv(kept)?)?;

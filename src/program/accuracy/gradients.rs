@@ -1,4 +1,5 @@
-//! `physgrad accuracy --gradients`: what gradients cost, and at which horizon they stop being right.
+//! `physgrad accuracy --gradients`: costs of gradients, and the horizon up to which they are
+//! reliable.
 
 use super::derivatives::{Checkpoint, Derivative, Horizon};
 use super::gradient_outputs::write;
@@ -14,16 +15,16 @@ use indicatif::ProgressBar;
 use physgrad::{Compose, Field, SignAgreement};
 use toml::Value;
 
-/// Steps of central differences.
+/// Step sizes of central differences.
 const STEPS: [f64; 10] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10];
-/// Rounds of timing, and seconds in each for a way.
+/// Timing rounds, and the least time in seconds per round for each method.
 const ROUNDS: usize = 5;
 const LEAST: f64 = 0.01;
-/// The horizon at which checkpoints are told of, unless the scene's is longer, and the parts of the memory that all
-/// tapes take that they may have.
+/// Least horizon of the checkpoint measurements, and the divisors of the full memory that give the
+/// budgets.
 const CHECKPOINTED: usize = 1024;
 const PARTS: [u64; 4] = [1, 2, 4, 8];
-/// Bytes for a rollout of any horizon.
+/// Memory budget, in bytes, of a rollout at any horizon.
 const BUDGET: u64 = 256_000_000;
 
 const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::F64];
@@ -32,7 +33,7 @@ const fn reverse(field: Field, budget: Option<u64>) -> Way {
     Way::Reverse { field, budget, nudged: false }
 }
 
-/// Runs it.
+/// Measures methods, budgets and horizons, and writes the results.
 pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize], quiet: bool) -> Result<()> {
     let fields = [Field::regular(), Field::modified(), Field::stopped(), Field::combined()];
     let exact = fields.map(|field| reverse(field, None));
@@ -64,7 +65,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
         derived.push(study.scene.derive(*precision, *way));
         bar.inc(1);
     }
-    // Round after round, so that what else the machine does falls on all of them.
+    // Interleaves the methods, so that disturbances of the machine affect all of them.
     let mut times = vec![Vec::new(); ways.len()];
     for round in 0..ROUNDS {
         bar.set_message(format!("round {} of {ROUNDS}", round + 1));
@@ -75,7 +76,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
             bar.inc(1);
         }
     }
-    // Every component in f64, which the reference has shown to be right in some.
+    // Takes all components from f64, whose error the reference bounds at the chosen parameters.
     let full = |field: Field| {
         let found = ways.iter().position(|way| *way == (reverse(field, None), Precision::F64));
         found.and_then(|i| derived[i].gradient.as_ref().ok())
@@ -101,16 +102,17 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     Ok(())
 }
 
-/// The scene with another horizon.
+/// Scene with another horizon.
 fn with_horizon(study: &Study, horizon: usize) -> Result<Scene> {
     let mut document = study.document.clone();
     document.put("horizon", Value::Integer(horizon as i64), "accuracy --gradients")?;
-    // A scene is refused when its mini-batches would not fit, and these have a budget.
+    // Sets a memory budget: without one, long horizons would be rejected because a mini-batch does
+    // not fit.
     document.put("training.memory", Value::String("1GB".into()), "accuracy --gradients")?;
     document.scene()
 }
 
-/// The reverse pass of R in less and less memory.
+/// Measures the reverse pass of R with decreasing memory budgets.
 fn checkpoints(study: &Study, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
     let scene = with_horizon(study, study.scene.horizon.max(CHECKPOINTED))?;
     let run = |budget| scene.derive(study.scene.precision, reverse(Field::regular(), budget));
@@ -133,7 +135,7 @@ fn checkpoints(study: &Study, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
     Ok(PARTS.into_iter().zip(jobs).zip(times).map(checkpoint).collect())
 }
 
-/// R in f32 and f64 against the horizon.
+/// R in f32 and f64 over the horizons.
 fn along(study: &Study, horizons: &[usize], bar: &ProgressBar) -> Result<Vec<Horizon>> {
     let scenes = horizons.iter().map(|&horizon| with_horizon(study, horizon)).collect::<Result<Vec<Scene>>>()?;
     bar.set_message("horizons");
@@ -145,14 +147,14 @@ fn along(study: &Study, horizons: &[usize], bar: &ProgressBar) -> Result<Vec<Hor
         bar.inc(1);
         gradient
     };
-    // The longest first, for they take longest.
+    // Starts with the longest horizons to balance the load.
     let jobs: Vec<_> = jobs.into_iter().rev().collect();
     let mut gradients: Vec<Result<Vec<f64>, String>> = parallel::map(&jobs, |&job| run(job));
     gradients.reverse();
     Ok(horizons.iter().zip(gradients.chunks(3)).map(|(&horizon, found)| Horizon::new(horizon, found)).collect())
 }
 
-/// The horizons that were asked for, in order.
+/// Checks the horizons, sorts them and removes duplicates.
 pub fn parse(horizons: &[usize]) -> Result<Vec<usize>> {
     if let Some(bad) = horizons.iter().find(|horizon| !(1..=100_000_000).contains(*horizon)) {
         bail!("--horizons {bad}: a horizon is 1 to 100000000 steps");
@@ -163,9 +165,9 @@ pub fn parse(horizons: &[usize]) -> Result<Vec<usize>> {
     Ok(horizons)
 }
 
-/// The components of a gradient that the reference has.
+/// Components of a gradient at the parameters of the reference.
 pub fn at_chosen(gradient: &[f64], reference: usize) -> Vec<f64> {
-    // Those ways that take one component after another have taken no others.
+    // Methods that differentiate one parameter at a time return only these components.
     if gradient.len() == reference {
         gradient.to_vec()
     } else {

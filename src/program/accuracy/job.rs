@@ -1,4 +1,4 @@
-//! One way to simulate a scene: what comes of it, and what it costs.
+//! Simulation of a scene with one setting: results and costs.
 
 use crate::program::kind::Visit;
 use crate::program::settings::Precision;
@@ -8,37 +8,39 @@ use physgrad::rng::{Purpose, stream};
 use physgrad::{Adjoint, Cost, Counts, Float, Flow, Gradient, Policy, Rollout, Task, Weights};
 use std::time::Instant;
 
-/// Samples that go through a rollout together: a block, in which all lanes are in use.
+/// Number of samples in the rollout: one full block of lanes.
 const SAMPLES: usize = 8;
 
-/// What came of a rollout.
+/// Results of a rollout.
 #[derive(Clone, Default)]
 pub struct Found {
-    /// The states at the policy's steps, of all samples, one after another.
+    /// States at the control steps, for all samples; layout `[step][sample][component]`.
     pub states: Vec<f64>,
-    /// The mean loss.
+    /// Mean loss over the samples.
     pub loss: f64,
-    /// The gradients of R and M.
+    /// Gradients of R and M.
     pub gradients: [Vec<f64>; 2],
 }
 
-/// A rollout that is ready to be run, as often as one likes.
+/// Rollout that can be timed repeatedly.
 pub struct Job {
-    /// What comes of it, or where it diverged.
+    /// Results, or the message of a divergence.
     pub found: Result<Found, String>,
-    /// The states of each sample, `[sample][step]`, where the policy does nothing; none if that diverged.
+    /// States with zero control, `[sample][step]`. Empty if that rollout diverges.
     pub idle: Vec<Vec<Vec<f64>>>,
-    /// Operations of a step of the policy, and of its reverse for one adjoint.
+    /// Operations of one control step and of its VJP for one adjoint.
     pub operations: u64,
-    /// Bytes of rollout and adjoint, for a step of a sample.
+    /// Bytes of rollout and adjoint, per sample and step.
     pub bytes: f64,
-    /// Steps of all samples in a run.
+    /// Number of steps in a run, over all samples.
     steps: f64,
     run: Box<dyn FnMut(bool)>,
 }
 
 impl Job {
-    /// Seconds for a step of a sample: forward, and forward with the adjoints of R and M. Runs for about `least` seconds each.
+    /// Seconds per sample and step: forward, and forward with the adjoints of R and M.
+    ///
+    /// Measures each for about `least` seconds.
     pub fn time(&mut self, least: f64) -> [f64; 2] {
         [false, true].map(|gradient| {
             let (start, mut runs) = (Instant::now(), 0.0);
@@ -51,7 +53,7 @@ impl Job {
     }
 }
 
-/// Makes the job of a scene.
+/// Visitor that makes the job of a scene.
 pub struct Preparing {
     pub precision: Precision,
     pub seed: u64,
@@ -104,7 +106,7 @@ fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, c
         let loss = (0..SAMPLES).map(|sample| rollout.cost(sample).as_()).sum::<f64>() / SAMPLES as f64;
         Found { states: (0..=horizon).flat_map(state).collect(), loss, gradients }
     });
-    // With parameters of 0 a network's control is 0.
+    // A network with zero parameters outputs zero control.
     let nothing = Weights::new(&*policy, vec![F::zero(); weights.theta().len()]);
     rollout.start(&starts);
     let still = rollout.run(&*task, &*policy, &nothing).is_ok();
@@ -114,7 +116,7 @@ fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, c
     let bytes = (rollout.stored_bytes() + adjoint.stored_bytes()) as f64 / steps;
     let run = Box::new(move |gradient: bool| {
         rollout.start(&starts);
-        // What diverges is shown as such, and not timed.
+        // Ignores divergence: diverged jobs are reported and not timed.
         if rollout.run(&*task, &*policy, &weights).is_ok() && gradient {
             let _ = adjoint.run(&*task, &*policy, &weights, &rollout, scale);
         }

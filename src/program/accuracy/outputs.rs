@@ -1,4 +1,4 @@
-//! What `physgrad accuracy` leaves: numbers, diagrams, a table.
+//! Output files of `physgrad accuracy`: CSV, charts and a table.
 
 use super::row::{Errors, Row};
 use crate::program::folder::Folder;
@@ -7,7 +7,7 @@ use comfy_table::presets::{ASCII_MARKDOWN, UTF8_FULL_CONDENSED};
 use comfy_table::{CellAlignment, Table, TableStyle};
 use physgrad::report::{Series, Work, work_precision};
 
-/// Colours of Okabe and Ito, and grey and brown.
+/// Okabe-Ito colours, grey and brown.
 const COLORS: [&str; 10] =
     ["#000000", "#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7", "#888888", "#8B5A2B"];
 
@@ -33,7 +33,7 @@ const HEADER: [&str; 19] = [
     "gradient_us_highest",
 ];
 
-/// Writes everything.
+/// Writes all files.
 pub fn write(folder: &Folder, name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -> Result<()> {
     let path = folder.file("accuracy.csv");
     let mut csv = csv::Writer::from_path(&path).with_context(|| format!("cannot write {}", path.display()))?;
@@ -62,7 +62,7 @@ fn record(row: &Row) -> Vec<String> {
     [&head[..], &[diverged], &errors, &counts, &times].concat()
 }
 
-/// Errors against time and operations, a line for each method and precision.
+/// Charts of errors over time and operations, with one line per method and precision.
 fn diagrams(name: &str, rows: &[Row]) -> physgrad::report::Drawing {
     let mut methods: Vec<&str> = rows.iter().map(|row| row.setting.method).collect();
     methods.dedup();
@@ -128,7 +128,7 @@ fn table(style: TableStyle, conserved: Option<&str>, rows: &mut dyn Iterator<Ite
     right_aligned(table)
 }
 
-/// The same with its numbers, which are all columns but the first, to the right.
+/// Right-aligns all columns except the first.
 pub fn right_aligned(mut table: Table) -> Table {
     let columns = table.column_count();
     for column in 1..columns {
@@ -139,7 +139,7 @@ pub fn right_aligned(mut table: Table) -> Table {
     table
 }
 
-/// The smallest error of the trajectory in each precision: what more steps do not get below.
+/// Sentence with the smallest error of the trajectory in each precision.
 fn floors(rows: &[Row]) -> String {
     let of = |precision: &str| {
         let errors = rows.iter().filter(|row| row.setting.precision.name() == precision);
@@ -170,7 +170,8 @@ fn markdown(name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -
     )
 }
 
-/// Those that no other setting beats in both time and error of the trajectory, and how many diverged.
+/// Table of the Pareto-optimal settings in time and trajectory error, and the number of diverged
+/// settings.
 pub fn summary(rows: &[Row], check: &Errors, conserved: Option<&str>) -> String {
     let point = |row: &Row| Some((row.seconds[0][1], row.errors.as_ref().ok()?.trajectory));
     let best =

@@ -1,4 +1,4 @@
-//! What is told of one way to simulate a scene.
+//! One row of the results of `physgrad accuracy`.
 
 use super::job::{Found, Job};
 use crate::program::document::Document;
@@ -8,12 +8,12 @@ use crate::program::settings::Precision;
 use anyhow::Result;
 use toml::Value;
 
-/// A method, its steps, and a precision.
+/// Integrator, number of substeps, and precision.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setting {
-    /// As a scene spells it; `own` for the task's own scheme.
+    /// Name as in a scene; `own` for the task's own scheme.
     pub method: &'static str,
-    /// Steps of the physics in one of the policy.
+    /// Number of physics steps per control step.
     pub substeps: usize,
     pub precision: Precision,
 }
@@ -23,7 +23,7 @@ impl Setting {
         format!("{} x{} {}", self.method, self.substeps, self.precision.name())
     }
 
-    /// The scene with this setting.
+    /// Scene with this setting.
     pub fn of(&self, document: &Document) -> Result<Scene> {
         let mut document = document.clone();
         document.without_section("integrator");
@@ -35,7 +35,7 @@ impl Setting {
         document.scene()
     }
 
-    /// The lines to put into a scene.
+    /// Lines of a scene file that select this setting.
     pub fn lines(&self) -> String {
         let mut lines = format!("precision = \"{}\"\n\n[integrator]\n", self.precision.name());
         if self.method != "own" {
@@ -45,7 +45,7 @@ impl Setting {
     }
 }
 
-/// Lowest, median and highest; of nothing, NaN.
+/// Lowest value, median and highest value. NaN for an empty list.
 pub fn spread(mut times: Vec<f64>) -> [f64; 3] {
     times.sort_by(f64::total_cmp);
     match times[..] {
@@ -54,28 +54,31 @@ pub fn spread(mut times: Vec<f64>) -> [f64; 3] {
     }
 }
 
-/// Errors, all in relation to the size of what is right.
+/// Errors relative to the reference.
 #[derive(Clone, Copy, Debug)]
 pub struct Errors {
-    /// The largest over all samples and steps, by the largest state.
+    /// Largest absolute error over all samples and steps, divided by the largest absolute state
+    /// component.
     pub trajectory: f64,
     pub loss: f64,
-    /// Of the gradients of R and M: the length of the difference by the length.
+    /// Relative errors of the gradients of R and M, in the Euclidean norm.
     pub gradients: [f64; 2],
-    /// The share of parameters whose sign is right in R and M.
+    /// Share of parameters whose sign is correct in R and M.
     pub signs: [f64; 2],
 }
 
-/// One way to simulate a scene.
+/// Errors and costs of one setting.
 pub struct Row {
     pub setting: Setting,
-    /// Or where it diverged.
+    /// Errors, or the message of a divergence.
     pub errors: Result<Errors, String>,
-    /// How far what should be conserved moves without control, in relation to its size; NaN if nothing is, or all diverged.
+    /// Relative drift of the conserved quantity with zero control. NaN without such a quantity or
+    /// if the rollout diverges.
     pub drift: f64,
     pub operations: u64,
     pub bytes: f64,
-    /// Seconds for a step of a sample, forward and with the gradients: lowest, median, highest of the rounds.
+    /// Seconds per sample and step, forward and with gradients: lowest, median and highest of the
+    /// rounds.
     pub seconds: [[f64; 3]; 2],
 }
 

@@ -1,4 +1,4 @@
-//! The ways to come by a gradient: what comes of each, and what it costs.
+//! Methods of computing a gradient, and their costs.
 
 use crate::program::allocations::peak_during;
 use crate::program::kind::Visit;
@@ -11,48 +11,48 @@ use physgrad::{Batch, Field, Float, Flow, Gradient, Policy, Rollout, Task, Weigh
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Samples whose mean loss is differentiated.
+/// Number of samples in the mean loss.
 const SAMPLES: usize = 4;
-/// Parameters at which everything is compared with the reference.
+/// Number of parameters at which gradients are compared with the reference.
 const CHOSEN: usize = 8;
-/// Relative size of a rounding in f64.
+/// Relative perturbation of one rounding in f64.
 const ROUNDING: f64 = f64::EPSILON;
 
-/// How a gradient is come by.
+/// Method of computing a gradient.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Way {
-    /// The loss alone.
+    /// Loss without a gradient.
     Forward,
-    /// The reverse pass.
+    /// Reverse pass.
     Reverse {
-        /// Of this field.
+        /// Field to compute.
         field: Field,
-        /// In at most so many bytes.
+        /// Memory budget in bytes.
         budget: Option<u64>,
-        /// From start states that differ by a rounding.
+        /// Perturbs the initial states by one rounding.
         nudged: bool,
     },
-    /// Central differences: two losses for every parameter.
+    /// Central differences with this step: two losses per parameter.
     Central(f64),
-    /// Forward mode by dual numbers, one parameter at a time.
+    /// Forward mode with dual numbers, one parameter at a time.
     Duals,
 }
 
 type Run = Box<dyn FnMut() + Send>;
 
-/// What came of a way.
+/// Result of a method.
 pub struct Derived {
-    /// All components, or those at the [`chosen`] parameters alone; or where it diverged.
+    /// All components, or those at the [`chosen`] parameters; or the message of a divergence.
     pub gradient: Result<Vec<f64>, String>,
-    /// The most bytes held at once.
+    /// Peak memory in bytes.
     pub bytes: usize,
-    /// How many times `run` makes a gradient.
+    /// Number of calls of `run` for a whole gradient.
     rounds: f64,
     run: Run,
 }
 
 impl Derived {
-    /// Seconds for a whole gradient, measured for about `least` seconds, or more if a single run takes more.
+    /// Seconds for a whole gradient. Measures for at least `least` seconds and at least one call.
     pub fn time(&mut self, least: f64) -> f64 {
         let (start, mut runs) = (Instant::now(), 0.0);
         while runs == 0.0 || start.elapsed().as_secs_f64() < least {
@@ -63,13 +63,13 @@ impl Derived {
     }
 }
 
-/// The parameters at which everything is compared with the reference: evenly spread over all of them.
+/// Indices of the parameters that are compared with the reference, evenly spaced.
 pub fn chosen(count: usize) -> Vec<usize> {
     let chosen = CHOSEN.min(count);
     (0..chosen).map(|i| i * (count - 1) / (chosen - 1).max(1)).collect()
 }
 
-/// Parameters and start states, the same in every precision: they are f32.
+/// Parameters and initial states, rounded to f32, so that they are equal in every precision.
 fn inputs(task: &dyn AnyTask<f32>, policy: &dyn AnyPolicy<f32>, seed: u64) -> (Vec<f64>, Vec<f64>) {
     let weights = Weights::init(policy, &mut stream(seed, Purpose::Policy, 0));
     let n = task.state_dim();
@@ -81,7 +81,7 @@ fn inputs(task: &dyn AnyTask<f32>, policy: &dyn AnyPolicy<f32>, seed: u64) -> (V
     (weights.theta().iter().map(|&t| f64::from(t)).collect(), rounded)
 }
 
-/// Derives in one way.
+/// Visitor that computes a gradient with one method.
 pub struct Deriving {
     pub precision: Precision,
     pub seed: u64,
@@ -109,7 +109,8 @@ impl Visit for Deriving {
     }
 }
 
-/// The derivative of the loss by a parameter, from parameters, start states and its index.
+/// Derivative of the loss with respect to one parameter; takes parameters, initial states and the
+/// parameter's index.
 type Slope = Box<dyn Fn(&[f64], &[f64], usize) -> f64 + Send>;
 
 fn derive<F: Float>(
@@ -152,10 +153,10 @@ fn derive<F: Float>(
                     let moved = theta[i].as_();
                     loss(&Weights::new(&*policy, theta)).map(|loss| (loss, moved))
                 };
-                // By the step as it is after rounding.
+                // Divides by the distance of the two rounded parameters.
                 Ok((side(step)?, side(-step)?)).map(|((above, right), (below, left))| (above - below) / (right - left))
             };
-            // With the parameters that are moved, which every loss has its own copies of.
+            // The peak includes the copies of the perturbed parameters.
             let (gradient, bytes) = peak_during(|| chosen(count).into_iter().map(&mut difference).collect());
             Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || drop::<Result<f64, String>>(difference(0))) }
         }
@@ -167,7 +168,7 @@ fn derive<F: Float>(
     }
 }
 
-/// The mean loss as a function of the parameters.
+/// Mean loss as a function of the parameters.
 fn losses<F: Float>(
     task: Arc<dyn AnyTask<F>>,
     policy: Arc<dyn AnyPolicy<F>>,
@@ -205,17 +206,18 @@ fn reverse<F: Float>(
     Ok((gradient, Box::new(move || drop::<Result<Gradient<F>, String>>(run()))))
 }
 
-/// The gradients of R, M and S in double-double, at the [`chosen`] parameters.
+/// Visitor that computes the gradients of R, M and S in double-double arithmetic, at the [`chosen`]
+/// parameters.
 pub struct Referring<'a> {
     pub seed: u64,
-    /// Called after each of them.
+    /// Callback after each derivative.
     pub done: &'a (dyn Fn() + Sync),
 }
 
-/// The flows of the reference.
+/// Flows of the reference.
 pub const FLOWS: [Flow; 3] = [Flow::REGULAR, Flow::MODIFIED, Flow::STOPPED];
 
-/// Derivatives that [`Referring`] takes.
+/// Number of derivatives computed by [`Referring`].
 pub const REFERENCES: usize = FLOWS.len() * CHOSEN;
 
 impl Visit for Referring<'_> {

@@ -1,4 +1,4 @@
-//! What `explain` finds out from the types of task and policy.
+//! Visitors of `explain`: operation counts, stored bytes and allocations.
 
 use crate::program::allocations;
 use crate::program::kind::Visit;
@@ -6,7 +6,7 @@ use crate::program::settings::Precision;
 use physgrad::rng::{Purpose, stream};
 use physgrad::{Adjoint, Cost, Field, Float, Policy, Rollout, System, Task, Weights};
 
-/// Samples that go through a rollout together when its bytes are counted: a block, in which all lanes are in use.
+/// Number of samples in the measured rollout: one full block of lanes.
 pub const SAMPLES: usize = 8;
 
 /// Counts the operations of the physics.
@@ -20,18 +20,18 @@ impl Visit for Costing {
     }
 }
 
-/// What a rollout of [`SAMPLES`] samples and its adjoint take.
+/// Measures a rollout of [`SAMPLES`] samples and its adjoint.
 pub struct Storing {
     pub precision: Precision,
-    /// None: for evaluation.
+    /// Field of the adjoint. None for a rollout in evaluation mode.
     pub field: Option<Field>,
 }
 
-/// What they took.
+/// Memory of a rollout and its adjoint.
 pub struct Stored {
-    /// Bytes that they hold.
+    /// Bytes in their buffers.
     pub bytes: usize,
-    /// Allocations of a run after the first.
+    /// Allocations in the second pass, after buffers have grown.
     pub allocations: usize,
 }
 
@@ -59,7 +59,7 @@ impl Storing {
             let mut rollout = Rollout::<F>::for_evaluation(task, policy, SAMPLES);
             let allocations = allocations_of_second(|| {
                 rollout.start(&starts);
-                // Where it diverges, it has taken fewer steps, and what it took is still counted.
+                // Ignores divergence: the counts then cover fewer steps.
                 let _ = rollout.run(task, policy, &weights);
             });
             return Stored { bytes: rollout.stored_bytes(), allocations };
@@ -76,7 +76,7 @@ impl Storing {
     }
 }
 
-/// The first run sets up what later ones use.
+/// Runs twice and counts only the second run: the first allocates buffers.
 fn allocations_of_second(mut run: impl FnMut()) -> usize {
     run();
     allocations::during(run)

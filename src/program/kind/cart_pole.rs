@@ -1,4 +1,4 @@
-//! Cart-pole in the program.
+//! Cart-pole: settings, effects, limits and animation.
 
 use super::{Conserved, Info, Kind, MlpSettings, Network, Visit};
 use crate::program::problem::{Problem, count, exclusive, finite, not_negative, positive};
@@ -13,15 +13,15 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-/// `cart_pole`.
+/// Task `cart_pole`.
 #[derive(Clone, Debug)]
 pub struct CartPole;
 
-/// `system` of cart-pole.
+/// The `system` section of cart-pole.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CartPoleSettings {
-    /// Whether the poles act on each other.
+    /// Equations of motion: uncoupled or coupled poles.
     model: Model,
     /// Number of poles.
     poles: usize,
@@ -31,23 +31,24 @@ pub struct CartPoleSettings {
     pole_mass: f64,
     /// Half the length of a pole, m.
     half_length: f64,
-    /// Gravity, m/s².
+    /// Gravitational acceleration, m/s².
     gravity: f64,
     /// Time step, s.
     dt: f64,
 }
 
-/// The equations of motion.
+/// Equations of motion.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 enum Model {
-    /// The authors': every pole feels the control, and none feels another.
+    /// Equations of the authors' code: the control drives every pole, without coupling between
+    /// poles.
     Uncoupled,
-    /// The exact ones: the poles act on each other through the cart.
+    /// Exact equations: the poles couple through the cart.
     Coupled,
 }
 
-/// `effects` of cart-pole, in the order in which they are computed.
+/// The `effects` section of cart-pole, in order of evaluation.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CartPoleEffects {
@@ -63,10 +64,10 @@ pub struct CartPoleEffects {
     /// A steady wind along the rail.
     #[serde(skip_serializing_if = "Option::is_none")]
     steady_wind: Option<SteadyWind>,
-    /// A wind along the rail, in gusts; adds the time to the state.
+    /// Wind along the rail with sinusoidal gusts; adds the time to the state.
     #[serde(skip_serializing_if = "Option::is_none")]
     gusty_wind: Option<GustyWind>,
-    /// Springs at both ends of the rail.
+    /// Spring-damper bumpers at both ends of the rail.
     #[serde(skip_serializing_if = "Option::is_none")]
     bumpers: Option<Bumpers>,
 }
@@ -85,7 +86,7 @@ impl CartPoleEffects {
         effects.into_iter().flatten().collect()
     }
 
-    /// Speed of the wind, from what follows the body's own state.
+    /// Wind speed, from the state components that effects add.
     fn wind(&self, beyond: &[f64]) -> Option<f64> {
         let steady = self.steady_wind.map(|wind| wind.speed);
         let gusty = self.gusty_wind.map(|wind| wind.speed + wind.gust * (TAU * beyond[0] / wind.period).sin());
@@ -125,11 +126,11 @@ impl CartPoleEffects {
     }
 }
 
-/// `loss` of cart-pole.
+/// The `loss` section of cart-pole.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CartPoleLoss {
-    /// Which states are paid for.
+    /// States that enter the loss.
     mode: LossMode,
 }
 
@@ -140,12 +141,12 @@ impl CartPoleSettings {
     }
 }
 
-/// The time step of the physics, of which there are several in one of the policy.
+/// Time step of the physics: the control step divided by the number of substeps.
 fn system_dt(settings: &Settings<CartPole>) -> f64 {
     settings.system.dt / settings.integrator.count() as f64
 }
 
-/// Hands over the task of swinging up the poles of this system.
+/// Calls the visitor with the swing-up task for this system.
 fn swing_up<S: Around<CartPoleSystem> + Clone + 'static, V: Visit>(
     system: S,
     settings: &Settings<CartPole>,
@@ -155,7 +156,7 @@ fn swing_up<S: Around<CartPoleSystem> + Clone + 'static, V: Visit>(
     settings.policy.visit(task, visitor)
 }
 
-/// Any combination of effects, walked as a list, behind any actuator.
+/// Visits the task with a list of effects, an integrator and a list of actuators.
 fn listed<V: Visit>(system: CartPoleModel, effects: Vec<CartPoleEffect>, settings: &Settings<CartPole>, visitor: V) -> V::Out {
     let system = settings.integrator.around(With { system, effects }, system_dt(settings), settings.precision);
     let system = settings.actuator.around(system, settings.system.dt);
@@ -214,7 +215,7 @@ impl Kind for CartPole {
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
         let effects = settings.effects.list();
         let system = CartPoleSystem { dt: system_dt(settings), ..settings.system.body() };
-        // The paper's system is a type of its own. Every type costs compile time.
+        // Uses a separate type for the paper's system. Each further type would cost compile time.
         match settings.system.model {
             Model::Uncoupled if effects.is_empty() && settings.actuator.is_empty() && settings.integrator.is_empty() => {
                 swing_up(system, settings, visitor)
@@ -254,7 +255,7 @@ impl Kind for CartPole {
     }
 
     fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
-        // Of several poles, only the exact model has an energy.
+        // With several poles, only the exact equations conserve energy.
         let exact = matches!(settings.system.model, Model::Coupled) || settings.system.poles == 1;
         let free = settings.effects.list().is_empty() && settings.actuator.is_empty();
         let system = CoupledCartPole(settings.system.body());

@@ -1,4 +1,4 @@
-//! Guidance by repulsion in the program.
+//! Guidance by repulsion: settings, effects, limits and animation.
 
 use super::{Info, Kind, MlpSettings, Network, Visit};
 use crate::program::problem::{Problem, allowed, count, finite, not_negative, positive};
@@ -9,30 +9,30 @@ use physgrad::{Around, System, With};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// `guidance`.
+/// Task `guidance`.
 #[derive(Clone, Debug)]
 pub struct Guidance;
 
-/// `effects` of guidance, in the order in which they are computed.
+/// The `effects` section of guidance, in order of evaluation.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GuidanceEffects {
-    /// What slows the agents.
+    /// Viscous friction of the agents.
     #[serde(skip_serializing_if = "Option::is_none")]
     friction: Option<Friction>,
     /// Drivers repel each other.
     #[serde(skip_serializing_if = "Option::is_none")]
     spread: Option<Spread>,
-    /// Evaders flee from drivers.
+    /// Drivers repel evaders.
     #[serde(skip_serializing_if = "Option::is_none")]
     evade: Option<Evade>,
     /// Evaders attract each other nearby and repel each other farther off.
     #[serde(skip_serializing_if = "Option::is_none")]
     flock: Option<Flock>,
-    /// Drivers are drawn to evaders.
+    /// Evaders attract drivers.
     #[serde(skip_serializing_if = "Option::is_none")]
     drive: Option<Drive>,
-    /// Round obstacles that push agents out.
+    /// Circular obstacles with a repelling spring force.
     #[serde(skip_serializing_if = "Option::is_none")]
     obstacles: Option<Obstacles>,
     /// Walls around a rectangular field.
@@ -41,7 +41,7 @@ pub struct GuidanceEffects {
 }
 
 impl GuidanceEffects {
-    /// Those of the paper.
+    /// Effects of the paper.
     fn paper() -> Self {
         Self {
             friction: Some(Friction::default()),
@@ -66,7 +66,7 @@ impl GuidanceEffects {
         effects.into_iter().flatten().collect()
     }
 
-    /// What can be seen.
+    /// Obstacles and walls for the animation.
     fn field(&self) -> Field {
         let discs = |Obstacles { centers, radius, .. }: &Obstacles| centers.iter().map(|&center| (center, *radius)).collect();
         let walls = self.walls.map(|walls| [walls.half_width, walls.half_height]);
@@ -109,13 +109,13 @@ impl GuidanceEffects {
     }
 }
 
-/// `loss` of guidance.
+/// The `loss` section of guidance.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GuidanceLoss {
-    /// Which states are paid for.
+    /// States that enter the loss.
     mode: LossMode,
-    /// Price of the mean of squared controls, m² s⁴.
+    /// Weight of the mean squared control, m² s⁴.
     regularization: f64,
 }
 
@@ -126,7 +126,7 @@ impl Default for GuidanceLoss {
     }
 }
 
-/// Hands over the task of herding in this system.
+/// Calls the visitor with the herding task for this system.
 fn herd<S: Around<GuidanceSystem> + Clone + 'static, V: Visit>(system: S, settings: &Settings<Guidance>, visitor: V) -> V::Out {
     let GuidanceLoss { mode: loss, regularization } = settings.loss;
     let task = tasks::Guidance { system, loss, regularization, horizon: settings.horizon };
@@ -181,7 +181,7 @@ impl Kind for Guidance {
         use GuidanceEffect as E;
         let (dt, effects) = (settings.system.dt / settings.integrator.count() as f64, settings.effects.list());
         let system = GuidanceSystem { dt, ..settings.system };
-        // The paper's combination is a type of its own.
+        // Uses a separate type for the paper's effects.
         if settings.actuator.is_empty()
             && settings.integrator.is_empty()
             && let [E::Friction(friction), E::Spread(spread), E::Evade(evade), E::Flock(flock)] = effects[..]

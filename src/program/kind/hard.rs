@@ -1,4 +1,5 @@
-//! Tasks that are hard on purpose, in the program. All of them are one type, so they are compiled once.
+//! Tasks that are numerically hard by design. They share one type, so the compiler monomorphizes
+//! them once.
 
 mod bounce;
 mod contact;
@@ -24,50 +25,51 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
-/// `effects` of a task that has none, and `loss` of one whose costs are fixed.
+/// Empty section: `effects` of tasks without effects, and `loss` of tasks with a fixed cost.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Nothing {}
 
-/// Hands over the task behind its actuator.
+/// Calls the visitor with the task, its substeps and its actuators.
 fn visit<K: Kind<Network = MlpSettings>, V: Visit>(settings: &Settings<K>, task: AnyHard, visitor: V) -> V::Out {
     let system = Substeps { system: task, count: settings.integrator.count() };
     let system = settings.actuator.around(system, K::dt(settings));
     settings.policy.visit(Hard { system }, visitor)
 }
 
-/// The time step of the physics, of which there are several in one of the policy.
+/// Time step of the physics: the control step divided by the number of substeps.
 fn small_step<K: Kind>(settings: &Settings<K>) -> f64 {
     K::dt(settings) / settings.integrator.count() as f64
 }
 
-/// Names of state components.
+/// Owned names of state or control components.
 fn names(names: &[&str]) -> Vec<String> {
     names.iter().map(|&name| name.to_owned()).collect()
 }
 
-/// `loss` of what is to be upright.
+/// The `loss` section of swing-up and balancing tasks.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct UprightLoss {
-    /// Which states are paid for.
+    /// States that enter the loss.
     mode: LossMode,
-    /// What control costs: the mean over time of `effort |u|²/2` is added. 0 without it.
+    /// Weight of the control cost: adds the mean over time of `effort |u|²/2`; default 0.
     #[serde(default)]
     effort: f64,
 }
 
-/// Where what is to be upright starts.
+/// Distribution of initial states of swing-up and balancing tasks.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 enum Start {
-    /// Within ±π/6 of hanging, at up to as many rad/s and m/s.
+    /// Angles within ±π/6 of hanging; other components within ±π/6 rad/s, m and m/s.
     Hanging,
-    /// Within ±0.05 of upright.
+    /// All components within ±0.05 of upright.
     Upright,
 }
 
-/// The task of swinging it up or holding it, in steps of the method asked for or the classical one of Runge and Kutta.
+/// Swing-up or balancing task with the chosen integrator, by default the classical Runge-Kutta
+/// method (RK4).
 fn upright<K: Kind<Loss = UprightLoss>, O: Ode>(
     settings: &Settings<K>,
     ode: O,

@@ -9,29 +9,29 @@ use serde::{Deserialize, Serialize};
 
 /// The `policy` section of a task's settings.
 pub trait Network: Section + Default {
-    /// What is built of it.
+    /// Policy built from these settings.
     type Policy: Policy + Clone + 'static;
-    /// What is out of range.
+    /// Checks the ranges of all settings.
     fn validate(&self) -> Result<(), Problem>;
-    /// The policy of a task of these dimensions.
+    /// Builds the policy for these dimensions of state and control.
     fn build(&self, state_dim: usize, control_dim: usize) -> Self::Policy;
 
-    /// Hands the task to the visitor, with a policy that fits it.
+    /// Calls the visitor with the task and a policy of matching dimensions.
     fn visit<T: Task + Clone + 'static, V: Visit>(&self, task: T, visitor: V) -> V::Out {
         let policy = self.build(task.system().state_dim(), task.system().control_dim());
         visitor.visit(task, policy)
     }
 }
 
-/// An MLP that sees the whole state.
+/// Multilayer perceptron that observes the whole state.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MlpSettings {
-    /// Widths of the hidden layers; none is a linear policy.
+    /// Widths of the hidden layers; an empty list gives a linear policy.
     widths: Vec<usize>,
     /// Whether layers have a bias.
     bias: bool,
-    /// Start with a zeroed last kernel.
+    /// Initialize the last kernel with zeros.
     zero_last: bool,
 }
 

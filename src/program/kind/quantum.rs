@@ -1,4 +1,4 @@
-//! Quantum control in the program.
+//! Quantum control: settings, effects, limits and animation.
 
 use super::{Conserved, Info, Kind, Network, Visit};
 use crate::program::problem::{Problem, allowed, count, exclusive, finite, not_negative, positive};
@@ -13,51 +13,51 @@ use physgrad::{Around, Substeps, With};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// `quantum`.
+/// Task `quantum`.
 #[derive(Clone, Debug)]
 pub struct Quantum;
 
-/// `system` of quantum control.
+/// The `system` section of quantum control.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct QuantumSettings {
-    /// Grid points between the walls.
+    /// Number of grid points between the walls.
     grid: usize,
     /// Length of the box.
     length: f64,
     /// Time step.
     dt: f64,
-    /// What the control makes of the floor.
+    /// Shape of the control potential.
     control: ControlShape,
-    /// Number of the eigenstate to reach; 1 is the ground state.
+    /// Index of the target eigenstate; 1 is the ground state.
     target: usize,
-    /// How strongly the first and the second eigenstate come into the start states.
+    /// Weights of the first and the second eigenstate in initial states.
     weighting: [f64; 2],
 }
 
-/// `effects` of quantum control, in the order in which they are computed.
+/// The `effects` section of quantum control, in order of evaluation.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct QuantumEffects {
     /// A harmonic trap.
     #[serde(skip_serializing_if = "Option::is_none")]
     harmonic: Option<Harmonic>,
-    /// A barrier, or a well, in the box.
+    /// A potential barrier, or a well, in the box.
     #[serde(skip_serializing_if = "Option::is_none")]
     barrier: Option<Barrier>,
-    /// Two wells with a hill between them.
+    /// Two potential wells separated by a barrier.
     #[serde(skip_serializing_if = "Option::is_none")]
     double_well: Option<DoubleWell>,
-    /// The cubic term of Gross and Pitaevskii: the particle is a condensate that acts on itself.
+    /// Cubic self-interaction of the Gross-Pitaevskii equation.
     #[serde(skip_serializing_if = "Option::is_none")]
     cubic: Option<Cubic>,
-    /// Walls that swallow what runs into them.
+    /// Absorbing layers at the walls.
     #[serde(skip_serializing_if = "Option::is_none")]
     absorbing_edges: Option<AbsorbingEdges>,
 }
 
 impl QuantumEffects {
-    /// The static potential.
+    /// Static potential on the grid, if any.
     fn potential(&self, system: &QuantumSystem) -> Option<Tabulated> {
         let Self { harmonic, barrier, double_well, .. } = self;
         let harmonic = harmonic.map(|effect| Tabulated::of(system, &effect));
@@ -65,13 +65,13 @@ impl QuantumEffects {
         harmonic.or(barrier).or_else(|| double_well.map(|effect| Tabulated::of(system, &effect)))
     }
 
-    /// What adds to the potential.
+    /// Effects that add to the potential.
     fn list(&self, system: &QuantumSystem) -> Vec<QuantumEffect> {
         let potential = self.potential(system).map(QuantumEffect::from);
         potential.into_iter().chain(self.cubic.map(QuantumEffect::from)).collect()
     }
 
-    /// What can be seen.
+    /// Potential and absorbing layers for the animation.
     fn landscape(&self, system: &QuantumSystem) -> Landscape {
         let potential = self.potential(system).map_or(Vec::new(), |potential| potential.values);
         Landscape { potential, absorbing: self.absorbing_edges.map(|edges| edges.width) }
@@ -107,16 +107,16 @@ impl QuantumEffects {
     }
 }
 
-/// A problem unless the value is positive and at most the limit, which is `what`.
+/// Returns an error unless the value is positive and at most `limit`. `what` describes the limit.
 fn within(key: &str, value: f64, limit: f64, what: &str) -> Result<(), Problem> {
     allowed(key, value, value > 0.0 && value <= limit, format!("more than 0, up to {limit}, {what}"))
 }
 
-/// `loss` of quantum control.
+/// The `loss` section of quantum control.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct QuantumLoss {
-    /// Which states are paid for.
+    /// States that enter the loss.
     mode: LossMode,
 }
 
@@ -126,13 +126,13 @@ impl Default for QuantumLoss {
     }
 }
 
-/// `policy` of quantum control: a convolutional network.
+/// The `policy` section of quantum control: a convolutional network.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ConvSettings {
-    /// Filters of each convolution.
+    /// Number of filters of each convolution.
     width: usize,
-    /// Start with a zeroed last kernel.
+    /// Initialize the last kernel with zeros.
     zero_last: bool,
 }
 
@@ -154,7 +154,7 @@ impl Network for ConvSettings {
     }
 }
 
-/// Hands over the task of bringing this system into its target.
+/// Calls the visitor with the task of reaching the target eigenstate.
 fn reach<S: Around<QuantumSystem> + Clone + 'static, V: Visit>(system: S, settings: &Settings<Quantum>, visitor: V) -> V::Out {
     let QuantumSettings { target, weighting, .. } = settings.system;
     let task = tasks::Quantum { system, target, loss: settings.loss.mode, horizon: settings.horizon, weighting };
@@ -201,25 +201,25 @@ impl Kind for Quantum {
 
     fn validate(settings: &Settings<Self>) -> Result<(), Problem> {
         let QuantumSettings { grid, length, dt, target, weighting: [first, second], control: _ } = settings.system;
-        // Two convolutions leave nothing of fewer points.
+        // Two unpadded convolutions need at least seven points.
         count("system.grid", grid, 7..=100_000)?;
         count("system.target", target, 1..=grid)?;
         positive("system.length", length)?;
         positive("system.dt", dt)?;
-        // Within these limits every start state can be normalized.
+        // Within these limits every initial state can be normalized.
         let can_be_normalized = first.is_finite() && second.is_finite() && (1e-6..=1e6).contains(&first.abs().max(second.abs()));
         let weighting = format!("[{first}, {second}]");
         allowed("system.weighting", weighting, can_be_normalized, "two numbers, the larger in size 1e-6 to 1e6")?;
         settings.effects.validate(length)?;
-        // The network's convolutions run over the wave function, and there is no place for other numbers.
+        // The convolutions run over the wave function and accept no further state components.
         settings.actuator.without_state("the network of this task sees the wave function alone")
     }
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
         let system = settings.physics();
         let effects = settings.effects.list(&system);
-        // One type serves every scene: beside the elimination, what is absent from the list costs no time that can be measured.
-        // Edges that reach nowhere multiply nothing.
+        // Uses one type in all scenes: an empty list of effects costs little next to the
+        // tridiagonal solve. Absorbing edges of width 0 multiply nothing.
         let edges = settings.effects.absorbing_edges.unwrap_or(AbsorbingEdges { width: 0.0, strength: 0.0 });
         let count = settings.integrator.count();
         let system = QuantumSystem { dt: system.dt / count as f64, ..system };

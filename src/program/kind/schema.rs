@@ -1,4 +1,4 @@
-//! The JSON schema of scenes: one branch a task.
+//! JSON schema of scenes, with one branch per task.
 
 use super::{AnyKind, KINDS};
 use crate::program::settings::VERSION;
@@ -7,7 +7,7 @@ use schemars::{JsonSchema, SchemaGenerator};
 use serde_json::{Map, Value, json};
 use toml::Table;
 
-/// The schema of all scenes.
+/// Schema of all scenes.
 pub fn schema() -> Value {
     json!({
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -18,9 +18,9 @@ pub fn schema() -> Value {
     })
 }
 
-/// The schema of the scenes of one task.
+/// Schema of the scenes of one task.
 pub fn of<S: JsonSchema>(kind: &dyn AnyKind) -> Value {
-    // Written out in place: the sections of tasks differ, whatever they are called.
+    // Inlines subschemas: sections of different tasks share type names but not contents.
     let settings = SchemaSettings::draft2020_12().with(|settings| settings.inline_subschemas = true);
     let mut schema = SchemaGenerator::new(settings).into_root_schema_for::<S>().to_value();
     complete(&mut schema, Some(&kind.defaults()));
@@ -35,7 +35,9 @@ pub fn of<S: JsonSchema>(kind: &dyn AnyKind) -> Value {
     schema
 }
 
-/// What has a default need not be written; what an effect or actuator asks for, once it is named, has none.
+/// Inserts defaults and makes settings with a default optional.
+///
+/// A parameter of an effect or actuator without a default stays required within its section.
 fn complete(schema: &mut Value, defaults: Option<&Table>) {
     let Some(schema) = schema.as_object_mut() else { return };
     without_null(schema);
@@ -54,7 +56,7 @@ fn complete(schema: &mut Value, defaults: Option<&Table>) {
     }
 }
 
-/// TOML has no null: what is optional is left out.
+/// Removes null from the types: TOML has no null, and a scene omits an optional setting.
 fn without_null(schema: &mut Map<String, Value>) {
     if let Some(Value::Array(types)) = schema.get_mut("type") {
         types.retain(|name| name != "null");
@@ -67,7 +69,7 @@ fn without_null(schema: &mut Map<String, Value>) {
         if let [Value::Object(one)] = &choices[..] {
             let one = one.clone();
             schema.remove("anyOf");
-            // What is said of the section here is more than what is said of it in general.
+            // Prefers the description of the property to the description of its type.
             one.into_iter().for_each(|(key, value)| {
                 schema.entry(key).or_insert(value);
             });

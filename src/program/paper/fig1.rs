@@ -1,4 +1,4 @@
-//! Figure 1: the loss, R and M over the two parameters of a quadratic policy.
+//! Figure 1: loss, R and M over the two parameters of a quadratic policy.
 
 use super::Made;
 use crate::program::statistics::{quantile, sorted};
@@ -10,17 +10,18 @@ use physgrad::tasks::Reach;
 use physgrad::toy::{self, Sample};
 use std::fmt::Write;
 
-/// Both parameters go from minus this to this.
+/// Both parameters range from `-REACH` to `REACH`.
 const REACH: f64 = 4.0;
-/// Powers of ten that the colours tell apart: at most a fortieth of the values is below, a fifth above, in the corner where x_4
-/// itself reaches 10⁷.
+/// Decades of the colour scale. A few values lie below, and those in the corner with large x_4 lie
+/// above.
 const DECADES: [i32; 2] = [-2, 6];
 
 pub fn fig1(quick: bool) -> Result<Made> {
     let (cells, arrows) = if quick { (40, 14) } else { (80, 18) };
     let (fine, coarse) = (Fields::sample(cells)?, Fields::sample(arrows)?);
     let plane = Plane { labels: ["θ₁", "θ₂"], reach: REACH, decades: DECADES, values: "loss, |R|, |M|" };
-    // x_4 - y, which is zero at the minima. Its sign is that of M's first component, (x_4 - y) times the sum of x_t².
+    // x_4 - y, which vanishes at the minima. M's first component has the same sign: it is (x_4 - y)
+    // Σ x_t².
     let signs: Vec<f64> = fine.modified.iter().map(|m| (2.0 * m.loss).sqrt().copysign(m.vector[0])).collect();
     let vectors = |title: &str, fine: &[Sample], coarse: &[Sample]| Map {
         title: title.into(),
@@ -42,7 +43,7 @@ pub fn fig1(quick: bool) -> Result<Made> {
     Ok(Made { drawing, csv: fine.csv()?, table: fine.table() })
 }
 
-/// R and M at the same parameters.
+/// Samples of R and M at the same parameters.
 struct Fields {
     regular: Vec<Sample>,
     modified: Vec<Sample>,
@@ -67,7 +68,7 @@ impl Fields {
     }
 
     fn table(&self) -> String {
-        // How far x_4 is from the target, which both fields are proportional to.
+        // |x_4 - y|, to which both fields are proportional.
         let miss = |s: &Sample| (2.0 * s.loss).sqrt();
         let mut table = "| over θ | min | median | max | orders of magnitude |\n|---|---|---|---|---|\n".to_string();
         for (name, values) in [

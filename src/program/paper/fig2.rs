@@ -1,4 +1,4 @@
-//! Figure 2: Adam along a gradient, along the same with a rotation, and along the combination of the two.
+//! Figure 2: Adam on a gradient, on the gradient with a rotation added, and on their combination.
 
 use super::Made;
 use anyhow::Result;
@@ -8,7 +8,7 @@ use physgrad::tasks::Bowl;
 use physgrad::toy::{self, LEARNING_RATE, Rotated, START, Sample};
 use std::fmt::Write;
 
-/// Both parameters go from minus this to this.
+/// Both parameters range from `-REACH` to `REACH`.
 const REACH: f64 = 4.0;
 const ITERATIONS: usize = 1500;
 const LETTERS: [&str; 3] = ["(a)", "(b)", "(c)"];

@@ -1,4 +1,4 @@
-//! The figures that are trained for: learning curves of several fields, over the values of one setting.
+//! Figures 3 to 5: learning curves of several fields, for several values of one setting.
 
 use super::{Made, Options};
 use crate::program::changes;
@@ -15,24 +15,24 @@ use physgrad::Record;
 use physgrad::report::{self, Case, Curve, Drawing};
 use toml::Value;
 
-/// Epochs that a point of a curve is the mean of, as in the paper.
+/// Window of the moving average in epochs, as in the paper.
 const SMOOTHING: usize = 30;
 
-/// What the figure and the table show.
+/// Note below the table.
 const NOTE: &str = "Table: test loss after the last epoch. Figure: the mean of up to 30 epochs, as in the paper; lines are \
                     geometric means over the seeds, bands run from the lowest to the highest seed.";
 
-/// A figure with a column of panels for every value of a setting, and a row for every kind of clipping.
+/// A figure with one column of panels per value of a setting and one row per kind of clipping.
 pub struct Study {
     pub name: &'static str,
     pub title: &'static str,
-    /// The preset, the setting that is changed in it, and the values.
+    /// Preset, the key of the varied setting, and its values.
     scene: &'static str,
     key: &'static str,
     values: &'static [&'static str],
-    /// What the values are called, with `{}` for the value.
+    /// Title of a panel, with `{}` for the value.
     panel: &'static str,
-    /// The value whose runs also show the length of their updates.
+    /// Value for which a further panel shows the norm of the field.
     update_size_of: Option<&'static str>,
 }
 
@@ -66,7 +66,7 @@ pub const FIG5: Study = Study {
     update_size_of: Some("5"),
 };
 
-/// All runs with one value and one kind of clipping.
+/// Runs with one value and one kind of clipping.
 struct Cell<'a> {
     value: &'a str,
     clip: ClipName,
@@ -74,7 +74,7 @@ struct Cell<'a> {
 }
 
 impl Study {
-    /// Trains what the figure needs, and writes it.
+    /// Trains all runs and writes the figure.
     pub fn run(&self, options: &Options, folder: &Folder) -> Result<()> {
         let cells = || options.clip.iter().flat_map(|&clip| self.values.iter().map(move |&value| (value, clip)));
         let plans = cells().map(|(value, clip)| self.plan(value, clip, options, folder));
@@ -96,7 +96,7 @@ impl Study {
         self.panel.replace("{}", value.strip_suffix(".0").unwrap_or(value))
     }
 
-    /// The runs of one cell; its folder is one that `physgrad report` understands.
+    /// Plans the runs of one cell, in a folder that `physgrad report` accepts.
     fn plan(&self, value: &str, clip: ClipName, options: &Options, folder: &Folder) -> Result<Comparison> {
         let mut document = presets::document(self.scene)?;
         changes::set(&mut document, &format!("{}={}", self.key, value))?;
@@ -115,9 +115,10 @@ impl Study {
 
     fn drawing(&self, options: &Options, cells: &[Cell]) -> Drawing {
         let rows = cells.chunks(self.values.len()).enumerate().map(|(i, row)| {
-            // Titles stand above the first row only.
+            // Puts titles above the first row only.
             let title = |text: String| if i == 0 { text } else { String::new() };
-            // One axis a column: what clipping does is seen, and the cases differ by orders of magnitude.
+            // Shares the loss axis within a column: clipping kinds are comparable, whereas columns
+            // differ by orders of magnitude.
             let losses = row.iter().enumerate().map(|(j, cell)| Case {
                 title: title(self.panel(cell.value)),
                 y_label: format!("test loss (clip: {})", cell.clip.name()),
@@ -136,7 +137,7 @@ impl Study {
         report::study(&format!("{}: mean and range of {seeds}", self.title), &rows.collect::<Vec<_>>())
     }
 
-    /// One row a run.
+    /// One row per run.
     fn csv(&self, cells: &[Cell]) -> Result<Vec<u8>> {
         let mut csv = csv::Writer::from_writer(Vec::new());
         let header = [self.key, "clip", "field", "seed", "epochs", "final_train_loss", "final_test_loss", "best_test_loss"];
@@ -154,7 +155,7 @@ impl Study {
         Ok(csv.into_inner()?)
     }
 
-    /// Final losses over the seeds, as Markdown.
+    /// Markdown table of final losses over the seeds.
     fn table(&self, cells: &[Cell]) -> Table {
         let mut table = Table::new();
         let header = ["case", "clip", "field", "seeds", "median final test loss", "quartiles", "median best", "broke off"];
@@ -177,7 +178,7 @@ impl Study {
     }
 }
 
-/// The curves of every field, smoothed as in the paper.
+/// One curve per field, smoothed as in the paper.
 fn smooth(runs: &[Outcome], value: fn(&Record) -> f64) -> Vec<Curve> {
     let mut curves = curves(runs, value);
     for points in curves.iter_mut().flat_map(|curve| &mut curve.runs) {

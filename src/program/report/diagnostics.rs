@@ -1,4 +1,4 @@
-//! The diagrams of gradients: their length, how two of them agree, and how adjoints grow.
+//! Charts of gradients: norms, agreement of M and R, and growth of adjoints.
 
 use super::figure::Figure;
 use super::inspected::{Close, Inspected};
@@ -12,7 +12,7 @@ const EPOCH: &str = "epoch";
 const STEP: &str = "step of the rollout";
 const LENGTH: &str = "length of the adjoint";
 
-/// Gradients epoch by epoch, of one run or of several.
+/// Charts over epochs, for one run or several.
 pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
     let by_epoch =
         |value: fn(&Record) -> f64| lines(runs, |run: &Outcome| run.records.iter().map(|r| (r.epoch as f64, value(r))).collect());
@@ -51,13 +51,13 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
     figures
 }
 
-/// How adjoints grew along rollouts, epoch by epoch.
+/// Chart of the growth of adjoints over epochs.
 fn growth_by_epoch(runs: &[Inspected]) -> Figure {
     let line = |run: &Inspected, flow: Flow| {
         let growth = |r: &Record| if flow.control { r.regular_growth } else { r.modified_growth };
         let points = run.records.iter().filter_map(|r| Some((r.epoch as f64, growth(r)?.along)));
         let series = Series::new(format!("{flow} of {}", run.name()), field_color(&flow.to_string()), points.collect());
-        // Those of C beside those of R and of M.
+        // Dashes the lines of C, to distinguish them from those of R and M.
         if run.field.flows().len() > 1 { series.dashed() } else { series }
     };
     let both = runs.iter().flat_map(|run| [Flow::REGULAR, Flow::MODIFIED].map(|flow| line(run, flow)));
@@ -79,7 +79,7 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
     .notes(warnings.flatten().collect())
 }
 
-/// What is missing from [`of_epochs`], and why.
+/// Note on the charts that [`of_epochs`] omits.
 pub fn missing(runs: &[Inspected]) -> Option<&'static str> {
     let several = runs.iter().all(|run| run.field.flows().len() == 1);
     several.then_some(
@@ -88,7 +88,7 @@ pub fn missing(runs: &[Inspected]) -> Option<&'static str> {
     )
 }
 
-/// Adjoints along the rollout, before training and as trained.
+/// Chart of adjoint norms along the rollout, before and after training.
 pub fn of_run(close: &Close) -> Figure {
     let series = |growth: &Lengths, when: &str| {
         let letter = growth.flow.to_string();
@@ -101,7 +101,7 @@ pub fn of_run(close: &Close) -> Figure {
     )
 }
 
-/// Adjoints of the first run of every field, before training and as trained.
+/// Charts of adjoint norms for the first run of every field, before and after training.
 pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
     let close: Vec<(&Inspected, &Close)> = runs.iter().filter_map(|run| Some((run, run.close.as_ref()?))).collect();
     let Some((_, first)) = close.first() else { return Vec::new() };
@@ -138,7 +138,7 @@ const GROWTH: &str = "How strongly what comes after each step depends on the sta
                       through the physics alone (M); the root mean square over test rollouts. Read it from right to left: a \
                       line that climbs by powers of ten explodes, one that sinks vanishes. Look for how far R and M part.";
 
-/// Says why a line ends, or why there is none.
+/// Notes on divergences that truncate or remove a line.
 fn diverged(growths: &[Lengths], when: &str) -> Vec<String> {
     if let [Lengths { norms, diverged: Some(why), .. }, ..] = growths
         && norms.is_empty()
@@ -149,7 +149,7 @@ fn diverged(growths: &[Lengths], when: &str) -> Vec<String> {
     growths.iter().filter_map(of).collect()
 }
 
-/// Says why one line seems to be missing.
+/// Note if the lines of R and M coincide.
 fn coincide(growths: &[Lengths; 2]) -> Vec<String> {
     let [r, m] = growths.each_ref().map(|growth| &growth.norms);
     if r.is_empty() || r.iter().zip(m).any(|(r, m)| r.to_bits() != m.to_bits()) {

@@ -1,21 +1,21 @@
-//! A diagram on a page: the picture, its legend and caption, and the numbers that the script points at.
+//! A chart on the page, with legend, caption and data for the script.
 
 use maud::{Markup, PreEscaped, html};
 use physgrad::report::{Chart, Series};
 use serde::Serialize;
 
-/// A diagram with the words around it.
+/// A chart with its texts.
 pub struct Figure {
     pub title: &'static str,
     pub chart: Chart,
     pub keys: Vec<Key>,
-    /// What it shows and what to look for.
+    /// Explanation of the chart and hints for reading it.
     pub caption: &'static str,
-    /// What is particular to these data.
+    /// Notes specific to the data.
     pub notes: Vec<String>,
 }
 
-/// An entry of a legend.
+/// Legend entry.
 #[derive(PartialEq)]
 pub struct Key {
     pub label: String,
@@ -24,7 +24,7 @@ pub struct Key {
 }
 
 impl Figure {
-    /// With an entry of the legend for each series.
+    /// Creates a figure with one legend entry per series.
     pub fn new(title: &'static str, chart: Chart, caption: &'static str) -> Self {
         let label = |s: &Series| match &*s.note {
             "" => s.label.clone(),
@@ -72,7 +72,7 @@ impl Figure {
         }
     }
 
-    /// The numbers as JSON, safe inside a script element.
+    /// Chart data as JSON, escaped for a script element.
     fn data(&self) -> String {
         let frame = self.chart.frame();
         let data = Data {
@@ -105,7 +105,7 @@ struct Data<'a> {
 struct Line<'a> {
     label: &'a str,
     color: &'a str,
-    /// x and y, then the edges of the band if there is one.
+    /// x and y, followed by the limits of the band if there is one.
     points: Vec<Vec<f64>>,
 }
 
@@ -119,7 +119,7 @@ impl<'a> Line<'a> {
     }
 }
 
-/// To five significant digits, more than anybody reads off a diagram.
+/// Rounds to five significant digits, which limits the size of the page.
 fn rounded(x: f64) -> f64 {
     format!("{x:.4e}").parse().unwrap_or(x)
 }

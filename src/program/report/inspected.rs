@@ -1,4 +1,4 @@
-//! What a page needs to know of a run, read from its folder.
+//! Data of a run for the page, read from its folder.
 
 use super::counted;
 use super::lengths::Lengths;
@@ -13,38 +13,38 @@ use anyhow::{Result, bail};
 use physgrad::{Field, Record, differences};
 use toml::Table;
 
-/// A run of any task and precision.
+/// Data of one run, independent of task and precision.
 pub struct Inspected {
     pub task: &'static str,
     pub field: Field,
     pub seed: u64,
-    /// Epochs asked for.
+    /// Total number of epochs in the settings.
     pub epochs: usize,
-    /// Steps of a rollout, and the distance of its numbers at 1.
+    /// Time steps of a rollout, and the machine epsilon of the precision.
     pub horizon: usize,
     pub epsilon: f64,
     pub settings: Table,
     pub records: Vec<Record>,
     pub end: End,
-    /// Of the first run of every field only.
+    /// Present only for the first run of each field.
     pub close: Option<Close>,
 }
 
-/// How a run ended.
+/// State in which the run ended.
 pub enum End {
     Done,
     Interrupted,
-    /// Why its next epoch cannot be trained.
+    /// Error that stops the next epoch.
     Broke(String),
 }
 
-/// What takes a look at rollouts.
+/// Data that need rollouts.
 pub struct Close {
-    /// Of R and M, before the first epoch.
+    /// Adjoint norms of R and M before the first epoch.
     pub before: [Lengths; 2],
-    /// The same as the run was left.
+    /// Adjoint norms of R and M in the saved state.
     pub after: [Lengths; 2],
-    /// An animated SVG.
+    /// Animation as SVG.
     pub film: String,
 }
 
@@ -57,7 +57,7 @@ impl Inspected {
         format!("{} seed {}", self.field.letter(), self.seed)
     }
 
-    /// What the run did not finish, if so, in words.
+    /// Describes an unfinished run. None if the run is complete.
     pub fn trouble(&self) -> Option<String> {
         let done = counted(self.records.len(), "epoch");
         let asked = self.epochs;
@@ -69,20 +69,24 @@ impl Inspected {
     }
 }
 
-/// The runs in these folders by field and seed; the first of every field is looked at closely.
+/// Reads the runs in these folders, sorted by field and seed. Adds rollout data for the first run
+/// of each field.
 pub fn inspect(folders: &[Folder]) -> Result<Vec<Inspected>> {
     let mut runs = folders.iter().map(|folder| Ok((folder, saved::scene(folder)?))).collect::<Result<Vec<_>>>()?;
     for run in &runs {
         check_comparable(&runs[0], run)?;
     }
-    // In the order in which `compare` has its fields if it is not told another.
+    // Default order of fields in `compare`.
     runs.sort_by_key(|(_, scene)| ("RMSCN".find(scene.field.0.letter()), scene.seed));
     let first = |i: usize| i == 0 || runs[i - 1].1.field != runs[i].1.field;
     let all: Vec<(usize, &(&Folder, Scene))> = runs.iter().enumerate().collect();
     parallel::map(&all, |&(i, (folder, scene))| open(folder, scene, first(i))).into_iter().collect()
 }
 
-/// An error unless the two can stand in one comparison.
+/// Checks that two runs belong to the same comparison.
+///
+/// # Errors
+/// Task or settings differ, apart from field, seed and epochs.
 fn check_comparable(first: &(&Folder, Scene), other: &(&Folder, Scene)) -> Result<()> {
     let [(here, task), (there, other_task)] = [first, other].map(|(folder, scene)| (folder.path().display(), scene.kind.name()));
     if task != other_task {
@@ -118,7 +122,8 @@ fn open(folder: &Folder, scene: &Scene, closely: bool) -> Result<Inspected> {
     })
 }
 
-/// A checkpoint does not say why there is none after it. But the same epoch fails again where it failed.
+/// Determines how the run ended. A checkpoint does not record an error, but training is
+/// deterministic: the next epoch fails again.
 fn end(run: &mut dyn AnyRun, epochs: usize) -> End {
     if run.records().len() >= epochs {
         return End::Done;

@@ -1,4 +1,4 @@
-//! The diagrams of losses.
+//! Charts of losses.
 
 use super::counted;
 use super::figure::{Figure, Key};
@@ -10,7 +10,7 @@ use physgrad::report::{Chart, Point, Series, field_color};
 const EPOCH: &str = "epoch";
 const SECONDS: &str = "wall time (s)";
 
-/// Training and test loss of one run.
+/// Charts of training and test loss of one run.
 pub fn of_run(run: &Inspected) -> Vec<Figure> {
     let outcome = run.outcome();
     let series = |x: fn(&Point) -> f64| {
@@ -33,7 +33,7 @@ pub fn of_run(run: &Inspected) -> Vec<Figure> {
     ]
 }
 
-/// Test losses of the fields: means with bands, and every run.
+/// Charts of test losses by field: means with bands, and every run.
 pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
     let outcomes: Vec<Outcome> = runs.iter().map(Inspected::outcome).collect();
     let curves = curves(&outcomes, |r| r.test_loss);
@@ -73,12 +73,12 @@ pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
     figures
 }
 
-/// A line for every run, in the colour of its field.
+/// One line per run, in the colour of its field.
 pub fn lines(runs: &[Inspected], line: impl Fn(&Outcome) -> Vec<(f64, f64)>) -> Vec<Series> {
     runs.iter().map(|run| Series::new(run.name(), field_color(run.field.letter()), line(&run.outcome()))).collect()
 }
 
-/// The fields of the runs, each once.
+/// Legend entries of the fields, without duplicates.
 pub fn field_keys<'a>(runs: impl IntoIterator<Item = &'a Inspected>) -> Vec<Key> {
     let key = |run: &Inspected| Key { label: field_label(run.field), color: field_color(run.field.letter()), dashed: false };
     let mut keys: Vec<Key> = runs.into_iter().map(key).collect();
@@ -86,7 +86,7 @@ pub fn field_keys<'a>(runs: impl IntoIterator<Item = &'a Inspected>) -> Vec<Key>
     keys
 }
 
-/// Says what a logarithmic axis cannot show.
+/// Notes on values that a logarithmic axis cannot show.
 fn left_out(runs: &[Outcome], losses: &[fn(&Record) -> f64]) -> Vec<String> {
     let epochs = |hidden: fn(f64) -> bool| {
         let records = runs.iter().flat_map(|run| run.records);

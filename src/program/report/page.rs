@@ -1,4 +1,4 @@
-//! The page itself: one document, with style, script, pictures and films inside.
+//! HTML page: a single document that embeds style, script, charts and animations.
 
 use super::counted;
 use super::diagnostics;
@@ -12,7 +12,7 @@ use base64::prelude::{BASE64_STANDARD, Engine};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use toml::Value;
 
-/// The page on one run.
+/// Page about one run.
 pub fn run(folder: &str, run: &Inspected) -> String {
     let title = format!("{}: field {}, seed {}", run.task, field_label(run.field), run.seed);
     let trouble = run.trouble().map(|what| format!("This run {what}."));
@@ -30,7 +30,7 @@ pub fn run(folder: &str, run: &Inspected) -> String {
     document(&title, folder, run, trouble.as_slice(), &content)
 }
 
-/// The page on the runs of a comparison.
+/// Page about the runs of a comparison.
 pub fn comparison(folder: &str, runs: &[Inspected]) -> String {
     let outcomes: Vec<Outcome> = runs.iter().map(Inspected::outcome).collect();
     let letters: Vec<&str> = statistics::by_field(&outcomes).map(|(field, _)| field.letter()).collect();
@@ -67,7 +67,7 @@ fn document(title: &str, folder: &str, run: &Inspected, trouble: &[String], cont
             head {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
-                // Nothing is fetched, whatever a settings file or a film says.
+                // Forbids network requests, whatever a settings file or an animation contains.
                 meta http-equiv="Content-Security-Policy"
                     content="default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:";
                 title { (title) " (" (folder) ")" }
@@ -93,7 +93,7 @@ fn document(title: &str, folder: &str, run: &Inspected, trouble: &[String], cont
     .into_string()
 }
 
-/// What runs did not finish; a long list is folded.
+/// Messages of failed or interrupted runs. Folds a long list.
 fn troubles(troubles: &[String]) -> Markup {
     html! {
         @match troubles {
@@ -120,14 +120,14 @@ fn table<const N: usize>(header: &[&str; N], rows: &[[String; N]]) -> Markup {
         div.wide { table {
             thead { tr { @for name in header { th scope="col" { (name) } } } }
             tbody { @for row in rows { tr {
-                // The name of a column again in each cell, for where there is no room for columns.
+                // Repeats the column's name in each cell, for narrow screens.
                 @for (name, cell) in header.iter().zip(row) { td data-name=(name) { (cell) } }
             } } }
         } }
     }
 }
 
-/// The numbers of one run.
+/// Table with the results of one run.
 fn result(run: &Inspected) -> Markup {
     let header = ["epochs", "seconds", "final training loss", "final test loss", "best test loss", "skipped updates"];
     let records = &run.records;
@@ -149,7 +149,7 @@ fn result(run: &Inspected) -> Markup {
     }
 }
 
-/// The animations of these runs.
+/// Animations of these runs.
 fn films(runs: &[&Inspected]) -> Markup {
     section(
         "Film",
@@ -166,12 +166,12 @@ fn films(runs: &[&Inspected]) -> Markup {
     )
 }
 
-/// As an image of its own, so that its names cannot clash with those of others and nothing in it is run.
+/// Data URI of an SVG. As an image, its identifiers cannot collide and its scripts do not run.
 fn data_uri(svg: &str) -> String {
     format!("data:image/svg+xml;base64,{}", BASE64_STANDARD.encode(svg))
 }
 
-/// What holds for all diagrams of gradients.
+/// Notes on all gradient charts.
 fn remarks(runs: &[Inspected]) -> Markup {
     html! {
         @if let Some(missing) = diagnostics::missing(runs) { p.note { (missing) } }
@@ -182,7 +182,7 @@ fn remarks(runs: &[Inspected]) -> Markup {
     }
 }
 
-/// Every setting; where runs differ, the values of all of them.
+/// Tables of all settings. Where runs differ, lists every value.
 fn settings(runs: &[&Inspected]) -> Markup {
     let mut values: Vec<(String, Vec<String>)> = Vec::new();
     for (key, value) in runs.iter().flat_map(|run| flat(&run.settings)) {
@@ -206,7 +206,7 @@ fn settings(runs: &[&Inspected]) -> Markup {
     }
 }
 
-/// A value as one would say it.
+/// Formats a value without TOML quotes.
 fn plain(value: &Value) -> String {
     match value {
         Value::String(text) => text.clone(),

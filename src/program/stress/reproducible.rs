@@ -1,4 +1,4 @@
-//! The same bytes, however they were computed.
+//! Hard case: bitwise reproducibility across threads, memory budgets and resumption.
 
 use crate::program::any_run::AnyRun;
 use crate::program::presets;
@@ -23,7 +23,7 @@ const STORY: &str = "Sums over threads in the order in which they finish give ot
 
 const EPOCHS: usize = 3;
 
-/// A small training of a preset.
+/// Scene of a short training run of a preset.
 fn scene(name: &str, changes: &[(&str, Value)]) -> Result<Scene> {
     let mut document = presets::document(name)?;
     let counts = [("epochs", EPOCHS), ("training.batch", 13), ("training.train_samples", 39), ("training.test_samples", 8)];
@@ -35,7 +35,7 @@ fn scene(name: &str, changes: &[(&str, Value)]) -> Result<Scene> {
     document.scene()
 }
 
-/// Parameters, optimizer and records after all epochs, as bytes; the time that an epoch took is left out.
+/// Trained parameters, serialized, and the records of all epochs without times.
 fn trained(mut run: Box<dyn AnyRun>) -> Result<(Vec<u8>, Vec<Record>)> {
     while !run.is_done() {
         run.advance(&|| false)?;
@@ -44,7 +44,7 @@ fn trained(mut run: Box<dyn AnyRun>) -> Result<(Vec<u8>, Vec<Record>)> {
     Ok((run.safetensors(String::new())?, records.collect()))
 }
 
-/// The same, left and taken up again after so many epochs by a run with other workers.
+/// As [`trained`], but resumed after some epochs in a session with another number of workers.
 fn resumed(scene: &Scene, after: usize) -> Result<(Vec<u8>, Vec<Record>)> {
     let (mut first, mut second) = (scene.open(1)?, scene.open(2)?);
     for _ in 0..after {

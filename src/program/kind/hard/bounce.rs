@@ -1,4 +1,4 @@
-//! A ball that bounces on a floor, in the program.
+//! Bouncing ball: settings, limits and animation.
 
 use super::contact::ContactSettings;
 use super::{Nothing, names, small_step, visit};
@@ -10,29 +10,29 @@ use physgrad::tasks::{self, AnyHard, BouncingBall};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// `bounce`.
+/// Task `bounce`.
 #[derive(Clone, Debug)]
 pub struct Bounce;
 
-/// `system` of the ball.
+/// The `system` section of the bouncing ball.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BounceSettings {
     /// Mass, kg.
     mass: f64,
-    /// Gravity, m/s².
+    /// Gravitational acceleration, m/s².
     gravity: f64,
     /// Time step, s.
     dt: f64,
-    /// What the floor does; a restitution of 0.8 without it.
+    /// Contact with the floor; default restitution 0.8.
     contact: ContactSettings,
 }
 
-/// `loss` of the ball.
+/// The `loss` section of the bouncing ball.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BounceLoss {
-    /// The height to be at, at the end, m.
+    /// Target height at the end, m.
     target: f64,
 }
 

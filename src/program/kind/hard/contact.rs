@@ -1,34 +1,34 @@
-//! What happens where two bodies touch, in scenes.
+//! Contact settings, shared by `bounce` and `push`.
 
 use crate::program::problem::{Problem, allowed, not_negative, positive};
 use physgrad::tasks::Contact;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What happens where two bodies touch.
+/// Contact between two bodies.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ContactSettings {
-    /// By the instant of the impact, or by a spring.
+    /// Contact model: time of impact, or penalty spring.
     model: Model,
-    /// Of `time_of_impact`: the share of the speed that is left, 0 to 1.
+    /// Share of the speed after an impact, 0 to 1; only for `time_of_impact`.
     #[serde(skip_serializing_if = "Option::is_none")]
     restitution: Option<f64>,
-    /// Of `penalty`: N/m.
+    /// Spring stiffness, N/m; only for `penalty`.
     #[serde(skip_serializing_if = "Option::is_none")]
     stiffness: Option<f64>,
-    /// Of `penalty`: s/m.
+    /// Damping of the spring force, s/m; only for `penalty`.
     #[serde(skip_serializing_if = "Option::is_none")]
     damping: Option<f64>,
 }
 
-/// A model of contacts.
+/// Contact model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 enum Model {
-    /// The instant is found within the step: exact, derivatives included.
+    /// Finds the instant of impact within the step: exact, derivatives included.
     TimeOfImpact,
-    /// A spring and a damper: derivatives are not those of an impact.
+    /// Spring and damper: derivatives differ from those of an impact.
     Penalty,
 }
 
@@ -53,7 +53,7 @@ impl ContactSettings {
         not_negative("system.contact.damping", damping.unwrap_or(0.0))
     }
 
-    /// With this restitution, if none is given.
+    /// Contact of these settings. `restitution` is the default.
     pub(super) fn contact(&self, restitution: f64) -> Contact {
         match self.model {
             Model::TimeOfImpact => Contact::TimeOfImpact { restitution: self.restitution.unwrap_or(restitution) },
@@ -61,7 +61,7 @@ impl ContactSettings {
         }
     }
 
-    /// By a spring that substeps of 1 ms resolve.
+    /// Penalty contact that substeps of 1 ms resolve.
     pub(super) fn soft() -> Self {
         Self { model: Model::Penalty, stiffness: Some(1e4), ..Self::USUAL }
     }

@@ -1,4 +1,4 @@
-//! The double pendulum in the program.
+//! Double pendulum: settings, limits and animation.
 
 use super::{Nothing, Start, UprightLoss, names, upright, validate_upright, visit};
 use crate::program::kind::{Conserved, Kind, MlpSettings, Visit};
@@ -9,23 +9,23 @@ use physgrad::tasks::{self, AnyHard};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// `double_pendulum`.
+/// Task `double_pendulum`.
 #[derive(Clone, Debug)]
 pub struct DoublePendulum;
 
-/// `system` of the double pendulum.
+/// The `system` section of the double pendulum.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DoublePendulumSettings {
-    /// Masses of the two ends, kg.
+    /// Masses at the ends of the two rods, kg.
     masses: [f64; 2],
     /// Lengths of the two rods, m.
     lengths: [f64; 2],
-    /// Gravity, m/s².
+    /// Gravitational acceleration, m/s².
     gravity: f64,
     /// Time step, s.
     dt: f64,
-    /// Where rollouts start.
+    /// Distribution of initial states.
     start: Start,
 }
 

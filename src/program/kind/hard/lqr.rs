@@ -1,4 +1,4 @@
-//! The linear-quadratic regulator in the program.
+//! Linear-quadratic regulator: settings, limits and animation.
 
 use super::{Nothing, names, visit};
 use crate::program::kind::{Kind, MlpSettings, Visit};
@@ -9,27 +9,27 @@ use physgrad::tasks::{self, AnyHard, CartPoleSystem};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// `lqr`.
+/// Task `lqr`.
 #[derive(Clone, Debug)]
 pub struct Lqr;
 
-/// `system` of the regulator.
+/// The `system` section of the regulator.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LqrSettings {
-    /// The plant.
+    /// Linear plant with its quadratic cost.
     plant: Plant,
-    /// How far every component may start from 0, to either side.
+    /// Half-width of the interval around 0 for each component of the initial state.
     spread: f64,
 }
 
-/// A plant, and what it costs to be off its rest.
+/// Linear plant with its quadratic cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 enum Plant {
-    /// A mass on a damped spring: stable.
+    /// Mass on a damped spring: stable.
     Spring,
-    /// A cart with an upright pole, linearized: unstable.
+    /// Cart with an upright pole, linearized: unstable.
     UprightCartPole,
 }
 
@@ -97,7 +97,7 @@ impl Kind for Lqr {
             let cart = [x[0], 0.0];
             let chain = match settings.system.plant {
                 Plant::Spring => Vec::new(),
-                // Linear as the plant is, its angle may be any: the tip is where it says.
+                // The linear model admits any angle; draws the tip at that angle.
                 Plant::UprightCartPole => vec![cart, [x[0] + length * x[2].sin(), length * x[2].cos()]],
             };
             Posture { chain, boxes: vec![cart] }

@@ -1,4 +1,4 @@
-//! A chain of poles on a cart in the program.
+//! Chain of poles on a cart: settings, limits and animation.
 
 use super::{Nothing, Start, UprightLoss, upright, validate_upright, visit};
 use crate::program::kind::{Conserved, Kind, MlpSettings, Visit};
@@ -9,15 +9,15 @@ use physgrad::tasks::{self, AnyHard, CartPoleSystem};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// `pole_chain`.
+/// Task `pole_chain`.
 #[derive(Clone, Debug)]
 pub struct PoleChain;
 
-/// `system` of the chain.
+/// The `system` section of the pole chain.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PoleChainSettings {
-    /// Number of poles, one on the end of the other.
+    /// Number of poles, hinged end to end.
     poles: usize,
     /// Mass of the cart, kg.
     cart_mass: f64,
@@ -25,11 +25,11 @@ pub struct PoleChainSettings {
     pole_mass: f64,
     /// Half the length of a pole, m.
     half_length: f64,
-    /// Gravity, m/s².
+    /// Gravitational acceleration, m/s².
     gravity: f64,
     /// Time step, s.
     dt: f64,
-    /// Where rollouts start.
+    /// Distribution of initial states.
     start: Start,
 }
 

@@ -1,4 +1,4 @@
-//! A pusher and a box in the program.
+//! Pusher and box: settings, limits and animation.
 
 use super::contact::ContactSettings;
 use super::{Nothing, names, small_step, visit};
@@ -10,21 +10,21 @@ use physgrad::tasks::{self, AnyHard, TwoBodies};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// `push`.
+/// Task `push`.
 #[derive(Clone, Debug)]
 pub struct Push;
 
-/// `system` of pusher and box.
+/// The `system` section of pusher and box.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PushSettings {
     /// Masses of pusher and box, kg.
     masses: [f64; 2],
-    /// The distance of their middles when they touch, m.
+    /// Distance between the centres in contact, m.
     reach: f64,
     /// Time step, s.
     dt: f64,
-    /// What they do then; without it, they stay together.
+    /// Contact between pusher and box; default restitution 0.
     contact: ContactSettings,
 }
 

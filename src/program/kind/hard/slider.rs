@@ -1,4 +1,4 @@
-//! A block with dry friction in the program.
+//! Block with dry friction: settings, limits and animation.
 
 use super::{Nothing, names, small_step, visit};
 use crate::program::kind::{Kind, MlpSettings, Visit};
@@ -9,11 +9,11 @@ use physgrad::tasks::{self, AnyHard, FrictionScheme, SliderSystem};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// `slider`.
+/// Task `slider`.
 #[derive(Clone, Debug)]
 pub struct Slider;
 
-/// `system` of the block.
+/// The `system` section of the block.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SliderSettings {
@@ -21,29 +21,29 @@ pub struct SliderSettings {
     mass: f64,
     /// Coefficient of friction.
     coefficient: f64,
-    /// Speed below which friction is smoothed, m/s.
+    /// Speed below which the friction law is smooth, m/s.
     smoothing: f64,
     /// Time step, s.
     dt: f64,
-    /// At which speed the friction of a step is taken.
+    /// Speed at which a step evaluates friction.
     scheme: Scheme,
 }
 
-/// At which speed the friction of a step is taken.
+/// Speed at which a step evaluates friction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 enum Scheme {
-    /// At that before the step: chatters where `dt μ g` is more than twice the smoothing.
+    /// Speed before the step: oscillates where `dt μ g` exceeds twice the smoothing.
     Explicit,
-    /// At that after it: stable for every smoothing.
+    /// Speed after the step: stable whatever the smoothing.
     Implicit,
 }
 
-/// `loss` of the block.
+/// The `loss` section of the block.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SliderLoss {
-    /// What a squared speed costs at the end, s².
+    /// Weight of the squared final speed, s².
     speed_weight: f64,
 }
 
