@@ -144,7 +144,10 @@ fn a_run_has_a_page_with_all_there_is_to_know() {
 
     assert!(report(&out) == page, "the same bytes");
     train(&out, &["--epochs", "1"]).assert().success();
-    assert!(dir.path().join("run.previous-1/report.html").exists() && !out.join("report.html").exists(), "a page stays with its run");
+    assert!(
+        dir.path().join("run.previous-1/report.html").exists() && !out.join("report.html").exists(),
+        "a page stays with its run"
+    );
 }
 
 #[test]

@@ -43,9 +43,9 @@ pub(super) struct Epoch {
     pub(super) updates: usize,
     /// Updates skipped.
     pub(super) skipped: usize,
-    means: Means,
+    pub(super) means: Means,
     /// Wall time so far, s.
-    seconds: f64,
+    pub(super) seconds: f64,
 }
 
 /// Everything of a training that changes, and room for it.

@@ -34,6 +34,18 @@ pub struct Record {
 }
 
 impl Record {
+    /// Checks a record that was read, of epoch `number` of so many updates.
+    ///
+    /// # Errors
+    /// The fault, in words.
+    pub(super) fn validate(&self, number: usize, updates: usize) -> Result<(), String> {
+        let Self { epoch, skipped, seconds, .. } = *self;
+        if epoch != number || skipped > updates || !(seconds >= 0.0 && seconds.is_finite()) {
+            return Err(format!("epoch {number} is recorded as {epoch}, {skipped} of {updates} updates skipped, in {seconds} s"));
+        }
+        Ok(())
+    }
+
     /// What makes the gradients of the epoch untrustworthy, in words: of rollouts of so many steps, in a precision whose
     /// numbers are `epsilon` apart at 1.
     pub fn warnings(&self, horizon: usize, epsilon: f64) -> Vec<String> {
@@ -82,6 +94,11 @@ pub(super) struct Means {
 }
 
 impl Means {
+    /// Updates that count.
+    pub fn updates(&self) -> usize {
+        self.updates
+    }
+
     pub fn is_empty(&self) -> bool {
         self.updates == 0
     }
