@@ -57,6 +57,10 @@ pub trait AnySettings: Send + Sync {
     fn state_names(&self) -> Vec<String>;
     /// What the components of the control are called.
     fn control_names(&self) -> Vec<String>;
+    /// The names of the controls that the physics gets, where an actuator stands between it and the policy.
+    fn felt_names(&self) -> Vec<String>;
+    /// The controls that the physics gets in these states in place of those that the policy asks for.
+    fn felt(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>>;
     /// What keeps its value while the policy does nothing, if anything does.
     fn conserved(&self) -> Option<Conserved>;
     /// A rollout that moves: states and controls step by step.
@@ -105,6 +109,14 @@ impl<K: Kind> AnySettings for Settings<K> {
 
     fn control_names(&self) -> Vec<String> {
         K::control_names(self)
+    }
+
+    fn felt_names(&self) -> Vec<String> {
+        self.actuator.felt_names(&K::control_names(self))
+    }
+
+    fn felt(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        self.actuator.felt(K::dt(self), states, controls)
     }
 
     fn conserved(&self) -> Option<Conserved> {
