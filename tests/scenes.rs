@@ -315,12 +315,12 @@ fn the_force_of_a_row_accelerates_the_block_to_the_next_row() {
     for rollout in rows.chunks(13) {
         let number = |t: usize, name: &str| rollout[t][column(name)].expect("a number");
         let mut motor = 0.0;
-        for t in 0..12 {
+        for (t, row) in rollout[..12].iter().enumerate() {
             let heard = if t < 2 { 0.0 } else { number(t - 2, "push").clamp(-0.01, 0.01) };
             motor = heard + (motor - heard) * (-0.05f64 / 0.1).exp();
             let accelerating = 2.0 * (number(t + 1, "x_dot") - number(t, "x_dot")) / 0.05;
             for force in [motor, accelerating] {
-                assert!((number(t, "push_felt") - force).abs() < 1e-12, "step {t}: {force}, {:?}", rollout[t]);
+                assert!((number(t, "push_felt") - force).abs() < 1e-12, "step {t}: {force}, {row:?}");
             }
             assert_eq!(number(t + 1, "push_before"), number(t, "push_felt"));
             largest = largest.max(motor.abs());

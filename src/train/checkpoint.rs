@@ -157,6 +157,7 @@ impl<F: Float> Progress<F> {
         self.records = body.records.into_owned();
         self.skipped_in_a_row = body.skipped_in_a_row;
         self.skips.clear();
+        self.diverged = [None; 2];
         self.epoch = body.epoch.map(|(epoch, before)| {
             self.before = before.into_owned();
             epoch
