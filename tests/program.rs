@@ -348,9 +348,9 @@ fn a_run_that_is_killed_at_any_moment_can_be_resumed_and_ends_as_if_it_had_not_b
 }
 
 #[test]
-fn damaged_files_and_other_workers_are_hard_cases_of_the_program_and_pass() {
-    let output = physgrad(&["stress", "malformed", "reproducible"]).output().expect("it runs");
+fn other_workers_are_a_hard_case_of_the_program_and_pass() {
+    let output = physgrad(&["stress", "reproducible"]).output().expect("it runs");
     let said = String::from_utf8_lossy(&output.stdout);
-    assert!(output.status.success() && said.contains("3 of 3 cases pass"), "{said}");
+    assert!(output.status.success() && said.contains("1 of 1 cases pass"), "{said}");
     assert!(error_of(&mut physgrad(&["stress", "nothing"])).contains("there is no case `nothing`; there are: exploding_adjoint"));
 }

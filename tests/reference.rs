@@ -6,7 +6,9 @@
 
 use physgrad::policy::{Conv, Mlp};
 use physgrad::tasks::{CartPole, CartPoleSystem, Guidance, GuidanceSystem, LossMode, Quantum, QuantumSystem};
-use physgrad::{Batch, Clip, Field, Flow, Gradient, Policy, Rollout, Rule, System, Task, Trainer, Training, Weights};
+use physgrad::{
+    Batch, Clip, Evaluation, Field, Flow, Gradient, Optimizer, Policy, Rollout, Rule, System, Task, Trainer, Training, Weights,
+};
 use serde_json::Value;
 use std::path::PathBuf;
 
@@ -216,19 +218,37 @@ fn trajectories<A: Authors>() {
         let theta = variables(&file["controller"]);
         let starts = data(&file["initial_states"]);
         let mut states = Worst::new(&name, "states", 1e-9);
+        let mut controls = Worst::new(&name, "controls", 1e-9);
         for trajectory in list(&file["trajectories"]) {
             let task = A::task(&file, &file, count(&trajectory["Nt"]));
             let policy = A::policy(&file, &task);
-            let n = task.system().state_dim();
+            let (n, m) = (task.system().state_dim(), task.system().control_dim());
             let samples = starts.len() / n;
             let mut rollout = Rollout::new(&task, &policy, samples);
             rollout.start(&starts);
             rollout.run(&task, &policy, &Weights::new(&policy, theta.clone())).expect("finite");
-            let each = (0..samples).flat_map(|s| (0..=task.horizon()).flat_map(move |t| (0..n).map(move |i| (t, s, i))));
-            let got: Vec<f64> = each.map(|(t, s, i)| rollout.state(t, s, i)).collect();
+            // Samples, then steps, then components.
+            let each = |steps: usize, size: usize| {
+                (0..samples).flat_map(move |s| (0..steps).flat_map(move |t| (0..size).map(move |i| (t, s, i))))
+            };
+            let got: Vec<f64> = each(task.horizon() + 1, n).map(|(t, s, i)| rollout.state(t, s, i)).collect();
             states.add(error(&got, &data(&trajectory["states"])));
+            let got: Vec<f64> = each(task.horizon(), m).map(|(t, s, i)| rollout.control(t, s, i)).collect();
+            controls.add(error(&got, &data(&trajectory["controls"])));
         }
     }
+}
+
+/// The mean loss from these start states.
+fn loss<T: Task>(task: &T, policy: &impl Policy, weights: &Weights<f64>, starts: &[f64]) -> f64 {
+    Evaluation::new(task, policy, 1).run(task, policy, weights, starts).expect("finite")
+}
+
+/// The task without the regularizer of the controls.
+fn physics<A: Authors>(file: &Value, case: &Value, horizon: usize) -> A::Task {
+    let mut case = case.clone();
+    case["regularization"] = 0.0.into();
+    A::task(file, &case, horizon)
 }
 
 fn losses_and_gradients<A: Authors>() {
@@ -248,6 +268,10 @@ fn losses_and_gradients<A: Authors>() {
             let mut batch = Batch::new(&task, &policy, samples, &flows, 1);
             let loss = batch.run(&task, &policy, &weights, &starts).expect("finite");
             losses.add(error(&[loss], &[number(&case["loss"])]));
+            if let Some(expected) = case["physics_loss"].as_f64() {
+                let task = physics::<A>(&file, case, task.horizon());
+                losses.add(error(&[self::loss(&task, &policy, &weights, &starts)], &[expected]));
+            }
             let expected = variables(&case["grads"]);
             if mode != "C" {
                 gradients.add(error(batch.gradients()[0].values(), &expected));
@@ -268,14 +292,25 @@ fn losses_and_gradients<A: Authors>() {
     }
 }
 
+fn mean(numbers: &[f64]) -> f64 {
+    numbers.iter().sum::<f64>() / numbers.len() as f64
+}
+
+/// A session, and beside it the loop of updates written out, for the columns that records have not: the mean of the squared
+/// lengths of gradients, and losses without regularizer.
 fn training<A: Authors>() {
     for (name, file) in files(A::FILES, "train") {
         let task = A::task(&file, &file, count(&file["Nt"]));
+        let physics = physics::<A>(&file, &file, task.horizon());
         let policy = A::policy(&file, &task);
-        let epochs = count(&file["epochs"]);
+        let (epochs, size, rate) = (count(&file["epochs"]), count(&file["batch_size"]), number(&file["lr"]));
+        let rule = Rule::named("adam").expect("a rule");
+        let [theta, train, test] = [variables(&file["controller"]), data(&file["train_states"]), data(&file["test_states"])];
         let mut losses = Worst::new(&name, "losses of two epochs", 1e-8);
+        let mut sizes = Worst::new(&name, "sizes of gradients", 1e-8);
         let mut cosines = Worst::new(&name, "cosine of P and F", 1e-8);
         let mut finals = Worst::new(&name, "variables after them", 1e-8);
+        let mut replays = Worst::new(&name, "loop against session", 1e-12);
         for run in list(&file["runs"]) {
             let (mode, limit) = (text(&run["mode"]), number(&run["clip_num"]));
             let clip = match text(&run["clip_mode"]) {
@@ -284,32 +319,62 @@ fn training<A: Authors>() {
                 _ => Clip::None,
             };
             let field = if mode == "C" { Field::combined() } else { Field::Flow(flow(mode)) };
-            let training = Training {
-                epochs,
-                batch: count(&file["batch_size"]),
-                learning_rate: number(&file["lr"]),
-                rule: Rule::named("adam").expect("a rule"),
-                clip,
-                ..Training::default()
-            };
+            let training = Training { epochs, batch: size, learning_rate: rate, rule, clip, ..Training::default() };
             let trainer = Trainer::new(task.clone(), policy.clone()).precision::<f64>().field(field).training(training);
-            let states = |key: &str| data(&file[key]);
-            let session = trainer.session_from(variables(&file["controller"]), states("train_states"), states("test_states"));
-            let mut session = session.expect("valid settings");
+            let mut session = trainer.session_from(theta.clone(), train.clone(), test.clone()).expect("valid settings");
+
+            let mut weights = Weights::new(&policy, theta.clone());
+            let mut optimizer = Optimizer::new(rule, rate, theta.len());
+            let mut batch = Batch::new(&task, &policy, size, &field.flows(), 1);
+            let mut update = Gradient::zeros(theta.len());
+
             let columns: Vec<_> = list(&file["log_columns"]).iter().map(text).collect();
             let log = data(&run["log"]);
-            let column = |epoch: usize, name: &str| {
-                log[epoch * columns.len() + columns.iter().position(|&c| c == name).expect("a column")]
-            };
             for epoch in 0..epochs {
+                let logged = |name: &str| {
+                    let column = columns.iter().position(|&c| c == name)?;
+                    Some(log[epoch * columns.len() + column])
+                };
+                let column = |name: &str| logged(name).expect("a column");
                 let record = session.epoch().expect("finite");
                 let got = [record.loss, record.train_loss, record.test_loss];
-                losses.add(error(&got, &["loss", "loss_train", "loss_test"].map(|c| column(epoch, c))));
+                losses.add(error(&got, &["loss", "loss_train", "loss_test"].map(column)));
                 if let Some(cosine) = record.cosine {
-                    cosines.add((cosine - column(epoch, "cossim")).abs());
+                    cosines.add((cosine - column("cossim")).abs());
+                }
+                let (mut lengths, mut without) = (Vec::new(), Vec::new());
+                for starts in train.chunks(size * task.system().state_dim()) {
+                    without.push(loss(&physics, &policy, &weights, starts));
+                    batch.run(&task, &policy, &weights, starts).expect("finite");
+                    field.compose(batch.gradients(), &mut update);
+                    lengths.push(update.norm().get());
+                    clip.apply(&mut update);
+                    weights.update(&policy, |theta| optimizer.step(theta, update.values()));
+                }
+                let squares: Vec<f64> = lengths.iter().map(|length| length * length).collect();
+                sizes.add(error(&[mean(&squares)], &[column("grad_size")]));
+                replays.add(error(&[record.grad_norm.get()], &[mean(&lengths)]));
+                if logged("physics").is_some() {
+                    let after = [&train, &test].map(|starts| loss(&physics, &policy, &weights, starts));
+                    let got = [mean(&without), after[0], after[1]];
+                    losses.add(error(&got, &["physics", "physics_train", "physics_test"].map(column)));
                 }
             }
             finals.add(error(session.weights().theta(), &variables(&run["final_variables"])));
+            replays.add(error(session.weights().theta(), weights.theta()));
+        }
+    }
+}
+
+#[test]
+fn eigenstates_are_the_authors() {
+    for (name, file) in files("quantum", "step") {
+        let system = AuthorsQuantum::task(&file, &file, 1).system;
+        let expected = data(&file["eigenstates"]);
+        let mut eigenstates = Worst::new(&name, "eigenstates", 1e-12);
+        for (index, expected) in expected.chunks(system.grid).enumerate() {
+            let got: Vec<f64> = system.eigenstate(index + 1).collect();
+            eigenstates.add(error(&got, expected));
         }
     }
 }

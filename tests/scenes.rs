@@ -280,9 +280,54 @@ fn states_that_effects_and_actuators_add_are_named_in_trajectories() {
     train_scene(Path::new("cart_pole_windy"), dir.path(), &few).assert().success();
     let text = fs::read_to_string(dir.path().join("trajectory.csv")).expect("trajectories");
     let header = text.lines().next().expect("a header");
-    assert!(header.ends_with("omega_2,time_of_gusts,force_in_1,force_in_2,force_felt,force"), "{header}");
+    assert!(header.ends_with("omega_2,time_of_gusts,force_in_1,force_in_2,force_before,force,force_felt"), "{header}");
     let widths: Vec<usize> = text.lines().map(|line| line.split(',').count()).collect();
     assert!(widths.iter().all(|&width| width == widths[0]), "every state has its number");
+}
+
+/// Newton's second law for a block without friction, and a motor's limit, delay and lag step by step.
+#[test]
+fn the_force_of_a_row_accelerates_the_block_to_the_next_row() {
+    const SCENE: &str = "
+        scene = 1
+        task = 'slider'
+        precision = 'f64'
+        epochs = 1
+        horizon = 12
+        system = { mass = 2.0, coefficient = 0.0, dt = 0.05 }
+        actuator = { limit = { bound = 0.01, kind = 'hard' }, delay = { steps = 2 }, lag = { time = 0.1 } }
+        training = { train_samples = 4, test_samples = 2 }
+    ";
+    let dir = TempDir::new().expect("a folder");
+    let out = dir.path().join("run");
+    train_scene(&write(&dir, SCENE), &out, &[]).assert().success();
+    let mut csv = csv::Reader::from_path(out.join("trajectory.csv")).expect("trajectories");
+    let header = csv.headers().expect("a header").clone();
+    assert_eq!(
+        header.iter().collect::<Vec<_>>()[3..],
+        ["x", "x_dot", "push_in_1", "push_in_2", "push_before", "push", "push_felt"]
+    );
+    let rows: Vec<Vec<Option<f64>>> =
+        csv.records().map(|row| row.expect("a row").iter().map(|cell| cell.parse().ok()).collect()).collect();
+    assert_eq!(rows.len(), 2 * 13);
+    let column = |name: &str| header.iter().position(|own| own == name).expect("a column");
+    let mut largest = 0.0f64;
+    for rollout in rows.chunks(13) {
+        let number = |t: usize, name: &str| rollout[t][column(name)].expect("a number");
+        let mut motor = 0.0;
+        for (t, row) in rollout[..12].iter().enumerate() {
+            let heard = if t < 2 { 0.0 } else { number(t - 2, "push").clamp(-0.01, 0.01) };
+            motor = heard + (motor - heard) * (-0.05f64 / 0.1).exp();
+            let accelerating = 2.0 * (number(t + 1, "x_dot") - number(t, "x_dot")) / 0.05;
+            for force in [motor, accelerating] {
+                assert!((number(t, "push_felt") - force).abs() < 1e-12, "step {t}: {force}, {row:?}");
+            }
+            assert_eq!(number(t + 1, "push_before"), number(t, "push_felt"));
+            largest = largest.max(motor.abs());
+        }
+        assert_eq!([rollout[12][column("push")], rollout[12][column("push_felt")]], [None; 2]);
+    }
+    assert!(largest > 0.005, "the motor pushes: {largest}");
 }
 
 #[test]

@@ -77,7 +77,7 @@ impl Add for Wide {
         } else {
             self.exponent.max(other.exponent)
         };
-        let part = |part: Self| times_power_of_two(part.mantissa, part.exponent - exponent);
+        let part = |part: Self| times_power_of_two(part.mantissa, part.exponent.saturating_sub(exponent));
         Self::new(part(self) + part(other), exponent)
     }
 }

@@ -1,6 +1,6 @@
 //! What a command line changes of a scene, or of a run that is to be resumed.
 
-use super::document::Document;
+use super::document::{Document, short};
 use super::folder::{Folder, SETTINGS};
 use super::presets;
 use super::saved;
@@ -8,7 +8,7 @@ use super::scene::Scene;
 use super::settings::{FieldName, Precision};
 use anyhow::{Context, Result, bail};
 use physgrad::differences;
-use toml::{Table, Value};
+use toml::Value;
 
 /// What differs from the scene.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -71,7 +71,7 @@ fn integer(option: &str, value: u64) -> Result<Value> {
 
 /// Changes one setting: `training.learning_rate=3e-4`.
 pub fn set(document: &mut Document, assignment: &str) -> Result<()> {
-    let option = format!("--set {assignment}");
+    let option = format!("--set {}", short(assignment));
     let (key, text) =
         assignment.split_once('=').with_context(|| format!("{option}: write KEY=VALUE, for example system.poles=4"))?;
     let (key, text) = (key.trim(), text.trim());
@@ -79,8 +79,8 @@ pub fn set(document: &mut Document, assignment: &str) -> Result<()> {
         bail!("{option}: `{key}` says what the other settings are of, and cannot be set");
     }
     // A word that is no TOML value is a string: shells take the quotes away.
-    let value = format!("value = {text}").parse::<Table>().ok().and_then(|mut table| table.remove("value"));
-    document.put(key, value.unwrap_or_else(|| Value::String(text.into())), &option)
+    let value = text.parse().unwrap_or_else(|_| Value::String(text.into()));
+    document.put(key, value, &option)
 }
 
 /// The preset or file of this name, with these changes.

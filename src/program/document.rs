@@ -7,9 +7,17 @@ use super::settings::VERSION;
 use anyhow::{Context, Result, anyhow, bail};
 use serde::Deserialize;
 use std::collections::HashMap;
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 use toml::de::{DeTable, DeValue, Deserializer};
 use toml::{Table, Value};
+
+/// Bytes of a scene. A preset has about 2,000; parsing takes up to 100 times as much memory.
+const MOST_BYTES: usize = 1_000_000;
+
+/// Parts of a dotted key that an option may have. Keys of scenes have up to three.
+const MOST_PARTS: usize = 8;
 
 /// The sections whose parts are there or not.
 pub const OPTIONAL: [&str; 2] = ["effects", "actuator"];
@@ -20,28 +28,39 @@ pub struct Document {
     /// What it is called in messages.
     name: String,
     table: Table,
-    /// Of dotted keys: the file and the line, or the option.
-    origins: HashMap<String, String>,
+    /// Text of the file.
+    text: String,
+    /// The option that set a dotted key, or made its section.
+    options: HashMap<String, String>,
 }
 
 impl Document {
     /// The file at this path.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-        Self::parse(&path.display().to_string(), &text)
+        let name = path.display().to_string();
+        let mut bytes = Vec::new();
+        let read = File::open(path).and_then(|file| file.take(1 + MOST_BYTES as u64).read_to_end(&mut bytes));
+        read.with_context(|| format!("cannot read {name}"))?;
+        if bytes.len() > MOST_BYTES {
+            bail!("{name} has more than {MOST_BYTES} bytes, which is too long for a scene");
+        }
+        let text = std::str::from_utf8(&bytes).with_context(|| format!("{name} is no text in UTF-8"))?;
+        Self::parse(&name, text)
     }
 
     /// The text of the file of this name.
     pub fn parse(name: &str, text: &str) -> Result<Self> {
-        let line = |at: usize| format!("{name}:{}", 1 + text.bytes().take(at).filter(|&byte| byte == b'\n').count());
-        let wrong = |error: toml::de::Error| anyhow!("{}: {error}", line(error.span().map_or(0, |span| span.start)));
+        let wrong = |error: toml::de::Error| match error.span() {
+            Some(span) => {
+                let begin = text[..span.start].rfind('\n').map_or(0, |end| end + 1);
+                let written = text[begin..].lines().next().unwrap_or_default().trim();
+                anyhow!("{name}:{}: {}: {}", line(text, span.start), error.message(), short(written))
+            }
+            None => anyhow!("{name} cannot be read: {}", error.message()),
+        };
         let parsed = DeTable::parse(text).map_err(wrong)?;
-        let mut origins = HashMap::new();
-        locate(parsed.get_ref(), "", &mut |key, at| {
-            origins.insert(key, line(at));
-        });
         let table = Table::deserialize(Deserializer::from(parsed)).map_err(wrong)?;
-        Ok(Self { name: name.to_owned(), table, origins })
+        Ok(Self { name: name.to_owned(), table, text: text.to_owned(), options: HashMap::new() })
     }
 
     /// The value at the top of the document.
@@ -52,6 +71,10 @@ impl Document {
     /// Puts a value at a dotted key, whether there is one or not, because this option says so.
     pub fn put(&mut self, key: &str, value: Value, option: &str) -> Result<()> {
         let (sections, last) = key.rsplit_once('.').unwrap_or(("", key));
+        let parts = key.split('.').count();
+        if parts > MOST_PARTS {
+            bail!("{option}: the key has {parts} parts; allowed: up to {MOST_PARTS}");
+        }
         if last.is_empty() {
             bail!("{option}: an empty key cannot be set");
         }
@@ -60,7 +83,7 @@ impl Document {
         for part in sections.split('.').filter(|part| !part.is_empty()) {
             path = join(&path, part);
             let section = inner.entry(part).or_insert_with(|| {
-                self.origins.insert(path.clone(), option.to_owned());
+                self.options.insert(path.clone(), option.to_owned());
                 Value::Table(Table::new())
             });
             inner = section.as_table_mut().with_context(|| format!("{option}: `{path}` is no section"))?;
@@ -74,9 +97,7 @@ impl Document {
             bail!("{option}: `{key}` is a section; set one of its keys: {}", keys.join(", "));
         }
         inner.insert(last.into(), value);
-        // What was within the old value is gone.
-        self.origins.retain(|other, _| !other.strip_prefix(key).is_some_and(|rest| rest.starts_with(['.', '['])));
-        self.origins.insert(key.to_owned(), option.to_owned());
+        self.options.insert(key.to_owned(), option.to_owned());
         Ok(())
     }
 
@@ -141,15 +162,17 @@ impl Document {
         kind.scene(settings).map_err(|problem| of_another_task(kind, problem))
     }
 
-    /// Where a key is from, or else the section it is in.
-    fn origin(&self, key: &str) -> &str {
-        let mut key = key;
-        loop {
-            match (self.origins.get(key), key.rfind(['.', '['])) {
-                (Some(origin), _) => return origin,
-                (None, Some(end)) => key = &key[..end],
-                (None, None) => return &self.name,
-            }
+    /// The option or line that a key is from, or else its section.
+    fn origin(&self, key: &str) -> String {
+        let sections = std::iter::successors(Some(key), |key| key.rfind(['.', '[']).map(|end| &key[..end]));
+        // An option replaces whatever the file has within its key.
+        if let Some(option) = sections.into_iter().find_map(|key| self.options.get(key)) {
+            return option.clone();
+        }
+        let parsed = DeTable::parse(&self.text).ok();
+        match parsed.and_then(|parsed| place(&DeValue::Table(parsed.into_inner()), key)) {
+            Some(at) => format!("{}:{}", self.name, line(&self.text, at)),
+            None => self.name.clone(),
         }
     }
 }
@@ -167,25 +190,35 @@ fn of_another_task(kind: &dyn AnyKind, problem: Problem) -> Problem {
     }
 }
 
-/// Tells of every key, dotted, where in the text it is.
-fn locate(table: &DeTable, path: &str, tell: &mut impl FnMut(String, usize)) {
-    for (key, value) in table {
-        let path = join(path, key.get_ref());
-        tell(path.clone(), key.span().start);
-        match value.get_ref() {
-            DeValue::Table(section) => locate(section, &path, tell),
-            DeValue::Array(items) => {
-                for (i, item) in items.iter().enumerate() {
-                    let path = format!("{path}[{i}]");
-                    tell(path.clone(), item.span().start);
-                    if let DeValue::Table(section) = item.get_ref() {
-                        locate(section, &path, tell);
-                    }
-                }
-            }
-            _ => {}
+/// Position in the text of the key at this dotted path, or else of its section.
+fn place(value: &DeValue, path: &str) -> Option<usize> {
+    match value {
+        DeValue::Table(table) => table.iter().find_map(|(key, inner)| {
+            let rest = path.strip_prefix('.').unwrap_or(path).strip_prefix(&**key.get_ref())?;
+            let is_whole = rest.is_empty() || rest.starts_with(['.', '[']);
+            is_whole.then(|| place(inner.get_ref(), rest).unwrap_or(key.span().start))
+        }),
+        DeValue::Array(items) => {
+            let (index, rest) = path.strip_prefix('[')?.split_once(']')?;
+            let item = items.get(index.parse::<usize>().ok()?)?;
+            Some(place(item.get_ref(), rest).unwrap_or(item.span().start))
         }
+        _ => None,
     }
+}
+
+/// The text, or its beginning if it is long for a message.
+pub fn short(text: &str) -> String {
+    const MOST: usize = 100;
+    match text.char_indices().nth(MOST) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text.into(),
+    }
+}
+
+/// Number of the line at a position in the text.
+fn line(text: &str, at: usize) -> usize {
+    1 + text.bytes().take(at).filter(|&byte| byte == b'\n').count()
 }
 
 /// What is called `bumpers` may also be called `effects.bumpers`.

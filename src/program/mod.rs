@@ -24,6 +24,8 @@ mod effects;
 mod explain;
 mod files;
 mod folder;
+#[cfg(feature = "fuzz")]
+mod fuzz;
 mod kind;
 mod outputs;
 mod paper;
@@ -76,6 +78,9 @@ enum Command {
     Accuracy(accuracy::Accuracy),
     Stress(stress::Stress),
     Effects(effects::Effects),
+    #[cfg(feature = "fuzz")]
+    #[command(hide = true)]
+    Fuzz(fuzz::Fuzz),
 }
 
 /// Exit status of a training run that applied no update.
@@ -110,6 +115,8 @@ fn execute(command: &Command) -> Result<()> {
         Command::Schema(args) => print::schema(args),
         Command::Explain(args) => explain::explain(args),
         Command::Effects(args) => effects::effects(args),
+        #[cfg(feature = "fuzz")]
+        Command::Fuzz(args) => fuzz::fuzz(args),
     }
 }
 

@@ -150,20 +150,25 @@ pub fn film(scene: &Scene, rollout: &Trajectory) -> String {
     scene.animation(&rollout.states, &rollout.controls).to_svg()
 }
 
-/// `trajectory.csv`: one row per rollout and step. The last state has no control.
+/// `trajectory.csv`: one row per rollout and step. A row holds the state before the step, the
+/// controls of the policy, and the controls that an actuator applies. The last state has no
+/// controls.
 pub fn trajectories(scene: &Scene, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
     let mut csv = csv::Writer::from_writer(Vec::new());
     let names = ["sample", "step", "time"].map(String::from).into_iter();
-    let controls = scene.control_names();
-    let none = vec![String::new(); controls.len()];
-    csv.write_record(names.chain(scene.state_names()).chain(controls))?;
+    let (states, asked, felt) = (scene.state_names(), scene.control_names(), scene.felt_names());
+    csv.write_record(names.chain(states).chain(asked.clone()).chain(felt.clone()))?;
     let dt = scene.dt();
-    for (sample, rollout) in rollouts.iter().enumerate() {
-        for (t, state) in rollout.states.iter().enumerate() {
+    for (sample, Trajectory { states, controls }) in rollouts.iter().enumerate() {
+        let all_felt = scene.felt(states, controls);
+        for (t, state) in states.iter().enumerate() {
             let place = [sample.to_string(), t.to_string(), (t as f64 * dt).to_string()];
-            let text = |numbers: &[f64]| numbers.iter().map(f64::to_string).collect::<Vec<_>>();
-            let control = rollout.controls.get(t).map_or_else(|| none.clone(), |u| text(u));
-            csv.write_record(place.into_iter().chain(text(state)).chain(control))?;
+            let cells = |rows: &[Vec<f64>], columns: &[String]| -> Vec<String> {
+                let cell = |i: usize| rows.get(t).map_or_else(String::new, |row: &Vec<f64>| row[i].to_string());
+                (0..columns.len()).map(cell).collect()
+            };
+            let state = state.iter().map(f64::to_string);
+            csv.write_record(place.into_iter().chain(state).chain(cells(controls, &asked)).chain(cells(&all_felt, &felt)))?;
         }
     }
     Ok(csv.into_inner()?)

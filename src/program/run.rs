@@ -68,15 +68,26 @@ impl fmt::Display for NoUpdate {
 
 impl std::error::Error for NoUpdate {}
 
+/// Threads that may be asked for, unless there are more cores. Two thousand take longer to wake than to do their work.
+const MOST_THREADS: usize = 256;
+
 /// Sets up the thread pool and returns its number of threads.
 pub fn threads(asked: Option<usize>) -> Result<usize> {
-    if let Some(threads) = asked {
-        if threads == 0 {
-            bail!("--threads is 0; allowed: 1 or more");
-        }
+    let most = std::thread::available_parallelism().map_or(1, usize::from).max(MOST_THREADS);
+    // As rayon reads it; 0 stands for all cores.
+    let default = || std::env::var("RAYON_NUM_THREADS").ok()?.parse().ok().filter(|&threads| threads > 0);
+    let (source, threads) = match (asked, default()) {
+        (Some(threads), _) => ("--threads", threads),
+        (None, Some(threads)) => ("RAYON_NUM_THREADS", threads),
+        (None, None) => return Ok(rayon::current_num_threads()),
+    };
+    if !(1..=most).contains(&threads) {
+        bail!("{source} is {threads}; allowed: 1 to {most}");
+    }
+    if asked.is_some() {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
     }
-    Ok(rayon::current_num_threads())
+    Ok(threads)
 }
 
 /// Runs the scene in the folder; `run` is the scene, opened. If `resume`, goes on from the checkpoint. Saves at least every

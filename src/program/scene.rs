@@ -62,6 +62,10 @@ pub trait AnySettings: Send + Sync {
     fn state_names(&self) -> Vec<String>;
     /// Names of the control components.
     fn control_names(&self) -> Vec<String>;
+    /// Names of the applied controls, if there is an actuator.
+    fn felt_names(&self) -> Vec<String>;
+    /// Controls that the actuator applies in these states, given those of the policy.
+    fn felt(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>>;
     /// A quantity that is conserved while the control is zero, or None.
     fn conserved(&self) -> Option<Conserved>;
     /// Animation of one rollout, from the states and controls of each step.
@@ -110,6 +114,14 @@ impl<K: Kind> AnySettings for Settings<K> {
 
     fn control_names(&self) -> Vec<String> {
         K::control_names(self)
+    }
+
+    fn felt_names(&self) -> Vec<String> {
+        self.actuator.felt_names(&K::control_names(self))
+    }
+
+    fn felt(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        self.actuator.felt(K::dt(self), states, controls)
     }
 
     fn conserved(&self) -> Option<Conserved> {

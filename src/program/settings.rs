@@ -16,7 +16,7 @@ pub use training::TrainingSettings;
 use super::document::OPTIONAL;
 use super::kind::{Kind, Network, Visit};
 use super::problem::{Problem, count};
-use memory::Memory;
+use memory::{Memory, Needs};
 use physgrad::Field;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -24,9 +24,6 @@ use toml::{Table, Value};
 
 /// Version of the format of scenes.
 pub const VERSION: i64 = 1;
-
-/// Bytes that the workspaces of a run may take.
-const MEMORY: f64 = 32e9;
 
 /// Everything needed to repeat a run of a task.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -119,16 +116,20 @@ impl<K: Kind> Settings<K> {
         K::validate(self)?;
         let TrainingSettings { batch, train_samples, test_samples, .. } = self.training;
         let samples = batch.min(train_samples);
-        let memory = Memory { precision: self.precision, samples, start_states: train_samples + test_samples };
+        let Needs { batch: whole, rest } =
+            self.visit(Memory { precision: self.precision, samples, start_states: train_samples + test_samples });
         // With a budget, what does not fit is computed again.
-        let bytes = if self.training.memory.is_some() { 0.0 } else { self.visit(memory) };
-        if bytes > MEMORY {
+        let batch = self.training.budget().map_or(whole, |budget| whole.min(budget as f64));
+        let (needed, most) = (batch + rest, memory::of_this_machine());
+        if needed > most {
             let what = format!(
-                "is {}: a mini-batch of {samples} samples would need about {:.0} GB, and at most {:.0} GB are used; choose a \
-                 smaller `training.batch`, `horizon` or policy, or a budget, as in `training.memory = \"1GB\"`",
+                "is {}: a run with mini-batches of {samples} samples would need about {:.1} GB, {:.1} GB of them for a mini-batch, and \
+                 this machine has {:.1} GB; choose a smaller `training.batch`, `horizon` or policy, or a budget for the mini-batch, \
+                 as in `training.memory = \"1GB\"`",
                 self.horizon,
-                bytes * 1e-9,
-                MEMORY * 1e-9
+                needed * 1e-9,
+                batch * 1e-9,
+                most * 1e-9
             );
             return Err(Problem::new("horizon", what));
         }

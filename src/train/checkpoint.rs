@@ -149,27 +149,58 @@ impl<F: Float> Progress<F> {
         }
         let body: Body<F> = postcard::from_bytes(body).map_err(|e| damaged(&e))?;
         let expected = policy.param_count();
-        let before = body.epoch.as_ref().map(|(_, before)| &**before);
-        let lengths = before.map(|before| [before.theta.len(), before.optimizer.params()]);
-        let lengths = [header.params, body.theta.len(), body.optimizer.params()].into_iter().chain(lengths.into_iter().flatten());
-        if let Some(found) = lengths.into_iter().find(|&found| found != expected) {
+        if let Some(found) = [header.params, body.theta.len()].into_iter().find(|&found| found != expected) {
             return Err(CheckpointError::Shape { found, expected });
         }
-        if let Some((epoch, _)) = &body.epoch
-            && (epoch.updates >= self.updates_per_epoch() || epoch.skipped > epoch.updates)
-        {
-            return Err(damaged(&"its epoch under way has more updates than an epoch"));
-        }
+        self.validate(&body).map_err(|e| damaged(&e))?;
         self.weights.update(policy, |theta| theta.copy_from_slice(&body.theta));
         self.optimizer = body.optimizer.into_owned();
         self.records = body.records.into_owned();
         self.skipped_in_a_row = body.skipped_in_a_row;
         self.skips.clear();
+        self.diverged = [None; 2];
         self.epoch = body.epoch.map(|(epoch, before)| {
             self.before = before.into_owned();
             epoch
         });
         self.order_samples();
         Ok(())
+    }
+
+    /// Checks that a training with the settings of this one can have left this state behind.
+    fn validate(&self, body: &Body<F>) -> Result<(), String> {
+        let updates = self.updates_per_epoch();
+        let mut steps = 0;
+        for (i, record) in body.records.iter().enumerate() {
+            record.validate(i + 1, updates)?;
+            steps += (updates - record.skipped) as u64;
+        }
+        if let Some((epoch, before)) = &body.epoch {
+            let Epoch { updates: done, skipped, means, seconds } = epoch;
+            if *done >= updates || skipped.checked_add(means.updates()) != Some(*done) {
+                return Err(format!("{done} of {updates} updates of its epoch under way are done, {skipped} of them skipped"));
+            }
+            if !(*seconds >= 0.0 && seconds.is_finite()) {
+                return Err(format!("its epoch under way took {seconds} s"));
+            }
+            self.validate_state(&before.theta, &before.optimizer, before.skipped_in_a_row, steps)?;
+            steps += means.updates() as u64;
+        }
+        self.validate_state(&body.theta, &body.optimizer, body.skipped_in_a_row, steps)
+    }
+
+    /// The same of the state between two updates, `steps` of them applied.
+    fn validate_state(&self, theta: &[F], optimizer: &Optimizer<F>, skipped: usize, steps: u64) -> Result<(), String> {
+        let params = self.weights.theta().len();
+        if theta.len() != params {
+            return Err(format!("it has {} parameters for {params}", theta.len()));
+        }
+        if let Some(i) = theta.iter().position(|p| !p.as_().is_finite()) {
+            return Err(format!("parameter {i} is {}", theta[i]));
+        }
+        if skipped > self.training.max_skipped {
+            return Err(format!("{skipped} updates in a row were skipped; allowed: {}", self.training.max_skipped));
+        }
+        optimizer.validate(&self.optimizer, steps)
     }
 }

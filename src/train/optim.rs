@@ -162,6 +162,36 @@ impl<F: Float> Optimizer<F> {
         self.first.len()
     }
 
+    /// Checks a state that was read: rule and rate are those of `settings`, the number of steps is `expected`, and steps
+    /// can leave such moments behind.
+    ///
+    /// # Errors
+    /// The first fault, in words.
+    pub(crate) fn validate(&self, settings: &Self, expected: u64) -> Result<(), String> {
+        let Self { rule, learning_rate, steps, first, second } = self;
+        let n = settings.params();
+        if *rule != settings.rule || *learning_rate != settings.learning_rate {
+            let (here, rate) = (settings.rule, settings.learning_rate);
+            return Err(format!(
+                "its optimizer is {rule:?} at the rate {learning_rate}, and that of this run {here:?} at {rate}"
+            ));
+        }
+        if *steps != expected {
+            return Err(format!("its optimizer counts {steps} steps, and its epochs {expected}"));
+        }
+        // Only Adam and descent with momentum keep numbers of either sign, and only in the first vector.
+        let signed = matches!(rule, Rule::Adam { .. } | Rule::Momentum { .. });
+        for (name, moments, signed) in [("first", first, signed), ("second", second, false)] {
+            if moments.len() != n {
+                return Err(format!("its optimizer has {} {name} moments for {n} parameters", moments.len()));
+            }
+            if let Some(i) = moments.iter().position(|m| !m.as_().is_finite() || (!signed && *m < F::zero())) {
+                return Err(format!("the {name} moment of parameter {i} is {}", moments[i]));
+            }
+        }
+        Ok(())
+    }
+
     /// Copies another optimizer with the same number of parameters, without allocating.
     pub(crate) fn copy_from(&mut self, other: &Self) {
         (self.rule, self.learning_rate, self.steps) = (other.rule, other.learning_rate, other.steps);
@@ -299,6 +329,30 @@ mod tests {
                 approx::assert_relative_eq!(got, expected, max_relative = 1e-14);
                 assert!(got != 1.0, "{rule} does nothing in step {step}");
             }
+        }
+    }
+
+    #[test]
+    fn a_state_that_no_step_leaves_behind_is_told() {
+        let settings = |rule: &str| Optimizer::<f32>::new(Rule::named(rule).expect(rule), 0.1, 2);
+        let fault = |rule: &str, change: fn(&mut Optimizer<f32>)| {
+            let mut read = settings(rule);
+            (read.steps, read.first) = (7, vec![0.5, 2.0]);
+            change(&mut read);
+            read.validate(&settings(rule), 7).err().unwrap_or_default()
+        };
+        for rule in Rule::NAMES {
+            assert_eq!(fault(rule, |_| ()), "");
+            assert!(fault(rule, |read| read.first.truncate(1)).contains("1 first moments for 2 parameters"));
+            assert!(fault(rule, |read| read.second.push(0.0)).contains("3 second moments for 2 parameters"));
+            assert!(fault(rule, |read| read.second[1] = -1.0).contains("the second moment of parameter 1 is -1"));
+            assert!(fault(rule, |read| read.first[0] = f32::NAN).contains("the first moment of parameter 0 is NaN"));
+            assert!(fault(rule, |read| read.second[0] = f32::INFINITY).contains("the second moment of parameter 0 is inf"));
+            assert!(fault(rule, |read| read.steps = u64::MAX).contains("counts 18446744073709551615 steps"));
+            assert!(fault(rule, |read| read.learning_rate = f64::NAN).contains("at the rate NaN"));
+            assert!(fault(rule, |read| read.rule = Rule::Momentum { momentum: 0.1 }).contains("Momentum { momentum: 0.1 }"));
+            let signed = ["adam", "momentum"].contains(&rule);
+            assert_eq!(fault(rule, |read| read.first[0] = -1.0).is_empty(), signed, "{rule}");
         }
     }
 

@@ -45,9 +45,9 @@ pub(super) struct Epoch {
     pub(super) updates: usize,
     /// Updates skipped.
     pub(super) skipped: usize,
-    means: Means,
+    pub(super) means: Means,
     /// Wall time so far, s.
-    seconds: f64,
+    pub(super) seconds: f64,
 }
 
 /// Mutable state of a training, and its workspaces.

@@ -34,6 +34,18 @@ pub struct Record {
 }
 
 impl Record {
+    /// Checks a record that was read, of epoch `number` of so many updates.
+    ///
+    /// # Errors
+    /// The fault, in words.
+    pub(super) fn validate(&self, number: usize, updates: usize) -> Result<(), String> {
+        let Self { epoch, skipped, seconds, .. } = *self;
+        if epoch != number || skipped > updates || !(seconds >= 0.0 && seconds.is_finite()) {
+            return Err(format!("epoch {number} is recorded as {epoch}, {skipped} of {updates} updates skipped, in {seconds} s"));
+        }
+        Ok(())
+    }
+
     /// Returns warnings about the gradients of the epoch, as text.
     ///
     /// `horizon` is the number of steps of a rollout, `epsilon` the machine epsilon of its
@@ -84,6 +96,11 @@ pub(super) struct Means {
 }
 
 impl Means {
+    /// Updates that count.
+    pub fn updates(&self) -> usize {
+        self.updates
+    }
+
     pub fn is_empty(&self) -> bool {
         self.updates == 0
     }

@@ -1,5 +1,9 @@
 //! Sine and cosine together, without branches and without fused operations: the same bits alone, in a lane, and on
-//! every processor. At most 1.6 units in the last place for |x| up to 1e6; beyond, the standard library takes over.
+//! every processor. For |x| up to 1e6 the error is at most 1.6 units in the last place (ulps) in `f32`, for every argument,
+//! and 2.6 in `f64`; beyond, the standard library takes over.
+//!
+//! The bound in `f64`: the reduction rounds twice, which moves the angle by up to 1 of its ulps. That is up to 2 ulps of a
+//! sine just below a power of two, where the angle is just above it. The last sum adds 0.5, the polynomial less than 0.1.
 
 /// Above this, `n·π/2` of the argument reduction is no longer exact and [`std`] computes the pair instead.
 pub const REACH: f64 = 1e6;

@@ -1,7 +1,7 @@
 //! The `policy` section.
 
 use super::{Section, Visit};
-use crate::program::problem::Problem;
+use crate::program::problem::{Problem, allowed};
 use physgrad::policy::Mlp;
 use physgrad::{Policy, System, Task};
 use schemars::JsonSchema;
@@ -45,6 +45,8 @@ impl Network for MlpSettings {
     type Policy = Mlp;
 
     fn validate(&self) -> Result<(), Problem> {
+        let (found, most) = (self.widths.len(), 1000);
+        allowed("policy.widths", format!("a list of {found}"), found <= most, format!("up to {most} layers"))?;
         match self.widths.iter().find(|w| !(1..=10_000).contains(*w)) {
             Some(width) => {
                 let what = format!("has {width}; allowed: 1 to 10000 each, or [] for a linear policy");

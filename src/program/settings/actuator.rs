@@ -97,11 +97,16 @@ impl ActuatorSettings {
     /// The names of what it adds to the state.
     pub fn state_names(&self, controls: &[String]) -> Vec<String> {
         let under_way = (1..=self.delay.map_or(0, |delay| delay.steps)).flat_map(|step| {
-            // The oldest comes first, and is the next to be felt.
+            // The oldest comes first, and is the next to leave.
             controls.iter().map(move |control| format!("{control}_in_{step}"))
         });
-        let lagging = controls.iter().filter(|_| self.lag.is_some()).map(|control| format!("{control}_felt"));
+        let lagging = controls.iter().filter(|_| self.lag.is_some()).map(|control| format!("{control}_before"));
         under_way.chain(lagging).collect()
+    }
+
+    /// The names of the controls that the physics gets, where they are not those that the policy asks for.
+    pub fn felt_names(&self, controls: &[String]) -> Vec<String> {
+        controls.iter().filter(|_| !self.is_empty()).map(|control| format!("{control}_felt")).collect()
     }
 }
 

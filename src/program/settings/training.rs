@@ -79,6 +79,11 @@ impl TrainingSettings {
         }
     }
 
+    /// The most bytes for rollouts and gradients of a mini-batch.
+    pub fn budget(&self) -> Option<u64> {
+        self.memory.as_deref().and_then(bytes)
+    }
+
     /// The same for the library.
     pub fn training(&self, epochs: usize, seed: u64, workers: usize) -> Training {
         let rule = match self.optimizer {
@@ -105,7 +110,7 @@ impl TrainingSettings {
             },
             max_skipped: self.max_skipped,
             workers,
-            memory: self.memory.as_deref().and_then(bytes),
+            memory: self.budget(),
         }
     }
 }

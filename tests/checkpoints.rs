@@ -1,0 +1,73 @@
+//! Checkpoints whose checksum is valid and whose contents are not.
+
+use physgrad::{Rule, Session, Trainer, Training, policy::Mlp, tasks::CartPole};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+type Small = Session<CartPole, Mlp, f32>;
+
+fn session(rule: &str, learning_rate: f64) -> Small {
+    let task = CartPole { horizon: 3, ..CartPole::new(1) };
+    let rule = Rule::named(rule).expect("a rule");
+    let training = Training { rule, learning_rate, batch: 2, train_samples: 4, test_samples: 2, ..Training::default() };
+    Trainer::new(task, Mlp::new([4, 2, 1])).training(training).session().expect("valid settings")
+}
+
+/// A session after two epochs, and one update of the third if `paused`.
+fn trained(rule: &str, paused: bool) -> Small {
+    let mut session = session(rule, 1e-3);
+    (0..2).for_each(|_| drop(session.epoch().expect("finite").clone()));
+    if paused {
+        assert!(session.advance(&|| true).expect("finite").is_none(), "an epoch has two updates");
+    }
+    session
+}
+
+/// Takes the bytes with a checksum that fits, and trains on.
+fn taken(rule: &str, bytes: &mut [u8]) -> Result<(), String> {
+    Small::seal(bytes);
+    let mut session = session(rule, 1e-3);
+    session.restore(bytes, "a run").map_err(|error| error.to_string())?;
+    session.epoch().map(drop).map_err(|error| error.to_string())
+}
+
+/// Old checkpoints of this kind led to 17 panics in 8,932 attempts.
+#[test]
+fn whatever_byte_is_damaged_an_epoch_runs_or_the_checkpoint_is_refused() {
+    for (rule, paused) in [("adam", false), ("adam", true), ("adagrad", true)] {
+        let good = trained(rule, paused).checkpoint("a run");
+        taken(rule, &mut good.clone()).expect("its own checkpoint");
+        for at in 14..good.len() {
+            let replaced = |with: &[u8]| [&good[..at], with, &good[at + 1..]].concat();
+            let byte = good[at];
+            let mut damaged: Vec<Vec<u8>> = [0, 1, 0x7f, 0x80, 0xff, byte ^ 1, byte.wrapping_add(1), byte.wrapping_sub(1)]
+                .map(|byte| replaced(&[byte]))
+                .into();
+            damaged.extend([replaced(&[]), replaced(&[byte, byte]), replaced(&[0xff; 9])]);
+            for mut bytes in damaged {
+                let outcome = catch_unwind(AssertUnwindSafe(|| taken(rule, &mut bytes)));
+                assert!(outcome.is_ok(), "{rule}, paused: {paused}, byte {at}: {byte:#x}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_checkpoint_of_another_optimizer_is_refused() {
+    let bytes = trained("adam", false).checkpoint("a run");
+    for (rule, rate) in [("adam", 2e-3), ("adadelta", 1e-3), ("sgd", 1e-3)] {
+        let mut other = session(rule, rate);
+        let error = other.restore(&bytes, "a run").expect_err("another optimizer").to_string();
+        assert!(error.contains("its optimizer is Adam"), "{error}");
+        assert!(other.records().is_empty(), "the session is as it was");
+    }
+}
+
+#[test]
+fn a_checkpoint_of_other_numbers_of_updates_is_refused() {
+    let bytes = trained("adam", false).checkpoint("a run");
+    let task = CartPole { horizon: 3, ..CartPole::new(1) };
+    let training = Training { batch: 4, train_samples: 4, test_samples: 2, ..Training::default() };
+    let mut other = Trainer::new(task, Mlp::new([4, 2, 1])).training(training).session().expect("valid settings");
+    let error = other.restore(&bytes, "a run").expect_err("two updates an epoch").to_string();
+    assert!(error.contains("its optimizer counts 4 steps, and its epochs 2"), "{error}");
+}

@@ -1,0 +1,18 @@
+//! Damaged inputs, by the program's own count.
+
+mod running;
+
+use running::physgrad;
+use std::time::Duration;
+
+#[test]
+fn damaged_inputs_cause_no_panic_no_hang_and_little_memory() {
+    // An input that never ends is no finding, as the command does not end either.
+    let mut command = physgrad(&["fuzz"]);
+    let output = command.timeout(Duration::from_secs(900)).output().expect("it runs");
+    let [said, error] = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+    assert!(output.status.success() && said.contains("130000 inputs") && !said.contains("FAIL"), "{said}\n{error}");
+    for kind in ["scenes", "assignments (--set)", "checkpoints", "run folders"] {
+        assert!(said.contains(&format!("{kind}: without a panic")), "{kind}\n{said}");
+    }
+}

@@ -1,0 +1,99 @@
+//! Inputs that are too large, too deep or too many: refused soon, with a message.
+
+mod running;
+
+use assert_cmd::Command;
+use running::physgrad;
+use std::fs::{self, File};
+use std::path::PathBuf;
+use std::time::Duration;
+use tempfile::TempDir;
+
+/// Refusals take less than 2 s on one core, and took more than 14.
+const SOON: Duration = Duration::from_secs(10);
+
+/// The message of a command that refuses.
+fn refusal(command: &mut Command) -> String {
+    let output = command.timeout(SOON).output().expect("it runs");
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    said
+}
+
+fn explain(scene: &str) -> String {
+    let dir = TempDir::new().expect("a folder");
+    let file = dir.path().join("large.toml");
+    fs::write(&file, scene).expect("a file");
+    refusal(physgrad(&["explain"]).arg(file))
+}
+
+#[track_caller]
+fn assert_says(said: &str, message: &str) {
+    assert!(said.contains(message) && said.len() < 1000, "{message}\n{said:.2000}");
+}
+
+#[test]
+fn a_scene_of_many_headers_is_read_in_linear_time() {
+    let headers: String = (0..80_000).map(|i| format!("[a{i}]\n")).collect();
+    assert_says(&explain(&format!("scene = 1\ntask = \"cart_pole\"\n{headers}")), "large.toml:3: `a0` is unknown");
+}
+
+#[test]
+fn lists_have_a_limit() {
+    let obstacles = "[0,0],\n".repeat(100_000);
+    let scene = format!("scene = 1\ntask = \"guidance\"\n[effects.obstacles]\ncenters = [\n{obstacles}]\n");
+    assert_says(&explain(&scene), "large.toml:4: `effects.obstacles.centers` is a list of 100000; allowed: 1 to 1000 centers");
+    let scene = format!("scene = 1\ntask = \"cart_pole\"\n[policy]\nwidths = [{}]\n", "1,".repeat(400_000));
+    assert_says(&explain(&scene), "large.toml:4: `policy.widths` is a list of 400000; allowed: up to 1000 layers");
+}
+
+#[test]
+fn a_scene_has_a_limit_of_bytes() {
+    let dir = TempDir::new().expect("a folder");
+    let file: PathBuf = dir.path().join("large.toml");
+    File::create(&file).and_then(|file| file.set_len(100_000_000)).expect("a file");
+    assert_says(&refusal(physgrad(&["explain"]).arg(&file)), "large.toml has more than 1000000 bytes");
+}
+
+#[test]
+fn nesting_has_a_limit() {
+    for (open, close) in [("[", "]"), ("{a=", "}")] {
+        let scene = format!("scene = 1\ntask = \"cart_pole\"\na = {}1{}\n", open.repeat(100_000), close.repeat(100_000));
+        assert_says(&explain(&scene), "large.toml:3: cannot recurse further; max recursion depth met");
+    }
+    assert_says(&explain(&format!("scene = 1\n{}a = 1\n", "a.".repeat(50_000))), "large.toml cannot be read: recursion limit");
+    let said = refusal(&mut physgrad(&["explain", "cart_pole", "--set", &format!("{}a=1", "a.".repeat(50_000))]));
+    assert_says(&said, "the key has 50001 parts; allowed: up to 8");
+}
+
+#[test]
+fn an_assignment_has_one_value() {
+    let said = refusal(&mut physgrad(&["explain", "cart_pole", "--set", "horizon=3\nseed=1"]));
+    assert_says(&said, "`horizon` is string \"3\\nseed=1\"; allowed: a whole number");
+}
+
+#[test]
+fn threads_have_a_limit() {
+    let dir = TempDir::new().expect("a folder");
+    let out = dir.path().join("run");
+    let said = refusal(physgrad(&["train", "cart_pole", "--threads", "2000", "--out"]).arg(&out));
+    assert_says(&said, "--threads is 2000; allowed: 1 to ");
+    let said = refusal(physgrad(&["train", "cart_pole", "--out"]).arg(&out).env("RAYON_NUM_THREADS", "2000"));
+    assert_says(&said, "RAYON_NUM_THREADS is 2000; allowed: 1 to ");
+    assert!(!out.exists(), "nothing is written");
+}
+
+#[test]
+fn a_run_that_the_machine_has_no_memory_for_is_refused_whatever_its_budget() {
+    let long = ["explain", "cart_pole", "--set", "horizon=100000000"];
+    for budget in ["1GB", "900000GB"] {
+        let said = refusal(physgrad(&long).args(["--set", &format!("training.memory={budget:?}")]));
+        assert_says(&said, "this machine has ");
+    }
+    // A list of layers whose parameters alone are too many.
+    let widths = format!("policy.widths=[{}]", ["10000"; 500].join(","));
+    assert_says(
+        &refusal(&mut physgrad(&["explain", "cart_pole", "--set", &widths, "--set", "training.memory=\"1GB\""])),
+        "this machine has ",
+    );
+}
