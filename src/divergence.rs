@@ -62,7 +62,7 @@ pub enum Divergence {
 pub enum Cause {
     /// The step had to solve an equation and could not: this is the size of the residual that it was left with.
     Unsolved(f64),
-    /// The forces of this effect, or their derivatives, are not finite at the state in which the step begins.
+    /// The forces of the effect of this name, or their derivatives, are not finite at the state in which the step begins.
     Effect(&'static str),
 }
 
@@ -148,7 +148,9 @@ impl fmt::Display for Divergence {
 /// The effect that did it.
 fn by(cause: &Option<Cause>) -> String {
     match cause {
-        Some(Cause::Effect(name)) => format!(", for the effect {name} is not"),
+        Some(Cause::Effect(name)) => {
+            format!(": at the state before, the forces of {name} or their slopes are not finite, and smaller values in it help")
+        }
         _ => String::new(),
     }
 }

@@ -111,7 +111,7 @@ pub use batch::{Batch, Evaluation};
 pub use checkpointed::Checkpointed;
 pub use cost::Cost;
 pub use divergence::{Cause, Divergence, Variable};
-pub use effect::{Around, Effect, Host, With};
+pub use effect::{Around, Effect, Host, Named, With};
 pub use field::{Compose, Field, SignAgreement, UnknownField};
 pub use gradient::Gradient;
 pub use growth::Growth;

@@ -14,7 +14,7 @@ use super::problem::Problem;
 use super::scene::Scene;
 use super::settings::{Method, Settings};
 use physgrad::report::Animation;
-use physgrad::{Policy, Task};
+use physgrad::{Named, Policy, Task};
 use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Debug;
@@ -69,6 +69,11 @@ pub trait Kind: Clone + Debug + Send + Sync + 'static {
     }
     /// A rollout that moves: states and controls step by step.
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
+}
+
+/// An effect under the key that a scene has it under, if it is there.
+fn named<T, E: From<T>>(name: &'static str, effect: Option<T>) -> Option<Named<E>> {
+    effect.map(|effect| Named { name, effect: effect.into() })
 }
 
 /// What one may want to know of an effect, or of what is between policy and physics.

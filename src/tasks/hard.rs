@@ -2,10 +2,11 @@
 
 use super::{Bounce, DoublePendulum, Lqr, PoleChain, Push, Slider, Upright};
 use crate::apart::{Reverse, ReverseToControl, Step, apart};
+use crate::divergence::Cause;
 use crate::effect::Around;
 use crate::integrator::{AnyIntegrator, Integrated};
 use crate::rng::Rng;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::scalar::{Cotangent, Float, Real, Scalar};
 use crate::system::System;
 use crate::task::Task;
 use smallvec::{SmallVec, smallvec};
@@ -53,6 +54,10 @@ impl System for AnyHard {
     #[inline(always)]
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
         whichever!(self, task => apart::<T>(Step { system: task.system(), x, u, next }));
+    }
+
+    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        whichever!(self, task => task.system().cause(x, u))
     }
 
     #[inline(always)]

@@ -2,9 +2,10 @@
 
 use super::QuantumSystem;
 use super::system::Wave;
+use crate::divergence::Cause;
 use crate::effect::Around;
 use crate::rng::Rng;
-use crate::scalar::{Cotangent, Real, Scalar};
+use crate::scalar::{Cotangent, Float, Real, Scalar};
 use crate::system::System;
 use smallvec::smallvec;
 
@@ -78,6 +79,10 @@ impl<S: Around<QuantumSystem>> System for Renormalized<S> {
         for psi in psi {
             *psi *= per_norm;
         }
+    }
+
+    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        self.system.cause(x, u)
     }
 
     #[inline(always)]
