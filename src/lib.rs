@@ -91,7 +91,7 @@ pub use check::stress;
 pub use dynamics::actuator::{Actuated, Actuator, AnyActuator, Bars, Delay, Lag, Limit, LimitKind};
 pub use dynamics::cause::Cause;
 pub use dynamics::cost::Cost;
-pub use dynamics::effect::{Around, Effect, Host, With};
+pub use dynamics::effect::{Around, Effect, Host, Named, With};
 pub use dynamics::integrator::{
     Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, SemiImplicit, Stretch, Verlet,
 };

@@ -4,6 +4,7 @@
 //! absent code: no branch, no state, no stored byte, no operation.
 
 mod list;
+mod named;
 mod tuples;
 mod without;
 
@@ -14,6 +15,7 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Columns, Cotangent, Float, Real, Scalar};
 use crate::numbers::zip::zip;
 pub(crate) use list::{Act, ActBack, any_effect};
+pub use named::Named;
 use rand::RngExt;
 use std::fmt::Debug;
 pub(crate) use without::system_without_effects;
@@ -122,8 +124,8 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
         true
     }
 
-    /// The effect, if its forces or their derivatives are not finite at this finite state; `forces` is how many there are at
-    /// most. Asked for messages alone.
+    /// The name of the effect, if its forces or their derivatives are not finite at this finite state of a host with so many
+    /// forces: that of its type, or the one it has by [`Named`]. Messages alone ask for it.
     fn faulty<F: Float>(&self, body: &B, x: &[F], forces: usize) -> Option<&'static str> {
         let name = || std::any::type_name::<Self>().split('<').next().and_then(|path| path.rsplit("::").next());
         if is_finite(self, body, x, forces) { None } else { name() }
@@ -179,6 +181,8 @@ pub trait Host: Send + Sync {
     fn state_dim(&self) -> usize;
     /// Number of control components.
     fn control_dim(&self) -> usize;
+    /// Number of forces, to which effects add.
+    fn force_dim(&self) -> usize;
     /// Time step, s.
     fn dt(&self) -> f64;
 
@@ -287,7 +291,7 @@ impl<H: Host, E: Effect<H::Body>> System for With<H, E> {
     }
 
     fn cause<F: Float>(&self, x: &[F], _u: &[F]) -> Option<Cause> {
-        self.effects.faulty(self.system.body(), x, self.system.state_dim()).map(Cause::Effect)
+        self.effects.faulty(self.system.body(), x, self.system.force_dim()).map(Cause::Effect)
     }
 
     #[inline(always)]

@@ -58,7 +58,9 @@ impl<S: System> System for Substeps<S> {
     }
 
     fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        self.states(x, u).chunks_exact(x.len()).find_map(|state| self.system.cause(state, u))
+        // From the first state that is not finite on, everything looks like a cause.
+        let is_finite = |state: &&[F]| state.iter().all(|number| number.as_().is_finite());
+        self.states(x, u).chunks_exact(x.len()).take_while(is_finite).find_map(|state| self.system.cause(state, u))
     }
 
     #[inline(always)]

@@ -142,7 +142,9 @@ impl fmt::Display for Divergence {
 /// Describes the effect that caused the divergence, if known.
 fn by(cause: &Option<Cause>) -> String {
     match cause {
-        Some(Cause::Effect(name)) => format!(", for the effect {name} is not"),
+        Some(Cause::Effect(name)) => {
+            format!(": at the state before, the forces of {name} or their slopes are not finite, and smaller values in it help")
+        }
         _ => String::new(),
     }
 }

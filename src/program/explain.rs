@@ -161,13 +161,13 @@ fn bytes(scene: &Scene) -> Result<Table> {
         let [short, long] = [&short, &long].map(|scene| scene.stored(field));
         let each = (long.bytes - short.bytes) / (FEW_STEPS * SAMPLES);
         let besides = short.bytes / SAMPLES - each * FEW_STEPS;
-        let allocations = (long.allocations - short.allocations) / FEW_STEPS;
+        let allocations = long.allocations.zip(short.allocations).map(|(long, short)| (long - short) / FEW_STEPS);
         table.add_row([
             name.to_owned(),
             each.to_string(),
             besides.to_string(),
             (besides + each * steps).to_string(),
-            allocations.to_string(),
+            allocations.map_or("diverges".to_owned(), |allocations| allocations.to_string()),
         ]);
     };
     row("evaluation", None);

@@ -20,7 +20,7 @@ use super::problem::Problem;
 use super::scene::Scene;
 use super::settings::{Method, Settings};
 use physgrad::report::Animation;
-use physgrad::{Policy, Task};
+use physgrad::{Named, Policy, Task};
 use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Debug;
@@ -78,6 +78,11 @@ pub trait Kind: Clone + Debug + Send + Sync + 'static {
     }
     /// Animation of one rollout, from the states and controls of each step.
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
+}
+
+/// An effect with its key in scenes, if it is present.
+fn named<T, E: From<T>>(name: &'static str, effect: Option<T>) -> Option<Named<E>> {
+    effect.map(|effect| Named { name, effect: effect.into() })
 }
 
 /// Documentation of an effect or actuator.

@@ -2,12 +2,13 @@
 
 use super::{Bounce, DoublePendulum, Lqr, PoleChain, Push, Slider, Upright};
 use crate::dynamics::apart::{Reverse, ReverseToControl, Step, apart};
+use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::Around;
 use crate::dynamics::integrator::{AnyIntegrator, Integrated};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
 
 /// Any of them. As a [`System`] it is the task's physics, compiled apart; with whatever is around that, [`Hard`] is the task.
@@ -53,6 +54,10 @@ impl System for AnyHard {
     #[inline(always)]
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
         whichever!(self, task => apart::<T>(Step { system: task.system(), x, u, next }));
+    }
+
+    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        whichever!(self, task => task.system().cause(x, u))
     }
 
     #[inline(always)]

@@ -42,6 +42,9 @@ impl Host for Pushed {
     fn control_dim(&self) -> usize {
         1
     }
+    fn force_dim(&self) -> usize {
+        1
+    }
     fn dt(&self) -> f64 {
         DT
     }

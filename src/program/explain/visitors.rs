@@ -4,7 +4,7 @@ use crate::program::allocations;
 use crate::program::kind::Visit;
 use crate::program::settings::Precision;
 use physgrad::rng::{Purpose, stream};
-use physgrad::{Adjoint, Cost, Field, Float, Policy, Rollout, System, Task, Weights};
+use physgrad::{Adjoint, Cost, Divergence, Field, Float, Policy, Rollout, System, Task, Weights};
 
 /// Number of samples in the measured rollout: one full block of lanes.
 pub const SAMPLES: usize = 8;
@@ -31,8 +31,8 @@ pub struct Storing {
 pub struct Stored {
     /// Bytes in their buffers.
     pub bytes: usize,
-    /// Allocations in the second pass, after buffers have grown.
-    pub allocations: usize,
+    /// Allocations of a run after the first, unless it diverges.
+    pub allocations: Option<usize>,
 }
 
 impl Visit for Storing {
@@ -59,8 +59,7 @@ impl Storing {
             let mut rollout = Rollout::<F>::for_evaluation(task, policy, SAMPLES);
             let allocations = allocations_of_second(|| {
                 rollout.start(&starts);
-                // Ignores divergence: the counts then cover fewer steps.
-                let _ = rollout.run(task, policy, &weights);
+                rollout.run(task, policy, &weights)
             });
             return Stored { bytes: rollout.stored_bytes(), allocations };
         };
@@ -68,16 +67,15 @@ impl Storing {
         let mut adjoint = Adjoint::new(policy, &rollout, &field.flows());
         let allocations = allocations_of_second(|| {
             rollout.start(&starts);
-            if rollout.run(task, policy, &weights).is_ok() {
-                let _ = adjoint.run(task, policy, &weights, &rollout, F::one());
-            }
+            rollout.run(task, policy, &weights)?;
+            adjoint.run(task, policy, &weights, &rollout, F::one())
         });
         Stored { bytes: rollout.stored_bytes() + adjoint.stored_bytes(), allocations }
     }
 }
 
-/// Runs twice and counts only the second run: the first allocates buffers.
-fn allocations_of_second(mut run: impl FnMut()) -> usize {
-    run();
-    allocations::during(run)
+/// Allocations of the second run. The first run sets up the workspaces that later ones use.
+fn allocations_of_second<T>(mut run: impl FnMut() -> Result<T, Divergence>) -> Option<usize> {
+    run().ok()?;
+    Some(allocations::during(|| drop(run())))
 }

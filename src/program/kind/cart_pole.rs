@@ -1,6 +1,6 @@
 //! Cart-pole: settings, effects, limits and animation.
 
-use super::{Conserved, Info, Kind, MlpSettings, Network, Visit};
+use super::{Conserved, Info, Kind, MlpSettings, Network, Visit, named};
 use crate::program::problem::{Problem, count, exclusive, finite, not_negative, positive};
 use crate::program::settings::{Method, Settings};
 use physgrad::report::{self, Animation, Rail};
@@ -8,7 +8,7 @@ use physgrad::tasks::{
     self, Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, LossMode,
     PoleDamping, SteadyWind,
 };
-use physgrad::{Around, System, With};
+use physgrad::{Around, Named, System, With};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -73,15 +73,15 @@ pub struct CartPoleEffects {
 }
 
 impl CartPoleEffects {
-    fn list(&self) -> Vec<CartPoleEffect> {
+    fn list(&self) -> Vec<Named<CartPoleEffect>> {
         let Self { pole_damping, cart_damping, dry_friction, steady_wind, gusty_wind, bumpers } = self.clone();
-        let effects: [Option<CartPoleEffect>; 6] = [
-            pole_damping.map(Into::into),
-            cart_damping.map(Into::into),
-            dry_friction.map(Into::into),
-            steady_wind.map(Into::into),
-            gusty_wind.map(Into::into),
-            bumpers.map(Into::into),
+        let effects = [
+            named("effects.pole_damping", pole_damping),
+            named("effects.cart_damping", cart_damping),
+            named("effects.dry_friction", dry_friction),
+            named("effects.steady_wind", steady_wind),
+            named("effects.gusty_wind", gusty_wind),
+            named("effects.bumpers", bumpers),
         ];
         effects.into_iter().flatten().collect()
     }
@@ -156,8 +156,13 @@ fn swing_up<S: Around<CartPoleSystem> + Clone + 'static, V: Visit>(
     settings.policy.visit(task, visitor)
 }
 
-/// Visits the task with a list of effects, an integrator and a list of actuators.
-fn listed<V: Visit>(system: CartPoleModel, effects: Vec<CartPoleEffect>, settings: &Settings<CartPole>, visitor: V) -> V::Out {
+/// Any combination of effects as a list, behind any actuator.
+fn listed<V: Visit>(
+    system: CartPoleModel,
+    effects: Vec<Named<CartPoleEffect>>,
+    settings: &Settings<CartPole>,
+    visitor: V,
+) -> V::Out {
     let system = settings.integrator.around(With { system, effects }, system_dt(settings), settings.precision);
     let system = settings.actuator.around(system, settings.system.dt);
     swing_up(system, settings, visitor)

@@ -1,11 +1,11 @@
 //! Guidance by repulsion: settings, effects, limits and animation.
 
-use super::{Info, Kind, MlpSettings, Network, Visit};
+use super::{Info, Kind, MlpSettings, Network, Visit, named};
 use crate::program::problem::{Problem, allowed, count, finite, not_negative, positive};
 use crate::program::settings::{Method, Settings};
 use physgrad::report::{self, Animation, Field};
 use physgrad::tasks::{self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles, Spread, Walls};
-use physgrad::{Around, System, With};
+use physgrad::{Around, Effect, Named, System, With};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -52,16 +52,27 @@ impl GuidanceEffects {
         }
     }
 
-    fn list(&self) -> Vec<GuidanceEffect> {
+    /// Effects of the paper, if they are all present and there are no others.
+    fn only_of_the_paper(&self) -> Option<impl Effect<GuidanceSystem> + use<>> {
+        let Self { friction, spread, evade, flock, drive: None, obstacles: None, walls: None } = *self else { return None };
+        Some((
+            named("effects.friction", friction)?,
+            named("effects.spread", spread)?,
+            named("effects.evade", evade)?,
+            named("effects.flock", flock)?,
+        ))
+    }
+
+    fn list(&self) -> Vec<Named<GuidanceEffect>> {
         let Self { friction, spread, evade, flock, drive, obstacles, walls } = self.clone();
-        let effects: [Option<GuidanceEffect>; 7] = [
-            friction.map(Into::into),
-            spread.map(Into::into),
-            evade.map(Into::into),
-            flock.map(Into::into),
-            drive.map(Into::into),
-            obstacles.map(Into::into),
-            walls.map(Into::into),
+        let effects = [
+            named("effects.friction", friction),
+            named("effects.spread", spread),
+            named("effects.evade", evade),
+            named("effects.flock", flock),
+            named("effects.drive", drive),
+            named("effects.obstacles", obstacles),
+            named("effects.walls", walls),
         ];
         effects.into_iter().flatten().collect()
     }
@@ -184,16 +195,16 @@ impl Kind for Guidance {
     }
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
-        use GuidanceEffect as E;
-        let (dt, effects) = (settings.system.dt / settings.integrator.count() as f64, settings.effects.list());
+        let dt = settings.system.dt / settings.integrator.count() as f64;
         let system = GuidanceSystem { dt, ..settings.system };
         // Uses a separate type for the paper's effects.
         if settings.actuator.is_empty()
             && settings.integrator.is_empty()
-            && let [E::Friction(friction), E::Spread(spread), E::Evade(evade), E::Flock(flock)] = effects[..]
+            && let Some(effects) = settings.effects.only_of_the_paper()
         {
-            return herd(With { system, effects: (friction, spread, evade, flock) }, settings, visitor);
+            return herd(With { system, effects }, settings, visitor);
         }
+        let effects = settings.effects.list();
         let system = settings.integrator.around(With { system, effects }, dt, settings.precision);
         herd(settings.actuator.around(system, settings.system.dt), settings, visitor)
     }

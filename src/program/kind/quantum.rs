@@ -1,6 +1,6 @@
 //! Quantum control: settings, effects, limits and animation.
 
-use super::{Conserved, Info, Kind, Network, Visit};
+use super::{Conserved, Info, Kind, Network, Visit, named};
 use crate::program::problem::{Problem, allowed, count, exclusive, finite, not_negative, positive};
 use crate::program::settings::{Method, Settings};
 use physgrad::policy::Conv;
@@ -9,7 +9,7 @@ use physgrad::tasks::{
     self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode, Pade, QuantumEffect,
     QuantumScheme, QuantumSystem, Strang, Tabulated,
 };
-use physgrad::{Around, Substeps, With};
+use physgrad::{Around, Named, Substeps, With};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -57,23 +57,25 @@ pub struct QuantumEffects {
 }
 
 impl QuantumEffects {
-    /// Static potential on the grid, if any.
-    fn potential(&self, system: &QuantumSystem) -> Option<Tabulated> {
-        let Self { harmonic, barrier, double_well, .. } = self;
-        let harmonic = harmonic.map(|effect| Tabulated::of(system, &effect));
-        let barrier = barrier.map(|effect| Tabulated::of(system, &effect));
-        harmonic.or(barrier).or_else(|| double_well.map(|effect| Tabulated::of(system, &effect)))
+    /// The static potential.
+    fn potential(&self, system: &QuantumSystem) -> Option<Named<Tabulated>> {
+        let harmonic = self.harmonic.map(|effect| Tabulated::of(system, &effect));
+        let barrier = self.barrier.map(|effect| Tabulated::of(system, &effect));
+        let double_well = self.double_well.map(|effect| Tabulated::of(system, &effect));
+        named("effects.harmonic", harmonic)
+            .or_else(|| named("effects.barrier", barrier))
+            .or_else(|| named("effects.double_well", double_well))
     }
 
     /// Effects that add to the potential.
-    fn list(&self, system: &QuantumSystem) -> Vec<QuantumEffect> {
-        let potential = self.potential(system).map(QuantumEffect::from);
-        potential.into_iter().chain(self.cubic.map(QuantumEffect::from)).collect()
+    fn list(&self, system: &QuantumSystem) -> Vec<Named<QuantumEffect>> {
+        let potential = self.potential(system).map(|Named { name, effect }| Named { name, effect: effect.into() });
+        potential.into_iter().chain(named("effects.cubic", self.cubic)).collect()
     }
 
     /// Potential and absorbing layers for the animation.
     fn landscape(&self, system: &QuantumSystem) -> Landscape {
-        let potential = self.potential(system).map_or(Vec::new(), |potential| potential.values);
+        let potential = self.potential(system).map_or(Vec::new(), |potential| potential.effect.values);
         Landscape { potential, absorbing: self.absorbing_edges.map(|edges| edges.width) }
     }
 

@@ -78,6 +78,10 @@ impl Host for CoupledCartPole {
         1
     }
 
+    fn force_dim(&self) -> usize {
+        1 + self.0.poles
+    }
+
     fn dt(&self) -> f64 {
         self.0.dt
     }

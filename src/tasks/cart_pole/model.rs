@@ -32,6 +32,10 @@ impl Host for CartPoleModel {
         1
     }
 
+    fn force_dim(&self) -> usize {
+        1 + self.body().poles
+    }
+
     fn dt(&self) -> f64 {
         self.body().dt
     }

@@ -150,6 +150,10 @@ impl Host for CartPoleSystem {
         1
     }
 
+    fn force_dim(&self) -> usize {
+        1 + self.poles
+    }
+
     fn dt(&self) -> f64 {
         self.dt
     }

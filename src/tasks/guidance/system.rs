@@ -170,6 +170,10 @@ impl Host for GuidanceSystem {
         2 * self.drivers
     }
 
+    fn force_dim(&self) -> usize {
+        2 * self.agents()
+    }
+
     fn dt(&self) -> f64 {
         self.dt
     }

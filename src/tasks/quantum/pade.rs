@@ -100,6 +100,10 @@ impl Host for Pade {
         1
     }
 
+    fn force_dim(&self) -> usize {
+        self.0.grid
+    }
+
     fn dt(&self) -> f64 {
         self.0.dt
     }

@@ -2,10 +2,11 @@
 
 use super::QuantumSystem;
 use super::system::Wave;
+use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::Around;
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 use smallvec::smallvec;
 
 /// A system around a [`QuantumSystem`] whose wave is brought back to norm 1 after each step: `ψ ← ψ / |ψ|`.
@@ -78,6 +79,10 @@ impl<S: Around<QuantumSystem>> System for Renormalized<S> {
         for psi in psi {
             *psi *= per_norm;
         }
+    }
+
+    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        self.system.cause(x, u)
     }
 
     #[inline(always)]

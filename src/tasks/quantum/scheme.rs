@@ -81,6 +81,10 @@ impl Host for QuantumScheme {
         1
     }
 
+    fn force_dim(&self) -> usize {
+        self.body().grid
+    }
+
     fn dt(&self) -> f64 {
         self.body().dt
     }

@@ -136,6 +136,10 @@ impl Host for Strang {
         1
     }
 
+    fn force_dim(&self) -> usize {
+        self.system.grid
+    }
+
     fn dt(&self) -> f64 {
         self.system.dt
     }

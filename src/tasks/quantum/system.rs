@@ -235,6 +235,10 @@ impl Host for QuantumSystem {
         1
     }
 
+    fn force_dim(&self) -> usize {
+        self.grid
+    }
+
     fn dt(&self) -> f64 {
         self.dt
     }
