@@ -56,10 +56,10 @@ impl GuidanceEffects {
     fn only_of_the_paper(&self) -> Option<impl Effect<GuidanceSystem> + use<>> {
         let Self { friction, spread, evade, flock, drive: None, obstacles: None, walls: None } = *self else { return None };
         Some((
-            named("effects.friction", friction)?,
-            named("effects.spread", spread)?,
-            named("effects.evade", evade)?,
-            named("effects.flock", flock)?,
+            named::<_, Friction>("effects.friction", friction)?,
+            named::<_, Spread>("effects.spread", spread)?,
+            named::<_, Evade>("effects.evade", evade)?,
+            named::<_, Flock>("effects.flock", flock)?,
         ))
     }
 
