@@ -320,7 +320,8 @@ fn the_force_of_a_row_accelerates_the_block_to_the_next_row() {
             motor = heard + (motor - heard) * (-0.05f64 / 0.1).exp();
             let accelerating = 2.0 * (number(t + 1, "x_dot") - number(t, "x_dot")) / 0.05;
             for force in [motor, accelerating] {
-                assert!((number(t, "push_felt") - force).abs() < 1e-12, "step {t}: {force}, {:?}", rollout[t]);
+                let felt = number(t, "push_felt");
+                assert!((felt - force).abs() < 1e-12, "step {t}: {felt} and not {force}");
             }
             assert_eq!(number(t + 1, "push_before"), number(t, "push_felt"));
             largest = largest.max(motor.abs());
