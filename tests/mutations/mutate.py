@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Multiplies every constant of the physics by 1.1, one after the other, and tells which `tests/physics.rs` does not notice.
 
-    python3 tests/mutations/mutate.py [--list] [--factor 1.1] [--only FILE]
+    python3 tests/mutations/mutate.py [--list] [--factor 1.1] [--only EXPRESSION]
 
 A copy of the sources gets a factor at every place, which is 1 unless the environment chooses the place. So all mutations are
 one build. The sources themselves are not touched.
@@ -100,7 +100,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--list", action="store_true", help="list the places and stop")
     parser.add_argument("--factor", default="1.1")
-    parser.add_argument("--only", default="", help="part of the name of a file")
+    parser.add_argument("--only", default="", help="a regular expression for FILE:LINE")
     parser.add_argument("--target", default=str(ROOT / "target/mutations"), help="folder to build in")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -109,7 +109,7 @@ def main():
             source = ROOT / name
             (shutil.copytree if source.is_dir() else shutil.copy)(source, folder / name)
         found = mutate(folder)
-        chosen = [i for i, place in enumerate(found) if args.only in str(place[0])]
+        chosen = [i for i, place in enumerate(found) if re.search(args.only, "%s:%s" % place[:2])]
         if args.list:
             for i in chosen:
                 print(i, *found[i])
