@@ -56,7 +56,7 @@ impl Disk {
             let entries = fs::read_dir(path).expect("a folder").map(|entry| entry.expect("an entry").file_name());
             let names: Names = entries
                 .map(|name| (name.to_string_lossy().into_owned(), self.load(&path.join(name))))
-                .filter(|(name, _)| name != ".lock")
+                .filter(|(name, _)| name != ".physgrad.lock")
                 .collect();
             self.nodes[number] = Node::Folder { now: names.clone(), synced: names };
         } else {

@@ -123,7 +123,7 @@ fn a_comparison_waits_for_a_run_of_another_process() {
     let mut compare = Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
     compare.args(["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", ENDLESS, "--out"]).arg(dir.path());
     let compare = compare.args(SMALL).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
-    wait_until("the comparison holds its folder", || dir.path().join(".lock").exists());
+    wait_until("the comparison holds its folder", || dir.path().join(".physgrad.lock").exists());
     // A second comparison in the folder is refused.
     let mut second = physgrad(&["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", ENDLESS, "--out"]);
     assert!(error_of(second.arg(dir.path()).args(SMALL)).contains("in use by process"));
@@ -239,7 +239,7 @@ fn symbolic_links_are_not_written_through() {
     assert_eq!(fs::read_to_string(&other).expect("a file"), "mine");
     let (_dir, out) = folder();
     fs::create_dir(&out).expect("a folder");
-    symlink(&other, out.join(".lock")).expect("a link");
+    symlink(&other, out.join(".physgrad.lock")).expect("a link");
     assert!(error_of(&mut train(&out, &["--epochs", "1"])).contains("symbolic link"));
     assert_eq!(fs::read_to_string(&other).expect("a file"), "mine");
 }

@@ -1,7 +1,7 @@
 //! `physgrad compare`: one training configuration with several fields and seeds, side by side.
 
 use super::changes::{Changes, changed};
-use super::folder::Folder;
+use super::folder::{Folder, SETTINGS};
 use super::presets;
 use super::run::threads;
 use super::scene::Scene;
@@ -56,6 +56,9 @@ pub fn compare(args: &Compare) -> Result<()> {
     threads(args.threads)?;
     check_sessions(&bases, &args.fields)?;
     let folder = Folder::named(args.out.as_deref(), &format!("compare-{}", names.join("-")))?;
+    if folder.has(SETTINGS) {
+        bail!("{} holds a run, and is not a comparison; choose another folder with --out", folder.path().display());
+    }
     let one = bases.len() == 1;
     let mut comparisons = Vec::new();
     for (name, base) in names.iter().zip(&bases) {
@@ -65,7 +68,7 @@ pub fn compare(args: &Compare) -> Result<()> {
     }
     let swept = sweep(&mut comparisons, args.quiet)?;
     if swept.interrupted {
-        say(&format!("interrupted; the same command with --out {} goes on", folder.path().display()))?;
+        let _ = say(&format!("interrupted; the same command with --out {} goes on", folder.path().display()));
         return swept.into_result();
     }
     let scenes: Vec<InScene> = names

@@ -7,7 +7,8 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use serde_json::{Value, json};
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write};
+use std::hash::{BuildHasher, RandomState};
+use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::process;
 use std::sync::{LazyLock, Mutex, PoisonError};
@@ -24,23 +25,22 @@ pub fn replace(folder: &Path, name: &str, bytes: &[u8]) -> io::Result<File> {
         rename(&temporary, &path)?;
         Ok(file)
     };
-    // A left-over of a dead process with the same number.
-    let _ = fs::remove_file(&temporary);
     attempt().inspect_err(|_| {
         // It may not exist.
         let _ = fs::remove_file(&temporary);
     })
 }
 
-/// Name of the temporary file of this process for a file.
+/// Name of a temporary file for a file. Processes in different containers may have the same number, so the name has a random
+/// part as well.
 fn temporary(name: &str) -> String {
-    format!(".{name}.{}.new", process::id())
+    format!(".{name}.{}{:016x}.new", process::id(), RandomState::new().hash_one(name))
 }
 
 /// The file whose temporary file, of any process, has this name.
 pub fn replaced_by(temporary: &str) -> Option<&str> {
     let (name, process) = temporary.strip_prefix('.')?.strip_suffix(".new")?.rsplit_once('.')?;
-    process.bytes().all(|byte| byte.is_ascii_digit()).then_some(name)
+    process.bytes().all(|byte| byte.is_ascii_hexdigit()).then_some(name)
 }
 
 /// Appends bytes to an open file.
@@ -67,14 +67,17 @@ pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
 /// Makes a folder and its parents, and waits until they are on disk.
 pub fn create_folders(path: &Path) -> io::Result<()> {
     match create_folder(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+        Err(error) if error.kind() == ErrorKind::NotFound => {
             let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).ok_or(error)?;
             create_folders(parent)?;
-            create_folders(path)
+            unless_it_exists(path, create_folder(path))
         }
-        Err(_) if path.is_dir() => Ok(()),
-        result => result,
+        result => unless_it_exists(path, result),
     }
+}
+
+fn unless_it_exists(path: &Path, result: io::Result<()>) -> io::Result<()> {
+    if path.is_dir() { Ok(()) } else { result }
 }
 
 /// Makes one folder, and waits until it is on disk.
@@ -89,7 +92,11 @@ fn sync_parent(path: &Path) -> io::Result<()> {
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // Other systems cannot open a folder.
     if cfg!(unix) {
-        File::open(parent)?.sync_all()?;
+        match File::open(parent)?.sync_all() {
+            // Some network file systems cannot synchronize a folder.
+            Err(error) if [ErrorKind::InvalidInput, ErrorKind::Unsupported].contains(&error.kind()) => {}
+            synchronized => synchronized?,
+        }
     }
     log(|| json!({ "sync_folder": parent }));
     Ok(())

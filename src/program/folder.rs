@@ -23,7 +23,7 @@ pub const REPORT: &str = "report.html";
 pub const RUNS: &str = "runs";
 
 /// The file whose lock a process holds while it writes to the folder. It names the process.
-const LOCK: &str = ".lock";
+const LOCK: &str = ".physgrad.lock";
 
 /// Between the name of a folder and a number: an earlier run.
 const PREVIOUS: &str = ".previous-";
@@ -115,8 +115,8 @@ impl Folder {
         loop {
             self.create()?;
             let path = self.file(LOCK);
-            if path.is_symlink() {
-                bail!("{} is a symbolic link, and is not followed; remove it", path.display());
+            if fs::symlink_metadata(&path).is_ok_and(|there| !is_plain_file(&there)) {
+                bail!("{} is a link or no file, and is not written to; remove it", path.display());
             }
             let open = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
             let mut file = open.with_context(|| unwritable(&self.path))?;
@@ -142,7 +142,7 @@ impl Folder {
             write(&mut file).with_context(|| unwritable(&self.path))?;
             let locked = Locked { folder: self.clone(), file };
             // Between `open` and `try_lock`, its holder may have moved the folder.
-            if locked.is_in_place() {
+            if locked.is_in_place().with_context(|| unwritable(&self.path))? {
                 return Ok(Some(locked));
             }
         }
@@ -150,9 +150,16 @@ impl Folder {
 
     /// The process that has locked the folder, for messages.
     fn holder(&self) -> String {
-        let mut text = String::new();
-        let read = File::open(self.file(LOCK)).and_then(|file| file.take(1000).read_to_string(&mut text));
-        if read.is_ok() && !text.is_empty() { text } else { "another process".into() }
+        // The holder writes its name just after it gets the lock.
+        for _ in 0..20 {
+            let mut text = String::new();
+            let read = File::open(self.file(LOCK)).and_then(|file| file.take(1000).read_to_string(&mut text));
+            if read.is_ok() && !text.is_empty() {
+                return text;
+            }
+            std::thread::sleep(PATIENCE / 10);
+        }
+        "another process".into()
     }
 
     /// Last part of the path.
@@ -201,7 +208,15 @@ impl Folder {
     }
 
     pub fn read(&self, name: &str) -> Result<Vec<u8>> {
-        fs::read(self.file(name)).with_context(|| format!("cannot read {}", self.file(name).display()))
+        let path = self.file(name);
+        let read = || -> io::Result<Vec<u8>> {
+            // A pipe may have no writer.
+            if !fs::metadata(&path)?.is_file() {
+                return Err(io::Error::new(ErrorKind::InvalidInput, "it is not a file"));
+            }
+            fs::read(&path)
+        };
+        read().with_context(|| format!("cannot read {}", path.display()))
     }
 }
 
@@ -226,17 +241,29 @@ impl Deref for Locked {
 
 impl Locked {
     /// Whether the path still leads to the folder that was locked.
-    fn is_in_place(&self) -> bool {
-        let there = fs::symlink_metadata(self.folder.file(LOCK));
-        there.and_then(|there| Ok(is_same(&there, &self.file.metadata()?))).unwrap_or(false)
+    ///
+    /// # Errors
+    /// The folder cannot be read at the moment.
+    fn is_in_place(&self) -> io::Result<bool> {
+        match fs::symlink_metadata(self.folder.file(LOCK)) {
+            Ok(there) => Ok(is_same(&there, &self.file.metadata()?)),
+            Err(error) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&error.kind()) => Ok(false),
+            Err(error) => Err(error),
+        }
     }
 
-    /// An error if the folder was removed, moved or replaced after it was locked.
+    /// Whether the folder was removed, moved or replaced after it was locked.
+    pub fn is_gone(&self) -> bool {
+        matches!(self.is_in_place(), Ok(false))
+    }
+
+    /// An error if the folder was removed, moved or replaced after it was locked, or cannot be read.
     pub fn check(&self) -> Result<()> {
-        if self.is_in_place() {
+        let path = self.path().display();
+        if self.is_in_place().with_context(|| format!("cannot read the folder {path}"))? {
             return Ok(());
         }
-        bail!("the folder {} was removed or replaced during the run", self.path().display())
+        bail!("the folder {path}, or {LOCK} in it, was removed or replaced during the run")
     }
 
     /// Removes temporary files of processes that were killed.
@@ -250,15 +277,17 @@ impl Locked {
         Ok(())
     }
 
-    /// Renames the folder if it holds an earlier run, and makes an empty one in its place. Returns the empty one, and the
-    /// path of the earlier run.
+    /// Renames the folder if it holds an earlier run, and makes an empty one in its place.
     ///
     /// # Errors
     /// The folder holds something else, too, or files of a run without [`SETTINGS`].
-    pub fn without_run(self) -> Result<(Self, Option<PathBuf>)> {
+    pub fn without_run(self) -> Result<Self> {
         let path = self.path().to_owned();
         let (run, other): (Vec<String>, Vec<String>) =
             self.entries()?.into_iter().partition(|name| RUN_FILES.contains(&files::replaced_by(name).unwrap_or(name)));
+        if other.iter().any(|name| name == RUNS) {
+            bail!("{} holds a comparison, in {RUNS}; choose another folder with --out", path.display());
+        }
         if !run.iter().any(|name| name == SETTINGS) {
             // A process that was killed before it wrote settings leaves at most a temporary file.
             let foreign = run.iter().find(|name| files::replaced_by(name).is_none());
@@ -267,7 +296,7 @@ impl Locked {
                     "{} holds {name}, but no {SETTINGS}, so that it is not a run; remove the file, or choose another folder with --out",
                     path.display()
                 ),
-                None => Ok((self, None)),
+                None => Ok(self),
             };
         }
         if let Some(name) = other.first() {
@@ -277,10 +306,10 @@ impl Locked {
                 path.display()
             );
         }
-        if path.is_symlink() {
-            bail!("{} holds a run, and is a symbolic link, which is not moved; choose another folder with --out", path.display());
-        }
         let whole = fs::canonicalize(&path).with_context(|| unwritable(&path))?;
+        if std::env::current_dir().is_ok_and(|here| here.starts_with(&whole)) {
+            bail!("{} holds a run, and is the current folder, which is not moved; choose another with --out", path.display());
+        }
         let free = (1..).map(|i| {
             let mut name = whole.clone().into_os_string();
             name.push(format!("{PREVIOUS}{i}"));
@@ -289,15 +318,22 @@ impl Locked {
         // A folder that is not empty is never replaced by `rename`; an empty one may be, and nothing is lost.
         let mut aside = free.filter(|path| fs::symlink_metadata(path).is_err());
         let aside = aside.next().context("there are enough numbers")?;
-        if std::env::current_dir().is_ok_and(|here| here.starts_with(&whole)) {
-            bail!("{} holds a run, and is the current folder, which is not moved; choose another with --out", path.display());
-        }
         let cannot = || format!("{} holds a run, which cannot be moved aside; choose another folder with --out", path.display());
         files::rename(&whole, &aside).with_context(cannot)?;
-        // The lock moves with the folder: whoever waits for it finds that it is no longer in place.
-        let empty = Folder::at(&path).lock()?;
-        Ok((empty, Some(aside)))
+        tell(&format!("{} held another run, which is now in {}", path.display(), aside.display()));
+        // The lock has moved with the folder. Until the new folder is locked, another process may run in it.
+        Folder::at(&whole).create()?;
+        Folder::at(&path).lock()?.without_run()
     }
+}
+
+/// Whether it is a file under one name only, which may be overwritten.
+fn is_plain_file(file: &Metadata) -> bool {
+    #[cfg(unix)]
+    let names = std::os::unix::fs::MetadataExt::nlink(file);
+    #[cfg(not(unix))]
+    let names = 1;
+    file.is_file() && names == 1
 }
 
 #[cfg(unix)]

@@ -88,6 +88,7 @@ const NO_UPDATE: u8 = 3;
 
 /// Runs the program and returns its exit status.
 pub fn main() -> ExitCode {
+    signals::ignore_file_limits();
     let command = Arguments::parse().command.unwrap_or_else(default_run);
     match (execute(&command), signals::received()) {
         // Makes a shell script stop: its next command does not run.

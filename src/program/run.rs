@@ -40,7 +40,7 @@ pub struct Finished {
     pub interrupted: bool,
     /// Reason of the failure; the run is then in its state after the last whole epoch.
     pub broken: Option<TrainError>,
-    /// Epochs have passed, and no update was applied.
+    /// Updates were attempted, and none was applied.
     pub no_update: bool,
 }
 
@@ -147,7 +147,7 @@ pub fn run(
     leave(folder, scene, &*run)?;
     folder.check()?;
     let interrupted = broken.is_none() && !run.is_done();
-    let no_update = run.updates() == 0 && !run.records().is_empty();
+    let no_update = run.updates() == 0 && (broken.is_some() || !run.records().is_empty());
     Ok(Finished { records: run.records().to_vec(), interrupted, broken, no_update })
 }
 
@@ -198,7 +198,9 @@ impl Saver<'_> {
             tell("\nfinishing the epoch and saving; a second signal stops at once");
         }
         if let Err(error) = self.save(run) {
-            self.folder.check()?;
+            if self.folder.is_gone() {
+                return Err(error);
+            }
             self.metrics = None;
             self.last = Instant::now();
             tell(&format!("warning: the run goes on, but is not saved: {error:#}"));

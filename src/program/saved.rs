@@ -2,7 +2,7 @@
 
 use super::any_run::AnyRun;
 use super::document::Document;
-use super::folder::{CHECKPOINT, Folder, METRICS, RUNS, SETTINGS};
+use super::folder::{CHECKPOINT, Folder, METRICS, POLICY, RUNS, SETTINGS};
 use super::scene::Scene;
 use anyhow::{Context, Result, bail};
 use std::path::Path;
@@ -67,7 +67,7 @@ pub fn scene(folder: &Folder) -> Result<Scene> {
 
 /// Restores the saved state of a run. Without a checkpoint, the run stays at its start.
 pub fn restore(folder: &Folder, scene: &Scene, run: &mut dyn AnyRun) -> Result<()> {
-    if !folder.has(CHECKPOINT) && !folder.has(METRICS) {
+    if [CHECKPOINT, METRICS, POLICY].into_iter().all(|name| !folder.has(name)) {
         return Ok(());
     }
     let restored = run.restore(&folder.read(CHECKPOINT)?, &scene.identity());

@@ -34,10 +34,14 @@ pub fn handle() -> Result<()> {
             .and_then(|_| flag::register(signal, again.clone()))
             .with_context(|| format!("signal {signal} cannot be handled"))?;
     }
-    // A limit on the size of files is then an error of `write`, and not the end of the process.
-    #[cfg(unix)]
-    flag::register(consts::SIGXFSZ, Arc::default()).context("SIGXFSZ cannot be handled")?;
     Ok(())
+}
+
+/// Makes a limit on the size of files an error of `write`, and not the end of the process.
+pub fn ignore_file_limits() {
+    // Without the handler, the limit still ends the process with a status that is not 0.
+    #[cfg(unix)]
+    let _ = flag::register(consts::SIGXFSZ, Arc::default());
 }
 
 #[cfg(unix)]

@@ -47,7 +47,7 @@ impl Run {
     fn run(&self, watch: &mut dyn Watch) -> Result<Finished> {
         let Some(folder) = self.folder.clone().wait_and_lock()? else { return Ok(Finished::before_start()) };
         let resume = self.resumes()?;
-        let folder = if resume { folder } else { folder.without_run()?.0 };
+        let folder = if resume { folder } else { folder.without_run()? };
         // Uses one thread: the parallel runs already occupy all cores.
         run::run(&folder, &self.scene, self.scene.open(1)?, resume, SAVE_EVERY, watch)
     }
@@ -181,7 +181,7 @@ pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<Swept> {
                 swept.interrupted |= finished.interrupted;
                 run.records = finished.records;
                 run.broken = finished.broken.is_some();
-                if finished.no_update && finished.broken.is_none() {
+                if finished.no_update {
                     swept.no_update.push(label.clone());
                 }
                 swept.broke_off.extend(finished.broken.map(|error| format!("{label}: {error}")));

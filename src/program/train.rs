@@ -59,11 +59,7 @@ pub fn train(args: &Train) -> Result<()> {
             let scene = changed(&args.scene, &args.changes)?;
             let run = scene.open(workers)?;
             let folder = Folder::named(out.as_deref(), &presets::short_name(&args.scene))?;
-            let (folder, previous) = folder.without_run()?;
-            if let Some(previous) = previous {
-                tell(&format!("{} held another run, which is now in {}", folder.path().display(), previous.display()));
-            }
-            (scene, run, folder)
+            (scene, run, folder.without_run()?)
         }
     };
     let mut progress = Progress::new(scene.epochs, args.quiet);
@@ -81,20 +77,24 @@ pub fn train(args: &Train) -> Result<()> {
     let save_every = Duration::from_secs_f64(args.save_every);
     let finished = run::run(&folder, &scene, run, args.resume, save_every, &mut progress)?;
     progress.bar.finish_and_clear();
-    let mut text = if args.quiet { String::new() } else { summary(&folder, &scene, &finished.records) };
+    let text = if args.quiet { String::new() } else { summary(&folder, &scene, &finished.records) };
+    let printed = if text.is_empty() { Ok(()) } else { say(&text) };
     if finished.interrupted {
         let done = finished.records.len();
         let command = format!("physgrad train {} --resume --out {}", args.scene, folder.path().display());
-        text += &format!("\ninterrupted after epoch {done}; to go on: {command}");
+        // The terminal may be gone, and the exit status is that of the signal.
+        let _ = say(&format!("interrupted after epoch {done}; to go on: {command}"));
+        return Ok(());
     }
-    let said = if text.is_empty() { Ok(()) } else { say(text.trim_start()) };
-    if let Some(error) = finished.broken {
-        return Err(error).with_context(|| format!("the run up to its last whole epoch is in {}", folder.path().display()));
-    }
+    let results = folder.path().display();
     if finished.no_update {
-        bail!(NoUpdate(folder.path().display().to_string()));
+        let reason = finished.broken.map_or_else(String::new, |error| format!(" ({error})"));
+        bail!(NoUpdate(format!("{results}{reason}")));
     }
-    said
+    if let Some(error) = finished.broken {
+        return Err(error).with_context(|| format!("the run up to its last whole epoch is in {results}"));
+    }
+    printed
 }
 
 /// Parses a number of seconds from 0 to 86400 (one day).

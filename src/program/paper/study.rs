@@ -81,7 +81,7 @@ impl Study {
         let mut comparisons = plans.collect::<Result<Vec<_>>>()?;
         let swept = sweep(&mut comparisons, options.quiet)?;
         if swept.interrupted {
-            say(&format!("interrupted; the same command goes on, in {}", folder.path().display()))?;
+            let _ = say(&format!("interrupted; the same command goes on, in {}", folder.path().display()));
             return swept.into_result();
         }
         let outcomes = comparisons.iter().map(Comparison::outcomes);
