@@ -226,6 +226,100 @@ fn an_earlier_run_is_moved_by_one_rename_and_foreign_files_stay() {
 }
 
 #[test]
+fn staggered_starts_lose_no_finished_run() {
+    let (dir, out) = folder();
+    let start = |seed: usize| {
+        std::thread::sleep(Duration::from_millis(7));
+        let seed = seed.to_string();
+        (seed.clone(), process(&out, &["--epochs", "1", "--seed", &seed]).spawn().expect("it starts"))
+    };
+    let children: Vec<(String, Child)> = (0..60).map(start).collect();
+    let mut finished = Vec::new();
+    for (seed, child) in children {
+        let output = child.wait_with_output().expect("it ends");
+        let error = text(&output.stderr);
+        assert!(output.status.success() || error.contains("in use by process"), "{error}");
+        finished.extend(output.status.success().then_some(format!("seed = {seed}")));
+    }
+    let folders = fs::read_dir(dir.path()).expect("a folder").map(|entry| entry.expect("an entry").path());
+    let seed_of = |folder: PathBuf| {
+        assert_complete(&folder);
+        let settings = fs::read_to_string(folder.join("run.toml")).expect("settings");
+        settings.lines().find(|line| line.starts_with("seed")).expect("a seed").to_owned()
+    };
+    let mut kept: Vec<String> = folders.map(seed_of).collect();
+    kept.sort();
+    finished.sort();
+    assert_eq!(kept, finished);
+}
+
+#[test]
+fn the_folder_of_an_earlier_run_may_be_behind_a_link() {
+    let (dir, out) = folder();
+    let link = dir.path().join("link");
+    fs::create_dir(&out).expect("a folder");
+    symlink(&out, &link).expect("a link");
+    for path in [&link, &link.join("."), &out.join("")] {
+        train(path, &["--epochs", "1"]).assert().success();
+        assert_complete(&link);
+    }
+    assert_complete(&dir.path().join("run.previous-2"));
+}
+
+#[test]
+fn runs_and_comparisons_do_not_mix() {
+    let (_dir, out) = folder();
+    let compare = || {
+        let mut compare = physgrad(&["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", "1", "--out"]);
+        compare.arg(&out).args(SMALL);
+        compare
+    };
+    compare().assert().success();
+    assert!(error_of(&mut train(&out, &["--epochs", "1"])).contains("holds a comparison"));
+    let (_dir, out) = folder();
+    train(&out, &["--epochs", "1"]).assert().success();
+    let mut compare = physgrad(&["compare", "cart_pole", "--out"]);
+    assert!(error_of(compare.arg(&out).args(SMALL)).contains("is not a comparison"));
+}
+
+#[test]
+fn what_is_not_a_file_neither_hangs_nor_is_written_to() {
+    let fifo = |path: &Path| assert!(Command::new("mkfifo").arg(path).status().expect("it runs").success());
+    let (_dir, out) = folder();
+    fs::create_dir(&out).expect("a folder");
+    fifo(&out.join(".physgrad.lock"));
+    let error = error_of(train(&out, &["--epochs", "1"]).timeout(Duration::from_secs(20)));
+    assert!(error.contains(".physgrad.lock is a link or no file"), "{error}");
+
+    for name in ["run.toml", "checkpoint.bin"] {
+        let (_dir, out) = folder();
+        train(&out, &["--epochs", "1"]).assert().success();
+        fs::remove_file(out.join(name)).expect("a file");
+        fifo(&out.join(name));
+        let mut resume = train(&out, &["--resume", "--epochs", "2"]);
+        for command in [&mut resume, physgrad(&["report"]).arg(&out), physgrad(&["animate"]).arg(&out)] {
+            let error = error_of(command.timeout(Duration::from_secs(20)));
+            assert!(error.contains(name) && error.contains("not a file"), "{error}");
+        }
+    }
+
+    let (dir, out) = folder();
+    let precious = dir.path().join("precious");
+    fs::write(&precious, "mine").expect("a file");
+    fs::create_dir(&out).expect("a folder");
+    fs::hard_link(&precious, out.join(".physgrad.lock")).expect("a link");
+    assert!(error_of(&mut train(&out, &["--epochs", "1"])).contains("is a link"));
+    assert_eq!(fs::read_to_string(&precious).expect("a file"), "mine");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_folder_that_cannot_be_made_is_an_error() {
+    let error = error_of(train(Path::new("/proc/physgrad/run"), &["--epochs", "1"]).timeout(Duration::from_secs(20)));
+    assert!(error.contains("cannot be written to"), "{error}");
+}
+
+#[test]
 fn symbolic_links_are_not_written_through() {
     let (dir, out) = folder();
     let other = dir.path().join("other");
@@ -240,7 +334,7 @@ fn symbolic_links_are_not_written_through() {
     let (_dir, out) = folder();
     fs::create_dir(&out).expect("a folder");
     symlink(&other, out.join(".physgrad.lock")).expect("a link");
-    assert!(error_of(&mut train(&out, &["--epochs", "1"])).contains("symbolic link"));
+    assert!(error_of(&mut train(&out, &["--epochs", "1"])).contains("is a link"));
     assert_eq!(fs::read_to_string(&other).expect("a file"), "mine");
 }
 
@@ -324,6 +418,9 @@ fn a_training_without_an_update_has_a_status_of_its_own() {
     let error = text(&output.stderr);
     assert_eq!(output.status.code(), Some(3), "{error}");
     assert!(error.contains("no update was applied") && error.contains("3 update(s) skipped"), "{error}");
+    let (_dir, out) = folder();
+    let output = train(&out, &[&diverges[..5], &["--epochs", "100"]].concat()).output().expect("it runs");
+    assert_eq!(output.status.code(), Some(3), "updates in a row: {}", text(&output.stderr));
 
     let (_dir, out) = folder();
     let mut compare = physgrad(&["compare", "cart_pole", "--fields", "R,C", "--seeds", "1", "--out"]);

@@ -108,7 +108,7 @@ pub fn resumed(folder: &Folder, changes: &Changes) -> Result<Scene> {
     if !saved::has_run(folder) {
         bail!("there is no run to resume in {}; without --resume, a new one starts there", folder.path().display());
     }
-    let mut document = Document::read(&folder.file(SETTINGS))?;
+    let mut document = Document::read(&folder.readable(SETTINGS)?)?;
     changes.apply_again(&mut document)?;
     let scene = document.scene()?;
     check_resumable(folder, &scene)?;

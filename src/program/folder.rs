@@ -207,16 +207,22 @@ impl Folder {
         files::replace(&self.path, name, bytes.as_ref()).with_context(|| format!("cannot write {}", self.file(name).display()))
     }
 
-    pub fn read(&self, name: &str) -> Result<Vec<u8>> {
+    /// Path of a file to read.
+    ///
+    /// # Errors
+    /// There is no such file, or it is a pipe or folder: a pipe may have no writer.
+    pub fn readable(&self, name: &str) -> Result<PathBuf> {
         let path = self.file(name);
-        let read = || -> io::Result<Vec<u8>> {
-            // A pipe may have no writer.
-            if !fs::metadata(&path)?.is_file() {
-                return Err(io::Error::new(ErrorKind::InvalidInput, "it is not a file"));
-            }
-            fs::read(&path)
-        };
-        read().with_context(|| format!("cannot read {}", path.display()))
+        let context = || format!("cannot read {}", path.display());
+        if !fs::metadata(&path).with_context(context)?.is_file() {
+            bail!("{}: it is not a file", context());
+        }
+        Ok(path)
+    }
+
+    pub fn read(&self, name: &str) -> Result<Vec<u8>> {
+        let path = self.readable(name)?;
+        fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
     }
 }
 

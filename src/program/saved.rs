@@ -53,7 +53,7 @@ pub fn scene(folder: &Folder) -> Result<Scene> {
     if !has_run(folder) {
         bail!("there is no run in {}: no {SETTINGS}", folder.path().display());
     }
-    let document = Document::read(&folder.file(SETTINGS))?;
+    let document = Document::read(&folder.readable(SETTINGS)?)?;
     let own = env!("CARGO_PKG_VERSION");
     if let Some(version) = document.text("physgrad").filter(|&version| version != own) {
         bail!(
