@@ -103,13 +103,9 @@ impl GuidanceEffects {
             finite("effects.drive.strength", strength)?;
         }
         if let Some(Obstacles { centers, radius, stiffness }) = &self.obstacles {
+            allowed("effects.obstacles.centers", "[]", !centers.is_empty(), "one center or more, each [x, y]")?;
             let (found, most) = (centers.len(), 1000);
-            allowed(
-                "effects.obstacles.centers",
-                format!("a list of {found}"),
-                (1..=most).contains(&found),
-                format!("1 to {most} centers, each [x, y]"),
-            )?;
+            allowed("effects.obstacles.centers", format!("a list of {found}"), found <= most, format!("up to {most} centers"))?;
             for (i, [x, y]) in centers.iter().enumerate() {
                 finite(&format!("effects.obstacles.centers[{i}][0]"), *x)?;
                 finite(&format!("effects.obstacles.centers[{i}][1]"), *y)?;
