@@ -88,11 +88,13 @@ fn solve<T: Number>(mut a: Vec<Vec<T>>, mut b: Vec<T>) -> Vec<T> {
     let n = b.len();
     for i in 0..n {
         let pivot = (i..n).max_by(|&j, &k| a[j][i].size().total_cmp(&a[k][i].size())).expect("a row");
-        (a.swap(i, pivot), b.swap(i, pivot));
+        a.swap(i, pivot);
+        b.swap(i, pivot);
+        let row = a[i].clone();
         for j in i + 1..n {
-            let share = a[j][i] * a[i][i].inverse();
-            for k in i..n {
-                a[j][k] = a[j][k] - share * a[i][k];
+            let share = a[j][i] * row[i].inverse();
+            for (entry, &above) in a[j][i..].iter_mut().zip(&row[i..]) {
+                *entry = *entry - share * above;
             }
             b[j] = b[j] - share * b[i];
         }
@@ -172,9 +174,9 @@ impl Mechanism {
         let (q, speed): (Vec<f64>, Vec<f64>) = x.chunks_exact(2).map(|pair| (pair[0], pair[1])).unzip();
         let of_point = |point: &Point| {
             let (mut v, mut height) = ([0.0; 2], 0.0);
-            for i in 0..q.len() {
+            for (i, speed) in speed.iter().enumerate() {
                 let slope = self.slope(point, i, &q);
-                v = [v[0] + slope[0] * speed[i], v[1] + slope[1] * speed[i]];
+                v = [v[0] + slope[0] * speed, v[1] + slope[1] * speed];
             }
             for (arm, theta) in point.arms.iter().zip(&q[usize::from(self.cart)..]) {
                 height += arm * theta.cos();

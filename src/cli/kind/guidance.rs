@@ -40,6 +40,9 @@ pub struct GuidanceEffects {
     walls: Option<Walls>,
 }
 
+/// The effects of the paper, in a type of their own.
+type PaperEffects = (Named<Friction>, Named<Spread>, Named<Evade>, Named<Flock>);
+
 impl GuidanceEffects {
     /// Those of the paper.
     fn paper() -> Self {
@@ -53,7 +56,7 @@ impl GuidanceEffects {
     }
 
     /// Those of the paper, if there are no others.
-    fn only_of_the_paper(&self) -> Option<(Named<Friction>, Named<Spread>, Named<Evade>, Named<Flock>)> {
+    fn only_of_the_paper(&self) -> Option<PaperEffects> {
         let Self { friction, spread, evade, flock, drive: None, obstacles: None, walls: None } = *self else { return None };
         Some((
             named("effects.friction", friction)?,
