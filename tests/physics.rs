@@ -90,10 +90,10 @@ fn solve<T: Number>(mut a: Vec<Vec<T>>, mut b: Vec<T>) -> Vec<T> {
         let pivot = (i..n).max_by(|&j, &k| a[j][i].size().total_cmp(&a[k][i].size())).expect("a row");
         a.swap(i, pivot);
         b.swap(i, pivot);
+        let row = a[i].clone();
         for j in i + 1..n {
-            let share = a[j][i] * a[i][i].inverse();
-            let row = a[i].clone();
-            for (entry, above) in a[j].iter_mut().zip(row).skip(i) {
+            let share = a[j][i] * row[i].inverse();
+            for (entry, &above) in a[j][i..].iter_mut().zip(&row[i..]) {
                 *entry = *entry - share * above;
             }
             b[j] = b[j] - share * b[i];

@@ -16,8 +16,7 @@ pub(super) const CASES: &[Case] = &[Case {
                 to within 1 % of its amplitude. Explicit Euler, judged alike, has one",
     story: "Explicit Euler gains energy until something breaks, and a controller learns to live on it. RK4 loses little \
             for long, symplectic methods lose nothing for ever; scenes choose with `integrator.method`, and `physgrad \
-            accuracy` tells what each costs. What remains: the energy of the double pendulum by RK4 drifts in chaos, as \
-            told",
+            accuracy` tells what each costs. What remains: the energy of the chain by RK4 drifts in chaos, as told",
     run: energy,
 }];
 

@@ -5,7 +5,7 @@ use crate::program::problem::{Problem, allowed, count, finite, not_negative, pos
 use crate::program::settings::{Method, Settings};
 use physgrad::report::{self, Animation, Field};
 use physgrad::tasks::{self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles, Spread, Walls};
-use physgrad::{Around, Effect, Named, System, With};
+use physgrad::{Around, Named, System, With};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -40,6 +40,9 @@ pub struct GuidanceEffects {
     walls: Option<Walls>,
 }
 
+/// Effects of the paper, as a type of their own.
+type PaperEffects = (Named<Friction>, Named<Spread>, Named<Evade>, Named<Flock>);
+
 impl GuidanceEffects {
     /// Effects of the paper.
     fn paper() -> Self {
@@ -53,13 +56,13 @@ impl GuidanceEffects {
     }
 
     /// Effects of the paper, if they are all present and there are no others.
-    fn only_of_the_paper(&self) -> Option<impl Effect<GuidanceSystem> + use<>> {
+    fn only_of_the_paper(&self) -> Option<PaperEffects> {
         let Self { friction, spread, evade, flock, drive: None, obstacles: None, walls: None } = *self else { return None };
         Some((
-            named::<_, Friction>("effects.friction", friction)?,
-            named::<_, Spread>("effects.spread", spread)?,
-            named::<_, Evade>("effects.evade", evade)?,
-            named::<_, Flock>("effects.flock", flock)?,
+            named("effects.friction", friction)?,
+            named("effects.spread", spread)?,
+            named("effects.evade", evade)?,
+            named("effects.flock", flock)?,
         ))
     }
 
