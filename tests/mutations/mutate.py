@@ -66,7 +66,7 @@ def places(name, everywhere, own):
 
 def mutate(folder):
     """Puts a factor at every place. Returns where they are."""
-    files = sorted(folder.glob("src/tasks/**/*.rs")) + [folder / "src/actuator/kinds.rs"]
+    files = sorted(folder.glob("src/tasks/**/*.rs")) + [folder / "src/dynamics/actuator/kinds.rs"]
     files = [file for file in files if file.name not in WITHOUT]
     texts = {file: file.read_text() for file in files}
     everywhere, _, counts = (set().union(*sets) for sets in zip(*map(fields, texts.values())))
