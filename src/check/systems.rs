@@ -97,8 +97,8 @@ pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch
     Ok(c.passed)
 }
 
-/// Compares SIMD lanes with scalars, bit for bit. Every lane has other inputs; the VJP has two
-/// columns, of which the first is compared.
+/// Compares SIMD lanes with scalars, bit for bit. Every lane has other inputs. The VJP has two
+/// columns with opposite cotangents, so that their results are opposite.
 fn lanes(system: &dyn Checked, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
     const W: usize = WIDTH;
     let vary = |v: &[f64], lane: usize| v.iter().map(|v| v * (1.0 + lane as f64 / 64.0)).collect::<Vec<f64>>();
@@ -120,9 +120,11 @@ fn lanes(system: &dyn Checked, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut C
         system.step(&x, &u, &mut plain);
         let [x_bar, u_bar] = vjp(system, &x, &u, &next_bar);
         c.equal("step in lanes", &next.iter().map(|v| v.lane(lane)).collect::<Vec<_>>(), &plain)?;
-        let first = |v: &[Two]| v.iter().map(|v| v.0[0].lane(lane)).collect::<Vec<_>>();
-        c.equal("vjp in lanes: x_bar", &first(&x_bars), &x_bar)?;
-        c.equal("vjp in lanes: u_bar", &first(&u_bars), &u_bar)?;
+        for (k, sign) in [1.0, -1.0].into_iter().enumerate() {
+            let column = |v: &[Two]| v.iter().map(|v| sign * v.0[k].lane(lane)).collect::<Vec<_>>();
+            c.equal("vjp in lanes: x_bar", &column(&x_bars), &x_bar)?;
+            c.equal("vjp in lanes: u_bar", &column(&u_bars), &u_bar)?;
+        }
     }
     Ok(())
 }
