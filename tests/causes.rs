@@ -1,4 +1,4 @@
-//! What made a number no number is named through whatever is around it, and nothing else is.
+//! Wrappers of systems forward the cause of a non-finite number.
 
 use physgrad::tasks::{
     AnyHard, Barrier, CartPoleSystem, Cubic, DoublePendulum, Evade, GuidanceSystem, GustyWind, Pade, QuantumEffect,

@@ -1,7 +1,7 @@
 //! Every number of every preset, replaced by an extreme one: the program trains, or says what is wrong; it neither panics nor
 //! hangs, and blames what the scene names.
 //!
-//! What always runs is a sample of all cases. All of them, in a few minutes:
+//! A sample of the cases always runs. All cases, in a few minutes:
 //! `PHYSGRAD_EXTREMES=all cargo test --release --test extreme_settings -- --nocapture`.
 
 use assert_cmd::Command;
@@ -25,7 +25,7 @@ const COUNTS: [&str; 5] = ["0", "-1", "1", "9223372036854775807", "1e38"];
 const TINY: [&str; 6] =
     ["epochs=1", "horizon=6", "training.train_samples=4", "training.test_samples=4", "training.batch=4", "seed=1"];
 
-/// What presets do not have in play.
+/// Scenes with effects that no preset has.
 const MORE: [(&str, &[&str]); 8] = [
     ("cart_pole", &["effects.steady_wind.speed=3", "effects.cart_damping.damping=0.1", "actuator.delay.steps=2"]),
     ("cart_pole", &["integrator.method=adaptive", "integrator.rtol=1e-4", "integrator.atol=1e-6"]),
@@ -129,7 +129,7 @@ enum End {
     Blamed,
 }
 
-/// What is wrong with how it ended, or how it did.
+/// Describes a fault of the run, or else its outcome.
 fn run(mut args: Vec<String>, case: &Case) -> Result<End, String> {
     args.extend(case.settings.iter().flat_map(|setting| ["--set".to_owned(), setting.clone()]));
     let args: Vec<&str> = args.iter().map(String::as_str).collect();

@@ -14,7 +14,7 @@ use rand::RngExt;
 use std::f64::consts::{FRAC_PI_6, PI, TAU};
 use std::ops::{Add, Mul, Sub};
 
-/// What rounding may make of numbers of a size of about 1 in the few hundred operations of a step.
+/// Rounding error of numbers of size 1 in the few hundred operations of a step.
 const ROUNDING: f64 = 1e-11;
 
 #[track_caller]
@@ -53,7 +53,7 @@ fn slopes(of: impl Fn(&[f64]) -> Vec<f64>, at: &[f64]) -> Vec<Vec<f64>> {
     (0..at.len()).map(slope).collect()
 }
 
-/// What central differences may be off by, where third derivatives are up to 1e5.
+/// Error of central differences, where third derivatives are up to 1e5.
 #[track_caller]
 fn near_slopes(what: &str, found: &[f64], expected: &[f64]) {
     assert_eq!(found.len(), expected.len(), "{what}");
@@ -187,7 +187,8 @@ impl Mechanism {
     }
 }
 
-/// Of a uniform rod: a sixth of its mass at either end and the rest in the middle have its mass, center and inertia.
+/// Point masses of a uniform rod: a sixth of its mass at either end and the rest in the middle
+/// have its mass, center and inertia.
 fn rod(mass: f64, half_length: f64, base: &[f64], of_poles: usize, pole: usize) -> impl Iterator<Item = Point> {
     [(1.0 / 6.0, 0.0), (4.0 / 6.0, 1.0), (1.0 / 6.0, 2.0)].into_iter().map(move |(share, place)| {
         let mut arms = base.to_vec();
@@ -364,7 +365,8 @@ fn poles_on_a_cart() {
     }
 }
 
-/// What the documentation of [`SteadyWind`] says of strip theory, of which the drag here is the value at the middle.
+/// Compares drag, evaluated at the middle of the pole, with strip theory, as documented in
+/// [`SteadyWind`].
 #[test]
 fn drag_at_the_middle_is_strip_theory_without_spin_and_half_of_it_without_wind() {
     let (body, c) = (body(1), 0.02);
@@ -525,7 +527,7 @@ fn two_bodies_hit_each_other() {
             let [a, va] = fall(a, after, push, dt - time);
             expected = [a, b + (dt - time) * other, va, other];
         }
-        // Those that meet twice are left out.
+        // Leaves out pairs that meet twice.
         if expected[1] - expected[0] >= 0.3 {
             near("hit", &step(&elastic, &x, &u), &expected);
         }

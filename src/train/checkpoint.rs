@@ -189,7 +189,7 @@ impl<F: Float> Progress<F> {
         self.validate_state(&body.theta, &body.optimizer, body.skipped_in_a_row, steps)
     }
 
-    /// The same of the state between two updates, `steps` of them applied.
+    /// Checks the state between two updates, after `steps` applied ones.
     fn validate_state(&self, theta: &[F], optimizer: &Optimizer<F>, skipped: usize, steps: u64) -> Result<(), String> {
         let params = self.weights.theta().len();
         if theta.len() != params {
