@@ -21,7 +21,7 @@ use physgrad::tasks::{
     CartDamping, CartPole, CartPoleEffect, CartPoleSystem, Cubic, Guidance, GuidanceEffect, GuidanceSystem, Harmonic,
     PoleDamping, Quantum, QuantumEffect, QuantumSystem, SteadyWind,
 };
-use physgrad::{Adjoint, Float, Flow, Gradient, Rollout, Task, Weights, With};
+use physgrad::{Adjoint, Float, Flow, Forced, Gradient, Rollout, Task, Weights};
 use std::hint::black_box;
 
 const BATCH: usize = 8;
@@ -77,19 +77,19 @@ fn cart_pole_scenes<F: Float>() -> Vec<Vec<Form>> {
     let list: Vec<CartPoleEffect> = vec![pole.into(), cart.into(), wind.into()];
     vec![
         vec![
-            form::<F>(&network, "", CartPole::around(cart_pole::ByHand::<false, false> { system, pole, cart, wind })),
-            form::<F>(&network, "no effect", CartPole::around(system)),
-            form::<F>(&network, "no effect, list", CartPole::around(With { system, effects: list[..0].to_vec() })),
+            form::<F>(&network, "", CartPole::with_system(cart_pole::ByHand::<false, false> { system, pole, cart, wind })),
+            form::<F>(&network, "no effect", CartPole::with_system(system)),
+            form::<F>(&network, "no effect, list", CartPole::with_system(Forced { system, effects: list[..0].to_vec() })),
         ],
         vec![
-            form::<F>(&network, "", CartPole::around(cart_pole::ByHand::<true, false> { system, pole, cart, wind })),
-            form::<F>(&network, "friction", CartPole::around(With { system, effects: (pole, cart) })),
-            form::<F>(&network, "friction, list", CartPole::around(With { system, effects: list[..2].to_vec() })),
+            form::<F>(&network, "", CartPole::with_system(cart_pole::ByHand::<true, false> { system, pole, cart, wind })),
+            form::<F>(&network, "friction", CartPole::with_system(Forced { system, effects: (pole, cart) })),
+            form::<F>(&network, "friction, list", CartPole::with_system(Forced { system, effects: list[..2].to_vec() })),
         ],
         vec![
-            form::<F>(&network, "", CartPole::around(cart_pole::ByHand::<true, true> { system, pole, cart, wind })),
-            form::<F>(&network, "friction and wind", CartPole::around(With { system, effects: (pole, cart, wind) })),
-            form::<F>(&network, "friction and wind, list", CartPole::around(With { system, effects: list })),
+            form::<F>(&network, "", CartPole::with_system(cart_pole::ByHand::<true, true> { system, pole, cart, wind })),
+            form::<F>(&network, "friction and wind", CartPole::with_system(Forced { system, effects: (pole, cart, wind) })),
+            form::<F>(&network, "friction and wind, list", CartPole::with_system(Forced { system, effects: list })),
         ],
     ]
 }
@@ -100,9 +100,9 @@ fn guidance_scenes<F: Float>() -> Vec<Vec<Form>> {
     let (system, (friction, spread, evade, flock)) = (typed.system, typed.effects);
     let list: Vec<GuidanceEffect> = vec![friction.into(), spread.into(), evade.into(), flock.into()];
     vec![vec![
-        form::<F>(&network, "", Guidance::around(guidance::ByHand { system, friction, spread, evade, flock })),
-        form::<F>(&network, "herding", Guidance::around(typed)),
-        form::<F>(&network, "herding, list", Guidance::around(With { system, effects: list })),
+        form::<F>(&network, "", Guidance::with_system(guidance::ByHand { system, friction, spread, evade, flock })),
+        form::<F>(&network, "herding", Guidance::with_system(typed)),
+        form::<F>(&network, "herding, list", Guidance::with_system(Forced { system, effects: list })),
     ]]
 }
 
@@ -112,14 +112,14 @@ fn quantum_scenes<F: Float>() -> Vec<Vec<Form>> {
     let list: Vec<QuantumEffect> = vec![trap.into(), cubic.into()];
     vec![
         vec![
-            form::<F>(&network, "", Quantum::around(quantum::ByHand::<false, false> { system, trap, cubic }, 3)),
-            form::<F>(&network, "no effect", Quantum::around(system, 3)),
-            form::<F>(&network, "no effect, list", Quantum::around(With { system, effects: list[..0].to_vec() }, 3)),
+            form::<F>(&network, "", Quantum::with_system(quantum::ByHand::<false, false> { system, trap, cubic }, 3)),
+            form::<F>(&network, "no effect", Quantum::with_system(system, 3)),
+            form::<F>(&network, "no effect, list", Quantum::with_system(Forced { system, effects: list[..0].to_vec() }, 3)),
         ],
         vec![
-            form::<F>(&network, "", Quantum::around(quantum::ByHand::<true, true> { system, trap, cubic }, 3)),
-            form::<F>(&network, "trap and cubic", Quantum::around(With { system, effects: (trap, cubic) }, 3)),
-            form::<F>(&network, "trap and cubic, list", Quantum::around(With { system, effects: list }, 3)),
+            form::<F>(&network, "", Quantum::with_system(quantum::ByHand::<true, true> { system, trap, cubic }, 3)),
+            form::<F>(&network, "trap and cubic", Quantum::with_system(Forced { system, effects: (trap, cubic) }, 3)),
+            form::<F>(&network, "trap and cubic, list", Quantum::with_system(Forced { system, effects: list }, 3)),
         ],
     ]
 }

@@ -8,7 +8,7 @@ mod measure;
 use measure::{Nothing, median, ratio, rounds};
 use physgrad::kernels::elementwise::{self, Strided};
 use physgrad::kernels::gemm::Product;
-use physgrad::kernels::{Level, gemm};
+use physgrad::kernels::{SimdLevel, gemm};
 use physgrad::policy::{Mlp, Policy};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::CartPole;
@@ -21,7 +21,7 @@ const WIDTH: usize = 100;
 
 fn main() {
     let rounds = if std::env::args().any(|a| a == "--quick") { 3 } else { ROUNDS };
-    println!("cart-pole, 4 poles, widths {WIDTH}, {WIDTH}, mini-batches of {BATCH}; instructions: {:?}", Level::best());
+    println!("cart-pole, 4 poles, widths {WIDTH}, {WIDTH}, mini-batches of {BATCH}; instructions: {:?}", SimdLevel::best());
     fields::<f32>(rounds);
     fields::<f64>(rounds);
     shares(rounds);
@@ -79,7 +79,7 @@ fn shares(count: usize) {
     let columns = BATCH * steps;
     let weights = Weights::<f32>::init(&policy, &mut stream(0, Purpose::Policy, 0));
     let starts = starts::<f32>(&task);
-    let level = Level::best();
+    let level = SimdLevel::best();
 
     let mut rollout = Rollout::new(&task, &policy, BATCH);
     let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::REGULAR]);

@@ -11,7 +11,7 @@ mod measure;
 use measure::{Nothing, median, ratio, rounds};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{Cubic, Harmonic, Pade, Quantum, QuantumScheme, QuantumSystem, Strang};
-use physgrad::{Adjoint, Around, Effect, Float, Flow, Host, Rollout, Substeps, System, Task, Weights, With};
+use physgrad::{Adjoint, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Rollout, Substeps, System, Task, Weights};
 use std::f64::consts::PI;
 use std::hint::black_box;
 
@@ -41,15 +41,15 @@ fn main() {
 }
 
 fn forms<F: Float>(grid: usize, horizon: usize) -> [Vec<Form>; 2] {
-    let body = QuantumSystem { grid, ..QuantumSystem::default() };
+    let model = QuantumSystem { grid, ..QuantumSystem::default() };
     let mut all = [Vec::new(), Vec::new()];
     let effects = (Harmonic::default(), Cubic::default());
     for (forms, trapped) in all.iter_mut().zip([false, true]) {
         let mut push = |name: &str, count: usize, form: Form| forms.push(Form { name: name.into(), count, ..form });
         macro_rules! scheme {
             ($name:literal, $make:expr) => {
-                let count = least_substeps(body, $make);
-                let system = $make(QuantumSystem { dt: body.dt / count as f64, ..body });
+                let count = least_substeps(model, $make);
+                let system = $make(QuantumSystem { dt: model.dt / count as f64, ..model });
                 let form = if trapped {
                     form::<F, _, _>(system, effects, count, horizon)
                 } else {
@@ -58,25 +58,25 @@ fn forms<F: Float>(grid: usize, horizon: usize) -> [Vec<Form>; 2] {
                 push($name, count, form);
             };
         }
-        scheme!("Crank and Nicolson", |body| body);
+        scheme!("Crank and Nicolson", |model| model);
         scheme!("Padé", Pade);
         scheme!("Strang", Strang::new);
         scheme!("Crank and Nicolson, chosen", QuantumScheme::CrankNicolson);
-        scheme!("Padé, chosen", |body| QuantumScheme::Pade(Pade(body)));
-        scheme!("Strang, chosen", |body| QuantumScheme::Strang(Strang::new(body)));
+        scheme!("Padé, chosen", |model| QuantumScheme::Pade(Pade(model)));
+        scheme!("Strang, chosen", |model| QuantumScheme::Strang(Strang::new(model)));
     }
     all
 }
 
 /// Fewest substeps for which the phase of the fifth eigenstate is correct to 1 % after one step of
 /// `body`.
-fn least_substeps<S: System>(body: QuantumSystem, make: impl Fn(QuantumSystem) -> S) -> usize {
-    let phi: Vec<f64> = body.eigenstate(5).flat_map(|phi| [phi, 0.0]).collect();
-    let sine = (5.0 * PI / (2.0 * (body.grid + 1) as f64)).sin() / body.spacing();
+fn least_substeps<S: System>(model: QuantumSystem, make: impl Fn(QuantumSystem) -> S) -> usize {
+    let phi: Vec<f64> = model.eigenstate(5).flat_map(|phi| [phi, 0.0]).collect();
+    let sine = (5.0 * PI / (2.0 * (model.grid + 1) as f64)).sin() / model.spacing();
     let error = |count: &usize| {
-        let dt = body.dt / *count as f64;
+        let dt = model.dt / *count as f64;
         let mut next = vec![0.0; phi.len()];
-        make(QuantumSystem { dt, ..body }).step(&phi, &[0.0], &mut next);
+        make(QuantumSystem { dt, ..model }).step(&phi, &[0.0], &mut next);
         let part = |i: usize| phi.iter().step_by(2).zip(next[i..].iter().step_by(2)).map(|(a, b)| a * b).sum::<f64>();
         (-part(1).atan2(part(0))).rem_euclid(2.0 * PI) / (4.0 * sine * sine * dt) - 1.0
     };
@@ -115,19 +115,19 @@ fn table(precision: &str, grid: usize, horizon: usize, places: usize, count: usi
 fn form<F, H, E>(system: H, effects: E, count: usize, horizon: usize) -> Form
 where
     F: Float,
-    H: Host<Body = QuantumSystem> + Clone + 'static,
+    H: ForcedSystem<Model = QuantumSystem> + Clone + 'static,
     E: Effect<QuantumSystem> + 'static,
 {
     let job = move || {
-        let system = With { system: system.clone(), effects: effects.clone() };
+        let system = Forced { system: system.clone(), effects: effects.clone() };
         if count == 1 { job::<F, _>(system, horizon) } else { job::<F, _>(Substeps { system, count }, horizon) }
     };
     Form { name: String::new(), count, job: Box::new(job) }
 }
 
 /// A rollout with its adjoint.
-fn job<F: Float, S: Around<QuantumSystem> + 'static>(system: S, horizon: usize) -> Job {
-    let task = Quantum { horizon, ..Quantum::around(system, 3) };
+fn job<F: Float, S: HasModel<QuantumSystem> + 'static>(system: S, horizon: usize) -> Job {
+    let task = Quantum { horizon, ..Quantum::with_system(system, 3) };
     let (state_dim, control_dim) = (task.system().state_dim(), task.system().control_dim());
     let policy = Nothing { state_dim, control_dim };
     let weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Policy, 0));

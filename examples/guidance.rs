@@ -4,15 +4,15 @@
 
 use physgrad::policy::Mlp;
 use physgrad::tasks::Guidance;
-use physgrad::{Around, Field, Rollout, System, TrainError, Trainer, check};
+use physgrad::{Field, HasModel, Rollout, System, TrainError, Trainer, check};
 
 fn main() -> Result<(), TrainError> {
     let epochs = std::env::args().nth(1).map_or(50, |text| text.parse().expect("a number of epochs"));
     for regularization in [1.0, 0.01] {
         let task = Guidance { regularization, ..Guidance::new(2, 4) };
-        let herds = task.system.body();
+        let herds = task.system.model();
         let n = task.system.state_dim();
-        let policy = Mlp::new([n, 100, 100, task.system.control_dim()]).zero_last(true);
+        let policy = Mlp::new([n, 100, 100, task.system.control_dim()]).zero_init_output(true);
         check::system(&task.system);
         println!("regularization {regularization}");
         for field in [Field::regular(), Field::combined()] {

@@ -4,7 +4,7 @@
 
 use physgrad::prelude::*;
 use physgrad::tasks::{CartPole, CartPoleSystem, PoleDamping};
-use physgrad::{Cost, Cotangent, Effect, Real, TrainError, With};
+use physgrad::{Cotangent, Effect, Forced, OpCount, Real, TrainError};
 
 /// A magnet on the cart, above a rail of metal: with `s = ẋ / speed`, F = -2 force s / (1 + s²).
 ///
@@ -19,7 +19,7 @@ struct EddyBrake {
 
 /// What the cart-pole's documentation says of states and forces: x = [x, ẋ, θ₁, ω₁, …], forces = [F, τ₁, …].
 impl Effect<CartPoleSystem> for EddyBrake {
-    fn act<T: Scalar>(&self, _body: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
         let s = x[1] * T::lift(1.0 / self.speed);
         forces[0] -= T::lift(2.0 * self.force) * s / (T::one() + s * s);
     }
@@ -31,11 +31,11 @@ struct ByHand(EddyBrake);
 
 impl Effect<CartPoleSystem> for ByHand {
     #[inline(always)]
-    fn act<T: Scalar>(&self, body: &CartPoleSystem, x: &[T], forces: &mut [T]) {
-        self.0.act(body, x, forces);
+    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+        self.0.add_forces(model, x, forces);
     }
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         let s = x[1] * R::lift(1.0 / self.0.speed);
         let per_square = R::one() / (R::one() + s * s);
         x_bar[1] -= forces_bar[0] * (R::lift(2.0 * self.0.force / self.0.speed) * (R::one() - s * s) * per_square * per_square);
@@ -48,21 +48,22 @@ fn main() -> Result<(), TrainError> {
     let brake = EddyBrake { force: 5.0, speed: 1.0 };
 
     // Both derivatives against dual numbers: panics naming input, index, expected and found if one is wrong.
-    check::system(&With { system, effects: brake });
-    check::system(&With { system, effects: ByHand(brake) });
+    check::system(&Forced { system, effects: brake });
+    check::system(&Forced { system, effects: ByHand(brake) });
 
     // What it costs, counted. An effect that is not named costs nothing.
-    let alone = Cost::of(&system);
-    let (by_duals, by_hand) = (Cost::of(&With { system, effects: brake }), Cost::of(&With { system, effects: ByHand(brake) }));
+    let alone = OpCount::of(&system);
+    let (by_duals, by_hand) =
+        (OpCount::of(&Forced { system, effects: brake }), OpCount::of(&Forced { system, effects: ByHand(brake) }));
     for (pass, alone, with) in [("step", alone.step, by_hand.step), ("reverse", alone.vjp, by_hand.vjp)] {
         println!("{pass:>8}: {} operations, with the brake {}: {}", alone.total(), with.total(), with - alone);
     }
     println!("          with its derivative by dual numbers {}", by_duals.vjp.total());
 
     // It stands beside effects of ours as if it were one of them.
-    let braked = CartPole::around(With { system, effects: (PoleDamping::default(), ByHand(brake)) });
+    let braked = CartPole::with_system(Forced { system, effects: (PoleDamping::default(), ByHand(brake)) });
     let policy = Mlp::new([6, 32, 32, 1]);
-    let without = Trainer::new(CartPole::around(system), policy.clone()).epochs(epochs).run()?;
+    let without = Trainer::new(CartPole::with_system(system), policy.clone()).epochs(epochs).run()?;
     let with = Trainer::new(braked, policy).epochs(epochs).run()?;
     for (name, report) in [("alone", without), ("braked", with)] {
         let loss = report.records.last().map_or(f64::NAN, |record| record.test_loss);

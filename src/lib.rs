@@ -47,7 +47,7 @@
 //!
 //! # Effects
 //! An [`Effect`] is an optional part of the physics: friction, wind, obstacles, potentials. The
-//! effects of a system are part of its type, so absent effects cost nothing. [`Cost`] counts the
+//! effects of a system are part of its type, so absent effects cost nothing. [`OpCount`] counts the
 //! operations of a system exactly. An [`Actuator`] transforms controls between policy and system.
 //! [`Substeps`] performs several small steps of a system as one.
 //! ```
@@ -71,7 +71,7 @@
 //! - `stress` adds the module `stress`, with hard test cases and their expected results.
 //! - `program`, the default, contains everything that the `physgrad` binary needs.
 //!
-//! With `default-features = false`, only the library without these features is built.
+//! Forced `default-features = false`, only the library without these features is built.
 
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 
@@ -88,14 +88,14 @@ mod train;
 
 #[cfg(all(feature = "stress", not(test)))]
 pub use check::stress;
-pub use dynamics::actuator::{Actuated, Actuator, AnyActuator, Bars, Delay, Lag, Limit, LimitKind};
+pub use dynamics::actuator::{Actuated, Actuator, AnyActuator, Delay, Lag, Limit, LimitKind, OutputCotangents};
 pub use dynamics::cause::Cause;
-pub use dynamics::cost::Cost;
-pub use dynamics::effect::{Around, Effect, Host, Named, With};
+pub use dynamics::effect::{Effect, Forced, ForcedSystem, HasModel, Named};
 pub use dynamics::integrator::{
-    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, SemiImplicit, Stretch, Verlet,
+    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, SemiImplicit, StepInput, Verlet,
 };
-pub use dynamics::ode::{Flowing, Ode, RateOn, ReverseOn};
+pub use dynamics::ode::{DynOde, DynOdeVjp, ForcedOde, Ode};
+pub use dynamics::op_count::OpCount;
 pub use dynamics::substeps::Substeps;
 pub use dynamics::system::System;
 pub use dynamics::task::Task;
@@ -108,17 +108,17 @@ pub use engine::gradient::Gradient;
 pub use engine::growth::Growth;
 pub use engine::rollout::Rollout;
 pub use engine::schedule::{MemoryError, Schedule};
+pub use numbers::extended::ExtendedF64;
 #[doc(hidden)]
 pub use numbers::kernels;
 pub use numbers::rng;
 #[cfg(feature = "double-double")]
 pub use numbers::scalar::DoubleDouble;
-pub use numbers::scalar::{Columns, Cotangent, Counted, Counts, Dual, Float, Lanes, Real, Scalar};
-pub use numbers::wide::Wide;
+pub use numbers::scalar::{Cotangent, CotangentPack, Counted, Dual, Float, Lanes, Ops, Real, Scalar};
 pub use policy::{Policy, Weights};
-pub use train::field::{Compose, Field, SignAgreement, UnknownField};
-pub use train::optim::{Clip, Optimizer, Rule};
-pub use train::{CheckpointError, Record, Report, Session, Skip, TrainError, Trainer, Training, differences, toy};
+pub use train::field::{Field, GradientCombiner, SignAgreement, UnknownField};
+pub use train::optim::{Clip, Optimizer, OptimizerKind};
+pub use train::{CheckpointError, Record, Report, Session, Skip, TrainError, Trainer, Training, differences, vector_field};
 
 /// Imports for a file that defines a system and trains a controller for it.
 pub mod prelude {

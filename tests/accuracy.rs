@@ -34,7 +34,7 @@ fn errors_fall_with_the_order_of_the_method_and_work_is_counted() {
     let (said, rows) = run(dir.path(), &["--target", "1e-4"]);
     assert_eq!(rows.len(), 2 * (5 + 7 * 5 + 1));
     for (method, order) in
-        [("own", 1.0), ("euler", 1.0), ("verlet", 2.0), ("heun", 2.0), ("implicit_midpoint", 2.0), ("rk4", 4.0)]
+        [("native", 1.0), ("euler", 1.0), ("verlet", 2.0), ("heun", 2.0), ("implicit_midpoint", 2.0), ("rk4", 4.0)]
     {
         let [coarse, fine] = ["2", "4"].map(|substeps| &rows[&format!("{method} {substeps} f64")]);
         for error in ["trajectory_error", "r_error", "m_error"] {

@@ -30,7 +30,7 @@ static ALLOCATOR: Counting = Counting;
 #[test]
 fn epochs_do_not_allocate_after_the_first() {
     for field in Field::ALL {
-        for loss in [LossMode::Final, LossMode::Continuous] {
+        for loss in [LossMode::Terminal, LossMode::Running] {
             let task = CartPole { loss, ..CartPole::new(2) };
             // A last mini-batch that is smaller than the others.
             let training = Training { epochs: 4, train_samples: 20, test_samples: 40, workers: 1, ..Training::default() };

@@ -8,7 +8,7 @@ use physgrad::tasks::{
     PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Actuated, AnyActuator, Around, Delay, Effect, Host, Lag, Limit, LimitKind, Scalar, Substeps, System, With, check,
+    Actuated, AnyActuator, Delay, Effect, Forced, ForcedSystem, HasModel, Lag, Limit, LimitKind, Scalar, Substeps, System, check,
 };
 use rand::RngExt;
 
@@ -24,7 +24,7 @@ fn every_effect() -> Vec<CartPoleEffect> {
         SteadyWind::default().into(),
         GustyWind::default().into(),
         // Within reach of the states that are checked.
-        Bumpers { reach: 0.4, ..Bumpers::default() }.into(),
+        Bumpers { half_travel: 0.4, ..Bumpers::default() }.into(),
     ]
 }
 
@@ -41,11 +41,11 @@ fn check_lively<S: System>(system: &S) {
 fn the_derivatives_of_every_effect_are_those_of_duals() {
     for effect in every_effect() {
         for n in [1, 3] {
-            check_lively(&With { system: poles(n), effects: vec![effect.clone()] });
-            check_lively(&With { system: CoupledCartPole(poles(n)), effects: vec![effect.clone()] });
+            check_lively(&Forced { system: poles(n), effects: vec![effect.clone()] });
+            check_lively(&Forced { system: CoupledCartPole(poles(n)), effects: vec![effect.clone()] });
         }
     }
-    check_lively(&With { system: poles(2), effects: every_effect() });
+    check_lively(&Forced { system: poles(2), effects: every_effect() });
     check_lively(&CoupledCartPole(poles(3)));
 }
 
@@ -55,12 +55,12 @@ fn a_wrong_derivative_of_an_effect_is_found() {
     #[derive(Clone, Debug)]
     struct Spring;
     impl Effect<CartPoleSystem> for Spring {
-        fn act<T: Scalar>(&self, _body: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+        fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
             forces[0] -= x[0];
         }
         fn vjp<R: physgrad::Real, C: physgrad::Cotangent<R>>(
             &self,
-            _body: &CartPoleSystem,
+            _model: &CartPoleSystem,
             _x: &[R],
             forces_bar: &[C],
             x_bar: &mut [C],
@@ -68,13 +68,13 @@ fn a_wrong_derivative_of_an_effect_is_found() {
             x_bar[0] += forces_bar[0];
         }
     }
-    let mismatch = check::try_system(&With { system: poles(1), effects: Spring }).expect_err("it is wrong");
+    let mismatch = check::try_system(&Forced { system: poles(1), effects: Spring }).expect_err("it is wrong");
     assert_eq!((mismatch.what.as_str(), mismatch.index), ("vjp: x_bar", 0));
 }
 
 #[test]
 fn the_derivatives_behind_actuators_and_of_substeps_are_those_of_duals() {
-    let system = || With { system: poles(2), effects: every_effect() };
+    let system = || Forced { system: poles(2), effects: every_effect() };
     let dt = system().system.dt;
     for kind in [LimitKind::Smooth, LimitKind::Hard] {
         check_lively(&Actuated { system: system(), actuator: Limit { bound: 1.5, kind } });
@@ -93,10 +93,10 @@ fn the_derivatives_behind_actuators_and_of_substeps_are_those_of_duals() {
     }
     // Whole rollouts, in all flows, with the states that effects and actuators add.
     let full =
-        Actuated { system: With { system: CoupledCartPole(poles(2)), effects: every_effect() }, actuator: Delay { steps: 2 } };
+        Actuated { system: Forced { system: CoupledCartPole(poles(2)), effects: every_effect() }, actuator: Delay { steps: 2 } };
     let n = full.state_dim();
     assert_eq!(n, 6 + 1 + 2);
-    check::task(&CartPole { horizon: 20, ..CartPole::around(full) }, &Linear::with_bias(n, 1));
+    check::task(&CartPole { horizon: 20, ..CartPole::with_system(full) }, &Linear::with_bias(n, 1));
 }
 
 fn step<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
@@ -112,8 +112,8 @@ fn with_one_pole_both_models_are_the_same_equations() {
         let (mut x, mut u) = ([0.0; 4], [0.0]);
         lively(&mut rng, &mut x, &mut u);
         let effects = (PoleDamping::default(), SteadyWind::default());
-        let simple = step(&With { system: poles(1), effects }, &x, u[0]);
-        let exact = step(&With { system: CoupledCartPole(poles(1)), effects }, &x, u[0]);
+        let simple = step(&Forced { system: poles(1), effects }, &x, u[0]);
+        let exact = step(&Forced { system: CoupledCartPole(poles(1)), effects }, &x, u[0]);
         for (a, b) in simple.iter().zip(&exact) {
             assert!((a - b).abs() <= 1e-14 * (1.0 + a.abs()), "{a} and {b}");
         }
@@ -121,28 +121,28 @@ fn with_one_pole_both_models_are_the_same_equations() {
 }
 
 /// Kinetic and potential energy of the exact model.
-fn energy(body: &CartPoleSystem, x: &[f64]) -> f64 {
-    let (m, l, v) = (body.pole_mass, body.half_length, x[1]);
+fn energy(model: &CartPoleSystem, x: &[f64]) -> f64 {
+    let (m, l, v) = (model.pole_mass, model.half_length, x[1]);
     let pole = |pole: &[f64]| {
         let (theta, omega) = (pole[0], pole[1]);
         // The middle of the pole moves with the cart and about the joint; about the middle, the inertia is m l² / 3.
         let (vx, vy) = (v + l * omega * theta.cos(), -l * omega * theta.sin());
-        0.5 * m * (vx * vx + vy * vy) + 0.5 * (m * l * l / 3.0) * omega * omega + m * body.gravity * l * theta.cos()
+        0.5 * m * (vx * vx + vy * vy) + 0.5 * (m * l * l / 3.0) * omega * omega + m * model.gravity * l * theta.cos()
     };
-    0.5 * body.cart_mass * v * v + x[2..].chunks_exact(2).map(pole).sum::<f64>()
+    0.5 * model.cart_mass * v * v + x[2..].chunks_exact(2).map(pole).sum::<f64>()
 }
 
 /// How far the energy is from where it began, after a second without control.
-fn drift<H: Host<Body = CartPoleSystem>>(host: impl Fn(f64) -> H, dt: f64) -> f64 {
-    let system = With { system: host(dt), effects: () };
+fn drift<H: ForcedSystem<Model = CartPoleSystem>>(host: impl Fn(f64) -> H, dt: f64) -> f64 {
+    let system = Forced { system: host(dt), effects: () };
     let mut x = vec![0.0, 0.3, 3.0, 0.5, 2.0, -1.0, 1.0, 0.2];
-    let start = energy(system.body(), &x);
-    let library = CoupledCartPole(*system.body()).energy(&x);
+    let start = energy(system.model(), &x);
+    let library = CoupledCartPole(*system.model()).energy(&x);
     assert!((library - start).abs() < 1e-12, "{library} and {start}");
     for _ in 0..(1.0 / dt).round() as usize {
         x = step(&system, &x, 0.0);
     }
-    (energy(system.body(), &x) - start).abs()
+    (energy(system.model(), &x) - start).abs()
 }
 
 #[test]
@@ -160,13 +160,13 @@ fn friction_and_still_air_only_take_energy() {
     let still = SteadyWind { speed: 0.0, ..SteadyWind::default() };
     let effects: [CartPoleEffect; 4] =
         [PoleDamping::default().into(), CartDamping::default().into(), DryFriction::default().into(), still.into()];
-    let body = poles(2);
+    let model = poles(2);
     let mut rng = physgrad::rng::stream(1, physgrad::rng::Purpose::Check, 0);
     for effect in effects {
         for _ in 0..100 {
             let (mut x, mut forces) = ([0.0; 6], [0.0; 3]);
             lively(&mut rng, &mut x, &mut []);
-            effect.act(&body, &x, &mut forces);
+            effect.add_forces(&model, &x, &mut forces);
             let power = forces[0] * x[1] + forces[1] * x[3] + forces[2] * x[5];
             assert!(power < 0.0, "{effect:?} does work: {power} W at {x:?}");
         }
@@ -175,10 +175,10 @@ fn friction_and_still_air_only_take_energy() {
 
 #[test]
 fn bumpers_push_and_never_pull() {
-    let (bumpers, body) = (Bumpers { reach: 1.0, damping: 2.0, stiffness: 10.0 }, poles(1));
+    let (bumpers, model) = (Bumpers { half_travel: 1.0, damping: 2.0, stiffness: 10.0 }, poles(1));
     let force = |x: f64, v: f64| {
         let mut forces = [0.0; 2];
-        bumpers.act(&body, &[x, v, 0.0, 0.0], &mut forces);
+        bumpers.add_forces(&model, &[x, v, 0.0, 0.0], &mut forces);
         forces[0]
     };
     assert_eq!(force(0.99, 5.0), 0.0);
@@ -193,8 +193,8 @@ fn bumpers_push_and_never_pull() {
 fn a_gusty_wind_without_gusts_is_a_steady_one() {
     let SteadyWind { speed, cart_drag, pole_drag } = SteadyWind::default();
     let gusty = GustyWind { speed, cart_drag, pole_drag, gust: 0.0, period: 1.0 };
-    let steady = With { system: poles(2), effects: SteadyWind::default() };
-    let gusty = With { system: poles(2), effects: gusty };
+    let steady = Forced { system: poles(2), effects: SteadyWind::default() };
+    let gusty = Forced { system: poles(2), effects: gusty };
     let x = [0.1, -0.2, 3.0, 0.4, 2.8, -0.5];
     let after = step(&gusty, &[&x[..], &[7.0]].concat(), 1.5);
     assert_eq!(after[..6], step(&steady, &x, 1.5));
@@ -203,20 +203,20 @@ fn a_gusty_wind_without_gusts_is_a_steady_one() {
 
 #[test]
 fn wind_blows_a_still_cart_and_its_pole_away() {
-    let x = step(&With { system: poles(1), effects: SteadyWind::default() }, &[0.0; 4], 0.0);
+    let x = step(&Forced { system: poles(1), effects: SteadyWind::default() }, &[0.0; 4], 0.0);
     // An upright pole: F = (cart_drag + pole_drag) w², and the pole is pushed the same way.
     assert!(x[1] > 0.0);
     let mut forces = [0.0; 2];
-    SteadyWind::default().act(&poles(1), &[0.0; 4], &mut forces);
+    SteadyWind::default().add_forces(&poles(1), &[0.0; 4], &mut forces);
     assert!((forces[0] - 0.073 * 9.0).abs() < 1e-12 && (forces[1] - 0.5 * 0.013 * 9.0).abs() < 1e-12, "{forces:?}");
 }
 
 #[test]
 fn actuators_do_what_they_say() {
     // Control 1 from rest; what the cart feels is its speed times M / dt, since a hanging pole is left out of it.
-    let body = CartPoleSystem { pole_mass: 1e-12, dt: 0.1, ..poles(1) };
-    fn felt<A: physgrad::Actuator>(body: CartPoleSystem, actuator: A, u: f64, steps: usize) -> Vec<f64> {
-        let system = Actuated { system: body, actuator };
+    let model = CartPoleSystem { pole_mass: 1e-12, dt: 0.1, ..poles(1) };
+    fn applied<A: physgrad::Actuator>(model: CartPoleSystem, actuator: A, u: f64, steps: usize) -> Vec<f64> {
+        let system = Actuated { system: model, actuator };
         let mut x = vec![0.0; system.state_dim()];
         (0..steps)
             .map(|_| {
@@ -232,12 +232,12 @@ fn actuators_do_what_they_say() {
             assert!((f - e).abs() < 1e-9, "{found:?}, expected {expected:?}");
         }
     };
-    close(felt(body, Delay { steps: 2 }, 1.0, 4), &[0.0, 0.0, 1.0, 1.0]);
+    close(applied(model, Delay { steps: 2 }, 1.0, 4), &[0.0, 0.0, 1.0, 1.0]);
     let share = 1.0 - (-0.1f64 / 0.2).exp();
-    close(felt(body, Lag::new(0.2, 0.1), 1.0, 2), &[share, share + (1.0 - share) * share]);
-    close(felt(body, Limit { bound: 0.5, kind: LimitKind::Hard }, 3.0, 1), &[0.5]);
-    close(felt(body, Limit { bound: 0.5, kind: LimitKind::Smooth }, 0.3, 1), &[0.5 * 0.6f64.tanh()]);
-    close(felt(body, (Limit { bound: 0.5, kind: LimitKind::Hard }, Delay { steps: 1 }), 3.0, 2), &[0.0, 0.5]);
+    close(applied(model, Lag::new(0.2, 0.1), 1.0, 2), &[share, share + (1.0 - share) * share]);
+    close(applied(model, Limit { bound: 0.5, kind: LimitKind::Hard }, 3.0, 1), &[0.5]);
+    close(applied(model, Limit { bound: 0.5, kind: LimitKind::Smooth }, 0.3, 1), &[0.5 * 0.6f64.tanh()]);
+    close(applied(model, (Limit { bound: 0.5, kind: LimitKind::Hard }, Delay { steps: 1 }), 3.0, 2), &[0.0, 0.5]);
 }
 
 #[test]
@@ -252,8 +252,8 @@ fn substeps_are_the_small_steps() {
 }
 
 /// The next state and all cotangents under every effect, at a lively state.
-fn everything<H: Host<Body = CartPoleSystem>>(host: H) -> Vec<f64> {
-    let system = With { system: host, effects: every_effect() };
+fn everything<H: ForcedSystem<Model = CartPoleSystem>>(host: H) -> Vec<f64> {
+    let system = Forced { system: host, effects: every_effect() };
     let n = system.state_dim();
     let (mut x, mut u) = (vec![0.0; n], [0.0]);
     lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u);
@@ -266,8 +266,8 @@ fn everything<H: Host<Body = CartPoleSystem>>(host: H) -> Vec<f64> {
 
 #[test]
 fn a_model_chosen_at_run_time_has_the_numbers_of_the_model() {
-    let (body, coupled) = (poles(3), CoupledCartPole(poles(3)));
-    assert_eq!(everything(CartPoleModel::Uncoupled(body)), everything(body));
+    let (model, coupled) = (poles(3), CoupledCartPole(poles(3)));
+    assert_eq!(everything(CartPoleModel::Uncoupled(model)), everything(model));
     assert_eq!(everything(CartPoleModel::Coupled(coupled)), everything(coupled));
-    assert_ne!(everything(coupled), everything(body));
+    assert_ne!(everything(coupled), everything(model));
 }

@@ -5,46 +5,50 @@ use physgrad::tasks::{
     QuantumScheme, QuantumSystem, Renormalized, Strang, Tabulated, Upright,
 };
 use physgrad::{
-    Actuated, AnyIntegrator, Cause, Delay, Effect, Host, ImplicitMidpoint, Integrated, Named, Scalar, Substeps, System, With,
+    Actuated, AnyIntegrator, Cause, Delay, Effect, Forced, ForcedSystem, ImplicitMidpoint, Integrated, Named, Scalar, Substeps,
+    System,
 };
 
 const ENDLESS: Cubic = Cubic { strength: 1e308 };
 
 /// The cause at a state of ones.
 fn cause<S: System>(system: &S) -> Option<Cause> {
-    system.cause(&vec![1.0; system.state_dim()], &vec![0.0; system.control_dim()])
+    system.diagnose(&vec![1.0; system.state_dim()], &vec![0.0; system.control_dim()])
 }
 
 /// Every kind of host, with more state components than forces.
 #[test]
 fn hosts_know_how_many_forces_they_have() {
-    let body = QuantumSystem { grid: 7, ..QuantumSystem::default() };
+    let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
     let cubic = Some(Cause::Effect("Cubic"));
-    assert_eq!(cause(&With { system: body, effects: ENDLESS }), cubic);
-    assert_eq!(cause(&With { system: Pade(body), effects: ENDLESS }), cubic);
-    assert_eq!(cause(&With { system: Strang::new(body), effects: ENDLESS }), cubic);
-    assert_eq!(cause(&With { system: QuantumScheme::CrankNicolson(body), effects: vec![QuantumEffect::from(ENDLESS)] }), cubic);
-    let windy = With { system: CartPoleSystem::default(), effects: GustyWind { gust: 1e200, ..GustyWind::default() } };
+    assert_eq!(cause(&Forced { system: model, effects: ENDLESS }), cubic);
+    assert_eq!(cause(&Forced { system: Pade(model), effects: ENDLESS }), cubic);
+    assert_eq!(cause(&Forced { system: Strang::new(model), effects: ENDLESS }), cubic);
+    assert_eq!(
+        cause(&Forced { system: QuantumScheme::CrankNicolson(model), effects: vec![QuantumEffect::from(ENDLESS)] }),
+        cubic
+    );
+    let windy = Forced { system: CartPoleSystem::default(), effects: GustyWind { gust: 1e200, ..GustyWind::default() } };
     assert_eq!(cause(&windy), Some(Cause::Effect("GustyWind")));
-    let herd = With { system: GuidanceSystem::default(), effects: Evade { strength: f64::INFINITY } };
+    let herd = Forced { system: GuidanceSystem::default(), effects: Evade { strength: f64::INFINITY } };
     assert_eq!(cause(&herd), Some(Cause::Effect("Evade")));
-    assert_eq!(cause(&With { system: body, effects: (Barrier::default(), Cubic::default()) }), None);
+    assert_eq!(cause(&Forced { system: model, effects: (Barrier::default(), Cubic::default()) }), None);
 }
 
 #[test]
 fn an_effect_has_the_name_it_is_given() {
-    let body = QuantumSystem { grid: 7, ..QuantumSystem::default() };
+    let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
     let table = Tabulated { values: vec![f64::INFINITY; 7] };
     let named = Named { name: "effects.double_well", effect: QuantumEffect::from(table) };
-    assert_eq!(cause(&With { system: body, effects: vec![named] }), Some(Cause::Effect("effects.double_well")));
+    assert_eq!(cause(&Forced { system: model, effects: vec![named] }), Some(Cause::Effect("effects.double_well")));
     let both = (Named { name: "harmless", effect: Barrier::default() }, Named { name: "guilty", effect: ENDLESS });
-    assert_eq!(cause(&With { system: body, effects: both }), Some(Cause::Effect("guilty")));
+    assert_eq!(cause(&Forced { system: model, effects: both }), Some(Cause::Effect("guilty")));
 }
 
 #[test]
 fn causes_come_through_what_is_around() {
-    let body = QuantumSystem { grid: 7, ..QuantumSystem::default() };
-    let system = With { system: body, effects: ENDLESS };
+    let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
+    let system = Forced { system: model, effects: ENDLESS };
     let cubic = Some(Cause::Effect("Cubic"));
     assert_eq!(cause(&Renormalized { system }), cubic);
     assert_eq!(cause(&Substeps { system, count: 3 }), cubic);
@@ -52,8 +56,8 @@ fn causes_come_through_what_is_around() {
     // A step far too long for Newton's iteration, in whatever task.
     let integrator = AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint::default());
     let stepped = Integrated { ode: DoublePendulum::default(), integrator, dt: 1e6 };
-    let Upright { first_angle, from, spread, loss, effort, horizon, .. } = Upright::double_pendulum();
-    let hard = AnyHard::DoublePendulum(Upright { system: stepped, first_angle, from, spread, loss, effort, horizon });
+    let Upright { first_angle, from, spread, loss, control_weight, horizon, .. } = Upright::double_pendulum();
+    let hard = AnyHard::DoublePendulum(Upright { system: stepped, first_angle, from, spread, loss, control_weight, horizon });
     assert!(matches!(cause(&hard), Some(Cause::Unsolved(_))), "{:?}", cause(&hard));
     assert_eq!(cause(&hard), cause(&stepped));
 }
@@ -61,9 +65,9 @@ fn causes_come_through_what_is_around() {
 /// Steps of a host that reaches infinity by itself.
 struct Leaping;
 
-impl Host for Leaping {
-    type Body = Self;
-    fn body(&self) -> &Self {
+impl ForcedSystem for Leaping {
+    type Model = Self;
+    fn model(&self) -> &Self {
         self
     }
     fn state_dim(&self) -> usize {
@@ -78,9 +82,9 @@ impl Host for Leaping {
     fn dt(&self) -> f64 {
         1.0
     }
-    fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], _u: &[T], next: &mut [T]) {
+    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], _u: &[T], next: &mut [T]) {
         next[0] = x[0] * T::lift(1e200);
-        effects.act(self, x, next);
+        effects.add_forces(self, x, next);
     }
 }
 
@@ -89,13 +93,13 @@ impl Host for Leaping {
 struct Innocent;
 
 impl Effect<Leaping> for Innocent {
-    fn act<T: Scalar>(&self, _body: &Leaping, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, _model: &Leaping, x: &[T], forces: &mut [T]) {
         forces[0] += x[0];
     }
 }
 
 #[test]
 fn an_effect_is_not_blamed_for_a_state_that_was_no_number_before() {
-    let system = With { system: Leaping, effects: Innocent };
+    let system = Forced { system: Leaping, effects: Innocent };
     assert_eq!(cause(&Substeps { system, count: 4 }), None);
 }

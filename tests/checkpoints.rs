@@ -1,13 +1,13 @@
 //! Checkpoints whose checksum is valid and whose contents are not.
 
-use physgrad::{Rule, Session, Trainer, Training, policy::Mlp, tasks::CartPole};
+use physgrad::{OptimizerKind, Session, Trainer, Training, policy::Mlp, tasks::CartPole};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 type Small = Session<CartPole, Mlp, f32>;
 
 fn session(rule: &str, learning_rate: f64) -> Small {
     let task = CartPole { horizon: 3, ..CartPole::new(1) };
-    let rule = Rule::named(rule).expect("a rule");
+    let rule = OptimizerKind::named(rule).expect("a rule");
     let training = Training { rule, learning_rate, batch: 2, train_samples: 4, test_samples: 2, ..Training::default() };
     Trainer::new(task, Mlp::new([4, 2, 1])).training(training).session().expect("valid settings")
 }

@@ -5,10 +5,10 @@ mod operations;
 use operations::{NUMBERS, operations};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{CartPole, Guidance, Quantum};
-use physgrad::{Columns, Cotangent, Counted, Counts, Dual, Real, Scalar, System, Task};
+use physgrad::{Cotangent, CotangentPack, Counted, Dual, Ops, Real, Scalar, System, Task};
 use rand::RngExt;
 
-const NONE: Counts = Counts { add: 0, negate: 0, multiply: 0, divide: 0, sqrt: 0, transcendental: 0, compare: 0 };
+const NONE: Ops = Ops { add: 0, negate: 0, multiply: 0, divide: 0, sqrt: 0, transcendental: 0, compare: 0 };
 
 /// The bits of a number. Which bits a NaN has, the language leaves open.
 fn bits_of(number: f64) -> u64 {
@@ -43,28 +43,28 @@ fn every_operation_on_duals_has_the_bits_of_f64() {
 
 #[test]
 fn every_operation_counts_what_it_does() {
-    let add = Counts { add: 1, ..NONE };
-    let multiply = Counts { multiply: 1, ..NONE };
-    let divide = Counts { divide: 1, ..NONE };
-    let function = Counts { transcendental: 1, ..NONE };
-    let compare = Counts { compare: 1, ..NONE };
+    let add = Ops { add: 1, ..NONE };
+    let multiply = Ops { multiply: 1, ..NONE };
+    let divide = Ops { divide: 1, ..NONE };
+    let function = Ops { transcendental: 1, ..NONE };
+    let compare = Ops { compare: 1, ..NONE };
     for (name, operation) in operations::<Counted>() {
         let expected = match name {
             "add" | "sub" | "add_assign" | "sub_assign" => add,
             "mul" | "mul_assign" => multiply,
             "div" | "div_assign" => divide,
-            "neg" => Counts { negate: 1, ..NONE },
-            "sqrt" => Counts { sqrt: 1, ..NONE },
+            "neg" => Ops { negate: 1, ..NONE },
+            "sqrt" => Ops { sqrt: 1, ..NONE },
             "exp" | "ln" | "sin" | "cos" | "tanh" | "atan2" => function,
             "select_lt" | "min" | "max" => compare,
-            "abs" => Counts { compare: 1, negate: 1, ..NONE },
-            "powi" => Counts { multiply: 3, ..NONE },
+            "abs" => Ops { compare: 1, negate: 1, ..NONE },
+            "powi" => Ops { multiply: 3, ..NONE },
             "lift" | "detach" => NONE,
             other => panic!("{other} is not counted here"),
         };
-        assert_eq!(Counts::of(|| operation(Counted(0.4), Counted(0.3))).0, expected, "{name}");
+        assert_eq!(Ops::of(|| operation(Counted(0.4), Counted(0.3))).0, expected, "{name}");
     }
-    assert_eq!(Counts::of(|| Counted(0.4).sin_cos()).0, function);
+    assert_eq!(Ops::of(|| Counted(0.4).sin_cos()).0, function);
 }
 
 #[test]
@@ -73,46 +73,46 @@ fn every_operation_on_duals_counts_the_value_and_four_tangents() {
         // A constant has four tangents that are 0.
         let (x, y) = (Dual::variable(Counted(0.4), 1), Dual::constant(Counted(0.3)));
         let expected = match name {
-            "add" | "add_assign" | "sub" | "sub_assign" => Counts { add: 5, ..NONE },
+            "add" | "add_assign" | "sub" | "sub_assign" => Ops { add: 5, ..NONE },
             // a' b + a b'.
-            "mul" | "mul_assign" => Counts { multiply: 1 + 8, add: 4, ..NONE },
+            "mul" | "mul_assign" => Ops { multiply: 1 + 8, add: 4, ..NONE },
             // q = a / b, i = 1 / b; (a' - q b') i.
-            "div" | "div_assign" => Counts { divide: 2, multiply: 8, add: 4, ..NONE },
-            "neg" => Counts { negate: 5, ..NONE },
+            "div" | "div_assign" => Ops { divide: 2, multiply: 8, add: 4, ..NONE },
+            "neg" => Ops { negate: 5, ..NONE },
             // Where slopes may be infinite, each tangent is looked at: a size, and a choice.
-            "sqrt" => Counts { sqrt: 1, divide: 1, multiply: 4, compare: 8, negate: 4, ..NONE },
-            "ln" => Counts { transcendental: 1, divide: 1, multiply: 4, compare: 8, negate: 4, ..NONE },
-            "exp" => Counts { transcendental: 1, multiply: 4, ..NONE },
-            "sin" | "cos" => Counts { transcendental: 1, negate: 1, multiply: 8, ..NONE },
-            "tanh" => Counts { transcendental: 1, add: 1, multiply: 1 + 4, ..NONE },
+            "sqrt" => Ops { sqrt: 1, divide: 1, multiply: 4, compare: 8, negate: 4, ..NONE },
+            "ln" => Ops { transcendental: 1, divide: 1, multiply: 4, compare: 8, negate: 4, ..NONE },
+            "exp" => Ops { transcendental: 1, multiply: 4, ..NONE },
+            "sin" | "cos" => Ops { transcendental: 1, negate: 1, multiply: 8, ..NONE },
+            "tanh" => Ops { transcendental: 1, add: 1, multiply: 1 + 4, ..NONE },
             // a a + b b; b / that, a / that; times a' and b', looked at; their difference.
-            "atan2" => Counts { transcendental: 1, add: 1 + 4, multiply: 2 + 8, divide: 2, compare: 16, negate: 8, ..NONE },
-            "select_lt" | "min" | "max" => Counts { compare: 5, ..NONE },
-            "abs" => Counts { compare: 5, negate: 5, ..NONE },
+            "atan2" => Ops { transcendental: 1, add: 1 + 4, multiply: 2 + 8, divide: 2, compare: 16, negate: 8, ..NONE },
+            "select_lt" | "min" | "max" => Ops { compare: 5, ..NONE },
+            "abs" => Ops { compare: 5, negate: 5, ..NONE },
             // 1·x, x·x, x²·x.
-            "powi" => Counts { multiply: 3 * 9, add: 3 * 4, ..NONE },
+            "powi" => Ops { multiply: 3 * 9, add: 3 * 4, ..NONE },
             "lift" | "detach" => NONE,
             other => panic!("{other} is not counted here"),
         };
-        assert_eq!(Counts::of(|| operation(x, y)).0, expected, "{name}");
+        assert_eq!(Ops::of(|| operation(x, y)).0, expected, "{name}");
     }
 }
 
 #[test]
 fn counts_within_counts_are_counted_in_both() {
-    let (outer, inner) = Counts::of(|| {
+    let (outer, inner) = Ops::of(|| {
         let x = Counted(2.0) * Counted(3.0);
-        let (inner, y) = Counts::of(|| (x + x) / x);
+        let (inner, y) = Ops::of(|| (x + x) / x);
         assert_eq!(y, Counted(2.0));
         let _ = -y;
         inner
     });
-    assert_eq!(inner, Counts { add: 1, divide: 1, ..NONE });
-    assert_eq!(outer, Counts { add: 1, divide: 1, multiply: 1, negate: 1, ..NONE });
-    assert_eq!(outer - inner, Counts { multiply: 1, negate: 1, ..NONE });
-    assert_eq!((outer.total(), inner.total(), Counts::default().total()), (4, 2, 0));
+    assert_eq!(inner, Ops { add: 1, divide: 1, ..NONE });
+    assert_eq!(outer, Ops { add: 1, divide: 1, multiply: 1, negate: 1, ..NONE });
+    assert_eq!(outer - inner, Ops { multiply: 1, negate: 1, ..NONE });
+    assert_eq!((outer.total(), inner.total(), Ops::default().total()), (4, 2, 0));
     assert_eq!(outer.to_string(), "1 add, 1 negate, 1 multiply, 1 divide");
-    assert_eq!(Counts::default().to_string(), "nothing");
+    assert_eq!(Ops::default().to_string(), "nothing");
 }
 
 /// A mass on a spring that stiffens, q' = q + v' dt, v' = v + (u - q³) dt: 4 multiplications, 3 additions. With its
@@ -160,22 +160,22 @@ impl<S: System> System for ByDuals<'_, S> {
 }
 
 /// Cost of step, `vjp`, `vjp_state` and `vjp_control` of a spring, with cotangents of one kind.
-fn spring<S: System, C: Cotangent<Counted>>(system: &S, bar: C) -> [Counts; 4] {
+fn spring<S: System, C: Cotangent<Counted>>(system: &S, bar: C) -> [Ops; 4] {
     let (x, u) = ([Counted(0.3), Counted(-1.2)], [Counted(0.8)]);
     let (mut next, mut x_bar, mut u_bar) = (x, [bar; 2], [bar; 1]);
     [
-        Counts::of(|| system.step(&x, &u, &mut next)).0,
-        Counts::of(|| system.vjp(&x, &u, &[bar; 2], &mut x_bar, &mut u_bar)).0,
-        Counts::of(|| system.vjp_state(&x, &u, &[bar; 2], &mut x_bar)).0,
-        Counts::of(|| system.vjp_control(&x, &u, &[bar; 2], &mut u_bar)).0,
+        Ops::of(|| system.step(&x, &u, &mut next)).0,
+        Ops::of(|| system.vjp(&x, &u, &[bar; 2], &mut x_bar, &mut u_bar)).0,
+        Ops::of(|| system.vjp_state(&x, &u, &[bar; 2], &mut x_bar)).0,
+        Ops::of(|| system.vjp_control(&x, &u, &[bar; 2], &mut u_bar)).0,
     ]
 }
 
 #[test]
 fn a_spring_costs_what_it_does_by_hand() {
-    let counts = |multiply, add, negate| Counts { multiply, add, negate, ..NONE };
+    let counts = |multiply, add, negate| Ops { multiply, add, negate, ..NONE };
     let step = counts(4, 3, 0);
-    let (one, two) = (Counted(0.7), Columns([Counted(0.7), Counted(-0.4)]));
+    let (one, two) = (Counted(0.7), CotangentPack([Counted(0.7), Counted(-0.4)]));
 
     // By hand: 3 multiplications for 3 q² dt; of cotangents one by dt, one by that, one by dt again; 2 sums. Only what is
     // done to the cotangents is done once more for a second column.
@@ -197,9 +197,9 @@ fn bits<R: Real<Real = f64>, S: System>(system: &S, x: &[f64]) -> Vec<u64> {
     let (n, m) = (system.state_dim(), system.control_dim());
     let x: Vec<R> = x.iter().map(|&x| R::lift(x)).collect();
     let (u, bars) = (draw(m), draw(2 * n));
-    let next_bar: Vec<_> = bars.chunks_exact(2).map(|bars| Columns([bars[0], bars[1]])).collect();
+    let next_bar: Vec<_> = bars.chunks_exact(2).map(|bars| CotangentPack([bars[0], bars[1]])).collect();
     let mut all = vec![R::zero(); n];
-    let null = Columns::<R, 2>::null();
+    let null = CotangentPack::<R, 2>::null();
     let (mut x_bar, mut state_bar, mut u_bar, mut control_bar) = (vec![null; n], vec![null; n], vec![null; m], vec![null; m]);
     system.step(&x, &u, &mut all);
     system.vjp(&x, &u, &next_bar, &mut x_bar, &mut u_bar);

@@ -12,7 +12,7 @@ use physgrad::{
 const STATES: usize = 6;
 
 fn task() -> CartPole {
-    CartPole { loss: LossMode::Continuous, horizon: 40, ..CartPole::new(2) }
+    CartPole { loss: LossMode::Running, horizon: 40, ..CartPole::new(2) }
 }
 
 fn policy() -> Mlp {

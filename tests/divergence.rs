@@ -3,8 +3,8 @@
 use physgrad::policy::{Linear, Mlp};
 use physgrad::rng::Rng;
 use physgrad::{
-    Batch, Clip, Compose, Divergence, Evaluation, Field, Float, Flow, Rollout, Scalar, System, Task, TrainError, Trainer,
-    Training, Variable, Weights,
+    Batch, Clip, Divergence, Evaluation, Field, Float, Flow, GradientCombiner, Rollout, Scalar, System, Task, TrainError,
+    Trainer, Training, Variable, Weights,
 };
 
 /// What goes wrong, and where.
@@ -278,7 +278,7 @@ fn a_control_that_is_no_number_is_seen_though_the_state_hides_it() {
 /// A composition that makes something of nothing.
 struct Broken(f64);
 
-impl Compose for Broken {
+impl GradientCombiner for Broken {
     fn name(&self) -> &str {
         "broken"
     }

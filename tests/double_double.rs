@@ -43,7 +43,7 @@ fn steps_in_double_double_are_those_of_duals_to_rounding() {
     agrees("quantum", &QuantumSystem::default(), 1.0);
     agrees("Padé", &Pade(QuantumSystem::default()), 1.0);
     agrees("Strang", &Strang::new(QuantumSystem::default()), 1.0);
-    let coupled = physgrad::With { system: CoupledCartPole(cart_pole), effects: () };
+    let coupled = physgrad::Forced { system: CoupledCartPole(cart_pole), effects: () };
     agrees("RK4", &Integrated { ode: coupled, integrator: RungeKutta::RK4, dt: 0.05 }, 1.0);
     agrees("midpoint", &Integrated { ode: coupled, integrator: ImplicitMidpoint { tolerance: 1e-14 }, dt: 0.01 }, 1.0);
 }
@@ -76,7 +76,7 @@ fn gradients_of_every_flow_are_those_in_double_double() {
     let n = guidance.system().state_dim();
     slopes("guidance", &guidance, &Linear::new(n, guidance.system().control_dim()), 1e-12);
     let system = QuantumSystem { grid: 8, ..QuantumSystem::default() };
-    let quantum = Quantum { horizon: 20, ..Quantum::around(system, 2) };
+    let quantum = Quantum { horizon: 20, ..Quantum::with_system(system, 2) };
     slopes("quantum", &quantum, &Linear::new(16, 1), 1e-11);
 }
 

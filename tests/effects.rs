@@ -12,8 +12,8 @@ use physgrad::tasks::{
     Obstacles, PoleDamping, Quantum, QuantumEffect, QuantumSystem, Spread, SteadyWind, Walls,
 };
 use physgrad::{
-    Actuated, AnyActuator, Around, Batch, Cost, Counts, Delay, Effect, Float, Flow, Host, Lag, Limit, LimitKind, Rollout, System,
-    Task, Weights, With,
+    Actuated, AnyActuator, Batch, Delay, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Lag, Limit, LimitKind, OpCount,
+    Ops, Rollout, System, Task, Weights,
 };
 
 fn cart_pole(poles: usize) -> CartPoleSystem {
@@ -52,21 +52,21 @@ fn quantum_effects() -> Vec<QuantumEffect> {
 }
 
 /// Counts of step, VJP and VJP to the control alone, one after the other.
-fn counts<S: System>(system: &S) -> [Counts; 3] {
-    let Cost { step, vjp, vjp_control } = Cost::of(system);
+fn counts<S: System>(system: &S) -> [Ops; 3] {
+    let OpCount { step, vjp, vjp_control } = OpCount::of(system);
     [step, vjp, vjp_control]
 }
 
-fn minus(a: [Counts; 3], b: [Counts; 3]) -> [Counts; 3] {
+fn minus(a: [Ops; 3], b: [Ops; 3]) -> [Ops; 3] {
     std::array::from_fn(|i| a[i] - b[i])
 }
 
 /// Absent effects cost nothing, present ones their own operations, whatever else is there and in whatever order.
-fn costs_add_up<H: Host + System + Clone, E: Effect<H::Body>>(system: &H, effects: &[E]) {
-    let with = |effects: &[E]| counts(&With { system: system.clone(), effects: effects.to_vec() });
+fn costs_add_up<H: ForcedSystem + System + Clone, E: Effect<H::Model>>(system: &H, effects: &[E]) {
+    let with = |effects: &[E]| counts(&Forced { system: system.clone(), effects: effects.to_vec() });
     let bare = counts(system);
     assert_eq!(with(&[]), bare, "an empty list is no effect");
-    assert_eq!(counts(&With { system: system.clone(), effects: () }), bare, "() is no effect");
+    assert_eq!(counts(&Forced { system: system.clone(), effects: () }), bare, "() is no effect");
     let own: Vec<_> = effects.iter().map(|effect| minus(with(std::slice::from_ref(effect)), bare)).collect();
     let mut sum = bare;
     for (i, own) in own.iter().enumerate() {
@@ -103,11 +103,11 @@ fn an_effect_costs_its_own_operations_and_nothing_when_absent() {
 fn absorbing_edges_cost_the_same_whatever_they_are_around() {
     let (system, edges) = (QuantumSystem { grid: 10, ..QuantumSystem::default() }, AbsorbingEdges::default());
     let own = |effects: &[QuantumEffect]| {
-        let system = With { system, effects: effects.to_vec() };
+        let system = Forced { system, effects: effects.to_vec() };
         minus(counts(&Absorbing::new(system.clone(), edges)), counts(&system))
     };
     // Two numbers at each of the points within a tenth of the box of a wall; that is the first point and the last.
-    let two_points = Counts { multiply: 4, ..Counts::default() };
+    let two_points = Ops { multiply: 4, ..Ops::default() };
     let effects = quantum_effects();
     for present in 0..=effects.len() {
         assert_eq!(own(&effects[..present]), [two_points; 3]);
@@ -120,12 +120,12 @@ fn a_bare_scene_has_the_operations_of_a_system_that_never_heard_of_effects() {
     let system = cart_pole(3);
     let (pole, cart, wind) = (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
     let by_hand = ByHand::<false, false> { system, pole, cart, wind };
-    assert_eq!(Cost::of(&system).step, Cost::of(&by_hand).step);
-    assert_eq!(Cost::of(&system).vjp, Cost::of(&by_hand).vjp);
-    let friction = With { system, effects: (pole, cart) };
+    assert_eq!(OpCount::of(&system).step, OpCount::of(&by_hand).step);
+    assert_eq!(OpCount::of(&system).vjp, OpCount::of(&by_hand).vjp);
+    let friction = Forced { system, effects: (pole, cart) };
     let by_hand = ByHand::<true, false> { system, pole, cart, wind };
-    assert_eq!(Cost::of(&friction).step, Cost::of(&by_hand).step);
-    assert_eq!(Cost::of(&friction).vjp, Cost::of(&by_hand).vjp);
+    assert_eq!(OpCount::of(&friction).step, OpCount::of(&by_hand).step);
+    assert_eq!(OpCount::of(&friction).vjp, OpCount::of(&by_hand).vjp);
 }
 
 /// The herding of the paper.
@@ -138,15 +138,15 @@ fn herding_by_hand(system: GuidanceSystem) -> guidance::ByHand {
 fn a_herd_has_the_operations_of_one_by_hand_and_those_of_what_can_be_chosen() {
     for (drivers, evaders) in [(1, 1), (2, 4), (3, 2)] {
         let (machinery, by_hand) = (agents(drivers, evaders).herding(), herding_by_hand(agents(drivers, evaders)));
-        let (machinery, by_hand) = (Cost::of(&machinery), Cost::of(&by_hand));
+        let (machinery, by_hand) = (OpCount::of(&machinery), OpCount::of(&by_hand));
         let (d, e) = (drivers as u64, evaders as u64);
         // Friction is subtracted from the 0 there is of an evader's acceleration, x and y. The center of the herd has a
         // weight, x and y, so that it can be the mean.
-        let step = Counts { add: 2 * e, multiply: 2, ..Counts::default() };
+        let step = Ops { add: 2 * e, multiply: 2, ..Ops::default() };
         assert_eq!(machinery.step - by_hand.step, step);
         // Friction is not part of the factor by which velocities are kept: one subtraction more for each. The weight comes
         // in there and back. And the control's cotangents, which may be asked for alone, are multiplied by dt by themselves.
-        let vjp = Counts { add: 2 * (d + e), multiply: 4 + 2 * d, ..Counts::default() };
+        let vjp = Ops { add: 2 * (d + e), multiply: 4 + 2 * d, ..Ops::default() };
         assert_eq!(machinery.vjp - by_hand.vjp, vjp);
     }
 }
@@ -157,13 +157,14 @@ fn a_particle_has_the_operations_of_one_by_hand_and_a_product_for_each_point() {
         let system = QuantumSystem { grid, ..QuantumSystem::default() };
         let (trap, cubic) = (Harmonic::default(), Cubic::default());
         // The potential is multiplied by dt/2 at every point: by hand that is done to the control, once.
-        let more = Counts { multiply: grid as u64 - 1, ..Counts::default() };
-        let bare = Cost::of(&quantum::ByHand::<false, false> { system, trap, cubic });
-        assert_eq!(Cost::of(&system).step - bare.step, more);
-        assert_eq!(Cost::of(&system).vjp - bare.vjp, more);
-        let (full, machinery) = (quantum::ByHand::<true, true> { system, trap, cubic }, With { system, effects: (trap, cubic) });
-        assert_eq!(Cost::of(&machinery).step - Cost::of(&full).step, more);
-        assert_eq!(Cost::of(&machinery).vjp - Cost::of(&full).vjp, more);
+        let more = Ops { multiply: grid as u64 - 1, ..Ops::default() };
+        let bare = OpCount::of(&quantum::ByHand::<false, false> { system, trap, cubic });
+        assert_eq!(OpCount::of(&system).step - bare.step, more);
+        assert_eq!(OpCount::of(&system).vjp - bare.vjp, more);
+        let (full, machinery) =
+            (quantum::ByHand::<true, true> { system, trap, cubic }, Forced { system, effects: (trap, cubic) });
+        assert_eq!(OpCount::of(&machinery).step - OpCount::of(&full).step, more);
+        assert_eq!(OpCount::of(&machinery).vjp - OpCount::of(&full).vjp, more);
     }
 }
 
@@ -194,12 +195,12 @@ fn by_hand_is_the_same_physics() {
     let system = cart_pole(3);
     let (pole, cart, wind) = (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
     same_physics(&system, &ByHand::<false, false> { system, pole, cart, wind });
-    same_physics(&With { system, effects: (pole, cart) }, &ByHand::<true, false> { system, pole, cart, wind });
-    same_physics(&With { system, effects: (pole, cart, wind) }, &ByHand::<true, true> { system, pole, cart, wind });
+    same_physics(&Forced { system, effects: (pole, cart) }, &ByHand::<true, false> { system, pole, cart, wind });
+    same_physics(&Forced { system, effects: (pole, cart, wind) }, &ByHand::<true, true> { system, pole, cart, wind });
     same_physics(&agents(2, 4).herding(), &herding_by_hand(agents(2, 4)));
     let (system, trap, cubic) = (QuantumSystem::default(), Harmonic::default(), Cubic::default());
     same_physics(&system, &quantum::ByHand::<false, false> { system, trap, cubic });
-    same_physics(&With { system, effects: (trap, cubic) }, &quantum::ByHand::<true, true> { system, trap, cubic });
+    same_physics(&Forced { system, effects: (trap, cubic) }, &quantum::ByHand::<true, true> { system, trap, cubic });
 }
 
 /// All states of a trajectory under a control that swings, and all cotangents on the way back, one sample in plain numbers,
@@ -266,51 +267,55 @@ fn same_rollouts<A: Task, B: Task>(a: &A, b: &B) {
     same_bits(a, b);
 }
 
-fn swing<S: Around<CartPoleSystem>>(system: S) -> CartPole<S> {
-    CartPole { horizon: 30, ..CartPole::around(system) }
+fn swing<S: HasModel<CartPoleSystem>>(system: S) -> CartPole<S> {
+    CartPole { horizon: 30, ..CartPole::with_system(system) }
 }
 
-fn herd<S: Around<GuidanceSystem>>(system: S) -> Guidance<S> {
-    Guidance { horizon: 20, ..Guidance::around(system) }
+fn herd<S: HasModel<GuidanceSystem>>(system: S) -> Guidance<S> {
+    Guidance { horizon: 20, ..Guidance::with_system(system) }
 }
 
-fn particle<S: Around<QuantumSystem>>(system: S) -> Quantum<S> {
-    Quantum { horizon: 20, ..Quantum::around(system, 3) }
+fn particle<S: HasModel<QuantumSystem>>(system: S) -> Quantum<S> {
+    Quantum { horizon: 20, ..Quantum::with_system(system, 3) }
 }
 
 #[test]
 fn without_effects_a_rollout_has_the_bits_of_the_system_alone() {
     let system = cart_pole(2);
-    same_bits(&swing(system), &swing(With { system, effects: () }));
-    same_bits(&swing(system), &swing(With { system, effects: Vec::<CartPoleEffect>::new() }));
+    same_bits(&swing(system), &swing(Forced { system, effects: () }));
+    same_bits(&swing(system), &swing(Forced { system, effects: Vec::<CartPoleEffect>::new() }));
     same_bits(&swing(system), &swing(Actuated { system, actuator: () }));
     same_bits(&swing(system), &swing(Actuated { system, actuator: Vec::<AnyActuator>::new() }));
     let system = agents(2, 3);
-    same_bits(&herd(system), &herd(With { system, effects: () }));
-    same_bits(&herd(system), &herd(With { system, effects: Vec::<GuidanceEffect>::new() }));
+    same_bits(&herd(system), &herd(Forced { system, effects: () }));
+    same_bits(&herd(system), &herd(Forced { system, effects: Vec::<GuidanceEffect>::new() }));
     let system = QuantumSystem { grid: 9, ..QuantumSystem::default() };
-    same_bits(&particle(system), &particle(With { system, effects: () }));
-    same_bits(&particle(system), &particle(With { system, effects: Vec::<QuantumEffect>::new() }));
+    same_bits(&particle(system), &particle(Forced { system, effects: () }));
+    same_bits(&particle(system), &particle(Forced { system, effects: Vec::<QuantumEffect>::new() }));
 }
 
 #[test]
 fn typed_and_listed_effects_have_the_same_bits() {
-    let effects =
-        (PoleDamping::default(), DryFriction::default(), GustyWind::default(), Bumpers { reach: 0.8, ..Bumpers::default() });
+    let effects = (
+        PoleDamping::default(),
+        DryFriction::default(),
+        GustyWind::default(),
+        Bumpers { half_travel: 0.8, ..Bumpers::default() },
+    );
     let list: Vec<CartPoleEffect> = vec![effects.0.into(), effects.1.into(), effects.2.into(), effects.3.into()];
     let system = cart_pole(2);
-    same_rollouts(&swing(With { system, effects }), &swing(With { system, effects: list.clone() }));
+    same_rollouts(&swing(Forced { system, effects }), &swing(Forced { system, effects: list.clone() }));
     let system = CoupledCartPole(system);
-    same_bits(&swing(With { system, effects }), &swing(With { system, effects: list }));
+    same_bits(&swing(Forced { system, effects }), &swing(Forced { system, effects: list }));
 
     // Local effects alone, before others, after others.
     let (pole, cart, wind) = (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
     let list: [CartPoleEffect; 3] = [pole.into(), cart.into(), wind.into()];
     let system = cart_pole(3);
-    same_bits(&swing(With { system, effects: (pole, cart) }), &swing(With { system, effects: list[..2].to_vec() }));
-    same_bits(&swing(With { system, effects: (pole, cart, wind) }), &swing(With { system, effects: list.to_vec() }));
+    same_bits(&swing(Forced { system, effects: (pole, cart) }), &swing(Forced { system, effects: list[..2].to_vec() }));
+    same_bits(&swing(Forced { system, effects: (pole, cart, wind) }), &swing(Forced { system, effects: list.to_vec() }));
     let others_first: Vec<CartPoleEffect> = vec![wind.into(), cart.into(), pole.into()];
-    same_bits(&swing(With { system, effects: (wind, (cart, pole)) }), &swing(With { system, effects: others_first }));
+    same_bits(&swing(Forced { system, effects: (wind, (cart, pole)) }), &swing(Forced { system, effects: others_first }));
 
     let system = agents(2, 4);
     let (drive, obstacles, walls) = (Drive::default(), Obstacles::default(), Walls { half_width: 2.0, ..Walls::default() });
@@ -318,12 +323,12 @@ fn typed_and_listed_effects_have_the_same_bits() {
     let effects = (paper, (drive, obstacles.clone(), walls));
     let list: Vec<GuidanceEffect> =
         vec![paper.0.into(), paper.1.into(), paper.2.into(), paper.3.into(), drive.into(), obstacles.into(), walls.into()];
-    same_rollouts(&herd(With { system, effects }), &herd(With { system, effects: list }));
+    same_rollouts(&herd(Forced { system, effects }), &herd(Forced { system, effects: list }));
 
     let system = QuantumSystem { grid: 9, ..QuantumSystem::default() };
     let (edges, effects) =
         (AbsorbingEdges::default(), (Harmonic::default(), (Barrier::default(), DoubleWell::default()), Cubic::default()));
-    let (typed, listed) = (With { system, effects }, With { system, effects: quantum_effects() });
+    let (typed, listed) = (Forced { system, effects }, Forced { system, effects: quantum_effects() });
     same_rollouts(&particle(typed), &particle(listed.clone()));
     same_bits(&particle(Absorbing::new(typed, edges)), &particle(Absorbing::new(listed, edges)));
 }
@@ -335,5 +340,5 @@ fn typed_and_listed_actuators_have_the_same_bits() {
     let chain = vec![AnyActuator::Limit(limit), AnyActuator::Delay(delay), AnyActuator::Lag(lag)];
     same_bits(&swing(Actuated { system, actuator: (limit, (delay, lag)) }), &swing(Actuated { system, actuator: chain.clone() }));
     let typed = Actuated { system, actuator: (limit, (delay, lag)) };
-    assert_eq!(Cost::of(&typed), Cost::of(&Actuated { system, actuator: chain }));
+    assert_eq!(OpCount::of(&typed), OpCount::of(&Actuated { system, actuator: chain }));
 }

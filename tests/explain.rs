@@ -3,7 +3,7 @@
 use assert_cmd::Command;
 use physgrad::policy::Mlp;
 use physgrad::tasks::{CartPole, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, PoleDamping};
-use physgrad::{Adjoint, Cost, Field, Rollout, System, With};
+use physgrad::{Adjoint, Field, Forced, OpCount, Rollout, System};
 use std::fs;
 use tempfile::TempDir;
 
@@ -49,31 +49,34 @@ dry_friction = {}
 widths = [20]
 ";
 
-fn body() -> CartPoleSystem {
+fn model() -> CartPoleSystem {
     CartPoleSystem { poles: 3, ..CartPoleSystem::default() }
 }
 
 #[test]
 fn operations_are_those_of_the_library_by_effect() {
     let rows = explained(SCENE, &[]);
-    let cost = |system: &With<CoupledCartPole, Vec<CartPoleEffect>>| Cost::of(system);
-    let with = |effects: Vec<CartPoleEffect>| cost(&With { system: CoupledCartPole(body()), effects });
+    let cost = |system: &Forced<CoupledCartPole, Vec<CartPoleEffect>>| OpCount::of(system);
+    let with = |effects: Vec<CartPoleEffect>| cost(&Forced { system: CoupledCartPole(model()), effects });
     let (alone, damped, all) = (
         with(vec![]),
         with(vec![PoleDamping::default().into()]),
         with(vec![PoleDamping::default().into(), DryFriction::default().into()]),
     );
-    let of = |pass: &str, counts: physgrad::Counts| {
-        let physgrad::Counts { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
+    let of = |pass: &str, counts: physgrad::Ops| {
+        let physgrad::Ops { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
         let numbers = [counts.total(), add, negate, multiply, divide, sqrt, transcendental, compare];
         [pass.to_owned()].into_iter().chain(numbers.map(|count| count.to_string())).collect::<Vec<_>>()
     };
-    let cells = |cost: &Cost| vec![of("step", cost.step), of("VJP", cost.vjp), of("VJP to control", cost.vjp_control)];
+    let cells = |cost: &OpCount| vec![of("step", cost.step), of("VJP", cost.vjp), of("VJP to control", cost.vjp_control)];
     let told = |name: &str| passes(&rows, name);
     assert_eq!(told("system alone"), cells(&alone));
     assert_eq!(told("together"), cells(&all));
-    let own =
-        Cost { step: damped.step - alone.step, vjp: damped.vjp - alone.vjp, vjp_control: damped.vjp_control - alone.vjp_control };
+    let own = OpCount {
+        step: damped.step - alone.step,
+        vjp: damped.vjp - alone.vjp,
+        vjp_control: damped.vjp_control - alone.vjp_control,
+    };
     assert_eq!(told("effects.pole_damping"), cells(&own));
     assert!(rows.iter().any(|row| row.first().is_some_and(|cell| cell == "in play") && row[1] == "effects.dry_friction"));
     assert!(rows.iter().any(|row| row.first().is_some_and(|cell| cell == "absent") && row[1] == "effects.bumpers"));
@@ -98,11 +101,11 @@ fn parts_add_up_to_the_whole() {
 #[test]
 fn bytes_are_those_that_the_library_holds() {
     let rows = explained(SCENE, &[]);
-    let system = With { system: CoupledCartPole(body()), effects: (PoleDamping::default(), DryFriction::default()) };
+    let system = Forced { system: CoupledCartPole(model()), effects: (PoleDamping::default(), DryFriction::default()) };
     let policy = Mlp::new([system.state_dim(), 20, 1]);
     let samples = 8;
     let stored = |horizon: usize, field: Option<Field>| {
-        let task = CartPole { horizon, ..CartPole::around(system) };
+        let task = CartPole { horizon, ..CartPole::with_system(system) };
         let Some(field) = field else { return Rollout::<f32>::for_evaluation(&task, &policy, samples).stored_bytes() };
         let rollout = Rollout::<f32>::new(&task, &policy, samples);
         rollout.stored_bytes() + Adjoint::new(&policy, &rollout, &field.flows()).stored_bytes()

@@ -4,7 +4,7 @@ use num_traits::AsPrimitive;
 use physgrad::policy::{Conv, Linear, Mlp, PolicyPass, PolicyRecord, Sizes, Tensor};
 use physgrad::rng::Rng;
 use physgrad::tasks::{CartPole, CartPoleSystem, LossMode, Quantum};
-use physgrad::{Columns, Cotangent, Float, Flow, Policy, Real, Scalar, System, Task, check};
+use physgrad::{Cotangent, CotangentPack, Float, Flow, Policy, Real, Scalar, System, Task, check};
 use rand::RngExt;
 
 #[test]
@@ -37,7 +37,7 @@ fn policies_of_many_shapes() {
 
 #[test]
 fn whole_rollouts_of_every_flow() {
-    for loss in [LossMode::Final, LossMode::Continuous] {
+    for loss in [LossMode::Terminal, LossMode::Running] {
         let task = CartPole { loss, ..CartPole::new(2) };
         check::task(&task, &Mlp::new([6, 24, 24, 1]));
         check::task(&task, &Linear::with_bias(6, 1));
@@ -145,8 +145,8 @@ fn a_wrong_vjp_is_found_and_named() {
         (Fault::NaN, "vjp: x_bar", 2),
         (Fault::Lanes, "vjp in lanes: x_bar", 0),
     ] {
-        let faulty = Faulty { system: CartPole::new(1).system, fault };
-        let mismatch = check::try_system(&faulty).expect_err(what);
+        let diagnose = Faulty { system: CartPole::new(1).system, fault };
+        let mismatch = check::try_system(&diagnose).expect_err(what);
         assert_eq!((mismatch.what.as_str(), mismatch.index), (what, index));
         let text = mismatch.to_string();
         assert!(text.contains(&format!("{what}[{index}]")) && text.contains("expected") && text.contains("case"), "{text}");
@@ -302,8 +302,8 @@ fn cotangent_columns_do_not_mix() {
     let system = CartPole::new(1).system;
     let (x, u) = ([0.1, -0.2, 3.0, 0.5], [2.0]);
     let bars = [[1.0, -0.5, 0.25, 2.0], [0.0, 3.0, -1.0, 0.5]];
-    let both: Vec<_> = (0..4).map(|i| Columns([bars[0][i], bars[1][i]])).collect();
-    let (mut x_bar, mut u_bar) = ([Columns([0.0; 2]); 4], [Columns([0.0; 2])]);
+    let both: Vec<_> = (0..4).map(|i| CotangentPack([bars[0][i], bars[1][i]])).collect();
+    let (mut x_bar, mut u_bar) = ([CotangentPack([0.0; 2]); 4], [CotangentPack([0.0; 2])]);
     system.vjp(&x, &u, &both, &mut x_bar, &mut u_bar);
     for (k, bar) in bars.iter().enumerate() {
         let (mut x_alone, mut u_alone) = ([0.0; 4], [0.0]);

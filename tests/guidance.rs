@@ -3,7 +3,7 @@
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{Center, Evade, Flock, Friction, Guidance, GuidanceSystem, Herding, LossMode, Spread};
-use physgrad::{Columns, Cotangent, Float, Real, Scalar, System, Task, With, check};
+use physgrad::{Cotangent, CotangentPack, Float, Forced, Real, Scalar, System, Task, check};
 use rand::RngExt;
 use serde_json::Value;
 
@@ -30,7 +30,7 @@ fn systems_with_other_constants() {
         Evade { strength: 4.0 },
         Flock { strength: 3.0, distance: 1.5 },
     );
-    let system = With { system: GuidanceSystem { softening: 0.4, dt: 0.2, ..agents(3, 3) }, effects };
+    let system = Forced { system: GuidanceSystem { softening: 0.4, dt: 0.2, ..agents(3, 3) }, effects };
     check::system(&system);
 }
 
@@ -67,7 +67,7 @@ fn systems_from_crowded_to_scattered() {
 
 #[test]
 fn whole_rollouts_of_every_flow() {
-    for loss in [LossMode::Final, LossMode::Continuous] {
+    for loss in [LossMode::Terminal, LossMode::Running] {
         for (drivers, evaders) in [(2, 4), (1, 1)] {
             let task = Guidance { loss, regularization: 0.3, horizon: 20, ..Guidance::new(drivers, evaders) };
             check::task(&task, &Mlp::new([4 * (drivers + evaders), 12, 2 * drivers]));
@@ -94,12 +94,12 @@ fn starts_are_where_the_task_says() {
 
 #[test]
 fn costs_are_means_over_time_agents_and_coordinates() {
-    let task = Guidance { loss: LossMode::Continuous, regularization: 0.5, horizon: 10, ..Guidance::new(1, 2) };
+    let task = Guidance { loss: LossMode::Running, regularization: 0.5, horizon: 10, ..Guidance::new(1, 2) };
     let x = [9.0, 9.0, 9.0, 9.0, 1.0, 2.0, 9.0, 9.0, 3.0, 4.0, 9.0, 9.0];
     let near = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-14, "{found} is not {expected}");
     near(task.stage_cost(&x, &[2.0, 4.0]), (30.0 / 4.0 + 0.5 * 20.0 / 2.0) / 10.0);
     near(task.terminal_cost(&x), 0.0);
-    let task = Guidance { loss: LossMode::Final, ..task };
+    let task = Guidance { loss: LossMode::Terminal, ..task };
     near(task.stage_cost(&x, &[2.0, 4.0]), 0.5 * 20.0 / 2.0 / 10.0);
     near(task.terminal_cost(&x), 30.0 / 4.0);
 }
@@ -156,7 +156,7 @@ impl System for ByDuals {
 }
 
 /// Agents at rest, one after the other at `distance`.
-fn apart<F: Float>(agents: usize, distance: f64, diagonal: bool) -> Vec<F> {
+fn outline<F: Float>(agents: usize, distance: f64, diagonal: bool) -> Vec<F> {
     let position = |i: usize| [i as f64 * distance, if diagonal { (i % 2) as f64 * 0.75 * distance } else { 0.0 }];
     (0..agents).flat_map(|i| [position(i)[0], position(i)[1], 0.0, 0.0].map(F::lift)).collect()
 }
@@ -166,7 +166,7 @@ fn apart<F: Float>(agents: usize, distance: f64, diagonal: bool) -> Vec<F> {
 fn derivatives_agree<F: Float>(drivers: usize, evaders: usize, distance: f64, diagonal: bool, allowed: f64) {
     let system = system(drivers, evaders);
     let (n, m) = (system.state_dim(), system.control_dim());
-    let (x, u): (Vec<F>, _) = (apart(drivers + evaders, distance, diagonal), vec![F::zero(); m]);
+    let (x, u): (Vec<F>, _) = (outline(drivers + evaders, distance, diagonal), vec![F::zero(); m]);
     let mut next = vec![F::zero(); n];
     system.step(&x, &u, &mut next);
     assert!(next.iter().all(|v| (*v).as_().is_finite()), "{next:?}");
@@ -221,7 +221,7 @@ fn agents_at_one_place_or_worlds_apart() {
 
 /// The acceleration of one evader that flees from one driver, along their separation.
 fn flight<F: Float>(distance: f64) -> (f64, f64) {
-    let system = With { system: GuidanceSystem { dt: 1.0, ..agents(1, 1) }, effects: Evade::default() };
+    let system = Forced { system: GuidanceSystem { dt: 1.0, ..agents(1, 1) }, effects: Evade::default() };
     let (along, across) = (F::lift(0.6 * distance), F::lift(0.8 * distance));
     let x = [F::zero(), F::zero(), F::zero(), F::zero(), along, across, F::zero(), F::zero()];
     let mut next = [F::zero(); 8];
@@ -260,11 +260,11 @@ fn agents_at_one_place_in_lanes_beside_others() {
     const W: usize = 4;
     let system = system(2, 2);
     let distances = [0.0, 1e-160, 1.0, 1e160];
-    let starts: [Vec<f64>; W] = distances.map(|distance| apart(4, distance, true));
+    let starts: [Vec<f64>; W] = distances.map(|distance| outline(4, distance, true));
     let x: Vec<physgrad::Lanes<f64, W>> = (0..16).map(|i| physgrad::Lanes(std::array::from_fn(|l| starts[l][i]))).collect();
     let u = [physgrad::Lanes([0.3; W]); 4];
-    let bars: Vec<_> = (0..16).map(|i| Columns([physgrad::Lanes([f64::from(i) - 7.5; W])])).collect();
-    let (mut next, mut x_bar, mut u_bar) = (x.clone(), vec![Columns::null(); 16], vec![Columns::null(); 4]);
+    let bars: Vec<_> = (0..16).map(|i| CotangentPack([physgrad::Lanes([f64::from(i) - 7.5; W])])).collect();
+    let (mut next, mut x_bar, mut u_bar) = (x.clone(), vec![CotangentPack::null(); 16], vec![CotangentPack::null(); 4]);
     system.step(&x, &u, &mut next);
     system.vjp(&x, &u, &bars, &mut x_bar, &mut u_bar);
     for (lane, start) in starts.iter().enumerate() {

@@ -5,7 +5,7 @@ use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{
     Center, Drive, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, Obstacles, Spread, Walls,
 };
-use physgrad::{Actuated, Cotangent, Delay, Effect, Lag, Lanes, Limit, LimitKind, Real, Substeps, System, With, check};
+use physgrad::{Actuated, Cotangent, Delay, Effect, Forced, Lag, Lanes, Limit, LimitKind, Real, Substeps, System, check};
 use rand::RngExt;
 
 fn agents(drivers: usize, evaders: usize) -> GuidanceSystem {
@@ -43,19 +43,19 @@ fn check_lively<S: System>(system: &S) {
 }
 
 /// A hundred lively states of a herd.
-fn states(body: &GuidanceSystem) -> Vec<Vec<f64>> {
+fn states(model: &GuidanceSystem) -> Vec<Vec<f64>> {
     let mut rng = stream(0, Purpose::Check, 0);
     let state = |_| {
-        let mut x = vec![0.0; System::state_dim(body)];
+        let mut x = vec![0.0; System::state_dim(model)];
         lively(&mut rng, &mut x, &mut []);
         x
     };
     (0..100).map(state).collect()
 }
 
-fn forces<E: Effect<GuidanceSystem>>(effect: &E, body: &GuidanceSystem, x: &[f64]) -> Vec<[f64; 2]> {
-    let mut forces = vec![0.0; 2 * (body.drivers + body.evaders)];
-    effect.act(body, x, &mut forces);
+fn forces<E: Effect<GuidanceSystem>>(effect: &E, model: &GuidanceSystem, x: &[f64]) -> Vec<[f64; 2]> {
+    let mut forces = vec![0.0; 2 * (model.drivers + model.evaders)];
+    effect.add_forces(model, x, &mut forces);
     forces.chunks_exact(2).map(|force| [force[0], force[1]]).collect()
 }
 
@@ -79,17 +79,17 @@ fn the_derivatives_of_every_effect_are_those_of_duals() {
         let system = agents(drivers, evaders);
         check_lively(&system);
         for effect in every_effect() {
-            check_lively(&With { system, effects: vec![effect] });
+            check_lively(&Forced { system, effects: vec![effect] });
         }
-        check_lively(&With { system, effects: every_effect() });
+        check_lively(&Forced { system, effects: every_effect() });
     }
     let effects = (Obstacles { centers: vec![], ..obstacles() }, Flock { strength: -2.0, distance: 1.5 });
-    check_lively(&With { system: GuidanceSystem { softening: 0.4, dt: 0.2, ..agents(3, 3) }, effects });
+    check_lively(&Forced { system: GuidanceSystem { softening: 0.4, dt: 0.2, ..agents(3, 3) }, effects });
 }
 
 #[test]
 fn the_derivatives_behind_actuators_and_of_substeps_are_those_of_duals() {
-    let system = || With { system: agents(2, 3), effects: every_effect() };
+    let system = || Forced { system: agents(2, 3), effects: every_effect() };
     check_lively(&Actuated { system: system(), actuator: Limit { bound: 1.5, kind: LimitKind::Smooth } });
     check_lively(&Actuated { system: system(), actuator: Lag::new(0.2, system().system.dt) });
     check_lively(&Substeps { system: agents(2, 3).herding(), count: 3 });
@@ -97,7 +97,7 @@ fn the_derivatives_behind_actuators_and_of_substeps_are_those_of_duals() {
     let full = Actuated { system: system(), actuator: Delay { steps: 2 } };
     let (n, m) = (full.state_dim(), full.control_dim());
     assert_eq!((n, m), (4 * 5 + 2 * 4, 4));
-    check::task(&Guidance { horizon: 20, ..Guidance::around(full) }, &Linear::with_bias(n, m));
+    check::task(&Guidance { horizon: 20, ..Guidance::with_system(full) }, &Linear::with_bias(n, m));
 }
 
 #[test]
@@ -109,7 +109,7 @@ fn without_effects_only_drivers_who_steer_accelerate() {
     for (found, expected) in step(&system, &x, &[2.0, 1.0]).iter().zip(expected) {
         assert!((found - expected).abs() < 1e-15, "{found} is not {expected}");
     }
-    assert_eq!(step(&With { system, effects: () }, &x, &[2.0, 1.0]), step(&system, &x, &[2.0, 1.0]));
+    assert_eq!(step(&Forced { system, effects: () }, &x, &[2.0, 1.0]), step(&system, &x, &[2.0, 1.0]));
 }
 
 #[test]
@@ -117,8 +117,8 @@ fn a_tuple_and_a_list_agree_bit_for_bit() {
     let system = agents(2, 4);
     let effects =
         (Friction::default(), Spread::default(), Evade::default(), Flock::default(), Drive { strength: 2.0 }, obstacles());
-    let tuple = With { system, effects };
-    let list = With { system, effects: every_effect()[..6].to_vec() };
+    let tuple = Forced { system, effects };
+    let list = Forced { system, effects: every_effect()[..6].to_vec() };
     for x in states(&system) {
         let u = [0.3, -0.2, 1.1, 0.4];
         assert_eq!(step_and_vjp(&tuple, &x, &u), step_and_vjp(&list, &x, &u));
@@ -129,7 +129,7 @@ fn a_tuple_and_a_list_agree_bit_for_bit() {
 fn the_order_of_effects_only_rounds() {
     let system = agents(2, 4);
     let reversed: Vec<_> = every_effect().into_iter().rev().collect();
-    let (one, other) = (With { system, effects: every_effect() }, With { system, effects: reversed });
+    let (one, other) = (Forced { system, effects: every_effect() }, Forced { system, effects: reversed });
     for x in states(&system) {
         let u = [0.3, -0.2, 1.1, 0.4];
         let (a, b) = (step_and_vjp(&one, &x, &u), step_and_vjp(&other, &x, &u));
@@ -140,15 +140,15 @@ fn the_order_of_effects_only_rounds() {
 
 #[test]
 fn forces_of_several_are_the_sum_of_those_of_each() {
-    let body = agents(2, 3);
-    for x in states(&body) {
+    let model = agents(2, 3);
+    for x in states(&model) {
         let mut sum = vec![[0.0; 2]; 5];
         for effect in every_effect() {
-            for (sum, force) in sum.iter_mut().zip(forces(&effect, &body, &x)) {
+            for (sum, force) in sum.iter_mut().zip(forces(&effect, &model, &x)) {
                 *sum = [sum[0] + force[0], sum[1] + force[1]];
             }
         }
-        for (sum, all) in sum.into_iter().flatten().zip(forces(&every_effect(), &body, &x).into_iter().flatten()) {
+        for (sum, all) in sum.into_iter().flatten().zip(forces(&every_effect(), &model, &x).into_iter().flatten()) {
             assert!((sum - all).abs() < 1e-11 * (1.0 + sum.abs()), "{sum} and {all}");
         }
     }
@@ -156,9 +156,9 @@ fn forces_of_several_are_the_sum_of_those_of_each() {
 
 #[test]
 fn friction_only_takes_energy() {
-    let body = agents(2, 3);
-    for x in states(&body) {
-        for (force, agent) in forces(&Friction::default(), &body, &x).iter().zip(x.chunks_exact(4)) {
+    let model = agents(2, 3);
+    for x in states(&model) {
+        for (force, agent) in forces(&Friction::default(), &model, &x).iter().zip(x.chunks_exact(4)) {
             assert!(force[0] * agent[2] + force[1] * agent[3] < 0.0);
         }
     }
@@ -176,10 +176,10 @@ fn momentum(forces: &[[f64; 2]]) -> (f64, f64) {
 
 #[test]
 fn each_acts_on_whom_it_says() {
-    let body = agents(3, 4);
-    for x in states(&body) {
-        let (spread, flock) = (forces(&Spread::default(), &body, &x), forces(&Flock::default(), &body, &x));
-        let (evade, drive) = (forces(&Evade::default(), &body, &x), forces(&Drive::default(), &body, &x));
+    let model = agents(3, 4);
+    for x in states(&model) {
+        let (spread, flock) = (forces(&Spread::default(), &model, &x), forces(&Flock::default(), &model, &x));
+        let (evade, drive) = (forces(&Evade::default(), &model, &x), forces(&Drive::default(), &model, &x));
         // Action is reaction, and nobody else feels it.
         for (within, beyond) in [(&spread[..3], &spread[3..]), (&flock[3..], &flock[..3])] {
             let (sum, size) = momentum(within);
@@ -219,10 +219,10 @@ fn forces_point_where_they_say() {
 
 #[test]
 fn obstacles_push_outwards_and_only_inside() {
-    let (obstacles, body) = (Obstacles { centers: vec![[1.0, -2.0]], radius: 0.5, stiffness: 10.0 }, agents(1, 1));
+    let (obstacles, model) = (Obstacles { centers: vec![[1.0, -2.0]], radius: 0.5, stiffness: 10.0 }, agents(1, 1));
     let push = |r: [f64; 2]| {
         let at = [1.0 + r[0], -2.0 + r[1], 3.0, 3.0];
-        let forces = forces(&obstacles, &body, &[at, at].concat());
+        let forces = forces(&obstacles, &model, &[at, at].concat());
         assert_eq!(forces[0], forces[1], "drivers and evaders alike");
         forces[0]
     };
@@ -243,11 +243,11 @@ fn obstacles_push_outwards_and_only_inside() {
 #[test]
 fn obstacles_have_finite_derivatives_at_their_centers_and_worlds_away() {
     fn check<R: Real>(r: f64, finite: impl Fn(R) -> bool) {
-        let body = agents(1, 0);
+        let model = agents(1, 0);
         let obstacles = Obstacles { centers: vec![[0.0; 2]], radius: 0.5, stiffness: 10.0 };
         let x = [R::lift(0.6 * r), R::lift(0.8 * r), R::zero(), R::zero()];
         let mut bar = [R::null(); 4];
-        obstacles.vjp(&body, &x, &[R::one(), R::lift(-2.0)], &mut bar);
+        obstacles.vjp(&model, &x, &[R::one(), R::lift(-2.0)], &mut bar);
         assert!(bar.iter().all(|&b| finite(b)), "{bar:?} at {r:e}");
     }
     for r in [0.0, 1e-300, 1e-40, 1e-20, 1e20, 1e38, 1e200, 1e308] {
@@ -258,7 +258,7 @@ fn obstacles_have_finite_derivatives_at_their_centers_and_worlds_away() {
         }
     }
     // Every scale against duals, the center among them.
-    let system = With { system: GuidanceSystem { dt: 0.5, ..agents(2, 2) }, effects: obstacles() };
+    let system = Forced { system: GuidanceSystem { dt: 0.5, ..agents(2, 2) }, effects: obstacles() };
     for scale in [0.0, 1e-200, 1e-20, 1e-6, 1e-2] {
         let passed = check::try_system_at(&system, |rng, x, u| {
             lively(rng, x, u);
@@ -273,10 +273,10 @@ fn obstacles_have_finite_derivatives_at_their_centers_and_worlds_away() {
 
 #[test]
 fn walls_push_inwards_and_only_outside() {
-    let (walls, body) = (Walls { half_width: 3.0, half_height: 2.0, stiffness: 10.0 }, agents(1, 1));
+    let (walls, model) = (Walls { half_width: 3.0, half_height: 2.0, stiffness: 10.0 }, agents(1, 1));
     let push = |x: f64, y: f64| {
         let at = [x, y, 3.0, 3.0];
-        let forces = forces(&walls, &body, &[at, at].concat());
+        let forces = forces(&walls, &model, &[at, at].concat());
         assert_eq!(forces[0], forces[1], "drivers and evaders alike");
         forces[0]
     };
@@ -292,7 +292,7 @@ fn walls_push_inwards_and_only_outside() {
 /// The speed with which a driver leaves a wall that it ran into at 1 m/s.
 fn bounce(stiffness: f64) -> f64 {
     let effects = (Friction::default(), Walls { half_width: 1.0, half_height: 1.0, stiffness });
-    let system = With { system: agents(1, 0), effects };
+    let system = Forced { system: agents(1, 0), effects };
     let mut x = vec![1.0, 0.0, 1.0, 0.0];
     for _ in 0..1000 {
         x = step(&system, &x, &[0.0; 2]);
@@ -313,10 +313,10 @@ fn springs_within_their_limit_take_speed() {
 
 #[test]
 fn what_agents_do_to_each_other_is_the_same_everywhere() {
-    let body = GuidanceSystem { center: Center::Mean, ..agents(2, 3) };
+    let model = GuidanceSystem { center: Center::Mean, ..agents(2, 3) };
     let effects = (Friction::default(), Spread::default(), Evade::default(), Flock::default(), Drive::default());
-    let system = With { system: body, effects };
-    for x in states(&body) {
+    let system = Forced { system: model, effects };
+    for x in states(&model) {
         let moved: Vec<f64> = x.iter().enumerate().map(|(i, x)| x + [3.0, -4.0, 0.0, 0.0][i % 4]).collect();
         let u = [0.3, -0.2, 1.1, 0.4];
         let (near, far) = (step(&system, &x, &u), step(&system, &moved, &u));

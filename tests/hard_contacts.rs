@@ -119,8 +119,8 @@ fn both_schemes_have_one_limit() {
         let slider = SliderSystem { smoothing: 0.1, dt, scheme, ..SliderSystem::default() };
         run(&slider, &[0.0, 1.0], 0.5, (0.3 / dt).round() as usize)
     };
-    let apart = |dt| (after(FrictionScheme::Explicit, dt)[0] - after(FrictionScheme::Implicit, dt)[0]).abs();
-    let (coarse, fine) = (apart(1e-3), apart(1e-4));
+    let outline = |dt| (after(FrictionScheme::Explicit, dt)[0] - after(FrictionScheme::Implicit, dt)[0]).abs();
+    let (coarse, fine) = (outline(1e-3), outline(1e-4));
     assert!(fine < 1e-4 && (9.0..11.0).contains(&(coarse / fine)), "{coarse:e}, {fine:e}");
 }
 
@@ -168,7 +168,7 @@ fn contacts_of_every_kind() {
         check::system(&pair);
         let passed = check::try_system_at(&pair, |rng, x, u| {
             x[0] = rng.random_range(-1.0..1.0);
-            x[1] = x[0] + pair.reach + rng.random_range(0.0..0.02);
+            x[1] = x[0] + pair.contact_distance + rng.random_range(0.0..0.02);
             x[2] = rng.random_range(0.0..3.0);
             x[3] = rng.random_range(-3.0..0.0);
             u[0] = rng.random_range(-5.0..5.0);
@@ -274,7 +274,7 @@ fn two_bodies_keep_their_momentum_and_equal_balls_exchange_it() {
         let after = run(&pair, &[0.0, 0.3, 2.0, -0.5], 0.7, 80);
         let expected = momentum(&[0.0, 0.3, 2.0, -0.5]) + 0.7 * 0.8;
         assert!((momentum(&after) - expected).abs() < 1e-12, "{pair:?}");
-        assert!(after[1] - after[0] > pair.reach - 0.1 && after[3] > 0.0, "{pair:?}: {after:?}");
+        assert!(after[1] - after[0] > pair.contact_distance - 0.1 && after[3] > 0.0, "{pair:?}: {after:?}");
     }
     let after = run(&TwoBodies::balls(), &[0.0, 0.3, 2.0, -0.5], 0.0, 50);
     assert!((after[2] + 0.5).abs() < 1e-13 && (after[3] - 2.0).abs() < 1e-13, "{after:?}");
@@ -284,9 +284,9 @@ fn two_bodies_keep_their_momentum_and_equal_balls_exchange_it() {
 fn a_pusher_takes_a_box_along_and_lets_it_go() {
     let pair = TwoBodies::pusher();
     let pushed = run(&pair, &[0.0, 0.2, 0.0, 0.0], 6.0, 60);
-    assert!((pushed[1] - pushed[0] - pair.reach).abs() < 1e-13 && (pushed[3] - pushed[2]).abs() < 1e-13);
+    assert!((pushed[1] - pushed[0] - pair.contact_distance).abs() < 1e-13 && (pushed[3] - pushed[2]).abs() < 1e-13);
     let pulled = run(&pair, &pushed, -6.0, 30);
-    assert!(pulled[1] - pulled[0] > pair.reach + 0.1 && (pulled[3] - pushed[3]).abs() < 1e-13);
+    assert!(pulled[1] - pulled[0] > pair.contact_distance + 0.1 && (pulled[3] - pushed[3]).abs() < 1e-13);
     // While it is pushed it is one body of 3 kg.
     let slopes = jacobian(&pair, &pushed, 6.0);
     assert!((slopes[3][4] - 0.01 / 3.0).abs() < 1e-15 && (slopes[3][2] - 1.0 / 3.0).abs() < 1e-15);

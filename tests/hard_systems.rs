@@ -53,7 +53,7 @@ fn the_derivatives_of_mechanics_are_those_of_duals() {
     }
     let swing = Upright::double_pendulum();
     check::task(&swing, &Linear::with_bias(4, 1));
-    check::task(&Upright { loss: LossMode::Continuous, effort: 0.3, ..swing }.held(), &Linear::new(4, 1));
+    check::task(&Upright { loss: LossMode::Running, control_weight: 0.3, ..swing }.held(), &Linear::new(4, 1));
 }
 
 #[test]
@@ -199,17 +199,17 @@ fn energy_drifts_with_the_order_of_the_method() {
 
 #[test]
 fn masses_that_are_no_physics_are_refused() {
-    let body = |cart_mass: f64, pole_mass: f64| CartPoleSystem { poles: 3, cart_mass, pole_mass, ..CartPoleSystem::default() };
-    for good in [body(1.0, 0.1), body(1e-8, 0.1), body(1e6, 1e-6)] {
+    let model = |cart_mass: f64, pole_mass: f64| CartPoleSystem { poles: 3, cart_mass, pole_mass, ..CartPoleSystem::default() };
+    for good in [model(1.0, 0.1), model(1e-8, 0.1), model(1e6, 1e-6)] {
         assert_eq!((good.check(), CoupledCartPole(good).check(), PoleChain(good).check()), (Ok(()), Ok(()), Ok(())));
     }
     let positive = |wrong: CartPoleSystem| matches!(wrong.check(), Err(MassError::NotPositive { .. }));
     assert!(
-        [body(0.0, 0.1), body(-0.02, 0.1), body(1.0, 0.0), body(f64::NAN, 0.1), body(1.0, f64::INFINITY)].map(positive)
+        [model(0.0, 0.1), model(-0.02, 0.1), model(1.0, 0.0), model(f64::NAN, 0.1), model(1.0, f64::INFINITY)].map(positive)
             == [true; 5]
     );
-    assert!(matches!(body(1e-12, 0.1).check(), Err(MassError::CartTooLight { .. })));
-    let message = body(1e-12, 0.1).check().expect_err("too light").to_string();
+    assert!(matches!(model(1e-12, 0.1).check(), Err(MassError::CartTooLight { .. })));
+    let message = model(1e-12, 0.1).check().expect_err("too light").to_string();
     assert!(message.contains("1.0e-12") && message.contains("3.0e-10"), "{message}");
     let long = CartPoleSystem { poles: 21, ..CartPoleSystem::default() };
     assert_eq!((long.check(), PoleChain(long).check()), (Ok(()), Err(MassError::Poles { poles: 21, most: 20 })));

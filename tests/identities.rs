@@ -3,7 +3,7 @@
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, LossMode};
-use physgrad::{Batch, Compose, Field, Flow, Policy, Scalar, SignAgreement, System, Task, Weights};
+use physgrad::{Batch, Field, Flow, GradientCombiner, Policy, Scalar, SignAgreement, System, Task, Weights};
 use rand::RngExt;
 
 /// The gradients of R, M, N and S of one mini-batch.
@@ -16,7 +16,7 @@ fn all_flows<T: Task, P: Policy>(task: &T, policy: &P) -> [Vec<f64>; 4] {
     Flow::ALL.map(|flow| {
         let mut batch = Batch::new(task, policy, 5, &[flow], 1);
         batch.run(task, policy, &weights, &starts).expect("finite");
-        batch.gradients()[0].plain()
+        batch.gradients()[0].to_vec()
     })
 }
 
@@ -96,7 +96,7 @@ fn cart_pole(horizon: usize, loss: LossMode) -> CartPole {
 
 #[test]
 fn over_one_step_all_flows_are_one() {
-    for loss in [LossMode::Final, LossMode::Continuous] {
+    for loss in [LossMode::Terminal, LossMode::Running] {
         let [r, m, n, s] = all_flows(&cart_pole(1, loss), &Mlp::new([6, 8, 1]));
         for other in [m, n, s] {
             assert_close(&r, &other);
@@ -106,7 +106,7 @@ fn over_one_step_all_flows_are_one() {
 
 #[test]
 fn over_many_steps_all_flows_differ() {
-    let [r, m, n, s] = all_flows(&cart_pole(20, LossMode::Continuous), &Mlp::new([6, 8, 1]));
+    let [r, m, n, s] = all_flows(&cart_pole(20, LossMode::Running), &Mlp::new([6, 8, 1]));
     for (a, b) in [(&r, &m), (&r, &n), (&r, &s), (&m, &n), (&m, &s), (&n, &s)] {
         assert_differ(a, b);
     }
@@ -114,7 +114,7 @@ fn over_many_steps_all_flows_differ() {
 
 #[test]
 fn with_a_policy_blind_to_the_state_regular_is_modified_and_network_is_stopped() {
-    let [r, m, n, s] = all_flows(&cart_pole(20, LossMode::Continuous), &Blind);
+    let [r, m, n, s] = all_flows(&cart_pole(20, LossMode::Running), &Blind);
     assert_close(&r, &m);
     assert_close(&n, &s);
     assert_differ(&r, &s);
@@ -133,8 +133,8 @@ fn with_physics_blind_to_the_state_modified_is_stopped_and_regular_is_network() 
 
 #[test]
 fn a_final_loss_reaches_stopped_gradients_at_the_last_step_only() {
-    let [_, _, _, s] = all_flows(&cart_pole(20, LossMode::Final), &Mlp::new([6, 8, 1]));
-    let [r, _, _, _] = all_flows(&cart_pole(20, LossMode::Final), &Mlp::new([6, 8, 1]));
+    let [_, _, _, s] = all_flows(&cart_pole(20, LossMode::Terminal), &Mlp::new([6, 8, 1]));
+    let [r, _, _, _] = all_flows(&cart_pole(20, LossMode::Terminal), &Mlp::new([6, 8, 1]));
     let norm = |g: &[f64]| g.iter().map(|g| g * g).sum::<f64>().sqrt();
     assert!(norm(&s) < 0.1 * norm(&r));
 }

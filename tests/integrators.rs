@@ -5,8 +5,8 @@ use physgrad::tasks::{
     Bumpers, CartDamping, CartPoleSystem, CoupledCartPole, DryFriction, GuidanceSystem, GustyWind, PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Adaptive, AnyIntegrator, Cause, Discretized, ImplicitMidpoint, Integrated, Integrator, Ode, RungeKutta, Scalar, SemiImplicit,
-    Substeps, System, Verlet, With, check,
+    Adaptive, AnyIntegrator, Cause, Discretized, Forced, ImplicitMidpoint, Integrated, Integrator, Ode, RungeKutta, Scalar,
+    SemiImplicit, Substeps, System, Verlet, check,
 };
 use rand::RngExt;
 
@@ -24,14 +24,14 @@ fn adaptive(rtol: f64) -> AnyIntegrator {
     AnyIntegrator::Adaptive(Adaptive { rtol, atol: 1e-3 * rtol, most: 1000 })
 }
 
-fn cart_pole() -> With<CartPoleSystem, (PoleDamping, CartDamping, SteadyWind)> {
+fn cart_pole() -> Forced<CartPoleSystem, (PoleDamping, CartDamping, SteadyWind)> {
     let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
-    With { system, effects: (PoleDamping::default(), CartDamping::default(), SteadyWind::default()) }
+    Forced { system, effects: (PoleDamping::default(), CartDamping::default(), SteadyWind::default()) }
 }
 
-fn coupled() -> With<CoupledCartPole, (PoleDamping, GustyWind)> {
+fn coupled() -> Forced<CoupledCartPole, (PoleDamping, GustyWind)> {
     let system = CoupledCartPole(CartPoleSystem { poles: 2, ..CartPoleSystem::default() });
-    With { system, effects: (PoleDamping::default(), GustyWind::default()) }
+    Forced { system, effects: (PoleDamping::default(), GustyWind::default()) }
 }
 
 fn integrated<O: Ode, I>(ode: O, integrator: I, dt: f64) -> Integrated<O, I> {
@@ -113,8 +113,8 @@ fn every_integrator_has_its_order_in_state_and_gradient() {
     for (name, integrator, theory) in FIXED {
         for (task, found) in [
             // The drag of a wind has a second derivative that jumps where the wind stands still.
-            ("cart-pole", orders(&With { system: cart_pole().system, effects: smooth }, &integrator, 1.0, theory)),
-            ("coupled", orders(&With { system: coupled().system, effects: smooth }, &integrator, 1.0, theory)),
+            ("cart-pole", orders(&Forced { system: cart_pole().system, effects: smooth }, &integrator, 1.0, theory)),
+            ("coupled", orders(&Forced { system: coupled().system, effects: smooth }, &integrator, 1.0, theory)),
             ("guidance", orders(&GuidanceSystem::default().herding(), &integrator, 0.4, theory)),
             ("Van der Pol", orders(&ByDuals, &integrator, 2.0, theory)),
         ] {
@@ -270,7 +270,7 @@ fn symplectic_methods_keep_energy_without_a_trend() {
 fn nothing_but_the_field_of_effects_is_needed() {
     // Contacts and dry friction are fields too.
     let system = CartPoleSystem { poles: 1, ..CartPoleSystem::default() };
-    let rough = With { system, effects: (DryFriction::default(), Bumpers::default()) };
+    let rough = Forced { system, effects: (DryFriction::default(), Bumpers::default()) };
     for (_, integrator, _) in FIXED {
         check::system(&integrated(rough, integrator, 0.01));
     }
@@ -299,14 +299,14 @@ fn a_step_that_has_no_solution_is_not_a_number_and_tells_its_residual() {
     for (dt, solved) in [(0.5, true), (0.77, false)] {
         of(dt).step(&[0.0], &[0.0], &mut next);
         assert_eq!(next[0].is_finite(), solved, "{dt}");
-        let residual = of(dt).cause(&[0.0], &[0.0]).map(|cause| match cause {
+        let residual = of(dt).diagnose(&[0.0], &[0.0]).map(|cause| match cause {
             Cause::Unsolved(residual) => residual,
             Cause::Effect(name) => panic!("{name}"),
         });
         assert_eq!(residual.is_none(), solved, "{dt}: {residual:?}");
         // Through whatever is around it.
         let around = Substeps { system: of(dt), count: 1 };
-        assert_eq!(around.cause(&[0.0], &[0.0]), residual.map(Cause::Unsolved));
+        assert_eq!(around.diagnose(&[0.0], &[0.0]), residual.map(Cause::Unsolved));
         // No state has a smaller one.
         assert!(residual.is_none_or(|residual| residual > 2.0 * (dt * 0.5 * std::f64::consts::E).ln()), "{residual:?}");
     }

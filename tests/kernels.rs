@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 use physgrad::kernels::gemm::{self, Product};
-use physgrad::kernels::{Level, Vectorized, dispatch, elementwise, tanh, trig};
+use physgrad::kernels::{SimdLevel, Vectorized, dispatch, elementwise, tanh, trig};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::{DoubleDouble, Float, Lanes, Scalar};
 use rand::RngExt;
@@ -40,7 +40,7 @@ macro_rules! products {
                 let b_rows: Vec<$float> = (0..k).flat_map(|p| (0..n).map(move |j| (p, j))).map(|(p, j)| b[p + j * ldb]).collect();
                 for accumulate in [false, true] {
                     let mut first: Option<Vec<$float>> = None;
-                    for level in Level::available() {
+                    for level in SimdLevel::available() {
                         for (b, b_row, b_col) in [(&b, 1, ldb), (&b_rows, n, 1)] {
                             let mut c = start.clone();
                             let product =
@@ -52,7 +52,7 @@ macro_rules! products {
                                 let error = (c[i + j * ldc] - base - expected[(i, j)]).abs();
                                 assert!(error <= $tolerance * (1.0 + k as $float), "{level:?} {m}x{k}x{n} [{i}, {j}]: {error:e}");
                             }
-                            if level != Level::Portable {
+                            if level != SimdLevel::Portable {
                                 // Every fused level sums in the same order.
                                 assert_eq!(*first.get_or_insert_with(|| c.clone()), c, "{level:?} {m}x{k}x{n}");
                             }
@@ -72,7 +72,7 @@ fn columns_do_not_depend_on_how_many_are_computed_together() {
     let mut rng = stream(1, Purpose::Check, 0);
     let mut random = |len: usize| -> Vec<f32> { (0..len).map(|_| rng.random_range(-1.0..1.0)).collect() };
     let (a, b) = (random(rows * depth), random(depth * cols));
-    for level in Level::available() {
+    for level in SimdLevel::available() {
         let run = |b: &[f32], cols: usize| {
             let mut c = vec![0.0; rows * cols];
             let c_ref = &mut c;
@@ -105,7 +105,7 @@ fn a_product_checks_its_slices() {
     let (a, b, mut c) = (vec![0.0f32; 32], vec![0.0; 1], vec![0.0; 16]);
     let product =
         Product { rows: 16, depth: 2, cols: 1, a: &a, lda: 16, b: &b, b_row: 1, b_col: 2, c: &mut c, ldc: 16, accumulate: false };
-    gemm::single::product(Level::Portable, product);
+    gemm::single::product(SimdLevel::Portable, product);
 }
 
 #[test]
@@ -115,7 +115,7 @@ fn a_product_whose_size_overflows_is_refused() {
     let lda = 1 << 61;
     let product =
         Product { rows: 16, depth: 9, cols: 1, a: &a, lda, b: &b, b_row: 1, b_col: 9, c: &mut c, ldc: 16, accumulate: false };
-    gemm::single::product(Level::Portable, product);
+    gemm::single::product(SimdLevel::Portable, product);
 }
 
 /// Rounds of a search.
@@ -199,13 +199,13 @@ impl<F: Format> Vectorized for SinCos<'_, F> {
     }
 }
 
-fn sin_cos_at<F: Format>(level: Level, x: &[F]) -> Vec<(F, F)> {
+fn sin_cos_at<F: Format>(level: SimdLevel, x: &[F]) -> Vec<(F, F)> {
     let mut all = vec![(F::zero(), F::zero()); x.len()];
     dispatch(level, SinCos(x, &mut all));
     all
 }
 
-fn tanh_at<F: Format>(level: Level, x: &[F]) -> Vec<F> {
+fn tanh_at<F: Format>(level: SimdLevel, x: &[F]) -> Vec<F> {
     let mut all = x.to_vec();
     elementwise::tanh(level, &mut all, elementwise::Strided { first: 0, step: x.len(), count: 1, len: x.len() });
     all
@@ -236,7 +236,7 @@ fn search<F: Format>(known: &[f64], mut draw: impl FnMut(&mut Rng) -> f64, error
 fn sin_cos_is_within_its_claim<F: Format>(known: &[f64]) {
     let errors = |x: &[F]| -> Vec<f64> {
         let alone: Vec<(F, F)> = x.iter().map(|x| x.sin_cos_near()).collect();
-        for level in Level::available() {
+        for level in SimdLevel::available() {
             assert!(sin_cos_at(level, x) == alone, "{level:?} has other bits");
         }
         let error = |(&x, (sin, cos)): (&F, (F, F))| {
@@ -266,8 +266,8 @@ fn sin_cos_is_within_its_claim<F: Format>(known: &[f64]) {
 }
 
 fn tanh_is_within_its_claim<F: Format>(known: &[f64]) {
-    for level in Level::available() {
-        let fused = level != Level::Portable;
+    for level in SimdLevel::available() {
+        let fused = level != SimdLevel::Portable;
         let errors = |x: &[F]| -> Vec<f64> {
             let layer = tanh_at(level, x);
             let error = |(&x, got): (&F, F)| {
@@ -367,7 +367,7 @@ fn tanh_saturates_at_one_and_passes_nan_on() {
     assert!(tanh::tanh_32::<true>(f32::NAN).is_nan() && tanh::tanh_64::<false>(f64::NAN).is_nan());
     assert_eq!(tanh::tanh_64::<false>(-0.0).to_bits(), (-0.0f64).to_bits());
     // A whole layer, on every level.
-    for level in Level::available() {
+    for level in SimdLevel::available() {
         let mut values = vec![0.0f32, 0.5, -0.5, 100.0, f32::NAN, -f32::INFINITY, 1e-30, 3.0];
         let all = elementwise::Strided { first: 0, step: 8, count: 1, len: 8 };
         elementwise::tanh(level, &mut values, all);

@@ -73,7 +73,7 @@ fn stored<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: usize, fl
     for k in 0..flows.len() {
         let mut theta_bar = Gradient::zeros(policy.param_count());
         adjoint.param_gradient(k, policy, &weights, &rollout, 0..samples, &mut theta_bar);
-        all.extend(theta_bar.plain());
+        all.extend(theta_bar.to_vec());
     }
     Ok(all)
 }
@@ -96,7 +96,7 @@ fn scheduled<F: Float, T: Task, P: Policy>(
         rollout.run(task, policy, &weights, starts, F::lift(0.5), samples + 1, &mut gradients)?;
     }
     let costs = (0..samples).map(|sample| rollout.cost(sample));
-    Ok(costs.chain(gradients.iter().flatten().flat_map(Gradient::plain)).collect())
+    Ok(costs.chain(gradients.iter().flatten().flat_map(Gradient::to_vec)).collect())
 }
 
 fn schedules(horizon: usize) -> Vec<Schedule> {
@@ -125,7 +125,7 @@ fn bits_are_those_of_store_all<F: Float, T: Task, P: Policy>(task: &T, policy: &
 }
 
 fn cart_pole(horizon: usize) -> CartPole {
-    CartPole { horizon, loss: LossMode::Continuous, ..CartPole::new(1) }
+    CartPole { horizon, loss: LossMode::Running, ..CartPole::new(1) }
 }
 
 #[test]
@@ -322,7 +322,7 @@ fn a_training_within_a_budget_is_that_without() {
 
 #[test]
 fn many_steps_fit_in_a_small_budget() {
-    let (task, policy) = (cart_pole(100_000), Mlp::new([4, 4, 1]).zero_last(true));
+    let (task, policy) = (cart_pole(100_000), Mlp::new([4, 4, 1]).zero_init_output(true));
     let flows = [Flow::REGULAR];
     let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
     let starts = starts::<f64, _>(&task, 2);
@@ -339,7 +339,7 @@ fn many_steps_fit_in_a_small_budget() {
 #[test]
 #[ignore = "a million steps take 7 s and more"]
 fn a_million_steps_fit_in_64_megabytes() {
-    let (task, policy) = (cart_pole(1_000_000), Mlp::new([4, 16, 16, 1]).zero_last(true));
+    let (task, policy) = (cart_pole(1_000_000), Mlp::new([4, 16, 16, 1]).zero_init_output(true));
     let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
     let starts = starts::<f64, _>(&task, 8);
     for budget in [64 << 20, 4 << 20] {

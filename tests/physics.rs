@@ -7,8 +7,8 @@ use physgrad::policy::{Conv, Linear};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::*;
 use physgrad::{
-    Actuated, Actuator, AnyActuator, Cotangent, Delay, Effect, Host, Lag, Limit, LimitKind, Ode, Real, Scalar, System, Task,
-    With, check,
+    Actuated, Actuator, AnyActuator, Cotangent, Delay, Effect, Forced, ForcedSystem, Lag, Limit, LimitKind, Ode, Real, Scalar,
+    System, Task, check,
 };
 use rand::RngExt;
 use std::f64::consts::{FRAC_PI_6, PI, TAU};
@@ -198,13 +198,13 @@ fn rod(mass: f64, half_length: f64, base: &[f64], of_poles: usize, pole: usize) 
     })
 }
 
-fn body(poles: usize) -> CartPoleSystem {
+fn model(poles: usize) -> CartPoleSystem {
     CartPoleSystem { poles, cart_mass: 1.3, pole_mass: 0.4, half_length: 0.7, gravity: 9.1, dt: 0.02 }
 }
 
 /// All poles on the cart, or one on the end of the other.
-fn on_cart(body: &CartPoleSystem, chained: bool) -> Mechanism {
-    let CartPoleSystem { poles, cart_mass, pole_mass, half_length, gravity, .. } = *body;
+fn on_cart(model: &CartPoleSystem, chained: bool) -> Mechanism {
+    let CartPoleSystem { poles, cart_mass, pole_mass, half_length, gravity, .. } = *model;
     let mut points = vec![Point { mass: cart_mass, arms: vec![0.0; poles] }];
     for pole in 0..poles {
         let base = vec![if chained { 2.0 * half_length } else { 0.0 }; pole];
@@ -220,9 +220,9 @@ fn semi_implicit(x: &[f64], accelerations: &[f64], dt: f64) -> Vec<f64> {
 }
 
 /// The authors' model: each pole alone on the cart, and ẍ from all of them with the mass of one.
-fn apart(body: &CartPoleSystem, x: &[f64], applied: &[f64]) -> Vec<f64> {
-    let alone = on_cart(&CartPoleSystem { poles: 1, ..*body }, false);
-    let moment = body.pole_mass * body.half_length;
+fn outline(model: &CartPoleSystem, x: &[f64], applied: &[f64]) -> Vec<f64> {
+    let alone = on_cart(&CartPoleSystem { poles: 1, ..*model }, false);
+    let moment = model.pole_mass * model.half_length;
     let mut push = applied[0];
     let mut accelerations = vec![0.0];
     for (pole, torque) in x[2..].chunks_exact(2).zip(&applied[1..]) {
@@ -230,107 +230,110 @@ fn apart(body: &CartPoleSystem, x: &[f64], applied: &[f64]) -> Vec<f64> {
         push += moment * (pole[0].sin() * pole[1] * pole[1] - pole[0].cos() * alpha);
         accelerations.push(alpha);
     }
-    accelerations[0] = push / (body.cart_mass + body.pole_mass);
+    accelerations[0] = push / (model.cart_mass + model.pole_mass);
     accelerations
 }
 
 type Applied = fn(&CartPoleSystem, &[f64]) -> Vec<f64>;
 
 /// Drag of the wind w on cart and poles.
-fn drag(body: &CartPoleSystem, w: f64, x: &[f64]) -> Vec<f64> {
+fn drag(model: &CartPoleSystem, w: f64, x: &[f64]) -> Vec<f64> {
     let mut forces = vec![0.05 * (w - x[1]).abs() * (w - x[1])];
-    for pole in x[2..2 + 2 * body.poles].chunks_exact(2) {
-        let across = (w - x[1]) * pole[0].cos() - body.half_length * pole[1];
+    for pole in x[2..2 + 2 * model.poles].chunks_exact(2) {
+        let across = (w - x[1]) * pole[0].cos() - model.half_length * pole[1];
         let drag = 0.02 * across.abs() * across;
         forces[0] += drag * pole[0].cos();
-        forces.push(drag * body.half_length);
+        forces.push(drag * model.half_length);
     }
     forces
 }
 
 /// Every effect with numbers of its own, and what it applies.
 fn on_cart_poles() -> Vec<(CartPoleEffect, Applied)> {
-    fn on_cart(body: &CartPoleSystem, force: f64) -> Vec<f64> {
-        let mut forces = vec![0.0; 1 + body.poles];
+    fn on_cart(model: &CartPoleSystem, force: f64) -> Vec<f64> {
+        let mut forces = vec![0.0; 1 + model.poles];
         forces[0] = force;
         forces
     }
-    let bumper = |body: &CartPoleSystem, x: &[f64]| {
+    let bumper = |model: &CartPoleSystem, x: &[f64]| {
         let (side, depth) = (x[0].signum(), (x[0].abs() - 0.9).max(0.0));
-        on_cart(body, -side * 40.0 * depth * (1.0 + 0.3 * side * x[1]).max(0.0))
+        on_cart(model, -side * 40.0 * depth * (1.0 + 0.3 * side * x[1]).max(0.0))
     };
     vec![
-        (PoleDamping { damping: 0.03 }.into(), |body, x| {
-            (0..=body.poles).map(|i| if i == 0 { 0.0 } else { -0.03 * x[2 * i + 1] }).collect()
+        (PoleDamping { damping: 0.03 }.into(), |model, x| {
+            (0..=model.poles).map(|i| if i == 0 { 0.0 } else { -0.03 * x[2 * i + 1] }).collect()
         }),
-        (CartDamping { damping: 0.7 }.into(), |body, x| on_cart(body, -0.7 * x[1])),
-        (DryFriction { force: 1.7, smoothing: 1.9 }.into(), |body, x| on_cart(body, -1.7 * (x[1] / 1.9).tanh())),
-        (SteadyWind { speed: 2.3, cart_drag: 0.05, pole_drag: 0.02 }.into(), |body, x| drag(body, 2.3, x)),
-        (GustyWind { speed: 1.1, gust: 1.9, period: 1.7, cart_drag: 0.05, pole_drag: 0.02 }.into(), |body, x| {
-            drag(body, 1.1 + 1.9 * (TAU * x[x.len() - 1] / 1.7).sin(), x)
+        (CartDamping { damping: 0.7 }.into(), |model, x| on_cart(model, -0.7 * x[1])),
+        (DryFriction { force: 1.7, smoothing: 1.9 }.into(), |model, x| on_cart(model, -1.7 * (x[1] / 1.9).tanh())),
+        (SteadyWind { speed: 2.3, cart_drag: 0.05, pole_drag: 0.02 }.into(), |model, x| drag(model, 2.3, x)),
+        (GustyWind { speed: 1.1, gust: 1.9, period: 1.7, cart_drag: 0.05, pole_drag: 0.02 }.into(), |model, x| {
+            drag(model, 1.1 + 1.9 * (TAU * x[x.len() - 1] / 1.7).sin(), x)
         }),
-        (Bumpers { reach: 0.9, stiffness: 40.0, damping: 0.3 }.into(), bumper),
+        (Bumpers { half_travel: 0.9, stiffness: 40.0, damping: 0.3 }.into(), bumper),
     ]
 }
 
 /// The step of a host under an effect, with the control on the cart.
 #[track_caller]
-fn cart_pole_steps_as<H: Host<Body = CartPoleSystem> + Clone>(
+fn cart_pole_steps_as<H: ForcedSystem<Model = CartPoleSystem> + Clone>(
     host: H,
     accelerations: impl Fn(&CartPoleSystem, &[f64], &[f64]) -> Vec<f64>,
 ) {
-    let body = *host.body();
-    let own = 2 + 2 * body.poles;
+    let model = *host.model();
+    let own = 2 + 2 * model.poles;
     for (effect, applied) in on_cart_poles() {
         let what = format!("{effect:?}");
         let next = |x: &[f64], u: &[f64]| {
-            let mut forces = applied(&body, x);
+            let mut forces = applied(&model, x);
             forces[0] += u[0];
-            let mut next = semi_implicit(&x[..own], &accelerations(&body, &x[..own], &forces), body.dt);
-            next.extend(x[own..].iter().map(|time| time + body.dt));
+            let mut next = semi_implicit(&x[..own], &accelerations(&model, &x[..own], &forces), model.dt);
+            next.extend(x[own..].iter().map(|time| time + model.dt));
             next
         };
-        steps_as(&what, &With { system: host.clone(), effects: effect.clone() }, next);
-        steps_as(&what, &With { system: host.clone(), effects: vec![effect.clone()] }, next);
-        steps_as(&what, &Felt { body, effect: effect.clone() }, |x, _| {
-            let mut felt = applied(&body, x);
-            felt.resize(x.len(), 0.0);
-            felt
+        steps_as(&what, &Forced { system: host.clone(), effects: effect.clone() }, next);
+        steps_as(&what, &Forced { system: host.clone(), effects: vec![effect.clone()] }, next);
+        steps_as(&what, &Felt { model, effect: effect.clone() }, |x, _| {
+            let mut applied = applied(&model, x);
+            applied.resize(x.len(), 0.0);
+            applied
         });
         // Where the type is known, effects may be part of the loops of their host.
         if let CartPoleEffect::PoleDamping(effect) = effect {
-            steps_as(&what, &With { system: host.clone(), effects: effect }, next);
+            steps_as(&what, &Forced { system: host.clone(), effects: effect }, next);
         }
     }
-    steps_as("clock", &With { system: host, effects: Clock }, |x, u| {
-        let mut next =
-            semi_implicit(&x[..own], &accelerations(&body, &x[..own], &[&[u[0]][..], &vec![0.0; body.poles]].concat()), body.dt);
-        next.push(x[own] + body.dt);
+    steps_as("clock", &Forced { system: host, effects: Clock }, |x, u| {
+        let mut next = semi_implicit(
+            &x[..own],
+            &accelerations(&model, &x[..own], &[&[u[0]][..], &vec![0.0; model.poles]].concat()),
+            model.dt,
+        );
+        next.push(x[own] + model.dt);
         next
     });
 }
 
 /// The forces of an effect in the first places of the next state.
 struct Felt<E> {
-    body: CartPoleSystem,
+    model: CartPoleSystem,
     effect: E,
 }
 
 impl<E: Effect<CartPoleSystem>> System for Felt<E> {
     fn state_dim(&self) -> usize {
-        2 + 2 * self.body.poles + usize::from(self.effect.clock().is_some())
+        2 + 2 * self.model.poles + usize::from(self.effect.clock().is_some())
     }
     fn control_dim(&self) -> usize {
         1
     }
     fn step<T: Scalar>(&self, x: &[T], _u: &[T], next: &mut [T]) {
         next.fill(T::zero());
-        self.effect.act(&self.body, x, &mut next[..1 + self.body.poles]);
+        self.effect.add_forces(&self.model, x, &mut next[..1 + self.model.poles]);
     }
     fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], _u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
         x_bar.fill(C::null());
         u_bar.fill(C::null());
-        self.effect.vjp(&self.body, x, &next_bar[..1 + self.body.poles], x_bar);
+        self.effect.vjp(&self.model, x, &next_bar[..1 + self.model.poles], x_bar);
     }
 }
 
@@ -339,7 +342,7 @@ impl<E: Effect<CartPoleSystem>> System for Felt<E> {
 struct Clock;
 
 impl<B> Effect<B> for Clock {
-    fn act<T: Scalar>(&self, _body: &B, _x: &[T], _forces: &mut [T]) {}
+    fn add_forces<T: Scalar>(&self, _model: &B, _x: &[T], _forces: &mut [T]) {}
     fn clock(&self) -> Option<f64> {
         Some(1.0)
     }
@@ -347,8 +350,8 @@ impl<B> Effect<B> for Clock {
 
 /// The time goes on by `dt` in a step.
 #[track_caller]
-fn keeps_time<H: Host>(host: H, dt: f64) {
-    let system = With { system: host, effects: Clock };
+fn keeps_time<H: ForcedSystem>(host: H, dt: f64) {
+    let system = Forced { system: host, effects: Clock };
     let n = system.state_dim();
     near("clock", &step(&system, &vec![0.1; n], &vec![0.0; system.control_dim()])[n - 1..], &[0.1 + dt]);
 }
@@ -356,11 +359,11 @@ fn keeps_time<H: Host>(host: H, dt: f64) {
 #[test]
 fn poles_on_a_cart() {
     for poles in [1, 3] {
-        cart_pole_steps_as(body(poles), apart);
-        let coupled = |body: &CartPoleSystem, x: &[f64], forces: &[f64]| on_cart(body, false).accelerations(x, forces);
-        cart_pole_steps_as(CoupledCartPole(body(poles)), coupled);
+        cart_pole_steps_as(model(poles), outline);
+        let coupled = |model: &CartPoleSystem, x: &[f64], forces: &[f64]| on_cart(model, false).accelerations(x, forces);
+        cart_pole_steps_as(CoupledCartPole(model(poles)), coupled);
         for (x, _) in states(2 + 2 * poles, 1) {
-            near("energy", &[CoupledCartPole(body(poles)).energy(&x)], &[on_cart(&body(poles), false).energy(&x)]);
+            near("energy", &[CoupledCartPole(model(poles)).energy(&x)], &[on_cart(&model(poles), false).energy(&x)]);
         }
     }
 }
@@ -369,12 +372,12 @@ fn poles_on_a_cart() {
 /// [`SteadyWind`].
 #[test]
 fn drag_at_the_middle_is_strip_theory_without_spin_and_half_of_it_without_wind() {
-    let (body, c) = (body(1), 0.02);
-    let l = body.half_length;
+    let (model, c) = (model(1), 0.02);
+    let l = model.half_length;
     // [D, τ] on an upright pole; the cart by itself has no drag.
     let here = |wind: f64, spin: f64| {
         let mut forces = [0.0; 2];
-        SteadyWind { speed: wind, cart_drag: 0.0, pole_drag: c }.act(&body, &[0.0, 0.0, 0.0, spin], &mut forces);
+        SteadyWind { speed: wind, cart_drag: 0.0, pole_drag: c }.add_forces(&model, &[0.0, 0.0, 0.0, spin], &mut forces);
         forces
     };
     let strips = |wind: f64, spin: f64| {
@@ -426,8 +429,8 @@ fn a_double_pendulum_is_two_point_masses() {
 #[test]
 fn a_chain_is_rods_end_to_end() {
     for poles in [1, 2, 4] {
-        let chain = PoleChain(body(poles));
-        moves_as("chain", chain, |x| chain.energy(x), &on_cart(&body(poles), true));
+        let chain = PoleChain(model(poles));
+        moves_as("chain", chain, |x| chain.energy(x), &on_cart(&model(poles), true));
     }
 }
 
@@ -507,7 +510,7 @@ fn a_ball_falls_and_bounces() {
 #[test]
 fn two_bodies_hit_each_other() {
     let ([m1, m2], dt) = ([1.2, 0.5], 0.1);
-    let pair = |contact| TwoBodies { masses: [m1, m2], reach: 0.3, contact, dt };
+    let pair = |contact| TwoBodies { masses: [m1, m2], contact_distance: 0.3, contact, dt };
     let elastic = pair(Contact::TimeOfImpact { restitution: 0.6 });
     let springy = pair(Contact::Penalty { stiffness: 30.0, damping: 0.2 });
     let mut hits = 0;
@@ -522,8 +525,8 @@ fn two_bodies_hit_each_other() {
             hits += 1;
             let ([a, va], b) = (fall(x[0], x[2], push, time), x[1] + time * x[3]);
             // Momentum is kept, and the bodies part with 0.6 of the speed at which they met.
-            let (center, apart) = ((m1 * va + m2 * x[3]) / (m1 + m2), 0.6 * (va - x[3]));
-            let (after, other) = (center - m2 / (m1 + m2) * apart, center + m1 / (m1 + m2) * apart);
+            let (center, outline) = ((m1 * va + m2 * x[3]) / (m1 + m2), 0.6 * (va - x[3]));
+            let (after, other) = (center - m2 / (m1 + m2) * outline, center + m1 / (m1 + m2) * outline);
             let [a, va] = fall(a, after, push, dt - time);
             expected = [a, b + (dt - time) * other, va, other];
         }
@@ -587,8 +590,8 @@ fn alone() -> Vec<(GuidanceEffect, Alone)> {
 fn agents_in_the_plane() {
     let softening = 0.2;
     for center in [Center::Sum, Center::Mean] {
-        let body = GuidanceSystem { drivers: 2, evaders: 3, center, softening, dt: 0.07 };
-        keeps_time(body, 0.07);
+        let model = GuidanceSystem { drivers: 2, evaders: 3, center, softening, dt: 0.07 };
+        keeps_time(model, 0.07);
         // Explicit Euler with the drivers' steering and whatever an effect adds.
         let next = |x: &[f64], u: &[f64], added: &dyn Fn(usize) -> [f64; 2]| -> Vec<f64> {
             let agents: Vec<&[f64]> = x.chunks_exact(4).collect();
@@ -606,7 +609,7 @@ fn agents_in_the_plane() {
             agents.iter().enumerate().flat_map(moved).collect()
         };
         for (effect, pull) in between() {
-            steps_as(&format!("{effect:?}"), &With { system: body, effects: effect }, |x, u| {
+            steps_as(&format!("{effect:?}"), &Forced { system: model, effects: effect }, |x, u| {
                 next(x, u, &|k| {
                     (0..5).filter(|&i| i != k).fold([0.0; 2], |sum, i| {
                         let r = [x[4 * k] - x[4 * i], x[4 * k + 1] - x[4 * i + 1]];
@@ -617,7 +620,7 @@ fn agents_in_the_plane() {
             });
         }
         for (effect, alone) in alone() {
-            let system = With { system: body, effects: effect.clone() };
+            let system = Forced { system: model, effects: effect.clone() };
             steps_as(&format!("{effect:?}"), &system, |x, u| next(x, u, &|k| alone(k, &x[4 * k..4 * k + 4])));
         }
     }
@@ -731,11 +734,11 @@ fn potentials() -> Vec<(QuantumEffect, Potential)> {
 #[test]
 fn waves_in_a_box() {
     for control in [ControlShape::Tilt, ControlShape::Dipole] {
-        let body = QuantumSystem { grid: GRID, length: LENGTH, dt: DT, control };
+        let model = QuantumSystem { grid: GRID, length: LENGTH, dt: DT, control };
         let origin = if matches!(control, ControlShape::Tilt) { 0.0 } else { 0.5 * LENGTH };
-        keeps_time(body, DT);
-        keeps_time(Pade(body), DT);
-        keeps_time(Strang::new(body), DT);
+        keeps_time(model, DT);
+        keeps_time(Pade(model), DT);
+        keeps_time(Strang::new(model), DT);
         for (effect, potential) in potentials() {
             let at = |psi: &[Complex], u: &[f64]| -> Vec<f64> {
                 let v = |(j, psi): (usize, &Complex)| {
@@ -763,18 +766,18 @@ fn waves_in_a_box() {
             };
             let what = format!("{effect:?}, {control:?}");
             let effects = || effect.clone();
-            steps_as(&what, &With { system: body, effects: effects() }, by(0.0));
-            steps_as(&what, &With { system: body, effects: vec![effects()] }, by(0.0));
-            steps_as(&what, &With { system: Pade(body), effects: effects() }, by(1.0 / 12.0));
-            steps_as(&what, &With { system: Strang::new(body), effects: effects() }, strang);
+            steps_as(&what, &Forced { system: model, effects: effects() }, by(0.0));
+            steps_as(&what, &Forced { system: model, effects: vec![effects()] }, by(0.0));
+            steps_as(&what, &Forced { system: Pade(model), effects: effects() }, by(1.0 / 12.0));
+            steps_as(&what, &Forced { system: Strang::new(model), effects: effects() }, strang);
             // Where the type is known, effects may be part of the loops of their host.
             if let QuantumEffect::Cubic(effect) = effect {
-                steps_as(&what, &With { system: body, effects: effect }, by(0.0));
-                steps_as(&what, &With { system: Pade(body), effects: effect }, by(1.0 / 12.0));
-                steps_as(&what, &With { system: Strang::new(body), effects: effect }, strang);
+                steps_as(&what, &Forced { system: model, effects: effect }, by(0.0));
+                steps_as(&what, &Forced { system: Pade(model), effects: effect }, by(1.0 / 12.0));
+                steps_as(&what, &Forced { system: Strang::new(model), effects: effect }, strang);
             }
             let edges = AbsorbingEdges { width: 0.7, strength: 4.0 };
-            steps_as(&what, &Absorbing::new(With { system: body, effects: effects() }, edges), |x, u| {
+            steps_as(&what, &Absorbing::new(Forced { system: model, effects: effects() }, edges), |x, u| {
                 let mut next = by(0.0)(x, u);
                 for j in 0..GRID {
                     let place = DX * (j as f64 + 1.0);
@@ -783,7 +786,7 @@ fn waves_in_a_box() {
                 }
                 next
             });
-            steps_as(&what, &Renormalized { system: With { system: body, effects: effects() } }, |x, u| {
+            steps_as(&what, &Renormalized { system: Forced { system: model, effects: effects() } }, |x, u| {
                 let next = by(0.0)(x, u);
                 let norm = next.iter().map(|psi| psi * psi).sum::<f64>().sqrt();
                 next.iter().map(|psi| psi / norm).collect()
@@ -792,7 +795,7 @@ fn waves_in_a_box() {
         for number in 1..=GRID {
             let sine =
                 |j: usize| (2.0 / (GRID + 1) as f64).sqrt() * (PI * number as f64 * (j + 1) as f64 / (GRID + 1) as f64).sin();
-            near("eigenstate", &body.eigenstate(number).collect::<Vec<_>>(), &(0..GRID).map(sine).collect::<Vec<_>>());
+            near("eigenstate", &model.eigenstate(number).collect::<Vec<_>>(), &(0..GRID).map(sine).collect::<Vec<_>>());
         }
     }
 }
@@ -802,8 +805,8 @@ fn waves_in_a_box() {
 #[test]
 fn controls_reach_the_system_late_and_limited() {
     /// The first control out of the system is its only state.
-    fn through<A: Actuator>(actuator: A) -> Actuated<Integrator, A> {
-        Actuated { system: Integrator { dim: 1 }, actuator }
+    fn through<A: Actuator>(actuator: A) -> Actuated<Accumulator, A> {
+        Actuated { system: Accumulator { dim: 1 }, actuator }
     }
     steps_as("smooth limit", &through(Limit { bound: 1.7, kind: LimitKind::Smooth }), |x, u| {
         vec![x[0] + 1.7 * (u[0] / 1.7).tanh()]
@@ -848,27 +851,30 @@ fn costs_of<T: Task>(what: &str, task: &T, on_the_way: impl Fn(&[f64], &[f64]) -
 fn every_task_has_its_price() {
     let none = |_: &[f64], _: &[f64]| 0.0;
     let height = |angles: &[f64]| angles.iter().map(|theta| 1.0 - theta.cos()).sum::<f64>() / angles.len() as f64;
-    let swing = CartPole { horizon: 5, ..CartPole::around(body(2)) };
+    let swing = CartPole { horizon: 5, ..CartPole::with_system(model(2)) };
     costs_of("last angles", &swing, none, |x| height(&[x[2], x[4]]));
-    let all = CartPole { loss: LossMode::Continuous, ..swing };
+    let all = CartPole { loss: LossMode::Running, ..swing };
     costs_of("all angles", &all, |x, _| height(&[x[2], x[4]]) / 5.0, |_| 0.0);
 
-    let upright = Upright { horizon: 5, effort: 0.3, ..Upright::double_pendulum() };
+    let upright = Upright { horizon: 5, control_weight: 0.3, ..Upright::double_pendulum() };
     costs_of("upright", &upright, |_, u| 0.3 * u[0] * u[0] / 2.0 / 5.0, |x| height(&[x[0], x[2]]));
-    let held = Upright { loss: LossMode::Continuous, ..upright };
+    let held = Upright { loss: LossMode::Running, ..upright };
     costs_of("held", &held, |x, u| (height(&[x[0], x[2]]) + 0.3 * u[0] * u[0] / 2.0) / 5.0, |_| 0.0);
     let chain = Upright { horizon: 5, ..Upright::pole_chain(2) };
     costs_of("chain", &chain, none, |x| height(&[x[2], x[4]]));
 
-    let herding = Guidance { horizon: 5, regularization: 0.7, loss: LossMode::Final, ..Guidance::new(2, 3) };
-    let effort = |u: &[f64]| 0.7 * u.iter().map(|u| u * u).sum::<f64>() / 4.0 / 5.0;
+    let herding = Guidance { horizon: 5, regularization: 0.7, loss: LossMode::Terminal, ..Guidance::new(2, 3) };
+    let control_weight = |u: &[f64]| 0.7 * u.iter().map(|u| u * u).sum::<f64>() / 4.0 / 5.0;
     let away = |x: &[f64]| x[8..].chunks_exact(4).map(|agent| agent[0] * agent[0] + agent[1] * agent[1]).sum::<f64>() / 6.0;
-    costs_of("herding", &herding, |_, u| effort(u), away);
-    let always = Guidance { loss: LossMode::Continuous, ..herding };
-    costs_of("herding always", &always, |x, u| effort(u) + away(x) / 5.0, |_| 0.0);
+    costs_of("herding", &herding, |_, u| control_weight(u), away);
+    let always = Guidance { loss: LossMode::Running, ..herding };
+    costs_of("herding always", &always, |x, u| control_weight(u) + away(x) / 5.0, |_| 0.0);
 
-    let quantum =
-        Quantum { horizon: 3, loss: LossMode::Final, ..Quantum::around(QuantumSystem { grid: GRID, ..Default::default() }, 2) };
+    let quantum = Quantum {
+        horizon: 3,
+        loss: LossMode::Terminal,
+        ..Quantum::with_system(QuantumSystem { grid: GRID, ..Default::default() }, 2)
+    };
     let missing = |x: &[f64]| {
         let phi: Vec<f64> = (1..=GRID).map(|j| 0.5 * (2.0 * PI * j as f64 / 8.0).sin()).collect();
         let part = |part: usize| phi.iter().zip(x.chunks_exact(2)).map(|(phi, psi)| phi * psi[part]).sum::<f64>();
@@ -876,7 +882,7 @@ fn every_task_has_its_price() {
     };
     costs("infidelity", &quantum, none, missing);
     check::task(&quantum, &Conv::new(GRID, 2));
-    let every = Quantum { loss: LossMode::Continuous, ..quantum };
+    let every = Quantum { loss: LossMode::Running, ..quantum };
     costs("infidelity always", &every, |x, _| missing(x), |_| 0.0);
     check::task(&every, &Conv::new(GRID, 2));
 
@@ -934,8 +940,8 @@ fn rollouts_start_where_they_should() {
         starts_within("cart", &swing, -1.0, 1.0, |x| x[i]);
     }
     starts_within("pole", &swing, PI - within, PI + within, |x| x[2]);
-    let windy = With { system: body(1), effects: GustyWind { period: 1.7, ..GustyWind::default() } };
-    starts_within("clock", &CartPole::around(windy), 0.0, 1.7, |x| x[4]);
+    let windy = Forced { system: model(1), effects: GustyWind { period: 1.7, ..GustyWind::default() } };
+    starts_within("clock", &CartPole::with_system(windy), 0.0, 1.7, |x| x[4]);
     starts_within("pendulum", &Upright::double_pendulum(), PI - within, PI + within, |x| x[2]);
     starts_within("rate", &Upright::double_pendulum(), -within, within, |x| x[3]);
     starts_within("held", &Upright::pole_chain(1).held(), -0.05, 0.05, |x| x[2]);
@@ -1007,7 +1013,7 @@ fn defaults_are_as_published() {
     is(DryFriction { force: 0.5, smoothing: 0.05 });
     is(SteadyWind { speed: 3.0, cart_drag: 0.06, pole_drag: 0.013 });
     is(GustyWind { speed: 3.0, gust: 2.0, period: 1.0, cart_drag: 0.06, pole_drag: 0.013 });
-    is(Bumpers { reach: 2.4, stiffness: 1e3, damping: 0.5 });
+    is(Bumpers { half_travel: 2.4, stiffness: 1e3, damping: 0.5 });
     is(DoublePendulum { masses: [1.0, 1.0], lengths: [1.0, 1.0], gravity: 9.81 });
     // 60 steps in 4 s, and the forces of the authors' code.
     is(GuidanceSystem { drivers: 2, evaders: 4, center: Center::Sum, softening: 0.1, dt: 4.0 / 60.0 });
@@ -1031,12 +1037,12 @@ fn defaults_are_as_published() {
     is(BouncingBall { mass: 1.0, gravity: 9.81, contact: Contact::TimeOfImpact { restitution: 0.8 }, dt: 0.01 });
     assert_eq!((Bounce::default().target, Bounce::default().horizon), (1.0, 100));
     let restitution = |restitution: f64| Contact::TimeOfImpact { restitution };
-    assert_eq!(TwoBodies::balls(), TwoBodies { masses: [1.0, 1.0], reach: 0.1, contact: restitution(1.0), dt: 0.01 });
-    assert_eq!(TwoBodies::pusher(), TwoBodies { masses: [1.0, 2.0], reach: 0.1, contact: restitution(0.0), dt: 0.01 });
-    is(Reach { system: Integrator { dim: 1 }, start: -0.3, target: 2.0, horizon: 4 });
-    is(Bowl { system: Integrator { dim: 2 }, curvatures: [1.0, 4.0], angle: FRAC_PI_6 });
+    assert_eq!(TwoBodies::balls(), TwoBodies { masses: [1.0, 1.0], contact_distance: 0.1, contact: restitution(1.0), dt: 0.01 });
+    assert_eq!(TwoBodies::pusher(), TwoBodies { masses: [1.0, 2.0], contact_distance: 0.1, contact: restitution(0.0), dt: 0.01 });
+    is(Reach { system: Accumulator { dim: 1 }, start: -0.3, target: 2.0, horizon: 4 });
+    is(Bowl { system: Accumulator { dim: 2 }, curvatures: [1.0, 4.0], angle: FRAC_PI_6 });
     let (swing, chain) = (Upright::double_pendulum(), Upright::pole_chain(2));
-    assert_eq!((swing.system.dt, swing.effort, chain.system.dt, chain.system.ode.0.poles), (0.01, 0.0, 0.01, 2));
-    assert_eq!(swing.held().effort, 1e-3);
+    assert_eq!((swing.system.dt, swing.control_weight, chain.system.dt, chain.system.ode.0.poles), (0.01, 0.0, 0.01, 2));
+    assert_eq!(swing.held().control_weight, 1e-3);
     assert_eq!((Guidance::new(1, 1).regularization, Quantum::new(3).weighting), (1.0, [1.0, 1.0]));
 }

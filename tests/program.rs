@@ -278,7 +278,7 @@ fn a_comparison_goes_on_where_it_was_and_refuses_what_is_not_one() {
 fn every_task_trains_and_leaves_its_pictures() {
     let dir = TempDir::new().expect("a folder");
     for (task, settings, column) in [
-        ("guidance", ["system.drivers=3", "system.evaders=2", "loss.regularization=0.01", "loss.mode=final"], "evader_2_vy"),
+        ("guidance", ["system.drivers=3", "system.evaders=2", "loss.regularization=0.01", "loss.mode=terminal"], "evader_2_vy"),
         ("quantum", ["system.grid=16", "system.target=4", "system.weighting=[3, 1]", "policy.width=8"], "im_16"),
     ] {
         let out = dir.path().join(task);

@@ -57,9 +57,9 @@ fn a_column_does_not_depend_on_its_neighbours() {
         u.into_iter().chain(x_bar).collect::<Vec<f64>>()
     };
     let together = run(&[PolicyColumns::range(0..total)]);
-    let apart: Vec<_> = (0..total).map(|c| PolicyColumns::range(c..c + 1)).collect();
+    let outline: Vec<_> = (0..total).map(|c| PolicyColumns::range(c..c + 1)).collect();
     let turns = [PolicyColumns { first: 0, step: 2, count: 6 }, PolicyColumns { first: 1, step: 2, count: 5 }];
-    for other in [run(&apart), run(&turns)] {
+    for other in [run(&outline), run(&turns)] {
         for (i, (&a, &b)) in together.iter().zip(&other).enumerate() {
             let column = if i < total { i } else { (i - total) / n };
             assert!(if column == 4 { a.is_nan() && b.is_nan() } else { a == b }, "number {i}: {a} and {b}");
@@ -69,7 +69,7 @@ fn a_column_does_not_depend_on_its_neighbours() {
 
 #[test]
 fn whole_rollouts_of_every_flow() {
-    for loss in [LossMode::Final, LossMode::Continuous] {
+    for loss in [LossMode::Terminal, LossMode::Running] {
         let task = Quantum { loss, horizon: 25, ..Quantum::new(2) };
         println!("{loss:?}: {:?}", check::task(&task, &Conv::new(32, 3)));
         let small = Quantum { system: system(9), ..task };

@@ -8,28 +8,30 @@ use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
     Absorbing, AbsorbingEdges, Cubic, LossMode, Quantum, QuantumEffect, QuantumSystem, Renormalized, Tabulated,
 };
-use physgrad::{Actuated, Around, Counted, Counts, Delay, Effect, Limit, LimitKind, Scalar, Substeps, System, Task, With, check};
+use physgrad::{
+    Actuated, Counted, Delay, Effect, Forced, HasModel, Limit, LimitKind, Ops, Scalar, Substeps, System, Task, check,
+};
 
 #[test]
 fn the_derivatives_of_every_effect_are_those_of_duals() {
     for grid in [3, 32, 65] {
         for effect in every_effect() {
-            check_lively(&With { system: box_of(grid), effects: vec![effect.clone()] });
-            check_lively(&With { system: dipole(grid), effects: vec![effect.clone()] });
+            check_lively(&Forced { system: box_of(grid), effects: vec![effect.clone()] });
+            check_lively(&Forced { system: dipole(grid), effects: vec![effect.clone()] });
         }
-        check_lively(&With { system: box_of(grid), effects: every_effect() });
+        check_lively(&Forced { system: box_of(grid), effects: every_effect() });
         check_lively(&dipole(grid));
     }
 }
 
 #[test]
 fn effects_may_depend_on_time() {
-    let system = With { system: dipole(8), effects: (Swinging, Cubic::default()) };
+    let system = Forced { system: dipole(8), effects: (Swinging, Cubic::default()) };
     assert_eq!(system.state_dim(), 17);
     check_lively(&system);
     let x: Vec<f64> = (0..17).map(|i| Scalar::sin(f64::from(i))).collect();
     assert_eq!(step(&system, &x, 1.0)[16], x[16] + 0.0625);
-    let task = Quantum { horizon: 6, ..Quantum::around(system, 2) };
+    let task = Quantum { horizon: 6, ..Quantum::with_system(system, 2) };
     check::task(&task, &Linear::with_bias(17, 1));
     let mut start = vec![0.0; 17];
     task.start(&mut stream(0, Purpose::Train, 0), &mut start);
@@ -40,9 +42,9 @@ fn effects_may_depend_on_time() {
 fn the_derivatives_with_absorbing_edges_and_behind_actuators_are_those_of_duals() {
     let edges = AbsorbingEdges::default();
     for grid in [5, 32, 65] {
-        check_lively(&Absorbing::new(With { system: box_of(grid), effects: every_effect() }, edges));
+        check_lively(&Absorbing::new(Forced { system: box_of(grid), effects: every_effect() }, edges));
     }
-    let system = || With { system: dipole(12), effects: every_effect() };
+    let system = || Forced { system: dipole(12), effects: every_effect() };
     for kind in [LimitKind::Smooth, LimitKind::Hard] {
         let actuator = (Limit { bound: 20.0, kind }, Delay { steps: 2 });
         check_lively(&Actuated { system: Absorbing::new(system(), edges), actuator });
@@ -54,14 +56,14 @@ fn the_derivatives_with_absorbing_edges_and_behind_actuators_are_those_of_duals(
 
 #[test]
 fn whole_rollouts_of_every_flow() {
-    for loss in [LossMode::Final, LossMode::Continuous] {
+    for loss in [LossMode::Terminal, LossMode::Running] {
         let limit = Limit { bound: 5.0, kind: LimitKind::Smooth };
-        let system = With { system: dipole(8), effects: every_effect() };
+        let system = Forced { system: dipole(8), effects: every_effect() };
         let system = Absorbing::new(system, AbsorbingEdges { width: 0.5, strength: 3.0 });
         let system = Actuated { system, actuator: (limit, Delay { steps: 2 }) };
         let n = system.state_dim();
         assert_eq!(n, 16 + 2);
-        let task = Quantum { loss, horizon: 12, ..Quantum::around(system, 2) };
+        let task = Quantum { loss, horizon: 12, ..Quantum::with_system(system, 2) };
         check::task(&task, &Linear::with_bias(n, 1));
     }
 }
@@ -84,14 +86,14 @@ fn a_list_has_the_numbers_of_a_tuple_and_what_does_nothing_changes_none() {
     for system in [box_of(32), dipole(33)] {
         let (mut x, mut u) = (vec![0.0; 2 * system.grid], [0.0]);
         lively(&mut rng, &mut x, &mut u);
-        let typed = everything(&With { system, effects: every_effect_typed() }, &x, u[0]);
-        assert_eq!(typed, everything(&With { system, effects: every_effect() }, &x, u[0]));
+        let typed = everything(&Forced { system, effects: every_effect_typed() }, &x, u[0]);
+        assert_eq!(typed, everything(&Forced { system, effects: every_effect() }, &x, u[0]));
 
         let alone = everything(&system, &x, u[0]);
         assert_ne!(typed, alone);
-        assert_eq!(alone, everything(&With { system, effects: () }, &x, u[0]));
-        assert_eq!(alone, everything(&With { system, effects: Vec::<QuantumEffect>::new() }, &x, u[0]));
-        assert_eq!(alone, everything(&With { system, effects: Cubic { strength: 0.0 } }, &x, u[0]));
+        assert_eq!(alone, everything(&Forced { system, effects: () }, &x, u[0]));
+        assert_eq!(alone, everything(&Forced { system, effects: Vec::<QuantumEffect>::new() }, &x, u[0]));
+        assert_eq!(alone, everything(&Forced { system, effects: Cubic { strength: 0.0 } }, &x, u[0]));
         for edges in [AbsorbingEdges { width: 0.0, strength: 10.0 }, AbsorbingEdges { width: 0.3, strength: 0.0 }] {
             assert_eq!(alone, everything(&Absorbing::new(system, edges), &x, u[0]));
         }
@@ -99,32 +101,32 @@ fn a_list_has_the_numbers_of_a_tuple_and_what_does_nothing_changes_none() {
 }
 
 /// What a step, `vjp`, `vjp_state` and `vjp_control` do.
-fn counts<S: System>(system: &S) -> [Counts; 4] {
+fn counts<S: System>(system: &S) -> [Ops; 4] {
     let n = system.state_dim();
     let x: Vec<Counted> = (0..n).map(|i| Counted(Scalar::sin(i as f64))).collect();
     let (u, mut next, mut x_bar, mut u_bar) = ([Counted(3.0)], x.clone(), x.clone(), [Counted(0.0)]);
     [
-        Counts::of(|| system.step(&x, &u, &mut next)).0,
-        Counts::of(|| system.vjp(&x, &u, &x, &mut x_bar, &mut u_bar)).0,
-        Counts::of(|| system.vjp_state(&x, &u, &x, &mut x_bar)).0,
-        Counts::of(|| system.vjp_control(&x, &u, &x, &mut u_bar)).0,
+        Ops::of(|| system.step(&x, &u, &mut next)).0,
+        Ops::of(|| system.vjp(&x, &u, &x, &mut x_bar, &mut u_bar)).0,
+        Ops::of(|| system.vjp_state(&x, &u, &x, &mut x_bar)).0,
+        Ops::of(|| system.vjp_control(&x, &u, &x, &mut u_bar)).0,
     ]
 }
 
-fn sums(add: u64, multiply: u64) -> Counts {
-    Counts { add, multiply, ..Counts::default() }
+fn sums(add: u64, multiply: u64) -> Ops {
+    Ops { add, multiply, ..Ops::default() }
 }
 
 #[test]
 fn an_effect_costs_its_own_operations_and_no_others() {
-    let (body, n) = (box_of(32), 32);
-    let plain = counts(&body);
+    let (model, n) = (box_of(32), 32);
+    let plain = counts(&model);
     let solve = sums(8 * n - 6, 12 * n - 8);
     // The potential is one multiplication; a pivot is 4 additions, 7 multiplications, a change of sign and a division.
-    let eliminated = Counts { divide: n, negate: n, ..sums(4 * n, 8 * n + 1) };
+    let eliminated = Ops { divide: n, negate: n, ..sums(4 * n, 8 * n + 1) };
     assert_eq!(plain[0], eliminated + solve + sums(4 * n, 0));
     // Eliminated and conjugated, and solved once.
-    let state = eliminated + Counts { negate: n + 1, ..solve } + sums(4 * n, 0);
+    let state = eliminated + Ops { negate: n + 1, ..solve } + sums(4 * n, 0);
     assert_eq!(plain[2], state);
     // Solved twice; and the cotangents of the potential, Im(w̄ y) times dt, and of the control.
     let potential = sums(n, 3 * n);
@@ -132,19 +134,19 @@ fn an_effect_costs_its_own_operations_and_no_others() {
     assert_eq!(plain[1], state + solve + potential + control);
     assert_eq!(plain[3], plain[1]);
     assert_eq!(counts(&dipole(32)), plain);
-    assert_eq!(counts(&With { system: body, effects: () }), plain);
-    assert_eq!(counts(&With { system: body, effects: Vec::<QuantumEffect>::new() }), plain);
+    assert_eq!(counts(&Forced { system: model, effects: () }), plain);
+    assert_eq!(counts(&Forced { system: model, effects: Vec::<QuantumEffect>::new() }), plain);
 
     // The cubic term reads the state, so that the state's cotangent needs the second solve.
-    let (act, act_and_reverse) = (sums(2 * n, 3 * n), sums(4 * n, 6 * n));
-    let cubic = [act, act_and_reverse, act_and_reverse + solve + potential, act];
+    let (add_forces, act_and_reverse) = (sums(2 * n, 3 * n), sums(4 * n, 6 * n));
+    let cubic = [add_forces, act_and_reverse, act_and_reverse + solve + potential, add_forces];
     let added = |effect: &QuantumEffect| match effect {
         QuantumEffect::Cubic(_) => cubic,
         _ => [sums(n, 0); 4],
     };
     let mut all = plain;
     for effect in every_effect() {
-        let found = counts(&With { system: body, effects: vec![effect.clone()] });
+        let found = counts(&Forced { system: model, effects: vec![effect.clone()] });
         let more = added(&effect);
         for i in 0..4 {
             assert_eq!(found[i], plain[i] + more[i], "{effect:?}, {i}");
@@ -152,22 +154,22 @@ fn an_effect_costs_its_own_operations_and_no_others() {
         }
     }
     let mut effects = every_effect();
-    assert_eq!(counts(&With { system: body, effects: effects.clone() }), all);
+    assert_eq!(counts(&Forced { system: model, effects: effects.clone() }), all);
     effects.reverse();
-    assert_eq!(counts(&With { system: body, effects }), all);
-    assert_eq!(counts(&With { system: body, effects: every_effect_typed() }), all);
+    assert_eq!(counts(&Forced { system: model, effects }), all);
+    assert_eq!(counts(&Forced { system: model, effects: every_effect_typed() }), all);
 
     // Points at 2 j / 33: three are within 0.2 of either wall.
-    let edges = counts(&Absorbing::new(body, AbsorbingEdges { width: 0.2, strength: 1.0 }));
+    let edges = counts(&Absorbing::new(model, AbsorbingEdges { width: 0.2, strength: 1.0 }));
     assert_eq!(edges, plain.map(|plain| plain + sums(0, 2 * 6)));
 }
 
 #[test]
 fn a_task_around_anything_pays_for_the_body_alone() {
-    let plain = Quantum { loss: LossMode::Final, ..Quantum::new(2) };
+    let plain = Quantum { loss: LossMode::Terminal, ..Quantum::new(2) };
     let system = Actuated { system: Absorbing::new(plain.system, AbsorbingEdges::default()), actuator: Delay { steps: 1 } };
-    let around = Quantum { loss: LossMode::Final, ..Quantum::around(system, 2) };
-    assert_eq!(Around::<QuantumSystem>::body(around.system()), &plain.system);
+    let around = Quantum { loss: LossMode::Terminal, ..Quantum::with_system(system, 2) };
+    assert_eq!(HasModel::<QuantumSystem>::model(around.system()), &plain.system);
     let (mut x, mut more) = (vec![0.0; 64], vec![0.0; 65]);
     plain.start(&mut stream(0, Purpose::Train, 3), &mut x);
     around.start(&mut stream(0, Purpose::Train, 3), &mut more);
@@ -186,11 +188,11 @@ fn a_table_has_the_numbers_of_what_it_is_of_and_its_derivatives() {
     let system = dipole(33);
     let (mut x, mut u) = (vec![0.0; 2 * system.grid], [0.0]);
     lively(&mut rng, &mut x, &mut u);
-    for effect in every_effect().into_iter().filter(|effect| !effect.reads_state()) {
+    for effect in every_effect().into_iter().filter(|effect| !effect.state_dependent()) {
         let table = Tabulated::of(&system, &effect);
-        let typed = everything(&With { system, effects: (table.clone(), Cubic::default()) }, &x, u[0]);
-        assert_eq!(typed, everything(&With { system, effects: vec![effect, Cubic::default().into()] }, &x, u[0]));
-        check_lively(&With { system, effects: table });
+        let typed = everything(&Forced { system, effects: (table.clone(), Cubic::default()) }, &x, u[0]);
+        assert_eq!(typed, everything(&Forced { system, effects: vec![effect, Cubic::default().into()] }, &x, u[0]));
+        check_lively(&Forced { system, effects: table });
     }
 }
 
@@ -207,7 +209,7 @@ fn a_renormalized_wave_keeps_its_direction_and_its_derivatives() {
         check_lively(&Renormalized { system: Substeps { system: box_of(grid), count: 3 } });
     }
     // What stands behind the wave is left alone.
-    let system = Renormalized { system: With { system: dipole(8), effects: (Swinging, Cubic::default()) } };
+    let system = Renormalized { system: Forced { system: dipole(8), effects: (Swinging, Cubic::default()) } };
     check_lively(&system);
     let mut x: Vec<f64> = (0..17).map(|i| Scalar::sin(f64::from(i))).collect();
     x[16] = 2.0;

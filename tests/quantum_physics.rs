@@ -5,19 +5,19 @@ mod boxes;
 use boxes::{box_of, densities, dipole, every_effect, largest_difference, lively, norm, overlap, packet, run, step, wave};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{Absorbing, AbsorbingEdges, Barrier, Cubic, DoubleWell, Harmonic, Quantum, QuantumSystem};
-use physgrad::{Cotangent, Effect, Real, Scalar, Task, With};
+use physgrad::{Cotangent, Effect, Forced, Real, Scalar, Task};
 use std::f64::consts::{PI, TAU};
 
-fn potential<E: Effect<QuantumSystem>>(effect: &E, body: &QuantumSystem) -> Vec<f64> {
-    let mut potential = vec![0.0; body.grid];
-    effect.act(body, &vec![0.0; 2 * body.grid], &mut potential);
+fn potential<E: Effect<QuantumSystem>>(effect: &E, model: &QuantumSystem) -> Vec<f64> {
+    let mut potential = vec![0.0; model.grid];
+    effect.add_forces(model, &vec![0.0; 2 * model.grid], &mut potential);
     potential
 }
 
 #[test]
 fn every_real_potential_keeps_the_norm() {
     for effects in every_effect().into_iter().map(|effect| vec![effect]).chain([every_effect()]) {
-        let system = With { system: dipole(32), effects };
+        let system = Forced { system: dipole(32), effects };
         let mut x = vec![0.0; 64];
         Quantum::new(3).start(&mut stream(0, Purpose::Test, 0), &mut x);
         for t in 0..5000 {
@@ -29,11 +29,11 @@ fn every_real_potential_keeps_the_norm() {
 
 #[test]
 fn absorbing_edges_only_take() {
-    let body = QuantumSystem { grid: 399, length: 10.0, dt: 0.002, ..QuantumSystem::default() };
+    let model = QuantumSystem { grid: 399, length: 10.0, dt: 0.002, ..QuantumSystem::default() };
     let edges = AbsorbingEdges { width: 3.0, strength: 30.0 };
-    let system = Absorbing::new(With { system: body, effects: Cubic { strength: 2.0 } }, edges);
+    let system = Absorbing::new(Forced { system: model, effects: Cubic { strength: 2.0 } }, edges);
     // At the speed 2k = 20; it would be back in the middle after 500 steps.
-    let mut x = packet(&body, 5.0, 0.5, 10.0);
+    let mut x = packet(&model, 5.0, 0.5, 10.0);
     let mut before = norm(&x);
     for _ in 0..500 {
         x = step(&system, &x, 0.0);
@@ -42,9 +42,9 @@ fn absorbing_edges_only_take() {
     }
     assert!(before * before < 0.01, "{:e} is left", before * before);
     // In one step, nothing but the edges, each point for itself.
-    let x = packet(&body, 5.0, 3.0, 1.0);
+    let x = packet(&model, 5.0, 3.0, 1.0);
     let (kept, free) = (step(&system, &x, 0.0), step(system.system(), &x, 0.0));
-    for ((x, kept), free) in body.points().zip(kept.chunks_exact(2)).zip(free.chunks_exact(2)) {
+    for ((x, kept), free) in model.points().zip(kept.chunks_exact(2)).zip(free.chunks_exact(2)) {
         let depth = (3.0 - x.min(10.0 - x)).max(0.0);
         let factor = if depth < 1e-9 { 1.0 } else { (-0.002 * 30.0 * depth * depth / 9.0f64).exp() };
         assert!((kept[0] - free[0] * factor).abs() < 1e-15 && (kept[1] - free[1] * factor).abs() < 1e-15, "at {x}");
@@ -64,8 +64,8 @@ fn the_default_edges_take_a_fifth_of_the_ground_state() {
 }
 
 /// The lowest eigenvalues of -D₂ + diag(potential), by Sturm's sequence and bisection.
-fn levels(body: &QuantumSystem, potential: &[f64], count: usize) -> Vec<f64> {
-    let per_square = 1.0 / body.spacing().powi(2);
+fn levels(model: &QuantumSystem, potential: &[f64], count: usize) -> Vec<f64> {
+    let per_square = 1.0 / model.spacing().powi(2);
     let below = |energy: f64| {
         let (mut pivot, mut negative) = (f64::INFINITY, 0);
         for v in potential {
@@ -105,32 +105,32 @@ fn the_levels_of_a_trap_are_those_of_an_oscillator() {
 fn a_coherent_state_swings_and_comes_back() {
     let (stiffness, steps) = (2500.0, 2000);
     let omega = 2.0 * f64::sqrt(stiffness);
-    let body = QuantumSystem { grid: 399, dt: TAU / omega / steps as f64, ..dipole(0) };
-    let trap = With { system: body, effects: Harmonic { stiffness, center: 0.0 } };
+    let model = QuantumSystem { grid: 399, dt: TAU / omega / steps as f64, ..dipole(0) };
+    let trap = Forced { system: model, effects: Harmonic { stiffness, center: 0.0 } };
     // The density of the ground state is a Gaussian of this width.
     let sigma = 0.5f64.sqrt() * stiffness.powf(-0.25);
-    let start = packet(&body, 1.0 + 0.3, sigma, 0.0);
+    let start = packet(&model, 1.0 + 0.3, sigma, 0.0);
     let half = run(&trap, start.clone(), steps / 2);
-    let (there, _) = overlap(&half, &packet(&body, 1.0 - 0.3, sigma, 0.0));
+    let (there, _) = overlap(&half, &packet(&model, 1.0 - 0.3, sigma, 0.0));
     let (back, phase) = overlap(&start, &run(&trap, half, steps / 2));
     println!("{there}, {back}, {phase}");
     // exp(-i ω (n + 1/2) 2π/ω) = -1 for every n.
     assert!(there > 0.999 && back > 0.999 && PI - phase.abs() < 0.1);
     // A constant force moves its middle by c / 2k, and nothing else.
-    let shifted = packet(&body, 1.0 - 0.2, sigma, 0.0);
+    let shifted = packet(&model, 1.0 - 0.2, sigma, 0.0);
     let after = (0..500).fold(shifted.clone(), |x, _| step(&trap, &x, 2.0 * stiffness * 0.2));
     assert!(overlap(&shifted, &after).0 > 0.999);
 }
 
 #[test]
 fn a_barrier_lets_through_what_eckart_says() {
-    let body = QuantumSystem { grid: 1599, length: 40.0, dt: 0.002, ..QuantumSystem::default() };
+    let model = QuantumSystem { grid: 1599, length: 40.0, dt: 0.002, ..QuantumSystem::default() };
     let barrier = Barrier { height: 25.0, width: 0.5, center: 1.0 };
     let (sigma, wave_number) = (2.5, 5.0);
-    let start = packet(&body, 10.0, sigma, wave_number);
+    let start = packet(&model, 10.0, sigma, wave_number);
     // At the speed 2k = 10, from 10 to about 32.
-    let after = run(&With { system: body, effects: barrier }, start, 1100);
-    let through: f64 = densities(&after).iter().zip(body.points()).filter(|(_, x)| *x > 21.0).map(|(d, _)| d).sum();
+    let after = run(&Forced { system: model, effects: barrier }, start, 1100);
+    let through: f64 = densities(&after).iter().zip(model.points()).filter(|(_, x)| *x > 21.0).map(|(d, _)| d).sum();
     let Barrier { height, width, .. } = barrier;
     let transmission = |k: f64| {
         let (with, without) = ((PI * k * width).sinh().powi(2), (PI / 2.0 * (4.0 * height * width * width - 1.0).sqrt()).cosh());
@@ -150,8 +150,8 @@ fn a_barrier_lets_through_what_eckart_says() {
 
 #[test]
 fn a_double_well_has_two_valleys_and_keeps_a_symmetric_state() {
-    let (well, body) = (DoubleWell { height: 40.0, separation: 1.0 }, QuantumSystem { grid: 199, ..dipole(0) });
-    let v = potential(&well, &body);
+    let (well, model) = (DoubleWell { height: 40.0, separation: 1.0 }, QuantumSystem { grid: 199, ..dipole(0) });
+    let v = potential(&well, &model);
     // Points at 0.01 j: bottoms at 0.5 and 1.5.
     assert!(v[49].abs() < 1e-9 && v[149].abs() < 1e-9 && (v[99] - 40.0).abs() < 1e-9);
     assert!(v.iter().all(|&v| v >= 0.0) && v.iter().rev().eq(&v), "mirrored bit for bit");
@@ -161,8 +161,8 @@ fn a_double_well_has_two_valleys_and_keeps_a_symmetric_state() {
     assert!((omega / (8.0 * 40f64.sqrt()) - 1.0).abs() < 1e-3, "{omega}");
 
     let effects = (well, Cubic { strength: 3.0 });
-    let start: Vec<f64> = body.eigenstate(1).zip(body.eigenstate(3)).flat_map(|(a, b)| [0.6 * a, 0.8 * b]).collect();
-    let after = densities(&run(&With { system: body, effects }, start.clone(), 500));
+    let start: Vec<f64> = model.eigenstate(1).zip(model.eigenstate(3)).flat_map(|(a, b)| [0.6 * a, 0.8 * b]).collect();
+    let after = densities(&run(&Forced { system: model, effects }, start.clone(), 500));
     let mirrored: Vec<f64> = after.iter().rev().copied().collect();
     assert!(largest_difference(&after, &densities(&start)) > 1e-3, "it moves");
     assert!(largest_difference(&after, &mirrored) < 1e-12);
@@ -170,15 +170,15 @@ fn a_double_well_has_two_valleys_and_keeps_a_symmetric_state() {
     // Below the top it stays where it is for long, and is found in the other valley in the end: after half the beat of
     // the two lowest levels.
     let deep = DoubleWell { height: 60.0, separation: 1.0 };
-    let body = QuantumSystem { dt: 0.002, grid: 99, ..body };
-    let levels = levels(&body, &potential(&deep, &body), 3);
+    let model = QuantumSystem { dt: 0.002, grid: 99, ..model };
+    let levels = levels(&model, &potential(&deep, &model), 3);
     let splitting = levels[1] - levels[0];
     assert!(levels[1] < 60.0 && splitting < 0.1 * (levels[2] - levels[0]), "{levels:?}");
     let stiffness = 240.0 / 0.25;
-    let left = packet(&body, 0.5, 0.5f64.sqrt() * f64::powf(stiffness, -0.25), 0.0);
+    let left = packet(&model, 0.5, 0.5f64.sqrt() * f64::powf(stiffness, -0.25), 0.0);
     let on_the_right = |x: &[f64]| densities(&x[100..]).iter().sum::<f64>();
-    let half_beat = (PI / splitting / body.dt) as usize;
-    let there = run(&With { system: body, effects: deep }, left.clone(), half_beat);
+    let half_beat = (PI / splitting / model.dt) as usize;
+    let there = run(&Forced { system: model, effects: deep }, left.clone(), half_beat);
     println!("{levels:?}, {half_beat} steps, {}", on_the_right(&there));
     assert!(on_the_right(&left) < 0.01 && on_the_right(&there) > 0.85);
 }
@@ -200,7 +200,7 @@ fn the_opposite_control_does_the_same_to_the_mirrored_state_of_a_dipole() {
 /// The same densities in the limit of small steps, and in one step a phase that differs by O(dt³).
 #[test]
 fn a_dipole_is_a_tilt_up_to_a_global_phase_and_the_time_step() {
-    let apart = |count: u32| {
+    let outline = |count: u32| {
         let dt = 0.5 / f64::from(count);
         let (tilt, dipole) = (QuantumSystem { dt, ..box_of(16) }, QuantumSystem { dt, ..dipole(16) });
         let start: Vec<f64> = tilt.eigenstate(1).zip(tilt.eigenstate(2)).flat_map(|(a, b)| [0.6 * a, 0.8 * b]).collect();
@@ -211,10 +211,10 @@ fn a_dipole_is_a_tilt_up_to_a_global_phase_and_the_time_step() {
         }
         largest_difference(&densities(&a), &densities(&b))
     };
-    let (coarse, fine) = (apart(4000), apart(8000));
+    let (coarse, fine) = (outline(4000), outline(8000));
     println!("{coarse:e}, {fine:e}");
     assert!(fine < 1e-6 && (3.9..4.1).contains(&(coarse / fine)));
-    assert!(apart(8) > 1e-3, "with the paper's time step they differ");
+    assert!(outline(8) > 1e-3, "with the paper's time step they differ");
 }
 
 /// The same energy everywhere.
@@ -222,11 +222,11 @@ fn a_dipole_is_a_tilt_up_to_a_global_phase_and_the_time_step() {
 struct Uniform(f64);
 
 impl Effect<QuantumSystem> for Uniform {
-    fn act<T: Scalar>(&self, _body: &QuantumSystem, _x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _x: &[T], forces: &mut [T]) {
         forces.iter_mut().for_each(|v| *v += T::lift(self.0));
     }
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &QuantumSystem, _x: &[R], _forces_bar: &[C], _x_bar: &mut [C]) {}
-    fn reads_state(&self) -> bool {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _forces_bar: &[C], _x_bar: &mut [C]) {}
+    fn state_dependent(&self) -> bool {
         false
     }
 }
@@ -234,25 +234,25 @@ impl Effect<QuantumSystem> for Uniform {
 #[test]
 fn where_the_density_is_constant_the_cubic_term_is_an_energy() {
     let strength = 3.0;
-    let phases = |body: &QuantumSystem| wave(body, |x| (Scalar::cos(3.0 * x), Scalar::sin(3.0 * x)));
-    let body = box_of(32);
-    let energy = strength / 32.0 / body.spacing();
-    let x = phases(&body);
-    let cubic = step(&With { system: body, effects: Cubic { strength } }, &x, 5.0);
-    let uniform = step(&With { system: body, effects: Uniform(energy) }, &x, 5.0);
+    let phases = |model: &QuantumSystem| wave(model, |x| (Scalar::cos(3.0 * x), Scalar::sin(3.0 * x)));
+    let model = box_of(32);
+    let energy = strength / 32.0 / model.spacing();
+    let x = phases(&model);
+    let cubic = step(&Forced { system: model, effects: Cubic { strength } }, &x, 5.0);
+    let uniform = step(&Forced { system: model, effects: Uniform(energy) }, &x, 5.0);
     assert!(largest_difference(&cubic, &uniform) < 1e-14);
 
     // An eigenstate turns by 2 atan(E dt/2), by about dt more for each unit of energy.
-    let phi: Vec<f64> = body.eigenstate(2).flat_map(|phi| [phi, 0.0]).collect();
-    let level = 4.0 / body.spacing().powi(2) * (PI / 33.0).sin().powi(2);
-    let (size, phase) = overlap(&phi, &step(&With { system: body, effects: Uniform(energy) }, &phi, 0.0));
+    let phi: Vec<f64> = model.eigenstate(2).flat_map(|phi| [phi, 0.0]).collect();
+    let level = 4.0 / model.spacing().powi(2) * (PI / 33.0).sin().powi(2);
+    let (size, phase) = overlap(&phi, &step(&Forced { system: model, effects: Uniform(energy) }, &phi, 0.0));
     assert!((size - 1.0).abs() < 1e-13 && (phase + 2.0 * (0.03125 * (level + energy)).atan()).abs() < 1e-13);
 
     // In a box so large that nothing moves, every point turns by its own density alone.
-    let still = QuantumSystem { length: 3.3e7, ..body };
+    let still = QuantumSystem { length: 3.3e7, ..model };
     let x = phases(&QuantumSystem { length: 2.0, ..still });
     let strength = 0.01 * still.spacing() * 32.0;
-    let after = step(&With { system: still, effects: Cubic { strength } }, &x, 0.0);
+    let after = step(&Forced { system: still, effects: Cubic { strength } }, &x, 0.0);
     let turn = -2.0 * f64::atan(0.01 * 0.0625 / 2.0);
     for (x, after) in x.chunks_exact(2).zip(after.chunks_exact(2)) {
         let (size, phase) = overlap(x, after);
@@ -266,10 +266,10 @@ fn an_attractive_condensate_has_a_soliton() {
     let (kappa, steps) = (5.0, 1000);
     let errors = |steps: usize| {
         let period = TAU / (kappa * kappa);
-        let body = QuantumSystem { grid: 399, length: 6.0, dt: period / steps as f64, ..QuantumSystem::default() };
-        let start = wave(&body, |x| (1.0 / (kappa * (x - 3.0)).cosh(), 0.0));
-        let bound = run(&With { system: body, effects: Cubic { strength: -4.0 * kappa } }, start.clone(), steps);
-        let free = run(&body, start.clone(), steps);
+        let model = QuantumSystem { grid: 399, length: 6.0, dt: period / steps as f64, ..QuantumSystem::default() };
+        let start = wave(&model, |x| (1.0 / (kappa * (x - 3.0)).cosh(), 0.0));
+        let bound = run(&Forced { system: model, effects: Cubic { strength: -4.0 * kappa } }, start.clone(), steps);
+        let free = run(&model, start.clone(), steps);
         assert!(overlap(&start, &free).0 < 0.7, "without it, it spreads");
         let (size, phase) = overlap(&start, &bound);
         (1.0 - size, phase)

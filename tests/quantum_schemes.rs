@@ -10,37 +10,39 @@ use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
     Absorbing, AbsorbingEdges, Cubic, Harmonic, Pade, Quantum, QuantumEffect, QuantumScheme, QuantumSystem, Strang,
 };
-use physgrad::{Actuated, Counted, Counts, Delay, Effect, Host, Limit, LimitKind, Scalar, Substeps, System, Task, With, check};
+use physgrad::{
+    Actuated, Counted, Delay, Effect, Forced, ForcedSystem, Limit, LimitKind, Ops, Scalar, Substeps, System, Task, check,
+};
 use std::f64::consts::{PI, TAU};
 
-fn schemes(body: QuantumSystem) -> [QuantumScheme; 3] {
-    [QuantumScheme::CrankNicolson(body), QuantumScheme::Pade(Pade(body)), QuantumScheme::Strang(Strang::new(body))]
+fn schemes(model: QuantumSystem) -> [QuantumScheme; 3] {
+    [QuantumScheme::CrankNicolson(model), QuantumScheme::Pade(Pade(model)), QuantumScheme::Strang(Strang::new(model))]
 }
 
 #[test]
 fn the_derivatives_of_every_scheme_are_those_of_duals() {
-    for body in [box_of(3), dipole(4), box_of(9), dipole(32), box_of(65), dipole(66)] {
-        check_lively(&Pade(body));
-        check_lively(&Strang::new(body));
-        for system in schemes(body) {
+    for model in [box_of(3), dipole(4), box_of(9), dipole(32), box_of(65), dipole(66)] {
+        check_lively(&Pade(model));
+        check_lively(&Strang::new(model));
+        for system in schemes(model) {
             for effects in [vec![Harmonic::default().into()], every_effect()] {
-                check_lively(&With { system: system.clone(), effects });
+                check_lively(&Forced { system: system.clone(), effects });
             }
         }
     }
-    check_lively(&With { system: Pade(dipole(32)), effects: every_effect_typed() });
-    check_lively(&With { system: Strang::new(dipole(32)), effects: every_effect_typed() });
+    check_lively(&Forced { system: Pade(dipole(32)), effects: every_effect_typed() });
+    check_lively(&Forced { system: Strang::new(dipole(32)), effects: every_effect_typed() });
 }
 
 #[test]
 fn effects_may_depend_on_time_and_wrappers_go_around_every_scheme() {
     let (limit, edges) = (Limit { bound: 20.0, kind: LimitKind::Smooth }, AbsorbingEdges::default());
     for system in schemes(dipole(8)) {
-        check_lively(&With { system: system.clone(), effects: (Swinging, Cubic::default()) });
-        let system = Absorbing::new(With { system, effects: every_effect() }, edges);
+        check_lively(&Forced { system: system.clone(), effects: (Swinging, Cubic::default()) });
+        let system = Absorbing::new(Forced { system, effects: every_effect() }, edges);
         let system = Actuated { system: Substeps { system, count: 3 }, actuator: (limit, Delay { steps: 2 }) };
         check_lively(&system);
-        let task = Quantum { horizon: 6, ..Quantum::around(system, 2) };
+        let task = Quantum { horizon: 6, ..Quantum::with_system(system, 2) };
         check::task(&task, &Linear::with_bias(18, 1));
     }
 }
@@ -56,32 +58,32 @@ fn everything<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
 
 #[test]
 fn a_scheme_that_is_chosen_has_its_own_bits_and_a_list_those_of_a_tuple() {
-    fn same<H: Host<Body = QuantumSystem> + System + Clone>(alone: &H, chosen: &QuantumScheme) -> Vec<f64> {
-        let (mut x, mut u) = (vec![0.0; alone.body().grid * 2], [0.0]);
+    fn same<H: ForcedSystem<Model = QuantumSystem> + System + Clone>(alone: &H, chosen: &QuantumScheme) -> Vec<f64> {
+        let (mut x, mut u) = (vec![0.0; alone.model().grid * 2], [0.0]);
         lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u);
         let plain = everything(alone, &x, u[0]);
         assert_eq!(plain, everything(chosen, &x, u[0]));
-        assert_eq!(plain, everything(&With { system: alone.clone(), effects: Vec::<QuantumEffect>::new() }, &x, u[0]));
-        let typed = everything(&With { system: alone.clone(), effects: every_effect_typed() }, &x, u[0]);
-        assert_eq!(typed, everything(&With { system: alone.clone(), effects: every_effect() }, &x, u[0]));
-        assert_eq!(typed, everything(&With { system: chosen.clone(), effects: every_effect() }, &x, u[0]));
+        assert_eq!(plain, everything(&Forced { system: alone.clone(), effects: Vec::<QuantumEffect>::new() }, &x, u[0]));
+        let typed = everything(&Forced { system: alone.clone(), effects: every_effect_typed() }, &x, u[0]);
+        assert_eq!(typed, everything(&Forced { system: alone.clone(), effects: every_effect() }, &x, u[0]));
+        assert_eq!(typed, everything(&Forced { system: chosen.clone(), effects: every_effect() }, &x, u[0]));
         assert_ne!(plain, typed);
         plain
     }
-    for body in [box_of(32), dipole(33)] {
-        let [a, b, c] = schemes(body);
-        let (a, b, c) = (same(&body, &a), same(&Pade(body), &b), same(&Strang::new(body), &c));
+    for model in [box_of(32), dipole(33)] {
+        let [a, b, c] = schemes(model);
+        let (a, b, c) = (same(&model, &a), same(&Pade(model), &b), same(&Strang::new(model), &c));
         assert!(largest_difference(&a, &b) > 1e-3 && largest_difference(&b, &c) > 1e-3, "they are three");
     }
 }
 
 #[test]
 fn every_scheme_is_unitary_whatever_the_potential() {
-    for (body, effects) in [(box_of(32), vec![]), (dipole(32), every_effect()), (box_of(7), every_effect())] {
-        for system in schemes(body) {
-            let system = With { system, effects: effects.clone() };
-            let mut x = vec![0.0; 2 * body.grid];
-            Quantum { weighting: [1.0, 1.0], ..Quantum::around(body, 3) }.start(&mut stream(0, Purpose::Test, 0), &mut x);
+    for (model, effects) in [(box_of(32), vec![]), (dipole(32), every_effect()), (box_of(7), every_effect())] {
+        for system in schemes(model) {
+            let system = Forced { system, effects: effects.clone() };
+            let mut x = vec![0.0; 2 * model.grid];
+            Quantum { weighting: [1.0, 1.0], ..Quantum::with_system(model, 3) }.start(&mut stream(0, Purpose::Test, 0), &mut x);
             for t in 0..5000 {
                 x = step(&system, &x, 300.0 * (0.1 * f64::from(t)).sin());
             }
@@ -95,15 +97,16 @@ fn every_scheme_is_unitary_whatever_the_potential() {
 /// infidelity with respect to those eight numbers. `count` time steps go into each.
 fn rollout<E: Effect<QuantumSystem>>(scheme: usize, effects: &E, count: usize) -> (Vec<f64>, Vec<f64>) {
     const PIECES: usize = 8;
-    let body = QuantumSystem { dt: 0.0625 / count as f64, ..dipole(12) };
-    let system = Substeps { system: With { system: schemes(body)[scheme].clone(), effects: effects.clone() }, count };
-    let task = Quantum { horizon: PIECES, ..Quantum::around(system, 2) };
-    let mut states = vec![(body.eigenstate(1).zip(body.eigenstate(2)).flat_map(|(a, b)| [0.8 * a, 0.6 * b])).collect::<Vec<_>>()];
+    let model = QuantumSystem { dt: 0.0625 / count as f64, ..dipole(12) };
+    let system = Substeps { system: Forced { system: schemes(model)[scheme].clone(), effects: effects.clone() }, count };
+    let task = Quantum { horizon: PIECES, ..Quantum::with_system(system, 2) };
+    let mut states =
+        vec![(model.eigenstate(1).zip(model.eigenstate(2)).flat_map(|(a, b)| [0.8 * a, 0.6 * b])).collect::<Vec<_>>()];
     let control = |k: usize| 8.0 * (1.0 + 5.0 * (k as f64 + 0.5) / PIECES as f64).sin();
     for k in 0..PIECES {
         states.push(step(&task.system, &states[k], control(k)));
     }
-    let (mut bar, mut gradient) = (vec![0.0; 2 * body.grid], vec![0.0; PIECES]);
+    let (mut bar, mut gradient) = (vec![0.0; 2 * model.grid], vec![0.0; PIECES]);
     task.stage_cost_gradient(&states[PIECES], &[0.0], &mut bar, &mut [0.0]);
     for k in (0..PIECES).rev() {
         let mut x_bar = bar.clone();
@@ -149,12 +152,12 @@ fn with_the_cubic_term_strang_keeps_its_order() {
 
 /// How wrong the phase of an eigenstate is after a time step of the default box, in shares of what it should be.
 fn phase_error(scheme: usize, number: usize, count: usize) -> f64 {
-    let body = QuantumSystem { dt: 0.0625 / count as f64, ..QuantumSystem::default() };
-    let phi: Vec<f64> = body.eigenstate(number).flat_map(|phi| [phi, 0.0]).collect();
-    let energy = 4.0 * ((PI * number as f64 / 66.0).sin() / body.spacing()).powi(2);
-    let (size, phase) = overlap(&phi, &step(&schemes(body)[scheme], &phi, 0.0));
+    let model = QuantumSystem { dt: 0.0625 / count as f64, ..QuantumSystem::default() };
+    let phi: Vec<f64> = model.eigenstate(number).flat_map(|phi| [phi, 0.0]).collect();
+    let energy = 4.0 * ((PI * number as f64 / 66.0).sin() / model.spacing()).powi(2);
+    let (size, phase) = overlap(&phi, &step(&schemes(model)[scheme], &phi, 0.0));
     assert!((size - 1.0).abs() < 1e-13, "it is an eigenstate");
-    ((-phase).rem_euclid(TAU) / (energy * body.dt) - 1.0).abs()
+    ((-phase).rem_euclid(TAU) / (energy * model.dt) - 1.0).abs()
 }
 
 #[test]
@@ -174,24 +177,24 @@ fn a_step_of_pade_is_two_of_crank_and_nicolson_with_shifted_energies() {
     #[derive(Clone, Debug)]
     struct Shift(f64);
     impl Effect<QuantumSystem> for Shift {
-        fn act<T: Scalar>(&self, _body: &QuantumSystem, _x: &[T], potential: &mut [T]) {
+        fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _x: &[T], potential: &mut [T]) {
             potential.iter_mut().for_each(|v| *v += T::lift(self.0));
         }
     }
     let (mut x, mut u) = (vec![0.0; 64], [0.0]);
     lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u);
-    let (body, shift) = (box_of(32), 3f64.sqrt() / 0.0625);
-    let part = QuantumSystem { dt: body.dt * 2.0 / 3.0, ..body };
-    let halfway = step(&With { system: part, effects: Shift(-shift) }, &x, u[0]);
-    let twice = step(&With { system: part, effects: Shift(shift) }, &halfway, u[0]);
-    assert!(largest_difference(&twice, &step(&Pade(body), &x, u[0])) < 1e-13);
+    let (model, shift) = (box_of(32), 3f64.sqrt() / 0.0625);
+    let part = QuantumSystem { dt: model.dt * 2.0 / 3.0, ..model };
+    let halfway = step(&Forced { system: part, effects: Shift(-shift) }, &x, u[0]);
+    let twice = step(&Forced { system: part, effects: Shift(shift) }, &halfway, u[0]);
+    assert!(largest_difference(&twice, &step(&Pade(model), &x, u[0])) < 1e-13);
 }
 
 /// A step without potential, against the sum over all eigenstates.
 #[test]
 fn strang_moves_free_particles_exactly() {
     for grid in [3, 6, 7, 33, 300] {
-        let body = QuantumSystem { length: 2.0 * (grid + 1) as f64 / 33.0, ..box_of(grid) };
+        let model = QuantumSystem { length: 2.0 * (grid + 1) as f64 / 33.0, ..box_of(grid) };
         let (mut x, mut u) = (vec![0.0; 2 * grid], [0.0]);
         lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u);
         let mut expected = vec![0.0; 2 * grid];
@@ -200,33 +203,33 @@ fn strang_moves_free_particles_exactly() {
             let share =
                 |i: usize| phi.iter().zip(x[i..].iter().step_by(2)).map(|(a, b)| a * b).sum::<f64>() * 2.0 / (grid + 1) as f64;
             let (re, im) = (share(0), share(1));
-            let energy = 4.0 * ((PI * number as f64 / (2 * grid + 2) as f64).sin() / body.spacing()).powi(2);
-            let (sin, cos) = (-energy * body.dt).sin_cos();
+            let energy = 4.0 * ((PI * number as f64 / (2 * grid + 2) as f64).sin() / model.spacing()).powi(2);
+            let (sin, cos) = (-energy * model.dt).sin_cos();
             for (expected, phi) in expected.chunks_exact_mut(2).zip(&phi) {
                 expected[0] += phi * (re * cos - im * sin);
                 expected[1] += phi * (re * sin + im * cos);
             }
         }
-        assert!(largest_difference(&expected, &step(&Strang::new(body), &x, 0.0)) < 1e-12);
+        assert!(largest_difference(&expected, &step(&Strang::new(model), &x, 0.0)) < 1e-12);
     }
 }
 
 /// What a step, `vjp`, `vjp_state` and `vjp_control` do.
-fn counts<S: System>(system: &S) -> [Counts; 4] {
+fn counts<S: System>(system: &S) -> [Ops; 4] {
     let n = system.state_dim();
     let x: Vec<Counted> = (0..n).map(|i| Counted(Scalar::sin(i as f64))).collect();
     let (u, mut next, mut x_bar, mut u_bar) = ([Counted(3.0)], x.clone(), x.clone(), [Counted(0.0)]);
     [
-        Counts::of(|| system.step(&x, &u, &mut next)).0,
-        Counts::of(|| system.vjp(&x, &u, &x, &mut x_bar, &mut u_bar)).0,
-        Counts::of(|| system.vjp_state(&x, &u, &x, &mut x_bar)).0,
-        Counts::of(|| system.vjp_control(&x, &u, &x, &mut u_bar)).0,
+        Ops::of(|| system.step(&x, &u, &mut next)).0,
+        Ops::of(|| system.vjp(&x, &u, &x, &mut x_bar, &mut u_bar)).0,
+        Ops::of(|| system.vjp_state(&x, &u, &x, &mut x_bar)).0,
+        Ops::of(|| system.vjp_control(&x, &u, &x, &mut u_bar)).0,
     ]
 }
 
 #[test]
 fn a_step_of_pade_costs_two_and_works_out_the_potential_once() {
-    let sums = |add, multiply| Counts { add, multiply, ..Counts::default() };
+    let sums = |add, multiply| Ops { add, multiply, ..Ops::default() };
     let (crank_nicolson, pade) = (counts(&box_of(32)), counts(&Pade(box_of(32))));
     // In the reverse, the state between the factors is worked out again, and their cotangents are added up.
     let more = [sums(0, 0), sums(4 * 32 + 1, 0), sums(0, 0), sums(4 * 32 + 1, 0)];

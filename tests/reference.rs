@@ -7,7 +7,8 @@
 use physgrad::policy::{Conv, Mlp};
 use physgrad::tasks::{CartPole, CartPoleSystem, Guidance, GuidanceSystem, LossMode, Quantum, QuantumSystem};
 use physgrad::{
-    Batch, Clip, Evaluation, Field, Flow, Gradient, Optimizer, Policy, Rollout, Rule, System, Task, Trainer, Training, Weights,
+    Batch, Clip, Evaluation, Field, Flow, Gradient, Optimizer, OptimizerKind, Policy, Rollout, System, Task, Trainer, Training,
+    Weights,
 };
 use serde_json::Value;
 use std::path::PathBuf;
@@ -113,8 +114,8 @@ trait Authors {
 
 fn loss_mode(case: &Value) -> LossMode {
     match case["loss_mode"].as_str() {
-        Some("CONTINUOUS") => LossMode::Continuous,
-        _ => LossMode::Final,
+        Some("CONTINUOUS") => LossMode::Running,
+        _ => LossMode::Terminal,
     }
 }
 
@@ -279,7 +280,7 @@ fn losses_and_gradients<A: Authors>() {
             }
             let mut got = Gradient::zeros(policy.param_count());
             Field::combined().compose(batch.gradients(), &mut got);
-            let got = got.plain();
+            let got = got.to_vec();
             let [m, r] = [0, 1].map(|k| batch.gradients()[k].values());
             let kept = |g: &[f64]| g.iter().map(|&g| g != 0.0).collect::<Vec<_>>();
             assert_eq!(kept(&got), kept(&expected), "{name}: C keeps other components than the authors'");
@@ -304,7 +305,7 @@ fn training<A: Authors>() {
         let physics = physics::<A>(&file, &file, task.horizon());
         let policy = A::policy(&file, &task);
         let (epochs, size, rate) = (count(&file["epochs"]), count(&file["batch_size"]), number(&file["lr"]));
-        let rule = Rule::named("adam").expect("a rule");
+        let rule = OptimizerKind::named("adam").expect("a rule");
         let [theta, train, test] = [variables(&file["controller"]), data(&file["train_states"]), data(&file["test_states"])];
         let mut losses = Worst::new(&name, "losses of two epochs", 1e-8);
         let mut sizes = Worst::new(&name, "sizes of gradients", 1e-8);

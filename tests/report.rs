@@ -272,7 +272,7 @@ fn an_adjoint_beyond_the_range_of_f32_is_drawn_to_the_start() {
     let dir = TempDir::new().expect("a folder");
     // A cart so light that the policy's least noise throws it about: states stay finite, and what they depend on grows. (Lighter
     // still, and whether states stay finite depends on the last bit.)
-    let light = ["--set", "system.cart_mass=2e-4", "--set", "system.pole_mass=2e-4", "--set", "policy.zero_last=false"];
+    let light = ["--set", "system.cart_mass=2e-4", "--set", "system.pole_mass=2e-4", "--set", "policy.zero_init_output=false"];
     train(dir.path(), &["--epochs", "0"]).args(light).args(["--set", "horizon=1500"]).assert().success();
     let page = report(dir.path());
     assert!(!page.contains("the adjoint of R diverged"));

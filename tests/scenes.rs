@@ -154,8 +154,17 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
         ("field = \"sideways\"\n", "my_scene.toml:3: `field` cannot be used: unknown field `sideways`; expected combined, "),
         ("precision = \"f16\"\n", "my_scene.toml:3: `precision` is `f16`; allowed: `f32` or `f64`"),
         ("horizon = \n", "my_scene.toml:3: "),
-        ("[effects.bumpers]\nenabled = false\n", "my_scene.toml:4: `effects.bumpers.enabled` is unknown; allowed: `reach`"),
-        ("[effects.bumpers]\nreach = \"far\"\n", "my_scene.toml:4: `effects.bumpers.reach` is string \"far\"; allowed: a number"),
+        ("[effects.bumpers]\nenabled = false\n", "my_scene.toml:4: `effects.bumpers.enabled` is unknown; allowed: `half_travel`"),
+        (
+            "[effects.bumpers]\nhalf_travel = \"far\"\n",
+            "my_scene.toml:4: `effects.bumpers.half_travel` is string \"far\"; allowed: a number",
+        ),
+        (
+            "[effects.bumpers]\nreach = 2\n",
+            "my_scene.toml:4: `effects.bumpers.reach` was renamed; write `effects.bumpers.half_travel`",
+        ),
+        ("[policy]\nzero_last = true\n", "my_scene.toml:4: `policy.zero_last` was renamed; write `policy.zero_init_output`"),
+        ("[loss]\nmode = \"final\"\n", "my_scene.toml:4: `loss.mode` = \"final\" was renamed; write \"terminal\""),
         (
             "[effects.dry_friction]\n\nsmoothing = 0\n",
             "my_scene.toml:5: `effects.dry_friction.smoothing` is 0; allowed: a positive number",

@@ -3,7 +3,7 @@
 use arrayvec::ArrayVec;
 use physgrad::rng::Rng;
 use physgrad::tasks::{CartDamping, CartPoleSystem, PoleDamping, SteadyWind};
-use physgrad::{Around, Cotangent, Real, Scalar, System};
+use physgrad::{Cotangent, HasModel, Real, Scalar, System};
 
 /// Physics whose constant parameters switch friction and wind on.
 #[derive(Clone)]
@@ -163,11 +163,11 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
     }
 }
 
-impl<const FRICTION: bool, const WIND: bool> Around<CartPoleSystem> for ByHand<FRICTION, WIND> {
+impl<const FRICTION: bool, const WIND: bool> HasModel<CartPoleSystem> for ByHand<FRICTION, WIND> {
     #[inline(always)]
-    fn body(&self) -> &CartPoleSystem {
+    fn model(&self) -> &CartPoleSystem {
         &self.system
     }
 
-    fn start_beyond(&self, _rng: &mut Rng, _x: &mut [f64]) {}
+    fn start_extra(&self, _rng: &mut Rng, _x: &mut [f64]) {}
 }

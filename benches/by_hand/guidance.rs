@@ -3,7 +3,7 @@
 use arrayvec::ArrayVec;
 use physgrad::rng::Rng;
 use physgrad::tasks::{Evade, Flock, Friction, GuidanceSystem, Spread};
-use physgrad::{Around, Cotangent, Float, Real, Scalar, System};
+use physgrad::{Cotangent, Float, HasModel, Real, Scalar, System};
 
 /// [`GuidanceSystem::herding`] for at most 32 agents, with a control frame at the sum of the
 /// evaders' positions.
@@ -134,7 +134,7 @@ impl System for ByHand {
             (next[2], next[3]) = (friction * x[2], friction * x[3]);
         }
         for b in 0..agents {
-            let mut felt = [next[AGENT * b + 2], next[AGENT * b + 3]];
+            let mut applied = [next[AGENT * b + 2], next[AGENT * b + 3]];
             for a in 0..b {
                 let own = (a < drivers) == (b < drivers);
                 let law = if !own {
@@ -145,14 +145,14 @@ impl System for ByHand {
                     flock
                 };
                 let [x, y] = Gap::new(x, a, b, softening).force(law);
-                felt[0] += x;
-                felt[1] += y;
+                applied[0] += x;
+                applied[1] += y;
                 if own {
                     next[AGENT * a + 2] -= x;
                     next[AGENT * a + 3] -= y;
                 }
             }
-            (next[AGENT * b + 2], next[AGENT * b + 3]) = (felt[0], felt[1]);
+            (next[AGENT * b + 2], next[AGENT * b + 3]) = (applied[0], applied[1]);
         }
         let dt = T::lift(self.system.dt);
         for (next, x) in next.chunks_exact_mut(AGENT).zip(x.chunks_exact(AGENT)) {
@@ -191,7 +191,7 @@ impl System for ByHand {
             bar[1] += herd_bar[1];
         }
         for b in 0..agents {
-            let mut felt = [x_bar[AGENT * b], x_bar[AGENT * b + 1]];
+            let mut applied = [x_bar[AGENT * b], x_bar[AGENT * b + 1]];
             for a in 0..b {
                 let own = (a < drivers) == (b < drivers);
                 let law = if !own {
@@ -207,21 +207,21 @@ impl System for ByHand {
                     force_bar[1] -= forces_bar[a][1];
                 }
                 let [x, y] = Gap::new(x, a, b, softening).force_vjp(law, force_bar);
-                felt[0] += x;
-                felt[1] += y;
+                applied[0] += x;
+                applied[1] += y;
                 x_bar[AGENT * a] -= x;
                 x_bar[AGENT * a + 1] -= y;
             }
-            (x_bar[AGENT * b], x_bar[AGENT * b + 1]) = (felt[0], felt[1]);
+            (x_bar[AGENT * b], x_bar[AGENT * b + 1]) = (applied[0], applied[1]);
         }
     }
 }
 
-impl Around<GuidanceSystem> for ByHand {
+impl HasModel<GuidanceSystem> for ByHand {
     #[inline(always)]
-    fn body(&self) -> &GuidanceSystem {
+    fn model(&self) -> &GuidanceSystem {
         &self.system
     }
 
-    fn start_beyond(&self, _rng: &mut Rng, _x: &mut [f64]) {}
+    fn start_extra(&self, _rng: &mut Rng, _x: &mut [f64]) {}
 }

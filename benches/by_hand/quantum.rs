@@ -3,7 +3,7 @@
 use arrayvec::ArrayVec;
 use physgrad::rng::Rng;
 use physgrad::tasks::{Cubic, Harmonic, QuantumSystem};
-use physgrad::{Around, Cotangent, Real, Scalar, System};
+use physgrad::{Cotangent, HasModel, Real, Scalar, System};
 use std::ops::{Add, Mul, Sub};
 
 /// Physics for at most 64 grid points. Constant parameters switch the trap and the cubic term on.
@@ -123,11 +123,11 @@ impl<const TRAP: bool, const CUBIC: bool> System for ByHand<TRAP, CUBIC> {
     }
 }
 
-impl<const TRAP: bool, const CUBIC: bool> Around<QuantumSystem> for ByHand<TRAP, CUBIC> {
+impl<const TRAP: bool, const CUBIC: bool> HasModel<QuantumSystem> for ByHand<TRAP, CUBIC> {
     #[inline(always)]
-    fn body(&self) -> &QuantumSystem {
+    fn model(&self) -> &QuantumSystem {
         &self.system
     }
 
-    fn start_beyond(&self, _rng: &mut Rng, _x: &mut [f64]) {}
+    fn start_extra(&self, _rng: &mut Rng, _x: &mut [f64]) {}
 }

@@ -249,7 +249,7 @@ fn check_flow(
         let gradient = |flows: &[Flow]| {
             let mut batch = Batch::new(task, policy, SAMPLES, flows, 1);
             let loss = batch.run(task, policy, &weights, &starts);
-            loss.map(|loss| (loss, batch.gradients()[flows.len() - 1].plain()))
+            loss.map(|loss| (loss, batch.gradients()[flows.len() - 1].to_vec()))
                 .map_err(|divergence| Failure::Diverged { case, divergence })
         };
         let (loss, gradient_alone) = gradient(&[flow])?;

@@ -1,7 +1,7 @@
 //! Reference values of the checks: dual numbers through `act` and `step`, with the paths that a
 //! flow omits detached.
 
-use crate::dynamics::apart::step;
+use crate::dynamics::outline::step;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::adjoint::Flow;

@@ -2,13 +2,13 @@
 
 use super::oracle::pulled_back;
 use super::{CASES, Comparison, Mismatch, ONE_STEP, Passed, normal};
-use crate::dynamics::apart::{One, step};
+use crate::dynamics::outline::{One, step};
 use crate::dynamics::system::System;
 use crate::engine::any::{AnySystem, vjp};
 use crate::engine::rollout::{Lane, WIDTH};
 use crate::numbers::kernels::has_lanes;
 use crate::numbers::rng::{Purpose, Rng, stream};
-use crate::numbers::scalar::{Columns, Lanes, Real, Scalar};
+use crate::numbers::scalar::{CotangentPack, Lanes, Real, Scalar};
 use num_dual::Dual64;
 
 /// Object-safe system for all scalar types that the check uses.
@@ -21,7 +21,7 @@ pub(super) trait Checked: AnySystem<f64> {
 }
 
 /// Cotangents of two flows, carried together by a reverse pass.
-type Two = Columns<Lane<f64>, 2>;
+type Two = CotangentPack<Lane<f64>, 2>;
 
 impl<S: System> Checked for S {
     fn step_by_duals(&self, x: &[Dual64], u: &[Dual64], next: &mut [Dual64]) {
@@ -71,11 +71,11 @@ pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch
         let [x_bar, u_bar] = vjp(system, &x, &u, &next_bar);
         c.slices("vjp: x_bar", &x_bar, &x_dual)?;
         c.slices("vjp: u_bar", &u_bar, &u_dual)?;
-        let next_bars: Vec<_> = next_bar.iter().map(|&bar| Columns([bar])).collect();
-        let (mut x_only, mut u_only) = (vec![Columns([f64::NAN]); n], vec![Columns([f64::NAN]); m]);
+        let next_bars: Vec<_> = next_bar.iter().map(|&bar| CotangentPack([bar])).collect();
+        let (mut x_only, mut u_only) = (vec![CotangentPack([f64::NAN]); n], vec![CotangentPack([f64::NAN]); m]);
         system.vjp_state(&x, &u, &next_bars, &mut x_only);
         system.vjp_control(&x, &u, &next_bars, &mut u_only);
-        let plain = |bars: &[Columns<f64, 1>]| bars.iter().map(|bar| bar.0[0]).collect::<Vec<_>>();
+        let plain = |bars: &[CotangentPack<f64, 1>]| bars.iter().map(|bar| bar.0[0]).collect::<Vec<_>>();
         c.slices("vjp_state: x_bar", &plain(&x_only), &x_dual)?;
         c.slices("vjp_control: u_bar", &plain(&u_only), &u_dual)?;
 
@@ -110,7 +110,7 @@ fn lanes(system: &dyn Checked, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut C
     let (x_lanes, u_lanes) = (pack(x), pack(u));
     let mut next = vec![Lanes::zero(); n];
     system.step_in_lanes(&x_lanes, &u_lanes, &mut next);
-    let column = |v: Lane<f64>| Columns([v, -v]);
+    let column = |v: Lane<f64>| CotangentPack([v, -v]);
     let next_bars: Vec<_> = pack(next_bar).into_iter().map(column).collect();
     let (mut x_bars, mut u_bars) = (vec![column(Lanes::zero()); n], vec![column(Lanes::zero()); m]);
     system.vjp_in_lanes(&x_lanes, &u_lanes, &next_bars, &mut x_bars, &mut u_bars);

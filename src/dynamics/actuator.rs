@@ -9,7 +9,7 @@ mod kinds;
 pub use kinds::{AnyActuator, Delay, Lag, Limit, LimitKind};
 
 use crate::dynamics::cause::Cause;
-use crate::dynamics::effect::Around;
+use crate::dynamics::effect::HasModel;
 use crate::dynamics::system::System;
 use crate::numbers::forward_mode::{concat, jacobian};
 use crate::numbers::rng::Rng;
@@ -48,7 +48,7 @@ pub trait Actuator: Clone + Send + Sync {
         &self,
         own: &[R],
         u: &[R],
-        next_bar: Bars<'_, C>,
+        next_bar: OutputCotangents<'_, C>,
         own_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
@@ -58,7 +58,7 @@ pub trait Actuator: Clone + Send + Sync {
 
 /// Cotangents of the outputs of [`Actuator::step`].
 #[derive(Clone, Copy, Debug)]
-pub struct Bars<'a, C> {
+pub struct OutputCotangents<'a, C> {
     /// Cotangent of the actuator's next state.
     pub own: &'a [C],
     /// Cotangent of the system's control.
@@ -71,7 +71,7 @@ fn reverse_by_duals<A: Actuator, R: Real, C: Cotangent<R>>(
     actuator: &A,
     own: &[R],
     u: &[R],
-    next_bar: Bars<'_, C>,
+    next_bar: OutputCotangents<'_, C>,
     mut own_bar: Option<&mut [C]>,
     mut u_bar: Option<&mut [C]>,
 ) {
@@ -108,7 +108,7 @@ impl Actuator for () {
         &self,
         _own: &[R],
         _u: &[R],
-        next_bar: Bars<'_, C>,
+        next_bar: OutputCotangents<'_, C>,
         _own_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
@@ -137,7 +137,7 @@ impl<A: Actuator, B: Actuator> Actuator for (A, B) {
         &self,
         own: &[R],
         u: &[R],
-        next_bar: Bars<'_, C>,
+        next_bar: OutputCotangents<'_, C>,
         own_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
@@ -153,9 +153,9 @@ impl<A: Actuator, B: Actuator> Actuator for (A, B) {
             }
             None => (None, None),
         };
-        let bars = Bars { own: &next_bar.own[n..], out: next_bar.out };
+        let bars = OutputCotangents { own: &next_bar.own[n..], out: next_bar.out };
         self.1.reverse(&own[n..], &between, bars, second, Some(&mut between_bar));
-        self.0.reverse(&own[..n], u, Bars { own: &next_bar.own[..n], out: &between_bar }, first, u_bar);
+        self.0.reverse(&own[..n], u, OutputCotangents { own: &next_bar.own[..n], out: &between_bar }, first, u_bar);
     }
 }
 
@@ -199,9 +199,9 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         self.system.step(&x[..n], &out, next);
     }
 
-    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+    fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
         let (x, own) = x.split_at(self.system.state_dim());
-        self.system.cause(x, &self.control(own, u))
+        self.system.diagnose(x, &self.control(own, u))
     }
 
     #[inline(always)]
@@ -210,7 +210,7 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         let ((next_bar, own_next_bar), (x_bar, own_bar)) = (next_bar.split_at(x.len()), x_bar.split_at_mut(x.len()));
         let mut out_bar: Controls<C> = smallvec![C::null(); u.len()];
         self.system.vjp(x, &self.control(own, u), next_bar, x_bar, &mut out_bar);
-        self.actuator.reverse(own, u, Bars { own: own_next_bar, out: &out_bar }, Some(own_bar), Some(u_bar));
+        self.actuator.reverse(own, u, OutputCotangents { own: own_next_bar, out: &out_bar }, Some(own_bar), Some(u_bar));
     }
 
     #[inline(always)]
@@ -223,7 +223,7 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         }
         let mut out_bar: Controls<C> = smallvec![C::null(); u.len()];
         self.system.vjp(x, &control, next_bar, x_bar, &mut out_bar);
-        self.actuator.reverse(own, u, Bars { own: own_next_bar, out: &out_bar }, Some(own_bar), None);
+        self.actuator.reverse(own, u, OutputCotangents { own: own_next_bar, out: &out_bar }, Some(own_bar), None);
     }
 
     #[inline(always)]
@@ -232,20 +232,20 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         let (next_bar, own_next_bar) = next_bar.split_at(x.len());
         let mut out_bar: Controls<C> = smallvec![C::null(); u.len()];
         self.system.vjp_control(x, &self.control(own, u), next_bar, &mut out_bar);
-        self.actuator.reverse(own, u, Bars { own: own_next_bar, out: &out_bar }, None, Some(u_bar));
+        self.actuator.reverse(own, u, OutputCotangents { own: own_next_bar, out: &out_bar }, None, Some(u_bar));
     }
 }
 
-impl<B, S: Around<B>, A: Actuator> Around<B> for Actuated<S, A> {
+impl<B, S: HasModel<B>, A: Actuator> HasModel<B> for Actuated<S, A> {
     #[inline(always)]
-    fn body(&self) -> &B {
-        self.system.body()
+    fn model(&self) -> &B {
+        self.system.model()
     }
 
     /// Sets the actuator's state to 0.
-    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
+    fn start_extra(&self, rng: &mut Rng, x: &mut [f64]) {
         let (x, own) = x.split_at_mut(self.system.state_dim());
-        self.system.start_beyond(rng, x);
+        self.system.start_extra(rng, x);
         own.fill(0.0);
     }
 }

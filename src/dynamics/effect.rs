@@ -12,7 +12,7 @@ use crate::dynamics::cause::Cause;
 use crate::dynamics::system::{System, Wrt, vjp_by_duals};
 use crate::numbers::forward_mode::jacobian;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Columns, Cotangent, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Scalar};
 use crate::numbers::zip::zip;
 pub(crate) use list::{Act, ActBack, any_effect};
 pub use named::Named;
@@ -23,49 +23,49 @@ pub(crate) use without::system_without_effects;
 /// An optional piece of physics that adds to the forces of a system, or to its Hamiltonian.
 ///
 /// `B` is what it knows of the system: sizes, masses, lengths. The system's documentation says what its state and its
-/// forces are. Only [`act`](Effect::act) must be written; the derivative is exact by dual numbers until it is written by
+/// forces are. Only [`add_forces`](Effect::add_forces) must be written; the derivative is exact by dual numbers until it is written by
 /// hand for speed, and [`check::system`](crate::check::system) of a system with the effect compares the two.
 ///
 /// ```
 /// use physgrad::tasks::CartPoleSystem;
-/// use physgrad::{Effect, Scalar, With, check};
+/// use physgrad::{Effect, Scalar, Forced, check};
 ///
 /// /// A spring that pulls the cart to the middle: F = -stiffness x.
 /// #[derive(Clone, Debug)]
 /// struct Spring { stiffness: f64 }
 ///
 /// impl Effect<CartPoleSystem> for Spring {
-///     fn act<T: Scalar>(&self, _body: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+///     fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
 ///         forces[0] -= x[0] * T::lift(self.stiffness);
 ///     }
 /// }
 ///
-/// let system = With { system: CartPoleSystem::default(), effects: Spring { stiffness: 3.0 } };
+/// let system = Forced { system: CartPoleSystem::default(), effects: Spring { stiffness: 3.0 } };
 /// check::system(&system);
 /// ```
 pub trait Effect<B>: Clone + Debug + Send + Sync {
     /// Adds the effect's own forces to `forces`, at the state `x`.
     ///
     /// Mark it `#[inline(always)]` to have it compiled for AVX2 where there is AVX2.
-    fn act<T: Scalar>(&self, body: &B, x: &[T], forces: &mut [T]);
+    fn add_forces<T: Scalar>(&self, model: &B, x: &[T], forces: &mut [T]);
 
     /// `x_bar += (∂forces/∂x)ᵀ forces_bar`. Adds; does not overwrite.
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        effect_vjp_by_duals(self, body, x, forces_bar, x_bar);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        effect_vjp_by_duals(self, model, x, forces_bar, x_bar);
     }
 
-    /// As [`act`](Effect::act), where the system has worked out something about the state already that the effect can use,
+    /// As [`add_forces`](Effect::add_forces), where the system has worked out something about the state already that the effect can use,
     /// for speed: sines and cosines of angles, for instance. The system's documentation says what is `known`.
     #[inline(always)]
-    fn act_knowing<T: Scalar>(&self, body: &B, x: &[T], _known: &[T], forces: &mut [T]) {
-        self.act(body, x, forces);
+    fn act_knowing<T: Scalar>(&self, model: &B, x: &[T], _known: &[T], forces: &mut [T]) {
+        self.add_forces(model, x, forces);
     }
 
     /// As [`vjp`](Effect::vjp), with what is known about the state. Cotangents go to the state alone.
     #[inline(always)]
-    fn vjp_knowing<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], _known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        self.vjp(body, x, forces_bar, x_bar);
+    fn vjp_knowing<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], _known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        self.vjp(model, x, forces_bar, x_bar);
     }
 
     /// Whether it is written as [`act_at`](Effect::act_at) and [`vjp_at`](Effect::vjp_at) too. A system with a long loop over
@@ -73,15 +73,15 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     const LOCAL: bool = false;
 
     /// Of an effect that is [`LOCAL`](Effect::LOCAL): what has become of the force in place `i`, which was `force`, after
-    /// [`act`](Effect::act).
+    /// [`add_forces`](Effect::add_forces).
     #[inline(always)]
-    fn act_at<T: Scalar>(&self, _body: &B, _x: &[T], _i: usize, _force: T) -> T {
+    fn act_at<T: Scalar>(&self, _model: &B, _x: &[T], _i: usize, _force: T) -> T {
         unreachable!("{self:?} is not local")
     }
 
     /// Of an effect that is [`LOCAL`](Effect::LOCAL): what [`vjp`](Effect::vjp) adds to `x_bar` for the force in place `i`.
     #[inline(always)]
-    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _body: &B, _x: &[R], _i: usize, _force_bar: C, _x_bar: &mut [C]) {
+    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _model: &B, _x: &[R], _i: usize, _force_bar: C, _x_bar: &mut [C]) {
         unreachable!("{self:?} is not local")
     }
 
@@ -90,48 +90,48 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     /// [`act_knowing`](Effect::act_knowing), in the same order.
     #[doc(hidden)]
     #[inline(always)]
-    fn act_first_at<T: Scalar>(&self, body: &B, x: &[T], i: usize, force: T) -> T {
-        if Self::LOCAL { self.act_at(body, x, i, force) } else { force }
+    fn act_first_at<T: Scalar>(&self, model: &B, x: &[T], i: usize, force: T) -> T {
+        if Self::LOCAL { self.act_at(model, x, i, force) } else { force }
     }
 
     #[doc(hidden)]
     #[inline(always)]
-    fn act_rest<T: Scalar>(&self, body: &B, x: &[T], known: &[T], forces: &mut [T]) {
+    fn act_rest<T: Scalar>(&self, model: &B, x: &[T], known: &[T], forces: &mut [T]) {
         if !Self::LOCAL {
-            self.act_knowing(body, x, known, forces);
+            self.act_knowing(model, x, known, forces);
         }
     }
 
     #[doc(hidden)]
     #[inline(always)]
-    fn vjp_first_at<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], i: usize, force_bar: C, x_bar: &mut [C]) {
+    fn vjp_first_at<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], i: usize, force_bar: C, x_bar: &mut [C]) {
         if Self::LOCAL {
-            self.vjp_at(body, x, i, force_bar, x_bar);
+            self.vjp_at(model, x, i, force_bar, x_bar);
         }
     }
 
     #[doc(hidden)]
     #[inline(always)]
-    fn vjp_rest<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn vjp_rest<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         if !Self::LOCAL {
-            self.vjp_knowing(body, x, known, forces_bar, x_bar);
+            self.vjp_knowing(model, x, known, forces_bar, x_bar);
         }
     }
 
     /// Whether its forces depend on the state. Where none does, the reverse pass has less to do.
     #[inline(always)]
-    fn reads_state(&self) -> bool {
+    fn state_dependent(&self) -> bool {
         true
     }
 
     /// The name of the effect, if its forces or their derivatives are not finite at this finite state of a host with so many
     /// forces: that of its type, or the one it has by [`Named`]. Messages alone ask for it.
-    fn faulty<F: Float>(&self, body: &B, x: &[F], forces: usize) -> Option<&'static str> {
+    fn diagnose<F: Float>(&self, model: &B, x: &[F], forces: usize) -> Option<&'static str> {
         let name = || std::any::type_name::<Self>().split('<').next().and_then(|path| path.rsplit("::").next());
-        if is_finite(self, body, x, forces) { None } else { name() }
+        if is_finite(self, model, x, forces) { None } else { name() }
     }
 
-    /// For effects that depend on time: rollouts start at a time drawn from 0 to this, in s. [`With`] then appends the
+    /// For effects that depend on time: rollouts start at a time drawn from 0 to this, in s. [`Forced`] then appends the
     /// time to the state, as its last component.
     #[inline(always)]
     fn clock(&self) -> Option<f64> {
@@ -139,20 +139,20 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     }
 }
 
-/// The transposed Jacobian product of any effect, exact, from `act` alone.
+/// The transposed Jacobian product of any effect, exact, from `add_forces` alone.
 #[inline]
 pub(crate) fn effect_vjp_by_duals<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
     effect: &E,
-    body: &B,
+    model: &B,
     x: &[R],
     forces_bar: &[C],
     x_bar: &mut [C],
 ) {
-    let act = |x: &[_], forces: &mut [_]| {
+    let add_forces = |x: &[_], forces: &mut [_]| {
         forces.fill(Scalar::zero());
-        effect.act(body, x, forces);
+        effect.add_forces(model, x, forces);
     };
-    jacobian(x, 0..x.len(), forces_bar.len(), act, |i, column: &[R]| {
+    jacobian(x, 0..x.len(), forces_bar.len(), add_forces, |i, column: &[R]| {
         for (&force_bar, &slope) in zip(forces_bar.iter(), column) {
             x_bar[i] += force_bar * slope;
         }
@@ -160,23 +160,23 @@ pub(crate) fn effect_vjp_by_duals<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
 }
 
 /// Whether the forces of an effect and their derivatives are finite at a state.
-pub(crate) fn is_finite<B, E: Effect<B>, F: Float>(effect: &E, body: &B, x: &[F], forces: usize) -> bool {
-    let (mut force, mut x_bar) = (vec![F::zero(); forces], vec![Columns([F::zero()]); x.len()]);
-    effect.act(body, x, &mut force);
-    effect.vjp(body, x, &vec![Columns([F::one()]); forces], &mut x_bar);
+pub(crate) fn is_finite<B, E: Effect<B>, F: Float>(effect: &E, model: &B, x: &[F], forces: usize) -> bool {
+    let (mut force, mut x_bar) = (vec![F::zero(); forces], vec![CotangentPack([F::zero()]); x.len()]);
+    effect.add_forces(model, x, &mut force);
+    effect.vjp(model, x, &vec![CotangentPack([F::one()]); forces], &mut x_bar);
     force.iter().chain(x_bar.iter().map(|bar| &bar.0[0])).all(|number| number.as_().is_finite())
 }
 
 /// A system to whose forces effects can be added.
 ///
-/// Only [`step_with`](Host::step_with) and the sizes must be written. The state handed to it may be longer than
-/// [`state_dim`](Host::state_dim), by what effects need; it goes to the effects as it is.
-pub trait Host: Send + Sync {
+/// Only [`forced_step`](ForcedSystem::forced_step) and the sizes must be written. The state handed to it may be longer than
+/// [`state_dim`](ForcedSystem::state_dim), by what effects need; it goes to the effects as it is.
+pub trait ForcedSystem: Send + Sync {
     /// What effects know of it; often the system itself.
-    type Body;
+    type Model;
 
     /// What effects know of it.
-    fn body(&self) -> &Self::Body;
+    fn model(&self) -> &Self::Model;
     /// Number of its own state components.
     fn state_dim(&self) -> usize;
     /// Number of control components.
@@ -187,12 +187,12 @@ pub trait Host: Send + Sync {
     fn dt(&self) -> f64;
 
     /// Writes the next state, `state_dim` numbers, under these effects.
-    fn step_with<E: Effect<Self::Body>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]);
+    fn forced_step<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]);
 
     /// The cotangents that are asked for. `u_bar` and the first `state_dim` of `x_bar` are overwritten; to what is in
     /// `x_bar` beyond them, effects add. Exact by duals until it is written by hand for speed.
     #[inline(always)]
-    fn reverse<E: Effect<Self::Body>, R: Real, C: Cotangent<R>>(
+    fn reverse<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
         x: &[R],
@@ -205,9 +205,9 @@ pub trait Host: Send + Sync {
     }
 }
 
-/// [`Host::reverse`] of any host, exact, from `step_with` alone.
+/// [`ForcedSystem::reverse`] of any host, exact, from `forced_step` alone.
 #[inline]
-fn reverse_by_duals<H: Host + ?Sized, E: Effect<H::Body>, R: Real, C: Cotangent<R>>(
+fn reverse_by_duals<H: ForcedSystem + ?Sized, E: Effect<H::Model>, R: Real, C: Cotangent<R>>(
     host: &H,
     effects: &E,
     x: &[R],
@@ -239,7 +239,7 @@ struct Stepping<'a, H: ?Sized, E> {
     effects: &'a E,
 }
 
-impl<H: Host + ?Sized, E: Effect<H::Body>> System for Stepping<'_, H, E> {
+impl<H: ForcedSystem + ?Sized, E: Effect<H::Model>> System for Stepping<'_, H, E> {
     fn state_dim(&self) -> usize {
         self.host.state_dim()
     }
@@ -247,7 +247,7 @@ impl<H: Host + ?Sized, E: Effect<H::Body>> System for Stepping<'_, H, E> {
         self.host.control_dim()
     }
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        self.host.step_with(self.effects, x, u, next);
+        self.host.forced_step(self.effects, x, u, next);
     }
 }
 
@@ -255,7 +255,7 @@ impl<H: Host + ?Sized, E: Effect<H::Body>> System for Stepping<'_, H, E> {
 ///
 /// State: the system's own; then, if an effect depends on time, the time in s.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct With<H, E> {
+pub struct Forced<H, E> {
     /// The system to whose forces the effects add.
     pub system: H,
     /// `()` for none, a tuple for several.
@@ -271,7 +271,7 @@ fn copied<E: Clone>(effects: &E) -> Option<E> {
     plain.then(|| effects.clone())
 }
 
-impl<H: Host, E: Effect<H::Body>> System for With<H, E> {
+impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     fn state_dim(&self) -> usize {
         self.system.state_dim() + usize::from(self.effects.clock().is_some())
     }
@@ -284,14 +284,14 @@ impl<H: Host, E: Effect<H::Body>> System for With<H, E> {
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
         let n = self.system.state_dim();
         let own = copied(&self.effects);
-        self.system.step_with(own.as_ref().unwrap_or(&self.effects), x, u, &mut next[..n]);
+        self.system.forced_step(own.as_ref().unwrap_or(&self.effects), x, u, &mut next[..n]);
         if self.effects.clock().is_some() {
             next[n] = x[n] + T::lift(self.system.dt());
         }
     }
 
-    fn cause<F: Float>(&self, x: &[F], _u: &[F]) -> Option<Cause> {
-        self.effects.faulty(self.system.body(), x, self.system.force_dim()).map(Cause::Effect)
+    fn diagnose<F: Float>(&self, x: &[F], _u: &[F]) -> Option<Cause> {
+        self.effects.diagnose(self.system.model(), x, self.system.force_dim()).map(Cause::Effect)
     }
 
     #[inline(always)]
@@ -319,20 +319,20 @@ impl<H: Host, E: Effect<H::Body>> System for With<H, E> {
 
 /// A system around a body `B`: the body alone, with effects, behind an actuator. Tasks are written for what is around
 /// the body they are about, and look at the first components of the state, which are the body's.
-pub trait Around<B>: System {
+pub trait HasModel<B>: System {
     /// The body.
-    fn body(&self) -> &B;
+    fn model(&self) -> &B;
     /// Draws the start of the state components that are not the body's into their places in `x`.
-    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]);
+    fn start_extra(&self, rng: &mut Rng, x: &mut [f64]);
 }
 
-impl<H: Host, E: Effect<H::Body>> Around<H::Body> for With<H, E> {
+impl<H: ForcedSystem, E: Effect<H::Model>> HasModel<H::Model> for Forced<H, E> {
     #[inline(always)]
-    fn body(&self) -> &H::Body {
-        self.system.body()
+    fn model(&self) -> &H::Model {
+        self.system.model()
     }
 
-    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
+    fn start_extra(&self, rng: &mut Rng, x: &mut [f64]) {
         if let Some(span) = self.effects.clock() {
             x[self.system.state_dim()] = rng.random_range(0.0..=span);
         }

@@ -24,8 +24,8 @@ pub use partitioned::{SemiImplicit, Verlet};
 pub use runge_kutta::RungeKutta;
 
 use crate::dynamics::cause::Cause;
-use crate::dynamics::effect::Around;
-use crate::dynamics::ode::{Ode, RateOn, ReverseOn};
+use crate::dynamics::effect::HasModel;
+use crate::dynamics::ode::{DynOde, DynOdeVjp, Ode};
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
@@ -43,7 +43,7 @@ fn room<T: Copy>(value: T, len: usize) -> Room<T> {
 
 /// Inputs of one integration step.
 #[derive(Clone, Copy, Debug)]
-pub struct Stretch<'a, T> {
+pub struct StepInput<'a, T> {
     /// Duration of the step, s.
     pub h: T,
     /// Initial state.
@@ -55,18 +55,18 @@ pub struct Stretch<'a, T> {
 /// A one-step method for `dx/dt = f(x, u)`.
 pub trait Integrator: Clone + Debug + Send + Sync {
     /// Writes the state at the end of the step.
-    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]);
+    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, step: StepInput<'_, T>, next: &mut [T]);
 
     /// Largest remaining residual of an implicit step that did not converge, else `None`.
-    fn unsolved<F: Float>(&self, _ode: &dyn RateOn<F>, _step: Stretch<'_, F>) -> Option<f64> {
+    fn unsolved<F: Float>(&self, _ode: &dyn DynOde<F>, _step: StepInput<'_, F>) -> Option<f64> {
         None
     }
 
     /// VJP of [`advance`](Integrator::advance). Overwrites `x_bar`; adds to `u_bar` if given.
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
-        ode: &dyn ReverseOn<R, C>,
-        step: Stretch<'_, R>,
+        ode: &dyn DynOdeVjp<R, C>,
+        step: StepInput<'_, R>,
         next_bar: &[C],
         x_bar: &mut [C],
         u_bar: Option<&mut [C]>,
@@ -95,23 +95,23 @@ impl<O: Ode, I: Integrator> System for Integrated<O, I> {
 
     #[inline(always)]
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        self.integrator.advance(&self.ode, Stretch { h: T::lift(self.dt), x, u }, next);
+        self.integrator.advance(&self.ode, StepInput { h: T::lift(self.dt), x, u }, next);
     }
 
-    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        let unsolved = self.integrator.unsolved(&self.ode, Stretch { h: F::lift(self.dt), x, u });
-        self.ode.cause(x, u).or(unsolved.map(Cause::Unsolved))
+    fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        let unsolved = self.integrator.unsolved(&self.ode, StepInput { h: F::lift(self.dt), x, u });
+        self.ode.diagnose(x, u).or(unsolved.map(Cause::Unsolved))
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
         u_bar.fill(C::null());
-        self.integrator.reverse(&self.ode, Stretch { h: R::lift(self.dt), x, u }, next_bar, x_bar, Some(u_bar));
+        self.integrator.reverse(&self.ode, StepInput { h: R::lift(self.dt), x, u }, next_bar, x_bar, Some(u_bar));
     }
 
     #[inline(always)]
     fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        self.integrator.reverse(&self.ode, Stretch { h: R::lift(self.dt), x, u }, next_bar, x_bar, None);
+        self.integrator.reverse(&self.ode, StepInput { h: R::lift(self.dt), x, u }, next_bar, x_bar, None);
     }
 
     /// Needs the full VJP: early stages influence the result through later ones.
@@ -122,13 +122,13 @@ impl<O: Ode, I: Integrator> System for Integrated<O, I> {
     }
 }
 
-impl<B, O: Ode + Around<B>, I: Integrator> Around<B> for Integrated<O, I> {
+impl<B, O: Ode + HasModel<B>, I: Integrator> HasModel<B> for Integrated<O, I> {
     #[inline(always)]
-    fn body(&self) -> &B {
-        self.ode.body()
+    fn model(&self) -> &B {
+        self.ode.model()
     }
 
-    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
-        self.ode.start_beyond(rng, x);
+    fn start_extra(&self, rng: &mut Rng, x: &mut [f64]) {
+        self.ode.start_extra(rng, x);
     }
 }

@@ -9,12 +9,12 @@
 //! Imports `numbers`. Start reading in `system.rs`.
 
 pub(crate) mod actuator;
-pub(crate) mod apart;
 pub(crate) mod cause;
-pub(crate) mod cost;
 pub(crate) mod effect;
 pub(crate) mod integrator;
 pub(crate) mod ode;
+pub(crate) mod op_count;
+pub(crate) mod outline;
 pub(crate) mod substeps;
 pub(crate) mod system;
 pub(crate) mod task;

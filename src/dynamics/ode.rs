@@ -3,12 +3,12 @@
 //! An [`Integrator`](crate::Integrator) discretizes it into a [`System`](crate::System); see
 //! [`Integrated`](crate::Integrated).
 
-use crate::dynamics::apart::apart;
 use crate::dynamics::cause::Cause;
-use crate::dynamics::effect::{Effect, Host, With};
+use crate::dynamics::effect::{Effect, Forced, ForcedSystem};
+use crate::dynamics::outline::outline;
 use crate::numbers::forward_mode::{concat, jacobian};
 use crate::numbers::kernels::Vectorized;
-use crate::numbers::scalar::{Columns, Cotangent, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
@@ -61,7 +61,7 @@ pub trait Ode: Send + Sync {
     }
 
     /// Diagnoses a non-finite rate; see [`System::cause`](crate::System::cause).
-    fn cause<F: Float>(&self, _x: &[F], _u: &[F]) -> Option<Cause> {
+    fn diagnose<F: Float>(&self, _x: &[F], _u: &[F]) -> Option<Cause> {
         None
     }
 }
@@ -93,24 +93,24 @@ fn rate_vjp_by_duals<O: Ode + ?Sized, R: Real, C: Cotangent<R>>(
 
 /// Object-safe [`Ode`] for one scalar type.
 ///
-/// Integrators take `&dyn RateOn<T>`, so they are monomorphized once per scalar type and not once
+/// Integrators take `&dyn DynOde<T>`, so they are monomorphized once per scalar type and not once
 /// per vector field. Every [`Ode`] implements it.
-pub trait RateOn<T> {
+pub trait DynOde<T> {
     /// See [`Ode::rate`].
     fn rate(&self, x: &[T], u: &[T], rate: &mut [T]);
     /// See [`Ode::velocity`].
     fn velocity(&self, i: usize) -> Option<usize>;
 }
 
-/// A [`RateOn`] with derivatives: object-safe [`Ode`] for one scalar and one cotangent type.
-pub trait ReverseOn<R, C>: RateOn<R> {
+/// A [`DynOde`] with derivatives: object-safe [`Ode`] for one scalar and one cotangent type.
+pub trait DynOdeVjp<R, C>: DynOde<R> {
     /// See [`Ode::rate_vjp`].
     fn rate_vjp(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>);
     /// Writes row `i` of the Jacobian, `∂f_i/∂x`.
     fn slopes(&self, x: &[R], u: &[R], i: usize, row: &mut [R]);
 }
 
-impl<O: Ode, T: Scalar> RateOn<T> for O {
+impl<O: Ode, T: Scalar> DynOde<T> for O {
     #[inline(always)]
     fn rate(&self, x: &[T], u: &[T], rate: &mut [T]) {
         Ode::rate(self, x, u, rate);
@@ -122,7 +122,7 @@ impl<O: Ode, T: Scalar> RateOn<T> for O {
     }
 }
 
-/// Outlined [`ReverseOn::slopes`].
+/// Outlined [`DynOdeVjp::slopes`].
 struct Slopes<'a, O, R> {
     ode: &'a O,
     x: &'a [R],
@@ -135,41 +135,41 @@ impl<O: Ode, R: Real> Vectorized for Slopes<'_, O, R> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         /// One cotangent per component; on the stack for up to 32 components.
-        type Bars<R> = SmallVec<[Columns<R, 1>; 32]>;
+        type Bars<R> = SmallVec<[CotangentPack<R, 1>; 32]>;
         let Self { ode, x, u, i, row } = self;
-        let none = Columns([R::zero()]);
+        let none = CotangentPack([R::zero()]);
         let (mut rate_bar, mut x_bar): (Bars<R>, Bars<R>) = (smallvec![none; x.len()], smallvec![none; x.len()]);
-        rate_bar[i] = Columns([R::one()]);
+        rate_bar[i] = CotangentPack([R::one()]);
         ode.rate_vjp(x, u, &rate_bar, &mut x_bar, None);
-        for (slope, Columns([bar])) in zip(row.iter_mut(), x_bar) {
+        for (slope, CotangentPack([bar])) in zip(row.iter_mut(), x_bar) {
             *slope = bar;
         }
     }
 }
 
-impl<O: Ode, R: Real, C: Cotangent<R>> ReverseOn<R, C> for O {
+impl<O: Ode, R: Real, C: Cotangent<R>> DynOdeVjp<R, C> for O {
     #[inline(always)]
     fn rate_vjp(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
         Ode::rate_vjp(self, x, u, rate_bar, x_bar, u_bar);
     }
 
     fn slopes(&self, x: &[R], u: &[R], i: usize, row: &mut [R]) {
-        apart::<R>(Slopes { ode: self, x, u, i, row });
+        outline::<R>(Slopes { ode: self, x, u, i, row });
     }
 }
 
-/// A [`Host`] in continuous time; with effects, it is an [`Ode`].
+/// A [`ForcedSystem`] in continuous time; with effects, it is an [`Ode`].
 ///
-/// As for [`Host`], `x` and `x_bar` may be longer than `state_dim`: trailing components belong to
+/// As for [`ForcedSystem`], `x` and `x_bar` may be longer than `state_dim`: trailing components belong to
 /// the effects.
-pub trait Flowing: Host {
+pub trait ForcedOde: ForcedSystem {
     /// Writes the rates of the `state_dim` components under `effects`.
-    fn rate_with<E: Effect<Self::Body>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]);
+    fn forced_rate<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]);
 
     /// Adds the cotangents of the state to `x_bar`, and those of the control to `u_bar` if given.
     ///
     /// Effects add the cotangents of the components beyond `state_dim`.
-    fn rate_reverse<E: Effect<Self::Body>, R: Real, C: Cotangent<R>>(
+    fn forced_rate_vjp<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
         x: &[R],
@@ -184,7 +184,7 @@ pub trait Flowing: Host {
 }
 
 /// State: the components of the host, then the time if an effect depends on it.
-impl<H: Flowing, E: Effect<H::Body>> Ode for With<H, E> {
+impl<H: ForcedOde, E: Effect<H::Model>> Ode for Forced<H, E> {
     fn state_dim(&self) -> usize {
         crate::dynamics::system::System::state_dim(self)
     }
@@ -196,13 +196,13 @@ impl<H: Flowing, E: Effect<H::Body>> Ode for With<H, E> {
     #[inline(always)]
     fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
         let n = self.system.state_dim();
-        self.system.rate_with(&self.effects, x, u, &mut rate[..n]);
+        self.system.forced_rate(&self.effects, x, u, &mut rate[..n]);
         rate[n..].fill(T::one());
     }
 
     #[inline(always)]
     fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
-        self.system.rate_reverse(&self.effects, x, u, &rate_bar[..self.system.state_dim()], x_bar, u_bar);
+        self.system.forced_rate_vjp(&self.effects, x, u, &rate_bar[..self.system.state_dim()], x_bar, u_bar);
     }
 
     #[inline(always)]
@@ -210,29 +210,29 @@ impl<H: Flowing, E: Effect<H::Body>> Ode for With<H, E> {
         if i < self.system.state_dim() { self.system.velocity_of(i) } else { None }
     }
 
-    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        crate::dynamics::system::System::cause(self, x, u)
+    fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        crate::dynamics::system::System::diagnose(self, x, u)
     }
 }
 
 /// A host without effects.
-impl<H: Flowing> Ode for H {
+impl<H: ForcedOde> Ode for H {
     fn state_dim(&self) -> usize {
-        Host::state_dim(self)
+        ForcedSystem::state_dim(self)
     }
 
     fn control_dim(&self) -> usize {
-        Host::control_dim(self)
+        ForcedSystem::control_dim(self)
     }
 
     #[inline(always)]
     fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
-        self.rate_with(&(), x, u, rate);
+        self.forced_rate(&(), x, u, rate);
     }
 
     #[inline(always)]
     fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
-        self.rate_reverse(&(), x, u, rate_bar, x_bar, u_bar);
+        self.forced_rate_vjp(&(), x, u, rate_bar, x_bar, u_bar);
     }
 
     #[inline(always)]

@@ -1,7 +1,7 @@
 //! [`Substeps`]: several small time steps per control.
 
 use crate::dynamics::cause::Cause;
-use crate::dynamics::effect::Around;
+use crate::dynamics::effect::HasModel;
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
@@ -57,10 +57,10 @@ impl<S: System> System for Substeps<S> {
         }
     }
 
-    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+    fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
         // From the first state that is not finite on, everything looks like a cause.
         let is_finite = |state: &&[F]| state.iter().all(|number| number.as_().is_finite());
-        self.states(x, u).chunks_exact(x.len()).take_while(is_finite).find_map(|state| self.system.cause(state, u))
+        self.states(x, u).chunks_exact(x.len()).take_while(is_finite).find_map(|state| self.system.diagnose(state, u))
     }
 
     #[inline(always)]
@@ -103,13 +103,13 @@ impl<S: System> System for Substeps<S> {
     }
 }
 
-impl<B, S: Around<B>> Around<B> for Substeps<S> {
+impl<B, S: HasModel<B>> HasModel<B> for Substeps<S> {
     #[inline(always)]
-    fn body(&self) -> &B {
-        self.system.body()
+    fn model(&self) -> &B {
+        self.system.model()
     }
 
-    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
-        self.system.start_beyond(rng, x);
+    fn start_extra(&self, rng: &mut Rng, x: &mut [f64]) {
+        self.system.start_extra(rng, x);
     }
 }

@@ -1,7 +1,7 @@
 //! [`System`]: one discrete time step of a physical system, and its Jacobian products.
 
-use crate::dynamics::apart;
 use crate::dynamics::cause::Cause;
+use crate::dynamics::outline;
 use crate::numbers::forward_mode::{concat, jacobian};
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Dual, Float, Real, Scalar};
@@ -57,7 +57,7 @@ pub trait System: Send + Sync {
     /// Diagnoses a non-finite step, or a non-finite derivative, from a finite state.
     ///
     /// Returns `None` if the cause is unknown. Used only for error messages.
-    fn cause<F: Float>(&self, _x: &[F], _u: &[F]) -> Option<Cause> {
+    fn diagnose<F: Float>(&self, _x: &[F], _u: &[F]) -> Option<Cause> {
         None
     }
 
@@ -136,7 +136,7 @@ fn step_jacobian<S: System + ?Sized, R: Real>(
             jacobian(&concat(x, u), inputs, outputs, step, visit);
         }
     }
-    apart::apart::<R>(Work { system, x, u, inputs, outputs, visit });
+    outline::outline::<R>(Work { system, x, u, inputs, outputs, visit });
 }
 
 fn jvp_by_duals<S: System + ?Sized, F: Float>(
@@ -153,7 +153,7 @@ fn jvp_by_duals<S: System + ?Sized, F: Float>(
     };
     let (x, u) = (lift(x, x_tan), lift(u, u_tan));
     let mut next = x.clone();
-    apart::step(system, &x, &u, &mut next);
+    outline::step(system, &x, &u, &mut next);
     for (tan, next) in zip(next_tan.iter_mut(), &next) {
         [*tan] = next.tangents;
     }

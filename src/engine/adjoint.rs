@@ -21,7 +21,7 @@ mod step;
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::Divergence;
 use crate::engine::gradient::Gradient;
-use crate::engine::growth::Together;
+use crate::engine::growth::GrowthStats;
 use crate::engine::rollout::Rollout;
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
@@ -182,7 +182,7 @@ impl<F: Float> Adjoint<F> {
     }
 
     /// Adds the growth of flow `k` for each sample of the last run, if measured.
-    pub(crate) fn add_growth(&self, k: usize, samples: usize, together: &mut Together) {
+    pub(crate) fn add_growth(&self, k: usize, samples: usize, together: &mut GrowthStats) {
         match &self.carried {
             Carried::One(_, recursion) => recursion.meters(k, samples).for_each(|meter| together.add(meter)),
             Carried::Two(_, recursion) => recursion.meters(k, samples).for_each(|meter| together.add(meter)),
@@ -256,7 +256,7 @@ impl<F: Float> Adjoint<F> {
         for unit in Rollout::<F>::units(0..rollout.horizon) {
             self.add_param_gradient(k, policy, weights, rollout, &unit, samples.clone(), theta_bar);
         }
-        theta_bar.settle();
+        theta_bar.normalize();
     }
 
     /// Adds the contribution of a unit, after [`back`](Self::back).
@@ -291,7 +291,7 @@ pub(crate) struct Pass<'a, F: Float> {
 mod tests {
     use super::*;
     use crate::Task;
-    use crate::dynamics::effect::With;
+    use crate::dynamics::effect::Forced;
     use crate::numbers::kernels::portable;
     use crate::numbers::rng::{Purpose, stream};
     use crate::policy::Mlp;
@@ -300,7 +300,7 @@ mod tests {
     /// Returns costs, one state component per sample, and the gradients of three flows.
     fn all_of_it<F: Float>(samples: usize) -> Vec<F> {
         let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
-        let task = CartPole::around(With { system, effects: (CartDamping::default(), Bumpers::default()) });
+        let task = CartPole::with_system(Forced { system, effects: (CartDamping::default(), Bumpers::default()) });
         let policy = Mlp::new(vec![6, 8, 1]);
         let weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Policy, 0));
         let mut starts = vec![0.0; 6 * samples];
@@ -318,7 +318,7 @@ mod tests {
             for k in 0..flows.len() {
                 let mut theta_bar = Gradient::zeros(weights.theta().len());
                 adjoint.param_gradient(k, &policy, &weights, &rollout, 0..samples, &mut theta_bar);
-                all.extend(theta_bar.plain());
+                all.extend(theta_bar.to_vec());
             }
         }
         all

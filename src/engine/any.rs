@@ -3,14 +3,14 @@
 //! They let rollouts and reverse passes compile once per precision instead of once per task. One
 //! call steps all samples, so dynamic dispatch is negligible.
 
-use crate::dynamics::apart::{self, One};
 use crate::dynamics::cause::Cause;
+use crate::dynamics::outline::{self, One};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::adjoint::StepBack;
 use crate::engine::rollout::{Lane, StepForward};
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Columns, Float};
+use crate::numbers::scalar::{CotangentPack, Float};
 
 /// Object-safe [`Task`] for one precision.
 ///
@@ -25,7 +25,7 @@ pub trait AnyTask<F: Float>: StepForward<F> + StepBack<F, 1> + StepBack<F, 2> + 
     fn terminal_cost(&self, x: &[Lane<F>]) -> Lane<F>;
     fn terminal_cost_gradient(&self, x: &[Lane<F>], x_bar: &mut [Lane<F>]);
     fn stage_cost_gradient(&self, x: &[Lane<F>], u: &[Lane<F>], x_bar: &mut [Lane<F>], u_bar: &mut [Lane<F>]);
-    fn cause(&self, x: &[F], u: &[F]) -> Option<Cause>;
+    fn diagnose(&self, x: &[F], u: &[F]) -> Option<Cause>;
 }
 
 impl<T: Task, F: Float> AnyTask<F> for T {
@@ -57,8 +57,8 @@ impl<T: Task, F: Float> AnyTask<F> for T {
         Task::stage_cost_gradient(self, x, u, x_bar, u_bar);
     }
 
-    fn cause(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        self.system().cause(x, u)
+    fn diagnose(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        self.system().diagnose(x, u)
     }
 }
 
@@ -84,11 +84,11 @@ impl<S: System, F: Float> AnySystem<F> for S {
     }
 
     fn step(&self, x: &[F], u: &[F], next: &mut [F]) {
-        apart::step(self, x, u, next);
+        outline::step(self, x, u, next);
     }
 
     fn vjp(&self, x: &[F], u: &[F], next_bar: &[One<F>], x_bar: &mut [One<F>], u_bar: &mut [One<F>]) {
-        apart::vjp(self, x, u, next_bar, x_bar, u_bar);
+        outline::vjp(self, x, u, next_bar, x_bar, u_bar);
     }
 
     fn jvp_state(&self, x: &[F], u: &[F], x_tan: &[F], next_tan: &mut [F]) {
@@ -102,9 +102,9 @@ impl<S: System, F: Float> AnySystem<F> for S {
 
 /// Evaluates [`System::vjp`] on plain numbers. Returns `[x_bar, u_bar]`.
 pub(crate) fn vjp<F: Float>(system: &dyn AnySystem<F>, x: &[F], u: &[F], next_bar: &[F]) -> [Vec<F>; 2] {
-    let next_bar: Vec<_> = next_bar.iter().map(|&bar| Columns([bar])).collect();
+    let next_bar: Vec<_> = next_bar.iter().map(|&bar| CotangentPack([bar])).collect();
     // NaN reveals an output that `vjp` does not overwrite.
-    let [mut x_bar, mut u_bar] = [x, u].map(|inputs| vec![Columns([F::lift(f64::NAN)]); inputs.len()]);
+    let [mut x_bar, mut u_bar] = [x, u].map(|inputs| vec![CotangentPack([F::lift(f64::NAN)]); inputs.len()]);
     system.vjp(x, u, &next_bar, &mut x_bar, &mut u_bar);
-    [x_bar, u_bar].map(|bars| bars.into_iter().map(|Columns([bar])| bar).collect())
+    [x_bar, u_bar].map(|bars| bars.into_iter().map(|CotangentPack([bar])| bar).collect())
 }

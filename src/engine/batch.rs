@@ -9,7 +9,7 @@ use crate::engine::any::AnyTask;
 use crate::engine::checkpointed::Checkpointed;
 use crate::engine::divergence::Divergence;
 use crate::engine::gradient::Gradient;
-use crate::engine::growth::{Growth, Together};
+use crate::engine::growth::{Growth, GrowthStats};
 use crate::engine::parallel::for_each;
 use crate::engine::rollout::Rollout;
 use crate::engine::schedule::{MemoryError, Schedule};
@@ -183,7 +183,7 @@ impl<F: Float> Batch<F> {
                     gradient.add(&group[k]);
                 }
             }
-            gradient.settle();
+            gradient.normalize();
         }
         let costs = self.workers[..active].iter().flat_map(|w| (0..w.rollout.samples()).map(|s| w.rollout.cost(s).as_()));
         Ok(costs.sum::<f64>() / samples as f64)
@@ -202,7 +202,7 @@ impl<F: Float> Batch<F> {
 
     /// Growth of the adjoint of flow `k` in the last run, if measured.
     pub fn growth(&self, k: usize) -> Option<Growth> {
-        let mut together = Together::default();
+        let mut together = GrowthStats::default();
         let active = self.workers.iter().filter(|worker| self.measured && worker.active);
         active.for_each(|worker| worker.rollout.add_growth(k, &mut together));
         together.growth()

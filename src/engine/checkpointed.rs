@@ -5,7 +5,7 @@ use crate::engine::adjoint::{Adjoint, Flow, Pass};
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::Divergence;
 use crate::engine::gradient::Gradient;
-use crate::engine::growth::Together;
+use crate::engine::growth::GrowthStats;
 use crate::engine::rollout::{Lane, Rollout, WIDTH};
 use crate::engine::schedule::{MemoryError, Schedule, split};
 use crate::numbers::scalar::{Float, Real, Scalar};
@@ -148,7 +148,7 @@ impl<F: Float> Checkpointed<F> {
         gradients: &mut [Vec<Gradient<F>>],
     ) -> Result<(), Divergence> {
         self.run_unsettled(task, policy, weights, starts, scale, group, gradients)?;
-        gradients.iter_mut().flatten().for_each(Gradient::settle);
+        gradients.iter_mut().flatten().for_each(Gradient::normalize);
         Ok(())
     }
 
@@ -200,7 +200,7 @@ impl<F: Float> Checkpointed<F> {
     }
 
     /// Adds the growth of flow `k` for each sample of the last run, if measured.
-    pub(crate) fn add_growth(&self, k: usize, together: &mut Together) {
+    pub(crate) fn add_growth(&self, k: usize, together: &mut GrowthStats) {
         self.adjoint.add_growth(k, self.rollout.samples(), together);
     }
 

@@ -2,7 +2,7 @@
 
 use crate::dynamics::cause::Cause;
 use crate::engine::adjoint::Flow;
-use crate::numbers::wide::Wide;
+use crate::numbers::extended::ExtendedF64;
 use std::fmt;
 
 /// Place where a number became non-finite. The update that it belongs to is skipped.
@@ -55,7 +55,7 @@ pub enum Divergence {
         /// Index of the parameter in `θ`.
         parameter: usize,
         /// Norm of the field before clipping.
-        norm: Wide,
+        norm: ExtendedF64,
     },
 }
 

@@ -1,8 +1,8 @@
 //! [`Gradient`]: a vector over the parameters with a common exponent.
 
-use crate::numbers::kernels::{Level, elementwise};
+use crate::numbers::extended::{ExtendedF64, exponent_of, scaled, scaled_with_sign};
+use crate::numbers::kernels::{SimdLevel, elementwise};
 use crate::numbers::scalar::Float;
-use crate::numbers::wide::{Wide, exponent_of, scaled, scaled_with_sign};
 use crate::numbers::zip::zip;
 
 /// Gradient `values · 2^exponent`. The exponent is 0 unless the values approach the limits of `F`.
@@ -12,7 +12,7 @@ use crate::numbers::zip::zip;
 #[derive(Clone, Debug)]
 pub struct Gradient<F> {
     values: Vec<F>,
-    /// Common exponent, valid after [`settle`](Gradient::settle).
+    /// Common exponent, valid after [`normalize`](Gradient::normalize).
     exponent: i32,
     /// Exponent of each value, valid if `spread`.
     exponents: Vec<i32>,
@@ -47,13 +47,13 @@ impl<F: Float> Gradient<F> {
     }
 
     /// Euclidean norm.
-    pub fn norm(&self) -> Wide {
-        let square = elementwise::moments(Level::best(), &self.values, &self.values).0;
-        Wide::new(square.sqrt(), self.exponent)
+    pub fn norm(&self) -> ExtendedF64 {
+        let square = elementwise::moments(SimdLevel::best(), &self.values, &self.values).0;
+        ExtendedF64::new(square.sqrt(), self.exponent)
     }
 
     /// Returns the values times 2^exponent. They become infinite, or 0, beyond the range of `F`.
-    pub fn plain(&self) -> Vec<F> {
+    pub fn to_vec(&self) -> Vec<F> {
         self.values.iter().map(|&value| scaled(value, self.exponent)).collect()
     }
 
@@ -77,7 +77,7 @@ impl<F: Float> Gradient<F> {
     }
 
     /// Returns the partial sum for in-place addition, if all parts so far had exponent 0.
-    pub(crate) fn plain_sum(&mut self) -> Option<&mut [F]> {
+    pub(crate) fn unscaled_sum(&mut self) -> Option<&mut [F]> {
         (!self.spread).then_some(&mut self.values)
     }
 
@@ -89,7 +89,7 @@ impl<F: Float> Gradient<F> {
         }
     }
 
-    /// Adds another sum, settled or not.
+    /// Adds another sum, normalized or not.
     pub(crate) fn add(&mut self, other: &Self) {
         if !self.spread && !other.spread && other.exponent == 0 {
             for (sum, &part) in zip(self.values.iter_mut(), &other.values) {
@@ -138,7 +138,7 @@ impl<F: Float> Gradient<F> {
     }
 
     /// Brings all values to a common exponent, 0 if plain numbers suffice.
-    pub(crate) fn settle(&mut self) {
+    pub(crate) fn normalize(&mut self) {
         if !std::mem::take(&mut self.spread) {
             return;
         }
@@ -185,13 +185,13 @@ mod tests {
         sum.add_part(&[1.0, 1.0, 0.0, -1.0], 3000);
         sum.add_part(&[3.0, -1.0, -1.0, 1.0], 2999);
         sum.add_part(&[0.0, 0.0, 1.0, 0.0], -5000);
-        sum.settle();
+        sum.normalize();
         // 2.5, 0.5, -0.5 and -0.5, times 2^3000.
         assert_eq!((sum.exponent(), sum.values()), (3001, &[1.25, 0.25, -0.25, -0.25][..]));
         let mut tiny = Gradient::<f32>::zeros(2);
         tiny.add_part(&[1.0, 0.0], 3000);
         tiny.add_part(&[0.0, -1.0], -3000);
-        tiny.settle();
+        tiny.normalize();
         assert_eq!((tiny.exponent(), tiny.values()), (3000, &[1.0, -f32::from_bits(1)][..]));
         approx::assert_relative_eq!(tiny.norm().log10(), 3000.0 * 2f64.log10(), max_relative = 1e-12);
     }
@@ -199,15 +199,15 @@ mod tests {
     #[test]
     fn what_plain_numbers_can_hold_is_plain() {
         let mut sum = Gradient::<f32>::zeros(2);
-        sum.plain_sum().expect("plain").copy_from_slice(&[1.0, 2.0]);
+        sum.unscaled_sum().expect("plain").copy_from_slice(&[1.0, 2.0]);
         sum.add_part(&[1.0, 1.0], 3);
-        sum.settle();
+        sum.normalize();
         assert_eq!((sum.exponent(), sum.values()), (0, &[9.0, 10.0][..]));
         let (mut a, mut b) = (Gradient::<f64>::zeros(1), Gradient::zeros(1));
         a.add_part(&[1.0], 2000);
         b.add_part(&[-1.0], 2000);
         a.add(&b);
-        a.settle();
+        a.normalize();
         assert_eq!((a.exponent(), a.values()), (0, &[0.0][..]));
     }
 }

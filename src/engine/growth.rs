@@ -13,7 +13,7 @@ pub struct Growth {
     /// vanishes, -∞ if it becomes 0.
     pub along: f64,
     /// Largest growth over any range of consecutive steps, maximum over samples. At least 0.
-    pub stretch: f64,
+    pub worst_window: f64,
 }
 
 /// Threshold of the warning about the growth of M along a rollout, in decades.
@@ -32,11 +32,11 @@ impl Growth {
     ///   control, M grows. The first steps then outweigh the last by 10^growth.
     pub fn warning(&self, flow: Flow, horizon: usize, epsilon: f64) -> Option<String> {
         let digits = -epsilon.log10();
-        let Self { along, stretch } = *self;
-        if flow.control && stretch > digits {
-            let steps = (horizon as f64 * digits / stretch) as usize;
+        let Self { along, worst_window } = *self;
+        if flow.control && worst_window > digits {
+            let steps = (horizon as f64 * digits / worst_window) as usize;
             return Some(format!(
-                "{flow} grows by up to 10^{stretch:.0} along a rollout, and numbers have {digits:.0} digits: beyond about {steps} of \
+                "{flow} grows by up to 10^{worst_window:.0} along a rollout, and numbers have {digits:.0} digits: beyond about {steps} of \
                  the {horizon} steps its signs are those of rounding errors. A shorter horizon helps, f64, or M"
             ));
         }
@@ -56,7 +56,7 @@ pub(crate) struct Meter {
     along: f64,
     /// Largest growth of a range that ends at the current step.
     running: f64,
-    stretch: f64,
+    worst_window: f64,
 }
 
 impl Meter {
@@ -71,28 +71,28 @@ impl Meter {
         let decades = 0.5 * (after.log10() - before.log10()) + f64::from(exponent) * std::f64::consts::LOG10_2;
         self.along += decades;
         self.running = (self.running + decades).max(0.0);
-        self.stretch = self.stretch.max(self.running);
+        self.worst_window = self.worst_window.max(self.running);
     }
 }
 
 /// Combines the growth of many samples.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Together {
+pub(crate) struct GrowthStats {
     samples: usize,
     along: f64,
-    stretch: f64,
+    worst_window: f64,
 }
 
-impl Together {
+impl GrowthStats {
     pub(crate) fn add(&mut self, meter: &Meter) {
         self.samples += 1;
         self.along += meter.along;
-        self.stretch = self.stretch.max(meter.stretch);
+        self.worst_window = self.worst_window.max(meter.worst_window);
     }
 
     /// Returns `None` without samples.
     pub(crate) fn growth(&self) -> Option<Growth> {
-        (self.samples > 0).then(|| Growth { along: self.along / self.samples as f64, stretch: self.stretch })
+        (self.samples > 0).then(|| Growth { along: self.along / self.samples as f64, worst_window: self.worst_window })
     }
 }
 
@@ -107,7 +107,7 @@ mod tests {
         for (before, after) in [(1.0, 1e2), (1e2, 1e6), (1e6, 1.0), (1.0, 1e-4), (1e-4, 1e-2)] {
             meter.step(before, after, 0);
         }
-        assert!((meter.along + 1.0).abs() < 1e-12 && (meter.stretch - 3.0).abs() < 1e-12, "{meter:?}");
+        assert!((meter.along + 1.0).abs() < 1e-12 && (meter.worst_window - 3.0).abs() < 1e-12, "{meter:?}");
         // Exponents count.
         meter.step(1.0, 1.0, 100);
         assert!((meter.along + 1.0 - 100.0 * 2f64.log10()).abs() < 1e-9, "{meter:?}");
@@ -120,7 +120,7 @@ mod tests {
 
     #[test]
     fn words_are_said_where_and_only_where_a_flow_is_not_to_be_trusted() {
-        let growth = |along: f64, stretch: f64| Growth { along, stretch };
+        let growth = |along: f64, worst_window: f64| Growth { along, worst_window };
         let said = |flow: Flow, growth: Growth, epsilon: f64| growth.warning(flow, 1000, epsilon).unwrap_or_default();
         let (single, double) = (f64::from(f32::EPSILON), f64::EPSILON);
         // 6.9 digits of 10 decades allow 692 of 1000 steps.

@@ -246,7 +246,7 @@ impl<F: Float> Rollout<F> {
             block.iter().map(|number| number.lane(sample % WIDTH)).collect()
         };
         let cause = match variable {
-            Variable::State => task.cause(&of(x, n), &of(controls, m)),
+            Variable::State => task.diagnose(&of(x, n), &of(controls, m)),
             Variable::Control => None,
         };
         Err(Divergence::Forward { variable, step, sample, component, cause })

@@ -1,6 +1,6 @@
 //! Vectorized kernels: matrix products, elementwise functions, sine and cosine, and workspaces.
 //!
-//! The instruction set is chosen at run time ([`Level`]), since builds use default target flags. A
+//! The instruction set is chosen at run time ([`SimdLevel`]), since builds use default target flags. A
 //! portable path serves all other processors. Contains the only unsafe code of the library. Start
 //! with [`dispatch`].
 
@@ -14,7 +14,7 @@ use std::sync::OnceLock;
 
 /// Instruction set of the kernels, in ascending order. Each level implies the levels before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd)]
-pub enum Level {
+pub enum SimdLevel {
     /// Plain Rust, vectorized for the target of the build.
     Portable,
     /// AVX2 and fused multiply-add.
@@ -25,20 +25,20 @@ pub enum Level {
     Avx512,
 }
 
-impl Level {
+impl SimdLevel {
     /// All levels of this processor, in ascending order.
-    pub fn available() -> Vec<Level> {
+    pub fn available() -> Vec<SimdLevel> {
         #[allow(unused_mut)]
-        let mut levels = vec![Level::Portable];
+        let mut levels = vec![SimdLevel::Portable];
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-            levels.push(Level::Avx2);
+            levels.push(SimdLevel::Avx2);
             if is_x86_feature_detected!("avx512f")
                 && is_x86_feature_detected!("avx512vl")
                 && is_x86_feature_detected!("avx512dq")
                 && is_x86_feature_detected!("avx512bw")
             {
-                levels.push(Level::Avx512);
+                levels.push(SimdLevel::Avx512);
             }
         }
         levels
@@ -46,9 +46,9 @@ impl Level {
 
     /// The highest level of this processor. Cached after the first call.
     #[inline]
-    pub fn best() -> Level {
-        static BEST: OnceLock<Level> = OnceLock::new();
-        *BEST.get_or_init(|| Level::available().pop().unwrap_or(Level::Portable))
+    pub fn best() -> SimdLevel {
+        static BEST: OnceLock<SimdLevel> = OnceLock::new();
+        *BEST.get_or_init(|| SimdLevel::available().pop().unwrap_or(SimdLevel::Portable))
     }
 
     /// Returns the level.
@@ -56,8 +56,8 @@ impl Level {
     /// # Panics
     /// If this processor does not support it.
     #[inline]
-    fn checked(self) -> Level {
-        assert!(self <= Level::best(), "this processor has no {self:?}");
+    fn checked(self) -> SimdLevel {
+        assert!(self <= SimdLevel::best(), "this processor has no {self:?}");
         self
     }
 }
@@ -76,7 +76,7 @@ pub trait Vectorized {
 /// # Panics
 /// If this processor does not support `level`.
 #[inline]
-pub fn dispatch(level: Level, work: impl Vectorized) {
+pub fn dispatch(level: SimdLevel, work: impl Vectorized) {
     #[cfg(target_arch = "x86_64")]
     {
         #[target_feature(enable = "avx2,fma")]
@@ -88,10 +88,10 @@ pub fn dispatch(level: Level, work: impl Vectorized) {
             work.run::<true>();
         }
         match level.checked() {
-            Level::Portable => {}
+            SimdLevel::Portable => {}
             // SAFETY: `checked` asserts that this processor supports the level.
-            Level::Avx2 => return unsafe { avx2(work) },
-            Level::Avx512 => return unsafe { avx512(work) },
+            SimdLevel::Avx2 => return unsafe { avx2(work) },
+            SimdLevel::Avx512 => return unsafe { avx512(work) },
         }
     }
     let _ = level;
@@ -109,7 +109,7 @@ pub(crate) fn in_lanes<const FMA: bool>() -> bool {
 
 /// Whether rollouts on this processor use lanes; see [`in_lanes`].
 pub(crate) fn has_lanes() -> bool {
-    Level::best() != Level::Portable || !cfg!(target_arch = "x86_64")
+    SimdLevel::best() != SimdLevel::Portable || !cfg!(target_arch = "x86_64")
 }
 
 /// Runs `work` with AVX2 if available, else with the portable path.
@@ -124,7 +124,7 @@ pub fn dispatch_narrow(work: impl Vectorized) {
         unsafe fn avx2(work: impl Vectorized) {
             work.run::<true>();
         }
-        if Level::best() != Level::Portable && !portable::is_forced() {
+        if SimdLevel::best() != SimdLevel::Portable && !portable::is_forced() {
             // SAFETY: all levels above `Portable` include these instructions.
             return unsafe { avx2(work) };
         }
@@ -144,7 +144,7 @@ pub(crate) fn dispatch_lanes(work: impl Vectorized) {
         unsafe fn avx2(work: impl Vectorized) {
             work.run::<true>();
         }
-        assert!(Level::best() != Level::Portable, "systems take eight lanes at once only with AVX2, else four");
+        assert!(SimdLevel::best() != SimdLevel::Portable, "systems take eight lanes at once only with AVX2, else four");
         // SAFETY: all levels above `Portable` include these instructions.
         unsafe { avx2(work) }
     }

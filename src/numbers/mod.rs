@@ -10,10 +10,10 @@
 //! `scalar.rs`.
 
 pub(crate) mod aligned;
+pub(crate) mod extended;
 pub(crate) mod forward_mode;
 #[doc(hidden)]
 pub mod kernels;
 pub mod rng;
 pub(crate) mod scalar;
-pub(crate) mod wide;
 pub(crate) mod zip;

@@ -6,7 +6,7 @@
 //! - [`Dual`]: forward-mode derivatives, the default derivatives of systems. The numbers of the
 //!   crate num-dual check them.
 //! - [`Counted`]: an `f64` that counts its operations.
-//! - [`Cotangent`]: the adjoint quantity of a reverse pass. [`Columns`]: several of them.
+//! - [`Cotangent`]: the adjoint quantity of a reverse pass. [`CotangentPack`]: several of them.
 
 mod counted;
 #[cfg(feature = "double-double")]
@@ -16,7 +16,7 @@ mod float;
 mod lanes;
 pub(crate) mod num_dual;
 
-pub use counted::{Counted, Counts};
+pub use counted::{Counted, Ops};
 #[cfg(feature = "double-double")]
 pub use double_double::DoubleDouble;
 pub use dual::Dual;
@@ -51,7 +51,7 @@ pub trait Scalar:
     type Real: Float;
     /// Whether code for this type is compiled for wide vector registers: the lanes of rollouts.
     #[doc(hidden)]
-    const WIDE: bool = false;
+    const VECTORIZED: bool = false;
 
     /// Converts a constant, rounded to the underlying precision.
     fn lift(value: f64) -> Self;
@@ -148,7 +148,7 @@ pub trait Real: Scalar {
 ///
 /// An analytic [`System::vjp`](crate::System::vjp) can add cotangents and multiply them by scalars,
 /// but not multiply two cotangents. The type system thus enforces linearity. One implementation
-/// propagates a single adjoint or, as [`Columns`], several through one linearization.
+/// propagates a single adjoint or, as [`CotangentPack`], several through one linearization.
 pub trait Cotangent<R>:
     Copy + Debug + Add<Output = Self> + Sub<Output = Self> + Neg<Output = Self> + Mul<R, Output = Self> + AddAssign + SubAssign
 {
@@ -165,7 +165,7 @@ impl<R: Real> Cotangent<R> for R {
 
 /// `K` cotangents, propagated together through one linearization.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Columns<R, const K: usize>(pub [R; K]);
+pub struct CotangentPack<R, const K: usize>(pub [R; K]);
 
 /// Calls `column(k)` for `k = 0 .. K`. Unrolled for `K ≤ 2`, as used by rollouts: small loops slow
 /// compilation.
@@ -181,14 +181,14 @@ fn each<const K: usize>(mut column: impl FnMut(usize)) {
     }
 }
 
-impl<R: Real, const K: usize> Cotangent<R> for Columns<R, K> {
+impl<R: Real, const K: usize> Cotangent<R> for CotangentPack<R, K> {
     #[inline(always)]
     fn null() -> Self {
         Self([R::zero(); K])
     }
 }
 
-impl<R: Real, const K: usize> Columns<R, K> {
+impl<R: Real, const K: usize> CotangentPack<R, K> {
     /// Elementwise absolute value.
     #[inline(always)]
     pub(crate) fn abs(mut self) -> Self {
@@ -197,7 +197,7 @@ impl<R: Real, const K: usize> Columns<R, K> {
     }
 }
 
-impl<R: Real, const K: usize> Add for Columns<R, K> {
+impl<R: Real, const K: usize> Add for CotangentPack<R, K> {
     type Output = Self;
     #[inline(always)]
     fn add(mut self, other: Self) -> Self {
@@ -206,7 +206,7 @@ impl<R: Real, const K: usize> Add for Columns<R, K> {
     }
 }
 
-impl<R: Real, const K: usize> Sub for Columns<R, K> {
+impl<R: Real, const K: usize> Sub for CotangentPack<R, K> {
     type Output = Self;
     #[inline(always)]
     fn sub(mut self, other: Self) -> Self {
@@ -215,21 +215,21 @@ impl<R: Real, const K: usize> Sub for Columns<R, K> {
     }
 }
 
-impl<R: Real, const K: usize> AddAssign for Columns<R, K> {
+impl<R: Real, const K: usize> AddAssign for CotangentPack<R, K> {
     #[inline(always)]
     fn add_assign(&mut self, other: Self) {
         each::<K>(|k| self.0[k] += other.0[k]);
     }
 }
 
-impl<R: Real, const K: usize> SubAssign for Columns<R, K> {
+impl<R: Real, const K: usize> SubAssign for CotangentPack<R, K> {
     #[inline(always)]
     fn sub_assign(&mut self, other: Self) {
         each::<K>(|k| self.0[k] -= other.0[k]);
     }
 }
 
-impl<R: Real, const K: usize> Neg for Columns<R, K> {
+impl<R: Real, const K: usize> Neg for CotangentPack<R, K> {
     type Output = Self;
     #[inline(always)]
     fn neg(mut self) -> Self {
@@ -238,7 +238,7 @@ impl<R: Real, const K: usize> Neg for Columns<R, K> {
     }
 }
 
-impl<R: Real, const K: usize> Mul<R> for Columns<R, K> {
+impl<R: Real, const K: usize> Mul<R> for CotangentPack<R, K> {
     type Output = Self;
     #[inline(always)]
     fn mul(mut self, factor: R) -> Self {

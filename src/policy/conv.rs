@@ -15,7 +15,7 @@ mod layer;
 mod layout;
 
 use super::{Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
-use crate::numbers::kernels::Level;
+use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};
 use crate::numbers::kernels::gemm::Product;
 use crate::numbers::rng::Rng;
@@ -47,7 +47,7 @@ const CHANNELS: usize = 2;
 pub struct Conv {
     grid: usize,
     width: usize,
-    zero_last: bool,
+    zero_init_output: bool,
 }
 
 impl Conv {
@@ -60,14 +60,14 @@ impl Conv {
     pub fn new(grid: usize, width: usize) -> Self {
         assert!(grid >= 7, "two convolutions of kernel 3 and stride 2 need at least 7 grid points, not {grid}");
         assert!(width > 0, "a convolution needs at least one filter");
-        Self { grid, width, zero_last: false }
+        Self { grid, width, zero_init_output: false }
     }
 
     /// Sets whether the initial last kernel is 0 (default: false).
     ///
     /// With a zero kernel, the initial control is exactly 0, and R equals M in the first update.
-    pub fn zero_last(mut self, zero: bool) -> Self {
-        self.zero_last = zero;
+    pub fn zero_init_output(mut self, zero: bool) -> Self {
+        self.zero_init_output = zero;
         self
     }
 
@@ -103,7 +103,7 @@ impl Policy for Conv {
             let limit = (6.0 / (fan_in + fan_out) as f64).sqrt();
             theta[start..start + len].fill_with(|| rng.random_range(-limit..limit));
         }
-        if self.zero_last {
+        if self.zero_init_output {
             theta[self.dense()..].fill(0.0);
         }
     }
@@ -185,7 +185,7 @@ impl Policy for Conv {
 
     fn forward<F: Float>(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
         let PolicyPass { packed, at, x } = pass;
-        let level = Level::best();
+        let level = SimdLevel::best();
         let (n, w) = (self.state_dim(), self.width);
         let layers = self.layers::<F>();
         let [one, two] = &layers;
@@ -219,7 +219,7 @@ impl Policy for Conv {
 
     fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], mut x_bar: Option<&mut [F]>) {
         let PolicyPass { packed, at, x } = pass;
-        let level = Level::best();
+        let level = SimdLevel::best();
         let (n, w) = (self.state_dim(), self.width);
         let total = x.len() / n;
         let layers = self.layers::<F>();
@@ -276,7 +276,7 @@ impl Policy for Conv {
         if at.count == 0 {
             return;
         }
-        let level = Level::best();
+        let level = SimdLevel::best();
         let w = self.width;
         let total = x.len() / self.state_dim();
         let layers = self.layers::<F>();

@@ -6,7 +6,7 @@
 //! product each.
 
 use super::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Sizes, Tensor};
-use crate::numbers::kernels::Level;
+use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};
 use crate::numbers::kernels::gemm::Product;
 use crate::numbers::rng::Rng;
@@ -22,12 +22,12 @@ const DEPTH: usize = 64;
 /// A multi-layer perceptron: tanh hidden layers of any widths, a linear output.
 ///
 /// Initial kernels are Glorot-uniform (Glorot and Bengio 2010); initial biases are 0.
-/// [`Mlp::zero_last`] makes the initial control exactly 0.
+/// [`Mlp::zero_init_output`] makes the initial control exactly 0.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mlp {
     widths: Vec<usize>,
     bias: bool,
-    zero_last: bool,
+    zero_init_output: bool,
 }
 
 /// Shape of one layer, and its offsets in `θ` and in the padded buffers.
@@ -62,14 +62,14 @@ impl Mlp {
         let widths = widths.into();
         assert!(widths.len() >= 2, "an MLP needs at least the widths of its input and output, not {widths:?}");
         assert!(widths.iter().all(|&w| w > 0), "an MLP has no layer of width 0: {widths:?}");
-        Self { widths, bias: true, zero_last: false }
+        Self { widths, bias: true, zero_init_output: false }
     }
 
     /// Sets whether the initial last kernel is 0 (default: false).
     ///
     /// With a zero kernel, the initial control is exactly 0, and R equals M in the first update.
-    pub fn zero_last(mut self, zero: bool) -> Self {
-        self.zero_last = zero;
+    pub fn zero_init_output(mut self, zero: bool) -> Self {
+        self.zero_init_output = zero;
         self
     }
 
@@ -144,9 +144,9 @@ impl Policy for Mlp {
             // Glorot and Bengio 2010: uniform within sqrt(6 / (fan_in + fan_out)).
             let limit = (6.0 / (l.inputs + l.outputs) as f64).sqrt();
             for weight in &mut theta[l.theta..][..l.inputs * l.outputs] {
-                // Always draw, so that other kernels are independent of `zero_last`.
+                // Always draw, so that other kernels are independent of `zero_init_output`.
                 let draw = rng.random_range(-limit..limit);
-                *weight = if self.zero_last && index == last { 0.0 } else { draw };
+                *weight = if self.zero_init_output && index == last { 0.0 } else { draw };
             }
         }
     }
@@ -208,7 +208,7 @@ impl Policy for Mlp {
 
     fn forward<F: Float>(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
         let PolicyPass { packed, at, x } = pass;
-        let level = Level::best();
+        let level = SimdLevel::best();
         let n = self.state_dim();
         let total = x.len() / n;
         let first = self.layer::<F>(0);
@@ -255,7 +255,7 @@ impl Policy for Mlp {
 
     fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], mut x_bar: Option<&mut [F]>) {
         let PolicyPass { packed, at, x } = pass;
-        let level = Level::best();
+        let level = SimdLevel::best();
         let n = self.state_dim();
         let total = x.len() / n;
         for at in at.blocks(BLOCK) {
@@ -304,7 +304,7 @@ impl Policy for Mlp {
         if at.count == 0 {
             return;
         }
-        let level = Level::best();
+        let level = SimdLevel::best();
         let total = x.len() / self.state_dim();
         for l in self.layers::<F>() {
             let is_last = l.tape == self.last::<F>().tape;

@@ -10,13 +10,13 @@ mod any;
 mod conv;
 mod linear;
 mod mlp;
-mod toy;
+mod two_params;
 
 pub use any::AnyPolicy;
 pub use conv::Conv;
 pub use linear::Linear;
 pub use mlp::Mlp;
-pub use toy::{Constant, Quadratic};
+pub use two_params::{Constant, Quadratic};
 
 use crate::numbers::aligned::Aligned;
 use crate::numbers::forward_mode::{Chunk, jacobian};

@@ -9,10 +9,10 @@ mod row;
 mod ways;
 
 pub use job::{Job, Preparing};
-pub use ways::{Derived, Deriving, Referring, Way};
+pub use ways::{Derived, Deriving, GradientMethod, Referring};
 
-use super::changes::Changes;
-use super::document::Document;
+use super::changes::Overrides;
+use super::document::SceneSource;
 use super::folder::Folder;
 use super::presets;
 use super::scene::Scene;
@@ -36,16 +36,16 @@ pub struct Accuracy {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     pub scene: String,
     #[command(flatten)]
-    pub changes: Changes,
+    pub changes: Overrides,
     /// Name the cheapest setting with at most this error, and print its lines for the scene file
     #[arg(long, value_name = "ERROR")]
     pub target: Option<f64>,
     /// Error that --target refers to
-    #[arg(long, value_enum, default_value_t = Of::Trajectory)]
-    pub of: Of,
+    #[arg(long, value_enum, default_value_t = Metric::Trajectory)]
+    pub metric: Metric,
     /// Measure the costs of gradients instead: reverse passes, forward mode, differences,
     /// checkpoints, horizons
-    #[arg(long, conflicts_with_all = ["target", "of"])]
+    #[arg(long, conflicts_with_all = ["target", "metric"])]
     pub gradients: bool,
     /// Horizons at which --gradients computes R, in steps
     #[arg(long, value_name = "STEPS", value_delimiter = ',', requires = "gradients",
@@ -61,7 +61,7 @@ pub struct Accuracy {
 
 /// Error measure of `--target`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum Of {
+pub enum Metric {
     /// Error of the states
     Trajectory,
     /// Error of the loss
@@ -72,7 +72,7 @@ pub enum Of {
     M,
 }
 
-impl Of {
+impl Metric {
     fn read(self, errors: &Errors) -> f64 {
         match self {
             Self::Trajectory => errors.trajectory,
@@ -114,8 +114,8 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     args.changes.apply(&mut document)?;
     let given = document.clone();
     let scene = document.scene()?;
-    if scene.table.get("policy").is_some_and(|policy| policy.get("zero_last").is_some()) {
-        document.put("policy.zero_last", Value::Boolean(false), "accuracy")?;
+    if scene.table.get("policy").is_some_and(|policy| policy.get("zero_init_output").is_some()) {
+        document.put("policy.zero_init_output", Value::Boolean(false), "accuracy")?;
     }
     let name = presets::short_name(&args.scene);
     let folder = || Folder::named(args.out.as_deref(), &format!("accuracy_{name}"));
@@ -161,7 +161,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     say(&outputs::summary(&rows, &check, conserved))?;
     say(&format!("results in {}: accuracy.csv, accuracy.svg, accuracy.md", folder.path().display()))?;
     let Some(target) = args.target else { return Ok(()) };
-    let scenes = study.scenes(&rows, args.of, target)?;
+    let scenes = study.scenes(&rows, args.metric, target)?;
     if !scenes.is_empty() {
         let inner = Folder::at(folder.file("scenes")).lock()?;
         for (method, scene) in scenes {
@@ -169,7 +169,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         }
         say(&format!("the cheapest of every method, to train in: {}", inner.path().display()))?;
     }
-    name_cheapest(&rows, args.of, target)
+    name_cheapest(&rows, args.metric, target)
 }
 
 /// Progress bar with the given number of steps.
@@ -184,11 +184,11 @@ fn bar(steps: usize, quiet: bool) -> ProgressBar {
 
 /// Scene whose integrator and precision are varied.
 struct Study {
-    /// Document with the user's changes only.
-    given: Document,
+    /// SceneSource with the user's changes only.
+    given: SceneSource,
     scene: Scene,
-    /// Document without zeroed kernels.
-    document: Document,
+    /// SceneSource without zeroed kernels.
+    document: SceneSource,
 }
 
 impl Study {
@@ -197,10 +197,10 @@ impl Study {
     }
 
     /// Scenes with the cheapest setting of every method that reaches the target.
-    fn scenes(&self, rows: &[Row], of: Of, target: f64) -> Result<Vec<(&'static str, Scene)>> {
+    fn scenes(&self, rows: &[Row], metric: Metric, target: f64) -> Result<Vec<(&'static str, Scene)>> {
         let mut methods: Vec<&str> = rows.iter().map(|row| row.setting.method).collect();
         methods.dedup();
-        let cheapest = |method: &str| cheapest(rows.iter().filter(|row| row.setting.method == method), of, target);
+        let cheapest = |method: &str| cheapest(rows.iter().filter(|row| row.setting.method == method), metric, target);
         let all = methods.into_iter().filter_map(cheapest);
         all.map(|(row, _)| Ok((row.setting.method, row.setting.of(&self.given)?))).collect()
     }
@@ -221,7 +221,7 @@ impl Study {
     }
 
     fn settings(&self) -> Vec<Setting> {
-        let methods = ["own"].into_iter().chain(self.scene.kind.methods().iter().map(|method| method.name()));
+        let methods = ["native"].into_iter().chain(self.scene.kind.methods().iter().map(|method| method.name()));
         let each = methods.flat_map(|method| {
             // Skips further step counts for the adaptive method, which selects its own steps.
             let counts = if method == "adaptive" { &SUBSTEPS[..1] } else { &SUBSTEPS };
@@ -235,23 +235,24 @@ impl Study {
 }
 
 /// Cheapest setting that reaches the target, with its error.
-fn cheapest<'a>(rows: impl Iterator<Item = &'a Row>, of: Of, target: f64) -> Option<(&'a Row, f64)> {
-    let reached = rows.filter_map(|row| Some((row, of.read(row.errors.as_ref().ok()?)))).filter(|(_, error)| *error <= target);
-    reached.min_by(|a, b| of.time(a.0).total_cmp(&of.time(b.0)))
+fn cheapest<'a>(rows: impl Iterator<Item = &'a Row>, metric: Metric, target: f64) -> Option<(&'a Row, f64)> {
+    let reached =
+        rows.filter_map(|row| Some((row, metric.read(row.errors.as_ref().ok()?)))).filter(|(_, error)| *error <= target);
+    reached.min_by(|a, b| metric.time(a.0).total_cmp(&metric.time(b.0)))
 }
 
 /// Prints the cheapest setting that reaches the target.
 ///
 /// # Errors
 /// No setting reaches it. The message names the most accurate setting.
-fn name_cheapest(rows: &[Row], of: Of, target: f64) -> Result<()> {
-    let finite = || rows.iter().filter_map(|row| Some((row, of.read(row.errors.as_ref().ok()?))));
-    if let Some((row, error)) = cheapest(rows.iter(), of, target) {
+fn name_cheapest(rows: &[Row], metric: Metric, target: f64) -> Result<()> {
+    let finite = || rows.iter().filter_map(|row| Some((row, metric.read(row.errors.as_ref().ok()?))));
+    if let Some((row, error)) = cheapest(rows.iter(), metric, target) {
         say(&format!(
             "\nthe cheapest with an error of the {} of at most {target:e} is {}, with {error:.1e} and {:.3} us a step of a sample:\n\n{}",
-            of.name(),
+            metric.name(),
             row.setting.name(),
-            of.time(row) * 1e6,
+            metric.time(row) * 1e6,
             row.setting.lines()
         ))?;
         return Ok(());
@@ -264,7 +265,7 @@ fn name_cheapest(rows: &[Row], of: Of, target: f64) -> Result<()> {
     };
     bail!(
         "--target {target:e}: no setting has so small an error of the {}; the best is {}, with {error:.1e}: {why}",
-        of.name(),
+        metric.name(),
         row.setting.name()
     )
 }

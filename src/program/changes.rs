@@ -1,6 +1,6 @@
 //! What a command line changes of a scene, or of a run that is to be resumed.
 
-use super::document::{Document, short};
+use super::document::{SceneSource, short};
 use super::folder::{Folder, SETTINGS};
 use super::presets;
 use super::saved;
@@ -12,7 +12,7 @@ use toml::Value;
 
 /// What differs from the scene.
 #[derive(Clone, Debug, Default, clap::Args)]
-pub struct Changes {
+pub struct Overrides {
     /// Vector field to follow: combined, regular, modified, network, stopped (C, R, M, N, S)
     #[arg(long, value_parser = |name: &str| name.parse().map(FieldName))]
     pub field: Option<FieldName>,
@@ -33,9 +33,9 @@ pub struct Changes {
     pub without: Vec<String>,
 }
 
-impl Changes {
+impl Overrides {
     /// Makes the changes in a document.
-    pub fn apply(&self, document: &mut Document) -> Result<()> {
+    pub fn apply(&self, document: &mut SceneSource) -> Result<()> {
         for name in &self.without {
             document.without(name)?;
         }
@@ -57,7 +57,7 @@ impl Changes {
     }
 
     /// Makes the changes in a document in which they may have been made before: what it was left without may be gone.
-    pub fn apply_again(&self, document: &mut Document) -> Result<()> {
+    pub fn apply_again(&self, document: &mut SceneSource) -> Result<()> {
         let without = self.without.iter().filter(|name| document.has(name)).cloned().collect();
         Self { without, ..self.clone() }.apply(document)
     }
@@ -70,7 +70,7 @@ fn integer(option: &str, value: u64) -> Result<Value> {
 }
 
 /// Changes one setting: `training.learning_rate=3e-4`.
-pub fn set(document: &mut Document, assignment: &str) -> Result<()> {
+pub fn set(document: &mut SceneSource, assignment: &str) -> Result<()> {
     let option = format!("--set {}", short(assignment));
     let (key, text) =
         assignment.split_once('=').with_context(|| format!("{option}: write KEY=VALUE, for example system.poles=4"))?;
@@ -84,7 +84,7 @@ pub fn set(document: &mut Document, assignment: &str) -> Result<()> {
 }
 
 /// The preset or file of this name, with these changes.
-pub fn changed(name: &str, changes: &Changes) -> Result<Scene> {
+pub fn changed(name: &str, changes: &Overrides) -> Result<Scene> {
     let mut document = presets::document(name)?;
     changes.apply(&mut document)?;
     document.scene()
@@ -104,11 +104,11 @@ pub fn check_resumable(folder: &Folder, scene: &Scene) -> Result<()> {
 }
 
 /// The scene of the run in the folder, with these changes.
-pub fn resumed(folder: &Folder, changes: &Changes) -> Result<Scene> {
+pub fn resumed(folder: &Folder, changes: &Overrides) -> Result<Scene> {
     if !saved::has_run(folder) {
         bail!("there is no run to resume in {}; without --resume, a new one starts there", folder.path().display());
     }
-    let mut document = Document::read(&folder.readable(SETTINGS)?)?;
+    let mut document = SceneSource::read(&folder.readable(SETTINGS)?)?;
     changes.apply_again(&mut document)?;
     let scene = document.scene()?;
     check_resumable(folder, &scene)?;

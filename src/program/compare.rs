@@ -1,6 +1,6 @@
 //! `physgrad compare`: one training configuration with several fields and seeds, side by side.
 
-use super::changes::{Changes, changed};
+use super::changes::{Overrides, changed};
 use super::folder::{Folder, SETTINGS};
 use super::presets;
 use super::run::threads;
@@ -30,7 +30,7 @@ pub struct Compare {
     #[arg(long, value_name = "K", default_value_t = 3)]
     pub seeds: u64,
     #[command(flatten)]
-    pub changes: Changes,
+    pub changes: Overrides,
     /// Number of threads, one run each [default: RAYON_NUM_THREADS, or all cores]
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,

@@ -1,7 +1,7 @@
 //! A scene as it is written: its values, and where each of them is from.
 
-use super::kind::{self, AnyKind};
-use super::problem::Problem;
+use super::kind::{self, AnyTaskSpec};
+use super::problem::ConfigError;
 use super::scene::Scene;
 use super::settings::VERSION;
 use anyhow::{Context, Result, anyhow, bail};
@@ -24,7 +24,7 @@ pub const OPTIONAL: [&str; 2] = ["effects", "actuator"];
 
 /// Settings of a file, and what the command line makes of them, before anything is known of the task.
 #[derive(Clone)]
-pub struct Document {
+pub struct SceneSource {
     /// What it is called in messages.
     name: String,
     table: Table,
@@ -34,7 +34,7 @@ pub struct Document {
     options: HashMap<String, String>,
 }
 
-impl Document {
+impl SceneSource {
     /// The file at this path.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
@@ -134,25 +134,25 @@ impl Document {
         self.checked().map_err(|problem| anyhow!("{}: {problem}", self.origin(&problem.key)))
     }
 
-    fn checked(&self) -> Result<Scene, Problem> {
+    fn checked(&self) -> Result<Scene, ConfigError> {
         match self.table.get("scene") {
             None => {
                 let what = format!("is missing; a scene begins with `scene = {VERSION}`, the version of the format");
-                return Err(Problem::new("scene", what));
+                return Err(ConfigError::new("scene", what));
             }
             Some(Value::Integer(VERSION)) => {}
             Some(other) => {
                 let what = format!("is {other}; this version of physgrad reads scenes of version {VERSION}");
-                return Err(Problem::new("scene", what));
+                return Err(ConfigError::new("scene", what));
             }
         }
         let tasks = || kind::KINDS.map(|kind| kind.name()).join(", ");
         let task = match self.table.get("task") {
-            None => return Err(Problem::new("task", format!("is missing; allowed: {}", tasks()))),
+            None => return Err(ConfigError::new("task", format!("is missing; allowed: {}", tasks()))),
             Some(task) => task,
         };
         let kind = kind::KINDS.into_iter().find(|kind| task.as_str() == Some(kind.name()));
-        let kind = kind.ok_or_else(|| Problem::new("task", format!("is {task}; allowed: {}", tasks())))?;
+        let kind = kind.ok_or_else(|| ConfigError::new("task", format!("is {task}; allowed: {}", tasks())))?;
         let mut settings = kind.defaults();
         overlay(&mut settings, &self.table);
         if settings.get("physgrad").is_some_and(Value::is_str) {
@@ -178,13 +178,13 @@ impl Document {
 }
 
 /// Says so if what is unknown here is an effect of another task.
-fn of_another_task(kind: &dyn AnyKind, problem: Problem) -> Problem {
-    let has = |kind: &dyn AnyKind| kind.effects().iter().any(|info| problem.key == format!("effects.{}", info.name));
+fn of_another_task(kind: &dyn AnyTaskSpec, problem: ConfigError) -> ConfigError {
+    let has = |kind: &dyn AnyTaskSpec| kind.effects().iter().any(|info| problem.key == format!("effects.{}", info.name));
     match kind::KINDS.into_iter().find(|other| has(*other)) {
         Some(other) if !has(kind) => {
             let here: Vec<&str> = kind.effects().iter().map(|info| info.name).collect();
             let what = format!("is an effect of {}, not of {}; allowed here: {}", other.name(), kind.name(), here.join(", "));
-            Problem::new(problem.key, what)
+            ConfigError::new(problem.key, what)
         }
         _ => problem,
     }
@@ -250,7 +250,7 @@ mod tests {
 
     #[test]
     fn every_key_knows_its_line() {
-        let document = Document::parse("a.toml", WINDY).expect("TOML");
+        let document = SceneSource::parse("a.toml", WINDY).expect("TOML");
         for (key, line) in [
             ("scene", 1),
             ("effects.wind", 2),
@@ -266,7 +266,7 @@ mod tests {
 
     #[test]
     fn effects_come_and_go() {
-        let mut document = Document::parse("a.toml", WINDY).expect("TOML");
+        let mut document = SceneSource::parse("a.toml", WINDY).expect("TOML");
         let error = document.without("rain").expect_err("there is none").to_string();
         assert!(error.ends_with("it has wind, walls, lag"), "{error}");
         document.without("effects.wind").expect("an effect");

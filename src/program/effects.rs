@@ -1,10 +1,10 @@
 //! `physgrad effects`: the reference page of all effects.
 
-use super::kind::{AnyKind, Info, KINDS};
+use super::kind::{AnyTaskSpec, Info, KINDS};
 use super::settings::ACTUATORS;
 use super::terminal::say;
 use anyhow::Result;
-use physgrad::Counts;
+use physgrad::Ops;
 use serde_json::Value;
 use std::fmt::Write;
 use toml::Table;
@@ -49,10 +49,10 @@ fn page() -> Result<String> {
 }
 
 /// Writes a table of the effects of a section, then a paragraph for each.
-fn section(page: &mut String, kind: &'static dyn AnyKind, section: &str, infos: &[Info]) -> Result<()> {
+fn section(page: &mut String, kind: &'static dyn AnyTaskSpec, section: &str, infos: &[Info]) -> Result<()> {
     let schema = kind.schema();
     let of = |info: &Info| &schema["properties"][section]["properties"][info.name];
-    let costs: Vec<[Counts; 2]> = infos.iter().map(|info| cost(kind, section, info.name)).collect::<Result<_>>()?;
+    let costs: Vec<[Ops; 2]> = infos.iter().map(|info| cost(kind, section, info.name)).collect::<Result<_>>()?;
     let _ = writeln!(page, "| | | step | VJP |\n|---|---|--:|--:|");
     for (info, [step, vjp]) in infos.iter().zip(&costs) {
         let name = info.name;
@@ -71,7 +71,7 @@ fn section(page: &mut String, kind: &'static dyn AnyKind, section: &str, infos: 
 }
 
 /// Operations that an effect adds to a step and to its VJP, in a scene with no other effect.
-fn cost(kind: &'static dyn AnyKind, section: &str, name: &str) -> Result<[Counts; 2]> {
+fn cost(kind: &'static dyn AnyTaskSpec, section: &str, name: &str) -> Result<[Ops; 2]> {
     let mut settings = kind.defaults();
     let alone = kind.scene(settings.clone())?.cost();
     let part: Table = [(name.to_owned(), toml::Value::Table(required(name)))].into_iter().collect();

@@ -2,7 +2,7 @@
 
 mod visitors;
 
-use super::changes::Changes;
+use super::changes::Overrides;
 use super::document::OPTIONAL;
 use super::kind::Info;
 use super::presets;
@@ -12,7 +12,7 @@ use super::terminal::say;
 use anyhow::Result;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{ContentArrangement, Table};
-use physgrad::{Cost, Counts, Field};
+use physgrad::{Field, OpCount, Ops};
 use visitors::SAMPLES;
 pub use visitors::{Costing, Stored, Storing};
 
@@ -25,7 +25,7 @@ pub struct Explain {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     pub scene: String,
     #[command(flatten)]
-    pub changes: Changes,
+    pub changes: Overrides,
 }
 
 /// Largest width of a table, in characters.
@@ -96,9 +96,9 @@ fn effects(scene: &Scene) -> Table {
 }
 
 /// Operation counts by pass and kind. The first entry of each pass is the total.
-fn numbers(cost: &Cost) -> [[i64; 8]; 3] {
+fn numbers(cost: &OpCount) -> [[i64; 8]; 3] {
     [cost.step, cost.vjp, cost.vjp_control].map(|counts| {
-        let Counts { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
+        let Ops { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
         [counts.total(), add, negate, multiply, divide, sqrt, transcendental, compare].map(|count| count as i64)
     })
 }

@@ -1,8 +1,8 @@
 //! Task kinds: the part of a task that only the program needs.
 //!
-//! A [`Kind`] adds settings, defaults, limits, column names and an animation to the physics of a
+//! A [`TaskSpec`] adds settings, defaults, limits, column names and an animation to the physics of a
 //! task.
-//! [`KINDS`] lists all of them. [`AnyKind`] is the object-safe form, and [`Visit`] gives access to
+//! [`KINDS`] lists all of them. [`AnyTaskSpec`] is the object-safe form, and [`Visit`] gives access to
 //! the concrete types.
 //! Start with `cart_pole`.
 
@@ -13,10 +13,10 @@ mod network;
 mod quantum;
 mod schema;
 
-pub use network::{MlpSettings, Network};
+pub use network::{MlpSettings, PolicySpec};
 pub use schema::schema;
 
-use super::problem::Problem;
+use super::problem::ConfigError;
 use super::scene::Scene;
 use super::settings::{Method, Settings};
 use physgrad::report::Animation;
@@ -31,7 +31,7 @@ pub trait Section: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + S
 impl<T: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static> Section for T {}
 
 /// Task name and its settings. The effects that are present select the concrete [`Task`] type.
-pub trait Kind: Clone + Debug + Send + Sync + 'static {
+pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     /// The `system` section: settings of the physics.
     type System: Section;
     /// The `effects` section: one subsection per effect that is present.
@@ -39,7 +39,7 @@ pub trait Kind: Clone + Debug + Send + Sync + 'static {
     /// The `loss` section: settings of the cost function.
     type Loss: Section + Default;
     /// The `policy` section. Default values depend on the task.
-    type Network: Network;
+    type PolicySpec: PolicySpec;
 
     /// The task's name.
     const NAME: &'static str;
@@ -60,7 +60,7 @@ pub trait Kind: Clone + Debug + Send + Sync + 'static {
     ///
     /// # Errors
     /// A value is out of range, or no part of the task reads a setting.
-    fn validate(settings: &Settings<Self>) -> Result<(), Problem>;
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError>;
     /// Calls the visitor with the task and the policy of these settings.
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out;
     /// Named settings for gradient checks.
@@ -133,7 +133,7 @@ pub trait Visit {
 }
 
 /// Every task.
-pub const KINDS: [&dyn AnyKind; 9] = [
+pub const KINDS: [&dyn AnyTaskSpec; 9] = [
     &cart_pole::CartPole,
     &guidance::Guidance,
     &quantum::Quantum,
@@ -145,8 +145,8 @@ pub const KINDS: [&dyn AnyKind; 9] = [
     &hard::Push,
 ];
 
-/// Object-safe [`Kind`].
-pub trait AnyKind: Send + Sync {
+/// Object-safe [`TaskSpec`].
+pub trait AnyTaskSpec: Send + Sync {
     /// The task's name.
     fn name(&self) -> &'static str;
     /// One-line description.
@@ -161,16 +161,16 @@ pub trait AnyKind: Send + Sync {
     /// The default settings.
     fn defaults(&self) -> Table;
     /// Fills in missing settings that have a default of their own.
-    fn fill(&self, settings: Table) -> Result<Table, Problem>;
+    fn fill(&self, settings: Table) -> Result<Table, ConfigError>;
     /// Makes a scene from complete settings.
-    fn scene(&'static self, settings: Table) -> Result<Scene, Problem>;
+    fn scene(&'static self, settings: Table) -> Result<Scene, ConfigError>;
     /// JSON schema of scenes of this task.
     fn schema(&self) -> serde_json::Value;
     /// Named scenes for gradient checks.
     fn variants(&'static self) -> Vec<(String, Scene)>;
 }
 
-impl<K: Kind> AnyKind for K {
+impl<K: TaskSpec> AnyTaskSpec for K {
     fn name(&self) -> &'static str {
         K::NAME
     }
@@ -189,18 +189,18 @@ impl<K: Kind> AnyKind for K {
 
     fn reference(&self) -> (&'static str, usize) {
         let best = [Method::Tsit5, Method::Pade].into_iter().find(|method| K::METHODS.contains(method));
-        (best.map_or("own", Method::name), 128)
+        (best.map_or("native", Method::name), 128)
     }
 
     fn defaults(&self) -> Table {
         Settings::<K>::defaults().table()
     }
 
-    fn fill(&self, settings: Table) -> Result<Table, Problem> {
+    fn fill(&self, settings: Table) -> Result<Table, ConfigError> {
         Ok(Settings::<K>::fill(settings)?.table())
     }
 
-    fn scene(&'static self, settings: Table) -> Result<Scene, Problem> {
+    fn scene(&'static self, settings: Table) -> Result<Scene, ConfigError> {
         let settings = Settings::<K>::fill(settings)?;
         settings.validate()?;
         Ok(Scene::new(self, settings))

@@ -124,7 +124,7 @@ fn execute(command: &Command) -> Result<()> {
 fn default_run() -> Command {
     Command::Train(train::Train {
         scene: "cart_pole".into(),
-        changes: changes::Changes::default(),
+        changes: changes::Overrides::default(),
         threads: None,
         out: None,
         resume: false,

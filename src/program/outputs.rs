@@ -71,7 +71,7 @@ pub const METRICS_HEADER: [&str; 13] = [
 pub fn metrics_row(record: &Record) -> [String; 13] {
     let Record { epoch, loss, train_loss, test_loss, grad_norm, cosine, kept, skipped, seconds, .. } = record;
     let growth = |growth: Option<Growth>| {
-        growth.map_or_else(Default::default, |Growth { along, stretch }| [along.to_string(), stretch.to_string()])
+        growth.map_or_else(Default::default, |Growth { along, worst_window }| [along.to_string(), worst_window.to_string()])
     };
     let [[growth_r, stretch_r], [growth_m, stretch_m]] = [record.regular_growth, record.modified_growth].map(growth);
     let number = |x: &f64| x.to_string();
@@ -156,11 +156,11 @@ pub fn film(scene: &Scene, rollout: &Trajectory) -> String {
 pub fn trajectories(scene: &Scene, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
     let mut csv = csv::Writer::from_writer(Vec::new());
     let names = ["sample", "step", "time"].map(String::from).into_iter();
-    let (states, asked, felt) = (scene.state_names(), scene.control_names(), scene.felt_names());
-    csv.write_record(names.chain(states).chain(asked.clone()).chain(felt.clone()))?;
+    let (states, asked, applied) = (scene.state_names(), scene.control_names(), scene.applied_names());
+    csv.write_record(names.chain(states).chain(asked.clone()).chain(applied.clone()))?;
     let dt = scene.dt();
     for (sample, Trajectory { states, controls }) in rollouts.iter().enumerate() {
-        let all_felt = scene.felt(states, controls);
+        let all_felt = scene.applied(states, controls);
         for (t, state) in states.iter().enumerate() {
             let place = [sample.to_string(), t.to_string(), (t as f64 * dt).to_string()];
             let cells = |rows: &[Vec<f64>], columns: &[String]| -> Vec<String> {
@@ -168,7 +168,7 @@ pub fn trajectories(scene: &Scene, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
                 (0..columns.len()).map(cell).collect()
             };
             let state = state.iter().map(f64::to_string);
-            csv.write_record(place.into_iter().chain(state).chain(cells(controls, &asked)).chain(cells(&all_felt, &felt)))?;
+            csv.write_record(place.into_iter().chain(state).chain(cells(controls, &asked)).chain(cells(&all_felt, &applied)))?;
         }
     }
     Ok(csv.into_inner()?)

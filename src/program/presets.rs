@@ -1,6 +1,6 @@
 //! Presets: scenes that are compiled into the program.
 
-use super::document::Document;
+use super::document::SceneSource;
 use super::folder::SETTINGS;
 use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
@@ -49,8 +49,8 @@ pub fn text(name: &str) -> Result<&'static str> {
     })
 }
 
-/// Document of the preset with this name, or of the file at this path.
-pub fn document(name: &str) -> Result<Document> {
+/// SceneSource of the preset with this name, or of the file at this path.
+pub fn document(name: &str) -> Result<SceneSource> {
     let path = Path::new(name);
     if path.is_dir() && !PRESETS.iter().any(|(preset, _)| *preset == name) {
         let scene = path.join(SETTINGS);
@@ -58,10 +58,10 @@ pub fn document(name: &str) -> Result<Document> {
         bail!("{name} is a folder, and not a scene{hint}");
     }
     if is_path(name) {
-        return Document::read(path);
+        return SceneSource::read(path);
     }
     let text = text(name).map_err(|none| anyhow!("{none}; a scene of your own is named by its path, which ends in .toml"))?;
-    Document::parse(&format!("preset {name}"), text)
+    SceneSource::parse(&format!("preset {name}"), text)
 }
 
 /// Name for the results of a preset or file.

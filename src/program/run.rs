@@ -16,16 +16,16 @@ use std::time::{Duration, Instant};
 pub const SAVE_EVERY: Duration = Duration::from_secs(5);
 
 /// Observer of a run.
-pub trait Watch {
+pub trait Observer {
     /// The run goes on after this many epochs of an earlier process.
     fn resumed(&mut self, _epochs: usize) {}
     /// An epoch is done.
-    fn epoch(&mut self, told: Told);
+    fn epoch(&mut self, told: EpochEvent);
 }
 
 /// Events of an epoch.
 #[derive(Clone, Copy)]
-pub struct Told<'a> {
+pub struct EpochEvent<'a> {
     pub record: &'a Record,
     /// Updates that were not applied, since the program was started.
     pub skips: &'a [Skip],
@@ -98,7 +98,7 @@ pub fn run(
     mut run: Box<dyn AnyRun>,
     resume: bool,
     save_every: Duration,
-    watch: &mut dyn Watch,
+    watch: &mut dyn Observer,
 ) -> Result<Finished> {
     let identity = scene.identity();
     if resume {
@@ -137,7 +137,7 @@ pub fn run(
             let news = warnings.len() > warned;
             warned = warned.max(warnings.len());
             let warnings = if news { &warnings[..] } else { &[] };
-            watch.epoch(Told { record, skips: run.skips(), diverged: run.diverged(), warnings });
+            watch.epoch(EpochEvent { record, skips: run.skips(), diverged: run.diverged(), warnings });
         }
         if saver.is_due() {
             saver.try_to_save(&*run)?;

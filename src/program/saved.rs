@@ -1,7 +1,7 @@
 //! Saved runs: finds them in folders, reads their scenes, restores their state.
 
 use super::any_run::AnyRun;
-use super::document::Document;
+use super::document::SceneSource;
 use super::folder::{CHECKPOINT, Folder, METRICS, POLICY, RUNS, SETTINGS};
 use super::scene::Scene;
 use anyhow::{Context, Result, bail};
@@ -53,7 +53,7 @@ pub fn scene(folder: &Folder) -> Result<Scene> {
     if !has_run(folder) {
         bail!("there is no run in {}: no {SETTINGS}", folder.path().display());
     }
-    let document = Document::read(&folder.readable(SETTINGS)?)?;
+    let document = SceneSource::read(&folder.readable(SETTINGS)?)?;
     let own = env!("CARGO_PKG_VERSION");
     if let Some(version) = document.text("physgrad").filter(|&version| version != own) {
         bail!(

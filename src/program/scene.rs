@@ -3,17 +3,17 @@
 //! [`Scene`] holds the settings that all tasks share. [`AnySettings`] is the object-safe interface
 //! to the settings of one task.
 
-use super::accuracy::{Derived, Deriving, Job, Preparing, Referring, Way};
+use super::accuracy::{Derived, Deriving, GradientMethod, Job, Preparing, Referring};
 use super::any_run::{AnyRun, Open};
 use super::check::{Checking, Results};
 use super::document::OPTIONAL;
 use super::explain::{Costing, Stored, Storing};
-use super::kind::{AnyKind, Conserved, Kind};
-use super::problem::Problem;
+use super::kind::{AnyTaskSpec, Conserved, TaskSpec};
+use super::problem::ConfigError;
 use super::settings::{FieldName, Precision, Settings};
 use anyhow::Result;
 use physgrad::report::Animation;
-use physgrad::{Cost, Field};
+use physgrad::{Field, OpCount};
 use std::ops::Deref;
 use std::sync::Arc;
 use toml::{Table, Value};
@@ -22,7 +22,7 @@ use toml::{Table, Value};
 #[derive(Clone)]
 pub struct Scene {
     /// Task kind.
-    pub kind: &'static dyn AnyKind,
+    pub kind: &'static dyn AnyTaskSpec,
     /// Vector field that the optimizer follows.
     pub field: FieldName,
     /// Floating-point precision.
@@ -47,12 +47,12 @@ pub trait AnySettings: Send + Sync {
     /// Rollout with its adjoints, for comparison with other methods.
     fn prepare(&self) -> Job;
     /// Gradient, computed in the given way.
-    fn derive(&self, precision: Precision, way: Way) -> Derived;
+    fn derive(&self, precision: Precision, way: GradientMethod) -> Derived;
     /// Components of the gradients of R, M and S in double-double arithmetic. Calls `done` after
     /// each.
     fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3];
     /// Operation counts of a physics step and of its VJPs.
-    fn cost(&self) -> Cost;
+    fn cost(&self) -> OpCount;
     /// Memory and allocations of a rollout of a few samples, for evaluation or with the adjoint of
     /// a field.
     fn stored(&self, field: Option<Field>) -> Stored;
@@ -63,16 +63,16 @@ pub trait AnySettings: Send + Sync {
     /// Names of the control components.
     fn control_names(&self) -> Vec<String>;
     /// Names of the applied controls, if there is an actuator.
-    fn felt_names(&self) -> Vec<String>;
+    fn applied_names(&self) -> Vec<String>;
     /// Controls that the actuator applies in these states, given those of the policy.
-    fn felt(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>>;
+    fn applied(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>>;
     /// A quantity that is conserved while the control is zero, or None.
     fn conserved(&self) -> Option<Conserved>;
     /// Animation of one rollout, from the states and controls of each step.
     fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
 }
 
-impl<K: Kind> AnySettings for Settings<K> {
+impl<K: TaskSpec> AnySettings for Settings<K> {
     fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>> {
         let training = self.training.training(self.epochs, self.seed, workers);
         Ok(self.visit(Open { precision: self.precision, field: self.field.0, training })?)
@@ -86,7 +86,7 @@ impl<K: Kind> AnySettings for Settings<K> {
         self.visit(Preparing { precision: self.precision, seed: self.seed })
     }
 
-    fn derive(&self, precision: Precision, way: Way) -> Derived {
+    fn derive(&self, precision: Precision, way: GradientMethod) -> Derived {
         self.visit(Deriving { precision, seed: self.seed, way })
     }
 
@@ -94,7 +94,7 @@ impl<K: Kind> AnySettings for Settings<K> {
         self.visit(Referring { seed: self.seed, done })
     }
 
-    fn cost(&self) -> Cost {
+    fn cost(&self) -> OpCount {
         self.visit(Costing)
     }
 
@@ -116,12 +116,12 @@ impl<K: Kind> AnySettings for Settings<K> {
         K::control_names(self)
     }
 
-    fn felt_names(&self) -> Vec<String> {
-        self.actuator.felt_names(&K::control_names(self))
+    fn applied_names(&self) -> Vec<String> {
+        self.actuator.applied_names(&K::control_names(self))
     }
 
-    fn felt(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>> {
-        self.actuator.felt(K::dt(self), states, controls)
+    fn applied(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        self.actuator.applied(K::dt(self), states, controls)
     }
 
     fn conserved(&self) -> Option<Conserved> {
@@ -143,13 +143,13 @@ impl Deref for Scene {
 
 impl Scene {
     /// Makes a scene from validated settings.
-    pub fn new<K: Kind>(kind: &'static dyn AnyKind, settings: Settings<K>) -> Self {
+    pub fn new<K: TaskSpec>(kind: &'static dyn AnyTaskSpec, settings: Settings<K>) -> Self {
         let Settings { field, precision, seed, epochs, horizon, .. } = settings;
         Self { kind, field, precision, seed, epochs, horizon, table: settings.table(), settings: Arc::new(settings) }
     }
 
     /// Copy with another field and seed.
-    pub fn with(&self, field: FieldName, seed: u64) -> Result<Self, Problem> {
+    pub fn with(&self, field: FieldName, seed: u64) -> Result<Self, ConfigError> {
         let mut table = self.table.clone();
         table.insert("field".into(), Value::String(field.into()));
         table.insert("seed".into(), Value::Integer(seed as i64));
@@ -206,7 +206,7 @@ pub fn flat(table: &Table) -> Vec<(String, Value)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::program::kind::{Info, MlpSettings, Network, Visit};
+    use crate::program::kind::{Info, MlpSettings, PolicySpec, Visit};
     use crate::program::settings::Method;
     use physgrad::report;
     use physgrad::tasks::{CartPole, CartPoleSystem};
@@ -238,11 +238,11 @@ mod tests {
         }
     }
 
-    impl Kind for Windy {
+    impl TaskSpec for Windy {
         type System = CartPoleSystem;
         type Effects = Effects;
         type Loss = Effects;
-        type Network = MlpSettings;
+        type PolicySpec = MlpSettings;
 
         const NAME: &'static str = "windy";
         const ABOUT: &'static str = "a test";
@@ -255,7 +255,7 @@ mod tests {
             CartPoleSystem::default()
         }
 
-        fn validate(_settings: &Settings<Self>) -> Result<(), Problem> {
+        fn validate(_settings: &Settings<Self>) -> Result<(), ConfigError> {
             Ok(())
         }
 
@@ -288,7 +288,7 @@ mod tests {
         let mut table = Windy.defaults();
         table.insert("epochs".into(), Value::Integer(epochs));
         table.extend(effects.parse::<Table>().expect("TOML"));
-        AnyKind::scene(&Windy, table).expect("a scene")
+        AnyTaskSpec::scene(&Windy, table).expect("a scene")
     }
 
     #[test]

@@ -14,8 +14,8 @@ pub use reading::Unreadable;
 pub use training::TrainingSettings;
 
 use super::document::OPTIONAL;
-use super::kind::{Kind, Network, Visit};
-use super::problem::{Problem, count};
+use super::kind::{PolicySpec, TaskSpec, Visit};
+use super::problem::{ConfigError, count};
 use memory::{Memory, Needs};
 use physgrad::Field;
 use schemars::JsonSchema;
@@ -29,7 +29,7 @@ pub const VERSION: i64 = 1;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, bound = "")]
 #[schemars(bound = "", rename = "Scene")]
-pub struct Settings<K: Kind> {
+pub struct Settings<K: TaskSpec> {
     /// Version of the format.
     pub scene: i64,
     /// Version of physgrad that a run was made with. Scenes need none.
@@ -60,12 +60,12 @@ pub struct Settings<K: Kind> {
     /// What is paid for.
     pub loss: K::Loss,
     /// The network that is trained.
-    pub policy: K::Network,
+    pub policy: K::PolicySpec,
     /// How it is trained.
     pub training: TrainingSettings,
 }
 
-impl<K: Kind> Settings<K> {
+impl<K: TaskSpec> Settings<K> {
     /// The task's defaults.
     pub fn defaults() -> Self {
         Self {
@@ -82,7 +82,7 @@ impl<K: Kind> Settings<K> {
             actuator: ActuatorSettings::default(),
             integrator: IntegratorSettings::default(),
             loss: K::Loss::default(),
-            policy: K::Network::default(),
+            policy: K::PolicySpec::default(),
             training: TrainingSettings::default(),
         }
     }
@@ -100,14 +100,14 @@ impl<K: Kind> Settings<K> {
 
     /// From a table in which nothing is missing but effects, and what has a default of its own: shapes and names by
     /// serde.
-    pub fn fill(table: Table) -> Result<Self, Problem> {
-        let mut settings: Self = reading::read(table).map_err(|error| Problem::unreadable(&error))?;
+    pub fn fill(table: Table) -> Result<Self, ConfigError> {
+        let mut settings: Self = reading::read(table).map_err(|error| ConfigError::unreadable(&error))?;
         settings.training.complete();
         Ok(settings)
     }
 
-    /// What is out of range, here or by [`Kind`], and what nothing reads.
-    pub fn validate(&self) -> Result<(), Problem> {
+    /// What is out of range, here or by [`TaskSpec`], and what nothing reads.
+    pub fn validate(&self) -> Result<(), ConfigError> {
         count("horizon", self.horizon, 1..=100_000_000)?;
         self.training.validate()?;
         self.policy.validate()?;
@@ -131,7 +131,7 @@ impl<K: Kind> Settings<K> {
                 batch * 1e-9,
                 most * 1e-9
             );
-            return Err(Problem::new("horizon", what));
+            return Err(ConfigError::new("horizon", what));
         }
         Ok(())
     }

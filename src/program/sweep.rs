@@ -3,7 +3,7 @@
 use super::changes::check_resumable;
 use super::folder::{Folder, RUNS};
 use super::parallel;
-use super::run::{self, Finished, NoUpdate, SAVE_EVERY, Told, Watch};
+use super::run::{self, EpochEvent, Finished, NoUpdate, Observer, SAVE_EVERY};
 use super::saved;
 use super::scene::Scene;
 use super::settings::FieldName;
@@ -44,7 +44,7 @@ impl Run {
     }
 
     /// Trains in the run's folder, or resumes there. Waits while another process holds the lock.
-    fn run(&self, watch: &mut dyn Watch) -> Result<Finished> {
+    fn run(&self, watch: &mut dyn Observer) -> Result<Finished> {
         let Some(folder) = self.folder.clone().wait_and_lock()? else { return Ok(Finished::before_start()) };
         let resume = self.resumes()?;
         let folder = if resume { folder } else { folder.without_run()? };
@@ -201,7 +201,7 @@ struct Watched<'a> {
     label: &'a str,
 }
 
-impl Watch for Watched<'_> {
+impl Observer for Watched<'_> {
     fn resumed(&mut self, epochs: usize) {
         if let Ok(progress) = self.progress.lock() {
             progress.bar.inc(epochs as u64);
@@ -210,7 +210,7 @@ impl Watch for Watched<'_> {
         }
     }
 
-    fn epoch(&mut self, told: Told) {
+    fn epoch(&mut self, told: EpochEvent) {
         if let Ok(mut progress) = self.progress.lock() {
             progress.advance(format!("{}: test {:.3e}", self.label, told.record.test_loss));
             progress.trouble(&format!("{}, ", self.label), told);

@@ -1,6 +1,6 @@
 //! `physgrad tasks`: lists the tasks and their settings.
 
-use super::kind::{AnyKind, Info, KINDS};
+use super::kind::{AnyTaskSpec, Info, KINDS};
 use super::presets;
 use super::settings::ACTUATORS;
 use super::terminal::say;
@@ -16,11 +16,11 @@ pub fn tasks() -> Result<()> {
 `physgrad explain cart_pole` tells what a scene simulates and what it costs; docs/effects.md describes every effect.
 Change a setting with --set KEY=VALUE, for example --set policy.widths=[64,64] --set effects.pole_damping.damping=0.01.
 field: combined, regular, modified, network, stopped; precision: f32, f64; training.clip: none, value, norm;
-training.optimizer: adam, sgd, momentum, rmsprop, adagrad, adadelta; loss.mode: final, continuous.")?;
+training.optimizer: adam, sgd, momentum, rmsprop, adagrad, adadelta; loss.mode: terminal, running.")?;
     Ok(())
 }
 
-fn describe(kind: &dyn AnyKind) -> Result<()> {
+fn describe(kind: &dyn AnyTaskSpec) -> Result<()> {
     let settings = presets::document(kind.name())?.scene()?.table.to_string();
     let indented: String = settings.trim_end().lines().map(|line| format!("    {line}\n")).collect();
     let effects = if kind.effects().is_empty() { "none".into() } else { names(kind.effects()) };

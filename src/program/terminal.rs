@@ -1,6 +1,6 @@
 //! Terminal output: results, messages and progress bars.
 
-use super::run::{Told, Watch};
+use super::run::{EpochEvent, Observer};
 use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use physgrad::Growth;
@@ -41,7 +41,7 @@ impl Progress {
     }
 }
 
-impl Watch for Progress {
+impl Observer for Progress {
     fn resumed(&mut self, epochs: usize) {
         self.bar.set_position(epochs as u64);
         self.bar.reset_eta();
@@ -50,8 +50,8 @@ impl Watch for Progress {
         }
     }
 
-    fn epoch(&mut self, told: Told) {
-        let Told { record, .. } = told;
+    fn epoch(&mut self, told: EpochEvent) {
+        let EpochEvent { record, .. } = told;
         let growths = [("R", record.regular_growth), ("M", record.modified_growth)];
         let growth = |(flow, growth): (&str, Option<Growth>)| growth.map(|growth| format!("  {flow} 10^{:+.1}", growth.along));
         let growths: String = growths.into_iter().filter_map(growth).collect();
@@ -72,8 +72,8 @@ impl Progress {
     }
 
     /// Prints the warnings of an epoch, even if quiet: non-finite numbers, unreliable gradients.
-    pub fn trouble(&self, run: &str, told: Told) {
-        let Told { record, skips, diverged, warnings } = told;
+    pub fn trouble(&self, run: &str, told: EpochEvent) {
+        let EpochEvent { record, skips, diverged, warnings } = told;
         let epoch = record.epoch;
         let skipped = skips.first().map(|skip| {
             let (count, update) = (record.skipped, skip.update);

@@ -1,6 +1,6 @@
 //! `physgrad train`: one training run with progress output.
 
-use super::changes::{Changes, changed, resumed};
+use super::changes::{Overrides, changed, resumed};
 use super::folder::Folder;
 use super::presets;
 use super::run::{self, NoUpdate, SAVE_EVERY, threads};
@@ -18,7 +18,7 @@ pub struct Train {
     /// A task or another preset (see `physgrad scene`), or the path of a scene
     pub scene: String,
     #[command(flatten)]
-    pub changes: Changes,
+    pub changes: Overrides,
     /// Number of threads [default: RAYON_NUM_THREADS, or all cores]; results do not depend on it
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
@@ -104,7 +104,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 /// Prints the settings in which the scene file differs from the resumed run.
-fn note_differences(folder: &Folder, scene: &Scene, file: &str, changes: &Changes) -> Result<()> {
+fn note_differences(folder: &Folder, scene: &Scene, file: &str, changes: &Overrides) -> Result<()> {
     let mut document = presets::document(file)?;
     changes.apply_again(&mut document)?;
     let (saved, named) = (scene.identity(), document.scene()?.identity());

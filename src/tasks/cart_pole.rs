@@ -22,7 +22,7 @@ pub use model::CartPoleModel;
 pub use system::CartPoleSystem;
 pub use wind::{GustyWind, SteadyWind};
 
-use crate::dynamics::effect::{Around, any_effect};
+use crate::dynamics::effect::{HasModel, any_effect};
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Real, Scalar};
@@ -53,32 +53,32 @@ pub struct CartPole<S = CartPoleSystem> {
 impl CartPole {
     /// The paper's task: `poles` poles, 100 steps of 0.01 s, the last state counts.
     pub fn new(poles: usize) -> Self {
-        Self::around(CartPoleSystem { poles, ..CartPoleSystem::default() })
+        Self::with_system(CartPoleSystem { poles, ..CartPoleSystem::default() })
     }
 }
 
-impl<S: Around<CartPoleSystem>> CartPole<S> {
+impl<S: HasModel<CartPoleSystem>> CartPole<S> {
     /// The paper's task with another system: 100 steps, the last state counts.
-    pub fn around(system: S) -> Self {
-        Self { system, loss: LossMode::Final, horizon: 100 }
+    pub fn with_system(system: S) -> Self {
+        Self { system, loss: LossMode::Terminal, horizon: 100 }
     }
 
     /// Mean of `1 - cos θ` over the poles.
     #[inline(always)]
     fn height<T: Scalar>(&self, x: &[T]) -> T {
         let mut cosines = T::zero();
-        for pole in self.system.body().poles_of(x) {
+        for pole in self.system.model().poles_of(x) {
             cosines += pole[0].cos();
         }
-        T::one() - cosines * T::lift(1.0 / self.system.body().poles as f64)
+        T::one() - cosines * T::lift(1.0 / self.system.model().poles as f64)
     }
 
     /// Gradient of `factor` times the mean of `1 - cos θ`.
     #[inline(always)]
     fn height_gradient<R: Real>(&self, factor: f64, x: &[R], x_bar: &mut [R]) {
-        let factor = R::lift(factor / self.system.body().poles as f64);
+        let factor = R::lift(factor / self.system.model().poles as f64);
         x_bar.fill(R::zero());
-        for (x_bar, pole) in zip(x_bar[2..].chunks_exact_mut(2), self.system.body().poles_of(x)) {
+        for (x_bar, pole) in zip(x_bar[2..].chunks_exact_mut(2), self.system.model().poles_of(x)) {
             x_bar[0] = pole[0].sin() * factor;
         }
     }
@@ -89,7 +89,7 @@ impl<S: Around<CartPoleSystem>> CartPole<S> {
     }
 }
 
-impl<S: Around<CartPoleSystem>> Task for CartPole<S> {
+impl<S: HasModel<CartPoleSystem>> Task for CartPole<S> {
     type System = S;
 
     fn system(&self) -> &S {
@@ -102,28 +102,28 @@ impl<S: Around<CartPoleSystem>> Task for CartPole<S> {
 
     /// Angles within ±30° of hanging; position, speed and rates within ±1.
     fn start(&self, rng: &mut Rng, x: &mut [f64]) {
-        let own = 2 + 2 * self.system.body().poles;
+        let own = 2 + 2 * self.system.model().poles;
         for (i, x) in x[..own].iter_mut().enumerate() {
             let draw = rng.random_range(-1.0..1.0);
             let is_angle = i >= 2 && i % 2 == 0;
             *x = if is_angle { PI + PI / 6.0 * draw } else { draw };
         }
-        self.system.start_beyond(rng, x);
+        self.system.start_extra(rng, x);
     }
 
     #[inline(always)]
     fn stage_cost<T: Scalar>(&self, x: &[T], _u: &[T]) -> T {
         match self.loss {
-            LossMode::Final => T::zero(),
-            LossMode::Continuous => self.height(x) * T::lift(self.stage_factor()),
+            LossMode::Terminal => T::zero(),
+            LossMode::Running => self.height(x) * T::lift(self.stage_factor()),
         }
     }
 
     #[inline(always)]
     fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
         match self.loss {
-            LossMode::Final => self.height(x),
-            LossMode::Continuous => T::zero(),
+            LossMode::Terminal => self.height(x),
+            LossMode::Running => T::zero(),
         }
     }
 
@@ -131,16 +131,16 @@ impl<S: Around<CartPoleSystem>> Task for CartPole<S> {
     fn stage_cost_gradient<R: Real>(&self, x: &[R], _u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
         u_bar[0] = R::zero();
         match self.loss {
-            LossMode::Final => x_bar.fill(R::zero()),
-            LossMode::Continuous => self.height_gradient(self.stage_factor(), x, x_bar),
+            LossMode::Terminal => x_bar.fill(R::zero()),
+            LossMode::Running => self.height_gradient(self.stage_factor(), x, x_bar),
         }
     }
 
     #[inline(always)]
     fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
         match self.loss {
-            LossMode::Final => self.height_gradient(1.0, x, x_bar),
-            LossMode::Continuous => x_bar.fill(R::zero()),
+            LossMode::Terminal => self.height_gradient(1.0, x, x_bar),
+            LossMode::Running => x_bar.fill(R::zero()),
         }
     }
 }

@@ -23,7 +23,7 @@ pub use spread::Spread;
 pub use system::{Center, GuidanceSystem};
 pub use walls::Walls;
 
-use crate::dynamics::effect::{Around, With, any_effect};
+use crate::dynamics::effect::{Forced, HasModel, any_effect};
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Real, Scalar};
@@ -39,12 +39,12 @@ any_effect! {
 }
 
 /// The physics of the paper.
-pub type Herding = With<GuidanceSystem, (Friction, Spread, Evade, Flock)>;
+pub type Herding = Forced<GuidanceSystem, (Friction, Spread, Evade, Flock)>;
 
 impl GuidanceSystem {
     /// With the effects of the paper, and their defaults.
     pub fn herding(self) -> Herding {
-        With { system: self, effects: Default::default() }
+        Forced { system: self, effects: Default::default() }
     }
 }
 
@@ -73,36 +73,36 @@ impl Guidance {
     /// The paper's task: 60 steps in 4 s, every state counts, regularization 1. The paper has 2 drivers and 4 evaders,
     /// and also the regularizations 0.1, 0.01 and 0.001.
     pub fn new(drivers: usize, evaders: usize) -> Self {
-        Self::around(GuidanceSystem { drivers, evaders, ..GuidanceSystem::default() }.herding())
+        Self::with_system(GuidanceSystem { drivers, evaders, ..GuidanceSystem::default() }.herding())
     }
 }
 
-impl<S: Around<GuidanceSystem>> Guidance<S> {
+impl<S: HasModel<GuidanceSystem>> Guidance<S> {
     /// The paper's task with another system: 60 steps, every state counts, regularization 1.
-    pub fn around(system: S) -> Self {
-        Self { system, loss: LossMode::Continuous, regularization: 1.0, horizon: 60 }
+    pub fn with_system(system: S) -> Self {
+        Self { system, loss: LossMode::Running, regularization: 1.0, horizon: 60 }
     }
 
     /// The weight of one squared control.
     fn control_weight(&self) -> f64 {
-        self.regularization / (2 * self.system.body().drivers * self.horizon) as f64
+        self.regularization / (2 * self.system.model().drivers * self.horizon) as f64
     }
 
     /// The weight of one squared coordinate of an evader, in a state on the way.
     fn stage_weight(&self) -> f64 {
-        1.0 / (2 * self.system.body().evaders * self.horizon) as f64
+        1.0 / (2 * self.system.model().evaders * self.horizon) as f64
     }
 
     /// The weight of one squared coordinate of an evader, in the last state.
     fn terminal_weight(&self) -> f64 {
-        1.0 / (2 * self.system.body().evaders) as f64
+        1.0 / (2 * self.system.model().evaders) as f64
     }
 
     /// Sum of the evaders' squared coordinates, times a weight.
     #[inline(always)]
     fn distances<T: Scalar>(&self, weight: f64, x: &[T]) -> T {
         let mut squares = T::zero();
-        for evader in self.system.body().evaders_of(x) {
+        for evader in self.system.model().evaders_of(x) {
             squares += evader[0] * evader[0] + evader[1] * evader[1];
         }
         squares * T::lift(weight)
@@ -113,14 +113,14 @@ impl<S: Around<GuidanceSystem>> Guidance<S> {
     fn distances_gradient<R: Real>(&self, weight: f64, x: &[R], x_bar: &mut [R]) {
         x_bar.fill(R::zero());
         let slope = R::lift(2.0 * weight);
-        let body = self.system.body();
-        for (bar, evader) in zip(x_bar[AGENT * body.drivers..].chunks_exact_mut(AGENT), body.evaders_of(x)) {
+        let model = self.system.model();
+        for (bar, evader) in zip(x_bar[AGENT * model.drivers..].chunks_exact_mut(AGENT), model.evaders_of(x)) {
             (bar[0], bar[1]) = (evader[0] * slope, evader[1] * slope);
         }
     }
 }
 
-impl<S: Around<GuidanceSystem>> Task for Guidance<S> {
+impl<S: HasModel<GuidanceSystem>> Task for Guidance<S> {
     type System = S;
 
     fn system(&self) -> &S {
@@ -139,10 +139,10 @@ impl<S: Around<GuidanceSystem>> Task for Guidance<S> {
             let radius = rng.random_range(inner..inner + 1.0);
             [radius * cos, radius * sin]
         };
-        let body = self.system.body();
-        let own = &mut x[..AGENT * body.agents()];
+        let model = self.system.model();
+        let own = &mut x[..AGENT * model.agents()];
         own.fill(0.0);
-        let (drivers, evaders) = own.split_at_mut(AGENT * body.drivers);
+        let (drivers, evaders) = own.split_at_mut(AGENT * model.drivers);
         for driver in drivers.chunks_exact_mut(AGENT) {
             driver[..2].copy_from_slice(&ring(rng, 3.0));
         }
@@ -152,7 +152,7 @@ impl<S: Around<GuidanceSystem>> Task for Guidance<S> {
                 *x = center + rng.random_range(-0.5..0.5);
             }
         }
-        self.system.start_beyond(rng, x);
+        self.system.start_extra(rng, x);
     }
 
     #[inline(always)]
@@ -163,16 +163,16 @@ impl<S: Around<GuidanceSystem>> Task for Guidance<S> {
         }
         let effort = squares * T::lift(self.control_weight());
         match self.loss {
-            LossMode::Final => effort,
-            LossMode::Continuous => effort + self.distances(self.stage_weight(), x),
+            LossMode::Terminal => effort,
+            LossMode::Running => effort + self.distances(self.stage_weight(), x),
         }
     }
 
     #[inline(always)]
     fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
         match self.loss {
-            LossMode::Final => self.distances(self.terminal_weight(), x),
-            LossMode::Continuous => T::zero(),
+            LossMode::Terminal => self.distances(self.terminal_weight(), x),
+            LossMode::Running => T::zero(),
         }
     }
 
@@ -183,16 +183,16 @@ impl<S: Around<GuidanceSystem>> Task for Guidance<S> {
             *u_bar = u * slope;
         }
         match self.loss {
-            LossMode::Final => x_bar.fill(R::zero()),
-            LossMode::Continuous => self.distances_gradient(self.stage_weight(), x, x_bar),
+            LossMode::Terminal => x_bar.fill(R::zero()),
+            LossMode::Running => self.distances_gradient(self.stage_weight(), x, x_bar),
         }
     }
 
     #[inline(always)]
     fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
         match self.loss {
-            LossMode::Final => self.distances_gradient(self.terminal_weight(), x, x_bar),
-            LossMode::Continuous => x_bar.fill(R::zero()),
+            LossMode::Terminal => self.distances_gradient(self.terminal_weight(), x, x_bar),
+            LossMode::Running => x_bar.fill(R::zero()),
         }
     }
 }

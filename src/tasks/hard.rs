@@ -1,10 +1,10 @@
 //! The small hard tasks, chosen while the program runs: one type, so that what trains them is compiled once.
 
 use super::{Bounce, DoublePendulum, Lqr, PoleChain, Push, Slider, Upright};
-use crate::dynamics::apart::{Reverse, ReverseToControl, Step, apart};
 use crate::dynamics::cause::Cause;
-use crate::dynamics::effect::Around;
+use crate::dynamics::effect::HasModel;
 use crate::dynamics::integrator::{AnyIntegrator, Integrated};
+use crate::dynamics::outline::{Reverse, ReverseToControl, Step, outline};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
@@ -53,16 +53,16 @@ impl System for AnyHard {
 
     #[inline(always)]
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        whichever!(self, task => apart::<T>(Step { system: task.system(), x, u, next }));
+        whichever!(self, task => outline::<T>(Step { system: task.system(), x, u, next }));
     }
 
-    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        whichever!(self, task => task.system().cause(x, u))
+    fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        whichever!(self, task => task.system().diagnose(x, u))
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        whichever!(self, task => apart::<R>(Reverse { system: task.system(), x, u, next_bar, x_bar, u_bar }));
+        whichever!(self, task => outline::<R>(Reverse { system: task.system(), x, u, next_bar, x_bar, u_bar }));
     }
 
     #[inline(always)]
@@ -73,17 +73,17 @@ impl System for AnyHard {
 
     #[inline(always)]
     fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        whichever!(self, task => apart::<R>(ReverseToControl { system: task.system(), x, u, next_bar, u_bar }));
+        whichever!(self, task => outline::<R>(ReverseToControl { system: task.system(), x, u, next_bar, u_bar }));
     }
 }
 
-impl Around<AnyHard> for AnyHard {
+impl HasModel<AnyHard> for AnyHard {
     #[inline(always)]
-    fn body(&self) -> &AnyHard {
+    fn model(&self) -> &AnyHard {
         self
     }
 
-    fn start_beyond(&self, _rng: &mut Rng, _x: &mut [f64]) {}
+    fn start_extra(&self, _rng: &mut Rng, _x: &mut [f64]) {}
 }
 
 /// One of them as a task, with what is around its physics.
@@ -93,11 +93,11 @@ pub struct Hard<S = AnyHard> {
     pub system: S,
 }
 
-impl<S: Around<AnyHard>> Hard<S> {
+impl<S: HasModel<AnyHard>> Hard<S> {
     /// The task by itself, and the state that it knows of, without that of what is around the physics.
     #[inline(always)]
     fn own<'a, T>(&self, x: &'a [T]) -> (&AnyHard, &'a [T]) {
-        let task = self.system.body();
+        let task = self.system.model();
         (task, &x[..task.state_dim()])
     }
 }
@@ -134,7 +134,7 @@ impl AnyHard {
     }
 }
 
-impl<S: Around<AnyHard>> Task for Hard<S> {
+impl<S: HasModel<AnyHard>> Task for Hard<S> {
     type System = S;
 
     fn system(&self) -> &S {
@@ -142,14 +142,14 @@ impl<S: Around<AnyHard>> Task for Hard<S> {
     }
 
     fn horizon(&self) -> usize {
-        whichever!(self.system.body(), task => task.horizon())
+        whichever!(self.system.model(), task => task.horizon())
     }
 
     fn start(&self, rng: &mut Rng, x: &mut [f64]) {
-        let task = self.system.body();
+        let task = self.system.model();
         let own = task.state_dim();
         whichever!(task, task => task.start(rng, &mut x[..own]));
-        self.system.start_beyond(rng, x);
+        self.system.start_extra(rng, x);
     }
 
     fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {

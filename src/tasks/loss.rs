@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 pub enum LossMode {
     /// At the last state only.
     #[default]
-    Final,
+    Terminal,
     /// At every state after the start: as a mean over time, or as a sum where the task says so.
-    Continuous,
+    Running,
 }

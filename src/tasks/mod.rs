@@ -7,10 +7,10 @@ mod guidance;
 mod hard;
 mod linear;
 mod loss;
+mod paper_examples;
 mod pole_chain;
 mod quantum;
 mod slider;
-mod toy;
 mod upright;
 
 pub use cart_pole::{
@@ -25,11 +25,11 @@ pub use guidance::{
 pub use hard::{AnyHard, Hard};
 pub use linear::{LinearPlant, Lqr, NoOptimum, Optimum};
 pub use loss::LossMode;
+pub use paper_examples::{Accumulator, Bowl, Reach};
 pub use pole_chain::PoleChain;
 pub use quantum::{
     Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, Pade, Quantum, QuantumEffect, QuantumScheme,
     QuantumSystem, Renormalized, Strang, Tabulated,
 };
 pub use slider::{FrictionScheme, Slider, SliderSystem};
-pub use toy::{Bowl, Integrator, Reach};
 pub use upright::Upright;

@@ -25,7 +25,7 @@ pub use strang::Strang;
 pub use system::{ControlShape, QuantumSystem};
 
 use super::LossMode;
-use crate::dynamics::effect::{Around, any_effect};
+use crate::dynamics::effect::{HasModel, any_effect};
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Real, Scalar};
@@ -53,7 +53,7 @@ pub struct Quantum<S = QuantumSystem> {
     pub system: S,
     /// Number of the eigenstate to reach, from 1, the ground state, to the grid. (The paper counts from 0.)
     pub target: usize,
-    /// [`LossMode::Final`]: the last state's infidelity. [`LossMode::Continuous`]: its sum over all states after the
+    /// [`LossMode::Terminal`]: the last state's infidelity. [`LossMode::Running`]: its sum over all states after the
     /// start, between 0 and the horizon.
     pub loss: LossMode,
     /// Number of steps.
@@ -65,21 +65,21 @@ pub struct Quantum<S = QuantumSystem> {
 impl Quantum {
     /// The paper's task: 32 grid points, 128 steps of 0.0625, every state counts, start weighting 1 : 1.
     pub fn new(target: usize) -> Self {
-        Self::around(QuantumSystem::default(), target)
+        Self::with_system(QuantumSystem::default(), target)
     }
 }
 
-impl<S: Around<QuantumSystem>> Quantum<S> {
+impl<S: HasModel<QuantumSystem>> Quantum<S> {
     /// The paper's task with another system: 128 steps, every state counts, start weighting 1 : 1.
-    pub fn around(system: S, target: usize) -> Self {
-        Self { system, target, loss: LossMode::Continuous, horizon: 128, weighting: [1.0, 1.0] }
+    pub fn with_system(system: S, target: usize) -> Self {
+        Self { system, target, loss: LossMode::Running, horizon: 128, weighting: [1.0, 1.0] }
     }
 
     /// `⟨φ, ψ⟩` with the target.
     #[inline(always)]
     fn overlap<T: Scalar>(&self, x: &[T]) -> Pair<T> {
         let (mut re, mut im) = (T::zero(), T::zero());
-        for (x, target) in zip(x.chunks_exact(2), self.system.body().eigenstate(self.target)) {
+        for (x, target) in zip(x.chunks_exact(2), self.system.model().eigenstate(self.target)) {
             let target = T::lift(target);
             re += x[0] * target;
             im += x[1] * target;
@@ -98,15 +98,15 @@ impl<S: Around<QuantumSystem>> Quantum<S> {
     fn infidelity_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
         let (re, im) = self.overlap(x);
         let (re, im) = (re * R::lift(-2.0), im * R::lift(-2.0));
-        x_bar[2 * self.system.body().grid..].fill(R::zero());
-        for (x_bar, target) in zip(x_bar.chunks_exact_mut(2), self.system.body().eigenstate(self.target)) {
+        x_bar[2 * self.system.model().grid..].fill(R::zero());
+        for (x_bar, target) in zip(x_bar.chunks_exact_mut(2), self.system.model().eigenstate(self.target)) {
             let target = R::lift(target);
             (x_bar[0], x_bar[1]) = (re * target, im * target);
         }
     }
 }
 
-impl<S: Around<QuantumSystem>> Task for Quantum<S> {
+impl<S: HasModel<QuantumSystem>> Task for Quantum<S> {
     type System = S;
 
     fn system(&self) -> &S {
@@ -128,30 +128,30 @@ impl<S: Around<QuantumSystem>> Task for Quantum<S> {
         });
         let norm = amplitudes[0].hypot(amplitudes[1]);
         assert!(norm.is_normal(), "with the weighting {:?}, a start state cannot be normalized", self.weighting);
-        x[..2 * self.system.body().grid].fill(0.0);
+        x[..2 * self.system.model().grid].fill(0.0);
         for (number, amplitude) in zip(1.., amplitudes) {
             let (sin, cos) = Scalar::sin_cos(rng.random_range(0.0..TAU));
-            for (x, eigenstate) in zip(x.chunks_exact_mut(2), self.system.body().eigenstate(number)) {
+            for (x, eigenstate) in zip(x.chunks_exact_mut(2), self.system.model().eigenstate(number)) {
                 x[0] += amplitude / norm * cos * eigenstate;
                 x[1] += amplitude / norm * sin * eigenstate;
             }
         }
-        self.system.start_beyond(rng, x);
+        self.system.start_extra(rng, x);
     }
 
     #[inline(always)]
     fn stage_cost<T: Scalar>(&self, x: &[T], _u: &[T]) -> T {
         match self.loss {
-            LossMode::Final => T::zero(),
-            LossMode::Continuous => self.infidelity(x),
+            LossMode::Terminal => T::zero(),
+            LossMode::Running => self.infidelity(x),
         }
     }
 
     #[inline(always)]
     fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
         match self.loss {
-            LossMode::Final => self.infidelity(x),
-            LossMode::Continuous => T::zero(),
+            LossMode::Terminal => self.infidelity(x),
+            LossMode::Running => T::zero(),
         }
     }
 
@@ -159,16 +159,16 @@ impl<S: Around<QuantumSystem>> Task for Quantum<S> {
     fn stage_cost_gradient<R: Real>(&self, x: &[R], _u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
         u_bar[0] = R::zero();
         match self.loss {
-            LossMode::Final => x_bar.fill(R::zero()),
-            LossMode::Continuous => self.infidelity_gradient(x, x_bar),
+            LossMode::Terminal => x_bar.fill(R::zero()),
+            LossMode::Running => self.infidelity_gradient(x, x_bar),
         }
     }
 
     #[inline(always)]
     fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
         match self.loss {
-            LossMode::Final => self.infidelity_gradient(x, x_bar),
-            LossMode::Continuous => x_bar.fill(R::zero()),
+            LossMode::Terminal => self.infidelity_gradient(x, x_bar),
+            LossMode::Running => x_bar.fill(R::zero()),
         }
     }
 }

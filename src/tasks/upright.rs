@@ -10,7 +10,7 @@ use rand::RngExt;
 use std::f64::consts::PI;
 
 /// Swing up, or hold: the loss is the mean of `1 - cos θ` over the angles, between 0 (all upright) and 2 (all hanging), at the
-/// end or as a mean over time, as that of [`CartPole`](crate::tasks::CartPole); and the mean over time of `effort |u|²/2`.
+/// end or as a mean over time, as that of [`CartPole`](crate::tasks::CartPole); and the mean over time of `control_weight |u|²/2`.
 ///
 /// The angles are every second component of the state from [`first_angle`](Upright::first_angle) on.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,7 +26,7 @@ pub struct Upright<S> {
     /// When the angles are paid for.
     pub loss: LossMode,
     /// What control costs.
-    pub effort: f64,
+    pub control_weight: f64,
     /// Number of steps.
     pub horizon: usize,
 }
@@ -37,12 +37,12 @@ type Stepped<O> = Integrated<O, RungeKutta>;
 impl<S> Upright<S> {
     /// From within ±π/6 of hanging, in 100 steps; the last state counts, and control is free.
     fn swing_up(system: S, first_angle: usize) -> Self {
-        Self { system, first_angle, from: PI, spread: PI / 6.0, loss: LossMode::Final, effort: 0.0, horizon: 100 }
+        Self { system, first_angle, from: PI, spread: PI / 6.0, loss: LossMode::Terminal, control_weight: 0.0, horizon: 100 }
     }
 
     /// The same task from within ±0.05 of upright, where every state counts, and control a little.
     pub fn held(self) -> Self {
-        Self { from: 0.0, spread: 0.05, loss: LossMode::Continuous, effort: 1e-3, ..self }
+        Self { from: 0.0, spread: 0.05, loss: LossMode::Running, control_weight: 1e-3, ..self }
     }
 }
 
@@ -56,8 +56,8 @@ impl Upright<Stepped<DoublePendulum>> {
 impl Upright<Stepped<PoleChain>> {
     /// A chain of so many default poles in steps of 0.01 s.
     pub fn pole_chain(poles: usize) -> Self {
-        let body = CartPoleSystem { poles, ..CartPoleSystem::default() };
-        Self::swing_up(Integrated { ode: PoleChain(body), integrator: RungeKutta::RK4, dt: body.dt }, 2)
+        let model = CartPoleSystem { poles, ..CartPoleSystem::default() };
+        Self::swing_up(Integrated { ode: PoleChain(model), integrator: RungeKutta::RK4, dt: model.dt }, 2)
     }
 }
 
@@ -89,13 +89,13 @@ impl<S: System> Upright<S> {
     /// What an angle is worth at a state on the way, and at the last one.
     fn worth(&self) -> [f64; 2] {
         match self.loss {
-            LossMode::Final => [0.0, 1.0],
-            LossMode::Continuous => [1.0 / self.horizon as f64, 0.0],
+            LossMode::Terminal => [0.0, 1.0],
+            LossMode::Running => [1.0 / self.horizon as f64, 0.0],
         }
     }
 
     fn effort_per_step(&self) -> f64 {
-        self.effort / self.horizon as f64
+        self.control_weight / self.horizon as f64
     }
 }
 

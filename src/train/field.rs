@@ -1,4 +1,4 @@
-//! [`Field`]: the vector field that the optimizer follows, and [`Compose`] for custom ones.
+//! [`Field`]: the vector field that the optimizer follows, and [`GradientCombiner`] for custom ones.
 
 use crate::engine::adjoint::Flow;
 use crate::engine::gradient::Gradient;
@@ -25,13 +25,13 @@ pub enum Field<C = SignAgreement> {
 /// Composes two gradients into one vector. Implement it to train with a custom field.
 ///
 /// ```
-/// use physgrad::{Compose, Field, Float, Flow};
+/// use physgrad::{GradientCombiner, Field, Float, Flow};
 ///
 /// /// The mean of the two.
 /// #[derive(Clone, Copy)]
 /// struct Mean;
 ///
-/// impl Compose for Mean {
+/// impl GradientCombiner for Mean {
 ///     fn name(&self) -> &str {
 ///         "mean"
 ///     }
@@ -45,7 +45,7 @@ pub enum Field<C = SignAgreement> {
 /// let field = Field::composed(Flow::MODIFIED, Flow::REGULAR, Mean);
 /// assert_eq!(field.flows(), [Flow::MODIFIED, Flow::REGULAR]);
 /// ```
-pub trait Compose: Sync + Send {
+pub trait GradientCombiner: Sync + Send {
     /// Name, used in records.
     fn name(&self) -> &str;
     /// Writes the composition into `out`. All three slices have the length of `θ`.
@@ -65,7 +65,7 @@ pub trait Compose: Sync + Send {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SignAgreement;
 
-impl Compose for SignAgreement {
+impl GradientCombiner for SignAgreement {
     fn name(&self) -> &str {
         "combined"
     }
@@ -106,7 +106,7 @@ impl Field {
     pub const ALL: [Self; 5] = [Self::combined(), Self::regular(), Self::modified(), Self::network(), Self::stopped()];
 }
 
-impl<C: Compose> Field<C> {
+impl<C: GradientCombiner> Field<C> {
     /// Composes two flows with a custom rule.
     pub const fn composed(first: Flow, second: Flow, by: C) -> Self {
         Self::Composed { first, second, by }
@@ -188,7 +188,7 @@ pub(crate) trait AnyField<F: Float>: Sync {
     fn compose(&self, gradients: &[Gradient<F>], composed: &mut Gradient<F>);
 }
 
-impl<C: Compose, F: Float> AnyField<F> for Field<C> {
+impl<C: GradientCombiner, F: Float> AnyField<F> for Field<C> {
     fn compose(&self, gradients: &[Gradient<F>], composed: &mut Gradient<F>) {
         Field::compose(self, gradients, composed);
     }

@@ -3,7 +3,7 @@
 //! - [`Trainer`]: builder of a training.
 //! - [`Session`]: a training in progress, one epoch at a time, with checkpoints.
 //! - [`Training`]: settings. [`Record`]: results of one epoch.
-//! - [`Field`] and [`Compose`]: the vector field that the optimizer follows.
+//! - [`Field`] and [`GradientCombiner`]: the vector field that the optimizer follows.
 //! - [`toy`]: the two-parameter examples of the paper.
 //!
 //! Imports `numbers`, `dynamics`, `policy` and `engine`. Start in this file, then `progress.rs`,
@@ -15,7 +15,7 @@ pub(crate) mod optim;
 mod progress;
 mod record;
 mod session;
-pub mod toy;
+pub mod vector_field;
 
 pub use checkpoint::{CheckpointError, differences};
 pub use record::{Record, Skip};
@@ -27,8 +27,8 @@ use crate::engine::schedule::MemoryError;
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::scalar::Float;
 use crate::policy::{Policy, Weights};
-use crate::train::field::{Compose, Field, SignAgreement};
-use crate::train::optim::{Clip, Rule};
+use crate::train::field::{Field, GradientCombiner, SignAgreement};
+use crate::train::optim::{Clip, OptimizerKind};
 use std::marker::PhantomData;
 
 /// Settings of a training. The defaults are those of the paper.
@@ -47,7 +47,7 @@ pub struct Training {
     /// Shuffles the training set before every epoch. The paper uses one fixed order.
     pub shuffle: bool,
     /// The optimizer.
-    pub rule: Rule,
+    pub rule: OptimizerKind,
     /// Learning rate of the optimizer, positive and at most 1e6.
     pub learning_rate: f64,
     /// Clipping of the composed field, before the optimizer.
@@ -72,7 +72,7 @@ impl Default for Training {
             test_samples: 256,
             seed: 0,
             shuffle: false,
-            rule: Rule::Adam { beta1: 0.9, beta2: 0.999, epsilon: 1e-7 },
+            rule: OptimizerKind::Adam { beta1: 0.9, beta2: 0.999, epsilon: 1e-7 },
             learning_rate: 1e-3,
             clip: Clip::None,
             max_skipped: 10,
@@ -157,9 +157,9 @@ impl<T: Task, P: Policy> Trainer<T, P> {
     }
 }
 
-impl<T: Task, P: Policy, F: Float, C: Compose> Trainer<T, P, F, C> {
+impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// Sets the vector field.
-    pub fn field<D: Compose>(self, field: Field<D>) -> Trainer<T, P, F, D> {
+    pub fn field<D: GradientCombiner>(self, field: Field<D>) -> Trainer<T, P, F, D> {
         let Self { task, policy, training, precision, .. } = self;
         Trainer { task, policy, field, training, precision }
     }

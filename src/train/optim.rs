@@ -1,9 +1,9 @@
 //! Optimizers and gradient clipping. Formulas and defaults are those of Keras 2.15.
 
 use crate::engine::gradient::Gradient;
-use crate::numbers::kernels::{Level, Vectorized, dispatch};
+use crate::numbers::extended::ExtendedF64;
+use crate::numbers::kernels::{SimdLevel, Vectorized, dispatch};
 use crate::numbers::scalar::{Float, Scalar};
-use crate::numbers::wide::Wide;
 use serde::{Deserialize, Serialize};
 
 /// Clipping of the vector field, applied before the optimizer.
@@ -33,13 +33,13 @@ impl Clip {
     pub fn apply<F: Float>(self, gradient: &mut Gradient<F>) {
         let norm = match self {
             Self::Norm(_) => gradient.norm(),
-            Self::None | Self::Value(_) => Wide::default(),
+            Self::None | Self::Value(_) => ExtendedF64::default(),
         };
         self.apply_knowing(gradient, norm);
     }
 
     /// Clips a gradient whose norm is known. Only [`Clip::Norm`] reads `norm`.
-    pub(crate) fn apply_knowing<F: Float>(self, gradient: &mut Gradient<F>, norm: Wide) {
+    pub(crate) fn apply_knowing<F: Float>(self, gradient: &mut Gradient<F>, norm: ExtendedF64) {
         match self {
             Self::None => gradient.flatten(),
             Self::Value(limit) => {
@@ -71,7 +71,7 @@ impl Clip {
 
 /// Update rule of an optimizer.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Rule {
+pub enum OptimizerKind {
     /// Adam, Kingma and Ba 2015 (arXiv:1412.6980), as in Keras: ε is added to the root of the
     /// uncorrected second moment.
     Adam {
@@ -112,8 +112,8 @@ pub enum Rule {
     },
 }
 
-impl Rule {
-    /// Names accepted by [`Rule::named`].
+impl OptimizerKind {
+    /// Names accepted by [`OptimizerKind::named`].
     pub const NAMES: [&str; 6] = ["adam", "sgd", "momentum", "rmsprop", "adagrad", "adadelta"];
 
     /// Returns the named rule with default parameters, or `None` for an unknown name.
@@ -130,10 +130,10 @@ impl Rule {
     }
 }
 
-/// Optimizer: a [`Rule`], a learning rate and the accumulated moments. Checkpoints contain it.
+/// Optimizer: a [`OptimizerKind`], a learning rate and the accumulated moments. Checkpoints contain it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Optimizer<F> {
-    rule: Rule,
+    rule: OptimizerKind,
     learning_rate: f64,
     steps: u64,
     first: Vec<F>,
@@ -142,14 +142,14 @@ pub struct Optimizer<F> {
 
 impl<F: Float> Optimizer<F> {
     /// Creates an optimizer for `params` parameters.
-    pub fn new(rule: Rule, learning_rate: f64, params: usize) -> Self {
-        let start = if let Rule::Adagrad { initial, .. } = rule { initial } else { 0.0 };
+    pub fn new(rule: OptimizerKind, learning_rate: f64, params: usize) -> Self {
+        let start = if let OptimizerKind::Adagrad { initial, .. } = rule { initial } else { 0.0 };
         Self { rule, learning_rate, steps: 0, first: vec![F::lift(start); params], second: vec![F::zero(); params] }
     }
 
     /// Creates Adam with the defaults of Keras.
     pub fn adam(learning_rate: f64, params: usize) -> Self {
-        Self::new(Rule::Adam { beta1: 0.9, beta2: 0.999, epsilon: 1e-7 }, learning_rate, params)
+        Self::new(OptimizerKind::Adam { beta1: 0.9, beta2: 0.999, epsilon: 1e-7 }, learning_rate, params)
     }
 
     /// Number of steps taken.
@@ -180,7 +180,7 @@ impl<F: Float> Optimizer<F> {
             return Err(format!("its optimizer counts {steps} steps, and its epochs {expected}"));
         }
         // Only Adam and descent with momentum keep numbers of either sign, and only in the first vector.
-        let signed = matches!(rule, Rule::Adam { .. } | Rule::Momentum { .. });
+        let signed = matches!(rule, OptimizerKind::Adam { .. } | OptimizerKind::Momentum { .. });
         for (name, moments, signed) in [("first", first, signed), ("second", second, false)] {
             if moments.len() != n {
                 return Err(format!("its optimizer has {} {name} moments for {n} parameters", moments.len()));
@@ -213,7 +213,7 @@ impl<F: Float> Optimizer<F> {
             gradient.len()
         );
         self.steps += 1;
-        dispatch(Level::best(), Step { optimizer: self, theta, gradient });
+        dispatch(SimdLevel::best(), Step { optimizer: self, theta, gradient });
     }
 }
 
@@ -231,7 +231,7 @@ impl<F: Float> Vectorized for Step<'_, F> {
         let all = self.theta.iter_mut().zip(self.gradient).zip(first).zip(second).map(|(((t, &g), m), v)| (t, g, m, v));
         let lift = F::lift;
         match *rule {
-            Rule::Adam { beta1, beta2, epsilon } => {
+            OptimizerKind::Adam { beta1, beta2, epsilon } => {
                 let steps = i32::try_from(*steps).unwrap_or(i32::MAX);
                 let rate = lift(rate * (1.0 - beta2.powi(steps)).sqrt() / (1.0 - beta1.powi(steps)));
                 let (share1, share2, epsilon) = (lift(1.0 - beta1), lift(1.0 - beta2), lift(epsilon));
@@ -241,30 +241,30 @@ impl<F: Float> Vectorized for Step<'_, F> {
                     *theta -= *m * rate / (Scalar::sqrt(*v) + epsilon);
                 }
             }
-            Rule::Sgd => {
+            OptimizerKind::Sgd => {
                 for (theta, g, _, _) in all {
                     *theta -= g * lift(rate);
                 }
             }
-            Rule::Momentum { momentum } => {
+            OptimizerKind::Momentum { momentum } => {
                 for (theta, g, m, _) in all {
                     *m = *m * lift(momentum) - g * lift(rate);
                     *theta += *m;
                 }
             }
-            Rule::RmsProp { rho, epsilon } => {
+            OptimizerKind::RmsProp { rho, epsilon } => {
                 for (theta, g, m, _) in all {
                     *m = *m * lift(rho) + g * g * lift(1.0 - rho);
                     *theta -= g * lift(rate) / Scalar::sqrt(*m + lift(epsilon));
                 }
             }
-            Rule::Adagrad { epsilon, .. } => {
+            OptimizerKind::Adagrad { epsilon, .. } => {
                 for (theta, g, m, _) in all {
                     *m += g * g;
                     *theta -= g * lift(rate) / Scalar::sqrt(*m + lift(epsilon));
                 }
             }
-            Rule::Adadelta { rho, epsilon } => {
+            OptimizerKind::Adadelta { rho, epsilon } => {
                 for (theta, g, m, v) in all {
                     *m = *m * lift(rho) + g * g * lift(1.0 - rho);
                     let step = g * Scalar::sqrt(*v + lift(epsilon)) / Scalar::sqrt(*m + lift(epsilon));
@@ -282,7 +282,7 @@ mod tests {
 
     /// Returns θ after each of two steps from 1 with the gradients 0.5 and -2.
     fn two_steps(rule: &str) -> [f64; 2] {
-        let mut optimizer = Optimizer::<f64>::new(Rule::named(rule).expect(rule), 0.1, 1);
+        let mut optimizer = Optimizer::<f64>::new(OptimizerKind::named(rule).expect(rule), 0.1, 1);
         let mut theta = [1.0];
         [0.5, -2.0].map(|gradient| {
             optimizer.step(&mut theta, &[gradient]);
@@ -324,7 +324,7 @@ mod tests {
                 other => panic!("no formula for {other}"),
             }
         };
-        for rule in Rule::NAMES {
+        for rule in OptimizerKind::NAMES {
             for (step, (got, expected)) in two_steps(rule).into_iter().zip(expected(rule)).enumerate() {
                 approx::assert_relative_eq!(got, expected, max_relative = 1e-14);
                 assert!(got != 1.0, "{rule} does nothing in step {step}");
@@ -334,14 +334,14 @@ mod tests {
 
     #[test]
     fn a_state_that_no_step_leaves_behind_is_told() {
-        let settings = |rule: &str| Optimizer::<f32>::new(Rule::named(rule).expect(rule), 0.1, 2);
+        let settings = |rule: &str| Optimizer::<f32>::new(OptimizerKind::named(rule).expect(rule), 0.1, 2);
         let fault = |rule: &str, change: fn(&mut Optimizer<f32>)| {
             let mut read = settings(rule);
             (read.steps, read.first) = (7, vec![0.5, 2.0]);
             change(&mut read);
             read.validate(&settings(rule), 7).err().unwrap_or_default()
         };
-        for rule in Rule::NAMES {
+        for rule in OptimizerKind::NAMES {
             assert_eq!(fault(rule, |_| ()), "");
             assert!(fault(rule, |read| read.first.truncate(1)).contains("1 first moments for 2 parameters"));
             assert!(fault(rule, |read| read.second.push(0.0)).contains("3 second moments for 2 parameters"));
@@ -350,7 +350,9 @@ mod tests {
             assert!(fault(rule, |read| read.second[0] = f32::INFINITY).contains("the second moment of parameter 0 is inf"));
             assert!(fault(rule, |read| read.steps = u64::MAX).contains("counts 18446744073709551615 steps"));
             assert!(fault(rule, |read| read.learning_rate = f64::NAN).contains("at the rate NaN"));
-            assert!(fault(rule, |read| read.rule = Rule::Momentum { momentum: 0.1 }).contains("Momentum { momentum: 0.1 }"));
+            assert!(
+                fault(rule, |read| read.rule = OptimizerKind::Momentum { momentum: 0.1 }).contains("Momentum { momentum: 0.1 }")
+            );
             let signed = ["adam", "momentum"].contains(&rule);
             assert_eq!(fault(rule, |read| read.first[0] = -1.0).is_empty(), signed, "{rule}");
         }
@@ -363,7 +365,7 @@ mod tests {
             g.values_mut(exponent).copy_from_slice(&[3.0, -4.0, 0.5]);
             clip.apply(&mut g);
             assert_eq!(g.exponent(), 0);
-            g.plain()
+            g.to_vec()
         };
         let clipped = |clip: Clip| clipped_with(clip, 0);
         let norm = (9.0f64 + 16.0 + 0.25).sqrt();

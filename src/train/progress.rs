@@ -10,10 +10,10 @@ use crate::engine::gradient::Gradient;
 use crate::engine::growth::Growth;
 #[cfg(feature = "parallel")]
 use crate::engine::parallel::among_workers;
-use crate::numbers::kernels::{Level, elementwise};
+use crate::numbers::extended::ExtendedF64;
+use crate::numbers::kernels::{SimdLevel, elementwise};
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::scalar::Float;
-use crate::numbers::wide::Wide;
 use crate::policy::AnyPolicy;
 use crate::policy::Weights;
 use crate::train::field::AnyField;
@@ -217,7 +217,7 @@ impl<F: Float> Progress<F> {
         }
         let loss = self.batch.run(task, policy, &self.weights, &self.starts)?;
         let gradients = self.batch.gradients();
-        let level = Level::best();
+        let level = SimdLevel::best();
         let (first, second) = (gradients[0].values(), gradients[gradients.len() - 1].values());
         let (dot, first_square, second_square) = elementwise::moments(level, first, second);
         for (&flow, (gradient, square)) in self.flows.iter().zip([(first, first_square), (second, second_square)]) {
@@ -229,7 +229,7 @@ impl<F: Float> Progress<F> {
         let composed = gradients.len() > 1;
         let values = self.composed.values();
         let length = if composed { elementwise::moments(level, values, values).0.sqrt() } else { first_square.sqrt() };
-        let norm = Wide::new(length, self.composed.exponent());
+        let norm = ExtendedF64::new(length, self.composed.exponent());
         // Optimizers square the components and sum the squares of many updates.
         if !length.is_finite() || self.training.clip.bound(norm.get()) > F::MAX.sqrt() * 1e-3 {
             return Err(Divergence::Field { parameter: worst(values), norm });

@@ -3,7 +3,7 @@
 use crate::engine::adjoint::Flow;
 use crate::engine::divergence::Divergence;
 use crate::engine::growth::Growth;
-use crate::numbers::wide::Wide;
+use crate::numbers::extended::ExtendedF64;
 use serde::{Deserialize, Serialize};
 
 /// Results of one epoch.
@@ -18,7 +18,7 @@ pub struct Record {
     /// Loss of the whole test set after the epoch; NaN if it diverged.
     pub test_loss: f64,
     /// Mean over the updates of the norm of the field, before clipping.
-    pub grad_norm: Wide,
+    pub grad_norm: ExtendedF64,
     /// Mean over the updates of the cosine between the two gradients of a composed field.
     pub cosine: Option<f64>,
     /// Mean over the updates of the fraction of non-zero components of a composed field.
@@ -53,11 +53,11 @@ impl Record {
     pub fn warnings(&self, horizon: usize, epsilon: f64) -> Vec<String> {
         let growths = [(Flow::REGULAR, self.regular_growth), (Flow::MODIFIED, self.modified_growth)];
         let growths = growths.into_iter().filter_map(|(flow, growth)| growth?.warning(flow, horizon, epsilon));
-        let plateau = (self.grad_norm == Wide::default()).then(|| {
-            let apart = if self.cosine.is_some() { ", or R and M agree in none of them" } else { "" };
+        let plateau = (self.grad_norm == ExtendedF64::default()).then(|| {
+            let disagreement = if self.cosine.is_some() { ", or R and M agree in none of them" } else { "" };
             format!(
-                "the field is exactly 0: the loss depends on none of the parameters here{apart}, and nothing is learned. Another start \
-                 helps: another seed, a last kernel that is not zero (`policy.zero_last = false`)"
+                "the field is exactly 0: the loss depends on none of the parameters here{disagreement}, and nothing is learned. Another start \
+                 helps: another seed, a last kernel that is not zero (`policy.zero_init_output = false`)"
             )
         });
         growths.chain(plateau).collect()
@@ -78,7 +78,7 @@ pub struct Skip {
 /// Results of one update.
 pub(super) struct Step {
     pub loss: f64,
-    pub norm: Wide,
+    pub norm: ExtendedF64,
     pub cosine: Option<f64>,
     pub kept: Option<f64>,
 }
@@ -88,7 +88,7 @@ pub(super) struct Step {
 pub(super) struct Means {
     updates: usize,
     loss: f64,
-    norm: Wide,
+    norm: ExtendedF64,
     cosine: Option<f64>,
     kept: Option<f64>,
     /// Growth of R and M in the first update.

@@ -8,7 +8,7 @@ use crate::engine::divergence::Divergence;
 use crate::engine::schedule::Schedule;
 use crate::numbers::scalar::Float;
 use crate::policy::{Policy, Weights};
-use crate::train::field::{Compose, Field, SignAgreement};
+use crate::train::field::{Field, GradientCombiner, SignAgreement};
 
 /// A training in progress. [`Trainer::session`](crate::Trainer::session) creates it.
 #[derive(Debug)]
@@ -19,7 +19,7 @@ pub struct Session<T, P, F: Float, C = SignAgreement> {
     progress: Progress<F>,
 }
 
-impl<T: Task, P: Policy, F: Float, C: Compose> Session<T, P, F, C> {
+impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     pub(super) fn new(
         task: T,
         policy: P,

@@ -47,15 +47,15 @@ pub fn run<S: System>(system: &S, mut x: Vec<f64>, steps: usize) -> Vec<f64> {
 }
 
 /// A state from a wave function of the place, normalized.
-pub fn wave(body: &QuantumSystem, psi: impl Fn(f64) -> (f64, f64)) -> Vec<f64> {
-    let x: Vec<f64> = body.points().flat_map(|x| <[f64; 2]>::from(psi(x))).collect();
+pub fn wave(model: &QuantumSystem, psi: impl Fn(f64) -> (f64, f64)) -> Vec<f64> {
+    let x: Vec<f64> = model.points().flat_map(|x| <[f64; 2]>::from(psi(x))).collect();
     let norm = norm(&x);
     x.into_iter().map(|x| x / norm).collect()
 }
 
 /// A Gaussian whose density has the standard deviation `sigma`, with the wave number k.
-pub fn packet(body: &QuantumSystem, center: f64, sigma: f64, k: f64) -> Vec<f64> {
-    wave(body, |x| {
+pub fn packet(model: &QuantumSystem, center: f64, sigma: f64, k: f64) -> Vec<f64> {
+    wave(model, |x| {
         let size = (-((x - center) / (2.0 * sigma)).powi(2)).exp();
         (size * (k * x).cos(), size * (k * x).sin())
     })
@@ -97,9 +97,9 @@ pub fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
 pub struct Swinging;
 
 impl Effect<QuantumSystem> for Swinging {
-    fn act<T: Scalar>(&self, body: &QuantumSystem, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, model: &QuantumSystem, x: &[T], forces: &mut [T]) {
         let push = x[x.len() - 1].sin() * x[0];
-        for (v, point) in forces.iter_mut().zip(body.points()) {
+        for (v, point) in forces.iter_mut().zip(model.points()) {
             *v += push * T::lift(point);
         }
     }

@@ -3,9 +3,9 @@
 use super::steps::finite;
 use super::{Case, Finding};
 use crate::check::{self, Stability};
-use crate::dynamics::apart::step;
-use crate::dynamics::effect::With;
+use crate::dynamics::effect::Forced;
 use crate::dynamics::integrator::{AnyIntegrator, ImplicitMidpoint, Integrated, SemiImplicit};
+use crate::dynamics::outline::step;
 use crate::dynamics::substeps::Substeps;
 use crate::dynamics::system::System;
 use crate::tasks::{GuidanceEffect, GuidanceSystem, Spread, Walls};
@@ -32,14 +32,14 @@ const DT: f64 = 4.0 / 60.0;
 const STRENGTH: f64 = 10.0;
 const STIFFNESS: f64 = STRENGTH / 0.01;
 
-type Room = With<GuidanceSystem, Vec<GuidanceEffect>>;
+type Room = Forced<GuidanceSystem, Vec<GuidanceEffect>>;
 type Split = Substeps<Integrated<Room, AnyIntegrator>>;
 
 /// Two drivers that repel each other, or attract each other for negative `strength`.
 fn room(strength: f64) -> Room {
     let system = GuidanceSystem { drivers: 2, evaders: 0, dt: DT, ..GuidanceSystem::default() };
     let walls = Walls { half_width: 3.0, half_height: 3.0, stiffness: 10.0 };
-    With { system, effects: vec![Spread { strength }.into(), walls.into()] }
+    Forced { system, effects: vec![Spread { strength }.into(), walls.into()] }
 }
 
 fn split(strength: f64, integrator: AnyIntegrator, count: usize) -> Split {

@@ -24,38 +24,38 @@ pub(super) const CASES: &[Case] = &[Case {
 
 const MASSES: [f64; 5] = [1.0, 1e-2, 1e-4, 1e-6, 1e-8];
 
-fn body(poles: usize, cart_mass: f64) -> CartPoleSystem {
+fn model(poles: usize, cart_mass: f64) -> CartPoleSystem {
     CartPoleSystem { poles, cart_mass, ..CartPoleSystem::default() }
 }
 
 fn cart_mass() -> Vec<Finding> {
-    let own = |body: CartPoleSystem| worst::<f64, _>(&body, &body, in_the_authors_equations);
-    let coupled = |body: CartPoleSystem| {
-        worst::<f64, _>(&CoupledCartPole(body), &body, |body, x, rate, u| dalembert(body, false, x, rate, u))
+    let own = |model: CartPoleSystem| worst::<f64, _>(&model, &model, in_the_authors_equations);
+    let coupled = |model: CartPoleSystem| {
+        worst::<f64, _>(&CoupledCartPole(model), &model, |model, x, rate, u| dalembert(model, false, x, rate, u))
     };
-    let chained = |body: &CartPoleSystem, x: &[f64], rate: &[f64], u: f64| dalembert(body, true, x, rate, u);
-    let chain = |body: CartPoleSystem| worst::<f64, _>(&PoleChain(body), &body, chained);
+    let chained = |model: &CartPoleSystem, x: &[f64], rate: &[f64], u: f64| dalembert(model, true, x, rate, u);
+    let chain = |model: CartPoleSystem| worst::<f64, _>(&PoleChain(model), &model, chained);
     let mut findings = Vec::new();
     for (name, poles, residual) in [
         ("the authors' model", &[1, 20][..], &own as &dyn Fn(CartPoleSystem) -> f64),
         ("poles side by side", &[1, 2, 5, 20], &coupled),
         ("poles end to end", &[1, 2, 5, 10, 20], &chain),
     ] {
-        let of_all = |mass: f64| poles.iter().map(|&poles| residual(body(poles, mass))).fold(0.0, larger);
+        let of_all = |mass: f64| poles.iter().map(|&poles| residual(model(poles, mass))).fold(0.0, larger);
         let worst = MASSES.iter().map(|&mass| of_all(mass)).fold(0.0, larger);
         findings.push(Finding::at_most(format!("{name}: residual down to 1e-8 kg"), worst, 1e-10));
         findings.push(Finding::told(format!("{name}: residual at 1e-12 kg, unchecked"), format!("{:.1e}", of_all(1e-12))));
     }
-    let single = worst::<f32, _>(&PoleChain(body(20, 1e-8)), &body(20, 1e-8), chained);
+    let single = worst::<f32, _>(&PoleChain(model(20, 1e-8)), &model(20, 1e-8), chained);
     findings.push(Finding::told("20 poles end to end on 1e-8 kg, in f32: residual", format!("{single:.1e}")));
     findings.extend(derivatives());
     findings.extend(refused());
-    let broken = |body: &CartPoleSystem, x: &[f64], rate: &[f64], u: f64| {
+    let broken = |model: &CartPoleSystem, x: &[f64], rate: &[f64], u: f64| {
         let mut rate = rate.to_vec();
         rate[3] *= 1.0 + 1e-8;
-        dalembert(body, true, x, &rate, u)
+        dalembert(model, true, x, &rate, u)
     };
-    let fault = worst::<f64, _>(&PoleChain(body(5, 1e-8)), &body(5, 1e-8), broken);
+    let fault = worst::<f64, _>(&PoleChain(model(5, 1e-8)), &model(5, 1e-8), broken);
     findings.push(Finding::at_least("residual of an acceleration that is wrong by 1e-8", fault, 1e-10));
     findings
 }
@@ -63,21 +63,21 @@ fn cart_mass() -> Vec<Finding> {
 /// Compares steps of both exact models with the lightest cart against dual numbers.
 fn derivatives() -> [Finding; 2] {
     let error = |checked: Result<check::Passed, check::Mismatch>| checked.map_or_else(|wrong| wrong.error, |passed| passed.worst);
-    let (coupled, chain) = (CoupledCartPole(body(20, 1e-8)), PoleChain(body(20, 1e-8)));
+    let (coupled, chain) = (CoupledCartPole(model(20, 1e-8)), PoleChain(model(20, 1e-8)));
     let chain = Integrated { ode: chain, integrator: SemiImplicit, dt: 0.01 };
     [("side by side", error(check::try_system(&coupled))), ("end to end", error(check::try_system(&chain)))]
         .map(|(name, error)| Finding::at_most(format!("20 poles {name} on 1e-8 kg: VJP against duals"), error, 1e-10))
 }
 
 fn refused() -> Vec<Finding> {
-    let checks = |body: CartPoleSystem| [body.check(), CoupledCartPole(body).check(), PoleChain(body).check()];
-    let taken = MASSES.iter().flat_map(|&mass| [1, 20].map(|poles| body(poles, mass))).flat_map(checks);
+    let checks = |model: CartPoleSystem| [model.check(), CoupledCartPole(model).check(), PoleChain(model).check()];
+    let taken = MASSES.iter().flat_map(|&mass| [1, 20].map(|poles| model(poles, mass))).flat_map(checks);
     let (good, all) = taken.fold((0, 0), |(good, all), check| (good + usize::from(check.is_ok()), all + 1));
     let count = |wrong: &[CartPoleSystem], is: fn(&MassError) -> bool| {
-        let found = wrong.iter().flat_map(|&body| checks(body)).filter(|check| check.as_ref().is_err_and(is)).count();
+        let found = wrong.iter().flat_map(|&model| checks(model)).filter(|check| check.as_ref().is_err_and(is)).count();
         (found, 3 * wrong.len())
     };
-    let light = [1, 20].map(|poles| body(poles, 1e-12));
+    let light = [1, 20].map(|poles| model(poles, 1e-12));
     let (lights, all_lights) = count(&light, |error| matches!(error, MassError::CartTooLight { .. }));
     // The equations are singular for a cart of −1/4 of the pole mass. All other mass splits have
     // solutions.
@@ -101,7 +101,7 @@ fn larger(a: f64, b: f64) -> f64 {
 /// arbitrary, rates within ±5 and forces within ±10.
 fn worst<F: Float, O: Ode>(
     ode: &O,
-    body: &CartPoleSystem,
+    model: &CartPoleSystem,
     residual: impl Fn(&CartPoleSystem, &[f64], &[f64], f64) -> f64,
 ) -> f64 {
     let mut rng = stream(0, Purpose::Check, 0);
@@ -113,7 +113,7 @@ fn worst<F: Float, O: Ode>(
         let u = F::lift(rng.random_range(-10.0..10.0));
         let mut rate = vec![F::zero(); n];
         ode.rate(&x, &[u], &mut rate);
-        residual(body, &plain(&x), &plain(&rate), u.as_())
+        residual(model, &plain(&x), &plain(&rate), u.as_())
     });
     residuals.fold(0.0, larger)
 }
@@ -130,8 +130,8 @@ fn left(terms: &[f64]) -> f64 {
 /// M_c ẍ + Σ_i m a_i,x = u
 /// Σ_i m (∂p_i/∂θ_k) · (a_i + g e_y) + (m l²/3) α_k = 0
 /// ```
-fn dalembert(body: &CartPoleSystem, chained: bool, x: &[f64], rate: &[f64], u: f64) -> f64 {
-    let (m, l, n) = (body.pole_mass, body.half_length, body.poles);
+fn dalembert(model: &CartPoleSystem, chained: bool, x: &[f64], rate: &[f64], u: f64) -> f64 {
+    let (m, l, n) = (model.pole_mass, model.half_length, model.poles);
     // Lever arm of the center of pole i about the joint of pole k.
     let arm = |i: usize, k: usize| {
         if i == k {
@@ -154,14 +154,14 @@ fn dalembert(body: &CartPoleSystem, chained: bool, x: &[f64], rate: &[f64], u: f
             })
         })
         .collect();
-    let mut terms = vec![body.cart_mass * rate[1], -u];
+    let mut terms = vec![model.cart_mass * rate[1], -u];
     terms.extend(middles.iter().map(|[across, _]| m * across));
     let mut worst = left(&terms);
     for k in 0..n {
         let (sin, cos, _, alpha) = pole(k);
         let mut terms = vec![m * l * l / 3.0 * alpha];
         for (i, [across, up]) in middles.iter().enumerate() {
-            terms.extend([m * arm(i, k) * cos * across, -m * arm(i, k) * sin * (up + body.gravity)]);
+            terms.extend([m * arm(i, k) * cos * across, -m * arm(i, k) * sin * (up + model.gravity)]);
         }
         worst = larger(worst, left(&terms));
     }
@@ -169,13 +169,13 @@ fn dalembert(body: &CartPoleSystem, chained: bool, x: &[f64], rate: &[f64], u: f
 }
 
 /// Residual in the equations of the authors' model, as documented at [`CartPoleSystem`].
-fn in_the_authors_equations(body: &CartPoleSystem, x: &[f64], rate: &[f64], u: f64) -> f64 {
-    let (m, l, mass) = (body.pole_mass, body.half_length, body.cart_mass + body.pole_mass);
+fn in_the_authors_equations(model: &CartPoleSystem, x: &[f64], rate: &[f64], u: f64) -> f64 {
+    let (m, l, mass) = (model.pole_mass, model.half_length, model.cart_mass + model.pole_mass);
     let (mut worst, mut terms) = (0.0, vec![mass * rate[1], -u]);
-    for k in 0..body.poles {
+    for k in 0..model.poles {
         let ((sin, cos), omega, alpha) = (x[2 + 2 * k].sin_cos(), x[3 + 2 * k], rate[3 + 2 * k]);
         let thrust = (u + m * l * sin * omega * omega) / mass;
-        let of_pole = [4.0 / 3.0 * l * alpha, -(m * l * cos * cos / mass * alpha), -(body.gravity * sin), cos * thrust];
+        let of_pole = [4.0 / 3.0 * l * alpha, -(m * l * cos * cos / mass * alpha), -(model.gravity * sin), cos * thrust];
         worst = larger(worst, left(&of_pole));
         terms.extend([-(m * l * sin * omega * omega), m * l * alpha * cos]);
     }

@@ -3,7 +3,7 @@
 use super::steps::{derivative, larger, states};
 use super::{Case, Finding};
 use crate::check;
-use crate::dynamics::apart::step;
+use crate::dynamics::outline::step;
 use crate::dynamics::system::System;
 use crate::engine::any;
 use crate::numbers::scalar::{Dual, Scalar};
@@ -83,7 +83,7 @@ fn ball(name: &'static str, restitution: f64, h: f64, v: f64, time: f64) -> Exam
 }
 
 /// Position of the second ball after the first hits it with speed v:
-/// `q + v (T - t) = p + reach + v T`.
+/// `q + v (T - t) = p + contact_distance + v T`.
 fn balls(second: f64, time: f64) -> Example {
     let expected = vec![1.0, 0.0, time, 0.0, f64::NAN];
     Example { name: "two equal balls", start: vec![0.0, second, 2.0, 0.0], control: 0.0, component: 1, time, expected }

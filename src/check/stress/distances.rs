@@ -2,8 +2,8 @@
 
 use super::steps::{error, finite, larger, vjp_by_jvps};
 use super::{Case, Finding};
-use crate::dynamics::apart::step;
-use crate::dynamics::effect::With;
+use crate::dynamics::effect::Forced;
+use crate::dynamics::outline::step;
 use crate::dynamics::system::System;
 use crate::engine::any::{AnySystem, vjp};
 use crate::numbers::scalar::{Float, Scalar};
@@ -22,7 +22,7 @@ pub(super) const CASES: &[Case] = &[Case {
     run: guidance_distances,
 }];
 
-type Crowd = With<GuidanceSystem, Vec<GuidanceEffect>>;
+type Crowd = Forced<GuidanceSystem, Vec<GuidanceEffect>>;
 
 /// Two drivers and two evaders, with an obstacle centered at the origin and walls that only agents
 /// at 1e8 m touch.
@@ -37,7 +37,7 @@ fn crowd() -> Crowd {
         obstacles.into(),
         Walls::default().into(),
     ];
-    With { system, effects }
+    Forced { system, effects }
 }
 
 fn guidance_distances() -> Vec<Finding> {
@@ -126,10 +126,10 @@ fn derivatives<F: Float>(system: &dyn AnySystem<F>, distance: f64) -> (bool, f64
 /// Relative error of an evader's acceleration by one driver, against `15 r / (0.1 + |r|)²`.
 /// Squaring 1e-160 directly would underflow to a zero force.
 fn force<F: Float>(distance: f64) -> f64 {
-    let body = GuidanceSystem { drivers: 1, evaders: 1, dt: 1.0, ..GuidanceSystem::default() };
+    let model = GuidanceSystem { drivers: 1, evaders: 1, dt: 1.0, ..GuidanceSystem::default() };
     let (zero, along, across) = (F::zero(), F::lift(0.6 * distance), F::lift(0.8 * distance));
     let mut next = [zero; 8];
-    let system: Crowd = With { system: body, effects: vec![Evade::default().into()] };
+    let system: Crowd = Forced { system: model, effects: vec![Evade::default().into()] };
     step(&system, &[zero, zero, zero, zero, along, across, zero, zero], &[zero; 2], &mut next);
     let force = 15.0 / (0.1 + distance) * (distance / (0.1 + distance));
     let shares = [next[6].as_() / force, next[7].as_() / force];

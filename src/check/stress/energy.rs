@@ -1,9 +1,9 @@
 //! Stress case: energy over long free motion.
 
 use super::{Case, Finding};
-use crate::dynamics::apart::step;
 use crate::dynamics::integrator::{Integrated, Integrator, RungeKutta, SemiImplicit};
 use crate::dynamics::ode::Ode;
+use crate::dynamics::outline::step;
 use crate::numbers::scalar::Scalar;
 use crate::tasks::{CartPoleSystem, DoublePendulum, PoleChain};
 use std::f64::consts::PI;

@@ -6,9 +6,9 @@ use crate::dynamics::task::Task;
 use crate::engine::adjoint::Flow;
 use crate::engine::batch::Batch;
 use crate::engine::gradient::Gradient;
+use crate::numbers::extended::ExtendedF64;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
-use crate::numbers::wide::Wide;
 use crate::policy::{Linear, Weights};
 use crate::train::field::Field;
 
@@ -67,14 +67,14 @@ impl Task for Plant {
 
 /// `[∂L/∂k, ∂L/∂b]` of a flow, with states in the precision of `F` and adjoints with 32-bit
 /// exponents.
-fn reference<F: Float>(plant: &Plant, gain: f64, flow: Flow) -> [Wide; 2] {
+fn reference<F: Float>(plant: &Plant, gain: f64, flow: Flow) -> [ExtendedF64; 2] {
     let mut states = vec![F::lift(plant.start)];
     for t in 0..HORIZON {
         states.push(F::lift(plant.a) * states[t] + F::lift(gain) * states[t]);
     }
     let factor = plant.a + if flow.control { gain } else { 0.0 };
-    let mut lambda = Wide::from(states[HORIZON].as_() - 1.0);
-    let mut sums = [Wide::default(); 2];
+    let mut lambda = ExtendedF64::from(states[HORIZON].as_() - 1.0);
+    let mut sums = [ExtendedF64::default(); 2];
     for t in (0..HORIZON).rev() {
         sums = [sums[0] + lambda * states[t].as_(), sums[1] + lambda];
         lambda = lambda * factor;
@@ -99,7 +99,7 @@ fn exploding_adjoint() -> Vec<Finding> {
 
 fn of_precision<F: Float>(plants: &[[f64; 3]], allowed: f64) -> Vec<Finding> {
     let (mut right, mut all) = (0, 0);
-    let (mut worst, mut longest) = (0.0_f64, Wide::default());
+    let (mut worst, mut longest) = (0.0_f64, ExtendedF64::default());
     for &[a, gain, start] in plants {
         let plant = Plant { a, start };
         let policy = Linear::with_bias(1, 1);
@@ -112,7 +112,7 @@ fn of_precision<F: Float>(plants: &[[f64; 3]], allowed: f64) -> Vec<Finding> {
         let mut combined = Gradient::zeros(2);
         Field::combined().compose(batch.gradients(), &mut combined);
         let [m, r] = [Flow::MODIFIED, Flow::REGULAR].map(|flow| reference::<F>(&plant, gain, flow));
-        let c = [0, 1].map(|i| if m[i].signum() == r[i].signum() { m[i] } else { Wide::default() });
+        let c = [0, 1].map(|i| if m[i].signum() == r[i].signum() { m[i] } else { ExtendedF64::default() });
         for (found, expected) in [(&batch.gradients()[0], m), (&batch.gradients()[1], r), (&combined, c)] {
             let sign = |g: f64| if g == 0.0 { 0.0 } else { g.signum() };
             for (&value, expected) in found.values().iter().zip(expected) {
@@ -121,8 +121,8 @@ fn of_precision<F: Float>(plants: &[[f64; 3]], allowed: f64) -> Vec<Finding> {
             }
             let largest = if expected[0].log10() > expected[1].log10() { expected[0] } else { expected[1] };
             let i = usize::from(largest == expected[1]);
-            let value = Wide::new(found.values()[i].as_(), found.exponent());
-            if largest != Wide::default() {
+            let value = ExtendedF64::new(found.values()[i].as_(), found.exponent());
+            if largest != ExtendedF64::default() {
                 worst = worst.max((10f64.powf(value.log10() - largest.log10()) - 1.0).abs());
             }
             if largest.log10() > longest.log10() {

@@ -2,7 +2,7 @@
 
 use super::{Case, Finding};
 use crate::dynamics::cause::Cause;
-use crate::dynamics::effect::{Effect, Host, With};
+use crate::dynamics::effect::{Effect, Forced, ForcedSystem};
 use crate::dynamics::task::Task;
 use crate::engine::adjoint::Flow;
 use crate::engine::batch::Batch;
@@ -30,10 +30,10 @@ struct Pushed;
 
 const DT: f64 = 0.02;
 
-impl Host for Pushed {
-    type Body = Self;
+impl ForcedSystem for Pushed {
+    type Model = Self;
 
-    fn body(&self) -> &Self {
+    fn model(&self) -> &Self {
         self
     }
     fn state_dim(&self) -> usize {
@@ -49,9 +49,9 @@ impl Host for Pushed {
         DT
     }
     #[inline(always)]
-    fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let mut force = [u[0]];
-        effects.act(self, x, &mut force);
+        effects.add_forces(self, x, &mut force);
         next[1] = x[1] + force[0] * T::lift(DT);
         next[0] = x[0] + next[1] * T::lift(DT);
     }
@@ -66,7 +66,7 @@ struct Injected {
 }
 
 impl Effect<Pushed> for Injected {
-    fn act<T: Scalar>(&self, _body: &Pushed, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, _model: &Pushed, x: &[T], forces: &mut [T]) {
         let nothing = if self.in_derivative { (x[1] - x[1].detach()).sqrt() } else { T::lift(f64::NAN) };
         let late = (x[2] - T::lift(self.step as f64 * DT)).abs();
         let here = T::select_lt(T::lift(50.0), x[0], nothing, T::zero());
@@ -79,10 +79,10 @@ impl Effect<Pushed> for Injected {
 }
 
 /// Task with the running cost x².
-struct Return(With<Pushed, Injected>);
+struct Return(Forced<Pushed, Injected>);
 
 impl Task for Return {
-    type System = With<Pushed, Injected>;
+    type System = Forced<Pushed, Injected>;
 
     fn system(&self) -> &Self::System {
         &self.0
@@ -109,7 +109,7 @@ fn injected_nan() -> Vec<Finding> {
     let (mut named, mut unchanged, mut all) = (0, 0, 0);
     for (step, bad) in [(0, 0), (1, 10), (7, 3), (17, 8), (HORIZON - 1, 5)] {
         for in_derivative in [false, true] {
-            let task = || Return(With { system: Pushed, effects: Injected { step, in_derivative } });
+            let task = || Return(Forced { system: Pushed, effects: Injected { step, in_derivative } });
             let starts: Vec<f64> = (0..SAMPLES)
                 .flat_map(|sample| {
                     let mut x = [0.0; 3];

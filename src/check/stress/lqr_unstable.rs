@@ -17,7 +17,7 @@ use crate::numbers::rng::{Purpose, stream};
 use crate::policy::{Linear, Weights};
 use crate::tasks::Lqr;
 use crate::train::field::Field;
-use crate::train::optim::{Clip, Rule};
+use crate::train::optim::{Clip, OptimizerKind};
 use crate::train::{Trainer, Training};
 
 pub(super) const CASES: &[Case] = &[Case {
@@ -202,7 +202,7 @@ const EPOCH: usize = 250;
 /// Larger batches remove the sign agreement that C requires: M varies between initial states, and
 /// its mean rarely agrees with R.
 fn one_by_one(seed: u64) -> Training {
-    Training { batch: 1, seed, rule: Rule::Sgd, learning_rate: 0.1, clip: Clip::Norm(1.0), ..in_batches() }
+    Training { batch: 1, seed, rule: OptimizerKind::Sgd, learning_rate: 0.1, clip: Clip::Norm(1.0), ..in_batches() }
 }
 
 /// 3000 updates by the rule of the ICLR 2024 paper, with a learning rate large enough to reach the

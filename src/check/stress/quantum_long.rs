@@ -2,7 +2,7 @@
 
 use super::steps::larger;
 use super::{Case, Finding};
-use crate::dynamics::apart::step;
+use crate::dynamics::outline::step;
 use crate::dynamics::substeps::Substeps;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
@@ -28,27 +28,27 @@ pub(super) const CASES: &[Case] = &[Case {
 }];
 
 fn quantum_long() -> Vec<Finding> {
-    let body = QuantumSystem::default();
-    let each = Renormalized { system: body };
-    let sometimes = Renormalized { system: Substeps { system: body, count: 16 } };
-    let [there, back] = [body.dt, -body.dt].map(|dt| QuantumSystem { dt, ..body });
-    let lossy = Scaled { system: body, factor: 1.0 - 1e-14 };
+    let model = QuantumSystem::default();
+    let each = Renormalized { system: model };
+    let sometimes = Renormalized { system: Substeps { system: model, count: 16 } };
+    let [there, back] = [model.dt, -model.dt].map(|dt| QuantumSystem { dt, ..model });
+    let lossy = Scaled { system: model, factor: 1.0 - 1e-14 };
     vec![
-        Finding::at_most("drift of the norm in 1e5 steps, f64, control 0", drift::<_, f64>(&body, 100_000, 0.0), 1e-10),
-        Finding::at_most("drift of the norm in 1e5 steps, f64", drift::<_, f64>(&body, 100_000, 30.0), 1e-10),
+        Finding::at_most("drift of the norm in 1e5 steps, f64, control 0", drift::<_, f64>(&model, 100_000, 0.0), 1e-10),
+        Finding::at_most("drift of the norm in 1e5 steps, f64", drift::<_, f64>(&model, 100_000, 30.0), 1e-10),
         Finding::told(
             "drift of the norm in 1e5 steps, f32, control 0 (hoped for: 1e-2)",
-            not_promised(drift::<_, f32>(&body, 100_000, 0.0)),
+            not_promised(drift::<_, f32>(&model, 100_000, 0.0)),
         ),
         Finding::at_most("the same, f32, control 0, renormalized in each", drift::<_, f32>(&each, 100_000, 0.0), 1e-6),
-        Finding::at_most("drift of the norm in 1e5 steps, f32", drift::<_, f32>(&body, 100_000, 30.0), 1e-2),
+        Finding::at_most("drift of the norm in 1e5 steps, f32", drift::<_, f32>(&model, 100_000, 30.0), 1e-2),
         Finding::at_most("under random controls, f32, renormalized in each", drift::<_, f32>(&each, 100_000, 30.0), 1e-6),
         Finding::at_most(
             "under random controls, f32, renormalized in each 16th",
             drift::<_, f32>(&sometimes, 100_000 / 16, 30.0),
             1e-6,
         ),
-        Finding::at_most("drift of the adjoint's norm in 1e4 steps, f64", adjoint_drift(&body, 10_000), 1e-10),
+        Finding::at_most("drift of the adjoint's norm in 1e4 steps, f64", adjoint_drift(&model, 10_000), 1e-10),
         Finding::at_most("1e4 steps forward and backward in time, f64", return_error(&there, &back, 10_000), 1e-9),
         Finding::at_least("drift with a loss of 1e-14 in each step, f64", drift::<_, f64>(&lossy, 100_000, 30.0), 1e-10),
     ]

@@ -23,7 +23,7 @@ pub(super) const CASES: &[Case] = &[Case {
 /// Plateau report from eigenstates 1 and 2 with weighted random amplitudes and random phases.
 fn look(target: usize, weighting: [f64; 2], loss: LossMode) -> Option<Plateau> {
     let task = Quantum { weighting, loss, ..Quantum::new(target) };
-    let policy = Mlp::new([64, 16, 1]).zero_last(true);
+    let policy = Mlp::new([64, 16, 1]).zero_init_output(true);
     let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
     let mut starts = vec![0.0; 8 * 64];
     for (i, x) in starts.chunks_exact_mut(64).enumerate() {
@@ -34,7 +34,7 @@ fn look(target: usize, weighting: [f64; 2], loss: LossMode) -> Option<Plateau> {
 
 fn quantum_plateau() -> Vec<Finding> {
     let mut findings = Vec::new();
-    for loss in [LossMode::Final, LossMode::Continuous] {
+    for loss in [LossMode::Terminal, LossMode::Running] {
         for (what, target, weighting, stuck) in [
             ("from 1 to 2", 2, [1.0, 0.0], true),
             ("from 1 to 3", 3, [1.0, 0.0], true),

@@ -1,7 +1,7 @@
 //! Chains of actuators chosen at run time.
 
-use super::{Actuator, Bars, Controls, STACK};
-use crate::dynamics::apart::apart;
+use super::{Actuator, Controls, OutputCotangents, STACK};
+use crate::dynamics::outline::outline;
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
@@ -14,7 +14,7 @@ impl<A: Actuator> Actuator for Vec<A> {
 
     #[inline(always)]
     fn step<T: Scalar>(&self, own: &[T], u: &[T], own_next: &mut [T], out: &mut [T]) {
-        apart::<T>(Step { chain: self, own, u, own_next, out });
+        outline::<T>(Step { chain: self, own, u, own_next, out });
     }
 
     #[inline(always)]
@@ -22,11 +22,11 @@ impl<A: Actuator> Actuator for Vec<A> {
         &self,
         own: &[R],
         u: &[R],
-        next_bar: Bars<'_, C>,
+        next_bar: OutputCotangents<'_, C>,
         own_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
-        apart::<R>(Reverse { chain: self, own, u, next_bar, own_bar, u_bar });
+        outline::<R>(Reverse { chain: self, own, u, next_bar, own_bar, u_bar });
     }
 }
 
@@ -59,7 +59,7 @@ struct Reverse<'a, A, R, C> {
     chain: &'a [A],
     own: &'a [R],
     u: &'a [R],
-    next_bar: Bars<'a, C>,
+    next_bar: OutputCotangents<'a, C>,
     own_bar: Option<&'a mut [C]>,
     u_bar: Option<&'a mut [C]>,
 }
@@ -85,7 +85,7 @@ impl<A: Actuator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, A, R, C> 
         let mut before_bar: Controls<C> = out_bar.clone();
         for (actuator, given) in chain.iter().zip(given.chunks_exact(m)).rev() {
             let begin = end - actuator.state_dim(m);
-            let bars = Bars { own: &next_bar.own[begin..end], out: &out_bar };
+            let bars = OutputCotangents { own: &next_bar.own[begin..end], out: &out_bar };
             let here = own_bar.as_deref_mut().map(|own_bar| &mut own_bar[begin..end]);
             actuator.reverse(&own[begin..end], given, bars, here, Some(&mut before_bar));
             std::mem::swap(&mut out_bar, &mut before_bar);

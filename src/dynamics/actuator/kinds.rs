@@ -1,6 +1,6 @@
 //! Built-in actuators: [`Limit`], [`Lag`], [`Delay`], and [`AnyActuator`], a choice at run time.
 
-use super::{Actuator, Bars};
+use super::{Actuator, OutputCotangents};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
@@ -51,7 +51,7 @@ impl Actuator for Limit {
         &self,
         _own: &[R],
         u: &[R],
-        next_bar: Bars<'_, C>,
+        next_bar: OutputCotangents<'_, C>,
         _own_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
@@ -103,7 +103,7 @@ impl Actuator for Lag {
         &self,
         _own: &[R],
         _u: &[R],
-        next_bar: Bars<'_, C>,
+        next_bar: OutputCotangents<'_, C>,
         own_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
@@ -148,7 +148,7 @@ impl Actuator for Delay {
         &self,
         own: &[R],
         u: &[R],
-        next_bar: Bars<'_, C>,
+        next_bar: OutputCotangents<'_, C>,
         own_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
@@ -198,7 +198,7 @@ impl Actuator for AnyActuator {
         &self,
         own: &[R],
         u: &[R],
-        next_bar: Bars<'_, C>,
+        next_bar: OutputCotangents<'_, C>,
         own_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {

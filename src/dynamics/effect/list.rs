@@ -2,7 +2,7 @@
 
 use super::Effect;
 use super::tuples::later;
-use crate::dynamics::apart::apart;
+use crate::dynamics::outline::outline;
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
@@ -10,40 +10,40 @@ use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 /// of a tuple of the same effects, bit for bit.
 impl<B, E: Effect<B>> Effect<B> for Vec<E> {
     #[inline(always)]
-    fn act<T: Scalar>(&self, body: &B, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, model: &B, x: &[T], forces: &mut [T]) {
         for effect in self {
-            effect.act(body, x, forces);
+            effect.add_forces(model, x, forces);
         }
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         for effect in self {
-            effect.vjp(body, x, forces_bar, x_bar);
+            effect.vjp(model, x, forces_bar, x_bar);
         }
     }
 
     #[inline(always)]
-    fn act_knowing<T: Scalar>(&self, body: &B, x: &[T], known: &[T], forces: &mut [T]) {
+    fn act_knowing<T: Scalar>(&self, model: &B, x: &[T], known: &[T], forces: &mut [T]) {
         for effect in self {
-            effect.act_knowing(body, x, known, forces);
+            effect.act_knowing(model, x, known, forces);
         }
     }
 
     #[inline(always)]
-    fn vjp_knowing<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn vjp_knowing<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         for effect in self {
-            effect.vjp_knowing(body, x, known, forces_bar, x_bar);
+            effect.vjp_knowing(model, x, known, forces_bar, x_bar);
         }
     }
 
     #[inline(always)]
-    fn reads_state(&self) -> bool {
-        self.iter().any(Effect::reads_state)
+    fn state_dependent(&self) -> bool {
+        self.iter().any(Effect::state_dependent)
     }
 
-    fn faulty<F: Float>(&self, body: &B, x: &[F], forces: usize) -> Option<&'static str> {
-        self.iter().find_map(|effect| effect.faulty(body, x, forces))
+    fn diagnose<F: Float>(&self, model: &B, x: &[F], forces: usize) -> Option<&'static str> {
+        self.iter().find_map(|effect| effect.diagnose(model, x, forces))
     }
 
     #[inline(always)]
@@ -56,7 +56,7 @@ impl<B, E: Effect<B>> Effect<B> for Vec<E> {
 /// takes one, and with all of them inlined such a loop takes minutes to compile.
 pub(crate) struct Act<'a, B, E, T, const KNOWING: bool> {
     pub effect: &'a E,
-    pub body: &'a B,
+    pub model: &'a B,
     pub x: &'a [T],
     pub known: &'a [T],
     pub forces: &'a mut [T],
@@ -64,19 +64,19 @@ pub(crate) struct Act<'a, B, E, T, const KNOWING: bool> {
 
 impl<B, E: Effect<B>, T: Scalar, const KNOWING: bool> Act<'_, B, E, T, KNOWING> {
     #[inline(always)]
-    pub(crate) fn apart(self) {
-        apart::<T>(self);
+    pub(crate) fn outline(self) {
+        outline::<T>(self);
     }
 }
 
 impl<B, E: Effect<B>, T: Scalar, const KNOWING: bool> Vectorized for Act<'_, B, E, T, KNOWING> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { effect, body, x, known, forces } = self;
+        let Self { effect, model, x, known, forces } = self;
         if KNOWING {
-            effect.act_knowing(body, x, known, forces);
+            effect.act_knowing(model, x, known, forces);
         } else {
-            effect.act(body, x, forces);
+            effect.add_forces(model, x, forces);
         }
     }
 }
@@ -84,7 +84,7 @@ impl<B, E: Effect<B>, T: Scalar, const KNOWING: bool> Vectorized for Act<'_, B, 
 /// The reverse of [`Act`].
 pub(crate) struct ActBack<'a, B, E, R, C, const KNOWING: bool> {
     pub effect: &'a E,
-    pub body: &'a B,
+    pub model: &'a B,
     pub x: &'a [R],
     pub known: &'a [R],
     pub forces_bar: &'a [C],
@@ -93,92 +93,92 @@ pub(crate) struct ActBack<'a, B, E, R, C, const KNOWING: bool> {
 
 impl<B, E: Effect<B>, R: Real, C: Cotangent<R>, const KNOWING: bool> ActBack<'_, B, E, R, C, KNOWING> {
     #[inline(always)]
-    pub(crate) fn apart(self) {
-        apart::<R>(self);
+    pub(crate) fn outline(self) {
+        outline::<R>(self);
     }
 }
 
 impl<B, E: Effect<B>, R: Real, C: Cotangent<R>, const KNOWING: bool> Vectorized for ActBack<'_, B, E, R, C, KNOWING> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { effect, body, x, known, forces_bar, x_bar } = self;
+        let Self { effect, model, x, known, forces_bar, x_bar } = self;
         if KNOWING {
-            effect.vjp_knowing(body, x, known, forces_bar, x_bar);
+            effect.vjp_knowing(model, x, known, forces_bar, x_bar);
         } else {
-            effect.vjp(body, x, forces_bar, x_bar);
+            effect.vjp(model, x, forces_bar, x_bar);
         }
     }
 }
 
 /// An enum of one variant for every effect of a body, named as the effect is, that is any of them.
 macro_rules! any_effect {
-    ($(#[$doc:meta])* $name:ident of $body:ty: $($effect:ident),+ $(,)?) => {
+    ($(#[$doc:meta])* $name:ident of $model:ty: $($effect:ident),+ $(,)?) => {
         $(#[$doc])*
         #[derive(Clone, Debug, PartialEq)]
         pub enum $name {
             $(#[doc = concat!("[`", stringify!($effect), "`].")] $effect($effect)),+
         }
 
-        impl crate::dynamics::effect::Effect<$body> for $name {
+        impl crate::dynamics::effect::Effect<$model> for $name {
             #[inline(always)]
-            fn act<T: crate::numbers::scalar::Scalar>(&self, body: &$body, x: &[T], forces: &mut [T]) {
+            fn add_forces<T: crate::numbers::scalar::Scalar>(&self, model: &$model, x: &[T], forces: &mut [T]) {
                 match self {
-                    $(Self::$effect(effect) => crate::dynamics::effect::Act::<_, _, _, false> { effect, body, x, known: &[], forces }.apart()),+
+                    $(Self::$effect(effect) => crate::dynamics::effect::Act::<_, _, _, false> { effect, model, x, known: &[], forces }.outline()),+
                 }
             }
 
             #[inline(always)]
             fn vjp<R: crate::numbers::scalar::Real, C: crate::numbers::scalar::Cotangent<R>>(
                 &self,
-                body: &$body,
+                model: &$model,
                 x: &[R],
                 forces_bar: &[C],
                 x_bar: &mut [C],
             ) {
                 match self {
-                    $(Self::$effect(effect) => crate::dynamics::effect::ActBack::<_, _, _, _, false> { effect, body, x, known: &[], forces_bar, x_bar }.apart()),+
+                    $(Self::$effect(effect) => crate::dynamics::effect::ActBack::<_, _, _, _, false> { effect, model, x, known: &[], forces_bar, x_bar }.outline()),+
                 }
             }
 
             #[inline(always)]
-            fn act_knowing<T: crate::numbers::scalar::Scalar>(&self, body: &$body, x: &[T], known: &[T], forces: &mut [T]) {
+            fn act_knowing<T: crate::numbers::scalar::Scalar>(&self, model: &$model, x: &[T], known: &[T], forces: &mut [T]) {
                 match self {
-                    $(Self::$effect(effect) => crate::dynamics::effect::Act::<_, _, _, true> { effect, body, x, known, forces }.apart()),+
+                    $(Self::$effect(effect) => crate::dynamics::effect::Act::<_, _, _, true> { effect, model, x, known, forces }.outline()),+
                 }
             }
 
             #[inline(always)]
             fn vjp_knowing<R: crate::numbers::scalar::Real, C: crate::numbers::scalar::Cotangent<R>>(
                 &self,
-                body: &$body,
+                model: &$model,
                 x: &[R],
                 known: &[R],
                 forces_bar: &[C],
                 x_bar: &mut [C],
             ) {
                 match self {
-                    $(Self::$effect(effect) => crate::dynamics::effect::ActBack::<_, _, _, _, true> { effect, body, x, known, forces_bar, x_bar }.apart()),+
+                    $(Self::$effect(effect) => crate::dynamics::effect::ActBack::<_, _, _, _, true> { effect, model, x, known, forces_bar, x_bar }.outline()),+
                 }
             }
 
             #[inline(always)]
-            fn reads_state(&self) -> bool {
+            fn state_dependent(&self) -> bool {
                 match self {
-                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$body>::reads_state(effect)),+
+                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$model>::state_dependent(effect)),+
                 }
             }
 
-            fn faulty<F: crate::numbers::scalar::Float>(&self, body: &$body, x: &[F], forces: usize) -> Option<&'static str> {
+            fn diagnose<F: crate::numbers::scalar::Float>(&self, model: &$model, x: &[F], forces: usize) -> Option<&'static str> {
                 let name = match self {
                     $(Self::$effect(_) => stringify!($effect)),+
                 };
-                if crate::dynamics::effect::is_finite(self, body, x, forces) { None } else { Some(name) }
+                if crate::dynamics::effect::is_finite(self, model, x, forces) { None } else { Some(name) }
             }
 
             #[inline(always)]
             fn clock(&self) -> Option<f64> {
                 match self {
-                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$body>::clock(effect)),+
+                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$model>::clock(effect)),+
                 }
             }
         }

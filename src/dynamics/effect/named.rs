@@ -17,42 +17,42 @@ impl<B, E: Effect<B>> Effect<B> for Named<E> {
     const LOCAL: bool = E::LOCAL;
 
     #[inline(always)]
-    fn act<T: Scalar>(&self, body: &B, x: &[T], forces: &mut [T]) {
-        self.effect.act(body, x, forces);
+    fn add_forces<T: Scalar>(&self, model: &B, x: &[T], forces: &mut [T]) {
+        self.effect.add_forces(model, x, forces);
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        self.effect.vjp(body, x, forces_bar, x_bar);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        self.effect.vjp(model, x, forces_bar, x_bar);
     }
 
     #[inline(always)]
-    fn act_knowing<T: Scalar>(&self, body: &B, x: &[T], known: &[T], forces: &mut [T]) {
-        self.effect.act_knowing(body, x, known, forces);
+    fn act_knowing<T: Scalar>(&self, model: &B, x: &[T], known: &[T], forces: &mut [T]) {
+        self.effect.act_knowing(model, x, known, forces);
     }
 
     #[inline(always)]
-    fn vjp_knowing<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        self.effect.vjp_knowing(body, x, known, forces_bar, x_bar);
+    fn vjp_knowing<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        self.effect.vjp_knowing(model, x, known, forces_bar, x_bar);
     }
 
     #[inline(always)]
-    fn act_at<T: Scalar>(&self, body: &B, x: &[T], i: usize, force: T) -> T {
-        self.effect.act_at(body, x, i, force)
+    fn act_at<T: Scalar>(&self, model: &B, x: &[T], i: usize, force: T) -> T {
+        self.effect.act_at(model, x, i, force)
     }
 
     #[inline(always)]
-    fn vjp_at<R: Real, C: Cotangent<R>>(&self, body: &B, x: &[R], i: usize, force_bar: C, x_bar: &mut [C]) {
-        self.effect.vjp_at(body, x, i, force_bar, x_bar);
+    fn vjp_at<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], i: usize, force_bar: C, x_bar: &mut [C]) {
+        self.effect.vjp_at(model, x, i, force_bar, x_bar);
     }
 
     #[inline(always)]
-    fn reads_state(&self) -> bool {
-        self.effect.reads_state()
+    fn state_dependent(&self) -> bool {
+        self.effect.state_dependent()
     }
 
-    fn faulty<F: Float>(&self, body: &B, x: &[F], forces: usize) -> Option<&'static str> {
-        self.effect.faulty(body, x, forces).map(|_| self.name)
+    fn diagnose<F: Float>(&self, model: &B, x: &[F], forces: usize) -> Option<&'static str> {
+        self.effect.diagnose(model, x, forces).map(|_| self.name)
     }
 
     #[inline(always)]

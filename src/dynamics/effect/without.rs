@@ -1,20 +1,20 @@
 //! Systems without effects.
 
-/// Makes a [`Host`] a [`System`] of its own: the one without effects.
+/// Makes a [`ForcedSystem`] a [`System`] of its own: the one without effects.
 macro_rules! system_without_effects {
     ($host:ty) => {
         impl crate::dynamics::system::System for $host {
             fn state_dim(&self) -> usize {
-                crate::dynamics::effect::Host::state_dim(self)
+                crate::dynamics::effect::ForcedSystem::state_dim(self)
             }
 
             fn control_dim(&self) -> usize {
-                crate::dynamics::effect::Host::control_dim(self)
+                crate::dynamics::effect::ForcedSystem::control_dim(self)
             }
 
             #[inline(always)]
             fn step<T: crate::numbers::scalar::Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-                crate::dynamics::effect::Host::step_with(self, &(), x, u, next);
+                crate::dynamics::effect::ForcedSystem::forced_step(self, &(), x, u, next);
             }
 
             #[inline(always)]
@@ -26,7 +26,7 @@ macro_rules! system_without_effects {
                 x_bar: &mut [C],
                 u_bar: &mut [C],
             ) {
-                crate::dynamics::effect::Host::reverse(self, &(), x, u, next_bar, Some(x_bar), Some(u_bar));
+                crate::dynamics::effect::ForcedSystem::reverse(self, &(), x, u, next_bar, Some(x_bar), Some(u_bar));
             }
 
             #[inline(always)]
@@ -37,7 +37,7 @@ macro_rules! system_without_effects {
                 next_bar: &[C],
                 x_bar: &mut [C],
             ) {
-                crate::dynamics::effect::Host::reverse(self, &(), x, u, next_bar, Some(x_bar), None);
+                crate::dynamics::effect::ForcedSystem::reverse(self, &(), x, u, next_bar, Some(x_bar), None);
             }
 
             #[inline(always)]
@@ -48,17 +48,17 @@ macro_rules! system_without_effects {
                 next_bar: &[C],
                 u_bar: &mut [C],
             ) {
-                crate::dynamics::effect::Host::reverse(self, &(), x, u, next_bar, None, Some(u_bar));
+                crate::dynamics::effect::ForcedSystem::reverse(self, &(), x, u, next_bar, None, Some(u_bar));
             }
         }
 
-        impl crate::dynamics::effect::Around<<$host as crate::dynamics::effect::Host>::Body> for $host {
+        impl crate::dynamics::effect::HasModel<<$host as crate::dynamics::effect::ForcedSystem>::Model> for $host {
             #[inline(always)]
-            fn body(&self) -> &<$host as crate::dynamics::effect::Host>::Body {
-                crate::dynamics::effect::Host::body(self)
+            fn model(&self) -> &<$host as crate::dynamics::effect::ForcedSystem>::Model {
+                crate::dynamics::effect::ForcedSystem::model(self)
             }
 
-            fn start_beyond(&self, _rng: &mut crate::numbers::rng::Rng, _x: &mut [f64]) {}
+            fn start_extra(&self, _rng: &mut crate::numbers::rng::Rng, _x: &mut [f64]) {}
         }
     };
 }

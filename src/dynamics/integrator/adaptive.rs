@@ -1,7 +1,7 @@
 //! [`Adaptive`]: Tsitouras' method with error control.
 
-use super::{Integrator, Room, RungeKutta, Stretch, room};
-use crate::dynamics::ode::{RateOn, ReverseOn};
+use super::{Integrator, Room, RungeKutta, StepInput, room};
+use crate::dynamics::ode::{DynOde, DynOdeVjp};
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 use crate::numbers::zip::zip;
 
@@ -53,7 +53,7 @@ impl Adaptive {
     /// Calls `tell(state, step)` for each attempt with its initial state and its accepted
     /// duration, which is 0 if the attempt was rejected.
     #[inline(always)]
-    fn attempts<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T], mut tell: impl FnMut(&[T], T)) {
+    fn attempts<T: Scalar>(&self, ode: &dyn DynOde<T>, h: T, x: &[T], u: &[T], next: &mut [T], mut tell: impl FnMut(&[T], T)) {
         let (n, tableau, one) = (x.len(), RungeKutta::TSIT5, T::one());
         let (mut at, mut rates) = tableau.room(n);
         let (mut candidate, mut last) = (room(T::zero(), n), room(T::zero(), n));
@@ -104,21 +104,21 @@ impl Adaptive {
 
 impl Integrator for Adaptive {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
-        let Stretch { h, x, u } = step;
+    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, step: StepInput<'_, T>, next: &mut [T]) {
+        let StepInput { h, x, u } = step;
         self.attempts(ode, h, x, u, next, |_, _| {});
     }
 
     #[inline(always)]
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
-        ode: &dyn ReverseOn<R, C>,
-        step: Stretch<'_, R>,
+        ode: &dyn DynOdeVjp<R, C>,
+        step: StepInput<'_, R>,
         next_bar: &[C],
         x_bar: &mut [C],
         mut u_bar: Option<&mut [C]>,
     ) {
-        let Stretch { h, x, u } = step;
+        let StepInput { h, x, u } = step;
         let n = x.len();
         let (mut states, mut steps): (Room<R>, Room<R>) = (Room::new(), Room::new());
         let mut next = room(R::zero(), n);
@@ -129,7 +129,7 @@ impl Integrator for Adaptive {
         let mut bar = room(C::null(), n);
         bar.copy_from_slice(next_bar);
         for (state, &step) in states.chunks_exact(n).zip(&steps).rev() {
-            RungeKutta::TSIT5.reverse(ode, Stretch { h: step, x: state, u }, &bar, x_bar, u_bar.as_deref_mut());
+            RungeKutta::TSIT5.reverse(ode, StepInput { h: step, x: state, u }, &bar, x_bar, u_bar.as_deref_mut());
             bar.copy_from_slice(x_bar);
         }
         x_bar.copy_from_slice(&bar);

@@ -1,8 +1,8 @@
 //! [`AnyIntegrator`]: an integrator chosen at run time.
 
-use super::{Adaptive, ImplicitMidpoint, Integrator, RungeKutta, SemiImplicit, Stretch, Verlet};
-use crate::dynamics::apart::apart;
-use crate::dynamics::ode::{Ode, RateOn, ReverseOn};
+use super::{Adaptive, ImplicitMidpoint, Integrator, RungeKutta, SemiImplicit, StepInput, Verlet};
+use crate::dynamics::ode::{DynOde, DynOdeVjp, Ode};
+use crate::dynamics::outline::outline;
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
@@ -67,12 +67,12 @@ impl<O: Ode> Ode for Apart<'_, O> {
 
     #[inline(always)]
     fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
-        apart::<T>(Rate { ode: self.0, x, u, rate });
+        outline::<T>(Rate { ode: self.0, x, u, rate });
     }
 
     #[inline(always)]
     fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
-        apart::<R>(RateBack { ode: self.0, x, u, rate_bar, x_bar, u_bar });
+        outline::<R>(RateBack { ode: self.0, x, u, rate_bar, x_bar, u_bar });
     }
 
     #[inline(always)]
@@ -84,8 +84,8 @@ impl<O: Ode> Ode for Apart<'_, O> {
 /// Outlined [`Integrator::advance`]: loops over samples would otherwise contain all methods.
 struct Advance<'a, I, T> {
     method: &'a I,
-    ode: &'a dyn RateOn<T>,
-    step: Stretch<'a, T>,
+    ode: &'a dyn DynOde<T>,
+    step: StepInput<'a, T>,
     next: &'a mut [T],
 }
 
@@ -99,8 +99,8 @@ impl<I: Integrator, T: Scalar> Vectorized for Advance<'_, I, T> {
 /// Outlined [`Integrator::reverse`].
 struct Reverse<'a, I, R, C> {
     method: &'a I,
-    ode: &'a dyn ReverseOn<R, C>,
-    step: Stretch<'a, R>,
+    ode: &'a dyn DynOdeVjp<R, C>,
+    step: StepInput<'a, R>,
     next_bar: &'a [C],
     x_bar: &'a mut [C],
     u_bar: Option<&'a mut [C]>,
@@ -116,17 +116,17 @@ impl<I: Integrator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, I, R, C
 
 impl Integrator for AnyIntegrator {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
+    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, step: StepInput<'_, T>, next: &mut [T]) {
         match self {
-            Self::RungeKutta(method) => apart::<T>(Advance { method, ode, step, next }),
-            Self::SemiImplicit(method) => apart::<T>(Advance { method, ode, step, next }),
-            Self::Verlet(method) => apart::<T>(Advance { method, ode, step, next }),
-            Self::Adaptive(method) => apart::<T>(Advance { method, ode, step, next }),
-            Self::ImplicitMidpoint(method) => apart::<T>(Advance { method, ode, step, next }),
+            Self::RungeKutta(method) => outline::<T>(Advance { method, ode, step, next }),
+            Self::SemiImplicit(method) => outline::<T>(Advance { method, ode, step, next }),
+            Self::Verlet(method) => outline::<T>(Advance { method, ode, step, next }),
+            Self::Adaptive(method) => outline::<T>(Advance { method, ode, step, next }),
+            Self::ImplicitMidpoint(method) => outline::<T>(Advance { method, ode, step, next }),
         }
     }
 
-    fn unsolved<F: Float>(&self, ode: &dyn RateOn<F>, step: Stretch<'_, F>) -> Option<f64> {
+    fn unsolved<F: Float>(&self, ode: &dyn DynOde<F>, step: StepInput<'_, F>) -> Option<f64> {
         match self {
             Self::ImplicitMidpoint(method) => method.unsolved(ode, step),
             _ => None,
@@ -136,18 +136,18 @@ impl Integrator for AnyIntegrator {
     #[inline(always)]
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
-        ode: &dyn ReverseOn<R, C>,
-        step: Stretch<'_, R>,
+        ode: &dyn DynOdeVjp<R, C>,
+        step: StepInput<'_, R>,
         next_bar: &[C],
         x_bar: &mut [C],
         u_bar: Option<&mut [C]>,
     ) {
         match self {
-            Self::RungeKutta(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
-            Self::SemiImplicit(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
-            Self::Verlet(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
-            Self::Adaptive(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
-            Self::ImplicitMidpoint(method) => apart::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
+            Self::RungeKutta(method) => outline::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
+            Self::SemiImplicit(method) => outline::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
+            Self::Verlet(method) => outline::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
+            Self::Adaptive(method) => outline::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
+            Self::ImplicitMidpoint(method) => outline::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
         }
     }
 }

@@ -1,11 +1,11 @@
 //! [`Discretized`]: a choice at run time between a system's own step and an integrator.
 
 use super::any::Apart;
-use super::{AnyIntegrator, Integrator, Stretch, room};
-use crate::dynamics::apart::{Reverse, ReverseToControl, Step, apart};
+use super::{AnyIntegrator, Integrator, StepInput, room};
 use crate::dynamics::cause::Cause;
-use crate::dynamics::effect::Around;
+use crate::dynamics::effect::HasModel;
 use crate::dynamics::ode::Ode;
+use crate::dynamics::outline::{Reverse, ReverseToControl, Step, outline};
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
@@ -33,24 +33,24 @@ impl<S: System + Ode> System for Discretized<S> {
     #[inline(always)]
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
         match &self.integrator {
-            None => apart::<T>(Step { system: &self.system, x, u, next }),
-            Some(integrator) => integrator.advance(&Apart(&self.system), Stretch { h: T::lift(self.dt), x, u }, next),
+            None => outline::<T>(Step { system: &self.system, x, u, next }),
+            Some(integrator) => integrator.advance(&Apart(&self.system), StepInput { h: T::lift(self.dt), x, u }, next),
         }
     }
 
-    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        let step = Stretch { h: F::lift(self.dt), x, u };
+    fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        let step = StepInput { h: F::lift(self.dt), x, u };
         let unsolved = self.integrator.as_ref().and_then(|integrator| integrator.unsolved(&Apart(&self.system), step));
-        System::cause(&self.system, x, u).or(unsolved.map(Cause::Unsolved))
+        System::diagnose(&self.system, x, u).or(unsolved.map(Cause::Unsolved))
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
         match &self.integrator {
-            None => apart::<R>(Reverse { system: &self.system, x, u, next_bar, x_bar, u_bar }),
+            None => outline::<R>(Reverse { system: &self.system, x, u, next_bar, x_bar, u_bar }),
             Some(integrator) => {
                 u_bar.fill(C::null());
-                integrator.reverse(&Apart(&self.system), Stretch { h: R::lift(self.dt), x, u }, next_bar, x_bar, Some(u_bar));
+                integrator.reverse(&Apart(&self.system), StepInput { h: R::lift(self.dt), x, u }, next_bar, x_bar, Some(u_bar));
             }
         }
     }
@@ -63,20 +63,20 @@ impl<S: System + Ode> System for Discretized<S> {
     #[inline(always)]
     fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
         if self.integrator.is_none() {
-            return apart::<R>(ReverseToControl { system: &self.system, x, u, next_bar, u_bar });
+            return outline::<R>(ReverseToControl { system: &self.system, x, u, next_bar, u_bar });
         }
         let mut x_bar = room(C::null(), x.len());
         self.vjp(x, u, next_bar, &mut x_bar, u_bar);
     }
 }
 
-impl<B, S: Ode + Around<B>> Around<B> for Discretized<S> {
+impl<B, S: Ode + HasModel<B>> HasModel<B> for Discretized<S> {
     #[inline(always)]
-    fn body(&self) -> &B {
-        self.system.body()
+    fn model(&self) -> &B {
+        self.system.model()
     }
 
-    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
-        self.system.start_beyond(rng, x);
+    fn start_extra(&self, rng: &mut Rng, x: &mut [f64]) {
+        self.system.start_extra(rng, x);
     }
 }

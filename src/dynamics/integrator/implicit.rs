@@ -1,7 +1,7 @@
 //! [`ImplicitMidpoint`]: the implicit midpoint rule.
 
-use super::{Integrator, Stretch, room};
-use crate::dynamics::ode::{RateOn, ReverseOn};
+use super::{Integrator, StepInput, room};
+use crate::dynamics::ode::{DynOde, DynOdeVjp};
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
 /// The implicit midpoint rule, `x' = x + h f((x + x')/2, u)`: order 2, symplectic, A-stable.
@@ -39,7 +39,7 @@ impl ImplicitMidpoint {
     ///
     /// The Jacobian affects the rate of convergence, not the solution.
     #[inline(always)]
-    fn differences<T: Scalar>(ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], matrix: &mut [T]) {
+    fn differences<T: Scalar>(ode: &dyn DynOde<T>, h: T, x: &[T], u: &[T], matrix: &mut [T]) {
         let n = x.len();
         let (mut at, mut before, mut after) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
         // Slices: indexing a `SmallVec` may compile to a call.
@@ -62,7 +62,7 @@ impl ImplicitMidpoint {
 
     /// Solves for the next state to `tolerance`. Writes NaN in lanes that do not converge.
     #[inline(always)]
-    fn solve<T: Scalar>(tolerance: f64, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
+    fn solve<T: Scalar>(tolerance: f64, ode: &dyn DynOde<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
         let to_go = Self::iterate(tolerance, ode, h, x, u, next);
         for next in next {
             *next = T::select_lt(T::zero(), to_go, T::lift(f64::NAN), *next);
@@ -71,7 +71,7 @@ impl ImplicitMidpoint {
 
     /// Simplified Newton iteration. Returns 0 in lanes that converged, else a positive number.
     #[inline(always)]
-    fn iterate<T: Scalar>(tolerance: f64, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], next: &mut [T]) -> T {
+    fn iterate<T: Scalar>(tolerance: f64, ode: &dyn DynOde<T>, h: T, x: &[T], u: &[T], next: &mut [T]) -> T {
         let n = x.len();
         let (mut middle, mut rate, mut residual) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
         let (middle, rate, residual) = (&mut middle[..], &mut rate[..], &mut residual[..]);
@@ -160,13 +160,13 @@ fn invert_one_minus<T: Scalar>(matrix: &mut [T], inverse: &mut [T], n: usize) {
 
 impl Integrator for ImplicitMidpoint {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
-        let Stretch { h, x, u } = step;
+    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, step: StepInput<'_, T>, next: &mut [T]) {
+        let StepInput { h, x, u } = step;
         Self::solve(self.tolerance, ode, h, x, u, next);
     }
 
-    fn unsolved<F: Float>(&self, ode: &dyn RateOn<F>, step: Stretch<'_, F>) -> Option<f64> {
-        let Stretch { h, x, u } = step;
+    fn unsolved<F: Float>(&self, ode: &dyn DynOde<F>, step: StepInput<'_, F>) -> Option<f64> {
+        let StepInput { h, x, u } = step;
         let (mut next, mut rate, mut middle) = (room(F::zero(), x.len()), room(F::zero(), x.len()), room(F::zero(), x.len()));
         let to_go = Self::iterate(self.tolerance, ode, h, x, u, &mut next);
         for i in 0..x.len() {
@@ -182,13 +182,13 @@ impl Integrator for ImplicitMidpoint {
     #[inline(always)]
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
-        ode: &dyn ReverseOn<R, C>,
-        step: Stretch<'_, R>,
+        ode: &dyn DynOdeVjp<R, C>,
+        step: StepInput<'_, R>,
         next_bar: &[C],
         x_bar: &mut [C],
         u_bar: Option<&mut [C]>,
     ) {
-        let Stretch { h, x, u } = step;
+        let StepInput { h, x, u } = step;
         let n = x.len();
         let mut middle = room(R::zero(), n);
         Self::solve(0.0, ode, h, x, u, &mut middle);

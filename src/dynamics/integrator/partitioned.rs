@@ -3,8 +3,8 @@
 //! A component is a position if [`Ode::velocity`](crate::Ode::velocity) returns its velocity. All
 //! other components are updated like velocities.
 
-use super::{Integrator, Stretch, room};
-use crate::dynamics::ode::{RateOn, ReverseOn};
+use super::{Integrator, StepInput, room};
+use crate::dynamics::ode::{DynOde, DynOdeVjp};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// Semi-implicit Euler: `v' = v + h a(q, v)`, then `q' = q + h v'`. Order 1, one evaluation.
@@ -16,8 +16,8 @@ pub struct SemiImplicit;
 
 impl Integrator for SemiImplicit {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
-        let Stretch { h, x, u } = step;
+    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, step: StepInput<'_, T>, next: &mut [T]) {
+        let StepInput { h, x, u } = step;
         let mut rate = room(T::zero(), x.len());
         ode.rate(x, u, &mut rate);
         for i in 0..x.len() {
@@ -35,13 +35,13 @@ impl Integrator for SemiImplicit {
     #[inline(always)]
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
-        ode: &dyn ReverseOn<R, C>,
-        step: Stretch<'_, R>,
+        ode: &dyn DynOdeVjp<R, C>,
+        step: StepInput<'_, R>,
         next_bar: &[C],
         x_bar: &mut [C],
         u_bar: Option<&mut [C]>,
     ) {
-        let Stretch { h, x, u } = step;
+        let StepInput { h, x, u } = step;
         x_bar.copy_from_slice(next_bar);
         for (i, &next_bar) in next_bar.iter().enumerate() {
             if let Some(velocity) = ode.velocity(i) {
@@ -74,7 +74,7 @@ pub struct Verlet;
 impl Verlet {
     /// Writes the argument of the second evaluation: the new positions and predicted velocities.
     #[inline(always)]
-    fn guess<T: Scalar>(ode: &dyn RateOn<T>, h: T, x: &[T], rate: &[T], guess: &mut [T]) {
+    fn guess<T: Scalar>(ode: &dyn DynOde<T>, h: T, x: &[T], rate: &[T], guess: &mut [T]) {
         let half_square = h * h * T::lift(0.5);
         for i in 0..x.len() {
             guess[i] = match ode.velocity(i) {
@@ -87,8 +87,8 @@ impl Verlet {
 
 impl Integrator for Verlet {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
-        let Stretch { h, x, u } = step;
+    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, step: StepInput<'_, T>, next: &mut [T]) {
+        let StepInput { h, x, u } = step;
         let (mut first, mut second) = (room(T::zero(), x.len()), room(T::zero(), x.len()));
         ode.rate(x, u, &mut first);
         Self::guess(ode, h, x, &first, next);
@@ -104,13 +104,13 @@ impl Integrator for Verlet {
     #[inline(always)]
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
-        ode: &dyn ReverseOn<R, C>,
-        step: Stretch<'_, R>,
+        ode: &dyn DynOdeVjp<R, C>,
+        step: StepInput<'_, R>,
         next_bar: &[C],
         x_bar: &mut [C],
         mut u_bar: Option<&mut [C]>,
     ) {
-        let Stretch { h, x, u } = step;
+        let StepInput { h, x, u } = step;
         let n = x.len();
         let (half, half_square) = (h * R::lift(0.5), h * h * R::lift(0.5));
         let (mut rate, mut guess) = (room(R::zero(), n), room(R::zero(), n));

@@ -1,7 +1,7 @@
 //! [`RungeKutta`]: explicit Runge–Kutta methods with one analytic reverse for all tableaus.
 
-use super::{Integrator, Room, Stretch, room};
-use crate::dynamics::ode::{RateOn, ReverseOn};
+use super::{Integrator, Room, StepInput, room};
+use crate::dynamics::ode::{DynOde, DynOdeVjp};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// Maximal number of stages of a tableau.
@@ -67,7 +67,7 @@ impl RungeKutta {
 
     /// Writes the argument of each stage to `at` and the rate there to `rates`, each stages × n.
     #[inline(always)]
-    pub(super) fn run<T: Scalar>(&self, ode: &dyn RateOn<T>, h: T, x: &[T], u: &[T], at: &mut [T], rates: &mut [T]) {
+    pub(super) fn run<T: Scalar>(&self, ode: &dyn DynOde<T>, h: T, x: &[T], u: &[T], at: &mut [T], rates: &mut [T]) {
         let n = x.len();
         for i in 0..self.0.stages {
             let at = &mut at[i * n..(i + 1) * n];
@@ -131,8 +131,8 @@ pub(super) fn add_scaled<T: Scalar>(y: &mut [T], factor: T, x: &[T]) {
 
 impl Integrator for RungeKutta {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn RateOn<T>, step: Stretch<'_, T>, next: &mut [T]) {
-        let Stretch { h, x, u } = step;
+    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, step: StepInput<'_, T>, next: &mut [T]) {
+        let StepInput { h, x, u } = step;
         let (mut at, mut rates) = self.room(x.len());
         self.run(ode, h, x, u, &mut at, &mut rates);
         next.copy_from_slice(x);
@@ -142,13 +142,13 @@ impl Integrator for RungeKutta {
     #[inline(always)]
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
-        ode: &dyn ReverseOn<R, C>,
-        step: Stretch<'_, R>,
+        ode: &dyn DynOdeVjp<R, C>,
+        step: StepInput<'_, R>,
         next_bar: &[C],
         x_bar: &mut [C],
         mut u_bar: Option<&mut [C]>,
     ) {
-        let Stretch { h, x, u } = step;
+        let StepInput { h, x, u } = step;
         let n = x.len();
         let (mut at, mut rates) = self.room(n);
         self.run(ode, h, x, u, &mut at, &mut rates);

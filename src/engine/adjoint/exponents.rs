@@ -7,8 +7,8 @@
 
 use super::Flow;
 use crate::engine::rollout::{Lane, WIDTH};
-use crate::numbers::scalar::{Columns, Float, Real};
-use crate::numbers::wide::{exponent_of, scaled};
+use crate::numbers::extended::{exponent_of, scaled};
+use crate::numbers::scalar::{CotangentPack, Float, Real};
 
 /// Exponents of one block of samples, for `K` flows.
 #[derive(Clone, Debug)]
@@ -16,12 +16,12 @@ pub(super) struct Exponents<F: Float, const K: usize> {
     /// Exponents, `[flow][lane]`: λ and h are the stored values times 2^exponent.
     pub(super) of: [[i32; WIDTH]; K],
     /// Factor of the cost gradients: `scale` of the pass times 2^-exponent.
-    pub(super) inject: Columns<Lane<F>, K>,
+    pub(super) inject: CotangentPack<Lane<F>, K>,
 }
 
 /// Range of sizes, `low` to `high`, that needs no rescaling.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Calm<F> {
+pub(super) struct Limits<F> {
     low: F,
     high: F,
 }
@@ -33,9 +33,9 @@ const fn reach<F: Float>() -> i32 {
     if F::EPSILON < 1e-10 { 300 } else { 60 }
 }
 
-impl<F: Float> Calm<F> {
+impl<F: Float> Limits<F> {
     pub(super) fn new() -> Self {
-        let power = |exponent: i32| F::lift(crate::numbers::wide::power_of_two(exponent));
+        let power = |exponent: i32| F::lift(crate::numbers::extended::power_of_two(exponent));
         Self { low: power(-reach::<F>()), high: power(reach::<F>()) }
     }
 
@@ -57,12 +57,12 @@ pub(super) enum Size {
 
 impl<F: Float, const K: usize> Exponents<F, K> {
     pub(super) fn new() -> Self {
-        Self { of: [[0; WIDTH]; K], inject: Columns([Lane::splat(F::zero()); K]) }
+        Self { of: [[0; WIDTH]; K], inject: CotangentPack([Lane::splat(F::zero()); K]) }
     }
 
     /// Sets all exponents to 0, for a pass with this `scale`.
     pub(super) fn reset(&mut self, scale: F) {
-        (self.of, self.inject) = ([[0; WIDTH]; K], Columns([Lane::splat(scale); K]));
+        (self.of, self.inject) = ([[0; WIDTH]; K], CotangentPack([Lane::splat(scale); K]));
     }
 
     /// Returns true if an exponent is not 0.
@@ -86,13 +86,13 @@ impl<F: Float, const K: usize> Exponents<F, K> {
     /// Rescales the cotangents of one sample and flow to a size of about 1, if needed.
     ///
     /// `lambda` and `u_bar` are λ and h of the block.
-    pub(super) fn settle(
+    pub(super) fn rescale(
         &mut self,
         flow: Flow,
         (k, lane): (usize, usize),
         scale: F,
-        lambda: &mut [Columns<Lane<F>, K>],
-        u_bar: &mut [Columns<Lane<F>, K>],
+        lambda: &mut [CotangentPack<Lane<F>, K>],
+        u_bar: &mut [CotangentPack<Lane<F>, K>],
     ) -> Size {
         // Sums in the order of the step, so the decision does not depend on other samples.
         let size = u_bar.iter().chain(&*lambda).fold(F::zero(), |size, bar| size + bar.0[k].lane(lane).abs());
@@ -101,7 +101,7 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         }
         // S carries nothing back, so it cannot explode or vanish.
         let carries = flow.physics || flow.control;
-        if !carries || Calm::new().holds(size, false) && size != F::zero() {
+        if !carries || Limits::new().holds(size, false) && size != F::zero() {
             return Size::Carried;
         }
         let own = self.of[k][lane];
@@ -117,7 +117,7 @@ impl<F: Float, const K: usize> Exponents<F, K> {
     /// Resets the exponent of one sample and flow to 0, if cost gradients may overflow beside it.
     ///
     /// λ may underflow to 0, which is negligible beside such cost gradients.
-    pub(super) fn lift(&mut self, (k, lane): (usize, usize), scale: F, lambda: &mut [Columns<Lane<F>, K>]) {
+    pub(super) fn lift(&mut self, (k, lane): (usize, usize), scale: F, lambda: &mut [CotangentPack<Lane<F>, K>]) {
         let own = self.of[k][lane];
         if own < -reach::<F>() {
             for bar in lambda {

@@ -3,8 +3,8 @@
 use super::{Flow, Pass};
 use crate::engine::gradient::Gradient;
 use crate::numbers::aligned::Aligned;
+use crate::numbers::extended::{exponent_of, scaled};
 use crate::numbers::scalar::Float;
-use crate::numbers::wide::{exponent_of, scaled};
 use crate::policy::AnyPolicy;
 use crate::policy::{PolicyColumns, PolicyPass, PolicyRecord};
 use std::ops::Range;
@@ -142,7 +142,7 @@ impl<F: Float> PolicyAdjoint<F> {
             if self.unit { (&self.ones, &self.tape_bar[0], Some(&h[..])) } else { (h, &self.tape_bar[k], None) };
         let weight = if one_exponent { plain_weight } else { Some(&self.weights[..]) };
         let record = PolicyRecord { tape, u_bar, tape_bar, weight };
-        match theta_bar.plain_sum() {
+        match theta_bar.unscaled_sum() {
             Some(sum) if one_exponent => policy.param_gradient(pass, record, &mut self.scratch, sum),
             _ => {
                 self.part.fill(F::zero());

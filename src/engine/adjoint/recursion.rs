@@ -7,8 +7,8 @@ use crate::engine::any::AnyTask;
 use crate::engine::divergence::{Divergence, Variable};
 use crate::engine::growth::Meter;
 use crate::engine::rollout::{Lane, Rollout, WIDTH, find_non_finite, gather};
-use crate::numbers::scalar::{Columns, Float, Real, Scalar};
-use crate::numbers::wide::times_power_of_two;
+use crate::numbers::extended::times_power_of_two;
+use crate::numbers::scalar::{CotangentPack, Float, Real, Scalar};
 use crate::numbers::zip::zip;
 use crate::policy::PolicyColumns;
 use std::ops::Range;
@@ -17,11 +17,11 @@ use std::ops::Range;
 #[derive(Debug)]
 pub struct Recursion<F: Float, const K: usize> {
     /// λ, `[block][component]`.
-    pub(super) lambda: Vec<Columns<Lane<F>, K>>,
+    pub(super) lambda: Vec<CotangentPack<Lane<F>, K>>,
     /// `(∂S/∂x)ᵀ λ`, before the flows select their paths.
-    pub(super) x_bar: Vec<Columns<Lane<F>, K>>,
+    pub(super) x_bar: Vec<CotangentPack<Lane<F>, K>>,
     /// h, `[block][component]`.
-    pub(super) u_bar: Vec<Columns<Lane<F>, K>>,
+    pub(super) u_bar: Vec<CotangentPack<Lane<F>, K>>,
     /// Cost gradients of one block.
     pub(super) cost_x: Vec<Lane<F>>,
     pub(super) cost_u: Vec<Lane<F>>,
@@ -39,7 +39,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     pub(super) fn new(rollout: &Rollout<F>) -> Self {
         let (n, m) = (rollout.state_dim, rollout.control_dim);
         let blocks = rollout.capacity().div_ceil(WIDTH);
-        let columns = |len: usize| vec![Columns([Lane::zero(); K]); len];
+        let columns = |len: usize| vec![CotangentPack([Lane::zero(); K]); len];
         let lanes = |len: usize| vec![Lane::zero(); len];
         Self {
             lambda: columns(blocks * n),
@@ -57,7 +57,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     /// Returns the [`stored_bytes`](Self::stored_bytes) for `n` state and `m` control components.
     pub(super) fn bytes_of(n: usize, m: usize, samples: usize) -> usize {
         let blocks = samples.div_ceil(WIDTH);
-        blocks * (2 * n + m) * size_of::<Columns<Lane<F>, K>>()
+        blocks * (2 * n + m) * size_of::<CotangentPack<Lane<F>, K>>()
             + (n + m) * size_of::<Lane<F>>()
             + blocks * size_of::<Exponents<F, K>>()
             + samples * size_of::<[(Meter, f64, i32); K]>()
@@ -81,7 +81,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         for (lambda, x) in zip(self.lambda.chunks_exact_mut(n), last.chunks_exact(n)) {
             task.terminal_cost_gradient(x, &mut self.cost_x);
             for (lambda, &x_bar) in zip(lambda.iter_mut(), &self.cost_x) {
-                *lambda = Columns([x_bar * Lane::splat(scale); K]);
+                *lambda = CotangentPack([x_bar * Lane::splat(scale); K]);
             }
         }
         self.note_norms(rollout, rollout.horizon, scale, norms);
@@ -114,8 +114,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                     self.measure_before(rollout, &mut costs);
                 }
             }
-            let calm = task.step_back(flows, rollout, t, self);
-            if !calm && self.settle(flows, rollout, scale) == Size::NotFinite {
+            let in_range = task.step_back(flows, rollout, t, self);
+            if !in_range && self.rescale(flows, rollout, scale) == Size::NotFinite {
                 return Err(self.divergence(pass.task, flows, rollout, t));
             }
             for (k, flow) in flows.into_iter().enumerate() {
@@ -139,15 +139,15 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         Ok(())
     }
 
-    /// Rescales cotangents outside the range of [`Calm`](super::exponents::Calm).
+    /// Rescales cotangents outside the range of [`Limits`](super::exponents::Limits).
     #[cold]
-    fn settle(&mut self, flows: [Flow; K], rollout: &Rollout<F>, scale: F) -> Size {
+    fn rescale(&mut self, flows: [Flow; K], rollout: &Rollout<F>, scale: F) -> Size {
         let (n, m) = (rollout.state_dim, rollout.control_dim);
         let blocks = zip(zip(self.lambda.chunks_exact_mut(n), self.u_bar.chunks_exact_mut(m)), &mut self.exponents);
         for ((lambda, u_bar), exponents) in blocks.take(rollout.samples.div_ceil(WIDTH)) {
             for (k, flow) in flows.into_iter().enumerate() {
                 for lane in 0..WIDTH {
-                    if exponents.settle(flow, (k, lane), scale, lambda, u_bar) == Size::NotFinite {
+                    if exponents.rescale(flow, (k, lane), scale, lambda, u_bar) == Size::NotFinite {
                         return Size::NotFinite;
                     }
                 }
@@ -186,7 +186,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             }
             let exponents = &self.exponents[block];
             for (k, (_, before, exponent)) in meters.iter_mut().enumerate() {
-                let sum = |(lambda, cost): (&Columns<Lane<F>, K>, &Lane<F>)| -> f64 {
+                let sum = |(lambda, cost): (&CotangentPack<Lane<F>, K>, &Lane<F>)| -> f64 {
                     (lambda.0[k].lane(lane) + cost.lane(lane) * exponents.inject.0[k].lane(lane)).as_()
                 };
                 let terms = zip(self.lambda[block * n..][..n].iter(), &self.cost_x).map(sum);
@@ -201,7 +201,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         for (sample, meters) in self.meters[..rollout.samples].iter_mut().enumerate() {
             let (block, lane) = (sample / WIDTH, sample % WIDTH);
             for (k, (meter, before, exponent)) in meters.iter_mut().enumerate() {
-                let of_lane = |lambda: &Columns<Lane<F>, K>| -> f64 { lambda.0[k].lane(lane).as_() };
+                let of_lane = |lambda: &CotangentPack<Lane<F>, K>| -> f64 { lambda.0[k].lane(lane).as_() };
                 let after = self.lambda[block * n..][..n].iter().map(of_lane).map(|x| x * x).sum();
                 meter.step(*before, after, self.exponents[block].of[k][lane] - *exponent);
             }
@@ -244,7 +244,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     /// Finds the first flow, and its first sample, with a non-finite state or control cotangent.
     #[cold]
     fn divergence(&self, task: &dyn AnyTask<F>, flows: [Flow; K], rollout: &Rollout<F>, step: usize) -> Divergence {
-        let find = |columns: &[Columns<Lane<F>, K>], n: usize, k: usize| {
+        let find = |columns: &[CotangentPack<Lane<F>, K>], n: usize, k: usize| {
             find_non_finite(columns, n, rollout.samples, |c, lane| c.0[k].lane(lane))
         };
         let state = |k: usize| find(&self.lambda, rollout.state_dim, k).map(|place| (k, Variable::State, place));
@@ -255,6 +255,6 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             lanes[sample / WIDTH * n..][..n].iter().map(|number| number.lane(sample % WIDTH)).collect()
         };
         let (x, u) = (of(rollout.states_at(step), rollout.state_dim), of(rollout.controls_at(step), rollout.control_dim));
-        Divergence::Cotangent { flow: flows[k], variable, step, sample, component, cause: task.cause(&x, &u) }
+        Divergence::Cotangent { flow: flows[k], variable, step, sample, component, cause: task.diagnose(&x, &u) }
     }
 }

@@ -1,13 +1,13 @@
 //! Reverse step of all samples.
 
 use super::Flow;
-use super::exponents::Calm;
+use super::exponents::Limits;
 use super::recursion::Recursion;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::rollout::{FEW, Lane, Rollout, WIDTH, read_lane};
 use crate::numbers::kernels::{Vectorized, dispatch_narrow, in_lanes};
-use crate::numbers::scalar::{Columns, Float, Real};
+use crate::numbers::scalar::{CotangentPack, Float, Real};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
@@ -22,9 +22,9 @@ pub trait StepBack<F: Float, const K: usize> {
 
 impl<T: Task, F: Float, const K: usize> StepBack<F, K> for T {
     fn step_back(&self, flows: [Flow; K], rollout: &Rollout<F>, t: usize, carried: &mut Recursion<F, K>) -> bool {
-        let mut calm = true;
-        dispatch_narrow(Back { task: self, flows, rollout, t, carried, calm: &mut calm });
-        calm
+        let mut in_range = true;
+        dispatch_narrow(Back { task: self, flows, rollout, t, carried, in_range: &mut in_range });
+        in_range
     }
 }
 
@@ -34,7 +34,7 @@ struct Back<'a, T, F: Float, const K: usize> {
     rollout: &'a Rollout<F>,
     t: usize,
     carried: &'a mut Recursion<F, K>,
-    calm: &'a mut bool,
+    in_range: &'a mut bool,
 }
 
 /// Inputs and outputs of the reverse step of one block of samples, or of one sample.
@@ -42,21 +42,21 @@ struct Block<'a, R, const K: usize> {
     x: &'a [R],
     next: &'a [R],
     u: &'a [R],
-    lambda: &'a mut [Columns<R, K>],
-    x_bar: &'a mut [Columns<R, K>],
-    u_bar: &'a mut [Columns<R, K>],
+    lambda: &'a mut [CotangentPack<R, K>],
+    x_bar: &'a mut [CotangentPack<R, K>],
+    u_bar: &'a mut [CotangentPack<R, K>],
     cost_x: &'a mut [R],
     cost_u: &'a mut [R],
-    inject: Columns<R, K>,
+    inject: CotangentPack<R, K>,
 }
 
 impl<R: Real, const K: usize> Block<'_, R, K> {
     /// Performs the reverse step. Returns Σ|λ| + Σ|h| per flow.
     #[inline(always)]
-    fn back<T: Task>(self, task: &T, flows: [Flow; K]) -> Columns<R, K> {
+    fn back<T: Task>(self, task: &T, flows: [Flow; K]) -> CotangentPack<R, K> {
         let Self { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject } = self;
         let system = task.system();
-        let mut size = Columns([R::zero(); K]);
+        let mut size = CotangentPack([R::zero(); K]);
         task.stage_cost_gradient(next, u, cost_x, cost_u);
         for (lambda, &cost) in zip(lambda.iter_mut(), &*cost_x) {
             *lambda += inject * cost;
@@ -87,8 +87,8 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
         let Self { task, flows, rollout, t, carried: r, .. } = self;
         let (n, m) = (rollout.state_dim, rollout.control_dim);
         let (states, next, controls) = (rollout.states_at(t), rollout.states_at(t + 1), rollout.controls_at(t));
-        let limits = Calm::new();
-        let mut calm = true;
+        let limits = Limits::new();
+        let mut in_range = true;
         for block in 0..states.len() / n {
             let (of_state, of_control) = (block * n..(block + 1) * n, block * m..(block + 1) * m);
             let back = Block {
@@ -105,16 +105,16 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
             let size = back.back(task, flows);
             for column in &size.0 {
                 for &size in &column.0 {
-                    calm &= limits.holds(size, r.scaled);
+                    in_range &= limits.holds(size, r.scaled);
                 }
             }
         }
-        *self.calm = calm;
+        *self.in_range = in_range;
     }
 
     fn one_by_one(self) {
-        let Self { task, flows, rollout, t, carried, calm } = self;
-        *calm = one_by_one(&|block, flow| back_alone(task, block, flow), flows, rollout, t, carried);
+        let Self { task, flows, rollout, t, carried, in_range } = self;
+        *in_range = one_by_one(&|block, flow| back_alone(task, block, flow), flows, rollout, t, carried);
     }
 }
 
@@ -140,15 +140,15 @@ fn one_by_one<F: Float, const K: usize>(
 ) -> bool {
     let (n, m) = (rollout.state_dim, rollout.control_dim);
     let mut numbers: SmallVec<[F; FEW]> = smallvec![F::zero(); 3 * n + 2 * m];
-    let mut columns: SmallVec<[Columns<F, 1>; FEW]> = smallvec![Columns([F::zero()]); 2 * n + m];
+    let mut columns: SmallVec<[CotangentPack<F, 1>; FEW]> = smallvec![CotangentPack([F::zero()]); 2 * n + m];
     let (x, rest) = numbers.split_at_mut(n);
     let (next, rest) = rest.split_at_mut(n);
     let (cost_x, rest) = rest.split_at_mut(n);
     let (u, cost_u) = rest.split_at_mut(m);
     let (lambda, rest) = columns.split_at_mut(n);
     let (x_bar, u_bar) = rest.split_at_mut(n);
-    let limits = Calm::new();
-    let mut calm = true;
+    let limits = Limits::new();
+    let mut in_range = true;
     for sample in 0..rollout.states_at(t).len() / n * WIDTH {
         let (block, lane) = (sample / WIDTH, sample % WIDTH);
         let (of_state, of_control) = (block * n..(block + 1) * n, block * m..(block + 1) * m);
@@ -157,19 +157,19 @@ fn one_by_one<F: Float, const K: usize>(
         read_lane(&rollout.controls_at(t)[of_control.clone()], lane, u);
         for (k, flow) in flows.into_iter().enumerate() {
             for (one, lanes) in zip(lambda.iter_mut(), &r.lambda[of_state.clone()]) {
-                *one = Columns([lanes.0[k].0[lane]]);
+                *one = CotangentPack([lanes.0[k].0[lane]]);
             }
-            let inject = Columns([r.exponents[block].inject.0[k].0[lane]]);
+            let inject = CotangentPack([r.exponents[block].inject.0[k].0[lane]]);
             let one = Block { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject };
-            calm &= limits.holds(alone(one, flow), r.scaled);
-            let write = |ones: &[Columns<F, 1>], lanes: &mut [Columns<Lane<F>, K>]| {
+            in_range &= limits.holds(alone(one, flow), r.scaled);
+            let write = |ones: &[CotangentPack<F, 1>], lanes: &mut [CotangentPack<Lane<F>, K>]| {
                 zip(ones, lanes).for_each(|(one, lanes)| lanes.0[k].0[lane] = one.0[0]);
             };
             write(lambda, &mut r.lambda[of_state.clone()]);
             write(u_bar, &mut r.u_bar[of_control.clone()]);
         }
     }
-    calm
+    in_range
 }
 
 impl<T: Task, F: Float, const K: usize> Vectorized for Back<'_, T, F, K> {

@@ -2,11 +2,11 @@
 //!
 //! Loops use indices: zipped iterators are not always vectorized.
 
-use super::{Level, Vectorized, dispatch};
+use super::{SimdLevel, Vectorized, dispatch};
 use crate::numbers::scalar::Float;
 
 /// `v ← tanh v` elementwise in the given columns.
-pub fn tanh<F: Float>(level: Level, values: &mut [F], columns: Strided) {
+pub fn tanh<F: Float>(level: SimdLevel, values: &mut [F], columns: Strided) {
     struct Work<'a, F>(&'a mut [F], Strided);
     impl<F: Float> Vectorized for Work<'_, F> {
         #[inline(always)]
@@ -22,7 +22,7 @@ pub fn tanh<F: Float>(level: Level, values: &mut [F], columns: Strided) {
 }
 
 /// `bar ← bar·(1 - h²)` elementwise: VJP of tanh, given its output `h`.
-pub fn tanh_bar<F: Float>(level: Level, h: &[F], bar: &mut [F], columns: Strided) {
+pub fn tanh_bar<F: Float>(level: SimdLevel, h: &[F], bar: &mut [F], columns: Strided) {
     struct Work<'a, F>(&'a [F], &'a mut [F], Strided);
     impl<F: Float> Vectorized for Work<'_, F> {
         #[inline(always)]
@@ -39,7 +39,7 @@ pub fn tanh_bar<F: Float>(level: Level, h: &[F], bar: &mut [F], columns: Strided
 }
 
 /// `to[:, c] = from[:, c]·weight[c]` for contiguous columns of `len` numbers.
-pub fn scale<F: Float>(level: Level, from: &[F], weight: &[F], len: usize, to: &mut [F]) {
+pub fn scale<F: Float>(level: SimdLevel, from: &[F], weight: &[F], len: usize, to: &mut [F]) {
     struct Work<'a, F>(&'a [F], &'a [F], usize, &'a mut [F]);
     impl<F: Float> Vectorized for Work<'_, F> {
         #[inline(always)]
@@ -57,7 +57,7 @@ pub fn scale<F: Float>(level: Level, from: &[F], weight: &[F], len: usize, to: &
 }
 
 /// `out[c·out_step + r] = row r · column c`. Rows and columns have equal length.
-pub fn dots<F: Float>(level: Level, a: &[F], rows: Strided, b: &[F], columns: Strided, out: &mut [F], out_step: usize) {
+pub fn dots<F: Float>(level: SimdLevel, a: &[F], rows: Strided, b: &[F], columns: Strided, out: &mut [F], out_step: usize) {
     struct Work<'a, F>(&'a [F], Strided, &'a [F], Strided, &'a mut [F], usize);
     impl<F: Float> Vectorized for Work<'_, F> {
         #[inline(always)]
@@ -120,7 +120,7 @@ impl Strided {
 }
 
 /// `(Σ a·b, Σ a², Σ b²)` in double precision, summed in an order independent of the processor.
-pub fn moments<F: Float>(level: Level, a: &[F], b: &[F]) -> (f64, f64, f64) {
+pub fn moments<F: Float>(level: SimdLevel, a: &[F], b: &[F]) -> (f64, f64, f64) {
     const WIDTH: usize = 16;
     struct Work<'a, F>(&'a [F], &'a [F], &'a mut [[f64; WIDTH]; 3]);
     impl<F: Float> Vectorized for Work<'_, F> {

@@ -191,7 +191,7 @@ macro_rules! gemm {
      [$s2:ident $l2:ident $st2:ident $f2:ident], [$s5:ident $l5:ident $st5:ident $f5:ident]) => {
         pub mod $module {
             use super::{Product, Register, panels};
-            use crate::numbers::kernels::Level;
+            use crate::numbers::kernels::SimdLevel;
             #[cfg(target_arch = "x86_64")]
             use std::arch::x86_64::*;
 
@@ -219,7 +219,7 @@ macro_rules! gemm {
             /// # Panics
             /// If the shapes do not fit the slices or the padding, or the processor does not
             /// support `level`.
-            pub fn product(level: Level, p: Product<'_, $float>) {
+            pub fn product(level: SimdLevel, p: Product<'_, $float>) {
                 p.check(PAD);
                 let level = level.checked();
                 #[cfg(target_arch = "x86_64")]
@@ -234,11 +234,11 @@ macro_rules! gemm {
                 }
                 match level {
                     // SAFETY: the shapes and the level are checked above.
-                    Level::Portable => unsafe { panels::<Array, 1, 4>(p) },
+                    SimdLevel::Portable => unsafe { panels::<Array, 1, 4>(p) },
                     #[cfg(target_arch = "x86_64")]
-                    Level::Avx2 => unsafe { avx2(p) },
+                    SimdLevel::Avx2 => unsafe { avx2(p) },
                     #[cfg(target_arch = "x86_64")]
-                    Level::Avx512 => unsafe { avx512(p) },
+                    SimdLevel::Avx512 => unsafe { avx512(p) },
                 }
             }
         }

@@ -7,7 +7,7 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 
 /// Number of operations of each kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counts {
+pub struct Ops {
     /// Additions and subtractions.
     pub add: u64,
     /// Negations.
@@ -27,10 +27,10 @@ pub struct Counts {
 }
 
 thread_local! {
-    static DONE: Cell<Counts> = const { Cell::new(Counts::NONE) };
+    static DONE: Cell<Ops> = const { Cell::new(Ops::NONE) };
 }
 
-impl Counts {
+impl Ops {
     const NONE: Self = Self { add: 0, negate: 0, multiply: 0, divide: 0, sqrt: 0, transcendental: 0, compare: 0 };
 
     /// Runs `work`; returns its operations on [`Counted`] numbers and its result.
@@ -78,28 +78,28 @@ impl Counts {
     }
 }
 
-impl Add for Counts {
+impl Add for Ops {
     type Output = Self;
     fn add(self, other: Self) -> Self {
         self.map2(other, |a, b| a + b)
     }
 }
 
-impl Sub for Counts {
+impl Sub for Ops {
     type Output = Self;
     fn sub(self, other: Self) -> Self {
         self.map2(other, |a, b| a - b)
     }
 }
 
-impl AddAssign for Counts {
+impl AddAssign for Ops {
     fn add_assign(&mut self, other: Self) {
         *self = *self + other;
     }
 }
 
 /// Lists the nonzero counts, for instance `3 add, 2 multiply`.
-impl fmt::Display for Counts {
+impl fmt::Display for Ops {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let some = self.each().into_iter().filter(|&(count, _)| count > 0);
         let words: Vec<String> = some.map(|(count, kind)| format!("{count} {kind}")).collect();
@@ -109,7 +109,7 @@ impl fmt::Display for Counts {
 
 /// An `f64` that counts its operations: a machine-independent cost of a step or a derivative.
 ///
-/// Values are bit-identical to `f64`. [`Counts`] defines the kinds of operations; [`Counts::of`]
+/// Values are bit-identical to `f64`. [`Ops`] defines the kinds of operations; [`Ops::of`]
 /// measures them. Constants ([`lift`](Scalar::lift)), copies, [`detach`](Scalar::detach) and
 /// arithmetic on `f64` parameters are not counted.
 ///
@@ -117,9 +117,9 @@ impl fmt::Display for Counts {
 /// tangents.
 ///
 /// ```
-/// use physgrad::{Counted, Counts, Scalar};
+/// use physgrad::{Counted, Ops, Scalar};
 ///
-/// let (counts, y) = Counts::of(|| Counted(2.0) * Counted(3.0) + Counted(0.5).sqrt());
+/// let (counts, y) = Ops::of(|| Counted(2.0) * Counted(3.0) + Counted(0.5).sqrt());
 /// assert_eq!(y, Counted(6.0 + 0.5_f64.sqrt()));
 /// assert_eq!(counts.to_string(), "1 add, 1 multiply, 1 sqrt");
 /// ```
@@ -134,7 +134,7 @@ macro_rules! operators {
             type Output = Self;
             #[inline(never)]
             fn $method(self, other: Self) -> Self {
-                Counts { $kind: 1, ..Counts::NONE }.note();
+                Ops { $kind: 1, ..Ops::NONE }.note();
                 Self(self.0.$method(other.0))
             }
         }
@@ -153,13 +153,13 @@ impl Neg for Counted {
     type Output = Self;
     #[inline(never)]
     fn neg(self) -> Self {
-        Counts { negate: 1, ..Counts::NONE }.note();
+        Ops { negate: 1, ..Ops::NONE }.note();
         Self(-self.0)
     }
 }
 
 /// Count of one transcendental function.
-const FUNCTION: Counts = Counts { transcendental: 1, ..Counts::NONE };
+const FUNCTION: Ops = Ops { transcendental: 1, ..Ops::NONE };
 
 impl Scalar for Counted {
     type Real = f64;
@@ -173,7 +173,7 @@ impl Scalar for Counted {
     }
     #[inline(never)]
     fn sqrt(self) -> Self {
-        Counts { sqrt: 1, ..Counts::NONE }.note();
+        Ops { sqrt: 1, ..Ops::NONE }.note();
         Self(Scalar::sqrt(self.0))
     }
     #[inline(never)]
@@ -204,17 +204,17 @@ impl Scalar for Counted {
     }
     #[inline(never)]
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
-        Counts { compare: 1, ..Counts::NONE }.note();
+        Ops { compare: 1, ..Ops::NONE }.note();
         if a.0 < b.0 { yes } else { no }
     }
     #[inline(never)]
     fn abs(self) -> Self {
-        Counts { compare: 1, negate: 1, ..Counts::NONE }.note();
+        Ops { compare: 1, negate: 1, ..Ops::NONE }.note();
         Self(self.0.abs())
     }
     #[inline(never)]
     fn any_lt(a: Self, b: Self) -> bool {
-        Counts { compare: 1, ..Counts::NONE }.note();
+        Ops { compare: 1, ..Ops::NONE }.note();
         a.0 < b.0
     }
 }

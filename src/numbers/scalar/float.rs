@@ -2,7 +2,7 @@
 
 use super::{Real, Scalar};
 use crate::numbers::kernels::gemm::{self, Product};
-use crate::numbers::kernels::{Level, tanh, trig};
+use crate::numbers::kernels::{SimdLevel, tanh, trig};
 use num_traits::AsPrimitive;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Display;
@@ -23,7 +23,7 @@ pub trait Float:
     const PAD: usize;
     /// Matrix product with the instruction set `level`.
     #[doc(hidden)]
-    fn product(level: Level, product: Product<'_, Self>);
+    fn product(level: SimdLevel, product: Product<'_, Self>);
     /// `a·b + c`, fused if `FMA`, which the caller sets where fused multiply-add is an instruction.
     #[doc(hidden)]
     fn plus_product<const FMA: bool>(c: Self, a: Self, b: Self) -> Self;
@@ -109,7 +109,7 @@ macro_rules! float {
             const PAD: usize = gemm::$gemm::PAD;
 
             #[inline]
-            fn product(level: Level, product: Product<'_, Self>) {
+            fn product(level: SimdLevel, product: Product<'_, Self>) {
                 gemm::$gemm::product(level, product);
             }
 

@@ -49,7 +49,7 @@ macro_rules! lanes {
 
         impl<F: Float> Scalar for Lanes<F, $width> {
             type Real = F;
-            const WIDE: bool = $width >= 8;
+            const VECTORIZED: bool = $width >= 8;
             #[inline(always)]
             fn lift(value: f64) -> Self {
                 Self([F::lift(value); $width])

@@ -1,7 +1,7 @@
 //! [`Layer`]: one convolution as matrix products on padded buffers.
 
 use super::KERNEL;
-use crate::numbers::kernels::Level;
+use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};
 use crate::numbers::kernels::gemm::Product;
 use crate::numbers::scalar::Float;
@@ -72,7 +72,15 @@ impl Layer {
     }
 
     /// Writes `tanh(W·windows)` and the constant ones; 0 at positions without a valid window.
-    pub fn convolve<F: Float>(&self, level: Level, width: usize, packed: &[F], input: &[F], output: &mut [F], columns: usize) {
+    pub fn convolve<F: Float>(
+        &self,
+        level: SimdLevel,
+        width: usize,
+        packed: &[F],
+        input: &[F],
+        output: &mut [F],
+        columns: usize,
+    ) {
         F::product(
             level,
             Product {
@@ -99,7 +107,15 @@ impl Layer {
     }
 
     /// Writes the cotangents of the windows of `columns` columns, `Wᵀ z_bar`.
-    pub fn windows_bar<F: Float>(&self, level: Level, width: usize, packed: &[F], bar: &[F], columns: usize, windows: &mut [F]) {
+    pub fn windows_bar<F: Float>(
+        &self,
+        level: SimdLevel,
+        width: usize,
+        packed: &[F],
+        bar: &[F],
+        columns: usize,
+        windows: &mut [F],
+    ) {
         F::product(
             level,
             Product {

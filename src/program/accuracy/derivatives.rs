@@ -2,11 +2,11 @@
 
 use super::gradients::at_chosen;
 use super::row::spread;
-use super::ways::{Derived, Way};
+use super::ways::{Derived, GradientMethod};
 use crate::program::settings::Precision;
 use std::fmt;
 
-impl fmt::Display for Way {
+impl fmt::Display for GradientMethod {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Forward => f.write_str("loss alone"),
@@ -34,7 +34,7 @@ fn compare(found: &[f64], right: &[f64]) -> (f64, f64) {
 
 /// Error and cost of one gradient method.
 pub struct Derivative {
-    pub way: Way,
+    pub way: GradientMethod,
     pub precision: Precision,
     /// Error relative to the double-double reference, or the message of a divergence.
     pub error: Result<f64, String>,
@@ -46,7 +46,7 @@ pub struct Derivative {
 
 impl Derivative {
     pub fn new(
-        way: Way,
+        way: GradientMethod,
         precision: Precision,
         derived: &Derived,
         times: Vec<f64>,

@@ -2,7 +2,7 @@
 
 use super::derivatives::{Checkpoint, Derivative, Horizon};
 use super::outputs::right_aligned;
-use super::ways::Way;
+use super::ways::GradientMethod;
 use crate::program::folder::Folder;
 use crate::program::settings::Precision;
 use anyhow::Result;
@@ -39,7 +39,7 @@ const ALONG: [&str; 6] = ["horizon", "length of R", "f32: error", "signs right",
 
 fn tables(style: TableStyle, ways: &[Derivative], kept: &[Checkpoint], along: &[Horizon]) -> [Table; 3] {
     let error = |row: &Derivative| match (&row.error, row.way) {
-        (_, Way::Forward) => "-".into(),
+        (_, GradientMethod::Forward) => "-".into(),
         (Ok(error), _) => small(*error),
         (Err(_), _) => "diverged".into(),
     };
@@ -49,9 +49,9 @@ fn tables(style: TableStyle, ways: &[Derivative], kept: &[Checkpoint], along: &[
             |row| [error(row), percent(row.signs), time(row.seconds), megabytes(row.bytes)],
         )
     };
-    let mut names: Vec<Way> = ways.iter().map(|row| row.way).collect();
+    let mut names: Vec<GradientMethod> = ways.iter().map(|row| row.way).collect();
     names.dedup();
-    let way = |way: &Way| {
+    let way = |way: &GradientMethod| {
         let of = |precision| one(ways.iter().find(|row| row.way == *way && row.precision == precision));
         let ([single, signs, single_time, single_bytes], [double, _, double_time, double_bytes]) =
             (of(Precision::F32), of(Precision::F64));
@@ -142,10 +142,10 @@ fn ways_csv(ways: &[Derivative]) -> Result<Vec<u8>> {
         ["way", "step", "precision", "diverged", "error", "signs_as_in_f64", "ms", "ms_lowest", "ms_highest", "peak_bytes"];
     let row = |row: &Derivative| {
         let (name, step) = match row.way {
-            Way::Central(step) => ("central differences".to_owned(), step.to_string()),
+            GradientMethod::Central(step) => ("central differences".to_owned(), step.to_string()),
             way => (way.to_string(), String::new()),
         };
-        let error = if row.way == Way::Forward { None } else { row.error.as_ref().ok().copied() };
+        let error = if row.way == GradientMethod::Forward { None } else { row.error.as_ref().ok().copied() };
         let head = [name, step, row.precision.name().into(), row.error.as_ref().err().cloned().unwrap_or_default()];
         let tail = [optional(error), optional(row.signs)].into_iter().chain(milliseconds(row.seconds));
         head.into_iter().chain(tail).chain([row.bytes.to_string()]).collect()
@@ -179,12 +179,12 @@ fn diagrams(name: &str, ways: &[Derivative], along: &[Horizon]) -> physgrad::rep
     let of = |precision: &'static str| ways.iter().filter(move |row| row.precision.name() == precision);
     let steps = colors.iter().flat_map(|&(precision, color)| {
         let central = of(precision).filter_map(|row| match row.way {
-            Way::Central(step) => Some((step, row.error.clone().ok()?)),
+            GradientMethod::Central(step) => Some((step, row.error.clone().ok()?)),
             _ => None,
         });
         let mut central: Vec<(f64, f64)> = central.collect();
         central.reverse();
-        let exact = of(precision).find(|row| matches!(row.way, Way::Reverse { field, .. } if field.letter() == "R"));
+        let exact = of(precision).find(|row| matches!(row.way, GradientMethod::Reverse { field, .. } if field.letter() == "R"));
         let error = exact.and_then(|row| row.error.clone().ok()).unwrap_or(f64::NAN);
         let line = central.iter().map(|&(step, _)| (step, error)).collect();
         [

@@ -3,7 +3,7 @@
 
 use super::derivatives::{Checkpoint, Derivative, Horizon};
 use super::gradient_outputs::write;
-use super::ways::{Derived, REFERENCES, Way, chosen};
+use super::ways::{Derived, GradientMethod, REFERENCES, chosen};
 use super::{Study, bar};
 use crate::program::folder::Folder;
 use crate::program::parallel;
@@ -12,7 +12,7 @@ use crate::program::settings::Precision;
 use crate::program::terminal::{say, tell};
 use anyhow::{Result, bail};
 use indicatif::ProgressBar;
-use physgrad::{Compose, Field, SignAgreement};
+use physgrad::{Field, GradientCombiner, SignAgreement};
 use toml::Value;
 
 /// Step sizes of central differences.
@@ -29,17 +29,19 @@ const BUDGET: u64 = 256_000_000;
 
 const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::F64];
 
-const fn reverse(field: Field, budget: Option<u64>) -> Way {
-    Way::Reverse { field, budget, nudged: false }
+const fn reverse(field: Field, budget: Option<u64>) -> GradientMethod {
+    GradientMethod::Reverse { field, budget, nudged: false }
 }
 
 /// Measures methods, budgets and horizons, and writes the results.
 pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize], quiet: bool) -> Result<()> {
     let fields = [Field::regular(), Field::modified(), Field::stopped(), Field::combined()];
     let exact = fields.map(|field| reverse(field, None));
-    let both = exact.into_iter().chain(STEPS.map(Way::Central)).flat_map(|way| PRECISIONS.map(|precision| (way, precision)));
-    let forward = PRECISIONS.map(|precision| (Way::Forward, precision));
-    let ways: Vec<(Way, Precision)> = forward.into_iter().chain(both).chain([(Way::Duals, Precision::F64)]).collect();
+    let both =
+        exact.into_iter().chain(STEPS.map(GradientMethod::Central)).flat_map(|way| PRECISIONS.map(|precision| (way, precision)));
+    let forward = PRECISIONS.map(|precision| (GradientMethod::Forward, precision));
+    let ways: Vec<(GradientMethod, Precision)> =
+        forward.into_iter().chain(both).chain([(GradientMethod::Duals, Precision::F64)]).collect();
 
     let bar = bar(ways.len() * (1 + ROUNDS) + REFERENCES + 3 * horizons.len() + PARTS.len(), quiet);
     if !quiet && bar.is_hidden() {
@@ -49,8 +51,8 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     let [r, m, s] = study.scene.refer(&|| bar.inc(1));
     let mut c = vec![0.0; r.len()];
     SignAgreement.compose(&m, &r, &mut c);
-    let right = |way: &Way| match way {
-        Way::Reverse { field, .. } => match field.letter() {
+    let right = |way: &GradientMethod| match way {
+        GradientMethod::Reverse { field, .. } => match field.letter() {
             "M" => &m,
             "S" => &s,
             "C" => &c,
@@ -86,7 +88,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
         .zip(&derived)
         .zip(times)
         .map(|(((way, precision), derived), times)| {
-            let full = if let Way::Reverse { field, .. } = way { full(*field) } else { None };
+            let full = if let GradientMethod::Reverse { field, .. } = way { full(*field) } else { None };
             Derivative::new(*way, *precision, derived, times, right(way), full)
         })
         .collect();
@@ -142,7 +144,7 @@ fn along(study: &Study, horizons: &[usize], bar: &ProgressBar) -> Result<Vec<Hor
     let runs = [(Precision::F32, false), (Precision::F64, false), (Precision::F64, true)];
     let jobs: Vec<(&Scene, (Precision, bool))> = scenes.iter().flat_map(|scene| runs.map(|run| (scene, run))).collect();
     let run = |(scene, (precision, nudged)): (&Scene, (Precision, bool))| {
-        let way = Way::Reverse { field: Field::regular(), budget: Some(BUDGET), nudged };
+        let way = GradientMethod::Reverse { field: Field::regular(), budget: Some(BUDGET), nudged };
         let gradient = scene.derive(precision, way).gradient;
         bar.inc(1);
         gradient

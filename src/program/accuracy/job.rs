@@ -5,7 +5,7 @@ use crate::program::settings::Precision;
 use physgrad::any::AnyTask;
 use physgrad::policy::AnyPolicy;
 use physgrad::rng::{Purpose, stream};
-use physgrad::{Adjoint, Cost, Counts, Float, Flow, Gradient, Policy, Rollout, Task, Weights};
+use physgrad::{Adjoint, Float, Flow, Gradient, OpCount, Ops, Policy, Rollout, Task, Weights};
 use std::time::Instant;
 
 /// Number of samples in the rollout: one full block of lanes.
@@ -63,7 +63,7 @@ impl Visit for Preparing {
     type Out = Job;
 
     fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Job {
-        let cost = Cost::of(task.system());
+        let cost = OpCount::of(task.system());
         match self.precision {
             Precision::F32 => prepare::<f32>(Box::new(task), Box::new(policy), cost, self.seed),
             Precision::F64 => prepare::<f64>(Box::new(task), Box::new(policy), cost, self.seed),
@@ -71,12 +71,12 @@ impl Visit for Preparing {
     }
 }
 
-fn sum(counts: Counts) -> u64 {
-    let Counts { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
+fn sum(counts: Ops) -> u64 {
+    let Ops { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
     add + negate + multiply + divide + sqrt + transcendental + compare
 }
 
-fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, cost: Cost, seed: u64) -> Job {
+fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, cost: OpCount, seed: u64) -> Job {
     let (n, horizon) = (task.state_dim(), task.horizon());
     let weights = Weights::<F>::init(&*policy, &mut stream(seed, Purpose::Policy, 0));
     let mut x = vec![0.0; SAMPLES * n];
@@ -101,7 +101,7 @@ fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, c
         let gradients = [0, 1].map(|k| {
             let mut theta_bar = Gradient::zeros(weights.theta().len());
             adjoint.param_gradient(k, &*policy, &weights, &rollout, 0..SAMPLES, &mut theta_bar);
-            theta_bar.plain().into_iter().map(|g| g.as_()).collect()
+            theta_bar.to_vec().into_iter().map(|g| g.as_()).collect()
         });
         let loss = (0..SAMPLES).map(|sample| rollout.cost(sample).as_()).sum::<f64>() / SAMPLES as f64;
         Found { states: (0..=horizon).flat_map(state).collect(), loss, gradients }

@@ -1,7 +1,7 @@
 //! One row of the results of `physgrad accuracy`.
 
 use super::job::{Found, Job};
-use crate::program::document::Document;
+use crate::program::document::SceneSource;
 use crate::program::kind::Conserved;
 use crate::program::scene::Scene;
 use crate::program::settings::Precision;
@@ -24,12 +24,12 @@ impl Setting {
     }
 
     /// Scene with this setting.
-    pub fn of(&self, document: &Document) -> Result<Scene> {
+    pub fn of(&self, document: &SceneSource) -> Result<Scene> {
         let mut document = document.clone();
         document.without_section("integrator");
         document.put("precision", Value::String(self.precision.name().into()), "accuracy")?;
         document.put("integrator.substeps", Value::Integer(self.substeps as i64), "accuracy")?;
-        if self.method != "own" {
+        if self.method != "native" {
             document.put("integrator.method", Value::String(self.method.into()), "accuracy")?;
         }
         document.scene()
@@ -38,7 +38,7 @@ impl Setting {
     /// Lines of a scene file that select this setting.
     pub fn lines(&self) -> String {
         let mut lines = format!("precision = \"{}\"\n\n[integrator]\n", self.precision.name());
-        if self.method != "own" {
+        if self.method != "native" {
             lines += &format!("method = \"{}\"\n", self.method);
         }
         lines + &format!("substeps = {}", self.substeps)

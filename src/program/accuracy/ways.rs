@@ -20,7 +20,7 @@ const ROUNDING: f64 = f64::EPSILON;
 
 /// Method of computing a gradient.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Way {
+pub enum GradientMethod {
     /// Loss without a gradient.
     Forward,
     /// Reverse pass.
@@ -85,7 +85,7 @@ fn inputs(task: &dyn AnyTask<f32>, policy: &dyn AnyPolicy<f32>, seed: u64) -> (V
 pub struct Deriving {
     pub precision: Precision,
     pub seed: u64,
-    pub way: Way,
+    pub way: GradientMethod,
 }
 
 impl Visit for Deriving {
@@ -117,25 +117,25 @@ fn derive<F: Float>(
     task: Arc<dyn AnyTask<F>>,
     policy: Arc<dyn AnyPolicy<F>>,
     (theta, mut starts): (Vec<f64>, Vec<f64>),
-    way: Way,
+    way: GradientMethod,
     slope: Slope,
 ) -> Derived {
     let count = theta.len();
-    if let Way::Reverse { nudged: true, .. } = way {
+    if let GradientMethod::Reverse { nudged: true, .. } = way {
         let nudged = |(i, x): (usize, &mut f64)| *x *= if i % 2 == 0 { 1.0 + ROUNDING } else { 1.0 - ROUNDING };
         starts.iter_mut().enumerate().for_each(nudged);
     }
     let lift = |numbers: &[f64]| numbers.iter().map(|&x| F::lift(x)).collect::<Vec<F>>();
     let (weights, lifted) = (Weights::new(&*policy, lift(&theta)), lift(&starts));
     match way {
-        Way::Reverse { field, budget, nudged: _ } => {
+        GradientMethod::Reverse { field, budget, nudged: _ } => {
             let (made, bytes) = peak_during(|| reverse(task, policy, weights, lifted, field, budget));
             match made {
                 Ok((gradient, run)) => Derived { gradient: Ok(gradient), bytes, rounds: 1.0, run },
                 Err(error) => Derived { gradient: Err(error), bytes, rounds: 1.0, run: Box::new(|| ()) },
             }
         }
-        Way::Forward => {
+        GradientMethod::Forward => {
             let (mut loss, bytes) = peak_during(|| {
                 let mut loss = losses(task, policy, lifted);
                 drop(loss(&weights));
@@ -143,7 +143,7 @@ fn derive<F: Float>(
             });
             Derived { gradient: Ok(Vec::new()), bytes, rounds: 1.0, run: Box::new(move || drop(loss(&weights))) }
         }
-        Way::Central(step) => {
+        GradientMethod::Central(step) => {
             let mut loss = None;
             let mut difference = move |i: usize| {
                 let loss = loss.get_or_insert_with(|| losses(task.clone(), policy.clone(), lifted.clone()));
@@ -160,7 +160,7 @@ fn derive<F: Float>(
             let (gradient, bytes) = peak_during(|| chosen(count).into_iter().map(&mut difference).collect());
             Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || drop::<Result<f64, String>>(difference(0))) }
         }
-        Way::Duals => {
+        GradientMethod::Duals => {
             let slope = move |i: usize| slope(&theta, &starts, i);
             let (gradient, bytes) = peak_during(|| chosen(count).into_iter().map(|i| Ok(slope(i))).collect());
             Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || _ = slope(0)) }
@@ -202,7 +202,7 @@ fn reverse<F: Float>(
         field.compose(batch.gradients(), &mut gradient);
         Ok(gradient)
     };
-    let gradient = run()?.plain().into_iter().map(|g| g.as_()).collect();
+    let gradient = run()?.to_vec().into_iter().map(|g| g.as_()).collect();
     Ok((gradient, Box::new(move || drop::<Result<Gradient<F>, String>>(run()))))
 }
 

@@ -4,7 +4,7 @@ use crate::program::allocations;
 use crate::program::kind::Visit;
 use crate::program::settings::Precision;
 use physgrad::rng::{Purpose, stream};
-use physgrad::{Adjoint, Cost, Divergence, Field, Float, Policy, Rollout, System, Task, Weights};
+use physgrad::{Adjoint, Divergence, Field, Float, OpCount, Policy, Rollout, System, Task, Weights};
 
 /// Number of samples in the measured rollout: one full block of lanes.
 pub const SAMPLES: usize = 8;
@@ -13,10 +13,10 @@ pub const SAMPLES: usize = 8;
 pub struct Costing;
 
 impl Visit for Costing {
-    type Out = Cost;
+    type Out = OpCount;
 
-    fn visit<T: Task, P: Policy>(self, task: T, _policy: P) -> Cost {
-        Cost::of(task.system())
+    fn visit<T: Task, P: Policy>(self, task: T, _policy: P) -> OpCount {
+        OpCount::of(task.system())
     }
 }
 

@@ -2,18 +2,18 @@
 
 use super::{Kind, Watched, numbers_of};
 use crate::program::animate::{self, Animate};
-use crate::program::changes::{Changes, resumed};
-use crate::program::document::Document;
+use crate::program::changes::{Overrides, resumed};
+use crate::program::document::SceneSource;
 use crate::program::folder::{CHECKPOINT, Folder, METRICS, SETTINGS};
 use crate::program::kind;
 use crate::program::presets;
 use crate::program::report::{self, Report};
-use crate::program::run::{self, Told, Watch};
+use crate::program::run::{self, EpochEvent, Observer};
 use crate::program::scene::{Scene, flat};
 use crate::program::settings::ACTUATORS;
 use anyhow::Result;
 use physgrad::rng::Rng;
-use physgrad::{Rule, Session, Trainer, Training, policy::Mlp, tasks::CartPole};
+use physgrad::{OptimizerKind, Session, Trainer, Training, policy::Mlp, tasks::CartPole};
 use rand::RngExt;
 use std::fs;
 use std::path::Path;
@@ -106,7 +106,7 @@ fn damage_bytes(rng: &mut Rng, bytes: &mut Vec<u8>) {
 fn is_scene(read: Result<Scene>) -> bool {
     match read {
         Ok(scene) => {
-            let again = Document::parse("a run", &scene.table.to_string()).and_then(|document| document.scene());
+            let again = SceneSource::parse("a run", &scene.table.to_string()).and_then(|document| document.scene());
             assert_eq!(again.expect("settings that are read back").identity(), scene.identity());
             true
         }
@@ -126,7 +126,7 @@ fn scene(number: u64, watched: &mut Watched) {
     }
     let text = String::from_utf8_lossy(&text).into_owned();
     watched.read(number, 1_000_000 + 200 * text.len(), || {
-        is_scene(Document::parse("a scene", &text).and_then(|document| document.scene()))
+        is_scene(SceneSource::parse("a scene", &text).and_then(|document| document.scene()))
     });
 }
 
@@ -169,9 +169,9 @@ fn assignments(number: u64, watched: &mut Watched) {
     let table: Table = text.parse().expect("TOML");
     let set: Vec<String> = (0..rng.random_range(1..4)).map(|_| assignment(rng, &table)).collect();
     let size = text.len() + set.iter().map(String::len).sum::<usize>();
-    let changes = Changes { set, ..Changes::default() };
+    let changes = Overrides { set, ..Overrides::default() };
     watched.read(number, 1_000_000 + 200 * size, || {
-        is_scene(Document::parse("a preset", text).and_then(|mut document| {
+        is_scene(SceneSource::parse("a preset", text).and_then(|mut document| {
             changes.apply(&mut document)?;
             document.scene()
         }))
@@ -180,15 +180,15 @@ fn assignments(number: u64, watched: &mut Watched) {
 
 type Small = Session<CartPole, Mlp, f32>;
 
-fn session(rule: Rule) -> Small {
+fn session(rule: OptimizerKind) -> Small {
     let task = CartPole { horizon: 3, ..CartPole::new(1) };
     let training = Training { rule, batch: 2, train_samples: 4, test_samples: 4, ..Training::default() };
     Trainer::new(task, Mlp::new([4, 8, 1])).training(training).session().expect("valid settings")
 }
 
 /// Checkpoints of sessions of every rule, after three epochs and within the fourth.
-static CHECKPOINTS: LazyLock<Vec<(Rule, Vec<u8>)>> = LazyLock::new(|| {
-    let rules = Rule::NAMES.map(|name| Rule::named(name).expect("a rule"));
+static CHECKPOINTS: LazyLock<Vec<(OptimizerKind, Vec<u8>)>> = LazyLock::new(|| {
+    let rules = OptimizerKind::NAMES.map(|name| OptimizerKind::named(name).expect("a rule"));
     let checkpoints = rules.into_iter().flat_map(|rule| {
         let mut session = session(rule);
         (0..3).for_each(|_| drop(session.epoch().expect("finite").clone()));
@@ -224,8 +224,8 @@ fn checkpoint(number: u64, watched: &mut Watched) {
 /// No observer.
 struct Unwatched;
 
-impl Watch for Unwatched {
-    fn epoch(&mut self, _told: Told) {}
+impl Observer for Unwatched {
+    fn epoch(&mut self, _told: EpochEvent) {}
 }
 
 /// A run folder of a scene that may be damaged, whose files may be: reported on, filmed and resumed.
@@ -247,12 +247,12 @@ fn made(rng: &mut Rng, path: &Path) -> Result<()> {
     for _ in 0..rng.random_range(0..3) {
         damage_text(rng, &mut text);
     }
-    let mut document = Document::parse("a scene", &String::from_utf8_lossy(&text))?;
+    let mut document = SceneSource::parse("a scene", &String::from_utf8_lossy(&text))?;
     let quantum = document.text("task") == Some("quantum");
     let sizes = ["horizon=3", "epochs=2", "training.batch=2", "training.train_samples=3", "training.test_samples=3"];
     let network: &[&str] = if quantum { &["policy.width=3", "system.grid=20"] } else { &["policy.widths=[4]"] };
     let set = sizes.iter().chain(network).map(ToString::to_string).collect();
-    Changes { set, ..Changes::default() }.apply(&mut document)?;
+    Overrides { set, ..Overrides::default() }.apply(&mut document)?;
     let scene = document.scene()?;
     let mut run = scene.open(1)?;
     // It may diverge, and is then as it was.
@@ -280,7 +280,7 @@ fn used(path: &Path) -> Result<()> {
     report::report(&Report { folder: path.to_owned(), quiet: true })?;
     animate::animate(&Animate { folder: path.to_owned(), sample: 0, quiet: true })?;
     let folder = Folder::existing(path)?.lock()?;
-    let scene = resumed(&folder, &Changes { epochs: Some(3), ..Changes::default() })?;
+    let scene = resumed(&folder, &Overrides { epochs: Some(3), ..Overrides::default() })?;
     let opened = scene.open(1)?;
     run::run(&folder, &scene, opened, true, Duration::from_secs(60), &mut Unwatched)?;
     Ok(())

@@ -1,14 +1,14 @@
 //! Cart-pole: settings, effects, limits and animation.
 
-use super::{Conserved, Info, Kind, MlpSettings, Network, Visit, named};
-use crate::program::problem::{Problem, count, exclusive, finite, not_negative, positive};
+use super::{Conserved, Info, MlpSettings, PolicySpec, TaskSpec, Visit, named};
+use crate::program::problem::{ConfigError, count, exclusive, finite, not_negative, positive};
 use crate::program::settings::{Method, Settings};
 use physgrad::report::{self, Animation, Rail};
 use physgrad::tasks::{
     self, Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, LossMode,
     PoleDamping, SteadyWind,
 };
-use physgrad::{Around, Named, System, With};
+use physgrad::{Forced, HasModel, Named, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -93,7 +93,7 @@ impl CartPoleEffects {
         steady.or(gusty)
     }
 
-    fn validate(&self) -> Result<(), Problem> {
+    fn validate(&self) -> Result<(), ConfigError> {
         if let Some(PoleDamping { damping }) = self.pole_damping {
             not_negative("effects.pole_damping.damping", damping)?;
         }
@@ -116,8 +116,8 @@ impl CartPoleEffects {
             not_negative("effects.gusty_wind.cart_drag", cart_drag)?;
             not_negative("effects.gusty_wind.pole_drag", pole_drag)?;
         }
-        if let Some(Bumpers { reach, stiffness, damping }) = self.bumpers {
-            positive("effects.bumpers.reach", reach)?;
+        if let Some(Bumpers { half_travel, stiffness, damping }) = self.bumpers {
+            positive("effects.bumpers.half_travel", half_travel)?;
             not_negative("effects.bumpers.stiffness", stiffness)?;
             not_negative("effects.bumpers.damping", damping)?;
         }
@@ -135,7 +135,7 @@ pub struct CartPoleLoss {
 }
 
 impl CartPoleSettings {
-    fn body(&self) -> CartPoleSystem {
+    fn parameters(&self) -> CartPoleSystem {
         let Self { model: _, poles, cart_mass, pole_mass, half_length, gravity, dt } = *self;
         CartPoleSystem { poles, cart_mass, pole_mass, half_length, gravity, dt }
     }
@@ -147,7 +147,7 @@ fn system_dt(settings: &Settings<CartPole>) -> f64 {
 }
 
 /// Calls the visitor with the swing-up task for this system.
-fn swing_up<S: Around<CartPoleSystem> + Clone + 'static, V: Visit>(
+fn swing_up<S: HasModel<CartPoleSystem> + Clone + 'static, V: Visit>(
     system: S,
     settings: &Settings<CartPole>,
     visitor: V,
@@ -163,16 +163,16 @@ fn listed<V: Visit>(
     settings: &Settings<CartPole>,
     visitor: V,
 ) -> V::Out {
-    let system = settings.integrator.around(With { system, effects }, system_dt(settings), settings.precision);
-    let system = settings.actuator.around(system, settings.system.dt);
+    let system = settings.integrator.discretize(Forced { system, effects }, system_dt(settings), settings.precision);
+    let system = settings.actuator.wrap(system, settings.system.dt);
     swing_up(system, settings, visitor)
 }
 
-impl Kind for CartPole {
+impl TaskSpec for CartPole {
     type System = CartPoleSettings;
     type Effects = CartPoleEffects;
     type Loss = CartPoleLoss;
-    type Network = MlpSettings;
+    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "cart_pole";
     const ABOUT: &'static str = "swing up any number of poles on one cart";
@@ -195,7 +195,7 @@ impl Kind for CartPole {
         },
         Info {
             name: "bumpers",
-            equation: "F = -stiffness δ max(0, 1 + damping dδ/dt), δ = max(0, |x| - reach), outwards",
+            equation: "F = -stiffness δ max(0, 1 + damping dδ/dt), δ = max(0, |x| - half_travel), outwards",
             derivative: "by hand; one-sided at the touch",
         },
     ];
@@ -205,7 +205,7 @@ impl Kind for CartPole {
         CartPoleSettings { model: Model::Uncoupled, poles: 2, cart_mass, pole_mass, half_length, gravity, dt }
     }
 
-    fn validate(settings: &Settings<Self>) -> Result<(), Problem> {
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
         let system = &settings.system;
         count("system.poles", system.poles, 1..=CartPoleSystem::MOST_POLES)?;
         positive("system.cart_mass", system.cart_mass)?;
@@ -213,13 +213,16 @@ impl Kind for CartPole {
         positive("system.half_length", system.half_length)?;
         positive("system.dt", system.dt)?;
         finite("system.gravity", system.gravity)?;
-        system.body().check().map_err(|error| Problem::new("system.cart_mass", format!("is {}: {error}", system.cart_mass)))?;
+        system
+            .parameters()
+            .check()
+            .map_err(|error| ConfigError::new("system.cart_mass", format!("is {}: {error}", system.cart_mass)))?;
         settings.effects.validate()
     }
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
         let effects = settings.effects.list();
-        let system = CartPoleSystem { dt: system_dt(settings), ..settings.system.body() };
+        let system = CartPoleSystem { dt: system_dt(settings), ..settings.system.parameters() };
         // Uses a separate type for the paper's system. Each further type would cost compile time.
         match settings.system.model {
             Model::Uncoupled if effects.is_empty() && settings.actuator.is_empty() && settings.integrator.is_empty() => {
@@ -231,7 +234,7 @@ impl Kind for CartPole {
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {
-        let modes = [(LossMode::Final, "final"), (LossMode::Continuous, "continuous")];
+        let modes = [(LossMode::Terminal, "terminal"), (LossMode::Running, "running")];
         let variant = |poles: usize, (mode, name): (LossMode, &str)| {
             let mut settings = Settings::<Self>::defaults();
             settings.system.poles = poles;
@@ -263,16 +266,16 @@ impl Kind for CartPole {
         // With several poles, only the exact equations conserve energy.
         let exact = matches!(settings.system.model, Model::Coupled) || settings.system.poles == 1;
         let free = settings.effects.list().is_empty() && settings.actuator.is_empty();
-        let system = CoupledCartPole(settings.system.body());
+        let system = CoupledCartPole(settings.system.parameters());
         (exact && free).then(|| Conserved { name: "energy", value: Box::new(move |x| system.energy(x)) })
     }
 
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
         let CartPoleSettings { half_length, dt, .. } = settings.system;
-        let own = System::state_dim(&settings.system.body());
-        let forces: Vec<f64> = settings.actuator.felt(dt, states, controls).iter().map(|u| u[0]).collect();
+        let own = System::state_dim(&settings.system.parameters());
+        let forces: Vec<f64> = settings.actuator.applied(dt, states, controls).iter().map(|u| u[0]).collect();
         let wind = states.iter().filter_map(|x| settings.effects.wind(&x[own..])).collect();
-        let rail = Rail { bumpers: settings.effects.bumpers.map(|bumpers| bumpers.reach), wind };
+        let rail = Rail { bumpers: settings.effects.bumpers.map(|bumpers| bumpers.half_travel), wind };
         let states: Vec<Vec<f64>> = states.iter().map(|x| x[..own].to_vec()).collect();
         report::cart_pole_on(&rail, &states, &forces, half_length, dt)
     }

@@ -1,11 +1,11 @@
 //! Guidance by repulsion: settings, effects, limits and animation.
 
-use super::{Info, Kind, MlpSettings, Network, Visit, named};
-use crate::program::problem::{Problem, allowed, count, finite, not_negative, positive};
+use super::{Info, MlpSettings, PolicySpec, TaskSpec, Visit, named};
+use crate::program::problem::{ConfigError, allowed, count, finite, not_negative, positive};
 use crate::program::settings::{Method, Settings};
 use physgrad::report::{self, Animation, Field};
 use physgrad::tasks::{self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles, Spread, Walls};
-use physgrad::{Around, Named, System, With};
+use physgrad::{Forced, HasModel, Named, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -87,7 +87,7 @@ impl GuidanceEffects {
         Field { obstacles: self.obstacles.as_ref().map_or_else(Vec::new, discs), walls }
     }
 
-    fn validate(&self) -> Result<(), Problem> {
+    fn validate(&self) -> Result<(), ConfigError> {
         if let Some(Friction { drivers, evaders }) = self.friction {
             not_negative("effects.friction.drivers", drivers)?;
             not_negative("effects.friction.evaders", evaders)?;
@@ -143,17 +143,17 @@ impl Default for GuidanceLoss {
 }
 
 /// Calls the visitor with the herding task for this system.
-fn herd<S: Around<GuidanceSystem> + Clone + 'static, V: Visit>(system: S, settings: &Settings<Guidance>, visitor: V) -> V::Out {
+fn herd<S: HasModel<GuidanceSystem> + Clone + 'static, V: Visit>(system: S, settings: &Settings<Guidance>, visitor: V) -> V::Out {
     let GuidanceLoss { mode: loss, regularization } = settings.loss;
     let task = tasks::Guidance { system, loss, regularization, horizon: settings.horizon };
     settings.policy.visit(task, visitor)
 }
 
-impl Kind for Guidance {
+impl TaskSpec for Guidance {
     type System = GuidanceSystem;
     type Effects = GuidanceEffects;
     type Loss = GuidanceLoss;
-    type Network = MlpSettings;
+    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "guidance";
     const ABOUT: &'static str = "drivers herd evaders, who flee from them, to the origin";
@@ -183,7 +183,7 @@ impl Kind for Guidance {
         GuidanceSystem::default()
     }
 
-    fn validate(settings: &Settings<Self>) -> Result<(), Problem> {
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
         let (system, price) = (&settings.system, settings.loss.regularization);
         count("system.drivers", system.drivers, 1..=1000)?;
         count("system.evaders", system.evaders, 1..=1000)?;
@@ -201,11 +201,11 @@ impl Kind for Guidance {
             && settings.integrator.is_empty()
             && let Some(effects) = settings.effects.only_of_the_paper()
         {
-            return herd(With { system, effects }, settings, visitor);
+            return herd(Forced { system, effects }, settings, visitor);
         }
         let effects = settings.effects.list();
-        let system = settings.integrator.around(With { system, effects }, dt, settings.precision);
-        herd(settings.actuator.around(system, settings.system.dt), settings, visitor)
+        let system = settings.integrator.discretize(Forced { system, effects }, dt, settings.precision);
+        herd(settings.actuator.wrap(system, settings.system.dt), settings, visitor)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {
@@ -216,8 +216,8 @@ impl Kind for Guidance {
             settings
         };
         vec![
-            ("1 driver, 1 evader, final loss".into(), variant(1, 1, LossMode::Final)),
-            ("2 drivers, 4 evaders, continuous loss".into(), variant(2, 4, LossMode::Continuous)),
+            ("1 driver, 1 evader, final loss".into(), variant(1, 1, LossMode::Terminal)),
+            ("2 drivers, 4 evaders, running loss".into(), variant(2, 4, LossMode::Running)),
         ]
     }
 

@@ -16,8 +16,8 @@ pub use pole_chain::PoleChain;
 pub use push::Push;
 pub use slider::Slider;
 
-use super::{Kind, MlpSettings, Network, Visit};
-use crate::program::problem::{Problem, not_negative};
+use super::{MlpSettings, PolicySpec, TaskSpec, Visit};
+use crate::program::problem::{ConfigError, not_negative};
 use crate::program::settings::Settings;
 use physgrad::tasks::{AnyHard, Hard, LossMode, Upright};
 use physgrad::{AnyIntegrator, Integrated, Ode, RungeKutta, Substeps};
@@ -31,14 +31,14 @@ use std::f64::consts::PI;
 pub struct Nothing {}
 
 /// Calls the visitor with the task, its substeps and its actuators.
-fn visit<K: Kind<Network = MlpSettings>, V: Visit>(settings: &Settings<K>, task: AnyHard, visitor: V) -> V::Out {
+fn visit<K: TaskSpec<PolicySpec = MlpSettings>, V: Visit>(settings: &Settings<K>, task: AnyHard, visitor: V) -> V::Out {
     let system = Substeps { system: task, count: settings.integrator.count() };
-    let system = settings.actuator.around(system, K::dt(settings));
+    let system = settings.actuator.wrap(system, K::dt(settings));
     settings.policy.visit(Hard { system }, visitor)
 }
 
 /// Time step of the physics: the control step divided by the number of substeps.
-fn small_step<K: Kind>(settings: &Settings<K>) -> f64 {
+fn small_step<K: TaskSpec>(settings: &Settings<K>) -> f64 {
     K::dt(settings) / settings.integrator.count() as f64
 }
 
@@ -53,9 +53,9 @@ fn names(names: &[&str]) -> Vec<String> {
 pub struct UprightLoss {
     /// States that enter the loss.
     mode: LossMode,
-    /// Weight of the control cost: adds the mean over time of `effort |u|²/2`; default 0.
+    /// Weight of the control cost: adds the mean over time of `control_weight |u|²/2`; default 0.
     #[serde(default)]
-    effort: f64,
+    control_weight: f64,
 }
 
 /// Distribution of initial states of swing-up and balancing tasks.
@@ -70,13 +70,13 @@ enum Start {
 
 /// Swing-up or balancing task with the chosen integrator, by default the classical Runge-Kutta
 /// method (RK4).
-fn upright<K: Kind<Loss = UprightLoss>, O: Ode>(
+fn upright<K: TaskSpec<Loss = UprightLoss>, O: Ode>(
     settings: &Settings<K>,
     ode: O,
     first_angle: usize,
     start: Start,
 ) -> Upright<Integrated<O, AnyIntegrator>> {
-    let UprightLoss { mode: loss, effort } = settings.loss;
+    let UprightLoss { mode: loss, control_weight } = settings.loss;
     let usual = AnyIntegrator::RungeKutta(RungeKutta::RK4);
     let integrator = settings.integrator.integrator(settings.precision).unwrap_or(usual);
     let system = Integrated { ode, integrator, dt: small_step(settings) };
@@ -84,9 +84,9 @@ fn upright<K: Kind<Loss = UprightLoss>, O: Ode>(
         Start::Hanging => (PI, PI / 6.0),
         Start::Upright => (0.0, 0.05),
     };
-    Upright { system, first_angle, from, spread, loss, effort, horizon: settings.horizon }
+    Upright { system, first_angle, from, spread, loss, control_weight, horizon: settings.horizon }
 }
 
-fn validate_upright<K: Kind<Loss = UprightLoss>>(settings: &Settings<K>) -> Result<(), Problem> {
-    not_negative("loss.effort", settings.loss.effort)
+fn validate_upright<K: TaskSpec<Loss = UprightLoss>>(settings: &Settings<K>) -> Result<(), ConfigError> {
+    not_negative("loss.control_weight", settings.loss.control_weight)
 }

@@ -1,18 +1,18 @@
 //! The `policy` section.
 
 use super::{Section, Visit};
-use crate::program::problem::{Problem, allowed};
+use crate::program::problem::{ConfigError, allowed};
 use physgrad::policy::Mlp;
 use physgrad::{Policy, System, Task};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The `policy` section of a task's settings.
-pub trait Network: Section + Default {
+pub trait PolicySpec: Section + Default {
     /// Policy built from these settings.
     type Policy: Policy + Clone + 'static;
     /// Checks the ranges of all settings.
-    fn validate(&self) -> Result<(), Problem>;
+    fn validate(&self) -> Result<(), ConfigError>;
     /// Builds the policy for these dimensions of state and control.
     fn build(&self, state_dim: usize, control_dim: usize) -> Self::Policy;
 
@@ -32,25 +32,25 @@ pub struct MlpSettings {
     /// Whether layers have a bias.
     bias: bool,
     /// Initialize the last kernel with zeros.
-    zero_last: bool,
+    zero_init_output: bool,
 }
 
 impl Default for MlpSettings {
     fn default() -> Self {
-        Self { widths: vec![100, 100], bias: true, zero_last: true }
+        Self { widths: vec![100, 100], bias: true, zero_init_output: true }
     }
 }
 
-impl Network for MlpSettings {
+impl PolicySpec for MlpSettings {
     type Policy = Mlp;
 
-    fn validate(&self) -> Result<(), Problem> {
+    fn validate(&self) -> Result<(), ConfigError> {
         let (found, most) = (self.widths.len(), 1000);
         allowed("policy.widths", format!("a list of {found}"), found <= most, format!("up to {most} layers"))?;
         match self.widths.iter().find(|w| !(1..=10_000).contains(*w)) {
             Some(width) => {
                 let what = format!("has {width}; allowed: 1 to 10000 each, or [] for a linear policy");
-                Err(Problem::new("policy.widths", what))
+                Err(ConfigError::new("policy.widths", what))
             }
             None => Ok(()),
         }
@@ -58,6 +58,6 @@ impl Network for MlpSettings {
 
     fn build(&self, state_dim: usize, control_dim: usize) -> Mlp {
         let widths = [&[state_dim], &self.widths[..], &[control_dim]].concat();
-        Mlp::new(widths).bias(self.bias).zero_last(self.zero_last)
+        Mlp::new(widths).bias(self.bias).zero_init_output(self.zero_init_output)
     }
 }

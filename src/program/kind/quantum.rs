@@ -1,7 +1,7 @@
 //! Quantum control: settings, effects, limits and animation.
 
-use super::{Conserved, Info, Kind, Network, Visit, named};
-use crate::program::problem::{Problem, allowed, count, exclusive, finite, not_negative, positive};
+use super::{Conserved, Info, PolicySpec, TaskSpec, Visit, named};
+use crate::program::problem::{ConfigError, allowed, count, exclusive, finite, not_negative, positive};
 use crate::program::settings::{Method, Settings};
 use physgrad::policy::Conv;
 use physgrad::report::{self, Animation, Landscape};
@@ -9,7 +9,7 @@ use physgrad::tasks::{
     self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode, Pade, QuantumEffect,
     QuantumScheme, QuantumSystem, Strang, Tabulated,
 };
-use physgrad::{Around, Named, Substeps, With};
+use physgrad::{Forced, HasModel, Named, Substeps};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -79,7 +79,7 @@ impl QuantumEffects {
         Landscape { potential, absorbing: self.absorbing_edges.map(|edges| edges.width) }
     }
 
-    fn validate(&self, length: f64) -> Result<(), Problem> {
+    fn validate(&self, length: f64) -> Result<(), ConfigError> {
         if let Some(Harmonic { stiffness, center }) = self.harmonic {
             finite("effects.harmonic.stiffness", stiffness)?;
             finite("effects.harmonic.center", center)?;
@@ -110,7 +110,7 @@ impl QuantumEffects {
 }
 
 /// Returns an error unless the value is positive and at most `limit`. `what` describes the limit.
-fn within(key: &str, value: f64, limit: f64, what: &str) -> Result<(), Problem> {
+fn within(key: &str, value: f64, limit: f64, what: &str) -> Result<(), ConfigError> {
     allowed(key, value, value > 0.0 && value <= limit, format!("more than 0, up to {limit}, {what}"))
 }
 
@@ -124,7 +124,7 @@ pub struct QuantumLoss {
 
 impl Default for QuantumLoss {
     fn default() -> Self {
-        Self { mode: LossMode::Continuous }
+        Self { mode: LossMode::Running }
     }
 }
 
@@ -135,39 +135,43 @@ pub struct ConvSettings {
     /// Number of filters of each convolution.
     width: usize,
     /// Initialize the last kernel with zeros.
-    zero_last: bool,
+    zero_init_output: bool,
 }
 
 impl Default for ConvSettings {
     fn default() -> Self {
-        Self { width: 60, zero_last: false }
+        Self { width: 60, zero_init_output: false }
     }
 }
 
-impl Network for ConvSettings {
+impl PolicySpec for ConvSettings {
     type Policy = Conv;
 
-    fn validate(&self) -> Result<(), Problem> {
+    fn validate(&self) -> Result<(), ConfigError> {
         count("policy.width", self.width, 1..=10_000)
     }
 
     fn build(&self, state_dim: usize, _control_dim: usize) -> Conv {
-        Conv::new(state_dim / 2, self.width).zero_last(self.zero_last)
+        Conv::new(state_dim / 2, self.width).zero_init_output(self.zero_init_output)
     }
 }
 
 /// Calls the visitor with the task of reaching the target eigenstate.
-fn reach<S: Around<QuantumSystem> + Clone + 'static, V: Visit>(system: S, settings: &Settings<Quantum>, visitor: V) -> V::Out {
+fn visit_task<S: HasModel<QuantumSystem> + Clone + 'static, V: Visit>(
+    system: S,
+    settings: &Settings<Quantum>,
+    visitor: V,
+) -> V::Out {
     let QuantumSettings { target, weighting, .. } = settings.system;
     let task = tasks::Quantum { system, target, loss: settings.loss.mode, horizon: settings.horizon, weighting };
     settings.policy.visit(task, visitor)
 }
 
-impl Kind for Quantum {
+impl TaskSpec for Quantum {
     type System = QuantumSettings;
     type Effects = QuantumEffects;
     type Loss = QuantumLoss;
-    type Network = ConvSettings;
+    type PolicySpec = ConvSettings;
 
     const NAME: &'static str = "quantum";
     const ABOUT: &'static str = "bring a particle in a box into an eigenstate by tilting the floor";
@@ -201,7 +205,7 @@ impl Kind for Quantum {
         QuantumSettings { grid, length, dt, control, target, weighting }
     }
 
-    fn validate(settings: &Settings<Self>) -> Result<(), Problem> {
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
         let QuantumSettings { grid, length, dt, target, weighting: [first, second], control: _ } = settings.system;
         // Two unpadded convolutions need at least seven points.
         count("system.grid", grid, 7..=100_000)?;
@@ -230,12 +234,12 @@ impl Kind for Quantum {
             Some(Method::Strang) => QuantumScheme::Strang(Strang::new(system)),
             _ => QuantumScheme::CrankNicolson(system),
         };
-        let system = Substeps { system: Absorbing::new(With { system: scheme, effects }, edges), count };
-        reach(settings.actuator.around(system, settings.system.dt), settings, visitor)
+        let system = Substeps { system: Absorbing::new(Forced { system: scheme, effects }, edges), count };
+        visit_task(settings.actuator.wrap(system, settings.system.dt), settings, visitor)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {
-        let modes = [(LossMode::Final, "final"), (LossMode::Continuous, "continuous")];
+        let modes = [(LossMode::Terminal, "terminal"), (LossMode::Running, "running")];
         let variant = |(mode, name)| {
             let settings = Settings { loss: QuantumLoss { mode }, horizon: 40, ..Settings::<Self>::defaults() };
             (format!("eigenstate 3, {name} loss"), settings)
@@ -266,7 +270,7 @@ impl Kind for Quantum {
 
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
         let system = settings.physics();
-        let tilts: Vec<f64> = settings.actuator.felt(system.dt, states, controls).iter().map(|u| u[0]).collect();
+        let tilts: Vec<f64> = settings.actuator.applied(system.dt, states, controls).iter().map(|u| u[0]).collect();
         let landscape = settings.effects.landscape(&system);
         let target: Vec<f64> = system.eigenstate(settings.system.target).collect();
         report::quantum_in(&landscape, states, &tilts, &target, system.length, system.dt)

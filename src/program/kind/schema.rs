@@ -1,6 +1,6 @@
 //! JSON schema of scenes, with one branch per task.
 
-use super::{AnyKind, KINDS};
+use super::{AnyTaskSpec, KINDS};
 use crate::program::settings::VERSION;
 use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, SchemaGenerator};
@@ -19,7 +19,7 @@ pub fn schema() -> Value {
 }
 
 /// Schema of the scenes of one task.
-pub fn of<S: JsonSchema>(kind: &dyn AnyKind) -> Value {
+pub fn of<S: JsonSchema>(kind: &dyn AnyTaskSpec) -> Value {
     // Inlines subschemas: sections of different tasks share type names but not contents.
     let settings = SchemaSettings::draft2020_12().with(|settings| settings.inline_subschemas = true);
     let mut schema = SchemaGenerator::new(settings).into_root_schema_for::<S>().to_value();

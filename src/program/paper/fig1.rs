@@ -7,7 +7,7 @@ use physgrad::Field;
 use physgrad::policy::Quadratic;
 use physgrad::report::{Map, Plane, maps};
 use physgrad::tasks::Reach;
-use physgrad::toy::{self, Sample};
+use physgrad::vector_field::{self, Sample};
 use std::fmt::Write;
 
 /// Both parameters range from `-REACH` to `REACH`.
@@ -51,10 +51,10 @@ struct Fields {
 
 impl Fields {
     fn sample(cells: usize) -> Result<Self> {
-        let (task, thetas) = (Reach::default(), toy::grid(REACH, cells));
+        let (task, thetas) = (Reach::default(), vector_field::grid(REACH, cells));
         Ok(Self {
-            regular: toy::sample(&task, &Quadratic, &Field::regular(), &thetas)?,
-            modified: toy::sample(&task, &Quadratic, &Field::modified(), &thetas)?,
+            regular: vector_field::sample(&task, &Quadratic, &Field::regular(), &thetas)?,
+            modified: vector_field::sample(&task, &Quadratic, &Field::modified(), &thetas)?,
         })
     }
 

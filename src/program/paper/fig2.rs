@@ -5,7 +5,7 @@ use anyhow::Result;
 use physgrad::policy::Constant;
 use physgrad::report::{Map, Plane, field_color, maps};
 use physgrad::tasks::Bowl;
-use physgrad::toy::{self, LEARNING_RATE, Rotated, START, Sample};
+use physgrad::vector_field::{self, LEARNING_RATE, Rotated, START, Sample};
 use std::fmt::Write;
 
 /// Both parameters range from `-REACH` to `REACH`.
@@ -23,15 +23,15 @@ pub fn fig2(quick: bool) -> Result<Made> {
     let (mut panels, mut runs) = (Vec::new(), Vec::new());
     let colors = [field_color("R"), field_color("M"), field_color("C")];
     for (i, (name, field)) in Rotated::figure().into_iter().enumerate() {
-        let path = toy::descend(&task, &policy, &field, START, LEARNING_RATE, ITERATIONS)?;
+        let path = vector_field::descend(&task, &policy, &field, START, LEARNING_RATE, ITERATIONS)?;
         for (iteration, s) in path.iter().enumerate() {
             csv.serialize((name, iteration, s.theta, s.loss))?;
         }
         let last = path[path.len() - 1];
         // The minimum is at the origin.
         let _ = writeln!(table, "| {name} | {:.1e} | {:.1e} |", last.loss, last.theta[0].hypot(last.theta[1]));
-        let lengths = toy::sample(&task, &policy, &field, &toy::grid(REACH, cells))?;
-        let directions = toy::sample(&task, &policy, &field, &toy::grid(REACH, arrows))?;
+        let lengths = vector_field::sample(&task, &policy, &field, &vector_field::grid(REACH, cells))?;
+        let directions = vector_field::sample(&task, &policy, &field, &vector_field::grid(REACH, arrows))?;
         panels.push(Map {
             title: format!("{} {name}", LETTERS[i]),
             values: lengths.iter().map(Sample::norm).collect(),

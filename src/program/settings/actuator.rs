@@ -1,7 +1,7 @@
 //! The `actuator` section.
 
 use crate::program::kind::Info;
-use crate::program::problem::{Problem, count, positive};
+use crate::program::problem::{ConfigError, count, positive};
 use physgrad::{Actuated, Actuator, AnyActuator, Delay, Lag, Limit, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -42,7 +42,7 @@ pub const ACTUATORS: [Info; 3] = [
 
 impl ActuatorSettings {
     /// What is out of range.
-    pub fn validate(&self) -> Result<(), Problem> {
+    pub fn validate(&self) -> Result<(), ConfigError> {
         if let Some(limit) = self.limit {
             positive("actuator.limit.bound", limit.bound)?;
         }
@@ -53,10 +53,10 @@ impl ActuatorSettings {
     }
 
     /// What adds to the state, where nothing may.
-    pub fn without_state(&self, because: &str) -> Result<(), Problem> {
+    pub fn without_state(&self, because: &str) -> Result<(), ConfigError> {
         let parts = [("delay", self.delay.is_some()), ("lag", self.lag.is_some())];
         match parts.into_iter().find(|(_, present)| *present) {
-            Some((name, _)) => Err(Problem::new(
+            Some((name, _)) => Err(ConfigError::new(
                 format!("actuator.{name}"),
                 format!("adds to the state, and {because}; allowed here: actuator.limit"),
             )),
@@ -70,19 +70,19 @@ impl ActuatorSettings {
     }
 
     /// A system with time steps of this length behind all of it.
-    pub fn around<S: System>(&self, system: S, dt: f64) -> Actuated<S, Vec<AnyActuator>> {
+    pub fn wrap<S: System>(&self, system: S, dt: f64) -> Actuated<S, Vec<AnyActuator>> {
         Actuated { system, actuator: self.chain(dt) }
     }
 
     /// What the physics got in place of the controls that were asked for in these states.
-    pub fn felt(&self, dt: f64, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    pub fn applied(&self, dt: f64, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>> {
         let chain = self.chain(dt);
         let step = |(state, asked): (&Vec<f64>, &Vec<f64>)| {
             // Its own state comes last.
             let own = &state[state.len() - chain.state_dim(asked.len())..];
-            let (mut own_next, mut felt) = (own.to_vec(), asked.clone());
-            chain.step(own, asked, &mut own_next, &mut felt);
-            felt
+            let (mut own_next, mut applied) = (own.to_vec(), asked.clone());
+            chain.step(own, asked, &mut own_next, &mut applied);
+            applied
         };
         states.iter().zip(controls).map(step).collect()
     }
@@ -105,7 +105,7 @@ impl ActuatorSettings {
     }
 
     /// The names of the controls that the physics gets, where they are not those that the policy asks for.
-    pub fn felt_names(&self, controls: &[String]) -> Vec<String> {
+    pub fn applied_names(&self, controls: &[String]) -> Vec<String> {
         controls.iter().filter(|_| !self.is_empty()).map(|control| format!("{control}_felt")).collect()
     }
 }
@@ -116,16 +116,16 @@ mod tests {
 
     #[test]
     fn what_is_felt_has_gone_through_all_of_it() {
-        let felt = |actuator: &str, state: &[f64]| {
+        let applied = |actuator: &str, state: &[f64]| {
             let actuator: ActuatorSettings = toml::from_str(actuator).expect("settings");
-            actuator.felt(0.05, &[state.to_vec()], &[vec![9.0]])[0][0]
+            actuator.applied(0.05, &[state.to_vec()], &[vec![9.0]])[0][0]
         };
         // The body's own state comes first, then the control under way and the one that lags behind.
         let share = 1.0 - (-0.5f64).exp();
         let all = "limit = { bound = 2.0, kind = 'hard' }\ndelay = { steps = 1 }\nlag = { time = 0.1 }";
-        assert!((felt(all, &[7.0, 3.0, 1.0]) - (1.0 + 2.0 * share)).abs() < 1e-12);
-        assert_eq!(felt("limit = { bound = 2.0, kind = 'hard' }", &[7.0]), 2.0);
-        assert_eq!(felt("delay = { steps = 2 }", &[7.0, 3.0, 4.0]), 3.0);
-        assert_eq!(felt("", &[7.0]), 9.0);
+        assert!((applied(all, &[7.0, 3.0, 1.0]) - (1.0 + 2.0 * share)).abs() < 1e-12);
+        assert_eq!(applied("limit = { bound = 2.0, kind = 'hard' }", &[7.0]), 2.0);
+        assert_eq!(applied("delay = { steps = 2 }", &[7.0, 3.0, 4.0]), 3.0);
+        assert_eq!(applied("", &[7.0]), 9.0);
     }
 }

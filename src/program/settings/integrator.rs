@@ -1,6 +1,6 @@
 //! The `integrator` section.
 
-use crate::program::problem::{Problem, allowed, count, positive};
+use crate::program::problem::{ConfigError, allowed, count, positive};
 use crate::program::settings::Precision;
 use physgrad::{Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Ode, RungeKutta, SemiImplicit, Substeps, System, Verlet};
 use schemars::JsonSchema;
@@ -88,7 +88,7 @@ impl Method {
 
 impl IntegratorSettings {
     /// What is out of range, what nothing reads, and a method that is not of the task.
-    pub fn validate(&self, precision: Precision, methods: &[Method]) -> Result<(), Problem> {
+    pub fn validate(&self, precision: Precision, methods: &[Method]) -> Result<(), ConfigError> {
         if let Some(method) = self.method
             && !methods.contains(&method)
         {
@@ -101,7 +101,7 @@ impl IntegratorSettings {
         let of = |key: &str, value: Option<f64>, method: Method| match value {
             Some(value) if self.method != Some(method) => {
                 let because = format!("`integrator.method` is not {}", method.name());
-                Err(Problem::unread(&format!("integrator.{key}"), value, &because))
+                Err(ConfigError::unread(&format!("integrator.{key}"), value, &because))
             }
             Some(value) => positive(&format!("integrator.{key}"), value),
             None => Ok(()),
@@ -152,7 +152,7 @@ impl IntegratorSettings {
     }
 
     /// A system whose own step has the length `dt`, as it is to be integrated.
-    pub fn around<S: System + Ode>(&self, system: S, dt: f64, precision: Precision) -> Substeps<Discretized<S>> {
+    pub fn discretize<S: System + Ode>(&self, system: S, dt: f64, precision: Precision) -> Substeps<Discretized<S>> {
         Substeps { system: Discretized { system, integrator: self.integrator(precision), dt }, count: self.count() }
     }
 }

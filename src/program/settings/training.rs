@@ -1,8 +1,8 @@
 //! The `training` section.
 
 use super::{ClipName, OptimizerName};
-use crate::program::problem::{Problem, allowed, count, positive};
-use physgrad::{Clip, Rule, Training};
+use crate::program::problem::{ConfigError, allowed, count, positive};
+use physgrad::{Clip, OptimizerKind, Training};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -62,7 +62,7 @@ impl TrainingSettings {
     }
 
     /// What is out of range, and what nothing reads.
-    pub fn validate(&self) -> Result<(), Problem> {
+    pub fn validate(&self) -> Result<(), ConfigError> {
         count("training.batch", self.batch, 1..=1_000_000)?;
         count("training.train_samples", self.train_samples, 1..=1_000_000)?;
         count("training.test_samples", self.test_samples, 1..=1_000_000)?;
@@ -74,7 +74,7 @@ impl TrainingSettings {
         }
         match (self.clip, self.clip_limit) {
             (_, None) => Ok(()),
-            (ClipName::None, Some(limit)) => Err(Problem::unread("training.clip_limit", limit, "`training.clip` is none")),
+            (ClipName::None, Some(limit)) => Err(ConfigError::unread("training.clip_limit", limit, "`training.clip` is none")),
             (_, Some(limit)) => positive("training.clip_limit", limit),
         }
     }
@@ -101,7 +101,7 @@ impl TrainingSettings {
             test_samples: self.test_samples,
             seed,
             shuffle: self.shuffle,
-            rule: Rule::named(rule).expect("every name is a rule"),
+            rule: OptimizerKind::named(rule).expect("every name is a rule"),
             learning_rate: self.learning_rate,
             clip: match (self.clip, self.clip_limit) {
                 (ClipName::Value, Some(limit)) => Clip::Value(limit),

@@ -6,7 +6,7 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
 /// Springs at both ends of the rail that push a cart back, and never pull it. At the right end, with the depth
-/// `δ = max(0, x - reach)`, and likewise at the left:
+/// `δ = max(0, x - half_travel)`, and likewise at the left:
 ///
 /// ```text
 /// F = -stiffness δ max(0, 1 + damping ẋ)
@@ -19,8 +19,8 @@ use serde::{Deserialize, Serialize};
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Bumpers {
-    /// Where the cart touches them: `|x| = reach`, m, positive.
-    pub reach: f64,
+    /// Where the cart touches them: `|x| = half_travel`, m, positive.
+    pub half_travel: f64,
     /// N/m, not negative.
     pub stiffness: f64,
     /// s/m, not negative: 0 gives all energy back.
@@ -29,20 +29,20 @@ pub struct Bumpers {
 
 impl Default for Bumpers {
     fn default() -> Self {
-        Self { reach: 2.4, stiffness: 1000.0, damping: 0.5 }
+        Self { half_travel: 2.4, stiffness: 1000.0, damping: 0.5 }
     }
 }
 
 impl Effect<CartPoleSystem> for Bumpers {
     #[inline(always)]
-    fn act<T: Scalar>(&self, _body: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
         let stiffness = T::lift(self.stiffness);
         let (right, left) = self.sides(x).into();
         forces[0] += stiffness * (left.depth * left.factor - right.depth * right.factor);
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         let (zero, stiffness, damping) = (R::zero(), R::lift(self.stiffness), R::lift(self.damping));
         // Both sides push the harder, the deeper and the faster, outwards: the same sign for both.
         let (mut by_x, mut by_speed) = (zero, zero);
@@ -67,8 +67,8 @@ impl Bumpers {
     /// The right side and the left.
     #[inline(always)]
     fn sides<T: Scalar>(&self, x: &[T]) -> [Side<T>; 2] {
-        let (zero, reach, damping) = (T::zero(), T::lift(self.reach), T::lift(self.damping));
-        let side = |x: T, speed: T| Side { depth: (x - reach).max(zero), factor: (T::one() + damping * speed).max(zero) };
+        let (zero, half_travel, damping) = (T::zero(), T::lift(self.half_travel), T::lift(self.damping));
+        let side = |x: T, speed: T| Side { depth: (x - half_travel).max(zero), factor: (T::one() + damping * speed).max(zero) };
         [side(x[0], x[1]), side(-x[0], -x[1])]
     }
 }

@@ -2,8 +2,8 @@
 
 use super::motion::{moved, moved_bar, rate_of, rate_of_bar, velocity_of};
 use super::system::{CartPoleSystem, Forces, PerPole};
-use crate::dynamics::effect::{Effect, Host, system_without_effects};
-use crate::dynamics::ode::Flowing;
+use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
+use crate::dynamics::ode::ForcedOde;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 
@@ -51,27 +51,27 @@ impl CoupledCartPole {
 
     #[inline(always)]
     fn constants<T: Scalar>(&self) -> Constants<T> {
-        let body = &self.0;
-        let moment = body.moment();
+        let model = &self.0;
+        let moment = model.moment();
         Constants {
-            dt: T::lift(body.dt),
+            dt: T::lift(model.dt),
             moment: T::lift(moment),
-            weight: T::lift(moment * body.gravity),
-            mass: T::lift(body.cart_mass + body.poles as f64 * body.pole_mass),
-            per_inertia: T::lift(1.0 / (4.0 / 3.0 * moment * body.half_length)),
+            weight: T::lift(moment * model.gravity),
+            mass: T::lift(model.cart_mass + model.poles as f64 * model.pole_mass),
+            per_inertia: T::lift(1.0 / (4.0 / 3.0 * moment * model.half_length)),
         }
     }
 }
 
-impl Host for CoupledCartPole {
-    type Body = CartPoleSystem;
+impl ForcedSystem for CoupledCartPole {
+    type Model = CartPoleSystem;
 
-    fn body(&self) -> &CartPoleSystem {
+    fn model(&self) -> &CartPoleSystem {
         &self.0
     }
 
     fn state_dim(&self) -> usize {
-        Host::state_dim(&self.0)
+        ForcedSystem::state_dim(&self.0)
     }
 
     fn control_dim(&self) -> usize {
@@ -87,7 +87,7 @@ impl Host for CoupledCartPole {
     }
 
     #[inline(always)]
-    fn step_with<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+    fn forced_step<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let k = self.constants::<T>();
         let a = self.accelerate(&k, effects, x, u, &mut next[2..], moved(k.dt));
         next[1] = x[1] + k.dt * a;
@@ -196,15 +196,15 @@ impl CoupledCartPole {
     }
 }
 
-impl Flowing for CoupledCartPole {
+impl ForcedOde for CoupledCartPole {
     #[inline(always)]
-    fn rate_with<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
+    fn forced_rate<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
         rate[1] = self.accelerate(&self.constants::<T>(), effects, x, u, &mut rate[2..], rate_of);
         rate[0] = x[1];
     }
 
     #[inline(always)]
-    fn rate_reverse<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
+    fn forced_rate_vjp<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
         x: &[R],

@@ -1,8 +1,8 @@
 //! A model of poles on a cart, chosen while the program runs.
 
 use super::{CartPoleSystem, CoupledCartPole};
-use crate::dynamics::effect::{Effect, Host, system_without_effects};
-use crate::dynamics::ode::Flowing;
+use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
+use crate::dynamics::ode::ForcedOde;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// Either model. The numbers are those of the model by itself, bit for bit.
@@ -14,18 +14,18 @@ pub enum CartPoleModel {
     Coupled(CoupledCartPole),
 }
 
-impl Host for CartPoleModel {
-    type Body = CartPoleSystem;
+impl ForcedSystem for CartPoleModel {
+    type Model = CartPoleSystem;
 
     #[inline(always)]
-    fn body(&self) -> &CartPoleSystem {
+    fn model(&self) -> &CartPoleSystem {
         match self {
             Self::Uncoupled(system) | Self::Coupled(CoupledCartPole(system)) => system,
         }
     }
 
     fn state_dim(&self) -> usize {
-        Host::state_dim(self.body())
+        ForcedSystem::state_dim(self.model())
     }
 
     fn control_dim(&self) -> usize {
@@ -33,18 +33,18 @@ impl Host for CartPoleModel {
     }
 
     fn force_dim(&self) -> usize {
-        1 + self.body().poles
+        1 + self.model().poles
     }
 
     fn dt(&self) -> f64 {
-        self.body().dt
+        self.model().dt
     }
 
     #[inline(always)]
-    fn step_with<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+    fn forced_step<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         match self {
-            Self::Uncoupled(host) => host.step_with(effects, x, u, next),
-            Self::Coupled(host) => host.step_with(effects, x, u, next),
+            Self::Uncoupled(host) => host.forced_step(effects, x, u, next),
+            Self::Coupled(host) => host.forced_step(effects, x, u, next),
         }
     }
 
@@ -65,17 +65,17 @@ impl Host for CartPoleModel {
     }
 }
 
-impl Flowing for CartPoleModel {
+impl ForcedOde for CartPoleModel {
     #[inline(always)]
-    fn rate_with<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
+    fn forced_rate<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
         match self {
-            Self::Uncoupled(host) => host.rate_with(effects, x, u, rate),
-            Self::Coupled(host) => host.rate_with(effects, x, u, rate),
+            Self::Uncoupled(host) => host.forced_rate(effects, x, u, rate),
+            Self::Coupled(host) => host.forced_rate(effects, x, u, rate),
         }
     }
 
     #[inline(always)]
-    fn rate_reverse<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
+    fn forced_rate_vjp<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
         x: &[R],
@@ -85,13 +85,13 @@ impl Flowing for CartPoleModel {
         u_bar: Option<&mut [C]>,
     ) {
         match self {
-            Self::Uncoupled(host) => host.rate_reverse(effects, x, u, rate_bar, x_bar, u_bar),
-            Self::Coupled(host) => host.rate_reverse(effects, x, u, rate_bar, x_bar, u_bar),
+            Self::Uncoupled(host) => host.forced_rate_vjp(effects, x, u, rate_bar, x_bar, u_bar),
+            Self::Coupled(host) => host.forced_rate_vjp(effects, x, u, rate_bar, x_bar, u_bar),
         }
     }
 
     fn velocity_of(&self, i: usize) -> Option<usize> {
-        self.body().velocity_of(i)
+        self.model().velocity_of(i)
     }
 }
 

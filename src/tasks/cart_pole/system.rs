@@ -1,8 +1,8 @@
 //! Poles on a cart that do not act on each other: the authors' model.
 
 use super::motion::{moved, moved_bar, rate_of, rate_of_bar, velocity_of};
-use crate::dynamics::effect::{Effect, Host, system_without_effects};
-use crate::dynamics::ode::Flowing;
+use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
+use crate::dynamics::ode::ForcedOde;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use arrayvec::ArrayVec;
@@ -135,10 +135,10 @@ impl CartPoleSystem {
     }
 }
 
-impl Host for CartPoleSystem {
-    type Body = Self;
+impl ForcedSystem for CartPoleSystem {
+    type Model = Self;
 
-    fn body(&self) -> &Self {
+    fn model(&self) -> &Self {
         self
     }
 
@@ -159,7 +159,7 @@ impl Host for CartPoleSystem {
     }
 
     #[inline(always)]
-    fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let k = self.constants::<T>();
         let push = self.accelerate(&k, effects, x, u, &mut next[2..], moved(k.dt));
         next[1] = x[1] + k.dt * push * k.per_mass;
@@ -248,7 +248,7 @@ impl CartPoleSystem {
         }
         let force = if E::LOCAL { effects.act_at(self, x, 0, u[0]) } else { forces[0] };
 
-        let (mut force_bar, effects_read) = (push_bar, x_bar.is_some() && effects.reads_state());
+        let (mut force_bar, effects_read) = (push_bar, x_bar.is_some() && effects.state_dependent());
         if effects_read && !E::LOCAL {
             forces_bar.push(push_bar);
         }
@@ -292,16 +292,16 @@ impl CartPoleSystem {
     }
 }
 
-impl Flowing for CartPoleSystem {
+impl ForcedOde for CartPoleSystem {
     #[inline(always)]
-    fn rate_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
+    fn forced_rate<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
         let k = self.constants::<T>();
         rate[1] = self.accelerate(&k, effects, x, u, &mut rate[2..], rate_of) * k.per_mass;
         rate[0] = x[1];
     }
 
     #[inline(always)]
-    fn rate_reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
+    fn forced_rate_vjp<E: Effect<Self>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
         x: &[R],

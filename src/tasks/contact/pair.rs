@@ -10,8 +10,8 @@ use rand::RngExt;
 /// The physics: two bodies on a line without friction, of which the first is pushed. State `[p, q, ṗ, q̇]`, the places of
 /// their middles in m, `q` to the right of `p`, and their speeds in m/s; control `[push N]`, on the first, to the right.
 ///
-/// They touch where `q - p = reach`; then what [`Contact`] says. With equal masses they are two balls, with
-/// a restitution of 0 a pusher and a box. The gap `g = q - p - reach` is all that contacts know of, and the center of mass
+/// They touch where `q - p = contact_distance`; then what [`Contact`] says. With equal masses they are two balls, with
+/// a restitution of 0 a pusher and a box. The gap `g = q - p - contact_distance` is all that contacts know of, and the center of mass
 /// knows nothing of them:
 ///
 /// ```text
@@ -22,7 +22,7 @@ pub struct TwoBodies {
     /// `[m₁, m₂]`, kg, positive.
     pub masses: [f64; 2],
     /// The distance of their middles when they touch, m.
-    pub reach: f64,
+    pub contact_distance: f64,
     /// What they do then.
     pub contact: Contact,
     /// Time step, s.
@@ -32,7 +32,7 @@ pub struct TwoBodies {
 impl TwoBodies {
     /// Two equal balls of 1 kg and a radius of 5 cm, elastic.
     pub fn balls() -> Self {
-        Self { masses: [1.0, 1.0], reach: 0.1, contact: Contact::TimeOfImpact { restitution: 1.0 }, dt: 0.01 }
+        Self { masses: [1.0, 1.0], contact_distance: 0.1, contact: Contact::TimeOfImpact { restitution: 1.0 }, dt: 0.01 }
     }
 
     /// A pusher of 1 kg and a box of 2 kg, which stay together once they touch, until the pusher is pulled back.
@@ -56,7 +56,7 @@ impl System for TwoBodies {
         let total = first + second;
         let (dt, push) = (T::lift(self.dt), u[0] * T::lift(1.0 / first));
 
-        let gap = Gap { width: x[1] - x[0] - T::lift(self.reach), speed: x[3] - x[2] };
+        let gap = Gap { width: x[1] - x[0] - T::lift(self.contact_distance), speed: x[3] - x[2] };
         let (free, after) = (gap.free(-push, dt), self.contact.advance(gap, -push, first * second / total, self.dt));
         // What the contact has made of it falls to the two by the other's mass, so that their center does not move.
         let (wider, faster) = (after.width - free.width, after.speed - free.speed);
@@ -100,7 +100,7 @@ impl Task for Push {
     fn start(&self, rng: &mut Rng, x: &mut [f64]) {
         x.fill(0.0);
         x[1] = -rng.random_range(0.5..1.5);
-        x[0] = x[1] - self.system.reach - rng.random_range(0.1..0.3);
+        x[0] = x[1] - self.system.contact_distance - rng.random_range(0.1..0.3);
     }
 
     #[inline(always)]

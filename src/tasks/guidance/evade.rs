@@ -36,12 +36,12 @@ impl Evade {
 
 impl Effect<GuidanceSystem> for Evade {
     #[inline(always)]
-    fn act<T: Scalar>(&self, body: &GuidanceSystem, x: &[T], forces: &mut [T]) {
-        from_to(body, self.law(), body.all_drivers(), body.all_evaders(), x, forces);
+    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, x: &[T], forces: &mut [T]) {
+        from_to(model, self.law(), model.all_drivers(), model.all_evaders(), x, forces);
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &GuidanceSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        from_to_vjp(body, self.law(), body.all_drivers(), body.all_evaders(), x, forces_bar, x_bar);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &GuidanceSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        from_to_vjp(model, self.law(), model.all_drivers(), model.all_evaders(), x, forces_bar, x_bar);
     }
 }

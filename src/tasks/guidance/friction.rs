@@ -29,9 +29,9 @@ impl Default for Friction {
 
 impl Effect<GuidanceSystem> for Friction {
     #[inline(always)]
-    fn act<T: Scalar>(&self, body: &GuidanceSystem, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, x: &[T], forces: &mut [T]) {
         let (forces, agents) = (forces.as_chunks_mut::<2>().0, x.as_chunks::<AGENT>().0);
-        for (friction, range) in [(self.drivers, body.all_drivers()), (self.evaders, body.all_evaders())] {
+        for (friction, range) in [(self.drivers, model.all_drivers()), (self.evaders, model.all_evaders())] {
             let friction = T::lift(friction);
             for (force, agent) in zip(forces[range.clone()].iter_mut(), &agents[range]) {
                 force[0] -= friction * agent[2];
@@ -41,9 +41,9 @@ impl Effect<GuidanceSystem> for Friction {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &GuidanceSystem, _x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &GuidanceSystem, _x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         let (forces_bar, bars) = (forces_bar.as_chunks::<2>().0, x_bar.as_chunks_mut::<AGENT>().0);
-        for (friction, range) in [(self.drivers, body.all_drivers()), (self.evaders, body.all_evaders())] {
+        for (friction, range) in [(self.drivers, model.all_drivers()), (self.evaders, model.all_evaders())] {
             let friction = R::lift(friction);
             for (force_bar, bar) in zip(forces_bar[range.clone()].iter(), &mut bars[range]) {
                 bar[2] -= force_bar[0] * friction;

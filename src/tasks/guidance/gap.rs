@@ -1,7 +1,7 @@
 //! Central forces, at any distance.
 
+use crate::numbers::extended::power_of_two;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
-use crate::numbers::wide::power_of_two;
 
 /// A central force `(far / d + near / d²) r`; positive pushes apart.
 #[derive(Clone, Copy)]

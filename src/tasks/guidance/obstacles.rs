@@ -48,12 +48,12 @@ fn way<T: Scalar>(agent: &[T], center: [f64; 2]) -> [T; 2] {
 
 impl Effect<GuidanceSystem> for Obstacles {
     #[inline(always)]
-    fn act<T: Scalar>(&self, body: &GuidanceSystem, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, x: &[T], forces: &mut [T]) {
         let stiffness = T::lift(self.stiffness);
         for (force, agent) in zip(forces.chunks_exact_mut(2), x.chunks_exact(AGENT)) {
             for &center in &self.centers {
                 let r = way(agent, center);
-                let push = stiffness * Gap::new(r, body.softening).depth_share(self.radius);
+                let push = stiffness * Gap::new(r, model.softening).depth_share(self.radius);
                 force[0] += push * r[0];
                 force[1] += push * r[1];
             }
@@ -61,13 +61,13 @@ impl Effect<GuidanceSystem> for Obstacles {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &GuidanceSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &GuidanceSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         let agents = zip(x.chunks_exact(AGENT), x_bar.chunks_exact_mut(AGENT));
         for (force_bar, (agent, x_bar)) in zip(forces_bar.chunks_exact(2), agents) {
             let force_bar = [force_bar[0], force_bar[1]];
             for &center in &self.centers {
-                let gap = Gap::new(way(agent, center), body.softening);
-                let [by_x, by_y] = gap.depth_vjp(self.radius, body.softening, self.stiffness, force_bar);
+                let gap = Gap::new(way(agent, center), model.softening);
+                let [by_x, by_y] = gap.depth_vjp(self.radius, model.softening, self.stiffness, force_bar);
                 x_bar[0] += by_x;
                 x_bar[1] += by_y;
             }

@@ -12,32 +12,32 @@ use std::ops::Range;
 
 /// The separation of agent `b` from agent `a`.
 #[inline(always)]
-fn gap<T: Scalar>(body: &GuidanceSystem, a: &[T; AGENT], b: &[T; AGENT]) -> Gap<T> {
-    Gap::new([b[0] - a[0], b[1] - a[1]], body.softening)
+fn gap<T: Scalar>(model: &GuidanceSystem, a: &[T; AGENT], b: &[T; AGENT]) -> Gap<T> {
+    Gap::new([b[0] - a[0], b[1] - a[1]], model.softening)
 }
 
 /// Every two of the `agents` act on each other.
 #[inline(always)]
-pub(super) fn among<T: Scalar>(body: &GuidanceSystem, law: Law, agents: Range<usize>, x: &[T], forces: &mut [T]) {
+pub(super) fn among<T: Scalar>(model: &GuidanceSystem, law: Law, agents: Range<usize>, x: &[T], forces: &mut [T]) {
     let (x, forces) = (&x.as_chunks().0[agents.clone()], &mut forces.as_chunks_mut::<2>().0[agents]);
     for (b, at) in x.iter().enumerate() {
         let (before, own) = forces.split_at_mut(b);
-        let mut felt = own[0];
+        let mut force_sum = own[0];
         for (a, reaction) in zip(x.iter(), before) {
-            let [along_x, along_y] = gap(body, a, at).force(law);
-            felt[0] += along_x;
-            felt[1] += along_y;
+            let [along_x, along_y] = gap(model, a, at).force(law);
+            force_sum[0] += along_x;
+            force_sum[1] += along_y;
             reaction[0] -= along_x;
             reaction[1] -= along_y;
         }
-        own[0] = felt;
+        own[0] = force_sum;
     }
 }
 
 /// The reverse of [`among`].
 #[inline(always)]
 pub(super) fn among_vjp<R: Real, C: Cotangent<R>>(
-    body: &GuidanceSystem,
+    model: &GuidanceSystem,
     law: Law,
     agents: Range<usize>,
     x: &[R],
@@ -51,7 +51,7 @@ pub(super) fn among_vjp<R: Real, C: Cotangent<R>>(
         let mut own_bar = [own[0][0], own[0][1]];
         for ((a, reaction_bar), a_bar) in zip(zip(x.iter(), forces_bar), before) {
             let bar = [force_bar[0] - reaction_bar[0], force_bar[1] - reaction_bar[1]];
-            let [bar_x, bar_y] = gap(body, a, at).force_vjp(law, bar);
+            let [bar_x, bar_y] = gap(model, a, at).force_vjp(law, bar);
             own_bar[0] += bar_x;
             own_bar[1] += bar_y;
             a_bar[0] -= bar_x;
@@ -64,7 +64,7 @@ pub(super) fn among_vjp<R: Real, C: Cotangent<R>>(
 /// Each of the `sources` acts on each of the `agents`, and feels no reaction.
 #[inline(always)]
 pub(super) fn from_to<T: Scalar>(
-    body: &GuidanceSystem,
+    model: &GuidanceSystem,
     law: Law,
     sources: Range<usize>,
     agents: Range<usize>,
@@ -73,20 +73,20 @@ pub(super) fn from_to<T: Scalar>(
 ) {
     let (x, forces) = (x.as_chunks().0, &mut forces.as_chunks_mut::<2>().0[agents.clone()]);
     for (at, force) in zip(x[agents].iter(), forces) {
-        let mut felt = *force;
+        let mut force_sum = *force;
         for source in &x[sources.clone()] {
-            let [along_x, along_y] = gap(body, source, at).force(law);
-            felt[0] += along_x;
-            felt[1] += along_y;
+            let [along_x, along_y] = gap(model, source, at).force(law);
+            force_sum[0] += along_x;
+            force_sum[1] += along_y;
         }
-        *force = felt;
+        *force = force_sum;
     }
 }
 
 /// The reverse of [`from_to`].
 #[inline(always)]
 pub(super) fn from_to_vjp<R: Real, C: Cotangent<R>>(
-    body: &GuidanceSystem,
+    model: &GuidanceSystem,
     law: Law,
     sources: Range<usize>,
     agents: Range<usize>,
@@ -98,7 +98,7 @@ pub(super) fn from_to_vjp<R: Real, C: Cotangent<R>>(
     for b in agents {
         let mut own_bar = [x_bar[b][0], x_bar[b][1]];
         for (source, source_bar) in zip(x[sources.clone()].iter(), &mut x_bar[sources.clone()]) {
-            let [bar_x, bar_y] = gap(body, source, &x[b]).force_vjp(law, forces_bar[b]);
+            let [bar_x, bar_y] = gap(model, source, &x[b]).force_vjp(law, forces_bar[b]);
             own_bar[0] += bar_x;
             own_bar[1] += bar_y;
             source_bar[0] -= bar_x;

@@ -36,12 +36,12 @@ impl Spread {
 
 impl Effect<GuidanceSystem> for Spread {
     #[inline(always)]
-    fn act<T: Scalar>(&self, body: &GuidanceSystem, x: &[T], forces: &mut [T]) {
-        among(body, self.law(), body.all_drivers(), x, forces);
+    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, x: &[T], forces: &mut [T]) {
+        among(model, self.law(), model.all_drivers(), x, forces);
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &GuidanceSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        among_vjp(body, self.law(), body.all_drivers(), x, forces_bar, x_bar);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &GuidanceSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        among_vjp(model, self.law(), model.all_drivers(), x, forces_bar, x_bar);
     }
 }

@@ -1,7 +1,7 @@
 //! Drivers and evaders that do nothing to each other, and the reverse of their steps.
 
-use crate::dynamics::effect::{Effect, Host, system_without_effects};
-use crate::dynamics::ode::Flowing;
+use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
+use crate::dynamics::ode::ForcedOde;
 use crate::numbers::kernels::scratch::Scratch;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
@@ -151,14 +151,14 @@ impl GuidanceSystem {
         }
         // Zeros that are known to be zeros become a call of memset, which costs more than a short loop.
         forces[2 * self.drivers..].fill(black_box(T::zero()));
-        effects.act(self, x, forces);
+        effects.add_forces(self, x, forces);
     }
 }
 
-impl Host for GuidanceSystem {
-    type Body = Self;
+impl ForcedSystem for GuidanceSystem {
+    type Model = Self;
 
-    fn body(&self) -> &Self {
+    fn model(&self) -> &Self {
         self
     }
 
@@ -179,7 +179,7 @@ impl Host for GuidanceSystem {
     }
 
     #[inline(always)]
-    fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         // The accelerations are gathered in the second half of the next state.
         let half = 2 * self.agents();
         self.accelerate(effects, x, u, &mut next[half..2 * half]);
@@ -222,9 +222,9 @@ impl Host for GuidanceSystem {
     }
 }
 
-impl Flowing for GuidanceSystem {
+impl ForcedOde for GuidanceSystem {
     #[inline(always)]
-    fn rate_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
+    fn forced_rate<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
         let half = 2 * self.agents();
         self.accelerate(effects, x, u, &mut rate[half..2 * half]);
         for agent in 0..self.agents() {
@@ -235,7 +235,7 @@ impl Flowing for GuidanceSystem {
     }
 
     #[inline(always)]
-    fn rate_reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
+    fn forced_rate_vjp<E: Effect<Self>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
         x: &[R],

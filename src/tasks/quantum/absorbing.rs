@@ -3,7 +3,7 @@
 use super::QuantumSystem;
 use super::system::Wave;
 use crate::dynamics::cause::Cause;
-use crate::dynamics::effect::Around;
+use crate::dynamics::effect::HasModel;
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
@@ -48,16 +48,16 @@ pub struct Absorbing<S = QuantumSystem> {
     factors: Vec<(usize, f64)>,
 }
 
-impl<S: Around<QuantumSystem>> Absorbing<S> {
+impl<S: HasModel<QuantumSystem>> Absorbing<S> {
     /// The system, with these edges. Nothing else is touched than grid points within them.
     pub fn new(system: S, edges: AbsorbingEdges) -> Self {
-        let (body, AbsorbingEdges { width, strength }) = (system.body(), edges);
+        let (model, AbsorbingEdges { width, strength }) = (system.model(), edges);
         let factor = |(j, xi): (usize, f64)| {
-            let depth = width - (0.5 * body.length - xi.abs());
+            let depth = width - (0.5 * model.length - xi.abs());
             let share = depth / width;
-            (depth > 0.0).then(|| (j, (-body.dt * strength * share * share).exp()))
+            (depth > 0.0).then(|| (j, (-model.dt * strength * share * share).exp()))
         };
-        let factors = body.centered_points().enumerate().filter_map(factor).collect();
+        let factors = model.centered_points().enumerate().filter_map(factor).collect();
         Self { system, factors }
     }
 
@@ -76,7 +76,7 @@ impl<S: Around<QuantumSystem>> Absorbing<S> {
     }
 }
 
-impl<S: Around<QuantumSystem>> System for Absorbing<S> {
+impl<S: HasModel<QuantumSystem>> System for Absorbing<S> {
     fn state_dim(&self) -> usize {
         self.system.state_dim()
     }
@@ -91,8 +91,8 @@ impl<S: Around<QuantumSystem>> System for Absorbing<S> {
         self.damp::<T, T>(next);
     }
 
-    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        self.system.cause(x, u)
+    fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        self.system.diagnose(x, u)
     }
 
     #[inline(always)]
@@ -117,13 +117,13 @@ impl<S: Around<QuantumSystem>> System for Absorbing<S> {
     }
 }
 
-impl<S: Around<QuantumSystem>> Around<QuantumSystem> for Absorbing<S> {
+impl<S: HasModel<QuantumSystem>> HasModel<QuantumSystem> for Absorbing<S> {
     #[inline(always)]
-    fn body(&self) -> &QuantumSystem {
-        self.system.body()
+    fn model(&self) -> &QuantumSystem {
+        self.system.model()
     }
 
-    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
-        self.system.start_beyond(rng, x);
+    fn start_extra(&self, rng: &mut Rng, x: &mut [f64]) {
+        self.system.start_extra(rng, x);
     }
 }

@@ -31,8 +31,8 @@ impl Default for Cubic {
 impl Cubic {
     /// Energy per probability at a grid point.
     #[inline(always)]
-    fn per_probability(&self, body: &QuantumSystem) -> f64 {
-        self.strength * (1.0 / body.spacing())
+    fn per_probability(&self, model: &QuantumSystem) -> f64 {
+        self.strength * (1.0 / model.spacing())
     }
 }
 
@@ -40,8 +40,8 @@ impl Effect<QuantumSystem> for Cubic {
     const LOCAL: bool = true;
 
     #[inline(always)]
-    fn act<T: Scalar>(&self, body: &QuantumSystem, x: &[T], potential: &mut [T]) {
-        let strength = T::lift(self.per_probability(body));
+    fn add_forces<T: Scalar>(&self, model: &QuantumSystem, x: &[T], potential: &mut [T]) {
+        let strength = T::lift(self.per_probability(model));
         // By index, which is checked, so that compilers leave the loop alone: lanes fill the registers already.
         for (j, v) in potential.iter_mut().enumerate() {
             let [re, im] = x.as_chunks().0[j];
@@ -50,14 +50,14 @@ impl Effect<QuantumSystem> for Cubic {
     }
 
     #[inline(always)]
-    fn act_at<T: Scalar>(&self, body: &QuantumSystem, x: &[T], j: usize, v: T) -> T {
+    fn act_at<T: Scalar>(&self, model: &QuantumSystem, x: &[T], j: usize, v: T) -> T {
         let [re, im] = x.as_chunks().0[j];
-        v + T::lift(self.per_probability(body)) * (re * re + im * im)
+        v + T::lift(self.per_probability(model)) * (re * re + im * im)
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, body: &QuantumSystem, x: &[R], potential_bar: &[C], x_bar: &mut [C]) {
-        let slope = R::lift(2.0 * self.per_probability(body));
+    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &QuantumSystem, x: &[R], potential_bar: &[C], x_bar: &mut [C]) {
+        let slope = R::lift(2.0 * self.per_probability(model));
         for ((&v_bar, [re, im]), bar) in zip(zip(potential_bar.iter(), x.as_chunks().0), x_bar.as_chunks_mut::<2>().0) {
             let v_bar = v_bar * slope;
             bar[0] += v_bar * *re;
@@ -66,8 +66,8 @@ impl Effect<QuantumSystem> for Cubic {
     }
 
     #[inline(always)]
-    fn vjp_at<R: Real, C: Cotangent<R>>(&self, body: &QuantumSystem, x: &[R], j: usize, v_bar: C, x_bar: &mut [C]) {
-        let v_bar = v_bar * R::lift(2.0 * self.per_probability(body));
+    fn vjp_at<R: Real, C: Cotangent<R>>(&self, model: &QuantumSystem, x: &[R], j: usize, v_bar: C, x_bar: &mut [C]) {
+        let v_bar = v_bar * R::lift(2.0 * self.per_probability(model));
         let ([re, im], bar) = (x.as_chunks().0[j], &mut x_bar.as_chunks_mut::<2>().0[j]);
         bar[0] += v_bar * re;
         bar[1] += v_bar * im;

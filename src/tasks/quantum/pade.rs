@@ -4,7 +4,7 @@ use super::QuantumSystem;
 use super::elimination::{Elimination, Pivots, Rows};
 use super::point_by_point::{Added, Dropped, Kept, PointByPoint};
 use super::system::{Pair, PerPoint};
-use crate::dynamics::effect::{Effect, Host, system_without_effects};
+use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// A [`QuantumSystem`] that steps by the diagonal Padé approximant of the fourth order. With `z = dt H`:
@@ -85,10 +85,10 @@ fn reflect<V: Copy + std::ops::Add<Output = V> + std::ops::Sub<Output = V>>(x: &
     }
 }
 
-impl Host for Pade {
-    type Body = QuantumSystem;
+impl ForcedSystem for Pade {
+    type Model = QuantumSystem;
 
-    fn body(&self) -> &QuantumSystem {
+    fn model(&self) -> &QuantumSystem {
         &self.0
     }
 
@@ -109,7 +109,7 @@ impl Host for Pade {
     }
 
     #[inline(always)]
-    fn step_with<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+    fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let (mut minus, mut plus, mut chi) = (PerPoint::new(), PerPoint::new(), PerPoint::new());
         let (minus, plus) = self.eliminate(effects, x, u, &mut minus, &mut plus);
         let chi = chi.fill([T::zero(); 2], self.0.grid).as_flattened_mut();
@@ -129,12 +129,12 @@ impl Host for Pade {
         x_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
-        let (body, n, dt) = (&self.0, 2 * self.0.grid, self.factor_dt());
+        let (model, n, dt) = (&self.0, 2 * self.0.grid, self.factor_dt());
         let (mut minus, mut plus) = (PerPoint::new(), PerPoint::new());
         let (mut minus, mut plus) = self.eliminate(effects, x, u, &mut minus, &mut plus);
         let mut chi_bar = PerPoint::new();
-        let chi_bar = chi_bar.fill([C::null(); 2], body.grid).as_flattened_mut();
-        let effects_read = x_bar.is_some() && effects.reads_state();
+        let chi_bar = chi_bar.fill([C::null(); 2], model.grid).as_flattened_mut();
+        let effects_read = x_bar.is_some() && effects.state_dependent();
         // What only the state's cotangent needs ends here.
         if u_bar.is_none() && !effects_read {
             if let Some(x_bar) = x_bar {
@@ -149,36 +149,36 @@ impl Host for Pade {
         }
         // Solved again rather than kept by the forward pass.
         let (mut y_minus, mut chi, mut y_plus) = (PerPoint::new(), PerPoint::new(), PerPoint::new());
-        let y_minus = y_minus.fill([R::zero(); 2], body.grid);
+        let y_minus = y_minus.fill([R::zero(); 2], model.grid);
         minus.solve(x, y_minus.as_flattened_mut());
-        let chi = chi.fill([R::zero(); 2], body.grid);
-        for j in 0..body.grid {
+        let chi = chi.fill([R::zero(); 2], model.grid);
+        for j in 0..model.grid {
             let y = y_minus[j];
             chi[j] = [y[0] + y[0] - x[2 * j], y[1] + y[1] - x[2 * j + 1]];
         }
-        let y_plus = y_plus.fill([R::zero(); 2], body.grid);
+        let y_plus = y_plus.fill([R::zero(); 2], model.grid);
         plus.solve(chi.as_flattened(), y_plus.as_flattened_mut());
         minus.conjugate();
         plus.conjugate();
         let mut scratch = PerPoint::new();
         let x_bar = match x_bar {
             Some(x_bar) => x_bar,
-            None => scratch.fill([C::null(); 2], body.grid).as_flattened_mut(),
+            None => scratch.fill([C::null(); 2], model.grid).as_flattened_mut(),
         };
         let asked = u_bar.is_some();
         plus.solve(next_bar, chi_bar);
         let control_bar = if effects_read {
             let mut potential_bar = PerPoint::new();
-            let potential_bar = potential_bar.fill(C::null(), body.grid);
-            let plus_bar = body.reverse_potential(dt, y_plus, next_bar, chi_bar, asked, Kept(&mut *potential_bar));
+            let potential_bar = potential_bar.fill(C::null(), model.grid);
+            let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, asked, Kept(&mut *potential_bar));
             minus.solve(chi_bar, &mut x_bar[..n]);
-            let minus_bar = body.reverse_potential(dt, y_minus, chi_bar, x_bar, asked, Added(&mut *potential_bar));
-            effects.vjp(body, x, potential_bar, x_bar);
+            let minus_bar = model.reverse_potential(dt, y_minus, chi_bar, x_bar, asked, Added(&mut *potential_bar));
+            effects.vjp(model, x, potential_bar, x_bar);
             plus_bar + minus_bar
         } else {
-            let plus_bar = body.reverse_potential(dt, y_plus, next_bar, chi_bar, asked, Dropped);
+            let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, asked, Dropped);
             minus.solve(chi_bar, &mut x_bar[..n]);
-            plus_bar + body.reverse_potential(dt, y_minus, chi_bar, x_bar, asked, Dropped)
+            plus_bar + model.reverse_potential(dt, y_minus, chi_bar, x_bar, asked, Dropped)
         };
         if let Some(u_bar) = u_bar {
             u_bar[0] = control_bar;

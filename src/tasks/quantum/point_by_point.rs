@@ -48,13 +48,13 @@ impl<C: Copy + AddAssign> PotentialBar<C> for Added<'_, C> {
 pub(super) struct AtOnce<'a, E, R> {
     pub(super) effects: &'a E,
     /// Of its own: what a reference leads to may have to be read again after every number that is written.
-    pub(super) body: QuantumSystem,
+    pub(super) model: QuantumSystem,
     pub(super) x: &'a [R],
 }
 
 impl<E: Effect<QuantumSystem>, R: Real, C: Cotangent<R>> PotentialBar<C> for AtOnce<'_, E, R> {
     #[inline(always)]
     fn put(&mut self, j: usize, bar: C, x_bar: &mut [C]) {
-        self.effects.vjp_at(&self.body, self.x, j, bar, x_bar);
+        self.effects.vjp_at(&self.model, self.x, j, bar, x_bar);
     }
 }

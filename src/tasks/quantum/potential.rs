@@ -15,25 +15,25 @@ macro_rules! stand_still {
             const LOCAL: bool = true;
 
             #[inline(always)]
-            fn act<T: Scalar>(&self, body: &QuantumSystem, _x: &[T], potential: &mut [T]) {
-                for (v, xi) in zip(potential.iter_mut(), body.centered_points()) {
+            fn add_forces<T: Scalar>(&self, model: &QuantumSystem, _x: &[T], potential: &mut [T]) {
+                for (v, xi) in zip(potential.iter_mut(), model.centered_points()) {
                     *v += T::lift(self.potential(xi));
                 }
             }
 
             #[inline(always)]
-            fn act_at<T: Scalar>(&self, body: &QuantumSystem, _x: &[T], j: usize, v: T) -> T {
-                v + T::lift(self.potential(body.centered_point(j)))
+            fn act_at<T: Scalar>(&self, model: &QuantumSystem, _x: &[T], j: usize, v: T) -> T {
+                v + T::lift(self.potential(model.centered_point(j)))
             }
 
             #[inline(always)]
-            fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &QuantumSystem, _x: &[R], _v_bar: &[C], _x_bar: &mut [C]) {}
+            fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _v_bar: &[C], _x_bar: &mut [C]) {}
 
             #[inline(always)]
-            fn vjp_at<R: Real, C: Cotangent<R>>(&self, _body: &QuantumSystem, _x: &[R], _j: usize, _v_bar: C, _x_bar: &mut [C]) {}
+            fn vjp_at<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _j: usize, _v_bar: C, _x_bar: &mut [C]) {}
 
             #[inline(always)]
-            fn reads_state(&self) -> bool {
+            fn state_dependent(&self) -> bool {
                 false
             }
         }
@@ -150,10 +150,10 @@ impl Tabulated {
     ///
     /// # Panics
     /// If an effect depends on the state.
-    pub fn of<E: Effect<QuantumSystem>>(body: &QuantumSystem, effects: &E) -> Self {
-        assert!(!effects.reads_state(), "an effect that depends on the state has no table: {effects:?}");
-        let mut values = vec![0.0; body.grid];
-        effects.act(body, &[], &mut values);
+    pub fn of<E: Effect<QuantumSystem>>(model: &QuantumSystem, effects: &E) -> Self {
+        assert!(!effects.state_dependent(), "an effect that depends on the state has no table: {effects:?}");
+        let mut values = vec![0.0; model.grid];
+        effects.add_forces(model, &[], &mut values);
         Self { values }
     }
 }
@@ -162,25 +162,25 @@ impl Effect<QuantumSystem> for Tabulated {
     const LOCAL: bool = true;
 
     #[inline(always)]
-    fn act<T: Scalar>(&self, _body: &QuantumSystem, _x: &[T], potential: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _x: &[T], potential: &mut [T]) {
         for (v, &value) in zip(potential.iter_mut(), &self.values) {
             *v += T::lift(value);
         }
     }
 
     #[inline(always)]
-    fn act_at<T: Scalar>(&self, _body: &QuantumSystem, _x: &[T], j: usize, v: T) -> T {
+    fn act_at<T: Scalar>(&self, _model: &QuantumSystem, _x: &[T], j: usize, v: T) -> T {
         v + T::lift(self.values[j])
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _body: &QuantumSystem, _x: &[R], _v_bar: &[C], _x_bar: &mut [C]) {}
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _v_bar: &[C], _x_bar: &mut [C]) {}
 
     #[inline(always)]
-    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _body: &QuantumSystem, _x: &[R], _j: usize, _v_bar: C, _x_bar: &mut [C]) {}
+    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _j: usize, _v_bar: C, _x_bar: &mut [C]) {}
 
     #[inline(always)]
-    fn reads_state(&self) -> bool {
+    fn state_dependent(&self) -> bool {
         false
     }
 }

@@ -3,7 +3,7 @@
 use super::QuantumSystem;
 use super::system::Wave;
 use crate::dynamics::cause::Cause;
-use crate::dynamics::effect::Around;
+use crate::dynamics::effect::HasModel;
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
@@ -36,10 +36,10 @@ fn per_norm<T: Scalar>(psi: &[T]) -> T {
     T::one() / square.sqrt()
 }
 
-impl<S: Around<QuantumSystem>> Renormalized<S> {
+impl<S: HasModel<QuantumSystem>> Renormalized<S> {
     /// The wave's part of a state.
     fn wave(&self) -> usize {
-        2 * self.system.body().grid
+        2 * self.system.model().grid
     }
 
     /// The cotangent before the norm is brought back.
@@ -62,7 +62,7 @@ impl<S: Around<QuantumSystem>> Renormalized<S> {
     }
 }
 
-impl<S: Around<QuantumSystem>> System for Renormalized<S> {
+impl<S: HasModel<QuantumSystem>> System for Renormalized<S> {
     fn state_dim(&self) -> usize {
         self.system.state_dim()
     }
@@ -81,8 +81,8 @@ impl<S: Around<QuantumSystem>> System for Renormalized<S> {
         }
     }
 
-    fn cause<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        self.system.cause(x, u)
+    fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+        self.system.diagnose(x, u)
     }
 
     #[inline(always)]
@@ -101,13 +101,13 @@ impl<S: Around<QuantumSystem>> System for Renormalized<S> {
     }
 }
 
-impl<S: Around<QuantumSystem>> Around<QuantumSystem> for Renormalized<S> {
+impl<S: HasModel<QuantumSystem>> HasModel<QuantumSystem> for Renormalized<S> {
     #[inline(always)]
-    fn body(&self) -> &QuantumSystem {
-        self.system.body()
+    fn model(&self) -> &QuantumSystem {
+        self.system.model()
     }
 
-    fn start_beyond(&self, rng: &mut Rng, x: &mut [f64]) {
-        self.system.start_beyond(rng, x);
+    fn start_extra(&self, rng: &mut Rng, x: &mut [f64]) {
+        self.system.start_extra(rng, x);
     }
 }

@@ -1,8 +1,8 @@
 //! A scheme for Schrödinger's equation, chosen while the program runs.
 
 use super::{Pade, QuantumSystem, Strang};
-use crate::dynamics::apart::apart;
-use crate::dynamics::effect::{Effect, Host, system_without_effects};
+use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
+use crate::dynamics::outline::outline;
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
@@ -35,10 +35,10 @@ struct Step<'a, H, E, T> {
     next: &'a mut [T],
 }
 
-impl<H: Host, E: Effect<H::Body>, T: Scalar> Vectorized for Step<'_, H, E, T> {
+impl<H: ForcedSystem, E: Effect<H::Model>, T: Scalar> Vectorized for Step<'_, H, E, T> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        self.host.step_with(self.effects, self.x, self.u, self.next);
+        self.host.forced_step(self.effects, self.x, self.u, self.next);
     }
 }
 
@@ -53,7 +53,7 @@ struct Reverse<'a, H, E, R, C> {
     u_bar: Option<&'a mut [C]>,
 }
 
-impl<H: Host, E: Effect<H::Body>, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, H, E, R, C> {
+impl<H: ForcedSystem, E: Effect<H::Model>, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, H, E, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { host, effects, x, u, next_bar, x_bar, u_bar } = self;
@@ -61,20 +61,20 @@ impl<H: Host, E: Effect<H::Body>, R: Real, C: Cotangent<R>> Vectorized for Rever
     }
 }
 
-impl Host for QuantumScheme {
-    type Body = QuantumSystem;
+impl ForcedSystem for QuantumScheme {
+    type Model = QuantumSystem;
 
     #[inline(always)]
-    fn body(&self) -> &QuantumSystem {
+    fn model(&self) -> &QuantumSystem {
         match self {
             Self::CrankNicolson(host) => host,
-            Self::Pade(host) => host.body(),
-            Self::Strang(host) => host.body(),
+            Self::Pade(host) => host.model(),
+            Self::Strang(host) => host.model(),
         }
     }
 
     fn state_dim(&self) -> usize {
-        2 * self.body().grid
+        2 * self.model().grid
     }
 
     fn control_dim(&self) -> usize {
@@ -82,19 +82,19 @@ impl Host for QuantumScheme {
     }
 
     fn force_dim(&self) -> usize {
-        self.body().grid
+        self.model().grid
     }
 
     fn dt(&self) -> f64 {
-        self.body().dt
+        self.model().dt
     }
 
     #[inline(always)]
-    fn step_with<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+    fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         match self {
-            Self::CrankNicolson(host) => apart::<T>(Step { host, effects, x, u, next }),
-            Self::Pade(host) => apart::<T>(Step { host, effects, x, u, next }),
-            Self::Strang(host) => apart::<T>(Step { host, effects, x, u, next }),
+            Self::CrankNicolson(host) => outline::<T>(Step { host, effects, x, u, next }),
+            Self::Pade(host) => outline::<T>(Step { host, effects, x, u, next }),
+            Self::Strang(host) => outline::<T>(Step { host, effects, x, u, next }),
         }
     }
 
@@ -109,9 +109,9 @@ impl Host for QuantumScheme {
         u_bar: Option<&mut [C]>,
     ) {
         match self {
-            Self::CrankNicolson(host) => apart::<R>(Reverse { host, effects, x, u, next_bar, x_bar, u_bar }),
-            Self::Pade(host) => apart::<R>(Reverse { host, effects, x, u, next_bar, x_bar, u_bar }),
-            Self::Strang(host) => apart::<R>(Reverse { host, effects, x, u, next_bar, x_bar, u_bar }),
+            Self::CrankNicolson(host) => outline::<R>(Reverse { host, effects, x, u, next_bar, x_bar, u_bar }),
+            Self::Pade(host) => outline::<R>(Reverse { host, effects, x, u, next_bar, x_bar, u_bar }),
+            Self::Strang(host) => outline::<R>(Reverse { host, effects, x, u, next_bar, x_bar, u_bar }),
         }
     }
 }

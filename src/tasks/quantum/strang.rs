@@ -5,7 +5,7 @@ use super::elimination::Vector;
 use super::point_by_point::PointByPoint;
 use super::propagator::Propagator;
 use super::system::{Pair, PerPoint, STACK, place};
-use crate::dynamics::effect::{Effect, Host, system_without_effects};
+use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
 use crate::numbers::kernels::scratch::{Filling, Scratch};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
@@ -104,8 +104,8 @@ impl Strang {
         asked: bool,
         mut potential_bar: Option<&mut [C]>,
     ) -> C {
-        let body = &self.system;
-        let (half_dt, dx, origin, n) = (R::lift(0.5 * body.dt), body.spacing(), body.control_origin(), body.grid);
+        let model = &self.system;
+        let (half_dt, dx, origin, n) = (R::lift(0.5 * model.dt), model.spacing(), model.control_origin(), model.grid);
         let (psi, psi_bar) = (&psi.as_chunks::<2>().0[..n], &psi_bar.as_chunks::<2>().0[..n]);
         let mut control_bar = C::null();
         for j in 0..n {
@@ -121,10 +121,10 @@ impl Strang {
     }
 }
 
-impl Host for Strang {
-    type Body = QuantumSystem;
+impl ForcedSystem for Strang {
+    type Model = QuantumSystem;
 
-    fn body(&self) -> &QuantumSystem {
+    fn model(&self) -> &QuantumSystem {
         &self.system
     }
 
@@ -145,7 +145,7 @@ impl Host for Strang {
     }
 
     #[inline(always)]
-    fn step_with<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+    fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let n = 2 * self.system.grid;
         let (mut phases, mut state) = (PerPoint::new(), State::new());
         let turning = self.phases(effects, x, u, &mut phases);
@@ -154,7 +154,7 @@ impl Host for Strang {
         turn::<T, T, false>(turning, x, state);
         self.kinetic.apply::<T, T, false>(state, next);
         state[..n].copy_from_slice(next);
-        let turning = if effects.reads_state() { self.phases(effects, state, u, &mut phases) } else { phases.all() };
+        let turning = if effects.state_dependent() { self.phases(effects, state, u, &mut phases) } else { phases.all() };
         turn::<T, T, false>(turning, state, next);
     }
 
@@ -168,11 +168,11 @@ impl Host for Strang {
         x_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
-        let (body, reads) = (&self.system, effects.reads_state());
+        let (model, reads) = (&self.system, effects.state_dependent());
         let mut phases = PerPoint::new();
         let before = self.phases(effects, x, u, &mut phases);
         let mut a_bar = PerPoint::new();
-        let a_bar = a_bar.fill([C::null(); 2], body.grid).as_flattened_mut();
+        let a_bar = a_bar.fill([C::null(); 2], model.grid).as_flattened_mut();
         // What only the state's cotangent needs ends here.
         if u_bar.is_none() && !reads {
             if let Some(x_bar) = x_bar {
@@ -184,7 +184,7 @@ impl Host for Strang {
         }
         // Worked out again rather than kept by the forward pass.
         let (mut a, mut b) = (PerPoint::new(), State::new());
-        let a = a.fill([R::zero(); 2], body.grid).as_flattened_mut();
+        let a = a.fill([R::zero(); 2], model.grid).as_flattened_mut();
         turn::<R, R, false>(before, x, a);
         let b = b.collect(x.iter().copied());
         self.kinetic.apply::<R, R, false>(a, b);
@@ -197,15 +197,15 @@ impl Host for Strang {
         let mut control_bar;
         if reads {
             let (mut potential_bar, mut phases) = (PerPoint::new(), PerPoint::new());
-            let potential_bar = potential_bar.fill(C::null(), body.grid);
+            let potential_bar = potential_bar.fill(C::null(), model.grid);
             let after = self.phases(effects, b, u, &mut phases);
             turn::<R, C, true>(after, next_bar, x_bar);
             control_bar = self.reverse_half(b, x_bar, asked, Some(&mut *potential_bar));
-            effects.vjp(body, b, potential_bar, x_bar);
+            effects.vjp(model, b, potential_bar, x_bar);
             self.kinetic.apply::<R, C, true>(x_bar, a_bar);
             control_bar += self.reverse_half(a, a_bar, asked, Some(&mut *potential_bar));
             turn::<R, C, true>(before, a_bar, x_bar);
-            effects.vjp(body, x, potential_bar, x_bar);
+            effects.vjp(model, x, potential_bar, x_bar);
         } else {
             turn::<R, C, true>(before, next_bar, x_bar);
             control_bar = self.reverse_half(b, x_bar, asked, None);

@@ -2,7 +2,7 @@
 
 use super::elimination::{Elimination, Pivots, Rows};
 use super::point_by_point::{AtOnce, Dropped, Kept, PointByPoint, PotentialBar};
-use crate::dynamics::effect::{Effect, Host, system_without_effects};
+use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
 use crate::numbers::kernels::scratch::Scratch;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
@@ -153,18 +153,18 @@ impl QuantumSystem {
     /// Hands the potential of the control and of the effects to `to`, grid point by grid point.
     #[inline(always)]
     pub(super) fn potential<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], to: &mut impl PointByPoint<T>) {
-        let body = *self;
-        let (control, dx, origin) = (u[0], body.spacing(), body.control_origin());
+        let model = *self;
+        let (control, dx, origin) = (u[0], model.spacing(), model.control_origin());
         let tilted = |j: usize| control * T::lift((place(j) - origin) * dx);
         if E::LOCAL {
             // The chain of divisions in an elimination leaves the time for it.
             for j in 0..self.grid {
-                to.put(effects.act_at(&body, x, j, tilted(j)));
+                to.put(effects.act_at(&model, x, j, tilted(j)));
             }
         } else {
             let mut potential = PerPoint::new();
             let potential = potential.collect((0..self.grid).map(tilted));
-            effects.act(self, x, potential);
+            effects.add_forces(self, x, potential);
             for &v in &*potential {
                 to.put(v);
             }
@@ -220,10 +220,10 @@ impl QuantumSystem {
     }
 }
 
-impl Host for QuantumSystem {
-    type Body = Self;
+impl ForcedSystem for QuantumSystem {
+    type Model = Self;
 
-    fn body(&self) -> &Self {
+    fn model(&self) -> &Self {
         self
     }
 
@@ -244,7 +244,7 @@ impl Host for QuantumSystem {
     }
 
     #[inline(always)]
-    fn step_with<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let mut per_pivot = PerPoint::new();
         self.eliminate(effects, x, u, &mut per_pivot).solve(x, next);
         for (next, &x) in zip(next.iter_mut(), x) {
@@ -265,7 +265,7 @@ impl Host for QuantumSystem {
         let n = 2 * self.grid;
         let mut per_pivot = PerPoint::new();
         let mut a = self.eliminate(effects, x, u, &mut per_pivot);
-        let effects_read = x_bar.is_some() && effects.reads_state();
+        let effects_read = x_bar.is_some() && effects.state_dependent();
         // What only the state's cotangent needs ends here.
         if u_bar.is_none() && !effects_read {
             if let Some(x_bar) = x_bar {
@@ -292,7 +292,7 @@ impl Host for QuantumSystem {
         let control_bar = if !effects_read {
             self.reverse_potential(self.dt, y, next_bar, x_bar, asked, Dropped)
         } else if E::LOCAL {
-            self.reverse_potential(self.dt, y, next_bar, x_bar, asked, AtOnce { effects, body: *self, x })
+            self.reverse_potential(self.dt, y, next_bar, x_bar, asked, AtOnce { effects, model: *self, x })
         } else {
             let mut potential_bar = PerPoint::new();
             let potential_bar = potential_bar.fill(C::null(), self.grid);

@@ -2,8 +2,8 @@
 
 use super::contact::ContactSettings;
 use super::{Nothing, names, small_step, visit};
-use crate::program::kind::{Kind, MlpSettings, Visit};
-use crate::program::problem::{Problem, finite, positive};
+use crate::program::kind::{MlpSettings, TaskSpec, Visit};
+use crate::program::problem::{ConfigError, finite, positive};
 use crate::program::settings::Settings;
 use physgrad::report::{Animation, Posture, Stage, mechanics};
 use physgrad::tasks::{self, AnyHard, BouncingBall};
@@ -42,11 +42,11 @@ impl Default for BounceLoss {
     }
 }
 
-impl Kind for Bounce {
+impl TaskSpec for Bounce {
     type System = BounceSettings;
     type Effects = Nothing;
     type Loss = BounceLoss;
-    type Network = MlpSettings;
+    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "bounce";
     const ABOUT: &'static str = "have a bouncing ball at a height at the end, by thrust";
@@ -58,7 +58,7 @@ impl Kind for Bounce {
         BounceSettings { mass, gravity, dt, contact: ContactSettings::USUAL }
     }
 
-    fn validate(settings: &Settings<Self>) -> Result<(), Problem> {
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
         let BounceSettings { mass, gravity, dt, contact } = settings.system;
         positive("system.mass", mass)?;
         finite("system.gravity", gravity)?;

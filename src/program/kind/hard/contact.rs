@@ -1,6 +1,6 @@
 //! Contact settings, shared by `bounce` and `push`.
 
-use crate::program::problem::{Problem, allowed, not_negative, positive};
+use crate::program::problem::{ConfigError, allowed, not_negative, positive};
 use physgrad::tasks::Contact;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -35,12 +35,16 @@ enum Model {
 impl ContactSettings {
     pub(super) const USUAL: Self = Self { model: Model::TimeOfImpact, restitution: None, stiffness: None, damping: None };
 
-    pub(super) fn validate(&self) -> Result<(), Problem> {
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
         let Self { model, restitution, stiffness, damping } = *self;
         let unread = |key: &str, value: Option<f64>, of: Model| match value {
             Some(value) if model != of => {
                 let name = if of == Model::Penalty { "penalty" } else { "time_of_impact" };
-                Err(Problem::unread(&format!("system.contact.{key}"), value, &format!("`system.contact.model` is not {name}")))
+                Err(ConfigError::unread(
+                    &format!("system.contact.{key}"),
+                    value,
+                    &format!("`system.contact.model` is not {name}"),
+                ))
             }
             _ => Ok(()),
         };

@@ -1,8 +1,8 @@
 //! Double pendulum: settings, limits and animation.
 
 use super::{Nothing, Start, UprightLoss, names, upright, validate_upright, visit};
-use crate::program::kind::{Conserved, Kind, MlpSettings, Visit};
-use crate::program::problem::{Problem, finite, positive};
+use crate::program::kind::{Conserved, MlpSettings, TaskSpec, Visit};
+use crate::program::problem::{ConfigError, finite, positive};
 use crate::program::settings::{Method, Settings};
 use physgrad::report::{Animation, Posture, Stage, mechanics};
 use physgrad::tasks::{self, AnyHard};
@@ -34,11 +34,11 @@ fn body(settings: &Settings<DoublePendulum>) -> tasks::DoublePendulum {
     tasks::DoublePendulum { masses, lengths, gravity }
 }
 
-impl Kind for DoublePendulum {
+impl TaskSpec for DoublePendulum {
     type System = DoublePendulumSettings;
     type Effects = Nothing;
     type Loss = UprightLoss;
-    type Network = MlpSettings;
+    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "double_pendulum";
     const ABOUT: &'static str = "swing up a double pendulum, which is chaotic, by a torque on its first joint";
@@ -51,7 +51,7 @@ impl Kind for DoublePendulum {
         DoublePendulumSettings { masses, lengths, gravity, dt: 0.01, start: Start::Hanging }
     }
 
-    fn validate(settings: &Settings<Self>) -> Result<(), Problem> {
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
         let DoublePendulumSettings { masses, lengths, gravity, dt, start: _ } = settings.system;
         masses.into_iter().try_for_each(|mass| positive("system.masses", mass))?;
         lengths.into_iter().try_for_each(|length| positive("system.lengths", length))?;
@@ -67,7 +67,7 @@ impl Kind for DoublePendulum {
 
     fn variants() -> Vec<(String, Settings<Self>)> {
         let mut held = Settings::<Self>::defaults();
-        (held.system.start, held.loss.effort) = (Start::Upright, 1e-3);
+        (held.system.start, held.loss.control_weight) = (Start::Upright, 1e-3);
         vec![("swung up".into(), Settings::defaults()), ("held".into(), held)]
     }
 

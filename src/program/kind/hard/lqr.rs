@@ -1,8 +1,8 @@
 //! Linear-quadratic regulator: settings, limits and animation.
 
 use super::{Nothing, names, visit};
-use crate::program::kind::{Kind, MlpSettings, Visit};
-use crate::program::problem::{Problem, allowed, positive};
+use crate::program::kind::{MlpSettings, TaskSpec, Visit};
+use crate::program::problem::{ConfigError, allowed, positive};
 use crate::program::settings::Settings;
 use physgrad::report::{Animation, Posture, Stage, mechanics};
 use physgrad::tasks::{self, AnyHard, CartPoleSystem};
@@ -33,11 +33,11 @@ enum Plant {
     UprightCartPole,
 }
 
-impl Kind for Lqr {
+impl TaskSpec for Lqr {
     type System = LqrSettings;
     type Effects = Nothing;
     type Loss = Nothing;
-    type Network = MlpSettings;
+    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "lqr";
     const ABOUT: &'static str = "hold a linear plant at rest, at a quadratic cost whose least value is known";
@@ -48,7 +48,7 @@ impl Kind for Lqr {
         LqrSettings { plant: Plant::Spring, spread: 1.0 }
     }
 
-    fn validate(settings: &Settings<Self>) -> Result<(), Problem> {
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
         positive("system.spread", settings.system.spread)?;
         let substeps = settings.integrator.count();
         allowed("integrator.substeps", substeps, substeps == 1, "none: a linear plant is a step and no flow")

@@ -1,8 +1,8 @@
 //! Chain of poles on a cart: settings, limits and animation.
 
 use super::{Nothing, Start, UprightLoss, upright, validate_upright, visit};
-use crate::program::kind::{Conserved, Kind, MlpSettings, Visit};
-use crate::program::problem::{Problem, count, finite, positive};
+use crate::program::kind::{Conserved, MlpSettings, TaskSpec, Visit};
+use crate::program::problem::{ConfigError, count, finite, positive};
 use crate::program::settings::{Method, Settings};
 use physgrad::report::{Animation, Posture, Stage, mechanics};
 use physgrad::tasks::{self, AnyHard, CartPoleSystem};
@@ -38,11 +38,11 @@ fn chain(settings: &Settings<PoleChain>) -> tasks::PoleChain {
     tasks::PoleChain(CartPoleSystem { poles, cart_mass, pole_mass, half_length, gravity, dt })
 }
 
-impl Kind for PoleChain {
+impl TaskSpec for PoleChain {
     type System = PoleChainSettings;
     type Effects = Nothing;
     type Loss = UprightLoss;
-    type Network = MlpSettings;
+    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "pole_chain";
     const ABOUT: &'static str = "swing up a chain of poles, one on the end of the other, on a cart";
@@ -55,7 +55,7 @@ impl Kind for PoleChain {
         PoleChainSettings { poles: 2, cart_mass, pole_mass, half_length, gravity, dt, start: Start::Hanging }
     }
 
-    fn validate(settings: &Settings<Self>) -> Result<(), Problem> {
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
         let PoleChainSettings { poles, cart_mass, pole_mass, half_length, gravity, dt, start: _ } = settings.system;
         count("system.poles", poles, 1..=20)?;
         positive("system.cart_mass", cart_mass)?;
@@ -63,7 +63,7 @@ impl Kind for PoleChain {
         positive("system.half_length", half_length)?;
         finite("system.gravity", gravity)?;
         positive("system.dt", dt)?;
-        chain(settings).check().map_err(|error| Problem::new("system.cart_mass", format!("is {cart_mass}: {error}")))?;
+        chain(settings).check().map_err(|error| ConfigError::new("system.cart_mass", format!("is {cart_mass}: {error}")))?;
         validate_upright(settings)
     }
 

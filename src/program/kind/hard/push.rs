@@ -2,8 +2,8 @@
 
 use super::contact::ContactSettings;
 use super::{Nothing, names, small_step, visit};
-use crate::program::kind::{Kind, MlpSettings, Visit};
-use crate::program::problem::{Problem, positive};
+use crate::program::kind::{MlpSettings, TaskSpec, Visit};
+use crate::program::problem::{ConfigError, positive};
 use crate::program::settings::Settings;
 use physgrad::report::{Animation, Posture, Stage, mechanics};
 use physgrad::tasks::{self, AnyHard, TwoBodies};
@@ -21,18 +21,18 @@ pub struct PushSettings {
     /// Masses of pusher and box, kg.
     masses: [f64; 2],
     /// Distance between the centres in contact, m.
-    reach: f64,
+    contact_distance: f64,
     /// Time step, s.
     dt: f64,
     /// Contact between pusher and box; default restitution 0.
     contact: ContactSettings,
 }
 
-impl Kind for Push {
+impl TaskSpec for Push {
     type System = PushSettings;
     type Effects = Nothing;
     type Loss = Nothing;
-    type Network = MlpSettings;
+    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "push";
     const ABOUT: &'static str = "push a box to a place that only contact can bring it to";
@@ -40,21 +40,21 @@ impl Kind for Push {
     const HORIZON: usize = 100;
 
     fn system() -> PushSettings {
-        let TwoBodies { masses, reach, dt, contact: _ } = TwoBodies::pusher();
-        PushSettings { masses, reach, dt, contact: ContactSettings::USUAL }
+        let TwoBodies { masses, contact_distance, dt, contact: _ } = TwoBodies::pusher();
+        PushSettings { masses, contact_distance, dt, contact: ContactSettings::USUAL }
     }
 
-    fn validate(settings: &Settings<Self>) -> Result<(), Problem> {
-        let PushSettings { masses, reach, dt, contact } = settings.system;
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
+        let PushSettings { masses, contact_distance, dt, contact } = settings.system;
         masses.into_iter().try_for_each(|mass| positive("system.masses", mass))?;
-        positive("system.reach", reach)?;
+        positive("system.contact_distance", contact_distance)?;
         positive("system.dt", dt)?;
         contact.validate()
     }
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
-        let PushSettings { masses, reach, dt: _, contact } = settings.system;
-        let system = TwoBodies { masses, reach, dt: small_step(settings), contact: contact.contact(0.0) };
+        let PushSettings { masses, contact_distance, dt: _, contact } = settings.system;
+        let system = TwoBodies { masses, contact_distance, dt: small_step(settings), contact: contact.contact(0.0) };
         visit(settings, AnyHard::Push(tasks::Push { system, horizon: settings.horizon }), visitor)
     }
 
@@ -77,10 +77,15 @@ impl Kind for Push {
     }
 
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
-        let PushSettings { reach, dt, .. } = settings.system;
-        let height = 0.5 * reach;
+        let PushSettings { contact_distance, dt, .. } = settings.system;
+        let height = 0.5 * contact_distance;
         let posture = |x: &Vec<f64>| Posture { boxes: vec![[x[0], height], [x[1], height]], chain: Vec::new() };
-        let stage = Stage { title: "A pusher and a box".into(), size: reach, floor: Some(0.0), mark: Some([0.0, -0.2 * reach]) };
+        let stage = Stage {
+            title: "A pusher and a box".into(),
+            size: contact_distance,
+            floor: Some(0.0),
+            mark: Some([0.0, -0.2 * contact_distance]),
+        };
         mechanics(&stage, &states.iter().map(posture).collect::<Vec<_>>(), dt)
     }
 }

@@ -1,8 +1,8 @@
 //! Block with dry friction: settings, limits and animation.
 
 use super::{Nothing, names, small_step, visit};
-use crate::program::kind::{Kind, MlpSettings, Visit};
-use crate::program::problem::{Problem, not_negative, positive};
+use crate::program::kind::{MlpSettings, TaskSpec, Visit};
+use crate::program::problem::{ConfigError, not_negative, positive};
 use crate::program::settings::Settings;
 use physgrad::report::{Animation, Posture, Stage, mechanics};
 use physgrad::tasks::{self, AnyHard, FrictionScheme, SliderSystem};
@@ -53,11 +53,11 @@ impl Default for SliderLoss {
     }
 }
 
-impl Kind for Slider {
+impl TaskSpec for Slider {
     type System = SliderSettings;
     type Effects = Nothing;
     type Loss = SliderLoss;
-    type Network = MlpSettings;
+    type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "slider";
     const ABOUT: &'static str = "stop a block with stiff dry friction at a place";
@@ -69,7 +69,7 @@ impl Kind for Slider {
         SliderSettings { mass, coefficient, smoothing, dt, scheme: Scheme::Implicit }
     }
 
-    fn validate(settings: &Settings<Self>) -> Result<(), Problem> {
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
         let SliderSettings { mass, coefficient, smoothing, dt, scheme: _ } = settings.system;
         positive("system.mass", mass)?;
         not_negative("system.coefficient", coefficient)?;

@@ -1,4 +1,4 @@
-//! [`Wide`]: a number with extended exponent range, and scaling by powers of two.
+//! [`ExtendedF64`]: a number with extended exponent range, and scaling by powers of two.
 
 use crate::numbers::scalar::Float;
 use serde::{Deserialize, Serialize};
@@ -10,20 +10,20 @@ use std::ops::{Add, Div, Mul};
 /// Represents norms of gradients that explode or vanish beyond the range of `f64`.
 ///
 /// ```
-/// use physgrad::Wide;
+/// use physgrad::ExtendedF64;
 ///
-/// let long = Wide::new(1.5, 5849);
+/// let long = ExtendedF64::new(1.5, 5849);
 /// assert_eq!(long.to_string(), "7.95309e1760");
-/// assert_eq!((long.get(), Wide::new(0.25, 3).to_string()), (f64::INFINITY, "2".to_owned()));
+/// assert_eq!((long.get(), ExtendedF64::new(0.25, 3).to_string()), (f64::INFINITY, "2".to_owned()));
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Wide {
+pub struct ExtendedF64 {
     mantissa: f64,
     /// 0 unless the number is outside, or near the ends of, the range of `f64`.
     exponent: i32,
 }
 
-impl Wide {
+impl ExtendedF64 {
     /// `mantissa · 2^exponent`.
     pub fn new(mantissa: f64, exponent: i32) -> Self {
         /// Largest absolute exponent of numbers that are stored as a plain `f64`.
@@ -60,13 +60,13 @@ impl Wide {
     }
 }
 
-impl From<f64> for Wide {
+impl From<f64> for ExtendedF64 {
     fn from(number: f64) -> Self {
         Self::new(number, 0)
     }
 }
 
-impl Add for Wide {
+impl Add for ExtendedF64 {
     type Output = Self;
 
     fn add(self, other: Self) -> Self {
@@ -82,7 +82,7 @@ impl Add for Wide {
     }
 }
 
-impl Mul<f64> for Wide {
+impl Mul<f64> for ExtendedF64 {
     type Output = Self;
 
     fn mul(self, factor: f64) -> Self {
@@ -90,7 +90,7 @@ impl Mul<f64> for Wide {
     }
 }
 
-impl Div<f64> for Wide {
+impl Div<f64> for ExtendedF64 {
     type Output = Self;
 
     fn div(self, divisor: f64) -> Self {
@@ -98,7 +98,7 @@ impl Div<f64> for Wide {
     }
 }
 
-impl fmt::Display for Wide {
+impl fmt::Display for ExtendedF64 {
     /// Formats like an `f64` within its range, otherwise with six digits and a decimal exponent.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.exponent == 0 {
@@ -160,15 +160,18 @@ mod tests {
 
     #[test]
     fn sums_and_logarithms_are_those_of_floats_and_go_beyond_them() {
-        let sum = Wide::from(3.0) + Wide::from(0.5);
+        let sum = ExtendedF64::from(3.0) + ExtendedF64::from(0.5);
         assert_eq!((sum.get(), sum.exponent), (3.5, 0));
-        let huge = Wide::new(1.0, 4000);
-        assert_eq!(huge + Wide::from(1.0), huge);
-        assert_eq!((huge + huge, Wide::from(0.0) + Wide::new(1.0, -4000)), (Wide::new(1.0, 4001), Wide::new(1.0, -4000)));
+        let huge = ExtendedF64::new(1.0, 4000);
+        assert_eq!(huge + ExtendedF64::from(1.0), huge);
+        assert_eq!(
+            (huge + huge, ExtendedF64::from(0.0) + ExtendedF64::new(1.0, -4000)),
+            (ExtendedF64::new(1.0, 4001), ExtendedF64::new(1.0, -4000))
+        );
         approx::assert_relative_eq!(huge.log10(), 4000.0 * 2f64.log10(), max_relative = 1e-15);
-        assert_eq!((huge.get(), Wide::new(1.0, -4000).get()), (f64::INFINITY, 0.0));
+        assert_eq!((huge.get(), ExtendedF64::new(1.0, -4000).get()), (f64::INFINITY, 0.0));
         // Within the range again, the result is a plain `f64`.
-        assert_eq!((Wide::new(1.5, 1100) / power_of_two(1000) / power_of_two(100)).get(), 1.5);
+        assert_eq!((ExtendedF64::new(1.5, 1100) / power_of_two(1000) / power_of_two(100)).get(), 1.5);
     }
 
     #[test]

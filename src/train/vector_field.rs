@@ -19,7 +19,7 @@ use crate::engine::gradient::Gradient;
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::scalar::Float;
 use crate::policy::{Policy, Weights};
-use crate::train::field::{Compose, Field, SignAgreement};
+use crate::train::field::{Field, GradientCombiner, SignAgreement};
 use crate::train::optim::Optimizer;
 
 /// Vector field at one point.
@@ -55,7 +55,7 @@ pub fn grid(reach: f64, cells: usize) -> Vec<[f64; 2]> {
 /// # Panics
 /// If the policy does not have two parameters, or does not fit the task.
 #[track_caller]
-pub fn sample<T: Task, P: Policy, C: Compose>(
+pub fn sample<T: Task, P: Policy, C: GradientCombiner>(
     task: &T,
     policy: &P,
     field: &Field<C>,
@@ -74,7 +74,7 @@ pub fn sample<T: Task, P: Policy, C: Compose>(
 /// # Panics
 /// If the policy does not have two parameters, or does not fit the task.
 #[track_caller]
-pub fn descend<T: Task, P: Policy, C: Compose>(
+pub fn descend<T: Task, P: Policy, C: GradientCombiner>(
     task: &T,
     policy: &P,
     field: &Field<C>,
@@ -104,7 +104,7 @@ struct Sampler<'a, T: Task, P, C> {
     vector: Gradient<f64>,
 }
 
-impl<'a, T: Task, P: Policy, C: Compose> Sampler<'a, T, P, C> {
+impl<'a, T: Task, P: Policy, C: GradientCombiner> Sampler<'a, T, P, C> {
     #[track_caller]
     fn new(task: &'a T, policy: &'a P, field: &'a Field<C>) -> Self {
         assert_eq!(
@@ -124,7 +124,7 @@ impl<'a, T: Task, P: Policy, C: Compose> Sampler<'a, T, P, C> {
         self.weights.update(self.policy, |weights| weights.copy_from_slice(&theta));
         let loss = self.batch.run(self.task, self.policy, &self.weights, &self.start)?;
         self.field.compose(self.batch.gradients(), &mut self.vector);
-        let vector = self.vector.plain();
+        let vector = self.vector.to_vec();
         Ok(Sample { theta, loss, vector: [vector[0], vector[1]] })
     }
 }
@@ -183,7 +183,7 @@ impl Rotated {
     }
 }
 
-impl Compose for Rotated {
+impl GradientCombiner for Rotated {
     fn name(&self) -> &str {
         if self.combined { "rotated, combined" } else { "rotated" }
     }

@@ -5,14 +5,14 @@
 
 use crate::dynamics::system::System;
 use crate::numbers::kernels::{Vectorized, dispatch_lanes};
-use crate::numbers::scalar::{Columns, Cotangent, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Scalar};
 
 /// Runs `work` outlined, vectorized for this processor.
 ///
-/// Scalar types other than the lanes of rollouts (`T::WIDE` is false) take only the portable path:
+/// Scalar types other than the lanes of rollouts (`T::VECTORIZED` is false) take only the portable path:
 /// they are not performance-critical.
 #[inline(always)]
-pub(crate) fn apart<T: Scalar>(work: impl Vectorized) {
+pub(crate) fn outline<T: Scalar>(work: impl Vectorized) {
     #[inline(never)]
     fn best(work: impl Vectorized) {
         dispatch_lanes(work);
@@ -21,7 +21,7 @@ pub(crate) fn apart<T: Scalar>(work: impl Vectorized) {
     fn portable(work: impl Vectorized) {
         work.run::<false>();
     }
-    if T::WIDE { best(work) } else { portable(work) }
+    if T::VECTORIZED { best(work) } else { portable(work) }
 }
 
 /// Outlined [`System::step`], to be run by [`apart`].
@@ -60,7 +60,7 @@ pub(crate) fn vjp<S: System + ?Sized, F: Float>(
 }
 
 /// Cotangent of the reverse pass of one flow.
-pub(crate) type One<F> = Columns<F, 1>;
+pub(crate) type One<F> = CotangentPack<F, 1>;
 
 /// Outlined [`System::vjp`], to be run by [`apart`].
 ///

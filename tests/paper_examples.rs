@@ -2,14 +2,14 @@
 
 use approx::assert_relative_eq;
 use physgrad::policy::{Constant, Linear, Quadratic};
-use physgrad::tasks::{Bowl, Integrator, Reach};
-use physgrad::toy::{self, LEARNING_RATE, ROTATION, Rotated, START};
-use physgrad::{Compose, Field, Optimizer, Rule, check};
+use physgrad::tasks::{Accumulator, Bowl, Reach};
+use physgrad::vector_field::{self, LEARNING_RATE, ROTATION, Rotated, START};
+use physgrad::{Field, GradientCombiner, Optimizer, OptimizerKind, check};
 
 #[test]
 fn every_derivative() {
     for dim in [1, 2, 5] {
-        check::system(&Integrator { dim });
+        check::system(&Accumulator { dim });
     }
     check::policy(&Quadratic);
     check::policy(&Constant::new(3, 2));
@@ -20,7 +20,7 @@ fn every_derivative() {
 
 /// Parameters all over figure 1.
 fn thetas() -> Vec<[f64; 2]> {
-    toy::grid(4.0, 12)
+    vector_field::grid(4.0, 12)
 }
 
 /// The states of figure 1, and ∂x_4/∂θ by the chain rule along the steps.
@@ -37,7 +37,7 @@ fn trajectory([a, b]: [f64; 2]) -> ([f64; 5], [f64; 2]) {
 
 #[test]
 fn regular_is_the_chain_rule_written_out() {
-    let samples = toy::sample(&Reach::default(), &Quadratic, &Field::regular(), &thetas()).expect("finite");
+    let samples = vector_field::sample(&Reach::default(), &Quadratic, &Field::regular(), &thetas()).expect("finite");
     for s in samples {
         let (x, slope) = trajectory(s.theta);
         let miss = x[4] - 2.0;
@@ -52,9 +52,10 @@ fn regular_is_the_chain_rule_written_out() {
 
 #[test]
 fn regular_is_the_slope_of_the_loss() {
-    let loss = |theta| toy::sample(&Reach::default(), &Quadratic, &Field::regular(), &[theta]).expect("finite")[0].loss;
+    let loss = |theta| vector_field::sample(&Reach::default(), &Quadratic, &Field::regular(), &[theta]).expect("finite")[0].loss;
     let h = 1e-5;
-    for s in toy::sample(&Reach::default(), &Quadratic, &Field::regular(), &toy::grid(1.5, 5)).expect("finite") {
+    for s in vector_field::sample(&Reach::default(), &Quadratic, &Field::regular(), &vector_field::grid(1.5, 5)).expect("finite")
+    {
         let [a, b] = s.theta;
         let slopes = [(loss([a + h, b]) - loss([a - h, b])) / (2.0 * h), (loss([a, b + h]) - loss([a, b - h])) / (2.0 * h)];
         for (found, slope) in s.vector.into_iter().zip(slopes) {
@@ -66,7 +67,7 @@ fn regular_is_the_slope_of_the_loss() {
 /// Since ∂S/∂x = 1, every control sees the same cotangent.
 #[test]
 fn modified_is_the_sum_over_the_steps() {
-    for s in toy::sample(&Reach::default(), &Quadratic, &Field::modified(), &thetas()).expect("finite") {
+    for s in vector_field::sample(&Reach::default(), &Quadratic, &Field::modified(), &thetas()).expect("finite") {
         let (x, _) = trajectory(s.theta);
         let miss = x[4] - 2.0;
         let sums = [x[..4].iter().map(|x| x * x).sum::<f64>(), x[..4].iter().sum()];
@@ -85,31 +86,31 @@ fn the_fields_have_their_minima_in_common() {
     for theta in thetas() {
         let target = trajectory(theta).0[4];
         let task = Reach { target, ..Reach::default() };
-        let scale = toy::sample(&Reach { target: target + 1.0, ..task }, &Quadratic, &Field::regular(), &[theta])
+        let scale = vector_field::sample(&Reach { target: target + 1.0, ..task }, &Quadratic, &Field::regular(), &[theta])
             .expect("finite")[0]
             .norm();
         for field in [Field::regular(), Field::modified(), Field::combined()] {
-            let s = toy::sample(&task, &Quadratic, &field, &[theta]).expect("finite")[0];
+            let s = vector_field::sample(&task, &Quadratic, &field, &[theta]).expect("finite")[0];
             // The rollout may round otherwise than the test.
             assert!(s.norm() <= 1e-9 * target.abs().max(1.0) * scale.max(1.0), "{field}: {s:?}");
         }
     }
     // On the line θ₂ = -1 with θ₁ = 0 all goes to x = 0 in one step, and there is no slope; M still leads on.
     let theta = [[0.0, -1.0]];
-    let [r, m] =
-        [Field::regular(), Field::modified()].map(|f| toy::sample(&Reach::default(), &Quadratic, &f, &theta).expect("finite")[0]);
+    let [r, m] = [Field::regular(), Field::modified()]
+        .map(|f| vector_field::sample(&Reach::default(), &Quadratic, &f, &theta).expect("finite")[0]);
     assert!(r.norm() < 1e-12 && m.norm() > 0.1 && r.loss == 2.0, "{r:?} {m:?}");
 }
 
 #[test]
 fn a_rotation_has_the_gradients_zeros_and_the_combination_descends() {
     let (task, policy) = (Bowl::default(), Constant::new(2, 2));
-    let at = |field: &Field<Rotated>, thetas: &[[f64; 2]]| toy::sample(&task, &policy, field, thetas).expect("finite");
+    let at = |field: &Field<Rotated>, thetas: &[[f64; 2]]| vector_field::sample(&task, &policy, field, thetas).expect("finite");
     let [(_, gradient), (_, rotated), (_, combined)] = Rotated::figure();
     for field in [&gradient, &rotated, &combined] {
         assert_eq!(at(field, &[[0.0; 2]])[0].norm(), 0.0);
     }
-    let thetas = toy::grid(3.0, 16);
+    let thetas = vector_field::grid(3.0, 16);
     let dot = |a: [f64; 2], b: [f64; 2]| a[0] * b[0] + a[1] * b[1];
     let mut dropped = 0;
     for ((g, r), c) in at(&gradient, &thetas).into_iter().zip(at(&rotated, &thetas)).zip(at(&combined, &thetas)) {
@@ -131,7 +132,7 @@ fn a_rotation_has_the_gradients_zeros_and_the_combination_descends() {
 fn the_bowl_is_as_long_and_turned_as_it_says() {
     let (sin, cos) = std::f64::consts::FRAC_PI_6.sin_cos();
     let places = [[2.0 * cos, 2.0 * sin], [-2.0 * sin, 2.0 * cos]];
-    let samples = toy::sample(&Bowl::default(), &Constant::new(2, 2), &Field::regular(), &places).expect("finite");
+    let samples = vector_field::sample(&Bowl::default(), &Constant::new(2, 2), &Field::regular(), &places).expect("finite");
     for (s, curvature) in samples.iter().zip([1.0, 4.0]) {
         assert_relative_eq!(s.loss, curvature * 2.0, max_relative = 1e-14);
         assert_relative_eq!(s.vector[0], curvature * s.theta[0], max_relative = 1e-14);
@@ -144,7 +145,8 @@ fn the_bowl_is_as_long_and_turned_as_it_says() {
 #[test]
 fn adam_converges_but_for_the_rotation() {
     let losses = Rotated::figure().map(|(_, field)| {
-        let path = toy::descend(&Bowl::default(), &Constant::new(2, 2), &field, START, LEARNING_RATE, 1500).expect("finite");
+        let path =
+            vector_field::descend(&Bowl::default(), &Constant::new(2, 2), &field, START, LEARNING_RATE, 1500).expect("finite");
         assert_eq!((path.len(), path[0].theta), (1501, START));
         path[1400..].iter().map(|s| s.loss).fold(0.0, f64::max)
     });
@@ -161,7 +163,8 @@ fn the_combination_arrives_from_most_starts() {
             let (sin, cos) = (std::f64::consts::PI / 8.0 * (f64::from(i) + 0.5) + 0.1).sin_cos();
             let [rotation, combination] = [&rotated, &combined].map(|field| {
                 let start = [2.0 * cos, 2.0 * sin];
-                let path = toy::descend(&Bowl::default(), &Constant::new(2, 2), field, start, rate, 3000).expect("finite");
+                let path =
+                    vector_field::descend(&Bowl::default(), &Constant::new(2, 2), field, start, rate, 3000).expect("finite");
                 path[2700..].iter().map(|s| s.loss).fold(0.0, f64::max)
             });
             assert!(rotation > 1.0 && combination < rotation / 10.0, "{rate}, start {i}: {rotation:e} {combination:e}");
@@ -178,14 +181,14 @@ fn adam_orbits_where_plain_descent_arrives() {
     for (curvature, rate, strength) in [(1.0, 0.1, 3.0), (5.0, 0.1, 3.0), (1.0, 0.1, 8.0), (1.0, 0.05, 8.0)] {
         let round = Bowl { curvatures: [curvature; 2], ..Bowl::default() };
         let (policy, field) = (Constant::new(2, 2), Rotated::field(strength));
-        let path = toy::descend(&round, &policy, &field, START, rate, 8000).expect("finite");
+        let path = vector_field::descend(&round, &policy, &field, START, rate, 8000).expect("finite");
         let distance = path[7000..].iter().map(|s| s.theta[0].hypot(s.theta[1])).sum::<f64>() / 1001.0;
         assert_relative_eq!(distance, 2f64.sqrt() * 9.0 * rate * strength, max_relative = 0.15);
 
-        let mut plain = Optimizer::new(Rule::Sgd, 0.001 / curvature, 2);
+        let mut plain = Optimizer::new(OptimizerKind::Sgd, 0.001 / curvature, 2);
         let mut theta = START;
         for _ in 0..20_000 {
-            let vector = toy::sample(&round, &policy, &field, &[theta]).expect("finite")[0].vector;
+            let vector = vector_field::sample(&round, &policy, &field, &[theta]).expect("finite")[0].vector;
             plain.step(&mut theta, &vector);
         }
         assert!(theta[0].hypot(theta[1]) < 1e-7, "{theta:?}");
@@ -204,5 +207,5 @@ fn rotations_are_composed_like_any_other() {
 #[test]
 #[should_panic(expected = "two parameters, not 1")]
 fn a_plane_has_two_dimensions() {
-    let _ = toy::sample(&Reach::default(), &Linear::new(1, 1), &Field::regular(), &[[0.0; 2]]);
+    let _ = vector_field::sample(&Reach::default(), &Linear::new(1, 1), &Field::regular(), &[[0.0; 2]]);
 }

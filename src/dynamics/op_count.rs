@@ -1,7 +1,7 @@
-//! [`Cost`]: operation counts of a system's step and of its transposed Jacobian products.
+//! [`OpCount`]: operation counts of a system's step and of its transposed Jacobian products.
 
 use crate::dynamics::system::System;
-use crate::numbers::scalar::{Counted, Counts};
+use crate::numbers::scalar::{Counted, Ops};
 
 /// Operation counts of one step of one sample, and of its VJPs with one cotangent.
 ///
@@ -14,25 +14,25 @@ use crate::numbers::scalar::{Counted, Counts};
 ///
 /// ```
 /// use physgrad::tasks::{CartDamping, CartPoleSystem};
-/// use physgrad::{Cost, With};
+/// use physgrad::{OpCount, Forced};
 ///
 /// let system = CartPoleSystem::default();
-/// let alone = Cost::of(&system);
-/// let damped = Cost::of(&With { system, effects: CartDamping::default() });
-/// assert_eq!(Cost::of(&With { system, effects: () }), alone);
+/// let alone = OpCount::of(&system);
+/// let damped = OpCount::of(&Forced { system, effects: CartDamping::default() });
+/// assert_eq!(OpCount::of(&Forced { system, effects: () }), alone);
 /// assert_eq!((damped.step - alone.step).to_string(), "1 add, 1 multiply");
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Cost {
+pub struct OpCount {
     /// [`System::step`].
-    pub step: Counts,
+    pub step: Ops,
     /// [`System::vjp`], to state and control. Evaluated by the flows R and M.
-    pub vjp: Counts,
+    pub vjp: Ops,
     /// [`System::vjp_control`], to the control alone. Evaluated by the flows N and S.
-    pub vjp_control: Counts,
+    pub vjp_control: Ops,
 }
 
-impl Cost {
+impl OpCount {
     /// Counts the operations of `system`.
     pub fn of<S: System>(system: &S) -> Self {
         let (n, m) = (system.state_dim(), system.control_dim());
@@ -41,9 +41,9 @@ impl Cost {
         let (x, u, next_bar) = (numbers(n), numbers(m), numbers(n));
         let (mut next, mut x_bar, mut u_bar) = (numbers(n), numbers(n), numbers(m));
         Self {
-            step: Counts::of(|| system.step(&x, &u, &mut next)).0,
-            vjp: Counts::of(|| system.vjp(&x, &u, &next_bar, &mut x_bar, &mut u_bar)).0,
-            vjp_control: Counts::of(|| system.vjp_control(&x, &u, &next_bar, &mut u_bar)).0,
+            step: Ops::of(|| system.step(&x, &u, &mut next)).0,
+            vjp: Ops::of(|| system.vjp(&x, &u, &next_bar, &mut x_bar, &mut u_bar)).0,
+            vjp_control: Ops::of(|| system.vjp_control(&x, &u, &next_bar, &mut u_bar)).0,
         }
     }
 }

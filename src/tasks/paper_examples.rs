@@ -11,12 +11,12 @@ use crate::numbers::zip::zip;
 ///
 /// State and control have the same number of components, without units.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Integrator {
+pub struct Accumulator {
     /// Number of components of state and control.
     pub dim: usize,
 }
 
-impl System for Integrator {
+impl System for Accumulator {
     fn state_dim(&self) -> usize {
         self.dim
     }
@@ -53,7 +53,7 @@ impl System for Integrator {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reach {
     /// The physics, of one component.
-    pub system: Integrator,
+    pub system: Accumulator,
     /// The only start, x_0.
     pub start: f64,
     /// The target y.
@@ -64,14 +64,14 @@ pub struct Reach {
 
 impl Default for Reach {
     fn default() -> Self {
-        Self { system: Integrator { dim: 1 }, start: -0.3, target: 2.0, horizon: 4 }
+        Self { system: Accumulator { dim: 1 }, start: -0.3, target: 2.0, horizon: 4 }
     }
 }
 
 impl Task for Reach {
-    type System = Integrator;
+    type System = Accumulator;
 
-    fn system(&self) -> &Integrator {
+    fn system(&self) -> &Accumulator {
         &self.system
     }
 
@@ -97,7 +97,7 @@ impl Task for Reach {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bowl {
     /// The physics, of two components.
-    pub system: Integrator,
+    pub system: Accumulator,
     /// The curvatures a and b.
     pub curvatures: [f64; 2],
     /// How far the axis of a is turned from the first component, counter-clockwise, rad.
@@ -108,14 +108,14 @@ impl Default for Bowl {
     /// Curvatures 1 and 4, turned by 30°. A bowl along the axes would flatter Adam, which scales every component by
     /// itself.
     fn default() -> Self {
-        Self { system: Integrator { dim: 2 }, curvatures: [1.0, 4.0], angle: std::f64::consts::FRAC_PI_6 }
+        Self { system: Accumulator { dim: 2 }, curvatures: [1.0, 4.0], angle: std::f64::consts::FRAC_PI_6 }
     }
 }
 
 impl Task for Bowl {
-    type System = Integrator;
+    type System = Accumulator;
 
-    fn system(&self) -> &Integrator {
+    fn system(&self) -> &Accumulator {
         &self.system
     }
 
