@@ -39,7 +39,7 @@
 //! for (k, gradient) in gradients.iter_mut().enumerate() {
 //!     adjoint.param_gradient(k, &policy, &weights, &rollout, 0..1, gradient);
 //! }
-//! field.compose(&gradients, &mut descent);
+//! field.combine(&gradients, &mut descent);
 //! Clip::Norm(1.0).apply(&mut descent);
 //! weights.update(&policy, |theta| optimizer.step(theta, descent.values()));
 //! # Ok::<(), physgrad::Divergence>(())

@@ -241,6 +241,6 @@ fn composed_fields_share_one_forward_pass_with_the_same_bits() {
     let both = gradients::<f64>(8, 1).1;
     assert_eq!(both[1], alone(Flow::REGULAR), "R beside M is R alone");
     let mut composed = Gradient::zeros(both[0].values().len());
-    Field::combined().compose(&both, &mut composed);
+    Field::combined().combine(&both, &mut composed);
     assert!(composed.values().iter().any(|&c| c != 0.0));
 }

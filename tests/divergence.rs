@@ -229,7 +229,7 @@ fn an_infinite_gradient_of_finite_cotangents_is_named() {
     let (divergence, theta) = epoch(1e30, 1e20, Clip::None);
     let Some(Divergence::Field { parameter: 0, norm }) = divergence else { panic!("{divergence:?}") };
     assert!((norm.get() / 1e50 - 1.0).abs() < 1e-6 && theta == 0.0, "{norm}, {theta}");
-    assert!(divergence.expect("one").to_string().contains("training.clip"));
+    assert!(divergence.expect("one").to_string().contains("Clip by norm"));
     assert!(matches!(epoch(1e30, 1e20, Clip::Norm(1.0)), (None, theta) if theta < 0.0));
 }
 
@@ -282,7 +282,7 @@ impl GradientCombiner for Broken {
     fn name(&self) -> &str {
         "broken"
     }
-    fn compose<F: Float>(&self, first: &[F], _: &[F], out: &mut [F]) {
+    fn combine<F: Float>(&self, first: &[F], _: &[F], out: &mut [F]) {
         out.copy_from_slice(first);
         out[0] = F::lift(self.0);
     }
@@ -299,7 +299,7 @@ fn a_composition_is_checked_before_the_optimizer_sees_it() {
         (1e30, Clip::Norm(1.0), false),
         (1e30, Clip::Value(1.0), false),
     ] {
-        let field = Field::composed(Flow::MODIFIED, Flow::REGULAR, Broken(value));
+        let field = Field::custom(Flow::MODIFIED, Flow::REGULAR, Broken(value));
         let training = Training { train_samples: 8, test_samples: 8, clip, ..Training::default() };
         let mut session = Trainer::new(Saturated, Linear::new(1, 1)).field(field).training(training).session().expect("valid");
         let before = session.weights().theta().to_vec();

@@ -141,25 +141,25 @@ fn a_final_loss_reaches_stopped_gradients_at_the_last_step_only() {
 
 #[test]
 fn composition_keeps_what_agrees_and_nothing_else() {
-    let compose = |a: &[f64], b: &[f64]| {
+    let combine = |a: &[f64], b: &[f64]| {
         let mut out = vec![f64::NAN; a.len()];
-        SignAgreement.compose(a, b, &mut out);
+        SignAgreement.combine(a, b, &mut out);
         out
     };
     let mut rng = stream(4, Purpose::Check, 0);
     let g: Vec<f64> = (0..1000).map(|_| rng.random_range(-1.0..1.0)).collect();
     let h: Vec<f64> = (0..1000).map(|_| rng.random_range(-1.0..1.0)).collect();
     let minus: Vec<f64> = g.iter().map(|g| -g).collect();
-    assert_eq!(compose(&g, &g), g);
-    assert!(compose(&g, &minus).iter().all(|&c| c == 0.0));
-    for ((&c, &m), &r) in compose(&g, &h).iter().zip(&g).zip(&h) {
+    assert_eq!(combine(&g, &g), g);
+    assert!(combine(&g, &minus).iter().all(|&c| c == 0.0));
+    for ((&c, &m), &r) in combine(&g, &h).iter().zip(&g).zip(&h) {
         assert!(c.abs() <= m.abs());
         assert_eq!(c, if (m > 0.0) == (r > 0.0) { m } else { 0.0 });
     }
     // Zeros have no sign, and what is not a number agrees with nothing.
     let nan = f64::NAN;
-    assert_eq!(compose(&[0.0, -0.0, 1.0, 1.0, nan, -2.0], &[1.0, -1.0, 0.0, nan, 1.0, -1e-300]), [0.0, 0.0, 0.0, 0.0, 0.0, -2.0]);
-    assert_eq!(compose(&[1.0, -1.0], &[f64::INFINITY, f64::INFINITY]), [1.0, 0.0]);
+    assert_eq!(combine(&[0.0, -0.0, 1.0, 1.0, nan, -2.0], &[1.0, -1.0, 0.0, nan, 1.0, -1e-300]), [0.0, 0.0, 0.0, 0.0, 0.0, -2.0]);
+    assert_eq!(combine(&[1.0, -1.0], &[f64::INFINITY, f64::INFINITY]), [1.0, 0.0]);
 }
 
 #[test]

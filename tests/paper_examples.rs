@@ -198,9 +198,9 @@ fn adam_orbits_where_plain_descent_arrives() {
 #[test]
 fn rotations_are_composed_like_any_other() {
     let mut out = [0.0; 2];
-    Rotated { strength: 2.0, combined: false }.compose(&[1.0, -0.5], &[1.0, -0.5], &mut out);
+    Rotated { strength: 2.0, combined: false }.combine(&[1.0, -0.5], &[1.0, -0.5], &mut out);
     assert_eq!(out, [2.0, 1.5]);
-    Rotated { strength: 2.0, combined: true }.compose(&[1.0, -0.5], &[1.0, -0.5], &mut out);
+    Rotated { strength: 2.0, combined: true }.combine(&[1.0, -0.5], &[1.0, -0.5], &mut out);
     assert_eq!(out, [2.0, 0.0]);
 }
 

@@ -279,7 +279,7 @@ fn losses_and_gradients<A: Authors>() {
                 continue;
             }
             let mut got = Gradient::zeros(policy.param_count());
-            Field::combined().compose(batch.gradients(), &mut got);
+            Field::combined().combine(batch.gradients(), &mut got);
             let got = got.to_vec();
             let [m, r] = [0, 1].map(|k| batch.gradients()[k].values());
             let kept = |g: &[f64]| g.iter().map(|&g| g != 0.0).collect::<Vec<_>>();
@@ -347,7 +347,7 @@ fn training<A: Authors>() {
                 for starts in train.chunks(size * task.system().state_dim()) {
                     without.push(loss(&physics, &policy, &weights, starts));
                     batch.run(&task, &policy, &weights, starts).expect("finite");
-                    field.compose(batch.gradients(), &mut update);
+                    field.combine(batch.gradients(), &mut update);
                     lengths.push(update.norm().get());
                     clip.apply(&mut update);
                     weights.update(&policy, |theta| optimizer.step(theta, update.values()));
