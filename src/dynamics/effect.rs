@@ -14,7 +14,7 @@ use crate::numbers::forward_mode::jacobian;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Scalar};
 use crate::numbers::zip::zip;
-pub(crate) use list::{Act, ActBack, any_effect};
+pub(crate) use list::{AddForces, Vjp, any_effect};
 pub use named::Named;
 use rand::RngExt;
 use std::fmt::Debug;
@@ -53,69 +53,6 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         effect_vjp_by_duals(self, model, x, forces_bar, x_bar);
-    }
-
-    /// As [`add_forces`](Effect::add_forces), where the system has worked out something about the state already that the effect can use,
-    /// for speed: sines and cosines of angles, for instance. The system's documentation says what is `known`.
-    #[inline(always)]
-    fn act_knowing<T: Scalar>(&self, model: &B, x: &[T], _known: &[T], forces: &mut [T]) {
-        self.add_forces(model, x, forces);
-    }
-
-    /// As [`vjp`](Effect::vjp), with what is known about the state. Cotangents go to the state alone.
-    #[inline(always)]
-    fn vjp_knowing<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], _known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        self.vjp(model, x, forces_bar, x_bar);
-    }
-
-    /// Whether it is written as [`act_at`](Effect::act_at) and [`vjp_at`](Effect::vjp_at) too. A system with a long loop over
-    /// its forces can then have them in that loop, where it would wait otherwise, and not beforehand.
-    const LOCAL: bool = false;
-
-    /// Of an effect that is [`LOCAL`](Effect::LOCAL): what has become of the force in place `i`, which was `force`, after
-    /// [`add_forces`](Effect::add_forces).
-    #[inline(always)]
-    fn act_at<T: Scalar>(&self, _model: &B, _x: &[T], _i: usize, _force: T) -> T {
-        unreachable!("{self:?} is not local")
-    }
-
-    /// Of an effect that is [`LOCAL`](Effect::LOCAL): what [`vjp`](Effect::vjp) adds to `x_bar` for the force in place `i`.
-    #[inline(always)]
-    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _model: &B, _x: &[R], _i: usize, _force_bar: C, _x_bar: &mut [C]) {
-        unreachable!("{self:?} is not local")
-    }
-
-    /// What the local effects among these make of a force in place `i` before the first that is not local: a system works them
-    /// out where it has its own forces. The rest is [`act_rest`](Effect::act_rest); together they are
-    /// [`act_knowing`](Effect::act_knowing), in the same order.
-    #[doc(hidden)]
-    #[inline(always)]
-    fn act_first_at<T: Scalar>(&self, model: &B, x: &[T], i: usize, force: T) -> T {
-        if Self::LOCAL { self.act_at(model, x, i, force) } else { force }
-    }
-
-    #[doc(hidden)]
-    #[inline(always)]
-    fn act_rest<T: Scalar>(&self, model: &B, x: &[T], known: &[T], forces: &mut [T]) {
-        if !Self::LOCAL {
-            self.act_knowing(model, x, known, forces);
-        }
-    }
-
-    #[doc(hidden)]
-    #[inline(always)]
-    fn vjp_first_at<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], i: usize, force_bar: C, x_bar: &mut [C]) {
-        if Self::LOCAL {
-            self.vjp_at(model, x, i, force_bar, x_bar);
-        }
-    }
-
-    #[doc(hidden)]
-    #[inline(always)]
-    fn vjp_rest<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        if !Self::LOCAL {
-            self.vjp_knowing(model, x, known, forces_bar, x_bar);
-        }
     }
 
     /// Whether its forces depend on the state. Where none does, the reverse pass has less to do.
@@ -262,15 +199,6 @@ pub struct Forced<H, E> {
     pub effects: E,
 }
 
-/// A copy of effects that are a few plain numbers: what is read through a reference is read, and made a number of many lanes,
-/// again after every number that is written.
-#[inline(always)]
-fn copied<E: Clone>(effects: &E) -> Option<E> {
-    const FEW: usize = 32 * size_of::<f64>();
-    let plain = !std::mem::needs_drop::<E>() && size_of::<E>() <= FEW;
-    plain.then(|| effects.clone())
-}
-
 impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     fn state_dim(&self) -> usize {
         self.system.state_dim() + usize::from(self.effects.clock().is_some())
@@ -283,8 +211,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     #[inline(always)]
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
         let n = self.system.state_dim();
-        let own = copied(&self.effects);
-        self.system.forced_step(own.as_ref().unwrap_or(&self.effects), x, u, &mut next[..n]);
+        self.system.forced_step(&self.effects, x, u, &mut next[..n]);
         if self.effects.clock().is_some() {
             next[n] = x[n] + T::lift(self.system.dt());
         }
@@ -298,8 +225,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
         let n = self.system.state_dim();
         x_bar[n..].copy_from_slice(&next_bar[n..]);
-        let own = copied(&self.effects);
-        self.system.reverse(own.as_ref().unwrap_or(&self.effects), x, u, &next_bar[..n], Some(x_bar), Some(u_bar));
+        self.system.reverse(&self.effects, x, u, &next_bar[..n], Some(x_bar), Some(u_bar));
     }
 
     #[inline(always)]
@@ -312,8 +238,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     #[inline(always)]
     fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
         let n = self.system.state_dim();
-        let own = copied(&self.effects);
-        self.system.reverse(own.as_ref().unwrap_or(&self.effects), x, u, &next_bar[..n], None, Some(u_bar));
+        self.system.reverse(&self.effects, x, u, &next_bar[..n], None, Some(u_bar));
     }
 }
 

@@ -7,7 +7,6 @@ mod absorbing;
 mod cubic;
 mod elimination;
 mod pade;
-mod point_by_point;
 mod potential;
 mod propagator;
 mod renormalized;

@@ -128,18 +128,19 @@ impl CoupledCartPole {
         poles: &mut [T],
         of_pole: impl Fn(&[T], T) -> [T; 2],
     ) -> T {
-        let mut forces = Forces::new();
-        self.0.forces(effects, x, u, poles, &mut forces);
+        let (mut trig, mut forces) = (PerPole::new(), Forces::new());
+        self.0.forces(effects, x, u, &mut trig, &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
-        for ((pole, out), &torque) in zip(zip(self.0.poles_of(x), poles.chunks_exact(2)), &forces[1..]) {
-            let (sin, lever) = (out[0], k.moment * out[1]);
+        for ((pole, &[sin, cos]), &torque) in zip(zip(self.0.poles_of(x), &trig), &forces[1..]) {
+            let lever = k.moment * cos;
             let lever_per_inertia = lever * k.per_inertia;
             push += k.moment * sin * pole[1] * pole[1] - lever_per_inertia * torque;
             mass -= lever_per_inertia * lever;
         }
         let a = push / mass;
-        for ((pole, out), &torque) in zip(zip(self.0.poles_of(x), poles.chunks_exact_mut(2)), &forces[1..]) {
-            [out[0], out[1]] = of_pole(pole, (torque - k.moment * out[1] * a) * k.per_inertia);
+        let moments = zip(&trig, &forces[1..]);
+        for ((pole, out), (&[_, cos], &torque)) in zip(zip(self.0.poles_of(x), poles.chunks_exact_mut(2)), moments) {
+            [out[0], out[1]] = of_pole(pole, (torque - k.moment * cos * a) * k.per_inertia);
         }
         a
     }
@@ -158,7 +159,7 @@ impl CoupledCartPole {
     ) -> C {
         let k = self.constants::<R>();
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
-        self.0.forces_again(effects, x, u, &mut trig, &mut forces);
+        self.0.forces(effects, x, u, &mut trig, &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
         // ẍ is in every α_i = (τ_i - m l cos θ_i ẍ) / J, too.
         let poles = zip(zip(self.0.poles_of(x), &trig), &forces[1..]);
@@ -190,7 +191,7 @@ impl CoupledCartPole {
             }
         }
         if let Some(x_bar) = x_bar {
-            effects.vjp_knowing(&self.0, x, trig.as_flattened(), &forces_bar, x_bar);
+            effects.vjp(&self.0, x, &forces_bar, x_bar);
         }
         forces_bar[0]
     }

@@ -24,8 +24,6 @@ impl Default for PoleDamping {
 }
 
 impl Effect<CartPoleSystem> for PoleDamping {
-    const LOCAL: bool = true;
-
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
         let damping = T::lift(self.damping);
@@ -35,22 +33,10 @@ impl Effect<CartPoleSystem> for PoleDamping {
     }
 
     #[inline(always)]
-    fn act_at<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], i: usize, force: T) -> T {
-        if i == 0 { force } else { force - T::lift(self.damping) * x[2 * i + 1] }
-    }
-
-    #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, model: &CartPoleSystem, _x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         let damping = R::lift(self.damping);
         for (pole_bar, &torque_bar) in zip(x_bar[2..2 + 2 * model.poles].chunks_exact_mut(2), &forces_bar[1..]) {
             pole_bar[1] -= torque_bar * damping;
-        }
-    }
-
-    #[inline(always)]
-    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _model: &CartPoleSystem, _x: &[R], i: usize, force_bar: C, x_bar: &mut [C]) {
-        if i > 0 {
-            x_bar[2 * i + 1] -= force_bar * R::lift(self.damping);
         }
     }
 }
@@ -71,28 +57,14 @@ impl Default for CartDamping {
 }
 
 impl Effect<CartPoleSystem> for CartDamping {
-    const LOCAL: bool = true;
-
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
-        forces[0] = self.act_at(model, x, 0, forces[0]);
+    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+        forces[0] -= T::lift(self.damping) * x[1];
     }
 
     #[inline(always)]
-    fn act_at<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], i: usize, force: T) -> T {
-        if i == 0 { force - T::lift(self.damping) * x[1] } else { force }
-    }
-
-    #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        self.vjp_at(model, x, 0, forces_bar[0], x_bar);
-    }
-
-    #[inline(always)]
-    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _model: &CartPoleSystem, _x: &[R], i: usize, force_bar: C, x_bar: &mut [C]) {
-        if i == 0 {
-            x_bar[1] -= force_bar * R::lift(self.damping);
-        }
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &CartPoleSystem, _x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        x_bar[1] -= forces_bar[0] * R::lift(self.damping);
     }
 }
 

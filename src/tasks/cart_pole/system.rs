@@ -25,7 +25,7 @@ pub(super) type Forces<T> = ArrayVec<T, { CartPoleSystem::MOST_POLES + 1 }>;
 ///
 /// Forces, for effects to add to: `[F, τ₁, τ₂, …]`, that on the cart in N and the torque on each pole about its joint in
 /// N m. Alone, F is the control and τ_i = m g l sin θ_i is gravity's. Friction of carts and joints comes in as in Barto,
-/// Sutton and Anderson. Known about the state: `[sin θ₁, cos θ₁, sin θ₂, …]`.
+/// Sutton and Anderson.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -65,28 +65,11 @@ impl CartPoleSystem {
     /// The most poles there can be: what a step works with is on the stack.
     pub const MOST_POLES: usize = 64;
 
-    /// Appends the forces, control and gravity with the effects on them, to none; and writes sine and cosine of every angle.
+    /// Appends sine and cosine of every angle to `trig`, and the forces under `effects` to `forces`.
+    ///
+    /// Both are empty before. Returning them would copy their whole capacity.
     #[inline(always)]
     pub(super) fn forces<E: Effect<Self>, T: Scalar>(
-        &self,
-        effects: &E,
-        x: &[T],
-        u: &[T],
-        trig: &mut [T],
-        forces: &mut Forces<T>,
-    ) {
-        let weight = T::lift(self.moment() * self.gravity);
-        forces.push(effects.act_first_at(self, x, 0, u[0]));
-        for (i, (pole, trig)) in zip(self.poles_of(x), trig.chunks_exact_mut(2)).enumerate() {
-            (trig[0], trig[1]) = pole[0].sin_cos();
-            forces.push(effects.act_first_at(self, x, 1 + i, weight * trig[0]));
-        }
-        effects.act_rest(self, x, trig, forces);
-    }
-
-    /// The same with room for sines and cosines that is empty. (To fill it with zeros first would be a call of memset.)
-    #[inline(always)]
-    pub(super) fn forces_again<E: Effect<Self>, T: Scalar>(
         &self,
         effects: &E,
         x: &[T],
@@ -95,13 +78,13 @@ impl CartPoleSystem {
         forces: &mut Forces<T>,
     ) {
         let weight = T::lift(self.moment() * self.gravity);
-        forces.push(effects.act_first_at(self, x, 0, u[0]));
-        for (i, pole) in self.poles_of(x).enumerate() {
+        forces.push(u[0]);
+        for pole in self.poles_of(x) {
             let (sin, cos) = pole[0].sin_cos();
             trig.push([sin, cos]);
-            forces.push(effects.act_first_at(self, x, 1 + i, weight * sin));
+            forces.push(weight * sin);
         }
-        effects.act_rest(self, x, trig.as_flattened(), forces);
+        effects.add_forces(self, x, forces);
     }
 }
 
@@ -201,19 +184,13 @@ impl CartPoleSystem {
         poles: &mut [T],
         of_pole: impl Fn(&[T], T) -> [T; 2],
     ) -> T {
-        let mut forces = Forces::new();
-        if E::LOCAL {
-            for (pole, trig) in zip(self.poles_of(x), poles.chunks_exact_mut(2)) {
-                (trig[0], trig[1]) = pole[0].sin_cos();
-            }
-        } else {
-            self.forces(effects, x, u, poles, &mut forces);
-        }
-        let force = if E::LOCAL { effects.act_at(self, x, 0, u[0]) } else { forces[0] };
+        let (mut trig, mut forces) = (PerPole::new(), Forces::new());
+        self.forces(effects, x, u, &mut trig, &mut forces);
+        let force = forces[0];
         let mut push = force;
-        for (i, (pole, out)) in zip(self.poles_of(x), poles.chunks_exact_mut(2)).enumerate() {
-            let (sin, cos, omega) = (out[0], out[1], pole[1]);
-            let torque = if E::LOCAL { effects.act_at(self, x, 1 + i, k.weight * sin) } else { forces[1 + i] };
+        let moments = zip(&trig, &forces[1..]);
+        for ((pole, out), (&[sin, cos], &torque)) in zip(zip(self.poles_of(x), poles.chunks_exact_mut(2)), moments) {
+            let omega = pole[1];
             let lever = k.moment * cos;
             let centrifugal = k.moment * sin * omega * omega;
             let a = (force + centrifugal) * k.per_mass;
@@ -237,24 +214,14 @@ impl CartPoleSystem {
         mut x_bar: Option<&mut [C]>,
     ) -> C {
         let k = self.constants::<R>();
-        // Made where they are: a full array that is returned is a copy of all there is room for.
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
-        if E::LOCAL {
-            for pole in self.poles_of(x) {
-                trig.push(<[R; 2]>::from(pole[0].sin_cos()));
-            }
-        } else {
-            self.forces_again(effects, x, u, &mut trig, &mut forces);
-        }
-        let force = if E::LOCAL { effects.act_at(self, x, 0, u[0]) } else { forces[0] };
+        self.forces(effects, x, u, &mut trig, &mut forces);
+        let force = forces[0];
 
-        let (mut force_bar, effects_read) = (push_bar, x_bar.is_some() && effects.state_dependent());
-        if effects_read && !E::LOCAL {
-            forces_bar.push(push_bar);
-        }
-        for (i, (pole, &[sin, cos])) in zip(self.poles_of(x), &trig).enumerate() {
+        let mut force_bar = push_bar;
+        forces_bar.push(push_bar);
+        for (i, ((pole, &[sin, cos]), &torque)) in zip(zip(self.poles_of(x), &trig), &forces[1..]).enumerate() {
             let omega = pole[1];
-            let torque = if E::LOCAL { effects.act_at(self, x, 1 + i, k.weight * sin) } else { forces[1 + i] };
             let (lever, spin) = (k.moment * cos, omega * omega);
             let a = (force + k.moment * sin * spin) * k.per_mass;
             let per_inertia = R::one() / (k.inertia - k.coupling * cos * cos);
@@ -266,9 +233,7 @@ impl CartPoleSystem {
             let torque_bar = alpha_bar * per_inertia;
             let thrust_bar = -(torque_bar * (lever * k.per_mass));
             force_bar += thrust_bar;
-            if effects_read && !E::LOCAL {
-                forces_bar.push(torque_bar);
-            }
+            forces_bar.push(torque_bar);
             if let Some(x_bar) = &mut x_bar {
                 let centrifugal_bar = push_bar + thrust_bar;
                 let sin_bar = torque_bar * k.weight + centrifugal_bar * (k.moment * spin);
@@ -276,17 +241,11 @@ impl CartPoleSystem {
                     torque_bar * (R::lift(2.0) * k.coupling * cos * alpha - k.moment * a) - push_bar * (k.moment * alpha);
                 x_bar[2 + 2 * i] = theta_bar + sin_bar * cos - cos_bar * sin;
                 x_bar[3 + 2 * i] = omega_bar + centrifugal_bar * (R::lift(2.0) * k.moment * sin * omega);
-                if effects_read {
-                    effects.vjp_first_at(self, x, 1 + i, torque_bar, x_bar);
-                }
             }
         }
-        if let (Some(x_bar), true) = (x_bar, effects_read) {
-            effects.vjp_first_at(self, x, 0, force_bar, x_bar);
-            if !E::LOCAL {
-                forces_bar[0] = force_bar;
-                effects.vjp_rest(self, x, trig.as_flattened(), &forces_bar, x_bar);
-            }
+        if let Some(x_bar) = x_bar {
+            forces_bar[0] = force_bar;
+            effects.vjp(self, x, &forces_bar, x_bar);
         }
         force_bar
     }

@@ -61,29 +61,12 @@ impl SteadyWind {
 impl Effect<CartPoleSystem> for SteadyWind {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
-        self.drag().add_forces(model, T::lift(self.speed), x, trig(model, x), forces);
+        self.drag().add_forces(model, T::lift(self.speed), x, forces);
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, model: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        self.drag().vjp(model, R::lift(self.speed), x, trig(model, x), forces_bar, x_bar);
-    }
-
-    #[inline(always)]
-    fn act_knowing<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], known: &[T], forces: &mut [T]) {
-        self.drag().add_forces(model, T::lift(self.speed), x, known_trig(known), forces);
-    }
-
-    #[inline(always)]
-    fn vjp_knowing<R: Real, C: Cotangent<R>>(
-        &self,
-        model: &CartPoleSystem,
-        x: &[R],
-        known: &[R],
-        forces_bar: &[C],
-        x_bar: &mut [C],
-    ) {
-        self.drag().vjp(model, R::lift(self.speed), x, known_trig(known), forces_bar, x_bar);
+        self.drag().vjp(model, R::lift(self.speed), x, forces_bar, x_bar);
     }
 }
 
@@ -130,32 +113,13 @@ impl GustyWind {
 impl Effect<CartPoleSystem> for GustyWind {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
-        self.drag().add_forces(model, self.wind(x).0, x, trig(model, x), forces);
+        self.drag().add_forces(model, self.wind(x).0, x, forces);
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, model: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         let (wind, slope) = self.wind(x);
-        let wind_bar = self.drag().vjp(model, wind, x, trig(model, x), forces_bar, x_bar);
-        x_bar[x.len() - 1] += wind_bar * slope;
-    }
-
-    #[inline(always)]
-    fn act_knowing<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], known: &[T], forces: &mut [T]) {
-        self.drag().add_forces(model, self.wind(x).0, x, known_trig(known), forces);
-    }
-
-    #[inline(always)]
-    fn vjp_knowing<R: Real, C: Cotangent<R>>(
-        &self,
-        model: &CartPoleSystem,
-        x: &[R],
-        known: &[R],
-        forces_bar: &[C],
-        x_bar: &mut [C],
-    ) {
-        let (wind, slope) = self.wind(x);
-        let wind_bar = self.drag().vjp(model, wind, x, known_trig(known), forces_bar, x_bar);
+        let wind_bar = self.drag().vjp(model, wind, x, forces_bar, x_bar);
         x_bar[x.len() - 1] += wind_bar * slope;
     }
 
@@ -163,18 +127,6 @@ impl Effect<CartPoleSystem> for GustyWind {
     fn clock(&self) -> Option<f64> {
         Some(self.period)
     }
-}
-
-/// Sine and cosine of every pole's angle.
-#[inline(always)]
-fn trig<T: Scalar>(model: &CartPoleSystem, x: &[T]) -> impl Iterator<Item = (T, T)> {
-    model.poles_of(x).map(|pole| pole[0].sin_cos())
-}
-
-/// The same from what [`CartPoleSystem`] knows about the state.
-#[inline(always)]
-fn known_trig<T: Scalar>(known: &[T]) -> impl Iterator<Item = (T, T)> {
-    known.chunks_exact(2).map(|trig| (trig[0], trig[1]))
 }
 
 /// The drag of [`SteadyWind`], at any speed of the wind.
@@ -185,18 +137,12 @@ struct Drag {
 
 impl Drag {
     #[inline(always)]
-    fn add_forces<T: Scalar>(
-        self,
-        model: &CartPoleSystem,
-        wind: T,
-        x: &[T],
-        trig: impl Iterator<Item = (T, T)>,
-        forces: &mut [T],
-    ) {
+    fn add_forces<T: Scalar>(self, model: &CartPoleSystem, wind: T, x: &[T], forces: &mut [T]) {
         let (pole_drag, l) = (T::lift(self.pole), T::lift(model.half_length));
         let headwind = wind - x[1];
         let mut push = forces[0] + T::lift(self.cart) * headwind.abs() * headwind;
-        for ((pole, (_, cos)), torque) in zip(zip(model.poles_of(x), trig), &mut forces[1..]) {
+        for (pole, torque) in zip(model.poles_of(x), &mut forces[1..]) {
+            let cos = pole[0].cos();
             let across = headwind * cos - l * pole[1];
             let drag = pole_drag * across.abs() * across;
             push += drag * cos;
@@ -207,21 +153,14 @@ impl Drag {
 
     /// Returns the cotangent of the wind. |v| v has the derivative 2 |v|, at 0 as well.
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(
-        self,
-        model: &CartPoleSystem,
-        wind: R,
-        x: &[R],
-        trig: impl Iterator<Item = (R, R)>,
-        forces_bar: &[C],
-        x_bar: &mut [C],
-    ) -> C {
+    fn vjp<R: Real, C: Cotangent<R>>(self, model: &CartPoleSystem, wind: R, x: &[R], forces_bar: &[C], x_bar: &mut [C]) -> C {
         let (pole_drag, l) = (R::lift(self.pole), R::lift(model.half_length));
         let headwind = wind - x[1];
         let push_bar = forces_bar[0];
         let mut headwind_bar = push_bar * (R::lift(2.0 * self.cart) * headwind.abs());
         let bars = zip(x_bar[2..].chunks_exact_mut(2), &forces_bar[1..]);
-        for ((pole, (sin, cos)), (bar, &torque_bar)) in zip(zip(model.poles_of(x), trig), bars) {
+        for (pole, (bar, &torque_bar)) in zip(model.poles_of(x), bars) {
+            let (sin, cos) = pole[0].sin_cos();
             let across = headwind * cos - l * pole[1];
             let strength = pole_drag * across.abs();
             let across_bar = (push_bar * cos + torque_bar * l) * (strength + strength);

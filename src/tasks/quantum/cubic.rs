@@ -37,8 +37,6 @@ impl Cubic {
 }
 
 impl Effect<QuantumSystem> for Cubic {
-    const LOCAL: bool = true;
-
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &QuantumSystem, x: &[T], potential: &mut [T]) {
         let strength = T::lift(self.per_probability(model));
@@ -50,12 +48,6 @@ impl Effect<QuantumSystem> for Cubic {
     }
 
     #[inline(always)]
-    fn act_at<T: Scalar>(&self, model: &QuantumSystem, x: &[T], j: usize, v: T) -> T {
-        let [re, im] = x.as_chunks().0[j];
-        v + T::lift(self.per_probability(model)) * (re * re + im * im)
-    }
-
-    #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, model: &QuantumSystem, x: &[R], potential_bar: &[C], x_bar: &mut [C]) {
         let slope = R::lift(2.0 * self.per_probability(model));
         for ((&v_bar, [re, im]), bar) in zip(zip(potential_bar.iter(), x.as_chunks().0), x_bar.as_chunks_mut::<2>().0) {
@@ -63,13 +55,5 @@ impl Effect<QuantumSystem> for Cubic {
             bar[0] += v_bar * *re;
             bar[1] += v_bar * *im;
         }
-    }
-
-    #[inline(always)]
-    fn vjp_at<R: Real, C: Cotangent<R>>(&self, model: &QuantumSystem, x: &[R], j: usize, v_bar: C, x_bar: &mut [C]) {
-        let v_bar = v_bar * R::lift(2.0 * self.per_probability(model));
-        let ([re, im], bar) = (x.as_chunks().0[j], &mut x_bar.as_chunks_mut::<2>().0[j]);
-        bar[0] += v_bar * re;
-        bar[1] += v_bar * im;
     }
 }

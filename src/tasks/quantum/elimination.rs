@@ -1,6 +1,5 @@
 //! The linear solve in a factor of Cayley: one in a step of Crank and Nicolson, two in one of Padé.
 
-use super::point_by_point::PointByPoint;
 use super::system::{Pair, PerPoint};
 use crate::numbers::kernels::scratch::Filling;
 use crate::numbers::scalar::Scalar;
@@ -56,17 +55,16 @@ impl<'a, T: Scalar> Rows<'a, T> {
         Self { pivots, per_pivot: per_pivot.filling(grid) }
     }
 
+    /// Eliminates the next row, in which the potential is `v`.
+    #[inline(always)]
+    pub(super) fn push(&mut self, v: T) {
+        self.per_pivot.push(self.pivots.next(v));
+    }
+
     /// A, eliminated, when every row has been.
     #[inline(always)]
     pub(super) fn elimination(self) -> Elimination<'a, T> {
         Elimination { b: self.pivots.b, per_pivot: self.per_pivot.all() }
-    }
-}
-
-impl<T: Scalar> PointByPoint<T> for Rows<'_, T> {
-    #[inline(always)]
-    fn put(&mut self, v: T) {
-        self.per_pivot.push(self.pivots.next(v));
     }
 }
 

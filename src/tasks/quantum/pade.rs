@@ -2,7 +2,6 @@
 
 use super::QuantumSystem;
 use super::elimination::{Elimination, Pivots, Rows};
-use super::point_by_point::{Added, Dropped, Kept, PointByPoint};
 use super::system::{Pair, PerPoint};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
@@ -35,20 +34,6 @@ pub struct Pade(
     pub QuantumSystem,
 );
 
-/// Both factors while they are eliminated: two chains of divisions side by side take little longer than one.
-struct Both<'a, T> {
-    minus: Rows<'a, T>,
-    plus: Rows<'a, T>,
-}
-
-impl<T: Scalar> PointByPoint<T> for Both<'_, T> {
-    #[inline(always)]
-    fn put(&mut self, v: T) {
-        self.minus.put(v);
-        self.plus.put(v);
-    }
-}
-
 impl Pade {
     /// Of which A∓ are those of Crank and Nicolson.
     #[inline(always)]
@@ -67,11 +52,15 @@ impl Pade {
         plus: &'a mut PerPoint<Pair<T>>,
     ) -> (Elimination<'a, T>, Elimination<'a, T>) {
         let (dt, dx, shift) = (self.factor_dt(), self.0.spacing(), f64::sqrt(3.0) / self.0.dt);
-        let minus = Rows::new(Pivots::new(dt, dx, -shift), self.0.grid, minus);
-        let plus = Rows::new(Pivots::new(dt, dx, shift), self.0.grid, plus);
-        let mut both = Both { minus, plus };
-        self.0.potential(effects, x, u, &mut both);
-        (both.minus.elimination(), both.plus.elimination())
+        let mut minus = Rows::new(Pivots::new(dt, dx, -shift), self.0.grid, minus);
+        let mut plus = Rows::new(Pivots::new(dt, dx, shift), self.0.grid, plus);
+        let mut potential = PerPoint::new();
+        // Two chains of divisions side by side take little longer than one.
+        for &v in self.0.potential(effects, x, u, &mut potential) {
+            minus.push(v);
+            plus.push(v);
+        }
+        (minus.elimination(), plus.elimination())
     }
 }
 
@@ -165,20 +154,20 @@ impl ForcedSystem for Pade {
             Some(x_bar) => x_bar,
             None => scratch.fill([C::null(); 2], model.grid).as_flattened_mut(),
         };
-        let asked = u_bar.is_some();
+        let with_control = u_bar.is_some();
         plus.solve(next_bar, chi_bar);
         let control_bar = if effects_read {
             let mut potential_bar = PerPoint::new();
             let potential_bar = potential_bar.fill(C::null(), model.grid);
-            let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, asked, Kept(&mut *potential_bar));
+            let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, with_control, Some(&mut *potential_bar));
             minus.solve(chi_bar, &mut x_bar[..n]);
-            let minus_bar = model.reverse_potential(dt, y_minus, chi_bar, x_bar, asked, Added(&mut *potential_bar));
+            let minus_bar = model.reverse_potential(dt, y_minus, chi_bar, x_bar, with_control, Some(&mut *potential_bar));
             effects.vjp(model, x, potential_bar, x_bar);
             plus_bar + minus_bar
         } else {
-            let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, asked, Dropped);
+            let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, with_control, None);
             minus.solve(chi_bar, &mut x_bar[..n]);
-            plus_bar + model.reverse_potential(dt, y_minus, chi_bar, x_bar, asked, Dropped)
+            plus_bar + model.reverse_potential(dt, y_minus, chi_bar, x_bar, with_control, None)
         };
         if let Some(u_bar) = u_bar {
             u_bar[0] = control_bar;

@@ -12,8 +12,6 @@ use serde::{Deserialize, Serialize};
 macro_rules! stand_still {
     ($($effect:ty),+) => {$(
         impl Effect<QuantumSystem> for $effect {
-            const LOCAL: bool = true;
-
             #[inline(always)]
             fn add_forces<T: Scalar>(&self, model: &QuantumSystem, _x: &[T], potential: &mut [T]) {
                 for (v, xi) in zip(potential.iter_mut(), model.centered_points()) {
@@ -22,15 +20,7 @@ macro_rules! stand_still {
             }
 
             #[inline(always)]
-            fn act_at<T: Scalar>(&self, model: &QuantumSystem, _x: &[T], j: usize, v: T) -> T {
-                v + T::lift(self.potential(model.centered_point(j)))
-            }
-
-            #[inline(always)]
             fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _v_bar: &[C], _x_bar: &mut [C]) {}
-
-            #[inline(always)]
-            fn vjp_at<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _j: usize, _v_bar: C, _x_bar: &mut [C]) {}
 
             #[inline(always)]
             fn state_dependent(&self) -> bool {
@@ -159,8 +149,6 @@ impl Tabulated {
 }
 
 impl Effect<QuantumSystem> for Tabulated {
-    const LOCAL: bool = true;
-
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _x: &[T], potential: &mut [T]) {
         for (v, &value) in zip(potential.iter_mut(), &self.values) {
@@ -169,15 +157,7 @@ impl Effect<QuantumSystem> for Tabulated {
     }
 
     #[inline(always)]
-    fn act_at<T: Scalar>(&self, _model: &QuantumSystem, _x: &[T], j: usize, v: T) -> T {
-        v + T::lift(self.values[j])
-    }
-
-    #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _v_bar: &[C], _x_bar: &mut [C]) {}
-
-    #[inline(always)]
-    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _j: usize, _v_bar: C, _x_bar: &mut [C]) {}
 
     #[inline(always)]
     fn state_dependent(&self) -> bool {

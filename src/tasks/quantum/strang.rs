@@ -2,11 +2,10 @@
 
 use super::QuantumSystem;
 use super::elimination::Vector;
-use super::point_by_point::PointByPoint;
 use super::propagator::Propagator;
 use super::system::{Pair, PerPoint, STACK, place};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
-use crate::numbers::kernels::scratch::{Filling, Scratch};
+use crate::numbers::kernels::scratch::Scratch;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// A [`QuantumSystem`] that steps by the symmetric splitting of Strang:
@@ -34,20 +33,6 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 pub struct Strang {
     system: QuantumSystem,
     kinetic: Propagator,
-}
-
-/// `exp(-i dt/2 V_j)`, as they are worked out.
-struct Phases<'a, T> {
-    half_dt: T,
-    phases: Filling<'a, Pair<T>>,
-}
-
-impl<T: Scalar> PointByPoint<T> for Phases<'_, T> {
-    #[inline(always)]
-    fn put(&mut self, v: T) {
-        let (sin, cos) = (v * self.half_dt).sin_cos();
-        self.phases.push((cos, sin));
-    }
 }
 
 /// `out_j ← psi_j exp(∓i dt/2 V_j)`, the sign of the `ADJOINT` being the upper one's opposite.
@@ -84,13 +69,16 @@ impl Strang {
         u: &[T],
         phases: &'a mut PerPoint<Pair<T>>,
     ) -> &'a [Pair<T>] {
-        let phases = phases.filling(self.system.grid);
-        let mut phases = Phases { half_dt: T::lift(0.5 * self.system.dt), phases };
-        self.system.potential(effects, x, u, &mut phases);
-        phases.phases.all()
+        let half_dt = T::lift(0.5 * self.system.dt);
+        let mut potential = PerPoint::new();
+        let potential = self.system.potential(effects, x, u, &mut potential);
+        phases.collect(potential.iter().map(|&v| {
+            let (sin, cos) = (v * half_dt).sin_cos();
+            (cos, sin)
+        }))
     }
 
-    /// The control's cotangent from one half step, if it is asked for; writes the potential's to `potential_bar`, if there is
+    /// The control's cotangent from one half step, if it is with_control for; writes the potential's to `potential_bar`, if there is
     /// one. Both `psi` and its cotangent are of before the half step, or of after it: both turn alike.
     ///
     /// ```text
@@ -101,7 +89,7 @@ impl Strang {
         &self,
         psi: &[R],
         psi_bar: &[C],
-        asked: bool,
+        with_control: bool,
         mut potential_bar: Option<&mut [C]>,
     ) -> C {
         let model = &self.system;
@@ -110,7 +98,7 @@ impl Strang {
         let mut control_bar = C::null();
         for j in 0..n {
             let bar = (psi_bar[j][0] * psi[j][1] - psi_bar[j][1] * psi[j][0]) * half_dt;
-            if asked {
+            if with_control {
                 control_bar += bar * R::lift((place(j) - origin) * dx);
             }
             if let Some(potential_bar) = &mut potential_bar {
@@ -193,24 +181,24 @@ impl ForcedSystem for Strang {
             Some(x_bar) => x_bar,
             None => scratch.fill(C::null(), x.len()),
         };
-        let asked = u_bar.is_some();
+        let with_control = u_bar.is_some();
         let mut control_bar;
         if reads {
             let (mut potential_bar, mut phases) = (PerPoint::new(), PerPoint::new());
             let potential_bar = potential_bar.fill(C::null(), model.grid);
             let after = self.phases(effects, b, u, &mut phases);
             turn::<R, C, true>(after, next_bar, x_bar);
-            control_bar = self.reverse_half(b, x_bar, asked, Some(&mut *potential_bar));
+            control_bar = self.reverse_half(b, x_bar, with_control, Some(&mut *potential_bar));
             effects.vjp(model, b, potential_bar, x_bar);
             self.kinetic.apply::<R, C, true>(x_bar, a_bar);
-            control_bar += self.reverse_half(a, a_bar, asked, Some(&mut *potential_bar));
+            control_bar += self.reverse_half(a, a_bar, with_control, Some(&mut *potential_bar));
             turn::<R, C, true>(before, a_bar, x_bar);
             effects.vjp(model, x, potential_bar, x_bar);
         } else {
             turn::<R, C, true>(before, next_bar, x_bar);
-            control_bar = self.reverse_half(b, x_bar, asked, None);
+            control_bar = self.reverse_half(b, x_bar, with_control, None);
             self.kinetic.apply::<R, C, true>(x_bar, a_bar);
-            control_bar += self.reverse_half(a, a_bar, asked, None);
+            control_bar += self.reverse_half(a, a_bar, with_control, None);
             turn::<R, C, true>(before, a_bar, x_bar);
         }
         if let Some(u_bar) = u_bar {

@@ -1,7 +1,6 @@
 //! The physics of a particle in a box.
 
 use super::elimination::{Elimination, Pivots, Rows};
-use super::point_by_point::{AtOnce, Dropped, Kept, PointByPoint, PotentialBar};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
 use crate::numbers::kernels::scratch::Scratch;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
@@ -122,12 +121,6 @@ impl QuantumSystem {
         self.places(self.middle())
     }
 
-    /// Grid point `j`, counted from 0, from the middle of the box.
-    #[inline(always)]
-    pub(super) fn centered_point(&self, j: usize) -> f64 {
-        (place(j) - self.middle()) * self.spacing()
-    }
-
     /// The middle of the box, in grid points.
     #[inline(always)]
     fn middle(&self) -> f64 {
@@ -150,28 +143,22 @@ impl QuantumSystem {
         }
     }
 
-    /// Hands the potential of the control and of the effects to `to`, grid point by grid point.
+    /// Writes the potential of the control and of the effects.
     #[inline(always)]
-    pub(super) fn potential<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], to: &mut impl PointByPoint<T>) {
-        let model = *self;
-        let (control, dx, origin) = (u[0], model.spacing(), model.control_origin());
-        let tilted = |j: usize| control * T::lift((place(j) - origin) * dx);
-        if E::LOCAL {
-            // The chain of divisions in an elimination leaves the time for it.
-            for j in 0..self.grid {
-                to.put(effects.act_at(&model, x, j, tilted(j)));
-            }
-        } else {
-            let mut potential = PerPoint::new();
-            let potential = potential.collect((0..self.grid).map(tilted));
-            effects.add_forces(self, x, potential);
-            for &v in &*potential {
-                to.put(v);
-            }
-        }
+    pub(super) fn potential<'a, E: Effect<Self>, T: Scalar>(
+        &self,
+        effects: &E,
+        x: &[T],
+        u: &[T],
+        potential: &'a mut PerPoint<T>,
+    ) -> &'a [T] {
+        let (control, dx, origin) = (u[0], self.spacing(), self.control_origin());
+        let potential = potential.collect((0..self.grid).map(|j| control * T::lift((place(j) - origin) * dx)));
+        effects.add_forces(self, x, potential);
+        potential
     }
 
-    /// A of a step. What it works with, it writes to `per_pivot`.
+    /// Eliminates A of a step. The pivots are stored in `per_pivot`.
     #[inline(always)]
     fn eliminate<'a, E: Effect<Self>, T: Scalar>(
         &self,
@@ -180,13 +167,17 @@ impl QuantumSystem {
         u: &[T],
         per_pivot: &'a mut PerPoint<Pair<T>>,
     ) -> Elimination<'a, T> {
+        let mut potential = PerPoint::new();
         let mut rows = Rows::new(Pivots::new(self.dt, self.spacing(), 0.0), self.grid, per_pivot);
-        self.potential(effects, x, u, &mut rows);
+        for &v in self.potential(effects, x, u, &mut potential) {
+            rows.push(v);
+        }
         rows.elimination()
     }
 
-    /// Makes `x_bar = 2 w - v` of `w = A⁻ᴴ v`: the cotangents of real and imaginary parts are carried by the conjugate
-    /// transpose of the complex matrix. Returns the control's cotangent, if it is asked for, and hands the potential's on:
+    /// Makes `x_bar = 2 w - v` of `w = A⁻ᴴ v`: the cotangents of real and imaginary parts are carried
+    /// by the conjugate transpose of the complex matrix. Adds the cotangent of the potential to
+    /// `potential_bar`, if given. Returns the control's cotangent if `with_control`, else 0.
     ///
     /// ```text
     /// A y = ψ, so dψ'/dV_j = 2 dy/dV_j = -i dt A⁻¹ e_j y_j
@@ -201,8 +192,8 @@ impl QuantumSystem {
         y: &[[R; 2]],
         next_bar: &[C],
         x_bar: &mut [C],
-        asked: bool,
-        mut to: impl PotentialBar<C>,
+        with_control: bool,
+        mut potential_bar: Option<&mut [C]>,
     ) -> C {
         let (dt, dx, origin, n) = (R::lift(dt), self.spacing(), self.control_origin(), y.len());
         let v = &next_bar.as_chunks::<2>().0[..n];
@@ -211,10 +202,12 @@ impl QuantumSystem {
             let w = &mut x_bar.as_chunks_mut::<2>().0[j];
             let bar = (w[0] * y[j][1] - w[1] * y[j][0]) * dt;
             *w = [w[0] + w[0] - v[j][0], w[1] + w[1] - v[j][1]];
-            if asked {
+            if with_control {
                 control_bar += bar * R::lift((place(j) - origin) * dx);
             }
-            to.put(j, bar, x_bar);
+            if let Some(potential_bar) = &mut potential_bar {
+                potential_bar[j] += bar;
+            }
         }
         control_bar
     }
@@ -288,17 +281,15 @@ impl ForcedSystem for QuantumSystem {
             None => scratch.fill([C::null(); 2], self.grid).as_flattened_mut(),
         };
         a.solve(next_bar, &mut x_bar[..n]);
-        let asked = u_bar.is_some();
-        let control_bar = if !effects_read {
-            self.reverse_potential(self.dt, y, next_bar, x_bar, asked, Dropped)
-        } else if E::LOCAL {
-            self.reverse_potential(self.dt, y, next_bar, x_bar, asked, AtOnce { effects, model: *self, x })
-        } else {
+        let with_control = u_bar.is_some();
+        let control_bar = if effects_read {
             let mut potential_bar = PerPoint::new();
             let potential_bar = potential_bar.fill(C::null(), self.grid);
-            let control_bar = self.reverse_potential(self.dt, y, next_bar, x_bar, asked, Kept(potential_bar));
+            let control_bar = self.reverse_potential(self.dt, y, next_bar, x_bar, with_control, Some(&mut *potential_bar));
             effects.vjp(self, x, potential_bar, x_bar);
             control_bar
+        } else {
+            self.reverse_potential(self.dt, y, next_bar, x_bar, with_control, None)
         };
         if let Some(u_bar) = u_bar {
             u_bar[0] = control_bar;
