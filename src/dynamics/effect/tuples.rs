@@ -1,9 +1,9 @@
-//! Effects that are known when the program is compiled: none, or several in a row.
+//! Effects known at compile time: none, or several in order.
 
 use super::Effect;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
-/// Nothing.
+/// No effect.
 impl<B> Effect<B> for () {
     const LOCAL: bool = true;
     #[inline(always)]
@@ -25,7 +25,7 @@ impl<B> Effect<B> for () {
     }
 }
 
-/// The later of two clocks, if there is one.
+/// Returns the later of two clocks, if any.
 #[inline(always)]
 pub(super) fn later(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     match (a, b) {
@@ -36,7 +36,7 @@ pub(super) fn later(a: Option<f64>, b: Option<f64>) -> Option<f64> {
 
 macro_rules! both {
     ($($effect:ident $i:tt),+) => {
-        /// All of them, in this order.
+        /// Applies all effects in order.
         impl<B, $($effect: Effect<B>),+> Effect<B> for ($($effect,)+) {
             const LOCAL: bool = true $(&& $effect::LOCAL)+;
             #[inline(always)]

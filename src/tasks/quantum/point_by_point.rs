@@ -1,22 +1,23 @@
-//! What takes numbers for the grid points, one after another, from the middle of a loop that has other work as well.
+//! Consumers of values per grid point, called from loops that also do other work.
 
 use super::QuantumSystem;
 use crate::dynamics::effect::Effect;
 use crate::numbers::scalar::{Cotangent, Real};
 use std::ops::AddAssign;
 
-/// What takes the potential, grid point by grid point. (Not a closure: those may be compiled as calls.)
+/// Consumer of the potential, one grid point at a time. A trait, because closures may be compiled
+/// as calls.
 pub(super) trait PointByPoint<T> {
     fn put(&mut self, v: T);
 }
 
-/// What takes the potential's cotangent, grid point by grid point. There, the state's has just become that of the step
-/// without effects.
+/// Consumer of the cotangent of the potential, one grid point at a time. When called, the state's
+/// cotangent at that point is that of the step without effects.
 pub(super) trait PotentialBar<C> {
     fn put(&mut self, j: usize, bar: C, x_bar: &mut [C]);
 }
 
-/// Nothing needs it.
+/// Discards the cotangents.
 pub(super) struct Dropped;
 
 impl<C> PotentialBar<C> for Dropped {
@@ -24,7 +25,7 @@ impl<C> PotentialBar<C> for Dropped {
     fn put(&mut self, _j: usize, _bar: C, _x_bar: &mut [C]) {}
 }
 
-/// Kept.
+/// Stores the cotangents.
 pub(super) struct Kept<'a, C>(pub(super) &'a mut [C]);
 
 impl<C: Copy> PotentialBar<C> for Kept<'_, C> {
@@ -34,7 +35,7 @@ impl<C: Copy> PotentialBar<C> for Kept<'_, C> {
     }
 }
 
-/// Added to what another factor left.
+/// Adds the cotangents to stored ones of another factor.
 pub(super) struct Added<'a, C>(pub(super) &'a mut [C]);
 
 impl<C: Copy + AddAssign> PotentialBar<C> for Added<'_, C> {
@@ -44,10 +45,10 @@ impl<C: Copy + AddAssign> PotentialBar<C> for Added<'_, C> {
     }
 }
 
-/// Carried on by local effects at once.
+/// Passes the cotangents to local effects immediately.
 pub(super) struct AtOnce<'a, E, R> {
     pub(super) effects: &'a E,
-    /// Of its own: what a reference leads to may have to be read again after every number that is written.
+    /// Owned copy: values behind a reference may be reloaded after every write.
     pub(super) model: QuantumSystem,
     pub(super) x: &'a [R],
 }
