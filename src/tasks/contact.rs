@@ -42,9 +42,9 @@ pub enum Contact {
     /// F = stiffness δ max(0, 1 + damping δ̇)
     /// ```
     ///
-    /// Without damping, the model converges to an elastic impact as the stiffness grows. The rate
-    /// is the duration of the contact, `π sqrt(m / stiffness)`, where m is the reduced mass. Steps
-    /// of length dt need `stiffness dt² < 4 m`.
+    /// Without damping, the model converges to an elastic impact as the stiffness grows. The error
+    /// is proportional to the duration of the contact, `π sqrt(m / stiffness)`, where m is the
+    /// reduced mass. Steps of length dt need `stiffness dt² < 4 m`.
     ///
     /// Derivatives converge much later. The time of contact within a step changes the later speed
     /// by a fraction of about `stiffness dt² / m`. The derivative of that speed with respect to
