@@ -135,7 +135,7 @@ fn bits_are_those_of_store_all_with_one_control() {
     let (task, policy) = (cart_pole(4 * UNIT + 17), Mlp::new([4, 8, 8, 1]));
     bits_are_those_of_store_all::<f32, _, _>(&task, &policy, &[3, 11]);
     bits_are_those_of_store_all::<f64, _, _>(&task, &policy, &[3, 11]);
-    // A last segment of one step, and the shortest segments.
+    // Last segments of one step, and of full length.
     for horizon in [2 * UNIT + 1, 3 * UNIT, UNIT + 1] {
         bits_are_those_of_store_all::<f64, _, _>(&cart_pole(horizon), &policy, &[9]);
     }

@@ -811,7 +811,7 @@ fn waves_in_a_box() {
 
 #[test]
 fn controls_reach_the_system_late_and_limited() {
-    /// System whose only state is the first output of the actuator.
+    /// Returns a system that sums the outputs of the actuator.
     fn through<A: Actuator>(actuator: A) -> Actuated<Accumulator, A> {
         Actuated { system: Accumulator { dim: 1 }, actuator }
     }

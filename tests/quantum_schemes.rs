@@ -93,9 +93,8 @@ fn every_scheme_is_unitary_whatever_the_potential() {
     }
 }
 
-/// Returns the state after half a unit of time under a control that is constant over intervals of
-/// 1/16, and the derivatives of its infidelity with respect to these eight controls. Each interval
-/// has `count` time steps.
+/// Returns the state after half a unit of time, and the derivatives of its infidelity with respect
+/// to eight controls. Each control acts for 1/16 of a unit of time, in `count` time steps.
 fn rollout<E: Effect<QuantumSystem>>(scheme: usize, effects: &E, count: usize) -> (Vec<f64>, Vec<f64>) {
     const PIECES: usize = 8;
     let model = QuantumSystem { dt: 0.0625 / count as f64, ..dipole(12) };

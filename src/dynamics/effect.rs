@@ -139,9 +139,9 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
         if is_finite(self, model, x, forces) { None } else { name() }
     }
 
-    /// Returns the range of start times, in s, for effects that depend on time. Rollouts start at a
-    /// time drawn uniformly from 0 to this value. [`Forced`] appends the time to the state as the
-    /// last component.
+    /// Returns the latest start time, in s, if the effect depends on time. Rollouts start at a time
+    /// drawn uniformly from 0 to this value. [`Forced`] appends the time to the state as the last
+    /// component.
     #[inline(always)]
     fn clock(&self) -> Option<f64> {
         None
@@ -185,7 +185,7 @@ pub trait ForcedSystem: Send + Sync {
     /// Model that effects read; often the system itself.
     type Model;
 
-    /// Model that effects read.
+    /// Returns the model that effects read.
     fn model(&self) -> &Self::Model;
     /// Number of state components, without those of effects.
     fn state_dim(&self) -> usize;
@@ -332,7 +332,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
 ///
 /// Tasks for `B` accept any such system. The first components of the state are those of `B`.
 pub trait HasModel<B>: System {
-    /// The model.
+    /// Returns the model.
     fn model(&self) -> &B;
     /// Draws the initial values of the state components beyond those of the model, in place in `x`.
     fn start_extra(&self, rng: &mut Rng, x: &mut [f64]);

@@ -28,8 +28,8 @@ pub enum Contact {
     /// doi:10.1109/81.828574).
     ///
     /// A step may contain infinitely many impacts (Zeno). Four are computed. At a fifth, the gap
-    /// closes and stays at rest until it is pulled apart. This discards bounces lower than `|a| dt²
-    /// / 128`.
+    /// closes and stays at rest until it is pulled apart. This discards bounces lower than
+    /// `|a| dt² / 128`.
     TimeOfImpact {
         /// Coefficient of restitution, from 0 (perfectly inelastic) to 1 (elastic).
         restitution: f64,

@@ -23,8 +23,8 @@ pub struct LinearPlant {
 }
 
 impl LinearPlant {
-    /// Creates a plant from row-major matrices: A is `state_dim × state_dim`, B is `state_dim ×
-    /// control_dim`.
+    /// Creates a plant from row-major matrices: A is `state_dim × state_dim`, B is
+    /// `state_dim × control_dim`.
     ///
     /// # Panics
     /// If A is not `state_dim × state_dim`, or the size of B is not a positive multiple of

@@ -94,8 +94,8 @@ impl Task for Reach {
 /// Task for the paper's figure 2: an elongated bowl in the plane. The paper does not state its
 /// loss.
 ///
-/// The rollout is one step from the origin, so the control equals the final state. The loss is `L =
-/// (a p² + b q²) / 2`, where p and q are the components of x_1 along the axes of the bowl.
+/// The rollout is one step from the origin, so the control equals the final state. The loss is
+/// `L = (a p² + b q²) / 2`, where p and q are the components of x_1 along the axes of the bowl.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bowl {
     /// System to control, with two components.

@@ -10,7 +10,7 @@ use rand::RngExt;
 const GRAVITY: f64 = 9.81;
 
 /// Number of Newton iterations. Where friction and push nearly cancel, two are needed per unit of
-/// `|v'| / smoothing`, up to about 9 at a smoothing of 1e-9 m/s, and five to converge.
+/// `|v'| / smoothing`, which is at most about 9 at a smoothing of 1e-9 m/s. Five more converge.
 const ROUNDS: usize = 24;
 
 /// Block on a table, pushed along one line. State `[position m, speed m/s]`, control `[push N]`.

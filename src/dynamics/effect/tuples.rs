@@ -25,7 +25,7 @@ impl<B> Effect<B> for () {
     }
 }
 
-/// Returns the later of two clocks, if any.
+/// Returns the later of two latest start times, if any.
 #[inline(always)]
 pub(super) fn later(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     match (a, b) {

@@ -92,8 +92,8 @@ impl Effect<CartPoleSystem> for SteadyWind {
     }
 }
 
-/// [`SteadyWind`] with a speed that oscillates about its mean: `w = speed + gust sin(2π t /
-/// period)`.
+/// [`SteadyWind`] with a speed that oscillates about its mean:
+/// `w = speed + gust sin(2π t / period)`.
 ///
 /// Appends the time to the state. Rollouts start at a random time within a period. The policy
 /// observes the time.

@@ -7,8 +7,8 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Real, Scalar};
 use rand::RngExt;
 
-/// Ball that falls on a floor and bounces. State `[height m, speed m/s]`, upwards; control `[thrust
-/// N]`, upwards.
+/// Ball that falls on a floor and bounces. State `[height m, speed m/s]`, upwards; control
+/// `[thrust N]`, upwards.
 ///
 /// ```text
 /// v̇ = u / m - g

@@ -7,8 +7,8 @@ use crate::dynamics::effect::Effect;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
-/// Attraction of drivers to evaders, without reaction on the evaders. With `r = E_k - D_j` and `d =
-/// softening + |r|`:
+/// Attraction of drivers to evaders, without reaction on the evaders. With `r = E_k - D_j` and
+/// `d = softening + |r|`:
 ///
 /// ```text
 /// driver j : v̇ += strength Σ_k r / d²

@@ -7,8 +7,8 @@ use crate::dynamics::effect::Effect;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
-/// Repulsion of evaders by drivers, without reaction on the drivers. With `r = E_k - D_j` and `d =
-/// softening + |r|`:
+/// Repulsion of evaders by drivers, without reaction on the drivers. With `r = E_k - D_j` and
+/// `d = softening + |r|`:
 ///
 /// ```text
 /// evader k : v̇ += strength Σ_j r / d²

@@ -17,9 +17,9 @@ use serde::{Deserialize, Serialize};
 /// The sign is that of the authors' code (tum-pbs/StableBPTT), whose comment states the opposite.
 /// With a negative strength, the flock keeps its distance and does not scatter.
 ///
-/// Coincident evaders are coupled by springs of stiffness `strength (distance / softening - 1) /
-/// softening`. Explicit steps of length dt damp their oscillation if the number of evaders times
-/// this stiffness times dt is less than their friction.
+/// Coincident evaders are coupled by springs of stiffness
+/// `strength (distance / softening - 1) / softening`. Explicit steps of length dt damp their
+/// oscillation if the number of evaders times this stiffness times dt is less than their friction.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]

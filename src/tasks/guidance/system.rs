@@ -18,9 +18,9 @@ const STACK: usize = 32;
 /// Agents in the plane, of which the drivers steer: explicit Euler, positions with the old
 /// velocities.
 ///
-/// State `[x, y, vx, vy]` of every driver, then of every evader, in m and m/s. Control `[radial,
-/// tangential]` of every driver, in 1/s². The two multiply the vector `q` from the evaders'
-/// [`center`](GuidanceSystem::center) to the driver, and `q⊥ = (-q_y, q_x)`:
+/// State `[x, y, vx, vy]` of every driver, then of every evader, in m and m/s. Control
+/// `[radial, tangential]` of every driver, in 1/s². The two multiply the vector `q` from the
+/// evaders' [`center`](GuidanceSystem::center) to the driver, and `q⊥ = (-q_y, q_x)`:
 ///
 /// ```text
 /// q_j      = D_j - center(E)

@@ -58,8 +58,8 @@ impl Lqr {
     }
 
     /// Creates a task with a stable plant. The plant is a mass of 1 kg on a spring of 1 N/m with a
-    /// damper of 0.4 N s/m, in semi-implicit steps of 0.1 s. The loss is the integral of `(|x|² +
-    /// u²)/2`.
+    /// damper of 0.4 N s/m, in semi-implicit steps of 0.1 s. The loss is the integral of
+    /// `(|x|² + u²)/2`.
     pub fn spring() -> Self {
         let (dt, stiffness, damping) = (0.1, 1.0, 0.4);
         let (by_place, by_speed) = (-dt * stiffness, 1.0 - dt * damping);

@@ -47,8 +47,8 @@ const MOST: usize = 40;
 
 impl Optimum {
     /// Computes the optimum of a plant for the row-major costs Q and R, by doubling the horizon
-    /// (Chu, Fan, Lin and Wang 2004, doi:10.1080/00207170410001714988). The initial values are `A_0
-    /// = A`, `G_0 = B R⁻¹ Bᵀ`, `H_0 = Q`:
+    /// (Chu, Fan, Lin and Wang 2004, doi:10.1080/00207170410001714988). The initial values are
+    /// `A_0 = A`, `G_0 = B R⁻¹ Bᵀ`, `H_0 = Q`:
     ///
     /// ```text
     /// N = (I + G H)⁻¹,   A' = A N A,   G' = G + A N G Aᵀ,   H' = H + Aᵀ H N A → W

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 /// Interaction of particles in one wave, a Bose-Einstein condensate: `V_j = strength |ψ_j|² / dx`.
 ///
 /// The equation is `i ∂ψ/∂t = -∂²ψ/∂x² + V ψ + strength |ψ|² ψ` (Gross 1961,
-/// doi:10.1007/BF02731494; Pitaevskii 1961, Sov. Phys. JETP 13, 451). There, ψ satisfies `∫ |ψ|² dx
-/// = 1`. A state has `Σ_j |ψ_j|² = 1`, so the probability density is `|ψ_j|² / dx`.
+/// doi:10.1007/BF02731494; Pitaevskii 1961, Sov. Phys. JETP 13, 451). There, ψ satisfies
+/// `∫ |ψ|² dx = 1`. A state has `Σ_j |ψ_j|² = 1`, so the probability density is `|ψ_j|² / dx`.
 ///
 /// The density is that at the beginning of the step. The step therefore remains unitary, needs a
 /// single solve, and is of first order in dt. [`Strang`](super::Strang) computes a density per half

@@ -22,8 +22,8 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// part of at least 1 without pivoting.
 ///
 /// H and grid are those of [`QuantumSystem`], so only the error in time differs. The phase of an
-/// eigenstate of energy E advances by `E dt (1 - (E dt)⁴/720 + …)`, and with Crank-Nicolson by `E
-/// dt (1 - (E dt)²/12 + …)`. For energies beyond about 3/dt, the phase advances too slowly here
+/// eigenstate of energy E advances by `E dt (1 - (E dt)⁴/720 + …)`. With Crank-Nicolson, it is
+/// `E dt (1 - (E dt)²/12 + …)`. For energies beyond about 3/dt, the phase advances too slowly here
 /// too, by at most one turn per step.
 ///
 /// The order in dt is four for potentials that are constant during a step. Effects act at the state

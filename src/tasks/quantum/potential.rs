@@ -44,8 +44,8 @@ stand_still!(Harmonic, Barrier, DoubleWell);
 /// Harmonic oscillator: `V = stiffness (ξ - center)²`.
 ///
 /// With ħ = 1 and m = 1/2, the angular frequency is `ω = 2 sqrt(stiffness)`. Far from the walls,
-/// the energy levels are `ω (n + 1/2)`, and the ground state is `exp(-sqrt(stiffness) (ξ - center)²
-/// / 2)`, up to its norm.
+/// the energy levels are `ω (n + 1/2)`, and the ground state is
+/// `exp(-sqrt(stiffness) (ξ - center)² / 2)`, up to its norm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]

@@ -28,8 +28,8 @@ pub(super) fn place(j: usize) -> f64 {
 
 /// Particle in a box with a linear potential: Schrödinger's equation by Crank-Nicolson.
 ///
-/// State `[Re ψ_1, Im ψ_1, Re ψ_2, …]`, shape (grid, 2) row-major, at the points `x_j = j dx`, `j =
-/// 1 .. grid`. ψ is 0 at the walls, `j = 0` and `j = grid + 1`. The norm is `Σ_j |ψ_j|² = 1`,
+/// State `[Re ψ_1, Im ψ_1, Re ψ_2, …]`, shape (grid, 2) row-major, at the points `x_j = j dx`,
+/// `j = 1 .. grid`. ψ is 0 at the walls, `j = 0` and `j = grid + 1`. The norm is `Σ_j |ψ_j|² = 1`,
 /// without dx. Control `[c]`, the slope of the potential.
 ///
 /// ```text
@@ -73,8 +73,8 @@ impl Default for QuantumSystem {
 /// Potential of a control c.
 ///
 /// The two shapes differ by a constant energy, `c length/2`. In continuous time this is a global
-/// phase, which affects no probability. A Crank-Nicolson step converts energies to phases by `2
-/// atan(E dt/2)`, so relative phases differ by O(c dt³) per step.
+/// phase, which affects no probability. A Crank-Nicolson step converts energies to phases by
+/// `2 atan(E dt/2)`, so relative phases differ by O(c dt³) per step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -188,9 +188,10 @@ impl QuantumSystem {
         rows.elimination()
     }
 
-    /// Writes `x_bar = 2 w - v`, given `w = A⁻ᴴ v` in `x_bar`, because the conjugate transpose of
-    /// the complex matrix propagates cotangents of real and imaginary parts. Returns the cotangent
-    /// of the control, if requested. Passes the cotangent of the potential to `to`:
+    /// Writes `x_bar = 2 w - v`, given `w = A⁻ᴴ v` in `x_bar`. The conjugate transpose of the
+    /// complex matrix propagates cotangents of real and imaginary parts. Returns the cotangent of
+    /// the control, if requested. Passes the cotangent of the potential to `to`:
+    ///
     /// ```text
     /// A y = ψ, so dψ'/dV_j = 2 dy/dV_j = -i dt A⁻¹ e_j y_j
     /// V_bar_j = Re ⟨v, dψ'/dV_j⟩ = dt Im(w̄_j y_j)
