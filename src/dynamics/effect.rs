@@ -178,9 +178,9 @@ pub(crate) fn is_finite<B, E: Effect<B>, F: Float>(effect: &E, model: &B, x: &[F
 
 /// System to whose forces effects can be added.
 ///
-/// Only [`forced_step`](ForcedSystem::forced_step), the model and the sizes are required. The state
-/// passed to it may have more than [`state_dim`](ForcedSystem::state_dim) components, as effects
-/// need. Implementations pass the whole state on to the effects.
+/// Only [`forced_step`](ForcedSystem::forced_step), the model, the sizes and the time step are
+/// required. The state passed to a step may have more than [`state_dim`](ForcedSystem::state_dim)
+/// components, as effects need. Implementations pass the whole state on to the effects.
 pub trait ForcedSystem: Send + Sync {
     /// Model that effects read; often the system itself.
     type Model;

@@ -149,7 +149,7 @@ impl CoupledCartPole {
     /// cotangent of the control.
     ///
     /// `pole_bar(i, x_bar)` returns the cotangents of angle and rate of pole `i` that do not pass
-    /// through α_i, and the cotangent of α_i. The result is added to the former.
+    /// through α_i, and the cotangent of α_i. `x_bar` receives the sum of all contributions.
     #[inline(always)]
     fn accelerate_reverse<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
         &self,

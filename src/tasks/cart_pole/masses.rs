@@ -45,9 +45,8 @@ impl CartPoleSystem {
 
     /// Checks that the masses and the number of poles are valid.
     ///
-    /// A negative cart mass does not fail at once. The equations are solvable until the mass is
-    /// minus a quarter of the poles' mass, where they are singular. Free motion then gains energy
-    /// without bound.
+    /// With a negative cart mass, free motion gains energy without bound. The equations would still
+    /// be solvable down to minus a quarter of the poles' mass, where they are singular.
     ///
     /// # Errors
     /// Returns a [`MassError`] for the first invalid parameter.

@@ -20,7 +20,7 @@ pub(super) type PerPoint<T> = Scratch<T, STACK>;
 pub(super) type Wave<T> = SmallVec<[T; 2 * STACK]>;
 
 /// Returns the distance of grid point `j`, counted from 0, from the left wall, in grid points.
-/// Converts via `u32`, because conversion of `u64` takes five instructions.
+/// Converts via `u32`, because conversion from `u64` is slower.
 #[inline(always)]
 pub(super) fn place(j: usize) -> f64 {
     f64::from(j as u32 + 1)
