@@ -1,12 +1,12 @@
-//! Effects that are chosen while the program runs: a list, walked in every step.
+//! Lists of effects chosen at run time.
 
 use super::Effect;
 use super::tuples::later;
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
-/// All of them, in this order: for combinations that are not known when the program is compiled. The numbers are those
-/// of a tuple of the same effects, bit for bit.
+/// Applies all effects in order, for combinations unknown at compile time. Results equal those of a
+/// tuple of the same effects, bit for bit.
 impl<B, E: Effect<B>> Effect<B> for Vec<E> {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &B, x: &[T], forces: &mut [T]) {
@@ -69,7 +69,7 @@ impl<B, E: Effect<B>, R: Real, C: Cotangent<R>> Vectorized for Vjp<'_, B, E, R, 
     }
 }
 
-/// An enum of one variant for every effect of a body, named as the effect is, that is any of them.
+/// Defines an enum with one variant per effect of a model, each named like its effect.
 macro_rules! any_effect {
     ($(#[$doc:meta])* $name:ident of $model:ty: $($effect:ident),+ $(,)?) => {
         $(#[$doc])*

@@ -3,7 +3,7 @@
 use super::Effect;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
-/// Effect with a name for messages, such as its key in a scene. Results are those of the effect
+/// Effect with a name for messages, such as its key in a scene. Results equal those of the effect
 /// alone, bit for bit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Named<E> {

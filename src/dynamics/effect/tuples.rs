@@ -1,9 +1,9 @@
-//! Effects that are known when the program is compiled: none, or several in a row.
+//! Effects known at compile time: none, or several in order.
 
 use super::Effect;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
-/// Nothing.
+/// No effect.
 impl<B> Effect<B> for () {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, _model: &B, _x: &[T], _forces: &mut [T]) {}
@@ -18,7 +18,7 @@ impl<B> Effect<B> for () {
     }
 }
 
-/// The later of two clocks, if there is one.
+/// Returns the later of two latest start times, if any.
 #[inline(always)]
 pub(super) fn later(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     match (a, b) {
@@ -29,7 +29,7 @@ pub(super) fn later(a: Option<f64>, b: Option<f64>) -> Option<f64> {
 
 macro_rules! both {
     ($($effect:ident $i:tt),+) => {
-        /// All of them, in this order.
+        /// Applies all effects in order.
         impl<B, $($effect: Effect<B>),+> Effect<B> for ($($effect,)+) {
             #[inline(always)]
             fn add_forces<T: Scalar>(&self, model: &B, x: &[T], forces: &mut [T]) {

@@ -1,4 +1,4 @@
-//! What slows poles and cart down.
+//! Friction of joints and cart.
 
 use super::CartPoleSystem;
 use crate::dynamics::effect::Effect;
@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 
 /// Viscous friction in the joints of the poles: `τ_i = -damping ω_i`.
 ///
-/// Barto, Sutton and Anderson 1983 (doi:10.1109/TSMC.1983.6313077), whose coefficient is 0.000002.
+/// Source: Barto, Sutton and Anderson 1983 (doi:10.1109/TSMC.1983.6313077), with the coefficient
+/// 0.000002.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -68,18 +69,19 @@ impl Effect<CartPoleSystem> for CartDamping {
     }
 }
 
-/// Dry (Coulomb's) friction of the cart on its rail, smoothed: `F = -force tanh(ẋ / smoothing)`.
+/// Dry (Coulomb) friction of the cart on its rail, smoothed: `F = -force tanh(ẋ / smoothing)`.
 ///
-/// Smoothed, because sgn(ẋ) has no derivative where it matters: below `smoothing` the cart creeps instead of sticking.
-/// Explicit steps of length dt need `force dt < 2 smoothing M`. Andersson, Söderberg and Björklund 2007
-/// (doi:10.1016/j.triboint.2005.11.014), eq. 3.
+/// Smoothing is necessary because sgn(ẋ) has no derivative at 0. Below the speed `smoothing`, the
+/// cart creeps instead of sticking. Explicit steps of length dt need `force dt < 2 smoothing M`.
+///
+/// Source: Andersson, Söderberg and Björklund 2007 (doi:10.1016/j.triboint.2005.11.014), eq. 3.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct DryFriction {
     /// Force on a sliding cart, N, not negative: friction coefficient times weight.
     pub force: f64,
-    /// Speed at which three quarters of it are there, m/s, positive.
+    /// Speed at which friction reaches three quarters of `force`, m/s, positive.
     pub smoothing: f64,
 }
 

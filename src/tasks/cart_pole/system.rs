@@ -1,4 +1,4 @@
-//! Poles on a cart that do not act on each other: the authors' model.
+//! [`CartPoleSystem`]: the authors' model, in which poles do not act on each other.
 
 use super::motion::{moved, moved_bar, rate_of, rate_of_bar, velocity_of};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
@@ -8,14 +8,14 @@ use crate::numbers::zip::zip;
 use arrayvec::ArrayVec;
 use serde::{Deserialize, Serialize};
 
-/// A number for each pole.
+/// One value per pole.
 pub(super) type PerPole<T> = ArrayVec<T, { CartPoleSystem::MOST_POLES }>;
-/// The force on the cart, then the torque on each pole.
+/// Force on the cart, followed by the torque on each pole.
 pub(super) type Forces<T> = ArrayVec<T, { CartPoleSystem::MOST_POLES + 1 }>;
 
-/// The physics: semi-implicit Euler, velocities first.
+/// Cart with poles that do not act on each other: semi-implicit Euler, velocities first.
 ///
-/// State `[x, ẋ, θ₁, ω₁, θ₂, ω₂, …]` in m, m/s, rad, rad/s, θ = 0 upright; control `[u]` in N.
+/// State `[x, ẋ, θ₁, ω₁, θ₂, ω₂, …]` in m, m/s, rad, rad/s, with θ = 0 upright. Control `[u]` in N.
 ///
 /// ```text
 /// A_i = (F + m l sin θ_i ω_i²) / M
@@ -23,22 +23,22 @@ pub(super) type Forces<T> = ArrayVec<T, { CartPoleSystem::MOST_POLES + 1 }>;
 /// ẍ   = (F + m l Σ_i (sin θ_i ω_i² - α_i cos θ_i)) / M
 /// ```
 ///
-/// Forces, for effects to add to: `[F, τ₁, τ₂, …]`, that on the cart in N and the torque on each pole about its joint in
-/// N m. Alone, F is the control and τ_i = m g l sin θ_i is gravity's. Friction of carts and joints comes in as in Barto,
-/// Sutton and Anderson.
+/// Forces, to which effects add: `[F, τ₁, τ₂, …]`. F is the force on the cart in N, τ_i the torque
+/// on each pole about its joint in N m. Without effects, F is the control, and τ_i = m g l sin θ_i
+/// is due to gravity. Friction of cart and joints enters as in Barto, Sutton and Anderson.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct CartPoleSystem {
     /// Number of poles, at most [`MOST_POLES`](CartPoleSystem::MOST_POLES).
     pub poles: usize,
-    /// Mass of the cart, kg; M is this plus one pole.
+    /// Mass of the cart, kg. M is this plus the mass of one pole.
     pub cart_mass: f64,
     /// Mass m of a pole, kg.
     pub pole_mass: f64,
-    /// Half the length of a pole, l, m.
+    /// Half the length l of a pole, m.
     pub half_length: f64,
-    /// Gravity g, m/s².
+    /// Gravitational acceleration g, m/s².
     pub gravity: f64,
     /// Time step, s.
     pub dt: f64,
@@ -51,7 +51,7 @@ impl Default for CartPoleSystem {
 }
 
 impl CartPoleSystem {
-    /// The poles' part of a state: angle and rate of each.
+    /// Returns the pole components of a state: angle and rate of each.
     #[inline(always)]
     pub(crate) fn poles_of<'a, T>(&self, x: &'a [T]) -> std::slice::ChunksExact<'a, T> {
         x[2..2 + 2 * self.poles].chunks_exact(2)
@@ -62,7 +62,7 @@ impl CartPoleSystem {
         self.pole_mass * self.half_length
     }
 
-    /// The most poles there can be: what a step works with is on the stack.
+    /// Largest number of poles. Buffers of a step are on the stack.
     pub const MOST_POLES: usize = 64;
 
     /// Appends sine and cosine of every angle to `trig`, and the forces under `effects` to `forces`.
@@ -88,7 +88,7 @@ impl CartPoleSystem {
     }
 }
 
-/// The constants of [`CartPoleSystem`] as numbers of one kind.
+/// Constants of [`CartPoleSystem`] in one scalar type.
 struct Constants<T> {
     dt: T,
     /// m l.
@@ -173,7 +173,8 @@ impl ForcedSystem for CartPoleSystem {
 }
 
 impl CartPoleSystem {
-    /// Writes what `of_pole` makes of the state of each pole and α_i, and returns the bracket in ẍ = (…) / M.
+    /// Writes `of_pole(pole, α_i)` for each pole to `poles`, and returns the bracket in ẍ = (…) /
+    /// M.
     #[inline(always)]
     fn accelerate<E: Effect<Self>, T: Scalar>(
         &self,
@@ -201,8 +202,11 @@ impl CartPoleSystem {
         push
     }
 
-    /// The reverse of [`accelerate`](Self::accelerate): writes `x_bar`, if it is asked for, and returns the control's cotangent.
-    /// `pole_bar` gives what pole `i` has otherwise, of which the sum is written, and the cotangent of α_i.
+    /// Reverse of [`accelerate`](Self::accelerate). Writes `x_bar`, if requested, and returns the
+    /// cotangent of the control.
+    ///
+    /// `pole_bar(i, x_bar)` returns the cotangents of angle and rate of pole `i` that do not pass
+    /// through α_i, and the cotangent of α_i. `x_bar` receives the sum of all contributions.
     #[inline(always)]
     fn accelerate_reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
         &self,
@@ -229,7 +233,7 @@ impl CartPoleSystem {
 
             let ([theta_bar, omega_bar], alpha_bar) = pole_bar(i, x_bar.as_deref());
             let alpha_bar = alpha_bar - push_bar * lever;
-            // α = numerator / denominator, and the torque is the numerator's first term.
+            // α = numerator / denominator. The torque is the first term of the numerator.
             let torque_bar = alpha_bar * per_inertia;
             let thrust_bar = -(torque_bar * (lever * k.per_mass));
             force_bar += thrust_bar;

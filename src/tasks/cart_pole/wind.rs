@@ -1,4 +1,4 @@
-//! Wind along the rail, steady or in gusts.
+//! Wind along the rail, steady or gusty.
 
 use super::CartPoleSystem;
 use crate::dynamics::effect::Effect;
@@ -7,19 +7,20 @@ use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-/// Drag of the air on cart and poles; in still air (`speed = 0`) it slows them down.
+/// Air drag on cart and poles. In still air (`speed = 0`) it slows them down.
 ///
 /// ```text
 /// cart:   F   = cart_drag |w - ẋ| (w - ẋ)
 /// pole i: D_i = pole_drag |v_i| v_i,   v_i = (w - ẋ) cos θ_i - l ω_i,   F += D_i cos θ_i,   τ_i = l D_i
 /// ```
 ///
-/// w is the speed of the wind and v_i that of the air across the pole, at its middle: what blows along a slender rod
-/// hardly moves it (the cross-flow principle; Hoerner, Fluid-Dynamic Drag, 1965, ch. 3). The coefficients are half the
-/// density of air times the drag coefficient times the area seen by the wind.
+/// w is the wind speed. v_i is the speed of the air across the pole, at its middle. Flow along a
+/// slender rod exerts hardly any force (the cross-flow principle; Hoerner, Fluid-Dynamic Drag,
+/// 1965, ch. 3). Each coefficient is half the air density times the drag coefficient times the
+/// frontal area.
 ///
-/// Strip theory adds up the drag along the pole, where the air crosses it at the speed `W - s ω`, `W = (w - ẋ) cos θ_i`, at
-/// the distance s from the joint:
+/// Strip theory integrates the drag along the pole. At distance s from the joint, the air crosses
+/// the pole at the speed `W - s ω`, with `W = (w - ẋ) cos θ_i`:
 ///
 /// ```text
 /// D = c/2l ∫ |W - s ω| (W - s ω) ds,   τ = c/2l ∫ s |W - s ω| (W - s ω) ds,   s from 0 to 2l, c = pole_drag
@@ -30,19 +31,23 @@ use std::f64::consts::TAU;
 /// slow spin, l ω « W :   dτ/dω = -8/3 c l² |W|                  dτ/dω = -2 c l² |W|
 /// ```
 ///
-/// The speed at the middle is the mean of the speeds, and not that of their squares. In still air the torque on a spinning
-/// pole is half, and the force three quarters, of that of strips. In a wind that is fast beside `l ω`, the damping of the spin
-/// is three quarters. With the defaults, 5 rad/s in still air and l = 0.5 m, the torque is 0.04 N m here and 0.08 N m by
-/// strips, beside 0.49 N m of a pole's weight. Where a spinning pole is to be slowed by air alone, the difference matters.
+/// The two differ because the mean of squared speeds is not the square of the mean speed. For a
+/// spinning pole in still air, the torque is half that of strip theory, and the force three
+/// quarters. In a wind that is fast compared with `l ω`, the damping of the spin is three quarters.
+/// Example with the defaults, 5 rad/s in still air and l = 0.5 m: the torque is 0.04 N m here and
+/// 0.08 N m by strip theory. The torque of gravity is 0.49 N m. The difference matters where air
+/// alone slows a spinning pole.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct SteadyWind {
-    /// w, m/s; positive blows towards positive x.
+    /// Wind speed w, m/s, positive towards positive x.
     pub speed: f64,
-    /// N s²/m², not negative. The default is that of a board of a tenth of a square metre.
+    /// Drag coefficient of the cart, N s²/m², not negative. The default is that of a board of 0.1
+    /// m².
     pub cart_drag: f64,
-    /// N s²/m², not negative. The default is that of a rod, 1 m long and 2 cm thick.
+    /// Drag coefficient of a pole, N s²/m², not negative. The default is that of a rod, 1 m long
+    /// and 2 cm thick.
     pub pole_drag: f64,
 }
 
@@ -70,22 +75,26 @@ impl Effect<CartPoleSystem> for SteadyWind {
     }
 }
 
-/// [`SteadyWind`] whose speed swings about its mean: `w = speed + gust sin(2π t / period)`.
+/// [`SteadyWind`] with a speed that oscillates about its mean:
+/// `w = speed + gust sin(2π t / period)`.
 ///
-/// It appends the time to the state. Rollouts start at a random time of a period, and the policy sees it.
+/// Appends the time to the state. Rollouts start at a random time within a period. The policy
+/// observes the time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct GustyWind {
-    /// Mean of w, m/s; positive blows towards positive x.
+    /// Mean wind speed, m/s, positive towards positive x.
     pub speed: f64,
-    /// By how much w swings to either side, m/s.
+    /// Amplitude of the wind speed, m/s.
     pub gust: f64,
-    /// Time from gust to gust, s, positive.
+    /// Period of the gusts, s, positive.
     pub period: f64,
-    /// N s²/m², not negative. The default is that of a board of a tenth of a square metre.
+    /// Drag coefficient of the cart, N s²/m², not negative. The default is that of a board of 0.1
+    /// m².
     pub cart_drag: f64,
-    /// N s²/m², not negative. The default is that of a rod, 1 m long and 2 cm thick.
+    /// Drag coefficient of a pole, N s²/m², not negative. The default is that of a rod, 1 m long
+    /// and 2 cm thick.
     pub pole_drag: f64,
 }
 
@@ -101,7 +110,7 @@ impl GustyWind {
         Drag { cart: self.cart_drag, pole: self.pole_drag }
     }
 
-    /// The wind and its slope in time: the time is the last component of the state.
+    /// Returns the wind speed and its time derivative. The time is the last component of the state.
     #[inline(always)]
     fn wind<T: Scalar>(&self, x: &[T]) -> (T, T) {
         let rate = TAU / self.period;
@@ -129,7 +138,7 @@ impl Effect<CartPoleSystem> for GustyWind {
     }
 }
 
-/// The drag of [`SteadyWind`], at any speed of the wind.
+/// Drag of [`SteadyWind`], for any wind speed.
 struct Drag {
     cart: f64,
     pole: f64,
@@ -151,7 +160,7 @@ impl Drag {
         forces[0] = push;
     }
 
-    /// Returns the cotangent of the wind. |v| v has the derivative 2 |v|, at 0 as well.
+    /// Returns the cotangent of the wind speed. The derivative of |v| v is 2 |v|, at 0 as well.
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(self, model: &CartPoleSystem, wind: R, x: &[R], forces_bar: &[C], x_bar: &mut [C]) -> C {
         let (pole_drag, l) = (R::lift(self.pole), R::lift(model.half_length));

@@ -1,4 +1,4 @@
-//! Schrödinger's equation, kinetic and potential energy taking turns.
+//! [`Strang`]: Schrödinger's equation by splitting kinetic and potential energy.
 
 use super::QuantumSystem;
 use super::elimination::Vector;
@@ -8,34 +8,39 @@ use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
 use crate::numbers::kernels::scratch::Scratch;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
-/// A [`QuantumSystem`] that steps by the symmetric splitting of Strang:
+/// [`QuantumSystem`] with Strang's symmetric splitting:
 ///
 /// ```text
 /// a = exp(-i dt/2 V(ψ)) ψ,  b = exp(i dt D₂) a,  ψ' = exp(-i dt/2 V(b)) b
 /// ```
 ///
-/// Each part is exact to rounding: phases at the grid points, and the exponential of the second difference, worked out
-/// once by [`new`](Strang::new). So the step is unitary whatever the potential, and without potential it is exact, whatever
-/// dt. With one, it is of the second order, with errors from the commutators of D₂ and V. A step must be short for the
-/// potential, not for the kinetic energy; but where energies differ by 2π/dt, they are the same to it, and a potential may
-/// couple what in continuous time it would not.
+/// Each part is exact to rounding: phases at the grid points, and the exponential of the second
+/// difference, which [`new`](Strang::new) computes once. The step is therefore unitary for any
+/// potential, and exact without potential for any dt.
 ///
-/// H is that of [`QuantumSystem`], on the same grid. A step is a product with two complex matrices of half the grid's size,
-/// and a sine and cosine for each grid point, two where the potential depends on the state: O(grid²), for small grids. The
-/// matrices take 12 grid² bytes, in both precisions.
+/// With a potential, the order is two, with errors from the commutators of D₂ and V. The potential
+/// limits the time step; the kinetic energy does not. Energies that differ by 2π/dt are
+/// indistinguishable, so the potential may couple states that are uncoupled in continuous time.
 ///
-/// The potential of the second half is at the state after the motion, and |ψ| is not changed by the first half: with
-/// [`Cubic`](super::Cubic), both halves are exact and the step is of the second order too. (The other schemes take the
-/// state in which the step begins, and are of the first.) Time, for effects with a clock, is when the step begins in both.
+/// H and grid are those of [`QuantumSystem`]. A step costs O(grid²), which suits small grids: a
+/// product with two complex matrices of half the grid's size, and one sine and cosine per grid
+/// point, or two if the potential depends on the state. The matrices take 12 grid² bytes, in both
+/// precisions together.
 ///
-/// Strang 1968 (doi:10.1137/0705041); Feit, Fleck and Steiger 1982 (doi:10.1016/0021-9991(82)90091-2).
+/// The second half step evaluates the potential at the state after the kinetic step. The first half
+/// step does not change |ψ|. With [`Cubic`](super::Cubic), both halves are therefore exact, and the
+/// order remains two. (The other schemes use the state at the beginning of the step, which gives
+/// first order.) Effects with a clock use the time at the beginning of the step in both halves.
+///
+/// Sources: Strang 1968 (doi:10.1137/0705041); Feit, Fleck and Steiger 1982
+/// (doi:10.1016/0021-9991(82)90091-2).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Strang {
     system: QuantumSystem,
     kinetic: Propagator,
 }
 
-/// `out_j ← psi_j exp(∓i dt/2 V_j)`, the sign of the `ADJOINT` being the upper one's opposite.
+/// Computes `out_j ← psi_j exp(-i dt/2 V_j)`. With `ADJOINT`, the sign in the exponent is opposite.
 #[inline(always)]
 fn turn<T: Scalar, V: Vector<T>, const ADJOINT: bool>(phases: &[Pair<T>], psi: &[V], out: &mut [V]) {
     let n = phases.len();
@@ -46,21 +51,21 @@ fn turn<T: Scalar, V: Vector<T>, const ADJOINT: bool>(phases: &[Pair<T>], psi: &
     }
 }
 
-/// A wave, and what effects have appended to the state.
+/// Wave, and the components that effects append to the state.
 type State<T> = Scratch<T, { 2 * STACK + 1 }>;
 
 impl Strang {
-    /// Works out the motion in a step: O(grid²), in double precision.
+    /// Computes the propagator of a step: O(grid²), in double precision.
     pub fn new(system: QuantumSystem) -> Self {
         Self { kinetic: Propagator::new(&system), system }
     }
 
-    /// The physics. Its own step is not used.
+    /// Returns the model. Its own step is not used.
     pub fn system(&self) -> &QuantumSystem {
         &self.system
     }
 
-    /// `exp(-i dt/2 V)` at the state `x`, as cosine and sine.
+    /// Returns `exp(-i dt/2 V)` at the state `x`, as pairs of cosine and sine.
     #[inline(always)]
     fn phases<'a, E: Effect<QuantumSystem>, T: Scalar>(
         &self,
@@ -78,8 +83,9 @@ impl Strang {
         }))
     }
 
-    /// The control's cotangent from one half step, if it is with_control for; writes the potential's to `potential_bar`, if there is
-    /// one. Both `psi` and its cotangent are of before the half step, or of after it: both turn alike.
+    /// Returns the cotangent of the control from one half step, if requested. Writes the cotangent
+    /// of the potential to `potential_bar`, if given. `psi` and its cotangent are both before or
+    /// both after the half step: it rotates both by the same phase.
     ///
     /// ```text
     /// dψ_j/dV_j = -i dt/2 ψ_j,  V_bar_j = dt/2 Im(ψ̄_bar_j ψ_j)
@@ -137,7 +143,7 @@ impl ForcedSystem for Strang {
         let n = 2 * self.system.grid;
         let (mut phases, mut state) = (PerPoint::new(), State::new());
         let turning = self.phases(effects, x, u, &mut phases);
-        // With what effects have appended: they look at all of it.
+        // Include the components appended by effects, which read the whole state.
         let state = state.collect(x.iter().copied());
         turn::<T, T, false>(turning, x, state);
         self.kinetic.apply::<T, T, false>(state, next);
@@ -161,7 +167,7 @@ impl ForcedSystem for Strang {
         let before = self.phases(effects, x, u, &mut phases);
         let mut a_bar = PerPoint::new();
         let a_bar = a_bar.fill([C::null(); 2], model.grid).as_flattened_mut();
-        // What only the state's cotangent needs ends here.
+        // Shorter path if only the cotangent of the state is requested.
         if u_bar.is_none() && !reads {
             if let Some(x_bar) = x_bar {
                 turn::<R, C, true>(before, next_bar, x_bar);
@@ -170,7 +176,7 @@ impl ForcedSystem for Strang {
             }
             return;
         }
-        // Worked out again rather than kept by the forward pass.
+        // Recompute, because the forward pass does not store these.
         let (mut a, mut b) = (PerPoint::new(), State::new());
         let a = a.fill([R::zero(); 2], model.grid).as_flattened_mut();
         turn::<R, R, false>(before, x, a);
