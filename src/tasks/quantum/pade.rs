@@ -5,6 +5,7 @@ use super::elimination::{Elimination, Pivots, Rows};
 use super::system::{Pair, PerPoint};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::zip::zip;
 
 /// [`QuantumSystem`] with the diagonal Padé approximant of fourth order. With `z = dt H`:
 ///
@@ -160,12 +161,15 @@ impl ForcedSystem for Pade {
         let with_control = u_bar.is_some();
         plus.solve(next_bar, chi_bar);
         let control_bar = if effects_read {
-            let mut potential_bar = PerPoint::new();
-            let potential_bar = potential_bar.fill(C::null(), model.grid);
-            let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, with_control, Some(&mut *potential_bar));
+            let (mut first, mut second) = (PerPoint::new(), PerPoint::new());
+            let (first, second) = (first.fill(C::null(), model.grid), second.fill(C::null(), model.grid));
+            let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, with_control, Some(&mut *first));
             minus.solve(chi_bar, &mut x_bar[..n]);
-            let minus_bar = model.reverse_potential(dt, y_minus, chi_bar, x_bar, with_control, Some(&mut *potential_bar));
-            effects.vjp(model, x, potential_bar, x_bar);
+            let minus_bar = model.reverse_potential(dt, y_minus, chi_bar, x_bar, with_control, Some(&mut *second));
+            for (sum, &part) in zip(first.iter_mut(), &*second) {
+                *sum += part;
+            }
+            effects.vjp(model, x, first, x_bar);
             plus_bar + minus_bar
         } else {
             let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, with_control, None);

@@ -180,7 +180,7 @@ impl QuantumSystem {
 
     /// Writes `x_bar = 2 w - v`, given `w = A⁻ᴴ v` in `x_bar`. The conjugate transpose of the
     /// complex matrix propagates cotangents of real and imaginary parts. Returns the cotangent of
-    /// the control if `with_control`, else 0. Adds that of the potential to `potential_bar`:
+    /// the control if `with_control`, else 0. Writes that of the potential to `potential_bar`, if given:
     ///
     /// ```text
     /// A y = ψ, so dψ'/dV_j = 2 dy/dV_j = -i dt A⁻¹ e_j y_j
@@ -209,7 +209,7 @@ impl QuantumSystem {
                 control_bar += bar * R::lift((place(j) - origin) * dx);
             }
             if let Some(potential_bar) = &mut potential_bar {
-                potential_bar[j] += bar;
+                potential_bar[j] = bar;
             }
         }
         control_bar

@@ -1,8 +1,6 @@
 //! Runs `physgrad fuzz` on damaged inputs.
 
-mod running;
-
-use running::physgrad;
+use crate::running::physgrad;
 use std::time::Duration;
 
 #[test]

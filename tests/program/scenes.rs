@@ -1,8 +1,6 @@
 //! Scene files: presets, files in place of presets, errors in files, and the schema.
 
-mod running;
-
-use running::{SMALL, error_of, physgrad, train};
+use crate::running::{SMALL, error_of, physgrad, train};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,9 +1,7 @@
 //! [`Dual`] agrees with num-dual, and bitwise with plain numbers, for scalars and lanes.
 
-mod operations;
-
+use crate::operations::{NUMBERS, operations};
 use num_dual::Dual64;
-use operations::{NUMBERS, operations};
 use physgrad::{Dual, Lanes, Real, Scalar};
 
 const TANGENTS: [[f64; 2]; 2] = [[0.5, -1.25], [-2.0, 0.75]];

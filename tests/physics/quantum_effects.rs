@@ -1,8 +1,6 @@
 //! Effects of quantum control, absorbing edges and control shapes: derivatives, bits and counts.
 
-mod boxes;
-
-use boxes::{Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, lively, norm, step};
+use crate::boxes::{Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, lively, norm, step};
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{

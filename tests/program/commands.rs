@@ -1,8 +1,6 @@
 //! The program's interface is a contract: files, headers, messages, exit codes.
 
-mod running;
-
-use running::{SMALL, error_of, physgrad, train};
+use crate::running::{SMALL, error_of, physgrad, train};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;

@@ -1,9 +1,7 @@
 //! Inputs that are too large, too deep or too many are refused quickly, with a message.
 
-mod running;
-
+use crate::running::physgrad;
 use assert_cmd::Command;
-use running::physgrad;
 use std::fs::{self, File};
 use std::path::PathBuf;
 use std::time::Duration;

@@ -1,8 +1,6 @@
 //! [`Counted`] counts the correct operations and computes the same values as `f64`.
 
-mod operations;
-
-use operations::{NUMBERS, operations};
+use crate::operations::{NUMBERS, operations};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{CartPole, Guidance, Quantum};
 use physgrad::{Cotangent, CotangentPack, Counted, Dual, Ops, Real, Scalar, System, Task};

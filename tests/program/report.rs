@@ -1,10 +1,8 @@
 //! `physgrad report`: page contents, independence of other files, and availability for all runs.
 
-mod running;
-
+use crate::running::{SMALL, error_of, physgrad, train};
 use assert_cmd::Command;
 use base64::prelude::{BASE64_STANDARD, Engine};
-use running::{SMALL, error_of, physgrad, train};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};

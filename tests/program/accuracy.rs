@@ -1,8 +1,6 @@
 //! End-to-end tests of `physgrad accuracy`.
 
-mod running;
-
-use running::{error_of, physgrad, train};
+use crate::running::{error_of, physgrad, train};
 use std::collections::HashMap;
 use std::fs;
 use std::path::Path;

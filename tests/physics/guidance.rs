@@ -115,7 +115,7 @@ fn error(found: &[f64], expected: &[f64]) -> f64 {
 
 #[test]
 fn steps_and_vjps_are_the_authors() {
-    let text = include_str!("reference/gbr_2-4_step.json");
+    let text = include_str!("../reference/gbr_2-4_step.json");
     let file: Value = serde_json::from_str(text).expect("JSON");
     let numbers = |key: &str| -> Vec<f64> {
         let data = file[key]["data"].as_array().expect("an array");

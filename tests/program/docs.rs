@@ -2,16 +2,16 @@
 
 #[test]
 fn the_readme_shows_the_pendulum_example_as_it_is() {
-    let readme = include_str!("../README.md");
-    let example = include_str!("../examples/pendulum.rs");
+    let readme = include_str!("../../README.md");
+    let example = include_str!("../../examples/pendulum.rs");
     assert!(readme.contains(&format!("```rust\n{example}```")), "README.md and examples/pendulum.rs differ");
     assert!(example.lines().count() < 40, "a newcomer's file has fewer than 40 lines");
 }
 
 #[test]
 fn the_page_on_scenes_shows_the_example_of_an_effect_as_it_is() {
-    let page = include_str!("../docs/scenes.md");
-    let example = include_str!("../examples/own_effect.rs");
+    let page = include_str!("../../docs/scenes.md");
+    let example = include_str!("../../examples/own_effect.rs");
     assert!(page.contains(&format!("```rust\n{example}```")), "docs/scenes.md and examples/own_effect.rs differ");
     assert!(example.lines().count() < 80, "an effect and its training have fewer than 80 lines");
 }

@@ -5,35 +5,12 @@ use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::CartPole;
 use physgrad::{Adjoint, Float, Flow, Gradient, Rollout, Task, Weights};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-
-struct Counting;
-
-thread_local! {
-    /// Bytes ever requested by this thread. The test runner's own thread allocates at any time.
-    static ALLOCATED: Cell<usize> = const { Cell::new(0) };
-}
-
-// SAFETY: all calls are forwarded to the system's allocator.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATED.set(ALLOCATED.get() + layout.size());
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 /// Returns the result of `work` and the number of bytes it requests.
 fn allocated<T>(work: impl FnOnce() -> T) -> (T, usize) {
-    let before = ALLOCATED.get();
-    let result = work();
-    (result, ALLOCATED.get() - before)
+    let mut result = None;
+    let info = allocation_counter::measure(|| result = Some(work()));
+    (result.expect("work is done"), info.bytes_total as usize)
 }
 
 /// One more than two blocks of eight.

@@ -7,45 +7,14 @@ use physgrad::tasks::{CartPole, Guidance, LossMode, Quantum};
 use physgrad::{Adjoint, Batch, Checkpointed, Divergence, Field, Float, Flow, Gradient, Policy, Rollout, Scalar, Schedule, Task};
 use physgrad::{TrainError, Trainer, Training, Weights};
 use rand::RngExt;
-use std::alloc::{GlobalAlloc, Layout};
-use std::cell::Cell;
 
 const UNIT: usize = Schedule::UNIT;
 
-/// Counts the bytes of each thread, so that tests can run in parallel.
-struct Counting;
-
-thread_local! {
-    /// Current number of bytes, and the maximum.
-    static HELD: Cell<(usize, usize)> = const { Cell::new((0, 0)) };
-}
-
-// SAFETY: all calls are forwarded to the system's allocator.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        let (held, most) = HELD.get();
-        let held = held.wrapping_add(layout.size());
-        // Freeing memory of another thread would underflow. These tests do not.
-        HELD.set((held, most.max(held)));
-        unsafe { std::alloc::System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        let (held, most) = HELD.get();
-        HELD.set((held.wrapping_sub(layout.size()), most));
-        unsafe { std::alloc::System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
 /// Returns the result of `work`, the bytes that it retains, and its peak.
 fn held<T>(work: impl FnOnce() -> T) -> (T, usize, usize) {
-    let (before, _) = HELD.get();
-    HELD.set((before, before));
-    let result = work();
-    let (after, most) = HELD.get();
-    (result, after - before, most - before)
+    let mut result = None;
+    let info = allocation_counter::measure(|| result = Some(work()));
+    (result.expect("work is done"), info.bytes_current as usize, info.bytes_max as usize)
 }
 
 /// Draws small parameters, so that long rollouts stay near their initial state.

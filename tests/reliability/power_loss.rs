@@ -6,11 +6,9 @@
 //! synchronization, or these and half of the rest.
 #![cfg(unix)]
 
-mod running;
-
+use crate::running::{SMALL, physgrad};
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
-use running::{SMALL, physgrad};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

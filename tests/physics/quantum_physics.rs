@@ -1,8 +1,6 @@
 //! Documented physics of the effects of quantum control.
 
-mod boxes;
-
-use boxes::{box_of, densities, dipole, every_effect, largest_difference, lively, norm, overlap, packet, run, step, wave};
+use crate::boxes::{box_of, densities, dipole, every_effect, largest_difference, lively, norm, overlap, packet, run, step, wave};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{Absorbing, AbsorbingEdges, Barrier, Cubic, DoubleWell, Harmonic, Quantum, QuantumSystem};
 use physgrad::{Cotangent, Effect, Forced, Real, Scalar, Task};

@@ -1,8 +1,6 @@
 //! Schemes for Schrödinger's equation: derivatives, norm, order, phases.
 
-mod boxes;
-
-use boxes::{
+use crate::boxes::{
     Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, largest_difference, lively, norm, overlap, step,
 };
 use physgrad::policy::Linear;

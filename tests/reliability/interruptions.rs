@@ -2,9 +2,7 @@
 //! fail silently.
 #![cfg(unix)]
 
-mod running;
-
-use running::{SMALL, error_of, physgrad, process, train};
+use crate::running::{SMALL, error_of, physgrad, process, train};
 use std::fs::{self, File};
 use std::os::unix::fs::symlink;
 use std::os::unix::process::ExitStatusExt;

@@ -1,9 +1,6 @@
 //! Absent effects cost nothing. Counts and bits are exact; nothing is timed.
 
-#[path = "../benches/by_hand/mod.rs"]
-mod by_hand;
-
-use by_hand::{cart_pole::ByHand, guidance, quantum};
+use crate::by_hand::{cart_pole::ByHand, guidance, quantum};
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{

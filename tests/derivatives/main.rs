@@ -1,0 +1,11 @@
+//! Derivatives: against dual numbers and differences, identities of the flows, calls and operation
+//! counts, norms.
+
+#[path = "../common/operations.rs"]
+mod operations;
+
+mod adjoint_norms;
+mod counts;
+mod derivative_calls;
+mod gradients;
+mod identities;

@@ -1,0 +1,10 @@
+//! Rollouts, reverse passes and trainings: memory, determinism, non-finite numbers, checkpoints.
+
+mod allocation;
+mod bytes;
+mod causes;
+mod checkpoints;
+mod determinism;
+mod divergence;
+mod memory;
+mod schedule;

@@ -1,0 +1,16 @@
+//! The `physgrad` program, and the documentation pages that quote it.
+
+#[path = "../common/running.rs"]
+mod running;
+
+mod accuracy;
+mod commands;
+mod docs;
+mod explain;
+mod extreme_settings;
+mod limits;
+mod pages;
+mod paper;
+mod report;
+mod scenes;
+mod statistics;
