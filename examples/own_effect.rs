@@ -1,23 +1,24 @@
-//! An effect of one's own: cart-pole with an eddy-current brake on the cart.
+//! Custom effect: cart-pole with an eddy-current brake on the cart.
 //!
-//! `cargo run --release --example own_effect -- [epochs]`
+//! Run: `cargo run --release --example own_effect -- [epochs]`
 
 use physgrad::prelude::*;
 use physgrad::tasks::{CartPole, CartPoleSystem, PoleDamping};
 use physgrad::{Cotangent, Effect, Forced, OpCount, Real, TrainError};
 
-/// A magnet on the cart, above a rail of metal: with `s = ẋ / speed`, F = -2 force s / (1 + s²).
+/// Magnet on the cart above a metal rail: F = -2 force s / (1 + s²), with `s = ẋ / speed`.
 ///
-/// Viscous while the cart is slow, strongest at `speed`, and weaker beyond (Wouterse 1991, IEE Proceedings B 138, 153).
+/// The force is viscous at low speed, largest at `speed`, and smaller beyond (Wouterse 1991, IEE
+/// Proceedings B 138, 153).
 #[derive(Clone, Copy, Debug)]
 struct EddyBrake {
-    /// The largest force, N.
+    /// Largest force, N.
     force: f64,
-    /// The speed at which it is reached, m/s.
+    /// Speed at which the force is largest, m/s.
     speed: f64,
 }
 
-/// What the cart-pole's documentation says of states and forces: x = [x, ẋ, θ₁, ω₁, …], forces = [F, τ₁, …].
+/// [`CartPoleSystem`] defines states and forces: x = [x, ẋ, θ₁, ω₁, …], forces = [F, τ₁, …].
 impl Effect<CartPoleSystem> for EddyBrake {
     fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
         let s = x[1] * T::lift(1.0 / self.speed);
@@ -25,7 +26,7 @@ impl Effect<CartPoleSystem> for EddyBrake {
     }
 }
 
-/// The same with its derivative by hand: dF/dẋ = -2 force / speed · (1 - s²) / (1 + s²)².
+/// Brake with an analytic derivative: dF/dẋ = -2 force / speed · (1 - s²) / (1 + s²)².
 #[derive(Clone, Copy, Debug)]
 struct ByHand(EddyBrake);
 
@@ -47,11 +48,11 @@ fn main() -> Result<(), TrainError> {
     let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
     let brake = EddyBrake { force: 5.0, speed: 1.0 };
 
-    // Both derivatives against dual numbers: panics naming input, index, expected and found if one is wrong.
+    // Compares both derivatives with dual numbers. Panics with input, index, expected and found.
     check::system(&Forced { system, effects: brake });
     check::system(&Forced { system, effects: ByHand(brake) });
 
-    // What it costs, counted. An effect that is not named costs nothing.
+    // Counts operations. Absent effects cost nothing.
     let alone = OpCount::of(&system);
     let (by_duals, by_hand) =
         (OpCount::of(&Forced { system, effects: brake }), OpCount::of(&Forced { system, effects: ByHand(brake) }));
@@ -60,7 +61,7 @@ fn main() -> Result<(), TrainError> {
     }
     println!("          with its derivative by dual numbers {}", by_duals.vjp.total());
 
-    // It stands beside effects of ours as if it were one of them.
+    // Combines the custom effect with a built-in one.
     let braked = CartPole::with_system(Forced { system, effects: (PoleDamping::default(), ByHand(brake)) });
     let policy = Mlp::new([6, 32, 32, 1]);
     let without = Trainer::new(CartPole::with_system(system), policy.clone()).epochs(epochs).run()?;

@@ -1,7 +1,7 @@
-//! The two toy examples of the paper: norms of R and M over two policy parameters, and Adam on a
+//! The two simple examples of the paper: norms of R and M over two policy parameters, and Adam on a
 //! field with a rotation.
 //!
-//! Run: `cargo run --release --example toy`
+//! Run: `cargo run --release --example paper_examples`
 
 use physgrad::policy::{Constant, Quadratic};
 use physgrad::tasks::{Bowl, Reach};

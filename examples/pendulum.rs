@@ -1,6 +1,6 @@
 use physgrad::prelude::*;
 
-/// Torque-driven pendulum, semi-implicit Euler. x = [angle rad (0 = up), rate rad/s], u = [torque N m].
+/// Driven pendulum, semi-implicit Euler: x = [angle rad (0 = up), rate rad/s], u = [torque N m].
 #[rustfmt::skip]
 struct Pendulum { mass: f64, length: f64, dt: f64 }
 
@@ -15,7 +15,7 @@ impl System for Pendulum {
     }
 }
 
-/// From anywhere near hanging to upright and at rest, with little torque.
+/// Swing-up from near hanging to upright and at rest, with little torque.
 #[rustfmt::skip]
 impl Task for Pendulum {
     type System = Self;
@@ -31,8 +31,8 @@ impl Task for Pendulum {
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (pendulum, policy) = (Pendulum { mass: 1.0, length: 0.5, dt: 0.05 }, Mlp::new([2, 32, 32, 1]));
-    check::system(&pendulum); // Panics naming input, index, expected and found if a derivative is wrong.
-    check::task(&pendulum, &policy); // The whole rollout, every flow, against dual numbers.
+    check::system(&pendulum); // Panics with input, index, expected and found if a derivative is wrong.
+    check::task(&pendulum, &policy); // Compares whole rollouts, in all flows, with dual numbers.
     let report = Trainer::new(pendulum, policy).field(Field::combined()).epochs(30).run()?;
     println!("test loss {:.3} after one epoch, {:.4} after thirty", report.records[0].test_loss, report.records[29].test_loss);
     Ok(())

@@ -39,7 +39,7 @@
 //! for (k, gradient) in gradients.iter_mut().enumerate() {
 //!     adjoint.param_gradient(k, &policy, &weights, &rollout, 0..1, gradient);
 //! }
-//! field.compose(&gradients, &mut descent);
+//! field.combine(&gradients, &mut descent);
 //! Clip::Norm(1.0).apply(&mut descent);
 //! weights.update(&policy, |theta| optimizer.step(theta, descent.values()));
 //! # Ok::<(), physgrad::Divergence>(())
@@ -52,12 +52,12 @@
 //! [`Substeps`] performs several small steps of a system as one.
 //! ```
 //! use physgrad::tasks::{CartPole, CartPoleSystem, PoleDamping, SteadyWind};
-//! use physgrad::{Actuated, Cost, Lag, With, check};
+//! use physgrad::{Actuated, OpCount, Lag, Forced, check};
 //!
 //! let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
-//! let windy = With { system, effects: (PoleDamping::default(), SteadyWind { speed: 4.0, ..SteadyWind::default() }) };
-//! assert_eq!(Cost::of(&With { system, effects: () }), Cost::of(&system));
-//! let task = CartPole::around(Actuated { system: windy, actuator: Lag::new(0.05, system.dt) });
+//! let windy = Forced { system, effects: (PoleDamping::default(), SteadyWind { speed: 4.0, ..SteadyWind::default() }) };
+//! assert_eq!(OpCount::of(&Forced { system, effects: () }), OpCount::of(&system));
+//! let task = CartPole::with_system(Actuated { system: windy, actuator: Lag::new(0.05, system.dt) });
 //! check::system(&task.system);
 //! ```
 //! `docs/scenes.md` and `examples/own_effect.rs` show how to write a custom effect.
@@ -71,7 +71,7 @@
 //! - `stress` adds the module `stress`, with hard test cases and their expected results.
 //! - `program`, the default, contains everything that the `physgrad` binary needs.
 //!
-//! Forced `default-features = false`, only the library without these features is built.
+//! With `default-features = false`, only the library without these features is built.
 
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 

@@ -1,10 +1,11 @@
-//! The length of the adjoint along a rollout, on a plant whose adjoints are powers of a number.
+//! Norm of the adjoint along a rollout, for a plant whose adjoints are powers of a number.
 
 use physgrad::policy::Linear;
 use physgrad::rng::Rng;
 use physgrad::{Adjoint, Flow, Gradient, Rollout, Scalar, System, Task, Weights};
 
-/// `x' = 1.25 x + u` in each of `CONTROLS` components, over 60 steps, with half the squared end state as its loss.
+/// `x' = 1.25 x + u` in each of `CONTROLS` components, over 60 steps. The loss is half the squared
+/// final state.
 struct Plant<const CONTROLS: usize>;
 
 const GROWTH: f64 = 1.25;
@@ -41,7 +42,7 @@ impl<const CONTROLS: usize> Task for Plant<CONTROLS> {
     }
 }
 
-/// The norms of R and M for 11 samples that start at 1, 2, .. in every component.
+/// Returns the norms of R and M for 11 samples that start at 1, 2, .. in each component.
 fn norms<const CONTROLS: usize>(scale: f64) -> [Vec<f64>; 2] {
     let (task, samples) = (Plant::<CONTROLS>, 11);
     let policy = Linear::new(CONTROLS, CONTROLS);
@@ -58,7 +59,7 @@ fn norms<const CONTROLS: usize>(scale: f64) -> [Vec<f64>; 2] {
 fn assert_powers<const CONTROLS: usize>() {
     let [regular, modified] = norms::<CONTROLS>(1.0);
     let closed_loop = GROWTH + GAIN;
-    // Root mean square over the samples of the end states.
+    // Root mean square of the final states over the samples.
     let end =
         closed_loop.powi(HORIZON as i32) * (CONTROLS as f64 * (1..=11).map(|b| f64::from(b * b)).sum::<f64>() / 11.0).sqrt();
     assert_eq!((regular.len(), modified.len()), (HORIZON + 1, HORIZON + 1));
@@ -74,11 +75,11 @@ fn assert_powers<const CONTROLS: usize>() {
 #[test]
 fn regular_shrinks_with_the_loop_and_modified_grows_with_the_plant() {
     assert_powers::<1>();
-    // With more controls the policy is swept step by step instead.
+    // With more than one control, the reverse pass through the policy runs step by step.
     assert_powers::<2>();
 }
 
-/// The same plant, whose states are paid for on the way: the one after step t by `x²/2`.
+/// As `Plant`, with a running cost: `x²/2` of the state after step t.
 struct OnTheWay;
 
 impl Task for OnTheWay {
@@ -130,7 +131,7 @@ fn beyond_the_range_of_f32_an_adjoint_has_the_norms_it_should_have() {
     rollout.start(&[1e3]);
     rollout.run(&task, &policy, &weights).expect("it decays");
     let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::MODIFIED]).keep_norms();
-    // So large a scale that neither the adjoint of M nor its gradient fits.
+    // With this scale, neither the adjoint of M nor its gradient fits in f32.
     adjoint.run(&task, &policy, &weights, &rollout, f32::MAX).expect("it is carried with its exponent");
     let end = f64::from(rollout.state(HORIZON, 0, 0));
     for (t, &norm) in adjoint.norms(0).iter().enumerate() {

@@ -1,4 +1,4 @@
-//! After the first time, neither rollouts, nor gradients, nor whole epochs allocate.
+//! Rollouts, gradients and whole epochs do not allocate after the first run.
 
 use physgrad::policy::Mlp;
 use physgrad::tasks::{CartPole, LossMode};
@@ -9,11 +9,11 @@ use std::cell::Cell;
 struct Counting;
 
 thread_local! {
-    /// Of this thread, which does all the work: the test runner has a thread of its own, which allocates when it likes.
+    /// Per-thread allocation counter. The test runner's own thread allocates at any time.
     static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
 }
 
-// SAFETY: everything is handed to the system's allocator.
+// SAFETY: all calls are forwarded to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATIONS.set(ALLOCATIONS.get() + 1);
@@ -32,7 +32,7 @@ fn epochs_do_not_allocate_after_the_first() {
     for field in Field::ALL {
         for loss in [LossMode::Terminal, LossMode::Running] {
             let task = CartPole { loss, ..CartPole::new(2) };
-            // A last mini-batch that is smaller than the others.
+            // The last mini-batch is smaller than the others.
             let training = Training { epochs: 4, train_samples: 20, test_samples: 40, workers: 1, ..Training::default() };
             let trainer = Trainer::new(task, Mlp::new([6, 16, 16, 1])).field(field).training(training);
             let mut session = trainer.session().expect("valid settings");

@@ -1,5 +1,5 @@
-//! A rollout and its adjoint say exactly how many bytes they hold, take them when they are made, and no more when they
-//! are run.
+//! Rollouts and adjoints report exactly the bytes they hold, allocate them at construction, and
+//! allocate nothing later.
 
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
@@ -11,11 +11,11 @@ use std::cell::Cell;
 struct Counting;
 
 thread_local! {
-    /// Bytes that this thread ever asked for: the test runner has a thread of its own, which allocates when it likes.
+    /// Bytes ever requested by this thread. The test runner's own thread allocates at any time.
     static ALLOCATED: Cell<usize> = const { Cell::new(0) };
 }
 
-// SAFETY: everything is handed to the system's allocator.
+// SAFETY: all calls are forwarded to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATED.set(ALLOCATED.get() + layout.size());
@@ -29,7 +29,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// What `work` returns, and the bytes it asks for.
+/// Returns the result of `work` and the number of bytes it requests.
 fn allocated<T>(work: impl FnOnce() -> T) -> (T, usize) {
     let before = ALLOCATED.get();
     let result = work();
@@ -47,7 +47,7 @@ fn bytes_are_those_asked_for<F: Float>() {
     let starts: Vec<F> = start.into_iter().cycle().take(SAMPLES * 6).map(F::lift).collect();
     let mut theta_bar = Gradient::zeros(weights.theta().len());
 
-    // The first run of a process finds out what its processor can do.
+    // The first run of a process detects the processor's features.
     let mut first = Rollout::for_evaluation(&task, &policy, SAMPLES);
     first.start(&starts);
     first.run(&task, &policy, &weights).expect("finite");

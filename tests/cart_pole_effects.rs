@@ -1,5 +1,4 @@
-//! Effects of cart-pole, its exact model, and what stands between policy and cart: derivatives, and the physics they
-//! claim.
+//! Effects of cart-pole, its exact model, and actuators: derivatives, and the documented physics.
 
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, Rng, stream};
@@ -23,12 +22,12 @@ fn every_effect() -> Vec<CartPoleEffect> {
         DryFriction::default().into(),
         SteadyWind::default().into(),
         GustyWind::default().into(),
-        // Within reach of the states that are checked.
+        // Within reach of the tested states.
         Bumpers { half_travel: 0.4, ..Bumpers::default() }.into(),
     ]
 }
 
-/// States with fast carts and poles, so that nothing hides behind a small number.
+/// Draws states with fast carts and poles, so that no term is negligible.
 fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     x.iter_mut().chain(u).for_each(|x| *x = rng.random_range(-3.0..3.0));
 }
@@ -51,7 +50,7 @@ fn the_derivatives_of_every_effect_are_those_of_duals() {
 
 #[test]
 fn a_wrong_derivative_of_an_effect_is_found() {
-    /// A spring, whose derivative has the wrong sign.
+    /// Spring whose derivative has the wrong sign.
     #[derive(Clone, Debug)]
     struct Spring;
     impl Effect<CartPoleSystem> for Spring {
@@ -91,7 +90,7 @@ fn the_derivatives_behind_actuators_and_of_substeps_are_those_of_duals() {
     for count in [1, 3] {
         check_lively(&Substeps { system: system(), count });
     }
-    // Whole rollouts, in all flows, with the states that effects and actuators add.
+    // Whole rollouts, in all flows, with the states of effects and actuators.
     let full =
         Actuated { system: Forced { system: CoupledCartPole(poles(2)), effects: every_effect() }, actuator: Delay { steps: 2 } };
     let n = full.state_dim();
@@ -120,19 +119,20 @@ fn with_one_pole_both_models_are_the_same_equations() {
     }
 }
 
-/// Kinetic and potential energy of the exact model.
+/// Returns kinetic plus potential energy of the exact model.
 fn energy(model: &CartPoleSystem, x: &[f64]) -> f64 {
     let (m, l, v) = (model.pole_mass, model.half_length, x[1]);
     let pole = |pole: &[f64]| {
         let (theta, omega) = (pole[0], pole[1]);
-        // The middle of the pole moves with the cart and about the joint; about the middle, the inertia is m l² / 3.
+        // The middle of the pole moves with the cart and about the joint. The inertia about the
+        // middle is m l² / 3.
         let (vx, vy) = (v + l * omega * theta.cos(), -l * omega * theta.sin());
         0.5 * m * (vx * vx + vy * vy) + 0.5 * (m * l * l / 3.0) * omega * omega + m * model.gravity * l * theta.cos()
     };
     0.5 * model.cart_mass * v * v + x[2..].chunks_exact(2).map(pole).sum::<f64>()
 }
 
-/// How far the energy is from where it began, after a second without control.
+/// Returns the change of energy after one second without control.
 fn drift<H: ForcedSystem<Model = CartPoleSystem>>(host: impl Fn(f64) -> H, dt: f64) -> f64 {
     let system = Forced { system: host(dt), effects: () };
     let mut x = vec![0.0, 0.3, 3.0, 0.5, 2.0, -1.0, 1.0, 0.2];
@@ -149,7 +149,7 @@ fn drift<H: ForcedSystem<Model = CartPoleSystem>>(host: impl Fn(f64) -> H, dt: f
 fn the_exact_model_keeps_energy_and_the_authors_does_not() {
     let exact = |dt| CoupledCartPole(CartPoleSystem { dt, ..poles(3) });
     let simple = |dt| CartPoleSystem { dt, ..poles(3) };
-    // First order: a tenth of the step, a tenth of the drift.
+    // First order: a tenth of the step gives a tenth of the drift.
     let (coarse, fine) = (drift(exact, 1e-3), drift(exact, 1e-4));
     assert!(fine < 1e-3 && (8.0..12.0).contains(&(coarse / fine)), "{coarse:e}, {fine:e}");
     assert!(drift(simple, 1e-4) > 20.0 * fine, "what poles do to each other is missing there");
@@ -204,7 +204,7 @@ fn a_gusty_wind_without_gusts_is_a_steady_one() {
 #[test]
 fn wind_blows_a_still_cart_and_its_pole_away() {
     let x = step(&Forced { system: poles(1), effects: SteadyWind::default() }, &[0.0; 4], 0.0);
-    // An upright pole: F = (cart_drag + pole_drag) w², and the pole is pushed the same way.
+    // Upright pole: F = (cart_drag + pole_drag) w². The pole is pushed the same way.
     assert!(x[1] > 0.0);
     let mut forces = [0.0; 2];
     SteadyWind::default().add_forces(&poles(1), &[0.0; 4], &mut forces);
@@ -213,7 +213,8 @@ fn wind_blows_a_still_cart_and_its_pole_away() {
 
 #[test]
 fn actuators_do_what_they_say() {
-    // Control 1 from rest; what the cart feels is its speed times M / dt, since a hanging pole is left out of it.
+    // Control 1 from rest. The force on the cart is its speed times M / dt, because the pole has
+    // negligible mass.
     let model = CartPoleSystem { pole_mass: 1e-12, dt: 0.1, ..poles(1) };
     fn applied<A: physgrad::Actuator>(model: CartPoleSystem, actuator: A, u: f64, steps: usize) -> Vec<f64> {
         let system = Actuated { system: model, actuator };
@@ -251,7 +252,7 @@ fn substeps_are_the_small_steps() {
     assert_eq!(step(&Substeps { system: small, count: 4 }, &x, 1.5), expected);
 }
 
-/// The next state and all cotangents under every effect, at a lively state.
+/// Returns the next state and all cotangents under all effects, at a generic state.
 fn everything<H: ForcedSystem<Model = CartPoleSystem>>(host: H) -> Vec<f64> {
     let system = Forced { system: host, effects: every_effect() };
     let n = system.state_dim();

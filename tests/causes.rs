@@ -11,12 +11,12 @@ use physgrad::{
 
 const ENDLESS: Cubic = Cubic { strength: 1e308 };
 
-/// The cause at a state of ones.
+/// Returns the cause at a state of ones.
 fn cause<S: System>(system: &S) -> Option<Cause> {
     system.diagnose(&vec![1.0; system.state_dim()], &vec![0.0; system.control_dim()])
 }
 
-/// Every kind of host, with more state components than forces.
+/// Tests each kind of host, with more state components than forces.
 #[test]
 fn hosts_know_how_many_forces_they_have() {
     let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
@@ -53,7 +53,7 @@ fn causes_come_through_what_is_around() {
     assert_eq!(cause(&Renormalized { system }), cubic);
     assert_eq!(cause(&Substeps { system, count: 3 }), cubic);
     assert_eq!(cause(&Actuated { system: Renormalized { system }, actuator: Delay { steps: 2 } }), cubic);
-    // A step far too long for Newton's iteration, in whatever task.
+    // The time step is far too long for Newton's iteration.
     let integrator = AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint::default());
     let stepped = Integrated { ode: DoublePendulum::default(), integrator, dt: 1e6 };
     let Upright { first_angle, from, spread, loss, control_weight, horizon, .. } = Upright::double_pendulum();
@@ -62,7 +62,7 @@ fn causes_come_through_what_is_around() {
     assert_eq!(cause(&hard), cause(&stepped));
 }
 
-/// Steps of a host that reaches infinity by itself.
+/// Host whose own step overflows.
 struct Leaping;
 
 impl ForcedSystem for Leaping {
@@ -88,7 +88,7 @@ impl ForcedSystem for Leaping {
     }
 }
 
-/// Adds the state.
+/// Effect that adds the state to the forces.
 #[derive(Clone, Debug)]
 struct Innocent;
 

@@ -1,4 +1,4 @@
-//! What [`Counted`] counts, and that it computes what an `f64` does.
+//! [`Counted`] counts the correct operations and computes the same values as `f64`.
 
 mod operations;
 
@@ -10,7 +10,8 @@ use rand::RngExt;
 
 const NONE: Ops = Ops { add: 0, negate: 0, multiply: 0, divide: 0, sqrt: 0, transcendental: 0, compare: 0 };
 
-/// The bits of a number. Which bits a NaN has, the language leaves open.
+/// Returns the bits of a number. NaNs are canonicalized, because the language does not specify
+/// their bits.
 fn bits_of(number: f64) -> u64 {
     if number.is_nan() { f64::NAN } else { number }.to_bits()
 }
@@ -70,7 +71,7 @@ fn every_operation_counts_what_it_does() {
 #[test]
 fn every_operation_on_duals_counts_the_value_and_four_tangents() {
     for (name, operation) in operations::<Dual<Counted, 4>>() {
-        // A constant has four tangents that are 0.
+        // A constant has four zero tangents.
         let (x, y) = (Dual::variable(Counted(0.4), 1), Dual::constant(Counted(0.3)));
         let expected = match name {
             "add" | "add_assign" | "sub" | "sub_assign" => Ops { add: 5, ..NONE },
@@ -79,13 +80,14 @@ fn every_operation_on_duals_counts_the_value_and_four_tangents() {
             // q = a / b, i = 1 / b; (a' - q b') i.
             "div" | "div_assign" => Ops { divide: 2, multiply: 8, add: 4, ..NONE },
             "neg" => Ops { negate: 5, ..NONE },
-            // Where slopes may be infinite, each tangent is looked at: a size, and a choice.
+            // Where derivatives may be infinite, each tangent is tested: an absolute value and a
+            // selection.
             "sqrt" => Ops { sqrt: 1, divide: 1, multiply: 4, compare: 8, negate: 4, ..NONE },
             "ln" => Ops { transcendental: 1, divide: 1, multiply: 4, compare: 8, negate: 4, ..NONE },
             "exp" => Ops { transcendental: 1, multiply: 4, ..NONE },
             "sin" | "cos" => Ops { transcendental: 1, negate: 1, multiply: 8, ..NONE },
             "tanh" => Ops { transcendental: 1, add: 1, multiply: 1 + 4, ..NONE },
-            // a a + b b; b / that, a / that; times a' and b', looked at; their difference.
+            // a a + b b; b and a over that; times a' and b', both tested; their difference.
             "atan2" => Ops { transcendental: 1, add: 1 + 4, multiply: 2 + 8, divide: 2, compare: 16, negate: 8, ..NONE },
             "select_lt" | "min" | "max" => Ops { compare: 5, ..NONE },
             "abs" => Ops { compare: 5, negate: 5, ..NONE },
@@ -115,8 +117,8 @@ fn counts_within_counts_are_counted_in_both() {
     assert_eq!(Ops::default().to_string(), "nothing");
 }
 
-/// A mass on a spring that stiffens, q' = q + v' dt, v' = v + (u - q³) dt: 4 multiplications, 3 additions. With its
-/// derivatives by hand, or without.
+/// Mass on a hardening spring, q' = q + v' dt, v' = v + (u - q³) dt: 4 multiplications, 3
+/// additions. Derivatives are analytic if `BY_HAND`, else by dual numbers.
 struct Spring<const BY_HAND: bool>;
 
 const DT: f64 = 0.1;
@@ -144,7 +146,7 @@ impl<const BY_HAND: bool> System for Spring<BY_HAND> {
     }
 }
 
-/// A system with nothing but its step.
+/// System that forwards only its step.
 struct ByDuals<'a, S>(&'a S);
 
 impl<S: System> System for ByDuals<'_, S> {
@@ -159,7 +161,8 @@ impl<S: System> System for ByDuals<'_, S> {
     }
 }
 
-/// Cost of step, `vjp`, `vjp_state` and `vjp_control` of a spring, with cotangents of one kind.
+/// Returns the operations of step, `vjp`, `vjp_state` and `vjp_control` of a spring, for one type
+/// of cotangent.
 fn spring<S: System, C: Cotangent<Counted>>(system: &S, bar: C) -> [Ops; 4] {
     let (x, u) = ([Counted(0.3), Counted(-1.2)], [Counted(0.8)]);
     let (mut next, mut x_bar, mut u_bar) = (x, [bar; 2], [bar; 1]);
@@ -177,20 +180,22 @@ fn a_spring_costs_what_it_does_by_hand() {
     let step = counts(4, 3, 0);
     let (one, two) = (Counted(0.7), CotangentPack([Counted(0.7), Counted(-0.4)]));
 
-    // By hand: 3 multiplications for 3 q² dt; of cotangents one by dt, one by that, one by dt again; 2 sums. Only what is
-    // done to the cotangents is done once more for a second column.
+    // Analytic: 3 multiplications for 3 q² dt. Each column of cotangents needs 3 multiplications
+    // and 2 additions.
     assert_eq!(spring(&Spring::<true>, one)[..2], [step, counts(3 + 3, 2, 0)]);
     assert_eq!(spring(&Spring::<true>, two)[..2], [step, counts(3 + 2 * 3, 2 * 2, 0)]);
 
-    // By duals, all inputs at once: 9 multiplications and 4 sums for each of 4 products, 5 for each of 3 sums. Then each
-    // input's column of 2 slopes, with a product and a sum each.
+    // Dual numbers, all inputs at once: 9 multiplications and 4 additions per product for 4
+    // products, 5 additions per sum for 3 sums. Each input's column of 2 derivatives then takes a
+    // product and a sum each.
     let inputs = |inputs: u64, columns: u64| counts(4 * 9 + columns * 2 * inputs, 4 * 4 + 3 * 5 + columns * 2 * inputs, 0);
     let [both, state, control] = [3, 2, 1].map(|count| move |columns| inputs(count, columns));
     assert_eq!(spring(&Spring::<false>, one), [step, both(1), state(1), control(1)]);
     assert_eq!(spring(&Spring::<false>, two), [step, both(2), state(2), control(2)]);
 }
 
-/// The steps of a system and its derivatives, as bits: from random controls, and cotangents in two columns.
+/// Returns a step of a system and its derivatives as bits, for random controls and two columns of
+/// cotangents.
 fn bits<R: Real<Real = f64>, S: System>(system: &S, x: &[f64]) -> Vec<u64> {
     let mut rng = stream(5, Purpose::Check, 0);
     let mut draw = |len: usize| -> Vec<R> { (0..len).map(|_| R::lift(rng.random_range(-1.0..1.0))).collect() };

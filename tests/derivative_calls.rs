@@ -1,4 +1,4 @@
-//! Which derivatives a rollout asks for at all: no flow pays for a path it does not take.
+//! Derivative calls of a rollout: no flow evaluates derivatives of a path that it does not take.
 
 use physgrad::policy::{Mlp, PolicyPass, PolicyRecord, Sizes};
 use physgrad::rng::{Purpose, Rng, stream};
@@ -6,7 +6,7 @@ use physgrad::tasks::{CartPole, Guidance};
 use physgrad::{Adjoint, Cotangent, Float, Flow, Gradient, Policy, Real, Rollout, Scalar, System, Task, Weights};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// How often something was asked for.
+/// Counter of calls.
 #[derive(Default)]
 struct Calls(AtomicUsize);
 
@@ -14,13 +14,13 @@ impl Calls {
     fn note(&self) {
         self.0.fetch_add(1, Ordering::Relaxed);
     }
-    /// The number, from here on 0.
+    /// Returns the count and resets it.
     fn take(&self) -> usize {
         self.0.swap(0, Ordering::Relaxed)
     }
 }
 
-/// A task and its system, watched.
+/// Task and system that count calls.
 struct WatchedTask<T> {
     inner: T,
     step: Calls,
@@ -31,7 +31,7 @@ struct WatchedTask<T> {
     terminal_cost_gradient: Calls,
 }
 
-/// What was asked of a task.
+/// Numbers of calls to a task.
 #[derive(Debug, PartialEq, Default)]
 struct OfTask {
     step: usize,
@@ -112,7 +112,7 @@ impl<T: Task> Task for WatchedTask<T> {
     }
 }
 
-/// A policy, watched.
+/// Policy that counts calls.
 struct WatchedPolicy {
     inner: Mlp,
     forward: Calls,
@@ -121,7 +121,7 @@ struct WatchedPolicy {
     param_gradient: Calls,
 }
 
-/// What was asked of a policy.
+/// Numbers of calls to a policy.
 #[derive(Debug, PartialEq, Default)]
 struct OfPolicy {
     forward: usize,
@@ -182,14 +182,15 @@ impl Policy for WatchedPolicy {
     }
 }
 
-/// Steps.
+/// Number of steps.
 const T: usize = 5;
-/// Blocks of eight samples.
+/// Number of blocks of eight samples.
 const B: usize = 3;
-/// The last block has one sample.
+/// Number of samples. The last block has one sample.
 const SAMPLES: usize = 17;
 
-/// What a rollout with `flows` asks for in its forward pass, and then for the gradients. Without flows it is an evaluation.
+/// Returns the calls of a rollout with `flows` in its forward pass, and then for the gradients.
+/// Without flows, the rollout is an evaluation.
 fn asked<S: Task>(task: S, flows: &[Flow]) -> [(OfTask, OfPolicy); 2] {
     let task = WatchedTask::new(task);
     let (n, m) = (task.state_dim(), task.control_dim());
@@ -217,7 +218,7 @@ fn asked<S: Task>(task: S, flows: &[Flow]) -> [(OfTask, OfPolicy); 2] {
     [forward, (task.take(), policy.take())]
 }
 
-/// A step of every block, and the policy once for all samples of a step.
+/// One step per block, and one policy call per step for all samples.
 fn one_forward_pass() -> (OfTask, OfPolicy) {
     (OfTask { step: T * B, ..OfTask::default() }, OfPolicy { forward: T, ..OfPolicy::default() })
 }
@@ -230,17 +231,17 @@ fn two_controls() -> Guidance {
     Guidance { horizon: T, ..Guidance::new(1, 1) }
 }
 
-/// Whatever the flow: the gradient of every cost is asked for once a block and never once a flow.
+/// Gradients of all costs, evaluated once per block, independent of the number of flows.
 fn costs() -> OfTask {
     OfTask { stage_cost_gradient: T * B, terminal_cost_gradient: B, ..OfTask::default() }
 }
 
-/// Both derivatives of the physics, at once, of every block of every step.
+/// Both derivatives of the physics at once, for each block and step.
 fn both() -> OfTask {
     OfTask { vjp: T * B, ..costs() }
 }
 
-/// Of the physics only the control's derivative.
+/// Derivative of the physics with respect to the control only.
 fn control_alone() -> OfTask {
     OfTask { vjp_control: T * B, ..costs() }
 }
@@ -258,7 +259,7 @@ fn an_evaluation_asks_for_no_derivative() {
 
 #[test]
 fn with_one_control_the_policy_is_asked_for_its_derivatives_once() {
-    // ∂N/∂x of all steps in one call if a flow takes that path, even with a flow beside it that does not.
+    // One call computes ∂N/∂x of all steps if any flow takes that path.
     for (flows, physics, network) in [
         (&[Flow::REGULAR][..], both(), policy(1, 0, 1)),
         (&[Flow::MODIFIED], both(), policy(0, 1, 1)),
@@ -273,7 +274,8 @@ fn with_one_control_the_policy_is_asked_for_its_derivatives_once() {
 
 #[test]
 fn with_two_controls_the_policy_is_asked_for_its_input_derivative_step_by_step() {
-    // A flow through the policy's input: ∂N/∂x at every step. One that is not: the rest, of all steps in one call.
+    // A flow through the policy's input needs ∂N/∂x at each step. Other flows need one call for all
+    // steps.
     for (flows, physics, network) in [
         (&[Flow::REGULAR][..], both(), policy(T, 0, 1)),
         (&[Flow::MODIFIED], both(), policy(0, 1, 1)),

@@ -1,5 +1,5 @@
-//! The same numbers, to the bit, however the work is split and wherever it was interrupted; single against double
-//! precision.
+//! Results are bitwise equal for any split of the work and after any interruption. Single and
+//! double precision agree to rounding.
 
 use physgrad::any;
 use physgrad::policy::{self, Mlp};
@@ -48,7 +48,8 @@ fn gradients_do_not_depend_on_the_number_of_workers() {
     }
 }
 
-/// A session of three epochs of four updates; the order of its samples changes from epoch to epoch.
+/// Returns a session of three epochs with four updates each. The order of samples changes between
+/// epochs.
 fn shuffled(starts: &[f32]) -> Session<CartPole, Mlp, f32> {
     let training = Training { epochs: 3, batch: 4, shuffle: true, ..Training::default() };
     let trainer = Trainer::new(task(), policy()).training(training);
@@ -102,7 +103,7 @@ fn losses_do_not_depend_on_the_number_of_workers_nor_on_the_tape() {
     }
 }
 
-/// The cost and the last state of every sample, as bits.
+/// Returns the cost and the last state of each sample, as bits.
 fn ends(
     task: &dyn any::AnyTask<f64>,
     make: impl Fn(&dyn any::AnyTask<f64>, &dyn policy::AnyPolicy<f64>, usize) -> Rollout<f64>,
@@ -146,7 +147,8 @@ fn a_sample_does_not_see_its_neighbours() {
 
 #[test]
 fn single_precision_is_double_precision_rounded() {
-    // Rounding enters at 2^-24 a step and grows with the physics; 40 steps of hanging poles are tame.
+    // Rounding errors enter at 2^-24 per step and grow with the physics. 40 steps of hanging poles
+    // amplify them little.
     let allowed = 1e-4;
     let (loss32, g32) = gradients::<f32>(8, 1);
     let (loss64, g64) = gradients::<f64>(8, 1);
@@ -165,7 +167,7 @@ fn session(seed: u64, epochs: usize, workers: usize) -> Session<CartPole, Mlp, f
     Trainer::new(task(), policy()).training(training).session().expect("valid settings")
 }
 
-/// All of a record but the time it took.
+/// Returns the records without their time.
 fn without_time(records: &[Record]) -> Vec<Record> {
     records.iter().map(|r| Record { seconds: 0.0, ..r.clone() }).collect()
 }
@@ -241,6 +243,6 @@ fn composed_fields_share_one_forward_pass_with_the_same_bits() {
     let both = gradients::<f64>(8, 1).1;
     assert_eq!(both[1], alone(Flow::REGULAR), "R beside M is R alone");
     let mut composed = Gradient::zeros(both[0].values().len());
-    Field::combined().compose(&both, &mut composed);
+    Field::combined().combine(&both, &mut composed);
     assert!(composed.values().iter().any(|&c| c != 0.0));
 }

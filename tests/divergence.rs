@@ -1,4 +1,4 @@
-//! Numbers that stop being finite are named, and nothing is learned from them.
+//! Non-finite numbers are reported, and updates with them are skipped.
 
 use physgrad::policy::{Linear, Mlp};
 use physgrad::rng::Rng;
@@ -7,16 +7,17 @@ use physgrad::{
     Trainer, Training, Variable, Weights,
 };
 
-/// What goes wrong, and where.
+/// Type and place of a fault.
 #[derive(Clone, Copy)]
 enum Fault {
     /// Component 1 becomes infinite in step 5 of the samples that start above 0.5.
     State,
     /// The cost of those samples is NaN.
     Cost,
-    /// A square root at 0 in step 3 of those samples: finite forward, an infinite derivative backward.
+    /// The samples take a square root at 0 in step 3: finite forward, an infinite derivative
+    /// backward.
     Cotangent,
-    /// The same in the control.
+    /// As `Cotangent`, with respect to the control.
     ControlCotangent,
 }
 
@@ -33,7 +34,7 @@ impl System for Faulty {
         let marked = |yes: T, no: T| T::select_lt(T::lift(0.5), x[0], yes, no);
         next[0] = x[0];
         next[1] = x[1] + u[0] * T::lift(0.1);
-        // A clock.
+        // Component 2 is a clock.
         next[2] = x[2] + T::one();
         let (clock, huge) = (x[2], T::lift(1e30));
         match self.0 {
@@ -69,7 +70,7 @@ impl Task for Faulty {
     fn horizon(&self) -> usize {
         8
     }
-    /// Every third sample is marked.
+    /// No sample is marked.
     fn start(&self, _: &mut Rng, x: &mut [f64]) {
         x.copy_from_slice(&[0.1, 0.3, 0.0]);
     }
@@ -80,7 +81,7 @@ impl Task for Faulty {
     }
 }
 
-/// Eleven samples, of which number 9 is marked.
+/// Returns eleven samples, of which number 9 is marked.
 fn starts() -> Vec<f64> {
     (0..11).flat_map(|sample| [if sample == 9 { 0.9 } else { 0.1 }, 0.3, 0.0]).collect()
 }
@@ -147,7 +148,7 @@ fn the_trajectory_up_to_there_can_be_read() {
 
 #[test]
 fn updates_with_a_bad_sample_are_skipped_counted_and_change_nothing() {
-    // Two mini-batches of 6 and 5; sample 9 is in the second.
+    // Two mini-batches of 6 and 5 samples. Sample 9 is in the second.
     let training = Training { epochs: 3, batch: 6, max_skipped: 10, ..Training::default() };
     let trainer = Trainer::new(Faulty(Fault::Cotangent), Linear::with_bias(3, 1)).precision::<f64>().training(training.clone());
     let mut session = trainer.session_from(vec![0.1; 4], starts(), starts()).expect("valid settings");
@@ -159,7 +160,7 @@ fn updates_with_a_bad_sample_are_skipped_counted_and_change_nothing() {
         Divergence::Cotangent { flow: Flow::MODIFIED, variable: Variable::State, step: 3, sample: 3, component: 1, cause: None }
     );
 
-    // The same training without the second mini-batch.
+    // Identical training without the second mini-batch.
     let trainer = Trainer::new(Faulty(Fault::Cotangent), Linear::with_bias(3, 1)).precision::<f64>().training(training);
     let mut good = trainer.session_from(vec![0.1; 4], starts()[..18].to_vec(), starts()).expect("valid settings");
     good.epoch().expect("finite");
@@ -185,7 +186,7 @@ fn too_many_skips_in_a_row_stop_the_training_with_the_parameters_untouched() {
 
 #[test]
 fn an_infinite_gradient_of_finite_cotangents_is_named() {
-    // Single precision: every cotangent is finite, their sum over the batch is not.
+    // Single precision: each cotangent is finite, their sum over the batch is not.
     struct Steep {
         slope: f64,
     }
@@ -222,18 +223,19 @@ fn an_infinite_gradient_of_finite_cotangents_is_named() {
         session.epoch().expect("one skip at most");
         (session.skips().first().map(|skip| skip.divergence), session.weights().theta()[0])
     };
-    // The cotangents are small enough to be what they are, and their product with the state is not.
+    // The cotangents are representable, their product with the state is not.
     let gradient = Divergence::Gradient { flow: Flow::REGULAR, parameter: 0 };
     assert_eq!(epoch(1e10, 1e30, Clip::None), (Some(gradient), 0.0));
-    // Cotangents beyond f32 have an exponent, and so has the gradient: what cannot be used of it is said, and clipped it can.
+    // Cotangents beyond f32 have an exponent, and so does the gradient. Unusable gradients are
+    // reported; clipping makes them usable.
     let (divergence, theta) = epoch(1e30, 1e20, Clip::None);
     let Some(Divergence::Field { parameter: 0, norm }) = divergence else { panic!("{divergence:?}") };
     assert!((norm.get() / 1e50 - 1.0).abs() < 1e-6 && theta == 0.0, "{norm}, {theta}");
-    assert!(divergence.expect("one").to_string().contains("training.clip"));
+    assert!(divergence.expect("one").to_string().contains("Clip by norm"));
     assert!(matches!(epoch(1e30, 1e20, Clip::Norm(1.0)), (None, theta) if theta < 0.0));
 }
 
-/// A saturated actuator: `min` and `max` let a NaN of the control vanish from the state.
+/// Saturated actuator: `min` and `max` hide a NaN of the control from the state.
 #[derive(Debug)]
 struct Saturated;
 
@@ -275,14 +277,14 @@ fn a_control_that_is_no_number_is_seen_though_the_state_hides_it() {
     assert_eq!(found, Err(Divergence::Forward { variable: Variable::Control, step: 0, sample: 0, component: 0, cause: None }));
 }
 
-/// A composition that makes something of nothing.
+/// Combiner that replaces component 0 by a constant.
 struct Broken(f64);
 
 impl GradientCombiner for Broken {
     fn name(&self) -> &str {
         "broken"
     }
-    fn compose<F: Float>(&self, first: &[F], _: &[F], out: &mut [F]) {
+    fn combine<F: Float>(&self, first: &[F], _: &[F], out: &mut [F]) {
         out.copy_from_slice(first);
         out[0] = F::lift(self.0);
     }
@@ -290,7 +292,7 @@ impl GradientCombiner for Broken {
 
 #[test]
 fn a_composition_is_checked_before_the_optimizer_sees_it() {
-    // In single precision, the square of 1e30 is infinite; clipping brings it back into reach.
+    // In single precision, the square of 1e30 is infinite. Clipping makes it finite.
     for (value, clip, bad) in [
         (f64::NAN, Clip::None, true),
         (f64::NAN, Clip::Value(1.0), true),
@@ -299,7 +301,7 @@ fn a_composition_is_checked_before_the_optimizer_sees_it() {
         (1e30, Clip::Norm(1.0), false),
         (1e30, Clip::Value(1.0), false),
     ] {
-        let field = Field::composed(Flow::MODIFIED, Flow::REGULAR, Broken(value));
+        let field = Field::custom(Flow::MODIFIED, Flow::REGULAR, Broken(value));
         let training = Training { train_samples: 8, test_samples: 8, clip, ..Training::default() };
         let mut session = Trainer::new(Saturated, Linear::new(1, 1)).field(field).training(training).session().expect("valid");
         let before = session.weights().theta().to_vec();

@@ -1,4 +1,4 @@
-//! The front page shows what is compiled, run and checked.
+//! Examples in the documentation equal files that are compiled, run and checked.
 
 #[test]
 fn the_readme_shows_the_pendulum_example_as_it_is() {

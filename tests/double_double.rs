@@ -1,4 +1,5 @@
-//! References in double-double: they agree with f64 where f64 is right, and are right where it is not.
+//! Reference results in double-double agree with f64 where f64 is accurate, and are accurate where
+//! it is not.
 
 use num_dual::Dual64;
 use physgrad::policy::Linear;
@@ -8,7 +9,7 @@ use physgrad::{
     Batch, DoubleDouble, Dual, Flow, ImplicitMidpoint, Integrated, Policy, RungeKutta, Scalar, System, Task, Weights, check,
 };
 
-/// Value and slope of a step in a random direction, in double-double and by num-dual, each compared apart.
+/// Compares value and directional derivative of a step between double-double and num-dual.
 fn agrees<S: System>(name: &str, system: &S, size: f64) {
     use rand::RngExt;
     let mut rng = stream(5, Purpose::Check, 0);
@@ -30,7 +31,7 @@ fn agrees<S: System>(name: &str, system: &S, size: f64) {
         assert!((fine.value.0 - dual.re).abs() <= 1e-13 * values, "{name}: value {i}: {fine:?}, {dual:?}");
         assert!((fine.tangents[0].0 - slope).abs() <= 1e-12 * slopes, "{name}: slope {i}: {fine:?}, {dual:?}");
     }
-    // Not f64 in disguise: the second half of some number is in use.
+    // The low words are in use: this is not plain f64.
     assert!(fine_next.iter().any(|x| x.value.1 != 0.0), "{name}");
 }
 
@@ -48,7 +49,7 @@ fn steps_in_double_double_are_those_of_duals_to_rounding() {
     agrees("midpoint", &Integrated { ode: coupled, integrator: ImplicitMidpoint { tolerance: 1e-14 }, dt: 0.01 }, 1.0);
 }
 
-/// The gradients of a flow by the reverse pass in f64, and by double-double.
+/// Compares the gradients of a flow between the reverse pass in f64 and double-double.
 fn slopes<T: Task, P: Policy>(name: &str, task: &T, policy: &P, allowed: f64) {
     let n = task.system().state_dim();
     let mut starts = vec![0.0; 2 * n];
@@ -80,12 +81,12 @@ fn gradients_of_every_flow_are_those_in_double_double() {
     slopes("quantum", &quantum, &Linear::new(16, 1), 1e-11);
 }
 
-/// A map in which rounding is doubled at every step, and what it comes to.
+/// Task on a map that doubles rounding errors in each step.
 struct Doubling {
     system: Logistic,
 }
 
-/// The logistic map x' = 4 x (1 - x), whose k-th state is sin²(2^k asin √x).
+/// Logistic map x' = 4 x (1 - x), whose k-th state is sin²(2^k asin √x).
 struct Logistic;
 
 impl System for Logistic {
@@ -120,7 +121,8 @@ impl Task for Doubling {
 fn double_double_is_right_where_f64_has_lost_every_digit() {
     let (task, policy) = (Doubling { system: Logistic }, Linear::new(1, 1));
     let [exact, _] = check::slope(&task, &policy, &[0.0, 0.0], &[0.3], Flow::REGULAR, |_| 0.0);
-    // 2^60 turns the argument's rounding into the angle's: known to 31 digits it is right to about 1e-13.
+    // 2^60 amplifies the rounding of the angle. With 31 digits, the result is accurate to about
+    // 1e-13.
     let start = Scalar::sqrt(DoubleDouble::lift(0.3));
     let angle = start.atan2(Scalar::sqrt(DoubleDouble::lift(1.0) - start * start)) * DoubleDouble::lift(2.0_f64.powi(60));
     let turns = DoubleDouble::lift(2.0) * DoubleDouble::PI;

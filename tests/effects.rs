@@ -1,4 +1,4 @@
-//! The promise of effects: what a scene does not name is not there. Counts and bits are exact; nothing is timed.
+//! Absent effects cost nothing. Counts and bits are exact; nothing is timed.
 
 #[path = "../benches/by_hand/mod.rs"]
 mod by_hand;
@@ -51,7 +51,7 @@ fn quantum_effects() -> Vec<QuantumEffect> {
     vec![Harmonic::default().into(), Barrier::default().into(), DoubleWell::default().into(), Cubic::default().into()]
 }
 
-/// Counts of step, VJP and VJP to the control alone, one after the other.
+/// Returns the counts of step, VJP and VJP to the control alone.
 fn counts<S: System>(system: &S) -> [Ops; 3] {
     let OpCount { step, vjp, vjp_control } = OpCount::of(system);
     [step, vjp, vjp_control]
@@ -61,7 +61,8 @@ fn minus(a: [Ops; 3], b: [Ops; 3]) -> [Ops; 3] {
     std::array::from_fn(|i| a[i] - b[i])
 }
 
-/// Absent effects cost nothing, present ones their own operations, whatever else is there and in whatever order.
+/// Absent effects cost nothing. Present ones cost their own operations, independent of other
+/// effects and their order.
 fn costs_add_up<H: ForcedSystem + System + Clone, E: Effect<H::Model>>(system: &H, effects: &[E]) {
     let with = |effects: &[E]| counts(&Forced { system: system.clone(), effects: effects.to_vec() });
     let bare = counts(system);
@@ -90,7 +91,7 @@ fn an_effect_costs_its_own_operations_and_nothing_when_absent() {
         costs_add_up(&cart_pole(poles), &cart_pole_effects());
         costs_add_up(&CoupledCartPole(cart_pole(poles)), &cart_pole_effects());
     }
-    // No effect of guidance is without work: there are two drivers at least, and two evaders.
+    // Two drivers and two evaders at least, so that each effect of guidance has work.
     for (drivers, evaders) in [(2, 2), (2, 4), (3, 2)] {
         costs_add_up(&agents(drivers, evaders), &guidance_effects());
     }
@@ -106,7 +107,8 @@ fn absorbing_edges_cost_the_same_whatever_they_are_around() {
         let system = Forced { system, effects: effects.to_vec() };
         minus(counts(&Absorbing::new(system.clone(), edges)), counts(&system))
     };
-    // Two numbers at each of the points within a tenth of the box of a wall; that is the first point and the last.
+    // Two components at each point within a tenth of the box from a wall: the first and the last
+    // point.
     let two_points = Ops { multiply: 4, ..Ops::default() };
     let effects = quantum_effects();
     for present in 0..=effects.len() {
@@ -128,7 +130,7 @@ fn a_bare_scene_has_the_operations_of_a_system_that_never_heard_of_effects() {
     assert_eq!(OpCount::of(&friction).vjp, OpCount::of(&by_hand).vjp);
 }
 
-/// The herding of the paper.
+/// Returns the herding of the paper.
 fn herding_by_hand(system: GuidanceSystem) -> guidance::ByHand {
     let (friction, spread, evade, flock) = Default::default();
     guidance::ByHand { system, friction, spread, evade, flock }
@@ -140,12 +142,13 @@ fn a_herd_has_the_operations_of_one_by_hand_and_those_of_what_can_be_chosen() {
         let (machinery, by_hand) = (agents(drivers, evaders).herding(), herding_by_hand(agents(drivers, evaders)));
         let (machinery, by_hand) = (OpCount::of(&machinery), OpCount::of(&by_hand));
         let (d, e) = (drivers as u64, evaders as u64);
-        // Friction is subtracted from the 0 there is of an evader's acceleration, x and y. The center of the herd has a
-        // weight, x and y, so that it can be the mean.
+        // Friction is subtracted from zero accelerations of evaders, in x and y. The center of the
+        // herd is multiplied by a weight, in x and y, to support the mean.
         let step = Ops { add: 2 * e, multiply: 2, ..Ops::default() };
         assert_eq!(machinery.step - by_hand.step, step);
-        // Friction is not part of the factor by which velocities are kept: one subtraction more for each. The weight comes
-        // in there and back. And the control's cotangents, which may be asked for alone, are multiplied by dt by themselves.
+        // Friction is not merged into the factor of the velocities: one more subtraction for each.
+        // The weight enters forward and backward. The cotangents of the control can be requested
+        // alone, and are therefore multiplied by dt separately.
         let vjp = Ops { add: 2 * (d + e), multiply: 4 + 2 * d, ..Ops::default() };
         assert_eq!(machinery.vjp - by_hand.vjp, vjp);
     }
@@ -156,7 +159,8 @@ fn a_particle_has_the_operations_of_one_by_hand_and_a_product_for_each_point() {
     for grid in [3, 10] {
         let system = QuantumSystem { grid, ..QuantumSystem::default() };
         let (trap, cubic) = (Harmonic::default(), Cubic::default());
-        // The potential is multiplied by dt/2 at every point: by hand that is done to the control, once.
+        // The potential is multiplied by dt/2 at each point. The handwritten code multiplies the
+        // control once.
         let more = Ops { multiply: grid as u64 - 1, ..Ops::default() };
         let bare = OpCount::of(&quantum::ByHand::<false, false> { system, trap, cubic });
         assert_eq!(OpCount::of(&system).step - bare.step, more);
@@ -168,7 +172,7 @@ fn a_particle_has_the_operations_of_one_by_hand_and_a_product_for_each_point() {
     }
 }
 
-/// Next state and cotangents agree but for rounding.
+/// Checks that next state and cotangents agree to rounding.
 fn same_physics<A: System, B: System>(a: &A, b: &B) {
     let (n, m) = (a.state_dim(), a.control_dim());
     let wave = |len: usize, speed: f64| (0..len).map(|i| (1.0 + speed * i as f64).sin()).collect::<Vec<_>>();
@@ -203,8 +207,8 @@ fn by_hand_is_the_same_physics() {
     same_physics(&Forced { system, effects: (trap, cubic) }, &quantum::ByHand::<true, true> { system, trap, cubic });
 }
 
-/// All states of a trajectory under a control that swings, and all cotangents on the way back, one sample in plain numbers,
-/// as bits.
+/// Returns all states of a trajectory under an oscillating control, and all cotangents of the
+/// reverse pass, as bits. Uses one sample and scalars.
 fn steps<F: Float, T: Task>(task: &T) -> Vec<u64> {
     let (n, m, horizon) = (task.system().state_dim(), task.system().control_dim(), task.horizon());
     let mut start = vec![0.0; n];
@@ -236,7 +240,7 @@ fn same_bits<A: Task, B: Task>(a: &A, b: &B) {
     assert_eq!(steps::<f64, _>(a), steps::<f64, _>(b));
 }
 
-/// Mean loss, last states and the gradients of all flows of a batch of rollouts, as bits.
+/// Returns mean loss, last states and the gradients of all flows of a batch of rollouts, as bits.
 fn bits<F: Float, T: Task>(task: &T) -> Vec<u64> {
     let (n, m) = (task.system().state_dim(), task.system().control_dim());
     let policy = Mlp::new([n, 6, m]);
@@ -261,7 +265,8 @@ fn bits<F: Float, T: Task>(task: &T) -> Vec<u64> {
     found
 }
 
-/// The same for whole rollouts in lanes, in single precision: a minute to compile, if all were compared so.
+/// Compares whole rollouts in lanes, in single precision. Used sparingly, because it is slow to
+/// compile.
 fn same_rollouts<A: Task, B: Task>(a: &A, b: &B) {
     assert_eq!(bits::<f32, _>(a), bits::<f32, _>(b));
     same_bits(a, b);
@@ -308,7 +313,7 @@ fn typed_and_listed_effects_have_the_same_bits() {
     let system = CoupledCartPole(system);
     same_bits(&swing(Forced { system, effects }), &swing(Forced { system, effects: list }));
 
-    // Local effects alone, before others, after others.
+    // Local effects alone, before others, and after others.
     let (pole, cart, wind) = (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
     let list: [CartPoleEffect; 3] = [pole.into(), cart.into(), wind.into()];
     let system = cart_pole(3);

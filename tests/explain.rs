@@ -1,4 +1,4 @@
-//! What `physgrad explain` says is what the library counts.
+//! The output of `physgrad explain` agrees with the counts of the library.
 
 use assert_cmd::Command;
 use physgrad::policy::Mlp;
@@ -13,7 +13,7 @@ fn physgrad(args: &[&str]) -> Command {
     command
 }
 
-/// The rows of all tables in the output: their cells.
+/// Returns the rows of all tables in the output, as cells.
 fn explained(scene: &str, args: &[&str]) -> Vec<Vec<String>> {
     let dir = TempDir::new().expect("a folder");
     let file = dir.path().join("scene.toml");
@@ -29,7 +29,7 @@ fn row<'a>(rows: &'a [Vec<String>], name: &str) -> &'a [String] {
     rows.iter().find(|row| row.first().is_some_and(|first| first == name)).unwrap_or_else(|| panic!("{name}: {rows:?}"))
 }
 
-/// The three rows of operations that begin with this name.
+/// Returns the three rows of operations that begin with this name.
 fn passes(rows: &[Vec<String>], name: &str) -> Vec<Vec<String>> {
     let first = rows.iter().position(|row| row.len() == 10 && row[0] == name).unwrap_or_else(|| panic!("{name}: {rows:?}"));
     vec![rows[first][1..].to_vec(), rows[first + 1].clone(), rows[first + 2].clone()]
@@ -124,7 +124,7 @@ fn bytes_are_those_that_the_library_holds() {
 
 #[test]
 fn allocations_are_told_where_there_are_any() {
-    // A step of a grid that is too large for the stack works on the heap.
+    // Steps on a grid that exceeds the stack buffers allocate.
     let rows = explained("scene = 1\ntask = \"quantum\"\n[system]\ngrid = 200\n[policy]\nwidth = 4\n", &[]);
     assert_ne!(row(&rows, "evaluation")[4], "0");
 }
@@ -134,7 +134,7 @@ fn the_rich_presets_have_right_gradients() {
     let dir = TempDir::new().expect("a folder");
     for preset in ["cart_pole_windy", "guidance_walled", "quantum_double_well"] {
         let scene = String::from_utf8(physgrad(&["scene", preset]).output().expect("it runs").stdout).expect("text");
-        // A short rollout has every derivative in it.
+        // A short rollout contains every derivative.
         let short = |line: &str| if line.starts_with("horizon") { "horizon = 20".to_owned() } else { line.to_owned() };
         let file = dir.path().join(format!("{preset}.toml"));
         fs::write(&file, scene.lines().map(short).collect::<Vec<_>>().join("\n")).expect("a file");

@@ -1,7 +1,7 @@
-//! Every number of every preset, replaced by an extreme one: the program trains, or says what is wrong; it neither panics nor
-//! hangs, and blames what the scene names.
+//! Extreme values for each number of each preset. The program trains or reports the faulty
+//! setting; it neither panics nor hangs.
 //!
-//! A sample of the cases always runs. All cases, in a few minutes:
+//! A sample of the cases always runs. To run all cases, in a few minutes:
 //! `PHYSGRAD_EXTREMES=all cargo test --release --test extreme_settings -- --nocapture`.
 
 use assert_cmd::Command;
@@ -13,15 +13,15 @@ use std::time::Duration;
 use tempfile::TempDir;
 use toml::{Table, Value};
 
-/// Far more than any case takes.
+/// Time limit, far above the duration of any case.
 const HANGS: Duration = Duration::from_secs(120);
-/// Cases of each command that always run.
+/// Number of cases per command that always run.
 const SAMPLE: usize = 150;
 
 const NUMBERS: [&str; 7] = ["0.0", "1e38", "-1e38", "1e300", "-1e300", "1e-300", "-1e-300"];
 const COUNTS: [&str; 5] = ["0", "-1", "1", "9223372036854775807", "1e38"];
 
-/// A training that takes no time, on any scene.
+/// Fast training settings for any scene.
 const TINY: [&str; 6] =
     ["epochs=1", "horizon=6", "training.train_samples=4", "training.test_samples=4", "training.batch=4", "seed=1"];
 
@@ -37,7 +37,7 @@ const MORE: [(&str, &[&str]); 8] = [
     ("quantum_double_well", &["precision=f64", "integrator.substeps=2", "training.clip=value"]),
 ];
 
-/// A preset and settings, of which the last is extreme.
+/// Preset with settings, of which the last is extreme.
 #[derive(Clone, Debug)]
 struct Case {
     preset: String,
@@ -56,7 +56,7 @@ fn presets() -> Vec<String> {
     text.lines().map(|line| line.split(' ').next().expect("a name").to_owned()).collect()
 }
 
-/// All settings of a scene, as a run writes them down.
+/// Returns all settings of a scene, as a run stores them.
 fn settings(preset: &str, changes: &[&str], dir: &Path) -> Table {
     let mut command = physgrad(&["train", preset, "--epochs", "0", "--threads", "1", "--out"]);
     command.arg(dir).args(TINY.iter().chain(changes).flat_map(|change| ["--set", change]).skip(2));
@@ -64,7 +64,7 @@ fn settings(preset: &str, changes: &[&str], dir: &Path) -> Table {
     std::fs::read_to_string(dir.join("run.toml")).expect("settings").parse().expect("TOML")
 }
 
-/// The keys of all numbers in it, with the extremes for each.
+/// Collects the keys of all numbers, with the extreme values for each.
 fn extremes(key: &str, value: &Value, found: &mut Vec<String>) {
     match value {
         Value::Table(table) => {
@@ -74,7 +74,7 @@ fn extremes(key: &str, value: &Value, found: &mut Vec<String>) {
         }
         Value::Float(_) => found.extend(NUMBERS.map(|number| format!("{key}={number}"))),
         Value::Integer(_) => found.extend(COUNTS.map(|count| format!("{key}={count}"))),
-        // One number of a list at a time.
+        // One element of a list at a time.
         Value::Array(list) => {
             for i in 0..list.len() {
                 let mut of_one = Vec::new();
@@ -89,7 +89,7 @@ fn extremes(key: &str, value: &Value, found: &mut Vec<String>) {
     }
 }
 
-/// Networks of a few neurons.
+/// Returns a setting for networks of a few neurons.
 fn small_network(settings: &Table) -> Option<&'static str> {
     let policy = settings.get("policy")?.as_table()?;
     let key =
@@ -109,7 +109,7 @@ fn cases(dir: &Path) -> Vec<Case> {
         let table = settings(preset, changes, &dir.join(i.to_string()));
         let mut found = Vec::new();
         extremes("", &Value::Table(table.clone()), &mut found);
-        // The version of the scene cannot be set, and so many epochs are a training without end.
+        // The version of the scene cannot be set. Training for so many epochs would not end.
         let no_case = |setting: &String| setting.starts_with("scene=") || setting == "epochs=9223372036854775807";
         found.retain(|setting| !no_case(setting));
         let tiny: Vec<&str> = TINY.iter().chain(changes).copied().chain(small_network(&table)).collect();
@@ -121,7 +121,7 @@ fn cases(dir: &Path) -> Vec<Case> {
     cases
 }
 
-/// How a run of the program ended.
+/// Outcome of a run of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum End {
     Done,
@@ -129,7 +129,7 @@ enum End {
     Blamed,
 }
 
-/// Describes a fault of the run, or else its outcome.
+/// Returns the outcome of the run, or a description of its fault.
 fn run(mut args: Vec<String>, case: &Case) -> Result<End, String> {
     args.extend(case.settings.iter().flat_map(|setting| ["--set".to_owned(), setting.clone()]));
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
@@ -150,7 +150,7 @@ fn run(mut args: Vec<String>, case: &Case) -> Result<End, String> {
     if known.map(|name| format!("effects.{name}")).any(|key| key == blamed) { Ok(End::Blamed) } else { Err(told()) }
 }
 
-/// Runs the command on these cases, on all cores, and fails with all that went wrong.
+/// Runs the command on the cases, on all cores, and fails with all faults.
 fn run_all(command: &str, cases: &[Case]) {
     let dir = TempDir::new().expect("a folder");
     let (next, ends, wrong) = (Mutex::new(cases.iter().enumerate()), Mutex::new(Vec::new()), Mutex::new(Vec::new()));
@@ -170,7 +170,7 @@ fn run_all(command: &str, cases: &[Case]) {
                 Ok(end) => ends.lock().expect("no panic").push(end),
                 Err(what) => wrong.lock().expect("no panic").push(what),
             }
-            // There may be none.
+            // The folder may not exist.
             let _ = std::fs::remove_dir_all(out);
         }
     };
@@ -191,7 +191,7 @@ fn run_all(command: &str, cases: &[Case]) {
     assert!(wrong.is_empty(), "{} of {}:\n{}", wrong.len(), cases.len(), wrong.join("\n"));
 }
 
-/// All of them, or a sample that is the same in every run.
+/// Returns all cases, or a deterministic sample.
 fn sample(cases: &[Case], count: usize) -> Vec<Case> {
     if std::env::var("PHYSGRAD_EXTREMES").is_ok_and(|which| which == "all") {
         return cases.to_vec();
@@ -210,7 +210,7 @@ fn extreme_settings_are_trained_with_or_refused() {
     run_all("compare", &sample(&cases, SAMPLE / 10));
 }
 
-/// The cases that once panicked, and the effect that they blame.
+/// Regression test for cases that used to panic, with the effect that the message names.
 #[test]
 fn the_scenes_own_key_is_blamed() {
     let dir = TempDir::new().expect("a folder");
@@ -241,7 +241,7 @@ fn the_scenes_own_key_is_blamed() {
             assert!(errors.contains(&format!("the forces of {key} ")), "{command} {preset} {setting}: {errors}");
         }
     }
-    // No effect is to blame for a step that is too long.
+    // A step that is too long is not attributed to an effect.
     for command in ["train", "explain", "compare"] {
         let errors = errors(command, "quantum_double_well", "system.dt=1e30");
         assert!(!errors.contains("the forces of"), "{errors}");

@@ -1,4 +1,4 @@
-//! Damaged inputs, by the program's own count.
+//! Runs `physgrad fuzz` on damaged inputs.
 
 mod running;
 
@@ -7,7 +7,7 @@ use std::time::Duration;
 
 #[test]
 fn damaged_inputs_cause_no_panic_no_hang_and_little_memory() {
-    // An input that never ends is no finding, as the command does not end either.
+    // A hanging input produces no finding, because the command itself hangs.
     let mut command = physgrad(&["fuzz"]);
     let output = command.timeout(Duration::from_secs(900)).output().expect("it runs");
     let [said, error] = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());

@@ -1,4 +1,4 @@
-//! Every gradient in the tree against dual numbers, and the checks themselves on planted faults.
+//! Checks every gradient against dual numbers, and the checks themselves against planted faults.
 
 use num_traits::AsPrimitive;
 use physgrad::policy::{Conv, Linear, Mlp, PolicyPass, PolicyRecord, Sizes, Tensor};
@@ -44,7 +44,7 @@ fn whole_rollouts_of_every_flow() {
     }
 }
 
-/// Two masses pulled by two forces, with a cost of state and control: nothing written by hand.
+/// Two masses pulled by two forces, with a cost of state and control and no analytic derivatives.
 struct TwoControls;
 
 impl System for TwoControls {
@@ -96,15 +96,15 @@ struct Faulty {
 
 #[derive(Clone, Copy, PartialEq)]
 enum Fault {
-    /// Component 3 of `x_bar` is a millionth off.
+    /// Component 3 of `x_bar` has a relative error of a millionth.
     State,
     /// `u_bar` has the wrong sign.
     Control,
-    /// `vjp` is right, but the control alone is not.
+    /// `vjp` is correct, `vjp_control` is not.
     ControlAlone,
-    /// Component 2 of `x_bar` is missing.
+    /// Component 2 of `x_bar` is NaN.
     NaN,
-    /// Right for one number, wrong in lanes.
+    /// Correct for scalars, wrong in lanes.
     Lanes,
 }
 
@@ -159,7 +159,7 @@ fn the_one_line_check_panics() {
     check::system(&Faulty { system: CartPole::new(1).system, fault: Fault::State });
 }
 
-/// A task whose cost gradient is wrong.
+/// Task whose cost gradient is wrong.
 struct WrongCost(CartPole);
 
 impl Task for WrongCost {
@@ -188,7 +188,7 @@ fn a_wrong_cost_gradient_is_found() {
     check::task(&WrongCost(CartPole::new(1)), &Mlp::new([4, 5, 1]));
 }
 
-/// A linear policy whose batched pass forgets the second input.
+/// Linear policy whose batched pass ignores the second input.
 struct Forgetting(Linear);
 
 impl Policy for Forgetting {
@@ -228,7 +228,8 @@ fn a_wrong_batched_policy_is_found() {
     check::policy(&Forgetting(Linear::new(3, 1)));
 }
 
-/// A convolution with one wrong component in its parameter gradient, off by a thousandth of the largest.
+/// Convolution with an error of a thousandth of the largest component in one component of its
+/// parameter gradient.
 struct OneOff {
     conv: Conv,
     index: usize,
@@ -272,7 +273,7 @@ impl Policy for OneOff {
     }
 }
 
-/// More parameters than are compared one by one; 64 of the 120 weights in the first kernel are.
+/// Too many parameters to compare each. 64 of the 120 weights in the first kernel are compared.
 fn one_off(index: usize) -> OneOff {
     let conv = Conv::new(32, 20);
     assert!(conv.param_count() > 1000 && conv.tensors()[0].range == (0..120));

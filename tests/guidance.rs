@@ -1,4 +1,4 @@
-//! Guidance by repulsion: gradients, the authors' steps, and agents at the same place or worlds apart.
+//! Guidance by repulsion: gradients, the authors' steps, and coincident or very distant agents.
 
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
@@ -38,7 +38,7 @@ fn systems_with_other_constants() {
 fn drivers_may_steer_by_the_mean() {
     let by_mean = GuidanceSystem { center: Center::Mean, ..agents(2, 3) }.herding();
     check::system(&by_mean);
-    // Then, and only then, everything moved by one way moves by it after the step too.
+    // The physics is invariant under translation if and only if the center is the mean.
     let x: Vec<f64> = (0..20).map(|i| (i as f64 * 0.7).sin()).collect();
     let moved: Vec<f64> = x.iter().enumerate().map(|(i, x)| if i % 4 < 2 { x + 3.0 } else { *x }).collect();
     let largest_change = |system: &Herding| {
@@ -104,7 +104,7 @@ fn costs_are_means_over_time_agents_and_coordinates() {
     near(task.terminal_cost(&x), 30.0 / 4.0);
 }
 
-/// Largest difference, relative to the largest expected component.
+/// Returns the largest difference, relative to the largest expected component.
 fn error(found: &[f64], expected: &[f64]) -> f64 {
     assert_eq!(found.len(), expected.len());
     assert!(found.iter().all(|v| v.is_finite()), "not finite: {found:?}");
@@ -140,7 +140,7 @@ fn steps_and_vjps_are_the_authors() {
     assert!(worst.iter().all(|&worst| worst <= 1e-12), "{worst:?}");
 }
 
-/// Nothing overridden: every derivative comes from `step` by dual numbers.
+/// Host that forwards only `step`: all derivatives come from dual numbers.
 struct ByDuals(Herding);
 
 impl System for ByDuals {
@@ -155,18 +155,19 @@ impl System for ByDuals {
     }
 }
 
-/// Agents at rest, one after the other at `distance`.
-fn outline<F: Float>(agents: usize, distance: f64, diagonal: bool) -> Vec<F> {
+/// Returns agents at rest in a row, at `distance` from each other.
+fn row_of_agents<F: Float>(agents: usize, distance: f64, diagonal: bool) -> Vec<F> {
     let position = |i: usize| [i as f64 * distance, if diagonal { (i % 2) as f64 * 0.75 * distance } else { 0.0 }];
     (0..agents).flat_map(|i| [position(i)[0], position(i)[1], 0.0, 0.0].map(F::lift)).collect()
 }
 
-/// Value and derivatives of one step with agents at a distance: all finite, and VJP, JVP and duals agree. Nobody
-/// steers, and positions are compared apart from velocities, so that nothing larger hides the forces' slopes.
+/// Checks value and derivatives of one step with agents at a distance. All are finite, and VJP, JVP
+/// and dual numbers agree. The control is 0, and positions are compared separately from velocities,
+/// so that the derivatives of the forces are not negligible.
 fn derivatives_agree<F: Float>(drivers: usize, evaders: usize, distance: f64, diagonal: bool, allowed: f64) {
     let system = system(drivers, evaders);
     let (n, m) = (system.state_dim(), system.control_dim());
-    let (x, u): (Vec<F>, _) = (outline(drivers + evaders, distance, diagonal), vec![F::zero(); m]);
+    let (x, u): (Vec<F>, _) = (row_of_agents(drivers + evaders, distance, diagonal), vec![F::zero(); m]);
     let mut next = vec![F::zero(); n];
     system.step(&x, &u, &mut next);
     assert!(next.iter().all(|v| (*v).as_().is_finite()), "{next:?}");
@@ -178,7 +179,7 @@ fn derivatives_agree<F: Float>(drivers: usize, evaders: usize, distance: f64, di
         system.jvp_state(&x, &u, &x_tan, column);
     }
     for agent in 0..n / 4 {
-        // The velocity of one agent, along and across the separations.
+        // Velocity of one agent, along and across the separations.
         let mut next_bar = vec![F::zero(); n];
         (next_bar[4 * agent + 2], next_bar[4 * agent + 3]) = (F::one(), F::lift(0.5));
         let (mut x_bar, mut u_bar) = (vec![F::zero(); n], vec![F::zero(); m]);
@@ -188,7 +189,7 @@ fn derivatives_agree<F: Float>(drivers: usize, evaders: usize, distance: f64, di
         let jvp = |column: &Vec<F>| column[4 * agent + 2] + column[4 * agent + 3] * F::lift(0.5);
         let x_jvp: Vec<F> = columns.iter().map(jvp).collect();
 
-        // Slopes too small for the precision have few digits left.
+        // Derivatives near the underflow threshold have few digits left.
         let smallest = if F::EPSILON < 1e-10 { f64::MIN_POSITIVE } else { f64::from(f32::MIN_POSITIVE) };
         let rounded = |v: f64| if v.abs() < 10.0 * smallest { 0.0 } else { v };
         let every = |v: &[F]| v.iter().map(|v| (*v).as_()).collect::<Vec<f64>>();
@@ -219,7 +220,7 @@ fn agents_at_one_place_or_worlds_apart() {
     }
 }
 
-/// The acceleration of one evader that flees from one driver, along their separation.
+/// Returns the acceleration of one evader that flees from one driver, along their separation.
 fn flight<F: Float>(distance: f64) -> (f64, f64) {
     let system = Forced { system: GuidanceSystem { dt: 1.0, ..agents(1, 1) }, effects: Evade::default() };
     let (along, across) = (F::lift(0.6 * distance), F::lift(0.8 * distance));
@@ -236,7 +237,7 @@ fn forces_have_their_limits() {
         let error = (x / (0.6 * force) - 1.0).abs().max((y / (0.8 * force) - 1.0).abs());
         assert!(error <= 10.0 * F::EPSILON, "{} at {distance:e}: {error:e}", F::NAME);
     }
-    // 15 / d far away, 1500 |r| near, whatever squares would do.
+    // 15 / d far away, 1500 |r| near, without overflow or underflow of squares.
     for distance in [1e-300, 1e-200, 1e-150, 1e-50, 1e-20] {
         check::<f64>(distance, 1500.0 * distance);
     }
@@ -256,11 +257,11 @@ fn forces_have_their_limits() {
 
 #[test]
 fn agents_at_one_place_in_lanes_beside_others() {
-    // Every lane takes its own branch of the safe length.
+    // Each lane scales its own separation.
     const W: usize = 4;
     let system = system(2, 2);
     let distances = [0.0, 1e-160, 1.0, 1e160];
-    let starts: [Vec<f64>; W] = distances.map(|distance| outline(4, distance, true));
+    let starts: [Vec<f64>; W] = distances.map(|distance| row_of_agents(4, distance, true));
     let x: Vec<physgrad::Lanes<f64, W>> = (0..16).map(|i| physgrad::Lanes(std::array::from_fn(|l| starts[l][i]))).collect();
     let u = [physgrad::Lanes([0.3; W]); 4];
     let bars: Vec<_> = (0..16).map(|i| CotangentPack([physgrad::Lanes([f64::from(i) - 7.5; W])])).collect();

@@ -1,4 +1,4 @@
-//! Effects of guidance: derivatives, and the physics they claim.
+//! Effects of guidance: derivatives, and the documented physics.
 
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, Rng, stream};
@@ -12,7 +12,7 @@ fn agents(drivers: usize, evaders: usize) -> GuidanceSystem {
     GuidanceSystem { drivers, evaders, ..GuidanceSystem::default() }
 }
 
-/// Within reach of the states that are checked.
+/// Within reach of the tested states.
 fn obstacles() -> Obstacles {
     Obstacles { centers: vec![[0.5, -0.3], [-1.5, 1.0]], radius: 1.2, stiffness: 9.0 }
 }
@@ -33,7 +33,7 @@ fn every_effect() -> Vec<GuidanceEffect> {
     ]
 }
 
-/// Agents on both sides of obstacles and walls, fast ones.
+/// Draws fast agents on both sides of obstacles and walls.
 fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     x.iter_mut().chain(u).for_each(|x| *x = rng.random_range(-2.5..2.5));
 }
@@ -42,7 +42,7 @@ fn check_lively<S: System>(system: &S) {
     check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{mismatch}"));
 }
 
-/// A hundred lively states of a herd.
+/// Returns a hundred random states of a herd.
 fn states(model: &GuidanceSystem) -> Vec<Vec<f64>> {
     let mut rng = stream(0, Purpose::Check, 0);
     let state = |_| {
@@ -65,7 +65,7 @@ fn step<S: System>(system: &S, x: &[f64], u: &[f64]) -> Vec<f64> {
     next
 }
 
-/// Next state, and the cotangents of state and control, one after the other.
+/// Returns the next state, followed by the cotangents of state and control.
 fn step_and_vjp<S: System>(system: &S, x: &[f64], u: &[f64]) -> Vec<f64> {
     let bars: Vec<f64> = (0..x.len()).map(|i| (i as f64 * 1.3).cos()).collect();
     let (mut x_bar, mut u_bar) = (vec![f64::NAN; x.len()], vec![f64::NAN; u.len()]);
@@ -168,7 +168,7 @@ fn friction_only_takes_energy() {
     assert_eq!((driver, evader), ([-2.0, 1.0], [-8.0, 4.0]));
 }
 
-/// Sum, and the sum of sizes to measure it by.
+/// Returns the norm of the sum, and the sum of norms as its scale.
 fn momentum(forces: &[[f64; 2]]) -> (f64, f64) {
     let sum = |axis: usize| forces.iter().map(|force| force[axis]).sum::<f64>();
     (sum(0).hypot(sum(1)), forces.iter().map(|force| force[0].hypot(force[1])).sum())
@@ -180,7 +180,7 @@ fn each_acts_on_whom_it_says() {
     for x in states(&model) {
         let (spread, flock) = (forces(&Spread::default(), &model, &x), forces(&Flock::default(), &model, &x));
         let (evade, drive) = (forces(&Evade::default(), &model, &x), forces(&Drive::default(), &model, &x));
-        // Action is reaction, and nobody else feels it.
+        // Action equals reaction, and other agents feel no force.
         for (within, beyond) in [(&spread[..3], &spread[3..]), (&flock[3..], &flock[..3])] {
             let (sum, size) = momentum(within);
             assert!(size > 0.0 && sum <= 1e-14 * size, "{sum} of {size}");
@@ -188,7 +188,7 @@ fn each_acts_on_whom_it_says() {
         }
         assert!(evade[..3].iter().all(|force| *force == [0.0; 2]) && evade[3..].iter().all(|force| *force != [0.0; 2]));
         assert!(drive[3..].iter().all(|force| *force == [0.0; 2]) && drive[..3].iter().all(|force| *force != [0.0; 2]));
-        // Evade and drive are the two sides of one law, with other strengths.
+        // Evade and drive follow the same law with different strengths.
         let total = |forces: &[[f64; 2]], axis: usize| forces.iter().map(|force| force[axis]).sum::<f64>();
         for axis in 0..2 {
             let (flight, pull) = (total(&evade, axis) / 15.0, total(&drive, axis) / 0.2);
@@ -257,7 +257,7 @@ fn obstacles_have_finite_derivatives_at_their_centers_and_worlds_away() {
             check::<f32>(r, f32::is_finite);
         }
     }
-    // Every scale against duals, the center among them.
+    // All scales against dual numbers, including the center.
     let system = Forced { system: GuidanceSystem { dt: 0.5, ..agents(2, 2) }, effects: obstacles() };
     for scale in [0.0, 1e-200, 1e-20, 1e-6, 1e-2] {
         let passed = check::try_system_at(&system, |rng, x, u| {
@@ -289,7 +289,7 @@ fn walls_push_inwards_and_only_outside() {
     assert_eq!(push(-5.0, -4.0), [20.0, 20.0]);
 }
 
-/// The speed with which a driver leaves a wall that it ran into at 1 m/s.
+/// Returns the speed with which a driver leaves a wall that it hits at 1 m/s.
 fn bounce(stiffness: f64) -> f64 {
     let effects = (Friction::default(), Walls { half_width: 1.0, half_height: 1.0, stiffness });
     let system = Forced { system: agents(1, 0), effects };
@@ -305,7 +305,7 @@ fn bounce(stiffness: f64) -> f64 {
 
 #[test]
 fn springs_within_their_limit_take_speed() {
-    // stiffness dt < friction, that is 15 for drivers; the default is within.
+    // The limit is `stiffness dt < friction`, which is 15 for drivers. The default is below it.
     assert!(Walls::default().stiffness < 15.0 && Obstacles::default().stiffness < 15.0);
     assert!(bounce(10.0) < 1.0, "{}", bounce(10.0));
     assert!(bounce(60.0) > 1.0, "{}", bounce(60.0));

@@ -1,4 +1,4 @@
-//! Dry friction and impacts: gradients, and what their documentation claims.
+//! Dry friction and impacts: gradients, and the documented properties.
 
 use physgrad::policy::Mlp;
 use physgrad::tasks::{Bounce, BouncingBall, Contact, FrictionScheme, Push, Slider, SliderSystem, TwoBodies};
@@ -17,7 +17,7 @@ fn run<S: System>(system: &S, x: &[f64], u: f64, steps: usize) -> Vec<f64> {
     (0..steps).fold(x.to_vec(), |x, _| step(system, &x, u))
 }
 
-/// ∂S_i/∂x_j, and ∂S_i/∂u in the last column.
+/// Returns ∂S_i/∂x_j, with ∂S_i/∂u in the last column.
 fn jacobian<S: System>(system: &S, x: &[f64], u: f64) -> Vec<Vec<f64>> {
     let row = |i: usize| {
         let (mut bar, mut x_bar, mut u_bar) = (vec![0.0; x.len()], vec![f64::NAN; x.len()], [f64::NAN]);
@@ -29,7 +29,7 @@ fn jacobian<S: System>(system: &S, x: &[f64], u: f64) -> Vec<Vec<f64>> {
     (0..x.len()).map(row).collect()
 }
 
-/// The same by central differences.
+/// Returns the same Jacobian by central differences.
 fn differences<S: System>(system: &S, x: &[f64], u: f64, by: f64) -> Vec<Vec<f64>> {
     let mut rows = vec![vec![0.0; x.len() + 1]; x.len()];
     for j in 0..=x.len() {
@@ -72,14 +72,14 @@ fn sliders_of_every_smoothing() {
     }
 }
 
-/// `v' - v - dt u/m + dt μ g tanh(v'/ε) = 0`, as far as v' can be told.
+/// Returns the residual `v' - v - dt u/m + dt μ g tanh(v'/ε)`, relative to rounding.
 fn residual<F: Float>(slider: &SliderSystem, v: f64, u: f64) -> f64 {
     let next = step(slider, &[F::zero(), F::lift(v)], F::lift(u))[1].as_();
     let (v, u) = (F::lift(v).as_(), F::lift(u).as_());
     let b = slider.grip();
     let y = next / slider.smoothing;
     let off = next - v - slider.dt * u / slider.mass + b * Scalar::tanh(y);
-    // What a rounding of v', of w or of tanh makes of it.
+    // Bound on the rounding of v', w and tanh.
     let rounding = F::EPSILON * (v.abs() + (slider.dt * u / slider.mass).abs() + b + b * y.abs().min(1.0));
     off.abs() / rounding
 }
@@ -89,7 +89,7 @@ fn implicit_friction_solves_its_equation() {
     let sharp = [1e-8, 1e-9].map(|smoothing| SliderSystem { smoothing, ..SliderSystem::default() });
     for slider in sliders().filter(|slider| slider.scheme == FrictionScheme::Implicit).chain(sharp) {
         let b = slider.grip();
-        // Sliding, creeping, and held by nearly all the friction there is.
+        // Sliding, creeping, and held by almost the full friction.
         let starts = [10.0, 1.0, 3.0 * b, b, 0.5 * b, 1e-3, 1e-6, 1e-12, 0.0].into_iter();
         let edges = [-1e-3, -1e-6, -1e-12, 1e-12, 1e-6, 1e-3].map(|off| b * (1.0 + off));
         for v in starts.chain(edges).flat_map(|v| [v, -v]) {
@@ -119,8 +119,8 @@ fn both_schemes_have_one_limit() {
         let slider = SliderSystem { smoothing: 0.1, dt, scheme, ..SliderSystem::default() };
         run(&slider, &[0.0, 1.0], 0.5, (0.3 / dt).round() as usize)
     };
-    let outline = |dt| (after(FrictionScheme::Explicit, dt)[0] - after(FrictionScheme::Implicit, dt)[0]).abs();
-    let (coarse, fine) = (outline(1e-3), outline(1e-4));
+    let difference = |dt| (after(FrictionScheme::Explicit, dt)[0] - after(FrictionScheme::Implicit, dt)[0]).abs();
+    let (coarse, fine) = (difference(1e-3), difference(1e-4));
     assert!(fine < 1e-4 && (9.0..11.0).contains(&(coarse / fine)), "{coarse:e}, {fine:e}");
 }
 
@@ -219,7 +219,8 @@ fn a_ball_comes_to_rest_after_infinitely_many_bounces() {
     let steps = (rest / ball.dt) as usize;
     assert!(run(&ball, &[1.0, 0.0], 0.0, steps - 4)[0] > 0.0, "it still bounces");
     assert_eq!(run(&ball, &[1.0, 0.0], 0.0, steps + 1), [0.0, 0.0]);
-    // A resting ball does not depend on how it came, nor on a push that does not lift it; one that does has its slope.
+    // A resting ball depends neither on its past nor on a push that does not lift it. A push that
+    // lifts it has a derivative.
     near(&jacobian(&ball, &[0.0, 0.0], 0.0), &[vec![0.0; 3], vec![0.0; 3]], 0.0);
     near(&jacobian(&ball, &[0.0, 0.0], 15.0), &[vec![1.0, 0.01, 5e-5], vec![0.0, 1.0, 0.01]], 1e-14);
 }
@@ -245,10 +246,10 @@ fn several_impacts_in_a_step_have_their_slope() {
 #[test]
 fn a_touch_at_the_end_of_a_step_keeps_its_derivative() {
     let ball = BouncingBall::default();
-    // A rounding above the floor, on it, and below.
+    // Above the floor by a rounding error, on it, and below.
     for h in [1e-17, 0.0, -1e-17] {
         let by_height = jacobian(&ball, &[h, -2.0], 0.0)[0][0];
-        // e (g left / s - 1) + g left / s, with all of the step left.
+        // e (g left / s - 1) + g left / s, with the whole step remaining.
         let expected = 0.8 * (0.0981 / 2.0 - 1.0) + 0.0981 / 2.0;
         assert!((by_height - expected).abs() < 1e-12, "{h:e}: {by_height} is not {expected}");
     }
@@ -287,7 +288,7 @@ fn a_pusher_takes_a_box_along_and_lets_it_go() {
     assert!((pushed[1] - pushed[0] - pair.contact_distance).abs() < 1e-13 && (pushed[3] - pushed[2]).abs() < 1e-13);
     let pulled = run(&pair, &pushed, -6.0, 30);
     assert!(pulled[1] - pulled[0] > pair.contact_distance + 0.1 && (pulled[3] - pushed[3]).abs() < 1e-13);
-    // While it is pushed it is one body of 3 kg.
+    // Pushed, the pair moves as one body of 3 kg.
     let slopes = jacobian(&pair, &pushed, 6.0);
     assert!((slopes[3][4] - 0.01 / 3.0).abs() < 1e-15 && (slopes[3][2] - 1.0 / 3.0).abs() < 1e-15);
 }

@@ -1,4 +1,5 @@
-//! The systems that are hard on derivatives: linear plants with a known optimum, the double pendulum, the chain of poles.
+//! Systems with difficult derivatives: linear plants with a known optimum, the double pendulum, the
+//! chain of poles.
 
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
@@ -18,7 +19,7 @@ fn unequal() -> DoublePendulum {
     DoublePendulum { masses: [1.3, 0.4], lengths: [0.7, 1.1], gravity: 9.81 }
 }
 
-/// Components within ±1.
+/// Returns components within ±1.
 fn random(len: usize, case: u64) -> Vec<f64> {
     let mut rng = stream(case, Purpose::Test, 0);
     (0..len).map(|_| rng.random_range(-1.0..1.0)).collect()
@@ -71,11 +72,11 @@ fn a_linearized_plant_moves_as_the_system_does_nearby() {
         let mut far = far;
         move |scale| far(scale)
     });
-    // All that is left out is odd: cubic.
+    // The neglected terms are odd, hence cubic.
     assert!((near / nearer / 1e3 - 1.0).abs() < 0.01, "{near:e} and {nearer:e}");
 }
 
-/// Mean loss of a linear policy with this gain over 8 starts, and the least there is.
+/// Returns the mean loss of a linear policy over 8 initial states, and the minimal loss.
 fn losses(lqr: &Lqr, gain: Vec<f64>) -> [f64; 2] {
     let (n, m) = (lqr.system().state_dim(), lqr.system().control_dim());
     let policy = Linear::new(n, m);
@@ -115,7 +116,7 @@ fn loops_are_stable_at_the_optimum_whatever_the_plant() {
 
 #[test]
 fn what_cannot_be_held_is_said() {
-    // The control does not reach the component that grows.
+    // The control does not affect the growing component.
     let plant = LinearPlant::new(2, vec![0.5, 0.0, 0.0, 1.5], vec![1.0, 0.0]);
     let identity = vec![1.0, 0.0, 0.0, 1.0];
     let endless = Lqr::new(plant.clone(), identity.clone(), vec![1.0]);
@@ -138,7 +139,8 @@ fn with_one_pole_the_chain_is_the_coupled_model() {
     }
 }
 
-/// `dE/dt - power`, by central differences of the energy along the motion, in relation to the energy's scale.
+/// Returns `dE/dt - power`, by central differences of the energy along the motion, relative to the
+/// energy scale.
 fn power_missing<O: Ode>(ode: &O, energy: impl Fn(&[f64]) -> f64, power: impl Fn(&[f64], f64) -> f64, case: u64) -> f64 {
     let (x, u) = (random(ode.state_dim(), case), random(1, 50 + case));
     let mut rate = vec![0.0; x.len()];
@@ -165,7 +167,7 @@ fn energy_changes_by_the_work_that_is_done() {
     }
 }
 
-/// The change of energy over so many steps of free motion.
+/// Returns the change of energy over `steps` steps of free motion.
 fn drift<S: System>(system: &S, steps: usize, energy: impl Fn(&[f64]) -> f64) -> f64 {
     let mut x = random(system.state_dim(), 7);
     let before = energy(&x);
@@ -181,7 +183,8 @@ fn energy_drifts_with_the_order_of_the_method() {
     let (pendulum, chain) = (unequal(), chain(3));
     let order = |drift: &dyn Fn(usize) -> f64| (drift(40) / drift(80)).log2();
     let rk4 = RungeKutta::RK4;
-    // Long enough to fall, and too short for the whip that a chain is: its drift changes sign again and again.
+    // Long enough to fall, but short enough for a monotonic drift: the drift of a chain later
+    // changes sign repeatedly.
     let dt = |steps: usize| 0.3 / steps as f64;
     let of_pendulum = order(&|n| drift(&Integrated { ode: pendulum, integrator: rk4, dt: dt(n) }, n, |x| pendulum.energy(x)));
     let of_chain = order(&|n| drift(&Integrated { ode: chain, integrator: rk4, dt: dt(n) }, n, |x| chain.energy(x)));
@@ -191,7 +194,7 @@ fn energy_drifts_with_the_order_of_the_method() {
     {
         assert!((found - expected).abs() < 0.1, "{what}: order {found}");
     }
-    // A chain in many small steps is a system like any other.
+    // Substeps of a chain conserve energy accordingly.
     let substeps = Substeps { system: Integrated { ode: chain, integrator: rk4, dt: 1e-4 }, count: 100 };
     let left = drift(&substeps, 100, |x| chain.energy(x));
     assert!(left < 1e-11, "{left:e}");

@@ -1,4 +1,4 @@
-//! What the four flows and their compositions must satisfy, whatever the physics.
+//! Identities of the four flows and their compositions, for any physics.
 
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, Rng, stream};
@@ -6,7 +6,7 @@ use physgrad::tasks::{CartPole, LossMode};
 use physgrad::{Batch, Field, Flow, GradientCombiner, Policy, Scalar, SignAgreement, System, Task, Weights};
 use rand::RngExt;
 
-/// The gradients of R, M, N and S of one mini-batch.
+/// Returns the gradients of R, M, N and S of one mini-batch.
 fn all_flows<T: Task, P: Policy>(task: &T, policy: &P) -> [Vec<f64>; 4] {
     let mut rng = stream(3, Purpose::Check, 0);
     let theta = (0..policy.param_count()).map(|_| rng.random_range(-0.5..0.5)).collect();
@@ -33,7 +33,7 @@ fn assert_differ(a: &[f64], b: &[f64]) {
     assert!(a.iter().zip(b).any(|(a, b)| (a - b).abs() > 1e-6 * scale), "the two should differ");
 }
 
-/// One control, `u = θ_0 + sin θ_1`, whatever the state.
+/// Policy with one control, `u = θ_0 + sin θ_1`, independent of the state.
 struct Blind;
 
 impl Policy for Blind {
@@ -54,8 +54,8 @@ impl Policy for Blind {
     }
 }
 
-/// Physics that forgets: the next state depends on the control alone. Two controls, so that the policy is swept step
-/// by step rather than linearized at once.
+/// Memoryless physics: the next state depends on the control only. With two controls, the reverse
+/// pass through the policy runs step by step instead of being linearized at once.
 struct Forgetful<const CONTROLS: usize>;
 
 impl<const CONTROLS: usize> System for Forgetful<CONTROLS> {
@@ -141,25 +141,25 @@ fn a_final_loss_reaches_stopped_gradients_at_the_last_step_only() {
 
 #[test]
 fn composition_keeps_what_agrees_and_nothing_else() {
-    let compose = |a: &[f64], b: &[f64]| {
+    let combine = |a: &[f64], b: &[f64]| {
         let mut out = vec![f64::NAN; a.len()];
-        SignAgreement.compose(a, b, &mut out);
+        SignAgreement.combine(a, b, &mut out);
         out
     };
     let mut rng = stream(4, Purpose::Check, 0);
     let g: Vec<f64> = (0..1000).map(|_| rng.random_range(-1.0..1.0)).collect();
     let h: Vec<f64> = (0..1000).map(|_| rng.random_range(-1.0..1.0)).collect();
     let minus: Vec<f64> = g.iter().map(|g| -g).collect();
-    assert_eq!(compose(&g, &g), g);
-    assert!(compose(&g, &minus).iter().all(|&c| c == 0.0));
-    for ((&c, &m), &r) in compose(&g, &h).iter().zip(&g).zip(&h) {
+    assert_eq!(combine(&g, &g), g);
+    assert!(combine(&g, &minus).iter().all(|&c| c == 0.0));
+    for ((&c, &m), &r) in combine(&g, &h).iter().zip(&g).zip(&h) {
         assert!(c.abs() <= m.abs());
         assert_eq!(c, if (m > 0.0) == (r > 0.0) { m } else { 0.0 });
     }
-    // Zeros have no sign, and what is not a number agrees with nothing.
+    // Zeros have no sign, and NaN agrees with nothing.
     let nan = f64::NAN;
-    assert_eq!(compose(&[0.0, -0.0, 1.0, 1.0, nan, -2.0], &[1.0, -1.0, 0.0, nan, 1.0, -1e-300]), [0.0, 0.0, 0.0, 0.0, 0.0, -2.0]);
-    assert_eq!(compose(&[1.0, -1.0], &[f64::INFINITY, f64::INFINITY]), [1.0, 0.0]);
+    assert_eq!(combine(&[0.0, -0.0, 1.0, 1.0, nan, -2.0], &[1.0, -1.0, 0.0, nan, 1.0, -1e-300]), [0.0, 0.0, 0.0, 0.0, 0.0, -2.0]);
+    assert_eq!(combine(&[1.0, -1.0], &[f64::INFINITY, f64::INFINITY]), [1.0, 0.0]);
 }
 
 #[test]

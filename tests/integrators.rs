@@ -1,4 +1,4 @@
-//! Integrators: their derivatives, their order, and what they promise.
+//! Integrators: derivatives, order, and documented properties.
 
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
@@ -51,7 +51,8 @@ fn the_reverse_of_every_integrator_is_that_of_duals() {
     check::system(&Discretized { system: cart_pole(), integrator: None, dt: 0.01 });
 }
 
-/// A field whose derivative is by duals, and in which nothing is a velocity: Van der Pol's.
+/// Van der Pol's vector field with derivatives by dual numbers, in which no component is a
+/// velocity.
 #[derive(Clone, Debug)]
 struct ByDuals;
 
@@ -68,8 +69,8 @@ impl Ode for ByDuals {
     }
 }
 
-/// The state after `steps` steps in the time `span`, and the cotangents of start and control of a fixed cotangent at the
-/// end.
+/// Returns the state after `steps` steps over the time `span`, and the cotangents of initial state
+/// and control for a fixed final cotangent.
 fn reached<O: Ode + Clone, I: Integrator>(ode: &O, integrator: &I, span: f64, steps: usize) -> (Vec<f64>, Vec<f64>) {
     let (n, m) = (ode.state_dim(), ode.control_dim());
     let mut rng = stream(3, Purpose::Test, 0);
@@ -88,8 +89,8 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// The order that shows from one number of steps to twice as many, of the state and of the gradient: that of the halving
-/// nearest to theory, as errors of different sign may cancel in another.
+/// Returns the observed orders of state and gradient when the number of steps doubles. Uses the
+/// doubling closest to theory, because errors of opposite sign may cancel in others.
 fn orders<O: Ode + Clone, I: Integrator>(ode: &O, integrator: &I, span: f64, theory: f64) -> [f64; 2] {
     let (state, gradient) = reached(ode, &RungeKutta::TSIT5, span, 2000);
     let coarsest = if theory < 3.0 { 128 } else { 32 };
@@ -112,7 +113,7 @@ fn every_integrator_has_its_order_in_state_and_gradient() {
     let smooth = (PoleDamping::default(), CartDamping::default());
     for (name, integrator, theory) in FIXED {
         for (task, found) in [
-            // The drag of a wind has a second derivative that jumps where the wind stands still.
+            // Wind drag has a discontinuous second derivative at zero relative speed.
             ("cart-pole", orders(&Forced { system: cart_pole().system, effects: smooth }, &integrator, 1.0, theory)),
             ("coupled", orders(&Forced { system: coupled().system, effects: smooth }, &integrator, 1.0, theory)),
             ("guidance", orders(&GuidanceSystem::default().herding(), &integrator, 0.4, theory)),
@@ -150,7 +151,7 @@ fn adaptive_steps_keep_the_error_they_are_allowed() {
     for rtol in [1e-3, 1e-5, 1e-7, 1e-9] {
         let (found, _) = reached(&ByDuals, &Adaptive { rtol, atol: rtol, most: 10_000 }, 10.0, 1);
         let error = distance(&found, &state);
-        // Errors of steps add up along the way.
+        // The errors of the steps accumulate.
         assert!(error < 100.0 * rtol && error < before, "rtol {rtol:e}: {error:e}");
         before = error;
     }
@@ -162,7 +163,7 @@ fn adaptive_steps_that_do_not_arrive_are_no_number() {
     assert!(found.iter().all(|x| x.is_nan()), "{found:?}");
 }
 
-/// `x' = rate (u - x)`, and a square that may have no solution.
+/// `x' = rate (u - x)`, plus a square that may have no solution.
 #[derive(Clone, Debug)]
 struct Stiff {
     rate: f64,
@@ -201,14 +202,14 @@ fn the_adjoint_of_the_midpoint_rule_does_not_depend_on_the_tolerance_of_newton()
 
 #[test]
 fn a_step_that_newton_does_not_solve_is_no_number() {
-    // x' = x + h ((x + x') / 2)² has no real solution where h x > 1/2.
+    // x' = x + h ((x + x') / 2)² has no real solution for h x > 1/2.
     let system = integrated(Stiff { rate: 0.0, square: 1.0 }, ImplicitMidpoint::default(), 10.0);
     let mut next = [0.0_f64];
     system.step(&[1.0], &[0.0], &mut next);
     assert!(next[0].is_nan(), "{next:?}");
 }
 
-/// Two stiff springs: the energy of a free system.
+/// Two stiff springs without control or friction.
 #[derive(Clone, Debug)]
 struct Springs;
 
@@ -235,7 +236,7 @@ fn symplectic_methods_keep_energy_without_a_trend() {
         let kinetic = 0.5 * (x[1] * x[1] + x[3] * x[3]);
         kinetic + 3.0 * (x[0] * x[0] - x[0] * x[2] + 0.5 * x[2] * x[2] + 0.25 * x[2].powi(4))
     };
-    /// The largest error of the energy in the first and in the last tenth of the way.
+    /// Returns the largest energy error in the first and in the last tenth of the trajectory.
     fn drift<I: Integrator>(integrator: I, energy: impl Fn(&[f64]) -> f64) -> [f64; 2] {
         let system = integrated(Springs, integrator, 0.05);
         let mut x = vec![0.5, 0.0, -0.7, 0.1];
@@ -268,7 +269,7 @@ fn symplectic_methods_keep_energy_without_a_trend() {
 
 #[test]
 fn nothing_but_the_field_of_effects_is_needed() {
-    // Contacts and dry friction are fields too.
+    // Contacts and dry friction are vector fields too.
     let system = CartPoleSystem { poles: 1, ..CartPoleSystem::default() };
     let rough = Forced { system, effects: (DryFriction::default(), Bumpers::default()) };
     for (_, integrator, _) in FIXED {
@@ -276,7 +277,7 @@ fn nothing_but_the_field_of_effects_is_needed() {
     }
 }
 
-/// A field that reaches infinity in a time of exp(-x).
+/// Vector field that reaches infinity after the time exp(-x).
 struct Exploding;
 
 impl Ode for Exploding {
@@ -304,10 +305,10 @@ fn a_step_that_has_no_solution_is_not_a_number_and_tells_its_residual() {
             Cause::Effect(name) => panic!("{name}"),
         });
         assert_eq!(residual.is_none(), solved, "{dt}: {residual:?}");
-        // Through whatever is around it.
+        // Wrappers forward the cause.
         let around = Substeps { system: of(dt), count: 1 };
         assert_eq!(around.diagnose(&[0.0], &[0.0]), residual.map(Cause::Unsolved));
-        // No state has a smaller one.
+        // No state has a smaller residual.
         assert!(residual.is_none_or(|residual| residual > 2.0 * (dt * 0.5 * std::f64::consts::E).ln()), "{residual:?}");
     }
 }

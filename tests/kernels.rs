@@ -1,4 +1,5 @@
-//! The kernels at odd shapes and on every instruction set of this processor, against nalgebra and the standard library.
+//! Kernels at odd shapes and on all instruction sets of this processor, against nalgebra and the
+//! standard library.
 
 use nalgebra::DMatrix;
 use physgrad::kernels::gemm::{self, Product};
@@ -7,7 +8,8 @@ use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::{DoubleDouble, Float, Lanes, Scalar};
 use rand::RngExt;
 
-/// Depth 1, fewer columns than a tile, more than a tile, every remainder. Miri, a thousand times slower, gets the first five.
+/// Depth 1, fewer columns than a tile, more than a tile, and all remainders. Miri uses only the
+/// first five.
 const SHAPES: [(usize, usize, usize); 12] = [
     (1, 1, 1),
     (5, 3, 2),
@@ -36,7 +38,7 @@ macro_rules! products {
                 let (a, b, start) = (random(lda * k), random(ldb * n), random(ldc * n));
                 let a_matrix = DMatrix::from_fn(m, k, |i, p| a[i + p * lda]);
                 let b_matrix = DMatrix::from_fn(k, n, |p, j| b[p + j * ldb]);
-                // The same matrix, row by row.
+                // Row-major copy of the matrix.
                 let b_rows: Vec<$float> = (0..k).flat_map(|p| (0..n).map(move |j| (p, j))).map(|(p, j)| b[p + j * ldb]).collect();
                 for accumulate in [false, true] {
                     let mut first: Option<Vec<$float>> = None;
@@ -53,7 +55,7 @@ macro_rules! products {
                                 assert!(error <= $tolerance * (1.0 + k as $float), "{level:?} {m}x{k}x{n} [{i}, {j}]: {error:e}");
                             }
                             if level != SimdLevel::Portable {
-                                // Every fused level sums in the same order.
+                                // All fused levels sum in the same order.
                                 assert_eq!(*first.get_or_insert_with(|| c.clone()), c, "{level:?} {m}x{k}x{n}");
                             }
                         }
@@ -118,24 +120,24 @@ fn a_product_whose_size_overflows_is_refused() {
     gemm::single::product(SimdLevel::Portable, product);
 }
 
-/// Rounds of a search.
+/// Number of rounds of a search.
 const ROUNDS: usize = if cfg!(miri) { 1 } else { 4 };
-/// Arguments in a round.
+/// Number of arguments per round.
 const ARGUMENTS: usize = if cfg!(miri) { 64 } else { 20_000 };
 
-/// A number format, and the errors that the kernels promise in it, in units in the last place (ulps).
+/// Number format with the error bounds of its kernels, in units in the last place (ulps).
 trait Format: Float {
     const SIN_COS: f64;
     const TANH_FUSED: f64;
     const TANH_UNFUSED: f64;
     /// Exponent of the smallest normal number.
     const SMALLEST: i32;
-    /// So many representable numbers further from 0.
+    /// Returns the representable number `by` steps further from 0.
     fn further(self, by: i64) -> Self;
 
-    /// The error in units in the last place of the exact value.
+    /// Returns the error in units in the last place of the exact value.
     fn ulps(self, exact: DoubleDouble) -> f64 {
-        // Just below a power of two the units are the smaller ones.
+        // Just below a power of two, the smaller unit applies.
         let size = exact.0.abs();
         let below = exact.1 * exact.0 < 0.0 && size.to_bits() << 12 == 0;
         let exponent = (size.to_bits() >> 52) as i32 - 1023 - i32::from(below);
@@ -166,14 +168,14 @@ impl Format for f64 {
     }
 }
 
-/// sin and cos, right also next to the multiples of π/2, where an absolute error would not do.
+/// Computes sin and cos with a small relative error even near the multiples of π/2.
 fn exact_sin_cos(x: f64) -> (DoubleDouble, DoubleDouble) {
-    /// π/2.
+    /// π/2 in three parts.
     const PARTS: [f64; 3] = [std::f64::consts::FRAC_PI_2, 6.123_233_995_736_766e-17, -1.497_384_904_859_169_8e-33];
     let n = (x / PARTS[0]).round();
     let mut rest = DoubleDouble::from(x);
     for part in PARTS {
-        // The product in two numbers, one after the other.
+        // Subtract the product as two exact parts.
         let product = n * part;
         for piece in [product, n.mul_add(part, -product)] {
             rest -= DoubleDouble::from(piece);
@@ -211,7 +213,8 @@ fn tanh_at<F: Format>(level: SimdLevel, x: &[F]) -> Vec<F> {
     all
 }
 
-/// The worst that a search finds: from `draw`, then among what follows and precedes the worst of each round.
+/// Returns the worst error and its argument. Searches arguments from `draw`, then neighbours of the
+/// worst of each round.
 fn search<F: Format>(known: &[f64], mut draw: impl FnMut(&mut Rng) -> f64, errors: impl Fn(&[F]) -> Vec<f64>) -> (f64, F) {
     let mut rng = stream(2, Purpose::Check, 0);
     let mut worst = (0.0, F::zero());
@@ -249,7 +252,8 @@ fn sin_cos_is_within_its_claim<F: Format>(known: &[f64]) {
         let turns = f64::from(rng.random_range(0..636_000)) * std::f64::consts::FRAC_PI_2;
         let sign = if rng.random_range(0.0..1.0) < 0.5 { -1.0 } else { 1.0 };
         match rng.random_range(0..4) {
-            // Just above a power of two an error of the reduction counts twice: the sine is just below it.
+            // Just above a power of two, the error of the reduction counts twice, because the sine
+            // is just below it.
             0 => {
                 let power = 0.5f64.powi(rng.random_range(1..8));
                 turns + sign * power * (1.0 + rng.random_range(0.0..0.2) * power * power)
@@ -303,7 +307,7 @@ fn errors_are_counted_in_units_in_the_last_place() {
     assert_eq!((1.0 - f64::EPSILON).ulps(one - DoubleDouble::from(f64::EPSILON / 2.0)), 1.0);
     assert_eq!((1.0f32 + f32::EPSILON).ulps(one), 1.0);
     assert_eq!(f32::from_bits(3).ulps(DoubleDouble::from(f64::from(f32::from_bits(1)))), 2.0);
-    // Once believed to be within 1.6 and 5.
+    // Regression test: arguments that exceed earlier, lower error bounds.
     let (sin, _) = trig::sin_cos_64(527_498.664_482_847_6);
     assert!((sin.ulps(exact_sin_cos(527_498.664_482_847_6).0) - 2.36).abs() < 0.01);
     let x = -5.746_696f32;
@@ -322,11 +326,12 @@ fn tanh_is_within_its_claims() {
     tanh_is_within_its_claim::<f64>(&[0.221_084_473_376_383_07, 0.221_397_272_859_856_75]);
 }
 
-/// Below this size, single-precision sin and tanh are their argument to within a unit in the last place.
+/// Below this magnitude, sin and tanh in single precision equal their argument to within a unit in
+/// the last place.
 const SMALL: f32 = 1.0 / 8192.0;
 
-/// The worst error of every f32 from [`SMALL`] to `reach`, by `f64` of the standard library. The other sign has the same bits
-/// but one.
+/// Returns the worst error over all f32 from [`SMALL`] to `reach`, relative to `f64` of the
+/// standard library. Negative arguments differ only in the sign bit.
 fn worst_of_all(reach: f32, error: impl Fn(f32) -> f64) -> (f64, f32) {
     let all = (SMALL.to_bits()..=reach.to_bits()).map(f32::from_bits);
     all.map(|x| (error(x), x)).fold((0.0, 0.0), |worst, next| if next.0 > worst.0 { next } else { worst })

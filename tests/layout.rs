@@ -1,9 +1,9 @@
-//! Modules of the library import downwards only.
+//! Library modules import only lower modules.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Each module with those that it may import: all of them stand above it in this list.
+/// Modules with their allowed imports. All imports stand above the module in this list.
 const MODULES: [(&str, &[&str]); 8] = [
     ("numbers", &[]),
     ("report", &[]),
@@ -21,7 +21,8 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     nested.flatten().filter(|path| path.extension().is_some_and(|extension| extension == "rs")).collect()
 }
 
-/// Imports of a file of this module that are not allowed. Comments and unit tests may name anything.
+/// Returns the forbidden imports of a file of this module. Comments and unit tests may name
+/// anything.
 fn forbidden(module: &str, text: &str) -> Vec<String> {
     let (_, allowed) = MODULES.into_iter().find(|(name, _)| *name == module).expect("a module of the list");
     let lines = text.lines().take_while(|line| line.trim() != "#[cfg(test)]").filter(|line| !line.trim().starts_with("//"));

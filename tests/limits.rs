@@ -1,4 +1,4 @@
-//! Inputs that are too large, too deep or too many: refused soon, with a message.
+//! Inputs that are too large, too deep or too many are refused quickly, with a message.
 
 mod running;
 
@@ -9,10 +9,10 @@ use std::path::PathBuf;
 use std::time::Duration;
 use tempfile::TempDir;
 
-/// Refusals take less than 2 s on one core, and took more than 14.
+/// Time limit for a refusal.
 const SOON: Duration = Duration::from_secs(10);
 
-/// The message of a command that refuses.
+/// Returns the message of a command that refuses.
 fn refusal(command: &mut Command) -> String {
     let output = command.timeout(SOON).output().expect("it runs");
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -90,7 +90,7 @@ fn a_run_that_the_machine_has_no_memory_for_is_refused_whatever_its_budget() {
         let said = refusal(physgrad(&long).args(["--set", &format!("training.memory={budget:?}")]));
         assert_says(&said, "this machine has ");
     }
-    // A list of layers whose parameters alone are too many.
+    // A list of layers whose parameters alone exceed the memory.
     let widths = format!("policy.widths=[{}]", ["10000"; 500].join(","));
     assert_says(
         &refusal(&mut physgrad(&["explain", "cart_pole", "--set", &widths, "--set", "training.memory=\"1GB\""])),

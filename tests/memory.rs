@@ -1,4 +1,5 @@
-//! Whatever is kept of a trajectory, gradients have the same bits, and memory is what was allowed.
+//! Gradients are bitwise independent of the checkpoint schedule, and memory stays within its
+//! budget.
 
 use physgrad::policy::{Conv, Mlp};
 use physgrad::rng::{Purpose, Rng, stream};
@@ -11,20 +12,20 @@ use std::cell::Cell;
 
 const UNIT: usize = Schedule::UNIT;
 
-/// Counts the bytes of each thread, so that tests can run side by side.
+/// Counts the bytes of each thread, so that tests can run in parallel.
 struct Counting;
 
 thread_local! {
-    /// Bytes held, and the most there were.
+    /// Current number of bytes, and the maximum.
     static HELD: Cell<(usize, usize)> = const { Cell::new((0, 0)) };
 }
 
-// SAFETY: everything is handed to the system's allocator.
+// SAFETY: all calls are forwarded to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         let (held, most) = HELD.get();
         let held = held.wrapping_add(layout.size());
-        // What is freed by another thread than it was taken by makes a small number a huge one; not in these tests.
+        // Freeing memory of another thread would underflow. These tests do not.
         HELD.set((held, most.max(held)));
         unsafe { std::alloc::System.alloc(layout) }
     }
@@ -38,7 +39,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// What `work` returns, the bytes that it leaves and the most it held on the way.
+/// Returns the result of `work`, the bytes that it retains, and its peak.
 fn held<T>(work: impl FnOnce() -> T) -> (T, usize, usize) {
     let (before, _) = HELD.get();
     HELD.set((before, before));
@@ -47,7 +48,7 @@ fn held<T>(work: impl FnOnce() -> T) -> (T, usize, usize) {
     (result, after - before, most - before)
 }
 
-/// Small parameters, so that long rollouts stay near where they start.
+/// Draws small parameters, so that long rollouts stay near their initial state.
 fn weights<F: Float, P: Policy>(policy: &P) -> Weights<F> {
     let mut rng = stream(3, Purpose::Check, 0);
     Weights::new(policy, (0..policy.param_count()).map(|_| F::lift(rng.random_range(-0.1..0.1))).collect())
@@ -61,7 +62,8 @@ fn starts<F: Float, T: Task>(task: &T, samples: usize) -> Vec<F> {
     x.into_iter().map(F::lift).collect()
 }
 
-/// Costs, and the gradients of all samples, with everything stored by `Rollout` and `Adjoint`.
+/// Returns costs and the gradients of all samples, with everything stored by `Rollout` and
+/// `Adjoint`.
 fn stored<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: usize, flows: &[Flow]) -> Result<Vec<F>, Divergence> {
     let weights = weights::<F, P>(policy);
     let mut rollout = Rollout::new(task, policy, samples + 1);
@@ -78,7 +80,7 @@ fn stored<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: usize, fl
     Ok(all)
 }
 
-/// The same with a schedule.
+/// Returns the same with a checkpoint schedule.
 fn scheduled<F: Float, T: Task, P: Policy>(
     task: &T,
     policy: &P,
@@ -90,7 +92,7 @@ fn scheduled<F: Float, T: Task, P: Policy>(
     let mut rollout = Checkpointed::new(task, policy, samples + 1, flows, schedule);
     let mut gradients = [vec![Gradient::zeros(policy.param_count()); flows.len()]];
     let starts = starts::<F, T>(task, samples);
-    // What a longer and larger run leaves behind is not seen.
+    // Remains of a longer and larger run have no influence.
     let more = [&starts[..], &starts[..starts.len() / samples]].concat();
     for starts in [&more, &starts] {
         rollout.run(task, policy, &weights, starts, F::lift(0.5), samples + 1, &mut gradients)?;
@@ -105,7 +107,7 @@ fn schedules(horizon: usize) -> Vec<Schedule> {
     binomial.into_iter().chain(others).collect()
 }
 
-/// Every flow alone, and pairs, with and without a flow through the policy's input.
+/// Returns each flow alone, and pairs with and without a flow through the policy's input.
 fn flows() -> Vec<Vec<Flow>> {
     let pairs = [[Flow::MODIFIED, Flow::REGULAR], [Flow::MODIFIED, Flow::STOPPED], [Flow::NETWORK, Flow::REGULAR]];
     Flow::ALL.map(|flow| vec![flow]).into_iter().chain(pairs.map(Vec::from)).collect()
@@ -133,7 +135,7 @@ fn bits_are_those_of_store_all_with_one_control() {
     let (task, policy) = (cart_pole(4 * UNIT + 17), Mlp::new([4, 8, 8, 1]));
     bits_are_those_of_store_all::<f32, _, _>(&task, &policy, &[3, 11]);
     bits_are_those_of_store_all::<f64, _, _>(&task, &policy, &[3, 11]);
-    // A last segment of one step, and none that is shorter.
+    // Last segments of one step, and of full length.
     for horizon in [2 * UNIT + 1, 3 * UNIT, UNIT + 1] {
         bits_are_those_of_store_all::<f64, _, _>(&cart_pole(horizon), &policy, &[9]);
     }
@@ -180,7 +182,7 @@ fn mini_batches_over_several_workers_have_the_bits_of_store_all() {
 #[test]
 fn a_divergence_is_that_of_store_all() {
     let task = CartPole { horizon: 3 * UNIT, ..CartPole::new(1) };
-    // A control that grows with the state.
+    // The control grows with the state.
     for factor in [1e4, 1e10, 1e30] {
         let policy = Growing(factor);
         let all = stored::<f32, _, _>(&task, &policy, 3, &[Flow::REGULAR]);
@@ -191,7 +193,7 @@ fn a_divergence_is_that_of_store_all() {
     assert!(stored::<f32, _, _>(&task, &Growing(1e30), 3, &[Flow::REGULAR]).is_err());
 }
 
-/// `u = θ₀ x₀ + θ₁ sin x₂`, all batched passes by default.
+/// Policy `u = θ₀ x₀ + θ₁ sin x₂`, with default batched passes.
 struct Plain;
 
 impl Policy for Plain {
@@ -212,7 +214,7 @@ impl Policy for Plain {
     }
 }
 
-/// `u = factor x₀ + θ`.
+/// Policy `u = factor x₀ + θ`.
 struct Growing(f64);
 
 impl Policy for Growing {
@@ -236,7 +238,7 @@ impl Policy for Growing {
 fn bytes_are_those_held<F: Float>() {
     let (task, policy) = (cart_pole(6 * UNIT + 40), Mlp::new([4, 8, 1]));
     let (weights, starts) = (weights::<F, _>(&policy), starts::<F, _>(&task, 17));
-    // The first run of a process finds out what its processor can do.
+    // The first run of a process detects the processor's features.
     stored::<F, _, _>(&cart_pole(2), &policy, 1, &[Flow::REGULAR]).expect("finite");
     for flows in flows() {
         for schedule in schedules(task.horizon) {
@@ -287,7 +289,7 @@ fn budgets_are_kept_and_used() {
         let schedule = batch.schedule();
         assert!(schedule.recomputed_steps() <= last, "more memory makes no more work");
         last = schedule.recomputed_steps();
-        // No other schedule within the budget runs fewer steps again.
+        // No other schedule within the budget recomputes fewer steps.
         for units in 1..=40 {
             for checkpoints in 1..=40 {
                 let other = Schedule::new(task.horizon, units * UNIT, checkpoints);

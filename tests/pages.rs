@@ -1,4 +1,4 @@
-//! What the pages of the documentation show of scenes and of the program is so.
+//! Scenes and outputs in the documentation are correct.
 
 use assert_cmd::Command;
 use std::fs;
@@ -17,12 +17,12 @@ fn stdout(args: &[&str]) -> String {
     String::from_utf8(output.stdout).expect("text")
 }
 
-/// A page of the documentation.
+/// Returns a page of the documentation.
 fn page(name: &str) -> String {
     fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).expect("a page")
 }
 
-/// What stands in a page between fences of a language.
+/// Returns the contents of all fenced blocks of a language.
 fn blocks<'a>(page: &'a str, language: &str) -> Vec<&'a str> {
     let begin = format!("```{language}\n");
     page.split(&begin).skip(1).map(|rest| rest.split("```").next().expect("a block")).collect()
@@ -54,7 +54,7 @@ fn what_the_program_is_shown_to_say_is_what_it_says() {
     let output = explain.current_dir(dir.path()).output().expect("it runs");
     let output = String::from_utf8(output.stdout).expect("text");
     let shown = blocks(&page, "text").into_iter().find(|block| block.starts_with("windy.toml: ")).expect("an explanation");
-    // Rows are left out.
+    // The page omits some rows.
     for line in shown.lines() {
         assert!(output.lines().any(|said| said == line), "{line}\n{output}");
     }
@@ -89,6 +89,7 @@ fn the_page_of_hard_cases_has_all_of_them_with_what_they_ask_for() {
     for criterion in list.lines().filter_map(|line| line.strip_prefix("    passes when: ")) {
         assert!(page.contains(criterion), "docs/stability.md asks for something else than: {criterion}");
     }
-    // What is measured is not compared: it is another on another processor. But nothing that fails is shown.
+    // Measured values are not compared, because they depend on the processor. The page must not
+    // show failures.
     assert!(!page.contains("FAIL"), "docs/stability.md shows a case that fails");
 }

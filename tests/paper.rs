@@ -1,4 +1,4 @@
-//! `physgrad paper`: what it leaves, and that it goes on where it was stopped.
+//! `physgrad paper`: its output files, and resumption of stopped runs.
 
 use assert_cmd::Command;
 use std::fs;
@@ -15,7 +15,7 @@ fn read(path: &Path) -> String {
     fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// Picture, picture, numbers and table of a figure are there and are what they say.
+/// Checks the figure's images, numbers and table.
 fn assert_figure(dir: &Path, name: &str) {
     let file = |extension: &str| dir.join(format!("{name}.{extension}"));
     let svg = read(&file("svg"));
@@ -73,7 +73,7 @@ fn a_figure_goes_on_where_it_was_and_is_the_same_as_made_at_once() {
     assert_ne!(figure("twice", "2"), once);
     assert_eq!(figure("twice", "3"), once);
 
-    // Fewer epochs than there are cannot be had by going on.
+    // A resumed run cannot reduce the number of epochs.
     let args = ["--seeds", "1", "--fields", "C", "--clip", "none", "--epochs", "1"];
     let output = paper("fig3", &dir.path().join("once"), &args).output().expect("it runs");
     assert!(!output.status.success());

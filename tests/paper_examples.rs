@@ -1,4 +1,5 @@
-//! The toy tasks against duals, closed forms and finite differences, and what the paper says about its toy examples.
+//! Simple tasks of the paper against dual numbers, closed forms and finite differences, and the
+//! paper's statements about them.
 
 use approx::assert_relative_eq;
 use physgrad::policy::{Constant, Linear, Quadratic};
@@ -18,12 +19,12 @@ fn every_derivative() {
     check::task(&Bowl::default(), &Constant::new(2, 2));
 }
 
-/// Parameters all over figure 1.
+/// Returns parameters covering figure 1.
 fn thetas() -> Vec<[f64; 2]> {
     vector_field::grid(4.0, 12)
 }
 
-/// The states of figure 1, and ∂x_4/∂θ by the chain rule along the steps.
+/// Returns the states of figure 1, and ∂x_4/∂θ by the chain rule along the steps.
 fn trajectory([a, b]: [f64; 2]) -> ([f64; 5], [f64; 2]) {
     let (mut x, mut slope) = ([-0.3; 5], [0.0; 2]);
     for t in 0..4 {
@@ -42,7 +43,7 @@ fn regular_is_the_chain_rule_written_out() {
         let (x, slope) = trajectory(s.theta);
         let miss = x[4] - 2.0;
         assert_relative_eq!(s.loss, miss * miss / 2.0, max_relative = 1e-12);
-        // Sums of terms of both signs: relative to the longer component.
+        // Sums of terms with both signs: relative to the larger component.
         let scale = miss.abs() * slope[0].hypot(slope[1]);
         for (found, slope) in s.vector.into_iter().zip(slope) {
             assert_relative_eq!(found, miss * slope, epsilon = 1e-12 * scale, max_relative = 1e-11);
@@ -64,7 +65,7 @@ fn regular_is_the_slope_of_the_loss() {
     }
 }
 
-/// Since ∂S/∂x = 1, every control sees the same cotangent.
+/// Since ∂S/∂x = 1, all controls receive the same cotangent.
 #[test]
 fn modified_is_the_sum_over_the_steps() {
     for s in vector_field::sample(&Reach::default(), &Quadratic, &Field::modified(), &thetas()).expect("finite") {
@@ -75,12 +76,13 @@ fn modified_is_the_sum_over_the_steps() {
         for (found, sum) in s.vector.into_iter().zip(sums) {
             assert_relative_eq!(found, miss * sum, epsilon = 1e-12 * scale, max_relative = 1e-11);
         }
-        // So its first component leads towards the target from everywhere, and is zero nowhere else.
+        // The first component therefore points towards the target everywhere, and vanishes only
+        // there.
         assert!(s.vector[0] * miss >= 0.09 * miss * miss, "{s:?}");
     }
 }
 
-/// Where the target is met, R and M vanish, and so does C. Where it is not, only R may.
+/// R, M and C vanish where the target is met. Elsewhere, only R may vanish.
 #[test]
 fn the_fields_have_their_minima_in_common() {
     for theta in thetas() {
@@ -91,11 +93,11 @@ fn the_fields_have_their_minima_in_common() {
             .norm();
         for field in [Field::regular(), Field::modified(), Field::combined()] {
             let s = vector_field::sample(&task, &Quadratic, &field, &[theta]).expect("finite")[0];
-            // The rollout may round otherwise than the test.
+            // The rollout may round differently from the test.
             assert!(s.norm() <= 1e-9 * target.abs().max(1.0) * scale.max(1.0), "{field}: {s:?}");
         }
     }
-    // On the line θ₂ = -1 with θ₁ = 0 all goes to x = 0 in one step, and there is no slope; M still leads on.
+    // For θ₁ = 0, θ₂ = -1, one step maps all states to 0, where R vanishes. M does not.
     let theta = [[0.0, -1.0]];
     let [r, m] = [Field::regular(), Field::modified()]
         .map(|f| vector_field::sample(&Reach::default(), &Quadratic, &f, &theta).expect("finite")[0]);
@@ -121,13 +123,14 @@ fn a_rotation_has_the_gradients_zeros_and_the_combination_descends() {
             assert_eq!(c.vector[i], if agrees { r.vector[i] } else { 0.0 });
             dropped += usize::from(!agrees);
         }
-        // One component at least agrees, since r·g > 0: the combination leads down everywhere but at the minimum.
+        // At least one component agrees, since r·g > 0. The combination therefore descends
+        // everywhere except at the minimum.
         assert!(dot(c.vector, g.vector) > 0.0);
     }
     assert!((thetas.len() / 2..=thetas.len()).contains(&dropped), "{dropped} components dropped of {}", 2 * thetas.len());
 }
 
-/// Two along either axis of the bowl, which is turned by 30°.
+/// Checks the curvature along both axes of the bowl, which is rotated by 30°.
 #[test]
 fn the_bowl_is_as_long_and_turned_as_it_says() {
     let (sin, cos) = std::f64::consts::FRAC_PI_6.sin_cos();
@@ -140,8 +143,8 @@ fn the_bowl_is_as_long_and_turned_as_it_says() {
     }
 }
 
-/// "The rotational contribution in b) prevents Adam from converging while our combined vector field in c) allows Adam to
-/// approach the minimum."
+/// "The rotational contribution in b) prevents Adam from converging while our combined vector field
+/// in c) allows Adam to approach the minimum."
 #[test]
 fn adam_converges_but_for_the_rotation() {
     let losses = Rotated::figure().map(|(_, field)| {
@@ -153,7 +156,7 @@ fn adam_converges_but_for_the_rotation() {
     assert!(losses[0] < 1e-20 && losses[1] > 1.0 && losses[2] < 1e-5, "{losses:?}");
 }
 
-/// How far that holds: the worst losses of the last iterations, from starts all around.
+/// Bounds the worst losses of the last iterations, from initial values in all directions.
 #[test]
 fn the_combination_arrives_from_most_starts() {
     let [_, (_, rotated), (_, combined)] = Rotated::figure();
@@ -170,12 +173,13 @@ fn the_combination_arrives_from_most_starts() {
             assert!(rotation > 1.0 && combination < rotation / 10.0, "{rate}, start {i}: {rotation:e} {combination:e}");
             arrived += usize::from(combination < 1e-4);
         }
-        // 12 and 4 where this was written; chaos multiplies the last bits of another processor.
+        // The bounds are below the observed counts: chaos amplifies rounding differences between
+        // processors.
         assert!(arrived >= arrivals, "{rate}: {arrived} of 16");
     }
 }
 
-/// What the documentation of `Rotated` says of a bowl of one curvature, whatever that is.
+/// Checks the documentation of `Rotated` for bowls with a single curvature.
 #[test]
 fn adam_orbits_where_plain_descent_arrives() {
     for (curvature, rate, strength) in [(1.0, 0.1, 3.0), (5.0, 0.1, 3.0), (1.0, 0.1, 8.0), (1.0, 0.05, 8.0)] {
@@ -198,9 +202,9 @@ fn adam_orbits_where_plain_descent_arrives() {
 #[test]
 fn rotations_are_composed_like_any_other() {
     let mut out = [0.0; 2];
-    Rotated { strength: 2.0, combined: false }.compose(&[1.0, -0.5], &[1.0, -0.5], &mut out);
+    Rotated { strength: 2.0, combined: false }.combine(&[1.0, -0.5], &[1.0, -0.5], &mut out);
     assert_eq!(out, [2.0, 1.5]);
-    Rotated { strength: 2.0, combined: true }.compose(&[1.0, -0.5], &[1.0, -0.5], &mut out);
+    Rotated { strength: 2.0, combined: true }.combine(&[1.0, -0.5], &[1.0, -0.5], &mut out);
     assert_eq!(out, [2.0, 0.0]);
 }
 

@@ -1,7 +1,9 @@
-//! Physics against formulas that are written here by themselves: steps, energies, costs, ranges of starts, defaults.
+//! Physics against independent formulas: steps, energies, costs, ranges of initial states,
+//! defaults.
 //!
-//! Nothing of the library's equations is used. Mechanics is d'Alembert's principle for point masses, quantum mechanics a dense
-//! matrix, so that a constant that is wrong forward and in reverse alike is found. `tests/mutations/README.md` measures that.
+//! The tests use none of the library's equations. Mechanics uses d'Alembert's principle for point
+//! masses, quantum mechanics a dense matrix. They therefore detect constants that are wrong in
+//! forward and reverse pass alike. `tests/mutations/README.md` measures this.
 
 use physgrad::policy::{Conv, Linear};
 use physgrad::rng::{Purpose, Rng, stream};
@@ -14,7 +16,7 @@ use rand::RngExt;
 use std::f64::consts::{FRAC_PI_6, PI, TAU};
 use std::ops::{Add, Mul, Sub};
 
-/// Rounding error of numbers of size 1 in the few hundred operations of a step.
+/// Rounding error of numbers of magnitude 1 over the few hundred operations of a step.
 const ROUNDING: f64 = 1e-11;
 
 #[track_caller]
@@ -25,7 +27,7 @@ fn near(what: &str, found: &[f64], expected: &[f64]) {
     }
 }
 
-/// A hundred states of `n` components and controls of `m`, within ±3.
+/// Returns a hundred states with `n` components and controls with `m`, within ±3.
 fn states(n: usize, m: usize) -> impl Iterator<Item = (Vec<f64>, Vec<f64>)> {
     let mut rng = stream(0, Purpose::Test, 0);
     let mut draw = move |len: usize| (0..len).map(|_| rng.random_range(-3.0..3.0)).collect::<Vec<f64>>();
@@ -38,7 +40,8 @@ fn step<S: System>(system: &S, x: &[f64], u: &[f64]) -> Vec<f64> {
     next
 }
 
-/// The slopes of a function at `at`, by central differences: `out[i]` is by component `i`.
+/// Returns the Jacobian of a function at `at` by central differences: `out[i]` is the derivative
+/// with respect to component `i`.
 fn slopes(of: impl Fn(&[f64]) -> Vec<f64>, at: &[f64]) -> Vec<Vec<f64>> {
     const WIDTH: f64 = 1e-5;
     let beside = |i: usize, by: f64| {
@@ -53,7 +56,7 @@ fn slopes(of: impl Fn(&[f64]) -> Vec<f64>, at: &[f64]) -> Vec<Vec<f64>> {
     (0..at.len()).map(slope).collect()
 }
 
-/// Error of central differences, where third derivatives are up to 1e5.
+/// Compares with the error of central differences for third derivatives of up to 1e5.
 #[track_caller]
 fn near_slopes(what: &str, found: &[f64], expected: &[f64]) {
     assert_eq!(found.len(), expected.len(), "{what}");
@@ -62,7 +65,8 @@ fn near_slopes(what: &str, found: &[f64], expected: &[f64]) {
     }
 }
 
-/// The step is `expected`, and the derivatives are its own and those of `expected`.
+/// Checks that the step equals `expected`, and that its derivatives are those of the step and of
+/// `expected`.
 #[track_caller]
 fn steps_as<S: System>(what: &str, system: &S, expected: impl Fn(&[f64], &[f64]) -> Vec<f64>) {
     let (n, m) = (system.state_dim(), system.control_dim());
@@ -83,7 +87,7 @@ fn steps_as<S: System>(what: &str, system: &S, expected: impl Fn(&[f64], &[f64])
     check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{what}: {mismatch}"));
 }
 
-/// Gauss' elimination with pivots from the column.
+/// Gaussian elimination with column pivoting.
 fn solve<T: Number>(mut a: Vec<Vec<T>>, mut b: Vec<T>) -> Vec<T> {
     let n = b.len();
     for i in 0..n {
@@ -120,15 +124,16 @@ impl Number for f64 {
     }
 }
 
-// ---------------------------------------------------------------------------------------------------------------- mechanics
+// Mechanics.
 
-/// A point mass at `(cart q₀ + Σ arms_k sin θ_k, Σ arms_k cos θ_k)`; the angles follow the cart's place, if there is a cart.
+/// Point mass at `(cart q₀ + Σ arms_k sin θ_k, Σ arms_k cos θ_k)`. With a cart, its position
+/// precedes the angles.
 struct Point {
     mass: f64,
     arms: Vec<f64>,
 }
 
-/// Point masses on rods without mass, with or without a cart.
+/// Point masses on massless rods, with or without a cart.
 struct Mechanism {
     points: Vec<Point>,
     cart: bool,
@@ -136,7 +141,7 @@ struct Mechanism {
 }
 
 impl Mechanism {
-    /// `∂position/∂q_i` of a point.
+    /// Returns `∂position/∂q_i` of a point.
     fn slope(&self, point: &Point, i: usize, q: &[f64]) -> [f64; 2] {
         match (self.cart, i) {
             (true, 0) => [1.0, 0.0],
@@ -147,7 +152,7 @@ impl Mechanism {
         }
     }
 
-    /// d'Alembert: `Σ m J_i · (J q̈ + dJ/dt q̇ - g) = Q_i`.
+    /// d'Alembert's principle: `Σ m J_i · (J q̈ + dJ/dt q̇ - g) = Q_i`.
     fn accelerations(&self, x: &[f64], applied: &[f64]) -> Vec<f64> {
         let (q, speed): (Vec<f64>, Vec<f64>) = x.chunks_exact(2).map(|pair| (pair[0], pair[1])).unzip();
         let (n, first) = (q.len(), usize::from(self.cart));
@@ -187,8 +192,8 @@ impl Mechanism {
     }
 }
 
-/// Point masses of a uniform rod: a sixth of its mass at either end and the rest in the middle
-/// have its mass, center and inertia.
+/// Returns point masses equivalent to a uniform rod: a sixth of its mass at either end and the rest
+/// in the middle have its mass, center and inertia.
 fn rod(mass: f64, half_length: f64, base: &[f64], of_poles: usize, pole: usize) -> impl Iterator<Item = Point> {
     [(1.0 / 6.0, 0.0), (4.0 / 6.0, 1.0), (1.0 / 6.0, 2.0)].into_iter().map(move |(share, place)| {
         let mut arms = base.to_vec();
@@ -202,7 +207,7 @@ fn model(poles: usize) -> CartPoleSystem {
     CartPoleSystem { poles, cart_mass: 1.3, pole_mass: 0.4, half_length: 0.7, gravity: 9.1, dt: 0.02 }
 }
 
-/// All poles on the cart, or one on the end of the other.
+/// Returns all poles on the cart, or chained end to end.
 fn on_cart(model: &CartPoleSystem, chained: bool) -> Mechanism {
     let CartPoleSystem { poles, cart_mass, pole_mass, half_length, gravity, .. } = *model;
     let mut points = vec![Point { mass: cart_mass, arms: vec![0.0; poles] }];
@@ -213,14 +218,15 @@ fn on_cart(model: &CartPoleSystem, chained: bool) -> Mechanism {
     Mechanism { points, cart: true, gravity }
 }
 
-/// Speeds first, then places with the new speeds.
+/// Updates speeds first, then positions with the new speeds.
 fn semi_implicit(x: &[f64], accelerations: &[f64], dt: f64) -> Vec<f64> {
     let moved = |(pair, a): (&[f64], &f64)| [pair[0] + dt * (pair[1] + dt * a), pair[1] + dt * a];
     x.chunks_exact(2).zip(accelerations).flat_map(moved).collect()
 }
 
-/// The authors' model: each pole alone on the cart, and ẍ from all of them with the mass of one.
-fn outline(model: &CartPoleSystem, x: &[f64], applied: &[f64]) -> Vec<f64> {
+/// Returns the accelerations of the authors' model: each pole alone on the cart, and ẍ from all of
+/// them with the mass of one.
+fn uncoupled(model: &CartPoleSystem, x: &[f64], applied: &[f64]) -> Vec<f64> {
     let alone = on_cart(&CartPoleSystem { poles: 1, ..*model }, false);
     let moment = model.pole_mass * model.half_length;
     let mut push = applied[0];
@@ -236,7 +242,7 @@ fn outline(model: &CartPoleSystem, x: &[f64], applied: &[f64]) -> Vec<f64> {
 
 type Applied = fn(&CartPoleSystem, &[f64]) -> Vec<f64>;
 
-/// Drag of the wind w on cart and poles.
+/// Returns the drag of the wind w on cart and poles.
 fn drag(model: &CartPoleSystem, w: f64, x: &[f64]) -> Vec<f64> {
     let mut forces = vec![0.05 * (w - x[1]).abs() * (w - x[1])];
     for pole in x[2..2 + 2 * model.poles].chunks_exact(2) {
@@ -248,7 +254,7 @@ fn drag(model: &CartPoleSystem, w: f64, x: &[f64]) -> Vec<f64> {
     forces
 }
 
-/// Every effect with numbers of its own, and what it applies.
+/// Returns all effects with distinct parameters, and the forces they apply.
 fn on_cart_poles() -> Vec<(CartPoleEffect, Applied)> {
     fn on_cart(model: &CartPoleSystem, force: f64) -> Vec<f64> {
         let mut forces = vec![0.0; 1 + model.poles];
@@ -273,7 +279,7 @@ fn on_cart_poles() -> Vec<(CartPoleEffect, Applied)> {
     ]
 }
 
-/// The step of a host under an effect, with the control on the cart.
+/// Checks the step of a host under an effect, with the control acting on the cart.
 #[track_caller]
 fn cart_pole_steps_as<H: ForcedSystem<Model = CartPoleSystem> + Clone>(
     host: H,
@@ -297,7 +303,7 @@ fn cart_pole_steps_as<H: ForcedSystem<Model = CartPoleSystem> + Clone>(
             applied.resize(x.len(), 0.0);
             applied
         });
-        // Where the type is known, effects may be part of the loops of their host.
+        // Effects of statically known type may be fused into the loops of their host.
         if let CartPoleEffect::PoleDamping(effect) = effect {
             steps_as(&what, &Forced { system: host.clone(), effects: effect }, next);
         }
@@ -313,7 +319,7 @@ fn cart_pole_steps_as<H: ForcedSystem<Model = CartPoleSystem> + Clone>(
     });
 }
 
-/// The forces of an effect in the first places of the next state.
+/// Writes the forces of an effect to the first components of the next state.
 struct Felt<E> {
     model: CartPoleSystem,
     effect: E,
@@ -337,7 +343,7 @@ impl<E: Effect<CartPoleSystem>> System for Felt<E> {
     }
 }
 
-/// Nothing but the time.
+/// Effect with a clock and no force.
 #[derive(Clone, Debug)]
 struct Clock;
 
@@ -348,7 +354,7 @@ impl<B> Effect<B> for Clock {
     }
 }
 
-/// The time goes on by `dt` in a step.
+/// Checks that a step advances the time by `dt`.
 #[track_caller]
 fn keeps_time<H: ForcedSystem>(host: H, dt: f64) {
     let system = Forced { system: host, effects: Clock };
@@ -359,7 +365,7 @@ fn keeps_time<H: ForcedSystem>(host: H, dt: f64) {
 #[test]
 fn poles_on_a_cart() {
     for poles in [1, 3] {
-        cart_pole_steps_as(model(poles), outline);
+        cart_pole_steps_as(model(poles), uncoupled);
         let coupled = |model: &CartPoleSystem, x: &[f64], forces: &[f64]| on_cart(model, false).accelerations(x, forces);
         cart_pole_steps_as(CoupledCartPole(model(poles)), coupled);
         for (x, _) in states(2 + 2 * poles, 1) {
@@ -374,7 +380,7 @@ fn poles_on_a_cart() {
 fn drag_at_the_middle_is_strip_theory_without_spin_and_half_of_it_without_wind() {
     let (model, c) = (model(1), 0.02);
     let l = model.half_length;
-    // [D, τ] on an upright pole; the cart by itself has no drag.
+    // [D, τ] on an upright pole, without drag of the cart.
     let here = |wind: f64, spin: f64| {
         let mut forces = [0.0; 2];
         SteadyWind { speed: wind, cart_drag: 0.0, pole_drag: c }.add_forces(&model, &[0.0, 0.0, 0.0, spin], &mut forces);
@@ -389,7 +395,7 @@ fn drag_at_the_middle_is_strip_theory_without_spin_and_half_of_it_without_wind()
             [force + drag, torque + s * drag]
         })
     };
-    // A sum of so many strips is right to 1e-9.
+    // The sum over this many strips is accurate to 1e-9.
     let is = |found: f64, expected: f64| assert!((found / expected - 1.0).abs() < 1e-6, "{found} is not {expected}");
     for i in 0..2 {
         is(strips(3.0, 0.0)[i], here(3.0, 0.0)[i]);
@@ -401,7 +407,7 @@ fn drag_at_the_middle_is_strip_theory_without_spin_and_half_of_it_without_wind()
     is(slope(&here), -2.0 * c * l * l * 3.0);
 }
 
-/// Rates of an [`Ode`] whose places and speeds take turns, and its energy.
+/// Checks the rates of an [`Ode`] whose positions and speeds alternate, and its energy.
 #[track_caller]
 fn moves_as<O: Ode + Copy>(what: &str, ode: O, energy: impl Fn(&[f64]) -> f64, mechanism: &Mechanism) {
     for (x, u) in states(ode.state_dim(), 1) {
@@ -439,7 +445,7 @@ fn linear_plants_are_a_spring_and_an_upright_pole() {
     // 1 kg, 1 N/m, 0.4 N s/m, steps of 0.1 s.
     let spring = Lqr::spring();
     steps_as("spring", spring.system(), |x, u| semi_implicit(x, &[u[0] - x[0] - 0.4 * x[1]], 0.1));
-    // Linear in θ, ω, F: what is left of the equations near 0.
+    // Equations linearized in θ, ω, F about 0.
     let CartPoleSystem { cart_mass, pole_mass, half_length: l, gravity, dt, .. } = CartPoleSystem::default();
     let (mass, moment, inertia) = (cart_mass + pole_mass, pole_mass * l, 4.0 / 3.0 * pole_mass * l * l);
     steps_as("upright pole", Lqr::upright_cart_pole().system(), |x, u| {
@@ -456,7 +462,7 @@ fn a_block_slides_with_coulombs_friction() {
     steps_as("explicit", &slider, |x, u| semi_implicit(x, &[(u[0] - friction(x[1])) / 1.7], 0.05));
     let implicit = SliderSystem { scheme: FrictionScheme::Implicit, ..slider };
     steps_as("implicit", &implicit, |x, u| {
-        // The friction is that of the new speed, which the bisection of an increasing function finds.
+        // Friction at the new speed, found by bisection of an increasing function.
         let missing = |v: f64| v - x[1] - 0.05 * (u[0] - friction(v)) / 1.7;
         let (mut low, mut high) = (-100.0, 100.0);
         for _ in 0..100 {
@@ -467,12 +473,12 @@ fn a_block_slides_with_coulombs_friction() {
     });
 }
 
-/// Where a body gets at constant acceleration, and how fast.
+/// Returns position and speed of a body under constant acceleration.
 fn fall(place: f64, speed: f64, acceleration: f64, time: f64) -> [f64; 2] {
     [place + speed * time + 0.5 * acceleration * time * time, speed + acceleration * time]
 }
 
-/// When a body at a positive height that falls meets the ground.
+/// Returns the time at which a falling body reaches the ground.
 fn landing(height: f64, speed: f64, acceleration: f64) -> f64 {
     2.0 * height / ((speed * speed - 2.0 * acceleration * height).sqrt() - speed)
 }
@@ -491,7 +497,7 @@ fn a_ball_falls_and_bounces() {
         let expected = if time < dt {
             landed += 1;
             let speed = -0.6 * (x[1] + acceleration * time);
-            // So high that it does not land again.
+            // High enough not to land again.
             fall(0.0, speed, acceleration, dt - time)
         } else {
             fall(height, x[1], acceleration, dt)
@@ -499,7 +505,7 @@ fn a_ball_falls_and_bounces() {
         if expected[0] >= 0.0 {
             near("bounce", &step(&bouncing, &[height, x[1]], &u), &expected);
         }
-        // The floor's spring acts as in semi-implicit Euler, all else as in a fall.
+        // The spring of the floor acts as in semi-implicit Euler. All other motion is free fall.
         let kick = dt / mass * 30.0 * (-x[0]).max(0.0) * (1.0 - 0.2 * x[1]).max(0.0);
         let [place, speed] = fall(x[0], x[1], acceleration, dt);
         near("spring", &step(&springy, &x, &u), &[place + dt * kick, speed + kick]);
@@ -524,9 +530,9 @@ fn two_bodies_hit_each_other() {
         if time > 0.0 && time < dt {
             hits += 1;
             let ([a, va], b) = (fall(x[0], x[2], push, time), x[1] + time * x[3]);
-            // Momentum is kept, and the bodies part with 0.6 of the speed at which they met.
-            let (center, outline) = ((m1 * va + m2 * x[3]) / (m1 + m2), 0.6 * (va - x[3]));
-            let (after, other) = (center - m2 / (m1 + m2) * outline, center + m1 / (m1 + m2) * outline);
+            // Momentum is conserved, and the bodies separate with 0.6 of their approach speed.
+            let (center, separation) = ((m1 * va + m2 * x[3]) / (m1 + m2), 0.6 * (va - x[3]));
+            let (after, other) = (center - m2 / (m1 + m2) * separation, center + m1 / (m1 + m2) * separation);
             let [a, va] = fall(a, after, push, dt - time);
             expected = [a, b + (dt - time) * other, va, other];
         }
@@ -543,11 +549,12 @@ fn two_bodies_hit_each_other() {
     assert!(hits > 5, "{hits}");
 }
 
-// ----------------------------------------------------------------------------------------------------------------- guidance
+// Guidance.
 
 type Pull = fn(usize, usize, [f64; 2], f64) -> [f64; 2];
 
-/// The acceleration of agent `k` by agent `i`, `r` away from it, by what they are and the softened distance.
+/// Acceleration of agent `k` due to agent `i`, from their indices, separation `r` and softened
+/// distance.
 fn between() -> Vec<(GuidanceEffect, Pull)> {
     fn times(by: f64, [x, y]: [f64; 2]) -> [f64; 2] {
         [by * x, by * y]
@@ -562,7 +569,7 @@ fn between() -> Vec<(GuidanceEffect, Pull)> {
     ]
 }
 
-/// The acceleration of agent `k` in this state, wherever the others are.
+/// Acceleration of agent `k` in a state, independent of the other agents.
 type Alone = fn(usize, &[f64]) -> [f64; 2];
 
 fn alone() -> Vec<(GuidanceEffect, Alone)> {
@@ -592,7 +599,7 @@ fn agents_in_the_plane() {
     for center in [Center::Sum, Center::Mean] {
         let model = GuidanceSystem { drivers: 2, evaders: 3, center, softening, dt: 0.07 };
         keeps_time(model, 0.07);
-        // Explicit Euler with the drivers' steering and whatever an effect adds.
+        // Explicit Euler with the drivers' steering and the accelerations of an effect.
         let next = |x: &[f64], u: &[f64], added: &dyn Fn(usize) -> [f64; 2]| -> Vec<f64> {
             let agents: Vec<&[f64]> = x.chunks_exact(4).collect();
             let share = if matches!(center, Center::Sum) { 1.0 } else { 1.0 / 3.0 };
@@ -626,9 +633,9 @@ fn agents_in_the_plane() {
     }
 }
 
-// ------------------------------------------------------------------------------------------------------------------ quantum
+// Quantum control.
 
-/// A complex number.
+/// Complex number.
 #[derive(Clone, Copy)]
 struct Complex(f64, f64);
 
@@ -678,7 +685,7 @@ fn matrix(entry: impl Fn(usize, usize) -> Complex) -> Matrix {
     (0..GRID).map(|j| (0..GRID).map(|k| entry(j, k)).collect()).collect()
 }
 
-/// `dt H`: the second difference and the potential.
+/// `dt H`: second difference and potential.
 fn hamiltonian(potential: &[f64]) -> Matrix {
     matrix(|j, k| match j.abs_diff(k) {
         0 => Complex(DT * (2.0 / (DX * DX) + potential[j]), 0.0),
@@ -717,7 +724,7 @@ fn exponential(z: &Matrix, psi: &[Complex]) -> Vec<Complex> {
     })
 }
 
-/// V at the distance ξ from the middle, where the density of probability is ρ.
+/// V at the position ξ relative to the middle, for the probability density ρ.
 type Potential = fn(f64, f64) -> f64;
 
 fn potentials() -> Vec<(QuantumEffect, Potential)> {
@@ -770,7 +777,7 @@ fn waves_in_a_box() {
             steps_as(&what, &Forced { system: model, effects: vec![effects()] }, by(0.0));
             steps_as(&what, &Forced { system: Pade(model), effects: effects() }, by(1.0 / 12.0));
             steps_as(&what, &Forced { system: Strang::new(model), effects: effects() }, strang);
-            // Where the type is known, effects may be part of the loops of their host.
+            // Effects of statically known type may be fused into the loops of their host.
             if let QuantumEffect::Cubic(effect) = effect {
                 steps_as(&what, &Forced { system: model, effects: effect }, by(0.0));
                 steps_as(&what, &Forced { system: Pade(model), effects: effect }, by(1.0 / 12.0));
@@ -800,11 +807,11 @@ fn waves_in_a_box() {
     }
 }
 
-// ---------------------------------------------------------------------------------------------------------------- actuators
+// Actuators.
 
 #[test]
 fn controls_reach_the_system_late_and_limited() {
-    /// The first control out of the system is its only state.
+    /// Returns a system that sums the outputs of the actuator.
     fn through<A: Actuator>(actuator: A) -> Actuated<Accumulator, A> {
         Actuated { system: Accumulator { dim: 1 }, actuator }
     }
@@ -823,9 +830,9 @@ fn controls_reach_the_system_late_and_limited() {
     });
 }
 
-// -------------------------------------------------------------------------------------------------------------------- tasks
+// Tasks.
 
-/// Costs at a state and a control on the way, and at a last state.
+/// Checks running and terminal costs.
 #[track_caller]
 fn costs<T: Task>(what: &str, task: &T, on_the_way: impl Fn(&[f64], &[f64]) -> f64, last: impl Fn(&[f64]) -> f64) {
     let (n, m) = (task.system().state_dim(), task.system().control_dim());
@@ -840,7 +847,7 @@ fn costs<T: Task>(what: &str, task: &T, on_the_way: impl Fn(&[f64], &[f64]) -> f
     }
 }
 
-/// As [`costs`], and the gradients of whole rollouts are their own.
+/// As [`costs`], and checks the gradients of whole rollouts.
 #[track_caller]
 fn costs_of<T: Task>(what: &str, task: &T, on_the_way: impl Fn(&[f64], &[f64]) -> f64, last: impl Fn(&[f64]) -> f64) {
     costs(what, task, on_the_way, last);
@@ -901,7 +908,8 @@ fn every_task_has_its_price() {
         (1.3 * along * along + 3.1 * across * across) / 2.0
     });
 
-    // The integral of (|x|² + u²)/2; Riccati: what is still to come is the least that can be.
+    // Integral of (|x|² + u²)/2. The terminal cost is the minimal remaining cost, by Riccati's
+    // equation.
     for (mut lqr, dt) in [(Lqr::spring(), 0.1), (Lqr::upright_cart_pole(), 0.01)] {
         let price = |x: &[f64], u: &[f64]| dt * 0.5 * x.iter().chain(u).map(|x| x * x).sum::<f64>();
         lqr.horizon = 5;
@@ -914,7 +922,7 @@ fn every_task_has_its_price() {
     }
 }
 
-/// The least and the most of `of` over many starts.
+/// Returns minimum and maximum of `of` over many initial states.
 fn range<T: Task>(task: &T, of: impl Fn(&[f64]) -> f64) -> [f64; 2] {
     let mut rng = stream(0, Purpose::Train, 0);
     let mut x = vec![0.0; task.system().state_dim()];
@@ -924,7 +932,8 @@ fn range<T: Task>(task: &T, of: impl Fn(&[f64]) -> f64) -> [f64; 2] {
     })
 }
 
-/// 4000 draws from a range come within 1 % of its ends with a probability of 1 - 2 · 0.99⁴⁰⁰⁰, and never beyond.
+/// Checks bounds: 4000 draws come within 1 % of both ends with probability 1 - 2 · 0.99⁴⁰⁰⁰, and
+/// never exceed them.
 #[track_caller]
 fn starts_within<T: Task>(what: &str, task: &T, low: f64, high: f64, of: impl Fn(&[f64]) -> f64) {
     let ([least, most], near) = (range(task, of), 0.01 * (high - low));
@@ -956,9 +965,9 @@ fn rollouts_start_where_they_should() {
     starts_within("driver", &herding, 3.0, 4.0, |x| x[0].hypot(x[1]));
     starts_within("driver's bearing", &herding, -PI, PI, |x| x[1].atan2(x[0]));
     assert_eq!(range(&Reach { start: 0.7, ..Reach::default() }, |x| x[0]), [0.7, 0.7]);
-    // Bearings are drawn evenly.
+    // Bearings are uniformly distributed.
     evenly("driver's bearing", &herding, |x| x[1].atan2(x[0]));
-    // Evaders are within half a metre of a center that they share.
+    // Evaders are within half a metre of a common center.
     let many = Guidance::new(1, 40);
     let spread = range(&many, |x| {
         let xs: Vec<f64> = x[4..].chunks_exact(4).map(|agent| agent[0]).collect();
@@ -971,7 +980,7 @@ fn rollouts_start_where_they_should() {
     });
     // The mean of 40 is within 0.15 of the center: three standard deviations.
     assert!((center[0] - 1.0).abs() < 0.2 && (center[1] - 2.0).abs() < 0.2, "{center:?}");
-    // Half of all starts are in the ground state, and half in the second.
+    // On average, half of the probability is in the ground state and half in the second.
     let mixture = Quantum::new(3);
     let share = |number: usize, x: &[f64]| {
         let part = |part| mixture.system.eigenstate(number).zip(x.chunks_exact(2)).map(|(phi, psi)| phi * psi[part]).sum::<f64>();
@@ -982,11 +991,12 @@ fn rollouts_start_where_they_should() {
     assert!(range(&lopsided, |x| share(1, x))[0] > 1.0 - ROUNDING);
     let [least, most] = range(&mixture, |x| share(1, x) + share(2, x));
     near("norm", &[least, most], &[1.0, 1.0]);
-    // An amplitude may be negative, which turns by half a turn.
+    // A negative amplitude shifts the phase by half a turn.
     evenly("phase", &lopsided, |x| 2.0 * x[1].atan2(x[0]));
 }
 
-/// The mean direction of 4000 even draws has a length of 1/√4000 = 0.016; of those from a range that is 10 % too long, 0.085.
+/// Checks uniformity: the mean direction of 4000 uniform draws has norm 1/√4000 = 0.016. For a
+/// range that is 10 % too long, it is 0.085.
 #[track_caller]
 fn evenly<T: Task>(what: &str, task: &T, angle: impl Fn(&[f64]) -> f64) {
     let (mut rng, mut x, mut sum) = (stream(0, Purpose::Train, 1), vec![0.0; task.system().state_dim()], [0.0; 2]);
@@ -999,14 +1009,14 @@ fn evenly<T: Task>(what: &str, task: &T, angle: impl Fn(&[f64]) -> f64) {
     assert!(length < 0.06, "{what}: the mean direction has a length of {length}");
 }
 
-/// What the documentation, the paper, and the authors' code say.
+/// Compares defaults with the documentation, the paper, and the authors' code.
 #[test]
 fn defaults_are_as_published() {
     #[track_caller]
     fn is<T: Default + PartialEq + std::fmt::Debug>(expected: T) {
         assert_eq!(T::default(), expected);
     }
-    // Barto, Sutton and Anderson 1983, but for steps of 0.01 s.
+    // Barto, Sutton and Anderson 1983, except for steps of 0.01 s.
     is(CartPoleSystem { poles: 1, cart_mass: 1.0, pole_mass: 0.1, half_length: 0.5, gravity: 9.8, dt: 0.01 });
     is(PoleDamping { damping: 2e-3 });
     is(CartDamping { damping: 0.1 });

@@ -1,7 +1,9 @@
-//! Power loss at every moment: the program logs its file operations, and each prefix of the log is replayed.
+//! Power loss at any time: the program logs its file operations, and the test replays each prefix
+//! of the log.
 //!
-//! The model of a disk is pessimistic. After a power loss, a folder has either its current names or those of its last
-//! synchronization; a file has its current bytes, those of its last synchronization, or these and half of the rest.
+//! The disk model is pessimistic. After a power loss, a folder has either its current names or
+//! those of its last synchronization. A file has its current bytes, those of its last
+//! synchronization, or these and half of the rest.
 #![cfg(unix)]
 
 mod running;
@@ -24,10 +26,10 @@ enum Node {
     File { now: Vec<u8>, synced: Vec<u8> },
 }
 
-/// Files after a power loss: `None` is a folder.
+/// Files after a power loss. `None` is a folder.
 type Tree = BTreeMap<PathBuf, Option<Vec<u8>>>;
 
-/// What survives of unsynchronized bytes.
+/// Unsynchronized bytes that survive.
 #[derive(Clone, Copy)]
 enum Bytes {
     All,
@@ -42,7 +44,7 @@ struct Disk {
 }
 
 impl Disk {
-    /// The folder as it is, synchronized.
+    /// Returns the present folder, as synchronized.
     fn of(root: &Path) -> Self {
         let mut disk = Self { root: root.canonicalize().expect("a folder"), nodes: Vec::new() };
         disk.load(root);
@@ -76,7 +78,7 @@ impl Disk {
         })
     }
 
-    /// Current names in the parent folder, and the name.
+    /// Returns the current names in the parent folder, and the file name.
     fn parent(&mut self, path: &Path) -> (&mut Names, String) {
         let parent = self.find(path.parent().expect("a parent"));
         let name = path.file_name().expect("a name").to_string_lossy().into_owned();
@@ -148,7 +150,8 @@ impl Disk {
     }
 }
 
-/// Every state that a power loss can leave, of a command that was run in the folder before `log`.
+/// Returns all states that a power loss can leave, for a command that ran in the folder before
+/// `log`.
 fn states(mut disk: Disk, log: &[Value]) -> BTreeSet<Tree> {
     let mut states = BTreeSet::new();
     for operation in [None].into_iter().chain(log.iter().map(Some)) {
@@ -169,13 +172,13 @@ fn write(tree: &Tree, root: &Path) {
     }
 }
 
-/// Runs the program in the folder, and returns whether it succeeds, with its messages.
+/// Runs the program in the folder. Returns its messages on failure.
 fn run(folder: &Path, args: &[&str]) -> Result<(), String> {
     let output = physgrad(args).args(SMALL).current_dir(folder).output().expect("it runs");
     if output.status.success() { Ok(()) } else { Err(String::from_utf8_lossy(&output.stderr).into_owned()) }
 }
 
-/// A command with a folder to run it in, and the file operations of one run.
+/// Folder in which a command runs, with its file operations.
 struct Scenario {
     folder: TempDir,
     before: Disk,
@@ -183,7 +186,7 @@ struct Scenario {
 }
 
 impl Scenario {
-    /// Runs `first`, if there is one, and records `command`.
+    /// Runs `first`, if given, and records `command`.
     fn record(first: Option<&[&str]>, command: &[&str]) -> Self {
         let folder = TempDir::new().expect("a folder");
         let logs = TempDir::new().expect("a folder");
@@ -199,12 +202,13 @@ impl Scenario {
         Self { folder, before, log }
     }
 
-    /// A file as the whole command leaves it.
+    /// Returns a file as the complete command leaves it.
     fn file(&self, path: &str) -> Vec<u8> {
         fs::read(self.folder.path().join(path)).expect(path)
     }
 
-    /// Recovers from every state, in a folder of its own. Returns the number of states, and those that fail.
+    /// Recovers from each state in a separate folder. Returns the number of states, and the failed
+    /// ones.
     fn recover(&self, recover: &dyn Fn(&Path) -> Result<(), String>) -> (usize, Vec<String>) {
         let states = states(self.before.clone(), &self.log);
         let failed = states.iter().filter_map(|tree| {
@@ -230,7 +234,7 @@ fn same(folder: &Path, path: &str, expected: &[u8]) -> Result<(), String> {
     if found == expected { Ok(()) } else { Err(format!("{path} differs")) }
 }
 
-/// Goes on with the run, or starts it if it has no settings.
+/// Resumes the run, or starts it if it has no settings.
 fn go_on(folder: &Path, start: &[&str]) -> Result<(), String> {
     if folder.join("run/run.toml").exists() {
         run(folder, &["train", "cart_pole", "--out", "run", "--resume", "--epochs", "2", "--save-every", "0"])

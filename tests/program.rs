@@ -1,4 +1,4 @@
-//! The words of the program are a contract: files, headers, messages, exit codes.
+//! The program's interface is a contract: files, headers, messages, exit codes.
 
 mod running;
 
@@ -8,7 +8,7 @@ use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// The columns of a CSV file by name.
+/// Returns the columns of a CSV file by name.
 fn columns(path: &Path) -> BTreeMap<String, Vec<String>> {
     let text = fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     let mut rows = text.lines().map(|line| line.split(',').map(String::from).collect::<Vec<_>>());
@@ -17,7 +17,7 @@ fn columns(path: &Path) -> BTreeMap<String, Vec<String>> {
     header.into_iter().enumerate().map(|(i, name)| (name, rows.iter().map(|row| row[i].clone()).collect())).collect()
 }
 
-/// The metrics but for the time they took.
+/// Returns the metrics without the time column.
 fn numbers(out: &Path) -> BTreeMap<String, Vec<String>> {
     let mut columns = columns(&out.join("metrics.csv"));
     columns.remove("seconds").expect("a column");
@@ -191,7 +191,7 @@ fn what_cannot_be_resumed_is_refused_with_the_reason() {
     let text = error_of(&mut resume(&["--set", "system.poles=4"]));
     assert!(text.contains("keeps its settings") && text.contains("poles = 4"), "{text}");
 
-    // A checkpoint of another shape, put in place of its own.
+    // Replace the checkpoint by one of another shape.
     let other = dir.path().join("other");
     train(&other, &["--epochs", "1", "--set", "policy.widths=[3]"]).assert().success();
     let own = fs::read(dir.path().join("checkpoint.bin")).expect("a checkpoint");
@@ -237,7 +237,7 @@ fn a_comparison_has_a_row_a_run_and_a_picture() {
     let curves = fs::read_to_string(dir.path().join("curves.svg")).expect("a picture");
     roxmltree::Document::parse(&curves).expect("an SVG is XML");
 
-    // The same run alone, on several threads.
+    // Repeat the run alone, on several threads.
     let alone = dir.path().join("alone");
     train(&alone, &["--epochs", "2", "--field", "C", "--seed", "1", "--threads", "2"]).assert().success();
     assert_eq!(columns(&alone.join("metrics.csv"))["test_loss"][1], summary["final_test_loss"][3]);
@@ -337,7 +337,7 @@ fn a_run_that_is_killed_at_any_moment_can_be_resumed_and_ends_as_if_it_had_not_b
         std::thread::sleep(std::time::Duration::from_millis(20 + (random >> 33) % 120));
         process.kill().expect("it can be killed, or has ended");
         let ended = process.wait().expect("it has ended");
-        // Killed before there was anything, it leaves nothing; from then on, always a run.
+        // If killed early, the run leaves no files. Later, it always leaves a resumable run.
         resume = if killed.join("run.toml").exists() { vec!["--resume"] } else { Vec::new() };
         resumed += resume.len();
         assert!(ended.code().is_none_or(|code| code == 0), "a run that was left at some moment could not be resumed");

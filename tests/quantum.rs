@@ -1,4 +1,4 @@
-//! Quantum control against duals, against the authors' numbers and against conservation of probability.
+//! Quantum control against dual numbers, the authors' numbers and conservation of probability.
 
 use physgrad::policy::{Conv, PolicyColumns, PolicyPass};
 use physgrad::rng::{Purpose, stream};
@@ -19,7 +19,7 @@ fn derivatives_on_any_grid() {
     for grid in [3, 8, 32, 33, 70] {
         println!("grid {grid}: {:?}", check::system(&system(grid)));
     }
-    // Large slopes, where the diagonal does not dominate.
+    // Large controls, for which the diagonal does not dominate.
     let draw = |_: &mut _, x: &mut [f64], u: &mut [f64]| {
         x.iter_mut().enumerate().for_each(|(i, x)| *x = (i as f64).sin());
         u[0] = -500.0;
@@ -34,7 +34,8 @@ fn convolutions_of_many_shapes() {
     }
 }
 
-/// Neighbours share a product, and windows over the border between them are computed: nothing may leak.
+/// Adjacent samples share a matrix product, which also computes windows across their border. These
+/// must not influence results.
 #[test]
 fn a_column_does_not_depend_on_its_neighbours() {
     let policy = Conv::new(33, 7);
@@ -57,9 +58,9 @@ fn a_column_does_not_depend_on_its_neighbours() {
         u.into_iter().chain(x_bar).collect::<Vec<f64>>()
     };
     let together = run(&[PolicyColumns::range(0..total)]);
-    let outline: Vec<_> = (0..total).map(|c| PolicyColumns::range(c..c + 1)).collect();
+    let single: Vec<_> = (0..total).map(|c| PolicyColumns::range(c..c + 1)).collect();
     let turns = [PolicyColumns { first: 0, step: 2, count: 6 }, PolicyColumns { first: 1, step: 2, count: 5 }];
-    for other in [run(&outline), run(&turns)] {
+    for other in [run(&single), run(&turns)] {
         for (i, (&a, &b)) in together.iter().zip(&other).enumerate() {
             let column = if i < total { i } else { (i - total) / n };
             assert!(if column == 4 { a.is_nan() && b.is_nan() } else { a == b }, "number {i}: {a} and {b}");
@@ -77,7 +78,7 @@ fn whole_rollouts_of_every_flow() {
     }
 }
 
-/// The file's arrays, and the largest difference from one of them relative to its largest component.
+/// Returns the arrays of a reference file.
 fn reference(kind: &str) -> Value {
     let path = format!("{}/tests/reference/quantum_nx32_{kind}.json", env!("CARGO_MANIFEST_DIR"));
     serde_json::from_str(&std::fs::read_to_string(path).expect("a readable file")).expect("JSON")

@@ -1,4 +1,4 @@
-//! Effects of quantum control, its absorbing edges and the shapes of its control: derivatives, bits and counts.
+//! Effects of quantum control, absorbing edges and control shapes: derivatives, bits and counts.
 
 mod boxes;
 
@@ -68,7 +68,7 @@ fn whole_rollouts_of_every_flow() {
     }
 }
 
-/// Everything of a step and its reverse: the next state and all cotangents.
+/// Returns the next state and all cotangents of a step.
 fn everything<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
     let n = x.len();
     let bar: Vec<f64> = (0..n).map(|i| Scalar::sin(i as f64)).collect();
@@ -100,7 +100,7 @@ fn a_list_has_the_numbers_of_a_tuple_and_what_does_nothing_changes_none() {
     }
 }
 
-/// What a step, `vjp`, `vjp_state` and `vjp_control` do.
+/// Returns the operations of a step, `vjp`, `vjp_state` and `vjp_control`.
 fn counts<S: System>(system: &S) -> [Ops; 4] {
     let n = system.state_dim();
     let x: Vec<Counted> = (0..n).map(|i| Counted(Scalar::sin(i as f64))).collect();
@@ -122,13 +122,14 @@ fn an_effect_costs_its_own_operations_and_no_others() {
     let (model, n) = (box_of(32), 32);
     let plain = counts(&model);
     let solve = sums(8 * n - 6, 12 * n - 8);
-    // The potential is one multiplication; a pivot is 4 additions, 7 multiplications, a change of sign and a division.
+    // The potential takes one multiplication. A pivot takes 4 additions, 7 multiplications, a
+    // negation and a division.
     let eliminated = Ops { divide: n, negate: n, ..sums(4 * n, 8 * n + 1) };
     assert_eq!(plain[0], eliminated + solve + sums(4 * n, 0));
-    // Eliminated and conjugated, and solved once.
+    // Elimination, conjugation, and one solve.
     let state = eliminated + Ops { negate: n + 1, ..solve } + sums(4 * n, 0);
     assert_eq!(plain[2], state);
-    // Solved twice; and the cotangents of the potential, Im(w̄ y) times dt, and of the control.
+    // Two solves, the cotangents of the potential, Im(w̄ y) times dt, and that of the control.
     let potential = sums(n, 3 * n);
     let control = sums(n, n);
     assert_eq!(plain[1], state + solve + potential + control);
@@ -137,7 +138,7 @@ fn an_effect_costs_its_own_operations_and_no_others() {
     assert_eq!(counts(&Forced { system: model, effects: () }), plain);
     assert_eq!(counts(&Forced { system: model, effects: Vec::<QuantumEffect>::new() }), plain);
 
-    // The cubic term reads the state, so that the state's cotangent needs the second solve.
+    // The cubic term reads the state, so the state's cotangent needs the second solve.
     let (add_forces, act_and_reverse) = (sums(2 * n, 3 * n), sums(4 * n, 6 * n));
     let cubic = [add_forces, act_and_reverse, act_and_reverse + solve + potential, add_forces];
     let added = |effect: &QuantumEffect| match effect {
@@ -208,7 +209,7 @@ fn a_renormalized_wave_keeps_its_direction_and_its_derivatives() {
         check_lively(&Renormalized { system: box_of(grid) });
         check_lively(&Renormalized { system: Substeps { system: box_of(grid), count: 3 } });
     }
-    // What stands behind the wave is left alone.
+    // State components beyond the wave are unaffected.
     let system = Renormalized { system: Forced { system: dipole(8), effects: (Swinging, Cubic::default()) } };
     check_lively(&system);
     let mut x: Vec<f64> = (0..17).map(|i| Scalar::sin(f64::from(i))).collect();

@@ -1,4 +1,4 @@
-//! What the effects of quantum control claim of physics.
+//! Documented physics of the effects of quantum control.
 
 mod boxes;
 
@@ -32,7 +32,7 @@ fn absorbing_edges_only_take() {
     let model = QuantumSystem { grid: 399, length: 10.0, dt: 0.002, ..QuantumSystem::default() };
     let edges = AbsorbingEdges { width: 3.0, strength: 30.0 };
     let system = Absorbing::new(Forced { system: model, effects: Cubic { strength: 2.0 } }, edges);
-    // At the speed 2k = 20; it would be back in the middle after 500 steps.
+    // The packet moves at the speed 2k = 20 and would return to the middle after 500 steps.
     let mut x = packet(&model, 5.0, 0.5, 10.0);
     let mut before = norm(&x);
     for _ in 0..500 {
@@ -41,7 +41,7 @@ fn absorbing_edges_only_take() {
         before = norm(&x);
     }
     assert!(before * before < 0.01, "{:e} is left", before * before);
-    // In one step, nothing but the edges, each point for itself.
+    // In one step, the edges act on each point separately.
     let x = packet(&model, 5.0, 3.0, 1.0);
     let (kept, free) = (step(&system, &x, 0.0), step(system.system(), &x, 0.0));
     for ((x, kept), free) in model.points().zip(kept.chunks_exact(2)).zip(free.chunks_exact(2)) {
@@ -51,7 +51,7 @@ fn absorbing_edges_only_take() {
     }
 }
 
-/// What the documentation says of the defaults.
+/// Checks the documentation of the defaults.
 #[test]
 fn the_default_edges_take_a_fifth_of_the_ground_state() {
     let system = Absorbing::new(box_of(32), AbsorbingEdges::default());
@@ -63,7 +63,7 @@ fn the_default_edges_take_a_fifth_of_the_ground_state() {
     assert!((left(1) - 0.8).abs() < 0.03 && (left(3) - 1.0 / 6.0).abs() < 0.03);
 }
 
-/// The lowest eigenvalues of -D₂ + diag(potential), by Sturm's sequence and bisection.
+/// Returns the lowest eigenvalues of -D₂ + diag(potential), by Sturm's sequence and bisection.
 fn levels(model: &QuantumSystem, potential: &[f64], count: usize) -> Vec<f64> {
     let per_square = 1.0 / model.spacing().powi(2);
     let below = |energy: f64| {
@@ -114,9 +114,9 @@ fn a_coherent_state_swings_and_comes_back() {
     let (there, _) = overlap(&half, &packet(&model, 1.0 - 0.3, sigma, 0.0));
     let (back, phase) = overlap(&start, &run(&trap, half, steps / 2));
     println!("{there}, {back}, {phase}");
-    // exp(-i ω (n + 1/2) 2π/ω) = -1 for every n.
+    // exp(-i ω (n + 1/2) 2π/ω) = -1 for all n.
     assert!(there > 0.999 && back > 0.999 && PI - phase.abs() < 0.1);
-    // A constant force moves its middle by c / 2k, and nothing else.
+    // A constant force shifts the middle by c / 2k, without other effects.
     let shifted = packet(&model, 1.0 - 0.2, sigma, 0.0);
     let after = (0..500).fold(shifted.clone(), |x, _| step(&trap, &x, 2.0 * stiffness * 0.2));
     assert!(overlap(&shifted, &after).0 > 0.999);
@@ -128,7 +128,7 @@ fn a_barrier_lets_through_what_eckart_says() {
     let barrier = Barrier { height: 25.0, width: 0.5, center: 1.0 };
     let (sigma, wave_number) = (2.5, 5.0);
     let start = packet(&model, 10.0, sigma, wave_number);
-    // At the speed 2k = 10, from 10 to about 32.
+    // The packet moves at the speed 2k = 10, from 10 to about 32.
     let after = run(&Forced { system: model, effects: barrier }, start, 1100);
     let through: f64 = densities(&after).iter().zip(model.points()).filter(|(_, x)| *x > 21.0).map(|(d, _)| d).sum();
     let Barrier { height, width, .. } = barrier;
@@ -136,7 +136,7 @@ fn a_barrier_lets_through_what_eckart_says() {
         let (with, without) = ((PI * k * width).sinh().powi(2), (PI / 2.0 * (4.0 * height * width * width - 1.0).sqrt()).cosh());
         with / (with + without.powi(2))
     };
-    // Wave numbers are spread by 1 / 2σ.
+    // Wave numbers have the standard deviation 1 / 2σ.
     let (mut expected, mut total) = (0.0, 0.0);
     for i in -400..=400 {
         let off = f64::from(i) / 100.0;
@@ -152,7 +152,7 @@ fn a_barrier_lets_through_what_eckart_says() {
 fn a_double_well_has_two_valleys_and_keeps_a_symmetric_state() {
     let (well, model) = (DoubleWell { height: 40.0, separation: 1.0 }, QuantumSystem { grid: 199, ..dipole(0) });
     let v = potential(&well, &model);
-    // Points at 0.01 j: bottoms at 0.5 and 1.5.
+    // Points at 0.01 j: minima at 0.5 and 1.5.
     assert!(v[49].abs() < 1e-9 && v[149].abs() < 1e-9 && (v[99] - 40.0).abs() < 1e-9);
     assert!(v.iter().all(|&v| v >= 0.0) && v.iter().rev().eq(&v), "mirrored bit for bit");
     let curvature = (v[48] - 2.0 * v[49] + v[50]) / 0.01f64.powi(2);
@@ -167,7 +167,7 @@ fn a_double_well_has_two_valleys_and_keeps_a_symmetric_state() {
     assert!(largest_difference(&after, &densities(&start)) > 1e-3, "it moves");
     assert!(largest_difference(&after, &mirrored) < 1e-12);
 
-    // Below the top it stays where it is for long, and is found in the other valley in the end: after half the beat of
+    // Below the top, the particle tunnels slowly: it reaches the other well after half the beat of
     // the two lowest levels.
     let deep = DoubleWell { height: 60.0, separation: 1.0 };
     let model = QuantumSystem { dt: 0.002, grid: 99, ..model };
@@ -197,10 +197,10 @@ fn the_opposite_control_does_the_same_to_the_mirrored_state_of_a_dipole() {
     }
 }
 
-/// The same densities in the limit of small steps, and in one step a phase that differs by O(dt³).
+/// Densities agree in the limit of small steps. The phase of one step differs by O(dt³).
 #[test]
 fn a_dipole_is_a_tilt_up_to_a_global_phase_and_the_time_step() {
-    let outline = |count: u32| {
+    let difference = |count: u32| {
         let dt = 0.5 / f64::from(count);
         let (tilt, dipole) = (QuantumSystem { dt, ..box_of(16) }, QuantumSystem { dt, ..dipole(16) });
         let start: Vec<f64> = tilt.eigenstate(1).zip(tilt.eigenstate(2)).flat_map(|(a, b)| [0.6 * a, 0.8 * b]).collect();
@@ -211,13 +211,13 @@ fn a_dipole_is_a_tilt_up_to_a_global_phase_and_the_time_step() {
         }
         largest_difference(&densities(&a), &densities(&b))
     };
-    let (coarse, fine) = (outline(4000), outline(8000));
+    let (coarse, fine) = (difference(4000), difference(8000));
     println!("{coarse:e}, {fine:e}");
     assert!(fine < 1e-6 && (3.9..4.1).contains(&(coarse / fine)));
-    assert!(outline(8) > 1e-3, "with the paper's time step they differ");
+    assert!(difference(8) > 1e-3, "with the paper's time step they differ");
 }
 
-/// The same energy everywhere.
+/// Constant energy.
 #[derive(Clone, Debug)]
 struct Uniform(f64);
 
@@ -242,13 +242,14 @@ fn where_the_density_is_constant_the_cubic_term_is_an_energy() {
     let uniform = step(&Forced { system: model, effects: Uniform(energy) }, &x, 5.0);
     assert!(largest_difference(&cubic, &uniform) < 1e-14);
 
-    // An eigenstate turns by 2 atan(E dt/2), by about dt more for each unit of energy.
+    // The phase of an eigenstate advances by 2 atan(E dt/2), by about dt more per unit of energy.
     let phi: Vec<f64> = model.eigenstate(2).flat_map(|phi| [phi, 0.0]).collect();
     let level = 4.0 / model.spacing().powi(2) * (PI / 33.0).sin().powi(2);
     let (size, phase) = overlap(&phi, &step(&Forced { system: model, effects: Uniform(energy) }, &phi, 0.0));
     assert!((size - 1.0).abs() < 1e-13 && (phase + 2.0 * (0.03125 * (level + energy)).atan()).abs() < 1e-13);
 
-    // In a box so large that nothing moves, every point turns by its own density alone.
+    // In a very large box, kinetic energy vanishes, and the phase at each point depends on its
+    // density only.
     let still = QuantumSystem { length: 3.3e7, ..model };
     let x = phases(&QuantumSystem { length: 2.0, ..still });
     let strength = 0.01 * still.spacing() * 32.0;
@@ -260,7 +261,8 @@ fn where_the_density_is_constant_the_cubic_term_is_an_energy() {
     }
 }
 
-/// `sqrt(κ/2) / cosh(κ x)` turns by `exp(i κ² t)` and keeps its shape if the strength is -4κ.
+/// `sqrt(κ/2) / cosh(κ x)` acquires the phase `exp(i κ² t)` and keeps its shape if the strength is
+/// -4κ.
 #[test]
 fn an_attractive_condensate_has_a_soliton() {
     let (kappa, steps) = (5.0, 1000);

@@ -47,7 +47,7 @@ fn effects_may_depend_on_time_and_wrappers_go_around_every_scheme() {
     }
 }
 
-/// Everything of a step and its reverse.
+/// Returns the next state and all cotangents of a step.
 fn everything<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
     let n = x.len();
     let bar: Vec<f64> = (0..n).map(|i| Scalar::sin(i as f64)).collect();
@@ -93,8 +93,8 @@ fn every_scheme_is_unitary_whatever_the_potential() {
     }
 }
 
-/// The state after half a unit of time under a control that is constant for 1/16 of one, and the derivatives of its
-/// infidelity with respect to those eight numbers. `count` time steps go into each.
+/// Returns the state after half a unit of time, and the derivatives of its infidelity with respect
+/// to eight controls. Each control acts for 1/16 of a unit of time, in `count` time steps.
 fn rollout<E: Effect<QuantumSystem>>(scheme: usize, effects: &E, count: usize) -> (Vec<f64>, Vec<f64>) {
     const PIECES: usize = 8;
     let model = QuantumSystem { dt: 0.0625 / count as f64, ..dipole(12) };
@@ -116,7 +116,7 @@ fn rollout<E: Effect<QuantumSystem>>(scheme: usize, effects: &E, count: usize) -
     (states[PIECES].clone(), gradient)
 }
 
-/// Orders of state and gradient, from `count` steps a piece to twice as many.
+/// Returns the observed orders of state and gradient when `count` steps per interval double.
 fn orders<E: Effect<QuantumSystem>>(scheme: usize, effects: &E, count: usize, reference: &(Vec<f64>, Vec<f64>)) -> [f64; 2] {
     let errors = |count| {
         let (state, gradient) = rollout(scheme, effects, count);
@@ -150,7 +150,7 @@ fn with_the_cubic_term_strang_keeps_its_order() {
     }
 }
 
-/// How wrong the phase of an eigenstate is after a time step of the default box, in shares of what it should be.
+/// Returns the relative phase error of an eigenstate after a time step of the default box.
 fn phase_error(scheme: usize, number: usize, count: usize) -> f64 {
     let model = QuantumSystem { dt: 0.0625 / count as f64, ..QuantumSystem::default() };
     let phi: Vec<f64> = model.eigenstate(number).flat_map(|phi| [phi, 0.0]).collect();
@@ -190,7 +190,7 @@ fn a_step_of_pade_is_two_of_crank_and_nicolson_with_shifted_energies() {
     assert!(largest_difference(&twice, &step(&Pade(model), &x, u[0])) < 1e-13);
 }
 
-/// A step without potential, against the sum over all eigenstates.
+/// Compares a step without potential with the sum over all eigenstates.
 #[test]
 fn strang_moves_free_particles_exactly() {
     for grid in [3, 6, 7, 33, 300] {
@@ -214,7 +214,7 @@ fn strang_moves_free_particles_exactly() {
     }
 }
 
-/// What a step, `vjp`, `vjp_state` and `vjp_control` do.
+/// Returns the operations of a step, `vjp`, `vjp_state` and `vjp_control`.
 fn counts<S: System>(system: &S) -> [Ops; 4] {
     let n = system.state_dim();
     let x: Vec<Counted> = (0..n).map(|i| Counted(Scalar::sin(i as f64))).collect();
@@ -231,7 +231,7 @@ fn counts<S: System>(system: &S) -> [Ops; 4] {
 fn a_step_of_pade_costs_two_and_works_out_the_potential_once() {
     let sums = |add, multiply| Ops { add, multiply, ..Ops::default() };
     let (crank_nicolson, pade) = (counts(&box_of(32)), counts(&Pade(box_of(32))));
-    // In the reverse, the state between the factors is worked out again, and their cotangents are added up.
+    // The reverse recomputes the state between the factors, and adds their cotangents.
     let more = [sums(0, 0), sums(4 * 32 + 1, 0), sums(0, 0), sums(4 * 32 + 1, 0)];
     for i in 0..4 {
         assert_eq!(pade[i] + sums(0, 32), crank_nicolson[i] + crank_nicolson[i] + more[i], "{i}");

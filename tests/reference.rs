@@ -1,8 +1,8 @@
-//! Our numbers against those of the authors' code (TensorFlow in float64), file by file.
+//! Results against those of the authors' code (TensorFlow in float64), for each reference file.
 //!
-//! `tests/reference/README.md` says what is in the files. `PHYSGRAD_REFERENCE` names another folder to test instead.
-//! Every error is relative to the largest component of its array and is printed: `cargo test --test reference --
-//! --nocapture`.
+//! `tests/reference/README.md` describes the files. `PHYSGRAD_REFERENCE` selects another folder.
+//! Errors are relative to the largest component of their array, and printed:
+//! `cargo test --test reference -- --nocapture`.
 
 use physgrad::policy::{Conv, Mlp};
 use physgrad::tasks::{CartPole, CartPoleSystem, Guidance, GuidanceSystem, LossMode, Quantum, QuantumSystem};
@@ -13,7 +13,7 @@ use physgrad::{
 use serde_json::Value;
 use std::path::PathBuf;
 
-/// The folder's files of this task and kind. There must be some.
+/// Returns the folder's files for a task and kind. Fails if there are none.
 fn files(task: &str, kind: &str) -> Vec<(String, Value)> {
     let own = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/reference");
     let folder = std::env::var_os("PHYSGRAD_REFERENCE").map_or(own, PathBuf::from);
@@ -31,7 +31,7 @@ fn files(task: &str, kind: &str) -> Vec<(String, Value)> {
     found
 }
 
-/// The numbers of an array, row-major.
+/// Returns the entries of an array, row-major.
 fn data(array: &Value) -> Vec<f64> {
     array["data"].as_array().expect("an array").iter().map(number).collect()
 }
@@ -52,22 +52,22 @@ fn count(value: &Value) -> usize {
     value.as_u64().expect("a count") as usize
 }
 
-/// A list of kernels and biases, one after the other: the order of `θ`.
+/// Returns a list of kernels and biases, concatenated in the order of `θ`.
 fn variables(list: &Value) -> Vec<f64> {
     self::list(list).iter().flat_map(data).collect()
 }
 
-/// Largest difference, relative to the largest expected component.
+/// Returns the largest difference, relative to the largest expected component.
 fn error(got: &[f64], expected: &[f64]) -> f64 {
     assert_eq!(got.len(), expected.len());
     let scale = expected.iter().fold(0.0, |m: f64, e| m.max(e.abs()));
     let worst = got.iter().zip(expected).map(|(g, e)| (g - e).abs()).fold(0.0, f64::max);
-    // Not `max`, which would lose a NaN.
+    // `max` would ignore NaN.
     assert!(got.iter().all(|g| g.is_finite()), "not finite: {got:?}");
     if scale > 0.0 { worst / scale } else { worst }
 }
 
-/// Prints the worst error under a name and holds it to a tolerance.
+/// Prints the worst error under a name and compares it with a tolerance.
 struct Worst {
     file: String,
     what: &'static str,
@@ -100,14 +100,15 @@ impl Drop for Worst {
     }
 }
 
-/// One of the authors' tasks, as their files describe it.
+/// Task of the authors, as described by their files.
 trait Authors {
-    /// How its files' names start.
+    /// Prefix of the file names.
     const FILES: &'static str;
     type Task: Task + Clone;
     type Policy: Policy + Clone;
 
-    /// The task of a file; `case` is the part of it that says loss mode and the like, the file itself if there is none.
+    /// Returns the task of a file. `case` is the part with the loss mode and other settings, or
+    /// else the file itself.
     fn task(file: &Value, case: &Value, horizon: usize) -> Self::Task;
     fn policy(file: &Value, task: &Self::Task) -> Self::Policy;
 }
@@ -119,7 +120,7 @@ fn loss_mode(case: &Value) -> LossMode {
     }
 }
 
-/// Hidden layers of one width.
+/// Returns an MLP whose hidden layers have equal widths.
 fn mlp(file: &Value, system: &impl System) -> Mlp {
     let hidden = vec![count(&file["width"]); count(&file["depth"])];
     Mlp::new([&[system.state_dim()], &hidden[..], &[system.control_dim()]].concat())
@@ -228,7 +229,7 @@ fn trajectories<A: Authors>() {
             let mut rollout = Rollout::new(&task, &policy, samples);
             rollout.start(&starts);
             rollout.run(&task, &policy, &Weights::new(&policy, theta.clone())).expect("finite");
-            // Samples, then steps, then components.
+            // Order: samples, steps, components.
             let each = |steps: usize, size: usize| {
                 (0..samples).flat_map(move |s| (0..steps).flat_map(move |t| (0..size).map(move |i| (t, s, i))))
             };
@@ -240,12 +241,12 @@ fn trajectories<A: Authors>() {
     }
 }
 
-/// The mean loss from these start states.
+/// Returns the mean loss from the given initial states.
 fn loss<T: Task>(task: &T, policy: &impl Policy, weights: &Weights<f64>, starts: &[f64]) -> f64 {
     Evaluation::new(task, policy, 1).run(task, policy, weights, starts).expect("finite")
 }
 
-/// The task without the regularizer of the controls.
+/// Returns the task without the regularization of the controls.
 fn physics<A: Authors>(file: &Value, case: &Value, horizon: usize) -> A::Task {
     let mut case = case.clone();
     case["regularization"] = 0.0.into();
@@ -279,12 +280,12 @@ fn losses_and_gradients<A: Authors>() {
                 continue;
             }
             let mut got = Gradient::zeros(policy.param_count());
-            Field::combined().compose(batch.gradients(), &mut got);
+            Field::combined().combine(batch.gradients(), &mut got);
             let got = got.to_vec();
             let [m, r] = [0, 1].map(|k| batch.gradients()[k].values());
             let kept = |g: &[f64]| g.iter().map(|&g| g != 0.0).collect::<Vec<_>>();
             assert_eq!(kept(&got), kept(&expected), "{name}: C keeps other components than the authors'");
-            // Zeros are exactly zero, and what is kept is M.
+            // Zeros are exact, and the other components are those of M.
             for ((&c, &m), &r) in got.iter().zip(m).zip(r) {
                 assert!(if m * r > 0.0 { c == m } else { c == 0.0 }, "{name}: C = {c} of M = {m}, R = {r}");
             }
@@ -297,8 +298,8 @@ fn mean(numbers: &[f64]) -> f64 {
     numbers.iter().sum::<f64>() / numbers.len() as f64
 }
 
-/// A session, and beside it the loop of updates written out, for the columns that records have not: the mean of the squared
-/// lengths of gradients, and losses without regularizer.
+/// Compares a session with an explicit loop of updates. The loop provides columns that records
+/// lack: the mean squared norms of gradients, and losses without regularization.
 fn training<A: Authors>() {
     for (name, file) in files(A::FILES, "train") {
         let task = A::task(&file, &file, count(&file["Nt"]));
@@ -347,7 +348,7 @@ fn training<A: Authors>() {
                 for starts in train.chunks(size * task.system().state_dim()) {
                     without.push(loss(&physics, &policy, &weights, starts));
                     batch.run(&task, &policy, &weights, starts).expect("finite");
-                    field.compose(batch.gradients(), &mut update);
+                    field.combine(batch.gradients(), &mut update);
                     lengths.push(update.norm().get());
                     clip.apply(&mut update);
                     weights.update(&policy, |theta| optimizer.step(theta, update.values()));

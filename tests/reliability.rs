@@ -1,4 +1,5 @@
-//! No work is lost, and no failure is silent: concurrent processes, signals, closed pipes, full disks.
+//! Reliability: concurrent processes, signals, closed pipes and full disks neither lose work nor
+//! fail silently.
 #![cfg(unix)]
 
 mod running;
@@ -25,7 +26,7 @@ fn policy(out: &Path) -> Vec<u8> {
     fs::read(out.join("policy.safetensors")).expect("a policy")
 }
 
-/// Rows of the metrics without the column of seconds.
+/// Returns the rows of the metrics without the column of seconds.
 fn metrics(out: &Path) -> Vec<String> {
     let text = fs::read_to_string(out.join("metrics.csv")).expect("metrics");
     let row = |line: &str| {
@@ -45,7 +46,7 @@ fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     }
 }
 
-/// Waits until the run has done some epochs.
+/// Waits until the run has completed some epochs.
 fn wait_for_epochs(out: &Path, epochs: usize) {
     wait_until("the run begins", || fs::read_to_string(out.join("metrics.csv")).is_ok_and(|text| text.lines().count() > epochs));
 }
@@ -454,7 +455,7 @@ fn mistakes_have_no_side_effects() {
 fn a_limit_on_the_size_of_files_is_an_error() {
     let (_dir, out) = folder();
     let mut shell = Command::new("sh");
-    // Blocks of 512 bytes in POSIX, of 1,024 in some shells.
+    // Blocks have 512 bytes in POSIX, 1,024 in some shells.
     shell.args(["-c", "ulimit -f 4; exec \"$@\"", "sh"]);
     let train = process(&out, &["--epochs", "60"]);
     let output = shell.arg(train.get_program()).args(train.get_args()).output().expect("it runs");

@@ -1,4 +1,4 @@
-//! `physgrad report`: what a page holds, that it stands alone, and that every run gets one.
+//! `physgrad report`: page contents, independence of other files, and availability for all runs.
 
 mod running;
 
@@ -33,7 +33,7 @@ fn refusal(folder: &Path) -> String {
     error_of(physgrad(&["report"]).arg(folder))
 }
 
-/// Nothing on the page is fetched from anywhere: the only addresses are names of XML namespaces.
+/// Checks that the page loads nothing. Its only addresses are names of XML namespaces.
 fn assert_stands_alone(page: &str) {
     for (at, _) in page.match_indices("://") {
         let (before, after) = page.split_at(at);
@@ -48,7 +48,7 @@ fn assert_stands_alone(page: &str) {
     assert!(page.contains("default-src 'none'"), "and the browser is told so");
 }
 
-/// Every element that is opened is closed in its place.
+/// Checks that elements are properly nested and closed.
 fn assert_nested(page: &str) {
     let mut open: Vec<&str> = Vec::new();
     let mut rest = page;
@@ -68,12 +68,12 @@ fn assert_nested(page: &str) {
     assert!(open.is_empty(), "{open:?}");
 }
 
-/// What stands between two words, each time.
+/// Returns all texts between two delimiters.
 fn between<'a>(page: &'a str, start: &str, end: &str) -> Vec<&'a str> {
     page.split(start).skip(1).map(|rest| &rest[..rest.find(end).expect("an end")]).collect()
 }
 
-/// The numbers of a diagram by its title, as (label, points).
+/// Returns the data of a diagram by its title, as (label, points).
 fn diagram(page: &str, title: &str) -> Vec<(String, Vec<Vec<f64>>)> {
     let figure = page.split("<figure>").find(|figure| figure.contains(&format!("<h3>{title}</h3>")));
     let figure = figure.unwrap_or_else(|| panic!("there is no diagram {title}"));
@@ -91,13 +91,13 @@ fn labels(lines: &[(String, Vec<Vec<f64>>)]) -> Vec<&str> {
     lines.iter().map(|(label, _)| label.as_str()).collect()
 }
 
-/// The cells of the first table, row by row.
+/// Returns the cells of the first table, row by row.
 fn cells(page: &str) -> Vec<Vec<&str>> {
     let table = between(page, "<tbody>", "</tbody>")[0];
     between(table, "<tr>", "</tr>").iter().map(|row| between(row, "\">", "</td>")).collect()
 }
 
-/// The films on the page, as they are in their files.
+/// Returns the animations on the page, decoded.
 fn films(page: &str) -> Vec<String> {
     let decoded = |film: &&str| String::from_utf8(BASE64_STANDARD.decode(film).expect("base64")).expect("text");
     between(page, "data:image/svg+xml;base64,", "\"").iter().map(decoded).collect()
@@ -199,7 +199,7 @@ fn a_page_shows_the_policy_as_it_is_now() {
     train(dir.path(), &["--epochs", "1"]).assert().success();
     let film = fs::read_to_string(dir.path().join("animation.svg")).expect("a film");
     let page = report(dir.path());
-    // As after a resumed run was killed, or after another sample was filmed.
+    // As after a resumed run was killed, or after another sample was animated.
     physgrad(&["animate", "--sample", "3"]).arg(dir.path()).assert().success();
     assert_ne!(fs::read_to_string(dir.path().join("animation.svg")).expect("a film"), film);
     assert!(report(dir.path()) == page && films(&page) == [film]);
@@ -257,7 +257,7 @@ fn runs_that_were_not_finished_have_a_page_that_says_so() {
 
     train(&one, &["--epochs", "1"]).assert().success();
     assert_eq!(diagram(&report(&one), "Loss by epoch")[0].1.len(), 1);
-    // As an interrupt would have left it.
+    // As after an interruption.
     let settings = fs::read_to_string(one.join("run.toml")).expect("settings");
     fs::write(one.join("run.toml"), settings.replace("epochs = 1", "epochs = 5")).expect("settings");
     let before = fs::read(one.join("checkpoint.bin")).expect("a checkpoint");
@@ -270,8 +270,8 @@ fn runs_that_were_not_finished_have_a_page_that_says_so() {
 #[test]
 fn an_adjoint_beyond_the_range_of_f32_is_drawn_to_the_start() {
     let dir = TempDir::new().expect("a folder");
-    // A cart so light that the policy's least noise throws it about: states stay finite, and what they depend on grows. (Lighter
-    // still, and whether states stay finite depends on the last bit.)
+    // The cart is so light that small policy noise moves it strongly: states stay finite, and their
+    // derivatives grow. For lighter carts, finiteness depends on rounding.
     let light = ["--set", "system.cart_mass=2e-4", "--set", "system.pole_mass=2e-4", "--set", "policy.zero_init_output=false"];
     train(dir.path(), &["--epochs", "0"]).args(light).args(["--set", "horizon=1500"]).assert().success();
     let page = report(dir.path());

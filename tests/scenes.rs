@@ -1,4 +1,4 @@
-//! Scene files: presets, a file in place of a preset, what is wrong with a file, and the schema.
+//! Scene files: presets, files in place of presets, errors in files, and the schema.
 
 mod running;
 
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 use toml::Table;
 
-/// `train` on a preset or file, small, into `out`.
+/// Returns `train` on a preset or file, writing to `out`.
 fn train_scene(scene: &Path, out: &Path, args: &[&str]) -> assert_cmd::Command {
     let mut command = physgrad(&["train"]);
     command.arg(scene).args(args).arg("--out").arg(out);
@@ -106,7 +106,7 @@ fn a_file_says_only_what_differs() {
     assert!(!settings.contains_key("effects") && !settings.contains_key("actuator"), "nothing that is absent is written");
     assert!(settings["training"].get("clip_limit").is_none(), "nor what nothing reads");
 
-    // Where a file goes, besides `train`.
+    // Other commands that accept a scene file.
     let compare = dir.path().join("compare");
     physgrad(&["compare"])
         .arg(&file)
@@ -119,7 +119,7 @@ fn a_file_says_only_what_differs() {
     assert!(String::from_utf8_lossy(&checks.stdout).contains("my_scene.toml: system"));
 }
 
-/// The first lines of a scene of cart-pole.
+/// First lines of a cart-pole scene.
 const CART_POLE: &str = "scene = 1\ntask = \"cart_pole\"\n";
 
 #[test]
@@ -294,7 +294,8 @@ fn states_that_effects_and_actuators_add_are_named_in_trajectories() {
     assert!(widths.iter().all(|&width| width == widths[0]), "every state has its number");
 }
 
-/// Newton's second law for a block without friction, and a motor's limit, delay and lag step by step.
+/// Newton's second law for a block without friction, and limit, delay and lag of a motor for each
+/// step.
 #[test]
 fn the_force_of_a_row_accelerates_the_block_to_the_next_row() {
     const SCENE: &str = "
@@ -346,7 +347,8 @@ fn what_is_left_out_must_be_there() {
     assert!(said.contains("--without wind: preset cart_pole has no such effect or part of the actuator; it has none"), "{said}");
 }
 
-/// Every key of a table is a property of the schema, with a description unless it is a section's.
+/// Checks that each key of a table is a property of the schema. All except sections need a
+/// description.
 fn assert_described(schema: &Value, table: &Table, path: &str) {
     for (key, value) in table {
         let property = &schema["properties"][key];
@@ -375,7 +377,7 @@ fn the_schema_has_a_branch_a_task_with_every_setting() {
         assert_eq!(branch["required"], serde_json::json!(["scene", "task"]));
         assert_described(branch, &stdout(&["scene", task]).parse().expect("TOML"), task);
         assert!(branch["properties"]["training"]["properties"]["clip_limit"].is_object());
-        // What has no default is asked for once the section is there, and the section is not.
+        // Keys without a default are required within a section. The section itself is optional.
         let actuator = &branch["properties"]["actuator"];
         assert_eq!(actuator["required"], Value::Null);
         assert_eq!(actuator["properties"]["limit"]["required"], serde_json::json!(["bound"]));

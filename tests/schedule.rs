@@ -1,4 +1,4 @@
-//! As few steps are run again as the checkpoints allow, and as many as a schedule says.
+//! Checkpoint schedules recompute the minimal number of steps, and exactly as many as they report.
 
 use physgrad::policy::PolicyPass;
 use physgrad::rng::Rng;
@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 const UNIT: usize = Schedule::UNIT;
 
-/// Counts how often the policy is asked: once a step.
+/// Counts policy calls: one per step.
 struct Asked(AtomicU64);
 
 impl Policy for Asked {
@@ -33,12 +33,13 @@ impl Policy for Asked {
     }
 }
 
-/// The fewest segments to run before each of `l` has its tape, with `s` checkpoints: from every place of the next one.
+/// Returns the fewest segments to recompute when reversing `l` segments with `s` checkpoints, by
+/// dynamic programming over the position of the next checkpoint.
 fn fewest(most: usize) -> Vec<Vec<u64>> {
     let mut table = vec![vec![0; most + 1]; most + 1];
     for s in 1..=most {
         for l in 2..=most {
-            // Without another checkpoint, all from the start each time.
+            // Without another checkpoint, each segment is recomputed from the beginning.
             let mut best = (l * (l - 1) / 2) as u64;
             if s > 1 {
                 best = (1..l).map(|k| k as u64 + table[s - 1][l - k] + table[s][k]).min().unwrap().min(best);
@@ -60,7 +61,8 @@ fn binomial_runs_as_few_steps_again_as_there_can_be() {
             }
         }
     }
-    // Griewank and Walther: β(s, r) = C(s + r, s) segments are reversed with s checkpoints by at most r repeats.
+    // Griewank and Walther: s checkpoints reverse β(s, r) = C(s + r, s) segments with at most r
+    // recomputations each.
     let schedule = Schedule::binomial(220 * UNIT, 3);
     assert_eq!(schedule.recomputed_steps(), (9 * 220 - 495) * UNIT as u64);
 }

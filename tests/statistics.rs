@@ -1,4 +1,4 @@
-//! What several runs say together: the unit tests of a module of the program, which is compiled alone here.
+//! Statistics over several runs: compiles the unit tests of a module of the program.
 
 #[allow(dead_code)]
 #[path = "../src/program/statistics.rs"]

@@ -1,4 +1,4 @@
-//! Every hard case passes.
+//! All cases of [`physgrad::stress`] pass.
 
 use physgrad::stress;
 
@@ -10,7 +10,7 @@ fn passes(name: &str) {
     assert!(!findings.is_empty() && failed.is_empty(), "{name} asks for this: {}\n{}", case.criterion, failed.join("\n"));
 }
 
-/// A test for every case, by its name.
+/// Defines one test per case, with the name of the case.
 macro_rules! cases {
     ($($name:ident),+ $(,)?) => {
         $(#[test]

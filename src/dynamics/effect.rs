@@ -1,7 +1,10 @@
-//! [`Effect`]: an optional piece of physics, and the systems it acts in.
+//! Optional parts of the physics, and systems to whose forces they add.
 //!
-//! What is in play is part of a system's type: `()` is nothing, a tuple is several effects. An effect that is absent is
-//! absent code: no branch, no state, no stored byte, no operation.
+//! [`Effect`] is the trait to implement for a custom effect. [`ForcedSystem`] is a system whose
+//! forces effects can change, and [`Forced`] combines the two.
+//!
+//! The effects are part of a system's type: `()` for none, a tuple for several. Absent effects
+//! compile to nothing: no branch, state, memory or operation.
 
 mod list;
 mod named;
@@ -14,17 +17,20 @@ use crate::numbers::forward_mode::jacobian;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Scalar};
 use crate::numbers::zip::zip;
-pub(crate) use list::{Act, ActBack, any_effect};
+pub(crate) use list::{AddForces, Vjp, any_effect};
 pub use named::Named;
 use rand::RngExt;
 use std::fmt::Debug;
 pub(crate) use without::system_without_effects;
 
-/// An optional piece of physics that adds to the forces of a system, or to its Hamiltonian.
+/// Optional part of the physics that adds to the forces of a system, or to its Hamiltonian.
 ///
-/// `B` is what it knows of the system: sizes, masses, lengths. The system's documentation says what its state and its
-/// forces are. Only [`add_forces`](Effect::add_forces) must be written; the derivative is exact by dual numbers until it is written by
-/// hand for speed, and [`check::system`](crate::check::system) of a system with the effect compares the two.
+/// `B` is the model that effects read: sizes, masses, lengths. The documentation of each system
+/// defines its state and its forces.
+///
+/// Only [`add_forces`](Effect::add_forces) is required. Dual numbers provide the exact derivative
+/// by default. A hand-written [`vjp`](Effect::vjp) is faster.
+/// [`check::system`](crate::check::system) compares the two for a system with the effect.
 ///
 /// ```
 /// use physgrad::tasks::CartPoleSystem;
@@ -44,102 +50,42 @@ pub(crate) use without::system_without_effects;
 /// check::system(&system);
 /// ```
 pub trait Effect<B>: Clone + Debug + Send + Sync {
-    /// Adds the effect's own forces to `forces`, at the state `x`.
+    /// Adds the forces of this effect to `forces`, at the state `x`.
     ///
-    /// Mark it `#[inline(always)]` to have it compiled for AVX2 where there is AVX2.
+    /// Mark implementations `#[inline(always)]`: inlined code is compiled for AVX2 on processors
+    /// that have it.
     fn add_forces<T: Scalar>(&self, model: &B, x: &[T], forces: &mut [T]);
 
-    /// `x_bar += (∂forces/∂x)ᵀ forces_bar`. Adds; does not overwrite.
+    /// Adds the Jacobian product: `x_bar += (∂forces/∂x)ᵀ forces_bar`. Does not overwrite `x_bar`.
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         effect_vjp_by_duals(self, model, x, forces_bar, x_bar);
     }
 
-    /// As [`add_forces`](Effect::add_forces), where the system has worked out something about the state already that the effect can use,
-    /// for speed: sines and cosines of angles, for instance. The system's documentation says what is `known`.
-    #[inline(always)]
-    fn act_knowing<T: Scalar>(&self, model: &B, x: &[T], _known: &[T], forces: &mut [T]) {
-        self.add_forces(model, x, forces);
-    }
-
-    /// As [`vjp`](Effect::vjp), with what is known about the state. Cotangents go to the state alone.
-    #[inline(always)]
-    fn vjp_knowing<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], _known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        self.vjp(model, x, forces_bar, x_bar);
-    }
-
-    /// Whether it is written as [`act_at`](Effect::act_at) and [`vjp_at`](Effect::vjp_at) too. A system with a long loop over
-    /// its forces can then have them in that loop, where it would wait otherwise, and not beforehand.
-    const LOCAL: bool = false;
-
-    /// Of an effect that is [`LOCAL`](Effect::LOCAL): what has become of the force in place `i`, which was `force`, after
-    /// [`add_forces`](Effect::add_forces).
-    #[inline(always)]
-    fn act_at<T: Scalar>(&self, _model: &B, _x: &[T], _i: usize, _force: T) -> T {
-        unreachable!("{self:?} is not local")
-    }
-
-    /// Of an effect that is [`LOCAL`](Effect::LOCAL): what [`vjp`](Effect::vjp) adds to `x_bar` for the force in place `i`.
-    #[inline(always)]
-    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _model: &B, _x: &[R], _i: usize, _force_bar: C, _x_bar: &mut [C]) {
-        unreachable!("{self:?} is not local")
-    }
-
-    /// What the local effects among these make of a force in place `i` before the first that is not local: a system works them
-    /// out where it has its own forces. The rest is [`act_rest`](Effect::act_rest); together they are
-    /// [`act_knowing`](Effect::act_knowing), in the same order.
-    #[doc(hidden)]
-    #[inline(always)]
-    fn act_first_at<T: Scalar>(&self, model: &B, x: &[T], i: usize, force: T) -> T {
-        if Self::LOCAL { self.act_at(model, x, i, force) } else { force }
-    }
-
-    #[doc(hidden)]
-    #[inline(always)]
-    fn act_rest<T: Scalar>(&self, model: &B, x: &[T], known: &[T], forces: &mut [T]) {
-        if !Self::LOCAL {
-            self.act_knowing(model, x, known, forces);
-        }
-    }
-
-    #[doc(hidden)]
-    #[inline(always)]
-    fn vjp_first_at<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], i: usize, force_bar: C, x_bar: &mut [C]) {
-        if Self::LOCAL {
-            self.vjp_at(model, x, i, force_bar, x_bar);
-        }
-    }
-
-    #[doc(hidden)]
-    #[inline(always)]
-    fn vjp_rest<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        if !Self::LOCAL {
-            self.vjp_knowing(model, x, known, forces_bar, x_bar);
-        }
-    }
-
-    /// Whether its forces depend on the state. Where none does, the reverse pass has less to do.
+    /// Returns whether the forces depend on the state. If none do, the reverse pass skips them.
     #[inline(always)]
     fn state_dependent(&self) -> bool {
         true
     }
 
-    /// The name of the effect, if its forces or their derivatives are not finite at this finite state of a host with so many
-    /// forces: that of its type, or the one it has by [`Named`]. Messages alone ask for it.
+    /// Returns the name of this effect if its forces or their derivatives are non-finite at the
+    /// finite state `x`. `forces` is the number of forces of the system. The name is that of the
+    /// type, or the one given by [`Named`]. Used only for error messages.
     fn diagnose<F: Float>(&self, model: &B, x: &[F], forces: usize) -> Option<&'static str> {
         let name = || std::any::type_name::<Self>().split('<').next().and_then(|path| path.rsplit("::").next());
         if is_finite(self, model, x, forces) { None } else { name() }
     }
 
-    /// For effects that depend on time: rollouts start at a time drawn from 0 to this, in s. [`Forced`] then appends the
-    /// time to the state, as its last component.
+    /// Returns the latest start time, in s, if the effect depends on time. Rollouts start at a time
+    /// drawn uniformly from 0 to this value. [`Forced`] appends the time to the state as the last
+    /// component.
     #[inline(always)]
     fn clock(&self) -> Option<f64> {
         None
     }
 }
 
-/// The transposed Jacobian product of any effect, exact, from `add_forces` alone.
+/// Computes the exact transposed Jacobian product of any effect from `add_forces`, by dual numbers.
 #[inline]
 pub(crate) fn effect_vjp_by_duals<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
     effect: &E,
@@ -159,7 +105,7 @@ pub(crate) fn effect_vjp_by_duals<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
     });
 }
 
-/// Whether the forces of an effect and their derivatives are finite at a state.
+/// Returns whether the forces of an effect and their derivatives are finite at a state.
 pub(crate) fn is_finite<B, E: Effect<B>, F: Float>(effect: &E, model: &B, x: &[F], forces: usize) -> bool {
     let (mut force, mut x_bar) = (vec![F::zero(); forces], vec![CotangentPack([F::zero()]); x.len()]);
     effect.add_forces(model, x, &mut force);
@@ -167,30 +113,32 @@ pub(crate) fn is_finite<B, E: Effect<B>, F: Float>(effect: &E, model: &B, x: &[F
     force.iter().chain(x_bar.iter().map(|bar| &bar.0[0])).all(|number| number.as_().is_finite())
 }
 
-/// A system to whose forces effects can be added.
+/// System to whose forces effects can be added.
 ///
-/// Only [`forced_step`](ForcedSystem::forced_step) and the sizes must be written. The state handed to it may be longer than
-/// [`state_dim`](ForcedSystem::state_dim), by what effects need; it goes to the effects as it is.
+/// Only [`forced_step`](ForcedSystem::forced_step), the model, the sizes and the time step are
+/// required. The state passed to a step may have more than [`state_dim`](ForcedSystem::state_dim)
+/// components, as effects need. Implementations pass the whole state on to the effects.
 pub trait ForcedSystem: Send + Sync {
-    /// What effects know of it; often the system itself.
+    /// Model that effects read; often the system itself.
     type Model;
 
-    /// What effects know of it.
+    /// Returns the model that effects read.
     fn model(&self) -> &Self::Model;
-    /// Number of its own state components.
+    /// Number of state components, without those of effects.
     fn state_dim(&self) -> usize;
     /// Number of control components.
     fn control_dim(&self) -> usize;
-    /// Number of forces, to which effects add.
+    /// Number of forces to which effects add.
     fn force_dim(&self) -> usize;
     /// Time step, s.
     fn dt(&self) -> f64;
 
-    /// Writes the next state, `state_dim` numbers, under these effects.
+    /// Writes the next state, `state_dim` components, under the given effects.
     fn forced_step<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]);
 
-    /// The cotangents that are asked for. `u_bar` and the first `state_dim` of `x_bar` are overwritten; to what is in
-    /// `x_bar` beyond them, effects add. Exact by duals until it is written by hand for speed.
+    /// Writes the requested cotangents. Overwrites `u_bar` and the first `state_dim` components of
+    /// `x_bar`. Effects add to the remaining components of `x_bar`. The default is exact, by dual
+    /// numbers; override it for speed.
     #[inline(always)]
     fn reverse<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
         &self,
@@ -205,7 +153,7 @@ pub trait ForcedSystem: Send + Sync {
     }
 }
 
-/// [`ForcedSystem::reverse`] of any host, exact, from `forced_step` alone.
+/// Computes [`ForcedSystem::reverse`] exactly from `forced_step`, by dual numbers.
 #[inline]
 fn reverse_by_duals<H: ForcedSystem + ?Sized, E: Effect<H::Model>, R: Real, C: Cotangent<R>>(
     host: &H,
@@ -224,7 +172,7 @@ fn reverse_by_duals<H: ForcedSystem + ?Sized, E: Effect<H::Model>, R: Real, C: C
         (_, None) => (Wrt::State, &mut none[..]),
     };
     let Some(x_bar) = x_bar else { return vjp_by_duals(&steps, x, u, next_bar, wrt, &mut [], u_bar) };
-    // What is there beyond the host's own components is kept.
+    // Preserve the components beyond those of the host.
     let mut all: smallvec::SmallVec<[C; 33]> = smallvec::smallvec![C::null(); x.len()];
     vjp_by_duals(&steps, x, u, next_bar, wrt, &mut all, u_bar);
     x_bar[..n].copy_from_slice(&all[..n]);
@@ -233,7 +181,7 @@ fn reverse_by_duals<H: ForcedSystem + ?Sized, E: Effect<H::Model>, R: Real, C: C
     }
 }
 
-/// A host under its effects, for its derivatives by duals.
+/// Host with its effects, for derivatives by dual numbers.
 struct Stepping<'a, H: ?Sized, E> {
     host: &'a H,
     effects: &'a E,
@@ -251,24 +199,15 @@ impl<H: ForcedSystem + ?Sized, E: Effect<H::Model>> System for Stepping<'_, H, E
     }
 }
 
-/// A system with effects.
+/// System with effects.
 ///
-/// State: the system's own; then, if an effect depends on time, the time in s.
+/// State: that of the system. If an effect depends on time, the time in s is appended.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Forced<H, E> {
-    /// The system to whose forces the effects add.
+    /// System to whose forces the effects add.
     pub system: H,
-    /// `()` for none, a tuple for several.
+    /// Effects: `()` for none, a tuple for several.
     pub effects: E,
-}
-
-/// A copy of effects that are a few plain numbers: what is read through a reference is read, and made a number of many lanes,
-/// again after every number that is written.
-#[inline(always)]
-fn copied<E: Clone>(effects: &E) -> Option<E> {
-    const FEW: usize = 32 * size_of::<f64>();
-    let plain = !std::mem::needs_drop::<E>() && size_of::<E>() <= FEW;
-    plain.then(|| effects.clone())
 }
 
 impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
@@ -283,8 +222,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     #[inline(always)]
     fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
         let n = self.system.state_dim();
-        let own = copied(&self.effects);
-        self.system.forced_step(own.as_ref().unwrap_or(&self.effects), x, u, &mut next[..n]);
+        self.system.forced_step(&self.effects, x, u, &mut next[..n]);
         if self.effects.clock().is_some() {
             next[n] = x[n] + T::lift(self.system.dt());
         }
@@ -298,8 +236,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
         let n = self.system.state_dim();
         x_bar[n..].copy_from_slice(&next_bar[n..]);
-        let own = copied(&self.effects);
-        self.system.reverse(own.as_ref().unwrap_or(&self.effects), x, u, &next_bar[..n], Some(x_bar), Some(u_bar));
+        self.system.reverse(&self.effects, x, u, &next_bar[..n], Some(x_bar), Some(u_bar));
     }
 
     #[inline(always)]
@@ -312,17 +249,17 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     #[inline(always)]
     fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
         let n = self.system.state_dim();
-        let own = copied(&self.effects);
-        self.system.reverse(own.as_ref().unwrap_or(&self.effects), x, u, &next_bar[..n], None, Some(u_bar));
+        self.system.reverse(&self.effects, x, u, &next_bar[..n], None, Some(u_bar));
     }
 }
 
-/// A system around a body `B`: the body alone, with effects, behind an actuator. Tasks are written for what is around
-/// the body they are about, and look at the first components of the state, which are the body's.
+/// System around a model `B`: `B` alone, with effects, or behind an actuator.
+///
+/// Tasks for `B` accept any such system. The first components of the state are those of `B`.
 pub trait HasModel<B>: System {
-    /// The body.
+    /// Returns the model.
     fn model(&self) -> &B;
-    /// Draws the start of the state components that are not the body's into their places in `x`.
+    /// Draws the initial values of the state components beyond those of the model, in place in `x`.
     fn start_extra(&self, rng: &mut Rng, x: &mut [f64]);
 }
 

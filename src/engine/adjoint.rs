@@ -14,9 +14,10 @@
 //! numbers.
 
 mod exponents;
+mod measure;
 mod policy;
 mod recursion;
-mod step;
+mod step_back;
 
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::Divergence;
@@ -26,12 +27,12 @@ use crate::engine::rollout::Rollout;
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
 use crate::policy::{PolicyPass, Weights};
-use policy::{PolicyAdjoint, PolicyRoom, nested_bytes};
+use policy::{PolicyAdjoint, PolicyBufferSizes, nested_bytes};
 use recursion::Recursion;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::Range;
-pub use step::StepBack;
+pub use step_back::StepBack;
 
 /// Paths that carry the adjoint back in time. Forward values do not depend on the flow.
 ///
@@ -118,7 +119,7 @@ impl<F: Float> Adjoint<F> {
             [first, second] => Carried::Two([first, second], Recursion::new(rollout)),
             _ => panic!("an adjoint carries one or two flows, not {}", flows.len()),
         };
-        let policy = PolicyAdjoint::new(&PolicyRoom::new(policy, rollout.capacity() * rollout.kept, flows));
+        let policy = PolicyAdjoint::new(&PolicyBufferSizes::new(policy, rollout.capacity() * rollout.kept, flows));
         Self { horizon: rollout.horizon, norms: None, measured: false, policy, carried }
     }
 
@@ -146,7 +147,7 @@ impl<F: Float> Adjoint<F> {
             1 => Recursion::<F, 1>::bytes_of(n, m, samples),
             _ => Recursion::<F, 2>::bytes_of(n, m, samples),
         };
-        carried + PolicyRoom::new(policy, samples * kept, flows).bytes::<F>()
+        carried + PolicyBufferSizes::new(policy, samples * kept, flows).bytes::<F>()
     }
 
     /// Records the norm of the adjoint at every step of subsequent runs, for
@@ -182,10 +183,10 @@ impl<F: Float> Adjoint<F> {
     }
 
     /// Adds the growth of flow `k` for each sample of the last run, if measured.
-    pub(crate) fn add_growth(&self, k: usize, samples: usize, together: &mut GrowthStats) {
+    pub(crate) fn add_growth(&self, k: usize, samples: usize, stats: &mut GrowthStats) {
         match &self.carried {
-            Carried::One(_, recursion) => recursion.meters(k, samples).for_each(|meter| together.add(meter)),
-            Carried::Two(_, recursion) => recursion.meters(k, samples).for_each(|meter| together.add(meter)),
+            Carried::One(_, recursion) => recursion.growth().of(k, samples).for_each(|meter| stats.add(meter)),
+            Carried::Two(_, recursion) => recursion.growth().of(k, samples).for_each(|meter| stats.add(meter)),
         }
     }
 
@@ -223,7 +224,7 @@ impl<F: Float> Adjoint<F> {
     pub(crate) fn back(&mut self, pass: &Pass<'_, F>, unit: Range<usize>) -> Result<(), Divergence> {
         let all = pass.rollout.columns_of(&unit, 0..pass.rollout.samples);
         self.policy.reset_exponents_of(all);
-        if self.policy.unit {
+        if self.policy.linearized {
             self.policy.backward(pass, 0, all, true);
         }
         let norms = self.norms.as_deref_mut().unwrap_or_default();
@@ -232,7 +233,7 @@ impl<F: Float> Adjoint<F> {
             Carried::Two(flows, recursion) => recursion.back(pass, pass.task, *flows, unit, &mut self.policy, norms)?,
         }
         for k in 0..self.flows().len() {
-            if !self.flows()[k].control && !self.policy.unit {
+            if !self.flows()[k].control && !self.policy.linearized {
                 // M and S do not need `∂N/∂x`: one policy pass covers all steps.
                 self.policy.backward(pass, k, all, false);
             }

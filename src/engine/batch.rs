@@ -202,10 +202,10 @@ impl<F: Float> Batch<F> {
 
     /// Growth of the adjoint of flow `k` in the last run, if measured.
     pub fn growth(&self, k: usize) -> Option<Growth> {
-        let mut together = GrowthStats::default();
+        let mut stats = GrowthStats::default();
         let active = self.workers.iter().filter(|worker| self.measured && worker.active);
-        active.for_each(|worker| worker.rollout.add_growth(k, &mut together));
-        together.growth()
+        active.for_each(|worker| worker.rollout.add_growth(k, &mut stats));
+        stats.growth()
     }
 }
 
@@ -222,7 +222,7 @@ impl<F: Float> Worker<F> {
         if starts.is_empty() {
             return Ok(());
         }
-        self.rollout.run_unsettled(task, policy, weights, starts, scale, GROUP, &mut self.groups)
+        self.rollout.run_unnormalized(task, policy, weights, starts, scale, GROUP, &mut self.groups)
     }
 }
 

@@ -147,16 +147,16 @@ impl<F: Float> Checkpointed<F> {
         group: usize,
         gradients: &mut [Vec<Gradient<F>>],
     ) -> Result<(), Divergence> {
-        self.run_unsettled(task, policy, weights, starts, scale, group, gradients)?;
+        self.run_unnormalized(task, policy, weights, starts, scale, group, gradients)?;
         gradients.iter_mut().flatten().for_each(Gradient::normalize);
         Ok(())
     }
 
-    /// As [`run`](Checkpointed::run), without a common exponent: callers sum and settle the
+    /// As [`run`](Checkpointed::run), without a common exponent: callers sum and normalize the
     /// gradients.
     #[track_caller]
     #[allow(clippy::too_many_arguments)]
-    pub(crate) fn run_unsettled(
+    pub(crate) fn run_unnormalized(
         &mut self,
         task: &dyn AnyTask<F>,
         policy: &dyn AnyPolicy<F>,
@@ -200,8 +200,8 @@ impl<F: Float> Checkpointed<F> {
     }
 
     /// Adds the growth of flow `k` for each sample of the last run, if measured.
-    pub(crate) fn add_growth(&self, k: usize, together: &mut GrowthStats) {
-        self.adjoint.add_growth(k, self.rollout.samples(), together);
+    pub(crate) fn add_growth(&self, k: usize, stats: &mut GrowthStats) {
+        self.adjoint.add_growth(k, self.rollout.samples(), stats);
     }
 
     /// Runs the forward pass. It stores checkpoints and the tape of the last segment.

@@ -106,9 +106,8 @@ impl fmt::Display for Divergence {
         match self {
             Self::Forward { cause: Some(Cause::Unsolved(residual)), step, sample, .. } => write!(
                 f,
-                "forward pass: the equation of the implicit rule could not be solved for sample {sample} at step {step}: Newton's iteration \
-                 was given up with a residual of {residual:.1e}. Smaller steps help (`integrator.substeps`), a larger tolerance if the \
-                 residual is small (`integrator.tolerance`), or a rule that solves nothing"
+                "forward pass: Newton's iteration of the implicit integrator did not converge for sample {sample} at step {step}: residual \
+                 {residual:.1e}. Use substeps, an explicit integrator, or a larger tolerance if the residual is small"
             ),
             Self::Forward { variable, step, sample, component, cause } => {
                 write!(
@@ -132,8 +131,8 @@ impl fmt::Display for Divergence {
             }
             Self::Field { parameter, norm } => write!(
                 f,
-                "composed field: it is {norm} long, most of all in parameter {parameter}, which is too much for an optimizer; clipping by \
-                 norm helps (`training.clip`), a shorter horizon, or another field"
+                "field: norm {norm} is too large for the optimizer, mainly in parameter {parameter}. Clip by norm, shorten the horizon, or use \
+                 another field"
             ),
         }
     }
@@ -143,7 +142,9 @@ impl fmt::Display for Divergence {
 fn by(cause: &Option<Cause>) -> String {
     match cause {
         Some(Cause::Effect(name)) => {
-            format!(": at the state before, the forces of {name} or their slopes are not finite, and smaller values in it help")
+            format!(
+                ". At the previous state, the forces of {name} or their derivatives are not finite. Reduce the values of {name}"
+            )
         }
         _ => String::new(),
     }

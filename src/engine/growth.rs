@@ -36,14 +36,14 @@ impl Growth {
         if flow.control && worst_window > digits {
             let steps = (horizon as f64 * digits / worst_window) as usize;
             return Some(format!(
-                "{flow} grows by up to 10^{worst_window:.0} along a rollout, and numbers have {digits:.0} digits: beyond about {steps} of \
-                 the {horizon} steps its signs are those of rounding errors. A shorter horizon helps, f64, or M"
+                "{flow} grows by up to 10^{worst_window:.0} along a rollout, and numbers have {digits:.0} digits. Before the last {steps} \
+                 of the {horizon} steps, its signs are unreliable. Use f64, a shorter horizon, or M"
             ));
         }
         if flow == Flow::MODIFIED && along > UNSTABLE {
             return Some(format!(
-                "M grows by 10^{along:.0} along a rollout: without what the policy does about it the plant is unstable, and the \
-                 first steps outweigh the last. Clipping by norm helps, a shorter horizon, or R"
+                "M grows by 10^{along:.0} along a rollout, because the plant is unstable without the policy's response. The first steps \
+                 outweigh the last. Clip by norm, shorten the horizon, or use R"
             ));
         }
         None
@@ -124,7 +124,7 @@ mod tests {
         let said = |flow: Flow, growth: Growth, epsilon: f64| growth.warning(flow, 1000, epsilon).unwrap_or_default();
         let (single, double) = (f64::from(f32::EPSILON), f64::EPSILON);
         // 6.9 digits of 10 decades allow 692 of 1000 steps.
-        assert!(said(Flow::REGULAR, growth(2.0, 10.0), single).contains("beyond about 692 of the 1000 steps"));
+        assert!(said(Flow::REGULAR, growth(2.0, 10.0), single).contains("Before the last 692 of the 1000 steps"));
         assert_eq!(said(Flow::REGULAR, growth(2.0, 10.0), double), "");
         assert_eq!(said(Flow::REGULAR, growth(-30.0, 1.0), single), "");
         assert!(said(Flow::REGULAR, growth(20.0, 20.0), double).contains("R grows by up to 10^20"));

@@ -1,8 +1,8 @@
 //! [`Rollout`]: forward pass of a batch of samples.
 
-mod moves;
-mod room;
-mod step;
+mod buffer_sizes;
+mod columns;
+mod step_forward;
 
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::{Divergence, Variable};
@@ -10,12 +10,12 @@ use crate::numbers::aligned::Aligned;
 use crate::numbers::scalar::{Float, Lanes, Real, Scalar};
 use crate::policy::AnyPolicy;
 use crate::policy::{PolicyColumns, PolicyPass, Weights};
-use moves::scatter;
-pub(crate) use moves::{find_non_finite, gather};
-use room::Room;
+use buffer_sizes::BufferSizes;
+use columns::scatter;
+pub(crate) use columns::{find_non_finite, gather};
 use std::ops::Range;
-pub use step::StepForward;
-pub(crate) use step::{FEW, read_lane};
+pub use step_forward::StepForward;
+pub(crate) use step_forward::{FEW, read_lane};
 
 /// Number of samples in a block, which the physics steps together.
 pub(crate) const WIDTH: usize = 8;
@@ -82,7 +82,7 @@ impl<F: Float> Rollout<F> {
         assert!(task.horizon() > 0, "a rollout needs a horizon of at least one step");
         assert_eq!(policy.state_dim(), n, "the policy sees {} state components, the system has {n}", policy.state_dim());
         assert_eq!(policy.control_dim(), m, "the policy sets {} controls, the system has {m}", policy.control_dim());
-        let room = Room::new(policy, samples, kept);
+        let sizes = BufferSizes::new(policy, samples, kept);
         let zeros = |len: usize| vec![F::zero(); len];
         let lanes = |len: usize| vec![Lane::zero(); len];
         Self {
@@ -92,12 +92,12 @@ impl<F: Float> Rollout<F> {
             control_dim: m,
             horizon: task.horizon(),
             kept,
-            states: lanes(room.states),
-            controls: lanes(room.controls),
-            inputs: zeros(room.inputs),
-            outputs: zeros(room.outputs),
-            tape: Aligned::zeros(room.tape),
-            costs: lanes(room.costs),
+            states: lanes(sizes.states),
+            controls: lanes(sizes.controls),
+            inputs: zeros(sizes.inputs),
+            outputs: zeros(sizes.outputs),
+            tape: Aligned::zeros(sizes.tape),
+            costs: lanes(sizes.costs),
         }
     }
 
@@ -121,7 +121,7 @@ impl<F: Float> Rollout<F> {
 
     /// Returns the [`stored_bytes`](Rollout::stored_bytes) of a rollout that stores `kept` steps.
     pub(crate) fn bytes_of(policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> usize {
-        Room::new(policy, samples, kept).bytes::<F>()
+        BufferSizes::new(policy, samples, kept).bytes::<F>()
     }
 
     /// Sets the initial states, `state_dim` numbers per sample. Their number may be below the

@@ -1,9 +1,12 @@
-//! Cart-pole with any number of poles on one cart, to be swung up by one force.
+//! Cart-pole: one force swings up any number of poles on one cart.
 //!
-//! The task of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024), after Barto, Sutton and
-//! Anderson 1983 (doi:10.1109/TSMC.1983.6313077). In the authors' model, [`CartPoleSystem`], the poles share the control
-//! and nothing else: each pole's acceleration sees only its own centrifugal term, and the total mass counts one pole
-//! whatever their number. [`CoupledCartPole`] is the exact model.
+//! The task is that of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR
+//! 2024), after Barto, Sutton and Anderson 1983 (doi:10.1109/TSMC.1983.6313077). [`CartPole`] is
+//! the task.
+//!
+//! [`CartPoleSystem`] is the authors' model, in which the poles share only the control. The
+//! acceleration of each pole includes its own centrifugal term only. The total mass counts one
+//! pole, whatever their number. [`CoupledCartPole`] is the exact model.
 
 mod bumpers;
 mod coupled;
@@ -32,38 +35,40 @@ use rand::RngExt;
 use std::f64::consts::PI;
 
 any_effect! {
-    /// Any effect of cart-pole.
+    /// Any cart-pole effect, chosen at run time.
     CartPoleEffect of CartPoleSystem: PoleDamping, CartDamping, DryFriction, SteadyWind, GustyWind, Bumpers
 }
 
-/// Swing all poles up: the loss is the mean of `1 - cos θ`, between 0 (all upright) and 2 (all hanging). Position and
-/// force are free.
+/// Task to swing up all poles, with the mean of `1 - cos θ` as loss.
 ///
-/// `S` is any system around a [`CartPoleSystem`]: alone, with effects, coupled, behind an actuator.
+/// The loss lies between 0 (all upright) and 2 (all hanging). Position and control carry no cost.
+///
+/// `S` is any system around a [`CartPoleSystem`]: alone, with effects, coupled, or behind an
+/// actuator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CartPole<S = CartPoleSystem> {
-    /// The physics.
+    /// System to control.
     pub system: S,
-    /// When the angles are paid for.
+    /// States that count in the loss.
     pub loss: LossMode,
     /// Number of steps.
     pub horizon: usize,
 }
 
 impl CartPole {
-    /// The paper's task: `poles` poles, 100 steps of 0.01 s, the last state counts.
+    /// Creates the paper's task: `poles` poles, 100 steps of 0.01 s, terminal loss.
     pub fn new(poles: usize) -> Self {
         Self::with_system(CartPoleSystem { poles, ..CartPoleSystem::default() })
     }
 }
 
 impl<S: HasModel<CartPoleSystem>> CartPole<S> {
-    /// The paper's task with another system: 100 steps, the last state counts.
+    /// Creates the paper's task for another system: 100 steps, terminal loss.
     pub fn with_system(system: S) -> Self {
         Self { system, loss: LossMode::Terminal, horizon: 100 }
     }
 
-    /// Mean of `1 - cos θ` over the poles.
+    /// Returns the mean of `1 - cos θ` over the poles.
     #[inline(always)]
     fn height<T: Scalar>(&self, x: &[T]) -> T {
         let mut cosines = T::zero();
@@ -73,7 +78,7 @@ impl<S: HasModel<CartPoleSystem>> CartPole<S> {
         T::one() - cosines * T::lift(1.0 / self.system.model().poles as f64)
     }
 
-    /// Gradient of `factor` times the mean of `1 - cos θ`.
+    /// Writes the gradient of `factor` times the mean of `1 - cos θ`.
     #[inline(always)]
     fn height_gradient<R: Real>(&self, factor: f64, x: &[R], x_bar: &mut [R]) {
         let factor = R::lift(factor / self.system.model().poles as f64);
@@ -83,7 +88,7 @@ impl<S: HasModel<CartPoleSystem>> CartPole<S> {
         }
     }
 
-    /// The share of one step in the mean over time.
+    /// Returns the weight of one step in the mean over time.
     fn stage_factor(&self) -> f64 {
         1.0 / self.horizon as f64
     }
@@ -100,7 +105,7 @@ impl<S: HasModel<CartPoleSystem>> Task for CartPole<S> {
         self.horizon
     }
 
-    /// Angles within ±30° of hanging; position, speed and rates within ±1.
+    /// Draws angles within ±30° of hanging, and all other components within ±1.
     fn start(&self, rng: &mut Rng, x: &mut [f64]) {
         let own = 2 + 2 * self.system.model().poles;
         for (i, x) in x[..own].iter_mut().enumerate() {

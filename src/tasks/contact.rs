@@ -1,7 +1,7 @@
 //! Hard contacts along a line: a ball on a floor, two balls, a pusher and a box.
 //!
-//! All of them are one gap that opens and closes under an acceleration, constant during a step; what happens where it is
-//! closed is a [`Contact`].
+//! Each system reduces to one gap that opens and closes under an acceleration, which is constant
+//! during a step. [`Contact`] selects the contact model. [`Bounce`] and [`Push`] are the tasks.
 
 mod ball;
 mod impact;
@@ -12,58 +12,67 @@ pub use pair::{Push, TwoBodies};
 
 use crate::numbers::scalar::Scalar;
 
-/// What happens where two bodies touch.
+/// Contact model of two bodies.
 ///
-/// The trap: a step that reflects the speed after it has gone through the floor (`v ← -e v` where `h < 0`) has the right
-/// limit as dt → 0, and a derivative that has not: moving the start up by δ moves the ball up by δ ever after, where in truth
-/// it comes late and is lower by `e δ`. So it is with a spring that steps do not resolve.
+/// A naive step that reflects the speed below the floor (`v ← -e v` where `h < 0`) converges as dt
+/// → 0, but its derivative does not. Raising the initial height by δ raises all later heights by δ.
+/// In truth, the ball arrives later and is lower by `e δ`. Springs that the time step does not
+/// resolve have the same defect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Contact {
-    /// The instant of the impact is found within the step; there the speed of the gap is multiplied by `-restitution`, and the
-    /// rest of the step is gone from there. Exact for any dt, and so are its derivatives, that by the instant included
-    /// ("saltation": Hiskens and Pai 2000, doi:10.1109/81.828574).
+    /// Exact impact at the time of contact within the step.
     ///
-    /// Of the impacts within a step, of which there may be infinitely many (Zeno), 4 are followed; where a fifth would
-    /// come, the gap stays closed and is at rest. It then loses what is left of the bounces, less than `|a| dt² / 128` high; it
-    /// opens again when it is pulled apart.
+    /// At the impact, the speed of the gap is multiplied by `-restitution`, and the remainder of
+    /// the step continues from there. States and derivatives are exact for any dt. This includes
+    /// the derivative with respect to the impact time ("saltation": Hiskens and Pai 2000,
+    /// doi:10.1109/81.828574).
+    ///
+    /// A step may contain infinitely many impacts (Zeno). Four are computed. At a fifth, the gap
+    /// closes and stays at rest until it is pulled apart. This discards bounces lower than
+    /// `|a| dt² / 128`.
     TimeOfImpact {
-        /// Of the speed, from 0 (they stay together) to 1 (elastic).
+        /// Coefficient of restitution, from 0 (perfectly inelastic) to 1 (elastic).
         restitution: f64,
     },
-    /// A spring and a damper that push apart and never pull, of Hunt and Crossley (doi:10.1115/1.3423596), with semi-implicit
-    /// steps of Euler's around what falls freely: with the depth `δ = max(0, -gap)`,
+    /// Repulsive spring and damper of Hunt and Crossley (doi:10.1115/1.3423596), which never pull.
+    /// Steps are semi-implicit Euler for the contact force and exact for free fall. With the depth
+    /// `δ = max(0, -gap)`,
     ///
     /// ```text
     /// F = stiffness δ max(0, 1 + damping δ̇)
     /// ```
     ///
-    /// Without damping it converges to an elastic impact as the stiffness grows, at the rate of the contact's duration,
-    /// `π sqrt(m / stiffness)`, m the reduced mass. Steps of length dt need `stiffness dt² < 4 m`.
+    /// Without damping, the model converges to an elastic impact as the stiffness grows. The error
+    /// is proportional to the duration of the contact, `π sqrt(m / stiffness)`, where m is the
+    /// reduced mass. Steps of length dt need `stiffness dt² < 4 m`.
     ///
-    /// Derivatives are another matter. Where within a step the touch falls changes the speed afterwards by a share of about
-    /// `stiffness dt² / m`, and so its derivative by the place by about `stiffness dt / m`: steps that resolve a contact well, 60
-    /// of them in it, still give derivatives that have nothing to do with the impact's, the worse the stiffer the spring. They
-    /// converge where `stiffness dt / m` is small beside them. With damping, restitution depends on the speed, and
-    /// derivatives keep that: no stiffness makes them those of a constant restitution.
+    /// Derivatives converge much later. The time of contact within a step changes the later speed
+    /// by a fraction of about `stiffness dt² / m`. The derivative of that speed with respect to
+    /// position therefore has an error of about `stiffness dt / m`. Even with 60 steps per contact,
+    /// derivatives differ completely from those of the impact, the more the stiffer the spring.
+    /// They converge only if `stiffness dt / m` is small relative to them.
+    ///
+    /// With damping, restitution depends on the speed, and so do the derivatives. They do not
+    /// converge to those of a constant restitution at any stiffness.
     Penalty {
-        /// N/m, positive.
+        /// Stiffness, N/m, positive.
         stiffness: f64,
-        /// s/m, not negative.
+        /// Damping, s/m, not negative.
         damping: f64,
     },
 }
 
-/// What is between two bodies.
+/// Gap between two bodies.
 #[derive(Clone, Copy, Debug)]
 struct Gap<T> {
-    /// m; negative where they are in each other.
+    /// Width, m; negative if the bodies overlap.
     width: T,
-    /// m/s, positive where it opens.
+    /// Speed, m/s; positive if the gap opens.
     speed: T,
 }
 
 impl<T: Scalar> Gap<T> {
-    /// A time later, if nothing touches.
+    /// Returns the gap after `time` without contact.
     #[inline(always)]
     fn free(self, acceleration: T, time: T) -> Self {
         let speed = self.speed + acceleration * time;
@@ -72,8 +81,8 @@ impl<T: Scalar> Gap<T> {
 }
 
 impl Contact {
-    /// The gap a time dt later, under an acceleration that is constant but for the contact; `mass` is the reduced one. What
-    /// does not touch has the bits of [`Gap::free`].
+    /// Returns the gap after dt under a constant acceleration and the contact. `mass` is the
+    /// reduced mass. Without contact, the result equals [`Gap::free`] bit for bit.
     #[inline(always)]
     fn advance<T: Scalar>(&self, gap: Gap<T>, acceleration: T, mass: f64, dt: f64) -> Gap<T> {
         match *self {

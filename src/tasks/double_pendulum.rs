@@ -1,38 +1,40 @@
-//! A planar double pendulum, free of friction: the smallest mechanics that is chaotic.
+//! [`DoublePendulum`]: a planar double pendulum without friction, one of the simplest chaotic
+//! systems.
 
 use crate::dynamics::ode::Ode;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
-/// Two point masses on massless rods, the second hanging from the first, with a torque on the first joint.
+/// Two point masses on massless rods, the second hanging from the first, with a torque on the first
+/// joint.
 ///
-/// State `[θ₁, ω₁, θ₂, ω₂]` in rad and rad/s, both angles from upright; control `[u]`, the torque in N m about the fixed
-/// joint. Lagrange's equations, with Δ = θ₁ - θ₂:
+/// State `[θ₁, ω₁, θ₂, ω₂]` in rad and rad/s, both angles from upright. Control `[u]`, the torque
+/// in N m about the fixed joint. With Δ = θ₁ - θ₂, Lagrange's equations are:
 ///
 /// ```text
 /// (m₁ + m₂) l₁² α₁ + m₂ l₁ l₂ cos Δ α₂ = (m₁ + m₂) g l₁ sin θ₁ - m₂ l₁ l₂ sin Δ ω₂² + u
 /// m₂ l₁ l₂ cos Δ α₁ + m₂ l₂² α₂        = m₂ g l₂ sin θ₂ + m₂ l₁ l₂ sin Δ ω₁²
 /// ```
 ///
-/// Its determinant, `m₂ l₁² l₂² (m₁ + m₂ sin² Δ)`, is written so: the difference of products has no digits left where m₁ is
-/// small.
+/// The determinant is computed as `m₂ l₁² l₂² (m₁ + m₂ sin² Δ)`. The difference of products would
+/// lose all digits for small m₁.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DoublePendulum {
-    /// The masses m₁ and m₂, kg.
+    /// Masses m₁ and m₂, kg.
     pub masses: [f64; 2],
-    /// The rods' lengths l₁ and l₂, m.
+    /// Rod lengths l₁ and l₂, m.
     pub lengths: [f64; 2],
-    /// Gravity g, m/s².
+    /// Gravitational acceleration g, m/s².
     pub gravity: f64,
 }
 
 impl Default for DoublePendulum {
-    /// Masses of 1 kg on rods of 1 m, g = 9.81 m/s².
+    /// Returns masses of 1 kg on rods of 1 m, with g = 9.81 m/s².
     fn default() -> Self {
         Self { masses: [1.0; 2], lengths: [1.0; 2], gravity: 9.81 }
     }
 }
 
-/// Where it is and how it accelerates.
+/// Trigonometric functions of the angles, and accelerations.
 struct Motion<T> {
     /// `[sin, cos]` of θ₁, θ₂ and Δ.
     first: [T; 2],
@@ -43,8 +45,8 @@ struct Motion<T> {
 }
 
 impl DoublePendulum {
-    /// Kinetic and potential energy of a state, J, 0 at rest with the fixed joint's height for zero. Without torque, the
-    /// equations keep it.
+    /// Returns kinetic plus potential energy of a state, J. It is 0 at rest with both rods
+    /// horizontal. Without torque, the equations conserve it.
     pub fn energy(&self, x: &[f64]) -> f64 {
         let ([inertia, coupling, second_inertia], [weight, second_weight]) = (self.inertias(), self.weights());
         let [theta, omega, second_theta, second_omega] = [x[0], x[1], x[2], x[3]];
@@ -53,19 +55,20 @@ impl DoublePendulum {
         kinetic + weight * theta.cos() + second_weight * second_theta.cos()
     }
 
-    /// `(m₁ + m₂) l₁²`, `m₂ l₁ l₂`, `m₂ l₂²`.
+    /// Returns `(m₁ + m₂) l₁²`, `m₂ l₁ l₂`, `m₂ l₂²`.
     fn inertias(&self) -> [f64; 3] {
         let ([m1, m2], [l1, l2]) = (self.masses, self.lengths);
         [(m1 + m2) * l1 * l1, m2 * l1 * l2, m2 * l2 * l2]
     }
 
-    /// `(m₁ + m₂) g l₁`, `m₂ g l₂`.
+    /// Returns `(m₁ + m₂) g l₁`, `m₂ g l₂`.
     fn weights(&self) -> [f64; 2] {
         let ([m1, m2], [l1, l2]) = (self.masses, self.lengths);
         [(m1 + m2) * self.gravity * l1, m2 * self.gravity * l2]
     }
 
-    /// The solution of the equations of motion for two right-hand sides: accelerations of torques, or their cotangents.
+    /// Solves the equations of motion for two right-hand sides: torques, which gives accelerations,
+    /// or cotangents.
     #[inline(always)]
     fn solve<T: Scalar, V: Copy + std::ops::Sub<Output = V> + std::ops::Mul<T, Output = V>>(
         &self,
@@ -110,7 +113,8 @@ impl Ode for DoublePendulum {
         (rate[0], rate[1], rate[2], rate[3]) = (x[1], first, x[3], second);
     }
 
-    /// Of `M α = τ`: with `M w = ᾱ`, the torques have the cotangent w, and an entry of M has -w αᵀ.
+    /// Computes the reverse of `M α = τ`: with `M w = ᾱ`, the cotangent of τ is w and that of M is
+    /// -w αᵀ.
     #[inline(always)]
     fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
         let Motion { first, second, between: [sin, cos], accelerations: [alpha, second_alpha] } = self.motion(x, u);
@@ -120,7 +124,7 @@ impl Ode for DoublePendulum {
         let [w, second_w] = self.solve([sin, cos], [rate_bar[1], rate_bar[3]]);
         let (spin, second_spin) = (x[1] * x[1], x[3] * x[3]);
         let throw = coupling * sin * R::lift(2.0);
-        // sin Δ in the torques, and cos Δ in the matrix.
+        // sin Δ enters the torques, cos Δ the matrix.
         let delta_bar =
             w * (coupling * (sin * second_alpha - cos * second_spin)) + second_w * (coupling * (sin * alpha + cos * spin));
         x_bar[0] += w * (weight * first[1]) + delta_bar;

@@ -1,7 +1,9 @@
 //! Guidance by repulsion: drivers in the plane herd evaders, who flee from them, to the origin.
 //!
-//! The task of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024), after Ko and Zuazua
-//! 2020 (doi:10.1142/S0218202520400047), with the signs and constants of the authors' code (tum-pbs/StableBPTT).
+//! The task is that of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR
+//! 2024), after Ko and Zuazua 2020 (doi:10.1142/S0218202520400047). Signs and constants are those
+//! of the authors' code (tum-pbs/StableBPTT). [`Guidance`] is the task, [`GuidanceSystem`] the
+//! system.
 
 mod drive;
 mod evade;
@@ -34,71 +36,71 @@ use std::f64::consts::TAU;
 use system::AGENT;
 
 any_effect! {
-    /// Any effect of guidance.
+    /// Any guidance effect, chosen at run time.
     GuidanceEffect of GuidanceSystem: Friction, Spread, Evade, Flock, Drive, Obstacles, Walls
 }
 
-/// The physics of the paper.
+/// System of the paper.
 pub type Herding = Forced<GuidanceSystem, (Friction, Spread, Evade, Flock)>;
 
 impl GuidanceSystem {
-    /// With the effects of the paper, and their defaults.
+    /// Adds the effects of the paper with their default values.
     pub fn herding(self) -> Herding {
         Forced { system: self, effects: Default::default() }
     }
 }
 
-/// Bring the evaders to the origin with little control. The loss, in m²:
+/// Task to bring the evaders to the origin with little control. The loss, in m²:
 ///
 /// ```text
 /// mean over evaders k and coordinates of E_k² (and over time, or at the end)
 ///   + regularization · mean over time, drivers j and their two numbers of c_j²
 /// ```
 ///
-/// `S` is any system around a [`GuidanceSystem`]: alone, with effects, behind an actuator.
+/// `S` is any system around a [`GuidanceSystem`]: alone, with effects, or behind an actuator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Guidance<S = Herding> {
-    /// The physics.
+    /// System to control.
     pub system: S,
-    /// When the positions are paid for; controls always are.
+    /// States whose positions count in the loss. Controls always count.
     pub loss: LossMode,
-    /// Price of the mean, over all steps, drivers and their two numbers, of the squared controls; in m² s⁴, since the
-    /// loss is in m².
+    /// Weight of the mean squared control, in m² s⁴. The mean is over all steps, drivers and their
+    /// two components.
     pub regularization: f64,
     /// Number of steps.
     pub horizon: usize,
 }
 
 impl Guidance {
-    /// The paper's task: 60 steps in 4 s, every state counts, regularization 1. The paper has 2 drivers and 4 evaders,
-    /// and also the regularizations 0.1, 0.01 and 0.001.
+    /// Creates the paper's task: 60 steps in 4 s, running loss, regularization 1. The paper has 2
+    /// drivers and 4 evaders. It also uses the regularizations 0.1, 0.01 and 0.001.
     pub fn new(drivers: usize, evaders: usize) -> Self {
         Self::with_system(GuidanceSystem { drivers, evaders, ..GuidanceSystem::default() }.herding())
     }
 }
 
 impl<S: HasModel<GuidanceSystem>> Guidance<S> {
-    /// The paper's task with another system: 60 steps, every state counts, regularization 1.
+    /// Creates the paper's task for another system: 60 steps, running loss, regularization 1.
     pub fn with_system(system: S) -> Self {
         Self { system, loss: LossMode::Running, regularization: 1.0, horizon: 60 }
     }
 
-    /// The weight of one squared control.
+    /// Returns the weight of one squared control component.
     fn control_weight(&self) -> f64 {
         self.regularization / (2 * self.system.model().drivers * self.horizon) as f64
     }
 
-    /// The weight of one squared coordinate of an evader, in a state on the way.
+    /// Returns the weight of one squared evader coordinate in the running cost.
     fn stage_weight(&self) -> f64 {
         1.0 / (2 * self.system.model().evaders * self.horizon) as f64
     }
 
-    /// The weight of one squared coordinate of an evader, in the last state.
+    /// Returns the weight of one squared evader coordinate in the terminal cost.
     fn terminal_weight(&self) -> f64 {
         1.0 / (2 * self.system.model().evaders) as f64
     }
 
-    /// Sum of the evaders' squared coordinates, times a weight.
+    /// Returns the sum of the squared coordinates of the evaders, times `weight`.
     #[inline(always)]
     fn distances<T: Scalar>(&self, weight: f64, x: &[T]) -> T {
         let mut squares = T::zero();
@@ -108,7 +110,7 @@ impl<S: HasModel<GuidanceSystem>> Guidance<S> {
         squares * T::lift(weight)
     }
 
-    /// Gradient of [`distances`](Self::distances).
+    /// Writes the gradient of [`distances`](Self::distances).
     #[inline(always)]
     fn distances_gradient<R: Real>(&self, weight: f64, x: &[R], x_bar: &mut [R]) {
         x_bar.fill(R::zero());
@@ -131,8 +133,8 @@ impl<S: HasModel<GuidanceSystem>> Task for Guidance<S> {
         self.horizon
     }
 
-    /// At rest: every driver 3 to 4 m from the origin; the evaders within ±0.5 m in both directions of a common point
-    /// 1 to 2 m from it.
+    /// Draws agents at rest. Every driver is 3 to 4 m from the origin. The evaders lie within ±0.5
+    /// m, in both coordinates, of a common point 1 to 2 m from the origin.
     fn start(&self, rng: &mut Rng, x: &mut [f64]) {
         let ring = |rng: &mut Rng, inner: f64| {
             let (sin, cos) = rng.random_range(0.0..TAU).sin_cos();

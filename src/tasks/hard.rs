@@ -1,4 +1,5 @@
-//! The small hard tasks, chosen while the program runs: one type, so that what trains them is compiled once.
+//! [`Hard`]: the small hard tasks, chosen at run time. A single type means that training code is
+//! compiled once.
 
 use super::{Bounce, DoublePendulum, Lqr, PoleChain, Push, Slider, Upright};
 use crate::dynamics::cause::Cause;
@@ -11,24 +12,25 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
 
-/// Any of them. As a [`System`] it is the task's physics, compiled apart; with whatever is around that, [`Hard`] is the task.
+/// Any of the small hard tasks. As a [`System`], it is the outlined physics of the task. [`Hard`]
+/// is the task, with anything around the physics.
 #[derive(Clone, Debug, PartialEq)]
 pub enum AnyHard {
-    /// [`Lqr`].
+    /// Linear-quadratic regulator: [`Lqr`].
     Lqr(Lqr),
-    /// [`DoublePendulum`].
+    /// Swing-up of a [`DoublePendulum`].
     DoublePendulum(Upright<Integrated<DoublePendulum, AnyIntegrator>>),
-    /// [`PoleChain`].
+    /// Swing-up of a [`PoleChain`].
     PoleChain(Upright<Integrated<PoleChain, AnyIntegrator>>),
-    /// [`Slider`].
+    /// Stopping with dry friction: [`Slider`].
     Slider(Slider),
-    /// [`Bounce`].
+    /// Bouncing ball: [`Bounce`].
     Bounce(Bounce),
-    /// [`Push`].
+    /// Pushing a box: [`Push`].
     Push(Push),
 }
 
-/// The same work for whichever it is.
+/// Evaluates the same expression for each variant.
 macro_rules! whichever {
     ($any:expr, $task:ident => $work:expr) => {
         match $any {
@@ -86,15 +88,15 @@ impl HasModel<AnyHard> for AnyHard {
     fn start_extra(&self, _rng: &mut Rng, _x: &mut [f64]) {}
 }
 
-/// One of them as a task, with what is around its physics.
+/// One of the small hard tasks, with anything around its physics.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hard<S = AnyHard> {
-    /// The physics and what is around it.
+    /// System to control.
     pub system: S,
 }
 
 impl<S: HasModel<AnyHard>> Hard<S> {
-    /// The task by itself, and the state that it knows of, without that of what is around the physics.
+    /// Returns the inner task, and the components of the state that belong to its physics.
     #[inline(always)]
     fn own<'a, T>(&self, x: &'a [T]) -> (&AnyHard, &'a [T]) {
         let task = self.system.model();
@@ -102,7 +104,7 @@ impl<S: HasModel<AnyHard>> Hard<S> {
     }
 }
 
-/// Costs are calls: with those of all tasks inlined, every loop would be compiled for all of them.
+/// Costs are not inlined. Otherwise each loop would contain the code of all tasks.
 impl AnyHard {
     #[inline(never)]
     fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
@@ -117,7 +119,7 @@ impl AnyHard {
     #[inline(never)]
     fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
         match self {
-            // These are paid for at the end alone.
+            // These tasks have a terminal cost only.
             Self::Slider(_) | Self::Bounce(_) | Self::Push(_) => {
                 x_bar.fill(R::zero());
                 u_bar.fill(R::zero());

@@ -1,4 +1,4 @@
-//! Linear plants, and the linear-quadratic regulator: what has an optimum in closed form.
+//! Linear plants and the linear-quadratic regulator, whose optimum is known in closed form.
 
 mod lqr;
 mod riccati;
@@ -11,22 +11,24 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use nalgebra::DMatrix;
 
-/// `x' = A x + B u`.
+/// Linear system `x' = A x + B u`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinearPlant {
     state_dim: usize,
     control_dim: usize,
-    /// Row-major, `state_dim × state_dim`.
+    /// Matrix A, row-major, `state_dim × state_dim`.
     a: Vec<f64>,
-    /// Row-major, `state_dim × control_dim`.
+    /// Matrix B, row-major, `state_dim × control_dim`.
     b: Vec<f64>,
 }
 
 impl LinearPlant {
-    /// With these matrices, row-major: A is `state_dim × state_dim`, B is `state_dim × control_dim`.
+    /// Creates a plant from row-major matrices: A is `state_dim × state_dim`, B is
+    /// `state_dim × control_dim`.
     ///
     /// # Panics
-    /// If A is not square, or B has not as many rows.
+    /// If A is not `state_dim × state_dim`, or the size of B is not a positive multiple of
+    /// `state_dim`.
     #[track_caller]
     pub fn new(state_dim: usize, a: Vec<f64>, b: Vec<f64>) -> Self {
         let (n, of_a, of_b) = (state_dim, a.len(), b.len());
@@ -35,10 +37,10 @@ impl LinearPlant {
         Self { state_dim, control_dim: of_b / n, a, b }
     }
 
-    /// What a system does near `S(x, u)`, to first order: `A = ∂S/∂x`, `B = ∂S/∂u`, exact.
+    /// Linearizes a system S about `(x, u)`, exactly: `A = ∂S/∂x`, `B = ∂S/∂u`.
     ///
     /// # Panics
-    /// If `x` and `u` are not the system's.
+    /// If the sizes of `x` and `u` differ from those of the system.
     #[track_caller]
     pub fn linearized<S: System>(system: &S, x: &[f64], u: &[f64]) -> Self {
         let (n, m) = (system.state_dim(), system.control_dim());
@@ -56,7 +58,8 @@ impl LinearPlant {
         Self { state_dim: n, control_dim: m, a, b }
     }
 
-    /// The plant under the policy `u = K x`, and any further control beside it: `A + B K` for A. K is row-major.
+    /// Returns the plant under the policy `u = K x`, with `A + B K` in place of A. Further controls
+    /// add to the policy. K is row-major.
     ///
     /// # Panics
     /// If K is not `control_dim × state_dim`.
@@ -68,7 +71,8 @@ impl LinearPlant {
         Self { a: row_major(&closed), ..self.clone() }
     }
 
-    /// The largest modulus of an eigenvalue of A: below 1, the plant is stable by itself.
+    /// Returns the largest modulus of the eigenvalues of A. Below 1, the uncontrolled plant is
+    /// stable.
     pub fn spectral_radius(&self) -> f64 {
         self.a().complex_eigenvalues().iter().fold(0.0, |largest, value| value.re.hypot(value.im).max(largest))
     }
@@ -82,12 +86,12 @@ impl LinearPlant {
     }
 }
 
-/// Its entries, row by row.
+/// Returns the entries of a matrix, row by row.
 fn row_major(matrix: &DMatrix<f64>) -> Vec<f64> {
     matrix.transpose().as_slice().to_vec()
 }
 
-/// The product of a row with a vector.
+/// Returns the inner product of a row with a vector.
 #[inline(always)]
 fn dot<T: Scalar>(row: &[f64], x: &[T]) -> T {
     let mut sum = T::zero();
@@ -97,7 +101,7 @@ fn dot<T: Scalar>(row: &[f64], x: &[T]) -> T {
     sum
 }
 
-/// `bars = Mᵀ next_bar`, for M row-major with as many columns as there are `bars`.
+/// Computes `bars = Mᵀ next_bar` for a row-major M with `bars.len()` columns.
 #[inline(always)]
 fn transposed<R: Real, C: Cotangent<R>>(matrix: &[f64], next_bar: &[C], bars: &mut [C]) {
     let columns = bars.len();

@@ -1,15 +1,15 @@
-//! When a task looks at its states.
+//! [`LossMode`]: the states that count in a loss.
 
 use serde::{Deserialize, Serialize};
 
-/// When the states are paid for.
+/// States that count in the loss.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum LossMode {
-    /// At the last state only.
+    /// The last state only.
     #[default]
     Terminal,
-    /// At every state after the start: as a mean over time, or as a sum where the task says so.
+    /// Every state after the initial one: as a mean over time, or as a sum where the task says so.
     Running,
 }

@@ -1,4 +1,4 @@
-//! The tasks that come with the framework: physics only, each self-contained.
+//! Built-in tasks and their systems and effects. Start with [`CartPole`].
 
 mod cart_pole;
 mod contact;

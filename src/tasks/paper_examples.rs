@@ -1,5 +1,5 @@
-//! The toy tasks of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024): physics so simple
-//! that what a vector field does to it can be drawn.
+//! Simple tasks of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024).
+//! They are simple enough to draw the vector fields.
 
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
@@ -7,7 +7,7 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 
-/// The plainest physics there is, `x' = x + u`. Its backward flow is the identity: it neither grows nor decays.
+/// Simplest physics, `x' = x + u`. The backward flow is the identity: it neither grows nor decays.
 ///
 /// State and control have the same number of components, without units.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,14 +49,15 @@ impl System for Accumulator {
     }
 }
 
-/// The task of the paper's figure 1: from one start to a target, `L = (x_T - y)² / 2`. The default is the paper's.
+/// Task of the paper's figure 1: from one initial state to a target, `L = (x_T - y)² / 2`. The
+/// default is the paper's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reach {
-    /// The physics, of one component.
+    /// System to control, with one component.
     pub system: Accumulator,
-    /// The only start, x_0.
+    /// Initial state x_0.
     pub start: f64,
-    /// The target y.
+    /// Target y.
     pub target: f64,
     /// Number of steps.
     pub horizon: usize,
@@ -90,23 +91,24 @@ impl Task for Reach {
     }
 }
 
-/// A loss in the plane for the paper's figure 2, which does not say what its loss is: an elongated bowl.
+/// Task for the paper's figure 2: an elongated bowl in the plane. The paper does not state its
+/// loss.
 ///
-/// One step from the origin, so the control is where one ends: `L = (a p² + b q²) / 2`, where p and q are x_1 along the
-/// two axes of the bowl.
+/// The rollout is one step from the origin, so the control equals the final state. The loss is
+/// `L = (a p² + b q²) / 2`, where p and q are the components of x_1 along the axes of the bowl.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bowl {
-    /// The physics, of two components.
+    /// System to control, with two components.
     pub system: Accumulator,
-    /// The curvatures a and b.
+    /// Curvatures a and b.
     pub curvatures: [f64; 2],
-    /// How far the axis of a is turned from the first component, counter-clockwise, rad.
+    /// Angle of the axis of a from the first component, counter-clockwise, rad.
     pub angle: f64,
 }
 
 impl Default for Bowl {
-    /// Curvatures 1 and 4, turned by 30°. A bowl along the axes would flatter Adam, which scales every component by
-    /// itself.
+    /// Returns curvatures 1 and 4, rotated by 30°. An axis-aligned bowl would favor Adam, which
+    /// scales each component separately.
     fn default() -> Self {
         Self { system: Accumulator { dim: 2 }, curvatures: [1.0, 4.0], angle: std::f64::consts::FRAC_PI_6 }
     }

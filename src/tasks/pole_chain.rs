@@ -1,4 +1,4 @@
-//! A chain of poles, end to end, on a cart.
+//! [`PoleChain`]: a chain of poles, end to end, on a cart.
 
 mod factor;
 
@@ -8,12 +8,15 @@ use crate::tasks::{CartPoleSystem, MassError};
 use arrayvec::ArrayVec;
 use factor::{factor, solve};
 
-/// Rigid, uniform poles, the first on a joint on the cart, every other on the end of the one before.
+/// Chain of rigid, uniform poles: the first is hinged on the cart, each other one on the end of its
+/// predecessor.
 ///
-/// State, control and parameters are those of [`CartPoleSystem`], and angles are from upright, each by itself:
-/// `[x, ẋ, θ₁, ω₁, θ₂, ω₂, …]`, the lowest pole first. Its `dt` is not used: an [`Integrator`](crate::Integrator) makes the
-/// steps. Lagrange's equations for n poles, each of mass m, half length l and inertia m l²/3 about its middle, with M the mass
-/// of the cart and all poles:
+/// State, control and parameters are those of [`CartPoleSystem`]: `[x, ẋ, θ₁, ω₁, θ₂, ω₂, …]`, the
+/// lowest pole first. Each angle is measured from upright. `dt` is unused, because an
+/// [`Integrator`](crate::Integrator) makes the steps.
+///
+/// The n poles have mass m, half length l and inertia m l²/3 about their middle. M is the mass of
+/// the cart and all poles. Lagrange's equations are:
 ///
 /// ```text
 /// M ẍ + Σ_k p_k cos θ_k α_k                        = u + Σ_k p_k sin θ_k ω_k²
@@ -21,26 +24,26 @@ use factor::{factor, solve};
 /// p_k  = m l (1 + 2 (n - k)),   I_jj = m l² (4/3 + 4 (n - j)),   I_jk = m l² (2 + 4 (n - k)) for j < k
 /// ```
 ///
-/// The mass matrix is symmetric and positive definite, even where the cart has no mass, and is solved by Cholesky's method
-/// in O(n³). The reverse solves with the same factors. With one pole these are the equations of
-/// [`CoupledCartPole`](crate::tasks::CoupledCartPole).
+/// The mass matrix is symmetric and positive definite, even for a massless cart. Cholesky's method
+/// solves it in O(n³). The reverse pass uses the same factors. With one pole, the equations are
+/// those of [`CoupledCartPole`](crate::tasks::CoupledCartPole).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PoleChain(pub CartPoleSystem);
 
-/// The cart and all poles.
+/// Largest number of bodies: the cart and all poles.
 const MOST: usize = PoleChain::MOST_POLES + 1;
-/// A number for each of them.
+/// One value per body.
 type Each<T> = ArrayVec<T, MOST>;
-/// The lower triangle of a matrix, by rows.
+/// Lower triangle of a matrix, by rows.
 type Triangle<T> = ArrayVec<T, { MOST * (MOST + 1) / 2 }>;
 
-/// What the equations of motion are made of.
+/// Terms of the equations of motion.
 struct Motion<T> {
     sin: Each<T>,
     cos: Each<T>,
-    /// Of the mass matrix.
+    /// Factors of the mass matrix.
     factors: Triangle<T>,
-    /// `[ẍ, α₁, α₂, …]`.
+    /// Accelerations `[ẍ, α₁, α₂, …]`.
     accelerations: Each<T>,
 }
 
@@ -51,19 +54,19 @@ impl<T> Motion<T> {
 }
 
 impl PoleChain {
-    /// The most poles there can be: what a step works with is on the stack.
+    /// Largest number of poles. Buffers of a step are on the stack.
     pub const MOST_POLES: usize = 20;
 
-    /// Whether its masses can be computed with, and its poles are not too many.
+    /// Checks that the masses and the number of poles are valid.
     ///
     /// # Errors
-    /// [`MassError`].
+    /// Returns a [`MassError`] for the first invalid parameter.
     pub fn check(&self) -> Result<(), MassError> {
         self.0.check_up_to(Self::MOST_POLES)
     }
 
-    /// Kinetic and potential energy of a state, J, 0 at rest with the cart's height for zero. Free of control, the equations
-    /// keep it.
+    /// Returns kinetic plus potential energy of a state, J. It is 0 at rest with all poles
+    /// horizontal. Without control, the equations conserve it.
     pub fn energy(&self, x: &[f64]) -> f64 {
         let pole = |k: usize| (x[2 + 2 * k], x[3 + 2 * k]);
         let mut energy = 0.5 * self.mass() * x[1] * x[1];
@@ -83,14 +86,14 @@ impl PoleChain {
         self.0.cart_mass + self.0.poles as f64 * self.0.pole_mass
     }
 
-    /// p of pole `k`, counted from 0.
+    /// Returns p of pole `k`, counted from 0.
     #[inline(always)]
     fn moment(&self, k: usize) -> f64 {
         let above = (self.0.poles - 1 - k) as f64;
         self.0.pole_mass * self.0.half_length * (1.0 + 2.0 * above)
     }
 
-    /// I of poles `j ≤ k`, counted from 0.
+    /// Returns I of poles `j ≤ k`, counted from 0.
     #[inline(always)]
     fn inertia(&self, j: usize, k: usize) -> f64 {
         let above = (self.0.poles - 1 - k) as f64;
@@ -98,7 +101,8 @@ impl PoleChain {
         self.0.pole_mass * self.0.half_length * self.0.half_length * (own + 4.0 * above)
     }
 
-    /// Written where it is: a full array that is returned is a copy of all there is room for.
+    /// Computes the accelerations in place: returning a full-capacity array would copy its whole
+    /// capacity.
     #[inline(always)]
     fn move_on<T: Scalar>(&self, x: &[T], u: &[T], motion: &mut Motion<T>) {
         let Motion { sin, cos, factors, accelerations } = motion;
@@ -147,7 +151,8 @@ impl Ode for PoleChain {
         }
     }
 
-    /// Of `M a = f`: with `M w = ā`, f has the cotangent w, and M has -w aᵀ.
+    /// Computes the reverse of `M a = f`: with `M w = ā`, the cotangent of f is w and that of M is
+    /// -w aᵀ.
     #[inline(always)]
     fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
         let mut motion = Motion::new();
@@ -171,7 +176,8 @@ impl Ode for PoleChain {
                 let inertia = R::lift(self.inertia(k, j));
                 let (throw, along) = (inertia * (s * cos[k] - c * sin[k]), inertia * (c * cos[k] + s * sin[k]));
                 let other_spin = x[3 + 2 * k] * x[3 + 2 * k];
-                // Of the angle between the two: in the matrix and in the throw, of each on the other.
+                // Cotangent of the angle between two poles, which enters the matrix and the
+                // centrifugal torques.
                 let between = w[1 + j] * (throw * a[1 + k] - along * other_spin) + w[1 + k] * (throw * alpha + along * spin);
                 theta_bar += between;
                 x_bar[2 + 2 * k] -= between;

@@ -1,13 +1,13 @@
-//! Quantum control: a particle in a box, to be brought into an eigenstate by tilting the floor.
+//! Quantum control: tilting the floor of a box brings a particle into an eigenstate.
 //!
-//! The task of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024). Units: ħ = 1 and
-//! m = 1/2, so that the Hamiltonian is `-∂²/∂x² + V`.
+//! The task is that of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR
+//! 2024). Units: ħ = 1 and m = 1/2, so the Hamiltonian is `-∂²/∂x² + V`. [`Quantum`] is the task,
+//! [`QuantumSystem`] the system.
 
 mod absorbing;
 mod cubic;
 mod elimination;
 mod pade;
-mod point_by_point;
 mod potential;
 mod propagator;
 mod renormalized;
@@ -36,46 +36,52 @@ use std::f64::consts::TAU;
 use system::Pair;
 
 any_effect! {
-    /// Any effect of quantum control.
+    /// Any quantum-control effect, chosen at run time.
     QuantumEffect of QuantumSystem: Harmonic, Barrier, DoubleWell, Tabulated, Cubic
 }
 
-/// Bring the particle into an eigenstate of the box: the cost of a state is its infidelity `1 - |⟨φ, ψ⟩|²`, between 0
-/// and 1, where `⟨φ, ψ⟩ = Σ_j φ_j ψ_j`. The control is free.
+/// Task to bring the particle into an eigenstate of the box, with the infidelity as loss.
 ///
-/// Rollouts start in a mixture of the two lowest eigenstates, so the third is the lowest that is new to them. These are
-/// the eigenstates of the box without potential, whatever else there is.
+/// The infidelity of a state is `1 - |⟨φ, ψ⟩|²`, between 0 and 1, where `⟨φ, ψ⟩ = Σ_j φ_j ψ_j`. The
+/// control carries no cost.
 ///
-/// `S` is any system around a [`QuantumSystem`]: alone, by another scheme ([`Pade`], [`Strang`]), with effects, with [`Absorbing`] edges, behind an actuator.
+/// Initial states mix the two lowest eigenstates, so the third is the lowest target outside their
+/// span. All of these are eigenstates of the box without potential, whatever the effects.
+///
+/// `S` is any system around a [`QuantumSystem`]: alone, with another scheme ([`Pade`], [`Strang`]),
+/// with effects, with [`Absorbing`] edges, or behind an actuator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quantum<S = QuantumSystem> {
-    /// The physics.
+    /// System to control.
     pub system: S,
-    /// Number of the eigenstate to reach, from 1, the ground state, to the grid. (The paper counts from 0.)
+    /// Number of the target eigenstate, from 1 (the ground state) to the number of grid points.
+    /// (The paper counts from 0.)
     pub target: usize,
-    /// [`LossMode::Terminal`]: the last state's infidelity. [`LossMode::Running`]: its sum over all states after the
-    /// start, between 0 and the horizon.
+    /// States that count in the loss. [`LossMode::Terminal`]: infidelity of the last state.
+    /// [`LossMode::Running`]: sum of the infidelity over all states after the initial one, between
+    /// 0 and the horizon.
     pub loss: LossMode,
     /// Number of steps.
     pub horizon: usize,
-    /// How strongly the first and the second eigenstate come into the start states; not both zero.
+    /// Weights of the first and the second eigenstate in the initial states; not both zero.
     pub weighting: [f64; 2],
 }
 
 impl Quantum {
-    /// The paper's task: 32 grid points, 128 steps of 0.0625, every state counts, start weighting 1 : 1.
+    /// Creates the paper's task: 32 grid points, 128 steps of 0.0625, running loss, initial weights
+    /// 1 : 1.
     pub fn new(target: usize) -> Self {
         Self::with_system(QuantumSystem::default(), target)
     }
 }
 
 impl<S: HasModel<QuantumSystem>> Quantum<S> {
-    /// The paper's task with another system: 128 steps, every state counts, start weighting 1 : 1.
+    /// Creates the paper's task for another system: 128 steps, running loss, initial weights 1 : 1.
     pub fn with_system(system: S, target: usize) -> Self {
         Self { system, target, loss: LossMode::Running, horizon: 128, weighting: [1.0, 1.0] }
     }
 
-    /// `⟨φ, ψ⟩` with the target.
+    /// Returns the overlap `⟨φ, ψ⟩` with the target.
     #[inline(always)]
     fn overlap<T: Scalar>(&self, x: &[T]) -> Pair<T> {
         let (mut re, mut im) = (T::zero(), T::zero());
@@ -93,7 +99,7 @@ impl<S: HasModel<QuantumSystem>> Quantum<S> {
         T::one() - (re * re + im * im)
     }
 
-    /// `-2 ⟨φ, ψ⟩ φ`.
+    /// Writes the gradient `-2 ⟨φ, ψ⟩ φ`.
     #[inline(always)]
     fn infidelity_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
         let (re, im) = self.overlap(x);
@@ -117,10 +123,12 @@ impl<S: HasModel<QuantumSystem>> Task for Quantum<S> {
         self.horizon
     }
 
-    /// `(c₁ e^{ip₁} φ₁ + c₂ e^{ip₂} φ₂) / sqrt(c₁² + c₂²)`: amplitudes c normal, times the weighting; phases p uniform.
+    /// Draws `(c₁ e^{ip₁} φ₁ + c₂ e^{ip₂} φ₂) / sqrt(c₁² + c₂²)`. The amplitudes c are normal,
+    /// times the weights; the phases p are uniform.
     ///
     /// # Panics
-    /// If the weighting is so large, small or odd that the state cannot be normalized.
+    /// If the weights are zero, non-finite, or so large or small that the state cannot be
+    /// normalized.
     fn start(&self, rng: &mut Rng, x: &mut [f64]) {
         let amplitudes = self.weighting.map(|weight| {
             let draw: f64 = StandardNormal.sample(rng);

@@ -1,4 +1,4 @@
-//! A block that slides on a table with dry friction, to be stopped at a place.
+//! [`Slider`]: stopping a block that slides on a table with dry friction.
 
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
@@ -9,53 +9,59 @@ use rand::RngExt;
 /// Standard gravity, m/s².
 const GRAVITY: f64 = 9.81;
 
-/// Rounds of Newton's iteration. From where it begins it needs two for each unit of `|v'| / smoothing` where friction and
-/// push are nearly equal, up to about 9 at a smoothing of 1e-9 m/s, and five to end with.
+/// Number of Newton iterations. Where friction and push nearly cancel, two are needed per unit of
+/// `|v'| / smoothing`, which is at most about 9 at a smoothing of 1e-9 m/s. Five more converge.
 const ROUNDS: usize = 24;
 
-/// The physics: a block on a table, pushed along one line. State `[place m, speed m/s]`, control `[push N]`.
+/// Block on a table, pushed along one line. State `[position m, speed m/s]`, control `[push N]`.
 ///
 /// ```text
 /// v̇ = u / m - μ g tanh(v / ε)
 /// x' = x + dt v'
 /// ```
 ///
-/// Dry (Coulomb's) friction, smoothed below the speed ε, where the block creeps instead of sticking. Andersson, Söderberg
-/// and Björklund 2007 (doi:10.1016/j.triboint.2005.11.014), eq. 3. How v' is found is a [`FrictionScheme`].
+/// Dry (Coulomb) friction is smoothed below the speed ε, where the block creeps instead of
+/// sticking. The [`FrictionScheme`] determines v'.
+///
+/// Source: Andersson, Söderberg and Björklund 2007 (doi:10.1016/j.triboint.2005.11.014), eq. 3.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SliderSystem {
-    /// m, kg, positive.
+    /// Mass m, kg, positive.
     pub mass: f64,
     /// Coefficient of friction μ, not negative.
     pub coefficient: f64,
-    /// ε, m/s, positive: the speed at which three quarters of the friction are there.
+    /// Smoothing speed ε, m/s, positive. At this speed, friction reaches three quarters of its full
+    /// value.
     pub smoothing: f64,
     /// Time step, s.
     pub dt: f64,
-    /// At which speed friction is taken.
+    /// Speed at which a step evaluates friction.
     pub scheme: FrictionScheme,
 }
 
-/// At which speed the friction of a step is taken.
+/// Speed at which a step evaluates friction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FrictionScheme {
-    /// At that before the step: `v' = v + dt (u/m - μ g tanh(v/ε))`. A disturbance of a resting block is multiplied by
-    /// `1 - dt μ g/ε` in a step: where `dt μ g > 2 ε` it chatters and never comes to rest.
+    /// Speed before the step: `v' = v + dt (u/m - μ g tanh(v/ε))`.
+    ///
+    /// A step multiplies a disturbance of a resting block by `1 - dt μ g/ε`. If `dt μ g > 2 ε`, the
+    /// block chatters and never comes to rest.
     Explicit,
-    /// At that after it: `v' = v + dt (u/m - μ g tanh(v'/ε))`, backward Euler. Stable for every ε: a disturbance is divided
-    /// by `1 + dt μ g/ε (1 - tanh²(v'/ε))`.
+    /// Speed after the step: `v' = v + dt (u/m - μ g tanh(v'/ε))`, backward Euler.
+    ///
+    /// Stable for any ε. A step divides a disturbance by `1 + dt μ g/ε (1 - tanh²(v'/ε))`.
     #[default]
     Implicit,
 }
 
 impl Default for SliderSystem {
-    /// 1 kg of wood on wood.
+    /// Returns a block of 1 kg with the friction of wood on wood.
     fn default() -> Self {
         Self { mass: 1.0, coefficient: 0.5, smoothing: 1e-3, dt: 0.01, scheme: FrictionScheme::Implicit }
     }
 }
 
-/// A speed after a step and its derivatives by the speed before it and by the push.
+/// Speed after a step, with its derivatives with respect to the speed before it and the push.
 struct Slid<T> {
     speed: T,
     by_speed: T,
@@ -63,7 +69,7 @@ struct Slid<T> {
 }
 
 impl SliderSystem {
-    /// What friction can take from the speed in a step, `dt μ g`.
+    /// Returns the largest change of speed due to friction in one step, `dt μ g`.
     pub fn grip(&self) -> f64 {
         self.dt * self.coefficient * GRAVITY
     }
@@ -85,12 +91,15 @@ impl SliderSystem {
         }
     }
 
-    /// The root z of `z + b tanh(z/ε) = w`, with `b = dt μ g`, and dz/dw.
+    /// Returns the root z of `z + b tanh(z/ε) = w`, with `b = dt μ g`, and dz/dw.
     ///
-    /// In `y = |z|/ε` the left side, `ε y + b tanh y`, is rising and concave: from below, Newton's iteration neither leaps
-    /// over the root nor needs a safeguard, but that no rounding may take it back, to where a saturated tanh would throw it. It
-    /// begins at the better of two lower bounds, from `tanh y ≤ y` and `tanh y ≤ 1`. It runs on plain values; duals get the
-    /// derivative of the root by the theorem of implicit functions, `dz/dw = ε / (ε + b (1 - tanh² y))`.
+    /// In `y = |z|/ε`, the left side `ε y + b tanh y` is increasing and concave. Started below the
+    /// root, Newton's iteration therefore converges monotonically and needs no safeguard. Steps are
+    /// clamped at 0, because rounding could otherwise move y back into the saturated range of tanh.
+    /// The initial value is the larger of two lower bounds, from `tanh y ≤ y` and `tanh y ≤ 1`.
+    ///
+    /// The iteration uses plain values. Dual numbers receive the derivative by the implicit
+    /// function theorem, `dz/dw = ε / (ε + b (1 - tanh² y))`.
     #[inline(always)]
     fn solve<T: Scalar>(&self, w: T) -> (T, T) {
         let (eps, grip, one) = (T::lift(self.smoothing), T::lift(self.grip()), T::one());
@@ -106,14 +115,15 @@ impl SliderSystem {
     }
 }
 
-/// tanh, with a derivative that has all its digits: duals take `1 - tanh²`, whose rounding `dt μ g/ε` multiplies.
+/// Computes tanh with an accurate derivative. Dual numbers use `1 - tanh²`, whose rounding error
+/// `dt μ g/ε` amplifies.
 #[inline(always)]
 fn tanh<T: Scalar>(y: T) -> T {
     let at = y.detach();
     at.tanh() + decline(at) * (y - at)
 }
 
-/// `1 - tanh² y`, with all its digits where that is small.
+/// Returns `1 - tanh² y` without cancellation.
 #[inline(always)]
 fn decline<T: Scalar>(y: T) -> T {
     let e = (-(y.abs() + y.abs())).exp();
@@ -155,21 +165,23 @@ impl System for SliderSystem {
     }
 }
 
-/// Stop the block at the origin: the cost of the last state is `x² + speed_weight v²`, in m². The push is free.
+/// Task to stop the block at the origin. The terminal cost is `x² + speed_weight v²`, in m². The
+/// push carries no cost.
 ///
-/// Blocks start within 1 m of it, at up to 2 m/s: friction alone stops them somewhere else.
+/// Initial positions lie within 1 m of the origin, speeds within ±2 m/s. Friction alone stops the
+/// block elsewhere.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Slider {
-    /// The physics.
+    /// System to control.
     pub system: SliderSystem,
-    /// What a squared speed costs, s².
+    /// Weight of the squared speed, s².
     pub speed_weight: f64,
     /// Number of steps.
     pub horizon: usize,
 }
 
 impl Default for Slider {
-    /// 1 s.
+    /// Returns a horizon of 1 s.
     fn default() -> Self {
         Self { system: SliderSystem::default(), speed_weight: 0.1, horizon: 100 }
     }

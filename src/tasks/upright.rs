@@ -1,4 +1,4 @@
-//! Everything upright: the task of any mechanics that is written in angles.
+//! [`Upright`]: swing-up and balancing of any mechanical system with angles.
 
 use crate::dynamics::integrator::{Integrated, RungeKutta};
 use crate::dynamics::system::System;
@@ -9,52 +9,57 @@ use crate::tasks::{CartPoleSystem, DoublePendulum, LossMode, PoleChain};
 use rand::RngExt;
 use std::f64::consts::PI;
 
-/// Swing up, or hold: the loss is the mean of `1 - cos θ` over the angles, between 0 (all upright) and 2 (all hanging), at the
-/// end or as a mean over time, as that of [`CartPole`](crate::tasks::CartPole); and the mean over time of `control_weight |u|²/2`.
+/// Task to swing up or balance, with the mean of `1 - cos θ` over the angles as loss.
 ///
-/// The angles are every second component of the state from [`first_angle`](Upright::first_angle) on.
+/// The loss lies between 0 (all upright) and 2 (all hanging). It counts at the end or as a mean
+/// over time, as in [`CartPole`](crate::tasks::CartPole). The mean over time of `control_weight
+/// |u|²/2` is added.
+///
+/// The angles are every second component of the state, starting at
+/// [`first_angle`](Upright::first_angle).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Upright<S> {
-    /// The physics.
+    /// System to control.
     pub system: S,
-    /// Place of the first angle in the state.
+    /// Index of the first angle in the state.
     pub first_angle: usize,
-    /// The angle around which all start, rad: 0 upright, π hanging.
+    /// Center of the initial angles, rad: 0 upright, π hanging.
     pub from: f64,
-    /// How far every component may be from there to either side, rad and SI units.
+    /// Largest initial deviation of every component from the center, rad and SI units.
     pub spread: f64,
-    /// When the angles are paid for.
+    /// States that count in the loss.
     pub loss: LossMode,
-    /// What control costs.
+    /// Weight of the control in the loss.
     pub control_weight: f64,
     /// Number of steps.
     pub horizon: usize,
 }
 
-/// In steps of Runge and Kutta's classical method.
+/// ODE with the classical Runge-Kutta method.
 type Stepped<O> = Integrated<O, RungeKutta>;
 
 impl<S> Upright<S> {
-    /// From within ±π/6 of hanging, in 100 steps; the last state counts, and control is free.
+    /// Creates a swing-up from within ±π/6 of hanging: 100 steps, terminal loss, no control cost.
     fn swing_up(system: S, first_angle: usize) -> Self {
         Self { system, first_angle, from: PI, spread: PI / 6.0, loss: LossMode::Terminal, control_weight: 0.0, horizon: 100 }
     }
 
-    /// The same task from within ±0.05 of upright, where every state counts, and control a little.
+    /// Converts the task to balancing: initial states within ±0.05 of upright, running loss, a
+    /// small control cost.
     pub fn held(self) -> Self {
         Self { from: 0.0, spread: 0.05, loss: LossMode::Running, control_weight: 1e-3, ..self }
     }
 }
 
 impl Upright<Stepped<DoublePendulum>> {
-    /// The default double pendulum in steps of 0.01 s.
+    /// Creates the swing-up of the default double pendulum, with steps of 0.01 s.
     pub fn double_pendulum() -> Self {
         Self::swing_up(Integrated { ode: DoublePendulum::default(), integrator: RungeKutta::RK4, dt: 0.01 }, 0)
     }
 }
 
 impl Upright<Stepped<PoleChain>> {
-    /// A chain of so many default poles in steps of 0.01 s.
+    /// Creates the swing-up of a chain of default poles, with steps of 0.01 s.
     pub fn pole_chain(poles: usize) -> Self {
         let model = CartPoleSystem { poles, ..CartPoleSystem::default() };
         Self::swing_up(Integrated { ode: PoleChain(model), integrator: RungeKutta::RK4, dt: model.dt }, 2)
@@ -62,12 +67,12 @@ impl Upright<Stepped<PoleChain>> {
 }
 
 impl<S: System> Upright<S> {
-    /// One over the number of angles.
+    /// Returns one over the number of angles.
     fn share(&self) -> f64 {
         1.0 / (self.system.state_dim() - self.first_angle).div_ceil(2) as f64
     }
 
-    /// `factor` times the mean of `1 - cos θ`.
+    /// Returns `factor` times the mean of `1 - cos θ`.
     #[inline(always)]
     fn height<T: Scalar>(&self, factor: f64, x: &[T]) -> T {
         let mut sum = T::zero();
@@ -86,7 +91,7 @@ impl<S: System> Upright<S> {
         }
     }
 
-    /// What an angle is worth at a state on the way, and at the last one.
+    /// Returns the weights of the angles in the running and the terminal cost.
     fn worth(&self) -> [f64; 2] {
         match self.loss {
             LossMode::Terminal => [0.0, 1.0],

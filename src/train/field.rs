@@ -35,22 +35,22 @@ pub enum Field<C = SignAgreement> {
 ///     fn name(&self) -> &str {
 ///         "mean"
 ///     }
-///     fn compose<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]) {
+///     fn combine<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]) {
 ///         for ((out, &a), &b) in out.iter_mut().zip(first).zip(second) {
 ///             *out = (a + b) * F::lift(0.5);
 ///         }
 ///     }
 /// }
 ///
-/// let field = Field::composed(Flow::MODIFIED, Flow::REGULAR, Mean);
+/// let field = Field::custom(Flow::MODIFIED, Flow::REGULAR, Mean);
 /// assert_eq!(field.flows(), [Flow::MODIFIED, Flow::REGULAR]);
 /// ```
 pub trait GradientCombiner: Sync + Send {
     /// Name, used in records.
     fn name(&self) -> &str;
     /// Writes the composition into `out`. All three slices have the length of `θ`.
-    fn compose<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]);
-    /// Returns true if `compose` uses only the signs of `second`.
+    fn combine<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]);
+    /// Returns true if `combine` uses only the signs of `second`.
     ///
     /// The exponents of the two gradients ([`Gradient::exponent`]) may then differ. Otherwise both
     /// are brought to the larger exponent before the composition.
@@ -69,7 +69,7 @@ impl GradientCombiner for SignAgreement {
     fn name(&self) -> &str {
         "combined"
     }
-    fn compose<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]) {
+    fn combine<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]) {
         let zero = F::zero();
         for ((out, &m), &r) in out.iter_mut().zip(first).zip(second) {
             // `signum` would give 0 and NaN a sign.
@@ -108,11 +108,11 @@ impl Field {
 
 impl<C: GradientCombiner> Field<C> {
     /// Composes two flows with a custom rule.
-    pub const fn composed(first: Flow, second: Flow, by: C) -> Self {
+    pub const fn custom(first: Flow, second: Flow, by: C) -> Self {
         Self::Composed { first, second, by }
     }
 
-    /// Flows whose gradients [`compose`](Field::compose) takes, in order.
+    /// Flows whose gradients [`combine`](Field::combine) takes, in order.
     pub fn flows(&self) -> Vec<Flow> {
         match *self {
             Self::Flow(flow) => vec![flow],
@@ -135,16 +135,16 @@ impl<C: GradientCombiner> Field<C> {
     ///
     /// # Panics
     /// If the number of gradients differs from the number of flows.
-    pub fn compose<F: Float>(&self, gradients: &[Gradient<F>], out: &mut Gradient<F>) {
+    pub fn combine<F: Float>(&self, gradients: &[Gradient<F>], out: &mut Gradient<F>) {
         match (self, gradients) {
             (Self::Flow(_), [gradient]) => out.copy_from(gradient),
             (Self::Composed { by, .. }, [first, second]) => {
                 let exponent = first.exponent().max(second.exponent());
                 if by.by_signs_of_second() || first.exponent() == second.exponent() {
-                    by.compose(first.values(), second.values(), out.values_mut(first.exponent()));
+                    by.combine(first.values(), second.values(), out.values_mut(first.exponent()));
                 } else {
                     let [first, second] = [first, second].map(|gradient| gradient.clone().with_exponent(exponent));
-                    by.compose(first.values(), second.values(), out.values_mut(exponent));
+                    by.combine(first.values(), second.values(), out.values_mut(exponent));
                 }
             }
             _ => panic!("{} gradients for the {} flows of {}", gradients.len(), self.flows().len(), self.name()),
@@ -185,11 +185,11 @@ pub struct UnknownField(String);
 
 /// Object-safe [`Field`] for one precision.
 pub(crate) trait AnyField<F: Float>: Sync {
-    fn compose(&self, gradients: &[Gradient<F>], composed: &mut Gradient<F>);
+    fn combine(&self, gradients: &[Gradient<F>], combined: &mut Gradient<F>);
 }
 
 impl<C: GradientCombiner, F: Float> AnyField<F> for Field<C> {
-    fn compose(&self, gradients: &[Gradient<F>], composed: &mut Gradient<F>) {
-        Field::compose(self, gradients, composed);
+    fn combine(&self, gradients: &[Gradient<F>], combined: &mut Gradient<F>) {
+        Field::combine(self, gradients, combined);
     }
 }

@@ -50,7 +50,7 @@ pub struct Training {
     pub rule: OptimizerKind,
     /// Learning rate of the optimizer, positive and at most 1e6.
     pub learning_rate: f64,
-    /// Clipping of the composed field, before the optimizer.
+    /// Clipping of the field, before the optimizer.
     pub clip: Clip,
     /// Largest number of consecutive updates skipped because of a non-finite number. One more stops
     /// the training.

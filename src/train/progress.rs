@@ -73,7 +73,7 @@ pub(super) struct Progress<F: Float> {
     pub(super) batch: Batch<F>,
     evaluation: Evaluation<F>,
     starts: Vec<F>,
-    composed: Gradient<F>,
+    combined: Gradient<F>,
 }
 
 impl<F: Float> Progress<F> {
@@ -111,7 +111,7 @@ impl<F: Float> Progress<F> {
             optimizer,
             order: (0..train.len() / n).collect(),
             starts: Vec::with_capacity(samples * n),
-            composed: Gradient::zeros(params),
+            combined: Gradient::zeros(params),
             // Capacity for all epochs, within reason: `epochs` may be huge.
             records: Vec::with_capacity(training.epochs.min(100_000)),
             skips: Vec::new(),
@@ -129,53 +129,31 @@ impl<F: Float> Progress<F> {
         #[cfg(feature = "parallel")]
         if self.training.workers > 1 {
             let mut outcome = Ok(true);
-            among_workers(&mut || outcome = self.advance_here(trained, pause));
+            among_workers(&mut || outcome = self.run_epoch(trained, pause));
             return outcome;
         }
-        self.advance_here(trained, pause)
+        self.run_epoch(trained, pause)
     }
 
-    fn advance_here(&mut self, trained: Trained<'_, F>, pause: &dyn Fn() -> bool) -> Result<bool, TrainError> {
-        let Trained { task, policy, .. } = trained;
+    /// Runs one epoch: an update per mini-batch, then the losses of both data sets.
+    fn run_epoch(&mut self, trained: Trained<'_, F>, pause: &dyn Fn() -> bool) -> Result<bool, TrainError> {
         let begin = Instant::now();
         let mut epoch = self.epoch.take().unwrap_or_else(|| self.begin_epoch());
-        let updates = self.updates_per_epoch();
-        self.batch.measure(epoch.means.is_empty());
-        while epoch.updates < updates {
+        while epoch.updates < self.updates_per_epoch() {
+            // Only the first update measures growth.
+            self.batch.measure(epoch.means.is_empty());
             match self.update(trained, epoch.updates) {
-                Ok(step) => {
-                    if epoch.means.is_empty() {
-                        // Only the first update measures growth.
-                        epoch.means.growths = [Flow::REGULAR, Flow::MODIFIED].map(|flow| self.growth(flow));
-                        self.batch.measure(false);
-                    }
-                    epoch.means.add(&step);
-                    self.skipped_in_a_row = 0;
-                }
-                Err(divergence) => {
-                    let skip = Skip { epoch: self.records.len() + 1, update: epoch.updates, divergence };
-                    self.skips.push(skip);
-                    epoch.skipped += 1;
-                    self.skipped_in_a_row += 1;
-                    if self.skipped_in_a_row > self.training.max_skipped {
-                        let count = self.skipped_in_a_row;
-                        self.weights.update(policy, |theta| theta.copy_from_slice(&self.before.theta));
-                        self.optimizer.copy_from(&self.before.optimizer);
-                        self.skipped_in_a_row = self.before.skipped_in_a_row;
-                        return Err(TrainError::Diverged { count, last: skip });
-                    }
-                }
+                Ok(step) => self.count(&mut epoch, &step),
+                Err(divergence) => self.skip(&mut epoch, divergence, trained.policy)?,
             }
             epoch.updates += 1;
-            if epoch.updates < updates && pause() {
+            if epoch.updates < self.updates_per_epoch() && pause() {
                 epoch.seconds += begin.elapsed().as_secs_f64();
                 self.epoch = Some(epoch);
                 return Ok(false);
             }
         }
-        let losses = [&self.train, &self.test].map(|starts| self.evaluation.run(task, policy, &self.weights, starts));
-        self.diverged = losses.map(Result::err);
-        let [train_loss, test_loss] = losses.map(|loss| loss.unwrap_or(f64::NAN));
+        let [train_loss, test_loss] = self.evaluate(trained);
         let seconds = epoch.seconds + begin.elapsed().as_secs_f64();
         let number = self.records.len() + 1;
         self.records.push(epoch.means.record(number, train_loss, test_loss, epoch.skipped, seconds));
@@ -190,6 +168,42 @@ impl<F: Float> Progress<F> {
         self.before.skipped_in_a_row = self.skipped_in_a_row;
         self.order_samples();
         Epoch::default()
+    }
+
+    /// Adds a finished update to the statistics of the epoch.
+    fn count(&mut self, epoch: &mut Epoch, step: &Step) {
+        if epoch.means.is_empty() {
+            epoch.means.growths = [Flow::REGULAR, Flow::MODIFIED].map(|flow| self.growth(flow));
+        }
+        epoch.means.add(step);
+        self.skipped_in_a_row = 0;
+    }
+
+    /// Skips a diverged update.
+    ///
+    /// # Errors
+    /// [`TrainError::Diverged`] after too many skipped updates in a row, with the parameters and the
+    /// optimizer of the start of the epoch.
+    fn skip(&mut self, epoch: &mut Epoch, divergence: Divergence, policy: &dyn AnyPolicy<F>) -> Result<(), TrainError> {
+        let skip = Skip { epoch: self.records.len() + 1, update: epoch.updates, divergence };
+        self.skips.push(skip);
+        epoch.skipped += 1;
+        self.skipped_in_a_row += 1;
+        if self.skipped_in_a_row <= self.training.max_skipped {
+            return Ok(());
+        }
+        let count = self.skipped_in_a_row;
+        self.weights.update(policy, |theta| theta.copy_from_slice(&self.before.theta));
+        self.optimizer.copy_from(&self.before.optimizer);
+        self.skipped_in_a_row = self.before.skipped_in_a_row;
+        Err(TrainError::Diverged { count, last: skip })
+    }
+
+    /// Evaluates the losses of the training and the test set. A diverged loss is NaN.
+    fn evaluate(&mut self, Trained { task, policy, .. }: Trained<'_, F>) -> [f64; 2] {
+        let losses = [&self.train, &self.test].map(|starts| self.evaluation.run(task, policy, &self.weights, starts));
+        self.diverged = losses.map(Result::err);
+        losses.map(|loss| loss.unwrap_or(f64::NAN))
     }
 
     /// Orders the training samples for the current epoch.
@@ -207,15 +221,25 @@ impl<F: Float> Progress<F> {
     }
 
     /// Performs one update with mini-batch `index` of the epoch.
-    fn update(&mut self, trained: Trained<'_, F>, index: usize) -> Result<Step, Divergence> {
-        let Trained { task, policy, field } = trained;
-        let n = task.state_dim();
-        let batch = self.training.batch;
+    fn update(&mut self, Trained { task, policy, field }: Trained<'_, F>, index: usize) -> Result<Step, Divergence> {
+        self.select_batch(index, task.state_dim());
+        let loss = self.batch.run(task, policy, &self.weights, &self.starts)?;
+        let step = self.combine(field, loss)?;
+        self.training.clip.apply_knowing(&mut self.combined, step.norm);
+        self.weights.update(policy, |theta| self.optimizer.step(theta, self.combined.values()));
+        Ok(step)
+    }
+
+    /// Copies the initial states of mini-batch `index`.
+    fn select_batch(&mut self, index: usize, n: usize) {
         self.starts.clear();
-        for &sample in self.order.chunks(batch).nth(index).unwrap_or(&[]) {
+        for &sample in self.order.chunks(self.training.batch).nth(index).unwrap_or(&[]) {
             self.starts.extend_from_slice(&self.train[sample * n..][..n]);
         }
-        let loss = self.batch.run(task, policy, &self.weights, &self.starts)?;
+    }
+
+    /// Combines the gradients of the mini-batch into the vector of the field.
+    fn combine(&mut self, field: &dyn AnyField<F>, loss: f64) -> Result<Step, Divergence> {
         let gradients = self.batch.gradients();
         let level = SimdLevel::best();
         let (first, second) = (gradients[0].values(), gradients[gradients.len() - 1].values());
@@ -225,25 +249,22 @@ impl<F: Float> Progress<F> {
                 return Err(Divergence::Gradient { flow, parameter: worst(gradient) });
             }
         }
-        field.compose(gradients, &mut self.composed);
-        let composed = gradients.len() > 1;
-        let values = self.composed.values();
-        let length = if composed { elementwise::moments(level, values, values).0.sqrt() } else { first_square.sqrt() };
-        let norm = ExtendedF64::new(length, self.composed.exponent());
+        field.combine(gradients, &mut self.combined);
+        let two = gradients.len() > 1;
+        let values = self.combined.values();
+        let size = if two { elementwise::moments(level, values, values).0.sqrt() } else { first_square.sqrt() };
+        let norm = ExtendedF64::new(size, self.combined.exponent());
         // Optimizers square the components and sum the squares of many updates.
-        if !length.is_finite() || self.training.clip.bound(norm.get()) > F::MAX.sqrt() * 1e-3 {
+        if !size.is_finite() || self.training.clip.bound(norm.get()) > F::MAX.sqrt() * 1e-3 {
             return Err(Divergence::Field { parameter: worst(values), norm });
         }
         let zero = F::zero();
-        let step = Step {
+        Ok(Step {
             loss,
             norm,
-            cosine: composed.then(|| if dot == 0.0 { 0.0 } else { dot / (first_square.sqrt() * second_square.sqrt()) }),
-            kept: composed.then(|| values.iter().filter(|&&g| g != zero).count() as f64 / values.len() as f64),
-        };
-        self.training.clip.apply_knowing(&mut self.composed, norm);
-        self.weights.update(policy, |theta| self.optimizer.step(theta, self.composed.values()));
-        Ok(step)
+            cosine: two.then(|| if dot == 0.0 { 0.0 } else { dot / (first_square.sqrt() * second_square.sqrt()) }),
+            kept: two.then(|| values.iter().filter(|&&g| g != zero).count() as f64 / values.len() as f64),
+        })
     }
 
     /// Growth of the adjoint of `flow` in the last update, if the field contains it.

@@ -19,9 +19,9 @@ pub struct Record {
     pub test_loss: f64,
     /// Mean over the updates of the norm of the field, before clipping.
     pub grad_norm: ExtendedF64,
-    /// Mean over the updates of the cosine between the two gradients of a composed field.
+    /// Mean over the updates of the cosine between the two gradients of a field of two flows.
     pub cosine: Option<f64>,
-    /// Mean over the updates of the fraction of non-zero components of a composed field.
+    /// Mean over the updates of the fraction of non-zero components of a field of two flows.
     pub kept: Option<f64>,
     /// Number of updates skipped because of a non-finite number.
     pub skipped: usize,
@@ -54,10 +54,10 @@ impl Record {
         let growths = [(Flow::REGULAR, self.regular_growth), (Flow::MODIFIED, self.modified_growth)];
         let growths = growths.into_iter().filter_map(|(flow, growth)| growth?.warning(flow, horizon, epsilon));
         let plateau = (self.grad_norm == ExtendedF64::default()).then(|| {
-            let disagreement = if self.cosine.is_some() { ", or R and M agree in none of them" } else { "" };
+            let disagreement = if self.cosine.is_some() { ", or the signs of R and M agree in no component" } else { "" };
             format!(
-                "the field is exactly 0: the loss depends on none of the parameters here{disagreement}, and nothing is learned. Another start \
-                 helps: another seed, a last kernel that is not zero (`policy.zero_init_output = false`)"
+                "the field is exactly 0, so nothing is learned: the loss does not depend on the parameters here{disagreement}. Try another \
+                 seed, or output weights that do not start at zero"
             )
         });
         growths.chain(plateau).collect()

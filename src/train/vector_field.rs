@@ -123,7 +123,7 @@ impl<'a, T: Task, P: Policy, C: GradientCombiner> Sampler<'a, T, P, C> {
     fn at(&mut self, theta: [f64; 2]) -> Result<Sample, Divergence> {
         self.weights.update(self.policy, |weights| weights.copy_from_slice(&theta));
         let loss = self.batch.run(self.task, self.policy, &self.weights, &self.start)?;
-        self.field.compose(self.batch.gradients(), &mut self.vector);
+        self.field.combine(self.batch.gradients(), &mut self.vector);
         let vector = self.vector.to_vec();
         Ok(Sample { theta, loss, vector: [vector[0], vector[1]] })
     }
@@ -165,12 +165,12 @@ pub struct Rotated {
 impl Rotated {
     /// Gradient with a rotation.
     pub fn field(strength: f64) -> Field<Self> {
-        Field::composed(Flow::REGULAR, Flow::REGULAR, Self { strength, combined: false })
+        Field::custom(Flow::REGULAR, Flow::REGULAR, Self { strength, combined: false })
     }
 
     /// Gradient with a rotation, in the components that agree with the gradient in sign.
     pub fn combined_field(strength: f64) -> Field<Self> {
-        Field::composed(Flow::REGULAR, Flow::REGULAR, Self { strength, combined: true })
+        Field::custom(Flow::REGULAR, Flow::REGULAR, Self { strength, combined: true })
     }
 
     /// Fields of figure 2, with the titles of its panels.
@@ -189,11 +189,11 @@ impl GradientCombiner for Rotated {
     }
 
     /// Rotates `first` and compares with `second`. Requires two components.
-    fn compose<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]) {
+    fn combine<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]) {
         let strength = F::lift(self.strength);
         let rotated = [first[0] - strength * first[1], first[1] + strength * first[0]];
         if self.combined {
-            SignAgreement.compose(&rotated, second, out);
+            SignAgreement.combine(&rotated, second, out);
         } else {
             out.copy_from_slice(&rotated);
         }

@@ -1,4 +1,4 @@
-//! What tests of quantum control share: boxes, effects, waves.
+//! Shared parts of the quantum-control tests: boxes, effects, waves.
 #![allow(dead_code)]
 
 use physgrad::rng::Rng;
@@ -14,7 +14,7 @@ pub fn dipole(grid: usize) -> QuantumSystem {
     QuantumSystem { control: ControlShape::Dipole, ..box_of(grid) }
 }
 
-/// Off the middle, where there is a choice: nothing hides behind a symmetry.
+/// Returns all effects, centered off the middle where possible, so that no symmetry hides errors.
 pub fn every_effect() -> Vec<QuantumEffect> {
     vec![
         Harmonic { center: 0.3, ..Harmonic::default() }.into(),
@@ -46,14 +46,14 @@ pub fn run<S: System>(system: &S, mut x: Vec<f64>, steps: usize) -> Vec<f64> {
     x
 }
 
-/// A state from a wave function of the place, normalized.
+/// Returns the normalized state of a wave function of position.
 pub fn wave(model: &QuantumSystem, psi: impl Fn(f64) -> (f64, f64)) -> Vec<f64> {
     let x: Vec<f64> = model.points().flat_map(|x| <[f64; 2]>::from(psi(x))).collect();
     let norm = norm(&x);
     x.into_iter().map(|x| x / norm).collect()
 }
 
-/// A Gaussian whose density has the standard deviation `sigma`, with the wave number k.
+/// Returns a Gaussian with wave number k, whose density has the standard deviation `sigma`.
 pub fn packet(model: &QuantumSystem, center: f64, sigma: f64, k: f64) -> Vec<f64> {
     wave(model, |x| {
         let size = (-((x - center) / (2.0 * sigma)).powi(2)).exp();
@@ -74,7 +74,7 @@ pub fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// `⟨a, b⟩` as size and phase.
+/// Returns modulus and phase of `⟨a, b⟩`.
 pub fn overlap(a: &[f64], b: &[f64]) -> (f64, f64) {
     let (mut re, mut im) = (0.0, 0.0);
     for (a, b) in a.chunks_exact(2).zip(b.chunks_exact(2)) {
@@ -84,15 +84,15 @@ pub fn overlap(a: &[f64], b: &[f64]) -> (f64, f64) {
     (re.hypot(im), im.atan2(re))
 }
 
-/// States of norm about 1, and large controls. There is one control: its cotangent must not nearly vanish by chance, for
-/// errors are measured against it.
+/// Draws states of norm about 1, and large controls. Large controls keep the single control
+/// cotangent away from 0, because errors are relative to it.
 pub fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     let size = (3.0 / x.len() as f64).sqrt();
     x.iter_mut().for_each(|x| *x = rng.random_range(-size..size));
     u.iter_mut().for_each(|u| *u = rng.random_range(-30.0..30.0));
 }
 
-/// A force that swings with time, and depends on the wave by more than its density: an effect that somebody else may write.
+/// Time-dependent force that depends on the wave by more than its density: a custom effect.
 #[derive(Clone, Debug)]
 pub struct Swinging;
 
@@ -108,7 +108,7 @@ impl Effect<QuantumSystem> for Swinging {
     }
 }
 
-/// Checks a system at waves, and controls that do something to them.
+/// Checks a system at waves under controls that affect them.
 #[track_caller]
 pub fn check_lively<S: System>(system: &S) {
     check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{} numbers: {mismatch}", system.state_dim()));

@@ -1,11 +1,11 @@
-//! All that a [`Scalar`] can do.
+//! All operations of a [`Scalar`].
 
 use physgrad::Scalar;
 
-/// An operation on two numbers, which need not use both.
+/// Operation on two numbers, not necessarily using both.
 pub type Operation<T> = fn(T, T) -> T;
 
-/// All operations, under names, for any number.
+/// Returns all operations by name, for any scalar type.
 pub fn operations<T: Scalar>() -> [(&'static str, Operation<T>); 23] {
     [
         ("add", |a, b| a + b),
@@ -46,5 +46,5 @@ pub fn operations<T: Scalar>() -> [(&'static str, Operation<T>); 23] {
     ]
 }
 
-/// Numbers with something special about them, and some without.
+/// Special and ordinary values.
 pub const NUMBERS: [f64; 12] = [0.0, -0.0, 1.0, -1.0, 0.3, -2.7, 1e-300, 1e300, 1e7, f64::INFINITY, f64::NEG_INFINITY, f64::NAN];

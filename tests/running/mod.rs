@@ -1,10 +1,10 @@
-//! The program, and a training small enough for a test.
+//! The program, and a training run small enough for a test.
 
 use assert_cmd::Command;
 use std::path::Path;
 use std::process::Stdio;
 
-/// Settings of the small training.
+/// Settings of the small training run.
 pub const SMALL: [&str; 8] = [
     "--set",
     "training.train_samples=24",
@@ -22,7 +22,7 @@ pub fn physgrad(args: &[&str]) -> Command {
     command
 }
 
-/// `train cart_pole` with the small settings, into `out`.
+/// Returns `train cart_pole` with the small settings, writing to `out`.
 #[allow(dead_code)]
 pub fn train(out: &Path, args: &[&str]) -> Command {
     let mut command = physgrad(&["train", "cart_pole", "--out"]);
@@ -37,7 +37,8 @@ pub fn error_of(command: &mut Command) -> String {
     String::from_utf8(output.stderr).expect("text")
 }
 
-/// `train cart_pole` with the small settings, into `out`, as a process to be started, watched and killed.
+/// Returns `train cart_pole` with the small settings, writing to `out`, as a process to start and
+/// kill.
 #[allow(dead_code)]
 pub fn process(out: &Path, args: &[&str]) -> std::process::Command {
     let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));

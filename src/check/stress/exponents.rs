@@ -110,7 +110,7 @@ fn of_precision<F: Float>(plants: &[[f64; 3]], allowed: f64) -> Vec<Finding> {
             continue;
         }
         let mut combined = Gradient::zeros(2);
-        Field::combined().compose(batch.gradients(), &mut combined);
+        Field::combined().combine(batch.gradients(), &mut combined);
         let [m, r] = [Flow::MODIFIED, Flow::REGULAR].map(|flow| reference::<F>(&plant, gain, flow));
         let c = [0, 1].map(|i| if m[i].signum() == r[i].signum() { m[i] } else { ExtendedF64::default() });
         for (found, expected) in [(&batch.gradients()[0], m), (&batch.gradients()[1], r), (&combined, c)] {

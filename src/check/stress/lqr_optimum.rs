@@ -56,7 +56,7 @@ fn largest(lqr: &Lqr, gain: &[f64]) -> [f64; 3] {
     let mut batch = Batch::new(lqr, &policy, SAMPLES as usize, &[Flow::MODIFIED, Flow::REGULAR], 1);
     let ran = batch.run(lqr, &policy, &weights, &starts);
     let mut combined = Gradient::zeros(gain.len());
-    Field::combined().compose(batch.gradients(), &mut combined);
+    Field::combined().combine(batch.gradients(), &mut combined);
     let size = |field: &[f64]| field.iter().fold(0.0, |largest: f64, g| largest.max(g.abs()));
     let all = [size(batch.gradients()[0].values()), size(batch.gradients()[1].values()), size(combined.values())];
     if ran.is_ok() { all } else { [f64::NAN; 3] }

@@ -178,7 +178,7 @@ struct Trained {
     excess: f64,
     /// Updates until the excess first reaches 1e-2, to the next evaluation.
     reached: Option<usize>,
-    /// Mean share of non-zero field components; only for composed fields.
+    /// Mean share of non-zero field components; only for fields of two flows.
     kept: Option<f64>,
 }
 

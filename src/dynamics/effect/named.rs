@@ -3,7 +3,7 @@
 use super::Effect;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
-/// Effect with a name for messages, such as its key in a scene. Results are those of the effect
+/// Effect with a name for messages, such as its key in a scene. Results equal those of the effect
 /// alone, bit for bit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Named<E> {
@@ -14,8 +14,6 @@ pub struct Named<E> {
 }
 
 impl<B, E: Effect<B>> Effect<B> for Named<E> {
-    const LOCAL: bool = E::LOCAL;
-
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &B, x: &[T], forces: &mut [T]) {
         self.effect.add_forces(model, x, forces);
@@ -24,26 +22,6 @@ impl<B, E: Effect<B>> Effect<B> for Named<E> {
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         self.effect.vjp(model, x, forces_bar, x_bar);
-    }
-
-    #[inline(always)]
-    fn act_knowing<T: Scalar>(&self, model: &B, x: &[T], known: &[T], forces: &mut [T]) {
-        self.effect.act_knowing(model, x, known, forces);
-    }
-
-    #[inline(always)]
-    fn vjp_knowing<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], known: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        self.effect.vjp_knowing(model, x, known, forces_bar, x_bar);
-    }
-
-    #[inline(always)]
-    fn act_at<T: Scalar>(&self, model: &B, x: &[T], i: usize, force: T) -> T {
-        self.effect.act_at(model, x, i, force)
-    }
-
-    #[inline(always)]
-    fn vjp_at<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], i: usize, force_bar: C, x_bar: &mut [C]) {
-        self.effect.vjp_at(model, x, i, force_bar, x_bar);
     }
 
     #[inline(always)]

@@ -1,6 +1,6 @@
 //! Systems without effects.
 
-/// Makes a [`ForcedSystem`] a [`System`] of its own: the one without effects.
+/// Implements [`System`] for a [`ForcedSystem`] without effects.
 macro_rules! system_without_effects {
     ($host:ty) => {
         impl crate::dynamics::system::System for $host {

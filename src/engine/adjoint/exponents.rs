@@ -1,18 +1,103 @@
-//! Block exponents: the cotangents of each sample and flow are mantissas times a common power of
-//! two.
+//! Exponents: the cotangents of each sample and flow are mantissas times a common power of two.
 //!
 //! The recursion is linear in λ. A power of two taken out of λ and h is therefore taken out of all
 //! later values, exactly. Only the cost gradients added at each step must be divided by it. At
 //! moderate sizes all exponents are 0, and results are bitwise those of plain numbers.
 
-use super::Flow;
+use super::{Flow, Pass};
 use crate::engine::rollout::{Lane, WIDTH};
 use crate::numbers::extended::{exponent_of, scaled};
 use crate::numbers::scalar::{CotangentPack, Float, Real};
+use crate::numbers::zip::zip;
+
+/// Exponents of all samples, for `K` flows.
+#[derive(Debug)]
+pub(super) struct Exponents<F: Float, const K: usize> {
+    pub(super) blocks: Vec<BlockExponents<F, K>>,
+    /// True if an exponent is not 0.
+    pub(super) any: bool,
+    /// True if an exponent is so low that scaled cost gradients may overflow.
+    low: bool,
+}
+
+/// A cotangent is not finite.
+pub(super) struct NonFinite;
+
+impl<F: Float, const K: usize> Exponents<F, K> {
+    pub(super) fn new(blocks: usize) -> Self {
+        Self { blocks: vec![BlockExponents::new(); blocks], any: false, low: false }
+    }
+
+    pub(super) fn bytes_of(blocks: usize) -> usize {
+        blocks * size_of::<BlockExponents<F, K>>()
+    }
+
+    pub(super) fn stored_bytes(&self) -> usize {
+        size_of_val(&self.blocks[..])
+    }
+
+    /// Sets all exponents to 0, for a pass with this `scale`.
+    pub(super) fn reset(&mut self, scale: F) {
+        self.blocks.iter_mut().for_each(|block| block.reset(scale));
+        (self.any, self.low) = (false, false);
+    }
+
+    /// Exponent of one flow and sample.
+    pub(super) fn of(&self, k: usize, sample: usize) -> i32 {
+        self.blocks[sample / WIDTH].of[k][sample % WIDTH]
+    }
+
+    /// Returns true if an exponent is so low that scaled cost gradients may overflow.
+    pub(super) fn any_low(&self) -> bool {
+        self.low
+    }
+
+    /// Rescales cotangents outside the range of [`Limits`].
+    #[cold]
+    pub(super) fn rescale(
+        &mut self,
+        flows: [Flow; K],
+        pass: &Pass<'_, F>,
+        lambda: &mut [CotangentPack<Lane<F>, K>],
+        u_bar: &mut [CotangentPack<Lane<F>, K>],
+    ) -> Result<(), NonFinite> {
+        let Pass { rollout, scale, .. } = *pass;
+        let cotangents = zip(lambda.chunks_exact_mut(rollout.state_dim), u_bar.chunks_exact_mut(rollout.control_dim));
+        for ((lambda, u_bar), block) in zip(cotangents, &mut self.blocks).take(rollout.samples.div_ceil(WIDTH)) {
+            for (k, flow) in flows.into_iter().enumerate() {
+                for lane in 0..WIDTH {
+                    block.rescale(flow, (k, lane), scale, lambda, u_bar)?;
+                }
+            }
+        }
+        self.any = self.blocks.iter().any(BlockExponents::any);
+        self.update_low();
+        Ok(())
+    }
+
+    /// Raises exponents of a block that are too low for these cost gradients to 0.
+    ///
+    /// Samples without a cost gradient keep their exponent.
+    pub(super) fn raise(&mut self, block: usize, scale: F, lambda: &mut [CotangentPack<Lane<F>, K>], costs: [&[Lane<F>]; 2]) {
+        if !self.low {
+            return;
+        }
+        for lane in 0..WIDTH {
+            if costs.iter().copied().flatten().any(|cost| cost.lane(lane) != F::zero()) {
+                (0..K).for_each(|k| self.blocks[block].raise((k, lane), scale, lambda));
+            }
+        }
+    }
+
+    /// Updates [`any_low`](Self::any_low).
+    pub(super) fn update_low(&mut self) {
+        self.low = self.blocks.iter().any(BlockExponents::any_low);
+    }
+}
 
 /// Exponents of one block of samples, for `K` flows.
 #[derive(Clone, Debug)]
-pub(super) struct Exponents<F: Float, const K: usize> {
+pub(super) struct BlockExponents<F: Float, const K: usize> {
     /// Exponents, `[flow][lane]`: λ and h are the stored values times 2^exponent.
     pub(super) of: [[i32; WIDTH]; K],
     /// Factor of the cost gradients: `scale` of the pass times 2^-exponent.
@@ -48,36 +133,29 @@ impl<F: Float> Limits<F> {
     }
 }
 
-/// Outcome of a rescaling.
-#[derive(Clone, Copy, PartialEq)]
-pub(super) enum Size {
-    Carried,
-    NotFinite,
-}
-
-impl<F: Float, const K: usize> Exponents<F, K> {
-    pub(super) fn new() -> Self {
+impl<F: Float, const K: usize> BlockExponents<F, K> {
+    fn new() -> Self {
         Self { of: [[0; WIDTH]; K], inject: CotangentPack([Lane::splat(F::zero()); K]) }
     }
 
     /// Sets all exponents to 0, for a pass with this `scale`.
-    pub(super) fn reset(&mut self, scale: F) {
+    fn reset(&mut self, scale: F) {
         (self.of, self.inject) = ([[0; WIDTH]; K], CotangentPack([Lane::splat(scale); K]));
     }
 
     /// Returns true if an exponent is not 0.
-    pub(super) fn any(&self) -> bool {
+    fn any(&self) -> bool {
         self.of.iter().flatten().any(|&exponent| exponent != 0)
     }
 
     /// Returns true if an exponent is so low that scaled cost gradients may overflow.
-    pub(super) fn any_low(&self) -> bool {
+    fn any_low(&self) -> bool {
         self.of.iter().flatten().any(|&exponent| exponent < -reach::<F>())
     }
 
     fn set(&mut self, k: usize, lane: usize, exponent: i32, scale: F) {
         self.of[k][lane] = exponent;
-        // Limited to stay finite. `lift` resets such exponents before a non-zero cost gradient is
+        // Limited to stay finite. `raise` resets such exponents before a non-zero cost gradient is
         // added.
         let limit = reach::<F>() * 3 / 2;
         self.inject.0[k].set_lane(lane, scaled(scale, (-exponent).min(limit)));
@@ -86,23 +164,23 @@ impl<F: Float, const K: usize> Exponents<F, K> {
     /// Rescales the cotangents of one sample and flow to a size of about 1, if needed.
     ///
     /// `lambda` and `u_bar` are λ and h of the block.
-    pub(super) fn rescale(
+    fn rescale(
         &mut self,
         flow: Flow,
         (k, lane): (usize, usize),
         scale: F,
         lambda: &mut [CotangentPack<Lane<F>, K>],
         u_bar: &mut [CotangentPack<Lane<F>, K>],
-    ) -> Size {
+    ) -> Result<(), NonFinite> {
         // Sums in the order of the step, so the decision does not depend on other samples.
         let size = u_bar.iter().chain(&*lambda).fold(F::zero(), |size, bar| size + bar.0[k].lane(lane).abs());
         if !size.as_().is_finite() {
-            return Size::NotFinite;
+            return Err(NonFinite);
         }
         // S carries nothing back, so it cannot explode or vanish.
         let carries = flow.physics || flow.control;
         if !carries || Limits::new().holds(size, false) && size != F::zero() {
-            return Size::Carried;
+            return Ok(());
         }
         let own = self.of[k][lane];
         let by = if size == F::zero() { -own } else { exponent_of(size.as_()) };
@@ -111,13 +189,13 @@ impl<F: Float, const K: usize> Exponents<F, K> {
             bar.set_lane(lane, scaled(bar.lane(lane), -by));
         }
         self.set(k, lane, own.saturating_add(by), scale);
-        Size::Carried
+        Ok(())
     }
 
     /// Resets the exponent of one sample and flow to 0, if cost gradients may overflow beside it.
     ///
     /// λ may underflow to 0, which is negligible beside such cost gradients.
-    pub(super) fn lift(&mut self, (k, lane): (usize, usize), scale: F, lambda: &mut [CotangentPack<Lane<F>, K>]) {
+    fn raise(&mut self, (k, lane): (usize, usize), scale: F, lambda: &mut [CotangentPack<Lane<F>, K>]) {
         let own = self.of[k][lane];
         if own < -reach::<F>() {
             for bar in lambda {

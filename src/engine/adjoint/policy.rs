@@ -1,10 +1,13 @@
 //! Policy part of the reverse pass: cotangents, buffers and parameter gradients.
 
+use super::exponents::Exponents;
 use super::{Flow, Pass};
 use crate::engine::gradient::Gradient;
+use crate::engine::rollout::{Lane, Rollout, WIDTH, gather};
 use crate::numbers::aligned::Aligned;
 use crate::numbers::extended::{exponent_of, scaled};
-use crate::numbers::scalar::Float;
+use crate::numbers::scalar::{CotangentPack, Float, Real};
+use crate::numbers::zip::zip;
 use crate::policy::AnyPolicy;
 use crate::policy::{PolicyColumns, PolicyPass, PolicyRecord};
 use std::ops::Range;
@@ -12,17 +15,18 @@ use std::ops::Range;
 /// Policy part of the reverse pass.
 #[derive(Debug)]
 pub(super) struct PolicyAdjoint<F> {
+    control_dim: usize,
     /// Control cotangents h, per flow, as policy columns.
     pub(super) controls_bar: Vec<Vec<F>>,
-    /// Tape of the policy's backward pass, per flow, or one for all flows if `unit`.
+    /// Tape of the policy's backward pass, per flow, or one for all flows if `linearized`.
     pub(super) tape_bar: Vec<Aligned<F>>,
-    /// `(∂N/∂x)ᵀ h` of one step, or `∂N/∂x` of all steps if `unit`, as policy columns.
+    /// `(∂N/∂x)ᵀ h` of one step, or `∂N/∂x` of all steps if `linearized`, as policy columns.
     ///
     /// Empty if no flow has a control path.
     pub(super) inputs_bar: Vec<F>,
     /// True if the policy is linearized for all steps of a unit at once.
-    pub(super) unit: bool,
-    /// Unit cotangents of the only control, if `unit`.
+    pub(super) linearized: bool,
+    /// Unit cotangents of the only control, if `linearized`.
     pub(super) ones: Vec<F>,
     pub(super) scratch: Aligned<F>,
     /// Exponent of each column, per flow. All 0 unless `scaled`.
@@ -34,20 +38,21 @@ pub(super) struct PolicyAdjoint<F> {
 }
 
 /// Buffer lengths of the policy part.
-pub(super) struct PolicyRoom {
+pub(super) struct PolicyBufferSizes {
+    control_dim: usize,
     flows: usize,
     controls_bar: usize,
     tapes: usize,
     tape_bar: usize,
     inputs_bar: usize,
-    unit: bool,
+    linearized: bool,
     ones: usize,
     scratch: usize,
     columns: usize,
     params: usize,
 }
 
-impl PolicyRoom {
+impl PolicyBufferSizes {
     pub(super) fn new<F: Float>(policy: &dyn AnyPolicy<F>, columns: usize, flows: &[Flow]) -> Self {
         let (n, m) = (policy.state_dim(), policy.control_dim());
         let sizes = policy.sizes(columns);
@@ -55,15 +60,16 @@ impl PolicyRoom {
         // before the loop. One linearization in large products then serves all flows. With more
         // controls, each would need its own.
         let through_inputs = flows.iter().any(|flow| flow.control);
-        let unit = m == 1 && through_inputs;
+        let linearized = m == 1 && through_inputs;
         Self {
+            control_dim: m,
             flows: flows.len(),
             controls_bar: columns * m,
-            tapes: if unit { 1 } else { flows.len() },
+            tapes: if linearized { 1 } else { flows.len() },
             tape_bar: sizes.tape_bar,
             inputs_bar: if through_inputs { columns * n } else { 0 },
-            unit,
-            ones: if unit { columns } else { 0 },
+            linearized,
+            ones: if linearized { columns } else { 0 },
             scratch: sizes.scratch,
             columns,
             params: policy.param_count(),
@@ -80,19 +86,20 @@ impl PolicyRoom {
 }
 
 impl<F: Float> PolicyAdjoint<F> {
-    pub(super) fn new(room: &PolicyRoom) -> Self {
+    pub(super) fn new(sizes: &PolicyBufferSizes) -> Self {
         let zeros = |len: usize| vec![F::zero(); len];
         Self {
-            controls_bar: (0..room.flows).map(|_| zeros(room.controls_bar)).collect(),
-            tape_bar: (0..room.tapes).map(|_| Aligned::zeros(room.tape_bar)).collect(),
-            inputs_bar: zeros(room.inputs_bar),
-            unit: room.unit,
-            ones: vec![F::one(); room.ones],
-            scratch: Aligned::zeros(room.scratch),
-            exponents: vec![vec![0; room.columns]; room.flows],
+            control_dim: sizes.control_dim,
+            controls_bar: (0..sizes.flows).map(|_| zeros(sizes.controls_bar)).collect(),
+            tape_bar: (0..sizes.tapes).map(|_| Aligned::zeros(sizes.tape_bar)).collect(),
+            inputs_bar: zeros(sizes.inputs_bar),
+            linearized: sizes.linearized,
+            ones: vec![F::one(); sizes.ones],
+            scratch: Aligned::zeros(sizes.scratch),
+            exponents: vec![vec![0; sizes.columns]; sizes.flows],
             scaled: false,
-            weights: zeros(room.columns),
-            part: zeros(room.params),
+            weights: zeros(sizes.columns),
+            part: zeros(sizes.params),
         }
     }
 
@@ -117,11 +124,49 @@ impl<F: Float> PolicyAdjoint<F> {
         }
     }
 
-    /// Stores the exponents of the columns of one step. `of` maps a sample to its exponent.
-    pub(super) fn note_exponents(&mut self, k: usize, at: PolicyColumns, of: impl Fn(usize) -> i32) {
-        self.scaled = true;
-        for (sample, c) in at.iter().enumerate() {
-            self.exponents[k][c] = of(sample);
+    /// Stores h of flow `k` at the columns of one step, with its exponents.
+    pub(super) fn set_controls_bar<const K: usize>(
+        &mut self,
+        k: usize,
+        at: PolicyColumns,
+        u_bar: &[CotangentPack<Lane<F>, K>],
+        exponents: &Exponents<F, K>,
+    ) {
+        gather(u_bar, |h, lane| h.0[k].lane(lane), self.control_dim, at, &mut self.controls_bar[k]);
+        if exponents.any {
+            self.scaled = true;
+            for (sample, c) in at.iter().enumerate() {
+                self.exponents[k][c] = exponents.of(k, sample);
+            }
+        }
+    }
+
+    /// Evaluates `(∂N/∂x)ᵀ h` of flow `k` at step `t`, unless the unit is linearized already.
+    pub(super) fn linearize_inputs(&mut self, pass: &Pass<'_, F>, k: usize, t: usize) {
+        if !self.linearized {
+            self.backward(pass, k, pass.rollout.columns(t), true);
+        }
+    }
+
+    /// Adds `(∂N/∂x)ᵀ h` at step `t` to λ of flow `k`.
+    pub(super) fn add_inputs_bar<const K: usize>(
+        &self,
+        k: usize,
+        rollout: &Rollout<F>,
+        t: usize,
+        lambda: &mut [CotangentPack<Lane<F>, K>],
+    ) {
+        let (n, at) = (rollout.state_dim, rollout.columns(t));
+        for (block, lambda) in lambda.chunks_exact_mut(n).take(at.count.div_ceil(WIDTH)).enumerate() {
+            for lane in 0..WIDTH {
+                let sample = (block * WIDTH + lane).min(at.count - 1);
+                let c = at.first + sample * at.step;
+                // Results for a unit cotangent still lack the factor h.
+                let factor = if self.linearized { self.controls_bar[k][c] } else { F::one() };
+                for (lambda, &x_bar) in zip(lambda.iter_mut(), &self.inputs_bar[c * n..][..n]) {
+                    lambda.0[k].0[lane] += x_bar * factor;
+                }
+            }
         }
     }
 
@@ -139,7 +184,7 @@ impl<F: Float> PolicyAdjoint<F> {
         let exponent = if one_exponent { 0 } else { self.weigh(k, range, policy.control_dim()) };
         let h = &self.controls_bar[k];
         let (u_bar, tape_bar, plain_weight) =
-            if self.unit { (&self.ones, &self.tape_bar[0], Some(&h[..])) } else { (h, &self.tape_bar[k], None) };
+            if self.linearized { (&self.ones, &self.tape_bar[0], Some(&h[..])) } else { (h, &self.tape_bar[k], None) };
         let weight = if one_exponent { plain_weight } else { Some(&self.weights[..]) };
         let record = PolicyRecord { tape, u_bar, tape_bar, weight };
         match theta_bar.unscaled_sum() {
@@ -163,7 +208,7 @@ impl<F: Float> PolicyAdjoint<F> {
         };
         let largest = columns.clone().filter_map(leading).max().unwrap_or(0);
         for c in columns {
-            let own = if self.unit { h[c] } else { F::one() };
+            let own = if self.linearized { h[c] } else { F::one() };
             self.weights[c] = scaled(own, exponents[c] - largest);
         }
         largest
@@ -174,7 +219,7 @@ impl<F: Float> PolicyAdjoint<F> {
     /// Evaluates `∂N/∂x` only if `through_inputs`.
     pub(super) fn backward(&mut self, pass: &Pass<'_, F>, k: usize, at: PolicyColumns, through_inputs: bool) {
         let columns = PolicyPass { packed: pass.weights.packed(), at, x: pass.rollout.inputs() };
-        let u_bar = if self.unit { &self.ones } else { &self.controls_bar[k] };
+        let u_bar = if self.linearized { &self.ones } else { &self.controls_bar[k] };
         let x_bar = through_inputs.then_some(&mut self.inputs_bar[..]);
         pass.policy.backward(columns, &pass.rollout.tape, u_bar, &mut self.tape_bar[k], x_bar);
     }

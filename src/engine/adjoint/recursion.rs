@@ -1,17 +1,80 @@
-//! Adjoint recursion, for one flow or two flows side by side.
+//! The adjoint recursion: [`reverse_step`] for the physics, [`Recursion::back`] for the loop.
+//!
+//! Scaling is in `exponents`, the traversal of samples in `blocks`, the policy's side in `policy`,
+//! norms and growth in `measure`. None of them changes a value at moderate sizes.
 
-use super::exponents::{Exponents, Size};
-use super::step::{CostsOf, StepBack};
+use super::exponents::Exponents;
+use super::measure::{GrowthMeters, record_norms};
+use super::step_back::StepBack;
 use super::{Flow, Pass, PolicyAdjoint};
-use crate::engine::any::AnyTask;
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
 use crate::engine::divergence::{Divergence, Variable};
-use crate::engine::growth::Meter;
-use crate::engine::rollout::{Lane, Rollout, WIDTH, find_non_finite, gather};
-use crate::numbers::extended::times_power_of_two;
+use crate::engine::rollout::{Lane, Rollout, WIDTH, find_non_finite};
 use crate::numbers::scalar::{CotangentPack, Float, Real, Scalar};
 use crate::numbers::zip::zip;
-use crate::policy::PolicyColumns;
 use std::ops::Range;
+
+/// Inputs and outputs of one step of the recursion, for one block of samples or one sample.
+pub(super) struct Step<'a, R, const K: usize> {
+    /// `x_t`, `x_{t+1}` and `u_t`.
+    pub(super) x: &'a [R],
+    pub(super) next: &'a [R],
+    pub(super) u: &'a [R],
+    /// λ, read and overwritten.
+    pub(super) lambda: &'a mut [CotangentPack<R, K>],
+    /// `(∂S/∂x)ᵀ λ`, written.
+    pub(super) x_bar: &'a mut [CotangentPack<R, K>],
+    /// h, written.
+    pub(super) u_bar: &'a mut [CotangentPack<R, K>],
+    /// `∂l/∂x` and `∂l/∂u`, written.
+    pub(super) cost_x: &'a mut [R],
+    pub(super) cost_u: &'a mut [R],
+    /// Factor of the cost gradients; see [`Exponents`].
+    pub(super) inject: CotangentPack<R, K>,
+}
+
+/// Performs one step of the recursion without the policy. Returns Σ|λ| + Σ|h| per flow.
+///
+/// ```text
+/// λ ← λ + ∂l/∂x(x_{t+1}, u_t)
+/// h ← (∂S/∂u)ᵀ λ + ∂l/∂u(x_{t+1}, u_t)
+/// λ ← physics·(∂S/∂x)ᵀ λ
+/// ```
+#[inline(always)]
+pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
+    task: &T,
+    flows: [Flow; K],
+    step: Step<'_, R, K>,
+) -> CotangentPack<R, K> {
+    let Step { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject } = step;
+    let system = task.system();
+    let mut size = CotangentPack([R::zero(); K]);
+
+    task.stage_cost_gradient(next, u, cost_x, cost_u);
+    for (lambda, &cost) in zip(lambda.iter_mut(), &*cost_x) {
+        *lambda += inject * cost;
+    }
+
+    // Two flows without a physics path are rare: their special case is not compiled.
+    if K > 1 || flows.iter().any(|flow| flow.physics) {
+        system.vjp(x, u, lambda, x_bar, u_bar);
+    } else {
+        system.vjp_control(x, u, lambda, u_bar);
+    }
+    for (u_bar, &cost) in zip(u_bar.iter_mut(), &*cost_u) {
+        *u_bar += inject * cost;
+        size += u_bar.abs();
+    }
+
+    for (lambda, &x_bar) in zip(lambda.iter_mut(), &*x_bar) {
+        for (k, flow) in flows.iter().enumerate() {
+            lambda.0[k] = if flow.physics { x_bar.0[k] } else { R::zero() };
+        }
+        size += lambda.abs();
+    }
+    size
+}
 
 /// State of the recursion for `K` flows.
 #[derive(Debug)]
@@ -25,14 +88,8 @@ pub struct Recursion<F: Float, const K: usize> {
     /// Cost gradients of one block.
     pub(super) cost_x: Vec<Lane<F>>,
     pub(super) cost_u: Vec<Lane<F>>,
-    /// Exponents, per block.
-    pub(super) exponents: Vec<Exponents<F, K>>,
-    /// `scaled`: an exponent is not 0. `low`: an exponent is so low that cost gradients may
-    /// overflow.
-    pub(super) scaled: bool,
-    low: bool,
-    /// Growth, `[sample][flow]`, with ‖λ‖² and its exponent before the current step.
-    meters: Vec<[(Meter, f64, i32); K]>,
+    pub(super) exponents: Exponents<F, K>,
+    growth: GrowthMeters<K>,
 }
 
 impl<F: Float, const K: usize> Recursion<F, K> {
@@ -47,10 +104,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             u_bar: columns(blocks * m),
             cost_x: lanes(n),
             cost_u: lanes(m),
-            exponents: vec![Exponents::new(); blocks],
-            scaled: false,
-            low: false,
-            meters: vec![[(Meter::default(), 0.0, 0); K]; rollout.capacity()],
+            exponents: Exponents::new(blocks),
+            growth: GrowthMeters::new(rollout.capacity()),
         }
     }
 
@@ -59,36 +114,34 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let blocks = samples.div_ceil(WIDTH);
         blocks * (2 * n + m) * size_of::<CotangentPack<Lane<F>, K>>()
             + (n + m) * size_of::<Lane<F>>()
-            + blocks * size_of::<Exponents<F, K>>()
-            + samples * size_of::<[(Meter, f64, i32); K]>()
+            + Exponents::<F, K>::bytes_of(blocks)
+            + GrowthMeters::<K>::bytes_of(samples)
     }
 
     pub(super) fn stored_bytes(&self) -> usize {
         let columns = [&self.lambda, &self.x_bar, &self.u_bar].map(|columns| size_of_val(&columns[..]));
         let costs = [&self.cost_x, &self.cost_u].map(|costs| size_of_val(&costs[..]));
-        let others = [size_of_val(&self.exponents[..]), size_of_val(&self.meters[..])];
+        let others = [self.exponents.stored_bytes(), self.growth.stored_bytes()];
         columns.into_iter().chain(costs).chain(others).sum()
     }
 
-    /// Initializes λ with the gradient of the terminal cost. `norms` has one row per flow, or none.
+    /// Starts the recursion: `λ ← ∂φ/∂x_T`. `norms` has one row per flow, or none.
     pub(super) fn begin(&mut self, pass: &Pass<'_, F>, norms: &mut [Vec<f64>]) {
         let Pass { task, rollout, scale, .. } = *pass;
         let n = rollout.state_dim;
-        let last = rollout.states_at(rollout.horizon);
-        self.exponents.iter_mut().for_each(|exponents| exponents.reset(scale));
-        (self.scaled, self.low) = (false, false);
-        self.meters.fill([(Meter::default(), 0.0, 0); K]);
-        for (lambda, x) in zip(self.lambda.chunks_exact_mut(n), last.chunks_exact(n)) {
+        self.exponents.reset(scale);
+        self.growth.reset();
+        for (lambda, x) in zip(self.lambda.chunks_exact_mut(n), rollout.states_at(rollout.horizon).chunks_exact(n)) {
             task.terminal_cost_gradient(x, &mut self.cost_x);
             for (lambda, &x_bar) in zip(lambda.iter_mut(), &self.cost_x) {
                 *lambda = CotangentPack([x_bar * Lane::splat(scale); K]);
             }
         }
-        self.note_norms(rollout, rollout.horizon, scale, norms);
+        record_norms(&self.lambda, &self.exponents, pass, rollout.horizon, norms);
     }
 
     /// Runs the recursion (see [`adjoint`](super)) backwards through `steps`, for all flows at
-    /// once.
+    /// once. `task` is the task of the pass.
     pub(super) fn back(
         &mut self,
         pass: &Pass<'_, F>,
@@ -98,152 +151,64 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         policy: &mut PolicyAdjoint<F>,
         norms: &mut [Vec<f64>],
     ) -> Result<(), Divergence> {
-        let Pass { rollout, scale, measured, .. } = *pass;
-        let (n, m) = (rollout.state_dim, rollout.control_dim);
         for t in steps.rev() {
-            let at = rollout.columns(t);
-            if self.low || measured {
-                let mut costs = |block: usize, of_state: &mut [Lane<F>], of_control: &mut [Lane<F>]| {
-                    let (next, u) = (&rollout.states_at(t + 1)[block * n..][..n], &rollout.controls_at(t)[block * m..][..m]);
-                    pass.task.stage_cost_gradient(next, u, of_state, of_control);
-                };
-                if self.low {
-                    self.lift(rollout, scale, &mut costs);
-                }
-                if measured {
-                    self.measure_before(rollout, &mut costs);
-                }
-            }
-            let in_range = task.step_back(flows, rollout, t, self);
-            if !in_range && self.rescale(flows, rollout, scale) == Size::NotFinite {
-                return Err(self.divergence(pass.task, flows, rollout, t));
+            self.before_step(pass, t);
+            // λ, h ← `reverse_step`, for every block of samples.
+            let in_range = task.step_back(flows, pass.rollout, t, self);
+            if !in_range {
+                let rescaled = self.exponents.rescale(flows, pass, &mut self.lambda, &mut self.u_bar);
+                rescaled.map_err(|_| self.divergence(pass, flows, t))?;
             }
             for (k, flow) in flows.into_iter().enumerate() {
-                gather(&self.u_bar, |h, lane| h.0[k].lane(lane), m, at, &mut policy.controls_bar[k]);
-                if self.scaled {
-                    let of = |sample: usize| self.exponents[sample / WIDTH].of[k][sample % WIDTH];
-                    policy.note_exponents(k, at, of);
-                }
+                policy.set_controls_bar(k, pass.rollout.columns(t), &self.u_bar, &self.exponents);
                 if flow.control {
-                    if !policy.unit {
-                        policy.backward(pass, k, at, true);
-                    }
-                    self.add_inputs(k, at, n, policy);
+                    // λ ← λ + (∂N/∂x)ᵀ h
+                    policy.linearize_inputs(pass, k, t);
+                    policy.add_inputs_bar(k, pass.rollout, t, &mut self.lambda);
                 }
             }
-            if measured {
-                self.measure_after(rollout);
-            }
-            self.note_norms(rollout, t, scale, norms);
+            self.after_step(pass, t, norms);
         }
         Ok(())
     }
 
-    /// Rescales cotangents outside the range of [`Limits`](super::exponents::Limits).
-    #[cold]
-    fn rescale(&mut self, flows: [Flow; K], rollout: &Rollout<F>, scale: F) -> Size {
+    /// Prepares step `t`: resets exponents too low for its cost gradients, and measures growth.
+    fn before_step(&mut self, pass: &Pass<'_, F>, t: usize) {
+        let Pass { task, rollout, scale, measured, .. } = *pass;
+        if !measured && !self.exponents.any_low() {
+            return;
+        }
         let (n, m) = (rollout.state_dim, rollout.control_dim);
-        let blocks = zip(zip(self.lambda.chunks_exact_mut(n), self.u_bar.chunks_exact_mut(m)), &mut self.exponents);
-        for ((lambda, u_bar), exponents) in blocks.take(rollout.samples.div_ceil(WIDTH)) {
-            for (k, flow) in flows.into_iter().enumerate() {
-                for lane in 0..WIDTH {
-                    if exponents.rescale(flow, (k, lane), scale, lambda, u_bar) == Size::NotFinite {
-                        return Size::NotFinite;
-                    }
-                }
-            }
-        }
-        self.scaled = self.exponents.iter().any(Exponents::any);
-        self.low = self.exponents.iter().any(Exponents::any_low);
-        Size::Carried
-    }
-
-    /// Resets exponents that are too low for the cost gradients of the next step.
-    ///
-    /// Samples without a cost gradient at this step keep their exponent.
-    #[cold]
-    fn lift(&mut self, rollout: &Rollout<F>, scale: F, costs: CostsOf<'_, F>) {
-        let n = rollout.state_dim;
         for block in 0..rollout.samples.div_ceil(WIDTH) {
-            costs(block, &mut self.cost_x, &mut self.cost_u);
-            for lane in 0..WIDTH {
-                if self.cost_x.iter().chain(&self.cost_u).any(|cost| cost.lane(lane) != F::zero()) {
-                    let lambda = &mut self.lambda[block * n..][..n];
-                    (0..K).for_each(|k| self.exponents[block].lift((k, lane), scale, lambda));
-                }
+            let (next, u) = (&rollout.states_at(t + 1)[block * n..][..n], &rollout.controls_at(t)[block * m..][..m]);
+            task.stage_cost_gradient(next, u, &mut self.cost_x, &mut self.cost_u);
+            let lambda = &mut self.lambda[block * n..][..n];
+            self.exponents.raise(block, scale, lambda, [&self.cost_x, &self.cost_u]);
+            if measured {
+                let samples = block * WIDTH..rollout.samples.min((block + 1) * WIDTH);
+                self.growth.before(samples, lambda, &self.cost_x, &self.exponents.blocks[block]);
             }
         }
-        self.low = self.exponents.iter().any(Exponents::any_low);
+        self.exponents.update_low();
     }
 
-    /// Records ‖λ + ∂l/∂x‖² before the step.
-    fn measure_before(&mut self, rollout: &Rollout<F>, costs: CostsOf<'_, F>) {
-        let n = rollout.state_dim;
-        for (sample, meters) in self.meters[..rollout.samples].iter_mut().enumerate() {
-            let (block, lane) = (sample / WIDTH, sample % WIDTH);
-            if lane == 0 {
-                costs(block, &mut self.cost_x, &mut self.cost_u);
-            }
-            let exponents = &self.exponents[block];
-            for (k, (_, before, exponent)) in meters.iter_mut().enumerate() {
-                let sum = |(lambda, cost): (&CotangentPack<Lane<F>, K>, &Lane<F>)| -> f64 {
-                    (lambda.0[k].lane(lane) + cost.lane(lane) * exponents.inject.0[k].lane(lane)).as_()
-                };
-                let terms = zip(self.lambda[block * n..][..n].iter(), &self.cost_x).map(sum);
-                (*before, *exponent) = (terms.map(|x| x * x).sum(), exponents.of[k][lane]);
-            }
+    /// Measures growth and norms after step `t`.
+    fn after_step(&mut self, pass: &Pass<'_, F>, t: usize, norms: &mut [Vec<f64>]) {
+        if pass.measured {
+            self.growth.after(pass.rollout, &self.lambda, &self.exponents);
         }
+        record_norms(&self.lambda, &self.exponents, pass, t, norms);
     }
 
-    /// Adds the growth over the step to the meters.
-    fn measure_after(&mut self, rollout: &Rollout<F>) {
-        let n = rollout.state_dim;
-        for (sample, meters) in self.meters[..rollout.samples].iter_mut().enumerate() {
-            let (block, lane) = (sample / WIDTH, sample % WIDTH);
-            for (k, (meter, before, exponent)) in meters.iter_mut().enumerate() {
-                let of_lane = |lambda: &CotangentPack<Lane<F>, K>| -> f64 { lambda.0[k].lane(lane).as_() };
-                let after = self.lambda[block * n..][..n].iter().map(of_lane).map(|x| x * x).sum();
-                meter.step(*before, after, self.exponents[block].of[k][lane] - *exponent);
-            }
-        }
-    }
-
-    /// Growth of flow `k` for each sample of the last measured run.
-    pub(super) fn meters(&self, k: usize, samples: usize) -> impl Iterator<Item = &Meter> {
-        self.meters[..samples].iter().map(move |meters| &meters[k].0)
-    }
-
-    /// Records the norm of λ at step `t`, in f64: squares of f32 overflow early.
-    fn note_norms(&self, rollout: &Rollout<F>, t: usize, scale: F, norms: &mut [Vec<f64>]) {
-        let lambda = |k: usize, sample: usize| {
-            let block = &self.lambda[sample / WIDTH * rollout.state_dim..][..rollout.state_dim];
-            let exponent = self.exponents[sample / WIDTH].of[k][sample % WIDTH];
-            block.iter().map(move |c| times_power_of_two(c.0[k].lane(sample % WIDTH).as_(), exponent))
-        };
-        for (k, norms) in norms.iter_mut().enumerate() {
-            let squares: f64 = (0..rollout.samples).flat_map(|sample| lambda(k, sample)).map(|x: f64| x * x).sum();
-            norms[t] = (squares / rollout.samples as f64).sqrt() / scale.as_();
-        }
-    }
-
-    /// Adds `(∂N/∂x)ᵀ h` to λ of flow `k`.
-    fn add_inputs(&mut self, k: usize, at: PolicyColumns, n: usize, policy: &PolicyAdjoint<F>) {
-        for (block, lambda) in self.lambda.chunks_exact_mut(n).take(at.count.div_ceil(WIDTH)).enumerate() {
-            for lane in 0..WIDTH {
-                let sample = (block * WIDTH + lane).min(at.count - 1);
-                let c = at.first + sample * at.step;
-                // Results for a unit cotangent still lack the factor h.
-                let factor = if policy.unit { policy.controls_bar[k][c] } else { F::one() };
-                for (lambda, &x_bar) in zip(lambda.iter_mut(), &policy.inputs_bar[c * n..][..n]) {
-                    lambda.0[k].0[lane] += x_bar * factor;
-                }
-            }
-        }
+    /// Meters of growth.
+    pub(super) fn growth(&self) -> &GrowthMeters<K> {
+        &self.growth
     }
 
     /// Finds the first flow, and its first sample, with a non-finite state or control cotangent.
     #[cold]
-    fn divergence(&self, task: &dyn AnyTask<F>, flows: [Flow; K], rollout: &Rollout<F>, step: usize) -> Divergence {
+    fn divergence(&self, pass: &Pass<'_, F>, flows: [Flow; K], step: usize) -> Divergence {
+        let Pass { task, rollout, .. } = *pass;
         let find = |columns: &[CotangentPack<Lane<F>, K>], n: usize, k: usize| {
             find_non_finite(columns, n, rollout.samples, |c, lane| c.0[k].lane(lane))
         };

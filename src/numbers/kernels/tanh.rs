@@ -1,7 +1,8 @@
-//! Hyperbolic tangent, branch-free, so that a whole layer is done in vector registers.
+//! Branch-free hyperbolic tangent, vectorized over whole layers.
 //!
-//! `FMA` says whether multiply-add is one instruction where this is inlined; without it, the call would go to the
-//! C library. Saturates at exactly ±1, so that the derivative `1 - t²` of a saturated unit is exactly 0.
+//! `FMA` states whether the target has a fused multiply-add instruction. Without one, `mul_add`
+//! would call the C library. Saturates at exactly ±1, so the derivative `1 - t²` of a saturated
+//! unit is exactly 0.
 
 #[inline(always)]
 fn fma_32<const FMA: bool>(a: f32, b: f32, c: f32) -> f32 {
@@ -13,11 +14,11 @@ fn fma_64<const FMA: bool>(a: f64, b: f64, c: f64) -> f64 {
     if FMA { a.mul_add(b, c) } else { a * b + c }
 }
 
-/// A rational approximation of degree 13 / 6 on [-8, 8] (coefficients as in Eigen). For every argument the error is at most 6
-/// units in the last place fused, 8 unfused.
+/// Computes tanh by a rational approximation of degree 13 / 6 on [-8, 8] (coefficients as in
+/// Eigen). For every argument the error is at most 6 units in the last place fused, 8 unfused.
 #[inline(always)]
 pub fn tanh_32<const FMA: bool>(x: f32) -> f32 {
-    /// From here on tanh rounds to 1 within the accuracy claimed.
+    /// Smallest |x| at which tanh rounds to 1 within the stated accuracy.
     const SATURATED: f32 = 7.998_811_7;
     let bounded = x.clamp(-SATURATED, SATURATED);
     let x2 = bounded * bounded;
@@ -31,15 +32,16 @@ pub fn tanh_32<const FMA: bool>(x: f32) -> f32 {
     let q = fma_32::<FMA>(q, x2, 2.268_434_6e-3);
     let q = fma_32::<FMA>(q, x2, 4.893_525e-3);
     let ratio = bounded * p / q;
-    // Small arguments keep their own bits; large ones are exactly ±1.
+    // Return small arguments unchanged, and exactly ±1 for large ones.
     let inner = if x.abs() < 4e-4 { x } else { ratio };
     if x.abs() >= SATURATED { 1f32.copysign(x) } else { inner }
 }
 
-/// `-e / (e + 2)` with `e = expm1(-2|x|)`, at most 3 units in the last place.
+/// Computes tanh as `-e / (e + 2)` with `e = expm1(-2|x|)`. The error is at most 3 units in the
+/// last place.
 #[inline(always)]
 pub fn tanh_64<const FMA: bool>(x: f64) -> f64 {
-    /// Adding and subtracting it rounds to an integer (1.5·2^52).
+    /// Adding and subtracting this rounds to an integer (1.5·2^52).
     const ROUND: f64 = 6_755_399_441_055_744.0;
     /// Taylor coefficients 1/13! … 1/2! of expm1.
     const C: [f64; 12] = [

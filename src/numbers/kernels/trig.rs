@@ -1,19 +1,25 @@
-//! Sine and cosine together, without branches and without fused operations: the same bits alone, in a lane, and on
-//! every processor. For |x| up to 1e6 the error is at most 1.6 units in the last place (ulps) in `f32`, for every argument,
-//! and 2.6 in `f64`; beyond, the standard library takes over.
+//! Branch-free sine and cosine, computed together without fused operations.
 //!
-//! The bound in `f64`: the reduction rounds twice, which moves the angle by up to 1 of its ulps. That is up to 2 ulps of a
-//! sine just below a power of two, where the angle is just above it. The last sum adds 0.5, the polynomial less than 0.1.
+//! Results are bitwise equal for scalars and lanes, and on every processor. For |x| up to 1e6, the
+//! error is at most 1.6 units in the last place (ulps) in `f32`, tested for all arguments. In `f64`
+//! it is at most 2.6 ulps. Callers use the standard library beyond [`REACH`].
+//!
+//! The bound in `f64` has three terms. The argument reduction rounds twice, which moves the angle
+//! by up to 1 of its ulps. Just below a power of two, this is up to 2 ulps of the sine, because the
+//! angle lies just above the power. The last sum adds 0.5, the polynomial less than 0.1.
 
-/// Above this, `n·π/2` of the argument reduction is no longer exact and [`std`] computes the pair instead.
+/// Largest |x| for which `n·π/2` in the argument reduction is exact. Use [`std`] for larger
+/// arguments.
 pub const REACH: f64 = 1e6;
 
-/// Adding and subtracting it rounds to an integer, whose low bits are then the low bits of the sum (1.5·2^52).
+/// Adding and subtracting this rounds to an integer. The low bits of the sum are those of the
+/// integer (1.5·2^52).
 const ROUND: f64 = 6_755_399_441_055_744.0;
-/// π/2 in three pieces; the first two have 33 significant bits, so their product with n < 2^20 is exact (fdlibm).
+/// π/2 in three parts. The first two have 33 significant bits, so their product with n < 2^20 is
+/// exact (fdlibm).
 const HALF_PI: [f64; 3] = [1.570_796_326_734_125_6, 6.077_100_506_303_966e-11, 2.022_266_248_795_950_6e-21];
 
-/// `x = n·π/2 + r` with |r| ≤ π/4; returns `r` and the bits of `n`.
+/// Reduces `x = n·π/2 + r` with |r| ≤ π/4. Returns `r` and the bits of `n`.
 #[inline(always)]
 fn reduce(x: f64) -> (f64, u64) {
     let n = x * std::f64::consts::FRAC_2_PI + ROUND;
@@ -22,7 +28,7 @@ fn reduce(x: f64) -> (f64, u64) {
     (((x - n * HALF_PI[0]) - n * HALF_PI[1]) - n * HALF_PI[2], bits)
 }
 
-/// sin and cos of |x| ≤ [`REACH`] (the caller has checked), NaN for NaN.
+/// Returns sin and cos for |x| ≤ [`REACH`], which callers must check; NaN for NaN.
 #[inline(always)]
 pub fn sin_cos_64(x: f64) -> (f64, f64) {
     let (r, n) = reduce(x);
@@ -44,14 +50,15 @@ pub fn sin_cos_64(x: f64) -> (f64, f64) {
     let half = 0.5 * r2;
     let one = 1.0 - half;
     let cos = one + ((1.0 - one - half) + r2 * r2 * cos);
-    // Odd quadrants swap the two; quadrants 2, 3 negate the sine and 1, 2 the cosine.
+    // Odd quadrants swap the two. Quadrants 2 and 3 negate the sine, 1 and 2 the cosine.
     let swap = 0u64.wrapping_sub(n & 1);
     let (s, c) = (sin.to_bits(), cos.to_bits());
     let (s, c) = ((s & !swap) | (c & swap), (c & !swap) | (s & swap));
     (f64::from_bits(s ^ ((n & 2) << 62)), f64::from_bits(c ^ ((n.wrapping_add(1) & 2) << 62)))
 }
 
-/// sin and cos of |x| ≤ [`REACH`] (the caller has checked), NaN for NaN. The reduction is done in double precision.
+/// Returns sin and cos for |x| ≤ [`REACH`], which callers must check; NaN for NaN. Reduces the
+/// argument in double precision.
 #[inline(always)]
 pub fn sin_cos_32(x: f32) -> (f32, f32) {
     let (r, n) = reduce(f64::from(x));

@@ -50,7 +50,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     bar.set_message("reference in double-double");
     let [r, m, s] = study.scene.refer(&|| bar.inc(1));
     let mut c = vec![0.0; r.len()];
-    SignAgreement.compose(&m, &r, &mut c);
+    SignAgreement.combine(&m, &r, &mut c);
     let right = |way: &GradientMethod| match way {
         GradientMethod::Reverse { field, .. } => match field.letter() {
             "M" => &m,

@@ -199,7 +199,7 @@ fn reverse<F: Float>(
     let mut run = move || {
         batch.run(&*task, &*policy, &weights, &starts).map_err(|divergence| divergence.to_string())?;
         let mut gradient = Gradient::zeros(weights.theta().len());
-        field.compose(batch.gradients(), &mut gradient);
+        field.combine(batch.gradients(), &mut gradient);
         Ok(gradient)
     };
     let gradient = run()?.to_vec().into_iter().map(|g| g.as_()).collect();

@@ -1,29 +1,29 @@
-//! Bumpers at the ends of the rail.
+//! [`Bumpers`]: springs at the ends of the rail.
 
 use super::CartPoleSystem;
 use crate::dynamics::effect::Effect;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
-/// Springs at both ends of the rail that push a cart back, and never pull it. At the right end, with the depth
-/// `δ = max(0, x - half_travel)`, and likewise at the left:
+/// Springs at both ends of the rail that push the cart back and never pull it. The depth at the
+/// right end is `δ = max(0, x - half_travel)`, and likewise at the left:
 ///
 /// ```text
 /// F = -stiffness δ max(0, 1 + damping ẋ)
 /// ```
 ///
-/// The damping of Hunt and Crossley 1975 (doi:10.1115/1.3423596) with a linear spring: there is no leap in the force when
-/// the cart touches. Its derivative does leap; at the point of touch it is that of the free side. Explicit steps of length
-/// dt need `stiffness dt² < 4 M`.
+/// The damping is that of Hunt and Crossley 1975 (doi:10.1115/1.3423596) with a linear spring. The
+/// force is continuous at contact. Its derivative is discontinuous; at the point of contact it is
+/// that of the free side. Explicit steps of length dt need `stiffness dt² < 4 M`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Bumpers {
-    /// Where the cart touches them: `|x| = half_travel`, m, positive.
+    /// Position of the bumpers: contact at `|x| = half_travel`, m, positive.
     pub half_travel: f64,
-    /// N/m, not negative.
+    /// Stiffness, N/m, not negative.
     pub stiffness: f64,
-    /// s/m, not negative: 0 gives all energy back.
+    /// Damping, s/m, not negative. 0 conserves energy.
     pub damping: f64,
 }
 
@@ -44,7 +44,7 @@ impl Effect<CartPoleSystem> for Bumpers {
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         let (zero, stiffness, damping) = (R::zero(), R::lift(self.stiffness), R::lift(self.damping));
-        // Both sides push the harder, the deeper and the faster, outwards: the same sign for both.
+        // Both forces grow with depth and outward speed, so both slopes have the same sign.
         let (mut by_x, mut by_speed) = (zero, zero);
         for side in self.sides(x) {
             by_x += R::select_lt(zero, side.depth, side.factor, zero);
@@ -55,16 +55,16 @@ impl Effect<CartPoleSystem> for Bumpers {
     }
 }
 
-/// The contact at one end.
+/// Contact at one end.
 struct Side<T> {
-    /// δ.
+    /// Depth δ.
     depth: T,
     /// `max(0, 1 + damping δ̇)`.
     factor: T,
 }
 
 impl Bumpers {
-    /// The right side and the left.
+    /// Returns the contacts at the right and the left end.
     #[inline(always)]
     fn sides<T: Scalar>(&self, x: &[T]) -> [Side<T>; 2] {
         let (zero, half_travel, damping) = (T::zero(), T::lift(self.half_travel), T::lift(self.damping));

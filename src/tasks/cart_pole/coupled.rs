@@ -1,4 +1,4 @@
-//! Poles on a cart that act on each other through it: the exact model.
+//! [`CoupledCartPole`]: the exact model, in which poles act on each other through the cart.
 
 use super::motion::{moved, moved_bar, rate_of, rate_of_bar, velocity_of};
 use super::system::{CartPoleSystem, Forces, PerPole};
@@ -7,23 +7,24 @@ use crate::dynamics::ode::ForcedOde;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 
-/// The physics of rigid, uniform poles on joints side by side on one cart: semi-implicit Euler, velocities first.
+/// Cart with rigid, uniform poles on joints side by side: semi-implicit Euler, velocities first.
 ///
-/// State, control, parameters and forces are those of [`CartPoleSystem`], but M is the mass of the cart and of all the
-/// poles. Lagrange's equations, with J = 4/3 m l² the inertia of a pole about its joint:
+/// State, control, parameters and forces are those of [`CartPoleSystem`], but M is the mass of the
+/// cart and all poles. With the inertia of a pole about its joint, J = 4/3 m l², Lagrange's
+/// equations are:
 ///
 /// ```text
 /// M ẍ + m l Σ_i (α_i cos θ_i - ω_i² sin θ_i) = F
 /// J α_i + m l ẍ cos θ_i                      = τ_i,    τ_i = m g l sin θ_i alone
 /// ```
 ///
-/// The mass matrix is an arrow, and is solved in O(poles): the α_i are eliminated, which leaves one equation for ẍ. Its
-/// factor, M - Σ (m l cos θ_i)² / J, is at least the cart's mass plus a quarter of the poles'. With one pole these are
-/// the equations of [`CartPoleSystem`] written differently.
+/// The mass matrix is an arrowhead matrix, solved in O(poles): eliminating the α_i leaves one
+/// equation for ẍ. Its factor, M - Σ (m l cos θ_i)² / J, is at least the cart's mass plus a quarter
+/// of the poles'. With one pole, the equations are equivalent to those of [`CartPoleSystem`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CoupledCartPole(pub CartPoleSystem);
 
-/// Its constants as numbers of one kind.
+/// Constants of the model in one scalar type.
 struct Constants<T> {
     dt: T,
     /// m l.
@@ -37,8 +38,8 @@ struct Constants<T> {
 }
 
 impl CoupledCartPole {
-    /// Kinetic and potential energy of a state, J, 0 at rest with the joints' heights for zero. Free of control and effects,
-    /// the equations keep it.
+    /// Returns kinetic plus potential energy of a state, J. It is 0 at rest with all poles
+    /// horizontal. Without control and effects, the equations conserve it.
     ///
     /// ```text
     /// M ẋ²/2 + Σ_i (J ω_i²/2 + m l ẋ ω_i cos θ_i + m g l cos θ_i)
@@ -117,7 +118,7 @@ impl ForcedSystem for CoupledCartPole {
 }
 
 impl CoupledCartPole {
-    /// Writes what `of_pole` makes of the state of each pole and α_i, and returns ẍ.
+    /// Writes `of_pole(pole, α_i)` for each pole to `poles`, and returns ẍ.
     #[inline(always)]
     fn accelerate<E: Effect<CartPoleSystem>, T: Scalar>(
         &self,
@@ -128,24 +129,28 @@ impl CoupledCartPole {
         poles: &mut [T],
         of_pole: impl Fn(&[T], T) -> [T; 2],
     ) -> T {
-        let mut forces = Forces::new();
-        self.0.forces(effects, x, u, poles, &mut forces);
+        let (mut trig, mut forces) = (PerPole::new(), Forces::new());
+        self.0.forces(effects, x, u, &mut trig, &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
-        for ((pole, out), &torque) in zip(zip(self.0.poles_of(x), poles.chunks_exact(2)), &forces[1..]) {
-            let (sin, lever) = (out[0], k.moment * out[1]);
+        for ((pole, &[sin, cos]), &torque) in zip(zip(self.0.poles_of(x), &trig), &forces[1..]) {
+            let lever = k.moment * cos;
             let lever_per_inertia = lever * k.per_inertia;
             push += k.moment * sin * pole[1] * pole[1] - lever_per_inertia * torque;
             mass -= lever_per_inertia * lever;
         }
         let a = push / mass;
-        for ((pole, out), &torque) in zip(zip(self.0.poles_of(x), poles.chunks_exact_mut(2)), &forces[1..]) {
-            [out[0], out[1]] = of_pole(pole, (torque - k.moment * out[1] * a) * k.per_inertia);
+        let moments = zip(&trig, &forces[1..]);
+        for ((pole, out), (&[_, cos], &torque)) in zip(zip(self.0.poles_of(x), poles.chunks_exact_mut(2)), moments) {
+            [out[0], out[1]] = of_pole(pole, (torque - k.moment * cos * a) * k.per_inertia);
         }
         a
     }
 
-    /// The reverse of [`accelerate`](Self::accelerate): writes `x_bar`, if it is asked for, and returns the control's cotangent.
-    /// `pole_bar` gives what pole `i` has otherwise, of which the sum is written, and the cotangent of α_i.
+    /// Reverse of [`accelerate`](Self::accelerate). Writes `x_bar`, if requested, and returns the
+    /// cotangent of the control.
+    ///
+    /// `pole_bar(i, x_bar)` returns the cotangents of angle and rate of pole `i` that do not pass
+    /// through α_i, and the cotangent of α_i. `x_bar` receives the sum of all contributions.
     #[inline(always)]
     fn accelerate_reverse<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
         &self,
@@ -158,9 +163,9 @@ impl CoupledCartPole {
     ) -> C {
         let k = self.constants::<R>();
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
-        self.0.forces_again(effects, x, u, &mut trig, &mut forces);
+        self.0.forces(effects, x, u, &mut trig, &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
-        // ẍ is in every α_i = (τ_i - m l cos θ_i ẍ) / J, too.
+        // Every α_i = (τ_i - m l cos θ_i ẍ) / J depends on ẍ as well.
         let poles = zip(zip(self.0.poles_of(x), &trig), &forces[1..]);
         for (i, ((pole, &[sin, cos]), &torque)) in poles.clone().enumerate() {
             let lever = k.moment * cos;
@@ -182,7 +187,8 @@ impl CoupledCartPole {
             forces_bar.push(torque_bar);
             if let Some(x_bar) = &mut x_bar {
                 let sin_bar = torque_bar * k.weight + push_bar * (k.moment * omega * omega);
-                // In α, in the push, and twice in the mass, whose cotangent is -ẍ times that of the push.
+                // The cosine enters α, the push, and the mass twice. The cotangent of the mass is
+                // -ẍ times that of the push.
                 let in_push = (R::lift(2.0) * lever * a - torque) * k.per_inertia;
                 let cos_bar = (push_bar * in_push - alpha_bar * a) * k.moment;
                 x_bar[2 + 2 * i] = theta_bar + sin_bar * cos - cos_bar * sin;
@@ -190,7 +196,7 @@ impl CoupledCartPole {
             }
         }
         if let Some(x_bar) = x_bar {
-            effects.vjp_knowing(&self.0, x, trig.as_flattened(), &forces_bar, x_bar);
+            effects.vjp(&self.0, x, &forces_bar, x_bar);
         }
         forces_bar[0]
     }

@@ -1,4 +1,4 @@
-//! What slows poles and cart down.
+//! Friction of joints and cart.
 
 use super::CartPoleSystem;
 use crate::dynamics::effect::Effect;
@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 
 /// Viscous friction in the joints of the poles: `τ_i = -damping ω_i`.
 ///
-/// Barto, Sutton and Anderson 1983 (doi:10.1109/TSMC.1983.6313077), whose coefficient is 0.000002.
+/// Source: Barto, Sutton and Anderson 1983 (doi:10.1109/TSMC.1983.6313077), with the coefficient
+/// 0.000002.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -24,8 +25,6 @@ impl Default for PoleDamping {
 }
 
 impl Effect<CartPoleSystem> for PoleDamping {
-    const LOCAL: bool = true;
-
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
         let damping = T::lift(self.damping);
@@ -35,22 +34,10 @@ impl Effect<CartPoleSystem> for PoleDamping {
     }
 
     #[inline(always)]
-    fn act_at<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], i: usize, force: T) -> T {
-        if i == 0 { force } else { force - T::lift(self.damping) * x[2 * i + 1] }
-    }
-
-    #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, model: &CartPoleSystem, _x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         let damping = R::lift(self.damping);
         for (pole_bar, &torque_bar) in zip(x_bar[2..2 + 2 * model.poles].chunks_exact_mut(2), &forces_bar[1..]) {
             pole_bar[1] -= torque_bar * damping;
-        }
-    }
-
-    #[inline(always)]
-    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _model: &CartPoleSystem, _x: &[R], i: usize, force_bar: C, x_bar: &mut [C]) {
-        if i > 0 {
-            x_bar[2 * i + 1] -= force_bar * R::lift(self.damping);
         }
     }
 }
@@ -71,43 +58,30 @@ impl Default for CartDamping {
 }
 
 impl Effect<CartPoleSystem> for CartDamping {
-    const LOCAL: bool = true;
-
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
-        forces[0] = self.act_at(model, x, 0, forces[0]);
+    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+        forces[0] -= T::lift(self.damping) * x[1];
     }
 
     #[inline(always)]
-    fn act_at<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], i: usize, force: T) -> T {
-        if i == 0 { force - T::lift(self.damping) * x[1] } else { force }
-    }
-
-    #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        self.vjp_at(model, x, 0, forces_bar[0], x_bar);
-    }
-
-    #[inline(always)]
-    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _model: &CartPoleSystem, _x: &[R], i: usize, force_bar: C, x_bar: &mut [C]) {
-        if i == 0 {
-            x_bar[1] -= force_bar * R::lift(self.damping);
-        }
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &CartPoleSystem, _x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+        x_bar[1] -= forces_bar[0] * R::lift(self.damping);
     }
 }
 
-/// Dry (Coulomb's) friction of the cart on its rail, smoothed: `F = -force tanh(ẋ / smoothing)`.
+/// Dry (Coulomb) friction of the cart on its rail, smoothed: `F = -force tanh(ẋ / smoothing)`.
 ///
-/// Smoothed, because sgn(ẋ) has no derivative where it matters: below `smoothing` the cart creeps instead of sticking.
-/// Explicit steps of length dt need `force dt < 2 smoothing M`. Andersson, Söderberg and Björklund 2007
-/// (doi:10.1016/j.triboint.2005.11.014), eq. 3.
+/// Smoothing is necessary because sgn(ẋ) has no derivative at 0. Below the speed `smoothing`, the
+/// cart creeps instead of sticking. Explicit steps of length dt need `force dt < 2 smoothing M`.
+///
+/// Source: Andersson, Söderberg and Björklund 2007 (doi:10.1016/j.triboint.2005.11.014), eq. 3.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct DryFriction {
     /// Force on a sliding cart, N, not negative: friction coefficient times weight.
     pub force: f64,
-    /// Speed at which three quarters of it are there, m/s, positive.
+    /// Speed at which friction reaches three quarters of `force`, m/s, positive.
     pub smoothing: f64,
 }
 

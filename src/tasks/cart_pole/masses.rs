@@ -1,19 +1,19 @@
-//! Masses that can be computed with.
+//! Validation of masses and pole counts.
 
 use super::{CartPoleSystem, CoupledCartPole};
 
-/// A cart and poles that are no physics, or none that rounding leaves.
+/// Invalid parameters of a cart-pole.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum MassError {
-    /// A mass or a length that nothing has.
+    /// A mass or a length is not positive and finite.
     #[error("{what} is {value}: it has to be positive and finite, or the mass matrix is singular; write a small one for none")]
     NotPositive {
-        /// The parameter.
+        /// Name of the parameter.
         what: &'static str,
-        /// Its value.
+        /// Value of the parameter.
         value: f64,
     },
-    /// A cart that is lost in the sum of the masses.
+    /// The cart's mass is too small relative to the mass of the poles.
     #[error(
         "the cart's mass of {cart:.1e} kg is lost beside {poles:.1e} kg of poles: of M, their sum, it would keep fewer than seven \
          digits. Use a cart of {:.1e} kg at least, or lighter poles",
@@ -25,30 +25,31 @@ pub enum MassError {
         /// Mass of all poles, kg.
         poles: f64,
     },
-    /// No poles, or more than there is room for.
+    /// The number of poles is zero or too large.
     #[error("{poles} poles: between 1 and {most} can be computed with")]
     Poles {
-        /// How many there are.
+        /// Number of poles.
         poles: usize,
-        /// The most there can be.
+        /// Largest number of poles.
         most: usize,
     },
 }
 
 impl CartPoleSystem {
-    /// The least mass of a cart, in units of that of all poles.
+    /// Smallest cart mass relative to the mass of all poles.
     ///
-    /// The equations of motion are solved to rounding for lighter carts too, and for none at all, for uniform poles have
-    /// inertia of their own; but what is then computed is no longer the motion of a cart of this mass.
+    /// The equations of motion remain solvable for lighter carts, even massless ones, because
+    /// uniform poles have inertia of their own. Rounding of the total mass then makes the computed
+    /// motion that of a different cart.
     pub const LIGHTEST_CART: f64 = 1e-9;
 
-    /// Whether its masses can be computed with, and its poles are not too many.
+    /// Checks that the masses and the number of poles are valid.
     ///
-    /// A negative mass of the cart is the one that is dangerous: the equations have solutions until it is minus a quarter of
-    /// the poles', where they are singular, but free motion gains energy without end.
+    /// With a negative cart mass, free motion gains energy without bound. The equations would still
+    /// be solvable down to minus a quarter of the poles' mass, where they are singular.
     ///
     /// # Errors
-    /// [`MassError`].
+    /// Returns a [`MassError`] for the first invalid parameter.
     pub fn check(&self) -> Result<(), MassError> {
         self.check_up_to(Self::MOST_POLES)
     }
@@ -71,10 +72,10 @@ impl CartPoleSystem {
 }
 
 impl CoupledCartPole {
-    /// As [`CartPoleSystem::check`].
+    /// Applies [`CartPoleSystem::check`].
     ///
     /// # Errors
-    /// [`MassError`].
+    /// Returns a [`MassError`] for the first invalid parameter.
     pub fn check(&self) -> Result<(), MassError> {
         self.0.check()
     }

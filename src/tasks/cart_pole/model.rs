@@ -1,16 +1,16 @@
-//! A model of poles on a cart, chosen while the program runs.
+//! [`CartPoleModel`]: a model of poles on a cart, chosen at run time.
 
 use super::{CartPoleSystem, CoupledCartPole};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
 use crate::dynamics::ode::ForcedOde;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
-/// Either model. The numbers are those of the model by itself, bit for bit.
+/// Either cart-pole model. Results equal those of the model itself, bit for bit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CartPoleModel {
-    /// Poles that do not act on each other.
+    /// Poles do not act on each other.
     Uncoupled(CartPoleSystem),
-    /// Poles that do.
+    /// Poles act on each other through the cart.
     Coupled(CoupledCartPole),
 }
 

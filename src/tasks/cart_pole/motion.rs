@@ -1,8 +1,8 @@
-//! What accelerations make of the poles, in a step and in a vector field; the same for both models.
+//! Motion of the poles from their accelerations, in a step and in a vector field, for both models.
 
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
-/// The next angle and rate of a pole with the angular acceleration α, by semi-implicit Euler.
+/// Returns the next angle and rate of a pole with angular acceleration α, by semi-implicit Euler.
 #[inline(always)]
 pub(super) fn moved<T: Scalar>(dt: T) -> impl Fn(&[T], T) -> [T; 2] {
     move |pole, alpha| {
@@ -11,7 +11,8 @@ pub(super) fn moved<T: Scalar>(dt: T) -> impl Fn(&[T], T) -> [T; 2] {
     }
 }
 
-/// The reverse of [`moved`]: for pole `i`, the cotangents of angle and rate but for what α brings, and that of α.
+/// Reverse of [`moved`]. For pole `i`, returns the cotangents of angle and rate that do not pass
+/// through α, and the cotangent of α.
 #[inline(always)]
 pub(super) fn moved_bar<R: Real, C: Cotangent<R>>(next_bar: &[C], dt: R) -> impl Fn(usize, Option<&[C]>) -> ([C; 2], C) {
     move |i, _| {
@@ -21,13 +22,13 @@ pub(super) fn moved_bar<R: Real, C: Cotangent<R>>(next_bar: &[C], dt: R) -> impl
     }
 }
 
-/// The rates of a pole's angle and rate.
+/// Returns the time derivatives of a pole's angle and rate.
 #[inline(always)]
 pub(super) fn rate_of<T: Scalar>(pole: &[T], alpha: T) -> [T; 2] {
     [pole[1], alpha]
 }
 
-/// The reverse of [`rate_of`], to be added to what is in `x_bar` for pole `i`.
+/// Reverse of [`rate_of`]. Includes the present values of `x_bar` for pole `i`.
 #[inline(always)]
 pub(super) fn rate_of_bar<R: Real, C: Cotangent<R>>(rate_bar: &[C]) -> impl Fn(usize, Option<&[C]>) -> ([C; 2], C) {
     move |i, x_bar| {
@@ -36,7 +37,7 @@ pub(super) fn rate_of_bar<R: Real, C: Cotangent<R>>(rate_bar: &[C]) -> impl Fn(u
     }
 }
 
-/// Positions and their velocities come in turn.
+/// Returns the index of the velocity of position `i`. Positions and velocities alternate.
 pub(super) fn velocity_of(i: usize) -> Option<usize> {
     i.is_multiple_of(2).then_some(i + 1)
 }

@@ -1,4 +1,4 @@
-//! Poles on a cart that do not act on each other: the authors' model.
+//! [`CartPoleSystem`]: the authors' model, in which poles do not act on each other.
 
 use super::motion::{moved, moved_bar, rate_of, rate_of_bar, velocity_of};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
@@ -8,14 +8,14 @@ use crate::numbers::zip::zip;
 use arrayvec::ArrayVec;
 use serde::{Deserialize, Serialize};
 
-/// A number for each pole.
+/// One value per pole.
 pub(super) type PerPole<T> = ArrayVec<T, { CartPoleSystem::MOST_POLES }>;
-/// The force on the cart, then the torque on each pole.
+/// Force on the cart, followed by the torque on each pole.
 pub(super) type Forces<T> = ArrayVec<T, { CartPoleSystem::MOST_POLES + 1 }>;
 
-/// The physics: semi-implicit Euler, velocities first.
+/// Cart with poles that do not act on each other: semi-implicit Euler, velocities first.
 ///
-/// State `[x, ẋ, θ₁, ω₁, θ₂, ω₂, …]` in m, m/s, rad, rad/s, θ = 0 upright; control `[u]` in N.
+/// State `[x, ẋ, θ₁, ω₁, θ₂, ω₂, …]` in m, m/s, rad, rad/s, with θ = 0 upright. Control `[u]` in N.
 ///
 /// ```text
 /// A_i = (F + m l sin θ_i ω_i²) / M
@@ -23,22 +23,22 @@ pub(super) type Forces<T> = ArrayVec<T, { CartPoleSystem::MOST_POLES + 1 }>;
 /// ẍ   = (F + m l Σ_i (sin θ_i ω_i² - α_i cos θ_i)) / M
 /// ```
 ///
-/// Forces, for effects to add to: `[F, τ₁, τ₂, …]`, that on the cart in N and the torque on each pole about its joint in
-/// N m. Alone, F is the control and τ_i = m g l sin θ_i is gravity's. Friction of carts and joints comes in as in Barto,
-/// Sutton and Anderson. Known about the state: `[sin θ₁, cos θ₁, sin θ₂, …]`.
+/// Forces, to which effects add: `[F, τ₁, τ₂, …]`. F is the force on the cart in N, τ_i the torque
+/// on each pole about its joint in N m. Without effects, F is the control, and τ_i = m g l sin θ_i
+/// is due to gravity. Friction of cart and joints enters as in Barto, Sutton and Anderson.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct CartPoleSystem {
     /// Number of poles, at most [`MOST_POLES`](CartPoleSystem::MOST_POLES).
     pub poles: usize,
-    /// Mass of the cart, kg; M is this plus one pole.
+    /// Mass of the cart, kg. M is this plus the mass of one pole.
     pub cart_mass: f64,
     /// Mass m of a pole, kg.
     pub pole_mass: f64,
-    /// Half the length of a pole, l, m.
+    /// Half the length l of a pole, m.
     pub half_length: f64,
-    /// Gravity g, m/s².
+    /// Gravitational acceleration g, m/s².
     pub gravity: f64,
     /// Time step, s.
     pub dt: f64,
@@ -51,7 +51,7 @@ impl Default for CartPoleSystem {
 }
 
 impl CartPoleSystem {
-    /// The poles' part of a state: angle and rate of each.
+    /// Returns the pole components of a state: angle and rate of each.
     #[inline(always)]
     pub(crate) fn poles_of<'a, T>(&self, x: &'a [T]) -> std::slice::ChunksExact<'a, T> {
         x[2..2 + 2 * self.poles].chunks_exact(2)
@@ -62,31 +62,14 @@ impl CartPoleSystem {
         self.pole_mass * self.half_length
     }
 
-    /// The most poles there can be: what a step works with is on the stack.
+    /// Largest number of poles. Buffers of a step are on the stack.
     pub const MOST_POLES: usize = 64;
 
-    /// Appends the forces, control and gravity with the effects on them, to none; and writes sine and cosine of every angle.
+    /// Appends sine and cosine of every angle to `trig`, and the forces under `effects` to `forces`.
+    ///
+    /// Both are empty before. Returning them would copy their whole capacity.
     #[inline(always)]
     pub(super) fn forces<E: Effect<Self>, T: Scalar>(
-        &self,
-        effects: &E,
-        x: &[T],
-        u: &[T],
-        trig: &mut [T],
-        forces: &mut Forces<T>,
-    ) {
-        let weight = T::lift(self.moment() * self.gravity);
-        forces.push(effects.act_first_at(self, x, 0, u[0]));
-        for (i, (pole, trig)) in zip(self.poles_of(x), trig.chunks_exact_mut(2)).enumerate() {
-            (trig[0], trig[1]) = pole[0].sin_cos();
-            forces.push(effects.act_first_at(self, x, 1 + i, weight * trig[0]));
-        }
-        effects.act_rest(self, x, trig, forces);
-    }
-
-    /// The same with room for sines and cosines that is empty. (To fill it with zeros first would be a call of memset.)
-    #[inline(always)]
-    pub(super) fn forces_again<E: Effect<Self>, T: Scalar>(
         &self,
         effects: &E,
         x: &[T],
@@ -95,17 +78,17 @@ impl CartPoleSystem {
         forces: &mut Forces<T>,
     ) {
         let weight = T::lift(self.moment() * self.gravity);
-        forces.push(effects.act_first_at(self, x, 0, u[0]));
-        for (i, pole) in self.poles_of(x).enumerate() {
+        forces.push(u[0]);
+        for pole in self.poles_of(x) {
             let (sin, cos) = pole[0].sin_cos();
             trig.push([sin, cos]);
-            forces.push(effects.act_first_at(self, x, 1 + i, weight * sin));
+            forces.push(weight * sin);
         }
-        effects.act_rest(self, x, trig.as_flattened(), forces);
+        effects.add_forces(self, x, forces);
     }
 }
 
-/// The constants of [`CartPoleSystem`] as numbers of one kind.
+/// Constants of [`CartPoleSystem`] in one scalar type.
 struct Constants<T> {
     dt: T,
     /// m l.
@@ -190,7 +173,8 @@ impl ForcedSystem for CartPoleSystem {
 }
 
 impl CartPoleSystem {
-    /// Writes what `of_pole` makes of the state of each pole and α_i, and returns the bracket in ẍ = (…) / M.
+    /// Writes `of_pole(pole, α_i)` for each pole to `poles`, and returns the bracket in ẍ = (…) /
+    /// M.
     #[inline(always)]
     fn accelerate<E: Effect<Self>, T: Scalar>(
         &self,
@@ -201,19 +185,13 @@ impl CartPoleSystem {
         poles: &mut [T],
         of_pole: impl Fn(&[T], T) -> [T; 2],
     ) -> T {
-        let mut forces = Forces::new();
-        if E::LOCAL {
-            for (pole, trig) in zip(self.poles_of(x), poles.chunks_exact_mut(2)) {
-                (trig[0], trig[1]) = pole[0].sin_cos();
-            }
-        } else {
-            self.forces(effects, x, u, poles, &mut forces);
-        }
-        let force = if E::LOCAL { effects.act_at(self, x, 0, u[0]) } else { forces[0] };
+        let (mut trig, mut forces) = (PerPole::new(), Forces::new());
+        self.forces(effects, x, u, &mut trig, &mut forces);
+        let force = forces[0];
         let mut push = force;
-        for (i, (pole, out)) in zip(self.poles_of(x), poles.chunks_exact_mut(2)).enumerate() {
-            let (sin, cos, omega) = (out[0], out[1], pole[1]);
-            let torque = if E::LOCAL { effects.act_at(self, x, 1 + i, k.weight * sin) } else { forces[1 + i] };
+        let moments = zip(&trig, &forces[1..]);
+        for ((pole, out), (&[sin, cos], &torque)) in zip(zip(self.poles_of(x), poles.chunks_exact_mut(2)), moments) {
+            let omega = pole[1];
             let lever = k.moment * cos;
             let centrifugal = k.moment * sin * omega * omega;
             let a = (force + centrifugal) * k.per_mass;
@@ -224,8 +202,11 @@ impl CartPoleSystem {
         push
     }
 
-    /// The reverse of [`accelerate`](Self::accelerate): writes `x_bar`, if it is asked for, and returns the control's cotangent.
-    /// `pole_bar` gives what pole `i` has otherwise, of which the sum is written, and the cotangent of α_i.
+    /// Reverse of [`accelerate`](Self::accelerate). Writes `x_bar`, if requested, and returns the
+    /// cotangent of the control.
+    ///
+    /// `pole_bar(i, x_bar)` returns the cotangents of angle and rate of pole `i` that do not pass
+    /// through α_i, and the cotangent of α_i. `x_bar` receives the sum of all contributions.
     #[inline(always)]
     fn accelerate_reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
         &self,
@@ -237,24 +218,14 @@ impl CartPoleSystem {
         mut x_bar: Option<&mut [C]>,
     ) -> C {
         let k = self.constants::<R>();
-        // Made where they are: a full array that is returned is a copy of all there is room for.
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
-        if E::LOCAL {
-            for pole in self.poles_of(x) {
-                trig.push(<[R; 2]>::from(pole[0].sin_cos()));
-            }
-        } else {
-            self.forces_again(effects, x, u, &mut trig, &mut forces);
-        }
-        let force = if E::LOCAL { effects.act_at(self, x, 0, u[0]) } else { forces[0] };
+        self.forces(effects, x, u, &mut trig, &mut forces);
+        let force = forces[0];
 
-        let (mut force_bar, effects_read) = (push_bar, x_bar.is_some() && effects.state_dependent());
-        if effects_read && !E::LOCAL {
-            forces_bar.push(push_bar);
-        }
-        for (i, (pole, &[sin, cos])) in zip(self.poles_of(x), &trig).enumerate() {
+        let mut force_bar = push_bar;
+        forces_bar.push(push_bar);
+        for (i, ((pole, &[sin, cos]), &torque)) in zip(zip(self.poles_of(x), &trig), &forces[1..]).enumerate() {
             let omega = pole[1];
-            let torque = if E::LOCAL { effects.act_at(self, x, 1 + i, k.weight * sin) } else { forces[1 + i] };
             let (lever, spin) = (k.moment * cos, omega * omega);
             let a = (force + k.moment * sin * spin) * k.per_mass;
             let per_inertia = R::one() / (k.inertia - k.coupling * cos * cos);
@@ -262,13 +233,11 @@ impl CartPoleSystem {
 
             let ([theta_bar, omega_bar], alpha_bar) = pole_bar(i, x_bar.as_deref());
             let alpha_bar = alpha_bar - push_bar * lever;
-            // α = numerator / denominator, and the torque is the numerator's first term.
+            // α = numerator / denominator. The torque is the first term of the numerator.
             let torque_bar = alpha_bar * per_inertia;
             let thrust_bar = -(torque_bar * (lever * k.per_mass));
             force_bar += thrust_bar;
-            if effects_read && !E::LOCAL {
-                forces_bar.push(torque_bar);
-            }
+            forces_bar.push(torque_bar);
             if let Some(x_bar) = &mut x_bar {
                 let centrifugal_bar = push_bar + thrust_bar;
                 let sin_bar = torque_bar * k.weight + centrifugal_bar * (k.moment * spin);
@@ -276,17 +245,11 @@ impl CartPoleSystem {
                     torque_bar * (R::lift(2.0) * k.coupling * cos * alpha - k.moment * a) - push_bar * (k.moment * alpha);
                 x_bar[2 + 2 * i] = theta_bar + sin_bar * cos - cos_bar * sin;
                 x_bar[3 + 2 * i] = omega_bar + centrifugal_bar * (R::lift(2.0) * k.moment * sin * omega);
-                if effects_read {
-                    effects.vjp_first_at(self, x, 1 + i, torque_bar, x_bar);
-                }
             }
         }
-        if let (Some(x_bar), true) = (x_bar, effects_read) {
-            effects.vjp_first_at(self, x, 0, force_bar, x_bar);
-            if !E::LOCAL {
-                forces_bar[0] = force_bar;
-                effects.vjp_rest(self, x, trig.as_flattened(), &forces_bar, x_bar);
-            }
+        if let Some(x_bar) = x_bar {
+            forces_bar[0] = force_bar;
+            effects.vjp(self, x, &forces_bar, x_bar);
         }
         force_bar
     }

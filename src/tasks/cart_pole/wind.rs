@@ -1,4 +1,4 @@
-//! Wind along the rail, steady or in gusts.
+//! Wind along the rail, steady or gusty.
 
 use super::CartPoleSystem;
 use crate::dynamics::effect::Effect;
@@ -7,19 +7,20 @@ use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-/// Drag of the air on cart and poles; in still air (`speed = 0`) it slows them down.
+/// Air drag on cart and poles. In still air (`speed = 0`) it slows them down.
 ///
 /// ```text
 /// cart:   F   = cart_drag |w - ẋ| (w - ẋ)
 /// pole i: D_i = pole_drag |v_i| v_i,   v_i = (w - ẋ) cos θ_i - l ω_i,   F += D_i cos θ_i,   τ_i = l D_i
 /// ```
 ///
-/// w is the speed of the wind and v_i that of the air across the pole, at its middle: what blows along a slender rod
-/// hardly moves it (the cross-flow principle; Hoerner, Fluid-Dynamic Drag, 1965, ch. 3). The coefficients are half the
-/// density of air times the drag coefficient times the area seen by the wind.
+/// w is the wind speed. v_i is the speed of the air across the pole, at its middle. Flow along a
+/// slender rod exerts hardly any force (the cross-flow principle; Hoerner, Fluid-Dynamic Drag,
+/// 1965, ch. 3). Each coefficient is half the air density times the drag coefficient times the
+/// frontal area.
 ///
-/// Strip theory adds up the drag along the pole, where the air crosses it at the speed `W - s ω`, `W = (w - ẋ) cos θ_i`, at
-/// the distance s from the joint:
+/// Strip theory integrates the drag along the pole. At distance s from the joint, the air crosses
+/// the pole at the speed `W - s ω`, with `W = (w - ẋ) cos θ_i`:
 ///
 /// ```text
 /// D = c/2l ∫ |W - s ω| (W - s ω) ds,   τ = c/2l ∫ s |W - s ω| (W - s ω) ds,   s from 0 to 2l, c = pole_drag
@@ -30,19 +31,23 @@ use std::f64::consts::TAU;
 /// slow spin, l ω « W :   dτ/dω = -8/3 c l² |W|                  dτ/dω = -2 c l² |W|
 /// ```
 ///
-/// The speed at the middle is the mean of the speeds, and not that of their squares. In still air the torque on a spinning
-/// pole is half, and the force three quarters, of that of strips. In a wind that is fast beside `l ω`, the damping of the spin
-/// is three quarters. With the defaults, 5 rad/s in still air and l = 0.5 m, the torque is 0.04 N m here and 0.08 N m by
-/// strips, beside 0.49 N m of a pole's weight. Where a spinning pole is to be slowed by air alone, the difference matters.
+/// The two differ because the mean of squared speeds is not the square of the mean speed. For a
+/// spinning pole in still air, the torque is half that of strip theory, and the force three
+/// quarters. In a wind that is fast compared with `l ω`, the damping of the spin is three quarters.
+/// Example with the defaults, 5 rad/s in still air and l = 0.5 m: the torque is 0.04 N m here and
+/// 0.08 N m by strip theory. The torque of gravity is 0.49 N m. The difference matters where air
+/// alone slows a spinning pole.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct SteadyWind {
-    /// w, m/s; positive blows towards positive x.
+    /// Wind speed w, m/s, positive towards positive x.
     pub speed: f64,
-    /// N s²/m², not negative. The default is that of a board of a tenth of a square metre.
+    /// Drag coefficient of the cart, N s²/m², not negative. The default is that of a board of 0.1
+    /// m².
     pub cart_drag: f64,
-    /// N s²/m², not negative. The default is that of a rod, 1 m long and 2 cm thick.
+    /// Drag coefficient of a pole, N s²/m², not negative. The default is that of a rod, 1 m long
+    /// and 2 cm thick.
     pub pole_drag: f64,
 }
 
@@ -61,48 +66,35 @@ impl SteadyWind {
 impl Effect<CartPoleSystem> for SteadyWind {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
-        self.drag().add_forces(model, T::lift(self.speed), x, trig(model, x), forces);
+        self.drag().add_forces(model, T::lift(self.speed), x, forces);
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, model: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        self.drag().vjp(model, R::lift(self.speed), x, trig(model, x), forces_bar, x_bar);
-    }
-
-    #[inline(always)]
-    fn act_knowing<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], known: &[T], forces: &mut [T]) {
-        self.drag().add_forces(model, T::lift(self.speed), x, known_trig(known), forces);
-    }
-
-    #[inline(always)]
-    fn vjp_knowing<R: Real, C: Cotangent<R>>(
-        &self,
-        model: &CartPoleSystem,
-        x: &[R],
-        known: &[R],
-        forces_bar: &[C],
-        x_bar: &mut [C],
-    ) {
-        self.drag().vjp(model, R::lift(self.speed), x, known_trig(known), forces_bar, x_bar);
+        self.drag().vjp(model, R::lift(self.speed), x, forces_bar, x_bar);
     }
 }
 
-/// [`SteadyWind`] whose speed swings about its mean: `w = speed + gust sin(2π t / period)`.
+/// [`SteadyWind`] with a speed that oscillates about its mean:
+/// `w = speed + gust sin(2π t / period)`.
 ///
-/// It appends the time to the state. Rollouts start at a random time of a period, and the policy sees it.
+/// Appends the time to the state. Rollouts start at a random time within a period. The policy
+/// observes the time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct GustyWind {
-    /// Mean of w, m/s; positive blows towards positive x.
+    /// Mean wind speed, m/s, positive towards positive x.
     pub speed: f64,
-    /// By how much w swings to either side, m/s.
+    /// Amplitude of the wind speed, m/s.
     pub gust: f64,
-    /// Time from gust to gust, s, positive.
+    /// Period of the gusts, s, positive.
     pub period: f64,
-    /// N s²/m², not negative. The default is that of a board of a tenth of a square metre.
+    /// Drag coefficient of the cart, N s²/m², not negative. The default is that of a board of 0.1
+    /// m².
     pub cart_drag: f64,
-    /// N s²/m², not negative. The default is that of a rod, 1 m long and 2 cm thick.
+    /// Drag coefficient of a pole, N s²/m², not negative. The default is that of a rod, 1 m long
+    /// and 2 cm thick.
     pub pole_drag: f64,
 }
 
@@ -118,7 +110,7 @@ impl GustyWind {
         Drag { cart: self.cart_drag, pole: self.pole_drag }
     }
 
-    /// The wind and its slope in time: the time is the last component of the state.
+    /// Returns the wind speed and its time derivative. The time is the last component of the state.
     #[inline(always)]
     fn wind<T: Scalar>(&self, x: &[T]) -> (T, T) {
         let rate = TAU / self.period;
@@ -130,32 +122,13 @@ impl GustyWind {
 impl Effect<CartPoleSystem> for GustyWind {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
-        self.drag().add_forces(model, self.wind(x).0, x, trig(model, x), forces);
+        self.drag().add_forces(model, self.wind(x).0, x, forces);
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, model: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
         let (wind, slope) = self.wind(x);
-        let wind_bar = self.drag().vjp(model, wind, x, trig(model, x), forces_bar, x_bar);
-        x_bar[x.len() - 1] += wind_bar * slope;
-    }
-
-    #[inline(always)]
-    fn act_knowing<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], known: &[T], forces: &mut [T]) {
-        self.drag().add_forces(model, self.wind(x).0, x, known_trig(known), forces);
-    }
-
-    #[inline(always)]
-    fn vjp_knowing<R: Real, C: Cotangent<R>>(
-        &self,
-        model: &CartPoleSystem,
-        x: &[R],
-        known: &[R],
-        forces_bar: &[C],
-        x_bar: &mut [C],
-    ) {
-        let (wind, slope) = self.wind(x);
-        let wind_bar = self.drag().vjp(model, wind, x, known_trig(known), forces_bar, x_bar);
+        let wind_bar = self.drag().vjp(model, wind, x, forces_bar, x_bar);
         x_bar[x.len() - 1] += wind_bar * slope;
     }
 
@@ -165,19 +138,7 @@ impl Effect<CartPoleSystem> for GustyWind {
     }
 }
 
-/// Sine and cosine of every pole's angle.
-#[inline(always)]
-fn trig<T: Scalar>(model: &CartPoleSystem, x: &[T]) -> impl Iterator<Item = (T, T)> {
-    model.poles_of(x).map(|pole| pole[0].sin_cos())
-}
-
-/// The same from what [`CartPoleSystem`] knows about the state.
-#[inline(always)]
-fn known_trig<T: Scalar>(known: &[T]) -> impl Iterator<Item = (T, T)> {
-    known.chunks_exact(2).map(|trig| (trig[0], trig[1]))
-}
-
-/// The drag of [`SteadyWind`], at any speed of the wind.
+/// Drag of [`SteadyWind`], for any wind speed.
 struct Drag {
     cart: f64,
     pole: f64,
@@ -185,18 +146,12 @@ struct Drag {
 
 impl Drag {
     #[inline(always)]
-    fn add_forces<T: Scalar>(
-        self,
-        model: &CartPoleSystem,
-        wind: T,
-        x: &[T],
-        trig: impl Iterator<Item = (T, T)>,
-        forces: &mut [T],
-    ) {
+    fn add_forces<T: Scalar>(self, model: &CartPoleSystem, wind: T, x: &[T], forces: &mut [T]) {
         let (pole_drag, l) = (T::lift(self.pole), T::lift(model.half_length));
         let headwind = wind - x[1];
         let mut push = forces[0] + T::lift(self.cart) * headwind.abs() * headwind;
-        for ((pole, (_, cos)), torque) in zip(zip(model.poles_of(x), trig), &mut forces[1..]) {
+        for (pole, torque) in zip(model.poles_of(x), &mut forces[1..]) {
+            let cos = pole[0].cos();
             let across = headwind * cos - l * pole[1];
             let drag = pole_drag * across.abs() * across;
             push += drag * cos;
@@ -205,23 +160,16 @@ impl Drag {
         forces[0] = push;
     }
 
-    /// Returns the cotangent of the wind. |v| v has the derivative 2 |v|, at 0 as well.
+    /// Returns the cotangent of the wind speed. The derivative of |v| v is 2 |v|, at 0 as well.
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(
-        self,
-        model: &CartPoleSystem,
-        wind: R,
-        x: &[R],
-        trig: impl Iterator<Item = (R, R)>,
-        forces_bar: &[C],
-        x_bar: &mut [C],
-    ) -> C {
+    fn vjp<R: Real, C: Cotangent<R>>(self, model: &CartPoleSystem, wind: R, x: &[R], forces_bar: &[C], x_bar: &mut [C]) -> C {
         let (pole_drag, l) = (R::lift(self.pole), R::lift(model.half_length));
         let headwind = wind - x[1];
         let push_bar = forces_bar[0];
         let mut headwind_bar = push_bar * (R::lift(2.0 * self.cart) * headwind.abs());
         let bars = zip(x_bar[2..].chunks_exact_mut(2), &forces_bar[1..]);
-        for ((pole, (sin, cos)), (bar, &torque_bar)) in zip(zip(model.poles_of(x), trig), bars) {
+        for (pole, (bar, &torque_bar)) in zip(model.poles_of(x), bars) {
+            let (sin, cos) = pole[0].sin_cos();
             let across = headwind * cos - l * pole[1];
             let strength = pole_drag * across.abs();
             let across_bar = (push_bar * cos + torque_bar * l) * (strength + strength);

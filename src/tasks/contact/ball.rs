@@ -1,4 +1,4 @@
-//! A ball over a floor.
+//! [`Bounce`] and [`BouncingBall`]: a ball above a floor.
 
 use super::{Contact, Gap};
 use crate::dynamics::system::System;
@@ -7,20 +7,22 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Real, Scalar};
 use rand::RngExt;
 
-/// The physics: a ball that falls on a floor and bounces. State `[height m, speed m/s]`, up; control `[thrust N]`, up.
+/// Ball that falls on a floor and bounces. State `[height m, speed m/s]`, upwards; control
+/// `[thrust N]`, upwards.
 ///
 /// ```text
 /// v̇ = u / m - g
 /// ```
 ///
-/// On the floor, at height 0, what [`Contact`] says. Between impacts, steps with the time of impact are exact.
+/// The floor is at height 0; see [`Contact`]. Between impacts, steps with [`Contact::TimeOfImpact`]
+/// are exact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BouncingBall {
-    /// m, kg, positive.
+    /// Mass m, kg, positive.
     pub mass: f64,
-    /// g, m/s².
+    /// Gravitational acceleration g, m/s².
     pub gravity: f64,
-    /// What the floor does.
+    /// Contact model of the floor.
     pub contact: Contact,
     /// Time step, s.
     pub dt: f64,
@@ -49,21 +51,22 @@ impl System for BouncingBall {
     }
 }
 
-/// Be at a height at the end: the cost is `(h - target)²`, in m². The thrust is free.
+/// Task to reach a height at the end. The cost is `(h - target)²`, in m². The thrust carries no
+/// cost.
 ///
-/// Balls start at 0.5 to 1.5 m, at up to 1 m/s.
+/// Initial heights are 0.5 to 1.5 m, initial speeds within ±1 m/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounce {
-    /// The physics.
+    /// System to control.
     pub system: BouncingBall,
-    /// m.
+    /// Target height, m.
     pub target: f64,
     /// Number of steps.
     pub horizon: usize,
 }
 
 impl Default for Bounce {
-    /// 1 m after 1 s: about one bounce.
+    /// Returns a target of 1 m after 1 s, which takes about one bounce.
     fn default() -> Self {
         Self { system: BouncingBall::default(), target: 1.0, horizon: 100 }
     }

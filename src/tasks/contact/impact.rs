@@ -1,30 +1,33 @@
-//! A gap that closes within a step.
+//! Impacts of a gap that closes within a step.
 
 use super::Gap;
 use crate::numbers::scalar::Scalar;
 
-/// Impacts that are followed within a step.
+/// Largest number of impacts computed within a step.
 const IMPACTS: usize = 4;
 
-/// The next impact.
+/// Next impact of a gap.
 struct Impact<T> {
-    /// When, s from now.
+    /// Time until the impact, s.
     time: T,
-    /// How fast the gap closes then, m/s, not negative.
+    /// Closing speed at the impact, m/s, not negative.
     speed: T,
 }
 
 impl<T: Scalar> Impact<T> {
-    /// The first root of `g + v t + a t²/2` at which the gap closes, and the speed there, `s = sqrt(v² - 2 a g)`.
+    /// Returns the first root of `g + v t + a t²/2` at which the gap closes, and the speed there,
+    /// `s = sqrt(v² - 2 a g)`.
     ///
     /// ```text
     /// closing, v ≤ 0 : t = 2 g / (s - v)                if s is real and not 0; a gap that is closed and pressed: 0
     /// opening, v > 0 : t = (v + s) / -a                 if a < 0
     /// ```
     ///
-    /// Neither form subtracts what is nearly equal. Roots and quotients that are not used are of 1, so that no derivative
-    /// meets a root of 0. A gap that rounding has closed too far is taken back to its impact, by a step at most, if it came
-    /// there fast: if `v² > 2 |a g|`. Else it rests.
+    /// Neither form subtracts nearly equal numbers. Unused roots and quotients are evaluated at 1,
+    /// so no derivative takes the root of 0.
+    ///
+    /// Rounding may leave a gap slightly negative. If `v² > 2 |a g|`, it is moved back to its
+    /// impact, by at most one step. Otherwise it rests.
     #[inline(always)]
     fn next(gap: Gap<T>, acceleration: T, dt: f64) -> Self {
         let (zero, one, never) = (T::zero(), T::one(), T::lift(4.0 * dt));
@@ -32,7 +35,7 @@ impl<T: Scalar> Impact<T> {
         let square = speed_squared + gain;
         let certain = T::select_lt(gap.width, zero, speed_squared - gain.abs(), square);
         let root = T::select_lt(zero, square, square, one).sqrt();
-        // What is not a number stays so.
+        // Propagate NaN.
         let speed = T::select_lt(zero, square, root, square * zero);
 
         let pressed = T::select_lt(acceleration, zero, zero, never);
@@ -45,8 +48,9 @@ impl<T: Scalar> Impact<T> {
     }
 }
 
-/// As [`Contact::TimeOfImpact`](super::Contact::TimeOfImpact). At an impact the gap is 0 whatever came before, with no
-/// derivative; that by the instant is in the time that is left.
+/// Advances a gap as described in [`Contact::TimeOfImpact`](super::Contact::TimeOfImpact). At an
+/// impact the width is exactly 0 and has no derivative. The derivative with respect to the impact
+/// time is that of the remaining time.
 #[inline(always)]
 pub(super) fn advance<T: Scalar>(mut gap: Gap<T>, acceleration: T, restitution: f64, dt: f64) -> Gap<T> {
     let (zero, restitution) = (T::zero(), T::lift(restitution));
@@ -59,7 +63,7 @@ pub(super) fn advance<T: Scalar>(mut gap: Gap<T>, acceleration: T, restitution: 
     }
     let fifth = Impact::next(gap, acceleration, dt);
     let free = gap.free(acceleration, left);
-    // At rest, unless it is not a number.
+    // At rest; NaN propagates.
     Gap {
         width: T::select_lt(fifth.time, left, zero, free.width),
         speed: T::select_lt(fifth.time, left, free.speed * zero, free.speed),

@@ -1,4 +1,4 @@
-//! Two bodies on a line.
+//! [`Push`] and [`TwoBodies`]: two bodies on a line.
 
 use super::{Contact, Gap};
 use crate::dynamics::system::System;
@@ -7,35 +7,38 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Real, Scalar};
 use rand::RngExt;
 
-/// The physics: two bodies on a line without friction, of which the first is pushed. State `[p, q, ṗ, q̇]`, the places of
-/// their middles in m, `q` to the right of `p`, and their speeds in m/s; control `[push N]`, on the first, to the right.
+/// Two bodies on a line without friction, of which the first is pushed.
 ///
-/// They touch where `q - p = contact_distance`; then what [`Contact`] says. With equal masses they are two balls, with
-/// a restitution of 0 a pusher and a box. The gap `g = q - p - contact_distance` is all that contacts know of, and the center of mass
-/// knows nothing of them:
+/// State `[p, q, ṗ, q̇]`: positions of the centers in m, with `q` to the right of `p`, and speeds
+/// in m/s. Control `[push N]`, on the first body, to the right.
+///
+/// The bodies touch where `q - p = contact_distance`; see [`Contact`]. Equal masses give two balls,
+/// a restitution of 0 a pusher and a box. Contacts depend only on the gap
+/// `g = q - p - contact_distance` and do not affect the center of mass:
 ///
 /// ```text
 /// p̈ = u / m₁ - F / m₁,   q̈ = F / m₂        g̈ = -u / m₁ + F (m₁ + m₂) / (m₁ m₂)
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TwoBodies {
-    /// `[m₁, m₂]`, kg, positive.
+    /// Masses `[m₁, m₂]`, kg, positive.
     pub masses: [f64; 2],
-    /// The distance of their middles when they touch, m.
+    /// Distance between the centers at contact, m.
     pub contact_distance: f64,
-    /// What they do then.
+    /// Contact model of the bodies.
     pub contact: Contact,
     /// Time step, s.
     pub dt: f64,
 }
 
 impl TwoBodies {
-    /// Two equal balls of 1 kg and a radius of 5 cm, elastic.
+    /// Creates two equal, elastic balls of 1 kg with a radius of 5 cm.
     pub fn balls() -> Self {
         Self { masses: [1.0, 1.0], contact_distance: 0.1, contact: Contact::TimeOfImpact { restitution: 1.0 }, dt: 0.01 }
     }
 
-    /// A pusher of 1 kg and a box of 2 kg, which stay together once they touch, until the pusher is pulled back.
+    /// Creates a pusher of 1 kg and a box of 2 kg. After contact they stay together until the
+    /// pusher is pulled back.
     pub fn pusher() -> Self {
         Self { masses: [1.0, 2.0], contact: Contact::TimeOfImpact { restitution: 0.0 }, ..Self::balls() }
     }
@@ -58,7 +61,8 @@ impl System for TwoBodies {
 
         let gap = Gap { width: x[1] - x[0] - T::lift(self.contact_distance), speed: x[3] - x[2] };
         let (free, after) = (gap.free(-push, dt), self.contact.advance(gap, -push, first * second / total, self.dt));
-        // What the contact has made of it falls to the two by the other's mass, so that their center does not move.
+        // Split the change due to contact by the other body's mass share, which preserves the
+        // center of mass.
         let (wider, faster) = (after.width - free.width, after.speed - free.speed);
         let (share, other) = (T::lift(first / total), T::lift(second / total));
 
@@ -68,19 +72,21 @@ impl System for TwoBodies {
     }
 }
 
-/// Bring the second body to the origin by pushing the first: the cost is `q²` at the end, in m². The push is free.
+/// Task to bring the second body to the origin by pushing the first. The cost is `q²` at the end,
+/// in m². The push carries no cost.
 ///
-/// At rest, the second starts 0.5 to 1.5 m to the left of the origin, with a gap of 0.1 to 0.3 m to the first.
+/// Both bodies start at rest. The second is 0.5 to 1.5 m to the left of the origin, with a gap of
+/// 0.1 to 0.3 m to the first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Push {
-    /// The physics.
+    /// System to control.
     pub system: TwoBodies,
     /// Number of steps.
     pub horizon: usize,
 }
 
 impl Default for Push {
-    /// 1 s with pusher and box.
+    /// Returns a pusher and a box with a horizon of 1 s.
     fn default() -> Self {
         Self { system: TwoBodies::pusher(), horizon: 100 }
     }

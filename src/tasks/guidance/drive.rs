@@ -1,4 +1,4 @@
-//! Drivers are drawn to evaders.
+//! [`Drive`]: attraction of drivers to evaders.
 
 use super::GuidanceSystem;
 use super::gap::Law;
@@ -7,20 +7,24 @@ use crate::dynamics::effect::Effect;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
-/// Drivers are drawn to evaders; evaders do not feel them. With `r = E_k - D_j` and `d = softening + |r|`:
+/// Attraction of drivers to evaders, without reaction on the evaders. With `r = E_k - D_j` and
+/// `d = softening + |r|`:
 ///
 /// ```text
 /// driver j : v̇ += strength Σ_k r / d²
 /// ```
 ///
-/// The authors' code (tum-pbs/StableBPTT) writes this force down and multiplies it by 0, so it is not among those of the
-/// paper. Near an evader it is a spring of the stiffness `strength / softening²`; explicit steps of length dt damp it if
-/// this times dt is less than the drivers' friction. The default is a little beyond that within a few centimetres.
+/// The authors' code (tum-pbs/StableBPTT) contains this force but multiplies it by 0, so the paper
+/// does not use it.
+///
+/// Near an evader, the force is a spring of stiffness `strength / softening²`. Explicit steps of
+/// length dt damp its oscillation if this stiffness times dt is less than the drivers' friction.
+/// The default exceeds this limit slightly, within a few centimetres of an evader.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Drive {
-    /// m²/s²; negative keeps drivers away from evaders.
+    /// Strength, m²/s². Negative values repel drivers from evaders.
     pub strength: f64,
 }
 

@@ -1,4 +1,4 @@
-//! Evaders flee from drivers.
+//! [`Evade`]: repulsion of evaders by drivers.
 
 use super::GuidanceSystem;
 use super::gap::Law;
@@ -7,18 +7,20 @@ use crate::dynamics::effect::Effect;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
-/// Evaders flee from drivers; drivers do not feel them. With `r = E_k - D_j` and `d = softening + |r|`:
+/// Repulsion of evaders by drivers, without reaction on the drivers. With `r = E_k - D_j` and
+/// `d = softening + |r|`:
 ///
 /// ```text
 /// evader k : v̇ += strength Σ_j r / d²
 /// ```
 ///
-/// Ko and Zuazua 2020 (doi:10.1142/S0218202520400047), with the force of the authors' code (tum-pbs/StableBPTT).
+/// Source: Ko and Zuazua 2020 (doi:10.1142/S0218202520400047), with the force of the authors' code
+/// (tum-pbs/StableBPTT).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Evade {
-    /// m²/s²; negative draws evaders to drivers.
+    /// Strength, m²/s². Negative values attract evaders to drivers.
     pub strength: f64,
 }
 

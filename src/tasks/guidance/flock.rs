@@ -1,4 +1,4 @@
-//! Evaders keep together, or apart.
+//! [`Flock`]: attraction and repulsion among evaders.
 
 use super::GuidanceSystem;
 use super::gap::Law;
@@ -7,24 +7,26 @@ use crate::dynamics::effect::Effect;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
-/// Evaders nearer than `distance` attract each other, farther ones repel. With `r = E_i - E_k` and
-/// `d = softening + |r|`:
+/// Attraction or repulsion among evaders: those nearer than `distance` attract each other, farther
+/// ones repel. With `r = E_i - E_k` and `d = softening + |r|`:
 ///
 /// ```text
 /// evader k : v̇ += strength Σ_{i≠k} (distance / d - 1) r / d
 /// ```
 ///
-/// The sign is that of the authors' code (tum-pbs/StableBPTT), whose comment says the reverse; a negative strength is a
-/// flock that keeps its distance and does not scatter. Evaders at one place are springs of the stiffness
-/// `strength (distance / softening - 1) / softening` to each other; explicit steps of length dt damp them if the number
-/// of evaders times this, times dt, is less than their friction.
+/// The sign is that of the authors' code (tum-pbs/StableBPTT), whose comment states the opposite.
+/// With a negative strength, the flock keeps its distance and does not scatter.
+///
+/// Coincident evaders are coupled by springs of stiffness
+/// `strength (distance / softening - 1) / softening`. Explicit steps of length dt damp their
+/// oscillation if the number of evaders times this stiffness times dt is less than their friction.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Flock {
-    /// m/s².
+    /// Strength, m/s².
     pub strength: f64,
-    /// The softened distance d at which evaders neither attract nor repel each other, m.
+    /// Softened distance d at which the force between evaders is zero, m.
     pub distance: f64,
 }
 

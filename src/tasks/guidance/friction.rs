@@ -1,4 +1,4 @@
-//! What slows agents down.
+//! [`Friction`]: viscous friction of the agents.
 
 use super::GuidanceSystem;
 use super::system::AGENT;
@@ -7,17 +7,19 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 
-/// Viscous friction: `v̇ += -friction v`, with a coefficient for drivers and one for evaders.
+/// Viscous friction: `v̇ += -friction v`, with separate coefficients for drivers and evaders.
 ///
-/// Ko and Zuazua 2020 (doi:10.1142/S0218202520400047), with the coefficients of the authors' code
-/// (tum-pbs/StableBPTT). Explicit steps of length dt need `friction dt < 2`; below 1, no velocity changes its sign.
+/// Explicit steps of length dt need `friction dt < 2`. Below 1, velocities do not change sign.
+///
+/// Source: Ko and Zuazua 2020 (doi:10.1142/S0218202520400047), with the coefficients of the
+/// authors' code (tum-pbs/StableBPTT).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Friction {
-    /// What slows a driver, 1/s, not negative.
+    /// Friction coefficient of drivers, 1/s, not negative.
     pub drivers: f64,
-    /// What slows an evader, 1/s, not negative.
+    /// Friction coefficient of evaders, 1/s, not negative.
     pub evaders: f64,
 }
 

@@ -1,4 +1,4 @@
-//! Round obstacles.
+//! [`Obstacles`]: round obstacles.
 
 use super::GuidanceSystem;
 use super::gap::Gap;
@@ -8,29 +8,31 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 
-/// Round obstacles that push drivers and evaders out, and never pull. With `r` the way from an obstacle's center to the
-/// agent and `d = softening + |r|`:
+/// Round obstacles that push drivers and evaders out and never pull. With the vector `r` from the
+/// center of an obstacle to the agent and `d = softening + |r|`:
 ///
 /// ```text
 /// v̇ += stiffness max(0, radius - |r|) r / d
 /// ```
 ///
-/// A penalty spring in the depth (Moore and Wilhelms 1988, Collision Detection and Response for Computer Animation).
-/// `r / d` stands for the direction, as in the forces between agents, so that force and slope are finite at the very
-/// center, where nothing points outwards: the force there is 0. The derivative leaps where an agent touches; at the point
-/// of touch it is that of the outside.
+/// The force is a penalty spring in the depth (Moore and Wilhelms 1988, Collision Detection and
+/// Response for Computer Animation). As in the forces between agents, `r / d` replaces the
+/// direction. Force and derivative are therefore finite at the center, where the force is 0. The
+/// derivative is discontinuous at contact; at the point of contact it is that of the outside.
 ///
-/// Explicit steps of length dt give an agent more speed back than it came with, unless `stiffness dt` is less than its
-/// friction: with the paper's dt and [`Friction`](super::Friction), 15/s² for drivers and 60/s² for evaders.
+/// Explicit steps of length dt return an agent faster than it arrived, unless `stiffness dt` is
+/// less than its friction. With the paper's dt and [`Friction`](super::Friction), the largest
+/// stiffness is 15/s² for drivers and 60/s² for evaders.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Obstacles {
-    /// Where they are, m. The default is three of them around the origin, with gaps between.
+    /// Centers of the obstacles, m. The default is three obstacles around the origin, with gaps
+    /// between them.
     pub centers: Vec<[f64; 2]>,
-    /// Of each, m, positive.
+    /// Radius of each obstacle, m, positive.
     pub radius: f64,
-    /// 1/s², not negative.
+    /// Stiffness, 1/s², not negative.
     pub stiffness: f64,
 }
 
@@ -40,7 +42,7 @@ impl Default for Obstacles {
     }
 }
 
-/// The way of an agent from a center.
+/// Returns the vector from `center` to an agent.
 #[inline(always)]
 fn way<T: Scalar>(agent: &[T], center: [f64; 2]) -> [T; 2] {
     [agent[0] - T::lift(center[0]), agent[1] - T::lift(center[1])]

@@ -1,7 +1,7 @@
-//! Forces between agents, pair by pair, and their reverse.
+//! Forces between pairs of agents, and their reverse.
 //!
-//! Inner loops add up what one agent feels, so that compilers leave them alone: the lanes of a number fill the registers
-//! already, and a loop that is vectorized over agents as well only moves numbers about.
+//! Inner loops accumulate the force on one agent, which prevents compilers from vectorizing over
+//! agents. The lanes of a scalar fill the registers already, so vectorizing would only move data.
 
 use super::GuidanceSystem;
 use super::gap::{Gap, Law};
@@ -10,13 +10,13 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use std::ops::Range;
 
-/// The separation of agent `b` from agent `a`.
+/// Returns the separation of agent `b` from agent `a`.
 #[inline(always)]
 fn gap<T: Scalar>(model: &GuidanceSystem, a: &[T; AGENT], b: &[T; AGENT]) -> Gap<T> {
     Gap::new([b[0] - a[0], b[1] - a[1]], model.softening)
 }
 
-/// Every two of the `agents` act on each other.
+/// Adds the mutual forces of every pair of `agents`.
 #[inline(always)]
 pub(super) fn among<T: Scalar>(model: &GuidanceSystem, law: Law, agents: Range<usize>, x: &[T], forces: &mut [T]) {
     let (x, forces) = (&x.as_chunks().0[agents.clone()], &mut forces.as_chunks_mut::<2>().0[agents]);
@@ -34,7 +34,7 @@ pub(super) fn among<T: Scalar>(model: &GuidanceSystem, law: Law, agents: Range<u
     }
 }
 
-/// The reverse of [`among`].
+/// Reverse of [`among`].
 #[inline(always)]
 pub(super) fn among_vjp<R: Real, C: Cotangent<R>>(
     model: &GuidanceSystem,
@@ -61,7 +61,7 @@ pub(super) fn among_vjp<R: Real, C: Cotangent<R>>(
     }
 }
 
-/// Each of the `sources` acts on each of the `agents`, and feels no reaction.
+/// Adds the forces of each of the `sources` on each of the `agents`, without reaction.
 #[inline(always)]
 pub(super) fn from_to<T: Scalar>(
     model: &GuidanceSystem,
@@ -83,7 +83,7 @@ pub(super) fn from_to<T: Scalar>(
     }
 }
 
-/// The reverse of [`from_to`].
+/// Reverse of [`from_to`].
 #[inline(always)]
 pub(super) fn from_to_vjp<R: Real, C: Cotangent<R>>(
     model: &GuidanceSystem,

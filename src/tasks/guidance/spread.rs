@@ -1,4 +1,4 @@
-//! Drivers keep apart.
+//! [`Spread`]: repulsion among drivers.
 
 use super::GuidanceSystem;
 use super::gap::Law;
@@ -7,18 +7,19 @@ use crate::dynamics::effect::Effect;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
-/// Drivers repel each other. With `r = D_j - D_i` and `d = softening + |r|`:
+/// Repulsion among drivers. With `r = D_j - D_i` and `d = softening + |r|`:
 ///
 /// ```text
 /// driver j : v̇ += strength Σ_{i≠j} r / d²
 /// ```
 ///
-/// Ko and Zuazua 2020 (doi:10.1142/S0218202520400047), with the force of the authors' code (tum-pbs/StableBPTT).
+/// Source: Ko and Zuazua 2020 (doi:10.1142/S0218202520400047), with the force of the authors' code
+/// (tum-pbs/StableBPTT).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Spread {
-    /// m²/s²; negative draws drivers together.
+    /// Strength, m²/s². Negative values attract drivers to each other.
     pub strength: f64,
 }
 

@@ -1,4 +1,4 @@
-//! Drivers and evaders that do nothing to each other, and the reverse of their steps.
+//! [`GuidanceSystem`]: drivers and evaders without forces between them.
 
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
 use crate::dynamics::ode::ForcedOde;
@@ -9,17 +9,18 @@ use serde::{Deserialize, Serialize};
 use std::hint::black_box;
 use std::ops::Range;
 
-/// Numbers per agent: x, y, vx, vy.
+/// State components per agent: x, y, vx, vy.
 pub(super) const AGENT: usize = 4;
 
-/// Agents that are worked on without allocating; more of them allocate in every reverse step.
+/// Number of agents up to which reverse steps do not allocate.
 const STACK: usize = 32;
 
-/// The physics: agents in the plane, of whom the drivers steer; explicit Euler, positions with the old velocities.
+/// Agents in the plane, of which the drivers steer: explicit Euler, positions with the old
+/// velocities.
 ///
-/// State `[x, y, vx, vy]` of every driver, then of every evader, in m and m/s; control `[radial, tangential]` of every
-/// driver, in 1/s²: it multiplies the way `q` from the evaders' [`center`](GuidanceSystem::center) and
-/// `q⊥ = (-q_y, q_x)`:
+/// State `[x, y, vx, vy]` of every driver, then of every evader, in m and m/s. Control
+/// `[radial, tangential]` of every driver, in 1/s². The two multiply the vector `q` from the
+/// evaders' [`center`](GuidanceSystem::center) to the driver, and `q⊥ = (-q_y, q_x)`:
 ///
 /// ```text
 /// q_j      = D_j - center(E)
@@ -28,8 +29,9 @@ const STACK: usize = 32;
 /// ẋ = v
 /// ```
 ///
-/// Forces, for effects to add to: the accelerations `[ax, ay]` of every driver, then of every evader, in m/s². All that
-/// agents do to each other is effects; [`herding`](GuidanceSystem::herding) adds those of the paper.
+/// Forces, to which effects add: the accelerations `[ax, ay]` of every driver, then of every
+/// evader, in m/s². All forces between agents are effects. [`herding`](GuidanceSystem::herding)
+/// adds those of the paper.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -38,24 +40,25 @@ pub struct GuidanceSystem {
     pub drivers: usize,
     /// Number of evaders.
     pub evaders: usize,
-    /// What a driver steers by.
+    /// Reference point from which drivers steer.
     pub center: Center,
-    /// Added to the distances between agents in the effects, `d = softening + |r|`, m; positive, or there would be no
-    /// force between agents at one place.
+    /// Softening of the distance between agents in effects, `d = softening + |r|`, m, positive. At
+    /// 0, the force between coincident agents would be undefined.
     pub softening: f64,
     /// Time step, s.
     pub dt: f64,
 }
 
-/// What is made of the evaders' positions for the drivers to steer by.
+/// Reference point, computed from the evaders' positions, from which drivers steer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Center {
-    /// Their sum, as in the authors' code. It moves with the herd, but faster, and depends on where the origin is.
+    /// Sum of the positions, as in the authors' code. It moves faster than the herd, and depends on
+    /// the choice of the origin.
     #[default]
     Sum,
-    /// Their mean. The physics is then the same everywhere in the plane.
+    /// Mean of the positions. The physics is then invariant under translation.
     Mean,
 }
 
@@ -70,23 +73,23 @@ impl GuidanceSystem {
         self.drivers + self.evaders
     }
 
-    /// The indices of the drivers among the agents.
+    /// Returns the indices of the drivers among the agents.
     pub(super) fn all_drivers(&self) -> Range<usize> {
         0..self.drivers
     }
 
-    /// The indices of the evaders among the agents.
+    /// Returns the indices of the evaders among the agents.
     pub(super) fn all_evaders(&self) -> Range<usize> {
         self.drivers..self.agents()
     }
 
-    /// The evaders' parts of a state.
+    /// Returns the evader components of a state.
     #[inline(always)]
     pub(super) fn evaders_of<'a, T>(&self, x: &'a [T]) -> std::slice::ChunksExact<'a, T> {
         x[AGENT * self.drivers..AGENT * self.agents()].chunks_exact(AGENT)
     }
 
-    /// The weight of an evader's position in the center of them.
+    /// Returns the weight of one evader's position in the center.
     fn weight(&self) -> f64 {
         match self.center {
             Center::Sum => 1.0,
@@ -94,7 +97,7 @@ impl GuidanceSystem {
         }
     }
 
-    /// The center of the evaders' positions.
+    /// Returns the center of the evaders' positions.
     #[inline(always)]
     fn herd<T: Scalar>(&self, x: &[T]) -> [T; 2] {
         let mut sum = [T::zero(); 2];
@@ -106,7 +109,7 @@ impl GuidanceSystem {
         [sum[0] * weight, sum[1] * weight]
     }
 
-    /// Cotangents of the control.
+    /// Writes the cotangents of the control.
     #[inline(always)]
     fn reverse_control<R: Real, C: Cotangent<R>>(&self, x: &[R], next_bar: &[C], u_bar: &mut [C]) {
         let dt = R::lift(self.dt);
@@ -118,10 +121,10 @@ impl GuidanceSystem {
         }
     }
 
-    /// Adds the cotangents of the state by steering, from those of the accelerations.
+    /// Adds the cotangents of the state due to steering, given those of the accelerations.
     #[inline(always)]
     fn reverse_steering<R: Real, C: Cotangent<R>>(&self, u: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        // q̄ = (∂v̇/∂q)ᵀ v̇̄, which every evader receives with the opposite sign.
+        // q̄ = (∂v̇/∂q)ᵀ v̇̄. Every evader receives it with the opposite sign.
         let mut herd_bar = [C::null(); 2];
         for ((bar, force), c) in zip(zip(x_bar.chunks_exact_mut(AGENT), forces_bar.chunks_exact(2)), u.chunks_exact(2)) {
             let q_bar = [force[0] * c[0] + force[1] * c[1], force[1] * c[0] - force[0] * c[1]];
@@ -149,7 +152,7 @@ impl GuidanceSystem {
             force[0] = c[0] * q[0] - c[1] * q[1];
             force[1] = c[0] * q[1] + c[1] * q[0];
         }
-        // Zeros that are known to be zeros become a call of memset, which costs more than a short loop.
+        // `black_box` prevents a memset call, which is slower than a short loop.
         forces[2 * self.drivers..].fill(black_box(T::zero()));
         effects.add_forces(self, x, forces);
     }
@@ -180,20 +183,20 @@ impl ForcedSystem for GuidanceSystem {
 
     #[inline(always)]
     fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
-        // The accelerations are gathered in the second half of the next state.
+        // Store the accelerations in the second half of the next state.
         let half = 2 * self.agents();
         self.accelerate(effects, x, u, &mut next[half..2 * half]);
         let dt = T::lift(self.dt);
         for agent in 0..self.agents() {
-            // What this agent overwrites is its own acceleration and that of agents before it.
+            // Each agent overwrites only the accelerations of itself and of earlier agents.
             let (force, at) = ([next[half + 2 * agent], next[half + 2 * agent + 1]], AGENT * agent);
             (next[at], next[at + 1]) = (x[at] + dt * x[at + 2], x[at + 1] + dt * x[at + 3]);
             (next[at + 2], next[at + 3]) = (x[at + 2] + dt * force[0], x[at + 3] + dt * force[1]);
         }
     }
 
-    /// State and control meet only in products of the two, so that the halves share no work. The accelerations
-    /// themselves are not needed.
+    /// Computes the two halves independently: state and control enter only as products.
+    /// Accelerations are not required.
     #[inline(always)]
     fn reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
         &self,
@@ -228,7 +231,7 @@ impl ForcedOde for GuidanceSystem {
         let half = 2 * self.agents();
         self.accelerate(effects, x, u, &mut rate[half..2 * half]);
         for agent in 0..self.agents() {
-            // What this agent overwrites is its own acceleration and that of agents before it.
+            // Each agent overwrites only the accelerations of itself and of earlier agents.
             let (force, at) = ([rate[half + 2 * agent], rate[half + 2 * agent + 1]], AGENT * agent);
             (rate[at], rate[at + 1], rate[at + 2], rate[at + 3]) = (x[at + 2], x[at + 3], force[0], force[1]);
         }

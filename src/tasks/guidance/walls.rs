@@ -1,4 +1,4 @@
-//! A fence around the field.
+//! [`Walls`]: a fence around the field.
 
 use super::GuidanceSystem;
 use super::system::AGENT;
@@ -7,27 +7,30 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 
-/// Walls around a rectangular field about the origin: springs that push drivers and evaders back in, and never pull. At
-/// the right wall, and likewise at the other three:
+/// Walls around a rectangular field about the origin: springs that push drivers and evaders back in
+/// and never pull. At the right wall, and likewise at the other three:
 ///
 /// ```text
 /// v̇_x += -stiffness max(0, x - half_width)
 /// ```
 ///
-/// A penalty spring in the depth (Moore and Wilhelms 1988, Collision Detection and Response for Computer Animation). Its
-/// derivative leaps where an agent touches; at the point of touch it is that of the inside.
+/// The force is a penalty spring in the depth (Moore and Wilhelms 1988, Collision Detection and
+/// Response for Computer Animation). The derivative is discontinuous at contact; at the point of
+/// contact it is that of the inside.
 ///
-/// Explicit steps of length dt give an agent more speed back than it came with, unless `stiffness dt` is less than its
-/// friction: with the paper's dt and [`Friction`](super::Friction), 15/s² for drivers and 60/s² for evaders.
+/// Explicit steps of length dt return an agent faster than it arrived, unless `stiffness dt` is
+/// less than its friction. With the paper's dt and [`Friction`](super::Friction), the largest
+/// stiffness is 15/s² for drivers and 60/s² for evaders.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Walls {
     /// Half the width of the field, along x, m, positive.
     pub half_width: f64,
-    /// Half its height, along y, m, positive. The default field holds all start states.
+    /// Half the height of the field, along y, m, positive. The default field contains all initial
+    /// states.
     pub half_height: f64,
-    /// 1/s², not negative.
+    /// Stiffness, 1/s², not negative.
     pub stiffness: f64,
 }
 

@@ -1,4 +1,4 @@
-//! The linear-quadratic regulator.
+//! [`Lqr`]: the linear-quadratic regulator.
 
 use super::{LinearPlant, NoOptimum, Optimum, dot};
 use crate::dynamics::system::System;
@@ -9,39 +9,42 @@ use crate::numbers::zip::zip;
 use crate::tasks::CartPoleSystem;
 use rand::RngExt;
 
-/// Hold a linear plant at 0, at a quadratic cost:
+/// Task to hold a linear plant at 0 with a quadratic cost:
 ///
 /// ```text
 /// l(x_{t+1}, u_t) = (x_{t+1}ᵀ Q x_{t+1} + u_tᵀ R u_t)/2,    φ(x_T) = x_Tᵀ P x_T / 2
 /// ```
 ///
-/// P is what an endless rollout would still cost after `x_T`. So one gain, [`Optimum::gain`], is the best at every horizon and
-/// from every start, and the least loss is known.
+/// P is the cost-to-go matrix of the infinite horizon. A single gain, [`Optimum::gain`], is
+/// therefore optimal at any horizon and from any initial state, and the minimal loss is known.
 ///
-/// That gain is a fixed point of R, M and C alike: with `λ_{t+1} = (Q + P) x_{t+1}`, the control's cotangent
-/// `h_t = Bᵀ λ_{t+1} + R u_t` is 0 at every step, so nothing comes back through the policy, and R and M have the same adjoint.
+/// This gain is a fixed point of R, M and C alike. With `λ_{t+1} = (Q + P) x_{t+1}`, the control's
+/// cotangent `h_t = Bᵀ λ_{t+1} + R u_t` is 0 at each step. Nothing flows back through the policy,
+/// so R and M have the same adjoint.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lqr {
     plant: LinearPlant,
     state_cost: Vec<f64>,
     control_cost: Vec<f64>,
     optimum: Optimum,
-    /// Where rollouts start.
+    /// Center of the initial states.
     pub start: Vec<f64>,
-    /// How far from there every component may be, to either side. 0 for one start.
+    /// Largest deviation of each component of the initial state from the center. 0 gives a single
+    /// initial state.
     pub spread: f64,
     /// Number of steps.
     pub horizon: usize,
 }
 
 impl Lqr {
-    /// For the costs Q and R, row-major; rollouts of 100 steps start within ±1 in every component.
+    /// Creates the task with the row-major costs Q and R. Rollouts have 100 steps and start within
+    /// ±1 in each component.
     ///
     /// # Errors
-    /// [`NoOptimum`], where there is none.
+    /// Returns [`NoOptimum`] if Riccati's equation has no solution.
     ///
     /// # Panics
-    /// If Q or R is not symmetric or has not the sizes of the plant.
+    /// If Q or R is not symmetric, or its size differs from that of the plant.
     #[track_caller]
     pub fn new(plant: LinearPlant, state_cost: Vec<f64>, control_cost: Vec<f64>) -> Result<Self, NoOptimum> {
         let (n, m) = (plant.state_dim(), plant.control_dim());
@@ -54,8 +57,9 @@ impl Lqr {
         Ok(Self { start: vec![0.0; n], spread: 1.0, horizon: 100, plant, state_cost, control_cost, optimum })
     }
 
-    /// A stable plant: a mass of 1 kg on a spring of 1 N/m with a damper of 0.4 N s/m, in semi-implicit steps of 0.1 s. The
-    /// loss is the integral of `(|x|² + u²)/2`.
+    /// Creates a task with a stable plant. The plant is a mass of 1 kg on a spring of 1 N/m with a
+    /// damper of 0.4 N s/m, in semi-implicit steps of 0.1 s. The loss is the integral of
+    /// `(|x|² + u²)/2`.
     pub fn spring() -> Self {
         let (dt, stiffness, damping) = (0.1, 1.0, 0.4);
         let (by_place, by_speed) = (-dt * stiffness, 1.0 - dt * damping);
@@ -63,26 +67,28 @@ impl Lqr {
         Self::per_second(LinearPlant::new(2, a, vec![dt * dt, dt]), dt)
     }
 
-    /// An unstable plant: the default [`CartPoleSystem`] with one pole, linearized where the pole stands upright. The loss is
-    /// the integral of `(|x|² + u²)/2`, in SI units. By itself it grows by 1.04 a step, 1e17 in 1000.
+    /// Creates a task with an unstable plant. The plant is the default [`CartPoleSystem`] with one
+    /// pole, linearized about the upright position. The loss is the integral of `(|x|² + u²)/2`, in
+    /// SI units. Without control, the state grows by 1.04 per step, 1e17 in 1000 steps.
     pub fn upright_cart_pole() -> Self {
         let system = CartPoleSystem::default();
         Self::per_second(LinearPlant::linearized(&system, &[0.0; 4], &[0.0]), system.dt)
     }
 
-    /// With costs of 1 a second.
+    /// Creates a task with unit costs per second.
     fn per_second(plant: LinearPlant, dt: f64) -> Self {
         let diagonal = |n: usize| (0..n * n).map(|i| if i.is_multiple_of(n + 1) { dt } else { 0.0 }).collect::<Vec<f64>>();
         let (q, r) = (diagonal(plant.state_dim()), diagonal(plant.control_dim()));
         Self::new(plant, q, r).expect("both plants can be held at 0 by their control")
     }
 
-    /// The best there is.
+    /// Returns the optimal gain and its cost.
     pub fn optimum(&self) -> &Optimum {
         &self.optimum
     }
 
-    /// The least loss of a batch from `starts`, `state_dim` numbers a sample: the mean of `xᵀ P x / 2`.
+    /// Returns the minimal loss of a batch from `starts`, with `state_dim` components per sample:
+    /// the mean of `xᵀ P x / 2`.
     pub fn least_loss(&self, starts: &[f64]) -> f64 {
         let samples = starts.chunks_exact(self.plant.state_dim());
         let count = samples.len() as f64;
@@ -90,7 +96,7 @@ impl Lqr {
     }
 }
 
-/// `xᵀ M x / 2`.
+/// Returns `xᵀ M x / 2`.
 #[inline(always)]
 fn quadratic<T: Scalar>(matrix: &[f64], x: &[T]) -> T {
     let mut sum = T::zero();
@@ -100,7 +106,7 @@ fn quadratic<T: Scalar>(matrix: &[f64], x: &[T]) -> T {
     sum * T::lift(0.5)
 }
 
-/// Its gradient, for M symmetric: `M x`.
+/// Writes the gradient `M x` of [`quadratic`], for symmetric M.
 #[inline(always)]
 fn quadratic_gradient<R: Real>(matrix: &[f64], x: &[R], x_bar: &mut [R]) {
     for (row, x_bar) in zip(matrix.chunks_exact(x.len()), x_bar) {

@@ -1,25 +1,26 @@
-//! `M = L D Lᵀ` of a symmetric positive definite matrix, without pivots: Cholesky's factors without square roots.
+//! Factorization `M = L D Lᵀ` of symmetric positive definite matrices: Cholesky's method without
+//! square roots.
 //!
-//! No pivots are needed, and it is backward stable (Higham, Accuracy and Stability of Numerical Algorithms, 10.1): what it
-//! solves is exactly solved for a matrix that differs by rounding. There is no branch on a value, so it runs in lanes and on
-//! duals.
+//! The method needs no pivoting and is backward stable (Higham, Accuracy and Stability of Numerical
+//! Algorithms, 10.1). The solution is exact for a matrix that differs by rounding. The code does
+//! not branch on values, so it works with lanes and dual numbers.
 //!
-//! A lower triangle is packed by rows: the entry (i, j), j ≤ i, is at `i (i + 1)/2 + j`.
+//! Lower triangles are packed by rows: the entry (i, j), j ≤ i, has the index `i (i + 1)/2 + j`.
 
 use crate::numbers::scalar::Scalar;
 use std::ops::{Mul, SubAssign};
 
-/// Where row `i` begins.
+/// Returns the index at which row `i` begins.
 #[inline(always)]
 fn row(i: usize) -> usize {
     i * (i + 1) / 2
 }
 
-/// Puts L in place of the triangle of M, and 1/D in place of the diagonal.
+/// Replaces the triangle of M by L, and the diagonal by 1/D.
 #[inline(always)]
 pub(super) fn factor<T: Scalar>(matrix: &mut [T], n: usize) {
     for i in 0..n {
-        // First the entries of L D.
+        // Compute the entries of L D first.
         for j in 0..i {
             let mut entry = matrix[row(i) + j];
             for k in 0..j {
@@ -38,7 +39,8 @@ pub(super) fn factor<T: Scalar>(matrix: &mut [T], n: usize) {
     }
 }
 
-/// Solves `M y = b` in place; `b` is numbers, or cotangents: M is symmetric, and so its own adjoint.
+/// Solves `M y = b` in place. `b` holds numbers or cotangents: M is symmetric, hence its own
+/// adjoint.
 #[inline(always)]
 pub(super) fn solve<T: Scalar, V: Copy + SubAssign + Mul<T, Output = V>>(factors: &[T], b: &mut [V]) {
     let n = b.len();

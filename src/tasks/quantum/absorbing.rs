@@ -1,4 +1,4 @@
-//! Edges that swallow what runs into them.
+//! [`Absorbing`]: a box whose edges absorb the wave.
 
 use super::QuantumSystem;
 use super::system::Wave;
@@ -10,24 +10,27 @@ use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 use serde::{Deserialize, Serialize};
 use smallvec::SmallVec;
 
-/// Layers along both walls in which the wave decays, as if it left an open box. With d the distance to the nearer wall:
+/// Layers along both walls in which the wave decays, as in an open box. With the distance d to the
+/// nearer wall:
 ///
 /// ```text
 /// W = strength ((width - d) / width)²   within width of a wall, 0 elsewhere
 /// ψ_j ← exp(-dt W(x_j)) ψ_j            after the step
 /// ```
 ///
-/// That is the potential `V - i W`, split off each step, of the first order in dt. Probability goes at the rate
-/// `2 W |ψ|²` and never comes back. What is much shorter than `width` is swallowed, what is much longer reflected.
-/// Kosloff and Kosloff 1986 (doi:10.1016/0021-9991(86)90199-3).
+/// The layers amount to a potential `V - i W`, applied after each step by operator splitting of
+/// first order in dt. Probability is lost at the rate `2 W |ψ|²`. Waves much shorter than `width`
+/// are absorbed, much longer ones reflected.
+///
+/// Source: Kosloff and Kosloff 1986 (doi:10.1016/0021-9991(86)90199-3).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct AbsorbingEdges {
-    /// How far they reach from either wall, length, positive.
+    /// Width of the layer along each wall, length, positive.
     pub width: f64,
-    /// W at the walls, energy, not negative. The defaults take a fifth of a ground state of the default box in 8 units of
-    /// time, and five sixths of its third eigenstate.
+    /// W at the walls, energy, not negative. In the default box during 8 units of time, the
+    /// defaults absorb a fifth of the ground state and five sixths of the third eigenstate.
     pub strength: f64,
 }
 
@@ -37,19 +40,19 @@ impl Default for AbsorbingEdges {
     }
 }
 
-/// A system around a [`QuantumSystem`] whose walls have absorbing edges.
+/// System around a [`QuantumSystem`] with absorbing edges.
 ///
-/// The edges act once in each step of `system`, for the time of one step of the body: under
-/// [`Substeps`](crate::Substeps), they belong inside.
+/// The edges act once per step of `system`, for the time step of the [`QuantumSystem`]. Place them
+/// inside [`Substeps`](crate::Substeps), not around it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Absorbing<S = QuantumSystem> {
     system: S,
-    /// Grid points within the edges, counted from 0, and what their waves are multiplied by in a step.
+    /// Grid points within the edges, counted from 0, with the factor of their wave per step.
     factors: Vec<(usize, f64)>,
 }
 
 impl<S: HasModel<QuantumSystem>> Absorbing<S> {
-    /// The system, with these edges. Nothing else is touched than grid points within them.
+    /// Adds absorbing edges to a system. Grid points outside the edges are unaffected.
     pub fn new(system: S, edges: AbsorbingEdges) -> Self {
         let (model, AbsorbingEdges { width, strength }) = (system.model(), edges);
         let factor = |(j, xi): (usize, f64)| {
@@ -61,12 +64,12 @@ impl<S: HasModel<QuantumSystem>> Absorbing<S> {
         Self { system, factors }
     }
 
-    /// What steps before the edges act.
+    /// Returns the system that steps before the edges act.
     pub fn system(&self) -> &S {
         &self.system
     }
 
-    /// Multiplies the waves at points within the edges.
+    /// Multiplies the wave at points within the edges by their factors.
     #[inline(always)]
     fn damp<T: Scalar, V: Copy + std::ops::Mul<T, Output = V>>(&self, psi: &mut [V]) {
         for &(j, factor) in &self.factors {

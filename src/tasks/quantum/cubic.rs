@@ -1,4 +1,4 @@
-//! Many particles in one wave.
+//! [`Cubic`]: interaction of many particles in one wave.
 
 use super::QuantumSystem;
 use crate::dynamics::effect::Effect;
@@ -6,19 +6,20 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 
-/// What particles of one wave, a Bose-Einstein condensate, do to each other: `V_j = strength |ψ_j|² / dx`.
+/// Interaction of particles in one wave, a Bose-Einstein condensate: `V_j = strength |ψ_j|² / dx`.
 ///
-/// The equation of Gross 1961 (doi:10.1007/BF02731494) and Pitaevskii 1961 (Sov. Phys. JETP 13, 451),
-/// `i ∂ψ/∂t = -∂²ψ/∂x² + V ψ + strength |ψ|² ψ`. Its ψ has `∫ |ψ|² dx = 1`; a state has `Σ_j |ψ_j|² = 1`, so that
-/// `|ψ_j|² / dx` is the density of probability.
+/// The equation is `i ∂ψ/∂t = -∂²ψ/∂x² + V ψ + strength |ψ|² ψ` (Gross 1961,
+/// doi:10.1007/BF02731494; Pitaevskii 1961, Sov. Phys. JETP 13, 451). There, ψ satisfies
+/// `∫ |ψ|² dx = 1`. A state has `Σ_j |ψ_j|² = 1`, so the probability density is `|ψ_j|² / dx`.
 ///
-/// The density is that of the state in which the step begins: the step stays unitary and one solve, and is of the first
-/// order in dt. By [`Strang`](super::Strang), each half step has its own density, and the step is of the second order.
+/// The density is that at the beginning of the step. The step therefore remains unitary, needs a
+/// single solve, and is of first order in dt. [`Strang`](super::Strang) computes a density per half
+/// step and is of second order.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Cubic {
-    /// Energy times length; positive repels, negative attracts.
+    /// Strength, energy times length. Positive values repel, negative values attract.
     pub strength: f64,
 }
 
@@ -29,7 +30,7 @@ impl Default for Cubic {
 }
 
 impl Cubic {
-    /// Energy per probability at a grid point.
+    /// Returns the energy per probability at a grid point.
     #[inline(always)]
     fn per_probability(&self, model: &QuantumSystem) -> f64 {
         self.strength * (1.0 / model.spacing())
@@ -37,22 +38,15 @@ impl Cubic {
 }
 
 impl Effect<QuantumSystem> for Cubic {
-    const LOCAL: bool = true;
-
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &QuantumSystem, x: &[T], potential: &mut [T]) {
         let strength = T::lift(self.per_probability(model));
-        // By index, which is checked, so that compilers leave the loop alone: lanes fill the registers already.
+        // Indexing with bounds checks prevents vectorization of this loop. Lanes fill the registers
+        // already.
         for (j, v) in potential.iter_mut().enumerate() {
             let [re, im] = x.as_chunks().0[j];
             *v += strength * (re * re + im * im);
         }
-    }
-
-    #[inline(always)]
-    fn act_at<T: Scalar>(&self, model: &QuantumSystem, x: &[T], j: usize, v: T) -> T {
-        let [re, im] = x.as_chunks().0[j];
-        v + T::lift(self.per_probability(model)) * (re * re + im * im)
     }
 
     #[inline(always)]
@@ -63,13 +57,5 @@ impl Effect<QuantumSystem> for Cubic {
             bar[0] += v_bar * *re;
             bar[1] += v_bar * *im;
         }
-    }
-
-    #[inline(always)]
-    fn vjp_at<R: Real, C: Cotangent<R>>(&self, model: &QuantumSystem, x: &[R], j: usize, v_bar: C, x_bar: &mut [C]) {
-        let v_bar = v_bar * R::lift(2.0 * self.per_probability(model));
-        let ([re, im], bar) = (x.as_chunks().0[j], &mut x_bar.as_chunks_mut::<2>().0[j]);
-        bar[0] += v_bar * re;
-        bar[1] += v_bar * im;
     }
 }

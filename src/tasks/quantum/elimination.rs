@@ -1,12 +1,11 @@
-//! The linear solve in a factor of Cayley: one in a step of Crank and Nicolson, two in one of Padé.
+//! Linear solve of a Cayley factor: one per step of Crank-Nicolson, two per step of Padé.
 
-use super::point_by_point::PointByPoint;
 use super::system::{Pair, PerPoint};
 use crate::numbers::kernels::scratch::Filling;
 use crate::numbers::scalar::Scalar;
 use std::ops::{Add, Mul, Neg, Sub};
 
-/// What a solve with [`Elimination`] can be applied to: numbers, and cotangents in several columns.
+/// Right-hand sides of [`Elimination`]: numbers, or cotangents in several columns.
 pub(super) trait Vector<T>:
     Copy + Add<Output = Self> + Sub<Output = Self> + Neg<Output = Self> + Mul<T, Output = Self>
 {
@@ -14,7 +13,7 @@ pub(super) trait Vector<T>:
 
 impl<T, V> Vector<T> for V where V: Copy + Add<Output = V> + Sub<Output = V> + Neg<Output = V> + Mul<T, Output = V> {}
 
-/// The pivots of `A = I + i dt/2 (H + shift)`, `H = -D₂ + diag(V)`, one after another.
+/// Successive pivots of `A = I + i dt/2 (H + shift)`, `H = -D₂ + diag(V)`.
 pub(super) struct Pivots<T> {
     b: T,
     b_squared: T,
@@ -32,7 +31,7 @@ impl<T: Scalar> Pivots<T> {
         Self { b, b_squared: b * b, kinetic, half_dt, per_pivot: (T::zero(), T::zero()) }
     }
 
-    /// One over the pivot of the next row, in which the potential is `v`.
+    /// Returns the reciprocal pivot of the next row, whose potential is `v`.
     #[inline(always)]
     fn next(&mut self, v: T) -> Pair<T> {
         let (q_re, q_im) = self.per_pivot;
@@ -44,7 +43,7 @@ impl<T: Scalar> Pivots<T> {
     }
 }
 
-/// A while it is eliminated, row by row.
+/// Row-by-row elimination of A, in progress.
 pub(super) struct Rows<'a, T> {
     pivots: Pivots<T>,
     per_pivot: Filling<'a, Pair<T>>,
@@ -56,35 +55,34 @@ impl<'a, T: Scalar> Rows<'a, T> {
         Self { pivots, per_pivot: per_pivot.filling(grid) }
     }
 
-    /// A, eliminated, when every row has been.
+    /// Eliminates the next row, in which the potential is `v`.
+    #[inline(always)]
+    pub(super) fn push(&mut self, v: T) {
+        self.per_pivot.push(self.pivots.next(v));
+    }
+
+    /// Returns the complete elimination. Requires that every row has been pushed.
     #[inline(always)]
     pub(super) fn elimination(self) -> Elimination<'a, T> {
         Elimination { b: self.pivots.b, per_pivot: self.per_pivot.all() }
     }
 }
 
-impl<T: Scalar> PointByPoint<T> for Rows<'_, T> {
-    #[inline(always)]
-    fn put(&mut self, v: T) {
-        self.per_pivot.push(self.pivots.next(v));
-    }
-}
-
-/// A, eliminated: complex symmetric, with `-ib` beside the diagonal.
+/// Complete elimination of A, which is complex symmetric with off-diagonal entries `-ib`.
 pub(super) struct Elimination<'a, T> {
     b: T,
-    /// One over the pivot of each row.
+    /// Reciprocal pivot of each row.
     per_pivot: &'a mut [Pair<T>],
 }
 
 impl<T: Scalar> Elimination<'_, T> {
-    /// `y ← A⁻¹ rhs`, both with real and imaginary parts in turn.
+    /// Computes `y ← A⁻¹ rhs`. Both alternate real and imaginary parts.
     #[inline(always)]
     pub(super) fn solve<V: Vector<T>>(&self, rhs: &[V], y: &mut [V]) {
         let (b, n) = (self.b, self.per_pivot.len());
         let (rhs, y, per_pivot) = (&rhs.as_chunks::<2>().0[..n], &mut y.as_chunks_mut::<2>().0[..n], &self.per_pivot[..n]);
-        // The first row and the last apart, and number by number: compilers carry what a loop chooses, and pairs of columns, with
-        // their lanes in disorder.
+        // Separate first and last rows, and scalar carried values: compilers shuffle the lanes of
+        // conditional values and of pairs of columns.
         // Forward: s_j = (rhs_j + ib s_{j-1}) / p_j.
         let (q_re, q_im) = per_pivot[0];
         let (mut s_re, mut s_im) = (rhs[0][0] * q_re - rhs[0][1] * q_im, rhs[0][0] * q_im + rhs[0][1] * q_re);
@@ -95,7 +93,7 @@ impl<T: Scalar> Elimination<'_, T> {
             (s_re, s_im) = (re * q_re - im * q_im, re * q_im + im * q_re);
             (y[j][0], y[j][1]) = (s_re, s_im);
         }
-        // Back: y_j = s_j + ib y_{j+1} / p_j.
+        // Backward: y_j = s_j + ib y_{j+1} / p_j.
         let (mut y_re, mut y_im) = (s_re, s_im);
         for j in (0..n - 1).rev() {
             let (q_re, q_im) = per_pivot[j];
@@ -105,7 +103,7 @@ impl<T: Scalar> Elimination<'_, T> {
         }
     }
 
-    /// Becomes the elimination of the conjugate, which is the adjoint because A is symmetric.
+    /// Converts to the elimination of the conjugate. It is the adjoint, because A is symmetric.
     #[inline(always)]
     pub(super) fn conjugate(&mut self) {
         self.b = -self.b;

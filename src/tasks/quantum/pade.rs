@@ -1,13 +1,12 @@
-//! Schrödinger's equation to the fourth order in the time step.
+//! [`Pade`]: Schrödinger's equation to fourth order in the time step.
 
 use super::QuantumSystem;
 use super::elimination::{Elimination, Pivots, Rows};
-use super::point_by_point::{Added, Dropped, Kept, PointByPoint};
 use super::system::{Pair, PerPoint};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
-/// A [`QuantumSystem`] that steps by the diagonal Padé approximant of the fourth order. With `z = dt H`:
+/// [`QuantumSystem`] with the diagonal Padé approximant of fourth order. With `z = dt H`:
 ///
 /// ```text
 /// exp(-iz) ≈ (1 - i z/2 - z²/12) (1 + i z/2 - z²/12)⁻¹ = C(z - √3) C(z + √3),   C(y) = (1 - i y/3) (1 + i y/3)⁻¹
@@ -15,48 +14,37 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// χ = 2 A₋⁻¹ ψ - ψ,  ψ' = 2 A₊⁻¹ χ - χ
 /// ```
 ///
-/// The denominator's zeros are complex, but with the common factor `2/√3 exp(±iπ/6)` taken out, their imaginary parts
-/// become real shifts of the energy: two steps of Crank and Nicolson, of 2/3 dt each, with the potentials `V ∓ √3/dt`.
-/// All that is said there holds of both: unitary whatever the potential, and the real part of every pivot at least 1
-/// without pivoting, whatever its imaginary part. Two tridiagonal solves a step, O(grid).
+/// The zeros of the denominator are complex. Without the common factor `2/√3 exp(±iπ/6)`, their
+/// imaginary parts are real shifts of the energy. A step thus consists of two Crank-Nicolson steps
+/// of 2/3 dt each, with the potentials `V ∓ √3/dt`. It costs two tridiagonal solves, O(grid). The
+/// properties of [`QuantumSystem`] hold for both: unitary for any potential, and pivots with a real
+/// part of at least 1 without pivoting.
 ///
-/// H is that of [`QuantumSystem`], on the same grid, so that only the error in time differs: an eigenstate of energy E
-/// turns by `E dt (1 - (E dt)⁴/720 + …)`, where Crank and Nicolson turn it by `E dt (1 - (E dt)²/12 + …)`. Energies beyond
-/// about 3/dt turn too slowly here, too, and none by more than a whole turn a step.
+/// H and grid are those of [`QuantumSystem`], so only the error in time differs. The phase of an
+/// eigenstate of energy E advances by `E dt (1 - (E dt)⁴/720 + …)`. With Crank-Nicolson, it is
+/// `E dt (1 - (E dt)²/12 + …)`. For energies beyond about 3/dt, the phase advances too slowly here
+/// too, by at most one turn per step.
 ///
-/// Fourth order in dt for potentials that do not change during a step. Effects act at the state in which the step begins,
-/// as in [`QuantumSystem`]; what depends on the state, [`Cubic`](super::Cubic), is of the first order.
+/// The order in dt is four for potentials that are constant during a step. Effects act at the state
+/// at the beginning of the step, as in [`QuantumSystem`]. State-dependent effects, such as
+/// [`Cubic`](super::Cubic), are of first order.
 ///
-/// Hairer and Wanner, Solving Ordinary Differential Equations II, IV.3; for this equation, van Dijk and Toyama 2007
-/// (doi:10.1103/PhysRevE.75.036707).
+/// Sources: Hairer and Wanner, Solving Ordinary Differential Equations II, IV.3; for this equation,
+/// van Dijk and Toyama 2007 (doi:10.1103/PhysRevE.75.036707).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pade(
-    /// The physics. Its own step is not used.
+    /// Model with its parameters. Its own step is not used.
     pub QuantumSystem,
 );
 
-/// Both factors while they are eliminated: two chains of divisions side by side take little longer than one.
-struct Both<'a, T> {
-    minus: Rows<'a, T>,
-    plus: Rows<'a, T>,
-}
-
-impl<T: Scalar> PointByPoint<T> for Both<'_, T> {
-    #[inline(always)]
-    fn put(&mut self, v: T) {
-        self.minus.put(v);
-        self.plus.put(v);
-    }
-}
-
 impl Pade {
-    /// Of which A∓ are those of Crank and Nicolson.
+    /// Returns the time step of which A∓ are Crank-Nicolson factors.
     #[inline(always)]
     fn factor_dt(&self) -> f64 {
         self.0.dt * (2.0 / 3.0)
     }
 
-    /// A₋ and A₊.
+    /// Returns the eliminations of A₋ and A₊.
     #[inline(always)]
     fn eliminate<'a, E: Effect<QuantumSystem>, T: Scalar>(
         &self,
@@ -67,15 +55,19 @@ impl Pade {
         plus: &'a mut PerPoint<Pair<T>>,
     ) -> (Elimination<'a, T>, Elimination<'a, T>) {
         let (dt, dx, shift) = (self.factor_dt(), self.0.spacing(), f64::sqrt(3.0) / self.0.dt);
-        let minus = Rows::new(Pivots::new(dt, dx, -shift), self.0.grid, minus);
-        let plus = Rows::new(Pivots::new(dt, dx, shift), self.0.grid, plus);
-        let mut both = Both { minus, plus };
-        self.0.potential(effects, x, u, &mut both);
-        (both.minus.elimination(), both.plus.elimination())
+        let mut minus = Rows::new(Pivots::new(dt, dx, -shift), self.0.grid, minus);
+        let mut plus = Rows::new(Pivots::new(dt, dx, shift), self.0.grid, plus);
+        let mut potential = PerPoint::new();
+        // Two chains of divisions side by side take little longer than one.
+        for &v in self.0.potential(effects, x, u, &mut potential) {
+            minus.push(v);
+            plus.push(v);
+        }
+        (minus.elimination(), plus.elimination())
     }
 }
 
-/// `y ← 2 y - x`.
+/// Computes `y ← 2 y - x`.
 #[inline(always)]
 fn reflect<V: Copy + std::ops::Add<Output = V> + std::ops::Sub<Output = V>>(x: &[V], y: &mut [V]) {
     let n = y.len();
@@ -135,7 +127,7 @@ impl ForcedSystem for Pade {
         let mut chi_bar = PerPoint::new();
         let chi_bar = chi_bar.fill([C::null(); 2], model.grid).as_flattened_mut();
         let effects_read = x_bar.is_some() && effects.state_dependent();
-        // What only the state's cotangent needs ends here.
+        // Shorter path if only the cotangent of the state is requested.
         if u_bar.is_none() && !effects_read {
             if let Some(x_bar) = x_bar {
                 plus.conjugate();
@@ -147,7 +139,7 @@ impl ForcedSystem for Pade {
             }
             return;
         }
-        // Solved again rather than kept by the forward pass.
+        // Solve again, because the forward pass does not store the solutions.
         let (mut y_minus, mut chi, mut y_plus) = (PerPoint::new(), PerPoint::new(), PerPoint::new());
         let y_minus = y_minus.fill([R::zero(); 2], model.grid);
         minus.solve(x, y_minus.as_flattened_mut());
@@ -165,20 +157,20 @@ impl ForcedSystem for Pade {
             Some(x_bar) => x_bar,
             None => scratch.fill([C::null(); 2], model.grid).as_flattened_mut(),
         };
-        let asked = u_bar.is_some();
+        let with_control = u_bar.is_some();
         plus.solve(next_bar, chi_bar);
         let control_bar = if effects_read {
             let mut potential_bar = PerPoint::new();
             let potential_bar = potential_bar.fill(C::null(), model.grid);
-            let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, asked, Kept(&mut *potential_bar));
+            let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, with_control, Some(&mut *potential_bar));
             minus.solve(chi_bar, &mut x_bar[..n]);
-            let minus_bar = model.reverse_potential(dt, y_minus, chi_bar, x_bar, asked, Added(&mut *potential_bar));
+            let minus_bar = model.reverse_potential(dt, y_minus, chi_bar, x_bar, with_control, Some(&mut *potential_bar));
             effects.vjp(model, x, potential_bar, x_bar);
             plus_bar + minus_bar
         } else {
-            let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, asked, Dropped);
+            let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, with_control, None);
             minus.solve(chi_bar, &mut x_bar[..n]);
-            plus_bar + model.reverse_potential(dt, y_minus, chi_bar, x_bar, asked, Dropped)
+            plus_bar + model.reverse_potential(dt, y_minus, chi_bar, x_bar, with_control, None)
         };
         if let Some(u_bar) = u_bar {
             u_bar[0] = control_bar;

@@ -1,6 +1,6 @@
-//! Potentials that stand still. `ξ = x - length/2` is the place from the middle of the box.
+//! Potentials that do not depend on time or state, as functions of `ξ = x - length/2`.
 //!
-//! In a scene there is at most one of them; as types they may be combined, and then add up.
+//! A scene allows at most one of them. As types they can be combined, and add up.
 
 use super::QuantumSystem;
 use crate::dynamics::effect::Effect;
@@ -8,12 +8,10 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 
-/// Makes effects of functions of ξ: types with `fn potential(&self, xi: f64) -> f64`.
+/// Implements [`Effect`] for functions of ξ: types with `fn potential(&self, xi: f64) -> f64`.
 macro_rules! stand_still {
     ($($effect:ty),+) => {$(
         impl Effect<QuantumSystem> for $effect {
-            const LOCAL: bool = true;
-
             #[inline(always)]
             fn add_forces<T: Scalar>(&self, model: &QuantumSystem, _x: &[T], potential: &mut [T]) {
                 for (v, xi) in zip(potential.iter_mut(), model.centered_points()) {
@@ -22,15 +20,7 @@ macro_rules! stand_still {
             }
 
             #[inline(always)]
-            fn act_at<T: Scalar>(&self, model: &QuantumSystem, _x: &[T], j: usize, v: T) -> T {
-                v + T::lift(self.potential(model.centered_point(j)))
-            }
-
-            #[inline(always)]
             fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _v_bar: &[C], _x_bar: &mut [C]) {}
-
-            #[inline(always)]
-            fn vjp_at<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _j: usize, _v_bar: C, _x_bar: &mut [C]) {}
 
             #[inline(always)]
             fn state_dependent(&self) -> bool {
@@ -41,17 +31,19 @@ macro_rules! stand_still {
 }
 stand_still!(Harmonic, Barrier, DoubleWell);
 
-/// A parabola: `V = stiffness (ξ - center)²`, the harmonic oscillator.
+/// Harmonic oscillator: `V = stiffness (ξ - center)²`.
 ///
-/// As ħ = 1 and m = 1/2, its angular frequency is `ω = 2 sqrt(stiffness)` and its levels are `ω (n + 1/2)`, where the
-/// walls are far: the ground state is `exp(-sqrt(stiffness) (ξ - center)² / 2)`, up to its norm.
+/// With ħ = 1 and m = 1/2, the angular frequency is `ω = 2 sqrt(stiffness)`. Far from the walls,
+/// the energy levels are `ω (n + 1/2)`, and the ground state is
+/// `exp(-sqrt(stiffness) (ξ - center)² / 2)`, up to its norm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Harmonic {
-    /// Energy per length squared. The default's ground state has 10 of energy and is a third of the default box wide.
+    /// Stiffness, energy per length squared. The ground state of the default has energy 10 and
+    /// spans a third of the default box.
     pub stiffness: f64,
-    /// Where it is 0, from the middle of the box.
+    /// Position of the minimum relative to the middle of the box.
     pub center: f64,
 }
 
@@ -62,32 +54,34 @@ impl Default for Harmonic {
 }
 
 impl Harmonic {
-    /// V at the distance ξ from the middle of the box.
+    /// Returns V at the position ξ relative to the middle of the box.
     #[inline(always)]
     pub fn potential(&self, xi: f64) -> f64 {
         self.stiffness * (xi - self.center) * (xi - self.center)
     }
 }
 
-/// A smooth barrier to tunnel through: `V = height / cosh²((ξ - center) / width)`.
+/// Smooth barrier for tunneling: `V = height / cosh²((ξ - center) / width)`.
 ///
-/// Eckart 1930 (doi:10.1103/PhysRev.35.1303), whose transmission is known. With m = 1/2, a particle of energy k² gets
-/// through with the probability
+/// The transmission is known (Eckart 1930, doi:10.1103/PhysRev.35.1303). With m = 1/2, a particle
+/// of energy k² is transmitted with the probability
 ///
 /// ```text
 /// T = sinh²(π k width) / (sinh²(π k width) + cosh²(π/2 sqrt(4 height width² - 1)))
 /// ```
 ///
-/// A negative height makes a well.
+/// A negative height gives a well.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Barrier {
-    /// Energy at its top. The default is above the third eigenstate of the default box, which has 22.
+    /// Energy at the top. The default exceeds the energy 22 of the third eigenstate of the default
+    /// box.
     pub height: f64,
-    /// Length, positive: at this distance from its top it has 42 % of its height, at twice the distance 7 %.
+    /// Width, length, positive. At this distance from the top, V is 42 % of the height, at twice
+    /// the distance 7 %.
     pub width: f64,
-    /// Where its top is, from the middle of the box.
+    /// Position of the top relative to the middle of the box.
     pub center: f64,
 }
 
@@ -98,7 +92,7 @@ impl Default for Barrier {
 }
 
 impl Barrier {
-    /// V at the distance ξ from the middle of the box.
+    /// Returns V at the position ξ relative to the middle of the box.
     #[inline(always)]
     pub fn potential(&self, xi: f64) -> f64 {
         let t = Scalar::tanh((xi - self.center) * (1.0 / self.width));
@@ -106,17 +100,18 @@ impl Barrier {
     }
 }
 
-/// Two valleys side by side, in the middle of the box: `V = height ((2 ξ / separation)² - 1)²`.
+/// Double well in the middle of the box: `V = height ((2 ξ / separation)² - 1)²`.
 ///
-/// It is 0 at the bottoms, `ξ = ±separation/2`, and `height` between them. Small oscillations in either valley have the
-/// angular frequency `8 sqrt(height) / separation`; below the top, the particle tunnels from one to the other.
+/// V is 0 at the minima, `ξ = ±separation/2`, and `height` between them. Small oscillations in
+/// either well have the angular frequency `8 sqrt(height) / separation`. Below the top, the
+/// particle tunnels between the wells.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct DoubleWell {
-    /// Energy in the middle, above the bottoms.
+    /// Energy in the middle, above the minima.
     pub height: f64,
-    /// Length from bottom to bottom, positive.
+    /// Distance between the minima, positive.
     pub separation: f64,
 }
 
@@ -127,7 +122,7 @@ impl Default for DoubleWell {
 }
 
 impl DoubleWell {
-    /// V at the distance ξ from the middle of the box.
+    /// Returns V at the position ξ relative to the middle of the box.
     #[inline(always)]
     pub fn potential(&self, xi: f64) -> f64 {
         let ratio = xi * (2.0 / self.separation);
@@ -136,17 +131,19 @@ impl DoubleWell {
     }
 }
 
-/// A potential given by its value at every grid point: any other, or what other effects add up to, worked out once rather
-/// than in every step.
+/// Potential given by its values at the grid points.
+///
+/// Represents arbitrary potentials, or a sum of effects that is computed once instead of in every
+/// step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tabulated {
-    /// V at the grid points.
+    /// V at each grid point.
     pub values: Vec<f64>,
 }
 
 impl Tabulated {
-    /// What these effects add to the potential. Of one effect, the numbers of a step are the same, bit for bit; of several, they are
-    /// added up before the control's.
+    /// Tabulates the sum of the given effects. For one effect, steps are equal bit for bit. Several
+    /// effects are summed before the potential of the control is added.
     ///
     /// # Panics
     /// If an effect depends on the state.
@@ -159,8 +156,6 @@ impl Tabulated {
 }
 
 impl Effect<QuantumSystem> for Tabulated {
-    const LOCAL: bool = true;
-
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _x: &[T], potential: &mut [T]) {
         for (v, &value) in zip(potential.iter_mut(), &self.values) {
@@ -169,15 +164,7 @@ impl Effect<QuantumSystem> for Tabulated {
     }
 
     #[inline(always)]
-    fn act_at<T: Scalar>(&self, _model: &QuantumSystem, _x: &[T], j: usize, v: T) -> T {
-        v + T::lift(self.values[j])
-    }
-
-    #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _v_bar: &[C], _x_bar: &mut [C]) {}
-
-    #[inline(always)]
-    fn vjp_at<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _j: usize, _v_bar: C, _x_bar: &mut [C]) {}
 
     #[inline(always)]
     fn state_dependent(&self) -> bool {

@@ -1,4 +1,4 @@
-//! The exact motion of a free particle in a box, for one time step.
+//! Exact propagation of a free particle in a box over one time step.
 
 use super::QuantumSystem;
 use super::elimination::Vector;
@@ -8,7 +8,8 @@ use crate::numbers::scalar::Scalar;
 use crate::numbers::zip::zip;
 use std::f64::consts::PI;
 
-/// `K = exp(i dt D₂)`, the exponential of the second difference, by its eigenvectors, which are sines. With M = grid + 1:
+/// Propagator `K = exp(i dt D₂)`, the exponential of the second difference. Its eigenvectors are
+/// sines. With M = grid + 1:
 ///
 /// ```text
 /// E_m = 4/dx² sin²(πm / 2M)
@@ -16,8 +17,8 @@ use std::f64::consts::PI;
 /// t(d) = 1/M Σ_m cos(πmd/M) exp(-i E_m dt)
 /// ```
 ///
-/// K knows no left and right, so that it maps even functions to even ones and odd to odd. It is kept as two matrices of
-/// half its size: half the work.
+/// K commutes with reflection: it maps even functions to even ones and odd to odd. It is stored as
+/// two matrices of half the size, which halves the work.
 ///
 /// ```text
 /// a_k = ψ_k + ψ_{M-k},  b_k = ψ_k - ψ_{M-k}
@@ -26,14 +27,15 @@ use std::f64::consts::PI;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Propagator {
     grid: usize,
-    /// Row by row; real and imaginary part of the even, then of the odd matrix.
+    /// Rows of the matrices. Each entry holds the real and imaginary parts of the even matrix, then
+    /// of the odd one.
     table: Vec<[f64; 4]>,
-    /// The same rounded, for `f32`: to be read into a vector register, a number must be there in its own precision.
+    /// Table in single precision: a direct load into a vector register needs the element type.
     rounded: Vec<[f32; 4]>,
 }
 
 impl Propagator {
-    /// For a step of `system`. O(grid²).
+    /// Creates the propagator for one step of `system`, in O(grid²).
     pub(super) fn new(system: &QuantumSystem) -> Self {
         let (grid, intervals) = (system.grid, system.grid + 1);
         let cosines: Vec<f64> = (0..2 * intervals).map(|d| Scalar::cos(PI * d as f64 / intervals as f64)).collect();
@@ -56,7 +58,7 @@ impl Propagator {
         for j in 1..=half {
             for k in 1..=half {
                 let entry = |k: usize, part: usize| sums[j.abs_diff(k)][part] - sums[j + k][part];
-                // The point in the middle is its own mirror image, and counted twice in a_k.
+                // The middle point is its own mirror image, and counts twice in a_k.
                 let share = if 2 * k == intervals { 0.25 } else { 0.5 };
                 let even = |part| share * (entry(k, part) + entry(intervals - k, part));
                 let odd = |part| share * (entry(k, part) - entry(intervals - k, part));
@@ -67,8 +69,8 @@ impl Propagator {
         Self { grid, table, rounded }
     }
 
-    /// `out ← K psi`, both with real and imaginary parts in turn; of the `ADJOINT`, which is the conjugate because K is
-    /// symmetric.
+    /// Computes `out ← K psi`. Both alternate real and imaginary parts. With `ADJOINT`, applies the
+    /// conjugate, which is the adjoint because K is symmetric.
     #[inline(always)]
     pub(super) fn apply<T: Scalar, V: Vector<T>, const ADJOINT: bool>(&self, psi: &[V], out: &mut [V]) {
         let (n, half) = (self.grid, self.grid.div_ceil(2));
@@ -92,11 +94,11 @@ impl Propagator {
         }
     }
 
-    /// The products of entry (j, k) of both matrices with the even and the odd part.
+    /// Returns the products of entry (j, k) of both matrices with the even and the odd part.
     #[inline(always)]
     fn term<T: Scalar, V: Vector<T>, const ADJOINT: bool>(&self, j: usize, k: usize, parts: &[[V; 4]]) -> [V; 4] {
         let (place, [a_re, a_im, b_re, b_im]) = (j * parts.len() + k, parts[k]);
-        // Not by `map` of arrays, which is compiled apart.
+        // Array `map` is not inlined.
         let (even_re, even_im, odd_re, odd_im) = if size_of::<T::Real>() == size_of::<f32>() {
             let [even_re, even_im, odd_re, odd_im] = self.rounded[place];
             (f64::from(even_re), f64::from(even_im), f64::from(odd_re), f64::from(odd_im))

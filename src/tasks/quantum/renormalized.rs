@@ -1,4 +1,4 @@
-//! A wave that is kept at norm 1.
+//! [`Renormalized`]: a system whose wave keeps norm 1.
 
 use super::QuantumSystem;
 use super::system::Wave;
@@ -9,24 +9,27 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 use smallvec::smallvec;
 
-/// A system around a [`QuantumSystem`] whose wave is brought back to norm 1 after each step: `ψ ← ψ / |ψ|`.
+/// System around a [`QuantumSystem`] that normalizes the wave after each step: `ψ ← ψ / |ψ|`.
 ///
-/// Steps are unitary, but for rounding, which adds up where every step rounds alike: without control, to about 1e-2 in 1e5
-/// steps in single precision. Around [`Substeps`](crate::Substeps) of `system` it acts once for all of them. Its reverse takes the share along ψ out of the
-/// cotangent, as costs do not depend on a norm that is always 1:
+/// Steps are unitary except for rounding. Rounding errors accumulate where every step rounds alike,
+/// as in long rollouts without control in single precision. Around [`Substeps`](crate::Substeps) of
+/// `system`, the normalization acts once per outer step.
+///
+/// The reverse step projects the component along ψ out of the cotangent, because the norm is
+/// constant:
 ///
 /// ```text
 /// ψ' = y / |y|,   ȳ = (ψ̄' - ψ' ⟨ψ', ψ̄'⟩) / |y|
 /// ```
 ///
-/// A wave that is 0 everywhere has no direction, and becomes not a number.
+/// A wave that is 0 everywhere becomes NaN.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Renormalized<S = QuantumSystem> {
-    /// What steps before the norm is brought back.
+    /// System that steps before the normalization.
     pub system: S,
 }
 
-/// `1 / |ψ|`.
+/// Returns `1 / |ψ|`.
 #[inline(always)]
 fn per_norm<T: Scalar>(psi: &[T]) -> T {
     let mut square = T::zero();
@@ -37,12 +40,12 @@ fn per_norm<T: Scalar>(psi: &[T]) -> T {
 }
 
 impl<S: HasModel<QuantumSystem>> Renormalized<S> {
-    /// The wave's part of a state.
+    /// Returns the number of state components of the wave.
     fn wave(&self) -> usize {
         2 * self.system.model().grid
     }
 
-    /// The cotangent before the norm is brought back.
+    /// Returns the cotangent before the normalization.
     #[inline(always)]
     fn reverse<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C]) -> Wave<C> {
         let n = self.wave();

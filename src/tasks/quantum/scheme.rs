@@ -1,4 +1,4 @@
-//! A scheme for Schrödinger's equation, chosen while the program runs.
+//! [`QuantumScheme`]: a scheme for Schrödinger's equation, chosen at run time.
 
 use super::{Pade, QuantumSystem, Strang};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
@@ -6,8 +6,8 @@ use crate::dynamics::outline::outline;
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
-/// Any scheme for Schrödinger's equation. The numbers are those of the scheme by itself, bit for bit; all are compiled
-/// apart from the loops they run in, and a step is one call.
+/// Any scheme for Schrödinger's equation. Results equal those of the scheme itself, bit for bit.
+/// Steps are outlined: each is one call.
 ///
 /// | scheme | order in dt | least steps in one of 0.0625 for a phase right to 1 % | a step |
 /// |---|---|---|---|
@@ -18,15 +18,15 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// The phase is that of the fifth eigenstate of the default box, without potential.
 #[derive(Clone, Debug, PartialEq)]
 pub enum QuantumScheme {
-    /// The step of [`QuantumSystem`] itself.
+    /// Crank-Nicolson, the step of [`QuantumSystem`] itself.
     CrankNicolson(QuantumSystem),
-    /// [`Pade`].
+    /// Fourth-order Padé approximant: [`Pade`].
     Pade(Pade),
-    /// [`Strang`].
+    /// Symmetric splitting: [`Strang`].
     Strang(Strang),
 }
 
-/// A step of a host, compiled apart.
+/// Outlined step of a host.
 struct Step<'a, H, E, T> {
     host: &'a H,
     effects: &'a E,
@@ -42,7 +42,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>, T: Scalar> Vectorized for Step<'_, H,
     }
 }
 
-/// Its reverse.
+/// Outlined reverse step of a host.
 struct Reverse<'a, H, E, R, C> {
     host: &'a H,
     effects: &'a E,

@@ -1,56 +1,46 @@
-//! Schrödinger's equation, kinetic and potential energy taking turns.
+//! [`Strang`]: Schrödinger's equation by splitting kinetic and potential energy.
 
 use super::QuantumSystem;
 use super::elimination::Vector;
-use super::point_by_point::PointByPoint;
 use super::propagator::Propagator;
 use super::system::{Pair, PerPoint, STACK, place};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
-use crate::numbers::kernels::scratch::{Filling, Scratch};
+use crate::numbers::kernels::scratch::Scratch;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
-/// A [`QuantumSystem`] that steps by the symmetric splitting of Strang:
+/// [`QuantumSystem`] with Strang's symmetric splitting:
 ///
 /// ```text
 /// a = exp(-i dt/2 V(ψ)) ψ,  b = exp(i dt D₂) a,  ψ' = exp(-i dt/2 V(b)) b
 /// ```
 ///
-/// Each part is exact to rounding: phases at the grid points, and the exponential of the second difference, worked out
-/// once by [`new`](Strang::new). So the step is unitary whatever the potential, and without potential it is exact, whatever
-/// dt. With one, it is of the second order, with errors from the commutators of D₂ and V. A step must be short for the
-/// potential, not for the kinetic energy; but where energies differ by 2π/dt, they are the same to it, and a potential may
-/// couple what in continuous time it would not.
+/// Each part is exact to rounding: phases at the grid points, and the exponential of the second
+/// difference, which [`new`](Strang::new) computes once. The step is therefore unitary for any
+/// potential, and exact without potential for any dt.
 ///
-/// H is that of [`QuantumSystem`], on the same grid. A step is a product with two complex matrices of half the grid's size,
-/// and a sine and cosine for each grid point, two where the potential depends on the state: O(grid²), for small grids. The
-/// matrices take 12 grid² bytes, in both precisions.
+/// With a potential, the order is two, with errors from the commutators of D₂ and V. The potential
+/// limits the time step; the kinetic energy does not. Energies that differ by 2π/dt are
+/// indistinguishable, so the potential may couple states that are uncoupled in continuous time.
 ///
-/// The potential of the second half is at the state after the motion, and |ψ| is not changed by the first half: with
-/// [`Cubic`](super::Cubic), both halves are exact and the step is of the second order too. (The other schemes take the
-/// state in which the step begins, and are of the first.) Time, for effects with a clock, is when the step begins in both.
+/// H and grid are those of [`QuantumSystem`]. A step costs O(grid²), which suits small grids: a
+/// product with two complex matrices of half the grid's size, and one sine and cosine per grid
+/// point, or two if the potential depends on the state. The matrices take 12 grid² bytes, in both
+/// precisions together.
 ///
-/// Strang 1968 (doi:10.1137/0705041); Feit, Fleck and Steiger 1982 (doi:10.1016/0021-9991(82)90091-2).
+/// The second half step evaluates the potential at the state after the kinetic step. The first half
+/// step does not change |ψ|. With [`Cubic`](super::Cubic), both halves are therefore exact, and the
+/// order remains two. (The other schemes use the state at the beginning of the step, which gives
+/// first order.) Effects with a clock use the time at the beginning of the step in both halves.
+///
+/// Sources: Strang 1968 (doi:10.1137/0705041); Feit, Fleck and Steiger 1982
+/// (doi:10.1016/0021-9991(82)90091-2).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Strang {
     system: QuantumSystem,
     kinetic: Propagator,
 }
 
-/// `exp(-i dt/2 V_j)`, as they are worked out.
-struct Phases<'a, T> {
-    half_dt: T,
-    phases: Filling<'a, Pair<T>>,
-}
-
-impl<T: Scalar> PointByPoint<T> for Phases<'_, T> {
-    #[inline(always)]
-    fn put(&mut self, v: T) {
-        let (sin, cos) = (v * self.half_dt).sin_cos();
-        self.phases.push((cos, sin));
-    }
-}
-
-/// `out_j ← psi_j exp(∓i dt/2 V_j)`, the sign of the `ADJOINT` being the upper one's opposite.
+/// Computes `out_j ← psi_j exp(-i dt/2 V_j)`. With `ADJOINT`, the sign in the exponent is opposite.
 #[inline(always)]
 fn turn<T: Scalar, V: Vector<T>, const ADJOINT: bool>(phases: &[Pair<T>], psi: &[V], out: &mut [V]) {
     let n = phases.len();
@@ -61,21 +51,21 @@ fn turn<T: Scalar, V: Vector<T>, const ADJOINT: bool>(phases: &[Pair<T>], psi: &
     }
 }
 
-/// A wave, and what effects have appended to the state.
+/// Wave, and the components that effects append to the state.
 type State<T> = Scratch<T, { 2 * STACK + 1 }>;
 
 impl Strang {
-    /// Works out the motion in a step: O(grid²), in double precision.
+    /// Computes the propagator of a step: O(grid²), in double precision.
     pub fn new(system: QuantumSystem) -> Self {
         Self { kinetic: Propagator::new(&system), system }
     }
 
-    /// The physics. Its own step is not used.
+    /// Returns the model. Its own step is not used.
     pub fn system(&self) -> &QuantumSystem {
         &self.system
     }
 
-    /// `exp(-i dt/2 V)` at the state `x`, as cosine and sine.
+    /// Returns `exp(-i dt/2 V)` at the state `x`, as pairs of cosine and sine.
     #[inline(always)]
     fn phases<'a, E: Effect<QuantumSystem>, T: Scalar>(
         &self,
@@ -84,14 +74,18 @@ impl Strang {
         u: &[T],
         phases: &'a mut PerPoint<Pair<T>>,
     ) -> &'a [Pair<T>] {
-        let phases = phases.filling(self.system.grid);
-        let mut phases = Phases { half_dt: T::lift(0.5 * self.system.dt), phases };
-        self.system.potential(effects, x, u, &mut phases);
-        phases.phases.all()
+        let half_dt = T::lift(0.5 * self.system.dt);
+        let mut potential = PerPoint::new();
+        let potential = self.system.potential(effects, x, u, &mut potential);
+        phases.collect(potential.iter().map(|&v| {
+            let (sin, cos) = (v * half_dt).sin_cos();
+            (cos, sin)
+        }))
     }
 
-    /// The control's cotangent from one half step, if it is asked for; writes the potential's to `potential_bar`, if there is
-    /// one. Both `psi` and its cotangent are of before the half step, or of after it: both turn alike.
+    /// Returns the cotangent of the control from one half step, if requested. Writes the cotangent
+    /// of the potential to `potential_bar`, if given. `psi` and its cotangent are both before or
+    /// both after the half step: it rotates both by the same phase.
     ///
     /// ```text
     /// dψ_j/dV_j = -i dt/2 ψ_j,  V_bar_j = dt/2 Im(ψ̄_bar_j ψ_j)
@@ -101,7 +95,7 @@ impl Strang {
         &self,
         psi: &[R],
         psi_bar: &[C],
-        asked: bool,
+        with_control: bool,
         mut potential_bar: Option<&mut [C]>,
     ) -> C {
         let model = &self.system;
@@ -110,7 +104,7 @@ impl Strang {
         let mut control_bar = C::null();
         for j in 0..n {
             let bar = (psi_bar[j][0] * psi[j][1] - psi_bar[j][1] * psi[j][0]) * half_dt;
-            if asked {
+            if with_control {
                 control_bar += bar * R::lift((place(j) - origin) * dx);
             }
             if let Some(potential_bar) = &mut potential_bar {
@@ -149,7 +143,7 @@ impl ForcedSystem for Strang {
         let n = 2 * self.system.grid;
         let (mut phases, mut state) = (PerPoint::new(), State::new());
         let turning = self.phases(effects, x, u, &mut phases);
-        // With what effects have appended: they look at all of it.
+        // Include the components appended by effects, which read the whole state.
         let state = state.collect(x.iter().copied());
         turn::<T, T, false>(turning, x, state);
         self.kinetic.apply::<T, T, false>(state, next);
@@ -173,7 +167,7 @@ impl ForcedSystem for Strang {
         let before = self.phases(effects, x, u, &mut phases);
         let mut a_bar = PerPoint::new();
         let a_bar = a_bar.fill([C::null(); 2], model.grid).as_flattened_mut();
-        // What only the state's cotangent needs ends here.
+        // Shorter path if only the cotangent of the state is requested.
         if u_bar.is_none() && !reads {
             if let Some(x_bar) = x_bar {
                 turn::<R, C, true>(before, next_bar, x_bar);
@@ -182,7 +176,7 @@ impl ForcedSystem for Strang {
             }
             return;
         }
-        // Worked out again rather than kept by the forward pass.
+        // Recompute, because the forward pass does not store these.
         let (mut a, mut b) = (PerPoint::new(), State::new());
         let a = a.fill([R::zero(); 2], model.grid).as_flattened_mut();
         turn::<R, R, false>(before, x, a);
@@ -193,24 +187,24 @@ impl ForcedSystem for Strang {
             Some(x_bar) => x_bar,
             None => scratch.fill(C::null(), x.len()),
         };
-        let asked = u_bar.is_some();
+        let with_control = u_bar.is_some();
         let mut control_bar;
         if reads {
             let (mut potential_bar, mut phases) = (PerPoint::new(), PerPoint::new());
             let potential_bar = potential_bar.fill(C::null(), model.grid);
             let after = self.phases(effects, b, u, &mut phases);
             turn::<R, C, true>(after, next_bar, x_bar);
-            control_bar = self.reverse_half(b, x_bar, asked, Some(&mut *potential_bar));
+            control_bar = self.reverse_half(b, x_bar, with_control, Some(&mut *potential_bar));
             effects.vjp(model, b, potential_bar, x_bar);
             self.kinetic.apply::<R, C, true>(x_bar, a_bar);
-            control_bar += self.reverse_half(a, a_bar, asked, Some(&mut *potential_bar));
+            control_bar += self.reverse_half(a, a_bar, with_control, Some(&mut *potential_bar));
             turn::<R, C, true>(before, a_bar, x_bar);
             effects.vjp(model, x, potential_bar, x_bar);
         } else {
             turn::<R, C, true>(before, next_bar, x_bar);
-            control_bar = self.reverse_half(b, x_bar, asked, None);
+            control_bar = self.reverse_half(b, x_bar, with_control, None);
             self.kinetic.apply::<R, C, true>(x_bar, a_bar);
-            control_bar += self.reverse_half(a, a_bar, asked, None);
+            control_bar += self.reverse_half(a, a_bar, with_control, None);
             turn::<R, C, true>(before, a_bar, x_bar);
         }
         if let Some(u_bar) = u_bar {

@@ -1,7 +1,6 @@
-//! The physics of a particle in a box.
+//! [`QuantumSystem`]: a particle in a box.
 
 use super::elimination::{Elimination, Pivots, Rows};
-use super::point_by_point::{AtOnce, Dropped, Kept, PointByPoint, PotentialBar};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
 use crate::numbers::kernels::scratch::Scratch;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
@@ -10,26 +9,27 @@ use serde::{Deserialize, Serialize};
 use smallvec::SmallVec;
 use std::f64::consts::PI;
 
-/// Grid points that are worked on without allocating; larger grids allocate in every step.
+/// Number of grid points up to which steps do not allocate.
 pub(super) const STACK: usize = 64;
-/// A complex number as its real and imaginary part.
+/// Complex number as real and imaginary part.
 pub(super) type Pair<T> = (T, T);
-/// A value for each grid point.
+/// One value per grid point.
 pub(super) type PerPoint<T> = Scratch<T, STACK>;
-/// Real and imaginary part for each grid point.
+/// Real and imaginary part per grid point.
 pub(super) type Wave<T> = SmallVec<[T; 2 * STACK]>;
 
-/// Grid point `j`, counted from 0, in grid points from the left wall. (Numbers of 32 bits, because 64 without sign are five
-/// instructions.)
+/// Returns the distance of grid point `j`, counted from 0, from the left wall, in grid points.
+/// Converts via `u32`, because conversion from `u64` is slower.
 #[inline(always)]
 pub(super) fn place(j: usize) -> f64 {
     f64::from(j as u32 + 1)
 }
 
-/// The physics: Schrödinger's equation in a box with a linear potential, by Crank and Nicolson.
+/// Particle in a box with a linear potential: Schrödinger's equation by Crank-Nicolson.
 ///
-/// State `[Re ψ_1, Im ψ_1, Re ψ_2, …]`, shape (grid, 2) row-major, at the points `x_j = j dx`, `j = 1 .. grid`; ψ is 0
-/// at the walls, `j = 0` and `j = grid + 1`, and `Σ_j |ψ_j|² = 1`, without dx. Control `[c]`, the slope of the potential.
+/// State `[Re ψ_1, Im ψ_1, Re ψ_2, …]`, shape (grid, 2) row-major, at the points `x_j = j dx`,
+/// `j = 1 .. grid`. ψ is 0 at the walls, `j = 0` and `j = grid + 1`. The norm is `Σ_j |ψ_j|² = 1`,
+/// without dx. Control `[c]`, the slope of the potential.
 ///
 /// ```text
 /// H = -D₂ + diag(V_j)                 D₂: second difference over dx², dx = length / (grid + 1)
@@ -38,16 +38,17 @@ pub(super) fn place(j: usize) -> f64 {
 /// ψ' = A⁻¹ (I - i dt/2 H) ψ = 2 A⁻¹ ψ - ψ
 /// ```
 ///
-/// Forces, for effects to add to: the potential `V_j` at the grid points, `grid` real numbers. Where it depends on the
-/// state, that is the state in which the step begins.
+/// Forces, to which effects add: the potential `V_j` at the grid points, `grid` real numbers.
+/// State-dependent potentials use the state at the beginning of the step.
 ///
-/// Other schemes for the same equation: [`Pade`](super::Pade), [`Strang`](super::Strang), or any of the three,
-/// [`QuantumScheme`](super::QuantumScheme).
+/// Other schemes for the same equation are [`Pade`](super::Pade) and [`Strang`](super::Strang).
+/// [`QuantumScheme`](super::QuantumScheme) is any of the three.
 ///
-/// The step is unitary whatever the potential. It costs one tridiagonal solve, O(grid). Elimination without pivoting is
-/// safe although large potentials end the dominance of the diagonal: the Hermitian part of A is the identity, so the
-/// real part of every pivot is at least 1 (`p_j = A_jj + b²/p_{j-1}` with `b = dt / 2dx²`; `Re A_jj = 1`, and 1/p has
-/// its real part positive when p has). Golub and Van Loan, Matrix Computations, 4.2.2.
+/// The step is unitary for any potential and costs one tridiagonal solve, O(grid). Elimination
+/// needs no pivoting, although large potentials end the diagonal dominance. The Hermitian part of A
+/// is the identity, so the real part of each pivot is at least 1. Proof: `p_j = A_jj + b²/p_{j-1}`
+/// with `b = dt / 2dx²` and `Re A_jj = 1`, and the real part of 1/p is positive if that of p is.
+/// See Golub and Van Loan, Matrix Computations, 4.2.2.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -58,7 +59,7 @@ pub struct QuantumSystem {
     pub length: f64,
     /// Time step, positive. The control is constant during it.
     pub dt: f64,
-    /// Where the control's potential is 0.
+    /// Potential of the control: position of its zero.
     pub control: ControlShape,
 }
 
@@ -68,11 +69,11 @@ impl Default for QuantumSystem {
     }
 }
 
-/// The potential that a control c makes.
+/// Potential of a control c.
 ///
-/// The two differ by the same energy everywhere, `c length/2`. In continuous time that is a phase common to all points,
-/// which no probability knows of; a step of Crank and Nicolson turns energies into phases by `2 atan(E dt/2)`, so that
-/// relative phases differ by O(c dt³) in a step.
+/// The two shapes differ by a constant energy, `c length/2`. In continuous time this is a global
+/// phase, which affects no probability. A Crank-Nicolson step converts energies to phases by
+/// `2 atan(E dt/2)`, so relative phases differ by O(c dt³) per step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -80,13 +81,14 @@ pub enum ControlShape {
     /// `V = c x`, 0 at the left wall: a tilted floor, as in the authors' code.
     #[default]
     Tilt,
-    /// `V = c (x - length/2)`, 0 in the middle: a charge in a uniform field. The opposite control does the same to the
-    /// mirrored state.
+    /// `V = c (x - length/2)`, 0 in the middle: a charge in a uniform field. Mirroring the state
+    /// and negating the control leaves the physics invariant.
     Dipole,
 }
 
 impl QuantumSystem {
-    /// Eigenstate `number` of the box without potential, at the grid points; 1 is the ground state.
+    /// Returns eigenstate `number` of the box without potential, at the grid points; 1 is the
+    /// ground state.
     ///
     /// ```text
     /// φ_j = sqrt(2 / (grid + 1)) sin(π number j / (grid + 1)),  Σ_j φ_j² = 1,  1 ≤ number ≤ grid
@@ -94,7 +96,7 @@ impl QuantumSystem {
     #[inline(always)]
     pub fn eigenstate(&self, number: usize) -> impl Iterator<Item = f64> + use<> {
         let intervals = (self.grid + 1) as f64;
-        // One sine, then rotations: their error grows by one rounding a grid point.
+        // One sine, then rotations. The error grows by one rounding per grid point.
         let (sin, cos) = Scalar::sin_cos(PI * number as f64 / intervals);
         let (mut s, mut c) = (0.0, (2.0 / intervals).sqrt());
         (0..self.grid).map(move |_| {
@@ -103,45 +105,39 @@ impl QuantumSystem {
         })
     }
 
-    /// Distance dx between grid points.
+    /// Returns the distance dx between grid points.
     #[inline(always)]
     pub fn spacing(&self) -> f64 {
         self.length / (self.grid + 1) as f64
     }
 
-    /// The grid points `x_j`, from 0 at the left wall.
+    /// Returns the grid points `x_j`, measured from the left wall.
     #[inline(always)]
     pub fn points(&self) -> impl Iterator<Item = f64> + use<> {
         self.places(0.0)
     }
 
-    /// The grid points from the middle of the box, `ξ_j = x_j - length/2`. Mirrored points have the same number with the
-    /// opposite sign, bit for bit.
+    /// Returns the grid points measured from the middle of the box, `ξ_j = x_j - length/2`.
+    /// Mirrored points have equal magnitude, bit for bit.
     #[inline(always)]
     pub fn centered_points(&self) -> impl Iterator<Item = f64> + use<> {
         self.places(self.middle())
     }
 
-    /// Grid point `j`, counted from 0, from the middle of the box.
-    #[inline(always)]
-    pub(super) fn centered_point(&self, j: usize) -> f64 {
-        (place(j) - self.middle()) * self.spacing()
-    }
-
-    /// The middle of the box, in grid points.
+    /// Returns the middle of the box, in grid points.
     #[inline(always)]
     fn middle(&self) -> f64 {
         0.5 * (self.grid + 1) as f64
     }
 
-    /// The grid points from `origin`, which is in grid points.
+    /// Returns the grid points measured from `origin`, which is in grid points.
     #[inline(always)]
     fn places(&self, origin: f64) -> impl Iterator<Item = f64> + use<> {
         let dx = self.spacing();
         (0..self.grid).map(move |j| (place(j) - origin) * dx)
     }
 
-    /// Where the control's potential is 0, in grid points.
+    /// Returns the zero of the control's potential, in grid points.
     #[inline(always)]
     pub(super) fn control_origin(&self) -> f64 {
         match self.control {
@@ -150,28 +146,22 @@ impl QuantumSystem {
         }
     }
 
-    /// Hands the potential of the control and of the effects to `to`, grid point by grid point.
+    /// Writes the potential of the control and of the effects.
     #[inline(always)]
-    pub(super) fn potential<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], to: &mut impl PointByPoint<T>) {
-        let model = *self;
-        let (control, dx, origin) = (u[0], model.spacing(), model.control_origin());
-        let tilted = |j: usize| control * T::lift((place(j) - origin) * dx);
-        if E::LOCAL {
-            // The chain of divisions in an elimination leaves the time for it.
-            for j in 0..self.grid {
-                to.put(effects.act_at(&model, x, j, tilted(j)));
-            }
-        } else {
-            let mut potential = PerPoint::new();
-            let potential = potential.collect((0..self.grid).map(tilted));
-            effects.add_forces(self, x, potential);
-            for &v in &*potential {
-                to.put(v);
-            }
-        }
+    pub(super) fn potential<'a, E: Effect<Self>, T: Scalar>(
+        &self,
+        effects: &E,
+        x: &[T],
+        u: &[T],
+        potential: &'a mut PerPoint<T>,
+    ) -> &'a [T] {
+        let (control, dx, origin) = (u[0], self.spacing(), self.control_origin());
+        let potential = potential.collect((0..self.grid).map(|j| control * T::lift((place(j) - origin) * dx)));
+        effects.add_forces(self, x, potential);
+        potential
     }
 
-    /// A of a step. What it works with, it writes to `per_pivot`.
+    /// Returns the elimination of A for one step, with `per_pivot` as buffer.
     #[inline(always)]
     fn eliminate<'a, E: Effect<Self>, T: Scalar>(
         &self,
@@ -180,20 +170,24 @@ impl QuantumSystem {
         u: &[T],
         per_pivot: &'a mut PerPoint<Pair<T>>,
     ) -> Elimination<'a, T> {
+        let mut potential = PerPoint::new();
         let mut rows = Rows::new(Pivots::new(self.dt, self.spacing(), 0.0), self.grid, per_pivot);
-        self.potential(effects, x, u, &mut rows);
+        for &v in self.potential(effects, x, u, &mut potential) {
+            rows.push(v);
+        }
         rows.elimination()
     }
 
-    /// Makes `x_bar = 2 w - v` of `w = A⁻ᴴ v`: the cotangents of real and imaginary parts are carried by the conjugate
-    /// transpose of the complex matrix. Returns the control's cotangent, if it is asked for, and hands the potential's on:
+    /// Writes `x_bar = 2 w - v`, given `w = A⁻ᴴ v` in `x_bar`. The conjugate transpose of the
+    /// complex matrix propagates cotangents of real and imaginary parts. Returns the cotangent of
+    /// the control if `with_control`, else 0. Adds that of the potential to `potential_bar`:
     ///
     /// ```text
     /// A y = ψ, so dψ'/dV_j = 2 dy/dV_j = -i dt A⁻¹ e_j y_j
     /// V_bar_j = Re ⟨v, dψ'/dV_j⟩ = dt Im(w̄_j y_j)
     /// ```
     ///
-    /// `dt` is that of the factor.
+    /// `dt` is the time step of the factor.
     #[inline(always)]
     pub(super) fn reverse_potential<R: Real, C: Cotangent<R>>(
         &self,
@@ -201,8 +195,8 @@ impl QuantumSystem {
         y: &[[R; 2]],
         next_bar: &[C],
         x_bar: &mut [C],
-        asked: bool,
-        mut to: impl PotentialBar<C>,
+        with_control: bool,
+        mut potential_bar: Option<&mut [C]>,
     ) -> C {
         let (dt, dx, origin, n) = (R::lift(dt), self.spacing(), self.control_origin(), y.len());
         let v = &next_bar.as_chunks::<2>().0[..n];
@@ -211,10 +205,12 @@ impl QuantumSystem {
             let w = &mut x_bar.as_chunks_mut::<2>().0[j];
             let bar = (w[0] * y[j][1] - w[1] * y[j][0]) * dt;
             *w = [w[0] + w[0] - v[j][0], w[1] + w[1] - v[j][1]];
-            if asked {
+            if with_control {
                 control_bar += bar * R::lift((place(j) - origin) * dx);
             }
-            to.put(j, bar, x_bar);
+            if let Some(potential_bar) = &mut potential_bar {
+                potential_bar[j] += bar;
+            }
         }
         control_bar
     }
@@ -266,7 +262,7 @@ impl ForcedSystem for QuantumSystem {
         let mut per_pivot = PerPoint::new();
         let mut a = self.eliminate(effects, x, u, &mut per_pivot);
         let effects_read = x_bar.is_some() && effects.state_dependent();
-        // What only the state's cotangent needs ends here.
+        // Shorter path if only the cotangent of the state is requested.
         if u_bar.is_none() && !effects_read {
             if let Some(x_bar) = x_bar {
                 a.conjugate();
@@ -277,7 +273,7 @@ impl ForcedSystem for QuantumSystem {
             }
             return;
         }
-        // Solved again rather than kept by the forward pass.
+        // Solve again, because the forward pass does not store the solution.
         let mut y = PerPoint::new();
         let y = y.fill([R::zero(); 2], self.grid);
         a.solve(x, y.as_flattened_mut());
@@ -288,17 +284,15 @@ impl ForcedSystem for QuantumSystem {
             None => scratch.fill([C::null(); 2], self.grid).as_flattened_mut(),
         };
         a.solve(next_bar, &mut x_bar[..n]);
-        let asked = u_bar.is_some();
-        let control_bar = if !effects_read {
-            self.reverse_potential(self.dt, y, next_bar, x_bar, asked, Dropped)
-        } else if E::LOCAL {
-            self.reverse_potential(self.dt, y, next_bar, x_bar, asked, AtOnce { effects, model: *self, x })
-        } else {
+        let with_control = u_bar.is_some();
+        let control_bar = if effects_read {
             let mut potential_bar = PerPoint::new();
             let potential_bar = potential_bar.fill(C::null(), self.grid);
-            let control_bar = self.reverse_potential(self.dt, y, next_bar, x_bar, asked, Kept(potential_bar));
+            let control_bar = self.reverse_potential(self.dt, y, next_bar, x_bar, with_control, Some(&mut *potential_bar));
             effects.vjp(self, x, potential_bar, x_bar);
             control_bar
+        } else {
+            self.reverse_potential(self.dt, y, next_bar, x_bar, with_control, None)
         };
         if let Some(u_bar) = u_bar {
             u_bar[0] = control_bar;

@@ -6,7 +6,7 @@ use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
 
 /// Buffer lengths of a rollout.
-pub(super) struct Room {
+pub(super) struct BufferSizes {
     pub(super) states: usize,
     pub(super) controls: usize,
     pub(super) costs: usize,
@@ -15,7 +15,7 @@ pub(super) struct Room {
     pub(super) tape: usize,
 }
 
-impl Room {
+impl BufferSizes {
     pub(super) fn new<F: Float>(policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> Self {
         let (n, m) = (policy.state_dim(), policy.control_dim());
         let (blocks, columns) = (samples.div_ceil(WIDTH), samples * kept);

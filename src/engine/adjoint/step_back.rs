@@ -1,18 +1,14 @@
-//! Reverse step of all samples.
+//! [`reverse_step`] for all samples: in lanes, or one by one on processors without AVX2.
 
 use super::Flow;
 use super::exponents::Limits;
-use super::recursion::Recursion;
-use crate::dynamics::system::System;
+use super::recursion::{Recursion, Step, reverse_step};
 use crate::dynamics::task::Task;
 use crate::engine::rollout::{FEW, Lane, Rollout, WIDTH, read_lane};
 use crate::numbers::kernels::{Vectorized, dispatch_narrow, in_lanes};
-use crate::numbers::scalar::{CotangentPack, Float, Real};
+use crate::numbers::scalar::{CotangentPack, Float};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
-
-/// Writes the cost gradients of a block to the two slices, for state and control.
-pub(super) type CostsOf<'a, F> = &'a mut dyn FnMut(usize, &mut [Lane<F>], &mut [Lane<F>]);
 
 /// Reverse step of a task for all samples at once, for `K` flows.
 pub trait StepBack<F: Float, const K: usize> {
@@ -37,50 +33,6 @@ struct Back<'a, T, F: Float, const K: usize> {
     in_range: &'a mut bool,
 }
 
-/// Inputs and outputs of the reverse step of one block of samples, or of one sample.
-struct Block<'a, R, const K: usize> {
-    x: &'a [R],
-    next: &'a [R],
-    u: &'a [R],
-    lambda: &'a mut [CotangentPack<R, K>],
-    x_bar: &'a mut [CotangentPack<R, K>],
-    u_bar: &'a mut [CotangentPack<R, K>],
-    cost_x: &'a mut [R],
-    cost_u: &'a mut [R],
-    inject: CotangentPack<R, K>,
-}
-
-impl<R: Real, const K: usize> Block<'_, R, K> {
-    /// Performs the reverse step. Returns Σ|λ| + Σ|h| per flow.
-    #[inline(always)]
-    fn back<T: Task>(self, task: &T, flows: [Flow; K]) -> CotangentPack<R, K> {
-        let Self { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject } = self;
-        let system = task.system();
-        let mut size = CotangentPack([R::zero(); K]);
-        task.stage_cost_gradient(next, u, cost_x, cost_u);
-        for (lambda, &cost) in zip(lambda.iter_mut(), &*cost_x) {
-            *lambda += inject * cost;
-        }
-        // Two flows without a physics path are rare: their special case is not compiled.
-        if K > 1 || flows.iter().any(|flow| flow.physics) {
-            system.vjp(x, u, lambda, x_bar, u_bar);
-        } else {
-            system.vjp_control(x, u, lambda, u_bar);
-        }
-        for (u_bar, &cost) in zip(u_bar.iter_mut(), &*cost_u) {
-            *u_bar += inject * cost;
-            size += u_bar.abs();
-        }
-        for (lambda, &x_bar) in zip(lambda.iter_mut(), &*x_bar) {
-            for (k, flow) in flows.iter().enumerate() {
-                lambda.0[k] = if flow.physics { x_bar.0[k] } else { R::zero() };
-            }
-            size += lambda.abs();
-        }
-        size
-    }
-}
-
 impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
     #[inline(always)]
     fn in_lanes(self) {
@@ -91,7 +43,7 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
         let mut in_range = true;
         for block in 0..states.len() / n {
             let (of_state, of_control) = (block * n..(block + 1) * n, block * m..(block + 1) * m);
-            let back = Block {
+            let step = Step {
                 x: &states[of_state.clone()],
                 next: &next[of_state.clone()],
                 u: &controls[of_control.clone()],
@@ -100,12 +52,12 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
                 u_bar: &mut r.u_bar[of_control],
                 cost_x: &mut r.cost_x,
                 cost_u: &mut r.cost_u,
-                inject: r.exponents[block].inject,
+                inject: r.exponents.blocks[block].inject,
             };
-            let size = back.back(task, flows);
+            let size = reverse_step(task, flows, step);
             for column in &size.0 {
                 for &size in &column.0 {
-                    in_range &= limits.holds(size, r.scaled);
+                    in_range &= limits.holds(size, r.exponents.any);
                 }
             }
         }
@@ -114,18 +66,18 @@ impl<T: Task, F: Float, const K: usize> Back<'_, T, F, K> {
 
     fn one_by_one(self) {
         let Self { task, flows, rollout, t, carried, in_range } = self;
-        *in_range = one_by_one(&|block, flow| back_alone(task, block, flow), flows, rollout, t, carried);
+        *in_range = one_by_one(&|step, flow| back_alone(task, step, flow), flows, rollout, t, carried);
     }
 }
 
 /// Outlined: one copy of the reverse step serves any number of flows.
 #[inline(never)]
-fn back_alone<T: Task, F: Float>(task: &T, block: Block<F, 1>, flow: Flow) -> F {
-    block.back(task, [flow]).0[0]
+fn back_alone<T: Task, F: Float>(task: &T, step: Step<F, 1>, flow: Flow) -> F {
+    reverse_step(task, [flow], step).0[0]
 }
 
 /// Reverse step of one sample and flow. Returns Σ|λ| + Σ|h|.
-type Alone<'a, F> = &'a dyn Fn(Block<F, 1>, Flow) -> F;
+type Alone<'a, F> = &'a dyn Fn(Step<F, 1>, Flow) -> F;
 
 /// Performs the reverse step one sample and flow at a time, for processors without AVX2.
 ///
@@ -159,9 +111,9 @@ fn one_by_one<F: Float, const K: usize>(
             for (one, lanes) in zip(lambda.iter_mut(), &r.lambda[of_state.clone()]) {
                 *one = CotangentPack([lanes.0[k].0[lane]]);
             }
-            let inject = CotangentPack([r.exponents[block].inject.0[k].0[lane]]);
-            let one = Block { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject };
-            in_range &= limits.holds(alone(one, flow), r.scaled);
+            let inject = CotangentPack([r.exponents.blocks[block].inject.0[k].0[lane]]);
+            let one = Step { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject };
+            in_range &= limits.holds(alone(one, flow), r.exponents.any);
             let write = |ones: &[CotangentPack<F, 1>], lanes: &mut [CotangentPack<Lane<F>, K>]| {
                 zip(ones, lanes).for_each(|(one, lanes)| lanes.0[k].0[lane] = one.0[0]);
             };

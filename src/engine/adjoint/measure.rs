@@ -1,0 +1,97 @@
+//! Measurements of the adjoint along the recursion: norms and growth. They do not change it.
+
+use super::Pass;
+use super::exponents::{BlockExponents, Exponents};
+use crate::engine::growth::Meter;
+use crate::engine::rollout::{Lane, Rollout, WIDTH};
+use crate::numbers::extended::times_power_of_two;
+use crate::numbers::scalar::{CotangentPack, Float, Real};
+use crate::numbers::zip::zip;
+use std::ops::Range;
+
+/// Records the norm of λ at step `t` in each row of `norms`, in f64: squares of f32 overflow early.
+pub(super) fn record_norms<F: Float, const K: usize>(
+    lambda: &[CotangentPack<Lane<F>, K>],
+    exponents: &Exponents<F, K>,
+    pass: &Pass<'_, F>,
+    t: usize,
+    norms: &mut [Vec<f64>],
+) {
+    let Pass { rollout, scale, .. } = *pass;
+    let of_sample = |k: usize, sample: usize| {
+        let block = &lambda[sample / WIDTH * rollout.state_dim..][..rollout.state_dim];
+        let exponent = exponents.of(k, sample);
+        block.iter().map(move |c| times_power_of_two(c.0[k].lane(sample % WIDTH).as_(), exponent))
+    };
+    for (k, norms) in norms.iter_mut().enumerate() {
+        let squares: f64 = (0..rollout.samples).flat_map(|sample| of_sample(k, sample)).map(|x: f64| x * x).sum();
+        norms[t] = (squares / rollout.samples as f64).sqrt() / scale.as_();
+    }
+}
+
+/// Growth of λ per sample and flow.
+#[derive(Debug)]
+pub(super) struct GrowthMeters<const K: usize> {
+    /// `[sample][flow]`: meter, and `‖λ + ∂l/∂x‖²` with its exponent before the current step.
+    meters: Vec<[(Meter, f64, i32); K]>,
+}
+
+impl<const K: usize> GrowthMeters<K> {
+    pub(super) fn new(samples: usize) -> Self {
+        Self { meters: vec![[(Meter::default(), 0.0, 0); K]; samples] }
+    }
+
+    pub(super) fn bytes_of(samples: usize) -> usize {
+        samples * size_of::<[(Meter, f64, i32); K]>()
+    }
+
+    pub(super) fn stored_bytes(&self) -> usize {
+        size_of_val(&self.meters[..])
+    }
+
+    pub(super) fn reset(&mut self) {
+        self.meters.fill([(Meter::default(), 0.0, 0); K]);
+    }
+
+    /// Records `‖λ + ∂l/∂x‖²` of the samples of a block before a step.
+    pub(super) fn before<F: Float>(
+        &mut self,
+        samples: Range<usize>,
+        lambda: &[CotangentPack<Lane<F>, K>],
+        cost_x: &[Lane<F>],
+        exponents: &BlockExponents<F, K>,
+    ) {
+        for (lane, meters) in self.meters[samples].iter_mut().enumerate() {
+            for (k, (_, before, exponent)) in meters.iter_mut().enumerate() {
+                let sum = |(lambda, cost): (&CotangentPack<Lane<F>, K>, &Lane<F>)| -> f64 {
+                    (lambda.0[k].lane(lane) + cost.lane(lane) * exponents.inject.0[k].lane(lane)).as_()
+                };
+                let terms = zip(lambda.iter(), cost_x).map(sum);
+                (*before, *exponent) = (terms.map(|x| x * x).sum(), exponents.of[k][lane]);
+            }
+        }
+    }
+
+    /// Adds the growth over the step.
+    pub(super) fn after<F: Float>(
+        &mut self,
+        rollout: &Rollout<F>,
+        lambda: &[CotangentPack<Lane<F>, K>],
+        exponents: &Exponents<F, K>,
+    ) {
+        let n = rollout.state_dim;
+        for (sample, meters) in self.meters[..rollout.samples].iter_mut().enumerate() {
+            let (block, lane) = (sample / WIDTH, sample % WIDTH);
+            for (k, (meter, before, exponent)) in meters.iter_mut().enumerate() {
+                let of_lane = |lambda: &CotangentPack<Lane<F>, K>| -> f64 { lambda.0[k].lane(lane).as_() };
+                let after = lambda[block * n..][..n].iter().map(of_lane).map(|x| x * x).sum();
+                meter.step(*before, after, exponents.of(k, sample) - *exponent);
+            }
+        }
+    }
+
+    /// Meters of flow `k` for the first `samples` samples.
+    pub(super) fn of(&self, k: usize, samples: usize) -> impl Iterator<Item = &Meter> {
+        self.meters[..samples].iter().map(move |meters| &meters[k].0)
+    }
+}
