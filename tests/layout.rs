@@ -1,10 +1,13 @@
-//! Library modules import only lower modules.
+//! Modules import downwards only.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Modules with their allowed imports. All imports stand above the module in this list.
-const MODULES: [(&str, &[&str]); 8] = [
+/// Module, and the modules that it may import. All of these stand above it in the list.
+type Edges = (&'static str, &'static [&'static str]);
+
+/// Modules of the library.
+const LIBRARY: [Edges; 8] = [
     ("numbers", &[]),
     ("report", &[]),
     ("dynamics", &["numbers"]),
@@ -15,45 +18,87 @@ const MODULES: [(&str, &[&str]); 8] = [
     ("check", &["numbers", "dynamics", "policy", "engine", "train", "tasks"]),
 ];
 
+/// Modules of the program.
+const PROGRAM: [Edges; 7] = [
+    ("platform", &[]),
+    ("settings", &[]),
+    ("operations", &["platform", "settings"]),
+    ("tasks", &["platform", "settings", "operations"]),
+    ("scenes", &["platform", "settings", "operations", "tasks"]),
+    ("runs", &["platform", "settings", "operations", "tasks", "scenes"]),
+    ("commands", &["platform", "settings", "operations", "tasks", "scenes", "runs"]),
+];
+
+fn source() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("src")
+}
+
 fn files(folder: &Path) -> Vec<PathBuf> {
     let paths = fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path());
     let nested = paths.map(|path| if path.is_dir() { files(&path) } else { vec![path] });
     nested.flatten().filter(|path| path.extension().is_some_and(|extension| extension == "rs")).collect()
 }
 
-/// Returns the forbidden imports of a file of this module. Comments and unit tests may name
-/// anything.
-fn forbidden(module: &str, text: &str) -> Vec<String> {
-    let (_, allowed) = MODULES.into_iter().find(|(name, _)| *name == module).expect("a module of the list");
+/// Returns the forbidden imports in a file of `module`: paths that start with `root`.
+///
+/// Comments and unit tests may name anything.
+fn forbidden(modules: &[Edges], root: &str, module: &str, text: &str) -> Vec<String> {
+    let (_, allowed) = modules.iter().find(|(name, _)| *name == module).expect("a module of the list");
     let lines = text.lines().take_while(|line| line.trim() != "#[cfg(test)]").filter(|line| !line.trim().starts_with("//"));
-    let imports = lines.flat_map(|line| line.split("crate::").skip(1));
+    let imports = lines.flat_map(|line| line.split(root).skip(1));
     let names = imports.map(|rest| rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap_or_default());
     names.filter(|name| *name != module && !allowed.contains(name)).map(String::from).collect()
 }
 
-#[test]
-fn every_module_imports_what_stands_above_it() {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    for (i, (module, allowed)) in MODULES.into_iter().enumerate() {
-        assert!(allowed.iter().all(|name| MODULES[..i].iter().any(|(above, _)| above == name)), "{module}");
-        for path in files(&source.join(module)) {
+/// Checks the imports of all files below `folder`, and that the list of modules is complete.
+fn check(folder: &Path, modules: &[Edges], root: &str, others: &[&str]) {
+    for (i, (module, allowed)) in modules.iter().enumerate() {
+        assert!(allowed.iter().all(|name| modules[..i].iter().any(|(above, _)| above == name)), "{module}");
+        for path in files(&folder.join(module)) {
             let text = fs::read_to_string(&path).expect("a source file");
-            let forbidden = forbidden(module, &text);
+            let forbidden = forbidden(modules, root, module, &text);
             assert!(forbidden.is_empty(), "{} imports {forbidden:?}; {module} may import {allowed:?}", path.display());
         }
     }
-    let listed =
-        |name: &str| ["program", "lib.rs", "main.rs"].contains(&name) || MODULES.iter().any(|(module, _)| *module == name);
-    for entry in fs::read_dir(&source).expect("a folder") {
+    for entry in fs::read_dir(folder).expect("a folder") {
         let name = entry.expect("an entry").file_name().into_string().expect("text");
-        assert!(listed(&name), "src/{name} is not in the list of modules");
+        let listed = others.contains(&&*name) || modules.iter().any(|(module, _)| *module == name);
+        assert!(listed, "{}/{name} is not in the list of modules", folder.display());
+    }
+}
+
+/// Returns whether a path with `super` in this text leaves its folder, `depth` modules above.
+fn leaves_folder(text: &str, depth: usize) -> bool {
+    text.contains(&"super::".repeat(depth))
+}
+
+#[test]
+fn modules_of_the_library_import_downwards() {
+    check(&source(), &LIBRARY, "crate::", &["program", "lib.rs", "main.rs"]);
+}
+
+#[test]
+fn modules_of_the_program_import_downwards() {
+    let folder = source().join("program");
+    check(&folder, &PROGRAM, "crate::program::", &["mod.rs"]);
+    for path in PROGRAM.iter().flat_map(|(module, _)| files(&folder.join(module))) {
+        let text = fs::read_to_string(&path).expect("a source file");
+        let depth = path.strip_prefix(&folder).expect("a file of the program").components().count();
+        let depth = if path.ends_with("mod.rs") { depth - 1 } else { depth };
+        assert!(!leaves_folder(&text, depth), "{} leaves its folder by `super`", path.display());
     }
 }
 
 #[test]
-fn a_planted_import_is_found() {
-    assert_eq!(forbidden("numbers", "use crate::dynamics::system::System;\n"), ["dynamics"]);
-    assert_eq!(forbidden("policy", "//! [`x`](crate::train)\nfn f() -> crate::engine::Batch {}\n"), ["engine"]);
-    assert_eq!(forbidden("engine", "use crate::System;"), ["System"], "imports name the module");
-    assert!(forbidden("tasks", "use crate::dynamics::x;\n#[cfg(test)]\nmod tests { use crate::engine::y; }").is_empty());
+fn planted_imports_are_found() {
+    let library = |module: &str, text: &str| forbidden(&LIBRARY, "crate::", module, text);
+    assert_eq!(library("numbers", "use crate::dynamics::system::System;\n"), ["dynamics"]);
+    assert_eq!(library("policy", "//! [`x`](crate::train)\nfn f() -> crate::engine::Batch {}\n"), ["engine"]);
+    assert_eq!(library("engine", "use crate::System;"), ["System"], "imports name the module");
+    assert!(library("tasks", "use crate::dynamics::x;\n#[cfg(test)]\nmod tests { use crate::engine::y; }").is_empty());
+    let program = |module: &str, text: &str| forbidden(&PROGRAM, "crate::program::", module, text);
+    assert_eq!(program("settings", "use crate::program::tasks::Settings;\n"), ["tasks"]);
+    assert_eq!(program("tasks", "fn f() { crate::program::runs::run::threads(None); }\n"), ["runs"]);
+    assert!(program("runs", "use crate::program::tasks::Scene;\n").is_empty());
+    assert!(leaves_folder("use super::super::runs::run;", 2) && !leaves_folder("use super::schema;", 2));
 }

@@ -24,7 +24,7 @@ pub(crate) fn outline<T: Scalar>(work: impl Vectorized) {
     if T::VECTORIZED { best(work) } else { portable(work) }
 }
 
-/// Outlined [`System::step`], to be run by [`apart`].
+/// Outlined [`System::step`], to be run by [`outline`].
 pub(crate) struct Step<'a, S, T> {
     pub(crate) system: &'a S,
     pub(crate) x: &'a [T],
@@ -62,7 +62,7 @@ pub(crate) fn vjp<S: System + ?Sized, F: Float>(
 /// Cotangent of the reverse pass of one flow.
 pub(crate) type One<F> = CotangentPack<F, 1>;
 
-/// Outlined [`System::vjp`], to be run by [`apart`].
+/// Outlined [`System::vjp`], to be run by [`outline`].
 ///
 /// Also serves [`System::vjp_state`], which is used only by checks.
 pub(crate) struct Reverse<'a, S, R, C> {
@@ -82,7 +82,7 @@ impl<S: System, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, S, R, C> {
     }
 }
 
-/// Outlined [`System::vjp_control`], to be run by [`apart`].
+/// Outlined [`System::vjp_control`], to be run by [`outline`].
 pub(crate) struct ReverseToControl<'a, S, R, C> {
     pub(crate) system: &'a S,
     pub(crate) x: &'a [R],

@@ -1,55 +1,33 @@
 //! The `physgrad` command-line program (feature `program`).
 //!
-//! A scene file becomes a run in five steps:
+//! Layers, each importing only those above it (`tests/layout.rs` lists the allowed imports):
 //!
-//! 1. `presets` and `document` read the text.
-//! 2. `settings` holds the sections.
-//! 3. `kind` maps a task name to types.
-//! 4. `scene` hides the types.
-//! 5. `run` trains and saves.
+//! 1. `platform`: files, folders, locks, signals, threads, terminal.
+//! 2. `settings`: sections of a scene, errors in settings.
+//! 3. `operations`: computations on the concrete types of a task and its policy.
+//! 4. `tasks`: the built-in tasks; `Scene`, which hides the type of its task.
+//! 5. `scenes`: text of scenes, presets, overrides.
+//! 6. `runs`: training, resuming, sweeps, output files.
+//! 7. `commands`: one module per command.
 //!
-//! There is one module per command: `train`, `compare`, `animate`, `report`, `check`, `paper`,
-//! `tasks`, `print` (`scene` and `schema`), `explain`, `accuracy`, `stress` and `effects`.
-//! Start with `train` and `scene`.
+//! Start with `commands/train` and `tasks/scene`.
 
-mod accuracy;
-mod allocations;
-mod animate;
-mod any_run;
-mod changes;
-mod check;
-mod compare;
-mod document;
-mod effects;
-mod explain;
-mod files;
-mod folder;
-#[cfg(feature = "fuzz")]
-mod fuzz;
-mod kind;
-mod outputs;
-mod paper;
-mod parallel;
-mod presets;
-mod print;
-mod problem;
-mod report;
-mod run;
-mod saved;
-mod scene;
+mod commands;
+mod operations;
+mod platform;
+mod runs;
+mod scenes;
 mod settings;
-mod signals;
-mod statistics;
-mod stress;
-mod sweep;
 mod tasks;
-mod terminal;
-mod train;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
+use commands::{accuracy, animate, check, compare, effects, explain, paper, print, report, stress, train};
+use platform::signals;
+use platform::terminal::tell;
+use runs::run;
+use scenes::overrides::Overrides;
 use std::process::ExitCode;
-use terminal::tell;
 
 /// Train neural controllers through long rollouts of differentiable physics; choose the vector
 /// field that the optimizer follows.
@@ -80,7 +58,7 @@ enum Command {
     Effects(effects::Effects),
     #[cfg(feature = "fuzz")]
     #[command(hide = true)]
-    Fuzz(fuzz::Fuzz),
+    Fuzz(commands::fuzz::Fuzz),
 }
 
 /// Exit status of a training run that applied no update.
@@ -111,20 +89,20 @@ fn execute(command: &Command) -> Result<()> {
         Command::Paper(args) => signals::handle().and_then(|()| paper::paper(args)),
         Command::Report(args) => report::report(args),
         Command::Check(args) => check::check(args),
-        Command::Tasks => tasks::tasks(),
+        Command::Tasks => commands::tasks::tasks(),
         Command::Scene(args) => print::scene(args),
         Command::Schema(args) => print::schema(args),
         Command::Explain(args) => explain::explain(args),
         Command::Effects(args) => effects::effects(args),
         #[cfg(feature = "fuzz")]
-        Command::Fuzz(args) => fuzz::fuzz(args),
+        Command::Fuzz(args) => commands::fuzz::fuzz(args),
     }
 }
 
 fn default_run() -> Command {
     Command::Train(train::Train {
         scene: "cart_pole".into(),
-        changes: changes::Overrides::default(),
+        changes: Overrides::default(),
         threads: None,
         out: None,
         resume: false,

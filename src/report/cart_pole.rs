@@ -56,7 +56,7 @@ pub fn cart_pole_on(rail: &Rail, states: &[Vec<f64>], controls: &[f64], half_len
     };
     let bumpers = rail.bumpers.and_then(|reach| Bumpers::new(reach, &states, length));
     let wind = Wind::new(&rail.wind);
-    let stage = Stage::with_system(&states, length, bumpers, wind.is_some());
+    let stage = Stage::covering(&states, length, bumpers, wind.is_some());
     let shown = states.len().min(MAX_FRAMES);
     let frames = (0..shown).map(|frame| {
         let step = frame * (states.len() - 1) / (shown - 1).max(1);
@@ -89,7 +89,7 @@ struct Stage {
 
 impl Stage {
     /// Creates a stage that shows the whole trajectory, or whose camera follows the cart.
-    fn with_system(states: &[&Vec<f64>], length: f64, bumpers: Option<Bumpers>, windy: bool) -> Self {
+    fn covering(states: &[&Vec<f64>], length: f64, bumpers: Option<Bumpers>, windy: bool) -> Self {
         let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
         for state in states {
             (left, right) = (left.min(state[0]), right.max(state[0]));

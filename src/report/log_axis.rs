@@ -14,7 +14,7 @@ pub struct LogAxis {
 impl LogAxis {
     /// Creates the axis for lines and bands.
     pub fn of<'a>(series: impl Iterator<Item = &'a Series>) -> Self {
-        Self::with_system(series.flat_map(|s| {
+        Self::covering(series.flat_map(|s| {
             let edges = s.band.iter().flat_map(|&(low, high)| [low, high]);
             s.line.iter().map(|&(_, y)| y).chain(edges)
         }))
@@ -24,7 +24,7 @@ impl LogAxis {
     ///
     /// The range spans at least a factor of about two, so that it contains a tick at 1, 2 or 5
     /// times a power of ten.
-    pub fn with_system(values: impl Iterator<Item = f64>) -> Self {
+    pub fn covering(values: impl Iterator<Item = f64>) -> Self {
         let (min, max) = values.fold((f64::INFINITY, 0.0), |(min, max), y| (y.min(min), y.max(max)));
         let (min, max) = if max > 0.0 { (min, max) } else { (0.1, 1.0) };
         let exponent = min.log10().floor() as i32;
@@ -76,18 +76,18 @@ mod tests {
     use super::*;
 
     fn labels(values: &[f64]) -> Vec<String> {
-        let axis = LogAxis::with_system(values.iter().copied());
+        let axis = LogAxis::covering(values.iter().copied());
         let format = axis.tick_format();
         [1.0, 2.0, 5.0, 10.0].iter().map(|&tick| format.format(tick)).collect()
     }
 
     #[test]
     fn axis_is_rounded_outward_to_one_digit() {
-        let axis = LogAxis::with_system([0.03, 4.0].into_iter());
+        let axis = LogAxis::covering([0.03, 4.0].into_iter());
         assert_eq!((axis.exponent, axis.low, axis.high), (-2, 3.0, 400.0));
-        let flat = LogAxis::with_system([1.0, 1.0].into_iter());
+        let flat = LogAxis::covering([1.0, 1.0].into_iter());
         assert!(flat.low <= 1.0 && flat.high >= 2.0);
-        let tiny = LogAxis::with_system([1e-99, 1e99].into_iter());
+        let tiny = LogAxis::covering([1e-99, 1e99].into_iter());
         assert!((1.0..10.0).contains(&tiny.low) && tiny.high.is_finite());
     }
 

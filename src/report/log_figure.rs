@@ -26,7 +26,7 @@ impl Panel {
     /// Logarithmic x axis, if the panel has one.
     fn x_axis(&self) -> Option<LogAxis> {
         let xs = self.series.iter().flat_map(|s| &s.line).map(|&(x, _)| x);
-        self.log_x.then(|| LogAxis::with_system(xs))
+        self.log_x.then(|| LogAxis::covering(xs))
     }
 
     /// Value of one unit of the x axis.

@@ -4,7 +4,7 @@
 //! - [`Session`]: a training in progress, one epoch at a time, with checkpoints.
 //! - [`Training`]: settings. [`Record`]: results of one epoch.
 //! - [`Field`] and [`GradientCombiner`]: the vector field that the optimizer follows.
-//! - [`toy`]: the two-parameter examples of the paper.
+//! - [`vector_field`]: the two-parameter examples of the paper.
 //!
 //! Imports `numbers`, `dynamics`, `policy` and `engine`. Start in this file, then `progress.rs`,
 //! which contains the update. Every part of an update is public, so that users can write their own.

@@ -28,7 +28,7 @@ NAMED = {
     "pair.rs": r"(?:total|first)\b(?=\s*[*/)])",
     "absorbing.rs": r"(?:width|strength)\b(?=\s*[-*;])",
     "lqr.rs": r"(?:stiffness|damping)\b(?=[,)])",
-    "coupled.rs": r"(?<=T::lift\()moment\b|moment\b(?=\s*\* body)",
+    "coupled.rs": r"(?<=T::lift\()moment\b|moment\b(?=\s*\* model)",
     "system.rs": r"(?<=T::lift\()moment\b|moment\b(?= [*/])",
 }
 LIBRARY = """
@@ -54,7 +54,7 @@ def places(name, everywhere, own):
     """What to look for in a file, with the text that takes its place."""
     any_of = lambda names: "|".join(sorted(names, key=len, reverse=True)) or "!"
     of_self = r"self\.(?:%s)" % any_of(own)
-    of_others = r"(?:self\.(?:0|system|system\.system)|body|law)\.(?:%s)" % any_of(everywhere)
+    of_others = r"(?:self\.(?:0|system|system\.system)|model|law)\.(?:%s)" % any_of(everywhere)
     value = r"(?<![\w.&])(?:%s|%s)\b(?!\s*[\(\[=])" % (of_self, of_others)
     number = r"(?<![\w.])(?!0\.0\b)\d+\.\d+(?:e-?\d+)?(?![\w.]*f32)(?!\d)"
     constant = r"(?<![\w:])(?:GRAVITY|PI|TAU)\b"

@@ -1,7 +1,7 @@
 //! The `actuator` section.
 
-use crate::program::kind::Info;
-use crate::program::problem::{ConfigError, count, positive};
+use crate::program::settings::Info;
+use crate::program::settings::config_error::{ConfigError, count, positive};
 use physgrad::{Actuated, Actuator, AnyActuator, Delay, Lag, Limit, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -1,7 +1,7 @@
 //! The `integrator` section.
 
-use crate::program::problem::{ConfigError, allowed, count, positive};
 use crate::program::settings::Precision;
+use crate::program::settings::config_error::{ConfigError, allowed, count, positive};
 use physgrad::{Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Ode, RungeKutta, SemiImplicit, Substeps, System, Verlet};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -1,7 +1,7 @@
 //! The `training` section.
 
-use super::{ClipName, OptimizerName};
-use crate::program::problem::{ConfigError, allowed, count, positive};
+use crate::program::settings::config_error::{ConfigError, allowed, count, positive};
+use crate::program::settings::{ClipName, OptimizerName};
 use physgrad::{Clip, OptimizerKind, Training};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -1,0 +1,106 @@
+//! Measured quantities per gradient method, memory budget and horizon.
+
+use crate::program::commands::accuracy::gradients::at_chosen;
+use crate::program::commands::accuracy::row::spread;
+use crate::program::operations::gradients::{Derived, GradientMethod};
+use crate::program::settings::Precision;
+use std::fmt;
+
+impl fmt::Display for GradientMethod {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Forward => f.write_str("loss alone"),
+            Self::Reverse { field, .. } => write!(f, "reverse {}", field.letter()),
+            Self::Central(step) => write!(f, "central differences {step:e}"),
+            Self::Duals => f.write_str("forward mode"),
+        }
+    }
+}
+
+/// Euclidean norm, scaled so that squares do not overflow.
+fn length(x: &[f64]) -> f64 {
+    let largest = x.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
+    if largest == 0.0 { 0.0 } else { largest * x.iter().map(|x| (x / largest) * (x / largest)).sum::<f64>().sqrt() }
+}
+
+/// Relative error in the Euclidean norm, and the share of components with the correct sign
+/// (negative, zero or positive).
+fn compare(found: &[f64], right: &[f64]) -> (f64, f64) {
+    let difference: Vec<f64> = found.iter().zip(right).map(|(a, b)| a - b).collect();
+    let error = length(&difference) / length(right);
+    let same = |(a, b): &(&f64, &f64)| (**a > 0.0) == (**b > 0.0) && (**a < 0.0) == (**b < 0.0);
+    (error, found.iter().zip(right).filter(same).count() as f64 / right.len() as f64)
+}
+
+/// Error and cost of one gradient method.
+pub struct Derivative {
+    pub way: GradientMethod,
+    pub precision: Precision,
+    /// Error relative to the double-double reference, or the message of a divergence.
+    pub error: Result<f64, String>,
+    /// Share of all components with the same sign as in f64.
+    pub signs: Option<f64>,
+    pub seconds: [f64; 3],
+    pub bytes: usize,
+}
+
+impl Derivative {
+    pub fn new(
+        way: GradientMethod,
+        precision: Precision,
+        derived: &Derived,
+        times: Vec<f64>,
+        right: &[f64],
+        full: Option<&Vec<f64>>,
+    ) -> Self {
+        let error = derived.gradient.as_ref().map(|found| compare(&at_chosen(found, right.len()), right).0).map_err(Clone::clone);
+        let signs = full.zip(derived.gradient.as_ref().ok()).map(|(full, found)| compare(found, full).1);
+        Self { way, precision, error, signs, seconds: spread(times), bytes: derived.bytes }
+    }
+}
+
+/// Reverse pass of R within a memory budget.
+pub struct Checkpoint {
+    pub horizon: usize,
+    pub budget: u64,
+    pub bytes: usize,
+    pub seconds: [f64; 3],
+    /// True if the gradient is bitwise equal to the gradient without a budget, or the message of an
+    /// error.
+    pub same: Result<bool, String>,
+}
+
+impl Checkpoint {
+    pub fn new(horizon: usize, budget: u64, derived: &Derived, times: Vec<f64>, all: &Result<Vec<f64>, String>) -> Self {
+        let bits = |x: &[f64]| x.iter().map(|x| x.to_bits()).collect::<Vec<u64>>();
+        let same = match (&derived.gradient, all) {
+            (Ok(found), Ok(all)) => Ok(bits(found) == bits(all)),
+            (Err(error), _) | (_, Err(error)) => Err(error.clone()),
+        };
+        Self { horizon, budget, bytes: derived.bytes, seconds: spread(times), same }
+    }
+}
+
+/// Gradient R at one horizon.
+pub struct Horizon {
+    pub horizon: usize,
+    /// Norm of the gradient in f64.
+    pub length: f64,
+    /// Relative error and share of correct signs, or the message of a divergence.
+    ///
+    /// The first entry compares f32 with f64. The second compares f64 with f64 from initial states
+    /// perturbed by one rounding.
+    pub found: [Result<(f64, f64), String>; 2],
+}
+
+impl Horizon {
+    /// Takes the gradients in f32, in f64, and in f64 from perturbed initial states.
+    pub fn new(horizon: usize, gradients: &[Result<Vec<f64>, String>]) -> Self {
+        let against = |found: &Result<Vec<f64>, String>| match (found, &gradients[1]) {
+            (Ok(found), Ok(right)) => Ok(compare(found, right)),
+            (Err(error), _) | (_, Err(error)) => Err(error.clone()),
+        };
+        let length = gradients[1].as_ref().map_or(f64::NAN, |gradient| length(gradient));
+        Self { horizon, length, found: [against(&gradients[0]), against(&gradients[2])] }
+    }
+}

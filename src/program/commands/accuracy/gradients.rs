@@ -1,0 +1,178 @@
+//! `physgrad accuracy --gradients`: costs of gradients, and the horizon up to which they are
+//! reliable.
+
+use crate::program::commands::accuracy::derivatives::{Checkpoint, Derivative, Horizon};
+use crate::program::commands::accuracy::gradient_outputs::write;
+use crate::program::commands::accuracy::{Study, bar};
+use crate::program::operations::gradients::{Derived, GradientMethod, REFERENCES, chosen};
+use crate::program::platform::folder::Folder;
+use crate::program::platform::parallel;
+use crate::program::platform::terminal::{say, tell};
+use crate::program::settings::Precision;
+use crate::program::tasks::Scene;
+use anyhow::{Result, bail};
+use indicatif::ProgressBar;
+use physgrad::{Field, GradientCombiner, SignAgreement};
+use toml::Value;
+
+/// Step sizes of central differences.
+const STEPS: [f64; 10] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10];
+/// Timing rounds, and the least time in seconds per round for each method.
+const ROUNDS: usize = 5;
+const LEAST: f64 = 0.01;
+/// Least horizon of the checkpoint measurements, and the divisors of the full memory that give the
+/// budgets.
+const CHECKPOINTED: usize = 1024;
+const PARTS: [u64; 4] = [1, 2, 4, 8];
+/// Memory budget, in bytes, of a rollout at any horizon.
+const BUDGET: u64 = 256_000_000;
+
+const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::F64];
+
+const fn reverse(field: Field, budget: Option<u64>) -> GradientMethod {
+    GradientMethod::Reverse { field, budget, nudged: false }
+}
+
+/// Measures methods, budgets and horizons, and writes the results.
+pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize], quiet: bool) -> Result<()> {
+    let fields = [Field::regular(), Field::modified(), Field::stopped(), Field::combined()];
+    let exact = fields.map(|field| reverse(field, None));
+    let both =
+        exact.into_iter().chain(STEPS.map(GradientMethod::Central)).flat_map(|way| PRECISIONS.map(|precision| (way, precision)));
+    let forward = PRECISIONS.map(|precision| (GradientMethod::Forward, precision));
+    let ways: Vec<(GradientMethod, Precision)> =
+        forward.into_iter().chain(both).chain([(GradientMethod::Duals, Precision::F64)]).collect();
+
+    let bar = bar(ways.len() * (1 + ROUNDS) + REFERENCES + 3 * horizons.len() + PARTS.len(), quiet);
+    if !quiet && bar.is_hidden() {
+        tell(&format!("{} ways, {REFERENCES} derivatives in double-double, {} horizons", ways.len(), horizons.len()));
+    }
+    bar.set_message("reference in double-double");
+    let [r, m, s] = study.scene.refer(&|| bar.inc(1));
+    let mut c = vec![0.0; r.len()];
+    SignAgreement.combine(&m, &r, &mut c);
+    let right = |way: &GradientMethod| match way {
+        GradientMethod::Reverse { field, .. } => match field.letter() {
+            "M" => &m,
+            "S" => &s,
+            "C" => &c,
+            _ => &r,
+        },
+        _ => &r,
+    };
+
+    let mut derived = Vec::new();
+    for (way, precision) in &ways {
+        bar.set_message(format!("{way} {}", precision.name()));
+        derived.push(study.scene.derive(*precision, *way));
+        bar.inc(1);
+    }
+    // Interleaves the methods, so that disturbances of the machine affect all of them.
+    let mut times = vec![Vec::new(); ways.len()];
+    for round in 0..ROUNDS {
+        bar.set_message(format!("round {} of {ROUNDS}", round + 1));
+        for (derived, times) in derived.iter_mut().zip(&mut times) {
+            if derived.gradient.is_ok() {
+                times.push(derived.time(LEAST));
+            }
+            bar.inc(1);
+        }
+    }
+    // Takes all components from f64, whose error the reference bounds at the chosen parameters.
+    let full = |field: Field| {
+        let found = ways.iter().position(|way| *way == (reverse(field, None), Precision::F64));
+        found.and_then(|i| derived[i].gradient.as_ref().ok())
+    };
+    let derivatives: Vec<Derivative> = ways
+        .iter()
+        .zip(&derived)
+        .zip(times)
+        .map(|(((way, precision), derived), times)| {
+            let full = if let GradientMethod::Reverse { field, .. } = way { full(*field) } else { None };
+            Derivative::new(*way, *precision, derived, times, right(way), full)
+        })
+        .collect();
+    let checkpoints = checkpoints(study, &bar)?;
+    let horizons = along(study, horizons, &bar)?;
+    bar.finish_and_clear();
+    let text = write(folder, name, &derivatives, &checkpoints, &horizons)?;
+    say(&text)?;
+    say(&format!(
+        "results in {}: gradients.csv, horizons.csv, checkpoints.csv, gradients.svg, gradients.md",
+        folder.path().display()
+    ))?;
+    Ok(())
+}
+
+/// Scene with another horizon.
+fn with_horizon(study: &Study, horizon: usize) -> Result<Scene> {
+    let mut document = study.document.clone();
+    document.put("horizon", Value::Integer(horizon as i64), "accuracy --gradients")?;
+    // Sets a memory budget: without one, long horizons would be rejected because a mini-batch does
+    // not fit.
+    document.put("training.memory", Value::String("1GB".into()), "accuracy --gradients")?;
+    document.scene()
+}
+
+/// Measures the reverse pass of R with decreasing memory budgets.
+fn checkpoints(study: &Study, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
+    let scene = with_horizon(study, study.scene.horizon.max(CHECKPOINTED))?;
+    let run = |budget| scene.derive(study.scene.precision, reverse(Field::regular(), budget));
+    let mut all = run(None);
+    let (bytes, gradient) = (all.bytes as u64, all.gradient.clone());
+    let mut jobs: Vec<Derived> = PARTS[1..].iter().map(|part| run(Some(bytes / part))).collect();
+    let mut jobs: Vec<&mut Derived> = std::iter::once(&mut all).chain(&mut jobs).collect();
+    let mut times = vec![Vec::new(); jobs.len()];
+    for _ in 0..ROUNDS {
+        for (job, times) in jobs.iter_mut().zip(&mut times) {
+            if job.gradient.is_ok() {
+                times.push(job.time(LEAST));
+            }
+        }
+    }
+    let checkpoint = |((part, job), times): ((u64, &mut Derived), Vec<f64>)| {
+        bar.inc(1);
+        Checkpoint::new(scene.horizon, bytes / part, job, times, &gradient)
+    };
+    Ok(PARTS.into_iter().zip(jobs).zip(times).map(checkpoint).collect())
+}
+
+/// R in f32 and f64 over the horizons.
+fn along(study: &Study, horizons: &[usize], bar: &ProgressBar) -> Result<Vec<Horizon>> {
+    let scenes = horizons.iter().map(|&horizon| with_horizon(study, horizon)).collect::<Result<Vec<Scene>>>()?;
+    bar.set_message("horizons");
+    let runs = [(Precision::F32, false), (Precision::F64, false), (Precision::F64, true)];
+    let jobs: Vec<(&Scene, (Precision, bool))> = scenes.iter().flat_map(|scene| runs.map(|run| (scene, run))).collect();
+    let run = |(scene, (precision, nudged)): (&Scene, (Precision, bool))| {
+        let way = GradientMethod::Reverse { field: Field::regular(), budget: Some(BUDGET), nudged };
+        let gradient = scene.derive(precision, way).gradient;
+        bar.inc(1);
+        gradient
+    };
+    // Starts with the longest horizons to balance the load.
+    let jobs: Vec<_> = jobs.into_iter().rev().collect();
+    let mut gradients: Vec<Result<Vec<f64>, String>> = parallel::map(&jobs, |&job| run(job));
+    gradients.reverse();
+    Ok(horizons.iter().zip(gradients.chunks(3)).map(|(&horizon, found)| Horizon::new(horizon, found)).collect())
+}
+
+/// Checks the horizons, sorts them and removes duplicates.
+pub fn parse(horizons: &[usize]) -> Result<Vec<usize>> {
+    if let Some(bad) = horizons.iter().find(|horizon| !(1..=100_000_000).contains(*horizon)) {
+        bail!("--horizons {bad}: a horizon is 1 to 100000000 steps");
+    }
+    let mut horizons = horizons.to_vec();
+    horizons.sort_unstable();
+    horizons.dedup();
+    Ok(horizons)
+}
+
+/// Components of a gradient at the parameters of the reference.
+pub fn at_chosen(gradient: &[f64], reference: usize) -> Vec<f64> {
+    // Methods that differentiate one parameter at a time return only these components.
+    if gradient.len() == reference {
+        gradient.to_vec()
+    } else {
+        chosen(gradient.len()).into_iter().map(|i| gradient[i]).collect()
+    }
+}

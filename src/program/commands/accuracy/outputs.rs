@@ -1,0 +1,193 @@
+//! Output files of `physgrad accuracy`: CSV, charts and a table.
+
+use crate::program::commands::accuracy::row::{Errors, Row};
+use crate::program::platform::folder::Folder;
+use anyhow::{Context, Result};
+use comfy_table::presets::{ASCII_MARKDOWN, UTF8_FULL_CONDENSED};
+use comfy_table::{CellAlignment, Table, TableStyle};
+use physgrad::report::{Series, Work, work_precision};
+
+/// Okabe-Ito colours, grey and brown.
+const COLORS: [&str; 10] =
+    ["#000000", "#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7", "#888888", "#8B5A2B"];
+
+const HEADER: [&str; 19] = [
+    "method",
+    "substeps",
+    "precision",
+    "diverged",
+    "trajectory_error",
+    "loss_error",
+    "r_error",
+    "r_signs_right",
+    "m_error",
+    "m_signs_right",
+    "drift",
+    "operations",
+    "bytes",
+    "forward_us",
+    "forward_us_lowest",
+    "forward_us_highest",
+    "gradient_us",
+    "gradient_us_lowest",
+    "gradient_us_highest",
+];
+
+/// Writes all files.
+pub fn write(folder: &Folder, name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -> Result<()> {
+    let path = folder.file("accuracy.csv");
+    let mut csv = csv::Writer::from_path(&path).with_context(|| format!("cannot write {}", path.display()))?;
+    csv.write_record(HEADER)?;
+    for row in rows {
+        csv.write_record(record(row))?;
+    }
+    csv.flush()?;
+    folder.write("accuracy.svg", diagrams(name, rows).to_svg().as_bytes())?;
+    folder.write("accuracy.md", markdown(name, check, conserved, rows).as_bytes())
+}
+
+fn record(row: &Row) -> Vec<String> {
+    let (setting, [forward, gradient]) = (&row.setting, row.seconds);
+    let errors = match &row.errors {
+        Ok(Errors { trajectory, loss, gradients: [r, m], signs: [r_signs, m_signs] }) => {
+            [trajectory, loss, r, r_signs, m, m_signs].map(f64::to_string).to_vec()
+        }
+        Err(_) => vec![String::new(); 6],
+    };
+    let times = [forward[1], forward[0], forward[2], gradient[1], gradient[0], gradient[2]].map(|s| (s * 1e6).to_string());
+    let head = [setting.method.into(), setting.substeps.to_string(), setting.precision.name().into()];
+    let diverged = row.errors.as_ref().err().cloned().unwrap_or_default();
+    let drift = if row.drift.is_nan() { String::new() } else { row.drift.to_string() };
+    let counts = [drift, row.operations.to_string(), row.bytes.to_string()];
+    [&head[..], &[diverged], &errors, &counts, &times].concat()
+}
+
+/// Charts of errors over time and operations, with one line per method and precision.
+fn diagrams(name: &str, rows: &[Row]) -> physgrad::report::Drawing {
+    let mut methods: Vec<&str> = rows.iter().map(|row| row.setting.method).collect();
+    methods.dedup();
+    let series = |point: fn(&Row, &Errors) -> (f64, f64)| {
+        let of_method = |(i, method): (usize, &&'static str)| {
+            ["f32", "f64"].map(|precision| {
+                let own = rows.iter().filter(|row| row.setting.method == *method && row.setting.precision.name() == precision);
+                let line = own.filter_map(|row| Some(point(row, row.errors.as_ref().ok()?))).collect();
+                let series = Series::new(*method, COLORS[i % COLORS.len()], line);
+                if precision == "f32" { series.dashed() } else { series }
+            })
+        };
+        methods.iter().enumerate().flat_map(of_method).collect::<Vec<Series>>()
+    };
+    work_precision(
+        &format!("{name}: errors against work; f32 dashed, f64 in full"),
+        vec![
+            Work {
+                x_label: "forward, us a step",
+                y_label: "error of the trajectory",
+                series: series(|row, errors| (row.seconds[0][1] * 1e6, errors.trajectory)),
+            },
+            Work {
+                x_label: "operations, step and VJP",
+                y_label: "error of the trajectory",
+                series: series(|row, errors| (row.operations as f64, errors.trajectory)),
+            },
+            Work {
+                x_label: "with gradients, us a step",
+                y_label: "error of the gradient of R",
+                series: series(|row, errors| (row.seconds[1][1] * 1e6, errors.gradients[0])),
+            },
+        ],
+    )
+}
+
+const COLUMNS: [&str; 7] = ["setting", "trajectory", "loss", "R", "signs of R", "M", "signs of M"];
+const COSTS: [&str; 3] = ["operations", "forward, us", "with gradients, us"];
+
+fn table(style: TableStyle, conserved: Option<&str>, rows: &mut dyn Iterator<Item = &Row>) -> Table {
+    let mut table = Table::new();
+    let drift = conserved.map(|name| format!("drift of the {name}"));
+    let header: Vec<String> = COLUMNS.map(String::from).into_iter().chain(drift).chain(COSTS.map(String::from)).collect();
+    table.load_style(style).set_header(header);
+    let error = |error: f64| if error.is_nan() { "-".to_owned() } else { format!("{error:.1e}") };
+    for row in rows {
+        let time = |[low, median, high]: [f64; 3]| match (high - low) / median {
+            spread if spread.is_nan() => "-".to_owned(),
+            spread => format!("{:.3} ±{:.0} %", median * 1e6, 50.0 * spread),
+        };
+        let mut cells = vec![row.setting.name()];
+        match &row.errors {
+            Ok(Errors { trajectory, loss, gradients: [r, m], signs: [r_signs, m_signs] }) => {
+                let share = |share: f64| format!("{:.1} %", 100.0 * share);
+                cells.extend([error(*trajectory), error(*loss), error(*r), share(*r_signs), error(*m), share(*m_signs)]);
+            }
+            Err(_) => cells.extend(["diverged"; 6].map(String::from)),
+        }
+        cells.extend(conserved.map(|_| error(row.drift)));
+        cells.extend([row.operations.to_string(), time(row.seconds[0]), time(row.seconds[1])]);
+        table.add_row(cells);
+    }
+    right_aligned(table)
+}
+
+/// Right-aligns all columns except the first.
+pub fn right_aligned(mut table: Table) -> Table {
+    let columns = table.column_count();
+    for column in 1..columns {
+        if let Some(column) = table.column_mut(column) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    table
+}
+
+/// Sentence with the smallest error of the trajectory in each precision.
+fn floors(rows: &[Row]) -> String {
+    let of = |precision: &str| {
+        let errors = rows.iter().filter(|row| row.setting.precision.name() == precision);
+        let least = errors.filter_map(|row| Some((row, row.errors.as_ref().ok()?.trajectory))).min_by(|a, b| a.1.total_cmp(&b.1));
+        least.map(|(row, error)| format!("{error:.1e} in {precision} ({} x{})", row.setting.method, row.setting.substeps))
+    };
+    let found: Vec<String> = ["f32", "f64"].into_iter().filter_map(of).collect();
+    format!("The smallest errors of the trajectory are {}.", found.join(" and "))
+}
+
+fn about(rows: &[Row], check: &Errors) -> String {
+    floors(rows)
+        + " "
+        + &format!(
+            "The reference differs from one with half as many steps by {:.1e} in the trajectory, {:.1e} in the gradient of R and {:.1e} in \
+         that of M: smaller errors than that are not known.",
+            check.trajectory, check.gradients[0], check.gradients[1]
+        )
+}
+
+fn markdown(name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -> String {
+    format!(
+        "# What accuracy costs: {name}\n\nErrors in relation to the size of what is right; operations of a step of the policy and of its \
+         VJP; microseconds for a step of a sample, with half the spread of the rounds. {}\n\n![errors against \
+         work](accuracy.svg)\n\n{}\n",
+        about(rows, check),
+        table(ASCII_MARKDOWN, conserved, &mut rows.iter())
+    )
+}
+
+/// Table of the Pareto-optimal settings in time and trajectory error, and the number of diverged
+/// settings.
+pub fn summary(rows: &[Row], check: &Errors, conserved: Option<&str>) -> String {
+    let point = |row: &Row| Some((row.seconds[0][1], row.errors.as_ref().ok()?.trajectory));
+    let best =
+        |row: &&Row| point(row).is_some_and(|(time, error)| !rows.iter().filter_map(point).any(|(t, e)| t < time && e < error));
+    let mut front: Vec<&Row> = rows.iter().filter(best).collect();
+    front.sort_by(|a, b| a.seconds[0][1].total_cmp(&b.seconds[0][1]));
+    let diverged = rows.iter().filter(|row| row.errors.is_err()).count();
+    let mut text = format!(
+        "of {} settings, those that no other beats in both time and error of the trajectory; errors are in relation to the size of \
+         what is right:\n{}\n{}",
+        rows.len(),
+        table(UTF8_FULL_CONDENSED, conserved, &mut front.into_iter()),
+        about(rows, check)
+    );
+    if diverged > 0 {
+        text += &format!("\n{diverged} settings diverged");
+    }
+    text
+}

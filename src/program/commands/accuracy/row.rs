@@ -1,0 +1,119 @@
+//! One row of the results of `physgrad accuracy`.
+
+use crate::program::operations::simulation::{Found, Job};
+use crate::program::scenes::source::SceneSource;
+use crate::program::settings::Precision;
+use crate::program::tasks::{Conserved, Scene};
+use anyhow::Result;
+use toml::Value;
+
+/// Integrator, number of substeps, and precision.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Setting {
+    /// Name as in a scene; `own` for the task's own scheme.
+    pub method: &'static str,
+    /// Number of physics steps per control step.
+    pub substeps: usize,
+    pub precision: Precision,
+}
+
+impl Setting {
+    pub fn name(&self) -> String {
+        format!("{} x{} {}", self.method, self.substeps, self.precision.name())
+    }
+
+    /// Scene with this setting.
+    pub fn of(&self, document: &SceneSource) -> Result<Scene> {
+        let mut document = document.clone();
+        document.without_section("integrator");
+        document.put("precision", Value::String(self.precision.name().into()), "accuracy")?;
+        document.put("integrator.substeps", Value::Integer(self.substeps as i64), "accuracy")?;
+        if self.method != "native" {
+            document.put("integrator.method", Value::String(self.method.into()), "accuracy")?;
+        }
+        document.scene()
+    }
+
+    /// Lines of a scene file that select this setting.
+    pub fn lines(&self) -> String {
+        let mut lines = format!("precision = \"{}\"\n\n[integrator]\n", self.precision.name());
+        if self.method != "native" {
+            lines += &format!("method = \"{}\"\n", self.method);
+        }
+        lines + &format!("substeps = {}", self.substeps)
+    }
+}
+
+/// Lowest value, median and highest value. NaN for an empty list.
+pub fn spread(mut times: Vec<f64>) -> [f64; 3] {
+    times.sort_by(f64::total_cmp);
+    match times[..] {
+        [] => [f64::NAN; 3],
+        _ => [times[0], times[times.len() / 2], times[times.len() - 1]],
+    }
+}
+
+/// Errors relative to the reference.
+#[derive(Clone, Copy, Debug)]
+pub struct Errors {
+    /// Largest absolute error over all samples and steps, divided by the largest absolute state
+    /// component.
+    pub trajectory: f64,
+    pub loss: f64,
+    /// Relative errors of the gradients of R and M, in the Euclidean norm.
+    pub gradients: [f64; 2],
+    /// Share of parameters whose sign is correct in R and M.
+    pub signs: [f64; 2],
+}
+
+/// Errors and costs of one setting.
+pub struct Row {
+    pub setting: Setting,
+    /// Errors, or the message of a divergence.
+    pub errors: Result<Errors, String>,
+    /// Relative drift of the conserved quantity with zero control. NaN without such a quantity or
+    /// if the rollout diverges.
+    pub drift: f64,
+    pub operations: u64,
+    pub bytes: f64,
+    /// Seconds per sample and step, forward and with gradients: lowest, median and highest of the
+    /// rounds.
+    pub seconds: [[f64; 3]; 2],
+}
+
+impl Row {
+    pub fn new(setting: Setting, job: &Job, reference: &Found, conserved: Option<&Conserved>, rounds: &[[f64; 2]]) -> Self {
+        let errors = job.found.as_ref().map(|found| Errors::of(found, reference)).map_err(Clone::clone);
+        let seconds = [0, 1].map(|which| spread(rounds.iter().map(|round| round[which]).collect()));
+        let drift = conserved.map_or(f64::NAN, |conserved| conserved.drift(&job.idle));
+        Self { setting, errors, drift, operations: job.operations, bytes: job.bytes, seconds }
+    }
+}
+
+impl Errors {
+    pub fn of(found: &Found, reference: &Found) -> Self {
+        let length = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let largest = |x: &[f64]| x.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
+        let differences = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<f64>>();
+        let [r, m] = [0, 1].map(|k| {
+            let (found, right) = (&found.gradients[k], &reference.gradients[k]);
+            let sign = |x: f64| {
+                if x > 0.0 {
+                    1
+                } else if x < 0.0 {
+                    -1
+                } else {
+                    0
+                }
+            };
+            let right_signs = found.iter().zip(right).filter(|(a, b)| sign(**a) == sign(**b)).count();
+            (length(&differences(found, right)) / length(right), right_signs as f64 / right.len() as f64)
+        });
+        Self {
+            trajectory: largest(&differences(&found.states, &reference.states)) / largest(&reference.states),
+            loss: ((found.loss - reference.loss) / reference.loss).abs(),
+            gradients: [r.0, m.0],
+            signs: [r.1, m.1],
+        }
+    }
+}

@@ -1,0 +1,42 @@
+//! `physgrad animate`: an animation of a trained policy.
+
+use crate::program::platform::folder::{ANIMATION, Folder};
+use crate::program::platform::terminal::say;
+use crate::program::runs::{outputs, saved};
+use anyhow::{Result, bail};
+use std::path::PathBuf;
+
+/// Animate a trained policy, from an initial state of the test set.
+#[derive(Debug, clap::Args)]
+pub struct Animate {
+    /// Folder of a run or of a comparison; for a comparison, animate every run
+    pub folder: PathBuf,
+    /// Index of the test initial state, from 0
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub sample: usize,
+    /// Print only warnings and errors
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Runs the command.
+pub fn animate(args: &Animate) -> Result<()> {
+    for folder in saved::runs(&Folder::existing(&args.folder)?)? {
+        film(&folder, args.sample)?;
+        if !args.quiet {
+            say(&folder.file(ANIMATION).display().to_string())?;
+        }
+    }
+    Ok(())
+}
+
+fn film(folder: &Folder, sample: usize) -> Result<()> {
+    let scene = saved::scene(folder)?;
+    let mut run = scene.open(1)?;
+    saved::restore(folder, &scene, &mut *run)?;
+    let samples = run.test_samples();
+    if sample >= samples {
+        bail!("--sample is {sample}; allowed: 0 to {}, the test start states of {}", samples - 1, folder.path().display());
+    }
+    folder.write(ANIMATION, outputs::film(&scene, &run.rollouts(sample..sample + 1)[0]))
+}

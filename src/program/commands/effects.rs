@@ -1,0 +1,152 @@
+//! `physgrad effects`: the reference page of all effects.
+
+use crate::program::platform::terminal::say;
+use crate::program::settings::{ACTUATORS, Info};
+use crate::program::tasks::{AnyTaskSpec, TASKS};
+use anyhow::Result;
+use physgrad::Ops;
+use serde_json::Value;
+use std::fmt::Write;
+use toml::Table;
+
+/// Print the reference page of all effects, in Markdown: equation, parameters with units and
+/// defaults, derivative, cost.
+#[derive(Debug, clap::Args)]
+pub struct Effects {}
+
+const HEAD: &str = "\
+# Effects
+
+What a scene can name beyond its system; how to name it is in [scenes.md](scenes.md). This page is made by `physgrad effects`.
+
+Costs are operations of one step of one sample and of its VJP to state and control, in the task's default system. They are counted, and a
+test holds this page to them. An effect costs the same whatever else is there; actuators in a chain share work. What a scene does not name costs
+nothing. Only operations on the state are counted: what is worked out of a scene's constants, a static potential for instance, is not.
+
+Derivatives by hand are compared with dual numbers in the tests, and in any scene by `physgrad check SCENE`. *Smoothed*: a leap in the physics was made a
+slope. *One-sided*: the derivative leaps at a point, where that of one side is taken.
+";
+
+/// Runs the command.
+pub fn effects(_args: &Effects) -> Result<()> {
+    say(page()?.trim_end())?;
+    Ok(())
+}
+
+fn page() -> Result<String> {
+    let mut page = HEAD.to_owned();
+    for kind in TASKS.into_iter().filter(|kind| !kind.effects().is_empty()) {
+        let _ = writeln!(page, "\n## {}\n\n{} {}\n", kind.name(), sentence(kind.about()), symbols(kind.name()));
+        section(&mut page, kind, "effects", kind.effects())?;
+    }
+    let _ = writeln!(
+        page,
+        "\n## Actuators\n\nFor every task, between the policy's control u and what the physics gets of it, u'; in this order. Their own \
+         state begins at 0. Costs are those in cart_pole, which has one control.\n"
+    );
+    section(&mut page, TASKS[0], "actuator", &ACTUATORS)?;
+    Ok(page)
+}
+
+/// Writes a table of the effects of a section, then a paragraph for each.
+fn section(page: &mut String, kind: &'static dyn AnyTaskSpec, section: &str, infos: &[Info]) -> Result<()> {
+    let schema = kind.schema();
+    let of = |info: &Info| &schema["properties"][section]["properties"][info.name];
+    let costs: Vec<[Ops; 2]> = infos.iter().map(|info| cost(kind, section, info.name)).collect::<Result<_>>()?;
+    let _ = writeln!(page, "| | | step | VJP |\n|---|---|--:|--:|");
+    for (info, [step, vjp]) in infos.iter().zip(&costs) {
+        let name = info.name;
+        let _ = writeln!(page, "| [{name}](#{name}) | {} | {} | {} |", description(of(info)), step.total(), vjp.total());
+    }
+    for (info, [step, vjp]) in infos.iter().zip(&costs) {
+        let (equation, note) = info.equation.split_once("; ").unwrap_or((info.equation, ""));
+        let _ = writeln!(page, "\n### {}\n\n```text\n{}\n```\n", info.name, lines(equation));
+        if !note.is_empty() {
+            let _ = write!(page, "{} ", sentence(note));
+        }
+        let _ = writeln!(page, "Derivative: {}. Step: {step}. VJP: {vjp}.\n", info.derivative);
+        parameters(page, &of(info)["properties"]);
+    }
+    Ok(())
+}
+
+/// Operations that an effect adds to a step and to its VJP, in a scene with no other effect.
+fn cost(kind: &'static dyn AnyTaskSpec, section: &str, name: &str) -> Result<[Ops; 2]> {
+    let mut settings = kind.defaults();
+    let alone = kind.scene(settings.clone())?.cost();
+    let part: Table = [(name.to_owned(), toml::Value::Table(required(name)))].into_iter().collect();
+    settings.insert(section.into(), toml::Value::Table(part));
+    let with = kind.scene(settings)?.cost();
+    Ok([with.step - alone.step, with.vjp - alone.vjp])
+}
+
+/// Splits at commas into one line per equation. Commas within parentheses or remarks do not split.
+fn lines(equations: &str) -> String {
+    let mut lines = String::new();
+    for part in equations.split(", ") {
+        let open = lines.matches('(').count() > lines.matches(')').count();
+        lines += match (lines.is_empty(), part.contains(" = ") && !open) {
+            (true, _) => "",
+            (false, true) => "\n",
+            (false, false) => ", ",
+        };
+        lines += part;
+    }
+    lines
+}
+
+fn sentence(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| format!("{}{}.", first.to_uppercase(), letters.as_str()))
+}
+
+/// Schema description as one line, with `|` escaped for Markdown tables.
+fn description(of: &Value) -> String {
+    of["description"].as_str().unwrap_or_default().replace('\n', " ").replace('|', "\\|")
+}
+
+/// Table of parameter names, defaults and descriptions, from the schema.
+fn parameters(page: &mut String, schema: &Value) {
+    let _ = writeln!(page, "| parameter | default | |\n|---|---|---|");
+    for (name, of) in schema.as_object().into_iter().flatten() {
+        let default = match &of["default"] {
+            Value::Null => "to be given".to_owned(),
+            Value::String(word) => format!("`{word}`"),
+            default => default.to_string(),
+        };
+        // Appends the description of every variant of an enumeration.
+        let choices = of["oneOf"].as_array().into_iter().flatten();
+        let choices =
+            choices.map(|choice| format!("<br>`{}`: {}", choice["const"].as_str().unwrap_or_default(), description(choice)));
+        let _ = writeln!(page, "| `{name}` | {default} | {}{} |", description(of), choices.collect::<String>());
+    }
+}
+
+/// Symbols in the equations of a task, and the system size of its operation counts.
+fn symbols(task: &str) -> &'static str {
+    match task {
+        "cart_pole" => {
+            "x is the place of the cart, θ_i and ω_i are angle and rate of pole i, l is `half_length`; F is the force on the cart and τ_i the \
+             torque on a pole. Costs are those with 2 poles."
+        }
+        "guidance" => {
+            "D_j and E_k are the places of drivers and evaders, a is an acceleration, and d is the distance plus `softening`. Costs are \
+             those with 2 drivers and 4 evaders."
+        }
+        "quantum" => {
+            "V is the potential and ξ the place, from the middle of the box; ħ = 1 and m = 1/2. There is one static potential: `harmonic`, \
+             `barrier` or `double_well`. Costs are those with 32 grid points."
+        }
+        _ => "",
+    }
+}
+
+/// Values for parameters without a default.
+fn required(name: &str) -> Table {
+    match name {
+        "limit" => toml::toml! { bound = 10.0 },
+        "delay" => toml::toml! { steps = 1 },
+        "lag" => toml::toml! { time = 0.05 },
+        _ => Table::new(),
+    }
+}

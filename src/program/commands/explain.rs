@@ -1,0 +1,173 @@
+//! `physgrad explain`: equations, operation counts and memory of a scene.
+
+use crate::program::operations::costs::SAMPLES;
+use crate::program::platform::terminal::say;
+use crate::program::scenes::overrides::Overrides;
+use crate::program::scenes::presets;
+use crate::program::settings::{ACTUATORS, Info, OPTIONAL};
+use crate::program::tasks::Scene;
+use anyhow::Result;
+use comfy_table::presets::UTF8_FULL_CONDENSED;
+use comfy_table::{ContentArrangement, Table};
+use physgrad::{Field, OpCount, Ops};
+
+/// Explain what a scene simulates and what it leaves out; count operations of a step and its VJP by
+/// effect, and stored bytes.
+///
+/// All figures are counts, not timings: they are the same on every machine.
+#[derive(Debug, clap::Args)]
+pub struct Explain {
+    /// A task, a preset (see `physgrad scene`), or the path of a scene
+    pub scene: String,
+    #[command(flatten)]
+    pub changes: Overrides,
+}
+
+/// Largest width of a table, in characters.
+const WIDTH: u16 = 130;
+/// Time steps of the rollouts whose memory is counted.
+const FEW_STEPS: usize = 8;
+
+/// Runs the command.
+pub fn explain(args: &Explain) -> Result<()> {
+    let mut document = presets::document(&args.scene)?;
+    args.changes.apply(&mut document)?;
+    let scene = document.scene()?;
+    say(&format!("{}: {}\n", args.scene, scene.kind.about()))?;
+    let states = scene.state_names();
+    say(&format!("state of {} numbers, {}", states.len(), names(&states)))?;
+    let controls = scene.control_names();
+    say(&format!("control of {} number{}, {}\n", controls.len(), if controls.len() == 1 { "" } else { "s" }, names(&controls)))?;
+    say(&effects(&scene).to_string())?;
+    say(
+        "\noperations of one step of one sample; of its VJP to state and control (R, M); of its VJP to the control alone (N, S)",
+    )?;
+    say("(of a part: those that are saved without it)")?;
+    say(&operations(&scene)?.to_string())?;
+    say(&format!(
+        "\nwhat is kept of one sample, in {}; and allocations in a step of all {SAMPLES} samples of a block, once it has run",
+        scene.precision.name()
+    ))?;
+    say(&bytes(&scene)?.to_string())?;
+    Ok(())
+}
+
+/// Joins the names. Abbreviates more than 12.
+fn names(names: &[String]) -> String {
+    match names {
+        [first, second, third, _, .., last] if names.len() > 12 => format!("{first}, {second}, {third} … {last}"),
+        _ => names.join(", "),
+    }
+}
+
+fn table(header: &[&str]) -> Table {
+    let mut table = Table::new();
+    table.load_style(UTF8_FULL_CONDENSED).set_header(header);
+    table.set_content_arrangement(ContentArrangement::Dynamic).set_width(WIDTH);
+    table
+}
+
+/// Section and documentation of every effect and actuator available in a scene.
+fn parts(scene: &Scene) -> Vec<(&'static str, &'static Info)> {
+    let sections = [scene.kind.effects(), &ACTUATORS];
+    OPTIONAL.into_iter().zip(sections).flat_map(|(section, infos)| infos.iter().map(move |info| (section, info))).collect()
+}
+
+fn is_present(scene: &Scene, section: &str, name: &str) -> bool {
+    scene.table.get(section).and_then(|section| section.get(name)).is_some()
+}
+
+/// Table of the effects and actuators: those present, then those absent.
+fn effects(scene: &Scene) -> Table {
+    let mut table = table(&["", "effect", "equation", "derivative"]);
+    let parts = parts(scene);
+    for present in [true, false] {
+        for (section, info) in parts.iter().filter(|(section, info)| is_present(scene, section, info.name) == present) {
+            let key = format!("{section}.{}", info.name);
+            table.add_row([if present { "in play" } else { "absent" }, &key, info.equation, info.derivative]);
+        }
+    }
+    table
+}
+
+/// Operation counts by pass and kind. The first entry of each pass is the total.
+fn numbers(cost: &OpCount) -> [[i64; 8]; 3] {
+    [cost.step, cost.vjp, cost.vjp_control].map(|counts| {
+        let Ops { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
+        [counts.total(), add, negate, multiply, divide, sqrt, transcendental, compare].map(|count| count as i64)
+    })
+}
+
+/// Operation counts of the system alone, of each part that is present, and of the whole.
+///
+/// The count of a part is the whole minus the scene without it. Two actuators share the hand-over
+/// between them, which both differences contain. The row "counted twice" shows this overlap.
+fn operations(scene: &Scene) -> Result<Table> {
+    let kinds = ["all", "add, subtract", "negate", "multiply", "divide", "root", "function", "compare"];
+    let mut table = table(&[&["", "pass"][..], &kinds].concat());
+    let mut rows = |name: &str, numbers: [[i64; 8]; 3]| {
+        for (i, (pass, numbers)) in ["step", "VJP", "VJP to control"].into_iter().zip(numbers).enumerate() {
+            let names = [if i == 0 { name } else { "" }, pass].map(str::to_owned);
+            table.add_row(names.into_iter().chain(numbers.map(|count| count.to_string())));
+        }
+    };
+    let mut bare = scene.table.clone();
+    OPTIONAL.iter().for_each(|section| drop(bare.remove(*section)));
+    let alone = numbers(&scene.kind.scene(bare)?.cost());
+    rows("system alone", alone);
+    let whole = numbers(&scene.cost());
+    let mut twice = difference(alone, whole);
+    for (section, info) in parts(scene) {
+        if !is_present(scene, section, info.name) {
+            continue;
+        }
+        let mut without = scene.table.clone();
+        if let Some(section) = without.get_mut(section).and_then(toml::Value::as_table_mut) {
+            section.remove(info.name);
+        }
+        let rest = numbers(&scene.kind.scene(without)?.cost());
+        rows(&format!("{section}.{}", info.name), difference(whole, rest));
+        twice = difference(twice, difference(rest, whole));
+    }
+    if twice.as_flattened().iter().any(|&count| count != 0) {
+        rows("counted twice", twice);
+    }
+    rows("together", whole);
+    Ok(table)
+}
+
+fn difference(a: [[i64; 8]; 3], b: [[i64; 8]; 3]) -> [[i64; 8]; 3] {
+    std::array::from_fn(|pass| std::array::from_fn(|kind| a[pass][kind] - b[pass][kind]))
+}
+
+/// Bytes of a rollout and of the adjoint of each field, per step and constant, and allocations per
+/// step.
+fn bytes(scene: &Scene) -> Result<Table> {
+    let mut table = table(&["", "bytes each step", "besides", "whole rollout", "allocations each step"]);
+    let steps = scene.horizon;
+    let with_horizon = |horizon: usize| {
+        let mut table = scene.table.clone();
+        table.insert("horizon".into(), toml::Value::Integer(horizon as i64));
+        scene.kind.scene(table)
+    };
+    // Separates the part per step from the constant part by two horizons.
+    let (short, long) = (with_horizon(FEW_STEPS)?, with_horizon(2 * FEW_STEPS)?);
+    let mut row = |name: &str, field: Option<Field>| {
+        let [short, long] = [&short, &long].map(|scene| scene.stored(field));
+        let each = (long.bytes - short.bytes) / (FEW_STEPS * SAMPLES);
+        let besides = short.bytes / SAMPLES - each * FEW_STEPS;
+        let allocations = long.allocations.zip(short.allocations).map(|(long, short)| (long - short) / FEW_STEPS);
+        table.add_row([
+            name.to_owned(),
+            each.to_string(),
+            besides.to_string(),
+            (besides + each * steps).to_string(),
+            allocations.map_or("diverges".to_owned(), |allocations| allocations.to_string()),
+        ]);
+    };
+    row("evaluation", None);
+    for field in Field::ALL {
+        row(&field.to_string(), Some(field));
+    }
+    Ok(table)
+}

@@ -1,0 +1,18 @@
+//! Commands of the program, one module each. `print` contains `scene` and `schema`.
+//!
+//! Imports all other parts of the program. Start with `train`.
+
+pub mod accuracy;
+pub mod animate;
+pub mod check;
+pub mod compare;
+pub mod effects;
+pub mod explain;
+#[cfg(feature = "fuzz")]
+pub mod fuzz;
+pub mod paper;
+pub mod print;
+pub mod report;
+pub mod stress;
+pub mod tasks;
+pub mod train;

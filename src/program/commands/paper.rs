@@ -1,0 +1,162 @@
+//! `physgrad paper`: reproduces the figures of the paper.
+
+mod fig1;
+mod fig2;
+mod study;
+
+use crate::program::platform::folder::Folder;
+use crate::program::platform::signals;
+use crate::program::platform::terminal::say;
+use crate::program::runs::run::threads;
+use crate::program::runs::sweep::{check_distinct, check_options};
+use crate::program::settings::{ClipName, FieldName};
+use anyhow::{Result, bail};
+use clap::ValueEnum;
+use physgrad::report::Drawing;
+use std::path::{Path, PathBuf};
+use study::{FIG3, FIG4, FIG5};
+
+/// Reproduce a figure of the paper, with several seeds: picture, numbers and table.
+#[derive(Debug, clap::Args)]
+pub struct Paper {
+    /// Figure to reproduce
+    #[arg(value_enum)]
+    pub figure: Which,
+    #[command(flatten)]
+    pub options: Options,
+    /// Number of threads, one run each [default: RAYON_NUM_THREADS, or all cores]
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Folder for the results; runs already in it are resumed [default: runs/paper, or
+    /// runs/paper-quick with --quick]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+/// Training options of figures 3, 4 and 5.
+#[derive(Debug, clap::Args)]
+pub struct Options {
+    /// Number of seeds, counted from 0
+    #[arg(long, value_name = "K", default_value_t = 3)]
+    pub seeds: u64,
+    /// Epochs of every run [default: 1000, or 5 with --quick]
+    #[arg(long, value_name = "N")]
+    pub epochs: Option<usize>,
+    /// Fields to compare
+    #[arg(long, value_delimiter = ',', default_value = "R,M,S,C", value_parser = |name: &str| name.parse().map(FieldName))]
+    pub fields: Vec<FieldName>,
+    /// Kinds of clipping, one row of panels each
+    #[arg(long, value_delimiter = ',', default_value = "none,value,norm", value_enum)]
+    pub clip: Vec<ClipName>,
+    /// Make a fast trial run: few epochs, small data sets, coarse grids
+    #[arg(long)]
+    pub quick: bool,
+    /// Print only warnings and errors
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Which {
+    /// Toy example: loss landscape, gradient and modified field
+    Fig1,
+    /// Toy example: Adam along a gradient, a rotating field, and their combination
+    Fig2,
+    /// Guidance by repulsion with four weights of regularization
+    Fig3,
+    /// Cart-pole with 1 to 4 poles
+    Fig4,
+    /// Quantum control towards the eigenstates 3, 4 and 5, and the update size
+    Fig5,
+    /// All figures
+    All,
+}
+
+impl Which {
+    /// Name on the command line and in file names.
+    fn name(self) -> String {
+        self.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
+    }
+}
+
+impl Options {
+    /// Number of epochs of every run.
+    fn epochs(&self) -> usize {
+        self.epochs.unwrap_or(if self.quick { 5 } else { 1000 })
+    }
+}
+
+/// A finished figure.
+pub struct Made {
+    pub drawing: Drawing,
+    /// Plotted numbers.
+    pub csv: Vec<u8>,
+    /// Summary as a Markdown table.
+    pub table: String,
+}
+
+impl Made {
+    /// Writes `<name>.svg`, `.png`, `.csv` and `.md`, and prints the table.
+    pub fn write(&self, name: &str, folder: &Folder, options: &Options) -> Result<()> {
+        folder.write(&format!("{name}.svg"), self.drawing.to_svg())?;
+        folder.write(&format!("{name}.png"), self.drawing.to_png())?;
+        folder.write(&format!("{name}.csv"), &self.csv)?;
+        folder.write(&format!("{name}.md"), format!("{}\n", self.table.trim_end()))?;
+        if !options.quiet {
+            let path = folder.path().display();
+            say(&format!("{}\n{name}.svg, {name}.png, {name}.csv and {name}.md are in {path}\n", self.table.trim_end()))?;
+        }
+        Ok(())
+    }
+}
+
+/// Runs the command.
+pub fn paper(args: &Paper) -> Result<()> {
+    let options = &args.options;
+    check_options(&options.fields, options.seeds, options.epochs())?;
+    check_distinct("--clip", options.clip.iter().map(|clip| clip.name()))?;
+    threads(args.threads)?;
+    let default = if options.quick { "runs/paper-quick" } else { "runs/paper" };
+    let folder = Folder::at(args.out.as_deref().unwrap_or(Path::new(default))).lock()?;
+    let write = |which: Which, made: Result<Made>| made?.write(&which.name(), &folder, options);
+    // Longest figure last.
+    let figures: [(Which, &dyn Fn() -> Result<()>); 5] = [
+        (Which::Fig1, &|| write(Which::Fig1, fig1::fig1(options.quick))),
+        (Which::Fig2, &|| write(Which::Fig2, fig2::fig2(options.quick))),
+        (Which::Fig4, &|| FIG4.run(options, &folder)),
+        (Which::Fig3, &|| FIG3.run(options, &folder)),
+        (Which::Fig5, &|| FIG5.run(options, &folder)),
+    ];
+    // Continues with the other figures after an error.
+    let mut problems = Vec::new();
+    for (which, make) in figures {
+        if [which, Which::All].contains(&args.figure) && signals::received().is_none() {
+            problems.extend(make().err().map(|error| format!("{}: {error:#}", which.name())));
+        }
+    }
+    if problems.is_empty() { Ok(()) } else { bail!("{}", problems.join("\n")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Checks that the SVG parses and is small, that the CSV has no NaN, and that there is a table.
+    fn check(header: &str, figure: &Made) {
+        let svg = figure.drawing.to_svg();
+        roxmltree::Document::parse(&svg).expect("an SVG is XML");
+        assert!(!svg.contains("NaN") && svg.len() < 500_000, "{} bytes", svg.len());
+        let csv = std::str::from_utf8(&figure.csv).expect("CSV is text");
+        assert_eq!(csv.lines().next(), Some(header));
+        assert!(csv.lines().count() > 100 && !csv.contains("NaN"));
+        assert!(figure.table.lines().count() >= 4);
+    }
+
+    #[test]
+    fn figures_without_training() {
+        for quick in [true, false] {
+            check("theta_1,theta_2,loss,r_1,r_2,m_1,m_2", &fig1::fig1(quick).expect("figure 1"));
+            check("method,iteration,theta_1,theta_2,loss", &fig2::fig2(quick).expect("figure 2"));
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! Figures 3 to 5: learning curves of several fields, for several values of one setting.
+
+use crate::program::commands::paper::{Made, Options};
+use crate::program::platform::folder::Folder;
+use crate::program::platform::terminal::say;
+use crate::program::runs::statistics::{Outcome, best, by_field, curves, quantile, sorted, trailing_mean};
+use crate::program::runs::sweep::{Comparison, sweep};
+use crate::program::scenes::{overrides, presets};
+use crate::program::settings::ClipName;
+use anyhow::Result;
+use comfy_table::Table;
+use comfy_table::presets::ASCII_MARKDOWN;
+use physgrad::Record;
+use physgrad::report::{self, Case, Curve, Drawing};
+use toml::Value;
+
+/// Window of the moving average in epochs, as in the paper.
+const SMOOTHING: usize = 30;
+
+/// Note below the table.
+const NOTE: &str = "Table: test loss after the last epoch. Figure: the mean of up to 30 epochs, as in the paper; lines are \
+                    geometric means over the seeds, bands run from the lowest to the highest seed.";
+
+/// A figure with one column of panels per value of a setting and one row per kind of clipping.
+pub struct Study {
+    pub name: &'static str,
+    pub title: &'static str,
+    /// Preset, the key of the varied setting, and its values.
+    scene: &'static str,
+    key: &'static str,
+    values: &'static [&'static str],
+    /// Title of a panel, with `{}` for the value.
+    panel: &'static str,
+    /// Value for which a further panel shows the norm of the field.
+    update_size_of: Option<&'static str>,
+}
+
+pub const FIG3: Study = Study {
+    name: "fig3",
+    title: "Guidance by repulsion",
+    scene: "guidance",
+    key: "loss.regularization",
+    values: &["1.0", "0.1", "0.01", "0.001"],
+    panel: "regularization {}",
+    update_size_of: None,
+};
+
+pub const FIG4: Study = Study {
+    name: "fig4",
+    title: "Cart-pole swing-up",
+    scene: "cart_pole",
+    key: "system.poles",
+    values: &["1", "2", "3", "4"],
+    panel: "poles: {}",
+    update_size_of: None,
+};
+
+pub const FIG5: Study = Study {
+    name: "fig5",
+    title: "Quantum control",
+    scene: "quantum",
+    key: "system.target",
+    values: &["3", "4", "5"],
+    panel: "eigenstate {}",
+    update_size_of: Some("5"),
+};
+
+/// Runs with one value and one kind of clipping.
+struct Cell<'a> {
+    value: &'a str,
+    clip: ClipName,
+    runs: Vec<Outcome<'a>>,
+}
+
+impl Study {
+    /// Trains all runs and writes the figure.
+    pub fn run(&self, options: &Options, folder: &Folder) -> Result<()> {
+        let cells = || options.clip.iter().flat_map(|&clip| self.values.iter().map(move |&value| (value, clip)));
+        let plans = cells().map(|(value, clip)| self.plan(value, clip, options, folder));
+        let mut comparisons = plans.collect::<Result<Vec<_>>>()?;
+        let swept = sweep(&mut comparisons, options.quiet)?;
+        if swept.interrupted {
+            let _ = say(&format!("interrupted; the same command goes on, in {}", folder.path().display()));
+            return swept.into_result();
+        }
+        let outcomes = comparisons.iter().map(Comparison::outcomes);
+        let cells: Vec<Cell> = cells().zip(outcomes).map(|((value, clip), runs)| Cell { value, clip, runs }).collect();
+        let table = format!("{}\n\n{NOTE}", self.table(&cells));
+        let made = Made { drawing: self.drawing(options, &cells), csv: self.csv(&cells)?, table };
+        made.write(self.name, folder, options)?;
+        swept.into_result()
+    }
+
+    fn panel(&self, value: &str) -> String {
+        self.panel.replace("{}", value.strip_suffix(".0").unwrap_or(value))
+    }
+
+    /// Plans the runs of one cell, in a folder that `physgrad report` accepts.
+    fn plan(&self, value: &str, clip: ClipName, options: &Options, folder: &Folder) -> Result<Comparison> {
+        let mut document = presets::document(self.scene)?;
+        overrides::set(&mut document, &format!("{}={}", self.key, value))?;
+        document.put("training.clip", Value::try_from(clip)?, "--clip")?;
+        document.put("epochs", Value::try_from(options.epochs())?, "--epochs")?;
+        if options.quick {
+            for key in ["training.train_samples", "training.test_samples"] {
+                document.put(key, Value::Integer(64), "--quick")?;
+            }
+        }
+        let label = format!("{}, clip {}", self.panel(value), clip.name());
+        let setting = self.key.rsplit('.').next().unwrap_or(self.key);
+        let inner = folder.file(self.name).join(format!("{setting}-{value}-clip-{}", clip.name()));
+        Comparison::plan(&label, &document.scene()?, &options.fields, options.seeds, &Folder::at(inner))
+    }
+
+    fn drawing(&self, options: &Options, cells: &[Cell]) -> Drawing {
+        let rows = cells.chunks(self.values.len()).enumerate().map(|(i, row)| {
+            // Puts titles above the first row only.
+            let title = |text: String| if i == 0 { text } else { String::new() };
+            // Shares the loss axis within a column: clipping kinds are comparable, whereas columns
+            // differ by orders of magnitude.
+            let losses = row.iter().enumerate().map(|(j, cell)| Case {
+                title: title(self.panel(cell.value)),
+                y_label: format!("test loss (clip: {})", cell.clip.name()),
+                y_axis: j,
+                curves: smooth(&cell.runs, |r| r.test_loss),
+            });
+            let sizes = row.iter().filter(|cell| self.update_size_of == Some(cell.value)).map(|cell| Case {
+                title: title(format!("{}: update size", self.panel(cell.value))),
+                y_label: "length of the field".into(),
+                y_axis: self.values.len(),
+                curves: smooth(&cell.runs, |r| r.grad_norm.get()),
+            });
+            losses.chain(sizes).collect()
+        });
+        let seeds = format!("{} seed{}", options.seeds, if options.seeds == 1 { "" } else { "s" });
+        report::study(&format!("{}: mean and range of {seeds}", self.title), &rows.collect::<Vec<_>>())
+    }
+
+    /// One row per run.
+    fn csv(&self, cells: &[Cell]) -> Result<Vec<u8>> {
+        let mut csv = csv::Writer::from_writer(Vec::new());
+        let header = [self.key, "clip", "field", "seed", "epochs", "final_train_loss", "final_test_loss", "best_test_loss"];
+        csv.write_record(header.into_iter().chain(["seconds", "skipped", "broke_off"]))?;
+        for cell in cells {
+            for run in &cell.runs {
+                let names = [cell.value, cell.clip.name(), run.field.letter()].map(String::from);
+                let counts = [run.seed.to_string(), run.records.len().to_string()];
+                let losses = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(run.records), run.seconds()];
+                let skipped: usize = run.records.iter().map(|r| r.skipped).sum();
+                let ends = [skipped.to_string(), run.broken.to_string()];
+                csv.write_record(names.into_iter().chain(counts).chain(losses.map(|x| x.to_string())).chain(ends))?;
+            }
+        }
+        Ok(csv.into_inner()?)
+    }
+
+    /// Markdown table of final losses over the seeds.
+    fn table(&self, cells: &[Cell]) -> Table {
+        let mut table = Table::new();
+        let header = ["case", "clip", "field", "seeds", "median final test loss", "quartiles", "median best", "broke off"];
+        table.load_style(ASCII_MARKDOWN).set_header(header);
+        for (cell, (field, runs)) in cells.iter().flat_map(|cell| by_field(&cell.runs).map(move |runs| (cell, runs))) {
+            let last = sorted(runs.iter().map(|run| run.last(|r| r.test_loss)));
+            let lowest = sorted(runs.iter().map(|run| best(run.records)));
+            table.add_row([
+                self.panel(cell.value),
+                cell.clip.name().to_owned(),
+                field.letter().to_owned(),
+                runs.len().to_string(),
+                format!("{:.3e}", quantile(&last, 0.5)),
+                format!("{:.3e} to {:.3e}", quantile(&last, 0.25), quantile(&last, 0.75)),
+                format!("{:.3e}", quantile(&lowest, 0.5)),
+                runs.iter().filter(|run| run.broken).count().to_string(),
+            ]);
+        }
+        table
+    }
+}
+
+/// One curve per field, smoothed as in the paper.
+fn smooth(runs: &[Outcome], value: fn(&Record) -> f64) -> Vec<Curve> {
+    let mut curves = curves(runs, value);
+    for points in curves.iter_mut().flat_map(|curve| &mut curve.runs) {
+        let values: Vec<f64> = points.iter().map(|point| point.value).collect();
+        for (point, mean) in points.iter_mut().zip(trailing_mean(&values, SMOOTHING)) {
+            point.value = mean;
+        }
+    }
+    curves
+}

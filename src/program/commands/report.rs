@@ -1,0 +1,44 @@
+//! `physgrad report`: an HTML page about a run or a comparison.
+
+mod diagnostics;
+mod figure;
+mod inspected;
+mod learning;
+mod page;
+
+use crate::program::platform::folder::{Folder, REPORT};
+use crate::program::platform::terminal::say;
+use crate::program::runs::saved;
+use anyhow::Result;
+use std::path::PathBuf;
+
+/// Write an HTML page about a run or a comparison: results, curves, gradients, animation and
+/// settings.
+#[derive(Debug, clap::Args)]
+pub struct Report {
+    /// Folder of a run or of a comparison
+    pub folder: PathBuf,
+    /// Print only warnings and errors
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Runs the command.
+pub fn report(args: &Report) -> Result<()> {
+    let folder = Folder::existing(&args.folder)?;
+    let inspected = inspected::inspect(&saved::runs(&folder)?)?;
+    let html = match &inspected[..] {
+        [run] if saved::has_run(&folder) => page::run(&folder.name(), run),
+        _ => page::comparison(&folder.name(), &inspected),
+    };
+    folder.write(REPORT, html)?;
+    if !args.quiet {
+        say(&folder.file(REPORT).display().to_string())?;
+    }
+    Ok(())
+}
+
+/// Count with its noun, in the regular plural if needed.
+fn counted(count: usize, noun: &str) -> String {
+    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
+}

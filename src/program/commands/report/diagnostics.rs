@@ -1,0 +1,159 @@
+//! Charts of gradients: norms, agreement of M and R, and growth of adjoints.
+
+use crate::program::commands::report::figure::Figure;
+use crate::program::commands::report::inspected::{Close, Inspected};
+use crate::program::commands::report::learning::{field_keys, lines};
+use crate::program::operations::adjoint_norms::Lengths;
+use crate::program::runs::statistics::{Outcome, curves};
+use physgrad::report::{Chart, Series, field_color};
+use physgrad::{Flow, Record};
+
+const EPOCH: &str = "epoch";
+const STEP: &str = "step of the rollout";
+const LENGTH: &str = "length of the adjoint";
+
+/// Charts over epochs, for one run or several.
+pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
+    let by_epoch =
+        |value: fn(&Record) -> f64| lines(runs, |run: &Outcome| run.records.iter().map(|r| (r.epoch as f64, value(r))).collect());
+    let outcomes: Vec<Outcome> = runs.iter().map(Inspected::outcome).collect();
+    let lengths = curves(&outcomes, |r| r.grad_norm.get()).iter().map(|curve| curve.summary(|p| p.epoch)).collect();
+    let mut figures = vec![Figure::new(
+        "Length of the field",
+        Chart::log(EPOCH, "gradient norm", lengths),
+        "The length of the vector that the optimizer follows, before clipping, averaged over the updates of an epoch; of several \
+         seeds, the mean and the band as above. Look for leaps by powers of ten (it explodes) and for a line that sinks although \
+         the loss does not (it vanishes).",
+    )];
+    let composed = |run: &&Inspected| run.records.iter().any(|r| r.cosine.is_some());
+    if runs.iter().any(|run| composed(&run)) {
+        let keys = || field_keys(runs.iter().filter(composed));
+        figures.push(
+            Figure::new(
+                "Agreement of M and R",
+                Chart::linear(EPOCH, "cosine", [-1.0, 1.0], by_epoch(|r| r.cosine.unwrap_or(f64::NAN))),
+                "The cosine of the angle between the gradients M and R of which C is made. At 1 they point the same way; look \
+                 for where it drops to 0 or below: there the way back through the network has turned R away from M.",
+            )
+            .keys(keys()),
+        );
+        figures.push(
+            Figure::new(
+                "Share of components kept",
+                Chart::linear(EPOCH, "share kept", [0.0, 1.0], by_epoch(|r| r.kept.unwrap_or(f64::NAN))),
+                "The share of parameters in which M and R have the same sign: C follows M there and leaves the others alone. \
+                 Chance would keep a half; look for a share near or below it.",
+            )
+            .keys(keys()),
+        );
+    }
+    figures.push(growth_by_epoch(runs));
+    figures
+}
+
+/// Chart of the growth of adjoints over epochs.
+fn growth_by_epoch(runs: &[Inspected]) -> Figure {
+    let line = |run: &Inspected, flow: Flow| {
+        let growth = |r: &Record| if flow.control { r.regular_growth } else { r.modified_growth };
+        let points = run.records.iter().filter_map(|r| Some((r.epoch as f64, growth(r)?.along)));
+        let series = Series::new(format!("{flow} of {}", run.name()), field_color(&flow.to_string()), points.collect());
+        // Dashes the lines of C, to distinguish them from those of R and M.
+        if run.field.flows().len() > 1 { series.dashed() } else { series }
+    };
+    let both = runs.iter().flat_map(|run| [Flow::REGULAR, Flow::MODIFIED].map(|flow| line(run, flow)));
+    let series: Vec<Series> = both.filter(|series| !series.line.is_empty()).collect();
+    let finite = || series.iter().flat_map(|series| &series.line).map(|p| p.1).filter(|y| y.is_finite());
+    let range = [finite().fold(-1.0, f64::min), finite().fold(1.0, f64::max)];
+    let warnings = runs.iter().filter_map(|run| {
+        let warnings = run.records.last()?.warnings(run.horizon, run.epsilon);
+        Some(warnings.into_iter().map(|warning| format!("{}, last epoch: {warning}.", run.name())))
+    });
+    Figure::new(
+        "Growth by epoch",
+        Chart::linear(EPOCH, "growth along a rollout (decades)", range, series),
+        "By how many powers of ten the adjoints of the field's flows grow on their way back through a rollout, in the first update \
+         of every epoch, the mean over its samples; 0 is balance. Look for R above 7 in f32 and 16 in f64, where its signs are those of \
+         rounding errors, for R far below 0, where nothing reaches the early steps, and for M above 3, which tells of a plant that is \
+         unstable without its policy.",
+    )
+    .notes(warnings.flatten().collect())
+}
+
+/// Note on the charts that [`of_epochs`] omits.
+pub fn missing(runs: &[Inspected]) -> Option<&'static str> {
+    let several = runs.iter().all(|run| run.field.flows().len() == 1);
+    several.then_some(
+        "Cosine and share kept are recorded for the combined field (C) only, which is made of two gradients; here every update \
+         follows one.",
+    )
+}
+
+/// Chart of adjoint norms along the rollout, before and after training.
+pub fn of_run(close: &Close) -> Figure {
+    let series = |growth: &Lengths, when: &str| {
+        let letter = growth.flow.to_string();
+        Series::new(format!("{letter} {when}"), field_color(&letter), growth.points())
+    };
+    let before = close.before.iter().map(|growth| series(growth, "before training").dashed());
+    let after = close.after.iter().map(|growth| series(growth, "as trained"));
+    Figure::new("Growth of the adjoint", Chart::log(STEP, LENGTH, before.chain(after).collect()), GROWTH).notes(
+        [diverged(&close.before, "Before training"), diverged(&close.after, "As trained"), coincide(&close.before)].concat(),
+    )
+}
+
+/// Charts of adjoint norms for the first run of every field, before and after training.
+pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
+    let close: Vec<(&Inspected, &Close)> = runs.iter().filter_map(|run| Some((run, run.close.as_ref()?))).collect();
+    let Some((_, first)) = close.first() else { return Vec::new() };
+    let before = first.before.iter().map(|growth| {
+        let letter = growth.flow.to_string();
+        Series::new(letter.clone(), field_color(&letter), growth.points())
+    });
+    let trained = |title, flow: usize, caption| {
+        let series =
+            close.iter().map(|(run, close)| Series::new(run.name(), field_color(run.field.letter()), close.after[flow].points()));
+        let notes =
+            close.iter().flat_map(|(run, close)| diverged(&close.after[flow..=flow], &format!("{}, as trained", run.name())));
+        Figure::new(title, Chart::log(STEP, LENGTH, series.collect()), caption).notes(notes.collect())
+    };
+    vec![
+        Figure::new("Growth of the adjoint before training", Chart::log(STEP, LENGTH, before.collect()), GROWTH)
+            .notes([diverged(&first.before, "Before training"), coincide(&first.before)].concat()),
+        trained(
+            "Growth of R as trained",
+            0,
+            "The adjoint of R (through physics and network) under the policy that each field ended with, first seed. Look for \
+             policies through which it explodes or vanishes towards the start of the rollout.",
+        ),
+        trained(
+            "Growth of M as trained",
+            1,
+            "The adjoint of M (through the physics only) under the same policies. Look for lines that stay level where those \
+             of R do not.",
+        ),
+    ]
+}
+
+const GROWTH: &str = "How strongly what comes after each step depends on the state there, going back through physics and network (R) or \
+                      through the physics alone (M); the root mean square over test rollouts. Read it from right to left: a \
+                      line that climbs by powers of ten explodes, one that sinks vanishes. Look for how far R and M part.";
+
+/// Notes on divergences that truncate or remove a line.
+fn diverged(growths: &[Lengths], when: &str) -> Vec<String> {
+    if let [Lengths { norms, diverged: Some(why), .. }, ..] = growths
+        && norms.is_empty()
+    {
+        return vec![format!("{when}, a rollout diverged, and there is nothing to go back through: {why}.")];
+    }
+    let of = |growth: &Lengths| growth.diverged.map(|why| format!("{when}, the adjoint of {} diverged: {why}.", growth.flow));
+    growths.iter().filter_map(of).collect()
+}
+
+/// Note if the lines of R and M coincide.
+fn coincide(growths: &[Lengths; 2]) -> Vec<String> {
+    let [r, m] = growths.each_ref().map(|growth| &growth.norms);
+    if r.is_empty() || r.iter().zip(m).any(|(r, m)| r.to_bits() != m.to_bits()) {
+        return Vec::new();
+    }
+    vec!["Before training the two are the same: the last kernel is zero, and nothing comes back through the network yet.".into()]
+}

@@ -1,0 +1,134 @@
+//! Data of a run for the page, read from its folder.
+
+use crate::program::commands::report::counted;
+use crate::program::operations::adjoint_norms::Lengths;
+use crate::program::operations::session::AnyRun;
+use crate::program::platform::folder::Folder;
+use crate::program::platform::parallel;
+use crate::program::runs::statistics::Outcome;
+use crate::program::runs::{outputs, saved};
+use crate::program::tasks::Scene;
+use anyhow::{Result, bail};
+use physgrad::{Field, Record, differences};
+use toml::Table;
+
+/// Data of one run, independent of task and precision.
+pub struct Inspected {
+    pub task: &'static str,
+    pub field: Field,
+    pub seed: u64,
+    /// Total number of epochs in the settings.
+    pub epochs: usize,
+    /// Time steps of a rollout, and the machine epsilon of the precision.
+    pub horizon: usize,
+    pub epsilon: f64,
+    pub settings: Table,
+    pub records: Vec<Record>,
+    pub end: End,
+    /// Present only for the first run of each field.
+    pub close: Option<Close>,
+}
+
+/// State in which the run ended.
+pub enum End {
+    Done,
+    Interrupted,
+    /// Error that stops the next epoch.
+    Broke(String),
+}
+
+/// Data that need rollouts.
+pub struct Close {
+    /// Adjoint norms of R and M before the first epoch.
+    pub before: [Lengths; 2],
+    /// Adjoint norms of R and M in the saved state.
+    pub after: [Lengths; 2],
+    /// Animation as SVG.
+    pub film: String,
+}
+
+impl Inspected {
+    pub fn outcome(&self) -> Outcome<'_> {
+        Outcome { field: self.field, seed: self.seed, records: &self.records, broken: matches!(self.end, End::Broke(_)) }
+    }
+
+    pub fn name(&self) -> String {
+        format!("{} seed {}", self.field.letter(), self.seed)
+    }
+
+    /// Describes an unfinished run. None if the run is complete.
+    pub fn trouble(&self) -> Option<String> {
+        let done = counted(self.records.len(), "epoch");
+        let asked = self.epochs;
+        match &self.end {
+            End::Done => None,
+            End::Interrupted => Some(format!("was interrupted after {done} of {asked} and can be resumed")),
+            End::Broke(why) => Some(format!("broke off after {done} of {asked}: {why}")),
+        }
+    }
+}
+
+/// Reads the runs in these folders, sorted by field and seed. Adds rollout data for the first run
+/// of each field.
+pub fn inspect(folders: &[Folder]) -> Result<Vec<Inspected>> {
+    let mut runs = folders.iter().map(|folder| Ok((folder, saved::scene(folder)?))).collect::<Result<Vec<_>>>()?;
+    for run in &runs {
+        check_comparable(&runs[0], run)?;
+    }
+    // Default order of fields in `compare`.
+    runs.sort_by_key(|(_, scene)| ("RMSCN".find(scene.field.0.letter()), scene.seed));
+    let first = |i: usize| i == 0 || runs[i - 1].1.field != runs[i].1.field;
+    let all: Vec<(usize, &(&Folder, Scene))> = runs.iter().enumerate().collect();
+    parallel::map(&all, |&(i, (folder, scene))| open(folder, scene, first(i))).into_iter().collect()
+}
+
+/// Checks that two runs belong to the same comparison.
+///
+/// # Errors
+/// Task or settings differ, apart from field, seed and epochs.
+fn check_comparable(first: &(&Folder, Scene), other: &(&Folder, Scene)) -> Result<()> {
+    let [(here, task), (there, other_task)] = [first, other].map(|(folder, scene)| (folder.path().display(), scene.kind.name()));
+    if task != other_task {
+        bail!("{here} ({task}) and {there} ({other_task}) are not runs of one comparison; report each by itself");
+    }
+    let [first, other] = [first, other].map(|(_, scene)| scene.comparable());
+    if first != other {
+        bail!(
+            "{here} and {there} are not runs of one comparison: apart from field, seed and epochs, these settings differ:\n{}",
+            differences(&first, &other)
+        );
+    }
+    Ok(())
+}
+
+fn open(folder: &Folder, scene: &Scene, closely: bool) -> Result<Inspected> {
+    let mut run = scene.open(1)?;
+    let before = closely.then(|| run.lengths());
+    saved::restore(folder, scene, &mut *run)?;
+    let film = || outputs::film(scene, &run.rollouts(0..1)[0]);
+    let close = before.map(|before| Close { before, after: run.lengths(), film: film() });
+    Ok(Inspected {
+        task: scene.kind.name(),
+        field: scene.field.0,
+        seed: scene.seed,
+        epochs: scene.epochs,
+        horizon: scene.horizon,
+        epsilon: scene.precision.epsilon(),
+        settings: scene.table.clone(),
+        records: run.records().to_vec(),
+        close,
+        end: end(&mut *run, scene.epochs),
+    })
+}
+
+/// Determines how the run ended. A checkpoint does not record an error, but training is
+/// deterministic: the next epoch fails again.
+fn end(run: &mut dyn AnyRun, epochs: usize) -> End {
+    if run.records().len() >= epochs {
+        return End::Done;
+    }
+    match run.advance(&|| false) {
+        Ok(_) => End::Interrupted,
+        Err(why) => End::Broke(why.to_string()),
+    }
+}

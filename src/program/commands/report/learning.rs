@@ -1,0 +1,101 @@
+//! Charts of losses.
+
+use crate::program::commands::report::counted;
+use crate::program::commands::report::figure::{Figure, Key};
+use crate::program::commands::report::inspected::Inspected;
+use crate::program::runs::statistics::{Outcome, by_field, curves, field_label};
+use physgrad::Record;
+use physgrad::report::{Chart, Point, Series, field_color};
+
+const EPOCH: &str = "epoch";
+const SECONDS: &str = "wall time (s)";
+
+/// Charts of training and test loss of one run.
+pub fn of_run(run: &Inspected) -> Vec<Figure> {
+    let outcome = run.outcome();
+    let series = |x: fn(&Point) -> f64| {
+        let line = |loss| outcome.points(loss).iter().map(|p| (x(p), p.value)).collect();
+        vec![Series::new("training", "#0072B2", line(|r| r.train_loss)), Series::new("test", "#D55E00", line(|r| r.test_loss))]
+    };
+    vec![
+        Figure::new(
+            "Loss by epoch",
+            Chart::log(EPOCH, "loss", series(|p| p.epoch)),
+            "The loss of the whole training and test set after every epoch. Look for a test loss that stays behind while the \
+             training loss falls (overfitting), and for jumps (steps that are too large).",
+        )
+        .notes(left_out(&[outcome], &[|r| r.train_loss, |r| r.test_loss])),
+        Figure::new(
+            "Loss by time",
+            Chart::log(SECONDS, "loss", series(|p| p.seconds)),
+            "The same losses against the time the training took. Look for how soon the loss is as low as you need it.",
+        ),
+    ]
+}
+
+/// Charts of test losses by field: means with bands, and every run.
+pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
+    let outcomes: Vec<Outcome> = runs.iter().map(Inspected::outcome).collect();
+    let curves = curves(&outcomes, |r| r.test_loss);
+    let means = |x: fn(&Point) -> f64| curves.iter().map(|curve| curve.summary(x)).collect();
+    let single = by_field(&outcomes).all(|(_, runs)| runs.len() == 1);
+    let mut figures = vec![
+        Figure::new(
+            "Test loss by epoch",
+            Chart::log(EPOCH, "test loss", means(|p| p.epoch)),
+            if single {
+                "The loss of the test set after every epoch. Look for the field that ends lowest, and for lines that stay level \
+                 (a gradient that leads nowhere)."
+            } else {
+                "The loss of the test set after every epoch: lines are geometric means over the seeds, bands run from the best \
+                 to the worst seed. Look for the lowest line, and for bands that do not overlap."
+            },
+        )
+        .notes(left_out(&outcomes, &[|r| r.test_loss])),
+        Figure::new(
+            "Test loss by time",
+            Chart::log(SECONDS, "test loss", means(|p| p.seconds)),
+            "The same against the time the training took: a field that needs two gradients pays for them here. Look for whether \
+             the order of the fields is still the same.",
+        ),
+    ];
+    if !single {
+        let line = |run: &Outcome| run.points(|r| r.test_loss).iter().map(|p| (p.epoch, p.value)).collect();
+        figures.push(
+            Figure::new(
+                "Every run",
+                Chart::log(EPOCH, "test loss", lines(runs, line)),
+                "The test loss of every seed by itself. Look for single seeds that fail where others of the same colour succeed.",
+            )
+            .keys(field_keys(runs)),
+        );
+    }
+    figures
+}
+
+/// One line per run, in the colour of its field.
+pub fn lines(runs: &[Inspected], line: impl Fn(&Outcome) -> Vec<(f64, f64)>) -> Vec<Series> {
+    runs.iter().map(|run| Series::new(run.name(), field_color(run.field.letter()), line(&run.outcome()))).collect()
+}
+
+/// Legend entries of the fields, without duplicates.
+pub fn field_keys<'a>(runs: impl IntoIterator<Item = &'a Inspected>) -> Vec<Key> {
+    let key = |run: &Inspected| Key { label: field_label(run.field), color: field_color(run.field.letter()), dashed: false };
+    let mut keys: Vec<Key> = runs.into_iter().map(key).collect();
+    keys.dedup();
+    keys
+}
+
+/// Notes on values that a logarithmic axis cannot show.
+fn left_out(runs: &[Outcome], losses: &[fn(&Record) -> f64]) -> Vec<String> {
+    let epochs = |hidden: fn(f64) -> bool| {
+        let records = runs.iter().flat_map(|run| run.records);
+        records.filter(|record| losses.iter().any(|loss| hidden(loss(record)))).count()
+    };
+    let reasons = [
+        (epochs(|loss| !loss.is_finite()), "because a rollout diverged"),
+        (epochs(|loss| loss <= 0.0), "because a logarithmic axis has no zero"),
+    ];
+    let note = |(count, why)| format!("Left out, {why}: a loss of {}.", counted(count, "epoch"));
+    reasons.into_iter().filter(|&(count, _)| count > 0).map(note).collect()
+}

@@ -1,0 +1,214 @@
+//! HTML page: a single document that embeds style, script, charts and animations.
+
+use crate::program::commands::report::figure::Figure;
+use crate::program::commands::report::inspected::Inspected;
+use crate::program::commands::report::{counted, diagnostics, learning};
+use crate::program::operations::adjoint_norms::SAMPLES;
+use crate::program::runs::statistics::{self, Outcome, best, field_label};
+use crate::program::tasks::scene::flat;
+use base64::prelude::{BASE64_STANDARD, Engine};
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+use toml::Value;
+
+/// Page about one run.
+pub fn run(folder: &str, run: &Inspected) -> String {
+    let title = format!("{}: field {}, seed {}", run.task, field_label(run.field), run.seed);
+    let trouble = run.trouble().map(|what| format!("This run {what}."));
+    let alone = std::slice::from_ref(run);
+    let content = html! {
+        (section("Result", result(run)))
+        (section("Learning", figures(learning::of_run(run))))
+        (films(&[run]))
+        (section("Gradients", html! {
+            (figures(diagnostics::of_epochs(alone).into_iter().chain(run.close.as_ref().map(diagnostics::of_run))))
+            (remarks(alone))
+        }))
+        (section("Settings", settings(&[run])))
+    };
+    document(&title, folder, run, trouble.as_slice(), &content)
+}
+
+/// Page about the runs of a comparison.
+pub fn comparison(folder: &str, runs: &[Inspected]) -> String {
+    let outcomes: Vec<Outcome> = runs.iter().map(Inspected::outcome).collect();
+    let letters: Vec<&str> = statistics::by_field(&outcomes).map(|(field, _)| field.letter()).collect();
+    let seeds = statistics::by_field(&outcomes).map(|(_, runs)| runs.len()).max().unwrap_or(0);
+    let title = format!("{}: fields {}, {}", runs[0].task, letters.join(", "), counted(seeds, "seed"));
+    let trouble: Vec<String> = runs.iter().filter_map(|run| Some(format!("{} {}.", run.name(), run.trouble()?))).collect();
+    let firsts: Vec<&Inspected> = runs.iter().filter(|run| run.close.is_some()).collect();
+    let content = html! {
+        (section("Result", html! {
+            (table(&statistics::TABLE_HEADER, &statistics::table(&outcomes)))
+            p.note {
+                "Medians, lowest and highest over the seeds."
+                @if outcomes.iter().any(|run| run.broken) {
+                    " A run that broke off has no final loss (NaN), which counts as the worst."
+                }
+            }
+        }))
+        (section("Learning", figures(learning::of_comparison(runs))))
+        (films(&firsts))
+        (section("Gradients", html! {
+            (figures(diagnostics::of_epochs(runs).into_iter().chain(diagnostics::of_comparison(runs))))
+            (remarks(runs))
+        }))
+        (section("Settings", settings(&runs.iter().collect::<Vec<_>>())))
+    };
+    document(&title, folder, &runs[0], &trouble, &content)
+}
+
+fn document(title: &str, folder: &str, run: &Inspected, trouble: &[String], content: &Markup) -> String {
+    let version = run.settings.get("physgrad").and_then(Value::as_str).unwrap_or_default();
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                // Forbids network requests, whatever a settings file or an animation contains.
+                meta http-equiv="Content-Security-Policy"
+                    content="default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:";
+                title { (title) " (" (folder) ")" }
+                style { (PreEscaped(include_str!("style.css"))) }
+            }
+            body {
+                header {
+                    h1 { (title) }
+                    p { "Folder " b { (folder) } ", made by physgrad " (version) "." }
+                    p.note {
+                        "Fields: R is the true gradient, back through physics and network; M goes back through the physics only, \
+                         N through the network only, S through neither; C, the combined field, is M where M and R have the same \
+                         sign, and zero elsewhere."
+                    }
+                    (troubles(trouble))
+                    p.hint hidden { "Point at a diagram to read its values, or move to it with Tab and use the arrow keys." }
+                }
+                main { (content) }
+                script { (PreEscaped(include_str!("hover.js"))) }
+            }
+        }
+    }
+    .into_string()
+}
+
+/// Messages of failed or interrupted runs. Folds a long list.
+fn troubles(troubles: &[String]) -> Markup {
+    html! {
+        @match troubles {
+            [] => {}
+            [one] => p.trouble { (one) },
+            many => details.trouble open[many.len() < 4] {
+                summary { (many.len()) " runs were not finished" }
+                ul { @for what in many { li { (what) } } }
+            },
+        }
+    }
+}
+
+fn section(title: &str, content: Markup) -> Markup {
+    html! { section { h2 { (title) } (content) } }
+}
+
+fn figures(figures: impl IntoIterator<Item = Figure>) -> Markup {
+    html! { div.figures { @for figure in figures { (figure.html()) } } }
+}
+
+fn table<const N: usize>(header: &[&str; N], rows: &[[String; N]]) -> Markup {
+    html! {
+        div.wide { table {
+            thead { tr { @for name in header { th scope="col" { (name) } } } }
+            tbody { @for row in rows { tr {
+                // Repeats the column's name in each cell, for narrow screens.
+                @for (name, cell) in header.iter().zip(row) { td data-name=(name) { (cell) } }
+            } } }
+        } }
+    }
+}
+
+/// Table with the results of one run.
+fn result(run: &Inspected) -> Markup {
+    let header = ["epochs", "seconds", "final training loss", "final test loss", "best test loss", "skipped updates"];
+    let records = &run.records;
+    let Some(last) = records.last() else {
+        return html! { p { "No epoch was finished, so there are no losses yet." } };
+    };
+    let skipped: usize = records.iter().map(|r| r.skipped).sum();
+    let row = [
+        if records.len() < run.epochs { format!("{} of {}", records.len(), run.epochs) } else { records.len().to_string() },
+        format!("{:.1}", run.outcome().seconds()),
+        format!("{:.3e}", last.train_loss),
+        format!("{:.3e}", last.test_loss),
+        format!("{:.3e}", best(records)),
+        skipped.to_string(),
+    ];
+    html! {
+        (table(&header, &[row]))
+        @if skipped > 0 { p.note { "An update is skipped if a number in it is not finite." } }
+    }
+}
+
+/// Animations of these runs.
+fn films(runs: &[&Inspected]) -> Markup {
+    section(
+        "Film",
+        html! {
+            div.figures { @for run in runs { @if let Some(close) = &run.close {
+                figure {
+                    @if runs.len() > 1 { h3 { (run.name()) } }
+                    @let alt = format!("Animation of {} under the policy of {}", run.task, run.name());
+                    img.film src=(data_uri(&close.film)) alt=(alt);
+                }
+            } } }
+            p.note { "One rollout from a start state of the test set, under the policy as the run left it." }
+        },
+    )
+}
+
+/// Data URI of an SVG. As an image, its identifiers cannot collide and its scripts do not run.
+fn data_uri(svg: &str) -> String {
+    format!("data:image/svg+xml;base64,{}", BASE64_STANDARD.encode(svg))
+}
+
+/// Notes on all gradient charts.
+fn remarks(runs: &[Inspected]) -> Markup {
+    html! {
+        @if let Some(missing) = diagnostics::missing(runs) { p.note { (missing) } }
+        p.note {
+            "Adjoints are those of the first " (SAMPLES) " test starts, or of as many as there are. Diagrams leave out what \
+             their axes cannot show, and thin lines of many points."
+        }
+    }
+}
+
+/// Tables of all settings. Where runs differ, lists every value.
+fn settings(runs: &[&Inspected]) -> Markup {
+    let mut values: Vec<(String, Vec<String>)> = Vec::new();
+    for (key, value) in runs.iter().flat_map(|run| flat(&run.settings)) {
+        match values.iter_mut().find(|(other, _)| *other == key) {
+            Some((_, values)) if values.contains(&plain(&value)) => {}
+            Some((_, values)) => values.push(plain(&value)),
+            None => values.push((key, vec![plain(&value)])),
+        }
+    }
+    let section = |key: &str| key.rsplit_once('.').map_or("run", |(section, _)| section).to_owned();
+    html! {
+        div.settings { @for settings in values.chunk_by(|a, b| section(&a.0) == section(&b.0)) {
+            table {
+                caption { (section(&settings[0].0)) }
+                tbody { @for (key, values) in settings {
+                    tr { th scope="row" { (key.rsplit('.').next().unwrap_or(key)) } td { (values.join(", ")) } }
+                } }
+            }
+        } }
+        @if runs.len() > 1 { p.note { "Several values: the runs have one of them each." } }
+    }
+}
+
+/// Formats a value without TOML quotes.
+fn plain(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        Value::Float(x) if *x != 0.0 && !(1e-4..1e6).contains(&x.abs()) => format!("{x:e}"),
+        value => value.to_string(),
+    }
+}

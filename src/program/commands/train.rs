@@ -1,0 +1,145 @@
+//! `physgrad train`: one training run with progress output.
+
+use crate::program::platform::folder::Folder;
+use crate::program::platform::terminal::{say, tell};
+use crate::program::runs::progress::Progress;
+use crate::program::runs::run::{self, NoUpdate, SAVE_EVERY, threads};
+use crate::program::runs::saved::{changed, resumed};
+use crate::program::runs::statistics::best;
+use crate::program::scenes::overrides::Overrides;
+use crate::program::scenes::presets;
+use crate::program::tasks::Scene;
+use anyhow::{Context, Result, bail};
+use physgrad::{Record, differences};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Train a policy on a task.
+#[derive(Debug, clap::Args)]
+pub struct Train {
+    /// A task or another preset (see `physgrad scene`), or the path of a scene
+    pub scene: String,
+    #[command(flatten)]
+    pub changes: Overrides,
+    /// Number of threads [default: RAYON_NUM_THREADS, or all cores]; results do not depend on it
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Folder for the results [default: a new one in `runs`]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Resume the run in --out, up to --epochs in total
+    #[arg(long, requires = "out")]
+    pub resume: bool,
+    /// Largest time between two checkpoints, in seconds, from 0 to 86400: bounds the work lost if
+    /// the process is killed; checkpoints follow updates and evaluations
+    #[arg(long, value_name = "SECONDS", default_value_t = SAVE_EVERY.as_secs_f64(), value_parser = seconds)]
+    pub save_every: f64,
+    /// Print only warnings and errors
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Runs the command.
+pub fn train(args: &Train) -> Result<()> {
+    let workers = threads(args.threads)?;
+    // Reports invalid settings before writing anything.
+    let (scene, run, folder) = match (&args.out, args.resume) {
+        (Some(out), true) => {
+            let folder = Folder::existing(out)?.lock()?;
+            let scene = resumed(&folder, &args.changes)?;
+            let [here, there] = [presets::document(&args.scene)?.scene()?, scene.clone()].map(|scene| scene.kind.name());
+            if here != there {
+                bail!("the run in {} is of the task {there}, and {} is of {here}", folder.path().display(), args.scene);
+            }
+            if presets::is_path(&args.scene) {
+                note_differences(&folder, &scene, &args.scene, &args.changes)?;
+            }
+            let run = scene.open(workers)?;
+            (scene, run, folder)
+        }
+        (out, _) => {
+            let scene = changed(&args.scene, &args.changes)?;
+            let run = scene.open(workers)?;
+            let folder = Folder::named(out.as_deref(), &presets::short_name(&args.scene))?;
+            (scene, run, folder.without_run()?)
+        }
+    };
+    let mut progress = Progress::new(scene.epochs, args.quiet);
+    if !args.quiet {
+        tell(&format!(
+            "{} ({}): field {}, seed {}, {}, {workers} thread{}",
+            scene.kind.name(),
+            scene.kind.about(),
+            scene.field.0,
+            scene.seed,
+            scene.precision.name(),
+            if workers == 1 { "" } else { "s" }
+        ));
+    }
+    let save_every = Duration::from_secs_f64(args.save_every);
+    let finished = run::run(&folder, &scene, run, args.resume, save_every, &mut progress)?;
+    progress.bar.finish_and_clear();
+    let text = if args.quiet { String::new() } else { summary(&folder, &scene, &finished.records) };
+    let printed = if text.is_empty() { Ok(()) } else { say(&text) };
+    if finished.interrupted {
+        let done = finished.records.len();
+        let command = format!("physgrad train {} --resume --out {}", args.scene, folder.path().display());
+        // The terminal may be gone, and the exit status is that of the signal.
+        let _ = say(&format!("interrupted after epoch {done}; to go on: {command}"));
+        return Ok(());
+    }
+    let results = folder.path().display();
+    if finished.no_update {
+        let reason = finished.broken.map_or_else(String::new, |error| format!(" ({error})"));
+        bail!(NoUpdate(format!("{results}{reason}")));
+    }
+    if let Some(error) = finished.broken {
+        return Err(error).with_context(|| format!("the run up to its last whole epoch is in {results}"));
+    }
+    printed
+}
+
+/// Parses a number of seconds from 0 to 86400 (one day).
+fn seconds(text: &str) -> Result<f64, String> {
+    let allowed = |seconds: &f64| (0.0..=86400.0).contains(seconds);
+    text.parse().ok().filter(allowed).ok_or_else(|| "allowed: 0 (after every update) to 86400 s".to_owned())
+}
+
+/// Prints the settings in which the scene file differs from the resumed run.
+fn note_differences(folder: &Folder, scene: &Scene, file: &str, changes: &Overrides) -> Result<()> {
+    let mut document = presets::document(file)?;
+    changes.apply_again(&mut document)?;
+    let (saved, named) = (scene.identity(), document.scene()?.identity());
+    if saved != named {
+        tell(&format!(
+            "note: the run in {} goes on with its own scene; {file} differs in:\n{}",
+            folder.path().display(),
+            differences(&saved, &named)
+        ));
+    }
+    Ok(())
+}
+
+fn summary(folder: &Folder, scene: &Scene, records: &[Record]) -> String {
+    let mut text = String::new();
+    if let Some(last) = records.last() {
+        let seconds: f64 = records.iter().map(|r| r.seconds).sum();
+        let (train, test, best) = (last.train_loss, last.test_loss, best(records));
+        let epochs = records.len();
+        text +=
+            &format!("{epochs} epochs in {seconds:.1} s: training loss {train:.3e}, test loss {test:.3e} (best {best:.3e})\n");
+        let skipped: usize = records.iter().map(|r| r.skipped).sum();
+        if skipped > 0 {
+            text += &format!("{skipped} updates were skipped because a number was not finite\n");
+        }
+        for warning in last.warnings(scene.horizon, scene.precision.epsilon()) {
+            text += &format!("not to be trusted: {warning}\n");
+        }
+    }
+    text += &format!("results in {}:\n", folder.path().display());
+    text += "  learning_curve.svg, animation.svg   to look at\n";
+    text += "  metrics.csv, trajectory.csv         numbers\n";
+    text += "  policy.safetensors                  the trained policy\n";
+    text += "  run.toml, checkpoint.bin            to repeat or resume";
+    text
+}

@@ -1,0 +1,80 @@
+//! Gradient checks of a task and its policy, collected in a table.
+
+use super::Visit;
+use comfy_table::Table;
+use comfy_table::presets::UTF8_FULL_CONDENSED;
+use indicatif::ProgressBar;
+use physgrad::check::{self, Failure, Passed};
+use physgrad::{Flow, Policy, System, Task};
+use std::time::Duration;
+
+/// Visitor that adds the checks of one task and policy to the results.
+pub struct Checking<'a> {
+    pub variant: &'a str,
+    pub results: &'a mut Results,
+}
+
+impl Visit for Checking<'_> {
+    type Out = ();
+
+    fn visit<T: Task, P: Policy>(self, task: T, network: P) {
+        let Self { variant, results } = self;
+        let system = task.system();
+        let (n, m) = (system.state_dim(), system.control_dim());
+        results.add(&format!("{variant}: system"), || check::try_system(system).map_err(Failure::from));
+        // Skips the policy check if the dimensions did not change since the last variant.
+        if results.dims.replace((n, m)) != Some((n, m)) {
+            results.add(&format!("{variant}: network"), || check::try_policy(&network).map_err(Failure::from));
+        }
+        for flow in Flow::ALL {
+            results.add(&format!("{variant}: rollout, {flow}"), || check::try_flow(&task, &network, flow));
+        }
+    }
+}
+
+/// Results of the checks so far.
+pub struct Results {
+    /// Name of the task under check.
+    task: &'static str,
+    /// Dimensions of state and control in the last policy check of this task.
+    dims: Option<(usize, usize)>,
+    table: Table,
+    failures: Vec<String>,
+    spinner: ProgressBar,
+}
+
+impl Results {
+    pub fn new() -> Self {
+        let mut table = Table::new();
+        table.load_style(UTF8_FULL_CONDENSED).set_header(["task", "checked", "compared", "worst error", "allowed", ""]);
+        let spinner = ProgressBar::new_spinner();
+        spinner.enable_steady_tick(Duration::from_millis(100));
+        Self { task: "", dims: None, table, failures: Vec::new(), spinner }
+    }
+
+    /// Names the task of the following checks.
+    pub fn begin(&mut self, task: &'static str) {
+        if self.task != task {
+            (self.task, self.dims) = (task, None);
+        }
+    }
+
+    /// Returns the table and one message per failure.
+    pub fn finish(self) -> (Table, Vec<String>) {
+        self.spinner.finish_and_clear();
+        (self.table, self.failures)
+    }
+
+    fn add(&mut self, what: &str, check: impl FnOnce() -> Result<Passed, Failure>) {
+        let task = self.task;
+        self.spinner.set_message(format!("{task}, {what}"));
+        let (compared, worst, allowed, verdict) = match check() {
+            Ok(p) => (p.compared.to_string(), format!("{:.1e}", p.worst), format!("{:.0e}", p.allowed), "ok"),
+            Err(failure) => {
+                self.failures.push(format!("{task}, {what}: {failure}"));
+                (String::new(), String::new(), String::new(), "FAILED")
+            }
+        };
+        self.table.add_row([task, what, &compared, &worst, &allowed, verdict]);
+    }
+}

@@ -1,0 +1,81 @@
+//! Visitors of `explain`: operation counts, stored bytes and allocations.
+
+use crate::program::operations::Visit;
+use crate::program::platform::allocations;
+use crate::program::settings::Precision;
+use physgrad::rng::{Purpose, stream};
+use physgrad::{Adjoint, Divergence, Field, Float, OpCount, Policy, Rollout, System, Task, Weights};
+
+/// Number of samples in the measured rollout: one full block of lanes.
+pub const SAMPLES: usize = 8;
+
+/// Counts the operations of the physics.
+pub struct Costing;
+
+impl Visit for Costing {
+    type Out = OpCount;
+
+    fn visit<T: Task, P: Policy>(self, task: T, _policy: P) -> OpCount {
+        OpCount::of(task.system())
+    }
+}
+
+/// Measures a rollout of [`SAMPLES`] samples and its adjoint.
+pub struct Storing {
+    pub precision: Precision,
+    /// Field of the adjoint. None for a rollout in evaluation mode.
+    pub field: Option<Field>,
+}
+
+/// Memory of a rollout and its adjoint.
+pub struct Stored {
+    /// Bytes in their buffers.
+    pub bytes: usize,
+    /// Allocations of a run after the first, unless it diverges.
+    pub allocations: Option<usize>,
+}
+
+impl Visit for Storing {
+    type Out = Stored;
+
+    fn visit<T: Task, P: Policy>(self, task: T, policy: P) -> Stored {
+        match self.precision {
+            Precision::F32 => self.measure::<f32>(&task, &policy),
+            Precision::F64 => self.measure::<f64>(&task, &policy),
+        }
+    }
+}
+
+impl Storing {
+    fn measure<F: Float>(&self, task: &impl Task, policy: &impl Policy) -> Stored {
+        let n = task.system().state_dim();
+        let mut starts = vec![0.0; SAMPLES * n];
+        for (sample, x) in starts.chunks_exact_mut(n).enumerate() {
+            task.start(&mut stream(0, Purpose::Test, sample as u64), x);
+        }
+        let starts: Vec<F> = starts.into_iter().map(F::lift).collect();
+        let weights = Weights::init(policy, &mut stream(0, Purpose::Policy, 0));
+        let Some(field) = self.field else {
+            let mut rollout = Rollout::<F>::for_evaluation(task, policy, SAMPLES);
+            let allocations = allocations_of_second(|| {
+                rollout.start(&starts);
+                rollout.run(task, policy, &weights)
+            });
+            return Stored { bytes: rollout.stored_bytes(), allocations };
+        };
+        let mut rollout = Rollout::<F>::new(task, policy, SAMPLES);
+        let mut adjoint = Adjoint::new(policy, &rollout, &field.flows());
+        let allocations = allocations_of_second(|| {
+            rollout.start(&starts);
+            rollout.run(task, policy, &weights)?;
+            adjoint.run(task, policy, &weights, &rollout, F::one())
+        });
+        Stored { bytes: rollout.stored_bytes() + adjoint.stored_bytes(), allocations }
+    }
+}
+
+/// Allocations of the second run. The first run sets up the workspaces that later ones use.
+fn allocations_of_second<T>(mut run: impl FnMut() -> Result<T, Divergence>) -> Option<usize> {
+    run().ok()?;
+    Some(allocations::during(|| drop(run())))
+}

@@ -1,0 +1,240 @@
+//! Methods of computing a gradient, and their costs.
+
+use crate::program::operations::Visit;
+use crate::program::platform::allocations::peak_during;
+use crate::program::platform::parallel;
+use crate::program::settings::Precision;
+use physgrad::any::AnyTask;
+use physgrad::policy::AnyPolicy;
+use physgrad::rng::{Purpose, stream};
+use physgrad::{Batch, Field, Float, Flow, Gradient, Policy, Rollout, Task, Weights, check};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Number of samples in the mean loss.
+const SAMPLES: usize = 4;
+/// Number of parameters at which gradients are compared with the reference.
+const CHOSEN: usize = 8;
+/// Relative perturbation of one rounding in f64.
+const ROUNDING: f64 = f64::EPSILON;
+
+/// Method of computing a gradient.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum GradientMethod {
+    /// Loss without a gradient.
+    Forward,
+    /// Reverse pass.
+    Reverse {
+        /// Field to compute.
+        field: Field,
+        /// Memory budget in bytes.
+        budget: Option<u64>,
+        /// Perturbs the initial states by one rounding.
+        nudged: bool,
+    },
+    /// Central differences with this step: two losses per parameter.
+    Central(f64),
+    /// Forward mode with dual numbers, one parameter at a time.
+    Duals,
+}
+
+type Run = Box<dyn FnMut() + Send>;
+
+/// Result of a method.
+pub struct Derived {
+    /// All components, or those at the [`chosen`] parameters; or the message of a divergence.
+    pub gradient: Result<Vec<f64>, String>,
+    /// Peak memory in bytes.
+    pub bytes: usize,
+    /// Number of calls of `run` for a whole gradient.
+    rounds: f64,
+    run: Run,
+}
+
+impl Derived {
+    /// Seconds for a whole gradient. Measures for at least `least` seconds and at least one call.
+    pub fn time(&mut self, least: f64) -> f64 {
+        let (start, mut runs) = (Instant::now(), 0.0);
+        while runs == 0.0 || start.elapsed().as_secs_f64() < least {
+            (self.run)();
+            runs += 1.0;
+        }
+        start.elapsed().as_secs_f64() / runs * self.rounds
+    }
+}
+
+/// Indices of the parameters that are compared with the reference, evenly spaced.
+pub fn chosen(count: usize) -> Vec<usize> {
+    let chosen = CHOSEN.min(count);
+    (0..chosen).map(|i| i * (count - 1) / (chosen - 1).max(1)).collect()
+}
+
+/// Parameters and initial states, rounded to f32, so that they are equal in every precision.
+fn inputs(task: &dyn AnyTask<f32>, policy: &dyn AnyPolicy<f32>, seed: u64) -> (Vec<f64>, Vec<f64>) {
+    let weights = Weights::init(policy, &mut stream(seed, Purpose::Policy, 0));
+    let n = task.state_dim();
+    let mut starts = vec![0.0; SAMPLES * n];
+    for (sample, x) in starts.chunks_exact_mut(n).enumerate() {
+        task.start(&mut stream(seed, Purpose::Test, sample as u64), x);
+    }
+    let rounded = starts.into_iter().map(|x| f64::from(x as f32)).collect();
+    (weights.theta().iter().map(|&t| f64::from(t)).collect(), rounded)
+}
+
+/// Visitor that computes a gradient with one method.
+pub struct Deriving {
+    pub precision: Precision,
+    pub seed: u64,
+    pub way: GradientMethod,
+}
+
+impl Visit for Deriving {
+    type Out = Derived;
+
+    fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Derived {
+        let Self { precision, seed, way } = self;
+        let inputs = inputs(&task, &policy, seed);
+        let (task, policy) = (Arc::new(task), Arc::new(policy));
+        let slope: Slope = {
+            let (task, policy) = (task.clone(), policy.clone());
+            let unit = |i: usize, p: usize| f64::from(u8::from(p == i));
+            Box::new(move |theta, starts, i| {
+                check::slope_by_duals(&*task, &*policy, theta, starts, Flow::REGULAR, &|p| unit(i, p))
+            })
+        };
+        match precision {
+            Precision::F32 => derive::<f32>(task, policy, inputs, way, slope),
+            Precision::F64 => derive::<f64>(task, policy, inputs, way, slope),
+        }
+    }
+}
+
+/// Derivative of the loss with respect to one parameter; takes parameters, initial states and the
+/// parameter's index.
+type Slope = Box<dyn Fn(&[f64], &[f64], usize) -> f64 + Send>;
+
+fn derive<F: Float>(
+    task: Arc<dyn AnyTask<F>>,
+    policy: Arc<dyn AnyPolicy<F>>,
+    (theta, mut starts): (Vec<f64>, Vec<f64>),
+    way: GradientMethod,
+    slope: Slope,
+) -> Derived {
+    let count = theta.len();
+    if let GradientMethod::Reverse { nudged: true, .. } = way {
+        let nudged = |(i, x): (usize, &mut f64)| *x *= if i % 2 == 0 { 1.0 + ROUNDING } else { 1.0 - ROUNDING };
+        starts.iter_mut().enumerate().for_each(nudged);
+    }
+    let lift = |numbers: &[f64]| numbers.iter().map(|&x| F::lift(x)).collect::<Vec<F>>();
+    let (weights, lifted) = (Weights::new(&*policy, lift(&theta)), lift(&starts));
+    match way {
+        GradientMethod::Reverse { field, budget, nudged: _ } => {
+            let (made, bytes) = peak_during(|| reverse(task, policy, weights, lifted, field, budget));
+            match made {
+                Ok((gradient, run)) => Derived { gradient: Ok(gradient), bytes, rounds: 1.0, run },
+                Err(error) => Derived { gradient: Err(error), bytes, rounds: 1.0, run: Box::new(|| ()) },
+            }
+        }
+        GradientMethod::Forward => {
+            let (mut loss, bytes) = peak_during(|| {
+                let mut loss = losses(task, policy, lifted);
+                drop(loss(&weights));
+                loss
+            });
+            Derived { gradient: Ok(Vec::new()), bytes, rounds: 1.0, run: Box::new(move || drop(loss(&weights))) }
+        }
+        GradientMethod::Central(step) => {
+            let mut loss = None;
+            let mut difference = move |i: usize| {
+                let loss = loss.get_or_insert_with(|| losses(task.clone(), policy.clone(), lifted.clone()));
+                let mut side = |step: f64| {
+                    let mut theta = lift(&theta);
+                    theta[i] = F::lift(theta[i].as_() + step);
+                    let moved = theta[i].as_();
+                    loss(&Weights::new(&*policy, theta)).map(|loss| (loss, moved))
+                };
+                // Divides by the distance of the two rounded parameters.
+                Ok((side(step)?, side(-step)?)).map(|((above, right), (below, left))| (above - below) / (right - left))
+            };
+            // The peak includes the copies of the perturbed parameters.
+            let (gradient, bytes) = peak_during(|| chosen(count).into_iter().map(&mut difference).collect());
+            Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || drop::<Result<f64, String>>(difference(0))) }
+        }
+        GradientMethod::Duals => {
+            let slope = move |i: usize| slope(&theta, &starts, i);
+            let (gradient, bytes) = peak_during(|| chosen(count).into_iter().map(|i| Ok(slope(i))).collect());
+            Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || _ = slope(0)) }
+        }
+    }
+}
+
+/// Mean loss as a function of the parameters.
+fn losses<F: Float>(
+    task: Arc<dyn AnyTask<F>>,
+    policy: Arc<dyn AnyPolicy<F>>,
+    starts: Vec<F>,
+) -> impl FnMut(&Weights<F>) -> Result<f64, String> + Send + 'static {
+    let mut rollout = Rollout::for_evaluation(&*task, &*policy, SAMPLES);
+    move |weights| {
+        rollout.start(&starts);
+        rollout.run(&*task, &*policy, weights).map_err(|divergence| divergence.to_string())?;
+        Ok((0..SAMPLES).map(|sample| rollout.cost(sample).as_()).sum::<f64>() / SAMPLES as f64)
+    }
+}
+
+fn reverse<F: Float>(
+    task: Arc<dyn AnyTask<F>>,
+    policy: Arc<dyn AnyPolicy<F>>,
+    weights: Weights<F>,
+    starts: Vec<F>,
+    field: Field,
+    budget: Option<u64>,
+) -> Result<(Vec<f64>, Run), String> {
+    let flows = field.flows();
+    let made = match budget {
+        Some(budget) => Batch::within(&*task, &*policy, SAMPLES, &flows, 1, budget),
+        None => Ok(Batch::new(&*task, &*policy, SAMPLES, &flows, 1)),
+    };
+    let mut batch = made.map_err(|error| error.to_string())?;
+    let mut run = move || {
+        batch.run(&*task, &*policy, &weights, &starts).map_err(|divergence| divergence.to_string())?;
+        let mut gradient = Gradient::zeros(weights.theta().len());
+        field.combine(batch.gradients(), &mut gradient);
+        Ok(gradient)
+    };
+    let gradient = run()?.to_vec().into_iter().map(|g| g.as_()).collect();
+    Ok((gradient, Box::new(move || drop::<Result<Gradient<F>, String>>(run()))))
+}
+
+/// Visitor that computes the gradients of R, M and S in double-double arithmetic, at the [`chosen`]
+/// parameters.
+pub struct Referring<'a> {
+    pub seed: u64,
+    /// Callback after each derivative.
+    pub done: &'a (dyn Fn() + Sync),
+}
+
+/// Flows of the reference.
+pub const FLOWS: [Flow; 3] = [Flow::REGULAR, Flow::MODIFIED, Flow::STOPPED];
+
+/// Number of derivatives computed by [`Referring`].
+pub const REFERENCES: usize = FLOWS.len() * CHOSEN;
+
+impl Visit for Referring<'_> {
+    type Out = [Vec<f64>; 3];
+
+    fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Self::Out {
+        let (theta, starts) = inputs(&task, &policy, self.seed);
+        let along: &(dyn Fn((Flow, usize)) -> f64 + Sync) = &|(flow, parameter)| {
+            let direction = |i| f64::from(u8::from(i == parameter));
+            let [_, slope] = check::slope(&task, &policy, &theta, &starts, flow, direction);
+            (self.done)();
+            slope
+        };
+        let parameters = chosen(theta.len());
+        let all: Vec<(Flow, usize)> = FLOWS.into_iter().flat_map(|flow| parameters.iter().map(move |&p| (flow, p))).collect();
+        let slopes: Vec<f64> = parallel::map(&all, |&at| along(at));
+        let mut flows = slopes.chunks(parameters.len()).map(<[f64]>::to_vec);
+        [(); 3].map(|()| flows.next().expect("a chunk for every flow"))
+    }
+}

@@ -1,0 +1,110 @@
+//! Object-safe training session, independent of task, policy and precision.
+
+use crate::program::operations::Visit;
+use crate::program::operations::adjoint_norms::{self, Lengths};
+use crate::program::operations::trajectory::{self, Trajectory};
+use crate::program::settings::Precision;
+use anyhow::Result;
+use physgrad::{
+    CheckpointError, Divergence, Field, Float, Policy, Record, Session, Skip, System, Task, TrainError, Trainer, Training,
+};
+use std::ops::Range;
+
+/// Object-safe part of a [`Session`].
+pub trait AnyRun {
+    /// Runs to the end of the epoch, or to the first update after which `pause` returns true.
+    ///
+    /// Returns the record of the epoch, or None if paused.
+    fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError>;
+    /// Number of updates applied so far.
+    fn updates(&self) -> u64;
+    /// True after the last epoch.
+    fn is_done(&self) -> bool;
+    /// Records of the completed epochs.
+    fn records(&self) -> &[Record];
+    /// Updates skipped in the last epoch.
+    fn skips(&self) -> &[Skip];
+    /// First non-finite value in the training and test evaluations of the last epoch.
+    fn diverged(&self) -> [Option<Divergence>; 2];
+    /// Serializes the run. Only a run with the same label can restore it.
+    fn checkpoint(&self, label: &str) -> Vec<u8>;
+    /// Restores a checkpoint.
+    fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError>;
+    /// Parameters as named tensors in the safetensors format.
+    fn safetensors(&self, about: String) -> Result<Vec<u8>>;
+    /// Number of initial states in the test set.
+    fn test_samples(&self) -> usize;
+    /// Rollouts from the chosen test initial states. Truncates the range to the test set.
+    fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
+    /// Norms of the adjoints of R and M along rollouts.
+    fn lengths(&self) -> [Lengths; 2];
+}
+
+impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
+    fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError> {
+        Session::advance(self, pause)
+    }
+
+    fn updates(&self) -> u64 {
+        Session::updates(self)
+    }
+
+    fn is_done(&self) -> bool {
+        Session::is_done(self)
+    }
+
+    fn records(&self) -> &[Record] {
+        Session::records(self)
+    }
+
+    fn skips(&self) -> &[Skip] {
+        Session::skips(self)
+    }
+
+    fn diverged(&self) -> [Option<Divergence>; 2] {
+        Session::diverged(self)
+    }
+
+    fn checkpoint(&self, label: &str) -> Vec<u8> {
+        Session::checkpoint(self, label)
+    }
+
+    fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError> {
+        Session::restore(self, bytes, label)
+    }
+
+    fn safetensors(&self, about: String) -> Result<Vec<u8>> {
+        trajectory::safetensors(about, self.policy(), self.weights().theta())
+    }
+
+    fn test_samples(&self) -> usize {
+        self.test_starts().len() / self.task().system().state_dim()
+    }
+
+    fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory> {
+        trajectory::rollouts(self.task(), self.policy(), self.weights(), self.test_starts(), chosen)
+    }
+
+    fn lengths(&self) -> [Lengths; 2] {
+        adjoint_norms::lengths(self.task(), self.policy(), self.weights(), self.test_starts())
+    }
+}
+
+/// Visitor that opens a session before its first epoch.
+pub struct Open {
+    pub precision: Precision,
+    pub field: Field,
+    pub training: Training,
+}
+
+impl Visit for Open {
+    type Out = Result<Box<dyn AnyRun>, TrainError>;
+
+    fn visit<T: Task + 'static, P: Policy + 'static>(self, task: T, policy: P) -> Self::Out {
+        let trainer = Trainer::new(task, policy).field(self.field).training(self.training);
+        Ok(match self.precision {
+            Precision::F32 => Box::new(trainer.precision::<f32>().session()?),
+            Precision::F64 => Box::new(trainer.precision::<f64>().session()?),
+        })
+    }
+}

@@ -1,0 +1,57 @@
+//! Trajectories and parameters of a policy, independent of task and policy types.
+
+use anyhow::Result;
+use physgrad::any::AnyTask;
+use physgrad::policy::AnyPolicy;
+use physgrad::{Divergence, Float, Rollout, Variable, Weights};
+use safetensors::tensor::{Dtype, TensorView};
+use std::ops::Range;
+
+/// Number of test rollouts in `trajectory.csv`.
+pub const ROLLOUTS: usize = 4;
+
+/// Parameters as named tensors in the safetensors format.
+pub fn safetensors<F: Float>(about: String, policy: &dyn AnyPolicy<F>, theta: &[F]) -> Result<Vec<u8>> {
+    let bytes: Vec<u8> = theta.iter().flat_map(|t| t.to_le_bytes().as_ref().to_vec()).collect();
+    let dtype = if F::NAME == "f32" { Dtype::F32 } else { Dtype::F64 };
+    let width = size_of::<F>();
+    let views = policy.tensors().into_iter().map(|t| {
+        let view = TensorView::new(dtype, t.shape, &bytes[t.range.start * width..t.range.end * width])?;
+        Ok((t.name, view))
+    });
+    let views: Vec<_> = views.collect::<Result<_, safetensors::SafeTensorError>>()?;
+    // A single entry keeps the output deterministic: the map has no fixed iteration order.
+    let about = [("about".to_owned(), about)].into_iter().collect();
+    Ok(safetensors::serialize(views, Some(about))?)
+}
+
+/// One rollout, truncated at the step where it diverged.
+pub struct Trajectory {
+    pub states: Vec<Vec<f64>>,
+    pub controls: Vec<Vec<f64>>,
+}
+
+/// Rollouts of the policy from the chosen initial states. Truncates the range to those available.
+pub fn rollouts<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+    chosen: Range<usize>,
+) -> Vec<Trajectory> {
+    let (n, m) = (task.state_dim(), task.control_dim());
+    let starts = &starts[chosen.start * n..starts.len().min(chosen.end * n)];
+    let samples = starts.len() / n;
+    let mut rollout = Rollout::new(task, policy, samples);
+    rollout.start(starts);
+    let steps = match rollout.run(task, policy, weights) {
+        Err(Divergence::Forward { variable: Variable::State, step, .. }) => step - 1,
+        Err(Divergence::Forward { variable: Variable::Control, step, .. }) => step,
+        _ => task.horizon(),
+    };
+    let trajectory = |sample: usize| Trajectory {
+        states: (0..=steps).map(|t| (0..n).map(|i| rollout.state(t, sample, i).as_()).collect()).collect(),
+        controls: (0..steps).map(|t| (0..m).map(|i| rollout.control(t, sample, i).as_()).collect()).collect(),
+    };
+    (0..samples).map(trajectory).collect()
+}

@@ -1,0 +1,223 @@
+//! [`Locked`]: a folder that only this process writes to, and its lock.
+
+use super::folder::{Folder, LOCK, LOCKED_FILES, PREVIOUS, RUN_FILES, RUNS, SETTINGS, unwritable};
+use super::terminal::tell;
+use super::{files, signals};
+use anyhow::{Context, Result, bail};
+use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
+use std::io::{self, ErrorKind, Read, Write};
+use std::ops::Deref;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Time between two attempts to get a lock.
+const PATIENCE: Duration = Duration::from_millis(100);
+
+impl Folder {
+    /// Makes the folder if necessary, and locks it until the returned value is dropped or the process ends.
+    ///
+    /// # Errors
+    /// The folder cannot be written to, or another process has locked it.
+    pub fn lock(self) -> Result<Locked> {
+        match self.try_lock()? {
+            Some(locked) => Ok(locked),
+            None => bail!(
+                "the folder {} is in use by {}; wait until that ends, or choose another with --out",
+                self.path().display(),
+                self.holder()
+            ),
+        }
+    }
+
+    /// As [`lock`](Folder::lock), but waits for another process. `None` if a signal ends the wait.
+    pub fn wait_and_lock(self) -> Result<Option<Locked>> {
+        let mut waits = false;
+        while signals::received().is_none() {
+            if let Some(locked) = self.try_lock()? {
+                return Ok(Some(locked));
+            }
+            if !waits {
+                tell(&format!("waiting for the folder {}, in use by {}", self.path().display(), self.holder()));
+                waits = true;
+            }
+            std::thread::sleep(PATIENCE);
+        }
+        Ok(None)
+    }
+
+    /// `None` if another process has locked the folder.
+    fn try_lock(&self) -> Result<Option<Locked>> {
+        loop {
+            self.create()?;
+            let path = self.file(LOCK);
+            if fs::symlink_metadata(&path).is_ok_and(|there| !is_plain_file(&there)) {
+                bail!("{} is a link or no file, and is not written to; remove it", path.display());
+            }
+            let open = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
+            let mut file = open.with_context(|| unwritable(self.path()))?;
+            match file.try_lock() {
+                Ok(()) => {}
+                Err(TryLockError::WouldBlock) => return Ok(None),
+                Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => {
+                    tell(&format!(
+                        "warning: this file system has no locks; only one process may write to {}",
+                        self.path().display()
+                    ));
+                }
+                Err(TryLockError::Error(error)) => {
+                    return Err(error).with_context(|| format!("cannot lock the folder {}", self.path().display()));
+                }
+            }
+            let command: Vec<_> = std::env::args_os().map(|part| part.to_string_lossy().into_owned()).collect();
+            let holder = format!("process {} (`{}`)", std::process::id(), command.join(" "));
+            let write = |file: &mut File| -> io::Result<()> {
+                file.set_len(0)?;
+                file.write_all(holder.as_bytes())
+            };
+            write(&mut file).with_context(|| unwritable(self.path()))?;
+            let locked = Locked { folder: self.clone(), file };
+            // Between `open` and `try_lock`, its holder may have moved the folder.
+            if locked.is_in_place().with_context(|| unwritable(self.path()))? {
+                return Ok(Some(locked));
+            }
+        }
+    }
+
+    /// The process that has locked the folder, for messages.
+    fn holder(&self) -> String {
+        // The holder writes its name just after it gets the lock.
+        for _ in 0..20 {
+            let mut text = String::new();
+            let read = File::open(self.file(LOCK)).and_then(|file| file.take(1000).read_to_string(&mut text));
+            if read.is_ok() && !text.is_empty() {
+                return text;
+            }
+            std::thread::sleep(PATIENCE / 10);
+        }
+        "another process".into()
+    }
+}
+
+/// A folder that no other process of the program writes to.
+#[derive(Debug)]
+pub struct Locked {
+    folder: Folder,
+    file: File,
+}
+
+impl Deref for Locked {
+    type Target = Folder;
+
+    fn deref(&self) -> &Folder {
+        &self.folder
+    }
+}
+
+impl Locked {
+    /// Whether the path still leads to the folder that was locked.
+    ///
+    /// # Errors
+    /// The folder cannot be read at the moment.
+    fn is_in_place(&self) -> io::Result<bool> {
+        match fs::symlink_metadata(self.folder.file(LOCK)) {
+            Ok(there) => Ok(is_same(&there, &self.file.metadata()?)),
+            Err(error) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&error.kind()) => Ok(false),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Whether the folder was removed, moved or replaced after it was locked.
+    pub fn is_gone(&self) -> bool {
+        matches!(self.is_in_place(), Ok(false))
+    }
+
+    /// An error if the folder was removed, moved or replaced after it was locked, or cannot be read.
+    pub fn check(&self) -> Result<()> {
+        let path = self.path().display();
+        if self.is_in_place().with_context(|| format!("cannot read the folder {path}"))? {
+            return Ok(());
+        }
+        bail!("the folder {path}, or {LOCK} in it, was removed or replaced during the run")
+    }
+
+    /// Removes temporary files of processes that were killed.
+    pub fn clean(&self) -> Result<()> {
+        for name in self.entries()? {
+            if files::replaced_by(&name).is_some_and(|name| LOCKED_FILES.contains(&name)) {
+                let path = self.folder.file(&name);
+                fs::remove_file(&path).with_context(|| format!("cannot remove {}", path.display()))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Renames the folder if it holds an earlier run, and makes an empty one in its place.
+    ///
+    /// # Errors
+    /// The folder holds something else, too, or files of a run without [`SETTINGS`].
+    pub fn without_run(self) -> Result<Self> {
+        let path = self.path().to_owned();
+        let (run, other): (Vec<String>, Vec<String>) =
+            self.entries()?.into_iter().partition(|name| RUN_FILES.contains(&files::replaced_by(name).unwrap_or(name)));
+        if other.iter().any(|name| name == RUNS) {
+            bail!("{} holds a comparison, in {RUNS}; choose another folder with --out", path.display());
+        }
+        if !run.iter().any(|name| name == SETTINGS) {
+            // A process that was killed before it wrote settings leaves at most a temporary file.
+            let foreign = run.iter().find(|name| files::replaced_by(name).is_none());
+            return match foreign {
+                Some(name) => bail!(
+                    "{} holds {name}, but no {SETTINGS}, so that it is not a run; remove the file, or choose another folder with --out",
+                    path.display()
+                ),
+                None => Ok(self),
+            };
+        }
+        if let Some(name) = other.first() {
+            bail!(
+                "{} holds a run, which would be moved aside, and also {name}, which is not part of it; go on with --resume, or choose \
+                 another folder with --out",
+                path.display()
+            );
+        }
+        let whole = fs::canonicalize(&path).with_context(|| unwritable(&path))?;
+        if std::env::current_dir().is_ok_and(|here| here.starts_with(&whole)) {
+            bail!("{} holds a run, and is the current folder, which is not moved; choose another with --out", path.display());
+        }
+        let free = (1..).map(|i| {
+            let mut name = whole.clone().into_os_string();
+            name.push(format!("{PREVIOUS}{i}"));
+            PathBuf::from(name)
+        });
+        // A folder that is not empty is never replaced by `rename`; an empty one may be, and nothing is lost.
+        let mut aside = free.filter(|path| fs::symlink_metadata(path).is_err());
+        let aside = aside.next().context("there are enough numbers")?;
+        let cannot = || format!("{} holds a run, which cannot be moved aside; choose another folder with --out", path.display());
+        files::rename(&whole, &aside).with_context(cannot)?;
+        tell(&format!("{} held another run, which is now in {}", path.display(), aside.display()));
+        // The lock has moved with the folder. Until the new folder is locked, another process may run in it.
+        Folder::at(&whole).create()?;
+        Folder::at(&path).lock()?.without_run()
+    }
+}
+
+/// Whether it is a file under one name only, which may be overwritten.
+fn is_plain_file(file: &Metadata) -> bool {
+    #[cfg(unix)]
+    let names = std::os::unix::fs::MetadataExt::nlink(file);
+    #[cfg(not(unix))]
+    let names = 1;
+    file.is_file() && names == 1
+}
+
+#[cfg(unix)]
+fn is_same(a: &Metadata, b: &Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    (a.dev(), a.ino()) == (b.dev(), b.ino())
+}
+
+/// Elsewhere, a folder with a locked file in it cannot be moved or removed.
+#[cfg(not(unix))]
+fn is_same(_: &Metadata, _: &Metadata) -> bool {
+    true
+}

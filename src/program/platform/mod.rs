@@ -1,0 +1,12 @@
+//! Services of the operating system: files, folders and their locks, signals, threads, terminal,
+//! allocation counts.
+//!
+//! Imports no other part of the program. Start with `folder`.
+
+pub mod allocations;
+pub mod files;
+pub mod folder;
+pub mod lock;
+pub mod parallel;
+pub mod signals;
+pub mod terminal;

@@ -1,0 +1,20 @@
+//! Terminal output: results and messages.
+
+use anyhow::{Context, Result};
+use std::io::{ErrorKind, Write};
+
+/// Prints the result of a command to standard output.
+///
+/// # Errors
+/// The text cannot be written. A closed pipe, for instance with `head`, is not an error.
+pub fn say(text: &str) -> Result<()> {
+    match writeln!(std::io::stdout(), "{text}") {
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
+        written => written.context("the result cannot be written to the standard output"),
+    }
+}
+
+/// Prints a message to standard error. Ignores write errors.
+pub fn tell(text: &str) {
+    let _ = writeln!(std::io::stderr(), "{text}");
+}

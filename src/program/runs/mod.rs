@@ -1,0 +1,10 @@
+//! Runs in folders: training, resuming, sweeps, output files, statistics.
+//!
+//! Imports all parts of the program except `commands`. Start with `run`.
+
+pub mod outputs;
+pub mod progress;
+pub mod run;
+pub mod saved;
+pub mod statistics;
+pub mod sweep;

@@ -1,0 +1,123 @@
+//! Output files of a run: metrics, learning curve, animation, trajectories.
+
+use crate::program::operations::trajectory::Trajectory;
+use crate::program::platform::files;
+use crate::program::platform::folder::{Folder, METRICS};
+use crate::program::tasks::Scene;
+use anyhow::{Context, Result};
+use physgrad::{Growth, Record, report};
+use std::fs::File;
+use std::path::PathBuf;
+
+/// Writer of `metrics.csv`: one row per epoch, appended at the end of the epoch.
+pub struct Metrics {
+    path: PathBuf,
+    file: File,
+}
+
+impl Metrics {
+    /// Replaces the file by one with the completed epochs.
+    pub fn create(folder: &Folder, done: &[Record]) -> Result<Self> {
+        let rows = done.iter().map(|record| row(metrics_row(record)));
+        let text = [row(METRICS_HEADER)].into_iter().chain(rows).collect::<Result<String>>()?;
+        Ok(Self { path: folder.file(METRICS), file: folder.start(METRICS, text)? })
+    }
+
+    /// Appends the row of an epoch.
+    pub fn append(&mut self, record: &Record) -> Result<()> {
+        let text = row(metrics_row(record))?;
+        files::append(&mut self.file, &self.path, text.as_bytes()).with_context(|| self.unwritable())
+    }
+
+    /// Waits until all rows are on disk.
+    pub fn sync(&self) -> Result<()> {
+        files::sync(&self.file, &self.path).with_context(|| self.unwritable())
+    }
+
+    fn unwritable(&self) -> String {
+        format!("cannot write {}", self.path.display())
+    }
+}
+
+/// One line of CSV.
+fn row<const N: usize>(fields: [impl AsRef<[u8]>; N]) -> Result<String> {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    csv.write_record(fields)?;
+    Ok(String::from_utf8(csv.into_inner()?)?)
+}
+
+pub const METRICS_HEADER: [&str; 13] = [
+    "epoch",
+    "loss",
+    "train_loss",
+    "test_loss",
+    "grad_norm",
+    "cosine",
+    "seconds",
+    "kept",
+    "skipped",
+    "growth_R",
+    "stretch_R",
+    "growth_M",
+    "stretch_M",
+];
+
+pub fn metrics_row(record: &Record) -> [String; 13] {
+    let Record { epoch, loss, train_loss, test_loss, grad_norm, cosine, kept, skipped, seconds, .. } = record;
+    let growth = |growth: Option<Growth>| {
+        growth.map_or_else(Default::default, |Growth { along, worst_window }| [along.to_string(), worst_window.to_string()])
+    };
+    let [[growth_r, stretch_r], [growth_m, stretch_m]] = [record.regular_growth, record.modified_growth].map(growth);
+    let number = |x: &f64| x.to_string();
+    let optional = |x: &Option<f64>| x.as_ref().map_or_else(String::new, number);
+    [
+        epoch.to_string(),
+        number(loss),
+        number(train_loss),
+        number(test_loss),
+        grad_norm.to_string(),
+        optional(cosine),
+        number(seconds),
+        optional(kept),
+        skipped.to_string(),
+        growth_r,
+        stretch_r,
+        growth_m,
+        stretch_m,
+    ]
+}
+
+/// SVG chart of training and test loss over epochs.
+pub fn learning_curve(title: &str, records: &[Record]) -> String {
+    let points = |loss: fn(&Record) -> f64| records.iter().map(|r| (r.epoch as f64, loss(r))).collect::<Vec<_>>();
+    report::learning_curve(title, &points(|r| r.train_loss), &points(|r| r.test_loss)).to_svg()
+}
+
+/// `animation.svg`: animation of a rollout.
+pub fn film(scene: &Scene, rollout: &Trajectory) -> String {
+    scene.animation(&rollout.states, &rollout.controls).to_svg()
+}
+
+/// `trajectory.csv`: one row per rollout and step. A row holds the state before the step, the
+/// controls of the policy, and the controls that an actuator applies. The last state has no
+/// controls.
+pub fn trajectories(scene: &Scene, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    let names = ["sample", "step", "time"].map(String::from).into_iter();
+    let (states, asked, applied) = (scene.state_names(), scene.control_names(), scene.applied_names());
+    csv.write_record(names.chain(states).chain(asked.clone()).chain(applied.clone()))?;
+    let dt = scene.dt();
+    for (sample, Trajectory { states, controls }) in rollouts.iter().enumerate() {
+        let all_felt = scene.applied(states, controls);
+        for (t, state) in states.iter().enumerate() {
+            let place = [sample.to_string(), t.to_string(), (t as f64 * dt).to_string()];
+            let cells = |rows: &[Vec<f64>], columns: &[String]| -> Vec<String> {
+                let cell = |i: usize| rows.get(t).map_or_else(String::new, |row: &Vec<f64>| row[i].to_string());
+                (0..columns.len()).map(cell).collect()
+            };
+            let state = state.iter().map(f64::to_string);
+            csv.write_record(place.into_iter().chain(state).chain(cells(controls, &asked)).chain(cells(&all_felt, &applied)))?;
+        }
+    }
+    Ok(csv.into_inner()?)
+}

@@ -1,0 +1,74 @@
+//! [`Progress`]: progress bar of a run.
+
+use super::run::{EpochEvent, Observer};
+use crate::program::platform::terminal::tell;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use physgrad::Growth;
+
+/// Progress bar with losses and remaining time. Without a terminal, prints ten lines of text
+/// instead.
+pub struct Progress {
+    pub bar: ProgressBar,
+    quiet: bool,
+}
+
+impl Progress {
+    pub fn new(epochs: usize, quiet: bool) -> Self {
+        let bar = ProgressBar::new(epochs as u64);
+        if quiet {
+            bar.set_draw_target(ProgressDrawTarget::hidden());
+        }
+        let style = ProgressStyle::with_template("{bar:30} epoch {pos}/{len}  {msg}  {elapsed} gone, {eta} left");
+        bar.set_style(style.expect("a fixed template"));
+        Self { bar, quiet }
+    }
+}
+
+impl Observer for Progress {
+    fn resumed(&mut self, epochs: usize) {
+        self.bar.set_position(epochs as u64);
+        self.bar.reset_eta();
+        if !self.quiet {
+            tell(&format!("resumed after epoch {epochs}"));
+        }
+    }
+
+    fn epoch(&mut self, told: EpochEvent) {
+        let EpochEvent { record, .. } = told;
+        let growths = [("R", record.regular_growth), ("M", record.modified_growth)];
+        let growth = |(flow, growth): (&str, Option<Growth>)| growth.map(|growth| format!("  {flow} 10^{:+.1}", growth.along));
+        let growths: String = growths.into_iter().filter_map(growth).collect();
+        self.advance(format!("train {:.3e}  test {:.3e}{growths}", record.train_loss, record.test_loss));
+        self.trouble("", told);
+    }
+}
+
+impl Progress {
+    /// Advances by one epoch.
+    pub fn advance(&mut self, message: String) {
+        self.bar.set_message(message);
+        self.bar.inc(1);
+        let (done, all) = (self.bar.position(), self.bar.length().unwrap_or(0).max(1));
+        if !self.quiet && self.bar.is_hidden() && done * 10 / all != (done - 1) * 10 / all {
+            tell(&format!("epoch {done}/{all}: {}", self.bar.message()));
+        }
+    }
+
+    /// Prints the warnings of an epoch, even if quiet: non-finite numbers, unreliable gradients.
+    pub fn trouble(&self, run: &str, told: EpochEvent) {
+        let EpochEvent { record, skips, diverged, warnings } = told;
+        let epoch = record.epoch;
+        let skipped = skips.first().map(|skip| {
+            let (count, update) = (record.skipped, skip.update);
+            format!("{run}epoch {epoch}: {count} update(s) skipped, the first being update {update} ({})", skip.divergence)
+        });
+        let evaluated = ["training", "test"].into_iter().zip(diverged).filter_map(|(set, divergence)| {
+            divergence.map(|divergence| format!("{run}epoch {epoch}: the {set} loss is not finite ({divergence})"))
+        });
+        let warnings = warnings.iter().map(|warning| format!("{run}epoch {epoch}: {warning}"));
+        for text in skipped.into_iter().chain(evaluated).chain(warnings) {
+            // Prints above a visible bar.
+            if self.bar.is_hidden() { tell(&text) } else { self.bar.println(text) }
+        }
+    }
+}

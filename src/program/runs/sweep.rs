@@ -1,0 +1,219 @@
+//! Sweeps: many runs in parallel, one thread each, each resumed from its folder.
+
+use crate::program::platform::folder::{Folder, RUNS};
+use crate::program::platform::parallel;
+use crate::program::platform::terminal::tell;
+use crate::program::runs::progress::Progress;
+use crate::program::runs::run::{self, EpochEvent, Finished, NoUpdate, Observer, SAVE_EVERY};
+use crate::program::runs::saved::{self, check_resumable};
+use crate::program::runs::statistics::Outcome;
+use crate::program::settings::FieldName;
+use crate::program::tasks::Scene;
+use anyhow::{Context, Result, bail};
+use physgrad::{Field, Record};
+use std::collections::HashSet;
+use std::sync::Mutex;
+
+/// Runs of one training configuration with several fields and seeds.
+pub struct Comparison {
+    runs: Vec<Run>,
+    /// Prefix in messages that distinguishes comparisons of one sweep. May be empty.
+    label: String,
+}
+
+/// One field and seed, with its records.
+struct Run {
+    field: Field,
+    seed: u64,
+    scene: Scene,
+    folder: Folder,
+    records: Vec<Record>,
+    broken: bool,
+}
+
+impl Run {
+    /// True if the folder already contains this run.
+    ///
+    /// # Errors
+    /// The folder contains a run with other settings.
+    fn resumes(&self) -> Result<bool> {
+        if !saved::has_run(&self.folder) {
+            return Ok(false);
+        }
+        check_resumable(&self.folder, &self.scene).map(|()| true)
+    }
+
+    /// Trains in the run's folder, or resumes there. Waits while another process holds the lock.
+    fn run(&self, watch: &mut dyn Observer) -> Result<Finished> {
+        let Some(folder) = self.folder.clone().wait_and_lock()? else { return Ok(Finished::before_start()) };
+        let resume = self.resumes()?;
+        let folder = if resume { folder } else { folder.without_run()? };
+        // Uses one thread: the parallel runs already occupy all cores.
+        run::run(&folder, &self.scene, self.scene.open(1)?, resume, SAVE_EVERY, watch)
+    }
+
+    fn outcome(&self) -> Outcome<'_> {
+        Outcome { field: self.field, seed: self.seed, records: &self.records, broken: self.broken }
+    }
+}
+
+impl Comparison {
+    /// Plans one run per field and seed. The folders need not exist.
+    pub fn plan(label: &str, base: &Scene, fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Self> {
+        let last = base.seed.checked_add(seeds - 1).filter(|&last| i64::try_from(last).is_ok());
+        let last = last.with_context(|| format!("{seeds} seeds from {} on are more than there are", base.seed))?;
+        let each = fields.iter().flat_map(|&field| (base.seed..=last).map(move |seed| (field, seed)));
+        let run = |(field, seed): (FieldName, u64)| {
+            let scene = base.with(field, seed)?;
+            let folder = Folder::at(folder.file(RUNS).join(format!("{}-{seed}", field.0.letter())));
+            Ok(Run { field: field.0, seed, folder, scene, records: Vec::new(), broken: false })
+        };
+        Ok(Self { runs: each.map(run).collect::<Result<_>>()?, label: label.to_owned() })
+    }
+
+    /// Outcomes of all runs, grouped by field.
+    pub fn outcomes(&self) -> Vec<Outcome<'_>> {
+        self.runs.iter().map(Run::outcome).collect()
+    }
+
+    fn label(&self, run: &Run) -> String {
+        let space = if self.label.is_empty() { "" } else { " " };
+        format!("{}{space}{} seed {}", self.label, run.field.letter(), run.seed)
+    }
+}
+
+/// Checks the options of a comparison.
+///
+/// # Errors
+/// `seeds` or `epochs` is 0, or a field occurs twice.
+pub fn check_options(fields: &[FieldName], seeds: u64, epochs: usize) -> Result<()> {
+    if seeds == 0 {
+        bail!("--seeds is 0; allowed: 1 or more");
+    }
+    if epochs == 0 {
+        bail!("--epochs is 0; a comparison needs 1 or more");
+    }
+    check_distinct("--fields", fields.iter().map(|field| field.0.name()))
+}
+
+/// Returns an error if an option contains a name twice.
+pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
+    let mut seen = HashSet::new();
+    match names.into_iter().find(|name| !seen.insert(*name)) {
+        Some(name) => bail!("{option} names {name} twice"),
+        None => Ok(()),
+    }
+}
+
+/// Checks that each scene and field can open a session.
+///
+/// # Errors
+/// A setting is unusable; the memory budget may be too small, for example.
+pub fn check_sessions(bases: &[Scene], fields: &[FieldName]) -> Result<()> {
+    for base in bases {
+        for &field in fields {
+            base.with(field, base.seed)?.open(1)?;
+        }
+    }
+    Ok(())
+}
+
+/// Outcome of a sweep.
+pub struct Swept {
+    pub interrupted: bool,
+    /// One message per failed run.
+    broke_off: Vec<String>,
+    /// Runs that applied no update.
+    no_update: Vec<String>,
+    runs: usize,
+}
+
+impl Swept {
+    /// Returns an error that lists the runs that failed or applied no update.
+    pub fn into_result(self) -> Result<()> {
+        if !self.broke_off.is_empty() {
+            bail!("{} of {} runs broke off:\n{}", self.broke_off.len(), self.runs, self.broke_off.join("\n"))
+        }
+        if !self.no_update.is_empty() {
+            let count = format!("{} of {} runs", self.no_update.len(), self.runs);
+            bail!(NoUpdate(format!("{count} ({})", self.no_update.join(", "))));
+        }
+        Ok(())
+    }
+}
+
+/// Trains all runs. A run that stops at a non-finite number counts as a result; the others
+/// continue.
+///
+/// # Errors
+/// Before training: a folder contains a run with other settings. After training: some runs could
+/// not start or could not be saved.
+pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<Swept> {
+    let mut runs = Vec::new();
+    for comparison in &*comparisons {
+        for run in &comparison.runs {
+            // Reports a run with other settings before writing anything.
+            run.resumes()?;
+            runs.push((run, comparison.label(run)));
+        }
+    }
+    let total = runs.iter().map(|(run, ..)| run.scene.epochs).sum();
+    let progress = Mutex::new(Progress::new(total, quiet));
+    if !quiet {
+        let task = runs.first().map_or("nothing", |(run, ..)| run.scene.kind.name());
+        tell(&format!("{task}: {} runs, {total} epochs in all, on {} threads", runs.len(), rayon::current_num_threads()));
+    }
+    let finished: Vec<Result<Finished>> = parallel::map(&runs, |(run, label)| {
+        let mut watch = Watched { progress: &progress, label };
+        run.run(&mut watch)
+    });
+    if let Ok(progress) = progress.lock() {
+        progress.bar.finish_and_clear();
+    }
+
+    let labels: Vec<String> = runs.into_iter().map(|(_, label)| label).collect();
+    let mut swept = Swept { interrupted: false, broke_off: Vec::new(), no_update: Vec::new(), runs: labels.len() };
+    let mut failures = Vec::new();
+    let all = comparisons.iter_mut().flat_map(|comparison| &mut comparison.runs);
+    for ((run, finished), label) in all.zip(finished).zip(labels) {
+        match finished {
+            Ok(finished) => {
+                swept.interrupted |= finished.interrupted;
+                run.records = finished.records;
+                run.broken = finished.broken.is_some();
+                if finished.no_update {
+                    swept.no_update.push(label.clone());
+                }
+                swept.broke_off.extend(finished.broken.map(|error| format!("{label}: {error}")));
+            }
+            Err(error) => failures.push(format!("{label}: {error:#}")),
+        }
+    }
+    if !failures.is_empty() {
+        bail!("{} of {} runs failed:\n{}", failures.len(), swept.runs, failures.join("\n"));
+    }
+    Ok(swept)
+}
+
+/// Reports the epochs of all runs to a shared progress bar.
+struct Watched<'a> {
+    progress: &'a Mutex<Progress>,
+    label: &'a str,
+}
+
+impl Observer for Watched<'_> {
+    fn resumed(&mut self, epochs: usize) {
+        if let Ok(progress) = self.progress.lock() {
+            progress.bar.inc(epochs as u64);
+            // Excludes resumed epochs from the estimate of the remaining time.
+            progress.bar.reset_eta();
+        }
+    }
+
+    fn epoch(&mut self, told: EpochEvent) {
+        if let Ok(mut progress) = self.progress.lock() {
+            progress.advance(format!("{}: test {:.3e}", self.label, told.record.test_loss));
+            progress.trouble(&format!("{}, ", self.label), told);
+        }
+    }
+}

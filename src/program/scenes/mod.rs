@@ -1,0 +1,8 @@
+//! Text of scenes: files, presets, command-line overrides.
+//!
+//! Errors name the line or option of a key. Imports `settings`, `tasks` and `platform`. Start with
+//! `source`.
+
+pub mod overrides;
+pub mod presets;
+pub mod source;

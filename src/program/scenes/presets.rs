@@ -1,0 +1,104 @@
+//! Presets: scenes that are compiled into the program.
+
+use crate::program::platform::folder::SETTINGS;
+use crate::program::scenes::source::SceneSource;
+use anyhow::{Context, Result, anyhow, bail};
+use std::path::Path;
+
+/// Name and text of every file in `presets/`.
+const PRESETS: [(&str, &str); 23] = [
+    ("cart_pole", include_str!("presets/cart_pole.toml")),
+    ("cart_pole_1", include_str!("presets/cart_pole_1.toml")),
+    ("cart_pole_2", include_str!("presets/cart_pole_2.toml")),
+    ("cart_pole_3", include_str!("presets/cart_pole_3.toml")),
+    ("cart_pole_4", include_str!("presets/cart_pole_4.toml")),
+    ("cart_pole_windy", include_str!("presets/cart_pole_windy.toml")),
+    ("guidance", include_str!("presets/guidance.toml")),
+    ("guidance_1", include_str!("presets/guidance_1.toml")),
+    ("guidance_0.1", include_str!("presets/guidance_0.1.toml")),
+    ("guidance_0.01", include_str!("presets/guidance_0.01.toml")),
+    ("guidance_0.001", include_str!("presets/guidance_0.001.toml")),
+    ("guidance_walled", include_str!("presets/guidance_walled.toml")),
+    ("quantum", include_str!("presets/quantum.toml")),
+    ("quantum_3", include_str!("presets/quantum_3.toml")),
+    ("quantum_4", include_str!("presets/quantum_4.toml")),
+    ("quantum_5", include_str!("presets/quantum_5.toml")),
+    ("quantum_double_well", include_str!("presets/quantum_double_well.toml")),
+    ("lqr", include_str!("presets/lqr.toml")),
+    ("double_pendulum", include_str!("presets/double_pendulum.toml")),
+    ("pole_chain", include_str!("presets/pole_chain.toml")),
+    ("slider", include_str!("presets/slider.toml")),
+    ("bounce", include_str!("presets/bounce.toml")),
+    ("push", include_str!("presets/push.toml")),
+];
+
+/// Presets with more effects than in the paper, one per task.
+pub const RICH: [&str; 3] = ["cart_pole_windy", "guidance_walled", "quantum_double_well"];
+
+/// Name and first line of every preset.
+pub fn all() -> impl Iterator<Item = (&'static str, &'static str)> {
+    PRESETS.into_iter().map(|(name, text)| (name, text.lines().next().unwrap_or_default().trim_start_matches(['#', ' '])))
+}
+
+/// Text of a preset.
+pub fn text(name: &str) -> Result<&'static str> {
+    let found = PRESETS.into_iter().find(|(preset, _)| *preset == name).map(|(_, text)| text);
+    found.with_context(|| {
+        let names: Vec<&str> = all().map(|(name, _)| name).collect();
+        format!("there is no preset `{name}`, only {}", names.join(", "))
+    })
+}
+
+/// SceneSource of the preset with this name, or of the file at this path.
+pub fn document(name: &str) -> Result<SceneSource> {
+    let path = Path::new(name);
+    if path.is_dir() && !PRESETS.iter().any(|(preset, _)| *preset == name) {
+        let scene = path.join(SETTINGS);
+        let hint = if scene.exists() { format!("; the scene of the run in it is {}", scene.display()) } else { String::new() };
+        bail!("{name} is a folder, and not a scene{hint}");
+    }
+    if is_path(name) {
+        return SceneSource::read(path);
+    }
+    let text = text(name).map_err(|none| anyhow!("{none}; a scene of your own is named by its path, which ends in .toml"))?;
+    SceneSource::parse(&format!("preset {name}"), text)
+}
+
+/// Name for the results of a preset or file.
+pub fn short_name(name: &str) -> String {
+    let path = Path::new(name);
+    // Uses the folder's name for the scene of a saved run.
+    let folder = path.parent().and_then(Path::file_name).filter(|_| path.ends_with(SETTINGS));
+    match folder.or_else(|| path.file_stem()) {
+        Some(stem) if is_path(name) => stem.to_string_lossy().into_owned(),
+        _ => name.to_owned(),
+    }
+}
+
+/// True if the name is a file path rather than a preset.
+pub fn is_path(name: &str) -> bool {
+    name.ends_with(".toml") || name.contains(std::path::is_separator)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_are_called_as_the_scene_or_as_the_run_it_is_of() {
+        assert_eq!(short_name("guidance_0.1"), "guidance_0.1");
+        assert_eq!(short_name("scenes/windy.toml"), "windy");
+        assert_eq!(short_name("runs/windy_2/run.toml"), "windy_2");
+        assert_eq!(short_name("run.toml"), "run");
+    }
+
+    #[test]
+    fn every_preset_is_a_scene_and_begins_with_what_it_is() {
+        for (name, text) in PRESETS {
+            assert!(text.starts_with("# "), "{name}");
+            if let Err(error) = document(name).and_then(|document| document.scene()) {
+                panic!("{error}");
+            }
+        }
+    }
+}

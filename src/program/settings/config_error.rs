@@ -1,0 +1,110 @@
+//! Errors in settings, and functions that check single values.
+
+use crate::program::settings::reading::Unreadable;
+use std::fmt::Display;
+use std::ops::RangeInclusive;
+
+/// An invalid setting. The caller adds file and line.
+#[derive(Debug, thiserror::Error)]
+#[error("`{key}` {what}")]
+pub struct ConfigError {
+    /// Dotted key: `system.dt`.
+    pub key: String,
+    /// The value found and the values allowed.
+    pub what: String,
+}
+
+/// Keys of earlier versions, with those that replaced them.
+const RENAMED_KEYS: [(&str, &str); 4] = [
+    ("policy.zero_last", "policy.zero_init_output"),
+    ("effects.bumpers.reach", "effects.bumpers.half_travel"),
+    ("system.reach", "system.contact_distance"),
+    ("loss.effort", "loss.control_weight"),
+];
+
+/// Values of earlier versions: key, old value, new value.
+const RENAMED_VALUES: [(&str, &str, &str); 2] = [("loss.mode", "final", "terminal"), ("loss.mode", "continuous", "running")];
+
+impl ConfigError {
+    pub fn new(key: impl Into<String>, what: impl Into<String>) -> Self {
+        Self { key: key.into(), what: what.into() }
+    }
+
+    /// Rewords a serde error: key, value found, values allowed.
+    pub fn unreadable(error: &Unreadable) -> Self {
+        let Unreadable { key, message } = error;
+        let within = |field: &str| format!("{key}.{}", field.trim_end_matches('`')).trim_start_matches('.').to_owned();
+        if let Some(field) = message.strip_prefix("missing field `") {
+            return Self::new(within(field), "is missing");
+        }
+        if let Some((field, expected)) = message.strip_prefix("unknown field `").and_then(|rest| rest.split_once("`, ")) {
+            if let Some((_, new)) = RENAMED_KEYS.into_iter().find(|(old, _)| *old == within(field)) {
+                return Self::new(within(field), format!("was renamed; write `{new}`"));
+            }
+            let allowed = expected.strip_prefix("expected ").map_or("nothing", |names| names.trim_start_matches("one of "));
+            return Self::new(within(field), format!("is unknown; allowed: {allowed}"));
+        }
+        let Some((found, expected)) = message.split_once(", expected ") else {
+            return Self::new(key, format!("cannot be used: {message}"));
+        };
+        if let Some((_, old, new)) =
+            RENAMED_VALUES.into_iter().find(|(of, old, _)| of == key && found.ends_with(&format!("`{old}`")))
+        {
+            return Self::new(key, format!("= \"{old}\" was renamed; write \"{new}\""));
+        }
+        let starts = ["invalid type: ", "invalid value: ", "invalid length ", "unknown variant "];
+        let found = starts.iter().find_map(|start| found.strip_prefix(start)).unwrap_or(found);
+        let expected = match expected {
+            "usize" | "u64" => "a whole number, 0 or more",
+            "f64" => "a number",
+            "a sequence" => "a list",
+            "an array of length 2" => "a list of 2",
+            "fewer elements" => "a shorter list",
+            section if section.starts_with("struct ") => "a section",
+            names => names.trim_start_matches("one of "),
+        };
+        Self::new(key, format!("is {found}; allowed: {expected}"))
+    }
+
+    /// Reports a setting that another setting makes ineffective.
+    pub fn unread(key: &str, value: impl Display, because: &str) -> Self {
+        Self::new(key, format!("is {value}, but nothing reads it: {because}"))
+    }
+}
+
+/// Returns an error unless `is_allowed`.
+pub fn allowed(key: &str, value: impl Display, is_allowed: bool, allowed: impl Display) -> Result<(), ConfigError> {
+    if is_allowed { Ok(()) } else { Err(ConfigError::new(key, format!("is {value}; allowed: {allowed}"))) }
+}
+
+/// Returns an error unless the value is finite and positive.
+pub fn positive(key: &str, value: f64) -> Result<(), ConfigError> {
+    allowed(key, value, value.is_finite() && value > 0.0, "a positive number")
+}
+
+/// Returns an error unless the value is finite and not negative.
+pub fn not_negative(key: &str, value: f64) -> Result<(), ConfigError> {
+    allowed(key, value, value.is_finite() && value >= 0.0, "0 or more")
+}
+
+/// Returns an error if more than one of these effects is present.
+pub fn exclusive(effects: &[(&str, bool)], because: &str) -> Result<(), ConfigError> {
+    let mut present = effects.iter().filter(|(_, present)| *present).map(|(name, _)| *name);
+    match (present.next(), present.next()) {
+        (Some(first), Some(second)) => Err(ConfigError::new(
+            format!("effects.{second}"),
+            format!("cannot be beside `effects.{first}`: {because}; allowed: one of them"),
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// Returns an error unless the value is finite.
+pub fn finite(key: &str, value: f64) -> Result<(), ConfigError> {
+    allowed(key, value, value.is_finite(), "a finite number")
+}
+
+/// Returns an error unless the value is within the range.
+pub fn count(key: &str, value: usize, range: RangeInclusive<usize>) -> Result<(), ConfigError> {
+    allowed(key, value, range.contains(&value), format!("{} to {}", range.start(), range.end()))
+}

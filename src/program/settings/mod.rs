@@ -1,0 +1,32 @@
+//! Sections of a scene that all tasks share, and errors in settings.
+//!
+//! Imports no other part of the program. Start with `training`.
+
+mod actuator;
+pub mod config_error;
+mod integrator;
+mod names;
+pub mod reading;
+mod training;
+
+pub use actuator::{ACTUATORS, ActuatorSettings};
+pub use integrator::{IntegratorSettings, Method};
+pub use names::{ClipName, FieldName, OptimizerName, Precision};
+pub use training::TrainingSettings;
+
+/// Version of the format of scenes.
+pub const VERSION: i64 = 1;
+
+/// Sections whose subsections may be absent.
+pub const OPTIONAL: [&str; 2] = ["effects", "actuator"];
+
+/// Documentation of an effect or actuator.
+#[derive(Clone, Copy, Debug)]
+pub struct Info {
+    /// Key in the section.
+    pub name: &'static str,
+    /// Equation of the added term.
+    pub equation: &'static str,
+    /// Method of differentiation, and where it smooths or takes a one-sided derivative.
+    pub derivative: &'static str,
+}

@@ -1,0 +1,283 @@
+//! Cart-pole: settings, effects, limits and animation.
+
+use crate::program::operations::Visit;
+use crate::program::settings::config_error::{ConfigError, count, exclusive, finite, not_negative, positive};
+use crate::program::settings::{Info, Method};
+use crate::program::tasks::{Conserved, MlpSettings, PolicySpec, Settings, TaskSpec, named};
+use physgrad::report::{self, Animation, Rail};
+use physgrad::tasks::{
+    self, Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, LossMode,
+    PoleDamping, SteadyWind,
+};
+use physgrad::{Forced, HasModel, Named, System};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
+
+/// Task `cart_pole`.
+#[derive(Clone, Debug)]
+pub struct CartPole;
+
+/// The `system` section of cart-pole.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CartPoleSettings {
+    /// Equations of motion: uncoupled or coupled poles.
+    model: Model,
+    /// Number of poles.
+    poles: usize,
+    /// Mass of the cart, kg.
+    cart_mass: f64,
+    /// Mass of a pole, kg.
+    pole_mass: f64,
+    /// Half the length of a pole, m.
+    half_length: f64,
+    /// Gravitational acceleration, m/s².
+    gravity: f64,
+    /// Time step, s.
+    dt: f64,
+}
+
+/// Equations of motion.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+enum Model {
+    /// Equations of the authors' code: the control drives every pole, without coupling between
+    /// poles.
+    Uncoupled,
+    /// Exact equations: the poles couple through the cart.
+    Coupled,
+}
+
+/// The `effects` section of cart-pole, in order of evaluation.
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CartPoleEffects {
+    /// Viscous friction in the joints of the poles.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pole_damping: Option<PoleDamping>,
+    /// Viscous friction of the cart on its rail.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cart_damping: Option<CartDamping>,
+    /// Dry friction of the cart on its rail, smoothed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    dry_friction: Option<DryFriction>,
+    /// A steady wind along the rail.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    steady_wind: Option<SteadyWind>,
+    /// Wind along the rail with sinusoidal gusts; adds the time to the state.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    gusty_wind: Option<GustyWind>,
+    /// Spring-damper bumpers at both ends of the rail.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    bumpers: Option<Bumpers>,
+}
+
+impl CartPoleEffects {
+    fn list(&self) -> Vec<Named<CartPoleEffect>> {
+        let Self { pole_damping, cart_damping, dry_friction, steady_wind, gusty_wind, bumpers } = self.clone();
+        let effects = [
+            named("effects.pole_damping", pole_damping),
+            named("effects.cart_damping", cart_damping),
+            named("effects.dry_friction", dry_friction),
+            named("effects.steady_wind", steady_wind),
+            named("effects.gusty_wind", gusty_wind),
+            named("effects.bumpers", bumpers),
+        ];
+        effects.into_iter().flatten().collect()
+    }
+
+    /// Wind speed, from the state components that effects add.
+    fn wind(&self, beyond: &[f64]) -> Option<f64> {
+        let steady = self.steady_wind.map(|wind| wind.speed);
+        let gusty = self.gusty_wind.map(|wind| wind.speed + wind.gust * (TAU * beyond[0] / wind.period).sin());
+        steady.or(gusty)
+    }
+
+    fn validate(&self) -> Result<(), ConfigError> {
+        if let Some(PoleDamping { damping }) = self.pole_damping {
+            not_negative("effects.pole_damping.damping", damping)?;
+        }
+        if let Some(CartDamping { damping }) = self.cart_damping {
+            not_negative("effects.cart_damping.damping", damping)?;
+        }
+        if let Some(DryFriction { force, smoothing }) = self.dry_friction {
+            not_negative("effects.dry_friction.force", force)?;
+            positive("effects.dry_friction.smoothing", smoothing)?;
+        }
+        if let Some(SteadyWind { speed, cart_drag, pole_drag }) = self.steady_wind {
+            finite("effects.steady_wind.speed", speed)?;
+            not_negative("effects.steady_wind.cart_drag", cart_drag)?;
+            not_negative("effects.steady_wind.pole_drag", pole_drag)?;
+        }
+        if let Some(GustyWind { speed, gust, period, cart_drag, pole_drag }) = self.gusty_wind {
+            finite("effects.gusty_wind.speed", speed)?;
+            finite("effects.gusty_wind.gust", gust)?;
+            positive("effects.gusty_wind.period", period)?;
+            not_negative("effects.gusty_wind.cart_drag", cart_drag)?;
+            not_negative("effects.gusty_wind.pole_drag", pole_drag)?;
+        }
+        if let Some(Bumpers { half_travel, stiffness, damping }) = self.bumpers {
+            positive("effects.bumpers.half_travel", half_travel)?;
+            not_negative("effects.bumpers.stiffness", stiffness)?;
+            not_negative("effects.bumpers.damping", damping)?;
+        }
+        let winds = [("steady_wind", self.steady_wind.is_some()), ("gusty_wind", self.gusty_wind.is_some())];
+        exclusive(&winds, "there is one wind")
+    }
+}
+
+/// The `loss` section of cart-pole.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CartPoleLoss {
+    /// States that enter the loss.
+    mode: LossMode,
+}
+
+impl CartPoleSettings {
+    fn parameters(&self) -> CartPoleSystem {
+        let Self { model: _, poles, cart_mass, pole_mass, half_length, gravity, dt } = *self;
+        CartPoleSystem { poles, cart_mass, pole_mass, half_length, gravity, dt }
+    }
+}
+
+/// Time step of the physics: the control step divided by the number of substeps.
+fn system_dt(settings: &Settings<CartPole>) -> f64 {
+    settings.system.dt / settings.integrator.count() as f64
+}
+
+/// Calls the visitor with the swing-up task for this system.
+fn swing_up<S: HasModel<CartPoleSystem> + Clone + 'static, V: Visit>(
+    system: S,
+    settings: &Settings<CartPole>,
+    visitor: V,
+) -> V::Out {
+    let task = tasks::CartPole { system, loss: settings.loss.mode, horizon: settings.horizon };
+    settings.policy.visit(task, visitor)
+}
+
+/// Any combination of effects as a list, behind any actuator.
+fn listed<V: Visit>(
+    system: CartPoleModel,
+    effects: Vec<Named<CartPoleEffect>>,
+    settings: &Settings<CartPole>,
+    visitor: V,
+) -> V::Out {
+    let system = settings.integrator.discretize(Forced { system, effects }, system_dt(settings), settings.precision);
+    let system = settings.actuator.wrap(system, settings.system.dt);
+    swing_up(system, settings, visitor)
+}
+
+impl TaskSpec for CartPole {
+    type System = CartPoleSettings;
+    type Effects = CartPoleEffects;
+    type Loss = CartPoleLoss;
+    type PolicySpec = MlpSettings;
+
+    const NAME: &'static str = "cart_pole";
+    const ABOUT: &'static str = "swing up any number of poles on one cart";
+    const EPOCHS: usize = 1000;
+    const HORIZON: usize = 100;
+    const METHODS: &'static [Method] = &Method::ODE;
+    const EFFECTS: &'static [Info] = &[
+        Info { name: "pole_damping", equation: "τ_i = -damping ω_i", derivative: "by hand" },
+        Info { name: "cart_damping", equation: "F = -damping ẋ", derivative: "by hand" },
+        Info { name: "dry_friction", equation: "F = -force tanh(ẋ / smoothing)", derivative: "by hand; smoothed" },
+        Info {
+            name: "steady_wind",
+            equation: "F = cart_drag |w - ẋ| (w - ẋ) + Σ D_i cos θ_i, τ_i = l D_i, D_i = pole_drag |v_i| v_i, v_i = (w - ẋ) cos θ_i - l ω_i, w = speed",
+            derivative: "by hand",
+        },
+        Info {
+            name: "gusty_wind",
+            equation: "as steady_wind, w = speed + gust sin(2π t / period); adds t to the state",
+            derivative: "by hand",
+        },
+        Info {
+            name: "bumpers",
+            equation: "F = -stiffness δ max(0, 1 + damping dδ/dt), δ = max(0, |x| - half_travel), outwards",
+            derivative: "by hand; one-sided at the touch",
+        },
+    ];
+
+    fn system() -> CartPoleSettings {
+        let CartPoleSystem { poles: _, cart_mass, pole_mass, half_length, gravity, dt } = CartPoleSystem::default();
+        CartPoleSettings { model: Model::Uncoupled, poles: 2, cart_mass, pole_mass, half_length, gravity, dt }
+    }
+
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
+        let system = &settings.system;
+        count("system.poles", system.poles, 1..=CartPoleSystem::MOST_POLES)?;
+        positive("system.cart_mass", system.cart_mass)?;
+        positive("system.pole_mass", system.pole_mass)?;
+        positive("system.half_length", system.half_length)?;
+        positive("system.dt", system.dt)?;
+        finite("system.gravity", system.gravity)?;
+        system
+            .parameters()
+            .check()
+            .map_err(|error| ConfigError::new("system.cart_mass", format!("is {}: {error}", system.cart_mass)))?;
+        settings.effects.validate()
+    }
+
+    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+        let effects = settings.effects.list();
+        let system = CartPoleSystem { dt: system_dt(settings), ..settings.system.parameters() };
+        // Uses a separate type for the paper's system. Each further type would cost compile time.
+        match settings.system.model {
+            Model::Uncoupled if effects.is_empty() && settings.actuator.is_empty() && settings.integrator.is_empty() => {
+                swing_up(system, settings, visitor)
+            }
+            Model::Uncoupled => listed(CartPoleModel::Uncoupled(system), effects, settings, visitor),
+            Model::Coupled => listed(CartPoleModel::Coupled(CoupledCartPole(system)), effects, settings, visitor),
+        }
+    }
+
+    fn variants() -> Vec<(String, Settings<Self>)> {
+        let modes = [(LossMode::Terminal, "terminal"), (LossMode::Running, "running")];
+        let variant = |poles: usize, (mode, name): (LossMode, &str)| {
+            let mut settings = Settings::<Self>::defaults();
+            settings.system.poles = poles;
+            settings.loss.mode = mode;
+            (format!("{poles} pole{}, {name} loss", if poles == 1 { "" } else { "s" }), settings)
+        };
+        let mut windy = variant(2, modes[0]).1;
+        windy.effects.cart_damping = Some(CartDamping::default());
+        windy.effects.steady_wind = Some(SteadyWind::default());
+        let plain = [1, 2, 4].into_iter().flat_map(|poles| modes.map(|mode| variant(poles, mode)));
+        plain.chain([("2 poles, cart damping, steady wind".to_owned(), windy)]).collect()
+    }
+
+    fn dt(settings: &Settings<Self>) -> f64 {
+        settings.system.dt
+    }
+
+    fn state_names(settings: &Settings<Self>) -> Vec<String> {
+        let poles = (1..=settings.system.poles).flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")]);
+        let time = settings.effects.gusty_wind.map(|_| "time_of_gusts".to_owned());
+        ["x".into(), "x_dot".into()].into_iter().chain(poles).chain(time).collect()
+    }
+
+    fn control_names(_settings: &Settings<Self>) -> Vec<String> {
+        vec!["force".into()]
+    }
+
+    fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
+        // With several poles, only the exact equations conserve energy.
+        let exact = matches!(settings.system.model, Model::Coupled) || settings.system.poles == 1;
+        let free = settings.effects.list().is_empty() && settings.actuator.is_empty();
+        let system = CoupledCartPole(settings.system.parameters());
+        (exact && free).then(|| Conserved { name: "energy", value: Box::new(move |x| system.energy(x)) })
+    }
+
+    fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
+        let CartPoleSettings { half_length, dt, .. } = settings.system;
+        let own = System::state_dim(&settings.system.parameters());
+        let forces: Vec<f64> = settings.actuator.applied(dt, states, controls).iter().map(|u| u[0]).collect();
+        let wind = states.iter().filter_map(|x| settings.effects.wind(&x[own..])).collect();
+        let rail = Rail { bumpers: settings.effects.bumpers.map(|bumpers| bumpers.half_travel), wind };
+        let states: Vec<Vec<f64>> = states.iter().map(|x| x[..own].to_vec()).collect();
+        report::cart_pole_on(&rail, &states, &forces, half_length, dt)
+    }
+}

@@ -1,0 +1,244 @@
+//! Guidance by repulsion: settings, effects, limits and animation.
+
+use crate::program::operations::Visit;
+use crate::program::settings::config_error::{ConfigError, allowed, count, finite, not_negative, positive};
+use crate::program::settings::{Info, Method};
+use crate::program::tasks::{MlpSettings, PolicySpec, Settings, TaskSpec, named};
+use physgrad::report::{self, Animation, Field};
+use physgrad::tasks::{self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles, Spread, Walls};
+use physgrad::{Forced, HasModel, Named, System};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Task `guidance`.
+#[derive(Clone, Debug)]
+pub struct Guidance;
+
+/// The `effects` section of guidance, in order of evaluation.
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct GuidanceEffects {
+    /// Viscous friction of the agents.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    friction: Option<Friction>,
+    /// Drivers repel each other.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    spread: Option<Spread>,
+    /// Drivers repel evaders.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    evade: Option<Evade>,
+    /// Evaders attract each other nearby and repel each other farther off.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    flock: Option<Flock>,
+    /// Evaders attract drivers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    drive: Option<Drive>,
+    /// Circular obstacles with a repelling spring force.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    obstacles: Option<Obstacles>,
+    /// Walls around a rectangular field.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    walls: Option<Walls>,
+}
+
+/// Effects of the paper, as a type of their own.
+type PaperEffects = (Named<Friction>, Named<Spread>, Named<Evade>, Named<Flock>);
+
+impl GuidanceEffects {
+    /// Effects of the paper.
+    fn paper() -> Self {
+        Self {
+            friction: Some(Friction::default()),
+            spread: Some(Spread::default()),
+            evade: Some(Evade::default()),
+            flock: Some(Flock::default()),
+            ..Self::default()
+        }
+    }
+
+    /// Effects of the paper, if they are all present and there are no others.
+    fn only_of_the_paper(&self) -> Option<PaperEffects> {
+        let Self { friction, spread, evade, flock, drive: None, obstacles: None, walls: None } = *self else { return None };
+        Some((
+            named("effects.friction", friction)?,
+            named("effects.spread", spread)?,
+            named("effects.evade", evade)?,
+            named("effects.flock", flock)?,
+        ))
+    }
+
+    fn list(&self) -> Vec<Named<GuidanceEffect>> {
+        let Self { friction, spread, evade, flock, drive, obstacles, walls } = self.clone();
+        let effects = [
+            named("effects.friction", friction),
+            named("effects.spread", spread),
+            named("effects.evade", evade),
+            named("effects.flock", flock),
+            named("effects.drive", drive),
+            named("effects.obstacles", obstacles),
+            named("effects.walls", walls),
+        ];
+        effects.into_iter().flatten().collect()
+    }
+
+    /// Obstacles and walls for the animation.
+    fn field(&self) -> Field {
+        let discs = |Obstacles { centers, radius, .. }: &Obstacles| centers.iter().map(|&center| (center, *radius)).collect();
+        let walls = self.walls.map(|walls| [walls.half_width, walls.half_height]);
+        Field { obstacles: self.obstacles.as_ref().map_or_else(Vec::new, discs), walls }
+    }
+
+    fn validate(&self) -> Result<(), ConfigError> {
+        if let Some(Friction { drivers, evaders }) = self.friction {
+            not_negative("effects.friction.drivers", drivers)?;
+            not_negative("effects.friction.evaders", evaders)?;
+        }
+        if let Some(Spread { strength }) = self.spread {
+            finite("effects.spread.strength", strength)?;
+        }
+        if let Some(Evade { strength }) = self.evade {
+            finite("effects.evade.strength", strength)?;
+        }
+        if let Some(Flock { strength, distance }) = self.flock {
+            finite("effects.flock.strength", strength)?;
+            finite("effects.flock.distance", distance)?;
+        }
+        if let Some(Drive { strength }) = self.drive {
+            finite("effects.drive.strength", strength)?;
+        }
+        if let Some(Obstacles { centers, radius, stiffness }) = &self.obstacles {
+            allowed("effects.obstacles.centers", "[]", !centers.is_empty(), "one center or more, each [x, y]")?;
+            let (found, most) = (centers.len(), 1000);
+            allowed("effects.obstacles.centers", format!("a list of {found}"), found <= most, format!("up to {most} centers"))?;
+            for (i, [x, y]) in centers.iter().enumerate() {
+                finite(&format!("effects.obstacles.centers[{i}][0]"), *x)?;
+                finite(&format!("effects.obstacles.centers[{i}][1]"), *y)?;
+            }
+            positive("effects.obstacles.radius", *radius)?;
+            not_negative("effects.obstacles.stiffness", *stiffness)?;
+        }
+        if let Some(Walls { half_width, half_height, stiffness }) = self.walls {
+            positive("effects.walls.half_width", half_width)?;
+            positive("effects.walls.half_height", half_height)?;
+            not_negative("effects.walls.stiffness", stiffness)?;
+        }
+        Ok(())
+    }
+}
+
+/// The `loss` section of guidance.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct GuidanceLoss {
+    /// States that enter the loss.
+    mode: LossMode,
+    /// Weight of the mean squared control, m² s⁴.
+    regularization: f64,
+}
+
+impl Default for GuidanceLoss {
+    fn default() -> Self {
+        let tasks::Guidance { loss, regularization, .. } = tasks::Guidance::new(1, 1);
+        Self { mode: loss, regularization }
+    }
+}
+
+/// Calls the visitor with the herding task for this system.
+fn herd<S: HasModel<GuidanceSystem> + Clone + 'static, V: Visit>(system: S, settings: &Settings<Guidance>, visitor: V) -> V::Out {
+    let GuidanceLoss { mode: loss, regularization } = settings.loss;
+    let task = tasks::Guidance { system, loss, regularization, horizon: settings.horizon };
+    settings.policy.visit(task, visitor)
+}
+
+impl TaskSpec for Guidance {
+    type System = GuidanceSystem;
+    type Effects = GuidanceEffects;
+    type Loss = GuidanceLoss;
+    type PolicySpec = MlpSettings;
+
+    const NAME: &'static str = "guidance";
+    const ABOUT: &'static str = "drivers herd evaders, who flee from them, to the origin";
+    const EPOCHS: usize = 200;
+    const HORIZON: usize = 60;
+    const METHODS: &'static [Method] = &Method::ODE;
+
+    const EFFECTS: &'static [Info] = &[
+        Info { name: "friction", equation: "a = -friction v", derivative: "by hand" },
+        Info { name: "spread", equation: "driver j: a = strength Σ_i (D_j - D_i) / d²", derivative: "by hand" },
+        Info { name: "evade", equation: "evader k: a = strength Σ_j (E_k - D_j) / d²", derivative: "by hand" },
+        Info { name: "flock", equation: "evader k: a = strength Σ_i (distance / d - 1) / d (E_i - E_k)", derivative: "by hand" },
+        Info { name: "drive", equation: "driver j: a = strength Σ_k (E_k - D_j) / d²", derivative: "by hand" },
+        Info {
+            name: "obstacles",
+            equation: "a = stiffness max(0, radius - |r|) r / d, r from the center",
+            derivative: "by hand; one-sided at the touch",
+        },
+        Info {
+            name: "walls",
+            equation: "a = -stiffness max(0, |x| - half_width), outwards, and likewise in y",
+            derivative: "by hand; one-sided at the touch",
+        },
+    ];
+
+    fn system() -> GuidanceSystem {
+        GuidanceSystem::default()
+    }
+
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
+        let (system, price) = (&settings.system, settings.loss.regularization);
+        count("system.drivers", system.drivers, 1..=1000)?;
+        count("system.evaders", system.evaders, 1..=1000)?;
+        positive("system.softening", system.softening)?;
+        positive("system.dt", system.dt)?;
+        not_negative("loss.regularization", price)?;
+        settings.effects.validate()
+    }
+
+    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+        let dt = settings.system.dt / settings.integrator.count() as f64;
+        let system = GuidanceSystem { dt, ..settings.system };
+        // Uses a separate type for the paper's effects.
+        if settings.actuator.is_empty()
+            && settings.integrator.is_empty()
+            && let Some(effects) = settings.effects.only_of_the_paper()
+        {
+            return herd(Forced { system, effects }, settings, visitor);
+        }
+        let effects = settings.effects.list();
+        let system = settings.integrator.discretize(Forced { system, effects }, dt, settings.precision);
+        herd(settings.actuator.wrap(system, settings.system.dt), settings, visitor)
+    }
+
+    fn variants() -> Vec<(String, Settings<Self>)> {
+        let variant = |drivers, evaders, mode| {
+            let mut settings = Settings { effects: GuidanceEffects::paper(), ..Settings::<Self>::defaults() };
+            (settings.system.drivers, settings.system.evaders) = (drivers, evaders);
+            settings.loss.mode = mode;
+            settings
+        };
+        vec![
+            ("1 driver, 1 evader, final loss".into(), variant(1, 1, LossMode::Terminal)),
+            ("2 drivers, 4 evaders, running loss".into(), variant(2, 4, LossMode::Running)),
+        ]
+    }
+
+    fn dt(settings: &Settings<Self>) -> f64 {
+        settings.system.dt
+    }
+
+    fn state_names(settings: &Settings<Self>) -> Vec<String> {
+        let drivers = (1..=settings.system.drivers).map(|i| format!("driver_{i}"));
+        let evaders = (1..=settings.system.evaders).map(|i| format!("evader_{i}"));
+        drivers.chain(evaders).flat_map(|agent| ["x", "y", "vx", "vy"].map(|name| format!("{agent}_{name}"))).collect()
+    }
+
+    fn control_names(settings: &Settings<Self>) -> Vec<String> {
+        (1..=settings.system.drivers).flat_map(|i| [format!("radial_{i}"), format!("tangential_{i}")]).collect()
+    }
+
+    fn animation(settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
+        let own = System::state_dim(&settings.system);
+        let states: Vec<Vec<f64>> = states.iter().map(|x| x[..own].to_vec()).collect();
+        report::guidance_in(&settings.effects.field(), &states, settings.system.drivers, settings.system.dt)
+    }
+}

@@ -1,0 +1,92 @@
+//! Tasks that are numerically hard by design. They share one type, so the compiler monomorphizes
+//! them once.
+
+mod bounce;
+mod contact;
+mod double_pendulum;
+mod lqr;
+mod pole_chain;
+mod push;
+mod slider;
+
+pub use bounce::Bounce;
+pub use double_pendulum::DoublePendulum;
+pub use lqr::Lqr;
+pub use pole_chain::PoleChain;
+pub use push::Push;
+pub use slider::Slider;
+
+use crate::program::operations::Visit;
+use crate::program::settings::config_error::{ConfigError, not_negative};
+use crate::program::tasks::{MlpSettings, PolicySpec, Settings, TaskSpec};
+use physgrad::tasks::{AnyHard, Hard, LossMode, Upright};
+use physgrad::{AnyIntegrator, Integrated, Ode, RungeKutta, Substeps};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::f64::consts::PI;
+
+/// Empty section: `effects` of tasks without effects, and `loss` of tasks with a fixed cost.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Nothing {}
+
+/// Calls the visitor with the task, its substeps and its actuators.
+fn visit<K: TaskSpec<PolicySpec = MlpSettings>, V: Visit>(settings: &Settings<K>, task: AnyHard, visitor: V) -> V::Out {
+    let system = Substeps { system: task, count: settings.integrator.count() };
+    let system = settings.actuator.wrap(system, K::dt(settings));
+    settings.policy.visit(Hard { system }, visitor)
+}
+
+/// Time step of the physics: the control step divided by the number of substeps.
+fn small_step<K: TaskSpec>(settings: &Settings<K>) -> f64 {
+    K::dt(settings) / settings.integrator.count() as f64
+}
+
+/// Owned names of state or control components.
+fn names(names: &[&str]) -> Vec<String> {
+    names.iter().map(|&name| name.to_owned()).collect()
+}
+
+/// The `loss` section of swing-up and balancing tasks.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct UprightLoss {
+    /// States that enter the loss.
+    mode: LossMode,
+    /// Weight of the control cost: adds the mean over time of `control_weight |u|²/2`; default 0.
+    #[serde(default)]
+    control_weight: f64,
+}
+
+/// Distribution of initial states of swing-up and balancing tasks.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+enum Start {
+    /// Angles within ±π/6 of hanging; other components within ±π/6 rad/s, m and m/s.
+    Hanging,
+    /// All components within ±0.05 of upright.
+    Upright,
+}
+
+/// Swing-up or balancing task with the chosen integrator, by default the classical Runge-Kutta
+/// method (RK4).
+fn upright<K: TaskSpec<Loss = UprightLoss>, O: Ode>(
+    settings: &Settings<K>,
+    ode: O,
+    first_angle: usize,
+    start: Start,
+) -> Upright<Integrated<O, AnyIntegrator>> {
+    let UprightLoss { mode: loss, control_weight } = settings.loss;
+    let usual = AnyIntegrator::RungeKutta(RungeKutta::RK4);
+    let integrator = settings.integrator.integrator(settings.precision).unwrap_or(usual);
+    let system = Integrated { ode, integrator, dt: small_step(settings) };
+    let (from, spread) = match start {
+        Start::Hanging => (PI, PI / 6.0),
+        Start::Upright => (0.0, 0.05),
+    };
+    Upright { system, first_angle, from, spread, loss, control_weight, horizon: settings.horizon }
+}
+
+fn validate_upright<K: TaskSpec<Loss = UprightLoss>>(settings: &Settings<K>) -> Result<(), ConfigError> {
+    not_negative("loss.control_weight", settings.loss.control_weight)
+}

@@ -1,0 +1,199 @@
+//! Built-in tasks of the program.
+//!
+//! A [`TaskSpec`] adds settings, defaults, limits, column names and an animation to the physics of
+//! a task. [`Settings`] are the sections of one task; [`Scene`] hides the type of the task.
+//! [`TASKS`] lists all tasks.
+//!
+//! Imports `platform`, `settings` and `operations`. Start with `cart_pole`.
+
+mod cart_pole;
+mod guidance;
+mod hard;
+mod policy;
+mod quantum;
+pub mod scene;
+mod schema;
+mod settings;
+
+pub use policy::{MlpSettings, PolicySpec};
+pub use scene::Scene;
+pub use schema::schema;
+pub use settings::Settings;
+
+use crate::program::operations::Visit;
+use crate::program::settings::config_error::ConfigError;
+use crate::program::settings::{Info, Method};
+use physgrad::Named;
+use physgrad::report::Animation;
+use schemars::JsonSchema;
+use serde::{Serialize, de::DeserializeOwned};
+use std::fmt::Debug;
+use toml::Table;
+
+/// A section of a scene's settings.
+pub trait Section: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static {}
+impl<T: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static> Section for T {}
+
+/// Task name and its settings. The effects that are present select the concrete [`Task`] type.
+pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
+    /// The `system` section: settings of the physics.
+    type System: Section;
+    /// The `effects` section: one subsection per effect that is present.
+    type Effects: Section + Default;
+    /// The `loss` section: settings of the cost function.
+    type Loss: Section + Default;
+    /// The `policy` section. Default values depend on the task.
+    type PolicySpec: PolicySpec;
+
+    /// The task's name.
+    const NAME: &'static str;
+    /// One-line description.
+    const ABOUT: &'static str;
+    /// Default number of epochs.
+    const EPOCHS: usize;
+    /// Default number of time steps.
+    const HORIZON: usize;
+    /// Integrators that can replace the task's own.
+    const METHODS: &'static [Method] = &[];
+    /// Every effect, in the order of the section.
+    const EFFECTS: &'static [Info] = &[];
+
+    /// The default physics.
+    fn system() -> Self::System;
+    /// Checks the sections `system`, `effects` and `loss`.
+    ///
+    /// # Errors
+    /// A value is out of range, or no part of the task reads a setting.
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError>;
+    /// Calls the visitor with the task and the policy of these settings.
+    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out;
+    /// Named settings for gradient checks.
+    fn variants() -> Vec<(String, Settings<Self>)>;
+
+    /// Time step in seconds.
+    fn dt(settings: &Settings<Self>) -> f64;
+    /// Names of the state components, including those that effects add.
+    fn state_names(settings: &Settings<Self>) -> Vec<String>;
+    /// Names of the control components.
+    fn control_names(settings: &Settings<Self>) -> Vec<String>;
+    /// A quantity that is conserved while the control is zero, or None.
+    fn conserved(_settings: &Settings<Self>) -> Option<Conserved> {
+        None
+    }
+    /// Animation of one rollout, from the states and controls of each step.
+    fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
+}
+
+/// An effect with its key in scenes, if it is present.
+fn named<T, E: From<T>>(name: &'static str, effect: Option<T>) -> Option<Named<E>> {
+    effect.map(|effect| Named { name, effect: effect.into() })
+}
+
+/// A function of the state that is conserved in continuous time.
+pub struct Conserved {
+    /// Name of the quantity.
+    pub name: &'static str,
+    /// Evaluates the quantity at a state.
+    pub value: OfState,
+}
+
+type OfState = Box<dyn Fn(&[f64]) -> f64>;
+
+impl Conserved {
+    /// Largest deviation from the initial value over all samples, relative to the largest absolute
+    /// value.
+    pub fn drift(&self, samples: &[Vec<Vec<f64>>]) -> f64 {
+        let (mut drift, mut size) = (0.0_f64, 0.0_f64);
+        for states in samples {
+            let start = (self.value)(&states[0]);
+            for value in states.iter().map(|x| (self.value)(x)) {
+                (drift, size) = (drift.max((value - start).abs()), size.max(value.abs()));
+            }
+        }
+        // NaN without samples.
+        drift / size
+    }
+}
+
+/// Every task.
+pub const TASKS: [&dyn AnyTaskSpec; 9] = [
+    &cart_pole::CartPole,
+    &guidance::Guidance,
+    &quantum::Quantum,
+    &hard::Lqr,
+    &hard::DoublePendulum,
+    &hard::PoleChain,
+    &hard::Slider,
+    &hard::Bounce,
+    &hard::Push,
+];
+
+/// Object-safe [`TaskSpec`].
+pub trait AnyTaskSpec: Send + Sync {
+    /// The task's name.
+    fn name(&self) -> &'static str;
+    /// One-line description.
+    fn about(&self) -> &'static str;
+    /// Every effect.
+    fn effects(&self) -> &'static [Info];
+    /// Integrators that can replace the task's own.
+    fn methods(&self) -> &'static [Method];
+    /// A high-order integrator and the number of substeps per control step, used as reference
+    /// solution.
+    fn reference(&self) -> (&'static str, usize);
+    /// The default settings.
+    fn defaults(&self) -> Table;
+    /// Fills in missing settings that have a default of their own.
+    fn fill(&self, settings: Table) -> Result<Table, ConfigError>;
+    /// Makes a scene from complete settings.
+    fn scene(&'static self, settings: Table) -> Result<Scene, ConfigError>;
+    /// JSON schema of scenes of this task.
+    fn schema(&self) -> serde_json::Value;
+    /// Named scenes for gradient checks.
+    fn variants(&'static self) -> Vec<(String, Scene)>;
+}
+
+impl<K: TaskSpec> AnyTaskSpec for K {
+    fn name(&self) -> &'static str {
+        K::NAME
+    }
+
+    fn about(&self) -> &'static str {
+        K::ABOUT
+    }
+
+    fn effects(&self) -> &'static [Info] {
+        K::EFFECTS
+    }
+
+    fn methods(&self) -> &'static [Method] {
+        K::METHODS
+    }
+
+    fn reference(&self) -> (&'static str, usize) {
+        let best = [Method::Tsit5, Method::Pade].into_iter().find(|method| K::METHODS.contains(method));
+        (best.map_or("native", Method::name), 128)
+    }
+
+    fn defaults(&self) -> Table {
+        Settings::<K>::defaults().table()
+    }
+
+    fn fill(&self, settings: Table) -> Result<Table, ConfigError> {
+        Ok(Settings::<K>::fill(settings)?.table())
+    }
+
+    fn scene(&'static self, settings: Table) -> Result<Scene, ConfigError> {
+        let settings = Settings::<K>::fill(settings)?;
+        settings.validate()?;
+        Ok(Scene::new(self, settings))
+    }
+
+    fn schema(&self) -> serde_json::Value {
+        schema::of::<Settings<K>>(self)
+    }
+
+    fn variants(&'static self) -> Vec<(String, Scene)> {
+        K::variants().into_iter().map(|(name, settings)| (name, Scene::new(self, settings))).collect()
+    }
+}

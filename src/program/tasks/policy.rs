@@ -1,0 +1,64 @@
+//! The `policy` section.
+
+use crate::program::operations::Visit;
+use crate::program::settings::config_error::{ConfigError, allowed};
+use crate::program::tasks::Section;
+use physgrad::policy::Mlp;
+use physgrad::{Policy, System, Task};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// The `policy` section of a task's settings.
+pub trait PolicySpec: Section + Default {
+    /// Policy built from these settings.
+    type Policy: Policy + Clone + 'static;
+    /// Checks the ranges of all settings.
+    fn validate(&self) -> Result<(), ConfigError>;
+    /// Builds the policy for these dimensions of state and control.
+    fn build(&self, state_dim: usize, control_dim: usize) -> Self::Policy;
+
+    /// Calls the visitor with the task and a policy of matching dimensions.
+    fn visit<T: Task + Clone + 'static, V: Visit>(&self, task: T, visitor: V) -> V::Out {
+        let policy = self.build(task.system().state_dim(), task.system().control_dim());
+        visitor.visit(task, policy)
+    }
+}
+
+/// Multilayer perceptron that observes the whole state.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MlpSettings {
+    /// Widths of the hidden layers; an empty list gives a linear policy.
+    widths: Vec<usize>,
+    /// Whether layers have a bias.
+    bias: bool,
+    /// Initialize the last kernel with zeros.
+    zero_init_output: bool,
+}
+
+impl Default for MlpSettings {
+    fn default() -> Self {
+        Self { widths: vec![100, 100], bias: true, zero_init_output: true }
+    }
+}
+
+impl PolicySpec for MlpSettings {
+    type Policy = Mlp;
+
+    fn validate(&self) -> Result<(), ConfigError> {
+        let (found, most) = (self.widths.len(), 1000);
+        allowed("policy.widths", format!("a list of {found}"), found <= most, format!("up to {most} layers"))?;
+        match self.widths.iter().find(|w| !(1..=10_000).contains(*w)) {
+            Some(width) => {
+                let what = format!("has {width}; allowed: 1 to 10000 each, or [] for a linear policy");
+                Err(ConfigError::new("policy.widths", what))
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn build(&self, state_dim: usize, control_dim: usize) -> Mlp {
+        let widths = [&[state_dim], &self.widths[..], &[control_dim]].concat();
+        Mlp::new(widths).bias(self.bias).zero_init_output(self.zero_init_output)
+    }
+}

@@ -1,0 +1,286 @@
+//! Quantum control: settings, effects, limits and animation.
+
+use crate::program::operations::Visit;
+use crate::program::settings::config_error::{ConfigError, allowed, count, exclusive, finite, not_negative, positive};
+use crate::program::settings::{Info, Method};
+use crate::program::tasks::{Conserved, PolicySpec, Settings, TaskSpec, named};
+use physgrad::policy::Conv;
+use physgrad::report::{self, Animation, Landscape};
+use physgrad::tasks::{
+    self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode, Pade, QuantumEffect,
+    QuantumScheme, QuantumSystem, Strang, Tabulated,
+};
+use physgrad::{Forced, HasModel, Named, Substeps};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Task `quantum`.
+#[derive(Clone, Debug)]
+pub struct Quantum;
+
+/// The `system` section of quantum control.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct QuantumSettings {
+    /// Number of grid points between the walls.
+    grid: usize,
+    /// Length of the box.
+    length: f64,
+    /// Time step.
+    dt: f64,
+    /// Shape of the control potential.
+    control: ControlShape,
+    /// Index of the target eigenstate; 1 is the ground state.
+    target: usize,
+    /// Weights of the first and the second eigenstate in initial states.
+    weighting: [f64; 2],
+}
+
+/// The `effects` section of quantum control, in order of evaluation.
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct QuantumEffects {
+    /// A harmonic trap.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    harmonic: Option<Harmonic>,
+    /// A potential barrier, or a well, in the box.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    barrier: Option<Barrier>,
+    /// Two potential wells separated by a barrier.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    double_well: Option<DoubleWell>,
+    /// Cubic self-interaction of the Gross-Pitaevskii equation.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cubic: Option<Cubic>,
+    /// Absorbing layers at the walls.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    absorbing_edges: Option<AbsorbingEdges>,
+}
+
+impl QuantumEffects {
+    /// The static potential.
+    fn potential(&self, system: &QuantumSystem) -> Option<Named<Tabulated>> {
+        let harmonic = self.harmonic.map(|effect| Tabulated::of(system, &effect));
+        let barrier = self.barrier.map(|effect| Tabulated::of(system, &effect));
+        let double_well = self.double_well.map(|effect| Tabulated::of(system, &effect));
+        named("effects.harmonic", harmonic)
+            .or_else(|| named("effects.barrier", barrier))
+            .or_else(|| named("effects.double_well", double_well))
+    }
+
+    /// Effects that add to the potential.
+    fn list(&self, system: &QuantumSystem) -> Vec<Named<QuantumEffect>> {
+        let potential = self.potential(system).map(|Named { name, effect }| Named { name, effect: effect.into() });
+        potential.into_iter().chain(named("effects.cubic", self.cubic)).collect()
+    }
+
+    /// Potential and absorbing layers for the animation.
+    fn landscape(&self, system: &QuantumSystem) -> Landscape {
+        let potential = self.potential(system).map_or(Vec::new(), |potential| potential.effect.values);
+        Landscape { potential, absorbing: self.absorbing_edges.map(|edges| edges.width) }
+    }
+
+    fn validate(&self, length: f64) -> Result<(), ConfigError> {
+        if let Some(Harmonic { stiffness, center }) = self.harmonic {
+            finite("effects.harmonic.stiffness", stiffness)?;
+            finite("effects.harmonic.center", center)?;
+        }
+        if let Some(Barrier { height, width, center }) = self.barrier {
+            finite("effects.barrier.height", height)?;
+            positive("effects.barrier.width", width)?;
+            finite("effects.barrier.center", center)?;
+        }
+        if let Some(DoubleWell { height, separation }) = self.double_well {
+            finite("effects.double_well.height", height)?;
+            within("effects.double_well.separation", separation, length, "the length of the box")?;
+        }
+        if let Some(Cubic { strength }) = self.cubic {
+            finite("effects.cubic.strength", strength)?;
+        }
+        if let Some(AbsorbingEdges { width, strength }) = self.absorbing_edges {
+            within("effects.absorbing_edges.width", width, 0.5 * length, "half the length of the box")?;
+            not_negative("effects.absorbing_edges.strength", strength)?;
+        }
+        let potentials = [
+            ("harmonic", self.harmonic.is_some()),
+            ("barrier", self.barrier.is_some()),
+            ("double_well", self.double_well.is_some()),
+        ];
+        exclusive(&potentials, "there is one static potential")
+    }
+}
+
+/// Returns an error unless the value is positive and at most `limit`. `what` describes the limit.
+fn within(key: &str, value: f64, limit: f64, what: &str) -> Result<(), ConfigError> {
+    allowed(key, value, value > 0.0 && value <= limit, format!("more than 0, up to {limit}, {what}"))
+}
+
+/// The `loss` section of quantum control.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct QuantumLoss {
+    /// States that enter the loss.
+    mode: LossMode,
+}
+
+impl Default for QuantumLoss {
+    fn default() -> Self {
+        Self { mode: LossMode::Running }
+    }
+}
+
+/// The `policy` section of quantum control: a convolutional network.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ConvSettings {
+    /// Number of filters of each convolution.
+    width: usize,
+    /// Initialize the last kernel with zeros.
+    zero_init_output: bool,
+}
+
+impl Default for ConvSettings {
+    fn default() -> Self {
+        Self { width: 60, zero_init_output: false }
+    }
+}
+
+impl PolicySpec for ConvSettings {
+    type Policy = Conv;
+
+    fn validate(&self) -> Result<(), ConfigError> {
+        count("policy.width", self.width, 1..=10_000)
+    }
+
+    fn build(&self, state_dim: usize, _control_dim: usize) -> Conv {
+        Conv::new(state_dim / 2, self.width).zero_init_output(self.zero_init_output)
+    }
+}
+
+/// Calls the visitor with the task of reaching the target eigenstate.
+fn visit_task<S: HasModel<QuantumSystem> + Clone + 'static, V: Visit>(
+    system: S,
+    settings: &Settings<Quantum>,
+    visitor: V,
+) -> V::Out {
+    let QuantumSettings { target, weighting, .. } = settings.system;
+    let task = tasks::Quantum { system, target, loss: settings.loss.mode, horizon: settings.horizon, weighting };
+    settings.policy.visit(task, visitor)
+}
+
+impl TaskSpec for Quantum {
+    type System = QuantumSettings;
+    type Effects = QuantumEffects;
+    type Loss = QuantumLoss;
+    type PolicySpec = ConvSettings;
+
+    const NAME: &'static str = "quantum";
+    const ABOUT: &'static str = "bring a particle in a box into an eigenstate by tilting the floor";
+    const EPOCHS: usize = 200;
+    const HORIZON: usize = 128;
+    const METHODS: &'static [Method] = &Method::QUANTUM;
+
+    const EFFECTS: &'static [Info] = &[
+        Info { name: "harmonic", equation: "V = stiffness (ξ - center)²", derivative: "none is needed: it does not see ψ" },
+        Info {
+            name: "barrier",
+            equation: "V = height / cosh²((ξ - center) / width)",
+            derivative: "none is needed: it does not see ψ",
+        },
+        Info {
+            name: "double_well",
+            equation: "V = height ((2 ξ / separation)² - 1)²",
+            derivative: "none is needed: it does not see ψ",
+        },
+        Info { name: "cubic", equation: "V = strength |ψ_j|² / dx", derivative: "by hand" },
+        Info {
+            name: "absorbing_edges",
+            equation: "ψ_j ← exp(-dt W) ψ_j, W = strength ((width - d) / width)² at the distance d < width from a wall",
+            derivative: "by hand",
+        },
+    ];
+
+    fn system() -> QuantumSettings {
+        let tasks::Quantum { system, target, weighting, .. } = tasks::Quantum::new(3);
+        let QuantumSystem { grid, length, dt, control } = system;
+        QuantumSettings { grid, length, dt, control, target, weighting }
+    }
+
+    fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
+        let QuantumSettings { grid, length, dt, target, weighting: [first, second], control: _ } = settings.system;
+        // Two unpadded convolutions need at least seven points.
+        count("system.grid", grid, 7..=100_000)?;
+        count("system.target", target, 1..=grid)?;
+        positive("system.length", length)?;
+        positive("system.dt", dt)?;
+        // Within these limits every initial state can be normalized.
+        let can_be_normalized = first.is_finite() && second.is_finite() && (1e-6..=1e6).contains(&first.abs().max(second.abs()));
+        let weighting = format!("[{first}, {second}]");
+        allowed("system.weighting", weighting, can_be_normalized, "two numbers, the larger in size 1e-6 to 1e6")?;
+        settings.effects.validate(length)?;
+        // The convolutions run over the wave function and accept no further state components.
+        settings.actuator.without_state("the network of this task sees the wave function alone")
+    }
+
+    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+        let system = settings.physics();
+        let effects = settings.effects.list(&system);
+        // Uses one type in all scenes: an empty list of effects costs little next to the
+        // tridiagonal solve. Absorbing edges of width 0 multiply nothing.
+        let edges = settings.effects.absorbing_edges.unwrap_or(AbsorbingEdges { width: 0.0, strength: 0.0 });
+        let count = settings.integrator.count();
+        let system = QuantumSystem { dt: system.dt / count as f64, ..system };
+        let scheme = match settings.integrator.method {
+            Some(Method::Pade) => QuantumScheme::Pade(Pade(system)),
+            Some(Method::Strang) => QuantumScheme::Strang(Strang::new(system)),
+            _ => QuantumScheme::CrankNicolson(system),
+        };
+        let system = Substeps { system: Absorbing::new(Forced { system: scheme, effects }, edges), count };
+        visit_task(settings.actuator.wrap(system, settings.system.dt), settings, visitor)
+    }
+
+    fn variants() -> Vec<(String, Settings<Self>)> {
+        let modes = [(LossMode::Terminal, "terminal"), (LossMode::Running, "running")];
+        let variant = |(mode, name)| {
+            let settings = Settings { loss: QuantumLoss { mode }, horizon: 40, ..Settings::<Self>::defaults() };
+            (format!("eigenstate 3, {name} loss"), settings)
+        };
+        modes.map(variant).to_vec()
+    }
+
+    fn dt(settings: &Settings<Self>) -> f64 {
+        settings.system.dt
+    }
+
+    fn state_names(settings: &Settings<Self>) -> Vec<String> {
+        (1..=settings.system.grid).flat_map(|j| [format!("re_{j}"), format!("im_{j}")]).collect()
+    }
+
+    fn control_names(settings: &Settings<Self>) -> Vec<String> {
+        let name = match settings.system.control {
+            ControlShape::Tilt => "tilt",
+            ControlShape::Dipole => "dipole",
+        };
+        vec![name.into()]
+    }
+
+    fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
+        let norm = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
+        settings.effects.absorbing_edges.is_none().then(|| Conserved { name: "norm", value: Box::new(norm) })
+    }
+
+    fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
+        let system = settings.physics();
+        let tilts: Vec<f64> = settings.actuator.applied(system.dt, states, controls).iter().map(|u| u[0]).collect();
+        let landscape = settings.effects.landscape(&system);
+        let target: Vec<f64> = system.eigenstate(settings.system.target).collect();
+        report::quantum_in(&landscape, states, &tilts, &target, system.length, system.dt)
+    }
+}
+
+impl Settings<Quantum> {
+    fn physics(&self) -> QuantumSystem {
+        let QuantumSettings { grid, length, dt, control, .. } = self.system;
+        QuantumSystem { grid, length, dt, control }
+    }
+}

@@ -1,0 +1,317 @@
+//! Scenes: validated settings, independent of the task.
+//!
+//! [`Scene`] holds the settings that all tasks share. [`AnySettings`] is the object-safe interface
+//! to the settings of one task.
+
+use crate::program::operations::checks::{Checking, Results};
+use crate::program::operations::costs::{Costing, Stored, Storing};
+use crate::program::operations::gradients::{Derived, Deriving, GradientMethod, Referring};
+use crate::program::operations::session::{AnyRun, Open};
+use crate::program::operations::simulation::{Job, Preparing};
+use crate::program::settings::config_error::ConfigError;
+use crate::program::settings::{FieldName, OPTIONAL, Precision};
+use crate::program::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
+use anyhow::Result;
+use physgrad::report::Animation;
+use physgrad::{Field, OpCount};
+use std::ops::Deref;
+use std::sync::Arc;
+use toml::{Table, Value};
+
+/// Validated settings.
+#[derive(Clone)]
+pub struct Scene {
+    /// Task kind.
+    pub kind: &'static dyn AnyTaskSpec,
+    /// Vector field that the optimizer follows.
+    pub field: FieldName,
+    /// Floating-point precision.
+    pub precision: Precision,
+    /// Seed of initial states and parameters.
+    pub seed: u64,
+    /// Total number of epochs.
+    pub epochs: usize,
+    /// Time steps of a rollout.
+    pub horizon: usize,
+    /// All settings.
+    pub table: Table,
+    settings: Arc<dyn AnySettings>,
+}
+
+/// Object-safe operations on the settings of a task.
+pub trait AnySettings: Send + Sync {
+    /// Opens a run before its first epoch.
+    fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>>;
+    /// Checks the gradients of system, policy and rollout. Results carry the name `variant`.
+    fn check(&self, variant: &str, results: &mut Results);
+    /// Rollout with its adjoints, for comparison with other methods.
+    fn prepare(&self) -> Job;
+    /// Gradient, computed in the given way.
+    fn derive(&self, precision: Precision, way: GradientMethod) -> Derived;
+    /// Components of the gradients of R, M and S in double-double arithmetic. Calls `done` after
+    /// each.
+    fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3];
+    /// Operation counts of a physics step and of its VJPs.
+    fn cost(&self) -> OpCount;
+    /// Memory and allocations of a rollout of a few samples, for evaluation or with the adjoint of
+    /// a field.
+    fn stored(&self, field: Option<Field>) -> Stored;
+    /// Time step in seconds.
+    fn dt(&self) -> f64;
+    /// Names of the state components.
+    fn state_names(&self) -> Vec<String>;
+    /// Names of the control components.
+    fn control_names(&self) -> Vec<String>;
+    /// Names of the applied controls, if there is an actuator.
+    fn applied_names(&self) -> Vec<String>;
+    /// Controls that the actuator applies in these states, given those of the policy.
+    fn applied(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>>;
+    /// A quantity that is conserved while the control is zero, or None.
+    fn conserved(&self) -> Option<Conserved>;
+    /// Animation of one rollout, from the states and controls of each step.
+    fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
+}
+
+impl<K: TaskSpec> AnySettings for Settings<K> {
+    fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>> {
+        let training = self.training.training(self.epochs, self.seed, workers);
+        Ok(self.visit(Open { precision: self.precision, field: self.field.0, training })?)
+    }
+
+    fn check(&self, variant: &str, results: &mut Results) {
+        self.visit(Checking { variant, results });
+    }
+
+    fn prepare(&self) -> Job {
+        self.visit(Preparing { precision: self.precision, seed: self.seed })
+    }
+
+    fn derive(&self, precision: Precision, way: GradientMethod) -> Derived {
+        self.visit(Deriving { precision, seed: self.seed, way })
+    }
+
+    fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3] {
+        self.visit(Referring { seed: self.seed, done })
+    }
+
+    fn cost(&self) -> OpCount {
+        self.visit(Costing)
+    }
+
+    fn stored(&self, field: Option<Field>) -> Stored {
+        self.visit(Storing { precision: self.precision, field })
+    }
+
+    fn dt(&self) -> f64 {
+        K::dt(self)
+    }
+
+    fn state_names(&self) -> Vec<String> {
+        let mut names = K::state_names(self);
+        names.extend(self.actuator.state_names(&K::control_names(self)));
+        names
+    }
+
+    fn control_names(&self) -> Vec<String> {
+        K::control_names(self)
+    }
+
+    fn applied_names(&self) -> Vec<String> {
+        self.actuator.applied_names(&K::control_names(self))
+    }
+
+    fn applied(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        self.actuator.applied(K::dt(self), states, controls)
+    }
+
+    fn conserved(&self) -> Option<Conserved> {
+        K::conserved(self)
+    }
+
+    fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
+        K::animation(self, states, controls)
+    }
+}
+
+impl Deref for Scene {
+    type Target = dyn AnySettings;
+
+    fn deref(&self) -> &Self::Target {
+        &*self.settings
+    }
+}
+
+impl Scene {
+    /// Makes a scene from validated settings.
+    pub fn new<K: TaskSpec>(kind: &'static dyn AnyTaskSpec, settings: Settings<K>) -> Self {
+        let Settings { field, precision, seed, epochs, horizon, .. } = settings;
+        Self { kind, field, precision, seed, epochs, horizon, table: settings.table(), settings: Arc::new(settings) }
+    }
+
+    /// Copy with another field and seed.
+    pub fn with(&self, field: FieldName, seed: u64) -> Result<Self, ConfigError> {
+        let mut table = self.table.clone();
+        table.insert("field".into(), Value::String(field.into()));
+        table.insert("seed".into(), Value::Integer(seed as i64));
+        self.kind.scene(table)
+    }
+
+    /// Identity of a run: the settings that a resumed run must share, one per line.
+    ///
+    /// Lists the differences from the task's defaults. Excludes the number of epochs and settings
+    /// that do not change results. A setting added by a later version, with a default that
+    /// preserves the behaviour, does not change the identity.
+    pub fn identity(&self) -> String {
+        self.unusual(&["epochs", "training.memory"])
+    }
+
+    /// Settings shared by the runs of a comparison: [`identity`](Self::identity) without field and
+    /// seed.
+    pub fn comparable(&self) -> String {
+        self.unusual(&["epochs", "training.memory", "field", "seed"])
+    }
+
+    /// One line per effect and per setting that differs from the default of its task or effect.
+    /// Skips the keys in `but`.
+    fn unusual(&self, but: &[&str]) -> String {
+        let mut lines = vec![format!("task = {:?}", self.kind.name())];
+        // Default settings with the same effects, each with its default parameters.
+        let mut usual = self.kind.defaults();
+        for section in OPTIONAL {
+            let parts: Vec<&String> =
+                self.table.get(section).and_then(Value::as_table).into_iter().flat_map(Table::keys).collect();
+            lines.extend(parts.iter().map(|part| format!("{section}.{part}")));
+            let bare: Table = parts.into_iter().map(|part| (part.clone(), Value::Table(Table::new()))).collect();
+            usual.insert(section.into(), Value::Table(bare));
+        }
+        let usual = flat(&self.kind.fill(usual.clone()).unwrap_or(usual));
+        let unusual = flat(&self.table).into_iter().filter(|setting| !usual.contains(setting) && !but.contains(&&*setting.0));
+        lines.extend(unusual.map(|(key, value)| format!("{key} = {value}")));
+        lines.join("\n")
+    }
+}
+
+/// All settings by dotted key. An empty section counts as a setting: it is an effect without
+/// parameters.
+pub fn flat(table: &Table) -> Vec<(String, Value)> {
+    let inner = |(key, value): (&String, &Value)| match value {
+        Value::Table(section) if !section.is_empty() => {
+            flat(section).into_iter().map(|(rest, value)| (format!("{key}.{rest}"), value)).collect()
+        }
+        value => vec![(key.clone(), value.clone())],
+    };
+    table.iter().flat_map(inner).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::program::operations::Visit;
+    use crate::program::settings::{Info, Method};
+    use crate::program::tasks::{MlpSettings, PolicySpec};
+    use physgrad::report;
+    use physgrad::tasks::{CartPole, CartPoleSystem};
+    use schemars::JsonSchema;
+    use serde::{Deserialize, Serialize};
+
+    /// Task with one effect.
+    #[derive(Clone, Debug)]
+    struct Windy;
+
+    #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+    #[serde(deny_unknown_fields)]
+    struct Effects {
+        /// It blows.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        wind: Option<Wind>,
+    }
+
+    #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+    #[serde(deny_unknown_fields, default)]
+    struct Wind {
+        /// Wind speed, m/s.
+        speed: f64,
+    }
+
+    impl Default for Wind {
+        fn default() -> Self {
+            Self { speed: 3.0 }
+        }
+    }
+
+    impl TaskSpec for Windy {
+        type System = CartPoleSystem;
+        type Effects = Effects;
+        type Loss = Effects;
+        type PolicySpec = MlpSettings;
+
+        const NAME: &'static str = "windy";
+        const ABOUT: &'static str = "a test";
+        const EPOCHS: usize = 1;
+        const HORIZON: usize = 2;
+        const METHODS: &'static [Method] = &[];
+        const EFFECTS: &'static [Info] = &[];
+
+        fn system() -> CartPoleSystem {
+            CartPoleSystem::default()
+        }
+
+        fn validate(_settings: &Settings<Self>) -> Result<(), ConfigError> {
+            Ok(())
+        }
+
+        fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+            settings.policy.visit(CartPole::new(1), visitor)
+        }
+
+        fn variants() -> Vec<(String, Settings<Self>)> {
+            Vec::new()
+        }
+
+        fn dt(_settings: &Settings<Self>) -> f64 {
+            1.0
+        }
+
+        fn state_names(_settings: &Settings<Self>) -> Vec<String> {
+            Vec::new()
+        }
+
+        fn control_names(_settings: &Settings<Self>) -> Vec<String> {
+            Vec::new()
+        }
+
+        fn animation(_settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
+            report::cart_pole(states, &[], 1.0, 1.0)
+        }
+    }
+
+    fn scene(effects: &str, epochs: i64) -> Scene {
+        let mut table = Windy.defaults();
+        table.insert("epochs".into(), Value::Integer(epochs));
+        table.extend(effects.parse::<Table>().expect("TOML"));
+        AnyTaskSpec::scene(&Windy, table).expect("a scene")
+    }
+
+    #[test]
+    fn an_identity_is_what_differs_from_the_defaults() {
+        assert_eq!(scene("", 7).identity(), "task = \"windy\"");
+        assert_eq!(scene("seed = 4", 1).identity(), "task = \"windy\"\nseed = 4");
+        assert_eq!(scene("seed = 4", 1).comparable(), "task = \"windy\"");
+        // Lists an effect even if all its parameters have their defaults.
+        assert_eq!(scene("effects.wind = {}", 1).identity(), "task = \"windy\"\neffects.wind");
+        let fast = scene("effects.wind.speed = 5", 1);
+        assert_eq!(fast.identity(), "task = \"windy\"\neffects.wind\neffects.wind.speed = 5.0");
+        assert_eq!(fast.with(fast.field, 4).expect("a scene").comparable(), fast.identity());
+    }
+
+    #[test]
+    fn what_is_optional_is_left_out_of_a_scene_and_no_null_in_its_schema() {
+        assert!(!scene("", 1).table.contains_key("effects"));
+        assert_eq!(scene("effects.wind = {}", 1).table["effects"]["wind"]["speed"].as_float(), Some(3.0));
+        let schema = Windy.schema();
+        let wind = &schema["properties"]["effects"]["properties"]["wind"];
+        assert_eq!((&wind["type"], &wind["description"]), (&"object".into(), &"It blows.".into()));
+        assert_eq!(wind["properties"]["speed"]["default"], 3.0);
+        assert!(!schema.to_string().contains("null"), "{schema}");
+    }
+}

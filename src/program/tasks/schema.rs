@@ -1,0 +1,79 @@
+//! JSON schema of scenes, with one branch per task.
+
+use crate::program::settings::VERSION;
+use crate::program::tasks::{AnyTaskSpec, TASKS};
+use schemars::generate::SchemaSettings;
+use schemars::{JsonSchema, SchemaGenerator};
+use serde_json::{Map, Value, json};
+use toml::Table;
+
+/// Schema of all scenes.
+pub fn schema() -> Value {
+    json!({
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "A physgrad scene",
+        "description": "What is trained, and how. Whatever is left out has the task's default; effects that are not named are absent.",
+        "type": "object",
+        "oneOf": TASKS.map(|kind| kind.schema()),
+    })
+}
+
+/// Schema of the scenes of one task.
+pub fn of<S: JsonSchema>(kind: &dyn AnyTaskSpec) -> Value {
+    // Inlines subschemas: sections of different tasks share type names but not contents.
+    let settings = SchemaSettings::draft2020_12().with(|settings| settings.inline_subschemas = true);
+    let mut schema = SchemaGenerator::new(settings).into_root_schema_for::<S>().to_value();
+    complete(&mut schema, Some(&kind.defaults()));
+    if let Some(all) = schema.as_object_mut() {
+        all.remove("$schema");
+        all.insert("title".into(), kind.name().into());
+        all.insert("description".into(), kind.about().into());
+        all.insert("required".into(), json!(["scene", "task"]));
+    }
+    schema["properties"]["scene"]["const"] = VERSION.into();
+    schema["properties"]["task"]["const"] = kind.name().into();
+    schema
+}
+
+/// Inserts defaults and makes settings with a default optional.
+///
+/// A parameter of an effect or actuator without a default stays required within its section.
+fn complete(schema: &mut Value, defaults: Option<&Table>) {
+    let Some(schema) = schema.as_object_mut() else { return };
+    without_null(schema);
+    if defaults.is_some() {
+        schema.remove("required");
+    }
+    let Some(properties) = schema.get_mut("properties").and_then(Value::as_object_mut) else { return };
+    for (key, property) in properties {
+        let default = defaults.and_then(|defaults| defaults.get(key));
+        complete(property, default.and_then(toml::Value::as_table));
+        if let Some(default) = default.filter(|default| !default.is_table())
+            && let Ok(default) = serde_json::to_value(default)
+        {
+            property["default"] = default;
+        }
+    }
+}
+
+/// Removes null from the types: TOML has no null, and a scene omits an optional setting.
+fn without_null(schema: &mut Map<String, Value>) {
+    if let Some(Value::Array(types)) = schema.get_mut("type") {
+        types.retain(|name| name != "null");
+        if let [one] = &types[..] {
+            schema["type"] = one.clone();
+        }
+    }
+    if let Some(Value::Array(choices)) = schema.get_mut("anyOf") {
+        choices.retain(|choice| choice["type"] != "null");
+        if let [Value::Object(one)] = &choices[..] {
+            let one = one.clone();
+            schema.remove("anyOf");
+            // Prefers the description of the property to the description of its type.
+            one.into_iter().for_each(|(key, value)| {
+                schema.entry(key).or_insert(value);
+            });
+        }
+    }
+    schema.retain(|key, value| key != "default" || !value.is_null());
+}
