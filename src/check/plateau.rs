@@ -44,14 +44,14 @@ impl fmt::Display for Plateau {
         if self.is_stuck() {
             write!(
                 f,
-                "a plateau: {numbers}, where the loss is lower by {:.1e}. What is followed from here is rounding. Begin \
-                 elsewhere: with other parameters, with a last kernel that is not zero, or from other states",
+                "a plateau: {numbers}, where the loss is lower by {:.1e}. The gradient here is rounding. Start from other \
+                 parameters, with output weights that are not zero, or from other initial states",
                 loss - lowest_nearby
             )
+        } else if *gradient == 0.0 && *gradient_nearby == 0.0 {
+            write!(f, "flat: {numbers}")
         } else if *gradient <= NONE * gradient_nearby {
             write!(f, "a minimum: {numbers}, and no lower loss there")
-        } else if *gradient == 0.0 {
-            write!(f, "flat: {numbers}")
         } else {
             write!(f, "a slope: {numbers}")
         }
@@ -95,4 +95,20 @@ pub fn plateau<T: Task, P: Policy>(task: &T, policy: &P, weights: &Weights<f64>,
         found.gradient_nearby = found.gradient_nearby.max(gradient);
     }
     Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Plateau;
+
+    #[test]
+    fn descriptions_distinguish_plateaus_minima_flat_regions_and_slopes() {
+        let at = |gradient: f64, lowest_nearby: f64, gradient_nearby: f64| {
+            Plateau { loss: 1.0, gradient, lowest_nearby, gradient_nearby }.to_string()
+        };
+        assert!(at(0.0, 0.5, 1.0).starts_with("a plateau"));
+        assert!(at(0.0, 1.5, 1.0).starts_with("a minimum"));
+        assert!(at(0.0, 1.0, 0.0).starts_with("flat"));
+        assert!(at(0.1, 0.5, 1.0).starts_with("a slope"));
+    }
 }

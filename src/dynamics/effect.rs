@@ -71,6 +71,7 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     /// Returns the name of this effect if its forces or their derivatives are non-finite at the
     /// finite state `x`. `forces` is the number of forces of the system. The name is that of the
     /// type, or the one given by [`Named`]. Used only for error messages.
+    #[doc(hidden)]
     fn diagnose<F: Float>(&self, model: &B, x: &[F], forces: usize) -> Option<&'static str> {
         let name = || std::any::type_name::<Self>().split('<').next().and_then(|path| path.rsplit("::").next());
         if is_finite(self, model, x, forces) { None } else { name() }

@@ -19,7 +19,7 @@ const STACK: usize = 128;
 pub struct Substeps<S> {
     /// The inner system, which takes the small steps.
     pub system: S,
-    /// Number of inner steps, at least 1.
+    /// Number of inner steps; 0 counts as 1.
     pub count: usize,
 }
 
@@ -28,7 +28,7 @@ impl<S: System> Substeps<S> {
     #[inline(always)]
     fn states<R: Real>(&self, x: &[R], u: &[R]) -> SmallVec<[R; STACK]> {
         let n = x.len();
-        let mut states: SmallVec<[R; STACK]> = smallvec![R::zero(); n * self.count];
+        let mut states: SmallVec<[R; STACK]> = smallvec![R::zero(); n * self.count.max(1)];
         states[..n].copy_from_slice(x);
         for i in 1..self.count {
             let (before, after) = states.split_at_mut(n * i);

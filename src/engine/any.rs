@@ -14,17 +14,25 @@ use crate::numbers::scalar::{CotangentPack, Float};
 
 /// Object-safe [`Task`] for one precision.
 ///
-/// Every task implements it, so `&task` coerces to `&dyn AnyTask<F>`. Methods forward to those of
-/// the task. Calls on a `dyn AnyTask<F>` need no import of this trait.
+/// Every task implements it, so `&task` coerces to `&dyn AnyTask<F>`. Sealed. The hidden methods
+/// forward to those of the task.
 #[allow(missing_docs)]
 pub trait AnyTask<F: Float>: StepForward<F> + StepBack<F, 1> + StepBack<F, 2> + Send + Sync {
+    #[doc(hidden)]
     fn state_dim(&self) -> usize;
+    #[doc(hidden)]
     fn control_dim(&self) -> usize;
+    #[doc(hidden)]
     fn horizon(&self) -> usize;
+    #[doc(hidden)]
     fn start(&self, rng: &mut Rng, x: &mut [f64]);
+    #[doc(hidden)]
     fn terminal_cost(&self, x: &[Lane<F>]) -> Lane<F>;
+    #[doc(hidden)]
     fn terminal_cost_gradient(&self, x: &[Lane<F>], x_bar: &mut [Lane<F>]);
+    #[doc(hidden)]
     fn stage_cost_gradient(&self, x: &[Lane<F>], u: &[Lane<F>], x_bar: &mut [Lane<F>], u_bar: &mut [Lane<F>]);
+    #[doc(hidden)]
     fn diagnose(&self, x: &[F], u: &[F]) -> Option<Cause>;
 }
 

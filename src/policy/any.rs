@@ -10,15 +10,25 @@ use crate::numbers::scalar::Float;
 /// forwards to the method of [`Policy`] of that name.
 #[allow(missing_docs)]
 pub trait AnyPolicy<F: Float>: Send + Sync {
+    #[doc(hidden)]
     fn state_dim(&self) -> usize;
+    #[doc(hidden)]
     fn control_dim(&self) -> usize;
+    #[doc(hidden)]
     fn param_count(&self) -> usize;
+    #[doc(hidden)]
     fn init(&self, rng: &mut Rng, theta: &mut [f64]);
+    #[doc(hidden)]
     fn tensors(&self) -> Vec<Tensor>;
+    #[doc(hidden)]
     fn sizes(&self, columns: usize) -> Sizes;
+    #[doc(hidden)]
     fn pack(&self, theta: &[F], packed: &mut [F]);
+    #[doc(hidden)]
     fn forward(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]);
+    #[doc(hidden)]
     fn backward(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], x_bar: Option<&mut [F]>);
+    #[doc(hidden)]
     fn param_gradient(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]);
 }
 

@@ -2,7 +2,7 @@
 //! setting; it neither panics nor hangs.
 //!
 //! A sample of the cases always runs. To run all cases, in a few minutes:
-//! `PHYSGRAD_EXTREMES=all cargo test --release --test extreme_settings -- --nocapture`.
+//! `PHYSGRAD_EXTREMES=all cargo test --release --test program extreme_settings -- --nocapture`.
 
 use assert_cmd::Command;
 use physgrad::rng::{Purpose, stream};

@@ -26,7 +26,7 @@ pub enum LimitKind {
     /// one.
     #[default]
     Smooth,
-    /// `u`, cut off at ±bound: exact below it, and no gradient beyond it.
+    /// `u`, cut off at ±bound. The gradient is 0 beyond it.
     Hard,
 }
 
@@ -41,7 +41,8 @@ impl Actuator for Limit {
         for (out, &u) in zip(out.iter_mut(), u) {
             *out = match self.kind {
                 LimitKind::Smooth => bound * (u * T::lift(1.0 / self.bound)).tanh(),
-                LimitKind::Hard => u.min(bound).max(-bound),
+                // In this order, NaN propagates.
+                LimitKind::Hard => (-bound).max(bound.min(u)),
             };
         }
     }
@@ -61,7 +62,7 @@ impl Actuator for Limit {
                     let share = (u * R::lift(1.0 / self.bound)).tanh();
                     out_bar * (R::one() - share * share)
                 }
-                LimitKind::Hard => out_bar * R::select_lt(u.abs(), R::lift(self.bound), R::one(), R::zero()),
+                LimitKind::Hard => out_bar * R::select_lt(R::lift(self.bound), u.abs(), R::zero(), R::one()),
             };
         }
     }
