@@ -21,7 +21,7 @@ use physgrad::tasks::{
     CartDamping, CartPole, CartPoleEffect, CartPoleSystem, Cubic, Guidance, GuidanceEffect, GuidanceSystem, Harmonic,
     PoleDamping, Quantum, QuantumEffect, QuantumSystem, SteadyWind,
 };
-use physgrad::{Adjoint, Float, Flow, Forced, Gradient, Rollout, Task, Weights};
+use physgrad::{Adjoint, Float, Flow, Forced, Gradient, Rollout, Task, Weights, initial_states};
 use std::hint::black_box;
 
 const BATCH: usize = 8;
@@ -188,11 +188,7 @@ fn form<F: Float>(network: &(impl Policy + Clone + 'static), name: &'static str,
 /// A rollout with the adjoints of the flows; for scenes, also the parameter gradients.
 fn job<F: Float>(of: Of, task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, flows: &[Flow]) -> Job {
     let weights = Weights::<F>::init(&*policy, &mut stream(0, Purpose::Policy, 0));
-    let mut x = vec![0.0; BATCH * task.state_dim()];
-    for (sample, x) in x.chunks_exact_mut(task.state_dim()).enumerate() {
-        task.start(&mut stream(0, Purpose::Train, sample as u64), x);
-    }
-    let starts: Vec<F> = x.into_iter().map(F::lift).collect();
+    let starts: Vec<F> = initial_states(&*task, 0, Purpose::Train, BATCH);
     let mut rollout = Rollout::new(&*task, &*policy, BATCH);
     let mut adjoint = (!flows.is_empty()).then(|| Adjoint::new(&*policy, &rollout, flows));
     let mut gradient = Gradient::zeros(weights.theta().len());

@@ -12,7 +12,7 @@ use physgrad::kernels::{SimdLevel, gemm};
 use physgrad::policy::{Mlp, Policy};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::CartPole;
-use physgrad::{Adjoint, Batch, Field, Float, Flow, Gradient, Rollout, System, Task, Trainer, Training, Weights};
+use physgrad::{Adjoint, Batch, Field, Float, Flow, Gradient, Rollout, System, Trainer, Training, Weights, initial_states};
 use std::hint::black_box;
 
 const ROUNDS: usize = 60;
@@ -36,11 +36,7 @@ fn task_and_policy() -> (CartPole, Mlp) {
 
 /// Initial states of one mini-batch.
 fn starts<F: Float>(task: &CartPole) -> Vec<F> {
-    let mut x = vec![0.0; BATCH * task.system.state_dim()];
-    for (sample, x) in x.chunks_exact_mut(task.system.state_dim()).enumerate() {
-        task.start(&mut stream(0, Purpose::Train, sample as u64), x);
-    }
-    x.into_iter().map(F::lift).collect()
+    initial_states(task, 0, Purpose::Train, BATCH)
 }
 
 /// Times the forward pass and the gradient of every field.

@@ -11,7 +11,9 @@ mod measure;
 use measure::{Nothing, median, ratio, rounds};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{Cubic, Harmonic, Pade, Quantum, QuantumScheme, QuantumSystem, Strang};
-use physgrad::{Adjoint, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Rollout, Substeps, System, Task, Weights};
+use physgrad::{
+    Adjoint, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Rollout, Substeps, System, Task, Weights, initial_states,
+};
 use std::f64::consts::PI;
 use std::hint::black_box;
 
@@ -131,11 +133,7 @@ fn job<F: Float, S: HasModel<QuantumSystem> + 'static>(system: S, horizon: usize
     let (state_dim, control_dim) = (task.system().state_dim(), task.system().control_dim());
     let policy = Nothing { state_dim, control_dim };
     let weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Policy, 0));
-    let mut x = vec![0.0; BATCH * state_dim];
-    for (sample, x) in x.chunks_exact_mut(state_dim).enumerate() {
-        task.start(&mut stream(0, Purpose::Train, sample as u64), x);
-    }
-    let starts: Vec<F> = x.into_iter().map(F::lift).collect();
+    let starts: Vec<F> = initial_states(&task, 0, Purpose::Train, BATCH);
     let mut rollout = Rollout::new(&task, &policy, BATCH);
     let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::REGULAR]);
     Box::new(move || {

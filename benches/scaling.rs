@@ -8,7 +8,7 @@ mod measure;
 use measure::{Nothing, median, ratio, rounds};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{Guidance, Quantum, QuantumSystem};
-use physgrad::{Adjoint, Flow, Rollout, System, Task, Weights};
+use physgrad::{Adjoint, Flow, Rollout, System, Task, Weights, initial_states};
 
 const BATCH: usize = 8;
 /// Small enough that the largest trajectories stay in the cache.
@@ -51,11 +51,7 @@ fn step_and_adjoint<T: Task>(task: &T) -> impl FnMut() {
     let (state_dim, control_dim) = (task.system().state_dim(), task.system().control_dim());
     let policy = Nothing { state_dim, control_dim };
     let weights = Weights::<f32>::init(&policy, &mut stream(0, Purpose::Policy, 0));
-    let mut x = vec![0.0; BATCH * state_dim];
-    for (sample, x) in x.chunks_exact_mut(state_dim).enumerate() {
-        task.start(&mut stream(0, Purpose::Train, sample as u64), x);
-    }
-    let starts: Vec<f32> = x.into_iter().map(|x| x as f32).collect();
+    let starts: Vec<f32> = initial_states(task, 0, Purpose::Train, BATCH);
     let mut rollout = Rollout::new(task, &policy, BATCH);
     let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::REGULAR]);
     move || {

@@ -19,12 +19,11 @@
 //! [`Trainer`] combines public parts. One update consists of a forward pass, a reverse pass,
 //! composition, clipping and an optimizer step:
 //! ```
-//! use physgrad::{Adjoint, Clip, Field, Gradient, Optimizer, Rollout, Task, Weights, policy::Mlp, rng, tasks::CartPole};
+//! use physgrad::{Adjoint, Clip, Field, Gradient, Optimizer, Rollout, Weights, initial_states, policy::Mlp, rng, tasks::CartPole};
 //!
 //! let (task, policy, field) = (CartPole::new(1), Mlp::new([4, 16, 1]), Field::combined());
 //! let mut weights = Weights::<f64>::init(&policy, &mut rng::stream(0, rng::Purpose::Policy, 0));
-//! let mut start = [0.0; 4];
-//! task.start(&mut rng::stream(0, rng::Purpose::Train, 0), &mut start);
+//! let starts = initial_states(&task, 0, rng::Purpose::Train, 1);
 //!
 //! // Sized once, used for every update.
 //! let mut rollout = Rollout::new(&task, &policy, 1);
@@ -33,7 +32,7 @@
 //! let mut descent = Gradient::zeros(weights.theta().len());
 //! let mut optimizer = Optimizer::adam(1e-3, weights.theta().len());
 //!
-//! rollout.start(&start);
+//! rollout.start(&starts);
 //! rollout.run(&task, &policy, &weights)?;
 //! adjoint.run(&task, &policy, &weights, &rollout, 1.0)?;
 //! for (k, gradient) in gradients.iter_mut().enumerate() {
@@ -106,6 +105,7 @@ pub use engine::checkpointed::Checkpointed;
 pub use engine::divergence::{Divergence, Variable};
 pub use engine::gradient::Gradient;
 pub use engine::growth::Growth;
+pub use engine::initial_states::initial_states;
 pub use engine::rollout::Rollout;
 pub use engine::schedule::{MemoryError, Schedule};
 pub use numbers::extended::ExtendedF64;

@@ -17,18 +17,17 @@ use crate::policy::Weights;
 /// The constructor allocates everything; runs do not allocate. Gradients are bitwise equal to those
 /// of [`Rollout`] and [`Adjoint`], for each schedule.
 /// ```
-/// use physgrad::{Checkpointed, Flow, Gradient, Schedule, Task, Weights, policy::Mlp, rng, tasks::CartPole};
+/// use physgrad::{Checkpointed, Flow, Gradient, Schedule, Weights, initial_states, policy::Mlp, rng, tasks::CartPole};
 ///
 /// let (task, policy) = (CartPole { horizon: 1000, ..CartPole::new(1) }, Mlp::new([4, 16, 1]));
 /// let weights = Weights::<f64>::init(&policy, &mut rng::stream(0, rng::Purpose::Policy, 0));
-/// let mut start = [0.0; 4];
-/// task.start(&mut rng::stream(0, rng::Purpose::Train, 0), &mut start);
+/// let starts = initial_states(&task, 0, rng::Purpose::Train, 1);
 ///
 /// let flows = [Flow::REGULAR];
 /// let schedule = Checkpointed::<f64>::schedule_within(&task, &policy, 1, &flows, 200_000)?;
 /// let mut gradient = [vec![Gradient::zeros(weights.theta().len())]];
 /// let mut rollout = Checkpointed::new(&task, &policy, 1, &flows, schedule);
-/// rollout.run(&task, &policy, &weights, &start, 1.0, 1, &mut gradient)?;
+/// rollout.run(&task, &policy, &weights, &starts, 1.0, 1, &mut gradient)?;
 /// assert!(rollout.stored_bytes() <= 200_000);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```

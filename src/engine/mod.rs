@@ -17,6 +17,7 @@ pub(crate) mod checkpointed;
 pub(crate) mod divergence;
 pub(crate) mod gradient;
 pub(crate) mod growth;
+pub(crate) mod initial_states;
 pub(crate) mod parallel;
 pub(crate) mod rollout;
 pub(crate) mod schedule;

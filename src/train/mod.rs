@@ -22,7 +22,7 @@ pub use record::{Record, Skip};
 pub use session::Session;
 
 use crate::dynamics::task::Task;
-use crate::engine::any::AnyTask;
+use crate::engine::initial_states::initial_states;
 use crate::engine::schedule::MemoryError;
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::scalar::Float;
@@ -213,7 +213,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     pub fn session(self) -> Result<Session<T, P, F, C>, TrainError> {
         let Self { task, policy, field, training, .. } = self;
         training.validate()?;
-        let starts = |purpose, samples| starts(&task, training.seed, purpose, samples);
+        let starts = |purpose, samples| initial_states(&task, training.seed, purpose, samples);
         let (train, test) = (starts(Purpose::Train, training.train_samples), starts(Purpose::Test, training.test_samples));
         let weights = Weights::init(&policy, &mut stream(training.seed, Purpose::Policy, 0));
         Session::new(task, policy, field, training, weights, train, test)
@@ -233,18 +233,6 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
         let weights = Weights::new(&policy, theta);
         Session::new(task, policy, field, training, weights, train, test)
     }
-}
-
-/// Draws initial states, each from its own random stream.
-fn starts<F: Float>(task: &dyn AnyTask<F>, seed: u64, purpose: Purpose, samples: usize) -> Vec<F> {
-    let mut x = vec![0.0; task.state_dim()];
-    let mut all = Vec::with_capacity(samples * x.len());
-    for sample in 0..samples {
-        x.fill(0.0);
-        task.start(&mut stream(seed, purpose, sample as u64), &mut x);
-        all.extend(x.iter().map(|&x| F::lift(x)));
-    }
-    all
 }
 
 /// Result of a training.

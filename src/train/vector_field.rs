@@ -10,13 +10,13 @@
 //!
 //! All vectors come from rollouts of these tasks; no derivative is coded separately.
 
-use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::adjoint::Flow;
 use crate::engine::batch::Batch;
 use crate::engine::divergence::Divergence;
 use crate::engine::gradient::Gradient;
-use crate::numbers::rng::{Purpose, stream};
+use crate::engine::initial_states::initial_states;
+use crate::numbers::rng::Purpose;
 use crate::numbers::scalar::Float;
 use crate::policy::{Policy, Weights};
 use crate::train::field::{Field, GradientCombiner, SignAgreement};
@@ -113,8 +113,7 @@ impl<'a, T: Task, P: Policy, C: GradientCombiner> Sampler<'a, T, P, C> {
             "a field in the plane needs a policy of two parameters, not {}",
             policy.param_count()
         );
-        let mut start = vec![0.0; task.system().state_dim()];
-        task.start(&mut stream(0, Purpose::Train, 0), &mut start);
+        let start = initial_states(task, 0, Purpose::Train, 1);
         let weights = Weights::new(policy, vec![0.0; 2]);
         let batch = Batch::new(task, policy, 1, &field.flows(), 1);
         Self { task, policy, field, start, weights, batch, vector: Gradient::zeros(2) }

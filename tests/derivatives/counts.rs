@@ -3,7 +3,7 @@
 use crate::operations::{NUMBERS, operations};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{CartPole, Guidance, Quantum};
-use physgrad::{Cotangent, CotangentPack, Counted, Dual, Ops, Real, Scalar, System, Task};
+use physgrad::{Cotangent, CotangentPack, Counted, Dual, Ops, Real, Scalar, System, Task, initial_states};
 use rand::RngExt;
 
 const NONE: Ops = Ops { add: 0, negate: 0, multiply: 0, divide: 0, sqrt: 0, transcendental: 0, compare: 0 };
@@ -214,12 +214,10 @@ fn bits<R: Real<Real = f64>, S: System>(system: &S, x: &[f64]) -> Vec<u64> {
 }
 
 fn counted_is_f64<T: Task>(task: &T) {
-    for sample in 0..4 {
-        let mut x = vec![0.0; task.system().state_dim()];
-        task.start(&mut stream(6, Purpose::Train, sample), &mut x);
-        assert_eq!(bits::<Counted, _>(task.system(), &x), bits::<f64, _>(task.system(), &x));
+    for x in initial_states(task, 6, Purpose::Train, 4).chunks_exact(task.system().state_dim()) {
+        assert_eq!(bits::<Counted, _>(task.system(), x), bits::<f64, _>(task.system(), x));
         let by_duals = ByDuals(task.system());
-        assert_eq!(bits::<Counted, _>(&by_duals, &x), bits::<f64, _>(&by_duals, &x));
+        assert_eq!(bits::<Counted, _>(&by_duals, x), bits::<f64, _>(&by_duals, x));
     }
 }
 

@@ -4,7 +4,7 @@
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::CartPole;
-use physgrad::{Adjoint, Float, Flow, Gradient, Rollout, Task, Weights};
+use physgrad::{Adjoint, Float, Flow, Gradient, Rollout, Weights, initial_states};
 
 /// Returns the result of `work` and the number of bytes it requests.
 fn allocated<T>(work: impl FnOnce() -> T) -> (T, usize) {
@@ -19,9 +19,7 @@ const SAMPLES: usize = 17;
 fn bytes_are_those_asked_for<F: Float>() {
     let (task, policy) = (CartPole { horizon: 20, ..CartPole::new(2) }, Mlp::new([6, 16, 16, 1]));
     let weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Policy, 0));
-    let mut start = [0.0; 6];
-    task.start(&mut stream(0, Purpose::Train, 0), &mut start);
-    let starts: Vec<F> = start.into_iter().cycle().take(SAMPLES * 6).map(F::lift).collect();
+    let starts: Vec<F> = initial_states(&task, 0, Purpose::Train, SAMPLES);
     let mut theta_bar = Gradient::zeros(weights.theta().len());
 
     // The first run of a process detects the processor's features.

@@ -6,7 +6,8 @@ use physgrad::policy::{self, Mlp};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{CartPole, Guidance, LossMode, Quantum};
 use physgrad::{
-    Batch, CheckpointError, Evaluation, Field, Float, Flow, Gradient, Record, Rollout, Session, Task, Trainer, Training, Weights,
+    Batch, CheckpointError, Evaluation, Field, Float, Flow, Gradient, Record, Rollout, Session, Trainer, Training, Weights,
+    initial_states,
 };
 
 const STATES: usize = 6;
@@ -20,12 +21,7 @@ fn policy() -> Mlp {
 }
 
 fn starts<F: Float>(samples: usize) -> Vec<F> {
-    let draw = |sample: u64| {
-        let mut x = [0.0; STATES];
-        task().start(&mut stream(0, Purpose::Train, sample), &mut x);
-        x.map(F::lift)
-    };
-    (0..samples as u64).flat_map(draw).collect()
+    initial_states(&task(), 0, Purpose::Train, samples)
 }
 
 fn weights<F: Float>() -> Weights<F> {

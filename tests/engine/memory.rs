@@ -4,7 +4,10 @@
 use physgrad::policy::{Conv, Mlp};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, Guidance, LossMode, Quantum};
-use physgrad::{Adjoint, Batch, Checkpointed, Divergence, Field, Float, Flow, Gradient, Policy, Rollout, Scalar, Schedule, Task};
+use physgrad::{
+    Adjoint, Batch, Checkpointed, Divergence, Field, Float, Flow, Gradient, Policy, Rollout, Scalar, Schedule, Task,
+    initial_states,
+};
 use physgrad::{TrainError, Trainer, Training, Weights};
 use rand::RngExt;
 
@@ -24,11 +27,7 @@ fn weights<F: Float, P: Policy>(policy: &P) -> Weights<F> {
 }
 
 fn starts<F: Float, T: Task>(task: &T, samples: usize) -> Vec<F> {
-    use physgrad::System;
-    let n = task.system().state_dim();
-    let mut x = vec![0.0; samples * n];
-    x.chunks_exact_mut(n).enumerate().for_each(|(i, x)| task.start(&mut stream(0, Purpose::Train, i as u64), x));
-    x.into_iter().map(F::lift).collect()
+    initial_states(task, 0, Purpose::Train, samples)
 }
 
 /// Returns costs and the gradients of all samples, with everything stored by `Rollout` and

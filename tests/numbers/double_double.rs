@@ -7,6 +7,7 @@ use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{CartPole, CoupledCartPole, Guidance, GuidanceSystem, Pade, Quantum, QuantumSystem, Strang};
 use physgrad::{
     Batch, DoubleDouble, Dual, Flow, ImplicitMidpoint, Integrated, Policy, RungeKutta, Scalar, System, Task, Weights, check,
+    initial_states,
 };
 
 /// Compares value and directional derivative of a step between double-double and num-dual.
@@ -51,11 +52,7 @@ fn steps_in_double_double_are_those_of_duals_to_rounding() {
 
 /// Compares the gradients of a flow between the reverse pass in f64 and double-double.
 fn slopes<T: Task, P: Policy>(name: &str, task: &T, policy: &P, allowed: f64) {
-    let n = task.system().state_dim();
-    let mut starts = vec![0.0; 2 * n];
-    for (i, x) in starts.chunks_exact_mut(n).enumerate() {
-        task.start(&mut stream(1, Purpose::Test, i as u64), x);
-    }
+    let starts = initial_states(task, 1, Purpose::Test, 2);
     let weights = Weights::<f64>::init(policy, &mut stream(1, Purpose::Policy, 0));
     for flow in Flow::ALL {
         let mut batch = Batch::new(task, policy, 2, &[flow], 1);

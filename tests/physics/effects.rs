@@ -10,7 +10,7 @@ use physgrad::tasks::{
 };
 use physgrad::{
     Actuated, AnyActuator, Batch, Delay, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Lag, Limit, LimitKind, OpCount,
-    Ops, Rollout, System, Task, Weights,
+    Ops, Rollout, System, Task, Weights, initial_states,
 };
 
 fn cart_pole(poles: usize) -> CartPoleSystem {
@@ -208,9 +208,7 @@ fn by_hand_is_the_same_physics() {
 /// reverse pass, as bits. Uses one sample and scalars.
 fn steps<F: Float, T: Task>(task: &T) -> Vec<u64> {
     let (n, m, horizon) = (task.system().state_dim(), task.system().control_dim(), task.horizon());
-    let mut start = vec![0.0; n];
-    task.start(&mut stream(3, Purpose::Train, 0), &mut start);
-    let mut states: Vec<Vec<F>> = vec![start.into_iter().map(F::lift).collect()];
+    let mut states: Vec<Vec<F>> = vec![initial_states(task, 3, Purpose::Train, 1)];
     let control = |t: usize| (0..m).map(|i| F::lift((0.3 * t as f64 + i as f64).sin())).collect::<Vec<F>>();
     for t in 0..horizon {
         let mut next = vec![F::zero(); n];
@@ -243,11 +241,7 @@ fn bits<F: Float, T: Task>(task: &T) -> Vec<u64> {
     let policy = Mlp::new([n, 6, m]);
     let weights = Weights::<F>::init(&policy, &mut stream(3, Purpose::Policy, 0));
     let samples = 9;
-    let mut starts = vec![0.0; samples * n];
-    for (sample, x) in starts.chunks_exact_mut(n).enumerate() {
-        task.start(&mut stream(3, Purpose::Train, sample as u64), x);
-    }
-    let starts: Vec<F> = starts.into_iter().map(F::lift).collect();
+    let starts: Vec<F> = initial_states(task, 3, Purpose::Train, samples);
     let mut found = Vec::new();
     for flow in Flow::ALL {
         let mut batch = Batch::new(task, &policy, samples, &[flow], 1);

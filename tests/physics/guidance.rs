@@ -1,9 +1,9 @@
 //! Guidance by repulsion: gradients, the authors' steps, and coincident or very distant agents.
 
 use physgrad::policy::Mlp;
-use physgrad::rng::{Purpose, stream};
+use physgrad::rng::Purpose;
 use physgrad::tasks::{Center, Evade, Flock, Friction, Guidance, GuidanceSystem, Herding, LossMode, Spread};
-use physgrad::{Cotangent, CotangentPack, Float, Forced, Real, Scalar, System, Task, check};
+use physgrad::{Cotangent, CotangentPack, Float, Forced, Real, Scalar, System, Task, check, initial_states};
 use rand::RngExt;
 use serde_json::Value;
 
@@ -79,9 +79,7 @@ fn whole_rollouts_of_every_flow() {
 fn starts_are_where_the_task_says() {
     let task = Guidance::new(2, 4);
     let radius = |p: &[f64]| p[0].hypot(p[1]);
-    for index in 0..200 {
-        let mut x = vec![f64::NAN; 24];
-        task.start(&mut stream(1, Purpose::Train, index), &mut x);
+    for x in initial_states(&task, 1, Purpose::Train, 200).chunks_exact(24) {
         let agents: Vec<&[f64]> = x.chunks_exact(4).collect();
         assert!(agents.iter().all(|agent| agent[2..] == [0.0, 0.0]));
         assert!(agents[..2].iter().all(|driver| (3.0..4.0).contains(&radius(driver))));

@@ -3,7 +3,7 @@
 use physgrad::policy::{Conv, PolicyColumns, PolicyPass};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{LossMode, Quantum, QuantumSystem};
-use physgrad::{Policy, Scalar, System, Task, Weights, check};
+use physgrad::{Policy, Scalar, System, Task, Weights, check, initial_states};
 use serde_json::Value;
 
 fn system(grid: usize) -> QuantumSystem {
@@ -120,8 +120,7 @@ fn steps_and_eigenstates_are_the_authors() {
 fn probability_is_conserved() {
     let task = Quantum::new(3);
     let system = task.system;
-    let (mut x, mut next) = (vec![0.0; 64], vec![0.0; 64]);
-    task.start(&mut stream(0, Purpose::Test, 0), &mut x);
+    let (mut x, mut next) = (initial_states(&task, 0, Purpose::Test, 1), vec![0.0; 64]);
     for step in 0..100_000 {
         let u = [30.0 * (0.1 * f64::from(step)).sin()];
         system.step(&x, &u, &mut next);
@@ -134,8 +133,7 @@ fn probability_is_conserved() {
 #[test]
 fn the_adjoint_through_the_physics_keeps_its_norm() {
     let task = Quantum::new(3);
-    let mut states = vec![vec![0.0; 64]];
-    task.start(&mut stream(0, Purpose::Test, 1), &mut states[0]);
+    let mut states: Vec<Vec<f64>> = vec![initial_states(&task, 0, Purpose::Test, 1)];
     let controls: Vec<[f64; 1]> = (0..10_000).map(|step| [20.0 * (0.3 * f64::from(step)).cos()]).collect();
     for u in &controls {
         let mut next = vec![0.0; 64];
@@ -158,12 +156,10 @@ fn starts_are_mixtures_of_the_two_lowest_eigenstates() {
     for weighting in [[1.0, 1.0], [3.0, 1.0], [7.0, 1.0], [15.0, 1.0], [0.0, 1.0]] {
         let task = Quantum { weighting, ..Quantum::new(3) };
         let (samples, mut mean) = (2000, [0.0; 3]);
-        for sample in 0..samples {
-            let mut x = vec![0.0; 64];
-            task.start(&mut stream(0, Purpose::Train, sample), &mut x);
-            assert!((norm(&x) - 1.0).abs() < 1e-13);
+        for x in initial_states(&task, 0, Purpose::Train, samples).chunks_exact(64) {
+            assert!((norm(x) - 1.0).abs() < 1e-13);
             for (target, mean) in (1..).zip(&mut mean) {
-                *mean += (1.0 - Quantum { target, ..task }.stage_cost(&x, &[0.0])) / samples as f64;
+                *mean += (1.0 - Quantum { target, ..task }.stage_cost(x, &[0.0])) / samples as f64;
             }
         }
         // E[w₁²n₁² / (w₁²n₁² + w₂²n₂²)] = w₁ / (w₁ + w₂).

@@ -8,6 +8,7 @@ use physgrad::tasks::{
 };
 use physgrad::{
     Actuated, Counted, Delay, Effect, Forced, HasModel, Limit, LimitKind, Ops, Scalar, Substeps, System, Task, check,
+    initial_states,
 };
 
 #[test]
@@ -31,8 +32,7 @@ fn effects_may_depend_on_time() {
     assert_eq!(step(&system, &x, 1.0)[16], x[16] + 0.0625);
     let task = Quantum { horizon: 6, ..Quantum::with_system(system, 2) };
     check::task(&task, &Linear::with_bias(17, 1));
-    let mut start = vec![0.0; 17];
-    task.start(&mut stream(0, Purpose::Train, 0), &mut start);
+    let start: Vec<f64> = initial_states(&task, 0, Purpose::Train, 1);
     assert!((norm(&start[..16]) - 1.0).abs() < 1e-13 && start[16] > 0.0 && start[16] <= 1.0);
 }
 

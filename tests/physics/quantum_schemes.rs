@@ -10,6 +10,7 @@ use physgrad::tasks::{
 };
 use physgrad::{
     Actuated, Counted, Delay, Effect, Forced, ForcedSystem, Limit, LimitKind, Ops, Scalar, Substeps, System, Task, check,
+    initial_states,
 };
 use std::f64::consts::{PI, TAU};
 
@@ -80,8 +81,8 @@ fn every_scheme_is_unitary_whatever_the_potential() {
     for (model, effects) in [(box_of(32), vec![]), (dipole(32), every_effect()), (box_of(7), every_effect())] {
         for system in schemes(model) {
             let system = Forced { system, effects: effects.clone() };
-            let mut x = vec![0.0; 2 * model.grid];
-            Quantum { weighting: [1.0, 1.0], ..Quantum::with_system(model, 3) }.start(&mut stream(0, Purpose::Test, 0), &mut x);
+            let task = Quantum { weighting: [1.0, 1.0], ..Quantum::with_system(model, 3) };
+            let mut x = initial_states(&task, 0, Purpose::Test, 1);
             for t in 0..5000 {
                 x = step(&system, &x, 300.0 * (0.1 * f64::from(t)).sin());
             }
