@@ -225,7 +225,7 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
     let said = error_of(&mut train_scene(&dir.path().join("nowhere.toml"), &out, &[]));
     assert!(said.contains("cannot read") && said.contains("nowhere.toml"), "{said}");
     let said = error_of(&mut physgrad(&["train", "cart_pool"]));
-    assert!(said.contains("there is no preset `cart_pool`, only cart_pole, ") && said.contains("ends in .toml"), "{said}");
+    assert!(said.contains("there is no preset `cart_pool`; presets: cart_pole, ") && said.contains("ends in .toml"), "{said}");
 }
 
 #[test]
@@ -239,9 +239,9 @@ fn a_mistake_of_the_command_line_is_told_from_one_of_the_file() {
     assert!(said.contains("my_scene.toml:4: `system.dt` is -1"), "{said}");
     for (set, message) in [
         ("effects.wind.speed=1", "--set effects.wind.speed=1: `effects.wind` is unknown"),
-        ("task=quantum", "`task` says what the other settings are of"),
-        ("scene=2", "`scene` says what the other settings are of"),
-        ("system.dt.unit=s", "`system.dt` is no section"),
+        ("task=quantum", "`task` defines the meaning of the other settings"),
+        ("scene=2", "`scene` defines the meaning of the other settings"),
+        ("system.dt.unit=s", "`system.dt` is not a section"),
     ] {
         let said = error_of(&mut train_scene(&file, &out, &["--set", set]));
         assert!(said.contains(message), "{message}\n{said}");
@@ -277,7 +277,7 @@ fn a_run_is_resumed_by_the_command_that_started_it_and_says_where_a_file_differs
     assert!(said.contains("goes on with its own scene") && said.contains("system.dt = 0.5"), "{said}");
 
     let said = error_of(&mut train_scene(&out, &dir.path().join("again"), &[]));
-    assert!(said.contains("is a folder, and not a scene") && said.contains("run.toml"), "{said}");
+    assert!(said.contains("is a folder, not a scene") && said.contains("run.toml"), "{said}");
 }
 
 #[test]
