@@ -132,7 +132,7 @@ impl SceneSource {
         Ok(())
     }
 
-    /// Validates the scene. Absent settings get the defaults of the task. Absent effects stay absent.
+    /// Validates the scene. Absent settings get the task's defaults. Absent effects stay absent.
     pub fn scene(&self) -> Result<Scene> {
         self.validate().map_err(|error| anyhow!("{}: {error}", self.origin(&error.key)))
     }
