@@ -1,6 +1,6 @@
 //! The `physgrad` program; see `physgrad --help`.
 
-// `println!` panics if the pipe is closed; `terminal::say` and `terminal::tell` do not.
+// `println!` panics on a closed pipe. `terminal::say` and `terminal::tell` do not.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 mod program;

@@ -4,9 +4,9 @@
 //!
 //! 1. `platform`: files, folders, locks, signals, threads, terminal.
 //! 2. `settings`: sections of a scene, errors in settings.
-//! 3. `operations`: computations on the concrete types of a task and its policy.
-//! 4. `tasks`: the built-in tasks; `Scene`, which hides the type of its task.
-//! 5. `scenes`: text of scenes, presets, overrides.
+//! 3. `operations`: computations generic over task and policy.
+//! 4. `tasks`: built-in tasks; `Scene`, independent of the type of its task.
+//! 5. `scenes`: scene files, presets, overrides.
 //! 6. `runs`: training, resuming, sweeps, output files.
 //! 7. `commands`: one module per command.
 //!
@@ -48,7 +48,7 @@ enum Command {
     Report(report::Report),
     Check(check::Check),
     Paper(paper::Paper),
-    /// List the tasks and their settings
+    /// List the tasks with all settings and their defaults
     Tasks,
     Scene(print::Scene),
     Schema(print::Schema),
@@ -69,7 +69,7 @@ pub fn main() -> ExitCode {
     signals::ignore_file_limits();
     let command = Arguments::parse().command.unwrap_or_else(default_run);
     match (execute(&command), signals::received()) {
-        // Makes a shell script stop: its next command does not run.
+        // A shell script stops at a command with the status of a signal.
         (Ok(()), Some(signal)) => ExitCode::from(signals::exit_status(signal)),
         (Ok(()), None) => ExitCode::SUCCESS,
         (Err(error), _) => {

@@ -126,7 +126,7 @@ fn a_resumed_run_is_an_uninterrupted_one() {
     let mut resume = physgrad(&["train", "cart_pole", "--resume", "--epochs", "5", "--out"]);
     resume.arg(&parts).assert().success();
     let mut fewer = physgrad(&["train", "cart_pole", "--resume", "--epochs", "3", "--out"]);
-    assert!(error_of(fewer.arg(&parts)).contains("5 epochs already"));
+    assert!(error_of(fewer.arg(&parts)).contains("already has 5 epochs"));
     assert_eq!(numbers(&parts), numbers(&whole));
     assert!(policy(&parts) == policy(&whole));
 }
@@ -247,7 +247,7 @@ fn a_comparison_keeps_runs_that_broke_off_and_says_so() {
     let mut compare = physgrad(&["compare", "cart_pole", "--fields", "R,C", "--seeds", "2", "--epochs", "40", "--out"]);
     compare.arg(dir.path()).args(SMALL).args(["--set", "system.gravity=1e38", "--set", "system.dt=1e5"]);
     let text = error_of(&mut compare);
-    assert!(text.contains("4 of 4 runs broke off") && text.contains("R seed 1") && text.contains("forward pass"), "{text}");
+    assert!(text.contains("4 of 4 runs failed") && text.contains("R seed 1") && text.contains("forward pass"), "{text}");
     let summary = columns(&dir.path().join("summary.csv"));
     assert_eq!(summary["final_test_loss"], ["NaN"; 4]);
 }

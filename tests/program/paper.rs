@@ -78,7 +78,7 @@ fn a_figure_goes_on_where_it_was_and_is_the_same_as_made_at_once() {
     let output = paper("fig3", &dir.path().join("once"), &args).output().expect("it runs");
     assert!(!output.status.success());
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(text.contains("has 3 epochs already, and asked for are 1"), "{text}");
+    assert!(text.contains("already has 3 epochs, but `epochs` is 1"), "{text}");
     let kept = dir.path().join("once");
     assert_eq!((read(&kept.join("fig3.svg")), read(&kept.join("fig3.md"))), once, "what was there is still there");
 }

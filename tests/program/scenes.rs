@@ -135,7 +135,7 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
         ("[system]\nenabled = false\n", "my_scene.toml:4: `system.enabled` is unknown; allowed: `model`, `poles`"),
         (
             "[training]\nclip_limit = 2\n",
-            "my_scene.toml:4: `training.clip_limit` is 2, but nothing reads it: `training.clip` is none",
+            "my_scene.toml:4: `training.clip_limit` is 2, but has no effect: `training.clip` is none",
         ),
         ("[system]\npoles = \"two\"\n", "my_scene.toml:4: `system.poles` is string \"two\"; allowed: a whole number"),
         (
@@ -149,7 +149,7 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
         ("[training]\noptimizer = 3\n", "my_scene.toml:4: `training.optimizer` is integer `3`; allowed: `adam`, "),
         ("system.dt = -1\n", "my_scene.toml:3: `system.dt` is -1; allowed: a positive number"),
         ("epochs = -1\n", "my_scene.toml:3: `epochs` is integer `-1`; allowed: a whole number"),
-        ("field = \"sideways\"\n", "my_scene.toml:3: `field` cannot be used: unknown field `sideways`; expected combined, "),
+        ("field = \"sideways\"\n", "my_scene.toml:3: `field` is invalid: unknown field `sideways`; expected combined, "),
         ("precision = \"f16\"\n", "my_scene.toml:3: `precision` is `f16`; allowed: `f32` or `f64`"),
         ("horizon = \n", "my_scene.toml:3: "),
         ("[effects.bumpers]\nenabled = false\n", "my_scene.toml:4: `effects.bumpers.enabled` is unknown; allowed: `half_travel`"),
@@ -170,7 +170,7 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
         ("[effects.steady_wind]\ngust = 1\n", "my_scene.toml:4: `effects.steady_wind.gust` is unknown; allowed: `speed`"),
         (
             "[effects.steady_wind]\n[effects.gusty_wind]\n",
-            "my_scene.toml:4: `effects.gusty_wind` cannot be beside `effects.steady_wind`: there is one wind; allowed: one of them",
+            "my_scene.toml:4: `effects.gusty_wind` cannot be combined with `effects.steady_wind`: there is one wind; allowed: one of them",
         ),
         (
             "[effects.cubic]\nstrength = 1\n",
@@ -195,7 +195,7 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
         ),
         (
             "scene = 1\ntask = \"quantum\"\n[effects]\nharmonic = {}\nbarrier = {}\n",
-            "my_scene.toml:5: `effects.barrier` cannot be beside `effects.harmonic`: there is one static potential",
+            "my_scene.toml:5: `effects.barrier` cannot be combined with `effects.harmonic`: there is one static potential",
         ),
         (
             "scene = 1\ntask = \"quantum\"\n[actuator.lag]\ntime = 1\n",
@@ -225,7 +225,7 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
     let said = error_of(&mut train_scene(&dir.path().join("nowhere.toml"), &out, &[]));
     assert!(said.contains("cannot read") && said.contains("nowhere.toml"), "{said}");
     let said = error_of(&mut physgrad(&["train", "cart_pool"]));
-    assert!(said.contains("there is no preset `cart_pool`, only cart_pole, ") && said.contains("ends in .toml"), "{said}");
+    assert!(said.contains("there is no preset `cart_pool`; presets: cart_pole, ") && said.contains("ends in .toml"), "{said}");
 }
 
 #[test]
@@ -239,9 +239,9 @@ fn a_mistake_of_the_command_line_is_told_from_one_of_the_file() {
     assert!(said.contains("my_scene.toml:4: `system.dt` is -1"), "{said}");
     for (set, message) in [
         ("effects.wind.speed=1", "--set effects.wind.speed=1: `effects.wind` is unknown"),
-        ("task=quantum", "`task` says what the other settings are of"),
-        ("scene=2", "`scene` says what the other settings are of"),
-        ("system.dt.unit=s", "`system.dt` is no section"),
+        ("task=quantum", "`task` defines the meaning of the other settings"),
+        ("scene=2", "`scene` defines the meaning of the other settings"),
+        ("system.dt.unit=s", "`system.dt` is not a section"),
     ] {
         let said = error_of(&mut train_scene(&file, &out, &["--set", set]));
         assert!(said.contains(message), "{message}\n{said}");
@@ -277,7 +277,7 @@ fn a_run_is_resumed_by_the_command_that_started_it_and_says_where_a_file_differs
     assert!(said.contains("goes on with its own scene") && said.contains("system.dt = 0.5"), "{said}");
 
     let said = error_of(&mut train_scene(&out, &dir.path().join("again"), &[]));
-    assert!(said.contains("is a folder, and not a scene") && said.contains("run.toml"), "{said}");
+    assert!(said.contains("is a folder, not a scene") && said.contains("run.toml"), "{said}");
 }
 
 #[test]
@@ -287,7 +287,7 @@ fn states_that_effects_and_actuators_add_are_named_in_trajectories() {
     train_scene(Path::new("cart_pole_windy"), dir.path(), &few).assert().success();
     let text = fs::read_to_string(dir.path().join("trajectory.csv")).expect("trajectories");
     let header = text.lines().next().expect("a header");
-    assert!(header.ends_with("omega_2,time_of_gusts,force_in_1,force_in_2,force_before,force,force_felt"), "{header}");
+    assert!(header.ends_with("omega_2,time_of_gusts,force_in_1,force_in_2,force_before,force,force_applied"), "{header}");
     let widths: Vec<usize> = text.lines().map(|line| line.split(',').count()).collect();
     assert!(widths.iter().all(|&width| width == widths[0]), "every state has its number");
 }
@@ -313,7 +313,7 @@ fn the_force_of_a_row_accelerates_the_block_to_the_next_row() {
     let header = csv.headers().expect("a header").clone();
     assert_eq!(
         header.iter().collect::<Vec<_>>()[3..],
-        ["x", "x_dot", "push_in_1", "push_in_2", "push_before", "push", "push_felt"]
+        ["x", "x_dot", "push_in_1", "push_in_2", "push_before", "push", "push_applied"]
     );
     let rows: Vec<Vec<Option<f64>>> =
         csv.records().map(|row| row.expect("a row").iter().map(|cell| cell.parse().ok()).collect()).collect();
@@ -328,12 +328,12 @@ fn the_force_of_a_row_accelerates_the_block_to_the_next_row() {
             motor = heard + (motor - heard) * (-0.05f64 / 0.1).exp();
             let accelerating = 2.0 * (number(t + 1, "x_dot") - number(t, "x_dot")) / 0.05;
             for force in [motor, accelerating] {
-                assert!((number(t, "push_felt") - force).abs() < 1e-12, "step {t}: {force}, {row:?}");
+                assert!((number(t, "push_applied") - force).abs() < 1e-12, "step {t}: {force}, {row:?}");
             }
-            assert_eq!(number(t + 1, "push_before"), number(t, "push_felt"));
+            assert_eq!(number(t + 1, "push_before"), number(t, "push_applied"));
             largest = largest.max(motor.abs());
         }
-        assert_eq!([rollout[12][column("push")], rollout[12][column("push_felt")]], [None; 2]);
+        assert_eq!([rollout[12][column("push")], rollout[12][column("push_applied")]], [None; 2]);
     }
     assert!(largest > 0.005, "the motor pushes: {largest}");
 }

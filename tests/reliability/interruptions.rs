@@ -288,7 +288,7 @@ fn what_is_not_a_file_neither_hangs_nor_is_written_to() {
     fs::create_dir(&out).expect("a folder");
     fifo(&out.join(".physgrad.lock"));
     let error = error_of(train(&out, &["--epochs", "1"]).timeout(Duration::from_secs(20)));
-    assert!(error.contains(".physgrad.lock is a link or no file"), "{error}");
+    assert!(error.contains(".physgrad.lock is a link or not a regular file"), "{error}");
 
     for name in ["run.toml", "checkpoint.bin"] {
         let (_dir, out) = folder();

@@ -10,7 +10,7 @@ pub const SAMPLES: usize = 64;
 /// Norms of the adjoint of one flow.
 pub struct Lengths {
     pub flow: Flow,
-    /// Norm at each state of the rollout. NaN for states before the step of a divergence.
+    /// Norm at each state of the rollout. NaN at states before the step of a divergence.
     pub norms: Vec<f64>,
     /// First non-finite number.
     pub diverged: Option<Divergence>,
@@ -24,13 +24,13 @@ impl Lengths {
 }
 
 /// Adjoint norms of R and M under a policy.
-pub fn lengths<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &Weights<F>, starts: &[F]) -> [Lengths; 2] {
+pub fn norms<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &Weights<F>, starts: &[F]) -> [Lengths; 2] {
     let n = task.state_dim();
     let starts = &starts[..starts.len().min(SAMPLES * n)];
     let mut rollout = Rollout::new(task, policy, starts.len() / n);
     rollout.start(starts);
     let forward = rollout.run(task, policy, weights);
-    // Runs the flows one by one: in a joint pass, a divergence of one would stop the other.
+    // Runs the flows separately: in a joint pass, a divergence of one would stop the other.
     [Flow::REGULAR, Flow::MODIFIED].map(|flow| {
         if let Err(divergence) = forward {
             return Lengths { flow, norms: Vec::new(), diverged: Some(divergence) };

@@ -17,17 +17,17 @@ pub struct Checking<'a> {
 impl Visit for Checking<'_> {
     type Out = ();
 
-    fn visit<T: Task, P: Policy>(self, task: T, network: P) {
+    fn visit<T: Task, P: Policy>(self, task: T, policy: P) {
         let Self { variant, results } = self;
         let system = task.system();
         let (n, m) = (system.state_dim(), system.control_dim());
         results.add(&format!("{variant}: system"), || check::try_system(system).map_err(Failure::from));
         // Skips the policy check if the dimensions did not change since the last variant.
         if results.dims.replace((n, m)) != Some((n, m)) {
-            results.add(&format!("{variant}: network"), || check::try_policy(&network).map_err(Failure::from));
+            results.add(&format!("{variant}: network"), || check::try_policy(&policy).map_err(Failure::from));
         }
         for flow in Flow::ALL {
-            results.add(&format!("{variant}: rollout, {flow}"), || check::try_flow(&task, &network, flow));
+            results.add(&format!("{variant}: rollout, {flow}"), || check::try_flow(&task, &policy, flow));
         }
     }
 }
@@ -52,7 +52,7 @@ impl Results {
         Self { task: "", dims: None, table, failures: Vec::new(), spinner }
     }
 
-    /// Names the task of the following checks.
+    /// Sets the task of the following checks.
     pub fn begin(&mut self, task: &'static str) {
         if self.task != task {
             (self.task, self.dims) = (task, None);
@@ -65,16 +65,16 @@ impl Results {
         (self.table, self.failures)
     }
 
-    fn add(&mut self, what: &str, check: impl FnOnce() -> Result<Passed, Failure>) {
+    fn add(&mut self, name: &str, check: impl FnOnce() -> Result<Passed, Failure>) {
         let task = self.task;
-        self.spinner.set_message(format!("{task}, {what}"));
+        self.spinner.set_message(format!("{task}, {name}"));
         let (compared, worst, allowed, verdict) = match check() {
             Ok(p) => (p.compared.to_string(), format!("{:.1e}", p.worst), format!("{:.0e}", p.allowed), "ok"),
             Err(failure) => {
-                self.failures.push(format!("{task}, {what}: {failure}"));
+                self.failures.push(format!("{task}, {name}: {failure}"));
                 (String::new(), String::new(), String::new(), "FAILED")
             }
         };
-        self.table.add_row([task, what, &compared, &worst, &allowed, verdict]);
+        self.table.add_row([task, name, &compared, &worst, &allowed, verdict]);
     }
 }

@@ -57,7 +57,7 @@ impl Storing {
         let weights = Weights::init(policy, &mut stream(0, Purpose::Policy, 0));
         let Some(field) = self.field else {
             let mut rollout = Rollout::<F>::for_evaluation(task, policy, SAMPLES);
-            let allocations = allocations_of_second(|| {
+            let allocations = allocations_of_second_run(|| {
                 rollout.start(&starts);
                 rollout.run(task, policy, &weights)
             });
@@ -65,7 +65,7 @@ impl Storing {
         };
         let mut rollout = Rollout::<F>::new(task, policy, SAMPLES);
         let mut adjoint = Adjoint::new(policy, &rollout, &field.flows());
-        let allocations = allocations_of_second(|| {
+        let allocations = allocations_of_second_run(|| {
             rollout.start(&starts);
             rollout.run(task, policy, &weights)?;
             adjoint.run(task, policy, &weights, &rollout, F::one())
@@ -74,8 +74,8 @@ impl Storing {
     }
 }
 
-/// Allocations of the second run. The first run sets up the workspaces that later ones use.
-fn allocations_of_second<T>(mut run: impl FnMut() -> Result<T, Divergence>) -> Option<usize> {
+/// Allocations of the second run. The first run allocates the workspaces.
+fn allocations_of_second_run<T>(mut run: impl FnMut() -> Result<T, Divergence>) -> Option<usize> {
     run().ok()?;
     Some(allocations::during(|| drop(run())))
 }

@@ -69,7 +69,7 @@ pub fn chosen(count: usize) -> Vec<usize> {
     (0..chosen).map(|i| i * (count - 1) / (chosen - 1).max(1)).collect()
 }
 
-/// Parameters and initial states, rounded to f32, so that they are equal in every precision.
+/// Parameters and initial states, rounded to f32, to be equal in every precision.
 fn inputs(task: &dyn AnyTask<f32>, policy: &dyn AnyPolicy<f32>, seed: u64) -> (Vec<f64>, Vec<f64>) {
     let weights = Weights::init(policy, &mut stream(seed, Purpose::Policy, 0));
     let n = task.state_dim();
@@ -92,7 +92,7 @@ impl Visit for Deriving {
     type Out = Derived;
 
     fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Derived {
-        let Self { precision, seed, way } = self;
+        let Self { precision, seed, way: method } = self;
         let inputs = inputs(&task, &policy, seed);
         let (task, policy) = (Arc::new(task), Arc::new(policy));
         let slope: Slope = {
@@ -103,34 +103,34 @@ impl Visit for Deriving {
             })
         };
         match precision {
-            Precision::F32 => derive::<f32>(task, policy, inputs, way, slope),
-            Precision::F64 => derive::<f64>(task, policy, inputs, way, slope),
+            Precision::F32 => derive::<f32>(task, policy, inputs, method, slope),
+            Precision::F64 => derive::<f64>(task, policy, inputs, method, slope),
         }
     }
 }
 
-/// Derivative of the loss with respect to one parameter; takes parameters, initial states and the
-/// parameter's index.
+/// Derivative of the loss with respect to one parameter. Takes parameters, initial states and the
+/// index of the parameter.
 type Slope = Box<dyn Fn(&[f64], &[f64], usize) -> f64 + Send>;
 
 fn derive<F: Float>(
     task: Arc<dyn AnyTask<F>>,
     policy: Arc<dyn AnyPolicy<F>>,
     (theta, mut starts): (Vec<f64>, Vec<f64>),
-    way: GradientMethod,
+    method: GradientMethod,
     slope: Slope,
 ) -> Derived {
     let count = theta.len();
-    if let GradientMethod::Reverse { nudged: true, .. } = way {
-        let nudged = |(i, x): (usize, &mut f64)| *x *= if i % 2 == 0 { 1.0 + ROUNDING } else { 1.0 - ROUNDING };
-        starts.iter_mut().enumerate().for_each(nudged);
+    if let GradientMethod::Reverse { nudged: true, .. } = method {
+        let nudge = |(i, x): (usize, &mut f64)| *x *= if i % 2 == 0 { 1.0 + ROUNDING } else { 1.0 - ROUNDING };
+        starts.iter_mut().enumerate().for_each(nudge);
     }
     let lift = |numbers: &[f64]| numbers.iter().map(|&x| F::lift(x)).collect::<Vec<F>>();
     let (weights, lifted) = (Weights::new(&*policy, lift(&theta)), lift(&starts));
-    match way {
+    match method {
         GradientMethod::Reverse { field, budget, nudged: _ } => {
-            let (made, bytes) = peak_during(|| reverse(task, policy, weights, lifted, field, budget));
-            match made {
+            let (result, bytes) = peak_during(|| reverse(task, policy, weights, lifted, field, budget));
+            match result {
                 Ok((gradient, run)) => Derived { gradient: Ok(gradient), bytes, rounds: 1.0, run },
                 Err(error) => Derived { gradient: Err(error), bytes, rounds: 1.0, run: Box::new(|| ()) },
             }
@@ -150,8 +150,8 @@ fn derive<F: Float>(
                 let mut side = |step: f64| {
                     let mut theta = lift(&theta);
                     theta[i] = F::lift(theta[i].as_() + step);
-                    let moved = theta[i].as_();
-                    loss(&Weights::new(&*policy, theta)).map(|loss| (loss, moved))
+                    let perturbed = theta[i].as_();
+                    loss(&Weights::new(&*policy, theta)).map(|loss| (loss, perturbed))
                 };
                 // Divides by the distance of the two rounded parameters.
                 Ok((side(step)?, side(-step)?)).map(|((above, right), (below, left))| (above - below) / (right - left))
@@ -191,11 +191,11 @@ fn reverse<F: Float>(
     budget: Option<u64>,
 ) -> Result<(Vec<f64>, Run), String> {
     let flows = field.flows();
-    let made = match budget {
+    let batch = match budget {
         Some(budget) => Batch::within(&*task, &*policy, SAMPLES, &flows, 1, budget),
         None => Ok(Batch::new(&*task, &*policy, SAMPLES, &flows, 1)),
     };
-    let mut batch = made.map_err(|error| error.to_string())?;
+    let mut batch = batch.map_err(|error| error.to_string())?;
     let mut run = move || {
         batch.run(&*task, &*policy, &weights, &starts).map_err(|divergence| divergence.to_string())?;
         let mut gradient = Gradient::zeros(weights.theta().len());
@@ -225,15 +225,15 @@ impl Visit for Referring<'_> {
 
     fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Self::Out {
         let (theta, starts) = inputs(&task, &policy, self.seed);
-        let along: &(dyn Fn((Flow, usize)) -> f64 + Sync) = &|(flow, parameter)| {
+        let derivative: &(dyn Fn((Flow, usize)) -> f64 + Sync) = &|(flow, parameter)| {
             let direction = |i| f64::from(u8::from(i == parameter));
             let [_, slope] = check::slope(&task, &policy, &theta, &starts, flow, direction);
             (self.done)();
             slope
         };
         let parameters = chosen(theta.len());
-        let all: Vec<(Flow, usize)> = FLOWS.into_iter().flat_map(|flow| parameters.iter().map(move |&p| (flow, p))).collect();
-        let slopes: Vec<f64> = parallel::map(&all, |&at| along(at));
+        let pairs: Vec<(Flow, usize)> = FLOWS.into_iter().flat_map(|flow| parameters.iter().map(move |&p| (flow, p))).collect();
+        let slopes: Vec<f64> = parallel::map(&pairs, |&pair| derivative(pair));
         let mut flows = slopes.chunks(parameters.len()).map(<[f64]>::to_vec);
         [(); 3].map(|()| flows.next().expect("a chunk for every flow"))
     }

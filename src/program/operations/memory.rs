@@ -1,4 +1,4 @@
-//! How much memory a run takes, and how much there is.
+//! Memory that a run needs, and memory of the machine.
 
 use crate::program::operations::Visit;
 use crate::program::operations::trajectory::ROLLOUTS;
@@ -6,7 +6,7 @@ use crate::program::settings::Precision;
 use physgrad::{Float, Policy, System, Task};
 use std::fs::read_to_string;
 
-/// Estimates the memory of a run before it is taken.
+/// Visitor that estimates the memory of a run before it is allocated.
 pub struct Memory {
     pub precision: Precision,
     /// Samples of a mini-batch.
@@ -17,7 +17,7 @@ pub struct Memory {
 
 /// Memory of a run, in bytes.
 pub struct Needs {
-    /// For rollouts and gradients of a mini-batch, if no step is computed again.
+    /// For rollouts and gradients of a mini-batch, without recomputation.
     pub batch: f64,
     /// For everything else.
     pub rest: f64,
@@ -38,23 +38,23 @@ impl Memory {
     fn needs<F: Float>(&self, task: &impl Task, policy: &impl Policy) -> Needs {
         let (n, m) = (task.system().state_dim(), task.system().control_dim());
         let (steps, number) = (task.horizon() as f64, size_of::<F>() as f64);
-        // The policy's needs grow with the columns; a few are enough to see how.
-        let few = policy.sizes::<F>(64);
-        let tape = few.tape as f64 / 64.0;
-        let per_column = tape + few.tape_bar as f64 / 32.0 + 4.0 * (n + m) as f64;
-        // θ and its packed form, the optimizer and its copy, gradients of two flows.
+        // The memory of the policy is linear in the number of columns.
+        let sizes = policy.sizes::<F>(64);
+        let tape = sizes.tape as f64 / 64.0;
+        let per_column = tape + sizes.tape_bar as f64 / 32.0 + 4.0 * (n + m) as f64;
+        // θ and packed θ, state of the optimizer and its copy, gradients of two flows.
         let parameters = policy.param_count() as f64 * 16.0;
-        let sets = self.start_states as f64 * n as f64;
-        // The trajectories that a run ends with: numbers, their text, and vectors of both.
+        let data_sets = self.start_states as f64 * n as f64;
+        // Trajectories written at the end: numbers, their text, and vectors of both.
         let text = ROLLOUTS as f64 * steps * (48.0 * (n + m) as f64 + 80.0);
         Needs {
             batch: self.samples as f64 * steps * per_column * number,
-            rest: (parameters + sets + ROLLOUTS as f64 * steps * tape) * number + text,
+            rest: (parameters + data_sets + ROLLOUTS as f64 * steps * tape) * number + text,
         }
     }
 }
 
-/// Bytes of memory that this process may have: that of the machine or of its control group. 32 GB where that is unknown.
+/// Memory limit of this process in bytes: of the machine or its control group. 32 GB if unknown.
 pub fn of_this_machine() -> f64 {
     const UNKNOWN: f64 = 32e9;
     let limits = ["/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"];
@@ -63,7 +63,7 @@ pub fn of_this_machine() -> f64 {
     limits.chain(machine).reduce(f64::min).unwrap_or(UNKNOWN)
 }
 
-/// The total of `/proc/meminfo`, in bytes.
+/// Total memory in `/proc/meminfo`, in bytes.
 fn total(meminfo: &str) -> Option<f64> {
     let kib = meminfo.lines().find_map(|line| line.strip_prefix("MemTotal:")?.trim().strip_suffix("kB"))?;
     kib.trim().parse().ok().map(|kib: f64| kib * 1024.0)

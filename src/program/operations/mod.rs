@@ -1,7 +1,7 @@
 //! Computations that need the concrete types of a task and its policy: sessions, checks,
 //! simulations, gradients, costs.
 //!
-//! Each is a [`Visit`]. Imports `platform` and `settings`. Start with `session`.
+//! Each implements [`Visit`]. Imports `platform` and `settings`. Start with `session`.
 
 pub mod adjoint_norms;
 pub mod checks;

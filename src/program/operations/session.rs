@@ -34,9 +34,9 @@ pub trait AnyRun {
     fn safetensors(&self, about: String) -> Result<Vec<u8>>;
     /// Number of initial states in the test set.
     fn test_samples(&self) -> usize;
-    /// Rollouts from the chosen test initial states. Truncates the range to the test set.
+    /// Rollouts from a range of test initial states, truncated to the test set.
     fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
-    /// Norms of the adjoints of R and M along rollouts.
+    /// Norms of the adjoints of R and M along rollouts from test initial states.
     fn lengths(&self) -> [Lengths; 2];
 }
 
@@ -86,7 +86,7 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
     }
 
     fn lengths(&self) -> [Lengths; 2] {
-        adjoint_norms::lengths(self.task(), self.policy(), self.weights(), self.test_starts())
+        adjoint_norms::norms(self.task(), self.policy(), self.weights(), self.test_starts())
     }
 }
 

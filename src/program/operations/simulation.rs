@@ -107,11 +107,11 @@ fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, c
         Found { states: (0..=horizon).flat_map(state).collect(), loss, gradients }
     });
     // A network with zero parameters outputs zero control.
-    let nothing = Weights::new(&*policy, vec![F::zero(); weights.theta().len()]);
+    let zeros = Weights::new(&*policy, vec![F::zero(); weights.theta().len()]);
     rollout.start(&starts);
-    let still = rollout.run(&*task, &*policy, &nothing).is_ok();
+    let is_finite = rollout.run(&*task, &*policy, &zeros).is_ok();
     let state = |sample: usize, t: usize| (0..n).map(|i| rollout.state(t, sample, i).as_()).collect();
-    let idle = (0..SAMPLES).filter(|_| still).map(|sample| (0..=horizon).map(|t| state(sample, t)).collect()).collect();
+    let idle = (0..SAMPLES).filter(|_| is_finite).map(|sample| (0..=horizon).map(|t| state(sample, t)).collect()).collect();
     let steps = (SAMPLES * horizon) as f64;
     let bytes = (rollout.stored_bytes() + adjoint.stored_bytes()) as f64 / steps;
     let run = Box::new(move |gradient: bool| {

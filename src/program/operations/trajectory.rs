@@ -31,7 +31,7 @@ pub struct Trajectory {
     pub controls: Vec<Vec<f64>>,
 }
 
-/// Rollouts of the policy from the chosen initial states. Truncates the range to those available.
+/// Rollouts of the policy from a range of the initial states, truncated to those available.
 pub fn rollouts<F: Float>(
     task: &dyn AnyTask<F>,
     policy: &dyn AnyPolicy<F>,

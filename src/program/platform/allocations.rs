@@ -4,16 +4,18 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 thread_local! {
-    static DONE: Cell<usize> = const { Cell::new(0) };
-    // Can be negative: a thread may free memory that another thread allocated.
-    static TAKEN: Cell<isize> = const { Cell::new(0) };
+    /// Number of allocations so far.
+    static COUNT: Cell<usize> = const { Cell::new(0) };
+    /// Bytes in use. Negative if this thread frees memory that another thread allocated.
+    static IN_USE: Cell<isize> = const { Cell::new(0) };
+    /// Maximum of `IN_USE`.
     static PEAK: Cell<isize> = const { Cell::new(0) };
 }
 
-fn note(bytes: isize) {
-    let taken = TAKEN.get() + bytes;
-    TAKEN.set(taken);
-    PEAK.set(PEAK.get().max(taken));
+fn record(bytes: isize) {
+    let in_use = IN_USE.get() + bytes;
+    IN_USE.set(in_use);
+    PEAK.set(PEAK.get().max(in_use));
 }
 
 /// System allocator with counters for each thread.
@@ -23,25 +25,25 @@ struct Counting;
 // allocate.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        DONE.set(DONE.get() + 1);
-        note(layout.size() as isize);
+        COUNT.set(COUNT.get() + 1);
+        record(layout.size() as isize);
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        note(-(layout.size() as isize));
+        record(-(layout.size() as isize));
         unsafe { System.dealloc(pointer, layout) }
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        DONE.set(DONE.get() + 1);
-        note(layout.size() as isize);
+        COUNT.set(COUNT.get() + 1);
+        record(layout.size() as isize);
         unsafe { System.alloc_zeroed(layout) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        DONE.set(DONE.get() + 1);
-        note(size as isize - layout.size() as isize);
+        COUNT.set(COUNT.get() + 1);
+        record(size as isize - layout.size() as isize);
         unsafe { System.realloc(pointer, layout, size) }
     }
 }
@@ -51,14 +53,14 @@ static ALLOCATOR: Counting = Counting;
 
 /// Counts this thread's allocations during `work`.
 pub fn during(work: impl FnOnce()) -> usize {
-    let before = DONE.get();
+    let before = COUNT.get();
     work();
-    DONE.get() - before
+    COUNT.get() - before
 }
 
-/// Result of `work`, and the peak of bytes held by this thread above the level before it.
+/// Returns the result of `work`, and the peak of this thread's bytes above the level before it.
 pub fn peak_during<T>(work: impl FnOnce() -> T) -> (T, usize) {
-    let before = TAKEN.get();
+    let before = IN_USE.get();
     PEAK.set(before);
     let result = work();
     (result, (PEAK.get() - before).max(0) as usize)

@@ -1,7 +1,7 @@
-//! File operations that survive a kill or a power loss: every write is either absent or complete.
+//! Durable file operations: after a kill or a power loss, each write is either absent or complete.
 //!
-//! If the environment variable `PHYSGRAD_FILE_LOG` names a file, each operation is appended to it as one JSON line. The test of
-//! power loss replays every prefix of such a log.
+//! If the environment variable `PHYSGRAD_FILE_LOG` names a file, each operation is appended to it
+//! as one JSON line. The test of power loss replays every prefix of such a log.
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
@@ -13,8 +13,9 @@ use std::path::Path;
 use std::process;
 use std::sync::{LazyLock, Mutex, PoisonError};
 
-/// Replaces a file: writes a temporary file beside it, synchronizes it, and renames it. Returns the open file, for rows
-/// that follow. A symbolic link of this name is replaced, not followed.
+/// Replaces a file: writes a temporary file beside it, synchronizes it, and renames it.
+///
+/// Returns the open file, to append to. Replaces a symbolic link rather than following it.
 pub fn replace(folder: &Path, name: &str, bytes: &[u8]) -> io::Result<File> {
     let (temporary, path) = (folder.join(temporary(name)), folder.join(name));
     let attempt = || -> io::Result<File> {
@@ -26,18 +27,19 @@ pub fn replace(folder: &Path, name: &str, bytes: &[u8]) -> io::Result<File> {
         Ok(file)
     };
     attempt().inspect_err(|_| {
-        // It may not exist.
+        // The temporary file may not exist.
         let _ = fs::remove_file(&temporary);
     })
 }
 
-/// Name of a temporary file for a file. Processes in different containers may have the same number, so the name has a random
-/// part as well.
+/// Name of a temporary file for a file.
+///
+/// The name has a random part, because processes in different containers may share an id.
 fn temporary(name: &str) -> String {
     format!(".{name}.{}{:016x}.new", process::id(), RandomState::new().hash_one(name))
 }
 
-/// The file whose temporary file, of any process, has this name.
+/// Name of the file that a temporary file of any process replaces.
 pub fn replaced_by(temporary: &str) -> Option<&str> {
     let (name, process) = temporary.strip_prefix('.')?.strip_suffix(".new")?.rsplit_once('.')?;
     process.bytes().all(|byte| byte.is_ascii_hexdigit()).then_some(name)
@@ -64,33 +66,33 @@ pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
     sync_parent(to)
 }
 
-/// Makes a folder and its parents, and waits until they are on disk.
+/// Creates a folder and its parents, and waits until they are on disk.
 pub fn create_folders(path: &Path) -> io::Result<()> {
     match create_folder(path) {
         Err(error) if error.kind() == ErrorKind::NotFound => {
             let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).ok_or(error)?;
             create_folders(parent)?;
-            unless_it_exists(path, create_folder(path))
+            unless_exists(path, create_folder(path))
         }
-        result => unless_it_exists(path, result),
+        result => unless_exists(path, result),
     }
 }
 
-fn unless_it_exists(path: &Path, result: io::Result<()>) -> io::Result<()> {
+fn unless_exists(path: &Path, result: io::Result<()>) -> io::Result<()> {
     if path.is_dir() { Ok(()) } else { result }
 }
 
-/// Makes one folder, and waits until it is on disk.
+/// Creates one folder, and waits until it is on disk.
 pub fn create_folder(path: &Path) -> io::Result<()> {
     fs::create_dir(path)?;
     log(|| json!({ "create_folder": path }));
     sync_parent(path)
 }
 
-/// Waits until the names in the parent folder are on disk.
+/// Waits until the entries of the parent folder are on disk.
 fn sync_parent(path: &Path) -> io::Result<()> {
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    // Other systems cannot open a folder.
+    // Only Unix can open a folder as a file.
     if cfg!(unix) {
         match File::open(parent)?.sync_all() {
             // Some network file systems cannot synchronize a folder.

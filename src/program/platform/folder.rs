@@ -1,4 +1,4 @@
-//! [`Folder`]: folder of a run. A file is replaced as a whole, so readers never see half of it.
+//! [`Folder`]: folder of a run. Files are replaced as a whole, so readers never see partial files.
 
 use super::files;
 use super::lock::Locked;
@@ -16,34 +16,38 @@ pub const TRAJECTORY: &str = "trajectory.csv";
 pub const ANIMATION: &str = "animation.svg";
 pub const REPORT: &str = "report.html";
 
-/// Where a comparison keeps its runs.
+/// Subfolder with the runs of a comparison.
 pub const RUNS: &str = "runs";
 
-/// The file whose lock a process holds while it writes to the folder. It names the process.
+/// Lock file of the folder. It contains the name of the process that holds the lock.
 pub(super) const LOCK: &str = ".physgrad.lock";
 
-/// Between the name of a folder and a number: an earlier run.
+/// Infix of the folder of an earlier run: `<name>.previous-<number>`.
 pub(super) const PREVIOUS: &str = ".previous-";
 
-/// All that a run writes, and the report on it.
+/// Files that a run and its report write.
 pub(super) const RUN_FILES: [&str; 8] = [SETTINGS, CHECKPOINT, METRICS, POLICY, LEARNING_CURVE, TRAJECTORY, ANIMATION, REPORT];
 
-/// Files that only the process that holds the lock writes. Other commands write the rest to a run under way, too.
+/// Files that only the holder of the lock writes. Other commands may write the remaining files
+/// during the run.
 pub(super) const LOCKED_FILES: [&str; 6] = [SETTINGS, CHECKPOINT, METRICS, POLICY, LEARNING_CURVE, TRAJECTORY];
 
-/// A folder, which may not exist yet.
+/// A folder that may not exist yet.
 #[derive(Clone, Debug)]
 pub struct Folder {
     path: PathBuf,
 }
 
 impl Folder {
-    /// The folder at this path. Nothing is made.
+    /// The folder at this path. Creates nothing.
     pub fn at(path: impl Into<PathBuf>) -> Self {
         Self { path: path.into() }
     }
 
-    /// A folder that must exist.
+    /// The folder at this path.
+    ///
+    /// # Errors
+    /// There is no such folder.
     pub fn existing(path: &Path) -> Result<Self> {
         if path.is_dir() { Ok(Self::at(path)) } else { bail!("there is no folder {}", path.display()) }
     }
@@ -57,18 +61,18 @@ impl Folder {
             match files::create_folder(&path) {
                 Ok(()) => return Ok(Self { path }),
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
-                Err(error) => return Err(error).with_context(|| format!("cannot make the folder {}", path.display())),
+                Err(error) => return Err(error).with_context(|| format!("cannot create the folder {}", path.display())),
             }
         }
-        unreachable!("there are enough numbers")
+        unreachable!("some number is free")
     }
 
-    /// The folder at this path, or a new one of this name in `runs`; locked.
+    /// Locks the folder at this path. Without a path, creates `runs/<name>` and locks it.
     pub fn named(path: Option<&Path>, name: &str) -> Result<Locked> {
         path.map_or_else(|| Self::fresh(name), |path| Ok(Self::at(path)))?.lock()
     }
 
-    /// Makes the folder, unless it exists.
+    /// Creates the folder unless it exists.
     pub(super) fn create(&self) -> Result<()> {
         files::create_folders(&self.path).with_context(|| unwritable(&self.path))
     }
@@ -91,12 +95,12 @@ impl Folder {
         self.file(name).exists()
     }
 
-    /// Whether an earlier run was moved here.
+    /// Returns whether the folder contains an earlier run that was moved aside.
     pub fn is_previous(&self) -> bool {
         self.name().contains(PREVIOUS)
     }
 
-    /// Names of the files and folders in it but for the lock, in order.
+    /// Sorted names of all files and folders in it, except the lock.
     pub(super) fn entries(&self) -> Result<Vec<String>> {
         let read = || -> io::Result<Vec<String>> {
             let entries = fs::read_dir(&self.path)?;
@@ -108,12 +112,12 @@ impl Folder {
         Ok(names)
     }
 
-    /// Replaces a file: a reader finds the old or the new, also after a kill or a power loss.
+    /// Replaces a file. Readers find the old or the new one, even after a kill or a power loss.
     pub fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<()> {
         self.start(name, bytes).map(drop)
     }
 
-    /// As [`write`](Folder::write), and returns the file for what follows.
+    /// Replaces a file as [`write`](Folder::write) does. Returns the open file, to append to.
     pub fn start(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<File> {
         files::replace(&self.path, name, bytes.as_ref()).with_context(|| format!("cannot write {}", self.file(name).display()))
     }
@@ -121,7 +125,7 @@ impl Folder {
     /// Path of a file to read.
     ///
     /// # Errors
-    /// There is no such file, or it is a pipe or folder: a pipe may have no writer.
+    /// There is no such file, or it is a folder or a pipe. Reading a pipe could block forever.
     pub fn readable(&self, name: &str) -> Result<PathBuf> {
         let path = self.file(name);
         let context = || format!("cannot read {}", path.display());

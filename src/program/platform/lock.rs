@@ -1,4 +1,4 @@
-//! [`Locked`]: a folder that only this process writes to, and its lock.
+//! [`Locked`]: a folder with an exclusive lock, held by this process.
 
 use super::folder::{Folder, LOCK, LOCKED_FILES, PREVIOUS, RUN_FILES, RUNS, SETTINGS, unwritable};
 use super::terminal::tell;
@@ -11,10 +11,11 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 /// Time between two attempts to get a lock.
-const PATIENCE: Duration = Duration::from_millis(100);
+const RETRY_INTERVAL: Duration = Duration::from_millis(100);
 
 impl Folder {
-    /// Makes the folder if necessary, and locks it until the returned value is dropped or the process ends.
+    /// Creates the folder if necessary, and locks it until the returned value is dropped or the
+    /// process ends.
     ///
     /// # Errors
     /// The folder cannot be written to, or another process has locked it.
@@ -22,36 +23,37 @@ impl Folder {
         match self.try_lock()? {
             Some(locked) => Ok(locked),
             None => bail!(
-                "the folder {} is in use by {}; wait until that ends, or choose another with --out",
+                "the folder {} is in use by {}; wait until it ends, or choose another folder with --out",
                 self.path().display(),
                 self.holder()
             ),
         }
     }
 
-    /// As [`lock`](Folder::lock), but waits for another process. `None` if a signal ends the wait.
+    /// Locks the folder as [`lock`](Folder::lock) does, but waits while another process holds the
+    /// lock. Returns None if a signal ends the wait.
     pub fn wait_and_lock(self) -> Result<Option<Locked>> {
-        let mut waits = false;
+        let mut reported = false;
         while signals::received().is_none() {
             if let Some(locked) = self.try_lock()? {
                 return Ok(Some(locked));
             }
-            if !waits {
+            if !reported {
                 tell(&format!("waiting for the folder {}, in use by {}", self.path().display(), self.holder()));
-                waits = true;
+                reported = true;
             }
-            std::thread::sleep(PATIENCE);
+            std::thread::sleep(RETRY_INTERVAL);
         }
         Ok(None)
     }
 
-    /// `None` if another process has locked the folder.
+    /// Returns None if another process holds the lock.
     fn try_lock(&self) -> Result<Option<Locked>> {
         loop {
             self.create()?;
             let path = self.file(LOCK);
-            if fs::symlink_metadata(&path).is_ok_and(|there| !is_plain_file(&there)) {
-                bail!("{} is a link or no file, and is not written to; remove it", path.display());
+            if fs::symlink_metadata(&path).is_ok_and(|metadata| !is_plain_file(&metadata)) {
+                bail!("{} is a link or not a regular file; remove it", path.display());
             }
             let open = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
             let mut file = open.with_context(|| unwritable(self.path()))?;
@@ -76,29 +78,29 @@ impl Folder {
             };
             write(&mut file).with_context(|| unwritable(self.path()))?;
             let locked = Locked { folder: self.clone(), file };
-            // Between `open` and `try_lock`, its holder may have moved the folder.
+            // The previous holder may have moved the folder between `open` and `try_lock`.
             if locked.is_in_place().with_context(|| unwritable(self.path()))? {
                 return Ok(Some(locked));
             }
         }
     }
 
-    /// The process that has locked the folder, for messages.
+    /// Name of the process that holds the lock, for messages.
     fn holder(&self) -> String {
-        // The holder writes its name just after it gets the lock.
+        // The holder writes its name shortly after it takes the lock.
         for _ in 0..20 {
             let mut text = String::new();
             let read = File::open(self.file(LOCK)).and_then(|file| file.take(1000).read_to_string(&mut text));
             if read.is_ok() && !text.is_empty() {
                 return text;
             }
-            std::thread::sleep(PATIENCE / 10);
+            std::thread::sleep(RETRY_INTERVAL / 10);
         }
         "another process".into()
     }
 }
 
-/// A folder that no other process of the program writes to.
+/// A folder that is locked by this process.
 #[derive(Debug)]
 pub struct Locked {
     folder: Folder,
@@ -114,30 +116,33 @@ impl Deref for Locked {
 }
 
 impl Locked {
-    /// Whether the path still leads to the folder that was locked.
+    /// Returns whether the path still leads to the locked folder.
     ///
     /// # Errors
-    /// The folder cannot be read at the moment.
+    /// The folder cannot be read.
     fn is_in_place(&self) -> io::Result<bool> {
         match fs::symlink_metadata(self.folder.file(LOCK)) {
-            Ok(there) => Ok(is_same(&there, &self.file.metadata()?)),
+            Ok(current) => Ok(is_same(&current, &self.file.metadata()?)),
             Err(error) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&error.kind()) => Ok(false),
             Err(error) => Err(error),
         }
     }
 
-    /// Whether the folder was removed, moved or replaced after it was locked.
+    /// Returns whether the folder was removed, moved or replaced after it was locked.
     pub fn is_gone(&self) -> bool {
         matches!(self.is_in_place(), Ok(false))
     }
 
-    /// An error if the folder was removed, moved or replaced after it was locked, or cannot be read.
+    /// Checks that the folder is in place.
+    ///
+    /// # Errors
+    /// The folder was removed, moved or replaced after it was locked, or cannot be read.
     pub fn check(&self) -> Result<()> {
         let path = self.path().display();
         if self.is_in_place().with_context(|| format!("cannot read the folder {path}"))? {
             return Ok(());
         }
-        bail!("the folder {path}, or {LOCK} in it, was removed or replaced during the run")
+        bail!("the folder {path}, or {LOCK} in it, was removed or replaced during the run; leave both in place while it runs")
     }
 
     /// Removes temporary files of processes that were killed.
@@ -151,23 +156,23 @@ impl Locked {
         Ok(())
     }
 
-    /// Renames the folder if it holds an earlier run, and makes an empty one in its place.
+    /// Renames the folder if it contains an earlier run, and creates an empty one in its place.
     ///
     /// # Errors
-    /// The folder holds something else, too, or files of a run without [`SETTINGS`].
+    /// The folder contains other files too, or files of a run without [`SETTINGS`].
     pub fn without_run(self) -> Result<Self> {
         let path = self.path().to_owned();
         let (run, other): (Vec<String>, Vec<String>) =
             self.entries()?.into_iter().partition(|name| RUN_FILES.contains(&files::replaced_by(name).unwrap_or(name)));
         if other.iter().any(|name| name == RUNS) {
-            bail!("{} holds a comparison, in {RUNS}; choose another folder with --out", path.display());
+            bail!("{} holds a comparison in its subfolder {RUNS}; choose another folder with --out", path.display());
         }
         if !run.iter().any(|name| name == SETTINGS) {
             // A process that was killed before it wrote settings leaves at most a temporary file.
             let foreign = run.iter().find(|name| files::replaced_by(name).is_none());
             return match foreign {
                 Some(name) => bail!(
-                    "{} holds {name}, but no {SETTINGS}, so that it is not a run; remove the file, or choose another folder with --out",
+                    "{} holds {name} but no {SETTINGS}, so it is not a run; remove the file, or choose another folder with --out",
                     path.display()
                 ),
                 None => Ok(self),
@@ -175,33 +180,36 @@ impl Locked {
         }
         if let Some(name) = other.first() {
             bail!(
-                "{} holds a run, which would be moved aside, and also {name}, which is not part of it; go on with --resume, or choose \
-                 another folder with --out",
+                "{} holds a run and {name}, which is not part of the run; resume the run with --resume, or choose another folder with \
+                 --out",
                 path.display()
             );
         }
         let whole = fs::canonicalize(&path).with_context(|| unwritable(&path))?;
         if std::env::current_dir().is_ok_and(|here| here.starts_with(&whole)) {
-            bail!("{} holds a run, and is the current folder, which is not moved; choose another with --out", path.display());
+            bail!(
+                "{} holds a run and is the current folder, which cannot be moved; choose another folder with --out",
+                path.display()
+            );
         }
         let free = (1..).map(|i| {
             let mut name = whole.clone().into_os_string();
             name.push(format!("{PREVIOUS}{i}"));
             PathBuf::from(name)
         });
-        // A folder that is not empty is never replaced by `rename`; an empty one may be, and nothing is lost.
+        // `rename` never replaces a folder with contents. Replacing an empty one loses nothing.
         let mut aside = free.filter(|path| fs::symlink_metadata(path).is_err());
-        let aside = aside.next().context("there are enough numbers")?;
-        let cannot = || format!("{} holds a run, which cannot be moved aside; choose another folder with --out", path.display());
+        let aside = aside.next().context("some number is free")?;
+        let cannot = || format!("cannot move the run in {} aside; choose another folder with --out", path.display());
         files::rename(&whole, &aside).with_context(cannot)?;
-        tell(&format!("{} held another run, which is now in {}", path.display(), aside.display()));
-        // The lock has moved with the folder. Until the new folder is locked, another process may run in it.
+        tell(&format!("moved the earlier run in {} to {}", path.display(), aside.display()));
+        // The lock moved with the folder. Another process may lock the new folder first.
         Folder::at(&whole).create()?;
         Folder::at(&path).lock()?.without_run()
     }
 }
 
-/// Whether it is a file under one name only, which may be overwritten.
+/// Returns whether this is a regular file with one name. Such a file can be overwritten safely.
 fn is_plain_file(file: &Metadata) -> bool {
     #[cfg(unix)]
     let names = std::os::unix::fs::MetadataExt::nlink(file);
@@ -216,7 +224,7 @@ fn is_same(a: &Metadata, b: &Metadata) -> bool {
     (a.dev(), a.ino()) == (b.dev(), b.ino())
 }
 
-/// Elsewhere, a folder with a locked file in it cannot be moved or removed.
+/// Always true: on other systems, a folder that contains a locked file cannot be moved or removed.
 #[cfg(not(unix))]
 fn is_same(_: &Metadata, _: &Metadata) -> bool {
     true

@@ -7,8 +7,8 @@ use std::sync::{Mutex, PoisonError};
 pub fn map<I: Sync, R: Send>(items: &[I], work: impl Fn(&I) -> R + Sync) -> Vec<R> {
     let results: Vec<Mutex<Option<R>>> = items.iter().map(|_| Mutex::new(None)).collect();
     for_each(items.len(), &|i| *results[i].lock().unwrap_or_else(PoisonError::into_inner) = Some(work(&items[i])));
-    let done = |result: Mutex<Option<R>>| result.into_inner().unwrap_or_else(PoisonError::into_inner);
-    results.into_iter().map(|result| done(result).expect("every item was worked on")).collect()
+    let into_inner = |result: Mutex<Option<R>>| result.into_inner().unwrap_or_else(PoisonError::into_inner);
+    results.into_iter().map(|result| into_inner(result).expect("every item has a result")).collect()
 }
 
 fn for_each(count: usize, work: &(dyn Fn(usize) + Sync)) {

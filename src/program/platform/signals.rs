@@ -1,4 +1,4 @@
-//! Signals that end a training in order: Ctrl-C, SIGTERM, SIGHUP.
+//! Signals that stop a training gracefully: SIGINT (Ctrl-C), SIGTERM, SIGHUP.
 
 use anyhow::{Context, Result};
 use signal_hook::consts;
@@ -10,46 +10,47 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 /// Number of the first signal, or 0.
 static RECEIVED: OnceLock<Arc<AtomicUsize>> = OnceLock::new();
 
-/// The first signal that asked for the end, if there was one.
+/// Number of the first signal received, if any.
 pub fn received() -> Option<u8> {
     let signal = RECEIVED.get()?.load(Ordering::Relaxed);
     u8::try_from(signal).ok().filter(|&signal| signal != 0)
 }
 
-/// Exit status of a process that a signal ended, by the convention of shells.
+/// Exit status of a process that a signal terminated, as shells define it.
 pub fn exit_status(signal: u8) -> u8 {
     128 + signal
 }
 
-/// From now on, the first signal is noted for [`received`], and the second ends the process at once. A signal that the parent
-/// process has set to be ignored, as `nohup` does, stays ignored.
+/// Installs the handlers: [`received`] returns the first signal, the second ends the process.
+///
+/// A signal that the parent process ignores, as `nohup` does, stays ignored.
 pub fn handle() -> Result<()> {
     let received = RECEIVED.get_or_init(Arc::default);
-    let again = Arc::new(AtomicBool::new(false));
-    for signal in END.into_iter().filter(|&signal| !is_ignored(signal)) {
+    let received_before = Arc::new(AtomicBool::new(false));
+    for signal in STOPPING.into_iter().filter(|&signal| !is_ignored(signal)) {
         let number = usize::try_from(signal).expect("numbers of signals are positive");
-        // In this order: the first signal finds `again` unset, and sets it.
-        flag::register_conditional_shutdown(signal, 128 + signal, again.clone())
+        // The order matters: the first signal finds `received_before` unset, then sets it.
+        flag::register_conditional_shutdown(signal, 128 + signal, received_before.clone())
             .and_then(|_| flag::register_usize(signal, received.clone(), number))
-            .and_then(|_| flag::register(signal, again.clone()))
-            .with_context(|| format!("signal {signal} cannot be handled"))?;
+            .and_then(|_| flag::register(signal, received_before.clone()))
+            .with_context(|| format!("cannot install a handler for signal {signal}"))?;
     }
     Ok(())
 }
 
-/// Makes a limit on the size of files an error of `write`, and not the end of the process.
+/// Turns the signal of the file size limit into an error of `write`.
 pub fn ignore_file_limits() {
-    // Without the handler, the limit still ends the process with a status that is not 0.
+    // Ignores errors: without the handler, the limit ends the process with a non-zero status.
     #[cfg(unix)]
     let _ = flag::register(consts::SIGXFSZ, Arc::default());
 }
 
 #[cfg(unix)]
-const END: [i32; 3] = [consts::SIGINT, consts::SIGTERM, consts::SIGHUP];
+const STOPPING: [i32; 3] = [consts::SIGINT, consts::SIGTERM, consts::SIGHUP];
 #[cfg(not(unix))]
-const END: [i32; 2] = [consts::SIGINT, consts::SIGTERM];
+const STOPPING: [i32; 2] = [consts::SIGINT, consts::SIGTERM];
 
-/// Whether the process was started with this signal ignored.
+/// Returns whether the process was started with this signal ignored.
 #[cfg(target_os = "linux")]
 fn is_ignored(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
@@ -58,7 +59,7 @@ fn is_ignored(signal: i32) -> bool {
     mask >> (signal - 1) & 1 == 1
 }
 
-/// Whether the process was started with this signal ignored; unknown here.
+/// Always false: the disposition of signals is unknown on this system.
 #[cfg(not(target_os = "linux"))]
 fn is_ignored(_signal: i32) -> bool {
     false

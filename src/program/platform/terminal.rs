@@ -6,11 +6,11 @@ use std::io::{ErrorKind, Write};
 /// Prints the result of a command to standard output.
 ///
 /// # Errors
-/// The text cannot be written. A closed pipe, for instance with `head`, is not an error.
+/// The text cannot be written. A closed pipe, as of `head`, is not an error.
 pub fn say(text: &str) -> Result<()> {
     match writeln!(std::io::stdout(), "{text}") {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
-        written => written.context("the result cannot be written to the standard output"),
+        written => written.context("cannot write the result to standard output"),
     }
 }
 

@@ -9,14 +9,14 @@ use physgrad::{Growth, Record, report};
 use std::fs::File;
 use std::path::PathBuf;
 
-/// Writer of `metrics.csv`: one row per epoch, appended at the end of the epoch.
+/// Writer of `metrics.csv`. Appends one row at the end of each epoch.
 pub struct Metrics {
     path: PathBuf,
     file: File,
 }
 
 impl Metrics {
-    /// Replaces the file by one with the completed epochs.
+    /// Replaces the file by one with the rows of the completed epochs.
     pub fn create(folder: &Folder, done: &[Record]) -> Result<Self> {
         let rows = done.iter().map(|record| row(metrics_row(record)));
         let text = [row(METRICS_HEADER)].into_iter().chain(rows).collect::<Result<String>>()?;
@@ -57,9 +57,9 @@ pub const METRICS_HEADER: [&str; 13] = [
     "kept",
     "skipped",
     "growth_R",
-    "stretch_R",
+    "worst_window_R",
     "growth_M",
-    "stretch_M",
+    "worst_window_M",
 ];
 
 pub fn metrics_row(record: &Record) -> [String; 13] {
@@ -67,7 +67,7 @@ pub fn metrics_row(record: &Record) -> [String; 13] {
     let growth = |growth: Option<Growth>| {
         growth.map_or_else(Default::default, |Growth { along, worst_window }| [along.to_string(), worst_window.to_string()])
     };
-    let [[growth_r, stretch_r], [growth_m, stretch_m]] = [record.regular_growth, record.modified_growth].map(growth);
+    let [[growth_r, worst_r], [growth_m, worst_m]] = [record.regular_growth, record.modified_growth].map(growth);
     let number = |x: &f64| x.to_string();
     let optional = |x: &Option<f64>| x.as_ref().map_or_else(String::new, number);
     [
@@ -81,9 +81,9 @@ pub fn metrics_row(record: &Record) -> [String; 13] {
         optional(kept),
         skipped.to_string(),
         growth_r,
-        stretch_r,
+        worst_r,
         growth_m,
-        stretch_m,
+        worst_m,
     ]
 }
 
@@ -104,19 +104,21 @@ pub fn film(scene: &Scene, rollout: &Trajectory) -> String {
 pub fn trajectories(scene: &Scene, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
     let mut csv = csv::Writer::from_writer(Vec::new());
     let names = ["sample", "step", "time"].map(String::from).into_iter();
-    let (states, asked, applied) = (scene.state_names(), scene.control_names(), scene.applied_names());
-    csv.write_record(names.chain(states).chain(asked.clone()).chain(applied.clone()))?;
+    let (states, controls, applied) = (scene.state_names(), scene.control_names(), scene.applied_names());
+    csv.write_record(names.chain(states).chain(controls.clone()).chain(applied.clone()))?;
     let dt = scene.dt();
-    for (sample, Trajectory { states, controls }) in rollouts.iter().enumerate() {
-        let all_felt = scene.applied(states, controls);
-        for (t, state) in states.iter().enumerate() {
-            let place = [sample.to_string(), t.to_string(), (t as f64 * dt).to_string()];
+    for (sample, rollout) in rollouts.iter().enumerate() {
+        let applied_rows = scene.applied(&rollout.states, &rollout.controls);
+        for (t, state) in rollout.states.iter().enumerate() {
+            let index = [sample.to_string(), t.to_string(), (t as f64 * dt).to_string()];
             let cells = |rows: &[Vec<f64>], columns: &[String]| -> Vec<String> {
                 let cell = |i: usize| rows.get(t).map_or_else(String::new, |row: &Vec<f64>| row[i].to_string());
                 (0..columns.len()).map(cell).collect()
             };
             let state = state.iter().map(f64::to_string);
-            csv.write_record(place.into_iter().chain(state).chain(cells(controls, &asked)).chain(cells(&all_felt, &applied)))?;
+            csv.write_record(
+                index.into_iter().chain(state).chain(cells(&rollout.controls, &controls)).chain(cells(&applied_rows, &applied)),
+            )?;
         }
     }
     Ok(csv.into_inner()?)

@@ -5,8 +5,8 @@ use crate::program::platform::terminal::tell;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use physgrad::Growth;
 
-/// Progress bar with losses and remaining time. Without a terminal, prints ten lines of text
-/// instead.
+/// Progress bar with losses, elapsed time and ETA. Without a terminal, prints up to ten lines of
+/// text instead.
 pub struct Progress {
     pub bar: ProgressBar,
     quiet: bool,
@@ -18,7 +18,7 @@ impl Progress {
         if quiet {
             bar.set_draw_target(ProgressDrawTarget::hidden());
         }
-        let style = ProgressStyle::with_template("{bar:30} epoch {pos}/{len}  {msg}  {elapsed} gone, {eta} left");
+        let style = ProgressStyle::with_template("{bar:30} epoch {pos}/{len}  {msg}  elapsed {elapsed}, ETA {eta}");
         bar.set_style(style.expect("a fixed template"));
         Self { bar, quiet }
     }
@@ -33,13 +33,13 @@ impl Observer for Progress {
         }
     }
 
-    fn epoch(&mut self, told: EpochEvent) {
-        let EpochEvent { record, .. } = told;
+    fn epoch(&mut self, event: EpochEvent) {
+        let EpochEvent { record, .. } = event;
         let growths = [("R", record.regular_growth), ("M", record.modified_growth)];
         let growth = |(flow, growth): (&str, Option<Growth>)| growth.map(|growth| format!("  {flow} 10^{:+.1}", growth.along));
         let growths: String = growths.into_iter().filter_map(growth).collect();
         self.advance(format!("train {:.3e}  test {:.3e}{growths}", record.train_loss, record.test_loss));
-        self.trouble("", told);
+        self.warn("", event);
     }
 }
 
@@ -55,12 +55,13 @@ impl Progress {
     }
 
     /// Prints the warnings of an epoch, even if quiet: non-finite numbers, unreliable gradients.
-    pub fn trouble(&self, run: &str, told: EpochEvent) {
-        let EpochEvent { record, skips, diverged, warnings } = told;
+    /// `run` is a prefix that names the run.
+    pub fn warn(&self, run: &str, event: EpochEvent) {
+        let EpochEvent { record, skips, diverged, warnings } = event;
         let epoch = record.epoch;
         let skipped = skips.first().map(|skip| {
             let (count, update) = (record.skipped, skip.update);
-            format!("{run}epoch {epoch}: {count} update(s) skipped, the first being update {update} ({})", skip.divergence)
+            format!("{run}epoch {epoch}: {count} update(s) skipped, first update {update} ({})", skip.divergence)
         });
         let evaluated = ["training", "test"].into_iter().zip(diverged).filter_map(|(set, divergence)| {
             divergence.map(|divergence| format!("{run}epoch {epoch}: the {set} loss is not finite ({divergence})"))

@@ -1,4 +1,4 @@
-//! One run in its folder: train, save, resume, and leave files behind.
+//! One run in its folder: trains, saves, resumes, writes the output files.
 
 use crate::program::operations::session::AnyRun;
 use crate::program::operations::trajectory::ROLLOUTS;
@@ -19,41 +19,42 @@ pub const SAVE_EVERY: Duration = Duration::from_secs(5);
 
 /// Observer of a run.
 pub trait Observer {
-    /// The run goes on after this many epochs of an earlier process.
+    /// The run resumes after this many epochs of an earlier process.
     fn resumed(&mut self, _epochs: usize) {}
-    /// An epoch is done.
-    fn epoch(&mut self, told: EpochEvent);
+    /// An epoch is complete.
+    fn epoch(&mut self, event: EpochEvent);
 }
 
-/// Events of an epoch.
+/// Result of an epoch, with its warnings.
 #[derive(Clone, Copy)]
 pub struct EpochEvent<'a> {
     pub record: &'a Record,
-    /// Updates that were not applied, since the program was started.
+    /// Updates skipped since the start of the process.
     pub skips: &'a [Skip],
+    /// First non-finite value in the training and test evaluations.
     pub diverged: [Option<Divergence>; 2],
-    /// Reasons not to trust the gradients, unless an earlier epoch gave them.
+    /// Reasons why the gradients are unreliable, unless an earlier epoch reported them.
     pub warnings: &'a [String],
 }
 
-/// A run that is done, was interrupted, or failed.
+/// A run that is complete, interrupted or failed.
 pub struct Finished {
     pub records: Vec<Record>,
     pub interrupted: bool,
-    /// Reason of the failure; the run is then in its state after the last whole epoch.
+    /// Cause of the failure. The run is then in its state after the last complete epoch.
     pub broken: Option<TrainError>,
-    /// Updates were attempted, and none was applied.
+    /// Updates were attempted, but none was applied.
     pub no_update: bool,
 }
 
 impl Finished {
-    /// A run that a signal ended before it began.
+    /// A run that a signal interrupted before its start.
     pub fn before_start() -> Self {
         Self { records: Vec::new(), interrupted: true, broken: None, no_update: false }
     }
 }
 
-/// A training that applied no update.
+/// Error of a training that applied no update. Contains the names of the runs.
 #[derive(Debug)]
 pub struct NoUpdate(pub String);
 
@@ -62,7 +63,7 @@ impl fmt::Display for NoUpdate {
         let Self(runs) = self;
         write!(
             f,
-            "no update was applied in {runs}: in each, a number was not finite. The policy is untrained. Try smaller time steps, a \
+            "no update was applied in {runs}: every update was skipped because of a non-finite number. The policy is untrained. Try smaller time steps, a \
              shorter horizon, or other settings of the effects"
         )
     }
@@ -70,49 +71,54 @@ impl fmt::Display for NoUpdate {
 
 impl std::error::Error for NoUpdate {}
 
-/// Threads that may be asked for, unless there are more cores. Two thousand take longer to wake than to do their work.
-const MOST_THREADS: usize = 256;
+/// Largest number of threads, unless the machine has more cores.
+const MAX_THREADS: usize = 256;
 
 /// Sets up the thread pool and returns its number of threads.
-pub fn threads(asked: Option<usize>) -> Result<usize> {
-    let most = std::thread::available_parallelism().map_or(1, usize::from).max(MOST_THREADS);
-    // As rayon reads it; 0 stands for all cores.
+pub fn threads(requested: Option<usize>) -> Result<usize> {
+    let max = std::thread::available_parallelism().map_or(1, usize::from).max(MAX_THREADS);
+    // Reads the variable as rayon does. 0 stands for all cores.
     let default = || std::env::var("RAYON_NUM_THREADS").ok()?.parse().ok().filter(|&threads| threads > 0);
-    let (source, threads) = match (asked, default()) {
+    let (source, threads) = match (requested, default()) {
         (Some(threads), _) => ("--threads", threads),
         (None, Some(threads)) => ("RAYON_NUM_THREADS", threads),
         (None, None) => return Ok(rayon::current_num_threads()),
     };
-    if !(1..=most).contains(&threads) {
-        bail!("{source} is {threads}; allowed: 1 to {most}");
+    if !(1..=max).contains(&threads) {
+        bail!("{source} is {threads}; allowed: 1 to {max}");
     }
-    if asked.is_some() {
+    if requested.is_some() {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
     }
     Ok(threads)
 }
 
-/// Runs the scene in the folder; `run` is the scene, opened. If `resume`, goes on from the checkpoint. Saves at least every
-/// `save_every`, but for the time of one update or evaluation.
+/// Trains the session `run` of a scene in the folder. Resumes from the checkpoint if `resume`.
+///
+/// Saves every `save_every`, after the current update or evaluation.
 pub fn run(
     folder: &Locked,
     scene: &Scene,
     mut run: Box<dyn AnyRun>,
     resume: bool,
     save_every: Duration,
-    watch: &mut dyn Observer,
+    observer: &mut dyn Observer,
 ) -> Result<Finished> {
     let identity = scene.identity();
     if resume {
         saved::restore(folder, scene, &mut *run)?;
         let done = run.records().len();
         if done > scene.epochs {
-            bail!("the run in {} has {done} epochs already, and asked for are {}", folder.path().display(), scene.epochs);
+            bail!(
+                "the run in {} already has {done} epochs, but `epochs` is {}; set it to {done} or more",
+                folder.path().display(),
+                scene.epochs
+            );
         }
-        watch.resumed(done);
+        observer.resumed(done);
     }
     folder.clean()?;
-    // Settings make a folder a run. Without a checkpoint, it is at its start.
+    // A folder with settings is a run. Without a checkpoint, the run is at its start.
     folder.write(SETTINGS, scene.table.to_string())?;
     let mut saver = Saver { folder, identity: &identity, metrics: None, save_every, last: Instant::now(), signal_seen: false };
     saver.save(&*run)?;
@@ -134,19 +140,19 @@ pub fn run(
             }
         }
         if let Some(record) = run.records().last().filter(|_| !within_epoch) {
-            // Once for each flow of a run: the numbers differ in every epoch.
+            // Reports each warning once per run, because its numbers differ in every epoch.
             let warnings: Vec<String> = record.warnings(scene.horizon, scene.precision.epsilon());
-            let news = warnings.len() > warned;
+            let is_new = warnings.len() > warned;
             warned = warned.max(warnings.len());
-            let warnings = if news { &warnings[..] } else { &[] };
-            watch.epoch(EpochEvent { record, skips: run.skips(), diverged: run.diverged(), warnings });
+            let warnings = if is_new { &warnings[..] } else { &[] };
+            observer.epoch(EpochEvent { record, skips: run.skips(), diverged: run.diverged(), warnings });
         }
         if saver.is_due() {
             saver.try_to_save(&*run)?;
         }
     }
     saver.save(&*run)?;
-    leave(folder, scene, &*run)?;
+    write_outputs(folder, scene, &*run)?;
     folder.check()?;
     let interrupted = broken.is_none() && !run.is_done();
     let no_update = run.updates() == 0 && (broken.is_some() || !run.records().is_empty());
@@ -157,12 +163,12 @@ pub fn run(
 struct Saver<'a> {
     folder: &'a Locked,
     identity: &'a str,
-    /// `None` if the file has to be written anew.
+    /// None if the file has to be rewritten.
     metrics: Option<Metrics>,
     save_every: Duration,
     /// Time of the last attempt.
     last: Instant,
-    /// A checkpoint was attempted after the signal that ends the run.
+    /// Whether a checkpoint was attempted after the signal that ends the run.
     signal_seen: bool,
 }
 
@@ -171,7 +177,7 @@ impl Saver<'_> {
         self.last.elapsed() >= self.save_every || (!self.signal_seen && signals::received().is_some())
     }
 
-    /// Appends an epoch to the metrics. After an error, the next save writes the file anew.
+    /// Appends an epoch to the metrics. After an error, the next save rewrites the file.
     fn append(&mut self, record: &Record) {
         if self.metrics.as_mut().is_some_and(|metrics| metrics.append(record).is_err()) {
             self.metrics = None;
@@ -182,7 +188,7 @@ impl Saver<'_> {
         self.folder.check()?;
         self.folder.write(CHECKPOINT, run.checkpoint(self.identity))?;
         match &self.metrics {
-            // Rows that were written after the last checkpoint of an earlier process are computed again.
+            // Drops rows after the last checkpoint of an earlier process: they are recomputed.
             None => self.metrics = Some(Metrics::create(self.folder, run.records())?),
             Some(metrics) => metrics.sync()?,
         }
@@ -190,14 +196,14 @@ impl Saver<'_> {
         Ok(())
     }
 
-    /// Saves, or prints a warning and lets the run go on: space may become free before its end.
+    /// Saves. If that fails, prints a warning and continues: disk space may become free.
     ///
     /// # Errors
     /// The folder was removed or replaced.
     fn try_to_save(&mut self, run: &dyn AnyRun) -> Result<()> {
         if !self.signal_seen && signals::received().is_some() {
             self.signal_seen = true;
-            tell("\nfinishing the epoch and saving; a second signal stops at once");
+            tell("\nfinishing the epoch and saving; a second signal stops immediately");
         }
         if let Err(error) = self.save(run) {
             if self.folder.is_gone() {
@@ -205,14 +211,14 @@ impl Saver<'_> {
             }
             self.metrics = None;
             self.last = Instant::now();
-            tell(&format!("warning: the run goes on, but is not saved: {error:#}"));
+            tell(&format!("warning: the run continues, but could not be saved: {error:#}"));
         }
         Ok(())
     }
 }
 
-/// The files that one looks at or uses elsewhere.
-fn leave(folder: &Folder, scene: &Scene, run: &dyn AnyRun) -> Result<()> {
+/// Writes the policy, learning curve, trajectories and animation.
+fn write_outputs(folder: &Folder, scene: &Scene, run: &dyn AnyRun) -> Result<()> {
     let task = scene.kind.name();
     let title = format!("{task}, field {}, seed {}", scene.field.0, scene.seed);
     let about = format!("physgrad {}, {task}, policy: {}", env!("CARGO_PKG_VERSION"), scene.table["policy"]);

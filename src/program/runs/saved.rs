@@ -1,4 +1,4 @@
-//! Saved runs: finds them in folders, reads their scenes, restores their state.
+//! Saved runs: search in folders, scenes, restored states.
 
 use crate::program::operations::session::AnyRun;
 use crate::program::platform::folder::{CHECKPOINT, Folder, METRICS, POLICY, RUNS, SETTINGS};
@@ -10,7 +10,7 @@ use anyhow::{Context, Result, bail};
 use physgrad::differences;
 use std::path::Path;
 
-/// True if the folder contains a run that can be opened or resumed.
+/// Returns whether the folder contains a run.
 pub fn has_run(folder: &Folder) -> bool {
     folder.has(SETTINGS)
 }
@@ -34,13 +34,13 @@ pub fn runs(folder: &Folder) -> Result<Vec<Folder>> {
         Some(case) => {
             bail!("{path} holds {} runs or comparisons; choose one, for example {}", cases.len(), case.path().display())
         }
-        None => bail!("there is no run in {path}, nor in {RUNS}/ of it: neither `train` nor `compare` has saved one"),
+        None => bail!("there is no run in {path} or {path}/{RUNS}; create one with `train` or `compare`"),
     }
 }
 
 /// Subfolders, sorted by name.
 fn folders(path: &Path) -> Result<Vec<Folder>> {
-    let context = || format!("cannot look into {}", path.display());
+    let context = || format!("cannot read the folder {}", path.display());
     let entries = std::fs::read_dir(path).with_context(context)?;
     let mut paths = entries.map(|entry| Ok(entry.with_context(context)?.path())).collect::<Result<Vec<_>>>()?;
     paths.sort();
@@ -54,18 +54,18 @@ fn folders(path: &Path) -> Result<Vec<Folder>> {
 /// There is no run, or another version of the program made it.
 pub fn scene(folder: &Folder) -> Result<Scene> {
     if !has_run(folder) {
-        bail!("there is no run in {}: no {SETTINGS}", folder.path().display());
+        bail!("there is no run in {}: it has no {SETTINGS}", folder.path().display());
     }
-    let document = SceneSource::read(&folder.readable(SETTINGS)?)?;
-    let own = env!("CARGO_PKG_VERSION");
-    if let Some(version) = document.text("physgrad").filter(|&version| version != own) {
+    let source = SceneSource::read(&folder.readable(SETTINGS)?)?;
+    let this = env!("CARGO_PKG_VERSION");
+    if let Some(version) = source.text("physgrad").filter(|&version| version != this) {
         bail!(
-            "the run in {} was made by physgrad {version}, and this is {own}, whose numbers may differ; use {version} for it, or \
-             train it anew",
+            "physgrad {version} made the run in {}, and this is version {this}, whose numbers may differ; use version {version}, or \
+             train again",
             folder.path().display()
         );
     }
-    document.scene()
+    source.scene()
 }
 
 /// Restores the saved state of a run. Without a checkpoint, the run stays at its start.
@@ -74,17 +74,20 @@ pub fn restore(folder: &Folder, scene: &Scene, run: &mut dyn AnyRun) -> Result<(
         return Ok(());
     }
     let restored = run.restore(&folder.read(CHECKPOINT)?, &scene.identity());
-    restored.with_context(|| format!("cannot take up {}", folder.file(CHECKPOINT).display()))
+    restored.with_context(|| format!("cannot restore {}", folder.file(CHECKPOINT).display()))
 }
 
-/// The preset or file of this name, with these changes.
-pub fn changed(name: &str, changes: &Overrides) -> Result<Scene> {
-    let mut document = presets::document(name)?;
-    changes.apply(&mut document)?;
-    document.scene()
+/// Scene of the preset or file with this name, with overrides.
+pub fn changed(name: &str, overrides: &Overrides) -> Result<Scene> {
+    let mut source = presets::document(name)?;
+    overrides.apply(&mut source)?;
+    source.scene()
 }
 
-/// An error unless the run in the folder has these settings; only the number of epochs may differ.
+/// Checks that the run in the folder has the settings of the scene, except the number of epochs.
+///
+/// # Errors
+/// Another setting differs.
 pub fn check_resumable(folder: &Folder, scene: &Scene) -> Result<()> {
     let saved = self::scene(folder)?.identity();
     if scene.identity() != saved {
@@ -97,14 +100,17 @@ pub fn check_resumable(folder: &Folder, scene: &Scene) -> Result<()> {
     Ok(())
 }
 
-/// The scene of the run in the folder, with these changes.
-pub fn resumed(folder: &Folder, changes: &Overrides) -> Result<Scene> {
+/// Scene of the run in the folder, with overrides.
+///
+/// # Errors
+/// There is no run, or the overrides change more than the number of epochs.
+pub fn resumed(folder: &Folder, overrides: &Overrides) -> Result<Scene> {
     if !has_run(folder) {
-        bail!("there is no run to resume in {}; without --resume, a new one starts there", folder.path().display());
+        bail!("there is no run to resume in {}; omit --resume to start one", folder.path().display());
     }
-    let mut document = SceneSource::read(&folder.readable(SETTINGS)?)?;
-    changes.apply_again(&mut document)?;
-    let scene = document.scene()?;
+    let mut source = SceneSource::read(&folder.readable(SETTINGS)?)?;
+    overrides.apply_again(&mut source)?;
+    let scene = source.scene()?;
     check_resumable(folder, &scene)?;
     Ok(scene)
 }

@@ -9,7 +9,7 @@ pub struct Outcome<'a> {
     pub field: Field,
     pub seed: u64,
     pub records: &'a [Record],
-    /// The run stopped at a non-finite number and has no final losses.
+    /// The run failed at a non-finite number and has no final losses.
     pub broken: bool,
 }
 
@@ -19,6 +19,7 @@ impl Outcome<'_> {
         self.records.last().filter(|_| !self.broken).map_or(f64::NAN, loss)
     }
 
+    /// Training time of all epochs.
     pub fn seconds(&self) -> f64 {
         // Avoids `sum`, which returns -0 for no records.
         self.records.iter().fold(0.0, |sum, r| sum + r.seconds)
@@ -55,7 +56,7 @@ pub fn curves(runs: &[Outcome], loss: fn(&Record) -> f64) -> Vec<Curve> {
 }
 
 pub const TABLE_HEADER: [&str; 8] =
-    ["field", "seeds", "broke off", "median final test loss", "lowest", "highest", "median best", "median seconds"];
+    ["field", "seeds", "failed", "median final test loss", "lowest", "highest", "median best", "median seconds"];
 
 /// One row per field, with medians over the seeds. NaN ranks above every number.
 pub fn table(runs: &[Outcome]) -> Vec<[String; 8]> {
@@ -113,7 +114,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_are_on_straight_lines_between_the_numbers() {
+    fn quantiles_interpolate_linearly() {
         let numbers = sorted([4.0, 1.0, 2.0].into_iter());
         assert_eq!([0.0, 0.25, 0.5, 0.75, 1.0].map(|q| quantile(&numbers, q)), [1.0, 1.5, 2.0, 3.0, 4.0]);
         assert_eq!(quantile(&[7.0], 0.75), 7.0);
@@ -121,14 +122,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_number_counts_as_the_worst() {
+    fn nan_ranks_as_the_worst() {
         let numbers = sorted([-f64::NAN, 1.0, 2.0].into_iter());
         assert_eq!(quantile(&numbers, 0.5), 2.0);
         assert!(quantile(&numbers, 0.75).is_nan());
     }
 
     #[test]
-    fn a_trailing_mean_looks_back_only() {
+    fn a_trailing_mean_uses_earlier_values_only() {
         assert_eq!(trailing_mean(&[1.0, 3.0, 5.0, 7.0], 2), [1.0, 2.0, 4.0, 6.0]);
         assert_eq!(trailing_mean(&[1.0, 3.0], 30), [1.0, 2.0]);
         let with_a_gap = trailing_mean(&[1.0, f64::NAN, 3.0], 2);

@@ -32,7 +32,7 @@ struct Run {
 }
 
 impl Run {
-    /// True if the folder already contains this run.
+    /// Returns whether the folder already contains this run.
     ///
     /// # Errors
     /// The folder contains a run with other settings.
@@ -44,12 +44,12 @@ impl Run {
     }
 
     /// Trains in the run's folder, or resumes there. Waits while another process holds the lock.
-    fn run(&self, watch: &mut dyn Observer) -> Result<Finished> {
+    fn run(&self, observer: &mut dyn Observer) -> Result<Finished> {
         let Some(folder) = self.folder.clone().wait_and_lock()? else { return Ok(Finished::before_start()) };
         let resume = self.resumes()?;
         let folder = if resume { folder } else { folder.without_run()? };
-        // Uses one thread: the parallel runs already occupy all cores.
-        run::run(&folder, &self.scene, self.scene.open(1)?, resume, SAVE_EVERY, watch)
+        // One thread per run: the parallel runs occupy all cores.
+        run::run(&folder, &self.scene, self.scene.open(1)?, resume, SAVE_EVERY, observer)
     }
 
     fn outcome(&self) -> Outcome<'_> {
@@ -61,14 +61,16 @@ impl Comparison {
     /// Plans one run per field and seed. The folders need not exist.
     pub fn plan(label: &str, base: &Scene, fields: &[FieldName], seeds: u64, folder: &Folder) -> Result<Self> {
         let last = base.seed.checked_add(seeds - 1).filter(|&last| i64::try_from(last).is_ok());
-        let last = last.with_context(|| format!("{seeds} seeds from {} on are more than there are", base.seed))?;
-        let each = fields.iter().flat_map(|&field| (base.seed..=last).map(move |seed| (field, seed)));
+        let last = last.with_context(|| {
+            format!("{seeds} seeds from {} on exceed the largest seed, {}; use smaller seeds", base.seed, i64::MAX)
+        })?;
+        let pairs = fields.iter().flat_map(|&field| (base.seed..=last).map(move |seed| (field, seed)));
         let run = |(field, seed): (FieldName, u64)| {
             let scene = base.with(field, seed)?;
             let folder = Folder::at(folder.file(RUNS).join(format!("{}-{seed}", field.0.letter())));
             Ok(Run { field: field.0, seed, folder, scene, records: Vec::new(), broken: false })
         };
-        Ok(Self { runs: each.map(run).collect::<Result<_>>()?, label: label.to_owned() })
+        Ok(Self { runs: pairs.map(run).collect::<Result<_>>()?, label: label.to_owned() })
     }
 
     /// Outcomes of all runs, grouped by field.
@@ -91,7 +93,7 @@ pub fn check_options(fields: &[FieldName], seeds: u64, epochs: usize) -> Result<
         bail!("--seeds is 0; allowed: 1 or more");
     }
     if epochs == 0 {
-        bail!("--epochs is 0; a comparison needs 1 or more");
+        bail!("--epochs is 0; allowed: 1 or more");
     }
     check_distinct("--fields", fields.iter().map(|field| field.0.name()))
 }
@@ -119,20 +121,20 @@ pub fn check_sessions(bases: &[Scene], fields: &[FieldName]) -> Result<()> {
 }
 
 /// Outcome of a sweep.
-pub struct Swept {
+pub struct SweepOutcome {
     pub interrupted: bool,
     /// One message per failed run.
-    broke_off: Vec<String>,
+    failed: Vec<String>,
     /// Runs that applied no update.
     no_update: Vec<String>,
     runs: usize,
 }
 
-impl Swept {
+impl SweepOutcome {
     /// Returns an error that lists the runs that failed or applied no update.
     pub fn into_result(self) -> Result<()> {
-        if !self.broke_off.is_empty() {
-            bail!("{} of {} runs broke off:\n{}", self.broke_off.len(), self.runs, self.broke_off.join("\n"))
+        if !self.failed.is_empty() {
+            bail!("{} of {} runs failed:\n{}", self.failed.len(), self.runs, self.failed.join("\n"))
         }
         if !self.no_update.is_empty() {
             let count = format!("{} of {} runs", self.no_update.len(), self.runs);
@@ -148,7 +150,7 @@ impl Swept {
 /// # Errors
 /// Before training: a folder contains a run with other settings. After training: some runs could
 /// not start or could not be saved.
-pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<Swept> {
+pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<SweepOutcome> {
     let mut runs = Vec::new();
     for comparison in &*comparisons {
         for run in &comparison.runs {
@@ -160,48 +162,48 @@ pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<Swept> {
     let total = runs.iter().map(|(run, ..)| run.scene.epochs).sum();
     let progress = Mutex::new(Progress::new(total, quiet));
     if !quiet {
-        let task = runs.first().map_or("nothing", |(run, ..)| run.scene.kind.name());
-        tell(&format!("{task}: {} runs, {total} epochs in all, on {} threads", runs.len(), rayon::current_num_threads()));
+        let task = runs.first().map_or("no task", |(run, ..)| run.scene.kind.name());
+        tell(&format!("{task}: {} runs, {total} epochs in total, {} threads", runs.len(), rayon::current_num_threads()));
     }
     let finished: Vec<Result<Finished>> = parallel::map(&runs, |(run, label)| {
-        let mut watch = Watched { progress: &progress, label };
-        run.run(&mut watch)
+        let mut observer = SharedProgress { progress: &progress, label };
+        run.run(&mut observer)
     });
     if let Ok(progress) = progress.lock() {
         progress.bar.finish_and_clear();
     }
 
     let labels: Vec<String> = runs.into_iter().map(|(_, label)| label).collect();
-    let mut swept = Swept { interrupted: false, broke_off: Vec::new(), no_update: Vec::new(), runs: labels.len() };
-    let mut failures = Vec::new();
+    let mut outcome = SweepOutcome { interrupted: false, failed: Vec::new(), no_update: Vec::new(), runs: labels.len() };
+    let mut errors = Vec::new();
     let all = comparisons.iter_mut().flat_map(|comparison| &mut comparison.runs);
     for ((run, finished), label) in all.zip(finished).zip(labels) {
         match finished {
             Ok(finished) => {
-                swept.interrupted |= finished.interrupted;
+                outcome.interrupted |= finished.interrupted;
                 run.records = finished.records;
                 run.broken = finished.broken.is_some();
                 if finished.no_update {
-                    swept.no_update.push(label.clone());
+                    outcome.no_update.push(label.clone());
                 }
-                swept.broke_off.extend(finished.broken.map(|error| format!("{label}: {error}")));
+                outcome.failed.extend(finished.broken.map(|error| format!("{label}: {error}")));
             }
-            Err(error) => failures.push(format!("{label}: {error:#}")),
+            Err(error) => errors.push(format!("{label}: {error:#}")),
         }
     }
-    if !failures.is_empty() {
-        bail!("{} of {} runs failed:\n{}", failures.len(), swept.runs, failures.join("\n"));
+    if !errors.is_empty() {
+        bail!("{} of {} runs could not start or be saved:\n{}", errors.len(), outcome.runs, errors.join("\n"));
     }
-    Ok(swept)
+    Ok(outcome)
 }
 
 /// Reports the epochs of all runs to a shared progress bar.
-struct Watched<'a> {
+struct SharedProgress<'a> {
     progress: &'a Mutex<Progress>,
     label: &'a str,
 }
 
-impl Observer for Watched<'_> {
+impl Observer for SharedProgress<'_> {
     fn resumed(&mut self, epochs: usize) {
         if let Ok(progress) = self.progress.lock() {
             progress.bar.inc(epochs as u64);
@@ -210,10 +212,10 @@ impl Observer for Watched<'_> {
         }
     }
 
-    fn epoch(&mut self, told: EpochEvent) {
+    fn epoch(&mut self, event: EpochEvent) {
         if let Ok(mut progress) = self.progress.lock() {
-            progress.advance(format!("{}: test {:.3e}", self.label, told.record.test_loss));
-            progress.trouble(&format!("{}, ", self.label), told);
+            progress.advance(format!("{}: test {:.3e}", self.label, event.record.test_loss));
+            progress.warn(&format!("{}, ", self.label), event);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Text of scenes: files, presets, command-line overrides.
+//! Scene files, presets and command-line overrides.
 //!
 //! Errors name the line or option of a key. Imports `settings`, `tasks` and `platform`. Start with
 //! `source`.

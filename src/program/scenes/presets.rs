@@ -45,29 +45,29 @@ pub fn text(name: &str) -> Result<&'static str> {
     let found = PRESETS.into_iter().find(|(preset, _)| *preset == name).map(|(_, text)| text);
     found.with_context(|| {
         let names: Vec<&str> = all().map(|(name, _)| name).collect();
-        format!("there is no preset `{name}`, only {}", names.join(", "))
+        format!("there is no preset `{name}`; presets: {}", names.join(", "))
     })
 }
 
-/// SceneSource of the preset with this name, or of the file at this path.
+/// Source of the preset with this name, or of the file at this path.
 pub fn document(name: &str) -> Result<SceneSource> {
     let path = Path::new(name);
     if path.is_dir() && !PRESETS.iter().any(|(preset, _)| *preset == name) {
         let scene = path.join(SETTINGS);
-        let hint = if scene.exists() { format!("; the scene of the run in it is {}", scene.display()) } else { String::new() };
-        bail!("{name} is a folder, and not a scene{hint}");
+        let hint = if scene.exists() { format!("; the scene of its run is {}", scene.display()) } else { String::new() };
+        bail!("{name} is a folder, not a scene{hint}");
     }
     if is_path(name) {
         return SceneSource::read(path);
     }
-    let text = text(name).map_err(|none| anyhow!("{none}; a scene of your own is named by its path, which ends in .toml"))?;
+    let text = text(name).map_err(|error| anyhow!("{error}; to use a scene file, give its path, which ends in .toml"))?;
     SceneSource::parse(&format!("preset {name}"), text)
 }
 
-/// Name for the results of a preset or file.
+/// Name of the folder with the results of a preset or file.
 pub fn short_name(name: &str) -> String {
     let path = Path::new(name);
-    // Uses the folder's name for the scene of a saved run.
+    // The scene of a saved run has the name of its folder.
     let folder = path.parent().and_then(Path::file_name).filter(|_| path.ends_with(SETTINGS));
     match folder.or_else(|| path.file_stem()) {
         Some(stem) if is_path(name) => stem.to_string_lossy().into_owned(),
@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn results_are_called_as_the_scene_or_as_the_run_it_is_of() {
+    fn results_have_the_name_of_the_scene_or_run() {
         assert_eq!(short_name("guidance_0.1"), "guidance_0.1");
         assert_eq!(short_name("scenes/windy.toml"), "windy");
         assert_eq!(short_name("runs/windy_2/run.toml"), "windy_2");
@@ -93,10 +93,10 @@ mod tests {
     }
 
     #[test]
-    fn every_preset_is_a_scene_and_begins_with_what_it_is() {
+    fn every_preset_is_a_scene_with_a_description() {
         for (name, text) in PRESETS {
             assert!(text.starts_with("# "), "{name}");
-            if let Err(error) = document(name).and_then(|document| document.scene()) {
+            if let Err(error) = document(name).and_then(|source| source.scene()) {
                 panic!("{error}");
             }
         }

@@ -1,4 +1,4 @@
-//! A scene as it is written: its values, and where each of them is from.
+//! [`SceneSource`]: a scene before validation, with the line or option of every value.
 
 use crate::program::settings::VERSION;
 use crate::program::settings::config_error::ConfigError;
@@ -12,70 +12,71 @@ use std::path::Path;
 use toml::de::{DeTable, DeValue, Deserializer};
 use toml::{Table, Value};
 
-/// Bytes of a scene. A preset has about 2,000; parsing takes up to 100 times as much memory.
-const MOST_BYTES: usize = 1_000_000;
+/// Largest size of a scene. A preset has about 2,000 bytes. Parsing takes up to 100 times as much
+/// memory.
+const MAX_BYTES: usize = 1_000_000;
 
-/// Parts of a dotted key that an option may have. Keys of scenes have up to three.
-const MOST_PARTS: usize = 8;
+/// Largest number of parts of a dotted key in an option. Keys of scenes have up to three.
+const MAX_PARTS: usize = 8;
 
-/// The sections whose parts are there or not.
-pub const OPTIONAL: [&str; 2] = ["effects", "actuator"];
+/// Sections whose subsections may be absent.
+const OPTIONAL: [&str; 2] = ["effects", "actuator"];
 
-/// Settings of a file, and what the command line makes of them, before anything is known of the task.
+/// Settings of a scene file, with the overrides of the command line. Not yet validated.
 #[derive(Clone)]
 pub struct SceneSource {
-    /// What it is called in messages.
+    /// Name in messages.
     name: String,
     table: Table,
-    /// Text of the file.
+    /// Text of the file, for line numbers.
     text: String,
-    /// The option that set a dotted key, or made its section.
+    /// For each dotted key, the option that set it or created its section.
     options: HashMap<String, String>,
 }
 
 impl SceneSource {
-    /// The file at this path.
+    /// Reads the file at this path.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let mut bytes = Vec::new();
-        let read = File::open(path).and_then(|file| file.take(1 + MOST_BYTES as u64).read_to_end(&mut bytes));
-        read.with_context(|| format!("cannot read {name}"))?;
-        if bytes.len() > MOST_BYTES {
-            bail!("{name} has more than {MOST_BYTES} bytes, which is too long for a scene");
+        let result = File::open(path).and_then(|file| file.take(1 + MAX_BYTES as u64).read_to_end(&mut bytes));
+        result.with_context(|| format!("cannot read {name}"))?;
+        if bytes.len() > MAX_BYTES {
+            bail!("{name} has more than {MAX_BYTES} bytes, the limit of a scene");
         }
-        let text = std::str::from_utf8(&bytes).with_context(|| format!("{name} is no text in UTF-8"))?;
+        let text = std::str::from_utf8(&bytes).with_context(|| format!("{name} is not UTF-8 text"))?;
         Self::parse(&name, text)
     }
 
-    /// The text of the file of this name.
+    /// Parses the text of the file with this name.
     pub fn parse(name: &str, text: &str) -> Result<Self> {
-        let wrong = |error: toml::de::Error| match error.span() {
+        let located = |error: toml::de::Error| match error.span() {
             Some(span) => {
-                let begin = text[..span.start].rfind('\n').map_or(0, |end| end + 1);
-                let written = text[begin..].lines().next().unwrap_or_default().trim();
-                anyhow!("{name}:{}: {}: {}", line(text, span.start), error.message(), short(written))
+                let start = text[..span.start].rfind('\n').map_or(0, |end| end + 1);
+                let snippet = text[start..].lines().next().unwrap_or_default().trim();
+                anyhow!("{name}:{}: {}: {}", line(text, span.start), error.message(), short(snippet))
             }
             None => anyhow!("{name} cannot be read: {}", error.message()),
         };
-        let parsed = DeTable::parse(text).map_err(wrong)?;
-        let table = Table::deserialize(Deserializer::from(parsed)).map_err(wrong)?;
+        let parsed = DeTable::parse(text).map_err(located)?;
+        let table = Table::deserialize(Deserializer::from(parsed)).map_err(located)?;
         Ok(Self { name: name.to_owned(), table, text: text.to_owned(), options: HashMap::new() })
     }
 
-    /// The value at the top of the document.
+    /// Text of a key at the top level.
     pub fn text(&self, key: &str) -> Option<&str> {
         self.table.get(key)?.as_str()
     }
 
-    /// Puts a value at a dotted key, whether there is one or not, because this option says so.
+    /// Sets the value of a dotted key. Messages name `option` as the source of the value.
     pub fn put(&mut self, key: &str, value: Value, option: &str) -> Result<()> {
         let (sections, last) = key.rsplit_once('.').unwrap_or(("", key));
         let parts = key.split('.').count();
-        if parts > MOST_PARTS {
-            bail!("{option}: the key has {parts} parts; allowed: up to {MOST_PARTS}");
+        if parts > MAX_PARTS {
+            bail!("{option}: the key has {parts} parts; allowed: up to {MAX_PARTS}");
         }
         if last.is_empty() {
-            bail!("{option}: an empty key cannot be set");
+            bail!("{option}: the key is empty; write KEY=VALUE, for example system.poles=4");
         }
         let mut inner = &mut self.table;
         let mut path = String::new();
@@ -85,11 +86,11 @@ impl SceneSource {
                 self.options.insert(path.clone(), option.to_owned());
                 Value::Table(Table::new())
             });
-            inner = section.as_table_mut().with_context(|| format!("{option}: `{path}` is no section"))?;
+            inner = section.as_table_mut().with_context(|| format!("{option}: `{path}` is not a section"))?;
         }
         if let Some(Value::Table(section)) = inner.get(last) {
             if value.as_table().is_some_and(Table::is_empty) {
-                // It is asked for, and there.
+                // The requested section exists.
                 return Ok(());
             }
             let keys: Vec<String> = section.keys().map(|inner| format!("{key}.{inner}")).collect();
@@ -100,25 +101,28 @@ impl SceneSource {
         Ok(())
     }
 
-    /// Takes a whole section away, if it is there.
+    /// Removes a section if it is present.
     pub fn without_section(&mut self, name: &str) {
         self.table.remove(name);
     }
 
-    /// Whether it has this effect or part of the actuator.
+    /// Returns whether the scene has this effect or part of the actuator.
     pub fn has(&self, name: &str) -> bool {
-        let name = part(name);
+        let name = part_name(name);
         OPTIONAL.iter().any(|section| self.table.get(*section).is_some_and(|section| section.get(name).is_some()))
     }
 
-    /// Takes an effect or a part of the actuator away, which must be there.
+    /// Removes an effect or a part of the actuator.
+    ///
+    /// # Errors
+    /// The scene has no such part.
     pub fn without(&mut self, name: &str) -> Result<()> {
-        let name = part(name);
+        let name = part_name(name);
         let sections = || OPTIONAL.into_iter().filter_map(|section| self.table.get(section)?.as_table());
-        let there: Vec<String> = sections().flat_map(|section| section.keys().cloned()).collect();
+        let present: Vec<String> = sections().flat_map(|section| section.keys().cloned()).collect();
         if !self.has(name) {
-            let there = if there.is_empty() { "none".into() } else { there.join(", ") };
-            bail!("--without {name}: {} has no such effect or part of the actuator; it has {there}", self.name);
+            let present = if present.is_empty() { "none".into() } else { present.join(", ") };
+            bail!("--without {name}: {} has no such effect or part of the actuator; it has {present}", self.name);
         }
         for section in OPTIONAL {
             if let Some(section) = self.table.get_mut(section).and_then(Value::as_table_mut) {
@@ -128,15 +132,15 @@ impl SceneSource {
         Ok(())
     }
 
-    /// The scene that it describes: where it is silent, the task's defaults, but no effect that it does not name.
+    /// Validates the scene. Absent settings get the task's defaults. Absent effects stay absent.
     pub fn scene(&self) -> Result<Scene> {
-        self.checked().map_err(|problem| anyhow!("{}: {problem}", self.origin(&problem.key)))
+        self.validate().map_err(|error| anyhow!("{}: {error}", self.origin(&error.key)))
     }
 
-    fn checked(&self) -> Result<Scene, ConfigError> {
+    fn validate(&self) -> Result<Scene, ConfigError> {
         match self.table.get("scene") {
             None => {
-                let what = format!("is missing; a scene begins with `scene = {VERSION}`, the version of the format");
+                let what = format!("is missing; a scene begins with `scene = {VERSION}`, the version of the scene format");
                 return Err(ConfigError::new("scene", what));
             }
             Some(Value::Integer(VERSION)) => {}
@@ -150,78 +154,78 @@ impl SceneSource {
             None => return Err(ConfigError::new("task", format!("is missing; allowed: {}", names()))),
             Some(task) => task,
         };
-        let kind = tasks::TASKS.into_iter().find(|kind| task.as_str() == Some(kind.name()));
-        let kind = kind.ok_or_else(|| ConfigError::new("task", format!("is {task}; allowed: {}", names())))?;
-        let mut settings = kind.defaults();
+        let spec = tasks::TASKS.into_iter().find(|spec| task.as_str() == Some(spec.name()));
+        let spec = spec.ok_or_else(|| ConfigError::new("task", format!("is {task}; allowed: {}", names())))?;
+        let mut settings = spec.defaults();
         overlay(&mut settings, &self.table);
         if settings.get("physgrad").is_some_and(Value::is_str) {
-            // Whatever version a saved run is of, what is made of it now is of this one.
+            // The version of a saved run does not matter: this version creates the scene.
             settings.insert("physgrad".into(), env!("CARGO_PKG_VERSION").into());
         }
-        kind.scene(settings).map_err(|problem| of_another_task(kind, problem))
+        spec.scene(settings).map_err(|error| explain_foreign_effect(spec, error))
     }
 
-    /// The option or line that a key is from, or else its section.
+    /// Option or line that set a key or, for an absent key, its section.
     fn origin(&self, key: &str) -> String {
         let sections = std::iter::successors(Some(key), |key| key.rfind(['.', '[']).map(|end| &key[..end]));
-        // An option replaces whatever the file has within its key.
+        // An option replaces everything that the file has below its key.
         if let Some(option) = sections.into_iter().find_map(|key| self.options.get(key)) {
             return option.clone();
         }
         let parsed = DeTable::parse(&self.text).ok();
-        match parsed.and_then(|parsed| place(&DeValue::Table(parsed.into_inner()), key)) {
-            Some(at) => format!("{}:{}", self.name, line(&self.text, at)),
+        match parsed.and_then(|parsed| offset(&DeValue::Table(parsed.into_inner()), key)) {
+            Some(offset) => format!("{}:{}", self.name, line(&self.text, offset)),
             None => self.name.clone(),
         }
     }
 }
 
-/// Says so if what is unknown here is an effect of another task.
-fn of_another_task(kind: &dyn AnyTaskSpec, problem: ConfigError) -> ConfigError {
-    let has = |kind: &dyn AnyTaskSpec| kind.effects().iter().any(|info| problem.key == format!("effects.{}", info.name));
+/// Rewords the error if the unknown key is an effect of another task.
+fn explain_foreign_effect(spec: &dyn AnyTaskSpec, error: ConfigError) -> ConfigError {
+    let has = |spec: &dyn AnyTaskSpec| spec.effects().iter().any(|info| error.key == format!("effects.{}", info.name));
     match tasks::TASKS.into_iter().find(|other| has(*other)) {
-        Some(other) if !has(kind) => {
-            let here: Vec<&str> = kind.effects().iter().map(|info| info.name).collect();
-            let what = format!("is an effect of {}, not of {}; allowed here: {}", other.name(), kind.name(), here.join(", "));
-            ConfigError::new(problem.key, what)
+        Some(other) if !has(spec) => {
+            let allowed: Vec<&str> = spec.effects().iter().map(|info| info.name).collect();
+            let what = format!("is an effect of {}, not of {}; allowed here: {}", other.name(), spec.name(), allowed.join(", "));
+            ConfigError::new(error.key, what)
         }
-        _ => problem,
+        _ => error,
     }
 }
 
-/// Position in the text of the key at this dotted path, or else of its section.
-fn place(value: &DeValue, path: &str) -> Option<usize> {
+/// Byte offset of the key at this dotted path or, for an absent key, of its section.
+fn offset(value: &DeValue, path: &str) -> Option<usize> {
     match value {
         DeValue::Table(table) => table.iter().find_map(|(key, inner)| {
             let rest = path.strip_prefix('.').unwrap_or(path).strip_prefix(&**key.get_ref())?;
             let is_whole = rest.is_empty() || rest.starts_with(['.', '[']);
-            is_whole.then(|| place(inner.get_ref(), rest).unwrap_or(key.span().start))
+            is_whole.then(|| offset(inner.get_ref(), rest).unwrap_or(key.span().start))
         }),
         DeValue::Array(items) => {
             let (index, rest) = path.strip_prefix('[')?.split_once(']')?;
             let item = items.get(index.parse::<usize>().ok()?)?;
-            Some(place(item.get_ref(), rest).unwrap_or(item.span().start))
+            Some(offset(item.get_ref(), rest).unwrap_or(item.span().start))
         }
         _ => None,
     }
 }
 
-/// The text, or its beginning if it is long for a message.
+/// Truncates a text for messages.
 pub fn short(text: &str) -> String {
-    const MOST: usize = 100;
-    match text.char_indices().nth(MOST) {
+    const MAX_CHARS: usize = 100;
+    match text.char_indices().nth(MAX_CHARS) {
         Some((end, _)) => format!("{}…", &text[..end]),
         None => text.into(),
     }
 }
 
-/// Number of the line at a position in the text.
-fn line(text: &str, at: usize) -> usize {
-    1 + text.bytes().take(at).filter(|&byte| byte == b'\n').count()
+/// Line number of a byte offset in the text.
+fn line(text: &str, offset: usize) -> usize {
+    1 + text.bytes().take(offset).filter(|&byte| byte == b'\n').count()
 }
 
-/// What is called `bumpers` may also be called `effects.bumpers`.
-fn part(name: &str) -> &str {
+/// Strips the section: `effects.bumpers` and `bumpers` name the same part.
+fn part_name(name: &str) -> &str {
     OPTIONAL.iter().find_map(|section| name.strip_prefix(section)?.strip_prefix('.')).unwrap_or(name)
 }
 
@@ -229,7 +233,7 @@ fn join(path: &str, key: &str) -> String {
     if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") }
 }
 
-/// Puts the upper values in place of the lower ones, section by section.
+/// Replaces values of the lower table by those of the upper one, section by section.
 fn overlay(lower: &mut Table, upper: &Table) {
     for (key, value) in upper {
         match (lower.get_mut(key), value) {
@@ -248,8 +252,8 @@ mod tests {
     const WINDY: &str = "scene = 1\n[effects.wind]\nspeed = 3\n[actuator]\nlag = { time = 1 }\n[[effects.walls]]\nx = 1\n";
 
     #[test]
-    fn every_key_knows_its_line() {
-        let document = SceneSource::parse("a.toml", WINDY).expect("TOML");
+    fn every_key_has_its_line() {
+        let source = SceneSource::parse("a.toml", WINDY).expect("TOML");
         for (key, line) in [
             ("scene", 1),
             ("effects.wind", 2),
@@ -258,25 +262,25 @@ mod tests {
             ("actuator.lag.time", 5),
             ("effects.walls[0].x", 7),
         ] {
-            assert_eq!(document.origin(key), format!("a.toml:{line}"), "{key}");
+            assert_eq!(source.origin(key), format!("a.toml:{line}"), "{key}");
         }
-        assert_eq!(document.origin("task"), "a.toml");
+        assert_eq!(source.origin("task"), "a.toml");
     }
 
     #[test]
-    fn effects_come_and_go() {
-        let mut document = SceneSource::parse("a.toml", WINDY).expect("TOML");
-        let error = document.without("rain").expect_err("there is none").to_string();
+    fn effects_are_removed_and_added() {
+        let mut source = SceneSource::parse("a.toml", WINDY).expect("TOML");
+        let error = source.without("rain").expect_err("there is none").to_string();
         assert!(error.ends_with("it has wind, walls, lag"), "{error}");
-        document.without("effects.wind").expect("an effect");
-        document.without("lag").expect("a part of the actuator");
-        assert!(document.without("wind").is_err(), "it is gone");
-        document.put("effects.rain.rate", Value::Integer(2), "--set").expect("another");
-        assert_eq!(document.table["effects"]["rain"]["rate"].as_integer(), Some(2));
-        assert_eq!([document.origin("effects.rain"), document.origin("effects.rain.rate")], ["--set"; 2]);
-        document.put("effects.walls", Value::Integer(2), "--set walls").expect("a list is a value");
-        assert_eq!(document.origin("effects.walls[0].x"), "--set walls", "the line of the old one is forgotten");
-        let error = document.put("effects.rain", Value::Integer(2), "--set").expect_err("a section").to_string();
+        source.without("effects.wind").expect("an effect");
+        source.without("lag").expect("a part of the actuator");
+        assert!(source.without("wind").is_err(), "it is gone");
+        source.put("effects.rain.rate", Value::Integer(2), "--set").expect("another");
+        assert_eq!(source.table["effects"]["rain"]["rate"].as_integer(), Some(2));
+        assert_eq!([source.origin("effects.rain"), source.origin("effects.rain.rate")], ["--set"; 2]);
+        source.put("effects.walls", Value::Integer(2), "--set walls").expect("a list is a value");
+        assert_eq!(source.origin("effects.walls[0].x"), "--set walls", "the line of the old one is forgotten");
+        let error = source.put("effects.rain", Value::Integer(2), "--set").expect_err("a section").to_string();
         assert!(error.ends_with("set one of its keys: effects.rain.rate"), "{error}");
     }
 }

@@ -30,7 +30,7 @@ impl ConfigError {
         Self { key: key.into(), what: what.into() }
     }
 
-    /// Rewords a serde error: key, value found, values allowed.
+    /// Translates a serde error into key, value found and values allowed.
     pub fn unreadable(error: &Unreadable) -> Self {
         let Unreadable { key, message } = error;
         let within = |field: &str| format!("{key}.{}", field.trim_end_matches('`')).trim_start_matches('.').to_owned();
@@ -45,10 +45,10 @@ impl ConfigError {
             return Self::new(within(field), format!("is unknown; allowed: {allowed}"));
         }
         let Some((found, expected)) = message.split_once(", expected ") else {
-            return Self::new(key, format!("cannot be used: {message}"));
+            return Self::new(key, format!("is invalid: {message}"));
         };
         if let Some((_, old, new)) =
-            RENAMED_VALUES.into_iter().find(|(of, old, _)| of == key && found.ends_with(&format!("`{old}`")))
+            RENAMED_VALUES.into_iter().find(|(renamed, old, _)| renamed == key && found.ends_with(&format!("`{old}`")))
         {
             return Self::new(key, format!("= \"{old}\" was renamed; write \"{new}\""));
         }
@@ -66,9 +66,9 @@ impl ConfigError {
         Self::new(key, format!("is {found}; allowed: {expected}"))
     }
 
-    /// Reports a setting that another setting makes ineffective.
+    /// Error of a setting that another setting makes ineffective.
     pub fn unread(key: &str, value: impl Display, because: &str) -> Self {
-        Self::new(key, format!("is {value}, but nothing reads it: {because}"))
+        Self::new(key, format!("is {value}, but has no effect: {because}"))
     }
 }
 
@@ -93,7 +93,7 @@ pub fn exclusive(effects: &[(&str, bool)], because: &str) -> Result<(), ConfigEr
     match (present.next(), present.next()) {
         (Some(first), Some(second)) => Err(ConfigError::new(
             format!("effects.{second}"),
-            format!("cannot be beside `effects.{first}`: {because}; allowed: one of them"),
+            format!("cannot be combined with `effects.{first}`: {because}; allowed: one of them"),
         )),
         _ => Ok(()),
     }

@@ -6,55 +6,55 @@ use physgrad::{Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Ode, Rung
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How a step is taken. Without it, as the task takes it: one step of its own scheme.
+/// Discretization in time. Without it, the task takes one step of its native scheme.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct IntegratorSettings {
-    /// The method; without it, the task's own scheme.
+    /// Integration method. Without it, the task's native scheme.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub method: Option<Method>,
-    /// Steps that the physics takes in one of the policy, 1 without it; the control is the same in all.
+    /// Steps of the physics per step of the policy, 1 by default. The control is constant in them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub substeps: Option<usize>,
-    /// Of `adaptive`: error allowed in relation to a component's size.
+    /// Relative error tolerance per component. Only for `adaptive`.
     #[serde(skip_serializing_if = "Option::is_none")]
     rtol: Option<f64>,
-    /// Of `adaptive`: error allowed whatever the size.
+    /// Absolute error tolerance per component. Only for `adaptive`.
     #[serde(skip_serializing_if = "Option::is_none")]
     atol: Option<f64>,
-    /// Of `implicit_midpoint`: when Newton's iteration stops.
+    /// Stopping tolerance of Newton's iteration. Only for `implicit_midpoint`.
     #[serde(skip_serializing_if = "Option::is_none")]
     tolerance: Option<f64>,
 }
 
-/// Methods.
+/// Integration methods.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
     /// Explicit Euler, order 1.
     Euler,
-    /// Semi-implicit Euler, order 1: positions with the new velocities.
+    /// Semi-implicit Euler, order 1: the new velocities advance the positions.
     SemiImplicit,
     /// Velocity Verlet, order 2.
     Verlet,
     /// Heun, order 2.
     Heun,
-    /// Implicit midpoint, order 2: stable however stiff.
+    /// Implicit midpoint, order 2, A-stable: suits stiff systems.
     ImplicitMidpoint,
-    /// The classical method of Runge and Kutta, order 4.
+    /// Classical Runge-Kutta, order 4.
     Rk4,
     /// Tsitouras, order 5.
     Tsit5,
-    /// Tsitouras 5(4) with steps of its own choice.
+    /// Tsitouras 5(4) with adaptive step sizes.
     Adaptive,
-    /// Of quantum control: Padé's scheme, order 4.
+    /// Padé scheme for the Schrödinger equation, order 4.
     Pade,
-    /// Of quantum control: Strang's splitting, order 2, exact without potential.
+    /// Strang splitting for the Schrödinger equation, order 2; exact without potential.
     Strang,
 }
 
 impl Method {
-    /// Those for ordinary differential equations.
+    /// Methods for ordinary differential equations.
     pub const ODE: [Self; 8] = [
         Self::Euler,
         Self::SemiImplicit,
@@ -66,10 +66,10 @@ impl Method {
         Self::Adaptive,
     ];
 
-    /// Those for Schrödinger's equation, beside that of Crank and Nicolson.
+    /// Methods for the Schrödinger equation, besides Crank-Nicolson, the native scheme.
     pub const QUANTUM: [Self; 2] = [Self::Pade, Self::Strang];
 
-    /// As a scene spells it.
+    /// Name in a scene.
     pub fn name(self) -> &'static str {
         match self {
             Self::Euler => "euler",
@@ -87,18 +87,23 @@ impl Method {
 }
 
 impl IntegratorSettings {
-    /// What is out of range, what nothing reads, and a method that is not of the task.
+    /// Rejects invalid values, unused keys and unsupported methods.
     pub fn validate(&self, precision: Precision, methods: &[Method]) -> Result<(), ConfigError> {
         if let Some(method) = self.method
             && !methods.contains(&method)
         {
             let names: Vec<&str> = methods.iter().map(|method| method.name()).collect();
-            allowed("integrator.method", method.name(), false, format!("{} here, or none", names.join(", ")))?;
+            allowed(
+                "integrator.method",
+                method.name(),
+                false,
+                format!("{}; or omit it for the native scheme", names.join(", ")),
+            )?;
         }
         if let Some(substeps) = self.substeps {
             count("integrator.substeps", substeps, 1..=1_000_000)?;
         }
-        let of = |key: &str, value: Option<f64>, method: Method| match value {
+        let check = |key: &str, value: Option<f64>, method: Method| match value {
             Some(value) if self.method != Some(method) => {
                 let because = format!("`integrator.method` is not {}", method.name());
                 Err(ConfigError::unread(&format!("integrator.{key}"), value, &because))
@@ -106,29 +111,30 @@ impl IntegratorSettings {
             Some(value) => positive(&format!("integrator.{key}"), value),
             None => Ok(()),
         };
-        of("rtol", self.rtol, Method::Adaptive)?;
-        of("atol", self.atol, Method::Adaptive)?;
-        of("tolerance", self.tolerance, Method::ImplicitMidpoint)?;
-        let (name, floor) = (precision.name(), precision.tolerance_floor());
+        check("rtol", self.rtol, Method::Adaptive)?;
+        check("atol", self.atol, Method::Adaptive)?;
+        check("tolerance", self.tolerance, Method::ImplicitMidpoint)?;
+        let floor = precision.tolerance_floor();
         for (key, value) in [("rtol", self.rtol), ("tolerance", self.tolerance)] {
             let Some(value) = value else { continue };
-            let what = format!("{floor:.1e} or more: rounding in {name} is no less; or precision = \"f64\"");
+            let [single, double] = [Precision::F32, Precision::F64].map(Precision::tolerance_floor);
+            let what = format!("{single:.1e} or more in f32, {double:.1e} or more in f64, because of rounding");
             allowed(&format!("integrator.{key}"), format!("{value:e}"), value >= floor, what)?;
         }
         Ok(())
     }
 
-    /// Whether there is nothing in it.
+    /// Returns whether all settings are absent.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Steps of the physics in one of the policy.
+    /// Steps of the physics per step of the policy.
     pub fn count(&self) -> usize {
         self.substeps.unwrap_or(1)
     }
 
-    /// What the method is, if there is one.
+    /// The integrator. None for the native scheme.
     pub fn integrator(&self, precision: Precision) -> Option<AnyIntegrator> {
         let floor = precision.tolerance_floor();
         self.method.map(|method| match method {
@@ -144,14 +150,14 @@ impl IntegratorSettings {
                 AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint { tolerance })
             }
             Method::Adaptive => {
-                let usual = Adaptive::default();
-                let rtol = self.rtol.unwrap_or(usual.rtol.max(floor));
-                AnyIntegrator::Adaptive(Adaptive { rtol, atol: self.atol.unwrap_or(usual.atol), ..usual })
+                let default = Adaptive::default();
+                let rtol = self.rtol.unwrap_or(default.rtol.max(floor));
+                AnyIntegrator::Adaptive(Adaptive { rtol, atol: self.atol.unwrap_or(default.atol), ..default })
             }
         })
     }
 
-    /// A system whose own step has the length `dt`, as it is to be integrated.
+    /// Discretizes a system with time step `dt`.
     pub fn discretize<S: System + Ode>(&self, system: S, dt: f64, precision: Precision) -> Substeps<Discretized<S>> {
         Substeps { system: Discretized { system, integrator: self.integrator(precision), dt }, count: self.count() }
     }

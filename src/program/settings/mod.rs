@@ -14,7 +14,7 @@ pub use integrator::{IntegratorSettings, Method};
 pub use names::{ClipName, FieldName, OptimizerName, Precision};
 pub use training::TrainingSettings;
 
-/// Version of the format of scenes.
+/// Version of the scene format.
 pub const VERSION: i64 = 1;
 
 /// Sections whose subsections may be absent.

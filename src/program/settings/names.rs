@@ -1,4 +1,4 @@
-//! Settings that are words.
+//! Settings with a fixed set of values.
 
 use physgrad::Field;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
@@ -20,7 +20,7 @@ impl Precision {
         }
     }
 
-    /// Distance from 1 to the next larger number.
+    /// Machine epsilon: distance from 1 to the next larger number.
     pub fn epsilon(self) -> f64 {
         match self {
             Self::F32 => f64::from(f32::EPSILON),
@@ -28,13 +28,13 @@ impl Precision {
         }
     }
 
-    /// The least tolerance that an integrator can keep: some hundred roundings.
+    /// Smallest tolerance of an integrator: 100 machine epsilons.
     pub fn tolerance_floor(self) -> f64 {
         100.0 * self.epsilon()
     }
 }
 
-/// A [`Field`] by name or letter; written by name.
+/// [`Field`], read as name or letter and written as name.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct FieldName(pub Field);
@@ -45,8 +45,8 @@ impl JsonSchema for FieldName {
     }
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        let words = Field::ALL.iter().map(|field| field.name()).chain(Field::ALL.iter().map(|field| field.letter()));
-        json_schema!({ "type": "string", "enum": words.collect::<Vec<_>>() })
+        let names = Field::ALL.iter().map(|field| field.name()).chain(Field::ALL.iter().map(|field| field.letter()));
+        json_schema!({ "type": "string", "enum": names.collect::<Vec<_>>() })
     }
 }
 

@@ -1,7 +1,7 @@
-//! Settings out of tables, and where it is that they cannot be read.
+//! Deserializes settings from TOML tables. Errors name the key.
 //!
-//! serde_path_to_error tells places as well, around any format; everything that reads a section would then be compiled for its
-//! types besides those of the format: a fifth of the code that the program had before optimization was that.
+//! `serde_path_to_error` reports keys too, but doubles the monomorphized deserializers, a fifth of
+//! the unoptimized code.
 
 use serde::de::{
     Deserialize, DeserializeSeed, Deserializer, Error, Expected, IntoDeserializer, MapAccess, SeqAccess, Unexpected, Visitor,
@@ -9,7 +9,9 @@ use serde::de::{
 use std::fmt::{self, Display};
 use toml::{Table, Value};
 
-/// What serde says of a value, and the key of the value: `policy.widths[1]`. Of the whole table, the key is empty.
+/// Serde error with the key of the value, for example `policy.widths[1]`.
+///
+/// The key is empty for the whole table.
 #[derive(Debug)]
 pub struct Unreadable {
     pub key: String,
@@ -17,7 +19,7 @@ pub struct Unreadable {
 }
 
 impl Unreadable {
-    /// Within a section or a list, in which it has this name or index.
+    /// Prepends the name of the section, or the index in the list.
     fn within(self, name: &str) -> Self {
         let dot = if self.key.is_empty() || self.key.starts_with('[') { "" } else { "." };
         Self { key: format!("{name}{dot}{}", self.key), ..self }
@@ -38,12 +40,13 @@ impl Error for Unreadable {
     }
 }
 
-/// What a table says.
+/// Deserializes a table.
 pub fn read<T: for<'de> Deserialize<'de>>(table: Table) -> Result<T, Unreadable> {
     T::deserialize(Reading(&Value::Table(table)))
 }
 
-/// A value that is read. Each kind of setting asks for its own kind of value, so that nothing else is compiled for it.
+/// Deserializer of a value. Each type of setting requests one type of value, which limits
+/// monomorphization.
 struct Reading<'a>(&'a Value);
 
 impl Reading<'_> {
@@ -64,7 +67,7 @@ impl Reading<'_> {
 impl<'de> Deserializer<'de> for Reading<'_> {
     type Error = Unreadable;
 
-    /// Nothing in scenes may be anything.
+    /// Always an error: no setting accepts values of any type.
     fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
         Err(self.unexpected(&visitor))
     }
@@ -93,8 +96,8 @@ impl<'de> Deserializer<'de> for Reading<'_> {
         let Value::Array(list) = self.0 else { return Err(self.unexpected(&visitor)) };
         let mut elements = Elements { list, read: 0 };
         let value = visitor.visit_seq(&mut elements)?;
-        let all = elements.read == list.len();
-        if all { Ok(value) } else { Err(Error::invalid_length(list.len(), &"fewer elements")) }
+        let is_complete = elements.read == list.len();
+        if is_complete { Ok(value) } else { Err(Error::invalid_length(list.len(), &"fewer elements")) }
     }
 
     fn deserialize_tuple<V: Visitor<'de>>(self, _len: usize, visitor: V) -> Result<V::Value, Unreadable> {
@@ -114,7 +117,7 @@ impl<'de> Deserializer<'de> for Reading<'_> {
         visitor.visit_newtype_struct(self)
     }
 
-    /// Choices are names.
+    /// Variants are strings.
     fn deserialize_enum<V: Visitor<'de>>(self, _name: &str, names: &[&str], visitor: V) -> Result<V::Value, Unreadable> {
         match self.0 {
             Value::String(name) => visitor.visit_enum(name.as_str().into_deserializer()),
@@ -145,7 +148,7 @@ impl<'de> SeqAccess<'de> for &mut Elements<'_> {
 
 struct Entries<'a> {
     entries: toml::map::Iter<'a, String, Value>,
-    /// That of the key that was read last.
+    /// Entry of the last key.
     value: Option<(&'a str, &'a Value)>,
 }
 

@@ -6,32 +6,32 @@ use physgrad::{Clip, OptimizerKind, Training};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How to train.
+/// Settings of the training.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingSettings {
     /// Samples per update.
     pub batch: usize,
-    /// Start states to train on.
+    /// Initial states in the training set.
     pub train_samples: usize,
-    /// Start states to test on.
+    /// Initial states in the test set.
     pub test_samples: usize,
-    /// A new order of the training set in every epoch.
+    /// Draws a new order of the training set in every epoch.
     pub shuffle: bool,
-    /// What makes steps of the field.
+    /// Optimizer that turns the field into updates.
     pub optimizer: OptimizerName,
-    /// The optimizer's learning rate.
+    /// Learning rate of the optimizer.
     pub learning_rate: f64,
-    /// Limits the field before the optimizer: every component (value), or the length (norm).
+    /// Clipping of the field before the optimizer: of every component (value), or of the norm.
     pub clip: ClipName,
-    /// Limit of `clip`; 1 if there is a `clip` and no limit.
+    /// Limit of `clip`, 1 by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub clip_limit: Option<f64>,
-    /// The most bytes that the states and tapes of a mini-batch may take, on all threads together, as in "64MB"; what does not
-    /// fit is computed again, with the same bits. Without it, everything is stored.
+    /// Bound on the bytes of states and tapes of a mini-batch, over all threads, such as "64MB".
+    /// The reverse pass recomputes the rest, with equal bits. Without it, everything is stored.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub memory: Option<String>,
-    /// Updates in a row that may be skipped because a number was not finite.
+    /// Consecutive updates that may be skipped because of a non-finite number.
     pub max_skipped: usize,
 }
 
@@ -54,14 +54,14 @@ impl Default for TrainingSettings {
 }
 
 impl TrainingSettings {
-    /// Decides what depends on other settings.
+    /// Sets the defaults that depend on other settings.
     pub fn complete(&mut self) {
         if self.clip != ClipName::None {
             self.clip_limit.get_or_insert(1.0);
         }
     }
 
-    /// What is out of range, and what nothing reads.
+    /// Rejects invalid values and unused keys.
     pub fn validate(&self) -> Result<(), ConfigError> {
         count("training.batch", self.batch, 1..=1_000_000)?;
         count("training.train_samples", self.train_samples, 1..=1_000_000)?;
@@ -69,7 +69,7 @@ impl TrainingSettings {
         let rate = self.learning_rate;
         allowed("training.learning_rate", rate, rate > 0.0 && rate <= 1e6, "a positive number up to 1e6")?;
         if let Some(memory) = &self.memory {
-            let what = "bytes, as in \"64MB\": a number, then B, kB, MB, GB, KiB, MiB or GiB";
+            let what = "a number of bytes such as \"64MB\", in B, kB, MB, GB, KiB, MiB or GiB";
             allowed("training.memory", format!("{memory:?}"), bytes(memory).is_some(), what)?;
         }
         match (self.clip, self.clip_limit) {
@@ -79,14 +79,14 @@ impl TrainingSettings {
         }
     }
 
-    /// The most bytes for rollouts and gradients of a mini-batch.
+    /// Bound on the bytes of a mini-batch.
     pub fn budget(&self) -> Option<u64> {
         self.memory.as_deref().and_then(bytes)
     }
 
-    /// The same for the library.
+    /// Settings of the library's trainer.
     pub fn training(&self, epochs: usize, seed: u64, workers: usize) -> Training {
-        let rule = match self.optimizer {
+        let optimizer = match self.optimizer {
             OptimizerName::Adam => "adam",
             OptimizerName::Sgd => "sgd",
             OptimizerName::Momentum => "momentum",
@@ -101,7 +101,7 @@ impl TrainingSettings {
             test_samples: self.test_samples,
             seed,
             shuffle: self.shuffle,
-            rule: OptimizerKind::named(rule).expect("every name is a rule"),
+            rule: OptimizerKind::named(optimizer).expect("every name is an optimizer"),
             learning_rate: self.learning_rate,
             clip: match (self.clip, self.clip_limit) {
                 (ClipName::Value, Some(limit)) => Clip::Value(limit),
@@ -115,7 +115,7 @@ impl TrainingSettings {
     }
 }
 
-/// A number of bytes with its unit.
+/// Parses a number of bytes with its unit.
 fn bytes(text: &str) -> Option<u64> {
     let end = text.find(|c: char| c.is_ascii_alphabetic())?;
     let number: f64 = text[..end].trim().parse().ok()?;
