@@ -181,23 +181,23 @@ impl TaskSpec for CartPole {
     const HORIZON: usize = 100;
     const METHODS: &'static [Method] = &Method::ODE;
     const EFFECTS: &'static [Info] = &[
-        Info { name: "pole_damping", equation: "τ_i = -damping ω_i", derivative: "by hand" },
-        Info { name: "cart_damping", equation: "F = -damping ẋ", derivative: "by hand" },
-        Info { name: "dry_friction", equation: "F = -force tanh(ẋ / smoothing)", derivative: "by hand; smoothed" },
+        Info { name: "pole_damping", equation: "τ_i = -damping ω_i", derivative: "analytic" },
+        Info { name: "cart_damping", equation: "F = -damping ẋ", derivative: "analytic" },
+        Info { name: "dry_friction", equation: "F = -force tanh(ẋ / smoothing)", derivative: "analytic; smoothed" },
         Info {
             name: "steady_wind",
             equation: "F = cart_drag |w - ẋ| (w - ẋ) + Σ D_i cos θ_i, τ_i = l D_i, D_i = pole_drag |v_i| v_i, v_i = (w - ẋ) cos θ_i - l ω_i, w = speed",
-            derivative: "by hand",
+            derivative: "analytic",
         },
         Info {
             name: "gusty_wind",
             equation: "as steady_wind, w = speed + gust sin(2π t / period); adds t to the state",
-            derivative: "by hand",
+            derivative: "analytic",
         },
         Info {
             name: "bumpers",
             equation: "F = -stiffness δ max(0, 1 + damping dδ/dt), δ = max(0, |x| - half_travel), outwards",
-            derivative: "by hand; one-sided at the touch",
+            derivative: "analytic; one-sided at contact",
         },
     ];
 

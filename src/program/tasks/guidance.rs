@@ -163,20 +163,20 @@ impl TaskSpec for Guidance {
     const METHODS: &'static [Method] = &Method::ODE;
 
     const EFFECTS: &'static [Info] = &[
-        Info { name: "friction", equation: "a = -friction v", derivative: "by hand" },
-        Info { name: "spread", equation: "driver j: a = strength Σ_i (D_j - D_i) / d²", derivative: "by hand" },
-        Info { name: "evade", equation: "evader k: a = strength Σ_j (E_k - D_j) / d²", derivative: "by hand" },
-        Info { name: "flock", equation: "evader k: a = strength Σ_i (distance / d - 1) / d (E_i - E_k)", derivative: "by hand" },
-        Info { name: "drive", equation: "driver j: a = strength Σ_k (E_k - D_j) / d²", derivative: "by hand" },
+        Info { name: "friction", equation: "a = -friction v", derivative: "analytic" },
+        Info { name: "spread", equation: "driver j: a = strength Σ_i (D_j - D_i) / d²", derivative: "analytic" },
+        Info { name: "evade", equation: "evader k: a = strength Σ_j (E_k - D_j) / d²", derivative: "analytic" },
+        Info { name: "flock", equation: "evader k: a = strength Σ_i (distance / d - 1) / d (E_i - E_k)", derivative: "analytic" },
+        Info { name: "drive", equation: "driver j: a = strength Σ_k (E_k - D_j) / d²", derivative: "analytic" },
         Info {
             name: "obstacles",
             equation: "a = stiffness max(0, radius - |r|) r / d, r from the center",
-            derivative: "by hand; one-sided at the touch",
+            derivative: "analytic; one-sided at contact",
         },
         Info {
             name: "walls",
             equation: "a = -stiffness max(0, |x| - half_width), outwards, and likewise in y",
-            derivative: "by hand; one-sided at the touch",
+            derivative: "analytic; one-sided at contact",
         },
     ];
 

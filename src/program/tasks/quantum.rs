@@ -181,22 +181,22 @@ impl TaskSpec for Quantum {
     const METHODS: &'static [Method] = &Method::QUANTUM;
 
     const EFFECTS: &'static [Info] = &[
-        Info { name: "harmonic", equation: "V = stiffness (ξ - center)²", derivative: "none is needed: it does not see ψ" },
+        Info { name: "harmonic", equation: "V = stiffness (ξ - center)²", derivative: "none is needed: independent of ψ" },
         Info {
             name: "barrier",
             equation: "V = height / cosh²((ξ - center) / width)",
-            derivative: "none is needed: it does not see ψ",
+            derivative: "none is needed: independent of ψ",
         },
         Info {
             name: "double_well",
             equation: "V = height ((2 ξ / separation)² - 1)²",
-            derivative: "none is needed: it does not see ψ",
+            derivative: "none is needed: independent of ψ",
         },
-        Info { name: "cubic", equation: "V = strength |ψ_j|² / dx", derivative: "by hand" },
+        Info { name: "cubic", equation: "V = strength |ψ_j|² / dx", derivative: "analytic" },
         Info {
             name: "absorbing_edges",
             equation: "ψ_j ← exp(-dt W) ψ_j, W = strength ((width - d) / width)² at the distance d < width from a wall",
-            derivative: "by hand",
+            derivative: "analytic",
         },
     ];
 

@@ -1,6 +1,6 @@
 //! Figure 1: loss, R and M over the two parameters of a quadratic policy.
 
-use crate::program::commands::paper::Made;
+use crate::program::commands::paper::FinishedFigure;
 use crate::program::runs::statistics::{quantile, sorted};
 use anyhow::Result;
 use physgrad::Field;
@@ -16,7 +16,7 @@ const REACH: f64 = 4.0;
 /// above.
 const DECADES: [i32; 2] = [-2, 6];
 
-pub fn fig1(quick: bool) -> Result<Made> {
+pub fn fig1(quick: bool) -> Result<FinishedFigure> {
     let (cells, arrows) = if quick { (40, 14) } else { (80, 18) };
     let (fine, coarse) = (Fields::sample(cells)?, Fields::sample(arrows)?);
     let plane = Plane { labels: ["θ₁", "θ₂"], reach: REACH, decades: DECADES, values: "loss, |R|, |M|" };
@@ -40,7 +40,7 @@ pub fn fig1(quick: bool) -> Result<Made> {
         ],
         &[],
     );
-    Ok(Made { drawing, csv: fine.csv()?, table: fine.table() })
+    Ok(FinishedFigure { drawing, csv: fine.csv()?, table: fine.table() })
 }
 
 /// Samples of R and M at the same parameters.
