@@ -166,7 +166,11 @@ impl TaskSpec for Guidance {
         Info { name: "friction", equation: "a = -friction v", derivative: "analytic" },
         Info { name: "spread", equation: "driver j: a = strength Σ_i (D_j - D_i) / d²", derivative: "analytic" },
         Info { name: "evade", equation: "evader k: a = strength Σ_j (E_k - D_j) / d²", derivative: "analytic" },
-        Info { name: "flock", equation: "evader k: a = strength Σ_i (distance / d - 1) / d (E_i - E_k)", derivative: "analytic" },
+        Info {
+            name: "flock",
+            equation: "evader k: a = strength Σ_i (distance / d - 1) / d (E_i - E_k)",
+            derivative: "analytic",
+        },
         Info { name: "drive", equation: "driver j: a = strength Σ_k (E_k - D_j) / d²", derivative: "analytic" },
         Info {
             name: "obstacles",
