@@ -199,7 +199,7 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
         ),
         (
             "scene = 1\ntask = \"quantum\"\n[actuator.lag]\ntime = 1\n",
-            "my_scene.toml:3: `actuator.lag` adds to the state, and the network of this task sees the wave function alone",
+            "my_scene.toml:3: `actuator.lag` adds to the state, and the network of this task observes only the wave function",
         ),
         (
             "scene = 1\ntask = \"guidance\"\n[effects.obstacles]\ncenters = [[0, 0], [1, nan]]\n",

@@ -135,7 +135,7 @@ impl Default for QuantumLoss {
 pub struct ConvSettings {
     /// Number of filters of each convolution.
     width: usize,
-    /// Initialize the last kernel with zeros.
+    /// Initialize the weights of the output layer with zeros.
     zero_init_output: bool,
 }
 
@@ -216,10 +216,10 @@ impl TaskSpec for Quantum {
         // Within these limits every initial state can be normalized.
         let can_be_normalized = first.is_finite() && second.is_finite() && (1e-6..=1e6).contains(&first.abs().max(second.abs()));
         let weighting = format!("[{first}, {second}]");
-        allowed("system.weighting", weighting, can_be_normalized, "two numbers, the larger in size 1e-6 to 1e6")?;
+        allowed("system.weighting", weighting, can_be_normalized, "two numbers, the larger magnitude from 1e-6 to 1e6")?;
         settings.effects.validate(length)?;
         // The convolutions run over the wave function and accept no further state components.
-        settings.actuator.without_state("the network of this task sees the wave function alone")
+        settings.actuator.without_state("the network of this task observes only the wave function")
     }
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
