@@ -181,17 +181,9 @@ impl TaskSpec for Quantum {
     const METHODS: &'static [Method] = &Method::QUANTUM;
 
     const EFFECTS: &'static [Info] = &[
-        Info { name: "harmonic", equation: "V = stiffness (ξ - center)²", derivative: "none is needed: independent of ψ" },
-        Info {
-            name: "barrier",
-            equation: "V = height / cosh²((ξ - center) / width)",
-            derivative: "none is needed: independent of ψ",
-        },
-        Info {
-            name: "double_well",
-            equation: "V = height ((2 ξ / separation)² - 1)²",
-            derivative: "none is needed: independent of ψ",
-        },
+        Info { name: "harmonic", equation: "V = stiffness (ξ - center)²", derivative: "none: independent of ψ" },
+        Info { name: "barrier", equation: "V = height / cosh²((ξ - center) / width)", derivative: "none: independent of ψ" },
+        Info { name: "double_well", equation: "V = height ((2 ξ / separation)² - 1)²", derivative: "none: independent of ψ" },
         Info { name: "cubic", equation: "V = strength |ψ_j|² / dx", derivative: "analytic" },
         Info {
             name: "absorbing_edges",

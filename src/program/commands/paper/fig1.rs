@@ -10,8 +10,8 @@ use physgrad::tasks::Reach;
 use physgrad::vector_field::{self, Sample};
 use std::fmt::Write;
 
-/// Both parameters range from `-REACH` to `REACH`.
-const REACH: f64 = 4.0;
+/// Both parameters range from `-HALF_WIDTH` to `HALF_WIDTH`.
+const HALF_WIDTH: f64 = 4.0;
 /// Decades of the colour scale. A few values lie below, and those in the corner with large x_4 lie
 /// above.
 const DECADES: [i32; 2] = [-2, 6];
@@ -19,7 +19,7 @@ const DECADES: [i32; 2] = [-2, 6];
 pub fn fig1(quick: bool) -> Result<FinishedFigure> {
     let (cells, arrows) = if quick { (40, 14) } else { (80, 18) };
     let (fine, coarse) = (Fields::sample(cells)?, Fields::sample(arrows)?);
-    let plane = Plane { labels: ["θ₁", "θ₂"], reach: REACH, decades: DECADES, values: "loss, |R|, |M|" };
+    let plane = Plane { labels: ["θ₁", "θ₂"], half_width: HALF_WIDTH, decades: DECADES, values: "loss, |R|, |M|" };
     // x_4 - y, which vanishes at the minima. M's first component has the same sign: it is (x_4 - y)
     // Σ x_t².
     let signs: Vec<f64> = fine.modified.iter().map(|m| (2.0 * m.loss).sqrt().copysign(m.vector[0])).collect();
@@ -51,7 +51,7 @@ struct Fields {
 
 impl Fields {
     fn sample(cells: usize) -> Result<Self> {
-        let (task, thetas) = (Reach::default(), vector_field::grid(REACH, cells));
+        let (task, thetas) = (Reach::default(), vector_field::grid(HALF_WIDTH, cells));
         Ok(Self {
             regular: vector_field::sample(&task, &Quadratic, &Field::regular(), &thetas)?,
             modified: vector_field::sample(&task, &Quadratic, &Field::modified(), &thetas)?,
