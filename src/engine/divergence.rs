@@ -106,8 +106,8 @@ impl fmt::Display for Divergence {
         match self {
             Self::Forward { cause: Some(Cause::Unsolved(residual)), step, sample, .. } => write!(
                 f,
-                "forward pass: the Newton iteration of the implicit integrator did not converge for sample {sample} at step {step}: residual \
-                 {residual:.1e}. Use substeps, an explicit integrator, or a larger tolerance if the residual is small"
+                "forward pass: the Newton iteration of the implicit integrator did not converge for sample {sample} at step \
+                 {step}: residual {residual:.1e}. Use substeps, an explicit integrator, or a larger tolerance if the residual is small"
             ),
             Self::Forward { variable, step, sample, component, cause } => {
                 write!(
@@ -121,8 +121,8 @@ impl fmt::Display for Divergence {
             }
             Self::Cotangent { flow, variable, step, sample, component, cause } => write!(
                 f,
-                "reverse pass of {flow}: the cotangent of {variable} component {component} of sample {sample} is not finite at step \
-                 {step}{}",
+                "reverse pass of {flow}: the cotangent of {variable} component {component} of sample {sample} is not finite at \
+                 step {step}{}",
                 by(cause)
             ),
             Self::Gradient { flow, parameter } => {
@@ -130,8 +130,8 @@ impl fmt::Display for Divergence {
             }
             Self::Field { parameter, norm } => write!(
                 f,
-                "field: norm {norm} is too large for the optimizer, mainly in parameter {parameter}. Clip by norm, shorten the horizon, or use \
-                 another field"
+                "field: norm {norm} is too large for the optimizer, mainly in parameter {parameter}. Clip by norm, shorten the \
+                 horizon, or use another field"
             ),
         }
     }

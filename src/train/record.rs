@@ -42,7 +42,7 @@ impl Record {
         let Self { epoch, skipped, seconds, .. } = *self;
         if epoch != number || skipped > updates || !(seconds >= 0.0 && seconds.is_finite()) {
             return Err(format!(
-                "the record of epoch {number} has number {epoch}, {skipped} of {updates} updates skipped, and a time of {seconds} s"
+                "the record of epoch {number} has number {epoch}, {skipped} of {updates} skipped updates, and time {seconds} s"
             ));
         }
         Ok(())
@@ -58,8 +58,8 @@ impl Record {
         let plateau = (self.grad_norm == ExtendedF64::default()).then(|| {
             let disagreement = if self.cosine.is_some() { ", or the signs of R and M agree in no component" } else { "" };
             format!(
-                "the field is exactly 0, so the parameters do not change: the loss does not depend on them here{disagreement}. Try \
-                 another seed, or initialize the output layer with nonzero weights"
+                "the field is exactly 0, so the parameters do not change: the loss does not depend on them here{disagreement}. \
+                 Try another seed, or initialize the output layer with nonzero weights"
             )
         });
         growths.chain(plateau).collect()

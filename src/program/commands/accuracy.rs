@@ -248,8 +248,8 @@ fn name_cheapest(rows: &[Row], metric: Metric, target: f64) -> Result<()> {
     let finite = || rows.iter().filter_map(|row| Some((row, metric.read(row.errors.as_ref().ok()?))));
     if let Some((row, error)) = cheapest(rows.iter(), metric, target) {
         say(&format!(
-            "\nthe cheapest setting with an error of the {} of at most {target:e} is {}: error {error:.1e}, {:.3} us per step and \
-             sample; its lines in a scene file:\n\n{}",
+            "\nthe cheapest setting with an error of the {} of at most {target:e} is {}: error {error:.1e}, {:.3} us per step \
+             and sample; its lines in a scene file:\n\n{}",
             metric.name(),
             row.setting.name(),
             metric.time(row) * 1e6,

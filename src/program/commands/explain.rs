@@ -11,10 +11,10 @@ use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{ContentArrangement, Table};
 use physgrad::{Field, OpCount, Ops};
 
-/// Explain what a scene simulates and what it leaves out; count operations of a step and its VJP by
+/// List the present and absent effects of a scene; count operations of a step and its VJP by
 /// effect, and stored bytes.
 ///
-/// All figures are counts, not timings: they are the same on every machine.
+/// All numbers are counts, not timings, so they are equal on every machine.
 #[derive(Debug, clap::Args)]
 pub struct Explain {
     /// A task, a preset (see `physgrad scene`), or the path of a scene

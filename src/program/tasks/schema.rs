@@ -12,7 +12,7 @@ pub fn schema() -> Value {
     json!({
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "A physgrad scene",
-        "description": "Task, physics, policy and training of a run. Missing settings have the defaults of the task; effects that are not listed are absent.",
+        "description": "Task, physics, policy and training of a run. Missing settings have defaults; effects that are not listed are absent.",
         "type": "object",
         "oneOf": TASKS.map(|task| task.schema()),
     })

@@ -112,8 +112,8 @@ impl<K: TaskSpec> Settings<K> {
         let (needed, most) = (batch + rest, memory::of_this_machine());
         if needed > most {
             let what = format!(
-                "is {}: a run with mini-batches of {samples} samples needs about {:.1} GB, of which {:.1} GB for a mini-batch, but \
-                 this machine has {:.1} GB; choose a smaller `training.batch`, `horizon` or policy, or set a budget for the \
+                "is {}: a run with mini-batches of {samples} samples needs about {:.1} GB, of which {:.1} GB for a mini-batch, \
+                 but this machine has {:.1} GB; choose a smaller `training.batch`, `horizon` or policy, or set a budget for the \
                  mini-batch, as in `training.memory = \"1GB\"`",
                 self.horizon,
                 needed * 1e-9,

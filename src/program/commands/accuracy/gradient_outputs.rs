@@ -113,8 +113,8 @@ pub fn write(
     let text = |[methods, checkpoints, horizons]: [Table; 3]| {
         format!(
             "Errors at eight parameters, relative to double-double. Times of the whole gradient on one thread.\n\n{methods}\n\n\
-             Reverse pass of R through {horizon} steps, with checkpoints:\n\n{checkpoints}\n\nError of R by horizon: f32 relative \
-             to f64, and f64 relative to f64 from initial states perturbed by one rounding:\n\n{horizons}\n\n{}.\n{}.",
+             Reverse pass of R through {horizon} steps, with checkpoints:\n\n{checkpoints}\n\nError of R by horizon: f32 \
+             relative to f64, and f64 relative to f64 from initial states perturbed by one rounding:\n\n{horizons}\n\n{}.\n{}.",
             trusted(along, 0),
             trusted(along, 1)
         )

@@ -155,8 +155,8 @@ fn about(rows: &[Row], check: &Errors) -> String {
     floors(rows)
         + " "
         + &format!(
-            "The reference differs from one with half as many steps by {:.1e} in the trajectory, {:.1e} in the gradient of R and {:.1e} in \
-         the gradient of M. Smaller errors are below its resolution.",
+            "The reference differs from one with half as many steps by {:.1e} in the trajectory, {:.1e} in the gradient of R and \
+         {:.1e} in the gradient of M. Smaller errors are below its resolution.",
             check.trajectory, check.gradients[0], check.gradients[1]
         )
 }
@@ -164,8 +164,8 @@ fn about(rows: &[Row], check: &Errors) -> String {
 fn markdown(name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -> String {
     format!(
         "# Accuracy and cost: {name}\n\nErrors are relative to the reference. Operations are those of one step, including the \
-         policy, and of its VJP. Times are microseconds per step and sample, with half the spread of the rounds. {}\n\n![error by \
-         cost](accuracy.svg)\n\n{}\n",
+         policy, and of its VJP. Times are microseconds per step and sample, with half the spread of the rounds. {}\n\n![error \
+         by cost](accuracy.svg)\n\n{}\n",
         about(rows, check),
         table(ASCII_MARKDOWN, conserved, &mut rows.iter())
     )

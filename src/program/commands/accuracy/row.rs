@@ -84,7 +84,7 @@ pub struct Row {
 impl Row {
     pub fn new(setting: Setting, job: &Job, reference: &Found, conserved: Option<&Conserved>, rounds: &[[f64; 2]]) -> Self {
         let errors = job.found.as_ref().map(|found| Errors::of(found, reference)).map_err(Clone::clone);
-        let seconds = [0, 1].map(|which| spread(rounds.iter().map(|round| round[which]).collect()));
+        let seconds = [0, 1].map(|pass| spread(rounds.iter().map(|round| round[pass]).collect()));
         let drift = conserved.map_or(f64::NAN, |conserved| conserved.drift(&job.idle));
         Self { setting, errors, drift, operations: job.operations, bytes: job.bytes, seconds }
     }

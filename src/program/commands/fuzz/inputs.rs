@@ -201,8 +201,8 @@ static CHECKPOINTS: LazyLock<Vec<(OptimizerKind, Vec<u8>)>> = LazyLock::new(|| {
     checkpoints.collect()
 });
 
-/// Restores a damaged checkpoint with a valid checksum, and trains for an epoch. An error leaves the
-/// session unchanged.
+/// Restores a damaged checkpoint with a valid checksum, and trains for an epoch. On an error, checks
+/// that the session is unchanged.
 fn checkpoint(number: u64, outcomes: &mut Outcomes) {
     let rng = &mut numbers_of(number);
     let (rule, good) = one_of(rng, &CHECKPOINTS);

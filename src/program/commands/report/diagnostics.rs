@@ -21,9 +21,9 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
     let mut figures = vec![Figure::new(
         "Norm of the field",
         Chart::log(EPOCH, "gradient norm", norms),
-        "Norm of the vector that the optimizer follows, before clipping, averaged over the updates of an epoch; for several seeds, \
-         mean and band as above. Jumps by powers of ten show an exploding field. A line that falls while the loss does not shows \
-         a vanishing field.",
+        "Norm of the vector that the optimizer follows, before clipping, averaged over the updates of an epoch; for several \
+         seeds, mean and band as above. Jumps by powers of ten show an exploding field. A line that falls while the loss does \
+         not shows a vanishing field.",
     )];
     let composed = |run: &&Inspected| run.records.iter().any(|r| r.cosine.is_some());
     if runs.iter().any(|run| composed(&run)) {
@@ -32,8 +32,8 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
             Figure::new(
                 "Agreement of M and R",
                 Chart::linear(EPOCH, "cosine", [-1.0, 1.0], by_epoch(|r| r.cosine.unwrap_or(f64::NAN))),
-                "Cosine of the angle between the gradients M and R, from which C is computed. At 1 their directions are equal. At 0 \
-                 or below, backpropagation through the network has turned R away from M.",
+                "Cosine of the angle between the gradients M and R, from which C is computed. At 1 their directions are equal. \
+                 At 0 or below, backpropagation through the network has turned R away from M.",
             )
             .keys(keys()),
         );
@@ -71,10 +71,10 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
     Figure::new(
         "Growth by epoch",
         Chart::linear(EPOCH, "growth along a rollout (decades)", range, series),
-        "Powers of ten by which the adjoints of the field's flows grow in the reverse pass through a rollout, in the first update of \
-         every epoch, averaged over its samples; 0 is balanced. R above 7 in f32, or 16 in f64, has the signs of rounding errors. \
-         With R far below 0, later costs barely affect the gradient of early steps. M above 3 shows a plant that is unstable \
-         without its policy.",
+        "Powers of ten by which the adjoints of the field's flows grow in the reverse pass through a rollout, in the first \
+         update of every epoch, averaged over its samples; 0 is balanced. R above 7 in f32, or 16 in f64, has the signs of \
+         rounding errors. With R far below 0, later costs barely affect the gradient of early steps. M above 3 shows a plant \
+         that is unstable without its policy.",
     )
     .notes(warnings.flatten().collect())
 }
@@ -136,9 +136,9 @@ pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
     ]
 }
 
-const GROWTH: &str = "Norm of the derivative of the later cost by the state at each step, through physics and network (R) or through the \
-                      physics alone (M); root mean square over test rollouts. The reverse pass runs from right to left: a line \
-                      that rises by powers of ten explodes, one that falls vanishes.";
+const GROWTH: &str = "Norm of the derivative of the later cost by the state at each step, through physics and network (R) or \
+                      through the physics alone (M); root mean square over test rollouts. The reverse pass runs from right to \
+                      left: a line that rises by powers of ten explodes, one that falls vanishes.";
 
 /// Notes on divergences that truncate or remove a line.
 fn diverged(growths: &[Lengths], when: &str) -> Vec<String> {
@@ -157,5 +157,8 @@ fn coincide(growths: &[Lengths; 2]) -> Vec<String> {
     if r.is_empty() || r.iter().zip(m).any(|(r, m)| r.to_bits() != m.to_bits()) {
         return Vec::new();
     }
-    vec!["Before training, R and M are equal: the weights of the output layer are zero, so no derivative passes through the network.".into()]
+    vec![
+        "Before training, R and M are equal: the weights of the output layer are zero, so no derivative passes through it."
+            .into(),
+    ]
 }

@@ -1,10 +1,10 @@
-// Interactive readout of the charts: a vertical line at the x nearest to the pointer, dots on the curves, and their
-// values. The charts are complete without this script.
+// Interactive readout of the charts: a vertical line at the x nearest to the pointer, dots on the
+// curves, and their values. The charts are complete without this script.
 "use strict";
 
 const SVG = "http://www.w3.org/2000/svg";
-// Largest number of values shown at once, those nearest to the pointer. Largest distance from the end of a curve, in
-// pixels, at which it still has a value.
+// Largest number of values shown at once, those nearest to the pointer.
+// Largest distance from the end of a curve at which it still has a value, in units of the chart.
 const MOST_ROWS = 8;
 const NEAR = 12;
 
@@ -51,7 +51,7 @@ const activate = (chart) => {
     readout.hidden = true;
   };
 
-  // Shows the values at index `i` of all x. If there are too many, shows those nearest to the height `y`.
+  // Shows the values at index `i` of all x. If there are too many, shows those nearest to `y`.
   const show = (i, y) => {
     index = Math.max(0, Math.min(all.length - 1, i));
     const x = all[index];

@@ -21,15 +21,11 @@ pub fn of_run(run: &Inspected) -> Vec<Figure> {
         Figure::new(
             "Loss by epoch",
             Chart::log(EPOCH, "loss", series(|p| p.epoch)),
-            "Loss of the whole training and test set after every epoch. A test loss that stays high while the training loss falls \
-             shows overfitting. Jumps show steps that are too large.",
+            "Loss of the whole training and test set after every epoch. A test loss that stays high while the training loss \
+             falls shows overfitting. Jumps show steps that are too large.",
         )
         .notes(left_out(&[outcome], &[|r| r.train_loss, |r| r.test_loss])),
-        Figure::new(
-            "Loss by time",
-            Chart::log(SECONDS, "loss", series(|p| p.seconds)),
-            "Both losses against training time.",
-        ),
+        Figure::new("Loss by time", Chart::log(SECONDS, "loss", series(|p| p.seconds)), "Both losses against training time."),
     ]
 }
 

@@ -76,9 +76,9 @@ fn document(title: &str, folder: &str, run: &Inspected, trouble: &[String], cont
                     h1 { (title) }
                     p { "Folder " b { (folder) } ", made by physgrad " (version) "." }
                     p.note {
-                        "Fields: R is the exact gradient, backpropagated through physics and network. M is backpropagated through the \
-                         physics only, N through the network only, S through neither. C, the combined field, is M where M and R \
-                         have the same sign, and zero elsewhere."
+                        "Fields: R is the exact gradient, backpropagated through physics and network. M is backpropagated \
+                         through the physics only, N through the network only, S through neither. C, the combined field, is M \
+                         where M and R have the same sign, and zero elsewhere."
                     }
                     (troubles(trouble))
                     p.hint hidden { "To read values, point at a chart, or select it with Tab and use the arrow keys." }
