@@ -17,8 +17,8 @@ pub struct Effects {}
 const HEAD: &str = "\
 # Effects
 
-Optional physics that a scene can add to its system; [scenes.md](scenes.md) shows how. `physgrad
-effects` generates this page.
+Optional physics that a scene can add to its system; [scenes.md](scenes.md) shows how. The command
+`physgrad effects` generates this page.
 
 Costs are operation counts of one step of one sample, and of its VJP to state and control, in the
 task's default system. A test compares this page with the counts. An effect costs the same with and
