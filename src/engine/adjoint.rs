@@ -106,7 +106,7 @@ impl<F: Float> Adjoint<F> {
     /// If `flows` does not have one or two elements, or `rollout` has no tape.
     #[track_caller]
     pub fn new(policy: &dyn AnyPolicy<F>, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
-        assert!(rollout.has_tape(), "a rollout made for evaluation cannot be differentiated");
+        assert!(rollout.has_tape(), "a rollout created for evaluation stores no tape, so it has no reverse pass");
         Self::of_kept(policy, rollout, flows)
     }
 
@@ -117,7 +117,7 @@ impl<F: Float> Adjoint<F> {
         let carried = match *flows {
             [flow] => Carried::One([flow], Recursion::new(rollout)),
             [first, second] => Carried::Two([first, second], Recursion::new(rollout)),
-            _ => panic!("an adjoint carries one or two flows, not {}", flows.len()),
+            _ => panic!("an adjoint has one or two flows, not {}", flows.len()),
         };
         let policy = PolicyAdjoint::new(&PolicyBufferSizes::new(policy, rollout.capacity() * rollout.kept, flows));
         Self { horizon: rollout.horizon, norms: None, measured: false, policy, carried }
@@ -169,7 +169,7 @@ impl<F: Float> Adjoint<F> {
     /// Without [`keep_norms`](Adjoint::keep_norms).
     #[track_caller]
     pub fn norms(&self, k: usize) -> &[f64] {
-        &self.norms.as_ref().expect("the norms of an adjoint are kept only after `keep_norms`")[k]
+        &self.norms.as_ref().expect("the norms of an adjoint are stored only after `keep_norms`")[k]
     }
 
     /// Enables or disables the measurement of growth.

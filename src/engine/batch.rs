@@ -158,7 +158,7 @@ impl<F: Float> Batch<F> {
         let capacity: usize = self.workers.iter().map(|w| w.rollout.capacity()).sum();
         assert!(
             samples > 0 && samples <= capacity && starts.len().is_multiple_of(n),
-            "there is room for 1 to {capacity} samples of {n} components, and {} numbers were given",
+            "got {} numbers; expected 1 to {capacity} samples of {n} components each",
             starts.len()
         );
         let scale = F::lift(1.0 / samples as f64);
@@ -271,7 +271,11 @@ impl<F: Float> Evaluation<F> {
     ) -> Result<f64, Divergence> {
         let n = task.state_dim();
         let samples = starts.len() / n;
-        assert!(samples > 0 && starts.len().is_multiple_of(n), "{} numbers are no samples of {n} components", starts.len());
+        assert!(
+            samples > 0 && starts.len().is_multiple_of(n),
+            "got {} numbers; expected one or more samples of {n} components each",
+            starts.len()
+        );
         let per_worker = samples.div_ceil(EVALUATED).div_ceil(self.workers.len()) * EVALUATED;
         for_each(&mut self.workers, &|index, worker| {
             worker.costs.clear();

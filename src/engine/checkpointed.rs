@@ -56,7 +56,7 @@ impl<F: Float> Checkpointed<F> {
     #[track_caller]
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], schedule: Schedule) -> Self {
         let (planned, horizon) = (schedule.horizon(), task.horizon());
-        assert_eq!(planned, horizon, "the schedule is for a horizon of {planned} steps, the task has {horizon}");
+        assert_eq!(planned, horizon, "the schedule has a horizon of {planned} steps, but the task has {horizon}");
         let rollout = Rollout::with_steps(task, policy, samples, schedule.segment());
         let adjoint = Adjoint::of_kept(policy, &rollout, flows);
         let blocks = samples.div_ceil(WIDTH);
@@ -167,7 +167,11 @@ impl<F: Float> Checkpointed<F> {
     ) -> Result<(), Divergence> {
         let samples = starts.len() / task.state_dim();
         let groups = samples.div_ceil(group);
-        assert!(groups <= gradients.len(), "{samples} samples are {groups} groups of {group}, not {}", gradients.len());
+        assert!(
+            groups <= gradients.len(),
+            "{samples} samples form {groups} groups of {group}, but there are {} gradients",
+            gradients.len()
+        );
         let gradients = &mut gradients[..groups];
         gradients.iter_mut().flatten().for_each(Gradient::clear);
 

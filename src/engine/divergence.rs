@@ -106,8 +106,8 @@ impl fmt::Display for Divergence {
         match self {
             Self::Forward { cause: Some(Cause::Unsolved(residual)), step, sample, .. } => write!(
                 f,
-                "forward pass: Newton's iteration of the implicit integrator did not converge for sample {sample} at step {step}: residual \
-                 {residual:.1e}. Use substeps, an explicit integrator, or a larger tolerance if the residual is small"
+                "forward pass: the Newton iteration of the implicit integrator did not converge for sample {sample} at step \
+                 {step}: residual {residual:.1e}. Use substeps, an explicit integrator, or a larger tolerance if the residual is small"
             ),
             Self::Forward { variable, step, sample, component, cause } => {
                 write!(
@@ -116,23 +116,22 @@ impl fmt::Display for Divergence {
                     by(cause)
                 )
             }
-            Self::Cost { sample } => write!(f, "forward pass: the cost of sample {sample} is not finite, though its states are"),
+            Self::Cost { sample } => {
+                write!(f, "forward pass: the cost of sample {sample} is not finite, but its states are finite")
+            }
             Self::Cotangent { flow, variable, step, sample, component, cause } => write!(
                 f,
-                "reverse pass of {flow}: the cotangent of {variable} component {component} of sample {sample} is not finite at step \
-                 {step}{}",
+                "reverse pass of {flow}: the cotangent of {variable} component {component} of sample {sample} is not finite at \
+                 step {step}{}",
                 by(cause)
             ),
             Self::Gradient { flow, parameter } => {
-                write!(
-                    f,
-                    "gradient of {flow}: parameter {parameter} is not finite, or its square is not, though all cotangents are"
-                )
+                write!(f, "gradient of {flow}: parameter {parameter} or its square is not finite, but all cotangents are finite")
             }
             Self::Field { parameter, norm } => write!(
                 f,
-                "field: norm {norm} is too large for the optimizer, mainly in parameter {parameter}. Clip by norm, shorten the horizon, or use \
-                 another field"
+                "field: norm {norm} is too large for the optimizer, mainly in parameter {parameter}. Clip by norm, shorten the \
+                 horizon, or use another field"
             ),
         }
     }

@@ -80,8 +80,8 @@ impl<F: Float> Rollout<F> {
         let (n, m) = (task.state_dim(), task.control_dim());
         assert!(samples > 0, "a rollout needs at least one sample");
         assert!(task.horizon() > 0, "a rollout needs a horizon of at least one step");
-        assert_eq!(policy.state_dim(), n, "the policy sees {} state components, the system has {n}", policy.state_dim());
-        assert_eq!(policy.control_dim(), m, "the policy sets {} controls, the system has {m}", policy.control_dim());
+        assert_eq!(policy.state_dim(), n, "the policy expects {} state components, but the system has {n}", policy.state_dim());
+        assert_eq!(policy.control_dim(), m, "the policy computes {} controls, but the system has {m}", policy.control_dim());
         let sizes = BufferSizes::new(policy, samples, kept);
         let zeros = |len: usize| vec![F::zero(); len];
         let lanes = |len: usize| vec![Lane::zero(); len];
@@ -240,7 +240,7 @@ impl<F: Float> Rollout<F> {
         }
         let control = find_non_finite(controls, m, self.samples, Real::lane).map(|place| (Variable::Control, t, place));
         let state = || find_non_finite(next, n, self.samples, Real::lane).map(|place| (Variable::State, t + 1, place));
-        let (variable, step, (sample, component)) = control.or_else(state).expect("the probe saw one of them");
+        let (variable, step, (sample, component)) = control.or_else(state).expect("the probe found a non-finite value");
         let of = |lanes: &[Lane<F>], n: usize| -> Vec<F> {
             let block = &lanes[sample / WIDTH * n..][..n];
             block.iter().map(|number| number.lane(sample % WIDTH)).collect()
@@ -272,7 +272,7 @@ impl<F: Float> Rollout<F> {
     /// Policy columns of `samples` at the steps of a unit.
     pub(crate) fn columns_of(&self, unit: &Range<usize>, samples: Range<usize>) -> PolicyColumns {
         let PolicyColumns { first, step, .. } = self.columns(unit.start);
-        debug_assert_eq!(step, unit.len(), "{unit:?} are not the steps of a unit");
+        debug_assert_eq!(step, unit.len(), "the unit {unit:?} has another number of steps");
         PolicyColumns::range(first + samples.start * step..first + samples.end * step)
     }
 
@@ -324,7 +324,7 @@ impl<F: Float> Rollout<F> {
     /// If that step is not stored. Without a tape, the last one and its predecessor are stored.
     #[track_caller]
     pub fn state(&self, t: usize, sample: usize, i: usize) -> F {
-        assert!(t <= self.horizon && t + self.kept >= self.horizon, "step {t} was not kept");
+        assert!(t <= self.horizon && t + self.kept >= self.horizon, "step {t} is not stored");
         self.states_at(t)[(sample / WIDTH) * self.state_dim + i].lane(sample % WIDTH)
     }
 
@@ -334,7 +334,7 @@ impl<F: Float> Rollout<F> {
     /// If that step is not stored. Without a tape, only the last one is.
     #[track_caller]
     pub fn control(&self, t: usize, sample: usize, i: usize) -> F {
-        assert!(t < self.horizon && t + self.kept >= self.horizon, "step {t} was not kept");
+        assert!(t < self.horizon && t + self.kept >= self.horizon, "step {t} is not stored");
         self.controls_at(t)[(sample / WIDTH) * self.control_dim + i].lane(sample % WIDTH)
     }
 }

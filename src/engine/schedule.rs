@@ -43,7 +43,7 @@ impl Schedule {
     pub fn new(horizon: usize, segment: usize, checkpoints: usize) -> Self {
         assert!(horizon > 0, "a schedule needs a horizon of at least one step");
         assert!(segment > 0, "a segment needs at least one step");
-        assert!(checkpoints > 0, "the start state is a checkpoint: at least 1 is needed");
+        assert!(checkpoints > 0, "a schedule needs at least one checkpoint, the initial state");
         let segment = if horizon <= segment { horizon } else { horizon.min(segment.div_ceil(UNIT) * UNIT) };
         // The last segment needs no checkpoint: it is never recomputed.
         let useful = horizon.div_ceil(segment) - 1;

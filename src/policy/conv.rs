@@ -58,7 +58,7 @@ impl Conv {
     /// If `grid < 7`, which leaves no position after two convolutions, or if `width` is 0.
     #[track_caller]
     pub fn new(grid: usize, width: usize) -> Self {
-        assert!(grid >= 7, "two convolutions of kernel 3 and stride 2 need at least 7 grid points, not {grid}");
+        assert!(grid >= 7, "two convolutions of kernel size 3 and stride 2 need at least 7 grid points, not {grid}");
         assert!(width > 0, "a convolution needs at least one filter");
         Self { grid, width, zero_init_output: false }
     }

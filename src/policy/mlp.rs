@@ -61,7 +61,7 @@ impl Mlp {
     pub fn new(widths: impl Into<Vec<usize>>) -> Self {
         let widths = widths.into();
         assert!(widths.len() >= 2, "an MLP needs at least the widths of its input and output, not {widths:?}");
-        assert!(widths.iter().all(|&w| w > 0), "an MLP has no layer of width 0: {widths:?}");
+        assert!(widths.iter().all(|&w| w > 0), "every layer of an MLP needs a width of at least 1, not {widths:?}");
         Self { widths, bias: true, zero_init_output: false }
     }
 

@@ -191,7 +191,7 @@ impl PolicyColumns {
 
     /// The columns as a range. They must be contiguous, which is a debug assertion.
     pub fn as_range(self) -> Range<usize> {
-        debug_assert!(self.step == 1, "these columns are not neighbours");
+        debug_assert!(self.step == 1, "the columns are not adjacent");
         self.first..self.first + self.count
     }
 

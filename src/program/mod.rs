@@ -102,7 +102,7 @@ fn execute(command: &Command) -> Result<()> {
 fn default_run() -> Command {
     Command::Train(train::Train {
         scene: "cart_pole".into(),
-        changes: Overrides::default(),
+        overrides: Overrides::default(),
         threads: None,
         out: None,
         resume: false,

@@ -54,7 +54,7 @@ pub fn cart_pole_on(rail: &Rail, states: &[Vec<f64>], controls: &[f64], half_len
         1 => format!("Cart with 1 pole: {time:.1} s {speed}"),
         _ => format!("Cart with {poles} poles: {time:.1} s {speed}"),
     };
-    let bumpers = rail.bumpers.and_then(|reach| Bumpers::new(reach, &states, length));
+    let bumpers = rail.bumpers.and_then(|half_travel| Bumpers::new(half_travel, &states, length));
     let wind = Wind::new(&rail.wind);
     let stage = Stage::covering(&states, length, bumpers, wind.is_some());
     let shown = states.len().min(MAX_FRAMES);
@@ -112,8 +112,8 @@ impl Stage {
         let bottom = length * (lowest * 1.1).min(-0.45) - 0.2 * length;
         // Marks over the range of the camera, at round distances of about one pole length, limited
         // in number. A fixed camera omits marks whose labels would be clipped.
-        let reach = if follow { (right - left) / 2.0 + half_width } else { half_width - 0.3 * length };
-        let (from, to) = ((left + right) / 2.0 - reach, (left + right) / 2.0 + reach);
+        let extent = if follow { (right - left) / 2.0 + half_width } else { half_width - 0.3 * length };
+        let (from, to) = ((left + right) / 2.0 - extent, (left + right) / 2.0 + extent);
         let step = round_up(length.max((to - from) / 20.0));
         let marks = ((from / step).ceil() as i64..=(to / step).floor() as i64).map(|i| i as f64 * step);
         let marks = marks.filter(|mark| mark.abs() <= end).collect();
@@ -171,10 +171,10 @@ impl Stage {
     }
 }
 
-/// Horizontal arrow; its head shrinks with `reach`, so it is continuous through zero.
-fn arrow(from: [f64; 2], reach: f64, width: f64, color: &'static str) -> [Shape; 3] {
-    let tip = [from[0] + reach, from[1]];
-    let head = reach.signum() * reach.abs().min(4.0 * width);
+/// Horizontal arrow; its head shrinks with `length`, so it is continuous through zero.
+fn arrow(from: [f64; 2], length: f64, width: f64, color: &'static str) -> [Shape; 3] {
+    let tip = [from[0] + length, from[1]];
+    let head = length.signum() * length.abs().min(4.0 * width);
     let line = |from, to| Shape::Line { from, to, width, color };
     [line(from, tip), line([tip[0] - head, tip[1] + 0.6 * head], tip), line([tip[0] - head, tip[1] - 0.6 * head], tip)]
 }
@@ -189,8 +189,8 @@ mod tests {
 
     #[test]
     fn pole_points_up_at_angle_zero() {
-        let film = cart_pole(&[vec![0.3, 0.0, 0.0, 0.0]], &[], 0.5, 0.02);
-        let tip = film.frames[0].iter().find_map(|shape| match shape {
+        let animation = cart_pole(&[vec![0.3, 0.0, 0.0, 0.0]], &[], 0.5, 0.02);
+        let tip = animation.frames[0].iter().find_map(|shape| match shape {
             Shape::Line { to, color, .. } if *color == POLES[0] => Some(*to),
             _ => None,
         });
@@ -201,19 +201,19 @@ mod tests {
     fn film_ends_before_a_state_that_is_not_finite() {
         let mut states = trajectory(1.0);
         states[40][2] = f64::NAN;
-        let film = cart_pole(&states, &vec![1.0; 100], 0.5, 0.01);
-        assert_eq!(film.frames.len(), 40);
-        assert!((film.seconds - 3.0 * 0.39).abs() < 1e-9 && film.title.contains("⅓"));
-        let svg = film.to_svg();
+        let animation = cart_pole(&states, &vec![1.0; 100], 0.5, 0.01);
+        assert_eq!(animation.frames.len(), 40);
+        assert!((animation.seconds - 3.0 * 0.39).abs() < 1e-9 && animation.title.contains("⅓"));
+        let svg = animation.to_svg();
         roxmltree::Document::parse(&svg).expect("an SVG is XML");
         assert!(!svg.contains("NaN") && !svg.contains("inf\""));
     }
 
     #[test]
     fn camera_follows_a_cart_that_travels_far() {
-        let film = cart_pole(&trajectory(30.0), &[2.0, -2.0], 0.5, 0.01);
-        assert!(film.view.1[0] - film.view.0[0] < 6.0);
-        let svg = film.to_svg();
+        let animation = cart_pole(&trajectory(30.0), &[2.0, -2.0], 0.5, 0.01);
+        assert!(animation.view.1[0] - animation.view.0[0] < 6.0);
+        let svg = animation.to_svg();
         assert!(svg.len() < 200_000, "{} bytes", svg.len());
     }
 

@@ -58,13 +58,13 @@ pub fn guidance_in(field: &Field, states: &[Vec<f64>], drivers: usize, dt: f64) 
 
     let shown = states.len().min(MAX_FRAMES);
     let step = |frame: usize| frame * (states.len() - 1) / (shown - 1).max(1);
-    let film = Film::new((0..shown).map(|frame| positions(states[step(frame)])).collect(), drivers, field.finite());
+    let layout = Layout::new((0..shown).map(|frame| positions(states[step(frame)])).collect(), drivers, field.finite());
     Animation {
         title,
         seconds: time * slowness,
-        still: film.field.shapes(&film),
-        frames: (0..shown).map(|frame| film.frame(frame)).collect(),
-        view: (film.low, film.high),
+        still: layout.field.shapes(&layout),
+        frames: (0..shown).map(|frame| layout.frame(frame)).collect(),
+        view: (layout.low, layout.high),
     }
 }
 
@@ -74,7 +74,7 @@ fn positions(state: &[f64]) -> Vec<[f64; 2]> {
 }
 
 /// Data shared by all frames.
-struct Film {
+struct Layout {
     /// Position of every agent, by frame.
     path: Vec<Vec<[f64; 2]>>,
     drivers: usize,
@@ -83,7 +83,7 @@ struct Film {
     high: [f64; 2],
 }
 
-impl Film {
+impl Layout {
     fn new(path: Vec<Vec<[f64; 2]>>, drivers: usize, field: Field) -> Self {
         let largest = |frame: &Vec<[f64; 2]>| frame.iter().flatten().fold(0.0, |m: f64, v| m.max(v.abs()));
         let limit = REACH * path.first().map_or(0.0, largest).max(0.5);
@@ -183,40 +183,40 @@ mod tests {
         (0..61).map(|i| f64::from(i) / 15.0).map(|t| vec![3.0 - t, 1.0, -1.0, 0.0, speed * t, 0.5, speed, 0.0]).collect()
     }
 
-    fn dots(film: &Animation, frame: usize, of: &str) -> Vec<[f64; 2]> {
+    fn dots(animation: &Animation, frame: usize, of: &str) -> Vec<[f64; 2]> {
         let dot = |shape: &Shape| match shape {
             Shape::Circle { center, color, .. } if *color == of => Some(*center),
             _ => None,
         };
-        film.frames[frame].iter().filter_map(dot).collect()
+        animation.frames[frame].iter().filter_map(dot).collect()
     }
 
     #[test]
     fn everyone_is_in_the_picture() {
-        let film = guidance(&trajectory(1.0), 1, 1.0 / 15.0);
-        assert_eq!(film.title, "1 driver, 1 evader: 4.0 s in real time");
+        let animation = guidance(&trajectory(1.0), 1, 1.0 / 15.0);
+        assert_eq!(animation.title, "1 driver, 1 evader: 4.0 s in real time");
         // The first circle is the agent, the second its legend entry.
-        assert_eq!(dots(&film, 60, DRIVER)[0], [-1.0, 1.0]);
-        assert_eq!(dots(&film, 60, EVADER)[0], [4.0, 0.5]);
-        let (low, high) = film.view;
+        assert_eq!(dots(&animation, 60, DRIVER)[0], [-1.0, 1.0]);
+        assert_eq!(dots(&animation, 60, EVADER)[0], [4.0, 0.5]);
+        let (low, high) = animation.view;
         assert!(low[0] < -1.0 && high[0] > 4.0 && low[1] < 0.0 && high[1] > 1.0);
-        roxmltree::Document::parse(&film.to_svg()).expect("an SVG is XML");
+        roxmltree::Document::parse(&animation.to_svg()).expect("an SVG is XML");
     }
 
     #[test]
     fn film_ends_before_a_state_that_is_not_finite() {
         let mut states = trajectory(1.0);
         states[20][6] = f64::INFINITY;
-        let film = guidance(&states, 1, 1.0 / 15.0);
-        assert_eq!(film.frames.len(), 20);
-        assert!((film.seconds - 3.0 * 19.0 / 15.0).abs() < 1e-9 && film.title.contains("⅓"));
+        let animation = guidance(&states, 1, 1.0 / 15.0);
+        assert_eq!(animation.frames.len(), 20);
+        assert!((animation.seconds - 3.0 * 19.0 / 15.0).abs() < 1e-9 && animation.title.contains("⅓"));
     }
 
     #[test]
     fn one_who_runs_away_leaves_the_view() {
-        let film = guidance(&trajectory(1e4), 1, 1.0 / 15.0);
-        assert!(film.view.1[0] - film.view.0[0] < 50.0);
-        let svg = film.to_svg();
+        let animation = guidance(&trajectory(1e4), 1, 1.0 / 15.0);
+        assert!(animation.view.1[0] - animation.view.0[0] < 50.0);
+        let svg = animation.to_svg();
         assert!(!svg.contains("NaN") && !svg.contains("inf\""));
     }
 

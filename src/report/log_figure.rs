@@ -81,7 +81,7 @@ pub fn log_figure(title: &str, rows: &[Vec<Panel>]) -> Drawing {
         BARE + NUMBERS * any(|shows| shows.y_numbers) + NAME * any(|shows| shows.y_name)
     };
     let figure = (0..columns).fold(figure, |figure, column| figure.with_col_width(column, width + room(column)));
-    // Likewise adds height for titles, and for the x labels of the last row.
+    // Adds height for titles, and for the x labels of the last row.
     let figure = (0..rows.len()).fold(figure, |figure, row| {
         let title = if rows[row].iter().any(|panel| !panel.title.is_empty()) { 24.0 } else { 0.0 };
         figure.with_row_height(row, height + title + if row + 1 == rows.len() { 18.0 } else { 0.0 })

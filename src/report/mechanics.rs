@@ -96,11 +96,11 @@ mod tests {
     fn a_film_shows_everything_and_ends_where_the_motion_blows_up() {
         let stage = Stage { title: "A test".into(), size: 0.2, floor: Some(0.0), mark: Some([3.0, 0.0]) };
         let posture = |x: f64| Posture { chain: vec![[x, 0.0], [x, 1.0]], boxes: vec![[x, 0.1]] };
-        let film = mechanics(&stage, &[posture(0.0), posture(1.0), posture(f64::NAN), posture(2.0)], 0.5);
-        assert_eq!((film.frames.len(), film.still.len(), film.frames[0].len()), (2, 2, 4));
-        let (low, high) = film.view;
+        let animation = mechanics(&stage, &[posture(0.0), posture(1.0), posture(f64::NAN), posture(2.0)], 0.5);
+        assert_eq!((animation.frames.len(), animation.still.len(), animation.frames[0].len()), (2, 2, 4));
+        let (low, high) = animation.view;
         assert!(low[0] < 0.0 && high[0] > 3.0 && high[1] > 1.0, "{low:?} {high:?}");
-        let picture = film.to_svg();
+        let picture = animation.to_svg();
         roxmltree::Document::parse(&picture).expect("an SVG is XML");
         assert!(picture.contains("A test: 0.5 s at ⅓ speed"));
         mechanics(&stage, &[], 0.5).to_svg();

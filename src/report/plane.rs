@@ -28,8 +28,8 @@ const MAX_POINTS: usize = 700;
 pub struct Plane {
     /// Labels of the x and y axes.
     pub labels: [&'static str; 2],
-    /// Half-width of the maps: both axes run from `-reach` to `reach`.
-    pub reach: f64,
+    /// Half-width of the maps: both axes run from `-half_width` to `half_width`.
+    pub half_width: f64,
     /// Powers of ten at the ends of the colour scale; values beyond are clamped.
     pub decades: [i32; 2],
     /// Label of the colour scale.
@@ -100,8 +100,9 @@ pub fn maps(plane: &Plane, maps: &[Map], runs: &[(&str, &'static str, Vec<f64>)]
 impl Plane {
     fn layout(&self, map: &Map, first: bool) -> Layout {
         let [x_label, y_label] = self.labels;
-        let mut layout =
-            framed((-self.reach, self.reach), (-self.reach, self.reach)).with_x_label(x_label).with_title(map.title.clone());
+        let mut layout = framed((-self.half_width, self.half_width), (-self.half_width, self.half_width))
+            .with_x_label(x_label)
+            .with_title(map.title.clone());
         match first {
             true => layout = layout.with_y_label(y_label),
             false => layout.suppress_y_ticks = true,
@@ -175,7 +176,7 @@ impl Plane {
         let (low, high) = cells.iter().fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), &c| (low.min(c), high.max(c)));
         // Inverts kuva's normalization of colours to the range of the cells.
         let color = move |share: f64| color((low + share * (high - low)).round() / last);
-        let (x_low, x_high) = if scale.is_some() { (0.0, 1.0) } else { (-self.reach, self.reach) };
+        let (x_low, x_high) = if scale.is_some() { (0.0, 1.0) } else { (-self.half_width, self.half_width) };
         let (y_low, y_high) = scale.map_or((x_low, x_high), |[low, high]| (f64::from(low), f64::from(high)));
         Heatmap::new()
             .with_data(cells.chunks(columns).map(<[f64]>::to_vec))
@@ -188,7 +189,7 @@ impl Plane {
 
     fn arrows(&self, directions: &[[f64; 2]]) -> Plot {
         let cells = side(directions.len());
-        let long = ARROW * 2.0 * self.reach / cells as f64;
+        let long = ARROW * 2.0 * self.half_width / cells as f64;
         let arrows = directions.iter().enumerate().filter_map(|(i, d)| {
             let norm = d[0].hypot(d[1]);
             let drawn = norm > 0.0 && norm.is_finite();
@@ -218,7 +219,7 @@ impl Plane {
     }
 
     fn middle(&self, i: usize, cells: usize) -> f64 {
-        self.reach * ((2 * i + 1) as f64 / cells as f64 - 1.0)
+        self.half_width * ((2 * i + 1) as f64 / cells as f64 - 1.0)
     }
 }
 
@@ -255,7 +256,7 @@ fn color(share: f64) -> String {
 mod tests {
     use super::*;
 
-    const PLANE: Plane = Plane { labels: ["a", "b"], reach: 2.0, decades: [-1, 2], values: "length" };
+    const PLANE: Plane = Plane { labels: ["a", "b"], half_width: 2.0, decades: [-1, 2], values: "norm" };
 
     fn rects(drawing: &Drawing) -> usize {
         drawing.to_svg().matches("<rect").count()

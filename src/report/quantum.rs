@@ -50,17 +50,17 @@ pub fn quantum_in(
     length: f64,
     dt: f64,
 ) -> Animation {
-    let film = Film::new(landscape, states, controls, target, positive(length), positive(dt));
-    let count = film.densities.len();
+    let layout = Layout::new(landscape, states, controls, target, positive(length), positive(dt));
+    let count = layout.densities.len();
     let shown = count.min(MAX_FRAMES);
-    let frames = (0..shown).map(|frame| film.frame(frame * (count - 1) / (shown - 1).max(1)));
-    let time = count.saturating_sub(1) as f64 * film.dt;
-    let of = if film.landscape.tilted() { " of the empty box" } else { "" };
+    let frames = (0..shown).map(|frame| layout.frame(frame * (count - 1) / (shown - 1).max(1)));
+    let time = count.saturating_sub(1) as f64 * layout.dt;
+    let of = if layout.landscape.tilted() { " of the empty box" } else { "" };
     Animation {
         title: format!("Particle in a box, steered to an eigenstate{of}: {} units of time", number(time)),
         seconds: time.clamp(4.0, 12.0),
         view: ([0.0, 0.0], [720.0, 480.0]),
-        still: film.background(),
+        still: layout.background(),
         frames: frames.collect(),
     }
 }
@@ -81,7 +81,7 @@ fn groups<T>(values: &[T], most: usize) -> impl Iterator<Item = &[T]> {
 }
 
 /// Data shared by all frames.
-struct Film {
+struct Layout {
     /// Density |ψ|² per unit length, by state and position.
     densities: Vec<Vec<f64>>,
     /// Density |φ|² of the target per unit length, by position.
@@ -104,7 +104,7 @@ struct Film {
     fidelity: Axes,
 }
 
-impl Film {
+impl Layout {
     fn new(landscape: &Landscape, states: &[Vec<f64>], controls: &[f64], target: &[f64], length: f64, dt: f64) -> Self {
         let width = states.first().map_or(0, Vec::len);
         let valid = |s: &&Vec<f64>| s.len() == width && s.iter().all(|v| v.is_finite());
@@ -236,8 +236,8 @@ impl Film {
         let density = &self.densities[state];
         let position = |j: usize| 2.0 * half_row * (j + 1) as f64;
         let bar = |(j, &density): (usize, &f64)| {
-            let reach = 0.8 * half_row;
-            let (center, size) = profile.area([0.0, position(j) - reach], [density, position(j) + reach]);
+            let margin = 0.8 * half_row;
+            let (center, size) = profile.area([0.0, position(j) - margin], [density, position(j) + margin]);
             Shape::Rect { center, size, color: DENSITY }
         };
         let mut shapes: Vec<Shape> = density.iter().enumerate().map(bar).collect();

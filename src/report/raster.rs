@@ -19,7 +19,7 @@ impl Raster {
     /// Panics without cells, or if the rows differ in length.
     pub fn new(rows: &[Vec<f64>]) -> Self {
         let columns = rows.first().map_or(0, Vec::len);
-        assert!(columns > 0 && rows.iter().all(|row| row.len() == columns), "a raster has rows of the same length, not 0");
+        assert!(columns > 0 && rows.iter().all(|row| row.len() == columns), "a raster needs rows of equal, nonzero length");
         // False for NaN.
         let shown = |value: f64| if value > 0.0 { value.min(1.0) } else { 0.0 };
         let color = |&value: &f64| colorous::INFERNO.eval_continuous(shown(value)).as_array();

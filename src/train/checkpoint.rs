@@ -42,7 +42,7 @@ pub enum CheckpointError {
     NotACheckpoint,
     /// Checkpoint in another format.
     #[error(
-        "this checkpoint has format {found}, and this version of physgrad reads format {FORMAT}; use the version that wrote it"
+        "this checkpoint has format {found}, but this version of physgrad reads format {FORMAT}; use the version that wrote it"
     )]
     Format {
         /// Format of the checkpoint.
@@ -52,13 +52,13 @@ pub enum CheckpointError {
     #[error("this checkpoint is damaged: {0}")]
     Damaged(String),
     /// Checkpoint of another version of physgrad. Its results may differ.
-    #[error("this checkpoint was written by physgrad {found}, and this is {own}", own = env!("CARGO_PKG_VERSION"))]
+    #[error("this checkpoint was written by physgrad {found}, but this is {}; use version {found}", env!("CARGO_PKG_VERSION"))]
     Version {
         /// Version that wrote the checkpoint.
         found: String,
     },
     /// Checkpoint of a run with other settings.
-    #[error("this checkpoint belongs to another run. Of its settings, these differ:\n{}", differences(found, expected))]
+    #[error("this checkpoint belongs to another run. These settings differ:\n{}", differences(found, expected))]
     Label {
         /// Label of the checkpoint.
         found: String,
@@ -66,7 +66,7 @@ pub enum CheckpointError {
         expected: String,
     },
     /// Checkpoint in another precision.
-    #[error("this checkpoint is in {found}, and this run is in {expected}")]
+    #[error("this checkpoint has precision {found}, but this run has {expected}; set the same precision")]
     Precision {
         /// Precision of the checkpoint.
         found: String,
@@ -74,7 +74,7 @@ pub enum CheckpointError {
         expected: String,
     },
     /// Checkpoint of a policy with another number of parameters.
-    #[error("this checkpoint has {found} parameters, and this policy has {expected}")]
+    #[error("this checkpoint has {found} parameters, but this policy has {expected}; use the same policy")]
     Shape {
         /// Number of parameters in the checkpoint.
         found: usize,
@@ -127,7 +127,8 @@ impl<F: Float> Progress<F> {
     /// Restores a checkpoint, or returns an error and changes nothing.
     pub(super) fn restore(&mut self, policy: &dyn AnyPolicy<F>, bytes: &[u8], label: &str) -> Result<(), CheckpointError> {
         let rest = bytes.strip_prefix(MAGIC).ok_or(CheckpointError::NotACheckpoint)?;
-        let (format, rest) = rest.split_first_chunk().ok_or_else(|| CheckpointError::Damaged("it ends after its name".into()))?;
+        let (format, rest) =
+            rest.split_first_chunk().ok_or_else(|| CheckpointError::Damaged("it ends after the file signature".into()))?;
         let found = u16::from_le_bytes(*format);
         if found != FORMAT {
             return Err(CheckpointError::Format { found });
@@ -178,10 +179,10 @@ impl<F: Float> Progress<F> {
         if let Some((epoch, before)) = &body.epoch {
             let Epoch { updates: done, skipped, means, seconds } = epoch;
             if *done >= updates || skipped.checked_add(means.updates()) != Some(*done) {
-                return Err(format!("{done} of {updates} updates of its epoch under way are done, {skipped} of them skipped"));
+                return Err(format!("its unfinished epoch has {done} of {updates} updates, {skipped} of them skipped"));
             }
             if !(*seconds >= 0.0 && seconds.is_finite()) {
-                return Err(format!("its epoch under way took {seconds} s"));
+                return Err(format!("its unfinished epoch has a time of {seconds} s"));
             }
             self.validate_state(&before.theta, &before.optimizer, before.skipped_in_a_row, steps)?;
             steps += means.updates() as u64;
@@ -193,7 +194,7 @@ impl<F: Float> Progress<F> {
     fn validate_state(&self, theta: &[F], optimizer: &Optimizer<F>, skipped: usize, steps: u64) -> Result<(), String> {
         let params = self.weights.theta().len();
         if theta.len() != params {
-            return Err(format!("it has {} parameters for {params}", theta.len()));
+            return Err(format!("it has {} parameters, but the policy has {params}", theta.len()));
         }
         if let Some(i) = theta.iter().position(|p| !p.as_().is_finite()) {
             return Err(format!("parameter {i} is {}", theta[i]));

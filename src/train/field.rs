@@ -147,7 +147,7 @@ impl<C: GradientCombiner> Field<C> {
                     by.combine(first.values(), second.values(), out.values_mut(exponent));
                 }
             }
-            _ => panic!("{} gradients for the {} flows of {}", gradients.len(), self.flows().len(), self.name()),
+            _ => panic!("got {} gradients for the {} flows of field {}", gradients.len(), self.flows().len(), self.name()),
         }
     }
 }

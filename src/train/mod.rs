@@ -93,11 +93,11 @@ impl Training {
             ("workers", self.workers),
         ];
         if let Some((setting, _)) = counts.into_iter().find(|&(_, count)| count == 0) {
-            return Err(TrainError::Setting { setting, problem: "is 0; at least 1 is needed".into() });
+            return Err(TrainError::Setting { setting, problem: "is 0; allowed: 1 or more".into() });
         }
         // Larger rates can overflow θ in one step.
         if !(self.learning_rate > 0.0 && self.learning_rate <= 1e6) {
-            let problem = format!("is {}; a positive number up to 1e6 is needed", self.learning_rate);
+            let problem = format!("is {}; allowed: a positive number up to 1e6", self.learning_rate);
             return Err(TrainError::Setting { setting: "learning_rate", problem });
         }
         Ok(())

@@ -171,13 +171,13 @@ impl<F: Float> Optimizer<F> {
         let Self { rule, learning_rate, steps, first, second } = self;
         let n = settings.params();
         if *rule != settings.rule || *learning_rate != settings.learning_rate {
-            let (here, rate) = (settings.rule, settings.learning_rate);
+            let (session_rule, rate) = (settings.rule, settings.learning_rate);
             return Err(format!(
-                "its optimizer is {rule:?} at the rate {learning_rate}, and that of this run {here:?} at {rate}"
+                "its optimizer is {rule:?} at the rate {learning_rate}, but this run uses {session_rule:?} at {rate}"
             ));
         }
         if *steps != expected {
-            return Err(format!("its optimizer counts {steps} steps, and its epochs {expected}"));
+            return Err(format!("its optimizer counts {steps} steps, but its epochs have {expected} updates"));
         }
         // Only Adam and descent with momentum keep numbers of either sign, and only in the first vector.
         let signed = matches!(rule, OptimizerKind::Adam { .. } | OptimizerKind::Momentum { .. });

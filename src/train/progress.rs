@@ -91,7 +91,7 @@ impl<F: Float> Progress<F> {
         training.validate()?;
         for (setting, starts) in [("train_samples", &train), ("test_samples", &test)] {
             if starts.is_empty() || !starts.len().is_multiple_of(n) {
-                let problem = format!("{} numbers are no start states of {n} components", starts.len());
+                let problem = format!("has {} numbers; allowed: one or more initial states of {n} components each", starts.len());
                 return Err(TrainError::Setting { setting, problem });
             }
         }

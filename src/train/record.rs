@@ -41,7 +41,9 @@ impl Record {
     pub(super) fn validate(&self, number: usize, updates: usize) -> Result<(), String> {
         let Self { epoch, skipped, seconds, .. } = *self;
         if epoch != number || skipped > updates || !(seconds >= 0.0 && seconds.is_finite()) {
-            return Err(format!("epoch {number} is recorded as {epoch}, {skipped} of {updates} updates skipped, in {seconds} s"));
+            return Err(format!(
+                "the record of epoch {number} has number {epoch}, {skipped} of {updates} skipped updates, and time {seconds} s"
+            ));
         }
         Ok(())
     }
@@ -56,8 +58,8 @@ impl Record {
         let plateau = (self.grad_norm == ExtendedF64::default()).then(|| {
             let disagreement = if self.cosine.is_some() { ", or the signs of R and M agree in no component" } else { "" };
             format!(
-                "the field is exactly 0, so nothing is learned: the loss does not depend on the parameters here{disagreement}. Try another \
-                 seed, or output weights that do not start at zero"
+                "the field is exactly 0, so the parameters do not change: the loss does not depend on them here{disagreement}. \
+                 Try another seed, or initialize the output layer with nonzero weights"
             )
         });
         growths.chain(plateau).collect()

@@ -93,7 +93,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// [`TrainError::Diverged`] after too many consecutive skipped updates. The session then
     /// returns to the state before this epoch.
     pub fn epoch(&mut self) -> Result<&Record, TrainError> {
-        self.advance(&|| false).map(|record| record.expect("without a pause, the epoch ends"))
+        self.advance(&|| false).map(|record| record.expect("an epoch without a pause completes"))
     }
 
     /// Runs until the end of the epoch, or until `pause` returns true after an update.

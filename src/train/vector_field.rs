@@ -110,7 +110,7 @@ impl<'a, T: Task, P: Policy, C: GradientCombiner> Sampler<'a, T, P, C> {
         assert_eq!(
             policy.param_count(),
             2,
-            "a field in the plane needs a policy of two parameters, not {}",
+            "a field in the plane needs a policy with two parameters, not {}",
             policy.param_count()
         );
         let start = initial_states(task, 0, Purpose::Train, 1);

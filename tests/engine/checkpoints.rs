@@ -69,5 +69,5 @@ fn a_checkpoint_of_other_numbers_of_updates_is_refused() {
     let training = Training { batch: 4, train_samples: 4, test_samples: 2, ..Training::default() };
     let mut other = Trainer::new(task, Mlp::new([4, 2, 1])).training(training).session().expect("valid settings");
     let error = other.restore(&bytes, "a run").expect_err("two updates an epoch").to_string();
-    assert!(error.contains("its optimizer counts 4 steps, and its epochs 2"), "{error}");
+    assert!(error.contains("its optimizer counts 4 steps, but its epochs have 2 updates"), "{error}");
 }

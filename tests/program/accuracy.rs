@@ -46,7 +46,7 @@ fn errors_fall_with_the_order_of_the_method_and_work_is_counted() {
     assert!(number(&rows["tsit5 4 f64"], "trajectory_error") < 1e-11);
     let rounding = number(&rows["tsit5 4 f32"], "trajectory_error");
     assert!(rounding > 1e-8 && rounding < 1e-4, "f32 has a floor: {rounding:e}");
-    assert!(said.contains("the cheapest with an error of the trajectory of at most 1e-4 is "), "{said}");
+    assert!(said.contains("the cheapest setting with an error of the trajectory of at most 1e-4 is "), "{said}");
 
     // The printed lines form a valid scene.
     let lines = said.split("precision = ").nth(1).expect("lines of a scene");
@@ -76,9 +76,9 @@ fn a_target_that_nothing_reaches_says_what_was_the_best_and_why() {
     let dir = TempDir::new().expect("a folder");
     let args = ["accuracy", "cart_pole", "--set", "policy.widths=[4]", "--set", "horizon=5", "--quiet", "--target", "1e-30"];
     let said = error_of(physgrad(&args).arg("--out").arg(dir.path()));
-    assert!(said.contains("no setting has so small an error of the trajectory; the best is "), "{said}");
+    assert!(said.contains("no setting reaches this error of the trajectory; the most accurate is "), "{said}");
     let said = error_of(&mut physgrad(&["accuracy", "cart_pole", "--target=-1"]));
-    assert!(said.contains("an error to reach is more than 0"), "{said}");
+    assert!(said.contains("--target -1; allowed: a positive error"), "{said}");
 }
 
 #[test]
@@ -140,7 +140,7 @@ fn ways_to_come_by_a_gradient_are_measured_by_double_double() {
     let mut command = physgrad(&["accuracy", "cart_pole", "--gradients"]);
     let output = command.args(small).arg("--out").arg(dir.path()).assert().success().get_output().clone();
     let said = String::from_utf8(output.stdout).expect("UTF-8");
-    assert!(said.contains("up to 40 steps, the longest tried"), "{said}");
+    assert!(said.contains("up to 40 steps, the longest horizon measured"), "{said}");
     let table = |name: &str| csv_of(&fs::read_to_string(dir.path().join(name)).expect("a table"));
 
     let ways = table("gradients.csv");
@@ -193,7 +193,7 @@ fn what_is_conserved_drifts_by_the_order_of_the_method() {
 fn scenes_of_equal_error_are_written_and_compared_in_training() {
     let dir = TempDir::new().expect("a folder");
     let (said, _) = run(&dir.path().join("accuracy"), &["--target", "1e-3"]);
-    assert!(said.contains("the cheapest of every method, to train in: "), "{said}");
+    assert!(said.contains("scenes with the cheapest setting of each method are in "), "{said}");
     let scene = |method: &str| dir.path().join(format!("accuracy/scenes/{method}.toml"));
     let (out, small) = (dir.path().join("compared"), ["--fields", "R,C", "--seeds", "1", "--epochs", "2", "--quiet"]);
     let sizes = ["--set", "training.train_samples=16", "--set", "training.test_samples=8"];

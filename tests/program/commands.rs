@@ -350,5 +350,5 @@ fn other_workers_are_a_hard_case_of_the_program_and_pass() {
     let output = physgrad(&["stress", "reproducible"]).output().expect("it runs");
     let said = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success() && said.contains("1 of 1 cases pass"), "{said}");
-    assert!(error_of(&mut physgrad(&["stress", "nothing"])).contains("there is no case `nothing`; there are: exploding_adjoint"));
+    assert!(error_of(&mut physgrad(&["stress", "nothing"])).contains("there is no case `nothing`; available: exploding_adjoint"));
 }

@@ -78,7 +78,7 @@ fn operations_are_those_of_the_library_by_effect() {
         vjp_control: damped.vjp_control - alone.vjp_control,
     };
     assert_eq!(told("effects.pole_damping"), cells(&own));
-    assert!(rows.iter().any(|row| row.first().is_some_and(|cell| cell == "in play") && row[1] == "effects.dry_friction"));
+    assert!(rows.iter().any(|row| row.first().is_some_and(|cell| cell == "present") && row[1] == "effects.dry_friction"));
     assert!(rows.iter().any(|row| row.first().is_some_and(|cell| cell == "absent") && row[1] == "effects.bumpers"));
     let without = explained(SCENE, &["--without", "dry_friction"]);
     assert_eq!(passes(&without, "together"), cells(&damped));

@@ -104,7 +104,7 @@ fn an_interrupted_figure_writes_nothing_of_runs_that_did_not_begin_and_goes_on()
     assert!(killed.expect("kill runs").success());
     let output = child.wait_with_output().expect("it ends");
     assert_eq!(output.status.code(), Some(130));
-    assert!(String::from_utf8_lossy(&output.stdout).contains("the same command goes on"));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("repeat the same command"));
     assert!(!dir.path().join("fig3.svg").exists());
     let [run] = &runs()[..] else { panic!("one thread begins one run, not {:?}", runs()) };
     let done = read(&run.join("metrics.csv")).lines().count() - 1;

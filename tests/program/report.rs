@@ -118,7 +118,7 @@ fn a_run_has_a_page_with_all_there_is_to_know() {
     for (title, line, column) in [
         ("Loss by epoch", 0, 2),
         ("Loss by epoch", 1, 3),
-        ("Length of the field", 0, 4),
+        ("Norm of the field", 0, 4),
         ("Agreement of M and R", 0, 5),
         ("Share of components kept", 0, 7),
     ] {
@@ -239,18 +239,18 @@ fn runs_that_were_not_finished_have_a_page_that_says_so() {
         (dir.path().join("broken"), dir.path().join("all"), dir.path().join("none"), dir.path().join("one"));
     train(&broken, &["--epochs", "40"]).args(DIVERGES).assert().failure();
     let page = report(&broken);
-    assert!(page.contains("This run broke off after 3 epochs of 40: training stopped: 11 updates in a row"));
-    assert!(page.contains("because a rollout diverged: a loss of 3 epochs.") && page.contains("There are no numbers to draw."));
+    assert!(page.contains("This run failed after 3 epochs of 40: training stopped: 11 updates in a row"));
+    assert!(page.contains("because a rollout diverged: a loss of 3 epochs.") && page.contains("There are no finite values to draw."));
     assert!(page.contains("Before training, a rollout diverged") && page.contains("state component 0 of sample 0"));
 
     compare(&all, &["--fields", "R,C", "--seeds", "2", "--epochs", "40"]).args(DIVERGES).assert().failure();
     let page = report(&all);
-    assert!(page.contains("4 runs were not finished") && page.contains("C seed 1 broke off after 3 epochs of 40"));
+    assert!(page.contains("4 runs are incomplete") && page.contains("C seed 1 failed after 3 epochs of 40"));
     assert_eq!(cells(&page)[0][..4], ["regular", "2", "2", "NaN"]);
 
     train(&none, &["--epochs", "0"]).assert().success();
     let page = report(&none);
-    assert!(page.contains("No epoch was finished") && !page.contains("class=\"trouble\""));
+    assert!(page.contains("No epoch is complete") && !page.contains("class=\"trouble\""));
     diagram(&page, "Growth of the adjoint");
 
     train(&one, &["--epochs", "1"]).assert().success();

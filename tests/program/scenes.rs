@@ -199,7 +199,7 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
         ),
         (
             "scene = 1\ntask = \"quantum\"\n[actuator.lag]\ntime = 1\n",
-            "my_scene.toml:3: `actuator.lag` adds to the state, and the network of this task sees the wave function alone",
+            "my_scene.toml:3: `actuator.lag` adds to the state, and the network of this task observes only the wave function",
         ),
         (
             "scene = 1\ntask = \"guidance\"\n[effects.obstacles]\ncenters = [[0, 0], [1, nan]]\n",
@@ -274,7 +274,7 @@ fn a_run_is_resumed_by_the_command_that_started_it_and_says_where_a_file_differs
     let file = write(&dir, &format!("{CART_POLE}[system]\ndt = 0.5\n"));
     let output = train_scene(&file, &out, &["--epochs", "3", "--resume"]).assert().success().get_output().clone();
     let said = String::from_utf8(output.stderr).expect("UTF-8");
-    assert!(said.contains("goes on with its own scene") && said.contains("system.dt = 0.5"), "{said}");
+    assert!(said.contains("resumes with its saved settings") && said.contains("system.dt = 0.5"), "{said}");
 
     let said = error_of(&mut train_scene(&out, &dir.path().join("again"), &[]));
     assert!(said.contains("is a folder, not a scene") && said.contains("run.toml"), "{said}");

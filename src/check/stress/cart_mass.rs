@@ -12,13 +12,14 @@ use std::f64::consts::PI;
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "cart_mass",
-    about: "carts of 1 kg down to 1e-12 kg under up to 20 poles of 0.1 kg, side by side and end to end",
-    criterion: "accelerations leave at most 1e-10 of the largest term of each equation of motion, and derivatives are those of \
-                duals to 1e-10, down to 1e-8 kg; lighter carts are a typed error, as are masses that are no physics",
-    story: "Mass matrices become singular where a light body carries heavy ones, and a solver without pivots may go on \
-            in silence. The poles here are uniform, so that the cart's mass can be eliminated to rounding however small \
-            it is; what ends is that the numbers mean a cart of this mass, and there scenes and constructors refuse it \
-            by a typed error with what to change. What remains: in f32 a chain of 20 poles keeps four digits",
+    about: "carts of 1 kg down to 1e-12 kg with up to 20 poles of 0.1 kg, side by side and end to end",
+    criterion: "down to 1e-8 kg, accelerations satisfy each equation of motion to 1e-10 of its largest term, and \
+                derivatives agree with dual numbers to 1e-10. Lighter carts and unphysical masses are typed errors",
+    story: "Mass matrices become singular where a light body carries heavy ones, and a solver without pivoting \
+                may continue silently. The poles here are uniform, so the mass of the cart can be eliminated up to \
+                rounding, however small it is. Below 1e-8 kg, the numbers no longer determine the mass of the cart. \
+                Scenes and constructors then return a typed error that names the remedy. Limits: in f32 a chain of \
+                20 poles keeps four digits",
     run: cart_mass,
 }];
 
@@ -29,7 +30,7 @@ fn model(poles: usize, cart_mass: f64) -> CartPoleSystem {
 }
 
 fn cart_mass() -> Vec<Finding> {
-    let own = |model: CartPoleSystem| worst::<f64, _>(&model, &model, in_the_authors_equations);
+    let uncoupled = |model: CartPoleSystem| worst::<f64, _>(&model, &model, in_the_authors_equations);
     let coupled = |model: CartPoleSystem| {
         worst::<f64, _>(&CoupledCartPole(model), &model, |model, x, rate, u| dalembert(model, false, x, rate, u))
     };
@@ -37,7 +38,7 @@ fn cart_mass() -> Vec<Finding> {
     let chain = |model: CartPoleSystem| worst::<f64, _>(&PoleChain(model), &model, chained);
     let mut findings = Vec::new();
     for (name, poles, residual) in [
-        ("the authors' model", &[1, 20][..], &own as &dyn Fn(CartPoleSystem) -> f64),
+        ("the authors' model", &[1, 20][..], &uncoupled as &dyn Fn(CartPoleSystem) -> f64),
         ("poles side by side", &[1, 2, 5, 20], &coupled),
         ("poles end to end", &[1, 2, 5, 10, 20], &chain),
     ] {
@@ -49,14 +50,14 @@ fn cart_mass() -> Vec<Finding> {
     let single = worst::<f32, _>(&PoleChain(model(20, 1e-8)), &model(20, 1e-8), chained);
     findings.push(Finding::told("20 poles end to end on 1e-8 kg, in f32: residual", format!("{single:.1e}")));
     findings.extend(derivatives());
-    findings.extend(refused());
+    findings.extend(rejected());
     let broken = |model: &CartPoleSystem, x: &[f64], rate: &[f64], u: f64| {
         let mut rate = rate.to_vec();
         rate[3] *= 1.0 + 1e-8;
         dalembert(model, true, x, &rate, u)
     };
     let fault = worst::<f64, _>(&PoleChain(model(5, 1e-8)), &model(5, 1e-8), broken);
-    findings.push(Finding::at_least("residual of an acceleration that is wrong by 1e-8", fault, 1e-10));
+    findings.push(Finding::at_least("residual of an acceleration with a relative error of 1e-8", fault, 1e-10));
     findings
 }
 
@@ -66,10 +67,10 @@ fn derivatives() -> [Finding; 2] {
     let (coupled, chain) = (CoupledCartPole(model(20, 1e-8)), PoleChain(model(20, 1e-8)));
     let chain = Integrated { ode: chain, integrator: SemiImplicit, dt: 0.01 };
     [("side by side", error(check::try_system(&coupled))), ("end to end", error(check::try_system(&chain)))]
-        .map(|(name, error)| Finding::at_most(format!("20 poles {name} on 1e-8 kg: VJP against duals"), error, 1e-10))
+        .map(|(name, error)| Finding::at_most(format!("20 poles {name} on 1e-8 kg: VJP against dual numbers"), error, 1e-10))
 }
 
-fn refused() -> Vec<Finding> {
+fn rejected() -> Vec<Finding> {
     let checks = |model: CartPoleSystem| [model.check(), CoupledCartPole(model).check(), PoleChain(model).check()];
     let taken = MASSES.iter().flat_map(|&mass| [1, 20].map(|poles| model(poles, mass))).flat_map(checks);
     let (good, all) = taken.fold((0, 0), |(good, all), check| (good + usize::from(check.is_ok()), all + 1));
@@ -86,9 +87,9 @@ fn refused() -> Vec<Finding> {
         [split(0.0, 0.1), split(-0.01, 0.1), split(-0.025, 0.1), split(1.2, -0.1), split(1.0, 0.0), split(f64::NAN, 0.1)];
     let (splits, all_splits) = count(&unphysical, |error| matches!(error, MassError::NotPositive { .. }));
     vec![
-        Finding::all("carts down to 1e-8 kg that are accepted", good, all),
-        Finding::all("carts of 1e-12 kg that are refused for it", lights, all_lights),
-        Finding::all("splits of the mass that are refused as unphysical", splits, all_splits),
+        Finding::all("carts down to 1e-8 kg accepted", good, all),
+        Finding::all("carts of 1e-12 kg rejected as too light", lights, all_lights),
+        Finding::all("unphysical masses rejected", splits, all_splits),
     ]
 }
 

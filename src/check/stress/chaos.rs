@@ -12,14 +12,15 @@ use crate::tasks::DoublePendulum;
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "double_pendulum",
-    about: "a chaotic double pendulum over a million steps of 2 ms, from rest with both rods 1 rad from upright",
-    criterion: "its adjoint grows with its Lyapunov exponent λ, measured apart by tangents, to within 10 %, and is finite; of 64 \
-                pairs of rollouts that begin one rounding apart, all adjoints have the same direction (cosine at least 0.99) at \
-                half of ln(1/ε)/λ, and at twice of it their signs agree as those of tossed coins do, 30 to 70 % of them",
-    story: "In chaos a gradient over long times is exact and useless: two rollouts one rounding apart have unrelated \
-            ones. That is no bug and no exponent mends it, so the limit is told: beyond ln(1/ε)/λ, here 12,400 steps, \
-            R's signs are those of rounding errors, and the meter says so from the growth that it measures. What \
-            remains: only the sign is random; at twice the horizon all adjoints still lie on one line",
+    about: "chaotic double pendulum over a million steps of 2 ms, from rest with both rods 1 rad from upright",
+    criterion: "the adjoint is finite and grows with the Lyapunov exponent λ, measured independently by tangents, to \
+                within 10 %. 64 pairs of rollouts start one rounding apart. At half of ln(1/ε)/λ, the adjoints of \
+                each pair have the same direction (cosine at least 0.99). At twice ln(1/ε)/λ, the signs of 30 to 70 \
+                % of the pairs agree",
+    story: "In chaos, a gradient over long times is exact but useless: two rollouts one rounding apart have \
+                unrelated gradients. No exponent corrects this. Beyond ln(1/ε)/λ, here 12,400 steps, the signs of R \
+                are those of rounding errors. The growth meter reports this horizon. Limits: only the sign is \
+                random; at twice the horizon all adjoints are still collinear",
     run: double_pendulum,
 }];
 
@@ -43,13 +44,10 @@ fn double_pendulum() -> Vec<Finding> {
     let per_second = |growth: f64| growth / (STEPS as f64 * DT);
     let lambda = per_second(exponent);
     let mut findings = vec![
-        Finding::told("Lyapunov exponent, by tangents", format!("{lambda:.3} a second")),
-        Finding::near("growth of the adjoint, a second", per_second(growth), lambda, 0.1),
-        Finding::holds("states and adjoint", "finite", finite, if finite { "finite" } else { "not" }),
-        Finding::told(
-            "change of energy, of 58.9 J between all hanging and all upright",
-            format!("{:.1e} J", energies[1] - energies[0]),
-        ),
+        Finding::told("Lyapunov exponent, by tangents", format!("{lambda:.3} per second")),
+        Finding::near("growth of the adjoint per second", per_second(growth), lambda, 0.1),
+        Finding::holds("states and adjoint", "finite", finite, if finite { "finite" } else { "non-finite" }),
+        Finding::told("change of energy (hanging to upright: 58.9 J)", format!("{:.1e} J", energies[1] - energies[0])),
     ];
     findings.extend(signs(&system, lambda));
     findings
@@ -68,9 +66,9 @@ fn rollout(system: &Pendulum, start: State, steps: usize) -> Vec<State> {
 
 /// Scales the vector to norm 1 and returns the logarithm of its previous norm.
 fn normalize(v: &mut State) -> f64 {
-    let length = v.iter().map(|v| v * v).sum::<f64>().sqrt();
-    v.iter_mut().for_each(|v| *v /= length);
-    length.ln()
+    let norm = v.iter().map(|v| v * v).sum::<f64>().sqrt();
+    v.iter_mut().for_each(|v| *v /= norm);
+    norm.ln()
 }
 
 /// Growth of a tangent along a rollout, in e-foldings: Benettin et al. 1980
@@ -118,13 +116,13 @@ fn signs(system: &Pendulum, lambda: f64) -> Vec<Finding> {
     let aligned = cosines[1].iter().filter(|cosine| cosine.abs() > 0.99).count();
     vec![
         Finding::told("ln(1/ε)/λ", format!("{horizon:.0} steps, {:.1} s", horizon * DT)),
-        Finding::at_least("least cosine of the two adjoints at half of it", least(&cosines[0]), 0.99),
+        Finding::at_least("least cosine of the two adjoints at half this horizon", least(&cosines[0]), 0.99),
         Finding::holds(
-            "share of the same sign at twice of it",
+            "share of pairs with equal sign at twice this horizon",
             "30 to 70 %",
             (0.3..=0.7).contains(&agree),
             format!("{:.0} %", 100.0 * agree),
         ),
-        Finding::told("adjoints that are still on the same line there, whatever the sign", format!("{aligned} of {PAIRS}")),
+        Finding::told("collinear pairs at twice this horizon, with either sign", format!("{aligned} of {PAIRS}")),
     ]
 }

@@ -11,14 +11,14 @@ use crate::tasks::{Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, Obsta
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "guidance_distances",
-    about: "agents and an obstacle 0 to 1e8 m from each other, 1e-300 among them; f64 and f32",
-    criterion: "states, JVPs and VJPs are finite; duals and VJP agree to 1e-12 (f64) and 1e-5 (f32), slopes of positions on \
-                their own; forces have their direction and size to 1e-12 (f64) and 1e-5 (f32). A distance without these \
-                cares has a derivative that is not finite (a planted fault)",
-    story: "A length |r| has no derivative at 0, r² underflows at 1e-162 and overflows at 1e154, and each makes a NaN somewhere \
-            in the reverse pass of an ordinary distance. Here separations are brought into range by a power of two \
-            before they are squared, and the derivative at 0 is taken as that of the force, which is smooth. What \
-            remains: at 0 a force has no direction, and is 0",
+    about: "agents and an obstacle at distances from 0 to 1e8 m, including 1e-300 m; f64 and f32",
+    criterion: "states, JVPs and VJPs are finite. Dual numbers and VJP agree to 1e-12 (f64) and 1e-5 (f32), also for \
+                position components alone. Forces have the correct direction and magnitude to 1e-12 (f64) and 1e-5 \
+                (f32). An unguarded distance has a non-finite derivative (a planted fault)",
+    story: "The norm |r| has no derivative at 0, and r² underflows at 1e-162 and overflows at 1e154. Each case \
+                yields NaN in the reverse pass of an unguarded distance. Here separations are scaled by a power of \
+                two before squaring. The derivative at 0 is that of the force, which is smooth. Limits: at 0 a force \
+                has no direction, and is 0",
     run: guidance_distances,
 }];
 
@@ -47,9 +47,9 @@ fn guidance_distances() -> Vec<Finding> {
     let whether = finite(&x_bar);
     findings.push(Finding::holds(
         "unguarded distance of 1e-300",
-        "not finite",
+        "non-finite",
         !whether,
-        if whether { "finite" } else { "not finite" },
+        if whether { "finite" } else { "non-finite" },
     ));
     findings
 }
@@ -85,9 +85,9 @@ fn at<F: Float>(distances: &[f64], allowed: f64) -> Vec<Finding> {
         }
     }
     vec![
-        Finding::all(format!("distances in {} at which all is finite", F::NAME), finite, distances.len()),
-        Finding::at_most(format!("VJP against duals in {}", F::NAME), agreeing, allowed),
-        Finding::at_most(format!("forces against their limits in {}", F::NAME), pushing, allowed),
+        Finding::all(format!("distances in {} with finite results", F::NAME), finite, distances.len()),
+        Finding::at_most(format!("VJP against dual numbers in {}", F::NAME), agreeing, allowed),
+        Finding::at_most(format!("relative error of forces in {}", F::NAME), pushing, allowed),
     ]
 }
 

@@ -7,15 +7,17 @@ use crate::tasks::{FrictionScheme, SliderSystem};
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "dry_friction",
-    about: "a sliding block that friction stops, smoothed over ε = 1e-1 to 1e-6 m/s, from 1 m/s, in steps of 0.01 s",
-    criterion: "implicit steps are stable and never turn the block round; the way it goes, in units of v₀²/(2 μ g) and less \
-                dt v₀/2 by which Euler's steps are short, is 1 to 1 % at 1e-6; it is at rest within a step of v₀/(μ g) + \
-                what smoothing adds; its derivative by v₀ is finite, and within 2 % of v₀/(μ g) at 1e-3 and below. Explicit \
-                steps chatter where, and only where, `check::stability` calls them unstable, with the multiplier |1 - dt μ \
-                g/ε| to 1e-6",
-    story: "Smoothed sharply, dry friction is stiff: an explicit step overshoots rest and chatters for ever, and its \
-            derivative alternates and grows. The implicit step solves for the speed after it, and its derivative is that \
-            of the solution. What remains: smoothed friction creeps where real friction sticks",
+    about: "sliding block stopped by friction, smoothed over ε = 1e-1 to 1e-6 m/s, from v₀ = 1 m/s, with steps \
+                of 0.01 s",
+    criterion: "implicit steps are stable and never reverse the block. At 1e-6 m/s, the distance is v₀²/(2 μ g) to 1 \
+                %, after adding the error dt v₀/2 of Euler's method. The block rests within one step of v₀/(μ g) \
+                plus the delay by smoothing. The derivative of the distance by v₀ is finite, and within 2 % of v₀/(μ \
+                g) at 1e-3 m/s and below. Explicit steps oscillate exactly where `check::stability` reports \
+                instability, with the multiplier |1 - dt μ g/ε| to 1e-6",
+    story: "Sharply smoothed dry friction is stiff: an explicit step overshoots rest and oscillates \
+                indefinitely, and its derivative alternates and grows. The implicit step solves for the speed after \
+                the step, and its derivative is that of the solution. Limits: smoothed friction creeps where real \
+                friction sticks",
     run: dry_friction,
 }];
 
@@ -57,20 +59,22 @@ fn implicit(smoothing: f64) -> Vec<Finding> {
     let ln_sinh = |v: f64| v / smoothing + (-(-2.0 * v / smoothing).exp()).ln_1p() - std::f64::consts::LN_2;
     let expected = smoothing / a * (ln_sinh(1.0) - ln_sinh(rest));
     let stopped = speeds().position(|v| v < rest).map_or(f64::INFINITY, |step| step as f64 * system.dt);
-    let late =
-        format!("ε = {smoothing:.0e}: at rest after {stopped:.2} s, in the limit {:.4} s; steps from {expected:.4} s", 1.0 / a);
+    let late = format!(
+        "ε = {smoothing:.0e}: stops after {stopped:.2} s (without smoothing {:.4} s); difference in steps from {expected:.4} s",
+        1.0 / a
+    );
     findings.push(Finding::at_most(late, (stopped - expected).abs() / system.dt, late_steps(smoothing, &system)));
 
     let (by_start, _) = derivative(&system, &states, 0.0, 0);
     let slope = by_start[1] * a;
-    let told = format!("ε = {smoothing:.0e}: derivative of the way by v₀, of v₀/(μ g)");
+    let what = format!("ε = {smoothing:.0e}: derivative of the distance by v₀, relative to v₀/(μ g)");
     findings.push(match smoothing {
-        s if s < 5e-3 => Finding::near(told, slope, 1.0, 0.02),
-        _ => Finding::holds(told, "finite", finite(&by_start), format!("{slope:.4}")),
+        s if s < 5e-3 => Finding::near(what, slope, 1.0, 0.02),
+        _ => Finding::holds(what, "finite", finite(&by_start), format!("{slope:.4}")),
     });
     if smoothing < 5e-6 {
-        let way = (states[STEPS][0] + 0.5 * system.dt) * 2.0 * a;
-        findings.push(Finding::near(format!("ε = {smoothing:.0e}: way, of v₀²/(2 μ g)"), way, 1.0, 0.01));
+        let distance = (states[STEPS][0] + 0.5 * system.dt) * 2.0 * a;
+        findings.push(Finding::near(format!("ε = {smoothing:.0e}: distance, relative to v₀²/(2 μ g)"), distance, 1.0, 0.01));
     }
     findings
 }
@@ -90,16 +94,16 @@ fn explicit(smoothing: f64) -> Vec<Finding> {
     let turns = last.windows(2).filter(|v| v[0] * v[1] < 0.0).count();
     let left = last.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
     let chatters = turns > 40 && left > 0.1 * system.grip();
-    let measured = format!("{report}; {turns} of 49 steps turn round, at up to {left:.1e} m/s");
+    let measured = format!("{report}; {turns} of 49 steps reverse, at up to {left:.1e} m/s");
     vec![
         Finding::at_most(
-            format!("ε = {smoothing:.0e}: multiplier of explicit steps at rest, {expected:.4}: error, as a share"),
+            format!("ε = {smoothing:.0e}: multiplier of explicit steps at rest, {expected:.4}: relative error"),
             (report.multiplier / expected - 1.0).abs(),
             1e-6,
         ),
         Finding::holds(
             format!("ε = {smoothing:.0e}: explicit steps"),
-            if expected > 1.0 { "chatter, and are called unstable" } else { "come to rest, and are called stable" },
+            if expected > 1.0 { "oscillate, and are reported as unstable" } else { "come to rest, and are reported as stable" },
             chatters == (expected > 1.0) && report.is_stable() != chatters,
             measured,
         ),

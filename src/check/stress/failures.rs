@@ -16,12 +16,12 @@ use rand::RngExt;
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "injected_nan",
-    about: "an effect that fails at one step of one sample: in its force, or in its derivative alone",
-    criterion: "step, sample, pass and effect are named exactly, for any number of workers; no parameter changes",
-    story: "Elsewhere a NaN is noticed in the loss, an epoch later, in all parameters. Here every step is tested, \
-            forward and back, at no cost that can be measured; what is found is named, to the effect whose force or \
-            derivative it is, the update is not taken, and training goes on, or stops by `max_skipped`. What remains: \
-            what a system of one's own computes inside is told as a component of the state",
+    about: "effect that fails at one step of one sample, in its force or only in its derivative",
+    criterion: "step, sample, pass and effect are named exactly, for any number of workers. No parameter changes",
+    story: "Without checks, a NaN appears in the loss an epoch later, when all parameters contain it. Here every \
+                step is tested, forward and in reverse, at no measurable cost. The message names the effect whose \
+                force or derivative is non-finite. The update is skipped, and training continues or stops by \
+                `max_skipped`. Limits: a fault inside a custom system is reported as a component of the state",
     run: injected_nan,
 }];
 
@@ -148,5 +148,8 @@ fn injected_nan() -> Vec<Finding> {
             }
         }
     }
-    vec![Finding::all("named exactly", named, all), Finding::all("without a change of the parameters", unchanged, all)]
+    vec![
+        Finding::all("faults named exactly", named, all),
+        Finding::all("faults without a change of the parameters", unchanged, all),
+    ]
 }

@@ -13,14 +13,14 @@ use crate::train::field::Field;
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "lqr_optimum",
-    about: "R, M and C at Riccati's gain, of a stable and of an unstable plant, over 1, 10, 50 and 100 steps",
-    criterion: "no component is larger than 1e-11: the optimum is a fixed point of all three. With a gain that is wrong by 1e-6, \
-                R and M are larger than that",
-    story: "Where a field does not vanish at the optimum, an optimizer that follows it does not stay there. R vanishes \
-            at any optimum; M and C need not. For the regulator they do, since the cotangent of every control is 0 \
-            there. Riccati's equation is solved by doubling: its plain iteration leaves P with rounding that M's growth \
-            makes 3e-11 of over 100 steps. What remains: for other losses M has no such fixed point, which is why C \
-            exists",
+    about: "R, M and C at the Riccati gain of a stable and of an unstable plant, over 1, 10, 50 and 100 steps",
+    criterion: "no component exceeds 1e-11, so the optimum is a fixed point of all three. With a relative gain error \
+                of 1e-6, R and M exceed 1e-11",
+    story: "An optimizer does not stay at an optimum where its field does not vanish. R vanishes at any optimum; \
+                M and C need not. For the regulator they do, because the cotangent of every control is 0 there. \
+                Doubling solves the Riccati equation: plain iteration leaves rounding errors in P, which the growth \
+                of M over 100 steps amplifies to 3e-11. Limits: for other losses M has no such fixed point, which \
+                motivates C",
     run: lqr_optimum,
 }];
 
@@ -38,7 +38,7 @@ fn lqr_optimum() -> Vec<Finding> {
         }
         let wrong = largest(&lqr, &best.iter().map(|gain| gain * (1.0 + 1e-6)).collect::<Vec<_>>());
         for (field, largest) in ["M", "R"].into_iter().zip(wrong) {
-            findings.push(Finding::at_least(format!("{name} plant, gain wrong by 1e-6: {field}"), largest, 1e-11));
+            findings.push(Finding::at_least(format!("{name} plant, gain error of 1e-6: {field}"), largest, 1e-11));
         }
     }
     findings

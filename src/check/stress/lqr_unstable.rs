@@ -22,16 +22,19 @@ use crate::train::{Trainer, Training};
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "lqr_unstable",
-    about: "the linearized upright cart-pole over 200 and 400 steps: lengths of the adjoints, and training by C, R and M",
-    criterion: "at a stabilizing gain M's adjoint grows with the plant's largest eigenvalue, its logarithm to within 10 %, and R's \
-                is nowhere longer than twice of what it is at the start; C, from no gain and from a stabilizing one, is within \
-                1e-2 of the least loss after 3000 updates",
-    story: "On an unstable plant the roles are exchanged: R, which knows of the feedback, is balanced, and M, which does \
-            not, grows as the plant does, by 17 decades in 1000 steps. The meter says so in every epoch, and finds 15 to 16 of \
-            the 17, for what a new cost adds to the adjoint does not grow as fast at first. C reaches 1e-2 of excess cost from these \
-            starts, with single starts a batch and clipping by norm; R reaches 1e-6 and below, and M stays at 0.4 and more. What remains: from a gain that is half too stiff C missed 1e-2 with two of \
-            three seeds at 400 steps, and mini-batches of 4 or 8 left it without a component in most updates: with four \
-            parameters there are regions where no sign agrees. On such plants follow R",
+    about: "linearized upright cart-pole over 200 and 400 steps: norms of the adjoints, and training by C, R and \
+                M",
+    criterion: "at a stabilizing gain, the adjoint of M grows by the largest eigenvalue of the plant, in the \
+                logarithm to within 10 %. The adjoint of R is nowhere larger than twice its norm at the first step. \
+                From zero gain and from a stabilizing gain, C is within 1e-2 of the least loss after 3000 updates",
+    story: "On an unstable plant the roles are reversed: R, which includes the feedback, is balanced. M, which \
+                does not, grows with the plant, by 17 decades in 1000 steps. The growth meter reports this in every \
+                epoch. It finds 15 to 16 of the 17 decades, because new cost terms in the adjoint grow more slowly \
+                at first. C reaches an excess loss of 1e-2 from these initial gains, with one initial state per \
+                batch and clipping by norm. R reaches 1e-6 and below, and M stays at 0.4 and more. Limits: from 1.5 \
+                times the best gain, C misses 1e-2 with two of three seeds at 400 steps. With mini-batches of 4 or \
+                8, C is zero in most updates: with four parameters, there are regions where no signs agree. On such \
+                plants follow R",
     run: lqr_unstable,
 }];
 
@@ -45,25 +48,29 @@ fn lqr_unstable() -> Vec<Finding> {
     let mut findings = Vec::new();
     for horizon in HORIZONS {
         lqr.horizon = horizon;
-        let [regular, modified] = lengths(&lqr, &stiff);
+        let [regular, modified] = norms(&lqr, &stiff);
         let half = horizon / 2;
         let growth = (modified[0] / modified[half]).log10() / half as f64;
-        let what = format!("T = {horizon}: decades that M grows by in 1000 steps");
+        let what = format!("T = {horizon}: decades of growth of M per 1000 steps");
         findings.push(Finding::near(what, 1000.0 * growth, 1000.0 * radius.log10(), 0.1));
         let metered = metered(&lqr, &stiff);
-        let what = format!("T = {horizon}: the same by the meter of a training");
+        let what = format!("T = {horizon}: decades of growth of M per 1000 steps, by the growth meter");
         let decades = metered.map_or(f64::NAN, |growth| growth.along) / horizon as f64;
         findings.push(Finding::told(what, format!("{:.1}", 1000.0 * decades)));
         let warns = metered.is_some_and(|growth| growth.warning(Flow::MODIFIED, horizon, f64::EPSILON).is_some());
         let said = if warns { "M outweighs" } else { "nothing" };
         findings.push(Finding::holds(
-            format!("T = {horizon}: what it says"),
+            format!("T = {horizon}: warning of the growth meter"),
             "the first steps of M outweigh the last",
             warns,
             said,
         ));
-        let largest = regular.iter().fold(0.0, |largest: f64, &length| largest.max(length));
-        findings.push(Finding::at_most(format!("T = {horizon}: longest R over that at the start"), largest / regular[0], 2.0));
+        let largest = regular.iter().fold(0.0, |largest: f64, &norm| largest.max(norm));
+        findings.push(Finding::at_most(
+            format!("T = {horizon}: largest norm of R relative to the first step"),
+            largest / regular[0],
+            2.0,
+        ));
     }
     let gentle = gentle(&lqr);
     for (name, gain) in [("a gentle gain", &gentle), ("1.5 times the best gain", &stiff)] {
@@ -71,28 +78,28 @@ fn lqr_unstable() -> Vec<Finding> {
     }
     for horizon in HORIZONS {
         lqr.horizon = horizon;
-        for (name, gain) in [("no gain", &vec![0.0; n]), ("a gentle gain", &gentle)] {
+        for (name, gain) in [("zero gain", &vec![0.0; n]), ("a gentle gain", &gentle)] {
             let worst = (0..2)
                 .map(|seed| train(&lqr, Field::combined(), gain, one_by_one(seed)))
                 .max_by(|a, b| a.excess.total_cmp(&b.excess))
                 .expect("two runs");
-            let what = format!("T = {horizon}, from {name}: excess of C, the worst of 2 seeds{}", worst.remark());
+            let what = format!("T = {horizon}, from {name}: excess loss of C, worst of 2 seeds{}", worst.remark());
             findings.push(Finding::at_most(what, worst.excess, 1e-2));
         }
     }
-    for (name, gain) in [("no gain", &vec![0.0; n]), ("a gentle gain", &gentle)] {
+    for (name, gain) in [("zero gain", &vec![0.0; n]), ("a gentle gain", &gentle)] {
         for field in [Field::regular(), Field::modified()] {
-            let told = train(&lqr, field, gain, one_by_one(0));
-            findings.push(told.told(format!("T = 400, from {name}: {}", field.letter())));
+            let trained = train(&lqr, field, gain, one_by_one(0));
+            findings.push(trained.finding(format!("T = 400, from {name}: {}", field.letter())));
         }
     }
     // Report cases in which C does not converge.
     for seed in 1..3 {
-        let told = train(&lqr, Field::combined(), &stiff, one_by_one(seed));
-        findings.push(told.told(format!("T = 400, from 1.5 times the best gain, seed {seed}: C")));
+        let trained = train(&lqr, Field::combined(), &stiff, one_by_one(seed));
+        findings.push(trained.finding(format!("T = 400, from 1.5 times the best gain, seed {seed}: C")));
     }
-    let told = train(&lqr, Field::combined(), &gentle, in_batches());
-    findings.push(told.told("T = 400, from a gentle gain, by Adam over batches of 8: C".into()));
+    let trained = train(&lqr, Field::combined(), &gentle, in_batches());
+    findings.push(trained.finding("T = 400, from a gentle gain, by Adam over batches of 8: C".into()));
     findings
 }
 
@@ -117,7 +124,7 @@ fn metered(lqr: &Lqr, gain: &[f64]) -> Option<Growth> {
 }
 
 /// Adjoint norms of R and M along rollouts with a gain.
-fn lengths(lqr: &Lqr, gain: &[f64]) -> [Vec<f64>; 2] {
+fn norms(lqr: &Lqr, gain: &[f64]) -> [Vec<f64>; 2] {
     let policy = Linear::new(lqr.system().state_dim(), 1);
     let weights = Weights::<f64>::new(&policy, gain.to_vec());
     let mut rollout = Rollout::new(lqr, &policy, 8);
@@ -154,8 +161,14 @@ fn directions(lqr: &Lqr, name: &str, gain: &[f64]) -> [Finding; 2] {
         descends += usize::from(cosine(modified.values(), regular.values()) > 0.0);
     }
     [
-        Finding::told(format!("T = 400, at {name}: least cosine of M of one start and that direction"), format!("{least:.6}")),
-        Finding::told(format!("T = 400, at {name}: starts from which M descends"), format!("{descends} of {STARTS}")),
+        Finding::told(
+            format!("T = 400, at {name}: least cosine between M of one initial state and Σ_t a^{{-t}} x_t"),
+            format!("{least:.6}"),
+        ),
+        Finding::told(
+            format!("T = 400, at {name}: initial states at which M is a descent direction"),
+            format!("{descends} of {STARTS}"),
+        ),
     ]
 }
 
@@ -185,11 +198,11 @@ struct Trained {
 impl Trained {
     fn remark(&self) -> String {
         let reached = self.reached.map(|updates| format!(", 1e-2 within {updates} updates"));
-        let kept = self.kept.map(|kept| format!(", {:.0} % of it not 0", 100.0 * kept));
+        let kept = self.kept.map(|kept| format!(", {:.0} % nonzero", 100.0 * kept));
         format!("{}{}", reached.unwrap_or_default(), kept.unwrap_or_default())
     }
 
-    fn told(&self, what: String) -> Finding {
+    fn finding(&self, what: String) -> Finding {
         Finding::told(format!("{what}{}", self.remark()), format!("{:.1e}", self.excess))
     }
 }

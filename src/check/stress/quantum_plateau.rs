@@ -9,14 +9,14 @@ use crate::tasks::{LossMode, Quantum};
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "quantum_plateau",
-    about: "zero overlap with the target and zero control, by a policy whose last kernel is 0",
-    criterion: "the gradient is finite, smaller than 1e-6 of that of neighbouring parameters, and reported as a plateau in \
-                words; from a start with overlap it is not",
-    story: "Where the start has no overlap with the target, and nothing moves it, the gradient is 0 to rounding, and an \
-            optimizer that divides by its length, as Adam does, follows noise. `check::plateau` compares a gradient with \
-            those of neighbouring parameters and says plateau, minimum or slope. The paper's own start for eigenstate 3, \
-            with a zeroed last kernel, is such a plateau; runs leave it by rounding. What remains: training does not ask \
-            by itself",
+    about: "zero overlap with the target and zero control, with a policy whose output layer is zero",
+    criterion: "the gradient is finite, smaller than 1e-6 of that at neighbouring parameters, and reported as a \
+                plateau. From an initial state with overlap, it is reported as a slope",
+    story: "Where the initial state has no overlap with the target and the control is zero, the gradient is 0 \
+                except for rounding. An optimizer that divides by its norm, as Adam does, follows noise. \
+                `check::plateau` compares a gradient with those at neighbouring parameters and reports a plateau, a \
+                minimum or a slope. The paper's initialization for eigenstate 3, with a zeroed output layer, is such \
+                a plateau; runs leave it by rounding. Limits: training does not call `check::plateau`",
     run: quantum_plateau,
 }];
 
@@ -41,11 +41,11 @@ fn quantum_plateau() -> Vec<Finding> {
             ("from 1 and 2 to 3, as in the paper", 3, [1.0, 1.0], true),
             ("from 1 and 2 to 2", 2, [1.0, 1.0], false),
         ] {
-            let asked = if stuck { "finite, and a plateau" } else { "finite, and a slope" };
+            let required = if stuck { "finite, and a plateau" } else { "finite, and a slope" };
             let found = look(target, weighting, loss);
-            let said = found.map_or("not finite".into(), |found| found.to_string());
+            let said = found.map_or("non-finite".into(), |found| found.to_string());
             let pass = said.starts_with(if stuck { "a plateau" } else { "a slope" });
-            findings.push(Finding::holds(format!("{what}, {loss:?}"), asked, pass, said));
+            findings.push(Finding::holds(format!("{what}, {loss:?}"), required, pass, said));
         }
     }
     findings

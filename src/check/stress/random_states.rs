@@ -15,11 +15,12 @@ use rand_distr::{Distribution, StandardNormal};
 pub(super) const CASES: &[Case] = &[Case {
     name: "random_states",
     about: "one step and its VJP at 10,000 random states of every task, in f64 and f32",
-    criterion: "all is finite; duals and VJP agree to 1e-12 in f64, and in f32 to 64 ε (1 + κ), where ε is its rounding and \
-                κ what a derivative changes by, as a share, per relative change of the state (measured in f64 at every \
-                state)",
-    story: "Derivatives are usually tested at the few states somebody thought of. What remains: tasks whose VJP is by \
-            duals are compared with themselves here; closed forms and differences hold those in `tests/hard_contacts.rs`",
+    criterion: "all values are finite. Dual numbers and VJP agree to 1e-12 in f64, and to 64 ε (1 + κ) in f32. ε is \
+                the rounding of f32; κ is the relative change of a derivative per relative change of the state, \
+                measured in f64 at every state",
+    story: "Derivatives are usually tested at a few selected states. Limits: tasks whose VJP uses dual numbers \
+                are compared with themselves here; the test module `hard_contacts` compares these with closed forms \
+                and differences",
     run: random_states,
 }];
 
@@ -98,7 +99,7 @@ struct Inputs<F> {
 }
 
 /// Result at one state: finiteness, and error of the VJP.
-struct Found {
+struct Outcome {
     finite: bool,
     error: f64,
 }
@@ -126,10 +127,10 @@ fn of(name: &str, system: &dyn Either, draw: Draw) -> Vec<Finding> {
     }
     let all = STATES as usize;
     vec![
-        Finding::all(format!("{name}: states at which all is finite, f64"), finite[0], all),
-        Finding::all(format!("{name}: states at which all is finite, f32"), finite[1], all),
-        Finding::at_most(format!("{name}: VJP against duals, f64"), worst[0], 1e-12),
-        Finding::at_most(format!("{name}: VJP against duals, f32, in 64 ε (1 + κ)"), worst[1], 1.0),
+        Finding::all(format!("{name}: states with finite results, f64"), finite[0], all),
+        Finding::all(format!("{name}: states with finite results, f32"), finite[1], all),
+        Finding::at_most(format!("{name}: VJP against dual numbers, f64"), worst[0], 1e-12),
+        Finding::at_most(format!("{name}: VJP against dual numbers, f32, in 64 ε (1 + κ)"), worst[1], 1.0),
     ]
 }
 
@@ -142,7 +143,7 @@ fn reverse<F: Float>(system: &dyn AnySystem<F>, inputs: &Inputs<F>) -> [Vec<F>; 
     vjp(system, &inputs.x, &inputs.u, &inputs.bar)
 }
 
-fn at<F: Float>(system: &dyn AnySystem<F>, inputs: &Inputs<F>) -> Found {
+fn at<F: Float>(system: &dyn AnySystem<F>, inputs: &Inputs<F>) -> Outcome {
     let Inputs { x, u, bar } = inputs;
     let mut next = x.clone();
     system.step(x, u, &mut next);
@@ -151,7 +152,7 @@ fn at<F: Float>(system: &dyn AnySystem<F>, inputs: &Inputs<F>) -> Found {
     let finite = [&next, &x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|v| finite(v));
     // State and control cotangents share one scale: a single-component cotangent may vanish by
     // chance.
-    Found { finite, error: error(&[x_bar, u_bar].concat(), &[x_dual, u_dual].concat()) }
+    Outcome { finite, error: error(&[x_bar, u_bar].concat(), &[x_dual, u_dual].concat()) }
 }
 
 /// Condition number κ: relative change of the VJP per relative change of state and control, in a

@@ -215,7 +215,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let state = |k: usize| find(&self.lambda, rollout.state_dim, k).map(|place| (k, Variable::State, place));
         let control = |k: usize| find(&self.u_bar, rollout.control_dim, k).map(|place| (k, Variable::Control, place));
         let first = (0..K).find_map(|k| state(k).or_else(|| control(k)));
-        let (k, variable, (sample, component)) = first.expect("the probe saw one of them");
+        let (k, variable, (sample, component)) = first.expect("the probe found a non-finite value");
         let of = |lanes: &[Lane<F>], n: usize| -> Vec<F> {
             lanes[sample / WIDTH * n..][..n].iter().map(|number| number.lane(sample % WIDTH)).collect()
         };

@@ -6,8 +6,8 @@ use crate::engine::rollout::UNIT;
 /// Error: no schedule fits the memory limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{budget} bytes are not enough for the gradients: at least {smallest} are needed, and {everything} to run no step twice. \
-     Smaller mini-batches and a smaller policy need less"
+    "{budget} bytes are not enough for the gradients: at least {smallest} are needed, and {everything} to recompute no step. \
+     Raise the budget, or choose a smaller mini-batch or policy"
 )]
 pub struct MemoryError {
     /// Memory limit in bytes.

@@ -24,14 +24,14 @@ use toml::Value;
 /// loss and gradients, times, operations and memory.
 ///
 /// The reference is a run in f64 with a high-order method and small steps, checked against half as
-/// many steps. The policy has the initial parameters of the scene, without zeroed kernels. Eight
-/// samples run on one thread.
+/// many steps. The policy has the initial parameters of the scene, with a nonzero output layer.
+/// Eight samples run on one thread.
 #[derive(Debug, clap::Args)]
 pub struct Accuracy {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     pub scene: String,
     #[command(flatten)]
-    pub changes: Overrides,
+    pub overrides: Overrides,
     /// Name the cheapest setting with at most this error, and print its lines for the scene file
     #[arg(long, value_name = "ERROR")]
     pub target: Option<f64>,
@@ -96,25 +96,25 @@ impl Metric {
 const SUBSTEPS: [usize; 5] = [1, 2, 4, 8, 16];
 /// Timing rounds, and the least time in seconds per round for each setting and pass.
 const ROUNDS: usize = 5;
-const LEAST: f64 = 0.003;
+const MIN_TIME: f64 = 0.003;
 
 /// Runs the command.
 pub fn accuracy(args: &Accuracy) -> Result<()> {
     if let Some(target) = args.target
         && (target.is_nan() || target <= 0.0)
     {
-        bail!("--target {target}: an error to reach is more than 0, for example 1e-3");
+        bail!("--target {target}; allowed: a positive error, for example 1e-3");
     }
-    let mut document = presets::document(&args.scene)?;
-    args.changes.apply(&mut document)?;
-    let given = document.clone();
-    let scene = document.scene()?;
+    let mut source = presets::document(&args.scene)?;
+    args.overrides.apply(&mut source)?;
+    let given = source.clone();
+    let scene = source.scene()?;
     if scene.table.get("policy").is_some_and(|policy| policy.get("zero_init_output").is_some()) {
-        document.put("policy.zero_init_output", Value::Boolean(false), "accuracy")?;
+        source.put("policy.zero_init_output", Value::Boolean(false), "accuracy")?;
     }
     let name = presets::short_name(&args.scene);
     let folder = || Folder::named(args.out.as_deref(), &format!("accuracy_{name}"));
-    let study = Study { scene, given, document };
+    let study = Study { scene, given, source };
     if args.gradients {
         let horizons = gradients::parse(&args.horizons)?;
         return gradients::gradients(&study, &name, &*folder()?, &horizons, args.quiet);
@@ -123,7 +123,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     let settings = study.settings();
     let bar = bar(settings.len() * (1 + ROUNDS), args.quiet);
     if !args.quiet && bar.is_hidden() {
-        tell(&format!("{} settings, {ROUNDS} rounds of timing", settings.len()));
+        tell(&format!("measuring {} settings, {ROUNDS} rounds of timing", settings.len()));
     }
     let mut jobs = Vec::new();
     for setting in &settings {
@@ -136,7 +136,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     for round in 0..ROUNDS {
         for (job, times) in jobs.iter_mut().zip(&mut times) {
             if job.found.is_ok() {
-                times.push(job.time(LEAST));
+                times.push(job.time(MIN_TIME));
             }
             bar.inc(1);
         }
@@ -162,7 +162,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         for (method, scene) in scenes {
             inner.write(&format!("{method}.toml"), scene.table.to_string())?;
         }
-        say(&format!("the cheapest of every method, to train in: {}", inner.path().display()))?;
+        say(&format!("scenes with the cheapest setting of each method are in {}", inner.path().display()))?;
     }
     name_cheapest(&rows, args.metric, target)
 }
@@ -173,22 +173,22 @@ fn bar(steps: usize, quiet: bool) -> ProgressBar {
     if quiet {
         bar.set_draw_target(indicatif::ProgressDrawTarget::hidden());
     }
-    bar.set_style(ProgressStyle::with_template("{bar:30} {msg}  {elapsed} gone, {eta} left").expect("a fixed template"));
+    bar.set_style(ProgressStyle::with_template("{bar:30} {msg}  elapsed {elapsed}, ETA {eta}").expect("a fixed template"));
     bar
 }
 
 /// Scene whose integrator and precision are varied.
 struct Study {
-    /// SceneSource with the user's changes only.
+    /// Source of the scene with the user's overrides only.
     given: SceneSource,
     scene: Scene,
-    /// SceneSource without zeroed kernels.
-    document: SceneSource,
+    /// Source of the scene with a nonzero output layer.
+    source: SceneSource,
 }
 
 impl Study {
     fn job(&self, setting: &Setting) -> Result<Job> {
-        Ok(setting.of(&self.document)?.prepare())
+        Ok(setting.of(&self.source)?.prepare())
     }
 
     /// Scenes with the cheapest setting of every method that reaches the target.
@@ -207,7 +207,11 @@ impl Study {
             let setting = Setting { method, substeps, precision: Precision::F64 };
             let found = self.job(&setting)?.found;
             found.map_err(anyhow::Error::msg).with_context(|| {
-                format!("the reference ({}) diverged: this scene has no finite trajectory to compare with", setting.name())
+                format!(
+                    "the reference solution ({}) diverged; choose a scene with a finite trajectory, for example a shorter \
+                     `horizon`",
+                    setting.name()
+                )
             })
         };
         let (coarse, fine) = (run(substeps / 2)?, run(substeps)?);
@@ -244,7 +248,8 @@ fn name_cheapest(rows: &[Row], metric: Metric, target: f64) -> Result<()> {
     let finite = || rows.iter().filter_map(|row| Some((row, metric.read(row.errors.as_ref().ok()?))));
     if let Some((row, error)) = cheapest(rows.iter(), metric, target) {
         say(&format!(
-            "\nthe cheapest with an error of the {} of at most {target:e} is {}, with {error:.1e} and {:.3} us a step of a sample:\n\n{}",
+            "\nthe cheapest setting with an error of the {} of at most {target:e} is {}: error {error:.1e}, {:.3} us per step \
+             and sample; its lines in a scene file:\n\n{}",
             metric.name(),
             row.setting.name(),
             metric.time(row) * 1e6,
@@ -253,13 +258,17 @@ fn name_cheapest(rows: &[Row], metric: Metric, target: f64) -> Result<()> {
         return Ok(());
     }
     let best = finite().min_by(|a, b| a.1.total_cmp(&b.1));
-    let Some((row, error)) = best else { bail!("--target {target:e}: every setting diverged") };
-    let why = match row.setting.precision {
-        Precision::F32 => "rounding in f32 is in the way",
-        Precision::F64 => "take smaller steps than those tried here, or a larger target",
+    let Some((row, error)) = best else {
+        bail!(
+            "--target {target:e}: every setting diverged; choose a scene with a finite trajectory, for example a shorter `horizon`"
+        )
+    };
+    let advice = match row.setting.precision {
+        Precision::F32 => "f32 rounding limits the accuracy; choose a larger target",
+        Precision::F64 => "use more substeps than those tried here, or choose a larger target",
     };
     bail!(
-        "--target {target:e}: no setting has so small an error of the {}; the best is {}, with {error:.1e}: {why}",
+        "--target {target:e}: no setting reaches this error of the {}; the most accurate is {}, with {error:.1e}: {advice}",
         metric.name(),
         row.setting.name()
     )

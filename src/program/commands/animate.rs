@@ -22,7 +22,7 @@ pub struct Animate {
 /// Runs the command.
 pub fn animate(args: &Animate) -> Result<()> {
     for folder in saved::runs(&Folder::existing(&args.folder)?)? {
-        film(&folder, args.sample)?;
+        animation(&folder, args.sample)?;
         if !args.quiet {
             say(&folder.file(ANIMATION).display().to_string())?;
         }
@@ -30,13 +30,13 @@ pub fn animate(args: &Animate) -> Result<()> {
     Ok(())
 }
 
-fn film(folder: &Folder, sample: usize) -> Result<()> {
+fn animation(folder: &Folder, sample: usize) -> Result<()> {
     let scene = saved::scene(folder)?;
     let mut run = scene.open(1)?;
     saved::restore(folder, &scene, &mut *run)?;
     let samples = run.test_samples();
     if sample >= samples {
-        bail!("--sample is {sample}; allowed: 0 to {}, the test start states of {}", samples - 1, folder.path().display());
+        bail!("--sample is {sample}; allowed: 0 to {}, the test initial states of {}", samples - 1, folder.path().display());
     }
     folder.write(ANIMATION, outputs::film(&scene, &run.rollouts(sample..sample + 1)[0]))
 }

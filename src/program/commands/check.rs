@@ -23,11 +23,11 @@ pub fn check(args: &Check) -> Result<()> {
     }
     let (table, failures) = results.finish();
     say(&table.to_string())?;
-    say("errors are relative to the largest component, in double precision, against dual numbers")?;
+    say("errors in f64 against dual numbers, relative to the largest component")?;
     if failures.is_empty() {
         return Ok(());
     }
-    bail!("{} of the checks failed:\n{}", failures.len(), failures.join("\n"));
+    bail!("{} gradient checks failed:\n{}", failures.len(), failures.join("\n"));
 }
 
 /// Named scenes to check.

@@ -31,7 +31,7 @@ pub struct Compare {
     #[arg(long, value_name = "K", default_value_t = 3)]
     pub seeds: u64,
     #[command(flatten)]
-    pub changes: Overrides,
+    pub overrides: Overrides,
     /// Number of threads, one run each [default: RAYON_NUM_THREADS, or all cores]
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
@@ -45,12 +45,12 @@ pub struct Compare {
 
 /// Runs the command.
 pub fn compare(args: &Compare) -> Result<()> {
-    if args.changes.field.is_some() || args.changes.set.iter().any(|set| set.trim_start().starts_with("field")) {
-        bail!("a comparison has --fields, not a single field");
+    if args.overrides.field.is_some() || args.overrides.set.iter().any(|set| set.trim_start().starts_with("field")) {
+        bail!("`field` is set, but a comparison trains several fields; choose them with --fields");
     }
     let names: Vec<String> = args.scenes.iter().map(|scene| presets::short_name(scene)).collect();
     check_distinct("the command", names.iter().map(String::as_str))?;
-    let bases = args.scenes.iter().map(|scene| changed(scene, &args.changes)).collect::<Result<Vec<Scene>>>()?;
+    let bases = args.scenes.iter().map(|scene| changed(scene, &args.overrides)).collect::<Result<Vec<Scene>>>()?;
     for base in &bases {
         check_options(&args.fields, args.seeds, base.epochs)?;
     }
@@ -58,18 +58,18 @@ pub fn compare(args: &Compare) -> Result<()> {
     check_sessions(&bases, &args.fields)?;
     let folder = Folder::named(args.out.as_deref(), &format!("compare-{}", names.join("-")))?;
     if folder.has(SETTINGS) {
-        bail!("{} holds a run, and is not a comparison; choose another folder with --out", folder.path().display());
+        bail!("{} holds a run and is not a comparison; choose another folder with --out", folder.path().display());
     }
     let one = bases.len() == 1;
     let mut comparisons = Vec::new();
     for (name, base) in names.iter().zip(&bases) {
-        // Gives each scene a complete comparison folder of its own.
+        // Each scene has a complete comparison folder.
         let (label, inner) = if one { ("", Folder::clone(&folder)) } else { (&**name, Folder::at(folder.file(name))) };
         comparisons.push(Comparison::plan(label, base, &args.fields, args.seeds, &inner)?);
     }
     let swept = sweep(&mut comparisons, args.quiet)?;
     if swept.interrupted {
-        let _ = say(&format!("interrupted; the same command with --out {} goes on", folder.path().display()));
+        let _ = say(&format!("interrupted; to resume, repeat the command with --out {}", folder.path().display()));
         return swept.into_result();
     }
     let scenes: Vec<InScene> = names
@@ -82,9 +82,9 @@ pub fn compare(args: &Compare) -> Result<()> {
     folder.write("curves.svg", comparison(&title, &all_curves(&scenes)).to_svg())?;
     if !args.quiet {
         let files = if one {
-            "summary.csv, curves.svg, and every run in runs/"
+            "summary.csv, curves.svg, and all runs in runs/"
         } else {
-            "summary.csv, curves.svg, and a folder for every scene"
+            "summary.csv, curves.svg, and one folder per scene"
         };
         say(&format!("{}\nresults in {}: {files}", table(&scenes), folder.path().display()))?;
     }

@@ -17,14 +17,18 @@ pub struct Effects {}
 const HEAD: &str = "\
 # Effects
 
-What a scene can name beyond its system; how to name it is in [scenes.md](scenes.md). This page is made by `physgrad effects`.
+Optional physics that a scene can add to its system; [scenes.md](scenes.md) shows how. The command
+`physgrad effects` generates this page.
 
-Costs are operations of one step of one sample and of its VJP to state and control, in the task's default system. They are counted, and a
-test holds this page to them. An effect costs the same whatever else is there; actuators in a chain share work. What a scene does not name costs
-nothing. Only operations on the state are counted: what is worked out of a scene's constants, a static potential for instance, is not.
+Costs are operation counts of one step of one sample, and of its VJP to state and control, in the
+task's default system. A test compares this page with the counts. An effect costs the same with and
+without other effects; chained actuators share operations. Absent effects cost nothing. Counts
+include only operations on the state, not the precomputation of constants such as a static
+potential.
 
-Derivatives by hand are compared with dual numbers in the tests, and in any scene by `physgrad check SCENE`. *Smoothed*: a leap in the physics was made a
-slope. *One-sided*: the derivative leaps at a point, where that of one side is taken.
+Tests compare the analytic derivatives with dual numbers; `physgrad check SCENE` does so for any
+scene. *Smoothed*: a smooth function replaces a jump in the physics. *One-sided*: the derivative
+jumps at a point, and the value of one side is used.
 ";
 
 /// Runs the command.
@@ -41,8 +45,8 @@ fn page() -> Result<String> {
     }
     let _ = writeln!(
         page,
-        "\n## Actuators\n\nFor every task, between the policy's control u and what the physics gets of it, u'; in this order. Their own \
-         state begins at 0. Costs are those in cart_pole, which has one control.\n"
+        "\n## Actuators\n\nAvailable in every task. They map the policy's control u to the control u' that the physics receives, \
+         in this order. Their state starts at 0. Costs are for cart_pole, which has one control.\n"
     );
     section(&mut page, TASKS[0], "actuator", &ACTUATORS)?;
     Ok(page)
@@ -110,7 +114,7 @@ fn parameters(page: &mut String, schema: &Value) {
     let _ = writeln!(page, "| parameter | default | |\n|---|---|---|");
     for (name, of) in schema.as_object().into_iter().flatten() {
         let default = match &of["default"] {
-            Value::Null => "to be given".to_owned(),
+            Value::Null => "required".to_owned(),
             Value::String(word) => format!("`{word}`"),
             default => default.to_string(),
         };
@@ -126,16 +130,16 @@ fn parameters(page: &mut String, schema: &Value) {
 fn symbols(task: &str) -> &'static str {
     match task {
         "cart_pole" => {
-            "x is the place of the cart, θ_i and ω_i are angle and rate of pole i, l is `half_length`; F is the force on the cart and τ_i the \
-             torque on a pole. Costs are those with 2 poles."
+            "x is the position of the cart, θ_i and ω_i are angle and angular velocity of pole i, l is `half_length`; F is the \
+             force on the cart and τ_i the torque on pole i. Costs are for 2 poles."
         }
         "guidance" => {
-            "D_j and E_k are the places of drivers and evaders, a is an acceleration, and d is the distance plus `softening`. Costs are \
-             those with 2 drivers and 4 evaders."
+            "D_j and E_k are the positions of drivers and evaders, a is an acceleration, and d is the distance plus `softening`. \
+             Costs are for 2 drivers and 4 evaders."
         }
         "quantum" => {
-            "V is the potential and ξ the place, from the middle of the box; ħ = 1 and m = 1/2. There is one static potential: `harmonic`, \
-             `barrier` or `double_well`. Costs are those with 32 grid points."
+            "V is the potential and ξ the position, from the middle of the box; ħ = 1 and m = 1/2. A scene has at most one \
+             static potential: `harmonic`, `barrier` or `double_well`. Costs are for 32 grid points."
         }
         _ => "",
     }

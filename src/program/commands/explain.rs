@@ -11,16 +11,16 @@ use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{ContentArrangement, Table};
 use physgrad::{Field, OpCount, Ops};
 
-/// Explain what a scene simulates and what it leaves out; count operations of a step and its VJP by
+/// List the present and absent effects of a scene; count operations of a step and its VJP by
 /// effect, and stored bytes.
 ///
-/// All figures are counts, not timings: they are the same on every machine.
+/// All numbers are counts, not timings, so they are equal on every machine.
 #[derive(Debug, clap::Args)]
 pub struct Explain {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     pub scene: String,
     #[command(flatten)]
-    pub changes: Overrides,
+    pub overrides: Overrides,
 }
 
 /// Largest width of a table, in characters.
@@ -30,22 +30,22 @@ const FEW_STEPS: usize = 8;
 
 /// Runs the command.
 pub fn explain(args: &Explain) -> Result<()> {
-    let mut document = presets::document(&args.scene)?;
-    args.changes.apply(&mut document)?;
-    let scene = document.scene()?;
+    let mut source = presets::document(&args.scene)?;
+    args.overrides.apply(&mut source)?;
+    let scene = source.scene()?;
     say(&format!("{}: {}\n", args.scene, scene.kind.about()))?;
     let states = scene.state_names();
-    say(&format!("state of {} numbers, {}", states.len(), names(&states)))?;
+    say(&format!("state, {} components: {}", states.len(), names(&states)))?;
     let controls = scene.control_names();
-    say(&format!("control of {} number{}, {}\n", controls.len(), if controls.len() == 1 { "" } else { "s" }, names(&controls)))?;
+    say(&format!("control, {} component{}: {}\n", controls.len(), if controls.len() == 1 { "" } else { "s" }, names(&controls)))?;
     say(&effects(&scene).to_string())?;
     say(
-        "\noperations of one step of one sample; of its VJP to state and control (R, M); of its VJP to the control alone (N, S)",
+        "\noperations per step and sample: of the step, of its VJP to state and control (R, M), of its VJP to the control (N, S)",
     )?;
-    say("(of a part: those that are saved without it)")?;
+    say("the count of an effect is the whole minus the scene without it")?;
     say(&operations(&scene)?.to_string())?;
     say(&format!(
-        "\nwhat is kept of one sample, in {}; and allocations in a step of all {SAMPLES} samples of a block, once it has run",
+        "\nmemory per sample in {}, and allocations per step of a block of {SAMPLES} samples after the first run",
         scene.precision.name()
     ))?;
     say(&bytes(&scene)?.to_string())?;
@@ -84,7 +84,7 @@ fn effects(scene: &Scene) -> Table {
     for present in [true, false] {
         for (section, info) in parts.iter().filter(|(section, info)| is_present(scene, section, info.name) == present) {
             let key = format!("{section}.{}", info.name);
-            table.add_row([if present { "in play" } else { "absent" }, &key, info.equation, info.derivative]);
+            table.add_row([if present { "present" } else { "absent" }, &key, info.equation, info.derivative]);
         }
     }
     table
@@ -100,8 +100,8 @@ fn numbers(cost: &OpCount) -> [[i64; 8]; 3] {
 
 /// Operation counts of the system alone, of each part that is present, and of the whole.
 ///
-/// The count of a part is the whole minus the scene without it. Two actuators share the hand-over
-/// between them, which both differences contain. The row "counted twice" shows this overlap.
+/// The count of a part is the whole minus the scene without it. Two actuators share operations at
+/// their boundary, which both differences contain. The row "counted twice" shows this overlap.
 fn operations(scene: &Scene) -> Result<Table> {
     let kinds = ["all", "add, subtract", "negate", "multiply", "divide", "root", "function", "compare"];
     let mut table = table(&[&["", "pass"][..], &kinds].concat());
@@ -116,7 +116,7 @@ fn operations(scene: &Scene) -> Result<Table> {
     let alone = numbers(&scene.kind.scene(bare)?.cost());
     rows("system alone", alone);
     let whole = numbers(&scene.cost());
-    let mut twice = difference(alone, whole);
+    let mut shared = difference(alone, whole);
     for (section, info) in parts(scene) {
         if !is_present(scene, section, info.name) {
             continue;
@@ -127,10 +127,10 @@ fn operations(scene: &Scene) -> Result<Table> {
         }
         let rest = numbers(&scene.kind.scene(without)?.cost());
         rows(&format!("{section}.{}", info.name), difference(whole, rest));
-        twice = difference(twice, difference(rest, whole));
+        shared = difference(shared, difference(rest, whole));
     }
-    if twice.as_flattened().iter().any(|&count| count != 0) {
-        rows("counted twice", twice);
+    if shared.as_flattened().iter().any(|&count| count != 0) {
+        rows("counted twice", shared);
     }
     rows("together", whole);
     Ok(table)
@@ -143,7 +143,7 @@ fn difference(a: [[i64; 8]; 3], b: [[i64; 8]; 3]) -> [[i64; 8]; 3] {
 /// Bytes of a rollout and of the adjoint of each field, per step and constant, and allocations per
 /// step.
 fn bytes(scene: &Scene) -> Result<Table> {
-    let mut table = table(&["", "bytes each step", "besides", "whole rollout", "allocations each step"]);
+    let mut table = table(&["", "bytes per step", "constant", "whole rollout", "allocations per step"]);
     let steps = scene.horizon;
     let with_horizon = |horizon: usize| {
         let mut table = scene.table.clone();
@@ -154,14 +154,14 @@ fn bytes(scene: &Scene) -> Result<Table> {
     let (short, long) = (with_horizon(FEW_STEPS)?, with_horizon(2 * FEW_STEPS)?);
     let mut row = |name: &str, field: Option<Field>| {
         let [short, long] = [&short, &long].map(|scene| scene.stored(field));
-        let each = (long.bytes - short.bytes) / (FEW_STEPS * SAMPLES);
-        let besides = short.bytes / SAMPLES - each * FEW_STEPS;
+        let per_step = (long.bytes - short.bytes) / (FEW_STEPS * SAMPLES);
+        let constant = short.bytes / SAMPLES - per_step * FEW_STEPS;
         let allocations = long.allocations.zip(short.allocations).map(|(long, short)| (long - short) / FEW_STEPS);
         table.add_row([
             name.to_owned(),
-            each.to_string(),
-            besides.to_string(),
-            (besides + each * steps).to_string(),
+            per_step.to_string(),
+            constant.to_string(),
+            (constant + per_step * steps).to_string(),
             allocations.map_or("diverges".to_owned(), |allocations| allocations.to_string()),
         ]);
     };

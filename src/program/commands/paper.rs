@@ -21,7 +21,7 @@ use study::{FIG3, FIG4, FIG5};
 pub struct Paper {
     /// Figure to reproduce
     #[arg(value_enum)]
-    pub figure: Which,
+    pub figure: Figure,
     #[command(flatten)]
     pub options: Options,
     /// Number of threads, one run each [default: RAYON_NUM_THREADS, or all cores]
@@ -57,7 +57,7 @@ pub struct Options {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum Which {
+pub enum Figure {
     /// Toy example: loss landscape, gradient and modified field
     Fig1,
     /// Toy example: Adam along a gradient, a rotating field, and their combination
@@ -72,7 +72,7 @@ pub enum Which {
     All,
 }
 
-impl Which {
+impl Figure {
     /// Name on the command line and in file names.
     fn name(self) -> String {
         self.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
@@ -87,7 +87,7 @@ impl Options {
 }
 
 /// A finished figure.
-pub struct Made {
+pub struct FinishedFigure {
     pub drawing: Drawing,
     /// Plotted numbers.
     pub csv: Vec<u8>,
@@ -95,7 +95,7 @@ pub struct Made {
     pub table: String,
 }
 
-impl Made {
+impl FinishedFigure {
     /// Writes `<name>.svg`, `.png`, `.csv` and `.md`, and prints the table.
     pub fn write(&self, name: &str, folder: &Folder, options: &Options) -> Result<()> {
         folder.write(&format!("{name}.svg"), self.drawing.to_svg())?;
@@ -118,23 +118,23 @@ pub fn paper(args: &Paper) -> Result<()> {
     threads(args.threads)?;
     let default = if options.quick { "runs/paper-quick" } else { "runs/paper" };
     let folder = Folder::at(args.out.as_deref().unwrap_or(Path::new(default))).lock()?;
-    let write = |which: Which, made: Result<Made>| made?.write(&which.name(), &folder, options);
+    let write = |figure: Figure, finished: Result<FinishedFigure>| finished?.write(&figure.name(), &folder, options);
     // Longest figure last.
-    let figures: [(Which, &dyn Fn() -> Result<()>); 5] = [
-        (Which::Fig1, &|| write(Which::Fig1, fig1::fig1(options.quick))),
-        (Which::Fig2, &|| write(Which::Fig2, fig2::fig2(options.quick))),
-        (Which::Fig4, &|| FIG4.run(options, &folder)),
-        (Which::Fig3, &|| FIG3.run(options, &folder)),
-        (Which::Fig5, &|| FIG5.run(options, &folder)),
+    let figures: [(Figure, &dyn Fn() -> Result<()>); 5] = [
+        (Figure::Fig1, &|| write(Figure::Fig1, fig1::fig1(options.quick))),
+        (Figure::Fig2, &|| write(Figure::Fig2, fig2::fig2(options.quick))),
+        (Figure::Fig4, &|| FIG4.run(options, &folder)),
+        (Figure::Fig3, &|| FIG3.run(options, &folder)),
+        (Figure::Fig5, &|| FIG5.run(options, &folder)),
     ];
     // Continues with the other figures after an error.
-    let mut problems = Vec::new();
-    for (which, make) in figures {
-        if [which, Which::All].contains(&args.figure) && signals::received().is_none() {
-            problems.extend(make().err().map(|error| format!("{}: {error:#}", which.name())));
+    let mut errors = Vec::new();
+    for (figure, make) in figures {
+        if [figure, Figure::All].contains(&args.figure) && signals::received().is_none() {
+            errors.extend(make().err().map(|error| format!("{}: {error:#}", figure.name())));
         }
     }
-    if problems.is_empty() { Ok(()) } else { bail!("{}", problems.join("\n")) }
+    if errors.is_empty() { Ok(()) } else { bail!("{}", errors.join("\n")) }
 }
 
 #[cfg(test)]
@@ -142,7 +142,7 @@ mod tests {
     use super::*;
 
     /// Checks that the SVG parses and is small, that the CSV has no NaN, and that there is a table.
-    fn check(header: &str, figure: &Made) {
+    fn check(header: &str, figure: &FinishedFigure) {
         let svg = figure.drawing.to_svg();
         roxmltree::Document::parse(&svg).expect("an SVG is XML");
         assert!(!svg.contains("NaN") && svg.len() < 500_000, "{} bytes", svg.len());

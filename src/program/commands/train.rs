@@ -20,7 +20,7 @@ pub struct Train {
     /// A task or another preset (see `physgrad scene`), or the path of a scene
     pub scene: String,
     #[command(flatten)]
-    pub changes: Overrides,
+    pub overrides: Overrides,
     /// Number of threads [default: RAYON_NUM_THREADS, or all cores]; results do not depend on it
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
@@ -46,19 +46,23 @@ pub fn train(args: &Train) -> Result<()> {
     let (scene, run, folder) = match (&args.out, args.resume) {
         (Some(out), true) => {
             let folder = Folder::existing(out)?.lock()?;
-            let scene = resumed(&folder, &args.changes)?;
-            let [here, there] = [presets::document(&args.scene)?.scene()?, scene.clone()].map(|scene| scene.kind.name());
-            if here != there {
-                bail!("the run in {} is of the task {there}, and {} is of {here}", folder.path().display(), args.scene);
+            let scene = resumed(&folder, &args.overrides)?;
+            let [named, saved] = [presets::document(&args.scene)?.scene()?, scene.clone()].map(|scene| scene.kind.name());
+            if named != saved {
+                bail!(
+                    "the run in {} has the task {saved}, but {} has the task {named}; name a scene of {saved}",
+                    folder.path().display(),
+                    args.scene
+                );
             }
             if presets::is_path(&args.scene) {
-                note_differences(&folder, &scene, &args.scene, &args.changes)?;
+                note_differences(&folder, &scene, &args.scene, &args.overrides)?;
             }
             let run = scene.open(workers)?;
             (scene, run, folder)
         }
         (out, _) => {
-            let scene = changed(&args.scene, &args.changes)?;
+            let scene = changed(&args.scene, &args.overrides)?;
             let run = scene.open(workers)?;
             let folder = Folder::named(out.as_deref(), &presets::short_name(&args.scene))?;
             (scene, run, folder.without_run()?)
@@ -84,8 +88,8 @@ pub fn train(args: &Train) -> Result<()> {
     if finished.interrupted {
         let done = finished.records.len();
         let command = format!("physgrad train {} --resume --out {}", args.scene, folder.path().display());
-        // The terminal may be gone, and the exit status is that of the signal.
-        let _ = say(&format!("interrupted after epoch {done}; to go on: {command}"));
+        // Ignores errors: the terminal may be closed, and the signal determines the exit status.
+        let _ = say(&format!("interrupted after epoch {done}; to resume: {command}"));
         return Ok(());
     }
     let results = folder.path().display();
@@ -94,7 +98,7 @@ pub fn train(args: &Train) -> Result<()> {
         bail!(NoUpdate(format!("{results}{reason}")));
     }
     if let Some(error) = finished.broken {
-        return Err(error).with_context(|| format!("the run up to its last whole epoch is in {results}"));
+        return Err(error).with_context(|| format!("the run up to its last complete epoch is in {results}"));
     }
     printed
 }
@@ -106,13 +110,13 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 /// Prints the settings in which the scene file differs from the resumed run.
-fn note_differences(folder: &Folder, scene: &Scene, file: &str, changes: &Overrides) -> Result<()> {
-    let mut document = presets::document(file)?;
-    changes.apply_again(&mut document)?;
-    let (saved, named) = (scene.identity(), document.scene()?.identity());
+fn note_differences(folder: &Folder, scene: &Scene, file: &str, overrides: &Overrides) -> Result<()> {
+    let mut source = presets::document(file)?;
+    overrides.apply_again(&mut source)?;
+    let (saved, named) = (scene.identity(), source.scene()?.identity());
     if saved != named {
         tell(&format!(
-            "note: the run in {} goes on with its own scene; {file} differs in:\n{}",
+            "note: the run in {} resumes with its saved settings; {file} differs in:\n{}",
             folder.path().display(),
             differences(&saved, &named)
         ));
@@ -130,16 +134,16 @@ fn summary(folder: &Folder, scene: &Scene, records: &[Record]) -> String {
             &format!("{epochs} epochs in {seconds:.1} s: training loss {train:.3e}, test loss {test:.3e} (best {best:.3e})\n");
         let skipped: usize = records.iter().map(|r| r.skipped).sum();
         if skipped > 0 {
-            text += &format!("{skipped} updates were skipped because a number was not finite\n");
+            text += &format!("{skipped} updates were skipped because a number was non-finite\n");
         }
         for warning in last.warnings(scene.horizon, scene.precision.epsilon()) {
-            text += &format!("not to be trusted: {warning}\n");
+            text += &format!("warning: unreliable gradients: {warning}\n");
         }
     }
     text += &format!("results in {}:\n", folder.path().display());
-    text += "  learning_curve.svg, animation.svg   to look at\n";
-    text += "  metrics.csv, trajectory.csv         numbers\n";
+    text += "  learning_curve.svg, animation.svg   pictures\n";
+    text += "  metrics.csv, trajectory.csv         data\n";
     text += "  policy.safetensors                  the trained policy\n";
-    text += "  run.toml, checkpoint.bin            to repeat or resume";
+    text += "  run.toml, checkpoint.bin            settings and state, to resume";
     text
 }

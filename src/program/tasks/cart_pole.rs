@@ -88,9 +88,9 @@ impl CartPoleEffects {
     }
 
     /// Wind speed, from the state components that effects add.
-    fn wind(&self, beyond: &[f64]) -> Option<f64> {
+    fn wind(&self, added: &[f64]) -> Option<f64> {
         let steady = self.steady_wind.map(|wind| wind.speed);
-        let gusty = self.gusty_wind.map(|wind| wind.speed + wind.gust * (TAU * beyond[0] / wind.period).sin());
+        let gusty = self.gusty_wind.map(|wind| wind.speed + wind.gust * (TAU * added[0] / wind.period).sin());
         steady.or(gusty)
     }
 
@@ -181,23 +181,23 @@ impl TaskSpec for CartPole {
     const HORIZON: usize = 100;
     const METHODS: &'static [Method] = &Method::ODE;
     const EFFECTS: &'static [Info] = &[
-        Info { name: "pole_damping", equation: "τ_i = -damping ω_i", derivative: "by hand" },
-        Info { name: "cart_damping", equation: "F = -damping ẋ", derivative: "by hand" },
-        Info { name: "dry_friction", equation: "F = -force tanh(ẋ / smoothing)", derivative: "by hand; smoothed" },
+        Info { name: "pole_damping", equation: "τ_i = -damping ω_i", derivative: "analytic" },
+        Info { name: "cart_damping", equation: "F = -damping ẋ", derivative: "analytic" },
+        Info { name: "dry_friction", equation: "F = -force tanh(ẋ / smoothing)", derivative: "analytic; smoothed" },
         Info {
             name: "steady_wind",
             equation: "F = cart_drag |w - ẋ| (w - ẋ) + Σ D_i cos θ_i, τ_i = l D_i, D_i = pole_drag |v_i| v_i, v_i = (w - ẋ) cos θ_i - l ω_i, w = speed",
-            derivative: "by hand",
+            derivative: "analytic",
         },
         Info {
             name: "gusty_wind",
             equation: "as steady_wind, w = speed + gust sin(2π t / period); adds t to the state",
-            derivative: "by hand",
+            derivative: "analytic",
         },
         Info {
             name: "bumpers",
             equation: "F = -stiffness δ max(0, 1 + damping dδ/dt), δ = max(0, |x| - half_travel), outwards",
-            derivative: "by hand; one-sided at the touch",
+            derivative: "analytic; one-sided at contact",
         },
     ];
 
@@ -224,7 +224,7 @@ impl TaskSpec for CartPole {
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
         let effects = settings.effects.list();
         let system = CartPoleSystem { dt: system_dt(settings), ..settings.system.parameters() };
-        // Uses a separate type for the paper's system. Each further type would cost compile time.
+        // Uses a separate type for the paper's system only, because each type costs compile time.
         match settings.system.model {
             Model::Uncoupled if effects.is_empty() && settings.actuator.is_empty() && settings.integrator.is_empty() => {
                 swing_up(system, settings, visitor)
@@ -273,11 +273,11 @@ impl TaskSpec for CartPole {
 
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
         let CartPoleSettings { half_length, dt, .. } = settings.system;
-        let own = System::state_dim(&settings.system.parameters());
+        let dim = System::state_dim(&settings.system.parameters());
         let forces: Vec<f64> = settings.actuator.applied(dt, states, controls).iter().map(|u| u[0]).collect();
-        let wind = states.iter().filter_map(|x| settings.effects.wind(&x[own..])).collect();
+        let wind = states.iter().filter_map(|x| settings.effects.wind(&x[dim..])).collect();
         let rail = Rail { bumpers: settings.effects.bumpers.map(|bumpers| bumpers.half_travel), wind };
-        let states: Vec<Vec<f64>> = states.iter().map(|x| x[..own].to_vec()).collect();
+        let states: Vec<Vec<f64>> = states.iter().map(|x| x[..dim].to_vec()).collect();
         report::cart_pole_on(&rail, &states, &forces, half_length, dt)
     }
 }

@@ -41,7 +41,7 @@ pub struct GuidanceEffects {
     walls: Option<Walls>,
 }
 
-/// Effects of the paper, as a type of their own.
+/// Concrete type of the paper's effects.
 type PaperEffects = (Named<Friction>, Named<Spread>, Named<Evade>, Named<Flock>);
 
 impl GuidanceEffects {
@@ -163,20 +163,22 @@ impl TaskSpec for Guidance {
     const METHODS: &'static [Method] = &Method::ODE;
 
     const EFFECTS: &'static [Info] = &[
-        Info { name: "friction", equation: "a = -friction v", derivative: "by hand" },
-        Info { name: "spread", equation: "driver j: a = strength Σ_i (D_j - D_i) / d²", derivative: "by hand" },
-        Info { name: "evade", equation: "evader k: a = strength Σ_j (E_k - D_j) / d²", derivative: "by hand" },
-        Info { name: "flock", equation: "evader k: a = strength Σ_i (distance / d - 1) / d (E_i - E_k)", derivative: "by hand" },
-        Info { name: "drive", equation: "driver j: a = strength Σ_k (E_k - D_j) / d²", derivative: "by hand" },
+        Info { name: "friction", equation: "a = -friction v", derivative: "analytic" },
+        Info { name: "spread", equation: "driver j: a = strength Σ_i (D_j - D_i) / d²", derivative: "analytic" },
+        Info { name: "evade", equation: "evader k: a = strength Σ_j (E_k - D_j) / d²", derivative: "analytic" },
+        Info {
+            name: "flock", equation: "evader k: a = strength Σ_i (distance / d - 1) / d (E_i - E_k)", derivative: "analytic"
+        },
+        Info { name: "drive", equation: "driver j: a = strength Σ_k (E_k - D_j) / d²", derivative: "analytic" },
         Info {
             name: "obstacles",
             equation: "a = stiffness max(0, radius - |r|) r / d, r from the center",
-            derivative: "by hand; one-sided at the touch",
+            derivative: "analytic; one-sided at contact",
         },
         Info {
             name: "walls",
             equation: "a = -stiffness max(0, |x| - half_width), outwards, and likewise in y",
-            derivative: "by hand; one-sided at the touch",
+            derivative: "analytic; one-sided at contact",
         },
     ];
 
@@ -185,12 +187,12 @@ impl TaskSpec for Guidance {
     }
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
-        let (system, price) = (&settings.system, settings.loss.regularization);
+        let (system, regularization) = (&settings.system, settings.loss.regularization);
         count("system.drivers", system.drivers, 1..=1000)?;
         count("system.evaders", system.evaders, 1..=1000)?;
         positive("system.softening", system.softening)?;
         positive("system.dt", system.dt)?;
-        not_negative("loss.regularization", price)?;
+        not_negative("loss.regularization", regularization)?;
         settings.effects.validate()
     }
 
@@ -217,7 +219,7 @@ impl TaskSpec for Guidance {
             settings
         };
         vec![
-            ("1 driver, 1 evader, final loss".into(), variant(1, 1, LossMode::Terminal)),
+            ("1 driver, 1 evader, terminal loss".into(), variant(1, 1, LossMode::Terminal)),
             ("2 drivers, 4 evaders, running loss".into(), variant(2, 4, LossMode::Running)),
         ]
     }
@@ -237,8 +239,8 @@ impl TaskSpec for Guidance {
     }
 
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
-        let own = System::state_dim(&settings.system);
-        let states: Vec<Vec<f64>> = states.iter().map(|x| x[..own].to_vec()).collect();
+        let dim = System::state_dim(&settings.system);
+        let states: Vec<Vec<f64>> = states.iter().map(|x| x[..dim].to_vec()).collect();
         report::guidance_in(&settings.effects.field(), &states, settings.system.drivers, settings.system.dt)
     }
 }

@@ -77,8 +77,8 @@ fn upright<K: TaskSpec<Loss = UprightLoss>, O: Ode>(
     start: Start,
 ) -> Upright<Integrated<O, AnyIntegrator>> {
     let UprightLoss { mode: loss, control_weight } = settings.loss;
-    let usual = AnyIntegrator::RungeKutta(RungeKutta::RK4);
-    let integrator = settings.integrator.integrator(settings.precision).unwrap_or(usual);
+    let default = AnyIntegrator::RungeKutta(RungeKutta::RK4);
+    let integrator = settings.integrator.integrator(settings.precision).unwrap_or(default);
     let system = Integrated { ode, integrator, dt: small_step(settings) };
     let (from, spread) = match start {
         Start::Hanging => (PI, PI / 6.0),

@@ -53,7 +53,7 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     const EPOCHS: usize;
     /// Default number of time steps.
     const HORIZON: usize;
-    /// Integrators that can replace the task's own.
+    /// Integrators that can replace the task's native scheme.
     const METHODS: &'static [Method] = &[];
     /// Every effect, in the order of the section.
     const EFFECTS: &'static [Info] = &[];
@@ -94,10 +94,10 @@ pub struct Conserved {
     /// Name of the quantity.
     pub name: &'static str,
     /// Evaluates the quantity at a state.
-    pub value: OfState,
+    pub value: StateFunction,
 }
 
-type OfState = Box<dyn Fn(&[f64]) -> f64>;
+type StateFunction = Box<dyn Fn(&[f64]) -> f64>;
 
 impl Conserved {
     /// Largest deviation from the initial value over all samples, relative to the largest absolute
@@ -136,16 +136,16 @@ pub trait AnyTaskSpec: Send + Sync {
     fn about(&self) -> &'static str;
     /// Every effect.
     fn effects(&self) -> &'static [Info];
-    /// Integrators that can replace the task's own.
+    /// Integrators that can replace the task's native scheme.
     fn methods(&self) -> &'static [Method];
     /// A high-order integrator and the number of substeps per control step, used as reference
     /// solution.
     fn reference(&self) -> (&'static str, usize);
     /// The default settings.
     fn defaults(&self) -> Table;
-    /// Fills in missing settings that have a default of their own.
+    /// Fills in missing settings that have a default.
     fn fill(&self, settings: Table) -> Result<Table, ConfigError>;
-    /// Makes a scene from complete settings.
+    /// Creates a scene from complete settings.
     fn scene(&'static self, settings: Table) -> Result<Scene, ConfigError>;
     /// JSON schema of scenes of this task.
     fn schema(&self) -> serde_json::Value;

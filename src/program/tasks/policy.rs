@@ -32,7 +32,7 @@ pub struct MlpSettings {
     widths: Vec<usize>,
     /// Whether layers have a bias.
     bias: bool,
-    /// Initialize the last kernel with zeros.
+    /// Initialize the weights of the output layer with zeros.
     zero_init_output: bool,
 }
 

@@ -135,7 +135,7 @@ impl Default for QuantumLoss {
 pub struct ConvSettings {
     /// Number of filters of each convolution.
     width: usize,
-    /// Initialize the last kernel with zeros.
+    /// Initialize the weights of the output layer with zeros.
     zero_init_output: bool,
 }
 
@@ -181,22 +181,14 @@ impl TaskSpec for Quantum {
     const METHODS: &'static [Method] = &Method::QUANTUM;
 
     const EFFECTS: &'static [Info] = &[
-        Info { name: "harmonic", equation: "V = stiffness (ξ - center)²", derivative: "none is needed: it does not see ψ" },
-        Info {
-            name: "barrier",
-            equation: "V = height / cosh²((ξ - center) / width)",
-            derivative: "none is needed: it does not see ψ",
-        },
-        Info {
-            name: "double_well",
-            equation: "V = height ((2 ξ / separation)² - 1)²",
-            derivative: "none is needed: it does not see ψ",
-        },
-        Info { name: "cubic", equation: "V = strength |ψ_j|² / dx", derivative: "by hand" },
+        Info { name: "harmonic", equation: "V = stiffness (ξ - center)²", derivative: "none: independent of ψ" },
+        Info { name: "barrier", equation: "V = height / cosh²((ξ - center) / width)", derivative: "none: independent of ψ" },
+        Info { name: "double_well", equation: "V = height ((2 ξ / separation)² - 1)²", derivative: "none: independent of ψ" },
+        Info { name: "cubic", equation: "V = strength |ψ_j|² / dx", derivative: "analytic" },
         Info {
             name: "absorbing_edges",
             equation: "ψ_j ← exp(-dt W) ψ_j, W = strength ((width - d) / width)² at the distance d < width from a wall",
-            derivative: "by hand",
+            derivative: "analytic",
         },
     ];
 
@@ -216,10 +208,10 @@ impl TaskSpec for Quantum {
         // Within these limits every initial state can be normalized.
         let can_be_normalized = first.is_finite() && second.is_finite() && (1e-6..=1e6).contains(&first.abs().max(second.abs()));
         let weighting = format!("[{first}, {second}]");
-        allowed("system.weighting", weighting, can_be_normalized, "two numbers, the larger in size 1e-6 to 1e6")?;
+        allowed("system.weighting", weighting, can_be_normalized, "two numbers, the larger magnitude from 1e-6 to 1e6")?;
         settings.effects.validate(length)?;
         // The convolutions run over the wave function and accept no further state components.
-        settings.actuator.without_state("the network of this task sees the wave function alone")
+        settings.actuator.without_state("the network of this task observes only the wave function")
     }
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {

@@ -21,7 +21,7 @@ use toml::{Table, Value};
 /// Validated settings.
 #[derive(Clone)]
 pub struct Scene {
-    /// Task kind.
+    /// Specification of the task.
     pub kind: &'static dyn AnyTaskSpec,
     /// Vector field that the optimizer follows.
     pub field: FieldName,
@@ -46,7 +46,7 @@ pub trait AnySettings: Send + Sync {
     fn check(&self, variant: &str, results: &mut Results);
     /// Rollout with its adjoints, for comparison with other methods.
     fn prepare(&self) -> Job;
-    /// Gradient, computed in the given way.
+    /// Gradient, computed by the given method.
     fn derive(&self, precision: Precision, way: GradientMethod) -> Derived;
     /// Components of the gradients of R, M and S in double-double arithmetic. Calls `done` after
     /// each.
@@ -142,7 +142,7 @@ impl Deref for Scene {
 }
 
 impl Scene {
-    /// Makes a scene from validated settings.
+    /// Creates a scene from validated settings.
     pub fn new<K: TaskSpec>(kind: &'static dyn AnyTaskSpec, settings: Settings<K>) -> Self {
         let Settings { field, precision, seed, epochs, horizon, .. } = settings;
         Self { kind, field, precision, seed, epochs, horizon, table: settings.table(), settings: Arc::new(settings) }
@@ -162,31 +162,32 @@ impl Scene {
     /// that do not change results. A setting added by a later version, with a default that
     /// preserves the behaviour, does not change the identity.
     pub fn identity(&self) -> String {
-        self.unusual(&["epochs", "training.memory"])
+        self.differences(&["epochs", "training.memory"])
     }
 
     /// Settings shared by the runs of a comparison: [`identity`](Self::identity) without field and
     /// seed.
     pub fn comparable(&self) -> String {
-        self.unusual(&["epochs", "training.memory", "field", "seed"])
+        self.differences(&["epochs", "training.memory", "field", "seed"])
     }
 
     /// One line per effect and per setting that differs from the default of its task or effect.
     /// Skips the keys in `but`.
-    fn unusual(&self, but: &[&str]) -> String {
+    fn differences(&self, but: &[&str]) -> String {
         let mut lines = vec![format!("task = {:?}", self.kind.name())];
         // Default settings with the same effects, each with its default parameters.
-        let mut usual = self.kind.defaults();
+        let mut defaults = self.kind.defaults();
         for section in OPTIONAL {
             let parts: Vec<&String> =
                 self.table.get(section).and_then(Value::as_table).into_iter().flat_map(Table::keys).collect();
             lines.extend(parts.iter().map(|part| format!("{section}.{part}")));
             let bare: Table = parts.into_iter().map(|part| (part.clone(), Value::Table(Table::new()))).collect();
-            usual.insert(section.into(), Value::Table(bare));
+            defaults.insert(section.into(), Value::Table(bare));
         }
-        let usual = flat(&self.kind.fill(usual.clone()).unwrap_or(usual));
-        let unusual = flat(&self.table).into_iter().filter(|setting| !usual.contains(setting) && !but.contains(&&*setting.0));
-        lines.extend(unusual.map(|(key, value)| format!("{key} = {value}")));
+        let defaults = flat(&self.kind.fill(defaults.clone()).unwrap_or(defaults));
+        let differences =
+            flat(&self.table).into_iter().filter(|setting| !defaults.contains(setting) && !but.contains(&&*setting.0));
+        lines.extend(differences.map(|(key, value)| format!("{key} = {value}")));
         lines.join("\n")
     }
 }
@@ -221,7 +222,7 @@ mod tests {
     #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
     #[serde(deny_unknown_fields)]
     struct Effects {
-        /// It blows.
+        /// Steady wind.
         #[serde(skip_serializing_if = "Option::is_none")]
         wind: Option<Wind>,
     }
@@ -293,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn an_identity_is_what_differs_from_the_defaults() {
+    fn an_identity_lists_the_differences_from_the_defaults() {
         assert_eq!(scene("", 7).identity(), "task = \"windy\"");
         assert_eq!(scene("seed = 4", 1).identity(), "task = \"windy\"\nseed = 4");
         assert_eq!(scene("seed = 4", 1).comparable(), "task = \"windy\"");
@@ -305,12 +306,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_optional_is_left_out_of_a_scene_and_no_null_in_its_schema() {
+    fn absent_sections_are_omitted_and_a_schema_has_no_null() {
         assert!(!scene("", 1).table.contains_key("effects"));
         assert_eq!(scene("effects.wind = {}", 1).table["effects"]["wind"]["speed"].as_float(), Some(3.0));
         let schema = Windy.schema();
         let wind = &schema["properties"]["effects"]["properties"]["wind"];
-        assert_eq!((&wind["type"], &wind["description"]), (&"object".into(), &"It blows.".into()));
+        assert_eq!((&wind["type"], &wind["description"]), (&"object".into(), &"Steady wind.".into()));
         assert_eq!(wind["properties"]["speed"]["default"], 3.0);
         assert!(!schema.to_string().contains("null"), "{schema}");
     }

@@ -12,26 +12,26 @@ pub fn schema() -> Value {
     json!({
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "A physgrad scene",
-        "description": "What is trained, and how. Whatever is left out has the task's default; effects that are not named are absent.",
+        "description": "Task, physics, policy and training of a run. Missing settings have defaults; effects that are not listed are absent.",
         "type": "object",
-        "oneOf": TASKS.map(|kind| kind.schema()),
+        "oneOf": TASKS.map(|task| task.schema()),
     })
 }
 
 /// Schema of the scenes of one task.
-pub fn of<S: JsonSchema>(kind: &dyn AnyTaskSpec) -> Value {
+pub fn of<S: JsonSchema>(task: &dyn AnyTaskSpec) -> Value {
     // Inlines subschemas: sections of different tasks share type names but not contents.
     let settings = SchemaSettings::draft2020_12().with(|settings| settings.inline_subschemas = true);
     let mut schema = SchemaGenerator::new(settings).into_root_schema_for::<S>().to_value();
-    complete(&mut schema, Some(&kind.defaults()));
+    complete(&mut schema, Some(&task.defaults()));
     if let Some(all) = schema.as_object_mut() {
         all.remove("$schema");
-        all.insert("title".into(), kind.name().into());
-        all.insert("description".into(), kind.about().into());
+        all.insert("title".into(), task.name().into());
+        all.insert("description".into(), task.about().into());
         all.insert("required".into(), json!(["scene", "task"]));
     }
     schema["properties"]["scene"]["const"] = VERSION.into();
-    schema["properties"]["task"]["const"] = kind.name().into();
+    schema["properties"]["task"]["const"] = task.name().into();
     schema
 }
 

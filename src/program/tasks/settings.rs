@@ -1,4 +1,4 @@
-//! Everything there is to set of a run, by name and type.
+//! Settings of a run, as one struct per task.
 
 use crate::program::operations::Visit;
 use crate::program::operations::memory::{self, Memory, Needs};
@@ -12,48 +12,48 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-/// Everything needed to repeat a run of a task.
+/// All settings of a run.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, bound = "")]
 #[schemars(bound = "", rename = "Scene")]
 pub struct Settings<K: TaskSpec> {
-    /// Version of the format.
+    /// Version of the scene format.
     pub scene: i64,
-    /// Version of physgrad that a run was made with. Scenes need none.
+    /// Version of physgrad that created the run; optional in scenes.
     pub physgrad: String,
-    /// What is trained for.
+    /// Name of the task.
     pub task: String,
-    /// The vector field that the optimizer follows.
+    /// Vector field that the optimizer follows.
     pub field: FieldName,
-    /// The precision of all numbers.
+    /// Floating-point precision.
     pub precision: Precision,
-    /// Decides start states and initial parameters.
+    /// Seed of initial states and initial parameters.
     pub seed: u64,
-    /// Passes over the training set, in all.
+    /// Total number of epochs: passes over the training set.
     pub epochs: usize,
-    /// Steps of one rollout.
+    /// Time steps of a rollout.
     pub horizon: usize,
-    /// The physics.
+    /// Settings of the physics.
     pub system: K::System,
-    /// Optional physics: what is not here is absent.
+    /// Optional physics; effects that are not listed are absent.
     #[serde(default)]
     pub effects: K::Effects,
-    /// What stands between the policy and the physics: what is not here is absent.
+    /// Actuators between policy and physics; actuators that are not listed are absent.
     #[serde(default)]
     pub actuator: ActuatorSettings,
-    /// How the steps of the physics are taken.
+    /// Integrator of the physics.
     #[serde(default)]
     pub integrator: IntegratorSettings,
-    /// What is paid for.
+    /// Settings of the cost function.
     pub loss: K::Loss,
-    /// The network that is trained.
+    /// Network of the policy.
     pub policy: K::PolicySpec,
-    /// How it is trained.
+    /// Optimizer, data sets and memory.
     pub training: TrainingSettings,
 }
 
 impl<K: TaskSpec> Settings<K> {
-    /// The task's defaults.
+    /// Default settings of the task.
     pub fn defaults() -> Self {
         Self {
             scene: VERSION,
@@ -74,7 +74,7 @@ impl<K: TaskSpec> Settings<K> {
         }
     }
 
-    /// As a table, without the sections of what is absent.
+    /// Table of all settings, without empty optional sections.
     pub fn table(&self) -> Table {
         let mut table = Table::try_from(self).expect("settings are plain tables");
         for section in OPTIONAL.into_iter().chain(["integrator"]) {
@@ -85,15 +85,17 @@ impl<K: TaskSpec> Settings<K> {
         table
     }
 
-    /// From a table in which nothing is missing but effects, and what has a default of its own: shapes and names by
-    /// serde.
+    /// Reads a table. Missing effects are absent; other missing settings must have a default.
+    ///
+    /// # Errors
+    /// Reports unknown keys, missing keys and values of the wrong type.
     pub fn fill(table: Table) -> Result<Self, ConfigError> {
         let mut settings: Self = reading::read(table).map_err(|error| ConfigError::unreadable(&error))?;
         settings.training.complete();
         Ok(settings)
     }
 
-    /// What is out of range, here or by [`TaskSpec`], and what nothing reads.
+    /// Checks all ranges, unused settings and the memory of this machine.
     pub fn validate(&self) -> Result<(), ConfigError> {
         count("horizon", self.horizon, 1..=100_000_000)?;
         self.training.validate()?;
@@ -105,14 +107,14 @@ impl<K: TaskSpec> Settings<K> {
         let samples = batch.min(train_samples);
         let Needs { batch: whole, rest } =
             self.visit(Memory { precision: self.precision, samples, start_states: train_samples + test_samples });
-        // With a budget, what does not fit is computed again.
+        // With a budget, steps that do not fit are recomputed.
         let batch = self.training.budget().map_or(whole, |budget| whole.min(budget as f64));
         let (needed, most) = (batch + rest, memory::of_this_machine());
         if needed > most {
             let what = format!(
-                "is {}: a run with mini-batches of {samples} samples would need about {:.1} GB, {:.1} GB of them for a mini-batch, and \
-                 this machine has {:.1} GB; choose a smaller `training.batch`, `horizon` or policy, or a budget for the mini-batch, \
-                 as in `training.memory = \"1GB\"`",
+                "is {}: a run with mini-batches of {samples} samples needs about {:.1} GB, of which {:.1} GB for a mini-batch, \
+                 but this machine has {:.1} GB; choose a smaller `training.batch`, `horizon` or policy, or set a budget for the \
+                 mini-batch, as in `training.memory = \"1GB\"`",
                 self.horizon,
                 needed * 1e-9,
                 batch * 1e-9,
@@ -123,7 +125,7 @@ impl<K: TaskSpec> Settings<K> {
         Ok(())
     }
 
-    /// Hands task and policy to the visitor.
+    /// Calls the visitor with the task and the policy.
     pub fn visit<V: Visit>(&self, visitor: V) -> V::Out {
         K::visit(self, visitor)
     }

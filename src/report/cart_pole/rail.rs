@@ -27,8 +27,8 @@ pub struct Rail {
 /// Two bumpers sized for a trajectory.
 #[derive(Clone, Copy)]
 pub(super) struct Bumpers {
-    /// Distance `|x|` of contact.
-    reach: f64,
+    /// Distance `|x|` at contact.
+    half_travel: f64,
     /// Rest length of a spring.
     spring: f64,
     /// Length of a pole.
@@ -36,21 +36,21 @@ pub(super) struct Bumpers {
 }
 
 impl Bumpers {
-    /// Sizes the springs to exceed the deepest compression; `None` for an invalid `reach`.
-    pub fn new(reach: f64, states: &[&Vec<f64>], unit: f64) -> Option<Self> {
-        let deepest = states.iter().map(|state| state[0].abs() - reach).fold(0.0, f64::max);
+    /// Sizes the springs to exceed the deepest compression; `None` for an invalid `half_travel`.
+    pub fn new(half_travel: f64, states: &[&Vec<f64>], unit: f64) -> Option<Self> {
+        let deepest = states.iter().map(|state| state[0].abs() - half_travel).fold(0.0, f64::max);
         let spring = (1.25 * deepest).max(SPRING * unit);
-        (reach.is_finite() && reach >= 0.0).then_some(Self { reach, spring, unit })
+        (half_travel.is_finite() && half_travel >= 0.0).then_some(Self { half_travel, spring, unit })
     }
 
     /// Distance of the end of the rail from the origin.
     pub fn end(&self) -> f64 {
-        self.reach + self.spring + (HALF_CART + POST) * self.unit
+        self.half_travel + self.spring + (HALF_CART + POST) * self.unit
     }
 
     /// Shapes of both bumpers; the cart pushes a pad that it presses.
     pub fn shapes(&self, x: f64, camera: f64) -> Vec<Shape> {
-        [-1.0, 1.0].into_iter().flat_map(|side| self.one(side, self.reach.max(side * x), camera)).collect()
+        [-1.0, 1.0].into_iter().flat_map(|side| self.one(side, self.half_travel.max(side * x), camera)).collect()
     }
 
     fn one(&self, side: f64, pressed: f64, camera: f64) -> [Shape; 3] {
@@ -95,10 +95,10 @@ impl Wind {
         let room = WIND * unit;
         let from = [stage.low[0] + 0.15 * unit + if self.back { room } else { 0.0 }, stage.high[1] - 0.12 * unit];
         let speed = self.speeds.get(step).or(self.speeds.last()).copied().unwrap_or(0.0);
-        let reach = if self.strongest > 0.0 { room * speed / self.strongest } else { 0.0 };
+        let length = if self.strongest > 0.0 { room * speed / self.strongest } else { 0.0 };
         let steady = self.speeds.iter().all(|speed| *speed == self.speeds[0]);
         let text = match (self.strongest > 0.0, steady) {
-            (false, _) => "still air".into(),
+            (false, _) => "no wind".into(),
             (true, true) => format!("wind, {} m/s", number(self.strongest)),
             (true, false) => format!("wind, up to {} m/s", number(self.strongest)),
         };
@@ -110,7 +110,7 @@ impl Wind {
             width: 0.015 * unit,
             color: RAIL,
         }];
-        shapes.extend(arrow(from, reach, 0.02 * unit, RAIL));
+        shapes.extend(arrow(from, length, 0.02 * unit, RAIL));
         shapes.push(Shape::Text { at: [middle, from[1] - 0.042 * unit], size, text, color: RAIL });
         shapes
     }
@@ -122,20 +122,20 @@ mod tests {
     use super::*;
     use crate::report::Animation;
 
-    fn film(rail: &Rail, xs: &[f64]) -> Animation {
+    fn animation(rail: &Rail, xs: &[f64]) -> Animation {
         let states: Vec<Vec<f64>> = xs.iter().map(|x| vec![*x, 0.0, 0.1, 0.0]).collect();
         cart_pole_on(rail, &states, &[1.0], 0.5, 0.02)
     }
 
     /// Left and right edges of the rectangles of a colour and height.
-    fn plates(film: &Animation, frame: usize, of: &str, height: f64) -> Vec<[f64; 2]> {
+    fn plates(animation: &Animation, frame: usize, of: &str, height: f64) -> Vec<[f64; 2]> {
         let edges = |shape: &Shape| match shape {
             Shape::Rect { center, size, color } if *color == of && (size[1] - height).abs() < 1e-9 => {
                 Some([center[0] - size[0] / 2.0, center[0] + size[0] / 2.0])
             }
             _ => None,
         };
-        film.frames[frame].iter().filter_map(edges).collect()
+        animation.frames[frame].iter().filter_map(edges).collect()
     }
 
     fn same(a: f64, b: f64) -> bool {
@@ -152,19 +152,19 @@ mod tests {
 
     #[test]
     fn a_pad_meets_the_cart_where_the_cart_touches() {
-        let film = film(&Rail { bumpers: Some(2.0), ..Rail::default() }, &[1.0, 2.0, 2.3]);
-        let right = |frame: usize| (plates(&film, frame, CART, 0.2)[0][1], plates(&film, frame, RAIL, 0.3)[1][0]);
+        let animation = animation(&Rail { bumpers: Some(2.0), ..Rail::default() }, &[1.0, 2.0, 2.3]);
+        let right = |frame: usize| (plates(&animation, frame, CART, 0.2)[0][1], plates(&animation, frame, RAIL, 0.3)[1][0]);
         assert!(right(0).0 < right(0).1);
         assert!(same(right(1).0, right(1).1) && same(right(2).0, right(2).1), "{:?}", right(2));
-        let post = plates(&film, 2, DARK, 0.3)[1];
+        let post = plates(&animation, 2, DARK, 0.3)[1];
         assert!(right(2).1 + 0.03 < post[0], "a spring is never flat");
-        assert!(film.view.1[0] > post[1] && film.view.0[0] < -post[1], "both ends are seen");
+        assert!(animation.view.1[0] > post[1] && animation.view.0[0] < -post[1], "both ends are seen");
     }
 
     #[test]
     fn the_arrow_is_as_long_as_the_wind_is_strong() {
         let rail = Rail { wind: vec![4.0, -2.0, f64::NAN], ..Rail::default() };
-        let windy = film(&rail, &[0.0; 3]);
+        let windy = animation(&rail, &[0.0; 3]);
         let lengths: Vec<f64> = windy
             .frames
             .iter()
@@ -180,8 +180,8 @@ mod tests {
         assert!(same(lengths[0], 0.5) && same(lengths[1], -0.25) && same(lengths[2], 0.0), "{lengths:?}");
         let svg = windy.to_svg();
         assert!(svg.contains("wind, up to 4 m/s") && !svg.contains("NaN"));
-        let words = |speed: f64| film(&Rail { wind: vec![speed; 3], ..Rail::default() }, &[0.0; 3]).to_svg();
-        assert!(words(-3.0).contains("wind, 3 m/s") && words(0.0).contains("still air"));
+        let words = |speed: f64| animation(&Rail { wind: vec![speed; 3], ..Rail::default() }, &[0.0; 3]).to_svg();
+        assert!(words(-3.0).contains("wind, 3 m/s") && words(0.0).contains("no wind"));
     }
 
     #[test]
@@ -190,7 +190,7 @@ mod tests {
             for wind in [vec![], vec![0.0], vec![f64::INFINITY]] {
                 let rail = Rail { bumpers: Some(bumpers), wind };
                 for xs in [&[][..], &[0.3, 1.0], &[0.0, 20.0, -500.0]] {
-                    let svg = film(&rail, xs).to_svg();
+                    let svg = animation(&rail, xs).to_svg();
                     roxmltree::Document::parse(&svg).expect("an SVG is XML");
                     assert!(!svg.contains("NaN") && !svg.contains("inf"));
                 }

@@ -1,6 +1,6 @@
 //! Obstacles and walls of the guidance animation.
 
-use super::Film;
+use super::Layout;
 use crate::report::animation::Shape;
 
 const OBSTACLE: &str = "#C9CED6";
@@ -33,8 +33,8 @@ impl Field {
     }
 
     /// Shapes of walls and obstacles.
-    pub(super) fn shapes(&self, film: &Film) -> Vec<Shape> {
-        let thin = 0.006 * film.unit();
+    pub(super) fn shapes(&self, layout: &Layout) -> Vec<Shape> {
+        let thin = 0.006 * layout.unit();
         let disc = |&(center, radius): &([f64; 2], f64)| {
             [(radius, WALL), (radius - thin, OBSTACLE)].map(|(radius, color)| Shape::Circle { center, radius, color })
         };
@@ -71,21 +71,21 @@ mod tests {
     #[test]
     fn obstacles_and_walls_are_where_they_are() {
         let field = Field { obstacles: vec![([1.0, -3.0], 0.4)], walls: Some([5.0, 4.5]) };
-        let film = guidance_in(&field, &trajectory(), 1, 0.1);
+        let animation = guidance_in(&field, &trajectory(), 1, 0.1);
         let is = |shape: &Shape| matches!(shape, Shape::Circle { center: [1.0, -3.0], radius, .. } if *radius == 0.4);
-        assert!(film.still.iter().any(is));
+        assert!(animation.still.iter().any(is));
         let fence = |shape: &Shape| matches!(shape, Shape::Curve { points, .. } if points[2] == [5.0, 4.5]);
-        assert!(film.still.iter().any(fence));
-        let (low, high) = film.view;
+        assert!(animation.still.iter().any(fence));
+        let (low, high) = animation.view;
         assert!(low[0] < -5.0 && low[1] < -4.5 && high[0] > 5.0 && high[1] > 4.5);
-        let svg = film.to_svg();
+        let svg = animation.to_svg();
         assert!(svg.contains(">obstacles<") && svg.contains(">walls<"));
     }
 
     #[test]
     fn walls_far_from_everyone_do_not_make_them_small() {
-        let film = guidance_in(&Field { obstacles: vec![], walls: Some([1e3, 1e3]) }, &trajectory(), 1, 0.1);
-        assert!(film.view.1[0] < 20.0);
+        let animation = guidance_in(&Field { obstacles: vec![], walls: Some([1e3, 1e3]) }, &trajectory(), 1, 0.1);
+        assert!(animation.view.1[0] < 20.0);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Potential and absorbing edges of the quantum animation.
 
-use super::{Film, MAX_ROWS, averaged};
+use super::{Layout, MAX_ROWS, averaged};
 use crate::report::animation::Shape;
 use crate::report::axes::{Axes, text, ticks};
 
@@ -67,8 +67,8 @@ impl Landscape {
     }
 
     /// Legend of potential and edges, with the final norm.
-    pub(super) fn legend(&self, film: &Film) -> Vec<Shape> {
-        let x = film.profile.left + 14.0;
+    pub(super) fn legend(&self, layout: &Layout) -> Vec<Shape> {
+        let x = layout.profile.left + 14.0;
         // Texts are centered; letters are about 0.55 of the font size wide.
         let name = |y: f64, words: &str| text([x + 20.0 + 3.3 * words.chars().count() as f64, y], words);
         let mut shapes = Vec::new();
@@ -79,8 +79,8 @@ impl Landscape {
         if self.absorbing.is_some() {
             shapes.push(Shape::Rect { center: [x, 106.0], size: [28.0, 10.0], color: ABSORBING });
             shapes.push(name(102.0, "absorbing edge"));
-            let middle = (film.profile.left + film.profile.right) / 2.0;
-            shapes.push(text([middle, 48.0], format!("{:.3} not absorbed", film.norm)));
+            let middle = (layout.profile.left + layout.profile.right) / 2.0;
+            shapes.push(text([middle, 48.0], format!("{:.3} not absorbed", layout.norm)));
         }
         shapes
     }
@@ -104,8 +104,8 @@ mod tests {
     #[test]
     fn the_floor_is_as_high_as_the_potential() {
         let landscape = Landscape { potential: vec![50.0, 0.0, 25.0], ..Landscape::default() };
-        let film = quantum_in(&landscape, &[vec![0.5; 6]], &[], &[0.5; 3], 2.0, 0.1);
-        let curve = film.still.iter().find_map(|shape| match shape {
+        let animation = quantum_in(&landscape, &[vec![0.5; 6]], &[], &[0.5; 3], 2.0, 0.1);
+        let curve = animation.still.iter().find_map(|shape| match shape {
             Shape::Curve { points, color, .. } if *color == POTENTIAL => Some(points.clone()),
             _ => None,
         });
@@ -113,14 +113,15 @@ mod tests {
         let share = |i: usize| (curve[i][0] - 548.0) / 156.0;
         assert!((share(0) - 52.0 / 54.0).abs() < 1e-9 && (share(1) - 2.0 / 54.0).abs() < 1e-9, "{curve:?}");
         assert!((share(2) - 0.5).abs() < 1e-9 && (curve[1][1] - 344.0).abs() < 1e-9, "{curve:?}");
-        assert!(film.title.contains("of the empty box"));
+        assert!(animation.title.contains("of the empty box"));
     }
 
     #[test]
     fn what_is_absorbed_is_told() {
         let landscape = Landscape { absorbing: Some(0.5), ..Landscape::default() };
-        let film = quantum_in(&landscape, &[vec![0.0, 1.0, 0.0, 0.0], vec![0.5, 0.0, 0.0, 0.5]], &[1.0], &[1.0, 0.0], 2.0, 0.1);
-        let strips: Vec<_> = film
+        let animation =
+            quantum_in(&landscape, &[vec![0.0, 1.0, 0.0, 0.0], vec![0.5, 0.0, 0.0, 0.5]], &[1.0], &[1.0, 0.0], 2.0, 0.1);
+        let strips: Vec<_> = animation
             .still
             .iter()
             .filter_map(|shape| match shape {
@@ -129,7 +130,7 @@ mod tests {
             })
             .collect();
         assert_eq!(strips, [[430.0, 54.0], [430.0, 54.0], [156.0, 54.0], [156.0, 54.0]]);
-        assert!(film.to_svg().contains("0.500 not absorbed"));
+        assert!(animation.to_svg().contains("0.500 not absorbed"));
     }
 
     #[test]

@@ -5,12 +5,12 @@ fn trajectory(grid: usize, states: usize) -> Vec<Vec<f64>> {
     (0..states).map(|t| (0..2 * grid).map(|i| part(t, i)).collect()).collect()
 }
 
-fn bars(film: &Animation, frame: usize) -> Vec<f64> {
+fn bars(animation: &Animation, frame: usize) -> Vec<f64> {
     let bar = |shape: &Shape| match shape {
         Shape::Rect { size, color, .. } if *color == DENSITY => Some(size[0]),
         _ => None,
     };
-    film.frames[frame].iter().filter_map(bar).collect()
+    animation.frames[frame].iter().filter_map(bar).collect()
 }
 
 fn curve(shapes: &[Shape], of: &str) -> Vec<[f64; 2]> {
@@ -23,31 +23,31 @@ fn curve(shapes: &[Shape], of: &str) -> Vec<[f64; 2]> {
 
 #[test]
 fn bars_are_as_long_as_the_density() {
-    let film = quantum(&[vec![0.6, 0.0, 0.0, 0.3]], &[], &[0.1, 0.2], 2.0, 0.1);
-    let lengths = bars(&film, 0);
+    let animation = quantum(&[vec![0.6, 0.0, 0.0, 0.3]], &[], &[0.1, 0.2], 2.0, 0.1);
+    let lengths = bars(&animation, 0);
     assert!(lengths.len() == 2 && (lengths[0] - 150.0).abs() < 1e-9 && (lengths[1] - 37.5).abs() < 1e-9, "{lengths:?}");
 }
 
 #[test]
 fn the_dot_is_where_the_fidelity_is() {
     let states = [vec![0.6, 0.0, 0.0, 0.8], vec![0.0, 1.0, 0.0, 0.0]];
-    let film = quantum(&states, &[2.0], &[1.0, 0.0], 2.0, 0.5);
+    let animation = quantum(&states, &[2.0], &[1.0, 0.0], 2.0, 0.5);
     let expected = [0.36, 1.0].map(|f| 44.0 + (120.0 - 44.0) * (f + 0.05) / 1.1);
     for (frame, expected) in expected.into_iter().enumerate() {
-        let Some(Shape::Circle { center, .. }) = film.frames[frame].last() else { panic!("the dot is in front") };
+        let Some(Shape::Circle { center, .. }) = animation.frames[frame].last() else { panic!("the dot is in front") };
         assert!((center[1] - expected).abs() < 1e-9);
     }
     // The two columns of the map are centered at 1/4 and 3/4 of its width.
-    let cursor: Vec<f64> = curve(&film.still, FIDELITY).iter().map(|point| point[0]).collect();
+    let cursor: Vec<f64> = curve(&animation.still, FIDELITY).iter().map(|point| point[0]).collect();
     assert_eq!(cursor, [100.0 + 430.0 / 4.0, 100.0 + 430.0 * 3.0 / 4.0]);
-    assert_eq!(curve(&film.still, CONTROL).iter().map(|p| p[0]).collect::<Vec<_>>(), cursor);
+    assert_eq!(curve(&animation.still, CONTROL).iter().map(|p| p[0]).collect::<Vec<_>>(), cursor);
 }
 
 #[test]
 fn the_map_has_a_cell_for_every_state_and_position() {
     for (grid, states, size) in [(7, 5, "5 × 7"), (32, 129, "129 × 32"), (100_000, 2, "2 × 64"), (9, 2000, "256 × 9")] {
-        let film = quantum(&trajectory(grid, states), &vec![1.0; states - 1], &vec![0.1; grid], 2.0, 0.1);
-        let images = film.still.iter().filter(|shape| format!("{shape:?}").contains(&format!("Raster({size})")));
+        let animation = quantum(&trajectory(grid, states), &vec![1.0; states - 1], &vec![0.1; grid], 2.0, 0.1);
+        let images = animation.still.iter().filter(|shape| format!("{shape:?}").contains(&format!("Raster({size})")));
         assert_eq!(images.count(), 1, "{size}");
     }
 }
@@ -65,9 +65,9 @@ fn large_films_are_small_files() {
 fn film_ends_before_a_state_that_is_not_finite() {
     let mut states = trajectory(200, 50);
     states[30][7] = f64::NAN;
-    let film = quantum(&states, &[1.0, f64::INFINITY, -2.0], &[0.07; 200], 2.0, 0.1);
-    assert_eq!(film.frames.len(), 30);
-    let svg = film.to_svg();
+    let animation = quantum(&states, &[1.0, f64::INFINITY, -2.0], &[0.07; 200], 2.0, 0.1);
+    assert_eq!(animation.frames.len(), 30);
+    let svg = animation.to_svg();
     roxmltree::Document::parse(&svg).expect("an SVG is XML");
     assert!(!svg.contains("NaN") && !svg.contains("inf"));
 }

@@ -18,7 +18,7 @@ impl fmt::Display for GradientMethod {
 }
 
 /// Euclidean norm, scaled so that squares do not overflow.
-fn length(x: &[f64]) -> f64 {
+fn norm(x: &[f64]) -> f64 {
     let largest = x.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
     if largest == 0.0 { 0.0 } else { largest * x.iter().map(|x| (x / largest) * (x / largest)).sum::<f64>().sqrt() }
 }
@@ -27,14 +27,14 @@ fn length(x: &[f64]) -> f64 {
 /// (negative, zero or positive).
 fn compare(found: &[f64], right: &[f64]) -> (f64, f64) {
     let difference: Vec<f64> = found.iter().zip(right).map(|(a, b)| a - b).collect();
-    let error = length(&difference) / length(right);
+    let error = norm(&difference) / norm(right);
     let same = |(a, b): &(&f64, &f64)| (**a > 0.0) == (**b > 0.0) && (**a < 0.0) == (**b < 0.0);
     (error, found.iter().zip(right).filter(same).count() as f64 / right.len() as f64)
 }
 
 /// Error and cost of one gradient method.
 pub struct Derivative {
-    pub way: GradientMethod,
+    pub method: GradientMethod,
     pub precision: Precision,
     /// Error relative to the double-double reference, or the message of a divergence.
     pub error: Result<f64, String>,
@@ -46,7 +46,7 @@ pub struct Derivative {
 
 impl Derivative {
     pub fn new(
-        way: GradientMethod,
+        method: GradientMethod,
         precision: Precision,
         derived: &Derived,
         times: Vec<f64>,
@@ -55,7 +55,7 @@ impl Derivative {
     ) -> Self {
         let error = derived.gradient.as_ref().map(|found| compare(&at_chosen(found, right.len()), right).0).map_err(Clone::clone);
         let signs = full.zip(derived.gradient.as_ref().ok()).map(|(full, found)| compare(found, full).1);
-        Self { way, precision, error, signs, seconds: spread(times), bytes: derived.bytes }
+        Self { method, precision, error, signs, seconds: spread(times), bytes: derived.bytes }
     }
 }
 
@@ -85,7 +85,7 @@ impl Checkpoint {
 pub struct Horizon {
     pub horizon: usize,
     /// Norm of the gradient in f64.
-    pub length: f64,
+    pub norm: f64,
     /// Relative error and share of correct signs, or the message of a divergence.
     ///
     /// The first entry compares f32 with f64. The second compares f64 with f64 from initial states
@@ -100,7 +100,7 @@ impl Horizon {
             (Ok(found), Ok(right)) => Ok(compare(found, right)),
             (Err(error), _) | (_, Err(error)) => Err(error.clone()),
         };
-        let length = gradients[1].as_ref().map_or(f64::NAN, |gradient| length(gradient));
-        Self { horizon, length, found: [against(&gradients[0]), against(&gradients[2])] }
+        let norm = gradients[1].as_ref().map_or(f64::NAN, |gradient| norm(gradient));
+        Self { horizon, norm, found: [against(&gradients[0]), against(&gradients[2])] }
     }
 }

@@ -19,7 +19,7 @@ use toml::Value;
 const STEPS: [f64; 10] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10];
 /// Timing rounds, and the least time in seconds per round for each method.
 const ROUNDS: usize = 5;
-const LEAST: f64 = 0.01;
+const MIN_TIME: f64 = 0.01;
 /// Least horizon of the checkpoint measurements, and the divisors of the full memory that give the
 /// budgets.
 const CHECKPOINTED: usize = 1024;
@@ -37,21 +37,27 @@ const fn reverse(field: Field, budget: Option<u64>) -> GradientMethod {
 pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize], quiet: bool) -> Result<()> {
     let fields = [Field::regular(), Field::modified(), Field::stopped(), Field::combined()];
     let exact = fields.map(|field| reverse(field, None));
-    let both =
-        exact.into_iter().chain(STEPS.map(GradientMethod::Central)).flat_map(|way| PRECISIONS.map(|precision| (way, precision)));
+    let both = exact
+        .into_iter()
+        .chain(STEPS.map(GradientMethod::Central))
+        .flat_map(|method| PRECISIONS.map(|precision| (method, precision)));
     let forward = PRECISIONS.map(|precision| (GradientMethod::Forward, precision));
-    let ways: Vec<(GradientMethod, Precision)> =
+    let methods: Vec<(GradientMethod, Precision)> =
         forward.into_iter().chain(both).chain([(GradientMethod::Duals, Precision::F64)]).collect();
 
-    let bar = bar(ways.len() * (1 + ROUNDS) + REFERENCES + 3 * horizons.len() + PARTS.len(), quiet);
+    let bar = bar(methods.len() * (1 + ROUNDS) + REFERENCES + 3 * horizons.len() + PARTS.len(), quiet);
     if !quiet && bar.is_hidden() {
-        tell(&format!("{} ways, {REFERENCES} derivatives in double-double, {} horizons", ways.len(), horizons.len()));
+        tell(&format!(
+            "measuring {} gradient methods, {REFERENCES} double-double derivatives, {} horizons",
+            methods.len(),
+            horizons.len()
+        ));
     }
-    bar.set_message("reference in double-double");
+    bar.set_message("double-double reference");
     let [r, m, s] = study.scene.refer(&|| bar.inc(1));
     let mut c = vec![0.0; r.len()];
     SignAgreement.combine(&m, &r, &mut c);
-    let right = |way: &GradientMethod| match way {
+    let right = |method: &GradientMethod| match method {
         GradientMethod::Reverse { field, .. } => match field.letter() {
             "M" => &m,
             "S" => &s,
@@ -62,34 +68,34 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     };
 
     let mut derived = Vec::new();
-    for (way, precision) in &ways {
-        bar.set_message(format!("{way} {}", precision.name()));
-        derived.push(study.scene.derive(*precision, *way));
+    for (method, precision) in &methods {
+        bar.set_message(format!("{method} {}", precision.name()));
+        derived.push(study.scene.derive(*precision, *method));
         bar.inc(1);
     }
     // Interleaves the methods, so that disturbances of the machine affect all of them.
-    let mut times = vec![Vec::new(); ways.len()];
+    let mut times = vec![Vec::new(); methods.len()];
     for round in 0..ROUNDS {
         bar.set_message(format!("round {} of {ROUNDS}", round + 1));
         for (derived, times) in derived.iter_mut().zip(&mut times) {
             if derived.gradient.is_ok() {
-                times.push(derived.time(LEAST));
+                times.push(derived.time(MIN_TIME));
             }
             bar.inc(1);
         }
     }
     // Takes all components from f64, whose error the reference bounds at the chosen parameters.
     let full = |field: Field| {
-        let found = ways.iter().position(|way| *way == (reverse(field, None), Precision::F64));
+        let found = methods.iter().position(|method| *method == (reverse(field, None), Precision::F64));
         found.and_then(|i| derived[i].gradient.as_ref().ok())
     };
-    let derivatives: Vec<Derivative> = ways
+    let derivatives: Vec<Derivative> = methods
         .iter()
         .zip(&derived)
         .zip(times)
-        .map(|(((way, precision), derived), times)| {
-            let full = if let GradientMethod::Reverse { field, .. } = way { full(*field) } else { None };
-            Derivative::new(*way, *precision, derived, times, right(way), full)
+        .map(|(((method, precision), derived), times)| {
+            let full = if let GradientMethod::Reverse { field, .. } = method { full(*field) } else { None };
+            Derivative::new(*method, *precision, derived, times, right(method), full)
         })
         .collect();
     let checkpoints = checkpoints(study, &bar)?;
@@ -106,12 +112,12 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
 
 /// Scene with another horizon.
 fn with_horizon(study: &Study, horizon: usize) -> Result<Scene> {
-    let mut document = study.document.clone();
-    document.put("horizon", Value::Integer(horizon as i64), "accuracy --gradients")?;
+    let mut source = study.source.clone();
+    source.put("horizon", Value::Integer(horizon as i64), "accuracy --gradients")?;
     // Sets a memory budget: without one, long horizons would be rejected because a mini-batch does
     // not fit.
-    document.put("training.memory", Value::String("1GB".into()), "accuracy --gradients")?;
-    document.scene()
+    source.put("training.memory", Value::String("1GB".into()), "accuracy --gradients")?;
+    source.scene()
 }
 
 /// Measures the reverse pass of R with decreasing memory budgets.
@@ -126,7 +132,7 @@ fn checkpoints(study: &Study, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
     for _ in 0..ROUNDS {
         for (job, times) in jobs.iter_mut().zip(&mut times) {
             if job.gradient.is_ok() {
-                times.push(job.time(LEAST));
+                times.push(job.time(MIN_TIME));
             }
         }
     }
@@ -144,8 +150,8 @@ fn along(study: &Study, horizons: &[usize], bar: &ProgressBar) -> Result<Vec<Hor
     let runs = [(Precision::F32, false), (Precision::F64, false), (Precision::F64, true)];
     let jobs: Vec<(&Scene, (Precision, bool))> = scenes.iter().flat_map(|scene| runs.map(|run| (scene, run))).collect();
     let run = |(scene, (precision, nudged)): (&Scene, (Precision, bool))| {
-        let way = GradientMethod::Reverse { field: Field::regular(), budget: Some(BUDGET), nudged };
-        let gradient = scene.derive(precision, way).gradient;
+        let method = GradientMethod::Reverse { field: Field::regular(), budget: Some(BUDGET), nudged };
+        let gradient = scene.derive(precision, method).gradient;
         bar.inc(1);
         gradient
     };
@@ -159,7 +165,7 @@ fn along(study: &Study, horizons: &[usize], bar: &ProgressBar) -> Result<Vec<Hor
 /// Checks the horizons, sorts them and removes duplicates.
 pub fn parse(horizons: &[usize]) -> Result<Vec<usize>> {
     if let Some(bad) = horizons.iter().find(|horizon| !(1..=100_000_000).contains(*horizon)) {
-        bail!("--horizons {bad}: a horizon is 1 to 100000000 steps");
+        bail!("--horizons {bad}; allowed: 1 to 100000000 steps");
     }
     let mut horizons = horizons.to_vec();
     horizons.sort_unstable();

@@ -69,8 +69,9 @@ fn diagrams(name: &str, rows: &[Row]) -> physgrad::report::Drawing {
     let series = |point: fn(&Row, &Errors) -> (f64, f64)| {
         let of_method = |(i, method): (usize, &&'static str)| {
             ["f32", "f64"].map(|precision| {
-                let own = rows.iter().filter(|row| row.setting.method == *method && row.setting.precision.name() == precision);
-                let line = own.filter_map(|row| Some(point(row, row.errors.as_ref().ok()?))).collect();
+                let selected =
+                    rows.iter().filter(|row| row.setting.method == *method && row.setting.precision.name() == precision);
+                let line = selected.filter_map(|row| Some(point(row, row.errors.as_ref().ok()?))).collect();
                 let series = Series::new(*method, COLORS[i % COLORS.len()], line);
                 if precision == "f32" { series.dashed() } else { series }
             })
@@ -78,10 +79,10 @@ fn diagrams(name: &str, rows: &[Row]) -> physgrad::report::Drawing {
         methods.iter().enumerate().flat_map(of_method).collect::<Vec<Series>>()
     };
     work_precision(
-        &format!("{name}: errors against work; f32 dashed, f64 in full"),
+        &format!("{name}: error by cost; f32 dashed, f64 solid"),
         vec![
             Work {
-                x_label: "forward, us a step",
+                x_label: "forward, us per step",
                 y_label: "error of the trajectory",
                 series: series(|row, errors| (row.seconds[0][1] * 1e6, errors.trajectory)),
             },
@@ -91,7 +92,7 @@ fn diagrams(name: &str, rows: &[Row]) -> physgrad::report::Drawing {
                 series: series(|row, errors| (row.operations as f64, errors.trajectory)),
             },
             Work {
-                x_label: "with gradients, us a step",
+                x_label: "with gradients, us per step",
                 y_label: "error of the gradient of R",
                 series: series(|row, errors| (row.seconds[1][1] * 1e6, errors.gradients[0])),
             },
@@ -154,17 +155,17 @@ fn about(rows: &[Row], check: &Errors) -> String {
     floors(rows)
         + " "
         + &format!(
-            "The reference differs from one with half as many steps by {:.1e} in the trajectory, {:.1e} in the gradient of R and {:.1e} in \
-         that of M: smaller errors than that are not known.",
+            "The reference differs from one with half as many steps by {:.1e} in the trajectory, {:.1e} in the gradient of R and \
+         {:.1e} in the gradient of M. Smaller errors are below its resolution.",
             check.trajectory, check.gradients[0], check.gradients[1]
         )
 }
 
 fn markdown(name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -> String {
     format!(
-        "# What accuracy costs: {name}\n\nErrors in relation to the size of what is right; operations of a step of the policy and of its \
-         VJP; microseconds for a step of a sample, with half the spread of the rounds. {}\n\n![errors against \
-         work](accuracy.svg)\n\n{}\n",
+        "# Accuracy and cost: {name}\n\nErrors are relative to the reference. Operations are those of one step, including the \
+         policy, and of its VJP. Times are microseconds per step and sample, with half the spread of the rounds. {}\n\n![error \
+         by cost](accuracy.svg)\n\n{}\n",
         about(rows, check),
         table(ASCII_MARKDOWN, conserved, &mut rows.iter())
     )
@@ -180,8 +181,7 @@ pub fn summary(rows: &[Row], check: &Errors, conserved: Option<&str>) -> String 
     front.sort_by(|a, b| a.seconds[0][1].total_cmp(&b.seconds[0][1]));
     let diverged = rows.iter().filter(|row| row.errors.is_err()).count();
     let mut text = format!(
-        "of {} settings, those that no other beats in both time and error of the trajectory; errors are in relation to the size of \
-         what is right:\n{}\n{}",
+        "Pareto-optimal settings in time and trajectory error, out of {}; errors are relative to the reference:\n{}\n{}",
         rows.len(),
         table(UTF8_FULL_CONDENSED, conserved, &mut front.into_iter()),
         about(rows, check)

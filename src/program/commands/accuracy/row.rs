@@ -10,7 +10,7 @@ use toml::Value;
 /// Integrator, number of substeps, and precision.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setting {
-    /// Name as in a scene; `own` for the task's own scheme.
+    /// Name as in a scene; `native` for the task's native scheme.
     pub method: &'static str,
     /// Number of physics steps per control step.
     pub substeps: usize,
@@ -23,15 +23,15 @@ impl Setting {
     }
 
     /// Scene with this setting.
-    pub fn of(&self, document: &SceneSource) -> Result<Scene> {
-        let mut document = document.clone();
-        document.without_section("integrator");
-        document.put("precision", Value::String(self.precision.name().into()), "accuracy")?;
-        document.put("integrator.substeps", Value::Integer(self.substeps as i64), "accuracy")?;
+    pub fn of(&self, source: &SceneSource) -> Result<Scene> {
+        let mut source = source.clone();
+        source.without_section("integrator");
+        source.put("precision", Value::String(self.precision.name().into()), "accuracy")?;
+        source.put("integrator.substeps", Value::Integer(self.substeps as i64), "accuracy")?;
         if self.method != "native" {
-            document.put("integrator.method", Value::String(self.method.into()), "accuracy")?;
+            source.put("integrator.method", Value::String(self.method.into()), "accuracy")?;
         }
-        document.scene()
+        source.scene()
     }
 
     /// Lines of a scene file that select this setting.
@@ -84,7 +84,7 @@ pub struct Row {
 impl Row {
     pub fn new(setting: Setting, job: &Job, reference: &Found, conserved: Option<&Conserved>, rounds: &[[f64; 2]]) -> Self {
         let errors = job.found.as_ref().map(|found| Errors::of(found, reference)).map_err(Clone::clone);
-        let seconds = [0, 1].map(|which| spread(rounds.iter().map(|round| round[which]).collect()));
+        let seconds = [0, 1].map(|pass| spread(rounds.iter().map(|round| round[pass]).collect()));
         let drift = conserved.map_or(f64::NAN, |conserved| conserved.drift(&job.idle));
         Self { setting, errors, drift, operations: job.operations, bytes: job.bytes, seconds }
     }
@@ -92,7 +92,7 @@ impl Row {
 
 impl Errors {
     pub fn of(found: &Found, reference: &Found) -> Self {
-        let length = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let norm = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
         let largest = |x: &[f64]| x.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
         let differences = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<f64>>();
         let [r, m] = [0, 1].map(|k| {
@@ -107,7 +107,7 @@ impl Errors {
                 }
             };
             let right_signs = found.iter().zip(right).filter(|(a, b)| sign(**a) == sign(**b)).count();
-            (length(&differences(found, right)) / length(right), right_signs as f64 / right.len() as f64)
+            (norm(&differences(found, right)) / norm(right), right_signs as f64 / right.len() as f64)
         });
         Self {
             trajectory: largest(&differences(&found.states, &reference.states)) / largest(&reference.states),

@@ -1,7 +1,7 @@
-//! Kinds of damaged inputs, and uses of them.
+//! Kinds of damaged inputs.
 
 use crate::program::commands::animate::{self, Animate};
-use crate::program::commands::fuzz::{Kind, Watched, numbers_of};
+use crate::program::commands::fuzz::{Kind, Outcomes, numbers_of};
 use crate::program::commands::report::{self, Report};
 use crate::program::platform::folder::{CHECKPOINT, Folder, METRICS, SETTINGS};
 use crate::program::runs::run::{self, EpochEvent, Observer};
@@ -29,7 +29,7 @@ pub(super) const KINDS: [Kind; 4] = [
     Kind { name: "run folders", share: 1, attempt: folder },
 ];
 
-/// Values that scenes are not made for.
+/// Unexpected values.
 const STRANGE: [&str; 18] = [
     "nan",
     "inf",
@@ -55,13 +55,13 @@ fn one_of<'a, T>(rng: &mut Rng, all: &'a [T]) -> &'a T {
     &all[rng.random_range(0..all.len())]
 }
 
-/// The text of a preset.
+/// Text of a random preset.
 fn preset(rng: &mut Rng) -> &'static str {
     let names: Vec<&str> = presets::all().map(|(name, _)| name).collect();
     presets::text(names[rng.random_range(0..names.len())]).expect("a preset")
 }
 
-/// Damage that happens to texts: bytes, lines, numbers and keys are changed, left out or put in.
+/// Changes, removes or inserts bytes, lines, numbers or keys of a text.
 fn damage_text(rng: &mut Rng, text: &mut Vec<u8>) {
     let at = rng.random_range(0..=text.len());
     let lines: Vec<Vec<u8>> = text.split(|&byte| byte == b'\n').map(<[u8]>::to_vec).collect();
@@ -91,23 +91,24 @@ fn damage_text(rng: &mut Rng, text: &mut Vec<u8>) {
     *text = changed.join(&b'\n');
 }
 
-/// Damage that happens to bytes.
+/// Changes, removes or inserts bytes.
 fn damage_bytes(rng: &mut Rng, bytes: &mut Vec<u8>) {
     let at = rng.random_range(0..bytes.len());
     match rng.random_range(0..5) {
         0 => bytes.truncate(at.max(1)),
         1 => bytes.insert(at, rng.random()),
-        // Lengths are numbers of several bytes, all but the last with the highest bit set.
+        // Lengths are encoded in several bytes; all but the last have the highest bit set.
         2 => bytes.splice(at..at, [0xff; 9]).for_each(drop),
         _ => bytes[at] = rng.random(),
     }
 }
 
-/// Whether there is a scene. If so, it is read back as it is written; if not, there is a message.
+/// True if the scene is valid. Checks that a valid scene survives writing and reading, and that an
+/// error has a message.
 fn is_scene(read: Result<Scene>) -> bool {
     match read {
         Ok(scene) => {
-            let again = SceneSource::parse("a run", &scene.table.to_string()).and_then(|document| document.scene());
+            let again = SceneSource::parse("a run", &scene.table.to_string()).and_then(|source| source.scene());
             assert_eq!(again.expect("settings that are read back").identity(), scene.identity());
             true
         }
@@ -118,25 +119,25 @@ fn is_scene(read: Result<Scene>) -> bool {
     }
 }
 
-/// A preset, damaged: read, and written as a run writes its settings.
-fn scene(number: u64, watched: &mut Watched) {
+/// Reads a damaged preset and writes it as the settings of a run.
+fn scene(number: u64, outcomes: &mut Outcomes) {
     let rng = &mut numbers_of(number);
     let mut text = preset(rng).as_bytes().to_vec();
     for _ in 0..rng.random_range(1..4) {
         damage_text(rng, &mut text);
     }
     let text = String::from_utf8_lossy(&text).into_owned();
-    watched.read(number, 1_000_000 + 200 * text.len(), || {
-        is_scene(SceneSource::parse("a scene", &text).and_then(|document| document.scene()))
+    outcomes.record(number, 1_000_000 + 200 * text.len(), || {
+        is_scene(SceneSource::parse("a scene", &text).and_then(|source| source.scene()))
     });
 }
 
-/// An assignment as `--set` takes it: mostly of a key that this preset or its task has.
+/// Assignment for `--set`, mostly to a key of this preset or its task.
 fn assignment(rng: &mut Rng, preset: &Table) -> String {
-    let own = tasks::TASKS.into_iter().find(|kind| preset.get("task").and_then(Value::as_str) == Some(kind.name()));
-    let kind = own.filter(|_| rng.random_range(0..8) > 0).unwrap_or(*one_of(rng, &tasks::TASKS));
-    let mut keys: Vec<String> = flat(&kind.defaults()).into_iter().chain(flat(preset)).map(|(key, _)| key).collect();
-    keys.extend(kind.effects().iter().map(|info| format!("effects.{}", info.name)));
+    let matching = tasks::TASKS.into_iter().find(|kind| preset.get("task").and_then(Value::as_str) == Some(kind.name()));
+    let task = matching.filter(|_| rng.random_range(0..8) > 0).unwrap_or(*one_of(rng, &tasks::TASKS));
+    let mut keys: Vec<String> = flat(&task.defaults()).into_iter().chain(flat(preset)).map(|(key, _)| key).collect();
+    keys.extend(task.effects().iter().map(|info| format!("effects.{}", info.name)));
     keys.extend(ACTUATORS.iter().map(|info| format!("actuator.{}", info.name)));
     let mut key = one_of(rng, &keys).clone();
     match rng.random_range(0..16) {
@@ -163,18 +164,18 @@ fn assignment(rng: &mut Rng, preset: &Table) -> String {
     String::from_utf8_lossy(&text).into_owned()
 }
 
-/// A preset with assignments.
-fn assignments(number: u64, watched: &mut Watched) {
+/// Reads a preset with assignments.
+fn assignments(number: u64, outcomes: &mut Outcomes) {
     let rng = &mut numbers_of(number);
     let text = preset(rng);
     let table: Table = text.parse().expect("TOML");
     let set: Vec<String> = (0..rng.random_range(1..4)).map(|_| assignment(rng, &table)).collect();
     let size = text.len() + set.iter().map(String::len).sum::<usize>();
-    let changes = Overrides { set, ..Overrides::default() };
-    watched.read(number, 1_000_000 + 200 * size, || {
-        is_scene(SceneSource::parse("a preset", text).and_then(|mut document| {
-            changes.apply(&mut document)?;
-            document.scene()
+    let overrides = Overrides { set, ..Overrides::default() };
+    outcomes.record(number, 1_000_000 + 200 * size, || {
+        is_scene(SceneSource::parse("a preset", text).and_then(|mut source| {
+            overrides.apply(&mut source)?;
+            source.scene()
         }))
     });
 }
@@ -187,7 +188,7 @@ fn session(rule: OptimizerKind) -> Small {
     Trainer::new(task, Mlp::new([4, 8, 1])).training(training).session().expect("valid settings")
 }
 
-/// Checkpoints of sessions of every rule, after three epochs and within the fourth.
+/// Checkpoints of one session per optimizer, after three epochs and within the fourth.
 static CHECKPOINTS: LazyLock<Vec<(OptimizerKind, Vec<u8>)>> = LazyLock::new(|| {
     let rules = OptimizerKind::NAMES.map(|name| OptimizerKind::named(name).expect("a rule"));
     let checkpoints = rules.into_iter().flat_map(|rule| {
@@ -200,8 +201,9 @@ static CHECKPOINTS: LazyLock<Vec<(OptimizerKind, Vec<u8>)>> = LazyLock::new(|| {
     checkpoints.collect()
 });
 
-/// A damaged checkpoint whose checksum fits: taken, and trained on; or refused, with the session as it was.
-fn checkpoint(number: u64, watched: &mut Watched) {
+/// Restores a damaged checkpoint with a valid checksum, and trains for an epoch. On an error, checks
+/// that the session is unchanged.
+fn checkpoint(number: u64, outcomes: &mut Outcomes) {
     let rng = &mut numbers_of(number);
     let (rule, good) = one_of(rng, &CHECKPOINTS);
     let mut bytes = good.clone();
@@ -211,52 +213,55 @@ fn checkpoint(number: u64, watched: &mut Watched) {
     Small::seal(&mut bytes);
     let mut session = session(*rule);
     let theta = session.weights().theta().to_vec();
-    watched.read(number, 1_000_000 + 20 * bytes.len(), || {
+    outcomes.record(number, 1_000_000 + 20 * bytes.len(), || {
         if session.restore(&bytes, "a run").is_ok() {
-            // A number that is not finite is an error, and no panic.
+            // A non-finite value is an error, not a panic.
             let _ = session.epoch();
             return true;
         }
-        assert!(session.weights().theta() == theta && session.records().is_empty(), "a session that refuses is as it was");
+        assert!(
+            session.weights().theta() == theta && session.records().is_empty(),
+            "a rejected checkpoint leaves the session unchanged"
+        );
         false
     });
 }
 
-/// No observer.
-struct Unwatched;
+/// Observer that ignores events.
+struct Unobserved;
 
-impl Observer for Unwatched {
-    fn epoch(&mut self, _told: EpochEvent) {}
+impl Observer for Unobserved {
+    fn epoch(&mut self, _event: EpochEvent) {}
 }
 
-/// A run folder of a scene that may be damaged, whose files may be: reported on, filmed and resumed.
-fn folder(number: u64, watched: &mut Watched) {
+/// Reports, animates and resumes a run folder whose scene and files may be damaged.
+fn folder(number: u64, outcomes: &mut Outcomes) {
     let rng = &mut numbers_of(number);
     let path = std::env::temp_dir().join(format!("physgrad-fuzz-{}-{number}", std::process::id()));
-    watched.read(number, 1_000_000_000, || {
-        let accepted = made(rng, &path).and_then(|()| used(&path)).is_ok();
+    outcomes.record(number, 1_000_000_000, || {
+        let accepted = create(rng, &path).and_then(|()| use_folder(&path)).is_ok();
         let _ = fs::remove_dir_all(&path);
         accepted
     });
-    // After a panic, it is still there.
+    // Removes the folder that a panic leaves behind.
     let _ = fs::remove_dir_all(&path);
 }
 
-/// Makes the folder.
-fn made(rng: &mut Rng, path: &Path) -> Result<()> {
+/// Creates the folder.
+fn create(rng: &mut Rng, path: &Path) -> Result<()> {
     let mut text = preset(rng).as_bytes().to_vec();
     for _ in 0..rng.random_range(0..3) {
         damage_text(rng, &mut text);
     }
-    let mut document = SceneSource::parse("a scene", &String::from_utf8_lossy(&text))?;
-    let quantum = document.text("task") == Some("quantum");
+    let mut source = SceneSource::parse("a scene", &String::from_utf8_lossy(&text))?;
+    let quantum = source.text("task") == Some("quantum");
     let sizes = ["horizon=3", "epochs=2", "training.batch=2", "training.train_samples=3", "training.test_samples=3"];
     let network: &[&str] = if quantum { &["policy.width=3", "system.grid=20"] } else { &["policy.widths=[4]"] };
     let set = sizes.iter().chain(network).map(ToString::to_string).collect();
-    Overrides { set, ..Overrides::default() }.apply(&mut document)?;
-    let scene = document.scene()?;
+    Overrides { set, ..Overrides::default() }.apply(&mut source)?;
+    let scene = source.scene()?;
     let mut run = scene.open(1)?;
-    // It may diverge, and is then as it was.
+    // A divergence leaves the run unchanged.
     let _ = run.advance(&|| false);
     let mut checkpoint = run.checkpoint(&scene.identity());
     let mut settings = scene.table.to_string().into_bytes();
@@ -277,12 +282,12 @@ fn made(rng: &mut Rng, path: &Path) -> Result<()> {
 }
 
 /// Uses the folder.
-fn used(path: &Path) -> Result<()> {
+fn use_folder(path: &Path) -> Result<()> {
     report::report(&Report { folder: path.to_owned(), quiet: true })?;
     animate::animate(&Animate { folder: path.to_owned(), sample: 0, quiet: true })?;
     let folder = Folder::existing(path)?.lock()?;
     let scene = resumed(&folder, &Overrides { epochs: Some(3), ..Overrides::default() })?;
     let opened = scene.open(1)?;
-    run::run(&folder, &scene, opened, true, Duration::from_secs(60), &mut Unwatched)?;
+    run::run(&folder, &scene, opened, true, Duration::from_secs(60), &mut Unobserved)?;
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! Figure 1: loss, R and M over the two parameters of a quadratic policy.
 
-use crate::program::commands::paper::Made;
+use crate::program::commands::paper::FinishedFigure;
 use crate::program::runs::statistics::{quantile, sorted};
 use anyhow::Result;
 use physgrad::Field;
@@ -10,16 +10,16 @@ use physgrad::tasks::Reach;
 use physgrad::vector_field::{self, Sample};
 use std::fmt::Write;
 
-/// Both parameters range from `-REACH` to `REACH`.
-const REACH: f64 = 4.0;
+/// Both parameters range from `-HALF_WIDTH` to `HALF_WIDTH`.
+const HALF_WIDTH: f64 = 4.0;
 /// Decades of the colour scale. A few values lie below, and those in the corner with large x_4 lie
 /// above.
 const DECADES: [i32; 2] = [-2, 6];
 
-pub fn fig1(quick: bool) -> Result<Made> {
+pub fn fig1(quick: bool) -> Result<FinishedFigure> {
     let (cells, arrows) = if quick { (40, 14) } else { (80, 18) };
     let (fine, coarse) = (Fields::sample(cells)?, Fields::sample(arrows)?);
-    let plane = Plane { labels: ["θ₁", "θ₂"], reach: REACH, decades: DECADES, values: "loss, |R|, |M|" };
+    let plane = Plane { labels: ["θ₁", "θ₂"], half_width: HALF_WIDTH, decades: DECADES, values: "loss, |R|, |M|" };
     // x_4 - y, which vanishes at the minima. M's first component has the same sign: it is (x_4 - y)
     // Σ x_t².
     let signs: Vec<f64> = fine.modified.iter().map(|m| (2.0 * m.loss).sqrt().copysign(m.vector[0])).collect();
@@ -40,7 +40,7 @@ pub fn fig1(quick: bool) -> Result<Made> {
         ],
         &[],
     );
-    Ok(Made { drawing, csv: fine.csv()?, table: fine.table() })
+    Ok(FinishedFigure { drawing, csv: fine.csv()?, table: fine.table() })
 }
 
 /// Samples of R and M at the same parameters.
@@ -51,7 +51,7 @@ struct Fields {
 
 impl Fields {
     fn sample(cells: usize) -> Result<Self> {
-        let (task, thetas) = (Reach::default(), vector_field::grid(REACH, cells));
+        let (task, thetas) = (Reach::default(), vector_field::grid(HALF_WIDTH, cells));
         Ok(Self {
             regular: vector_field::sample(&task, &Quadratic, &Field::regular(), &thetas)?,
             modified: vector_field::sample(&task, &Quadratic, &Field::modified(), &thetas)?,

@@ -1,6 +1,6 @@
 //! Figure 2: Adam on a gradient, on the gradient with a rotation added, and on their combination.
 
-use crate::program::commands::paper::Made;
+use crate::program::commands::paper::FinishedFigure;
 use anyhow::Result;
 use physgrad::policy::Constant;
 use physgrad::report::{Map, Plane, field_color, maps};
@@ -8,15 +8,15 @@ use physgrad::tasks::Bowl;
 use physgrad::vector_field::{self, LEARNING_RATE, Rotated, START, Sample};
 use std::fmt::Write;
 
-/// Both parameters range from `-REACH` to `REACH`.
-const REACH: f64 = 4.0;
+/// Both parameters range from `-HALF_WIDTH` to `HALF_WIDTH`.
+const HALF_WIDTH: f64 = 4.0;
 const ITERATIONS: usize = 1500;
 const LETTERS: [&str; 3] = ["(a)", "(b)", "(c)"];
 
-pub fn fig2(quick: bool) -> Result<Made> {
+pub fn fig2(quick: bool) -> Result<FinishedFigure> {
     let (cells, arrows) = if quick { (40, 11) } else { (80, 15) };
     let (task, policy) = (Bowl::default(), Constant::new(2, 2));
-    let plane = Plane { labels: ["θ₁", "θ₂"], reach: REACH, decades: [-1, 2], values: "length of the vector" };
+    let plane = Plane { labels: ["θ₁", "θ₂"], half_width: HALF_WIDTH, decades: [-1, 2], values: "norm of the vector" };
     let mut csv = csv::Writer::from_writer(Vec::new());
     csv.write_record(["method", "iteration", "theta_1", "theta_2", "loss"])?;
     let mut table = "| Adam along the | last loss | distance to the minimum |\n|---|---|---|\n".to_string();
@@ -30,11 +30,11 @@ pub fn fig2(quick: bool) -> Result<Made> {
         let last = path[path.len() - 1];
         // The minimum is at the origin.
         let _ = writeln!(table, "| {name} | {:.1e} | {:.1e} |", last.loss, last.theta[0].hypot(last.theta[1]));
-        let lengths = vector_field::sample(&task, &policy, &field, &vector_field::grid(REACH, cells))?;
-        let directions = vector_field::sample(&task, &policy, &field, &vector_field::grid(REACH, arrows))?;
+        let norms = vector_field::sample(&task, &policy, &field, &vector_field::grid(HALF_WIDTH, cells))?;
+        let directions = vector_field::sample(&task, &policy, &field, &vector_field::grid(HALF_WIDTH, arrows))?;
         panels.push(Map {
             title: format!("{} {name}", LETTERS[i]),
-            values: lengths.iter().map(Sample::norm).collect(),
+            values: norms.iter().map(Sample::norm).collect(),
             arrows: directions.iter().map(|s| s.vector.map(|v| -v)).collect(),
             path: path.iter().map(|s| s.theta).collect(),
             mark: Some([0.0; 2]),
@@ -42,5 +42,5 @@ pub fn fig2(quick: bool) -> Result<Made> {
         });
         runs.push((LETTERS[i], colors[i], path.iter().map(|s| s.loss).collect()));
     }
-    Ok(Made { drawing: maps(&plane, &panels, &runs), csv: csv.into_inner()?, table })
+    Ok(FinishedFigure { drawing: maps(&plane, &panels, &runs), csv: csv.into_inner()?, table })
 }

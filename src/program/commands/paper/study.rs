@@ -1,6 +1,6 @@
 //! Figures 3 to 5: learning curves of several fields, for several values of one setting.
 
-use crate::program::commands::paper::{Made, Options};
+use crate::program::commands::paper::{FinishedFigure, Options};
 use crate::program::platform::folder::Folder;
 use crate::program::platform::terminal::say;
 use crate::program::runs::statistics::{Outcome, best, by_field, curves, quantile, sorted, trailing_mean};
@@ -19,7 +19,7 @@ const SMOOTHING: usize = 30;
 
 /// Note below the table.
 const NOTE: &str = "Table: test loss after the last epoch. Figure: the mean of up to 30 epochs, as in the paper; lines are \
-                    geometric means over the seeds, bands run from the lowest to the highest seed.";
+                    geometric means over the seeds, bands extend from the lowest to the highest seed.";
 
 /// A figure with one column of panels per value of a setting and one row per kind of clipping.
 pub struct Study {
@@ -80,14 +80,14 @@ impl Study {
         let mut comparisons = plans.collect::<Result<Vec<_>>>()?;
         let swept = sweep(&mut comparisons, options.quiet)?;
         if swept.interrupted {
-            let _ = say(&format!("interrupted; the same command goes on, in {}", folder.path().display()));
+            let _ = say(&format!("interrupted; to resume in {}, repeat the same command", folder.path().display()));
             return swept.into_result();
         }
         let outcomes = comparisons.iter().map(Comparison::outcomes);
         let cells: Vec<Cell> = cells().zip(outcomes).map(|((value, clip), runs)| Cell { value, clip, runs }).collect();
         let table = format!("{}\n\n{NOTE}", self.table(&cells));
-        let made = Made { drawing: self.drawing(options, &cells), csv: self.csv(&cells)?, table };
-        made.write(self.name, folder, options)?;
+        let finished = FinishedFigure { drawing: self.drawing(options, &cells), csv: self.csv(&cells)?, table };
+        finished.write(self.name, folder, options)?;
         swept.into_result()
     }
 
@@ -97,19 +97,19 @@ impl Study {
 
     /// Plans the runs of one cell, in a folder that `physgrad report` accepts.
     fn plan(&self, value: &str, clip: ClipName, options: &Options, folder: &Folder) -> Result<Comparison> {
-        let mut document = presets::document(self.scene)?;
-        overrides::set(&mut document, &format!("{}={}", self.key, value))?;
-        document.put("training.clip", Value::try_from(clip)?, "--clip")?;
-        document.put("epochs", Value::try_from(options.epochs())?, "--epochs")?;
+        let mut source = presets::document(self.scene)?;
+        overrides::set(&mut source, &format!("{}={}", self.key, value))?;
+        source.put("training.clip", Value::try_from(clip)?, "--clip")?;
+        source.put("epochs", Value::try_from(options.epochs())?, "--epochs")?;
         if options.quick {
             for key in ["training.train_samples", "training.test_samples"] {
-                document.put(key, Value::Integer(64), "--quick")?;
+                source.put(key, Value::Integer(64), "--quick")?;
             }
         }
         let label = format!("{}, clip {}", self.panel(value), clip.name());
         let setting = self.key.rsplit('.').next().unwrap_or(self.key);
         let inner = folder.file(self.name).join(format!("{setting}-{value}-clip-{}", clip.name()));
-        Comparison::plan(&label, &document.scene()?, &options.fields, options.seeds, &Folder::at(inner))
+        Comparison::plan(&label, &source.scene()?, &options.fields, options.seeds, &Folder::at(inner))
     }
 
     fn drawing(&self, options: &Options, cells: &[Cell]) -> Drawing {
@@ -126,7 +126,7 @@ impl Study {
             });
             let sizes = row.iter().filter(|cell| self.update_size_of == Some(cell.value)).map(|cell| Case {
                 title: title(format!("{}: update size", self.panel(cell.value))),
-                y_label: "length of the field".into(),
+                y_label: "norm of the field".into(),
                 y_axis: self.values.len(),
                 curves: smooth(&cell.runs, |r| r.grad_norm.get()),
             });
@@ -157,7 +157,7 @@ impl Study {
     /// Markdown table of final losses over the seeds.
     fn table(&self, cells: &[Cell]) -> Table {
         let mut table = Table::new();
-        let header = ["case", "clip", "field", "seeds", "median final test loss", "quartiles", "median best", "broke off"];
+        let header = ["case", "clip", "field", "seeds", "median final test loss", "quartiles", "median best", "failed"];
         table.load_style(ASCII_MARKDOWN).set_header(header);
         for (cell, (field, runs)) in cells.iter().flat_map(|cell| by_field(&cell.runs).map(move |runs| (cell, runs))) {
             let last = sorted(runs.iter().map(|run| run.last(|r| r.test_loss)));

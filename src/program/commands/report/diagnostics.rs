@@ -1,7 +1,7 @@
 //! Charts of gradients: norms, agreement of M and R, and growth of adjoints.
 
 use crate::program::commands::report::figure::Figure;
-use crate::program::commands::report::inspected::{Close, Inspected};
+use crate::program::commands::report::inspected::{Inspected, RolloutData};
 use crate::program::commands::report::learning::{field_keys, lines};
 use crate::program::operations::adjoint_norms::Lengths;
 use crate::program::runs::statistics::{Outcome, curves};
@@ -10,20 +10,20 @@ use physgrad::{Flow, Record};
 
 const EPOCH: &str = "epoch";
 const STEP: &str = "step of the rollout";
-const LENGTH: &str = "length of the adjoint";
+const NORM: &str = "norm of the adjoint";
 
 /// Charts over epochs, for one run or several.
 pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
     let by_epoch =
         |value: fn(&Record) -> f64| lines(runs, |run: &Outcome| run.records.iter().map(|r| (r.epoch as f64, value(r))).collect());
     let outcomes: Vec<Outcome> = runs.iter().map(Inspected::outcome).collect();
-    let lengths = curves(&outcomes, |r| r.grad_norm.get()).iter().map(|curve| curve.summary(|p| p.epoch)).collect();
+    let norms = curves(&outcomes, |r| r.grad_norm.get()).iter().map(|curve| curve.summary(|p| p.epoch)).collect();
     let mut figures = vec![Figure::new(
-        "Length of the field",
-        Chart::log(EPOCH, "gradient norm", lengths),
-        "The length of the vector that the optimizer follows, before clipping, averaged over the updates of an epoch; of several \
-         seeds, the mean and the band as above. Look for leaps by powers of ten (it explodes) and for a line that sinks although \
-         the loss does not (it vanishes).",
+        "Norm of the field",
+        Chart::log(EPOCH, "gradient norm", norms),
+        "Norm of the vector that the optimizer follows, before clipping, averaged over the updates of an epoch; for several \
+         seeds, mean and band as above. Jumps by powers of ten show an exploding field. A line that falls while the loss does \
+         not shows a vanishing field.",
     )];
     let composed = |run: &&Inspected| run.records.iter().any(|r| r.cosine.is_some());
     if runs.iter().any(|run| composed(&run)) {
@@ -32,8 +32,8 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
             Figure::new(
                 "Agreement of M and R",
                 Chart::linear(EPOCH, "cosine", [-1.0, 1.0], by_epoch(|r| r.cosine.unwrap_or(f64::NAN))),
-                "The cosine of the angle between the gradients M and R of which C is made. At 1 they point the same way; look \
-                 for where it drops to 0 or below: there the way back through the network has turned R away from M.",
+                "Cosine of the angle between the gradients M and R, from which C is computed. At 1 their directions are equal. \
+                 At 0 or below, backpropagation through the network has turned R away from M.",
             )
             .keys(keys()),
         );
@@ -41,8 +41,8 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
             Figure::new(
                 "Share of components kept",
                 Chart::linear(EPOCH, "share kept", [0.0, 1.0], by_epoch(|r| r.kept.unwrap_or(f64::NAN))),
-                "The share of parameters in which M and R have the same sign: C follows M there and leaves the others alone. \
-                 Chance would keep a half; look for a share near or below it.",
+                "Share of parameters in which M and R have the same sign. C equals M there, and is zero elsewhere. Unrelated \
+                 gradients give one half; a share near or below it means that M and R do not agree.",
             )
             .keys(keys()),
         );
@@ -71,10 +71,10 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
     Figure::new(
         "Growth by epoch",
         Chart::linear(EPOCH, "growth along a rollout (decades)", range, series),
-        "By how many powers of ten the adjoints of the field's flows grow on their way back through a rollout, in the first update \
-         of every epoch, the mean over its samples; 0 is balance. Look for R above 7 in f32 and 16 in f64, where its signs are those of \
-         rounding errors, for R far below 0, where nothing reaches the early steps, and for M above 3, which tells of a plant that is \
-         unstable without its policy.",
+        "Powers of ten by which the adjoints of the field's flows grow in the reverse pass through a rollout, in the first \
+         update of every epoch, averaged over its samples; 0 is balanced. R above 7 in f32, or 16 in f64, has the signs of \
+         rounding errors. With R far below 0, later costs barely affect the gradient of early steps. M above 3 shows a plant \
+         that is unstable without its policy.",
     )
     .notes(warnings.flatten().collect())
 }
@@ -83,67 +83,69 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
 pub fn missing(runs: &[Inspected]) -> Option<&'static str> {
     let several = runs.iter().all(|run| run.field.flows().len() == 1);
     several.then_some(
-        "Cosine and share kept are recorded for the combined field (C) only, which is made of two gradients; here every update \
-         follows one.",
+        "Cosine and share kept are recorded for the combined field (C) only, which uses two gradients. These runs use one.",
     )
 }
 
 /// Chart of adjoint norms along the rollout, before and after training.
-pub fn of_run(close: &Close) -> Figure {
+pub fn of_run(rollouts: &RolloutData) -> Figure {
     let series = |growth: &Lengths, when: &str| {
         let letter = growth.flow.to_string();
         Series::new(format!("{letter} {when}"), field_color(&letter), growth.points())
     };
-    let before = close.before.iter().map(|growth| series(growth, "before training").dashed());
-    let after = close.after.iter().map(|growth| series(growth, "as trained"));
-    Figure::new("Growth of the adjoint", Chart::log(STEP, LENGTH, before.chain(after).collect()), GROWTH).notes(
-        [diverged(&close.before, "Before training"), diverged(&close.after, "As trained"), coincide(&close.before)].concat(),
+    let before = rollouts.before.iter().map(|growth| series(growth, "before training").dashed());
+    let after = rollouts.after.iter().map(|growth| series(growth, "as trained"));
+    Figure::new("Growth of the adjoint", Chart::log(STEP, NORM, before.chain(after).collect()), GROWTH).notes(
+        [diverged(&rollouts.before, "Before training"), diverged(&rollouts.after, "As trained"), coincide(&rollouts.before)]
+            .concat(),
     )
 }
 
 /// Charts of adjoint norms for the first run of every field, before and after training.
 pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
-    let close: Vec<(&Inspected, &Close)> = runs.iter().filter_map(|run| Some((run, run.close.as_ref()?))).collect();
-    let Some((_, first)) = close.first() else { return Vec::new() };
+    let firsts: Vec<(&Inspected, &RolloutData)> = runs.iter().filter_map(|run| Some((run, run.rollouts.as_ref()?))).collect();
+    let Some((_, first)) = firsts.first() else { return Vec::new() };
     let before = first.before.iter().map(|growth| {
         let letter = growth.flow.to_string();
         Series::new(letter.clone(), field_color(&letter), growth.points())
     });
     let trained = |title, flow: usize, caption| {
-        let series =
-            close.iter().map(|(run, close)| Series::new(run.name(), field_color(run.field.letter()), close.after[flow].points()));
-        let notes =
-            close.iter().flat_map(|(run, close)| diverged(&close.after[flow..=flow], &format!("{}, as trained", run.name())));
-        Figure::new(title, Chart::log(STEP, LENGTH, series.collect()), caption).notes(notes.collect())
+        let series = firsts
+            .iter()
+            .map(|(run, rollouts)| Series::new(run.name(), field_color(run.field.letter()), rollouts.after[flow].points()));
+        let notes = firsts
+            .iter()
+            .flat_map(|(run, rollouts)| diverged(&rollouts.after[flow..=flow], &format!("{}, as trained", run.name())));
+        Figure::new(title, Chart::log(STEP, NORM, series.collect()), caption).notes(notes.collect())
     };
     vec![
-        Figure::new("Growth of the adjoint before training", Chart::log(STEP, LENGTH, before.collect()), GROWTH)
+        Figure::new("Growth of the adjoint before training", Chart::log(STEP, NORM, before.collect()), GROWTH)
             .notes([diverged(&first.before, "Before training"), coincide(&first.before)].concat()),
         trained(
             "Growth of R as trained",
             0,
-            "The adjoint of R (through physics and network) under the policy that each field ended with, first seed. Look for \
-             policies through which it explodes or vanishes towards the start of the rollout.",
+            "Adjoint of R (through physics and network) under the final policy of each field, first seed. A line that rises or \
+             falls steeply towards the first step shows a policy through which the adjoint explodes or vanishes.",
         ),
         trained(
             "Growth of M as trained",
             1,
-            "The adjoint of M (through the physics only) under the same policies. Look for lines that stay level where those \
-             of R do not.",
+            "Adjoint of M (through the physics only) under the same policies. Lines that stay level where those of R do not \
+             show an imbalance caused by the network.",
         ),
     ]
 }
 
-const GROWTH: &str = "How strongly what comes after each step depends on the state there, going back through physics and network (R) or \
-                      through the physics alone (M); the root mean square over test rollouts. Read it from right to left: a \
-                      line that climbs by powers of ten explodes, one that sinks vanishes. Look for how far R and M part.";
+const GROWTH: &str = "Norm of the derivative of the later cost by the state at each step, through physics and network (R) or \
+                      through the physics alone (M); root mean square over test rollouts. The reverse pass runs from right to \
+                      left: a line that rises by powers of ten explodes, one that falls vanishes.";
 
 /// Notes on divergences that truncate or remove a line.
 fn diverged(growths: &[Lengths], when: &str) -> Vec<String> {
     if let [Lengths { norms, diverged: Some(why), .. }, ..] = growths
         && norms.is_empty()
     {
-        return vec![format!("{when}, a rollout diverged, and there is nothing to go back through: {why}.")];
+        return vec![format!("{when}, a rollout diverged, so there is no reverse pass: {why}.")];
     }
     let of = |growth: &Lengths| growth.diverged.map(|why| format!("{when}, the adjoint of {} diverged: {why}.", growth.flow));
     growths.iter().filter_map(of).collect()
@@ -155,5 +157,8 @@ fn coincide(growths: &[Lengths; 2]) -> Vec<String> {
     if r.is_empty() || r.iter().zip(m).any(|(r, m)| r.to_bits() != m.to_bits()) {
         return Vec::new();
     }
-    vec!["Before training the two are the same: the last kernel is zero, and nothing comes back through the network yet.".into()]
+    vec![
+        "Before training, R and M are equal: the weights of the output layer are zero, so no derivative passes through it."
+            .into(),
+    ]
 }

@@ -45,12 +45,12 @@ impl Figure {
 
     pub fn html(&self) -> Markup {
         let chart = &self.chart;
-        let label = format!("{} against {}; arrow keys read the values", chart.y_label(), chart.x_label());
+        let label = format!("{} against {}; arrow keys read values", chart.y_label(), chart.x_label());
         html! {
             figure {
                 h3 { (self.title) }
                 @if chart.series().is_empty() {
-                    p.empty { "There are no numbers to draw." }
+                    p.empty { "There are no finite values to draw." }
                 } @else {
                     p.axis { (chart.y_label()) }
                     div.chart tabindex="0" role="group" aria-label=(label) {

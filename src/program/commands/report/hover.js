@@ -1,9 +1,10 @@
-// Points at the data of the diagrams: a line at the x nearest to the pointer, dots on the lines, and their values.
-// The pictures are complete without it.
+// Interactive readout of the charts: a vertical line at the x nearest to the pointer, dots on the
+// curves, and their values. The charts are complete without this script.
 "use strict";
 
 const SVG = "http://www.w3.org/2000/svg";
-// So many values are read at once, those nearest to the pointer; and so near to the end of a line it still has one.
+// Largest number of values shown at once, those nearest to the pointer.
+// Largest distance from the end of a curve at which it still has a value, in units of the chart.
 const MOST_ROWS = 8;
 const NEAR = 12;
 
@@ -19,7 +20,7 @@ const format = (value) => {
   return size < 1e-2 || size >= 1e5 ? value.toExponential(3) : value.toPrecision(4);
 };
 
-// The index of the x nearest to `x` in a rising list.
+// Index of the entry nearest to `x` in an increasing list.
 const nearest = (xs, x) => {
   let low = 0, high = xs.length - 1;
   while (high - low > 1) {
@@ -50,7 +51,7 @@ const activate = (chart) => {
     readout.hidden = true;
   };
 
-  // Reads the values at number `i` of all x, and of too many those nearest to the height `y` in the picture.
+  // Shows the values at index `i` of all x. If there are too many, shows those nearest to `y`.
   const show = (i, y) => {
     index = Math.max(0, Math.min(all.length - 1, i));
     const x = all[index];
@@ -79,7 +80,7 @@ const activate = (chart) => {
     }
     cursor.setAttribute("visibility", "visible");
     readout.hidden = false;
-    // Beside the line, on the side with more room, and never outside of the diagram.
+    // Places the readout beside the line, on the side with more space, within the chart.
     const width = chart.clientWidth, scale = width / data.size[0], place = right(x) * scale;
     const left = place > width / 2 ? place - readout.offsetWidth - 10 : place + 10;
     readout.style.left = `${Math.max(0, Math.min(width - readout.offsetWidth, left))}px`;
@@ -97,7 +98,7 @@ const activate = (chart) => {
     if (event.key === "Escape") hide();
     if (!(event.key in places)) return;
     event.preventDefault();
-    // Up and down choose among more lines than are read at once.
+    // Up and down select among the curves if there are more than the readout shows.
     const step = { ArrowUp: -0.1, ArrowDown: 0.1 }[event.key] ?? 0;
     height = Math.max(data.up[1], Math.min(data.up[0], height + step * (data.up[0] - data.up[1])));
     show(readout.hidden ? index : places[event.key], height);

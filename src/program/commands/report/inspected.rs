@@ -26,7 +26,7 @@ pub struct Inspected {
     pub records: Vec<Record>,
     pub end: End,
     /// Present only for the first run of each field.
-    pub close: Option<Close>,
+    pub rollouts: Option<RolloutData>,
 }
 
 /// State in which the run ended.
@@ -34,22 +34,22 @@ pub enum End {
     Done,
     Interrupted,
     /// Error that stops the next epoch.
-    Broke(String),
+    Failed(String),
 }
 
 /// Data that need rollouts.
-pub struct Close {
+pub struct RolloutData {
     /// Adjoint norms of R and M before the first epoch.
     pub before: [Lengths; 2],
     /// Adjoint norms of R and M in the saved state.
     pub after: [Lengths; 2],
     /// Animation as SVG.
-    pub film: String,
+    pub animation: String,
 }
 
 impl Inspected {
     pub fn outcome(&self) -> Outcome<'_> {
-        Outcome { field: self.field, seed: self.seed, records: &self.records, broken: matches!(self.end, End::Broke(_)) }
+        Outcome { field: self.field, seed: self.seed, records: &self.records, broken: matches!(self.end, End::Failed(_)) }
     }
 
     pub fn name(&self) -> String {
@@ -57,13 +57,13 @@ impl Inspected {
     }
 
     /// Describes an unfinished run. None if the run is complete.
-    pub fn trouble(&self) -> Option<String> {
+    pub fn incomplete(&self) -> Option<String> {
         let done = counted(self.records.len(), "epoch");
-        let asked = self.epochs;
+        let total = self.epochs;
         match &self.end {
             End::Done => None,
-            End::Interrupted => Some(format!("was interrupted after {done} of {asked} and can be resumed")),
-            End::Broke(why) => Some(format!("broke off after {done} of {asked}: {why}")),
+            End::Interrupted => Some(format!("was interrupted after {done} of {total} and can be resumed")),
+            End::Failed(error) => Some(format!("failed after {done} of {total}: {error}")),
         }
     }
 }
@@ -87,26 +87,27 @@ pub fn inspect(folders: &[Folder]) -> Result<Vec<Inspected>> {
 /// # Errors
 /// Task or settings differ, apart from field, seed and epochs.
 fn check_comparable(first: &(&Folder, Scene), other: &(&Folder, Scene)) -> Result<()> {
-    let [(here, task), (there, other_task)] = [first, other].map(|(folder, scene)| (folder.path().display(), scene.kind.name()));
+    let [(path, task), (other_path, other_task)] =
+        [first, other].map(|(folder, scene)| (folder.path().display(), scene.kind.name()));
     if task != other_task {
-        bail!("{here} ({task}) and {there} ({other_task}) are not runs of one comparison; report each by itself");
+        bail!("{path} ({task}) and {other_path} ({other_task}) are not runs of one comparison; report each separately");
     }
     let [first, other] = [first, other].map(|(_, scene)| scene.comparable());
     if first != other {
         bail!(
-            "{here} and {there} are not runs of one comparison: apart from field, seed and epochs, these settings differ:\n{}",
+            "{path} and {other_path} are not runs of one comparison; besides field, seed and epochs, these settings differ:\n{}",
             differences(&first, &other)
         );
     }
     Ok(())
 }
 
-fn open(folder: &Folder, scene: &Scene, closely: bool) -> Result<Inspected> {
+fn open(folder: &Folder, scene: &Scene, with_rollouts: bool) -> Result<Inspected> {
     let mut run = scene.open(1)?;
-    let before = closely.then(|| run.lengths());
+    let before = with_rollouts.then(|| run.lengths());
     saved::restore(folder, scene, &mut *run)?;
-    let film = || outputs::film(scene, &run.rollouts(0..1)[0]);
-    let close = before.map(|before| Close { before, after: run.lengths(), film: film() });
+    let animation = || outputs::film(scene, &run.rollouts(0..1)[0]);
+    let rollouts = before.map(|before| RolloutData { before, after: run.lengths(), animation: animation() });
     Ok(Inspected {
         task: scene.kind.name(),
         field: scene.field.0,
@@ -116,7 +117,7 @@ fn open(folder: &Folder, scene: &Scene, closely: bool) -> Result<Inspected> {
         epsilon: scene.precision.epsilon(),
         settings: scene.table.clone(),
         records: run.records().to_vec(),
-        close,
+        rollouts,
         end: end(&mut *run, scene.epochs),
     })
 }
@@ -129,6 +130,6 @@ fn end(run: &mut dyn AnyRun, epochs: usize) -> End {
     }
     match run.advance(&|| false) {
         Ok(_) => End::Interrupted,
-        Err(why) => End::Broke(why.to_string()),
+        Err(error) => End::Failed(error.to_string()),
     }
 }

@@ -21,15 +21,11 @@ pub fn of_run(run: &Inspected) -> Vec<Figure> {
         Figure::new(
             "Loss by epoch",
             Chart::log(EPOCH, "loss", series(|p| p.epoch)),
-            "The loss of the whole training and test set after every epoch. Look for a test loss that stays behind while the \
-             training loss falls (overfitting), and for jumps (steps that are too large).",
+            "Loss of the whole training and test set after every epoch. A test loss that stays high while the training loss \
+             falls shows overfitting. Jumps show steps that are too large.",
         )
         .notes(left_out(&[outcome], &[|r| r.train_loss, |r| r.test_loss])),
-        Figure::new(
-            "Loss by time",
-            Chart::log(SECONDS, "loss", series(|p| p.seconds)),
-            "The same losses against the time the training took. Look for how soon the loss is as low as you need it.",
-        ),
+        Figure::new("Loss by time", Chart::log(SECONDS, "loss", series(|p| p.seconds)), "Both losses against training time."),
     ]
 }
 
@@ -44,19 +40,18 @@ pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
             "Test loss by epoch",
             Chart::log(EPOCH, "test loss", means(|p| p.epoch)),
             if single {
-                "The loss of the test set after every epoch. Look for the field that ends lowest, and for lines that stay level \
-                 (a gradient that leads nowhere)."
+                "Loss of the test set after every epoch. A level line shows a field that does not reduce the loss."
             } else {
-                "The loss of the test set after every epoch: lines are geometric means over the seeds, bands run from the best \
-                 to the worst seed. Look for the lowest line, and for bands that do not overlap."
+                "Loss of the test set after every epoch. Lines are geometric means over the seeds; bands extend from the best to \
+                 the worst seed. Bands that do not overlap show a difference beyond the spread of the seeds."
             },
         )
         .notes(left_out(&outcomes, &[|r| r.test_loss])),
         Figure::new(
             "Test loss by time",
             Chart::log(SECONDS, "test loss", means(|p| p.seconds)),
-            "The same against the time the training took: a field that needs two gradients pays for them here. Look for whether \
-             the order of the fields is still the same.",
+            "Test loss against training time. A field of two gradients takes longer per epoch, so the order of the fields may \
+             differ from the order by epoch.",
         ),
     ];
     if !single {
@@ -65,7 +60,7 @@ pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
             Figure::new(
                 "Every run",
                 Chart::log(EPOCH, "test loss", lines(runs, line)),
-                "The test loss of every seed by itself. Look for single seeds that fail where others of the same colour succeed.",
+                "Test loss of every seed. Shows single seeds that fail where others of the same field succeed.",
             )
             .keys(field_keys(runs)),
         );
@@ -96,6 +91,6 @@ fn left_out(runs: &[Outcome], losses: &[fn(&Record) -> f64]) -> Vec<String> {
         (epochs(|loss| !loss.is_finite()), "because a rollout diverged"),
         (epochs(|loss| loss <= 0.0), "because a logarithmic axis has no zero"),
     ];
-    let note = |(count, why)| format!("Left out, {why}: a loss of {}.", counted(count, "epoch"));
+    let note = |(count, why)| format!("Not shown, {why}: a loss of {}.", counted(count, "epoch"));
     reasons.into_iter().filter(|&(count, _)| count > 0).map(note).collect()
 }

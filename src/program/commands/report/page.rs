@@ -13,14 +13,14 @@ use toml::Value;
 /// Page about one run.
 pub fn run(folder: &str, run: &Inspected) -> String {
     let title = format!("{}: field {}, seed {}", run.task, field_label(run.field), run.seed);
-    let trouble = run.trouble().map(|what| format!("This run {what}."));
+    let trouble = run.incomplete().map(|reason| format!("This run {reason}."));
     let alone = std::slice::from_ref(run);
     let content = html! {
         (section("Result", result(run)))
         (section("Learning", figures(learning::of_run(run))))
-        (films(&[run]))
+        (animations(&[run]))
         (section("Gradients", html! {
-            (figures(diagnostics::of_epochs(alone).into_iter().chain(run.close.as_ref().map(diagnostics::of_run))))
+            (figures(diagnostics::of_epochs(alone).into_iter().chain(run.rollouts.as_ref().map(diagnostics::of_run))))
             (remarks(alone))
         }))
         (section("Settings", settings(&[run])))
@@ -34,20 +34,20 @@ pub fn comparison(folder: &str, runs: &[Inspected]) -> String {
     let letters: Vec<&str> = statistics::by_field(&outcomes).map(|(field, _)| field.letter()).collect();
     let seeds = statistics::by_field(&outcomes).map(|(_, runs)| runs.len()).max().unwrap_or(0);
     let title = format!("{}: fields {}, {}", runs[0].task, letters.join(", "), counted(seeds, "seed"));
-    let trouble: Vec<String> = runs.iter().filter_map(|run| Some(format!("{} {}.", run.name(), run.trouble()?))).collect();
-    let firsts: Vec<&Inspected> = runs.iter().filter(|run| run.close.is_some()).collect();
+    let trouble: Vec<String> = runs.iter().filter_map(|run| Some(format!("{} {}.", run.name(), run.incomplete()?))).collect();
+    let firsts: Vec<&Inspected> = runs.iter().filter(|run| run.rollouts.is_some()).collect();
     let content = html! {
         (section("Result", html! {
             (table(&statistics::TABLE_HEADER, &statistics::table(&outcomes)))
             p.note {
-                "Medians, lowest and highest over the seeds."
+                "Median, lowest and highest value over the seeds."
                 @if outcomes.iter().any(|run| run.broken) {
-                    " A run that broke off has no final loss (NaN), which counts as the worst."
+                    " A failed run has no final loss (NaN), which ranks as the worst."
                 }
             }
         }))
         (section("Learning", figures(learning::of_comparison(runs))))
-        (films(&firsts))
+        (animations(&firsts))
         (section("Gradients", html! {
             (figures(diagnostics::of_epochs(runs).into_iter().chain(diagnostics::of_comparison(runs))))
             (remarks(runs))
@@ -76,12 +76,12 @@ fn document(title: &str, folder: &str, run: &Inspected, trouble: &[String], cont
                     h1 { (title) }
                     p { "Folder " b { (folder) } ", made by physgrad " (version) "." }
                     p.note {
-                        "Fields: R is the true gradient, back through physics and network; M goes back through the physics only, \
-                         N through the network only, S through neither; C, the combined field, is M where M and R have the same \
-                         sign, and zero elsewhere."
+                        "Fields: R is the exact gradient, backpropagated through physics and network. M is backpropagated \
+                         through the physics only, N through the network only, S through neither. C, the combined field, is M \
+                         where M and R have the same sign, and zero elsewhere."
                     }
                     (troubles(trouble))
-                    p.hint hidden { "Point at a diagram to read its values, or move to it with Tab and use the arrow keys." }
+                    p.hint hidden { "To read values, point at a chart, or select it with Tab and use the arrow keys." }
                 }
                 main { (content) }
                 script { (PreEscaped(include_str!("hover.js"))) }
@@ -98,8 +98,8 @@ fn troubles(troubles: &[String]) -> Markup {
             [] => {}
             [one] => p.trouble { (one) },
             many => details.trouble open[many.len() < 4] {
-                summary { (many.len()) " runs were not finished" }
-                ul { @for what in many { li { (what) } } }
+                summary { (many.len()) " runs are incomplete" }
+                ul { @for reason in many { li { (reason) } } }
             },
         }
     }
@@ -130,7 +130,7 @@ fn result(run: &Inspected) -> Markup {
     let header = ["epochs", "seconds", "final training loss", "final test loss", "best test loss", "skipped updates"];
     let records = &run.records;
     let Some(last) = records.last() else {
-        return html! { p { "No epoch was finished, so there are no losses yet." } };
+        return html! { p { "No epoch is complete, so there are no losses." } };
     };
     let skipped: usize = records.iter().map(|r| r.skipped).sum();
     let row = [
@@ -143,23 +143,23 @@ fn result(run: &Inspected) -> Markup {
     ];
     html! {
         (table(&header, &[row]))
-        @if skipped > 0 { p.note { "An update is skipped if a number in it is not finite." } }
+        @if skipped > 0 { p.note { "An update is skipped if it contains a non-finite number." } }
     }
 }
 
 /// Animations of these runs.
-fn films(runs: &[&Inspected]) -> Markup {
+fn animations(runs: &[&Inspected]) -> Markup {
     section(
-        "Film",
+        "Animation",
         html! {
-            div.figures { @for run in runs { @if let Some(close) = &run.close {
+            div.figures { @for run in runs { @if let Some(rollouts) = &run.rollouts {
                 figure {
                     @if runs.len() > 1 { h3 { (run.name()) } }
                     @let alt = format!("Animation of {} under the policy of {}", run.task, run.name());
-                    img.film src=(data_uri(&close.film)) alt=(alt);
+                    img.animation src=(data_uri(&rollouts.animation)) alt=(alt);
                 }
             } } }
-            p.note { "One rollout from a start state of the test set, under the policy as the run left it." }
+            p.note { "One rollout from an initial state of the test set, under the saved policy." }
         },
     )
 }
@@ -174,8 +174,8 @@ fn remarks(runs: &[Inspected]) -> Markup {
     html! {
         @if let Some(missing) = diagnostics::missing(runs) { p.note { (missing) } }
         p.note {
-            "Adjoints are those of the first " (SAMPLES) " test starts, or of as many as there are. Diagrams leave out what \
-             their axes cannot show, and thin lines of many points."
+            "Adjoints are computed from at most " (SAMPLES) " test initial states. Charts omit values outside the range of their \
+             axes, and thin out lines with many points."
         }
     }
 }
@@ -200,7 +200,7 @@ fn settings(runs: &[&Inspected]) -> Markup {
                 } }
             }
         } }
-        @if runs.len() > 1 { p.note { "Several values: the runs have one of them each." } }
+        @if runs.len() > 1 { p.note { "Where several values are listed, each run has one of them." } }
     }
 }
 

@@ -49,13 +49,13 @@ impl TaskSpec for Bounce {
     type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "bounce";
-    const ABOUT: &'static str = "have a bouncing ball at a height at the end, by thrust";
+    const ABOUT: &'static str = "bring a bouncing ball to a target height at the final time, by thrust";
     const EPOCHS: usize = 300;
     const HORIZON: usize = 100;
 
     fn system() -> BounceSettings {
         let BouncingBall { mass, gravity, dt, contact: _ } = BouncingBall::default();
-        BounceSettings { mass, gravity, dt, contact: ContactSettings::USUAL }
+        BounceSettings { mass, gravity, dt, contact: ContactSettings::DEFAULT }
     }
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {

@@ -33,7 +33,7 @@ enum Model {
 }
 
 impl ContactSettings {
-    pub(super) const USUAL: Self = Self { model: Model::TimeOfImpact, restitution: None, stiffness: None, damping: None };
+    pub(super) const DEFAULT: Self = Self { model: Model::TimeOfImpact, restitution: None, stiffness: None, damping: None };
 
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
         let Self { model, restitution, stiffness, damping } = *self;
@@ -67,6 +67,6 @@ impl ContactSettings {
 
     /// Penalty contact that substeps of 1 ms resolve.
     pub(super) fn soft() -> Self {
-        Self { model: Model::Penalty, stiffness: Some(1e4), ..Self::USUAL }
+        Self { model: Model::Penalty, stiffness: Some(1e4), ..Self::DEFAULT }
     }
 }

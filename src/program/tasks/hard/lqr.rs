@@ -40,7 +40,7 @@ impl TaskSpec for Lqr {
     type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "lqr";
-    const ABOUT: &'static str = "hold a linear plant at rest, at a quadratic cost whose least value is known";
+    const ABOUT: &'static str = "regulate a linear plant to rest, with a quadratic cost of known minimum";
     const EPOCHS: usize = 300;
     const HORIZON: usize = 100;
 
@@ -51,7 +51,7 @@ impl TaskSpec for Lqr {
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
         positive("system.spread", settings.system.spread)?;
         let substeps = settings.integrator.count();
-        allowed("integrator.substeps", substeps, substeps == 1, "none: a linear plant is a step and no flow")
+        allowed("integrator.substeps", substeps, substeps == 1, "1, because a linear plant is discrete in time")
     }
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {

@@ -46,7 +46,7 @@ impl TaskSpec for PoleChain {
     type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "pole_chain";
-    const ABOUT: &'static str = "swing up a chain of poles, one on the end of the other, on a cart";
+    const ABOUT: &'static str = "swing up a chain of poles, hinged end to end, on a cart";
     const EPOCHS: usize = 300;
     const HORIZON: usize = 100;
     const METHODS: &'static [Method] = &Method::ODE;

@@ -35,13 +35,13 @@ impl TaskSpec for Push {
     type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "push";
-    const ABOUT: &'static str = "push a box to a place that only contact can bring it to";
+    const ABOUT: &'static str = "push a box to a target position, by contact only";
     const EPOCHS: usize = 300;
     const HORIZON: usize = 100;
 
     fn system() -> PushSettings {
         let TwoBodies { masses, contact_distance, dt, contact: _ } = TwoBodies::pusher();
-        PushSettings { masses, contact_distance, dt, contact: ContactSettings::USUAL }
+        PushSettings { masses, contact_distance, dt, contact: ContactSettings::DEFAULT }
     }
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {

@@ -60,7 +60,7 @@ impl TaskSpec for Slider {
     type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "slider";
-    const ABOUT: &'static str = "stop a block with stiff dry friction at a place";
+    const ABOUT: &'static str = "stop a block with stiff dry friction at a target position";
     const EPOCHS: usize = 300;
     const HORIZON: usize = 100;
 
