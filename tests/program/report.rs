@@ -240,7 +240,9 @@ fn runs_that_were_not_finished_have_a_page_that_says_so() {
     train(&broken, &["--epochs", "40"]).args(DIVERGES).assert().failure();
     let page = report(&broken);
     assert!(page.contains("This run failed after 3 epochs of 40: training stopped: 11 updates in a row"));
-    assert!(page.contains("because a rollout diverged: a loss of 3 epochs.") && page.contains("There are no finite values to draw."));
+    assert!(
+        page.contains("because a rollout diverged: a loss of 3 epochs.") && page.contains("There are no finite values to draw.")
+    );
     assert!(page.contains("Before training, a rollout diverged") && page.contains("state component 0 of sample 0"));
 
     compare(&all, &["--fields", "R,C", "--seeds", "2", "--epochs", "40"]).args(DIVERGES).assert().failure();

@@ -6,7 +6,7 @@ mod gradients;
 mod outputs;
 mod row;
 
-use crate::program::operations::simulation::{Found, Job};
+use crate::program::operations::simulation::{Job, Simulated};
 use crate::program::platform::folder::Folder;
 use crate::program::platform::terminal::{say, tell};
 use crate::program::scenes::overrides::Overrides;
@@ -105,7 +105,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     {
         bail!("--target {target}; allowed: a positive error, for example 1e-3");
     }
-    let mut source = presets::document(&args.scene)?;
+    let mut source = presets::source(&args.scene)?;
     args.overrides.apply(&mut source)?;
     let given = source.clone();
     let scene = source.scene()?;
@@ -201,8 +201,8 @@ impl Study {
     }
 
     /// Reference solution, and its difference from the solution with half as many steps.
-    fn reference(&self) -> Result<(Found, Errors)> {
-        let (method, substeps) = self.scene.kind.reference();
+    fn reference(&self) -> Result<(Simulated, Errors)> {
+        let (method, substeps) = self.scene.task.reference();
         let run = |substeps| {
             let setting = Setting { method, substeps, precision: Precision::F64 };
             let found = self.job(&setting)?.found;
@@ -220,7 +220,7 @@ impl Study {
     }
 
     fn settings(&self) -> Vec<Setting> {
-        let methods = ["native"].into_iter().chain(self.scene.kind.methods().iter().map(|method| method.name()));
+        let methods = ["native"].into_iter().chain(self.scene.task.methods().iter().map(|method| method.name()));
         let each = methods.flat_map(|method| {
             // Skips further step counts for the adaptive method, which selects its own steps.
             let counts = if method == "adaptive" { &SUBSTEPS[..1] } else { &SUBSTEPS };

@@ -38,5 +38,5 @@ fn animation(folder: &Folder, sample: usize) -> Result<()> {
     if sample >= samples {
         bail!("--sample is {sample}; allowed: 0 to {}, the test initial states of {}", samples - 1, folder.path().display());
     }
-    folder.write(ANIMATION, outputs::film(&scene, &run.rollouts(sample..sample + 1)[0]))
+    folder.write(ANIMATION, outputs::animation(&scene, &run.rollouts(sample..sample + 1)[0]))
 }

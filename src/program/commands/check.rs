@@ -18,7 +18,7 @@ pub struct Check {
 pub fn check(args: &Check) -> Result<()> {
     let mut results = Results::new();
     for (variant, scene) in scenes(args.scene.as_deref())? {
-        results.begin(scene.kind.name());
+        results.begin(scene.task.name());
         scene.check(&variant, &mut results);
     }
     let (table, failures) = results.finish();
@@ -34,7 +34,7 @@ pub fn check(args: &Check) -> Result<()> {
 fn scenes(name: Option<&str>) -> Result<Vec<(String, Scene)>> {
     let tasks = TASKS.into_iter().filter(|kind| name.is_none_or(|name| name == kind.name()));
     let variants: Vec<_> = tasks.flat_map(|kind| kind.variants()).collect();
-    let preset = |name: &str| Ok((name.to_owned(), presets::document(name)?.scene()?));
+    let preset = |name: &str| Ok((name.to_owned(), presets::source(name)?.scene()?));
     match name {
         Some(name) if variants.is_empty() => Ok(vec![preset(name)?]),
         Some(_) => Ok(variants),

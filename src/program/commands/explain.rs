@@ -30,10 +30,10 @@ const FEW_STEPS: usize = 8;
 
 /// Runs the command.
 pub fn explain(args: &Explain) -> Result<()> {
-    let mut source = presets::document(&args.scene)?;
+    let mut source = presets::source(&args.scene)?;
     args.overrides.apply(&mut source)?;
     let scene = source.scene()?;
-    say(&format!("{}: {}\n", args.scene, scene.kind.about()))?;
+    say(&format!("{}: {}\n", args.scene, scene.task.about()))?;
     let states = scene.state_names();
     say(&format!("state, {} components: {}", states.len(), names(&states)))?;
     let controls = scene.control_names();
@@ -69,7 +69,7 @@ fn table(header: &[&str]) -> Table {
 
 /// Section and documentation of every effect and actuator available in a scene.
 fn parts(scene: &Scene) -> Vec<(&'static str, &'static Info)> {
-    let sections = [scene.kind.effects(), &ACTUATORS];
+    let sections = [scene.task.effects(), &ACTUATORS];
     OPTIONAL.into_iter().zip(sections).flat_map(|(section, infos)| infos.iter().map(move |info| (section, info))).collect()
 }
 
@@ -113,7 +113,7 @@ fn operations(scene: &Scene) -> Result<Table> {
     };
     let mut bare = scene.table.clone();
     OPTIONAL.iter().for_each(|section| drop(bare.remove(*section)));
-    let alone = numbers(&scene.kind.scene(bare)?.cost());
+    let alone = numbers(&scene.task.scene(bare)?.cost());
     rows("system alone", alone);
     let whole = numbers(&scene.cost());
     let mut shared = difference(alone, whole);
@@ -125,7 +125,7 @@ fn operations(scene: &Scene) -> Result<Table> {
         if let Some(section) = without.get_mut(section).and_then(toml::Value::as_table_mut) {
             section.remove(info.name);
         }
-        let rest = numbers(&scene.kind.scene(without)?.cost());
+        let rest = numbers(&scene.task.scene(without)?.cost());
         rows(&format!("{section}.{}", info.name), difference(whole, rest));
         shared = difference(shared, difference(rest, whole));
     }
@@ -148,7 +148,7 @@ fn bytes(scene: &Scene) -> Result<Table> {
     let with_horizon = |horizon: usize| {
         let mut table = scene.table.clone();
         table.insert("horizon".into(), toml::Value::Integer(horizon as i64));
-        scene.kind.scene(table)
+        scene.task.scene(table)
     };
     // Separates the part per step from the constant part by two horizons.
     let (short, long) = (with_horizon(FEW_STEPS)?, with_horizon(2 * FEW_STEPS)?);
@@ -156,7 +156,7 @@ fn bytes(scene: &Scene) -> Result<Table> {
         let [short, long] = [&short, &long].map(|scene| scene.stored(field));
         let per_step = (long.bytes - short.bytes) / (FEW_STEPS * SAMPLES);
         let constant = short.bytes / SAMPLES - per_step * FEW_STEPS;
-        let allocations = long.allocations.zip(short.allocations).map(|(long, short)| (long - short) / FEW_STEPS);
+        let allocations = long.allocations.zip(short.allocations).map(|(long, short)| (long - short) / FEW_STEPS as u64);
         table.add_row([
             name.to_owned(),
             per_step.to_string(),

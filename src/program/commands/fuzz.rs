@@ -3,7 +3,7 @@
 mod inputs;
 
 use crate::program::commands::stress::{passes, table};
-use crate::program::platform::allocations::peak_during;
+use crate::program::operations::peak_bytes;
 use crate::program::platform::parallel;
 use crate::program::platform::terminal::say;
 use anyhow::{Result, bail};
@@ -83,7 +83,7 @@ impl Outcomes {
     /// input is accepted.
     fn record(&mut self, number: u64, allowed: usize, work: impl FnOnce() -> bool) {
         let begin = Instant::now();
-        let (result, bytes) = peak_during(|| panic::catch_unwind(AssertUnwindSafe(work)));
+        let (result, bytes) = peak_bytes(|| panic::catch_unwind(AssertUnwindSafe(work)));
         let (time, peak) = (begin.elapsed().as_secs_f64(), bytes as f64 / allowed as f64);
         match result {
             Ok(true) => self.accepted += 1,

@@ -3,7 +3,7 @@
 use crate::program::platform::folder::Folder;
 use crate::program::platform::terminal::{say, tell};
 use crate::program::runs::progress::Progress;
-use crate::program::runs::run::{self, NoUpdate, SAVE_EVERY, threads};
+use crate::program::runs::run::{self, End, NoUpdate, SAVE_EVERY, threads};
 use crate::program::runs::saved::{changed, resumed};
 use crate::program::runs::statistics::best;
 use crate::program::scenes::overrides::Overrides;
@@ -47,7 +47,7 @@ pub fn train(args: &Train) -> Result<()> {
         (Some(out), true) => {
             let folder = Folder::existing(out)?.lock()?;
             let scene = resumed(&folder, &args.overrides)?;
-            let [named, saved] = [presets::document(&args.scene)?.scene()?, scene.clone()].map(|scene| scene.kind.name());
+            let [named, saved] = [presets::source(&args.scene)?.scene()?, scene.clone()].map(|scene| scene.task.name());
             if named != saved {
                 bail!(
                     "the run in {} has the task {saved}, but {} has the task {named}; name a scene of {saved}",
@@ -72,8 +72,8 @@ pub fn train(args: &Train) -> Result<()> {
     if !args.quiet {
         tell(&format!(
             "{} ({}): field {}, seed {}, {}, {workers} thread{}",
-            scene.kind.name(),
-            scene.kind.about(),
+            scene.task.name(),
+            scene.task.about(),
             scene.field.0,
             scene.seed,
             scene.precision.name(),
@@ -85,22 +85,22 @@ pub fn train(args: &Train) -> Result<()> {
     progress.bar.finish_and_clear();
     let text = if args.quiet { String::new() } else { summary(&folder, &scene, &finished.records) };
     let printed = if text.is_empty() { Ok(()) } else { say(&text) };
-    if finished.interrupted {
-        let done = finished.records.len();
-        let command = format!("physgrad train {} --resume --out {}", args.scene, folder.path().display());
-        // Ignores errors: the terminal may be closed, and the signal determines the exit status.
-        let _ = say(&format!("interrupted after epoch {done}; to resume: {command}"));
-        return Ok(());
-    }
     let results = folder.path().display();
-    if finished.no_update {
-        let reason = finished.broken.map_or_else(String::new, |error| format!(" ({error})"));
-        bail!(NoUpdate(format!("{results}{reason}")));
+    match finished.end {
+        End::Complete => printed,
+        End::Interrupted => {
+            let done = finished.records.len();
+            let command = format!("physgrad train {} --resume --out {results}", args.scene);
+            // Ignores errors: the terminal may be closed, and the signal determines the exit status.
+            let _ = say(&format!("interrupted after epoch {done}; to resume: {command}"));
+            Ok(())
+        }
+        End::NoUpdate(error) => {
+            let reason = error.map_or_else(String::new, |error| format!(" ({error})"));
+            bail!(NoUpdate(format!("{results}{reason}")))
+        }
+        End::Failed(error) => Err(error).with_context(|| format!("the run up to its last complete epoch is in {results}")),
     }
-    if let Some(error) = finished.broken {
-        return Err(error).with_context(|| format!("the run up to its last complete epoch is in {results}"));
-    }
-    printed
 }
 
 /// Parses a number of seconds from 0 to 86400 (one day).
@@ -111,7 +111,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 
 /// Prints the settings in which the scene file differs from the resumed run.
 fn note_differences(folder: &Folder, scene: &Scene, file: &str, overrides: &Overrides) -> Result<()> {
-    let mut source = presets::document(file)?;
+    let mut source = presets::source(file)?;
     overrides.apply_again(&mut source)?;
     let (saved, named) = (scene.identity(), source.scene()?.identity());
     if saved != named {

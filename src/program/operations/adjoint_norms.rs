@@ -8,7 +8,7 @@ use physgrad::{Adjoint, Divergence, Float, Flow, Rollout, Weights};
 pub const SAMPLES: usize = 64;
 
 /// Norms of the adjoint of one flow.
-pub struct Lengths {
+pub struct AdjointNorms {
     pub flow: Flow,
     /// Norm at each state of the rollout. NaN at states before the step of a divergence.
     pub norms: Vec<f64>,
@@ -16,7 +16,7 @@ pub struct Lengths {
     pub diverged: Option<Divergence>,
 }
 
-impl Lengths {
+impl AdjointNorms {
     /// Pairs of step and norm.
     pub fn points(&self) -> Vec<(f64, f64)> {
         self.norms.iter().enumerate().map(|(step, &norm)| (step as f64, norm)).collect()
@@ -24,7 +24,12 @@ impl Lengths {
 }
 
 /// Adjoint norms of R and M under a policy.
-pub fn norms<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &Weights<F>, starts: &[F]) -> [Lengths; 2] {
+pub fn norms<F: Float>(
+    task: &dyn AnyTask<F>,
+    policy: &dyn AnyPolicy<F>,
+    weights: &Weights<F>,
+    starts: &[F],
+) -> [AdjointNorms; 2] {
     let n = task.state_dim();
     let starts = &starts[..starts.len().min(SAMPLES * n)];
     let mut rollout = Rollout::new(task, policy, starts.len() / n);
@@ -33,11 +38,11 @@ pub fn norms<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights
     // Runs the flows separately: in a joint pass, a divergence of one would stop the other.
     [Flow::REGULAR, Flow::MODIFIED].map(|flow| {
         if let Err(divergence) = forward {
-            return Lengths { flow, norms: Vec::new(), diverged: Some(divergence) };
+            return AdjointNorms { flow, norms: Vec::new(), diverged: Some(divergence) };
         }
         let mut adjoint = Adjoint::new(policy, &rollout, &[flow]).keep_norms();
         // Scales the loss to the mean over samples, as in training.
         let diverged = adjoint.run(task, policy, weights, &rollout, F::lift(1.0 / rollout.samples() as f64)).err();
-        Lengths { flow, norms: adjoint.norms(0).to_vec(), diverged }
+        AdjointNorms { flow, norms: adjoint.norms(0).to_vec(), diverged }
     })
 }

@@ -1,10 +1,9 @@
 //! Visitors of `explain`: operation counts, stored bytes and allocations.
 
 use crate::program::operations::Visit;
-use crate::program::platform::allocations;
 use crate::program::settings::Precision;
 use physgrad::rng::{Purpose, stream};
-use physgrad::{Adjoint, Divergence, Field, Float, OpCount, Policy, Rollout, System, Task, Weights};
+use physgrad::{Adjoint, Divergence, Field, Float, OpCount, Policy, Rollout, Task, Weights, initial_states};
 
 /// Number of samples in the measured rollout: one full block of lanes.
 pub const SAMPLES: usize = 8;
@@ -32,7 +31,7 @@ pub struct Stored {
     /// Bytes in their buffers.
     pub bytes: usize,
     /// Allocations of a run after the first, unless it diverges.
-    pub allocations: Option<usize>,
+    pub allocations: Option<u64>,
 }
 
 impl Visit for Storing {
@@ -48,12 +47,7 @@ impl Visit for Storing {
 
 impl Storing {
     fn measure<F: Float>(&self, task: &impl Task, policy: &impl Policy) -> Stored {
-        let n = task.system().state_dim();
-        let mut starts = vec![0.0; SAMPLES * n];
-        for (sample, x) in starts.chunks_exact_mut(n).enumerate() {
-            task.start(&mut stream(0, Purpose::Test, sample as u64), x);
-        }
-        let starts: Vec<F> = starts.into_iter().map(F::lift).collect();
+        let starts: Vec<F> = initial_states(task, 0, Purpose::Test, SAMPLES);
         let weights = Weights::init(policy, &mut stream(0, Purpose::Policy, 0));
         let Some(field) = self.field else {
             let mut rollout = Rollout::<F>::for_evaluation(task, policy, SAMPLES);
@@ -75,7 +69,7 @@ impl Storing {
 }
 
 /// Allocations of the second run. The first run allocates the workspaces.
-fn allocations_of_second_run<T>(mut run: impl FnMut() -> Result<T, Divergence>) -> Option<usize> {
+fn allocations_of_second_run<T>(mut run: impl FnMut() -> Result<T, Divergence>) -> Option<u64> {
     run().ok()?;
-    Some(allocations::during(|| drop(run())))
+    Some(allocation_counter::measure(|| drop(run())).count_total)
 }

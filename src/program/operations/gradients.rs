@@ -1,15 +1,15 @@
 //! Methods of computing a gradient, and their costs.
 
 use crate::program::operations::Visit;
-use crate::program::platform::allocations::peak_during;
+use crate::program::operations::peak_bytes;
+use crate::program::operations::seconds_per_run;
 use crate::program::platform::parallel;
 use crate::program::settings::Precision;
 use physgrad::any::AnyTask;
 use physgrad::policy::AnyPolicy;
 use physgrad::rng::{Purpose, stream};
-use physgrad::{Batch, Field, Float, Flow, Gradient, Policy, Rollout, Task, Weights, check};
+use physgrad::{Batch, Field, Float, Flow, Gradient, Policy, Rollout, Task, Weights, check, initial_states};
 use std::sync::Arc;
-use std::time::Instant;
 
 /// Number of samples in the mean loss.
 const SAMPLES: usize = 4;
@@ -54,12 +54,7 @@ pub struct Derived {
 impl Derived {
     /// Seconds for a whole gradient. Measures for at least `least` seconds and at least one call.
     pub fn time(&mut self, least: f64) -> f64 {
-        let (start, mut runs) = (Instant::now(), 0.0);
-        while runs == 0.0 || start.elapsed().as_secs_f64() < least {
-            (self.run)();
-            runs += 1.0;
-        }
-        start.elapsed().as_secs_f64() / runs * self.rounds
+        seconds_per_run(least, &mut self.run) * self.rounds
     }
 }
 
@@ -72,27 +67,23 @@ pub fn chosen(count: usize) -> Vec<usize> {
 /// Parameters and initial states, rounded to f32, to be equal in every precision.
 fn inputs(task: &dyn AnyTask<f32>, policy: &dyn AnyPolicy<f32>, seed: u64) -> (Vec<f64>, Vec<f64>) {
     let weights = Weights::init(policy, &mut stream(seed, Purpose::Policy, 0));
-    let n = task.state_dim();
-    let mut starts = vec![0.0; SAMPLES * n];
-    for (sample, x) in starts.chunks_exact_mut(n).enumerate() {
-        task.start(&mut stream(seed, Purpose::Test, sample as u64), x);
-    }
-    let rounded = starts.into_iter().map(|x| f64::from(x as f32)).collect();
-    (weights.theta().iter().map(|&t| f64::from(t)).collect(), rounded)
+    let starts = initial_states(task, seed, Purpose::Test, SAMPLES);
+    let exact = |numbers: &[f32]| numbers.iter().map(|&number| f64::from(number)).collect();
+    (exact(weights.theta()), exact(&starts))
 }
 
 /// Visitor that computes a gradient with one method.
 pub struct Deriving {
     pub precision: Precision,
     pub seed: u64,
-    pub way: GradientMethod,
+    pub method: GradientMethod,
 }
 
 impl Visit for Deriving {
     type Out = Derived;
 
     fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Derived {
-        let Self { precision, seed, way: method } = self;
+        let Self { precision, seed, method } = self;
         let inputs = inputs(&task, &policy, seed);
         let (task, policy) = (Arc::new(task), Arc::new(policy));
         let slope: Slope = {
@@ -129,14 +120,14 @@ fn derive<F: Float>(
     let (weights, lifted) = (Weights::new(&*policy, lift(&theta)), lift(&starts));
     match method {
         GradientMethod::Reverse { field, budget, nudged: _ } => {
-            let (result, bytes) = peak_during(|| reverse(task, policy, weights, lifted, field, budget));
+            let (result, bytes) = peak_bytes(|| reverse(task, policy, weights, lifted, field, budget));
             match result {
                 Ok((gradient, run)) => Derived { gradient: Ok(gradient), bytes, rounds: 1.0, run },
                 Err(error) => Derived { gradient: Err(error), bytes, rounds: 1.0, run: Box::new(|| ()) },
             }
         }
         GradientMethod::Forward => {
-            let (mut loss, bytes) = peak_during(|| {
+            let (mut loss, bytes) = peak_bytes(|| {
                 let mut loss = losses(task, policy, lifted);
                 drop(loss(&weights));
                 loss
@@ -157,12 +148,12 @@ fn derive<F: Float>(
                 Ok((side(step)?, side(-step)?)).map(|((above, right), (below, left))| (above - below) / (right - left))
             };
             // The peak includes the copies of the perturbed parameters.
-            let (gradient, bytes) = peak_during(|| chosen(count).into_iter().map(&mut difference).collect());
+            let (gradient, bytes) = peak_bytes(|| chosen(count).into_iter().map(&mut difference).collect());
             Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || drop::<Result<f64, String>>(difference(0))) }
         }
         GradientMethod::Duals => {
             let slope = move |i: usize| slope(&theta, &starts, i);
-            let (gradient, bytes) = peak_during(|| chosen(count).into_iter().map(|i| Ok(slope(i))).collect());
+            let (gradient, bytes) = peak_bytes(|| chosen(count).into_iter().map(|i| Ok(slope(i))).collect());
             Derived { gradient, bytes, rounds: count as f64, run: Box::new(move || _ = slope(0)) }
         }
     }

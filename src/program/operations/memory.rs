@@ -3,7 +3,7 @@
 use crate::program::operations::Visit;
 use crate::program::operations::trajectory::ROLLOUTS;
 use crate::program::settings::Precision;
-use physgrad::{Float, Policy, System, Task};
+use physgrad::{Batch, Float, Flow, Policy, Schedule, System, Task};
 use std::fs::read_to_string;
 
 /// Visitor that estimates the memory of a run before it is allocated.
@@ -34,23 +34,22 @@ impl Visit for Memory {
     }
 }
 
+/// Largest horizon whose bytes are counted; longer ones are extrapolated, because they are linear in
+/// the steps.
+const COUNTED_STEPS: usize = 10_000;
+
 impl Memory {
     fn needs<F: Float>(&self, task: &impl Task, policy: &impl Policy) -> Needs {
         let (n, m) = (task.system().state_dim(), task.system().control_dim());
-        let (steps, number) = (task.horizon() as f64, size_of::<F>() as f64);
-        // The memory of the policy is linear in the number of columns.
-        let sizes = policy.sizes::<F>(64);
-        let tape = sizes.tape as f64 / 64.0;
-        let per_column = tape + sizes.tape_bar as f64 / 32.0 + 4.0 * (n + m) as f64;
-        // θ and packed θ, state of the optimizer and its copy, gradients of two flows.
-        let parameters = policy.param_count() as f64 * 16.0;
-        let data_sets = self.start_states as f64 * n as f64;
-        // Trajectories written at the end: numbers, their text, and vectors of both.
-        let text = ROLLOUTS as f64 * steps * (48.0 * (n + m) as f64 + 80.0);
-        Needs {
-            batch: self.samples as f64 * steps * per_column * number,
-            rest: (parameters + data_sets + ROLLOUTS as f64 * steps * tape) * number + text,
-        }
+        let steps = task.horizon().min(COUNTED_STEPS);
+        let scale = task.horizon() as f64 / steps as f64;
+        let flows = [Flow::REGULAR, Flow::MODIFIED];
+        let of = |samples: usize| Batch::<F>::bytes_of(policy, samples, &flows, 1, &Schedule::store_all(steps)) as f64 * scale;
+        // The optimizer and its copy, and both data sets.
+        let numbers = policy.param_count() as f64 * 6.0 + self.start_states as f64 * n as f64;
+        // Trajectories written at the end: text, and vectors of numbers.
+        let text = ROLLOUTS as f64 * task.horizon() as f64 * (48.0 * (n + m) as f64 + 80.0);
+        Needs { batch: of(self.samples), rest: numbers * size_of::<F>() as f64 + of(ROLLOUTS) + text }
     }
 }
 

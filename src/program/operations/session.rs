@@ -1,7 +1,7 @@
 //! Object-safe training session, independent of task, policy and precision.
 
 use crate::program::operations::Visit;
-use crate::program::operations::adjoint_norms::{self, Lengths};
+use crate::program::operations::adjoint_norms::{self, AdjointNorms};
 use crate::program::operations::trajectory::{self, Trajectory};
 use crate::program::settings::Precision;
 use anyhow::Result;
@@ -37,7 +37,7 @@ pub trait AnyRun {
     /// Rollouts from a range of test initial states, truncated to the test set.
     fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory>;
     /// Norms of the adjoints of R and M along rollouts from test initial states.
-    fn lengths(&self) -> [Lengths; 2];
+    fn adjoint_norms(&self) -> [AdjointNorms; 2];
 }
 
 impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
@@ -85,7 +85,7 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
         trajectory::rollouts(self.task(), self.policy(), self.weights(), self.test_starts(), chosen)
     }
 
-    fn lengths(&self) -> [Lengths; 2] {
+    fn adjoint_norms(&self) -> [AdjointNorms; 2] {
         adjoint_norms::norms(self.task(), self.policy(), self.weights(), self.test_starts())
     }
 }

@@ -1,19 +1,19 @@
 //! Simulation of a scene with one setting: results and costs.
 
 use crate::program::operations::Visit;
+use crate::program::operations::seconds_per_run;
 use crate::program::settings::Precision;
 use physgrad::any::AnyTask;
 use physgrad::policy::AnyPolicy;
 use physgrad::rng::{Purpose, stream};
-use physgrad::{Adjoint, Float, Flow, Gradient, OpCount, Ops, Policy, Rollout, Task, Weights};
-use std::time::Instant;
+use physgrad::{Adjoint, Float, Flow, Gradient, OpCount, Policy, Rollout, Task, Weights, initial_states};
 
 /// Number of samples in the rollout: one full block of lanes.
 const SAMPLES: usize = 8;
 
 /// Results of a rollout.
 #[derive(Clone, Default)]
-pub struct Found {
+pub struct Simulated {
     /// States at the control steps, for all samples; layout `[step][sample][component]`.
     pub states: Vec<f64>,
     /// Mean loss over the samples.
@@ -25,7 +25,7 @@ pub struct Found {
 /// Rollout that can be timed repeatedly.
 pub struct Job {
     /// Results, or the message of a divergence.
-    pub found: Result<Found, String>,
+    pub found: Result<Simulated, String>,
     /// States with zero control, `[sample][step]`. Empty if that rollout diverges.
     pub idle: Vec<Vec<Vec<f64>>>,
     /// Operations of one control step and of its VJP for one adjoint.
@@ -42,14 +42,7 @@ impl Job {
     ///
     /// Measures each for about `least` seconds.
     pub fn time(&mut self, least: f64) -> [f64; 2] {
-        [false, true].map(|gradient| {
-            let (start, mut runs) = (Instant::now(), 0.0);
-            while runs == 0.0 || start.elapsed().as_secs_f64() < least {
-                (self.run)(gradient);
-                runs += 1.0;
-            }
-            start.elapsed().as_secs_f64() / (runs * self.steps)
-        })
+        [false, true].map(|gradient| seconds_per_run(least, || (self.run)(gradient)) / self.steps)
     }
 }
 
@@ -71,19 +64,10 @@ impl Visit for Preparing {
     }
 }
 
-fn sum(counts: Ops) -> u64 {
-    let Ops { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
-    add + negate + multiply + divide + sqrt + transcendental + compare
-}
-
 fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, cost: OpCount, seed: u64) -> Job {
     let (n, horizon) = (task.state_dim(), task.horizon());
     let weights = Weights::<F>::init(&*policy, &mut stream(seed, Purpose::Policy, 0));
-    let mut x = vec![0.0; SAMPLES * n];
-    for (sample, x) in x.chunks_exact_mut(n).enumerate() {
-        task.start(&mut stream(seed, Purpose::Test, sample as u64), x);
-    }
-    let starts: Vec<F> = x.into_iter().map(F::lift).collect();
+    let starts = initial_states(&*task, seed, Purpose::Test, SAMPLES);
     let mut rollout = Rollout::new(&*task, &*policy, SAMPLES);
     let mut adjoint = Adjoint::new(&*policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]);
     let scale = F::lift(1.0 / SAMPLES as f64);
@@ -104,7 +88,7 @@ fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, c
             theta_bar.to_vec().into_iter().map(|g| g.as_()).collect()
         });
         let loss = (0..SAMPLES).map(|sample| rollout.cost(sample).as_()).sum::<f64>() / SAMPLES as f64;
-        Found { states: (0..=horizon).flat_map(state).collect(), loss, gradients }
+        Simulated { states: (0..=horizon).flat_map(state).collect(), loss, gradients }
     });
     // A network with zero parameters outputs zero control.
     let zeros = Weights::new(&*policy, vec![F::zero(); weights.theta().len()]);
@@ -121,5 +105,5 @@ fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, c
             let _ = adjoint.run(&*task, &*policy, &weights, &rollout, scale);
         }
     });
-    Job { found, idle, operations: sum(cost.step) + sum(cost.vjp), bytes, steps, run }
+    Job { found, idle, operations: cost.step.total() + cost.vjp.total(), bytes, steps, run }
 }

@@ -3,7 +3,6 @@
 //!
 //! Imports no other part of the program. Start with `folder`.
 
-pub mod allocations;
 pub mod files;
 pub mod folder;
 pub mod lock;

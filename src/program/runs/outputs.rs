@@ -94,7 +94,7 @@ pub fn learning_curve(title: &str, records: &[Record]) -> String {
 }
 
 /// `animation.svg`: animation of a rollout.
-pub fn film(scene: &Scene, rollout: &Trajectory) -> String {
+pub fn animation(scene: &Scene, rollout: &Trajectory) -> String {
     scene.animation(&rollout.states, &rollout.controls).to_svg()
 }
 

@@ -37,21 +37,21 @@ pub struct EpochEvent<'a> {
     pub warnings: &'a [String],
 }
 
-/// A run that is complete, interrupted or failed.
+/// Records of a run, and its end.
 pub struct Finished {
     pub records: Vec<Record>,
-    pub interrupted: bool,
-    /// Cause of the failure. The run is then in its state after the last complete epoch.
-    pub broken: Option<TrainError>,
-    /// Updates were attempted, but none was applied.
-    pub no_update: bool,
+    pub end: End,
 }
 
-impl Finished {
-    /// A run that a signal interrupted before its start.
-    pub fn before_start() -> Self {
-        Self { records: Vec::new(), interrupted: true, broken: None, no_update: false }
-    }
+/// End of a run.
+pub enum End {
+    Complete,
+    /// A signal ended the run.
+    Interrupted,
+    /// The run is in its state after the last complete epoch.
+    Failed(TrainError),
+    /// Updates were attempted, but none was applied: until the end, or until the failure.
+    NoUpdate(Option<TrainError>),
 }
 
 /// Error of a training that applied no update. Contains the names of the runs.
@@ -123,7 +123,7 @@ pub fn run(
     let mut saver = Saver { folder, identity: &identity, metrics: None, save_every, last: Instant::now(), signal_seen: false };
     saver.save(&*run)?;
 
-    let mut broken = None;
+    let mut failure = None;
     let mut within_epoch = false;
     let mut warned = 0;
     while !run.is_done() && (within_epoch || signals::received().is_none()) {
@@ -135,7 +135,7 @@ pub fn run(
                 }
             }
             Err(error) => {
-                broken = Some(error);
+                failure = Some(error);
                 break;
             }
         }
@@ -154,9 +154,15 @@ pub fn run(
     saver.save(&*run)?;
     write_outputs(folder, scene, &*run)?;
     folder.check()?;
-    let interrupted = broken.is_none() && !run.is_done();
-    let no_update = run.updates() == 0 && (broken.is_some() || !run.records().is_empty());
-    Ok(Finished { records: run.records().to_vec(), interrupted, broken, no_update })
+    let records = run.records().to_vec();
+    let end = match failure {
+        None if !run.is_done() => End::Interrupted,
+        None if run.updates() == 0 && !records.is_empty() => End::NoUpdate(None),
+        None => End::Complete,
+        Some(error) if run.updates() == 0 => End::NoUpdate(Some(error)),
+        Some(error) => End::Failed(error),
+    };
+    Ok(Finished { records, end })
 }
 
 /// Writes checkpoints and metrics of a run.
@@ -219,12 +225,12 @@ impl Saver<'_> {
 
 /// Writes the policy, learning curve, trajectories and animation.
 fn write_outputs(folder: &Folder, scene: &Scene, run: &dyn AnyRun) -> Result<()> {
-    let task = scene.kind.name();
+    let task = scene.task.name();
     let title = format!("{task}, field {}, seed {}", scene.field.0, scene.seed);
     let about = format!("physgrad {}, {task}, policy: {}", env!("CARGO_PKG_VERSION"), scene.table["policy"]);
     folder.write(POLICY, run.safetensors(about)?)?;
     folder.write(LEARNING_CURVE, outputs::learning_curve(&title, run.records()))?;
     let rollouts = run.rollouts(0..ROLLOUTS);
     folder.write(TRAJECTORY, outputs::trajectories(scene, &rollouts)?)?;
-    folder.write(ANIMATION, outputs::film(scene, &rollouts[0]))
+    folder.write(ANIMATION, outputs::animation(scene, &rollouts[0]))
 }

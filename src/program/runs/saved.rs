@@ -79,7 +79,7 @@ pub fn restore(folder: &Folder, scene: &Scene, run: &mut dyn AnyRun) -> Result<(
 
 /// Scene of the preset or file with this name, with overrides.
 pub fn changed(name: &str, overrides: &Overrides) -> Result<Scene> {
-    let mut source = presets::document(name)?;
+    let mut source = presets::source(name)?;
     overrides.apply(&mut source)?;
     source.scene()
 }

@@ -10,13 +10,13 @@ pub struct Outcome<'a> {
     pub seed: u64,
     pub records: &'a [Record],
     /// The run failed at a non-finite number and has no final losses.
-    pub broken: bool,
+    pub failed: bool,
 }
 
 impl Outcome<'_> {
     /// Loss of the last epoch. NaN for a failed run.
     pub fn last(&self, loss: fn(&Record) -> f64) -> f64 {
-        self.records.last().filter(|_| !self.broken).map_or(f64::NAN, loss)
+        self.records.last().filter(|_| !self.failed).map_or(f64::NAN, loss)
     }
 
     /// Training time of all epochs.
@@ -66,7 +66,7 @@ pub fn table(runs: &[Outcome]) -> Vec<[String; 8]> {
         [
             field.to_string(),
             runs.len().to_string(),
-            runs.iter().filter(|run| run.broken).count().to_string(),
+            runs.iter().filter(|run| run.failed).count().to_string(),
             format!("{:.3e}", quantile(&last, 0.5)),
             format!("{:.3e}", last[0]),
             format!("{:.3e}", last[last.len() - 1]),

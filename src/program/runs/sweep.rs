@@ -4,7 +4,7 @@ use crate::program::platform::folder::{Folder, RUNS};
 use crate::program::platform::parallel;
 use crate::program::platform::terminal::tell;
 use crate::program::runs::progress::Progress;
-use crate::program::runs::run::{self, EpochEvent, Finished, NoUpdate, Observer, SAVE_EVERY};
+use crate::program::runs::run::{self, End, EpochEvent, Finished, NoUpdate, Observer, SAVE_EVERY};
 use crate::program::runs::saved::{self, check_resumable};
 use crate::program::runs::statistics::Outcome;
 use crate::program::settings::FieldName;
@@ -28,7 +28,7 @@ struct Run {
     scene: Scene,
     folder: Folder,
     records: Vec<Record>,
-    broken: bool,
+    failed: bool,
 }
 
 impl Run {
@@ -45,7 +45,9 @@ impl Run {
 
     /// Trains in the run's folder, or resumes there. Waits while another process holds the lock.
     fn run(&self, observer: &mut dyn Observer) -> Result<Finished> {
-        let Some(folder) = self.folder.clone().wait_and_lock()? else { return Ok(Finished::before_start()) };
+        let Some(folder) = self.folder.clone().wait_and_lock()? else {
+            return Ok(Finished { records: Vec::new(), end: End::Interrupted });
+        };
         let resume = self.resumes()?;
         let folder = if resume { folder } else { folder.without_run()? };
         // One thread per run: the parallel runs occupy all cores.
@@ -53,7 +55,7 @@ impl Run {
     }
 
     fn outcome(&self) -> Outcome<'_> {
-        Outcome { field: self.field, seed: self.seed, records: &self.records, broken: self.broken }
+        Outcome { field: self.field, seed: self.seed, records: &self.records, failed: self.failed }
     }
 }
 
@@ -68,7 +70,7 @@ impl Comparison {
         let run = |(field, seed): (FieldName, u64)| {
             let scene = base.with(field, seed)?;
             let folder = Folder::at(folder.file(RUNS).join(format!("{}-{seed}", field.0.letter())));
-            Ok(Run { field: field.0, seed, folder, scene, records: Vec::new(), broken: false })
+            Ok(Run { field: field.0, seed, folder, scene, records: Vec::new(), failed: false })
         };
         Ok(Self { runs: pairs.map(run).collect::<Result<_>>()?, label: label.to_owned() })
     }
@@ -162,7 +164,7 @@ pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<SweepOutcome
     let total = runs.iter().map(|(run, ..)| run.scene.epochs).sum();
     let progress = Mutex::new(Progress::new(total, quiet));
     if !quiet {
-        let task = runs.first().map_or("no task", |(run, ..)| run.scene.kind.name());
+        let task = runs.first().map_or("no task", |(run, ..)| run.scene.task.name());
         tell(&format!("{task}: {} runs, {total} epochs in total, {} threads", runs.len(), rayon::current_num_threads()));
     }
     let finished: Vec<Result<Finished>> = parallel::map(&runs, |(run, label)| {
@@ -180,13 +182,16 @@ pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<SweepOutcome
     for ((run, finished), label) in all.zip(finished).zip(labels) {
         match finished {
             Ok(finished) => {
-                outcome.interrupted |= finished.interrupted;
                 run.records = finished.records;
-                run.broken = finished.broken.is_some();
-                if finished.no_update {
-                    outcome.no_update.push(label.clone());
+                run.failed = matches!(finished.end, End::Failed(_) | End::NoUpdate(Some(_)));
+                match finished.end {
+                    End::Complete => {}
+                    End::Interrupted => outcome.interrupted = true,
+                    End::Failed(error) => outcome.failed.push(format!("{label}: {error}")),
+                    End::NoUpdate(error) => {
+                        outcome.no_update.push(error.map_or(label.clone(), |error| format!("{label}: {error}")));
+                    }
                 }
-                outcome.failed.extend(finished.broken.map(|error| format!("{label}: {error}")));
             }
             Err(error) => errors.push(format!("{label}: {error:#}")),
         }

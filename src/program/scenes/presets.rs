@@ -50,7 +50,7 @@ pub fn text(name: &str) -> Result<&'static str> {
 }
 
 /// Source of the preset with this name, or of the file at this path.
-pub fn document(name: &str) -> Result<SceneSource> {
+pub fn source(name: &str) -> Result<SceneSource> {
     let path = Path::new(name);
     if path.is_dir() && !PRESETS.iter().any(|(preset, _)| *preset == name) {
         let scene = path.join(SETTINGS);
@@ -96,7 +96,7 @@ mod tests {
     fn every_preset_is_a_scene_with_a_description() {
         for (name, text) in PRESETS {
             assert!(text.starts_with("# "), "{name}");
-            if let Err(error) = document(name).and_then(|source| source.scene()) {
+            if let Err(error) = source(name).and_then(|source| source.scene()) {
                 panic!("{error}");
             }
         }

@@ -28,8 +28,9 @@ pub struct IntegratorSettings {
 }
 
 /// Integration methods.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Method {
     /// Explicit Euler, order 1.
     Euler,
@@ -71,18 +72,7 @@ impl Method {
 
     /// Name in a scene.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Euler => "euler",
-            Self::SemiImplicit => "semi_implicit",
-            Self::Verlet => "verlet",
-            Self::Heun => "heun",
-            Self::ImplicitMidpoint => "implicit_midpoint",
-            Self::Rk4 => "rk4",
-            Self::Tsit5 => "tsit5",
-            Self::Adaptive => "adaptive",
-            Self::Pade => "pade",
-            Self::Strang => "strang",
-        }
+        self.into()
     }
 }
 

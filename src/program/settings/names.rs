@@ -1,23 +1,22 @@
 //! Settings with a fixed set of values.
 
-use physgrad::Field;
+use physgrad::{Field, OptimizerKind};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Precision {
     F32,
     F64,
 }
 
 impl Precision {
+    /// Name in scenes and options.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::F32 => "f32",
-            Self::F64 => "f64",
-        }
+        self.into()
     }
 
     /// Machine epsilon: distance from 1 to the next larger number.
@@ -63,8 +62,9 @@ impl From<FieldName> for String {
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum ClipName {
     None,
     Value,
@@ -72,22 +72,52 @@ pub enum ClipName {
 }
 
 impl ClipName {
+    /// Name in scenes and options.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Value => "value",
-            Self::Norm => "norm",
+        self.into()
+    }
+}
+
+/// [`OptimizerKind`] with default parameters, by name.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct OptimizerName(String);
+
+impl OptimizerName {
+    /// The optimizer.
+    pub fn kind(&self) -> OptimizerKind {
+        OptimizerKind::named(&self.0).expect("every name is an optimizer")
+    }
+}
+
+impl Default for OptimizerName {
+    fn default() -> Self {
+        Self(OptimizerKind::NAMES[0].into())
+    }
+}
+
+impl TryFrom<String> for OptimizerName {
+    type Error = String;
+    fn try_from(name: String) -> Result<Self, Self::Error> {
+        match OptimizerKind::named(&name) {
+            Some(_) => Ok(Self(name)),
+            None => Err(format!("unknown variant `{name}`, expected one of `{}`", OptimizerKind::NAMES.join("`, `"))),
         }
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum OptimizerName {
-    Adam,
-    Sgd,
-    Momentum,
-    RmsProp,
-    Adagrad,
-    Adadelta,
+impl From<OptimizerName> for String {
+    fn from(name: OptimizerName) -> Self {
+        name.0
+    }
+}
+
+impl JsonSchema for OptimizerName {
+    fn schema_name() -> Cow<'static, str> {
+        "Optimizer".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": "string", "enum": OptimizerKind::NAMES })
+    }
 }

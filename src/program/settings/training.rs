@@ -2,7 +2,7 @@
 
 use crate::program::settings::config_error::{ConfigError, allowed, count, positive};
 use crate::program::settings::{ClipName, OptimizerName};
-use physgrad::{Clip, OptimizerKind, Training};
+use physgrad::{Clip, Training};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -43,7 +43,7 @@ impl Default for TrainingSettings {
             train_samples,
             test_samples,
             shuffle,
-            optimizer: OptimizerName::Adam,
+            optimizer: OptimizerName::default(),
             learning_rate,
             clip: ClipName::None,
             clip_limit: None,
@@ -86,14 +86,6 @@ impl TrainingSettings {
 
     /// Settings of the library's trainer.
     pub fn training(&self, epochs: usize, seed: u64, workers: usize) -> Training {
-        let optimizer = match self.optimizer {
-            OptimizerName::Adam => "adam",
-            OptimizerName::Sgd => "sgd",
-            OptimizerName::Momentum => "momentum",
-            OptimizerName::RmsProp => "rmsprop",
-            OptimizerName::Adagrad => "adagrad",
-            OptimizerName::Adadelta => "adadelta",
-        };
         Training {
             epochs,
             batch: self.batch,
@@ -101,7 +93,7 @@ impl TrainingSettings {
             test_samples: self.test_samples,
             seed,
             shuffle: self.shuffle,
-            rule: OptimizerKind::named(optimizer).expect("every name is an optimizer"),
+            rule: self.optimizer.kind(),
             learning_rate: self.learning_rate,
             clip: match (self.clip, self.clip_limit) {
                 (ClipName::Value, Some(limit)) => Clip::Value(limit),

@@ -22,7 +22,7 @@ use toml::{Table, Value};
 #[derive(Clone)]
 pub struct Scene {
     /// Specification of the task.
-    pub kind: &'static dyn AnyTaskSpec,
+    pub task: &'static dyn AnyTaskSpec,
     /// Vector field that the optimizer follows.
     pub field: FieldName,
     /// Floating-point precision.
@@ -47,7 +47,7 @@ pub trait AnySettings: Send + Sync {
     /// Rollout with its adjoints, for comparison with other methods.
     fn prepare(&self) -> Job;
     /// Gradient, computed by the given method.
-    fn derive(&self, precision: Precision, way: GradientMethod) -> Derived;
+    fn derive(&self, precision: Precision, method: GradientMethod) -> Derived;
     /// Components of the gradients of R, M and S in double-double arithmetic. Calls `done` after
     /// each.
     fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3];
@@ -86,8 +86,8 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         self.visit(Preparing { precision: self.precision, seed: self.seed })
     }
 
-    fn derive(&self, precision: Precision, way: GradientMethod) -> Derived {
-        self.visit(Deriving { precision, seed: self.seed, way })
+    fn derive(&self, precision: Precision, method: GradientMethod) -> Derived {
+        self.visit(Deriving { precision, seed: self.seed, method })
     }
 
     fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3] {
@@ -143,9 +143,9 @@ impl Deref for Scene {
 
 impl Scene {
     /// Creates a scene from validated settings.
-    pub fn new<K: TaskSpec>(kind: &'static dyn AnyTaskSpec, settings: Settings<K>) -> Self {
+    pub fn new<K: TaskSpec>(task: &'static dyn AnyTaskSpec, settings: Settings<K>) -> Self {
         let Settings { field, precision, seed, epochs, horizon, .. } = settings;
-        Self { kind, field, precision, seed, epochs, horizon, table: settings.table(), settings: Arc::new(settings) }
+        Self { task, field, precision, seed, epochs, horizon, table: settings.table(), settings: Arc::new(settings) }
     }
 
     /// Copy with another field and seed.
@@ -153,7 +153,7 @@ impl Scene {
         let mut table = self.table.clone();
         table.insert("field".into(), Value::String(field.into()));
         table.insert("seed".into(), Value::Integer(seed as i64));
-        self.kind.scene(table)
+        self.task.scene(table)
     }
 
     /// Identity of a run: the settings that a resumed run must share, one per line.
@@ -174,9 +174,9 @@ impl Scene {
     /// One line per effect and per setting that differs from the default of its task or effect.
     /// Skips the keys in `but`.
     fn differences(&self, but: &[&str]) -> String {
-        let mut lines = vec![format!("task = {:?}", self.kind.name())];
+        let mut lines = vec![format!("task = {:?}", self.task.name())];
         // Default settings with the same effects, each with its default parameters.
-        let mut defaults = self.kind.defaults();
+        let mut defaults = self.task.defaults();
         for section in OPTIONAL {
             let parts: Vec<&String> =
                 self.table.get(section).and_then(Value::as_table).into_iter().flat_map(Table::keys).collect();
@@ -184,7 +184,7 @@ impl Scene {
             let bare: Table = parts.into_iter().map(|part| (part.clone(), Value::Table(Table::new()))).collect();
             defaults.insert(section.into(), Value::Table(bare));
         }
-        let defaults = flat(&self.kind.fill(defaults.clone()).unwrap_or(defaults));
+        let defaults = flat(&self.task.fill(defaults.clone()).unwrap_or(defaults));
         let differences =
             flat(&self.table).into_iter().filter(|setting| !defaults.contains(setting) && !but.contains(&&*setting.0));
         lines.extend(differences.map(|(key, value)| format!("{key} = {value}")));

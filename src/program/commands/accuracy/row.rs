@@ -1,6 +1,6 @@
 //! One row of the results of `physgrad accuracy`.
 
-use crate::program::operations::simulation::{Found, Job};
+use crate::program::operations::simulation::{Job, Simulated};
 use crate::program::scenes::source::SceneSource;
 use crate::program::settings::Precision;
 use crate::program::tasks::{Conserved, Scene};
@@ -82,7 +82,7 @@ pub struct Row {
 }
 
 impl Row {
-    pub fn new(setting: Setting, job: &Job, reference: &Found, conserved: Option<&Conserved>, rounds: &[[f64; 2]]) -> Self {
+    pub fn new(setting: Setting, job: &Job, reference: &Simulated, conserved: Option<&Conserved>, rounds: &[[f64; 2]]) -> Self {
         let errors = job.found.as_ref().map(|found| Errors::of(found, reference)).map_err(Clone::clone);
         let seconds = [0, 1].map(|pass| spread(rounds.iter().map(|round| round[pass]).collect()));
         let drift = conserved.map_or(f64::NAN, |conserved| conserved.drift(&job.idle));
@@ -91,7 +91,7 @@ impl Row {
 }
 
 impl Errors {
-    pub fn of(found: &Found, reference: &Found) -> Self {
+    pub fn of(found: &Simulated, reference: &Simulated) -> Self {
         let norm = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
         let largest = |x: &[f64]| x.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
         let differences = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<f64>>();

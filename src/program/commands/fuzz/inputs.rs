@@ -97,7 +97,7 @@ fn damage_bytes(rng: &mut Rng, bytes: &mut Vec<u8>) {
     match rng.random_range(0..5) {
         0 => bytes.truncate(at.max(1)),
         1 => bytes.insert(at, rng.random()),
-        // Lengths are encoded in several bytes; all but the last have the highest bit set.
+        // AdjointNorms are encoded in several bytes; all but the last have the highest bit set.
         2 => bytes.splice(at..at, [0xff; 9]).for_each(drop),
         _ => bytes[at] = rng.random(),
     }

@@ -97,7 +97,7 @@ impl Study {
 
     /// Plans the runs of one cell, in a folder that `physgrad report` accepts.
     fn plan(&self, value: &str, clip: ClipName, options: &Options, folder: &Folder) -> Result<Comparison> {
-        let mut source = presets::document(self.scene)?;
+        let mut source = presets::source(self.scene)?;
         overrides::set(&mut source, &format!("{}={}", self.key, value))?;
         source.put("training.clip", Value::try_from(clip)?, "--clip")?;
         source.put("epochs", Value::try_from(options.epochs())?, "--epochs")?;
@@ -147,7 +147,7 @@ impl Study {
                 let counts = [run.seed.to_string(), run.records.len().to_string()];
                 let losses = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(run.records), run.seconds()];
                 let skipped: usize = run.records.iter().map(|r| r.skipped).sum();
-                let ends = [skipped.to_string(), run.broken.to_string()];
+                let ends = [skipped.to_string(), run.failed.to_string()];
                 csv.write_record(names.into_iter().chain(counts).chain(losses.map(|x| x.to_string())).chain(ends))?;
             }
         }
@@ -170,7 +170,7 @@ impl Study {
                 format!("{:.3e}", quantile(&last, 0.5)),
                 format!("{:.3e} to {:.3e}", quantile(&last, 0.25), quantile(&last, 0.75)),
                 format!("{:.3e}", quantile(&lowest, 0.5)),
-                runs.iter().filter(|run| run.broken).count().to_string(),
+                runs.iter().filter(|run| run.failed).count().to_string(),
             ]);
         }
         table

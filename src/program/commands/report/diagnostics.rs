@@ -3,7 +3,7 @@
 use crate::program::commands::report::figure::Figure;
 use crate::program::commands::report::inspected::{Inspected, RolloutData};
 use crate::program::commands::report::learning::{field_keys, lines};
-use crate::program::operations::adjoint_norms::Lengths;
+use crate::program::operations::adjoint_norms::AdjointNorms;
 use crate::program::runs::statistics::{Outcome, curves};
 use physgrad::report::{Chart, Series, field_color};
 use physgrad::{Flow, Record};
@@ -89,7 +89,7 @@ pub fn missing(runs: &[Inspected]) -> Option<&'static str> {
 
 /// Chart of adjoint norms along the rollout, before and after training.
 pub fn of_run(rollouts: &RolloutData) -> Figure {
-    let series = |growth: &Lengths, when: &str| {
+    let series = |growth: &AdjointNorms, when: &str| {
         let letter = growth.flow.to_string();
         Series::new(format!("{letter} {when}"), field_color(&letter), growth.points())
     };
@@ -141,18 +141,19 @@ const GROWTH: &str = "Norm of the derivative of the later cost by the state at e
                       left: a line that rises by powers of ten explodes, one that falls vanishes.";
 
 /// Notes on divergences that truncate or remove a line.
-fn diverged(growths: &[Lengths], when: &str) -> Vec<String> {
-    if let [Lengths { norms, diverged: Some(why), .. }, ..] = growths
+fn diverged(growths: &[AdjointNorms], when: &str) -> Vec<String> {
+    if let [AdjointNorms { norms, diverged: Some(why), .. }, ..] = growths
         && norms.is_empty()
     {
         return vec![format!("{when}, a rollout diverged, so there is no reverse pass: {why}.")];
     }
-    let of = |growth: &Lengths| growth.diverged.map(|why| format!("{when}, the adjoint of {} diverged: {why}.", growth.flow));
+    let of =
+        |growth: &AdjointNorms| growth.diverged.map(|why| format!("{when}, the adjoint of {} diverged: {why}.", growth.flow));
     growths.iter().filter_map(of).collect()
 }
 
 /// Note if the lines of R and M coincide.
-fn coincide(growths: &[Lengths; 2]) -> Vec<String> {
+fn coincide(growths: &[AdjointNorms; 2]) -> Vec<String> {
     let [r, m] = growths.each_ref().map(|growth| &growth.norms);
     if r.is_empty() || r.iter().zip(m).any(|(r, m)| r.to_bits() != m.to_bits()) {
         return Vec::new();

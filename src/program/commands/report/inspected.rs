@@ -1,7 +1,7 @@
 //! Data of a run for the page, read from its folder.
 
 use crate::program::commands::report::counted;
-use crate::program::operations::adjoint_norms::Lengths;
+use crate::program::operations::adjoint_norms::AdjointNorms;
 use crate::program::operations::session::AnyRun;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::parallel;
@@ -40,16 +40,16 @@ pub enum End {
 /// Data that need rollouts.
 pub struct RolloutData {
     /// Adjoint norms of R and M before the first epoch.
-    pub before: [Lengths; 2],
+    pub before: [AdjointNorms; 2],
     /// Adjoint norms of R and M in the saved state.
-    pub after: [Lengths; 2],
+    pub after: [AdjointNorms; 2],
     /// Animation as SVG.
     pub animation: String,
 }
 
 impl Inspected {
     pub fn outcome(&self) -> Outcome<'_> {
-        Outcome { field: self.field, seed: self.seed, records: &self.records, broken: matches!(self.end, End::Failed(_)) }
+        Outcome { field: self.field, seed: self.seed, records: &self.records, failed: matches!(self.end, End::Failed(_)) }
     }
 
     pub fn name(&self) -> String {
@@ -88,7 +88,7 @@ pub fn inspect(folders: &[Folder]) -> Result<Vec<Inspected>> {
 /// Task or settings differ, apart from field, seed and epochs.
 fn check_comparable(first: &(&Folder, Scene), other: &(&Folder, Scene)) -> Result<()> {
     let [(path, task), (other_path, other_task)] =
-        [first, other].map(|(folder, scene)| (folder.path().display(), scene.kind.name()));
+        [first, other].map(|(folder, scene)| (folder.path().display(), scene.task.name()));
     if task != other_task {
         bail!("{path} ({task}) and {other_path} ({other_task}) are not runs of one comparison; report each separately");
     }
@@ -104,12 +104,12 @@ fn check_comparable(first: &(&Folder, Scene), other: &(&Folder, Scene)) -> Resul
 
 fn open(folder: &Folder, scene: &Scene, with_rollouts: bool) -> Result<Inspected> {
     let mut run = scene.open(1)?;
-    let before = with_rollouts.then(|| run.lengths());
+    let before = with_rollouts.then(|| run.adjoint_norms());
     saved::restore(folder, scene, &mut *run)?;
-    let animation = || outputs::film(scene, &run.rollouts(0..1)[0]);
-    let rollouts = before.map(|before| RolloutData { before, after: run.lengths(), animation: animation() });
+    let animation = || outputs::animation(scene, &run.rollouts(0..1)[0]);
+    let rollouts = before.map(|before| RolloutData { before, after: run.adjoint_norms(), animation: animation() });
     Ok(Inspected {
-        task: scene.kind.name(),
+        task: scene.task.name(),
         field: scene.field.0,
         seed: scene.seed,
         epochs: scene.epochs,

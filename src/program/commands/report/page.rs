@@ -41,7 +41,7 @@ pub fn comparison(folder: &str, runs: &[Inspected]) -> String {
             (table(&statistics::TABLE_HEADER, &statistics::table(&outcomes)))
             p.note {
                 "Median, lowest and highest value over the seeds."
-                @if outcomes.iter().any(|run| run.broken) {
+                @if outcomes.iter().any(|run| run.failed) {
                     " A failed run has no final loss (NaN), which ranks as the worst."
                 }
             }

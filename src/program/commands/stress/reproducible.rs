@@ -25,7 +25,7 @@ const EPOCHS: usize = 3;
 
 /// Scene of a short training run of a preset.
 fn scene(name: &str, overrides: &[(&str, Value)]) -> Result<Scene> {
-    let mut source = presets::document(name)?;
+    let mut source = presets::source(name)?;
     let counts = [("epochs", EPOCHS), ("training.batch", 13), ("training.train_samples", 39), ("training.test_samples", 8)];
     let counts = counts.map(|(key, count)| (key, Value::Integer(count as i64)));
     let widths = ("policy.widths", Value::Array(vec![Value::Integer(16)]));
