@@ -1,9 +1,10 @@
 //! Cart-pole: settings, effects, limits and animation.
 
 use crate::program::operations::Visit;
+use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, count, exclusive, finite, not_negative, positive};
-use crate::program::settings::{Info, Method};
-use crate::program::tasks::{Conserved, MlpSettings, PolicySpec, Settings, TaskSpec, named};
+use crate::program::tasks::effects::{EffectsSection, Present, effects_section};
+use crate::program::tasks::{Conserved, MlpSettings, PolicySpec, Settings, TaskSpec};
 use physgrad::report::{self, Animation, Rail};
 use physgrad::tasks::{
     self, Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, LossMode,
@@ -49,42 +50,51 @@ enum Model {
     Coupled,
 }
 
-/// The `effects` section of cart-pole, in order of evaluation.
-#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct CartPoleEffects {
-    /// Viscous friction in the joints of the poles.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pole_damping: Option<PoleDamping>,
-    /// Viscous friction of the cart on its rail.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    cart_damping: Option<CartDamping>,
-    /// Dry friction of the cart on its rail, smoothed.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    dry_friction: Option<DryFriction>,
-    /// A steady wind along the rail.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    steady_wind: Option<SteadyWind>,
-    /// Wind along the rail with sinusoidal gusts; adds the time to the state.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    gusty_wind: Option<GustyWind>,
-    /// Spring-damper bumpers at both ends of the rail.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    bumpers: Option<Bumpers>,
+effects_section! {
+    /// The `effects` section of cart-pole, in order of evaluation.
+    CartPoleEffects {
+        /// Viscous friction in the joints of the poles.
+        pole_damping: PoleDamping {
+            equation: "τ_i = -damping ω_i",
+            derivative: "analytic",
+            limits: { damping: not_negative },
+        }
+        /// Viscous friction of the cart on its rail.
+        cart_damping: CartDamping {
+            equation: "F = -damping ẋ",
+            derivative: "analytic",
+            limits: { damping: not_negative },
+        }
+        /// Dry friction of the cart on its rail, smoothed.
+        dry_friction: DryFriction {
+            equation: "F = -force tanh(ẋ / smoothing)",
+            derivative: "analytic; smoothed",
+            limits: { force: not_negative, smoothing: positive },
+        }
+        /// A steady wind along the rail.
+        steady_wind: SteadyWind {
+            equation: "F = cart_drag |w - ẋ| (w - ẋ) + Σ D_i cos θ_i, τ_i = l D_i, D_i = pole_drag |v_i| v_i, v_i = (w - ẋ) cos θ_i - l ω_i, w = speed",
+            derivative: "analytic",
+            limits: { speed: finite, cart_drag: not_negative, pole_drag: not_negative },
+        }
+        /// Wind along the rail with sinusoidal gusts; adds the time to the state.
+        gusty_wind: GustyWind {
+            equation: "as steady_wind, w = speed + gust sin(2π t / period); adds t to the state",
+            derivative: "analytic",
+            limits: { speed: finite, gust: finite, period: positive, cart_drag: not_negative, pole_drag: not_negative },
+        }
+        /// Spring-damper bumpers at both ends of the rail.
+        bumpers: Bumpers {
+            equation: "F = -stiffness δ max(0, 1 + damping dδ/dt), δ = max(0, |x| - half_travel), outwards",
+            derivative: "analytic; one-sided at contact",
+            limits: { half_travel: positive, stiffness: not_negative, damping: not_negative },
+        }
+    }
 }
 
 impl CartPoleEffects {
-    fn list(&self) -> Vec<Named<CartPoleEffect>> {
-        let Self { pole_damping, cart_damping, dry_friction, steady_wind, gusty_wind, bumpers } = self.clone();
-        let effects = [
-            named("effects.pole_damping", pole_damping),
-            named("effects.cart_damping", cart_damping),
-            named("effects.dry_friction", dry_friction),
-            named("effects.steady_wind", steady_wind),
-            named("effects.gusty_wind", gusty_wind),
-            named("effects.bumpers", bumpers),
-        ];
-        effects.into_iter().flatten().collect()
+    fn is_empty(&self) -> bool {
+        Present::<CartPoleEffect>::present(self).is_empty()
     }
 
     /// Wind speed, from the state components that effects add.
@@ -95,33 +105,7 @@ impl CartPoleEffects {
     }
 
     fn validate(&self) -> Result<(), ConfigError> {
-        if let Some(PoleDamping { damping }) = self.pole_damping {
-            not_negative("effects.pole_damping.damping", damping)?;
-        }
-        if let Some(CartDamping { damping }) = self.cart_damping {
-            not_negative("effects.cart_damping.damping", damping)?;
-        }
-        if let Some(DryFriction { force, smoothing }) = self.dry_friction {
-            not_negative("effects.dry_friction.force", force)?;
-            positive("effects.dry_friction.smoothing", smoothing)?;
-        }
-        if let Some(SteadyWind { speed, cart_drag, pole_drag }) = self.steady_wind {
-            finite("effects.steady_wind.speed", speed)?;
-            not_negative("effects.steady_wind.cart_drag", cart_drag)?;
-            not_negative("effects.steady_wind.pole_drag", pole_drag)?;
-        }
-        if let Some(GustyWind { speed, gust, period, cart_drag, pole_drag }) = self.gusty_wind {
-            finite("effects.gusty_wind.speed", speed)?;
-            finite("effects.gusty_wind.gust", gust)?;
-            positive("effects.gusty_wind.period", period)?;
-            not_negative("effects.gusty_wind.cart_drag", cart_drag)?;
-            not_negative("effects.gusty_wind.pole_drag", pole_drag)?;
-        }
-        if let Some(Bumpers { half_travel, stiffness, damping }) = self.bumpers {
-            positive("effects.bumpers.half_travel", half_travel)?;
-            not_negative("effects.bumpers.stiffness", stiffness)?;
-            not_negative("effects.bumpers.damping", damping)?;
-        }
+        self.validate_values()?;
         let winds = [("steady_wind", self.steady_wind.is_some()), ("gusty_wind", self.gusty_wind.is_some())];
         exclusive(&winds, "there is one wind")
     }
@@ -180,26 +164,6 @@ impl TaskSpec for CartPole {
     const EPOCHS: usize = 1000;
     const HORIZON: usize = 100;
     const METHODS: &'static [Method] = &Method::ODE;
-    const EFFECTS: &'static [Info] = &[
-        Info { name: "pole_damping", equation: "τ_i = -damping ω_i", derivative: "analytic" },
-        Info { name: "cart_damping", equation: "F = -damping ẋ", derivative: "analytic" },
-        Info { name: "dry_friction", equation: "F = -force tanh(ẋ / smoothing)", derivative: "analytic; smoothed" },
-        Info {
-            name: "steady_wind",
-            equation: "F = cart_drag |w - ẋ| (w - ẋ) + Σ D_i cos θ_i, τ_i = l D_i, D_i = pole_drag |v_i| v_i, v_i = (w - ẋ) cos θ_i - l ω_i, w = speed",
-            derivative: "analytic",
-        },
-        Info {
-            name: "gusty_wind",
-            equation: "as steady_wind, w = speed + gust sin(2π t / period); adds t to the state",
-            derivative: "analytic",
-        },
-        Info {
-            name: "bumpers",
-            equation: "F = -stiffness δ max(0, 1 + damping dδ/dt), δ = max(0, |x| - half_travel), outwards",
-            derivative: "analytic; one-sided at contact",
-        },
-    ];
 
     fn system() -> CartPoleSettings {
         let CartPoleSystem { poles: _, cart_mass, pole_mass, half_length, gravity, dt } = CartPoleSystem::default();
@@ -222,7 +186,7 @@ impl TaskSpec for CartPole {
     }
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
-        let effects = settings.effects.list();
+        let effects = settings.effects.present();
         let system = CartPoleSystem { dt: system_dt(settings), ..settings.system.parameters() };
         // Uses a separate type for the paper's system only, because each type costs compile time.
         match settings.system.model {
@@ -266,7 +230,7 @@ impl TaskSpec for CartPole {
     fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
         // With several poles, only the exact equations conserve energy.
         let exact = matches!(settings.system.model, Model::Coupled) || settings.system.poles == 1;
-        let free = settings.effects.list().is_empty() && settings.actuator.is_empty();
+        let free = settings.effects.is_empty() && settings.actuator.is_empty();
         let system = CoupledCartPole(settings.system.parameters());
         (exact && free).then(|| Conserved { name: "energy", value: Box::new(move |x| system.energy(x)) })
     }

@@ -1,9 +1,10 @@
 //! Guidance by repulsion: settings, effects, limits and animation.
 
 use crate::program::operations::Visit;
+use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, allowed, count, finite, not_negative, positive};
-use crate::program::settings::{Info, Method};
-use crate::program::tasks::{MlpSettings, PolicySpec, Settings, TaskSpec, named};
+use crate::program::tasks::effects::{EffectsSection, Present, effects_section, named};
+use crate::program::tasks::{MlpSettings, PolicySpec, Settings, TaskSpec};
 use physgrad::report::{self, Animation, Field};
 use physgrad::tasks::{self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles, Spread, Walls};
 use physgrad::{Forced, HasModel, Named, System};
@@ -14,31 +15,52 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug)]
 pub struct Guidance;
 
-/// The `effects` section of guidance, in order of evaluation.
-#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct GuidanceEffects {
-    /// Viscous friction of the agents.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    friction: Option<Friction>,
-    /// Drivers repel each other.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    spread: Option<Spread>,
-    /// Drivers repel evaders.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    evade: Option<Evade>,
-    /// Evaders attract each other nearby and repel each other farther off.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    flock: Option<Flock>,
-    /// Evaders attract drivers.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    drive: Option<Drive>,
-    /// Circular obstacles with a repelling spring force.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    obstacles: Option<Obstacles>,
-    /// Walls around a rectangular field.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    walls: Option<Walls>,
+effects_section! {
+    /// The `effects` section of guidance, in order of evaluation.
+    GuidanceEffects {
+        /// Viscous friction of the agents.
+        friction: Friction {
+            equation: "a = -friction v",
+            derivative: "analytic",
+            limits: { drivers: not_negative, evaders: not_negative },
+        }
+        /// Drivers repel each other.
+        spread: Spread {
+            equation: "driver j: a = strength Σ_i (D_j - D_i) / d²",
+            derivative: "analytic",
+            limits: { strength: finite },
+        }
+        /// Drivers repel evaders.
+        evade: Evade {
+            equation: "evader k: a = strength Σ_j (E_k - D_j) / d²",
+            derivative: "analytic",
+            limits: { strength: finite },
+        }
+        /// Evaders attract each other nearby and repel each other farther off.
+        flock: Flock {
+            equation: "evader k: a = strength Σ_i (distance / d - 1) / d (E_i - E_k)",
+            derivative: "analytic",
+            limits: { strength: finite, distance: finite },
+        }
+        /// Evaders attract drivers.
+        drive: Drive {
+            equation: "driver j: a = strength Σ_k (E_k - D_j) / d²",
+            derivative: "analytic",
+            limits: { strength: finite },
+        }
+        /// Circular obstacles with a repelling spring force.
+        obstacles: Obstacles {
+            equation: "a = stiffness max(0, radius - |r|) r / d, r from the center",
+            derivative: "analytic; one-sided at contact",
+            limits: { centers: some_centers, radius: positive, stiffness: not_negative },
+        }
+        /// Walls around a rectangular field.
+        walls: Walls {
+            equation: "a = -stiffness max(0, |x| - half_width), outwards, and likewise in y",
+            derivative: "analytic; one-sided at contact",
+            limits: { half_width: positive, half_height: positive, stiffness: not_negative },
+        }
+    }
 }
 
 /// Concrete type of the paper's effects.
@@ -67,63 +89,26 @@ impl GuidanceEffects {
         ))
     }
 
-    fn list(&self) -> Vec<Named<GuidanceEffect>> {
-        let Self { friction, spread, evade, flock, drive, obstacles, walls } = self.clone();
-        let effects = [
-            named("effects.friction", friction),
-            named("effects.spread", spread),
-            named("effects.evade", evade),
-            named("effects.flock", flock),
-            named("effects.drive", drive),
-            named("effects.obstacles", obstacles),
-            named("effects.walls", walls),
-        ];
-        effects.into_iter().flatten().collect()
-    }
-
     /// Obstacles and walls for the animation.
     fn field(&self) -> Field {
         let discs = |Obstacles { centers, radius, .. }: &Obstacles| centers.iter().map(|&center| (center, *radius)).collect();
         let walls = self.walls.map(|walls| [walls.half_width, walls.half_height]);
         Field { obstacles: self.obstacles.as_ref().map_or_else(Vec::new, discs), walls }
     }
+}
 
-    fn validate(&self) -> Result<(), ConfigError> {
-        if let Some(Friction { drivers, evaders }) = self.friction {
-            not_negative("effects.friction.drivers", drivers)?;
-            not_negative("effects.friction.evaders", evaders)?;
+/// Checks the centers of obstacles.
+fn some_centers(key: &str, centers: Vec<[f64; 2]>) -> Result<(), ConfigError> {
+    const MAX: usize = 1000;
+    allowed(key, "[]", !centers.is_empty(), "one center or more, each [x, y]")?;
+    let found = format!("a list of {}", centers.len());
+    allowed(key, found, centers.len() <= MAX, format!("up to {MAX} centers"))?;
+    for (i, center) in centers.iter().enumerate() {
+        for (axis, &coordinate) in center.iter().enumerate() {
+            finite(&format!("{key}[{i}][{axis}]"), coordinate)?;
         }
-        if let Some(Spread { strength }) = self.spread {
-            finite("effects.spread.strength", strength)?;
-        }
-        if let Some(Evade { strength }) = self.evade {
-            finite("effects.evade.strength", strength)?;
-        }
-        if let Some(Flock { strength, distance }) = self.flock {
-            finite("effects.flock.strength", strength)?;
-            finite("effects.flock.distance", distance)?;
-        }
-        if let Some(Drive { strength }) = self.drive {
-            finite("effects.drive.strength", strength)?;
-        }
-        if let Some(Obstacles { centers, radius, stiffness }) = &self.obstacles {
-            allowed("effects.obstacles.centers", "[]", !centers.is_empty(), "one center or more, each [x, y]")?;
-            let (found, most) = (centers.len(), 1000);
-            allowed("effects.obstacles.centers", format!("a list of {found}"), found <= most, format!("up to {most} centers"))?;
-            for (i, [x, y]) in centers.iter().enumerate() {
-                finite(&format!("effects.obstacles.centers[{i}][0]"), *x)?;
-                finite(&format!("effects.obstacles.centers[{i}][1]"), *y)?;
-            }
-            positive("effects.obstacles.radius", *radius)?;
-            not_negative("effects.obstacles.stiffness", *stiffness)?;
-        }
-        if let Some(Walls { half_width, half_height, stiffness }) = self.walls {
-            positive("effects.walls.half_width", half_width)?;
-            positive("effects.walls.half_height", half_height)?;
-            not_negative("effects.walls.stiffness", stiffness)?;
-        }
-        Ok(())
     }
+    Ok(())
 }
 
 /// The `loss` section of guidance.
@@ -162,26 +147,6 @@ impl TaskSpec for Guidance {
     const HORIZON: usize = 60;
     const METHODS: &'static [Method] = &Method::ODE;
 
-    const EFFECTS: &'static [Info] = &[
-        Info { name: "friction", equation: "a = -friction v", derivative: "analytic" },
-        Info { name: "spread", equation: "driver j: a = strength Σ_i (D_j - D_i) / d²", derivative: "analytic" },
-        Info { name: "evade", equation: "evader k: a = strength Σ_j (E_k - D_j) / d²", derivative: "analytic" },
-        Info {
-            name: "flock", equation: "evader k: a = strength Σ_i (distance / d - 1) / d (E_i - E_k)", derivative: "analytic"
-        },
-        Info { name: "drive", equation: "driver j: a = strength Σ_k (E_k - D_j) / d²", derivative: "analytic" },
-        Info {
-            name: "obstacles",
-            equation: "a = stiffness max(0, radius - |r|) r / d, r from the center",
-            derivative: "analytic; one-sided at contact",
-        },
-        Info {
-            name: "walls",
-            equation: "a = -stiffness max(0, |x| - half_width), outwards, and likewise in y",
-            derivative: "analytic; one-sided at contact",
-        },
-    ];
-
     fn system() -> GuidanceSystem {
         GuidanceSystem::default()
     }
@@ -193,7 +158,7 @@ impl TaskSpec for Guidance {
         positive("system.softening", system.softening)?;
         positive("system.dt", system.dt)?;
         not_negative("loss.regularization", regularization)?;
-        settings.effects.validate()
+        settings.effects.validate_values()
     }
 
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
@@ -206,7 +171,7 @@ impl TaskSpec for Guidance {
         {
             return herd(Forced { system, effects }, settings, visitor);
         }
-        let effects = settings.effects.list();
+        let effects: Vec<Named<GuidanceEffect>> = settings.effects.present();
         let system = settings.integrator.discretize(Forced { system, effects }, dt, settings.precision);
         herd(settings.actuator.wrap(system, settings.system.dt), settings, visitor)
     }

@@ -17,7 +17,9 @@ pub use push::Push;
 pub use slider::Slider;
 
 use crate::program::operations::Visit;
+use crate::program::settings::Info;
 use crate::program::settings::config_error::{ConfigError, not_negative};
+use crate::program::tasks::effects::EffectsSection;
 use crate::program::tasks::{MlpSettings, PolicySpec, Settings, TaskSpec};
 use physgrad::tasks::{AnyHard, Hard, LossMode, Upright};
 use physgrad::{AnyIntegrator, Integrated, Ode, RungeKutta, Substeps};
@@ -29,6 +31,14 @@ use std::f64::consts::PI;
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Nothing {}
+
+impl EffectsSection for Nothing {
+    const INFO: &'static [Info] = &[];
+
+    fn validate_values(&self) -> Result<(), ConfigError> {
+        Ok(())
+    }
+}
 
 /// Calls the visitor with the task, its substeps and its actuators.
 fn visit<K: TaskSpec<PolicySpec = MlpSettings>, V: Visit>(settings: &Settings<K>, task: AnyHard, visitor: V) -> V::Out {

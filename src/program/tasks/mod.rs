@@ -7,6 +7,7 @@
 //! Imports `platform`, `settings` and `operations`. Start with `cart_pole`.
 
 mod cart_pole;
+mod effects;
 mod guidance;
 mod hard;
 mod policy;
@@ -23,7 +24,7 @@ pub use settings::Settings;
 use crate::program::operations::Visit;
 use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{Info, Method};
-use physgrad::Named;
+use effects::EffectsSection;
 use physgrad::report::Animation;
 use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
@@ -39,7 +40,7 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     /// The `system` section: settings of the physics.
     type System: Section;
     /// The `effects` section: one subsection per effect that is present.
-    type Effects: Section + Default;
+    type Effects: Section + Default + EffectsSection;
     /// The `loss` section: settings of the cost function.
     type Loss: Section + Default;
     /// The `policy` section. Default values depend on the task.
@@ -55,8 +56,6 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     const HORIZON: usize;
     /// Integrators that can replace the task's native scheme.
     const METHODS: &'static [Method] = &[];
-    /// Every effect, in the order of the section.
-    const EFFECTS: &'static [Info] = &[];
 
     /// The default physics.
     fn system() -> Self::System;
@@ -82,11 +81,6 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     }
     /// Animation of one rollout, from the states and controls of each step.
     fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
-}
-
-/// An effect with its key in scenes, if it is present.
-fn named<T, E: From<T>>(name: &'static str, effect: Option<T>) -> Option<Named<E>> {
-    effect.map(|effect| Named { name, effect: effect.into() })
 }
 
 /// A function of the state that is conserved in continuous time.
@@ -163,7 +157,7 @@ impl<K: TaskSpec> AnyTaskSpec for K {
     }
 
     fn effects(&self) -> &'static [Info] {
-        K::EFFECTS
+        K::Effects::INFO
     }
 
     fn methods(&self) -> &'static [Method] {

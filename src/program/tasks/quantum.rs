@@ -1,9 +1,10 @@
 //! Quantum control: settings, effects, limits and animation.
 
 use crate::program::operations::Visit;
+use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, allowed, count, exclusive, finite, not_negative, positive};
-use crate::program::settings::{Info, Method};
-use crate::program::tasks::{Conserved, PolicySpec, Settings, TaskSpec, named};
+use crate::program::tasks::effects::{EffectsSection, effects_section, named};
+use crate::program::tasks::{Conserved, PolicySpec, Settings, TaskSpec};
 use physgrad::policy::Conv;
 use physgrad::report::{self, Animation, Landscape};
 use physgrad::tasks::{
@@ -36,25 +37,40 @@ pub struct QuantumSettings {
     weighting: [f64; 2],
 }
 
-/// The `effects` section of quantum control, in order of evaluation.
-#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct QuantumEffects {
-    /// A harmonic trap.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    harmonic: Option<Harmonic>,
-    /// A potential barrier, or a well, in the box.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    barrier: Option<Barrier>,
-    /// Two potential wells separated by a barrier.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    double_well: Option<DoubleWell>,
-    /// Cubic self-interaction of the Gross-Pitaevskii equation.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    cubic: Option<Cubic>,
-    /// Absorbing layers at the walls.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    absorbing_edges: Option<AbsorbingEdges>,
+effects_section! {
+    /// The `effects` section of quantum control, in order of evaluation.
+    QuantumEffects {
+        /// A harmonic trap.
+        harmonic: Harmonic {
+            equation: "V = stiffness (ξ - center)²",
+            derivative: "none: independent of ψ",
+            limits: { stiffness: finite, center: finite },
+        }
+        /// A potential barrier, or a well, in the box.
+        barrier: Barrier {
+            equation: "V = height / cosh²((ξ - center) / width)",
+            derivative: "none: independent of ψ",
+            limits: { height: finite, width: positive, center: finite },
+        }
+        /// Two potential wells separated by a barrier.
+        double_well: DoubleWell {
+            equation: "V = height ((2 ξ / separation)² - 1)²",
+            derivative: "none: independent of ψ",
+            limits: { height: finite, separation: positive },
+        }
+        /// Cubic self-interaction of the Gross-Pitaevskii equation.
+        cubic: Cubic {
+            equation: "V = strength |ψ_j|² / dx",
+            derivative: "analytic",
+            limits: { strength: finite },
+        }
+        /// Absorbing layers at the walls.
+        absorbing_edges: AbsorbingEdges {
+            equation: "ψ_j ← exp(-dt W) ψ_j, W = strength ((width - d) / width)² at the distance d < width from a wall",
+            derivative: "analytic",
+            limits: { width: positive, strength: not_negative },
+        }
+    }
 }
 
 impl QuantumEffects {
@@ -81,25 +97,12 @@ impl QuantumEffects {
     }
 
     fn validate(&self, length: f64) -> Result<(), ConfigError> {
-        if let Some(Harmonic { stiffness, center }) = self.harmonic {
-            finite("effects.harmonic.stiffness", stiffness)?;
-            finite("effects.harmonic.center", center)?;
-        }
-        if let Some(Barrier { height, width, center }) = self.barrier {
-            finite("effects.barrier.height", height)?;
-            positive("effects.barrier.width", width)?;
-            finite("effects.barrier.center", center)?;
-        }
-        if let Some(DoubleWell { height, separation }) = self.double_well {
-            finite("effects.double_well.height", height)?;
+        self.validate_values()?;
+        if let Some(DoubleWell { separation, .. }) = self.double_well {
             within("effects.double_well.separation", separation, length, "the length of the box")?;
         }
-        if let Some(Cubic { strength }) = self.cubic {
-            finite("effects.cubic.strength", strength)?;
-        }
-        if let Some(AbsorbingEdges { width, strength }) = self.absorbing_edges {
+        if let Some(AbsorbingEdges { width, .. }) = self.absorbing_edges {
             within("effects.absorbing_edges.width", width, 0.5 * length, "half the length of the box")?;
-            not_negative("effects.absorbing_edges.strength", strength)?;
         }
         let potentials = [
             ("harmonic", self.harmonic.is_some()),
@@ -179,18 +182,6 @@ impl TaskSpec for Quantum {
     const EPOCHS: usize = 200;
     const HORIZON: usize = 128;
     const METHODS: &'static [Method] = &Method::QUANTUM;
-
-    const EFFECTS: &'static [Info] = &[
-        Info { name: "harmonic", equation: "V = stiffness (ξ - center)²", derivative: "none: independent of ψ" },
-        Info { name: "barrier", equation: "V = height / cosh²((ξ - center) / width)", derivative: "none: independent of ψ" },
-        Info { name: "double_well", equation: "V = height ((2 ξ / separation)² - 1)²", derivative: "none: independent of ψ" },
-        Info { name: "cubic", equation: "V = strength |ψ_j|² / dx", derivative: "analytic" },
-        Info {
-            name: "absorbing_edges",
-            equation: "ψ_j ← exp(-dt W) ψ_j, W = strength ((width - d) / width)² at the distance d < width from a wall",
-            derivative: "analytic",
-        },
-    ];
 
     fn system() -> QuantumSettings {
         let tasks::Quantum { system, target, weighting, .. } = tasks::Quantum::new(3);

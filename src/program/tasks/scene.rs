@@ -209,6 +209,7 @@ mod tests {
     use super::*;
     use crate::program::operations::Visit;
     use crate::program::settings::{Info, Method};
+    use crate::program::tasks::effects::EffectsSection;
     use crate::program::tasks::{MlpSettings, PolicySpec};
     use physgrad::report;
     use physgrad::tasks::{CartPole, CartPoleSystem};
@@ -240,6 +241,14 @@ mod tests {
         }
     }
 
+    impl EffectsSection for Effects {
+        const INFO: &'static [Info] = &[];
+
+        fn validate_values(&self) -> Result<(), ConfigError> {
+            Ok(())
+        }
+    }
+
     impl TaskSpec for Windy {
         type System = CartPoleSystem;
         type Effects = Effects;
@@ -251,7 +260,6 @@ mod tests {
         const EPOCHS: usize = 1;
         const HORIZON: usize = 2;
         const METHODS: &'static [Method] = &[];
-        const EFFECTS: &'static [Info] = &[];
 
         fn system() -> CartPoleSystem {
             CartPoleSystem::default()
