@@ -6,7 +6,6 @@ use crate::dynamics::outline::{One, step};
 use crate::dynamics::system::System;
 use crate::engine::any::{AnySystem, vjp};
 use crate::engine::rollout::{Lane, WIDTH};
-use crate::numbers::kernels::has_lanes;
 use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::numbers::scalar::{CotangentPack, Lanes, Real, Scalar};
 use num_dual::Dual64;
@@ -89,10 +88,7 @@ pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch
             let scale = terms(&next_bar, &next_tan).max(terms(bar, tan));
             c.one(what, 0, dot(&next_bar, &next_tan), dot(bar, tan), scale)?;
         }
-        // Rollouts use lanes only on processors that support them.
-        if has_lanes() {
-            lanes(system, &x, &u, &next_bar, &mut c)?;
-        }
+        lanes(system, &x, &u, &next_bar, &mut c)?;
     }
     Ok(c.passed)
 }

@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_one_by_one_have_the_bits_of_samples_in_lanes() {
+    fn the_portable_path_has_the_bits_of_the_vectorized_one() {
         for samples in [1, 8, 13] {
             assert_eq!(all_of_it::<f32>(samples), portable::force(|| all_of_it::<f32>(samples)));
             assert_eq!(all_of_it::<f64>(samples), portable::force(|| all_of_it::<f64>(samples)));

@@ -15,7 +15,6 @@ use columns::scatter;
 pub(crate) use columns::{find_non_finite, gather};
 use std::ops::Range;
 pub use step_forward::StepForward;
-pub(crate) use step_forward::{FEW, read_lane};
 
 /// Number of samples in a block, which the physics steps together.
 pub(crate) const WIDTH: usize = 8;

@@ -6,7 +6,6 @@
 
 pub mod elementwise;
 pub mod gemm;
-pub(crate) mod scratch;
 pub mod tanh;
 pub mod trig;
 
@@ -98,26 +97,12 @@ pub fn dispatch(level: SimdLevel, work: impl Vectorized) {
     work.run::<false>();
 }
 
-/// Whether simulators process samples in lanes, given the `FMA` of the current dispatch.
-///
-/// On x86-64 without AVX2, samples are processed one by one with bit-identical results. This avoids
-/// a second compilation of all simulators in lanes for such processors.
-#[inline(always)]
-pub(crate) fn in_lanes<const FMA: bool>() -> bool {
-    FMA || !cfg!(target_arch = "x86_64")
-}
-
-/// Whether rollouts on this processor use lanes; see [`in_lanes`].
-pub(crate) fn has_lanes() -> bool {
-    SimdLevel::best() != SimdLevel::Portable || !cfg!(target_arch = "x86_64")
-}
-
 /// Runs `work` with AVX2 if available, else with the portable path.
 ///
-/// Used for simulators. Eight lanes gain little from wider registers, and a further level would
+/// Used for simulators on eight lanes, which gain little from wider registers. A further level would
 /// increase compile time.
 #[inline]
-pub fn dispatch_narrow(work: impl Vectorized) {
+pub fn dispatch_lanes(work: impl Vectorized) {
     #[cfg(target_arch = "x86_64")]
     {
         #[target_feature(enable = "avx2,fma")]
@@ -132,27 +117,7 @@ pub fn dispatch_narrow(work: impl Vectorized) {
     work.run::<false>();
 }
 
-/// Runs `work` on lanes with AVX2; portably on other architectures than x86-64.
-///
-/// # Panics
-/// On x86-64 without AVX2, where simulators do not use lanes (see [`in_lanes`]).
-#[inline]
-pub(crate) fn dispatch_lanes(work: impl Vectorized) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        #[target_feature(enable = "avx2,fma")]
-        unsafe fn avx2(work: impl Vectorized) {
-            work.run::<true>();
-        }
-        assert!(SimdLevel::best() != SimdLevel::Portable, "systems take eight lanes at once only with AVX2, else four");
-        // SAFETY: all levels above `Portable` include these instructions.
-        unsafe { avx2(work) }
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    work.run::<false>();
-}
-
-/// Forces the portable path of [`dispatch_narrow`], for tests.
+/// Forces the portable path of [`dispatch_lanes`], for tests.
 #[cfg(test)]
 pub(crate) mod portable {
     use std::cell::Cell;
@@ -165,7 +130,7 @@ pub(crate) mod portable {
         FORCED.get()
     }
 
-    /// Runs `work` with [`dispatch_narrow`](super::dispatch_narrow) forced to the portable path on
+    /// Runs `work` with [`dispatch_lanes`](super::dispatch_lanes) forced to the portable path on
     /// this thread.
     pub(crate) fn force<T>(work: impl FnOnce() -> T) -> T {
         FORCED.set(true);

@@ -367,7 +367,7 @@ fn the_second_signal_stops_at_once_and_leaves_the_checkpoint() {
     signal(&child, "HUP");
     let output = child.wait_with_output().expect("it ends");
     assert_eq!(output.status.code(), Some(129));
-    assert!(text(&output.stderr).contains("a second signal stops at once"), "{}", text(&output.stderr));
+    assert!(text(&output.stderr).contains("a second signal stops immediately"), "{}", text(&output.stderr));
     assert!(!out.join("policy.safetensors").exists());
     physgrad(&["animate"]).arg(&out).assert().success();
 }

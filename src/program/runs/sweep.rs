@@ -188,9 +188,7 @@ pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<SweepOutcome
                     End::Complete => {}
                     End::Interrupted => outcome.interrupted = true,
                     End::Failed(error) => outcome.failed.push(format!("{label}: {error}")),
-                    End::NoUpdate(error) => {
-                        outcome.no_update.push(error.map_or(label.clone(), |error| format!("{label}: {error}")));
-                    }
+                    End::NoUpdate(_) => outcome.no_update.push(label),
                 }
             }
             Err(error) => errors.push(format!("{label}: {error:#}")),

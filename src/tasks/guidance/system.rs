@@ -2,10 +2,10 @@
 
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
 use crate::dynamics::ode::ForcedOde;
-use crate::numbers::kernels::scratch::Scratch;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
+use smallvec::SmallVec;
 use std::hint::black_box;
 use std::ops::Range;
 
@@ -210,8 +210,8 @@ impl ForcedSystem for GuidanceSystem {
         if let Some(x_bar) = x_bar {
             let dt = R::lift(self.dt);
             let (bars, next_bars) = (x_bar.as_chunks_mut::<AGENT>().0, next_bar.as_chunks::<AGENT>().0);
-            let mut forces_bar = Scratch::<[C; 2], STACK>::new();
-            let forces_bar = forces_bar.collect(next_bars[..self.agents()].iter().map(|next| [next[2] * dt, next[3] * dt]));
+            let mut forces_bar = SmallVec::<[[C; 2]; STACK]>::new();
+            forces_bar.extend(next_bars[..self.agents()].iter().map(|next| [next[2] * dt, next[3] * dt]));
             for (bar, next) in zip(bars.iter_mut(), next_bars) {
                 *bar = [next[0], next[1], next[2] + next[0] * dt, next[3] + next[1] * dt];
             }
@@ -248,8 +248,9 @@ impl ForcedOde for GuidanceSystem {
         u_bar: Option<&mut [C]>,
     ) {
         let rate_bars = &rate_bar.as_chunks::<AGENT>().0[..self.agents()];
-        let mut forces_bar = Scratch::<[C; 2], STACK>::new();
-        let forces_bar = forces_bar.collect(rate_bars.iter().map(|rate| [rate[2], rate[3]])).as_flattened();
+        let mut forces_bar = SmallVec::<[[C; 2]; STACK]>::new();
+        forces_bar.extend(rate_bars.iter().map(|rate| [rate[2], rate[3]]));
+        let forces_bar = forces_bar.as_flattened();
         for (bar, rate) in zip(x_bar.as_chunks_mut::<AGENT>().0.iter_mut(), rate_bars) {
             bar[2] += rate[0];
             bar[3] += rate[1];

@@ -1,7 +1,6 @@
 //! Linear solve of a Cayley factor: one per step of Crank-Nicolson, two per step of Padé.
 
 use super::system::{Pair, PerPoint};
-use crate::numbers::kernels::scratch::Filling;
 use crate::numbers::scalar::Scalar;
 use std::ops::{Add, Mul, Neg, Sub};
 
@@ -46,13 +45,14 @@ impl<T: Scalar> Pivots<T> {
 /// Row-by-row elimination of A, in progress.
 pub(super) struct Rows<'a, T> {
     pivots: Pivots<T>,
-    per_pivot: Filling<'a, Pair<T>>,
+    per_pivot: &'a mut PerPoint<Pair<T>>,
 }
 
 impl<'a, T: Scalar> Rows<'a, T> {
     #[inline(always)]
     pub(super) fn new(pivots: Pivots<T>, grid: usize, per_pivot: &'a mut PerPoint<Pair<T>>) -> Self {
-        Self { pivots, per_pivot: per_pivot.filling(grid) }
+        per_pivot.reserve(grid);
+        Self { pivots, per_pivot }
     }
 
     /// Eliminates the next row, in which the potential is `v`.
@@ -64,7 +64,7 @@ impl<'a, T: Scalar> Rows<'a, T> {
     /// Returns the complete elimination. Requires that every row has been pushed.
     #[inline(always)]
     pub(super) fn elimination(self) -> Elimination<'a, T> {
-        Elimination { b: self.pivots.b, per_pivot: self.per_pivot.all() }
+        Elimination { b: self.pivots.b, per_pivot: self.per_pivot }
     }
 }
 

@@ -105,7 +105,8 @@ impl ForcedSystem for Pade {
     fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
         let (mut minus, mut plus, mut chi) = (PerPoint::new(), PerPoint::new(), PerPoint::new());
         let (minus, plus) = self.eliminate(effects, x, u, &mut minus, &mut plus);
-        let chi = chi.fill([T::zero(); 2], self.0.grid).as_flattened_mut();
+        chi.resize(self.0.grid, [T::zero(); 2]);
+        let chi = chi.as_flattened_mut();
         minus.solve(x, chi);
         reflect(x, chi);
         plus.solve(chi, next);
@@ -126,7 +127,8 @@ impl ForcedSystem for Pade {
         let (mut minus, mut plus) = (PerPoint::new(), PerPoint::new());
         let (mut minus, mut plus) = self.eliminate(effects, x, u, &mut minus, &mut plus);
         let mut chi_bar = PerPoint::new();
-        let chi_bar = chi_bar.fill([C::null(); 2], model.grid).as_flattened_mut();
+        chi_bar.resize(model.grid, [C::null(); 2]);
+        let chi_bar = chi_bar.as_flattened_mut();
         let effects_read = x_bar.is_some() && effects.state_dependent();
         // Shorter path if only the cotangent of the state is requested.
         if u_bar.is_none() && !effects_read {
@@ -142,34 +144,41 @@ impl ForcedSystem for Pade {
         }
         // Solve again, because the forward pass does not store the solutions.
         let (mut y_minus, mut chi, mut y_plus) = (PerPoint::new(), PerPoint::new(), PerPoint::new());
-        let y_minus = y_minus.fill([R::zero(); 2], model.grid);
+        y_minus.resize(model.grid, [R::zero(); 2]);
+        let y_minus = &mut y_minus[..];
         minus.solve(x, y_minus.as_flattened_mut());
-        let chi = chi.fill([R::zero(); 2], model.grid);
+        chi.resize(model.grid, [R::zero(); 2]);
+        let chi = &mut chi[..];
         for j in 0..model.grid {
             let y = y_minus[j];
             chi[j] = [y[0] + y[0] - x[2 * j], y[1] + y[1] - x[2 * j + 1]];
         }
-        let y_plus = y_plus.fill([R::zero(); 2], model.grid);
+        y_plus.resize(model.grid, [R::zero(); 2]);
+        let y_plus = &mut y_plus[..];
         plus.solve(chi.as_flattened(), y_plus.as_flattened_mut());
         minus.conjugate();
         plus.conjugate();
         let mut scratch = PerPoint::new();
         let x_bar = match x_bar {
             Some(x_bar) => x_bar,
-            None => scratch.fill([C::null(); 2], model.grid).as_flattened_mut(),
+            None => {
+                scratch.resize(model.grid, [C::null(); 2]);
+                scratch.as_flattened_mut()
+            }
         };
         let with_control = u_bar.is_some();
         plus.solve(next_bar, chi_bar);
         let control_bar = if effects_read {
             let (mut first, mut second) = (PerPoint::new(), PerPoint::new());
-            let (first, second) = (first.fill(C::null(), model.grid), second.fill(C::null(), model.grid));
+            first.resize(model.grid, C::null());
+            second.resize(model.grid, C::null());
             let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, with_control, Some(&mut *first));
             minus.solve(chi_bar, &mut x_bar[..n]);
             let minus_bar = model.reverse_potential(dt, y_minus, chi_bar, x_bar, with_control, Some(&mut *second));
-            for (sum, &part) in zip(first.iter_mut(), &*second) {
+            for (sum, &part) in zip(first.iter_mut(), &second) {
                 *sum += part;
             }
-            effects.vjp(model, x, first, x_bar);
+            effects.vjp(model, x, &first, x_bar);
             plus_bar + minus_bar
         } else {
             let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, with_control, None);

@@ -3,9 +3,9 @@
 use super::QuantumSystem;
 use super::elimination::Vector;
 use super::system::STACK;
-use crate::numbers::kernels::scratch::Scratch;
 use crate::numbers::scalar::Scalar;
 use crate::numbers::zip::zip;
+use smallvec::SmallVec;
 use std::f64::consts::PI;
 
 /// Propagator `K = exp(i dt D₂)`, the exponential of the second difference. Its eigenvectors are
@@ -75,9 +75,10 @@ impl Propagator {
     pub(super) fn apply<T: Scalar, V: Vector<T>, const ADJOINT: bool>(&self, psi: &[V], out: &mut [V]) {
         let (n, half) = (self.grid, self.grid.div_ceil(2));
         let (psi, out) = (&psi.as_chunks::<2>().0[..n], &mut out.as_chunks_mut::<2>().0[..n]);
-        let mut parts = Scratch::<[V; 4], { STACK / 2 }>::new();
+        let mut parts = SmallVec::<[[V; 4]; STACK / 2]>::new();
         let filler = psi[0][0];
-        let parts = parts.fill([filler; 4], half);
+        parts.resize(half, [filler; 4]);
+        let parts = &mut parts[..];
         for k in 0..half {
             let ([re, im], [mirror_re, mirror_im]) = (psi[k], psi[n - 1 - k]);
             parts[k] = [re + mirror_re, im + mirror_im, re - mirror_re, im - mirror_im];

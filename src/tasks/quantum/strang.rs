@@ -5,8 +5,8 @@ use super::elimination::Vector;
 use super::propagator::Propagator;
 use super::system::{Pair, PerPoint, STACK, place};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
-use crate::numbers::kernels::scratch::Scratch;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use smallvec::SmallVec;
 
 /// [`QuantumSystem`] with Strang's symmetric splitting:
 ///
@@ -52,7 +52,7 @@ fn turn<T: Scalar, V: Vector<T>, const ADJOINT: bool>(phases: &[Pair<T>], psi: &
 }
 
 /// Wave, and the components that effects append to the state.
-type State<T> = Scratch<T, { 2 * STACK + 1 }>;
+type State<T> = SmallVec<[T; 2 * STACK + 1]>;
 
 impl Strang {
     /// Computes the propagator of a step: O(grid²), in double precision.
@@ -77,10 +77,12 @@ impl Strang {
         let half_dt = T::lift(0.5 * self.system.dt);
         let mut potential = PerPoint::new();
         let potential = self.system.potential(effects, x, u, &mut potential);
-        phases.collect(potential.iter().map(|&v| {
+        phases.clear();
+        phases.extend(potential.iter().map(|&v| {
             let (sin, cos) = (v * half_dt).sin_cos();
             (cos, sin)
-        }))
+        }));
+        phases
     }
 
     /// Returns the cotangent of the control from one half step, if requested. Writes the cotangent
@@ -144,11 +146,12 @@ impl ForcedSystem for Strang {
         let (mut phases, mut state) = (PerPoint::new(), State::new());
         let turning = self.phases(effects, x, u, &mut phases);
         // Include the components appended by effects, which read the whole state.
-        let state = state.collect(x.iter().copied());
+        state.extend_from_slice(x);
+        let state = &mut state[..];
         turn::<T, T, false>(turning, x, state);
         self.kinetic.apply::<T, T, false>(state, next);
         state[..n].copy_from_slice(next);
-        let turning = if effects.state_dependent() { self.phases(effects, state, u, &mut phases) } else { phases.all() };
+        let turning = if effects.state_dependent() { self.phases(effects, state, u, &mut phases) } else { &phases[..] };
         turn::<T, T, false>(turning, state, next);
     }
 
@@ -166,7 +169,8 @@ impl ForcedSystem for Strang {
         let mut phases = PerPoint::new();
         let before = self.phases(effects, x, u, &mut phases);
         let mut a_bar = PerPoint::new();
-        let a_bar = a_bar.fill([C::null(); 2], model.grid).as_flattened_mut();
+        a_bar.resize(model.grid, [C::null(); 2]);
+        let a_bar = a_bar.as_flattened_mut();
         // Shorter path if only the cotangent of the state is requested.
         if u_bar.is_none() && !reads {
             if let Some(x_bar) = x_bar {
@@ -178,20 +182,26 @@ impl ForcedSystem for Strang {
         }
         // Recompute, because the forward pass does not store these.
         let (mut a, mut b) = (PerPoint::new(), State::new());
-        let a = a.fill([R::zero(); 2], model.grid).as_flattened_mut();
+        a.resize(model.grid, [R::zero(); 2]);
+        let a = a.as_flattened_mut();
         turn::<R, R, false>(before, x, a);
-        let b = b.collect(x.iter().copied());
+        b.extend_from_slice(x);
+        let b = &mut b[..];
         self.kinetic.apply::<R, R, false>(a, b);
         let mut scratch = State::new();
         let x_bar = match x_bar {
             Some(x_bar) => x_bar,
-            None => scratch.fill(C::null(), x.len()),
+            None => {
+                scratch.resize(x.len(), C::null());
+                &mut scratch[..]
+            }
         };
         let with_control = u_bar.is_some();
         let mut control_bar;
         if reads {
             let (mut potential_bar, mut phases) = (PerPoint::new(), PerPoint::new());
-            let potential_bar = potential_bar.fill(C::null(), model.grid);
+            potential_bar.resize(model.grid, C::null());
+            let potential_bar = &mut potential_bar[..];
             let after = self.phases(effects, b, u, &mut phases);
             turn::<R, C, true>(after, next_bar, x_bar);
             control_bar = self.reverse_half(b, x_bar, with_control, Some(&mut *potential_bar));

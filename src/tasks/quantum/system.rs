@@ -2,7 +2,6 @@
 
 use super::elimination::{Elimination, Pivots, Rows};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
-use crate::numbers::kernels::scratch::Scratch;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
@@ -14,7 +13,7 @@ pub(super) const STACK: usize = 64;
 /// Complex number as real and imaginary part.
 pub(super) type Pair<T> = (T, T);
 /// One value per grid point.
-pub(super) type PerPoint<T> = Scratch<T, STACK>;
+pub(super) type PerPoint<T> = SmallVec<[T; STACK]>;
 /// Real and imaginary part per grid point.
 pub(super) type Wave<T> = SmallVec<[T; 2 * STACK]>;
 
@@ -146,7 +145,7 @@ impl QuantumSystem {
         }
     }
 
-    /// Writes the potential of the control and of the effects.
+    /// Writes the potential of the control and of the effects to an empty `potential`.
     #[inline(always)]
     pub(super) fn potential<'a, E: Effect<Self>, T: Scalar>(
         &self,
@@ -156,7 +155,7 @@ impl QuantumSystem {
         potential: &'a mut PerPoint<T>,
     ) -> &'a [T] {
         let (control, dx, origin) = (u[0], self.spacing(), self.control_origin());
-        let potential = potential.collect((0..self.grid).map(|j| control * T::lift((place(j) - origin) * dx)));
+        potential.extend((0..self.grid).map(|j| control * T::lift((place(j) - origin) * dx)));
         effects.add_forces(self, x, potential);
         potential
     }
@@ -275,19 +274,24 @@ impl ForcedSystem for QuantumSystem {
         }
         // Solve again, because the forward pass does not store the solution.
         let mut y = PerPoint::new();
-        let y = y.fill([R::zero(); 2], self.grid);
+        y.resize(self.grid, [R::zero(); 2]);
+        let y = &mut y[..];
         a.solve(x, y.as_flattened_mut());
         a.conjugate();
         let mut scratch = PerPoint::new();
         let x_bar = match x_bar {
             Some(x_bar) => x_bar,
-            None => scratch.fill([C::null(); 2], self.grid).as_flattened_mut(),
+            None => {
+                scratch.resize(self.grid, [C::null(); 2]);
+                scratch.as_flattened_mut()
+            }
         };
         a.solve(next_bar, &mut x_bar[..n]);
         let with_control = u_bar.is_some();
         let control_bar = if effects_read {
             let mut potential_bar = PerPoint::new();
-            let potential_bar = potential_bar.fill(C::null(), self.grid);
+            potential_bar.resize(self.grid, C::null());
+            let potential_bar = &mut potential_bar[..];
             let control_bar = self.reverse_potential(self.dt, y, next_bar, x_bar, with_control, Some(&mut *potential_bar));
             effects.vjp(self, x, potential_bar, x_bar);
             control_bar
