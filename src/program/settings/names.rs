@@ -2,8 +2,10 @@
 
 use physgrad::{Field, OptimizerKind};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::de::{Deserializer, Error, Visitor};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
+use std::fmt;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
@@ -79,8 +81,8 @@ impl ClipName {
 }
 
 /// [`OptimizerKind`] with default parameters, by name.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(into = "String")]
 pub struct OptimizerName(String);
 
 impl OptimizerName {
@@ -96,13 +98,23 @@ impl Default for OptimizerName {
     }
 }
 
-impl TryFrom<String> for OptimizerName {
-    type Error = String;
-    fn try_from(name: String) -> Result<Self, Self::Error> {
-        match OptimizerKind::named(&name) {
-            Some(_) => Ok(Self(name)),
-            None => Err(format!("unknown variant `{name}`, expected one of `{}`", OptimizerKind::NAMES.join("`, `"))),
+impl<'de> Deserialize<'de> for OptimizerName {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        const NAMES: &[&str] = &OptimizerKind::NAMES;
+        struct Name;
+        impl Visitor<'_> for Name {
+            type Value = OptimizerName;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(f, "one of `{}`", NAMES.join("`, `"))
+            }
+
+            fn visit_str<E: Error>(self, name: &str) -> Result<OptimizerName, E> {
+                let known = NAMES.contains(&name);
+                if known { Ok(OptimizerName(name.into())) } else { Err(E::unknown_variant(name, NAMES)) }
+            }
         }
+        deserializer.deserialize_str(Name)
     }
 }
 
