@@ -1,4 +1,4 @@
-//! Vectorized kernels: matrix products, elementwise functions, sine and cosine, and workspaces.
+//! Vectorized kernels: matrix products, elementwise functions, sine and cosine.
 //!
 //! The instruction set is chosen at run time ([`SimdLevel`]), since builds use default target flags. A
 //! portable path serves all other processors. Contains the only unsafe code of the library. Start

@@ -37,12 +37,12 @@ impl ConfigError {
         if let Some(field) = message.strip_prefix("missing field `") {
             return Self::new(within(field), "is missing");
         }
-        if let Some((_, expected)) = message.strip_prefix("unknown field `").and_then(|rest| rest.split_once("`, ")) {
-            if let Some((_, new)) = RENAMED_KEYS.into_iter().find(|(old, _)| old == key) {
-                return Self::new(key, format!("was renamed; write `{new}`"));
+        if let Some((field, expected)) = message.strip_prefix("unknown field `").and_then(|rest| rest.split_once("`, ")) {
+            if let Some((_, new)) = RENAMED_KEYS.into_iter().find(|(old, _)| *old == within(field)) {
+                return Self::new(within(field), format!("was renamed; write `{new}`"));
             }
             let allowed = expected.strip_prefix("expected ").map_or("nothing", |names| names.trim_start_matches("one of "));
-            return Self::new(key, format!("is unknown; allowed: {allowed}"));
+            return Self::new(within(field), format!("is unknown; allowed: {allowed}"));
         }
         let Some((found, expected)) = message.split_once(", expected ") else {
             return Self::new(key, format!("is invalid: {message}"));

@@ -114,7 +114,7 @@ impl<'de> Deserialize<'de> for OptimizerName {
                 if known { Ok(OptimizerName(name.into())) } else { Err(E::unknown_variant(name, NAMES)) }
             }
         }
-        deserializer.deserialize_str(Name)
+        deserializer.deserialize_string(Name)
     }
 }
 

@@ -1,21 +1,168 @@
-//! Deserialization of settings, with the key of an error.
+//! Deserializes settings from TOML tables. Errors name the key.
+//!
+//! In place of `serde_path_to_error` around the deserializer of `toml`, which reads a list as a
+//! section and does not list the allowed values of a choice.
 
-use serde::de::DeserializeOwned;
-use toml::Table;
+use serde::de::{
+    Deserialize, DeserializeSeed, Deserializer, Error, Expected, IntoDeserializer, MapAccess, SeqAccess, Unexpected, Visitor,
+};
+use std::fmt::{self, Display};
+use toml::{Table, Value};
 
-/// Error of serde, and the key of the value: `policy.widths[1]`. The key is empty for the whole
-/// table.
-#[derive(Debug, thiserror::Error)]
-#[error("`{key}`: {message}")]
+/// Serde error with the key of the value, for example `policy.widths[1]`.
+///
+/// The key is empty for the whole table.
+#[derive(Debug)]
 pub struct Unreadable {
     pub key: String,
     pub message: String,
 }
 
-/// Reads a value from a table.
-pub fn read<T: DeserializeOwned>(table: Table) -> Result<T, Unreadable> {
-    serde_path_to_error::deserialize(table).map_err(|error| {
-        let key = error.path().to_string();
-        Unreadable { key: if key == "." { String::new() } else { key }, message: error.into_inner().message().to_owned() }
-    })
+impl Unreadable {
+    /// Prepends the name of the section, or the index in the list.
+    fn within(self, name: &str) -> Self {
+        let dot = if self.key.is_empty() || self.key.starts_with('[') { "" } else { "." };
+        Self { key: format!("{name}{dot}{}", self.key), ..self }
+    }
+}
+
+impl Display for Unreadable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "`{}`: {}", self.key, self.message)
+    }
+}
+
+impl std::error::Error for Unreadable {}
+
+impl Error for Unreadable {
+    fn custom<T: Display>(message: T) -> Self {
+        Self { key: String::new(), message: message.to_string() }
+    }
+}
+
+/// Deserializes a table.
+pub fn read<T: for<'de> Deserialize<'de>>(table: Table) -> Result<T, Unreadable> {
+    T::deserialize(Reading(&Value::Table(table)))
+}
+
+/// Deserializer of a value. Each type of setting requests one type of value, which limits
+/// monomorphization.
+struct Reading<'a>(&'a Value);
+
+impl Reading<'_> {
+    fn unexpected(&self, expected: &dyn Expected) -> Unreadable {
+        let found = match self.0 {
+            Value::Boolean(value) => Unexpected::Bool(*value),
+            Value::Integer(value) => Unexpected::Signed(*value),
+            Value::Float(value) => Unexpected::Float(*value),
+            Value::String(value) => Unexpected::Str(value),
+            Value::Datetime(_) => Unexpected::Other("a date"),
+            Value::Array(_) => Unexpected::Other("a list"),
+            Value::Table(_) => Unexpected::Other("a section"),
+        };
+        Error::invalid_type(found, expected)
+    }
+}
+
+impl<'de> Deserializer<'de> for Reading<'_> {
+    type Error = Unreadable;
+
+    /// Always an error: no setting accepts values of any type.
+    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+        Err(self.unexpected(&visitor))
+    }
+
+    fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+        if let Value::Boolean(value) = self.0 { visitor.visit_bool(*value) } else { Err(self.unexpected(&visitor)) }
+    }
+
+    fn deserialize_i64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+        if let Value::Integer(value) = self.0 { visitor.visit_i64(*value) } else { Err(self.unexpected(&visitor)) }
+    }
+
+    fn deserialize_u64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+        self.deserialize_i64(visitor)
+    }
+
+    fn deserialize_f64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+        if let Value::Float(value) = self.0 { visitor.visit_f64(*value) } else { self.deserialize_i64(visitor) }
+    }
+
+    fn deserialize_string<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+        if let Value::String(value) = self.0 { visitor.visit_str(value) } else { Err(self.unexpected(&visitor)) }
+    }
+
+    fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+        let Value::Array(list) = self.0 else { return Err(self.unexpected(&visitor)) };
+        let mut elements = Elements { list, read: 0 };
+        let value = visitor.visit_seq(&mut elements)?;
+        let is_complete = elements.read == list.len();
+        if is_complete { Ok(value) } else { Err(Error::invalid_length(list.len(), &"fewer elements")) }
+    }
+
+    fn deserialize_tuple<V: Visitor<'de>>(self, _len: usize, visitor: V) -> Result<V::Value, Unreadable> {
+        self.deserialize_seq(visitor)
+    }
+
+    fn deserialize_struct<V: Visitor<'de>>(self, _name: &str, _keys: &[&str], visitor: V) -> Result<V::Value, Unreadable> {
+        let Value::Table(table) = self.0 else { return Err(self.unexpected(&visitor)) };
+        visitor.visit_map(Entries { entries: table.iter(), value: None })
+    }
+
+    fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+        visitor.visit_some(self)
+    }
+
+    fn deserialize_newtype_struct<V: Visitor<'de>>(self, _name: &str, visitor: V) -> Result<V::Value, Unreadable> {
+        visitor.visit_newtype_struct(self)
+    }
+
+    /// Variants are strings.
+    fn deserialize_enum<V: Visitor<'de>>(self, _name: &str, names: &[&str], visitor: V) -> Result<V::Value, Unreadable> {
+        match self.0 {
+            Value::String(name) => visitor.visit_enum(name.as_str().into_deserializer()),
+            _ => Err(self.unexpected(&format!("`{}`", names.join("`, `")).as_str())),
+        }
+    }
+
+    serde::forward_to_deserialize_any! {
+        i8 i16 i32 i128 u8 u16 u32 u128 f32 char str bytes byte_buf unit unit_struct tuple_struct map identifier ignored_any
+    }
+}
+
+struct Elements<'a> {
+    list: &'a [Value],
+    read: usize,
+}
+
+impl<'de> SeqAccess<'de> for &mut Elements<'_> {
+    type Error = Unreadable;
+
+    fn next_element_seed<T: DeserializeSeed<'de>>(&mut self, seed: T) -> Result<Option<T::Value>, Unreadable> {
+        let Some(value) = self.list.get(self.read) else { return Ok(None) };
+        let index = self.read;
+        self.read += 1;
+        seed.deserialize(Reading(value)).map(Some).map_err(|error| error.within(&format!("[{index}]")))
+    }
+}
+
+struct Entries<'a> {
+    entries: toml::map::Iter<'a, String, Value>,
+    /// Entry of the last key.
+    value: Option<(&'a str, &'a Value)>,
+}
+
+impl<'de> MapAccess<'de> for Entries<'_> {
+    type Error = Unreadable;
+
+    fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, Unreadable> {
+        let Some((key, value)) = self.entries.next() else { return Ok(None) };
+        self.value = Some((key, value));
+        seed.deserialize(String::as_str(key).into_deserializer()).map(Some)
+    }
+
+    fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, Unreadable> {
+        let (key, value) = self.value.take().ok_or_else(|| Unreadable::custom("a value without a key"))?;
+        seed.deserialize(Reading(value)).map_err(|error| error.within(key))
+    }
 }

@@ -90,7 +90,6 @@ impl<K: TaskSpec> Settings<K> {
     /// # Errors
     /// Reports unknown keys, missing keys and values of the wrong type.
     pub fn fill(table: Table) -> Result<Self, ConfigError> {
-        reject_lists("", &table, Some(&Self::defaults().table()))?;
         let mut settings: Self = reading::read(table).map_err(|error| ConfigError::unreadable(&error))?;
         settings.training.complete();
         Ok(settings)
@@ -130,19 +129,4 @@ impl<K: TaskSpec> Settings<K> {
     pub fn visit<V: Visit>(&self, visitor: V) -> V::Out {
         K::visit(self, visitor)
     }
-}
-
-/// Rejects a list in place of a section at this path: serde would read it as the values in order.
-fn reject_lists(path: &str, table: &Table, defaults: Option<&Table>) -> Result<(), ConfigError> {
-    for (key, value) in table {
-        let default = defaults.and_then(|defaults| defaults.get(key)).and_then(Value::as_table);
-        let inner = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
-        let is_section = default.is_some() || OPTIONAL.contains(&path) || OPTIONAL.contains(&&*inner);
-        match value {
-            Value::Array(_) if is_section => return Err(ConfigError::new(inner, "is a list; allowed: a section")),
-            Value::Table(table) => reject_lists(&inner, table, default)?,
-            _ => {}
-        }
-    }
-    Ok(())
 }
