@@ -1,4 +1,4 @@
-//! Deserialization of settings, with the key of an error.
+//! Deserialization of settings. Errors name the key.
 
 use serde::de::DeserializeOwned;
 use toml::Table;
