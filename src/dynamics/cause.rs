@@ -5,7 +5,7 @@
 pub enum Cause {
     /// An implicit step did not converge. Holds the largest remaining residual.
     Unsolved(f64),
-    /// The forces of the named effect, or their derivatives, are non-finite at the initial state of
-    /// the step.
+    /// The forces of the named effect, or their derivatives, are non-finite at the state before the
+    /// step.
     Effect(&'static str),
 }

@@ -11,7 +11,7 @@ use std::ops::Range;
 
 /// One discrete time step of a physical system, `x' = S(x, u)`.
 ///
-/// Required: the dimensions and [`step`](System::step). The Jacobian products default to exact
+/// Implement the dimensions and [`step`](System::step). The Jacobian products default to exact
 /// derivatives by dual numbers. Override them with analytic derivatives for speed;
 /// [`check::system`](crate::check::system) compares both.
 ///
@@ -72,7 +72,7 @@ pub trait System: Send + Sync {
     }
 }
 
-/// Inputs of the differentiation.
+/// Inputs with respect to which a step is differentiated.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Wrt {
     State,

@@ -5,14 +5,14 @@ use crate::engine::adjoint::Flow;
 use crate::numbers::extended::ExtendedF64;
 use std::fmt;
 
-/// Place where a number became non-finite. The update that it belongs to is skipped.
+/// Place of a non-finite number. Training skips the update that contains it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Divergence {
     /// State or control in the forward pass.
     Forward {
         /// State or control.
         variable: Variable,
-        /// Time step. States start at 1, the first after the initial state. Controls start at 0.
+        /// Time step. The initial state and the first control have step 0.
         step: usize,
         /// Index of the sample in its batch.
         sample: usize,
@@ -49,8 +49,8 @@ pub enum Divergence {
         /// Index of the parameter in `θ`.
         parameter: usize,
     },
-    /// Composed and clipped field of finite gradients. A component is non-finite, or too large for
-    /// an optimizer to square.
+    /// Composed and clipped field of finite gradients. A component or its square is not
+    /// finite.
     Field {
         /// Index of the parameter in `θ`.
         parameter: usize,
@@ -69,7 +69,7 @@ pub enum Variable {
 }
 
 impl Divergence {
-    /// Adds `first` to the sample index, if there is one.
+    /// Adds `first` to the sample index, if the variant has one.
     pub(crate) fn offset(mut self, first: usize) -> Self {
         match &mut self {
             Self::Forward { sample, .. } | Self::Cost { sample } | Self::Cotangent { sample, .. } => *sample += first,
@@ -81,8 +81,7 @@ impl Divergence {
     /// Sort key: the order in which a single pass over the whole batch would find divergences.
     pub(crate) fn order(&self) -> (u8, usize, usize) {
         match *self {
-            // The control at step t precedes the state at step t + 1, but follows the state at step
-            // t.
+            // The control at step t lies between the states at steps t and t + 1.
             Self::Forward { variable: Variable::Control, step, sample, .. } => (0, 2 * step + 1, sample),
             Self::Forward { variable: Variable::State, step, sample, .. } => (0, 2 * step, sample),
             Self::Cost { sample } => (1, 0, sample),
@@ -117,7 +116,11 @@ impl fmt::Display for Divergence {
                 )
             }
             Self::Cost { sample } => {
-                write!(f, "forward pass: the cost of sample {sample} is not finite, but its states are finite")
+                write!(
+                    f,
+                    "forward pass: the cost of sample {sample} is not finite, but its states are finite. Check the costs of \
+                     the task"
+                )
             }
             Self::Cotangent { flow, variable, step, sample, component, cause } => write!(
                 f,
@@ -126,7 +129,11 @@ impl fmt::Display for Divergence {
                 by(cause)
             ),
             Self::Gradient { flow, parameter } => {
-                write!(f, "gradient of {flow}: parameter {parameter} or its square is not finite, but all cotangents are finite")
+                write!(
+                    f,
+                    "gradient of {flow}: parameter {parameter} or its square is not finite, but all cotangents are finite. \
+                     Shorten the horizon, or use another field"
+                )
             }
             Self::Field { parameter, norm } => write!(
                 f,

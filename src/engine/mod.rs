@@ -3,7 +3,8 @@
 //! - [`rollout`]: forward pass of a task under a policy.
 //! - [`adjoint`]: reverse pass for the flows R, M, N and S of one forward pass.
 //!   `adjoint/recursion.rs` contains the recursion.
-//! - [`schedule`], [`checkpointed`]: recomputation of steps in place of stored ones.
+//! - [`initial_states`]: initial states, drawn by a task from seeded streams.
+//! - [`schedule`], [`checkpointed`]: recomputation of steps from checkpoints.
 //! - [`batch`]: mini-batches and data sets, split over threads.
 //! - [`gradient`], [`growth`], [`divergence`]: results and errors of the passes.
 //! - [`any`]: object-safe tasks and systems. [`parallel`]: threads.

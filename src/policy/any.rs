@@ -7,7 +7,7 @@ use crate::numbers::scalar::Float;
 /// Object-safe [`Policy`] for one precision.
 ///
 /// Every [`Policy`] implements it, so `&policy` coerces to `&dyn AnyPolicy<F>`. Each method
-/// forwards to the method of [`Policy`] of that name.
+/// forwards to the [`Policy`] method with its name.
 #[allow(missing_docs)]
 pub trait AnyPolicy<F: Float>: Send + Sync {
     #[doc(hidden)]

@@ -4,7 +4,9 @@ use super::Policy;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Scalar;
 
-/// The policy of figure 1 of the paper: `u = θ₁ x² + θ₂ x`, with `θ = [θ₁, θ₂]` and scalar `x`.
+/// Policy `u = θ₁ x² + θ₂ x`, with `θ = [θ₁, θ₂]` and scalar `x`.
+///
+/// Figure 1 of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Quadratic;
 
@@ -39,7 +41,7 @@ pub struct Constant {
 }
 
 impl Constant {
-    /// An open-loop control for a system with these dimensions.
+    /// Creates an open-loop control for a system with these dimensions.
     pub fn new(state_dim: usize, control_dim: usize) -> Self {
         Self { state_dim, control_dim }
     }

@@ -8,7 +8,7 @@
 //! 4. `tasks`: built-in tasks; `Scene`, independent of the type of its task.
 //! 5. `scenes`: scene files, presets, overrides.
 //! 6. `runs`: training, resuming, sweeps, output files.
-//! 7. `commands`: one module per command.
+//! 7. `commands`: the commands; `print` contains `scene` and `schema`.
 //!
 //! Start with `commands/train` and `tasks/scene`.
 

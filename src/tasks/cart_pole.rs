@@ -5,8 +5,8 @@
 //! the task.
 //!
 //! [`CartPoleSystem`] is the authors' model, in which the poles share only the control. The
-//! acceleration of each pole includes its own centrifugal term only. The total mass counts one
-//! pole, whatever their number. [`CoupledCartPole`] is the exact model.
+//! acceleration of each pole includes only its centrifugal term. The total mass includes one pole,
+//! regardless of the number of poles. [`CoupledCartPole`] is the exact model.
 
 mod bumpers;
 mod coupled;
@@ -41,7 +41,7 @@ any_effect! {
 
 /// Task to swing up all poles, with the mean of `1 - cos θ` as loss.
 ///
-/// The loss lies between 0 (all upright) and 2 (all hanging). Position and control carry no cost.
+/// The loss lies between 0 (all upright) and 2 (all hanging). Position and control have no cost.
 ///
 /// `S` is any system around a [`CartPoleSystem`]: alone, with effects, coupled, or behind an
 /// actuator.
@@ -49,7 +49,7 @@ any_effect! {
 pub struct CartPole<S = CartPoleSystem> {
     /// System to control.
     pub system: S,
-    /// States that count in the loss.
+    /// States that enter the loss.
     pub loss: LossMode,
     /// Number of steps.
     pub horizon: usize,

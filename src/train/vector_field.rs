@@ -5,8 +5,8 @@
 //!   [`Quadratic`](crate::policy::Quadratic).
 //! - Figure 2 runs Adam in three fields with the same minimum, with the task
 //!   [`Bowl`](crate::tasks::Bowl) and the policy [`Constant`](crate::policy::Constant). The fields
-//!   are the gradient, the gradient with a rotation, and the components of the latter that agree
-//!   with the gradient in sign ([`Rotated`]).
+//!   are the gradient, the gradient plus a rotation ([`Rotated`]), and their combination. The
+//!   combination zeroes components of the rotated field whose sign differs from the gradient's.
 //!
 //! All vectors come from rollouts of these tasks; no derivative is coded separately.
 
@@ -137,27 +137,28 @@ pub const ROTATION: f64 = 4.0;
 
 /// Gradient `g` plus its rotation: `g + strength · (-g₂, g₁)`.
 ///
-/// It vanishes where the gradient does, but is not a gradient: it also leads around the minimum.
+/// It vanishes where the gradient does, but is not a gradient: it also circulates around the
+/// minimum.
 ///
 /// Gradient descent with small steps still converges, because `g` is always a component. Adam does
 /// not converge. Near the minimum it divides by ever smaller root mean squares, so its steps grow.
-/// The momentum has a memory of β₁ / (1 - β₁) = 9 iterations. At some distance it carries the
-/// iterate outwards as fast as `g` pulls it inwards.
+/// The momentum delays the field by β₁ / (1 - β₁) = 9 iterations. The delayed rotation moves the
+/// iterate outwards, and `g` moves it inwards.
 ///
-/// The balance holds at `1 / (9 · strength² · curvature)`, in terms of the learning rate over the
-/// root mean square. Without a rotation this ratio may grow to `38 / curvature`. The iterate
-/// circles at a distance of about `√2 · 9 · learning rate · strength`. The estimate assumes an
-/// isotropic curvature and a strength well above 1.
+/// Let η be the learning rate over the root mean square. Both motions balance at
+/// `η = 1 / (9 · strength² · curvature)`. Without a rotation, Adam is stable up to
+/// `η = 38 / curvature`. The iterate circles the minimum at a distance of about
+/// `√2 · 9 · learning rate · strength`. The estimate assumes an isotropic curvature and a strength
+/// well above 1.
 ///
-/// The combination descends everywhere. It converges from most initial parameters, but not from
-/// all, and seldom with a large learning rate. It always ends at a far smaller loss than the
-/// rotation alone.
+/// The combination descends everywhere. It converges from most, but not all, initial parameters,
+/// and rarely with a large learning rate. Its final loss is far below that of the rotation alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rotated {
     /// Norm of the rotated part, as a multiple of the norm of the gradient.
     pub strength: f64,
-    /// Sets the components to 0 whose sign differs from the gradient's, as C of the paper does with
-    /// M and R.
+    /// Zeroes the components whose sign differs from the gradient's. The field C of the paper
+    /// combines M and R in this way.
     pub combined: bool,
 }
 
@@ -167,7 +168,7 @@ impl Rotated {
         Field::custom(Flow::REGULAR, Flow::REGULAR, Self { strength, combined: false })
     }
 
-    /// Gradient with a rotation, in the components that agree with the gradient in sign.
+    /// Gradient with a rotation; components whose sign differs from the gradient's are 0.
     pub fn combined_field(strength: f64) -> Field<Self> {
         Field::custom(Flow::REGULAR, Flow::REGULAR, Self { strength, combined: true })
     }
@@ -187,7 +188,7 @@ impl GradientCombiner for Rotated {
         if self.combined { "rotated, combined" } else { "rotated" }
     }
 
-    /// Rotates `first` and compares with `second`. Requires two components.
+    /// Rotates `first`. If combined, compares signs with `second`. Requires two components.
     fn combine<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]) {
         let strength = F::lift(self.strength);
         let rotated = [first[0] - strength * first[1], first[1] + strength * first[0]];

@@ -14,7 +14,7 @@ pub fn dipole(grid: usize) -> QuantumSystem {
     QuantumSystem { control: ControlShape::Dipole, ..box_of(grid) }
 }
 
-/// Returns all effects, centered off the middle where possible, so that no symmetry hides errors.
+/// Returns all effects. Off-center parameters break the symmetry, which could hide errors.
 pub fn every_effect() -> Vec<QuantumEffect> {
     vec![
         Harmonic { center: 0.3, ..Harmonic::default() }.into(),
@@ -84,15 +84,15 @@ pub fn overlap(a: &[f64], b: &[f64]) -> (f64, f64) {
     (re.hypot(im), im.atan2(re))
 }
 
-/// Draws states of norm about 1, and large controls. Large controls keep the single control
-/// cotangent away from 0, because errors are relative to it.
+/// Draws states of norm about 1, and large controls. Errors are relative to the control cotangent,
+/// which large controls keep away from 0.
 pub fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     let size = (3.0 / x.len() as f64).sqrt();
     x.iter_mut().for_each(|x| *x = rng.random_range(-size..size));
     u.iter_mut().for_each(|u| *u = rng.random_range(-30.0..30.0));
 }
 
-/// Time-dependent force that depends on the wave by more than its density: a custom effect.
+/// Custom effect: a time-dependent force that depends on more than the density of the wave.
 #[derive(Clone, Debug)]
 pub struct Swinging;
 
@@ -108,7 +108,7 @@ impl Effect<QuantumSystem> for Swinging {
     }
 }
 
-/// Checks a system at waves under controls that affect them.
+/// Checks the derivatives of a system at the states and controls of [`lively`].
 #[track_caller]
 pub fn check_lively<S: System>(system: &S) {
     check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{} numbers: {mismatch}", system.state_dim()));

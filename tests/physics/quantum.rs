@@ -1,4 +1,4 @@
-//! Quantum control against dual numbers, the authors' numbers and conservation of probability.
+//! Tests of quantum control: derivatives, the authors' reference data, conserved probability.
 
 use physgrad::policy::{Conv, PolicyColumns, PolicyPass};
 use physgrad::rng::{Purpose, stream};
@@ -19,7 +19,7 @@ fn derivatives_on_any_grid() {
     for grid in [3, 8, 32, 33, 70] {
         println!("grid {grid}: {:?}", check::system(&system(grid)));
     }
-    // Large controls, for which the diagonal does not dominate.
+    // Large controls: the matrix of the step is not diagonally dominant.
     let draw = |_: &mut _, x: &mut [f64], u: &mut [f64]| {
         x.iter_mut().enumerate().for_each(|(i, x)| *x = (i as f64).sin());
         u[0] = -500.0;
@@ -34,8 +34,8 @@ fn convolutions_of_many_shapes() {
     }
 }
 
-/// Adjacent samples share a matrix product, which also computes windows across their border. These
-/// must not influence results.
+/// Adjacent samples share a matrix product, which also computes windows across their border.
+/// Results are independent of these windows.
 #[test]
 fn a_column_does_not_depend_on_its_neighbours() {
     let policy = Conv::new(33, 7);

@@ -25,7 +25,7 @@ const COUNTS: [&str; 5] = ["0", "-1", "1", "9223372036854775807", "1e38"];
 const TINY: [&str; 6] =
     ["epochs=1", "horizon=6", "training.train_samples=4", "training.test_samples=4", "training.batch=4", "seed=1"];
 
-/// Scenes with effects that no preset has.
+/// Presets with effects, actuators, integrators and precisions that no preset combines.
 const MORE: [(&str, &[&str]); 8] = [
     ("cart_pole", &["effects.steady_wind.speed=3", "effects.cart_damping.damping=0.1", "actuator.delay.steps=2"]),
     ("cart_pole", &["integrator.method=adaptive", "integrator.rtol=1e-4", "integrator.atol=1e-6"]),
@@ -74,7 +74,7 @@ fn extremes(key: &str, value: &Value, found: &mut Vec<String>) {
         }
         Value::Float(_) => found.extend(NUMBERS.map(|number| format!("{key}={number}"))),
         Value::Integer(_) => found.extend(COUNTS.map(|count| format!("{key}={count}"))),
-        // One element of a list at a time.
+        // Replaces one element of a list at a time.
         Value::Array(list) => {
             for i in 0..list.len() {
                 let mut of_one = Vec::new();
@@ -89,7 +89,7 @@ fn extremes(key: &str, value: &Value, found: &mut Vec<String>) {
     }
 }
 
-/// Returns a setting for networks of a few neurons.
+/// Returns an override that shrinks the network, if the policy has one.
 fn small_network(settings: &Table) -> Option<&'static str> {
     let policy = settings.get("policy")?.as_table()?;
     let key =
@@ -109,7 +109,7 @@ fn cases(dir: &Path) -> Vec<Case> {
         let table = settings(preset, changes, &dir.join(i.to_string()));
         let mut found = Vec::new();
         extremes("", &Value::Table(table.clone()), &mut found);
-        // The version of the scene cannot be set. Training for so many epochs would not end.
+        // Excludes the scene version, which is fixed, and an epoch count that no run completes.
         let no_case = |setting: &String| setting.starts_with("scene=") || setting == "epochs=9223372036854775807";
         found.retain(|setting| !no_case(setting));
         let tiny: Vec<&str> = TINY.iter().chain(changes).copied().chain(small_network(&table)).collect();
@@ -150,7 +150,7 @@ fn run(mut args: Vec<String>, case: &Case) -> Result<End, String> {
     if known.map(|name| format!("effects.{name}")).any(|key| key == blamed) { Ok(End::Blamed) } else { Err(told()) }
 }
 
-/// Runs the command on the cases, on all cores, and fails with all faults.
+/// Runs the command on all cases in parallel. Panics with the list of all faults.
 fn run_all(command: &str, cases: &[Case]) {
     let dir = TempDir::new().expect("a folder");
     let (next, ends, wrong) = (Mutex::new(cases.iter().enumerate()), Mutex::new(Vec::new()), Mutex::new(Vec::new()));
@@ -210,7 +210,7 @@ fn extreme_settings_are_trained_with_or_refused() {
     run_all("compare", &sample(&cases, SAMPLE / 10));
 }
 
-/// Regression test for cases that used to panic, with the effect that the message names.
+/// Extreme parameters of an effect: no command panics, and the message names the effect.
 #[test]
 fn the_scenes_own_key_is_blamed() {
     let dir = TempDir::new().expect("a folder");
@@ -241,7 +241,7 @@ fn the_scenes_own_key_is_blamed() {
             assert!(errors.contains(&format!("the forces of {key} ")), "{command} {preset} {setting}: {errors}");
         }
     }
-    // A step that is too long is not attributed to an effect.
+    // The message attributes an excessive time step to no effect.
     for command in ["train", "explain", "compare"] {
         let errors = errors(command, "quantum_double_well", "system.dt=1e30");
         assert!(!errors.contains("the forces of"), "{errors}");

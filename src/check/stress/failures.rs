@@ -1,4 +1,4 @@
-//! Stress case: non-finite values are located, and the update is skipped.
+//! Stress case: locates non-finite values and skips the update.
 
 use super::{Case, Finding};
 use crate::dynamics::cause::Cause;
@@ -18,10 +18,10 @@ pub(super) const CASES: &[Case] = &[Case {
     name: "injected_nan",
     about: "effect that fails at one step of one sample, in its force or only in its derivative",
     criterion: "step, sample, pass and effect are named exactly, for any number of workers. No parameter changes",
-    story: "Without checks, a NaN appears in the loss an epoch later, when all parameters contain it. Here every \
-                step is tested, forward and in reverse, at no measurable cost. The message names the effect whose \
-                force or derivative is non-finite. The update is skipped, and training continues or stops by \
-                `max_skipped`. Limits: a fault inside a custom system is reported as a component of the state",
+    story: "Without checks, a NaN appears in the loss an epoch later, when all parameters contain it. Here both \
+                passes check every step. The message names the effect whose force or derivative is non-finite. \
+                Training skips the update, and stops after more than `max_skipped` consecutive skips. Limits: a \
+                fault inside a custom system is reported as a component of the state",
     run: injected_nan,
 }];
 

@@ -7,17 +7,18 @@ use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 /// The implicit midpoint rule, `x' = x + h f((x + x')/2, u)`: order 2, symplectic, A-stable.
 ///
 /// Solved by simplified Newton iteration. The Jacobian is constant: central differences at the
-/// midpoint of an explicit Euler step. Every sample iterates until its own convergence. A step that
+/// midpoint of an explicit Euler step. Each sample iterates until it converges. A step that
 /// does not converge within 30 iterations yields NaN.
 ///
-/// The reverse differentiates the solution by the implicit function theorem, not the iteration. It
-/// solves to rounding error, regardless of `tolerance`. With `A = I - h/2 ∂f/∂x` at the midpoint,
+/// The reverse pass differentiates the solution, not the iteration, by the implicit function
+/// theorem. It recomputes the solution to 256 ε, regardless of `tolerance`. With
+/// `A = I - h/2 ∂f/∂x` at the midpoint,
 ///
 /// ```text
 /// w = A⁻ᵀ x̄',   x̄ = 2 w - x̄',   ū += h (∂f/∂u)ᵀ w
 /// ```
 ///
-/// Hairer, Lubich and Wanner, Geometric Numerical Integration, II.1 and VIII.6.
+/// See Hairer, Lubich and Wanner, Geometric Numerical Integration, II.1 and VIII.6.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImplicitMidpoint {
     /// Bound on the largest correction `|Δx'_i| / (1 + |x'_i|)`, to be met in two successive

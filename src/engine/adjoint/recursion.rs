@@ -1,7 +1,8 @@
 //! The adjoint recursion: [`reverse_step`] for the physics, [`Recursion::back`] for the loop.
 //!
-//! Scaling is in `exponents`, the traversal of samples in `blocks`, the policy's side in `policy`,
-//! norms and growth in `measure`. None of them changes a value at moderate sizes.
+//! [`adjoint`](super) states the equations and defines λ and h. `exponents` scales the cotangents,
+//! which changes no value of moderate size. `step_back` traverses the samples. `policy` computes
+//! the Jacobian products of the policy. `measure` records norms and growth.
 
 use super::exponents::Exponents;
 use super::measure::{GrowthMeters, record_norms};
@@ -125,7 +126,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         columns.into_iter().chain(costs).chain(others).sum()
     }
 
-    /// Starts the recursion: `λ ← ∂φ/∂x_T`. `norms` has one row per flow, or none.
+    /// Starts the recursion: `λ ← scale ∂φ/∂x_T`. `norms` has one row per flow, or none.
     pub(super) fn begin(&mut self, pass: &Pass<'_, F>, norms: &mut [Vec<f64>]) {
         let Pass { task, rollout, scale, .. } = *pass;
         let n = rollout.state_dim;
@@ -172,7 +173,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         Ok(())
     }
 
-    /// Prepares step `t`: resets exponents too low for its cost gradients, and measures growth.
+    /// Prepares step `t`: raises exponents too low for its cost gradients, and measures growth.
     fn before_step(&mut self, pass: &Pass<'_, F>, t: usize) {
         let Pass { task, rollout, scale, measured, .. } = *pass;
         if !measured && !self.exponents.any_low() {
@@ -200,7 +201,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         record_norms(&self.lambda, &self.exponents, pass, t, norms);
     }
 
-    /// Meters of growth.
+    /// Returns the growth of the cotangents.
     pub(super) fn growth(&self) -> &GrowthMeters<K> {
         &self.growth
     }

@@ -18,7 +18,7 @@ pub struct Ops {
     pub divide: u64,
     /// Square roots.
     pub sqrt: u64,
-    /// `exp`, `ln`, `tanh`, `atan2` and `sin_cos`. `sin`, `cos` and `sin_cos` count as one each.
+    /// `exp`, `ln`, `tanh`, `atan2`, `sin`, `cos` and `sin_cos`, one each.
     pub transcendental: u64,
     /// Comparisons by [`select_lt`](Scalar::select_lt), [`any_lt`](Scalar::any_lt),
     /// [`min`](Scalar::min), [`max`](Scalar::max) and [`abs`](Scalar::abs). `abs` also counts one
@@ -35,8 +35,8 @@ impl Ops {
 
     /// Runs `work`; returns its operations on [`Counted`] numbers and its result.
     ///
-    /// Counts only the operations of the current thread. Calls may be nested; inner operations
-    /// count in both.
+    /// Counts only the operations of the current thread. Calls may be nested; the outer counts
+    /// include the inner ones.
     pub fn of<T>(work: impl FnOnce() -> T) -> (Self, T) {
         let before = DONE.get();
         let result = work();
@@ -113,8 +113,8 @@ impl fmt::Display for Ops {
 /// measures them. Constants ([`lift`](Scalar::lift)), copies, [`detach`](Scalar::detach) and
 /// arithmetic on `f64` parameters are not counted.
 ///
-/// Default derivatives count the operations of the dual numbers: those on the value and on all four
-/// tangents.
+/// For default derivatives, the counts include the operations on the value and on all four tangents
+/// of each dual number.
 ///
 /// ```
 /// use physgrad::{Counted, Ops, Scalar};

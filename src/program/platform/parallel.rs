@@ -1,9 +1,9 @@
-//! Non-generic rayon wrapper; limits monomorphization.
+//! Parallel map. The call of rayon is not generic, which limits monomorphization.
 
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
-/// Maps every item in parallel and returns the results in order. Starts the items in order.
+/// Maps every item in parallel and returns the results in order of the items.
 pub fn map<I: Sync, R: Send>(items: &[I], work: impl Fn(&I) -> R + Sync) -> Vec<R> {
     let results: Vec<Mutex<Option<R>>> = items.iter().map(|_| Mutex::new(None)).collect();
     for_each(items.len(), &|i| *results[i].lock().unwrap_or_else(PoisonError::into_inner) = Some(work(&items[i])));

@@ -6,14 +6,14 @@ use physgrad::{Actuated, Actuator, AnyActuator, Delay, Lag, Limit, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Transformation of the control between policy and physics, applied in this order.
+/// Transformations of the control between policy and physics, in this order: limit, delay, lag.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ActuatorSettings {
     /// Limit on the magnitude of every control.
     #[serde(skip_serializing_if = "Option::is_none")]
     limit: Option<Limit>,
-    /// Delay of every control by a number of steps. Before the first one, the control is 0.
+    /// Delay of every control by a number of steps. The first applied controls are 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     delay: Option<Delay>,
     /// First-order lag of every control.
@@ -104,7 +104,7 @@ impl ActuatorSettings {
         delayed.chain(lagged).collect()
     }
 
-    /// Names of the applied controls. None without an actuator.
+    /// Names of the applied controls. Empty without an actuator.
     pub fn applied_names(&self, controls: &[String]) -> Vec<String> {
         controls.iter().filter(|_| !self.is_empty()).map(|control| format!("{control}_applied")).collect()
     }

@@ -14,7 +14,7 @@ pub struct ConfigError {
     pub what: String,
 }
 
-/// Keys of earlier versions, with those that replaced them.
+/// Keys of earlier versions and their replacements.
 const RENAMED_KEYS: [(&str, &str); 4] = [
     ("policy.zero_last", "policy.zero_init_output"),
     ("effects.bumpers.reach", "effects.bumpers.half_travel"),

@@ -6,14 +6,14 @@ use physgrad::{Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Ode, Rung
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Discretization in time. Without it, the task takes one step of its native scheme.
+/// Discretization in time. By default, one step of the task's native scheme per time step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct IntegratorSettings {
     /// Integration method. Without it, the task's native scheme.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub method: Option<Method>,
-    /// Steps of the physics per step of the policy, 1 by default. The control is constant in them.
+    /// Steps of the physics per step of the policy, 1 by default. All of them apply one control.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub substeps: Option<usize>,
     /// Relative error tolerance per component. Only for `adaptive`.

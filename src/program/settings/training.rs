@@ -28,7 +28,7 @@ pub struct TrainingSettings {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub clip_limit: Option<f64>,
     /// Bound on the bytes of states and tapes of a mini-batch, over all threads, such as "64MB".
-    /// The reverse pass recomputes the rest, with equal bits. Without it, everything is stored.
+    /// The reverse pass recomputes the rest, with bit-identical results. By default, unbounded.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub memory: Option<String>,
     /// Consecutive updates that may be skipped because of a non-finite number.

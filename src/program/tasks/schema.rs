@@ -35,9 +35,9 @@ pub fn of<S: JsonSchema>(task: &dyn AnyTaskSpec) -> Value {
     schema
 }
 
-/// Inserts defaults and makes settings with a default optional.
+/// Inserts defaults. Makes all settings of a section with defaults optional.
 ///
-/// A parameter of an effect or actuator without a default stays required within its section.
+/// Sections without defaults, such as optional effects and actuators, keep their required settings.
 fn complete(schema: &mut Value, defaults: Option<&Table>) {
     let Some(schema) = schema.as_object_mut() else { return };
     without_null(schema);

@@ -6,10 +6,10 @@ use crate::report::axes::{Axes, text, ticks};
 
 const POTENTIAL: &str = "#9AA0A8";
 const BELOW: &str = "#ECEEF1";
-/// Translucent, also over the map.
+/// Translucent, because it also covers the density map.
 const ABSORBING: &str = "rgba(86,180,233,0.3)";
 
-/// Contents of the box in [`quantum_in`](super::quantum_in).
+/// Potential and absorbing edges that [`quantum_in`](super::quantum_in) draws.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Landscape {
     /// Static potential at the grid points. Empty for none.
@@ -20,7 +20,7 @@ pub struct Landscape {
 
 impl Landscape {
     /// Drawable part for a box of the given length: averaged potential and clamped edges. Omits a
-    /// non-finite potential and invalid edges.
+    /// non-finite potential and edges of negative or NaN width.
     pub(super) fn drawn(&self, length: f64) -> Self {
         let finite = self.potential.iter().all(|v| v.is_finite());
         let potential = if finite { averaged(&self.potential, MAX_ROWS) } else { Vec::new() };
@@ -66,7 +66,7 @@ impl Landscape {
         self.absorbing.into_iter().flat_map(both).collect()
     }
 
-    /// Legend of potential and edges, with the final norm.
+    /// Legend of potential and edges, with the final probability.
     pub(super) fn legend(&self, layout: &Layout) -> Vec<Shape> {
         let x = layout.profile.left + 14.0;
         // Texts are centered; letters are about 0.55 of the font size wide.

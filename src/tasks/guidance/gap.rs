@@ -17,8 +17,8 @@ pub(super) struct Law {
 /// overflow or underflow are first multiplied by a power of two, which is exact.
 ///
 /// The derivative of |r| is undefined at `r = 0` and taken as 0. The derivative of the force is
-/// still correct there, because |r| enters the force only multiplied by `r`. The tangents of dual
-/// numbers are computed in the same way, and never take the square root of 0.
+/// still correct there, because |r| enters the force only multiplied by `r`. The code never takes
+/// the square root of 0, so the tangents of dual numbers are finite.
 pub(super) struct Gap<T> {
     /// r / d.
     share: [T; 2],
@@ -26,8 +26,7 @@ pub(super) struct Gap<T> {
     length_share: T,
     /// 1 / d.
     per_distance: T,
-    /// r / |r|, and 0 at r = 0. Used only in the reverse pass, because its own derivative is
-    /// unbounded.
+    /// r / |r|, and 0 at r = 0. Used only in the reverse pass, because its derivative is unbounded.
     direction: [T; 2],
 }
 
@@ -35,7 +34,7 @@ impl<T: Scalar> Gap<T> {
     #[inline(always)]
     pub(super) fn new(r: [T; 2], softening: f64) -> Self {
         // Squares of numbers within 2^±range neither overflow nor lose digits, nor do their
-        // tangents. The same holds for all other numbers after multiplication by 2^∓shift.
+        // tangents. Multiplication by 2^∓shift brings all other numbers into this range.
         let (range, shift) = if T::Real::EPSILON < 1e-10 { (500, 600) } else { (60, 90) };
         let (huge, tiny) = (T::lift(power_of_two(range)), T::lift(power_of_two(-range)));
         let (up, down) = (T::lift(power_of_two(shift)), T::lift(power_of_two(-shift)));
@@ -88,8 +87,8 @@ impl<R: Real> Gap<R> {
         self.central_vjp(across, along, force_bar)
     }
 
-    /// Returns the same product for `F = stiffness max(0, radius - |r|) / d r`. At `|r| = radius`,
-    /// the derivative is that of the outside.
+    /// Returns `r̄ = (∂F/∂r)ᵀ F̄` of the force `F = stiffness max(0, radius - |r|) r / d`. At
+    /// `|r| = radius`, the derivative is that of the outside, 0.
     #[inline(always)]
     pub(super) fn depth_vjp<C: Cotangent<R>>(&self, radius: f64, softening: f64, stiffness: f64, force_bar: [C; 2]) -> [C; 2] {
         let (zero, stiffness, share) = (R::zero(), R::lift(stiffness), self.depth_share(radius));

@@ -27,10 +27,10 @@ use std::f64::consts::PI;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Propagator {
     grid: usize,
-    /// Rows of the matrices. Each entry holds the real and imaginary parts of the even matrix, then
-    /// of the odd one.
+    /// Both matrices, row by row. Each entry holds the real and imaginary parts of the even matrix,
+    /// then of the odd one.
     table: Vec<[f64; 4]>,
-    /// Table in single precision: a direct load into a vector register needs the element type.
+    /// `table` in single precision, for direct loads into `f32` vector registers.
     rounded: Vec<[f32; 4]>,
 }
 
