@@ -3,6 +3,11 @@
 #[path = "../common/running.rs"]
 mod running;
 
+/// Compiles the unit tests of a module of the program.
+#[allow(dead_code)]
+#[path = "../../src/program/runs/statistics.rs"]
+mod statistics;
+
 mod accuracy;
 mod commands;
 mod docs;
@@ -13,4 +18,3 @@ mod pages;
 mod paper;
 mod report;
 mod scenes;
-mod statistics;
