@@ -60,7 +60,7 @@ pub trait Ode: Send + Sync {
         None
     }
 
-    /// Diagnoses a non-finite rate; see [`System::cause`](crate::System::cause).
+    /// Diagnoses a non-finite rate; see [`System::diagnose`](crate::System::diagnose).
     fn diagnose<F: Float>(&self, _x: &[F], _u: &[F]) -> Option<Cause> {
         None
     }
