@@ -50,7 +50,7 @@ fn main() {
     println!("microseconds of a step, {BATCH} samples, one thread; through effects, by hand: ratio (lowest, highest)");
     let wanted = |task: &str| args.iter().all(|a| a.starts_with('-')) || args.iter().any(|a| a == task);
     let tables = |of: Of, name: &str, single: Vec<Vec<Form>>, double: Vec<Vec<Form>>, horizon: usize| {
-        // Fewer rounds: a scene with a network takes longer and varies less.
+        // Uses fewer rounds for scenes, because networks take longer and vary less.
         let (what, count) = if of == Of::Physics { ("physics alone", count) } else { ("the scene", count.div_ceil(4)) };
         println!("\n{name}: {what}");
         table(of, single, "f32", horizon, places, count);
@@ -185,7 +185,8 @@ fn form<F: Float>(network: &(impl Policy + Clone + 'static), name: &'static str,
     }
 }
 
-/// A rollout with the adjoints of the flows; for scenes, also the parameter gradients.
+/// Returns a job: a rollout and the adjoints of the flows. Scenes also compute the parameter
+/// gradients.
 fn job<F: Float>(of: Of, task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, flows: &[Flow]) -> Job {
     let weights = Weights::<F>::init(&*policy, &mut stream(0, Purpose::Policy, 0));
     let starts: Vec<F> = initial_states(&*task, 0, Purpose::Train, BATCH);

@@ -87,7 +87,8 @@ fn shares(count: usize) {
         adjoint.param_gradient(0, &policy, &weights, &rollout, 0..BATCH, &mut theta_bar);
     };
 
-    // (rows, depth, columns, calls) of the products in one gradient, with the same padding.
+    // (rows, depth, columns, calls) of the matrix products in one gradient, padded as in the
+    // library.
     let (pad_n, pad_w) = (16, 112);
     let products = [
         (pad_w, n + 1, BATCH, steps),

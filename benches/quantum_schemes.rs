@@ -34,7 +34,7 @@ fn main() {
         "microseconds of a rollout with adjoint, {BATCH} samples, one thread; ratio to Crank and Nicolson (lowest, highest)"
     );
     for grid in [32, 64, 128, 512] {
-        // Short jobs: disturbances of the machine then affect few rounds.
+        // Uses short jobs, so that a disturbance of the machine affects few rounds.
         let horizon = if grid < 128 { 16 } else { 4 };
         let (places, count) = if quick { (1, 3) } else { (5, (6400 / grid).max(25)) };
         table("f32", grid, horizon, places, count, forms::<f32>(grid, horizon));
@@ -70,8 +70,8 @@ fn forms<F: Float>(grid: usize, horizon: usize) -> [Vec<Form>; 2] {
     all
 }
 
-/// Fewest substeps for which the phase of the fifth eigenstate is correct to 1 % after one step of
-/// `body`.
+/// Returns the fewest substeps per time step for which one substep advances the phase of the fifth
+/// eigenstate correctly to 1 %.
 fn least_substeps<S: System>(model: QuantumSystem, make: impl Fn(QuantumSystem) -> S) -> usize {
     let phi: Vec<f64> = model.eigenstate(5).flat_map(|phi| [phi, 0.0]).collect();
     let sine = (5.0 * PI / (2.0 * (model.grid + 1) as f64)).sin() / model.spacing();
@@ -127,7 +127,7 @@ where
     Form { name: String::new(), count, job: Box::new(job) }
 }
 
-/// A rollout with its adjoint.
+/// Returns a job that runs a rollout and its adjoint.
 fn job<F: Float, S: HasModel<QuantumSystem> + 'static>(system: S, horizon: usize) -> Job {
     let task = Quantum { horizon, ..Quantum::with_system(system, 3) };
     let (state_dim, control_dim) = (task.system().state_dim(), task.system().control_dim());

@@ -11,7 +11,7 @@ use physgrad::tasks::{Guidance, Quantum, QuantumSystem};
 use physgrad::{Adjoint, Flow, Rollout, System, Task, Weights, initial_states};
 
 const BATCH: usize = 8;
-/// Small enough that the largest trajectories stay in the cache.
+/// Number of time steps, small enough that the largest trajectories stay in the cache.
 const STEPS: usize = 16;
 
 fn main() {

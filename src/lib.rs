@@ -2,7 +2,7 @@
 //! choice of vector fields.
 //!
 //! Systems are generic over [`Scalar`]. Dual numbers provide their exact derivatives by default.
-//! Faster, hand-written derivatives can replace them, and [`check`] compares the two.
+//! Faster analytic derivatives can replace them, and [`check`] compares the two.
 //!
 //! One forward pass yields three vector fields for the optimizer: the gradient of the loss (R), the
 //! gradient through the physics only (M), and their combination (C). They are those of "Stabilizing
@@ -10,7 +10,7 @@
 //! recursion and [`Field`] the fields.
 //!
 //! # A custom system
-//! The file is `examples/pendulum.rs`. Tests compile, run and gradient-check it.
+//! The code is that of `examples/pendulum.rs`. Tests compile, run and gradient-check it.
 //! ```
 #![doc = include_str!("../examples/pendulum.rs")]
 //! ```
@@ -62,15 +62,16 @@
 //! `docs/scenes.md` and `examples/own_effect.rs` show how to write a custom effect.
 //!
 //! # Features
-//! - `parallel` splits mini-batches over threads.
+//! - `parallel` splits mini-batches and data sets over threads.
 //! - `report` draws curves and animations.
 //! - `schema` provides a JSON schema for the settings of systems and effects.
 //! - `double-double` adds `DoubleDouble`, a 31-digit scalar type for reference results and their
 //!   derivatives.
 //! - `stress` adds the module `stress`, with hard test cases and their expected results.
-//! - `program`, the default, contains everything that the `physgrad` binary needs.
+//! - `program`, a default, contains everything that the `physgrad` binary needs.
+//! - `fuzz`, a default, adds the hidden command `physgrad fuzz`.
 //!
-//! With `default-features = false`, only the library without these features is built.
+//! Set `default-features = false` for the library without these features.
 
 #![deny(missing_docs, unsafe_op_in_unsafe_fn)]
 

@@ -41,7 +41,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 
 /// Returns the forbidden imports in a file of `module`: paths that start with `root`.
 ///
-/// Comments and unit tests may name anything.
+/// Skips comments and unit tests.
 fn forbidden(modules: &[Edges], root: &str, module: &str, text: &str) -> Vec<String> {
     let (_, allowed) = modules.iter().find(|(name, _)| *name == module).expect("a module of the list");
     let lines = text.lines().take_while(|line| line.trim() != "#[cfg(test)]").filter(|line| !line.trim().starts_with("//"));
@@ -67,7 +67,8 @@ fn check(folder: &Path, modules: &[Edges], root: &str, others: &[&str]) {
     }
 }
 
-/// Returns whether a path with `super` in this text leaves its folder, `depth` modules above.
+/// Returns whether the text contains `depth` consecutive `super::`, which leave the folder of the
+/// program.
 fn leaves_folder(text: &str, depth: usize) -> bool {
     text.contains(&"super::".repeat(depth))
 }

@@ -43,7 +43,7 @@ fn regular_is_the_chain_rule_written_out() {
         let (x, slope) = trajectory(s.theta);
         let miss = x[4] - 2.0;
         assert_relative_eq!(s.loss, miss * miss / 2.0, max_relative = 1e-12);
-        // Sums of terms with both signs: relative to the larger component.
+        // Terms of opposite sign may cancel. The tolerance is therefore relative to the norm.
         let scale = miss.abs() * slope[0].hypot(slope[1]);
         for (found, slope) in s.vector.into_iter().zip(slope) {
             assert_relative_eq!(found, miss * slope, epsilon = 1e-12 * scale, max_relative = 1e-11);
@@ -65,7 +65,7 @@ fn regular_is_the_slope_of_the_loss() {
     }
 }
 
-/// Since ∂S/∂x = 1, all controls receive the same cotangent.
+/// In M, all controls receive the same cotangent, since ∂S/∂x = 1.
 #[test]
 fn modified_is_the_sum_over_the_steps() {
     for s in vector_field::sample(&Reach::default(), &Quadratic, &Field::modified(), &thetas()).expect("finite") {
@@ -82,7 +82,7 @@ fn modified_is_the_sum_over_the_steps() {
     }
 }
 
-/// R, M and C vanish where the target is met. Elsewhere, only R may vanish.
+/// R, M and C vanish where the target is met. Elsewhere, R may vanish, and C with it, but not M.
 #[test]
 fn the_fields_have_their_minima_in_common() {
     for theta in thetas() {

@@ -13,7 +13,7 @@ use physgrad::{
 use serde_json::Value;
 use std::path::PathBuf;
 
-/// Returns the folder's files for a task and kind. Fails if there are none.
+/// Returns the folder's files for a task and kind. Panics if there are none.
 fn files(task: &str, kind: &str) -> Vec<(String, Value)> {
     let own = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/reference");
     let folder = std::env::var_os("PHYSGRAD_REFERENCE").map_or(own, PathBuf::from);
@@ -136,7 +136,7 @@ impl Authors for AuthorsGuidance {
     fn task(file: &Value, case: &Value, horizon: usize) -> Guidance {
         let (drivers, evaders) = (count(&file["n_drivers"]), count(&file["n_evaders"]));
         let system = GuidanceSystem { drivers, evaders, dt: number(&file["dt"]), ..GuidanceSystem::default() };
-        // Steps and trajectories do not depend on it.
+        // Missing in files of steps and trajectories, which do not depend on it.
         let regularization = case["regularization"].as_f64().unwrap_or(0.0);
         Guidance { system: system.herding(), loss: loss_mode(case), regularization, horizon }
     }
@@ -155,7 +155,7 @@ impl Authors for AuthorsQuantum {
 
     fn task(file: &Value, case: &Value, horizon: usize) -> Quantum {
         let system = QuantumSystem { grid: count(&file["Nx"]), dt: number(&file["dt"]), ..QuantumSystem::default() };
-        // Steps and trajectories do not depend on it.
+        // Missing in files of steps and trajectories, which do not depend on it.
         let target = case["target_state"].as_u64().unwrap_or(1) as usize;
         Quantum { system, loss: loss_mode(case), horizon, ..Quantum::new(target) }
     }

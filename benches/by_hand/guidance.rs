@@ -88,7 +88,7 @@ const fn power_of_two(exponent: i32) -> f64 {
 }
 
 impl ByHand {
-    /// Force laws of spreading, evading and flocking.
+    /// Returns the force laws of spreading, evading and flocking.
     #[inline(always)]
     fn laws<T: Scalar>(&self) -> [Law<T>; 3] {
         let law = |far, near| Law { far: T::lift(far), near: T::lift(near) };
@@ -96,7 +96,7 @@ impl ByHand {
         [law(0.0, self.spread.strength), law(0.0, self.evade.strength), law(flock.strength, -flock.strength * flock.distance)]
     }
 
-    /// Sum of the evaders' positions.
+    /// Returns the sum of the evaders' positions.
     #[inline(always)]
     fn herd<T: Scalar>(&self, x: &[T]) -> [T; 2] {
         let mut sum = [T::zero(); 2];

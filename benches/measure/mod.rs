@@ -5,7 +5,8 @@ use physgrad::rng::Rng;
 use physgrad::{Float, Scalar};
 use std::time::Instant;
 
-/// Runs every job once per round, in turn. Returns microseconds, indexed by job and round.
+/// Runs every job once per round, in turn, after one round of warm-up. Returns microseconds,
+/// indexed by job and round.
 pub fn rounds(rounds: usize, jobs: &mut [&mut dyn FnMut()]) -> Vec<Vec<f64>> {
     let mut times = vec![Vec::new(); jobs.len()];
     for round in 0..=rounds {
@@ -32,7 +33,7 @@ pub fn ratio(a: &[f64], b: &[f64]) -> f64 {
     median(&a.iter().zip(b).map(|(a, b)| a / b).collect::<Vec<_>>())
 }
 
-/// Policy with zero control, which leaves physics and data movement to measure.
+/// Policy with zero control and without arithmetic, so that the policy takes almost no time.
 pub struct Nothing {
     pub state_dim: usize,
     pub control_dim: usize,

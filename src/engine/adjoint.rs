@@ -59,7 +59,7 @@ impl Flow {
     pub const MODIFIED: Self = Self { physics: true, control: false };
     /// N: policy path only; the state input of the physics is detached.
     pub const NETWORK: Self = Self { physics: false, control: true };
-    /// S: neither path; each control receives only the cost of the step it causes.
+    /// S: neither path; each control cotangent contains only the costs of its step.
     pub const STOPPED: Self = Self { physics: false, control: false };
     /// All flows.
     pub const ALL: [Self; 4] = [Self::REGULAR, Self::MODIFIED, Self::NETWORK, Self::STOPPED];
@@ -99,8 +99,8 @@ enum Carried<F: Float> {
 impl<F: Float> Adjoint<F> {
     /// Allocates a workspace for the gradients of one or two flows.
     ///
-    /// Two flows share one pass through the physics, which always evaluates `∂S/∂x`. Only a single
-    /// N or S omits it.
+    /// Two flows share one pass through the physics, which always evaluates `∂S/∂x`. A workspace for
+    /// N or S alone omits it.
     ///
     /// # Panics
     /// If `flows` does not have one or two elements, or `rollout` has no tape.
@@ -162,8 +162,8 @@ impl<F: Float> Adjoint<F> {
     ///
     /// Each is the root mean square over the samples of ‖λ_t‖, for the loss of one sample. It
     /// measures how strongly later costs depend on a state, along the paths of the flow. λ_t
-    /// contains the costs after `x_t`, not the cost of `x_t` itself. λ_T is the gradient of the
-    /// terminal cost, which is 0 without one. Steps that a diverged run did not reach are NaN.
+    /// contains the costs after `x_t`, not the stage cost at `x_t`. λ_T is the gradient of the
+    /// terminal cost, or 0 without a terminal cost. Steps that a diverged run did not reach are NaN.
     ///
     /// # Panics
     /// Without [`keep_norms`](Adjoint::keep_norms).
@@ -192,7 +192,7 @@ impl<F: Float> Adjoint<F> {
 
     /// Runs the recursion backwards through `rollout`.
     ///
-    /// All cotangents are multiplied by `scale`. For the gradient of a batch mean, it is 1 / batch.
+    /// All cotangents are multiplied by `scale`. Use 1 / batch size for the gradient of a batch mean.
     ///
     /// # Errors
     /// [`Divergence`] if a cotangent is not finite.
@@ -234,7 +234,7 @@ impl<F: Float> Adjoint<F> {
         }
         for k in 0..self.flows().len() {
             if !self.flows()[k].control && !self.policy.linearized {
-                // M and S do not need `∂N/∂x`: one policy pass covers all steps.
+                // M and S do not need `∂N/∂x`: one policy pass covers all steps of the unit.
                 self.policy.backward(pass, k, all, false);
             }
         }

@@ -1,7 +1,7 @@
 //! Object-safe [`Task`] and [`System`] for one precision: [`AnyTask`] and `AnySystem`.
 //!
-//! They let rollouts and reverse passes compile once per precision instead of once per task. One
-//! call steps all samples, so dynamic dispatch is negligible.
+//! Rollouts and reverse passes thus compile once per precision, not once per task. One call of
+//! `step_forward` or `step_back` steps all samples, so the cost of dynamic dispatch is negligible.
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::outline::{self, One};
@@ -14,8 +14,8 @@ use crate::numbers::scalar::{CotangentPack, Float};
 
 /// Object-safe [`Task`] for one precision.
 ///
-/// Every task implements it, so `&task` coerces to `&dyn AnyTask<F>`. Sealed. The hidden methods
-/// forward to those of the task.
+/// Every task implements it, so `&task` coerces to `&dyn AnyTask<F>`. The trait is sealed. The
+/// hidden methods forward to those of the task.
 #[allow(missing_docs)]
 pub trait AnyTask<F: Float>: StepForward<F> + StepBack<F, 1> + StepBack<F, 2> + Send + Sync {
     #[doc(hidden)]

@@ -1,8 +1,8 @@
 //! [`Batch`]: gradients of a mini-batch. [`Evaluation`]: loss of a data set. Both use several
 //! workers.
 //!
-//! Results do not depend on the number of workers. Samples do not influence each other, gradients
-//! are summed over fixed groups of samples, and groups are summed in order.
+//! Results do not depend on the number of workers. Samples are independent. Gradients are summed
+//! over fixed groups of samples, and groups are summed in order.
 
 use crate::engine::adjoint::Flow;
 use crate::engine::any::AnyTask;
@@ -18,7 +18,7 @@ use crate::policy::AnyPolicy;
 use crate::policy::Weights;
 use std::ops::Range;
 
-/// Number of samples in a group. One group has one gradient sum, for any number of workers.
+/// Number of samples in a group. Each group has one gradient sum, for any number of workers.
 const GROUP: usize = 4;
 /// Number of samples in one rollout of an evaluation.
 const EVALUATED: usize = 32;
@@ -32,7 +32,7 @@ pub struct Batch<F: Float> {
     measured: bool,
 }
 
-/// Workspace of one worker: consecutive groups of samples.
+/// Workspace of one worker, for consecutive groups of samples.
 #[derive(Debug)]
 struct Worker<F: Float> {
     rollout: Checkpointed<F>,
@@ -49,8 +49,8 @@ impl<F: Float> Batch<F> {
     /// At most `workers` workers share a mini-batch. All steps are stored.
     ///
     /// # Panics
-    /// If `samples` is 0, `flows` does not have one or two elements, or the shapes of task and
-    /// policy differ.
+    /// If `samples` or the horizon is 0, `flows` does not have one or two elements, or the shapes of
+    /// task and policy differ.
     #[track_caller]
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], workers: usize) -> Self {
         Self::scheduled(task, policy, samples, flows, workers, Schedule::store_all(task.horizon()))
@@ -58,8 +58,8 @@ impl<F: Float> Batch<F> {
 
     /// Allocates a workspace of at most `budget` bytes, over all workers.
     ///
-    /// Uses the schedule with the fewest recomputed steps. Gradients are bitwise equal to those of
-    /// [`new`](Batch::new).
+    /// The schedule recomputes at most 1 % of the horizon more steps than the minimum. Gradients are
+    /// bitwise equal to those of [`new`](Batch::new).
     ///
     /// # Errors
     /// [`MemoryError`] if no schedule fits.
@@ -194,7 +194,8 @@ impl<F: Float> Batch<F> {
         &self.gradients
     }
 
-    /// Enables or disables the measurement of growth, which takes a little time.
+    /// Enables or disables the measurement of growth, which evaluates the cost gradients of each step
+    /// a second time.
     pub fn measure(&mut self, measured: bool) {
         self.measured = measured;
         self.workers.iter_mut().for_each(|worker| worker.rollout.measure(measured));
@@ -226,7 +227,7 @@ impl<F: Float> Worker<F> {
     }
 }
 
-/// Ranges of samples of the workers, in whole groups except for the last.
+/// Returns one range of samples per worker. Each range consists of whole groups, except the last.
 fn shares(samples: usize, workers: usize) -> impl ExactSizeIterator<Item = Range<usize>> {
     let groups = samples.div_ceil(GROUP);
     let each = groups.div_ceil(workers.clamp(1, groups)) * GROUP;
@@ -247,7 +248,7 @@ struct Evaluator<F: Float> {
 }
 
 impl<F: Float> Evaluation<F> {
-    /// Allocates a workspace for data sets of any size, split over `workers` workers.
+    /// Allocates a workspace for data sets of any size, split over `workers` workers (at least one).
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, workers: usize) -> Self {
         let evaluator =
             || Evaluator { rollout: Rollout::for_evaluation(task, policy, EVALUATED), costs: Vec::new(), outcome: Ok(()) };
@@ -257,7 +258,7 @@ impl<F: Float> Evaluation<F> {
     /// Returns the mean loss of rollouts from `starts`, `state_dim` numbers per sample.
     ///
     /// # Errors
-    /// The first [`Divergence`] of the data set.
+    /// [`Divergence`] if a control, state or cost is not finite.
     ///
     /// # Panics
     /// If `starts` is empty or not a whole number of samples.

@@ -43,7 +43,7 @@ pub struct Checkpointed<F: Float> {
     states: Vec<Lane<F>>,
     /// Segments that start at a checkpoint, in ascending order.
     kept: Vec<usize>,
-    /// Costs of the forward pass. Recomputed steps add to those of `rollout`.
+    /// Costs of the forward pass, copied because recomputed steps change the costs of `rollout`.
     costs: Vec<Lane<F>>,
 }
 
@@ -72,7 +72,9 @@ impl<F: Float> Checkpointed<F> {
         }
     }
 
-    /// Finds the schedule with the fewest recomputed steps within `budget` bytes.
+    /// Finds a schedule with few recomputed steps within `budget` bytes.
+    ///
+    /// It recomputes at most 1 % of the horizon more steps than the minimum.
     ///
     /// # Errors
     /// [`MemoryError`] if no schedule fits.
@@ -125,15 +127,15 @@ impl<F: Float> Checkpointed<F> {
     /// Runs rollouts from `starts` (`state_dim` numbers per sample) and their reverse passes.
     ///
     /// Writes `gradients`, `[group][flow][parameter]`, each the sum over `group` successive
-    /// samples. Groups without samples are unchanged. All cotangents are multiplied by `scale`. For
-    /// the gradient of a batch mean, it is 1 / batch.
+    /// samples. Groups without samples are unchanged. All cotangents are multiplied by `scale`. Use
+    /// 1 / batch size for the gradient of a batch mean.
     ///
     /// # Errors
     /// [`Divergence`] if a number is not finite. The gradients are then invalid.
     ///
     /// # Panics
-    /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples, or if
-    /// `gradients` has too few groups.
+    /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples, if `group` is
+    /// 0, or if `gradients` has too few groups.
     #[track_caller]
     #[allow(clippy::too_many_arguments)]
     pub fn run(
@@ -246,10 +248,10 @@ impl<F: Float> Checkpointed<F> {
         self.advance(task, policy, weights, from, index)
     }
 
-    /// Runs from the start of segment `from` to the end of segment `to`, and stores checkpoints
+    /// Runs from the start of segment `from` to the end of segment `to`, and stores checkpoints in
     /// between.
     ///
-    /// Leaves the tape of segment `to`.
+    /// Afterwards, `rollout` contains the tape of segment `to`.
     fn advance(
         &mut self,
         task: &dyn AnyTask<F>,

@@ -7,8 +7,9 @@ use crate::numbers::zip::zip;
 
 /// Gradient `values · 2^exponent`. The exponent is 0 unless the values approach the limits of `F`.
 ///
-/// If an adjoint explodes or vanishes, the values are scaled such that the largest is between 1 and
-/// 2 in size. A value that underflows keeps its sign and becomes the smallest subnormal number.
+/// If an adjoint explodes or vanishes, the values are scaled: the largest absolute value is then
+/// between 1 and 2. A value that underflows keeps its sign and becomes the smallest subnormal
+/// number.
 #[derive(Clone, Debug)]
 pub struct Gradient<F> {
     values: Vec<F>,
@@ -76,7 +77,7 @@ impl<F: Float> Gradient<F> {
         self.values_mut(0).fill(F::zero());
     }
 
-    /// Returns the partial sum for in-place addition, if all parts so far had exponent 0.
+    /// Returns the partial sum for in-place addition, unless every value has its own exponent.
     pub(crate) fn unscaled_sum(&mut self) -> Option<&mut [F]> {
         (!self.spread).then_some(&mut self.values)
     }
@@ -148,7 +149,8 @@ impl<F: Float> Gradient<F> {
             (size != 0.0 && size.is_finite()).then(|| exponent + exponent_of(size))
         };
         let largest = zip(self.values.iter(), &self.exponents).filter_map(leading).max().unwrap_or(0);
-        // Keep the sum of squares finite above, and most of the range below for small values.
+        // Below 2^reach, the sum of squares is finite. Above 2^-reach, most of the range remains
+        // for smaller values.
         let reach = if F::EPSILON < 1e-10 { 500 } else { 60 };
         self.exponent = if (-reach..reach).contains(&largest) { 0 } else { largest };
         for (value, &exponent) in zip(self.values.iter_mut(), &self.exponents) {

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Growth {
     /// Growth from the last state to the initial state, mean over samples. Negative if the adjoint
-    /// vanishes, -∞ if it becomes 0.
+    /// vanishes, -∞ if the adjoint of a sample becomes 0.
     pub along: f64,
     /// Largest growth over any range of consecutive steps, maximum over samples. At least 0.
     pub worst_window: f64,
@@ -27,7 +27,7 @@ impl Growth {
     ///
     /// - R, likewise N: a rounding error of the forward pass grows as the adjoint of R does. If it
     ///   grows by more than the number of digits, the gradient before that range belongs to another
-    ///   trajectory. Even its signs are then wrong.
+    ///   trajectory. Even its signs are then unreliable.
     /// - M: it ignores the policy's response to a deviation. On a plant that is unstable without
     ///   control, M grows. The first steps then outweigh the last by 10^growth.
     pub fn warning(&self, flow: Flow, horizon: usize, epsilon: f64) -> Option<String> {
@@ -62,8 +62,8 @@ pub(crate) struct Meter {
 impl Meter {
     /// Adds one step, from the squared norms before and after it.
     ///
-    /// `exponent` is the change of the block exponent: the true ratio of norms is 2^`exponent`
-    /// times the stored one.
+    /// `exponent` is the change of the exponent of the sample: the ratio of norms is 2^`exponent`
+    /// times the ratio of the stored values.
     pub(crate) fn step(&mut self, before: f64, after: f64, exponent: i32) {
         if before == 0.0 {
             return;

@@ -6,8 +6,8 @@ use crate::numbers::scalar::Float;
 
 /// Draws the initial states of samples `0 .. samples`, `state_dim` numbers each.
 ///
-/// Each sample has its own random stream, determined by `seed`, `purpose` and its index. The states
-/// of a sample therefore do not depend on the number of samples.
+/// Each sample has its own random stream, determined by `seed`, `purpose` and its index. The
+/// initial state of a sample is therefore independent of the number of samples.
 /// ```
 /// use physgrad::{initial_states, rng::Purpose, tasks::CartPole};
 ///

@@ -21,9 +21,8 @@ pub(crate) const WIDTH: usize = 8;
 
 /// Number of steps in a unit. All schedules sum the parameter gradient over one unit at a time.
 ///
-/// A unit covers the horizons of the paper, and is large enough that adding up the sums is
-/// negligible. It is odd, so that columns of neighbouring samples do not compete for the same cache
-/// sets.
+/// A unit covers the horizons of the paper. It is so long that the cost of adding the sums is
+/// negligible. It is odd, so that columns of neighbouring samples map to different cache sets.
 pub(crate) const UNIT: usize = 129;
 
 /// State or control component of [`WIDTH`] samples.
@@ -42,7 +41,8 @@ pub struct Rollout<F: Float> {
     pub(crate) state_dim: usize,
     pub(crate) control_dim: usize,
     pub(crate) horizon: usize,
-    /// Number of stored steps, the last ones: the horizon, a multiple of [`UNIT`], or 1.
+    /// Number of stored steps: the horizon, a multiple of [`UNIT`], or 1. Later steps overwrite
+    /// earlier ones.
     pub(crate) kept: usize,
     /// States, `[step][block][component]`, a ring buffer of `kept + 1` steps.
     states: Vec<Lane<F>>,
@@ -123,8 +123,8 @@ impl<F: Float> Rollout<F> {
         BufferSizes::new(policy, samples, kept).bytes::<F>()
     }
 
-    /// Sets the initial states, `state_dim` numbers per sample. Their number may be below the
-    /// capacity.
+    /// Sets the initial states, `state_dim` numbers per sample. The number of samples may be below
+    /// the capacity.
     ///
     /// # Panics
     /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples.
@@ -320,7 +320,7 @@ impl<F: Float> Rollout<F> {
     /// Component `i` of the state of `sample` at step `t`, from 0 (initial state) to `horizon`.
     ///
     /// # Panics
-    /// If that step is not stored. Without a tape, the last one and its predecessor are stored.
+    /// If that step is not stored. Without a tape, only the last two states are stored.
     #[track_caller]
     pub fn state(&self, t: usize, sample: usize, i: usize) -> F {
         assert!(t <= self.horizon && t + self.kept >= self.horizon, "step {t} is not stored");
@@ -330,7 +330,7 @@ impl<F: Float> Rollout<F> {
     /// Component `i` of the control of `sample` at step `t`, `t < horizon`.
     ///
     /// # Panics
-    /// If that step is not stored. Without a tape, only the last one is.
+    /// If that step is not stored. Without a tape, only the last control is stored.
     #[track_caller]
     pub fn control(&self, t: usize, sample: usize, i: usize) -> F {
         assert!(t < self.horizon && t + self.kept >= self.horizon, "step {t} is not stored");

@@ -15,7 +15,7 @@ use std::ops::Range;
 ///
 /// All schedules yield bitwise equal gradients.
 ///
-/// With `s` checkpoints over `l` segments, the number of recomputed steps is the optimum of
+/// With `s` checkpoints over `l` segments, the number of recomputed segments is the optimum of
 /// Griewank and Walther, "Algorithm 799: revolve", 2000,
 /// [doi:10.1145/347837.347846](https://doi.org/10.1145/347837.347846). The first checkpoint is the
 /// initial state. The forward pass leaves the tape of the last segment.
@@ -27,7 +27,7 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Number of steps in a unit. Segments consist of whole units.
+    /// Number of steps in a unit. All segments but the last consist of whole units.
     ///
     /// All schedules sum the parameter gradient over one unit at a time. Rollouts of at most one
     /// unit are always stored completely.
@@ -56,8 +56,9 @@ impl Schedule {
         Self::new(horizon, horizon, 1)
     }
 
-    /// Uses segments of about √horizon steps with one checkpoint each. Recomputes each segment
-    /// once, except for the last.
+    /// Uses segments of about √horizon steps, rounded to whole units, with one checkpoint each.
+    ///
+    /// Every segment except the last is recomputed once.
     #[track_caller]
     pub fn two_level(horizon: usize) -> Self {
         let segment = (horizon as f64).sqrt() / UNIT as f64;
@@ -67,7 +68,7 @@ impl Schedule {
     /// Uses the shortest segments and at most `checkpoints` checkpoints, including the initial
     /// state.
     ///
-    /// For a fixed number of repetitions, memory grows slower than any power of the horizon.
+    /// If each step is recomputed at most `r` times, memory grows as the `r`-th root of the horizon.
     #[track_caller]
     pub fn binomial(horizon: usize, checkpoints: usize) -> Self {
         Self::new(horizon, UNIT, checkpoints)
@@ -110,8 +111,8 @@ impl Schedule {
 
 /// Returns β(s, r) = C(s + r, s), saturating at 2^62.
 ///
-/// β is the largest number of segments that can be reversed with `s` checkpoints, if each runs at
-/// most `r` times before its tape is made.
+/// β is the largest number of segments that can be reversed with `s` checkpoints, if each segment is
+/// recomputed at most `r` times.
 fn reach(s: u64, r: u64) -> u64 {
     const HUGE: u128 = 1 << 62;
     let (few, many) = (s.min(r) as u128, s.max(r) as u128);

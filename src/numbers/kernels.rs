@@ -50,7 +50,7 @@ impl SimdLevel {
         *BEST.get_or_init(|| SimdLevel::available().pop().unwrap_or(SimdLevel::Portable))
     }
 
-    /// Returns the level.
+    /// Returns the level, after a check of the processor.
     ///
     /// # Panics
     /// If this processor does not support it.

@@ -2,8 +2,8 @@
 //!
 //! - [`scalar`]: traits of scalars. A simulator is generic over [`Scalar`](scalar::Scalar). It runs
 //!   on floats, SIMD lanes, dual numbers, operation counters and double-doubles.
-//! - [`kernels`]: the matrix product and elementary functions, dispatched by instruction set at run
-//!   time. Contains the only unsafe code of the library.
+//! - [`kernels`]: matrix products and elementwise operations, dispatched by instruction set at run
+//!   time; tanh, sine and cosine. Contains the only unsafe code of the library.
 //! - [`rng`]: seeded random streams.
 //!
 //! Imports no other module of the crate; every other module may import it. Start reading in

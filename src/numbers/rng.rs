@@ -20,9 +20,9 @@ pub enum Purpose {
     Check = 5,
 }
 
-/// The stream of one (seed, purpose, index).
+/// Returns the stream of one (seed, purpose, index).
 ///
-/// With the index of a sample, the draw is independent of the number of samples.
+/// A stream per sample makes the draws of a sample independent of the number of samples.
 pub fn stream(seed: u64, purpose: Purpose, index: u64) -> Rng {
     let mut state = seed;
     for word in [purpose as u64, index] {

@@ -3,8 +3,8 @@
 //! - [`Scalar`]: the trait that simulators are generic over.
 //! - [`Real`]: a scalar without derivatives. [`Float`]: `f32` or `f64`.
 //! - [`Lanes`]: several samples in one SIMD number.
-//! - [`Dual`]: forward-mode derivatives, the default derivatives of systems. The numbers of the
-//!   crate num-dual check them.
+//! - [`Dual`]: forward-mode derivatives, the default derivatives of systems. Checks compare them
+//!   with those of the crate num-dual.
 //! - [`Counted`]: an `f64` that counts its operations.
 //! - [`Cotangent`]: the adjoint quantity of a reverse pass. [`CotangentPack`]: several of them.
 

@@ -28,7 +28,7 @@ const WHOLE: f64 = 10.0;
 ///
 /// A state is `[x, ẋ, θ, θ̇, …]` with angle and angular velocity of every pole; angle 0 is upright.
 /// States are `dt` seconds apart. The arrow on the cart shows the force in `controls`, relative to
-/// the largest of the trajectory.
+/// the largest force of the trajectory.
 ///
 /// Trajectories shorter than 2 s play at one third of real time. For long distances the camera
 /// follows the cart. The animation ends before the first state that is non-finite, far away, or of
@@ -39,8 +39,8 @@ pub fn cart_pole(states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f6
 
 /// Animates a trajectory as [`cart_pole`] does, with bumpers and wind.
 ///
-/// Bumpers are springs at the ends of the rail; a rail that is not too long is shown whole. An
-/// arrow in the upper left corner shows the wind.
+/// Bumpers are springs at the ends of the rail. The view shows the whole rail unless it is longer
+/// than a limit. An arrow in the upper left corner shows the wind.
 pub fn cart_pole_on(rail: &Rail, states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f64) -> Animation {
     let length = if half_length.is_normal() && half_length > 0.0 { 2.0 * half_length } else { 1.0 };
     let width = states.first().map_or(0, Vec::len).max(2);
@@ -68,7 +68,7 @@ pub fn cart_pole_on(rail: &Rail, states: &[Vec<f64>], controls: &[f64], half_len
     Animation { title, seconds: time * slowness, still: Vec::new(), frames: frames.collect(), view: (stage.low, stage.high) }
 }
 
-/// Force at a step relative to the largest one; the last state reuses that of the previous step.
+/// Force at a step, relative to the largest force. The last state has the force of the last step.
 fn relative_force(controls: &[f64], step: usize) -> f64 {
     let largest = controls.iter().map(|force| force.abs()).filter(|force| force.is_finite()).fold(0.0, f64::max);
     match controls.get(step.min(controls.len().saturating_sub(1))) {
@@ -88,7 +88,7 @@ struct Stage {
 }
 
 impl Stage {
-    /// Creates a stage that shows the whole trajectory, or whose camera follows the cart.
+    /// Creates a stage that shows the whole trajectory, or a stage whose camera follows the cart.
     fn covering(states: &[&Vec<f64>], length: f64, bumpers: Option<Bumpers>, windy: bool) -> Self {
         let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
         for state in states {

@@ -114,7 +114,7 @@ impl Chart {
     }
 }
 
-/// Cleans and thins the series and removes empty ones.
+/// Cleans and thins the series. Removes empty series.
 fn shown(series: Vec<Series>, can_be: impl Fn(f64) -> bool) -> Vec<Series> {
     let clean = |mut s: Series| {
         if s.band.is_empty() {

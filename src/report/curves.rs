@@ -4,7 +4,7 @@ use super::log_figure::{Panel, log_figure};
 use super::series::{cleaned, drawable, thinned};
 use super::{Drawing, Series};
 
-/// Runs that end before this share of the epochs of the longest run are excluded from a summary.
+/// A summary excludes runs that end before this share of the epochs of the longest run.
 const EARLY: f64 = 0.95;
 
 /// Runs of one method, one per seed.
@@ -52,7 +52,7 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
     log_figure(title, &[vec![panel]])
 }
 
-/// Draws the test losses of several methods, against epochs and against wall time.
+/// Draws the test losses of several methods against epochs and against wall time.
 ///
 /// - Line: geometric mean over the seeds, the natural mean on a log axis. A single bad seed does
 ///   not dominate it.

@@ -32,7 +32,8 @@ impl Drawing {
 
 /// Merges horizontally adjacent cells of the same colour, which shrinks the file.
 ///
-/// Each rectangle also extends one unit under the next. With kuva's half unit, browsers show gaps.
+/// Each rectangle also extends one unit under the next rectangle. With kuva's overlap of half a
+/// unit, browsers show gaps.
 fn join_cells(element: &mut Primitive) {
     let Primitive::RectBatch { x, y, w, h, fills } = element else { return };
     let end = |from: &[f64], size: &[f64]| from.iter().zip(size).map(|(from, size)| from + size).fold(0.0, f64::max);

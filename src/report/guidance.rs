@@ -41,8 +41,8 @@ pub fn guidance(states: &[Vec<f64>], drivers: usize, dt: f64) -> Animation {
     guidance_in(&Field::default(), states, drivers, dt)
 }
 
-/// Animates a trajectory as [`guidance`] does, with obstacles and walls. The view
-/// includes them unless they are far from all agents.
+/// Animates a trajectory as [`guidance`] does, with obstacles and walls. The view includes them
+/// unless they extend far beyond the initial positions of the agents.
 pub fn guidance_in(field: &Field, states: &[Vec<f64>], drivers: usize, dt: f64) -> Animation {
     let width = states.first().map_or(0, Vec::len);
     let valid = |s: &&Vec<f64>| {

@@ -41,8 +41,8 @@ impl LogAxis {
         10f64.powi(self.exponent)
     }
 
-    /// Formats ticks as powers of ten. Short ranges also label 2 and 5 times them, as plain numbers
-    /// if these are short.
+    /// Formats ticks as powers of ten. Axes with a short range also label 2 and 5 times these
+    /// powers, as plain numbers where these are short.
     pub fn tick_format(&self) -> TickFormat {
         let (shift, decades) = (self.exponent, (self.high / self.low).log10());
         let every = (decades / 12.0).ceil().max(1.0) as i32;

@@ -35,7 +35,7 @@ impl Panel {
     }
 }
 
-/// Plotted area of a panel, in figures of one row with at most two panels and in larger ones.
+/// Plotted area of a panel, in figures of one row with at most two panels and in larger figures.
 const SIZES: [[f64; 2]; 2] = [[380.0, 350.0], [250.0, 240.0]];
 /// Widths beside the plotted area: minimum, y tick labels, y label.
 const BARE: f64 = 62.0;
@@ -45,7 +45,7 @@ const NAME: f64 = 24.0;
 /// Renders rows of panels, all of the same length.
 ///
 /// The legend stands to the right of all panels, so it covers no data. A panel omits the tick
-/// labels and the label of its y axis if its left neighbour shows the same.
+/// labels and the label of its y axis if its left neighbour shows equal ones.
 pub fn log_figure(title: &str, rows: &[Vec<Panel>]) -> Drawing {
     let panels = || rows.iter().flatten();
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0).max(1);

@@ -20,7 +20,7 @@ fn line(series: &Series, unit: [f64; 2]) -> Plot {
     if points.len() == 1 {
         return ScatterPlot::new().with_data(points).with_color(series.color).with_size(4.0).into();
     }
-    // Also adds lines without points: kuva omits a panel without plots, including its axes.
+    // Adds lines without points too: kuva omits a panel without plots, including the axes.
     let line = LinePlot::new().with_data(points).with_color(series.color).with_stroke_width(1.8);
     if series.dashed { line.with_dashed().into() } else { line.into() }
 }

@@ -26,7 +26,7 @@ const MAX_ROWS: usize = 64;
 /// Animates a trajectory in an empty box.
 ///
 /// A state holds the real and imaginary part of ψ at every grid point between the walls, initially
-/// with `Σ |ψ_j|² = 1`. `length` is that of the box, and states are `dt` units of time apart.
+/// with `Σ |ψ_j|² = 1`. `length` is the length of the box. States are `dt` units of time apart.
 /// `target` is the real target state φ at the grid points.
 ///
 /// The large map shows the probability density over time and position. A cursor moves through it,

@@ -59,7 +59,7 @@ fn norms<const CONTROLS: usize>(scale: f64) -> [Vec<f64>; 2] {
 fn assert_powers<const CONTROLS: usize>() {
     let [regular, modified] = norms::<CONTROLS>(1.0);
     let closed_loop = GROWTH + GAIN;
-    // Root mean square of the final states over the samples.
+    // Root mean square of the norms of the final states.
     let end =
         closed_loop.powi(HORIZON as i32) * (CONTROLS as f64 * (1..=11).map(|b| f64::from(b * b)).sum::<f64>() / 11.0).sqrt();
     assert_eq!((regular.len(), modified.len()), (HORIZON + 1, HORIZON + 1));
@@ -79,7 +79,7 @@ fn regular_shrinks_with_the_loop_and_modified_grows_with_the_plant() {
     assert_powers::<2>();
 }
 
-/// As `Plant`, with a running cost: `x²/2` of the state after step t.
+/// Task on `Plant<1>` with the running cost `x²/2` instead of a terminal cost.
 struct OnTheWay;
 
 impl Task for OnTheWay {
@@ -109,7 +109,7 @@ fn the_cost_of_a_state_itself_is_not_in_its_norm() {
     adjoint.run(&OnTheWay, &policy, &weights, &rollout, 1.0).expect("it is finite");
     let a = GROWTH + GAIN;
     for (t, &norm) in adjoint.norms(0).iter().enumerate() {
-        // The costs after x_t are half of x_t² (a² + a⁴ + ...).
+        // The costs of the states after x_t sum to x_t² (a² + a⁴ + …) / 2.
         let later: f64 = (1..=HORIZON - t).map(|k| a.powi(2 * k as i32)).sum();
         let expected = a.powi(t as i32) * later;
         assert!((norm - expected).abs() <= 1e-12 * expected, "step {t}: {norm:e}, expected {expected:e}");

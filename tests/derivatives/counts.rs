@@ -85,7 +85,7 @@ fn every_operation_on_duals_counts_the_value_and_four_tangents() {
             "exp" => Ops { transcendental: 1, multiply: 4, ..NONE },
             "sin" | "cos" => Ops { transcendental: 1, negate: 1, multiply: 8, ..NONE },
             "tanh" => Ops { transcendental: 1, add: 1, multiply: 1 + 4, ..NONE },
-            // a a + b b; b and a over that; times a' and b', both tested; their difference.
+            // s = a a + b b; (b / s) a' - (a / s) b', with a test of each product.
             "atan2" => Ops { transcendental: 1, add: 1 + 4, multiply: 2 + 8, divide: 2, compare: 16, negate: 8, ..NONE },
             "select_lt" | "min" | "max" => Ops { compare: 5, ..NONE },
             "abs" => Ops { compare: 5, negate: 5, ..NONE },
@@ -192,7 +192,7 @@ fn a_spring_costs_what_it_does_by_hand() {
     assert_eq!(spring(&Spring::<false>, two), [step, both(2), state(2), control(2)]);
 }
 
-/// Returns a step of a system and its derivatives as bits, for random controls and two columns of
+/// Returns the bits of a step and its derivatives, for random controls and two columns of
 /// cotangents.
 fn bits<R: Real<Real = f64>, S: System>(system: &S, x: &[f64]) -> Vec<u64> {
     let mut rng = stream(5, Purpose::Check, 0);

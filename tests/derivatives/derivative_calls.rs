@@ -189,8 +189,8 @@ const B: usize = 3;
 /// Number of samples. The last block has one sample.
 const SAMPLES: usize = 17;
 
-/// Returns the calls of a rollout with `flows` in its forward pass, and then for the gradients.
-/// Without flows, the rollout is an evaluation.
+/// Returns the calls of the forward pass, then those of the reverse pass and the gradients of
+/// `flows`. Without flows, the rollout is an evaluation.
 fn asked<S: Task>(task: S, flows: &[Flow]) -> [(OfTask, OfPolicy); 2] {
     let task = WatchedTask::new(task);
     let (n, m) = (task.state_dim(), task.control_dim());
@@ -231,7 +231,8 @@ fn two_controls() -> Guidance {
     Guidance { horizon: T, ..Guidance::new(1, 1) }
 }
 
-/// Gradients of all costs, evaluated once per block, independent of the number of flows.
+/// Gradients of the costs: the stage cost once per block and step, the terminal cost once per
+/// block. The number of flows does not matter.
 fn costs() -> OfTask {
     OfTask { stage_cost_gradient: T * B, terminal_cost_gradient: B, ..OfTask::default() }
 }
@@ -259,7 +260,7 @@ fn an_evaluation_asks_for_no_derivative() {
 
 #[test]
 fn with_one_control_the_policy_is_asked_for_its_derivatives_once() {
-    // One call computes ∂N/∂x of all steps if any flow takes that path.
+    // One call computes ∂N/∂x of all steps if any flow passes through the policy's input.
     for (flows, physics, network) in [
         (&[Flow::REGULAR][..], both(), policy(1, 0, 1)),
         (&[Flow::MODIFIED], both(), policy(0, 1, 1)),
@@ -274,8 +275,8 @@ fn with_one_control_the_policy_is_asked_for_its_derivatives_once() {
 
 #[test]
 fn with_two_controls_the_policy_is_asked_for_its_input_derivative_step_by_step() {
-    // A flow through the policy's input needs ∂N/∂x at each step. Other flows need one call for all
-    // steps.
+    // A flow through the policy's input needs ∂N/∂x at each step. Each other flow needs one call
+    // for all steps.
     for (flows, physics, network) in [
         (&[Flow::REGULAR][..], both(), policy(T, 0, 1)),
         (&[Flow::MODIFIED], both(), policy(0, 1, 1)),

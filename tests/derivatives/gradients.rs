@@ -44,7 +44,8 @@ fn whole_rollouts_of_every_flow() {
     }
 }
 
-/// Two masses pulled by two forces, with a cost of state and control and no analytic derivatives.
+/// Nonlinear system with three states, two controls and no analytic derivatives. The costs depend
+/// on state and control.
 struct TwoControls;
 
 impl System for TwoControls {
@@ -273,7 +274,8 @@ impl Policy for OneOff {
     }
 }
 
-/// Too many parameters to compare each. 64 of the 120 weights in the first kernel are compared.
+/// Returns a policy with too many parameters to compare each. The check compares 64 of the 120
+/// weights in the first kernel.
 fn one_off(index: usize) -> OneOff {
     let conv = Conv::new(32, 20);
     assert!(conv.param_count() > 1000 && conv.tensors()[0].range == (0..120));

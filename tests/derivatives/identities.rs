@@ -55,7 +55,7 @@ impl Policy for Blind {
 }
 
 /// Memoryless physics: the next state depends on the control only. With two controls, the reverse
-/// pass through the policy runs step by step instead of being linearized at once.
+/// pass through the policy runs step by step. With one, it linearizes all steps at once.
 struct Forgetful<const CONTROLS: usize>;
 
 impl<const CONTROLS: usize> System for Forgetful<CONTROLS> {
@@ -156,7 +156,7 @@ fn composition_keeps_what_agrees_and_nothing_else() {
         assert!(c.abs() <= m.abs());
         assert_eq!(c, if (m > 0.0) == (r > 0.0) { m } else { 0.0 });
     }
-    // Zeros have no sign, and NaN agrees with nothing.
+    // The result is 0 where either component is 0 or NaN.
     let nan = f64::NAN;
     assert_eq!(combine(&[0.0, -0.0, 1.0, 1.0, nan, -2.0], &[1.0, -1.0, 0.0, nan, 1.0, -1e-300]), [0.0, 0.0, 0.0, 0.0, 0.0, -2.0]);
     assert_eq!(combine(&[1.0, -1.0], &[f64::INFINITY, f64::INFINITY]), [1.0, 0.0]);

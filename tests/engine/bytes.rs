@@ -13,7 +13,7 @@ fn allocated<T>(work: impl FnOnce() -> T) -> (T, usize) {
     (result.expect("work is done"), info.bytes_total as usize)
 }
 
-/// One more than two blocks of eight.
+/// Number of samples: two blocks of eight, and one sample in a third.
 const SAMPLES: usize = 17;
 
 fn bytes_are_those_asked_for<F: Float>() {

@@ -53,7 +53,7 @@ fn causes_come_through_what_is_around() {
     assert_eq!(cause(&Renormalized { system }), cubic);
     assert_eq!(cause(&Substeps { system, count: 3 }), cubic);
     assert_eq!(cause(&Actuated { system: Renormalized { system }, actuator: Delay { steps: 2 } }), cubic);
-    // The time step is far too long for Newton's iteration.
+    // Newton's iteration does not converge for this time step.
     let integrator = AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint::default());
     let stepped = Integrated { ode: DoublePendulum::default(), integrator, dt: 1e6 };
     let Upright { first_angle, from, spread, loss, control_weight, horizon, .. } = Upright::double_pendulum();
@@ -62,7 +62,7 @@ fn causes_come_through_what_is_around() {
     assert_eq!(cause(&hard), cause(&stepped));
 }
 
-/// Host whose own step overflows.
+/// Host whose step overflows in the second substep, even without effects.
 struct Leaping;
 
 impl ForcedSystem for Leaping {

@@ -22,7 +22,7 @@ fn trained(rule: &str, paused: bool) -> Small {
     session
 }
 
-/// Restores the bytes with a corrected checksum, and continues training.
+/// Corrects the checksum, restores the bytes, and trains to the end of an epoch.
 fn taken(rule: &str, bytes: &mut [u8]) -> Result<(), String> {
     Small::seal(bytes);
     let mut session = session(rule, 1e-3);

@@ -57,7 +57,7 @@ fn a_session_restored_after_every_update_is_an_uninterrupted_one() {
     for skips in [false, true] {
         let mut starts = starts::<f32>(16);
         if skips {
-            // One update of each epoch is skipped.
+            // Training skips one update of each epoch.
             starts[5 * STATES] = f32::NAN;
         }
         let mut whole = shuffled(&starts);
@@ -143,8 +143,8 @@ fn a_sample_does_not_see_its_neighbours() {
 
 #[test]
 fn single_precision_is_double_precision_rounded() {
-    // Rounding errors enter at 2^-24 per step and grow with the physics. 40 steps of hanging poles
-    // amplify them little.
+    // Each step adds a relative rounding error of 2^-24. 40 steps of hanging poles amplify it
+    // little.
     let allowed = 1e-4;
     let (loss32, g32) = gradients::<f32>(8, 1);
     let (loss64, g64) = gradients::<f64>(8, 1);
@@ -163,7 +163,7 @@ fn session(seed: u64, epochs: usize, workers: usize) -> Session<CartPole, Mlp, f
     Trainer::new(task(), policy()).training(training).session().expect("valid settings")
 }
 
-/// Returns the records without their time.
+/// Returns the records with their times set to 0.
 fn without_time(records: &[Record]) -> Vec<Record> {
     records.iter().map(|r| Record { seconds: 0.0, ..r.clone() }).collect()
 }

@@ -14,8 +14,8 @@ enum Fault {
     State,
     /// The cost of those samples is NaN.
     Cost,
-    /// The samples take a square root at 0 in step 3: finite forward, an infinite derivative
-    /// backward.
+    /// Those samples take a square root at 0 in step 3. Its value is finite, its derivative
+    /// infinite.
     Cotangent,
     /// As `Cotangent`, with respect to the control.
     ControlCotangent,
@@ -34,7 +34,7 @@ impl System for Faulty {
         let marked = |yes: T, no: T| T::select_lt(T::lift(0.5), x[0], yes, no);
         next[0] = x[0];
         next[1] = x[1] + u[0] * T::lift(0.1);
-        // Component 2 is a clock.
+        // Component 2 counts the steps.
         next[2] = x[2] + T::one();
         let (clock, huge) = (x[2], T::lift(1e30));
         match self.0 {
@@ -70,7 +70,7 @@ impl Task for Faulty {
     fn horizon(&self) -> usize {
         8
     }
-    /// No sample is marked.
+    /// Draws only initial states without a fault.
     fn start(&self, _: &mut Rng, x: &mut [f64]) {
         x.copy_from_slice(&[0.1, 0.3, 0.0]);
     }
@@ -81,7 +81,7 @@ impl Task for Faulty {
     }
 }
 
-/// Returns eleven samples, of which number 9 is marked.
+/// Returns eleven samples. Only sample 9 starts above 0.5 and has the fault.
 fn starts() -> Vec<f64> {
     (0..11).flat_map(|sample| [if sample == 9 { 0.9 } else { 0.1 }, 0.3, 0.0]).collect()
 }
@@ -186,7 +186,7 @@ fn too_many_skips_in_a_row_stop_the_training_with_the_parameters_untouched() {
 
 #[test]
 fn an_infinite_gradient_of_finite_cotangents_is_named() {
-    // Single precision: each cotangent is finite, their sum over the batch is not.
+    // In single precision, each cotangent is finite, but the parameter gradient is not.
     struct Steep {
         slope: f64,
     }
@@ -226,8 +226,8 @@ fn an_infinite_gradient_of_finite_cotangents_is_named() {
     // The cotangents are representable, their product with the state is not.
     let gradient = Divergence::Gradient { flow: Flow::REGULAR, parameter: 0 };
     assert_eq!(epoch(1e10, 1e30, Clip::None), (Some(gradient), 0.0));
-    // Cotangents beyond f32 have an exponent, and so does the gradient. Unusable gradients are
-    // reported; clipping makes them usable.
+    // Cotangents and gradients beyond the range of f32 carry an exponent. Training skips such a
+    // gradient unless clipping brings it into range.
     let (divergence, theta) = epoch(1e30, 1e20, Clip::None);
     let Some(Divergence::Field { parameter: 0, norm }) = divergence else { panic!("{divergence:?}") };
     assert!((norm.get() / 1e50 - 1.0).abs() < 1e-6 && theta == 0.0, "{norm}, {theta}");
@@ -292,7 +292,7 @@ impl GradientCombiner for Broken {
 
 #[test]
 fn a_composition_is_checked_before_the_optimizer_sees_it() {
-    // In single precision, the square of 1e30 is infinite. Clipping makes it finite.
+    // In single precision, the square of 1e30 is infinite. Clipping reduces the value first.
     for (value, clip, bad) in [
         (f64::NAN, Clip::None, true),
         (f64::NAN, Clip::Value(1.0), true),

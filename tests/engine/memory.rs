@@ -13,7 +13,7 @@ use rand::RngExt;
 
 const UNIT: usize = Schedule::UNIT;
 
-/// Returns the result of `work`, the bytes that it retains, and its peak.
+/// Returns the result of `work`, the bytes that it retains, and its peak of allocated bytes.
 fn held<T>(work: impl FnOnce() -> T) -> (T, usize, usize) {
     let mut result = None;
     let info = allocation_counter::measure(|| result = Some(work()));
@@ -30,8 +30,8 @@ fn starts<F: Float, T: Task>(task: &T, samples: usize) -> Vec<F> {
     initial_states(task, 0, Purpose::Train, samples)
 }
 
-/// Returns costs and the gradients of all samples, with everything stored by `Rollout` and
-/// `Adjoint`.
+/// Returns the costs of the samples and the gradients of the flows. `Rollout` and `Adjoint` store
+/// all steps.
 fn stored<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: usize, flows: &[Flow]) -> Result<Vec<F>, Divergence> {
     let weights = weights::<F, P>(policy);
     let mut rollout = Rollout::new(task, policy, samples + 1);
@@ -48,7 +48,7 @@ fn stored<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: usize, fl
     Ok(all)
 }
 
-/// Returns the same with a checkpoint schedule.
+/// As `stored`, with a checkpoint schedule.
 fn scheduled<F: Float, T: Task, P: Policy>(
     task: &T,
     policy: &P,
@@ -60,7 +60,7 @@ fn scheduled<F: Float, T: Task, P: Policy>(
     let mut rollout = Checkpointed::new(task, policy, samples + 1, flows, schedule);
     let mut gradients = [vec![Gradient::zeros(policy.param_count()); flows.len()]];
     let starts = starts::<F, T>(task, samples);
-    // Remains of a longer and larger run have no influence.
+    // The first run has one more sample. Its remains in the buffers must not affect the second run.
     let more = [&starts[..], &starts[..starts.len() / samples]].concat();
     for starts in [&more, &starts] {
         rollout.run(task, policy, &weights, starts, F::lift(0.5), samples + 1, &mut gradients)?;
@@ -75,7 +75,7 @@ fn schedules(horizon: usize) -> Vec<Schedule> {
     binomial.into_iter().chain(others).collect()
 }
 
-/// Returns each flow alone, and pairs with and without a flow through the policy's input.
+/// Returns each flow alone, and pairs with none, one or two flows through the policy's input.
 fn flows() -> Vec<Vec<Flow>> {
     let pairs = [[Flow::MODIFIED, Flow::REGULAR], [Flow::MODIFIED, Flow::STOPPED], [Flow::NETWORK, Flow::REGULAR]];
     Flow::ALL.map(|flow| vec![flow]).into_iter().chain(pairs.map(Vec::from)).collect()
@@ -103,7 +103,7 @@ fn bits_are_those_of_store_all_with_one_control() {
     let (task, policy) = (cart_pole(4 * UNIT + 17), Mlp::new([4, 8, 8, 1]));
     bits_are_those_of_store_all::<f32, _, _>(&task, &policy, &[3, 11]);
     bits_are_those_of_store_all::<f64, _, _>(&task, &policy, &[3, 11]);
-    // Last segments of one step, and of full length.
+    // Horizons whose last segment has one step or full length.
     for horizon in [2 * UNIT + 1, 3 * UNIT, UNIT + 1] {
         bits_are_those_of_store_all::<f64, _, _>(&cart_pole(horizon), &policy, &[9]);
     }

@@ -33,8 +33,8 @@ impl Policy for Asked {
     }
 }
 
-/// Returns the fewest segments to recompute when reversing `l` segments with `s` checkpoints, by
-/// dynamic programming over the position of the next checkpoint.
+/// Returns a table: entry `[s][l]` is the fewest segments to recompute when reversing `l` segments
+/// with `s` checkpoints. Uses dynamic programming over the position of the next checkpoint.
 fn fewest(most: usize) -> Vec<Vec<u64>> {
     let mut table = vec![vec![0; most + 1]; most + 1];
     for s in 1..=most {

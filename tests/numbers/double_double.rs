@@ -32,7 +32,7 @@ fn agrees<S: System>(name: &str, system: &S, size: f64) {
         assert!((fine.value.0 - dual.re).abs() <= 1e-13 * values, "{name}: value {i}: {fine:?}, {dual:?}");
         assert!((fine.tangents[0].0 - slope).abs() <= 1e-12 * slopes, "{name}: slope {i}: {fine:?}, {dual:?}");
     }
-    // The low words are in use: this is not plain f64.
+    // Nonzero low words show that the step does not compute in plain f64.
     assert!(fine_next.iter().any(|x| x.value.1 != 0.0), "{name}");
 }
 
@@ -118,8 +118,8 @@ impl Task for Doubling {
 fn double_double_is_right_where_f64_has_lost_every_digit() {
     let (task, policy) = (Doubling { system: Logistic }, Linear::new(1, 1));
     let [exact, _] = check::slope(&task, &policy, &[0.0, 0.0], &[0.3], Flow::REGULAR, |_| 0.0);
-    // 2^60 amplifies the rounding of the angle. With 31 digits, the result is accurate to about
-    // 1e-13.
+    // The factor 2^60 amplifies the rounding error of the angle. With 31 digits, the result is
+    // accurate to about 1e-13.
     let start = Scalar::sqrt(DoubleDouble::lift(0.3));
     let angle = start.atan2(Scalar::sqrt(DoubleDouble::lift(1.0) - start * start)) * DoubleDouble::lift(2.0_f64.powi(60));
     let turns = DoubleDouble::lift(2.0) * DoubleDouble::PI;

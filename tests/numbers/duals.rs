@@ -40,13 +40,13 @@ fn tangents_are_those_of_num_dual() {
 fn a_constant_has_no_derivative_that_could_blow_up() {
     for value in [0.0, 1.0, -0.0] {
         for (name, operation) in operations::<Dual<f64, 2>>() {
-            // 1/0 is infinite itself.
+            // The value of 1/0 is infinite.
             let divisor = if name.starts_with("div") { 1.0 } else { value };
             let found = operation(Dual::constant(value), Dual::constant(divisor));
             assert_eq!(found.tangents.map(f64::abs), [0.0; 2], "{name} of {value}");
         }
     }
-    // A variable has an infinite derivative.
+    // For a variable at 0, the derivative of the square root is infinite.
     assert_eq!(Dual::<f64, 1>::variable(0.0, 0).sqrt().tangents, [f64::INFINITY]);
 }
 

@@ -8,8 +8,8 @@ use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::{DoubleDouble, Float, Lanes, Scalar};
 use rand::RngExt;
 
-/// Depth 1, fewer columns than a tile, more than a tile, and all remainders. Miri uses only the
-/// first five.
+/// Shapes (rows, depth, columns): depth 1, fewer and more columns than a tile, and all remainders.
+/// Miri uses only the first five.
 const SHAPES: [(usize, usize, usize); 12] = [
     (1, 1, 1),
     (5, 3, 2),
@@ -137,7 +137,7 @@ trait Format: Float {
 
     /// Returns the error in units in the last place of the exact value.
     fn ulps(self, exact: DoubleDouble) -> f64 {
-        // Just below a power of two, the smaller unit applies.
+        // Below a power of two, the unit is that of the lower binade.
         let size = exact.0.abs();
         let below = exact.1 * exact.0 < 0.0 && size.to_bits() << 12 == 0;
         let exponent = (size.to_bits() >> 52) as i32 - 1023 - i32::from(below);
@@ -189,7 +189,7 @@ fn exact_tanh(x: f64) -> DoubleDouble {
     Scalar::tanh(DoubleDouble::from(x))
 }
 
-/// Sines and cosines, compiled for a level.
+/// Computation of sines and cosines, compiled for one instruction set.
 struct SinCos<'a, F>(&'a [F], &'a mut [(F, F)]);
 
 impl<F: Format> Vectorized for SinCos<'_, F> {
@@ -213,8 +213,8 @@ fn tanh_at<F: Format>(level: SimdLevel, x: &[F]) -> Vec<F> {
     all
 }
 
-/// Returns the worst error and its argument. Searches arguments from `draw`, then neighbours of the
-/// worst of each round.
+/// Returns the worst error and its argument. Tests the `known` arguments. Each round then tests
+/// arguments from `draw`, and the neighbours of the worst argument so far.
 fn search<F: Format>(known: &[f64], mut draw: impl FnMut(&mut Rng) -> f64, errors: impl Fn(&[F]) -> Vec<f64>) -> (f64, F) {
     let mut rng = stream(2, Purpose::Check, 0);
     let mut worst = (0.0, F::zero());
@@ -252,8 +252,8 @@ fn sin_cos_is_within_its_claim<F: Format>(known: &[f64]) {
         let turns = f64::from(rng.random_range(0..636_000)) * std::f64::consts::FRAC_PI_2;
         let sign = if rng.random_range(0.0..1.0) < 0.5 { -1.0 } else { 1.0 };
         match rng.random_range(0..4) {
-            // Just above a power of two, the error of the reduction counts twice, because the sine
-            // is just below it.
+            // For a remainder just above a power of two, the sine is just below it, where the unit
+            // is half as large. The error of the reduction then counts twice.
             0 => {
                 let power = 0.5f64.powi(rng.random_range(1..8));
                 turns + sign * power * (1.0 + rng.random_range(0.0..0.2) * power * power)
@@ -301,13 +301,13 @@ fn tanh_is_within_its_claim<F: Format>(known: &[f64]) {
 fn errors_are_counted_in_units_in_the_last_place() {
     let one = DoubleDouble::from(1.0);
     let small = DoubleDouble::from(1e-20);
-    // Below 1 the units are half those above.
+    // Units below 1 are half those above.
     assert_eq!((1.0 + f64::EPSILON).ulps(one), 1.0);
     assert_eq!((1.0 + f64::EPSILON).ulps(one - small).round(), 2.0);
     assert_eq!((1.0 - f64::EPSILON).ulps(one - DoubleDouble::from(f64::EPSILON / 2.0)), 1.0);
     assert_eq!((1.0f32 + f32::EPSILON).ulps(one), 1.0);
     assert_eq!(f32::from_bits(3).ulps(DoubleDouble::from(f64::from(f32::from_bits(1)))), 2.0);
-    // Regression test: arguments that exceed earlier, lower error bounds.
+    // Regression test: at these arguments, the errors exceed earlier, lower bounds.
     let (sin, _) = trig::sin_cos_64(527_498.664_482_847_6);
     assert!((sin.ulps(exact_sin_cos(527_498.664_482_847_6).0) - 2.36).abs() < 0.01);
     let x = -5.746_696f32;
@@ -330,8 +330,8 @@ fn tanh_is_within_its_claims() {
 /// the last place.
 const SMALL: f32 = 1.0 / 8192.0;
 
-/// Returns the worst error over all f32 from [`SMALL`] to `reach`, relative to `f64` of the
-/// standard library. Negative arguments differ only in the sign bit.
+/// Returns the largest `error` over all f32 from [`SMALL`] to `reach`, and its argument. Results at
+/// negative arguments differ at most in the sign bit.
 fn worst_of_all(reach: f32, error: impl Fn(f32) -> f64) -> (f64, f32) {
     let all = (SMALL.to_bits()..=reach.to_bits()).map(f32::from_bits);
     all.map(|x| (error(x), x)).fold((0.0, 0.0), |worst, next| if next.0 > worst.0 { next } else { worst })
@@ -371,7 +371,7 @@ fn tanh_saturates_at_one_and_passes_nan_on() {
     }
     assert!(tanh::tanh_32::<true>(f32::NAN).is_nan() && tanh::tanh_64::<false>(f64::NAN).is_nan());
     assert_eq!(tanh::tanh_64::<false>(-0.0).to_bits(), (-0.0f64).to_bits());
-    // A whole layer, on every level.
+    // Tests a whole layer on every instruction set.
     for level in SimdLevel::available() {
         let mut values = vec![0.0f32, 0.5, -0.5, 100.0, f32::NAN, -f32::INFINITY, 1e-30, 3.0];
         let all = elementwise::Strided { first: 0, step: 8, count: 1, len: 8 };

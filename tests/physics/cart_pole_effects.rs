@@ -132,7 +132,7 @@ fn energy(model: &CartPoleSystem, x: &[f64]) -> f64 {
     0.5 * model.cart_mass * v * v + x[2..].chunks_exact(2).map(pole).sum::<f64>()
 }
 
-/// Returns the change of energy after one second without control.
+/// Returns the absolute change of energy after one second without control.
 fn drift<H: ForcedSystem<Model = CartPoleSystem>>(host: impl Fn(f64) -> H, dt: f64) -> f64 {
     let system = Forced { system: host(dt), effects: () };
     let mut x = vec![0.0, 0.3, 3.0, 0.5, 2.0, -1.0, 1.0, 0.2];
@@ -204,7 +204,7 @@ fn a_gusty_wind_without_gusts_is_a_steady_one() {
 #[test]
 fn wind_blows_a_still_cart_and_its_pole_away() {
     let x = step(&Forced { system: poles(1), effects: SteadyWind::default() }, &[0.0; 4], 0.0);
-    // Upright pole: F = (cart_drag + pole_drag) w². The pole is pushed the same way.
+    // Upright pole at rest: F = (cart_drag + pole_drag) w², τ = half_length pole_drag w².
     assert!(x[1] > 0.0);
     let mut forces = [0.0; 2];
     SteadyWind::default().add_forces(&poles(1), &[0.0; 4], &mut forces);
@@ -213,8 +213,8 @@ fn wind_blows_a_still_cart_and_its_pole_away() {
 
 #[test]
 fn actuators_do_what_they_say() {
-    // Control 1 from rest. The force on the cart is its speed times M / dt, because the pole has
-    // negligible mass.
+    // Constant control from rest. The force on the cart is its change of speed times M / dt,
+    // because the pole has negligible mass. M = 1 kg.
     let model = CartPoleSystem { pole_mass: 1e-12, dt: 0.1, ..poles(1) };
     fn applied<A: physgrad::Actuator>(model: CartPoleSystem, actuator: A, u: f64, steps: usize) -> Vec<f64> {
         let system = Actuated { system: model, actuator };

@@ -48,7 +48,7 @@ fn quantum_effects() -> Vec<QuantumEffect> {
     vec![Harmonic::default().into(), Barrier::default().into(), DoubleWell::default().into(), Cubic::default().into()]
 }
 
-/// Returns the counts of step, VJP and VJP to the control alone.
+/// Returns the counts of a step, its VJP, and its VJP with respect to the control only.
 fn counts<S: System>(system: &S) -> [Ops; 3] {
     let OpCount { step, vjp, vjp_control } = OpCount::of(system);
     [step, vjp, vjp_control]
@@ -58,8 +58,8 @@ fn minus(a: [Ops; 3], b: [Ops; 3]) -> [Ops; 3] {
     std::array::from_fn(|i| a[i] - b[i])
 }
 
-/// Absent effects cost nothing. Present ones cost their own operations, independent of other
-/// effects and their order.
+/// Checks that absent effects cost nothing, and that the cost of a present effect is independent of
+/// other effects and their order.
 fn costs_add_up<H: ForcedSystem + System + Clone, E: Effect<H::Model>>(system: &H, effects: &[E]) {
     let with = |effects: &[E]| counts(&Forced { system: system.clone(), effects: effects.to_vec() });
     let bare = counts(system);
@@ -127,7 +127,7 @@ fn a_bare_scene_has_the_operations_of_a_system_that_never_heard_of_effects() {
     assert_eq!(OpCount::of(&friction).vjp, OpCount::of(&by_hand).vjp);
 }
 
-/// Returns the herding of the paper.
+/// Returns the handwritten herding of the paper.
 fn herding_by_hand(system: GuidanceSystem) -> guidance::ByHand {
     let (friction, spread, evade, flock) = Default::default();
     guidance::ByHand { system, friction, spread, evade, flock }

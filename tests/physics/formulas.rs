@@ -56,7 +56,8 @@ fn slopes(of: impl Fn(&[f64]) -> Vec<f64>, at: &[f64]) -> Vec<Vec<f64>> {
     (0..at.len()).map(slope).collect()
 }
 
-/// Compares with the error of central differences for third derivatives of up to 1e5.
+/// Compares derivatives. The tolerance covers the error of central differences for third
+/// derivatives of up to 1e5.
 #[track_caller]
 fn near_slopes(what: &str, found: &[f64], expected: &[f64]) {
     assert_eq!(found.len(), expected.len(), "{what}");
@@ -87,7 +88,7 @@ fn steps_as<S: System>(what: &str, system: &S, expected: impl Fn(&[f64], &[f64])
     check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{what}: {mismatch}"));
 }
 
-/// Gaussian elimination with column pivoting.
+/// Gaussian elimination with partial pivoting.
 fn solve<T: Number>(mut a: Vec<Vec<T>>, mut b: Vec<T>) -> Vec<T> {
     let n = b.len();
     for i in 0..n {
@@ -224,8 +225,8 @@ fn semi_implicit(x: &[f64], accelerations: &[f64], dt: f64) -> Vec<f64> {
     x.chunks_exact(2).zip(accelerations).flat_map(moved).collect()
 }
 
-/// Returns the accelerations of the authors' model: each pole alone on the cart, and ẍ from all of
-/// them with the mass of one.
+/// Returns the accelerations of the authors' model. Each pole turns as if alone on the cart. ẍ
+/// follows from the reactions of all poles and the mass of the cart and one pole.
 fn uncoupled(model: &CartPoleSystem, x: &[f64], applied: &[f64]) -> Vec<f64> {
     let alone = on_cart(&CartPoleSystem { poles: 1, ..*model }, false);
     let moment = model.pole_mass * model.half_length;
@@ -497,7 +498,8 @@ fn a_ball_falls_and_bounces() {
         let expected = if time < dt {
             landed += 1;
             let speed = -0.6 * (x[1] + acceleration * time);
-            // High enough not to land again.
+            // Holds if the ball does not land again. Other cases have a negative height and are
+            // skipped.
             fall(0.0, speed, acceleration, dt - time)
         } else {
             fall(height, x[1], acceleration, dt)
@@ -536,7 +538,7 @@ fn two_bodies_hit_each_other() {
             let [a, va] = fall(a, after, push, dt - time);
             expected = [a, b + (dt - time) * other, va, other];
         }
-        // Leaves out pairs that meet twice.
+        // Skips pairs that meet twice.
         if expected[1] - expected[0] >= 0.3 {
             near("hit", &step(&elastic, &x, &u), &expected);
         }
@@ -553,8 +555,8 @@ fn two_bodies_hit_each_other() {
 
 type Pull = fn(usize, usize, [f64; 2], f64) -> [f64; 2];
 
-/// Acceleration of agent `k` due to agent `i`, from their indices, separation `r` and softened
-/// distance.
+/// Returns effects of pairs, with the acceleration of agent `k` due to agent `i` as a function of
+/// `k`, `i`, their separation and the softened distance.
 fn between() -> Vec<(GuidanceEffect, Pull)> {
     fn times(by: f64, [x, y]: [f64; 2]) -> [f64; 2] {
         [by * x, by * y]
@@ -569,7 +571,7 @@ fn between() -> Vec<(GuidanceEffect, Pull)> {
     ]
 }
 
-/// Acceleration of agent `k` in a state, independent of the other agents.
+/// Acceleration of agent `k` as a function of its state, independent of the other agents.
 type Alone = fn(usize, &[f64]) -> [f64; 2];
 
 fn alone() -> Vec<(GuidanceEffect, Alone)> {
@@ -711,7 +713,7 @@ fn rational(z: &Matrix, tail: f64, psi: &[Complex]) -> Vec<Complex> {
     solve(factor(1.0), times(&factor(-1.0), psi))
 }
 
-/// `exp(-i z) ψ` by its series, in 64 parts.
+/// `exp(-i z) ψ` as 64 factors `exp(-i z / 64)`, each by its power series.
 fn exponential(z: &Matrix, psi: &[Complex]) -> Vec<Complex> {
     (0..64).fold(psi.to_vec(), |psi, _| {
         let (mut sum, mut term) = (psi.clone(), psi);
@@ -819,7 +821,7 @@ fn controls_reach_the_system_late_and_limited() {
         vec![x[0] + 1.7 * (u[0] / 1.7).tanh()]
     });
     steps_as("hard limit", &through(Limit { bound: 1.7, kind: LimitKind::Hard }), |x, u| vec![x[0] + u[0].clamp(-1.7, 1.7)]);
-    // df/dt = (u - f) / time, for one dt.
+    // Solution of df/dt = (u - f) / time after dt.
     let late = |x: &[f64], u: &[f64]| u[0] + (x[1] - u[0]) * (-0.05_f64 / 0.2).exp();
     steps_as("lag", &through(Lag::new(0.2, 0.05)), |x, u| vec![x[0] + late(x, u), late(x, u)]);
     steps_as("delay", &through(Delay { steps: 2 }), |x, u| vec![x[0] + x[1], x[2], u[0]]);

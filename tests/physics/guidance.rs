@@ -153,15 +153,16 @@ impl System for ByDuals {
     }
 }
 
-/// Returns agents at rest in a row, at `distance` from each other.
+/// Returns agents at rest, `distance` apart in x. With `diagonal`, every second agent is offset in
+/// y.
 fn row_of_agents<F: Float>(agents: usize, distance: f64, diagonal: bool) -> Vec<F> {
     let position = |i: usize| [i as f64 * distance, if diagonal { (i % 2) as f64 * 0.75 * distance } else { 0.0 }];
     (0..agents).flat_map(|i| [position(i)[0], position(i)[1], 0.0, 0.0].map(F::lift)).collect()
 }
 
-/// Checks value and derivatives of one step with agents at a distance. All are finite, and VJP, JVP
-/// and dual numbers agree. The control is 0, and positions are compared separately from velocities,
-/// so that the derivatives of the forces are not negligible.
+/// Checks one step with agents `distance` apart. The next state is finite, and VJP, JVP and dual
+/// numbers agree. The control is 0, and positions are compared separately from velocities, so that
+/// the derivatives of the forces are not negligible.
 fn derivatives_agree<F: Float>(drivers: usize, evaders: usize, distance: f64, diagonal: bool, allowed: f64) {
     let system = system(drivers, evaders);
     let (n, m) = (system.state_dim(), system.control_dim());
@@ -177,7 +178,7 @@ fn derivatives_agree<F: Float>(drivers: usize, evaders: usize, distance: f64, di
         system.jvp_state(&x, &u, &x_tan, column);
     }
     for agent in 0..n / 4 {
-        // Velocity of one agent, along and across the separations.
+        // Cotangent of the velocity of one agent, with components in x and y.
         let mut next_bar = vec![F::zero(); n];
         (next_bar[4 * agent + 2], next_bar[4 * agent + 3]) = (F::one(), F::lift(0.5));
         let (mut x_bar, mut u_bar) = (vec![F::zero(); n], vec![F::zero(); m]);
@@ -218,7 +219,7 @@ fn agents_at_one_place_or_worlds_apart() {
     }
 }
 
-/// Returns the acceleration of one evader that flees from one driver, along their separation.
+/// Returns the acceleration in x and y of an evader that flees from a driver at `distance`.
 fn flight<F: Float>(distance: f64) -> (f64, f64) {
     let system = Forced { system: GuidanceSystem { dt: 1.0, ..agents(1, 1) }, effects: Evade::default() };
     let (along, across) = (F::lift(0.6 * distance), F::lift(0.8 * distance));
@@ -235,7 +236,7 @@ fn forces_have_their_limits() {
         let error = (x / (0.6 * force) - 1.0).abs().max((y / (0.8 * force) - 1.0).abs());
         assert!(error <= 10.0 * F::EPSILON, "{} at {distance:e}: {error:e}", F::NAME);
     }
-    // 15 / d far away, 1500 |r| near, without overflow or underflow of squares.
+    // 15 / |r| far away and 1500 |r| near, without overflow or underflow of squares.
     for distance in [1e-300, 1e-200, 1e-150, 1e-50, 1e-20] {
         check::<f64>(distance, 1500.0 * distance);
     }
@@ -255,7 +256,7 @@ fn forces_have_their_limits() {
 
 #[test]
 fn agents_at_one_place_in_lanes_beside_others() {
-    // Each lane scales its own separation.
+    // Each lane has a separate scale of the separation.
     const W: usize = 4;
     let system = system(2, 2);
     let distances = [0.0, 1e-160, 1.0, 1e160];

@@ -12,7 +12,7 @@ fn agents(drivers: usize, evaders: usize) -> GuidanceSystem {
     GuidanceSystem { drivers, evaders, ..GuidanceSystem::default() }
 }
 
-/// Within reach of the tested states.
+/// Returns obstacles within reach of the tested states.
 fn obstacles() -> Obstacles {
     Obstacles { centers: vec![[0.5, -0.3], [-1.5, 1.0]], radius: 1.2, stiffness: 9.0 }
 }
@@ -257,7 +257,7 @@ fn obstacles_have_finite_derivatives_at_their_centers_and_worlds_away() {
             check::<f32>(r, f32::is_finite);
         }
     }
-    // All scales against dual numbers, including the center.
+    // Compares with dual numbers at all scales, including the center.
     let system = Forced { system: GuidanceSystem { dt: 0.5, ..agents(2, 2) }, effects: obstacles() };
     for scale in [0.0, 1e-200, 1e-20, 1e-6, 1e-2] {
         let passed = check::try_system_at(&system, |rng, x, u| {
@@ -305,7 +305,8 @@ fn bounce(stiffness: f64) -> f64 {
 
 #[test]
 fn springs_within_their_limit_take_speed() {
-    // The limit is `stiffness dt < friction`, which is 15 for drivers. The default is below it.
+    // The limit of the stiffness is `friction / dt`, which is 15 for drivers. The defaults are
+    // below it.
     assert!(Walls::default().stiffness < 15.0 && Obstacles::default().stiffness < 15.0);
     assert!(bounce(10.0) < 1.0, "{}", bounce(10.0));
     assert!(bounce(60.0) > 1.0, "{}", bounce(60.0));

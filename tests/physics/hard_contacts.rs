@@ -79,7 +79,7 @@ fn residual<F: Float>(slider: &SliderSystem, v: f64, u: f64) -> f64 {
     let b = slider.grip();
     let y = next / slider.smoothing;
     let off = next - v - slider.dt * u / slider.mass + b * Scalar::tanh(y);
-    // Bound on the rounding of v', w and tanh.
+    // Bound on the rounding of v', v + dt u/m and tanh.
     let rounding = F::EPSILON * (v.abs() + (slider.dt * u / slider.mass).abs() + b + b * y.abs().min(1.0));
     off.abs() / rounding
 }
@@ -89,7 +89,7 @@ fn implicit_friction_solves_its_equation() {
     let sharp = [1e-8, 1e-9].map(|smoothing| SliderSystem { smoothing, ..SliderSystem::default() });
     for slider in sliders().filter(|slider| slider.scheme == FrictionScheme::Implicit).chain(sharp) {
         let b = slider.grip();
-        // Sliding, creeping, and held by almost the full friction.
+        // Initial speeds for sliding, creeping, and rest under almost the full friction.
         let starts = [10.0, 1.0, 3.0 * b, b, 0.5 * b, 1e-3, 1e-6, 1e-12, 0.0].into_iter();
         let edges = [-1e-3, -1e-6, -1e-12, 1e-12, 1e-6, 1e-3].map(|off| b * (1.0 + off));
         for v in starts.chain(edges).flat_map(|v| [v, -v]) {
@@ -219,15 +219,15 @@ fn a_ball_comes_to_rest_after_infinitely_many_bounces() {
     let steps = (rest / ball.dt) as usize;
     assert!(run(&ball, &[1.0, 0.0], 0.0, steps - 4)[0] > 0.0, "it still bounces");
     assert_eq!(run(&ball, &[1.0, 0.0], 0.0, steps + 1), [0.0, 0.0]);
-    // A resting ball depends neither on its past nor on a push that does not lift it. A push that
-    // lifts it has a derivative.
+    // The next state of a resting ball depends neither on its past nor on a push that does not lift
+    // it. A push that lifts it has a derivative.
     near(&jacobian(&ball, &[0.0, 0.0], 0.0), &[vec![0.0; 3], vec![0.0; 3]], 0.0);
     near(&jacobian(&ball, &[0.0, 0.0], 15.0), &[vec![1.0, 0.01, 5e-5], vec![0.0, 1.0, 0.01]], 1e-14);
 }
 
 #[test]
 fn several_impacts_in_a_step_have_their_slope() {
-    // 0, 1, 2, 3 and 4 impacts.
+    // Initial height and speed, and the number of impacts.
     let impacts = [(1.0, 0.0, 0), (0.2, 0.0, 1), (0.06, 0.0, 2), (0.03, -0.2, 3), (0.02, 0.0, 4)];
     for (h, v, count) in impacts {
         let ball = BouncingBall { contact: Contact::TimeOfImpact { restitution: 0.8 }, dt: 0.33, ..BouncingBall::default() };
@@ -249,7 +249,8 @@ fn a_touch_at_the_end_of_a_step_keeps_its_derivative() {
     // Above the floor by a rounding error, on it, and below.
     for h in [1e-17, 0.0, -1e-17] {
         let by_height = jacobian(&ball, &[h, -2.0], 0.0)[0][0];
-        // e (g left / s - 1) + g left / s, with the whole step remaining.
+        // ∂h'/∂h = e (g dt / s - 1) + g dt / s for an impact at the speed s, with the whole step dt
+        // remaining.
         let expected = 0.8 * (0.0981 / 2.0 - 1.0) + 0.0981 / 2.0;
         assert!((by_height - expected).abs() < 1e-12, "{h:e}: {by_height} is not {expected}");
     }

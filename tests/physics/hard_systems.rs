@@ -140,7 +140,7 @@ fn with_one_pole_the_chain_is_the_coupled_model() {
 }
 
 /// Returns `dE/dt - power`, by central differences of the energy along the motion, relative to the
-/// energy scale.
+/// largest rate times the energy.
 fn power_missing<O: Ode>(ode: &O, energy: impl Fn(&[f64]) -> f64, power: impl Fn(&[f64], f64) -> f64, case: u64) -> f64 {
     let (x, u) = (random(ode.state_dim(), case), random(1, 50 + case));
     let mut rate = vec![0.0; x.len()];
@@ -183,8 +183,8 @@ fn energy_drifts_with_the_order_of_the_method() {
     let (pendulum, chain) = (unequal(), chain(3));
     let order = |drift: &dyn Fn(usize) -> f64| (drift(40) / drift(80)).log2();
     let rk4 = RungeKutta::RK4;
-    // Long enough to fall, but short enough for a monotonic drift: the drift of a chain later
-    // changes sign repeatedly.
+    // The chain falls during this time, and its drift is monotonic. Later, the drift changes sign
+    // repeatedly.
     let dt = |steps: usize| 0.3 / steps as f64;
     let of_pendulum = order(&|n| drift(&Integrated { ode: pendulum, integrator: rk4, dt: dt(n) }, n, |x| pendulum.energy(x)));
     let of_chain = order(&|n| drift(&Integrated { ode: chain, integrator: rk4, dt: dt(n) }, n, |x| chain.energy(x)));
@@ -194,7 +194,7 @@ fn energy_drifts_with_the_order_of_the_method() {
     {
         assert!((found - expected).abs() < 0.1, "{what}: order {found}");
     }
-    // Substeps of a chain conserve energy accordingly.
+    // Short substeps conserve the energy of a chain almost to rounding.
     let substeps = Substeps { system: Integrated { ode: chain, integrator: rk4, dt: 1e-4 }, count: 100 };
     let left = drift(&substeps, 100, |x| chain.energy(x));
     assert!(left < 1e-11, "{left:e}");

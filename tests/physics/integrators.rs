@@ -51,8 +51,7 @@ fn the_reverse_of_every_integrator_is_that_of_duals() {
     check::system(&Discretized { system: cart_pole(), integrator: None, dt: 0.01 });
 }
 
-/// Van der Pol's vector field with derivatives by dual numbers, in which no component is a
-/// velocity.
+/// Van der Pol's vector field, with derivatives by dual numbers and without declared velocities.
 #[derive(Clone, Debug)]
 struct ByDuals;
 
@@ -90,7 +89,7 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// Returns the observed orders of state and gradient when the number of steps doubles. Uses the
-/// doubling closest to theory, because errors of opposite sign may cancel in others.
+/// doubling whose order is closest to theory, because errors of opposite sign may cancel in others.
 fn orders<O: Ode + Clone, I: Integrator>(ode: &O, integrator: &I, span: f64, theory: f64) -> [f64; 2] {
     let (state, gradient) = reached(ode, &RungeKutta::TSIT5, span, 2000);
     let coarsest = if theory < 3.0 { 128 } else { 32 };
@@ -163,7 +162,7 @@ fn adaptive_steps_that_do_not_arrive_are_no_number() {
     assert!(found.iter().all(|x| x.is_nan()), "{found:?}");
 }
 
-/// `x' = rate (u - x)`, plus a square that may have no solution.
+/// `dx/dt = rate (u - x) + square x²`. With the square, an implicit step may have no solution.
 #[derive(Clone, Debug)]
 struct Stiff {
     rate: f64,
@@ -209,7 +208,8 @@ fn a_step_that_newton_does_not_solve_is_no_number() {
     assert!(next[0].is_nan(), "{next:?}");
 }
 
-/// Two stiff springs without control or friction.
+/// Two coupled masses on springs, one of which hardens. The control has no effect, and there is no
+/// friction.
 #[derive(Clone, Debug)]
 struct Springs;
 
@@ -269,7 +269,7 @@ fn symplectic_methods_keep_energy_without_a_trend() {
 
 #[test]
 fn nothing_but_the_field_of_effects_is_needed() {
-    // Contacts and dry friction are vector fields too.
+    // Tests contacts and dry friction as parts of a vector field.
     let system = CartPoleSystem { poles: 1, ..CartPoleSystem::default() };
     let rough = Forced { system, effects: (DryFriction::default(), Bumpers::default()) };
     for (_, integrator, _) in FIXED {
@@ -277,7 +277,7 @@ fn nothing_but_the_field_of_effects_is_needed() {
     }
 }
 
-/// Vector field that reaches infinity after the time exp(-x).
+/// Vector field `dx/dt = exp(x)`. Its solution diverges after the time exp(-x).
 struct Exploding;
 
 impl Ode for Exploding {

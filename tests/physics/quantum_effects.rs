@@ -120,8 +120,8 @@ fn an_effect_costs_its_own_operations_and_no_others() {
     let (model, n) = (box_of(32), 32);
     let plain = counts(&model);
     let solve = sums(8 * n - 6, 12 * n - 8);
-    // The potential takes one multiplication. A pivot takes 4 additions, 7 multiplications, a
-    // negation and a division.
+    // At each point, the potential takes one multiplication. A pivot takes 4 additions, 7
+    // multiplications, a negation and a division.
     let eliminated = Ops { divide: n, negate: n, ..sums(4 * n, 8 * n + 1) };
     assert_eq!(plain[0], eliminated + solve + sums(4 * n, 0));
     // Elimination, conjugation, and one solve.

@@ -94,7 +94,7 @@ fn the_levels_of_a_trap_are_those_of_an_oscillator() {
     let (coarse, fine) = (errors(199), errors(399));
     println!("{coarse:?}, {fine:?}");
     for (coarse, fine) in coarse.iter().zip(&fine) {
-        // Second order in dx.
+        // Errors are of second order in dx.
         assert!(fine.abs() < 1e-3 && (3.9..4.1).contains(&(coarse / fine)));
     }
 }
@@ -114,7 +114,8 @@ fn a_coherent_state_swings_and_comes_back() {
     println!("{there}, {back}, {phase}");
     // exp(-i ω (n + 1/2) 2π/ω) = -1 for all n.
     assert!(there > 0.999 && back > 0.999 && PI - phase.abs() < 0.1);
-    // A constant force shifts the middle by c / 2k, without other effects.
+    // A constant force c shifts the center of a trap of stiffness k by c / 2k and changes nothing
+    // else.
     let shifted = packet(&model, 1.0 - 0.2, sigma, 0.0);
     let after = (0..500).fold(shifted.clone(), |x, _| step(&trap, &x, 2.0 * stiffness * 0.2));
     assert!(overlap(&shifted, &after).0 > 0.999);
@@ -165,8 +166,8 @@ fn a_double_well_has_two_valleys_and_keeps_a_symmetric_state() {
     assert!(largest_difference(&after, &densities(&start)) > 1e-3, "it moves");
     assert!(largest_difference(&after, &mirrored) < 1e-12);
 
-    // Below the top, the particle tunnels slowly: it reaches the other well after half the beat of
-    // the two lowest levels.
+    // At energies below the barrier, the particle tunnels slowly. It reaches the other well after
+    // half the beat period of the two lowest levels.
     let deep = DoubleWell { height: 60.0, separation: 1.0 };
     let model = QuantumSystem { dt: 0.002, grid: 99, ..model };
     let levels = levels(&model, &potential(&deep, &model), 3);
@@ -215,7 +216,7 @@ fn a_dipole_is_a_tilt_up_to_a_global_phase_and_the_time_step() {
     assert!(difference(8) > 1e-3, "with the paper's time step they differ");
 }
 
-/// Constant energy.
+/// Potential that is equal at all points.
 #[derive(Clone, Debug)]
 struct Uniform(f64);
 
@@ -240,14 +241,14 @@ fn where_the_density_is_constant_the_cubic_term_is_an_energy() {
     let uniform = step(&Forced { system: model, effects: Uniform(energy) }, &x, 5.0);
     assert!(largest_difference(&cubic, &uniform) < 1e-14);
 
-    // The phase of an eigenstate advances by 2 atan(E dt/2), by about dt more per unit of energy.
+    // A step changes the phase of an eigenstate by -2 atan(E dt/2).
     let phi: Vec<f64> = model.eigenstate(2).flat_map(|phi| [phi, 0.0]).collect();
     let level = 4.0 / model.spacing().powi(2) * (PI / 33.0).sin().powi(2);
     let (size, phase) = overlap(&phi, &step(&Forced { system: model, effects: Uniform(energy) }, &phi, 0.0));
     assert!((size - 1.0).abs() < 1e-13 && (phase + 2.0 * (0.03125 * (level + energy)).atan()).abs() < 1e-13);
 
-    // In a very large box, kinetic energy vanishes, and the phase at each point depends on its
-    // density only.
+    // In a very large box, the kinetic energy is negligible. The phase at each point then depends
+    // on its density only.
     let still = QuantumSystem { length: 3.3e7, ..model };
     let x = phases(&QuantumSystem { length: 2.0, ..still });
     let strength = 0.01 * still.spacing() * 32.0;

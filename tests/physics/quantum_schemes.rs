@@ -230,7 +230,7 @@ fn counts<S: System>(system: &S) -> [Ops; 4] {
 fn a_step_of_pade_costs_two_and_works_out_the_potential_once() {
     let sums = |add, multiply| Ops { add, multiply, ..Ops::default() };
     let (crank_nicolson, pade) = (counts(&box_of(32)), counts(&Pade(box_of(32))));
-    // The reverse recomputes the state between the factors, and adds their cotangents.
+    // The reverse pass recomputes the state between the factors, and adds the cotangents of both.
     let more = [sums(0, 0), sums(4 * 32 + 1, 0), sums(0, 0), sums(4 * 32 + 1, 0)];
     for i in 0..4 {
         assert_eq!(pade[i] + sums(0, 32), crank_nicolson[i] + crank_nicolson[i] + more[i], "{i}");

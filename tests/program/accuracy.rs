@@ -204,7 +204,7 @@ fn scenes_of_equal_error_are_written_and_compared_in_training() {
     assert_eq!(names("scene"), ["verlet", "verlet", "rk4", "rk4"]);
     assert_eq!(names("field"), ["R", "C", "R", "C"]);
     assert!(fs::read_to_string(out.join("curves.svg")).expect("curves").contains("verlet: R"));
-    // Each folder is a comparison of its own.
+    // The folder of each scene is a complete comparison.
     physgrad(&["report"]).arg(out.join("rk4")).assert().success();
     let said = error_of(physgrad(&["compare"]).arg(scene("rk4")).arg(scene("rk4")).args(small));
     assert!(said.contains("names rk4 twice"), "{said}");

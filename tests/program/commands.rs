@@ -189,7 +189,7 @@ fn what_cannot_be_resumed_is_refused_with_the_reason() {
     let text = error_of(&mut resume(&["--set", "system.poles=4"]));
     assert!(text.contains("keeps its settings") && text.contains("poles = 4"), "{text}");
 
-    // Replace the checkpoint by one of another shape.
+    // Replaces the checkpoint by one of another network.
     let other = dir.path().join("other");
     train(&other, &["--epochs", "1", "--set", "policy.widths=[3]"]).assert().success();
     let own = fs::read(dir.path().join("checkpoint.bin")).expect("a checkpoint");
@@ -235,7 +235,7 @@ fn a_comparison_has_a_row_a_run_and_a_picture() {
     let curves = fs::read_to_string(dir.path().join("curves.svg")).expect("a picture");
     roxmltree::Document::parse(&curves).expect("an SVG is XML");
 
-    // Repeat the run alone, on several threads.
+    // Repeats the run without a comparison, on several threads.
     let alone = dir.path().join("alone");
     train(&alone, &["--epochs", "2", "--field", "C", "--seed", "1", "--threads", "2"]).assert().success();
     assert_eq!(columns(&alone.join("metrics.csv"))["test_loss"][1], summary["final_test_loss"][3]);
@@ -340,7 +340,8 @@ fn a_run_that_is_killed_at_any_moment_can_be_resumed_and_ends_as_if_it_had_not_b
         std::thread::sleep(std::time::Duration::from_millis(20 + (random >> 33) % 120));
         process.kill().expect("it can be killed, or has ended");
         let ended = process.wait().expect("it has ended");
-        // If killed early, the run leaves no files. Later, it always leaves a resumable run.
+        // A run that is killed before it writes its settings starts again. Any later one can be
+        // resumed.
         resume = if killed.join("run.toml").exists() { vec!["--resume"] } else { Vec::new() };
         resumed += resume.len();
         assert!(ended.code().is_none_or(|code| code == 0), "a run that was left at some moment could not be resumed");

@@ -1,7 +1,7 @@
 //! Extreme values for each number of each preset. The program trains or reports the faulty
 //! setting; it neither panics nor hangs.
 //!
-//! A sample of the cases always runs. To run all cases, in a few minutes:
+//! By default, the test runs a sample of the cases. To run all cases, in a few minutes:
 //! `PHYSGRAD_EXTREMES=all cargo test --release --test program extreme_settings -- --nocapture`.
 
 use assert_cmd::Command;
@@ -15,7 +15,7 @@ use toml::{Table, Value};
 
 /// Time limit, far above the duration of any case.
 const HANGS: Duration = Duration::from_secs(120);
-/// Number of cases per command that always run.
+/// Number of cases in the samples of `train` and `explain`. `compare` runs a tenth.
 const SAMPLE: usize = 150;
 
 const NUMBERS: [&str; 7] = ["0.0", "1e38", "-1e38", "1e300", "-1e300", "1e-300", "-1e-300"];
@@ -25,7 +25,7 @@ const COUNTS: [&str; 5] = ["0", "-1", "1", "9223372036854775807", "1e38"];
 const TINY: [&str; 6] =
     ["epochs=1", "horizon=6", "training.train_samples=4", "training.test_samples=4", "training.batch=4", "seed=1"];
 
-/// Presets with effects, actuators, integrators and precisions that no preset combines.
+/// Presets with changes: effects, actuators, integrators and precisions that no preset combines.
 const MORE: [(&str, &[&str]); 8] = [
     ("cart_pole", &["effects.steady_wind.speed=3", "effects.cart_damping.damping=0.1", "actuator.delay.steps=2"]),
     ("cart_pole", &["integrator.method=adaptive", "integrator.rtol=1e-4", "integrator.atol=1e-6"]),
@@ -64,7 +64,7 @@ fn settings(preset: &str, changes: &[&str], dir: &Path) -> Table {
     std::fs::read_to_string(dir.join("run.toml")).expect("settings").parse().expect("TOML")
 }
 
-/// Collects the keys of all numbers, with the extreme values for each.
+/// Collects assignments `key=value` of the extreme values to each number of a scene.
 fn extremes(key: &str, value: &Value, found: &mut Vec<String>) {
     match value {
         Value::Table(table) => {
@@ -170,7 +170,7 @@ fn run_all(command: &str, cases: &[Case]) {
                 Ok(end) => ends.lock().expect("no panic").push(end),
                 Err(what) => wrong.lock().expect("no panic").push(what),
             }
-            // The folder may not exist.
+            // Ignores an error, because the folder may not exist.
             let _ = std::fs::remove_dir_all(out);
         }
     };
@@ -210,7 +210,8 @@ fn extreme_settings_are_trained_with_or_refused() {
     run_all("compare", &sample(&cases, SAMPLE / 10));
 }
 
-/// Extreme parameters of an effect: no command panics, and the message names the effect.
+/// For extreme parameters of an effect, no command panics. The messages of `train` and `compare`
+/// name the effect.
 #[test]
 fn the_scenes_own_key_is_blamed() {
     let dir = TempDir::new().expect("a folder");
@@ -241,7 +242,7 @@ fn the_scenes_own_key_is_blamed() {
             assert!(errors.contains(&format!("the forces of {key} ")), "{command} {preset} {setting}: {errors}");
         }
     }
-    // The message attributes an excessive time step to no effect.
+    // No message attributes an excessive time step to an effect.
     for command in ["train", "explain", "compare"] {
         let errors = errors(command, "quantum_double_well", "system.dt=1e30");
         assert!(!errors.contains("the forces of"), "{errors}");

@@ -10,7 +10,7 @@ use tempfile::TempDir;
 /// Time limit for a refusal.
 const SOON: Duration = Duration::from_secs(10);
 
-/// Returns the message of a command that refuses.
+/// Returns the error message of a command that refuses its input.
 fn refusal(command: &mut Command) -> String {
     let output = command.timeout(SOON).output().expect("it runs");
     let said = String::from_utf8_lossy(&output.stderr).into_owned();

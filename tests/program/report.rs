@@ -197,7 +197,7 @@ fn a_page_shows_the_policy_as_it_is_now() {
     train(dir.path(), &["--epochs", "1"]).assert().success();
     let film = fs::read_to_string(dir.path().join("animation.svg")).expect("a film");
     let page = report(dir.path());
-    // As after a resumed run was killed, or after another sample was animated.
+    // Animates another sample. The animation in the folder then differs from that of the page.
     physgrad(&["animate", "--sample", "3"]).arg(dir.path()).assert().success();
     assert_ne!(fs::read_to_string(dir.path().join("animation.svg")).expect("a film"), film);
     assert!(report(dir.path()) == page && films(&page) == [film]);
@@ -257,7 +257,7 @@ fn runs_that_were_not_finished_have_a_page_that_says_so() {
 
     train(&one, &["--epochs", "1"]).assert().success();
     assert_eq!(diagram(&report(&one), "Loss by epoch")[0].1.len(), 1);
-    // As after an interruption.
+    // Imitates an interrupted run.
     let settings = fs::read_to_string(one.join("run.toml")).expect("settings");
     fs::write(one.join("run.toml"), settings.replace("epochs = 1", "epochs = 5")).expect("settings");
     let before = fs::read(one.join("checkpoint.bin")).expect("a checkpoint");

@@ -292,8 +292,8 @@ fn states_that_effects_and_actuators_add_are_named_in_trajectories() {
     assert!(widths.iter().all(|&width| width == widths[0]), "every state has its number");
 }
 
-/// Newton's second law for a block without friction, and limit, delay and lag of a motor for each
-/// step.
+/// Checks, at each step, Newton's second law for a block without friction, and the limit, delay and
+/// lag of its motor.
 #[test]
 fn the_force_of_a_row_accelerates_the_block_to_the_next_row() {
     const SCENE: &str = "
@@ -345,8 +345,8 @@ fn what_is_left_out_must_be_there() {
     assert!(said.contains("--without wind: preset cart_pole has no such effect or part of the actuator; it has none"), "{said}");
 }
 
-/// Checks that each key of a table is a property of the schema. All except sections need a
-/// description.
+/// Checks that each key of a table is a property of the schema, with a description. All except
+/// sections, `scene` and `task` need a default.
 fn assert_described(schema: &Value, table: &Table, path: &str) {
     for (key, value) in table {
         let property = &schema["properties"][key];

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 #[test]
 fn damaged_inputs_cause_no_panic_no_hang_and_little_memory() {
-    // A hanging input produces no finding, because the command itself hangs.
+    // An input that hangs produces no message: the command hangs, and the timeout ends it.
     let mut command = physgrad(&["fuzz"]);
     let output = command.timeout(Duration::from_secs(900)).output().expect("it runs");
     let [said, error] = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());

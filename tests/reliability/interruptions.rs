@@ -24,7 +24,7 @@ fn policy(out: &Path) -> Vec<u8> {
     fs::read(out.join("policy.safetensors")).expect("a policy")
 }
 
-/// Returns the rows of the metrics without the column of seconds.
+/// Returns the header and rows of the metrics, without the column of seconds.
 fn metrics(out: &Path) -> Vec<String> {
     let text = fs::read_to_string(out.join("metrics.csv")).expect("metrics");
     let row = |line: &str| {
@@ -44,7 +44,7 @@ fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     }
 }
 
-/// Waits until the run has completed some epochs.
+/// Waits until the run has recorded at least `epochs` epochs.
 fn wait_for_epochs(out: &Path, epochs: usize) {
     wait_until("the run begins", || fs::read_to_string(out.join("metrics.csv")).is_ok_and(|text| text.lines().count() > epochs));
 }

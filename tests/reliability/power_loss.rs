@@ -3,7 +3,7 @@
 //!
 //! The disk model is pessimistic. After a power loss, a folder has either its current names or
 //! those of its last synchronization. A file has its current bytes, those of its last
-//! synchronization, or these and half of the rest.
+//! synchronization, or the synchronized bytes and half of the rest.
 #![cfg(unix)]
 
 use crate::running::{SMALL, physgrad};
@@ -15,7 +15,7 @@ use std::fs;
 use std::path::{Component, Path, PathBuf};
 use tempfile::TempDir;
 
-/// Names with their nodes.
+/// Entries of a folder: names and indices of nodes.
 type Names = BTreeMap<String, usize>;
 
 #[derive(Clone)]
@@ -24,7 +24,7 @@ enum Node {
     File { now: Vec<u8>, synced: Vec<u8> },
 }
 
-/// Files after a power loss. `None` is a folder.
+/// Files and folders after a power loss. A folder has the value `None`.
 type Tree = BTreeMap<PathBuf, Option<Vec<u8>>>;
 
 /// Unsynchronized bytes that survive.
@@ -42,7 +42,7 @@ struct Disk {
 }
 
 impl Disk {
-    /// Returns the present folder, as synchronized.
+    /// Returns the current contents of a folder, all of them synchronized.
     fn of(root: &Path) -> Self {
         let mut disk = Self { root: root.canonicalize().expect("a folder"), nodes: Vec::new() };
         disk.load(root);
@@ -67,7 +67,7 @@ impl Disk {
     }
 
     fn find(&self, path: &Path) -> usize {
-        // The program runs in the folder.
+        // Relative paths start at the root, in which the program runs.
         let inside = path.strip_prefix(&self.root).unwrap_or(path);
         inside.components().fold(0, |node, part| match (&self.nodes[node], part) {
             (_, Component::CurDir) => node,
@@ -148,8 +148,8 @@ impl Disk {
     }
 }
 
-/// Returns all states that a power loss can leave, for a command that ran in the folder before
-/// `log`.
+/// Returns all states that a power loss can leave during the operations in `log`, which start from
+/// `disk`.
 fn states(mut disk: Disk, log: &[Value]) -> BTreeSet<Tree> {
     let mut states = BTreeSet::new();
     for operation in [None].into_iter().chain(log.iter().map(Some)) {
@@ -176,7 +176,7 @@ fn run(folder: &Path, args: &[&str]) -> Result<(), String> {
     if output.status.success() { Ok(()) } else { Err(String::from_utf8_lossy(&output.stderr).into_owned()) }
 }
 
-/// Folder in which a command runs, with its file operations.
+/// Folder in which a command ran, its contents before, and the logged file operations.
 struct Scenario {
     folder: TempDir,
     before: Disk,
@@ -232,7 +232,7 @@ fn same(folder: &Path, path: &str, expected: &[u8]) -> Result<(), String> {
     if found == expected { Ok(()) } else { Err(format!("{path} differs")) }
 }
 
-/// Resumes the run, or starts it if it has no settings.
+/// Resumes the run, or starts it if its settings file is missing.
 fn go_on(folder: &Path, start: &[&str]) -> Result<(), String> {
     if folder.join("run/run.toml").exists() {
         run(folder, &["train", "cart_pole", "--out", "run", "--resume", "--epochs", "2", "--save-every", "0"])

@@ -75,9 +75,9 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         Ok(())
     }
 
-    /// Raises exponents of a block that are too low for these cost gradients to 0.
+    /// Sets those exponents of a block to 0 that are too low for its cost gradients.
     ///
-    /// Samples without a cost gradient keep their exponent.
+    /// Exponents of samples whose cost gradients are 0 do not change.
     pub(super) fn raise(&mut self, block: usize, scale: F, lambda: &mut [CotangentPack<Lane<F>, K>], costs: [&[Lane<F>]; 2]) {
         if !self.low {
             return;
@@ -124,7 +124,7 @@ impl<F: Float> Limits<F> {
         Self { low: power(-reach::<F>()), high: power(reach::<F>()) }
     }
 
-    /// Returns false if rescaling is needed. False for NaN.
+    /// Returns false if rescaling is needed or `size` is NaN.
     ///
     /// `any_scaled`: some exponent is not 0, so the exponent of a zero cotangent may need a reset.
     #[inline(always)]
@@ -172,7 +172,8 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
         lambda: &mut [CotangentPack<Lane<F>, K>],
         u_bar: &mut [CotangentPack<Lane<F>, K>],
     ) -> Result<(), NonFinite> {
-        // Sums in the order of the step, so the decision does not depend on other samples.
+        // Sums in the order of `reverse_step`, so that both sizes are bitwise equal. The decision
+        // is therefore independent of other samples.
         let size = u_bar.iter().chain(&*lambda).fold(F::zero(), |size, bar| size + bar.0[k].lane(lane).abs());
         if !size.as_().is_finite() {
             return Err(NonFinite);
@@ -192,9 +193,9 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
         Ok(())
     }
 
-    /// Resets the exponent of one sample and flow to 0, if cost gradients may overflow beside it.
+    /// Resets the exponent of one sample and flow to 0, if scaled cost gradients may overflow.
     ///
-    /// λ may underflow to 0, which is negligible beside such cost gradients.
+    /// λ may underflow to 0. This error is negligible relative to the cost gradients.
     fn raise(&mut self, (k, lane): (usize, usize), scale: F, lambda: &mut [CotangentPack<Lane<F>, K>]) {
         let own = self.of[k][lane];
         if own < -reach::<F>() {

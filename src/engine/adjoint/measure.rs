@@ -1,4 +1,5 @@
-//! Measurements of the adjoint along the recursion: norms and growth. They do not change it.
+//! Measurements of the adjoint along the recursion: norms and growth. The adjoint does not depend
+//! on them.
 
 use super::Pass;
 use super::exponents::{BlockExponents, Exponents};

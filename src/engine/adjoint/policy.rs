@@ -20,13 +20,13 @@ pub(super) struct PolicyAdjoint<F> {
     pub(super) controls_bar: Vec<Vec<F>>,
     /// Tape of the policy's backward pass, per flow, or one for all flows if `linearized`.
     pub(super) tape_bar: Vec<Aligned<F>>,
-    /// `(∂N/∂x)ᵀ h` of one step, or `∂N/∂x` of all steps if `linearized`, as policy columns.
+    /// `(∂N/∂x)ᵀ h`, or `∂N/∂x` if `linearized`, as policy columns.
     ///
     /// Empty if no flow has a control path.
     pub(super) inputs_bar: Vec<F>,
     /// True if the policy is linearized for all steps of a unit at once.
     pub(super) linearized: bool,
-    /// Unit cotangents of the only control, if `linearized`.
+    /// Cotangents of the only control, all equal to 1, if `linearized`.
     pub(super) ones: Vec<F>,
     pub(super) scratch: Aligned<F>,
     /// Exponent of each column, per flow. All 0 unless `scaled`.
@@ -141,7 +141,7 @@ impl<F: Float> PolicyAdjoint<F> {
         }
     }
 
-    /// Evaluates `(∂N/∂x)ᵀ h` of flow `k` at step `t`, unless the unit is linearized already.
+    /// Evaluates `(∂N/∂x)ᵀ h` of flow `k` at step `t`, unless `linearized`.
     pub(super) fn linearize_inputs(&mut self, pass: &Pass<'_, F>, k: usize, t: usize) {
         if !self.linearized {
             self.backward(pass, k, pass.rollout.columns(t), true);
@@ -161,7 +161,7 @@ impl<F: Float> PolicyAdjoint<F> {
             for lane in 0..WIDTH {
                 let sample = (block * WIDTH + lane).min(at.count - 1);
                 let c = at.first + sample * at.step;
-                // Results for a unit cotangent still lack the factor h.
+                // If linearized, `inputs_bar` contains ∂N/∂x without the factor h.
                 let factor = if self.linearized { self.controls_bar[k][c] } else { F::one() };
                 for (lambda, &x_bar) in zip(lambda.iter_mut(), &self.inputs_bar[c * n..][..n]) {
                     lambda.0[k].0[lane] += x_bar * factor;

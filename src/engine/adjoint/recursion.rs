@@ -1,7 +1,7 @@
 //! The adjoint recursion: [`reverse_step`] for the physics, [`Recursion::back`] for the loop.
 //!
-//! [`adjoint`](super) states the equations and defines λ and h. `exponents` scales the cotangents,
-//! which changes no value of moderate size. `step_back` traverses the samples. `policy` computes
+//! [`adjoint`](super) states the equations and defines λ and h. `exponents` scales cotangents of
+//! extreme size, and leaves the others unchanged. `step_back` traverses the samples. `policy` computes
 //! the Jacobian products of the policy. `measure` records norms and growth.
 
 use super::exponents::Exponents;
@@ -142,7 +142,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     }
 
     /// Runs the recursion (see [`adjoint`](super)) backwards through `steps`, for all flows at
-    /// once. `task` is the task of the pass.
+    /// once. `task` must be `pass.task`.
     pub(super) fn back(
         &mut self,
         pass: &Pass<'_, F>,

@@ -9,7 +9,8 @@ use crate::numbers::zip::zip;
 
 /// Forward step of a task for all samples at once.
 pub trait StepForward<F: Float> {
-    /// Steps all blocks and adds their costs. Returns true if all states and controls are finite.
+    /// Steps all blocks and adds their costs. Returns true if all next states and controls are
+    /// finite.
     fn step_forward(&self, x: &[Lane<F>], u: &[Lane<F>], next: &mut [Lane<F>], costs: &mut [Lane<F>]) -> bool;
 }
 
@@ -30,8 +31,8 @@ struct Step<'a, T, F: Float> {
     finite: &'a mut bool,
 }
 
-/// Steps one block of samples. Returns the cost and a probe: 0 if all numbers are
-/// finite, else NaN.
+/// Steps one block of samples. Returns the cost and a probe: 0 if the next state and the control
+/// are finite, else NaN.
 #[inline(always)]
 fn advance<T: Task, R: Real>(task: &T, x: &[R], u: &[R], next: &mut [R]) -> (R, R) {
     task.system().step(x, u, next);

@@ -24,10 +24,11 @@ pub struct MemoryError {
 const SAME: u64 = 100;
 
 impl Schedule {
-    /// Finds the schedule with the fewest recomputed steps within `budget` bytes.
+    /// Finds a schedule with few recomputed steps within `budget` bytes.
     ///
-    /// Among schedules with nearly as few (see [`SAME`]), it returns the smallest. `bytes` returns
-    /// the size of a schedule.
+    /// Stores all steps if they fit. Otherwise, it returns the smallest schedule whose recomputed
+    /// steps exceed the minimum by at most the tolerance [`SAME`]. `bytes` returns the size of a
+    /// schedule.
     pub(crate) fn within(horizon: usize, budget: u64, bytes: impl Fn(&Self) -> usize) -> Result<Self, MemoryError> {
         let bytes = |schedule: &Self| bytes(schedule) as u64;
         let all = Self::store_all(horizon);

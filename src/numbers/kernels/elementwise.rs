@@ -1,4 +1,4 @@
-//! Elementwise operations, dot products and moments, vectorized at run time.
+//! Elementwise operations, dot products and moments, dispatched by instruction set at run time.
 //!
 //! Loops use indices: zipped iterators are not always vectorized.
 

@@ -155,7 +155,7 @@ unsafe fn tile<R: Register, const H: usize, const NR: usize>(
     }
 }
 
-/// Implements [`Register`]. Operations of the array are safe; intrinsics are unsafe.
+/// Implements [`Register`]. Only `zero`, `splat` and `plus_product` of the array need no `unsafe`.
 macro_rules! register {
     ($register:ty, $float:ty, $width:literal, $splat:expr, $load:expr, $store:expr, $plus_product:expr) => {
         #[allow(unused_unsafe)]

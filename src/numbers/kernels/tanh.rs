@@ -15,7 +15,7 @@ fn fma_64<const FMA: bool>(a: f64, b: f64, c: f64) -> f64 {
 }
 
 /// Computes tanh by a rational approximation of degree 13 / 6 on [-8, 8] (coefficients as in
-/// Eigen). For every argument the error is at most 6 units in the last place fused, 8 unfused.
+/// Eigen). The error is at most 6 units in the last place with `FMA`, 8 without.
 #[inline(always)]
 pub fn tanh_32<const FMA: bool>(x: f32) -> f32 {
     /// Smallest |x| at which tanh rounds to 1 within the stated accuracy.

@@ -8,8 +8,8 @@
 //! by up to 1 of its ulps. Just below a power of two, this is up to 2 ulps of the sine, because the
 //! angle lies just above the power. The last sum adds 0.5, the polynomial less than 0.1.
 
-/// Largest |x| for which `n·π/2` in the argument reduction is exact. Use [`std`] for larger
-/// arguments.
+/// Bound on |x| for the argument reduction: n < 2^20, so its products with the first two parts of
+/// π/2 are exact. Use [`std`] for larger arguments.
 pub const REACH: f64 = 1e6;
 
 /// Adding and subtracting this rounds to an integer. The low bits of the sum are those of the

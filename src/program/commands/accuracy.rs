@@ -77,7 +77,7 @@ impl Metric {
         }
     }
 
-    /// Seconds of the pass that this error refers to: forward, or forward with gradients.
+    /// Seconds of the pass that produces this quantity: forward, or forward with gradients.
     fn time(self, row: &Row) -> f64 {
         row.seconds[usize::from(matches!(self, Self::R | Self::M))][1]
     }
@@ -94,7 +94,7 @@ impl Metric {
 
 /// Numbers of physics steps per control step.
 const SUBSTEPS: [usize; 5] = [1, 2, 4, 8, 16];
-/// Timing rounds, and the least time in seconds per round for each setting and pass.
+/// Number of timing rounds, and the minimum time per round for each setting and pass, s.
 const ROUNDS: usize = 5;
 const MIN_TIME: f64 = 0.003;
 
@@ -131,7 +131,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         jobs.push(study.job(setting)?);
         bar.inc(1);
     }
-    // Interleaves the settings, so that disturbances of the machine affect all of them.
+    // Interleaves the settings, so that other load on the machine affects all of them.
     let mut times = vec![Vec::new(); jobs.len()];
     for round in 0..ROUNDS {
         for (job, times) in jobs.iter_mut().zip(&mut times) {
@@ -222,7 +222,7 @@ impl Study {
     fn settings(&self) -> Vec<Setting> {
         let methods = ["native"].into_iter().chain(self.scene.task.methods().iter().map(|method| method.name()));
         let each = methods.flat_map(|method| {
-            // Skips further step counts for the adaptive method, which selects its own steps.
+            // Takes only one step count for the adaptive method, which selects its step sizes.
             let counts = if method == "adaptive" { &SUBSTEPS[..1] } else { &SUBSTEPS };
             counts.iter().map(move |&substeps| (method, substeps))
         });
@@ -243,7 +243,7 @@ fn cheapest<'a>(rows: impl Iterator<Item = &'a Row>, metric: Metric, target: f64
 /// Prints the cheapest setting that reaches the target.
 ///
 /// # Errors
-/// No setting reaches it. The message names the most accurate setting.
+/// No setting reaches the target. The message names the most accurate setting.
 fn name_cheapest(rows: &[Row], metric: Metric, target: f64) -> Result<()> {
     let finite = || rows.iter().filter_map(|row| Some((row, metric.read(row.errors.as_ref().ok()?))));
     if let Some((row, error)) = cheapest(rows.iter(), metric, target) {

@@ -63,7 +63,7 @@ pub fn compare(args: &Compare) -> Result<()> {
     let one = bases.len() == 1;
     let mut comparisons = Vec::new();
     for (name, base) in names.iter().zip(&bases) {
-        // Each scene has a complete comparison folder.
+        // With several scenes, each one has a comparison folder inside this folder.
         let (label, inner) = if one { ("", Folder::clone(&folder)) } else { (&**name, Folder::at(folder.file(name))) };
         comparisons.push(Comparison::plan(label, base, &args.fields, args.seeds, &inner)?);
     }

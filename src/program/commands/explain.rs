@@ -52,7 +52,7 @@ pub fn explain(args: &Explain) -> Result<()> {
     Ok(())
 }
 
-/// Joins the names. Abbreviates more than 12.
+/// Joins the names. Abbreviates a list of more than 12.
 fn names(names: &[String]) -> String {
     match names {
         [first, second, third, _, .., last] if names.len() > 12 => format!("{first}, {second}, {third} … {last}"),
@@ -100,8 +100,9 @@ fn numbers(cost: &OpCount) -> [[i64; 8]; 3] {
 
 /// Operation counts of the system alone, of each part that is present, and of the whole.
 ///
-/// The count of a part is the whole minus the scene without it. Two actuators share operations at
-/// their boundary, which both differences contain. The row "counted twice" shows this overlap.
+/// The count of a part is the count of the whole minus that of the scene without the part. Two
+/// actuators share operations at their boundary. The counts of both actuators include them, and the
+/// row "counted twice" shows the overlap.
 fn operations(scene: &Scene) -> Result<Table> {
     let kinds = ["all", "add, subtract", "negate", "multiply", "divide", "root", "function", "compare"];
     let mut table = table(&[&["", "pass"][..], &kinds].concat());
@@ -140,8 +141,8 @@ fn difference(a: [[i64; 8]; 3], b: [[i64; 8]; 3]) -> [[i64; 8]; 3] {
     std::array::from_fn(|pass| std::array::from_fn(|kind| a[pass][kind] - b[pass][kind]))
 }
 
-/// Bytes of a rollout and of the adjoint of each field, per step and constant, and allocations per
-/// step.
+/// Table of the bytes per sample of a rollout in evaluation mode, and with the adjoint of each
+/// field: per step and constant. The last column counts the allocations per step.
 fn bytes(scene: &Scene) -> Result<Table> {
     let mut table = table(&["", "bytes per step", "constant", "whole rollout", "allocations per step"]);
     let steps = scene.horizon;
@@ -150,7 +151,7 @@ fn bytes(scene: &Scene) -> Result<Table> {
         table.insert("horizon".into(), toml::Value::Integer(horizon as i64));
         scene.task.scene(table)
     };
-    // Separates the part per step from the constant part by two horizons.
+    // Measures two horizons to separate the bytes per step from the constant bytes.
     let (short, long) = (with_horizon(FEW_STEPS)?, with_horizon(2 * FEW_STEPS)?);
     let mut row = |name: &str, field: Option<Field>| {
         let [short, long] = [&short, &long].map(|scene| scene.stored(field));

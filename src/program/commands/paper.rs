@@ -119,7 +119,7 @@ pub fn paper(args: &Paper) -> Result<()> {
     let default = if options.quick { "runs/paper-quick" } else { "runs/paper" };
     let folder = Folder::at(args.out.as_deref().unwrap_or(Path::new(default))).lock()?;
     let write = |figure: Figure, finished: Result<FinishedFigure>| finished?.write(&figure.name(), &folder, options);
-    // Longest figure last.
+    // Puts the figure with the longest computing time last.
     let figures: [(Figure, &dyn Fn() -> Result<()>); 5] = [
         (Figure::Fig1, &|| write(Figure::Fig1, fig1::fig1(options.quick))),
         (Figure::Fig2, &|| write(Figure::Fig2, fig2::fig2(options.quick))),

@@ -7,10 +7,11 @@ use physgrad::{Adjoint, Divergence, Float, Flow, Rollout, Weights};
 /// Largest number of test initial states in the rollout.
 pub const SAMPLES: usize = 64;
 
-/// Norms of the adjoint of one flow.
+/// Norms of the adjoint of one flow: root mean squares over the samples.
 pub struct AdjointNorms {
     pub flow: Flow,
-    /// Norm at each state of the rollout. NaN at states before the step of a divergence.
+    /// Norm at each state of the rollout. NaN at states that a diverged reverse pass did not reach.
+    /// Empty if the rollout diverged.
     pub norms: Vec<f64>,
     /// First non-finite number.
     pub diverged: Option<Divergence>,
@@ -35,7 +36,7 @@ pub fn norms<F: Float>(
     let mut rollout = Rollout::new(task, policy, starts.len() / n);
     rollout.start(starts);
     let forward = rollout.run(task, policy, weights);
-    // Runs the flows separately: in a joint pass, a divergence of one would stop the other.
+    // Runs the flows separately: in a joint pass, a divergence of one flow ends both.
     [Flow::REGULAR, Flow::MODIFIED].map(|flow| {
         if let Err(divergence) = forward {
             return AdjointNorms { flow, norms: Vec::new(), diverged: Some(divergence) };

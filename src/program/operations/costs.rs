@@ -28,9 +28,9 @@ pub struct Storing {
 
 /// Memory of a rollout and its adjoint.
 pub struct Stored {
-    /// Bytes in their buffers.
+    /// Bytes in the buffers of the rollout and the adjoint.
     pub bytes: usize,
-    /// Allocations of a run after the first, unless it diverges.
+    /// Allocations of the second run. None if the first run diverges.
     pub allocations: Option<u64>,
 }
 
@@ -68,7 +68,8 @@ impl Storing {
     }
 }
 
-/// Allocations of the second run. The first run allocates the workspaces.
+/// Allocations of the second run, because the first run allocates the workspaces. None if the
+/// first run diverges.
 fn allocations_of_second_run<T>(mut run: impl FnMut() -> Result<T, Divergence>) -> Option<u64> {
     run().ok()?;
     Some(allocation_counter::measure(|| drop(run())).count_total)

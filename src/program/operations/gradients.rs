@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 /// Number of samples in the mean loss.
 const SAMPLES: usize = 4;
-/// Number of parameters at which gradients are compared with the reference.
+/// Largest number of gradient components that are compared with the reference.
 const CHOSEN: usize = 8;
 /// Relative perturbation of one rounding in f64.
 const ROUNDING: f64 = f64::EPSILON;
@@ -42,7 +42,8 @@ type Run = Box<dyn FnMut() + Send>;
 
 /// Result of a method.
 pub struct Derived {
-    /// All components, or those at the [`chosen`] parameters; or the message of a divergence.
+    /// All components, or those at the [`chosen`] parameters; or the message of a divergence. Empty
+    /// for [`GradientMethod::Forward`].
     pub gradient: Result<Vec<f64>, String>,
     /// Peak memory in bytes.
     pub bytes: usize,
@@ -52,19 +53,19 @@ pub struct Derived {
 }
 
 impl Derived {
-    /// Seconds for a whole gradient. Measures for at least `least` seconds and at least one call.
+    /// Seconds for a whole gradient. Calls `run` at least once, and until `least` seconds elapse.
     pub fn time(&mut self, least: f64) -> f64 {
         seconds_per_run(least, &mut self.run) * self.rounds
     }
 }
 
-/// Indices of the parameters that are compared with the reference, evenly spaced.
+/// Evenly spaced indices of the gradient components that are compared with the reference.
 pub fn chosen(count: usize) -> Vec<usize> {
     let chosen = CHOSEN.min(count);
     (0..chosen).map(|i| i * (count - 1) / (chosen - 1).max(1)).collect()
 }
 
-/// Parameters and initial states, rounded to f32, to be equal in every precision.
+/// Parameters and initial states, rounded to f32, so that they are equal in every precision.
 fn inputs(task: &dyn AnyTask<f32>, policy: &dyn AnyPolicy<f32>, seed: u64) -> (Vec<f64>, Vec<f64>) {
     let weights = Weights::init(policy, &mut stream(seed, Purpose::Policy, 0));
     let starts = initial_states(task, seed, Purpose::Test, SAMPLES);
@@ -144,7 +145,7 @@ fn derive<F: Float>(
                     let perturbed = theta[i].as_();
                     loss(&Weights::new(&*policy, theta)).map(|loss| (loss, perturbed))
                 };
-                // Divides by the distance of the two rounded parameters.
+                // Divides by the difference of the two rounded parameters.
                 Ok((side(step)?, side(-step)?)).map(|((above, right), (below, left))| (above - below) / (right - left))
             };
             // The peak includes the copies of the perturbed parameters.
@@ -208,7 +209,7 @@ pub struct Referring<'a> {
 /// Flows of the reference.
 pub const FLOWS: [Flow; 3] = [Flow::REGULAR, Flow::MODIFIED, Flow::STOPPED];
 
-/// Number of derivatives computed by [`Referring`].
+/// Largest number of derivatives that [`Referring`] computes.
 pub const REFERENCES: usize = FLOWS.len() * CHOSEN;
 
 impl Visit for Referring<'_> {

@@ -17,9 +17,9 @@ pub struct Memory {
 
 /// Memory of a run, in bytes.
 pub struct Needs {
-    /// For rollouts and gradients of a mini-batch, without recomputation.
+    /// Rollouts and gradients of a mini-batch, without recomputation.
     pub batch: f64,
-    /// For everything else.
+    /// Parameters, optimizer, data sets and the trajectories written at the end.
     pub rest: f64,
 }
 
@@ -34,8 +34,8 @@ impl Visit for Memory {
     }
 }
 
-/// Largest horizon whose bytes are counted; longer ones are extrapolated, because they are linear in
-/// the steps.
+/// Largest horizon whose bytes are counted. The bytes are linear in the number of steps, so those
+/// of longer horizons are extrapolated.
 const COUNTED_STEPS: usize = 10_000;
 
 impl Memory {
@@ -53,7 +53,8 @@ impl Memory {
     }
 }
 
-/// Memory limit of this process in bytes: of the machine or its control group. 32 GB if unknown.
+/// Memory limit of this process, in bytes: the smaller limit of the machine and the control group.
+/// 32 GB if both are unknown.
 pub fn of_this_machine() -> f64 {
     const UNKNOWN: f64 = 32e9;
     let limits = ["/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"];

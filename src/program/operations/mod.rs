@@ -25,14 +25,14 @@ pub trait Visit {
     fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Self::Out;
 }
 
-/// Result of `work`, and the peak of the bytes that this thread allocates meanwhile.
+/// Result of `work`, and the peak of the bytes that this thread allocates during the call.
 pub fn peak_bytes<T>(work: impl FnOnce() -> T) -> (T, usize) {
     let mut result = None;
     let info = allocation_counter::measure(|| result = Some(work()));
     (result.expect("`measure` runs the closure"), info.bytes_max as usize)
 }
 
-/// Seconds per call of `run`, over at least `least` seconds and one call.
+/// Mean seconds per call of `run`. Calls it at least once, and until `least` seconds elapse.
 pub fn seconds_per_run(least: f64, mut run: impl FnMut()) -> f64 {
     let (start, mut runs) = (Instant::now(), 0.0);
     while runs == 0.0 || start.elapsed().as_secs_f64() < least {

@@ -22,7 +22,7 @@ pub trait AnyRun {
     fn is_done(&self) -> bool;
     /// Records of the completed epochs.
     fn records(&self) -> &[Record];
-    /// Updates skipped in the last epoch.
+    /// Updates skipped in the current or last epoch. [`restore`](Self::restore) clears them.
     fn skips(&self) -> &[Skip];
     /// First non-finite value in the training and test evaluations of the last epoch.
     fn diverged(&self) -> [Option<Divergence>; 2];

@@ -28,7 +28,7 @@ pub struct Job {
     pub found: Result<Simulated, String>,
     /// States with zero control, `[sample][step]`. Empty if that rollout diverges.
     pub idle: Vec<Vec<Vec<f64>>>,
-    /// Operations of one control step and of its VJP for one adjoint.
+    /// Number of operations of one control step plus its VJP for one adjoint.
     pub operations: u64,
     /// Bytes of rollout and adjoint, per sample and step.
     pub bytes: f64,
@@ -40,13 +40,13 @@ pub struct Job {
 impl Job {
     /// Seconds per sample and step: forward, and forward with the adjoints of R and M.
     ///
-    /// Measures each for about `least` seconds.
+    /// Measures each pass for at least `least` seconds.
     pub fn time(&mut self, least: f64) -> [f64; 2] {
         [false, true].map(|gradient| seconds_per_run(least, || (self.run)(gradient)) / self.steps)
     }
 }
 
-/// Visitor that makes the job of a scene.
+/// Visitor that creates the job of a scene.
 pub struct Preparing {
     pub precision: Precision,
     pub seed: u64,

@@ -20,7 +20,7 @@ pub fn safetensors<F: Float>(about: String, policy: &dyn AnyPolicy<F>, theta: &[
         Ok((t.name, view))
     });
     let views: Vec<_> = views.collect::<Result<_, safetensors::SafeTensorError>>()?;
-    // A single entry keeps the output deterministic: the map has no fixed iteration order.
+    // Writes a single entry, because the iteration order of the map is not fixed.
     let about = [("about".to_owned(), about)].into_iter().collect();
     Ok(safetensors::serialize(views, Some(about))?)
 }

@@ -1,7 +1,8 @@
-//! Durable file operations: after a kill or a power loss, each write is either absent or complete.
+//! Durable file operations. After a kill or a power loss, each replacement of a file is either
+//! absent or complete.
 //!
-//! If the environment variable `PHYSGRAD_FILE_LOG` names a file, each operation is appended to it
-//! as one JSON line. The test of power loss replays every prefix of such a log.
+//! If the environment variable `PHYSGRAD_FILE_LOG` names a file, each operation appends one JSON
+//! line to it. The test of power loss replays every prefix of such a log.
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
@@ -34,12 +35,13 @@ pub fn replace(folder: &Path, name: &str, bytes: &[u8]) -> io::Result<File> {
 
 /// Name of a temporary file for a file.
 ///
-/// The name has a random part, because processes in different containers may share an id.
+/// The name contains a random part, because processes in different containers may have equal ids.
 fn temporary(name: &str) -> String {
     format!(".{name}.{}{:016x}.new", process::id(), RandomState::new().hash_one(name))
 }
 
-/// Name of the file that a temporary file of any process replaces.
+/// Name of the file that a temporary file replaces. None if the name is not that of a temporary
+/// file.
 pub fn replaced_by(temporary: &str) -> Option<&str> {
     let (name, process) = temporary.strip_prefix('.')?.strip_suffix(".new")?.rsplit_once('.')?;
     process.bytes().all(|byte| byte.is_ascii_hexdigit()).then_some(name)

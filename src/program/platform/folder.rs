@@ -1,4 +1,5 @@
-//! [`Folder`]: folder of a run. Files are replaced as a whole, so readers never see partial files.
+//! [`Folder`]: folder of a run. [`Folder::write`] replaces a file as a whole, so readers never see
+//! a partial file.
 
 use super::files;
 use super::lock::Locked;
@@ -100,7 +101,7 @@ impl Folder {
         self.name().contains(PREVIOUS)
     }
 
-    /// Sorted names of all files and folders in it, except the lock.
+    /// Sorted names of all files and folders in this folder, except the lock file.
     pub(super) fn entries(&self) -> Result<Vec<String>> {
         let read = || -> io::Result<Vec<String>> {
             let entries = fs::read_dir(&self.path)?;
@@ -112,7 +113,7 @@ impl Folder {
         Ok(names)
     }
 
-    /// Replaces a file. Readers find the old or the new one, even after a kill or a power loss.
+    /// Replaces a file. Readers find the old or the new file, even after a kill or a power loss.
     pub fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<()> {
         self.start(name, bytes).map(drop)
     }

@@ -47,7 +47,7 @@ impl Folder {
         Ok(None)
     }
 
-    /// Returns None if another process holds the lock.
+    /// Locks the folder. Returns None if another process holds the lock.
     fn try_lock(&self) -> Result<Option<Locked>> {
         loop {
             self.create()?;
@@ -145,7 +145,7 @@ impl Locked {
         bail!("the folder {path}, or {LOCK} in it, was removed or replaced during the run; leave both in place while it runs")
     }
 
-    /// Removes temporary files of processes that were killed.
+    /// Removes the temporary files of [`LOCKED_FILES`] that a killed process left behind.
     pub fn clean(&self) -> Result<()> {
         for name in self.entries()? {
             if files::replaced_by(&name).is_some_and(|name| LOCKED_FILES.contains(&name)) {
@@ -156,10 +156,11 @@ impl Locked {
         Ok(())
     }
 
-    /// Renames the folder if it contains an earlier run, and creates an empty one in its place.
+    /// Renames the folder if it contains an earlier run, and creates an empty folder in its place.
     ///
     /// # Errors
-    /// The folder contains other files too, or files of a run without [`SETTINGS`].
+    /// The folder contains a run together with other files, a comparison, or files of a run without
+    /// [`SETTINGS`]. The folder is the current folder, or cannot be renamed.
     pub fn without_run(self) -> Result<Self> {
         let path = self.path().to_owned();
         let (run, other): (Vec<String>, Vec<String>) =
@@ -197,7 +198,7 @@ impl Locked {
             name.push(format!("{PREVIOUS}{i}"));
             PathBuf::from(name)
         });
-        // `rename` never replaces a folder with contents. Replacing an empty one loses nothing.
+        // `rename` never replaces a folder with contents. Replacing an empty folder loses nothing.
         let mut aside = free.filter(|path| fs::symlink_metadata(path).is_err());
         let aside = aside.next().context("some number is free")?;
         let cannot = || format!("cannot move the run in {} aside; choose another folder with --out", path.display());
@@ -209,7 +210,7 @@ impl Locked {
     }
 }
 
-/// Returns whether this is a regular file with one name. Such a file can be overwritten safely.
+/// Returns whether this is a regular file with one name, which can be overwritten safely.
 fn is_plain_file(file: &Metadata) -> bool {
     #[cfg(unix)]
     let names = std::os::unix::fs::MetadataExt::nlink(file);

@@ -1,5 +1,4 @@
-//! Services of the operating system: files, folders and their locks, signals, threads, terminal,
-//! allocation counts.
+//! Services of the operating system: files, folders and their locks, signals, threads, terminal.
 //!
 //! Imports no other part of the program. Start with `folder`.
 

@@ -1,9 +1,9 @@
-//! Parallel map. The call of rayon is not generic, which limits monomorphization.
+//! Parallel map. Only a non-generic function calls rayon, which limits monomorphization.
 
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
-/// Maps every item in parallel and returns the results in order of the items.
+/// Maps the items in parallel. Returns the results in the order of the items.
 pub fn map<I: Sync, R: Send>(items: &[I], work: impl Fn(&I) -> R + Sync) -> Vec<R> {
     let results: Vec<Mutex<Option<R>>> = items.iter().map(|_| Mutex::new(None)).collect();
     for_each(items.len(), &|i| *results[i].lock().unwrap_or_else(PoisonError::into_inner) = Some(work(&items[i])));

@@ -21,7 +21,7 @@ pub fn exit_status(signal: u8) -> u8 {
     128 + signal
 }
 
-/// Installs the handlers: [`received`] returns the first signal, the second ends the process.
+/// Installs the handlers. [`received`] returns the first signal. A second signal ends the process.
 ///
 /// A signal that the parent process ignores, as `nohup` does, stays ignored.
 pub fn handle() -> Result<()> {
@@ -40,7 +40,7 @@ pub fn handle() -> Result<()> {
 
 /// Turns the signal of the file size limit into an error of `write`.
 pub fn ignore_file_limits() {
-    // Ignores errors: without the handler, the limit ends the process with a non-zero status.
+    // Ignores errors: without the handler, the signal ends the process with a non-zero status.
     #[cfg(unix)]
     let _ = flag::register(consts::SIGXFSZ, Arc::default());
 }

@@ -6,7 +6,7 @@ use std::io::{ErrorKind, Write};
 /// Prints the result of a command to standard output.
 ///
 /// # Errors
-/// The text cannot be written. A closed pipe, as of `head`, is not an error.
+/// The text cannot be written. A pipe that its reader closes, for example `head`, is not an error.
 pub fn say(text: &str) -> Result<()> {
     match writeln!(std::io::stdout(), "{text}") {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),

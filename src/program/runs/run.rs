@@ -29,11 +29,12 @@ pub trait Observer {
 #[derive(Clone, Copy)]
 pub struct EpochEvent<'a> {
     pub record: &'a Record,
-    /// Updates skipped since the start of the process.
+    /// Updates skipped in the epoch. Excludes updates of an earlier process.
     pub skips: &'a [Skip],
     /// First non-finite value in the training and test evaluations.
     pub diverged: [Option<Divergence>; 2],
-    /// Reasons why the gradients are unreliable, unless an earlier epoch reported them.
+    /// Reasons why the gradients are unreliable. Empty unless this epoch has more of them than
+    /// every earlier epoch of the process.
     pub warnings: &'a [String],
 }
 
@@ -48,9 +49,9 @@ pub enum End {
     Complete,
     /// A signal ended the run.
     Interrupted,
-    /// The run is in its state after the last complete epoch.
+    /// Training failed. The run has the state after the last complete epoch.
     Failed(TrainError),
-    /// Updates were attempted, but none was applied: until the end, or until the failure.
+    /// No update was applied, up to the end or the failure of the run.
     NoUpdate(Option<TrainError>),
 }
 
@@ -118,7 +119,7 @@ pub fn run(
         observer.resumed(done);
     }
     folder.clean()?;
-    // A folder with settings is a run. Without a checkpoint, the run is at its start.
+    // A folder with settings is a run. Without a checkpoint, it is before its first epoch.
     folder.write(SETTINGS, scene.table.to_string())?;
     let mut saver = Saver { folder, identity: &identity, metrics: None, save_every, last: Instant::now(), signal_seen: false };
     saver.save(&*run)?;
@@ -140,7 +141,8 @@ pub fn run(
             }
         }
         if let Some(record) = run.records().last().filter(|_| !within_epoch) {
-            // Reports each warning once per run, because its numbers differ in every epoch.
+            // Reports warnings only if they are more than in every earlier epoch. Their texts
+            // contain numbers that differ in every epoch.
             let warnings: Vec<String> = record.warnings(scene.horizon, scene.precision.epsilon());
             let is_new = warnings.len() > warned;
             warned = warned.max(warnings.len());
@@ -169,12 +171,12 @@ pub fn run(
 struct Saver<'a> {
     folder: &'a Locked,
     identity: &'a str,
-    /// None if the file has to be rewritten.
+    /// None if the next save has to rewrite the file.
     metrics: Option<Metrics>,
     save_every: Duration,
-    /// Time of the last attempt.
+    /// Time of the last attempt to save.
     last: Instant,
-    /// Whether a checkpoint was attempted after the signal that ends the run.
+    /// True once the run has attempted a checkpoint after the first signal.
     signal_seen: bool,
 }
 

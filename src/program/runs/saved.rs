@@ -18,7 +18,7 @@ pub fn has_run(folder: &Folder) -> bool {
 /// Folders of the run, or of all runs of the comparison, sorted by name.
 ///
 /// # Errors
-/// The folder contains no run, or several comparisons.
+/// Neither the folder nor its subfolder [`RUNS`] contains a run.
 pub fn runs(folder: &Folder) -> Result<Vec<Folder>> {
     if has_run(folder) {
         return Ok(vec![folder.clone()]);
@@ -38,7 +38,7 @@ pub fn runs(folder: &Folder) -> Result<Vec<Folder>> {
     }
 }
 
-/// Subfolders, sorted by name.
+/// Subfolders, sorted by name. Omits earlier runs that were moved aside.
 fn folders(path: &Path) -> Result<Vec<Folder>> {
     let context = || format!("cannot read the folder {}", path.display());
     let entries = std::fs::read_dir(path).with_context(context)?;
@@ -68,7 +68,8 @@ pub fn scene(folder: &Folder) -> Result<Scene> {
     source.scene()
 }
 
-/// Restores the saved state of a run. Without a checkpoint, the run stays at its start.
+/// Restores the saved state of a run. In a folder without checkpoint, metrics and policy, the run
+/// stays before its first epoch.
 pub fn restore(folder: &Folder, scene: &Scene, run: &mut dyn AnyRun) -> Result<()> {
     if [CHECKPOINT, METRICS, POLICY].into_iter().all(|name| !folder.has(name)) {
         return Ok(());

@@ -84,7 +84,7 @@ pub fn best(records: &[Record]) -> f64 {
 
 /// Quantile `q` in [0, 1] of ascending numbers, by linear interpolation (Hyndman and Fan, type 7).
 ///
-/// NaN, the loss of a failed run, ranks above every number, as in `total_cmp`.
+/// NaN stands for the loss of a failed run and ranks above every number, as [`sorted`] orders it.
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     let at = q * (sorted.len() - 1) as f64;
     let (below, above) = (sorted[at.floor() as usize], sorted[at.ceil() as usize]);
@@ -100,7 +100,7 @@ pub fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
 
 /// Mean over each value and up to `window - 1` before it.
 ///
-/// Non-finite values stay as they are and do not enter other means.
+/// Non-finite values stay unchanged and do not enter the means of other values.
 pub fn trailing_mean(values: &[f64], window: usize) -> Vec<f64> {
     let mean = |end: usize| {
         let finite = || values[(end + 1).saturating_sub(window)..=end].iter().filter(|value| value.is_finite());

@@ -17,7 +17,7 @@ use std::sync::Mutex;
 /// Runs of one training configuration with several fields and seeds.
 pub struct Comparison {
     runs: Vec<Run>,
-    /// Prefix in messages that distinguishes comparisons of one sweep. May be empty.
+    /// Prefix of messages, which distinguishes the comparisons of a sweep. May be empty.
     label: String,
 }
 
@@ -146,7 +146,7 @@ impl SweepOutcome {
     }
 }
 
-/// Trains all runs. A run that stops at a non-finite number counts as a result; the others
+/// Trains all runs. A run that fails at a non-finite number counts as a result, and the other runs
 /// continue.
 ///
 /// # Errors

@@ -53,7 +53,7 @@ impl Overrides {
 
     /// Applies the overrides to a scene that may already contain them.
     ///
-    /// Skips parts of `--without` that the scene does not contain.
+    /// Ignores names in `--without` that the scene does not contain.
     pub fn apply_again(&self, source: &mut SceneSource) -> Result<()> {
         let without = self.without.iter().filter(|name| source.has(name)).cloned().collect();
         Self { without, ..self.clone() }.apply(source)
@@ -75,7 +75,7 @@ pub fn set(source: &mut SceneSource, assignment: &str) -> Result<()> {
     if ["physgrad", "scene", "task"].contains(&key) {
         bail!("{option}: `{key}` defines the meaning of the other settings and cannot be set; edit the scene file");
     }
-    // Text that is not a TOML value is a string, because shells remove quotes.
+    // Reads text that is not a TOML value as a string, because shells remove quotes.
     let value = text.parse().unwrap_or_else(|_| Value::String(text.into()));
     source.put(key, value, &option)
 }

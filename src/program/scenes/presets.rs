@@ -67,7 +67,7 @@ pub fn source(name: &str) -> Result<SceneSource> {
 /// Name of the folder with the results of a preset or file.
 pub fn short_name(name: &str) -> String {
     let path = Path::new(name);
-    // The scene of a saved run has the name of its folder.
+    // Names the scene of a saved run after the folder of the run.
     let folder = path.parent().and_then(Path::file_name).filter(|_| path.ends_with(SETTINGS));
     match folder.or_else(|| path.file_stem()) {
         Some(stem) if is_path(name) => stem.to_string_lossy().into_owned(),

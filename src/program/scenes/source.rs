@@ -12,8 +12,7 @@ use std::path::Path;
 use toml::de::{DeTable, DeValue, Deserializer};
 use toml::{Table, Value};
 
-/// Largest size of a scene. A preset has about 2,000 bytes. Parsing takes up to 100 times as much
-/// memory.
+/// Largest size of a scene, in bytes. Parsing takes up to 100 times the memory of the text.
 const MAX_BYTES: usize = 1_000_000;
 
 /// Largest number of parts of a dotted key in an option. Keys of scenes have up to three.
@@ -22,7 +21,7 @@ const MAX_PARTS: usize = 8;
 /// Sections whose subsections may be absent.
 const OPTIONAL: [&str; 2] = ["effects", "actuator"];
 
-/// Settings of a scene file, with the overrides of the command line. Not yet validated.
+/// Unvalidated settings of a scene file, with the overrides of the command line.
 #[derive(Clone)]
 pub struct SceneSource {
     /// Name in messages.
@@ -159,7 +158,7 @@ impl SceneSource {
         let mut settings = spec.defaults();
         overlay(&mut settings, &self.table);
         if settings.get("physgrad").is_some_and(Value::is_str) {
-            // The version of a saved run does not matter: this version creates the scene.
+            // Replaces the version in the settings of a saved run: this version creates the scene.
             settings.insert("physgrad".into(), env!("CARGO_PKG_VERSION").into());
         }
         spec.scene(settings).map_err(|error| explain_foreign_effect(spec, error))
@@ -180,7 +179,7 @@ impl SceneSource {
     }
 }
 
-/// Rewords the error if the unknown key is an effect of another task.
+/// Replaces the error if the unknown key is an effect of another task.
 fn explain_foreign_effect(spec: &dyn AnyTaskSpec, error: ConfigError) -> ConfigError {
     let has = |spec: &dyn AnyTaskSpec| spec.effects().iter().any(|info| error.key == format!("effects.{}", info.name));
     match tasks::TASKS.into_iter().find(|other| has(*other)) {

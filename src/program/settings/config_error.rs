@@ -10,7 +10,7 @@ use std::ops::RangeInclusive;
 pub struct ConfigError {
     /// Dotted key: `system.dt`.
     pub key: String,
-    /// The value found and the values allowed.
+    /// Value found and values allowed.
     pub what: String,
 }
 

@@ -1,7 +1,7 @@
 //! Deserializes settings from TOML tables. Errors name the key.
 //!
-//! In place of `serde_path_to_error` around the deserializer of `toml`, which reads a list as a
-//! section and does not list the allowed values of a choice.
+//! Replaces `serde_path_to_error` around the deserializer of `toml`. That deserializer reads a list
+//! as a section, and its errors do not list the allowed values of a choice.
 
 use serde::de::{
     Deserialize, DeserializeSeed, Deserializer, Error, Expected, IntoDeserializer, MapAccess, SeqAccess, Unexpected, Visitor,

@@ -188,7 +188,7 @@ impl TaskSpec for CartPole {
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
         let effects = settings.effects.present();
         let system = CartPoleSystem { dt: system_dt(settings), ..settings.system.parameters() };
-        // Uses a separate type for the paper's system only, because each type costs compile time.
+        // Uses a separate type only for the paper's system, because each type adds compile time.
         match settings.system.model {
             Model::Uncoupled if effects.is_empty() && settings.actuator.is_empty() && settings.integrator.is_empty() => {
                 swing_up(system, settings, visitor)

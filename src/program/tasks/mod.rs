@@ -62,7 +62,7 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     /// Checks the sections `system`, `effects` and `loss`.
     ///
     /// # Errors
-    /// A value is out of range, or no part of the task reads a setting.
+    /// A value is out of range, or a setting has no effect in this task.
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError>;
     /// Calls the visitor with the task and the policy of these settings.
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out;

@@ -208,8 +208,8 @@ impl TaskSpec for Quantum {
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
         let system = settings.physics();
         let effects = settings.effects.list(&system);
-        // Uses one type in all scenes: an empty list of effects costs little next to the
-        // tridiagonal solve. Absorbing edges of width 0 multiply nothing.
+        // Uses one type in all scenes: an empty list of effects costs little compared with the
+        // tridiagonal solve. Absorbing edges of width 0 leave the state unchanged.
         let edges = settings.effects.absorbing_edges.unwrap_or(AbsorbingEdges { width: 0.0, strength: 0.0 });
         let count = settings.integrator.count();
         let system = QuantumSystem { dt: system.dt / count as f64, ..system };

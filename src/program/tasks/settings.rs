@@ -107,7 +107,7 @@ impl<K: TaskSpec> Settings<K> {
         let samples = batch.min(train_samples);
         let Needs { batch: whole, rest } =
             self.visit(Memory { precision: self.precision, samples, start_states: train_samples + test_samples });
-        // With a budget, steps that do not fit are recomputed.
+        // With a budget, the reverse pass recomputes the steps that do not fit.
         let batch = self.training.budget().map_or(whole, |budget| whole.min(budget as f64));
         let (needed, most) = (batch + rest, memory::of_this_machine());
         if needed > most {

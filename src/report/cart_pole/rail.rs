@@ -48,7 +48,8 @@ impl Bumpers {
         self.half_travel + self.spring + (HALF_CART + POST) * self.unit
     }
 
-    /// Shapes of both bumpers; the cart pushes a pad that it presses.
+    /// Shapes of both bumpers, with the cart at `x`. Beyond the point of contact, the cart pushes a
+    /// pad outward.
     pub fn shapes(&self, x: f64, camera: f64) -> Vec<Shape> {
         [-1.0, 1.0].into_iter().flat_map(|side| self.one(side, self.half_travel.max(side * x), camera)).collect()
     }

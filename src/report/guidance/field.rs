@@ -23,7 +23,8 @@ impl Field {
         Self { obstacles: self.obstacles.iter().filter(round).copied().collect(), walls }
     }
 
-    /// Corners of the bounding boxes of obstacles and walls that lie within `limit` of the axes.
+    /// Corners of the bounding boxes of obstacles and walls. Omits a box if the magnitude of a
+    /// corner coordinate exceeds `limit`.
     pub(super) fn corners(&self, limit: f64) -> Vec<[f64; 2]> {
         let around = |([x, y], [w, h]): ([f64; 2], [f64; 2])| [[x - w, y - h], [x + w, y + h]];
         let obstacles = self.obstacles.iter().map(|&(center, radius)| (center, [radius; 2]));

@@ -6,7 +6,7 @@ use crate::report::axes::{Axes, text, ticks};
 
 const POTENTIAL: &str = "#9AA0A8";
 const BELOW: &str = "#ECEEF1";
-/// Translucent, because it also covers the density map.
+/// Colour of the absorbing edges: translucent, because they also cover the density map.
 const ABSORBING: &str = "rgba(86,180,233,0.3)";
 
 /// Potential and absorbing edges that [`quantum_in`](super::quantum_in) draws.

@@ -56,7 +56,7 @@ fn tables(style: TableStyle, methods: &[Derivative], checkpoints: &[Checkpoint],
             (of(Precision::F32), of(Precision::F64));
         vec![method.to_string(), single, signs, single_time, single_bytes, double, double_time, double_bytes]
     };
-    // A divergence without a budget also occurs with one.
+    // A rollout that diverges without a budget also diverges with one.
     let diverged = checkpoints.first().is_some_and(|row| row.same.is_err());
     let checkpoint = |row: &Checkpoint| {
         let same = match &row.same {

@@ -17,11 +17,11 @@ use toml::Value;
 
 /// Step sizes of central differences.
 const STEPS: [f64; 10] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10];
-/// Timing rounds, and the least time in seconds per round for each method.
+/// Number of timing rounds, and the minimum time per round for each method, s.
 const ROUNDS: usize = 5;
 const MIN_TIME: f64 = 0.01;
-/// Least horizon of the checkpoint measurements, and the divisors of the full memory that give the
-/// budgets.
+/// Minimum horizon of the checkpoint measurements. The budgets are the full memory divided by each
+/// divisor.
 const CHECKPOINTED: usize = 1024;
 const PARTS: [u64; 4] = [1, 2, 4, 8];
 /// Memory budget, in bytes, of a rollout at any horizon.
@@ -73,7 +73,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
         derived.push(study.scene.derive(*precision, *method));
         bar.inc(1);
     }
-    // Interleaves the methods, so that disturbances of the machine affect all of them.
+    // Interleaves the methods, so that other load on the machine affects all of them.
     let mut times = vec![Vec::new(); methods.len()];
     for round in 0..ROUNDS {
         bar.set_message(format!("round {} of {ROUNDS}", round + 1));
@@ -84,7 +84,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
             bar.inc(1);
         }
     }
-    // Takes all components from f64, whose error the reference bounds at the chosen parameters.
+    // Compares signs with the gradient in f64: the reference contains only the chosen components.
     let full = |field: Field| {
         let found = methods.iter().position(|method| *method == (reverse(field, None), Precision::F64));
         found.and_then(|i| derived[i].gradient.as_ref().ok())
@@ -114,8 +114,8 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
 fn with_horizon(study: &Study, horizon: usize) -> Result<Scene> {
     let mut source = study.source.clone();
     source.put("horizon", Value::Integer(horizon as i64), "accuracy --gradients")?;
-    // Sets a memory budget: without one, long horizons would be rejected because a mini-batch does
-    // not fit.
+    // Sets a memory budget. Without one, validation rejects a horizon whose mini-batch does not
+    // fit into memory.
     source.put("training.memory", Value::String("1GB".into()), "accuracy --gradients")?;
     source.scene()
 }
@@ -143,7 +143,7 @@ fn checkpoints(study: &Study, bar: &ProgressBar) -> Result<Vec<Checkpoint>> {
     Ok(PARTS.into_iter().zip(jobs).zip(times).map(checkpoint).collect())
 }
 
-/// R in f32 and f64 over the horizons.
+/// Errors of R in f32 and f64 at each horizon.
 fn along(study: &Study, horizons: &[usize], bar: &ProgressBar) -> Result<Vec<Horizon>> {
     let scenes = horizons.iter().map(|&horizon| with_horizon(study, horizon)).collect::<Result<Vec<Scene>>>()?;
     bar.set_message("horizons");
@@ -155,7 +155,7 @@ fn along(study: &Study, horizons: &[usize], bar: &ProgressBar) -> Result<Vec<Hor
         bar.inc(1);
         gradient
     };
-    // Starts with the longest horizons to balance the load.
+    // Lists the longest horizons first to balance the load.
     let jobs: Vec<_> = jobs.into_iter().rev().collect();
     let mut gradients: Vec<Result<Vec<f64>, String>> = parallel::map(&jobs, |&job| run(job));
     gradients.reverse();
@@ -173,9 +173,9 @@ pub fn parse(horizons: &[usize]) -> Result<Vec<usize>> {
     Ok(horizons)
 }
 
-/// Components of a gradient at the parameters of the reference.
+/// Components of a gradient at the [`chosen`] parameters.
 pub fn at_chosen(gradient: &[f64], reference: usize) -> Vec<f64> {
-    // Methods that differentiate one parameter at a time return only these components.
+    // Methods that differentiate by one parameter at a time return only these components.
     if gradient.len() == reference {
         gradient.to_vec()
     } else {

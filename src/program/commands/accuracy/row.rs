@@ -60,9 +60,9 @@ pub struct Errors {
     /// component.
     pub trajectory: f64,
     pub loss: f64,
-    /// Relative errors of the gradients of R and M, in the Euclidean norm.
+    /// Relative errors of the gradients R and M, in the Euclidean norm.
     pub gradients: [f64; 2],
-    /// Share of parameters whose sign is correct in R and M.
+    /// Shares of the components of R and M that have the correct sign.
     pub signs: [f64; 2],
 }
 

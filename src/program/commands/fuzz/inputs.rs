@@ -97,7 +97,7 @@ fn damage_bytes(rng: &mut Rng, bytes: &mut Vec<u8>) {
     match rng.random_range(0..5) {
         0 => bytes.truncate(at.max(1)),
         1 => bytes.insert(at, rng.random()),
-        // AdjointNorms are encoded in several bytes; all but the last have the highest bit set.
+        // A length is encoded in several bytes. All bytes but the last have the highest bit set.
         2 => bytes.splice(at..at, [0xff; 9]).for_each(drop),
         _ => bytes[at] = rng.random(),
     }
@@ -201,8 +201,8 @@ static CHECKPOINTS: LazyLock<Vec<(OptimizerKind, Vec<u8>)>> = LazyLock::new(|| {
     checkpoints.collect()
 });
 
-/// Restores a damaged checkpoint with a valid checksum, and trains for an epoch. On an error, checks
-/// that the session is unchanged.
+/// Restores a damaged checkpoint with a valid checksum, and trains for an epoch. On an error,
+/// checks that the session is unchanged.
 fn checkpoint(number: u64, outcomes: &mut Outcomes) {
     let rng = &mut numbers_of(number);
     let (rule, good) = one_of(rng, &CHECKPOINTS);

@@ -12,7 +12,7 @@ const EPOCH: &str = "epoch";
 const STEP: &str = "step of the rollout";
 const NORM: &str = "norm of the adjoint";
 
-/// Charts over epochs, for one run or several.
+/// Charts of gradient quantities against epochs, for one run or several.
 pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
     let by_epoch =
         |value: fn(&Record) -> f64| lines(runs, |run: &Outcome| run.records.iter().map(|r| (r.epoch as f64, value(r))).collect());

@@ -105,7 +105,7 @@ struct Data<'a> {
 struct Line<'a> {
     label: &'a str,
     color: &'a str,
-    /// x and y, followed by the limits of the band if there is one.
+    /// x and y, followed by the limits of the band, if any.
     points: Vec<Vec<f64>>,
 }
 

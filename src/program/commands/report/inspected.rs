@@ -33,7 +33,7 @@ pub struct Inspected {
 pub enum End {
     Done,
     Interrupted,
-    /// Error that stops the next epoch.
+    /// Error that ends the next epoch.
     Failed(String),
 }
 
@@ -75,7 +75,7 @@ pub fn inspect(folders: &[Folder]) -> Result<Vec<Inspected>> {
     for run in &runs {
         check_comparable(&runs[0], run)?;
     }
-    // Default order of fields in `compare`.
+    // Sorts the fields in the default order of `compare`.
     runs.sort_by_key(|(_, scene)| ("RMSCN".find(scene.field.0.letter()), scene.seed));
     let first = |i: usize| i == 0 || runs[i - 1].1.field != runs[i].1.field;
     let all: Vec<(usize, &(&Folder, Scene))> = runs.iter().enumerate().collect();
@@ -122,8 +122,8 @@ fn open(folder: &Folder, scene: &Scene, with_rollouts: bool) -> Result<Inspected
     })
 }
 
-/// Determines how the run ended. A checkpoint does not record an error, but training is
-/// deterministic: the next epoch fails again.
+/// Determines how the run ended. A checkpoint does not record an error, so this function trains
+/// the next epoch: training is deterministic, and a failed run fails again.
 fn end(run: &mut dyn AnyRun, epochs: usize) -> End {
     if run.records().len() >= epochs {
         return End::Done;

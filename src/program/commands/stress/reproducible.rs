@@ -35,7 +35,8 @@ fn scene(name: &str, overrides: &[(&str, Value)]) -> Result<Scene> {
     source.scene()
 }
 
-/// Trained parameters, serialized, and the records of all epochs without times.
+/// Trains to the last epoch. Returns the serialized parameters, and the records of all epochs with
+/// times set to 0.
 fn trained(mut run: Box<dyn AnyRun>) -> Result<(Vec<u8>, Vec<Record>)> {
     while !run.is_done() {
         run.advance(&|| false)?;
@@ -44,7 +45,8 @@ fn trained(mut run: Box<dyn AnyRun>) -> Result<(Vec<u8>, Vec<Record>)> {
     Ok((run.safetensors(String::new())?, records.collect()))
 }
 
-/// As [`trained`], but resumed after some epochs in a session with another number of workers.
+/// Returns the results of [`trained`], but resumes after some epochs in a session with another
+/// number of workers.
 fn resumed(scene: &Scene, after: usize) -> Result<(Vec<u8>, Vec<Record>)> {
     let (mut first, mut second) = (scene.open(1)?, scene.open(2)?);
     for _ in 0..after {
