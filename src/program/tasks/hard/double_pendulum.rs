@@ -20,7 +20,7 @@ pub struct DoublePendulum;
 pub struct DoublePendulumSettings {
     /// Masses at the ends of the two rods, kg.
     masses: [f64; 2],
-    /// AdjointNorms of the two rods, m.
+    /// Lengths of the two rods, m.
     lengths: [f64; 2],
     /// Gravitational acceleration, m/s².
     gravity: f64,
