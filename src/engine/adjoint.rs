@@ -99,8 +99,8 @@ enum Carried<F: Float> {
 impl<F: Float> Adjoint<F> {
     /// Allocates a workspace for the gradients of one or two flows.
     ///
-    /// Two flows share one pass through the physics, which always evaluates `∂S/∂x`. A workspace for
-    /// N or S alone omits it.
+    /// Two flows share one pass through the physics, which always evaluates `∂S/∂x`. A workspace
+    /// for N or S alone omits it.
     ///
     /// # Panics
     /// If `flows` does not have one or two elements, or `rollout` has no tape.
@@ -163,7 +163,8 @@ impl<F: Float> Adjoint<F> {
     /// Each is the root mean square over the samples of ‖λ_t‖, for the loss of one sample. It
     /// measures how strongly later costs depend on a state, along the paths of the flow. λ_t
     /// contains the costs after `x_t`, not the stage cost at `x_t`. λ_T is the gradient of the
-    /// terminal cost, or 0 without a terminal cost. Steps that a diverged run did not reach are NaN.
+    /// terminal cost, or 0 without a terminal cost. Steps that a diverged run did not reach are
+    /// NaN.
     ///
     /// # Panics
     /// Without [`keep_norms`](Adjoint::keep_norms).
@@ -192,7 +193,8 @@ impl<F: Float> Adjoint<F> {
 
     /// Runs the recursion backwards through `rollout`.
     ///
-    /// All cotangents are multiplied by `scale`. Use 1 / batch size for the gradient of a batch mean.
+    /// All cotangents are multiplied by `scale`. Use 1 / batch size for the gradient of a batch
+    /// mean.
     ///
     /// # Errors
     /// [`Divergence`] if a cotangent is not finite.

@@ -49,8 +49,8 @@ impl<F: Float> Batch<F> {
     /// At most `workers` workers share a mini-batch. All steps are stored.
     ///
     /// # Panics
-    /// If `samples` or the horizon is 0, `flows` does not have one or two elements, or the shapes of
-    /// task and policy differ.
+    /// If `samples` or the horizon is 0, `flows` does not have one or two elements, or the shapes
+    /// of task and policy differ.
     #[track_caller]
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], workers: usize) -> Self {
         Self::scheduled(task, policy, samples, flows, workers, Schedule::store_all(task.horizon()))
@@ -58,8 +58,8 @@ impl<F: Float> Batch<F> {
 
     /// Allocates a workspace of at most `budget` bytes, over all workers.
     ///
-    /// The schedule recomputes at most 1 % of the horizon more steps than the minimum. Gradients are
-    /// bitwise equal to those of [`new`](Batch::new).
+    /// The schedule recomputes at most 1 % of the horizon more steps than the minimum. Gradients
+    /// are bitwise equal to those of [`new`](Batch::new).
     ///
     /// # Errors
     /// [`MemoryError`] if no schedule fits.
@@ -194,8 +194,8 @@ impl<F: Float> Batch<F> {
         &self.gradients
     }
 
-    /// Enables or disables the measurement of growth, which evaluates the cost gradients of each step
-    /// a second time.
+    /// Enables or disables the measurement of growth, which evaluates the cost gradients of each
+    /// step a second time.
     pub fn measure(&mut self, measured: bool) {
         self.measured = measured;
         self.workers.iter_mut().for_each(|worker| worker.rollout.measure(measured));
@@ -248,7 +248,8 @@ struct Evaluator<F: Float> {
 }
 
 impl<F: Float> Evaluation<F> {
-    /// Allocates a workspace for data sets of any size, split over `workers` workers (at least one).
+    /// Allocates a workspace for data sets of any size, split over `workers` workers (at least
+    /// one).
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, workers: usize) -> Self {
         let evaluator =
             || Evaluator { rollout: Rollout::for_evaluation(task, policy, EVALUATED), costs: Vec::new(), outcome: Ok(()) };

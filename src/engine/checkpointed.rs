@@ -134,8 +134,8 @@ impl<F: Float> Checkpointed<F> {
     /// [`Divergence`] if a number is not finite. The gradients are then invalid.
     ///
     /// # Panics
-    /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples, if `group` is
-    /// 0, or if `gradients` has too few groups.
+    /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples, if `group`
+    /// is 0, or if `gradients` has too few groups.
     #[track_caller]
     #[allow(clippy::too_many_arguments)]
     pub fn run(

@@ -78,7 +78,8 @@ impl Divergence {
         self
     }
 
-    /// Sort key: the pass, then the time in the direction of the pass, then the sample or parameter.
+    /// Sort key: the pass, then the time in the direction of the pass, then the sample or
+    /// parameter.
     pub(crate) fn order(&self) -> (u8, usize, usize) {
         match *self {
             // The control at step t lies between the states at steps t and t + 1.

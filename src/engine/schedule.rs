@@ -68,7 +68,8 @@ impl Schedule {
     /// Uses the shortest segments and at most `checkpoints` checkpoints, including the initial
     /// state.
     ///
-    /// If each step is recomputed at most `r` times, memory grows as the `r`-th root of the horizon.
+    /// If each step is recomputed at most `r` times, memory grows as the `r`-th root of the
+    /// horizon.
     #[track_caller]
     pub fn binomial(horizon: usize, checkpoints: usize) -> Self {
         Self::new(horizon, UNIT, checkpoints)
@@ -111,8 +112,8 @@ impl Schedule {
 
 /// Returns β(s, r) = C(s + r, s), saturating at 2^62.
 ///
-/// β is the largest number of segments that can be reversed with `s` checkpoints, if each segment is
-/// recomputed at most `r` times.
+/// β is the largest number of segments that can be reversed with `s` checkpoints, if each segment
+/// is recomputed at most `r` times.
 fn reach(s: u64, r: u64) -> u64 {
     const HUGE: u128 = 1 << 62;
     let (few, many) = (s.min(r) as u128, s.max(r) as u128);
