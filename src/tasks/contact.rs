@@ -15,17 +15,17 @@ use crate::numbers::scalar::Scalar;
 /// Contact model of two bodies.
 ///
 /// A naive step that reflects the speed below the floor (`v ← -e v` where `h < 0`) converges as dt
-/// → 0, but its derivative does not. Raising the initial height by δ raises all later heights by δ.
-/// In truth, the ball arrives later and is lower by `e δ`. Springs that the time step does not
-/// resolve have the same defect.
+/// → 0, but its derivative does not. By this derivative, raising the initial height by δ raises all
+/// later heights by δ. By the exact one (without gravity), the ball arrives later and is lower by
+/// `e δ` afterwards. Springs that the time step does not resolve have the same defect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Contact {
     /// Exact impact at the time of contact within the step.
     ///
     /// At the impact, the speed of the gap is multiplied by `-restitution`, and the remainder of
-    /// the step continues from there. States and derivatives are exact for any dt. This includes
-    /// the derivative with respect to the impact time ("saltation": Hiskens and Pai 2000,
-    /// doi:10.1109/81.828574).
+    /// the step continues from there. With at most four impacts per step, states and derivatives
+    /// are exact for any dt. This includes the derivative with respect to the impact time
+    /// ("saltation": Hiskens and Pai 2000, doi:10.1109/81.828574).
     ///
     /// A step may contain infinitely many impacts (Zeno). Four are computed. At a fifth, the gap
     /// closes and stays at rest until it is pulled apart. This discards bounces lower than
@@ -46,11 +46,12 @@ pub enum Contact {
     /// is proportional to the duration of the contact, `π sqrt(m / stiffness)`, where m is the
     /// reduced mass. Steps of length dt need `stiffness dt² < 4 m`.
     ///
-    /// Derivatives converge much later. The time of contact within a step changes the later speed
-    /// by a fraction of about `stiffness dt² / m`. The derivative of that speed with respect to
-    /// position therefore has an error of about `stiffness dt / m`. Even with 60 steps per contact,
-    /// derivatives differ completely from those of the impact, the more the stiffer the spring.
-    /// They converge only if `stiffness dt / m` is small relative to them.
+    /// Derivatives need much smaller time steps. The time of contact within a step changes the
+    /// later speed by a fraction of about `stiffness dt² / m`. The derivative of that speed with
+    /// respect to position therefore has an error of about `stiffness dt / m`. Even with 60 steps
+    /// per contact, derivatives differ completely from those of the impact. The difference grows
+    /// with the stiffness. Derivatives converge only if `stiffness dt / m` is small
+    /// relative to them.
     ///
     /// With damping, restitution depends on the speed, and so do the derivatives. They do not
     /// converge to those of a constant restitution at any stiffness.

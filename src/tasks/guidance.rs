@@ -40,7 +40,7 @@ any_effect! {
     GuidanceEffect of GuidanceSystem: Friction, Spread, Evade, Flock, Drive, Obstacles, Walls
 }
 
-/// System of the paper.
+/// Guidance system with the effects of the paper.
 pub type Herding = Forced<GuidanceSystem, (Friction, Spread, Evade, Flock)>;
 
 impl GuidanceSystem {
@@ -62,7 +62,7 @@ impl GuidanceSystem {
 pub struct Guidance<S = Herding> {
     /// System to control.
     pub system: S,
-    /// States whose positions count in the loss. Controls always count.
+    /// States whose positions enter the loss. Controls always enter.
     pub loss: LossMode,
     /// Weight of the mean squared control, in m² s⁴. The mean is over all steps, drivers and their
     /// two components.

@@ -12,8 +12,8 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
 
-/// Any of the small hard tasks. As a [`System`], it is the outlined physics of the task. [`Hard`]
-/// is the task, with anything around the physics.
+/// Any of the small hard tasks. As a [`System`], it is the physics of the task, with outlined
+/// steps. [`Hard`] is the task.
 #[derive(Clone, Debug, PartialEq)]
 pub enum AnyHard {
     /// Linear-quadratic regulator: [`Lqr`].
@@ -30,7 +30,7 @@ pub enum AnyHard {
     Push(Push),
 }
 
-/// Evaluates the same expression for each variant.
+/// Evaluates an expression for the task of any variant.
 macro_rules! whichever {
     ($any:expr, $task:ident => $work:expr) => {
         match $any {
@@ -88,7 +88,8 @@ impl HasModel<AnyHard> for AnyHard {
     fn start_extra(&self, _rng: &mut Rng, _x: &mut [f64]) {}
 }
 
-/// One of the small hard tasks, with anything around its physics.
+/// Any of the small hard tasks. `S` is any system around an [`AnyHard`]: alone, or behind an
+/// actuator.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hard<S = AnyHard> {
     /// System to control.

@@ -27,8 +27,8 @@ impl LinearPlant {
     /// `state_dim × control_dim`.
     ///
     /// # Panics
-    /// If A is not `state_dim × state_dim`, or the size of B is not a positive multiple of
-    /// `state_dim`.
+    /// If `state_dim` is 0, A is not `state_dim × state_dim`, or the size of B is not a positive
+    /// multiple of `state_dim`.
     #[track_caller]
     pub fn new(state_dim: usize, a: Vec<f64>, b: Vec<f64>) -> Self {
         let (n, of_a, of_b) = (state_dim, a.len(), b.len());

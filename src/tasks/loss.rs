@@ -1,4 +1,4 @@
-//! [`LossMode`]: the states that count in a loss.
+//! [`LossMode`]: the states that enter a loss.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,5 +1,5 @@
 //! Simple tasks of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024).
-//! They are simple enough to draw the vector fields.
+//! Their vector fields can be drawn.
 
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;

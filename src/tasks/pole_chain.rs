@@ -12,7 +12,7 @@ use factor::{factor, solve};
 /// predecessor.
 ///
 /// State, control and parameters are those of [`CartPoleSystem`]: `[x, ẋ, θ₁, ω₁, θ₂, ω₂, …]`, the
-/// lowest pole first. Each angle is measured from upright. `dt` is unused, because an
+/// pole on the cart first. Each angle is measured from upright. `dt` is unused, because an
 /// [`Integrator`](crate::Integrator) makes the steps.
 ///
 /// The n poles have mass m, half length l and inertia m l²/3 about their middle. M is the mass of
@@ -57,7 +57,7 @@ impl PoleChain {
     /// Largest number of poles. Buffers of a step are on the stack.
     pub const MOST_POLES: usize = 20;
 
-    /// Checks that the masses and the number of poles are valid.
+    /// Checks that the masses, the half length and the number of poles are valid.
     ///
     /// # Errors
     /// Returns a [`MassError`] for the first invalid parameter.
@@ -101,7 +101,7 @@ impl PoleChain {
         self.0.pole_mass * self.0.half_length * self.0.half_length * (own + 4.0 * above)
     }
 
-    /// Computes the accelerations in place: returning a full-capacity array would copy its whole
+    /// Computes all terms in an empty `motion`. Returning a [`Motion`] would copy its whole
     /// capacity.
     #[inline(always)]
     fn move_on<T: Scalar>(&self, x: &[T], u: &[T], motion: &mut Motion<T>) {

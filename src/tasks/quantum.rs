@@ -57,7 +57,7 @@ pub struct Quantum<S = QuantumSystem> {
     /// Number of the target eigenstate, from 1 (the ground state) to the number of grid points.
     /// (The paper counts from 0.)
     pub target: usize,
-    /// States that count in the loss. [`LossMode::Terminal`]: infidelity of the last state.
+    /// States that enter the loss. [`LossMode::Terminal`]: infidelity of the last state.
     /// [`LossMode::Running`]: sum of the infidelity over all states after the initial one, between
     /// 0 and the horizon.
     pub loss: LossMode,
@@ -127,8 +127,8 @@ impl<S: HasModel<QuantumSystem>> Task for Quantum<S> {
     /// times the weights; the phases p are uniform.
     ///
     /// # Panics
-    /// If the weights are zero, non-finite, or so large or small that the state cannot be
-    /// normalized.
+    /// If both weights are zero, one is non-finite, or they are so large or small that the state
+    /// cannot be normalized.
     fn start(&self, rng: &mut Rng, x: &mut [f64]) {
         let amplitudes = self.weighting.map(|weight| {
             let draw: f64 = StandardNormal.sample(rng);

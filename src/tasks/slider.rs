@@ -94,9 +94,9 @@ impl SliderSystem {
     /// Returns the root z of `z + b tanh(z/ε) = w`, with `b = dt μ g`, and dz/dw.
     ///
     /// In `y = |z|/ε`, the left side `ε y + b tanh y` is increasing and concave. Started below the
-    /// root, Newton's iteration therefore converges monotonically and needs no safeguard. Steps are
-    /// clamped at 0, because rounding could otherwise move y back into the saturated range of tanh.
-    /// The initial value is the larger of two lower bounds, from `tanh y ≤ y` and `tanh y ≤ 1`.
+    /// root, Newton's iteration therefore converges monotonically and needs no safeguard.
+    /// Increments of y are clamped at 0, because rounding could otherwise make them negative. The
+    /// initial value is the larger of two lower bounds, from `tanh y ≤ y` and `tanh y ≤ 1`.
     ///
     /// The iteration uses plain values. Dual numbers receive the derivative by the implicit
     /// function theorem, `dz/dw = ε / (ε + b (1 - tanh² y))`.
@@ -115,8 +115,8 @@ impl SliderSystem {
     }
 }
 
-/// Computes tanh with an accurate derivative. Dual numbers use `1 - tanh²`, whose rounding error
-/// `dt μ g/ε` amplifies.
+/// Computes tanh with an accurate derivative. The derivative of dual numbers would be `1 - tanh²`.
+/// The factor `dt μ g/ε` would amplify its rounding error.
 #[inline(always)]
 fn tanh<T: Scalar>(y: T) -> T {
     let at = y.detach();
@@ -168,8 +168,8 @@ impl System for SliderSystem {
 /// Task to stop the block at the origin. The terminal cost is `x² + speed_weight v²`, in m². The
 /// push carries no cost.
 ///
-/// Initial positions lie within 1 m of the origin, speeds within ±2 m/s. Friction alone stops the
-/// block elsewhere.
+/// Initial positions lie within 1 m of the origin, speeds within ±2 m/s. Without control, friction
+/// stops the block away from the origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Slider {
     /// System to control.
@@ -181,7 +181,7 @@ pub struct Slider {
 }
 
 impl Default for Slider {
-    /// Returns a horizon of 1 s.
+    /// Returns the task for the default block, with a horizon of 1 s.
     fn default() -> Self {
         Self { system: SliderSystem::default(), speed_weight: 0.1, horizon: 100 }
     }

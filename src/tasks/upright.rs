@@ -11,9 +11,9 @@ use std::f64::consts::PI;
 
 /// Task to swing up or balance, with the mean of `1 - cos θ` over the angles as loss.
 ///
-/// The loss lies between 0 (all upright) and 2 (all hanging). It counts at the end or as a mean
-/// over time, as in [`CartPole`](crate::tasks::CartPole). The mean over time of `control_weight
-/// |u|²/2` is added.
+/// This mean lies between 0 (all upright) and 2 (all hanging). It is evaluated at the last
+/// state or averaged over time, as in [`CartPole`](crate::tasks::CartPole). The mean over time of
+/// `control_weight |u|²/2` is added.
 ///
 /// The angles are every second component of the state, starting at
 /// [`first_angle`](Upright::first_angle).
@@ -25,9 +25,10 @@ pub struct Upright<S> {
     pub first_angle: usize,
     /// Center of the initial angles, rad: 0 upright, π hanging.
     pub from: f64,
-    /// Largest initial deviation of every component from the center, rad and SI units.
+    /// Largest initial deviation of every component, SI units: of angles from `from`, of others
+    /// from 0.
     pub spread: f64,
-    /// States that count in the loss.
+    /// States that enter the loss.
     pub loss: LossMode,
     /// Weight of the control in the loss.
     pub control_weight: f64,
@@ -35,7 +36,7 @@ pub struct Upright<S> {
     pub horizon: usize,
 }
 
-/// ODE with the classical Runge-Kutta method.
+/// ODE integrated by a Runge-Kutta method.
 type Stepped<O> = Integrated<O, RungeKutta>;
 
 impl<S> Upright<S> {

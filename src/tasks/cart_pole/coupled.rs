@@ -146,11 +146,11 @@ impl CoupledCartPole {
         a
     }
 
-    /// Reverse of [`accelerate`](Self::accelerate). Writes `x_bar`, if requested, and returns the
-    /// cotangent of the control.
+    /// Reverse of [`accelerate`](Self::accelerate). Writes the pole components of `x_bar`, if
+    /// requested, and adds the cotangents due to effects. Returns the cotangent of the control.
     ///
     /// `pole_bar(i, x_bar)` returns the cotangents of angle and rate of pole `i` that do not pass
-    /// through α_i, and the cotangent of α_i. `x_bar` receives the sum of all contributions.
+    /// through α_i, and the cotangent of α_i. The cart components of `x_bar` are set before.
     #[inline(always)]
     fn accelerate_reverse<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
         &self,
@@ -165,7 +165,7 @@ impl CoupledCartPole {
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
         self.0.forces(effects, x, u, &mut trig, &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
-        // Every α_i = (τ_i - m l cos θ_i ẍ) / J depends on ẍ as well.
+        // Add the cotangents of ẍ that pass through the α_i = (τ_i - m l cos θ_i ẍ) / J.
         let poles = zip(zip(self.0.poles_of(x), &trig), &forces[1..]);
         for (i, ((pole, &[sin, cos]), &torque)) in poles.clone().enumerate() {
             let lever = k.moment * cos;
@@ -187,8 +187,8 @@ impl CoupledCartPole {
             forces_bar.push(torque_bar);
             if let Some(x_bar) = &mut x_bar {
                 let sin_bar = torque_bar * k.weight + push_bar * (k.moment * omega * omega);
-                // The cosine enters α, the push, and the mass twice. The cotangent of the mass is
-                // -ẍ times that of the push.
+                // The cosine enters α and the push linearly, and the mass as a square. The
+                // cotangent of the mass is -ẍ times that of the push.
                 let in_push = (R::lift(2.0) * lever * a - torque) * k.per_inertia;
                 let cos_bar = (push_bar * in_push - alpha_bar * a) * k.moment;
                 x_bar[2 + 2 * i] = theta_bar + sin_bar * cos - cos_bar * sin;

@@ -39,14 +39,15 @@ impl CartPoleSystem {
     /// Smallest cart mass relative to the mass of all poles.
     ///
     /// The equations of motion remain solvable for lighter carts, even massless ones, because
-    /// uniform poles have inertia of their own. Rounding of the total mass then makes the computed
-    /// motion that of a different cart.
+    /// uniform poles have inertia about their middle. Rounding of the total mass then makes the
+    /// computed motion that of a different cart.
     pub const LIGHTEST_CART: f64 = 1e-9;
 
-    /// Checks that the masses and the number of poles are valid.
+    /// Checks that the masses, the half length and the number of poles are valid.
     ///
-    /// With a negative cart mass, free motion gains energy without bound. The equations would still
-    /// be solvable down to minus a quarter of the poles' mass, where they are singular.
+    /// With a negative cart mass, free motion gains energy without bound. The equations of
+    /// [`CoupledCartPole`] would still be solvable down to minus a quarter of the poles' mass,
+    /// where they are singular.
     ///
     /// # Errors
     /// Returns a [`MassError`] for the first invalid parameter.

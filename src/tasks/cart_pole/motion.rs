@@ -28,7 +28,8 @@ pub(super) fn rate_of<T: Scalar>(pole: &[T], alpha: T) -> [T; 2] {
     [pole[1], alpha]
 }
 
-/// Reverse of [`rate_of`]. Includes the present values of `x_bar` for pole `i`.
+/// Reverse of [`rate_of`]. For pole `i`, returns the cotangents of angle and rate stored in
+/// `x_bar`, or 0 without `x_bar`, and the cotangent of α.
 #[inline(always)]
 pub(super) fn rate_of_bar<R: Real, C: Cotangent<R>>(rate_bar: &[C]) -> impl Fn(usize, Option<&[C]>) -> ([C; 2], C) {
     move |i, x_bar| {

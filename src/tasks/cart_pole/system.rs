@@ -65,9 +65,10 @@ impl CartPoleSystem {
     /// Largest number of poles. Buffers of a step are on the stack.
     pub const MOST_POLES: usize = 64;
 
-    /// Appends sine and cosine of every angle to `trig`, and the forces under `effects` to `forces`.
+    /// Appends sine and cosine of every angle to `trig`, and the forces with `effects` to
+    /// `forces`.
     ///
-    /// Both are empty before. Returning them would copy their whole capacity.
+    /// Both have to be empty. Returning them would copy their whole capacity.
     #[inline(always)]
     pub(super) fn forces<E: Effect<Self>, T: Scalar>(
         &self,
@@ -173,8 +174,7 @@ impl ForcedSystem for CartPoleSystem {
 }
 
 impl CartPoleSystem {
-    /// Writes `of_pole(pole, α_i)` for each pole to `poles`, and returns the bracket in ẍ = (…) /
-    /// M.
+    /// Writes `of_pole(pole, α_i)` for each pole to `poles`, and returns M ẍ.
     #[inline(always)]
     fn accelerate<E: Effect<Self>, T: Scalar>(
         &self,
@@ -202,11 +202,11 @@ impl CartPoleSystem {
         push
     }
 
-    /// Reverse of [`accelerate`](Self::accelerate). Writes `x_bar`, if requested, and returns the
-    /// cotangent of the control.
+    /// Reverse of [`accelerate`](Self::accelerate). Writes the pole components of `x_bar`, if
+    /// requested, and adds the cotangents due to effects. Returns the cotangent of the control.
     ///
     /// `pole_bar(i, x_bar)` returns the cotangents of angle and rate of pole `i` that do not pass
-    /// through α_i, and the cotangent of α_i. `x_bar` receives the sum of all contributions.
+    /// through α_i, and the cotangent of α_i. The cart components of `x_bar` are set before.
     #[inline(always)]
     fn accelerate_reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
         &self,
@@ -233,7 +233,8 @@ impl CartPoleSystem {
 
             let ([theta_bar, omega_bar], alpha_bar) = pole_bar(i, x_bar.as_deref());
             let alpha_bar = alpha_bar - push_bar * lever;
-            // α = numerator / denominator. The torque is the first term of the numerator.
+            // α = (τ - m l cos θ A) / denominator. Next are the cotangents of τ and of the sum
+            // in A.
             let torque_bar = alpha_bar * per_inertia;
             let thrust_bar = -(torque_bar * (lever * k.per_mass));
             force_bar += thrust_bar;

@@ -160,7 +160,8 @@ impl Drag {
         forces[0] = push;
     }
 
-    /// Returns the cotangent of the wind speed. The derivative of |v| v is 2 |v|, at 0 as well.
+    /// Adds the cotangents of the state, and returns that of the wind speed. The derivative of
+    /// `|v| v` is `2 |v|`, at 0 as well.
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(self, model: &CartPoleSystem, wind: R, x: &[R], forces_bar: &[C], x_bar: &mut [C]) -> C {
         let (pole_drag, l) = (R::lift(self.pole), R::lift(model.half_length));

@@ -14,8 +14,7 @@ use rand::RngExt;
 /// v̇ = u / m - g
 /// ```
 ///
-/// The floor is at height 0; see [`Contact`]. Between impacts, steps with [`Contact::TimeOfImpact`]
-/// are exact.
+/// The floor is at height 0; see [`Contact`]. Steps without contact are exact with either model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BouncingBall {
     /// Mass m, kg, positive.
@@ -66,7 +65,7 @@ pub struct Bounce {
 }
 
 impl Default for Bounce {
-    /// Returns a target of 1 m after 1 s, which takes about one bounce.
+    /// Returns a task with a target of 1 m after 1 s. The ball bounces about once.
     fn default() -> Self {
         Self { system: BouncingBall::default(), target: 1.0, horizon: 100 }
     }

@@ -27,7 +27,7 @@ impl<T: Scalar> Impact<T> {
     /// so no derivative takes the root of 0.
     ///
     /// Rounding may leave a gap slightly negative. If `v² > 2 |a g|`, it is moved back to its
-    /// impact, by at most one step. Otherwise it rests.
+    /// impact, by at most dt. Otherwise it rests if `a < 0`, and moves freely if not.
     #[inline(always)]
     fn next(gap: Gap<T>, acceleration: T, dt: f64) -> Self {
         let (zero, one, never) = (T::zero(), T::one(), T::lift(4.0 * dt));
@@ -49,8 +49,8 @@ impl<T: Scalar> Impact<T> {
 }
 
 /// Advances a gap as described in [`Contact::TimeOfImpact`](super::Contact::TimeOfImpact). At an
-/// impact the width is exactly 0 and has no derivative. The derivative with respect to the impact
-/// time is that of the remaining time.
+/// impact the width is exactly 0 and has no derivative. The impact time enters the result through
+/// the remaining time.
 #[inline(always)]
 pub(super) fn advance<T: Scalar>(mut gap: Gap<T>, acceleration: T, restitution: f64, dt: f64) -> Gap<T> {
     let (zero, restitution) = (T::zero(), T::lift(restitution));

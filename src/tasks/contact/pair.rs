@@ -14,7 +14,7 @@ use rand::RngExt;
 ///
 /// The bodies touch where `q - p = contact_distance`; see [`Contact`]. Equal masses give two balls,
 /// a restitution of 0 a pusher and a box. Contacts depend only on the gap
-/// `g = q - p - contact_distance` and do not affect the center of mass:
+/// `g = q - p - contact_distance` and do not affect the motion of the center of mass:
 ///
 /// ```text
 /// p̈ = u / m₁ - F / m₁,   q̈ = F / m₂        g̈ = -u / m₁ + F (m₁ + m₂) / (m₁ m₂)

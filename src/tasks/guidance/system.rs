@@ -124,7 +124,8 @@ impl GuidanceSystem {
     /// Adds the cotangents of the state due to steering, given those of the accelerations.
     #[inline(always)]
     fn reverse_steering<R: Real, C: Cotangent<R>>(&self, u: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        // q̄ = (∂v̇/∂q)ᵀ v̇̄. Every evader receives it with the opposite sign.
+        // q̄ = (∂v̇/∂q)ᵀ v̇̄. Every evader receives the negative sum over the drivers, times its
+        // weight in the center.
         let mut herd_bar = [C::null(); 2];
         for ((bar, force), c) in zip(zip(x_bar.chunks_exact_mut(AGENT), forces_bar.chunks_exact(2)), u.chunks_exact(2)) {
             let q_bar = [force[0] * c[0] + force[1] * c[1], force[1] * c[0] - force[0] * c[1]];
@@ -143,7 +144,7 @@ impl GuidanceSystem {
 }
 
 impl GuidanceSystem {
-    /// Writes the accelerations.
+    /// Writes the accelerations of all agents to `forces`.
     #[inline(always)]
     fn accelerate<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], forces: &mut [T]) {
         let herd = self.herd(x);
@@ -195,8 +196,8 @@ impl ForcedSystem for GuidanceSystem {
         }
     }
 
-    /// Computes the two halves independently: state and control enter only as products.
-    /// Accelerations are not required.
+    /// Computes the cotangents of state and control independently. Neither requires the
+    /// accelerations.
     #[inline(always)]
     fn reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
         &self,

@@ -58,7 +58,7 @@ impl Lqr {
     }
 
     /// Creates a task with a stable plant. The plant is a mass of 1 kg on a spring of 1 N/m with a
-    /// damper of 0.4 N s/m, in semi-implicit steps of 0.1 s. The loss is the integral of
+    /// damper of 0.4 N s/m, in semi-implicit steps of 0.1 s. The running cost per second is
     /// `(|x|² + u²)/2`.
     pub fn spring() -> Self {
         let (dt, stiffness, damping) = (0.1, 1.0, 0.4);
@@ -68,8 +68,9 @@ impl Lqr {
     }
 
     /// Creates a task with an unstable plant. The plant is the default [`CartPoleSystem`] with one
-    /// pole, linearized about the upright position. The loss is the integral of `(|x|² + u²)/2`, in
-    /// SI units. Without control, the state grows by 1.04 per step, 1e17 in 1000 steps.
+    /// pole, linearized about the upright position. The running cost per second is `(|x|² + u²)/2`,
+    /// in SI units. Without control, the state grows by a factor of 1.04 per step, 1e17 in 1000
+    /// steps.
     pub fn upright_cart_pole() -> Self {
         let system = CartPoleSystem::default();
         Self::per_second(LinearPlant::linearized(&system, &[0.0; 4], &[0.0]), system.dt)

@@ -6,10 +6,10 @@ use nalgebra::DMatrix;
 
 /// Optimal control of a [`LinearPlant`] whose steps cost `(x_{t+1}ᵀ Q x_{t+1} + u_tᵀ R u_t)/2`.
 ///
-/// The minimal remaining cost after `x` is `xᵀ P x / 2`, and the optimal control is `u = K x`. A
-/// step here pays for the state that it leads to. Textbooks pay for the state at the beginning of
-/// the step (Bertsekas, Dynamic Programming and Optimal Control, 3.1). Riccati's equation therefore
-/// has `W = Q + P` in place of P:
+/// The minimal remaining cost after `x` is `xᵀ P x / 2`, and the optimal control is `u = K x`. The
+/// cost of a step includes the state after the step. In textbooks, it includes the state before the
+/// step (Bertsekas, Dynamic Programming and Optimal Control, 3.1). Riccati's equation therefore has
+/// `W = Q + P` in place of P:
 ///
 /// ```text
 /// K = -(R + Bᵀ W B)⁻¹ Bᵀ W A
@@ -29,7 +29,8 @@ pub enum NoOptimum {
     /// The cost of controls is not positive definite.
     #[error("the cost R of controls is not positive definite, so that no control is the best: make every eigenvalue positive")]
     Indefinite,
-    /// The doubling iteration did not converge: the cost is unbounded or the plant too slow.
+    /// The doubling iteration did not converge: the cost is unbounded, or the plant decays too
+    /// slowly.
     #[error(
         "Riccati's equation did not converge in 2^{doublings} steps (the last doubling changed W by {change:.1e} of its size): \
          the plant has motions that do not decay and that no control reaches, or that the cost does not see"

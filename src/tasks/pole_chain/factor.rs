@@ -2,8 +2,8 @@
 //! square roots.
 //!
 //! The method needs no pivoting and is backward stable (Higham, Accuracy and Stability of Numerical
-//! Algorithms, 10.1). The solution is exact for a matrix that differs by rounding. The code does
-//! not branch on values, so it works with lanes and dual numbers.
+//! Algorithms, 10.1). The computed solution is exact for a matrix that differs from M by rounding
+//! errors. The code does not branch on values, so it works with lanes and dual numbers.
 //!
 //! Lower triangles are packed by rows: the entry (i, j), j ≤ i, has the index `i (i + 1)/2 + j`.
 
@@ -16,7 +16,7 @@ fn row(i: usize) -> usize {
     i * (i + 1) / 2
 }
 
-/// Replaces the triangle of M by L, and the diagonal by 1/D.
+/// Replaces the strict lower triangle of M by that of L, and the diagonal by 1/D.
 #[inline(always)]
 pub(super) fn factor<T: Scalar>(matrix: &mut [T], n: usize) {
     for i in 0..n {

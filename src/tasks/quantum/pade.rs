@@ -15,16 +15,16 @@ use crate::numbers::zip::zip;
 /// χ = 2 A₋⁻¹ ψ - ψ,  ψ' = 2 A₊⁻¹ χ - χ
 /// ```
 ///
-/// The zeros of the denominator are complex. Without the common factor `2/√3 exp(±iπ/6)`, their
-/// imaginary parts are real shifts of the energy. A step thus consists of two Crank-Nicolson steps
-/// of 2/3 dt each, with the potentials `V ∓ √3/dt`. It costs two tridiagonal solves, O(grid). The
-/// properties of [`QuantumSystem`] hold for both: unitary for any potential, and pivots with a real
-/// part of at least 1 without pivoting.
+/// The zeros of the denominator are `z = 3i ± √3`. Their real parts shift the energy. The constant
+/// factor 4/3 of numerator and denominator cancels. A step thus consists of two Crank-Nicolson
+/// steps of 2/3 dt each, with the potentials `V ∓ √3/dt`. It costs two tridiagonal solves, O(grid).
+/// As in [`QuantumSystem`], both are unitary for any potential. Elimination needs no pivoting,
+/// because the real part of each pivot is at least 1.
 ///
 /// H and grid are those of [`QuantumSystem`], so only the error in time differs. The phase of an
 /// eigenstate of energy E advances by `E dt (1 - (E dt)⁴/720 + …)`. With Crank-Nicolson, it is
 /// `E dt (1 - (E dt)²/12 + …)`. For energies beyond about 3/dt, the phase advances too slowly here
-/// too, by at most one turn per step.
+/// too. It advances by at most one turn per step.
 ///
 /// The order in dt is four for potentials that are constant during a step. Effects act at the state
 /// at the beginning of the step, as in [`QuantumSystem`]. State-dependent effects, such as
@@ -34,12 +34,12 @@ use crate::numbers::zip::zip;
 /// van Dijk and Toyama 2007 (doi:10.1103/PhysRevE.75.036707).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pade(
-    /// Model with its parameters. Its own step is not used.
+    /// Model with its parameters. The step of the model is not used.
     pub QuantumSystem,
 );
 
 impl Pade {
-    /// Returns the time step of which A∓ are Crank-Nicolson factors.
+    /// Returns the time step of the Crank-Nicolson steps with the factors A∓.
     #[inline(always)]
     fn factor_dt(&self) -> f64 {
         self.0.dt * (2.0 / 3.0)

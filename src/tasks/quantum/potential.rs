@@ -1,6 +1,6 @@
-//! Potentials that do not depend on time or state, as functions of `ξ = x - length/2`.
+//! Potentials that depend on neither time nor state: functions of `ξ = x - length/2`, and tables.
 //!
-//! A scene allows at most one of them. As types they can be combined, and add up.
+//! A scene allows at most one of them. In code, several can be combined; their potentials add.
 
 use super::QuantumSystem;
 use crate::dynamics::effect::Effect;

@@ -1,4 +1,4 @@
-//! [`Renormalized`]: a system whose wave keeps norm 1.
+//! [`Renormalized`]: a system whose wave has norm 1 after each step.
 
 use super::QuantumSystem;
 use super::system::Wave;
@@ -11,11 +11,12 @@ use smallvec::smallvec;
 
 /// System around a [`QuantumSystem`] that normalizes the wave after each step: `ψ ← ψ / |ψ|`.
 ///
-/// Steps are unitary except for rounding. Rounding errors accumulate where every step rounds alike,
-/// as in long rollouts without control in single precision. Around [`Substeps`](crate::Substeps) of
-/// `system`, the normalization acts once per outer step.
+/// Steps of every [`QuantumScheme`](super::QuantumScheme) are unitary except for rounding. Rounding
+/// errors accumulate where every step rounds alike, as in long rollouts without control in single
+/// precision. Around [`Substeps`](crate::Substeps) of `system`, the normalization acts once per
+/// outer step.
 ///
-/// The reverse step projects the component along ψ out of the cotangent, because the norm is
+/// The reverse step projects the component along ψ' out of the cotangent, because the norm is
 /// constant:
 ///
 /// ```text

@@ -9,10 +9,10 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// Any scheme for Schrödinger's equation. Results equal those of the scheme itself, bit for bit.
 /// Steps are outlined: each is one call.
 ///
-/// | scheme | order in dt | least steps in one of 0.0625 for a phase right to 1 % | a step |
+/// | scheme | order in dt | fewest steps per 0.0625 for a phase error below 1 % | cost of a step |
 /// |---|---|---|---|
 /// | Crank and Nicolson | 2 | 11 | one tridiagonal solve |
-/// | [`Pade`] | 4 | 3 | two |
+/// | [`Pade`] | 4 | 3 | two tridiagonal solves |
 /// | [`Strang`] | 2, exact without potential | 1 | a product with a matrix |
 ///
 /// The phase is that of the fifth eigenstate of the default box, without potential.

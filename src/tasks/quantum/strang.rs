@@ -22,10 +22,10 @@ use smallvec::SmallVec;
 /// limits the time step; the kinetic energy does not. Energies that differ by 2π/dt are
 /// indistinguishable, so the potential may couple states that are uncoupled in continuous time.
 ///
-/// H and grid are those of [`QuantumSystem`]. A step costs O(grid²), which suits small grids: a
-/// product with two complex matrices of half the grid's size, and one sine and cosine per grid
-/// point, or two if the potential depends on the state. The matrices take 12 grid² bytes, in both
-/// precisions together.
+/// H and grid are those of [`QuantumSystem`]. A step costs O(grid²), which suits small grids. It
+/// multiplies by two complex matrices of half the grid's size. It evaluates one sine and cosine per
+/// grid point, or two if the potential depends on the state. The matrices take 12 grid² bytes, in
+/// both precisions together.
 ///
 /// The second half step evaluates the potential at the state after the kinetic step. The first half
 /// step does not change |ψ|. With [`Cubic`](super::Cubic), both halves are therefore exact, and the
@@ -60,7 +60,7 @@ impl Strang {
         Self { kinetic: Propagator::new(&system), system }
     }
 
-    /// Returns the model. Its own step is not used.
+    /// Returns the model. The step of the model is not used.
     pub fn system(&self) -> &QuantumSystem {
         &self.system
     }
@@ -180,7 +180,7 @@ impl ForcedSystem for Strang {
             }
             return;
         }
-        // Recompute, because the forward pass does not store these.
+        // Recompute the intermediate waves a and b, because the forward pass does not store them.
         let (mut a, mut b) = (PerPoint::new(), State::new());
         a.resize(model.grid, [R::zero(); 2]);
         let a = a.as_flattened_mut();

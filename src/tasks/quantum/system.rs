@@ -17,7 +17,7 @@ pub(super) type PerPoint<T> = SmallVec<[T; STACK]>;
 /// Real and imaginary part per grid point.
 pub(super) type Wave<T> = SmallVec<[T; 2 * STACK]>;
 
-/// Returns the distance of grid point `j`, counted from 0, from the left wall, in grid points.
+/// Returns the distance of grid point `j`, counted from 0, from the left wall, in units of dx.
 /// Converts via `u32`, because conversion from `u64` is slower.
 #[inline(always)]
 pub(super) fn place(j: usize) -> f64 {
@@ -123,20 +123,20 @@ impl QuantumSystem {
         self.places(self.middle())
     }
 
-    /// Returns the middle of the box, in grid points.
+    /// Returns the distance of the middle of the box from the left wall, in units of dx.
     #[inline(always)]
     fn middle(&self) -> f64 {
         0.5 * (self.grid + 1) as f64
     }
 
-    /// Returns the grid points measured from `origin`, which is in grid points.
+    /// Returns the grid points measured from `origin`, which is in units of dx from the left wall.
     #[inline(always)]
     fn places(&self, origin: f64) -> impl Iterator<Item = f64> + use<> {
         let dx = self.spacing();
         (0..self.grid).map(move |j| (place(j) - origin) * dx)
     }
 
-    /// Returns the zero of the control's potential, in grid points.
+    /// Returns the zero of the control's potential, in units of dx from the left wall.
     #[inline(always)]
     pub(super) fn control_origin(&self) -> f64 {
         match self.control {
@@ -179,7 +179,8 @@ impl QuantumSystem {
 
     /// Writes `x_bar = 2 w - v`, given `w = A⁻ᴴ v` in `x_bar`. The conjugate transpose of the
     /// complex matrix propagates cotangents of real and imaginary parts. Returns the cotangent of
-    /// the control if `with_control`, else 0. Writes that of the potential to `potential_bar`, if given:
+    /// the control if `with_control`, else 0. Writes the cotangent of the potential to
+    /// `potential_bar`, if given:
     ///
     /// ```text
     /// A y = ψ, so dψ'/dV_j = 2 dy/dV_j = -i dt A⁻¹ e_j y_j
