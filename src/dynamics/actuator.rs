@@ -41,7 +41,7 @@ pub trait Actuator: Clone + Send + Sync {
 
     /// VJP of [`step`](Actuator::step). Overwrites `own_bar` and `u_bar` if given.
     ///
-    /// Defaults to exact derivatives by dual numbers; override it with an analytic derivative for
+    /// Defaults to exact derivatives by dual numbers. Override it with an analytic derivative for
     /// speed.
     #[inline(always)]
     fn reverse<R: Real, C: Cotangent<R>>(
@@ -242,7 +242,7 @@ impl<B, S: HasModel<B>, A: Actuator> HasModel<B> for Actuated<S, A> {
         self.system.model()
     }
 
-    /// Sets the actuator's state to 0.
+    /// Draws the extra components of the system. Sets the actuator's state to 0.
     fn start_extra(&self, rng: &mut Rng, x: &mut [f64]) {
         let (x, own) = x.split_at_mut(self.system.state_dim());
         self.system.start_extra(rng, x);

@@ -1,6 +1,6 @@
 //! [`Cause`]: the diagnosis of a non-finite step.
 
-/// Reason why a step or its derivative is non-finite.
+/// Cause of a non-finite step or derivative.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Cause {
     /// An implicit step did not converge. Holds the largest remaining residual.

@@ -29,7 +29,7 @@ pub(crate) use without::system_without_effects;
 /// defines its state and its forces.
 ///
 /// Only [`add_forces`](Effect::add_forces) is required. Dual numbers provide the exact derivative
-/// by default. A hand-written [`vjp`](Effect::vjp) is faster.
+/// by default. An analytic [`vjp`](Effect::vjp) is faster.
 /// [`check::system`](crate::check::system) compares the two for a system with the effect.
 ///
 /// ```
@@ -116,9 +116,9 @@ pub(crate) fn is_finite<B, E: Effect<B>, F: Float>(effect: &E, model: &B, x: &[F
 
 /// System to whose forces effects can be added.
 ///
-/// Only [`forced_step`](ForcedSystem::forced_step), the model, the sizes and the time step are
-/// required. The state passed to a step may have more than [`state_dim`](ForcedSystem::state_dim)
-/// components, as effects need. Implementations pass the whole state on to the effects.
+/// Required: [`forced_step`](ForcedSystem::forced_step), the model, the dimensions and the time
+/// step. States may have more than [`state_dim`](ForcedSystem::state_dim) components. The others
+/// belong to effects. Implementations pass the whole state to the effects.
 pub trait ForcedSystem: Send + Sync {
     /// Model that effects read; often the system itself.
     type Model;
@@ -138,8 +138,9 @@ pub trait ForcedSystem: Send + Sync {
     fn forced_step<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]);
 
     /// Writes the requested cotangents. Overwrites `u_bar` and the first `state_dim` components of
-    /// `x_bar`. Effects add to the remaining components of `x_bar`. The default is exact, by dual
-    /// numbers; override it for speed.
+    /// `x_bar`. Effects add to the remaining components of `x_bar`.
+    ///
+    /// Defaults to exact derivatives by dual numbers. Override it for speed.
     #[inline(always)]
     fn reverse<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
         &self,
@@ -173,7 +174,7 @@ fn reverse_by_duals<H: ForcedSystem + ?Sized, E: Effect<H::Model>, R: Real, C: C
         (_, None) => (Wrt::State, &mut none[..]),
     };
     let Some(x_bar) = x_bar else { return vjp_by_duals(&steps, x, u, next_bar, wrt, &mut [], u_bar) };
-    // Preserve the components beyond those of the host.
+    // Overwrite the components of the system; add to those of the effects.
     let mut all: smallvec::SmallVec<[C; 33]> = smallvec::smallvec![C::null(); x.len()];
     vjp_by_duals(&steps, x, u, next_bar, wrt, &mut all, u_bar);
     x_bar[..n].copy_from_slice(&all[..n]);
@@ -182,7 +183,7 @@ fn reverse_by_duals<H: ForcedSystem + ?Sized, E: Effect<H::Model>, R: Real, C: C
     }
 }
 
-/// Host with its effects, for derivatives by dual numbers.
+/// Forced system with its effects, for derivatives by dual numbers.
 struct Stepping<'a, H: ?Sized, E> {
     host: &'a H,
     effects: &'a E,

@@ -5,9 +5,9 @@
 //! - Stiff systems: [`ImplicitMidpoint`].
 //! - Choice at run time: [`AnyIntegrator`], [`Discretized`].
 //!
-//! Each integrator has an analytic reverse for all vector fields (discretize, then differentiate).
-//! Gradients are therefore exact for the computed trajectory. The reverse pass recomputes the
-//! stages of a step. Start with [`Integrated`].
+//! Each integrator has an analytic VJP for all vector fields (discretize, then differentiate).
+//! Gradients are therefore exact for the computed trajectory. The VJP recomputes the stages of a
+//! step. Start with [`Integrated`].
 
 mod adaptive;
 mod any;
@@ -46,7 +46,7 @@ fn room<T: Copy>(value: T, len: usize) -> Room<T> {
 pub struct StepInput<'a, T> {
     /// Duration of the step, s.
     pub h: T,
-    /// Initial state.
+    /// State at the start of the step.
     pub x: &'a [T],
     /// Control, constant during the step.
     pub u: &'a [T],

@@ -1,7 +1,7 @@
 //! Systems and their parts: steps, vector fields, integrators, effects, actuators.
 //!
-//! - [`System`](system::System) maps state and control to the next state. It is written as a step,
-//!   or as a vector field ([`Ode`](ode::Ode)) that an integrator discretizes.
+//! - [`System`](system::System) maps state and control to the next state. Implement a step, or a
+//!   vector field ([`Ode`](ode::Ode)) that an integrator discretizes.
 //! - [`Effect`](effect::Effect)s add forces to a system.
 //! - [`Actuator`](actuator::Actuator)s map the control of the policy to the control of the system.
 //! - [`Task`](task::Task) adds a horizon, initial states and costs.

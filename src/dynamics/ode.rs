@@ -15,7 +15,7 @@ use smallvec::{SmallVec, smallvec};
 /// An ordinary differential equation `dx/dt = f(x, u)`, with constant control during a step.
 ///
 /// Required: the dimensions and [`rate`](Ode::rate). [`rate_vjp`](Ode::rate_vjp) defaults to exact
-/// derivatives by dual numbers; override it with an analytic derivative for speed.
+/// derivatives by dual numbers. Override it with an analytic derivative for speed.
 /// [`Integrated`](crate::Integrated) turns an `Ode` into a [`System`](crate::System).
 ///
 /// ```
@@ -53,8 +53,8 @@ pub trait Ode: Send + Sync {
 
     /// Index of the velocity of component `i`, or `None` if `i` is not a position.
     ///
-    /// `Some(j)` promises `f_i(x, u) = x_j` exactly. Partitioned integrators
-    /// ([`SemiImplicit`](crate::SemiImplicit), [`Verlet`](crate::Verlet)) rely on it.
+    /// `Some(j)` requires `f_i(x, u) = x_j` exactly, as partitioned integrators
+    /// ([`SemiImplicit`](crate::SemiImplicit), [`Verlet`](crate::Verlet)) assume.
     #[inline(always)]
     fn velocity(&self, _i: usize) -> Option<usize> {
         None
@@ -160,8 +160,8 @@ impl<O: Ode, R: Real, C: Cotangent<R>> DynOdeVjp<R, C> for O {
 
 /// A [`ForcedSystem`] in continuous time; with effects, it is an [`Ode`].
 ///
-/// As for [`ForcedSystem`], `x` and `x_bar` may be longer than `state_dim`: trailing components belong to
-/// the effects.
+/// As for [`ForcedSystem`], `x` and `x_bar` may have more than `state_dim` components. The others
+/// belong to effects.
 pub trait ForcedOde: ForcedSystem {
     /// Writes the rates of the `state_dim` components under `effects`.
     fn forced_rate<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]);
@@ -183,7 +183,7 @@ pub trait ForcedOde: ForcedSystem {
     fn velocity_of(&self, i: usize) -> Option<usize>;
 }
 
-/// State: the components of the host, then the time if an effect depends on it.
+/// State: the components of the system, then the time if an effect depends on it.
 impl<H: ForcedOde, E: Effect<H::Model>> Ode for Forced<H, E> {
     fn state_dim(&self) -> usize {
         crate::dynamics::system::System::state_dim(self)
@@ -215,7 +215,7 @@ impl<H: ForcedOde, E: Effect<H::Model>> Ode for Forced<H, E> {
     }
 }
 
-/// A host without effects.
+/// Vector field without effects.
 impl<H: ForcedOde> Ode for H {
     fn state_dim(&self) -> usize {
         ForcedSystem::state_dim(self)

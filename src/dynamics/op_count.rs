@@ -26,9 +26,10 @@ use crate::numbers::scalar::{Counted, Ops};
 pub struct OpCount {
     /// [`System::step`].
     pub step: Ops,
-    /// [`System::vjp`], to state and control. Evaluated by the flows R and M.
+    /// [`System::vjp`], to state and control. Evaluated by the flows R and M, and by any two flows
+    /// together.
     pub vjp: Ops,
-    /// [`System::vjp_control`], to the control alone. Evaluated by the flows N and S.
+    /// [`System::vjp_control`], to the control alone. Evaluated by a single flow N or S.
     pub vjp_control: Ops,
 }
 

@@ -9,8 +9,8 @@ use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Scalar};
 
 /// Runs `work` outlined, vectorized for this processor.
 ///
-/// Scalar types other than the lanes of rollouts (`T::VECTORIZED` is false) take only the portable path:
-/// they are not performance-critical.
+/// Scalar types other than the lanes of rollouts (`T::VECTORIZED` is false) take the portable path.
+/// They are not performance-critical.
 #[inline(always)]
 pub(crate) fn outline<T: Scalar>(work: impl Vectorized) {
     #[inline(never)]

@@ -1,4 +1,4 @@
-//! [`Substeps`]: several small time steps per control.
+//! [`Substeps`]: several inner time steps per control.
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
@@ -17,7 +17,7 @@ const STACK: usize = 128;
 /// The reverse pass recomputes the intermediate states.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Substeps<S> {
-    /// The inner system, which takes the small steps.
+    /// The inner system.
     pub system: S,
     /// Number of inner steps; 0 counts as 1.
     pub count: usize,
@@ -58,7 +58,7 @@ impl<S: System> System for Substeps<S> {
     }
 
     fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        // From the first state that is not finite on, everything looks like a cause.
+        // Stop at the first non-finite state: a diagnosis requires a finite one.
         let is_finite = |state: &&[F]| state.iter().all(|number| number.as_().is_finite());
         self.states(x, u).chunks_exact(x.len()).take_while(is_finite).find_map(|state| self.system.diagnose(state, u))
     }

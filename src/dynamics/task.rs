@@ -21,7 +21,7 @@ pub trait Task: Send + Sync {
     /// Draws an initial state into `x`, which holds `state_dim` zeros.
     fn start(&self, rng: &mut Rng, x: &mut [f64]);
 
-    /// Running cost `l(x_{t+1}, u_t)` of one step, of the next state and the control. Default: 0.
+    /// Running cost `l(x_{t+1}, u_t)` of one step, with `x` the next state. Default: 0.
     #[inline(always)]
     fn stage_cost<T: Scalar>(&self, _x: &[T], _u: &[T]) -> T {
         T::zero()
@@ -34,7 +34,7 @@ pub trait Task: Send + Sync {
 
     /// Gradient of [`stage_cost`](Task::stage_cost). Overwrites `x_bar` and `u_bar`.
     ///
-    /// Defaults to exact derivatives by dual numbers; override it for speed.
+    /// Defaults to exact derivatives by dual numbers. Override it for speed.
     #[inline(always)]
     fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
         let n = x.len();
@@ -46,7 +46,7 @@ pub trait Task: Send + Sync {
     }
     /// Gradient of [`terminal_cost`](Task::terminal_cost). Overwrites `x_bar`.
     ///
-    /// Defaults to exact derivatives by dual numbers; override it for speed.
+    /// Defaults to exact derivatives by dual numbers. Override it for speed.
     #[inline(always)]
     fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
         let cost = |x: &[_], cost: &mut [_]| cost[0] = self.terminal_cost(x);

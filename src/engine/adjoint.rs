@@ -34,7 +34,7 @@ use std::fmt;
 use std::ops::Range;
 pub use step_back::StepBack;
 
-/// Paths that carry the adjoint back in time. Forward values do not depend on the flow.
+/// Paths along which the adjoint propagates back in time. Forward values do not depend on the flow.
 ///
 /// The reverse pass starts with `λ = ∂φ/∂x_T` and performs, for `t = T-1 .. 0`:
 ///
@@ -43,7 +43,7 @@ pub use step_back::StepBack;
 /// 3. `λ ← physics·(∂S/∂x)ᵀ λ + control·(∂N/∂x)ᵀ h_t`
 ///
 /// The parameter gradient is `Σ_t (∂N/∂θ)ᵀ h_t`. S is the step of the system, N the policy, l the
-/// stage cost and φ the terminal cost.
+/// running cost and φ the terminal cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Flow {
     /// Enables the path through the physics, `∂S/∂x`.
@@ -162,7 +162,7 @@ impl<F: Float> Adjoint<F> {
     ///
     /// Each is the root mean square over the samples of ‖λ_t‖, for the loss of one sample. It
     /// measures how strongly later costs depend on a state, along the paths of the flow. λ_t
-    /// contains the costs after `x_t`, not the stage cost at `x_t`. λ_T is the gradient of the
+    /// contains the costs after `x_t`, not the running cost at `x_t`. λ_T is the gradient of the
     /// terminal cost, or 0 without a terminal cost. Steps that a diverged run did not reach are
     /// NaN.
     ///
@@ -183,7 +183,7 @@ impl<F: Float> Adjoint<F> {
         self.measured
     }
 
-    /// Adds the growth of flow `k` for each sample of the last run, if measured.
+    /// Adds the growth of flow `k` for each sample of the last run; 0 if not measured.
     pub(crate) fn add_growth(&self, k: usize, samples: usize, stats: &mut GrowthStats) {
         match &self.carried {
             Carried::One(_, recursion) => recursion.growth().of(k, samples).for_each(|meter| stats.add(meter)),

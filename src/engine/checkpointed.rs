@@ -51,8 +51,8 @@ impl<F: Float> Checkpointed<F> {
     /// Allocates a workspace for `samples` rollouts and the gradients of one or two flows.
     ///
     /// # Panics
-    /// If the horizons of schedule and task differ, `samples` is 0, `flows` does not have one or
-    /// two elements, or the shapes of task and policy differ.
+    /// If the horizons of schedule and task, or the shapes of task and policy, differ. If `samples`
+    /// is 0, or `flows` does not have one or two elements.
     #[track_caller]
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], schedule: Schedule) -> Self {
         let (planned, horizon) = (schedule.horizon(), task.horizon());
@@ -134,8 +134,8 @@ impl<F: Float> Checkpointed<F> {
     /// [`Divergence`] if a number is not finite. The gradients are then invalid.
     ///
     /// # Panics
-    /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples, if `group`
-    /// is 0, or if `gradients` has too few groups.
+    /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples. If `group`
+    /// is 0, or `gradients` has too few groups.
     #[track_caller]
     #[allow(clippy::too_many_arguments)]
     pub fn run(
@@ -204,12 +204,12 @@ impl<F: Float> Checkpointed<F> {
         self.adjoint.measure(measured);
     }
 
-    /// Adds the growth of flow `k` for each sample of the last run, if measured.
+    /// Adds the growth of flow `k` for each sample of the last run; 0 if not measured.
     pub(crate) fn add_growth(&self, k: usize, stats: &mut GrowthStats) {
         self.adjoint.add_growth(k, self.rollout.samples(), stats);
     }
 
-    /// Runs the forward pass. It stores checkpoints and the tape of the last segment.
+    /// Runs the forward pass. Stores checkpoints and the tape of the last segment.
     fn forward(
         &mut self,
         task: &dyn AnyTask<F>,
@@ -267,7 +267,7 @@ impl<F: Float> Checkpointed<F> {
             let steps = self.schedule.steps(at).start..self.schedule.steps(next).start;
             self.rollout.pass_over(task, policy, weights, steps)?;
             at = next;
-            // Segment `to` needs no checkpoint: its tape follows.
+            // Segment `to` needs no checkpoint: its tape is stored next.
             if at < to {
                 self.keep(at);
             }

@@ -5,7 +5,7 @@ use crate::engine::adjoint::Flow;
 use crate::numbers::extended::ExtendedF64;
 use std::fmt;
 
-/// Place of a non-finite number. Training skips the update that contains it.
+/// Place of a non-finite number. Training skips the affected update.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Divergence {
     /// State or control in the forward pass.

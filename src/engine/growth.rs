@@ -25,11 +25,10 @@ impl Growth {
     /// `horizon` is the number of steps of a rollout, `epsilon` the machine epsilon of its
     /// precision.
     ///
-    /// - R, likewise N: a rounding error of the forward pass grows as the adjoint of R does. If it
-    ///   grows by more than the number of digits, the gradient before that range belongs to another
-    ///   trajectory. Even its signs are then unreliable.
-    /// - M: it ignores the policy's response to a deviation. On a plant that is unstable without
-    ///   control, M grows. The first steps then outweigh the last by 10^growth.
+    /// - R and N: rounding errors of the forward pass grow like the adjoint of R. If the growth
+    ///   exceeds the number of digits, the signs of earlier contributions are unreliable.
+    /// - M: ignores the policy's response to deviations. On a plant that is unstable without
+    ///   control, M grows. The first steps then outweigh the last by a factor of 10^growth.
     pub fn warning(&self, flow: Flow, horizon: usize, epsilon: f64) -> Option<String> {
         let digits = -epsilon.log10();
         let Self { along, worst_window } = *self;

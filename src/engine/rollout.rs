@@ -21,8 +21,8 @@ pub(crate) const WIDTH: usize = 8;
 
 /// Number of steps in a unit. All schedules sum the parameter gradient over one unit at a time.
 ///
-/// A unit covers the horizons of the paper. It is so long that the cost of adding the sums is
-/// negligible. It is odd, so that columns of neighbouring samples map to different cache sets.
+/// A unit covers the horizons of the paper, and makes the cost of adding the sums negligible. The
+/// number is odd, so that columns of neighbouring samples map to different cache sets.
 pub(crate) const UNIT: usize = 129;
 
 /// State or control component of [`WIDTH`] samples.
@@ -142,7 +142,7 @@ impl<F: Float> Rollout<F> {
         let len = self.blocks() * n;
         for (block, x) in self.states[..len].chunks_exact_mut(n).enumerate() {
             for lane in 0..WIDTH {
-                // Unused lanes repeat the last sample, so they are as finite as it is.
+                // Unused lanes repeat the last sample, so they add no non-finite numbers.
                 let sample = (block * WIDTH + lane).min(samples - 1);
                 for (x, &start) in x.iter_mut().zip(&starts[sample * n..]) {
                     x.set_lane(lane, start);
@@ -263,7 +263,7 @@ impl<F: Float> Rollout<F> {
         PolicyColumns { first: place * self.samples + t - unit, step, count: self.samples }
     }
 
-    /// Units of `steps` in reverse order. `steps` must start with a unit.
+    /// Units of `steps` in reverse order. `steps` must start at the start of a unit.
     pub(crate) fn units(steps: Range<usize>) -> impl Iterator<Item = Range<usize>> {
         steps.clone().step_by(UNIT).rev().map(move |first| first..steps.end.min(first + UNIT))
     }

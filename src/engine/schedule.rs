@@ -156,7 +156,7 @@ pub(crate) fn split(l: usize, s: usize) -> usize {
     }
     let (l, s) = (l as u64, s as u64);
     let r = repeats(l, s);
-    // Both parts must fit the optimum: the first with s checkpoints and r - 1 more runs, the second
-    // with s - 1 checkpoints.
+    // Both parts must admit the optimum: the first with s checkpoints and r - 1 further
+    // recomputations, the second with s - 1 checkpoints.
     reach(s, r - 1).min(l - reach(s - 1, r - 1)) as usize
 }

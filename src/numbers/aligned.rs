@@ -8,7 +8,7 @@ const LINE: usize = 64;
 
 /// A fixed-size buffer aligned to a cache line.
 ///
-/// With matrices padded to whole cache lines, no vector load crosses a line, which would be slower.
+/// Vector loads that cross a cache line are slower. Matrices padded to whole lines avoid them.
 #[derive(Debug)]
 pub(crate) struct Aligned<F> {
     /// Allocation that contains the numbers at `begin .. begin + len`.

@@ -99,7 +99,7 @@ impl Div<f64> for ExtendedF64 {
 }
 
 impl fmt::Display for ExtendedF64 {
-    /// Formats like an `f64` within its range, otherwise with six digits and a decimal exponent.
+    /// Formats like an `f64` if `exponent` is 0, otherwise with six digits and a decimal exponent.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.exponent == 0 {
             return self.mantissa.fmt(f);
@@ -170,7 +170,7 @@ mod tests {
         );
         approx::assert_relative_eq!(huge.log10(), 4000.0 * 2f64.log10(), max_relative = 1e-15);
         assert_eq!((huge.get(), ExtendedF64::new(1.0, -4000).get()), (f64::INFINITY, 0.0));
-        // Within the range again, the result is a plain `f64`.
+        // Results within the range of `f64` are stored as a plain `f64`.
         assert_eq!((ExtendedF64::new(1.5, 1100) / power_of_two(1000) / power_of_two(100)).get(), 1.5);
     }
 

@@ -1,4 +1,4 @@
-//! Forward-mode Jacobians by dual numbers, used by all default derivatives.
+//! Forward-mode Jacobians by dual numbers, used by default gradients and VJPs.
 
 use crate::numbers::scalar::{Dual, Real};
 use crate::numbers::zip::zip;

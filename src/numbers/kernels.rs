@@ -1,8 +1,8 @@
 //! Vectorized kernels: matrix products, elementwise functions, sine and cosine.
 //!
-//! The instruction set is chosen at run time ([`SimdLevel`]), since builds use default target flags. A
-//! portable path serves all other processors. Contains the only unsafe code of the library. Start
-//! with [`dispatch`].
+//! [`dispatch`] selects code for the processor at run time, since builds use default target flags.
+//! A portable path serves processors without AVX2. Contains the only unsafe code of the library.
+//! Start with [`dispatch`].
 
 pub mod elementwise;
 pub mod gemm;
@@ -25,7 +25,7 @@ pub enum SimdLevel {
 }
 
 impl SimdLevel {
-    /// All levels of this processor, in ascending order.
+    /// All levels that this processor supports, in ascending order.
     pub fn available() -> Vec<SimdLevel> {
         #[allow(unused_mut)]
         let mut levels = vec![SimdLevel::Portable];
@@ -43,7 +43,7 @@ impl SimdLevel {
         levels
     }
 
-    /// The highest level of this processor. Cached after the first call.
+    /// The highest level that this processor supports. Cached after the first call.
     #[inline]
     pub fn best() -> SimdLevel {
         static BEST: OnceLock<SimdLevel> = OnceLock::new();
@@ -53,7 +53,7 @@ impl SimdLevel {
     /// Returns the level, after a check of the processor.
     ///
     /// # Panics
-    /// If this processor does not support it.
+    /// If this processor does not support the level.
     #[inline]
     fn checked(self) -> SimdLevel {
         assert!(self <= SimdLevel::best(), "this processor has no {self:?}");
@@ -99,8 +99,8 @@ pub fn dispatch(level: SimdLevel, work: impl Vectorized) {
 
 /// Runs `work` with AVX2 if available, else with the portable path.
 ///
-/// Used for simulators on eight lanes, which gain little from wider registers. A further level would
-/// increase compile time.
+/// Used for simulators on eight lanes, which gain little from wider registers. A further level
+/// would increase compile time.
 #[inline]
 pub fn dispatch_lanes(work: impl Vectorized) {
     #[cfg(target_arch = "x86_64")]

@@ -1,6 +1,6 @@
 //! Scalar types for simulators. Start with [`Scalar`].
 //!
-//! - [`Scalar`]: the trait that simulators are generic over.
+//! - [`Scalar`]: the trait over which simulators are generic.
 //! - [`Real`]: a scalar without derivatives. [`Float`]: `f32` or `f64`.
 //! - [`Lanes`]: several samples in one SIMD number.
 //! - [`Dual`]: forward-mode derivatives, the default derivatives of systems. Checks compare them
@@ -26,9 +26,9 @@ pub use lanes::Lanes;
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
-/// A number that simulators are generic over: `f32`, `f64`, [`Lanes`], [`Dual`]s, [`Counted`].
+/// Number type over which simulators are generic: `f32`, `f64`, [`Lanes`], [`Dual`], [`Counted`].
 ///
-/// There is no ordering and no branching on values, since lanes hold several values at once. Write
+/// Supports no ordering and no branching on values, since lanes hold several values at once. Write
 /// branches with [`select_lt`](Scalar::select_lt), [`min`](Scalar::min), [`max`](Scalar::max) and
 /// [`abs`](Scalar::abs).
 pub trait Scalar:
@@ -49,7 +49,7 @@ pub trait Scalar:
 {
     /// Underlying floating-point type, `f32` or `f64`.
     type Real: Float;
-    /// Whether code for this type is compiled for wide vector registers: the lanes of rollouts.
+    /// True if code for this type is compiled for wide vector registers: the lanes of rollouts.
     #[doc(hidden)]
     const VECTORIZED: bool = false;
 
@@ -76,11 +76,9 @@ pub trait Scalar:
     /// Non-finite numbers in the other branch do not propagate.
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self;
 
-    /// Returns whether `a < b` in any lane, as the condition of loops that end when all lanes
-    /// finish.
+    /// Returns whether `a < b` in any lane, for loops that run until all lanes finish.
     ///
-    /// The loop must not change lanes that have finished. Otherwise a lane would differ from the
-    /// scalar computation.
+    /// The loop must not change finished lanes. Otherwise they differ from the scalar computation.
     fn any_lt(a: Self, b: Self) -> bool;
 
     /// The constant 0.

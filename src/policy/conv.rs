@@ -1,13 +1,13 @@
 //! [`Conv`]: a convolutional policy for a two-channel field on a one-dimensional grid, such as a
 //! wave function.
 //!
-//! `θ` holds kernel and bias of two convolutions and of the linear output, in the order of Keras.
+//! `θ` holds weights and bias of two convolutions and of the linear output, in the order of Keras.
 //!
 //! A convolution is one matrix product. Activations are stored position by position, so the window
 //! of an output is a contiguous slice of the input. The windows of adjacent columns form one matrix
 //! with a fixed stride.
 //!
-//! Every column has space for twice the positions of the next layer, which keeps that stride across
+//! Every column has space for twice the positions of the next layer, so the stride continues across
 //! columns. Outputs of windows that span two columns are set to 0. Every position ends in a
 //! constant 1; the last one in a window multiplies the bias.
 
@@ -41,8 +41,8 @@ const CHANNELS: usize = 2;
 /// u        = b₃ + Σ_{q,c} h₂[q, c] W₃[q, c]
 /// ```
 ///
-/// The controller of the paper's quantum task, there with 32 grid points (then 15 and 7 positions)
-/// and width 60. Initial kernels are Glorot-uniform with the fans of Keras; initial biases are 0.
+/// Controller of the paper's quantum task, with 32 grid points (then 15 and 7 positions) and width
+/// 60. Initial weights are Glorot-uniform with the fans of Keras; initial biases are 0.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Conv {
     grid: usize,
@@ -63,9 +63,9 @@ impl Conv {
         Self { grid, width, zero_init_output: false }
     }
 
-    /// Sets whether the initial last kernel is 0 (default: false).
+    /// Sets whether the initial output weights are 0 (default: false).
     ///
-    /// With a zero kernel, the initial control is exactly 0, and R equals M in the first update.
+    /// The initial control is then exactly 0, and R equals M in the first update.
     pub fn zero_init_output(mut self, zero: bool) -> Self {
         self.zero_init_output = zero;
         self

@@ -1,7 +1,7 @@
 //! [`Mlp`]: a multi-layer perceptron with tanh hidden layers and a linear output.
 //!
-//! `θ` holds for each layer the kernel (inputs × outputs, row-major), then the bias, as in Keras.
-//! Kernel and bias form one (inputs + 1) × outputs matrix, and every column of activations ends in
+//! `θ` holds for each layer the weights (inputs × outputs, row-major), then the bias, as in Keras.
+//! Weights and bias form one (inputs + 1) × outputs matrix, and every column of activations ends in
 //! a constant 1. The forward pass and the weight gradient of a layer are therefore one matrix
 //! product each.
 
@@ -21,7 +21,7 @@ const DEPTH: usize = 64;
 
 /// A multi-layer perceptron: tanh hidden layers of any widths, a linear output.
 ///
-/// Initial kernels are Glorot-uniform (Glorot and Bengio 2010); initial biases are 0.
+/// Initial weights are Glorot-uniform (Glorot and Bengio 2010); initial biases are 0.
 /// [`Mlp::zero_init_output`] makes the initial control exactly 0.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mlp {
@@ -65,9 +65,9 @@ impl Mlp {
         Self { widths, bias: true, zero_init_output: false }
     }
 
-    /// Sets whether the initial last kernel is 0 (default: false).
+    /// Sets whether the initial output weights are 0 (default: false).
     ///
-    /// With a zero kernel, the initial control is exactly 0, and R equals M in the first update.
+    /// The initial control is then exactly 0, and R equals M in the first update.
     pub fn zero_init_output(mut self, zero: bool) -> Self {
         self.zero_init_output = zero;
         self
@@ -144,7 +144,7 @@ impl Policy for Mlp {
             // Glorot and Bengio 2010: uniform within sqrt(6 / (fan_in + fan_out)).
             let limit = (6.0 / (l.inputs + l.outputs) as f64).sqrt();
             for weight in &mut theta[l.theta..][..l.inputs * l.outputs] {
-                // Always draw, so that other kernels are independent of `zero_init_output`.
+                // Always draw, so that `zero_init_output` does not affect later draws from `rng`.
                 let draw = rng.random_range(-limit..limit);
                 *weight = if self.zero_init_output && index == last { 0.0 } else { draw };
             }

@@ -189,7 +189,7 @@ impl PolicyColumns {
         Self { first: columns.start, step: 1, count: columns.len() }
     }
 
-    /// The columns as a range. They must be contiguous, which is a debug assertion.
+    /// The columns as a range. They must be contiguous (a debug assertion).
     pub fn as_range(self) -> Range<usize> {
         debug_assert!(self.step == 1, "the columns are not adjacent");
         self.first..self.first + self.count

@@ -5,8 +5,8 @@ use super::tuples::later;
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
-/// Applies all effects in order, for combinations unknown at compile time. Results equal those of a
-/// tuple of the same effects, bit for bit.
+/// Applies all effects in order, for combinations unknown at compile time. Results are bitwise
+/// equal to those of a tuple.
 impl<B, E: Effect<B>> Effect<B> for Vec<E> {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &B, x: &[T], forces: &mut [T]) {

@@ -3,13 +3,13 @@
 use super::Effect;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
-/// Effect with a name for messages, such as its key in a scene. Results equal those of the effect
-/// alone, bit for bit.
+/// Effect with a name for messages, such as its key in a scene. Results are bitwise equal to
+/// those of the unnamed effect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Named<E> {
     /// Name in messages.
     pub name: &'static str,
-    /// Effect that is named.
+    /// Named effect.
     pub effect: E,
 }
 

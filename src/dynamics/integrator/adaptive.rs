@@ -14,11 +14,11 @@ use crate::numbers::zip::zip;
 /// 1 or more        it is tried again, half as long
 /// ```
 ///
-/// Every sample has its own step lengths. A sample in a lane has the bits of a scalar computation.
-/// The derivative is that of the accepted steps, with constant step lengths (they are piecewise
-/// constant functions of the state).
+/// Every sample has its own step sizes. Lanes are bit-identical to scalar computations. Derivatives
+/// are those of the accepted steps at constant step sizes. Step sizes are piecewise constant
+/// functions of the state.
 ///
-/// A time step that `most` attempts do not complete yields NaN.
+/// Yields NaN if a time step is incomplete after `most` attempts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Adaptive {
     /// Relative tolerance. Below [`floor`](Adaptive::floor), rounding errors dominate.
@@ -35,8 +35,8 @@ impl Default for Adaptive {
     }
 }
 
-/// Error estimate, fifth-order minus fourth-order result: weights of the six stages and of the rate
-/// at the end of the step.
+/// Error estimate, the difference of the fifth- and fourth-order results: weights of the six stages
+/// and of the rate at the end of the step.
 const ERROR: [f64; 7] = [
     -0.001_780_011_052_225_777,
     -0.000_816_434_459_656_746_9,
@@ -50,8 +50,8 @@ const ERROR: [f64; 7] = [
 impl Adaptive {
     /// Integrates over `h`, attempt by attempt, and writes the final state to `next`.
     ///
-    /// Calls `tell(state, step)` for each attempt with its initial state and its accepted
-    /// duration, which is 0 if the attempt was rejected.
+    /// Calls `tell(state, step)` for each attempt, with its initial state and its accepted step
+    /// size: 0 for a rejected attempt.
     #[inline(always)]
     fn attempts<T: Scalar>(&self, ode: &dyn DynOde<T>, h: T, x: &[T], u: &[T], next: &mut [T], mut tell: impl FnMut(&[T], T)) {
         let (n, tableau, one) = (x.len(), RungeKutta::TSIT5, T::one());
@@ -63,7 +63,7 @@ impl Adaptive {
             if !T::any_lt(T::zero(), left) {
                 break;
             }
-            // Finished lanes take steps of length 0, which leave the state unchanged.
+            // Finished lanes take steps of size 0, which leave the state unchanged.
             let step = left.min(trial);
             tableau.run(ode, step, next, u, &mut at, &mut rates);
             candidate.copy_from_slice(next);
@@ -95,7 +95,7 @@ impl Adaptive {
             }
             let size = x[c].abs().max(candidate[c].abs());
             let ratio = (error * step).abs() / (T::lift(self.atol) + T::lift(self.rtol) * size);
-            // Selects a NaN ratio, unless a later finite ratio replaces it.
+            // Selects a NaN ratio. A later finite ratio replaces it.
             largest = T::select_lt(ratio, largest, largest, ratio);
         }
         largest.detach()

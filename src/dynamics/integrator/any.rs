@@ -81,7 +81,8 @@ impl<O: Ode> Ode for Apart<'_, O> {
     }
 }
 
-/// Outlined [`Integrator::advance`]: loops over samples would otherwise contain all methods.
+/// Outlined [`Integrator::advance`]. Inlining would compile all methods into every loop over
+/// samples.
 struct Advance<'a, I, T> {
     method: &'a I,
     ode: &'a dyn DynOde<T>,

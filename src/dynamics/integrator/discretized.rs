@@ -1,4 +1,4 @@
-//! [`Discretized`]: a choice at run time between a system's own step and an integrator.
+//! [`Discretized`]: run-time choice between the native scheme of a system and an integrator.
 
 use super::any::Apart;
 use super::{AnyIntegrator, Integrator, StepInput, room};
@@ -10,12 +10,12 @@ use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
-/// A system that is also a vector field, advanced by its own step or by an integrator.
+/// A system that is also a vector field, advanced by its native scheme or by an integrator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Discretized<S> {
-    /// The system. Its own time step must equal `dt`.
+    /// The system. The time step of the native scheme must equal `dt`.
     pub system: S,
-    /// The integrator; `None` selects [`System::step`].
+    /// The integrator; `None` selects the native scheme, [`System::step`].
     pub integrator: Option<AnyIntegrator>,
     /// Time step, s.
     pub dt: f64,

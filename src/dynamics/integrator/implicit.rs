@@ -7,8 +7,8 @@ use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 /// The implicit midpoint rule, `x' = x + h f((x + x')/2, u)`: order 2, symplectic, A-stable.
 ///
 /// Solved by simplified Newton iteration. The Jacobian is constant: central differences at the
-/// midpoint of an explicit Euler step. Each sample iterates until it converges. A step that
-/// does not converge within 30 iterations yields NaN.
+/// midpoint of an explicit Euler step. Each sample iterates until it converges, and yields NaN
+/// after 30 iterations without convergence.
 ///
 /// The reverse pass differentiates the solution, not the iteration, by the implicit function
 /// theorem. It recomputes the solution to 256 ε, regardless of `tolerance`. With
@@ -87,7 +87,7 @@ impl ImplicitMidpoint {
         Self::differences(ode, h, middle, u, matrix);
         invert_one_minus(matrix, inverse, n);
         let tolerance = T::lift(tolerance.max(256.0 * <T::Real as Float>::EPSILON));
-        // The tangents of a dual number converge one iteration after its value.
+        // Tangents of dual numbers converge one iteration after the values.
         let rounds_after = T::lift(2.0);
         let mut to_go = rounds_after;
         for _ in 0..MOST {

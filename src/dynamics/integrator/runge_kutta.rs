@@ -1,4 +1,4 @@
-//! [`RungeKutta`]: explicit Runge–Kutta methods with one analytic reverse for all tableaus.
+//! [`RungeKutta`]: explicit Runge–Kutta methods with one analytic VJP for all tableaus.
 
 use super::{Integrator, Room, StepInput, room};
 use crate::dynamics::ode::{DynOde, DynOdeVjp};
@@ -9,8 +9,8 @@ const MOST: usize = 7;
 
 /// An explicit Runge–Kutta method: `k_i = f(x + h Σ_{j<i} a_ij k_j, u)`, `x' = x + h Σ_i b_i k_i`.
 ///
-/// The reverse runs from the last stage to the first (Hairer, Lubich and Wanner, Geometric
-/// Numerical Integration, VI.4; Sanz-Serna 2016, doi:10.1137/151002769):
+/// The VJP visits the stages from last to first (Hairer, Lubich and Wanner, Geometric Numerical
+/// Integration, VI.4; Sanz-Serna 2016, doi:10.1137/151002769):
 ///
 /// ```text
 /// k̄_i = h (b_i x̄' + Σ_{j>i} a_ji ȳ_j),   ȳ_i = (∂f/∂x)ᵀ k̄_i,   ū += (∂f/∂u)ᵀ k̄_i,   x̄ = x̄' + Σ_i ȳ_i

@@ -20,7 +20,7 @@ pub(super) struct Exponents<F: Float, const K: usize> {
     low: bool,
 }
 
-/// A cotangent is not finite.
+/// Error: a cotangent is not finite.
 pub(super) struct NonFinite;
 
 impl<F: Float, const K: usize> Exponents<F, K> {
@@ -75,9 +75,9 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         Ok(())
     }
 
-    /// Sets those exponents of a block to 0 that are too low for its cost gradients.
+    /// Resets exponents of a block that are too low for its cost gradients to 0.
     ///
-    /// Exponents of samples whose cost gradients are 0 do not change.
+    /// Skips samples whose cost gradients are 0.
     pub(super) fn raise(&mut self, block: usize, scale: F, lambda: &mut [CotangentPack<Lane<F>, K>], costs: [&[Lane<F>]; 2]) {
         if !self.low {
             return;
@@ -113,7 +113,7 @@ pub(super) struct Limits<F> {
 
 /// Exponent of `high`, and of `low` with a negative sign.
 ///
-/// Far from the ends of the range of `F`: one step may multiply by 1e19 (f32).
+/// Far from the ends of the range of `F`: one step may multiply cotangents by 1e19 (f32).
 const fn reach<F: Float>() -> i32 {
     if F::EPSILON < 1e-10 { 300 } else { 60 }
 }
@@ -155,8 +155,8 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
 
     fn set(&mut self, k: usize, lane: usize, exponent: i32, scale: F) {
         self.of[k][lane] = exponent;
-        // Limited to stay finite. `raise` resets such exponents before a non-zero cost gradient is
-        // added.
+        // Bounded, so that the factor stays finite. `raise` resets such exponents before a non-zero
+        // cost gradient is added.
         let limit = reach::<F>() * 3 / 2;
         self.inject.0[k].set_lane(lane, scaled(scale, (-exponent).min(limit)));
     }
@@ -178,7 +178,7 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
         if !size.as_().is_finite() {
             return Err(NonFinite);
         }
-        // S carries nothing back, so it cannot explode or vanish.
+        // The adjoint of S covers one step, so it cannot explode or vanish.
         let carries = flow.physics || flow.control;
         if !carries || Limits::new().holds(size, false) && size != F::zero() {
             return Ok(());

@@ -57,8 +57,8 @@ impl PolicyBufferSizes {
         let (n, m) = (policy.state_dim(), policy.control_dim());
         let sizes = policy.sizes(columns);
         // With one control, ∂N/∂x and the cotangents of all layers are known up to the factor h
-        // before the loop. One linearization in large products then serves all flows. With more
-        // controls, each would need its own.
+        // before the loop. One linearization in large products then serves all flows. Several
+        // controls would require one linearization each.
         let through_inputs = flows.iter().any(|flow| flow.control);
         let linearized = m == 1 && through_inputs;
         Self {

@@ -1,8 +1,8 @@
 //! The adjoint recursion: [`reverse_step`] for the physics, [`Recursion::back`] for the loop.
 //!
-//! [`adjoint`](super) states the equations and defines λ and h. `exponents` scales cotangents of
-//! extreme size, and leaves the others unchanged. `step_back` traverses the samples. `policy` computes
-//! the Jacobian products of the policy. `measure` records norms and growth.
+//! [`adjoint`](super) states the equations and defines λ and h. `exponents` scales only cotangents
+//! of extreme size. `step_back` traverses the samples. `policy` computes the Jacobian products of
+//! the policy. `measure` records norms and growth.
 
 use super::exponents::Exponents;
 use super::measure::{GrowthMeters, record_norms};
@@ -154,7 +154,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     ) -> Result<(), Divergence> {
         for t in steps.rev() {
             self.before_step(pass, t);
-            // λ, h ← `reverse_step`, for every block of samples.
+            // λ, h ← `reverse_step`, in each block of samples.
             let in_range = task.step_back(flows, pass.rollout, t, self);
             if !in_range {
                 let rescaled = self.exponents.rescale(flows, pass, &mut self.lambda, &mut self.u_bar);

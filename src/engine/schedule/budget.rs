@@ -26,7 +26,7 @@ const SAME: u64 = 100;
 impl Schedule {
     /// Finds a schedule with few recomputed steps within `budget` bytes.
     ///
-    /// Stores all steps if they fit. Otherwise, it returns the smallest schedule whose recomputed
+    /// Stores all steps if they fit. Otherwise, returns the smallest schedule whose recomputed
     /// steps exceed the minimum by at most the tolerance [`SAME`]. `bytes` returns the size of a
     /// schedule.
     pub(crate) fn within(horizon: usize, budget: u64, bytes: impl Fn(&Self) -> usize) -> Result<Self, MemoryError> {

@@ -18,7 +18,7 @@ fn fma_64<const FMA: bool>(a: f64, b: f64, c: f64) -> f64 {
 /// Eigen). The error is at most 6 units in the last place with `FMA`, 8 without.
 #[inline(always)]
 pub fn tanh_32<const FMA: bool>(x: f32) -> f32 {
-    /// Smallest |x| at which tanh rounds to 1 within the stated accuracy.
+    /// Bound on |x|, beyond which ±1 is within the stated accuracy.
     const SATURATED: f32 = 7.998_811_7;
     let bounded = x.clamp(-SATURATED, SATURATED);
     let x2 = bounded * bounded;
@@ -41,7 +41,7 @@ pub fn tanh_32<const FMA: bool>(x: f32) -> f32 {
 /// last place.
 #[inline(always)]
 pub fn tanh_64<const FMA: bool>(x: f64) -> f64 {
-    /// Adding and subtracting this rounds to an integer (1.5·2^52).
+    /// 1.5·2^52: adding and subtracting it rounds to an integer.
     const ROUND: f64 = 6_755_399_441_055_744.0;
     /// Taylor coefficients 1/13! … 1/2! of expm1.
     const C: [f64; 12] = [

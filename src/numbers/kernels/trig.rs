@@ -4,16 +4,16 @@
 //! error is at most 1.6 units in the last place (ulps) in `f32`, tested for all arguments. In `f64`
 //! it is at most 2.6 ulps. Callers use the standard library beyond [`REACH`].
 //!
-//! The bound in `f64` has three terms. The argument reduction rounds twice, which moves the angle
-//! by up to 1 of its ulps. Just below a power of two, this is up to 2 ulps of the sine, because the
-//! angle lies just above the power. The last sum adds 0.5, the polynomial less than 0.1.
+//! The bound in `f64` has three terms. The argument reduction rounds twice, an error of up to 1 ulp
+//! of the angle. This is up to 2 ulps of the sine, if a power of two separates sine and angle. The
+//! last sum adds 0.5, the polynomial less than 0.1.
 
 /// Bound on |x| for the argument reduction: n < 2^20, so its products with the first two parts of
 /// π/2 are exact. Use [`std`] for larger arguments.
 pub const REACH: f64 = 1e6;
 
-/// Adding and subtracting this rounds to an integer. The low bits of the sum are those of the
-/// integer (1.5·2^52).
+/// 1.5·2^52: adding and subtracting it rounds to an integer. The low bits of the sum are those of
+/// the integer.
 const ROUND: f64 = 6_755_399_441_055_744.0;
 /// π/2 in three parts. The first two have 33 significant bits, so their product with n < 2^20 is
 /// exact (fdlibm).

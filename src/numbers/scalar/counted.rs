@@ -113,8 +113,8 @@ impl fmt::Display for Ops {
 /// measures them. Constants ([`lift`](Scalar::lift)), copies, [`detach`](Scalar::detach) and
 /// arithmetic on `f64` parameters are not counted.
 ///
-/// For default derivatives, the counts include the operations on the value and on all four tangents
-/// of each dual number.
+/// For default VJPs, the counts include the operations on the value and on all four tangents of
+/// each dual number.
 ///
 /// ```
 /// use physgrad::{Counted, Ops, Scalar};

@@ -83,7 +83,7 @@ impl Scalar for Quad {
 
     fn atan2(self, x: Self) -> Self {
         let near = Quad(self.0.atan2(x.0), 0.0);
-        // The remaining angle is so small that it equals its tangent.
+        // The remaining angle equals its tangent to double-double precision.
         let (sin, cos) = near.sin_cos();
         let (across, along) = (self * cos - x * sin, x * cos + self * sin);
         if along.0 == 0.0 { near } else { near + across / along }

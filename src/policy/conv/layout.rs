@@ -55,7 +55,7 @@ impl Conv {
         [one, two]
     }
 
-    /// Offset of the output kernel in `θ`.
+    /// Offset of the output weights in `θ`.
     pub(super) fn dense(&self) -> usize {
         (KERNEL * CHANNELS + 1) * self.width + (KERNEL * self.width + 1) * self.width
     }
