@@ -10,9 +10,9 @@ use serde::{Deserialize, Serialize};
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Limit {
-    /// The largest size, in the units of the control; positive.
+    /// Largest magnitude, in the units of the control; positive.
     pub bound: f64,
-    /// How it is reached.
+    /// Shape of the saturation.
     #[serde(default)]
     pub kind: LimitKind,
 }
@@ -22,11 +22,10 @@ pub struct Limit {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum LimitKind {
-    /// `bound tanh(u / bound)`: a policy that asks for too much still has a gradient, if a small
-    /// one.
+    /// `bound tanh(u / bound)`. The gradient decays smoothly beyond the bound.
     #[default]
     Smooth,
-    /// `u`, cut off at ±bound. The gradient is 0 beyond it.
+    /// `u`, clipped at ±bound. The gradient is 0 beyond the bound.
     Hard,
 }
 
@@ -126,7 +125,7 @@ impl Actuator for Lag {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Delay {
-    /// Steps from policy to system, at least 1.
+    /// Delay in time steps, at least 1.
     pub steps: usize,
 }
 
