@@ -132,7 +132,7 @@ fn a_rotation_has_the_gradients_zeros_and_the_combination_descends() {
 
 /// Checks the curvature along both axes of the bowl, which is rotated by 30°.
 #[test]
-fn the_bowl_is_as_long_and_turned_as_it_says() {
+fn the_quadratic_has_the_stated_axes() {
     let (sin, cos) = std::f64::consts::FRAC_PI_6.sin_cos();
     let places = [[2.0 * cos, 2.0 * sin], [-2.0 * sin, 2.0 * cos]];
     let samples = vector_field::sample(&Bowl::default(), &Constant::new(2, 2), &Field::regular(), &places).expect("finite");

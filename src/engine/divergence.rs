@@ -113,7 +113,7 @@ impl fmt::Display for Divergence {
                 write!(
                     f,
                     "forward pass: {variable} component {component} of sample {sample} is not finite at step {step}{}",
-                    by(cause)
+                    advice(cause, "Use a smaller time step, a lower learning rate or gradient clipping")
                 )
             }
             Self::Cost { sample } => {
@@ -127,7 +127,7 @@ impl fmt::Display for Divergence {
                 f,
                 "reverse pass of {flow}: the cotangent of {variable} component {component} of sample {sample} is not finite at \
                  step {step}{}",
-                by(cause)
+                advice(cause, "Shorten the horizon, or use another field")
             ),
             Self::Gradient { flow, parameter } => {
                 write!(
@@ -145,15 +145,15 @@ impl fmt::Display for Divergence {
     }
 }
 
-/// Describes the effect that caused the divergence, if known.
-fn by(cause: &Option<Cause>) -> String {
+/// Describes the effect that caused the divergence, if known. Otherwise returns `general`.
+fn advice(cause: &Option<Cause>, general: &str) -> String {
     match cause {
         Some(Cause::Effect(name)) => {
             format!(
                 ". At the previous state, the forces of {name} or their derivatives are not finite. Reduce the values of {name}"
             )
         }
-        _ => String::new(),
+        _ => format!(". {general}"),
     }
 }
 

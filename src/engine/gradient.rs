@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn what_plain_numbers_can_hold_is_plain() {
+    fn representable_sums_are_unscaled() {
         let mut sum = Gradient::<f32>::zeros(2);
         sum.unscaled_sum().expect("plain").copy_from_slice(&[1.0, 2.0]);
         sum.add_part(&[1.0, 1.0], 3);

@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stretch_is_the_worst_one_and_the_whole_may_still_decay() {
+    fn the_worst_window_may_grow_while_the_horizon_decays() {
         let mut meter = Meter::default();
         // Norms 1, 10, 1000, 1, 0.01, 0.1; `step` takes squares.
         for (before, after) in [(1.0, 1e2), (1e2, 1e6), (1e6, 1.0), (1.0, 1e-4), (1e-4, 1e-2)] {
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn words_are_said_where_and_only_where_a_flow_is_not_to_be_trusted() {
+    fn warnings_appear_exactly_for_unreliable_flows() {
         let growth = |along: f64, worst_window: f64| Growth { along, worst_window };
         let said = |flow: Flow, growth: Growth, epsilon: f64| growth.warning(flow, 1000, epsilon).unwrap_or_default();
         let (single, double) = (f64::from(f32::EPSILON), f64::EPSILON);

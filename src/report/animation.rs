@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_behind_is_written_once() {
+    fn the_background_is_written_once() {
         let curve = |y: f64| Shape::Curve { points: vec![[0.0, y], [1.0, 0.5]], width: 0.1, color: "red" };
         let raster = Raster::new(&[vec![0.0, 1.0]]);
         let mut animation = moving_dot(&[0.0, 1.0]);

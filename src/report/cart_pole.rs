@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn film_ends_before_a_state_that_is_not_finite() {
+    fn animation_ends_before_a_non_finite_state() {
         let mut states = trajectory(1.0);
         states[40][2] = f64::NAN;
         let animation = cart_pole(&states, &vec![1.0; 100], 0.5, 0.01);

@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn the_frame_tells_where_the_numbers_are() {
+    fn axes_state_the_range() {
         // Includes values below the smallest that kuva draws without rescaling.
         for points in [[(0.0, 3e-14), (2.0, 4e-11), (7.0, 2e-12)], [(10.0, 0.3), (2000.0, 4e3), (4000.0, 1.0)]] {
             check(&Chart::log("x", "y", vec![Series::new("a", "#123456", points.to_vec())]), &points);
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_shown_is_left_out() {
+    fn invisible_elements_are_omitted() {
         let series = |points: &[(f64, f64)]| Series::new("a", "#123456", points.to_vec());
         let chart =
             Chart::log("x", "y", vec![series(&[(0.0, f64::NAN), (1.0, 0.0)]), series(&[(0.0, f64::INFINITY), (1.0, 2.0)])]);

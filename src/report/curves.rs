@@ -168,10 +168,10 @@ mod tests {
     }
 
     #[test]
-    fn seeds_without_a_loss_or_an_end_are_left_out_and_told() {
+    fn seeds_without_a_result_are_omitted_and_counted() {
         let long = run(&[(0.0, 0.0, 1.0), (99.0, 9.0, 0.5), (100.0, 10.0, f64::NAN)]);
-        let broke_off = run(&[(0.0, 0.0, 1.0), (5.0, 0.5, 1e9)]);
-        let runs = vec![long, run(&[(0.0, 0.0, 1.0), (100.0, 12.0, 1e-4)]), broke_off];
+        let failed = run(&[(0.0, 0.0, 1.0), (5.0, 0.5, 1e9)]);
+        let runs = vec![long, run(&[(0.0, 0.0, 1.0), (100.0, 12.0, 1e-4)]), failed];
         let series = Curve { label: "a".into(), color: "red", runs }.summary(|p| p.epoch);
         assert_eq!((&*series.note, series.line.last().expect("a line").0), ("2 of 3 seeds", 99.0));
 

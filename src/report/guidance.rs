@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn everyone_is_in_the_picture() {
+    fn all_agents_are_in_view() {
         let animation = guidance(&trajectory(1.0), 1, 1.0 / 15.0);
         assert_eq!(animation.title, "1 driver, 1 evader: 4.0 s in real time");
         // The first circle is the agent, the second its legend entry.
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn film_ends_before_a_state_that_is_not_finite() {
+    fn animation_ends_before_a_non_finite_state() {
         let mut states = trajectory(1.0);
         states[20][6] = f64::INFINITY;
         let animation = guidance(&states, 1, 1.0 / 15.0);
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn one_who_runs_away_leaves_the_view() {
+    fn a_runaway_agent_leaves_the_view() {
         let animation = guidance(&trajectory(1e4), 1, 1.0 / 15.0);
         assert!(animation.view.1[0] - animation.view.0[0] < 50.0);
         let svg = animation.to_svg();

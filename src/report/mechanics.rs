@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_film_shows_everything_and_ends_where_the_motion_blows_up() {
+    fn an_animation_shows_all_bodies_and_ends_at_divergence() {
         let stage = Stage { title: "A test".into(), size: 0.2, floor: Some(0.0), mark: Some([3.0, 0.0]) };
         let posture = |x: f64| Posture { chain: vec![[x, 0.0], [x, 1.0]], boxes: vec![[x, 0.1]] };
         let animation = mechanics(&stage, &[posture(0.0), posture(1.0), posture(f64::NAN), posture(2.0)], 0.5);

@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_drawn_is_left_out() {
+    fn non_finite_points_are_omitted() {
         let odd = Map {
             values: vec![f64::NAN, 0.0, f64::INFINITY, -1.0],
             arrows: vec![[0.0; 2], [f64::NAN, 1.0], [1.0, 0.0], [f64::INFINITY, 0.0]],

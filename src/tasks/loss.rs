@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// States that count in the loss.
+/// States that enter the loss.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]

@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn a_state_that_no_step_leaves_behind_is_told() {
+    fn an_invalid_optimizer_state_is_reported() {
         let settings = |rule: &str| Optimizer::<f32>::new(OptimizerKind::named(rule).expect(rule), 0.1, 2);
         let fault = |rule: &str, change: fn(&mut Optimizer<f32>)| {
             let mut read = settings(rule);

@@ -41,7 +41,7 @@ fn every_operation_on_duals_has_the_bits_of_f64() {
 }
 
 #[test]
-fn every_operation_counts_what_it_does() {
+fn every_operation_is_counted() {
     let add = Ops { add: 1, ..NONE };
     let multiply = Ops { multiply: 1, ..NONE };
     let divide = Ops { divide: 1, ..NONE };
@@ -173,7 +173,7 @@ fn spring<S: System, C: Cotangent<Counted>>(system: &S, bar: C) -> [Ops; 4] {
 }
 
 #[test]
-fn a_spring_costs_what_it_does_by_hand() {
+fn a_spring_costs_its_hand_counted_operations() {
     let counts = |multiply, add, negate| Ops { multiply, add, negate, ..NONE };
     let step = counts(4, 3, 0);
     let (one, two) = (Counted(0.7), CotangentPack([Counted(0.7), Counted(-0.4)]));

@@ -83,7 +83,7 @@ impl Task for TwoControls {
 }
 
 #[test]
-fn a_system_of_ones_own_with_several_controls() {
+fn a_user_system_with_several_controls() {
     check::system(&TwoControls);
     check::task(&TwoControls, &Mlp::new([3, 9, 7, 2]));
     check::task(&TwoControls, &Linear::with_bias(3, 2));

@@ -69,7 +69,7 @@ fn bytes_are_those_asked_for<F: Float>() {
 }
 
 #[test]
-fn rollouts_and_adjoints_hold_the_bytes_they_say() {
+fn rollouts_and_adjoints_state_their_bytes() {
     bytes_are_those_asked_for::<f64>();
     bytes_are_those_asked_for::<f32>();
 }

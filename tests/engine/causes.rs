@@ -18,7 +18,7 @@ fn cause<S: System>(system: &S) -> Option<Cause> {
 
 /// Tests each kind of host, with more state components than forces.
 #[test]
-fn hosts_know_how_many_forces_they_have() {
+fn forced_systems_state_their_force_count() {
     let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
     let cubic = Some(Cause::Effect("Cubic"));
     assert_eq!(cause(&Forced { system: model, effects: ENDLESS }), cubic);
@@ -46,7 +46,7 @@ fn an_effect_has_the_name_it_is_given() {
 }
 
 #[test]
-fn causes_come_through_what_is_around() {
+fn wrappers_forward_causes() {
     let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
     let system = Forced { system: model, effects: ENDLESS };
     let cubic = Some(Cause::Effect("Cubic"));
@@ -99,7 +99,7 @@ impl Effect<Leaping> for Innocent {
 }
 
 #[test]
-fn an_effect_is_not_blamed_for_a_state_that_was_no_number_before() {
+fn a_non_finite_state_is_not_attributed_to_an_effect() {
     let system = Forced { system: Leaping, effects: Innocent };
     assert_eq!(cause(&Substeps { system, count: 4 }), None);
 }

@@ -268,7 +268,7 @@ impl Task for Saturated {
 }
 
 #[test]
-fn a_control_that_is_no_number_is_seen_though_the_state_hides_it() {
+fn a_non_finite_control_is_found_even_if_the_state_stays_finite() {
     let policy = Linear::new(1, 1);
     let weights = Weights::new(&policy, vec![f64::NAN]);
     let mut rollout = Rollout::new(&Saturated, &policy, 2);
@@ -316,7 +316,7 @@ fn a_composition_is_checked_before_the_optimizer_sees_it() {
 }
 
 #[test]
-fn an_evaluation_that_diverges_is_told() {
+fn a_diverging_evaluation_is_reported() {
     let training = Training { batch: 6, max_skipped: 100, ..Training::default() };
     let trainer = Trainer::new(Faulty(Fault::State), Linear::with_bias(3, 1)).precision::<f64>().training(training);
     let good = [0.1, 0.3, 0.0].repeat(6);
@@ -329,7 +329,7 @@ fn an_evaluation_that_diverges_is_told() {
 }
 
 #[test]
-fn settings_that_cannot_work_are_refused_by_name() {
+fn invalid_settings_are_refused_by_name() {
     let refused = |training: Training| {
         let trainer = Trainer::new(Saturated, Linear::new(1, 1)).training(training);
         trainer.session_from(vec![0.0], vec![1.0], vec![1.0]).expect_err("a mistake").to_string()

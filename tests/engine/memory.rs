@@ -228,7 +228,7 @@ fn bytes_are_those_held<F: Float>() {
 }
 
 #[test]
-fn schedules_hold_the_bytes_they_say() {
+fn schedules_state_their_bytes() {
     bytes_are_those_held::<f32>();
     bytes_are_those_held::<f64>();
 }

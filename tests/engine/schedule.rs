@@ -68,7 +68,7 @@ fn binomial_runs_as_few_steps_again_as_there_can_be() {
 }
 
 #[test]
-fn as_many_steps_are_run_again_as_a_schedule_says() {
+fn schedules_recompute_the_stated_number_of_steps() {
     let policy = Asked(AtomicU64::new(0));
     let weights = Weights::<f64>::new(&policy, vec![0.0; policy.param_count()]);
     let count = |segments: usize, schedule: &dyn Fn(usize) -> Schedule| {

@@ -212,7 +212,7 @@ fn wind_blows_a_still_cart_and_its_pole_away() {
 }
 
 #[test]
-fn actuators_do_what_they_say() {
+fn actuators_follow_their_formulas() {
     // Constant control from rest. The force on the cart is its change of speed times M / dt,
     // because the pole has negligible mass. M = 1 kg.
     let model = CartPoleSystem { pole_mass: 1e-12, dt: 0.1, ..poles(1) };

@@ -98,7 +98,7 @@ fn an_effect_costs_its_own_operations_and_nothing_when_absent() {
 }
 
 #[test]
-fn absorbing_edges_cost_the_same_whatever_they_are_around() {
+fn absorbing_edges_have_one_cost() {
     let (system, edges) = (QuantumSystem { grid: 10, ..QuantumSystem::default() }, AbsorbingEdges::default());
     let own = |effects: &[QuantumEffect]| {
         let system = Forced { system, effects: effects.to_vec() };
@@ -115,7 +115,7 @@ fn absorbing_edges_cost_the_same_whatever_they_are_around() {
 }
 
 #[test]
-fn a_bare_scene_has_the_operations_of_a_system_that_never_heard_of_effects() {
+fn a_scene_without_effects_has_the_operations_of_bare_physics() {
     let system = cart_pole(3);
     let (pole, cart, wind) = (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
     let by_hand = ByHand::<false, false> { system, pole, cart, wind };
@@ -134,7 +134,7 @@ fn herding_by_hand(system: GuidanceSystem) -> guidance::ByHand {
 }
 
 #[test]
-fn a_herd_has_the_operations_of_one_by_hand_and_those_of_what_can_be_chosen() {
+fn guidance_has_the_operations_of_hand_written_physics_plus_its_options() {
     for (drivers, evaders) in [(1, 1), (2, 4), (3, 2)] {
         let (machinery, by_hand) = (agents(drivers, evaders).herding(), herding_by_hand(agents(drivers, evaders)));
         let (machinery, by_hand) = (OpCount::of(&machinery), OpCount::of(&by_hand));
@@ -152,7 +152,7 @@ fn a_herd_has_the_operations_of_one_by_hand_and_those_of_what_can_be_chosen() {
 }
 
 #[test]
-fn a_particle_has_the_operations_of_one_by_hand_and_a_product_for_each_point() {
+fn quantum_has_the_operations_of_hand_written_physics_plus_a_product_per_point() {
     for grid in [3, 10] {
         let system = QuantumSystem { grid, ..QuantumSystem::default() };
         let (trap, cubic) = (Harmonic::default(), Cubic::default());
@@ -192,7 +192,7 @@ fn same_physics<A: System, B: System>(a: &A, b: &B) {
 }
 
 #[test]
-fn by_hand_is_the_same_physics() {
+fn hand_written_physics_has_the_same_results() {
     let system = cart_pole(3);
     let (pole, cart, wind) = (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
     same_physics(&system, &ByHand::<false, false> { system, pole, cart, wind });

@@ -175,7 +175,7 @@ fn momentum(forces: &[[f64; 2]]) -> (f64, f64) {
 }
 
 #[test]
-fn each_acts_on_whom_it_says() {
+fn effects_act_on_the_stated_agents() {
     let model = agents(3, 4);
     for x in states(&model) {
         let (spread, flock) = (forces(&Spread::default(), &model, &x), forces(&Flock::default(), &model, &x));
@@ -198,7 +198,7 @@ fn each_acts_on_whom_it_says() {
 }
 
 #[test]
-fn forces_point_where_they_say() {
+fn forces_have_the_stated_directions() {
     let along = |effect: GuidanceEffect, drivers, evaders, distance: f64| {
         let x = [0.0, 0.0, 0.0, 0.0, distance, 0.0, 0.0, 0.0];
         let forces = forces(&effect, &agents(drivers, evaders), &x);
@@ -313,7 +313,7 @@ fn springs_within_their_limit_take_speed() {
 }
 
 #[test]
-fn what_agents_do_to_each_other_is_the_same_everywhere() {
+fn pair_forces_are_translation_invariant() {
     let model = GuidanceSystem { center: Center::Mean, ..agents(2, 3) };
     let effects = (Friction::default(), Spread::default(), Evade::default(), Flock::default(), Drive::default());
     let system = Forced { system: model, effects };

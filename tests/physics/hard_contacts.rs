@@ -257,7 +257,7 @@ fn a_touch_at_the_end_of_a_step_keeps_its_derivative() {
 }
 
 #[test]
-fn what_is_not_finite_does_not_come_to_rest() {
+fn a_non_finite_state_does_not_come_to_rest() {
     for ball in balls() {
         for x in [[f64::NAN, 0.0], [0.5, f64::NAN], [0.0, f64::NAN]] {
             assert!(step(&ball, &x, 0.0).iter().any(|x| x.is_nan()), "{ball:?} at {x:?}");

@@ -87,7 +87,7 @@ fn losses(lqr: &Lqr, gain: Vec<f64>) -> [f64; 2] {
 }
 
 #[test]
-fn riccatis_gain_pays_the_least_at_every_horizon() {
+fn the_riccati_gain_is_optimal_at_every_horizon() {
     for mut lqr in [Lqr::spring(), Lqr::upright_cart_pole()] {
         for horizon in [1, 7, 100] {
             lqr.horizon = horizon;
@@ -115,7 +115,7 @@ fn loops_are_stable_at_the_optimum_whatever_the_plant() {
 }
 
 #[test]
-fn what_cannot_be_held_is_said() {
+fn unstabilizable_plants_are_reported() {
     // The control does not affect the growing component.
     let plant = LinearPlant::new(2, vec![0.5, 0.0, 0.0, 1.5], vec![1.0, 0.0]);
     let identity = vec![1.0, 0.0, 0.0, 1.0];
@@ -201,7 +201,7 @@ fn energy_drifts_with_the_order_of_the_method() {
 }
 
 #[test]
-fn masses_that_are_no_physics_are_refused() {
+fn non_physical_masses_are_refused() {
     let model = |cart_mass: f64, pole_mass: f64| CartPoleSystem { poles: 3, cart_mass, pole_mass, ..CartPoleSystem::default() };
     for good in [model(1.0, 0.1), model(1e-8, 0.1), model(1e6, 1e-6)] {
         assert_eq!((good.check(), CoupledCartPole(good).check(), PoleChain(good).check()), (Ok(()), Ok(()), Ok(())));

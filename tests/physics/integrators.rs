@@ -144,7 +144,7 @@ fn the_steps_of_the_tasks_are_their_integrators() {
 }
 
 #[test]
-fn adaptive_steps_keep_the_error_they_are_allowed() {
+fn adaptive_steps_meet_their_tolerance() {
     let (state, _) = reached(&ByDuals, &RungeKutta::TSIT5, 10.0, 20_000);
     let mut before = f64::INFINITY;
     for rtol in [1e-3, 1e-5, 1e-7, 1e-9] {
@@ -157,7 +157,7 @@ fn adaptive_steps_keep_the_error_they_are_allowed() {
 }
 
 #[test]
-fn adaptive_steps_that_do_not_arrive_are_no_number() {
+fn adaptive_steps_beyond_the_limit_are_nan() {
     let (found, _) = reached(&ByDuals, &Adaptive { rtol: 1e-9, atol: 1e-9, most: 3 }, 10.0, 1);
     assert!(found.iter().all(|x| x.is_nan()), "{found:?}");
 }
@@ -200,7 +200,7 @@ fn the_adjoint_of_the_midpoint_rule_does_not_depend_on_the_tolerance_of_newton()
 }
 
 #[test]
-fn a_step_that_newton_does_not_solve_is_no_number() {
+fn an_unsolved_newton_step_is_nan() {
     // x' = x + h ((x + x') / 2)² has no real solution for h x > 1/2.
     let system = integrated(Stiff { rate: 0.0, square: 1.0 }, ImplicitMidpoint::default(), 10.0);
     let mut next = [0.0_f64];
@@ -268,7 +268,7 @@ fn symplectic_methods_keep_energy_without_a_trend() {
 }
 
 #[test]
-fn nothing_but_the_field_of_effects_is_needed() {
+fn a_user_ode_accepts_effects() {
     // Tests contacts and dry friction as parts of a vector field.
     let system = CartPoleSystem { poles: 1, ..CartPoleSystem::default() };
     let rough = Forced { system, effects: (DryFriction::default(), Bumpers::default()) };
@@ -293,7 +293,7 @@ impl Ode for Exploding {
 }
 
 #[test]
-fn a_step_that_has_no_solution_is_not_a_number_and_tells_its_residual() {
+fn an_unsolvable_step_is_nan_and_reports_its_residual() {
     let of = |dt| Integrated { ode: Exploding, integrator: ImplicitMidpoint::default(), dt };
     let mut next = [0.0_f64];
     // x' = h exp(x' / 2) has a solution up to h = 2 / e = 0.7358.

@@ -79,7 +79,7 @@ fn everything<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
 }
 
 #[test]
-fn a_list_has_the_numbers_of_a_tuple_and_what_does_nothing_changes_none() {
+fn lists_equal_tuples_and_zero_effects_change_nothing() {
     let mut rng = stream(0, Purpose::Check, 0);
     for system in [box_of(32), dipole(33)] {
         let (mut x, mut u) = (vec![0.0; 2 * system.grid], [0.0]);
@@ -116,7 +116,7 @@ fn sums(add: u64, multiply: u64) -> Ops {
 }
 
 #[test]
-fn an_effect_costs_its_own_operations_and_no_others() {
+fn an_effect_costs_only_its_own_operations() {
     let (model, n) = (box_of(32), 32);
     let plain = counts(&model);
     let solve = sums(8 * n - 6, 12 * n - 8);
@@ -164,7 +164,7 @@ fn an_effect_costs_its_own_operations_and_no_others() {
 }
 
 #[test]
-fn a_task_around_anything_pays_for_the_body_alone() {
+fn a_wrapped_task_has_the_costs_of_the_model() {
     let plain = Quantum { loss: LossMode::Terminal, ..Quantum::new(2) };
     let system = Actuated { system: Absorbing::new(plain.system, AbsorbingEdges::default()), actuator: Delay { steps: 1 } };
     let around = Quantum { loss: LossMode::Terminal, ..Quantum::with_system(system, 2) };
@@ -182,7 +182,7 @@ fn a_task_around_anything_pays_for_the_body_alone() {
 }
 
 #[test]
-fn a_table_has_the_numbers_of_what_it_is_of_and_its_derivatives() {
+fn a_table_has_the_values_and_derivatives_of_its_potential() {
     let mut rng = stream(0, Purpose::Check, 0);
     let system = dipole(33);
     let (mut x, mut u) = (vec![0.0; 2 * system.grid], [0.0]);
@@ -197,7 +197,7 @@ fn a_table_has_the_numbers_of_what_it_is_of_and_its_derivatives() {
 
 #[test]
 #[should_panic(expected = "depends on the state has no table")]
-fn what_depends_on_the_state_has_no_table() {
+fn state_dependent_potentials_have_no_table() {
     Tabulated::of(&box_of(8), &Cubic::default());
 }
 

@@ -26,7 +26,7 @@ fn every_real_potential_keeps_the_norm() {
 }
 
 #[test]
-fn absorbing_edges_only_take() {
+fn absorbing_edges_only_remove_probability() {
     let model = QuantumSystem { grid: 399, length: 10.0, dt: 0.002, ..QuantumSystem::default() };
     let edges = AbsorbingEdges { width: 3.0, strength: 30.0 };
     let system = Absorbing::new(Forced { system: model, effects: Cubic { strength: 2.0 } }, edges);
@@ -122,7 +122,7 @@ fn a_coherent_state_swings_and_comes_back() {
 }
 
 #[test]
-fn a_barrier_lets_through_what_eckart_says() {
+fn barrier_transmission_matches_eckart() {
     let model = QuantumSystem { grid: 1599, length: 40.0, dt: 0.002, ..QuantumSystem::default() };
     let barrier = Barrier { height: 25.0, width: 0.5, center: 1.0 };
     let (sigma, wave_number) = (2.5, 5.0);
@@ -183,7 +183,7 @@ fn a_double_well_has_two_valleys_and_keeps_a_symmetric_state() {
 }
 
 #[test]
-fn the_opposite_control_does_the_same_to_the_mirrored_state_of_a_dipole() {
+fn a_mirrored_state_under_the_opposite_control_stays_mirrored() {
     let mirror = |x: &[f64]| x.chunks_exact(2).rev().flatten().copied().collect::<Vec<f64>>();
     let mut rng = stream(0, Purpose::Check, 1);
     for grid in [32, 33] {

@@ -34,7 +34,7 @@ fn the_derivatives_of_every_scheme_are_those_of_duals() {
 }
 
 #[test]
-fn effects_may_depend_on_time_and_wrappers_go_around_every_scheme() {
+fn time_dependent_effects_and_wrappers_work_with_every_scheme() {
     let (limit, edges) = (Limit { bound: 20.0, kind: LimitKind::Smooth }, AbsorbingEdges::default());
     for system in schemes(dipole(8)) {
         check_lively(&Forced { system: system.clone(), effects: (Swinging, Cubic::default()) });
@@ -56,7 +56,7 @@ fn everything<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
 }
 
 #[test]
-fn a_scheme_that_is_chosen_has_its_own_bits_and_a_list_those_of_a_tuple() {
+fn run_time_schemes_and_lists_have_the_bits_of_typed_ones() {
     fn same<H: ForcedSystem<Model = QuantumSystem> + System + Clone>(alone: &H, chosen: &QuantumScheme) -> Vec<f64> {
         let (mut x, mut u) = (vec![0.0; alone.model().grid * 2], [0.0]);
         lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u);

@@ -61,7 +61,7 @@ fn errors_fall_with_the_order_of_the_method_and_work_is_counted() {
 }
 
 #[test]
-fn what_blew_up_is_shown_as_such_and_never_as_fast() {
+fn diverged_settings_are_marked_and_never_ranked_fast() {
     let dir = TempDir::new().expect("a folder");
     let (said, rows) = run(dir.path(), &["--set", "effects.cart_damping.damping=2e3", "--set", "horizon=100"]);
     assert!(said.contains("settings diverged"), "{said}");
@@ -72,7 +72,7 @@ fn what_blew_up_is_shown_as_such_and_never_as_fast() {
 }
 
 #[test]
-fn a_target_that_nothing_reaches_says_what_was_the_best_and_why() {
+fn an_unreached_target_reports_the_best_setting_and_the_reason() {
     let dir = TempDir::new().expect("a folder");
     let args = ["accuracy", "cart_pole", "--set", "policy.widths=[4]", "--set", "horizon=5", "--quiet", "--target", "1e-30"];
     let said = error_of(physgrad(&args).arg("--out").arg(dir.path()));
@@ -82,7 +82,7 @@ fn a_target_that_nothing_reaches_says_what_was_the_best_and_why() {
 }
 
 #[test]
-fn integrators_and_budgets_that_cannot_be_used_are_told_with_what_is_allowed() {
+fn invalid_integrators_and_budgets_are_refused_with_the_allowed_values() {
     for (task, set, message) in [
         ("cart_pole", "integrator.method=\"rk5\"", "`integrator.method` is `rk5`; allowed: `euler`, "),
         ("cart_pole", "integrator.method=\"pade\"", "`integrator.method` is pade; allowed: euler, semi_implicit, "),
@@ -134,7 +134,7 @@ fn a_budget_of_memory_changes_no_bit_and_an_integrator_does() {
 }
 
 #[test]
-fn ways_to_come_by_a_gradient_are_measured_by_double_double() {
+fn gradient_methods_are_compared_with_double_double() {
     let dir = TempDir::new().expect("a folder");
     let small = ["--set", "policy.widths=[4]", "--set", "horizon=20", "--horizons", "40,5", "--quiet"];
     let mut command = physgrad(&["accuracy", "cart_pole", "--gradients"]);
@@ -143,25 +143,25 @@ fn ways_to_come_by_a_gradient_are_measured_by_double_double() {
     assert!(said.contains("up to 40 steps, the longest horizon measured"), "{said}");
     let table = |name: &str| csv_of(&fs::read_to_string(dir.path().join(name)).expect("a table"));
 
-    let ways = table("gradients.csv");
-    let way = |name: &str, step: &str, precision: &str| {
-        let found = ways.iter().find(|row| row["way"] == name && row["step"] == step && row["precision"] == precision);
+    let methods = table("gradients.csv");
+    let method = |name: &str, step: &str, precision: &str| {
+        let found = methods.iter().find(|row| row["method"] == name && row["step"] == step && row["precision"] == precision);
         found.unwrap_or_else(|| panic!("{name} {step} {precision}"))
     };
     for field in ["R", "M", "S", "C"] {
         let name = format!("reverse {field}");
-        let [single, double] = ["f32", "f64"].map(|precision| number(way(&name, "", precision), "error"));
+        let [single, double] = ["f32", "f64"].map(|precision| number(method(&name, "", precision), "error"));
         assert!(double < 1e-13 && single > 1e-9 && single < 1e-4, "{field}: {single:e}, {double:e}");
-        assert!(number(way(&name, "", "f32"), "signs_as_in_f64") > 0.9);
-        assert!(number(way(&name, "", "f64"), "peak_bytes") > number(way("loss alone", "", "f64"), "peak_bytes"));
+        assert!(number(method(&name, "", "f32"), "signs_as_in_f64") > 0.9);
+        assert!(number(method(&name, "", "f64"), "peak_bytes") > number(method("loss alone", "", "f64"), "peak_bytes"));
     }
-    assert!(number(way("forward mode", "", "f64"), "error") < 1e-13);
+    assert!(number(method("forward mode", "", "f64"), "error") < 1e-13);
     // Truncation error dominates for large steps, rounding for small ones.
-    let differences = |step: &str| number(way("central differences", step, "f64"), "error");
+    let differences = |step: &str| number(method("central differences", step, "f64"), "error");
     assert!(differences("0.1") > 100.0 * differences("0.01"), "the order is two");
     assert!(differences("0.0001") < 1e-6 && differences("0.0000000001") > 10.0 * differences("0.00001"));
     // Central differences evaluate the loss twice per parameter.
-    let ratio = number(way("central differences", "0.1", "f64"), "ms") / number(way("loss alone", "", "f64"), "ms");
+    let ratio = number(method("central differences", "0.1", "f64"), "ms") / number(method("loss alone", "", "f64"), "ms");
     assert!(ratio > 20.0, "{ratio}");
 
     let checkpoints = table("checkpoints.csv");
@@ -175,7 +175,7 @@ fn ways_to_come_by_a_gradient_are_measured_by_double_double() {
 }
 
 #[test]
-fn what_is_conserved_drifts_by_the_order_of_the_method() {
+fn conserved_quantities_drift_with_the_order_of_the_method() {
     let dir = TempDir::new().expect("a folder");
     let (said, rows) = run(dir.path(), &["--set", "system.poles=1"]);
     assert!(said.contains("drift of the energy"), "{said}");
@@ -211,7 +211,7 @@ fn scenes_of_equal_error_are_written_and_compared_in_training() {
 }
 
 #[test]
-fn an_equation_that_was_not_solved_is_told_with_step_and_residual() {
+fn an_unsolved_equation_is_reported_with_step_and_residual() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("run");
     let far = ["--epochs", "5", "--set", "integrator.method=implicit_midpoint", "--set", "system.dt=50"];

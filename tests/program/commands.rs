@@ -62,7 +62,7 @@ fn a_training_leaves_every_file() {
 }
 
 #[test]
-fn a_saved_run_is_filmed_from_any_test_start() {
+fn a_saved_run_is_animated_from_any_test_state() {
     let dir = TempDir::new().expect("a folder");
     let (run, film) = (dir.path().join("run"), |path: &Path| fs::read(path.join("animation.svg")).expect("a film"));
     train(&run, &["--epochs", "1"]).assert().success();
@@ -94,7 +94,7 @@ fn a_saved_run_is_filmed_from_any_test_start() {
 }
 
 #[test]
-fn the_cosine_is_empty_where_there_is_one_gradient() {
+fn the_cosine_column_is_empty_for_a_single_gradient() {
     let dir = TempDir::new().expect("a folder");
     for field in ["R", "modified", "S", "network"] {
         let out = dir.path().join(field);
@@ -132,7 +132,7 @@ fn a_resumed_run_is_an_uninterrupted_one() {
 }
 
 #[test]
-fn mistakes_are_named_with_what_is_allowed() {
+fn errors_name_the_key_and_the_allowed_values() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("run");
     for (set, parts) in [
@@ -175,7 +175,7 @@ fn an_unwritable_folder_is_an_error_before_training() {
 }
 
 #[test]
-fn what_cannot_be_resumed_is_refused_with_the_reason() {
+fn runs_that_cannot_resume_are_refused_with_the_reason() {
     let dir = TempDir::new().expect("a folder");
     let resume = |args: &[&str]| {
         let mut command = physgrad(&["train", "cart_pole", "--resume", "--epochs", "3", "--out"]);
@@ -212,7 +212,7 @@ fn what_cannot_be_resumed_is_refused_with_the_reason() {
 }
 
 #[test]
-fn a_run_that_diverges_says_where_and_keeps_what_it_has() {
+fn a_diverged_run_reports_the_place_and_keeps_its_results() {
     let dir = TempDir::new().expect("a folder");
     let text = error_of(&mut train(dir.path(), &["--epochs", "50", "--set", "system.gravity=1e38", "--set", "system.dt=1e5"]));
     for part in ["forward pass", "step", "sample", "component", "in a row"] {
@@ -242,7 +242,7 @@ fn a_comparison_has_a_row_a_run_and_a_picture() {
 }
 
 #[test]
-fn a_comparison_keeps_runs_that_broke_off_and_says_so() {
+fn a_comparison_keeps_and_reports_failed_runs() {
     let dir = TempDir::new().expect("a folder");
     let mut compare = physgrad(&["compare", "cart_pole", "--fields", "R,C", "--seeds", "2", "--epochs", "40", "--out"]);
     compare.arg(dir.path()).args(SMALL).args(["--set", "system.gravity=1e38", "--set", "system.dt=1e5"]);
@@ -258,7 +258,7 @@ fn a_comparison_keeps_runs_that_broke_off_and_says_so() {
 }
 
 #[test]
-fn a_comparison_goes_on_where_it_was_and_refuses_what_is_not_one() {
+fn a_comparison_resumes_and_refuses_other_folders() {
     let dir = TempDir::new().expect("a folder");
     let compare = |args: &[&str]| {
         let mut compare = physgrad(&["compare", "cart_pole", "--seeds", "1", "--out"]);
@@ -309,7 +309,7 @@ fn every_task_trains_and_leaves_its_pictures() {
 }
 
 #[test]
-fn checks_pass_and_say_so() {
+fn checks_pass_and_report_it() {
     let output = physgrad(&["check", "cart_pole"]).assert().success();
     let text = String::from_utf8(output.get_output().stdout.clone()).expect("text");
     assert!(text.contains("rollout") && text.contains("ok") && !text.contains("FAILED"), "{text}");
@@ -323,7 +323,7 @@ fn tasks_are_listed_with_their_settings() {
 }
 
 #[test]
-fn a_run_that_is_killed_at_any_moment_can_be_resumed_and_ends_as_if_it_had_not_been() {
+fn a_killed_run_resumes_to_the_bits_of_an_uninterrupted_one() {
     let dir = TempDir::new().expect("a folder");
     let [whole, killed] = ["whole", "killed"].map(|name| dir.path().join(name));
     let epochs = ["--epochs", "400", "--save-every", "0", "--threads", "1"];

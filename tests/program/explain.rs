@@ -99,7 +99,7 @@ fn parts_add_up_to_the_whole() {
 }
 
 #[test]
-fn bytes_are_those_that_the_library_holds() {
+fn reported_bytes_equal_those_of_the_library() {
     let rows = explained(SCENE, &[]);
     let system = Forced { system: CoupledCartPole(model()), effects: (PoleDamping::default(), DryFriction::default()) };
     let policy = Mlp::new([system.state_dim(), 20, 1]);
@@ -123,7 +123,7 @@ fn bytes_are_those_that_the_library_holds() {
 }
 
 #[test]
-fn allocations_are_told_where_there_are_any() {
+fn allocations_are_reported() {
     // Steps on a grid that exceeds the stack buffers allocate.
     let rows = explained("scene = 1\ntask = \"quantum\"\n[system]\ngrid = 200\n[policy]\nwidth = 4\n", &[]);
     assert_ne!(row(&rows, "evaluation")[4], "0");

@@ -213,7 +213,7 @@ fn extreme_settings_are_trained_with_or_refused() {
 /// For extreme parameters of an effect, no command panics. The messages of `train` and `compare`
 /// name the effect.
 #[test]
-fn the_scenes_own_key_is_blamed() {
+fn errors_name_the_key_of_the_scene() {
     let dir = TempDir::new().expect("a folder");
     let few = ["--epochs", "1", "--set", "training.train_samples=8", "--set", "training.test_samples=8", "--set", "horizon=6"];
     let errors = |command: &str, preset: &str, setting: &str| -> String {

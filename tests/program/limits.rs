@@ -82,7 +82,7 @@ fn threads_have_a_limit() {
 }
 
 #[test]
-fn a_run_that_the_machine_has_no_memory_for_is_refused_whatever_its_budget() {
+fn a_run_beyond_the_memory_of_the_machine_is_refused() {
     let long = ["explain", "cart_pole", "--set", "horizon=100000000"];
     for budget in ["1GB", "900000GB"] {
         let said = refusal(physgrad(&long).args(["--set", &format!("training.memory={budget:?}")]));

@@ -44,7 +44,7 @@ fn every_scene_in_the_documentation_is_one() {
 }
 
 #[test]
-fn what_the_program_is_shown_to_say_is_what_it_says() {
+fn documented_outputs_equal_those_of_the_program() {
     let dir = TempDir::new().expect("a folder");
     let page = page("docs/scenes.md");
     let first = blocks(&page, "toml")[0];
@@ -77,7 +77,7 @@ fn the_page_of_effects_is_the_one_that_the_command_writes() {
 }
 
 #[test]
-fn the_page_of_hard_cases_has_all_of_them_with_what_they_ask_for() {
+fn the_page_of_hard_cases_lists_every_case_and_condition() {
     let page = page("docs/stability.md");
     let list = stdout(&["stress", "--list"]);
     let cases: Vec<&str> = list.lines().filter(|line| !line.starts_with(' ')).collect();

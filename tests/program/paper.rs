@@ -27,7 +27,7 @@ fn assert_figure(dir: &Path, name: &str) {
 }
 
 #[test]
-fn toy_figures_are_drawn_and_told() {
+fn figures_of_the_paper_examples_are_drawn_and_described() {
     let dir = TempDir::new().expect("a folder");
     for figure in ["fig1", "fig2"] {
         let said = paper(figure, dir.path(), &[]).assert().success();
@@ -61,7 +61,7 @@ fn the_quantum_figure_also_shows_the_size_of_the_updates() {
 }
 
 #[test]
-fn a_figure_goes_on_where_it_was_and_is_the_same_as_made_at_once() {
+fn an_interrupted_figure_resumes_to_identical_results() {
     let dir = TempDir::new().expect("a folder");
     let figure = |out: &str, epochs: &str| {
         let args = ["--seeds", "1", "--fields", "C", "--clip", "none", "--epochs", epochs];
@@ -84,7 +84,7 @@ fn a_figure_goes_on_where_it_was_and_is_the_same_as_made_at_once() {
 }
 
 #[test]
-fn an_interrupted_figure_writes_nothing_of_runs_that_did_not_begin_and_goes_on() {
+fn an_interrupted_figure_writes_only_started_runs_and_resumes() {
     let dir = TempDir::new().expect("a folder");
     let args = ["--seeds", "2", "--fields", "R,C", "--clip", "none", "--threads", "1"];
     let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
@@ -116,7 +116,7 @@ fn an_interrupted_figure_writes_nothing_of_runs_that_did_not_begin_and_goes_on()
 }
 
 #[test]
-fn options_that_make_no_figure_are_refused_before_anything_is_made() {
+fn invalid_figure_options_are_refused_before_any_run() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("paper");
     for (args, word) in [
@@ -134,7 +134,7 @@ fn options_that_make_no_figure_are_refused_before_anything_is_made() {
 }
 
 #[test]
-fn a_figure_that_is_none_is_refused_with_those_there_are() {
+fn an_unknown_figure_is_refused_with_the_known_ones() {
     let dir = TempDir::new().expect("a folder");
     let output = paper("fig9", dir.path(), &[]).output().expect("it runs");
     assert!(!output.status.success());

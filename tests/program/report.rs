@@ -102,7 +102,7 @@ fn films(page: &str) -> Vec<String> {
 }
 
 #[test]
-fn a_run_has_a_page_with_all_there_is_to_know() {
+fn a_run_has_a_complete_page() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("run");
     train(&out, &["--epochs", "4", "--set", "system.poles=3"]).assert().success();
@@ -149,7 +149,7 @@ fn a_run_has_a_page_with_all_there_is_to_know() {
 }
 
 #[test]
-fn what_only_some_fields_have_is_missing_in_words() {
+fn absent_quantities_are_explained() {
     let dir = TempDir::new().expect("a folder");
     train(dir.path(), &["--epochs", "2", "--field", "M"]).assert().success();
     let page = report(dir.path());
@@ -192,7 +192,7 @@ fn a_comparison_has_a_page_with_the_table_it_printed() {
 }
 
 #[test]
-fn a_page_shows_the_policy_as_it_is_now() {
+fn a_page_shows_the_current_policy() {
     let dir = TempDir::new().expect("a folder");
     train(dir.path(), &["--epochs", "1"]).assert().success();
     let film = fs::read_to_string(dir.path().join("animation.svg")).expect("a film");
@@ -233,7 +233,7 @@ fn names_are_text_and_not_markup() {
 }
 
 #[test]
-fn runs_that_were_not_finished_have_a_page_that_says_so() {
+fn pages_of_unfinished_runs_state_it() {
     let dir = TempDir::new().expect("a folder");
     let (broken, all, none, one) =
         (dir.path().join("broken"), dir.path().join("all"), dir.path().join("none"), dir.path().join("one"));
@@ -284,7 +284,7 @@ fn an_adjoint_beyond_the_range_of_f32_is_drawn_to_the_start() {
 }
 
 #[test]
-fn what_cannot_be_reported_is_named() {
+fn unreportable_folders_are_refused_with_the_reason() {
     let dir = TempDir::new().expect("a folder");
     assert!(refusal(&dir.path().join("nowhere")).contains("there is no folder"));
     assert!(refusal(dir.path()).contains("there is no run in"));

@@ -39,7 +39,7 @@ fn write(dir: &TempDir, text: &str) -> PathBuf {
 }
 
 #[test]
-fn every_preset_is_what_its_name_says() {
+fn every_preset_matches_its_name() {
     let dir = TempDir::new().expect("a folder");
     let names = presets();
     assert!(names.len() >= 14, "{names:?}");
@@ -121,7 +121,7 @@ fn a_file_says_only_what_differs() {
 const CART_POLE: &str = "scene = 1\ntask = \"cart_pole\"\n";
 
 #[test]
-fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
+fn errors_in_a_file_name_the_line_and_the_allowed_values() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("run");
     for (text, message) in [
@@ -229,7 +229,7 @@ fn mistakes_in_a_file_are_named_with_the_line_and_what_is_allowed() {
 }
 
 #[test]
-fn a_mistake_of_the_command_line_is_told_from_one_of_the_file() {
+fn errors_distinguish_command_line_and_file() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("run");
     let file = write(&dir, &format!("{CART_POLE}[system]\ndt = -1\n"));
@@ -263,7 +263,7 @@ fn effects_are_added_and_left_out_on_the_command_line() {
 }
 
 #[test]
-fn a_run_is_resumed_by_the_command_that_started_it_and_says_where_a_file_differs() {
+fn the_same_command_resumes_a_run_and_names_differences() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("run");
     let start = [&SMALL[..], &["--epochs", "1", "--without", "effects.lag"]].concat();
@@ -339,7 +339,7 @@ fn the_force_of_a_row_accelerates_the_block_to_the_next_row() {
 }
 
 #[test]
-fn what_is_left_out_must_be_there() {
+fn without_refuses_absent_effects() {
     let dir = TempDir::new().expect("a folder");
     let said = error_of(&mut train(dir.path(), &["--without", "wind"]));
     assert!(said.contains("--without wind: preset cart_pole has no such effect or part of the actuator; it has none"), "{said}");

@@ -282,7 +282,7 @@ fn runs_and_comparisons_do_not_mix() {
 }
 
 #[test]
-fn what_is_not_a_file_neither_hangs_nor_is_written_to() {
+fn devices_and_pipes_neither_hang_nor_are_written_to() {
     let fifo = |path: &Path| assert!(Command::new("mkfifo").arg(path).status().expect("it runs").success());
     let (_dir, out) = folder();
     fs::create_dir(&out).expect("a folder");

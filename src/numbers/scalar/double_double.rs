@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn what_saturates_or_is_not_finite_is_as_in_f64() {
+    fn saturated_and_non_finite_values_equal_those_of_f64() {
         let lift = <Quad as Scalar>::lift;
         assert_eq!(Scalar::tanh(lift(1e3)), Quad::ONE);
         assert_eq!(Scalar::tanh(lift(-1e3)), -Quad::ONE);

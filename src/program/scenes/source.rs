@@ -1,7 +1,7 @@
 //! [`SceneSource`]: a scene before validation, with the line or option of every value.
 
-use crate::program::settings::VERSION;
 use crate::program::settings::config_error::ConfigError;
+use crate::program::settings::{OPTIONAL, VERSION};
 use crate::program::tasks::{self, AnyTaskSpec, Scene};
 use anyhow::{Context, Result, anyhow, bail};
 use serde::Deserialize;
@@ -17,9 +17,6 @@ const MAX_BYTES: usize = 1_000_000;
 
 /// Largest number of parts of a dotted key in an option. Keys of scenes have up to three.
 const MAX_PARTS: usize = 8;
-
-/// Sections whose subsections may be absent.
-const OPTIONAL: [&str; 2] = ["effects", "actuator"];
 
 /// Unvalidated settings of a scene file, with the overrides of the command line.
 #[derive(Clone)]

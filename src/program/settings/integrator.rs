@@ -83,12 +83,11 @@ impl IntegratorSettings {
             && !methods.contains(&method)
         {
             let names: Vec<&str> = methods.iter().map(|method| method.name()).collect();
-            allowed(
-                "integrator.method",
-                method.name(),
-                false,
-                format!("{}; or omit it for the native scheme", names.join(", ")),
-            )?;
+            let what = match &names[..] {
+                [] => "none for this task; omit it for the native scheme".into(),
+                names => format!("{}; or omit it for the native scheme", names.join(", ")),
+            };
+            allowed("integrator.method", method.name(), false, what)?;
         }
         if let Some(substeps) = self.substeps {
             count("integrator.substeps", substeps, 1..=1_000_000)?;

@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_around_is_the_bare_film() {
+    fn without_surroundings_only_the_animation_is_drawn() {
         let states: Vec<Vec<f64>> = (0..50).map(f64::from).map(|t| vec![t * 0.1, 5.0, t, 1.0, -t, 1.0]).collect();
         let forces: Vec<f64> = (0..50).map(|t| f64::from(t).sin()).collect();
         let bare = cart_pole(&states, &forces, 0.5, 0.02).to_svg();

@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_in_the_field_is_the_bare_film() {
+    fn without_obstacles_only_the_animation_is_drawn() {
         let bare = guidance(&trajectory(), 1, 0.1).to_svg();
         assert!(guidance_in(&Field::default(), &trajectory(), 1, 0.1).to_svg() == bare);
     }
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn walls_far_from_everyone_do_not_make_them_small() {
+    fn distant_walls_do_not_shrink_the_agents() {
         let animation = guidance_in(&Field { obstacles: vec![], walls: Some([1e3, 1e3]) }, &trajectory(), 1, 0.1);
         assert!(animation.view.1[0] < 20.0);
     }

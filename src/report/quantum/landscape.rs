@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_box_is_the_bare_film() {
+    fn without_effects_only_the_animation_is_drawn() {
         let bare = quantum(&states(), &[1.0; 19], &[0.3; 7], 2.0, 0.1).to_svg();
         assert!(quantum_in(&Landscape::default(), &states(), &[1.0; 19], &[0.3; 7], 2.0, 0.1).to_svg() == bare);
     }
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_absorbed_is_told() {
+    fn absorbed_probability_is_labelled() {
         let landscape = Landscape { absorbing: Some(0.5), ..Landscape::default() };
         let animation =
             quantum_in(&landscape, &[vec![0.0, 1.0, 0.0, 0.0], vec![0.5, 0.0, 0.0, 0.5]], &[1.0], &[1.0, 0.0], 2.0, 0.1);

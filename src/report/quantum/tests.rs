@@ -53,7 +53,7 @@ fn the_map_has_a_cell_for_every_state_and_position() {
 }
 
 #[test]
-fn large_films_are_small_files() {
+fn large_animations_are_small_files() {
     let mut states = trajectory(200, 3000);
     states.iter_mut().zip(0..).for_each(|(s, t)| s.iter_mut().for_each(|v| *v *= 1.0 + 0.5 * f64::sin(f64::from(t))));
     let controls: Vec<f64> = (0..3000).map(|t| f64::from(t).sin()).collect();
@@ -62,7 +62,7 @@ fn large_films_are_small_files() {
 }
 
 #[test]
-fn film_ends_before_a_state_that_is_not_finite() {
+fn animation_ends_before_a_non_finite_state() {
     let mut states = trajectory(200, 50);
     states[30][7] = f64::NAN;
     let animation = quantum(&states, &[1.0, f64::INFINITY, -2.0], &[0.07; 200], 2.0, 0.1);

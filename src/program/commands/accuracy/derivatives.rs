@@ -25,7 +25,7 @@ fn norm(x: &[f64]) -> f64 {
 
 /// Relative error in the Euclidean norm, and the share of components with the correct sign
 /// (negative, zero or positive).
-fn compare(found: &[f64], right: &[f64]) -> (f64, f64) {
+pub fn compare(found: &[f64], right: &[f64]) -> (f64, f64) {
     let difference: Vec<f64> = found.iter().zip(right).map(|(a, b)| a - b).collect();
     let error = norm(&difference) / norm(right);
     let same = |(a, b): &(&f64, &f64)| (**a > 0.0) == (**b > 0.0) && (**a < 0.0) == (**b < 0.0);

@@ -144,7 +144,7 @@ fn optional(x: Option<f64>) -> String {
 
 fn methods_csv(methods: &[Derivative]) -> Result<Vec<u8>> {
     let header =
-        ["way", "step", "precision", "diverged", "error", "signs_as_in_f64", "ms", "ms_lowest", "ms_highest", "peak_bytes"];
+        ["method", "step", "precision", "diverged", "error", "signs_as_in_f64", "ms", "ms_lowest", "ms_highest", "peak_bytes"];
     let row = |row: &Derivative| {
         let (name, step) = match row.method {
             GradientMethod::Central(step) => ("central differences".to_owned(), step.to_string()),
@@ -176,7 +176,7 @@ fn horizons_csv(along: &[Horizon]) -> Result<Vec<u8>> {
         let head = [row.horizon.to_string(), row.norm.to_string()];
         head.into_iter().chain(row.found.iter().flat_map(cells)).collect()
     };
-    csv(&["horizon", "r_length", "f32_error", "f32_signs_right", "f64_error", "f64_signs_right"], along.iter().map(row))
+    csv(&["horizon", "r_norm", "f32_error", "f32_signs_right", "f64_error", "f64_signs_right"], along.iter().map(row))
 }
 
 fn diagrams(name: &str, methods: &[Derivative], along: &[Horizon]) -> physgrad::report::Drawing {

@@ -1,5 +1,6 @@
 //! One row of the results of `physgrad accuracy`.
 
+use crate::program::commands::accuracy::derivatives::compare;
 use crate::program::operations::simulation::{Job, Simulated};
 use crate::program::scenes::source::SceneSource;
 use crate::program::settings::Precision;
@@ -92,23 +93,9 @@ impl Row {
 
 impl Errors {
     pub fn of(found: &Simulated, reference: &Simulated) -> Self {
-        let norm = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
         let largest = |x: &[f64]| x.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
         let differences = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<f64>>();
-        let [r, m] = [0, 1].map(|k| {
-            let (found, right) = (&found.gradients[k], &reference.gradients[k]);
-            let sign = |x: f64| {
-                if x > 0.0 {
-                    1
-                } else if x < 0.0 {
-                    -1
-                } else {
-                    0
-                }
-            };
-            let right_signs = found.iter().zip(right).filter(|(a, b)| sign(**a) == sign(**b)).count();
-            (norm(&differences(found, right)) / norm(right), right_signs as f64 / right.len() as f64)
-        });
+        let [r, m] = [0, 1].map(|k| compare(&found.gradients[k], &reference.gradients[k]));
         Self {
             trajectory: largest(&differences(&found.states, &reference.states)) / largest(&reference.states),
             loss: ((found.loss - reference.loss) / reference.loss).abs(),

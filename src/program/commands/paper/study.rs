@@ -140,7 +140,7 @@ impl Study {
     fn csv(&self, cells: &[Cell]) -> Result<Vec<u8>> {
         let mut csv = csv::Writer::from_writer(Vec::new());
         let header = [self.key, "clip", "field", "seed", "epochs", "final_train_loss", "final_test_loss", "best_test_loss"];
-        csv.write_record(header.into_iter().chain(["seconds", "skipped", "broke_off"]))?;
+        csv.write_record(header.into_iter().chain(["seconds", "skipped", "diverged"]))?;
         for cell in cells {
             for run in &cell.runs {
                 let names = [cell.value, cell.clip.name(), run.field.letter()].map(String::from);
