@@ -140,8 +140,8 @@ pub const ROTATION: f64 = 4.0;
 /// It vanishes where the gradient does, but is not a gradient: it also circulates around the
 /// minimum.
 ///
-/// Gradient descent with small steps still converges, because `g` is always a component. Adam does
-/// not converge. Near the minimum it divides by ever smaller root mean squares, so its steps grow.
+/// Gradient descent with small steps converges, because `g` always contributes. Adam does not
+/// converge. Near the minimum, Adam divides by ever smaller root mean squares, so steps grow.
 /// The momentum delays the field by β₁ / (1 - β₁) = 9 iterations. The delayed rotation moves the
 /// iterate outwards, and `g` moves it inwards.
 ///
