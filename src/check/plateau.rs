@@ -30,8 +30,8 @@ pub struct Plateau {
 }
 
 impl Plateau {
-    /// True if the gradient vanishes although a neighbour has a lower loss: at a maximum, a saddle
-    /// or a flat region, but not at a minimum.
+    /// True if the gradient vanishes although a neighbour has a lower loss, as at a maximum or a
+    /// saddle.
     pub fn is_stuck(&self) -> bool {
         self.gradient <= NONE * self.gradient_nearby && self.lowest_nearby < self.loss
     }
