@@ -6,7 +6,7 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use rand::RngExt;
 
-/// Standard gravity, m/s².
+/// Gravitational acceleration g, m/s².
 const GRAVITY: f64 = 9.81;
 
 /// Number of Newton iterations. Where friction and push nearly cancel, two are needed per unit of
