@@ -51,7 +51,7 @@ pub enum CheckpointError {
     /// Truncated or modified checkpoint.
     #[error("this checkpoint is damaged: {0}")]
     Damaged(String),
-    /// Checkpoint of another version of physgrad. Its results may differ.
+    /// Checkpoint of another version of physgrad, whose results may differ.
     #[error("this checkpoint was written by physgrad {found}, but this is {}; use version {found}", env!("CARGO_PKG_VERSION"))]
     Version {
         /// Version that wrote the checkpoint.

@@ -46,7 +46,7 @@ pub enum Field<C = SignAgreement> {
 /// assert_eq!(field.flows(), [Flow::MODIFIED, Flow::REGULAR]);
 /// ```
 pub trait GradientCombiner: Sync + Send {
-    /// Name, used in records.
+    /// Name, used in messages.
     fn name(&self) -> &str;
     /// Writes the composition into `out`. All three slices have one element per parameter.
     fn combine<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]);
@@ -120,7 +120,7 @@ impl<C: GradientCombiner> Field<C> {
         }
     }
 
-    /// Name, as used in settings and records.
+    /// Name, as used in settings and messages.
     pub fn name(&self) -> &str {
         match self {
             Self::Flow(Flow::REGULAR) => "regular",
