@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// States that count in the loss.
+/// States that enter the loss.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -10,6 +10,6 @@ pub enum LossMode {
     /// The last state only.
     #[default]
     Terminal,
-    /// Every state after the initial one: as a mean over time, or as a sum where the task says so.
+    /// Every state after the initial one, as a mean over time (quantum control: as a sum).
     Running,
 }
