@@ -5,8 +5,8 @@
 //! case. The `try_` functions return it instead. All checks run in double precision. Errors are
 //! relative to the largest component of the reference unless stated otherwise.
 //!
-//! Correct derivatives may still be useless. [`stability`] detects time steps that are too long for
-//! the dynamics. [`plateau`] detects vanishing gradients.
+//! Two further checks: [`stability`] detects time steps that are too long for the dynamics.
+//! [`plateau`] detects vanishing gradients.
 
 mod oracle;
 mod plateau;
@@ -81,7 +81,7 @@ pub struct Mismatch {
 /// Error of a check of whole rollouts.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Failure {
-    /// A derivative or loss exceeds the tolerance.
+    /// The error of a derivative or loss exceeds the tolerance.
     #[error(transparent)]
     Mismatch(#[from] Mismatch),
     /// The rollout or its gradient is non-finite.

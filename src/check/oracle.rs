@@ -30,7 +30,7 @@ pub fn weights(policy: &dyn AnyPolicy<f64>, size: f64, rng: &mut Rng) -> Weights
     Weights::new(policy, theta)
 }
 
-/// Mean loss of rollouts from the initial states `starts`. Its derivative follows only the paths of
+/// Mean loss of rollouts from the initial states `starts`, differentiable along the paths of
 /// `flow`.
 pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, theta: &[S], starts: &[f64], flow: Flow) -> S {
     let system = task.system();
@@ -176,7 +176,7 @@ pub fn policy_directions(
 }
 
 /// Random directions with components of either sign and magnitude between 1/2 and 3/2. A single
-/// wrong component always shows; several cancel only by chance.
+/// wrong component always changes the slope; several cancel only by chance.
 fn directions(rng: &mut Rng, len: usize) -> Vec<Vec<f64>> {
     let mut component = || rng.random_range(0.5..1.5) * if rng.random() { 1.0 } else { -1.0 };
     (0..DIRECTIONS).map(|_| (0..len).map(|_| component()).collect()).collect()

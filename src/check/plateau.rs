@@ -30,8 +30,8 @@ pub struct Plateau {
 }
 
 impl Plateau {
-    /// True if the gradient vanishes although a neighbour has a lower loss: at a maximum, a saddle
-    /// or a flat region, but not at a minimum.
+    /// True if the gradient vanishes although a neighbour has a lower loss, as at a maximum or a
+    /// saddle.
     pub fn is_stuck(&self) -> bool {
         self.gradient <= NONE * self.gradient_nearby && self.lowest_nearby < self.loss
     }
@@ -61,9 +61,8 @@ impl fmt::Display for Plateau {
 /// Compares the gradient R of the mean loss with the gradients at four neighbouring parameter
 /// vectors.
 ///
-/// `starts` holds the initial states. Typical causes of a vanishing gradient are a zero overlap
-/// with the target under a squared-overlap cost, a saturated policy, and a contact that the rollout
-/// never makes.
+/// `starts` holds the initial states. Typical causes of a vanishing gradient are a saturated
+/// policy, a contact that no rollout makes, and zero overlap with a target.
 /// ```
 /// use physgrad::{Weights, check, policy::Constant, tasks::Bowl};
 ///

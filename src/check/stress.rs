@@ -44,7 +44,7 @@ pub struct Case {
 }
 
 impl Case {
-    /// Creates a case; the fields describe the texts.
+    /// Creates a case. The fields describe the arguments.
     pub const fn new(
         name: &'static str,
         about: &'static str,

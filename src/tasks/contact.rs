@@ -14,8 +14,8 @@ use crate::numbers::scalar::Scalar;
 
 /// Contact model of two bodies.
 ///
-/// A naive step that reflects the speed below the floor (`v ← -e v` where `h < 0`) converges as dt
-/// → 0, but its derivative does not. By this derivative, raising the initial height by δ raises all
+/// A naive step reflects the speed below the floor, `v ← -e v` where `h < 0`. States converge as dt
+/// → 0, but derivatives do not. By this derivative, raising the initial height by δ raises all
 /// later heights by δ. By the exact one (without gravity), the ball arrives later and is lower by
 /// `e δ` afterwards. Springs that the time step does not resolve have the same defect.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -10,6 +10,6 @@ pub enum LossMode {
     /// The last state only.
     #[default]
     Terminal,
-    /// Every state after the initial one: as a mean over time, or as a sum where the task says so.
+    /// Every state after the initial one, as a mean over time (quantum control: as a sum).
     Running,
 }

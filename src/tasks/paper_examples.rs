@@ -1,5 +1,5 @@
-//! Simple tasks of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024).
-//! Their vector fields can be drawn.
+//! Tasks for the two-parameter examples of "Stabilizing Backpropagation Through Time to Learn
+//! Complex Physics" (ICLR 2024).
 
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;

@@ -46,7 +46,7 @@ any_effect! {
 /// control carries no cost.
 ///
 /// Initial states mix the two lowest eigenstates, so the third is the lowest target outside their
-/// span. All of these are eigenstates of the box without potential, whatever the effects.
+/// span. All eigenstates are those of the box without potential, for any effects.
 ///
 /// `S` is any system around a [`QuantumSystem`]: alone, with another scheme ([`Pade`], [`Strang`]),
 /// with effects, with [`Absorbing`] edges, or behind an actuator.

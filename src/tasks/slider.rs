@@ -6,11 +6,12 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use rand::RngExt;
 
-/// Standard gravity, m/s².
+/// Gravitational acceleration g, m/s².
 const GRAVITY: f64 = 9.81;
 
-/// Number of Newton iterations. Where friction and push nearly cancel, two are needed per unit of
-/// `|v'| / smoothing`, which is at most about 9 at a smoothing of 1e-9 m/s. Five more converge.
+/// Number of Newton iterations. Where friction and push nearly cancel, convergence takes two
+/// iterations per unit of `|v'| / smoothing`, and five more. This ratio is at most about 9 at a
+/// smoothing of 1e-9 m/s.
 const ROUNDS: usize = 24;
 
 /// Block on a table, pushed along one line. State `[position m, speed m/s]`, control `[push N]`.

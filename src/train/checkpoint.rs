@@ -1,7 +1,7 @@
 //! Checkpoints: serialization of a [`Session`](crate::Session).
 //!
-//! A checkpoint is a magic number, a format number, a CRC-32C of the rest, and a postcard body. Its
-//! label identifies the run. A session restores only checkpoints with its own label.
+//! A checkpoint is a magic number, a format number, a CRC-32C of the contents, and the postcard
+//! contents. A label identifies the run. A session restores only checkpoints with the same label.
 
 use super::Record;
 use super::progress::{Epoch, Progress, Snapshot};
@@ -51,7 +51,7 @@ pub enum CheckpointError {
     /// Truncated or modified checkpoint.
     #[error("this checkpoint is damaged: {0}")]
     Damaged(String),
-    /// Checkpoint of another version of physgrad. Its results may differ.
+    /// Checkpoint of another version of physgrad, whose results may differ.
     #[error("this checkpoint was written by physgrad {found}, but this is {}; use version {found}", env!("CARGO_PKG_VERSION"))]
     Version {
         /// Version that wrote the checkpoint.
@@ -168,7 +168,7 @@ impl<F: Float> Progress<F> {
         Ok(())
     }
 
-    /// Checks that a training with the settings of this one can have left this state behind.
+    /// Checks that a training with these settings can reach this state.
     fn validate(&self, body: &Body<F>) -> Result<(), String> {
         let updates = self.updates_per_epoch();
         let mut steps = 0;
@@ -190,7 +190,7 @@ impl<F: Float> Progress<F> {
         self.validate_state(&body.theta, &body.optimizer, body.skipped_in_a_row, steps)
     }
 
-    /// Checks the state between two updates, after `steps` applied ones.
+    /// Checks the state after `steps` applied updates.
     fn validate_state(&self, theta: &[F], optimizer: &Optimizer<F>, skipped: usize, steps: u64) -> Result<(), String> {
         let params = self.weights.theta().len();
         if theta.len() != params {

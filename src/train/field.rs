@@ -1,4 +1,4 @@
-//! [`Field`]: the vector field that the optimizer follows, and [`GradientCombiner`] for custom ones.
+//! [`Field`]: the vector field that the optimizer follows. [`GradientCombiner`]: custom fields.
 
 use crate::engine::adjoint::Flow;
 use crate::engine::gradient::Gradient;
@@ -46,9 +46,9 @@ pub enum Field<C = SignAgreement> {
 /// assert_eq!(field.flows(), [Flow::MODIFIED, Flow::REGULAR]);
 /// ```
 pub trait GradientCombiner: Sync + Send {
-    /// Name, used in records.
+    /// Name, used in messages.
     fn name(&self) -> &str;
-    /// Writes the composition into `out`. All three slices have the length of `θ`.
+    /// Writes the composition into `out`. All three slices have one element per parameter.
     fn combine<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]);
     /// Returns true if `combine` uses only the signs of `second`.
     ///
@@ -59,7 +59,7 @@ pub trait GradientCombiner: Sync + Send {
     }
 }
 
-/// Components of the first gradient whose sign agrees strictly with the second; 0 elsewhere.
+/// Components of the first gradient whose sign is that of the second; 0 elsewhere.
 ///
 /// With M and R it yields the combined gradient C of the paper.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -72,7 +72,7 @@ impl GradientCombiner for SignAgreement {
     fn combine<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]) {
         let zero = F::zero();
         for ((out, &m), &r) in out.iter_mut().zip(first).zip(second) {
-            // `signum` would give 0 and NaN a sign.
+            // `signum` would give 0 a sign.
             *out = if (m > zero && r > zero) || (m < zero && r < zero) { m } else { zero };
         }
     }
@@ -120,7 +120,7 @@ impl<C: GradientCombiner> Field<C> {
         }
     }
 
-    /// Name, as used in settings and records.
+    /// Name, as used in settings and messages.
     pub fn name(&self) -> &str {
         match self {
             Self::Flow(Flow::REGULAR) => "regular",

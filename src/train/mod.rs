@@ -176,7 +176,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
         self
     }
 
-    /// Sets the seed of the initial states and initial parameters.
+    /// Sets the seed of initial states, initial parameters and sample order.
     pub fn seed(mut self, seed: u64) -> Self {
         self.training.seed = seed;
         self

@@ -1,4 +1,5 @@
-//! Optimizers and gradient clipping. Formulas and defaults are those of Keras 2.15.
+//! Optimizers and gradient clipping. Formulas and defaults are those of Keras 2.15, except the
+//! momentum of 0.9.
 
 use crate::engine::gradient::Gradient;
 use crate::numbers::extended::ExtendedF64;
@@ -46,7 +47,7 @@ impl Clip {
                 gradient.flatten();
                 let (low, high) = (F::lift(-limit), F::lift(limit));
                 for g in gradient.values_mut(0) {
-                    // Comparisons let a NaN through.
+                    // Comparisons preserve NaN.
                     *g = if *g < low {
                         low
                     } else if *g > high {
@@ -130,7 +131,7 @@ impl OptimizerKind {
     }
 }
 
-/// Optimizer: a [`OptimizerKind`], a learning rate and the accumulated moments. Checkpoints contain it.
+/// An [`OptimizerKind`], a learning rate and the accumulated moments.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Optimizer<F> {
     rule: OptimizerKind,
@@ -162,11 +163,11 @@ impl<F: Float> Optimizer<F> {
         self.first.len()
     }
 
-    /// Checks a state that was read: rule and rate are those of `settings`, the number of steps is `expected`, and steps
-    /// can leave such moments behind.
+    /// Checks a restored state: rule and rate against `settings`, the number of steps against
+    /// `expected`, and the sizes, ranges and signs of the moments.
     ///
     /// # Errors
-    /// The first fault, in words.
+    /// Describes the first fault.
     pub(crate) fn validate(&self, settings: &Self, expected: u64) -> Result<(), String> {
         let Self { rule, learning_rate, steps, first, second } = self;
         let n = settings.params();
@@ -179,7 +180,7 @@ impl<F: Float> Optimizer<F> {
         if *steps != expected {
             return Err(format!("its optimizer counts {steps} steps, but its epochs have {expected} updates"));
         }
-        // Only Adam and descent with momentum keep numbers of either sign, and only in the first vector.
+        // Only the first moments of Adam and of momentum may be negative.
         let signed = matches!(rule, OptimizerKind::Adam { .. } | OptimizerKind::Momentum { .. });
         for (name, moments, signed) in [("first", first, signed), ("second", second, false)] {
             if moments.len() != n {

@@ -112,7 +112,7 @@ impl<F: Float> Progress<F> {
             order: (0..train.len() / n).collect(),
             starts: Vec::with_capacity(samples * n),
             combined: Gradient::zeros(params),
-            // Capacity for all epochs, within reason: `epochs` may be huge.
+            // Bounded, because `epochs` may be huge.
             records: Vec::with_capacity(training.epochs.min(100_000)),
             skips: Vec::new(),
             skipped_in_a_row: 0,
@@ -123,8 +123,8 @@ impl<F: Float> Progress<F> {
         })
     }
 
-    /// Runs until the end of the epoch and returns true, or until `pause` returns true after an
-    /// update and returns false. With several workers, it runs on one of the worker threads.
+    /// Runs to the end of the epoch, or until `pause` returns true after an update. Returns whether
+    /// the epoch ended. With several workers, the epoch runs on a worker thread.
     pub(super) fn advance(&mut self, trained: Trained<'_, F>, pause: &(dyn Fn() -> bool + Sync)) -> Result<bool, TrainError> {
         #[cfg(feature = "parallel")]
         if self.training.workers > 1 {
@@ -140,7 +140,7 @@ impl<F: Float> Progress<F> {
         let begin = Instant::now();
         let mut epoch = self.epoch.take().unwrap_or_else(|| self.begin_epoch());
         while epoch.updates < self.updates_per_epoch() {
-            // Only the first update measures growth.
+            // Measures growth up to the first applied update.
             self.batch.measure(epoch.means.is_empty());
             match self.update(trained, epoch.updates) {
                 Ok(step) => self.count(&mut epoch, &step),
@@ -170,7 +170,7 @@ impl<F: Float> Progress<F> {
         Epoch::default()
     }
 
-    /// Adds a finished update to the statistics of the epoch.
+    /// Adds an applied update to the statistics of the epoch.
     fn count(&mut self, epoch: &mut Epoch, step: &Step) {
         if epoch.means.is_empty() {
             epoch.means.growths = [Flow::REGULAR, Flow::MODIFIED].map(|flow| self.growth(flow));
@@ -182,8 +182,8 @@ impl<F: Float> Progress<F> {
     /// Skips a diverged update.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`] after too many skipped updates in a row, with the parameters and the
-    /// optimizer of the start of the epoch.
+    /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters and
+    /// optimizer then return to the start of the epoch.
     fn skip(&mut self, epoch: &mut Epoch, divergence: Divergence, policy: &dyn AnyPolicy<F>) -> Result<(), TrainError> {
         let skip = Skip { epoch: self.records.len() + 1, update: epoch.updates, divergence };
         self.skips.push(skip);

@@ -25,19 +25,19 @@ pub struct Record {
     pub kept: Option<f64>,
     /// Number of updates skipped because of a non-finite number.
     pub skipped: usize,
-    /// Growth of the adjoint of R in the first update of the epoch, if the field contains R.
+    /// Growth of the adjoint of R in the first applied update, if the field contains R.
     pub regular_growth: Option<Growth>,
-    /// Growth of the adjoint of M in the first update of the epoch, if the field contains M.
+    /// Growth of the adjoint of M in the first applied update, if the field contains M.
     pub modified_growth: Option<Growth>,
     /// Wall time of the epoch in seconds, updates and evaluation.
     pub seconds: f64,
 }
 
 impl Record {
-    /// Checks a record that was read, of epoch `number` of so many updates.
+    /// Checks a restored record of epoch `number` with `updates` updates per epoch.
     ///
     /// # Errors
-    /// The fault, in words.
+    /// Describes the fault.
     pub(super) fn validate(&self, number: usize, updates: usize) -> Result<(), String> {
         let Self { epoch, skipped, seconds, .. } = *self;
         if epoch != number || skipped > updates || !(seconds >= 0.0 && seconds.is_finite()) {
@@ -93,12 +93,12 @@ pub(super) struct Means {
     norm: ExtendedF64,
     cosine: Option<f64>,
     kept: Option<f64>,
-    /// Growth of R and M in the first update.
+    /// Growth of R and M in the first applied update.
     pub growths: [Option<Growth>; 2],
 }
 
 impl Means {
-    /// Updates that count.
+    /// Number of applied updates.
     pub fn updates(&self) -> usize {
         self.updates
     }
@@ -116,7 +116,7 @@ impl Means {
     }
 
     pub fn record(&self, epoch: usize, train_loss: f64, test_loss: f64, skipped: usize, seconds: f64) -> Record {
-        // NaN without an update.
+        // NaN without applied updates.
         let mean = |sum: f64| sum / self.updates as f64;
         Record {
             epoch,

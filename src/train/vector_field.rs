@@ -1,5 +1,5 @@
-//! Toy examples of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024):
-//! vector fields over the plane of two parameters, and the paths of Adam in them.
+//! Two-parameter examples of "Stabilizing Backpropagation Through Time to Learn Complex Physics"
+//! (ICLR 2024): vector fields, and the paths of Adam in them.
 //!
 //! - Figure 1 samples R and M of [`Reach`](crate::tasks::Reach) with the policy
 //!   [`Quadratic`](crate::policy::Quadratic).
@@ -140,8 +140,8 @@ pub const ROTATION: f64 = 4.0;
 /// It vanishes where the gradient does, but is not a gradient: it also circulates around the
 /// minimum.
 ///
-/// Gradient descent with small steps still converges, because `g` is always a component. Adam does
-/// not converge. Near the minimum it divides by ever smaller root mean squares, so its steps grow.
+/// Gradient descent with small steps converges, because `g` always contributes. Adam does not
+/// converge. Near the minimum, Adam divides by ever smaller root mean squares, so steps grow.
 /// The momentum delays the field by β₁ / (1 - β₁) = 9 iterations. The delayed rotation moves the
 /// iterate outwards, and `g` moves it inwards.
 ///
@@ -152,7 +152,7 @@ pub const ROTATION: f64 = 4.0;
 /// well above 1.
 ///
 /// The combination descends everywhere. It converges from most, but not all, initial parameters,
-/// and rarely with a large learning rate. Its final loss is far below that of the rotation alone.
+/// and rarely with a large learning rate. The final loss is far below that of the rotation alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rotated {
     /// Norm of the rotated part, as a multiple of the norm of the gradient.

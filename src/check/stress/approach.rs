@@ -27,8 +27,8 @@ pub(super) const CASES: &[Case] = &[Case {
 
 /// Time step of the ICLR 2024 paper, s.
 const DT: f64 = 4.0 / 60.0;
-/// Strength of the pair force, m²/s². The stiffness at zero distance is this over the squared
-/// softening length, 1000/s².
+/// Strength of the pair force, m²/s². The stiffness at distance 0 is the strength over the squared
+/// softening length: 10 m²/s² / (0.1 m)² = 1000/s².
 const STRENGTH: f64 = 10.0;
 const STIFFNESS: f64 = STRENGTH / 0.01;
 

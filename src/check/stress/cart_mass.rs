@@ -133,7 +133,7 @@ fn left(terms: &[f64]) -> f64 {
 /// ```
 fn dalembert(model: &CartPoleSystem, chained: bool, x: &[f64], rate: &[f64], u: f64) -> f64 {
     let (m, l, n) = (model.pole_mass, model.half_length, model.poles);
-    // Lever arm of the center of pole i about the joint of pole k.
+    // Length along pole k between the cart and the center of pole i.
     let arm = |i: usize, k: usize| {
         if i == k {
             l

@@ -1,7 +1,7 @@
 //! Stress case: adjoints of chaotic motion.
 //!
 //! The adjoint at the initial state aligns with the covector of fastest growth, which the first
-//! seconds determine. Its norm and sign depend on the last seconds. The adjoints of two rollouts
+//! seconds determine. The norm and sign depend on the last seconds. The adjoints of two rollouts
 //! that differ by rounding therefore stay collinear. Their signs agree only while the trajectories
 //! agree.
 
@@ -83,8 +83,8 @@ fn by_tangents(system: &Pendulum, states: &[State]) -> f64 {
     growth
 }
 
-/// Growth of the adjoint of the last first angle back to the initial state, in e-foldings, and its
-/// normalized value there.
+/// Adjoint of the final first angle at the initial state: growth in e-foldings, and normalized
+/// value.
 fn adjoint(system: &Pendulum, states: &[State]) -> (f64, State) {
     let (mut bar, mut x_bar, mut growth) = ([1.0, 0.0, 0.0, 0.0], [0.0; 4], 0.0);
     for x in states[..states.len() - 1].iter().rev() {

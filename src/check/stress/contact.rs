@@ -91,8 +91,9 @@ fn balls(second: f64, time: f64) -> Example {
 
 /// Position of a box that a pusher meets from rest and then pushes.
 ///
-/// Impact at `t = sqrt(2 g m/u)` with gap g; then `q + V (T - t) + u (T - t)²/2M` with `M = m + m₂`
-/// and `V = sqrt(2 g m u)/M`. The derivative with respect to p is minus that with respect to g.
+/// Impact at `t = sqrt(2 g m/u)` with gap g. The final position is `q + V (T - t) + u (T - t)²/2M`,
+/// with `M = m + m₂` and `V = sqrt(2 g m u)/M`. The derivative with respect to p is minus that with
+/// respect to g.
 fn pusher() -> Example {
     let (u, gap, [first, second], time) = (4.0, 0.2, [1.0, 2.0], 1.2f64);
     let total = first + second;

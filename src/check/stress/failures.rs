@@ -1,4 +1,4 @@
-//! Stress case: locates non-finite values and skips the update.
+//! Stress case: location of non-finite values, and skipped updates.
 
 use super::{Case, Finding};
 use crate::dynamics::cause::Cause;

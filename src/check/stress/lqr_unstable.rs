@@ -3,7 +3,7 @@
 //! The adjoint of M is that of the open loop, which the policy does not stabilize. For one sample
 //! it converges to the unstable left eigenvector of the plant times a scalar set by the end of the
 //! rollout. The parameter gradient of M thus points along `Σ_t a^{-t} x_t` for any loss, with a the
-//! largest eigenvalue of the plant. Its sign depends on the last states. C retains the components
+//! largest eigenvalue of the plant. The sign depends on the last states. C retains the components
 //! of M that agree in sign with R.
 
 use super::{Case, Finding};
@@ -189,7 +189,7 @@ fn gentle(lqr: &Lqr) -> Vec<f64> {
 struct Trained {
     /// Final loss relative to the optimum, minus 1.
     excess: f64,
-    /// Updates until the excess first reaches 1e-2, to the next evaluation.
+    /// Updates until the excess first reaches 1e-2, rounded up to the next evaluation.
     reached: Option<usize>,
     /// Mean share of non-zero field components; only for fields of two flows.
     kept: Option<f64>,

@@ -19,8 +19,9 @@ use crate::numbers::zip::zip;
 /// ```
 ///
 /// The mass matrix is an arrowhead matrix, solved in O(poles): eliminating the α_i leaves one
-/// equation for ẍ. Its factor, M - Σ (m l cos θ_i)² / J, is at least the cart's mass plus a quarter
-/// of the poles'. With one pole, the equations are equivalent to those of [`CartPoleSystem`].
+/// equation for ẍ. The factor of ẍ, M - Σ (m l cos θ_i)² / J, is at least the cart's mass plus a
+/// quarter of the poles'. With one pole, the equations are equivalent to those of
+/// [`CartPoleSystem`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CoupledCartPole(pub CartPoleSystem);
 

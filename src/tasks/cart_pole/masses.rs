@@ -45,9 +45,8 @@ impl CartPoleSystem {
 
     /// Checks that the masses, the half length and the number of poles are valid.
     ///
-    /// With a negative cart mass, free motion gains energy without bound. The equations of
-    /// [`CoupledCartPole`] would still be solvable down to minus a quarter of the poles' mass,
-    /// where they are singular.
+    /// A negative cart mass is rejected as unphysical. The equations of [`CoupledCartPole`] are
+    /// solvable down to minus a quarter of the poles' mass, where they are singular.
     ///
     /// # Errors
     /// Returns a [`MassError`] for the first invalid parameter.

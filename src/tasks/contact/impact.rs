@@ -15,7 +15,7 @@ struct Impact<T> {
 }
 
 impl<T: Scalar> Impact<T> {
-    /// Returns the first root of `g + v t + a t²/2` at which the gap closes, and the speed there,
+    /// Returns the first root of `g + v t + a t²/2` at which the gap closes. The speed there is
     /// `s = sqrt(v² - 2 a g)`.
     ///
     /// ```text

@@ -18,9 +18,9 @@ use rand::RngExt;
 /// P is the cost-to-go matrix of the infinite horizon. A single gain, [`Optimum::gain`], is
 /// therefore optimal at any horizon and from any initial state, and the minimal loss is known.
 ///
-/// This gain is a fixed point of R, M and C alike. With `λ_{t+1} = (Q + P) x_{t+1}`, the control's
-/// cotangent `h_t = Bᵀ λ_{t+1} + R u_t` is 0 at each step. Nothing flows back through the policy,
-/// so R and M have the same adjoint.
+/// This gain is a fixed point of R, M and C. With `λ_{t+1} = (Q + P) x_{t+1}`, the control's
+/// cotangent `h_t = Bᵀ λ_{t+1} + R u_t` is 0 at each step. The path through the policy therefore
+/// vanishes, and R and M have equal adjoints.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lqr {
     plant: LinearPlant,
@@ -57,8 +57,8 @@ impl Lqr {
         Ok(Self { start: vec![0.0; n], spread: 1.0, horizon: 100, plant, state_cost, control_cost, optimum })
     }
 
-    /// Creates a task with a stable plant. The plant is a mass of 1 kg on a spring of 1 N/m with a
-    /// damper of 0.4 N s/m, in semi-implicit steps of 0.1 s. The running cost per second is
+    /// Creates a task with a stable plant: a mass of 1 kg, a spring of 1 N/m and a damper of
+    /// 0.4 N s/m, in semi-implicit steps of 0.1 s. The running cost per second is
     /// `(|x|² + u²)/2`.
     pub fn spring() -> Self {
         let (dt, stiffness, damping) = (0.1, 1.0, 0.4);

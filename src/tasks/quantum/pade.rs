@@ -142,7 +142,7 @@ impl ForcedSystem for Pade {
             }
             return;
         }
-        // Solve again, because the forward pass does not store the solutions.
+        // Recompute the solutions, because the forward pass does not store them.
         let (mut y_minus, mut chi, mut y_plus) = (PerPoint::new(), PerPoint::new(), PerPoint::new());
         y_minus.resize(model.grid, [R::zero(); 2]);
         let y_minus = &mut y_minus[..];

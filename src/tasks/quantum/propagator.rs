@@ -8,7 +8,7 @@ use crate::numbers::zip::zip;
 use smallvec::SmallVec;
 use std::f64::consts::PI;
 
-/// Propagator `K = exp(i dt D₂)`, the exponential of the second difference. Its eigenvectors are
+/// Propagator `K = exp(i dt D₂)`, the exponential of the second difference. The eigenvectors are
 /// sines. With M = grid + 1:
 ///
 /// ```text

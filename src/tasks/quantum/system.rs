@@ -273,7 +273,7 @@ impl ForcedSystem for QuantumSystem {
             }
             return;
         }
-        // Solve again, because the forward pass does not store the solution.
+        // Recompute the solution, because the forward pass does not store it.
         let mut y = PerPoint::new();
         y.resize(self.grid, [R::zero(); 2]);
         let y = &mut y[..];
