@@ -191,7 +191,7 @@ fn job<F: Float>(of: Of, task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>
     let weights = Weights::<F>::init(&*policy, &mut stream(0, Purpose::Policy, 0));
     let starts: Vec<F> = initial_states(&*task, 0, Purpose::Train, BATCH);
     let mut rollout = Rollout::new(&*task, &*policy, BATCH);
-    let mut adjoint = (!flows.is_empty()).then(|| Adjoint::new(&*policy, &rollout, flows));
+    let mut adjoint = (!flows.is_empty()).then(|| Adjoint::new(&*task, &*policy, &rollout, flows));
     let mut gradient = Gradient::zeros(weights.theta().len());
     Box::new(move || {
         rollout.start(&starts);

@@ -78,7 +78,7 @@ fn shares(count: usize) {
     let level = SimdLevel::best();
 
     let mut rollout = Rollout::new(&task, &policy, BATCH);
-    let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::REGULAR]);
+    let mut adjoint = Adjoint::new(&task, &policy, &rollout, &[Flow::REGULAR]);
     let mut theta_bar = Gradient::zeros(policy.param_count());
     let mut whole = || {
         rollout.start(&starts);
@@ -137,7 +137,7 @@ fn shares(count: usize) {
     let nothing = Nothing { state_dim: n, control_dim: 1 };
     let none = Weights::<f32>::init(&nothing, &mut stream(0, Purpose::Policy, 0));
     let mut bare = Rollout::new(&task, &nothing, BATCH);
-    let mut bare_adjoint = Adjoint::new(&nothing, &bare, &[Flow::REGULAR]);
+    let mut bare_adjoint = Adjoint::new(&task, &nothing, &bare, &[Flow::REGULAR]);
     let mut physics = || {
         bare.start(&starts);
         bare.run(&task, &nothing, &none).expect("finite");

@@ -12,7 +12,8 @@ use measure::{Nothing, median, ratio, rounds};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{Cubic, Harmonic, Pade, Quantum, QuantumScheme, QuantumSystem, Strang};
 use physgrad::{
-    Adjoint, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Rollout, Substeps, System, Task, Weights, initial_states,
+    Adjoint, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Inputs, Rollout, Substeps, System, Task, Weights,
+    initial_states,
 };
 use std::f64::consts::PI;
 use std::hint::black_box;
@@ -78,7 +79,7 @@ fn least_substeps<S: System>(model: QuantumSystem, make: impl Fn(QuantumSystem) 
     let error = |count: &usize| {
         let dt = model.dt / *count as f64;
         let mut next = vec![0.0; phi.len()];
-        make(QuantumSystem { dt, ..model }).step(&phi, &[0.0], &mut next);
+        make(QuantumSystem { dt, ..model }).step(Inputs::new(&phi, &[0.0]), &mut next);
         let part = |i: usize| phi.iter().step_by(2).zip(next[i..].iter().step_by(2)).map(|(a, b)| a * b).sum::<f64>();
         (-part(1).atan2(part(0))).rem_euclid(2.0 * PI) / (4.0 * sine * sine * dt) - 1.0
     };
@@ -135,7 +136,7 @@ fn job<F: Float, S: HasModel<QuantumSystem> + 'static>(system: S, horizon: usize
     let weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Policy, 0));
     let starts: Vec<F> = initial_states(&task, 0, Purpose::Train, BATCH);
     let mut rollout = Rollout::new(&task, &policy, BATCH);
-    let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::REGULAR]);
+    let mut adjoint = Adjoint::new(&task, &policy, &rollout, &[Flow::REGULAR]);
     Box::new(move || {
         rollout.start(&starts);
         rollout.run(&task, &policy, &weights).expect("finite");

@@ -53,7 +53,7 @@ fn step_and_adjoint<T: Task>(task: &T) -> impl FnMut() {
     let weights = Weights::<f32>::init(&policy, &mut stream(0, Purpose::Policy, 0));
     let starts: Vec<f32> = initial_states(task, 0, Purpose::Train, BATCH);
     let mut rollout = Rollout::new(task, &policy, BATCH);
-    let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::REGULAR]);
+    let mut adjoint = Adjoint::new(task, &policy, &rollout, &[Flow::REGULAR]);
     move || {
         rollout.start(&starts);
         rollout.run(task, &policy, &weights).expect("finite");

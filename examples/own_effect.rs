@@ -4,7 +4,7 @@
 
 use physgrad::prelude::*;
 use physgrad::tasks::{CartPole, CartPoleSystem, PoleDamping};
-use physgrad::{Cotangent, Effect, Forced, OpCount, Real, TrainError};
+use physgrad::{Cotangent, Cotangents, Effect, Forced, OdeInputs, OpCount, Real, TrainError};
 
 /// Magnet on the cart above a metal rail: F = -2 force s / (1 + s²), with `s = ẋ / speed`.
 ///
@@ -20,7 +20,7 @@ struct EddyBrake {
 
 /// [`CartPoleSystem`] defines states and forces: x = [x, ẋ, θ₁, ω₁, …], forces = [F, τ₁, …].
 impl Effect<CartPoleSystem> for EddyBrake {
-    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
         let s = x[1] * T::lift(1.0 / self.speed);
         forces[0] -= T::lift(2.0 * self.force) * s / (T::one() + s * s);
     }
@@ -32,14 +32,15 @@ struct ByHand(EddyBrake);
 
 impl Effect<CartPoleSystem> for ByHand {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
-        self.0.add_forces(model, x, forces);
+    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, inputs: OdeInputs<'_, T>, forces: &mut [T]) {
+        self.0.add_forces(model, inputs, forces);
     }
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        let s = x[1] * R::lift(1.0 / self.0.speed);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _: &CartPoleSystem, inputs: OdeInputs<'_, R>, f_bar: &[C], bars: Cotangents<'_, C>) {
+        let Some(x_bar) = bars.x else { return };
+        let s = inputs.x[1] * R::lift(1.0 / self.0.speed);
         let per_square = R::one() / (R::one() + s * s);
-        x_bar[1] -= forces_bar[0] * (R::lift(2.0 * self.0.force / self.0.speed) * (R::one() - s * s) * per_square * per_square);
+        x_bar[1] -= f_bar[0] * (R::lift(2.0 * self.0.force / self.0.speed) * (R::one() - s * s) * per_square * per_square);
     }
 }
 

@@ -8,7 +8,7 @@ struct Pendulum { mass: f64, length: f64, dt: f64 }
 impl System for Pendulum {
     fn state_dim(&self) -> usize { 2 }
     fn control_dim(&self) -> usize { 1 }
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let inertia = T::lift(self.mass * self.length * self.length);
         next[1] = x[1] + (u[0] / inertia + x[0].sin() * T::lift(9.81 / self.length)) * T::lift(self.dt);
         next[0] = x[0] + next[1] * T::lift(self.dt);
@@ -21,12 +21,12 @@ impl Task for Pendulum {
     type System = Self;
     fn system(&self) -> &Self { self }
     fn horizon(&self) -> usize { 40 }
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+    fn start(&self, rng: &mut Rng, Start { x, .. }: Start<'_>) {
         x[0] = std::f64::consts::PI + rng.random_range(-0.5..0.5);
         x[1] = rng.random_range(-1.0..1.0);
     }
-    fn stage_cost<T: Scalar>(&self, _x: &[T], u: &[T]) -> T { u[0] * u[0] * T::lift(1e-5) }
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T { T::one() - x[0].cos() + x[1] * x[1] * T::lift(0.05) }
+    fn running_cost<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, _next: &[T]) -> T { u[0] * u[0] * T::lift(1e-5) }
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T { T::one() - x[0].cos() + x[1] * x[1] * T::lift(0.05) }
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

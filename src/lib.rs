@@ -27,7 +27,7 @@
 //!
 //! // Sized once, used for every update.
 //! let mut rollout = Rollout::new(&task, &policy, 1);
-//! let mut adjoint = Adjoint::new(&policy, &rollout, &field.flows());
+//! let mut adjoint = Adjoint::new(&task, &policy, &rollout, &field.flows());
 //! let mut gradients = vec![Gradient::zeros(weights.theta().len()); 2];
 //! let mut descent = Gradient::zeros(weights.theta().len());
 //! let mut optimizer = Optimizer::adam(1e-3, weights.theta().len());
@@ -91,8 +91,9 @@ pub use check::stress;
 pub use dynamics::actuator::{Actuated, Actuator, AnyActuator, Delay, Lag, Limit, LimitKind, OutputCotangents};
 pub use dynamics::cause::Cause;
 pub use dynamics::effect::{Effect, Forced, ForcedSystem, HasModel, Named};
+pub use dynamics::inputs::{Cotangents, Inputs, OdeInputs, Start, Tangents};
 pub use dynamics::integrator::{
-    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, SemiImplicit, StepInput, Verlet,
+    Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, SemiImplicit, Verlet,
 };
 pub use dynamics::ode::{DynOde, DynOdeVjp, ForcedOde, Ode};
 pub use dynamics::op_count::OpCount;
@@ -126,7 +127,7 @@ pub mod prelude {
     pub use crate::check;
     pub use crate::numbers::rng::Rng;
     pub use crate::policy::Mlp;
-    pub use crate::{Field, Scalar, System, Task, Trainer};
+    pub use crate::{Field, Inputs, Scalar, Start, System, Task, Trainer};
     #[doc(no_inline)]
     pub use rand::RngExt as _;
 }
@@ -138,3 +139,7 @@ struct Readme;
 #[cfg(doctest)]
 #[doc = include_str!("../docs/scenes.md")]
 struct Scenes;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/systems.md")]
+struct Systems;

@@ -7,8 +7,8 @@
 use physgrad::policy::{Conv, Mlp};
 use physgrad::tasks::{CartPole, CartPoleSystem, Guidance, GuidanceSystem, LossMode, Quantum, QuantumSystem};
 use physgrad::{
-    Batch, Clip, Evaluation, Field, Flow, Gradient, Optimizer, OptimizerKind, Policy, Rollout, System, Task, Trainer, Training,
-    Weights,
+    Batch, Clip, Cotangents, Evaluation, Field, Flow, Gradient, Inputs, Optimizer, OptimizerKind, Policy, Rollout, System, Task,
+    Trainer, Training, Weights,
 };
 use serde_json::Value;
 use std::path::PathBuf;
@@ -206,8 +206,8 @@ fn steps_and_vjps<A: Authors>() {
             let (states, controls) = (case * n..(case + 1) * n, case * m..(case + 1) * m);
             let (x, u) = (&state[states.clone()], &control[controls.clone()]);
             let (mut got, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], vec![0.0; m]);
-            system.step(x, u, &mut got);
-            system.vjp(x, u, &cotangent[states.clone()], &mut x_bar, &mut u_bar);
+            system.step(Inputs::new(x, u), &mut got);
+            system.vjp(Inputs::new(x, u), &cotangent[states.clone()], Cotangents::of(&mut x_bar, &mut u_bar));
             steps.add(error(&got, &next[states.clone()]));
             by_state.add(error(&x_bar, &vjp_state[states]));
             by_control.add(error(&u_bar, &vjp_control[controls]));

@@ -3,7 +3,7 @@
 use arrayvec::ArrayVec;
 use physgrad::rng::Rng;
 use physgrad::tasks::{CartDamping, CartPoleSystem, PoleDamping, SteadyWind};
-use physgrad::{Cotangent, HasModel, Real, Scalar, System};
+use physgrad::{Cotangent, Cotangents, HasModel, Inputs, Real, Scalar, Start, System};
 
 /// Physics whose constant parameters switch friction and wind on.
 #[derive(Clone)]
@@ -27,7 +27,7 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let s = &self.system;
         let mass = s.cart_mass + s.pole_mass;
         let (dt, per_mass) = (T::lift(s.dt), T::lift(1.0 / mass));
@@ -79,7 +79,17 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, u, .. }: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+        // Scratch for cotangents that are not requested.
+        let (mut x_scratch, mut u_scratch) = (ArrayVec::<C, 130>::new(), ArrayVec::<C, 64>::new());
+        let x_bar = bars.x.unwrap_or_else(|| {
+            x_scratch.extend(x.iter().map(|_| C::null()));
+            &mut x_scratch[..]
+        });
+        let u_bar = bars.u.unwrap_or_else(|| {
+            u_scratch.extend(u.iter().map(|_| C::null()));
+            &mut u_scratch[..]
+        });
         let s = &self.system;
         let mass = s.cart_mass + s.pole_mass;
         let (dt, per_mass) = (R::lift(s.dt), R::lift(1.0 / mass));
@@ -137,8 +147,8 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
             if FRICTION {
                 omega_bar -= torque_bar * damping;
             }
-            x_bar[2 + 2 * i] = next_bar[2 + 2 * i] + sin_bar * cos - cos_bar * sin;
-            x_bar[3 + 2 * i] = omega_bar;
+            x_bar[2 + 2 * i] += next_bar[2 + 2 * i] + sin_bar * cos - cos_bar * sin;
+            x_bar[3 + 2 * i] += omega_bar;
             if WIND {
                 torques_bar.push(torque_bar);
             }
@@ -158,8 +168,9 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
         if FRICTION {
             speed_bar -= force_bar * R::lift(self.cart.damping);
         }
-        (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar);
-        u_bar[0] = force_bar;
+        x_bar[0] += next_bar[0];
+        x_bar[1] += speed_bar;
+        u_bar[0] += force_bar;
     }
 }
 
@@ -169,5 +180,5 @@ impl<const FRICTION: bool, const WIND: bool> HasModel<CartPoleSystem> for ByHand
         &self.system
     }
 
-    fn start_extra(&self, _rng: &mut Rng, _x: &mut [f64]) {}
+    fn start_extra(&self, _rng: &mut Rng, _start: Start<'_>) {}
 }

@@ -3,7 +3,7 @@
 use arrayvec::ArrayVec;
 use physgrad::rng::Rng;
 use physgrad::tasks::{Evade, Flock, Friction, GuidanceSystem, Spread};
-use physgrad::{Cotangent, Float, HasModel, Real, Scalar, System};
+use physgrad::{Cotangent, Cotangents, Float, HasModel, Inputs, Real, Scalar, Start, System};
 
 /// [`GuidanceSystem::herding`] for at most 32 agents, with a control frame at the sum of the
 /// evaders' positions.
@@ -118,7 +118,7 @@ impl System for ByHand {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let (drivers, agents) = (self.system.drivers, self.system.drivers + self.system.evaders);
         let (softening, [spread, evade, flock]) = (T::lift(self.system.softening), self.laws::<T>());
         // Stores accelerations in the velocity components of `next`.
@@ -162,7 +162,17 @@ impl System for ByHand {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, u, .. }: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+        // Scratch for cotangents that are not requested.
+        let (mut x_scratch, mut u_scratch) = (ArrayVec::<C, 128>::new(), ArrayVec::<C, 64>::new());
+        let x_bar = bars.x.unwrap_or_else(|| {
+            x_scratch.extend(x.iter().map(|_| C::null()));
+            &mut x_scratch[..]
+        });
+        let u_bar = bars.u.unwrap_or_else(|| {
+            u_scratch.extend(u.iter().map(|_| C::null()));
+            &mut u_scratch[..]
+        });
         let (drivers, agents) = (self.system.drivers, self.system.drivers + self.system.evaders);
         let (softening, [spread, evade, flock]) = (R::lift(self.system.softening), self.laws::<R>());
         let dt = R::lift(self.system.dt);
@@ -171,15 +181,17 @@ impl System for ByHand {
         for (agent, (bar, next)) in x_bar.chunks_exact_mut(AGENT).zip(next_bar.chunks_exact(AGENT)).enumerate() {
             let kept = if agent < drivers { kept[0] } else { kept[1] };
             forces_bar.push([next[2] * dt, next[3] * dt]);
-            (bar[0], bar[1]) = (next[0], next[1]);
-            (bar[2], bar[3]) = (next[2] * kept + next[0] * dt, next[3] * kept + next[1] * dt);
+            bar[0] += next[0];
+            bar[1] += next[1];
+            bar[2] += next[2] * kept + next[0] * dt;
+            bar[3] += next[3] * kept + next[1] * dt;
         }
         let (herd, mut herd_bar) = (self.herd(x), [C::null(); 2]);
         for agent in 0..drivers {
             let (force, x, c) = (forces_bar[agent], &x[AGENT * agent..], &u[2 * agent..2 * agent + 2]);
             let q = [x[0] - herd[0], x[1] - herd[1]];
-            u_bar[2 * agent] = force[0] * q[0] + force[1] * q[1];
-            u_bar[2 * agent + 1] = force[1] * q[0] - force[0] * q[1];
+            u_bar[2 * agent] += force[0] * q[0] + force[1] * q[1];
+            u_bar[2 * agent + 1] += force[1] * q[0] - force[0] * q[1];
             let q_bar = [force[0] * c[0] + force[1] * c[1], force[1] * c[0] - force[0] * c[1]];
             for axis in 0..2 {
                 x_bar[AGENT * agent + axis] += q_bar[axis];
@@ -223,5 +235,5 @@ impl HasModel<GuidanceSystem> for ByHand {
         &self.system
     }
 
-    fn start_extra(&self, _rng: &mut Rng, _x: &mut [f64]) {}
+    fn start_extra(&self, _rng: &mut Rng, _start: Start<'_>) {}
 }

@@ -3,7 +3,7 @@
 use arrayvec::ArrayVec;
 use physgrad::rng::Rng;
 use physgrad::tasks::{Cubic, Harmonic, QuantumSystem};
-use physgrad::{Cotangent, HasModel, Real, Scalar, System};
+use physgrad::{Cotangent, Cotangents, HasModel, Inputs, Real, Scalar, Start, System};
 use std::ops::{Add, Mul, Sub};
 
 /// Physics for at most 64 grid points. Constant parameters switch the trap and the cubic term on.
@@ -85,7 +85,7 @@ impl<const TRAP: bool, const CUBIC: bool> System for ByHand<TRAP, CUBIC> {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let mut per_pivot = PerPoint::new();
         let b = self.eliminate(x, u, &mut per_pivot);
         solve(&per_pivot, b, x, next);
@@ -95,7 +95,17 @@ impl<const TRAP: bool, const CUBIC: bool> System for ByHand<TRAP, CUBIC> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, u, .. }: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+        // Scratch for cotangents that are not requested.
+        let (mut x_scratch, mut u_scratch) = (ArrayVec::<C, 128>::new(), ArrayVec::<C, 64>::new());
+        let x_bar = bars.x.unwrap_or_else(|| {
+            x_scratch.extend(x.iter().map(|_| C::null()));
+            &mut x_scratch[..]
+        });
+        let u_bar = bars.u.unwrap_or_else(|| {
+            u_scratch.extend(u.iter().map(|_| C::null()));
+            &mut u_scratch[..]
+        });
         let mut per_pivot = PerPoint::new();
         let b = self.eliminate(x, u, &mut per_pivot);
         let mut y = PerPoint::new();
@@ -104,16 +114,18 @@ impl<const TRAP: bool, const CUBIC: bool> System for ByHand<TRAP, CUBIC> {
         for (_, im) in &mut per_pivot {
             *im = -*im;
         }
-        solve(&per_pivot, -b, next_bar, x_bar);
+        let mut waves_bar = PerPoint::new();
+        waves_bar.extend(x.chunks_exact(2).map(|_| [C::null(); 2]));
+        solve(&per_pivot, -b, next_bar, waves_bar.as_flattened_mut());
         let (factor, dx) = (0.5 * self.system.dt * self.system.spacing(), self.system.spacing());
         let slope = R::lift(self.system.dt * self.cubic.strength / dx);
-        u_bar[0] = C::null();
-        let waves = x.chunks_exact(2).zip(&y).zip(next_bar.chunks_exact(2)).zip(x_bar.chunks_exact_mut(2));
-        for (j, (((psi, y), v), x_bar)) in waves.enumerate() {
+        let waves = x.chunks_exact(2).zip(&y).zip(next_bar.chunks_exact(2)).zip(&waves_bar).zip(x_bar.chunks_exact_mut(2));
+        for (j, ((((psi, y), v), w), x_bar)) in waves.enumerate() {
             // w = A⁻ᴴ v, and V_bar = dt Im(w̄ y).
-            let bar = (x_bar[0] * y[1] - x_bar[1] * y[0]) * R::lift(2.0);
+            let bar = (w[0] * y[1] - w[1] * y[0]) * R::lift(2.0);
             u_bar[0] += bar * R::lift(factor * (j + 1) as f64);
-            (x_bar[0], x_bar[1]) = (x_bar[0] + x_bar[0] - v[0], x_bar[1] + x_bar[1] - v[1]);
+            x_bar[0] += w[0] + w[0] - v[0];
+            x_bar[1] += w[1] + w[1] - v[1];
             if CUBIC {
                 let bar = bar * slope;
                 x_bar[0] += bar * psi[0];
@@ -129,5 +141,5 @@ impl<const TRAP: bool, const CUBIC: bool> HasModel<QuantumSystem> for ByHand<TRA
         &self.system
     }
 
-    fn start_extra(&self, _rng: &mut Rng, _x: &mut [f64]) {}
+    fn start_extra(&self, _rng: &mut Rng, _start: Start<'_>) {}
 }

@@ -40,7 +40,7 @@ pub struct Nothing {
 }
 
 impl Policy for Nothing {
-    fn state_dim(&self) -> usize {
+    fn observation_dim(&self) -> usize {
         self.state_dim
     }
     fn control_dim(&self) -> usize {

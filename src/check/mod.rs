@@ -26,6 +26,7 @@ pub use policies::{policy, try_policy};
 pub use reference::slope;
 pub use stability::{Stability, stability};
 
+use crate::dynamics::inputs::Start;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::adjoint::Flow;
@@ -158,7 +159,7 @@ fn normal(rng: &mut Rng, len: usize) -> Vec<f64> {
     (0..len).map(|_| StandardNormal.sample(rng)).collect()
 }
 
-/// Checks a system at states and controls from a standard normal distribution. See
+/// Checks a system at states, controls and parameters from a standard normal distribution. See
 /// [`try_system_at`].
 ///
 /// # Panics
@@ -173,21 +174,28 @@ pub fn system<S: System>(system: &S) -> Passed {
 /// # Errors
 /// Returns the first [`Mismatch`].
 pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
-    try_system_at(system, |rng, x, u| {
-        x.copy_from_slice(&normal(rng, x.len()));
-        u.copy_from_slice(&normal(rng, u.len()));
+    try_system_at(system, |rng, x, u, p| {
+        for values in [x, u, p] {
+            values.copy_from_slice(&normal(rng, values.len()));
+        }
     })
 }
 
-/// Checks the derivatives of a system at states and controls drawn by `draw`.
+/// Checks the derivatives of a system at states `x`, controls `u` and parameters `p` drawn by
+/// `draw(rng, x, u, p)`.
 ///
-/// - [`vjp`](System::vjp), `vjp_state` and `vjp_control` against dual numbers.
+/// - [`step`](System::step) writes every component of the next state.
+/// - [`vjp`](System::vjp) against dual numbers, for every combination of requested cotangents, and
+///   whether it adds to them.
 /// - Forward against reverse mode: `⟨λ, J v⟩ = ⟨Jᵀλ, v⟩`.
 /// - SIMD lanes against scalars, bit for bit.
 ///
 /// # Errors
 /// Returns the first [`Mismatch`].
-pub fn try_system_at<S: System>(system: &S, draw: impl Fn(&mut Rng, &mut [f64], &mut [f64])) -> Result<Passed, Mismatch> {
+pub fn try_system_at<S: System>(
+    system: &S,
+    draw: impl Fn(&mut Rng, &mut [f64], &mut [f64], &mut [f64]),
+) -> Result<Passed, Mismatch> {
     systems::check(system, &draw)
 }
 
@@ -238,13 +246,16 @@ fn check_flow(
     slope: Slope,
 ) -> Result<Passed, Failure> {
     const SAMPLES: usize = 3;
-    let n = task.state_dim();
+    let (n, len) = (task.state_dim(), task.start_dim());
     let mut c = Comparison::new(ROLLOUT);
     for case in 0..CASES_OF_LONG_CHECKS {
         c.case = case;
         let mut rng = stream(case, Purpose::Check, 0);
-        let mut starts = vec![0.0; SAMPLES * n];
-        starts.chunks_exact_mut(n).for_each(|x| task.start(&mut rng, x));
+        let mut starts = vec![0.0; SAMPLES * len];
+        for start in starts.chunks_exact_mut(len) {
+            let (x, p) = start.split_at_mut(n);
+            task.start(&mut rng, Start { x, p });
+        }
         let weights = finite_weights(task, policy, &starts, case)?;
         let gradient = |flows: &[Flow]| {
             let mut batch = Batch::new(task, policy, SAMPLES, flows, 1);
@@ -279,7 +290,7 @@ fn finite_weights(
     starts: &[f64],
     case: u64,
 ) -> Result<Weights<f64>, Failure> {
-    let mut rollout = Rollout::for_evaluation(task, policy, starts.len() / task.state_dim());
+    let mut rollout = Rollout::for_evaluation(task, policy, starts.len() / task.start_dim());
     rollout.start(starts);
     let mut found = Ok(());
     for noise in [0.1, 0.01, 0.001] {

@@ -1,6 +1,7 @@
 //! Reference values of the checks: dual numbers through `act` and `step`, with the paths that a
 //! flow omits detached.
 
+use crate::dynamics::inputs::Inputs;
 use crate::dynamics::outline::step;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
@@ -30,25 +31,33 @@ pub fn weights(policy: &dyn AnyPolicy<f64>, size: f64, rng: &mut Rng) -> Weights
     Weights::new(policy, theta)
 }
 
-/// Mean loss of rollouts from the initial states `starts`, differentiable along the paths of
-/// `flow`.
+/// Mean loss of rollouts from `starts`, initial states with parameters. Differentiable along the
+/// paths of `flow`.
 pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, theta: &[S], starts: &[f64], flow: Flow) -> S {
     let system = task.system();
     let (n, m) = (system.state_dim(), system.control_dim());
+    let len = n + task.param_dim();
     let mut mean = S::zero();
-    for start in starts.chunks_exact(n) {
+    for start in starts.chunks_exact(len) {
         let mut x: Vec<S> = start.iter().map(|&x| S::lift(x)).collect();
+        let p = x.split_off(n);
         let (mut next, mut u) = (x.clone(), vec![S::zero(); m]);
+        let mut y = vec![S::zero(); task.observation_dim().unwrap_or(n)];
         let seen = |x: &[S], with: bool| -> Vec<S> { x.iter().map(|&x| if with { x } else { x.detach() }).collect() };
-        for _ in 0..task.horizon() {
-            policy.act(theta, &seen(&x, flow.control), &mut u);
-            step(system, &seen(&x, flow.physics), &u, &mut next);
-            mean += task.stage_cost(&next, &u);
+        for t in 0..task.horizon() {
+            match task.observation_dim() {
+                None => y.copy_from_slice(&x),
+                Some(_) => task.observe(Inputs { x: &x, u: &[], p: &p, t }, &mut y),
+            }
+            policy.act(theta, &seen(&y, flow.control), &mut u);
+            let inputs = Inputs { x: &x, u: &u, p: &p, t };
+            step(system, inputs.with_x(&seen(&x, flow.physics)), &mut next);
+            mean += task.running_cost(inputs, &next);
             std::mem::swap(&mut x, &mut next);
         }
-        mean += task.terminal_cost(&x);
+        mean += task.terminal_cost(&x, &p);
     }
-    mean * S::lift(n as f64 / starts.len() as f64)
+    mean * S::lift(len as f64 / starts.len() as f64)
 }
 
 /// Mean loss of rollouts from the initial states `starts`.

@@ -47,7 +47,7 @@ type Act<'a> = &'a dyn Fn(&[f64], &[f64], &mut [f64]);
 
 /// Object-safe part of [`try_policy`]; limits monomorphization.
 fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle::Act) -> Result<Passed, Mismatch> {
-    let (n, m, params) = (policy.state_dim(), policy.control_dim(), policy.param_count());
+    let (n, m, params) = (policy.observation_dim(), policy.control_dim(), policy.param_count());
     // Three samples of three steps: forward passes of one step each, then one backward pass over
     // all, as in a rollout.
     let (samples, steps) = (3, 3);

@@ -1,5 +1,6 @@
 //! Linear stability of a time step: spectral radius of its state Jacobian.
 
+use crate::dynamics::inputs::{Inputs, Tangents};
 use crate::dynamics::system::System;
 use crate::engine::any::AnySystem;
 use std::fmt;
@@ -46,7 +47,7 @@ impl fmt::Display for Stability {
     }
 }
 
-/// Growth of a perturbation of the state `x` under repeated steps with the Jacobian at (`x`, `u`).
+/// Growth of a perturbation of the state under repeated steps with the Jacobian at `inputs`.
 ///
 /// An explicit step is unstable where the dynamics are too stiff for it. The perturbation then
 /// grows with every step and usually alternates in sign. Stability depends on the state: evaluate
@@ -56,21 +57,21 @@ impl fmt::Display for Stability {
 /// the Jacobian. Unlike power iteration, it handles complex eigenvalue pairs and defective
 /// matrices. The cost is `state_dim` forward-mode derivatives and 30 matrix products.
 /// ```
-/// use physgrad::{check, tasks::{FrictionScheme, SliderSystem}};
+/// use physgrad::{Inputs, check, tasks::{FrictionScheme, SliderSystem}};
 ///
 /// let slider = SliderSystem { smoothing: 0.01, scheme: FrictionScheme::Explicit, ..SliderSystem::default() };
 /// // 1 - dt μ g / ε = -3.905
-/// let found = check::stability(&slider, &[0.0, 0.0], &[0.0]);
+/// let found = check::stability(&slider, Inputs::new(&[0.0, 0.0], &[0.0]));
 /// assert!(!found.is_stable() && (found.multiplier - 3.905).abs() < 1e-6);
-/// assert!(check::stability(&SliderSystem::default(), &[0.0, 0.0], &[0.0]).is_stable());
+/// assert!(check::stability(&SliderSystem::default(), Inputs::new(&[0.0, 0.0], &[0.0])).is_stable());
 /// ```
-pub fn stability<S: System>(system: &S, x: &[f64], u: &[f64]) -> Stability {
-    of_any(system, x, u)
+pub fn stability<S: System>(system: &S, inputs: Inputs<'_, f64>) -> Stability {
+    of_any(system, inputs)
 }
 
-fn of_any(system: &dyn AnySystem<f64>, x: &[f64], u: &[f64]) -> Stability {
-    let n = x.len();
-    let mut power = jacobian(system, x, u);
+fn of_any(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Stability {
+    let n = inputs.x.len();
+    let mut power = jacobian(system, inputs);
     if let Some(at) = power.iter().position(|slope| !slope.is_finite()) {
         return Stability { multiplier: f64::NAN, component: at / n };
     }
@@ -93,12 +94,12 @@ fn of_any(system: &dyn AnySystem<f64>, x: &[f64], u: &[f64]) -> Stability {
 }
 
 /// ∂S/∂x in row-major order.
-fn jacobian(system: &dyn AnySystem<f64>, x: &[f64], u: &[f64]) -> Vec<f64> {
-    let n = x.len();
+fn jacobian(system: &dyn AnySystem<f64>, inputs: Inputs<'_, f64>) -> Vec<f64> {
+    let n = inputs.x.len();
     let (mut matrix, mut x_tan, mut column) = (vec![0.0; n * n], vec![0.0; n], vec![0.0; n]);
     for j in 0..n {
         x_tan[j] = 1.0;
-        system.jvp_state(x, u, &x_tan, &mut column);
+        system.jvp(inputs, Tangents { x: Some(&x_tan), ..Tangents::default() }, &mut column);
         x_tan[j] = 0.0;
         for i in 0..n {
             matrix[i * n + j] = column[i];
@@ -135,7 +136,7 @@ mod tests {
         fn control_dim(&self) -> usize {
             0
         }
-        fn step<T: Scalar>(&self, x: &[T], _u: &[T], next: &mut [T]) {
+        fn step<T: Scalar>(&self, Inputs { x, .. }: Inputs<'_, T>, next: &mut [T]) {
             for (next, row) in next.iter_mut().zip(&self.0) {
                 *next = row.iter().zip(x).fold(T::zero(), |sum, (&a, &x)| sum + T::lift(a) * x);
             }
@@ -143,7 +144,7 @@ mod tests {
     }
 
     fn of<const N: usize>(matrix: [[f64; N]; N]) -> Stability {
-        stability(&Linear(matrix), &[0.0; N], &[])
+        stability(&Linear(matrix), Inputs::new(&[0.0; N], &[]))
     }
 
     #[test]

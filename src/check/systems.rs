@@ -2,124 +2,168 @@
 
 use super::oracle::pulled_back;
 use super::{CASES, Comparison, Mismatch, ONE_STEP, Passed, normal};
+use crate::dynamics::inputs::{Cotangents, Inputs, Tangents};
 use crate::dynamics::outline::{One, step};
 use crate::dynamics::system::System;
 use crate::engine::any::{AnySystem, vjp};
 use crate::engine::rollout::{Lane, WIDTH};
 use crate::numbers::rng::{Purpose, Rng, stream};
-use crate::numbers::scalar::{CotangentPack, Lanes, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Lanes, Real, Scalar};
 use num_dual::Dual64;
 
 /// Object-safe system for all scalar types that the check uses.
 pub(super) trait Checked: AnySystem<f64> {
-    fn step_by_duals(&self, x: &[Dual64], u: &[Dual64], next: &mut [Dual64]);
-    fn step_in_lanes(&self, x: &[Lane<f64>], u: &[Lane<f64>], next: &mut [Lane<f64>]);
-    fn vjp_in_lanes(&self, x: &[Lane<f64>], u: &[Lane<f64>], next_bar: &[Two], x_bar: &mut [Two], u_bar: &mut [Two]);
-    fn vjp_state(&self, x: &[f64], u: &[f64], next_bar: &[One<f64>], x_bar: &mut [One<f64>]);
-    fn vjp_control(&self, x: &[f64], u: &[f64], next_bar: &[One<f64>], u_bar: &mut [One<f64>]);
+    fn step_by_duals(&self, inputs: Inputs<'_, Dual64>, next: &mut [Dual64]);
+    fn step_in_lanes(&self, inputs: Inputs<'_, Lane<f64>>, next: &mut [Lane<f64>]);
+    fn vjp_in_lanes(&self, inputs: Inputs<'_, Lane<f64>>, next_bar: &[Two], bars: Cotangents<'_, Two>);
 }
 
 /// Cotangents of two flows, carried together by a reverse pass.
 type Two = CotangentPack<Lane<f64>, 2>;
 
 impl<S: System> Checked for S {
-    fn step_by_duals(&self, x: &[Dual64], u: &[Dual64], next: &mut [Dual64]) {
-        step(self, x, u, next);
+    fn step_by_duals(&self, inputs: Inputs<'_, Dual64>, next: &mut [Dual64]) {
+        step(self, inputs, next);
     }
 
-    fn step_in_lanes(&self, x: &[Lane<f64>], u: &[Lane<f64>], next: &mut [Lane<f64>]) {
-        step(self, x, u, next);
+    fn step_in_lanes(&self, inputs: Inputs<'_, Lane<f64>>, next: &mut [Lane<f64>]) {
+        step(self, inputs, next);
     }
 
-    fn vjp_in_lanes(&self, x: &[Lane<f64>], u: &[Lane<f64>], next_bar: &[Two], x_bar: &mut [Two], u_bar: &mut [Two]) {
-        System::vjp(self, x, u, next_bar, x_bar, u_bar);
-    }
-
-    fn vjp_state(&self, x: &[f64], u: &[f64], next_bar: &[One<f64>], x_bar: &mut [One<f64>]) {
-        System::vjp_state(self, x, u, next_bar, x_bar);
-    }
-
-    fn vjp_control(&self, x: &[f64], u: &[f64], next_bar: &[One<f64>], u_bar: &mut [One<f64>]) {
-        System::vjp_control(self, x, u, next_bar, u_bar);
+    fn vjp_in_lanes(&self, inputs: Inputs<'_, Lane<f64>>, next_bar: &[Two], bars: Cotangents<'_, Two>) {
+        System::vjp(self, inputs, next_bar, bars);
     }
 }
 
-/// `(∂S/∂x)ᵀ next_bar` and `(∂S/∂u)ᵀ next_bar` by dual numbers.
-fn step_vjp(system: &dyn Checked, x: &[f64], u: &[f64], next_bar: &[f64]) -> (Vec<f64>, Vec<f64>) {
-    let n = x.len();
-    let mut x_bar = pulled_back(&[x, u].concat(), next_bar, &|xu, next| system.step_by_duals(&xu[..n], &xu[n..], next));
-    let u_bar = x_bar.split_off(n);
-    (x_bar, u_bar)
+/// Names of the cotangents, in the order of [`Values`].
+const NAMES: [&str; 3] = ["x_bar", "u_bar", "p_bar"];
+
+/// State, control and parameters, or their cotangents or tangents.
+type Values<T> = [Vec<T>; 3];
+
+fn inputs<T>([x, u, p]: &Values<T>, t: usize) -> Inputs<'_, T> {
+    Inputs { x, u, p, t }
 }
 
-/// Draws a state and a control.
-type Draw<'a> = &'a dyn Fn(&mut Rng, &mut [f64], &mut [f64]);
+/// Jacobian products to state, control and parameters by dual numbers.
+fn step_vjp(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64]) -> Values<f64> {
+    let (n, m) = (at.x.len(), at.x.len() + at.u.len());
+    let step = |all: &[Dual64], next: &mut [Dual64]| {
+        system.step_by_duals(Inputs { x: &all[..n], u: &all[n..m], p: &all[m..], t: at.t }, next);
+    };
+    let mut x_bar = pulled_back(&[at.x, at.u, at.p].concat(), next_bar, &step);
+    let mut u_bar = x_bar.split_off(n);
+    let p_bar = u_bar.split_off(m - n);
+    [x_bar, u_bar, p_bar]
+}
+
+/// Draws a state, a control and parameters.
+type Draw<'a> = &'a dyn Fn(&mut Rng, &mut [f64], &mut [f64], &mut [f64]);
 
 /// See [`try_system_at`](super::try_system_at).
 pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch> {
-    let (n, m) = (system.state_dim(), system.control_dim());
+    let sizes = [system.state_dim(), system.control_dim(), system.param_dim()];
     let mut c = Comparison::new(ONE_STEP);
     for case in 0..CASES {
         c.case = case;
         let mut rng = stream(case, Purpose::Check, 0);
-        let (mut x, mut u) = (vec![0.0; n], vec![0.0; m]);
-        draw(&mut rng, &mut x, &mut u);
-        let next_bar = normal(&mut rng, n);
+        let mut values = sizes.map(|len| vec![0.0; len]);
+        let [x, u, p] = &mut values;
+        draw(&mut rng, x, u, p);
+        let at = inputs(&values, case as usize);
+        let next_bar = normal(&mut rng, sizes[0]);
 
-        let (x_dual, u_dual) = step_vjp(system, &x, &u, &next_bar);
-        let [x_bar, u_bar] = vjp(system, &x, &u, &next_bar);
-        c.slices("vjp: x_bar", &x_bar, &x_dual)?;
-        c.slices("vjp: u_bar", &u_bar, &u_dual)?;
-        let next_bars: Vec<_> = next_bar.iter().map(|&bar| CotangentPack([bar])).collect();
-        let (mut x_only, mut u_only) = (vec![CotangentPack([f64::NAN]); n], vec![CotangentPack([f64::NAN]); m]);
-        system.vjp_state(&x, &u, &next_bars, &mut x_only);
-        system.vjp_control(&x, &u, &next_bars, &mut u_only);
-        let plain = |bars: &[CotangentPack<f64, 1>]| bars.iter().map(|bar| bar.0[0]).collect::<Vec<_>>();
-        c.slices("vjp_state: x_bar", &plain(&x_only), &x_dual)?;
-        c.slices("vjp_control: u_bar", &plain(&u_only), &u_dual)?;
+        let [from_zeros, from_nans] = [0.0, f64::NAN].map(|initial| {
+            let mut next = vec![initial; sizes[0]];
+            system.step(at, &mut next);
+            next
+        });
+        c.equal("step leaves a component unwritten: next", &from_nans, &from_zeros)?;
 
-        let (x_tan, u_tan) = (normal(&mut rng, n), normal(&mut rng, m));
-        let (mut by_x, mut by_u) = (vec![0.0; n], vec![0.0; n]);
-        system.jvp_state(&x, &u, &x_tan, &mut by_x);
-        system.jvp_control(&x, &u, &u_tan, &mut by_u);
-        for (what, next_tan, bar, tan) in [("jvp_state", by_x, &x_dual, &x_tan), ("jvp_control", by_u, &u_dual, &u_tan)] {
+        let expected = step_vjp(system, at, &next_bar);
+        requests(system, at, &next_bar, &expected, &mut c)?;
+
+        for (k, name) in ["jvp of x", "jvp of u", "jvp of p"].into_iter().enumerate() {
+            let tangent = normal(&mut rng, sizes[k]);
+            let mut tangents = Tangents::default();
+            *[&mut tangents.x, &mut tangents.u, &mut tangents.p][k] = Some(&tangent);
+            let mut next_tan = vec![0.0; sizes[0]];
+            system.jvp(at, tangents, &mut next_tan);
             let terms = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a * b).abs()).sum::<f64>();
             let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-            let scale = terms(&next_bar, &next_tan).max(terms(bar, tan));
-            c.one(what, 0, dot(&next_bar, &next_tan), dot(bar, tan), scale)?;
+            let scale = terms(&next_bar, &next_tan).max(terms(&expected[k], &tangent));
+            c.one(name, 0, dot(&next_bar, &next_tan), dot(&expected[k], &tangent), scale)?;
         }
-        lanes(system, &x, &u, &next_bar, &mut c)?;
+        lanes(system, at, &next_bar, &mut c)?;
     }
     Ok(c.passed)
 }
 
+/// Compares [`System::vjp`] with dual numbers for each combination of requested cotangents, and
+/// checks that a second call adds the same again.
+fn requests(
+    system: &dyn Checked,
+    at: Inputs<'_, f64>,
+    next_bar: &[f64],
+    expected: &Values<f64>,
+    c: &mut Comparison,
+) -> Result<(), Mismatch> {
+    let next_bar: Vec<One<f64>> = next_bar.iter().map(|&bar| CotangentPack([bar])).collect();
+    // All three first, for the clearest message.
+    for requested in (1..8).rev() {
+        let asked = |k: usize| requested >> k & 1 == 1;
+        let mut bars = [at.x, at.u, at.p].map(|values| vec![One::<f64>::null(); values.len()]);
+        for calls in [1.0, 2.0] {
+            let [x, u, p] = &mut bars;
+            let request = Cotangents {
+                x: asked(0).then_some(&mut x[..]),
+                u: asked(1).then_some(&mut u[..]),
+                p: asked(2).then_some(&mut p[..]),
+            };
+            system.vjp(at, &next_bar, request);
+            for k in (0..3).filter(|&k| asked(k)) {
+                let found: Vec<f64> = bars[k].iter().map(|bar| bar.0[0] / calls).collect();
+                let what = match (requested, calls) {
+                    (_, 2.0) => format!("vjp, second call that adds: {}", NAMES[k]),
+                    (7, _) => format!("vjp: {}", NAMES[k]),
+                    _ => format!("vjp with only some cotangents requested: {}", NAMES[k]),
+                };
+                c.slices(&what, &found, &expected[k])?;
+            }
+        }
+    }
+    Ok(())
+}
+
 /// Compares SIMD lanes with scalars, bit for bit. Every lane has other inputs. The VJP has two
 /// columns with opposite cotangents, so that their results are opposite.
-fn lanes(system: &dyn Checked, x: &[f64], u: &[f64], next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
+fn lanes(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
     const W: usize = WIDTH;
     let vary = |v: &[f64], lane: usize| v.iter().map(|v| v * (1.0 + lane as f64 / 64.0)).collect::<Vec<f64>>();
     let pack = |v: &[f64]| -> Vec<Lane<f64>> {
         let lanes: [Vec<f64>; W] = std::array::from_fn(|lane| vary(v, lane));
         (0..v.len()).map(|i| Lanes(std::array::from_fn(|lane| lanes[lane][i]))).collect()
     };
-    let (n, m) = (x.len(), u.len());
-    let (x_lanes, u_lanes) = (pack(x), pack(u));
-    let mut next = vec![Lanes::zero(); n];
-    system.step_in_lanes(&x_lanes, &u_lanes, &mut next);
     let column = |v: Lane<f64>| CotangentPack([v, -v]);
-    let next_bars: Vec<_> = pack(next_bar).into_iter().map(column).collect();
-    let (mut x_bars, mut u_bars) = (vec![column(Lanes::zero()); n], vec![column(Lanes::zero()); m]);
-    system.vjp_in_lanes(&x_lanes, &u_lanes, &next_bars, &mut x_bars, &mut u_bars);
+    let packed = [at.x, at.u, at.p].map(pack);
+    let mut next = vec![Lanes::zero(); at.x.len()];
+    system.step_in_lanes(inputs(&packed, at.t), &mut next);
+    let next_bars: Vec<Two> = pack(next_bar).into_iter().map(column).collect();
+    let mut bars = [at.x, at.u, at.p].map(|values| vec![Two::null(); values.len()]);
+    let [x, u, p] = &mut bars;
+    let request = Cotangents { x: Some(x), u: Some(u), p: (!p.is_empty()).then_some(p) };
+    system.vjp_in_lanes(inputs(&packed, at.t), &next_bars, request);
     for lane in 0..W {
-        let (x, u, next_bar) = (vary(x, lane), vary(u, lane), vary(next_bar, lane));
-        let mut plain = vec![0.0; n];
-        system.step(&x, &u, &mut plain);
-        let [x_bar, u_bar] = vjp(system, &x, &u, &next_bar);
+        let (values, next_bar) = ([at.x, at.u, at.p].map(|v| vary(v, lane)), vary(next_bar, lane));
+        let mut plain = vec![0.0; at.x.len()];
+        system.step(inputs(&values, at.t), &mut plain);
         c.equal("step in lanes", &next.iter().map(|v| v.lane(lane)).collect::<Vec<_>>(), &plain)?;
+        let plain = vjp(system, inputs(&values, at.t), &next_bar);
         for (k, sign) in [1.0, -1.0].into_iter().enumerate() {
-            let column = |v: &[Two]| v.iter().map(|v| sign * v.0[k].lane(lane)).collect::<Vec<_>>();
-            c.equal("vjp in lanes: x_bar", &column(&x_bars), &x_bar)?;
-            c.equal("vjp in lanes: u_bar", &column(&u_bars), &u_bar)?;
+            for (name, (bars, plain)) in NAMES.into_iter().zip(bars.iter().zip(&plain)) {
+                let found: Vec<f64> = bars.iter().map(|v| sign * v.0[k].lane(lane)).collect();
+                c.equal(&format!("vjp in lanes: {name}"), &found, plain)?;
+            }
         }
     }
     Ok(())

@@ -10,6 +10,7 @@ pub use kinds::{AnyActuator, Delay, Lag, Limit, LimitKind};
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
+use crate::dynamics::inputs::{Cotangents, Inputs, Start, add};
 use crate::dynamics::system::System;
 use crate::numbers::forward_mode::{concat, jacobian};
 use crate::numbers::rng::Rng;
@@ -39,7 +40,14 @@ pub trait Actuator: Clone + Send + Sync {
     /// Writes the actuator's next state and the system's control.
     fn step<T: Scalar>(&self, own: &[T], u: &[T], own_next: &mut [T], out: &mut [T]);
 
-    /// VJP of [`step`](Actuator::step). Overwrites `own_bar` and `u_bar` if given.
+    /// Returns true if the system's control is the policy's, so that steps skip the actuator.
+    #[doc(hidden)]
+    #[inline(always)]
+    fn is_identity(&self) -> bool {
+        false
+    }
+
+    /// VJP of [`step`](Actuator::step). Adds to `own_bar` and `u_bar` if given.
     ///
     /// Defaults to exact derivatives by dual numbers. Override it with an analytic derivative for
     /// speed.
@@ -88,7 +96,7 @@ fn reverse_by_duals<A: Actuator, R: Real, C: Cotangent<R>>(
         }
         // `wrt` contains only inputs whose cotangent is given.
         let side = if i < n { own_bar.as_deref_mut() } else { u_bar.as_deref_mut() };
-        side.into_iter().for_each(|side| side[if i < n { i } else { i - n }] = bar);
+        side.into_iter().for_each(|side| side[if i < n { i } else { i - n }] += bar);
     });
 }
 
@@ -96,6 +104,11 @@ fn reverse_by_duals<A: Actuator, R: Real, C: Cotangent<R>>(
 impl Actuator for () {
     fn state_dim(&self, _controls: usize) -> usize {
         0
+    }
+
+    #[inline(always)]
+    fn is_identity(&self) -> bool {
+        true
     }
 
     #[inline(always)]
@@ -113,7 +126,7 @@ impl Actuator for () {
         u_bar: Option<&mut [C]>,
     ) {
         if let Some(u_bar) = u_bar {
-            u_bar.copy_from_slice(next_bar.out);
+            add(u_bar, next_bar.out);
         }
     }
 }
@@ -190,49 +203,44 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         self.system.control_dim()
     }
 
-    #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        let n = self.system.state_dim();
-        let mut out: Controls<T> = SmallVec::from_slice(u);
-        let (next, own_next) = next.split_at_mut(n);
-        self.actuator.step(&x[n..], u, own_next, &mut out);
-        self.system.step(&x[..n], &out, next);
-    }
-
-    fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        let (x, own) = x.split_at(self.system.state_dim());
-        self.system.diagnose(x, &self.control(own, u))
+    fn param_dim(&self) -> usize {
+        self.system.param_dim()
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        let (x, own) = x.split_at(self.system.state_dim());
-        let ((next_bar, own_next_bar), (x_bar, own_bar)) = (next_bar.split_at(x.len()), x_bar.split_at_mut(x.len()));
-        let mut out_bar: Controls<C> = smallvec![C::null(); u.len()];
-        self.system.vjp(x, &self.control(own, u), next_bar, x_bar, &mut out_bar);
-        self.actuator.reverse(own, u, OutputCotangents { own: own_next_bar, out: &out_bar }, Some(own_bar), Some(u_bar));
-    }
-
-    #[inline(always)]
-    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        let (x, own) = x.split_at(self.system.state_dim());
-        let ((next_bar, own_next_bar), (x_bar, own_bar)) = (next_bar.split_at(x.len()), x_bar.split_at_mut(x.len()));
-        let control = self.control(own, u);
-        if own.is_empty() {
-            return self.system.vjp_state(x, &control, next_bar, x_bar);
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        if self.actuator.is_identity() {
+            return self.system.step(inputs, next);
         }
-        let mut out_bar: Controls<C> = smallvec![C::null(); u.len()];
-        self.system.vjp(x, &control, next_bar, x_bar, &mut out_bar);
-        self.actuator.reverse(own, u, OutputCotangents { own: own_next_bar, out: &out_bar }, Some(own_bar), None);
+        let (x, own) = inputs.x.split_at(self.system.state_dim());
+        let mut out: Controls<T> = SmallVec::from_slice(inputs.u);
+        let (next, own_next) = next.split_at_mut(x.len());
+        self.actuator.step(own, inputs.u, own_next, &mut out);
+        self.system.step(inputs.with_x(x).with_u(&out), next);
     }
 
     #[inline(always)]
-    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        let (x, own) = x.split_at(self.system.state_dim());
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+        if self.actuator.is_identity() {
+            return self.system.vjp(inputs, next_bar, bars);
+        }
+        let (x, own) = inputs.x.split_at(self.system.state_dim());
         let (next_bar, own_next_bar) = next_bar.split_at(x.len());
-        let mut out_bar: Controls<C> = smallvec![C::null(); u.len()];
-        self.system.vjp_control(x, &self.control(own, u), next_bar, &mut out_bar);
-        self.actuator.reverse(own, u, OutputCotangents { own: own_next_bar, out: &out_bar }, None, Some(u_bar));
+        let (x_bar, own_bar) = bars.x.map(|bar| bar.split_at_mut(x.len())).unzip();
+        let out = self.control(own, inputs.u);
+        // The control matters to the requested cotangents only through `u` or the actuator's state.
+        let through_control = bars.u.is_some() || !own.is_empty() && own_bar.is_some();
+        let mut out_bar: Controls<C> = smallvec![C::null(); inputs.u.len()];
+        let system_bars = Cotangents { x: x_bar, u: through_control.then_some(&mut out_bar[..]), p: bars.p };
+        self.system.vjp(inputs.with_x(x).with_u(&out), next_bar, system_bars);
+        if through_control {
+            self.actuator.reverse(own, inputs.u, OutputCotangents { own: own_next_bar, out: &out_bar }, own_bar, bars.u);
+        }
+    }
+
+    fn diagnose<F: Float>(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+        let (x, own) = inputs.x.split_at(self.system.state_dim());
+        self.system.diagnose(inputs.with_x(x).with_u(&self.control(own, inputs.u)))
     }
 }
 
@@ -242,10 +250,10 @@ impl<B, S: HasModel<B>, A: Actuator> HasModel<B> for Actuated<S, A> {
         self.system.model()
     }
 
-    /// Draws the extra components of the system. Sets the actuator's state to 0.
-    fn start_extra(&self, rng: &mut Rng, x: &mut [f64]) {
-        let (x, own) = x.split_at_mut(self.system.state_dim());
-        self.system.start_extra(rng, x);
+    /// Draws the extra values of the system. Sets the actuator's state to 0.
+    fn start_extra(&self, rng: &mut Rng, start: Start<'_>) {
+        let (x, own) = start.x.split_at_mut(self.system.state_dim());
+        self.system.start_extra(rng, Start { x, p: start.p });
         own.fill(0.0);
     }
 }

@@ -12,14 +12,13 @@ mod tuples;
 mod without;
 
 use crate::dynamics::cause::Cause;
-use crate::dynamics::system::{System, Wrt, vjp_by_duals};
-use crate::numbers::forward_mode::jacobian;
+use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs, Start};
+use crate::dynamics::system::{System, each_column, vjp_by_duals};
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Dual, Float, Real, Scalar};
 use crate::numbers::zip::zip;
 pub(crate) use list::{AddForces, Vjp, any_effect};
 pub use named::Named;
-use rand::RngExt;
 use std::fmt::Debug;
 pub(crate) use without::system_without_effects;
 
@@ -34,15 +33,15 @@ pub(crate) use without::system_without_effects;
 ///
 /// ```
 /// use physgrad::tasks::CartPoleSystem;
-/// use physgrad::{Effect, Scalar, Forced, check};
+/// use physgrad::{Effect, Forced, OdeInputs, Scalar, check};
 ///
 /// /// A spring that pulls the cart to the middle: F = -stiffness x.
 /// #[derive(Clone, Debug)]
 /// struct Spring { stiffness: f64 }
 ///
 /// impl Effect<CartPoleSystem> for Spring {
-///     fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
-///         forces[0] -= x[0] * T::lift(self.stiffness);
+///     fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, inputs: OdeInputs<'_, T>, forces: &mut [T]) {
+///         forces[0] -= inputs.x[0] * T::lift(self.stiffness);
 ///     }
 /// }
 ///
@@ -50,39 +49,43 @@ pub(crate) use without::system_without_effects;
 /// check::system(&system);
 /// ```
 pub trait Effect<B>: Clone + Debug + Send + Sync {
-    /// Adds the forces of this effect to `forces`, at the state `x`.
+    /// Number of parameters of this effect: the first entries of `p`. Default: 0.
+    #[inline(always)]
+    fn param_dim(&self) -> usize {
+        0
+    }
+
+    /// Draws the parameters of one sample into `p`, which holds [`param_dim`](Effect::param_dim)
+    /// zeros.
+    fn draw_params(&self, _rng: &mut Rng, _p: &mut [f64]) {}
+
+    /// Adds the forces of this effect to `forces`. The time is in s.
     ///
     /// Mark implementations `#[inline(always)]`: inlined code is compiled for AVX2 on processors
     /// that have it.
-    fn add_forces<T: Scalar>(&self, model: &B, x: &[T], forces: &mut [T]);
+    fn add_forces<T: Scalar>(&self, model: &B, inputs: OdeInputs<'_, T>, forces: &mut [T]);
 
-    /// Adds the Jacobian product: `x_bar += (∂forces/∂x)ᵀ forces_bar`. Does not overwrite `x_bar`.
+    /// Adds the Jacobian products `(∂forces/∂x)ᵀ forces_bar`, and likewise of `u` and `p`, to those
+    /// cotangents that are requested.
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        effect_vjp_by_duals(self, model, x, forces_bar, x_bar);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &B, inputs: OdeInputs<'_, R>, forces_bar: &[C], bars: Cotangents<'_, C>) {
+        effect_vjp_by_duals(self, model, inputs, forces_bar, bars);
     }
 
-    /// Returns whether the forces depend on the state. If none do, the reverse pass skips them.
+    /// Returns whether the forces depend on state, control or parameters. If none do, the reverse
+    /// pass skips them.
     #[inline(always)]
     fn state_dependent(&self) -> bool {
         true
     }
 
-    /// Returns the name of this effect if its forces or their derivatives are non-finite at the
-    /// finite state `x`. `forces` is the number of forces of the system. The name is that of the
-    /// type, or the one given by [`Named`]. Used only for error messages.
+    /// Returns the name of this effect if its forces or their derivatives are non-finite at finite
+    /// inputs. `forces` is the number of forces of the system. The name is that of the type, or the
+    /// one given by [`Named`]. Used only for error messages.
     #[doc(hidden)]
-    fn diagnose<F: Float>(&self, model: &B, x: &[F], forces: usize) -> Option<&'static str> {
+    fn diagnose<F: Float>(&self, model: &B, inputs: OdeInputs<'_, F>, forces: usize) -> Option<&'static str> {
         let name = || std::any::type_name::<Self>().split('<').next().and_then(|path| path.rsplit("::").next());
-        if is_finite(self, model, x, forces) { None } else { name() }
-    }
-
-    /// Returns the latest start time, in s, if the effect depends on time. Rollouts start at a time
-    /// drawn uniformly from 0 to this value. [`Forced`] appends the time to the state as the last
-    /// component.
-    #[inline(always)]
-    fn clock(&self) -> Option<f64> {
-        None
+        if is_finite(self, model, inputs, forces) { None } else { name() }
     }
 }
 
@@ -91,95 +94,71 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
 pub(crate) fn effect_vjp_by_duals<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
     effect: &E,
     model: &B,
-    x: &[R],
+    inputs: OdeInputs<'_, R>,
     forces_bar: &[C],
-    x_bar: &mut [C],
+    bars: Cotangents<'_, C>,
 ) {
-    let add_forces = |x: &[_], forces: &mut [_]| {
+    let time = Dual::constant(inputs.t);
+    let add_forces = |inputs: Inputs<'_, _, ()>, forces: &mut [_]| {
         forces.fill(Scalar::zero());
-        effect.add_forces(model, x, forces);
+        effect.add_forces(model, inputs.at(time), forces);
     };
-    jacobian(x, 0..x.len(), forces_bar.len(), add_forces, |i, column: &[R]| {
+    each_column(inputs, forces_bar.len(), bars, add_forces, |bar: &mut C, column: &[R]| {
         for (&force_bar, &slope) in zip(forces_bar.iter(), column) {
-            x_bar[i] += force_bar * slope;
+            *bar += force_bar * slope;
         }
     });
 }
 
-/// Returns whether the forces of an effect and their derivatives are finite at a state.
-pub(crate) fn is_finite<B, E: Effect<B>, F: Float>(effect: &E, model: &B, x: &[F], forces: usize) -> bool {
-    let (mut force, mut x_bar) = (vec![F::zero(); forces], vec![CotangentPack([F::zero()]); x.len()]);
-    effect.add_forces(model, x, &mut force);
-    effect.vjp(model, x, &vec![CotangentPack([F::one()]); forces], &mut x_bar);
-    force.iter().chain(x_bar.iter().map(|bar| &bar.0[0])).all(|number| number.as_().is_finite())
+/// Returns whether the forces of an effect and their derivatives are finite.
+pub(crate) fn is_finite<B, E: Effect<B>, F: Float>(effect: &E, model: &B, inputs: OdeInputs<'_, F>, forces: usize) -> bool {
+    let mut force = vec![F::zero(); forces];
+    let zeros = |len: usize| vec![CotangentPack([F::zero()]); len];
+    let (mut x_bar, mut u_bar) = (zeros(inputs.x.len()), zeros(inputs.u.len()));
+    effect.add_forces(model, inputs, &mut force);
+    effect.vjp(model, inputs, &vec![CotangentPack([F::one()]); forces], Cotangents::of(&mut x_bar, &mut u_bar));
+    force.iter().chain(x_bar.iter().chain(&u_bar).map(|bar| &bar.0[0])).all(|number| number.as_().is_finite())
 }
 
 /// System to whose forces effects can be added.
 ///
-/// Required: [`forced_step`](ForcedSystem::forced_step), the model, the dimensions and the time
-/// step. States may have more than [`state_dim`](ForcedSystem::state_dim) components. The others
-/// belong to effects. Implementations pass the whole state to the effects.
+/// Only [`forced_step`](ForcedSystem::forced_step), the model, the sizes and the time step are
+/// required. Effects receive the inputs of the step, with the time in s
+/// ([`Inputs::continuous`]). A system with parameters of its own omits them
+/// ([`Inputs::skip_params`]).
 pub trait ForcedSystem: Send + Sync {
     /// Model that effects read; often the system itself.
     type Model;
 
     /// Returns the model that effects read.
     fn model(&self) -> &Self::Model;
-    /// Number of state components, without those of effects.
+    /// Number of state components.
     fn state_dim(&self) -> usize;
     /// Number of control components.
     fn control_dim(&self) -> usize;
+    /// Number of parameters, without those of effects. Default: 0.
+    fn param_dim(&self) -> usize {
+        0
+    }
     /// Number of forces to which effects add.
     fn force_dim(&self) -> usize;
     /// Time step, s.
     fn dt(&self) -> f64;
 
-    /// Writes the next state, `state_dim` components, under the given effects.
-    fn forced_step<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]);
+    /// Writes the next state under the given effects.
+    fn forced_step<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]);
 
-    /// Writes the requested cotangents. Overwrites `u_bar` and the first `state_dim` components of
-    /// `x_bar`. Effects add to the remaining components of `x_bar`.
-    ///
-    /// Defaults to exact derivatives by dual numbers. Override it for speed.
+    /// Adds to the requested cotangents. The default is exact, by dual numbers; override it for
+    /// speed.
     #[inline(always)]
-    fn reverse<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
+    fn forced_vjp<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: Inputs<'_, R>,
         next_bar: &[C],
-        x_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        bars: Cotangents<'_, C>,
     ) {
-        reverse_by_duals(self, effects, x, u, next_bar, x_bar, u_bar);
-    }
-}
-
-/// Computes [`ForcedSystem::reverse`] exactly from `forced_step`, by dual numbers.
-#[inline]
-fn reverse_by_duals<H: ForcedSystem + ?Sized, E: Effect<H::Model>, R: Real, C: Cotangent<R>>(
-    host: &H,
-    effects: &E,
-    x: &[R],
-    u: &[R],
-    next_bar: &[C],
-    x_bar: Option<&mut [C]>,
-    u_bar: Option<&mut [C]>,
-) {
-    let (n, steps) = (host.state_dim(), Stepping { host, effects });
-    let mut none: [C; 0] = [];
-    let (wrt, u_bar) = match (&x_bar, u_bar) {
-        (Some(_), Some(u_bar)) => (Wrt::Both, u_bar),
-        (None, Some(u_bar)) => (Wrt::Control, u_bar),
-        (_, None) => (Wrt::State, &mut none[..]),
-    };
-    let Some(x_bar) = x_bar else { return vjp_by_duals(&steps, x, u, next_bar, wrt, &mut [], u_bar) };
-    // Overwrite the components of the system; add to those of the effects.
-    let mut all: smallvec::SmallVec<[C; 33]> = smallvec::smallvec![C::null(); x.len()];
-    vjp_by_duals(&steps, x, u, next_bar, wrt, &mut all, u_bar);
-    x_bar[..n].copy_from_slice(&all[..n]);
-    for (x_bar, &more) in zip(x_bar[n..].iter_mut(), &all[n..]) {
-        *x_bar += more;
+        vjp_by_duals(&Stepping { host: self, effects }, inputs, next_bar, bars);
     }
 }
 
@@ -196,14 +175,12 @@ impl<H: ForcedSystem + ?Sized, E: Effect<H::Model>> System for Stepping<'_, H, E
     fn control_dim(&self) -> usize {
         self.host.control_dim()
     }
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        self.host.forced_step(self.effects, x, u, next);
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        self.host.forced_step(self.effects, inputs, next);
     }
 }
 
-/// System with effects.
-///
-/// State: that of the system. If an effect depends on time, the time in s is appended.
+/// System with effects. Its parameters are those of the system, then those of the effects.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Forced<H, E> {
     /// System to whose forces the effects add.
@@ -214,44 +191,30 @@ pub struct Forced<H, E> {
 
 impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     fn state_dim(&self) -> usize {
-        self.system.state_dim() + usize::from(self.effects.clock().is_some())
+        self.system.state_dim()
     }
 
     fn control_dim(&self) -> usize {
         self.system.control_dim()
     }
 
-    #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        let n = self.system.state_dim();
-        self.system.forced_step(&self.effects, x, u, &mut next[..n]);
-        if self.effects.clock().is_some() {
-            next[n] = x[n] + T::lift(self.system.dt());
-        }
-    }
-
-    fn diagnose<F: Float>(&self, x: &[F], _u: &[F]) -> Option<Cause> {
-        self.effects.diagnose(self.system.model(), x, self.system.force_dim()).map(Cause::Effect)
+    fn param_dim(&self) -> usize {
+        self.system.param_dim() + self.effects.param_dim()
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        let n = self.system.state_dim();
-        x_bar[n..].copy_from_slice(&next_bar[n..]);
-        self.system.reverse(&self.effects, x, u, &next_bar[..n], Some(x_bar), Some(u_bar));
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        self.system.forced_step(&self.effects, inputs, next);
     }
 
     #[inline(always)]
-    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        let n = self.system.state_dim();
-        x_bar[n..].copy_from_slice(&next_bar[n..]);
-        self.system.reverse(&self.effects, x, u, &next_bar[..n], Some(x_bar), None);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+        self.system.forced_vjp(&self.effects, inputs, next_bar, bars);
     }
 
-    #[inline(always)]
-    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        let n = self.system.state_dim();
-        self.system.reverse(&self.effects, x, u, &next_bar[..n], None, Some(u_bar));
+    fn diagnose<F: Float>(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+        let inputs = inputs.skip_params(self.system.param_dim()).continuous(self.system.dt());
+        self.effects.diagnose(self.system.model(), inputs, self.system.force_dim()).map(Cause::Effect)
     }
 }
 
@@ -261,8 +224,9 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
 pub trait HasModel<B>: System {
     /// Returns the model.
     fn model(&self) -> &B;
-    /// Draws the initial values of the state components beyond those of the model, in place in `x`.
-    fn start_extra(&self, rng: &mut Rng, x: &mut [f64]);
+    /// Draws the initial values of the state components beyond those of the model, and the
+    /// parameters.
+    fn start_extra(&self, rng: &mut Rng, start: Start<'_>);
 }
 
 impl<H: ForcedSystem, E: Effect<H::Model>> HasModel<H::Model> for Forced<H, E> {
@@ -271,9 +235,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>> HasModel<H::Model> for Forced<H, E> {
         self.system.model()
     }
 
-    fn start_extra(&self, rng: &mut Rng, x: &mut [f64]) {
-        if let Some(span) = self.effects.clock() {
-            x[self.system.state_dim()] = rng.random_range(0.0..=span);
-        }
+    fn start_extra(&self, rng: &mut Rng, start: Start<'_>) {
+        self.effects.draw_params(rng, &mut start.p[self.system.param_dim()..][..self.effects.param_dim()]);
     }
 }

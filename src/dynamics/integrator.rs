@@ -25,6 +25,7 @@ pub use runge_kutta::RungeKutta;
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
+use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::ode::{DynOde, DynOdeVjp, Ode};
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
@@ -41,35 +42,30 @@ fn room<T: Copy>(value: T, len: usize) -> Room<T> {
     smallvec![value; len]
 }
 
-/// Inputs of one integration step.
-#[derive(Clone, Copy, Debug)]
-pub struct StepInput<'a, T> {
-    /// Duration of the step, s.
-    pub h: T,
-    /// State at the start of the step.
-    pub x: &'a [T],
-    /// Control, constant during the step.
-    pub u: &'a [T],
+/// Time in s at a fraction of a step of `dt` seconds.
+#[inline(always)]
+fn stage_time<T: Scalar>(step: usize, dt: f64, fraction: f64) -> T {
+    T::lift((step as f64 + fraction) * dt)
 }
 
-/// A one-step method for `dx/dt = f(x, u)`.
+/// A one-step method for `dx/dt = f(x, u, p, t)` with steps of `dt` seconds.
 pub trait Integrator: Clone + Debug + Send + Sync {
     /// Writes the state at the end of the step.
-    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, step: StepInput<'_, T>, next: &mut [T]);
+    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]);
 
     /// Largest remaining residual of an implicit step that did not converge, else `None`.
-    fn unsolved<F: Float>(&self, _ode: &dyn DynOde<F>, _step: StepInput<'_, F>) -> Option<f64> {
+    fn unsolved<F: Float>(&self, _ode: &dyn DynOde<F>, _dt: f64, _inputs: Inputs<'_, F>) -> Option<f64> {
         None
     }
 
-    /// VJP of [`advance`](Integrator::advance). Overwrites `x_bar`; adds to `u_bar` if given.
+    /// VJP of [`advance`](Integrator::advance). Adds to the requested cotangents.
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn DynOdeVjp<R, C>,
-        step: StepInput<'_, R>,
+        dt: f64,
+        inputs: Inputs<'_, R>,
         next_bar: &[C],
-        x_bar: &mut [C],
-        u_bar: Option<&mut [C]>,
+        bars: Cotangents<'_, C>,
     );
 }
 
@@ -93,32 +89,23 @@ impl<O: Ode, I: Integrator> System for Integrated<O, I> {
         self.ode.control_dim()
     }
 
-    #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        self.integrator.advance(&self.ode, StepInput { h: T::lift(self.dt), x, u }, next);
-    }
-
-    fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        let unsolved = self.integrator.unsolved(&self.ode, StepInput { h: F::lift(self.dt), x, u });
-        self.ode.diagnose(x, u).or(unsolved.map(Cause::Unsolved))
+    fn param_dim(&self) -> usize {
+        self.ode.param_dim()
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        u_bar.fill(C::null());
-        self.integrator.reverse(&self.ode, StepInput { h: R::lift(self.dt), x, u }, next_bar, x_bar, Some(u_bar));
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        self.integrator.advance(&self.ode, self.dt, inputs, next);
     }
 
     #[inline(always)]
-    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        self.integrator.reverse(&self.ode, StepInput { h: R::lift(self.dt), x, u }, next_bar, x_bar, None);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+        self.integrator.reverse(&self.ode, self.dt, inputs, next_bar, bars);
     }
 
-    /// Needs the full VJP: early stages influence the result through later ones.
-    #[inline(always)]
-    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        let mut x_bar = room(C::null(), x.len());
-        self.vjp(x, u, next_bar, &mut x_bar, u_bar);
+    fn diagnose<F: Float>(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+        let unsolved = self.integrator.unsolved(&self.ode, self.dt, inputs);
+        self.ode.diagnose(inputs.continuous(self.dt)).or(unsolved.map(Cause::Unsolved))
     }
 }
 
@@ -128,7 +115,7 @@ impl<B, O: Ode + HasModel<B>, I: Integrator> HasModel<B> for Integrated<O, I> {
         self.ode.model()
     }
 
-    fn start_extra(&self, rng: &mut Rng, x: &mut [f64]) {
-        self.ode.start_extra(rng, x);
+    fn start_extra(&self, rng: &mut Rng, start: Start<'_>) {
+        self.ode.start_extra(rng, start);
     }
 }

@@ -1,7 +1,9 @@
 //! Systems and their parts: steps, vector fields, integrators, effects, actuators.
 //!
-//! - [`System`](system::System) maps state and control to the next state. Implement a step, or a
-//!   vector field ([`Ode`](ode::Ode)) that an integrator discretizes.
+//! - [`Inputs`](inputs::Inputs) are the arguments of a step, [`Cotangents`](inputs::Cotangents) the
+//!   outputs of its reverse.
+//! - [`System`](system::System) maps these inputs to the next state. Implement a step, or a vector
+//!   field ([`Ode`](ode::Ode)) that an integrator discretizes.
 //! - [`Effect`](effect::Effect)s add forces to a system.
 //! - [`Actuator`](actuator::Actuator)s map the control of the policy to the control of the system.
 //! - [`Task`](task::Task) adds a horizon, initial states and costs.
@@ -11,6 +13,7 @@
 pub(crate) mod actuator;
 pub(crate) mod cause;
 pub(crate) mod effect;
+pub(crate) mod inputs;
 pub(crate) mod integrator;
 pub(crate) mod ode;
 pub(crate) mod op_count;

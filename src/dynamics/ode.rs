@@ -5,21 +5,22 @@
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::{Effect, Forced, ForcedSystem};
+use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
 use crate::dynamics::outline::outline;
-use crate::numbers::forward_mode::{concat, jacobian};
+use crate::dynamics::system::{System, each_column};
 use crate::numbers::kernels::Vectorized;
-use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Dual, Float, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
-/// An ordinary differential equation `dx/dt = f(x, u)`, with constant control during a step.
+/// An ordinary differential equation `dx/dt = f(x, u, p, t)`, with constant control during a step.
 ///
 /// Required: the dimensions and [`rate`](Ode::rate). [`rate_vjp`](Ode::rate_vjp) defaults to exact
 /// derivatives by dual numbers. Override it with an analytic derivative for speed.
 /// [`Integrated`](crate::Integrated) turns an `Ode` into a [`System`](crate::System).
 ///
 /// ```
-/// use physgrad::{Integrated, Ode, RungeKutta, Scalar, check};
+/// use physgrad::{Integrated, Ode, OdeInputs, RungeKutta, Scalar, check};
 ///
 /// /// A mass on a spring, pulled by u: x = [place in m, speed in m/s].
 /// struct Spring { stiffness: f64 }
@@ -27,7 +28,7 @@ use smallvec::{SmallVec, smallvec};
 /// impl Ode for Spring {
 ///     fn state_dim(&self) -> usize { 2 }
 ///     fn control_dim(&self) -> usize { 1 }
-///     fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
+///     fn rate<T: Scalar>(&self, OdeInputs { x, u, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
 ///         rate[0] = x[1];
 ///         rate[1] = u[0] - x[0] * T::lift(self.stiffness);
 ///     }
@@ -42,18 +43,24 @@ pub trait Ode: Send + Sync {
     /// Number of control components.
     fn control_dim(&self) -> usize;
 
-    /// Writes `f(x, u)`, of `state_dim` entries, into `rate`.
-    fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]);
+    /// Number of parameters. Default: 0.
+    fn param_dim(&self) -> usize {
+        0
+    }
 
-    /// Adds `(∂f/∂x)ᵀ rate_bar` to `x_bar`, and `(∂f/∂u)ᵀ rate_bar` to `u_bar` if given.
+    /// Writes `f(x, u, p, t)`, of `state_dim` entries, into `rate`. The time t is in s.
+    fn rate<T: Scalar>(&self, inputs: OdeInputs<'_, T>, rate: &mut [T]);
+
+    /// Adds `(∂f/∂x)ᵀ rate_bar`, `(∂f/∂u)ᵀ rate_bar` and `(∂f/∂p)ᵀ rate_bar` to those cotangents
+    /// that are requested.
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
-        rate_vjp_by_duals(self, x, u, rate_bar, x_bar, u_bar);
+    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], bars: Cotangents<'_, C>) {
+        rate_vjp_by_duals(self, inputs, rate_bar, bars);
     }
 
     /// Index of the velocity of component `i`, or `None` if `i` is not a position.
     ///
-    /// `Some(j)` requires `f_i(x, u) = x_j` exactly, as partitioned integrators
+    /// `Some(j)` requires `f_i = x_j` exactly, as partitioned integrators
     /// ([`SemiImplicit`](crate::SemiImplicit), [`Verlet`](crate::Verlet)) assume.
     #[inline(always)]
     fn velocity(&self, _i: usize) -> Option<usize> {
@@ -61,7 +68,7 @@ pub trait Ode: Send + Sync {
     }
 
     /// Diagnoses a non-finite rate; see [`System::diagnose`](crate::System::diagnose).
-    fn diagnose<F: Float>(&self, _x: &[F], _u: &[F]) -> Option<Cause> {
+    fn diagnose<F: Float>(&self, _inputs: OdeInputs<'_, F>) -> Option<Cause> {
         None
     }
 }
@@ -70,24 +77,18 @@ pub trait Ode: Send + Sync {
 #[inline]
 fn rate_vjp_by_duals<O: Ode + ?Sized, R: Real, C: Cotangent<R>>(
     ode: &O,
-    x: &[R],
-    u: &[R],
+    inputs: OdeInputs<'_, R>,
     rate_bar: &[C],
-    x_bar: &mut [C],
-    mut u_bar: Option<&mut [C]>,
+    bars: Cotangents<'_, C>,
 ) {
-    let n = x.len();
-    let inputs = 0..if u_bar.is_some() { n + u.len() } else { n };
-    let rate = |xu: &[_], rate: &mut [_]| ode.rate(&xu[..n], &xu[n..], rate);
-    jacobian(&concat(x, u), inputs, n, rate, |i, column: &[R]| {
-        let mut bar = C::null();
+    let time = Dual::constant(inputs.t);
+    let rate = |inputs: Inputs<'_, _, ()>, rate: &mut [_]| ode.rate(inputs.at(time), rate);
+    each_column(inputs, rate_bar.len(), bars, rate, |bar: &mut C, column: &[R]| {
+        let mut sum = C::null();
         for (&rate_bar, &slope) in zip(rate_bar.iter(), column) {
-            bar += rate_bar * slope;
+            sum += rate_bar * slope;
         }
-        match &mut u_bar {
-            Some(u_bar) if i >= n => u_bar[i - n] += bar,
-            _ => x_bar[i] += bar,
-        }
+        *bar += sum;
     });
 }
 
@@ -97,7 +98,7 @@ fn rate_vjp_by_duals<O: Ode + ?Sized, R: Real, C: Cotangent<R>>(
 /// per vector field. Every [`Ode`] implements it.
 pub trait DynOde<T> {
     /// See [`Ode::rate`].
-    fn rate(&self, x: &[T], u: &[T], rate: &mut [T]);
+    fn rate(&self, inputs: OdeInputs<'_, T>, rate: &mut [T]);
     /// See [`Ode::velocity`].
     fn velocity(&self, i: usize) -> Option<usize>;
 }
@@ -105,15 +106,15 @@ pub trait DynOde<T> {
 /// A [`DynOde`] with derivatives: object-safe [`Ode`] for one scalar and one cotangent type.
 pub trait DynOdeVjp<R, C>: DynOde<R> {
     /// See [`Ode::rate_vjp`].
-    fn rate_vjp(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>);
+    fn rate_vjp(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], bars: Cotangents<'_, C>);
     /// Writes row `i` of the Jacobian, `∂f_i/∂x`.
-    fn slopes(&self, x: &[R], u: &[R], i: usize, row: &mut [R]);
+    fn slopes(&self, inputs: OdeInputs<'_, R>, i: usize, row: &mut [R]);
 }
 
 impl<O: Ode, T: Scalar> DynOde<T> for O {
     #[inline(always)]
-    fn rate(&self, x: &[T], u: &[T], rate: &mut [T]) {
-        Ode::rate(self, x, u, rate);
+    fn rate(&self, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
+        Ode::rate(self, inputs, rate);
     }
 
     #[inline(always)]
@@ -125,8 +126,7 @@ impl<O: Ode, T: Scalar> DynOde<T> for O {
 /// Outlined [`DynOdeVjp::slopes`].
 struct Slopes<'a, O, R> {
     ode: &'a O,
-    x: &'a [R],
-    u: &'a [R],
+    inputs: OdeInputs<'a, R>,
     i: usize,
     row: &'a mut [R],
 }
@@ -136,11 +136,11 @@ impl<O: Ode, R: Real> Vectorized for Slopes<'_, O, R> {
     fn run<const FMA: bool>(self) {
         /// One cotangent per component; on the stack for up to 32 components.
         type Bars<R> = SmallVec<[CotangentPack<R, 1>; 32]>;
-        let Self { ode, x, u, i, row } = self;
-        let none = CotangentPack([R::zero()]);
-        let (mut rate_bar, mut x_bar): (Bars<R>, Bars<R>) = (smallvec![none; x.len()], smallvec![none; x.len()]);
+        let Self { ode, inputs, i, row } = self;
+        let (n, none) = (inputs.x.len(), CotangentPack([R::zero()]));
+        let (mut rate_bar, mut x_bar): (Bars<R>, Bars<R>) = (smallvec![none; n], smallvec![none; n]);
         rate_bar[i] = CotangentPack([R::one()]);
-        ode.rate_vjp(x, u, &rate_bar, &mut x_bar, None);
+        ode.rate_vjp(inputs, &rate_bar, Cotangents { x: Some(&mut x_bar), ..Cotangents::default() });
         for (slope, CotangentPack([bar])) in zip(row.iter_mut(), x_bar) {
             *slope = bar;
         }
@@ -149,69 +149,64 @@ impl<O: Ode, R: Real> Vectorized for Slopes<'_, O, R> {
 
 impl<O: Ode, R: Real, C: Cotangent<R>> DynOdeVjp<R, C> for O {
     #[inline(always)]
-    fn rate_vjp(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
-        Ode::rate_vjp(self, x, u, rate_bar, x_bar, u_bar);
+    fn rate_vjp(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], bars: Cotangents<'_, C>) {
+        Ode::rate_vjp(self, inputs, rate_bar, bars);
     }
 
-    fn slopes(&self, x: &[R], u: &[R], i: usize, row: &mut [R]) {
-        outline::<R>(Slopes { ode: self, x, u, i, row });
+    fn slopes(&self, inputs: OdeInputs<'_, R>, i: usize, row: &mut [R]) {
+        outline::<R>(Slopes { ode: self, inputs, i, row });
     }
 }
 
 /// A [`ForcedSystem`] in continuous time; with effects, it is an [`Ode`].
-///
-/// As for [`ForcedSystem`], `x` and `x_bar` may have more than `state_dim` components. The others
-/// belong to effects.
 pub trait ForcedOde: ForcedSystem {
-    /// Writes the rates of the `state_dim` components under `effects`.
-    fn forced_rate<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]);
+    /// Writes the rates under `effects`.
+    fn forced_rate<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]);
 
-    /// Adds the cotangents of the state to `x_bar`, and those of the control to `u_bar` if given.
-    ///
-    /// Effects add the cotangents of the components beyond `state_dim`.
+    /// Adds to the requested cotangents.
     fn forced_rate_vjp<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: OdeInputs<'_, R>,
         rate_bar: &[C],
-        x_bar: &mut [C],
-        u_bar: Option<&mut [C]>,
+        bars: Cotangents<'_, C>,
     );
 
     /// See [`Ode::velocity`].
     fn velocity_of(&self, i: usize) -> Option<usize>;
 }
 
-/// State: the components of the system, then the time if an effect depends on it.
 impl<H: ForcedOde, E: Effect<H::Model>> Ode for Forced<H, E> {
     fn state_dim(&self) -> usize {
-        crate::dynamics::system::System::state_dim(self)
+        self.system.state_dim()
     }
 
     fn control_dim(&self) -> usize {
         self.system.control_dim()
     }
 
-    #[inline(always)]
-    fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
-        let n = self.system.state_dim();
-        self.system.forced_rate(&self.effects, x, u, &mut rate[..n]);
-        rate[n..].fill(T::one());
+    fn param_dim(&self) -> usize {
+        System::param_dim(self)
     }
 
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
-        self.system.forced_rate_vjp(&self.effects, x, u, &rate_bar[..self.system.state_dim()], x_bar, u_bar);
+    fn rate<T: Scalar>(&self, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
+        self.system.forced_rate(&self.effects, inputs, rate);
+    }
+
+    #[inline(always)]
+    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], bars: Cotangents<'_, C>) {
+        self.system.forced_rate_vjp(&self.effects, inputs, rate_bar, bars);
     }
 
     #[inline(always)]
     fn velocity(&self, i: usize) -> Option<usize> {
-        if i < self.system.state_dim() { self.system.velocity_of(i) } else { None }
+        self.system.velocity_of(i)
     }
 
-    fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        crate::dynamics::system::System::diagnose(self, x, u)
+    fn diagnose<F: Float>(&self, inputs: OdeInputs<'_, F>) -> Option<Cause> {
+        let inputs = inputs.skip_params(self.system.param_dim());
+        self.effects.diagnose(self.system.model(), inputs, self.system.force_dim()).map(Cause::Effect)
     }
 }
 
@@ -225,14 +220,18 @@ impl<H: ForcedOde> Ode for H {
         ForcedSystem::control_dim(self)
     }
 
-    #[inline(always)]
-    fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
-        self.forced_rate(&(), x, u, rate);
+    fn param_dim(&self) -> usize {
+        ForcedSystem::param_dim(self)
     }
 
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
-        self.forced_rate_vjp(&(), x, u, rate_bar, x_bar, u_bar);
+    fn rate<T: Scalar>(&self, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
+        self.forced_rate(&(), inputs, rate);
+    }
+
+    #[inline(always)]
+    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], bars: Cotangents<'_, C>) {
+        self.forced_rate_vjp(&(), inputs, rate_bar, bars);
     }
 
     #[inline(always)]

@@ -1,5 +1,6 @@
 //! [`OpCount`]: operation counts of a system's step and of its transposed Jacobian products.
 
+use crate::dynamics::inputs::{Cotangents, Inputs};
 use crate::dynamics::system::System;
 use crate::numbers::scalar::{Counted, Ops};
 
@@ -29,7 +30,7 @@ pub struct OpCount {
     /// [`System::vjp`], to state and control. Evaluated by the flows R and M, and by any two flows
     /// together.
     pub vjp: Ops,
-    /// [`System::vjp_control`], to the control alone. Evaluated by a single flow N or S.
+    /// [`System::vjp`], to the control alone. Evaluated by a single flow N or S.
     pub vjp_control: Ops,
 }
 
@@ -40,11 +41,14 @@ impl OpCount {
         // Arbitrary values of moderate size.
         let numbers = |len: usize| (0..len).map(|i| Counted(0.1 + 0.01 * i as f64)).collect::<Vec<_>>();
         let (x, u, next_bar) = (numbers(n), numbers(m), numbers(n));
+        let p = numbers(system.param_dim());
+        let inputs = Inputs { x: &x, u: &u, p: &p, t: 0 };
         let (mut next, mut x_bar, mut u_bar) = (numbers(n), numbers(n), numbers(m));
+        let vjp = |bars: Cotangents<'_, Counted>| Ops::of(|| system.vjp(inputs, &next_bar, bars)).0;
         Self {
-            step: Ops::of(|| system.step(&x, &u, &mut next)).0,
-            vjp: Ops::of(|| system.vjp(&x, &u, &next_bar, &mut x_bar, &mut u_bar)).0,
-            vjp_control: Ops::of(|| system.vjp_control(&x, &u, &next_bar, &mut u_bar)).0,
+            step: Ops::of(|| system.step(inputs, &mut next)).0,
+            vjp: vjp(Cotangents::of(&mut x_bar, &mut u_bar)),
+            vjp_control: vjp(Cotangents { u: Some(&mut u_bar), ..Cotangents::default() }),
         }
     }
 }

@@ -2,10 +2,10 @@
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
+use crate::dynamics::inputs::{Cotangents, Inputs, Start, add};
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
-use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
 /// Stack capacity for the intermediate states of one step, in numbers. Beyond it, every step
@@ -13,6 +13,8 @@ use smallvec::{SmallVec, smallvec};
 const STACK: usize = 128;
 
 /// A system whose time step consists of `count` steps of an inner system, with constant control.
+///
+/// The inner steps of step t have the numbers `count t .. count (t + 1)`.
 ///
 /// The reverse pass recomputes the intermediate states.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,15 +26,21 @@ pub struct Substeps<S> {
 }
 
 impl<S: System> Substeps<S> {
+    /// Inputs of inner step `i`, except its state.
+    #[inline(always)]
+    fn inner<'a, T: Scalar>(&self, inputs: Inputs<'a, T>, i: usize) -> Inputs<'a, T> {
+        inputs.at(inputs.t * self.count.max(1) + i)
+    }
+
     /// Initial states of the inner steps, concatenated.
     #[inline(always)]
-    fn states<R: Real>(&self, x: &[R], u: &[R]) -> SmallVec<[R; STACK]> {
-        let n = x.len();
+    fn states<R: Real>(&self, inputs: Inputs<'_, R>) -> SmallVec<[R; STACK]> {
+        let n = inputs.x.len();
         let mut states: SmallVec<[R; STACK]> = smallvec![R::zero(); n * self.count.max(1)];
-        states[..n].copy_from_slice(x);
+        states[..n].copy_from_slice(inputs.x);
         for i in 1..self.count {
             let (before, after) = states.split_at_mut(n * i);
-            self.system.step(&before[n * (i - 1)..], u, &mut after[..n]);
+            self.system.step(self.inner(inputs, i - 1).with_x(&before[n * (i - 1)..]), &mut after[..n]);
         }
         states
     }
@@ -47,59 +55,48 @@ impl<S: System> System for Substeps<S> {
         self.system.control_dim()
     }
 
+    fn param_dim(&self) -> usize {
+        self.system.param_dim()
+    }
+
     #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        self.system.step(x, u, next);
-        let mut state: SmallVec<[T; STACK]> = smallvec![T::zero(); if self.count > 1 { x.len() } else { 0 }];
-        for _ in 1..self.count {
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        self.system.step(self.inner(inputs, 0), next);
+        let mut state: SmallVec<[T; STACK]> = smallvec![T::zero(); if self.count > 1 { next.len() } else { 0 }];
+        for i in 1..self.count {
             state.copy_from_slice(next);
-            self.system.step(&state, u, next);
+            self.system.step(self.inner(inputs, i).with_x(&state), next);
         }
     }
 
-    fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
+    /// Needs the state cotangent even if only that of the control is requested: early inner steps
+    /// influence the result through later states.
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], mut bars: Cotangents<'_, C>) {
+        if self.count <= 1 {
+            return self.system.vjp(inputs, next_bar, bars);
+        }
+        let n = inputs.x.len();
+        let mut bar: SmallVec<[C; STACK / 2]> = SmallVec::from_slice(next_bar);
+        let mut before: SmallVec<[C; STACK / 2]> = smallvec![C::null(); n];
+        for (i, state) in self.states(inputs).chunks_exact(n).enumerate().rev() {
+            before.fill(C::null());
+            let mut step_bars = bars.reborrow();
+            step_bars.x = Some(&mut before);
+            self.system.vjp(self.inner(inputs, i).with_x(state), &bar, step_bars);
+            std::mem::swap(&mut bar, &mut before);
+        }
+        if let Some(x_bar) = bars.x {
+            add(x_bar, &bar);
+        }
+    }
+
+    fn diagnose<F: Float>(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
         // Stop at the first non-finite state: a diagnosis requires a finite one.
-        let is_finite = |state: &&[F]| state.iter().all(|number| number.as_().is_finite());
-        self.states(x, u).chunks_exact(x.len()).take_while(is_finite).find_map(|state| self.system.diagnose(state, u))
-    }
-
-    #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        if self.count == 1 {
-            return self.system.vjp(x, u, next_bar, x_bar, u_bar);
-        }
-        let mut bar: SmallVec<[C; STACK / 2]> = SmallVec::from_slice(next_bar);
-        let mut part: SmallVec<[C; 8]> = smallvec![C::null(); u.len()];
-        u_bar.fill(C::null());
-        for state in self.states(x, u).chunks_exact(x.len()).rev() {
-            self.system.vjp(state, u, &bar, x_bar, &mut part);
-            bar.copy_from_slice(x_bar);
-            for (u_bar, &part) in zip(u_bar.iter_mut(), &part) {
-                *u_bar += part;
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        if self.count == 1 {
-            return self.system.vjp_state(x, u, next_bar, x_bar);
-        }
-        let mut bar: SmallVec<[C; STACK / 2]> = SmallVec::from_slice(next_bar);
-        for state in self.states(x, u).chunks_exact(x.len()).rev() {
-            self.system.vjp_state(state, u, &bar, x_bar);
-            bar.copy_from_slice(x_bar);
-        }
-    }
-
-    /// Needs the full VJP: early inner steps influence the result through later states.
-    #[inline(always)]
-    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        if self.count == 1 {
-            return self.system.vjp_control(x, u, next_bar, u_bar);
-        }
-        let mut x_bar: SmallVec<[C; STACK / 2]> = smallvec![C::null(); x.len()];
-        self.vjp(x, u, next_bar, &mut x_bar, u_bar);
+        let is_finite = |(_, state): &(usize, &[F])| state.iter().all(|number| number.as_().is_finite());
+        let states = self.states(inputs);
+        let mut finite = states.chunks_exact(inputs.x.len()).enumerate().take_while(is_finite);
+        finite.find_map(|(i, state)| self.system.diagnose(self.inner(inputs, i).with_x(state)))
     }
 }
 
@@ -109,7 +106,7 @@ impl<B, S: HasModel<B>> HasModel<B> for Substeps<S> {
         self.system.model()
     }
 
-    fn start_extra(&self, rng: &mut Rng, x: &mut [f64]) {
-        self.system.start_extra(rng, x);
+    fn start_extra(&self, rng: &mut Rng, start: Start<'_>) {
+        self.system.start_extra(rng, start);
     }
 }

@@ -3,9 +3,9 @@
 //! ```text
 //! λ ← ∂φ/∂x_T
 //! for t = T-1 .. 0:
-//!     λ ← λ + ∂l/∂x(x_{t+1}, u_t)
-//!     h_t ← (∂S/∂u)ᵀ λ + ∂l/∂u(x_{t+1}, u_t)
-//!     λ ← physics·(∂S/∂x)ᵀ λ + control·(∂N/∂x)ᵀ h_t
+//!     λ ← λ + ∂l/∂x_{t+1}
+//!     h_t ← (∂S/∂u)ᵀ λ + ∂l/∂u_t
+//!     λ ← physics·(∂S/∂x)ᵀ λ + ∂l/∂x_t + control·(∂y/∂x)ᵀ (∂N/∂y)ᵀ h_t
 //! g ← Σ_t (∂N/∂θ)ᵀ h_t                                 in large products, a fixed number of steps at a time
 //! ```
 //!
@@ -38,17 +38,18 @@ pub use step_back::StepBack;
 ///
 /// The reverse pass starts with `λ = ∂φ/∂x_T` and performs, for `t = T-1 .. 0`:
 ///
-/// 1. `λ ← λ + ∂l/∂x(x_{t+1}, u_t)`
-/// 2. `h_t ← (∂S/∂u)ᵀ λ + ∂l/∂u(x_{t+1}, u_t)`
-/// 3. `λ ← physics·(∂S/∂x)ᵀ λ + control·(∂N/∂x)ᵀ h_t`
+/// 1. `λ ← λ + ∂l/∂x_{t+1}`
+/// 2. `h_t ← (∂S/∂u)ᵀ λ + ∂l/∂u_t`
+/// 3. `λ ← physics·(∂S/∂x)ᵀ λ + ∂l/∂x_t + control·(∂y/∂x)ᵀ (∂N/∂y)ᵀ h_t`
 ///
-/// The parameter gradient is `Σ_t (∂N/∂θ)ᵀ h_t`. S is the step of the system, N the policy, l the
+/// The parameter gradient is `Σ_t (∂N/∂θ)ᵀ h_t`. S is the step of the system, N the policy, y the
+/// observation, l the
 /// running cost and φ the terminal cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Flow {
     /// Enables the path through the physics, `∂S/∂x`.
     pub physics: bool,
-    /// Enables the path through the policy's input, `∂N/∂x`.
+    /// Enables the path through the policy's input, `∂N/∂y`.
     pub control: bool,
 }
 
@@ -105,21 +106,21 @@ impl<F: Float> Adjoint<F> {
     /// # Panics
     /// If `flows` does not have one or two elements, or `rollout` has no tape.
     #[track_caller]
-    pub fn new(policy: &dyn AnyPolicy<F>, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
+    pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
         assert!(rollout.has_tape(), "a rollout created for evaluation stores no tape, so it has no reverse pass");
-        Self::of_kept(policy, rollout, flows)
+        Self::of_kept(task, policy, rollout, flows)
     }
 
     /// Allocates a workspace for the stored steps of a rollout, which may be fewer than the
     /// horizon.
     #[track_caller]
-    pub(crate) fn of_kept(policy: &dyn AnyPolicy<F>, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
+    pub(crate) fn of_kept(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, rollout: &Rollout<F>, flows: &[Flow]) -> Self {
         let carried = match *flows {
             [flow] => Carried::One([flow], Recursion::new(rollout)),
             [first, second] => Carried::Two([first, second], Recursion::new(rollout)),
             _ => panic!("an adjoint has one or two flows, not {}", flows.len()),
         };
-        let policy = PolicyAdjoint::new(&PolicyBufferSizes::new(policy, rollout.capacity() * rollout.kept, flows));
+        let policy = PolicyAdjoint::new(&PolicyBufferSizes::new(task, policy, rollout.capacity(), rollout.kept, flows));
         Self { horizon: rollout.horizon, norms: None, measured: false, policy, carried }
     }
 
@@ -141,13 +142,19 @@ impl<F: Float> Adjoint<F> {
     }
 
     /// Returns the [`stored_bytes`](Adjoint::stored_bytes) for a rollout that stores `kept` steps.
-    pub(crate) fn bytes_of(policy: &dyn AnyPolicy<F>, samples: usize, kept: usize, flows: &[Flow]) -> usize {
-        let (n, m) = (policy.state_dim(), policy.control_dim());
+    pub(crate) fn bytes_of(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        samples: usize,
+        kept: usize,
+        flows: &[Flow],
+    ) -> usize {
+        let (n, m) = (task.state_dim(), task.control_dim());
         let carried = match flows.len() {
             1 => Recursion::<F, 1>::bytes_of(n, m, samples),
             _ => Recursion::<F, 2>::bytes_of(n, m, samples),
         };
-        carried + PolicyBufferSizes::new(policy, samples * kept, flows).bytes::<F>()
+        carried + PolicyBufferSizes::new(task, policy, samples, kept, flows).bytes::<F>()
     }
 
     /// Records the norm of the adjoint at every step of subsequent runs, for
@@ -236,7 +243,7 @@ impl<F: Float> Adjoint<F> {
         }
         for k in 0..self.flows().len() {
             if !self.flows()[k].control && !self.policy.linearized {
-                // M and S do not need `∂N/∂x`: one policy pass covers all steps of the unit.
+                // M and S do not need `∂N/∂y`: one policy pass covers all steps of the unit.
                 self.policy.backward(pass, k, all, false);
             }
         }
@@ -295,6 +302,7 @@ mod tests {
     use super::*;
     use crate::Task;
     use crate::dynamics::effect::Forced;
+    use crate::dynamics::inputs::Start;
     use crate::numbers::kernels::portable;
     use crate::numbers::rng::{Purpose, stream};
     use crate::policy::Mlp;
@@ -308,7 +316,7 @@ mod tests {
         let weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Policy, 0));
         let mut starts = vec![0.0; 6 * samples];
         for (i, x) in starts.chunks_exact_mut(6).enumerate() {
-            Task::start(&task, &mut stream(0, Purpose::Train, i as u64), x);
+            Task::start(&task, &mut stream(0, Purpose::Train, i as u64), Start { x, p: &mut [] });
         }
         let starts: Vec<F> = starts.into_iter().map(F::lift).collect();
         let mut rollout = Rollout::new(&task, &policy, 16);
@@ -316,7 +324,7 @@ mod tests {
         rollout.run(&task, &policy, &weights).expect("finite");
         let mut all: Vec<F> = (0..samples).flat_map(|sample| [rollout.cost(sample), rollout.state(100, sample, 0)]).collect();
         for flows in [&[Flow::REGULAR, Flow::MODIFIED][..], &[Flow::STOPPED]] {
-            let mut adjoint = Adjoint::new(&policy, &rollout, flows);
+            let mut adjoint = Adjoint::new(&task, &policy, &rollout, flows);
             adjoint.run(&task, &policy, &weights, &rollout, F::one()).expect("finite");
             for k in 0..flows.len() {
                 let mut theta_bar = Gradient::zeros(weights.theta().len());

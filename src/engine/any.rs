@@ -4,36 +4,59 @@
 //! `step_forward` or `step_back` steps all samples, so the cost of dynamic dispatch is negligible.
 
 use crate::dynamics::cause::Cause;
+use crate::dynamics::inputs::{Cotangents, Inputs, Start, Tangents};
 use crate::dynamics::outline::{self, One};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::adjoint::StepBack;
+use crate::engine::observe::Observe;
 use crate::engine::rollout::{Lane, StepForward};
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{CotangentPack, Float};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float};
 
 /// Object-safe [`Task`] for one precision.
 ///
 /// Every task implements it, so `&task` coerces to `&dyn AnyTask<F>`. The trait is sealed. The
 /// hidden methods forward to those of the task.
 #[allow(missing_docs)]
-pub trait AnyTask<F: Float>: StepForward<F> + StepBack<F, 1> + StepBack<F, 2> + Send + Sync {
+pub trait AnyTask<F: Float>: StepForward<F> + Observe<F> + StepBack<F, 1> + StepBack<F, 2> + Send + Sync {
     #[doc(hidden)]
     fn state_dim(&self) -> usize;
     #[doc(hidden)]
     fn control_dim(&self) -> usize;
+    /// Number of components of the observation, if it is not the state.
+    #[doc(hidden)]
+    fn own_observation(&self) -> Option<usize>;
     #[doc(hidden)]
     fn horizon(&self) -> usize;
     #[doc(hidden)]
-    fn start(&self, rng: &mut Rng, x: &mut [f64]);
+    fn param_dim(&self) -> usize;
     #[doc(hidden)]
-    fn terminal_cost(&self, x: &[Lane<F>]) -> Lane<F>;
+    fn start(&self, rng: &mut Rng, start: Start<'_>);
     #[doc(hidden)]
-    fn terminal_cost_gradient(&self, x: &[Lane<F>], x_bar: &mut [Lane<F>]);
+    fn terminal_cost(&self, x: &[Lane<F>], p: &[Lane<F>]) -> Lane<F>;
     #[doc(hidden)]
-    fn stage_cost_gradient(&self, x: &[Lane<F>], u: &[Lane<F>], x_bar: &mut [Lane<F>], u_bar: &mut [Lane<F>]);
+    fn terminal_cost_gradient(&self, x: &[Lane<F>], p: &[Lane<F>], x_bar: &mut [Lane<F>]);
     #[doc(hidden)]
-    fn diagnose(&self, x: &[F], u: &[F]) -> Option<Cause>;
+    fn running_cost_gradient(
+        &self,
+        inputs: Inputs<'_, Lane<F>>,
+        next: &[Lane<F>],
+        bars: Cotangents<'_, Lane<F>>,
+        next_bar: &mut [Lane<F>],
+    );
+    #[doc(hidden)]
+    fn diagnose(&self, inputs: Inputs<'_, F>) -> Option<Cause>;
+
+    /// Number of components that the policy observes.
+    fn observed_dim(&self) -> usize {
+        self.own_observation().unwrap_or(self.state_dim())
+    }
+
+    /// Numbers per sample in a list of initial states: the state, then the parameters.
+    fn start_dim(&self) -> usize {
+        self.state_dim() + self.param_dim()
+    }
 }
 
 impl<T: Task, F: Float> AnyTask<F> for T {
@@ -45,28 +68,42 @@ impl<T: Task, F: Float> AnyTask<F> for T {
         System::control_dim(self.system())
     }
 
+    fn own_observation(&self) -> Option<usize> {
+        Task::observation_dim(self)
+    }
+
     fn horizon(&self) -> usize {
         Task::horizon(self)
     }
 
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
-        Task::start(self, rng, x);
+    fn param_dim(&self) -> usize {
+        Task::param_dim(self)
     }
 
-    fn terminal_cost(&self, x: &[Lane<F>]) -> Lane<F> {
-        Task::terminal_cost(self, x)
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
+        Task::start(self, rng, start);
     }
 
-    fn terminal_cost_gradient(&self, x: &[Lane<F>], x_bar: &mut [Lane<F>]) {
-        Task::terminal_cost_gradient(self, x, x_bar);
+    fn terminal_cost(&self, x: &[Lane<F>], p: &[Lane<F>]) -> Lane<F> {
+        Task::terminal_cost(self, x, p)
     }
 
-    fn stage_cost_gradient(&self, x: &[Lane<F>], u: &[Lane<F>], x_bar: &mut [Lane<F>], u_bar: &mut [Lane<F>]) {
-        Task::stage_cost_gradient(self, x, u, x_bar, u_bar);
+    fn terminal_cost_gradient(&self, x: &[Lane<F>], p: &[Lane<F>], x_bar: &mut [Lane<F>]) {
+        Task::terminal_cost_gradient(self, x, p, x_bar, None);
     }
 
-    fn diagnose(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        self.system().diagnose(x, u)
+    fn running_cost_gradient(
+        &self,
+        inputs: Inputs<'_, Lane<F>>,
+        next: &[Lane<F>],
+        bars: Cotangents<'_, Lane<F>>,
+        next_bar: &mut [Lane<F>],
+    ) {
+        Task::running_cost_gradient(self, inputs, next, bars, next_bar);
+    }
+
+    fn diagnose(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+        self.system().diagnose(inputs)
     }
 }
 
@@ -76,10 +113,10 @@ impl<T: Task, F: Float> AnyTask<F> for T {
 pub(crate) trait AnySystem<F: Float> {
     fn state_dim(&self) -> usize;
     fn control_dim(&self) -> usize;
-    fn step(&self, x: &[F], u: &[F], next: &mut [F]);
-    fn vjp(&self, x: &[F], u: &[F], next_bar: &[One<F>], x_bar: &mut [One<F>], u_bar: &mut [One<F>]);
-    fn jvp_state(&self, x: &[F], u: &[F], x_tan: &[F], next_tan: &mut [F]);
-    fn jvp_control(&self, x: &[F], u: &[F], u_tan: &[F], next_tan: &mut [F]);
+    fn param_dim(&self) -> usize;
+    fn step(&self, inputs: Inputs<'_, F>, next: &mut [F]);
+    fn vjp(&self, inputs: Inputs<'_, F>, next_bar: &[One<F>], bars: Cotangents<'_, One<F>>);
+    fn jvp(&self, inputs: Inputs<'_, F>, tangents: Tangents<'_, F>, next_tan: &mut [F]);
 }
 
 impl<S: System, F: Float> AnySystem<F> for S {
@@ -91,28 +128,28 @@ impl<S: System, F: Float> AnySystem<F> for S {
         System::control_dim(self)
     }
 
-    fn step(&self, x: &[F], u: &[F], next: &mut [F]) {
-        outline::step(self, x, u, next);
+    fn param_dim(&self) -> usize {
+        System::param_dim(self)
     }
 
-    fn vjp(&self, x: &[F], u: &[F], next_bar: &[One<F>], x_bar: &mut [One<F>], u_bar: &mut [One<F>]) {
-        outline::vjp(self, x, u, next_bar, x_bar, u_bar);
+    fn step(&self, inputs: Inputs<'_, F>, next: &mut [F]) {
+        outline::step(self, inputs, next);
     }
 
-    fn jvp_state(&self, x: &[F], u: &[F], x_tan: &[F], next_tan: &mut [F]) {
-        System::jvp_state(self, x, u, x_tan, next_tan);
+    fn vjp(&self, inputs: Inputs<'_, F>, next_bar: &[One<F>], bars: Cotangents<'_, One<F>>) {
+        outline::vjp(self, inputs, next_bar, bars);
     }
 
-    fn jvp_control(&self, x: &[F], u: &[F], u_tan: &[F], next_tan: &mut [F]) {
-        System::jvp_control(self, x, u, u_tan, next_tan);
+    fn jvp(&self, inputs: Inputs<'_, F>, tangents: Tangents<'_, F>, next_tan: &mut [F]) {
+        System::jvp(self, inputs, tangents, next_tan);
     }
 }
 
-/// Evaluates [`System::vjp`] on plain numbers. Returns `[x_bar, u_bar]`.
-pub(crate) fn vjp<F: Float>(system: &dyn AnySystem<F>, x: &[F], u: &[F], next_bar: &[F]) -> [Vec<F>; 2] {
+/// Evaluates [`System::vjp`] on plain numbers. Returns `[x_bar, u_bar, p_bar]`.
+pub(crate) fn vjp<F: Float>(system: &dyn AnySystem<F>, inputs: Inputs<'_, F>, next_bar: &[F]) -> [Vec<F>; 3] {
     let next_bar: Vec<_> = next_bar.iter().map(|&bar| CotangentPack([bar])).collect();
-    // NaN reveals an output that `vjp` does not overwrite.
-    let [mut x_bar, mut u_bar] = [x, u].map(|inputs| vec![CotangentPack([F::lift(f64::NAN)]); inputs.len()]);
-    system.vjp(x, u, &next_bar, &mut x_bar, &mut u_bar);
-    [x_bar, u_bar].map(|bars| bars.into_iter().map(|CotangentPack([bar])| bar).collect())
+    let [mut x, mut u, mut p] = [inputs.x, inputs.u, inputs.p].map(|inputs| vec![CotangentPack::null(); inputs.len()]);
+    let bars = Cotangents { x: Some(&mut x), u: Some(&mut u), p: (!p.is_empty()).then_some(&mut p) };
+    system.vjp(inputs, &next_bar, bars);
+    [x, u, p].map(|bars| bars.into_iter().map(|CotangentPack([bar])| bar).collect())
 }

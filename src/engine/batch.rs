@@ -75,7 +75,7 @@ impl<F: Float> Batch<F> {
         workers: usize,
         budget: u64,
     ) -> Result<Self, MemoryError> {
-        let bytes = |schedule: &Schedule| Self::bytes_of(policy, samples, flows, workers, schedule);
+        let bytes = |schedule: &Schedule| Self::bytes_of(task, policy, samples, flows, workers, schedule);
         let schedule = Schedule::within(task.horizon(), budget, bytes)?;
         Ok(Self::scheduled(task, policy, samples, flows, workers, schedule))
     }
@@ -111,12 +111,19 @@ impl<F: Float> Batch<F> {
     /// # Panics
     /// If `samples` is 0.
     #[track_caller]
-    pub fn bytes_of(policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], workers: usize, schedule: &Schedule) -> usize {
+    pub fn bytes_of(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        samples: usize,
+        flows: &[Flow],
+        workers: usize,
+        schedule: &Schedule,
+    ) -> usize {
         assert!(samples > 0, "a mini-batch needs at least one sample");
         let gradients = flows.len() * (size_of::<Gradient<F>>() + Gradient::<F>::bytes_of(policy.param_count()));
         let worker = |share: Range<usize>| {
             let groups = share.len().div_ceil(GROUP) * (size_of::<Vec<Gradient<F>>>() + gradients);
-            size_of::<Worker<F>>() + groups + Checkpointed::<F>::bytes_of(policy, share.len(), flows, schedule)
+            size_of::<Worker<F>>() + groups + Checkpointed::<F>::bytes_of(task, policy, share.len(), flows, schedule)
         };
         shares(samples, workers).map(worker).sum::<usize>() + gradients
     }
@@ -136,7 +143,8 @@ impl<F: Float> Batch<F> {
         self.workers[0].rollout.schedule()
     }
 
-    /// Runs rollouts from `starts` (`state_dim` numbers per sample) and their reverse passes.
+    /// Runs rollouts from `starts` (see [`initial_states`](crate::initial_states)) and their reverse
+    /// passes.
     ///
     /// Computes the gradient of the mean loss for each flow, and returns the mean loss.
     ///
@@ -153,12 +161,12 @@ impl<F: Float> Batch<F> {
         weights: &Weights<F>,
         starts: &[F],
     ) -> Result<f64, Divergence> {
-        let n = task.state_dim();
+        let n = task.start_dim();
         let samples = starts.len() / n;
         let capacity: usize = self.workers.iter().map(|w| w.rollout.capacity()).sum();
         assert!(
             samples > 0 && samples <= capacity && starts.len().is_multiple_of(n),
-            "got {} numbers; expected 1 to {capacity} samples of {n} components each",
+            "got {} numbers; expected 1 to {capacity} samples of {n} numbers each",
             starts.len()
         );
         let scale = F::lift(1.0 / samples as f64);
@@ -256,7 +264,8 @@ impl<F: Float> Evaluation<F> {
         Self { workers: (0..workers.max(1)).map(|_| evaluator()).collect() }
     }
 
-    /// Returns the mean loss of rollouts from `starts`, `state_dim` numbers per sample.
+    /// Returns the mean loss of rollouts from `starts`; see
+    /// [`initial_states`](crate::initial_states).
     ///
     /// # Errors
     /// [`Divergence`] if a control, state or cost is not finite.
@@ -271,11 +280,11 @@ impl<F: Float> Evaluation<F> {
         weights: &Weights<F>,
         starts: &[F],
     ) -> Result<f64, Divergence> {
-        let n = task.state_dim();
+        let n = task.start_dim();
         let samples = starts.len() / n;
         assert!(
             samples > 0 && starts.len().is_multiple_of(n),
-            "got {} numbers; expected one or more samples of {n} components each",
+            "got {} numbers; expected one or more samples of {n} numbers each",
             starts.len()
         );
         let per_worker = samples.div_ceil(EVALUATED).div_ceil(self.workers.len()) * EVALUATED;

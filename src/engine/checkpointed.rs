@@ -58,9 +58,9 @@ impl<F: Float> Checkpointed<F> {
         let (planned, horizon) = (schedule.horizon(), task.horizon());
         assert_eq!(planned, horizon, "the schedule has a horizon of {planned} steps, but the task has {horizon}");
         let rollout = Rollout::with_steps(task, policy, samples, schedule.segment());
-        let adjoint = Adjoint::of_kept(policy, &rollout, flows);
+        let adjoint = Adjoint::of_kept(task, policy, &rollout, flows);
         let blocks = samples.div_ceil(WIDTH);
-        let state_len = blocks * policy.state_dim();
+        let state_len = blocks * task.state_dim();
         Self {
             schedule,
             rollout,
@@ -85,15 +85,21 @@ impl<F: Float> Checkpointed<F> {
         flows: &[Flow],
         budget: u64,
     ) -> Result<Schedule, MemoryError> {
-        Schedule::within(task.horizon(), budget, |schedule| Self::bytes_of(policy, samples, flows, schedule))
+        Schedule::within(task.horizon(), budget, |schedule| Self::bytes_of(task, policy, samples, flows, schedule))
     }
 
     /// Returns the [`stored_bytes`](Checkpointed::stored_bytes) of a schedule without allocating.
-    pub fn bytes_of(policy: &dyn AnyPolicy<F>, samples: usize, flows: &[Flow], schedule: &Schedule) -> usize {
+    pub fn bytes_of(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        samples: usize,
+        flows: &[Flow],
+        schedule: &Schedule,
+    ) -> usize {
         let (segment, blocks) = (schedule.segment(), samples.div_ceil(WIDTH));
-        let checkpoint = blocks * policy.state_dim() * size_of::<Lane<F>>() + size_of::<usize>();
-        Rollout::<F>::bytes_of(policy, samples, segment)
-            + Adjoint::<F>::bytes_of(policy, samples, segment, flows)
+        let checkpoint = blocks * task.state_dim() * size_of::<Lane<F>>() + size_of::<usize>();
+        Rollout::<F>::bytes_of(task, policy, samples, segment)
+            + Adjoint::<F>::bytes_of(task, policy, samples, segment, flows)
             + schedule.checkpoints() * checkpoint
             + blocks * size_of::<Lane<F>>()
     }
@@ -124,7 +130,8 @@ impl<F: Float> Checkpointed<F> {
         self.costs[sample / WIDTH].lane(sample % WIDTH)
     }
 
-    /// Runs rollouts from `starts` (`state_dim` numbers per sample) and their reverse passes.
+    /// Runs rollouts from `starts` (see [`initial_states`](crate::initial_states)) and their reverse
+    /// passes.
     ///
     /// Writes `gradients`, `[group][flow][parameter]`, each the sum over `group` successive
     /// samples. Groups without samples are unchanged. All cotangents are multiplied by `scale`. Use
@@ -167,7 +174,7 @@ impl<F: Float> Checkpointed<F> {
         group: usize,
         gradients: &mut [Vec<Gradient<F>>],
     ) -> Result<(), Divergence> {
-        let samples = starts.len() / task.state_dim();
+        let samples = starts.len() / task.start_dim();
         let groups = samples.div_ceil(group);
         assert!(
             groups <= gradients.len(),

@@ -113,7 +113,7 @@ impl fmt::Display for Divergence {
                 write!(
                     f,
                     "forward pass: {variable} component {component} of sample {sample} is not finite at step {step}{}",
-                    advice(cause, "Use a smaller time step, a lower learning rate or gradient clipping")
+                    advice(cause, "Reduce the time step or the learning rate")
                 )
             }
             Self::Cost { sample } => {
@@ -127,7 +127,7 @@ impl fmt::Display for Divergence {
                 f,
                 "reverse pass of {flow}: the cotangent of {variable} component {component} of sample {sample} is not finite at \
                  step {step}{}",
-                advice(cause, "Shorten the horizon, or use another field")
+                advice(cause, "Shorten the horizon or use another field")
             ),
             Self::Gradient { flow, parameter } => {
                 write!(

@@ -1,13 +1,15 @@
-//! [`initial_states`]: the initial states of a data set.
+//! [`initial_states`]: the initial states and parameters of a data set.
 
+use crate::dynamics::inputs::Start;
 use crate::engine::any::AnyTask;
 use crate::numbers::rng::{Purpose, stream};
 use crate::numbers::scalar::Float;
 
-/// Draws the initial states of samples `0 .. samples`, `state_dim` numbers each.
+/// Draws the initial states of samples `0 .. samples`: for each sample, `state_dim` numbers, then its
+/// `param_dim` parameters.
 ///
-/// Each sample has its own random stream, determined by `seed`, `purpose` and its index. The
-/// initial state of a sample is therefore independent of the number of samples.
+/// Each sample has its own random stream, determined by `seed`, `purpose` and its index. Its numbers
+/// are therefore independent of the number of samples.
 /// ```
 /// use physgrad::{initial_states, rng::Purpose, tasks::CartPole};
 ///
@@ -15,12 +17,13 @@ use crate::numbers::scalar::Float;
 /// assert_eq!(starts.len(), 8 * 4);
 /// ```
 pub fn initial_states<F: Float>(task: &dyn AnyTask<F>, seed: u64, purpose: Purpose, samples: usize) -> Vec<F> {
-    let mut x = vec![0.0; task.state_dim()];
-    let mut all = Vec::with_capacity(samples * x.len());
+    let (n, len) = (task.state_dim(), task.start_dim());
+    let (mut one, mut all) = (vec![0.0; len], Vec::with_capacity(samples * len));
     for sample in 0..samples {
-        x.fill(0.0);
-        task.start(&mut stream(seed, purpose, sample as u64), &mut x);
-        all.extend(x.iter().map(|&x| F::lift(x)));
+        one.fill(0.0);
+        let (x, p) = one.split_at_mut(n);
+        task.start(&mut stream(seed, purpose, sample as u64), Start { x, p });
+        all.extend(one.iter().map(|&x| F::lift(x)));
     }
     all
 }

@@ -4,6 +4,7 @@
 //! - [`adjoint`]: reverse pass for the flows R, M, N and S of one forward pass.
 //!   `adjoint/recursion.rs` contains the recursion.
 //! - [`initial_states`]: initial states, drawn by a task from seeded streams.
+//! - [`observe`]: the input of the policy.
 //! - [`schedule`], [`checkpointed`]: recomputation of steps from checkpoints.
 //! - [`batch`]: mini-batches and data sets, split over threads.
 //! - [`gradient`], [`growth`], [`divergence`]: results and errors of the passes.
@@ -19,6 +20,7 @@ pub(crate) mod divergence;
 pub(crate) mod gradient;
 pub(crate) mod growth;
 pub(crate) mod initial_states;
+pub(crate) mod observe;
 pub(crate) mod parallel;
 pub(crate) mod rollout;
 pub(crate) mod schedule;

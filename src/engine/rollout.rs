@@ -4,6 +4,7 @@ mod buffer_sizes;
 mod columns;
 mod step_forward;
 
+use crate::dynamics::inputs::Inputs;
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::{Divergence, Variable};
 use crate::numbers::aligned::Aligned;
@@ -40,6 +41,9 @@ pub struct Rollout<F: Float> {
     pub(crate) samples: usize,
     pub(crate) state_dim: usize,
     pub(crate) control_dim: usize,
+    /// Number of policy inputs.
+    pub(crate) observed_dim: usize,
+    pub(crate) param_dim: usize,
     pub(crate) horizon: usize,
     /// Number of stored steps: the horizon, a multiple of [`UNIT`], or 1. Later steps overwrite
     /// earlier ones.
@@ -48,6 +52,10 @@ pub struct Rollout<F: Float> {
     states: Vec<Lane<F>>,
     /// Controls, `[step][block][component]`, a ring buffer of `kept` steps.
     controls: Vec<Lane<F>>,
+    /// Parameters, `[block][component]`.
+    params: Vec<Lane<F>>,
+    /// Observations of one step, `[block][component]`. Empty if the policy observes the state.
+    observations: Vec<Lane<F>>,
     /// Policy inputs as columns, `[unit][sample][step][component]`. The columns of one sum are
     /// contiguous.
     inputs: Vec<F>,
@@ -79,9 +87,15 @@ impl<F: Float> Rollout<F> {
         let (n, m) = (task.state_dim(), task.control_dim());
         assert!(samples > 0, "a rollout needs at least one sample");
         assert!(task.horizon() > 0, "a rollout needs a horizon of at least one step");
-        assert_eq!(policy.state_dim(), n, "the policy expects {} state components, but the system has {n}", policy.state_dim());
+        let observed = task.observed_dim();
+        assert_eq!(
+            policy.observation_dim(),
+            observed,
+            "the policy expects {} observed components, but the task has {observed}",
+            policy.observation_dim()
+        );
         assert_eq!(policy.control_dim(), m, "the policy computes {} controls, but the system has {m}", policy.control_dim());
-        let sizes = BufferSizes::new(policy, samples, kept);
+        let sizes = BufferSizes::new(task, policy, samples, kept);
         let zeros = |len: usize| vec![F::zero(); len];
         let lanes = |len: usize| vec![Lane::zero(); len];
         Self {
@@ -89,10 +103,14 @@ impl<F: Float> Rollout<F> {
             samples,
             state_dim: n,
             control_dim: m,
+            observed_dim: observed,
+            param_dim: task.param_dim(),
             horizon: task.horizon(),
             kept,
             states: lanes(sizes.states),
             controls: lanes(sizes.controls),
+            params: lanes(sizes.params),
+            observations: lanes(sizes.observations),
             inputs: zeros(sizes.inputs),
             outputs: zeros(sizes.outputs),
             tape: Aligned::zeros(sizes.tape),
@@ -113,39 +131,41 @@ impl<F: Float> Rollout<F> {
     /// Bytes on the heap, independent of the number of samples started. Without a tape, they are
     /// also independent of the horizon.
     pub fn stored_bytes(&self) -> usize {
-        let lanes = [&self.states, &self.controls, &self.costs].map(|lanes| size_of_val(&lanes[..]));
+        let lanes =
+            [&self.states, &self.controls, &self.params, &self.observations, &self.costs].map(|lanes| size_of_val(&lanes[..]));
         let numbers = [&self.inputs, &self.outputs].map(|numbers| size_of_val(&numbers[..]));
         lanes.into_iter().chain(numbers).sum::<usize>() + self.tape.stored_bytes()
     }
 
     /// Returns the [`stored_bytes`](Rollout::stored_bytes) of a rollout that stores `kept` steps.
-    pub(crate) fn bytes_of(policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> usize {
-        BufferSizes::new(policy, samples, kept).bytes::<F>()
+    pub(crate) fn bytes_of(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> usize {
+        BufferSizes::new(task, policy, samples, kept).bytes::<F>()
     }
 
-    /// Sets the initial states, `state_dim` numbers per sample. The number of samples may be below
-    /// the capacity.
+    /// Sets initial states and parameters: for each sample, `state_dim` numbers, then `param_dim`.
+    /// The number of samples may be below the capacity.
     ///
     /// # Panics
     /// If `starts` is empty, exceeds the capacity, or is not a whole number of samples.
     #[track_caller]
     pub fn start(&mut self, starts: &[F]) {
-        let n = self.state_dim;
-        let samples = starts.len() / n;
+        let (n, params) = (self.state_dim, self.param_dim);
+        let each = n + params;
+        let samples = starts.len() / each;
         assert!(
-            !starts.is_empty() && starts.len().is_multiple_of(n) && samples <= self.capacity,
-            "there is room for {} samples of {n} components, and {} numbers were given",
+            !starts.is_empty() && starts.len().is_multiple_of(each) && samples <= self.capacity,
+            "there is room for {} samples of {each} numbers, and {} numbers were given",
             self.capacity,
             starts.len()
         );
         self.samples = samples;
-        let len = self.blocks() * n;
-        for (block, x) in self.states[..len].chunks_exact_mut(n).enumerate() {
+        for block in 0..self.blocks() {
+            let (x, p) = (&mut self.states[block * n..][..n], &mut self.params[block * params..][..params]);
             for lane in 0..WIDTH {
                 // Unused lanes repeat the last sample, so they add no non-finite numbers.
                 let sample = (block * WIDTH + lane).min(samples - 1);
-                for (x, &start) in x.iter_mut().zip(&starts[sample * n..]) {
-                    x.set_lane(lane, start);
+                for (number, &start) in x.iter_mut().chain(&mut *p).zip(&starts[sample * each..]) {
+                    number.set_lane(lane, start);
                 }
             }
         }
@@ -202,8 +222,10 @@ impl<F: Float> Rollout<F> {
     /// Adds the terminal costs. Returns an error if a cost is not finite.
     pub(crate) fn finish(&mut self, task: &dyn AnyTask<F>) -> Result<(), Divergence> {
         let last = self.state_range(self.horizon);
-        for (x, cost) in self.states[last].chunks_exact(self.state_dim).zip(&mut self.costs) {
-            *cost += task.terminal_cost(x);
+        let n_params = self.param_dim;
+        for (block, x) in self.states[last].chunks_exact(self.state_dim).enumerate() {
+            let params = &self.params[block * n_params..][..n_params];
+            self.costs[block] += task.terminal_cost(x, params);
         }
         let bad = (0..self.samples).find(|&sample| !self.cost(sample).as_().is_finite());
         bad.map_or(Ok(()), |sample| Err(Divergence::Cost { sample }))
@@ -220,8 +242,17 @@ impl<F: Float> Rollout<F> {
         let (now, next) = (self.state_range(t), self.state_range(t + 1));
         let at = self.columns(t);
         let blocks = self.blocks();
-        gather(&self.states[now.clone()], Real::lane, n, at, &mut self.inputs);
-        let inputs = &self.inputs[..self.samples * self.kept * n];
+        let observed = self.observed_dim;
+        let seen = match task.own_observation() {
+            None => &self.states[now.clone()],
+            Some(_) => {
+                let y = &mut self.observations[..blocks * observed];
+                task.observe(Inputs { x: &self.states[now.clone()], u: &[], p: &self.params, t }, y);
+                &*y
+            }
+        };
+        gather(seen, Real::lane, observed, at, &mut self.inputs);
+        let inputs = &self.inputs[..self.samples * self.kept * observed];
         policy.forward(PolicyPass { packed: weights.packed(), at, x: inputs }, &mut self.tape, &mut self.outputs);
         let controls = &mut self.controls[blocks * m * (t % self.kept)..][..blocks * m];
         scatter(&self.outputs, m, at, controls);
@@ -234,7 +265,7 @@ impl<F: Float> Rollout<F> {
             let (before, after) = self.states.split_at_mut(now.start);
             (&after[..now.len()], &mut before[next])
         };
-        if task.step_forward(x, controls, next, &mut self.costs) {
+        if task.step_forward(Inputs { x, u: controls, p: &self.params, t }, next, &mut self.costs) {
             return Ok(());
         }
         let control = find_non_finite(controls, m, self.samples, Real::lane).map(|place| (Variable::Control, t, place));
@@ -245,7 +276,10 @@ impl<F: Float> Rollout<F> {
             block.iter().map(|number| number.lane(sample % WIDTH)).collect()
         };
         let cause = match variable {
-            Variable::State => task.diagnose(&of(x, n), &of(controls, m)),
+            Variable::State => {
+                let (x, u, p) = (of(x, n), of(controls, m), of(&self.params, self.param_dim));
+                task.diagnose(Inputs { x: &x, u: &u, p: &p, t })
+            }
             Variable::Control => None,
         };
         Err(Divergence::Forward { variable, step, sample, component, cause })
@@ -277,7 +311,7 @@ impl<F: Float> Rollout<F> {
 
     /// Policy inputs, as columns.
     pub(crate) fn inputs(&self) -> &[F] {
-        &self.inputs[..self.samples * self.kept * self.state_dim]
+        &self.inputs[..self.samples * self.kept * self.observed_dim]
     }
 
     fn blocks(&self) -> usize {
@@ -305,6 +339,23 @@ impl<F: Float> Rollout<F> {
     pub(crate) fn controls_at(&self, t: usize) -> &[Lane<F>] {
         let len = self.blocks() * self.control_dim;
         &self.controls[len * (t % self.kept)..][..len]
+    }
+
+    /// Parameters of block `block`.
+    pub(crate) fn params_of(&self, block: usize) -> &[Lane<F>] {
+        &self.params[block * self.param_dim..][..self.param_dim]
+    }
+
+    /// Inputs of step `t` for block `block`.
+    pub(crate) fn inputs_of(&self, t: usize, block: usize) -> Inputs<'_, Lane<F>> {
+        let (n, m) = (self.state_dim, self.control_dim);
+        let (x, u) = (&self.states_at(t)[block * n..][..n], &self.controls_at(t)[block * m..][..m]);
+        Inputs { x, u, p: self.params_of(block), t }
+    }
+
+    /// States, parameters and time of step `t` for all blocks, concatenated.
+    pub(crate) fn observed_at(&self, t: usize) -> Inputs<'_, Lane<F>> {
+        Inputs { x: self.states_at(t), u: &[], p: &self.params, t }
     }
 
     /// Returns true if all steps are stored.

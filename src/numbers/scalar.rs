@@ -150,14 +150,15 @@ pub trait Real: Scalar {
 pub trait Cotangent<R>:
     Copy + Debug + Add<Output = Self> + Sub<Output = Self> + Neg<Output = Self> + Mul<R, Output = Self> + AddAssign + SubAssign
 {
-    /// The zero vector.
+    /// Neutral element of addition, the initial value of a sum: −0.0 in every lane, since
+    /// `0.0 + -0.0` is `0.0`.
     fn null() -> Self;
 }
 
 impl<R: Real> Cotangent<R> for R {
     #[inline(always)]
     fn null() -> Self {
-        R::zero()
+        R::lift(-0.0)
     }
 }
 
@@ -182,7 +183,7 @@ fn each<const K: usize>(mut column: impl FnMut(usize)) {
 impl<R: Real, const K: usize> Cotangent<R> for CotangentPack<R, K> {
     #[inline(always)]
     fn null() -> Self {
-        Self([R::zero(); K])
+        Self([R::lift(-0.0); K])
     }
 }
 

@@ -11,7 +11,7 @@ use crate::numbers::scalar::Float;
 #[allow(missing_docs)]
 pub trait AnyPolicy<F: Float>: Send + Sync {
     #[doc(hidden)]
-    fn state_dim(&self) -> usize;
+    fn observation_dim(&self) -> usize;
     #[doc(hidden)]
     fn control_dim(&self) -> usize;
     #[doc(hidden)]
@@ -33,8 +33,8 @@ pub trait AnyPolicy<F: Float>: Send + Sync {
 }
 
 impl<P: Policy, F: Float> AnyPolicy<F> for P {
-    fn state_dim(&self) -> usize {
-        Policy::state_dim(self)
+    fn observation_dim(&self) -> usize {
+        Policy::observation_dim(self)
     }
 
     fn control_dim(&self) -> usize {

@@ -78,7 +78,7 @@ impl Conv {
 }
 
 impl Policy for Conv {
-    fn state_dim(&self) -> usize {
+    fn observation_dim(&self) -> usize {
         CHANNELS * self.grid
     }
 
@@ -186,7 +186,7 @@ impl Policy for Conv {
     fn forward<F: Float>(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
         let PolicyPass { packed, at, x } = pass;
         let level = SimdLevel::best();
-        let (n, w) = (self.state_dim(), self.width);
+        let (n, w) = (self.observation_dim(), self.width);
         let layers = self.layers::<F>();
         let [one, two] = &layers;
         let places = self.places::<F>(&layers, x.len() / n);
@@ -220,7 +220,7 @@ impl Policy for Conv {
     fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], mut x_bar: Option<&mut [F]>) {
         let PolicyPass { packed, at, x } = pass;
         let level = SimdLevel::best();
-        let (n, w) = (self.state_dim(), self.width);
+        let (n, w) = (self.observation_dim(), self.width);
         let total = x.len() / n;
         let layers = self.layers::<F>();
         let [one, two] = &layers;
@@ -278,7 +278,7 @@ impl Policy for Conv {
         }
         let level = SimdLevel::best();
         let w = self.width;
-        let total = x.len() / self.state_dim();
+        let total = x.len() / self.observation_dim();
         let layers = self.layers::<F>();
         let [_, two] = &layers;
         let places = self.places::<F>(&layers, total);

@@ -7,29 +7,29 @@ use crate::numbers::zip::zip;
 
 /// Linear state feedback, `u = K x`, or affine with a bias, `u = K x + k`.
 ///
-/// `θ` holds `K` (control_dim × state_dim, row-major), then `k`.
+/// `θ` holds `K` (control_dim × observation_dim, row-major), then `k`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Linear {
-    state_dim: usize,
+    observation_dim: usize,
     control_dim: usize,
     bias: bool,
 }
 
 impl Linear {
     /// Linear feedback `u = K x`.
-    pub fn new(state_dim: usize, control_dim: usize) -> Self {
-        Self { state_dim, control_dim, bias: false }
+    pub fn new(observation_dim: usize, control_dim: usize) -> Self {
+        Self { observation_dim, control_dim, bias: false }
     }
 
     /// Affine feedback `u = K x + k`.
-    pub fn with_bias(state_dim: usize, control_dim: usize) -> Self {
-        Self { state_dim, control_dim, bias: true }
+    pub fn with_bias(observation_dim: usize, control_dim: usize) -> Self {
+        Self { observation_dim, control_dim, bias: true }
     }
 }
 
 impl Policy for Linear {
-    fn state_dim(&self) -> usize {
-        self.state_dim
+    fn observation_dim(&self) -> usize {
+        self.observation_dim
     }
 
     fn control_dim(&self) -> usize {
@@ -37,7 +37,7 @@ impl Policy for Linear {
     }
 
     fn param_count(&self) -> usize {
-        self.control_dim * (self.state_dim + usize::from(self.bias))
+        self.control_dim * (self.observation_dim + usize::from(self.bias))
     }
 
     /// Initializes all parameters to 0: the uncontrolled system.
@@ -46,8 +46,8 @@ impl Policy for Linear {
     }
 
     fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
-        let (gain, bias) = theta.split_at(self.control_dim * self.state_dim);
-        for (i, (u, row)) in zip(u.iter_mut(), gain.chunks_exact(self.state_dim)).enumerate() {
+        let (gain, bias) = theta.split_at(self.control_dim * self.observation_dim);
+        for (i, (u, row)) in zip(u.iter_mut(), gain.chunks_exact(self.observation_dim)).enumerate() {
             *u = if self.bias { bias[i] } else { T::zero() };
             for (&k, &x) in zip(row.iter(), x) {
                 *u += k * x;
@@ -56,7 +56,7 @@ impl Policy for Linear {
     }
 
     fn backward<F: Float>(&self, pass: PolicyPass<F>, _tape: &[F], u_bar: &[F], _tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
-        let (n, m) = (self.state_dim, self.control_dim);
+        let (n, m) = (self.observation_dim, self.control_dim);
         let Some(x_bar) = x_bar else { return };
         for c in pass.at.iter() {
             let x_bar = &mut x_bar[c * n..][..n];
@@ -68,7 +68,7 @@ impl Policy for Linear {
     }
 
     fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, _scratch: &mut [F], theta_bar: &mut [F]) {
-        let (n, m) = (self.state_dim, self.control_dim);
+        let (n, m) = (self.observation_dim, self.control_dim);
         let (gain_bar, bias_bar) = theta_bar.split_at_mut(m * n);
         for c in pass.at.iter() {
             let weight = record.weight.map_or(F::one(), |w| w[c]);
@@ -82,8 +82,9 @@ impl Policy for Linear {
     }
 
     fn tensors(&self) -> Vec<Tensor> {
-        let gain = self.control_dim * self.state_dim;
-        let mut tensors = vec![Tensor { name: "gain".into(), shape: vec![self.control_dim, self.state_dim], range: 0..gain }];
+        let gain = self.control_dim * self.observation_dim;
+        let mut tensors =
+            vec![Tensor { name: "gain".into(), shape: vec![self.control_dim, self.observation_dim], range: 0..gain }];
         if self.bias {
             tensors.push(Tensor { name: "bias".into(), shape: vec![self.control_dim], range: gain..self.param_count() });
         }

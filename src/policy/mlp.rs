@@ -125,7 +125,7 @@ impl Layer {
 }
 
 impl Policy for Mlp {
-    fn state_dim(&self) -> usize {
+    fn observation_dim(&self) -> usize {
         self.widths[0]
     }
 
@@ -209,7 +209,7 @@ impl Policy for Mlp {
     fn forward<F: Float>(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
         let PolicyPass { packed, at, x } = pass;
         let level = SimdLevel::best();
-        let n = self.state_dim();
+        let n = self.observation_dim();
         let total = x.len() / n;
         let first = self.layer::<F>(0);
         for c in at.iter() {
@@ -256,7 +256,7 @@ impl Policy for Mlp {
     fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], mut x_bar: Option<&mut [F]>) {
         let PolicyPass { packed, at, x } = pass;
         let level = SimdLevel::best();
-        let n = self.state_dim();
+        let n = self.observation_dim();
         let total = x.len() / n;
         for at in at.blocks(BLOCK) {
             for l in self.layers::<F>().rev() {
@@ -305,7 +305,7 @@ impl Policy for Mlp {
             return;
         }
         let level = SimdLevel::best();
-        let total = x.len() / self.state_dim();
+        let total = x.len() / self.observation_dim();
         for l in self.layers::<F>() {
             let is_last = l.tape == self.last::<F>().tape;
             let (bar, bar_len) = if is_last { (u_bar, l.outputs) } else { (&tape_bar[total * (l.tape + l.ld_in)..], l.ld_out) };

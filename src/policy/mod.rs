@@ -1,4 +1,4 @@
-//! [`Policy`]: the controller `u = N(x; θ)` to be trained.
+//! [`Policy`]: the controller `u = N(y; θ)` to be trained, for an observation y.
 //!
 //! - Policies: [`Mlp`], [`Conv`], [`Linear`], and the small [`Quadratic`] and [`Constant`].
 //! - [`AnyPolicy`]: object-safe [`Policy`] for one precision.
@@ -36,14 +36,14 @@ use std::ops::Range;
 /// The batched passes are [`sizes`](Policy::sizes), [`pack`](Policy::pack),
 /// [`forward`](Policy::forward), [`backward`](Policy::backward) and
 /// [`param_gradient`](Policy::param_gradient). They work on *columns*. One column is one
-/// evaluation: one sample at one time step. `x` holds `state_dim` numbers per column; `u` and
+/// evaluation: one sample at one time step. `x` holds `observation_dim` numbers per column; `u` and
 /// `u_bar` hold `control_dim`.
 ///
 /// Columns are stored in units of several time steps. Within a unit, the steps of one sample are
 /// adjacent, and the samples follow one another. [`PolicyColumns`] selects the columns of a call.
 pub trait Policy: Send + Sync {
-    /// Number of state components.
-    fn state_dim(&self) -> usize;
+    /// Number of observed components.
+    fn observation_dim(&self) -> usize;
     /// Number of control components.
     fn control_dim(&self) -> usize;
     /// Number of parameters, the length of `θ`.
@@ -52,7 +52,7 @@ pub trait Policy: Send + Sync {
     /// Draws initial parameters into `theta`.
     fn init(&self, rng: &mut Rng, theta: &mut [f64]);
 
-    /// Evaluates `u = N(x; θ)` for one state.
+    /// Evaluates `u = N(x; θ)` for one observation x.
     ///
     /// Defines the policy: all other methods must agree with it.
     fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]);
@@ -75,7 +75,7 @@ pub trait Policy: Send + Sync {
 
     /// Evaluates `u = N(x)` in the columns `pass.at`. Stores intermediate values in `tape`.
     fn forward<F: Float>(&self, pass: PolicyPass<F>, _tape: &mut [F], u: &mut [F]) {
-        let (n, m) = (self.state_dim(), self.control_dim());
+        let (n, m) = (self.observation_dim(), self.control_dim());
         for c in pass.at.iter() {
             self.act(pass.packed, &pass.x[c * n..][..n], &mut u[c * m..][..m]);
         }
@@ -88,7 +88,7 @@ pub trait Policy: Send + Sync {
     /// [`param_gradient`](Policy::param_gradient). Skips the product with `∂N/∂x` if `x_bar` is
     /// `None`.
     fn backward<F: Float>(&self, pass: PolicyPass<F>, _tape: &[F], u_bar: &[F], _tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
-        let (n, m) = (self.state_dim(), self.control_dim());
+        let (n, m) = (self.observation_dim(), self.control_dim());
         let Some(x_bar) = x_bar else { return };
         let theta = constants(pass.packed);
         for c in pass.at.iter() {
@@ -104,7 +104,7 @@ pub trait Policy: Send + Sync {
     ///
     /// Sums over the columns `pass.at`, which must be contiguous.
     fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, _scratch: &mut [F], theta_bar: &mut [F]) {
-        let (n, m) = (self.state_dim(), self.control_dim());
+        let (n, m) = (self.observation_dim(), self.control_dim());
         for c in pass.at.iter() {
             let x = constants(&pass.x[c * n..][..n]);
             let weight = record.weight.map_or(F::one(), |w| w[c]);
@@ -131,7 +131,7 @@ pub struct PolicyPass<'a, F> {
     pub packed: &'a [F],
     /// Columns to evaluate.
     pub at: PolicyColumns,
-    /// States of all columns, `state_dim` numbers each.
+    /// Observations of all columns, `observation_dim` numbers each.
     pub x: &'a [F],
 }
 

@@ -11,7 +11,7 @@ use crate::numbers::scalar::Scalar;
 pub struct Quadratic;
 
 impl Policy for Quadratic {
-    fn state_dim(&self) -> usize {
+    fn observation_dim(&self) -> usize {
         1
     }
 
@@ -36,20 +36,20 @@ impl Policy for Quadratic {
 /// Open-loop control `u = θ`, independent of the state; one parameter per control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Constant {
-    state_dim: usize,
+    observation_dim: usize,
     control_dim: usize,
 }
 
 impl Constant {
     /// Creates an open-loop control for a system with these dimensions.
-    pub fn new(state_dim: usize, control_dim: usize) -> Self {
-        Self { state_dim, control_dim }
+    pub fn new(observation_dim: usize, control_dim: usize) -> Self {
+        Self { observation_dim, control_dim }
     }
 }
 
 impl Policy for Constant {
-    fn state_dim(&self) -> usize {
-        self.state_dim
+    fn observation_dim(&self) -> usize {
+        self.observation_dim
     }
 
     fn control_dim(&self) -> usize {

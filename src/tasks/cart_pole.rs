@@ -26,6 +26,7 @@ pub use system::CartPoleSystem;
 pub use wind::{GustyWind, SteadyWind};
 
 use crate::dynamics::effect::{HasModel, any_effect};
+use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Real, Scalar};
@@ -78,18 +79,17 @@ impl<S: HasModel<CartPoleSystem>> CartPole<S> {
         T::one() - cosines * T::lift(1.0 / self.system.model().poles as f64)
     }
 
-    /// Writes the gradient of `factor` times the mean of `1 - cos θ`.
+    /// Adds the gradient of `factor` times the mean of `1 - cos θ`.
     #[inline(always)]
     fn height_gradient<R: Real>(&self, factor: f64, x: &[R], x_bar: &mut [R]) {
         let factor = R::lift(factor / self.system.model().poles as f64);
-        x_bar.fill(R::zero());
         for (x_bar, pole) in zip(x_bar[2..].chunks_exact_mut(2), self.system.model().poles_of(x)) {
-            x_bar[0] = pole[0].sin() * factor;
+            x_bar[0] += pole[0].sin() * factor;
         }
     }
 
     /// Returns the weight of one step in the mean over time.
-    fn stage_factor(&self) -> f64 {
+    fn running_factor(&self) -> f64 {
         1.0 / self.horizon as f64
     }
 }
@@ -106,26 +106,26 @@ impl<S: HasModel<CartPoleSystem>> Task for CartPole<S> {
     }
 
     /// Draws angles within ±30° of hanging, and all other components within ±1.
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
         let own = 2 + 2 * self.system.model().poles;
-        for (i, x) in x[..own].iter_mut().enumerate() {
+        for (i, x) in start.x[..own].iter_mut().enumerate() {
             let draw = rng.random_range(-1.0..1.0);
             let is_angle = i >= 2 && i % 2 == 0;
             *x = if is_angle { PI + PI / 6.0 * draw } else { draw };
         }
-        self.system.start_extra(rng, x);
+        self.system.start_extra(rng, start);
     }
 
     #[inline(always)]
-    fn stage_cost<T: Scalar>(&self, x: &[T], _u: &[T]) -> T {
+    fn running_cost<T: Scalar>(&self, _inputs: Inputs<'_, T>, next: &[T]) -> T {
         match self.loss {
             LossMode::Terminal => T::zero(),
-            LossMode::Running => self.height(x) * T::lift(self.stage_factor()),
+            LossMode::Running => self.height(next) * T::lift(self.running_factor()),
         }
     }
 
     #[inline(always)]
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         match self.loss {
             LossMode::Terminal => self.height(x),
             LossMode::Running => T::zero(),
@@ -133,19 +133,16 @@ impl<S: HasModel<CartPoleSystem>> Task for CartPole<S> {
     }
 
     #[inline(always)]
-    fn stage_cost_gradient<R: Real>(&self, x: &[R], _u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
-        u_bar[0] = R::zero();
-        match self.loss {
-            LossMode::Terminal => x_bar.fill(R::zero()),
-            LossMode::Running => self.height_gradient(self.stage_factor(), x, x_bar),
+    fn running_cost_gradient<R: Real>(&self, _inputs: Inputs<'_, R>, next: &[R], _bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+        if self.loss == LossMode::Running {
+            self.height_gradient(self.running_factor(), next, next_bar);
         }
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
-        match self.loss {
-            LossMode::Terminal => self.height_gradient(1.0, x, x_bar),
-            LossMode::Running => x_bar.fill(R::zero()),
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
+        if self.loss == LossMode::Terminal {
+            self.height_gradient(1.0, x, x_bar);
         }
     }
 }

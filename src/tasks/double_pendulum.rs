@@ -1,6 +1,7 @@
 //! [`DoublePendulum`]: a planar double pendulum without friction, one of the simplest chaotic
 //! systems.
 
+use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::dynamics::ode::Ode;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
@@ -108,7 +109,7 @@ impl Ode for DoublePendulum {
     }
 
     #[inline(always)]
-    fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
+    fn rate<T: Scalar>(&self, OdeInputs { x, u, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
         let [first, second] = self.motion(x, u).accelerations;
         (rate[0], rate[1], rate[2], rate[3]) = (x[1], first, x[3], second);
     }
@@ -116,7 +117,12 @@ impl Ode for DoublePendulum {
     /// Computes the reverse of `M α = τ`: with `M w = ᾱ`, the cotangent of τ is w and that of M is
     /// -w αᵀ.
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
+    fn rate_vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        OdeInputs { x, u, .. }: OdeInputs<'_, R>,
+        rate_bar: &[C],
+        bars: Cotangents<'_, C>,
+    ) {
         let Motion { first, second, between: [sin, cos], accelerations: [alpha, second_alpha] } = self.motion(x, u);
         let coupling = R::lift(self.inertias()[1]);
         let [weight, second_weight] = self.weights();
@@ -127,11 +133,13 @@ impl Ode for DoublePendulum {
         // sin Δ enters the torques, cos Δ the matrix.
         let delta_bar =
             w * (coupling * (sin * second_alpha - cos * second_spin)) + second_w * (coupling * (sin * alpha + cos * spin));
-        x_bar[0] += w * (weight * first[1]) + delta_bar;
-        x_bar[1] += rate_bar[0] + second_w * (throw * x[1]);
-        x_bar[2] += second_w * (second_weight * second[1]) - delta_bar;
-        x_bar[3] += rate_bar[2] - w * (throw * x[3]);
-        if let Some(u_bar) = u_bar {
+        if let Some(x_bar) = bars.x {
+            x_bar[0] += w * (weight * first[1]) + delta_bar;
+            x_bar[1] += rate_bar[0] + second_w * (throw * x[1]);
+            x_bar[2] += second_w * (second_weight * second[1]) - delta_bar;
+            x_bar[3] += rate_bar[2] - w * (throw * x[3]);
+        }
+        if let Some(u_bar) = bars.u {
             u_bar[0] += w;
         }
     }

@@ -26,6 +26,7 @@ pub use system::{Center, GuidanceSystem};
 pub use walls::Walls;
 
 use crate::dynamics::effect::{Forced, HasModel, any_effect};
+use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Real, Scalar};
@@ -91,7 +92,7 @@ impl<S: HasModel<GuidanceSystem>> Guidance<S> {
     }
 
     /// Returns the weight of one squared evader coordinate in the running cost.
-    fn stage_weight(&self) -> f64 {
+    fn running_weight(&self) -> f64 {
         1.0 / (2 * self.system.model().evaders * self.horizon) as f64
     }
 
@@ -110,14 +111,14 @@ impl<S: HasModel<GuidanceSystem>> Guidance<S> {
         squares * T::lift(weight)
     }
 
-    /// Writes the gradient of [`distances`](Self::distances).
+    /// Adds the gradient of [`distances`](Self::distances).
     #[inline(always)]
     fn distances_gradient<R: Real>(&self, weight: f64, x: &[R], x_bar: &mut [R]) {
-        x_bar.fill(R::zero());
         let slope = R::lift(2.0 * weight);
         let model = self.system.model();
         for (bar, evader) in zip(x_bar[AGENT * model.drivers..].chunks_exact_mut(AGENT), model.evaders_of(x)) {
-            (bar[0], bar[1]) = (evader[0] * slope, evader[1] * slope);
+            bar[0] += evader[0] * slope;
+            bar[1] += evader[1] * slope;
         }
     }
 }
@@ -135,15 +136,14 @@ impl<S: HasModel<GuidanceSystem>> Task for Guidance<S> {
 
     /// Draws agents at rest. Every driver is 3 to 4 m from the origin. The evaders lie within ±0.5
     /// m, in both coordinates, of a common point 1 to 2 m from the origin.
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
         let ring = |rng: &mut Rng, inner: f64| {
             let (sin, cos) = rng.random_range(0.0..TAU).sin_cos();
             let radius = rng.random_range(inner..inner + 1.0);
             [radius * cos, radius * sin]
         };
         let model = self.system.model();
-        let own = &mut x[..AGENT * model.agents()];
-        own.fill(0.0);
+        let own = &mut start.x[..AGENT * model.agents()];
         let (drivers, evaders) = own.split_at_mut(AGENT * model.drivers);
         for driver in drivers.chunks_exact_mut(AGENT) {
             driver[..2].copy_from_slice(&ring(rng, 3.0));
@@ -154,11 +154,11 @@ impl<S: HasModel<GuidanceSystem>> Task for Guidance<S> {
                 *x = center + rng.random_range(-0.5..0.5);
             }
         }
-        self.system.start_extra(rng, x);
+        self.system.start_extra(rng, start);
     }
 
     #[inline(always)]
-    fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
+    fn running_cost<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, next: &[T]) -> T {
         let mut squares = T::zero();
         for &u in u {
             squares += u * u;
@@ -166,12 +166,12 @@ impl<S: HasModel<GuidanceSystem>> Task for Guidance<S> {
         let effort = squares * T::lift(self.control_weight());
         match self.loss {
             LossMode::Terminal => effort,
-            LossMode::Running => effort + self.distances(self.stage_weight(), x),
+            LossMode::Running => effort + self.distances(self.running_weight(), next),
         }
     }
 
     #[inline(always)]
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         match self.loss {
             LossMode::Terminal => self.distances(self.terminal_weight(), x),
             LossMode::Running => T::zero(),
@@ -179,22 +179,20 @@ impl<S: HasModel<GuidanceSystem>> Task for Guidance<S> {
     }
 
     #[inline(always)]
-    fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
+    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
         let slope = R::lift(2.0 * self.control_weight());
-        for (u_bar, &u) in zip(u_bar.iter_mut(), u) {
-            *u_bar = u * slope;
+        for (u_bar, &u) in zip(bars.u.into_iter().flatten(), inputs.u) {
+            *u_bar += u * slope;
         }
-        match self.loss {
-            LossMode::Terminal => x_bar.fill(R::zero()),
-            LossMode::Running => self.distances_gradient(self.stage_weight(), x, x_bar),
+        if self.loss == LossMode::Running {
+            self.distances_gradient(self.running_weight(), next, next_bar);
         }
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
-        match self.loss {
-            LossMode::Terminal => self.distances_gradient(self.terminal_weight(), x, x_bar),
-            LossMode::Running => x_bar.fill(R::zero()),
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
+        if self.loss == LossMode::Terminal {
+            self.distances_gradient(self.terminal_weight(), x, x_bar);
         }
     }
 }

@@ -4,13 +4,13 @@
 use super::{Bounce, DoublePendulum, Lqr, PoleChain, Push, Slider, Upright};
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
+use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::integrator::{AnyIntegrator, Integrated};
-use crate::dynamics::outline::{Reverse, ReverseToControl, Step, outline};
+use crate::dynamics::outline::{Reverse, Step, outline};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
-use smallvec::{SmallVec, smallvec};
 
 /// Any of the small hard tasks. As a [`System`], it is the physics of the task, with outlined
 /// steps. [`Hard`] is the task.
@@ -54,28 +54,17 @@ impl System for AnyHard {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        whichever!(self, task => outline::<T>(Step { system: task.system(), x, u, next }));
-    }
-
-    fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        whichever!(self, task => task.system().diagnose(x, u))
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        whichever!(self, task => outline::<T>(Step { system: task.system(), inputs, next }));
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        whichever!(self, task => outline::<R>(Reverse { system: task.system(), x, u, next_bar, x_bar, u_bar }));
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+        whichever!(self, task => outline::<R>(Reverse { system: task.system(), inputs, next_bar, bars }));
     }
 
-    #[inline(always)]
-    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        let mut u_bar: SmallVec<[C; 8]> = smallvec![C::null(); u.len()];
-        self.vjp(x, u, next_bar, x_bar, &mut u_bar);
-    }
-
-    #[inline(always)]
-    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        whichever!(self, task => outline::<R>(ReverseToControl { system: task.system(), x, u, next_bar, u_bar }));
+    fn diagnose<F: Float>(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+        whichever!(self, task => task.system().diagnose(inputs))
     }
 }
 
@@ -85,7 +74,7 @@ impl HasModel<AnyHard> for AnyHard {
         self
     }
 
-    fn start_extra(&self, _rng: &mut Rng, _x: &mut [f64]) {}
+    fn start_extra(&self, _rng: &mut Rng, _start: Start<'_>) {}
 }
 
 /// Any of the small hard tasks. `S` is any system around an [`AnyHard`]: alone, or behind an
@@ -96,44 +85,32 @@ pub struct Hard<S = AnyHard> {
     pub system: S,
 }
 
-impl<S: HasModel<AnyHard>> Hard<S> {
-    /// Returns the inner task, and the components of the state that belong to its physics.
-    #[inline(always)]
-    fn own<'a, T>(&self, x: &'a [T]) -> (&AnyHard, &'a [T]) {
-        let task = self.system.model();
-        (task, &x[..task.state_dim()])
-    }
-}
-
 /// Costs are not inlined. Otherwise each loop would contain the code of all tasks.
 impl AnyHard {
     #[inline(never)]
-    fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
-        whichever!(self, task => task.stage_cost(x, u))
+    fn running_cost<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &[T]) -> T {
+        whichever!(self, task => task.running_cost(inputs, next))
     }
 
     #[inline(never)]
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
-        whichever!(self, task => task.terminal_cost(x))
+    fn terminal_cost<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
+        whichever!(self, task => task.terminal_cost(x, p))
     }
 
     #[inline(never)]
-    fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
+    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
         match self {
             // These tasks have a terminal cost only.
-            Self::Slider(_) | Self::Bounce(_) | Self::Push(_) => {
-                x_bar.fill(R::zero());
-                u_bar.fill(R::zero());
-            }
-            Self::Lqr(task) => task.stage_cost_gradient(x, u, x_bar, u_bar),
-            Self::DoublePendulum(task) => task.stage_cost_gradient(x, u, x_bar, u_bar),
-            Self::PoleChain(task) => task.stage_cost_gradient(x, u, x_bar, u_bar),
+            Self::Slider(_) | Self::Bounce(_) | Self::Push(_) => {}
+            Self::Lqr(task) => task.running_cost_gradient(inputs, next, bars, next_bar),
+            Self::DoublePendulum(task) => task.running_cost_gradient(inputs, next, bars, next_bar),
+            Self::PoleChain(task) => task.running_cost_gradient(inputs, next, bars, next_bar),
         }
     }
 
     #[inline(never)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
-        whichever!(self, task => task.terminal_cost_gradient(x, x_bar));
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R]) {
+        whichever!(self, task => task.terminal_cost_gradient(x, p, x_bar, None));
     }
 }
 
@@ -148,34 +125,34 @@ impl<S: HasModel<AnyHard>> Task for Hard<S> {
         whichever!(self.system.model(), task => task.horizon())
     }
 
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
         let task = self.system.model();
         let own = task.state_dim();
-        whichever!(task, task => task.start(rng, &mut x[..own]));
-        self.system.start_extra(rng, x);
+        whichever!(task, task => task.start(rng, Start { x: &mut start.x[..own], p: &mut [] }));
+        self.system.start_extra(rng, start);
     }
 
-    fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
-        let (task, x) = self.own(x);
-        task.stage_cost(x, u)
+    fn running_cost<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &[T]) -> T {
+        let task = self.system.model();
+        let n = task.state_dim();
+        task.running_cost(inputs.with_x(&inputs.x[..n]), &next[..n])
     }
 
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
-        let (task, x) = self.own(x);
-        task.terminal_cost(x)
+    fn terminal_cost<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
+        let task = self.system.model();
+        task.terminal_cost(&x[..task.state_dim()], p)
     }
 
-    fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
-        let (task, x) = self.own(x);
-        let (own, beyond) = x_bar.split_at_mut(x.len());
-        beyond.fill(R::zero());
-        task.stage_cost_gradient(x, u, own, u_bar);
+    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], mut bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+        let task = self.system.model();
+        let n = task.state_dim();
+        bars.x = bars.x.map(|x_bar| &mut x_bar[..n]);
+        task.running_cost_gradient(inputs.with_x(&inputs.x[..n]), &next[..n], bars, &mut next_bar[..n]);
     }
 
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
-        let (task, x) = self.own(x);
-        let (own, beyond) = x_bar.split_at_mut(x.len());
-        beyond.fill(R::zero());
-        task.terminal_cost_gradient(x, own);
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
+        let task = self.system.model();
+        let n = task.state_dim();
+        task.terminal_cost_gradient(&x[..n], p, &mut x_bar[..n]);
     }
 }

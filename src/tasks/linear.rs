@@ -6,6 +6,7 @@ mod riccati;
 pub use lqr::Lqr;
 pub use riccati::{NoOptimum, Optimum};
 
+use crate::dynamics::inputs::{Cotangents, Inputs, Tangents};
 use crate::dynamics::system::System;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
@@ -37,22 +38,23 @@ impl LinearPlant {
         Self { state_dim, control_dim: of_b / n, a, b }
     }
 
-    /// Linearizes a system S about `(x, u)`, exactly: `A = ∂S/∂x`, `B = ∂S/∂u`.
+    /// Linearizes a system S about its inputs, exactly: `A = ∂S/∂x`, `B = ∂S/∂u`.
     ///
     /// # Panics
-    /// If the sizes of `x` and `u` differ from those of the system.
+    /// If the sizes of the inputs differ from those of the system.
     #[track_caller]
-    pub fn linearized<S: System>(system: &S, x: &[f64], u: &[f64]) -> Self {
+    pub fn linearized<S: System>(system: &S, inputs: Inputs<'_, f64>) -> Self {
+        let Inputs { x, u, .. } = inputs;
         let (n, m) = (system.state_dim(), system.control_dim());
         assert!(x.len() == n && u.len() == m, "the system has {n} and {m} components, x {} and u {}", x.len(), u.len());
         let (mut a, mut b, mut column) = (vec![0.0; n * n], vec![0.0; n * m], vec![0.0; n]);
         let unit = |len: usize, i: usize| (0..len).map(|j| f64::from(u8::from(j == i))).collect::<Vec<f64>>();
         for j in 0..n {
-            system.jvp_state(x, u, &unit(n, j), &mut column);
+            system.jvp(inputs, Tangents { x: Some(&unit(n, j)), ..Tangents::default() }, &mut column);
             (0..n).for_each(|i| a[i * n + j] = column[i]);
         }
         for j in 0..m {
-            system.jvp_control(x, u, &unit(m, j), &mut column);
+            system.jvp(inputs, Tangents { u: Some(&unit(m, j)), ..Tangents::default() }, &mut column);
             (0..n).for_each(|i| b[i * m + j] = column[i]);
         }
         Self { state_dim: n, control_dim: m, a, b }
@@ -101,7 +103,7 @@ fn dot<T: Scalar>(row: &[f64], x: &[T]) -> T {
     sum
 }
 
-/// Computes `bars = Mᵀ next_bar` for a row-major M with `bars.len()` columns.
+/// Adds `Mᵀ next_bar` to `bars` for a row-major M with `bars.len()` columns.
 #[inline(always)]
 fn transposed<R: Real, C: Cotangent<R>>(matrix: &[f64], next_bar: &[C], bars: &mut [C]) {
     let columns = bars.len();
@@ -110,7 +112,7 @@ fn transposed<R: Real, C: Cotangent<R>>(matrix: &[f64], next_bar: &[C], bars: &m
         for i in 0..next_bar.len() {
             bar += next_bar[i] * R::lift(matrix[i * columns + j]);
         }
-        bars[j] = bar;
+        bars[j] += bar;
     }
 }
 
@@ -124,7 +126,7 @@ impl System for LinearPlant {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let (n, m) = (self.state_dim, self.control_dim);
         for (i, next) in next.iter_mut().enumerate() {
             *next = dot(&self.a[i * n..][..n], x) + dot(&self.b[i * m..][..m], u);
@@ -132,18 +134,11 @@ impl System for LinearPlant {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _x: &[R], _u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        transposed(&self.a, next_bar, x_bar);
-        transposed(&self.b, next_bar, u_bar);
-    }
-
-    #[inline(always)]
-    fn vjp_state<R: Real, C: Cotangent<R>>(&self, _x: &[R], _u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        transposed(&self.a, next_bar, x_bar);
-    }
-
-    #[inline(always)]
-    fn vjp_control<R: Real, C: Cotangent<R>>(&self, _x: &[R], _u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        transposed(&self.b, next_bar, u_bar);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+        for (matrix, bar) in [(&self.a, bars.x), (&self.b, bars.u)] {
+            if let Some(bar) = bar {
+                transposed(matrix, next_bar, bar);
+            }
+        }
     }
 }

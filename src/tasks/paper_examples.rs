@@ -1,6 +1,7 @@
 //! Tasks for the two-parameter examples of "Stabilizing Backpropagation Through Time to Learn
 //! Complex Physics" (ICLR 2024).
 
+use crate::dynamics::inputs::{Cotangents, Inputs, Start, add};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
@@ -26,26 +27,17 @@ impl System for Accumulator {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         for ((next, &x), &u) in zip(zip(next.iter_mut(), x), u) {
             *next = x + u;
         }
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _x: &[R], _u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        x_bar.copy_from_slice(next_bar);
-        u_bar.copy_from_slice(next_bar);
-    }
-
-    #[inline(always)]
-    fn vjp_state<R: Real, C: Cotangent<R>>(&self, _x: &[R], _u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        x_bar.copy_from_slice(next_bar);
-    }
-
-    #[inline(always)]
-    fn vjp_control<R: Real, C: Cotangent<R>>(&self, _x: &[R], _u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        u_bar.copy_from_slice(next_bar);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+        for bar in [bars.x, bars.u].into_iter().flatten() {
+            add(bar, next_bar);
+        }
     }
 }
 
@@ -80,12 +72,12 @@ impl Task for Reach {
         self.horizon
     }
 
-    fn start(&self, _rng: &mut Rng, x: &mut [f64]) {
-        x.fill(self.start);
+    fn start(&self, _rng: &mut Rng, start: Start<'_>) {
+        start.x.fill(self.start);
     }
 
     #[inline(always)]
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         let miss = x[0] - T::lift(self.target);
         miss * miss * T::lift(0.5)
     }
@@ -125,12 +117,12 @@ impl Task for Bowl {
         1
     }
 
-    fn start(&self, _rng: &mut Rng, x: &mut [f64]) {
-        x.fill(0.0);
+    fn start(&self, _rng: &mut Rng, start: Start<'_>) {
+        start.x.fill(0.0);
     }
 
     #[inline(always)]
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         let (sin, cos) = self.angle.sin_cos();
         let (sin, cos) = (T::lift(sin), T::lift(cos));
         let (p, q) = (x[0] * cos + x[1] * sin, x[1] * cos - x[0] * sin);

@@ -2,6 +2,7 @@
 
 mod factor;
 
+use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::dynamics::ode::Ode;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::tasks::{CartPoleSystem, MassError};
@@ -142,7 +143,7 @@ impl Ode for PoleChain {
     }
 
     #[inline(always)]
-    fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
+    fn rate<T: Scalar>(&self, OdeInputs { x, u, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
         let mut motion = Motion::new();
         self.move_on(x, u, &mut motion);
         for i in 0..=self.0.poles {
@@ -154,16 +155,27 @@ impl Ode for PoleChain {
     /// Computes the reverse of `M a = f`: with `M w = ā`, the cotangent of f is w and that of M is
     /// -w aᵀ.
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
+    fn rate_vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        OdeInputs { x, u, .. }: OdeInputs<'_, R>,
+        rate_bar: &[C],
+        bars: Cotangents<'_, C>,
+    ) {
         let mut motion = Motion::new();
         self.move_on(x, u, &mut motion);
         let Motion { sin, cos, factors, accelerations: a } = &motion;
         let mut w = Each::<C>::new();
         for i in 0..=self.0.poles {
-            x_bar[2 * i + 1] += rate_bar[2 * i];
             w.push(rate_bar[2 * i + 1]);
         }
         solve(factors, &mut w);
+        if let Some(u_bar) = bars.u {
+            u_bar[0] += w[0];
+        }
+        let Some(x_bar) = bars.x else { return };
+        for i in 0..=self.0.poles {
+            x_bar[2 * i + 1] += rate_bar[2 * i];
+        }
         let two = R::lift(2.0);
         for j in 0..self.0.poles {
             let (s, c, omega) = (sin[j], cos[j], x[3 + 2 * j]);
@@ -186,9 +198,6 @@ impl Ode for PoleChain {
             }
             x_bar[2 + 2 * j] += theta_bar;
             x_bar[3 + 2 * j] += spin_bar * (two * omega);
-        }
-        if let Some(u_bar) = u_bar {
-            u_bar[0] += w[0];
         }
     }
 

@@ -26,6 +26,7 @@ pub use system::{ControlShape, QuantumSystem};
 
 use super::LossMode;
 use crate::dynamics::effect::{HasModel, any_effect};
+use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Real, Scalar};
@@ -99,15 +100,15 @@ impl<S: HasModel<QuantumSystem>> Quantum<S> {
         T::one() - (re * re + im * im)
     }
 
-    /// Writes the gradient `-2 ⟨φ, ψ⟩ φ`.
+    /// Adds the gradient `-2 ⟨φ, ψ⟩ φ`.
     #[inline(always)]
     fn infidelity_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
         let (re, im) = self.overlap(x);
         let (re, im) = (re * R::lift(-2.0), im * R::lift(-2.0));
-        x_bar[2 * self.system.model().grid..].fill(R::zero());
         for (x_bar, target) in zip(x_bar.chunks_exact_mut(2), self.system.model().eigenstate(self.target)) {
             let target = R::lift(target);
-            (x_bar[0], x_bar[1]) = (re * target, im * target);
+            x_bar[0] += re * target;
+            x_bar[1] += im * target;
         }
     }
 }
@@ -129,34 +130,33 @@ impl<S: HasModel<QuantumSystem>> Task for Quantum<S> {
     /// # Panics
     /// If both weights are zero, one is non-finite, or they are so large or small that the state
     /// cannot be normalized.
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
         let amplitudes = self.weighting.map(|weight| {
             let draw: f64 = StandardNormal.sample(rng);
             weight * draw
         });
         let norm = amplitudes[0].hypot(amplitudes[1]);
         assert!(norm.is_normal(), "with the weighting {:?}, a start state cannot be normalized", self.weighting);
-        x[..2 * self.system.model().grid].fill(0.0);
         for (number, amplitude) in zip(1.., amplitudes) {
             let (sin, cos) = Scalar::sin_cos(rng.random_range(0.0..TAU));
-            for (x, eigenstate) in zip(x.chunks_exact_mut(2), self.system.model().eigenstate(number)) {
+            for (x, eigenstate) in zip(start.x.chunks_exact_mut(2), self.system.model().eigenstate(number)) {
                 x[0] += amplitude / norm * cos * eigenstate;
                 x[1] += amplitude / norm * sin * eigenstate;
             }
         }
-        self.system.start_extra(rng, x);
+        self.system.start_extra(rng, start);
     }
 
     #[inline(always)]
-    fn stage_cost<T: Scalar>(&self, x: &[T], _u: &[T]) -> T {
+    fn running_cost<T: Scalar>(&self, _inputs: Inputs<'_, T>, next: &[T]) -> T {
         match self.loss {
             LossMode::Terminal => T::zero(),
-            LossMode::Running => self.infidelity(x),
+            LossMode::Running => self.infidelity(next),
         }
     }
 
     #[inline(always)]
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         match self.loss {
             LossMode::Terminal => self.infidelity(x),
             LossMode::Running => T::zero(),
@@ -164,19 +164,16 @@ impl<S: HasModel<QuantumSystem>> Task for Quantum<S> {
     }
 
     #[inline(always)]
-    fn stage_cost_gradient<R: Real>(&self, x: &[R], _u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
-        u_bar[0] = R::zero();
-        match self.loss {
-            LossMode::Terminal => x_bar.fill(R::zero()),
-            LossMode::Running => self.infidelity_gradient(x, x_bar),
+    fn running_cost_gradient<R: Real>(&self, _inputs: Inputs<'_, R>, next: &[R], _bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+        if self.loss == LossMode::Running {
+            self.infidelity_gradient(next, next_bar);
         }
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
-        match self.loss {
-            LossMode::Terminal => self.infidelity_gradient(x, x_bar),
-            LossMode::Running => x_bar.fill(R::zero()),
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
+        if self.loss == LossMode::Terminal {
+            self.infidelity_gradient(x, x_bar);
         }
     }
 }

@@ -1,5 +1,6 @@
 //! [`Slider`]: stopping a block that slides on a table with dry friction.
 
+use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
@@ -142,27 +143,22 @@ impl System for SliderSystem {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         next[1] = self.slide(x[1], u[0]).speed;
         next[0] = x[0] + next[1] * T::lift(self.dt);
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, u, .. }: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
         let slid = self.slide(x[1], u[0]);
         let speed_bar = next_bar[1] + next_bar[0] * R::lift(self.dt);
-        (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar * slid.by_speed);
-        u_bar[0] = speed_bar * slid.by_push;
-    }
-
-    #[inline(always)]
-    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        self.vjp(x, u, next_bar, x_bar, &mut [C::null()]);
-    }
-
-    #[inline(always)]
-    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        self.vjp(x, u, next_bar, &mut [C::null(); 2], u_bar);
+        if let Some(x_bar) = bars.x {
+            x_bar[0] += next_bar[0];
+            x_bar[1] += speed_bar * slid.by_speed;
+        }
+        if let Some(u_bar) = bars.u {
+            u_bar[0] += speed_bar * slid.by_push;
+        }
     }
 }
 
@@ -199,18 +195,19 @@ impl Task for Slider {
         self.horizon
     }
 
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
-        x[0] = rng.random_range(-1.0..1.0);
-        x[1] = rng.random_range(-2.0..2.0);
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
+        start.x[0] = rng.random_range(-1.0..1.0);
+        start.x[1] = rng.random_range(-2.0..2.0);
     }
 
     #[inline(always)]
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         x[0] * x[0] + x[1] * x[1] * T::lift(self.speed_weight)
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
-        (x_bar[0], x_bar[1]) = (R::lift(2.0) * x[0], R::lift(2.0 * self.speed_weight) * x[1]);
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
+        x_bar[0] += R::lift(2.0) * x[0];
+        x_bar[1] += R::lift(2.0 * self.speed_weight) * x[1];
     }
 }

@@ -1,5 +1,6 @@
 //! [`Upright`]: swing-up and balancing of any mechanical system with angles.
 
+use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::integrator::{Integrated, RungeKutta};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
@@ -83,12 +84,12 @@ impl<S: System> Upright<S> {
         sum * T::lift(factor * self.share())
     }
 
+    /// Adds the gradient of [`height`](Self::height).
     #[inline(always)]
     fn height_gradient<R: Real>(&self, factor: f64, x: &[R], x_bar: &mut [R]) {
         let factor = R::lift(factor * self.share());
-        x_bar.fill(R::zero());
         for i in (self.first_angle..x.len()).step_by(2) {
-            x_bar[i] = x[i].sin() * factor;
+            x_bar[i] += x[i].sin() * factor;
         }
     }
 
@@ -116,16 +117,16 @@ impl<S: System> Task for Upright<S> {
         self.horizon
     }
 
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
-        for (i, x) in x.iter_mut().enumerate() {
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
+        for (i, x) in start.x.iter_mut().enumerate() {
             let is_angle = i >= self.first_angle && (i - self.first_angle).is_multiple_of(2);
             *x = if is_angle { self.from } else { 0.0 } + self.spread * rng.random_range(-1.0..1.0);
         }
     }
 
     #[inline(always)]
-    fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
-        let mut cost = self.height(self.worth()[0], x);
+    fn running_cost<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, next: &[T]) -> T {
+        let mut cost = self.height(self.worth()[0], next);
         for &u in u {
             cost += u * u * T::lift(0.5 * self.effort_per_step());
         }
@@ -133,20 +134,22 @@ impl<S: System> Task for Upright<S> {
     }
 
     #[inline(always)]
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         self.height(self.worth()[1], x)
     }
 
     #[inline(always)]
-    fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
-        self.height_gradient(self.worth()[0], x, x_bar);
-        for i in 0..u.len() {
-            u_bar[i] = u[i] * R::lift(self.effort_per_step());
+    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+        self.height_gradient(self.worth()[0], next, next_bar);
+        if let Some(u_bar) = bars.u {
+            for i in 0..u_bar.len() {
+                u_bar[i] += inputs.u[i] * R::lift(self.effort_per_step());
+            }
         }
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
         self.height_gradient(self.worth()[1], x, x_bar);
     }
 }

@@ -219,7 +219,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
         Session::new(task, policy, field, training, weights, train, test)
     }
 
-    /// Creates a session from given parameters and initial states, `state_dim` numbers per sample.
+    /// Creates a session from given parameters and initial states; see
+    /// [`initial_states`](crate::initial_states).
     ///
     /// # Errors
     /// [`TrainError`] if a setting is invalid, the memory limit is too small, or a set is empty or

@@ -87,11 +87,11 @@ impl<F: Float> Progress<F> {
         test: Vec<F>,
     ) -> Result<Self, TrainError> {
         let params = policy.param_count();
-        let n = task.state_dim();
+        let n = task.start_dim();
         training.validate()?;
         for (setting, starts) in [("train_samples", &train), ("test_samples", &test)] {
             if starts.is_empty() || !starts.len().is_multiple_of(n) {
-                let problem = format!("has {} numbers; allowed: one or more initial states of {n} components each", starts.len());
+                let problem = format!("has {} numbers; allowed: one or more initial states of {n} numbers each", starts.len());
                 return Err(TrainError::Setting { setting, problem });
             }
         }
@@ -222,7 +222,7 @@ impl<F: Float> Progress<F> {
 
     /// Performs one update with mini-batch `index` of the epoch.
     fn update(&mut self, Trained { task, policy, field }: Trained<'_, F>, index: usize) -> Result<Step, Divergence> {
-        self.select_batch(index, task.state_dim());
+        self.select_batch(index, task.start_dim());
         let loss = self.batch.run(task, policy, &self.weights, &self.starts)?;
         let step = self.combine(field, loss)?;
         self.training.clip.apply_knowing(&mut self.combined, step.norm);

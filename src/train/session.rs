@@ -67,7 +67,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         &self.progress.records
     }
 
-    /// Initial states of the test set, `state_dim` numbers per sample.
+    /// Initial states of the test set; see [`initial_states`](crate::initial_states).
     pub fn test_starts(&self) -> &[F] {
         &self.progress.test
     }

@@ -2,7 +2,7 @@
 
 use physgrad::policy::Linear;
 use physgrad::rng::Rng;
-use physgrad::{Adjoint, Flow, Gradient, Rollout, Scalar, System, Task, Weights};
+use physgrad::{Adjoint, Flow, Gradient, Inputs, Rollout, Scalar, Start, System, Task, Weights};
 
 /// `x' = 1.25 x + u` in each of `CONTROLS` components, over 60 steps. The loss is half the squared
 /// final state.
@@ -19,7 +19,7 @@ impl<const CONTROLS: usize> System for Plant<CONTROLS> {
     fn control_dim(&self) -> usize {
         CONTROLS
     }
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         for i in 0..CONTROLS {
             next[i] = T::lift(GROWTH) * x[i] + u[i];
         }
@@ -34,10 +34,10 @@ impl<const CONTROLS: usize> Task for Plant<CONTROLS> {
     fn horizon(&self) -> usize {
         HORIZON
     }
-    fn start(&self, _: &mut Rng, x: &mut [f64]) {
-        x.fill(1.0);
+    fn start(&self, _: &mut Rng, start: Start<'_>) {
+        start.x.fill(1.0);
     }
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         x.iter().fold(T::zero(), |sum, &x| sum + T::lift(0.5) * x * x)
     }
 }
@@ -51,7 +51,7 @@ fn norms<const CONTROLS: usize>(scale: f64) -> [Vec<f64>; 2] {
     let mut rollout = Rollout::new(&task, &policy, samples);
     rollout.start(&(0..samples * CONTROLS).map(|i| (1 + i / CONTROLS) as f64).collect::<Vec<_>>());
     rollout.run(&task, &policy, &weights).expect("it decays");
-    let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]).keep_norms();
+    let mut adjoint = Adjoint::new(&task, &policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]).keep_norms();
     adjoint.run(&task, &policy, &weights, &rollout, scale).expect("it is finite");
     [0, 1].map(|k| adjoint.norms(k).to_vec())
 }
@@ -90,10 +90,10 @@ impl Task for OnTheWay {
     fn horizon(&self) -> usize {
         HORIZON
     }
-    fn start(&self, _: &mut Rng, x: &mut [f64]) {
-        x.fill(1.0);
+    fn start(&self, _: &mut Rng, start: Start<'_>) {
+        start.x.fill(1.0);
     }
-    fn stage_cost<T: Scalar>(&self, x: &[T], _: &[T]) -> T {
+    fn running_cost<T: Scalar>(&self, _inputs: Inputs<'_, T>, x: &[T]) -> T {
         T::lift(0.5) * x[0] * x[0]
     }
 }
@@ -105,7 +105,7 @@ fn the_cost_of_a_state_itself_is_not_in_its_norm() {
     let mut rollout = Rollout::new(&OnTheWay, &policy, 1);
     rollout.start(&[1.0]);
     rollout.run(&OnTheWay, &policy, &weights).expect("it decays");
-    let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::REGULAR]).keep_norms();
+    let mut adjoint = Adjoint::new(&OnTheWay, &policy, &rollout, &[Flow::REGULAR]).keep_norms();
     adjoint.run(&OnTheWay, &policy, &weights, &rollout, 1.0).expect("it is finite");
     let a = GROWTH + GAIN;
     for (t, &norm) in adjoint.norms(0).iter().enumerate() {
@@ -130,7 +130,7 @@ fn beyond_the_range_of_f32_an_adjoint_has_the_norms_it_should_have() {
     let mut rollout = Rollout::new(&task, &policy, 1);
     rollout.start(&[1e3]);
     rollout.run(&task, &policy, &weights).expect("it decays");
-    let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::MODIFIED]).keep_norms();
+    let mut adjoint = Adjoint::new(&task, &policy, &rollout, &[Flow::MODIFIED]).keep_norms();
     // With this scale, neither the adjoint of M nor its gradient fits in f32.
     adjoint.run(&task, &policy, &weights, &rollout, f32::MAX).expect("it is carried with its exponent");
     let end = f64::from(rollout.state(HORIZON, 0, 0));

@@ -3,7 +3,7 @@
 use crate::operations::{NUMBERS, operations};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{CartPole, Guidance, Quantum};
-use physgrad::{Cotangent, CotangentPack, Counted, Dual, Ops, Real, Scalar, System, Task, initial_states};
+use physgrad::{Cotangent, CotangentPack, Cotangents, Counted, Dual, Inputs, Ops, Real, Scalar, System, Task, initial_states};
 use rand::RngExt;
 
 const NONE: Ops = Ops { add: 0, negate: 0, multiply: 0, divide: 0, sqrt: 0, transcendental: 0, compare: 0 };
@@ -128,19 +128,23 @@ impl<const BY_HAND: bool> System for Spring<BY_HAND> {
     fn control_dim(&self) -> usize {
         1
     }
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         next[1] = x[1] + (u[0] - x[0] * x[0] * x[0]) * T::lift(DT);
         next[0] = x[0] + next[1] * T::lift(DT);
     }
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
         if !BY_HAND {
-            return ByDuals(self).vjp(x, u, next_bar, x_bar, u_bar);
+            return ByDuals(self).vjp(inputs, next_bar, bars);
         }
-        let dt = R::lift(DT);
+        let (x, dt) = (inputs.x, R::lift(DT));
         let speed_bar = next_bar[1] + next_bar[0] * dt;
-        x_bar[0] = next_bar[0] - speed_bar * (R::lift(3.0) * x[0] * x[0] * dt);
-        x_bar[1] = speed_bar;
-        u_bar[0] = speed_bar * dt;
+        if let Some(x_bar) = bars.x {
+            x_bar[0] += next_bar[0] - speed_bar * (R::lift(3.0) * x[0] * x[0] * dt);
+            x_bar[1] += speed_bar;
+        }
+        if let Some(u_bar) = bars.u {
+            u_bar[0] += speed_bar * dt;
+        }
     }
 }
 
@@ -154,21 +158,21 @@ impl<S: System> System for ByDuals<'_, S> {
     fn control_dim(&self) -> usize {
         self.0.control_dim()
     }
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        self.0.step(x, u, next);
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        self.0.step(inputs, next);
     }
 }
 
-/// Returns the operations of step, `vjp`, `vjp_state` and `vjp_control` of a spring, for one type
-/// of cotangent.
+/// Returns the operations of the step of a spring, and of its `vjp` to state and control, to the
+/// state and to the control, for one type of cotangent.
 fn spring<S: System, C: Cotangent<Counted>>(system: &S, bar: C) -> [Ops; 4] {
     let (x, u) = ([Counted(0.3), Counted(-1.2)], [Counted(0.8)]);
     let (mut next, mut x_bar, mut u_bar) = (x, [bar; 2], [bar; 1]);
     [
-        Ops::of(|| system.step(&x, &u, &mut next)).0,
-        Ops::of(|| system.vjp(&x, &u, &[bar; 2], &mut x_bar, &mut u_bar)).0,
-        Ops::of(|| system.vjp_state(&x, &u, &[bar; 2], &mut x_bar)).0,
-        Ops::of(|| system.vjp_control(&x, &u, &[bar; 2], &mut u_bar)).0,
+        Ops::of(|| system.step(Inputs::new(&x, &u), &mut next)).0,
+        Ops::of(|| system.vjp(Inputs::new(&x, &u), &[bar; 2], Cotangents::of(&mut x_bar, &mut u_bar))).0,
+        Ops::of(|| system.vjp(Inputs::new(&x, &u), &[bar; 2], Cotangents { x: Some(&mut x_bar), ..Cotangents::default() })).0,
+        Ops::of(|| system.vjp(Inputs::new(&x, &u), &[bar; 2], Cotangents { u: Some(&mut u_bar), ..Cotangents::default() })).0,
     ]
 }
 
@@ -179,14 +183,14 @@ fn a_spring_costs_its_hand_counted_operations() {
     let (one, two) = (Counted(0.7), CotangentPack([Counted(0.7), Counted(-0.4)]));
 
     // Analytic: 3 multiplications for 3 q² dt. Each column of cotangents needs 3 multiplications
-    // and 2 additions.
-    assert_eq!(spring(&Spring::<true>, one)[..2], [step, counts(3 + 3, 2, 0)]);
-    assert_eq!(spring(&Spring::<true>, two)[..2], [step, counts(3 + 2 * 3, 2 * 2, 0)]);
+    // and 2 additions, and 3 additions to the outputs.
+    assert_eq!(spring(&Spring::<true>, one)[..2], [step, counts(3 + 3, 2 + 3, 0)]);
+    assert_eq!(spring(&Spring::<true>, two)[..2], [step, counts(3 + 2 * 3, 2 * (2 + 3), 0)]);
 
     // Dual numbers, all inputs at once: 9 multiplications and 4 additions per product for 4
     // products, 5 additions per sum for 3 sums. Each input's column of 2 derivatives then takes a
-    // product and a sum each.
-    let inputs = |inputs: u64, columns: u64| counts(4 * 9 + columns * 2 * inputs, 4 * 4 + 3 * 5 + columns * 2 * inputs, 0);
+    // product and a sum each, and the addition to the output.
+    let inputs = |inputs: u64, columns: u64| counts(4 * 9 + columns * 2 * inputs, 4 * 4 + 3 * 5 + columns * 3 * inputs, 0);
     let [both, state, control] = [3, 2, 1].map(|count| move |columns| inputs(count, columns));
     assert_eq!(spring(&Spring::<false>, one), [step, both(1), state(1), control(1)]);
     assert_eq!(spring(&Spring::<false>, two), [step, both(2), state(2), control(2)]);
@@ -204,10 +208,10 @@ fn bits<R: Real<Real = f64>, S: System>(system: &S, x: &[f64]) -> Vec<u64> {
     let mut all = vec![R::zero(); n];
     let null = CotangentPack::<R, 2>::null();
     let (mut x_bar, mut state_bar, mut u_bar, mut control_bar) = (vec![null; n], vec![null; n], vec![null; m], vec![null; m]);
-    system.step(&x, &u, &mut all);
-    system.vjp(&x, &u, &next_bar, &mut x_bar, &mut u_bar);
-    system.vjp_state(&x, &u, &next_bar, &mut state_bar);
-    system.vjp_control(&x, &u, &next_bar, &mut control_bar);
+    system.step(Inputs::new(&x, &u), &mut all);
+    system.vjp(Inputs::new(&x, &u), &next_bar, Cotangents::of(&mut x_bar, &mut u_bar));
+    system.vjp(Inputs::new(&x, &u), &next_bar, Cotangents { x: Some(&mut state_bar), ..Cotangents::default() });
+    system.vjp(Inputs::new(&x, &u), &next_bar, Cotangents { u: Some(&mut control_bar), ..Cotangents::default() });
     let columns = [x_bar, state_bar, u_bar, control_bar].concat();
     all.extend(columns.iter().flat_map(|c| c.0));
     all.iter().map(|number| number.lane(0).to_bits()).collect()

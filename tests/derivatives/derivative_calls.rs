@@ -3,7 +3,10 @@
 use physgrad::policy::{Mlp, PolicyPass, PolicyRecord, Sizes};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, Guidance};
-use physgrad::{Adjoint, Cotangent, Float, Flow, Gradient, Policy, Real, Rollout, Scalar, System, Task, Weights};
+use physgrad::{
+    Adjoint, Cotangent, Cotangents, Float, Flow, Gradient, Inputs, Policy, Real, Rollout, Scalar, Start, System, Task, Weights,
+    initial_states,
+};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Counter of calls.
@@ -27,7 +30,7 @@ struct WatchedTask<T> {
     vjp: Calls,
     vjp_state: Calls,
     vjp_control: Calls,
-    stage_cost_gradient: Calls,
+    running_cost_gradient: Calls,
     terminal_cost_gradient: Calls,
 }
 
@@ -38,14 +41,14 @@ struct OfTask {
     vjp: usize,
     vjp_state: usize,
     vjp_control: usize,
-    stage_cost_gradient: usize,
+    running_cost_gradient: usize,
     terminal_cost_gradient: usize,
 }
 
 impl<T> WatchedTask<T> {
     fn new(inner: T) -> Self {
-        let [step, vjp, vjp_state, vjp_control, stage_cost_gradient, terminal_cost_gradient] = Default::default();
-        Self { inner, step, vjp, vjp_state, vjp_control, stage_cost_gradient, terminal_cost_gradient }
+        let [step, vjp, vjp_state, vjp_control, running_cost_gradient, terminal_cost_gradient] = Default::default();
+        Self { inner, step, vjp, vjp_state, vjp_control, running_cost_gradient, terminal_cost_gradient }
     }
 
     fn take(&self) -> OfTask {
@@ -54,7 +57,7 @@ impl<T> WatchedTask<T> {
             vjp: self.vjp.take(),
             vjp_state: self.vjp_state.take(),
             vjp_control: self.vjp_control.take(),
-            stage_cost_gradient: self.stage_cost_gradient.take(),
+            running_cost_gradient: self.running_cost_gradient.take(),
             terminal_cost_gradient: self.terminal_cost_gradient.take(),
         }
     }
@@ -67,21 +70,18 @@ impl<T: Task> System for WatchedTask<T> {
     fn control_dim(&self) -> usize {
         self.inner.system().control_dim()
     }
-    fn step<S: Scalar>(&self, x: &[S], u: &[S], next: &mut [S]) {
+    fn step<S: Scalar>(&self, inputs: Inputs<'_, S>, next: &mut [S]) {
         self.step.note();
-        self.inner.system().step(x, u, next);
+        self.inner.system().step(inputs, next);
     }
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        self.vjp.note();
-        self.inner.system().vjp(x, u, next_bar, x_bar, u_bar);
-    }
-    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        self.vjp_state.note();
-        self.inner.system().vjp_state(x, u, next_bar, x_bar);
-    }
-    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        self.vjp_control.note();
-        self.inner.system().vjp_control(x, u, next_bar, u_bar);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+        match (&bars.x, &bars.u) {
+            (Some(_), Some(_)) => &self.vjp,
+            (Some(_), None) => &self.vjp_state,
+            _ => &self.vjp_control,
+        }
+        .note();
+        self.inner.system().vjp(inputs, next_bar, bars);
     }
 }
 
@@ -93,22 +93,22 @@ impl<T: Task> Task for WatchedTask<T> {
     fn horizon(&self) -> usize {
         self.inner.horizon()
     }
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
-        self.inner.start(rng, x);
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
+        self.inner.start(rng, start);
     }
-    fn stage_cost<S: Scalar>(&self, x: &[S], u: &[S]) -> S {
-        self.inner.stage_cost(x, u)
+    fn running_cost<S: Scalar>(&self, inputs: Inputs<'_, S>, next: &[S]) -> S {
+        self.inner.running_cost(inputs, next)
     }
-    fn terminal_cost<S: Scalar>(&self, x: &[S]) -> S {
-        self.inner.terminal_cost(x)
+    fn terminal_cost<S: Scalar>(&self, x: &[S], p: &[S]) -> S {
+        self.inner.terminal_cost(x, p)
     }
-    fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
-        self.stage_cost_gradient.note();
-        self.inner.stage_cost_gradient(x, u, x_bar, u_bar);
+    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+        self.running_cost_gradient.note();
+        self.inner.running_cost_gradient(inputs, next, bars, next_bar);
     }
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
         self.terminal_cost_gradient.note();
-        self.inner.terminal_cost_gradient(x, x_bar);
+        self.inner.terminal_cost_gradient(x, p, x_bar, p_bar);
     }
 }
 
@@ -147,8 +147,8 @@ impl WatchedPolicy {
 }
 
 impl Policy for WatchedPolicy {
-    fn state_dim(&self) -> usize {
-        self.inner.state_dim()
+    fn observation_dim(&self) -> usize {
+        self.inner.observation_dim()
     }
     fn control_dim(&self) -> usize {
         self.inner.control_dim()
@@ -196,9 +196,7 @@ fn asked<S: Task>(task: S, flows: &[Flow]) -> [(OfTask, OfPolicy); 2] {
     let (n, m) = (task.state_dim(), task.control_dim());
     let policy = WatchedPolicy::new(Mlp::new([n, 8, m]));
     let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
-    let mut starts = vec![0.0; SAMPLES * n];
-    let mut rng = stream(0, Purpose::Train, 0);
-    starts.chunks_exact_mut(n).for_each(|x| task.start(&mut rng, x));
+    let starts: Vec<f64> = initial_states(&task, 0, Purpose::Train, SAMPLES);
 
     let with_tape = !flows.is_empty();
     let make = if with_tape { Rollout::new } else { Rollout::for_evaluation };
@@ -207,7 +205,7 @@ fn asked<S: Task>(task: S, flows: &[Flow]) -> [(OfTask, OfPolicy); 2] {
     rollout.run(&task, &policy, &weights).expect("finite");
     let forward = (task.take(), policy.take());
     if with_tape {
-        let mut adjoint = Adjoint::new(&policy, &rollout, flows);
+        let mut adjoint = Adjoint::new(&task, &policy, &rollout, flows);
         adjoint.run(&task, &policy, &weights, &rollout, 1.0).expect("finite");
         let mut theta_bar = Gradient::zeros(weights.theta().len());
         for k in 0..flows.len() {
@@ -231,10 +229,10 @@ fn two_controls() -> Guidance {
     Guidance { horizon: T, ..Guidance::new(1, 1) }
 }
 
-/// Gradients of the costs: the stage cost once per block and step, the terminal cost once per
+/// Gradients of the costs: the running cost once per block and step, the terminal cost once per
 /// block. The number of flows does not matter.
 fn costs() -> OfTask {
-    OfTask { stage_cost_gradient: T * B, terminal_cost_gradient: B, ..OfTask::default() }
+    OfTask { running_cost_gradient: T * B, terminal_cost_gradient: B, ..OfTask::default() }
 }
 
 /// Both derivatives of the physics at once, for each block and step.

@@ -4,7 +4,7 @@ use num_traits::AsPrimitive;
 use physgrad::policy::{Conv, Linear, Mlp, PolicyPass, PolicyRecord, Sizes, Tensor};
 use physgrad::rng::Rng;
 use physgrad::tasks::{CartPole, CartPoleSystem, LossMode, Quantum};
-use physgrad::{Cotangent, CotangentPack, Float, Flow, Policy, Real, Scalar, System, Task, check};
+use physgrad::{Cotangent, CotangentPack, Cotangents, Float, Flow, Inputs, Policy, Real, Scalar, Start, System, Task, check};
 use rand::RngExt;
 
 #[test]
@@ -16,7 +16,7 @@ fn cart_pole_with_any_number_of_poles() {
 
 #[test]
 fn cart_pole_far_from_where_it_starts() {
-    let draw = |rng: &mut Rng, x: &mut [f64], u: &mut [f64]| {
+    let draw = |rng: &mut Rng, x: &mut [f64], u: &mut [f64], _: &mut [f64]| {
         x.fill_with(|| rng.random_range(-30.0..30.0));
         u.fill_with(|| rng.random_range(-100.0..100.0));
     };
@@ -55,7 +55,7 @@ impl System for TwoControls {
     fn control_dim(&self) -> usize {
         2
     }
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let dt = T::lift(0.1);
         next[0] = x[0] + x[1] * dt;
         next[1] = x[1] + (u[0] * x[2].cos() - x[0].max(T::zero()) * T::lift(2.0)) * dt;
@@ -71,13 +71,13 @@ impl Task for TwoControls {
     fn horizon(&self) -> usize {
         25
     }
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+    fn start(&self, rng: &mut Rng, Start { x, .. }: Start<'_>) {
         x.fill_with(|| rng.random_range(-1.0..1.0));
     }
-    fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
+    fn running_cost<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, x: &[T]) -> T {
         x[0] * x[0] + (u[0] * u[1]).exp() * T::lift(0.01) + u[0] * x[2]
     }
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         (x[1] * x[1] + T::one()).sqrt() + x[2].atan2(T::lift(2.0))
     }
 }
@@ -101,8 +101,12 @@ enum Fault {
     State,
     /// `u_bar` has the wrong sign.
     Control,
-    /// `vjp` is correct, `vjp_control` is not.
+    /// `u_bar` is wrong if it is requested alone.
     ControlAlone,
+    /// Overwrites `x_bar` instead of adding to it.
+    Overwrite,
+    /// The step does not write component 1.
+    Unwritten,
     /// Component 2 of `x_bar` is NaN.
     NaN,
     /// Correct for scalars, wrong in lanes.
@@ -116,23 +120,29 @@ impl System for Faulty {
     fn control_dim(&self) -> usize {
         1
     }
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        self.system.step(x, u, next);
-    }
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        self.system.vjp(x, u, next_bar, x_bar, u_bar);
-        match self.fault {
-            Fault::State => x_bar[3] += x_bar[3] * R::lift(1e-6),
-            Fault::Control => u_bar[0] = -u_bar[0],
-            Fault::NaN => x_bar[2] = x_bar[2] * R::lift(f64::NAN),
-            Fault::Lanes if R::LANES > 1 => x_bar[0] += x_bar[1] * R::lift(1e-15),
-            Fault::Lanes | Fault::ControlAlone => {}
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        let before = next[1];
+        self.system.step(inputs, next);
+        if self.fault == Fault::Unwritten {
+            next[1] = before;
         }
     }
-    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        self.system.vjp_control(x, u, next_bar, u_bar);
-        if self.fault == Fault::ControlAlone {
-            u_bar[0] += u_bar[0];
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+        let (mut x_part, mut u_part) = ([C::null(); 4], [C::null()]);
+        self.system.vjp(inputs, next_bar, Cotangents::of(&mut x_part, &mut u_part));
+        match self.fault {
+            Fault::State => x_part[3] += x_part[3] * R::lift(1e-6),
+            Fault::Control => u_part[0] = -u_part[0],
+            Fault::ControlAlone if bars.x.is_none() => u_part[0] += u_part[0],
+            Fault::NaN => x_part[2] = x_part[2] * R::lift(f64::NAN),
+            Fault::Lanes if R::LANES > 1 => x_part[0] += x_part[1] * R::lift(1e-15),
+            _ => {}
+        }
+        let sides = [(bars.x, &x_part[..], self.fault == Fault::Overwrite), (bars.u, &u_part, false)];
+        for (bar, part, overwrite) in sides {
+            for (bar, &part) in bar.into_iter().flatten().zip(part) {
+                *bar = if overwrite { part } else { *bar + part };
+            }
         }
     }
 }
@@ -142,7 +152,9 @@ fn a_wrong_vjp_is_found_and_named() {
     for (fault, what, index) in [
         (Fault::State, "vjp: x_bar", 3),
         (Fault::Control, "vjp: u_bar", 0),
-        (Fault::ControlAlone, "vjp_control: u_bar", 0),
+        (Fault::ControlAlone, "vjp with only some cotangents requested: u_bar", 0),
+        (Fault::Overwrite, "vjp, second call that adds: x_bar", 0),
+        (Fault::Unwritten, "step leaves a component unwritten: next", 1),
         (Fault::NaN, "vjp: x_bar", 2),
         (Fault::Lanes, "vjp in lanes: x_bar", 0),
     ] {
@@ -171,14 +183,14 @@ impl Task for WrongCost {
     fn horizon(&self) -> usize {
         self.0.horizon
     }
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
-        self.0.start(rng, x);
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
+        self.0.start(rng, start);
     }
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
-        self.0.terminal_cost(x)
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
+        self.0.terminal_cost(x, &[])
     }
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
-        self.0.terminal_cost_gradient(x, x_bar);
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
+        self.0.terminal_cost_gradient(x, p, x_bar, p_bar);
         x_bar[2] *= R::lift(1.0 + 1e-6);
     }
 }
@@ -193,8 +205,8 @@ fn a_wrong_cost_gradient_is_found() {
 struct Forgetting(Linear);
 
 impl Policy for Forgetting {
-    fn state_dim(&self) -> usize {
-        self.0.state_dim()
+    fn observation_dim(&self) -> usize {
+        self.0.observation_dim()
     }
     fn control_dim(&self) -> usize {
         self.0.control_dim()
@@ -237,8 +249,8 @@ struct OneOff {
 }
 
 impl Policy for OneOff {
-    fn state_dim(&self) -> usize {
-        self.conv.state_dim()
+    fn observation_dim(&self) -> usize {
+        self.conv.observation_dim()
     }
     fn control_dim(&self) -> usize {
         self.conv.control_dim()
@@ -307,10 +319,10 @@ fn cotangent_columns_do_not_mix() {
     let bars = [[1.0, -0.5, 0.25, 2.0], [0.0, 3.0, -1.0, 0.5]];
     let both: Vec<_> = (0..4).map(|i| CotangentPack([bars[0][i], bars[1][i]])).collect();
     let (mut x_bar, mut u_bar) = ([CotangentPack([0.0; 2]); 4], [CotangentPack([0.0; 2])]);
-    system.vjp(&x, &u, &both, &mut x_bar, &mut u_bar);
+    system.vjp(Inputs::new(&x, &u), &both, Cotangents::of(&mut x_bar, &mut u_bar));
     for (k, bar) in bars.iter().enumerate() {
         let (mut x_alone, mut u_alone) = ([0.0; 4], [0.0]);
-        system.vjp(&x, &u, bar, &mut x_alone, &mut u_alone);
+        system.vjp(Inputs::new(&x, &u), bar, Cotangents::of(&mut x_alone, &mut u_alone));
         assert_eq!(x_bar.map(|c| c.0[k]), x_alone);
         assert_eq!(u_bar.map(|c| c.0[k]), u_alone);
     }

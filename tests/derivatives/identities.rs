@@ -3,7 +3,7 @@
 use physgrad::policy::Mlp;
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, LossMode};
-use physgrad::{Batch, Field, Flow, GradientCombiner, Policy, Scalar, SignAgreement, System, Task, Weights};
+use physgrad::{Batch, Field, Flow, GradientCombiner, Inputs, Policy, Scalar, SignAgreement, Start, System, Task, Weights};
 use rand::RngExt;
 
 /// Returns the gradients of R, M, N and S of one mini-batch.
@@ -12,7 +12,7 @@ fn all_flows<T: Task, P: Policy>(task: &T, policy: &P) -> [Vec<f64>; 4] {
     let theta = (0..policy.param_count()).map(|_| rng.random_range(-0.5..0.5)).collect();
     let weights = Weights::<f64>::new(policy, theta);
     let mut starts = vec![0.0; 5 * task.system().state_dim()];
-    starts.chunks_exact_mut(task.system().state_dim()).for_each(|x| task.start(&mut rng, x));
+    starts.chunks_exact_mut(task.system().state_dim()).for_each(|x| task.start(&mut rng, Start { x, p: &mut [] }));
     Flow::ALL.map(|flow| {
         let mut batch = Batch::new(task, policy, 5, &[flow], 1);
         batch.run(task, policy, &weights, &starts).expect("finite");
@@ -37,7 +37,7 @@ fn assert_differ(a: &[f64], b: &[f64]) {
 struct Blind;
 
 impl Policy for Blind {
-    fn state_dim(&self) -> usize {
+    fn observation_dim(&self) -> usize {
         6
     }
     fn control_dim(&self) -> usize {
@@ -65,7 +65,7 @@ impl<const CONTROLS: usize> System for Forgetful<CONTROLS> {
     fn control_dim(&self) -> usize {
         CONTROLS
     }
-    fn step<T: Scalar>(&self, _: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, next: &mut [T]) {
         next[0] = u[0].sin() + T::lift(0.2);
         next[1] = u[CONTROLS - 1] * u[0] - T::lift(0.1);
     }
@@ -79,13 +79,13 @@ impl<const CONTROLS: usize> Task for Forgetful<CONTROLS> {
     fn horizon(&self) -> usize {
         7
     }
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
+    fn start(&self, rng: &mut Rng, Start { x, .. }: Start<'_>) {
         x.fill_with(|| rng.random_range(-1.0..1.0));
     }
-    fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
+    fn running_cost<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, x: &[T]) -> T {
         x[0] * x[1] + u[0] * u[0]
     }
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         x[0] * x[0] * x[1]
     }
 }

@@ -9,3 +9,4 @@ mod counts;
 mod derivative_calls;
 mod gradients;
 mod identities;
+mod inputs;

@@ -44,7 +44,7 @@ fn bytes_are_those_asked_for<F: Float>() {
         let names: Vec<String> = flows.iter().map(Flow::to_string).collect();
         for norms in [false, true] {
             let (mut adjoint, bytes) = allocated(|| {
-                let adjoint = Adjoint::new(&policy, &rollout, &flows);
+                let adjoint = Adjoint::new(&task, &policy, &rollout, &flows);
                 if norms { adjoint.keep_norms() } else { adjoint }
             });
             assert_eq!(adjoint.stored_bytes(), bytes, "{names:?}, norms {norms}");

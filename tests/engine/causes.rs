@@ -5,15 +5,16 @@ use physgrad::tasks::{
     QuantumScheme, QuantumSystem, Renormalized, Strang, Tabulated, Upright,
 };
 use physgrad::{
-    Actuated, AnyIntegrator, Cause, Delay, Effect, Forced, ForcedSystem, ImplicitMidpoint, Integrated, Named, Scalar, Substeps,
-    System,
+    Actuated, AnyIntegrator, Cause, Delay, Effect, Forced, ForcedSystem, ImplicitMidpoint, Inputs, Integrated, Named, OdeInputs,
+    Scalar, Substeps, System,
 };
 
 const ENDLESS: Cubic = Cubic { strength: 1e308 };
 
 /// Returns the cause at a state of ones.
 fn cause<S: System>(system: &S) -> Option<Cause> {
-    system.diagnose(&vec![1.0; system.state_dim()], &vec![0.0; system.control_dim()])
+    let (x, u, p) = (vec![1.0; system.state_dim()], vec![0.0; system.control_dim()], vec![1.0; system.param_dim()]);
+    system.diagnose(Inputs { p: &p, ..Inputs::new(&x, &u) })
 }
 
 /// Tests each kind of host, with more state components than forces.
@@ -82,9 +83,9 @@ impl ForcedSystem for Leaping {
     fn dt(&self) -> f64 {
         1.0
     }
-    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], _u: &[T], next: &mut [T]) {
-        next[0] = x[0] * T::lift(1e200);
-        effects.add_forces(self, x, next);
+    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = inputs.x[0] * T::lift(1e200);
+        effects.add_forces(self, inputs.continuous(1.0), next);
     }
 }
 
@@ -93,7 +94,7 @@ impl ForcedSystem for Leaping {
 struct Innocent;
 
 impl Effect<Leaping> for Innocent {
-    fn add_forces<T: Scalar>(&self, _model: &Leaping, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, _model: &Leaping, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
         forces[0] += x[0];
     }
 }

@@ -106,9 +106,7 @@ fn ends(
 ) -> Vec<u64> {
     let (n, m) = (task.state_dim(), task.control_dim());
     let policy = Mlp::new([n, 8, m]);
-    let mut starts = vec![0.0; 11 * n];
-    let mut rng = stream(0, Purpose::Train, 0);
-    starts.chunks_exact_mut(n).for_each(|x| task.start(&mut rng, x));
+    let starts: Vec<f64> = initial_states(task, 0, Purpose::Train, 11);
     let mut rollout = make(task, &policy, 11);
     rollout.start(&starts);
     let weights = Weights::init(&policy, &mut stream(0, Purpose::Policy, 0));

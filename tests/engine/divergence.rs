@@ -3,8 +3,8 @@
 use physgrad::policy::{Linear, Mlp};
 use physgrad::rng::Rng;
 use physgrad::{
-    Batch, Clip, Divergence, Evaluation, Field, Float, Flow, GradientCombiner, Rollout, Scalar, System, Task, TrainError,
-    Trainer, Training, Variable, Weights,
+    Batch, Clip, Divergence, Evaluation, Field, Float, Flow, GradientCombiner, Inputs, Rollout, Scalar, Start, System, Task,
+    TrainError, Trainer, Training, Variable, Weights,
 };
 
 /// Type and place of a fault.
@@ -30,7 +30,7 @@ impl System for Faulty {
     fn control_dim(&self) -> usize {
         1
     }
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let marked = |yes: T, no: T| T::select_lt(T::lift(0.5), x[0], yes, no);
         next[0] = x[0];
         next[1] = x[1] + u[0] * T::lift(0.1);
@@ -71,10 +71,10 @@ impl Task for Faulty {
         8
     }
     /// Draws only initial states without a fault.
-    fn start(&self, _: &mut Rng, x: &mut [f64]) {
-        x.copy_from_slice(&[0.1, 0.3, 0.0]);
+    fn start(&self, _: &mut Rng, start: Start<'_>) {
+        start.x.copy_from_slice(&[0.1, 0.3, 0.0]);
     }
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         let bad = T::select_lt(T::lift(0.5), x[0], T::lift(f64::NAN), T::zero());
         let cost = x[1] * x[1];
         if let Fault::Cost = self.0 { cost + bad } else { cost }
@@ -197,7 +197,7 @@ fn an_infinite_gradient_of_finite_cotangents_is_named() {
         fn control_dim(&self) -> usize {
             1
         }
-        fn step<T: Scalar>(&self, _: &[T], u: &[T], next: &mut [T]) {
+        fn step<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, next: &mut [T]) {
             next[0] = u[0];
         }
     }
@@ -209,10 +209,10 @@ fn an_infinite_gradient_of_finite_cotangents_is_named() {
         fn horizon(&self) -> usize {
             1
         }
-        fn start(&self, _: &mut Rng, x: &mut [f64]) {
-            x[0] = 1e20;
+        fn start(&self, _: &mut Rng, start: Start<'_>) {
+            start.x[0] = 1e20;
         }
-        fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+        fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
             x[0] * T::lift(self.slope)
         }
     }
@@ -246,7 +246,7 @@ impl System for Saturated {
     fn control_dim(&self) -> usize {
         1
     }
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         next[0] = x[0] + u[0].min(T::one()).max(-T::one());
     }
 }
@@ -259,10 +259,10 @@ impl Task for Saturated {
     fn horizon(&self) -> usize {
         4
     }
-    fn start(&self, _: &mut Rng, x: &mut [f64]) {
-        x[0] = 1.0;
+    fn start(&self, _: &mut Rng, start: Start<'_>) {
+        start.x[0] = 1.0;
     }
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         x[0] * x[0]
     }
 }

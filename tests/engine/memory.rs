@@ -37,7 +37,7 @@ fn stored<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: usize, fl
     let mut rollout = Rollout::new(task, policy, samples + 1);
     rollout.start(&starts(task, samples));
     rollout.run(task, policy, &weights)?;
-    let mut adjoint = Adjoint::new(policy, &rollout, flows);
+    let mut adjoint = Adjoint::new(task, policy, &rollout, flows);
     adjoint.run(task, policy, &weights, &rollout, F::lift(0.5))?;
     let mut all: Vec<F> = (0..samples).map(|sample| rollout.cost(sample)).collect();
     for k in 0..flows.len() {
@@ -165,7 +165,7 @@ fn a_divergence_is_that_of_store_all() {
 struct Plain;
 
 impl Policy for Plain {
-    fn state_dim(&self) -> usize {
+    fn observation_dim(&self) -> usize {
         4
     }
     fn control_dim(&self) -> usize {
@@ -186,7 +186,7 @@ impl Policy for Plain {
 struct Growing(f64);
 
 impl Policy for Growing {
-    fn state_dim(&self) -> usize {
+    fn observation_dim(&self) -> usize {
         4
     }
     fn control_dim(&self) -> usize {
@@ -212,7 +212,7 @@ fn bytes_are_those_held<F: Float>() {
         for schedule in schedules(task.horizon) {
             let (mut rollout, bytes, most) = held(|| Checkpointed::<F>::new(&task, &policy, 17, &flows, schedule));
             assert_eq!((rollout.stored_bytes(), most), (bytes, bytes), "{schedule:?}, {flows:?}");
-            assert_eq!(Checkpointed::<F>::bytes_of(&policy, 17, &flows, &schedule), bytes, "{schedule:?}, {flows:?}");
+            assert_eq!(Checkpointed::<F>::bytes_of(&task, &policy, 17, &flows, &schedule), bytes, "{schedule:?}, {flows:?}");
             let mut gradients = vec![vec![Gradient::zeros(policy.param_count()); flows.len()]; 5];
             let run = || rollout.run(&task, &policy, &weights, &starts, F::one(), 4, &mut gradients);
             let (outcome, _, most) = held(run);
@@ -221,7 +221,7 @@ fn bytes_are_those_held<F: Float>() {
             for workers in [1, 3] {
                 let (batch, bytes, most) = held(|| Batch::<F>::scheduled(&task, &policy, 17, &flows, workers, schedule));
                 assert_eq!((batch.stored_bytes(), most), (bytes, bytes), "{schedule:?}, {flows:?}, {workers} workers");
-                assert_eq!(Batch::<F>::bytes_of(&policy, 17, &flows, workers, &schedule), bytes);
+                assert_eq!(Batch::<F>::bytes_of(&task, &policy, 17, &flows, workers, &schedule), bytes);
             }
         }
     }
@@ -238,7 +238,7 @@ fn budgets_are_kept_and_used() {
     let (task, policy) = (cart_pole(40 * UNIT - 50), Mlp::new([4, 8, 1]));
     let (weights, starts) = (weights::<f32, _>(&policy), starts::<f32, _>(&task, 6));
     let flows = Field::combined().flows();
-    let all = Batch::<f32>::bytes_of(&policy, 6, &flows, 1, &Schedule::store_all(task.horizon)) as u64;
+    let all = Batch::<f32>::bytes_of(&task, &policy, 6, &flows, 1, &Schedule::store_all(task.horizon)) as u64;
     let error = Batch::<f32>::within(&task, &policy, 6, &flows, 1, 1000).unwrap_err();
     assert_eq!((error.budget, error.everything), (1000, all));
     let smallest = error.smallest;
@@ -261,7 +261,7 @@ fn budgets_are_kept_and_used() {
         for units in 1..=40 {
             for checkpoints in 1..=40 {
                 let other = Schedule::new(task.horizon, units * UNIT, checkpoints);
-                let bytes = Batch::<f32>::bytes_of(&policy, 6, &flows, 1, &other) as u64;
+                let bytes = Batch::<f32>::bytes_of(&task, &policy, 6, &flows, 1, &other) as u64;
                 assert!(bytes > budget || other.recomputed_steps() >= last, "{other:?} is better than {schedule:?}");
             }
         }

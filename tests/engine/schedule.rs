@@ -12,7 +12,7 @@ const UNIT: usize = Schedule::UNIT;
 struct Asked(AtomicU64);
 
 impl Policy for Asked {
-    fn state_dim(&self) -> usize {
+    fn observation_dim(&self) -> usize {
         4
     }
     fn control_dim(&self) -> usize {

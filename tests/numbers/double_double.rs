@@ -6,8 +6,8 @@ use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{CartPole, CoupledCartPole, Guidance, GuidanceSystem, Pade, Quantum, QuantumSystem, Strang};
 use physgrad::{
-    Batch, DoubleDouble, Dual, Flow, ImplicitMidpoint, Integrated, Policy, RungeKutta, Scalar, System, Task, Weights, check,
-    initial_states,
+    Batch, DoubleDouble, Dual, Flow, ImplicitMidpoint, Inputs, Integrated, Policy, RungeKutta, Scalar, System, Task, Weights,
+    check, initial_states,
 };
 
 /// Compares value and directional derivative of a step between double-double and num-dual.
@@ -22,8 +22,8 @@ fn agrees<S: System>(name: &str, system: &S, size: f64) {
     let (fx, fu): (Vec<_>, Vec<_>) = (x.iter().zip(&tx).map(fine).collect(), u.iter().zip(&tu).map(fine).collect());
     let (dx, du): (Vec<_>, Vec<_>) = (x.iter().zip(&tx).map(dual).collect(), u.iter().zip(&tu).map(dual).collect());
     let (mut fine_next, mut dual_next) = (fx.clone(), dx.clone());
-    system.step(&fx, &fu, &mut fine_next);
-    system.step(&dx, &du, &mut dual_next);
+    system.step(Inputs::new(&fx, &fu), &mut fine_next);
+    system.step(Inputs::new(&dx, &du), &mut dual_next);
     let largest = |numbers: &mut dyn Iterator<Item = f64>| numbers.fold(0.0_f64, |largest, x| largest.max(x.abs()));
     let values = largest(&mut fine_next.iter().map(|x| x.value.0));
     let slopes = largest(&mut fine_next.iter().map(|x| x.tangents[0].0));
@@ -93,7 +93,7 @@ impl System for Logistic {
     fn control_dim(&self) -> usize {
         1
     }
-    fn step<T: Scalar>(&self, x: &[T], _u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, .. }: Inputs<'_, T>, next: &mut [T]) {
         next[0] = T::lift(4.0) * x[0] * (T::one() - x[0]);
     }
 }
@@ -106,10 +106,10 @@ impl Task for Doubling {
     fn horizon(&self) -> usize {
         60
     }
-    fn start(&self, _rng: &mut physgrad::rng::Rng, x: &mut [f64]) {
-        x[0] = 0.3;
+    fn start(&self, _rng: &mut physgrad::rng::Rng, start: physgrad::Start<'_>) {
+        start.x[0] = 0.3;
     }
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         x[0]
     }
 }

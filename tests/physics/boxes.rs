@@ -3,7 +3,7 @@
 
 use physgrad::rng::Rng;
 use physgrad::tasks::{Barrier, ControlShape, Cubic, DoubleWell, Harmonic, QuantumEffect, QuantumSystem};
-use physgrad::{Effect, Scalar, System, check};
+use physgrad::{Effect, Inputs, OdeInputs, Scalar, System, check};
 use rand::RngExt;
 
 pub fn box_of(grid: usize) -> QuantumSystem {
@@ -35,7 +35,7 @@ pub fn every_effect_typed() -> (Harmonic, Barrier, DoubleWell, Cubic) {
 
 pub fn step<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
     let mut next = vec![f64::NAN; x.len()];
-    system.step(x, &[u], &mut next);
+    system.step(Inputs::new(x, &[u]), &mut next);
     next
 }
 
@@ -86,10 +86,11 @@ pub fn overlap(a: &[f64], b: &[f64]) -> (f64, f64) {
 
 /// Draws states of norm about 1, and large controls. Errors are relative to the control cotangent,
 /// which large controls keep away from 0.
-pub fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
+pub fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64], p: &mut [f64]) {
     let size = (3.0 / x.len() as f64).sqrt();
     x.iter_mut().for_each(|x| *x = rng.random_range(-size..size));
     u.iter_mut().for_each(|u| *u = rng.random_range(-30.0..30.0));
+    p.iter_mut().for_each(|p| *p = rng.random_range(-3.0..3.0));
 }
 
 /// Custom effect: a time-dependent force that depends on more than the density of the wave.
@@ -97,14 +98,17 @@ pub fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
 pub struct Swinging;
 
 impl Effect<QuantumSystem> for Swinging {
-    fn add_forces<T: Scalar>(&self, model: &QuantumSystem, x: &[T], forces: &mut [T]) {
-        let push = x[x.len() - 1].sin() * x[0];
+    fn param_dim(&self) -> usize {
+        1
+    }
+    fn draw_params(&self, rng: &mut Rng, p: &mut [f64]) {
+        p[0] = rng.random_range(0.0..=1.0);
+    }
+    fn add_forces<T: Scalar>(&self, model: &QuantumSystem, OdeInputs { x, p, t, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+        let push = (t + p[0]).sin() * x[0];
         for (v, point) in forces.iter_mut().zip(model.points()) {
             *v += push * T::lift(point);
         }
-    }
-    fn clock(&self) -> Option<f64> {
-        Some(1.0)
     }
 }
 

@@ -7,7 +7,8 @@ use physgrad::tasks::{
     PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Actuated, AnyActuator, Delay, Effect, Forced, ForcedSystem, HasModel, Lag, Limit, LimitKind, Scalar, Substeps, System, check,
+    Actuated, AnyActuator, Cotangents, Delay, Effect, Forced, ForcedSystem, HasModel, Inputs, Lag, Limit, LimitKind, OdeInputs,
+    Scalar, Substeps, System, check,
 };
 use rand::RngExt;
 
@@ -28,8 +29,8 @@ fn every_effect() -> Vec<CartPoleEffect> {
 }
 
 /// Draws states with fast carts and poles, so that no term is negligible.
-fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
-    x.iter_mut().chain(u).for_each(|x| *x = rng.random_range(-3.0..3.0));
+fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64], p: &mut [f64]) {
+    x.iter_mut().chain(u).chain(p).for_each(|x| *x = rng.random_range(-3.0..3.0));
 }
 
 fn check_lively<S: System>(system: &S) {
@@ -54,17 +55,19 @@ fn a_wrong_derivative_of_an_effect_is_found() {
     #[derive(Clone, Debug)]
     struct Spring;
     impl Effect<CartPoleSystem> for Spring {
-        fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+        fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
             forces[0] -= x[0];
         }
         fn vjp<R: physgrad::Real, C: physgrad::Cotangent<R>>(
             &self,
             _model: &CartPoleSystem,
-            _x: &[R],
+            _inputs: OdeInputs<'_, R>,
             forces_bar: &[C],
-            x_bar: &mut [C],
+            bars: Cotangents<'_, C>,
         ) {
-            x_bar[0] += forces_bar[0];
+            if let Some(x_bar) = bars.x {
+                x_bar[0] += forces_bar[0];
+            }
         }
     }
     let mismatch = check::try_system(&Forced { system: poles(1), effects: Spring }).expect_err("it is wrong");
@@ -94,13 +97,13 @@ fn the_derivatives_behind_actuators_and_of_substeps_are_those_of_duals() {
     let full =
         Actuated { system: Forced { system: CoupledCartPole(poles(2)), effects: every_effect() }, actuator: Delay { steps: 2 } };
     let n = full.state_dim();
-    assert_eq!(n, 6 + 1 + 2);
+    assert_eq!((n, full.param_dim()), (6 + 2, 1));
     check::task(&CartPole { horizon: 20, ..CartPole::with_system(full) }, &Linear::with_bias(n, 1));
 }
 
 fn step<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
     let mut next = vec![0.0; x.len()];
-    system.step(x, &[u], &mut next);
+    system.step(Inputs::new(x, &[u]), &mut next);
     next
 }
 
@@ -109,7 +112,7 @@ fn with_one_pole_both_models_are_the_same_equations() {
     let mut rng = physgrad::rng::stream(0, physgrad::rng::Purpose::Check, 0);
     for _ in 0..100 {
         let (mut x, mut u) = ([0.0; 4], [0.0]);
-        lively(&mut rng, &mut x, &mut u);
+        lively(&mut rng, &mut x, &mut u, &mut []);
         let effects = (PoleDamping::default(), SteadyWind::default());
         let simple = step(&Forced { system: poles(1), effects }, &x, u[0]);
         let exact = step(&Forced { system: CoupledCartPole(poles(1)), effects }, &x, u[0]);
@@ -165,8 +168,8 @@ fn friction_and_still_air_only_take_energy() {
     for effect in effects {
         for _ in 0..100 {
             let (mut x, mut forces) = ([0.0; 6], [0.0; 3]);
-            lively(&mut rng, &mut x, &mut []);
-            effect.add_forces(&model, &x, &mut forces);
+            lively(&mut rng, &mut x, &mut [], &mut []);
+            effect.add_forces(&model, Inputs::new(&x, &[]).continuous(0.0), &mut forces);
             let power = forces[0] * x[1] + forces[1] * x[3] + forces[2] * x[5];
             assert!(power < 0.0, "{effect:?} does work: {power} W at {x:?}");
         }
@@ -178,7 +181,7 @@ fn bumpers_push_and_never_pull() {
     let (bumpers, model) = (Bumpers { half_travel: 1.0, damping: 2.0, stiffness: 10.0 }, poles(1));
     let force = |x: f64, v: f64| {
         let mut forces = [0.0; 2];
-        bumpers.add_forces(&model, &[x, v, 0.0, 0.0], &mut forces);
+        bumpers.add_forces(&model, Inputs::new(&[x, v, 0.0, 0.0], &[]).continuous(0.0), &mut forces);
         forces[0]
     };
     assert_eq!(force(0.99, 5.0), 0.0);
@@ -196,9 +199,9 @@ fn a_gusty_wind_without_gusts_is_a_steady_one() {
     let steady = Forced { system: poles(2), effects: SteadyWind::default() };
     let gusty = Forced { system: poles(2), effects: gusty };
     let x = [0.1, -0.2, 3.0, 0.4, 2.8, -0.5];
-    let after = step(&gusty, &[&x[..], &[7.0]].concat(), 1.5);
-    assert_eq!(after[..6], step(&steady, &x, 1.5));
-    assert_eq!(after[6], 7.0 + 0.01, "the clock");
+    let mut after = [0.0; 6];
+    gusty.step(Inputs { p: &[7.0], ..Inputs::new(&x, &[1.5]) }, &mut after);
+    assert_eq!(after[..], step(&steady, &x, 1.5));
 }
 
 #[test]
@@ -207,7 +210,7 @@ fn wind_blows_a_still_cart_and_its_pole_away() {
     // Upright pole at rest: F = (cart_drag + pole_drag) w², τ = half_length pole_drag w².
     assert!(x[1] > 0.0);
     let mut forces = [0.0; 2];
-    SteadyWind::default().add_forces(&poles(1), &[0.0; 4], &mut forces);
+    SteadyWind::default().add_forces(&poles(1), Inputs::new(&[0.0; 4], &[]).continuous(0.0), &mut forces);
     assert!((forces[0] - 0.073 * 9.0).abs() < 1e-12 && (forces[1] - 0.5 * 0.013 * 9.0).abs() < 1e-12, "{forces:?}");
 }
 
@@ -256,12 +259,13 @@ fn substeps_are_the_small_steps() {
 fn everything<H: ForcedSystem<Model = CartPoleSystem>>(host: H) -> Vec<f64> {
     let system = Forced { system: host, effects: every_effect() };
     let n = system.state_dim();
-    let (mut x, mut u) = (vec![0.0; n], [0.0]);
-    lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u);
+    let (mut x, mut u, mut p) = (vec![0.0; n], [0.0], [0.0]);
+    lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u, &mut p);
+    let inputs = Inputs { p: &p, ..Inputs::new(&x, &u) };
     let bar: Vec<f64> = (0..n).map(|i| 0.3 + i as f64).collect();
     let (mut next, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], [0.0]);
-    system.step(&x, &u, &mut next);
-    system.vjp(&x, &u, &bar, &mut x_bar, &mut u_bar);
+    system.step(inputs, &mut next);
+    system.vjp(inputs, &bar, Cotangents::of(&mut x_bar, &mut u_bar));
     [&next[..], &x_bar, &u_bar].concat()
 }
 

@@ -9,8 +9,8 @@ use physgrad::tasks::{
     Obstacles, PoleDamping, Quantum, QuantumEffect, QuantumSystem, Spread, SteadyWind, Walls,
 };
 use physgrad::{
-    Actuated, AnyActuator, Batch, Delay, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Lag, Limit, LimitKind, OpCount,
-    Ops, Rollout, System, Task, Weights, initial_states,
+    Actuated, AnyActuator, Batch, Cotangents, Delay, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Inputs, Lag, Limit,
+    LimitKind, OpCount, Ops, Rollout, System, Task, Weights, initial_states,
 };
 
 fn cart_pole(poles: usize) -> CartPoleSystem {
@@ -157,15 +157,16 @@ fn quantum_has_the_operations_of_hand_written_physics_plus_a_product_per_point()
         let system = QuantumSystem { grid, ..QuantumSystem::default() };
         let (trap, cubic) = (Harmonic::default(), Cubic::default());
         // The potential is multiplied by dt/2 at each point. The handwritten code multiplies the
-        // control once.
+        // control once. The reverse sums the cotangent of the control before adding it.
         let more = Ops { multiply: grid as u64 - 1, ..Ops::default() };
+        let more_back = Ops { add: 1, ..more };
         let bare = OpCount::of(&quantum::ByHand::<false, false> { system, trap, cubic });
         assert_eq!(OpCount::of(&system).step - bare.step, more);
-        assert_eq!(OpCount::of(&system).vjp - bare.vjp, more);
+        assert_eq!(OpCount::of(&system).vjp - bare.vjp, more_back);
         let (full, machinery) =
             (quantum::ByHand::<true, true> { system, trap, cubic }, Forced { system, effects: (trap, cubic) });
         assert_eq!(OpCount::of(&machinery).step - OpCount::of(&full).step, more);
-        assert_eq!(OpCount::of(&machinery).vjp - OpCount::of(&full).vjp, more);
+        assert_eq!(OpCount::of(&machinery).vjp - OpCount::of(&full).vjp, more_back);
     }
 }
 
@@ -179,11 +180,11 @@ fn same_physics<A: System, B: System>(a: &A, b: &B) {
         let (next, rest) = found.split_at_mut(n);
         let (x_bar, u_bar) = rest.split_at_mut(n);
         if by_hand {
-            b.step(&x, &u, next);
-            b.vjp(&x, &u, &bars, x_bar, u_bar);
+            b.step(Inputs::new(&x, &u), next);
+            b.vjp(Inputs::new(&x, &u), &bars, Cotangents::of(x_bar, u_bar));
         } else {
-            a.step(&x, &u, next);
-            a.vjp(&x, &u, &bars, x_bar, u_bar);
+            a.step(Inputs::new(&x, &u), next);
+            a.vjp(Inputs::new(&x, &u), &bars, Cotangents::of(x_bar, u_bar));
         }
     }
     for (a, b) in found[0].iter().zip(&found[1]) {
@@ -208,21 +209,25 @@ fn hand_written_physics_has_the_same_results() {
 /// reverse pass, as bits. Uses one sample and scalars.
 fn steps<F: Float, T: Task>(task: &T) -> Vec<u64> {
     let (n, m, horizon) = (task.system().state_dim(), task.system().control_dim(), task.horizon());
-    let mut states: Vec<Vec<F>> = vec![initial_states(task, 3, Purpose::Train, 1)];
+    let mut start: Vec<F> = initial_states(task, 3, Purpose::Train, 1);
+    let p = start.split_off(n);
+    let mut states = vec![start];
     let control = |t: usize| (0..m).map(|i| F::lift((0.3 * t as f64 + i as f64).sin())).collect::<Vec<F>>();
     for t in 0..horizon {
         let mut next = vec![F::zero(); n];
-        task.system().step(&states[t], &control(t), &mut next);
+        task.system().step(Inputs { x: &states[t], u: &control(t), p: &p, t }, &mut next);
         states.push(next);
     }
     let mut found = states.concat();
     let mut bar = vec![F::zero(); n];
-    task.terminal_cost_gradient(&states[horizon], &mut bar);
+    task.terminal_cost_gradient(&states[horizon], &[], &mut bar, None);
     bar.iter_mut().for_each(|bar| *bar += F::lift(0.1));
     for t in (0..horizon).rev() {
         let (mut x_bar, mut u_bar, mut u_only) = (vec![F::zero(); n], vec![F::zero(); m], vec![F::zero(); m]);
-        task.system().vjp(&states[t], &control(t), &bar, &mut x_bar, &mut u_bar);
-        task.system().vjp_control(&states[t], &control(t), &bar, &mut u_only);
+        let u = control(t);
+        let inputs = Inputs { x: &states[t], u: &u, p: &p, t };
+        task.system().vjp(inputs, &bar, Cotangents::of(&mut x_bar, &mut u_bar));
+        task.system().vjp(inputs, &bar, Cotangents { u: Some(&mut u_only), ..Cotangents::default() });
         found.extend(x_bar.iter().chain(&u_bar).chain(&u_only));
         bar = x_bar;
     }

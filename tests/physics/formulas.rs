@@ -9,8 +9,8 @@ use physgrad::policy::{Conv, Linear};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::*;
 use physgrad::{
-    Actuated, Actuator, AnyActuator, Cotangent, Delay, Effect, Forced, ForcedSystem, Lag, Limit, LimitKind, Ode, Real, Scalar,
-    System, Task, check,
+    Actuated, Actuator, AnyActuator, Cotangent, Cotangents, Delay, Effect, Forced, ForcedSystem, Inputs, Lag, Limit, LimitKind,
+    Ode, Real, Scalar, Start, System, Task, check,
 };
 use rand::RngExt;
 use std::f64::consts::{FRAC_PI_6, PI, TAU};
@@ -36,8 +36,16 @@ fn states(n: usize, m: usize) -> impl Iterator<Item = (Vec<f64>, Vec<f64>)> {
 
 fn step<S: System>(system: &S, x: &[f64], u: &[f64]) -> Vec<f64> {
     let mut next = vec![f64::NAN; x.len()];
-    system.step(x, u, &mut next);
+    system.step(at(x, u, &vec![PHASE; system.param_dim()]), &mut next);
     next
+}
+
+/// Number of the step, and value of every parameter, in [`step`].
+const STEP: usize = 3;
+const PHASE: f64 = 0.37;
+
+fn at<'a>(x: &'a [f64], u: &'a [f64], p: &'a [f64]) -> Inputs<'a, f64> {
+    Inputs { x, u, p, t: STEP }
 }
 
 /// Returns the Jacobian of a function at `at` by central differences: `out[i]` is the derivative
@@ -76,14 +84,14 @@ fn steps_as<S: System>(what: &str, system: &S, expected: impl Fn(&[f64], &[f64])
     }
     for (x, u) in states(n, m).take(8) {
         let bar: Vec<f64> = (0..n).map(|i| 0.3 + 0.1 * i as f64).collect();
-        let (mut x_bar, mut u_bar) = (vec![f64::NAN; n], vec![f64::NAN; m]);
-        system.vjp(&x, &u, &bar, &mut x_bar, &mut u_bar);
+        let (mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; m]);
+        system.vjp(at(&x, &u, &vec![PHASE; system.param_dim()]), &bar, Cotangents::of(&mut x_bar, &mut u_bar));
         let pulled = |next: Vec<f64>| vec![next.iter().zip(&bar).map(|(next, bar)| next * bar).sum()];
         let by_slopes = slopes(|xu| pulled(expected(&xu[..n], &xu[n..])), &[x, u].concat()).concat();
         near_slopes(what, &[x_bar, u_bar].concat(), &by_slopes);
     }
-    let lively = |rng: &mut Rng, x: &mut [f64], u: &mut [f64]| {
-        x.iter_mut().chain(u).for_each(|x| *x = rng.random_range(-3.0..3.0));
+    let lively = |rng: &mut Rng, x: &mut [f64], u: &mut [f64], p: &mut [f64]| {
+        x.iter_mut().chain(u).chain(p).for_each(|x| *x = rng.random_range(-3.0..3.0));
     };
     check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{what}: {mismatch}"));
 }
@@ -274,7 +282,7 @@ fn on_cart_poles() -> Vec<(CartPoleEffect, Applied)> {
         (DryFriction { force: 1.7, smoothing: 1.9 }.into(), |model, x| on_cart(model, -1.7 * (x[1] / 1.9).tanh())),
         (SteadyWind { speed: 2.3, cart_drag: 0.05, pole_drag: 0.02 }.into(), |model, x| drag(model, 2.3, x)),
         (GustyWind { speed: 1.1, gust: 1.9, period: 1.7, cart_drag: 0.05, pole_drag: 0.02 }.into(), |model, x| {
-            drag(model, 1.1 + 1.9 * (TAU * x[x.len() - 1] / 1.7).sin(), x)
+            drag(model, 1.1 + 1.9 * (TAU * (STEP as f64 * model.dt + PHASE) / 1.7).sin(), x)
         }),
         (Bumpers { half_travel: 0.9, stiffness: 40.0, damping: 0.3 }.into(), bumper),
     ]
@@ -287,15 +295,12 @@ fn cart_pole_steps_as<H: ForcedSystem<Model = CartPoleSystem> + Clone>(
     accelerations: impl Fn(&CartPoleSystem, &[f64], &[f64]) -> Vec<f64>,
 ) {
     let model = *host.model();
-    let own = 2 + 2 * model.poles;
     for (effect, applied) in on_cart_poles() {
         let what = format!("{effect:?}");
         let next = |x: &[f64], u: &[f64]| {
             let mut forces = applied(&model, x);
             forces[0] += u[0];
-            let mut next = semi_implicit(&x[..own], &accelerations(&model, &x[..own], &forces), model.dt);
-            next.extend(x[own..].iter().map(|time| time + model.dt));
-            next
+            semi_implicit(x, &accelerations(&model, x, &forces), model.dt)
         };
         steps_as(&what, &Forced { system: host.clone(), effects: effect.clone() }, next);
         steps_as(&what, &Forced { system: host.clone(), effects: vec![effect.clone()] }, next);
@@ -309,15 +314,6 @@ fn cart_pole_steps_as<H: ForcedSystem<Model = CartPoleSystem> + Clone>(
             steps_as(&what, &Forced { system: host.clone(), effects: effect }, next);
         }
     }
-    steps_as("clock", &Forced { system: host, effects: Clock }, |x, u| {
-        let mut next = semi_implicit(
-            &x[..own],
-            &accelerations(&model, &x[..own], &[&[u[0]][..], &vec![0.0; model.poles]].concat()),
-            model.dt,
-        );
-        next.push(x[own] + model.dt);
-        next
-    });
 }
 
 /// Writes the forces of an effect to the first components of the next state.
@@ -328,39 +324,21 @@ struct Felt<E> {
 
 impl<E: Effect<CartPoleSystem>> System for Felt<E> {
     fn state_dim(&self) -> usize {
-        2 + 2 * self.model.poles + usize::from(self.effect.clock().is_some())
+        2 + 2 * self.model.poles
     }
     fn control_dim(&self) -> usize {
         1
     }
-    fn step<T: Scalar>(&self, x: &[T], _u: &[T], next: &mut [T]) {
+    fn param_dim(&self) -> usize {
+        self.effect.param_dim()
+    }
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
         next.fill(T::zero());
-        self.effect.add_forces(&self.model, x, &mut next[..1 + self.model.poles]);
+        self.effect.add_forces(&self.model, inputs.continuous(self.model.dt), &mut next[..1 + self.model.poles]);
     }
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], _u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        x_bar.fill(C::null());
-        u_bar.fill(C::null());
-        self.effect.vjp(&self.model, x, &next_bar[..1 + self.model.poles], x_bar);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+        self.effect.vjp(&self.model, inputs.continuous(self.model.dt), &next_bar[..1 + self.model.poles], bars);
     }
-}
-
-/// Effect with a clock and no force.
-#[derive(Clone, Debug)]
-struct Clock;
-
-impl<B> Effect<B> for Clock {
-    fn add_forces<T: Scalar>(&self, _model: &B, _x: &[T], _forces: &mut [T]) {}
-    fn clock(&self) -> Option<f64> {
-        Some(1.0)
-    }
-}
-
-/// Checks that a step advances the time by `dt`.
-#[track_caller]
-fn keeps_time<H: ForcedSystem>(host: H, dt: f64) {
-    let system = Forced { system: host, effects: Clock };
-    let n = system.state_dim();
-    near("clock", &step(&system, &vec![0.1; n], &vec![0.0; system.control_dim()])[n - 1..], &[0.1 + dt]);
 }
 
 #[test]
@@ -384,7 +362,11 @@ fn drag_at_the_middle_is_strip_theory_without_spin_and_half_of_it_without_wind()
     // [D, τ] on an upright pole, without drag of the cart.
     let here = |wind: f64, spin: f64| {
         let mut forces = [0.0; 2];
-        SteadyWind { speed: wind, cart_drag: 0.0, pole_drag: c }.add_forces(&model, &[0.0, 0.0, 0.0, spin], &mut forces);
+        SteadyWind { speed: wind, cart_drag: 0.0, pole_drag: c }.add_forces(
+            &model,
+            Inputs::new(&[0.0, 0.0, 0.0, spin], &[]).continuous(0.0),
+            &mut forces,
+        );
         forces
     };
     let strips = |wind: f64, spin: f64| {
@@ -417,7 +399,7 @@ fn moves_as<O: Ode + Copy>(what: &str, ode: O, energy: impl Fn(&[f64]) -> f64, m
         let expected: Vec<f64> =
             mechanism.accelerations(&x, &applied).iter().zip(x.chunks_exact(2)).flat_map(|(a, pair)| [pair[1], *a]).collect();
         let mut rate = vec![f64::NAN; x.len()];
-        ode.rate(&x, &u, &mut rate);
+        ode.rate(Inputs::new(&x, &u).continuous(0.0), &mut rate);
         near(what, &rate, &expected);
         near(&format!("energy of a {what}"), &[energy(&x)], &[mechanism.energy(&x)]);
     }
@@ -600,7 +582,6 @@ fn agents_in_the_plane() {
     let softening = 0.2;
     for center in [Center::Sum, Center::Mean] {
         let model = GuidanceSystem { drivers: 2, evaders: 3, center, softening, dt: 0.07 };
-        keeps_time(model, 0.07);
         // Explicit Euler with the drivers' steering and the accelerations of an effect.
         let next = |x: &[f64], u: &[f64], added: &dyn Fn(usize) -> [f64; 2]| -> Vec<f64> {
             let agents: Vec<&[f64]> = x.chunks_exact(4).collect();
@@ -745,9 +726,6 @@ fn waves_in_a_box() {
     for control in [ControlShape::Tilt, ControlShape::Dipole] {
         let model = QuantumSystem { grid: GRID, length: LENGTH, dt: DT, control };
         let origin = if matches!(control, ControlShape::Tilt) { 0.0 } else { 0.5 * LENGTH };
-        keeps_time(model, DT);
-        keeps_time(Pade(model), DT);
-        keeps_time(Strang::new(model), DT);
         for (effect, potential) in potentials() {
             let at = |psi: &[Complex], u: &[f64]| -> Vec<f64> {
                 let v = |(j, psi): (usize, &Complex)| {
@@ -839,10 +817,15 @@ fn controls_reach_the_system_late_and_limited() {
 fn costs<T: Task>(what: &str, task: &T, on_the_way: impl Fn(&[f64], &[f64]) -> f64, last: impl Fn(&[f64]) -> f64) {
     let (n, m) = (task.system().state_dim(), task.system().control_dim());
     for (x, u) in states(n, m) {
-        near(what, &[task.stage_cost(&x, &u), task.terminal_cost(&x)], &[on_the_way(&x, &u), last(&x)]);
-        let (mut x_bar, mut u_bar, mut last_bar) = (vec![f64::NAN; n], vec![f64::NAN; m], vec![f64::NAN; n]);
-        task.stage_cost_gradient(&x, &u, &mut x_bar, &mut u_bar);
-        task.terminal_cost_gradient(&x, &mut last_bar);
+        near(what, &[task.running_cost(Inputs::new(&x, &u), &x), task.terminal_cost(&x, &[])], &[on_the_way(&x, &u), last(&x)]);
+        let (mut x_bar, mut u_bar, mut last_bar) = (vec![0.0; n], vec![0.0; m], vec![0.0; n]);
+        task.running_cost_gradient(
+            Inputs::new(&x, &u),
+            &x,
+            Cotangents { u: Some(&mut u_bar), ..Cotangents::default() },
+            &mut x_bar,
+        );
+        task.terminal_cost_gradient(&x, &[], &mut last_bar, None);
         let by_slopes = slopes(|xu| vec![on_the_way(&xu[..n], &xu[n..])], &[&x[..], &u].concat()).concat();
         near_slopes(what, &[x_bar, u_bar].concat(), &by_slopes);
         near_slopes(what, &last_bar, &slopes(|x| vec![last(x)], &x).concat());
@@ -919,7 +902,7 @@ fn every_task_has_its_price() {
             let gain = &lqr.optimum().gain;
             let u = [gain.iter().zip(x).map(|(gain, x)| gain * x).sum::<f64>()];
             let next = step(lqr.system(), x, &u);
-            price(&next, &u) + lqr.terminal_cost(&next)
+            price(&next, &u) + lqr.terminal_cost(&next, &[])
         });
     }
 }
@@ -927,10 +910,13 @@ fn every_task_has_its_price() {
 /// Returns minimum and maximum of `of` over many initial states.
 fn range<T: Task>(task: &T, of: impl Fn(&[f64]) -> f64) -> [f64; 2] {
     let mut rng = stream(0, Purpose::Train, 0);
-    let mut x = vec![0.0; task.system().state_dim()];
+    let (n, len) = (task.system().state_dim(), task.system().state_dim() + task.param_dim());
+    let mut all = vec![0.0; len];
     (0..4000).fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], _| {
-        task.start(&mut rng, &mut x);
-        [least.min(of(&x)), most.max(of(&x))]
+        all.fill(0.0);
+        let (x, p) = all.split_at_mut(n);
+        task.start(&mut rng, Start { x, p });
+        [least.min(of(&all)), most.max(of(&all))]
     })
 }
 
@@ -952,7 +938,7 @@ fn rollouts_start_where_they_should() {
     }
     starts_within("pole", &swing, PI - within, PI + within, |x| x[2]);
     let windy = Forced { system: model(1), effects: GustyWind { period: 1.7, ..GustyWind::default() } };
-    starts_within("clock", &CartPole::with_system(windy), 0.0, 1.7, |x| x[4]);
+    starts_within("phase of the gusts", &CartPole::with_system(windy), 0.0, 1.7, |x| x[4]);
     starts_within("pendulum", &Upright::double_pendulum(), PI - within, PI + within, |x| x[2]);
     starts_within("rate", &Upright::double_pendulum(), -within, within, |x| x[3]);
     starts_within("held", &Upright::pole_chain(1).held(), -0.05, 0.05, |x| x[2]);
@@ -1001,9 +987,10 @@ fn rollouts_start_where_they_should() {
 /// range that is 10 % too long, it is 0.085.
 #[track_caller]
 fn evenly<T: Task>(what: &str, task: &T, angle: impl Fn(&[f64]) -> f64) {
-    let (mut rng, mut x, mut sum) = (stream(0, Purpose::Train, 1), vec![0.0; task.system().state_dim()], [0.0; 2]);
+    let (mut rng, mut sum) = (stream(0, Purpose::Train, 1), [0.0; 2]);
     for _ in 0..4000 {
-        task.start(&mut rng, &mut x);
+        let mut x = vec![0.0; task.system().state_dim()];
+        task.start(&mut rng, Start { x: &mut x, p: &mut [] });
         let (sin, cos) = angle(&x).sin_cos();
         sum = [sum[0] + cos, sum[1] + sin];
     }

@@ -3,7 +3,9 @@
 use physgrad::policy::Mlp;
 use physgrad::rng::Purpose;
 use physgrad::tasks::{Center, Evade, Flock, Friction, Guidance, GuidanceSystem, Herding, LossMode, Spread};
-use physgrad::{Cotangent, CotangentPack, Float, Forced, Real, Scalar, System, Task, check, initial_states};
+use physgrad::{
+    Cotangent, CotangentPack, Cotangents, Float, Forced, Inputs, Real, Scalar, System, Tangents, Task, check, initial_states,
+};
 use rand::RngExt;
 use serde_json::Value;
 
@@ -43,8 +45,8 @@ fn drivers_may_steer_by_the_mean() {
     let moved: Vec<f64> = x.iter().enumerate().map(|(i, x)| if i % 4 < 2 { x + 3.0 } else { *x }).collect();
     let largest_change = |system: &Herding| {
         let (mut near, mut far) = (vec![0.0; 20], vec![0.0; 20]);
-        system.step(&x, &[0.3, -0.2, 1.1, 0.4], &mut near);
-        system.step(&moved, &[0.3, -0.2, 1.1, 0.4], &mut far);
+        system.step(Inputs::new(&x, &[0.3, -0.2, 1.1, 0.4]), &mut near);
+        system.step(Inputs::new(&moved, &[0.3, -0.2, 1.1, 0.4]), &mut far);
         let way = |i: usize| if i % 4 < 2 { 3.0 } else { 0.0 };
         near.iter().zip(&far).enumerate().map(|(i, (a, b))| (b - a - way(i)).abs()).fold(0.0, f64::max)
     };
@@ -56,7 +58,7 @@ fn drivers_may_steer_by_the_mean() {
 fn systems_from_crowded_to_scattered() {
     for (drivers, evaders) in [(1, 1), (2, 4), (3, 2)] {
         for scale in [1e-6, 1e-2, 1e3] {
-            let passed = check::try_system_at(&system(drivers, evaders), |rng, x, u| {
+            let passed = check::try_system_at(&system(drivers, evaders), |rng, x, u, _| {
                 x.fill_with(|| scale * rng.random_range(-1.0..1.0));
                 u.fill_with(|| rng.random_range(-5.0..5.0));
             });
@@ -95,11 +97,11 @@ fn costs_are_means_over_time_agents_and_coordinates() {
     let task = Guidance { loss: LossMode::Running, regularization: 0.5, horizon: 10, ..Guidance::new(1, 2) };
     let x = [9.0, 9.0, 9.0, 9.0, 1.0, 2.0, 9.0, 9.0, 3.0, 4.0, 9.0, 9.0];
     let near = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-14, "{found} is not {expected}");
-    near(task.stage_cost(&x, &[2.0, 4.0]), (30.0 / 4.0 + 0.5 * 20.0 / 2.0) / 10.0);
-    near(task.terminal_cost(&x), 0.0);
+    near(task.running_cost(Inputs::new(&x, &[2.0, 4.0]), &x), (30.0 / 4.0 + 0.5 * 20.0 / 2.0) / 10.0);
+    near(task.terminal_cost(&x, &[]), 0.0);
     let task = Guidance { loss: LossMode::Terminal, ..task };
-    near(task.stage_cost(&x, &[2.0, 4.0]), 0.5 * 20.0 / 2.0 / 10.0);
-    near(task.terminal_cost(&x), 30.0 / 4.0);
+    near(task.running_cost(Inputs::new(&x, &[2.0, 4.0]), &x), 0.5 * 20.0 / 2.0 / 10.0);
+    near(task.terminal_cost(&x, &[]), 30.0 / 4.0);
 }
 
 /// Returns the largest difference, relative to the largest expected component.
@@ -127,8 +129,8 @@ fn steps_and_vjps_are_the_authors() {
     for case in 0..20 {
         let (x, u) = (&state[24 * case..][..24], &control[4 * case..][..4]);
         let (mut next, mut x_bar, mut u_bar) = ([0.0; 24], [0.0; 24], [0.0; 4]);
-        system.step(x, u, &mut next);
-        system.vjp(x, u, &cotangent[24 * case..][..24], &mut x_bar, &mut u_bar);
+        system.step(Inputs::new(x, u), &mut next);
+        system.vjp(Inputs::new(x, u), &cotangent[24 * case..][..24], Cotangents::of(&mut x_bar, &mut u_bar));
         let expected = [&next_state[24 * case..][..24], &vjp_state[24 * case..][..24], &vjp_control[4 * case..][..4]];
         for (worst, (found, expected)) in worst.iter_mut().zip([&next[..], &x_bar, &u_bar].into_iter().zip(expected)) {
             *worst = f64::max(*worst, error(found, expected));
@@ -148,8 +150,8 @@ impl System for ByDuals {
     fn control_dim(&self) -> usize {
         self.0.control_dim()
     }
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        self.0.step(x, u, next);
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+        self.0.step(Inputs::new(x, u), next);
     }
 }
 
@@ -168,23 +170,23 @@ fn derivatives_agree<F: Float>(drivers: usize, evaders: usize, distance: f64, di
     let (n, m) = (system.state_dim(), system.control_dim());
     let (x, u): (Vec<F>, _) = (row_of_agents(drivers + evaders, distance, diagonal), vec![F::zero(); m]);
     let mut next = vec![F::zero(); n];
-    system.step(&x, &u, &mut next);
+    system.step(Inputs::new(&x, &u), &mut next);
     assert!(next.iter().all(|v| (*v).as_().is_finite()), "{next:?}");
 
     let mut columns = vec![vec![F::zero(); n]; n];
     for (k, column) in columns.iter_mut().enumerate() {
         let mut x_tan = vec![F::zero(); n];
         x_tan[k] = F::one();
-        system.jvp_state(&x, &u, &x_tan, column);
+        system.jvp(Inputs::new(&x, &u), Tangents { x: Some(&x_tan), ..Tangents::default() }, column);
     }
     for agent in 0..n / 4 {
         // Cotangent of the velocity of one agent, with components in x and y.
         let mut next_bar = vec![F::zero(); n];
         (next_bar[4 * agent + 2], next_bar[4 * agent + 3]) = (F::one(), F::lift(0.5));
         let (mut x_bar, mut u_bar) = (vec![F::zero(); n], vec![F::zero(); m]);
-        system.vjp(&x, &u, &next_bar, &mut x_bar, &mut u_bar);
-        let (mut x_dual, mut u_dual) = (x_bar.clone(), u_bar.clone());
-        ByDuals(system).vjp(&x, &u, &next_bar, &mut x_dual, &mut u_dual);
+        system.vjp(Inputs::new(&x, &u), &next_bar, Cotangents::of(&mut x_bar, &mut u_bar));
+        let (mut x_dual, mut u_dual) = (vec![F::zero(); n], vec![F::zero(); m]);
+        ByDuals(system).vjp(Inputs::new(&x, &u), &next_bar, Cotangents::of(&mut x_dual, &mut u_dual));
         let jvp = |column: &Vec<F>| column[4 * agent + 2] + column[4 * agent + 3] * F::lift(0.5);
         let x_jvp: Vec<F> = columns.iter().map(jvp).collect();
 
@@ -225,7 +227,7 @@ fn flight<F: Float>(distance: f64) -> (f64, f64) {
     let (along, across) = (F::lift(0.6 * distance), F::lift(0.8 * distance));
     let x = [F::zero(), F::zero(), F::zero(), F::zero(), along, across, F::zero(), F::zero()];
     let mut next = [F::zero(); 8];
-    system.step(&x, &[F::zero(); 2], &mut next);
+    system.step(Inputs::new(&x, &[F::zero(); 2]), &mut next);
     (next[6].as_(), next[7].as_())
 }
 
@@ -265,13 +267,13 @@ fn agents_at_one_place_in_lanes_beside_others() {
     let u = [physgrad::Lanes([0.3; W]); 4];
     let bars: Vec<_> = (0..16).map(|i| CotangentPack([physgrad::Lanes([f64::from(i) - 7.5; W])])).collect();
     let (mut next, mut x_bar, mut u_bar) = (x.clone(), vec![CotangentPack::null(); 16], vec![CotangentPack::null(); 4]);
-    system.step(&x, &u, &mut next);
-    system.vjp(&x, &u, &bars, &mut x_bar, &mut u_bar);
+    system.step(Inputs::new(&x, &u), &mut next);
+    system.vjp(Inputs::new(&x, &u), &bars, Cotangents::of(&mut x_bar, &mut u_bar));
     for (lane, start) in starts.iter().enumerate() {
         let (mut plain, mut plain_bar, mut plain_u) = ([0.0; 16], [0.0; 16], [0.0; 4]);
-        system.step(start, &[0.3; 4], &mut plain);
+        system.step(Inputs::new(start, &[0.3; 4]), &mut plain);
         let bar: Vec<f64> = (0..16).map(|i| f64::from(i) - 7.5).collect();
-        system.vjp(start, &[0.3; 4], &bar, &mut plain_bar, &mut plain_u);
+        system.vjp(Inputs::new(start, &[0.3; 4]), &bar, Cotangents::of(&mut plain_bar, &mut plain_u));
         assert!(next.iter().zip(plain).all(|(a, b)| a.lane(lane) == b));
         assert!(x_bar.iter().zip(plain_bar).all(|(a, b)| a.0[0].lane(lane) == b));
         assert!(u_bar.iter().zip(plain_u).all(|(a, b)| a.0[0].lane(lane) == b));

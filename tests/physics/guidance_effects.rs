@@ -5,7 +5,9 @@ use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{
     Center, Drive, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, Obstacles, Spread, Walls,
 };
-use physgrad::{Actuated, Cotangent, Delay, Effect, Forced, Lag, Lanes, Limit, LimitKind, Real, Substeps, System, check};
+use physgrad::{
+    Actuated, Cotangent, Cotangents, Delay, Effect, Forced, Inputs, Lag, Lanes, Limit, LimitKind, Real, Substeps, System, check,
+};
 use rand::RngExt;
 
 fn agents(drivers: usize, evaders: usize) -> GuidanceSystem {
@@ -34,7 +36,7 @@ fn every_effect() -> Vec<GuidanceEffect> {
 }
 
 /// Draws fast agents on both sides of obstacles and walls.
-fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
+fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64], _p: &mut [f64]) {
     x.iter_mut().chain(u).for_each(|x| *x = rng.random_range(-2.5..2.5));
 }
 
@@ -47,7 +49,7 @@ fn states(model: &GuidanceSystem) -> Vec<Vec<f64>> {
     let mut rng = stream(0, Purpose::Check, 0);
     let state = |_| {
         let mut x = vec![0.0; System::state_dim(model)];
-        lively(&mut rng, &mut x, &mut []);
+        lively(&mut rng, &mut x, &mut [], &mut []);
         x
     };
     (0..100).map(state).collect()
@@ -55,21 +57,21 @@ fn states(model: &GuidanceSystem) -> Vec<Vec<f64>> {
 
 fn forces<E: Effect<GuidanceSystem>>(effect: &E, model: &GuidanceSystem, x: &[f64]) -> Vec<[f64; 2]> {
     let mut forces = vec![0.0; 2 * (model.drivers + model.evaders)];
-    effect.add_forces(model, x, &mut forces);
+    effect.add_forces(model, Inputs::new(x, &[]).continuous(0.0), &mut forces);
     forces.chunks_exact(2).map(|force| [force[0], force[1]]).collect()
 }
 
 fn step<S: System>(system: &S, x: &[f64], u: &[f64]) -> Vec<f64> {
     let mut next = vec![f64::NAN; x.len()];
-    system.step(x, u, &mut next);
+    system.step(Inputs::new(x, u), &mut next);
     next
 }
 
 /// Returns the next state, followed by the cotangents of state and control.
 fn step_and_vjp<S: System>(system: &S, x: &[f64], u: &[f64]) -> Vec<f64> {
     let bars: Vec<f64> = (0..x.len()).map(|i| (i as f64 * 1.3).cos()).collect();
-    let (mut x_bar, mut u_bar) = (vec![f64::NAN; x.len()], vec![f64::NAN; u.len()]);
-    system.vjp(x, u, &bars, &mut x_bar, &mut u_bar);
+    let (mut x_bar, mut u_bar) = (vec![0.0; x.len()], vec![0.0; u.len()]);
+    system.vjp(Inputs::new(x, u), &bars, Cotangents::of(&mut x_bar, &mut u_bar));
     [step(system, x, u), x_bar, u_bar].concat()
 }
 
@@ -247,7 +249,8 @@ fn obstacles_have_finite_derivatives_at_their_centers_and_worlds_away() {
         let obstacles = Obstacles { centers: vec![[0.0; 2]], radius: 0.5, stiffness: 10.0 };
         let x = [R::lift(0.6 * r), R::lift(0.8 * r), R::zero(), R::zero()];
         let mut bar = [R::null(); 4];
-        obstacles.vjp(&model, &x, &[R::one(), R::lift(-2.0)], &mut bar);
+        let bars = Cotangents { x: Some(&mut bar), ..Cotangents::default() };
+        obstacles.vjp(&model, Inputs::new(&x, &[]).continuous(0.0), &[R::one(), R::lift(-2.0)], bars);
         assert!(bar.iter().all(|&b| finite(b)), "{bar:?} at {r:e}");
     }
     for r in [0.0, 1e-300, 1e-40, 1e-20, 1e20, 1e38, 1e200, 1e308] {
@@ -260,8 +263,8 @@ fn obstacles_have_finite_derivatives_at_their_centers_and_worlds_away() {
     // Compares with dual numbers at all scales, including the center.
     let system = Forced { system: GuidanceSystem { dt: 0.5, ..agents(2, 2) }, effects: obstacles() };
     for scale in [0.0, 1e-200, 1e-20, 1e-6, 1e-2] {
-        let passed = check::try_system_at(&system, |rng, x, u| {
-            lively(rng, x, u);
+        let passed = check::try_system_at(&system, |rng, x, u, p| {
+            lively(rng, x, u, p);
             for agent in x.chunks_exact_mut(4) {
                 let [a, b] = [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0)];
                 (agent[0], agent[1]) = (0.5 + scale * a, -0.3 + scale * b);

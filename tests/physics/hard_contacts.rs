@@ -2,14 +2,14 @@
 
 use physgrad::policy::Mlp;
 use physgrad::tasks::{Bounce, BouncingBall, Contact, FrictionScheme, Push, Slider, SliderSystem, TwoBodies};
-use physgrad::{Float, Scalar, System, check};
+use physgrad::{Cotangents, Float, Inputs, Scalar, System, check};
 use rand::RngExt;
 
 const SPRING: Contact = Contact::Penalty { stiffness: 1e3, damping: 0.3 };
 
 fn step<S: System, F: Float>(system: &S, x: &[F], u: F) -> Vec<F> {
     let mut next = vec![F::lift(f64::NAN); x.len()];
-    system.step(x, &[u], &mut next);
+    system.step(Inputs::new(x, &[u]), &mut next);
     next
 }
 
@@ -20,9 +20,9 @@ fn run<S: System>(system: &S, x: &[f64], u: f64, steps: usize) -> Vec<f64> {
 /// Returns ∂S_i/∂x_j, with ∂S_i/∂u in the last column.
 fn jacobian<S: System>(system: &S, x: &[f64], u: f64) -> Vec<Vec<f64>> {
     let row = |i: usize| {
-        let (mut bar, mut x_bar, mut u_bar) = (vec![0.0; x.len()], vec![f64::NAN; x.len()], [f64::NAN]);
+        let (mut bar, mut x_bar, mut u_bar) = (vec![0.0; x.len()], vec![0.0; x.len()], [0.0]);
         bar[i] = 1.0;
-        system.vjp(x, &[u], &bar, &mut x_bar, &mut u_bar);
+        system.vjp(Inputs::new(x, &[u]), &bar, Cotangents::of(&mut x_bar, &mut u_bar));
         x_bar.push(u_bar[0]);
         x_bar
     };
@@ -63,7 +63,7 @@ fn sliders() -> impl Iterator<Item = SliderSystem> {
 fn sliders_of_every_smoothing() {
     for slider in sliders() {
         check::system(&slider);
-        let passed = check::try_system_at(&slider, |rng, x, u| {
+        let passed = check::try_system_at(&slider, |rng, x, u, _| {
             x[0] = rng.random_range(-1.0..1.0);
             x[1] = 10f64.powf(rng.random_range(-9.0..1.0)) * if rng.random() { 1.0 } else { -1.0 };
             u[0] = rng.random_range(-20.0..20.0);
@@ -157,7 +157,7 @@ fn pairs() -> [TwoBodies; 4] {
 fn contacts_of_every_kind() {
     for ball in balls() {
         check::system(&ball);
-        let passed = check::try_system_at(&ball, |rng, x, u| {
+        let passed = check::try_system_at(&ball, |rng, x, u, _| {
             x[0] = rng.random_range(0.0..0.02);
             x[1] = rng.random_range(-3.0..0.5);
             u[0] = rng.random_range(-5.0..5.0);
@@ -166,7 +166,7 @@ fn contacts_of_every_kind() {
     }
     for pair in pairs() {
         check::system(&pair);
-        let passed = check::try_system_at(&pair, |rng, x, u| {
+        let passed = check::try_system_at(&pair, |rng, x, u, _| {
             x[0] = rng.random_range(-1.0..1.0);
             x[1] = x[0] + pair.contact_distance + rng.random_range(0.0..0.02);
             x[2] = rng.random_range(0.0..3.0);

@@ -7,7 +7,8 @@ use physgrad::tasks::{
     CartPoleSystem, CoupledCartPole, DoublePendulum, LinearPlant, LossMode, Lqr, MassError, NoOptimum, PoleChain, Upright,
 };
 use physgrad::{
-    Evaluation, ImplicitMidpoint, Integrated, Ode, RungeKutta, SemiImplicit, Substeps, System, Task, Verlet, Weights, check,
+    Evaluation, ImplicitMidpoint, Inputs, Integrated, Ode, RungeKutta, SemiImplicit, Substeps, System, Task, Verlet, Weights,
+    check,
 };
 use rand::RngExt;
 
@@ -60,12 +61,12 @@ fn the_derivatives_of_mechanics_are_those_of_duals() {
 #[test]
 fn a_linearized_plant_moves_as_the_system_does_nearby() {
     let system = CartPoleSystem::default();
-    let plant = LinearPlant::linearized(&system, &[0.0; 4], &[0.0]);
+    let plant = LinearPlant::linearized(&system, Inputs::new(&[0.0; 4], &[0.0]));
     let (mut next, mut linear) = ([0.0; 4], [0.0; 4]);
     let far = |scale: f64| {
         let x: Vec<f64> = random(4, 3).iter().map(|x| x * scale).collect();
-        system.step(&x, &[scale], &mut next);
-        plant.step(&x, &[scale], &mut linear);
+        system.step(Inputs::new(&x, &[scale]), &mut next);
+        plant.step(Inputs::new(&x, &[scale]), &mut linear);
         next.iter().zip(&linear).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
     };
     let [near, nearer] = [1e-2, 1e-3].map({
@@ -130,8 +131,8 @@ fn with_one_pole_the_chain_is_the_coupled_model() {
     for case in 0..20 {
         let (x, u) = (random(4, case).iter().map(|x| 3.0 * x).collect::<Vec<_>>(), random(1, 100 + case));
         let (mut found, mut expected) = ([0.0; 4], [0.0; 4]);
-        Ode::rate(&one, &x, &u, &mut found);
-        Ode::rate(&coupled, &x, &u, &mut expected);
+        Ode::rate(&one, Inputs::new(&x, &u).continuous(0.0), &mut found);
+        Ode::rate(&coupled, Inputs::new(&x, &u).continuous(0.0), &mut expected);
         for (found, expected) in found.iter().zip(expected) {
             assert!((found - expected).abs() <= 1e-13 * (1.0 + expected.abs()), "{found} and {expected}");
         }
@@ -144,7 +145,7 @@ fn with_one_pole_the_chain_is_the_coupled_model() {
 fn power_missing<O: Ode>(ode: &O, energy: impl Fn(&[f64]) -> f64, power: impl Fn(&[f64], f64) -> f64, case: u64) -> f64 {
     let (x, u) = (random(ode.state_dim(), case), random(1, 50 + case));
     let mut rate = vec![0.0; x.len()];
-    ode.rate(&x, &u, &mut rate);
+    ode.rate(Inputs::new(&x, &u).continuous(0.0), &mut rate);
     let speed = rate.iter().fold(1.0, |largest: f64, rate| largest.max(rate.abs()));
     let width = 1e-4 / speed;
     let at = |h: f64| energy(&x.iter().zip(&rate).map(|(x, rate)| x + h * rate).collect::<Vec<_>>());
@@ -173,7 +174,7 @@ fn drift<S: System>(system: &S, steps: usize, energy: impl Fn(&[f64]) -> f64) ->
     let before = energy(&x);
     for _ in 0..steps {
         let from = x.clone();
-        system.step(&from, &[0.0], &mut x);
+        system.step(Inputs::new(&from, &[0.0]), &mut x);
     }
     (energy(&x) - before).abs()
 }

@@ -5,8 +5,8 @@ use physgrad::tasks::{
     Bumpers, CartDamping, CartPoleSystem, CoupledCartPole, DryFriction, GuidanceSystem, GustyWind, PoleDamping, SteadyWind,
 };
 use physgrad::{
-    Adaptive, AnyIntegrator, Cause, Discretized, Forced, ImplicitMidpoint, Integrated, Integrator, Ode, RungeKutta, Scalar,
-    SemiImplicit, Substeps, System, Verlet, check,
+    Adaptive, AnyIntegrator, Cause, Cotangents, Discretized, Forced, ImplicitMidpoint, Inputs, Integrated, Integrator, Ode,
+    OdeInputs, RungeKutta, Scalar, SemiImplicit, Substeps, System, Verlet, check,
 };
 use rand::RngExt;
 
@@ -62,7 +62,7 @@ impl Ode for ByDuals {
     fn control_dim(&self) -> usize {
         1
     }
-    fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
+    fn rate<T: Scalar>(&self, OdeInputs { x, u, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
         rate[0] = x[1];
         rate[1] = (T::one() - x[0] * x[0]) * x[1] - x[0] + u[0];
     }
@@ -78,8 +78,10 @@ fn reached<O: Ode + Clone, I: Integrator>(ode: &O, integrator: &I, span: f64, st
     let bar: Vec<f64> = (0..n).map(|_| rng.random_range(-1.0..1.0)).collect();
     let system = Substeps { system: integrated(ode.clone(), integrator.clone(), span / steps as f64), count: steps };
     let (mut next, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], vec![0.0; m]);
-    system.step(&x, &u, &mut next);
-    system.vjp(&x, &u, &bar, &mut x_bar, &mut u_bar);
+    let p = vec![0.4; ode.param_dim()];
+    let inputs = Inputs { p: &p, ..Inputs::new(&x, &u) };
+    system.step(inputs, &mut next);
+    system.vjp(inputs, &bar, Cotangents::of(&mut x_bar, &mut u_bar));
     x_bar.extend(u_bar);
     (next, x_bar)
 }
@@ -130,7 +132,7 @@ fn the_steps_of_the_tasks_are_their_integrators() {
         let mut rng = stream(0, Purpose::Test, 0);
         let mut numbers = |len: usize| (0..len).map(|_| rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
         let (x, u, mut next) = (numbers(system.state_dim()), numbers(system.control_dim()), numbers(system.state_dim()));
-        system.step(&x, &u, &mut next);
+        system.step(Inputs::new(&x, &u), &mut next);
         next
     }
     let own = cart_pole();
@@ -176,7 +178,7 @@ impl Ode for Stiff {
     fn control_dim(&self) -> usize {
         1
     }
-    fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
+    fn rate<T: Scalar>(&self, OdeInputs { x, u, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
         rate[0] = (u[0] - x[0]) * T::lift(self.rate) + x[0] * x[0] * T::lift(self.square);
     }
 }
@@ -204,7 +206,7 @@ fn an_unsolved_newton_step_is_nan() {
     // x' = x + h ((x + x') / 2)² has no real solution for h x > 1/2.
     let system = integrated(Stiff { rate: 0.0, square: 1.0 }, ImplicitMidpoint::default(), 10.0);
     let mut next = [0.0_f64];
-    system.step(&[1.0], &[0.0], &mut next);
+    system.step(Inputs::new(&[1.0], &[0.0]), &mut next);
     assert!(next[0].is_nan(), "{next:?}");
 }
 
@@ -220,7 +222,7 @@ impl Ode for Springs {
     fn control_dim(&self) -> usize {
         1
     }
-    fn rate<T: Scalar>(&self, x: &[T], _u: &[T], rate: &mut [T]) {
+    fn rate<T: Scalar>(&self, OdeInputs { x, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
         (rate[0], rate[2]) = (x[1], x[3]);
         rate[1] = (x[2] - x[0] - x[0]) * T::lift(3.0);
         rate[3] = (x[0] - x[2] - x[2] * x[2] * x[2]) * T::lift(3.0);
@@ -244,7 +246,7 @@ fn symplectic_methods_keep_energy_without_a_trend() {
         let mut worst = [0.0_f64; 2];
         for t in 0..steps {
             let mut next = vec![0.0; 4];
-            system.step(&x, &[0.0], &mut next);
+            system.step(Inputs::new(&x, &[0.0]), &mut next);
             x = next;
             let error = (energy(&x) - start).abs();
             let error = if error.is_nan() { f64::INFINITY } else { error };
@@ -287,7 +289,7 @@ impl Ode for Exploding {
     fn control_dim(&self) -> usize {
         1
     }
-    fn rate<T: Scalar>(&self, x: &[T], _u: &[T], rate: &mut [T]) {
+    fn rate<T: Scalar>(&self, OdeInputs { x, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
         rate[0] = x[0].exp();
     }
 }
@@ -298,16 +300,16 @@ fn an_unsolvable_step_is_nan_and_reports_its_residual() {
     let mut next = [0.0_f64];
     // x' = h exp(x' / 2) has a solution up to h = 2 / e = 0.7358.
     for (dt, solved) in [(0.5, true), (0.77, false)] {
-        of(dt).step(&[0.0], &[0.0], &mut next);
+        of(dt).step(Inputs::new(&[0.0], &[0.0]), &mut next);
         assert_eq!(next[0].is_finite(), solved, "{dt}");
-        let residual = of(dt).diagnose(&[0.0], &[0.0]).map(|cause| match cause {
+        let residual = of(dt).diagnose(Inputs::new(&[0.0], &[0.0])).map(|cause| match cause {
             Cause::Unsolved(residual) => residual,
             Cause::Effect(name) => panic!("{name}"),
         });
         assert_eq!(residual.is_none(), solved, "{dt}: {residual:?}");
         // Wrappers forward the cause.
         let around = Substeps { system: of(dt), count: 1 };
-        assert_eq!(around.diagnose(&[0.0], &[0.0]), residual.map(Cause::Unsolved));
+        assert_eq!(around.diagnose(Inputs::new(&[0.0], &[0.0])), residual.map(Cause::Unsolved));
         // No state has a smaller residual.
         assert!(residual.is_none_or(|residual| residual > 2.0 * (dt * 0.5 * std::f64::consts::E).ln()), "{residual:?}");
     }

@@ -3,7 +3,7 @@
 use physgrad::policy::{Conv, PolicyColumns, PolicyPass};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{LossMode, Quantum, QuantumSystem};
-use physgrad::{Policy, Scalar, System, Task, Weights, check, initial_states};
+use physgrad::{Cotangents, Inputs, Policy, Scalar, System, Task, Weights, check, initial_states};
 use serde_json::Value;
 
 fn system(grid: usize) -> QuantumSystem {
@@ -20,7 +20,7 @@ fn derivatives_on_any_grid() {
         println!("grid {grid}: {:?}", check::system(&system(grid)));
     }
     // Large controls: the matrix of the step is not diagonally dominant.
-    let draw = |_: &mut _, x: &mut [f64], u: &mut [f64]| {
+    let draw = |_: &mut _, x: &mut [f64], u: &mut [f64], _: &mut [f64]| {
         x.iter_mut().enumerate().for_each(|(i, x)| *x = (i as f64).sin());
         u[0] = -500.0;
     };
@@ -104,8 +104,8 @@ fn steps_and_eigenstates_are_the_authors() {
     for case in 0..control.len() {
         let (at, u) = (case * 64..(case + 1) * 64, [control[case]]);
         let (mut next, mut x_bar, mut u_bar) = (vec![0.0; 64], vec![0.0; 64], [0.0]);
-        system.step(&state[at.clone()], &u, &mut next);
-        system.vjp(&state[at.clone()], &u, &cotangent[at.clone()], &mut x_bar, &mut u_bar);
+        system.step(Inputs::new(&state[at.clone()], &u), &mut next);
+        system.vjp(Inputs::new(&state[at.clone()], &u), &cotangent[at.clone()], Cotangents::of(&mut x_bar, &mut u_bar));
         let errors =
             [error(&next, &expected[0][at.clone()]), error(&x_bar, &expected[1][at]), error(&u_bar, &expected[2][case..=case])];
         worst = std::array::from_fn(|i| worst[i].max(errors[i]));
@@ -123,7 +123,7 @@ fn probability_is_conserved() {
     let (mut x, mut next) = (initial_states(&task, 0, Purpose::Test, 1), vec![0.0; 64]);
     for step in 0..100_000 {
         let u = [30.0 * (0.1 * f64::from(step)).sin()];
-        system.step(&x, &u, &mut next);
+        system.step(Inputs::new(&x, &u), &mut next);
         std::mem::swap(&mut x, &mut next);
     }
     println!("norm - 1 after 1e5 steps: {:.1e}", norm(&x) - 1.0);
@@ -137,14 +137,14 @@ fn the_adjoint_through_the_physics_keeps_its_norm() {
     let controls: Vec<[f64; 1]> = (0..10_000).map(|step| [20.0 * (0.3 * f64::from(step)).cos()]).collect();
     for u in &controls {
         let mut next = vec![0.0; 64];
-        task.system.step(states.last().expect("a state"), u, &mut next);
+        task.system.step(Inputs::new(states.last().expect("a state"), u), &mut next);
         states.push(next);
     }
     let mut lambda: Vec<f64> = (0..64).map(|i| Scalar::sin(f64::from(i))).collect();
     let before = norm(&lambda);
     for (x, u) in states.iter().zip(&controls).rev() {
         let (mut x_bar, mut u_bar) = (vec![0.0; 64], [0.0]);
-        task.system.vjp(x, u, &lambda, &mut x_bar, &mut u_bar);
+        task.system.vjp(Inputs::new(x, u), &lambda, Cotangents::of(&mut x_bar, &mut u_bar));
         lambda = x_bar;
     }
     println!("relative change of the adjoint's norm after 1e4 steps: {:.1e}", norm(&lambda) / before - 1.0);
@@ -159,7 +159,7 @@ fn starts_are_mixtures_of_the_two_lowest_eigenstates() {
         for x in initial_states(&task, 0, Purpose::Train, samples).chunks_exact(64) {
             assert!((norm(x) - 1.0).abs() < 1e-13);
             for (target, mean) in (1..).zip(&mut mean) {
-                *mean += (1.0 - Quantum { target, ..task }.stage_cost(x, &[0.0])) / samples as f64;
+                *mean += (1.0 - Quantum { target, ..task }.running_cost(Inputs::new(x, &[0.0]), x)) / samples as f64;
             }
         }
         // E[w₁²n₁² / (w₁²n₁² + w₂²n₂²)] = w₁ / (w₁ + w₂).

@@ -7,8 +7,8 @@ use physgrad::tasks::{
     Absorbing, AbsorbingEdges, Cubic, LossMode, Quantum, QuantumEffect, QuantumSystem, Renormalized, Tabulated,
 };
 use physgrad::{
-    Actuated, Counted, Delay, Effect, Forced, HasModel, Limit, LimitKind, Ops, Scalar, Substeps, System, Task, check,
-    initial_states,
+    Actuated, Cotangents, Counted, Delay, Effect, Forced, HasModel, Inputs, Limit, LimitKind, Ops, Scalar, Start, Substeps,
+    System, Task, check, initial_states,
 };
 
 #[test]
@@ -26,12 +26,19 @@ fn the_derivatives_of_every_effect_are_those_of_duals() {
 #[test]
 fn effects_may_depend_on_time() {
     let system = Forced { system: dipole(8), effects: (Swinging, Cubic::default()) };
-    assert_eq!(system.state_dim(), 17);
+    assert_eq!((system.state_dim(), system.param_dim()), (16, 1));
     check_lively(&system);
-    let x: Vec<f64> = (0..17).map(|i| Scalar::sin(f64::from(i))).collect();
-    assert_eq!(step(&system, &x, 1.0)[16], x[16] + 0.0625);
+    let x: Vec<f64> = (0..16).map(|i| Scalar::sin(f64::from(i + 1))).collect();
+    // The phase shifts the time: 0.0625 s per step.
+    let after = |t: usize, phase: f64| {
+        let mut next = vec![f64::NAN; 16];
+        system.step(Inputs { t, p: &[phase], ..Inputs::new(&x, &[1.0]) }, &mut next);
+        next
+    };
+    assert_eq!(after(4, 0.5), after(0, 0.75));
+    assert_ne!(after(4, 0.5), after(0, 0.5));
     let task = Quantum { horizon: 6, ..Quantum::with_system(system, 2) };
-    check::task(&task, &Linear::with_bias(17, 1));
+    check::task(&task, &Linear::with_bias(16, 1));
     let start: Vec<f64> = initial_states(&task, 0, Purpose::Train, 1);
     assert!((norm(&start[..16]) - 1.0).abs() < 1e-13 && start[16] > 0.0 && start[16] <= 1.0);
 }
@@ -72,9 +79,9 @@ fn everything<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
     let bar: Vec<f64> = (0..n).map(|i| Scalar::sin(i as f64)).collect();
     let (mut x_bar, mut u_bar) = (vec![0.0; 2 * n], [0.0; 2]);
     let (both, state) = x_bar.split_at_mut(n);
-    system.vjp(x, &[u], &bar, both, &mut u_bar[..1]);
-    system.vjp_state(x, &[u], &bar, state);
-    system.vjp_control(x, &[u], &bar, &mut u_bar[1..]);
+    system.vjp(Inputs::new(x, &[u]), &bar, Cotangents::of(both, &mut u_bar[..1]));
+    system.vjp(Inputs::new(x, &[u]), &bar, Cotangents { x: Some(state), ..Cotangents::default() });
+    system.vjp(Inputs::new(x, &[u]), &bar, Cotangents { u: Some(&mut u_bar[1..]), ..Cotangents::default() });
     [step(system, x, u), x_bar, u_bar.to_vec()].concat()
 }
 
@@ -83,7 +90,7 @@ fn lists_equal_tuples_and_zero_effects_change_nothing() {
     let mut rng = stream(0, Purpose::Check, 0);
     for system in [box_of(32), dipole(33)] {
         let (mut x, mut u) = (vec![0.0; 2 * system.grid], [0.0]);
-        lively(&mut rng, &mut x, &mut u);
+        lively(&mut rng, &mut x, &mut u, &mut []);
         let typed = everything(&Forced { system, effects: every_effect_typed() }, &x, u[0]);
         assert_eq!(typed, everything(&Forced { system, effects: every_effect() }, &x, u[0]));
 
@@ -104,10 +111,10 @@ fn counts<S: System>(system: &S) -> [Ops; 4] {
     let x: Vec<Counted> = (0..n).map(|i| Counted(Scalar::sin(i as f64))).collect();
     let (u, mut next, mut x_bar, mut u_bar) = ([Counted(3.0)], x.clone(), x.clone(), [Counted(0.0)]);
     [
-        Ops::of(|| system.step(&x, &u, &mut next)).0,
-        Ops::of(|| system.vjp(&x, &u, &x, &mut x_bar, &mut u_bar)).0,
-        Ops::of(|| system.vjp_state(&x, &u, &x, &mut x_bar)).0,
-        Ops::of(|| system.vjp_control(&x, &u, &x, &mut u_bar)).0,
+        Ops::of(|| system.step(Inputs::new(&x, &u), &mut next)).0,
+        Ops::of(|| system.vjp(Inputs::new(&x, &u), &x, Cotangents::of(&mut x_bar, &mut u_bar))).0,
+        Ops::of(|| system.vjp(Inputs::new(&x, &u), &x, Cotangents { x: Some(&mut x_bar), ..Cotangents::default() })).0,
+        Ops::of(|| system.vjp(Inputs::new(&x, &u), &x, Cotangents { u: Some(&mut u_bar), ..Cotangents::default() })).0,
     ]
 }
 
@@ -124,14 +131,14 @@ fn an_effect_costs_only_its_own_operations() {
     // multiplications, a negation and a division.
     let eliminated = Ops { divide: n, negate: n, ..sums(4 * n, 8 * n + 1) };
     assert_eq!(plain[0], eliminated + solve + sums(4 * n, 0));
-    // Elimination, conjugation, and one solve.
-    let state = eliminated + Ops { negate: n + 1, ..solve } + sums(4 * n, 0);
+    // Elimination, conjugation, one solve, and the addition to the output.
+    let state = eliminated + Ops { negate: n + 1, ..solve } + sums(4 * n + 2 * n, 0);
     assert_eq!(plain[2], state);
     // Two solves, the cotangents of the potential, Im(w̄ y) times dt, and that of the control.
     let potential = sums(n, 3 * n);
-    let control = sums(n, n);
+    let control = sums(n + 1, n);
     assert_eq!(plain[1], state + solve + potential + control);
-    assert_eq!(plain[3], plain[1]);
+    assert_eq!(plain[3] + sums(2 * n, 0), plain[1]);
     assert_eq!(counts(&dipole(32)), plain);
     assert_eq!(counts(&Forced { system: model, effects: () }), plain);
     assert_eq!(counts(&Forced { system: model, effects: Vec::<QuantumEffect>::new() }), plain);
@@ -170,14 +177,14 @@ fn a_wrapped_task_has_the_costs_of_the_model() {
     let around = Quantum { loss: LossMode::Terminal, ..Quantum::with_system(system, 2) };
     assert_eq!(HasModel::<QuantumSystem>::model(around.system()), &plain.system);
     let (mut x, mut more) = (vec![0.0; 64], vec![0.0; 65]);
-    plain.start(&mut stream(0, Purpose::Train, 3), &mut x);
-    around.start(&mut stream(0, Purpose::Train, 3), &mut more);
+    plain.start(&mut stream(0, Purpose::Train, 3), Start { x: &mut x, p: &mut [] });
+    around.start(&mut stream(0, Purpose::Train, 3), Start { x: &mut more, p: &mut [] });
     assert_eq!(more, [&x[..], &[0.0]].concat());
     more[64] = 7.0;
-    assert_eq!(around.terminal_cost(&more), plain.terminal_cost(&x));
-    let (mut bar, mut more_bar) = (vec![f64::NAN; 64], vec![f64::NAN; 65]);
-    plain.terminal_cost_gradient(&x, &mut bar);
-    around.terminal_cost_gradient(&more, &mut more_bar);
+    assert_eq!(around.terminal_cost(&more, &[]), plain.terminal_cost(&x, &[]));
+    let (mut bar, mut more_bar) = (vec![0.0; 64], vec![0.0; 65]);
+    plain.terminal_cost_gradient(&x, &[], &mut bar, None);
+    around.terminal_cost_gradient(&more, &[], &mut more_bar, None);
     assert_eq!(more_bar, [&bar[..], &[0.0]].concat());
 }
 
@@ -186,7 +193,7 @@ fn a_table_has_the_values_and_derivatives_of_its_potential() {
     let mut rng = stream(0, Purpose::Check, 0);
     let system = dipole(33);
     let (mut x, mut u) = (vec![0.0; 2 * system.grid], [0.0]);
-    lively(&mut rng, &mut x, &mut u);
+    lively(&mut rng, &mut x, &mut u, &mut []);
     for effect in every_effect().into_iter().filter(|effect| !effect.state_dependent()) {
         let table = Tabulated::of(&system, &effect);
         let typed = everything(&Forced { system, effects: (table.clone(), Cubic::default()) }, &x, u[0]);
@@ -207,8 +214,10 @@ fn a_renormalized_wave_keeps_its_direction_and_its_derivatives() {
         check_lively(&Renormalized { system: box_of(grid) });
         check_lively(&Renormalized { system: Substeps { system: box_of(grid), count: 3 } });
     }
+    check_lively(&Renormalized { system: Forced { system: dipole(8), effects: (Swinging, Cubic::default()) } });
     // State components beyond the wave are unaffected.
-    let system = Renormalized { system: Forced { system: dipole(8), effects: (Swinging, Cubic::default()) } };
+    let system = Forced { system: dipole(8), effects: Cubic::default() };
+    let system = Renormalized { system: Actuated { system, actuator: Delay { steps: 1 } } };
     check_lively(&system);
     let mut x: Vec<f64> = (0..17).map(|i| Scalar::sin(f64::from(i))).collect();
     x[16] = 2.0;

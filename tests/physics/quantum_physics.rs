@@ -3,12 +3,12 @@
 use crate::boxes::{box_of, densities, dipole, every_effect, largest_difference, lively, norm, overlap, packet, run, step, wave};
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{Absorbing, AbsorbingEdges, Barrier, Cubic, DoubleWell, Harmonic, Quantum, QuantumSystem};
-use physgrad::{Cotangent, Effect, Forced, Real, Scalar, Task};
+use physgrad::{Cotangent, Cotangents, Effect, Forced, Inputs, OdeInputs, Real, Scalar, Start, Task};
 use std::f64::consts::{PI, TAU};
 
 fn potential<E: Effect<QuantumSystem>>(effect: &E, model: &QuantumSystem) -> Vec<f64> {
     let mut potential = vec![0.0; model.grid];
-    effect.add_forces(model, &vec![0.0; 2 * model.grid], &mut potential);
+    effect.add_forces(model, Inputs::new(&vec![0.0; 2 * model.grid], &[]).continuous(0.0), &mut potential);
     potential
 }
 
@@ -17,7 +17,7 @@ fn every_real_potential_keeps_the_norm() {
     for effects in every_effect().into_iter().map(|effect| vec![effect]).chain([every_effect()]) {
         let system = Forced { system: dipole(32), effects };
         let mut x = vec![0.0; 64];
-        Quantum::new(3).start(&mut stream(0, Purpose::Test, 0), &mut x);
+        Quantum::new(3).start(&mut stream(0, Purpose::Test, 0), Start { x: &mut x, p: &mut [] });
         for t in 0..5000 {
             x = step(&system, &x, 30.0 * (0.1 * f64::from(t)).sin());
         }
@@ -188,7 +188,7 @@ fn a_mirrored_state_under_the_opposite_control_stays_mirrored() {
     let mut rng = stream(0, Purpose::Check, 1);
     for grid in [32, 33] {
         let (mut x, mut u) = (vec![0.0; 2 * grid], [0.0]);
-        lively(&mut rng, &mut x, &mut u);
+        lively(&mut rng, &mut x, &mut u, &mut []);
         let mirrored = mirror(&step(&dipole(grid), &mirror(&x), -u[0]));
         assert!(largest_difference(&step(&dipole(grid), &x, u[0]), &mirrored) < 1e-14);
         let mirrored = mirror(&step(&box_of(grid), &mirror(&x), -u[0]));
@@ -221,10 +221,17 @@ fn a_dipole_is_a_tilt_up_to_a_global_phase_and_the_time_step() {
 struct Uniform(f64);
 
 impl Effect<QuantumSystem> for Uniform {
-    fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _inputs: OdeInputs<'_, T>, forces: &mut [T]) {
         forces.iter_mut().for_each(|v| *v += T::lift(self.0));
     }
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _forces_bar: &[C], _x_bar: &mut [C]) {}
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        _model: &QuantumSystem,
+        _inputs: OdeInputs<'_, R>,
+        _forces_bar: &[C],
+        _bars: Cotangents<'_, C>,
+    ) {
+    }
     fn state_dependent(&self) -> bool {
         false
     }

@@ -9,8 +9,8 @@ use physgrad::tasks::{
     Absorbing, AbsorbingEdges, Cubic, Harmonic, Pade, Quantum, QuantumEffect, QuantumScheme, QuantumSystem, Strang,
 };
 use physgrad::{
-    Actuated, Counted, Delay, Effect, Forced, ForcedSystem, Limit, LimitKind, Ops, Scalar, Substeps, System, Task, check,
-    initial_states,
+    Actuated, Cotangents, Counted, Delay, Effect, Forced, ForcedSystem, Inputs, Limit, LimitKind, OdeInputs, Ops, Scalar,
+    Substeps, System, Task, check, initial_states,
 };
 use std::f64::consts::{PI, TAU};
 
@@ -51,7 +51,7 @@ fn everything<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
     let n = x.len();
     let bar: Vec<f64> = (0..n).map(|i| Scalar::sin(i as f64)).collect();
     let (mut x_bar, mut u_bar) = (vec![0.0; n], [0.0]);
-    system.vjp(x, &[u], &bar, &mut x_bar, &mut u_bar);
+    system.vjp(Inputs::new(x, &[u]), &bar, Cotangents::of(&mut x_bar, &mut u_bar));
     [step(system, x, u), x_bar, u_bar.to_vec()].concat()
 }
 
@@ -59,7 +59,7 @@ fn everything<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
 fn run_time_schemes_and_lists_have_the_bits_of_typed_ones() {
     fn same<H: ForcedSystem<Model = QuantumSystem> + System + Clone>(alone: &H, chosen: &QuantumScheme) -> Vec<f64> {
         let (mut x, mut u) = (vec![0.0; alone.model().grid * 2], [0.0]);
-        lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u);
+        lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u, &mut []);
         let plain = everything(alone, &x, u[0]);
         assert_eq!(plain, everything(chosen, &x, u[0]));
         assert_eq!(plain, everything(&Forced { system: alone.clone(), effects: Vec::<QuantumEffect>::new() }, &x, u[0]));
@@ -106,10 +106,15 @@ fn rollout<E: Effect<QuantumSystem>>(scheme: usize, effects: &E, count: usize) -
         states.push(step(&task.system, &states[k], control(k)));
     }
     let (mut bar, mut gradient) = (vec![0.0; 2 * model.grid], vec![0.0; PIECES]);
-    task.stage_cost_gradient(&states[PIECES], &[0.0], &mut bar, &mut [0.0]);
+    task.running_cost_gradient(
+        Inputs::new(&states[PIECES], &[0.0]),
+        &states[PIECES],
+        Cotangents { u: Some(&mut [0.0]), ..Cotangents::default() },
+        &mut bar,
+    );
     for k in (0..PIECES).rev() {
-        let mut x_bar = bar.clone();
-        task.system.vjp(&states[k], &[control(k)], &bar, &mut x_bar, &mut gradient[k..=k]);
+        let mut x_bar = vec![0.0; bar.len()];
+        task.system.vjp(Inputs::new(&states[k], &[control(k)]), &bar, Cotangents::of(&mut x_bar, &mut gradient[k..=k]));
         bar = x_bar;
     }
     (states[PIECES].clone(), gradient)
@@ -176,12 +181,12 @@ fn a_step_of_pade_is_two_of_crank_and_nicolson_with_shifted_energies() {
     #[derive(Clone, Debug)]
     struct Shift(f64);
     impl Effect<QuantumSystem> for Shift {
-        fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _x: &[T], potential: &mut [T]) {
+        fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _inputs: OdeInputs<'_, T>, potential: &mut [T]) {
             potential.iter_mut().for_each(|v| *v += T::lift(self.0));
         }
     }
     let (mut x, mut u) = (vec![0.0; 64], [0.0]);
-    lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u);
+    lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u, &mut []);
     let (model, shift) = (box_of(32), 3f64.sqrt() / 0.0625);
     let part = QuantumSystem { dt: model.dt * 2.0 / 3.0, ..model };
     let halfway = step(&Forced { system: part, effects: Shift(-shift) }, &x, u[0]);
@@ -195,7 +200,7 @@ fn strang_moves_free_particles_exactly() {
     for grid in [3, 6, 7, 33, 300] {
         let model = QuantumSystem { length: 2.0 * (grid + 1) as f64 / 33.0, ..box_of(grid) };
         let (mut x, mut u) = (vec![0.0; 2 * grid], [0.0]);
-        lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u);
+        lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u, &mut []);
         let mut expected = vec![0.0; 2 * grid];
         for number in 1..=grid {
             let phi: Vec<f64> = (1..=grid).map(|j| (PI * (number * j) as f64 / (grid + 1) as f64).sin()).collect();
@@ -219,10 +224,10 @@ fn counts<S: System>(system: &S) -> [Ops; 4] {
     let x: Vec<Counted> = (0..n).map(|i| Counted(Scalar::sin(i as f64))).collect();
     let (u, mut next, mut x_bar, mut u_bar) = ([Counted(3.0)], x.clone(), x.clone(), [Counted(0.0)]);
     [
-        Ops::of(|| system.step(&x, &u, &mut next)).0,
-        Ops::of(|| system.vjp(&x, &u, &x, &mut x_bar, &mut u_bar)).0,
-        Ops::of(|| system.vjp_state(&x, &u, &x, &mut x_bar)).0,
-        Ops::of(|| system.vjp_control(&x, &u, &x, &mut u_bar)).0,
+        Ops::of(|| system.step(Inputs::new(&x, &u), &mut next)).0,
+        Ops::of(|| system.vjp(Inputs::new(&x, &u), &x, Cotangents::of(&mut x_bar, &mut u_bar))).0,
+        Ops::of(|| system.vjp(Inputs::new(&x, &u), &x, Cotangents { x: Some(&mut x_bar), ..Cotangents::default() })).0,
+        Ops::of(|| system.vjp(Inputs::new(&x, &u), &x, Cotangents { u: Some(&mut u_bar), ..Cotangents::default() })).0,
     ]
 }
 
@@ -232,8 +237,11 @@ fn a_step_of_pade_costs_two_and_works_out_the_potential_once() {
     let (crank_nicolson, pade) = (counts(&box_of(32)), counts(&Pade(box_of(32))));
     // The reverse pass recomputes the state between the factors, and adds the cotangents of both.
     let more = [sums(0, 0), sums(4 * 32 + 1, 0), sums(0, 0), sums(4 * 32 + 1, 0)];
+    // Additions to the requested cotangents, once per step.
+    let outputs = [sums(0, 0), sums(64 + 1, 0), sums(64, 0), sums(1, 0)];
     for i in 0..4 {
-        assert_eq!(pade[i] + sums(0, 32), crank_nicolson[i] + crank_nicolson[i] + more[i], "{i}");
+        let one = crank_nicolson[i] - outputs[i];
+        assert_eq!(pade[i] + sums(0, 32), one + one + more[i] + outputs[i], "{i}");
     }
     assert_eq!(counts(&QuantumScheme::Pade(Pade(box_of(32)))), pade);
 }

@@ -108,7 +108,7 @@ fn reported_bytes_equal_those_of_the_library() {
         let task = CartPole { horizon, ..CartPole::with_system(system) };
         let Some(field) = field else { return Rollout::<f32>::for_evaluation(&task, &policy, samples).stored_bytes() };
         let rollout = Rollout::<f32>::new(&task, &policy, samples);
-        rollout.stored_bytes() + Adjoint::new(&policy, &rollout, &field.flows()).stored_bytes()
+        rollout.stored_bytes() + Adjoint::new(&task, &policy, &rollout, &field.flows()).stored_bytes()
     };
     let told = |name: &str| row(&rows, name)[1..].iter().map(|cell| cell.parse::<usize>().expect("a number")).collect::<Vec<_>>();
     let fields = Field::ALL.map(|field| (field.to_string(), Some(field)));

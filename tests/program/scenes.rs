@@ -287,7 +287,7 @@ fn states_that_effects_and_actuators_add_are_named_in_trajectories() {
     train_scene(Path::new("cart_pole_windy"), dir.path(), &few).assert().success();
     let text = fs::read_to_string(dir.path().join("trajectory.csv")).expect("trajectories");
     let header = text.lines().next().expect("a header");
-    assert!(header.ends_with("omega_2,time_of_gusts,force_in_1,force_in_2,force_before,force,force_applied"), "{header}");
+    assert!(header.ends_with("omega_2,force_in_1,force_in_2,force_before,start_of_gusts,force,force_applied"), "{header}");
     let widths: Vec<usize> = text.lines().map(|line| line.split(',').count()).collect();
     assert!(widths.iter().all(|&width| width == widths[0]), "every state has its number");
 }

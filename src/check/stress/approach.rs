@@ -4,6 +4,7 @@ use super::steps::finite;
 use super::{Case, Finding};
 use crate::check::{self, Stability};
 use crate::dynamics::effect::Forced;
+use crate::dynamics::inputs::Inputs;
 use crate::dynamics::integrator::{AnyIntegrator, ImplicitMidpoint, Integrated, SemiImplicit};
 use crate::dynamics::outline::step;
 use crate::dynamics::substeps::Substeps;
@@ -70,7 +71,7 @@ fn energies(system: &impl System, strength: f64, steps: usize) -> (bool, f64, f6
     let first = energy(strength, &x);
     let (mut all, mut lowest, mut highest) = (true, f64::INFINITY, 0.0f64);
     for _ in 0..steps {
-        step(system, &x, &[0.0; 4], &mut next);
+        step(system, Inputs::new(&x, &[0.0; 4]), &mut next);
         x = next;
         all &= finite(&x);
         let share = energy(strength, &x) / first;
@@ -80,7 +81,7 @@ fn energies(system: &impl System, strength: f64, steps: usize) -> (bool, f64, f6
 }
 
 fn close(system: &impl System) -> Stability {
-    check::stability(system, &[0.0, 0.0, 0.0, 0.0, 1e-6, 0.0, 0.0, 0.0], &[0.0; 4])
+    check::stability(system, Inputs::new(&[0.0, 0.0, 0.0, 0.0, 1e-6, 0.0, 0.0, 0.0], &[0.0; 4]))
 }
 
 fn guidance_close_approach() -> Vec<Finding> {

@@ -2,6 +2,7 @@
 
 use super::{Case, Finding};
 use crate::check;
+use crate::dynamics::inputs::Inputs;
 use crate::dynamics::integrator::{Integrated, SemiImplicit};
 use crate::dynamics::ode::Ode;
 use crate::numbers::rng::{Purpose, stream};
@@ -113,7 +114,7 @@ fn worst<F: Float, O: Ode>(
         let x: Vec<F> = (0..n).map(draw).collect();
         let u = F::lift(rng.random_range(-10.0..10.0));
         let mut rate = vec![F::zero(); n];
-        ode.rate(&x, &[u], &mut rate);
+        ode.rate(Inputs::new(&x, &[u]).continuous(0.0), &mut rate);
         residual(model, &plain(&x), &plain(&rate), u.as_())
     });
     residuals.fold(0.0, larger)

@@ -6,6 +6,7 @@
 //! agree.
 
 use super::{Case, Finding};
+use crate::dynamics::inputs::{Cotangents, Inputs, Tangents};
 use crate::dynamics::integrator::{Integrated, RungeKutta};
 use crate::dynamics::system::System;
 use crate::tasks::DoublePendulum;
@@ -58,7 +59,7 @@ fn rollout(system: &Pendulum, start: State, steps: usize) -> Vec<State> {
     states.push(start);
     for t in 0..steps {
         let mut next = [0.0; 4];
-        system.step(&states[t], &[0.0], &mut next);
+        system.step(Inputs::new(&states[t], &[0.0]), &mut next);
         states.push(next);
     }
     states
@@ -76,7 +77,7 @@ fn normalize(v: &mut State) -> f64 {
 fn by_tangents(system: &Pendulum, states: &[State]) -> f64 {
     let (mut tangent, mut next, mut growth) = ([0.5; 4], [0.0; 4], 0.0);
     for x in &states[..states.len() - 1] {
-        system.jvp_state(x, &[0.0], &tangent, &mut next);
+        system.jvp(Inputs::new(x, &[0.0]), Tangents { x: Some(&tangent), ..Tangents::default() }, &mut next);
         growth += normalize(&mut next);
         tangent = next;
     }
@@ -86,9 +87,10 @@ fn by_tangents(system: &Pendulum, states: &[State]) -> f64 {
 /// Adjoint of the final first angle at the initial state: growth in e-foldings, and normalized
 /// value.
 fn adjoint(system: &Pendulum, states: &[State]) -> (f64, State) {
-    let (mut bar, mut x_bar, mut growth) = ([1.0, 0.0, 0.0, 0.0], [0.0; 4], 0.0);
+    let (mut bar, mut growth) = ([1.0, 0.0, 0.0, 0.0], 0.0);
     for x in states[..states.len() - 1].iter().rev() {
-        system.vjp_state(x, &[0.0], &bar, &mut x_bar);
+        let mut x_bar = [0.0; 4];
+        system.vjp(Inputs::new(x, &[0.0]), &bar, Cotangents { x: Some(&mut x_bar), ..Cotangents::default() });
         growth += normalize(&mut x_bar);
         bar = x_bar;
     }

@@ -3,6 +3,7 @@
 use super::steps::{derivative, larger, states};
 use super::{Case, Finding};
 use crate::check;
+use crate::dynamics::inputs::Inputs;
 use crate::dynamics::outline::step;
 use crate::dynamics::system::System;
 use crate::engine::any;
@@ -140,7 +141,7 @@ impl Example {
         let u = x.pop().expect("a control");
         let mut next = x.clone();
         for _ in 0..self.steps(dt) {
-            step(system, &x, &[u], &mut next);
+            step(system, Inputs::new(&x, &[u]), &mut next);
             std::mem::swap(&mut x, &mut next);
         }
         self.off(x[self.component].tangents)
@@ -200,7 +201,7 @@ impl System for Reflected {
         1
     }
 
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let (dt, zero) = (T::lift(self.0.dt), T::zero());
         let speed = x[1] + (u[0] - T::lift(self.0.gravity)) * dt;
         next[0] = x[0] + speed * dt;
@@ -256,7 +257,7 @@ fn damped_ball() -> [Finding; 2] {
 fn too_stiff() -> Finding {
     let contact = Contact::Penalty { stiffness: 1e6, damping: 0.0 };
     let system = BouncingBall { contact, ..BouncingBall::default() };
-    let report = check::stability(&system, &[-1e-3, 0.0], &[0.0]);
+    let report = check::stability(&system, Inputs::new(&[-1e-3, 0.0], &[0.0]));
     let error = ball("", 1.0, 1.0, -0.5, 0.55).error(&system, system.dt);
     let measured = format!("{report}; relative error of derivatives {:.0} %", 100.0 * error);
     Finding::holds("1e6 N/m in steps of 0.01 s", "reported as unstable", !report.is_stable(), measured)

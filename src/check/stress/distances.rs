@@ -3,6 +3,7 @@
 use super::steps::{error, finite, larger, vjp_by_jvps};
 use super::{Case, Finding};
 use crate::dynamics::effect::Forced;
+use crate::dynamics::inputs::{Inputs, Tangents};
 use crate::dynamics::outline::step;
 use crate::dynamics::system::System;
 use crate::engine::any::{AnySystem, vjp};
@@ -43,7 +44,7 @@ fn crowd() -> Crowd {
 fn guidance_distances() -> Vec<Finding> {
     let mut findings = at::<f64>(&[0.0, 1e-300, 1e-160, 1e-20, 1e-8, 1e8], 1e-12);
     findings.extend(at::<f32>(&[0.0, 1e-30, 1e-10], 1e-5));
-    let [x_bar, _] = vjp(&Unguarded, &[6e-301, 8e-301], &[], &[1.0; 2]);
+    let [x_bar, ..] = vjp(&Unguarded, Inputs::new(&[6e-301, 8e-301], &[]), &[1.0; 2]);
     let whether = finite(&x_bar);
     findings.push(Finding::holds(
         "unguarded distance of 1e-300",
@@ -66,7 +67,7 @@ impl System for Unguarded {
         0
     }
 
-    fn step<T: Scalar>(&self, x: &[T], _u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, .. }: Inputs<'_, T>, next: &mut [T]) {
         let distance = T::lift(0.1) + (x[0] * x[0] + x[1] * x[1]).sqrt();
         let share = T::lift(15.0) / (distance * distance);
         (next[0], next[1]) = (x[0] * share, x[1] * share);
@@ -101,18 +102,18 @@ fn derivatives<F: Float>(system: &dyn AnySystem<F>, distance: f64) -> (bool, f64
     let x: Vec<F> = (0..4).flat_map(|agent| place(agent).into_iter().chain([F::zero(); 2])).collect();
     let u = vec![F::zero(); m];
     let mut next = vec![F::zero(); n];
-    system.step(&x, &u, &mut next);
+    system.step(Inputs::new(&x, &u), &mut next);
     let (mut whether, mut worst) = (finite(&next), 0.0f64);
     for k in 0..n {
         let mut x_tan = vec![F::zero(); n];
         x_tan[k] = F::one();
-        system.jvp_state(&x, &u, &x_tan, &mut next);
+        system.jvp(Inputs::new(&x, &u), Tangents { x: Some(&x_tan), ..Tangents::default() }, &mut next);
         whether &= finite(&next);
     }
     for agent in 0..4 {
         let mut bar = vec![F::zero(); n];
         (bar[4 * agent + 2], bar[4 * agent + 3]) = (F::one(), F::lift(0.5));
-        let [x_bar, u_bar] = vjp(system, &x, &u, &bar);
+        let [x_bar, u_bar, _] = vjp(system, Inputs::new(&x, &u), &bar);
         let [x_dual, u_dual] = vjp_by_jvps(system, &x, &u, &bar);
         let positions = |v: &[F]| (0..n).filter(|k| k % 4 < 2).map(|k| v[k]).collect::<Vec<F>>();
         whether &= [&x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|bar| finite(bar));
@@ -130,7 +131,7 @@ fn force<F: Float>(distance: f64) -> f64 {
     let (zero, along, across) = (F::zero(), F::lift(0.6 * distance), F::lift(0.8 * distance));
     let mut next = [zero; 8];
     let system: Crowd = Forced { system: model, effects: vec![Evade::default().into()] };
-    step(&system, &[zero, zero, zero, zero, along, across, zero, zero], &[zero; 2], &mut next);
+    step(&system, Inputs::new(&[zero, zero, zero, zero, along, across, zero, zero], &[zero; 2]), &mut next);
     let force = 15.0 / (0.1 + distance) * (distance / (0.1 + distance));
     let shares = [next[6].as_() / force, next[7].as_() / force];
     larger((shares[0] - 0.6).abs(), (shares[1] - 0.8).abs())

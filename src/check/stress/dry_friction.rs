@@ -3,6 +3,7 @@
 use super::steps::{derivative, finite, larger, states};
 use super::{Case, Finding};
 use crate::check;
+use crate::dynamics::inputs::Inputs;
 use crate::tasks::{FrictionScheme, SliderSystem};
 
 pub(super) const CASES: &[Case] = &[Case {
@@ -47,7 +48,7 @@ fn implicit(smoothing: f64) -> Vec<Finding> {
     let system = slider(smoothing, FrictionScheme::Implicit);
     let states = states(&system, &START, 0.0, STEPS);
     let speeds = || states.iter().map(|x| x[1]);
-    let largest = speeds().map(|v| check::stability(&system, &[0.0, v], &[0.0]).multiplier).fold(0.0, larger);
+    let largest = speeds().map(|v| check::stability(&system, Inputs::new(&[0.0, v], &[0.0])).multiplier).fold(0.0, larger);
     // Position is neutrally stable: its multiplier is 1.
     let mut findings = vec![Finding::at_most(format!("ε = {smoothing:.0e}: multiplier of implicit steps"), largest, 1.0 + 1e-6)];
     let turned = speeds().filter(|&v| v < 0.0).count();
@@ -88,7 +89,7 @@ fn late_steps(smoothing: f64, system: &SliderSystem) -> f64 {
 fn explicit(smoothing: f64) -> Vec<Finding> {
     let system = slider(smoothing, FrictionScheme::Explicit);
     let expected = f64::max(1.0, (1.0 - system.grip() / smoothing).abs());
-    let report = check::stability(&system, &[0.0, 0.0], &[0.0]);
+    let report = check::stability(&system, Inputs::new(&[0.0, 0.0], &[0.0]));
     let states = states(&system, &START, 0.0, STEPS);
     let last: Vec<f64> = states[STEPS - 49..].iter().map(|x| x[1]).collect();
     let turns = last.windows(2).filter(|v| v[0] * v[1] < 0.0).count();

@@ -1,6 +1,7 @@
 //! Stress case: energy over long free motion.
 
 use super::{Case, Finding};
+use crate::dynamics::inputs::{Inputs, OdeInputs};
 use crate::dynamics::integrator::{Integrated, Integrator, RungeKutta, SemiImplicit};
 use crate::dynamics::ode::Ode;
 use crate::dynamics::outline::step;
@@ -34,7 +35,7 @@ impl Ode for Pendulum {
     fn control_dim(&self) -> usize {
         1
     }
-    fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
+    fn rate<T: Scalar>(&self, OdeInputs { x, u, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
         rate[0] = x[1];
         rate[1] = u[0] - T::lift(GRAVITY) * x[0].sin();
     }
@@ -98,7 +99,7 @@ fn drift<O: Ode>(ode: O, start: &[f64], first_angle: usize, energy: &dyn Fn(&[f6
     let before = energy(start);
     let mut largest: f64 = 0.0;
     for _ in 0..10_000 {
-        step(&system, &x, &[0.0], &mut next);
+        step(&system, Inputs::new(&x, &[0.0]), &mut next);
         std::mem::swap(&mut x, &mut next);
         let change = (energy(&x) - before).abs();
         // Propagates NaN.
@@ -124,7 +125,7 @@ fn tenths<I: Integrator>(integrator: I, steps: usize) -> Tenths {
     let (mut low, mut high): (f64, f64) = (0.0, 0.0);
     let (mut sums, mut largest) = ([0.0; 10], [0.0_f64; 10]);
     for t in 0..steps {
-        step(&system, &x, &[0.0], &mut next);
+        step(&system, Inputs::new(&x, &[0.0]), &mut next);
         std::mem::swap(&mut x, &mut next);
         let (error, tenth) = (of_pendulum(&x) - before, 10 * t / steps);
         (low, high) = (low.min(error), high.max(error));

@@ -1,6 +1,7 @@
 //! Stress case: adjoints that explode or vanish far beyond the floating-point range.
 
 use super::{Case, Finding};
+use crate::dynamics::inputs::{Inputs, Start};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::adjoint::Flow;
@@ -44,7 +45,7 @@ impl System for Plant {
         1
     }
     #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         next[0] = T::lift(self.a) * x[0] + u[0];
     }
 }
@@ -57,11 +58,11 @@ impl Task for Plant {
     fn horizon(&self) -> usize {
         HORIZON
     }
-    fn start(&self, _rng: &mut Rng, x: &mut [f64]) {
+    fn start(&self, _rng: &mut Rng, Start { x, .. }: Start<'_>) {
         x[0] = self.start;
     }
     #[inline(always)]
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         let miss = x[0] - T::one();
         miss * miss * T::lift(0.5)
     }

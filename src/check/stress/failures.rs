@@ -3,6 +3,7 @@
 use super::{Case, Finding};
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::{Effect, Forced, ForcedSystem};
+use crate::dynamics::inputs::{Inputs, OdeInputs, Start};
 use crate::dynamics::task::Task;
 use crate::engine::adjoint::Flow;
 use crate::engine::batch::Batch;
@@ -49,9 +50,9 @@ impl ForcedSystem for Pushed {
         DT
     }
     #[inline(always)]
-    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
-        let mut force = [u[0]];
-        effects.add_forces(self, x, &mut force);
+    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+        let (x, mut force) = (inputs.x, [inputs.u[0]]);
+        effects.add_forces(self, inputs.continuous(DT), &mut force);
         next[1] = x[1] + force[0] * T::lift(DT);
         next[0] = x[0] + next[1] * T::lift(DT);
     }
@@ -66,15 +67,11 @@ struct Injected {
 }
 
 impl Effect<Pushed> for Injected {
-    fn add_forces<T: Scalar>(&self, _model: &Pushed, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, _model: &Pushed, OdeInputs { x, t, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
         let nothing = if self.in_derivative { (x[1] - x[1].detach()).sqrt() } else { T::lift(f64::NAN) };
-        let late = (x[2] - T::lift(self.step as f64 * DT)).abs();
+        let late = (t - T::lift(self.step as f64 * DT)).abs();
         let here = T::select_lt(T::lift(50.0), x[0], nothing, T::zero());
         forces[0] += T::select_lt(late, T::lift(0.5 * DT), here, T::zero());
-    }
-
-    fn clock(&self) -> Option<f64> {
-        Some(0.0)
     }
 }
 
@@ -90,11 +87,11 @@ impl Task for Return {
     fn horizon(&self) -> usize {
         HORIZON
     }
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
-        x[0] = rng.random_range(-1.0..1.0);
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
+        start.x[0] = rng.random_range(-1.0..1.0);
     }
     #[inline(always)]
-    fn stage_cost<T: Scalar>(&self, x: &[T], _u: &[T]) -> T {
+    fn running_cost<T: Scalar>(&self, _inputs: Inputs<'_, T>, x: &[T]) -> T {
         x[0] * x[0]
     }
 }
@@ -103,8 +100,8 @@ const SAMPLES: usize = 11;
 const HORIZON: usize = 30;
 
 fn injected_nan() -> Vec<Finding> {
-    let policy = Linear::with_bias(3, 1);
-    let weights = Weights::<f64>::new(&policy, vec![-0.5, -1.0, 0.1, 0.2]);
+    let policy = Linear::with_bias(2, 1);
+    let weights = Weights::<f64>::new(&policy, vec![-0.5, -1.0, 0.2]);
     let field = Field::combined();
     let (mut named, mut unchanged, mut all) = (0, 0, 0);
     for (step, bad) in [(0, 0), (1, 10), (7, 3), (17, 8), (HORIZON - 1, 5)] {
@@ -112,8 +109,8 @@ fn injected_nan() -> Vec<Finding> {
             let task = || Return(Forced { system: Pushed, effects: Injected { step, in_derivative } });
             let starts: Vec<f64> = (0..SAMPLES)
                 .flat_map(|sample| {
-                    let mut x = [0.0; 3];
-                    task().start(&mut stream(0, Purpose::Train, sample as u64), &mut x);
+                    let mut x = [0.0; 2];
+                    task().start(&mut stream(0, Purpose::Train, sample as u64), Start { x: &mut x, p: &mut [] });
                     x[0] += if sample == bad { 100.0 } else { 0.0 };
                     x
                 })

@@ -6,7 +6,8 @@ use crate::dynamics::task::Task;
 use crate::engine::adjoint::Flow;
 use crate::engine::batch::Batch;
 use crate::engine::gradient::Gradient;
-use crate::numbers::rng::{Purpose, stream};
+use crate::engine::initial_states::initial_states;
+use crate::numbers::rng::Purpose;
 use crate::policy::{Linear, Weights};
 use crate::tasks::Lqr;
 use crate::train::field::Field;
@@ -48,10 +49,7 @@ fn lqr_optimum() -> Vec<Finding> {
 fn largest(lqr: &Lqr, gain: &[f64]) -> [f64; 3] {
     let n = lqr.system().state_dim();
     let policy = Linear::new(n, lqr.system().control_dim());
-    let mut starts = vec![0.0; SAMPLES as usize * n];
-    for (i, x) in starts.chunks_exact_mut(n).enumerate() {
-        lqr.start(&mut stream(0, Purpose::Train, i as u64), x);
-    }
+    let starts: Vec<f64> = initial_states(lqr, 0, Purpose::Train, SAMPLES as usize);
     let weights = Weights::<f64>::new(&policy, gain.to_vec());
     let mut batch = Batch::new(lqr, &policy, SAMPLES as usize, &[Flow::MODIFIED, Flow::REGULAR], 1);
     let ran = batch.run(lqr, &policy, &weights, &starts);

@@ -7,13 +7,15 @@
 //! of M that agree in sign with R.
 
 use super::{Case, Finding};
+use crate::dynamics::inputs::Inputs;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::adjoint::{Adjoint, Flow};
 use crate::engine::batch::Batch;
 use crate::engine::growth::Growth;
+use crate::engine::initial_states::initial_states;
 use crate::engine::rollout::Rollout;
-use crate::numbers::rng::{Purpose, stream};
+use crate::numbers::rng::Purpose;
 use crate::policy::{Linear, Weights};
 use crate::tasks::Lqr;
 use crate::train::field::Field;
@@ -105,12 +107,7 @@ fn lqr_unstable() -> Vec<Finding> {
 
 /// Draws `count` initial states.
 fn starts(lqr: &Lqr, seed: u64, purpose: Purpose, count: usize) -> Vec<f64> {
-    let n = lqr.system().state_dim();
-    let mut starts = vec![0.0; count * n];
-    for (i, x) in starts.chunks_exact_mut(n).enumerate() {
-        lqr.start(&mut stream(seed, purpose, i as u64), x);
-    }
-    starts
+    initial_states(lqr, seed, purpose, count)
 }
 
 /// Growth of M along rollouts with a gain, as measured during training.
@@ -129,7 +126,7 @@ fn norms(lqr: &Lqr, gain: &[f64]) -> [Vec<f64>; 2] {
     let weights = Weights::<f64>::new(&policy, gain.to_vec());
     let mut rollout = Rollout::new(lqr, &policy, 8);
     rollout.start(&starts(lqr, 0, Purpose::Train, 8));
-    let mut adjoint = Adjoint::new(&policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]).keep_norms();
+    let mut adjoint = Adjoint::new(lqr, &policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]).keep_norms();
     // Norms of a diverged rollout are NaN, which fails every check.
     let ran = rollout.run(lqr, &policy, &weights);
     let _ = ran.and_then(|()| adjoint.run(lqr, &policy, &weights, &rollout, 1.0));
@@ -152,7 +149,7 @@ fn directions(lqr: &Lqr, name: &str, gain: &[f64]) -> [Finding; 2] {
         for _ in 0..lqr.horizon {
             (0..n).for_each(|i| direction[i] += weight * x[i]);
             weight /= radius;
-            loop_closed.step(&x, &[0.0], &mut next);
+            loop_closed.step(Inputs::new(&x, &[0.0]), &mut next);
             std::mem::swap(&mut x, &mut next);
         }
         let [modified, regular] = [0, 1].map(|k| &batch.gradients()[k]);

@@ -2,6 +2,7 @@
 
 use super::steps::larger;
 use super::{Case, Finding};
+use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::outline::step;
 use crate::dynamics::substeps::Substeps;
 use crate::dynamics::system::System;
@@ -79,8 +80,8 @@ impl<S: System> System for Scaled<S> {
         self.system.control_dim()
     }
 
-    fn step<T: crate::numbers::scalar::Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        self.system.step(x, u, next);
+    fn step<T: crate::numbers::scalar::Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        self.system.step(inputs, next);
         for next in next {
             *next *= T::lift(self.factor);
         }
@@ -98,7 +99,7 @@ fn norm<F: Float>(x: &[F]) -> f64 {
 
 fn start<F: Float>() -> Vec<F> {
     let mut x = vec![0.0; 64];
-    Quantum::new(3).start(&mut stream(0, Purpose::Test, 0), &mut x);
+    Quantum::new(3).start(&mut stream(0, Purpose::Test, 0), Start { x: &mut x, p: &mut [] });
     x.into_iter().map(F::lift).collect()
 }
 
@@ -114,7 +115,7 @@ fn drift<S: System, F: Float>(system: &S, steps: usize, size: f64) -> f64 {
     let mut next = x.clone();
     let mut worst = 0.0f64;
     for u in controls(steps, size) {
-        step(system, &x, &[F::lift(u)], &mut next);
+        step(system, Inputs::new(&x, &[F::lift(u)]), &mut next);
         x.copy_from_slice(&next);
         worst = larger(worst, (norm(&x) - 1.0).abs());
     }
@@ -129,7 +130,8 @@ fn adjoint_drift<S: System>(system: &S, steps: usize) -> f64 {
     let mut worst = 0.0f64;
     for u in controls(steps, 30.0) {
         // The step is linear in the state, so its Jacobian does not depend on the state.
-        system.vjp_state(&x, &[u], &bar, &mut x_bar);
+        x_bar.fill(0.0);
+        system.vjp(Inputs::new(&x, &[u]), &bar, Cotangents { x: Some(&mut x_bar), ..Cotangents::default() });
         bar.copy_from_slice(&x_bar);
         worst = larger(worst, (norm(&bar) / first - 1.0).abs());
     }
@@ -143,7 +145,7 @@ fn return_error<S: System>(forward: &S, backward: &S, steps: usize) -> f64 {
     let controls = controls(steps, 30.0);
     let both = controls.iter().map(|u| (forward, u)).chain(controls.iter().rev().map(|u| (backward, u)));
     for (system, &u) in both {
-        step(system, &x, &[u], &mut next);
+        step(system, Inputs::new(&x, &[u]), &mut next);
         x.copy_from_slice(&next);
     }
     let off: Vec<f64> = x.iter().zip(&first).map(|(x, first)| x - first).collect();

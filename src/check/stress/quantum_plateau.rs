@@ -2,7 +2,7 @@
 
 use super::{Case, Finding};
 use crate::check::{self, Plateau};
-use crate::dynamics::task::Task;
+use crate::engine::initial_states::initial_states;
 use crate::numbers::rng::{Purpose, stream};
 use crate::policy::{Mlp, Weights};
 use crate::tasks::{LossMode, Quantum};
@@ -25,10 +25,7 @@ fn look(target: usize, weighting: [f64; 2], loss: LossMode) -> Option<Plateau> {
     let task = Quantum { weighting, loss, ..Quantum::new(target) };
     let policy = Mlp::new([64, 16, 1]).zero_init_output(true);
     let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
-    let mut starts = vec![0.0; 8 * 64];
-    for (i, x) in starts.chunks_exact_mut(64).enumerate() {
-        task.start(&mut stream(0, Purpose::Train, i as u64), x);
-    }
+    let starts: Vec<f64> = initial_states(&task, 0, Purpose::Train, 8);
     check::plateau(&task, &policy, &weights, &starts).ok()
 }
 

@@ -2,6 +2,7 @@
 
 use super::steps::{error, finite, larger, vjp_by_jvps};
 use super::{Case, Finding};
+use crate::dynamics::inputs::Inputs;
 use crate::engine::any::{AnySystem, vjp};
 use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::numbers::scalar::Float;
@@ -92,7 +93,7 @@ fn meeting(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
 type Draw = fn(&mut Rng, &mut [f64], &mut [f64]);
 
 /// State, control and cotangent.
-struct Inputs<F> {
+struct Sample<F> {
     x: Vec<F>,
     u: Vec<F>,
     bar: Vec<F>,
@@ -117,9 +118,9 @@ fn of(name: &str, system: &dyn Either, draw: Draw) -> Vec<Finding> {
         let (mut x, mut u) = (vec![0.0; double.state_dim()], vec![0.0; double.control_dim()]);
         draw(&mut rng, &mut x, &mut u);
         let bar = x.iter().map(|_| normal(&mut rng)).collect();
-        let inputs = Inputs { x, u, bar };
-        let condition = condition(double, &inputs, &mut rng);
-        let (of_double, of_single) = (at(double, &inputs), at(single, &rounded(&inputs)));
+        let sample = Sample { x, u, bar };
+        let condition = condition(double, &sample, &mut rng);
+        let (of_double, of_single) = (at(double, &sample), at(single, &rounded(&sample)));
         finite[0] += usize::from(of_double.finite);
         finite[1] += usize::from(of_single.finite);
         worst[0] = larger(worst[0], of_double.error);
@@ -134,20 +135,21 @@ fn of(name: &str, system: &dyn Either, draw: Draw) -> Vec<Finding> {
     ]
 }
 
-fn rounded(inputs: &Inputs<f64>) -> Inputs<f32> {
+fn rounded(sample: &Sample<f64>) -> Sample<f32> {
     let single = |v: &[f64]| v.iter().map(|&v| v as f32).collect();
-    Inputs { x: single(&inputs.x), u: single(&inputs.u), bar: single(&inputs.bar) }
+    Sample { x: single(&sample.x), u: single(&sample.u), bar: single(&sample.bar) }
 }
 
-fn reverse<F: Float>(system: &dyn AnySystem<F>, inputs: &Inputs<F>) -> [Vec<F>; 2] {
-    vjp(system, &inputs.x, &inputs.u, &inputs.bar)
+fn reverse<F: Float>(system: &dyn AnySystem<F>, sample: &Sample<F>) -> [Vec<F>; 2] {
+    let [x_bar, u_bar, _] = vjp(system, Inputs::new(&sample.x, &sample.u), &sample.bar);
+    [x_bar, u_bar]
 }
 
-fn at<F: Float>(system: &dyn AnySystem<F>, inputs: &Inputs<F>) -> Outcome {
-    let Inputs { x, u, bar } = inputs;
+fn at<F: Float>(system: &dyn AnySystem<F>, sample: &Sample<F>) -> Outcome {
+    let Sample { x, u, bar } = sample;
     let mut next = x.clone();
-    system.step(x, u, &mut next);
-    let [x_bar, u_bar] = reverse(system, inputs);
+    system.step(Inputs::new(x, u), &mut next);
+    let [x_bar, u_bar] = reverse(system, sample);
     let [x_dual, u_dual] = vjp_by_jvps(system, x, u, bar);
     let finite = [&next, &x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|v| finite(v));
     // State and control cotangents share one scale: a single-component cotangent may vanish by
@@ -157,9 +159,9 @@ fn at<F: Float>(system: &dyn AnySystem<F>, inputs: &Inputs<F>) -> Outcome {
 
 /// Condition number κ: relative change of the VJP per relative change of state and control, in a
 /// random direction.
-fn condition(system: &dyn AnySystem<f64>, inputs: &Inputs<f64>, rng: &mut Rng) -> f64 {
+fn condition(system: &dyn AnySystem<f64>, sample: &Sample<f64>, rng: &mut Rng) -> f64 {
     const BY: f64 = 1e-7;
     let mut moved = |v: &[f64]| v.iter().map(|v| v * (1.0 + if rng.random() { BY } else { -BY })).collect::<Vec<f64>>();
-    let near = Inputs { x: moved(&inputs.x), u: moved(&inputs.u), bar: inputs.bar.clone() };
-    error(&reverse(system, &near).concat(), &reverse(system, inputs).concat()) / BY
+    let near = Sample { x: moved(&sample.x), u: moved(&sample.u), bar: sample.bar.clone() };
+    error(&reverse(system, &near).concat(), &reverse(system, sample).concat()) / BY
 }

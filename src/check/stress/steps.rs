@@ -1,5 +1,6 @@
 //! Helpers of the stress cases: rollouts, adjoints and error norms.
 
+use crate::dynamics::inputs::{Inputs, Tangents};
 use crate::engine::any::{AnySystem, vjp};
 use crate::numbers::scalar::Float;
 
@@ -8,7 +9,7 @@ pub(super) fn states(system: &dyn AnySystem<f64>, start: &[f64], u: f64, steps: 
     let mut states = vec![start.to_vec()];
     for _ in 0..steps {
         let mut next = vec![0.0; start.len()];
-        system.step(&states[states.len() - 1], &[u], &mut next);
+        system.step(Inputs::new(&states[states.len() - 1], &[u]), &mut next);
         states.push(next);
     }
     states
@@ -21,7 +22,7 @@ pub(super) fn derivative(system: &dyn AnySystem<f64>, states: &[Vec<f64>], u: f6
     let (mut bar, mut u_bar) = (vec![0.0; n], 0.0);
     bar[component] = 1.0;
     for x in states[..states.len() - 1].iter().rev() {
-        let [x_bar, part] = vjp(system, x, &[u], &bar);
+        let [x_bar, part, _] = vjp(system, Inputs::new(x, &[u]), &bar);
         bar = x_bar;
         u_bar += part[0];
     }
@@ -41,8 +42,12 @@ pub(super) fn vjp_by_jvps<F: Float>(system: &dyn AnySystem<F>, x: &[F], u: &[F],
         (0..len).map(component).collect()
     };
     [
-        along(x.len(), &|tangent, next| system.jvp_state(x, u, tangent, next)),
-        along(u.len(), &|tangent, next| system.jvp_control(x, u, tangent, next)),
+        along(x.len(), &|tangent, next| {
+            system.jvp(Inputs::new(x, u), Tangents { x: Some(tangent), ..Tangents::default() }, next)
+        }),
+        along(u.len(), &|tangent, next| {
+            system.jvp(Inputs::new(x, u), Tangents { u: Some(tangent), ..Tangents::default() }, next)
+        }),
     ]
 }
 

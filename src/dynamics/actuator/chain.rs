@@ -1,6 +1,7 @@
 //! Chains of actuators chosen at run time.
 
 use super::{Actuator, Controls, OutputCotangents, STACK};
+use crate::dynamics::inputs::add;
 use crate::dynamics::outline::outline;
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
@@ -11,6 +12,11 @@ use smallvec::{SmallVec, smallvec};
 impl<A: Actuator> Actuator for Vec<A> {
     fn state_dim(&self, controls: usize) -> usize {
         self.iter().map(|actuator| actuator.state_dim(controls)).sum()
+    }
+
+    #[inline(always)]
+    fn is_identity(&self) -> bool {
+        self.is_empty()
     }
 
     #[inline(always)]
@@ -83,17 +89,22 @@ impl<A: Actuator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, A, R, C> 
         }
         let mut end = own.len();
         let mut out_bar: Controls<C> = SmallVec::from_slice(next_bar.out);
-        let mut before_bar: Controls<C> = out_bar.clone();
-        for (actuator, given) in chain.iter().zip(given.chunks_exact(m)).rev() {
+        let mut before_bar: Controls<C> = smallvec![C::null(); m];
+        for (i, (actuator, given)) in chain.iter().zip(given.chunks_exact(m)).enumerate().rev() {
             let begin = end - actuator.state_dim(m);
             let bars = OutputCotangents { own: &next_bar.own[begin..end], out: &out_bar };
             let here = own_bar.as_deref_mut().map(|own_bar| &mut own_bar[begin..end]);
+            if i == 0 {
+                return actuator.reverse(&own[begin..end], given, bars, here, u_bar);
+            }
+            before_bar.fill(C::null());
             actuator.reverse(&own[begin..end], given, bars, here, Some(&mut before_bar));
             std::mem::swap(&mut out_bar, &mut before_bar);
             end = begin;
         }
+        // An empty chain is the identity.
         if let Some(u_bar) = u_bar {
-            u_bar.copy_from_slice(&out_bar);
+            add(u_bar, next_bar.out);
         }
     }
 }

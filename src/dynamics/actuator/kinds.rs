@@ -1,6 +1,7 @@
 //! Built-in actuators: [`Limit`], [`Lag`], [`Delay`], and [`AnyActuator`], a choice at run time.
 
 use super::{Actuator, OutputCotangents};
+use crate::dynamics::inputs::add;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
@@ -56,7 +57,7 @@ impl Actuator for Limit {
         u_bar: Option<&mut [C]>,
     ) {
         for ((u_bar, &out_bar), &u) in zip(zip(u_bar.into_iter().flatten(), next_bar.out), u) {
-            *u_bar = match self.kind {
+            *u_bar += match self.kind {
                 LimitKind::Smooth => {
                     let share = (u * R::lift(1.0 / self.bound)).tanh();
                     out_bar * (R::one() - share * share)
@@ -110,10 +111,10 @@ impl Actuator for Lag {
         let bars = || zip(next_bar.own.iter(), next_bar.out);
         let (share, rest) = (R::lift(self.share), R::lift(1.0 - self.share));
         for (own_bar, (&own, &out)) in zip(own_bar.into_iter().flatten(), bars()) {
-            *own_bar = (own + out) * rest;
+            *own_bar += (own + out) * rest;
         }
         for (u_bar, (&own, &out)) in zip(u_bar.into_iter().flatten(), bars()) {
-            *u_bar = (own + out) * share;
+            *u_bar += (own + out) * share;
         }
     }
 }
@@ -155,11 +156,11 @@ impl Actuator for Delay {
         let (moved_up, newest) = next_bar.own.split_at(own.len() - u.len());
         if let Some(own_bar) = own_bar {
             let (oldest, waiting) = own_bar.split_at_mut(u.len());
-            oldest.copy_from_slice(next_bar.out);
-            waiting.copy_from_slice(moved_up);
+            add(oldest, next_bar.out);
+            add(waiting, moved_up);
         }
         if let Some(u_bar) = u_bar {
-            u_bar.copy_from_slice(newest);
+            add(u_bar, newest);
         }
     }
 }

@@ -1,24 +1,46 @@
 //! Lists of effects chosen at run time.
 
 use super::Effect;
-use super::tuples::later;
+use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::numbers::kernels::Vectorized;
+use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
 /// Applies all effects in order, for combinations unknown at compile time. Results are bitwise
 /// equal to those of a tuple.
 impl<B, E: Effect<B>> Effect<B> for Vec<E> {
-    #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &B, x: &[T], forces: &mut [T]) {
+    fn param_dim(&self) -> usize {
+        self.iter().map(Effect::param_dim).sum()
+    }
+
+    fn draw_params(&self, rng: &mut Rng, mut p: &mut [f64]) {
         for effect in self {
-            effect.add_forces(model, x, forces);
+            let (own, rest) = p.split_at_mut(effect.param_dim());
+            effect.draw_params(rng, own);
+            p = rest;
         }
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn add_forces<T: Scalar>(&self, model: &B, mut inputs: OdeInputs<'_, T>, forces: &mut [T]) {
         for effect in self {
-            effect.vjp(model, x, forces_bar, x_bar);
+            effect.add_forces(model, inputs, forces);
+            inputs = inputs.skip_params(effect.param_dim());
+        }
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        model: &B,
+        mut inputs: OdeInputs<'_, R>,
+        forces_bar: &[C],
+        mut bars: Cotangents<'_, C>,
+    ) {
+        for effect in self {
+            effect.vjp(model, inputs, forces_bar, bars.reborrow());
+            inputs = inputs.skip_params(effect.param_dim());
+            bars = bars.skip_params(effect.param_dim());
         }
     }
 
@@ -27,13 +49,12 @@ impl<B, E: Effect<B>> Effect<B> for Vec<E> {
         self.iter().any(Effect::state_dependent)
     }
 
-    fn diagnose<F: Float>(&self, model: &B, x: &[F], forces: usize) -> Option<&'static str> {
-        self.iter().find_map(|effect| effect.diagnose(model, x, forces))
-    }
-
-    #[inline(always)]
-    fn clock(&self) -> Option<f64> {
-        self.iter().fold(None, |clock, effect| later(clock, effect.clock()))
+    fn diagnose<F: Float>(&self, model: &B, mut inputs: OdeInputs<'_, F>, forces: usize) -> Option<&'static str> {
+        self.iter().find_map(|effect| {
+            let name = effect.diagnose(model, inputs, forces);
+            inputs = inputs.skip_params(effect.param_dim());
+            name
+        })
     }
 }
 
@@ -42,14 +63,14 @@ impl<B, E: Effect<B>> Effect<B> for Vec<E> {
 pub(crate) struct AddForces<'a, B, E, T> {
     pub effect: &'a E,
     pub model: &'a B,
-    pub x: &'a [T],
+    pub inputs: OdeInputs<'a, T>,
     pub forces: &'a mut [T],
 }
 
 impl<B, E: Effect<B>, T: Scalar> Vectorized for AddForces<'_, B, E, T> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        self.effect.add_forces(self.model, self.x, self.forces);
+        self.effect.add_forces(self.model, self.inputs, self.forces);
     }
 }
 
@@ -57,15 +78,15 @@ impl<B, E: Effect<B>, T: Scalar> Vectorized for AddForces<'_, B, E, T> {
 pub(crate) struct Vjp<'a, B, E, R, C> {
     pub effect: &'a E,
     pub model: &'a B,
-    pub x: &'a [R],
+    pub inputs: OdeInputs<'a, R>,
     pub forces_bar: &'a [C],
-    pub x_bar: &'a mut [C],
+    pub bars: Cotangents<'a, C>,
 }
 
 impl<B, E: Effect<B>, R: Real, C: Cotangent<R>> Vectorized for Vjp<'_, B, E, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        self.effect.vjp(self.model, self.x, self.forces_bar, self.x_bar);
+        self.effect.vjp(self.model, self.inputs, self.forces_bar, self.bars);
     }
 }
 
@@ -80,9 +101,22 @@ macro_rules! any_effect {
 
         impl crate::dynamics::effect::Effect<$model> for $name {
             #[inline(always)]
-            fn add_forces<T: crate::numbers::scalar::Scalar>(&self, model: &$model, x: &[T], forces: &mut [T]) {
+            fn param_dim(&self) -> usize {
                 match self {
-                    $(Self::$effect(effect) => crate::dynamics::outline::outline::<T>(crate::dynamics::effect::AddForces { effect, model, x, forces })),+
+                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$model>::param_dim(effect)),+
+                }
+            }
+
+            fn draw_params(&self, rng: &mut crate::numbers::rng::Rng, p: &mut [f64]) {
+                match self {
+                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$model>::draw_params(effect, rng, p)),+
+                }
+            }
+
+            #[inline(always)]
+            fn add_forces<T: crate::numbers::scalar::Scalar>(&self, model: &$model, inputs: crate::dynamics::inputs::OdeInputs<'_, T>, forces: &mut [T]) {
+                match self {
+                    $(Self::$effect(effect) => crate::dynamics::outline::outline::<T>(crate::dynamics::effect::AddForces { effect, model, inputs, forces })),+
                 }
             }
 
@@ -90,12 +124,12 @@ macro_rules! any_effect {
             fn vjp<R: crate::numbers::scalar::Real, C: crate::numbers::scalar::Cotangent<R>>(
                 &self,
                 model: &$model,
-                x: &[R],
+                inputs: crate::dynamics::inputs::OdeInputs<'_, R>,
                 forces_bar: &[C],
-                x_bar: &mut [C],
+                bars: crate::dynamics::inputs::Cotangents<'_, C>,
             ) {
                 match self {
-                    $(Self::$effect(effect) => crate::dynamics::outline::outline::<R>(crate::dynamics::effect::Vjp { effect, model, x, forces_bar, x_bar })),+
+                    $(Self::$effect(effect) => crate::dynamics::outline::outline::<R>(crate::dynamics::effect::Vjp { effect, model, inputs, forces_bar, bars })),+
                 }
             }
 
@@ -106,18 +140,11 @@ macro_rules! any_effect {
                 }
             }
 
-            fn diagnose<F: crate::numbers::scalar::Float>(&self, model: &$model, x: &[F], forces: usize) -> Option<&'static str> {
+            fn diagnose<F: crate::numbers::scalar::Float>(&self, model: &$model, inputs: crate::dynamics::inputs::OdeInputs<'_, F>, forces: usize) -> Option<&'static str> {
                 let name = match self {
                     $(Self::$effect(_) => stringify!($effect)),+
                 };
-                if crate::dynamics::effect::is_finite(self, model, x, forces) { None } else { Some(name) }
-            }
-
-            #[inline(always)]
-            fn clock(&self) -> Option<f64> {
-                match self {
-                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$model>::clock(effect)),+
-                }
+                if crate::dynamics::effect::is_finite(self, model, inputs, forces) { None } else { Some(name) }
             }
         }
 

@@ -1,6 +1,8 @@
 //! [`Named`]: an effect with a name for messages.
 
 use super::Effect;
+use crate::dynamics::inputs::{Cotangents, OdeInputs};
+use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
 /// Effect with a name for messages, such as its key in a scene. Results are bitwise equal to
@@ -15,13 +17,22 @@ pub struct Named<E> {
 
 impl<B, E: Effect<B>> Effect<B> for Named<E> {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &B, x: &[T], forces: &mut [T]) {
-        self.effect.add_forces(model, x, forces);
+    fn param_dim(&self) -> usize {
+        self.effect.param_dim()
+    }
+
+    fn draw_params(&self, rng: &mut Rng, p: &mut [f64]) {
+        self.effect.draw_params(rng, p);
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        self.effect.vjp(model, x, forces_bar, x_bar);
+    fn add_forces<T: Scalar>(&self, model: &B, inputs: OdeInputs<'_, T>, forces: &mut [T]) {
+        self.effect.add_forces(model, inputs, forces);
+    }
+
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &B, inputs: OdeInputs<'_, R>, forces_bar: &[C], bars: Cotangents<'_, C>) {
+        self.effect.vjp(model, inputs, forces_bar, bars);
     }
 
     #[inline(always)]
@@ -29,12 +40,7 @@ impl<B, E: Effect<B>> Effect<B> for Named<E> {
         self.effect.state_dependent()
     }
 
-    fn diagnose<F: Float>(&self, model: &B, x: &[F], forces: usize) -> Option<&'static str> {
-        self.effect.diagnose(model, x, forces).map(|_| self.name)
-    }
-
-    #[inline(always)]
-    fn clock(&self) -> Option<f64> {
-        self.effect.clock()
+    fn diagnose<F: Float>(&self, model: &B, inputs: OdeInputs<'_, F>, forces: usize) -> Option<&'static str> {
+        self.effect.diagnose(model, inputs, forces).map(|_| self.name)
     }
 }

@@ -1,56 +1,78 @@
 //! Effects known at compile time: none, or several in order.
 
 use super::Effect;
+use crate::dynamics::inputs::{Cotangents, OdeInputs};
+use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
 /// No effect.
 impl<B> Effect<B> for () {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, _model: &B, _x: &[T], _forces: &mut [T]) {}
+    fn add_forces<T: Scalar>(&self, _model: &B, _inputs: OdeInputs<'_, T>, _forces: &mut [T]) {}
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &B, _x: &[R], _forces_bar: &[C], _x_bar: &mut [C]) {}
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &B, _inputs: OdeInputs<'_, R>, _forces_bar: &[C], _bars: Cotangents<'_, C>) {}
     #[inline(always)]
     fn state_dependent(&self) -> bool {
         false
     }
-    fn diagnose<F: Float>(&self, _model: &B, _x: &[F], _forces: usize) -> Option<&'static str> {
+    fn diagnose<F: Float>(&self, _model: &B, _inputs: OdeInputs<'_, F>, _forces: usize) -> Option<&'static str> {
         None
-    }
-}
-
-/// Returns the later of two latest start times, if any.
-#[inline(always)]
-pub(super) fn later(a: Option<f64>, b: Option<f64>) -> Option<f64> {
-    match (a, b) {
-        (Some(a), Some(b)) => Some(a.max(b)),
-        (a, b) => a.or(b),
     }
 }
 
 macro_rules! both {
     ($($effect:ident $i:tt),+) => {
-        /// Applies all effects in order.
+        /// Applies all effects in order. Parameters follow each other in the same order.
         impl<B, $($effect: Effect<B>),+> Effect<B> for ($($effect,)+) {
             #[inline(always)]
-            fn add_forces<T: Scalar>(&self, model: &B, x: &[T], forces: &mut [T]) {
-                $(self.$i.add_forces(model, x, forces);)+
+            fn param_dim(&self) -> usize {
+                0 $(+ self.$i.param_dim())+
+            }
+            fn draw_params(&self, rng: &mut Rng, p: &mut [f64]) {
+                let mut first = 0;
+                $(
+                    let count = self.$i.param_dim();
+                    self.$i.draw_params(rng, &mut p[first..first + count]);
+                    first += count;
+                )+
+                debug_assert_eq!(first, p.len());
             }
             #[inline(always)]
-            fn vjp<R: Real, C: Cotangent<R>>(&self, model: &B, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-                $(self.$i.vjp(model, x, forces_bar, x_bar);)+
+            fn add_forces<T: Scalar>(&self, model: &B, mut inputs: OdeInputs<'_, T>, forces: &mut [T]) {
+                $(
+                    self.$i.add_forces(model, inputs, forces);
+                    inputs = inputs.skip_params(self.$i.param_dim());
+                )+
+                let _ = inputs;
+            }
+            #[inline(always)]
+            fn vjp<R: Real, C: Cotangent<R>>(
+                &self,
+                model: &B,
+                mut inputs: OdeInputs<'_, R>,
+                forces_bar: &[C],
+                mut bars: Cotangents<'_, C>,
+            ) {
+                $(
+                    self.$i.vjp(model, inputs, forces_bar, bars.reborrow());
+                    inputs = inputs.skip_params(self.$i.param_dim());
+                    bars = bars.skip_params(self.$i.param_dim());
+                )+
+                let _ = (inputs, bars);
             }
             #[inline(always)]
             fn state_dependent(&self) -> bool {
                 false $(|| self.$i.state_dependent())+
             }
-            fn diagnose<F: Float>(&self, model: &B, x: &[F], forces: usize) -> Option<&'static str> {
-                None$(.or_else(|| self.$i.diagnose(model, x, forces)))+
-            }
-            #[inline(always)]
-            fn clock(&self) -> Option<f64> {
-                let clock = None;
-                $(let clock = later(clock, self.$i.clock());)+
-                clock
+            fn diagnose<F: Float>(&self, model: &B, mut inputs: OdeInputs<'_, F>, forces: usize) -> Option<&'static str> {
+                $(
+                    if let Some(name) = self.$i.diagnose(model, inputs, forces) {
+                        return Some(name);
+                    }
+                    inputs = inputs.skip_params(self.$i.param_dim());
+                )+
+                let _ = inputs;
+                None
             }
         }
     };

@@ -12,43 +12,23 @@ macro_rules! system_without_effects {
                 crate::dynamics::effect::ForcedSystem::control_dim(self)
             }
 
+            fn param_dim(&self) -> usize {
+                crate::dynamics::effect::ForcedSystem::param_dim(self)
+            }
+
             #[inline(always)]
-            fn step<T: crate::numbers::scalar::Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-                crate::dynamics::effect::ForcedSystem::forced_step(self, &(), x, u, next);
+            fn step<T: crate::numbers::scalar::Scalar>(&self, inputs: crate::dynamics::inputs::Inputs<'_, T>, next: &mut [T]) {
+                crate::dynamics::effect::ForcedSystem::forced_step(self, &(), inputs, next);
             }
 
             #[inline(always)]
             fn vjp<R: crate::numbers::scalar::Real, C: crate::numbers::scalar::Cotangent<R>>(
                 &self,
-                x: &[R],
-                u: &[R],
+                inputs: crate::dynamics::inputs::Inputs<'_, R>,
                 next_bar: &[C],
-                x_bar: &mut [C],
-                u_bar: &mut [C],
+                bars: crate::dynamics::inputs::Cotangents<'_, C>,
             ) {
-                crate::dynamics::effect::ForcedSystem::reverse(self, &(), x, u, next_bar, Some(x_bar), Some(u_bar));
-            }
-
-            #[inline(always)]
-            fn vjp_state<R: crate::numbers::scalar::Real, C: crate::numbers::scalar::Cotangent<R>>(
-                &self,
-                x: &[R],
-                u: &[R],
-                next_bar: &[C],
-                x_bar: &mut [C],
-            ) {
-                crate::dynamics::effect::ForcedSystem::reverse(self, &(), x, u, next_bar, Some(x_bar), None);
-            }
-
-            #[inline(always)]
-            fn vjp_control<R: crate::numbers::scalar::Real, C: crate::numbers::scalar::Cotangent<R>>(
-                &self,
-                x: &[R],
-                u: &[R],
-                next_bar: &[C],
-                u_bar: &mut [C],
-            ) {
-                crate::dynamics::effect::ForcedSystem::reverse(self, &(), x, u, next_bar, None, Some(u_bar));
+                crate::dynamics::effect::ForcedSystem::forced_vjp(self, &(), inputs, next_bar, bars);
             }
         }
 
@@ -58,7 +38,7 @@ macro_rules! system_without_effects {
                 crate::dynamics::effect::ForcedSystem::model(self)
             }
 
-            fn start_extra(&self, _rng: &mut crate::numbers::rng::Rng, _x: &mut [f64]) {}
+            fn start_extra(&self, _rng: &mut crate::numbers::rng::Rng, _start: crate::dynamics::inputs::Start<'_>) {}
         }
     };
 }

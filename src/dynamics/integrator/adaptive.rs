@@ -1,6 +1,7 @@
 //! [`Adaptive`]: Tsitouras' method with error control.
 
-use super::{Integrator, Room, RungeKutta, StepInput, room};
+use super::{Integrator, Room, RungeKutta, room};
+use crate::dynamics::inputs::{Cotangents, Inputs, add};
 use crate::dynamics::ode::{DynOde, DynOdeVjp};
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 use crate::numbers::zip::zip;
@@ -50,27 +51,35 @@ const ERROR: [f64; 7] = [
 impl Adaptive {
     /// Integrates over `h`, attempt by attempt, and writes the final state to `next`.
     ///
-    /// Calls `tell(state, step)` for each attempt, with its initial state and its accepted step
-    /// size: 0 for a rejected attempt.
+    /// Calls `tell(state, time, step)` for each attempt with its initial state, its initial time and
+    /// its accepted duration, which is 0 if the attempt was rejected.
     #[inline(always)]
-    fn attempts<T: Scalar>(&self, ode: &dyn DynOde<T>, h: T, x: &[T], u: &[T], next: &mut [T], mut tell: impl FnMut(&[T], T)) {
-        let (n, tableau, one) = (x.len(), RungeKutta::TSIT5, T::one());
+    fn attempts<T: Scalar>(
+        &self,
+        ode: &dyn DynOde<T>,
+        dt: f64,
+        inputs: Inputs<'_, T>,
+        next: &mut [T],
+        mut tell: impl FnMut(&[T], T, T),
+    ) {
+        let (n, tableau, one, h) = (inputs.x.len(), RungeKutta::TSIT5, T::one(), T::lift(dt));
+        let end = inputs.continuous(dt).t + h;
         let (mut at, mut rates) = tableau.room(n);
         let (mut candidate, mut last) = (room(T::zero(), n), room(T::zero(), n));
-        next.copy_from_slice(x);
+        next.copy_from_slice(inputs.x);
         let (mut left, mut trial) = (h, h);
         for _ in 0..self.most {
             if !T::any_lt(T::zero(), left) {
                 break;
             }
             // Finished lanes take steps of size 0, which leave the state unchanged.
-            let step = left.min(trial);
-            tableau.run(ode, step, next, u, &mut at, &mut rates);
+            let (step, time) = (left.min(trial), end - left);
+            tableau.run(ode, step, span(inputs, time, step).with_x(next), &mut at, &mut rates);
             candidate.copy_from_slice(next);
             tableau.sum(tableau.weights(), step, &rates, &mut candidate);
-            ode.rate(&candidate, u, &mut last);
+            ode.rate(inputs.at(time + step).with_x(&candidate), &mut last);
             let error = self.error(step, next, &candidate, &rates, &last);
-            tell(next, T::select_lt(error, one, step, T::zero()));
+            tell(next, time, T::select_lt(error, one, step, T::zero()));
             for (next, &candidate) in zip(next.iter_mut(), &candidate) {
                 *next = T::select_lt(error, one, candidate, *next);
             }
@@ -102,37 +111,46 @@ impl Adaptive {
     }
 }
 
+/// Inputs of a step that begins at `time`; see [`RungeKutta::run`].
+#[inline(always)]
+fn span<T: Scalar>(inputs: Inputs<'_, T>, time: T, step: T) -> Inputs<'_, T, impl Fn(f64) -> T + Copy> {
+    inputs.at(move |fraction| time + step * T::lift(fraction))
+}
+
 impl Integrator for Adaptive {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, step: StepInput<'_, T>, next: &mut [T]) {
-        let StepInput { h, x, u } = step;
-        self.attempts(ode, h, x, u, next, |_, _| {});
+    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
+        self.attempts(ode, dt, inputs, next, |_, _, _| {});
     }
 
     #[inline(always)]
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn DynOdeVjp<R, C>,
-        step: StepInput<'_, R>,
+        dt: f64,
+        inputs: Inputs<'_, R>,
         next_bar: &[C],
-        x_bar: &mut [C],
-        mut u_bar: Option<&mut [C]>,
+        mut bars: Cotangents<'_, C>,
     ) {
-        let StepInput { h, x, u } = step;
-        let n = x.len();
-        let (mut states, mut steps): (Room<R>, Room<R>) = (Room::new(), Room::new());
+        let n = inputs.x.len();
+        let (mut states, mut steps): (Room<R>, Room<(R, R)>) = (Room::new(), Room::new());
         let mut next = room(R::zero(), n);
-        self.attempts(ode, h, x, u, &mut next, |x, step| {
+        self.attempts(ode, dt, inputs, &mut next, |x, time, step| {
             states.extend_from_slice(x);
-            steps.push(step);
+            steps.push((time, step));
         });
-        let mut bar = room(C::null(), n);
+        let (mut bar, mut before) = (room(C::null(), n), room(C::null(), n));
         bar.copy_from_slice(next_bar);
-        for (state, &step) in states.chunks_exact(n).zip(&steps).rev() {
-            RungeKutta::TSIT5.reverse(ode, StepInput { h: step, x: state, u }, &bar, x_bar, u_bar.as_deref_mut());
-            bar.copy_from_slice(x_bar);
+        for (state, &(time, step)) in states.chunks_exact(n).zip(&steps).rev() {
+            before.fill(C::null());
+            let mut step_bars = bars.reborrow();
+            step_bars.x = Some(&mut before);
+            RungeKutta::TSIT5.run_back(ode, step, span(inputs, time, step).with_x(state), &bar, step_bars);
+            std::mem::swap(&mut bar, &mut before);
         }
-        x_bar.copy_from_slice(&bar);
+        if let Some(x_bar) = bars.x {
+            add(x_bar, &bar);
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! [`AnyIntegrator`]: an integrator chosen at run time.
 
-use super::{Adaptive, ImplicitMidpoint, Integrator, RungeKutta, SemiImplicit, StepInput, Verlet};
+use super::{Adaptive, ImplicitMidpoint, Integrator, RungeKutta, SemiImplicit, Verlet};
+use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
 use crate::dynamics::ode::{DynOde, DynOdeVjp, Ode};
 use crate::dynamics::outline::outline;
 use crate::numbers::kernels::Vectorized;
@@ -27,32 +28,29 @@ pub(super) struct Apart<'a, O>(pub &'a O);
 /// Outlined [`Ode::rate`].
 struct Rate<'a, O, T> {
     ode: &'a O,
-    x: &'a [T],
-    u: &'a [T],
+    inputs: OdeInputs<'a, T>,
     rate: &'a mut [T],
 }
 
 impl<O: Ode, T: Scalar> Vectorized for Rate<'_, O, T> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        self.ode.rate(self.x, self.u, self.rate);
+        self.ode.rate(self.inputs, self.rate);
     }
 }
 
 /// Outlined [`Ode::rate_vjp`].
 struct RateBack<'a, O, R, C> {
     ode: &'a O,
-    x: &'a [R],
-    u: &'a [R],
+    inputs: OdeInputs<'a, R>,
     rate_bar: &'a [C],
-    x_bar: &'a mut [C],
-    u_bar: Option<&'a mut [C]>,
+    bars: Cotangents<'a, C>,
 }
 
 impl<O: Ode, R: Real, C: Cotangent<R>> Vectorized for RateBack<'_, O, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        self.ode.rate_vjp(self.x, self.u, self.rate_bar, self.x_bar, self.u_bar);
+        self.ode.rate_vjp(self.inputs, self.rate_bar, self.bars);
     }
 }
 
@@ -65,14 +63,18 @@ impl<O: Ode> Ode for Apart<'_, O> {
         self.0.control_dim()
     }
 
-    #[inline(always)]
-    fn rate<T: Scalar>(&self, x: &[T], u: &[T], rate: &mut [T]) {
-        outline::<T>(Rate { ode: self.0, x, u, rate });
+    fn param_dim(&self) -> usize {
+        self.0.param_dim()
     }
 
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], rate_bar: &[C], x_bar: &mut [C], u_bar: Option<&mut [C]>) {
-        outline::<R>(RateBack { ode: self.0, x, u, rate_bar, x_bar, u_bar });
+    fn rate<T: Scalar>(&self, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
+        outline::<T>(Rate { ode: self.0, inputs, rate });
+    }
+
+    #[inline(always)]
+    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], bars: Cotangents<'_, C>) {
+        outline::<R>(RateBack { ode: self.0, inputs, rate_bar, bars });
     }
 
     #[inline(always)]
@@ -86,14 +88,15 @@ impl<O: Ode> Ode for Apart<'_, O> {
 struct Advance<'a, I, T> {
     method: &'a I,
     ode: &'a dyn DynOde<T>,
-    step: StepInput<'a, T>,
+    dt: f64,
+    inputs: Inputs<'a, T>,
     next: &'a mut [T],
 }
 
 impl<I: Integrator, T: Scalar> Vectorized for Advance<'_, I, T> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        self.method.advance(self.ode, self.step, self.next);
+        self.method.advance(self.ode, self.dt, self.inputs, self.next);
     }
 }
 
@@ -101,35 +104,35 @@ impl<I: Integrator, T: Scalar> Vectorized for Advance<'_, I, T> {
 struct Reverse<'a, I, R, C> {
     method: &'a I,
     ode: &'a dyn DynOdeVjp<R, C>,
-    step: StepInput<'a, R>,
+    dt: f64,
+    inputs: Inputs<'a, R>,
     next_bar: &'a [C],
-    x_bar: &'a mut [C],
-    u_bar: Option<&'a mut [C]>,
+    bars: Cotangents<'a, C>,
 }
 
 impl<I: Integrator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, I, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { method, ode, step, next_bar, x_bar, u_bar } = self;
-        method.reverse(ode, step, next_bar, x_bar, u_bar);
+        let Self { method, ode, dt, inputs, next_bar, bars } = self;
+        method.reverse(ode, dt, inputs, next_bar, bars);
     }
 }
 
 impl Integrator for AnyIntegrator {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, step: StepInput<'_, T>, next: &mut [T]) {
+    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
         match self {
-            Self::RungeKutta(method) => outline::<T>(Advance { method, ode, step, next }),
-            Self::SemiImplicit(method) => outline::<T>(Advance { method, ode, step, next }),
-            Self::Verlet(method) => outline::<T>(Advance { method, ode, step, next }),
-            Self::Adaptive(method) => outline::<T>(Advance { method, ode, step, next }),
-            Self::ImplicitMidpoint(method) => outline::<T>(Advance { method, ode, step, next }),
+            Self::RungeKutta(method) => outline::<T>(Advance { method, ode, dt, inputs, next }),
+            Self::SemiImplicit(method) => outline::<T>(Advance { method, ode, dt, inputs, next }),
+            Self::Verlet(method) => outline::<T>(Advance { method, ode, dt, inputs, next }),
+            Self::Adaptive(method) => outline::<T>(Advance { method, ode, dt, inputs, next }),
+            Self::ImplicitMidpoint(method) => outline::<T>(Advance { method, ode, dt, inputs, next }),
         }
     }
 
-    fn unsolved<F: Float>(&self, ode: &dyn DynOde<F>, step: StepInput<'_, F>) -> Option<f64> {
+    fn unsolved<F: Float>(&self, ode: &dyn DynOde<F>, dt: f64, inputs: Inputs<'_, F>) -> Option<f64> {
         match self {
-            Self::ImplicitMidpoint(method) => method.unsolved(ode, step),
+            Self::ImplicitMidpoint(method) => method.unsolved(ode, dt, inputs),
             _ => None,
         }
     }
@@ -138,17 +141,17 @@ impl Integrator for AnyIntegrator {
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn DynOdeVjp<R, C>,
-        step: StepInput<'_, R>,
+        dt: f64,
+        inputs: Inputs<'_, R>,
         next_bar: &[C],
-        x_bar: &mut [C],
-        u_bar: Option<&mut [C]>,
+        bars: Cotangents<'_, C>,
     ) {
         match self {
-            Self::RungeKutta(method) => outline::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
-            Self::SemiImplicit(method) => outline::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
-            Self::Verlet(method) => outline::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
-            Self::Adaptive(method) => outline::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
-            Self::ImplicitMidpoint(method) => outline::<R>(Reverse { method, ode, step, next_bar, x_bar, u_bar }),
+            Self::RungeKutta(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, bars }),
+            Self::SemiImplicit(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, bars }),
+            Self::Verlet(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, bars }),
+            Self::Adaptive(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, bars }),
+            Self::ImplicitMidpoint(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, bars }),
         }
     }
 }

@@ -1,10 +1,12 @@
 //! [`ImplicitMidpoint`]: the implicit midpoint rule.
 
-use super::{Integrator, StepInput, room};
+use super::{Integrator, room, stage_time};
+use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
 use crate::dynamics::ode::{DynOde, DynOdeVjp};
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
-/// The implicit midpoint rule, `x' = x + h f((x + x')/2, u)`: order 2, symplectic, A-stable.
+/// The implicit midpoint rule, `x' = x + h f((x + x')/2, u, p, t + h/2)`: order 2, symplectic,
+/// A-stable.
 ///
 /// Solved by simplified Newton iteration. The Jacobian is constant: central differences at the
 /// midpoint of an explicit Euler step. Each sample iterates until it converges, and yields NaN
@@ -40,8 +42,8 @@ impl ImplicitMidpoint {
     ///
     /// The Jacobian affects the rate of convergence, not the solution.
     #[inline(always)]
-    fn differences<T: Scalar>(ode: &dyn DynOde<T>, h: T, x: &[T], u: &[T], matrix: &mut [T]) {
-        let n = x.len();
+    fn differences<T: Scalar>(ode: &dyn DynOde<T>, h: T, inputs: OdeInputs<'_, T>, matrix: &mut [T]) {
+        let (x, n) = (inputs.x, inputs.x.len());
         let (mut at, mut before, mut after) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
         // Slices: indexing a `SmallVec` may compile to a call.
         let (at, before, after) = (&mut at[..], &mut before[..], &mut after[..]);
@@ -50,9 +52,9 @@ impl ImplicitMidpoint {
         for j in 0..n {
             let by = (T::lift(width) * (T::one() + x[j].abs())).detach();
             at[j] = x[j] - by;
-            ode.rate(at, u, before);
+            ode.rate(inputs.with_x(at), before);
             at[j] = x[j] + by;
-            ode.rate(at, u, after);
+            ode.rate(inputs.with_x(at), after);
             at[j] = x[j];
             let factor = h * T::lift(0.25) / by;
             for i in 0..n {
@@ -63,8 +65,8 @@ impl ImplicitMidpoint {
 
     /// Solves for the next state to `tolerance`. Writes NaN in lanes that do not converge.
     #[inline(always)]
-    fn solve<T: Scalar>(tolerance: f64, ode: &dyn DynOde<T>, h: T, x: &[T], u: &[T], next: &mut [T]) {
-        let to_go = Self::iterate(tolerance, ode, h, x, u, next);
+    fn solve<T: Scalar>(tolerance: f64, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
+        let to_go = Self::iterate(tolerance, ode, dt, inputs, next);
         for next in next {
             *next = T::select_lt(T::zero(), to_go, T::lift(f64::NAN), *next);
         }
@@ -72,19 +74,20 @@ impl ImplicitMidpoint {
 
     /// Simplified Newton iteration. Returns 0 in lanes that converged, else a positive number.
     #[inline(always)]
-    fn iterate<T: Scalar>(tolerance: f64, ode: &dyn DynOde<T>, h: T, x: &[T], u: &[T], next: &mut [T]) -> T {
-        let n = x.len();
+    fn iterate<T: Scalar>(tolerance: f64, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) -> T {
+        let (h, x, n) = (T::lift(dt), inputs.x, inputs.x.len());
+        let halfway = halfway(dt, inputs);
         let (mut middle, mut rate, mut residual) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
         let (middle, rate, residual) = (&mut middle[..], &mut rate[..], &mut residual[..]);
         let half = T::lift(0.5);
-        ode.rate(x, u, rate);
+        ode.rate(inputs.continuous(dt), rate);
         for i in 0..n {
             next[i] = x[i] + h * rate[i];
             middle[i] = (x[i] + next[i]) * half;
         }
         let (mut matrix, mut inverse) = (room(T::zero(), n * n), room(T::zero(), n * n));
         let (matrix, inverse) = (&mut matrix[..], &mut inverse[..]);
-        Self::differences(ode, h, middle, u, matrix);
+        Self::differences(ode, h, halfway.with_x(middle), matrix);
         invert_one_minus(matrix, inverse, n);
         let tolerance = T::lift(tolerance.max(256.0 * <T::Real as Float>::EPSILON));
         // Tangents of dual numbers converge one iteration after the values.
@@ -97,7 +100,7 @@ impl ImplicitMidpoint {
             for i in 0..n {
                 middle[i] = (x[i] + next[i]) * half;
             }
-            ode.rate(middle, u, rate);
+            ode.rate(halfway.with_x(middle), rate);
             for i in 0..n {
                 residual[i] = next[i] - x[i] - h * rate[i];
             }
@@ -115,6 +118,12 @@ impl ImplicitMidpoint {
         }
         to_go
     }
+}
+
+/// Inputs in the middle of the step.
+#[inline(always)]
+fn halfway<T: Scalar>(dt: f64, inputs: Inputs<'_, T>) -> OdeInputs<'_, T> {
+    inputs.at(stage_time(inputs.t, dt, 0.5))
 }
 
 /// Writes `(I - M)⁻¹` by Gauss–Jordan elimination; destroys `matrix`.
@@ -161,19 +170,18 @@ fn invert_one_minus<T: Scalar>(matrix: &mut [T], inverse: &mut [T], n: usize) {
 
 impl Integrator for ImplicitMidpoint {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, step: StepInput<'_, T>, next: &mut [T]) {
-        let StepInput { h, x, u } = step;
-        Self::solve(self.tolerance, ode, h, x, u, next);
+    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
+        Self::solve(self.tolerance, ode, dt, inputs, next);
     }
 
-    fn unsolved<F: Float>(&self, ode: &dyn DynOde<F>, step: StepInput<'_, F>) -> Option<f64> {
-        let StepInput { h, x, u } = step;
+    fn unsolved<F: Float>(&self, ode: &dyn DynOde<F>, dt: f64, inputs: Inputs<'_, F>) -> Option<f64> {
+        let (h, x) = (F::lift(dt), inputs.x);
         let (mut next, mut rate, mut middle) = (room(F::zero(), x.len()), room(F::zero(), x.len()), room(F::zero(), x.len()));
-        let to_go = Self::iterate(self.tolerance, ode, h, x, u, &mut next);
+        let to_go = Self::iterate(self.tolerance, ode, dt, inputs, &mut next);
         for i in 0..x.len() {
             middle[i] = (x[i] + next[i]) * F::lift(0.5);
         }
-        ode.rate(&middle, u, &mut rate);
+        ode.rate(halfway(dt, inputs).with_x(&middle), &mut rate);
         let residual = (0..x.len()).map(|i| (next[i] - x[i] - h * rate[i]).as_().abs());
         // A NaN residual is reported as infinite.
         let largest = residual.fold(0.0, |largest, r| if r.is_nan() { f64::INFINITY } else { r.max(largest) });
@@ -184,23 +192,23 @@ impl Integrator for ImplicitMidpoint {
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn DynOdeVjp<R, C>,
-        step: StepInput<'_, R>,
+        dt: f64,
+        inputs: Inputs<'_, R>,
         next_bar: &[C],
-        x_bar: &mut [C],
-        u_bar: Option<&mut [C]>,
+        mut bars: Cotangents<'_, C>,
     ) {
-        let StepInput { h, x, u } = step;
-        let n = x.len();
+        let (h, x, n) = (R::lift(dt), inputs.x, inputs.x.len());
         let mut middle = room(R::zero(), n);
-        Self::solve(0.0, ode, h, x, u, &mut middle);
+        Self::solve(0.0, ode, dt, inputs, &mut middle);
         for i in 0..n {
             middle[i] = (x[i] + middle[i]) * R::lift(0.5);
         }
+        let halfway = halfway(dt, inputs).with_x(&middle);
         let (mut matrix, mut inverse) = (room(R::zero(), n * n), room(R::zero(), n * n));
         let (matrix, inverse) = (&mut matrix[..], &mut inverse[..]);
         for i in 0..n {
             let row = &mut matrix[i * n..][..n];
-            ode.slopes(&middle, u, i, row);
+            ode.slopes(halfway, i, row);
             for slope in row {
                 *slope *= h * R::lift(0.5);
             }
@@ -214,11 +222,13 @@ impl Integrator for ImplicitMidpoint {
                 w += next_bar[i] * inverse[i * n + j];
             }
             rate_bar[j] = w * h;
-            x_bar[j] = w + w - next_bar[j];
+            if let Some(x_bar) = &mut bars.x {
+                x_bar[j] += w + w - next_bar[j];
+            }
         }
-        if let Some(u_bar) = u_bar {
-            let mut unused = room(C::null(), n);
-            ode.rate_vjp(&middle, u, &rate_bar, &mut unused, Some(u_bar));
+        bars.x = None;
+        if !bars.is_empty() {
+            ode.rate_vjp(halfway, &rate_bar, bars);
         }
     }
 }

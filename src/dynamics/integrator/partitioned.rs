@@ -3,7 +3,8 @@
 //! A component is a position if [`Ode::velocity`](crate::Ode::velocity) returns its velocity. All
 //! other components are updated like velocities.
 
-use super::{Integrator, StepInput, room};
+use super::{Integrator, room, stage_time};
+use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs, add};
 use crate::dynamics::ode::{DynOde, DynOdeVjp};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
@@ -16,10 +17,10 @@ pub struct SemiImplicit;
 
 impl Integrator for SemiImplicit {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, step: StepInput<'_, T>, next: &mut [T]) {
-        let StepInput { h, x, u } = step;
+    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
+        let (h, x) = (T::lift(dt), inputs.x);
         let mut rate = room(T::zero(), x.len());
-        ode.rate(x, u, &mut rate);
+        ode.rate(inputs.continuous(dt), &mut rate);
         for i in 0..x.len() {
             if ode.velocity(i).is_none() {
                 next[i] = x[i] + h * rate[i];
@@ -36,12 +37,13 @@ impl Integrator for SemiImplicit {
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn DynOdeVjp<R, C>,
-        step: StepInput<'_, R>,
+        dt: f64,
+        inputs: Inputs<'_, R>,
         next_bar: &[C],
-        x_bar: &mut [C],
-        u_bar: Option<&mut [C]>,
+        mut bars: Cotangents<'_, C>,
     ) {
-        let StepInput { h, x, u } = step;
+        let (h, x) = (R::lift(dt), inputs.x);
+        let mut x_bar = room(C::null(), x.len());
         x_bar.copy_from_slice(next_bar);
         for (i, &next_bar) in next_bar.iter().enumerate() {
             if let Some(velocity) = ode.velocity(i) {
@@ -54,7 +56,10 @@ impl Integrator for SemiImplicit {
                 rate_bar[i] = x_bar[i] * h;
             }
         }
-        ode.rate_vjp(x, u, &rate_bar, x_bar, u_bar);
+        if let Some(bar) = &mut bars.x {
+            add(bar, &x_bar);
+        }
+        ode.rate_vjp(inputs.continuous(dt), &rate_bar, bars);
     }
 }
 
@@ -70,6 +75,12 @@ impl Integrator for SemiImplicit {
 /// still 2, but the method is not symplectic.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Verlet;
+
+/// Inputs at the end of the step.
+#[inline(always)]
+fn end<T: Scalar>(dt: f64, inputs: Inputs<'_, T>) -> OdeInputs<'_, T> {
+    inputs.at(stage_time(inputs.t, dt, 1.0))
+}
 
 impl Verlet {
     /// Writes the argument of the second evaluation: the new positions and predicted velocities.
@@ -87,12 +98,12 @@ impl Verlet {
 
 impl Integrator for Verlet {
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, step: StepInput<'_, T>, next: &mut [T]) {
-        let StepInput { h, x, u } = step;
+    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
+        let (h, x) = (T::lift(dt), inputs.x);
         let (mut first, mut second) = (room(T::zero(), x.len()), room(T::zero(), x.len()));
-        ode.rate(x, u, &mut first);
+        ode.rate(inputs.continuous(dt), &mut first);
         Self::guess(ode, h, x, &first, next);
-        ode.rate(next, u, &mut second);
+        ode.rate(end(dt, inputs).with_x(next), &mut second);
         let half = h * T::lift(0.5);
         for i in 0..x.len() {
             if ode.velocity(i).is_none() {
@@ -105,16 +116,16 @@ impl Integrator for Verlet {
     fn reverse<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn DynOdeVjp<R, C>,
-        step: StepInput<'_, R>,
+        dt: f64,
+        inputs: Inputs<'_, R>,
         next_bar: &[C],
-        x_bar: &mut [C],
-        mut u_bar: Option<&mut [C]>,
+        mut bars: Cotangents<'_, C>,
     ) {
-        let StepInput { h, x, u } = step;
+        let (h, x) = (R::lift(dt), inputs.x);
         let n = x.len();
         let (half, half_square) = (h * R::lift(0.5), h * h * R::lift(0.5));
         let (mut rate, mut guess) = (room(R::zero(), n), room(R::zero(), n));
-        ode.rate(x, u, &mut rate);
+        ode.rate(inputs.continuous(dt), &mut rate);
         Self::guess(ode, h, x, &rate, &mut guess);
         let (mut rate_bar, mut guess_bar) = (room(C::null(), n), room(C::null(), n));
         for i in 0..n {
@@ -123,8 +134,10 @@ impl Integrator for Verlet {
                 None => rate_bar[i] = next_bar[i] * half,
             }
         }
-        ode.rate_vjp(&guess, u, &rate_bar, &mut guess_bar, u_bar.as_deref_mut());
-        x_bar.fill(C::null());
+        let mut guess_bars = bars.reborrow();
+        guess_bars.x = Some(&mut guess_bar);
+        ode.rate_vjp(end(dt, inputs).with_x(&guess), &rate_bar, guess_bars);
+        let mut x_bar = room(C::null(), n);
         for i in 0..n {
             x_bar[i] += guess_bar[i];
             match ode.velocity(i) {
@@ -138,6 +151,9 @@ impl Integrator for Verlet {
                 }
             }
         }
-        ode.rate_vjp(x, u, &rate_bar, x_bar, u_bar);
+        if let Some(bar) = &mut bars.x {
+            add(bar, &x_bar);
+        }
+        ode.rate_vjp(inputs.continuous(dt), &rate_bar, bars);
     }
 }

@@ -1,13 +1,15 @@
 //! [`RungeKutta`]: explicit Runge–Kutta methods with one analytic VJP for all tableaus.
 
-use super::{Integrator, Room, StepInput, room};
+use super::{Integrator, Room, room, stage_time};
+use crate::dynamics::inputs::{Cotangents, Inputs, add};
 use crate::dynamics::ode::{DynOde, DynOdeVjp};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// Maximal number of stages of a tableau.
 const MOST: usize = 7;
 
-/// An explicit Runge–Kutta method: `k_i = f(x + h Σ_{j<i} a_ij k_j, u)`, `x' = x + h Σ_i b_i k_i`.
+/// An explicit Runge–Kutta method: `k_i = f(x + h Σ_{j<i} a_ij k_j, u, p, t + c_i h)`,
+/// `x' = x + h Σ_i b_i k_i`.
 ///
 /// The VJP visits the stages from last to first (Hairer, Lubich and Wanner, Geometric Numerical
 /// Integration, VI.4; Sanz-Serna 2016, doi:10.1137/151002769):
@@ -18,12 +20,13 @@ const MOST: usize = 7;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RungeKutta(&'static Tableau);
 
-/// Butcher tableau; unused entries are 0.
+/// Butcher tableau; unused entries are 0. `c_i = Σ_j a_ij`.
 #[derive(Debug, PartialEq)]
 struct Tableau {
     stages: usize,
     a: [[f64; MOST - 1]; MOST],
     b: [f64; MOST],
+    c: [f64; MOST],
 }
 
 impl RungeKutta {
@@ -66,18 +69,27 @@ impl RungeKutta {
     }
 
     /// Writes the argument of each stage to `at` and the rate there to `rates`, each stages × n.
+    ///
+    /// `inputs.t` returns the time at a fraction of the step.
     #[inline(always)]
-    pub(super) fn run<T: Scalar>(&self, ode: &dyn DynOde<T>, h: T, x: &[T], u: &[T], at: &mut [T], rates: &mut [T]) {
-        let n = x.len();
+    pub(super) fn run<T: Scalar>(
+        &self,
+        ode: &dyn DynOde<T>,
+        h: T,
+        inputs: Inputs<'_, T, impl Fn(f64) -> T + Copy>,
+        at: &mut [T],
+        rates: &mut [T],
+    ) {
+        let n = inputs.x.len();
         for i in 0..self.0.stages {
             let at = &mut at[i * n..(i + 1) * n];
-            at.copy_from_slice(x);
+            at.copy_from_slice(inputs.x);
             for (j, &weight) in self.0.a[i][..i].iter().enumerate() {
                 if weight != 0.0 {
                     add_scaled(at, h * T::lift(weight), &rates[j * n..(j + 1) * n]);
                 }
             }
-            ode.rate(at, u, &mut rates[i * n..(i + 1) * n]);
+            ode.rate(inputs.at((inputs.t)(self.0.c[i])).with_x(at), &mut rates[i * n..(i + 1) * n]);
         }
     }
 
@@ -106,18 +118,19 @@ impl RungeKutta {
 
 impl Tableau {
     const fn new(stages: usize, rows: &[&[f64]], weights: &[f64]) -> Self {
-        let (mut a, mut b) = ([[0.0; MOST - 1]; MOST], [0.0; MOST]);
+        let (mut a, mut b, mut c) = ([[0.0; MOST - 1]; MOST], [0.0; MOST], [0.0; MOST]);
         let mut i = 0;
         while i < weights.len() {
             b[i] = weights[i];
             let mut j = 0;
             while i > 0 && j < rows[i - 1].len() {
                 a[i][j] = rows[i - 1][j];
+                c[i] += a[i][j];
                 j += 1;
             }
             i += 1;
         }
-        Self { stages, a, b }
+        Self { stages, a, b, c }
     }
 }
 
@@ -129,29 +142,20 @@ pub(super) fn add_scaled<T: Scalar>(y: &mut [T], factor: T, x: &[T]) {
     }
 }
 
-impl Integrator for RungeKutta {
+impl RungeKutta {
+    /// VJP of a step of any duration; see [`run`](Self::run). Adds to the requested cotangents.
     #[inline(always)]
-    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, step: StepInput<'_, T>, next: &mut [T]) {
-        let StepInput { h, x, u } = step;
-        let (mut at, mut rates) = self.room(x.len());
-        self.run(ode, h, x, u, &mut at, &mut rates);
-        next.copy_from_slice(x);
-        self.sum(&self.0.b, h, &rates, next);
-    }
-
-    #[inline(always)]
-    fn reverse<R: Real, C: Cotangent<R>>(
+    pub(super) fn run_back<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn DynOdeVjp<R, C>,
-        step: StepInput<'_, R>,
+        h: R,
+        inputs: Inputs<'_, R, impl Fn(f64) -> R + Copy>,
         next_bar: &[C],
-        x_bar: &mut [C],
-        mut u_bar: Option<&mut [C]>,
+        mut bars: Cotangents<'_, C>,
     ) {
-        let StepInput { h, x, u } = step;
-        let n = x.len();
+        let n = inputs.x.len();
         let (mut at, mut rates) = self.room(n);
-        self.run(ode, h, x, u, &mut at, &mut rates);
+        self.run(ode, h, inputs, &mut at, &mut rates);
         let (mut at_bar, mut rate_bar) = (room(C::null(), self.0.stages * n), room(C::null(), n));
         // Slices: indexing a `SmallVec` may compile to a call.
         let (at_bar, rate_bar) = (&mut at_bar[..], &mut rate_bar[..]);
@@ -164,14 +168,37 @@ impl Integrator for RungeKutta {
                     }
                 }
             }
-            let at_bar = &mut at_bar[i * n..(i + 1) * n];
-            ode.rate_vjp(&at[i * n..(i + 1) * n], u, rate_bar, at_bar, u_bar.as_deref_mut());
+            let mut stage_bars = bars.reborrow();
+            stage_bars.x = Some(&mut at_bar[i * n..(i + 1) * n]);
+            ode.rate_vjp(inputs.at((inputs.t)(self.0.c[i])).with_x(&at[i * n..(i + 1) * n]), rate_bar, stage_bars);
         }
-        x_bar.copy_from_slice(next_bar);
-        for stage in at_bar.chunks_exact(n) {
-            for c in 0..n {
-                x_bar[c] += stage[c];
+        if let Some(x_bar) = bars.x {
+            add(x_bar, next_bar);
+            for stage in at_bar.chunks_exact(n) {
+                add(x_bar, stage);
             }
         }
+    }
+}
+
+impl Integrator for RungeKutta {
+    #[inline(always)]
+    fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
+        let (h, (mut at, mut rates)) = (T::lift(dt), self.room(inputs.x.len()));
+        self.run(ode, h, inputs.at(|c| stage_time(inputs.t, dt, c)), &mut at, &mut rates);
+        next.copy_from_slice(inputs.x);
+        self.sum(&self.0.b, h, &rates, next);
+    }
+
+    #[inline(always)]
+    fn reverse<R: Real, C: Cotangent<R>>(
+        &self,
+        ode: &dyn DynOdeVjp<R, C>,
+        dt: f64,
+        inputs: Inputs<'_, R>,
+        next_bar: &[C],
+        bars: Cotangents<'_, C>,
+    ) {
+        self.run_back(ode, R::lift(dt), inputs.at(|c| stage_time(inputs.t, dt, c)), next_bar, bars);
     }
 }

@@ -4,6 +4,7 @@
 //! later values, exactly. Only the cost gradients added at each step must be divided by it. At
 //! moderate sizes all exponents are 0, and results are bitwise those of plain numbers.
 
+use super::recursion::CostGradient;
 use super::{Flow, Pass};
 use crate::engine::rollout::{Lane, WIDTH};
 use crate::numbers::extended::{exponent_of, scaled};
@@ -77,13 +78,19 @@ impl<F: Float, const K: usize> Exponents<F, K> {
 
     /// Resets exponents of a block that are too low for its cost gradients to 0.
     ///
-    /// Skips samples whose cost gradients are 0.
-    pub(super) fn raise(&mut self, block: usize, scale: F, lambda: &mut [CotangentPack<Lane<F>, K>], costs: [&[Lane<F>]; 2]) {
+    /// Exponents of samples whose cost gradients are 0 do not change.
+    pub(super) fn raise(
+        &mut self,
+        block: usize,
+        scale: F,
+        lambda: &mut [CotangentPack<Lane<F>, K>],
+        cost: &CostGradient<Lane<F>>,
+    ) {
         if !self.low {
             return;
         }
         for lane in 0..WIDTH {
-            if costs.iter().copied().flatten().any(|cost| cost.lane(lane) != F::zero()) {
+            if cost.values().any(|cost| cost.lane(lane) != F::zero()) {
                 (0..K).for_each(|k| self.blocks[block].raise((k, lane), scale, lambda));
             }
         }

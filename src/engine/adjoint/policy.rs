@@ -2,11 +2,13 @@
 
 use super::exponents::Exponents;
 use super::{Flow, Pass};
+use crate::dynamics::outline::One;
+use crate::engine::any::AnyTask;
 use crate::engine::gradient::Gradient;
-use crate::engine::rollout::{Lane, Rollout, WIDTH, gather};
+use crate::engine::rollout::{Lane, WIDTH, gather};
 use crate::numbers::aligned::Aligned;
 use crate::numbers::extended::{exponent_of, scaled};
-use crate::numbers::scalar::{CotangentPack, Float, Real};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real};
 use crate::numbers::zip::zip;
 use crate::policy::AnyPolicy;
 use crate::policy::{PolicyColumns, PolicyPass, PolicyRecord};
@@ -20,10 +22,15 @@ pub(super) struct PolicyAdjoint<F> {
     pub(super) controls_bar: Vec<Vec<F>>,
     /// Tape of the policy's backward pass, per flow, or one for all flows if `linearized`.
     pub(super) tape_bar: Vec<Aligned<F>>,
-    /// `(∂N/∂x)ᵀ h`, or `∂N/∂x` if `linearized`, as policy columns.
+    /// `(∂N/∂y)ᵀ h`, or `∂N/∂y` if `linearized`, as policy columns.
     ///
     /// Empty if no flow has a control path.
     pub(super) inputs_bar: Vec<F>,
+    /// Cotangents of the observations and of the states of one step, `[block][component]`. Empty if
+    /// the policy observes the state.
+    observed_bar: Vec<One<Lane<F>>>,
+    states_bar: Vec<One<Lane<F>>>,
+    observed_dim: usize,
     /// True if the policy is linearized for all steps of a unit at once.
     pub(super) linearized: bool,
     /// Cotangents of the only control, all equal to 1, if `linearized`.
@@ -45,6 +52,9 @@ pub(super) struct PolicyBufferSizes {
     tapes: usize,
     tape_bar: usize,
     inputs_bar: usize,
+    observed_dim: usize,
+    observed_bar: usize,
+    states_bar: usize,
     linearized: bool,
     ones: usize,
     scratch: usize,
@@ -53,14 +63,22 @@ pub(super) struct PolicyBufferSizes {
 }
 
 impl PolicyBufferSizes {
-    pub(super) fn new<F: Float>(policy: &dyn AnyPolicy<F>, columns: usize, flows: &[Flow]) -> Self {
-        let (n, m) = (policy.state_dim(), policy.control_dim());
+    pub(super) fn new<F: Float>(
+        task: &dyn AnyTask<F>,
+        policy: &dyn AnyPolicy<F>,
+        samples: usize,
+        kept: usize,
+        flows: &[Flow],
+    ) -> Self {
+        let columns = samples * kept;
+        let (n, m) = (policy.observation_dim(), policy.control_dim());
         let sizes = policy.sizes(columns);
-        // With one control, ∂N/∂x and the cotangents of all layers are known up to the factor h
+        // With one control, ∂N/∂y and the cotangents of all layers are known up to the factor h
         // before the loop. One linearization in large products then serves all flows. Several
         // controls would require one linearization each.
         let through_inputs = flows.iter().any(|flow| flow.control);
         let linearized = m == 1 && through_inputs;
+        let (blocks, observed) = (samples.div_ceil(WIDTH), through_inputs && task.own_observation().is_some());
         Self {
             control_dim: m,
             flows: flows.len(),
@@ -68,6 +86,9 @@ impl PolicyBufferSizes {
             tapes: if linearized { 1 } else { flows.len() },
             tape_bar: sizes.tape_bar,
             inputs_bar: if through_inputs { columns * n } else { 0 },
+            observed_dim: n,
+            observed_bar: if observed { blocks * n } else { 0 },
+            states_bar: if observed { blocks * task.state_dim() } else { 0 },
             linearized,
             ones: if linearized { columns } else { 0 },
             scratch: sizes.scratch,
@@ -76,12 +97,13 @@ impl PolicyBufferSizes {
         }
     }
 
-    pub(super) fn bytes<F>(&self) -> usize {
+    pub(super) fn bytes<F: Float>(&self) -> usize {
         let numbers = self.flows * self.controls_bar + self.inputs_bar + self.ones + self.columns + self.params;
         let vectors = self.flows * size_of::<Vec<F>>() + numbers * size_of::<F>();
         let tapes = self.tapes * (size_of::<Aligned<F>>() + Aligned::<F>::bytes_of(self.tape_bar));
         let scaled = self.flows * (size_of::<Vec<i32>>() + self.columns * size_of::<i32>());
-        vectors + tapes + Aligned::<F>::bytes_of(self.scratch) + scaled
+        let lanes = (self.observed_bar + self.states_bar) * size_of::<One<Lane<F>>>();
+        lanes + vectors + tapes + Aligned::<F>::bytes_of(self.scratch) + scaled
     }
 }
 
@@ -93,6 +115,9 @@ impl<F: Float> PolicyAdjoint<F> {
             controls_bar: (0..sizes.flows).map(|_| zeros(sizes.controls_bar)).collect(),
             tape_bar: (0..sizes.tapes).map(|_| Aligned::zeros(sizes.tape_bar)).collect(),
             inputs_bar: zeros(sizes.inputs_bar),
+            observed_bar: vec![One::null(); sizes.observed_bar],
+            states_bar: vec![One::null(); sizes.states_bar],
+            observed_dim: sizes.observed_dim,
             linearized: sizes.linearized,
             ones: vec![F::one(); sizes.ones],
             scratch: Aligned::zeros(sizes.scratch),
@@ -107,7 +132,8 @@ impl<F: Float> PolicyAdjoint<F> {
         let flat = [&self.inputs_bar, &self.ones, &self.weights, &self.part].map(|flat| size_of_val(&flat[..]));
         let tapes = size_of_val(&self.tape_bar[..]) + self.tape_bar.iter().map(Aligned::stored_bytes).sum::<usize>();
         let nested = nested_bytes(&self.controls_bar) + tapes + nested_bytes(&self.exponents);
-        flat.into_iter().sum::<usize>() + self.scratch.stored_bytes() + nested
+        let lanes = size_of_val(&self.observed_bar[..]) + size_of_val(&self.states_bar[..]);
+        lanes + flat.into_iter().sum::<usize>() + self.scratch.stored_bytes() + nested
     }
 
     /// Sets the exponents of all columns to 0.
@@ -141,30 +167,48 @@ impl<F: Float> PolicyAdjoint<F> {
         }
     }
 
-    /// Evaluates `(∂N/∂x)ᵀ h` of flow `k` at step `t`, unless `linearized`.
+    /// Evaluates `(∂N/∂y)ᵀ h` of flow `k` at step `t`, unless `linearized`.
     pub(super) fn linearize_inputs(&mut self, pass: &Pass<'_, F>, k: usize, t: usize) {
         if !self.linearized {
             self.backward(pass, k, pass.rollout.columns(t), true);
         }
     }
 
-    /// Adds `(∂N/∂x)ᵀ h` at step `t` to λ of flow `k`.
+    /// Adds `(∂y/∂x)ᵀ (∂N/∂y)ᵀ h` at step `t` to λ of flow `k`.
     pub(super) fn add_inputs_bar<const K: usize>(
-        &self,
+        &mut self,
         k: usize,
-        rollout: &Rollout<F>,
+        pass: &Pass<'_, F>,
         t: usize,
         lambda: &mut [CotangentPack<Lane<F>, K>],
     ) {
-        let (n, at) = (rollout.state_dim, rollout.columns(t));
-        for (block, lambda) in lambda.chunks_exact_mut(n).take(at.count.div_ceil(WIDTH)).enumerate() {
+        let Pass { task, rollout, .. } = *pass;
+        if task.own_observation().is_none() {
+            return self.each_input_bar(k, rollout.columns(t), |i, lane, bar| lambda[i].0[k].0[lane] += bar);
+        }
+        let mut observed_bar = std::mem::take(&mut self.observed_bar);
+        self.each_input_bar(k, rollout.columns(t), |i, lane, bar| observed_bar[i].0[0].0[lane] = bar);
+        let states_bar = &mut self.states_bar[..rollout.states_at(t).len()];
+        states_bar.fill(One::null());
+        task.observe_back(rollout.observed_at(t), &observed_bar, states_bar);
+        for (lambda, &CotangentPack([bar])) in zip(lambda.iter_mut(), &*states_bar) {
+            lambda.0[k] += bar;
+        }
+        self.observed_bar = observed_bar;
+    }
+
+    /// Calls `visit(i, lane, bar)` with each component of `(∂N/∂y)ᵀ h` in the columns `at`. `i` is
+    /// an index of `[block][component]`.
+    fn each_input_bar(&self, k: usize, at: PolicyColumns, mut visit: impl FnMut(usize, usize, F)) {
+        let n = self.observed_dim;
+        for block in 0..at.count.div_ceil(WIDTH) {
             for lane in 0..WIDTH {
                 let sample = (block * WIDTH + lane).min(at.count - 1);
                 let c = at.first + sample * at.step;
-                // If linearized, `inputs_bar` contains ∂N/∂x without the factor h.
+                // If linearized, `inputs_bar` contains ∂N/∂y without the factor h.
                 let factor = if self.linearized { self.controls_bar[k][c] } else { F::one() };
-                for (lambda, &x_bar) in zip(lambda.iter_mut(), &self.inputs_bar[c * n..][..n]) {
-                    lambda.0[k].0[lane] += x_bar * factor;
+                for (i, &input_bar) in self.inputs_bar[c * n..][..n].iter().enumerate() {
+                    visit(block * n + i, lane, input_bar * factor);
                 }
             }
         }
@@ -216,7 +260,7 @@ impl<F: Float> PolicyAdjoint<F> {
 
     /// Runs the policy's backward pass of flow `k` for the columns `at`.
     ///
-    /// Evaluates `∂N/∂x` only if `through_inputs`.
+    /// Evaluates `∂N/∂y` only if `through_inputs`.
     pub(super) fn backward(&mut self, pass: &Pass<'_, F>, k: usize, at: PolicyColumns, through_inputs: bool) {
         let columns = PolicyPass { packed: pass.weights.packed(), at, x: pass.rollout.inputs() };
         let u_bar = if self.linearized { &self.ones } else { &self.controls_bar[k] };

@@ -8,39 +8,79 @@ use super::exponents::Exponents;
 use super::measure::{GrowthMeters, record_norms};
 use super::step_back::StepBack;
 use super::{Flow, Pass, PolicyAdjoint};
+use crate::dynamics::inputs::{Cotangents, Inputs};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::divergence::{Divergence, Variable};
 use crate::engine::rollout::{Lane, Rollout, WIDTH, find_non_finite};
-use crate::numbers::scalar::{CotangentPack, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Scalar};
 use crate::numbers::zip::zip;
 use std::ops::Range;
 
 /// Inputs and outputs of one step of the recursion, for one block of samples or one sample.
 pub(super) struct Step<'a, R, const K: usize> {
-    /// `x_t`, `x_{t+1}` and `u_t`.
-    pub(super) x: &'a [R],
+    /// Inputs `x_t`, `u_t`, `p`, `t`, and the result `x_{t+1}`.
+    pub(super) inputs: Inputs<'a, R>,
     pub(super) next: &'a [R],
-    pub(super) u: &'a [R],
     /// λ, read and overwritten.
     pub(super) lambda: &'a mut [CotangentPack<R, K>],
     /// `(∂S/∂x)ᵀ λ`, written.
     pub(super) x_bar: &'a mut [CotangentPack<R, K>],
     /// h, written.
     pub(super) u_bar: &'a mut [CotangentPack<R, K>],
-    /// `∂l/∂x` and `∂l/∂u`, written.
-    pub(super) cost_x: &'a mut [R],
-    pub(super) cost_u: &'a mut [R],
+    /// Gradients of the running cost, written.
+    pub(super) cost: &'a mut CostGradient<R>,
     /// Factor of the cost gradients; see [`Exponents`].
     pub(super) inject: CotangentPack<R, K>,
+}
+
+/// Gradients of the running cost of one step, for one block of samples.
+#[derive(Debug)]
+pub(super) struct CostGradient<R> {
+    /// `∂l/∂x_{t+1}`.
+    pub(super) next: Vec<R>,
+    /// `∂l/∂x_t`.
+    pub(super) x: Vec<R>,
+    /// `∂l/∂u_t`.
+    pub(super) u: Vec<R>,
+}
+
+impl<R: Real> CostGradient<R> {
+    fn new(n: usize, m: usize) -> Self {
+        let nulls = |len: usize| vec![R::null(); len];
+        Self { next: nulls(n), x: nulls(n), u: nulls(m) }
+    }
+
+    fn bytes_of(n: usize, m: usize) -> usize {
+        (2 * n + m) * size_of::<R>()
+    }
+
+    /// All three gradients, concatenated.
+    pub(super) fn values(&self) -> impl Iterator<Item = &R> {
+        self.next.iter().chain(&self.x).chain(&self.u)
+    }
+
+    /// Sets all entries to the initial value of a sum.
+    #[inline(always)]
+    fn clear(&mut self) {
+        for values in [&mut self.next, &mut self.x, &mut self.u] {
+            values.fill(R::null());
+        }
+    }
+
+    /// Cotangents to which [`Task::running_cost_gradient`] adds.
+    #[inline(always)]
+    fn requests(&mut self) -> (Cotangents<'_, R>, &mut [R]) {
+        (Cotangents::of(&mut self.x, &mut self.u), &mut self.next)
+    }
 }
 
 /// Performs one step of the recursion without the policy. Returns Σ|λ| + Σ|h| per flow.
 ///
 /// ```text
-/// λ ← λ + ∂l/∂x(x_{t+1}, u_t)
-/// h ← (∂S/∂u)ᵀ λ + ∂l/∂u(x_{t+1}, u_t)
-/// λ ← physics·(∂S/∂x)ᵀ λ
+/// λ ← λ + ∂l/∂x_{t+1}
+/// h ← (∂S/∂u)ᵀ λ + ∂l/∂u_t
+/// λ ← physics·(∂S/∂x)ᵀ λ + ∂l/∂x_t
 /// ```
 #[inline(always)]
 pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
@@ -48,30 +88,34 @@ pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
     flows: [Flow; K],
     step: Step<'_, R, K>,
 ) -> CotangentPack<R, K> {
-    let Step { x, next, u, lambda, x_bar, u_bar, cost_x, cost_u, inject } = step;
-    let system = task.system();
+    let Step { inputs, next, lambda, x_bar, u_bar, cost, inject } = step;
     let mut size = CotangentPack([R::zero(); K]);
 
-    task.stage_cost_gradient(next, u, cost_x, cost_u);
-    for (lambda, &cost) in zip(lambda.iter_mut(), &*cost_x) {
+    cost.clear();
+    let (bars, next_bar) = cost.requests();
+    task.running_cost_gradient(inputs, next, bars, next_bar);
+    for (lambda, &cost) in zip(lambda.iter_mut(), &cost.next) {
         *lambda += inject * cost;
     }
 
+    u_bar.fill(CotangentPack::null());
     // Two flows without a physics path are rare: their special case is not compiled.
     if K > 1 || flows.iter().any(|flow| flow.physics) {
-        system.vjp(x, u, lambda, x_bar, u_bar);
+        x_bar.fill(CotangentPack::null());
+        task.system().vjp(inputs, lambda, Cotangents::of(x_bar, u_bar));
     } else {
-        system.vjp_control(x, u, lambda, u_bar);
+        task.system().vjp(inputs, lambda, Cotangents { u: Some(u_bar), ..Cotangents::default() });
     }
-    for (u_bar, &cost) in zip(u_bar.iter_mut(), &*cost_u) {
+    for (u_bar, &cost) in zip(u_bar.iter_mut(), &cost.u) {
         *u_bar += inject * cost;
         size += u_bar.abs();
     }
 
-    for (lambda, &x_bar) in zip(lambda.iter_mut(), &*x_bar) {
+    for ((lambda, &x_bar), &cost) in zip(zip(lambda.iter_mut(), &*x_bar), &cost.x) {
         for (k, flow) in flows.iter().enumerate() {
             lambda.0[k] = if flow.physics { x_bar.0[k] } else { R::zero() };
         }
+        *lambda += inject * cost;
         size += lambda.abs();
     }
     size
@@ -87,8 +131,7 @@ pub struct Recursion<F: Float, const K: usize> {
     /// h, `[block][component]`.
     pub(super) u_bar: Vec<CotangentPack<Lane<F>, K>>,
     /// Cost gradients of one block.
-    pub(super) cost_x: Vec<Lane<F>>,
-    pub(super) cost_u: Vec<Lane<F>>,
+    pub(super) cost: CostGradient<Lane<F>>,
     pub(super) exponents: Exponents<F, K>,
     growth: GrowthMeters<K>,
 }
@@ -98,13 +141,11 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let (n, m) = (rollout.state_dim, rollout.control_dim);
         let blocks = rollout.capacity().div_ceil(WIDTH);
         let columns = |len: usize| vec![CotangentPack([Lane::zero(); K]); len];
-        let lanes = |len: usize| vec![Lane::zero(); len];
         Self {
             lambda: columns(blocks * n),
             x_bar: columns(blocks * n),
             u_bar: columns(blocks * m),
-            cost_x: lanes(n),
-            cost_u: lanes(m),
+            cost: CostGradient::new(n, m),
             exponents: Exponents::new(blocks),
             growth: GrowthMeters::new(rollout.capacity()),
         }
@@ -114,16 +155,16 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     pub(super) fn bytes_of(n: usize, m: usize, samples: usize) -> usize {
         let blocks = samples.div_ceil(WIDTH);
         blocks * (2 * n + m) * size_of::<CotangentPack<Lane<F>, K>>()
-            + (n + m) * size_of::<Lane<F>>()
+            + CostGradient::<Lane<F>>::bytes_of(n, m)
             + Exponents::<F, K>::bytes_of(blocks)
             + GrowthMeters::<K>::bytes_of(samples)
     }
 
     pub(super) fn stored_bytes(&self) -> usize {
         let columns = [&self.lambda, &self.x_bar, &self.u_bar].map(|columns| size_of_val(&columns[..]));
-        let costs = [&self.cost_x, &self.cost_u].map(|costs| size_of_val(&costs[..]));
-        let others = [self.exponents.stored_bytes(), self.growth.stored_bytes()];
-        columns.into_iter().chain(costs).chain(others).sum()
+        let costs = CostGradient::<Lane<F>>::bytes_of(self.cost.x.len(), self.cost.u.len());
+        let others = [costs, self.exponents.stored_bytes(), self.growth.stored_bytes()];
+        columns.into_iter().chain(others).sum()
     }
 
     /// Starts the recursion: `λ ← scale ∂φ/∂x_T`. `norms` has one row per flow, or none.
@@ -132,9 +173,10 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let n = rollout.state_dim;
         self.exponents.reset(scale);
         self.growth.reset();
-        for (lambda, x) in zip(self.lambda.chunks_exact_mut(n), rollout.states_at(rollout.horizon).chunks_exact(n)) {
-            task.terminal_cost_gradient(x, &mut self.cost_x);
-            for (lambda, &x_bar) in zip(lambda.iter_mut(), &self.cost_x) {
+        for (block, x) in rollout.states_at(rollout.horizon).chunks_exact(n).enumerate() {
+            self.cost.clear();
+            task.terminal_cost_gradient(x, rollout.params_of(block), &mut self.cost.next);
+            for (lambda, &x_bar) in zip(self.lambda[block * n..][..n].iter_mut(), &self.cost.next) {
                 *lambda = CotangentPack([x_bar * Lane::splat(scale); K]);
             }
         }
@@ -163,9 +205,9 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             for (k, flow) in flows.into_iter().enumerate() {
                 policy.set_controls_bar(k, pass.rollout.columns(t), &self.u_bar, &self.exponents);
                 if flow.control {
-                    // λ ← λ + (∂N/∂x)ᵀ h
+                    // λ ← λ + (∂y/∂x)ᵀ (∂N/∂y)ᵀ h
                     policy.linearize_inputs(pass, k, t);
-                    policy.add_inputs_bar(k, pass.rollout, t, &mut self.lambda);
+                    policy.add_inputs_bar(k, pass, t, &mut self.lambda);
                 }
             }
             self.after_step(pass, t, norms);
@@ -179,15 +221,17 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         if !measured && !self.exponents.any_low() {
             return;
         }
-        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let n = rollout.state_dim;
         for block in 0..rollout.samples.div_ceil(WIDTH) {
-            let (next, u) = (&rollout.states_at(t + 1)[block * n..][..n], &rollout.controls_at(t)[block * m..][..m]);
-            task.stage_cost_gradient(next, u, &mut self.cost_x, &mut self.cost_u);
+            let next = &rollout.states_at(t + 1)[block * n..][..n];
+            self.cost.clear();
+            let (bars, next_bar) = self.cost.requests();
+            task.running_cost_gradient(rollout.inputs_of(t, block), next, bars, next_bar);
             let lambda = &mut self.lambda[block * n..][..n];
-            self.exponents.raise(block, scale, lambda, [&self.cost_x, &self.cost_u]);
+            self.exponents.raise(block, scale, lambda, &self.cost);
             if measured {
                 let samples = block * WIDTH..rollout.samples.min((block + 1) * WIDTH);
-                self.growth.before(samples, lambda, &self.cost_x, &self.exponents.blocks[block]);
+                self.growth.before(samples, lambda, &self.cost.next, &self.exponents.blocks[block]);
             }
         }
         self.exponents.update_low();
@@ -217,10 +261,10 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let control = |k: usize| find(&self.u_bar, rollout.control_dim, k).map(|place| (k, Variable::Control, place));
         let first = (0..K).find_map(|k| state(k).or_else(|| control(k)));
         let (k, variable, (sample, component)) = first.expect("the probe found a non-finite value");
-        let of = |lanes: &[Lane<F>], n: usize| -> Vec<F> {
-            lanes[sample / WIDTH * n..][..n].iter().map(|number| number.lane(sample % WIDTH)).collect()
-        };
-        let (x, u) = (of(rollout.states_at(step), rollout.state_dim), of(rollout.controls_at(step), rollout.control_dim));
-        Divergence::Cotangent { flow: flows[k], variable, step, sample, component, cause: task.diagnose(&x, &u) }
+        let of = |lanes: &[Lane<F>]| -> Vec<F> { lanes.iter().map(|number| number.lane(sample % WIDTH)).collect() };
+        let inputs = rollout.inputs_of(step, sample / WIDTH);
+        let (x, u, p) = (of(inputs.x), of(inputs.u), of(inputs.p));
+        let cause = task.diagnose(Inputs { x: &x, u: &u, p: &p, t: step });
+        Divergence::Cotangent { flow: flows[k], variable, step, sample, component, cause }
     }
 }

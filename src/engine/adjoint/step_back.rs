@@ -36,19 +36,17 @@ impl<T: Task, F: Float, const K: usize> Vectorized for Back<'_, T, F, K> {
     fn run<const FMA: bool>(self) {
         let Self { task, flows, rollout, t, carried: r, in_range } = self;
         let (n, m) = (rollout.state_dim, rollout.control_dim);
-        let (states, next, controls) = (rollout.states_at(t), rollout.states_at(t + 1), rollout.controls_at(t));
+        let next = rollout.states_at(t + 1);
         let limits = Limits::new();
-        for block in 0..states.len() / n {
+        for block in 0..next.len() / n {
             let (of_state, of_control) = (block * n..(block + 1) * n, block * m..(block + 1) * m);
             let step = Step {
-                x: &states[of_state.clone()],
+                inputs: rollout.inputs_of(t, block),
                 next: &next[of_state.clone()],
-                u: &controls[of_control.clone()],
                 lambda: &mut r.lambda[of_state.clone()],
                 x_bar: &mut r.x_bar[of_state],
                 u_bar: &mut r.u_bar[of_control],
-                cost_x: &mut r.cost_x,
-                cost_u: &mut r.cost_u,
+                cost: &mut r.cost,
                 inject: r.exponents.blocks[block].inject,
             };
             let size = reverse_step(task, flows, step);

@@ -1,6 +1,7 @@
 //! Buffer lengths of a rollout, for allocation and for size estimates.
 
 use super::{Lane, WIDTH};
+use crate::engine::any::AnyTask;
 use crate::numbers::aligned::Aligned;
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
@@ -9,28 +10,32 @@ use crate::policy::AnyPolicy;
 pub(super) struct BufferSizes {
     pub(super) states: usize,
     pub(super) controls: usize,
+    pub(super) params: usize,
     pub(super) costs: usize,
+    pub(super) observations: usize,
     pub(super) inputs: usize,
     pub(super) outputs: usize,
     pub(super) tape: usize,
 }
 
 impl BufferSizes {
-    pub(super) fn new<F: Float>(policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> Self {
-        let (n, m) = (policy.state_dim(), policy.control_dim());
+    pub(super) fn new<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> Self {
+        let (n, m, observed) = (task.state_dim(), task.control_dim(), policy.observation_dim());
         let (blocks, columns) = (samples.div_ceil(WIDTH), samples * kept);
         Self {
             states: (kept + 1) * blocks * n,
             controls: kept * blocks * m,
+            params: blocks * task.param_dim(),
             costs: blocks,
-            inputs: columns * n,
+            observations: task.own_observation().map_or(0, |dim| blocks * dim),
+            inputs: columns * observed,
             outputs: columns * m,
             tape: policy.sizes(columns).tape,
         }
     }
 
     pub(super) fn bytes<F: Float>(&self) -> usize {
-        let lanes = self.states + self.controls + self.costs;
+        let lanes = self.states + self.controls + self.params + self.observations + self.costs;
         lanes * size_of::<Lane<F>>() + (self.inputs + self.outputs) * size_of::<F>() + Aligned::<F>::bytes_of(self.tape)
     }
 }

@@ -31,7 +31,7 @@ pub fn norms<F: Float>(
     weights: &Weights<F>,
     starts: &[F],
 ) -> [AdjointNorms; 2] {
-    let n = task.state_dim();
+    let n = task.start_dim();
     let starts = &starts[..starts.len().min(SAMPLES * n)];
     let mut rollout = Rollout::new(task, policy, starts.len() / n);
     rollout.start(starts);
@@ -41,7 +41,7 @@ pub fn norms<F: Float>(
         if let Err(divergence) = forward {
             return AdjointNorms { flow, norms: Vec::new(), diverged: Some(divergence) };
         }
-        let mut adjoint = Adjoint::new(policy, &rollout, &[flow]).keep_norms();
+        let mut adjoint = Adjoint::new(task, policy, &rollout, &[flow]).keep_norms();
         // Scales the loss to the mean over samples, as in training.
         let diverged = adjoint.run(task, policy, weights, &rollout, F::lift(1.0 / rollout.samples() as f64)).err();
         AdjointNorms { flow, norms: adjoint.norms(0).to_vec(), diverged }

@@ -58,7 +58,7 @@ impl Storing {
             return Stored { bytes: rollout.stored_bytes(), allocations };
         };
         let mut rollout = Rollout::<F>::new(task, policy, SAMPLES);
-        let mut adjoint = Adjoint::new(policy, &rollout, &field.flows());
+        let mut adjoint = Adjoint::new(task, policy, &rollout, &field.flows());
         let allocations = allocations_of_second_run(|| {
             rollout.start(&starts);
             rollout.run(task, policy, &weights)?;

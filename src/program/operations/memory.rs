@@ -3,6 +3,7 @@
 use crate::program::operations::Visit;
 use crate::program::operations::trajectory::ROLLOUTS;
 use crate::program::settings::Precision;
+use physgrad::any::AnyTask;
 use physgrad::{Batch, Float, Flow, Policy, Schedule, System, Task};
 use std::fs::read_to_string;
 
@@ -44,9 +45,10 @@ impl Memory {
         let steps = task.horizon().min(COUNTED_STEPS);
         let scale = task.horizon() as f64 / steps as f64;
         let flows = [Flow::REGULAR, Flow::MODIFIED];
-        let of = |samples: usize| Batch::<F>::bytes_of(policy, samples, &flows, 1, &Schedule::store_all(steps)) as f64 * scale;
+        let of =
+            |samples: usize| Batch::<F>::bytes_of(task, policy, samples, &flows, 1, &Schedule::store_all(steps)) as f64 * scale;
         // The optimizer and its copy, and both data sets.
-        let numbers = policy.param_count() as f64 * 6.0 + self.start_states as f64 * n as f64;
+        let numbers = policy.param_count() as f64 * 6.0 + self.start_states as f64 * AnyTask::<F>::start_dim(task) as f64;
         // Trajectories written at the end: text, and vectors of numbers.
         let text = ROLLOUTS as f64 * task.horizon() as f64 * (48.0 * (n + m) as f64 + 80.0);
         Needs { batch: of(self.samples), rest: numbers * size_of::<F>() as f64 + of(ROLLOUTS) + text }

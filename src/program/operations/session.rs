@@ -5,9 +5,8 @@ use crate::program::operations::adjoint_norms::{self, AdjointNorms};
 use crate::program::operations::trajectory::{self, Trajectory};
 use crate::program::settings::Precision;
 use anyhow::Result;
-use physgrad::{
-    CheckpointError, Divergence, Field, Float, Policy, Record, Session, Skip, System, Task, TrainError, Trainer, Training,
-};
+use physgrad::any::AnyTask;
+use physgrad::{CheckpointError, Divergence, Field, Float, Policy, Record, Session, Skip, Task, TrainError, Trainer, Training};
 use std::ops::Range;
 
 /// Object-safe part of a [`Session`].
@@ -78,7 +77,7 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
     }
 
     fn test_samples(&self) -> usize {
-        self.test_starts().len() / self.task().system().state_dim()
+        self.test_starts().len() / AnyTask::<F>::start_dim(self.task())
     }
 
     fn rollouts(&self, chosen: Range<usize>) -> Vec<Trajectory> {

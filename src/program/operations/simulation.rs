@@ -69,7 +69,7 @@ fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, c
     let weights = Weights::<F>::init(&*policy, &mut stream(seed, Purpose::Policy, 0));
     let starts = initial_states(&*task, seed, Purpose::Test, SAMPLES);
     let mut rollout = Rollout::new(&*task, &*policy, SAMPLES);
-    let mut adjoint = Adjoint::new(&*policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]);
+    let mut adjoint = Adjoint::new(&*task, &*policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]);
     let scale = F::lift(1.0 / SAMPLES as f64);
 
     let run = |rollout: &mut Rollout<F>, adjoint: &mut Adjoint<F>| {

@@ -29,6 +29,8 @@ pub fn safetensors<F: Float>(about: String, policy: &dyn AnyPolicy<F>, theta: &[
 pub struct Trajectory {
     pub states: Vec<Vec<f64>>,
     pub controls: Vec<Vec<f64>>,
+    /// Parameters, constant during the rollout.
+    pub params: Vec<f64>,
 }
 
 /// Rollouts of the policy from a range of the initial states, truncated to those available.
@@ -39,9 +41,9 @@ pub fn rollouts<F: Float>(
     starts: &[F],
     chosen: Range<usize>,
 ) -> Vec<Trajectory> {
-    let (n, m) = (task.state_dim(), task.control_dim());
-    let starts = &starts[chosen.start * n..starts.len().min(chosen.end * n)];
-    let samples = starts.len() / n;
+    let (n, m, len) = (task.state_dim(), task.control_dim(), task.start_dim());
+    let starts = &starts[chosen.start * len..starts.len().min(chosen.end * len)];
+    let samples = starts.len() / len;
     let mut rollout = Rollout::new(task, policy, samples);
     rollout.start(starts);
     let steps = match rollout.run(task, policy, weights) {
@@ -52,6 +54,7 @@ pub fn rollouts<F: Float>(
     let trajectory = |sample: usize| Trajectory {
         states: (0..=steps).map(|t| (0..n).map(|i| rollout.state(t, sample, i).as_()).collect()).collect(),
         controls: (0..steps).map(|t| (0..m).map(|i| rollout.control(t, sample, i).as_()).collect()).collect(),
+        params: starts[sample * len..][n..len].iter().map(|p| p.as_()).collect(),
     };
     (0..samples).map(trajectory).collect()
 }

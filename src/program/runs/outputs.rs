@@ -95,17 +95,18 @@ pub fn learning_curve(title: &str, records: &[Record]) -> String {
 
 /// `animation.svg`: animation of a rollout.
 pub fn animation(scene: &Scene, rollout: &Trajectory) -> String {
-    scene.animation(&rollout.states, &rollout.controls).to_svg()
+    scene.animation(rollout).to_svg()
 }
 
 /// `trajectory.csv`: one row per rollout and step. A row holds the state before the step, the
-/// controls of the policy, and the controls that an actuator applies. The last state has no
+/// parameters of the rollout, the controls of the policy, and the controls that an actuator applies. The last state has no
 /// controls.
 pub fn trajectories(scene: &Scene, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
     let mut csv = csv::Writer::from_writer(Vec::new());
     let names = ["sample", "step", "time"].map(String::from).into_iter();
-    let (states, controls, applied) = (scene.state_names(), scene.control_names(), scene.applied_names());
-    csv.write_record(names.chain(states).chain(controls.clone()).chain(applied.clone()))?;
+    let (states, params) = (scene.state_names(), scene.param_names());
+    let (controls, applied) = (scene.control_names(), scene.applied_names());
+    csv.write_record(names.chain(states).chain(params).chain(controls.clone()).chain(applied.clone()))?;
     let dt = scene.dt();
     for (sample, rollout) in rollouts.iter().enumerate() {
         let applied_rows = scene.applied(&rollout.states, &rollout.controls);
@@ -115,7 +116,7 @@ pub fn trajectories(scene: &Scene, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
                 let cell = |i: usize| rows.get(t).map_or_else(String::new, |row: &Vec<f64>| row[i].to_string());
                 (0..columns.len()).map(cell).collect()
             };
-            let state = state.iter().map(f64::to_string);
+            let state = state.iter().chain(&rollout.params).map(f64::to_string);
             csv.write_record(
                 index.into_iter().chain(state).chain(cells(&rollout.controls, &controls)).chain(cells(&applied_rows, &applied)),
             )?;

@@ -1,6 +1,7 @@
 //! Cart-pole: settings, effects, limits and animation.
 
 use crate::program::operations::Visit;
+use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, count, exclusive, finite, not_negative, positive};
 use crate::program::tasks::effects::{EffectsSection, Present, effects_section};
@@ -77,9 +78,9 @@ effects_section! {
             derivative: "analytic",
             limits: { speed: finite, cart_drag: not_negative, pole_drag: not_negative },
         }
-        /// Wind along the rail with sinusoidal gusts; adds the time to the state.
+        /// Wind along the rail with sinusoidal gusts of random phase.
         gusty_wind: GustyWind {
-            equation: "as steady_wind, w = speed + gust sin(2π t / period); adds t to the state",
+            equation: "as steady_wind, w = speed + gust sin(2π (t + t₀) / period), t₀ drawn from 0 to period per rollout",
             derivative: "analytic",
             limits: { speed: finite, gust: finite, period: positive, cart_drag: not_negative, pole_drag: not_negative },
         }
@@ -97,10 +98,10 @@ impl CartPoleEffects {
         Present::<CartPoleEffect>::present(self).is_empty()
     }
 
-    /// Wind speed, from the state components that effects add.
-    fn wind(&self, added: &[f64]) -> Option<f64> {
+    /// Wind speed at a time, given the parameters of the rollout.
+    fn wind(&self, params: &[f64], time: f64) -> Option<f64> {
         let steady = self.steady_wind.map(|wind| wind.speed);
-        let gusty = self.gusty_wind.map(|wind| wind.speed + wind.gust * (TAU * added[0] / wind.period).sin());
+        let gusty = self.gusty_wind.map(|wind| wind.speed + wind.gust * (TAU * (time + params[0]) / wind.period).sin());
         steady.or(gusty)
     }
 
@@ -219,8 +220,11 @@ impl TaskSpec for CartPole {
 
     fn state_names(settings: &Settings<Self>) -> Vec<String> {
         let poles = (1..=settings.system.poles).flat_map(|i| [format!("theta_{i}"), format!("omega_{i}")]);
-        let time = settings.effects.gusty_wind.map(|_| "time_of_gusts".to_owned());
-        ["x".into(), "x_dot".into()].into_iter().chain(poles).chain(time).collect()
+        ["x".into(), "x_dot".into()].into_iter().chain(poles).collect()
+    }
+
+    fn param_names(settings: &Settings<Self>) -> Vec<String> {
+        settings.effects.gusty_wind.map(|_| "start_of_gusts".to_owned()).into_iter().collect()
     }
 
     fn control_names(_settings: &Settings<Self>) -> Vec<String> {
@@ -235,11 +239,11 @@ impl TaskSpec for CartPole {
         (exact && free).then(|| Conserved { name: "energy", value: Box::new(move |x| system.energy(x)) })
     }
 
-    fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
+    fn animation(settings: &Settings<Self>, Trajectory { states, controls, params }: &Trajectory) -> Animation {
         let CartPoleSettings { half_length, dt, .. } = settings.system;
         let dim = System::state_dim(&settings.system.parameters());
         let forces: Vec<f64> = settings.actuator.applied(dt, states, controls).iter().map(|u| u[0]).collect();
-        let wind = states.iter().filter_map(|x| settings.effects.wind(&x[dim..])).collect();
+        let wind = (0..states.len()).filter_map(|t| settings.effects.wind(params, t as f64 * dt)).collect();
         let rail = Rail { bumpers: settings.effects.bumpers.map(|bumpers| bumpers.half_travel), wind };
         let states: Vec<Vec<f64>> = states.iter().map(|x| x[..dim].to_vec()).collect();
         report::cart_pole_on(&rail, &states, &forces, half_length, dt)

@@ -1,6 +1,7 @@
 //! Guidance by repulsion: settings, effects, limits and animation.
 
 use crate::program::operations::Visit;
+use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, allowed, count, finite, not_negative, positive};
 use crate::program::tasks::effects::{EffectsSection, Present, effects_section, named};
@@ -203,7 +204,7 @@ impl TaskSpec for Guidance {
         (1..=settings.system.drivers).flat_map(|i| [format!("radial_{i}"), format!("tangential_{i}")]).collect()
     }
 
-    fn animation(settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
+    fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
         let dim = System::state_dim(&settings.system);
         let states: Vec<Vec<f64>> = states.iter().map(|x| x[..dim].to_vec()).collect();
         report::guidance_in(&settings.effects.field(), &states, settings.system.drivers, settings.system.dt)

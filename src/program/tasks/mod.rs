@@ -22,6 +22,7 @@ pub use schema::schema;
 pub use settings::Settings;
 
 use crate::program::operations::Visit;
+use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{Info, Method};
 use effects::EffectsSection;
@@ -73,6 +74,10 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     fn dt(settings: &Settings<Self>) -> f64;
     /// Names of the state components, including those that effects add.
     fn state_names(settings: &Settings<Self>) -> Vec<String>;
+    /// Names of the parameters of a rollout. None by default.
+    fn param_names(_settings: &Settings<Self>) -> Vec<String> {
+        Vec::new()
+    }
     /// Names of the control components.
     fn control_names(settings: &Settings<Self>) -> Vec<String>;
     /// A quantity that is conserved while the control is zero, or None.
@@ -80,7 +85,7 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
         None
     }
     /// Animation of one rollout, from the states and controls of each step.
-    fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
+    fn animation(settings: &Settings<Self>, rollout: &Trajectory) -> Animation;
 }
 
 /// A function of the state that is conserved in continuous time.

@@ -19,7 +19,7 @@ pub trait PolicySpec: Section + Default {
 
     /// Calls the visitor with the task and a policy of matching dimensions.
     fn visit<T: Task + Clone + 'static, V: Visit>(&self, task: T, visitor: V) -> V::Out {
-        let policy = self.build(task.system().state_dim(), task.system().control_dim());
+        let policy = self.build(task.observation_dim().unwrap_or(task.system().state_dim()), task.system().control_dim());
         visitor.visit(task, policy)
     }
 }

@@ -1,6 +1,7 @@
 //! Quantum control: settings, effects, limits and animation.
 
 use crate::program::operations::Visit;
+use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, allowed, count, exclusive, finite, not_negative, positive};
 use crate::program::tasks::effects::{EffectsSection, effects_section, named};
@@ -252,7 +253,7 @@ impl TaskSpec for Quantum {
         settings.effects.absorbing_edges.is_none().then(|| Conserved { name: "norm", value: Box::new(norm) })
     }
 
-    fn animation(settings: &Settings<Self>, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
+    fn animation(settings: &Settings<Self>, Trajectory { states, controls, .. }: &Trajectory) -> Animation {
         let system = settings.physics();
         let tilts: Vec<f64> = settings.actuator.applied(system.dt, states, controls).iter().map(|u| u[0]).collect();
         let landscape = settings.effects.landscape(&system);

@@ -8,6 +8,7 @@ use crate::program::operations::costs::{Costing, Stored, Storing};
 use crate::program::operations::gradients::{Derived, Deriving, GradientMethod, Referring};
 use crate::program::operations::session::{AnyRun, Open};
 use crate::program::operations::simulation::{Job, Preparing};
+use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{FieldName, OPTIONAL, Precision};
 use crate::program::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
@@ -60,6 +61,8 @@ pub trait AnySettings: Send + Sync {
     fn dt(&self) -> f64;
     /// Names of the state components.
     fn state_names(&self) -> Vec<String>;
+    /// Names of the parameters of a rollout.
+    fn param_names(&self) -> Vec<String>;
     /// Names of the control components.
     fn control_names(&self) -> Vec<String>;
     /// Names of the applied controls, if there is an actuator.
@@ -69,7 +72,7 @@ pub trait AnySettings: Send + Sync {
     /// A quantity that is conserved while the control is zero, or None.
     fn conserved(&self) -> Option<Conserved>;
     /// Animation of one rollout, from the states and controls of each step.
-    fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation;
+    fn animation(&self, rollout: &Trajectory) -> Animation;
 }
 
 impl<K: TaskSpec> AnySettings for Settings<K> {
@@ -106,6 +109,10 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         K::dt(self)
     }
 
+    fn param_names(&self) -> Vec<String> {
+        K::param_names(self)
+    }
+
     fn state_names(&self) -> Vec<String> {
         let mut names = K::state_names(self);
         names.extend(self.actuator.state_names(&K::control_names(self)));
@@ -128,8 +135,8 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         K::conserved(self)
     }
 
-    fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Animation {
-        K::animation(self, states, controls)
+    fn animation(&self, rollout: &Trajectory) -> Animation {
+        K::animation(self, rollout)
     }
 }
 
@@ -289,7 +296,7 @@ mod tests {
             Vec::new()
         }
 
-        fn animation(_settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
+        fn animation(_settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
             report::cart_pole(states, &[], 1.0, 1.0)
         }
     }

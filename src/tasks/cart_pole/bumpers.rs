@@ -2,6 +2,7 @@
 
 use super::CartPoleSystem;
 use crate::dynamics::effect::Effect;
+use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
@@ -35,14 +36,21 @@ impl Default for Bumpers {
 
 impl Effect<CartPoleSystem> for Bumpers {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
         let stiffness = T::lift(self.stiffness);
         let (right, left) = self.sides(x).into();
         forces[0] += stiffness * (left.depth * left.factor - right.depth * right.factor);
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        _model: &CartPoleSystem,
+        OdeInputs { x, .. }: OdeInputs<'_, R>,
+        forces_bar: &[C],
+        bars: Cotangents<'_, C>,
+    ) {
+        let Some(x_bar) = bars.x else { return };
         let (zero, stiffness, damping) = (R::zero(), R::lift(self.stiffness), R::lift(self.damping));
         // Both forces grow with depth and outward speed, so both slopes have the same sign.
         let (mut by_x, mut by_speed) = (zero, zero);

@@ -3,6 +3,7 @@
 use super::motion::{moved, moved_bar, rate_of, rate_of_bar, velocity_of};
 use super::system::{CartPoleSystem, Forces, PerPole};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
+use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
 use crate::dynamics::ode::ForcedOde;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
@@ -89,32 +90,29 @@ impl ForcedSystem for CoupledCartPole {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
-        let k = self.constants::<T>();
-        let a = self.accelerate(&k, effects, x, u, &mut next[2..], moved(k.dt));
+    fn forced_step<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+        let (k, x) = (self.constants::<T>(), inputs.x);
+        let a = self.accelerate(&k, effects, inputs.continuous(self.0.dt), &mut next[2..], moved(k.dt));
         next[1] = x[1] + k.dt * a;
         next[0] = x[0] + k.dt * next[1];
     }
 
     #[inline(always)]
-    fn reverse<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
+    fn forced_vjp<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: Inputs<'_, R>,
         next_bar: &[C],
-        mut x_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        mut bars: Cotangents<'_, C>,
     ) {
         let k = self.constants::<R>();
         let speed_bar = next_bar[1] + next_bar[0] * k.dt;
-        if let Some(x_bar) = &mut x_bar {
-            (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar);
+        if let Some(x_bar) = &mut bars.x {
+            x_bar[0] += next_bar[0];
+            x_bar[1] += speed_bar;
         }
-        let force_bar = self.accelerate_reverse(effects, x, u, speed_bar * k.dt, moved_bar(next_bar, k.dt), x_bar);
-        if let Some(u_bar) = u_bar {
-            u_bar[0] = force_bar;
-        }
+        let inputs = inputs.continuous(self.0.dt);
+        self.accelerate_reverse(effects, inputs, speed_bar * k.dt, moved_bar(next_bar, k.dt), bars);
     }
 }
 
@@ -125,13 +123,12 @@ impl CoupledCartPole {
         &self,
         k: &Constants<T>,
         effects: &E,
-        x: &[T],
-        u: &[T],
+        inputs: OdeInputs<'_, T>,
         poles: &mut [T],
         of_pole: impl Fn(&[T], T) -> [T; 2],
     ) -> T {
-        let (mut trig, mut forces) = (PerPole::new(), Forces::new());
-        self.0.forces(effects, x, u, &mut trig, &mut forces);
+        let (x, mut trig, mut forces) = (inputs.x, PerPole::new(), Forces::new());
+        self.0.forces(effects, inputs, &mut trig, &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
         for ((pole, &[sin, cos]), &torque) in zip(zip(self.0.poles_of(x), &trig), &forces[1..]) {
             let lever = k.moment * cos;
@@ -147,24 +144,23 @@ impl CoupledCartPole {
         a
     }
 
-    /// Reverse of [`accelerate`](Self::accelerate). Writes the pole components of `x_bar`, if
-    /// requested, and adds the cotangents due to effects. Returns the cotangent of the control.
+    /// Reverse of [`accelerate`](Self::accelerate). Adds to the requested cotangents of poles and
+    /// control, and to those due to effects.
     ///
-    /// `pole_bar(i, x_bar)` returns the cotangents of angle and rate of pole `i` that do not pass
-    /// through α_i, and the cotangent of α_i. The cart components of `x_bar` are set before.
+    /// `pole_bar(i)` returns the cotangents of angle and rate of pole `i` that do not pass through
+    /// α_i, and the cotangent of α_i.
     #[inline(always)]
     fn accelerate_reverse<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: OdeInputs<'_, R>,
         mut a_bar: C,
-        pole_bar: impl Fn(usize, Option<&[C]>) -> ([C; 2], C),
-        mut x_bar: Option<&mut [C]>,
-    ) -> C {
-        let k = self.constants::<R>();
+        pole_bar: impl Fn(usize) -> ([C; 2], C),
+        mut bars: Cotangents<'_, C>,
+    ) {
+        let (k, x) = (self.constants::<R>(), inputs.x);
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
-        self.0.forces(effects, x, u, &mut trig, &mut forces);
+        self.0.forces(effects, inputs, &mut trig, &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
         // Add the cotangents of ẍ that pass through the α_i = (τ_i - m l cos θ_i ẍ) / J.
         let poles = zip(zip(self.0.poles_of(x), &trig), &forces[1..]);
@@ -173,7 +169,7 @@ impl CoupledCartPole {
             let lever_per_inertia = lever * k.per_inertia;
             push += k.moment * sin * pole[1] * pole[1] - lever_per_inertia * torque;
             mass -= lever_per_inertia * lever;
-            a_bar -= pole_bar(i, x_bar.as_deref()).1 * lever_per_inertia;
+            a_bar -= pole_bar(i).1 * lever_per_inertia;
         }
         let per_mass = R::one() / mass;
         let a = push * per_mass;
@@ -182,51 +178,51 @@ impl CoupledCartPole {
         for (i, ((pole, &[sin, cos]), &torque)) in poles.enumerate() {
             let omega = pole[1];
             let lever = k.moment * cos;
-            let ([theta_bar, omega_bar], alpha_bar) = pole_bar(i, x_bar.as_deref());
+            let ([theta_bar, omega_bar], alpha_bar) = pole_bar(i);
             let alpha_bar = alpha_bar * k.per_inertia;
             let torque_bar = alpha_bar - push_bar * (lever * k.per_inertia);
             forces_bar.push(torque_bar);
-            if let Some(x_bar) = &mut x_bar {
+            if let Some(x_bar) = &mut bars.x {
                 let sin_bar = torque_bar * k.weight + push_bar * (k.moment * omega * omega);
                 // The cosine enters α and the push linearly, and the mass as a square. The
                 // cotangent of the mass is -ẍ times that of the push.
                 let in_push = (R::lift(2.0) * lever * a - torque) * k.per_inertia;
                 let cos_bar = (push_bar * in_push - alpha_bar * a) * k.moment;
-                x_bar[2 + 2 * i] = theta_bar + sin_bar * cos - cos_bar * sin;
-                x_bar[3 + 2 * i] = omega_bar + push_bar * (R::lift(2.0) * k.moment * sin * omega);
+                x_bar[2 + 2 * i] += theta_bar;
+                x_bar[2 + 2 * i] += sin_bar * cos;
+                x_bar[2 + 2 * i] -= cos_bar * sin;
+                x_bar[3 + 2 * i] += omega_bar;
+                x_bar[3 + 2 * i] += push_bar * (R::lift(2.0) * k.moment * sin * omega);
             }
         }
-        if let Some(x_bar) = x_bar {
-            effects.vjp(&self.0, x, &forces_bar, x_bar);
+        if let Some(u_bar) = &mut bars.u {
+            u_bar[0] += push_bar;
         }
-        forces_bar[0]
+        effects.vjp(&self.0, inputs, &forces_bar, bars);
     }
 }
 
 impl ForcedOde for CoupledCartPole {
     #[inline(always)]
-    fn forced_rate<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
-        rate[1] = self.accelerate(&self.constants::<T>(), effects, x, u, &mut rate[2..], rate_of);
-        rate[0] = x[1];
+    fn forced_rate<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
+        rate[1] = self.accelerate(&self.constants::<T>(), effects, inputs, &mut rate[2..], rate_of);
+        rate[0] = inputs.x[1];
     }
 
     #[inline(always)]
     fn forced_rate_vjp<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: OdeInputs<'_, R>,
         rate_bar: &[C],
-        x_bar: &mut [C],
-        u_bar: Option<&mut [C]>,
+        mut bars: Cotangents<'_, C>,
     ) {
-        for i in (0..rate_bar.len()).step_by(2) {
-            x_bar[i + 1] += rate_bar[i];
+        if let Some(x_bar) = &mut bars.x {
+            for i in (0..rate_bar.len()).step_by(2) {
+                x_bar[i + 1] += rate_bar[i];
+            }
         }
-        let force_bar = self.accelerate_reverse(effects, x, u, rate_bar[1], rate_of_bar(rate_bar), Some(x_bar));
-        if let Some(u_bar) = u_bar {
-            u_bar[0] += force_bar;
-        }
+        self.accelerate_reverse(effects, inputs, rate_bar[1], rate_of_bar(rate_bar), bars);
     }
 
     fn velocity_of(&self, i: usize) -> Option<usize> {

@@ -2,6 +2,7 @@
 
 use super::CartPoleSystem;
 use crate::dynamics::effect::Effect;
+use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
@@ -26,7 +27,7 @@ impl Default for PoleDamping {
 
 impl Effect<CartPoleSystem> for PoleDamping {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
         let damping = T::lift(self.damping);
         for (pole, torque) in zip(model.poles_of(x), &mut forces[1..]) {
             *torque -= damping * pole[1];
@@ -34,7 +35,14 @@ impl Effect<CartPoleSystem> for PoleDamping {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &CartPoleSystem, _x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        model: &CartPoleSystem,
+        _inputs: OdeInputs<'_, R>,
+        forces_bar: &[C],
+        bars: Cotangents<'_, C>,
+    ) {
+        let Some(x_bar) = bars.x else { return };
         let damping = R::lift(self.damping);
         for (pole_bar, &torque_bar) in zip(x_bar[2..2 + 2 * model.poles].chunks_exact_mut(2), &forces_bar[1..]) {
             pole_bar[1] -= torque_bar * damping;
@@ -59,12 +67,19 @@ impl Default for CartDamping {
 
 impl Effect<CartPoleSystem> for CartDamping {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
         forces[0] -= T::lift(self.damping) * x[1];
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &CartPoleSystem, _x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        _model: &CartPoleSystem,
+        _inputs: OdeInputs<'_, R>,
+        forces_bar: &[C],
+        bars: Cotangents<'_, C>,
+    ) {
+        let Some(x_bar) = bars.x else { return };
         x_bar[1] -= forces_bar[0] * R::lift(self.damping);
     }
 }
@@ -93,12 +108,19 @@ impl Default for DryFriction {
 
 impl Effect<CartPoleSystem> for DryFriction {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
         forces[0] -= T::lift(self.force) * (x[1] * T::lift(1.0 / self.smoothing)).tanh();
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        _model: &CartPoleSystem,
+        OdeInputs { x, .. }: OdeInputs<'_, R>,
+        forces_bar: &[C],
+        bars: Cotangents<'_, C>,
+    ) {
+        let Some(x_bar) = bars.x else { return };
         let share = (x[1] * R::lift(1.0 / self.smoothing)).tanh();
         x_bar[1] -= forces_bar[0] * (R::lift(self.force / self.smoothing) * (R::one() - share * share));
     }

@@ -2,6 +2,7 @@
 
 use super::{CartPoleSystem, CoupledCartPole};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
+use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
 use crate::dynamics::ode::ForcedOde;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
@@ -41,36 +42,34 @@ impl ForcedSystem for CartPoleModel {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+    fn forced_step<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
         match self {
-            Self::Uncoupled(host) => host.forced_step(effects, x, u, next),
-            Self::Coupled(host) => host.forced_step(effects, x, u, next),
+            Self::Uncoupled(host) => host.forced_step(effects, inputs, next),
+            Self::Coupled(host) => host.forced_step(effects, inputs, next),
         }
     }
 
     #[inline(always)]
-    fn reverse<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
+    fn forced_vjp<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: Inputs<'_, R>,
         next_bar: &[C],
-        x_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        bars: Cotangents<'_, C>,
     ) {
         match self {
-            Self::Uncoupled(host) => host.reverse(effects, x, u, next_bar, x_bar, u_bar),
-            Self::Coupled(host) => host.reverse(effects, x, u, next_bar, x_bar, u_bar),
+            Self::Uncoupled(host) => host.forced_vjp(effects, inputs, next_bar, bars),
+            Self::Coupled(host) => host.forced_vjp(effects, inputs, next_bar, bars),
         }
     }
 }
 
 impl ForcedOde for CartPoleModel {
     #[inline(always)]
-    fn forced_rate<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
+    fn forced_rate<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
         match self {
-            Self::Uncoupled(host) => host.forced_rate(effects, x, u, rate),
-            Self::Coupled(host) => host.forced_rate(effects, x, u, rate),
+            Self::Uncoupled(host) => host.forced_rate(effects, inputs, rate),
+            Self::Coupled(host) => host.forced_rate(effects, inputs, rate),
         }
     }
 
@@ -78,15 +77,13 @@ impl ForcedOde for CartPoleModel {
     fn forced_rate_vjp<E: Effect<CartPoleSystem>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: OdeInputs<'_, R>,
         rate_bar: &[C],
-        x_bar: &mut [C],
-        u_bar: Option<&mut [C]>,
+        bars: Cotangents<'_, C>,
     ) {
         match self {
-            Self::Uncoupled(host) => host.forced_rate_vjp(effects, x, u, rate_bar, x_bar, u_bar),
-            Self::Coupled(host) => host.forced_rate_vjp(effects, x, u, rate_bar, x_bar, u_bar),
+            Self::Uncoupled(host) => host.forced_rate_vjp(effects, inputs, rate_bar, bars),
+            Self::Coupled(host) => host.forced_rate_vjp(effects, inputs, rate_bar, bars),
         }
     }
 

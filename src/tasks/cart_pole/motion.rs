@@ -14,8 +14,8 @@ pub(super) fn moved<T: Scalar>(dt: T) -> impl Fn(&[T], T) -> [T; 2] {
 /// Reverse of [`moved`]. For pole `i`, returns the cotangents of angle and rate that do not pass
 /// through α, and the cotangent of α.
 #[inline(always)]
-pub(super) fn moved_bar<R: Real, C: Cotangent<R>>(next_bar: &[C], dt: R) -> impl Fn(usize, Option<&[C]>) -> ([C; 2], C) {
-    move |i, _| {
+pub(super) fn moved_bar<R: Real, C: Cotangent<R>>(next_bar: &[C], dt: R) -> impl Fn(usize) -> ([C; 2], C) {
+    move |i| {
         let theta_bar = next_bar[2 + 2 * i];
         let omega_bar = next_bar[3 + 2 * i] + theta_bar * dt;
         ([theta_bar, omega_bar], omega_bar * dt)
@@ -28,14 +28,11 @@ pub(super) fn rate_of<T: Scalar>(pole: &[T], alpha: T) -> [T; 2] {
     [pole[1], alpha]
 }
 
-/// Reverse of [`rate_of`]. For pole `i`, returns the cotangents of angle and rate stored in
-/// `x_bar`, or 0 without `x_bar`, and the cotangent of α.
+/// Reverse of [`rate_of`]. For pole `i`, returns the cotangents of angle and rate that do not pass
+/// through α, without that of the rate as derivative of the angle, and the cotangent of α.
 #[inline(always)]
-pub(super) fn rate_of_bar<R: Real, C: Cotangent<R>>(rate_bar: &[C]) -> impl Fn(usize, Option<&[C]>) -> ([C; 2], C) {
-    move |i, x_bar| {
-        let there = x_bar.map_or([C::null(); 2], |x_bar| [x_bar[2 + 2 * i], x_bar[3 + 2 * i]]);
-        (there, rate_bar[3 + 2 * i])
-    }
+pub(super) fn rate_of_bar<R: Real, C: Cotangent<R>>(rate_bar: &[C]) -> impl Fn(usize) -> ([C; 2], C) {
+    move |i| ([C::null(); 2], rate_bar[3 + 2 * i])
 }
 
 /// Returns the index of the velocity of position `i`. Positions and velocities alternate.

@@ -2,6 +2,7 @@
 
 use super::motion::{moved, moved_bar, rate_of, rate_of_bar, velocity_of};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
+use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
 use crate::dynamics::ode::ForcedOde;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
@@ -73,19 +74,18 @@ impl CartPoleSystem {
     pub(super) fn forces<E: Effect<Self>, T: Scalar>(
         &self,
         effects: &E,
-        x: &[T],
-        u: &[T],
+        inputs: OdeInputs<'_, T>,
         trig: &mut PerPole<[T; 2]>,
         forces: &mut Forces<T>,
     ) {
         let weight = T::lift(self.moment() * self.gravity);
-        forces.push(u[0]);
-        for pole in self.poles_of(x) {
+        forces.push(inputs.u[0]);
+        for pole in self.poles_of(inputs.x) {
             let (sin, cos) = pole[0].sin_cos();
             trig.push([sin, cos]);
             forces.push(weight * sin);
         }
-        effects.add_forces(self, x, forces);
+        effects.add_forces(self, inputs, forces);
     }
 }
 
@@ -143,33 +143,29 @@ impl ForcedSystem for CartPoleSystem {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
-        let k = self.constants::<T>();
-        let push = self.accelerate(&k, effects, x, u, &mut next[2..], moved(k.dt));
+    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+        let (k, x) = (self.constants::<T>(), inputs.x);
+        let push = self.accelerate(&k, effects, inputs.continuous(self.dt), &mut next[2..], moved(k.dt));
         next[1] = x[1] + k.dt * push * k.per_mass;
         next[0] = x[0] + k.dt * next[1];
     }
 
     #[inline(always)]
-    fn reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
+    fn forced_vjp<E: Effect<Self>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: Inputs<'_, R>,
         next_bar: &[C],
-        mut x_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        mut bars: Cotangents<'_, C>,
     ) {
         let k = self.constants::<R>();
         let speed_bar = next_bar[1] + next_bar[0] * k.dt;
-        if let Some(x_bar) = &mut x_bar {
-            (x_bar[0], x_bar[1]) = (next_bar[0], speed_bar);
+        if let Some(x_bar) = &mut bars.x {
+            x_bar[0] += next_bar[0];
+            x_bar[1] += speed_bar;
         }
-        let pole_bar = moved_bar(next_bar, k.dt);
-        let force_bar = self.accelerate_reverse(effects, x, u, speed_bar * (k.dt * k.per_mass), pole_bar, x_bar);
-        if let Some(u_bar) = u_bar {
-            u_bar[0] = force_bar;
-        }
+        let inputs = inputs.continuous(self.dt);
+        self.accelerate_reverse(effects, inputs, speed_bar * (k.dt * k.per_mass), moved_bar(next_bar, k.dt), bars);
     }
 }
 
@@ -180,13 +176,12 @@ impl CartPoleSystem {
         &self,
         k: &Constants<T>,
         effects: &E,
-        x: &[T],
-        u: &[T],
+        inputs: OdeInputs<'_, T>,
         poles: &mut [T],
         of_pole: impl Fn(&[T], T) -> [T; 2],
     ) -> T {
-        let (mut trig, mut forces) = (PerPole::new(), Forces::new());
-        self.forces(effects, x, u, &mut trig, &mut forces);
+        let (x, mut trig, mut forces) = (inputs.x, PerPole::new(), Forces::new());
+        self.forces(effects, inputs, &mut trig, &mut forces);
         let force = forces[0];
         let mut push = force;
         let moments = zip(&trig, &forces[1..]);
@@ -202,24 +197,23 @@ impl CartPoleSystem {
         push
     }
 
-    /// Reverse of [`accelerate`](Self::accelerate). Writes the pole components of `x_bar`, if
-    /// requested, and adds the cotangents due to effects. Returns the cotangent of the control.
+    /// Reverse of [`accelerate`](Self::accelerate). Adds to the requested cotangents of poles and
+    /// control, and to those due to effects.
     ///
-    /// `pole_bar(i, x_bar)` returns the cotangents of angle and rate of pole `i` that do not pass
-    /// through α_i, and the cotangent of α_i. The cart components of `x_bar` are set before.
+    /// `pole_bar(i)` returns the cotangents of angle and rate of pole `i` that do not pass through
+    /// α_i, and the cotangent of α_i.
     #[inline(always)]
     fn accelerate_reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: OdeInputs<'_, R>,
         push_bar: C,
-        pole_bar: impl Fn(usize, Option<&[C]>) -> ([C; 2], C),
-        mut x_bar: Option<&mut [C]>,
-    ) -> C {
-        let k = self.constants::<R>();
+        pole_bar: impl Fn(usize) -> ([C; 2], C),
+        mut bars: Cotangents<'_, C>,
+    ) {
+        let (k, x) = (self.constants::<R>(), inputs.x);
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
-        self.forces(effects, x, u, &mut trig, &mut forces);
+        self.forces(effects, inputs, &mut trig, &mut forces);
         let force = forces[0];
 
         let mut force_bar = push_bar;
@@ -231,7 +225,7 @@ impl CartPoleSystem {
             let per_inertia = R::one() / (k.inertia - k.coupling * cos * cos);
             let alpha = (torque - lever * a) * per_inertia;
 
-            let ([theta_bar, omega_bar], alpha_bar) = pole_bar(i, x_bar.as_deref());
+            let ([theta_bar, omega_bar], alpha_bar) = pole_bar(i);
             let alpha_bar = alpha_bar - push_bar * lever;
             // α = (τ - m l cos θ A) / denominator. Next are the cotangents of τ and of the sum
             // in A.
@@ -239,49 +233,49 @@ impl CartPoleSystem {
             let thrust_bar = -(torque_bar * (lever * k.per_mass));
             force_bar += thrust_bar;
             forces_bar.push(torque_bar);
-            if let Some(x_bar) = &mut x_bar {
+            if let Some(x_bar) = &mut bars.x {
                 let centrifugal_bar = push_bar + thrust_bar;
                 let sin_bar = torque_bar * k.weight + centrifugal_bar * (k.moment * spin);
                 let cos_bar =
                     torque_bar * (R::lift(2.0) * k.coupling * cos * alpha - k.moment * a) - push_bar * (k.moment * alpha);
-                x_bar[2 + 2 * i] = theta_bar + sin_bar * cos - cos_bar * sin;
-                x_bar[3 + 2 * i] = omega_bar + centrifugal_bar * (R::lift(2.0) * k.moment * sin * omega);
+                x_bar[2 + 2 * i] += theta_bar;
+                x_bar[2 + 2 * i] += sin_bar * cos;
+                x_bar[2 + 2 * i] -= cos_bar * sin;
+                x_bar[3 + 2 * i] += omega_bar;
+                x_bar[3 + 2 * i] += centrifugal_bar * (R::lift(2.0) * k.moment * sin * omega);
             }
         }
-        if let Some(x_bar) = x_bar {
-            forces_bar[0] = force_bar;
-            effects.vjp(self, x, &forces_bar, x_bar);
+        if let Some(u_bar) = &mut bars.u {
+            u_bar[0] += force_bar;
         }
-        force_bar
+        forces_bar[0] = force_bar;
+        effects.vjp(self, inputs, &forces_bar, bars);
     }
 }
 
 impl ForcedOde for CartPoleSystem {
     #[inline(always)]
-    fn forced_rate<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
+    fn forced_rate<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
         let k = self.constants::<T>();
-        rate[1] = self.accelerate(&k, effects, x, u, &mut rate[2..], rate_of) * k.per_mass;
-        rate[0] = x[1];
+        rate[1] = self.accelerate(&k, effects, inputs, &mut rate[2..], rate_of) * k.per_mass;
+        rate[0] = inputs.x[1];
     }
 
     #[inline(always)]
     fn forced_rate_vjp<E: Effect<Self>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: OdeInputs<'_, R>,
         rate_bar: &[C],
-        x_bar: &mut [C],
-        u_bar: Option<&mut [C]>,
+        mut bars: Cotangents<'_, C>,
     ) {
         let k = self.constants::<R>();
-        for i in (0..rate_bar.len()).step_by(2) {
-            x_bar[i + 1] += rate_bar[i];
+        if let Some(x_bar) = &mut bars.x {
+            for i in (0..rate_bar.len()).step_by(2) {
+                x_bar[i + 1] += rate_bar[i];
+            }
         }
-        let force_bar = self.accelerate_reverse(effects, x, u, rate_bar[1] * k.per_mass, rate_of_bar(rate_bar), Some(x_bar));
-        if let Some(u_bar) = u_bar {
-            u_bar[0] += force_bar;
-        }
+        self.accelerate_reverse(effects, inputs, rate_bar[1] * k.per_mass, rate_of_bar(rate_bar), bars);
     }
 
     fn velocity_of(&self, i: usize) -> Option<usize> {

@@ -2,8 +2,11 @@
 
 use super::CartPoleSystem;
 use crate::dynamics::effect::Effect;
+use crate::dynamics::inputs::{Cotangents, OdeInputs};
+use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
+use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
@@ -65,21 +68,28 @@ impl SteadyWind {
 
 impl Effect<CartPoleSystem> for SteadyWind {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
         self.drag().add_forces(model, T::lift(self.speed), x, forces);
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        self.drag().vjp(model, R::lift(self.speed), x, forces_bar, x_bar);
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        model: &CartPoleSystem,
+        OdeInputs { x, .. }: OdeInputs<'_, R>,
+        forces_bar: &[C],
+        bars: Cotangents<'_, C>,
+    ) {
+        if bars.x.is_some() {
+            self.drag().vjp(model, R::lift(self.speed), x, forces_bar, bars.x);
+        }
     }
 }
 
 /// [`SteadyWind`] with a speed that oscillates about its mean:
-/// `w = speed + gust sin(2π t / period)`.
+/// `w = speed + gust sin(2π (t + t₀) / period)`.
 ///
-/// Appends the time to the state. Rollouts start at a random time within a period. The policy
-/// observes the time.
+/// Parameter: `t₀` in s, drawn uniformly from 0 to `period`. The policy does not observe it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -110,31 +120,46 @@ impl GustyWind {
         Drag { cart: self.cart_drag, pole: self.pole_drag }
     }
 
-    /// Returns the wind speed and its time derivative. The time is the last component of the state.
+    /// Returns the wind speed and its derivative with respect to time.
     #[inline(always)]
-    fn wind<T: Scalar>(&self, x: &[T]) -> (T, T) {
+    fn wind<T: Scalar>(&self, inputs: OdeInputs<'_, T>) -> (T, T) {
         let rate = TAU / self.period;
-        let (sin, cos) = (x[x.len() - 1] * T::lift(rate)).sin_cos();
+        let (sin, cos) = ((inputs.t + inputs.p[0]) * T::lift(rate)).sin_cos();
         (T::lift(self.speed) + T::lift(self.gust) * sin, T::lift(self.gust * rate) * cos)
     }
 }
 
 impl Effect<CartPoleSystem> for GustyWind {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, x: &[T], forces: &mut [T]) {
-        self.drag().add_forces(model, self.wind(x).0, x, forces);
+    fn param_dim(&self) -> usize {
+        1
+    }
+
+    fn draw_params(&self, rng: &mut Rng, p: &mut [f64]) {
+        p[0] = rng.random_range(0.0..=self.period);
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &CartPoleSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        let (wind, slope) = self.wind(x);
-        let wind_bar = self.drag().vjp(model, wind, x, forces_bar, x_bar);
-        x_bar[x.len() - 1] += wind_bar * slope;
+    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, inputs: OdeInputs<'_, T>, forces: &mut [T]) {
+        self.drag().add_forces(model, self.wind(inputs).0, inputs.x, forces);
     }
 
     #[inline(always)]
-    fn clock(&self) -> Option<f64> {
-        Some(self.period)
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        model: &CartPoleSystem,
+        inputs: OdeInputs<'_, R>,
+        forces_bar: &[C],
+        mut bars: Cotangents<'_, C>,
+    ) {
+        if bars.x.is_none() && bars.p.is_none() {
+            return;
+        }
+        let (wind, slope) = self.wind(inputs);
+        let wind_bar = self.drag().vjp(model, wind, inputs.x, forces_bar, bars.x.take());
+        if let Some(p_bar) = bars.p {
+            p_bar[0] += wind_bar * slope;
+        }
     }
 }
 
@@ -160,25 +185,35 @@ impl Drag {
         forces[0] = push;
     }
 
-    /// Adds the cotangents of the state, and returns that of the wind speed. The derivative of
-    /// `|v| v` is `2 |v|`, at 0 as well.
+    /// Adds the cotangents of the state, if requested, and returns that of the wind speed. The
+    /// derivative of `|v| v` is `2 |v|`, at 0 as well.
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(self, model: &CartPoleSystem, wind: R, x: &[R], forces_bar: &[C], x_bar: &mut [C]) -> C {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        self,
+        model: &CartPoleSystem,
+        wind: R,
+        x: &[R],
+        forces_bar: &[C],
+        mut x_bar: Option<&mut [C]>,
+    ) -> C {
         let (pole_drag, l) = (R::lift(self.pole), R::lift(model.half_length));
         let headwind = wind - x[1];
         let push_bar = forces_bar[0];
         let mut headwind_bar = push_bar * (R::lift(2.0 * self.cart) * headwind.abs());
-        let bars = zip(x_bar[2..].chunks_exact_mut(2), &forces_bar[1..]);
-        for (pole, (bar, &torque_bar)) in zip(model.poles_of(x), bars) {
+        for (i, (pole, &torque_bar)) in zip(model.poles_of(x), &forces_bar[1..]).enumerate() {
             let (sin, cos) = pole[0].sin_cos();
             let across = headwind * cos - l * pole[1];
             let strength = pole_drag * across.abs();
             let across_bar = (push_bar * cos + torque_bar * l) * (strength + strength);
             headwind_bar += across_bar * cos;
-            bar[0] -= (push_bar * (strength * across) + across_bar * headwind) * sin;
-            bar[1] -= across_bar * l;
+            if let Some(x_bar) = &mut x_bar {
+                x_bar[2 + 2 * i] -= (push_bar * (strength * across) + across_bar * headwind) * sin;
+                x_bar[3 + 2 * i] -= across_bar * l;
+            }
         }
-        x_bar[1] -= headwind_bar;
+        if let Some(x_bar) = x_bar {
+            x_bar[1] -= headwind_bar;
+        }
         headwind_bar
     }
 }

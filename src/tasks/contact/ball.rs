@@ -1,6 +1,7 @@
 //! [`Bounce`] and [`BouncingBall`]: a ball above a floor.
 
 use super::{Contact, Gap};
+use crate::dynamics::inputs::{Inputs, Start};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
@@ -43,7 +44,7 @@ impl System for BouncingBall {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let acceleration = u[0] * T::lift(1.0 / self.mass) - T::lift(self.gravity);
         let gap = self.contact.advance(Gap { width: x[0], speed: x[1] }, acceleration, self.mass, self.dt);
         (next[0], next[1]) = (gap.width, gap.speed);
@@ -82,19 +83,19 @@ impl Task for Bounce {
         self.horizon
     }
 
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
-        x[0] = rng.random_range(0.5..1.5);
-        x[1] = rng.random_range(-1.0..1.0);
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
+        start.x[0] = rng.random_range(0.5..1.5);
+        start.x[1] = rng.random_range(-1.0..1.0);
     }
 
     #[inline(always)]
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         let miss = x[0] - T::lift(self.target);
         miss * miss
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
-        (x_bar[0], x_bar[1]) = (R::lift(2.0) * (x[0] - R::lift(self.target)), R::zero());
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
+        x_bar[0] += R::lift(2.0) * (x[0] - R::lift(self.target));
     }
 }

@@ -1,6 +1,7 @@
 //! [`Push`] and [`TwoBodies`]: two bodies on a line.
 
 use super::{Contact, Gap};
+use crate::dynamics::inputs::{Inputs, Start};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
@@ -54,7 +55,7 @@ impl System for TwoBodies {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let [first, second] = self.masses;
         let total = first + second;
         let (dt, push) = (T::lift(self.dt), u[0] * T::lift(1.0 / first));
@@ -103,20 +104,18 @@ impl Task for Push {
         self.horizon
     }
 
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
-        x.fill(0.0);
+    fn start(&self, rng: &mut Rng, Start { x, .. }: Start<'_>) {
         x[1] = -rng.random_range(0.5..1.5);
         x[0] = x[1] - self.system.contact_distance - rng.random_range(0.1..0.3);
     }
 
     #[inline(always)]
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         x[1] * x[1]
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
-        x_bar.fill(R::zero());
-        x_bar[1] = R::lift(2.0) * x[1];
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
+        x_bar[1] += R::lift(2.0) * x[1];
     }
 }

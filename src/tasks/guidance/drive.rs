@@ -4,6 +4,7 @@ use super::GuidanceSystem;
 use super::gap::Law;
 use super::pairs::{from_to, from_to_vjp};
 use crate::dynamics::effect::Effect;
+use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
@@ -42,12 +43,19 @@ impl Drive {
 
 impl Effect<GuidanceSystem> for Drive {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
         from_to(model, self.law(), model.all_evaders(), model.all_drivers(), x, forces);
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &GuidanceSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        model: &GuidanceSystem,
+        OdeInputs { x, .. }: OdeInputs<'_, R>,
+        forces_bar: &[C],
+        bars: Cotangents<'_, C>,
+    ) {
+        let Some(x_bar) = bars.x else { return };
         from_to_vjp(model, self.law(), model.all_evaders(), model.all_drivers(), x, forces_bar, x_bar);
     }
 }

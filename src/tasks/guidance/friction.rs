@@ -3,6 +3,7 @@
 use super::GuidanceSystem;
 use super::system::AGENT;
 use crate::dynamics::effect::Effect;
+use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
@@ -31,7 +32,7 @@ impl Default for Friction {
 
 impl Effect<GuidanceSystem> for Friction {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
         let (forces, agents) = (forces.as_chunks_mut::<2>().0, x.as_chunks::<AGENT>().0);
         for (friction, range) in [(self.drivers, model.all_drivers()), (self.evaders, model.all_evaders())] {
             let friction = T::lift(friction);
@@ -43,7 +44,14 @@ impl Effect<GuidanceSystem> for Friction {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &GuidanceSystem, _x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        model: &GuidanceSystem,
+        _inputs: OdeInputs<'_, R>,
+        forces_bar: &[C],
+        bars: Cotangents<'_, C>,
+    ) {
+        let Some(x_bar) = bars.x else { return };
         let (forces_bar, bars) = (forces_bar.as_chunks::<2>().0, x_bar.as_chunks_mut::<AGENT>().0);
         for (friction, range) in [(self.drivers, model.all_drivers()), (self.evaders, model.all_evaders())] {
             let friction = R::lift(friction);

@@ -4,6 +4,7 @@ use super::GuidanceSystem;
 use super::gap::Gap;
 use super::system::AGENT;
 use crate::dynamics::effect::Effect;
+use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
@@ -50,7 +51,7 @@ fn way<T: Scalar>(agent: &[T], center: [f64; 2]) -> [T; 2] {
 
 impl Effect<GuidanceSystem> for Obstacles {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
         let stiffness = T::lift(self.stiffness);
         for (force, agent) in zip(forces.chunks_exact_mut(2), x.chunks_exact(AGENT)) {
             for &center in &self.centers {
@@ -63,7 +64,14 @@ impl Effect<GuidanceSystem> for Obstacles {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &GuidanceSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        model: &GuidanceSystem,
+        OdeInputs { x, .. }: OdeInputs<'_, R>,
+        forces_bar: &[C],
+        bars: Cotangents<'_, C>,
+    ) {
+        let Some(x_bar) = bars.x else { return };
         let agents = zip(x.chunks_exact(AGENT), x_bar.chunks_exact_mut(AGENT));
         for (force_bar, (agent, x_bar)) in zip(forces_bar.chunks_exact(2), agents) {
             let force_bar = [force_bar[0], force_bar[1]];

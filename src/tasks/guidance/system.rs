@@ -1,6 +1,7 @@
 //! [`GuidanceSystem`]: drivers and evaders without forces between them.
 
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
+use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
 use crate::dynamics::ode::ForcedOde;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
@@ -109,15 +110,15 @@ impl GuidanceSystem {
         [sum[0] * weight, sum[1] * weight]
     }
 
-    /// Writes the cotangents of the control.
+    /// Adds the cotangents of the control.
     #[inline(always)]
     fn reverse_control<R: Real, C: Cotangent<R>>(&self, x: &[R], next_bar: &[C], u_bar: &mut [C]) {
         let dt = R::lift(self.dt);
         let herd = self.herd(x);
         for ((c_bar, x), next) in zip(zip(u_bar.chunks_exact_mut(2), x.chunks_exact(AGENT)), next_bar.chunks_exact(AGENT)) {
             let q = [(x[0] - herd[0]) * dt, (x[1] - herd[1]) * dt];
-            c_bar[0] = next[2] * q[0] + next[3] * q[1];
-            c_bar[1] = next[3] * q[0] - next[2] * q[1];
+            c_bar[0] += next[2] * q[0] + next[3] * q[1];
+            c_bar[1] += next[3] * q[0] - next[2] * q[1];
         }
     }
 
@@ -146,7 +147,8 @@ impl GuidanceSystem {
 impl GuidanceSystem {
     /// Writes the accelerations of all agents to `forces`.
     #[inline(always)]
-    fn accelerate<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], forces: &mut [T]) {
+    fn accelerate<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, forces: &mut [T]) {
+        let Inputs { x, u, .. } = inputs;
         let herd = self.herd(x);
         for ((force, x), c) in zip(zip(forces.chunks_exact_mut(2), x.chunks_exact(AGENT)), u.chunks_exact(2)) {
             let q = [x[0] - herd[0], x[1] - herd[1]];
@@ -155,7 +157,7 @@ impl GuidanceSystem {
         }
         // `black_box` prevents a memset call, which is slower than a short loop.
         forces[2 * self.drivers..].fill(black_box(T::zero()));
-        effects.add_forces(self, x, forces);
+        effects.add_forces(self, inputs, forces);
     }
 }
 
@@ -183,10 +185,11 @@ impl ForcedSystem for GuidanceSystem {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
         // Store the accelerations in the second half of the next state.
         let half = 2 * self.agents();
-        self.accelerate(effects, x, u, &mut next[half..2 * half]);
+        self.accelerate(effects, inputs.continuous(self.dt), &mut next[half..2 * half]);
+        let x = inputs.x;
         let dt = T::lift(self.dt);
         for agent in 0..self.agents() {
             // Each agent overwrites only the accelerations of itself and of earlier agents.
@@ -199,38 +202,40 @@ impl ForcedSystem for GuidanceSystem {
     /// Computes the cotangents of state and control independently. Neither requires the
     /// accelerations.
     #[inline(always)]
-    fn reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
+    fn forced_vjp<E: Effect<Self>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: Inputs<'_, R>,
         next_bar: &[C],
-        x_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        mut bars: Cotangents<'_, C>,
     ) {
-        if let Some(x_bar) = x_bar {
-            let dt = R::lift(self.dt);
-            let (bars, next_bars) = (x_bar.as_chunks_mut::<AGENT>().0, next_bar.as_chunks::<AGENT>().0);
-            let mut forces_bar = SmallVec::<[[C; 2]; STACK]>::new();
-            forces_bar.extend(next_bars[..self.agents()].iter().map(|next| [next[2] * dt, next[3] * dt]));
-            for (bar, next) in zip(bars.iter_mut(), next_bars) {
-                *bar = [next[0], next[1], next[2] + next[0] * dt, next[3] + next[1] * dt];
+        let dt = R::lift(self.dt);
+        let next_bars = &next_bar.as_chunks::<AGENT>().0[..self.agents()];
+        let mut forces_bar = SmallVec::<[[C; 2]; STACK]>::new();
+        forces_bar.extend(next_bars.iter().map(|next| [next[2] * dt, next[3] * dt]));
+        let forces_bar = forces_bar.as_flattened();
+        if let Some(x_bar) = &mut bars.x {
+            for (bar, next) in zip(x_bar.as_chunks_mut::<AGENT>().0.iter_mut(), next_bars) {
+                bar[0] += next[0];
+                bar[1] += next[1];
+                bar[2] += next[2] + next[0] * dt;
+                bar[3] += next[3] + next[1] * dt;
             }
-            let forces_bar = forces_bar.as_flattened();
-            self.reverse_steering(u, forces_bar, x_bar);
-            effects.vjp(self, x, forces_bar, x_bar);
+            self.reverse_steering(inputs.u, forces_bar, x_bar);
         }
-        if let Some(u_bar) = u_bar {
-            self.reverse_control(x, next_bar, u_bar);
+        if let Some(u_bar) = &mut bars.u {
+            self.reverse_control(inputs.x, next_bar, u_bar);
         }
+        effects.vjp(self, inputs.continuous(self.dt), forces_bar, bars);
     }
 }
 
 impl ForcedOde for GuidanceSystem {
     #[inline(always)]
-    fn forced_rate<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], rate: &mut [T]) {
+    fn forced_rate<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
         let half = 2 * self.agents();
-        self.accelerate(effects, x, u, &mut rate[half..2 * half]);
+        self.accelerate(effects, inputs, &mut rate[half..2 * half]);
+        let x = inputs.x;
         for agent in 0..self.agents() {
             // Each agent overwrites only the accelerations of itself and of earlier agents.
             let (force, at) = ([rate[half + 2 * agent], rate[half + 2 * agent + 1]], AGENT * agent);
@@ -242,23 +247,23 @@ impl ForcedOde for GuidanceSystem {
     fn forced_rate_vjp<E: Effect<Self>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: OdeInputs<'_, R>,
         rate_bar: &[C],
-        x_bar: &mut [C],
-        u_bar: Option<&mut [C]>,
+        mut bars: Cotangents<'_, C>,
     ) {
         let rate_bars = &rate_bar.as_chunks::<AGENT>().0[..self.agents()];
         let mut forces_bar = SmallVec::<[[C; 2]; STACK]>::new();
         forces_bar.extend(rate_bars.iter().map(|rate| [rate[2], rate[3]]));
         let forces_bar = forces_bar.as_flattened();
-        for (bar, rate) in zip(x_bar.as_chunks_mut::<AGENT>().0.iter_mut(), rate_bars) {
-            bar[2] += rate[0];
-            bar[3] += rate[1];
+        if let Some(x_bar) = &mut bars.x {
+            for (bar, rate) in zip(x_bar.as_chunks_mut::<AGENT>().0.iter_mut(), rate_bars) {
+                bar[2] += rate[0];
+                bar[3] += rate[1];
+            }
+            self.reverse_steering(inputs.u, forces_bar, x_bar);
         }
-        self.reverse_steering(u, forces_bar, x_bar);
-        effects.vjp(self, x, forces_bar, x_bar);
-        if let Some(u_bar) = u_bar {
+        if let Some(u_bar) = &mut bars.u {
+            let x = inputs.x;
             let herd = self.herd(x);
             for ((c_bar, x), force) in zip(zip(u_bar.chunks_exact_mut(2), x.chunks_exact(AGENT)), forces_bar.chunks_exact(2)) {
                 let q = [x[0] - herd[0], x[1] - herd[1]];
@@ -266,6 +271,7 @@ impl ForcedOde for GuidanceSystem {
                 c_bar[1] += force[1] * q[0] - force[0] * q[1];
             }
         }
+        effects.vjp(self, inputs, forces_bar, bars);
     }
 
     fn velocity_of(&self, i: usize) -> Option<usize> {

@@ -3,6 +3,7 @@
 use super::GuidanceSystem;
 use super::system::AGENT;
 use crate::dynamics::effect::Effect;
+use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
@@ -48,7 +49,7 @@ impl Walls {
 
 impl Effect<GuidanceSystem> for Walls {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, _model: &GuidanceSystem, x: &[T], forces: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, _model: &GuidanceSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
         let (zero, stiffness) = (T::zero(), T::lift(self.stiffness));
         for (force, agent) in zip(forces.chunks_exact_mut(2), x.chunks_exact(AGENT)) {
             for (axis, half) in self.halves().into_iter().enumerate() {
@@ -60,7 +61,14 @@ impl Effect<GuidanceSystem> for Walls {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &GuidanceSystem, x: &[R], forces_bar: &[C], x_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        _model: &GuidanceSystem,
+        OdeInputs { x, .. }: OdeInputs<'_, R>,
+        forces_bar: &[C],
+        bars: Cotangents<'_, C>,
+    ) {
+        let Some(x_bar) = bars.x else { return };
         let (zero, stiffness) = (R::zero(), R::lift(self.stiffness));
         let agents = zip(x.chunks_exact(AGENT), x_bar.chunks_exact_mut(AGENT));
         for (force_bar, (agent, x_bar)) in zip(forces_bar.chunks_exact(2), agents) {

@@ -1,6 +1,7 @@
 //! [`Lqr`]: the linear-quadratic regulator.
 
 use super::{LinearPlant, NoOptimum, Optimum, dot};
+use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
@@ -73,7 +74,7 @@ impl Lqr {
     /// steps.
     pub fn upright_cart_pole() -> Self {
         let system = CartPoleSystem::default();
-        Self::per_second(LinearPlant::linearized(&system, &[0.0; 4], &[0.0]), system.dt)
+        Self::per_second(LinearPlant::linearized(&system, Inputs::new(&[0.0; 4], &[0.0])), system.dt)
     }
 
     /// Creates a task with unit costs per second.
@@ -93,7 +94,7 @@ impl Lqr {
     pub fn least_loss(&self, starts: &[f64]) -> f64 {
         let samples = starts.chunks_exact(self.plant.state_dim());
         let count = samples.len() as f64;
-        samples.map(|x| self.terminal_cost(x)).sum::<f64>() / count
+        samples.map(|x| self.terminal_cost(x, &[])).sum::<f64>() / count
     }
 }
 
@@ -107,11 +108,11 @@ fn quadratic<T: Scalar>(matrix: &[f64], x: &[T]) -> T {
     sum * T::lift(0.5)
 }
 
-/// Writes the gradient `M x` of [`quadratic`], for symmetric M.
+/// Adds the gradient `M x` of [`quadratic`], for symmetric M.
 #[inline(always)]
 fn quadratic_gradient<R: Real>(matrix: &[f64], x: &[R], x_bar: &mut [R]) {
     for (row, x_bar) in zip(matrix.chunks_exact(x.len()), x_bar) {
-        *x_bar = dot(row, x);
+        *x_bar += dot(row, x);
     }
 }
 
@@ -126,30 +127,32 @@ impl Task for Lqr {
         self.horizon
     }
 
-    fn start(&self, rng: &mut Rng, x: &mut [f64]) {
-        for (x, &start) in zip(x.iter_mut(), &self.start) {
-            *x = start + self.spread * rng.random_range(-1.0..1.0);
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
+        for (x, &center) in zip(start.x.iter_mut(), &self.start) {
+            *x = center + self.spread * rng.random_range(-1.0..1.0);
         }
     }
 
     #[inline(always)]
-    fn stage_cost<T: Scalar>(&self, x: &[T], u: &[T]) -> T {
-        quadratic(&self.state_cost, x) + quadratic(&self.control_cost, u)
+    fn running_cost<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, next: &[T]) -> T {
+        quadratic(&self.state_cost, next) + quadratic(&self.control_cost, u)
     }
 
     #[inline(always)]
-    fn terminal_cost<T: Scalar>(&self, x: &[T]) -> T {
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         quadratic(&self.optimum.cost_to_go, x)
     }
 
     #[inline(always)]
-    fn stage_cost_gradient<R: Real>(&self, x: &[R], u: &[R], x_bar: &mut [R], u_bar: &mut [R]) {
-        quadratic_gradient(&self.state_cost, x, x_bar);
-        quadratic_gradient(&self.control_cost, u, u_bar);
+    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+        quadratic_gradient(&self.state_cost, next, next_bar);
+        if let Some(u_bar) = bars.u {
+            quadratic_gradient(&self.control_cost, inputs.u, u_bar);
+        }
     }
 
     #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
         quadratic_gradient(&self.optimum.cost_to_go, x, x_bar);
     }
 }

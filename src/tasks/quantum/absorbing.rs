@@ -4,6 +4,7 @@ use super::QuantumSystem;
 use super::system::Wave;
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
+use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
@@ -88,35 +89,25 @@ impl<S: HasModel<QuantumSystem>> System for Absorbing<S> {
         self.system.control_dim()
     }
 
+    fn param_dim(&self) -> usize {
+        self.system.param_dim()
+    }
+
     #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        self.system.step(x, u, next);
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        self.system.step(inputs, next);
         self.damp::<T, T>(next);
     }
 
-    fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        self.system.diagnose(x, u)
-    }
-
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
         let mut bar: Wave<C> = SmallVec::from_slice(next_bar);
         self.damp::<R, C>(&mut bar);
-        self.system.vjp(x, u, &bar, x_bar, u_bar);
+        self.system.vjp(inputs, &bar, bars);
     }
 
-    #[inline(always)]
-    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        let mut bar: Wave<C> = SmallVec::from_slice(next_bar);
-        self.damp::<R, C>(&mut bar);
-        self.system.vjp_state(x, u, &bar, x_bar);
-    }
-
-    #[inline(always)]
-    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        let mut bar: Wave<C> = SmallVec::from_slice(next_bar);
-        self.damp::<R, C>(&mut bar);
-        self.system.vjp_control(x, u, &bar, u_bar);
+    fn diagnose<F: Float>(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+        self.system.diagnose(inputs)
     }
 }
 
@@ -126,7 +117,7 @@ impl<S: HasModel<QuantumSystem>> HasModel<QuantumSystem> for Absorbing<S> {
         self.system.model()
     }
 
-    fn start_extra(&self, rng: &mut Rng, x: &mut [f64]) {
-        self.system.start_extra(rng, x);
+    fn start_extra(&self, rng: &mut Rng, start: Start<'_>) {
+        self.system.start_extra(rng, start);
     }
 }

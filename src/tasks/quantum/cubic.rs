@@ -2,6 +2,7 @@
 
 use super::QuantumSystem;
 use crate::dynamics::effect::Effect;
+use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
@@ -39,7 +40,7 @@ impl Cubic {
 
 impl Effect<QuantumSystem> for Cubic {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &QuantumSystem, x: &[T], potential: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, model: &QuantumSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, potential: &mut [T]) {
         let strength = T::lift(self.per_probability(model));
         // Indexing with bounds checks prevents vectorization of this loop. Lanes fill the registers
         // already.
@@ -50,7 +51,14 @@ impl Effect<QuantumSystem> for Cubic {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &QuantumSystem, x: &[R], potential_bar: &[C], x_bar: &mut [C]) {
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        model: &QuantumSystem,
+        OdeInputs { x, .. }: OdeInputs<'_, R>,
+        potential_bar: &[C],
+        bars: Cotangents<'_, C>,
+    ) {
+        let Some(x_bar) = bars.x else { return };
         let slope = R::lift(2.0 * self.per_probability(model));
         for ((&v_bar, [re, im]), bar) in zip(zip(potential_bar.iter(), x.as_chunks().0), x_bar.as_chunks_mut::<2>().0) {
             let v_bar = v_bar * slope;

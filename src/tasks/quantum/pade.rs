@@ -4,8 +4,8 @@ use super::QuantumSystem;
 use super::elimination::{Elimination, Pivots, Rows};
 use super::system::{Pair, PerPoint};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
+use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs, add};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
-use crate::numbers::zip::zip;
 
 /// [`QuantumSystem`] with the diagonal Padé approximant of fourth order. With `z = dt H`:
 ///
@@ -50,8 +50,7 @@ impl Pade {
     fn eliminate<'a, E: Effect<QuantumSystem>, T: Scalar>(
         &self,
         effects: &E,
-        x: &[T],
-        u: &[T],
+        inputs: OdeInputs<'_, T>,
         minus: &'a mut PerPoint<Pair<T>>,
         plus: &'a mut PerPoint<Pair<T>>,
     ) -> (Elimination<'a, T>, Elimination<'a, T>) {
@@ -60,7 +59,7 @@ impl Pade {
         let mut plus = Rows::new(Pivots::new(dt, dx, shift), self.0.grid, plus);
         let mut potential = PerPoint::new();
         // Two chains of divisions side by side take little longer than one.
-        for &v in self.0.potential(effects, x, u, &mut potential) {
+        for &v in self.0.potential(effects, inputs, &mut potential) {
             minus.push(v);
             plus.push(v);
         }
@@ -102,9 +101,10 @@ impl ForcedSystem for Pade {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+    fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+        let x = inputs.x;
         let (mut minus, mut plus, mut chi) = (PerPoint::new(), PerPoint::new(), PerPoint::new());
-        let (minus, plus) = self.eliminate(effects, x, u, &mut minus, &mut plus);
+        let (minus, plus) = self.eliminate(effects, inputs.continuous(self.0.dt), &mut minus, &mut plus);
         chi.resize(self.0.grid, [T::zero(); 2]);
         let chi = chi.as_flattened_mut();
         minus.solve(x, chi);
@@ -114,31 +114,32 @@ impl ForcedSystem for Pade {
     }
 
     #[inline(always)]
-    fn reverse<E: Effect<QuantumSystem>, R: Real, C: Cotangent<R>>(
+    fn forced_vjp<E: Effect<QuantumSystem>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: Inputs<'_, R>,
         next_bar: &[C],
-        x_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        mut bars: Cotangents<'_, C>,
     ) {
-        let (model, n, dt) = (&self.0, 2 * self.0.grid, self.factor_dt());
+        let (model, dt) = (&self.0, self.factor_dt());
+        let (x, inputs) = (inputs.x, inputs.continuous(model.dt));
         let (mut minus, mut plus) = (PerPoint::new(), PerPoint::new());
-        let (mut minus, mut plus) = self.eliminate(effects, x, u, &mut minus, &mut plus);
-        let mut chi_bar = PerPoint::new();
+        let (mut minus, mut plus) = self.eliminate(effects, inputs, &mut minus, &mut plus);
+        let (mut chi_bar, mut wave_bar) = (PerPoint::new(), PerPoint::new());
         chi_bar.resize(model.grid, [C::null(); 2]);
-        let chi_bar = chi_bar.as_flattened_mut();
-        let effects_read = x_bar.is_some() && effects.state_dependent();
+        wave_bar.resize(model.grid, [C::null(); 2]);
+        let (chi_bar, wave_bar) = (chi_bar.as_flattened_mut(), wave_bar.as_flattened_mut());
+        let effects_read = effects.state_dependent();
         // Shorter path if only the cotangent of the state is requested.
-        if u_bar.is_none() && !effects_read {
-            if let Some(x_bar) = x_bar {
+        if bars.u.is_none() && !effects_read {
+            if let Some(x_bar) = bars.x {
                 plus.conjugate();
                 plus.solve(next_bar, chi_bar);
                 reflect(next_bar, chi_bar);
                 minus.conjugate();
-                minus.solve(chi_bar, &mut x_bar[..n]);
-                reflect(chi_bar, &mut x_bar[..n]);
+                minus.solve(chi_bar, wave_bar);
+                reflect(chi_bar, wave_bar);
+                add(x_bar, wave_bar);
             }
             return;
         }
@@ -158,35 +159,30 @@ impl ForcedSystem for Pade {
         plus.solve(chi.as_flattened(), y_plus.as_flattened_mut());
         minus.conjugate();
         plus.conjugate();
-        let mut scratch = PerPoint::new();
-        let x_bar = match x_bar {
-            Some(x_bar) => x_bar,
-            None => {
-                scratch.resize(model.grid, [C::null(); 2]);
-                scratch.as_flattened_mut()
-            }
-        };
-        let with_control = u_bar.is_some();
+        let with_control = bars.u.is_some();
         plus.solve(next_bar, chi_bar);
+        let (mut first, mut second) = (PerPoint::new(), PerPoint::new());
         let control_bar = if effects_read {
-            let (mut first, mut second) = (PerPoint::new(), PerPoint::new());
             first.resize(model.grid, C::null());
             second.resize(model.grid, C::null());
             let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, with_control, Some(&mut *first));
-            minus.solve(chi_bar, &mut x_bar[..n]);
-            let minus_bar = model.reverse_potential(dt, y_minus, chi_bar, x_bar, with_control, Some(&mut *second));
-            for (sum, &part) in zip(first.iter_mut(), &second) {
-                *sum += part;
-            }
-            effects.vjp(model, x, &first, x_bar);
+            minus.solve(chi_bar, wave_bar);
+            let minus_bar = model.reverse_potential(dt, y_minus, chi_bar, wave_bar, with_control, Some(&mut *second));
+            add(&mut first, &second);
             plus_bar + minus_bar
         } else {
             let plus_bar = model.reverse_potential(dt, y_plus, next_bar, chi_bar, with_control, None);
-            minus.solve(chi_bar, &mut x_bar[..n]);
-            plus_bar + model.reverse_potential(dt, y_minus, chi_bar, x_bar, with_control, None)
+            minus.solve(chi_bar, wave_bar);
+            plus_bar + model.reverse_potential(dt, y_minus, chi_bar, wave_bar, with_control, None)
         };
-        if let Some(u_bar) = u_bar {
-            u_bar[0] = control_bar;
+        if let Some(x_bar) = &mut bars.x {
+            add(x_bar, wave_bar);
+        }
+        if let Some(u_bar) = &mut bars.u {
+            u_bar[0] += control_bar;
+        }
+        if effects_read {
+            effects.vjp(model, inputs, &first, bars);
         }
     }
 }

@@ -4,6 +4,7 @@
 
 use super::QuantumSystem;
 use crate::dynamics::effect::Effect;
+use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
@@ -13,14 +14,14 @@ macro_rules! stand_still {
     ($($effect:ty),+) => {$(
         impl Effect<QuantumSystem> for $effect {
             #[inline(always)]
-            fn add_forces<T: Scalar>(&self, model: &QuantumSystem, _x: &[T], potential: &mut [T]) {
+            fn add_forces<T: Scalar>(&self, model: &QuantumSystem, _inputs: OdeInputs<'_, T>, potential: &mut [T]) {
                 for (v, xi) in zip(potential.iter_mut(), model.centered_points()) {
                     *v += T::lift(self.potential(xi));
                 }
             }
 
             #[inline(always)]
-            fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _v_bar: &[C], _x_bar: &mut [C]) {}
+            fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _inputs: OdeInputs<'_, R>, _v_bar: &[C], _bars: Cotangents<'_, C>) {}
 
             #[inline(always)]
             fn state_dependent(&self) -> bool {
@@ -146,25 +147,32 @@ impl Tabulated {
     /// effects are summed before the potential of the control is added.
     ///
     /// # Panics
-    /// If an effect depends on the state.
+    /// If an effect depends on state, control or parameters. Effects of time are tabulated at time 0.
     pub fn of<E: Effect<QuantumSystem>>(model: &QuantumSystem, effects: &E) -> Self {
         assert!(!effects.state_dependent(), "an effect that depends on the state has no table: {effects:?}");
         let mut values = vec![0.0; model.grid];
-        effects.add_forces(model, &[], &mut values);
+        effects.add_forces(model, Inputs { x: &[], u: &[], p: &[], t: 0.0 }, &mut values);
         Self { values }
     }
 }
 
 impl Effect<QuantumSystem> for Tabulated {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _x: &[T], potential: &mut [T]) {
+    fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _inputs: OdeInputs<'_, T>, potential: &mut [T]) {
         for (v, &value) in zip(potential.iter_mut(), &self.values) {
             *v += T::lift(value);
         }
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _model: &QuantumSystem, _x: &[R], _v_bar: &[C], _x_bar: &mut [C]) {}
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        _model: &QuantumSystem,
+        _inputs: OdeInputs<'_, R>,
+        _v_bar: &[C],
+        _bars: Cotangents<'_, C>,
+    ) {
+    }
 
     #[inline(always)]
     fn state_dependent(&self) -> bool {

@@ -4,6 +4,7 @@ use super::QuantumSystem;
 use super::system::Wave;
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
+use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
@@ -48,10 +49,10 @@ impl<S: HasModel<QuantumSystem>> Renormalized<S> {
 
     /// Returns the cotangent before the normalization.
     #[inline(always)]
-    fn reverse<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C]) -> Wave<C> {
+    fn reverse<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C]) -> Wave<C> {
         let n = self.wave();
-        let mut y: Wave<R> = smallvec![R::zero(); x.len()];
-        self.system.step(x, u, &mut y);
+        let mut y: Wave<R> = smallvec![R::zero(); inputs.x.len()];
+        self.system.step(inputs, &mut y);
         let per_norm = per_norm(&y[..n]);
         let mut along = C::null();
         for i in 0..n {
@@ -75,9 +76,13 @@ impl<S: HasModel<QuantumSystem>> System for Renormalized<S> {
         self.system.control_dim()
     }
 
+    fn param_dim(&self) -> usize {
+        self.system.param_dim()
+    }
+
     #[inline(always)]
-    fn step<T: Scalar>(&self, x: &[T], u: &[T], next: &mut [T]) {
-        self.system.step(x, u, next);
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        self.system.step(inputs, next);
         let psi = &mut next[..self.wave()];
         let per_norm = per_norm(psi);
         for psi in psi {
@@ -85,23 +90,13 @@ impl<S: HasModel<QuantumSystem>> System for Renormalized<S> {
         }
     }
 
-    fn diagnose<F: Float>(&self, x: &[F], u: &[F]) -> Option<Cause> {
-        self.system.diagnose(x, u)
+    #[inline(always)]
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+        self.system.vjp(inputs, &self.reverse(inputs, next_bar), bars);
     }
 
-    #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C], u_bar: &mut [C]) {
-        self.system.vjp(x, u, &self.reverse(x, u, next_bar), x_bar, u_bar);
-    }
-
-    #[inline(always)]
-    fn vjp_state<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], x_bar: &mut [C]) {
-        self.system.vjp_state(x, u, &self.reverse(x, u, next_bar), x_bar);
-    }
-
-    #[inline(always)]
-    fn vjp_control<R: Real, C: Cotangent<R>>(&self, x: &[R], u: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        self.system.vjp_control(x, u, &self.reverse(x, u, next_bar), u_bar);
+    fn diagnose<F: Float>(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+        self.system.diagnose(inputs)
     }
 }
 
@@ -111,7 +106,7 @@ impl<S: HasModel<QuantumSystem>> HasModel<QuantumSystem> for Renormalized<S> {
         self.system.model()
     }
 
-    fn start_extra(&self, rng: &mut Rng, x: &mut [f64]) {
-        self.system.start_extra(rng, x);
+    fn start_extra(&self, rng: &mut Rng, start: Start<'_>) {
+        self.system.start_extra(rng, start);
     }
 }

@@ -2,6 +2,7 @@
 
 use super::{Pade, QuantumSystem, Strang};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
+use crate::dynamics::inputs::{Cotangents, Inputs};
 use crate::dynamics::outline::outline;
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
@@ -30,15 +31,14 @@ pub enum QuantumScheme {
 struct Step<'a, H, E, T> {
     host: &'a H,
     effects: &'a E,
-    x: &'a [T],
-    u: &'a [T],
+    inputs: Inputs<'a, T>,
     next: &'a mut [T],
 }
 
 impl<H: ForcedSystem, E: Effect<H::Model>, T: Scalar> Vectorized for Step<'_, H, E, T> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        self.host.forced_step(self.effects, self.x, self.u, self.next);
+        self.host.forced_step(self.effects, self.inputs, self.next);
     }
 }
 
@@ -46,18 +46,16 @@ impl<H: ForcedSystem, E: Effect<H::Model>, T: Scalar> Vectorized for Step<'_, H,
 struct Reverse<'a, H, E, R, C> {
     host: &'a H,
     effects: &'a E,
-    x: &'a [R],
-    u: &'a [R],
+    inputs: Inputs<'a, R>,
     next_bar: &'a [C],
-    x_bar: Option<&'a mut [C]>,
-    u_bar: Option<&'a mut [C]>,
+    bars: Cotangents<'a, C>,
 }
 
 impl<H: ForcedSystem, E: Effect<H::Model>, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, H, E, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { host, effects, x, u, next_bar, x_bar, u_bar } = self;
-        host.reverse(effects, x, u, next_bar, x_bar, u_bar);
+        let Self { host, effects, inputs, next_bar, bars } = self;
+        host.forced_vjp(effects, inputs, next_bar, bars);
     }
 }
 
@@ -90,28 +88,26 @@ impl ForcedSystem for QuantumScheme {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+    fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
         match self {
-            Self::CrankNicolson(host) => outline::<T>(Step { host, effects, x, u, next }),
-            Self::Pade(host) => outline::<T>(Step { host, effects, x, u, next }),
-            Self::Strang(host) => outline::<T>(Step { host, effects, x, u, next }),
+            Self::CrankNicolson(host) => outline::<T>(Step { host, effects, inputs, next }),
+            Self::Pade(host) => outline::<T>(Step { host, effects, inputs, next }),
+            Self::Strang(host) => outline::<T>(Step { host, effects, inputs, next }),
         }
     }
 
     #[inline(always)]
-    fn reverse<E: Effect<QuantumSystem>, R: Real, C: Cotangent<R>>(
+    fn forced_vjp<E: Effect<QuantumSystem>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: Inputs<'_, R>,
         next_bar: &[C],
-        x_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        bars: Cotangents<'_, C>,
     ) {
         match self {
-            Self::CrankNicolson(host) => outline::<R>(Reverse { host, effects, x, u, next_bar, x_bar, u_bar }),
-            Self::Pade(host) => outline::<R>(Reverse { host, effects, x, u, next_bar, x_bar, u_bar }),
-            Self::Strang(host) => outline::<R>(Reverse { host, effects, x, u, next_bar, x_bar, u_bar }),
+            Self::CrankNicolson(host) => outline::<R>(Reverse { host, effects, inputs, next_bar, bars }),
+            Self::Pade(host) => outline::<R>(Reverse { host, effects, inputs, next_bar, bars }),
+            Self::Strang(host) => outline::<R>(Reverse { host, effects, inputs, next_bar, bars }),
         }
     }
 }

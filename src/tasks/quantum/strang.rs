@@ -3,10 +3,10 @@
 use super::QuantumSystem;
 use super::elimination::Vector;
 use super::propagator::Propagator;
-use super::system::{Pair, PerPoint, STACK, place};
+use super::system::{Pair, PerPoint, Wave, place};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
+use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs, add};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
-use smallvec::SmallVec;
 
 /// [`QuantumSystem`] with Strang's symmetric splitting:
 ///
@@ -30,7 +30,7 @@ use smallvec::SmallVec;
 /// The second half step evaluates the potential at the state after the kinetic step. The first half
 /// step does not change |ψ|. With [`Cubic`](super::Cubic), both halves are therefore exact, and the
 /// order remains two. (The other schemes use the state at the beginning of the step, which gives
-/// first order.) Effects with a clock use the time at the beginning of the step in both halves.
+/// first order.) Both halves use the time at the beginning of the step.
 ///
 /// Sources: Strang 1968 (doi:10.1137/0705041); Feit, Fleck and Steiger 1982
 /// (doi:10.1016/0021-9991(82)90091-2).
@@ -51,9 +51,6 @@ fn turn<T: Scalar, V: Vector<T>, const ADJOINT: bool>(phases: &[Pair<T>], psi: &
     }
 }
 
-/// Wave, and the components that effects append to the state.
-type State<T> = SmallVec<[T; 2 * STACK + 1]>;
-
 impl Strang {
     /// Computes the propagator of a step: O(grid²), in double precision.
     pub fn new(system: QuantumSystem) -> Self {
@@ -70,13 +67,12 @@ impl Strang {
     fn phases<'a, E: Effect<QuantumSystem>, T: Scalar>(
         &self,
         effects: &E,
-        x: &[T],
-        u: &[T],
+        inputs: OdeInputs<'_, T>,
         phases: &'a mut PerPoint<Pair<T>>,
     ) -> &'a [Pair<T>] {
         let half_dt = T::lift(0.5 * self.system.dt);
         let mut potential = PerPoint::new();
-        let potential = self.system.potential(effects, x, u, &mut potential);
+        let potential = self.system.potential(effects, inputs, &mut potential);
         phases.clear();
         phases.extend(potential.iter().map(|&v| {
             let (sin, cos) = (v * half_dt).sin_cos();
@@ -141,84 +137,82 @@ impl ForcedSystem for Strang {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
-        let n = 2 * self.system.grid;
-        let (mut phases, mut state) = (PerPoint::new(), State::new());
-        let turning = self.phases(effects, x, u, &mut phases);
-        // Include the components appended by effects, which read the whole state.
-        state.extend_from_slice(x);
+    fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
+        let inputs = inputs.continuous(self.system.dt);
+        let (mut phases, mut state) = (PerPoint::new(), Wave::from_slice(inputs.x));
+        let turning = self.phases(effects, inputs, &mut phases);
         let state = &mut state[..];
-        turn::<T, T, false>(turning, x, state);
+        turn::<T, T, false>(turning, inputs.x, state);
         self.kinetic.apply::<T, T, false>(state, next);
-        state[..n].copy_from_slice(next);
-        let turning = if effects.state_dependent() { self.phases(effects, state, u, &mut phases) } else { &phases[..] };
+        state.copy_from_slice(next);
+        let turning =
+            if effects.state_dependent() { self.phases(effects, inputs.with_x(state), &mut phases) } else { &phases[..] };
         turn::<T, T, false>(turning, state, next);
     }
 
     #[inline(always)]
-    fn reverse<E: Effect<QuantumSystem>, R: Real, C: Cotangent<R>>(
+    fn forced_vjp<E: Effect<QuantumSystem>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: Inputs<'_, R>,
         next_bar: &[C],
-        x_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        mut bars: Cotangents<'_, C>,
     ) {
         let (model, reads) = (&self.system, effects.state_dependent());
+        let (x, inputs) = (inputs.x, inputs.continuous(model.dt));
         let mut phases = PerPoint::new();
-        let before = self.phases(effects, x, u, &mut phases);
-        let mut a_bar = PerPoint::new();
+        let before = self.phases(effects, inputs, &mut phases);
+        let (mut a_bar, mut wave_bar) = (PerPoint::new(), PerPoint::new());
         a_bar.resize(model.grid, [C::null(); 2]);
-        let a_bar = a_bar.as_flattened_mut();
+        wave_bar.resize(model.grid, [C::null(); 2]);
+        let (a_bar, wave_bar) = (a_bar.as_flattened_mut(), wave_bar.as_flattened_mut());
         // Shorter path if only the cotangent of the state is requested.
-        if u_bar.is_none() && !reads {
-            if let Some(x_bar) = x_bar {
-                turn::<R, C, true>(before, next_bar, x_bar);
-                self.kinetic.apply::<R, C, true>(x_bar, a_bar);
-                turn::<R, C, true>(before, a_bar, x_bar);
+        if bars.u.is_none() && !reads {
+            if let Some(x_bar) = bars.x {
+                turn::<R, C, true>(before, next_bar, wave_bar);
+                self.kinetic.apply::<R, C, true>(wave_bar, a_bar);
+                turn::<R, C, true>(before, a_bar, wave_bar);
+                add(x_bar, wave_bar);
             }
             return;
         }
         // Recompute the intermediate waves a and b, because the forward pass does not store them.
-        let (mut a, mut b) = (PerPoint::new(), State::new());
+        let (mut a, mut b) = (PerPoint::new(), PerPoint::new());
         a.resize(model.grid, [R::zero(); 2]);
-        let a = a.as_flattened_mut();
+        b.resize(model.grid, [R::zero(); 2]);
+        let (a, b) = (a.as_flattened_mut(), b.as_flattened_mut());
         turn::<R, R, false>(before, x, a);
-        b.extend_from_slice(x);
-        let b = &mut b[..];
         self.kinetic.apply::<R, R, false>(a, b);
-        let mut scratch = State::new();
-        let x_bar = match x_bar {
-            Some(x_bar) => x_bar,
-            None => {
-                scratch.resize(x.len(), C::null());
-                &mut scratch[..]
-            }
-        };
-        let with_control = u_bar.is_some();
+        let with_control = bars.u.is_some();
         let mut control_bar;
+        let mut potential_bar = PerPoint::new();
         if reads {
-            let (mut potential_bar, mut phases) = (PerPoint::new(), PerPoint::new());
+            let mut phases = PerPoint::new();
             potential_bar.resize(model.grid, C::null());
             let potential_bar = &mut potential_bar[..];
-            let after = self.phases(effects, b, u, &mut phases);
-            turn::<R, C, true>(after, next_bar, x_bar);
-            control_bar = self.reverse_half(b, x_bar, with_control, Some(&mut *potential_bar));
-            effects.vjp(model, b, potential_bar, x_bar);
-            self.kinetic.apply::<R, C, true>(x_bar, a_bar);
+            let after = self.phases(effects, inputs.with_x(b), &mut phases);
+            turn::<R, C, true>(after, next_bar, wave_bar);
+            control_bar = self.reverse_half(b, wave_bar, with_control, Some(&mut *potential_bar));
+            let mut half_bars = bars.reborrow();
+            half_bars.x = Some(&mut *wave_bar);
+            effects.vjp(model, inputs.with_x(b), potential_bar, half_bars);
+            self.kinetic.apply::<R, C, true>(wave_bar, a_bar);
             control_bar += self.reverse_half(a, a_bar, with_control, Some(&mut *potential_bar));
-            turn::<R, C, true>(before, a_bar, x_bar);
-            effects.vjp(model, x, potential_bar, x_bar);
         } else {
-            turn::<R, C, true>(before, next_bar, x_bar);
-            control_bar = self.reverse_half(b, x_bar, with_control, None);
-            self.kinetic.apply::<R, C, true>(x_bar, a_bar);
+            turn::<R, C, true>(before, next_bar, wave_bar);
+            control_bar = self.reverse_half(b, wave_bar, with_control, None);
+            self.kinetic.apply::<R, C, true>(wave_bar, a_bar);
             control_bar += self.reverse_half(a, a_bar, with_control, None);
-            turn::<R, C, true>(before, a_bar, x_bar);
         }
-        if let Some(u_bar) = u_bar {
-            u_bar[0] = control_bar;
+        if let Some(x_bar) = &mut bars.x {
+            turn::<R, C, true>(before, a_bar, wave_bar);
+            add(x_bar, wave_bar);
+        }
+        if let Some(u_bar) = &mut bars.u {
+            u_bar[0] += control_bar;
+        }
+        if reads {
+            effects.vjp(model, inputs, &potential_bar, bars);
         }
     }
 }

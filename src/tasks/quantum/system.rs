@@ -2,6 +2,7 @@
 
 use super::elimination::{Elimination, Pivots, Rows};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
+use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs, add};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
@@ -150,13 +151,12 @@ impl QuantumSystem {
     pub(super) fn potential<'a, E: Effect<Self>, T: Scalar>(
         &self,
         effects: &E,
-        x: &[T],
-        u: &[T],
+        inputs: OdeInputs<'_, T>,
         potential: &'a mut PerPoint<T>,
     ) -> &'a [T] {
-        let (control, dx, origin) = (u[0], self.spacing(), self.control_origin());
+        let (control, dx, origin) = (inputs.u[0], self.spacing(), self.control_origin());
         potential.extend((0..self.grid).map(|j| control * T::lift((place(j) - origin) * dx)));
-        effects.add_forces(self, x, potential);
+        effects.add_forces(self, inputs, potential);
         potential
     }
 
@@ -165,13 +165,12 @@ impl QuantumSystem {
     fn eliminate<'a, E: Effect<Self>, T: Scalar>(
         &self,
         effects: &E,
-        x: &[T],
-        u: &[T],
+        inputs: OdeInputs<'_, T>,
         per_pivot: &'a mut PerPoint<Pair<T>>,
     ) -> Elimination<'a, T> {
         let mut potential = PerPoint::new();
         let mut rows = Rows::new(Pivots::new(self.dt, self.spacing(), 0.0), self.grid, per_pivot);
-        for &v in self.potential(effects, x, u, &mut potential) {
+        for &v in self.potential(effects, inputs, &mut potential) {
             rows.push(v);
         }
         rows.elimination()
@@ -240,35 +239,36 @@ impl ForcedSystem for QuantumSystem {
     }
 
     #[inline(always)]
-    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, x: &[T], u: &[T], next: &mut [T]) {
+    fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
         let mut per_pivot = PerPoint::new();
-        self.eliminate(effects, x, u, &mut per_pivot).solve(x, next);
-        for (next, &x) in zip(next.iter_mut(), x) {
+        self.eliminate(effects, inputs.continuous(self.dt), &mut per_pivot).solve(inputs.x, next);
+        for (next, &x) in zip(next.iter_mut(), inputs.x) {
             *next = *next + *next - x;
         }
     }
 
     #[inline(always)]
-    fn reverse<E: Effect<Self>, R: Real, C: Cotangent<R>>(
+    fn forced_vjp<E: Effect<Self>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
-        x: &[R],
-        u: &[R],
+        inputs: Inputs<'_, R>,
         next_bar: &[C],
-        x_bar: Option<&mut [C]>,
-        u_bar: Option<&mut [C]>,
+        mut bars: Cotangents<'_, C>,
     ) {
-        let n = 2 * self.grid;
+        let inputs = inputs.continuous(self.dt);
         let mut per_pivot = PerPoint::new();
-        let mut a = self.eliminate(effects, x, u, &mut per_pivot);
-        let effects_read = x_bar.is_some() && effects.state_dependent();
+        let mut a = self.eliminate(effects, inputs, &mut per_pivot);
+        let mut wave_bar = PerPoint::new();
+        wave_bar.resize(self.grid, [C::null(); 2]);
+        let wave_bar = wave_bar.as_flattened_mut();
+        let effects_read = effects.state_dependent();
         // Shorter path if only the cotangent of the state is requested.
-        if u_bar.is_none() && !effects_read {
-            if let Some(x_bar) = x_bar {
+        if bars.u.is_none() && !effects_read {
+            if let Some(x_bar) = bars.x {
                 a.conjugate();
-                a.solve(next_bar, &mut x_bar[..n]);
-                for (x_bar, &next_bar) in zip(x_bar[..n].iter_mut(), next_bar) {
-                    *x_bar = *x_bar + *x_bar - next_bar;
+                a.solve(next_bar, wave_bar);
+                for (x_bar, (&w, &next_bar)) in zip(x_bar.iter_mut(), zip(wave_bar.iter(), next_bar)) {
+                    *x_bar += w + w - next_bar;
                 }
             }
             return;
@@ -277,30 +277,27 @@ impl ForcedSystem for QuantumSystem {
         let mut y = PerPoint::new();
         y.resize(self.grid, [R::zero(); 2]);
         let y = &mut y[..];
-        a.solve(x, y.as_flattened_mut());
+        a.solve(inputs.x, y.as_flattened_mut());
         a.conjugate();
-        let mut scratch = PerPoint::new();
-        let x_bar = match x_bar {
-            Some(x_bar) => x_bar,
-            None => {
-                scratch.resize(self.grid, [C::null(); 2]);
-                scratch.as_flattened_mut()
-            }
-        };
-        a.solve(next_bar, &mut x_bar[..n]);
-        let with_control = u_bar.is_some();
-        let control_bar = if effects_read {
-            let mut potential_bar = PerPoint::new();
+        a.solve(next_bar, wave_bar);
+        let with_control = bars.u.is_some();
+        let mut potential_bar = PerPoint::new();
+        let potential_bar = effects_read.then(|| {
             potential_bar.resize(self.grid, C::null());
-            let potential_bar = &mut potential_bar[..];
-            let control_bar = self.reverse_potential(self.dt, y, next_bar, x_bar, with_control, Some(&mut *potential_bar));
-            effects.vjp(self, x, potential_bar, x_bar);
-            control_bar
-        } else {
-            self.reverse_potential(self.dt, y, next_bar, x_bar, with_control, None)
+            &mut potential_bar[..]
+        });
+        let (control_bar, potential_bar) = match potential_bar {
+            Some(bar) => (self.reverse_potential(self.dt, y, next_bar, wave_bar, with_control, Some(&mut *bar)), &bar[..]),
+            None => (self.reverse_potential(self.dt, y, next_bar, wave_bar, with_control, None), &[][..]),
         };
-        if let Some(u_bar) = u_bar {
-            u_bar[0] = control_bar;
+        if let Some(x_bar) = &mut bars.x {
+            add(x_bar, wave_bar);
+        }
+        if let Some(u_bar) = &mut bars.u {
+            u_bar[0] += control_bar;
+        }
+        if effects_read {
+            effects.vjp(self, inputs, potential_bar, bars);
         }
     }
 }

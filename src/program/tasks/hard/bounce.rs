@@ -1,6 +1,7 @@
 //! Bouncing ball: settings, limits and animation.
 
 use crate::program::operations::Visit;
+use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::{ConfigError, finite, positive};
 use crate::program::tasks::hard::contact::ContactSettings;
 use crate::program::tasks::hard::{Nothing, names, small_step, visit};
@@ -92,7 +93,7 @@ impl TaskSpec for Bounce {
         names(&["thrust"])
     }
 
-    fn animation(settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
+    fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
         let target = settings.loss.target;
         let posture = |x: &Vec<f64>| Posture { chain: vec![[0.0, x[0]]], boxes: Vec::new() };
         let stage = Stage { title: "Bouncing ball".into(), size: 0.3, floor: Some(0.0), mark: Some([-0.3, target]) };

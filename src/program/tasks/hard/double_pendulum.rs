@@ -1,6 +1,7 @@
 //! Double pendulum: settings, limits and animation.
 
 use crate::program::operations::Visit;
+use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, finite, positive};
 use crate::program::tasks::hard::{Nothing, Start, UprightLoss, names, upright, validate_upright, visit};
@@ -89,7 +90,7 @@ impl TaskSpec for DoublePendulum {
         settings.actuator.is_empty().then(|| Conserved { name: "energy", value: Box::new(move |x| body.energy(x)) })
     }
 
-    fn animation(settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
+    fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
         let [first, second] = settings.system.lengths;
         let posture = |x: &Vec<f64>| {
             let elbow = [first * x[0].sin(), first * x[0].cos()];

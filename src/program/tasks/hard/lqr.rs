@@ -1,6 +1,7 @@
 //! Linear-quadratic regulator: settings, limits and animation.
 
 use crate::program::operations::Visit;
+use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::{ConfigError, allowed, positive};
 use crate::program::tasks::hard::{Nothing, names, visit};
 use crate::program::tasks::{MlpSettings, Settings, TaskSpec};
@@ -91,7 +92,7 @@ impl TaskSpec for Lqr {
         names(&["force"])
     }
 
-    fn animation(settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
+    fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
         let length = 2.0 * CartPoleSystem::default().half_length;
         let posture = |x: &Vec<f64>| {
             let cart = [x[0], 0.0];

@@ -1,6 +1,7 @@
 //! Chain of poles on a cart: settings, limits and animation.
 
 use crate::program::operations::Visit;
+use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, count, finite, positive};
 use crate::program::tasks::hard::{Nothing, Start, UprightLoss, upright, validate_upright, visit};
@@ -100,7 +101,7 @@ impl TaskSpec for PoleChain {
         settings.actuator.is_empty().then(|| Conserved { name: "energy", value: Box::new(move |x| chain.energy(x)) })
     }
 
-    fn animation(settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
+    fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
         let PoleChainSettings { poles, half_length, dt, .. } = settings.system;
         let posture = |x: &Vec<f64>| {
             let cart = [x[0], 0.0];

@@ -1,6 +1,7 @@
 //! Pusher and box: settings, limits and animation.
 
 use crate::program::operations::Visit;
+use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::{ConfigError, positive};
 use crate::program::tasks::hard::contact::ContactSettings;
 use crate::program::tasks::hard::{Nothing, names, small_step, visit};
@@ -76,7 +77,7 @@ impl TaskSpec for Push {
         names(&["push"])
     }
 
-    fn animation(settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
+    fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
         let PushSettings { contact_distance, dt, .. } = settings.system;
         let height = 0.5 * contact_distance;
         let posture = |x: &Vec<f64>| Posture { boxes: vec![[x[0], height], [x[1], height]], chain: Vec::new() };

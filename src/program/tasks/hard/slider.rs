@@ -1,6 +1,7 @@
 //! Block with dry friction: settings, limits and animation.
 
 use crate::program::operations::Visit;
+use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::{ConfigError, not_negative, positive};
 use crate::program::tasks::hard::{Nothing, names, small_step, visit};
 use crate::program::tasks::{MlpSettings, Settings, TaskSpec};
@@ -107,7 +108,7 @@ impl TaskSpec for Slider {
         names(&["push"])
     }
 
-    fn animation(settings: &Settings<Self>, states: &[Vec<f64>], _controls: &[Vec<f64>]) -> Animation {
+    fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
         let posture = |x: &Vec<f64>| Posture { boxes: vec![[x[0], 0.1]], chain: Vec::new() };
         let stage = Stage { title: "A block with dry friction".into(), size: 0.2, floor: Some(0.0), mark: Some([0.0, -0.05]) };
         mechanics(&stage, &states.iter().map(posture).collect::<Vec<_>>(), settings.system.dt)

@@ -1,0 +1,226 @@
+//! Parameters, time and observations: a task whose step, costs and observation use all inputs.
+
+use physgrad::policy::{Linear, Mlp};
+use physgrad::rng::{Purpose, Rng, stream};
+use physgrad::{
+    Batch, Checkpointed, Cotangent, Cotangents, Flow, Gradient, Inputs, Real, Scalar, Schedule, Start, System, Task, Weights,
+    check, initial_states,
+};
+use rand::RngExt;
+
+/// Two coupled components with a drawn stiffness and goal, a table of pushes, and `CONTROLS`
+/// controls.
+struct Tracking<const CONTROLS: usize> {
+    fault: Fault,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Fault {
+    None,
+    /// `observe_vjp` has the wrong sign.
+    Observation,
+    /// `running_cost_gradient` omits the state before the step.
+    CostOfState,
+}
+
+const PUSHES: [f64; 6] = [0.3, -0.2, 0.5, 0.1, -0.4, 0.2];
+
+impl<const CONTROLS: usize> System for Tracking<CONTROLS> {
+    fn state_dim(&self) -> usize {
+        2
+    }
+    fn control_dim(&self) -> usize {
+        CONTROLS
+    }
+    fn param_dim(&self) -> usize {
+        1
+    }
+    fn step<T: Scalar>(&self, Inputs { x, u, p, t }: Inputs<'_, T>, next: &mut [T]) {
+        let push = T::lift(PUSHES[t % PUSHES.len()]);
+        next[1] = x[1] + (u[CONTROLS - 1] + push - p[0] * x[0].sin()) * T::lift(0.2);
+        next[0] = x[0] + next[1] * T::lift(0.2) + u[0] * x[1] * T::lift(0.1);
+    }
+}
+
+impl<const CONTROLS: usize> Task for Tracking<CONTROLS> {
+    type System = Self;
+    fn system(&self) -> &Self {
+        self
+    }
+    fn horizon(&self) -> usize {
+        9
+    }
+    fn param_dim(&self) -> usize {
+        2
+    }
+    fn start(&self, rng: &mut Rng, Start { x, p }: Start<'_>) {
+        x.fill_with(|| rng.random_range(-1.0..1.0));
+        p[0] = rng.random_range(0.5..1.5);
+        p[1] = rng.random_range(-1.0..1.0);
+    }
+    fn observation_dim(&self) -> Option<usize> {
+        Some(3)
+    }
+    fn observe<T: Scalar>(&self, Inputs { x, p, t, .. }: Inputs<'_, T>, y: &mut [T]) {
+        (y[0], y[1]) = x[0].sin_cos();
+        y[2] = (p[1] - x[1]) * x[0] + T::lift(0.1 * t as f64);
+    }
+    fn observe_vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, p, .. }: Inputs<'_, R>, y_bar: &[C], bars: Cotangents<'_, C>) {
+        let Some(x_bar) = bars.x else { return };
+        let (sin, cos) = x[0].sin_cos();
+        let sign = if self.fault == Fault::Observation { -R::one() } else { R::one() };
+        x_bar[0] += y_bar[0] * (cos * sign) - y_bar[1] * sin + y_bar[2] * (p[1] - x[1]);
+        x_bar[1] -= y_bar[2] * x[0];
+    }
+    fn running_cost<T: Scalar>(&self, Inputs { x, u, p, t }: Inputs<'_, T>, next: &[T]) -> T {
+        let miss = next[0] - p[1];
+        miss * miss * T::lift(1.0 + t as f64) + (next[1] - x[1]) * x[0] + u[0] * u[0] * p[0]
+    }
+    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+        let Inputs { x, u, p, t } = inputs;
+        next_bar[0] += (next[0] - p[1]) * R::lift(2.0 * (1.0 + t as f64));
+        next_bar[1] += x[0];
+        if let (Some(x_bar), true) = (bars.x, self.fault != Fault::CostOfState) {
+            x_bar[0] += next[1] - x[1];
+            x_bar[1] -= x[0];
+        }
+        if let Some(u_bar) = bars.u {
+            u_bar[0] += u[0] * p[0] * R::lift(2.0);
+        }
+    }
+    fn terminal_cost<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
+        (x[0] - p[1]) * (x[1] + p[0])
+    }
+}
+
+fn tracking<const CONTROLS: usize>() -> Tracking<CONTROLS> {
+    Tracking { fault: Fault::None }
+}
+
+/// The same task with all derivatives by dual numbers.
+struct ByDuals<T>(T);
+
+impl<T: Task> Task for ByDuals<T> {
+    type System = T::System;
+    fn system(&self) -> &T::System {
+        self.0.system()
+    }
+    fn horizon(&self) -> usize {
+        self.0.horizon()
+    }
+    fn param_dim(&self) -> usize {
+        self.0.param_dim()
+    }
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
+        self.0.start(rng, start);
+    }
+    fn observation_dim(&self) -> Option<usize> {
+        self.0.observation_dim()
+    }
+    fn observe<S: Scalar>(&self, inputs: Inputs<'_, S>, y: &mut [S]) {
+        self.0.observe(inputs, y);
+    }
+    fn running_cost<S: Scalar>(&self, inputs: Inputs<'_, S>, next: &[S]) -> S {
+        self.0.running_cost(inputs, next)
+    }
+    fn terminal_cost<S: Scalar>(&self, x: &[S], p: &[S]) -> S {
+        self.0.terminal_cost(x, p)
+    }
+}
+
+#[test]
+fn steps_of_all_inputs() {
+    check::system(&tracking::<1>());
+    check::system(&tracking::<3>());
+}
+
+#[test]
+fn whole_rollouts_of_every_flow() {
+    check::task(&tracking::<1>(), &Mlp::new([3, 7, 1]));
+    check::task(&tracking::<2>(), &Mlp::new([3, 7, 2]));
+    check::task(&ByDuals(tracking::<1>()), &Linear::with_bias(3, 1));
+    check::task(&ByDuals(tracking::<2>()), &Linear::with_bias(3, 2));
+}
+
+#[test]
+fn wrong_derivatives_of_observations_and_costs_are_found() {
+    let passes = |fault: Fault| {
+        let (task, policy) = (Tracking::<1> { fault }, Linear::with_bias(3, 1));
+        Flow::ALL.map(|flow| check::try_flow(&task, &policy, flow).is_ok())
+    };
+    assert_eq!(passes(Fault::None), [true; 4]);
+    // M and S detach the observation.
+    assert_eq!(passes(Fault::Observation), [false, true, false, true]);
+    // No flow detaches a cost.
+    assert_eq!(passes(Fault::CostOfState), [false; 4]);
+}
+
+/// An observation that is the state itself, as a function.
+struct Copied(Tracking<1>);
+
+/// The state without a function.
+struct Plain(Tracking<1>);
+
+macro_rules! around {
+    ($name:ident, $($observation:tt)*) => {
+        impl Task for $name {
+            type System = Tracking<1>;
+            fn system(&self) -> &Tracking<1> {
+                &self.0
+            }
+            fn horizon(&self) -> usize {
+                9
+            }
+            fn param_dim(&self) -> usize {
+                2
+            }
+            fn start(&self, rng: &mut Rng, start: Start<'_>) {
+                self.0.start(rng, start);
+            }
+            fn running_cost<S: Scalar>(&self, inputs: Inputs<'_, S>, next: &[S]) -> S {
+                self.0.running_cost(inputs, next)
+            }
+            $($observation)*
+        }
+    };
+}
+around!(Plain,);
+around!(
+    Copied,
+    fn observation_dim(&self) -> Option<usize> {
+        Some(2)
+    }
+);
+
+fn gradients<T: Task>(task: &T, policy: &Mlp, workers: usize, budget: Option<u64>) -> Vec<u64> {
+    let weights = Weights::<f64>::init(policy, &mut stream(0, Purpose::Policy, 0));
+    let starts: Vec<f64> = initial_states(task, 0, Purpose::Train, 21);
+    let flows = [Flow::MODIFIED, Flow::REGULAR];
+    let mut batch = match budget {
+        None => Batch::new(task, policy, 21, &flows, workers),
+        Some(budget) => Batch::within(task, policy, 21, &flows, workers, budget).expect("enough"),
+    };
+    let loss = batch.run(task, policy, &weights, &starts).expect("finite");
+    let gradients = batch.gradients().iter().flat_map(Gradient::to_vec);
+    std::iter::once(loss).chain(gradients).map(f64::to_bits).collect()
+}
+
+#[test]
+fn an_observation_of_the_state_has_the_bits_of_none() {
+    let policy = Mlp::new([2, 7, 1]);
+    assert_eq!(gradients(&Copied(tracking()), &policy, 1, None), gradients(&Plain(tracking()), &policy, 1, None));
+}
+
+#[test]
+fn bits_depend_on_neither_workers_nor_memory_and_bytes_are_exact() {
+    let policy = Mlp::new([3, 7, 1]);
+    let one = gradients(&tracking::<1>(), &policy, 1, None);
+    for workers in [2, 3] {
+        assert_eq!(gradients(&tracking::<1>(), &policy, workers, None), one);
+    }
+    let (task, flows) = (tracking::<1>(), [Flow::MODIFIED, Flow::REGULAR]);
+    for schedule in [Schedule::store_all(9), Schedule::new(9, 129, 1)] {
+        let rollout = Checkpointed::<f32>::new(&task, &policy, 21, &flows, schedule);
+        assert_eq!(Checkpointed::<f32>::bytes_of(&task, &policy, 21, &flows, &schedule), rollout.stored_bytes());
+    }
+}
