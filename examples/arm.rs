@@ -19,7 +19,7 @@ impl Arm {
     /// Position of the hand.
     fn hand<T: Scalar>(&self, x: &[T]) -> [T; 2] {
         let ((s1, c1), (s2, c2)) = (x[0].sin_cos(), (x[0] + x[1]).sin_cos());
-        [(c1 + c2) * T::lift(self.length), (s1 + s2) * T::lift(self.length)]
+        [(c1 + c2) * self.length, (s1 + s2) * self.length]
     }
 }
 
@@ -30,16 +30,16 @@ impl System for Arm {
     fn param_dim(&self) -> usize { 2 }
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         // M α = τ, with M = m l² [[5/3 + c, 1/3 + c/2], [1/3 + c/2, 1/3]] and c = cos θ₂.
+        let inertia = self.mass * self.length * self.length;
         let (sin, cos) = x[1].sin_cos();
-        let (unit, dt, third) = (T::lift(self.mass * self.length * self.length), T::lift(self.dt), T::lift(1.0 / 3.0));
-        let (a, b) = (T::lift(5.0 / 3.0) + cos, third + cos * T::lift(0.5));
-        let (coriolis, damping) = (unit * sin * T::lift(0.5), T::lift(self.damping));
-        let first = u[0] - damping * x[2] + coriolis * (x[2] + x[2] + x[3]) * x[3];
-        let second = u[1] - damping * x[3] - coriolis * x[2] * x[2];
-        let scale = dt / (unit * (a * third - b * b));
-        next[2] = x[2] + (first * third - second * b) * scale;
+        let (a, b, c) = (cos + 5.0 / 3.0, cos * 0.5 + 1.0 / 3.0, 1.0 / 3.0);
+        let coriolis = sin * (0.5 * inertia);
+        let first = u[0] - x[2] * self.damping + coriolis * (x[2] * 2.0 + x[3]) * x[3];
+        let second = u[1] - x[3] * self.damping - coriolis * x[2] * x[2];
+        let scale = (a * c - b * b).recip() * (self.dt / inertia);
+        next[2] = x[2] + (first * c - second * b) * scale;
         next[3] = x[3] + (second * a - first * b) * scale;
-        for i in 0..2 { next[i] = x[i] + next[i + 2] * dt; }
+        for i in 0..2 { next[i] = x[i] + next[i + 2] * self.dt; }
     }
 }
 
@@ -62,7 +62,7 @@ impl Task for Arm {
     fn running_cost<T: Scalar>(&self, Inputs { u, p, .. }: Inputs<'_, T>, next: &[T]) -> T {
         let hand = self.hand(next);
         let (dx, dy) = (hand[0] - p[0], hand[1] - p[1]);
-        (dx * dx + dy * dy) * T::lift(1.0 / STEPS as f64) + (u[0] * u[0] + u[1] * u[1]) * T::lift(1e-4)
+        (dx * dx + dy * dy) * (1.0 / STEPS as f64) + (u[0] * u[0] + u[1] * u[1]) * 1e-4
     }
 }
 

@@ -21,8 +21,8 @@ struct EddyBrake {
 /// [`CartPoleSystem`] defines states and forces: x = [x, ẋ, θ₁, ω₁, …], forces = [F, τ₁, …].
 impl Effect<CartPoleSystem> for EddyBrake {
     fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        let s = x[1] * T::lift(1.0 / self.speed);
-        forces[0] -= T::lift(2.0 * self.force) * s / (T::one() + s * s);
+        let s = x[1] * (1.0 / self.speed);
+        forces[0] -= s * (2.0 * self.force) / (s * s + 1.0);
     }
 }
 
@@ -38,9 +38,9 @@ impl Effect<CartPoleSystem> for ByHand {
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, _: &CartPoleSystem, inputs: OdeInputs<'_, R>, f_bar: &[C], bars: Cotangents<'_, C>) {
         let Some(x_bar) = bars.x else { return };
-        let s = inputs.x[1] * R::lift(1.0 / self.0.speed);
+        let s = inputs.x[1] * R::from(1.0 / self.0.speed);
         let per_square = R::one() / (R::one() + s * s);
-        x_bar[1] -= f_bar[0] * (R::lift(2.0 * self.0.force / self.0.speed) * (R::one() - s * s) * per_square * per_square);
+        x_bar[1] -= f_bar[0] * (R::from(2.0 * self.0.force / self.0.speed) * (R::one() - s * s) * per_square * per_square);
     }
 }
 

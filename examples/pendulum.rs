@@ -9,9 +9,9 @@ impl System for Pendulum {
     fn state_dim(&self) -> usize { 2 }
     fn control_dim(&self) -> usize { 1 }
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
-        let inertia = T::lift(self.mass * self.length * self.length);
-        next[1] = x[1] + (u[0] / inertia + x[0].sin() * T::lift(9.81 / self.length)) * T::lift(self.dt);
-        next[0] = x[0] + next[1] * T::lift(self.dt);
+        let inertia = self.mass * self.length * self.length;
+        next[1] = x[1] + (u[0] / inertia + x[0].sin() * (9.81 / self.length)) * self.dt;
+        next[0] = x[0] + next[1] * self.dt;
     }
 }
 
@@ -25,8 +25,8 @@ impl Task for Pendulum {
         x[0] = std::f64::consts::PI + rng.random_range(-0.5..0.5);
         x[1] = rng.random_range(-1.0..1.0);
     }
-    fn running_cost<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, _next: &[T]) -> T { u[0] * u[0] * T::lift(1e-5) }
-    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T { T::one() - x[0].cos() + x[1] * x[1] * T::lift(0.05) }
+    fn running_cost<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, _next: &[T]) -> T { u[0] * u[0] * 1e-5 }
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T { T::one() - x[0].cos() + x[1] * x[1] * 0.05 }
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

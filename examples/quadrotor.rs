@@ -30,12 +30,12 @@ impl System for Quadrotor {
     fn state_dim(&self) -> usize { 6 }
     fn control_dim(&self) -> usize { 2 }
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
-        let (gravity, dt, (sin, cos)) = (T::lift(GRAVITY), T::lift(self.dt), x[2].sin_cos());
-        let thrust = gravity + (u[0] + u[1]) * T::lift(1.0 / self.mass);
-        next[3] = x[3] - thrust * sin * dt;
-        next[4] = x[4] + (thrust * cos - gravity) * dt;
-        next[5] = x[5] + (u[1] - u[0]) * T::lift(2.0 / (self.mass * self.arm)) * dt;
-        for i in 0..3 { next[i] = x[i] + next[i + 3] * dt; }
+        let (sin, cos) = x[2].sin_cos();
+        let thrust = (u[0] + u[1]) / self.mass + GRAVITY;
+        next[3] = x[3] - thrust * sin * self.dt;
+        next[4] = x[4] + (thrust * cos - GRAVITY) * self.dt;
+        next[5] = x[5] + (u[1] - u[0]) * (2.0 / (self.mass * self.arm)) * self.dt;
+        for i in 0..3 { next[i] = x[i] + next[i + 3] * self.dt; }
     }
 }
 
@@ -47,14 +47,14 @@ impl Task for Quadrotor {
     fn start(&self, rng: &mut Rng, Start { x, .. }: Start<'_>) { x.fill_with(|| rng.random_range(-0.2..0.2)); }
     fn observation_dim(&self) -> Option<usize> { Some(7) }
     fn observe<T: Scalar>(&self, Inputs { x, t, .. }: Inputs<'_, T>, y: &mut [T]) {
-        let [px, pz, vx, vz] = self.reference(t).map(T::lift);
-        (y[0], y[1], y[2], y[3]) = (px - x[0], pz - x[1], vx - x[3], vz - x[4]);
+        let [px, pz, vx, vz] = self.reference(t);
+        (y[0], y[1], y[2], y[3]) = (x[0] - px, x[1] - pz, x[3] - vx, x[4] - vz);
         ((y[4], y[5]), y[6]) = (x[2].sin_cos(), x[5]);
     }
     fn running_cost<T: Scalar>(&self, Inputs { u, t, .. }: Inputs<'_, T>, next: &[T]) -> T {
-        let [px, pz, ..] = self.reference(t).map(T::lift);
+        let [px, pz, ..] = self.reference(t);
         let (dx, dz) = (next[0] - px, next[1] - pz);
-        (dx * dx + dz * dz) * T::lift(1.0 / STEPS as f64) + (u[0] * u[0] + u[1] * u[1]) * T::lift(1e-6)
+        (dx * dx + dz * dz) * (1.0 / STEPS as f64) + (u[0] * u[0] + u[1] * u[1]) * 1e-6
     }
 }
 

@@ -116,7 +116,7 @@ pub use numbers::kernels;
 pub use numbers::rng;
 #[cfg(feature = "double-double")]
 pub use numbers::scalar::DoubleDouble;
-pub use numbers::scalar::{Cotangent, CotangentPack, Counted, Dual, Float, Lanes, Ops, Real, Scalar};
+pub use numbers::scalar::{Cotangent, CotangentPack, Counted, Dual, Float, Lanes, Ops, Real, Scalar, Single};
 pub use policy::{Policy, Weights};
 pub use train::field::{Field, GradientCombiner, SignAgreement, UnknownField};
 pub use train::optim::{Clip, Optimizer, OptimizerKind};

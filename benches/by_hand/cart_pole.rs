@@ -30,21 +30,21 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let s = &self.system;
         let mass = s.cart_mass + s.pole_mass;
-        let (dt, per_mass) = (T::lift(s.dt), T::lift(1.0 / mass));
-        let (ml, l) = (T::lift(s.pole_mass * s.half_length), T::lift(s.half_length));
-        let weight = T::lift(s.pole_mass * s.half_length * s.gravity);
-        let inertia = T::lift(4.0 / 3.0 * s.pole_mass * s.half_length * s.half_length);
-        let coupling = T::lift((s.pole_mass * s.half_length).powi(2) / mass);
-        let (pole_drag, damping) = (T::lift(self.wind.pole_drag), T::lift(self.pole.damping));
-        let headwind = if WIND { T::lift(self.wind.speed) - x[1] } else { T::zero() };
+        let (dt, per_mass) = (T::from(s.dt), T::from(1.0 / mass));
+        let (ml, l) = (T::from(s.pole_mass * s.half_length), T::from(s.half_length));
+        let weight = T::from(s.pole_mass * s.half_length * s.gravity);
+        let inertia = T::from(4.0 / 3.0 * s.pole_mass * s.half_length * s.half_length);
+        let coupling = T::from((s.pole_mass * s.half_length).powi(2) / mass);
+        let (pole_drag, damping) = (T::from(self.wind.pole_drag), T::from(self.pole.damping));
+        let headwind = if WIND { T::from(self.wind.speed) - x[1] } else { T::zero() };
 
         // Drag on one pole pushes the cart, which accelerates every pole. Sums all forces first.
         let mut force = u[0];
         if FRICTION {
-            force -= T::lift(self.cart.damping) * x[1];
+            force -= x[1] * self.cart.damping;
         }
         if WIND {
-            force += T::lift(self.wind.cart_drag) * headwind.abs() * headwind;
+            force += headwind.abs() * self.wind.cart_drag * headwind;
         }
         let mut drags = PerPole::new();
         for (pole, next) in x[2..].chunks_exact(2).zip(next[2..].chunks_exact_mut(2)) {
@@ -92,20 +92,20 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
         });
         let s = &self.system;
         let mass = s.cart_mass + s.pole_mass;
-        let (dt, per_mass) = (R::lift(s.dt), R::lift(1.0 / mass));
-        let (ml, l) = (R::lift(s.pole_mass * s.half_length), R::lift(s.half_length));
-        let weight = R::lift(s.pole_mass * s.half_length * s.gravity);
-        let inertia = R::lift(4.0 / 3.0 * s.pole_mass * s.half_length * s.half_length);
-        let coupling = R::lift((s.pole_mass * s.half_length).powi(2) / mass);
-        let (pole_drag, damping) = (R::lift(self.wind.pole_drag), R::lift(self.pole.damping));
-        let headwind = if WIND { R::lift(self.wind.speed) - x[1] } else { R::zero() };
+        let (dt, per_mass) = (R::from(s.dt), R::from(1.0 / mass));
+        let (ml, l) = (R::from(s.pole_mass * s.half_length), R::from(s.half_length));
+        let weight = R::from(s.pole_mass * s.half_length * s.gravity);
+        let inertia = R::from(4.0 / 3.0 * s.pole_mass * s.half_length * s.half_length);
+        let coupling = R::from((s.pole_mass * s.half_length).powi(2) / mass);
+        let (pole_drag, damping) = (R::from(self.wind.pole_drag), R::from(self.pole.damping));
+        let headwind = if WIND { R::from(self.wind.speed) - x[1] } else { R::zero() };
 
         let mut force = u[0];
         if FRICTION {
-            force -= R::lift(self.cart.damping) * x[1];
+            force -= R::from(self.cart.damping) * x[1];
         }
         if WIND {
-            force += R::lift(self.wind.cart_drag) * headwind.abs() * headwind;
+            force += R::from(self.wind.cart_drag) * headwind.abs() * headwind;
         }
         let (mut trig, mut air, mut torques_bar) = (PerPole::new(), PerPole::new(), PerPole::new());
         for pole in x[2..].chunks_exact(2) {
@@ -142,8 +142,8 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
             force_bar += thrust_bar;
             let centrifugal_bar = push_bar + thrust_bar;
             let sin_bar = torque_bar * weight + centrifugal_bar * (ml * spin);
-            let cos_bar = torque_bar * (R::lift(2.0) * coupling * cos * alpha - ml * a) - push_bar * (ml * alpha);
-            omega_bar += centrifugal_bar * (R::lift(2.0) * ml * sin * omega);
+            let cos_bar = torque_bar * (R::from(2.0) * coupling * cos * alpha - ml * a) - push_bar * (ml * alpha);
+            omega_bar += centrifugal_bar * (R::from(2.0) * ml * sin * omega);
             if FRICTION {
                 omega_bar -= torque_bar * damping;
             }
@@ -163,10 +163,10 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
                 x_bar[2 + 2 * i] -= (force_bar * drag + across_bar * headwind) * sin;
                 x_bar[3 + 2 * i] -= across_bar * l;
             }
-            speed_bar -= force_bar * (R::lift(2.0 * self.wind.cart_drag) * headwind.abs());
+            speed_bar -= force_bar * (R::from(2.0 * self.wind.cart_drag) * headwind.abs());
         }
         if FRICTION {
-            speed_bar -= force_bar * R::lift(self.cart.damping);
+            speed_bar -= force_bar * R::from(self.cart.damping);
         }
         x_bar[0] += next_bar[0];
         x_bar[1] += speed_bar;

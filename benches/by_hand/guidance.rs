@@ -41,8 +41,8 @@ impl<T: Scalar> Gap<T> {
     #[inline(always)]
     fn new(x: &[T], a: usize, b: usize, softening: T) -> Self {
         let (range, shift) = if T::Real::EPSILON < 1e-10 { (500, 600) } else { (60, 90) };
-        let (huge, tiny) = (T::lift(power_of_two(range)), T::lift(power_of_two(-range)));
-        let (up, down) = (T::lift(power_of_two(shift)), T::lift(power_of_two(-shift)));
+        let (huge, tiny) = (T::from(power_of_two(range)), T::from(power_of_two(-range)));
+        let (up, down) = (T::from(power_of_two(shift)), T::from(power_of_two(-shift)));
         let (zero, one) = (T::zero(), T::one());
         let (x, y) = (x[AGENT * b] - x[AGENT * a], x[AGENT * b + 1] - x[AGENT * a + 1]);
         let largest = x.abs().max(y.abs()).detach();
@@ -91,7 +91,7 @@ impl ByHand {
     /// Returns the force laws of spreading, evading and flocking.
     #[inline(always)]
     fn laws<T: Scalar>(&self) -> [Law<T>; 3] {
-        let law = |far, near| Law { far: T::lift(far), near: T::lift(near) };
+        let law = |far, near| Law { far: T::from(far), near: T::from(near) };
         let flock = self.flock;
         [law(0.0, self.spread.strength), law(0.0, self.evade.strength), law(flock.strength, -flock.strength * flock.distance)]
     }
@@ -120,16 +120,16 @@ impl System for ByHand {
     #[inline(always)]
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let (drivers, agents) = (self.system.drivers, self.system.drivers + self.system.evaders);
-        let (softening, [spread, evade, flock]) = (T::lift(self.system.softening), self.laws::<T>());
+        let (softening, [spread, evade, flock]) = (T::from(self.system.softening), self.laws::<T>());
         // Stores accelerations in the velocity components of `next`.
         let herd = self.herd(x);
-        let friction = T::lift(self.friction.drivers);
+        let friction = T::from(self.friction.drivers);
         for ((next, x), c) in next.chunks_exact_mut(AGENT).zip(x.chunks_exact(AGENT)).zip(u.chunks_exact(2)) {
             let q = [x[0] - herd[0], x[1] - herd[1]];
             next[2] = c[0] * q[0] - c[1] * q[1] - friction * x[2];
             next[3] = c[0] * q[1] + c[1] * q[0] - friction * x[3];
         }
-        let friction = T::lift(-self.friction.evaders);
+        let friction = T::from(-self.friction.evaders);
         for (next, x) in next.chunks_exact_mut(AGENT).zip(x.chunks_exact(AGENT)).skip(drivers) {
             (next[2], next[3]) = (friction * x[2], friction * x[3]);
         }
@@ -154,7 +154,7 @@ impl System for ByHand {
             }
             (next[AGENT * b + 2], next[AGENT * b + 3]) = (applied[0], applied[1]);
         }
-        let dt = T::lift(self.system.dt);
+        let dt = T::from(self.system.dt);
         for (next, x) in next.chunks_exact_mut(AGENT).zip(x.chunks_exact(AGENT)) {
             (next[0], next[1]) = (x[0] + dt * x[2], x[1] + dt * x[3]);
             (next[2], next[3]) = (x[2] + dt * next[2], x[3] + dt * next[3]);
@@ -174,9 +174,9 @@ impl System for ByHand {
             &mut u_scratch[..]
         });
         let (drivers, agents) = (self.system.drivers, self.system.drivers + self.system.evaders);
-        let (softening, [spread, evade, flock]) = (R::lift(self.system.softening), self.laws::<R>());
-        let dt = R::lift(self.system.dt);
-        let kept = [self.friction.drivers, self.friction.evaders].map(|friction| R::lift(1.0 - self.system.dt * friction));
+        let (softening, [spread, evade, flock]) = (R::from(self.system.softening), self.laws::<R>());
+        let dt = R::from(self.system.dt);
+        let kept = [self.friction.drivers, self.friction.evaders].map(|friction| R::from(1.0 - self.system.dt * friction));
         let mut forces_bar: ArrayVec<[C; 2], 32> = ArrayVec::new();
         for (agent, (bar, next)) in x_bar.chunks_exact_mut(AGENT).zip(next_bar.chunks_exact(AGENT)).enumerate() {
             let kept = if agent < drivers { kept[0] } else { kept[1] };

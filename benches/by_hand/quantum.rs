@@ -51,16 +51,16 @@ impl<const TRAP: bool, const CUBIC: bool> ByHand<TRAP, CUBIC> {
     fn eliminate<T: Scalar>(&self, x: &[T], u: &[T], per_pivot: &mut PerPoint<(T, T)>) -> T {
         let (s, dx, half_dt) = (&self.system, self.system.spacing(), 0.5 * self.system.dt);
         let off_diagonal = half_dt / (dx * dx);
-        let (b, kinetic) = (T::lift(off_diagonal), T::lift(2.0 * off_diagonal));
-        let (tilt, strength) = (u[0] * T::lift(half_dt * dx), T::lift(half_dt * self.cubic.strength / dx));
+        let (b, kinetic) = (T::from(off_diagonal), T::from(2.0 * off_diagonal));
+        let (tilt, strength) = (u[0] * (half_dt * dx), T::from(half_dt * self.cubic.strength / dx));
         let b_squared = b * b;
         let (mut q_re, mut q_im) = (T::zero(), T::zero());
         for (j, psi) in x.chunks_exact(2).enumerate() {
             let place = (j + 1) as f64;
-            let mut potential = kinetic + tilt * T::lift(place);
+            let mut potential = kinetic + tilt * place;
             if TRAP {
                 let xi = place * dx - 0.5 * s.length - self.trap.center;
-                potential += T::lift(half_dt * self.trap.stiffness * xi * xi);
+                potential += half_dt * self.trap.stiffness * xi * xi;
             }
             if CUBIC {
                 potential += strength * (psi[0] * psi[0] + psi[1] * psi[1]);
@@ -118,12 +118,12 @@ impl<const TRAP: bool, const CUBIC: bool> System for ByHand<TRAP, CUBIC> {
         waves_bar.extend(x.chunks_exact(2).map(|_| [C::null(); 2]));
         solve(&per_pivot, -b, next_bar, waves_bar.as_flattened_mut());
         let (factor, dx) = (0.5 * self.system.dt * self.system.spacing(), self.system.spacing());
-        let slope = R::lift(self.system.dt * self.cubic.strength / dx);
+        let slope = R::from(self.system.dt * self.cubic.strength / dx);
         let waves = x.chunks_exact(2).zip(&y).zip(next_bar.chunks_exact(2)).zip(&waves_bar).zip(x_bar.chunks_exact_mut(2));
         for (j, ((((psi, y), v), w), x_bar)) in waves.enumerate() {
             // w = A⁻ᴴ v, and V_bar = dt Im(w̄ y).
-            let bar = (w[0] * y[1] - w[1] * y[0]) * R::lift(2.0);
-            u_bar[0] += bar * R::lift(factor * (j + 1) as f64);
+            let bar = (w[0] * y[1] - w[1] * y[0]) * R::from(2.0);
+            u_bar[0] += bar * R::from(factor * (j + 1) as f64);
             x_bar[0] += w[0] + w[0] - v[0];
             x_bar[1] += w[1] + w[1] - v[1];
             if CUBIC {

@@ -39,7 +39,7 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
     let len = n + task.param_dim();
     let mut mean = S::zero();
     for start in starts.chunks_exact(len) {
-        let mut x: Vec<S> = start.iter().map(|&x| S::lift(x)).collect();
+        let mut x: Vec<S> = start.iter().map(|&x| S::from(x)).collect();
         let p = x.split_off(n);
         let (mut next, mut u) = (x.clone(), vec![S::zero(); m]);
         let mut y = vec![S::zero(); task.observation_dim().unwrap_or(n)];
@@ -57,7 +57,7 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
         }
         mean += task.terminal_cost(&x, &p);
     }
-    mean * S::lift(len as f64 / starts.len() as f64)
+    mean * S::from(len as f64 / starts.len() as f64)
 }
 
 /// Mean loss of rollouts from the initial states `starts`.

@@ -3,7 +3,7 @@
 use super::oracle::rollouts;
 use crate::dynamics::task::Task;
 use crate::engine::adjoint::Flow;
-use crate::numbers::scalar::{DoubleDouble, Dual, Scalar};
+use crate::numbers::scalar::{DoubleDouble, Dual};
 use crate::policy::Policy;
 
 /// Mean loss of rollouts and its directional derivative, by forward mode in double-double
@@ -32,8 +32,8 @@ pub fn slope<T: Task, P: Policy>(
     flow: Flow,
     direction: impl Fn(usize) -> f64,
 ) -> [f64; 2] {
-    let seeded = |(i, &value)| Dual { value: DoubleDouble::lift(value), tangents: [DoubleDouble::lift(direction(i))] };
+    let seeded = |(i, &value)| Dual { value: DoubleDouble::from(value), tangents: [DoubleDouble::from(direction(i))] };
     let theta: Vec<_> = theta.iter().enumerate().map(seeded).collect();
     let Dual { value, tangents: [slope] } = rollouts(task, policy, &theta, starts, flow);
-    [value.0, slope.0]
+    [value.to_f64(), slope.to_f64()]
 }

@@ -138,7 +138,7 @@ mod tests {
         }
         fn step<T: Scalar>(&self, Inputs { x, .. }: Inputs<'_, T>, next: &mut [T]) {
             for (next, row) in next.iter_mut().zip(&self.0) {
-                *next = row.iter().zip(x).fold(T::zero(), |sum, (&a, &x)| sum + T::lift(a) * x);
+                *next = row.iter().zip(x).fold(T::zero(), |sum, (&a, &x)| sum + T::from(a) * x);
             }
         }
     }

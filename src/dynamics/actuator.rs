@@ -14,7 +14,7 @@ use crate::dynamics::inputs::{Cotangents, Inputs, Start, add};
 use crate::dynamics::system::System;
 use crate::numbers::forward_mode::{concat, jacobian};
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
@@ -238,7 +238,7 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         }
     }
 
-    fn diagnose<F: Float>(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+    fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
         let (x, own) = inputs.x.split_at(self.system.state_dim());
         self.system.diagnose(inputs.with_x(x).with_u(&self.control(own, inputs.u)))
     }

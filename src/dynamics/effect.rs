@@ -15,7 +15,7 @@ use crate::dynamics::cause::Cause;
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs, Start};
 use crate::dynamics::system::{System, each_column, vjp_by_duals};
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, CotangentPack, Dual, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Dual, Real, Scalar};
 use crate::numbers::zip::zip;
 pub(crate) use list::{AddForces, Vjp, any_effect};
 pub use named::Named;
@@ -41,7 +41,7 @@ pub(crate) use without::system_without_effects;
 ///
 /// impl Effect<CartPoleSystem> for Spring {
 ///     fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, inputs: OdeInputs<'_, T>, forces: &mut [T]) {
-///         forces[0] -= inputs.x[0] * T::lift(self.stiffness);
+///         forces[0] -= inputs.x[0] * self.stiffness;
 ///     }
 /// }
 ///
@@ -83,7 +83,7 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     /// inputs. `forces` is the number of forces of the system. The name is that of the type, or the
     /// one given by [`Named`]. Used only for error messages.
     #[doc(hidden)]
-    fn diagnose<F: Float>(&self, model: &B, inputs: OdeInputs<'_, F>, forces: usize) -> Option<&'static str> {
+    fn diagnose<R: Real>(&self, model: &B, inputs: OdeInputs<'_, R>, forces: usize) -> Option<&'static str> {
         let name = || std::any::type_name::<Self>().split('<').next().and_then(|path| path.rsplit("::").next());
         if is_finite(self, model, inputs, forces) { None } else { name() }
     }
@@ -111,13 +111,13 @@ pub(crate) fn effect_vjp_by_duals<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
 }
 
 /// Returns whether the forces of an effect and their derivatives are finite.
-pub(crate) fn is_finite<B, E: Effect<B>, F: Float>(effect: &E, model: &B, inputs: OdeInputs<'_, F>, forces: usize) -> bool {
-    let mut force = vec![F::zero(); forces];
-    let zeros = |len: usize| vec![CotangentPack([F::zero()]); len];
+pub(crate) fn is_finite<B, E: Effect<B>, R: Real>(effect: &E, model: &B, inputs: OdeInputs<'_, R>, forces: usize) -> bool {
+    let mut force = vec![R::zero(); forces];
+    let zeros = |len: usize| vec![CotangentPack([R::zero()]); len];
     let (mut x_bar, mut u_bar) = (zeros(inputs.x.len()), zeros(inputs.u.len()));
     effect.add_forces(model, inputs, &mut force);
-    effect.vjp(model, inputs, &vec![CotangentPack([F::one()]); forces], Cotangents::of(&mut x_bar, &mut u_bar));
-    force.iter().chain(x_bar.iter().chain(&u_bar).map(|bar| &bar.0[0])).all(|number| number.as_().is_finite())
+    effect.vjp(model, inputs, &vec![CotangentPack([R::one()]); forces], Cotangents::of(&mut x_bar, &mut u_bar));
+    force.iter().chain(x_bar.iter().chain(&u_bar).map(|bar| &bar.0[0])).all(Real::is_finite)
 }
 
 /// System to whose forces effects can be added.
@@ -212,7 +212,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
         self.system.forced_vjp(&self.effects, inputs, next_bar, bars);
     }
 
-    fn diagnose<F: Float>(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+    fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
         let inputs = inputs.skip_params(self.system.param_dim()).continuous(self.system.dt());
         self.effects.diagnose(self.system.model(), inputs, self.system.force_dim()).map(Cause::Effect)
     }

@@ -76,7 +76,7 @@ impl<'a, T: Scalar> Inputs<'a, T> {
     /// Arguments of the vector field at the beginning of a step of `dt` seconds.
     #[inline(always)]
     pub fn continuous(self, dt: f64) -> OdeInputs<'a, T> {
-        self.at(T::lift(self.t as f64 * dt))
+        self.at(T::from(self.t as f64 * dt))
     }
 }
 

@@ -29,7 +29,7 @@ use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::ode::{DynOde, DynOdeVjp, Ode};
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
 use std::fmt::Debug;
 
@@ -45,7 +45,7 @@ fn room<T: Copy>(value: T, len: usize) -> Room<T> {
 /// Time in s at a fraction of a step of `dt` seconds.
 #[inline(always)]
 fn stage_time<T: Scalar>(step: usize, dt: f64, fraction: f64) -> T {
-    T::lift((step as f64 + fraction) * dt)
+    T::from((step as f64 + fraction) * dt)
 }
 
 /// A one-step method for `dx/dt = f(x, u, p, t)` with steps of `dt` seconds.
@@ -54,7 +54,7 @@ pub trait Integrator: Clone + Debug + Send + Sync {
     fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]);
 
     /// Largest remaining residual of an implicit step that did not converge, else `None`.
-    fn unsolved<F: Float>(&self, _ode: &dyn DynOde<F>, _dt: f64, _inputs: Inputs<'_, F>) -> Option<f64> {
+    fn unsolved<R: Real>(&self, _ode: &dyn DynOde<R>, _dt: f64, _inputs: Inputs<'_, R>) -> Option<f64> {
         None
     }
 
@@ -103,7 +103,7 @@ impl<O: Ode, I: Integrator> System for Integrated<O, I> {
         self.integrator.reverse(&self.ode, self.dt, inputs, next_bar, bars);
     }
 
-    fn diagnose<F: Float>(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+    fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
         let unsolved = self.integrator.unsolved(&self.ode, self.dt, inputs);
         self.ode.diagnose(inputs.continuous(self.dt)).or(unsolved.map(Cause::Unsolved))
     }

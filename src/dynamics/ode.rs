@@ -9,7 +9,7 @@ use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
 use crate::dynamics::outline::outline;
 use crate::dynamics::system::{System, each_column};
 use crate::numbers::kernels::Vectorized;
-use crate::numbers::scalar::{Cotangent, CotangentPack, Dual, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Dual, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
@@ -30,7 +30,7 @@ use smallvec::{SmallVec, smallvec};
 ///     fn control_dim(&self) -> usize { 1 }
 ///     fn rate<T: Scalar>(&self, OdeInputs { x, u, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
 ///         rate[0] = x[1];
-///         rate[1] = u[0] - x[0] * T::lift(self.stiffness);
+///         rate[1] = u[0] - x[0] * self.stiffness;
 ///     }
 /// }
 ///
@@ -68,7 +68,7 @@ pub trait Ode: Send + Sync {
     }
 
     /// Diagnoses a non-finite rate; see [`System::diagnose`](crate::System::diagnose).
-    fn diagnose<F: Float>(&self, _inputs: OdeInputs<'_, F>) -> Option<Cause> {
+    fn diagnose<R: Real>(&self, _inputs: OdeInputs<'_, R>) -> Option<Cause> {
         None
     }
 }
@@ -204,7 +204,7 @@ impl<H: ForcedOde, E: Effect<H::Model>> Ode for Forced<H, E> {
         self.system.velocity_of(i)
     }
 
-    fn diagnose<F: Float>(&self, inputs: OdeInputs<'_, F>) -> Option<Cause> {
+    fn diagnose<R: Real>(&self, inputs: OdeInputs<'_, R>) -> Option<Cause> {
         let inputs = inputs.skip_params(self.system.param_dim());
         self.effects.diagnose(self.system.model(), inputs, self.system.force_dim()).map(Cause::Effect)
     }

@@ -6,7 +6,7 @@
 use crate::dynamics::inputs::{Cotangents, Inputs};
 use crate::dynamics::system::System;
 use crate::numbers::kernels::{Vectorized, dispatch_lanes};
-use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Real, Scalar};
 
 /// Runs `work` outlined, vectorized for this processor.
 ///
@@ -48,11 +48,11 @@ pub(crate) fn step<S: System + ?Sized, T: Scalar>(system: &S, inputs: Inputs<'_,
 
 /// [`System::vjp`] with one cotangent column, never inlined.
 #[inline(never)]
-pub(crate) fn vjp<S: System + ?Sized, F: Float>(
+pub(crate) fn vjp<S: System + ?Sized, R: Real>(
     system: &S,
-    inputs: Inputs<'_, F>,
-    next_bar: &[One<F>],
-    bars: Cotangents<'_, One<F>>,
+    inputs: Inputs<'_, R>,
+    next_bar: &[One<R>],
+    bars: Cotangents<'_, One<R>>,
 ) {
     system.vjp(inputs, next_bar, bars);
 }

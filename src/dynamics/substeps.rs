@@ -5,7 +5,7 @@ use crate::dynamics::effect::HasModel;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start, add};
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
 
 /// Stack capacity for the intermediate states of one step, in numbers. Beyond it, every step
@@ -91,9 +91,9 @@ impl<S: System> System for Substeps<S> {
         }
     }
 
-    fn diagnose<F: Float>(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+    fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
         // Stop at the first non-finite state: a diagnosis requires a finite one.
-        let is_finite = |(_, state): &(usize, &[F])| state.iter().all(|number| number.as_().is_finite());
+        let is_finite = |(_, state): &(usize, &[R])| state.iter().all(Real::is_finite);
         let states = self.states(inputs);
         let mut finite = states.chunks_exact(inputs.x.len()).enumerate().take_while(is_finite);
         finite.find_map(|(i, state)| self.system.diagnose(self.inner(inputs, i).with_x(state)))

@@ -5,7 +5,7 @@ use crate::dynamics::inputs::{Cotangents, Inputs, Tangents};
 use crate::dynamics::outline;
 use crate::numbers::forward_mode::{Chunk, jacobian};
 use crate::numbers::kernels::Vectorized;
-use crate::numbers::scalar::{Cotangent, Dual, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Dual, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::SmallVec;
 
@@ -18,7 +18,7 @@ use smallvec::SmallVec;
 /// The default transposed products avoid the heap while `x`, `u` and `p` together have at most 16
 /// components. Larger systems allocate in every call and should override them.
 ///
-/// A system is immutable. Physical constants are `f64` fields, converted by [`Scalar::lift`].
+/// A system is immutable. Physical constants are `f64` fields.
 /// Constants that differ between samples, or that are to be differentiated, are parameters.
 ///
 /// # Shapes
@@ -48,14 +48,14 @@ pub trait System: Send + Sync {
     }
 
     /// Writes the Jacobian product `(∂S/∂x) x_tan + (∂S/∂u) u_tan + (∂S/∂p) p_tan`.
-    fn jvp<F: Float>(&self, inputs: Inputs<'_, F>, tangents: Tangents<'_, F>, next_tan: &mut [F]) {
+    fn jvp<R: Real>(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]) {
         jvp_by_duals(self, inputs, tangents, next_tan);
     }
 
     /// Diagnoses a non-finite step, or a non-finite derivative, from a finite state.
     ///
     /// Returns `None` if the cause is unknown. Used only for error messages.
-    fn diagnose<F: Float>(&self, _inputs: Inputs<'_, F>) -> Option<Cause> {
+    fn diagnose<R: Real>(&self, _inputs: Inputs<'_, R>) -> Option<Cause> {
         None
     }
 }
@@ -152,14 +152,14 @@ pub(crate) fn each_column<R: Real, C, Time>(
     });
 }
 
-fn jvp_by_duals<S: System + ?Sized, F: Float>(
+fn jvp_by_duals<S: System + ?Sized, R: Real>(
     system: &S,
-    Inputs { x, u, p, t }: Inputs<'_, F>,
-    tangents: Tangents<'_, F>,
-    next_tan: &mut [F],
+    Inputs { x, u, p, t }: Inputs<'_, R>,
+    tangents: Tangents<'_, R>,
+    next_tan: &mut [R],
 ) {
-    let lift = |values: &[F], tangents: Option<&[F]>| -> SmallVec<[Dual<F, 1>; 32]> {
-        let tangent = |i: usize| [tangents.map_or(F::zero(), |tangents| tangents[i])];
+    let lift = |values: &[R], tangents: Option<&[R]>| -> SmallVec<[Dual<R, 1>; 32]> {
+        let tangent = |i: usize| [tangents.map_or(R::zero(), |tangents| tangents[i])];
         values.iter().enumerate().map(|(i, &value)| Dual { value, tangents: tangent(i) }).collect()
     };
     let (x, u, p) = (lift(x, tangents.x), lift(u, tangents.u), lift(p, tangents.p));

@@ -1,4 +1,5 @@
-//! Object-safe [`Task`] and [`System`] for one precision: [`AnyTask`] and `AnySystem`.
+//! Object-safe [`Task`] for one precision, and [`System`] for one scalar type: [`AnyTask`] and
+//! `AnySystem`.
 //!
 //! Rollouts and reverse passes thus compile once per precision, not once per task. One call of
 //! `step_forward` or `step_back` steps all samples, so the cost of dynamic dispatch is negligible.
@@ -12,7 +13,7 @@ use crate::engine::adjoint::StepBack;
 use crate::engine::observe::Observe;
 use crate::engine::rollout::{Lane, StepForward};
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, CotangentPack, Float};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Single};
 
 /// Object-safe [`Task`] for one precision.
 ///
@@ -46,7 +47,7 @@ pub trait AnyTask<F: Float>: StepForward<F> + Observe<F> + StepBack<F, 1> + Step
         next_bar: &mut [Lane<F>],
     );
     #[doc(hidden)]
-    fn diagnose(&self, inputs: Inputs<'_, F>) -> Option<Cause>;
+    fn diagnose(&self, inputs: Inputs<'_, Single<F>>) -> Option<Cause>;
 
     /// Number of components that the policy observes.
     fn observed_dim(&self) -> usize {
@@ -102,24 +103,24 @@ impl<T: Task, F: Float> AnyTask<F> for T {
         Task::running_cost_gradient(self, inputs, next, bars, next_bar);
     }
 
-    fn diagnose(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+    fn diagnose(&self, inputs: Inputs<'_, Single<F>>) -> Option<Cause> {
         self.system().diagnose(inputs)
     }
 }
 
-/// Object-safe [`System`] for one precision and one sample at a time.
+/// Object-safe [`System`] for one scalar type, of one sample at a time.
 ///
 /// Used where a loop over steps should compile only once. Methods forward to those of the system.
-pub(crate) trait AnySystem<F: Float> {
+pub(crate) trait AnySystem<R: Real> {
     fn state_dim(&self) -> usize;
     fn control_dim(&self) -> usize;
     fn param_dim(&self) -> usize;
-    fn step(&self, inputs: Inputs<'_, F>, next: &mut [F]);
-    fn vjp(&self, inputs: Inputs<'_, F>, next_bar: &[One<F>], bars: Cotangents<'_, One<F>>);
-    fn jvp(&self, inputs: Inputs<'_, F>, tangents: Tangents<'_, F>, next_tan: &mut [F]);
+    fn step(&self, inputs: Inputs<'_, R>, next: &mut [R]);
+    fn vjp(&self, inputs: Inputs<'_, R>, next_bar: &[One<R>], bars: Cotangents<'_, One<R>>);
+    fn jvp(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]);
 }
 
-impl<S: System, F: Float> AnySystem<F> for S {
+impl<S: System, R: Real> AnySystem<R> for S {
     fn state_dim(&self) -> usize {
         System::state_dim(self)
     }
@@ -132,21 +133,21 @@ impl<S: System, F: Float> AnySystem<F> for S {
         System::param_dim(self)
     }
 
-    fn step(&self, inputs: Inputs<'_, F>, next: &mut [F]) {
+    fn step(&self, inputs: Inputs<'_, R>, next: &mut [R]) {
         outline::step(self, inputs, next);
     }
 
-    fn vjp(&self, inputs: Inputs<'_, F>, next_bar: &[One<F>], bars: Cotangents<'_, One<F>>) {
+    fn vjp(&self, inputs: Inputs<'_, R>, next_bar: &[One<R>], bars: Cotangents<'_, One<R>>) {
         outline::vjp(self, inputs, next_bar, bars);
     }
 
-    fn jvp(&self, inputs: Inputs<'_, F>, tangents: Tangents<'_, F>, next_tan: &mut [F]) {
+    fn jvp(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]) {
         System::jvp(self, inputs, tangents, next_tan);
     }
 }
 
 /// Evaluates [`System::vjp`] on plain numbers. Returns `[x_bar, u_bar, p_bar]`.
-pub(crate) fn vjp<F: Float>(system: &dyn AnySystem<F>, inputs: Inputs<'_, F>, next_bar: &[F]) -> [Vec<F>; 3] {
+pub(crate) fn vjp<R: Real>(system: &dyn AnySystem<R>, inputs: Inputs<'_, R>, next_bar: &[R]) -> [Vec<R>; 3] {
     let next_bar: Vec<_> = next_bar.iter().map(|&bar| CotangentPack([bar])).collect();
     let [mut x, mut u, mut p] = [inputs.x, inputs.u, inputs.p].map(|inputs| vec![CotangentPack::null(); inputs.len()]);
     let bars = Cotangents { x: Some(&mut x), u: Some(&mut u), p: (!p.is_empty()).then_some(&mut p) };

@@ -8,7 +8,7 @@ use crate::dynamics::inputs::Inputs;
 use crate::engine::any::AnyTask;
 use crate::engine::divergence::{Divergence, Variable};
 use crate::numbers::aligned::Aligned;
-use crate::numbers::scalar::{Float, Lanes, Real, Scalar};
+use crate::numbers::scalar::{Float, Lanes, Real, Scalar, Single};
 use crate::policy::AnyPolicy;
 use crate::policy::{PolicyColumns, PolicyPass, Weights};
 use buffer_sizes::BufferSizes;
@@ -271,9 +271,9 @@ impl<F: Float> Rollout<F> {
         let control = find_non_finite(controls, m, self.samples, Real::lane).map(|place| (Variable::Control, t, place));
         let state = || find_non_finite(next, n, self.samples, Real::lane).map(|place| (Variable::State, t + 1, place));
         let (variable, step, (sample, component)) = control.or_else(state).expect("the probe found a non-finite value");
-        let of = |lanes: &[Lane<F>], n: usize| -> Vec<F> {
+        let of = |lanes: &[Lane<F>], n: usize| -> Vec<Single<F>> {
             let block = &lanes[sample / WIDTH * n..][..n];
-            block.iter().map(|number| number.lane(sample % WIDTH)).collect()
+            block.iter().map(|number| Lanes([number.lane(sample % WIDTH)])).collect()
         };
         let cause = match variable {
             Variable::State => {

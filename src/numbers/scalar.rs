@@ -9,6 +9,7 @@
 //! - [`Cotangent`]: the adjoint quantity of a reverse pass. [`CotangentPack`]: several of them.
 
 mod counted;
+mod double;
 #[cfg(feature = "double-double")]
 mod double_double;
 mod dual;
@@ -21,16 +22,27 @@ pub use counted::{Counted, Ops};
 pub use double_double::DoubleDouble;
 pub use dual::Dual;
 pub use float::Float;
-pub use lanes::Lanes;
+pub use lanes::{Lanes, Single};
 
 use std::fmt::Debug;
+use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
-/// Number type over which simulators are generic: `f32`, `f64`, [`Lanes`], [`Dual`], [`Counted`].
+/// Number type over which simulators are generic: `f64`, [`Lanes`], [`Dual`], [`Counted`].
+///
+/// Constants are plain `f64` on the right of an operator: `x[0].sin() * (9.81 / self.length)`. They
+/// are rounded to the precision of the simulation.
 ///
 /// Supports no ordering and no branching on values, since lanes hold several values at once. Write
-/// branches with [`select_lt`](Scalar::select_lt), [`min`](Scalar::min), [`max`](Scalar::max) and
-/// [`abs`](Scalar::abs).
+/// branches with [`select_lt`](Scalar::select_lt), [`min`](Scalar::min), [`max`](Scalar::max),
+/// [`clamp`](Scalar::clamp) and [`abs`](Scalar::abs).
+///
+/// `f32` itself is not a scalar, because it has no product with `f64`. A single number in f32 is
+/// [`Single<f32>`](Single).
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is not a scalar of simulators",
+    note = "simulators run on `f64`, `Lanes<f32, N>`, `Lanes<f64, N>` and dual numbers; a single f32 is `Single<f32>`"
+)]
 pub trait Scalar:
     Copy
     + Debug
@@ -46,6 +58,16 @@ pub trait Scalar:
     + SubAssign
     + MulAssign
     + DivAssign
+    + Add<f64, Output = Self>
+    + Sub<f64, Output = Self>
+    + Mul<f64, Output = Self>
+    + Div<f64, Output = Self>
+    + AddAssign<f64>
+    + SubAssign<f64>
+    + MulAssign<f64>
+    + DivAssign<f64>
+    + From<f64>
+    + Sum
 {
     /// Underlying floating-point type, `f32` or `f64`.
     type Real: Float;
@@ -53,8 +75,6 @@ pub trait Scalar:
     #[doc(hidden)]
     const VECTORIZED: bool = false;
 
-    /// Converts a constant, rounded to the underlying precision.
-    fn lift(value: f64) -> Self;
     /// Drops the derivative and returns the value ("stop gradient").
     fn detach(self) -> Self;
 
@@ -84,12 +104,12 @@ pub trait Scalar:
     /// The constant 0.
     #[inline(always)]
     fn zero() -> Self {
-        Self::lift(0.0)
+        Self::from(0.0)
     }
     /// The constant 1.
     #[inline(always)]
     fn one() -> Self {
-        Self::lift(1.0)
+        Self::from(1.0)
     }
     /// Sine, angle in radians. [`sin_cos`](Scalar::sin_cos) computes both at the same cost.
     #[inline(always)]
@@ -101,25 +121,66 @@ pub trait Scalar:
     fn cos(self) -> Self {
         self.sin_cos().1
     }
-    /// Integer power by repeated multiplication, `exponent` products.
+    /// Tangent, angle in radians.
     #[inline(always)]
-    fn powi(self, exponent: u32) -> Self {
-        (0..exponent).fold(Self::one(), |product, _| product * self)
+    fn tan(self) -> Self {
+        let (sin, cos) = self.sin_cos();
+        sin / cos
+    }
+    /// Arcsine in radians. The derivative at ±1 is infinite.
+    #[inline(always)]
+    fn asin(self) -> Self {
+        self.atan2(((Self::one() - self) * (self + 1.0)).sqrt())
+    }
+    /// Arccosine in radians. The derivative at ±1 is infinite.
+    #[inline(always)]
+    fn acos(self) -> Self {
+        ((Self::one() - self) * (self + 1.0)).sqrt().atan2(self)
+    }
+    /// Integer power by repeated multiplication; the reciprocal for a negative exponent.
+    #[inline(always)]
+    fn powi(self, exponent: i32) -> Self {
+        let power = (0..exponent.unsigned_abs()).fold(Self::one(), |product, _| product * self);
+        if exponent < 0 { power.recip() } else { power }
+    }
+    /// Power of a positive number, `exp(exponent ln self)`. NaN for a negative one.
+    #[inline(always)]
+    fn powf(self, exponent: f64) -> Self {
+        (self.ln() * exponent).exp()
+    }
+    /// Reciprocal.
+    #[inline(always)]
+    fn recip(self) -> Self {
+        Self::one() / self
+    }
+    /// Angle in radians between -π and π, with the derivative of the identity.
+    #[inline(always)]
+    fn wrap_angle(self) -> Self {
+        let (sin, cos) = self.sin_cos();
+        sin.atan2(cos)
     }
     /// Absolute value. The derivative at 0 is the one-sided derivative from the right.
     #[inline(always)]
     fn abs(self) -> Self {
         Self::select_lt(self, Self::zero(), -self, self)
     }
-    /// Minimum. Returns `other` if both are equal or one is NaN.
+    /// Minimum with a scalar or a constant. Returns `other` if both are equal or one is NaN.
     #[inline(always)]
-    fn min(self, other: Self) -> Self {
+    fn min(self, other: impl Into<Self>) -> Self {
+        let other = other.into();
         Self::select_lt(self, other, self, other)
     }
-    /// Maximum. Returns `other` if both are equal or one is NaN.
+    /// Maximum with a scalar or a constant. Returns `other` if both are equal or one is NaN.
     #[inline(always)]
-    fn max(self, other: Self) -> Self {
+    fn max(self, other: impl Into<Self>) -> Self {
+        let other = other.into();
         Self::select_lt(other, self, self, other)
+    }
+    /// Limits the number to the range from `low` to `high`. The derivative outside is 0. NaN stays
+    /// NaN.
+    #[inline(always)]
+    fn clamp(self, low: f64, high: f64) -> Self {
+        Self::from(low).max(Self::from(high).min(self))
     }
 }
 
@@ -131,6 +192,10 @@ pub trait Real: Scalar {
     fn lane(&self, lane: usize) -> Self::Real;
     /// Replaces the number in lane `lane`.
     fn set_lane(&mut self, lane: usize, value: Self::Real);
+    /// Returns whether all lanes are finite.
+    fn is_finite(&self) -> bool {
+        (0..Self::LANES).all(|lane| self.lane(lane).to_f64().is_finite())
+    }
     /// Broadcasts a number to all lanes.
     #[inline(always)]
     fn splat(value: Self::Real) -> Self {
@@ -158,7 +223,7 @@ pub trait Cotangent<R>:
 impl<R: Real> Cotangent<R> for R {
     #[inline(always)]
     fn null() -> Self {
-        R::lift(-0.0)
+        R::from(-0.0)
     }
 }
 
@@ -183,7 +248,7 @@ fn each<const K: usize>(mut column: impl FnMut(usize)) {
 impl<R: Real, const K: usize> Cotangent<R> for CotangentPack<R, K> {
     #[inline(always)]
     fn null() -> Self {
-        Self([R::lift(-0.0); K])
+        Self([R::from(-0.0); K])
     }
 }
 

@@ -21,7 +21,7 @@ pub use two_params::{Constant, Quadratic};
 use crate::numbers::aligned::Aligned;
 use crate::numbers::forward_mode::{Chunk, jacobian};
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Float, Scalar};
+use crate::numbers::scalar::{Float, Lanes, Real, Scalar};
 use smallvec::SmallVec;
 use std::ops::Range;
 
@@ -76,8 +76,15 @@ pub trait Policy: Send + Sync {
     /// Evaluates `u = N(x)` in the columns `pass.at`. Stores intermediate values in `tape`.
     fn forward<F: Float>(&self, pass: PolicyPass<F>, _tape: &mut [F], u: &mut [F]) {
         let (n, m) = (self.observation_dim(), self.control_dim());
-        for c in pass.at.iter() {
-            self.act(pass.packed, &pass.x[c * n..][..n], &mut u[c * m..][..m]);
+        let theta: SmallVec<[Lanes<F, BLOCK>; 32]> = pass.packed.iter().map(|&theta| Real::splat(theta)).collect();
+        let mut block_u = lanes::<F>(m);
+        for block in pass.at.blocks(BLOCK) {
+            self.act(&theta, &gathered(pass.x, n, block), &mut block_u);
+            for (lane, c) in block.iter().enumerate() {
+                for (u, block_u) in u[c * m..][..m].iter_mut().zip(&block_u) {
+                    *u = block_u.lane(lane);
+                }
+            }
         }
     }
 
@@ -90,11 +97,14 @@ pub trait Policy: Send + Sync {
     fn backward<F: Float>(&self, pass: PolicyPass<F>, _tape: &[F], u_bar: &[F], _tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
         let (n, m) = (self.observation_dim(), self.control_dim());
         let Some(x_bar) = x_bar else { return };
-        let theta = constants(pass.packed);
-        for c in pass.at.iter() {
+        let theta: SmallVec<[Chunk<Lanes<F, BLOCK>>; 32]> =
+            pass.packed.iter().map(|&theta| Chunk::constant(Real::splat(theta))).collect();
+        for block in pass.at.blocks(BLOCK) {
             let act = |x: &[_], u: &mut [_]| self.act(&theta, x, u);
-            jacobian(&pass.x[c * n..][..n], 0..n, m, act, |i, slope| {
-                x_bar[c * n + i] = dot(slope, &u_bar[c * m..][..m]);
+            jacobian(&gathered(pass.x, n, block), 0..n, m, act, |i, slope| {
+                for (lane, c) in block.iter().enumerate() {
+                    x_bar[c * n + i] = dot(slope, lane, &u_bar[c * m..][..m]);
+                }
             });
         }
     }
@@ -105,23 +115,42 @@ pub trait Policy: Send + Sync {
     /// Sums over the columns `pass.at`, which must be contiguous.
     fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, _scratch: &mut [F], theta_bar: &mut [F]) {
         let (n, m) = (self.observation_dim(), self.control_dim());
-        for c in pass.at.iter() {
-            let x = constants(&pass.x[c * n..][..n]);
-            let weight = record.weight.map_or(F::one(), |w| w[c]);
+        let theta: SmallVec<[Lanes<F, BLOCK>; 32]> = pass.packed.iter().map(|&theta| Real::splat(theta)).collect();
+        for block in pass.at.blocks(BLOCK) {
+            let x: SmallVec<[Chunk<Lanes<F, BLOCK>>; 32]> = gathered(pass.x, n, block).into_iter().map(Chunk::constant).collect();
             let act = |theta: &[_], u: &mut [_]| self.act(theta, &x, u);
-            jacobian(pass.packed, 0..pass.packed.len(), m, act, |i, slope| {
-                theta_bar[i] += weight * dot(slope, &record.u_bar[c * m..][..m]);
+            jacobian(&theta, 0..theta.len(), m, act, |i, slope| {
+                for (lane, c) in block.iter().enumerate() {
+                    let weight = record.weight.map_or(F::one(), |w| w[c]);
+                    theta_bar[i] += weight * dot(slope, lane, &record.u_bar[c * m..][..m]);
+                }
             });
         }
     }
 }
 
-fn constants<F: Float>(values: &[F]) -> SmallVec<[Chunk<F>; 32]> {
-    values.iter().map(|&value| Chunk::constant(value)).collect()
+/// Number of columns that the default batched passes evaluate at once.
+const BLOCK: usize = 8;
+
+fn lanes<F: Float>(len: usize) -> SmallVec<[Lanes<F, BLOCK>; 32]> {
+    SmallVec::from_elem(Lanes([F::zero(); BLOCK]), len)
 }
 
-fn dot<F: Float>(a: &[F], b: &[F]) -> F {
-    a.iter().zip(b).fold(F::zero(), |sum, (&a, &b)| sum + a * b)
+/// Columns of a block as lanes. Unused lanes repeat the last column.
+fn gathered<F: Float>(x: &[F], n: usize, block: PolicyColumns) -> SmallVec<[Lanes<F, BLOCK>; 32]> {
+    let mut gathered = lanes(n);
+    for lane in 0..BLOCK {
+        let c = block.first + lane.min(block.count - 1) * block.step;
+        for (lanes, &x) in gathered.iter_mut().zip(&x[c * n..][..n]) {
+            lanes.set_lane(lane, x);
+        }
+    }
+    gathered
+}
+
+/// Inner product of one lane of `a` with `b`.
+fn dot<F: Float>(a: &[Lanes<F, BLOCK>], lane: usize, b: &[F]) -> F {
+    a.iter().zip(b).fold(F::zero(), |sum, (a, &b)| sum + a.lane(lane) * b)
 }
 
 /// Inputs of the batched passes of a [`Policy`].

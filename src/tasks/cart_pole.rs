@@ -76,13 +76,13 @@ impl<S: HasModel<CartPoleSystem>> CartPole<S> {
         for pole in self.system.model().poles_of(x) {
             cosines += pole[0].cos();
         }
-        T::one() - cosines * T::lift(1.0 / self.system.model().poles as f64)
+        T::one() - cosines * (1.0 / self.system.model().poles as f64)
     }
 
     /// Adds the gradient of `factor` times the mean of `1 - cos θ`.
     #[inline(always)]
     fn height_gradient<R: Real>(&self, factor: f64, x: &[R], x_bar: &mut [R]) {
-        let factor = R::lift(factor / self.system.model().poles as f64);
+        let factor = R::from(factor / self.system.model().poles as f64);
         for (x_bar, pole) in zip(x_bar[2..].chunks_exact_mut(2), self.system.model().poles_of(x)) {
             x_bar[0] += pole[0].sin() * factor;
         }
@@ -120,7 +120,7 @@ impl<S: HasModel<CartPoleSystem>> Task for CartPole<S> {
     fn running_cost<T: Scalar>(&self, _inputs: Inputs<'_, T>, next: &[T]) -> T {
         match self.loss {
             LossMode::Terminal => T::zero(),
-            LossMode::Running => self.height(next) * T::lift(self.running_factor()),
+            LossMode::Running => self.height(next) * self.running_factor(),
         }
     }
 

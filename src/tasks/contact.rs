@@ -77,7 +77,7 @@ impl<T: Scalar> Gap<T> {
     #[inline(always)]
     fn free(self, acceleration: T, time: T) -> Self {
         let speed = self.speed + acceleration * time;
-        Self { width: self.width + (self.speed + speed) * time * T::lift(0.5), speed }
+        Self { width: self.width + (self.speed + speed) * time * 0.5, speed }
     }
 }
 
@@ -90,9 +90,9 @@ impl Contact {
             Self::TimeOfImpact { restitution } => impact::advance(gap, acceleration, restitution, dt),
             Self::Penalty { stiffness, damping } => {
                 let depth = (-gap.width).max(T::zero());
-                let factor = (T::one() - T::lift(damping) * gap.speed).max(T::zero());
-                let gain = T::lift(stiffness / mass * dt) * depth * factor;
-                let dt = T::lift(dt);
+                let factor = (T::one() - T::from(damping) * gap.speed).max(T::zero());
+                let gain = T::from(stiffness / mass * dt) * depth * factor;
+                let dt = T::from(dt);
                 let free = gap.free(acceleration, dt);
                 Gap { width: free.width + gain * dt, speed: free.speed + gain }
             }

@@ -78,19 +78,19 @@ impl DoublePendulum {
     ) -> [V; 2] {
         let [inertia, coupling, second_inertia] = self.inertias();
         let ([m1, m2], [l1, l2]) = (self.masses, self.lengths);
-        let per_determinant = T::one() / (T::lift(m2 * (l1 * l2) * (l1 * l2)) * (T::lift(m1) + T::lift(m2) * sin * sin));
-        let across = T::lift(coupling) * cos * per_determinant;
+        let per_determinant = T::one() / (T::from(m2 * (l1 * l2) * (l1 * l2)) * (T::from(m1) + T::from(m2) * sin * sin));
+        let across = T::from(coupling) * cos * per_determinant;
         [
-            first * (T::lift(second_inertia) * per_determinant) - second * across,
-            second * (T::lift(inertia) * per_determinant) - first * across,
+            first * (T::from(second_inertia) * per_determinant) - second * across,
+            second * (T::from(inertia) * per_determinant) - first * across,
         ]
     }
 
     #[inline(always)]
     fn motion<T: Scalar>(&self, x: &[T], u: &[T]) -> Motion<T> {
-        let coupling = T::lift(self.inertias()[1]);
+        let coupling = T::from(self.inertias()[1]);
         let [weight, second_weight] = self.weights();
-        let (weight, second_weight) = (T::lift(weight), T::lift(second_weight));
+        let (weight, second_weight) = (T::from(weight), T::from(second_weight));
         let ((s1, c1), (s2, c2)) = (x[0].sin_cos(), x[2].sin_cos());
         let between = [s1 * c2 - c1 * s2, c1 * c2 + s1 * s2];
         let throw = coupling * between[0];
@@ -124,12 +124,12 @@ impl Ode for DoublePendulum {
         bars: Cotangents<'_, C>,
     ) {
         let Motion { first, second, between: [sin, cos], accelerations: [alpha, second_alpha] } = self.motion(x, u);
-        let coupling = R::lift(self.inertias()[1]);
+        let coupling = R::from(self.inertias()[1]);
         let [weight, second_weight] = self.weights();
-        let (weight, second_weight) = (R::lift(weight), R::lift(second_weight));
+        let (weight, second_weight) = (R::from(weight), R::from(second_weight));
         let [w, second_w] = self.solve([sin, cos], [rate_bar[1], rate_bar[3]]);
         let (spin, second_spin) = (x[1] * x[1], x[3] * x[3]);
-        let throw = coupling * sin * R::lift(2.0);
+        let throw = coupling * sin * R::from(2.0);
         // sin Δ enters the torques, cos Δ the matrix.
         let delta_bar =
             w * (coupling * (sin * second_alpha - cos * second_spin)) + second_w * (coupling * (sin * alpha + cos * spin));

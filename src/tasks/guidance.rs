@@ -108,13 +108,13 @@ impl<S: HasModel<GuidanceSystem>> Guidance<S> {
         for evader in self.system.model().evaders_of(x) {
             squares += evader[0] * evader[0] + evader[1] * evader[1];
         }
-        squares * T::lift(weight)
+        squares * weight
     }
 
     /// Adds the gradient of [`distances`](Self::distances).
     #[inline(always)]
     fn distances_gradient<R: Real>(&self, weight: f64, x: &[R], x_bar: &mut [R]) {
-        let slope = R::lift(2.0 * weight);
+        let slope = R::from(2.0 * weight);
         let model = self.system.model();
         for (bar, evader) in zip(x_bar[AGENT * model.drivers..].chunks_exact_mut(AGENT), model.evaders_of(x)) {
             bar[0] += evader[0] * slope;
@@ -163,7 +163,7 @@ impl<S: HasModel<GuidanceSystem>> Task for Guidance<S> {
         for &u in u {
             squares += u * u;
         }
-        let effort = squares * T::lift(self.control_weight());
+        let effort = squares * self.control_weight();
         match self.loss {
             LossMode::Terminal => effort,
             LossMode::Running => effort + self.distances(self.running_weight(), next),
@@ -180,7 +180,7 @@ impl<S: HasModel<GuidanceSystem>> Task for Guidance<S> {
 
     #[inline(always)]
     fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
-        let slope = R::lift(2.0 * self.control_weight());
+        let slope = R::from(2.0 * self.control_weight());
         for (u_bar, &u) in zip(bars.u.into_iter().flatten(), inputs.u) {
             *u_bar += u * slope;
         }

@@ -10,7 +10,7 @@ use crate::dynamics::outline::{Reverse, Step, outline};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// Any of the small hard tasks. As a [`System`], it is the physics of the task, with outlined
 /// steps. [`Hard`] is the task.
@@ -63,7 +63,7 @@ impl System for AnyHard {
         whichever!(self, task => outline::<R>(Reverse { system: task.system(), inputs, next_bar, bars }));
     }
 
-    fn diagnose<F: Float>(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+    fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
         whichever!(self, task => task.system().diagnose(inputs))
     }
 }

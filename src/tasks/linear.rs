@@ -98,7 +98,7 @@ fn row_major(matrix: &DMatrix<f64>) -> Vec<f64> {
 fn dot<T: Scalar>(row: &[f64], x: &[T]) -> T {
     let mut sum = T::zero();
     for (&entry, &x) in zip(row.iter(), x) {
-        sum += T::lift(entry) * x;
+        sum += x * entry;
     }
     sum
 }
@@ -110,7 +110,7 @@ fn transposed<R: Real, C: Cotangent<R>>(matrix: &[f64], next_bar: &[C], bars: &m
     for j in 0..columns {
         let mut bar = C::null();
         for i in 0..next_bar.len() {
-            bar += next_bar[i] * R::lift(matrix[i * columns + j]);
+            bar += next_bar[i] * R::from(matrix[i * columns + j]);
         }
         bars[j] += bar;
     }

@@ -78,8 +78,8 @@ impl Task for Reach {
 
     #[inline(always)]
     fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
-        let miss = x[0] - T::lift(self.target);
-        miss * miss * T::lift(0.5)
+        let miss = x[0] - self.target;
+        miss * miss * 0.5
     }
 }
 
@@ -124,9 +124,9 @@ impl Task for Bowl {
     #[inline(always)]
     fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         let (sin, cos) = self.angle.sin_cos();
-        let (sin, cos) = (T::lift(sin), T::lift(cos));
+        let (sin, cos) = (T::from(sin), T::from(cos));
         let (p, q) = (x[0] * cos + x[1] * sin, x[1] * cos - x[0] * sin);
-        let [a, b] = self.curvatures.map(|curvature| T::lift(0.5 * curvature));
+        let [a, b] = self.curvatures.map(|curvature| T::from(0.5 * curvature));
         p * p * a + q * q * b
     }
 }

@@ -108,22 +108,22 @@ impl PoleChain {
     fn move_on<T: Scalar>(&self, x: &[T], u: &[T], motion: &mut Motion<T>) {
         let Motion { sin, cos, factors, accelerations } = motion;
         accelerations.push(u[0]);
-        factors.push(T::lift(self.mass()));
+        factors.push(T::from(self.mass()));
         for j in 0..self.0.poles {
             let (s, c) = x[2 + 2 * j].sin_cos();
             let spin = x[3 + 2 * j] * x[3 + 2 * j];
-            let moment = T::lift(self.moment(j));
+            let moment = T::from(self.moment(j));
             accelerations[0] += moment * s * spin;
             factors.push(moment * c);
-            let mut torque = moment * T::lift(self.0.gravity) * s;
+            let mut torque = moment * self.0.gravity * s;
             for k in 0..j {
-                let inertia = T::lift(self.inertia(k, j));
+                let inertia = T::from(self.inertia(k, j));
                 let throw = inertia * (s * cos[k] - c * sin[k]);
                 factors.push(inertia * (c * cos[k] + s * sin[k]));
                 torque -= throw * x[3 + 2 * k] * x[3 + 2 * k];
                 accelerations[1 + k] += throw * spin;
             }
-            factors.push(T::lift(self.inertia(j, j)));
+            factors.push(T::from(self.inertia(j, j)));
             accelerations.push(torque);
             sin.push(s);
             cos.push(c);
@@ -176,16 +176,16 @@ impl Ode for PoleChain {
         for i in 0..=self.0.poles {
             x_bar[2 * i + 1] += rate_bar[2 * i];
         }
-        let two = R::lift(2.0);
+        let two = R::from(2.0);
         for j in 0..self.0.poles {
             let (s, c, omega) = (sin[j], cos[j], x[3 + 2 * j]);
             let (spin, alpha) = (omega * omega, a[1 + j]);
-            let moment = R::lift(self.moment(j));
+            let moment = R::from(self.moment(j));
             let mut theta_bar = w[0] * (moment * (c * spin + s * alpha));
-            theta_bar += w[1 + j] * (moment * (R::lift(self.0.gravity) * c + s * a[0]));
+            theta_bar += w[1 + j] * (moment * (R::from(self.0.gravity) * c + s * a[0]));
             let mut spin_bar = w[0] * (moment * s);
             for k in 0..j {
-                let inertia = R::lift(self.inertia(k, j));
+                let inertia = R::from(self.inertia(k, j));
                 let (throw, along) = (inertia * (s * cos[k] - c * sin[k]), inertia * (c * cos[k] + s * sin[k]));
                 let other_spin = x[3 + 2 * k] * x[3 + 2 * k];
                 // Cotangent of the angle between two poles, which enters the matrix and the

@@ -87,7 +87,7 @@ impl<S: HasModel<QuantumSystem>> Quantum<S> {
     fn overlap<T: Scalar>(&self, x: &[T]) -> Pair<T> {
         let (mut re, mut im) = (T::zero(), T::zero());
         for (x, target) in zip(x.chunks_exact(2), self.system.model().eigenstate(self.target)) {
-            let target = T::lift(target);
+            let target = T::from(target);
             re += x[0] * target;
             im += x[1] * target;
         }
@@ -104,9 +104,9 @@ impl<S: HasModel<QuantumSystem>> Quantum<S> {
     #[inline(always)]
     fn infidelity_gradient<R: Real>(&self, x: &[R], x_bar: &mut [R]) {
         let (re, im) = self.overlap(x);
-        let (re, im) = (re * R::lift(-2.0), im * R::lift(-2.0));
+        let (re, im) = (re * R::from(-2.0), im * R::from(-2.0));
         for (x_bar, target) in zip(x_bar.chunks_exact_mut(2), self.system.model().eigenstate(self.target)) {
-            let target = R::lift(target);
+            let target = R::from(target);
             x_bar[0] += re * target;
             x_bar[1] += im * target;
         }

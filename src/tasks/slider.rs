@@ -78,13 +78,13 @@ impl SliderSystem {
 
     #[inline(always)]
     fn slide<T: Scalar>(&self, speed: T, push: T) -> Slid<T> {
-        let per_push = T::lift(self.dt / self.mass);
+        let per_push = T::from(self.dt / self.mass);
         let pushed = speed + push * per_push;
         match self.scheme {
             FrictionScheme::Explicit => {
-                let at = speed * T::lift(1.0 / self.smoothing);
-                let by_speed = T::one() - T::lift(self.grip() / self.smoothing) * decline(at);
-                Slid { speed: pushed - T::lift(self.grip()) * tanh(at), by_speed, by_push: per_push }
+                let at = speed * (1.0 / self.smoothing);
+                let by_speed = T::one() - T::from(self.grip() / self.smoothing) * decline(at);
+                Slid { speed: pushed - T::from(self.grip()) * tanh(at), by_speed, by_push: per_push }
             }
             FrictionScheme::Implicit => {
                 let (speed, share) = self.solve(pushed);
@@ -104,7 +104,7 @@ impl SliderSystem {
     /// function theorem, `dz/dw = ε / (ε + b (1 - tanh² y))`.
     #[inline(always)]
     fn solve<T: Scalar>(&self, w: T) -> (T, T) {
-        let (eps, grip, one) = (T::lift(self.smoothing), T::lift(self.grip()), T::one());
+        let (eps, grip, one) = (T::from(self.smoothing), T::from(self.grip()), T::one());
         let size = w.detach().abs();
         let mut y = (size / (eps + grip)).max((size - grip) / eps);
         for _ in 0..ROUNDS {
@@ -130,7 +130,7 @@ fn tanh<T: Scalar>(y: T) -> T {
 fn decline<T: Scalar>(y: T) -> T {
     let e = (-(y.abs() + y.abs())).exp();
     let sum = T::one() + e;
-    T::lift(4.0) * e / (sum * sum)
+    T::from(4.0) * e / (sum * sum)
 }
 
 impl System for SliderSystem {
@@ -145,13 +145,13 @@ impl System for SliderSystem {
     #[inline(always)]
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         next[1] = self.slide(x[1], u[0]).speed;
-        next[0] = x[0] + next[1] * T::lift(self.dt);
+        next[0] = x[0] + next[1] * self.dt;
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, u, .. }: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
         let slid = self.slide(x[1], u[0]);
-        let speed_bar = next_bar[1] + next_bar[0] * R::lift(self.dt);
+        let speed_bar = next_bar[1] + next_bar[0] * R::from(self.dt);
         if let Some(x_bar) = bars.x {
             x_bar[0] += next_bar[0];
             x_bar[1] += speed_bar * slid.by_speed;
@@ -202,12 +202,12 @@ impl Task for Slider {
 
     #[inline(always)]
     fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
-        x[0] * x[0] + x[1] * x[1] * T::lift(self.speed_weight)
+        x[0] * x[0] + x[1] * x[1] * self.speed_weight
     }
 
     #[inline(always)]
     fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
-        x_bar[0] += R::lift(2.0) * x[0];
-        x_bar[1] += R::lift(2.0 * self.speed_weight) * x[1];
+        x_bar[0] += R::from(2.0) * x[0];
+        x_bar[1] += R::from(2.0 * self.speed_weight) * x[1];
     }
 }

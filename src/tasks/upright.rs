@@ -6,6 +6,7 @@ use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Real, Scalar};
+use crate::numbers::zip::zip;
 use crate::tasks::{CartPoleSystem, DoublePendulum, LossMode, PoleChain};
 use rand::RngExt;
 use std::f64::consts::PI;
@@ -81,13 +82,13 @@ impl<S: System> Upright<S> {
         for i in (self.first_angle..x.len()).step_by(2) {
             sum += T::one() - x[i].cos();
         }
-        sum * T::lift(factor * self.share())
+        sum * (factor * self.share())
     }
 
     /// Adds the gradient of [`height`](Self::height).
     #[inline(always)]
     fn height_gradient<R: Real>(&self, factor: f64, x: &[R], x_bar: &mut [R]) {
-        let factor = R::lift(factor * self.share());
+        let factor = R::from(factor * self.share());
         for i in (self.first_angle..x.len()).step_by(2) {
             x_bar[i] += x[i].sin() * factor;
         }
@@ -128,7 +129,7 @@ impl<S: System> Task for Upright<S> {
     fn running_cost<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, next: &[T]) -> T {
         let mut cost = self.height(self.worth()[0], next);
         for &u in u {
-            cost += u * u * T::lift(0.5 * self.effort_per_step());
+            cost += u * u * (0.5 * self.effort_per_step());
         }
         cost
     }
@@ -142,8 +143,8 @@ impl<S: System> Task for Upright<S> {
     fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
         self.height_gradient(self.worth()[0], next, next_bar);
         if let Some(u_bar) = bars.u {
-            for i in 0..u_bar.len() {
-                u_bar[i] += inputs.u[i] * R::lift(self.effort_per_step());
+            for (u_bar, &u) in zip(u_bar.iter_mut(), inputs.u) {
+                *u_bar += u * self.effort_per_step();
             }
         }
     }

@@ -4,7 +4,7 @@
 use crate::engine::gradient::Gradient;
 use crate::numbers::extended::ExtendedF64;
 use crate::numbers::kernels::{SimdLevel, Vectorized, dispatch};
-use crate::numbers::scalar::{Float, Scalar};
+use crate::numbers::scalar::Float;
 use serde::{Deserialize, Serialize};
 
 /// Clipping of the vector field, applied before the optimizer.
@@ -239,7 +239,7 @@ impl<F: Float> Vectorized for Step<'_, F> {
                 for (theta, g, m, v) in all {
                     *m += (g - *m) * share1;
                     *v += (g * g - *v) * share2;
-                    *theta -= *m * rate / (Scalar::sqrt(*v) + epsilon);
+                    *theta -= *m * rate / (Float::sqrt(*v) + epsilon);
                 }
             }
             OptimizerKind::Sgd => {
@@ -256,19 +256,19 @@ impl<F: Float> Vectorized for Step<'_, F> {
             OptimizerKind::RmsProp { rho, epsilon } => {
                 for (theta, g, m, _) in all {
                     *m = *m * lift(rho) + g * g * lift(1.0 - rho);
-                    *theta -= g * lift(rate) / Scalar::sqrt(*m + lift(epsilon));
+                    *theta -= g * lift(rate) / Float::sqrt(*m + lift(epsilon));
                 }
             }
             OptimizerKind::Adagrad { epsilon, .. } => {
                 for (theta, g, m, _) in all {
                     *m += g * g;
-                    *theta -= g * lift(rate) / Scalar::sqrt(*m + lift(epsilon));
+                    *theta -= g * lift(rate) / Float::sqrt(*m + lift(epsilon));
                 }
             }
             OptimizerKind::Adadelta { rho, epsilon } => {
                 for (theta, g, m, v) in all {
                     *m = *m * lift(rho) + g * g * lift(1.0 - rho);
-                    let step = g * Scalar::sqrt(*v + lift(epsilon)) / Scalar::sqrt(*m + lift(epsilon));
+                    let step = g * Float::sqrt(*v + lift(epsilon)) / Float::sqrt(*m + lift(epsilon));
                     *v = *v * lift(rho) + step * step * lift(1.0 - rho);
                     *theta -= step * lift(rate);
                 }

@@ -6,7 +6,7 @@ use physgrad::Scalar;
 pub type Operation<T> = fn(T, T) -> T;
 
 /// Returns all operations by name, for any scalar type.
-pub fn operations<T: Scalar>() -> [(&'static str, Operation<T>); 23] {
+pub fn operations<T: Scalar>() -> [(&'static str, Operation<T>); 27] {
     [
         ("add", |a, b| a + b),
         ("sub", |a, b| a - b),
@@ -41,8 +41,37 @@ pub fn operations<T: Scalar>() -> [(&'static str, Operation<T>); 23] {
         ("abs", |a, _| a.abs()),
         ("min", |a, b| a.min(b)),
         ("max", |a, b| a.max(b)),
-        ("lift", |_, _| T::lift(0.1)),
+        ("add_f64", |a, _| a + 0.7),
+        ("sub_f64", |a, _| a - 0.7),
+        ("mul_f64", |a, _| a * 0.7),
+        ("div_f64", |a, _| a / 0.7),
+        ("from", |_, _| T::from(0.1)),
         ("detach", |a, _| a.detach()),
+    ]
+}
+
+/// Returns the functions that are composed of [`operations`].
+#[allow(dead_code)]
+pub fn compositions<T: Scalar>() -> [(&'static str, Operation<T>); 12] {
+    [
+        ("tan", |a, _| a.tan()),
+        ("asin", |a, _| (a * 0.05).asin()),
+        ("acos", |a, _| (a * 0.05).acos()),
+        ("powf", |a, _| a.powf(1.7)),
+        ("div_recip", |_, b| b.recip()),
+        ("div_powi", |_, b| b.powi(-2)),
+        ("clamp", |a, _| a.clamp(0.5, 2.0)),
+        ("wrap_angle", |a, _| a.wrap_angle()),
+        ("sum", |a, b| [a, b, a].into_iter().sum()),
+        ("min_f64", |a, _| a.min(0.4)),
+        ("max_f64", |a, _| a.max(0.4)),
+        ("assign_f64", |mut a, _| {
+            a += 0.3;
+            a *= 1.7;
+            a -= 0.2;
+            a /= 0.9;
+            a
+        }),
     ]
 }
 

@@ -21,7 +21,7 @@ impl<const CONTROLS: usize> System for Plant<CONTROLS> {
     }
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         for i in 0..CONTROLS {
-            next[i] = T::lift(GROWTH) * x[i] + u[i];
+            next[i] = T::from(GROWTH) * x[i] + u[i];
         }
     }
 }
@@ -38,7 +38,7 @@ impl<const CONTROLS: usize> Task for Plant<CONTROLS> {
         start.x.fill(1.0);
     }
     fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
-        x.iter().fold(T::zero(), |sum, &x| sum + T::lift(0.5) * x * x)
+        x.iter().fold(T::zero(), |sum, &x| sum + T::from(0.5) * x * x)
     }
 }
 
@@ -94,7 +94,7 @@ impl Task for OnTheWay {
         start.x.fill(1.0);
     }
     fn running_cost<T: Scalar>(&self, _inputs: Inputs<'_, T>, x: &[T]) -> T {
-        T::lift(0.5) * x[0] * x[0]
+        T::from(0.5) * x[0] * x[0]
     }
 }
 

@@ -49,16 +49,16 @@ fn every_operation_is_counted() {
     let compare = Ops { compare: 1, ..NONE };
     for (name, operation) in operations::<Counted>() {
         let expected = match name {
-            "add" | "sub" | "add_assign" | "sub_assign" => add,
-            "mul" | "mul_assign" => multiply,
-            "div" | "div_assign" => divide,
+            "add" | "sub" | "add_assign" | "sub_assign" | "add_f64" | "sub_f64" => add,
+            "mul" | "mul_assign" | "mul_f64" => multiply,
+            "div" | "div_assign" | "div_f64" => divide,
             "neg" => Ops { negate: 1, ..NONE },
             "sqrt" => Ops { sqrt: 1, ..NONE },
             "exp" | "ln" | "sin" | "cos" | "tanh" | "atan2" => function,
             "select_lt" | "min" | "max" => compare,
             "abs" => Ops { compare: 1, negate: 1, ..NONE },
             "powi" => Ops { multiply: 3, ..NONE },
-            "lift" | "detach" => NONE,
+            "from" | "detach" => NONE,
             other => panic!("{other} is not counted here"),
         };
         assert_eq!(Ops::of(|| operation(Counted(0.4), Counted(0.3))).0, expected, "{name}");
@@ -73,6 +73,10 @@ fn every_operation_on_duals_counts_the_value_and_four_tangents() {
         let (x, y) = (Dual::variable(Counted(0.4), 1), Dual::constant(Counted(0.3)));
         let expected = match name {
             "add" | "add_assign" | "sub" | "sub_assign" => Ops { add: 5, ..NONE },
+            // Constants change the value only, or scale the tangents.
+            "add_f64" | "sub_f64" => Ops { add: 1, ..NONE },
+            "mul_f64" => Ops { multiply: 5, ..NONE },
+            "div_f64" => Ops { divide: 5, ..NONE },
             // a' b + a b'.
             "mul" | "mul_assign" => Ops { multiply: 1 + 8, add: 4, ..NONE },
             // q = a / b, i = 1 / b; (a' - q b') i.
@@ -91,7 +95,7 @@ fn every_operation_on_duals_counts_the_value_and_four_tangents() {
             "abs" => Ops { compare: 5, negate: 5, ..NONE },
             // 1·x, x·x, x²·x.
             "powi" => Ops { multiply: 3 * 9, add: 3 * 4, ..NONE },
-            "lift" | "detach" => NONE,
+            "from" | "detach" => NONE,
             other => panic!("{other} is not counted here"),
         };
         assert_eq!(Ops::of(|| operation(x, y)).0, expected, "{name}");
@@ -129,17 +133,17 @@ impl<const BY_HAND: bool> System for Spring<BY_HAND> {
         1
     }
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
-        next[1] = x[1] + (u[0] - x[0] * x[0] * x[0]) * T::lift(DT);
-        next[0] = x[0] + next[1] * T::lift(DT);
+        next[1] = x[1] + (u[0] - x[0] * x[0] * x[0]) * DT;
+        next[0] = x[0] + next[1] * DT;
     }
     fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
         if !BY_HAND {
             return ByDuals(self).vjp(inputs, next_bar, bars);
         }
-        let (x, dt) = (inputs.x, R::lift(DT));
+        let (x, dt) = (inputs.x, R::from(DT));
         let speed_bar = next_bar[1] + next_bar[0] * dt;
         if let Some(x_bar) = bars.x {
-            x_bar[0] += next_bar[0] - speed_bar * (R::lift(3.0) * x[0] * x[0] * dt);
+            x_bar[0] += next_bar[0] - speed_bar * (R::from(3.0) * x[0] * x[0] * dt);
             x_bar[1] += speed_bar;
         }
         if let Some(u_bar) = bars.u {
@@ -187,10 +191,11 @@ fn a_spring_costs_its_hand_counted_operations() {
     assert_eq!(spring(&Spring::<true>, one)[..2], [step, counts(3 + 3, 2 + 3, 0)]);
     assert_eq!(spring(&Spring::<true>, two)[..2], [step, counts(3 + 2 * 3, 2 * (2 + 3), 0)]);
 
-    // Dual numbers, all inputs at once: 9 multiplications and 4 additions per product for 4
-    // products, 5 additions per sum for 3 sums. Each input's column of 2 derivatives then takes a
+    // Dual numbers, all inputs at once: 9 multiplications and 4 additions for each of 2 products of
+    // variables, 5 multiplications for each of 2 products with dt, 5 additions for each of 3 sums.
+    // Each input's column of 2 derivatives then takes a
     // product and a sum each, and the addition to the output.
-    let inputs = |inputs: u64, columns: u64| counts(4 * 9 + columns * 2 * inputs, 4 * 4 + 3 * 5 + columns * 3 * inputs, 0);
+    let inputs = |inputs: u64, columns: u64| counts(2 * (9 + 5) + columns * 2 * inputs, 2 * 4 + 3 * 5 + columns * 3 * inputs, 0);
     let [both, state, control] = [3, 2, 1].map(|count| move |columns| inputs(count, columns));
     assert_eq!(spring(&Spring::<false>, one), [step, both(1), state(1), control(1)]);
     assert_eq!(spring(&Spring::<false>, two), [step, both(2), state(2), control(2)]);
@@ -200,9 +205,9 @@ fn a_spring_costs_its_hand_counted_operations() {
 /// cotangents.
 fn bits<R: Real<Real = f64>, S: System>(system: &S, x: &[f64]) -> Vec<u64> {
     let mut rng = stream(5, Purpose::Check, 0);
-    let mut draw = |len: usize| -> Vec<R> { (0..len).map(|_| R::lift(rng.random_range(-1.0..1.0))).collect() };
+    let mut draw = |len: usize| -> Vec<R> { (0..len).map(|_| R::from(rng.random_range(-1.0..1.0))).collect() };
     let (n, m) = (system.state_dim(), system.control_dim());
-    let x: Vec<R> = x.iter().map(|&x| R::lift(x)).collect();
+    let x: Vec<R> = x.iter().map(|&x| R::from(x)).collect();
     let (u, bars) = (draw(m), draw(2 * n));
     let next_bar: Vec<_> = bars.chunks_exact(2).map(|bars| CotangentPack([bars[0], bars[1]])).collect();
     let mut all = vec![R::zero(); n];

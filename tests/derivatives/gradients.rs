@@ -56,9 +56,9 @@ impl System for TwoControls {
         2
     }
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
-        let dt = T::lift(0.1);
+        let dt = T::from(0.1);
         next[0] = x[0] + x[1] * dt;
-        next[1] = x[1] + (u[0] * x[2].cos() - x[0].max(T::zero()) * T::lift(2.0)) * dt;
+        next[1] = x[1] + (u[0] * x[2].cos() - x[0].max(T::zero()) * 2.0) * dt;
         next[2] = x[2] + (u[1].tanh() - x[2] * x[1]) * dt;
     }
 }
@@ -75,10 +75,10 @@ impl Task for TwoControls {
         x.fill_with(|| rng.random_range(-1.0..1.0));
     }
     fn running_cost<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, x: &[T]) -> T {
-        x[0] * x[0] + (u[0] * u[1]).exp() * T::lift(0.01) + u[0] * x[2]
+        x[0] * x[0] + (u[0] * u[1]).exp() * 0.01 + u[0] * x[2]
     }
     fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
-        (x[1] * x[1] + T::one()).sqrt() + x[2].atan2(T::lift(2.0))
+        (x[1] * x[1] + T::one()).sqrt() + x[2].atan2(T::from(2.0))
     }
 }
 
@@ -131,11 +131,11 @@ impl System for Faulty {
         let (mut x_part, mut u_part) = ([C::null(); 4], [C::null()]);
         self.system.vjp(inputs, next_bar, Cotangents::of(&mut x_part, &mut u_part));
         match self.fault {
-            Fault::State => x_part[3] += x_part[3] * R::lift(1e-6),
+            Fault::State => x_part[3] += x_part[3] * R::from(1e-6),
             Fault::Control => u_part[0] = -u_part[0],
             Fault::ControlAlone if bars.x.is_none() => u_part[0] += u_part[0],
-            Fault::NaN => x_part[2] = x_part[2] * R::lift(f64::NAN),
-            Fault::Lanes if R::LANES > 1 => x_part[0] += x_part[1] * R::lift(1e-15),
+            Fault::NaN => x_part[2] = x_part[2] * R::from(f64::NAN),
+            Fault::Lanes if R::LANES > 1 => x_part[0] += x_part[1] * R::from(1e-15),
             _ => {}
         }
         let sides = [(bars.x, &x_part[..], self.fault == Fault::Overwrite), (bars.u, &u_part, false)];
@@ -191,7 +191,7 @@ impl Task for WrongCost {
     }
     fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
         self.0.terminal_cost_gradient(x, p, x_bar, p_bar);
-        x_bar[2] *= R::lift(1.0 + 1e-6);
+        x_bar[2] *= R::from(1.0 + 1e-6);
     }
 }
 

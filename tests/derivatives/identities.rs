@@ -66,8 +66,8 @@ impl<const CONTROLS: usize> System for Forgetful<CONTROLS> {
         CONTROLS
     }
     fn step<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, next: &mut [T]) {
-        next[0] = u[0].sin() + T::lift(0.2);
-        next[1] = u[CONTROLS - 1] * u[0] - T::lift(0.1);
+        next[0] = u[0].sin() + 0.2;
+        next[1] = u[CONTROLS - 1] * u[0] - 0.1;
     }
 }
 

@@ -36,9 +36,9 @@ impl<const CONTROLS: usize> System for Tracking<CONTROLS> {
         1
     }
     fn step<T: Scalar>(&self, Inputs { x, u, p, t }: Inputs<'_, T>, next: &mut [T]) {
-        let push = T::lift(PUSHES[t % PUSHES.len()]);
-        next[1] = x[1] + (u[CONTROLS - 1] + push - p[0] * x[0].sin()) * T::lift(0.2);
-        next[0] = x[0] + next[1] * T::lift(0.2) + u[0] * x[1] * T::lift(0.1);
+        let push = T::from(PUSHES[t % PUSHES.len()]);
+        next[1] = x[1] + (u[CONTROLS - 1] + push - p[0] * x[0].sin()) * 0.2;
+        next[0] = x[0] + next[1] * 0.2 + u[0] * x[1] * 0.1;
     }
 }
 
@@ -63,7 +63,7 @@ impl<const CONTROLS: usize> Task for Tracking<CONTROLS> {
     }
     fn observe<T: Scalar>(&self, Inputs { x, p, t, .. }: Inputs<'_, T>, y: &mut [T]) {
         (y[0], y[1]) = x[0].sin_cos();
-        y[2] = (p[1] - x[1]) * x[0] + T::lift(0.1 * t as f64);
+        y[2] = (p[1] - x[1]) * x[0] + (0.1 * t as f64);
     }
     fn observe_vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, p, .. }: Inputs<'_, R>, y_bar: &[C], bars: Cotangents<'_, C>) {
         let Some(x_bar) = bars.x else { return };
@@ -74,18 +74,18 @@ impl<const CONTROLS: usize> Task for Tracking<CONTROLS> {
     }
     fn running_cost<T: Scalar>(&self, Inputs { x, u, p, t }: Inputs<'_, T>, next: &[T]) -> T {
         let miss = next[0] - p[1];
-        miss * miss * T::lift(1.0 + t as f64) + (next[1] - x[1]) * x[0] + u[0] * u[0] * p[0]
+        miss * miss * (1.0 + t as f64) + (next[1] - x[1]) * x[0] + u[0] * u[0] * p[0]
     }
     fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
         let Inputs { x, u, p, t } = inputs;
-        next_bar[0] += (next[0] - p[1]) * R::lift(2.0 * (1.0 + t as f64));
+        next_bar[0] += (next[0] - p[1]) * R::from(2.0 * (1.0 + t as f64));
         next_bar[1] += x[0];
         if let (Some(x_bar), true) = (bars.x, self.fault != Fault::CostOfState) {
             x_bar[0] += next[1] - x[1];
             x_bar[1] -= x[0];
         }
         if let Some(u_bar) = bars.u {
-            u_bar[0] += u[0] * p[0] * R::lift(2.0);
+            u_bar[0] += u[0] * p[0] * R::from(2.0);
         }
     }
     fn terminal_cost<T: Scalar>(&self, x: &[T], p: &[T]) -> T {

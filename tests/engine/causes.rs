@@ -84,7 +84,7 @@ impl ForcedSystem for Leaping {
         1.0
     }
     fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
-        next[0] = inputs.x[0] * T::lift(1e200);
+        next[0] = inputs.x[0] * 1e200;
         effects.add_forces(self, inputs.continuous(1.0), next);
     }
 }

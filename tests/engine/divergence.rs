@@ -31,16 +31,16 @@ impl System for Faulty {
         1
     }
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
-        let marked = |yes: T, no: T| T::select_lt(T::lift(0.5), x[0], yes, no);
+        let marked = |yes: T, no: T| T::select_lt(T::from(0.5), x[0], yes, no);
         next[0] = x[0];
-        next[1] = x[1] + u[0] * T::lift(0.1);
+        next[1] = x[1] + u[0] * 0.1;
         // Component 2 counts the steps.
         next[2] = x[2] + T::one();
-        let (clock, huge) = (x[2], T::lift(1e30));
+        let (clock, huge) = (x[2], T::from(1e30));
         match self.0 {
             Fault::State => {
                 let late = T::select_lt(
-                    T::lift(3.5),
+                    T::from(3.5),
                     clock,
                     huge * huge * huge * huge * huge * huge * huge * huge * huge * huge * huge,
                     T::zero(),
@@ -50,12 +50,12 @@ impl System for Faulty {
             Fault::Cost => {}
             Fault::Cotangent => {
                 let root = (x[1] - x[1].detach()).sqrt();
-                let at_step_3 = T::select_lt((clock - T::lift(3.0)).abs(), T::lift(0.5), root, next[1]);
+                let at_step_3 = T::select_lt((clock - 3.0).abs(), T::from(0.5), root, next[1]);
                 next[1] = marked(at_step_3, next[1]);
             }
             Fault::ControlCotangent => {
                 let root = (u[0] - u[0].detach()).sqrt();
-                let at_step_3 = T::select_lt((clock - T::lift(3.0)).abs(), T::lift(0.5), root, next[1]);
+                let at_step_3 = T::select_lt((clock - 3.0).abs(), T::from(0.5), root, next[1]);
                 next[1] = marked(at_step_3, next[1]);
             }
         }
@@ -75,7 +75,7 @@ impl Task for Faulty {
         start.x.copy_from_slice(&[0.1, 0.3, 0.0]);
     }
     fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
-        let bad = T::select_lt(T::lift(0.5), x[0], T::lift(f64::NAN), T::zero());
+        let bad = T::select_lt(T::from(0.5), x[0], T::from(f64::NAN), T::zero());
         let cost = x[1] * x[1];
         if let Fault::Cost = self.0 { cost + bad } else { cost }
     }
@@ -213,7 +213,7 @@ fn an_infinite_gradient_of_finite_cotangents_is_named() {
             start.x[0] = 1e20;
         }
         fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
-            x[0] * T::lift(self.slope)
+            x[0] * self.slope
         }
     }
     let epoch = |slope: f64, start: f32, clip: Clip| {

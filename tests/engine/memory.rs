@@ -199,7 +199,7 @@ impl Policy for Growing {
         theta.fill(1.0);
     }
     fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
-        u[0] = theta[0] + x[0] * T::lift(self.0);
+        u[0] = theta[0] + x[0] * self.0;
     }
 }
 

@@ -17,7 +17,7 @@ fn agrees<S: System>(name: &str, system: &S, size: f64) {
     let mut draw = |len: usize| (0..len).map(|_| size * rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
     let (n, m) = (system.state_dim(), system.control_dim());
     let (x, u, tx, tu) = (draw(n), draw(m), draw(n), draw(m));
-    let fine = |(value, slope): (&f64, &f64)| Dual { value: DoubleDouble::lift(*value), tangents: [DoubleDouble::lift(*slope)] };
+    let fine = |(value, slope): (&f64, &f64)| Dual { value: DoubleDouble::from(*value), tangents: [DoubleDouble::from(*slope)] };
     let dual = |(value, slope): (&f64, &f64)| Dual64::new(*value, *slope);
     let (fx, fu): (Vec<_>, Vec<_>) = (x.iter().zip(&tx).map(fine).collect(), u.iter().zip(&tu).map(fine).collect());
     let (dx, du): (Vec<_>, Vec<_>) = (x.iter().zip(&tx).map(dual).collect(), u.iter().zip(&tu).map(dual).collect());
@@ -25,15 +25,15 @@ fn agrees<S: System>(name: &str, system: &S, size: f64) {
     system.step(Inputs::new(&fx, &fu), &mut fine_next);
     system.step(Inputs::new(&dx, &du), &mut dual_next);
     let largest = |numbers: &mut dyn Iterator<Item = f64>| numbers.fold(0.0_f64, |largest, x| largest.max(x.abs()));
-    let values = largest(&mut fine_next.iter().map(|x| x.value.0));
-    let slopes = largest(&mut fine_next.iter().map(|x| x.tangents[0].0));
+    let values = largest(&mut fine_next.iter().map(|x| x.value.to_f64()));
+    let slopes = largest(&mut fine_next.iter().map(|x| x.tangents[0].to_f64()));
     for (i, (fine, dual)) in fine_next.iter().zip(&dual_next).enumerate() {
         let slope = dual.eps;
-        assert!((fine.value.0 - dual.re).abs() <= 1e-13 * values, "{name}: value {i}: {fine:?}, {dual:?}");
-        assert!((fine.tangents[0].0 - slope).abs() <= 1e-12 * slopes, "{name}: slope {i}: {fine:?}, {dual:?}");
+        assert!((fine.value.to_f64() - dual.re).abs() <= 1e-13 * values, "{name}: value {i}: {fine:?}, {dual:?}");
+        assert!((fine.tangents[0].to_f64() - slope).abs() <= 1e-12 * slopes, "{name}: slope {i}: {fine:?}, {dual:?}");
     }
     // Nonzero low words show that the step does not compute in plain f64.
-    assert!(fine_next.iter().any(|x| x.value.1 != 0.0), "{name}");
+    assert!(fine_next.iter().any(|x| x.value.parts()[1] != 0.0), "{name}");
 }
 
 #[test]
@@ -94,7 +94,7 @@ impl System for Logistic {
         1
     }
     fn step<T: Scalar>(&self, Inputs { x, .. }: Inputs<'_, T>, next: &mut [T]) {
-        next[0] = T::lift(4.0) * x[0] * (T::one() - x[0]);
+        next[0] = T::from(4.0) * x[0] * (T::one() - x[0]);
     }
 }
 
@@ -120,11 +120,11 @@ fn double_double_is_right_where_f64_has_lost_every_digit() {
     let [exact, _] = check::slope(&task, &policy, &[0.0, 0.0], &[0.3], Flow::REGULAR, |_| 0.0);
     // The factor 2^60 amplifies the rounding error of the angle. With 31 digits, the result is
     // accurate to about 1e-13.
-    let start = Scalar::sqrt(DoubleDouble::lift(0.3));
-    let angle = start.atan2(Scalar::sqrt(DoubleDouble::lift(1.0) - start * start)) * DoubleDouble::lift(2.0_f64.powi(60));
-    let turns = DoubleDouble::lift(2.0) * DoubleDouble::PI;
+    let start = Scalar::sqrt(DoubleDouble::from(0.3));
+    let angle = start.atan2(Scalar::sqrt(DoubleDouble::from(1.0) - start * start)) * DoubleDouble::from(2.0_f64.powi(60));
+    let turns = DoubleDouble::from(2.0) * DoubleDouble::PI;
     let sin = (angle - (angle / turns).trunc() * turns).sin_cos().0;
-    let closed = (sin * sin).0;
+    let closed = (sin * sin).to_f64();
     assert!((exact - closed).abs() < 1e-9, "{exact} and {closed}");
     let mut x = 0.3_f64;
     (0..60).for_each(|_| x = 4.0 * x * (1.0 - x));

@@ -1,10 +1,15 @@
 //! [`Dual`] agrees with num-dual, and bitwise with plain numbers, for scalars and lanes.
 
-use crate::operations::{NUMBERS, operations};
+use crate::operations::{NUMBERS, Operation, compositions, operations};
 use num_dual::Dual64;
-use physgrad::{Dual, Lanes, Real, Scalar};
+use physgrad::{Dual, Lanes, Real, Scalar, Single};
 
 const TANGENTS: [[f64; 2]; 2] = [[0.5, -1.25], [-2.0, 0.75]];
+
+/// All functions of a scalar.
+fn functions<T: Scalar>() -> impl Iterator<Item = (&'static str, Operation<T>)> {
+    operations().into_iter().chain(compositions())
+}
 
 fn bits(number: f64) -> u64 {
     if number.is_nan() { f64::NAN } else { number }.to_bits()
@@ -12,7 +17,7 @@ fn bits(number: f64) -> u64 {
 
 #[test]
 fn values_have_the_bits_of_the_plain_number() {
-    for ((name, plain), (_, dual)) in operations::<f64>().into_iter().zip(operations()) {
+    for ((name, plain), (_, dual)) in functions::<f64>().zip(functions()) {
         for (a, b) in NUMBERS.into_iter().flat_map(|a| NUMBERS.map(|b| (a, b))) {
             let [x, y] = [(a, TANGENTS[0]), (b, TANGENTS[1])].map(|(value, tangents)| Dual { value, tangents });
             let found: Dual<f64, 2> = dual(x, y);
@@ -24,7 +29,7 @@ fn values_have_the_bits_of_the_plain_number() {
 #[test]
 fn tangents_are_those_of_num_dual() {
     let numbers = [0.3, 2.5, 1.0, 7e-3, 12.0];
-    for ((name, ours), (_, theirs)) in operations().into_iter().zip(operations()) {
+    for ((name, ours), (_, theirs)) in functions().zip(functions()) {
         for (a, b) in numbers.into_iter().flat_map(|a| numbers.map(|b| (a, b))) {
             let found: Dual<f64, 2> = ours(Dual { value: a, tangents: TANGENTS[0] }, Dual { value: b, tangents: TANGENTS[1] });
             for (k, tangent) in found.tangents.into_iter().enumerate() {
@@ -39,7 +44,7 @@ fn tangents_are_those_of_num_dual() {
 #[test]
 fn derivatives_of_constants_stay_zero() {
     for value in [0.0, 1.0, -0.0] {
-        for (name, operation) in operations::<Dual<f64, 2>>() {
+        for (name, operation) in functions::<Dual<f64, 2>>() {
             // The value of 1/0 is infinite.
             let divisor = if name.starts_with("div") { 1.0 } else { value };
             let found = operation(Dual::constant(value), Dual::constant(divisor));
@@ -55,19 +60,46 @@ fn lanes_have_the_bits_of_one_number_each() {
     let firsts: [f32; 8] = [0.0, -0.5, 1.0, 3.25, -1e-3, 7e6, f32::INFINITY, 0.1];
     let seconds: [f32; 8] = [0.25, -0.5, -1.0, 0.0, 1e3, 2.0, 1.0, 0.1];
     let (first_slopes, second_slopes) = ([0.5, -1.25], [0.0, 0.75]);
-    for ((name, all), (_, one)) in operations().into_iter().zip(operations()) {
+    for ((name, all), (_, one)) in functions().zip(functions()) {
         let wide = |value, slopes: [f32; 2]| Dual { value: Lanes::<f32, 8>(value), tangents: slopes.map(Lanes::splat) };
         let found: Dual<Lanes<f32, 8>, 2> = all(wide(firsts, first_slopes), wide(seconds, second_slopes));
         for (lane, (a, b)) in firsts.into_iter().zip(seconds).enumerate() {
             let narrow = |value, tangents| Dual { value, tangents };
-            let expected: Dual<f32, 2> = one(narrow(a, first_slopes), narrow(b, second_slopes));
+            let single = |value| Lanes([value]);
+            let expected: Dual<Single<f32>, 2> =
+                one(narrow(single(a), first_slopes.map(single)), narrow(single(b), second_slopes.map(single)));
             let [first, second] = found.tangents;
             for (found, expected) in
                 [(found.value, expected.value), (first, expected.tangents[0]), (second, expected.tangents[1])]
             {
-                let found = found.lane(lane);
+                let (found, expected) = (found.lane(lane), expected.lane(0));
                 assert!(found.to_bits() == expected.to_bits() || found.is_nan() && expected.is_nan(), "{name}, lane {lane}");
             }
         }
     }
+}
+
+#[test]
+fn functions_agree_with_the_standard_library() {
+    // Relative to the result, in units of its rounding.
+    let near = |found: f64, expected: f64, bound: f64| {
+        let error = (found - expected).abs() / f64::EPSILON;
+        assert!(error <= bound * expected.abs(), "{found}, {expected}: {error}, {bound}");
+    };
+    let turns = 4.0 * std::f64::consts::PI;
+    for x in [-0.97, -0.3, 0.0, 1e-9, 0.4, 0.999] {
+        // A quotient of functions within an ulp each.
+        near(Scalar::tan(x), f64::tan(x), 3.0);
+        near(Scalar::asin(x), f64::asin(x), 8.0);
+        near(Scalar::acos(x), f64::acos(x), 8.0);
+        // exp(y ln x) multiplies a relative error of the exponent by y ln x.
+        let base: f64 = x + 1.0;
+        near(Scalar::powf(base, -2.3), base.powf(-2.3), 2.0 + 2.0 * (2.3 * base.ln()).abs());
+        near(Scalar::powi(base, -3), base.powi(-3), 3.0);
+        // The sum and the multiple of 2π are rounded at the size of the multiple.
+        let error = Scalar::wrap_angle(x + turns) - x;
+        assert!(error.abs() <= f64::EPSILON * turns, "{x}: {error}");
+        assert_eq!(Scalar::clamp(x, -0.2, 0.5), f64::clamp(x, -0.2, 0.5));
+    }
+    assert!(Scalar::clamp(f64::NAN, 0.0, 1.0).is_nan());
 }

@@ -138,11 +138,11 @@ trait Format: Float {
     /// Returns the error in units in the last place of the exact value.
     fn ulps(self, exact: DoubleDouble) -> f64 {
         // Below a power of two, the unit is that of the lower binade.
-        let size = exact.0.abs();
-        let below = exact.1 * exact.0 < 0.0 && size.to_bits() << 12 == 0;
+        let size = exact.to_f64().abs();
+        let below = exact.parts()[1] * exact.parts()[0] < 0.0 && size.to_bits() << 12 == 0;
         let exponent = (size.to_bits() >> 52) as i32 - 1023 - i32::from(below);
         let unit = Self::EPSILON * 2f64.powi(exponent.max(Self::SMALLEST));
-        (DoubleDouble::from(self.as_()) - exact).0.abs() / unit
+        (DoubleDouble::from(self.as_()) - exact).to_f64().abs() / unit
     }
 }
 

@@ -107,7 +107,7 @@ impl Effect<QuantumSystem> for Swinging {
     fn add_forces<T: Scalar>(&self, model: &QuantumSystem, OdeInputs { x, p, t, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
         let push = (t + p[0]).sin() * x[0];
         for (v, point) in forces.iter_mut().zip(model.points()) {
-            *v += push * T::lift(point);
+            *v += push * point;
         }
     }
 }

@@ -10,7 +10,7 @@ use physgrad::tasks::{
 };
 use physgrad::{
     Actuated, AnyActuator, Batch, Cotangents, Delay, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Inputs, Lag, Limit,
-    LimitKind, OpCount, Ops, Rollout, System, Task, Weights, initial_states,
+    LimitKind, OpCount, Ops, Real, Rollout, Single, System, Task, Weights, initial_states,
 };
 
 fn cart_pole(poles: usize) -> CartPoleSystem {
@@ -207,23 +207,24 @@ fn hand_written_physics_has_the_same_results() {
 
 /// Returns all states of a trajectory under an oscillating control, and all cotangents of the
 /// reverse pass, as bits. Uses one sample and scalars.
-fn steps<F: Float, T: Task>(task: &T) -> Vec<u64> {
+fn steps<R: Real, T: Task>(task: &T) -> Vec<u64> {
     let (n, m, horizon) = (task.system().state_dim(), task.system().control_dim(), task.horizon());
-    let mut start: Vec<F> = initial_states(task, 3, Purpose::Train, 1);
+    let starts: Vec<R::Real> = initial_states(task, 3, Purpose::Train, 1);
+    let mut start: Vec<R> = starts.into_iter().map(R::splat).collect();
     let p = start.split_off(n);
     let mut states = vec![start];
-    let control = |t: usize| (0..m).map(|i| F::lift((0.3 * t as f64 + i as f64).sin())).collect::<Vec<F>>();
+    let control = |t: usize| (0..m).map(|i| R::from((0.3 * t as f64 + i as f64).sin())).collect::<Vec<R>>();
     for t in 0..horizon {
-        let mut next = vec![F::zero(); n];
+        let mut next = vec![R::zero(); n];
         task.system().step(Inputs { x: &states[t], u: &control(t), p: &p, t }, &mut next);
         states.push(next);
     }
     let mut found = states.concat();
-    let mut bar = vec![F::zero(); n];
+    let mut bar = vec![R::zero(); n];
     task.terminal_cost_gradient(&states[horizon], &[], &mut bar, None);
-    bar.iter_mut().for_each(|bar| *bar += F::lift(0.1));
+    bar.iter_mut().for_each(|bar| *bar += R::from(0.1));
     for t in (0..horizon).rev() {
-        let (mut x_bar, mut u_bar, mut u_only) = (vec![F::zero(); n], vec![F::zero(); m], vec![F::zero(); m]);
+        let (mut x_bar, mut u_bar, mut u_only) = (vec![R::zero(); n], vec![R::zero(); m], vec![R::zero(); m]);
         let u = control(t);
         let inputs = Inputs { x: &states[t], u: &u, p: &p, t };
         task.system().vjp(inputs, &bar, Cotangents::of(&mut x_bar, &mut u_bar));
@@ -231,12 +232,12 @@ fn steps<F: Float, T: Task>(task: &T) -> Vec<u64> {
         found.extend(x_bar.iter().chain(&u_bar).chain(&u_only));
         bar = x_bar;
     }
-    assert!(found.iter().all(|x| x.as_().is_finite()));
-    found.into_iter().map(|x| x.as_().to_bits()).collect()
+    assert!(found.iter().all(|x| x.lane(0).to_f64().is_finite()));
+    found.into_iter().map(|x| x.lane(0).to_f64().to_bits()).collect()
 }
 
 fn same_bits<A: Task, B: Task>(a: &A, b: &B) {
-    assert_eq!(steps::<f32, _>(a), steps::<f32, _>(b));
+    assert_eq!(steps::<Single<f32>, _>(a), steps::<Single<f32>, _>(b));
     assert_eq!(steps::<f64, _>(a), steps::<f64, _>(b));
 }
 

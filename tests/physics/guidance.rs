@@ -4,7 +4,8 @@ use physgrad::policy::Mlp;
 use physgrad::rng::Purpose;
 use physgrad::tasks::{Center, Evade, Flock, Friction, Guidance, GuidanceSystem, Herding, LossMode, Spread};
 use physgrad::{
-    Cotangent, CotangentPack, Cotangents, Float, Forced, Inputs, Real, Scalar, System, Tangents, Task, check, initial_states,
+    Cotangent, CotangentPack, Cotangents, Float, Forced, Inputs, Real, Scalar, Single, System, Tangents, Task, check,
+    initial_states,
 };
 use rand::RngExt;
 use serde_json::Value;
@@ -157,44 +158,44 @@ impl System for ByDuals {
 
 /// Returns agents at rest, `distance` apart in x. With `diagonal`, every second agent is offset in
 /// y.
-fn row_of_agents<F: Float>(agents: usize, distance: f64, diagonal: bool) -> Vec<F> {
+fn row_of_agents<R: Real>(agents: usize, distance: f64, diagonal: bool) -> Vec<R> {
     let position = |i: usize| [i as f64 * distance, if diagonal { (i % 2) as f64 * 0.75 * distance } else { 0.0 }];
-    (0..agents).flat_map(|i| [position(i)[0], position(i)[1], 0.0, 0.0].map(F::lift)).collect()
+    (0..agents).flat_map(|i| [position(i)[0], position(i)[1], 0.0, 0.0].map(R::from)).collect()
 }
 
 /// Checks one step with agents `distance` apart. The next state is finite, and VJP, JVP and dual
 /// numbers agree. The control is 0, and positions are compared separately from velocities, so that
 /// the derivatives of the forces are not negligible.
-fn derivatives_agree<F: Float>(drivers: usize, evaders: usize, distance: f64, diagonal: bool, allowed: f64) {
+fn derivatives_agree<R: Real>(drivers: usize, evaders: usize, distance: f64, diagonal: bool, allowed: f64) {
     let system = system(drivers, evaders);
     let (n, m) = (system.state_dim(), system.control_dim());
-    let (x, u): (Vec<F>, _) = (row_of_agents(drivers + evaders, distance, diagonal), vec![F::zero(); m]);
-    let mut next = vec![F::zero(); n];
+    let (x, u): (Vec<R>, _) = (row_of_agents(drivers + evaders, distance, diagonal), vec![R::zero(); m]);
+    let mut next = vec![R::zero(); n];
     system.step(Inputs::new(&x, &u), &mut next);
-    assert!(next.iter().all(|v| (*v).as_().is_finite()), "{next:?}");
+    assert!(next.iter().all(|v| v.lane(0).to_f64().is_finite()), "{next:?}");
 
-    let mut columns = vec![vec![F::zero(); n]; n];
+    let mut columns = vec![vec![R::zero(); n]; n];
     for (k, column) in columns.iter_mut().enumerate() {
-        let mut x_tan = vec![F::zero(); n];
-        x_tan[k] = F::one();
+        let mut x_tan = vec![R::zero(); n];
+        x_tan[k] = R::one();
         system.jvp(Inputs::new(&x, &u), Tangents { x: Some(&x_tan), ..Tangents::default() }, column);
     }
     for agent in 0..n / 4 {
         // Cotangent of the velocity of one agent, with components in x and y.
-        let mut next_bar = vec![F::zero(); n];
-        (next_bar[4 * agent + 2], next_bar[4 * agent + 3]) = (F::one(), F::lift(0.5));
-        let (mut x_bar, mut u_bar) = (vec![F::zero(); n], vec![F::zero(); m]);
+        let mut next_bar = vec![R::zero(); n];
+        (next_bar[4 * agent + 2], next_bar[4 * agent + 3]) = (R::one(), R::from(0.5));
+        let (mut x_bar, mut u_bar) = (vec![R::zero(); n], vec![R::zero(); m]);
         system.vjp(Inputs::new(&x, &u), &next_bar, Cotangents::of(&mut x_bar, &mut u_bar));
-        let (mut x_dual, mut u_dual) = (vec![F::zero(); n], vec![F::zero(); m]);
+        let (mut x_dual, mut u_dual) = (vec![R::zero(); n], vec![R::zero(); m]);
         ByDuals(system).vjp(Inputs::new(&x, &u), &next_bar, Cotangents::of(&mut x_dual, &mut u_dual));
-        let jvp = |column: &Vec<F>| column[4 * agent + 2] + column[4 * agent + 3] * F::lift(0.5);
-        let x_jvp: Vec<F> = columns.iter().map(jvp).collect();
+        let jvp = |column: &Vec<R>| column[4 * agent + 2] + column[4 * agent + 3] * R::from(0.5);
+        let x_jvp: Vec<R> = columns.iter().map(jvp).collect();
 
         // Derivatives near the underflow threshold have few digits left.
-        let smallest = if F::EPSILON < 1e-10 { f64::MIN_POSITIVE } else { f64::from(f32::MIN_POSITIVE) };
+        let smallest = if <R::Real as Float>::EPSILON < 1e-10 { f64::MIN_POSITIVE } else { f64::from(f32::MIN_POSITIVE) };
         let rounded = |v: f64| if v.abs() < 10.0 * smallest { 0.0 } else { v };
-        let every = |v: &[F]| v.iter().map(|v| (*v).as_()).collect::<Vec<f64>>();
-        let positions = |v: &[F]| (0..n).filter(|k| k % 4 < 2).map(|k| rounded(v[k].as_())).collect::<Vec<f64>>();
+        let every = |v: &[R]| v.iter().map(|v| v.lane(0).to_f64()).collect::<Vec<f64>>();
+        let positions = |v: &[R]| (0..n).filter(|k| k % 4 < 2).map(|k| rounded(v[k].lane(0).to_f64())).collect::<Vec<f64>>();
         for (what, error) in [
             ("x_bar by duals", error(&every(&x_dual), &every(&x_bar))),
             ("u_bar by duals", error(&every(&u_dual), &every(&u_bar))),
@@ -202,7 +203,7 @@ fn derivatives_agree<F: Float>(drivers: usize, evaders: usize, distance: f64, di
             ("positions of x_bar by duals", error(&positions(&x_dual), &positions(&x_bar))),
             ("positions of x_bar by jvp", error(&positions(&x_jvp), &positions(&x_bar))),
         ] {
-            assert!(error <= allowed, "{}, {distance:e} apart, agent {agent}: {what}: {error:e}", F::NAME);
+            assert!(error <= allowed, "{}, {distance:e} apart, agent {agent}: {what}: {error:e}", <R::Real as Float>::NAME);
         }
     }
 }
@@ -215,28 +216,28 @@ fn agents_at_one_place_or_worlds_apart() {
                 derivatives_agree::<f64>(drivers, evaders, distance, diagonal, 1e-12);
             }
             for distance in [0.0, 1e-38, 1e-30, 1e-20, 1e-3, 1.0, 1e10, 1e20, 1e30] {
-                derivatives_agree::<f32>(drivers, evaders, distance, diagonal, 1e-5);
+                derivatives_agree::<Single<f32>>(drivers, evaders, distance, diagonal, 1e-5);
             }
         }
     }
 }
 
 /// Returns the acceleration in x and y of an evader that flees from a driver at `distance`.
-fn flight<F: Float>(distance: f64) -> (f64, f64) {
+fn flight<R: Real>(distance: f64) -> (f64, f64) {
     let system = Forced { system: GuidanceSystem { dt: 1.0, ..agents(1, 1) }, effects: Evade::default() };
-    let (along, across) = (F::lift(0.6 * distance), F::lift(0.8 * distance));
-    let x = [F::zero(), F::zero(), F::zero(), F::zero(), along, across, F::zero(), F::zero()];
-    let mut next = [F::zero(); 8];
-    system.step(Inputs::new(&x, &[F::zero(); 2]), &mut next);
-    (next[6].as_(), next[7].as_())
+    let (along, across) = (R::from(0.6 * distance), R::from(0.8 * distance));
+    let x = [R::zero(), R::zero(), R::zero(), R::zero(), along, across, R::zero(), R::zero()];
+    let mut next = [R::zero(); 8];
+    system.step(Inputs::new(&x, &[R::zero(); 2]), &mut next);
+    (next[6].lane(0).to_f64(), next[7].lane(0).to_f64())
 }
 
 #[test]
 fn forces_have_their_limits() {
-    fn check<F: Float>(distance: f64, force: f64) {
-        let (x, y) = flight::<F>(distance);
+    fn check<R: Real>(distance: f64, force: f64) {
+        let (x, y) = flight::<R>(distance);
         let error = (x / (0.6 * force) - 1.0).abs().max((y / (0.8 * force) - 1.0).abs());
-        assert!(error <= 10.0 * F::EPSILON, "{} at {distance:e}: {error:e}", F::NAME);
+        assert!(error <= 10.0 * <R::Real as Float>::EPSILON, "{} at {distance:e}: {error:e}", <R::Real as Float>::NAME);
     }
     // 15 / |r| far away and 1500 |r| near, without overflow or underflow of squares.
     for distance in [1e-300, 1e-200, 1e-150, 1e-50, 1e-20] {
@@ -246,10 +247,10 @@ fn forces_have_their_limits() {
         check::<f64>(distance, 15.0 / distance);
     }
     for distance in [1e-35, 1e-30, 1e-20, 1e-10] {
-        check::<f32>(distance, 1500.0 * distance);
+        check::<Single<f32>>(distance, 1500.0 * distance);
     }
     for distance in [1e10, 1e20, 1e30, 1e35] {
-        check::<f32>(distance, 15.0 / distance);
+        check::<Single<f32>>(distance, 15.0 / distance);
     }
     for distance in [1e-4, 0.3, 2.0, 1e5] {
         check::<f64>(distance, 15.0 * distance / (0.1 + distance).powi(2));

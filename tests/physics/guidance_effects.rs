@@ -6,7 +6,8 @@ use physgrad::tasks::{
     Center, Drive, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, Obstacles, Spread, Walls,
 };
 use physgrad::{
-    Actuated, Cotangent, Cotangents, Delay, Effect, Forced, Inputs, Lag, Lanes, Limit, LimitKind, Real, Substeps, System, check,
+    Actuated, Cotangent, Cotangents, Delay, Effect, Forced, Inputs, Lag, Lanes, Limit, LimitKind, Real, Single, Substeps, System,
+    check,
 };
 use rand::RngExt;
 
@@ -247,17 +248,17 @@ fn obstacles_have_finite_derivatives_at_their_centers_and_worlds_away() {
     fn check<R: Real>(r: f64, finite: impl Fn(R) -> bool) {
         let model = agents(1, 0);
         let obstacles = Obstacles { centers: vec![[0.0; 2]], radius: 0.5, stiffness: 10.0 };
-        let x = [R::lift(0.6 * r), R::lift(0.8 * r), R::zero(), R::zero()];
+        let x = [R::from(0.6 * r), R::from(0.8 * r), R::zero(), R::zero()];
         let mut bar = [R::null(); 4];
         let bars = Cotangents { x: Some(&mut bar), ..Cotangents::default() };
-        obstacles.vjp(&model, Inputs::new(&x, &[]).continuous(0.0), &[R::one(), R::lift(-2.0)], bars);
+        obstacles.vjp(&model, Inputs::new(&x, &[]).continuous(0.0), &[R::one(), R::from(-2.0)], bars);
         assert!(bar.iter().all(|&b| finite(b)), "{bar:?} at {r:e}");
     }
     for r in [0.0, 1e-300, 1e-40, 1e-20, 1e20, 1e38, 1e200, 1e308] {
         check::<f64>(r, f64::is_finite);
         check::<Lanes<f64, 4>>(r, |b| (0..4).all(|lane| b.lane(lane).is_finite()));
         if r <= 1e38 {
-            check::<f32>(r, f32::is_finite);
+            check::<Single<f32>>(r, |b| b.is_finite());
         }
     }
     // Compares with dual numbers at all scales, including the center.

@@ -2,13 +2,13 @@
 
 use physgrad::policy::Mlp;
 use physgrad::tasks::{Bounce, BouncingBall, Contact, FrictionScheme, Push, Slider, SliderSystem, TwoBodies};
-use physgrad::{Cotangents, Float, Inputs, Scalar, System, check};
+use physgrad::{Cotangents, Float, Inputs, Real, Scalar, Single, System, check};
 use rand::RngExt;
 
 const SPRING: Contact = Contact::Penalty { stiffness: 1e3, damping: 0.3 };
 
-fn step<S: System, F: Float>(system: &S, x: &[F], u: F) -> Vec<F> {
-    let mut next = vec![F::lift(f64::NAN); x.len()];
+fn step<S: System, R: Scalar>(system: &S, x: &[R], u: R) -> Vec<R> {
+    let mut next = vec![R::from(f64::NAN); x.len()];
     system.step(Inputs::new(x, &[u]), &mut next);
     next
 }
@@ -73,14 +73,14 @@ fn sliders_of_every_smoothing() {
 }
 
 /// Returns the residual `v' - v - dt u/m + dt μ g tanh(v'/ε)`, relative to rounding.
-fn residual<F: Float>(slider: &SliderSystem, v: f64, u: f64) -> f64 {
-    let next = step(slider, &[F::zero(), F::lift(v)], F::lift(u))[1].as_();
-    let (v, u) = (F::lift(v).as_(), F::lift(u).as_());
+fn residual<R: Real>(slider: &SliderSystem, v: f64, u: f64) -> f64 {
+    let next = step(slider, &[R::zero(), R::from(v)], R::from(u))[1].lane(0).to_f64();
+    let [v, u] = [v, u].map(|number| R::from(number).lane(0).to_f64());
     let b = slider.grip();
     let y = next / slider.smoothing;
     let off = next - v - slider.dt * u / slider.mass + b * Scalar::tanh(y);
     // Bound on the rounding of v', v + dt u/m and tanh.
-    let rounding = F::EPSILON * (v.abs() + (slider.dt * u / slider.mass).abs() + b + b * y.abs().min(1.0));
+    let rounding = <R::Real as Float>::EPSILON * (v.abs() + (slider.dt * u / slider.mass).abs() + b + b * y.abs().min(1.0));
     off.abs() / rounding
 }
 
@@ -94,7 +94,7 @@ fn implicit_friction_solves_its_equation() {
         let edges = [-1e-3, -1e-6, -1e-12, 1e-12, 1e-6, 1e-3].map(|off| b * (1.0 + off));
         for v in starts.chain(edges).flat_map(|v| [v, -v]) {
             for u in [0.0, 3.0, -40.0] {
-                let (double, single) = (residual::<f64>(&slider, v, u), residual::<f32>(&slider, v, u));
+                let (double, single) = (residual::<f64>(&slider, v, u), residual::<Single<f32>>(&slider, v, u));
                 assert!(double < 8.0 && single < 8.0, "{slider:?} at {v}, {u}: {double} and {single} roundings");
             }
             let there = step(&slider, &[0.0, v], 3.0)[1];

@@ -179,7 +179,7 @@ impl Ode for Stiff {
         1
     }
     fn rate<T: Scalar>(&self, OdeInputs { x, u, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
-        rate[0] = (u[0] - x[0]) * T::lift(self.rate) + x[0] * x[0] * T::lift(self.square);
+        rate[0] = (u[0] - x[0]) * self.rate + x[0] * x[0] * self.square;
     }
 }
 
@@ -224,8 +224,8 @@ impl Ode for Springs {
     }
     fn rate<T: Scalar>(&self, OdeInputs { x, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
         (rate[0], rate[2]) = (x[1], x[3]);
-        rate[1] = (x[2] - x[0] - x[0]) * T::lift(3.0);
-        rate[3] = (x[0] - x[2] - x[2] * x[2] * x[2]) * T::lift(3.0);
+        rate[1] = (x[2] - x[0] - x[0]) * 3.0;
+        rate[3] = (x[0] - x[2] - x[2] * x[2] * x[2]) * 3.0;
     }
     fn velocity(&self, i: usize) -> Option<usize> {
         i.is_multiple_of(2).then_some(i + 1)

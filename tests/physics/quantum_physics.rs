@@ -222,7 +222,7 @@ struct Uniform(f64);
 
 impl Effect<QuantumSystem> for Uniform {
     fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _inputs: OdeInputs<'_, T>, forces: &mut [T]) {
-        forces.iter_mut().for_each(|v| *v += T::lift(self.0));
+        forces.iter_mut().for_each(|v| *v += self.0);
     }
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,

@@ -182,7 +182,7 @@ fn a_step_of_pade_is_two_of_crank_and_nicolson_with_shifted_energies() {
     struct Shift(f64);
     impl Effect<QuantumSystem> for Shift {
         fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _inputs: OdeInputs<'_, T>, potential: &mut [T]) {
-            potential.iter_mut().for_each(|v| *v += T::lift(self.0));
+            potential.iter_mut().for_each(|v| *v += self.0);
         }
     }
     let (mut x, mut u) = (vec![0.0; 64], [0.0]);

@@ -6,7 +6,7 @@ use crate::dynamics::inputs::Inputs;
 use crate::dynamics::integrator::{Integrated, SemiImplicit};
 use crate::dynamics::ode::Ode;
 use crate::numbers::rng::{Purpose, stream};
-use crate::numbers::scalar::Float;
+use crate::numbers::scalar::{Float, Real, Single};
 use crate::tasks::{CartPoleSystem, CoupledCartPole, MassError, PoleChain};
 use rand::RngExt;
 use std::f64::consts::PI;
@@ -48,7 +48,7 @@ fn cart_mass() -> Vec<Finding> {
         findings.push(Finding::at_most(format!("{name}: residual down to 1e-8 kg"), worst, 1e-10));
         findings.push(Finding::told(format!("{name}: residual at 1e-12 kg, unchecked"), format!("{:.1e}", of_all(1e-12))));
     }
-    let single = worst::<f32, _>(&PoleChain(model(20, 1e-8)), &model(20, 1e-8), chained);
+    let single = worst::<Single<f32>, _>(&PoleChain(model(20, 1e-8)), &model(20, 1e-8), chained);
     findings.push(Finding::told("20 poles end to end on 1e-8 kg, in f32: residual", format!("{single:.1e}")));
     findings.extend(derivatives());
     findings.extend(rejected());
@@ -101,21 +101,21 @@ fn larger(a: f64, b: f64) -> f64 {
 
 /// Largest residual at random states for accelerations in the precision of `F`. Angles are
 /// arbitrary, rates within ±5 and forces within ±10.
-fn worst<F: Float, O: Ode>(
+fn worst<R: Real, O: Ode>(
     ode: &O,
     model: &CartPoleSystem,
     residual: impl Fn(&CartPoleSystem, &[f64], &[f64], f64) -> f64,
 ) -> f64 {
     let mut rng = stream(0, Purpose::Check, 0);
     let n = ode.state_dim();
-    let plain = |v: &[F]| v.iter().map(|v| v.as_()).collect::<Vec<f64>>();
+    let plain = |v: &[R]| v.iter().map(|v| v.lane(0).to_f64()).collect::<Vec<f64>>();
     let residuals = (0..20).map(|_| {
-        let draw = |i: usize| F::lift(rng.random_range(-1.0..1.0) * if i.is_multiple_of(2) { PI } else { 5.0 });
-        let x: Vec<F> = (0..n).map(draw).collect();
-        let u = F::lift(rng.random_range(-10.0..10.0));
-        let mut rate = vec![F::zero(); n];
+        let draw = |i: usize| R::from(rng.random_range(-1.0..1.0) * if i.is_multiple_of(2) { PI } else { 5.0 });
+        let x: Vec<R> = (0..n).map(draw).collect();
+        let u = R::from(rng.random_range(-10.0..10.0));
+        let mut rate = vec![R::zero(); n];
         ode.rate(Inputs::new(&x, &[u]).continuous(0.0), &mut rate);
-        residual(model, &plain(&x), &plain(&rate), u.as_())
+        residual(model, &plain(&x), &plain(&rate), u.lane(0).to_f64())
     });
     residuals.fold(0.0, larger)
 }

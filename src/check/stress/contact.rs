@@ -202,10 +202,10 @@ impl System for Reflected {
     }
 
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
-        let (dt, zero) = (T::lift(self.0.dt), T::zero());
-        let speed = x[1] + (u[0] - T::lift(self.0.gravity)) * dt;
+        let (dt, zero) = (T::from(self.0.dt), T::zero());
+        let speed = x[1] + (u[0] - self.0.gravity) * dt;
         next[0] = x[0] + speed * dt;
-        let back = T::select_lt(speed, zero, T::lift(-0.8) * speed, speed);
+        let back = T::select_lt(speed, zero, T::from(-0.8) * speed, speed);
         next[1] = T::select_lt(next[0], zero, back, speed);
     }
 }

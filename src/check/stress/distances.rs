@@ -7,7 +7,7 @@ use crate::dynamics::inputs::{Inputs, Tangents};
 use crate::dynamics::outline::step;
 use crate::dynamics::system::System;
 use crate::engine::any::{AnySystem, vjp};
-use crate::numbers::scalar::{Float, Scalar};
+use crate::numbers::scalar::{Float, Real, Scalar, Single};
 use crate::tasks::{Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, Obstacles, Spread, Walls};
 
 pub(super) const CASES: &[Case] = &[Case {
@@ -43,7 +43,7 @@ fn crowd() -> Crowd {
 
 fn guidance_distances() -> Vec<Finding> {
     let mut findings = at::<f64>(&[0.0, 1e-300, 1e-160, 1e-20, 1e-8, 1e8], 1e-12);
-    findings.extend(at::<f32>(&[0.0, 1e-30, 1e-10], 1e-5));
+    findings.extend(at::<Single<f32>>(&[0.0, 1e-30, 1e-10], 1e-5));
     let [x_bar, ..] = vjp(&Unguarded, Inputs::new(&[6e-301, 8e-301], &[]), &[1.0; 2]);
     let whether = finite(&x_bar);
     findings.push(Finding::holds(
@@ -68,27 +68,27 @@ impl System for Unguarded {
     }
 
     fn step<T: Scalar>(&self, Inputs { x, .. }: Inputs<'_, T>, next: &mut [T]) {
-        let distance = T::lift(0.1) + (x[0] * x[0] + x[1] * x[1]).sqrt();
-        let share = T::lift(15.0) / (distance * distance);
+        let distance = T::from(0.1) + (x[0] * x[0] + x[1] * x[1]).sqrt();
+        let share = T::from(15.0) / (distance * distance);
         (next[0], next[1]) = (x[0] * share, x[1] * share);
     }
 }
 
-fn at<F: Float>(distances: &[f64], allowed: f64) -> Vec<Finding> {
+fn at<R: Real>(distances: &[f64], allowed: f64) -> Vec<Finding> {
     let system = crowd();
     let (mut finite, mut agreeing, mut pushing) = (0, 0.0f64, 0.0f64);
     for &distance in distances {
-        let (whether, error) = derivatives::<F>(&system, distance);
+        let (whether, error) = derivatives::<R>(&system, distance);
         finite += usize::from(whether);
         agreeing = larger(agreeing, error);
         if distance > 0.0 {
-            pushing = larger(pushing, force::<F>(distance));
+            pushing = larger(pushing, force::<R>(distance));
         }
     }
     vec![
-        Finding::all(format!("distances in {} with finite results", F::NAME), finite, distances.len()),
-        Finding::at_most(format!("VJP against dual numbers in {}", F::NAME), agreeing, allowed),
-        Finding::at_most(format!("relative error of forces in {}", F::NAME), pushing, allowed),
+        Finding::all(format!("distances in {} with finite results", <R::Real as Float>::NAME), finite, distances.len()),
+        Finding::at_most(format!("VJP against dual numbers in {}", <R::Real as Float>::NAME), agreeing, allowed),
+        Finding::at_most(format!("relative error of forces in {}", <R::Real as Float>::NAME), pushing, allowed),
     ]
 }
 
@@ -96,26 +96,26 @@ fn at<F: Float>(distances: &[f64], allowed: f64) -> Vec<Finding> {
 ///
 /// Cotangents select the velocity of one agent at a time, and controls are zero. Otherwise larger
 /// terms would mask the force derivatives.
-fn derivatives<F: Float>(system: &dyn AnySystem<F>, distance: f64) -> (bool, f64) {
+fn derivatives<R: Real>(system: &dyn AnySystem<R>, distance: f64) -> (bool, f64) {
     let (n, m) = (system.state_dim(), system.control_dim());
-    let place = |agent: usize| [0.6, 0.8].map(|share| F::lift(agent as f64 * distance * share));
-    let x: Vec<F> = (0..4).flat_map(|agent| place(agent).into_iter().chain([F::zero(); 2])).collect();
-    let u = vec![F::zero(); m];
-    let mut next = vec![F::zero(); n];
+    let place = |agent: usize| [0.6, 0.8].map(|share| R::from(agent as f64 * distance * share));
+    let x: Vec<R> = (0..4).flat_map(|agent| place(agent).into_iter().chain([R::zero(); 2])).collect();
+    let u = vec![R::zero(); m];
+    let mut next = vec![R::zero(); n];
     system.step(Inputs::new(&x, &u), &mut next);
     let (mut whether, mut worst) = (finite(&next), 0.0f64);
     for k in 0..n {
-        let mut x_tan = vec![F::zero(); n];
-        x_tan[k] = F::one();
+        let mut x_tan = vec![R::zero(); n];
+        x_tan[k] = R::one();
         system.jvp(Inputs::new(&x, &u), Tangents { x: Some(&x_tan), ..Tangents::default() }, &mut next);
         whether &= finite(&next);
     }
     for agent in 0..4 {
-        let mut bar = vec![F::zero(); n];
-        (bar[4 * agent + 2], bar[4 * agent + 3]) = (F::one(), F::lift(0.5));
+        let mut bar = vec![R::zero(); n];
+        (bar[4 * agent + 2], bar[4 * agent + 3]) = (R::one(), R::from(0.5));
         let [x_bar, u_bar, _] = vjp(system, Inputs::new(&x, &u), &bar);
         let [x_dual, u_dual] = vjp_by_jvps(system, &x, &u, &bar);
-        let positions = |v: &[F]| (0..n).filter(|k| k % 4 < 2).map(|k| v[k]).collect::<Vec<F>>();
+        let positions = |v: &[R]| (0..n).filter(|k| k % 4 < 2).map(|k| v[k]).collect::<Vec<R>>();
         whether &= [&x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|bar| finite(bar));
         for error in [error(&x_bar, &x_dual), error(&u_bar, &u_dual), error(&positions(&x_bar), &positions(&x_dual))] {
             worst = larger(worst, error);
@@ -126,13 +126,13 @@ fn derivatives<F: Float>(system: &dyn AnySystem<F>, distance: f64) -> (bool, f64
 
 /// Relative error of an evader's acceleration by one driver, against `15 r / (0.1 + |r|)²`.
 /// Squaring 1e-160 directly would underflow to a zero force.
-fn force<F: Float>(distance: f64) -> f64 {
+fn force<R: Real>(distance: f64) -> f64 {
     let model = GuidanceSystem { drivers: 1, evaders: 1, dt: 1.0, ..GuidanceSystem::default() };
-    let (zero, along, across) = (F::zero(), F::lift(0.6 * distance), F::lift(0.8 * distance));
+    let (zero, along, across) = (R::zero(), R::from(0.6 * distance), R::from(0.8 * distance));
     let mut next = [zero; 8];
     let system: Crowd = Forced { system: model, effects: vec![Evade::default().into()] };
     step(&system, Inputs::new(&[zero, zero, zero, zero, along, across, zero, zero], &[zero; 2]), &mut next);
     let force = 15.0 / (0.1 + distance) * (distance / (0.1 + distance));
-    let shares = [next[6].as_() / force, next[7].as_() / force];
+    let shares = [next[6].lane(0).to_f64() / force, next[7].lane(0).to_f64() / force];
     larger((shares[0] - 0.6).abs(), (shares[1] - 0.8).abs())
 }

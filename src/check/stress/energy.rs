@@ -37,7 +37,7 @@ impl Ode for Pendulum {
     }
     fn rate<T: Scalar>(&self, OdeInputs { x, u, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
         rate[0] = x[1];
-        rate[1] = u[0] - T::lift(GRAVITY) * x[0].sin();
+        rate[1] = u[0] - T::from(GRAVITY) * x[0].sin();
     }
     fn velocity(&self, i: usize) -> Option<usize> {
         (i == 0).then_some(1)

@@ -46,7 +46,7 @@ impl System for Plant {
     }
     #[inline(always)]
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
-        next[0] = T::lift(self.a) * x[0] + u[0];
+        next[0] = T::from(self.a) * x[0] + u[0];
     }
 }
 
@@ -64,7 +64,7 @@ impl Task for Plant {
     #[inline(always)]
     fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
         let miss = x[0] - T::one();
-        miss * miss * T::lift(0.5)
+        miss * miss * 0.5
     }
 }
 

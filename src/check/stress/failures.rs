@@ -53,8 +53,8 @@ impl ForcedSystem for Pushed {
     fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
         let (x, mut force) = (inputs.x, [inputs.u[0]]);
         effects.add_forces(self, inputs.continuous(DT), &mut force);
-        next[1] = x[1] + force[0] * T::lift(DT);
-        next[0] = x[0] + next[1] * T::lift(DT);
+        next[1] = x[1] + force[0] * DT;
+        next[0] = x[0] + next[1] * DT;
     }
 }
 
@@ -68,10 +68,10 @@ struct Injected {
 
 impl Effect<Pushed> for Injected {
     fn add_forces<T: Scalar>(&self, _model: &Pushed, OdeInputs { x, t, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        let nothing = if self.in_derivative { (x[1] - x[1].detach()).sqrt() } else { T::lift(f64::NAN) };
-        let late = (t - T::lift(self.step as f64 * DT)).abs();
-        let here = T::select_lt(T::lift(50.0), x[0], nothing, T::zero());
-        forces[0] += T::select_lt(late, T::lift(0.5 * DT), here, T::zero());
+        let nothing = if self.in_derivative { (x[1] - x[1].detach()).sqrt() } else { T::from(f64::NAN) };
+        let late = (t - (self.step as f64 * DT)).abs();
+        let here = T::select_lt(T::from(50.0), x[0], nothing, T::zero());
+        forces[0] += T::select_lt(late, T::from(0.5 * DT), here, T::zero());
     }
 }
 

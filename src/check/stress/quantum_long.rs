@@ -8,7 +8,7 @@ use crate::dynamics::substeps::Substeps;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::rng::{Purpose, stream};
-use crate::numbers::scalar::Float;
+use crate::numbers::scalar::{Float, Real, Single};
 use crate::tasks::{Quantum, QuantumSystem, Renormalized};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -41,22 +41,22 @@ fn quantum_long() -> Vec<Finding> {
         Finding::at_most("drift of the norm in 1e5 steps, f64", drift::<_, f64>(&model, 100_000, 30.0), 1e-10),
         Finding::told(
             "drift of the norm in 1e5 steps, f32, control 0 (original bound: 1e-2)",
-            unbounded(drift::<_, f32>(&model, 100_000, 0.0)),
+            unbounded(drift::<_, Single<f32>>(&model, 100_000, 0.0)),
         ),
         Finding::at_most(
             "drift of the norm in 1e5 steps, f32, control 0, renormalized in each step",
-            drift::<_, f32>(&each, 100_000, 0.0),
+            drift::<_, Single<f32>>(&each, 100_000, 0.0),
             1e-6,
         ),
-        Finding::at_most("drift of the norm in 1e5 steps, f32", drift::<_, f32>(&model, 100_000, 30.0), 1e-2),
+        Finding::at_most("drift of the norm in 1e5 steps, f32", drift::<_, Single<f32>>(&model, 100_000, 30.0), 1e-2),
         Finding::at_most(
             "drift of the norm in 1e5 steps, f32, renormalized in each step",
-            drift::<_, f32>(&each, 100_000, 30.0),
+            drift::<_, Single<f32>>(&each, 100_000, 30.0),
             1e-6,
         ),
         Finding::at_most(
             "drift of the norm in 1e5 steps, f32, renormalized in each 16th step",
-            drift::<_, f32>(&sometimes, 100_000 / 16, 30.0),
+            drift::<_, Single<f32>>(&sometimes, 100_000 / 16, 30.0),
             1e-6,
         ),
         Finding::at_most("drift of the adjoint's norm in 1e4 steps, f64", adjoint_drift(&model, 10_000), 1e-10),
@@ -83,7 +83,7 @@ impl<S: System> System for Scaled<S> {
     fn step<T: crate::numbers::scalar::Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
         self.system.step(inputs, next);
         for next in next {
-            *next *= T::lift(self.factor);
+            *next *= self.factor;
         }
     }
 }
@@ -93,14 +93,14 @@ fn unbounded(drift: f64) -> String {
     format!("{drift:.1e}{}", if drift > 1e-2 { ", above the original bound" } else { "" })
 }
 
-fn norm<F: Float>(x: &[F]) -> f64 {
-    x.iter().map(|x| x.as_() * x.as_()).sum::<f64>().sqrt()
+fn norm<R: Real>(x: &[R]) -> f64 {
+    x.iter().map(|x| x.lane(0).to_f64() * x.lane(0).to_f64()).sum::<f64>().sqrt()
 }
 
-fn start<F: Float>() -> Vec<F> {
+fn start<R: Real>() -> Vec<R> {
     let mut x = vec![0.0; 64];
     Quantum::new(3).start(&mut stream(0, Purpose::Test, 0), Start { x: &mut x, p: &mut [] });
-    x.into_iter().map(F::lift).collect()
+    x.into_iter().map(R::from).collect()
 }
 
 /// Random controls in `[-size, size)`.
@@ -110,12 +110,12 @@ fn controls(count: usize, size: f64) -> Vec<f64> {
 }
 
 /// Largest deviation of the norm from 1 along a rollout, evaluated in double precision.
-fn drift<S: System, F: Float>(system: &S, steps: usize, size: f64) -> f64 {
-    let mut x = start::<F>();
+fn drift<S: System, R: Real>(system: &S, steps: usize, size: f64) -> f64 {
+    let mut x = start::<R>();
     let mut next = x.clone();
     let mut worst = 0.0f64;
     for u in controls(steps, size) {
-        step(system, Inputs::new(&x, &[F::lift(u)]), &mut next);
+        step(system, Inputs::new(&x, &[R::from(u)]), &mut next);
         x.copy_from_slice(&next);
         worst = larger(worst, (norm(&x) - 1.0).abs());
     }

@@ -5,7 +5,7 @@ use super::{Case, Finding};
 use crate::dynamics::inputs::Inputs;
 use crate::engine::any::{AnySystem, vjp};
 use crate::numbers::rng::{Purpose, Rng, stream};
-use crate::numbers::scalar::Float;
+use crate::numbers::scalar::{Real, Single};
 use crate::tasks::{
     BouncingBall, CartPoleSystem, Contact, CoupledCartPole, FrictionScheme, GuidanceSystem, QuantumSystem, Renormalized,
     SliderSystem, TwoBodies,
@@ -93,10 +93,10 @@ fn meeting(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
 type Draw = fn(&mut Rng, &mut [f64], &mut [f64]);
 
 /// State, control and cotangent.
-struct Sample<F> {
-    x: Vec<F>,
-    u: Vec<F>,
-    bar: Vec<F>,
+struct Sample<R> {
+    x: Vec<R>,
+    u: Vec<R>,
+    bar: Vec<R>,
 }
 
 /// Result at one state: finiteness, and error of the VJP.
@@ -106,12 +106,12 @@ struct Outcome {
 }
 
 /// Object-safe system for both precisions.
-trait Either: AnySystem<f64> + AnySystem<f32> {}
+trait Either: AnySystem<f64> + AnySystem<Single<f32>> {}
 
-impl<S: AnySystem<f64> + AnySystem<f32>> Either for S {}
+impl<S: AnySystem<f64> + AnySystem<Single<f32>>> Either for S {}
 
 fn of(name: &str, system: &dyn Either, draw: Draw) -> Vec<Finding> {
-    let (double, single): (&dyn AnySystem<f64>, &dyn AnySystem<f32>) = (system, system);
+    let (double, single): (&dyn AnySystem<f64>, &dyn AnySystem<Single<f32>>) = (system, system);
     let (mut finite, mut worst) = ([0, 0], [0.0, 0.0]);
     for index in 0..STATES {
         let mut rng = stream(0, Purpose::Check, index);
@@ -135,17 +135,17 @@ fn of(name: &str, system: &dyn Either, draw: Draw) -> Vec<Finding> {
     ]
 }
 
-fn rounded(sample: &Sample<f64>) -> Sample<f32> {
-    let single = |v: &[f64]| v.iter().map(|&v| v as f32).collect();
+fn rounded(sample: &Sample<f64>) -> Sample<Single<f32>> {
+    let single = |v: &[f64]| v.iter().map(|&v| Single::from(v)).collect();
     Sample { x: single(&sample.x), u: single(&sample.u), bar: single(&sample.bar) }
 }
 
-fn reverse<F: Float>(system: &dyn AnySystem<F>, sample: &Sample<F>) -> [Vec<F>; 2] {
+fn reverse<R: Real>(system: &dyn AnySystem<R>, sample: &Sample<R>) -> [Vec<R>; 2] {
     let [x_bar, u_bar, _] = vjp(system, Inputs::new(&sample.x, &sample.u), &sample.bar);
     [x_bar, u_bar]
 }
 
-fn at<F: Float>(system: &dyn AnySystem<F>, sample: &Sample<F>) -> Outcome {
+fn at<R: Real>(system: &dyn AnySystem<R>, sample: &Sample<R>) -> Outcome {
     let Sample { x, u, bar } = sample;
     let mut next = x.clone();
     system.step(Inputs::new(x, u), &mut next);

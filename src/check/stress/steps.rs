@@ -2,7 +2,7 @@
 
 use crate::dynamics::inputs::{Inputs, Tangents};
 use crate::engine::any::{AnySystem, vjp};
-use crate::numbers::scalar::Float;
+use crate::numbers::scalar::{Float, Real};
 
 /// States `x_0 .. x_T` under a constant control.
 pub(super) fn states(system: &dyn AnySystem<f64>, start: &[f64], u: f64, steps: usize) -> Vec<Vec<f64>> {
@@ -30,14 +30,14 @@ pub(super) fn derivative(system: &dyn AnySystem<f64>, states: &[Vec<f64>], u: f6
 }
 
 /// `(∂S/∂x)ᵀ bar` and `(∂S/∂u)ᵀ bar` in forward mode, one component at a time.
-pub(super) fn vjp_by_jvps<F: Float>(system: &dyn AnySystem<F>, x: &[F], u: &[F], bar: &[F]) -> [Vec<F>; 2] {
+pub(super) fn vjp_by_jvps<R: Real>(system: &dyn AnySystem<R>, x: &[R], u: &[R], bar: &[R]) -> [Vec<R>; 2] {
     let mut next = x.to_vec();
-    let mut along = |len: usize, jvp: &dyn Fn(&[F], &mut [F])| -> Vec<F> {
+    let mut along = |len: usize, jvp: &dyn Fn(&[R], &mut [R])| -> Vec<R> {
         let component = |i: usize| {
-            let mut tangent = vec![F::zero(); len];
-            tangent[i] = F::one();
+            let mut tangent = vec![R::zero(); len];
+            tangent[i] = R::one();
             jvp(&tangent, &mut next);
-            next.iter().zip(bar).fold(F::zero(), |sum, (&next, &bar)| sum + next * bar)
+            next.iter().zip(bar).fold(R::zero(), |sum, (&next, &bar)| sum + next * bar)
         };
         (0..len).map(component).collect()
     };
@@ -52,8 +52,8 @@ pub(super) fn vjp_by_jvps<F: Float>(system: &dyn AnySystem<F>, x: &[F], u: &[F],
 }
 
 /// True if all numbers are finite.
-pub(super) fn finite<F: Float>(numbers: &[F]) -> bool {
-    numbers.iter().all(|number| number.as_().is_finite())
+pub(super) fn finite<R: Real>(numbers: &[R]) -> bool {
+    numbers.iter().all(|number| number.lane(0).to_f64().is_finite())
 }
 
 /// Larger of two errors; infinite if either is NaN.
@@ -63,11 +63,11 @@ pub(super) fn larger(a: f64, b: f64) -> f64 {
 
 /// Largest absolute difference, relative to the largest expected component; absolute if all of
 /// these are zero.
-pub(super) fn error<F: Float>(found: &[F], expected: &[F]) -> f64 {
+pub(super) fn error<R: Real>(found: &[R], expected: &[R]) -> f64 {
     let (mut scale, mut worst) = (0.0, 0.0f64);
     for (found, expected) in found.iter().zip(expected) {
-        scale = f64::max(scale, expected.as_().abs());
-        worst = larger(worst, (found.as_() - expected.as_()).abs());
+        scale = f64::max(scale, expected.lane(0).to_f64().abs());
+        worst = larger(worst, (found.lane(0).to_f64() - expected.lane(0).to_f64()).abs());
     }
     if scale > 0.0 { worst / scale } else { worst }
 }

@@ -37,10 +37,10 @@ impl Actuator for Limit {
 
     #[inline(always)]
     fn step<T: Scalar>(&self, _own: &[T], u: &[T], _own_next: &mut [T], out: &mut [T]) {
-        let bound = T::lift(self.bound);
+        let bound = T::from(self.bound);
         for (out, &u) in zip(out.iter_mut(), u) {
             *out = match self.kind {
-                LimitKind::Smooth => bound * (u * T::lift(1.0 / self.bound)).tanh(),
+                LimitKind::Smooth => bound * (u * (1.0 / self.bound)).tanh(),
                 // In this order, NaN propagates.
                 LimitKind::Hard => (-bound).max(bound.min(u)),
             };
@@ -59,10 +59,10 @@ impl Actuator for Limit {
         for ((u_bar, &out_bar), &u) in zip(zip(u_bar.into_iter().flatten(), next_bar.out), u) {
             *u_bar += match self.kind {
                 LimitKind::Smooth => {
-                    let share = (u * R::lift(1.0 / self.bound)).tanh();
+                    let share = (u * R::from(1.0 / self.bound)).tanh();
                     out_bar * (R::one() - share * share)
                 }
-                LimitKind::Hard => out_bar * R::select_lt(R::lift(self.bound), u.abs(), R::zero(), R::one()),
+                LimitKind::Hard => out_bar * R::select_lt(R::from(self.bound), u.abs(), R::zero(), R::one()),
             };
         }
     }
@@ -92,7 +92,7 @@ impl Actuator for Lag {
 
     #[inline(always)]
     fn step<T: Scalar>(&self, own: &[T], u: &[T], own_next: &mut [T], out: &mut [T]) {
-        let share = T::lift(self.share);
+        let share = T::from(self.share);
         for (((own_next, out), &own), &u) in zip(zip(zip(own_next.iter_mut(), out), own), u) {
             *own_next = own + (u - own) * share;
             *out = *own_next;
@@ -109,7 +109,7 @@ impl Actuator for Lag {
         u_bar: Option<&mut [C]>,
     ) {
         let bars = || zip(next_bar.own.iter(), next_bar.out);
-        let (share, rest) = (R::lift(self.share), R::lift(1.0 - self.share));
+        let (share, rest) = (R::from(self.share), R::from(1.0 - self.share));
         for (own_bar, (&own, &out)) in zip(own_bar.into_iter().flatten(), bars()) {
             *own_bar += (own + out) * rest;
         }

@@ -4,7 +4,7 @@ use super::Effect;
 use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// Applies all effects in order, for combinations unknown at compile time. Results are bitwise
 /// equal to those of a tuple.
@@ -49,7 +49,7 @@ impl<B, E: Effect<B>> Effect<B> for Vec<E> {
         self.iter().any(Effect::state_dependent)
     }
 
-    fn diagnose<F: Float>(&self, model: &B, mut inputs: OdeInputs<'_, F>, forces: usize) -> Option<&'static str> {
+    fn diagnose<R: Real>(&self, model: &B, mut inputs: OdeInputs<'_, R>, forces: usize) -> Option<&'static str> {
         self.iter().find_map(|effect| {
             let name = effect.diagnose(model, inputs, forces);
             inputs = inputs.skip_params(effect.param_dim());
@@ -140,7 +140,7 @@ macro_rules! any_effect {
                 }
             }
 
-            fn diagnose<F: crate::numbers::scalar::Float>(&self, model: &$model, inputs: crate::dynamics::inputs::OdeInputs<'_, F>, forces: usize) -> Option<&'static str> {
+            fn diagnose<R: crate::numbers::scalar::Real>(&self, model: &$model, inputs: crate::dynamics::inputs::OdeInputs<'_, R>, forces: usize) -> Option<&'static str> {
                 let name = match self {
                     $(Self::$effect(_) => stringify!($effect)),+
                 };

@@ -3,7 +3,7 @@
 use super::Effect;
 use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// Effect with a name for messages, such as its key in a scene. Results are bitwise equal to
 /// those of the unnamed effect.
@@ -40,7 +40,7 @@ impl<B, E: Effect<B>> Effect<B> for Named<E> {
         self.effect.state_dependent()
     }
 
-    fn diagnose<F: Float>(&self, model: &B, inputs: OdeInputs<'_, F>, forces: usize) -> Option<&'static str> {
+    fn diagnose<R: Real>(&self, model: &B, inputs: OdeInputs<'_, R>, forces: usize) -> Option<&'static str> {
         self.effect.diagnose(model, inputs, forces).map(|_| self.name)
     }
 }

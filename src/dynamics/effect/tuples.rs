@@ -3,7 +3,7 @@
 use super::Effect;
 use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// No effect.
 impl<B> Effect<B> for () {
@@ -15,7 +15,7 @@ impl<B> Effect<B> for () {
     fn state_dependent(&self) -> bool {
         false
     }
-    fn diagnose<F: Float>(&self, _model: &B, _inputs: OdeInputs<'_, F>, _forces: usize) -> Option<&'static str> {
+    fn diagnose<R: Real>(&self, _model: &B, _inputs: OdeInputs<'_, R>, _forces: usize) -> Option<&'static str> {
         None
     }
 }
@@ -64,7 +64,7 @@ macro_rules! both {
             fn state_dependent(&self) -> bool {
                 false $(|| self.$i.state_dependent())+
             }
-            fn diagnose<F: Float>(&self, model: &B, mut inputs: OdeInputs<'_, F>, forces: usize) -> Option<&'static str> {
+            fn diagnose<R: Real>(&self, model: &B, mut inputs: OdeInputs<'_, R>, forces: usize) -> Option<&'static str> {
                 $(
                     if let Some(name) = self.$i.diagnose(model, inputs, forces) {
                         return Some(name);

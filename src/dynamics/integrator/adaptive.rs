@@ -62,7 +62,7 @@ impl Adaptive {
         next: &mut [T],
         mut tell: impl FnMut(&[T], T, T),
     ) {
-        let (n, tableau, one, h) = (inputs.x.len(), RungeKutta::TSIT5, T::one(), T::lift(dt));
+        let (n, tableau, one, h) = (inputs.x.len(), RungeKutta::TSIT5, T::one(), T::from(dt));
         let end = inputs.continuous(dt).t + h;
         let (mut at, mut rates) = tableau.room(n);
         let (mut candidate, mut last) = (room(T::zero(), n), room(T::zero(), n));
@@ -84,11 +84,11 @@ impl Adaptive {
                 *next = T::select_lt(error, one, candidate, *next);
             }
             left = T::select_lt(error, one, left - step, left);
-            let longer = T::select_lt(error, T::lift(1.0 / 64.0), T::lift(2.0), one);
-            trial = step * T::select_lt(error, one, longer, T::lift(0.5));
+            let longer = T::select_lt(error, T::from(1.0 / 64.0), T::from(2.0), one);
+            trial = step * T::select_lt(error, one, longer, T::from(0.5));
         }
         for next in next {
-            *next = T::select_lt(T::zero(), left, T::lift(f64::NAN), *next);
+            *next = T::select_lt(T::zero(), left, T::from(f64::NAN), *next);
         }
     }
 
@@ -98,12 +98,12 @@ impl Adaptive {
         let n = x.len();
         let mut largest = T::zero();
         for c in 0..n {
-            let mut error = last[c] * T::lift(ERROR[6]);
+            let mut error = last[c] * ERROR[6];
             for (i, &weight) in ERROR[..6].iter().enumerate() {
-                error += rates[i * n + c] * T::lift(weight);
+                error += rates[i * n + c] * weight;
             }
             let size = x[c].abs().max(candidate[c].abs());
-            let ratio = (error * step).abs() / (T::lift(self.atol) + T::lift(self.rtol) * size);
+            let ratio = (error * step).abs() / (T::from(self.atol) + T::from(self.rtol) * size);
             // Selects a NaN ratio. A later finite ratio replaces it.
             largest = T::select_lt(ratio, largest, largest, ratio);
         }
@@ -114,7 +114,7 @@ impl Adaptive {
 /// Inputs of a step that begins at `time`; see [`RungeKutta::run`].
 #[inline(always)]
 fn span<T: Scalar>(inputs: Inputs<'_, T>, time: T, step: T) -> Inputs<'_, T, impl Fn(f64) -> T + Copy> {
-    inputs.at(move |fraction| time + step * T::lift(fraction))
+    inputs.at(move |fraction| time + step * fraction)
 }
 
 impl Integrator for Adaptive {

@@ -5,7 +5,7 @@ use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
 use crate::dynamics::ode::{DynOde, DynOdeVjp, Ode};
 use crate::dynamics::outline::outline;
 use crate::numbers::kernels::Vectorized;
-use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// An integrator chosen at run time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -130,7 +130,7 @@ impl Integrator for AnyIntegrator {
         }
     }
 
-    fn unsolved<F: Float>(&self, ode: &dyn DynOde<F>, dt: f64, inputs: Inputs<'_, F>) -> Option<f64> {
+    fn unsolved<R: Real>(&self, ode: &dyn DynOde<R>, dt: f64, inputs: Inputs<'_, R>) -> Option<f64> {
         match self {
             Self::ImplicitMidpoint(method) => method.unsolved(ode, dt, inputs),
             _ => None,

@@ -9,7 +9,7 @@ use crate::dynamics::ode::Ode;
 use crate::dynamics::outline::{Reverse, Step, outline};
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// A system that is also a vector field, advanced by its native scheme or by an integrator.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,7 +51,7 @@ impl<S: System + Ode> System for Discretized<S> {
         }
     }
 
-    fn diagnose<F: Float>(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+    fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
         let unsolved = self.integrator.as_ref().and_then(|method| method.unsolved(&Apart(&self.system), self.dt, inputs));
         System::diagnose(&self.system, inputs).or(unsolved.map(Cause::Unsolved))
     }

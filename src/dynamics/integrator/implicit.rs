@@ -50,13 +50,13 @@ impl ImplicitMidpoint {
         at.copy_from_slice(x);
         let width = <T::Real as Float>::EPSILON.cbrt();
         for j in 0..n {
-            let by = (T::lift(width) * (T::one() + x[j].abs())).detach();
+            let by = (T::from(width) * (T::one() + x[j].abs())).detach();
             at[j] = x[j] - by;
             ode.rate(inputs.with_x(at), before);
             at[j] = x[j] + by;
             ode.rate(inputs.with_x(at), after);
             at[j] = x[j];
-            let factor = h * T::lift(0.25) / by;
+            let factor = h * 0.25 / by;
             for i in 0..n {
                 matrix[i * n + j] = ((after[i] - before[i]) * factor).detach();
             }
@@ -68,18 +68,18 @@ impl ImplicitMidpoint {
     fn solve<T: Scalar>(tolerance: f64, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
         let to_go = Self::iterate(tolerance, ode, dt, inputs, next);
         for next in next {
-            *next = T::select_lt(T::zero(), to_go, T::lift(f64::NAN), *next);
+            *next = T::select_lt(T::zero(), to_go, T::from(f64::NAN), *next);
         }
     }
 
     /// Simplified Newton iteration. Returns 0 in lanes that converged, else a positive number.
     #[inline(always)]
     fn iterate<T: Scalar>(tolerance: f64, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) -> T {
-        let (h, x, n) = (T::lift(dt), inputs.x, inputs.x.len());
+        let (h, x, n) = (T::from(dt), inputs.x, inputs.x.len());
         let halfway = halfway(dt, inputs);
         let (mut middle, mut rate, mut residual) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
         let (middle, rate, residual) = (&mut middle[..], &mut rate[..], &mut residual[..]);
-        let half = T::lift(0.5);
+        let half = T::from(0.5);
         ode.rate(inputs.continuous(dt), rate);
         for i in 0..n {
             next[i] = x[i] + h * rate[i];
@@ -89,9 +89,9 @@ impl ImplicitMidpoint {
         let (matrix, inverse) = (&mut matrix[..], &mut inverse[..]);
         Self::differences(ode, h, halfway.with_x(middle), matrix);
         invert_one_minus(matrix, inverse, n);
-        let tolerance = T::lift(tolerance.max(256.0 * <T::Real as Float>::EPSILON));
+        let tolerance = T::from(tolerance.max(256.0 * <T::Real as Float>::EPSILON));
         // Tangents of dual numbers converge one iteration after the values.
-        let rounds_after = T::lift(2.0);
+        let rounds_after = T::from(2.0);
         let mut to_go = rounds_after;
         for _ in 0..MOST {
             if !T::any_lt(T::zero(), to_go) {
@@ -174,18 +174,18 @@ impl Integrator for ImplicitMidpoint {
         Self::solve(self.tolerance, ode, dt, inputs, next);
     }
 
-    fn unsolved<F: Float>(&self, ode: &dyn DynOde<F>, dt: f64, inputs: Inputs<'_, F>) -> Option<f64> {
-        let (h, x) = (F::lift(dt), inputs.x);
-        let (mut next, mut rate, mut middle) = (room(F::zero(), x.len()), room(F::zero(), x.len()), room(F::zero(), x.len()));
+    fn unsolved<R: Real>(&self, ode: &dyn DynOde<R>, dt: f64, inputs: Inputs<'_, R>) -> Option<f64> {
+        let (h, x) = (R::from(dt), inputs.x);
+        let (mut next, mut rate, mut middle) = (room(R::zero(), x.len()), room(R::zero(), x.len()), room(R::zero(), x.len()));
         let to_go = Self::iterate(self.tolerance, ode, dt, inputs, &mut next);
         for i in 0..x.len() {
-            middle[i] = (x[i] + next[i]) * F::lift(0.5);
+            middle[i] = (x[i] + next[i]) * R::from(0.5);
         }
         ode.rate(halfway(dt, inputs).with_x(&middle), &mut rate);
-        let residual = (0..x.len()).map(|i| (next[i] - x[i] - h * rate[i]).as_().abs());
+        let residual = (0..x.len()).map(|i| (next[i] - x[i] - h * rate[i]).lane(0).to_f64().abs());
         // A NaN residual is reported as infinite.
         let largest = residual.fold(0.0, |largest, r| if r.is_nan() { f64::INFINITY } else { r.max(largest) });
-        (to_go > F::zero()).then_some(largest)
+        R::any_lt(R::zero(), to_go).then_some(largest)
     }
 
     #[inline(always)]
@@ -197,11 +197,11 @@ impl Integrator for ImplicitMidpoint {
         next_bar: &[C],
         mut bars: Cotangents<'_, C>,
     ) {
-        let (h, x, n) = (R::lift(dt), inputs.x, inputs.x.len());
+        let (h, x, n) = (R::from(dt), inputs.x, inputs.x.len());
         let mut middle = room(R::zero(), n);
         Self::solve(0.0, ode, dt, inputs, &mut middle);
         for i in 0..n {
-            middle[i] = (x[i] + middle[i]) * R::lift(0.5);
+            middle[i] = (x[i] + middle[i]) * R::from(0.5);
         }
         let halfway = halfway(dt, inputs).with_x(&middle);
         let (mut matrix, mut inverse) = (room(R::zero(), n * n), room(R::zero(), n * n));
@@ -210,7 +210,7 @@ impl Integrator for ImplicitMidpoint {
             let row = &mut matrix[i * n..][..n];
             ode.slopes(halfway, i, row);
             for slope in row {
-                *slope *= h * R::lift(0.5);
+                *slope *= h * R::from(0.5);
             }
         }
         invert_one_minus(matrix, inverse, n);

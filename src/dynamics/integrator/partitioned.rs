@@ -18,7 +18,7 @@ pub struct SemiImplicit;
 impl Integrator for SemiImplicit {
     #[inline(always)]
     fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
-        let (h, x) = (T::lift(dt), inputs.x);
+        let (h, x) = (T::from(dt), inputs.x);
         let mut rate = room(T::zero(), x.len());
         ode.rate(inputs.continuous(dt), &mut rate);
         for i in 0..x.len() {
@@ -42,7 +42,7 @@ impl Integrator for SemiImplicit {
         next_bar: &[C],
         mut bars: Cotangents<'_, C>,
     ) {
-        let (h, x) = (R::lift(dt), inputs.x);
+        let (h, x) = (R::from(dt), inputs.x);
         let mut x_bar = room(C::null(), x.len());
         x_bar.copy_from_slice(next_bar);
         for (i, &next_bar) in next_bar.iter().enumerate() {
@@ -86,7 +86,7 @@ impl Verlet {
     /// Writes the argument of the second evaluation: the new positions and predicted velocities.
     #[inline(always)]
     fn guess<T: Scalar>(ode: &dyn DynOde<T>, h: T, x: &[T], rate: &[T], guess: &mut [T]) {
-        let half_square = h * h * T::lift(0.5);
+        let half_square = h * h * 0.5;
         for i in 0..x.len() {
             guess[i] = match ode.velocity(i) {
                 Some(velocity) => x[i] + h * x[velocity] + half_square * rate[velocity],
@@ -99,12 +99,12 @@ impl Verlet {
 impl Integrator for Verlet {
     #[inline(always)]
     fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
-        let (h, x) = (T::lift(dt), inputs.x);
+        let (h, x) = (T::from(dt), inputs.x);
         let (mut first, mut second) = (room(T::zero(), x.len()), room(T::zero(), x.len()));
         ode.rate(inputs.continuous(dt), &mut first);
         Self::guess(ode, h, x, &first, next);
         ode.rate(end(dt, inputs).with_x(next), &mut second);
-        let half = h * T::lift(0.5);
+        let half = h * 0.5;
         for i in 0..x.len() {
             if ode.velocity(i).is_none() {
                 next[i] = x[i] + half * (first[i] + second[i]);
@@ -121,9 +121,9 @@ impl Integrator for Verlet {
         next_bar: &[C],
         mut bars: Cotangents<'_, C>,
     ) {
-        let (h, x) = (R::lift(dt), inputs.x);
+        let (h, x) = (R::from(dt), inputs.x);
         let n = x.len();
-        let (half, half_square) = (h * R::lift(0.5), h * h * R::lift(0.5));
+        let (half, half_square) = (h * R::from(0.5), h * h * R::from(0.5));
         let (mut rate, mut guess) = (room(R::zero(), n), room(R::zero(), n));
         ode.rate(inputs.continuous(dt), &mut rate);
         Self::guess(ode, h, x, &rate, &mut guess);

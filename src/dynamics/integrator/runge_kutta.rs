@@ -86,7 +86,7 @@ impl RungeKutta {
             at.copy_from_slice(inputs.x);
             for (j, &weight) in self.0.a[i][..i].iter().enumerate() {
                 if weight != 0.0 {
-                    add_scaled(at, h * T::lift(weight), &rates[j * n..(j + 1) * n]);
+                    add_scaled(at, h * weight, &rates[j * n..(j + 1) * n]);
                 }
             }
             ode.rate(inputs.at((inputs.t)(self.0.c[i])).with_x(at), &mut rates[i * n..(i + 1) * n]);
@@ -99,7 +99,7 @@ impl RungeKutta {
         let n = next.len();
         for (i, &weight) in weights[..self.0.stages].iter().enumerate() {
             if weight != 0.0 {
-                add_scaled(next, h * T::lift(weight), &rates[i * n..(i + 1) * n]);
+                add_scaled(next, h * weight, &rates[i * n..(i + 1) * n]);
             }
         }
     }
@@ -161,10 +161,10 @@ impl RungeKutta {
         let (at_bar, rate_bar) = (&mut at_bar[..], &mut rate_bar[..]);
         for i in (0..self.0.stages).rev() {
             for (c, rate_bar) in rate_bar.iter_mut().enumerate() {
-                *rate_bar = next_bar[c] * (h * R::lift(self.0.b[i]));
+                *rate_bar = next_bar[c] * (h * R::from(self.0.b[i]));
                 for j in i + 1..self.0.stages {
                     if self.0.a[j][i] != 0.0 {
-                        *rate_bar += at_bar[j * n + c] * (h * R::lift(self.0.a[j][i]));
+                        *rate_bar += at_bar[j * n + c] * (h * R::from(self.0.a[j][i]));
                     }
                 }
             }
@@ -184,7 +184,7 @@ impl RungeKutta {
 impl Integrator for RungeKutta {
     #[inline(always)]
     fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
-        let (h, (mut at, mut rates)) = (T::lift(dt), self.room(inputs.x.len()));
+        let (h, (mut at, mut rates)) = (T::from(dt), self.room(inputs.x.len()));
         self.run(ode, h, inputs.at(|c| stage_time(inputs.t, dt, c)), &mut at, &mut rates);
         next.copy_from_slice(inputs.x);
         self.sum(&self.0.b, h, &rates, next);
@@ -199,6 +199,6 @@ impl Integrator for RungeKutta {
         next_bar: &[C],
         bars: Cotangents<'_, C>,
     ) {
-        self.run_back(ode, R::lift(dt), inputs.at(|c| stage_time(inputs.t, dt, c)), next_bar, bars);
+        self.run_back(ode, R::from(dt), inputs.at(|c| stage_time(inputs.t, dt, c)), next_bar, bars);
     }
 }

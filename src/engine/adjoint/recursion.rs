@@ -13,7 +13,7 @@ use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::engine::divergence::{Divergence, Variable};
 use crate::engine::rollout::{Lane, Rollout, WIDTH, find_non_finite};
-use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Lanes, Real, Scalar, Single};
 use crate::numbers::zip::zip;
 use std::ops::Range;
 
@@ -261,7 +261,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let control = |k: usize| find(&self.u_bar, rollout.control_dim, k).map(|place| (k, Variable::Control, place));
         let first = (0..K).find_map(|k| state(k).or_else(|| control(k)));
         let (k, variable, (sample, component)) = first.expect("the probe found a non-finite value");
-        let of = |lanes: &[Lane<F>]| -> Vec<F> { lanes.iter().map(|number| number.lane(sample % WIDTH)).collect() };
+        let of =
+            |lanes: &[Lane<F>]| -> Vec<Single<F>> { lanes.iter().map(|number| Lanes([number.lane(sample % WIDTH)])).collect() };
         let inputs = rollout.inputs_of(step, sample / WIDTH);
         let (x, u, p) = (of(inputs.x), of(inputs.u), of(inputs.p));
         let cause = task.diagnose(Inputs { x: &x, u: &u, p: &p, t: step });

@@ -3,6 +3,7 @@
 use super::{Real, Scalar};
 use std::cell::Cell;
 use std::fmt;
+use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
 /// Number of operations of each kind.
@@ -110,7 +111,7 @@ impl fmt::Display for Ops {
 /// An `f64` that counts its operations: a machine-independent cost of a step or a derivative.
 ///
 /// Values are bit-identical to `f64`. [`Ops`] defines the kinds of operations; [`Ops::of`]
-/// measures them. Constants ([`lift`](Scalar::lift)), copies, [`detach`](Scalar::detach) and
+/// measures them. Constants (`from`), copies, [`detach`](Scalar::detach) and
 /// arithmetic on `f64` parameters are not counted.
 ///
 /// For default VJPs, the counts include the operations on the value and on all four tangents of
@@ -144,10 +145,37 @@ macro_rules! operators {
                 *self = self.$method(other);
             }
         }
+        impl $trait<f64> for Counted {
+            type Output = Self;
+            #[inline]
+            fn $method(self, other: f64) -> Self {
+                self.$method(Self(other))
+            }
+        }
+        impl $assign_trait<f64> for Counted {
+            #[inline]
+            fn $assign(&mut self, other: f64) {
+                *self = self.$method(other);
+            }
+        }
     )+};
 }
 operators!(Add add AddAssign add_assign add, Sub sub SubAssign sub_assign add,
     Mul mul MulAssign mul_assign multiply, Div div DivAssign div_assign divide);
+
+impl From<f64> for Counted {
+    #[inline]
+    fn from(value: f64) -> Self {
+        Self(value)
+    }
+}
+
+impl Sum for Counted {
+    #[inline]
+    fn sum<I: Iterator<Item = Self>>(values: I) -> Self {
+        values.fold(Self(-0.0), |sum, value| sum + value)
+    }
+}
 
 impl Neg for Counted {
     type Output = Self;
@@ -163,10 +191,6 @@ const FUNCTION: Ops = Ops { transcendental: 1, ..Ops::NONE };
 
 impl Scalar for Counted {
     type Real = f64;
-    #[inline]
-    fn lift(value: f64) -> Self {
-        Self(value)
-    }
     #[inline]
     fn detach(self) -> Self {
         self

@@ -2,13 +2,83 @@
 
 use super::Scalar;
 use qd::Quad;
+use std::iter::Sum;
+use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
 /// A number with 31 digits, stored as the sum of two `f64`s (Dekker 1971, doi:10.1007/BF01397083).
 ///
 /// A [`Scalar`] for reference solutions, from the crate `qd`. The relative error of an operation is
 /// about 1e-31. Constants are `f64` and thus equal to those of an `f64` computation. The range is
 /// that of `f64`. Much slower than `f64`.
-pub type DoubleDouble = Quad;
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+pub struct DoubleDouble(Quad);
+
+impl DoubleDouble {
+    /// π.
+    pub const PI: Self = Self(Quad::PI);
+
+    /// Rounds to `f64`.
+    pub fn to_f64(self) -> f64 {
+        self.0.0
+    }
+
+    /// The two numbers whose sum is this one, the larger one first.
+    pub fn parts(self) -> [f64; 2] {
+        [self.0.0, self.0.1]
+    }
+
+    /// Integer part.
+    pub fn trunc(self) -> Self {
+        Self(self.0.trunc())
+    }
+}
+
+impl From<f64> for DoubleDouble {
+    fn from(value: f64) -> Self {
+        Self(Quad(value, 0.0))
+    }
+}
+
+impl Neg for DoubleDouble {
+    type Output = Self;
+    fn neg(self) -> Self {
+        Self(-self.0)
+    }
+}
+
+impl Sum for DoubleDouble {
+    fn sum<I: Iterator<Item = Self>>(values: I) -> Self {
+        values.fold(Self::from(-0.0), |sum, value| sum + value)
+    }
+}
+
+macro_rules! operators {
+    ($($trait:ident $method:ident $assign_trait:ident $assign:ident),+) => {$(
+        impl $trait for DoubleDouble {
+            type Output = Self;
+            fn $method(self, other: Self) -> Self {
+                Self(self.0.$method(other.0))
+            }
+        }
+        impl $trait<f64> for DoubleDouble {
+            type Output = Self;
+            fn $method(self, other: f64) -> Self {
+                self.$method(Self::from(other))
+            }
+        }
+        impl $assign_trait for DoubleDouble {
+            fn $assign(&mut self, other: Self) {
+                *self = self.$method(other);
+            }
+        }
+        impl $assign_trait<f64> for DoubleDouble {
+            fn $assign(&mut self, other: f64) {
+                *self = self.$method(other);
+            }
+        }
+    )+};
+}
+operators!(Add add AddAssign add_assign, Sub sub SubAssign sub_assign, Mul mul MulAssign mul_assign, Div div DivAssign div_assign);
 
 /// `1/n!` for `n = 0 .. 29`.
 const INVERSE_FACTORIALS: [Quad; 30] = {
@@ -28,29 +98,14 @@ fn series(x_squared: Quad, first: usize, sign: f64) -> Quad {
     terms.rev().fold(Quad::ZERO, |sum, &term| sum * signed + term)
 }
 
-impl Scalar for Quad {
-    type Real = f64;
+/// Functions that the crate `qd` lacks.
+trait Functions: Sized {
+    fn sin_cos(self) -> (Self, Self);
+    fn tanh(self) -> Self;
+    fn atan2(self, x: Self) -> Self;
+}
 
-    fn lift(value: f64) -> Self {
-        Quad(value, 0.0)
-    }
-
-    fn detach(self) -> Self {
-        self
-    }
-
-    fn sqrt(self) -> Self {
-        Quad::sqrt(self)
-    }
-
-    fn exp(self) -> Self {
-        Quad::exp(self)
-    }
-
-    fn ln(self) -> Self {
-        Quad::ln(self)
-    }
-
+impl Functions for Quad {
     /// The absolute error grows by 1e-32 per revolution of the angle.
     fn sin_cos(self) -> (Self, Self) {
         // π/2 in three parts: the product of `quarter` and the first is exact in double-double.
@@ -87,6 +142,39 @@ impl Scalar for Quad {
         let (sin, cos) = near.sin_cos();
         let (across, along) = (self * cos - x * sin, x * cos + self * sin);
         if along.0 == 0.0 { near } else { near + across / along }
+    }
+}
+
+impl Scalar for DoubleDouble {
+    type Real = f64;
+
+    fn detach(self) -> Self {
+        self
+    }
+
+    fn sqrt(self) -> Self {
+        Self(Quad::sqrt(self.0))
+    }
+
+    fn exp(self) -> Self {
+        Self(Quad::exp(self.0))
+    }
+
+    fn ln(self) -> Self {
+        Self(Quad::ln(self.0))
+    }
+
+    fn sin_cos(self) -> (Self, Self) {
+        let (sin, cos) = Functions::sin_cos(self.0);
+        (Self(sin), Self(cos))
+    }
+
+    fn tanh(self) -> Self {
+        Self(Functions::tanh(self.0))
+    }
+
+    fn atan2(self, x: Self) -> Self {
+        Self(Functions::atan2(self.0, x.0))
     }
 
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
@@ -125,10 +213,10 @@ mod tests {
         let one = Quad::ONE;
         let e = Quad(std::f64::consts::E, 1.4456468917292502e-16);
         let sin_1 = Quad(0.8414709848078965, 1.776845092935536e-18);
-        close("exp", one, Scalar::exp(one), e, 1e-31);
+        close("exp", one, Quad::exp(one), e, 1e-31);
         close("sin", one, one.sin_cos().0, sin_1, 2e-30);
-        close("atan2", one, Scalar::atan2(one, one) * Quad(4.0, 0.0), Quad::PI, 1e-31);
-        close("atan2", one, Scalar::atan2(one, -one) * Quad(4.0, 0.0), Quad::PI * Quad(3.0, 0.0), 1e-31);
+        close("atan2", one, Functions::atan2(one, one) * Quad(4.0, 0.0), Quad::PI, 1e-31);
+        close("atan2", one, Functions::atan2(one, -one) * Quad(4.0, 0.0), Quad::PI * Quad(3.0, 0.0), 1e-31);
     }
 
     #[test]
@@ -143,29 +231,29 @@ mod tests {
             let (sin_1, cos_1) = Quad::ONE.sin_cos();
             close("sin (x + 1)", x, sin_there, sin * cos_1 + cos * sin_1, 1e-30);
             close("cos (x + 1)", x, cos_there, cos * cos_1 - sin * sin_1, 1e-30);
-            close("atan2", x, Scalar::atan2(sin, cos).sin_cos().0, sin, 1e-31);
+            close("atan2", x, Functions::atan2(sin, cos).sin_cos().0, sin, 1e-31);
         }
         for x in numbers(3.0) {
-            let (e, t) = (Scalar::exp(x), Scalar::tanh(x));
-            close("exp x exp -x", x, e * Scalar::exp(-x), Quad::ONE, 1e-30);
-            close("ln exp x", x, Scalar::ln(e), x, 1e-30);
+            let (e, t) = (Quad::exp(x), Functions::tanh(x));
+            close("exp x exp -x", x, e * Quad::exp(-x), Quad::ONE, 1e-30);
+            close("ln exp x", x, Quad::ln(e), x, 1e-30);
             // Relative error, also for small x.
-            let t_2 = Scalar::tanh(x + x);
+            let t_2 = Functions::tanh(x + x);
             close("tanh 2x", x, t_2 / x, (t + t) / ((Quad::ONE + t * t) * x), 1e-30);
-            let (up, down) = (e, Scalar::exp(-x));
+            let (up, down) = (e, Quad::exp(-x));
             close("tanh", x, t, (up - down) / (up + down), 1e-30);
         }
     }
 
     #[test]
     fn saturated_and_non_finite_values_equal_those_of_f64() {
-        let lift = <Quad as Scalar>::lift;
-        assert_eq!(Scalar::tanh(lift(1e3)), Quad::ONE);
-        assert_eq!(Scalar::tanh(lift(-1e3)), -Quad::ONE);
-        assert_eq!(Scalar::tanh(Quad::ZERO), Quad::ZERO);
-        assert_eq!(Scalar::sqrt(Quad::ZERO), Quad::ZERO);
-        assert!(Scalar::tanh(Quad::NAN).0.is_nan());
+        let lift = |value: f64| Quad(value, 0.0);
+        assert_eq!(Functions::tanh(lift(1e3)), Quad::ONE);
+        assert_eq!(Functions::tanh(lift(-1e3)), -Quad::ONE);
+        assert_eq!(Functions::tanh(Quad::ZERO), Quad::ZERO);
+        assert_eq!(Quad::sqrt(Quad::ZERO), Quad::ZERO);
+        assert!(Functions::tanh(Quad::NAN).0.is_nan());
         assert!(lift(f64::INFINITY).sin_cos().0.0.is_nan());
-        assert_eq!(Scalar::atan2(Quad::ZERO, Quad::ZERO), Quad::ZERO);
+        assert_eq!(Functions::atan2(Quad::ZERO, Quad::ZERO), Quad::ZERO);
     }
 }

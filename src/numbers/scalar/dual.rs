@@ -3,6 +3,7 @@
 //! Checks use the independent dual numbers of the crate num-dual.
 
 use super::Scalar;
+use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
 /// A dual number: a value with its derivatives in `N` directions.
@@ -112,11 +113,63 @@ impl<T: Scalar, const N: usize> Neg for Dual<T, N> {
     }
 }
 
+impl<T: Scalar, const N: usize> From<f64> for Dual<T, N> {
+    #[inline(always)]
+    fn from(value: f64) -> Self {
+        Self::constant(T::from(value))
+    }
+}
+
+impl<T: Scalar, const N: usize> Sum for Dual<T, N> {
+    #[inline(always)]
+    fn sum<I: Iterator<Item = Self>>(values: I) -> Self {
+        values.fold(Self::from(-0.0), |sum, value| sum + value)
+    }
+}
+
+impl<T: Scalar, const N: usize> Add<f64> for Dual<T, N> {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: f64) -> Self {
+        Self { value: self.value + other, ..self }
+    }
+}
+
+impl<T: Scalar, const N: usize> Sub<f64> for Dual<T, N> {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: f64) -> Self {
+        Self { value: self.value - other, ..self }
+    }
+}
+
+impl<T: Scalar, const N: usize> Mul<f64> for Dual<T, N> {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, other: f64) -> Self {
+        self.with(self.value * other, |tangent| tangent * other)
+    }
+}
+
+impl<T: Scalar, const N: usize> Div<f64> for Dual<T, N> {
+    type Output = Self;
+    #[inline(always)]
+    fn div(self, other: f64) -> Self {
+        self.with(self.value / other, |tangent| tangent / other)
+    }
+}
+
 macro_rules! assign {
     ($($trait:ident $method:ident $operator:tt),+) => {$(
         impl<T: Scalar, const N: usize> $trait for Dual<T, N> {
             #[inline(always)]
             fn $method(&mut self, other: Self) {
+                *self = *self $operator other;
+            }
+        }
+        impl<T: Scalar, const N: usize> $trait<f64> for Dual<T, N> {
+            #[inline(always)]
+            fn $method(&mut self, other: f64) {
                 *self = *self $operator other;
             }
         }
@@ -128,11 +181,6 @@ impl<T: Scalar, const N: usize> Scalar for Dual<T, N> {
     type Real = T::Real;
 
     #[inline(always)]
-    fn lift(value: f64) -> Self {
-        Self::constant(T::lift(value))
-    }
-
-    #[inline(always)]
     fn detach(self) -> Self {
         Self::constant(self.value.detach())
     }
@@ -140,7 +188,7 @@ impl<T: Scalar, const N: usize> Scalar for Dual<T, N> {
     #[inline(always)]
     fn sqrt(self) -> Self {
         let root = self.value.sqrt();
-        self.steep(root, T::lift(0.5) / root)
+        self.steep(root, T::from(0.5) / root)
     }
 
     #[inline(always)]

@@ -1,15 +1,34 @@
 //! [`Float`]: `f32` and `f64`, with constants and kernels beyond [`Scalar`].
 
-use super::{Real, Scalar};
 use crate::numbers::kernels::gemm::{self, Product};
 use crate::numbers::kernels::{SimdLevel, tanh, trig};
 use num_traits::AsPrimitive;
 use serde::{Serialize, de::DeserializeOwned};
-use std::fmt::Display;
+use std::fmt::{Debug, Display};
+use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
 /// A floating-point type: `f32` or `f64`.
 pub trait Float:
-    Real + Scalar<Real = Self> + AsPrimitive<f64> + PartialOrd + Display + Default + Serialize + DeserializeOwned
+    Copy
+    + Debug
+    + Send
+    + Sync
+    + 'static
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+    + AddAssign
+    + SubAssign
+    + MulAssign
+    + DivAssign
+    + AsPrimitive<f64>
+    + PartialOrd
+    + Display
+    + Default
+    + Serialize
+    + DeserializeOwned
 {
     /// Name in settings and files: `f32` or `f64`.
     const NAME: &'static str;
@@ -17,6 +36,32 @@ pub trait Float:
     const EPSILON: f64;
     /// Largest finite number.
     const MAX: f64;
+
+    /// Rounds a constant to this type.
+    fn lift(value: f64) -> Self;
+    /// Converts to `f64`, exactly.
+    #[inline(always)]
+    fn to_f64(self) -> f64 {
+        self.as_()
+    }
+    /// The constant 0.
+    fn zero() -> Self;
+    /// The constant 1.
+    fn one() -> Self;
+    #[doc(hidden)]
+    fn abs(self) -> Self;
+    #[doc(hidden)]
+    fn sqrt(self) -> Self;
+    #[doc(hidden)]
+    fn exp(self) -> Self;
+    #[doc(hidden)]
+    fn ln(self) -> Self;
+    #[doc(hidden)]
+    fn sin_cos(self) -> (Self, Self);
+    #[doc(hidden)]
+    fn tanh(self) -> Self;
+    #[doc(hidden)]
+    fn atan2(self, x: Self) -> Self;
 
     /// Entries per cache line, the padding of columns.
     #[doc(hidden)]
@@ -41,15 +86,28 @@ pub trait Float:
 
 macro_rules! float {
     ($float:ident, $gemm:ident, $sin_cos:ident, $tanh:ident) => {
-        impl Scalar for $float {
-            type Real = Self;
+        impl Float for $float {
+            const NAME: &'static str = stringify!($float);
+            const EPSILON: f64 = $float::EPSILON as f64;
+            const MAX: f64 = $float::MAX as f64;
+
+            const PAD: usize = gemm::$gemm::PAD;
+
             #[inline(always)]
             fn lift(value: f64) -> Self {
                 value as $float
             }
             #[inline(always)]
-            fn detach(self) -> Self {
-                self
+            fn zero() -> Self {
+                0.0
+            }
+            #[inline(always)]
+            fn one() -> Self {
+                1.0
+            }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                $float::abs(self)
             }
             #[inline(always)]
             fn sqrt(self) -> Self {
@@ -75,38 +133,6 @@ macro_rules! float {
             fn atan2(self, x: Self) -> Self {
                 $float::atan2(self, x)
             }
-            #[inline(always)]
-            fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
-                if a < b { yes } else { no }
-            }
-            #[inline(always)]
-            fn any_lt(a: Self, b: Self) -> bool {
-                a < b
-            }
-            #[inline(always)]
-            fn abs(self) -> Self {
-                $float::abs(self)
-            }
-        }
-
-        impl Real for $float {
-            const LANES: usize = 1;
-            #[inline(always)]
-            fn lane(&self, _: usize) -> Self {
-                *self
-            }
-            #[inline(always)]
-            fn set_lane(&mut self, _: usize, value: Self) {
-                *self = value;
-            }
-        }
-
-        impl Float for $float {
-            const NAME: &'static str = stringify!($float);
-            const EPSILON: f64 = $float::EPSILON as f64;
-            const MAX: f64 = $float::MAX as f64;
-
-            const PAD: usize = gemm::$gemm::PAD;
 
             #[inline]
             fn product(level: SimdLevel, product: Product<'_, Self>) {

@@ -2,6 +2,7 @@
 
 use super::{Float, Real, Scalar};
 use crate::numbers::kernels::trig;
+use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
 /// `W` numbers with elementwise operations, where `W` is 1, 2, 4 or 8.
@@ -12,6 +13,9 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(32))]
 pub struct Lanes<F, const W: usize>(pub [F; W]);
+
+/// One number of the precision `F`, as a [`Scalar`].
+pub type Single<F> = Lanes<F, 1>;
 
 macro_rules! operator {
     ($width:literal, [$($i:tt)+], $trait:ident, $method:ident, $assign_trait:ident, $assign:ident) => {
@@ -28,6 +32,19 @@ macro_rules! operator {
                 *self = self.$method(other);
             }
         }
+        impl<F: Float> $trait<f64> for Lanes<F, $width> {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, other: f64) -> Self {
+                self.$method(Self::from(other))
+            }
+        }
+        impl<F: Float> $assign_trait<f64> for Lanes<F, $width> {
+            #[inline(always)]
+            fn $assign(&mut self, other: f64) {
+                *self = self.$method(other);
+            }
+        }
     };
 }
 
@@ -38,6 +55,20 @@ macro_rules! lanes {
         operator!($width, [$($i)+], Sub, sub, SubAssign, sub_assign);
         operator!($width, [$($i)+], Mul, mul, MulAssign, mul_assign);
         operator!($width, [$($i)+], Div, div, DivAssign, div_assign);
+
+        impl<F: Float> From<f64> for Lanes<F, $width> {
+            #[inline(always)]
+            fn from(value: f64) -> Self {
+                Self([F::lift(value); $width])
+            }
+        }
+
+        impl<F: Float> Sum for Lanes<F, $width> {
+            #[inline(always)]
+            fn sum<I: Iterator<Item = Self>>(values: I) -> Self {
+                values.fold(Self([-F::zero(); $width]), |sum, value| sum + value)
+            }
+        }
 
         impl<F: Float> Neg for Lanes<F, $width> {
             type Output = Self;
@@ -51,39 +82,35 @@ macro_rules! lanes {
             type Real = F;
             const VECTORIZED: bool = $width >= 8;
             #[inline(always)]
-            fn lift(value: f64) -> Self {
-                Self([F::lift(value); $width])
-            }
-            #[inline(always)]
             fn detach(self) -> Self {
                 self
             }
             #[inline(always)]
             fn sqrt(self) -> Self {
-                Self([$(Scalar::sqrt(self.0[$i])),+])
+                Self([$(Float::sqrt(self.0[$i])),+])
             }
             #[inline(always)]
             fn exp(self) -> Self {
-                Self([$(Scalar::exp(self.0[$i])),+])
+                Self([$(Float::exp(self.0[$i])),+])
             }
             #[inline(always)]
             fn ln(self) -> Self {
-                Self([$(Scalar::ln(self.0[$i])),+])
+                Self([$(Float::ln(self.0[$i])),+])
             }
             #[inline(always)]
             fn sin_cos(self) -> (Self, Self) {
                 let reach = F::lift(trig::REACH);
-                let far = false $(| (Scalar::abs(self.0[$i]) > reach))+;
-                let pairs = if far { [$(Scalar::sin_cos(self.0[$i])),+] } else { [$(F::sin_cos_near(self.0[$i])),+] };
+                let far = false $(| (Float::abs(self.0[$i]) > reach))+;
+                let pairs = if far { [$(Float::sin_cos(self.0[$i])),+] } else { [$(F::sin_cos_near(self.0[$i])),+] };
                 (Self([$(pairs[$i].0),+]), Self([$(pairs[$i].1),+]))
             }
             #[inline(always)]
             fn tanh(self) -> Self {
-                Self([$(Scalar::tanh(self.0[$i])),+])
+                Self([$(Float::tanh(self.0[$i])),+])
             }
             #[inline(always)]
             fn atan2(self, x: Self) -> Self {
-                Self([$(Scalar::atan2(self.0[$i], x.0[$i])),+])
+                Self([$(Float::atan2(self.0[$i], x.0[$i])),+])
             }
             #[inline(always)]
             fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
@@ -95,7 +122,7 @@ macro_rules! lanes {
             }
             #[inline(always)]
             fn abs(self) -> Self {
-                Self([$(Scalar::abs(self.0[$i])),+])
+                Self([$(Float::abs(self.0[$i])),+])
             }
         }
 

@@ -16,10 +16,6 @@ fn chain(dual: Dual64, value: f64, slope: f64) -> Dual64 {
 impl Scalar for Dual64 {
     type Real = f64;
     #[inline]
-    fn lift(value: f64) -> Self {
-        Self::from_re(value)
-    }
-    #[inline]
     fn detach(self) -> Self {
         Self::from_re(self.re)
     }

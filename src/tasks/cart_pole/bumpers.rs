@@ -37,7 +37,7 @@ impl Default for Bumpers {
 impl Effect<CartPoleSystem> for Bumpers {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        let stiffness = T::lift(self.stiffness);
+        let stiffness = T::from(self.stiffness);
         let (right, left) = self.sides(x).into();
         forces[0] += stiffness * (left.depth * left.factor - right.depth * right.factor);
     }
@@ -51,7 +51,7 @@ impl Effect<CartPoleSystem> for Bumpers {
         bars: Cotangents<'_, C>,
     ) {
         let Some(x_bar) = bars.x else { return };
-        let (zero, stiffness, damping) = (R::zero(), R::lift(self.stiffness), R::lift(self.damping));
+        let (zero, stiffness, damping) = (R::zero(), R::from(self.stiffness), R::from(self.damping));
         // Both forces grow with depth and outward speed, so both slopes have the same sign.
         let (mut by_x, mut by_speed) = (zero, zero);
         for side in self.sides(x) {
@@ -75,7 +75,7 @@ impl Bumpers {
     /// Returns the contacts at the right and the left end.
     #[inline(always)]
     fn sides<T: Scalar>(&self, x: &[T]) -> [Side<T>; 2] {
-        let (zero, half_travel, damping) = (T::zero(), T::lift(self.half_travel), T::lift(self.damping));
+        let (zero, half_travel, damping) = (T::zero(), T::from(self.half_travel), T::from(self.damping));
         let side = |x: T, speed: T| Side { depth: (x - half_travel).max(zero), factor: (T::one() + damping * speed).max(zero) };
         [side(x[0], x[1]), side(-x[0], -x[1])]
     }

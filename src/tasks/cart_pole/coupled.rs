@@ -57,11 +57,11 @@ impl CoupledCartPole {
         let model = &self.0;
         let moment = model.moment();
         Constants {
-            dt: T::lift(model.dt),
-            moment: T::lift(moment),
-            weight: T::lift(moment * model.gravity),
-            mass: T::lift(model.cart_mass + model.poles as f64 * model.pole_mass),
-            per_inertia: T::lift(1.0 / (4.0 / 3.0 * moment * model.half_length)),
+            dt: T::from(model.dt),
+            moment: T::from(moment),
+            weight: T::from(moment * model.gravity),
+            mass: T::from(model.cart_mass + model.poles as f64 * model.pole_mass),
+            per_inertia: T::from(1.0 / (4.0 / 3.0 * moment * model.half_length)),
         }
     }
 }
@@ -186,13 +186,13 @@ impl CoupledCartPole {
                 let sin_bar = torque_bar * k.weight + push_bar * (k.moment * omega * omega);
                 // The cosine enters α and the push linearly, and the mass as a square. The
                 // cotangent of the mass is -ẍ times that of the push.
-                let in_push = (R::lift(2.0) * lever * a - torque) * k.per_inertia;
+                let in_push = (R::from(2.0) * lever * a - torque) * k.per_inertia;
                 let cos_bar = (push_bar * in_push - alpha_bar * a) * k.moment;
                 x_bar[2 + 2 * i] += theta_bar;
                 x_bar[2 + 2 * i] += sin_bar * cos;
                 x_bar[2 + 2 * i] -= cos_bar * sin;
                 x_bar[3 + 2 * i] += omega_bar;
-                x_bar[3 + 2 * i] += push_bar * (R::lift(2.0) * k.moment * sin * omega);
+                x_bar[3 + 2 * i] += push_bar * (R::from(2.0) * k.moment * sin * omega);
             }
         }
         if let Some(u_bar) = &mut bars.u {

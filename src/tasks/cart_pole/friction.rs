@@ -28,7 +28,7 @@ impl Default for PoleDamping {
 impl Effect<CartPoleSystem> for PoleDamping {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        let damping = T::lift(self.damping);
+        let damping = T::from(self.damping);
         for (pole, torque) in zip(model.poles_of(x), &mut forces[1..]) {
             *torque -= damping * pole[1];
         }
@@ -43,7 +43,7 @@ impl Effect<CartPoleSystem> for PoleDamping {
         bars: Cotangents<'_, C>,
     ) {
         let Some(x_bar) = bars.x else { return };
-        let damping = R::lift(self.damping);
+        let damping = R::from(self.damping);
         for (pole_bar, &torque_bar) in zip(x_bar[2..2 + 2 * model.poles].chunks_exact_mut(2), &forces_bar[1..]) {
             pole_bar[1] -= torque_bar * damping;
         }
@@ -68,7 +68,7 @@ impl Default for CartDamping {
 impl Effect<CartPoleSystem> for CartDamping {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        forces[0] -= T::lift(self.damping) * x[1];
+        forces[0] -= x[1] * self.damping;
     }
 
     #[inline(always)]
@@ -80,7 +80,7 @@ impl Effect<CartPoleSystem> for CartDamping {
         bars: Cotangents<'_, C>,
     ) {
         let Some(x_bar) = bars.x else { return };
-        x_bar[1] -= forces_bar[0] * R::lift(self.damping);
+        x_bar[1] -= forces_bar[0] * R::from(self.damping);
     }
 }
 
@@ -109,7 +109,7 @@ impl Default for DryFriction {
 impl Effect<CartPoleSystem> for DryFriction {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        forces[0] -= T::lift(self.force) * (x[1] * T::lift(1.0 / self.smoothing)).tanh();
+        forces[0] -= (x[1] * (1.0 / self.smoothing)).tanh() * self.force;
     }
 
     #[inline(always)]
@@ -121,7 +121,7 @@ impl Effect<CartPoleSystem> for DryFriction {
         bars: Cotangents<'_, C>,
     ) {
         let Some(x_bar) = bars.x else { return };
-        let share = (x[1] * R::lift(1.0 / self.smoothing)).tanh();
-        x_bar[1] -= forces_bar[0] * (R::lift(self.force / self.smoothing) * (R::one() - share * share));
+        let share = (x[1] * R::from(1.0 / self.smoothing)).tanh();
+        x_bar[1] -= forces_bar[0] * (R::from(self.force / self.smoothing) * (R::one() - share * share));
     }
 }

@@ -78,7 +78,7 @@ impl CartPoleSystem {
         trig: &mut PerPole<[T; 2]>,
         forces: &mut Forces<T>,
     ) {
-        let weight = T::lift(self.moment() * self.gravity);
+        let weight = T::from(self.moment() * self.gravity);
         forces.push(inputs.u[0]);
         for pole in self.poles_of(inputs.x) {
             let (sin, cos) = pole[0].sin_cos();
@@ -109,12 +109,12 @@ impl CartPoleSystem {
     fn constants<T: Scalar>(&self) -> Constants<T> {
         let (mass, moment) = (self.cart_mass + self.pole_mass, self.moment());
         Constants {
-            dt: T::lift(self.dt),
-            moment: T::lift(moment),
-            weight: T::lift(moment * self.gravity),
-            per_mass: T::lift(1.0 / mass),
-            inertia: T::lift(4.0 / 3.0 * moment * self.half_length),
-            coupling: T::lift(moment * moment / mass),
+            dt: T::from(self.dt),
+            moment: T::from(moment),
+            weight: T::from(moment * self.gravity),
+            per_mass: T::from(1.0 / mass),
+            inertia: T::from(4.0 / 3.0 * moment * self.half_length),
+            coupling: T::from(moment * moment / mass),
         }
     }
 }
@@ -237,12 +237,12 @@ impl CartPoleSystem {
                 let centrifugal_bar = push_bar + thrust_bar;
                 let sin_bar = torque_bar * k.weight + centrifugal_bar * (k.moment * spin);
                 let cos_bar =
-                    torque_bar * (R::lift(2.0) * k.coupling * cos * alpha - k.moment * a) - push_bar * (k.moment * alpha);
+                    torque_bar * (R::from(2.0) * k.coupling * cos * alpha - k.moment * a) - push_bar * (k.moment * alpha);
                 x_bar[2 + 2 * i] += theta_bar;
                 x_bar[2 + 2 * i] += sin_bar * cos;
                 x_bar[2 + 2 * i] -= cos_bar * sin;
                 x_bar[3 + 2 * i] += omega_bar;
-                x_bar[3 + 2 * i] += centrifugal_bar * (R::lift(2.0) * k.moment * sin * omega);
+                x_bar[3 + 2 * i] += centrifugal_bar * (R::from(2.0) * k.moment * sin * omega);
             }
         }
         if let Some(u_bar) = &mut bars.u {

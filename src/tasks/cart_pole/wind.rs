@@ -69,7 +69,7 @@ impl SteadyWind {
 impl Effect<CartPoleSystem> for SteadyWind {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        self.drag().add_forces(model, T::lift(self.speed), x, forces);
+        self.drag().add_forces(model, T::from(self.speed), x, forces);
     }
 
     #[inline(always)]
@@ -81,7 +81,7 @@ impl Effect<CartPoleSystem> for SteadyWind {
         bars: Cotangents<'_, C>,
     ) {
         if bars.x.is_some() {
-            self.drag().vjp(model, R::lift(self.speed), x, forces_bar, bars.x);
+            self.drag().vjp(model, R::from(self.speed), x, forces_bar, bars.x);
         }
     }
 }
@@ -124,8 +124,8 @@ impl GustyWind {
     #[inline(always)]
     fn wind<T: Scalar>(&self, inputs: OdeInputs<'_, T>) -> (T, T) {
         let rate = TAU / self.period;
-        let (sin, cos) = ((inputs.t + inputs.p[0]) * T::lift(rate)).sin_cos();
-        (T::lift(self.speed) + T::lift(self.gust) * sin, T::lift(self.gust * rate) * cos)
+        let (sin, cos) = ((inputs.t + inputs.p[0]) * rate).sin_cos();
+        (T::from(self.speed) + T::from(self.gust) * sin, T::from(self.gust * rate) * cos)
     }
 }
 
@@ -172,9 +172,9 @@ struct Drag {
 impl Drag {
     #[inline(always)]
     fn add_forces<T: Scalar>(self, model: &CartPoleSystem, wind: T, x: &[T], forces: &mut [T]) {
-        let (pole_drag, l) = (T::lift(self.pole), T::lift(model.half_length));
+        let (pole_drag, l) = (T::from(self.pole), T::from(model.half_length));
         let headwind = wind - x[1];
-        let mut push = forces[0] + T::lift(self.cart) * headwind.abs() * headwind;
+        let mut push = forces[0] + T::from(self.cart) * headwind.abs() * headwind;
         for (pole, torque) in zip(model.poles_of(x), &mut forces[1..]) {
             let cos = pole[0].cos();
             let across = headwind * cos - l * pole[1];
@@ -196,10 +196,10 @@ impl Drag {
         forces_bar: &[C],
         mut x_bar: Option<&mut [C]>,
     ) -> C {
-        let (pole_drag, l) = (R::lift(self.pole), R::lift(model.half_length));
+        let (pole_drag, l) = (R::from(self.pole), R::from(model.half_length));
         let headwind = wind - x[1];
         let push_bar = forces_bar[0];
-        let mut headwind_bar = push_bar * (R::lift(2.0 * self.cart) * headwind.abs());
+        let mut headwind_bar = push_bar * (R::from(2.0 * self.cart) * headwind.abs());
         for (i, (pole, &torque_bar)) in zip(model.poles_of(x), &forces_bar[1..]).enumerate() {
             let (sin, cos) = pole[0].sin_cos();
             let across = headwind * cos - l * pole[1];

@@ -45,7 +45,7 @@ impl System for BouncingBall {
 
     #[inline(always)]
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
-        let acceleration = u[0] * T::lift(1.0 / self.mass) - T::lift(self.gravity);
+        let acceleration = u[0] * (1.0 / self.mass) - self.gravity;
         let gap = self.contact.advance(Gap { width: x[0], speed: x[1] }, acceleration, self.mass, self.dt);
         (next[0], next[1]) = (gap.width, gap.speed);
     }
@@ -90,12 +90,12 @@ impl Task for Bounce {
 
     #[inline(always)]
     fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
-        let miss = x[0] - T::lift(self.target);
+        let miss = x[0] - self.target;
         miss * miss
     }
 
     #[inline(always)]
     fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
-        x_bar[0] += R::lift(2.0) * (x[0] - R::lift(self.target));
+        x_bar[0] += R::from(2.0) * (x[0] - R::from(self.target));
     }
 }

@@ -30,7 +30,7 @@ impl<T: Scalar> Impact<T> {
     /// impact, by at most dt. Otherwise it rests if `a < 0`, and moves freely if not.
     #[inline(always)]
     fn next(gap: Gap<T>, acceleration: T, dt: f64) -> Self {
-        let (zero, one, never) = (T::zero(), T::one(), T::lift(4.0 * dt));
+        let (zero, one, never) = (T::zero(), T::one(), T::from(4.0 * dt));
         let (speed_squared, gain) = (gap.speed * gap.speed, -(acceleration + acceleration) * gap.width);
         let square = speed_squared + gain;
         let certain = T::select_lt(gap.width, zero, speed_squared - gain.abs(), square);
@@ -44,7 +44,7 @@ impl<T: Scalar> Impact<T> {
         let pull = T::select_lt(acceleration, zero, -acceleration, one);
         let back = T::select_lt(acceleration, zero, (gap.speed + speed) / pull, never);
         let time = T::select_lt(zero, gap.speed, back, ahead);
-        Self { time: time.max(T::lift(-dt)), speed }
+        Self { time: time.max(T::from(-dt)), speed }
     }
 }
 
@@ -53,8 +53,8 @@ impl<T: Scalar> Impact<T> {
 /// the remaining time.
 #[inline(always)]
 pub(super) fn advance<T: Scalar>(mut gap: Gap<T>, acceleration: T, restitution: f64, dt: f64) -> Gap<T> {
-    let (zero, restitution) = (T::zero(), T::lift(restitution));
-    let mut left = T::lift(dt);
+    let (zero, restitution) = (T::zero(), T::from(restitution));
+    let mut left = T::from(dt);
     for _ in 0..IMPACTS {
         let impact = Impact::next(gap, acceleration, dt);
         gap.width = T::select_lt(impact.time, left, zero, gap.width);

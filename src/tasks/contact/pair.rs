@@ -58,14 +58,14 @@ impl System for TwoBodies {
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let [first, second] = self.masses;
         let total = first + second;
-        let (dt, push) = (T::lift(self.dt), u[0] * T::lift(1.0 / first));
+        let (dt, push) = (T::from(self.dt), u[0] * (1.0 / first));
 
-        let gap = Gap { width: x[1] - x[0] - T::lift(self.contact_distance), speed: x[3] - x[2] };
+        let gap = Gap { width: x[1] - x[0] - self.contact_distance, speed: x[3] - x[2] };
         let (free, after) = (gap.free(-push, dt), self.contact.advance(gap, -push, first * second / total, self.dt));
         // Split the change due to contact by the other body's mass share, which preserves the
         // center of mass.
         let (wider, faster) = (after.width - free.width, after.speed - free.speed);
-        let (share, other) = (T::lift(first / total), T::lift(second / total));
+        let (share, other) = (T::from(first / total), T::from(second / total));
 
         let first = Gap { width: x[0], speed: x[2] }.free(push, dt);
         (next[0], next[2]) = (first.width - other * wider, first.speed - other * faster);
@@ -116,6 +116,6 @@ impl Task for Push {
 
     #[inline(always)]
     fn terminal_cost_gradient<R: Real>(&self, x: &[R], _p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {
-        x_bar[1] += R::lift(2.0) * x[1];
+        x_bar[1] += R::from(2.0) * x[1];
     }
 }

@@ -35,7 +35,7 @@ impl Effect<GuidanceSystem> for Friction {
     fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
         let (forces, agents) = (forces.as_chunks_mut::<2>().0, x.as_chunks::<AGENT>().0);
         for (friction, range) in [(self.drivers, model.all_drivers()), (self.evaders, model.all_evaders())] {
-            let friction = T::lift(friction);
+            let friction = T::from(friction);
             for (force, agent) in zip(forces[range.clone()].iter_mut(), &agents[range]) {
                 force[0] -= friction * agent[2];
                 force[1] -= friction * agent[3];
@@ -54,7 +54,7 @@ impl Effect<GuidanceSystem> for Friction {
         let Some(x_bar) = bars.x else { return };
         let (forces_bar, bars) = (forces_bar.as_chunks::<2>().0, x_bar.as_chunks_mut::<AGENT>().0);
         for (friction, range) in [(self.drivers, model.all_drivers()), (self.evaders, model.all_evaders())] {
-            let friction = R::lift(friction);
+            let friction = R::from(friction);
             for (force_bar, bar) in zip(forces_bar[range.clone()].iter(), &mut bars[range]) {
                 bar[2] -= force_bar[0] * friction;
                 bar[3] -= force_bar[1] * friction;

@@ -36,8 +36,8 @@ impl<T: Scalar> Gap<T> {
         // Squares of numbers within 2^±range neither overflow nor lose digits, nor do their
         // tangents. Multiplication by 2^∓shift brings all other numbers into this range.
         let (range, shift) = if T::Real::EPSILON < 1e-10 { (500, 600) } else { (60, 90) };
-        let (huge, tiny) = (T::lift(power_of_two(range)), T::lift(power_of_two(-range)));
-        let (up, down) = (T::lift(power_of_two(shift)), T::lift(power_of_two(-shift)));
+        let (huge, tiny) = (T::from(power_of_two(range)), T::from(power_of_two(-range)));
+        let (up, down) = (T::from(power_of_two(shift)), T::from(power_of_two(-shift)));
         let (zero, one) = (T::zero(), T::one());
         let [x, y] = r;
         let largest = x.abs().max(y.abs()).detach();
@@ -53,7 +53,7 @@ impl<T: Scalar> Gap<T> {
         let root = T::select_lt(zero, square, square, one).sqrt();
         let length = T::select_lt(zero, square, root * reduced, zero);
 
-        let per_length = one / (T::lift(softening) * unit + length);
+        let per_length = one / (T::from(softening) * unit + length);
         let per_root = one / root;
         Self {
             share: [x * per_length, y * per_length],
@@ -66,14 +66,14 @@ impl<T: Scalar> Gap<T> {
     /// Returns `F = (far / d + near / d²) r`.
     #[inline(always)]
     pub(super) fn force(&self, law: Law) -> [T; 2] {
-        let strength = T::lift(law.far) + T::lift(law.near) * self.per_distance;
+        let strength = T::from(law.far) + T::from(law.near) * self.per_distance;
         [self.share[0] * strength, self.share[1] * strength]
     }
 
     /// Returns `max(0, radius - |r|) / d`.
     #[inline(always)]
     pub(super) fn depth_share(&self, radius: f64) -> T {
-        (T::lift(radius) * self.per_distance - self.length_share).max(T::zero())
+        (T::from(radius) * self.per_distance - self.length_share).max(T::zero())
     }
 }
 
@@ -81,7 +81,7 @@ impl<R: Real> Gap<R> {
     /// Returns `r̄ = (∂F/∂r)ᵀ F̄` of the force `F = f(|r|) r`, where `∂F/∂r = f + |r| f' r̂ r̂ᵀ`.
     #[inline(always)]
     pub(super) fn force_vjp<C: Cotangent<R>>(&self, law: Law, force_bar: [C; 2]) -> [C; 2] {
-        let (far, near) = (R::lift(law.far), R::lift(law.near) * self.per_distance);
+        let (far, near) = (R::from(law.far), R::from(law.near) * self.per_distance);
         let across = (far + near) * self.per_distance;
         let along = -((far + near + near) * self.per_distance * self.length_share);
         self.central_vjp(across, along, force_bar)
@@ -91,8 +91,8 @@ impl<R: Real> Gap<R> {
     /// `|r| = radius`, the derivative is that of the outside, 0.
     #[inline(always)]
     pub(super) fn depth_vjp<C: Cotangent<R>>(&self, radius: f64, softening: f64, stiffness: f64, force_bar: [C; 2]) -> [C; 2] {
-        let (zero, stiffness, share) = (R::zero(), R::lift(stiffness), self.depth_share(radius));
-        let along = -(R::lift(radius + softening) * self.per_distance * self.length_share);
+        let (zero, stiffness, share) = (R::zero(), R::from(stiffness), self.depth_share(radius));
+        let along = -(R::from(radius + softening) * self.per_distance * self.length_share);
         let along = R::select_lt(zero, share, along, zero);
         self.central_vjp(stiffness * share, stiffness * along, force_bar)
     }

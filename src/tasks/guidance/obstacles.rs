@@ -46,13 +46,13 @@ impl Default for Obstacles {
 /// Returns the vector from `center` to an agent.
 #[inline(always)]
 fn way<T: Scalar>(agent: &[T], center: [f64; 2]) -> [T; 2] {
-    [agent[0] - T::lift(center[0]), agent[1] - T::lift(center[1])]
+    [agent[0] - center[0], agent[1] - center[1]]
 }
 
 impl Effect<GuidanceSystem> for Obstacles {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &GuidanceSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        let stiffness = T::lift(self.stiffness);
+        let stiffness = T::from(self.stiffness);
         for (force, agent) in zip(forces.chunks_exact_mut(2), x.chunks_exact(AGENT)) {
             for &center in &self.centers {
                 let r = way(agent, center);

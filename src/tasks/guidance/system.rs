@@ -106,14 +106,14 @@ impl GuidanceSystem {
             sum[0] += evader[0];
             sum[1] += evader[1];
         }
-        let weight = T::lift(self.weight());
+        let weight = T::from(self.weight());
         [sum[0] * weight, sum[1] * weight]
     }
 
     /// Adds the cotangents of the control.
     #[inline(always)]
     fn reverse_control<R: Real, C: Cotangent<R>>(&self, x: &[R], next_bar: &[C], u_bar: &mut [C]) {
-        let dt = R::lift(self.dt);
+        let dt = R::from(self.dt);
         let herd = self.herd(x);
         for ((c_bar, x), next) in zip(zip(u_bar.chunks_exact_mut(2), x.chunks_exact(AGENT)), next_bar.chunks_exact(AGENT)) {
             let q = [(x[0] - herd[0]) * dt, (x[1] - herd[1]) * dt];
@@ -135,7 +135,7 @@ impl GuidanceSystem {
                 herd_bar[axis] -= q_bar[axis];
             }
         }
-        let weight = R::lift(self.weight());
+        let weight = R::from(self.weight());
         let herd_bar = [herd_bar[0] * weight, herd_bar[1] * weight];
         for bar in x_bar[AGENT * self.drivers..AGENT * self.agents()].chunks_exact_mut(AGENT) {
             bar[0] += herd_bar[0];
@@ -190,7 +190,7 @@ impl ForcedSystem for GuidanceSystem {
         let half = 2 * self.agents();
         self.accelerate(effects, inputs.continuous(self.dt), &mut next[half..2 * half]);
         let x = inputs.x;
-        let dt = T::lift(self.dt);
+        let dt = T::from(self.dt);
         for agent in 0..self.agents() {
             // Each agent overwrites only the accelerations of itself and of earlier agents.
             let (force, at) = ([next[half + 2 * agent], next[half + 2 * agent + 1]], AGENT * agent);
@@ -209,7 +209,7 @@ impl ForcedSystem for GuidanceSystem {
         next_bar: &[C],
         mut bars: Cotangents<'_, C>,
     ) {
-        let dt = R::lift(self.dt);
+        let dt = R::from(self.dt);
         let next_bars = &next_bar.as_chunks::<AGENT>().0[..self.agents()];
         let mut forces_bar = SmallVec::<[[C; 2]; STACK]>::new();
         forces_bar.extend(next_bars.iter().map(|next| [next[2] * dt, next[3] * dt]));

@@ -50,10 +50,10 @@ impl Walls {
 impl Effect<GuidanceSystem> for Walls {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, _model: &GuidanceSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        let (zero, stiffness) = (T::zero(), T::lift(self.stiffness));
+        let (zero, stiffness) = (T::zero(), T::from(self.stiffness));
         for (force, agent) in zip(forces.chunks_exact_mut(2), x.chunks_exact(AGENT)) {
             for (axis, half) in self.halves().into_iter().enumerate() {
-                let half = T::lift(half);
+                let half = T::from(half);
                 let (right, left) = ((agent[axis] - half).max(zero), (-agent[axis] - half).max(zero));
                 force[axis] += stiffness * (left - right);
             }
@@ -69,11 +69,11 @@ impl Effect<GuidanceSystem> for Walls {
         bars: Cotangents<'_, C>,
     ) {
         let Some(x_bar) = bars.x else { return };
-        let (zero, stiffness) = (R::zero(), R::lift(self.stiffness));
+        let (zero, stiffness) = (R::zero(), R::from(self.stiffness));
         let agents = zip(x.chunks_exact(AGENT), x_bar.chunks_exact_mut(AGENT));
         for (force_bar, (agent, x_bar)) in zip(forces_bar.chunks_exact(2), agents) {
             for (axis, half) in self.halves().into_iter().enumerate() {
-                let slope = R::select_lt(R::lift(half), agent[axis].abs(), stiffness, zero);
+                let slope = R::select_lt(R::from(half), agent[axis].abs(), stiffness, zero);
                 x_bar[axis] -= force_bar[axis] * slope;
             }
         }

@@ -105,7 +105,7 @@ fn quadratic<T: Scalar>(matrix: &[f64], x: &[T]) -> T {
     for (row, &x_i) in zip(matrix.chunks_exact(x.len()), x) {
         sum += dot(row, x) * x_i;
     }
-    sum * T::lift(0.5)
+    sum * 0.5
 }
 
 /// Adds the gradient `M x` of [`quadratic`], for symmetric M.

@@ -7,7 +7,7 @@ use crate::dynamics::effect::HasModel;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 use smallvec::SmallVec;
 
@@ -74,7 +74,7 @@ impl<S: HasModel<QuantumSystem>> Absorbing<S> {
     #[inline(always)]
     fn damp<T: Scalar, V: Copy + std::ops::Mul<T, Output = V>>(&self, psi: &mut [V]) {
         for &(j, factor) in &self.factors {
-            let (psi, factor) = (&mut psi[2 * j..2 * j + 2], T::lift(factor));
+            let (psi, factor) = (&mut psi[2 * j..2 * j + 2], T::from(factor));
             (psi[0], psi[1]) = (psi[0] * factor, psi[1] * factor);
         }
     }
@@ -106,7 +106,7 @@ impl<S: HasModel<QuantumSystem>> System for Absorbing<S> {
         self.system.vjp(inputs, &bar, bars);
     }
 
-    fn diagnose<F: Float>(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+    fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
         self.system.diagnose(inputs)
     }
 }

@@ -41,7 +41,7 @@ impl Cubic {
 impl Effect<QuantumSystem> for Cubic {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &QuantumSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, potential: &mut [T]) {
-        let strength = T::lift(self.per_probability(model));
+        let strength = T::from(self.per_probability(model));
         // Indexing with bounds checks prevents vectorization of this loop. Lanes fill the registers
         // already.
         for (j, v) in potential.iter_mut().enumerate() {
@@ -59,7 +59,7 @@ impl Effect<QuantumSystem> for Cubic {
         bars: Cotangents<'_, C>,
     ) {
         let Some(x_bar) = bars.x else { return };
-        let slope = R::lift(2.0 * self.per_probability(model));
+        let slope = R::from(2.0 * self.per_probability(model));
         for ((&v_bar, [re, im]), bar) in zip(zip(potential_bar.iter(), x.as_chunks().0), x_bar.as_chunks_mut::<2>().0) {
             let v_bar = v_bar * slope;
             bar[0] += v_bar * *re;

@@ -26,7 +26,7 @@ impl<T: Scalar> Pivots<T> {
     pub(super) fn new(dt: f64, dx: f64, shift: f64) -> Self {
         let off_diagonal = 0.5 * dt / (dx * dx);
         let kinetic = 2.0 * off_diagonal + 0.5 * dt * shift;
-        let (b, kinetic, half_dt) = (T::lift(off_diagonal), T::lift(kinetic), T::lift(0.5 * dt));
+        let (b, kinetic, half_dt) = (T::from(off_diagonal), T::from(kinetic), T::from(0.5 * dt));
         Self { b, b_squared: b * b, kinetic, half_dt, per_pivot: (T::zero(), T::zero()) }
     }
 

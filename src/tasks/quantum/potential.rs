@@ -16,7 +16,7 @@ macro_rules! stand_still {
             #[inline(always)]
             fn add_forces<T: Scalar>(&self, model: &QuantumSystem, _inputs: OdeInputs<'_, T>, potential: &mut [T]) {
                 for (v, xi) in zip(potential.iter_mut(), model.centered_points()) {
-                    *v += T::lift(self.potential(xi));
+                    *v += self.potential(xi);
                 }
             }
 
@@ -160,7 +160,7 @@ impl Effect<QuantumSystem> for Tabulated {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, _model: &QuantumSystem, _inputs: OdeInputs<'_, T>, potential: &mut [T]) {
         for (v, &value) in zip(potential.iter_mut(), &self.values) {
-            *v += T::lift(value);
+            *v += value;
         }
     }
 

@@ -106,8 +106,8 @@ impl Propagator {
         } else {
             self.table[place].into()
         };
-        let (even_re, even_im) = (T::lift(even_re), T::lift(even_im));
-        let (odd_re, odd_im) = (T::lift(odd_re), T::lift(odd_im));
+        let (even_re, even_im) = (T::from(even_re), T::from(even_im));
+        let (odd_re, odd_im) = (T::from(odd_re), T::from(odd_im));
         if ADJOINT {
             [
                 a_re * even_re + a_im * even_im,

@@ -7,7 +7,7 @@ use crate::dynamics::effect::HasModel;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::smallvec;
 
 /// System around a [`QuantumSystem`] that normalizes the wave after each step: `ψ ← ψ / |ψ|`.
@@ -95,7 +95,7 @@ impl<S: HasModel<QuantumSystem>> System for Renormalized<S> {
         self.system.vjp(inputs, &self.reverse(inputs, next_bar), bars);
     }
 
-    fn diagnose<F: Float>(&self, inputs: Inputs<'_, F>) -> Option<Cause> {
+    fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
         self.system.diagnose(inputs)
     }
 }

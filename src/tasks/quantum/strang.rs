@@ -70,7 +70,7 @@ impl Strang {
         inputs: OdeInputs<'_, T>,
         phases: &'a mut PerPoint<Pair<T>>,
     ) -> &'a [Pair<T>] {
-        let half_dt = T::lift(0.5 * self.system.dt);
+        let half_dt = T::from(0.5 * self.system.dt);
         let mut potential = PerPoint::new();
         let potential = self.system.potential(effects, inputs, &mut potential);
         phases.clear();
@@ -97,13 +97,13 @@ impl Strang {
         mut potential_bar: Option<&mut [C]>,
     ) -> C {
         let model = &self.system;
-        let (half_dt, dx, origin, n) = (R::lift(0.5 * model.dt), model.spacing(), model.control_origin(), model.grid);
+        let (half_dt, dx, origin, n) = (R::from(0.5 * model.dt), model.spacing(), model.control_origin(), model.grid);
         let (psi, psi_bar) = (&psi.as_chunks::<2>().0[..n], &psi_bar.as_chunks::<2>().0[..n]);
         let mut control_bar = C::null();
         for j in 0..n {
             let bar = (psi_bar[j][0] * psi[j][1] - psi_bar[j][1] * psi[j][0]) * half_dt;
             if with_control {
-                control_bar += bar * R::lift((place(j) - origin) * dx);
+                control_bar += bar * R::from((place(j) - origin) * dx);
             }
             if let Some(potential_bar) = &mut potential_bar {
                 potential_bar[j] = bar;

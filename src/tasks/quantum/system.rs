@@ -155,7 +155,7 @@ impl QuantumSystem {
         potential: &'a mut PerPoint<T>,
     ) -> &'a [T] {
         let (control, dx, origin) = (inputs.u[0], self.spacing(), self.control_origin());
-        potential.extend((0..self.grid).map(|j| control * T::lift((place(j) - origin) * dx)));
+        potential.extend((0..self.grid).map(|j| control * ((place(j) - origin) * dx)));
         effects.add_forces(self, inputs, potential);
         potential
     }
@@ -197,7 +197,7 @@ impl QuantumSystem {
         with_control: bool,
         mut potential_bar: Option<&mut [C]>,
     ) -> C {
-        let (dt, dx, origin, n) = (R::lift(dt), self.spacing(), self.control_origin(), y.len());
+        let (dt, dx, origin, n) = (R::from(dt), self.spacing(), self.control_origin(), y.len());
         let v = &next_bar.as_chunks::<2>().0[..n];
         let mut control_bar = C::null();
         for j in 0..n {
@@ -205,7 +205,7 @@ impl QuantumSystem {
             let bar = (w[0] * y[j][1] - w[1] * y[j][0]) * dt;
             *w = [w[0] + w[0] - v[j][0], w[1] + w[1] - v[j][1]];
             if with_control {
-                control_bar += bar * R::lift((place(j) - origin) * dx);
+                control_bar += bar * R::from((place(j) - origin) * dx);
             }
             if let Some(potential_bar) = &mut potential_bar {
                 potential_bar[j] = bar;
