@@ -1,6 +1,6 @@
 //! Shared parts of the benchmarks: alternating jobs, medians, and a policy with zero control.
 
-use physgrad::policy::{Policy, PolicyPass};
+use physgrad::policy::{Action, Observed, Policy, PolicyPass};
 use physgrad::rng::Rng;
 use physgrad::{Float, Scalar};
 use std::time::Instant;
@@ -52,7 +52,7 @@ impl Policy for Nothing {
     fn init(&self, _: &mut Rng, theta: &mut [f64]) {
         theta.fill(0.0);
     }
-    fn act<T: Scalar>(&self, _: &[T], _: &[T], u: &mut [T]) {
+    fn act<T: Scalar>(&self, _: &[T], _: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
         u.fill(T::zero());
     }
     fn forward<F: Float>(&self, _: PolicyPass<F>, _: &mut [F], _: &mut [F]) {}

@@ -9,7 +9,7 @@ use crate::engine::adjoint::Flow;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Scalar;
 use crate::policy::AnyPolicy;
-use crate::policy::{Policy, Weights};
+use crate::policy::{Action, Observed, Policy, Weights};
 use num_dual::Dual64;
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -42,6 +42,8 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
         let mut x: Vec<S> = start.iter().map(|&x| S::from(x)).collect();
         let p = x.split_off(n);
         let (mut next, mut u) = (x.clone(), vec![S::zero(); m]);
+        let mut memory = vec![S::zero(); policy.memory_dim()];
+        let mut next_memory = memory.clone();
         let mut y = vec![S::zero(); task.observation_dim().unwrap_or(n)];
         let seen = |x: &[S], with: bool| -> Vec<S> { x.iter().map(|&x| if with { x } else { x.detach() }).collect() };
         for t in 0..task.horizon() {
@@ -49,11 +51,13 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
                 None => y.copy_from_slice(&x),
                 Some(_) => task.observe(Inputs { x: &x, u: &[], p: &p, t }, &mut y),
             }
-            policy.act(theta, &seen(&y, flow.control), &mut u);
+            let (seen_y, seen_memory) = (seen(&y, flow.control), seen(&memory, flow.memory));
+            policy.act(theta, Observed { y: &seen_y, memory: &seen_memory, t }, Action { u: &mut u, memory: &mut next_memory });
             let inputs = Inputs { x: &x, u: &u, p: &p, t };
             step(system, inputs.with_x(&seen(&x, flow.physics)), &mut next);
             mean += task.running_cost(inputs, &next);
             std::mem::swap(&mut x, &mut next);
+            std::mem::swap(&mut memory, &mut next_memory);
         }
         mean += task.terminal_cost(&x, &p);
     }
@@ -100,14 +104,14 @@ pub fn some_directions(params: usize, rng: &mut Rng, along: Along) -> Vec<(Vec<f
     directions(rng, params).into_iter().map(with_slope).collect()
 }
 
-/// Policy in dual numbers: θ, x, and the output u.
-pub type Act<'a> = &'a dyn Fn(&[Dual64], &[Dual64], &mut [Dual64]);
+/// Policy in dual numbers: θ, the inputs x, the index of the column, and the outputs u.
+pub type Act<'a> = &'a dyn Fn(&[Dual64], &[Dual64], usize, &mut [Dual64]);
 
 /// `(∂N/∂x)ᵀ u_bar` per column.
 pub fn policy_input_gradient(act: Act, (n, m): (usize, usize), theta: &[f64], x: &[f64], u_bar: &[f64]) -> Vec<f64> {
     let theta = constants(theta);
-    let columns = x.chunks_exact(n).zip(u_bar.chunks_exact(m));
-    columns.flat_map(|(x, u_bar)| pulled_back(x, u_bar, &|x, u| act(&theta, x, u))).collect()
+    let columns = x.chunks_exact(n).zip(u_bar.chunks_exact(m)).enumerate();
+    columns.flat_map(|(c, (x, u_bar))| pulled_back(x, u_bar, &|x, u| act(&theta, x, c, u))).collect()
 }
 
 /// `(∂f/∂inputs)ᵀ bar`, one forward pass per input.
@@ -131,11 +135,11 @@ fn policy_slope(
 ) -> Vec<f64> {
     let theta = along(theta, tangent);
     let mut u = constants(&vec![0.0; m]);
-    let slope = |(x, u_bar): (&[f64], &[f64])| {
-        act(&theta, &constants(x), &mut u);
+    let slope = |(c, (x, u_bar)): (usize, (&[f64], &[f64]))| {
+        act(&theta, &constants(x), c, &mut u);
         inner(&u, u_bar)
     };
-    x.chunks_exact(n).zip(u_bar.chunks_exact(m)).map(slope).collect()
+    x.chunks_exact(n).zip(u_bar.chunks_exact(m)).enumerate().map(slope).collect()
 }
 
 fn constants(values: &[f64]) -> Vec<Dual64> {

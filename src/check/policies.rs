@@ -2,12 +2,14 @@
 
 use super::{CASES_OF_LONG_CHECKS, Comparison, Mismatch, ONE_STEP, Passed, normal, oracle};
 use crate::numbers::rng::{Purpose, Rng, stream};
-use crate::policy::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Tensor};
+use crate::policy::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Tensor, act_on};
 
 /// Largest number of parameters for which every component is compared.
 const FEW: usize = 1000;
 /// Number of components compared per tensor of a larger policy.
 const OF_EACH: usize = 64;
+/// Number of steps per sample.
+const STEPS: usize = 3;
 
 /// Checks the batched passes of a policy against [`Policy::act`] and its dual-number derivatives.
 /// See [`try_policy`].
@@ -39,18 +41,20 @@ pub fn policy<P: Policy>(policy: &P) -> Passed {
 /// # Errors
 /// Returns the first [`Mismatch`].
 pub fn try_policy<P: Policy>(policy: &P) -> Result<Passed, Mismatch> {
-    check(policy, &|theta, x, u| policy.act(theta, x, u), &|theta, x, u| policy.act(theta, x, u))
+    check(policy, &|theta, x, c, u| act_on(policy, theta, x, c % STEPS, u), &|theta, x, c, u| {
+        act_on(policy, theta, x, c % STEPS, u)
+    })
 }
 
-/// Policy in double precision: θ, x, and the output u.
-type Act<'a> = &'a dyn Fn(&[f64], &[f64], &mut [f64]);
+/// Policy in double precision: θ, the inputs x, the index of the column, and the outputs u.
+type Act<'a> = &'a dyn Fn(&[f64], &[f64], usize, &mut [f64]);
 
 /// Object-safe part of [`try_policy`]; limits monomorphization.
 fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle::Act) -> Result<Passed, Mismatch> {
-    let (n, m, params) = (policy.observation_dim(), policy.control_dim(), policy.param_count());
-    // Three samples of three steps: forward passes of one step each, then one backward pass over
+    let (n, m, params) = (policy.input_dim(), policy.output_dim(), policy.param_count());
+    // Three samples of a few steps: forward passes of one step each, then one backward pass over
     // all, as in a rollout.
-    let (samples, steps) = (3, 3);
+    let (samples, steps) = (3, STEPS);
     let total = samples * steps;
     let mut c = Comparison::new(ONE_STEP);
     for case in 0..CASES_OF_LONG_CHECKS {
@@ -63,17 +67,17 @@ fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle:
         let mut u = vec![f64::NAN; total * m];
         for t in 0..steps {
             let at = PolicyColumns { first: t, step: steps, count: samples };
-            policy.forward(PolicyPass { packed: weights.packed(), at, x: &x }, &mut tape, &mut u);
+            policy.forward(PolicyPass::new(weights.packed(), at, &x).at_steps(t..t + 1), &mut tape, &mut u);
         }
         let mut expected = vec![0.0; total * m];
-        for (x, u) in x.chunks_exact(n).zip(expected.chunks_exact_mut(m)) {
-            act(weights.theta(), x, u);
+        for (c, (x, u)) in x.chunks_exact(n).zip(expected.chunks_exact_mut(m)).enumerate() {
+            act(weights.theta(), x, c, u);
         }
         c.slices("forward: u", &u, &expected)?;
 
         let mut tape_bar = vec![0.0; sizes.tape_bar];
         let mut x_bar = vec![f64::NAN; total * n];
-        let all = PolicyPass { packed: weights.packed(), at: PolicyColumns::range(0..total), x: &x };
+        let all = PolicyPass::new(weights.packed(), PolicyColumns::range(0..total), &x).at_steps(0..steps);
         policy.backward(all, &tape, &u_bar, &mut tape_bar, Some(&mut x_bar));
         c.slices("backward: x_bar", &x_bar, &oracle::policy_input_gradient(by_duals, (n, m), weights.theta(), &x, &u_bar))?;
 

@@ -1,15 +1,19 @@
 //! [`Flow`] and [`Adjoint`]: the adjoint recursion, for one or two flows of one forward pass.
 //!
 //! ```text
-//! λ ← ∂φ/∂x_T
+//! λ ← ∂φ/∂x_T,  μ ← 0
 //! for t = T-1 .. 0:
 //!     λ ← λ + ∂l/∂x_{t+1}
 //!     h_t ← (∂S/∂u)ᵀ λ + ∂l/∂u_t
-//!     λ ← physics·(∂S/∂x)ᵀ λ + ∂l/∂x_t + control·(∂y/∂x)ᵀ (∂N/∂y)ᵀ h_t
-//! g ← Σ_t (∂N/∂θ)ᵀ h_t                                 in large products, a fixed number of steps at a time
+//!     ȳ, m̄ ← (∂N/∂(y, m))ᵀ (h_t, μ)
+//!     λ ← physics·(∂S/∂x)ᵀ λ + ∂l/∂x_t + control·(∂y/∂x)ᵀ ȳ
+//!     g ← g + (∂N/∂θ)ᵀ (h_t, μ)                        in large products, a fixed number of steps at a time
+//!     μ ← memory·m̄
 //! ```
 //!
-//! λ and h of every sample are mantissas times a common power of two, so they neither overflow nor
+//! μ is the cotangent of the memory after step t. Policies without a memory have no μ.
+//!
+//! λ, h and μ of every sample are mantissas times a common power of two, so they neither overflow nor
 //! underflow. Within a moderate range the power is 1, and results are bitwise those of plain
 //! numbers.
 
@@ -36,32 +40,34 @@ pub use step_back::StepBack;
 
 /// Paths along which the adjoint propagates back in time. Forward values do not depend on the flow.
 ///
-/// The reverse pass starts with `λ = ∂φ/∂x_T` and performs, for `t = T-1 .. 0`:
+/// The reverse pass starts with `λ = ∂φ/∂x_T` and `μ = 0`. For `t = T-1 .. 0`, it performs:
 ///
 /// 1. `λ ← λ + ∂l/∂x_{t+1}`
 /// 2. `h_t ← (∂S/∂u)ᵀ λ + ∂l/∂u_t`
-/// 3. `λ ← physics·(∂S/∂x)ᵀ λ + ∂l/∂x_t + control·(∂y/∂x)ᵀ (∂N/∂y)ᵀ h_t`
+/// 3. `ȳ, m̄ ← (∂N/∂(y, m))ᵀ (h_t, μ)`
+/// 4. `λ ← physics·(∂S/∂x)ᵀ λ + ∂l/∂x_t + control·(∂y/∂x)ᵀ ȳ` and `μ ← memory·m̄`
 ///
-/// The parameter gradient is `Σ_t (∂N/∂θ)ᵀ h_t`. S is the step of the system, N the policy, y the
-/// observation, l the
-/// running cost and φ the terminal cost.
+/// The parameter gradient is `Σ_t (∂N/∂θ)ᵀ (h_t, μ)`. S is the step of the system, N the policy, y
+/// the observation, m the memory, l the running cost and φ the terminal cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Flow {
     /// Enables the path through the physics, `∂S/∂x`.
     pub physics: bool,
-    /// Enables the path through the policy's input, `∂N/∂y`.
+    /// Enables the path through the observation, `∂N/∂y`.
     pub control: bool,
+    /// Enables the path through the memory of the policy, `∂N/∂m`.
+    pub memory: bool,
 }
 
 impl Flow {
     /// R: full backpropagation through time, the gradient of the loss.
-    pub const REGULAR: Self = Self { physics: true, control: true };
-    /// M: physics path only; the policy's input is detached.
-    pub const MODIFIED: Self = Self { physics: true, control: false };
-    /// N: policy path only; the state input of the physics is detached.
-    pub const NETWORK: Self = Self { physics: false, control: true };
-    /// S: neither path; each control cotangent contains only the costs of its step.
-    pub const STOPPED: Self = Self { physics: false, control: false };
+    pub const REGULAR: Self = Self { physics: true, control: true, memory: true };
+    /// M: the observation is detached.
+    pub const MODIFIED: Self = Self { physics: true, control: false, memory: true };
+    /// N: the state input of the physics is detached.
+    pub const NETWORK: Self = Self { physics: false, control: true, memory: true };
+    /// S: no path; each control cotangent contains only the costs of its step.
+    pub const STOPPED: Self = Self { physics: false, control: false, memory: false };
     /// All flows.
     pub const ALL: [Self; 4] = [Self::REGULAR, Self::MODIFIED, Self::NETWORK, Self::STOPPED];
 }
@@ -149,10 +155,10 @@ impl<F: Float> Adjoint<F> {
         kept: usize,
         flows: &[Flow],
     ) -> usize {
-        let (n, m) = (task.state_dim(), task.control_dim());
+        let dims = [task.state_dim(), task.control_dim(), policy.memory_dim()];
         let carried = match flows.len() {
-            1 => Recursion::<F, 1>::bytes_of(n, m, samples),
-            _ => Recursion::<F, 2>::bytes_of(n, m, samples),
+            1 => Recursion::<F, 1>::bytes_of(dims, samples),
+            _ => Recursion::<F, 2>::bytes_of(dims, samples),
         };
         carried + PolicyBufferSizes::new(task, policy, samples, kept, flows).bytes::<F>()
     }
@@ -234,17 +240,18 @@ impl<F: Float> Adjoint<F> {
         let all = pass.rollout.columns_of(&unit, 0..pass.rollout.samples);
         self.policy.reset_exponents_of(all);
         if self.policy.linearized {
-            self.policy.backward(pass, 0, all, true);
+            self.policy.backward(pass, 0, all, unit.clone(), true);
         }
         let norms = self.norms.as_deref_mut().unwrap_or_default();
+        let steps = unit.clone();
         match &mut self.carried {
-            Carried::One(flows, recursion) => recursion.back(pass, pass.task, *flows, unit, &mut self.policy, norms)?,
-            Carried::Two(flows, recursion) => recursion.back(pass, pass.task, *flows, unit, &mut self.policy, norms)?,
+            Carried::One(flows, recursion) => recursion.back(pass, pass.task, *flows, steps, &mut self.policy, norms)?,
+            Carried::Two(flows, recursion) => recursion.back(pass, pass.task, *flows, steps, &mut self.policy, norms)?,
         }
         for k in 0..self.flows().len() {
-            if !self.flows()[k].control && !self.policy.linearized {
+            if !self.policy.through_inputs(self.flows()[k]) && !self.policy.linearized {
                 // M and S do not need `∂N/∂y`: one policy pass covers all steps of the unit.
-                self.policy.backward(pass, k, all, false);
+                self.policy.backward(pass, k, all, unit.clone(), false);
             }
         }
         Ok(())
@@ -281,7 +288,8 @@ impl<F: Float> Adjoint<F> {
         samples: Range<usize>,
         theta_bar: &mut Gradient<F>,
     ) {
-        let pass = PolicyPass { packed: weights.packed(), at: rollout.columns_of(unit, samples), x: rollout.inputs() };
+        let at = rollout.columns_of(unit, samples);
+        let pass = PolicyPass::new(weights.packed(), at, rollout.inputs()).at_steps(unit.clone());
         self.policy.add_param_gradient(k, policy, pass, &rollout.tape, theta_bar);
     }
 }

@@ -37,7 +37,7 @@ pub struct Checkpointed<F: Float> {
     /// Stores one segment.
     rollout: Rollout<F>,
     adjoint: Adjoint<F>,
-    /// Length of the states of all samples at one step, in lanes.
+    /// Length of the states and memories of all samples at one step, in lanes.
     state_len: usize,
     /// Checkpoints, `[checkpoint][block][component]`.
     states: Vec<Lane<F>>,
@@ -60,7 +60,7 @@ impl<F: Float> Checkpointed<F> {
         let rollout = Rollout::with_steps(task, policy, samples, schedule.segment());
         let adjoint = Adjoint::of_kept(task, policy, &rollout, flows);
         let blocks = samples.div_ceil(WIDTH);
-        let state_len = blocks * task.state_dim();
+        let state_len = blocks * (task.state_dim() + policy.memory_dim());
         Self {
             schedule,
             rollout,
@@ -97,7 +97,7 @@ impl<F: Float> Checkpointed<F> {
         schedule: &Schedule,
     ) -> usize {
         let (segment, blocks) = (schedule.segment(), samples.div_ceil(WIDTH));
-        let checkpoint = blocks * task.state_dim() * size_of::<Lane<F>>() + size_of::<usize>();
+        let checkpoint = blocks * (task.state_dim() + policy.memory_dim()) * size_of::<Lane<F>>() + size_of::<usize>();
         Rollout::<F>::bytes_of(task, policy, samples, segment)
             + Adjoint::<F>::bytes_of(task, policy, samples, segment, flows)
             + schedule.checkpoints() * checkpoint
@@ -249,7 +249,7 @@ impl<F: Float> Checkpointed<F> {
         self.kept.truncate(self.kept.partition_point(|&kept| kept <= index));
         let slot = self.kept.len() - 1;
         let from = self.kept[slot];
-        let state = self.rollout.states_at_mut(self.schedule.steps(from).start);
+        let state = self.rollout.carried_at_mut(self.schedule.steps(from).start);
         let len = state.len();
         state.copy_from_slice(&self.states[slot * self.state_len..][..len]);
         self.advance(task, policy, weights, from, index)
@@ -284,7 +284,7 @@ impl<F: Float> Checkpointed<F> {
 
     /// Stores the state at the start of segment `index`.
     fn keep(&mut self, index: usize) {
-        let state = self.rollout.states_at(self.schedule.steps(index).start);
+        let state = self.rollout.carried_at(self.schedule.steps(index).start);
         self.states[self.kept.len() * self.state_len..][..state.len()].copy_from_slice(state);
         self.kept.push(index);
     }

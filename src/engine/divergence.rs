@@ -66,6 +66,8 @@ pub enum Variable {
     State,
     /// Control computed by the policy.
     Control,
+    /// Memory computed by the policy for the next step.
+    Memory,
 }
 
 impl Divergence {
@@ -83,7 +85,7 @@ impl Divergence {
     pub(crate) fn order(&self) -> (u8, usize, usize) {
         match *self {
             // The control at step t lies between the states at steps t and t + 1.
-            Self::Forward { variable: Variable::Control, step, sample, .. } => (0, 2 * step + 1, sample),
+            Self::Forward { variable: Variable::Control | Variable::Memory, step, sample, .. } => (0, 2 * step + 1, sample),
             Self::Forward { variable: Variable::State, step, sample, .. } => (0, 2 * step, sample),
             Self::Cost { sample } => (1, 0, sample),
             Self::Cotangent { step, sample, .. } => (2, usize::MAX - step, sample),
@@ -97,6 +99,7 @@ impl fmt::Display for Variable {
         f.write_str(match self {
             Self::State => "state",
             Self::Control => "control",
+            Self::Memory => "memory",
         })
     }
 }

@@ -41,14 +41,16 @@ pub struct Rollout<F: Float> {
     pub(crate) samples: usize,
     pub(crate) state_dim: usize,
     pub(crate) control_dim: usize,
-    /// Number of policy inputs.
     pub(crate) observed_dim: usize,
+    /// Length of the memory of the policy.
+    pub(crate) memory_dim: usize,
     pub(crate) param_dim: usize,
     pub(crate) horizon: usize,
     /// Number of stored steps: the horizon, a multiple of [`UNIT`], or 1. Later steps overwrite
     /// earlier ones.
     pub(crate) kept: usize,
-    /// States, `[step][block][component]`, a ring buffer of `kept + 1` steps.
+    /// States, `[block][component]`, then memories, `[block][component]`, for each step: a ring
+    /// buffer of `kept + 1` steps.
     states: Vec<Lane<F>>,
     /// Controls, `[step][block][component]`, a ring buffer of `kept` steps.
     controls: Vec<Lane<F>>,
@@ -56,9 +58,10 @@ pub struct Rollout<F: Float> {
     params: Vec<Lane<F>>,
     /// Observations of one step, `[block][component]`. Empty if the policy observes the state.
     observations: Vec<Lane<F>>,
-    /// Policy inputs as columns, `[unit][sample][step][component]`. The columns of one sum are
-    /// contiguous.
+    /// Policy inputs, observation and memory, as columns: `[unit][sample][step][component]`. The
+    /// columns of one sum are contiguous.
     inputs: Vec<F>,
+    /// Policy outputs, control and next memory, as columns.
     outputs: Vec<F>,
     pub(crate) tape: Aligned<F>,
     pub(crate) costs: Vec<Lane<F>>,
@@ -104,6 +107,7 @@ impl<F: Float> Rollout<F> {
             state_dim: n,
             control_dim: m,
             observed_dim: observed,
+            memory_dim: policy.memory_dim(),
             param_dim: task.param_dim(),
             horizon: task.horizon(),
             kept,
@@ -169,6 +173,8 @@ impl<F: Float> Rollout<F> {
                 }
             }
         }
+        let (states, memories) = (self.blocks() * n, self.blocks() * self.memory_dim);
+        self.states[states..][..memories].fill(Lane::zero());
     }
 
     /// Runs all samples from their initial states. Stops at the first non-finite state or control.
@@ -212,18 +218,18 @@ impl<F: Float> Rollout<F> {
     ///
     /// Returns the previous number.
     fn keep_from(&mut self, t: usize, kept: usize) -> usize {
-        let from = self.state_range(t);
+        let from = self.slot(t);
         let before = std::mem::replace(&mut self.kept, kept);
-        let to = self.state_range(t).start;
+        let to = self.slot(t).start;
         self.states.copy_within(from, to);
         before
     }
 
     /// Adds the terminal costs. Returns an error if a cost is not finite.
     pub(crate) fn finish(&mut self, task: &dyn AnyTask<F>) -> Result<(), Divergence> {
-        let last = self.state_range(self.horizon);
+        let last = self.slot(self.horizon).start;
         let n_params = self.param_dim;
-        for (block, x) in self.states[last].chunks_exact(self.state_dim).enumerate() {
+        for (block, x) in self.states[last..][..self.blocks() * self.state_dim].chunks_exact(self.state_dim).enumerate() {
             let params = &self.params[block * n_params..][..n_params];
             self.costs[block] += task.terminal_cost(x, params);
         }
@@ -239,38 +245,48 @@ impl<F: Float> Rollout<F> {
         t: usize,
     ) -> Result<(), Divergence> {
         let (n, m) = (self.state_dim, self.control_dim);
-        let (now, next) = (self.state_range(t), self.state_range(t + 1));
+        let (now, next) = (self.slot(t), self.slot(t + 1));
         let at = self.columns(t);
         let blocks = self.blocks();
-        let observed = self.observed_dim;
-        let seen = match task.own_observation() {
-            None => &self.states[now.clone()],
-            Some(_) => {
-                let y = &mut self.observations[..blocks * observed];
-                task.observe(Inputs { x: &self.states[now.clone()], u: &[], p: &self.params, t }, y);
-                &*y
-            }
-        };
-        gather(seen, Real::lane, observed, at, &mut self.inputs);
-        let inputs = &self.inputs[..self.samples * self.kept * observed];
-        policy.forward(PolicyPass { packed: weights.packed(), at, x: inputs }, &mut self.tape, &mut self.outputs);
-        let controls = &mut self.controls[blocks * m * (t % self.kept)..][..blocks * m];
-        scatter(&self.outputs, m, at, controls);
-
+        let (observed, memory_dim) = (self.observed_dim, self.memory_dim);
         // The two slots are adjacent, or the first and the last of the ring.
-        let (x, next) = if now.start < next.start {
+        let (now, next) = if now.start < next.start {
             let (before, after) = self.states.split_at_mut(next.start);
             (&before[now], &mut after[..next.len()])
         } else {
             let (before, after) = self.states.split_at_mut(now.start);
             (&after[..now.len()], &mut before[next])
         };
-        if task.step_forward(Inputs { x, u: controls, p: &self.params, t }, next, &mut self.costs) {
+        let ((x, memory), (next, next_memory)) = (now.split_at(blocks * n), next.split_at_mut(blocks * n));
+
+        let seen = match task.own_observation() {
+            None => x,
+            Some(_) => {
+                let y = &mut self.observations[..blocks * observed];
+                task.observe(Inputs { x, u: &[], p: &self.params, t }, y);
+                &*y
+            }
+        };
+        let input_dim = observed + memory_dim;
+        gather(seen, Real::lane, observed, at, &mut self.inputs, (0, input_dim));
+        gather(memory, Real::lane, memory_dim, at, &mut self.inputs, (observed, input_dim));
+        let inputs = &self.inputs[..self.samples * self.kept * input_dim];
+        let pass = PolicyPass::new(weights.packed(), at, inputs).at_steps(t..t + 1);
+        policy.forward(pass, &mut self.tape, &mut self.outputs);
+        let controls = &mut self.controls[blocks * m * (t % self.kept)..][..blocks * m];
+        scatter(&self.outputs, (0, m + memory_dim), m, at, controls);
+        scatter(&self.outputs, (m, m + memory_dim), memory_dim, at, next_memory);
+
+        let finite = task.step_forward(Inputs { x, u: controls, p: &self.params, t }, next, &mut self.costs);
+        let forgotten = find_non_finite(next_memory, memory_dim, self.samples, Real::lane);
+        if finite && forgotten.is_none() {
             return Ok(());
         }
         let control = find_non_finite(controls, m, self.samples, Real::lane).map(|place| (Variable::Control, t, place));
         let state = || find_non_finite(next, n, self.samples, Real::lane).map(|place| (Variable::State, t + 1, place));
-        let (variable, step, (sample, component)) = control.or_else(state).expect("the probe found a non-finite value");
+        let memory = forgotten.map(|place| (Variable::Memory, t, place));
+        let first = control.or(memory).or_else(state);
+        let (variable, step, (sample, component)) = first.expect("the probe found a non-finite value");
         let of = |lanes: &[Lane<F>], n: usize| -> Vec<Single<F>> {
             let block = &lanes[sample / WIDTH * n..][..n];
             block.iter().map(|number| Lanes([number.lane(sample % WIDTH)])).collect()
@@ -280,7 +296,7 @@ impl<F: Float> Rollout<F> {
                 let (x, u, p) = (of(x, n), of(controls, m), of(&self.params, self.param_dim));
                 task.diagnose(Inputs { x: &x, u: &u, p: &p, t })
             }
-            Variable::Control => None,
+            Variable::Control | Variable::Memory => None,
         };
         Err(Divergence::Forward { variable, step, sample, component, cause })
     }
@@ -311,27 +327,33 @@ impl<F: Float> Rollout<F> {
 
     /// Policy inputs, as columns.
     pub(crate) fn inputs(&self) -> &[F] {
-        &self.inputs[..self.samples * self.kept * self.observed_dim]
+        &self.inputs[..self.samples * self.kept * (self.observed_dim + self.memory_dim)]
     }
 
     fn blocks(&self) -> usize {
         self.samples.div_ceil(WIDTH)
     }
 
-    fn state_range(&self, t: usize) -> Range<usize> {
-        let len = self.blocks() * self.state_dim;
+    /// Range of the states and memories at step `t` in `states`.
+    fn slot(&self, t: usize) -> Range<usize> {
+        let len = self.blocks() * (self.state_dim + self.memory_dim);
         let slot = t % (self.kept + 1);
         slot * len..(slot + 1) * len
     }
 
     /// States of all samples at step `t`, in blocks of [`WIDTH`].
     pub(crate) fn states_at(&self, t: usize) -> &[Lane<F>] {
-        &self.states[self.state_range(t)]
+        &self.states[self.slot(t).start..][..self.blocks() * self.state_dim]
     }
 
-    /// Mutable [`states_at`](Self::states_at).
-    pub(crate) fn states_at_mut(&mut self, t: usize) -> &mut [Lane<F>] {
-        let range = self.state_range(t);
+    /// States and memories of all samples at step `t`, from which a rollout continues.
+    pub(crate) fn carried_at(&self, t: usize) -> &[Lane<F>] {
+        &self.states[self.slot(t)]
+    }
+
+    /// Mutable [`carried_at`](Self::carried_at).
+    pub(crate) fn carried_at_mut(&mut self, t: usize) -> &mut [Lane<F>] {
+        let range = self.slot(t);
         &mut self.states[range]
     }
 

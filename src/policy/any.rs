@@ -15,6 +15,8 @@ pub trait AnyPolicy<F: Float>: Send + Sync {
     #[doc(hidden)]
     fn control_dim(&self) -> usize;
     #[doc(hidden)]
+    fn memory_dim(&self) -> usize;
+    #[doc(hidden)]
     fn param_count(&self) -> usize;
     #[doc(hidden)]
     fn init(&self, rng: &mut Rng, theta: &mut [f64]);
@@ -30,6 +32,16 @@ pub trait AnyPolicy<F: Float>: Send + Sync {
     fn backward(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], x_bar: Option<&mut [F]>);
     #[doc(hidden)]
     fn param_gradient(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]);
+
+    /// Length of the concatenated observation and memory.
+    fn input_dim(&self) -> usize {
+        self.observation_dim() + self.memory_dim()
+    }
+
+    /// Length of the concatenated control and next memory.
+    fn output_dim(&self) -> usize {
+        self.control_dim() + self.memory_dim()
+    }
 }
 
 impl<P: Policy, F: Float> AnyPolicy<F> for P {
@@ -39,6 +51,10 @@ impl<P: Policy, F: Float> AnyPolicy<F> for P {
 
     fn control_dim(&self) -> usize {
         Policy::control_dim(self)
+    }
+
+    fn memory_dim(&self) -> usize {
+        Policy::memory_dim(self)
     }
 
     fn param_count(&self) -> usize {

@@ -14,7 +14,7 @@
 mod layer;
 mod layout;
 
-use super::{Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
+use super::{Action, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
 use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};
 use crate::numbers::kernels::gemm::Product;
@@ -108,9 +108,9 @@ impl Policy for Conv {
         }
     }
 
-    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
+    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
         let w = self.width;
-        let mut h = x.to_vec();
+        let mut h = y.to_vec();
         for l in self.layers::<f64>() {
             let weights = &theta[l.theta..][..(KERNEL * l.channels + 1) * w];
             let (kernel, bias) = weights.split_at(KERNEL * l.channels * w);
@@ -184,7 +184,7 @@ impl Policy for Conv {
     }
 
     fn forward<F: Float>(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
-        let PolicyPass { packed, at, x } = pass;
+        let PolicyPass { packed, at, x, .. } = pass;
         let level = SimdLevel::best();
         let (n, w) = (self.observation_dim(), self.width);
         let layers = self.layers::<F>();
@@ -218,7 +218,7 @@ impl Policy for Conv {
     }
 
     fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], mut x_bar: Option<&mut [F]>) {
-        let PolicyPass { packed, at, x } = pass;
+        let PolicyPass { packed, at, x, .. } = pass;
         let level = SimdLevel::best();
         let (n, w) = (self.observation_dim(), self.width);
         let total = x.len() / n;

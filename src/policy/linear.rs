@@ -1,6 +1,6 @@
 //! [`Linear`]: affine state feedback, `u = K x + k`.
 
-use super::{Policy, PolicyPass, PolicyRecord, Tensor};
+use super::{Action, Observed, Policy, PolicyPass, PolicyRecord, Tensor};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
 use crate::numbers::zip::zip;
@@ -45,11 +45,11 @@ impl Policy for Linear {
         theta.fill(0.0);
     }
 
-    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
+    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
         let (gain, bias) = theta.split_at(self.control_dim * self.observation_dim);
         for (i, (u, row)) in zip(u.iter_mut(), gain.chunks_exact(self.observation_dim)).enumerate() {
             *u = if self.bias { bias[i] } else { T::zero() };
-            for (&k, &x) in zip(row.iter(), x) {
+            for (&k, &x) in zip(row.iter(), y) {
                 *u += k * x;
             }
         }

@@ -5,7 +5,7 @@
 //! a constant 1. The forward pass and the weight gradient of a layer are therefore one matrix
 //! product each.
 
-use super::{Policy, PolicyColumns, PolicyPass, PolicyRecord, Sizes, Tensor};
+use super::{Action, Observed, Policy, PolicyColumns, PolicyPass, PolicyRecord, Sizes, Tensor};
 use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};
 use crate::numbers::kernels::gemm::Product;
@@ -151,8 +151,8 @@ impl Policy for Mlp {
         }
     }
 
-    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
-        let mut h = x.to_vec();
+    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
+        let mut h = y.to_vec();
         for l in self.layers::<f64>() {
             let weights = &theta[l.theta..][..l.rows * l.outputs];
             let mut z = if self.bias { weights[l.inputs * l.outputs..].to_vec() } else { vec![T::zero(); l.outputs] };
@@ -207,7 +207,7 @@ impl Policy for Mlp {
     }
 
     fn forward<F: Float>(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
-        let PolicyPass { packed, at, x } = pass;
+        let PolicyPass { packed, at, x, .. } = pass;
         let level = SimdLevel::best();
         let n = self.observation_dim();
         let total = x.len() / n;
@@ -254,7 +254,7 @@ impl Policy for Mlp {
     }
 
     fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], mut x_bar: Option<&mut [F]>) {
-        let PolicyPass { packed, at, x } = pass;
+        let PolicyPass { packed, at, x, .. } = pass;
         let level = SimdLevel::best();
         let n = self.observation_dim();
         let total = x.len() / n;

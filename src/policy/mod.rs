@@ -1,6 +1,8 @@
-//! [`Policy`]: the controller `u = N(y; θ)` to be trained, for an observation y.
+//! [`Policy`]: the controller `u = N(y, t; θ)` to be trained, for an observation y.
 //!
-//! - Policies: [`Mlp`], [`Conv`], [`Linear`], and the small [`Quadratic`] and [`Constant`].
+//! - Feedback: [`Mlp`], [`Conv`], [`Linear`], and the small [`Quadratic`] and [`Constant`].
+//! - Feedback with memory: [`Gru`], [`Elman`].
+//! - Control sequences: [`OpenLoop`].
 //! - [`AnyPolicy`]: object-safe [`Policy`] for one precision.
 //! - [`Weights`]: parameters together with their packed form.
 //!
@@ -10,12 +12,16 @@ mod any;
 mod conv;
 mod linear;
 mod mlp;
+mod open_loop;
+mod recurrent;
 mod two_params;
 
 pub use any::AnyPolicy;
 pub use conv::Conv;
 pub use linear::Linear;
 pub use mlp::Mlp;
+pub use open_loop::OpenLoop;
+pub use recurrent::{Elman, Gru};
 pub use two_params::{Constant, Quadratic};
 
 use crate::numbers::aligned::Aligned;
@@ -25,7 +31,11 @@ use crate::numbers::scalar::{Float, Lanes, Real, Scalar};
 use smallvec::SmallVec;
 use std::ops::Range;
 
-/// A time-invariant controller `u = N(x; θ)` with parameters `θ` in one flat slice.
+/// A controller `(u_t, m_{t+1}) = N(y_t, m_t, t; θ)` with parameters `θ` in one flat slice.
+///
+/// y is the observation, m the memory, of [`memory_dim`](Policy::memory_dim) components, and t the
+/// number of the step. Most policies have no memory and do not depend on t. The memory is 0 at the
+/// start of a rollout.
 ///
 /// Required: the dimensions, [`init`](Policy::init) and [`act`](Policy::act). The batched passes
 /// default to one call of `act` per evaluation, with exact derivatives by dual numbers. A policy
@@ -36,8 +46,8 @@ use std::ops::Range;
 /// The batched passes are [`sizes`](Policy::sizes), [`pack`](Policy::pack),
 /// [`forward`](Policy::forward), [`backward`](Policy::backward) and
 /// [`param_gradient`](Policy::param_gradient). They work on *columns*. One column is one
-/// evaluation: one sample at one time step. `x` holds `observation_dim` numbers per column; `u` and
-/// `u_bar` hold `control_dim`.
+/// evaluation: one sample at one time step. `x` holds the observation and the memory of each column.
+/// `u` and `u_bar` hold the control and the next memory.
 ///
 /// Columns are stored in units of several time steps. Within a unit, the steps of one sample are
 /// adjacent, and the samples follow one another. [`PolicyColumns`] selects the columns of a call.
@@ -46,16 +56,29 @@ pub trait Policy: Send + Sync {
     fn observation_dim(&self) -> usize;
     /// Number of control components.
     fn control_dim(&self) -> usize;
+    /// Number of memory components. Default: 0.
+    fn memory_dim(&self) -> usize {
+        0
+    }
     /// Number of parameters, the length of `θ`.
     fn param_count(&self) -> usize;
 
     /// Draws initial parameters into `theta`.
     fn init(&self, rng: &mut Rng, theta: &mut [f64]);
 
-    /// Evaluates `u = N(x; θ)` for one observation x.
+    /// Writes the control and the next memory, `action.u` and `action.memory`.
     ///
     /// Defines the policy: all other methods must agree with it.
-    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]);
+    ///
+    /// ```
+    /// # use physgrad::{Scalar, policy::{Action, Observed}};
+    /// // Proportional and integral feedback; the memory is the sum of the errors.
+    /// fn act<T: Scalar>(theta: &[T], Observed { y, memory, .. }: Observed<'_, T>, action: Action<'_, T>) {
+    ///     action.memory[0] = memory[0] + y[0];
+    ///     action.u[0] = theta[0] * y[0] + theta[1] * action.memory[0];
+    /// }
+    /// ```
+    fn act<T: Scalar>(&self, theta: &[T], observed: Observed<'_, T>, action: Action<'_, T>);
 
     /// Named tensors within `θ`, in order, for export to other programs. Default: one named
     /// `theta`.
@@ -73,37 +96,36 @@ pub trait Policy: Send + Sync {
         packed.copy_from_slice(theta);
     }
 
-    /// Evaluates `u = N(x)` in the columns `pass.at`. Stores intermediate values in `tape`.
+    /// Evaluates the policy in the columns `pass.at`. Stores intermediate values in `tape`.
     fn forward<F: Float>(&self, pass: PolicyPass<F>, _tape: &mut [F], u: &mut [F]) {
-        let (n, m) = (self.observation_dim(), self.control_dim());
-        let theta: SmallVec<[Lanes<F, BLOCK>; 32]> = pass.packed.iter().map(|&theta| Real::splat(theta)).collect();
-        let mut block_u = lanes::<F>(m);
-        for block in pass.at.blocks(BLOCK) {
-            self.act(&theta, &gathered(pass.x, n, block), &mut block_u);
+        let (inputs, outputs) = dims(self);
+        let theta: Block<F> = pass.packed.iter().map(|&theta| Real::splat(theta)).collect();
+        let mut block_u = lanes::<F>(outputs);
+        for (t, block) in pass.blocks() {
+            act_on(self, &theta, &gathered(pass.x, inputs, block), t, &mut block_u);
             for (lane, c) in block.iter().enumerate() {
-                for (u, block_u) in u[c * m..][..m].iter_mut().zip(&block_u) {
+                for (u, block_u) in u[c * outputs..][..outputs].iter_mut().zip(&block_u) {
                     *u = block_u.lane(lane);
                 }
             }
         }
     }
 
-    /// Writes `x_bar = (∂N/∂x)ᵀ u_bar` in the columns `pass.at`, after
+    /// Writes `x_bar = (∂N/∂(y, m))ᵀ u_bar` in the columns `pass.at`, after
     /// [`forward`](Policy::forward).
     ///
     /// Stores cotangents of intermediate values in `tape_bar`, for
-    /// [`param_gradient`](Policy::param_gradient). Skips the product with `∂N/∂x` if `x_bar` is
-    /// `None`.
+    /// [`param_gradient`](Policy::param_gradient). Skips this product if `x_bar` is `None`.
     fn backward<F: Float>(&self, pass: PolicyPass<F>, _tape: &[F], u_bar: &[F], _tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
-        let (n, m) = (self.observation_dim(), self.control_dim());
+        let (inputs, outputs) = dims(self);
         let Some(x_bar) = x_bar else { return };
         let theta: SmallVec<[Chunk<Lanes<F, BLOCK>>; 32]> =
             pass.packed.iter().map(|&theta| Chunk::constant(Real::splat(theta))).collect();
-        for block in pass.at.blocks(BLOCK) {
-            let act = |x: &[_], u: &mut [_]| self.act(&theta, x, u);
-            jacobian(&gathered(pass.x, n, block), 0..n, m, act, |i, slope| {
+        for (t, block) in pass.blocks() {
+            let act = |x: &[_], u: &mut [_]| act_on(self, &theta, x, t, u);
+            jacobian(&gathered(pass.x, inputs, block), 0..inputs, outputs, act, |i, slope| {
                 for (lane, c) in block.iter().enumerate() {
-                    x_bar[c * n + i] = dot(slope, lane, &u_bar[c * m..][..m]);
+                    x_bar[c * inputs + i] = dot(slope, lane, &u_bar[c * outputs..][..outputs]);
                 }
             });
         }
@@ -114,30 +136,67 @@ pub trait Policy: Send + Sync {
     ///
     /// Sums over the columns `pass.at`, which must be contiguous.
     fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, _scratch: &mut [F], theta_bar: &mut [F]) {
-        let (n, m) = (self.observation_dim(), self.control_dim());
-        let theta: SmallVec<[Lanes<F, BLOCK>; 32]> = pass.packed.iter().map(|&theta| Real::splat(theta)).collect();
-        for block in pass.at.blocks(BLOCK) {
-            let x: SmallVec<[Chunk<Lanes<F, BLOCK>>; 32]> = gathered(pass.x, n, block).into_iter().map(Chunk::constant).collect();
-            let act = |theta: &[_], u: &mut [_]| self.act(theta, &x, u);
-            jacobian(&theta, 0..theta.len(), m, act, |i, slope| {
+        let (inputs, outputs) = dims(self);
+        let theta: Block<F> = pass.packed.iter().map(|&theta| Real::splat(theta)).collect();
+        for (t, block) in pass.blocks() {
+            let x: SmallVec<[Chunk<Lanes<F, BLOCK>>; 32]> =
+                gathered(pass.x, inputs, block).into_iter().map(Chunk::constant).collect();
+            let act = |theta: &[_], u: &mut [_]| act_on(self, theta, &x, t, u);
+            jacobian(&theta, 0..theta.len(), outputs, act, |i, slope| {
                 for (lane, c) in block.iter().enumerate() {
                     let weight = record.weight.map_or(F::one(), |w| w[c]);
-                    theta_bar[i] += weight * dot(slope, lane, &record.u_bar[c * m..][..m]);
+                    theta_bar[i] += weight * dot(slope, lane, &record.u_bar[c * outputs..][..outputs]);
                 }
             });
         }
     }
 }
 
+/// Inputs of [`Policy::act`].
+#[derive(Clone, Copy, Debug)]
+pub struct Observed<'a, T> {
+    /// Observation, `observation_dim` components.
+    pub y: &'a [T],
+    /// Memory, `memory_dim` components, 0 at step 0.
+    pub memory: &'a [T],
+    /// Number of the step, from 0.
+    pub t: usize,
+}
+
+/// Outputs of [`Policy::act`].
+#[derive(Debug)]
+pub struct Action<'a, T> {
+    /// Control, `control_dim` components.
+    pub u: &'a mut [T],
+    /// Next memory, `memory_dim` components.
+    pub memory: &'a mut [T],
+}
+
+/// Evaluates [`Policy::act`] on a concatenated observation and memory, `x`. Writes the concatenated
+/// control and next memory to `u`.
+pub(crate) fn act_on<P: Policy + ?Sized, T: Scalar>(policy: &P, theta: &[T], x: &[T], t: usize, u: &mut [T]) {
+    let ((y, memory), (u, next)) = (x.split_at(policy.observation_dim()), u.split_at_mut(policy.control_dim()));
+    policy.act(theta, Observed { y, memory, t }, Action { u, memory: next });
+}
+
+/// Lengths of the inputs and outputs of one column.
+fn dims<P: Policy + ?Sized>(policy: &P) -> (usize, usize) {
+    let memory = policy.memory_dim();
+    (policy.observation_dim() + memory, policy.control_dim() + memory)
+}
+
+/// One number per input, output or parameter, for [`BLOCK`] columns.
+type Block<F> = SmallVec<[Lanes<F, BLOCK>; 32]>;
+
 /// Number of columns that the default batched passes evaluate at once.
 const BLOCK: usize = 8;
 
-fn lanes<F: Float>(len: usize) -> SmallVec<[Lanes<F, BLOCK>; 32]> {
+fn lanes<F: Float>(len: usize) -> Block<F> {
     SmallVec::from_elem(Lanes([F::zero(); BLOCK]), len)
 }
 
 /// Columns of a block as lanes. Unused lanes repeat the last column.
-fn gathered<F: Float>(x: &[F], n: usize, block: PolicyColumns) -> SmallVec<[Lanes<F, BLOCK>; 32]> {
+fn gathered<F: Float>(x: &[F], n: usize, block: PolicyColumns) -> Block<F> {
     let mut gathered = lanes(n);
     for lane in 0..BLOCK {
         let c = block.first + lane.min(block.count - 1) * block.step;
@@ -160,8 +219,36 @@ pub struct PolicyPass<'a, F> {
     pub packed: &'a [F],
     /// Columns to evaluate.
     pub at: PolicyColumns,
-    /// Observations of all columns, `observation_dim` numbers each.
+    /// Observation and memory of all columns, `observation_dim + memory_dim` numbers each.
     pub x: &'a [F],
+    /// Number of the step of the first column.
+    pub first_step: usize,
+    /// Number of steps of each sample. The columns of one sample follow one another.
+    pub steps: usize,
+}
+
+impl<'a, F> PolicyPass<'a, F> {
+    /// A pass over columns of step 0.
+    pub fn new(packed: &'a [F], at: PolicyColumns, x: &'a [F]) -> Self {
+        Self { packed, at, x, first_step: 0, steps: 1 }
+    }
+
+    /// Sets the steps of each sample.
+    pub fn at_steps(self, steps: Range<usize>) -> Self {
+        Self { first_step: steps.start, steps: steps.len(), ..self }
+    }
+
+    /// Iterates over the steps, with the columns of all samples at that step.
+    pub fn each_step(&self) -> impl Iterator<Item = (usize, PolicyColumns)> + use<F> {
+        let (PolicyColumns { first, step, count }, first_step, steps) = (self.at, self.first_step, self.steps);
+        let columns = move |i: usize| PolicyColumns { first: first + i * step, step: step * steps, count: count / steps };
+        (0..steps).map(move |i| (first_step + i, columns(i)))
+    }
+
+    /// Iterates over blocks of at most [`BLOCK`] samples at one step, with that step.
+    fn blocks(&self) -> impl Iterator<Item = (usize, PolicyColumns)> + use<F> {
+        self.each_step().flat_map(|(t, columns)| columns.blocks(BLOCK).map(move |block| (t, block)))
+    }
 }
 
 /// Results of the forward and backward passes in all columns, for [`Policy::param_gradient`].

@@ -1,6 +1,6 @@
 //! Policies with few parameters, for plots of gradient fields over `θ`.
 
-use super::Policy;
+use super::{Action, Observed, Policy};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Scalar;
 
@@ -28,8 +28,8 @@ impl Policy for Quadratic {
         theta.fill(0.0);
     }
 
-    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
-        u[0] = (theta[0] * x[0] + theta[1]) * x[0];
+    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
+        u[0] = (theta[0] * y[0] + theta[1]) * y[0];
     }
 }
 
@@ -65,7 +65,7 @@ impl Policy for Constant {
         theta.fill(0.0);
     }
 
-    fn act<T: Scalar>(&self, theta: &[T], _x: &[T], u: &mut [T]) {
+    fn act<T: Scalar>(&self, theta: &[T], _observed: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
         u.copy_from_slice(theta);
     }
 }

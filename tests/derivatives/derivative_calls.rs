@@ -1,6 +1,6 @@
 //! Derivative calls of a rollout: no flow evaluates derivatives of a path that it does not take.
 
-use physgrad::policy::{Mlp, PolicyPass, PolicyRecord, Sizes};
+use physgrad::policy::{Action, Mlp, Observed, PolicyPass, PolicyRecord, Sizes};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, Guidance};
 use physgrad::{
@@ -159,8 +159,8 @@ impl Policy for WatchedPolicy {
     fn init(&self, rng: &mut Rng, theta: &mut [f64]) {
         self.inner.init(rng, theta);
     }
-    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
-        self.inner.act(theta, x, u);
+    fn act<T: Scalar>(&self, theta: &[T], observed: Observed<'_, T>, action: Action<'_, T>) {
+        self.inner.act(theta, observed, action);
     }
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {
         self.inner.sizes::<F>(columns)

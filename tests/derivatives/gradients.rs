@@ -1,7 +1,7 @@
 //! Checks every gradient against dual numbers, and the checks themselves against planted faults.
 
 use num_traits::AsPrimitive;
-use physgrad::policy::{Conv, Linear, Mlp, PolicyPass, PolicyRecord, Sizes, Tensor};
+use physgrad::policy::{Action, Conv, Linear, Mlp, Observed, PolicyPass, PolicyRecord, Sizes, Tensor};
 use physgrad::rng::Rng;
 use physgrad::tasks::{CartPole, CartPoleSystem, LossMode, Quantum};
 use physgrad::{Cotangent, CotangentPack, Cotangents, Float, Flow, Inputs, Policy, Real, Scalar, Start, System, Task, check};
@@ -217,8 +217,8 @@ impl Policy for Forgetting {
     fn init(&self, rng: &mut Rng, theta: &mut [f64]) {
         self.0.init(rng, theta);
     }
-    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
-        self.0.act(theta, x, u);
+    fn act<T: Scalar>(&self, theta: &[T], observed: Observed<'_, T>, action: Action<'_, T>) {
+        self.0.act(theta, observed, action);
     }
     fn backward<F: physgrad::Float>(
         &self,
@@ -261,8 +261,8 @@ impl Policy for OneOff {
     fn init(&self, rng: &mut Rng, theta: &mut [f64]) {
         self.conv.init(rng, theta);
     }
-    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
-        self.conv.act(theta, x, u);
+    fn act<T: Scalar>(&self, theta: &[T], observed: Observed<'_, T>, action: Action<'_, T>) {
+        self.conv.act(theta, observed, action);
     }
     fn tensors(&self) -> Vec<Tensor> {
         self.conv.tensors()

@@ -1,6 +1,6 @@
 //! Identities of the four flows and their compositions, for any physics.
 
-use physgrad::policy::Mlp;
+use physgrad::policy::{Action, Mlp, Observed};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, LossMode};
 use physgrad::{Batch, Field, Flow, GradientCombiner, Inputs, Policy, Scalar, SignAgreement, Start, System, Task, Weights};
@@ -49,7 +49,7 @@ impl Policy for Blind {
     fn init(&self, _: &mut Rng, theta: &mut [f64]) {
         theta.fill(0.3);
     }
-    fn act<T: Scalar>(&self, theta: &[T], _: &[T], u: &mut [T]) {
+    fn act<T: Scalar>(&self, theta: &[T], _: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
         u[0] = theta[0] + theta[1].sin();
     }
 }

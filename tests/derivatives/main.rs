@@ -10,3 +10,4 @@ mod derivative_calls;
 mod gradients;
 mod identities;
 mod inputs;
+mod memory;

@@ -1,7 +1,7 @@
 //! Gradients are bitwise independent of the checkpoint schedule, and memory stays within its
 //! budget.
 
-use physgrad::policy::{Conv, Mlp};
+use physgrad::policy::{Action, Conv, Gru, Mlp, Observed};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::{CartPole, Guidance, LossMode, Quantum};
 use physgrad::{
@@ -131,18 +131,29 @@ fn bits_are_those_of_store_all_with_a_convolution_and_with_derivatives_by_duals(
 }
 
 #[test]
+fn bits_are_those_of_store_all_with_a_memory() {
+    let (task, policy) = (cart_pole(2 * UNIT + 9), Gru::new(4, 6, 1));
+    bits_are_those_of_store_all::<f32, _, _>(&task, &policy, &[11]);
+    bits_are_those_of_store_all::<f64, _, _>(&task, &policy, &[3]);
+}
+
+#[test]
 fn mini_batches_over_several_workers_have_the_bits_of_store_all() {
-    let (task, policy) = (cart_pole(3 * UNIT + 2), Mlp::new([4, 8, 1]));
-    let (weights, starts) = (weights::<f32, _>(&policy), starts::<f32, _>(&task, 13));
+    bits_of_mini_batches(&cart_pole(3 * UNIT + 2), &Mlp::new([4, 8, 1]));
+    bits_of_mini_batches(&cart_pole(UNIT + 20), &Gru::new(4, 5, 1));
+}
+
+fn bits_of_mini_batches(task: &CartPole, policy: &impl Policy) {
+    let (weights, starts) = (weights::<f32, _>(policy), starts::<f32, _>(task, 13));
     let flows = Field::combined().flows();
     let run = |mut batch: Batch<f32>| {
-        let loss = batch.run(&task, &policy, &weights, &starts).expect("finite");
+        let loss = batch.run(task, policy, &weights, &starts).expect("finite");
         (loss, batch.gradients().to_vec())
     };
-    let all = run(Batch::new(&task, &policy, 17, &flows, 1));
+    let all = run(Batch::new(task, policy, 17, &flows, 1));
     for workers in [1, 2, 5] {
         for schedule in schedules(task.horizon) {
-            assert_eq!(run(Batch::scheduled(&task, &policy, 17, &flows, workers, schedule)), all);
+            assert_eq!(run(Batch::scheduled(task, policy, 17, &flows, workers, schedule)), all);
         }
     }
 }
@@ -177,8 +188,8 @@ impl Policy for Plain {
     fn init(&self, _: &mut Rng, theta: &mut [f64]) {
         theta.fill(0.1);
     }
-    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
-        u[0] = theta[0] * x[0] + theta[1] * x[2].sin_cos().0;
+    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
+        u[0] = theta[0] * y[0] + theta[1] * y[2].sin_cos().0;
     }
 }
 
@@ -198,8 +209,8 @@ impl Policy for Growing {
     fn init(&self, _: &mut Rng, theta: &mut [f64]) {
         theta.fill(1.0);
     }
-    fn act<T: Scalar>(&self, theta: &[T], x: &[T], u: &mut [T]) {
-        u[0] = theta[0] + x[0] * self.0;
+    fn act<T: Scalar>(&self, theta: &[T], Observed { y, .. }: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
+        u[0] = theta[0] + y[0] * self.0;
     }
 }
 

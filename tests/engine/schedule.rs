@@ -1,6 +1,6 @@
 //! Checkpoint schedules recompute the minimal number of steps, and exactly as many as they report.
 
-use physgrad::policy::PolicyPass;
+use physgrad::policy::{Action, Observed, PolicyPass};
 use physgrad::rng::Rng;
 use physgrad::tasks::CartPole;
 use physgrad::{Checkpointed, Float, Flow, Gradient, Policy, Scalar, Schedule, Weights};
@@ -24,7 +24,7 @@ impl Policy for Asked {
     fn init(&self, _: &mut Rng, theta: &mut [f64]) {
         theta.fill(0.0);
     }
-    fn act<T: Scalar>(&self, theta: &[T], _: &[T], u: &mut [T]) {
+    fn act<T: Scalar>(&self, theta: &[T], _: Observed<'_, T>, Action { u, .. }: Action<'_, T>) {
         u.copy_from_slice(theta);
     }
     fn forward<F: Float>(&self, pass: PolicyPass<F>, _: &mut [F], u: &mut [F]) {

@@ -47,7 +47,7 @@ fn a_column_does_not_depend_on_its_neighbours() {
         let sizes = policy.sizes::<f64>(total);
         let (mut tape, mut tape_bar) = (vec![0.0; sizes.tape], vec![0.0; sizes.tape_bar]);
         let (mut u, mut x_bar) = (vec![f64::NAN; total], vec![f64::NAN; n * total]);
-        let pass = |&at: &PolicyColumns| PolicyPass { packed: weights.packed(), at, x: &x };
+        let pass = |&at: &PolicyColumns| PolicyPass::new(weights.packed(), at, &x);
         for at in pieces {
             policy.forward(pass(at), &mut tape, &mut u);
         }

@@ -48,7 +48,7 @@ fn saturated<F: Float>() -> [Finding; 2] {
         let zeros = |len: usize| vec![F::zero(); len];
         let (mut tape, mut u, mut tape_bar) = (zeros(sizes.tape), zeros(columns), zeros(sizes.tape_bar));
         let mut x_bar = vec![F::lift(f64::NAN); 4 * columns];
-        let pass = PolicyPass { packed: weights.packed(), at: PolicyColumns::range(0..columns), x: &x };
+        let pass = PolicyPass::new(weights.packed(), PolicyColumns::range(0..columns), &x);
         policy.forward(pass, &mut tape, &mut u);
         policy.backward(pass, &tape, &vec![F::one(); columns], &mut tape_bar, Some(&mut x_bar));
         finite &= u.iter().chain(&x_bar).all(|x| x.as_().is_finite());

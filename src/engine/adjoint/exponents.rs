@@ -63,7 +63,8 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         u_bar: &mut [CotangentPack<Lane<F>, K>],
     ) -> Result<(), NonFinite> {
         let Pass { rollout, scale, .. } = *pass;
-        let cotangents = zip(lambda.chunks_exact_mut(rollout.state_dim), u_bar.chunks_exact_mut(rollout.control_dim));
+        let cotangents =
+            zip(lambda.chunks_exact_mut(rollout.state_dim), u_bar.chunks_exact_mut(rollout.control_dim + rollout.memory_dim));
         for ((lambda, u_bar), block) in zip(cotangents, &mut self.blocks).take(rollout.samples.div_ceil(WIDTH)) {
             for (k, flow) in flows.into_iter().enumerate() {
                 for lane in 0..WIDTH {
@@ -84,6 +85,7 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         block: usize,
         scale: F,
         lambda: &mut [CotangentPack<Lane<F>, K>],
+        u_bar: &mut [CotangentPack<Lane<F>, K>],
         cost: &CostGradient<Lane<F>>,
     ) {
         if !self.low {
@@ -91,7 +93,7 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         }
         for lane in 0..WIDTH {
             if cost.values().any(|cost| cost.lane(lane) != F::zero()) {
-                (0..K).for_each(|k| self.blocks[block].raise((k, lane), scale, lambda));
+                (0..K).for_each(|k| self.blocks[block].raise((k, lane), scale, lambda, u_bar));
             }
         }
     }
@@ -186,7 +188,7 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
             return Err(NonFinite);
         }
         // The adjoint of S covers one step, so it cannot explode or vanish.
-        let carries = flow.physics || flow.control;
+        let carries = flow.physics || flow.control || flow.memory;
         if !carries || Limits::new().holds(size, false) && size != F::zero() {
             return Ok(());
         }
@@ -203,10 +205,16 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
     /// Resets the exponent of one sample and flow to 0, if scaled cost gradients may overflow.
     ///
     /// λ may underflow to 0. This error is negligible relative to the cost gradients.
-    fn raise(&mut self, (k, lane): (usize, usize), scale: F, lambda: &mut [CotangentPack<Lane<F>, K>]) {
+    fn raise(
+        &mut self,
+        (k, lane): (usize, usize),
+        scale: F,
+        lambda: &mut [CotangentPack<Lane<F>, K>],
+        u_bar: &mut [CotangentPack<Lane<F>, K>],
+    ) {
         let own = self.of[k][lane];
         if own < -reach::<F>() {
-            for bar in lambda {
+            for bar in lambda.iter_mut().chain(u_bar) {
                 let bar = &mut bar.0[k];
                 bar.set_lane(lane, scaled(bar.lane(lane), own));
             }

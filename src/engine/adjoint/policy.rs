@@ -8,7 +8,7 @@ use crate::engine::gradient::Gradient;
 use crate::engine::rollout::{Lane, WIDTH, gather};
 use crate::numbers::aligned::Aligned;
 use crate::numbers::extended::{exponent_of, scaled};
-use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Scalar};
 use crate::numbers::zip::zip;
 use crate::policy::AnyPolicy;
 use crate::policy::{PolicyColumns, PolicyPass, PolicyRecord};
@@ -18,13 +18,14 @@ use std::ops::Range;
 #[derive(Debug)]
 pub(super) struct PolicyAdjoint<F> {
     control_dim: usize,
-    /// Control cotangents h, per flow, as policy columns.
+    memory_dim: usize,
+    /// Cotangents of the policy's outputs, h and μ, per flow, as policy columns.
     pub(super) controls_bar: Vec<Vec<F>>,
     /// Tape of the policy's backward pass, per flow, or one for all flows if `linearized`.
     pub(super) tape_bar: Vec<Aligned<F>>,
-    /// `(∂N/∂y)ᵀ h`, or `∂N/∂y` if `linearized`, as policy columns.
+    /// Cotangents of the policy's inputs, or `∂N/∂y` if `linearized`, as policy columns.
     ///
-    /// Empty if no flow has a control path.
+    /// Empty if no flow has a path through the inputs.
     pub(super) inputs_bar: Vec<F>,
     /// Cotangents of the observations and of the states of one step, `[block][component]`. Empty if
     /// the policy observes the state.
@@ -47,6 +48,7 @@ pub(super) struct PolicyAdjoint<F> {
 /// Buffer lengths of the policy part.
 pub(super) struct PolicyBufferSizes {
     control_dim: usize,
+    memory_dim: usize,
     flows: usize,
     controls_bar: usize,
     tapes: usize,
@@ -71,23 +73,24 @@ impl PolicyBufferSizes {
         flows: &[Flow],
     ) -> Self {
         let columns = samples * kept;
-        let (n, m) = (policy.observation_dim(), policy.control_dim());
+        let (inputs, outputs, memory_dim) = (policy.input_dim(), policy.output_dim(), policy.memory_dim());
         let sizes = policy.sizes(columns);
-        // With one control, ∂N/∂y and the cotangents of all layers are known up to the factor h
+        // With one output, ∂N/∂y and the cotangents of all layers are known up to the factor h
         // before the loop. One linearization in large products then serves all flows. Several
-        // controls would require one linearization each.
-        let through_inputs = flows.iter().any(|flow| flow.control);
-        let linearized = m == 1 && through_inputs;
+        // outputs would require one linearization each.
+        let through_inputs = flows.iter().any(|flow| flow.control || flow.memory && memory_dim > 0);
+        let linearized = outputs == 1 && through_inputs;
         let (blocks, observed) = (samples.div_ceil(WIDTH), through_inputs && task.own_observation().is_some());
         Self {
-            control_dim: m,
+            control_dim: policy.control_dim(),
+            memory_dim,
             flows: flows.len(),
-            controls_bar: columns * m,
+            controls_bar: columns * outputs,
             tapes: if linearized { 1 } else { flows.len() },
             tape_bar: sizes.tape_bar,
-            inputs_bar: if through_inputs { columns * n } else { 0 },
-            observed_dim: n,
-            observed_bar: if observed { blocks * n } else { 0 },
+            inputs_bar: if through_inputs { columns * inputs } else { 0 },
+            observed_dim: policy.observation_dim(),
+            observed_bar: if observed { blocks * policy.observation_dim() } else { 0 },
             states_bar: if observed { blocks * task.state_dim() } else { 0 },
             linearized,
             ones: if linearized { columns } else { 0 },
@@ -112,6 +115,7 @@ impl<F: Float> PolicyAdjoint<F> {
         let zeros = |len: usize| vec![F::zero(); len];
         Self {
             control_dim: sizes.control_dim,
+            memory_dim: sizes.memory_dim,
             controls_bar: (0..sizes.flows).map(|_| zeros(sizes.controls_bar)).collect(),
             tape_bar: (0..sizes.tapes).map(|_| Aligned::zeros(sizes.tape_bar)).collect(),
             inputs_bar: zeros(sizes.inputs_bar),
@@ -150,7 +154,12 @@ impl<F: Float> PolicyAdjoint<F> {
         }
     }
 
-    /// Stores h of flow `k` at the columns of one step, with its exponents.
+    /// Returns true if a flow has a path through the policy's inputs.
+    pub(super) fn through_inputs(&self, flow: Flow) -> bool {
+        flow.control || flow.memory && self.memory_dim > 0
+    }
+
+    /// Stores h and μ of flow `k` at the columns of one step, with their exponents.
     pub(super) fn set_controls_bar<const K: usize>(
         &mut self,
         k: usize,
@@ -158,7 +167,8 @@ impl<F: Float> PolicyAdjoint<F> {
         u_bar: &[CotangentPack<Lane<F>, K>],
         exponents: &Exponents<F, K>,
     ) {
-        gather(u_bar, |h, lane| h.0[k].lane(lane), self.control_dim, at, &mut self.controls_bar[k]);
+        let outputs = self.control_dim + self.memory_dim;
+        gather(u_bar, |h, lane| h.0[k].lane(lane), outputs, at, &mut self.controls_bar[k], (0, outputs));
         if exponents.any {
             self.scaled = true;
             for (sample, c) in at.iter().enumerate() {
@@ -167,10 +177,10 @@ impl<F: Float> PolicyAdjoint<F> {
         }
     }
 
-    /// Evaluates `(∂N/∂y)ᵀ h` of flow `k` at step `t`, unless `linearized`.
+    /// Evaluates the cotangents of the policy's inputs of flow `k` at step `t`, unless `linearized`.
     pub(super) fn linearize_inputs(&mut self, pass: &Pass<'_, F>, k: usize, t: usize) {
         if !self.linearized {
-            self.backward(pass, k, pass.rollout.columns(t), true);
+            self.backward(pass, k, pass.rollout.columns(t), t..t + 1, true);
         }
     }
 
@@ -183,11 +193,12 @@ impl<F: Float> PolicyAdjoint<F> {
         lambda: &mut [CotangentPack<Lane<F>, K>],
     ) {
         let Pass { task, rollout, .. } = *pass;
+        let observed = 0..self.observed_dim;
         if task.own_observation().is_none() {
-            return self.each_input_bar(k, rollout.columns(t), |i, lane, bar| lambda[i].0[k].0[lane] += bar);
+            return self.each_input_bar(k, rollout.columns(t), observed, |i, lane, bar| lambda[i].0[k].0[lane] += bar);
         }
         let mut observed_bar = std::mem::take(&mut self.observed_bar);
-        self.each_input_bar(k, rollout.columns(t), |i, lane, bar| observed_bar[i].0[0].0[lane] = bar);
+        self.each_input_bar(k, rollout.columns(t), observed, |i, lane, bar| observed_bar[i].0[0].0[lane] = bar);
         let states_bar = &mut self.states_bar[..rollout.states_at(t).len()];
         states_bar.fill(One::null());
         task.observe_back(rollout.observed_at(t), &observed_bar, states_bar);
@@ -197,18 +208,40 @@ impl<F: Float> PolicyAdjoint<F> {
         self.observed_bar = observed_bar;
     }
 
-    /// Calls `visit(i, lane, bar)` with each component of `(∂N/∂y)ᵀ h` in the columns `at`. `i` is
-    /// an index of `[block][component]`.
-    fn each_input_bar(&self, k: usize, at: PolicyColumns, mut visit: impl FnMut(usize, usize, F)) {
-        let n = self.observed_dim;
+    /// Writes μ of flow `k` before step `t` into `u_bar`, `[block][control, memory]`: the cotangent of
+    /// the memory at step `t`, or 0 without a path through the memory.
+    pub(super) fn set_memory_bar<const K: usize>(
+        &mut self,
+        k: usize,
+        flow: Flow,
+        at: PolicyColumns,
+        u_bar: &mut [CotangentPack<Lane<F>, K>],
+    ) {
+        let (m, memory, observed) = (self.control_dim, self.memory_dim, self.observed_dim);
+        if memory == 0 {
+            return;
+        }
+        if !flow.memory {
+            let memories = u_bar.chunks_exact_mut(m + memory).flat_map(|block| &mut block[m..]);
+            return memories.for_each(|bar| bar.0[k] = Lane::zero());
+        }
+        self.each_input_bar(k, at, observed..observed + memory, |i, lane, bar| {
+            u_bar[i / memory * (m + memory) + m + i % memory].0[k].0[lane] = bar;
+        });
+    }
+
+    /// Calls `visit(i, lane, bar)` with the cotangents of the policy inputs `range` in the columns
+    /// `at`. `i` is an index of `[block][component]`, with the components of the range.
+    fn each_input_bar(&self, k: usize, at: PolicyColumns, range: Range<usize>, mut visit: impl FnMut(usize, usize, F)) {
+        let n = self.observed_dim + self.memory_dim;
         for block in 0..at.count.div_ceil(WIDTH) {
             for lane in 0..WIDTH {
                 let sample = (block * WIDTH + lane).min(at.count - 1);
                 let c = at.first + sample * at.step;
                 // If linearized, `inputs_bar` contains ∂N/∂y without the factor h.
                 let factor = if self.linearized { self.controls_bar[k][c] } else { F::one() };
-                for (i, &input_bar) in self.inputs_bar[c * n..][..n].iter().enumerate() {
-                    visit(block * n + i, lane, input_bar * factor);
+                for (i, &input_bar) in self.inputs_bar[c * n..][range.clone()].iter().enumerate() {
+                    visit(block * range.len() + i, lane, input_bar * factor);
                 }
             }
         }
@@ -225,7 +258,7 @@ impl<F: Float> PolicyAdjoint<F> {
     ) {
         let range = pass.at.as_range();
         let one_exponent = !self.scaled || self.exponents[k][range.clone()].iter().all(|&exponent| exponent == 0);
-        let exponent = if one_exponent { 0 } else { self.weigh(k, range, policy.control_dim()) };
+        let exponent = if one_exponent { 0 } else { self.weigh(k, range, policy.output_dim()) };
         let h = &self.controls_bar[k];
         let (u_bar, tape_bar, plain_weight) =
             if self.linearized { (&self.ones, &self.tape_bar[0], Some(&h[..])) } else { (h, &self.tape_bar[k], None) };
@@ -260,9 +293,16 @@ impl<F: Float> PolicyAdjoint<F> {
 
     /// Runs the policy's backward pass of flow `k` for the columns `at`.
     ///
-    /// Evaluates `∂N/∂y` only if `through_inputs`.
-    pub(super) fn backward(&mut self, pass: &Pass<'_, F>, k: usize, at: PolicyColumns, through_inputs: bool) {
-        let columns = PolicyPass { packed: pass.weights.packed(), at, x: pass.rollout.inputs() };
+    /// Evaluates the cotangents of the inputs only if `through_inputs`.
+    pub(super) fn backward(
+        &mut self,
+        pass: &Pass<'_, F>,
+        k: usize,
+        at: PolicyColumns,
+        steps: Range<usize>,
+        through_inputs: bool,
+    ) {
+        let columns = PolicyPass::new(pass.weights.packed(), at, pass.rollout.inputs()).at_steps(steps);
         let u_bar = if self.linearized { &self.ones } else { &self.controls_bar[k] };
         let x_bar = through_inputs.then_some(&mut self.inputs_bar[..]);
         pass.policy.backward(columns, &pass.rollout.tape, u_bar, &mut self.tape_bar[k], x_bar);

@@ -28,6 +28,8 @@ pub(super) struct Step<'a, R, const K: usize> {
     pub(super) x_bar: &'a mut [CotangentPack<R, K>],
     /// h, written.
     pub(super) u_bar: &'a mut [CotangentPack<R, K>],
+    /// μ, the cotangent of the memory after the step.
+    pub(super) memory_bar: &'a [CotangentPack<R, K>],
     /// Gradients of the running cost, written.
     pub(super) cost: &'a mut CostGradient<R>,
     /// Factor of the cost gradients; see [`Exponents`].
@@ -75,7 +77,7 @@ impl<R: Real> CostGradient<R> {
     }
 }
 
-/// Performs one step of the recursion without the policy. Returns Σ|λ| + Σ|h| per flow.
+/// Performs one step of the recursion without the policy. Returns Σ|λ| + Σ|h| + Σ|μ| per flow.
 ///
 /// ```text
 /// λ ← λ + ∂l/∂x_{t+1}
@@ -88,7 +90,7 @@ pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
     flows: [Flow; K],
     step: Step<'_, R, K>,
 ) -> CotangentPack<R, K> {
-    let Step { inputs, next, lambda, x_bar, u_bar, cost, inject } = step;
+    let Step { inputs, next, lambda, x_bar, u_bar, memory_bar, cost, inject } = step;
     let mut size = CotangentPack([R::zero(); K]);
 
     cost.clear();
@@ -110,6 +112,9 @@ pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
         *u_bar += inject * cost;
         size += u_bar.abs();
     }
+    for memory_bar in memory_bar {
+        size += memory_bar.abs();
+    }
 
     for ((lambda, &x_bar), &cost) in zip(zip(lambda.iter_mut(), &*x_bar), &cost.x) {
         for (k, flow) in flows.iter().enumerate() {
@@ -128,7 +133,7 @@ pub struct Recursion<F: Float, const K: usize> {
     pub(super) lambda: Vec<CotangentPack<Lane<F>, K>>,
     /// `(∂S/∂x)ᵀ λ`, before the flows select their paths.
     pub(super) x_bar: Vec<CotangentPack<Lane<F>, K>>,
-    /// h, `[block][component]`.
+    /// h and μ, the cotangents of the policy's outputs, `[block][control, memory]`.
     pub(super) u_bar: Vec<CotangentPack<Lane<F>, K>>,
     /// Cost gradients of one block.
     pub(super) cost: CostGradient<Lane<F>>,
@@ -138,23 +143,24 @@ pub struct Recursion<F: Float, const K: usize> {
 
 impl<F: Float, const K: usize> Recursion<F, K> {
     pub(super) fn new(rollout: &Rollout<F>) -> Self {
-        let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let (n, m, memory) = (rollout.state_dim, rollout.control_dim, rollout.memory_dim);
         let blocks = rollout.capacity().div_ceil(WIDTH);
         let columns = |len: usize| vec![CotangentPack([Lane::zero(); K]); len];
         Self {
             lambda: columns(blocks * n),
             x_bar: columns(blocks * n),
-            u_bar: columns(blocks * m),
+            u_bar: columns(blocks * (m + memory)),
             cost: CostGradient::new(n, m),
             exponents: Exponents::new(blocks),
             growth: GrowthMeters::new(rollout.capacity()),
         }
     }
 
-    /// Returns the [`stored_bytes`](Self::stored_bytes) for `n` state and `m` control components.
-    pub(super) fn bytes_of(n: usize, m: usize, samples: usize) -> usize {
+    /// Returns the [`stored_bytes`](Self::stored_bytes) for these numbers of state, control and
+    /// memory components.
+    pub(super) fn bytes_of([n, m, memory]: [usize; 3], samples: usize) -> usize {
         let blocks = samples.div_ceil(WIDTH);
-        blocks * (2 * n + m) * size_of::<CotangentPack<Lane<F>, K>>()
+        blocks * (2 * n + m + memory) * size_of::<CotangentPack<Lane<F>, K>>()
             + CostGradient::<Lane<F>>::bytes_of(n, m)
             + Exponents::<F, K>::bytes_of(blocks)
             + GrowthMeters::<K>::bytes_of(samples)
@@ -173,6 +179,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         let n = rollout.state_dim;
         self.exponents.reset(scale);
         self.growth.reset();
+        self.u_bar.fill(CotangentPack([Lane::zero(); K]));
         for (block, x) in rollout.states_at(rollout.horizon).chunks_exact(n).enumerate() {
             self.cost.clear();
             task.terminal_cost_gradient(x, rollout.params_of(block), &mut self.cost.next);
@@ -204,11 +211,16 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             }
             for (k, flow) in flows.into_iter().enumerate() {
                 policy.set_controls_bar(k, pass.rollout.columns(t), &self.u_bar, &self.exponents);
-                if flow.control {
-                    // λ ← λ + (∂y/∂x)ᵀ (∂N/∂y)ᵀ h
+                if policy.through_inputs(flow) {
+                    // ȳ, m̄ ← (∂N/∂(y, m))ᵀ (h, μ)
                     policy.linearize_inputs(pass, k, t);
+                }
+                if flow.control {
+                    // λ ← λ + (∂y/∂x)ᵀ ȳ
                     policy.add_inputs_bar(k, pass, t, &mut self.lambda);
                 }
+                // μ ← memory·m̄
+                policy.set_memory_bar(k, flow, pass.rollout.columns(t), &mut self.u_bar);
             }
             self.after_step(pass, t, norms);
         }
@@ -228,7 +240,9 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             let (bars, next_bar) = self.cost.requests();
             task.running_cost_gradient(rollout.inputs_of(t, block), next, bars, next_bar);
             let lambda = &mut self.lambda[block * n..][..n];
-            self.exponents.raise(block, scale, lambda, &self.cost);
+            let outputs = rollout.control_dim + rollout.memory_dim;
+            let u_bar = &mut self.u_bar[block * outputs..][..outputs];
+            self.exponents.raise(block, scale, lambda, u_bar, &self.cost);
             if measured {
                 let samples = block * WIDTH..rollout.samples.min((block + 1) * WIDTH);
                 self.growth.before(samples, lambda, &self.cost.next, &self.exponents.blocks[block]);
@@ -250,7 +264,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         &self.growth
     }
 
-    /// Finds the first flow, and its first sample, with a non-finite state or control cotangent.
+    /// Finds the first flow with a non-finite cotangent, and its first sample: cotangents of the state
+    /// first, then those of control and memory.
     #[cold]
     fn divergence(&self, pass: &Pass<'_, F>, flows: [Flow; K], step: usize) -> Divergence {
         let Pass { task, rollout, .. } = *pass;
@@ -258,8 +273,14 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             find_non_finite(columns, n, rollout.samples, |c, lane| c.0[k].lane(lane))
         };
         let state = |k: usize| find(&self.lambda, rollout.state_dim, k).map(|place| (k, Variable::State, place));
-        let control = |k: usize| find(&self.u_bar, rollout.control_dim, k).map(|place| (k, Variable::Control, place));
-        let first = (0..K).find_map(|k| state(k).or_else(|| control(k)));
+        let outputs = rollout.control_dim + rollout.memory_dim;
+        let output = |k: usize| {
+            find(&self.u_bar, outputs, k).map(|(sample, i)| match i.checked_sub(rollout.control_dim) {
+                None => (k, Variable::Control, (sample, i)),
+                Some(i) => (k, Variable::Memory, (sample, i)),
+            })
+        };
+        let first = (0..K).find_map(|k| state(k).or_else(|| output(k)));
         let (k, variable, (sample, component)) = first.expect("the probe found a non-finite value");
         let of =
             |lanes: &[Lane<F>]| -> Vec<Single<F>> { lanes.iter().map(|number| Lanes([number.lane(sample % WIDTH)])).collect() };

@@ -8,7 +8,7 @@ use crate::engine::rollout::Rollout;
 use crate::numbers::kernels::{Vectorized, dispatch_lanes};
 use crate::numbers::scalar::Float;
 
-/// Reverse step of a task for all samples at once, for `K` flows.
+/// Reverse step of a task for all samples and `K` flows.
 pub trait StepBack<F: Float, const K: usize> {
     /// Applies costs and physics to all blocks. Returns false if rescaling is needed.
     fn step_back(&self, flows: [Flow; K], rollout: &Rollout<F>, t: usize, carried: &mut Recursion<F, K>) -> bool;
@@ -36,16 +36,19 @@ impl<T: Task, F: Float, const K: usize> Vectorized for Back<'_, T, F, K> {
     fn run<const FMA: bool>(self) {
         let Self { task, flows, rollout, t, carried: r, in_range } = self;
         let (n, m) = (rollout.state_dim, rollout.control_dim);
+        let outputs = m + rollout.memory_dim;
         let next = rollout.states_at(t + 1);
         let limits = Limits::new();
         for block in 0..next.len() / n {
-            let (of_state, of_control) = (block * n..(block + 1) * n, block * m..(block + 1) * m);
+            let of_state = block * n..(block + 1) * n;
+            let (u_bar, memory_bar) = r.u_bar[block * outputs..][..outputs].split_at_mut(m);
             let step = Step {
                 inputs: rollout.inputs_of(t, block),
                 next: &next[of_state.clone()],
                 lambda: &mut r.lambda[of_state.clone()],
                 x_bar: &mut r.x_bar[of_state],
-                u_bar: &mut r.u_bar[of_control],
+                u_bar,
+                memory_bar,
                 cost: &mut r.cost,
                 inject: r.exponents.blocks[block].inject,
             };

@@ -20,16 +20,16 @@ pub(super) struct BufferSizes {
 
 impl BufferSizes {
     pub(super) fn new<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize, kept: usize) -> Self {
-        let (n, m, observed) = (task.state_dim(), task.control_dim(), policy.observation_dim());
+        let carried = task.state_dim() + policy.memory_dim();
         let (blocks, columns) = (samples.div_ceil(WIDTH), samples * kept);
         Self {
-            states: (kept + 1) * blocks * n,
-            controls: kept * blocks * m,
+            states: (kept + 1) * blocks * carried,
+            controls: kept * blocks * task.control_dim(),
             params: blocks * task.param_dim(),
             costs: blocks,
             observations: task.own_observation().map_or(0, |dim| blocks * dim),
-            inputs: columns * observed,
-            outputs: columns * m,
+            inputs: columns * policy.input_dim(),
+            outputs: columns * policy.output_dim(),
             tape: policy.sizes(columns).tape,
         }
     }

@@ -18,24 +18,39 @@ pub(crate) fn find_non_finite<L, F: Float>(
         .find(|&(sample, i)| !lane(&blocks[(sample / WIDTH) * n + i], sample % WIDTH).as_().is_finite())
 }
 
-/// Copies blocks of lanes to policy columns, `n` numbers per sample.
-pub(crate) fn gather<L, F: Float>(blocks: &[L], lane: impl Fn(&L, usize) -> F, n: usize, at: PolicyColumns, columns: &mut [F]) {
+/// Copies blocks of lanes, `n` numbers per sample, to policy columns of length `stride`, from entry
+/// `offset`.
+pub(crate) fn gather<L, F: Float>(
+    blocks: &[L],
+    lane: impl Fn(&L, usize) -> F,
+    n: usize,
+    at: PolicyColumns,
+    columns: &mut [F],
+    (offset, stride): (usize, usize),
+) {
     for (sample, c) in at.iter().enumerate() {
         let block = &blocks[(sample / WIDTH) * n..][..n];
-        for (column, lanes) in zip(columns[c * n..][..n].iter_mut(), block) {
+        for (column, lanes) in zip(columns[c * stride + offset..][..n].iter_mut(), block) {
             *column = lane(lanes, sample % WIDTH);
         }
     }
 }
 
-/// Copies policy columns to blocks of lanes, `n` numbers per sample. Unused lanes repeat the last
-/// sample.
-pub(crate) fn scatter<F: Float>(columns: &[F], n: usize, at: PolicyColumns, blocks: &mut [Lane<F>]) {
-    for (b, block) in blocks.chunks_exact_mut(n).enumerate() {
+/// Copies `n` entries of policy columns of length `stride`, from entry `offset`, to blocks of lanes.
+/// Unused lanes repeat the last sample.
+pub(crate) fn scatter<F: Float>(
+    columns: &[F],
+    (offset, stride): (usize, usize),
+    n: usize,
+    at: PolicyColumns,
+    blocks: &mut [Lane<F>],
+) {
+    // Without components, there are no blocks.
+    for (b, block) in blocks.chunks_exact_mut(n.max(1)).enumerate() {
         for lane in 0..WIDTH {
             let sample = (b * WIDTH + lane).min(at.count - 1);
             let c = at.first + sample * at.step;
-            for (lanes, &column) in zip(block.iter_mut(), &columns[c * n..][..n]) {
+            for (lanes, &column) in zip(block.iter_mut(), &columns[c * stride + offset..][..n]) {
                 lanes.set_lane(lane, column);
             }
         }
