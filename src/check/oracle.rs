@@ -45,8 +45,9 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
         let mut memory = vec![S::zero(); policy.memory_dim()];
         let mut next_memory = memory.clone();
         let mut y = vec![S::zero(); task.observation_dim().unwrap_or(n)];
-        let seen = |x: &[S], with: bool| -> Vec<S> { x.iter().map(|&x| if with { x } else { x.detach() }).collect() };
+        let seen = |x: &[S], weight: f64| -> Vec<S> { x.iter().map(|&x| passed(x, weight)).collect() };
         for t in 0..task.horizon() {
+            let flow = flow.at(t);
             match task.observation_dim() {
                 None => y.copy_from_slice(&x),
                 Some(_) => task.observe(Inputs { x: &x, u: &[], p: &p, t }, &mut y),
@@ -62,6 +63,15 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
         mean += task.terminal_cost(&x, &p);
     }
     mean * S::from(len as f64 / starts.len() as f64)
+}
+
+/// The value of x, with its derivatives times `weight`.
+fn passed<S: Scalar>(x: S, weight: f64) -> S {
+    if weight == 1.0 {
+        return x;
+    }
+    let value = x.detach();
+    if weight == 0.0 { value } else { value + (x - value) * weight }
 }
 
 /// Mean loss of rollouts from the initial states `starts`.

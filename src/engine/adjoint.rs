@@ -11,13 +11,15 @@
 //!     μ ← memory·m̄
 //! ```
 //!
-//! μ is the cotangent of the memory after step t. Policies without a memory have no μ.
+//! The weights physics, control and memory are those of the [`Flow`]. μ is the cotangent of the
+//! memory after step t. Policies without a memory have no μ.
 //!
 //! λ, h and μ of every sample are mantissas times a common power of two, so they neither overflow nor
 //! underflow. Within a moderate range the power is 1, and results are bitwise those of plain
 //! numbers.
 
 mod exponents;
+mod flow;
 mod measure;
 mod policy;
 mod recursion;
@@ -31,57 +33,11 @@ use crate::engine::rollout::Rollout;
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
 use crate::policy::{PolicyPass, Weights};
+pub use flow::Flow;
 use policy::{PolicyAdjoint, PolicyBufferSizes, nested_bytes};
 use recursion::Recursion;
-use serde::{Deserialize, Serialize};
-use std::fmt;
 use std::ops::Range;
 pub use step_back::StepBack;
-
-/// Paths along which the adjoint propagates back in time. Forward values do not depend on the flow.
-///
-/// The reverse pass starts with `λ = ∂φ/∂x_T` and `μ = 0`. For `t = T-1 .. 0`, it performs:
-///
-/// 1. `λ ← λ + ∂l/∂x_{t+1}`
-/// 2. `h_t ← (∂S/∂u)ᵀ λ + ∂l/∂u_t`
-/// 3. `ȳ, m̄ ← (∂N/∂(y, m))ᵀ (h_t, μ)`
-/// 4. `λ ← physics·(∂S/∂x)ᵀ λ + ∂l/∂x_t + control·(∂y/∂x)ᵀ ȳ` and `μ ← memory·m̄`
-///
-/// The parameter gradient is `Σ_t (∂N/∂θ)ᵀ (h_t, μ)`. S is the step of the system, N the policy, y
-/// the observation, m the memory, l the running cost and φ the terminal cost.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct Flow {
-    /// Enables the path through the physics, `∂S/∂x`.
-    pub physics: bool,
-    /// Enables the path through the observation, `∂N/∂y`.
-    pub control: bool,
-    /// Enables the path through the memory of the policy, `∂N/∂m`.
-    pub memory: bool,
-}
-
-impl Flow {
-    /// R: full backpropagation through time, the gradient of the loss.
-    pub const REGULAR: Self = Self { physics: true, control: true, memory: true };
-    /// M: the observation is detached.
-    pub const MODIFIED: Self = Self { physics: true, control: false, memory: true };
-    /// N: the state input of the physics is detached.
-    pub const NETWORK: Self = Self { physics: false, control: true, memory: true };
-    /// S: no path; each control cotangent contains only the costs of its step.
-    pub const STOPPED: Self = Self { physics: false, control: false, memory: false };
-    /// All flows.
-    pub const ALL: [Self; 4] = [Self::REGULAR, Self::MODIFIED, Self::NETWORK, Self::STOPPED];
-}
-
-impl fmt::Display for Flow {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match (self.physics, self.control) {
-            (true, true) => "R",
-            (true, false) => "M",
-            (false, true) => "N",
-            (false, false) => "S",
-        })
-    }
-}
 
 /// Workspace of the reverse pass of a [`Rollout`]. The constructor allocates everything; runs do
 /// not allocate.
@@ -191,9 +147,9 @@ impl<F: Float> Adjoint<F> {
         self.measured = measured;
     }
 
-    /// Returns true if runs measure growth.
+    /// Returns true if runs measure growth, on request or for flows that cut.
     pub(crate) fn measures(&self) -> bool {
-        self.measured
+        self.measured || self.flows().iter().any(|flow| flow.cut.is_some())
     }
 
     /// Adds the growth of flow `k` for each sample of the last run; 0 if not measured.
@@ -219,7 +175,7 @@ impl<F: Float> Adjoint<F> {
         rollout: &Rollout<F>,
         scale: F,
     ) -> Result<(), Divergence> {
-        let pass = Pass { task, policy, weights, rollout, scale, measured: self.measured };
+        let pass = Pass { task, policy, weights, rollout, scale, measured: self.measures() };
         self.begin(&pass);
         Rollout::<F>::units(0..rollout.horizon).try_for_each(|unit| self.back(&pass, unit))
     }

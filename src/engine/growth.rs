@@ -32,14 +32,14 @@ impl Growth {
     pub fn warning(&self, flow: Flow, horizon: usize, epsilon: f64) -> Option<String> {
         let digits = -epsilon.log10();
         let Self { along, worst_window } = *self;
-        if flow.control && worst_window > digits {
+        if flow.control != 0.0 && worst_window > digits {
             let steps = (horizon as f64 * digits / worst_window) as usize;
             return Some(format!(
                 "{flow} grows by up to 10^{worst_window:.0} along a rollout, and numbers have {digits:.0} digits. Before the last {steps} \
                  of the {horizon} steps, its signs are unreliable. Use f64, a shorter horizon, or M"
             ));
         }
-        if flow == Flow::MODIFIED && along > UNSTABLE {
+        if flow.letter() == "M" && along > UNSTABLE {
             return Some(format!(
                 "M grows by 10^{along:.0} along a rollout, because the plant is unstable without the policy's response. The first steps \
                  outweigh the last. Clip by norm, shorten the horizon, or use R"
@@ -56,6 +56,8 @@ pub(crate) struct Meter {
     /// Largest growth of a range that ends at the current step.
     running: f64,
     worst_window: f64,
+    /// Growth since the last cut of the adjoint.
+    since_cut: f64,
 }
 
 impl Meter {
@@ -69,8 +71,19 @@ impl Meter {
         }
         let decades = 0.5 * (after.log10() - before.log10()) + f64::from(exponent) * std::f64::consts::LOG10_2;
         self.along += decades;
+        self.since_cut += decades;
         self.running = (self.running + decades).max(0.0);
         self.worst_window = self.worst_window.max(self.running);
+    }
+
+    /// Growth since the last cut.
+    pub(crate) fn since_cut(&self) -> f64 {
+        self.since_cut
+    }
+
+    /// Registers a cut of the adjoint: no range of steps contains it.
+    pub(crate) fn cut(&mut self) {
+        (self.running, self.since_cut) = (0.0, 0.0);
     }
 }
 

@@ -120,13 +120,30 @@ impl<C: GradientCombiner> Field<C> {
         }
     }
 
-    /// Name, as used in settings and messages.
+    /// Applies `change` to the flows, for instance a truncation.
+    ///
+    /// ```
+    /// use physgrad::Field;
+    ///
+    /// let field = Field::combined().with_flows(|flow| flow.truncated(32));
+    /// assert_eq!(field.flows()[1].truncation, Some(32));
+    /// ```
+    pub fn with_flows(self, change: impl Fn(Flow) -> Flow) -> Self {
+        match self {
+            Self::Flow(flow) => Self::Flow(change(flow)),
+            Self::Composed { first, second, by } => Self::Composed { first: change(first), second: change(second), by },
+        }
+    }
+
+    /// Name, as used in settings and messages. Independent of truncation, decay and cuts.
     pub fn name(&self) -> &str {
         match self {
-            Self::Flow(Flow::REGULAR) => "regular",
-            Self::Flow(Flow::MODIFIED) => "modified",
-            Self::Flow(Flow::NETWORK) => "network",
-            Self::Flow(_) => "stopped",
+            Self::Flow(flow) => match flow.letter() {
+                "R" => "regular",
+                "M" => "modified",
+                "N" => "network",
+                _ => "stopped",
+            },
             Self::Composed { by, .. } => by.name(),
         }
     }

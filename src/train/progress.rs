@@ -269,7 +269,7 @@ impl<F: Float> Progress<F> {
 
     /// Growth of the adjoint of `flow` in the last update, if the field contains it.
     fn growth(&self, flow: Flow) -> Option<Growth> {
-        self.flows.iter().position(|&own| own == flow).and_then(|k| self.batch.growth(k))
+        self.flows.iter().position(|own| own.letter() == flow.letter()).and_then(|k| self.batch.growth(k))
     }
 }
 

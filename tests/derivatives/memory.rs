@@ -9,7 +9,7 @@ use physgrad::{
 use rand::RngExt;
 
 /// A pendulum whose observation is the angle only.
-struct AngleOnly;
+pub struct AngleOnly;
 
 impl System for AngleOnly {
     fn state_dim(&self) -> usize {
@@ -50,7 +50,7 @@ impl Task for AngleOnly {
 }
 
 /// `AngleOnly` with the state observed and two controls.
-struct Whole;
+pub struct Whole;
 
 impl System for Whole {
     fn state_dim(&self) -> usize {
@@ -202,14 +202,14 @@ fn the_memory_path_trains_recurrent_weights() {
     let (units, policy) = (4, Elman::new(1, 4, 1));
     let recurrent = units..units + units * units;
     let norm = |flow| gradient(&policy, flow)[recurrent.clone()].iter().map(|g| g * g).sum::<f64>().sqrt();
-    let without = Flow { memory: false, ..Flow::MODIFIED };
+    let without = Flow { memory: 0.0, ..Flow::MODIFIED };
     // S and `without` see the memory of the step before as a constant. They omit the later effects
     // of a weight, but not its immediate one.
     for (flow, name) in [(Flow::REGULAR, "R"), (Flow::MODIFIED, "M"), (Flow::NETWORK, "N"), (Flow::STOPPED, "S")] {
         assert!(norm(flow) > 0.0, "{name}");
     }
     assert_ne!(gradient(&policy, Flow::MODIFIED), gradient(&policy, without));
-    assert_eq!(gradient(&policy, Flow::STOPPED), gradient(&policy, Flow { memory: false, ..Flow::STOPPED }));
+    assert_eq!(gradient(&policy, Flow::STOPPED), gradient(&policy, Flow { memory: 0.0, ..Flow::STOPPED }));
 }
 
 /// The memory doubles at each step; the control does not depend on it.

@@ -75,7 +75,7 @@ fn reference<F: Float>(plant: &Plant, gain: f64, flow: Flow) -> [ExtendedF64; 2]
     for t in 0..HORIZON {
         states.push(F::lift(plant.a) * states[t] + F::lift(gain) * states[t]);
     }
-    let factor = plant.a + if flow.control { gain } else { 0.0 };
+    let factor = plant.a + if flow.control != 0.0 { gain } else { 0.0 };
     let mut lambda = ExtendedF64::from(states[HORIZON].as_() - 1.0);
     let mut sums = [ExtendedF64::default(); 2];
     for t in (0..HORIZON).rev() {

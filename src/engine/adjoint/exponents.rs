@@ -188,7 +188,7 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
             return Err(NonFinite);
         }
         // The adjoint of S covers one step, so it cannot explode or vanish.
-        let carries = flow.physics || flow.control || flow.memory;
+        let carries = [flow.physics, flow.control, flow.memory].iter().any(|&weight| weight != 0.0);
         if !carries || Limits::new().holds(size, false) && size != F::zero() {
             return Ok(());
         }

@@ -1,8 +1,8 @@
 //! Measurements of the adjoint along the recursion: norms and growth. The adjoint does not depend
 //! on them.
 
-use super::Pass;
 use super::exponents::{BlockExponents, Exponents};
+use super::{Flow, Pass};
 use crate::engine::growth::Meter;
 use crate::engine::rollout::{Lane, Rollout, WIDTH};
 use crate::numbers::extended::times_power_of_two;
@@ -73,22 +73,39 @@ impl<const K: usize> GrowthMeters<K> {
         }
     }
 
-    /// Adds the growth over the step.
+    /// Adds the growth over step `t`, unless the flow is truncated there.
     pub(super) fn after<F: Float>(
         &mut self,
         rollout: &Rollout<F>,
         lambda: &[CotangentPack<Lane<F>, K>],
         exponents: &Exponents<F, K>,
+        flows: [Flow; K],
+        t: usize,
     ) {
         let n = rollout.state_dim;
         for (sample, meters) in self.meters[..rollout.samples].iter_mut().enumerate() {
             let (block, lane) = (sample / WIDTH, sample % WIDTH);
             for (k, (meter, before, exponent)) in meters.iter_mut().enumerate() {
+                if flows[k].at(t) != flows[k] {
+                    meter.cut();
+                    continue;
+                }
                 let of_lane = |lambda: &CotangentPack<Lane<F>, K>| -> f64 { lambda.0[k].lane(lane).as_() };
                 let after = lambda[block * n..][..n].iter().map(of_lane).map(|x| x * x).sum();
                 meter.step(*before, after, exponents.of(k, sample) - *exponent);
             }
         }
+    }
+
+    /// Returns true if the adjoint has grown by more than `decades` since its last cut, and registers
+    /// a cut.
+    pub(super) fn reset_if_grown(&mut self, k: usize, sample: usize, decades: f64) -> bool {
+        let meter = &mut self.meters[sample][k].0;
+        let grown = meter.since_cut() > decades;
+        if grown {
+            meter.cut();
+        }
+        grown
     }
 
     /// Meters of flow `k` for the first `samples` samples.

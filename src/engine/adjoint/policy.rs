@@ -78,7 +78,7 @@ impl PolicyBufferSizes {
         // With one output, ∂N/∂y and the cotangents of all layers are known up to the factor h
         // before the loop. One linearization in large products then serves all flows. Several
         // outputs would require one linearization each.
-        let through_inputs = flows.iter().any(|flow| flow.control || flow.memory && memory_dim > 0);
+        let through_inputs = flows.iter().any(|flow| flow.control != 0.0 || flow.memory != 0.0 && memory_dim > 0);
         let linearized = outputs == 1 && through_inputs;
         let (blocks, observed) = (samples.div_ceil(WIDTH), through_inputs && task.own_observation().is_some());
         Self {
@@ -156,7 +156,7 @@ impl<F: Float> PolicyAdjoint<F> {
 
     /// Returns true if a flow has a path through the policy's inputs.
     pub(super) fn through_inputs(&self, flow: Flow) -> bool {
-        flow.control || flow.memory && self.memory_dim > 0
+        flow.control != 0.0 || flow.memory != 0.0 && self.memory_dim > 0
     }
 
     /// Stores h and μ of flow `k` at the columns of one step, with their exponents.
@@ -184,10 +184,11 @@ impl<F: Float> PolicyAdjoint<F> {
         }
     }
 
-    /// Adds `(∂y/∂x)ᵀ (∂N/∂y)ᵀ h` at step `t` to λ of flow `k`.
+    /// Adds `control·(∂y/∂x)ᵀ ȳ` at step `t` to λ of flow `k`.
     pub(super) fn add_inputs_bar<const K: usize>(
         &mut self,
         k: usize,
+        flow: Flow,
         pass: &Pass<'_, F>,
         t: usize,
         lambda: &mut [CotangentPack<Lane<F>, K>],
@@ -195,7 +196,8 @@ impl<F: Float> PolicyAdjoint<F> {
         let Pass { task, rollout, .. } = *pass;
         let observed = 0..self.observed_dim;
         if task.own_observation().is_none() {
-            return self.each_input_bar(k, rollout.columns(t), observed, |i, lane, bar| lambda[i].0[k].0[lane] += bar);
+            let weight = F::lift(flow.control);
+            return self.each_input_bar(k, rollout.columns(t), observed, |i, lane, bar| lambda[i].0[k].0[lane] += bar * weight);
         }
         let mut observed_bar = std::mem::take(&mut self.observed_bar);
         self.each_input_bar(k, rollout.columns(t), observed, |i, lane, bar| observed_bar[i].0[0].0[lane] = bar);
@@ -203,13 +205,12 @@ impl<F: Float> PolicyAdjoint<F> {
         states_bar.fill(One::null());
         task.observe_back(rollout.observed_at(t), &observed_bar, states_bar);
         for (lambda, &CotangentPack([bar])) in zip(lambda.iter_mut(), &*states_bar) {
-            lambda.0[k] += bar;
+            lambda.0[k] += bar * flow.control;
         }
         self.observed_bar = observed_bar;
     }
 
-    /// Writes μ of flow `k` before step `t` into `u_bar`, `[block][control, memory]`: the cotangent of
-    /// the memory at step `t`, or 0 without a path through the memory.
+    /// Writes `memory·m̄`, μ of flow `k` before the step, into `u_bar`, `[block][control, memory]`.
     pub(super) fn set_memory_bar<const K: usize>(
         &mut self,
         k: usize,
@@ -221,12 +222,13 @@ impl<F: Float> PolicyAdjoint<F> {
         if memory == 0 {
             return;
         }
-        if !flow.memory {
+        if flow.memory == 0.0 {
             let memories = u_bar.chunks_exact_mut(m + memory).flat_map(|block| &mut block[m..]);
             return memories.for_each(|bar| bar.0[k] = Lane::zero());
         }
+        let weight = F::lift(flow.memory);
         self.each_input_bar(k, at, observed..observed + memory, |i, lane, bar| {
-            u_bar[i / memory * (m + memory) + m + i % memory].0[k].0[lane] = bar;
+            u_bar[i / memory * (m + memory) + m + i % memory].0[k].0[lane] = bar * weight;
         });
     }
 

@@ -102,7 +102,7 @@ pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
 
     u_bar.fill(CotangentPack::null());
     // Two flows without a physics path are rare: their special case is not compiled.
-    if K > 1 || flows.iter().any(|flow| flow.physics) {
+    if K > 1 || flows.iter().any(|flow| flow.physics != 0.0) {
         x_bar.fill(CotangentPack::null());
         task.system().vjp(inputs, lambda, Cotangents::of(x_bar, u_bar));
     } else {
@@ -118,12 +118,18 @@ pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
 
     for ((lambda, &x_bar), &cost) in zip(zip(lambda.iter_mut(), &*x_bar), &cost.x) {
         for (k, flow) in flows.iter().enumerate() {
-            lambda.0[k] = if flow.physics { x_bar.0[k] } else { R::zero() };
+            lambda.0[k] = weighted(x_bar.0[k], flow.physics);
         }
         *lambda += inject * cost;
         size += lambda.abs();
     }
     size
+}
+
+/// Multiplies a cotangent by the weight of its path. A weight of 0 also removes non-finite numbers.
+#[inline(always)]
+pub(super) fn weighted<R: Scalar>(bar: R, weight: f64) -> R {
+    if weight == 0.0 { R::zero() } else { bar * weight }
 }
 
 /// State of the recursion for `K` flows.
@@ -203,26 +209,27 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     ) -> Result<(), Divergence> {
         for t in steps.rev() {
             self.before_step(pass, t);
+            let at_t = flows.map(|flow| flow.at(t));
             // λ, h ← `reverse_step`, in each block of samples.
-            let in_range = task.step_back(flows, pass.rollout, t, self);
+            let in_range = task.step_back(at_t, pass.rollout, t, self);
             if !in_range {
                 let rescaled = self.exponents.rescale(flows, pass, &mut self.lambda, &mut self.u_bar);
                 rescaled.map_err(|_| self.divergence(pass, flows, t))?;
             }
-            for (k, flow) in flows.into_iter().enumerate() {
+            for (k, flow) in at_t.into_iter().enumerate() {
                 policy.set_controls_bar(k, pass.rollout.columns(t), &self.u_bar, &self.exponents);
-                if policy.through_inputs(flow) {
+                if policy.through_inputs(flows[k]) {
                     // ȳ, m̄ ← (∂N/∂(y, m))ᵀ (h, μ)
                     policy.linearize_inputs(pass, k, t);
                 }
-                if flow.control {
-                    // λ ← λ + (∂y/∂x)ᵀ ȳ
-                    policy.add_inputs_bar(k, pass, t, &mut self.lambda);
+                if flow.control != 0.0 {
+                    // λ ← λ + control·(∂y/∂x)ᵀ ȳ
+                    policy.add_inputs_bar(k, flow, pass, t, &mut self.lambda);
                 }
                 // μ ← memory·m̄
                 policy.set_memory_bar(k, flow, pass.rollout.columns(t), &mut self.u_bar);
             }
-            self.after_step(pass, t, norms);
+            self.after_step(pass, flows, t, norms);
         }
         Ok(())
     }
@@ -251,12 +258,39 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         self.exponents.update_low();
     }
 
-    /// Measures growth and norms after step `t`.
-    fn after_step(&mut self, pass: &Pass<'_, F>, t: usize, norms: &mut [Vec<f64>]) {
+    /// Measures growth and norms after step `t`, and cuts adjoints that have grown.
+    fn after_step(&mut self, pass: &Pass<'_, F>, flows: [Flow; K], t: usize, norms: &mut [Vec<f64>]) {
         if pass.measured {
-            self.growth.after(pass.rollout, &self.lambda, &self.exponents);
+            self.growth.after(pass.rollout, &self.lambda, &self.exponents, flows, t);
+            for (k, flow) in flows.into_iter().enumerate() {
+                if let Some(decades) = flow.cut {
+                    self.cut(pass, k, decades, t);
+                }
+            }
         }
         record_norms(&self.lambda, &self.exponents, pass, t, norms);
+    }
+
+    /// Sets `λ ← ∂l/∂x_t` and `μ ← 0` in samples whose adjoint has grown by `decades`.
+    fn cut(&mut self, pass: &Pass<'_, F>, k: usize, decades: f64, t: usize) {
+        let Pass { task, rollout, .. } = *pass;
+        let (n, m, outputs) = (rollout.state_dim, rollout.control_dim, rollout.control_dim + rollout.memory_dim);
+        for sample in 0..rollout.samples {
+            if !self.growth.reset_if_grown(k, sample, decades) {
+                continue;
+            }
+            let (block, lane) = (sample / WIDTH, sample % WIDTH);
+            self.cost.clear();
+            let (bars, next_bar) = self.cost.requests();
+            task.running_cost_gradient(rollout.inputs_of(t, block), &rollout.states_at(t + 1)[block * n..][..n], bars, next_bar);
+            let inject = self.exponents.blocks[block].inject.0[k].lane(lane);
+            for (lambda, cost) in zip(self.lambda[block * n..][..n].iter_mut(), &self.cost.x) {
+                lambda.0[k].set_lane(lane, inject * cost.lane(lane));
+            }
+            for memory_bar in &mut self.u_bar[block * outputs..][m..outputs] {
+                memory_bar.0[k].set_lane(lane, F::zero());
+            }
+        }
     }
 
     /// Returns the growth of the cotangents.

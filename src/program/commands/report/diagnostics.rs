@@ -54,7 +54,7 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
 /// Chart of the growth of adjoints over epochs.
 fn growth_by_epoch(runs: &[Inspected]) -> Figure {
     let line = |run: &Inspected, flow: Flow| {
-        let growth = |r: &Record| if flow.control { r.regular_growth } else { r.modified_growth };
+        let growth = |r: &Record| if flow == Flow::REGULAR { r.regular_growth } else { r.modified_growth };
         let points = run.records.iter().filter_map(|r| Some((r.epoch as f64, growth(r)?.along)));
         let series = Series::new(format!("{flow} of {}", run.name()), field_color(&flow.to_string()), points.collect());
         // Dashes the lines of C, to distinguish them from those of R and M.
