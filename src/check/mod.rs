@@ -29,7 +29,7 @@ pub use stability::{Stability, stability};
 use crate::dynamics::inputs::Start;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
-use crate::engine::adjoint::Flow;
+use crate::engine::adjoint::{Adjoint, Flow};
 use crate::engine::any::AnyTask;
 use crate::engine::batch::Batch;
 use crate::engine::divergence::Divergence;
@@ -228,7 +228,10 @@ pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<
     let slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
         oracle::slope_by_duals(task, policy, theta, starts, flow, tangent)
     };
-    check_flow(task, policy, flow, &|theta, starts| oracle::loss(task, policy, theta, starts), &slope)
+    let start_slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
+        oracle::start_slope_by_duals(task, policy, theta, starts, flow, tangent)
+    };
+    check_flow(task, policy, flow, &|theta, starts| oracle::loss(task, policy, theta, starts), [&slope, &start_slope])
 }
 
 /// Mean loss for parameters and initial states.
@@ -243,7 +246,7 @@ fn check_flow(
     policy: &dyn AnyPolicy<f64>,
     flow: Flow,
     loss_by_duals: Loss,
-    slope: Slope,
+    [slope, start_slope]: [Slope; 2],
 ) -> Result<Passed, Failure> {
     const SAMPLES: usize = 3;
     let (n, len) = (task.state_dim(), task.start_dim());
@@ -279,8 +282,32 @@ fn check_flow(
             let found = direction.iter().zip(&gradient_alone).map(|(d, g)| d * g).sum();
             c.one("gradient in random direction", index, found, expected, length.max(expected.abs()))?;
         }
+        let by_starts = start_gradients(task, policy, &weights, &starts, flow);
+        let by_starts = by_starts.map_err(|divergence| Failure::Diverged { case, divergence })?;
+        let largest = by_starts.iter().fold(0.0, |s: f64, g| s.max(g.abs()));
+        let components = oracle::some_components(starts.len(), &mut rng, &|tangent| start_slope(theta, &starts, tangent));
+        for (index, expected) in components {
+            c.one("gradient by x_0 and p", index, by_starts[index], expected, largest.max(expected.abs()))?;
+        }
     }
     Ok(c.passed)
+}
+
+/// Gradient of the mean loss by the initial states and parameters of all samples, concatenated.
+fn start_gradients(
+    task: &dyn AnyTask<f64>,
+    policy: &dyn AnyPolicy<f64>,
+    weights: &Weights<f64>,
+    starts: &[f64],
+    flow: Flow,
+) -> Result<Vec<f64>, Divergence> {
+    let samples = starts.len() / task.start_dim();
+    let mut rollout = Rollout::new(task, policy, samples);
+    rollout.start(starts);
+    rollout.run(task, policy, weights)?;
+    let mut adjoint = Adjoint::new(task, policy, &rollout, &[flow]).keep_start_gradients();
+    adjoint.run(task, policy, weights, &rollout, 1.0 / samples as f64)?;
+    Ok((0..samples).flat_map(|sample| adjoint.start_gradient(0, sample).to_vec()).collect())
 }
 
 /// Draws parameters with finite rollouts: initial ones plus noise, reduced if a rollout diverges.

@@ -33,13 +33,13 @@ pub fn weights(policy: &dyn AnyPolicy<f64>, size: f64, rng: &mut Rng) -> Weights
 
 /// Mean loss of rollouts from `starts`, initial states with parameters. Differentiable along the
 /// paths of `flow`.
-pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, theta: &[S], starts: &[f64], flow: Flow) -> S {
+pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, theta: &[S], starts: &[S], flow: Flow) -> S {
     let system = task.system();
     let (n, m) = (system.state_dim(), system.control_dim());
     let len = n + task.param_dim();
     let mut mean = S::zero();
     for start in starts.chunks_exact(len) {
-        let mut x: Vec<S> = start.iter().map(|&x| S::from(x)).collect();
+        let mut x = start.to_vec();
         let p = x.split_off(n);
         let (mut next, mut u) = (x.clone(), vec![S::zero(); m]);
         let mut memory = vec![S::zero(); policy.memory_dim()];
@@ -91,7 +91,19 @@ pub fn slope_by_duals<T: Task, P: Policy>(
     flow: Flow,
     tangent: &dyn Fn(usize) -> f64,
 ) -> f64 {
-    rollouts(task, policy, &along(theta, tangent), starts, flow).eps
+    rollouts(task, policy, &along(theta, tangent), &constants(starts), flow).eps
+}
+
+/// As [`slope_by_duals`], along a direction of the initial states with their parameters.
+pub(super) fn start_slope_by_duals<T: Task, P: Policy>(
+    task: &T,
+    policy: &P,
+    theta: &[f64],
+    starts: &[f64],
+    flow: Flow,
+    tangent: &dyn Fn(usize) -> f64,
+) -> f64 {
+    rollouts(task, policy, &constants(theta), &along(starts, tangent), flow).eps
 }
 
 /// Directional derivative, as a function of the tangent of every parameter.

@@ -34,6 +34,7 @@ pub fn slope<T: Task, P: Policy>(
 ) -> [f64; 2] {
     let seeded = |(i, &value)| Dual { value: DoubleDouble::from(value), tangents: [DoubleDouble::from(direction(i))] };
     let theta: Vec<_> = theta.iter().enumerate().map(seeded).collect();
-    let Dual { value, tangents: [slope] } = rollouts(task, policy, &theta, starts, flow);
+    let starts: Vec<_> = starts.iter().map(|&x| Dual::from(x)).collect();
+    let Dual { value, tangents: [slope] } = rollouts(task, policy, &theta, &starts, flow);
     [value.to_f64(), slope.to_f64()]
 }

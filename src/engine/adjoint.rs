@@ -23,6 +23,7 @@ mod flow;
 mod measure;
 mod policy;
 mod recursion;
+mod starts;
 mod step_back;
 
 use crate::engine::any::AnyTask;
@@ -44,6 +45,9 @@ pub use step_back::StepBack;
 #[derive(Debug)]
 pub struct Adjoint<F: Float> {
     horizon: usize,
+    /// Largest number of samples.
+    samples: usize,
+    param_dim: usize,
     /// Norms of λ, per flow and step, if recorded.
     norms: Option<Vec<Vec<f64>>>,
     /// True if runs measure the growth of λ.
@@ -83,7 +87,8 @@ impl<F: Float> Adjoint<F> {
             _ => panic!("an adjoint has one or two flows, not {}", flows.len()),
         };
         let policy = PolicyAdjoint::new(&PolicyBufferSizes::new(task, policy, rollout.capacity(), rollout.kept, flows));
-        Self { horizon: rollout.horizon, norms: None, measured: false, policy, carried }
+        let (samples, param_dim) = (rollout.capacity(), task.param_dim());
+        Self { horizon: rollout.horizon, samples, param_dim, norms: None, measured: false, policy, carried }
     }
 
     /// Flows of the workspace, in order.
@@ -140,6 +145,69 @@ impl<F: Float> Adjoint<F> {
     #[track_caller]
     pub fn norms(&self, k: usize) -> &[f64] {
         &self.norms.as_ref().expect("the norms of an adjoint are stored only after `keep_norms`")[k]
+    }
+
+    /// Records the gradients by initial states and parameters in subsequent runs, for
+    /// [`start_gradient`](Adjoint::start_gradient).
+    pub fn keep_start_gradients(mut self) -> Self {
+        match &mut self.carried {
+            Carried::One(_, recursion) => recursion.keep_start_gradients(self.samples, self.param_dim),
+            Carried::Two(_, recursion) => recursion.keep_start_gradients(self.samples, self.param_dim),
+        }
+        self
+    }
+
+    /// Gradient of the cost of `sample` by its initial state and its parameters p along flow `k`,
+    /// times the `scale` of the last run: `state_dim` values, then `param_dim`.
+    ///
+    /// The flow weights only paths through state, observation and memory. The direct effects of p
+    /// on steps and costs have weight 1, its effect on the observation the weight `control`.
+    ///
+    /// ```
+    /// use physgrad::policy::Linear;
+    /// use physgrad::prelude::*;
+    /// use physgrad::{Adjoint, Flow, Rollout, Weights};
+    ///
+    /// /// x_{t+1} = p x_t + u_t for one step, with the cost x_1.
+    /// struct Growth;
+    /// impl System for Growth {
+    ///     fn state_dim(&self) -> usize { 1 }
+    ///     fn control_dim(&self) -> usize { 1 }
+    ///     fn param_dim(&self) -> usize { 1 }
+    ///     fn step<T: Scalar>(&self, Inputs { x, u, p, .. }: Inputs<'_, T>, next: &mut [T]) {
+    ///         next[0] = p[0] * x[0] + u[0];
+    ///     }
+    /// }
+    /// impl Task for Growth {
+    ///     type System = Self;
+    ///     fn system(&self) -> &Self { self }
+    ///     fn horizon(&self) -> usize { 1 }
+    ///     fn start(&self, _: &mut Rng, Start { x, p }: Start<'_>) { (x[0], p[0]) = (3.0, 2.0) }
+    ///     fn terminal_cost<T: Scalar>(&self, x: &[T], _: &[T]) -> T { x[0] }
+    /// }
+    ///
+    /// let policy = Linear::new(1, 1);
+    /// let gain = Weights::<f64>::new(&policy, vec![-0.5]);
+    /// let mut rollout = Rollout::new(&Growth, &policy, 1);
+    /// rollout.start(&[3.0, 2.0]);
+    /// rollout.run(&Growth, &policy, &gain)?;
+    /// let mut adjoint = Adjoint::new(&Growth, &policy, &rollout, &[Flow::REGULAR]).keep_start_gradients();
+    /// adjoint.run(&Growth, &policy, &gain, &rollout, 1.0)?;
+    /// // ∂x_1/∂x_0 = p + gain, ∂x_1/∂p = x_0.
+    /// assert_eq!(adjoint.start_gradient(0, 0).to_vec(), [1.5, 3.0]);
+    /// # Ok::<(), physgrad::Divergence>(())
+    /// ```
+    ///
+    /// # Panics
+    /// Without [`keep_start_gradients`](Adjoint::keep_start_gradients), or if `sample` exceeds the
+    /// capacity.
+    #[track_caller]
+    pub fn start_gradient(&self, k: usize, sample: usize) -> &Gradient<F> {
+        let missing = "the gradients by initial states are stored only after `keep_start_gradients`";
+        match &self.carried {
+            Carried::One(_, recursion) => recursion.starts.as_ref().expect(missing).of(k, sample),
+            Carried::Two(_, recursion) => recursion.starts.as_ref().expect(missing).of(k, sample),
+        }
     }
 
     /// Enables or disables the measurement of growth.

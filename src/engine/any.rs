@@ -37,7 +37,7 @@ pub trait AnyTask<F: Float>: StepForward<F> + Observe<F> + StepBack<F, 1> + Step
     #[doc(hidden)]
     fn terminal_cost(&self, x: &[Lane<F>], p: &[Lane<F>]) -> Lane<F>;
     #[doc(hidden)]
-    fn terminal_cost_gradient(&self, x: &[Lane<F>], p: &[Lane<F>], x_bar: &mut [Lane<F>]);
+    fn terminal_cost_gradient(&self, x: &[Lane<F>], p: &[Lane<F>], x_bar: &mut [Lane<F>], p_bar: Option<&mut [Lane<F>]>);
     #[doc(hidden)]
     fn running_cost_gradient(
         &self,
@@ -89,8 +89,8 @@ impl<T: Task, F: Float> AnyTask<F> for T {
         Task::terminal_cost(self, x, p)
     }
 
-    fn terminal_cost_gradient(&self, x: &[Lane<F>], p: &[Lane<F>], x_bar: &mut [Lane<F>]) {
-        Task::terminal_cost_gradient(self, x, p, x_bar, None);
+    fn terminal_cost_gradient(&self, x: &[Lane<F>], p: &[Lane<F>], x_bar: &mut [Lane<F>], p_bar: Option<&mut [Lane<F>]>) {
+        Task::terminal_cost_gradient(self, x, p, x_bar, p_bar);
     }
 
     fn running_cost_gradient(

@@ -121,6 +121,16 @@ impl<F: Float> Gradient<F> {
         }
     }
 
+    /// Adds `part · 2^exponent` to one value.
+    pub(crate) fn add_at(&mut self, i: usize, part: F, exponent: i32) {
+        if exponent == 0 && !self.spread {
+            self.values[i] += part;
+        } else {
+            self.spread();
+            self.add_to(i, part, exponent);
+        }
+    }
+
     fn add_to(&mut self, i: usize, part: F, exponent: i32) {
         let (value, own) = (&mut self.values[i], &mut self.exponents[i]);
         if part == F::zero() {

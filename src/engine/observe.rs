@@ -13,8 +13,15 @@ use crate::numbers::scalar::Float;
 pub trait Observe<F: Float> {
     /// Writes the observations of all blocks.
     fn observe(&self, inputs: Inputs<'_, Lane<F>>, y: &mut [Lane<F>]);
-    /// Adds `(∂y/∂x)ᵀ y_bar` to `x_bar`, for all blocks.
-    fn observe_back(&self, inputs: Inputs<'_, Lane<F>>, y_bar: &[One<Lane<F>>], x_bar: &mut [One<Lane<F>>]);
+    /// Adds `(∂y/∂x)ᵀ y_bar` to `x_bar`, and `(∂y/∂p)ᵀ y_bar` to `p_bar` if requested, for all
+    /// blocks.
+    fn observe_back(
+        &self,
+        inputs: Inputs<'_, Lane<F>>,
+        y_bar: &[One<Lane<F>>],
+        x_bar: &mut [One<Lane<F>>],
+        p_bar: Option<&mut [One<Lane<F>>]>,
+    );
 }
 
 impl<T: Task, F: Float> Observe<F> for T {
@@ -22,8 +29,14 @@ impl<T: Task, F: Float> Observe<F> for T {
         dispatch_lanes(Forward { task: self, inputs, y });
     }
 
-    fn observe_back(&self, inputs: Inputs<'_, Lane<F>>, y_bar: &[One<Lane<F>>], x_bar: &mut [One<Lane<F>>]) {
-        dispatch_lanes(Back { task: self, inputs, y_bar, x_bar });
+    fn observe_back(
+        &self,
+        inputs: Inputs<'_, Lane<F>>,
+        y_bar: &[One<Lane<F>>],
+        x_bar: &mut [One<Lane<F>>],
+        p_bar: Option<&mut [One<Lane<F>>]>,
+    ) {
+        dispatch_lanes(Back { task: self, inputs, y_bar, x_bar, p_bar });
     }
 }
 
@@ -56,15 +69,18 @@ struct Back<'a, T, F: Float> {
     inputs: Inputs<'a, Lane<F>>,
     y_bar: &'a [One<Lane<F>>],
     x_bar: &'a mut [One<Lane<F>>],
+    p_bar: Option<&'a mut [One<Lane<F>>]>,
 }
 
 impl<T: Task, F: Float> Vectorized for Back<'_, T, F> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { task, inputs, y_bar, x_bar } = self;
+        let Self { task, inputs, y_bar, x_bar, mut p_bar } = self;
         let (n, dim) = (task.system().state_dim(), task.observation_dim().unwrap_or(0));
+        let params = task.param_dim();
         for (block, x_bar) in x_bar.chunks_exact_mut(n).enumerate() {
-            let bars = Cotangents { x: Some(x_bar), ..Cotangents::default() };
+            let p_bar = p_bar.as_deref_mut().map(|p_bar| &mut p_bar[block * params..][..params]);
+            let bars = Cotangents { x: Some(x_bar), u: None, p: p_bar };
             task.observe_vjp(of_block(task, inputs, block), &y_bar[block * dim..][..dim], bars);
         }
     }

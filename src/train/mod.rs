@@ -128,7 +128,7 @@ pub enum TrainError {
         /// Number of consecutive skipped updates.
         count: usize,
         /// Last skipped update.
-        last: Skip,
+        last: Box<Skip>,
     },
 }
 

@@ -196,7 +196,7 @@ impl<F: Float> Progress<F> {
         self.weights.update(policy, |theta| theta.copy_from_slice(&self.before.theta));
         self.optimizer.copy_from(&self.before.optimizer);
         self.skipped_in_a_row = self.before.skipped_in_a_row;
-        Err(TrainError::Diverged { count, last: skip })
+        Err(TrainError::Diverged { count, last: Box::new(skip) })
     }
 
     /// Evaluates the losses of the training and the test set. A diverged loss is NaN.

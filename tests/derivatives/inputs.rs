@@ -21,6 +21,10 @@ enum Fault {
     Observation,
     /// `running_cost_gradient` omits the state before the step.
     CostOfState,
+    /// `observe_vjp` omits the parameters.
+    ObservationOfParams,
+    /// `running_cost_gradient` omits the parameters.
+    CostOfParams,
 }
 
 const PUSHES: [f64; 6] = [0.3, -0.2, 0.5, 0.1, -0.4, 0.2];
@@ -66,11 +70,15 @@ impl<const CONTROLS: usize> Task for Tracking<CONTROLS> {
         y[2] = (p[1] - x[1]) * x[0] + (0.1 * t as f64);
     }
     fn observe_vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, p, .. }: Inputs<'_, R>, y_bar: &[C], bars: Cotangents<'_, C>) {
-        let Some(x_bar) = bars.x else { return };
         let (sin, cos) = x[0].sin_cos();
         let sign = if self.fault == Fault::Observation { -R::one() } else { R::one() };
-        x_bar[0] += y_bar[0] * (cos * sign) - y_bar[1] * sin + y_bar[2] * (p[1] - x[1]);
-        x_bar[1] -= y_bar[2] * x[0];
+        if let Some(x_bar) = bars.x {
+            x_bar[0] += y_bar[0] * (cos * sign) - y_bar[1] * sin + y_bar[2] * (p[1] - x[1]);
+            x_bar[1] -= y_bar[2] * x[0];
+        }
+        if let (Some(p_bar), true) = (bars.p, self.fault != Fault::ObservationOfParams) {
+            p_bar[1] += y_bar[2] * x[0];
+        }
     }
     fn running_cost<T: Scalar>(&self, Inputs { x, u, p, t }: Inputs<'_, T>, next: &[T]) -> T {
         let miss = next[0] - p[1];
@@ -86,6 +94,10 @@ impl<const CONTROLS: usize> Task for Tracking<CONTROLS> {
         }
         if let Some(u_bar) = bars.u {
             u_bar[0] += u[0] * p[0] * R::from(2.0);
+        }
+        if let (Some(p_bar), true) = (bars.p, self.fault != Fault::CostOfParams) {
+            p_bar[0] += u[0] * u[0];
+            p_bar[1] -= (next[0] - p[1]) * R::from(2.0 * (1.0 + t as f64));
         }
     }
     fn terminal_cost<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
@@ -153,6 +165,9 @@ fn wrong_derivatives_of_observations_and_costs_are_found() {
     assert_eq!(passes(Fault::Observation), [false, true, false, true]);
     // No flow detaches a cost.
     assert_eq!(passes(Fault::CostOfState), [false; 4]);
+    // The gradients by p differ, those by θ do not.
+    assert_eq!(passes(Fault::ObservationOfParams), [false, true, false, true]);
+    assert_eq!(passes(Fault::CostOfParams), [false; 4]);
 }
 
 /// An observation that is the state itself, as a function.

@@ -1,6 +1,7 @@
 //! Policy part of the reverse pass: cotangents, buffers and parameter gradients.
 
 use super::exponents::Exponents;
+use super::recursion::Recursion;
 use super::{Flow, Pass};
 use crate::dynamics::outline::One;
 use crate::engine::any::AnyTask;
@@ -184,16 +185,18 @@ impl<F: Float> PolicyAdjoint<F> {
         }
     }
 
-    /// Adds `control·(∂y/∂x)ᵀ ȳ` at step `t` to λ of flow `k`.
+    /// Adds `control·(∂y/∂x)ᵀ ȳ` at step `t` to λ of flow `k`, and `control·(∂y/∂p)ᵀ ȳ` to the
+    /// gradient by p, if recorded.
     pub(super) fn add_inputs_bar<const K: usize>(
         &mut self,
         k: usize,
         flow: Flow,
         pass: &Pass<'_, F>,
         t: usize,
-        lambda: &mut [CotangentPack<Lane<F>, K>],
+        carried: &mut Recursion<F, K>,
     ) {
         let Pass { task, rollout, .. } = *pass;
+        let Recursion { lambda, starts, exponents, .. } = carried;
         let observed = 0..self.observed_dim;
         if task.own_observation().is_none() {
             let weight = F::lift(flow.control);
@@ -203,7 +206,14 @@ impl<F: Float> PolicyAdjoint<F> {
         self.each_input_bar(k, rollout.columns(t), observed, |i, lane, bar| observed_bar[i].0[0].0[lane] = bar);
         let states_bar = &mut self.states_bar[..rollout.states_at(t).len()];
         states_bar.fill(One::null());
-        task.observe_back(rollout.observed_at(t), &observed_bar, states_bar);
+        let params_bar = starts.as_mut().map(|starts| {
+            starts.observed.fill(One::null());
+            &mut starts.observed[..]
+        });
+        task.observe_back(rollout.observed_at(t), &observed_bar, states_bar, params_bar);
+        if let Some(starts) = starts {
+            starts.add_observed(k, flow.control, rollout.samples, exponents);
+        }
         for (lambda, &CotangentPack([bar])) in zip(lambda.iter_mut(), &*states_bar) {
             lambda.0[k] += bar * flow.control;
         }

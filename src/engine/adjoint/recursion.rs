@@ -6,6 +6,7 @@
 
 use super::exponents::Exponents;
 use super::measure::{GrowthMeters, record_norms};
+use super::starts::StartGradients;
 use super::step_back::StepBack;
 use super::{Flow, Pass, PolicyAdjoint};
 use crate::dynamics::inputs::{Cotangents, Inputs};
@@ -28,6 +29,8 @@ pub(super) struct Step<'a, R, const K: usize> {
     pub(super) x_bar: &'a mut [CotangentPack<R, K>],
     /// h, written.
     pub(super) u_bar: &'a mut [CotangentPack<R, K>],
+    /// Terms of the gradient by p, written if requested.
+    pub(super) p_bar: Option<&'a mut [CotangentPack<R, K>]>,
     /// μ, the cotangent of the memory after the step.
     pub(super) memory_bar: &'a [CotangentPack<R, K>],
     /// Gradients of the running cost, written.
@@ -45,27 +48,29 @@ pub(super) struct CostGradient<R> {
     pub(super) x: Vec<R>,
     /// `∂l/∂u_t`.
     pub(super) u: Vec<R>,
+    /// `∂l/∂p`. Empty if not requested.
+    pub(super) p: Vec<R>,
 }
 
 impl<R: Real> CostGradient<R> {
     fn new(n: usize, m: usize) -> Self {
         let nulls = |len: usize| vec![R::null(); len];
-        Self { next: nulls(n), x: nulls(n), u: nulls(m) }
+        Self { next: nulls(n), x: nulls(n), u: nulls(m), p: Vec::new() }
     }
 
     fn bytes_of(n: usize, m: usize) -> usize {
         (2 * n + m) * size_of::<R>()
     }
 
-    /// All three gradients, concatenated.
+    /// All gradients, concatenated.
     pub(super) fn values(&self) -> impl Iterator<Item = &R> {
-        self.next.iter().chain(&self.x).chain(&self.u)
+        self.next.iter().chain(&self.x).chain(&self.u).chain(&self.p)
     }
 
     /// Sets all entries to the initial value of a sum.
     #[inline(always)]
     fn clear(&mut self) {
-        for values in [&mut self.next, &mut self.x, &mut self.u] {
+        for values in [&mut self.next, &mut self.x, &mut self.u, &mut self.p] {
             values.fill(R::null());
         }
     }
@@ -73,7 +78,8 @@ impl<R: Real> CostGradient<R> {
     /// Cotangents to which [`Task::running_cost_gradient`] adds.
     #[inline(always)]
     fn requests(&mut self) -> (Cotangents<'_, R>, &mut [R]) {
-        (Cotangents::of(&mut self.x, &mut self.u), &mut self.next)
+        let p = (!self.p.is_empty()).then_some(&mut self.p[..]);
+        (Cotangents { x: Some(&mut self.x), u: Some(&mut self.u), p }, &mut self.next)
     }
 }
 
@@ -82,6 +88,7 @@ impl<R: Real> CostGradient<R> {
 /// ```text
 /// λ ← λ + ∂l/∂x_{t+1}
 /// h ← (∂S/∂u)ᵀ λ + ∂l/∂u_t
+/// p̄ ← (∂S/∂p)ᵀ λ + ∂l/∂p                if requested
 /// λ ← physics·(∂S/∂x)ᵀ λ + ∂l/∂x_t
 /// ```
 #[inline(always)]
@@ -90,7 +97,7 @@ pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
     flows: [Flow; K],
     step: Step<'_, R, K>,
 ) -> CotangentPack<R, K> {
-    let Step { inputs, next, lambda, x_bar, u_bar, memory_bar, cost, inject } = step;
+    let Step { inputs, next, lambda, x_bar, u_bar, mut p_bar, memory_bar, cost, inject } = step;
     let mut size = CotangentPack([R::zero(); K]);
 
     cost.clear();
@@ -101,12 +108,15 @@ pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
     }
 
     u_bar.fill(CotangentPack::null());
+    if let Some(p_bar) = &mut p_bar {
+        p_bar.fill(CotangentPack::null());
+    }
     // Two flows without a physics path are rare: their special case is not compiled.
     if K > 1 || flows.iter().any(|flow| flow.physics != 0.0) {
         x_bar.fill(CotangentPack::null());
-        task.system().vjp(inputs, lambda, Cotangents::of(x_bar, u_bar));
+        task.system().vjp(inputs, lambda, Cotangents { x: Some(x_bar), u: Some(u_bar), p: p_bar.as_deref_mut() });
     } else {
-        task.system().vjp(inputs, lambda, Cotangents { u: Some(u_bar), ..Cotangents::default() });
+        task.system().vjp(inputs, lambda, Cotangents { x: None, u: Some(u_bar), p: p_bar.as_deref_mut() });
     }
     for (u_bar, &cost) in zip(u_bar.iter_mut(), &cost.u) {
         *u_bar += inject * cost;
@@ -114,6 +124,9 @@ pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
     }
     for memory_bar in memory_bar {
         size += memory_bar.abs();
+    }
+    for (p_bar, &cost) in p_bar.into_iter().flatten().zip(&cost.p) {
+        *p_bar += inject * cost;
     }
 
     for ((lambda, &x_bar), &cost) in zip(zip(lambda.iter_mut(), &*x_bar), &cost.x) {
@@ -145,6 +158,8 @@ pub struct Recursion<F: Float, const K: usize> {
     pub(super) cost: CostGradient<Lane<F>>,
     pub(super) exponents: Exponents<F, K>,
     growth: GrowthMeters<K>,
+    /// Gradients by initial states and parameters, if recorded.
+    pub(super) starts: Option<StartGradients<F, K>>,
 }
 
 impl<F: Float, const K: usize> Recursion<F, K> {
@@ -159,7 +174,14 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             cost: CostGradient::new(n, m),
             exponents: Exponents::new(blocks),
             growth: GrowthMeters::new(rollout.capacity()),
+            starts: None,
         }
+    }
+
+    /// Records the gradients by initial states and parameters of up to `samples` samples.
+    pub(super) fn keep_start_gradients(&mut self, samples: usize, param_dim: usize) {
+        self.starts = Some(StartGradients::new(samples, self.cost.x.len(), param_dim));
+        self.cost.p = vec![Lane::null(); param_dim];
     }
 
     /// Returns the [`stored_bytes`](Self::stored_bytes) for these numbers of state, control and
@@ -175,7 +197,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     pub(super) fn stored_bytes(&self) -> usize {
         let columns = [&self.lambda, &self.x_bar, &self.u_bar].map(|columns| size_of_val(&columns[..]));
         let costs = CostGradient::<Lane<F>>::bytes_of(self.cost.x.len(), self.cost.u.len());
-        let others = [costs, self.exponents.stored_bytes(), self.growth.stored_bytes()];
+        let starts = self.starts.as_ref().map_or(0, StartGradients::stored_bytes) + size_of_val(&self.cost.p[..]);
+        let others = [costs, self.exponents.stored_bytes(), self.growth.stored_bytes(), starts];
         columns.into_iter().chain(others).sum()
     }
 
@@ -188,10 +211,20 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         self.u_bar.fill(CotangentPack([Lane::zero(); K]));
         for (block, x) in rollout.states_at(rollout.horizon).chunks_exact(n).enumerate() {
             self.cost.clear();
-            task.terminal_cost_gradient(x, rollout.params_of(block), &mut self.cost.next);
+            let p_bar = (!self.cost.p.is_empty()).then_some(&mut self.cost.p[..]);
+            task.terminal_cost_gradient(x, rollout.params_of(block), &mut self.cost.next, p_bar);
+            if let Some(starts) = &mut self.starts {
+                for (term, &p_bar) in zip(starts.of_block(block).iter_mut(), &self.cost.p) {
+                    *term = CotangentPack([p_bar * Lane::splat(scale); K]);
+                }
+            }
             for (lambda, &x_bar) in zip(self.lambda[block * n..][..n].iter_mut(), &self.cost.next) {
                 *lambda = CotangentPack([x_bar * Lane::splat(scale); K]);
             }
+        }
+        if let Some(starts) = &mut self.starts {
+            starts.clear();
+            starts.add_terms(rollout.samples, &self.exponents);
         }
         record_norms(&self.lambda, &self.exponents, pass, rollout.horizon, norms);
     }
@@ -212,6 +245,9 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             let at_t = flows.map(|flow| flow.at(t));
             // λ, h ← `reverse_step`, in each block of samples.
             let in_range = task.step_back(at_t, pass.rollout, t, self);
+            if let Some(starts) = &mut self.starts {
+                starts.add_terms(pass.rollout.samples, &self.exponents);
+            }
             if !in_range {
                 let rescaled = self.exponents.rescale(flows, pass, &mut self.lambda, &mut self.u_bar);
                 rescaled.map_err(|_| self.divergence(pass, flows, t))?;
@@ -224,7 +260,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
                 }
                 if flow.control != 0.0 {
                     // λ ← λ + control·(∂y/∂x)ᵀ ȳ
-                    policy.add_inputs_bar(k, flow, pass, t, &mut self.lambda);
+                    policy.add_inputs_bar(k, flow, pass, t, self);
                 }
                 // μ ← memory·m̄
                 policy.set_memory_bar(k, flow, pass.rollout.columns(t), &mut self.u_bar);
@@ -258,7 +294,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         self.exponents.update_low();
     }
 
-    /// Measures growth and norms after step `t`, and cuts adjoints that have grown.
+    /// Measures growth and norms after step `t`, cuts adjoints that have grown, and completes the
+    /// gradients by the initial states.
     fn after_step(&mut self, pass: &Pass<'_, F>, flows: [Flow; K], t: usize, norms: &mut [Vec<f64>]) {
         if pass.measured {
             self.growth.after(pass.rollout, &self.lambda, &self.exponents, flows, t);
@@ -269,6 +306,9 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             }
         }
         record_norms(&self.lambda, &self.exponents, pass, t, norms);
+        if let (0, Some(starts)) = (t, &mut self.starts) {
+            starts.finish(&self.lambda, pass.rollout.samples, &self.exponents);
+        }
     }
 
     /// Sets `λ ← ∂l/∂x_t` and `μ ← 0` in samples whose adjoint has grown by `decades`.

@@ -48,6 +48,7 @@ impl<T: Task, F: Float, const K: usize> Vectorized for Back<'_, T, F, K> {
                 lambda: &mut r.lambda[of_state.clone()],
                 x_bar: &mut r.x_bar[of_state],
                 u_bar,
+                p_bar: r.starts.as_mut().map(|starts| starts.of_block(block)),
                 memory_bar,
                 cost: &mut r.cost,
                 inject: r.exponents.blocks[block].inject,
