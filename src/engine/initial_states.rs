@@ -2,7 +2,7 @@
 
 use crate::dynamics::inputs::Start;
 use crate::engine::any::AnyTask;
-use crate::numbers::rng::{Purpose, stream};
+use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::numbers::scalar::Float;
 
 /// Draws the initial states of samples `0 .. samples`: for each sample, `state_dim` numbers, then its
@@ -17,13 +17,18 @@ use crate::numbers::scalar::Float;
 /// assert_eq!(starts.len(), 8 * 4);
 /// ```
 pub fn initial_states<F: Float>(task: &dyn AnyTask<F>, seed: u64, purpose: Purpose, samples: usize) -> Vec<F> {
-    let (n, len) = (task.state_dim(), task.start_dim());
+    let len = task.start_dim();
     let (mut one, mut all) = (vec![0.0; len], Vec::with_capacity(samples * len));
     for sample in 0..samples {
-        one.fill(0.0);
-        let (x, p) = one.split_at_mut(n);
-        task.start(&mut stream(seed, purpose, sample as u64), Start { x, p });
-        all.extend(one.iter().map(|&x| F::lift(x)));
+        append_start(task, &mut stream(seed, purpose, sample as u64), &mut one, &mut all);
     }
     all
+}
+
+/// Draws one sample from its stream and appends it. `one` is a buffer of `start_dim` numbers.
+pub(crate) fn append_start<F: Float>(task: &dyn AnyTask<F>, rng: &mut Rng, one: &mut [f64], all: &mut Vec<F>) {
+    one.fill(0.0);
+    let (x, p) = one.split_at_mut(task.state_dim());
+    task.start(rng, Start { x, p });
+    all.extend(one.iter().map(|&x| F::lift(x)));
 }

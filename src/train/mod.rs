@@ -46,6 +46,10 @@ pub struct Training {
     pub seed: u64,
     /// Shuffles the training set before every epoch. The paper uses one fixed order.
     pub shuffle: bool,
+    /// Draws new initial states and parameters for the updates of every epoch: sample i of N in
+    /// epoch e, both from 0, has the random stream of training sample e N + i. Losses are evaluated
+    /// on the same training and test set after every epoch.
+    pub resample: bool,
     /// The optimizer.
     pub rule: OptimizerKind,
     /// Learning rate of the optimizer, positive and at most 1e6.
@@ -72,6 +76,7 @@ impl Default for Training {
             test_samples: 256,
             seed: 0,
             shuffle: false,
+            resample: false,
             rule: OptimizerKind::Adam { beta1: 0.9, beta2: 0.999, epsilon: 1e-7 },
             learning_rate: 1e-3,
             clip: Clip::None,
@@ -221,6 +226,9 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
 
     /// Creates a session from given parameters and initial states; see
     /// [`initial_states`](crate::initial_states).
+    ///
+    /// With [`Training::resample`], updates draw their initial states from the task. `train` is then
+    /// only evaluated; its number of samples is that of an epoch.
     ///
     /// # Errors
     /// [`TrainError`] if a setting is invalid, the memory limit is too small, or a set is empty or

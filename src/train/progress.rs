@@ -8,6 +8,7 @@ use crate::engine::batch::{Batch, Evaluation};
 use crate::engine::divergence::Divergence;
 use crate::engine::gradient::Gradient;
 use crate::engine::growth::Growth;
+use crate::engine::initial_states::append_start;
 #[cfg(feature = "parallel")]
 use crate::engine::parallel::among_workers;
 use crate::numbers::extended::ExtendedF64;
@@ -73,6 +74,8 @@ pub(super) struct Progress<F: Float> {
     pub(super) batch: Batch<F>,
     evaluation: Evaluation<F>,
     starts: Vec<F>,
+    /// Buffer for one drawn sample.
+    drawn: Vec<f64>,
     combined: Gradient<F>,
 }
 
@@ -111,6 +114,7 @@ impl<F: Float> Progress<F> {
             optimizer,
             order: (0..train.len() / n).collect(),
             starts: Vec::with_capacity(samples * n),
+            drawn: vec![0.0; n],
             combined: Gradient::zeros(params),
             // Bounded, because `epochs` may be huge.
             records: Vec::with_capacity(training.epochs.min(100_000)),
@@ -222,7 +226,7 @@ impl<F: Float> Progress<F> {
 
     /// Performs one update with mini-batch `index` of the epoch.
     fn update(&mut self, Trained { task, policy, field }: Trained<'_, F>, index: usize) -> Result<Step, Divergence> {
-        self.select_batch(index, task.start_dim());
+        self.select_batch(task, index);
         let loss = self.batch.run(task, policy, &self.weights, &self.starts)?;
         let step = self.combine(field, loss)?;
         self.training.clip.apply_knowing(&mut self.combined, step.norm);
@@ -230,11 +234,19 @@ impl<F: Float> Progress<F> {
         Ok(step)
     }
 
-    /// Copies the initial states of mini-batch `index`.
-    fn select_batch(&mut self, index: usize, n: usize) {
+    /// Copies the initial states of mini-batch `index`, or draws them if the training resamples.
+    fn select_batch(&mut self, task: &dyn AnyTask<F>, index: usize) {
+        let n = task.start_dim();
         self.starts.clear();
         for &sample in self.order.chunks(self.training.batch).nth(index).unwrap_or(&[]) {
-            self.starts.extend_from_slice(&self.train[sample * n..][..n]);
+            if self.training.resample {
+                // One stream per epoch and sample, so a resumed run draws the same numbers.
+                let drawn = self.records.len() as u64 * self.order.len() as u64 + sample as u64;
+                let rng = &mut stream(self.training.seed, Purpose::Train, drawn);
+                append_start(task, rng, &mut self.drawn, &mut self.starts);
+            } else {
+                self.starts.extend_from_slice(&self.train[sample * n..][..n]);
+            }
         }
     }
 

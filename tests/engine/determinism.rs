@@ -3,12 +3,13 @@
 
 use physgrad::any;
 use physgrad::policy::{self, Mlp};
-use physgrad::rng::{Purpose, stream};
-use physgrad::tasks::{CartPole, Guidance, LossMode, Quantum};
+use physgrad::rng::{Purpose, Rng, stream};
+use physgrad::tasks::{CartPole, CartPoleSystem, Guidance, LossMode, Quantum};
 use physgrad::{
-    Batch, CheckpointError, Evaluation, Field, Float, Flow, Gradient, Record, Rollout, Session, Trainer, Training, Weights,
-    initial_states,
+    Batch, CheckpointError, Evaluation, Field, Float, Flow, Gradient, Record, Rollout, Scalar, Session, Start, Task, Trainer,
+    Training, Weights, initial_states,
 };
+use std::sync::Mutex;
 
 const STATES: usize = 6;
 
@@ -45,30 +46,30 @@ fn gradients_do_not_depend_on_the_number_of_workers() {
 }
 
 /// Returns a session of three epochs with four updates each. The order of samples changes between
-/// epochs.
-fn shuffled(starts: &[f32]) -> Session<CartPole, Mlp, f32> {
-    let training = Training { epochs: 3, batch: 4, shuffle: true, ..Training::default() };
+/// epochs, and their initial states if `resample`.
+fn shuffled(starts: &[f32], resample: bool) -> Session<CartPole, Mlp, f32> {
+    let training = Training { epochs: 3, batch: 4, shuffle: true, resample, ..Training::default() };
     let trainer = Trainer::new(task(), policy()).training(training);
     trainer.session_from(weights::<f32>().theta().to_vec(), starts.to_vec(), starts.to_vec()).expect("it can be trained")
 }
 
 #[test]
 fn a_session_restored_after_every_update_is_an_uninterrupted_one() {
-    for skips in [false, true] {
+    for (skips, resample) in [(false, false), (true, false), (false, true)] {
         let mut starts = starts::<f32>(16);
         if skips {
             // Training skips one update of each epoch.
             starts[5 * STATES] = f32::NAN;
         }
-        let mut whole = shuffled(&starts);
+        let mut whole = shuffled(&starts, resample);
         while !whole.is_done() {
             whole.epoch().expect("it goes on");
         }
         let mut pauses = 0;
-        let mut parts = shuffled(&starts);
+        let mut parts = shuffled(&starts, resample);
         while !parts.is_done() {
             pauses += usize::from(parts.advance(&|| true).expect("it goes on").is_none());
-            let mut next = shuffled(&starts);
+            let mut next = shuffled(&starts, resample);
             next.restore(&parts.checkpoint("run"), "run").expect("its own checkpoint");
             parts = next;
         }
@@ -159,6 +160,63 @@ fn session(seed: u64, epochs: usize, workers: usize) -> Session<CartPole, Mlp, f
     let training =
         Training { epochs, seed, batch: 6, train_samples: 20, test_samples: 9, shuffle: true, workers, ..Training::default() };
     Trainer::new(task(), policy()).training(training).session().expect("valid settings")
+}
+
+/// A [`CartPole`] that records the position of each initial state that it draws.
+struct Recorded {
+    task: CartPole,
+    drawn: Mutex<Vec<f64>>,
+}
+
+impl Task for Recorded {
+    type System = CartPoleSystem;
+    fn system(&self) -> &CartPoleSystem {
+        &self.task.system
+    }
+    fn horizon(&self) -> usize {
+        3
+    }
+    fn start(&self, rng: &mut Rng, Start { x, p }: Start<'_>) {
+        self.task.start(rng, Start { x: &mut *x, p });
+        self.drawn.lock().expect("one thread").push(x[0]);
+    }
+    fn terminal_cost<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
+        self.task.terminal_cost(x, p)
+    }
+}
+
+#[test]
+fn resampling_draws_one_stream_per_epoch_and_sample() {
+    const SAMPLES: usize = 5;
+    let position = |purpose, index| {
+        let mut x = [0.0; 4];
+        CartPole::new(1).start(&mut stream(7, purpose, index), Start { x: &mut x, p: &mut [] });
+        x[0]
+    };
+    let evaluated = (0..SAMPLES as u64).map(|i| position(Purpose::Train, i)).chain([position(Purpose::Test, 0)]);
+    // Epoch e, sample i: stream e N + i. Without resampling, updates draw nothing.
+    for (resample, updates) in [(false, 0), (true, 3 * SAMPLES as u64)] {
+        let expected: Vec<f64> = evaluated.clone().chain((0..updates).map(|index| position(Purpose::Train, index))).collect();
+        let training =
+            Training { epochs: 3, seed: 7, batch: 2, train_samples: SAMPLES, test_samples: 1, resample, ..Training::default() };
+        let task = Recorded { task: CartPole::new(1), drawn: Mutex::default() };
+        let mut session = Trainer::new(task, Mlp::new([4, 8, 1])).training(training).session().expect("valid settings");
+        (0..3).for_each(|_| drop(session.epoch().expect("finite").clone()));
+        assert_eq!(*session.task().drawn.lock().expect("one thread"), expected, "resample: {resample}");
+    }
+}
+
+#[test]
+fn resampling_keeps_the_evaluated_sets() {
+    // θ stays the same to rounding, so losses of fixed sets do as well.
+    let training = Training { epochs: 3, learning_rate: 1e-300, train_samples: 8, resample: true, ..Training::default() };
+    let mut session = Trainer::new(task(), policy()).precision::<f64>().training(training).session().expect("valid settings");
+    (0..3).for_each(|_| drop(session.epoch().expect("finite").clone()));
+    let [first, second, third] = session.records() else { panic!("three epochs") };
+    assert!(first.loss != second.loss && second.loss != third.loss, "new initial states");
+    for later in [second, third] {
+        assert_eq!((later.train_loss, later.test_loss), (first.train_loss, first.test_loss));
+    }
 }
 
 /// Returns the records with their times set to 0.

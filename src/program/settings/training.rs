@@ -18,6 +18,8 @@ pub struct TrainingSettings {
     pub test_samples: usize,
     /// Draws a new order of the training set in every epoch.
     pub shuffle: bool,
+    /// Draws new initial states for the updates of every epoch. The sets that are evaluated stay.
+    pub resample: bool,
     /// Optimizer that turns the field into updates.
     pub optimizer: OptimizerName,
     /// Learning rate of the optimizer.
@@ -37,12 +39,14 @@ pub struct TrainingSettings {
 
 impl Default for TrainingSettings {
     fn default() -> Self {
-        let Training { batch, train_samples, test_samples, shuffle, learning_rate, max_skipped, .. } = Training::default();
+        let Training { batch, train_samples, test_samples, shuffle, resample, learning_rate, max_skipped, .. } =
+            Training::default();
         Self {
             batch,
             train_samples,
             test_samples,
             shuffle,
+            resample,
             optimizer: OptimizerName::default(),
             learning_rate,
             clip: ClipName::None,
@@ -93,6 +97,7 @@ impl TrainingSettings {
             test_samples: self.test_samples,
             seed,
             shuffle: self.shuffle,
+            resample: self.resample,
             rule: self.optimizer.kind(),
             learning_rate: self.learning_rate,
             clip: match (self.clip, self.clip_limit) {
