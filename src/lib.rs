@@ -120,7 +120,9 @@ pub use numbers::scalar::{Cotangent, CotangentPack, Counted, Dual, Float, Lanes,
 pub use policy::{Policy, Weights};
 pub use train::field::{Field, GradientCombiner, SignAgreement, UnknownField};
 pub use train::optim::{Clip, Optimizer, OptimizerKind};
-pub use train::{CheckpointError, Record, Report, Session, Skip, TrainError, Trainer, Training, differences, vector_field};
+pub use train::{
+    CheckpointError, Decay, Record, Report, Session, Skip, TrainError, Trainer, Training, differences, vector_field,
+};
 
 /// Imports for a file that defines a system and trains a controller for it.
 pub mod prelude {

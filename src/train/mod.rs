@@ -10,6 +10,7 @@
 //! which contains the update. Every part of an update is public, so that users can write their own.
 
 mod checkpoint;
+mod decay;
 pub(crate) mod field;
 pub(crate) mod optim;
 mod progress;
@@ -18,6 +19,7 @@ mod session;
 pub mod vector_field;
 
 pub use checkpoint::{CheckpointError, differences};
+pub use decay::Decay;
 pub use record::{Record, Skip};
 pub use session::Session;
 
@@ -54,6 +56,11 @@ pub struct Training {
     pub rule: OptimizerKind,
     /// Learning rate of the optimizer, positive and at most 1e6.
     pub learning_rate: f64,
+    /// Decay of the learning rate over all epochs. A checkpoint restored with another number of
+    /// epochs continues with the decay for that number.
+    pub decay: Decay,
+    /// Number of updates at the start in which the learning rate rises linearly to its full value.
+    pub warm_up: usize,
     /// Clipping of the field, before the optimizer.
     pub clip: Clip,
     /// Largest number of consecutive updates skipped because of a non-finite number. One more stops
@@ -79,6 +86,8 @@ impl Default for Training {
             resample: false,
             rule: OptimizerKind::Adam { beta1: 0.9, beta2: 0.999, epsilon: 1e-7 },
             learning_rate: 1e-3,
+            decay: Decay::Constant,
+            warm_up: 0,
             clip: Clip::None,
             max_skipped: 10,
             workers: 1,
@@ -104,6 +113,9 @@ impl Training {
         if !(self.learning_rate > 0.0 && self.learning_rate <= 1e6) {
             let problem = format!("is {}; allowed: a positive number up to 1e6", self.learning_rate);
             return Err(TrainError::Setting { setting: "learning_rate", problem });
+        }
+        if let Some(problem) = self.decay.problem() {
+            return Err(TrainError::Setting { setting: "decay", problem });
         }
         Ok(())
     }

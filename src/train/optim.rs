@@ -206,6 +206,15 @@ impl<F: Float> Optimizer<F> {
     /// If a length differs from the number of parameters.
     #[track_caller]
     pub fn step(&mut self, theta: &mut [F], gradient: &[F]) {
+        self.step_at(self.learning_rate, theta, gradient);
+    }
+
+    /// Takes one step with another learning rate, for example one with a [`Decay`](crate::Decay).
+    ///
+    /// # Panics
+    /// If a length differs from the number of parameters.
+    #[track_caller]
+    pub fn step_at(&mut self, learning_rate: f64, theta: &mut [F], gradient: &[F]) {
         let n = self.first.len();
         assert!(
             theta.len() == n && gradient.len() == n,
@@ -214,12 +223,14 @@ impl<F: Float> Optimizer<F> {
             gradient.len()
         );
         self.steps += 1;
-        dispatch(SimdLevel::best(), Step { optimizer: self, theta, gradient });
+        dispatch(SimdLevel::best(), Step { optimizer: self, rate: learning_rate, theta, gradient });
     }
 }
 
 struct Step<'a, F> {
     optimizer: &'a mut Optimizer<F>,
+    /// Learning rate of this step.
+    rate: f64,
     theta: &'a mut [F],
     gradient: &'a [F],
 }
@@ -227,8 +238,8 @@ struct Step<'a, F> {
 impl<F: Float> Vectorized for Step<'_, F> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Optimizer { rule, learning_rate, steps, first, second } = self.optimizer;
-        let rate = *learning_rate;
+        let Optimizer { rule, steps, first, second, .. } = self.optimizer;
+        let rate = self.rate;
         let all = self.theta.iter_mut().zip(self.gradient).zip(first).zip(second).map(|(((t, &g), m), v)| (t, g, m, v));
         let lift = F::lift;
         match *rule {

@@ -230,8 +230,17 @@ impl<F: Float> Progress<F> {
         let loss = self.batch.run(task, policy, &self.weights, &self.starts)?;
         let step = self.combine(field, loss)?;
         self.training.clip.apply_knowing(&mut self.combined, step.norm);
-        self.weights.update(policy, |theta| self.optimizer.step(theta, self.combined.values()));
+        let rate = self.learning_rate(index);
+        self.weights.update(policy, |theta| self.optimizer.step_at(rate, theta, self.combined.values()));
         Ok(step)
+    }
+
+    /// Learning rate of update `index` of the epoch. It depends on the settings and on the number
+    /// of the update only, so checkpoints do not contain it.
+    fn learning_rate(&self, index: usize) -> f64 {
+        let Training { epochs, learning_rate, decay, warm_up, .. } = self.training;
+        let update = self.records.len() * self.updates_per_epoch() + index;
+        learning_rate * decay.factor(warm_up, update, epochs.saturating_mul(self.updates_per_epoch()))
     }
 
     /// Copies the initial states of mini-batch `index`, or draws them if the training resamples.

@@ -85,7 +85,8 @@ pub fn changed(name: &str, overrides: &Overrides) -> Result<Scene> {
     source.scene()
 }
 
-/// Checks that the run in the folder has the settings of the scene, except the number of epochs.
+/// Checks that the run in the folder has the settings of the scene. The number of epochs may differ
+/// if the learning rate is constant.
 ///
 /// # Errors
 /// Another setting differs.
@@ -93,7 +94,8 @@ pub fn check_resumable(folder: &Folder, scene: &Scene) -> Result<()> {
     let saved = self::scene(folder)?.identity();
     if scene.identity() != saved {
         bail!(
-            "a resumed run keeps its settings (only the number of epochs may change); in {}, these differ:\n{}",
+            "a resumed run keeps its settings (only the number of epochs may change, and only while `training.decay` is \
+             constant); in {}, these differ:\n{}",
             folder.path().display(),
             differences(&saved, &scene.identity())
         );

@@ -80,6 +80,14 @@ impl ClipName {
     }
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum DecayName {
+    Constant,
+    Cosine,
+    Exponential,
+}
+
 /// [`OptimizerKind`] with default parameters, by name.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(into = "String")]

@@ -1,8 +1,8 @@
 //! The `training` section.
 
 use crate::program::settings::config_error::{ConfigError, allowed, count, positive};
-use crate::program::settings::{ClipName, OptimizerName};
-use physgrad::{Clip, Training};
+use crate::program::settings::{ClipName, DecayName, OptimizerName};
+use physgrad::{Clip, Decay, Training};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -24,6 +24,13 @@ pub struct TrainingSettings {
     pub optimizer: OptimizerName,
     /// Learning rate of the optimizer.
     pub learning_rate: f64,
+    /// Decay of the learning rate over all epochs.
+    pub decay: DecayName,
+    /// Learning rate at the end of the decay, as a fraction of `learning_rate`, 0.01 by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub decay_end: Option<f64>,
+    /// Updates at the start in which the learning rate rises linearly to its full value.
+    pub warm_up: usize,
     /// Clipping of the field before the optimizer: of every component (value), or of the norm.
     pub clip: ClipName,
     /// Limit of `clip`, 1 by default.
@@ -39,7 +46,7 @@ pub struct TrainingSettings {
 
 impl Default for TrainingSettings {
     fn default() -> Self {
-        let Training { batch, train_samples, test_samples, shuffle, resample, learning_rate, max_skipped, .. } =
+        let Training { batch, train_samples, test_samples, shuffle, resample, learning_rate, warm_up, max_skipped, .. } =
             Training::default();
         Self {
             batch,
@@ -49,6 +56,9 @@ impl Default for TrainingSettings {
             resample,
             optimizer: OptimizerName::default(),
             learning_rate,
+            decay: DecayName::Constant,
+            decay_end: None,
+            warm_up,
             clip: ClipName::None,
             clip_limit: None,
             memory: None,
@@ -63,6 +73,9 @@ impl TrainingSettings {
         if self.clip != ClipName::None {
             self.clip_limit.get_or_insert(1.0);
         }
+        if self.decay != DecayName::Constant {
+            self.decay_end.get_or_insert(0.01);
+        }
     }
 
     /// Rejects invalid values and unused keys.
@@ -72,6 +85,17 @@ impl TrainingSettings {
         count("training.test_samples", self.test_samples, 1..=1_000_000)?;
         let rate = self.learning_rate;
         allowed("training.learning_rate", rate, rate > 0.0 && rate <= 1e6, "a positive number up to 1e6")?;
+        count("training.warm_up", self.warm_up, 0..=1_000_000_000)?;
+        match (self.decay, self.decay_end) {
+            (_, None) => {}
+            (DecayName::Constant, Some(end)) => {
+                return Err(ConfigError::unread("training.decay_end", end, "`training.decay` is constant"));
+            }
+            (DecayName::Cosine, Some(end)) => allowed("training.decay_end", end, (0.0..=1.0).contains(&end), "0 to 1")?,
+            (DecayName::Exponential, Some(end)) => {
+                allowed("training.decay_end", end, end > 0.0 && end <= 1.0, "a positive number up to 1")?;
+            }
+        }
         if let Some(memory) = &self.memory {
             let what = "a number of bytes such as \"64MB\", in B, kB, MB, GB, KiB, MiB or GiB";
             allowed("training.memory", format!("{memory:?}"), bytes(memory).is_some(), what)?;
@@ -100,6 +124,12 @@ impl TrainingSettings {
             resample: self.resample,
             rule: self.optimizer.kind(),
             learning_rate: self.learning_rate,
+            decay: match (self.decay, self.decay_end) {
+                (DecayName::Cosine, Some(end)) => Decay::Cosine { end },
+                (DecayName::Exponential, Some(end)) => Decay::Exponential { end },
+                _ => Decay::Constant,
+            },
+            warm_up: self.warm_up,
             clip: match (self.clip, self.clip_limit) {
                 (ClipName::Value, Some(limit)) => Clip::Value(limit),
                 (ClipName::Norm, Some(limit)) => Clip::Norm(limit),
