@@ -17,6 +17,7 @@ mod progress;
 mod record;
 mod session;
 pub mod vector_field;
+mod warnings;
 
 pub use checkpoint::{CheckpointError, differences};
 pub use decay::Decay;
@@ -31,6 +32,7 @@ use crate::numbers::scalar::Float;
 use crate::policy::{Policy, Weights};
 use crate::train::field::{Field, GradientCombiner, SignAgreement};
 use crate::train::optim::{Clip, OptimizerKind};
+use std::io::Write as _;
 use std::marker::PhantomData;
 
 /// Settings of a training. The defaults are those of the paper.
@@ -205,15 +207,33 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
         self
     }
 
-    /// Runs all epochs.
+    /// Runs all epochs. Prints [`Session::warnings`] to standard error.
     ///
     /// # Errors
     /// [`TrainError`] if a setting is invalid, the memory limit is too small, or too many
     /// consecutive updates are skipped.
     pub fn run(self) -> Result<Report<F>, TrainError> {
+        // Ignores errors: standard error may be closed.
+        self.run_with_warnings(|warning| _ = writeln!(std::io::stderr(), "warning: {warning}"))
+    }
+
+    /// Runs all epochs. Calls `warn` with each of [`Session::warnings`].
+    /// ```
+    /// use physgrad::{Trainer, policy::Mlp, tasks::CartPole};
+    ///
+    /// let mut warnings = Vec::new();
+    /// let trainer = Trainer::new(CartPole::new(1), Mlp::new([4, 16, 1])).epochs(2);
+    /// trainer.run_with_warnings(|warning| warnings.push(warning.to_owned()))?;
+    /// # Ok::<(), physgrad::TrainError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`run`](Self::run).
+    pub fn run_with_warnings(self, mut warn: impl FnMut(&str)) -> Result<Report<F>, TrainError> {
         let mut session = self.session()?;
         while !session.is_done() {
             session.epoch()?;
+            session.warnings().iter().for_each(|warning| warn(warning));
         }
         Ok(session.into_report())
     }

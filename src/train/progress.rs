@@ -1,6 +1,7 @@
 //! [`Progress`]: the training loop, independent of the types of task, policy and field.
 
 use super::record::{Means, Record, Skip, Step};
+use super::warnings::KINDS;
 use super::{TrainError, Training};
 use crate::engine::adjoint::Flow;
 use crate::engine::any::AnyTask;
@@ -70,6 +71,8 @@ pub(super) struct Progress<F: Float> {
     pub(super) epoch: Option<Epoch>,
     /// Non-finite numbers in the last evaluation of the training set and of the test set.
     pub(super) diverged: [Option<Divergence>; 2],
+    /// Kinds of warnings that were returned.
+    pub(super) warned: [bool; KINDS],
     flows: Vec<Flow>,
     pub(super) batch: Batch<F>,
     evaluation: Evaluation<F>,
@@ -111,6 +114,7 @@ impl<F: Float> Progress<F> {
             before: Snapshot { theta: weights.theta().to_vec(), optimizer: optimizer.clone(), skipped_in_a_row: 0 },
             epoch: None,
             diverged: [None; 2],
+            warned: [false; KINDS],
             optimizer,
             order: (0..train.len() / n).collect(),
             starts: Vec::with_capacity(samples * n),

@@ -53,8 +53,13 @@ impl Record {
     /// `horizon` is the number of steps of a rollout, `epsilon` the machine epsilon of its
     /// precision.
     pub fn warnings(&self, horizon: usize, epsilon: f64) -> Vec<String> {
-        let growths = [(Flow::REGULAR, self.regular_growth), (Flow::MODIFIED, self.modified_growth)];
-        let growths = growths.into_iter().filter_map(|(flow, growth)| growth?.warning(flow, horizon, epsilon));
+        self.gradient_warnings(horizon, epsilon).into_iter().flatten().collect()
+    }
+
+    /// [`warnings`](Self::warnings) by kind: growth of R, growth of M, a field of 0.
+    pub(super) fn gradient_warnings(&self, horizon: usize, epsilon: f64) -> [Option<String>; 3] {
+        let regular = self.regular_growth.and_then(|growth| growth.warning(Flow::REGULAR, horizon, epsilon));
+        let modified = self.modified_growth.and_then(|growth| growth.warning(Flow::MODIFIED, horizon, epsilon));
         let plateau = (self.grad_norm == ExtendedF64::default()).then(|| {
             let disagreement = if self.cosine.is_some() { ", or the signs of R and M agree in no component" } else { "" };
             format!(
@@ -62,7 +67,7 @@ impl Record {
                  Try another seed, or initialize the output layer with nonzero weights"
             )
         });
-        growths.chain(plateau).collect()
+        [regular, modified, plateau]
     }
 }
 

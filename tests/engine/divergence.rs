@@ -160,6 +160,9 @@ fn updates_with_a_bad_sample_are_skipped_counted_and_change_nothing() {
         Divergence::Cotangent { flow: Flow::MODIFIED, variable: Variable::State, step: 3, sample: 3, component: 1, cause: None }
     );
 
+    let warnings = session.warnings();
+    assert!(warnings[0].starts_with("epoch 1: 1 of 2 updates skipped, first update 1 (reverse pass of M"), "{warnings:?}");
+
     // Identical training without the second mini-batch.
     let trainer = Trainer::new(Faulty(Fault::Cotangent), Linear::with_bias(3, 1)).precision::<f64>().training(training);
     let mut good = trainer.session_from(vec![0.1; 4], starts()[..18].to_vec(), starts()).expect("valid settings");

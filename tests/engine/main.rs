@@ -8,3 +8,4 @@ mod determinism;
 mod divergence;
 mod memory;
 mod schedule;
+mod training;

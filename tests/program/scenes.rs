@@ -117,6 +117,33 @@ fn a_file_says_only_what_differs() {
     assert!(String::from_utf8_lossy(&checks.stdout).contains("my_scene.toml: system"));
 }
 
+#[test]
+fn a_resampled_run_with_a_decay_resumes_with_equal_bits_and_keeps_its_number_of_epochs() {
+    let dir = TempDir::new().expect("a folder");
+    let file = write(
+        &dir,
+        "scene = 1\ntask = \"cart_pole\"\nepochs = 3\n[training]\nresample = true\ndecay = \"cosine\"\nwarm_up = 2\n",
+    );
+    let [whole, part] = ["whole", "part"].map(|name| dir.path().join(name));
+    train_scene(&file, &whole, &SMALL).assert().success();
+    assert_eq!(settings(&whole)["training"]["decay_end"].as_float(), Some(0.01));
+    // A decay over two epochs is another one.
+    train_scene(&file, &part, &[&SMALL[..], &["--epochs", "2"]].concat()).assert().success();
+    let said = error_of(&mut train_scene(&file, &part, &["--resume", "--epochs", "3"]));
+    assert!(said.contains("only while `training.decay` is constant") && said.contains("epochs = 3"), "{said}");
+    // A constant rate after the warm-up admits more epochs.
+    let constant = |out: &Path, args: &[&str]| {
+        train_scene(&file, out, &[&SMALL[..], &["--set", "training.decay=constant"], args].concat()).assert().success();
+    };
+    let [whole, part, other] = ["constant", "constant_part", "fixed"].map(|name| dir.path().join(name));
+    constant(&whole, &[]);
+    constant(&part, &["--epochs", "2"]);
+    constant(&part, &["--epochs", "3", "--resume"]);
+    assert!(policy(&part) == policy(&whole));
+    constant(&other, &["--set", "training.resample=false"]);
+    assert!(policy(&other) != policy(&whole));
+}
+
 /// First lines of a cart-pole scene.
 const CART_POLE: &str = "scene = 1\ntask = \"cart_pole\"\n";
 
@@ -161,6 +188,21 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
             "[effects.bumpers]\nreach = 2\n",
             "my_scene.toml:4: `effects.bumpers.reach` was renamed; write `effects.bumpers.half_travel`",
         ),
+        ("[training]\nresample = 1\n", "my_scene.toml:4: `training.resample` is integer `1`; allowed: a boolean"),
+        (
+            "[training]\ndecay = \"linear\"\n",
+            "my_scene.toml:4: `training.decay` is `linear`; allowed: `constant`, `cosine`, `exponential`",
+        ),
+        (
+            "[training]\ndecay_end = 0.1\n",
+            "my_scene.toml:4: `training.decay_end` is 0.1, but has no effect: `training.decay` is constant",
+        ),
+        (
+            "[training]\ndecay = \"exponential\"\ndecay_end = 0\n",
+            "my_scene.toml:5: `training.decay_end` is 0; allowed: a positive number up to 1",
+        ),
+        ("[training]\ndecay = \"cosine\"\ndecay_end = 2\n", "my_scene.toml:5: `training.decay_end` is 2; allowed: 0 to 1"),
+        ("[training]\nwarm_up = -1\n", "my_scene.toml:4: `training.warm_up` is integer `-1`; allowed: a whole number"),
         ("[policy]\nzero_last = true\n", "my_scene.toml:4: `policy.zero_last` was renamed; write `policy.zero_init_output`"),
         ("[loss]\nmode = \"final\"\n", "my_scene.toml:4: `loss.mode` = \"final\" was renamed; write \"terminal\""),
         (
@@ -374,7 +416,9 @@ fn the_schema_has_a_branch_a_task_with_every_setting() {
         let branch = branches.iter().find(of_task).expect("a branch of the task");
         assert_eq!(branch["required"], serde_json::json!(["scene", "task"]));
         assert_described(branch, &stdout(&["scene", task]).parse().expect("TOML"), task);
-        assert!(branch["properties"]["training"]["properties"]["clip_limit"].is_object());
+        let training = &branch["properties"]["training"]["properties"];
+        assert!(training["clip_limit"].is_object() && training["decay_end"].is_object());
+        assert_eq!(training["decay"]["enum"], serde_json::json!(["constant", "cosine", "exponential"]));
         // Keys without a default are required within a section. The section itself is optional.
         let actuator = &branch["properties"]["actuator"];
         assert_eq!(actuator["required"], Value::Null);

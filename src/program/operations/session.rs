@@ -6,7 +6,7 @@ use crate::program::operations::trajectory::{self, Trajectory};
 use crate::program::settings::Precision;
 use anyhow::Result;
 use physgrad::any::AnyTask;
-use physgrad::{CheckpointError, Divergence, Field, Float, Policy, Record, Session, Skip, Task, TrainError, Trainer, Training};
+use physgrad::{CheckpointError, Field, Float, Policy, Record, Session, Task, TrainError, Trainer, Training};
 use std::ops::Range;
 
 /// Object-safe part of a [`Session`].
@@ -21,10 +21,8 @@ pub trait AnyRun {
     fn is_done(&self) -> bool;
     /// Records of the completed epochs.
     fn records(&self) -> &[Record];
-    /// Updates skipped in the current or last epoch. [`restore`](Self::restore) clears them.
-    fn skips(&self) -> &[Skip];
-    /// First non-finite value in the training and test evaluations of the last epoch.
-    fn diverged(&self) -> [Option<Divergence>; 2];
+    /// Warnings about the last epoch, each kind once.
+    fn warnings(&mut self) -> Vec<String>;
     /// Serializes the run. Only a run with the same label can restore it.
     fn checkpoint(&self, label: &str) -> Vec<u8>;
     /// Restores a checkpoint.
@@ -56,12 +54,8 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
         Session::records(self)
     }
 
-    fn skips(&self) -> &[Skip] {
-        Session::skips(self)
-    }
-
-    fn diverged(&self) -> [Option<Divergence>; 2] {
-        Session::diverged(self)
+    fn warnings(&mut self) -> Vec<String> {
+        Session::warnings(self)
     }
 
     fn checkpoint(&self, label: &str) -> Vec<u8> {

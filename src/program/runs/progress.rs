@@ -54,20 +54,11 @@ impl Progress {
         }
     }
 
-    /// Prints the warnings of an epoch, even if quiet: non-finite numbers, unreliable gradients.
+    /// Prints the warnings of an epoch, even if quiet.
     /// `run` is a prefix that names the run.
     pub fn warn(&self, run: &str, event: EpochEvent) {
-        let EpochEvent { record, skips, diverged, warnings } = event;
-        let epoch = record.epoch;
-        let skipped = skips.first().map(|skip| {
-            let (count, update) = (record.skipped, skip.update);
-            format!("{run}epoch {epoch}: {count} update(s) skipped, first update {update} ({})", skip.divergence)
-        });
-        let evaluated = ["training", "test"].into_iter().zip(diverged).filter_map(|(set, divergence)| {
-            divergence.map(|divergence| format!("{run}epoch {epoch}: the {set} loss is not finite ({divergence})"))
-        });
-        let warnings = warnings.iter().map(|warning| format!("{run}epoch {epoch}: {warning}"));
-        for text in skipped.into_iter().chain(evaluated).chain(warnings) {
+        for warning in event.warnings {
+            let text = format!("{run}{warning}");
             // Prints above a visible bar.
             if self.bar.is_hidden() { tell(&text) } else { self.bar.println(text) }
         }

@@ -10,7 +10,7 @@ use crate::program::runs::outputs::{self, Metrics};
 use crate::program::runs::saved;
 use crate::program::tasks::Scene;
 use anyhow::{Result, bail};
-use physgrad::{Divergence, Record, Skip, TrainError};
+use physgrad::{Record, TrainError};
 use std::fmt;
 use std::time::{Duration, Instant};
 
@@ -29,12 +29,7 @@ pub trait Observer {
 #[derive(Clone, Copy)]
 pub struct EpochEvent<'a> {
     pub record: &'a Record,
-    /// Updates skipped in the epoch. Excludes updates of an earlier process.
-    pub skips: &'a [Skip],
-    /// First non-finite value in the training and test evaluations.
-    pub diverged: [Option<Divergence>; 2],
-    /// Reasons why the gradients are unreliable. Empty unless this epoch has more of them than
-    /// every earlier epoch of the process.
+    /// Warnings of kinds that no earlier epoch of the process had.
     pub warnings: &'a [String],
 }
 
@@ -126,7 +121,6 @@ pub fn run(
 
     let mut failure = None;
     let mut within_epoch = false;
-    let mut warned = 0;
     while !run.is_done() && (within_epoch || signals::received().is_none()) {
         match run.advance(&|| saver.is_due()) {
             Ok(record) => {
@@ -140,14 +134,9 @@ pub fn run(
                 break;
             }
         }
+        let warnings = run.warnings();
         if let Some(record) = run.records().last().filter(|_| !within_epoch) {
-            // Reports warnings only if they are more than in every earlier epoch. Their texts
-            // contain numbers that differ in every epoch.
-            let warnings: Vec<String> = record.warnings(scene.horizon, scene.precision.epsilon());
-            let is_new = warnings.len() > warned;
-            warned = warned.max(warnings.len());
-            let warnings = if is_new { &warnings[..] } else { &[] };
-            observer.epoch(EpochEvent { record, skips: run.skips(), diverged: run.diverged(), warnings });
+            observer.epoch(EpochEvent { record, warnings: &warnings });
         }
         if saver.is_due() {
             saver.try_to_save(&*run)?;
