@@ -2,7 +2,7 @@
 //!
 //! - [`Trainer`]: builder of a training.
 //! - [`Session`]: a training in progress, one epoch at a time, with checkpoints.
-//! - [`Training`]: settings. [`Record`]: results of one epoch.
+//! - [`Training`]: settings. [`Decay`]: learning rates. [`Record`]: results of one epoch.
 //! - [`Field`] and [`GradientCombiner`]: the vector field that the optimizer follows.
 //! - [`vector_field`]: the two-parameter examples of the paper.
 //!
