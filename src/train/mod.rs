@@ -63,7 +63,7 @@ pub struct Training {
     pub decay: Decay,
     /// Number of updates at the start in which the learning rate rises linearly to its full value.
     pub warm_up: usize,
-    /// Clipping of the field, before the optimizer.
+    /// Clipping of the field, before the optimizer. `docs/performance.md` compares its kinds.
     pub clip: Clip,
     /// Largest number of consecutive updates skipped because of a non-finite number. One more stops
     /// the training.
