@@ -15,9 +15,9 @@ fn gradient<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Vec<f64> {
 
 fn weighted_flows() -> Vec<Flow> {
     let uneven = Flow { physics: 0.8, control: 0.3, memory: 0.6, ..Flow::REGULAR };
-    let mut flows = vec![uneven, uneven.truncated(4), Flow::REGULAR.decayed(0.7).truncated(5)];
+    let mut flows = vec![uneven, uneven.truncated(4), Flow::REGULAR.discounted(0.7).truncated(5)];
     for flow in Flow::ALL {
-        flows.extend([flow.decayed(0.9), flow.truncated(1), flow.truncated(3), flow.truncated(100)]);
+        flows.extend([flow.discounted(0.9), flow.truncated(1), flow.truncated(3), flow.truncated(100)]);
     }
     flows
 }
@@ -42,7 +42,7 @@ fn neutral_weights_keep_the_bits() {
     for flow in Flow::ALL {
         let policy = Mlp::new([1, 4, 1]);
         let plain = gradient(&AngleOnly, &policy, flow);
-        for neutral in [flow.decayed(1.0), flow.truncated(12), flow.cut(f64::INFINITY)] {
+        for neutral in [flow.discounted(1.0), flow.truncated(12), flow.cut(f64::INFINITY)] {
             assert_eq!(gradient(&AngleOnly, &policy, neutral), plain, "{neutral}");
         }
         assert_ne!(gradient(&AngleOnly, &policy, Flow::REGULAR.truncated(11)), gradient(&AngleOnly, &policy, Flow::REGULAR));

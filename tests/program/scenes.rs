@@ -144,6 +144,23 @@ fn a_resampled_run_with_a_decay_resumes_with_equal_bits_and_keeps_its_number_of_
     assert!(policy(&other) != policy(&whole));
 }
 
+#[test]
+fn weights_of_flows_change_the_training_and_neutral_ones_do_not() {
+    let dir = TempDir::new().expect("a folder");
+    let file = write(&dir, "scene = 1\ntask = \"cart_pole\"\nepochs = 1\n");
+    let trained = |name: &str, setting: &str| {
+        let out = dir.path().join(name);
+        train_scene(&file, &out, &[&SMALL[..], &["--field", "R", "--set", setting]].concat()).assert().success();
+        policy(&out)
+    };
+    let plain = trained("plain", "training.discount=1");
+    assert!(trained("whole", "training.truncation=100") == plain);
+    assert!(trained("calm", "training.cut=300") == plain);
+    assert!(trained("discounted", "training.discount=0.9") != plain);
+    assert!(trained("truncated", "training.truncation=10") != plain);
+    assert!(trained("cut", "training.cut=0.01") != plain);
+}
+
 /// First lines of a cart-pole scene.
 const CART_POLE: &str = "scene = 1\ntask = \"cart_pole\"\n";
 
@@ -203,6 +220,9 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
         ),
         ("[training]\ndecay = \"cosine\"\ndecay_end = 2\n", "my_scene.toml:5: `training.decay_end` is 2; allowed: 0 to 1"),
         ("[training]\nwarm_up = -1\n", "my_scene.toml:4: `training.warm_up` is integer `-1`; allowed: a whole number"),
+        ("[training]\ndiscount = 1.5\n", "my_scene.toml:4: `training.discount` is 1.5; allowed: 0 to 1"),
+        ("[training]\ntruncation = 0\n", "my_scene.toml:4: `training.truncation` is 0; allowed: 1 to 1000000000"),
+        ("[training]\ncut = 0\n", "my_scene.toml:4: `training.cut` is 0; allowed: a positive number"),
         ("[policy]\nzero_last = true\n", "my_scene.toml:4: `policy.zero_last` was renamed; write `policy.zero_init_output`"),
         ("[loss]\nmode = \"final\"\n", "my_scene.toml:4: `loss.mode` = \"final\" was renamed; write \"terminal\""),
         (

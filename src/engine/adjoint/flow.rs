@@ -23,8 +23,8 @@ use std::fmt;
 /// use physgrad::Flow;
 ///
 /// // The gradient of the loss, truncated every 32 steps, and discounted by 0.98 per step.
-/// let flow = Flow::REGULAR.truncated(32).decayed(0.98);
-/// assert_eq!(flow.to_string(), "R, weights times 0.98, truncated every 32 steps");
+/// let flow = Flow::REGULAR.truncated(32).discounted(0.98);
+/// assert_eq!(flow.to_string(), "R, discounted by 0.98, truncated every 32 steps");
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Flow {
@@ -61,7 +61,7 @@ impl Flow {
     }
 
     /// Multiplies all weights by `factor`.
-    pub const fn decayed(self, factor: f64) -> Self {
+    pub const fn discounted(self, factor: f64) -> Self {
         Self { physics: self.physics * factor, control: self.control * factor, memory: self.memory * factor, ..self }
     }
 
@@ -83,7 +83,7 @@ impl Flow {
     /// The flow at step `t`: without weights at a truncation.
     pub(crate) fn at(self, t: usize) -> Self {
         let truncated = t > 0 && self.truncation.is_some_and(|steps| t.is_multiple_of(steps));
-        if truncated { self.decayed(0.0) } else { self }
+        if truncated { self.discounted(0.0) } else { self }
     }
 
     /// Letter of the paper, by the paths with a weight: R, M, N or S.
@@ -107,7 +107,7 @@ impl fmt::Display for Flow {
         let factor = own.into_iter().fold(0.0, f64::max);
         if own != plain {
             if own == plain.map(|weight| weight * factor) {
-                write!(f, ", weights times {factor}")?;
+                write!(f, ", discounted by {factor}")?;
             } else {
                 write!(f, ", weights {own:?} of physics, control and memory")?;
             }

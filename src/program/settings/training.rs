@@ -2,7 +2,7 @@
 
 use crate::program::settings::config_error::{ConfigError, allowed, count, positive};
 use crate::program::settings::{ClipName, DecayName, OptimizerName};
-use physgrad::{Clip, Decay, Training};
+use physgrad::{Clip, Decay, Field, Flow, Training};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -31,6 +31,14 @@ pub struct TrainingSettings {
     pub decay_end: Option<f64>,
     /// Updates at the start in which the learning rate rises linearly to its full value.
     pub warm_up: usize,
+    /// Weight of all paths of the adjoint, per step. Below 1, it discounts the effect of earlier steps.
+    pub discount: f64,
+    /// Steps between truncations of the adjoint; never by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub truncation: Option<usize>,
+    /// Growth in decades at which the adjoint of a sample is cut; never by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cut: Option<f64>,
     /// Clipping of the field before the optimizer: of every component (value), or of the norm.
     pub clip: ClipName,
     /// Limit of `clip`, 1 by default.
@@ -59,6 +67,9 @@ impl Default for TrainingSettings {
             decay: DecayName::Constant,
             decay_end: None,
             warm_up,
+            discount: 1.0,
+            truncation: None,
+            cut: None,
             clip: ClipName::None,
             clip_limit: None,
             memory: None,
@@ -86,6 +97,13 @@ impl TrainingSettings {
         let rate = self.learning_rate;
         allowed("training.learning_rate", rate, rate > 0.0 && rate <= 1e6, "a positive number up to 1e6")?;
         count("training.warm_up", self.warm_up, 0..=1_000_000_000)?;
+        allowed("training.discount", self.discount, (0.0..=1.0).contains(&self.discount), "0 to 1")?;
+        if let Some(steps) = self.truncation {
+            count("training.truncation", steps, 1..=1_000_000_000)?;
+        }
+        if let Some(decades) = self.cut {
+            positive("training.cut", decades)?;
+        }
         match (self.decay, self.decay_end) {
             (_, None) => {}
             (DecayName::Constant, Some(end)) => {
@@ -110,6 +128,11 @@ impl TrainingSettings {
     /// Bound on the bytes of a mini-batch.
     pub fn budget(&self) -> Option<u64> {
         self.memory.as_deref().and_then(bytes)
+    }
+
+    /// The field with the discount, truncation and cut of its flows.
+    pub fn weighted(&self, field: Field) -> Field {
+        field.with_flows(|flow| Flow { truncation: self.truncation, cut: self.cut, ..flow.discounted(self.discount) })
     }
 
     /// Settings of the library's trainer.

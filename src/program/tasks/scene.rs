@@ -78,7 +78,7 @@ pub trait AnySettings: Send + Sync {
 impl<K: TaskSpec> AnySettings for Settings<K> {
     fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>> {
         let training = self.training.training(self.epochs, self.seed, workers);
-        Ok(self.visit(Open { precision: self.precision, field: self.field.0, training })?)
+        Ok(self.visit(Open { precision: self.precision, field: self.training.weighted(self.field.0), training })?)
     }
 
     fn check(&self, variant: &str, results: &mut Results) {
