@@ -40,7 +40,13 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
     let mut mean = S::zero();
     for start in starts.chunks_exact(len) {
         let mut x = start.to_vec();
-        let p = x.split_off(n);
+        let mut p = x.split_off(n);
+        let trained = policy.trained_params();
+        for (param, &r) in trained.iter().zip(&theta[theta.len() - trained.len()..]) {
+            let p = &mut p[param.index()];
+            // Differentiable along the entry of p as well.
+            *p = param.value(r) + (*p - p.detach());
+        }
         let (mut next, mut u) = (x.clone(), vec![S::zero(); m]);
         let mut memory = vec![S::zero(); policy.memory_dim()];
         let mut next_memory = memory.clone();

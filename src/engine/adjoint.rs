@@ -86,9 +86,11 @@ impl<F: Float> Adjoint<F> {
             [first, second] => Carried::Two([first, second], Recursion::new(rollout)),
             _ => panic!("an adjoint has one or two flows, not {}", flows.len()),
         };
-        let policy = PolicyAdjoint::new(&PolicyBufferSizes::new(task, policy, rollout.capacity(), rollout.kept, flows));
+        let buffers = PolicyAdjoint::new(&PolicyBufferSizes::new(task, policy, rollout.capacity(), rollout.kept, flows));
         let (samples, param_dim) = (rollout.capacity(), task.param_dim());
-        Self { horizon: rollout.horizon, samples, param_dim, norms: None, measured: false, policy, carried }
+        let adjoint =
+            Self { horizon: rollout.horizon, samples, param_dim, norms: None, measured: false, policy: buffers, carried };
+        if policy.trained_params().is_empty() { adjoint } else { adjoint.keep_start_gradients() }
     }
 
     /// Flows of the workspace, in order.
@@ -117,9 +119,10 @@ impl<F: Float> Adjoint<F> {
         flows: &[Flow],
     ) -> usize {
         let dims = [task.state_dim(), task.control_dim(), policy.memory_dim()];
+        let params = (!policy.trained_params().is_empty()).then(|| task.param_dim());
         let carried = match flows.len() {
-            1 => Recursion::<F, 1>::bytes_of(dims, samples),
-            _ => Recursion::<F, 2>::bytes_of(dims, samples),
+            1 => Recursion::<F, 1>::bytes_of(dims, params, samples),
+            _ => Recursion::<F, 2>::bytes_of(dims, params, samples),
         };
         carried + PolicyBufferSizes::new(task, policy, samples, kept, flows).bytes::<F>()
     }
@@ -297,7 +300,29 @@ impl<F: Float> Adjoint<F> {
         for unit in Rollout::<F>::units(0..rollout.horizon) {
             self.add_param_gradient(k, policy, weights, rollout, &unit, samples.clone(), theta_bar);
         }
+        self.add_trained_gradient(k, policy, weights, samples, theta_bar);
         theta_bar.normalize();
+    }
+
+    /// Adds the gradient by the trained entries of `p`, after the whole recursion.
+    pub(crate) fn add_trained_gradient(
+        &self,
+        k: usize,
+        policy: &dyn AnyPolicy<F>,
+        weights: &Weights<F>,
+        samples: Range<usize>,
+        theta_bar: &mut Gradient<F>,
+    ) {
+        let (params, trained) = (policy.trained_params(), weights.trained(policy));
+        let first = weights.theta().len() - params.len();
+        for (i, (param, r)) in params.iter().zip(trained).enumerate() {
+            let slope = F::lift(param.slope(r.as_()));
+            for sample in samples.clone() {
+                let gradient = self.start_gradient(k, sample);
+                let by_p = gradient.values()[gradient.values().len() - self.param_dim + param.index()];
+                theta_bar.add_at(first + i, by_p * slope, gradient.exponent());
+            }
+        }
     }
 
     /// Adds the contribution of a unit, after [`back`](Self::back).

@@ -203,6 +203,11 @@ impl<F: Float> Checkpointed<F> {
                 }
             }
         }
+        for (g, gradient) in gradients.iter_mut().enumerate() {
+            for (k, sum) in gradient.iter_mut().enumerate() {
+                self.adjoint.add_trained_gradient(k, policy, weights, g * group..samples.min((g + 1) * group), sum);
+            }
+        }
         Ok(())
     }
 

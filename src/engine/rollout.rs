@@ -98,6 +98,11 @@ impl<F: Float> Rollout<F> {
             policy.observation_dim()
         );
         assert_eq!(policy.control_dim(), m, "the policy computes {} controls, but the system has {m}", policy.control_dim());
+        let params = task.param_dim();
+        for param in policy.trained_params() {
+            let index = param.index();
+            assert!(index < params, "the policy trains p[{index}], but the task has {params} parameters");
+        }
         let sizes = BufferSizes::new(task, policy, samples, kept);
         let zeros = |len: usize| vec![F::zero(); len];
         let lanes = |len: usize| vec![Lane::zero(); len];
@@ -108,7 +113,7 @@ impl<F: Float> Rollout<F> {
             control_dim: m,
             observed_dim: observed,
             memory_dim: policy.memory_dim(),
-            param_dim: task.param_dim(),
+            param_dim: params,
             horizon: task.horizon(),
             kept,
             states: lanes(sizes.states),
@@ -187,6 +192,14 @@ impl<F: Float> Rollout<F> {
         self.finish(task)
     }
 
+    /// Replaces the trained entries of the parameters of all samples.
+    fn set_trained_params(&mut self, policy: &dyn AnyPolicy<F>, weights: &Weights<F>) {
+        for (param, r) in policy.trained_params().iter().zip(weights.trained(policy)) {
+            let value = Lane::splat(F::lift(param.value(r.as_())));
+            self.params.iter_mut().skip(param.index()).step_by(self.param_dim).for_each(|p| *p = value);
+        }
+    }
+
     /// Runs `steps` from the stored state at their start, and adds their costs.
     pub(crate) fn advance(
         &mut self,
@@ -244,6 +257,9 @@ impl<F: Float> Rollout<F> {
         weights: &Weights<F>,
         t: usize,
     ) -> Result<(), Divergence> {
+        if t == 0 {
+            self.set_trained_params(policy, weights);
+        }
         let (n, m) = (self.state_dim, self.control_dim);
         let (now, next) = (self.slot(t), self.slot(t + 1));
         let at = self.columns(t);

@@ -1,6 +1,6 @@
 //! [`AnyPolicy`]: an object-safe [`Policy`] for one precision.
 
-use super::{Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
+use super::{Policy, PolicyPass, PolicyRecord, Sizes, Tensor, TrainedParam};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Float;
 
@@ -18,6 +18,8 @@ pub trait AnyPolicy<F: Float>: Send + Sync {
     fn memory_dim(&self) -> usize;
     #[doc(hidden)]
     fn param_count(&self) -> usize;
+    #[doc(hidden)]
+    fn trained_params(&self) -> &[TrainedParam];
     #[doc(hidden)]
     fn init(&self, rng: &mut Rng, theta: &mut [f64]);
     #[doc(hidden)]
@@ -59,6 +61,10 @@ impl<P: Policy, F: Float> AnyPolicy<F> for P {
 
     fn param_count(&self) -> usize {
         Policy::param_count(self)
+    }
+
+    fn trained_params(&self) -> &[TrainedParam] {
+        Policy::trained_params(self)
     }
 
     fn init(&self, rng: &mut Rng, theta: &mut [f64]) {

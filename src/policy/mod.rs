@@ -3,6 +3,7 @@
 //! - Feedback: [`Mlp`], [`Conv`], [`Linear`], and the small [`Quadratic`] and [`Constant`].
 //! - Feedback with memory: [`Gru`], [`Elman`].
 //! - Control sequences: [`OpenLoop`].
+//! - A policy with trained parameters of the system: [`WithParams`].
 //! - [`AnyPolicy`]: object-safe [`Policy`] for one precision.
 //! - [`Weights`]: parameters together with their packed form.
 //!
@@ -14,6 +15,7 @@ mod linear;
 mod mlp;
 mod open_loop;
 mod recurrent;
+mod trained_params;
 mod two_params;
 
 pub use any::AnyPolicy;
@@ -22,6 +24,7 @@ pub use linear::Linear;
 pub use mlp::Mlp;
 pub use open_loop::OpenLoop;
 pub use recurrent::{Elman, Gru};
+pub use trained_params::{TrainedParam, WithParams};
 pub use two_params::{Constant, Quadratic};
 
 use crate::numbers::aligned::Aligned;
@@ -79,6 +82,12 @@ pub trait Policy: Send + Sync {
     /// }
     /// ```
     fn act<T: Scalar>(&self, theta: &[T], observed: Observed<'_, T>, action: Action<'_, T>);
+
+    /// Entries of the parameters `p` that are trained, the last parameters in `θ`. Default: none;
+    /// [`WithParams`] adds them to any policy.
+    fn trained_params(&self) -> &[TrainedParam] {
+        &[]
+    }
 
     /// Named tensors within `θ`, in order, for export to other programs. Default: one named
     /// `theta`.
@@ -356,6 +365,11 @@ impl<F: Float> Weights<F> {
     /// The parameters `θ`.
     pub fn theta(&self) -> &[F] {
         &self.theta
+    }
+
+    /// The parameters r of the [trained entries](Policy::trained_params) of `p`.
+    pub(crate) fn trained(&self, policy: &dyn AnyPolicy<F>) -> &[F] {
+        &self.theta[self.theta.len() - policy.trained_params().len()..]
     }
 
     /// The parameters in the layout of the batched passes.

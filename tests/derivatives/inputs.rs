@@ -1,10 +1,10 @@
 //! Parameters, time and observations: a task whose step, costs and observation use all inputs.
 
-use physgrad::policy::{Linear, Mlp};
+use physgrad::policy::{Gru, Linear, Mlp, TrainedParam, WithParams};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::{
-    Batch, Checkpointed, Cotangent, Cotangents, Flow, Gradient, Inputs, Real, Scalar, Schedule, Start, System, Task, Weights,
-    check, initial_states,
+    Batch, Checkpointed, Cotangent, Cotangents, Flow, Gradient, Inputs, Policy, Real, Rollout, Scalar, Schedule, Start, System,
+    Task, Weights, check, initial_states,
 };
 use rand::RngExt;
 
@@ -207,7 +207,7 @@ around!(
     }
 );
 
-fn gradients<T: Task>(task: &T, policy: &Mlp, workers: usize, budget: Option<u64>) -> Vec<u64> {
+fn gradients<T: Task, P: Policy>(task: &T, policy: &P, workers: usize, budget: Option<u64>) -> Vec<u64> {
     let weights = Weights::<f64>::init(policy, &mut stream(0, Purpose::Policy, 0));
     let starts: Vec<f64> = initial_states(task, 0, Purpose::Train, 21);
     let flows = [Flow::MODIFIED, Flow::REGULAR];
@@ -228,14 +228,53 @@ fn an_observation_of_the_state_has_the_bits_of_none() {
 
 #[test]
 fn bits_depend_on_neither_workers_nor_memory_and_bytes_are_exact() {
-    let policy = Mlp::new([3, 7, 1]);
-    let one = gradients(&tracking::<1>(), &policy, 1, None);
+    same_bits(&Mlp::new([3, 7, 1]));
+    same_bits(&WithParams::new(Mlp::new([3, 7, 1]), [TrainedParam::log(0, 0.8)]));
+}
+
+fn same_bits(policy: &impl Policy) {
+    let one = gradients(&tracking::<1>(), policy, 1, None);
     for workers in [2, 3] {
-        assert_eq!(gradients(&tracking::<1>(), &policy, workers, None), one);
+        assert_eq!(gradients(&tracking::<1>(), policy, workers, None), one);
     }
     let (task, flows) = (tracking::<1>(), [Flow::MODIFIED, Flow::REGULAR]);
     for schedule in [Schedule::store_all(9), Schedule::new(9, 129, 1)] {
-        let rollout = Checkpointed::<f32>::new(&task, &policy, 21, &flows, schedule);
-        assert_eq!(Checkpointed::<f32>::bytes_of(&task, &policy, 21, &flows, &schedule), rollout.stored_bytes());
+        let rollout = Checkpointed::<f32>::new(&task, policy, 21, &flows, schedule);
+        assert_eq!(Checkpointed::<f32>::bytes_of(&task, policy, 21, &flows, &schedule), rollout.stored_bytes());
     }
+}
+
+#[test]
+fn trained_parameters_of_every_scale_and_flow() {
+    let trained = [TrainedParam::log(0, 0.8), TrainedParam::bounded(1, 0.2, -1.0, 0.5)];
+    check::task(&tracking::<1>(), &WithParams::new(Linear::with_bias(3, 1), trained));
+    check::task(&tracking::<2>(), &WithParams::new(Gru::new(3, 2, 2), trained));
+    check::task(&ByDuals(tracking::<2>()), &WithParams::new(Mlp::new([3, 4, 2]), [TrainedParam::linear(1, 0.3)]));
+    for flow in [Flow::REGULAR.truncated(4), Flow::MODIFIED.discounted(0.8)] {
+        let policy = WithParams::new(Linear::with_bias(3, 1), trained);
+        check::try_flow(&tracking::<1>(), &policy, flow).unwrap_or_else(|failure| panic!("{flow}: {failure}"));
+    }
+    // Without the gradients by p, those by the trained entries are wrong.
+    let faulty = Tracking::<1> { fault: Fault::CostOfParams };
+    assert!(check::try_flow(&faulty, &WithParams::new(Linear::with_bias(3, 1), trained), Flow::REGULAR).is_err());
+}
+
+#[test]
+fn all_samples_have_the_trained_value() {
+    let policy = WithParams::new(Linear::with_bias(3, 1), [TrainedParam::bounded(0, 1.25, 1.0, 2.0)]);
+    let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
+    assert!((policy.values(weights.theta())[0] - 1.25).abs() < 1e-15);
+    let cost = |drawn: f64| {
+        let mut rollout = Rollout::new(&tracking::<1>(), &policy, 1);
+        rollout.start(&[0.5, -0.2, drawn, 0.1]);
+        rollout.run(&tracking::<1>(), &policy, &weights).expect("finite");
+        rollout.cost(0)
+    };
+    assert_eq!(cost(0.5), cost(9.0));
+}
+
+#[test]
+#[should_panic(expected = "the policy trains p[2], but the task has 2 parameters")]
+fn an_entry_beyond_the_parameters_is_refused() {
+    check::task(&tracking::<1>(), &WithParams::new(Linear::with_bias(3, 1), [TrainedParam::linear(2, 1.0)]));
 }

@@ -185,13 +185,14 @@ impl<F: Float, const K: usize> Recursion<F, K> {
     }
 
     /// Returns the [`stored_bytes`](Self::stored_bytes) for these numbers of state, control and
-    /// memory components.
-    pub(super) fn bytes_of([n, m, memory]: [usize; 3], samples: usize) -> usize {
+    /// memory components, and of parameters if their gradients are recorded.
+    pub(super) fn bytes_of([n, m, memory]: [usize; 3], params: Option<usize>, samples: usize) -> usize {
         let blocks = samples.div_ceil(WIDTH);
         blocks * (2 * n + m + memory) * size_of::<CotangentPack<Lane<F>, K>>()
             + CostGradient::<Lane<F>>::bytes_of(n, m)
             + Exponents::<F, K>::bytes_of(blocks)
             + GrowthMeters::<K>::bytes_of(samples)
+            + params.map_or(0, |p| StartGradients::<F, K>::bytes_of(samples, n, p) + p * size_of::<Lane<F>>())
     }
 
     pub(super) fn stored_bytes(&self) -> usize {

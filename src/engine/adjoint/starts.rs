@@ -36,6 +36,12 @@ impl<F: Float, const K: usize> StartGradients<F, K> {
         }
     }
 
+    pub(super) fn bytes_of(samples: usize, state_dim: usize, param_dim: usize) -> usize {
+        let gradients = size_of::<[Gradient<F>; K]>() + K * Gradient::<F>::bytes_of(state_dim + param_dim);
+        let terms = size_of::<CotangentPack<Lane<F>, K>>() + size_of::<One<Lane<F>>>();
+        samples * gradients + samples.div_ceil(WIDTH) * param_dim * terms
+    }
+
     pub(super) fn stored_bytes(&self) -> usize {
         let gradients = self.gradients.iter().flatten().map(Gradient::stored_bytes).sum::<usize>();
         gradients + size_of_val(&self.gradients[..]) + size_of_val(&self.terms[..]) + size_of_val(&self.observed[..])

@@ -1,0 +1,218 @@
+//! [`WithParams`]: a policy and parameters of the system, trained together.
+
+use super::{Action, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Float, Scalar};
+
+/// An entry of the parameters `p` that is trained: shared by all samples, and a part of `θ`.
+///
+/// `θ` holds an unbounded number r. Each constructor maps it to the entry of `p`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrainedParam {
+    index: usize,
+    initial: f64,
+    scale: Scale,
+}
+
+/// Map from r to the parameter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Scale {
+    Linear,
+    Log,
+    Bounded { low: f64, high: f64 },
+}
+
+impl TrainedParam {
+    /// Trains `p[index] = r`, from an initial value.
+    pub const fn linear(index: usize, initial: f64) -> Self {
+        Self { index, initial, scale: Scale::Linear }
+    }
+
+    /// Trains `p[index] = exp(r)`, from a positive initial value. Suits masses and other scales.
+    ///
+    /// # Panics
+    /// If the initial value is not positive.
+    #[track_caller]
+    pub const fn log(index: usize, initial: f64) -> Self {
+        assert!(initial > 0.0, "a parameter on a log scale needs a positive initial value");
+        Self { index, initial, scale: Scale::Log }
+    }
+
+    /// Trains `p[index] = low + (high - low) / (1 + exp(-r))`, from a value between the bounds.
+    ///
+    /// # Panics
+    /// If the initial value is not strictly between the bounds.
+    #[track_caller]
+    pub const fn bounded(index: usize, initial: f64, low: f64, high: f64) -> Self {
+        assert!(low < initial && initial < high, "a bounded parameter needs an initial value strictly between its bounds");
+        Self { index, initial, scale: Scale::Bounded { low, high } }
+    }
+
+    /// Index in `p`.
+    pub fn index(&self) -> usize {
+        self.index
+    }
+
+    /// Returns r of the initial value.
+    fn initial(&self) -> f64 {
+        match self.scale {
+            Scale::Linear => self.initial,
+            Scale::Log => self.initial.ln(),
+            Scale::Bounded { low, high } => ((self.initial - low) / (high - self.initial)).ln(),
+        }
+    }
+
+    /// Returns the entry of `p` for r.
+    pub fn value<T: Scalar>(&self, r: T) -> T {
+        match self.scale {
+            Scale::Linear => r,
+            Scale::Log => r.exp(),
+            // A form of the logistic function without overflow.
+            Scale::Bounded { low, high } => ((r * 0.5).tanh() * 0.5 + 0.5) * (high - low) + low,
+        }
+    }
+
+    /// Returns the derivative of [`value`](Self::value).
+    pub(crate) fn slope(&self, r: f64) -> f64 {
+        match self.scale {
+            Scale::Linear => 1.0,
+            Scale::Log => r.exp(),
+            Scale::Bounded { low, high } => 0.25 * (high - low) * (1.0 - (0.5 * r).tanh().powi(2)),
+        }
+    }
+}
+
+/// A policy whose `θ` ends with trained entries of the parameters `p`.
+///
+/// Rollouts replace these entries of each sample by the trained values. A task therefore need not
+/// know which of its parameters are drawn and which are trained. Uses: system identification, and
+/// joint design of a controller and its system.
+///
+/// ```
+/// use physgrad::policy::{Constant, TrainedParam, WithParams};
+/// use physgrad::prelude::*;
+/// use physgrad::{Decay, Training};
+///
+/// /// Decay at an unknown rate, compared with measurements: p = [rate in 1/s].
+/// struct Cooling { measured: Vec<f64> }
+///
+/// impl System for Cooling {
+///     fn state_dim(&self) -> usize { 1 }
+///     fn control_dim(&self) -> usize { 1 }
+///     fn param_dim(&self) -> usize { 1 }
+///     fn step<T: Scalar>(&self, Inputs { x, p, .. }: Inputs<'_, T>, next: &mut [T]) {
+///         next[0] = x[0] - p[0] * x[0] * 0.1;
+///     }
+/// }
+///
+/// impl Task for Cooling {
+///     type System = Self;
+///     fn system(&self) -> &Self { self }
+///     fn horizon(&self) -> usize { self.measured.len() }
+///     fn start(&self, _: &mut Rng, Start { x, .. }: Start<'_>) { x[0] = 1.0 }
+///     fn running_cost<T: Scalar>(&self, Inputs { t, .. }: Inputs<'_, T>, next: &[T]) -> T {
+///         let error = next[0] - self.measured[t];
+///         error * error
+///     }
+/// }
+///
+/// // Measured at a rate of 0.7/s. Training starts from 0.2/s.
+/// let cooling = Cooling { measured: (1..=20).map(|t| 0.93_f64.powi(t)).collect() };
+/// let policy = WithParams::new(Constant::new(1, 1), [TrainedParam::log(0, 0.2)]);
+/// let training = Training { epochs: 30, train_samples: 8, test_samples: 1, batch: 1, learning_rate: 0.1, ..Training::default() };
+/// let training = Training { decay: Decay::Cosine { end: 0.0 }, ..training };
+/// let report = Trainer::new(cooling, policy.clone()).precision::<f64>().field(Field::regular()).training(training).run()?;
+/// let rate = policy.values(report.weights.theta())[0];
+/// assert!((rate - 0.7).abs() < 1e-3, "{rate}");
+/// # Ok::<(), physgrad::TrainError>(())
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct WithParams<P> {
+    policy: P,
+    params: Vec<TrainedParam>,
+}
+
+impl<P: Policy> WithParams<P> {
+    /// Trains `params` together with `policy`.
+    pub fn new(policy: P, params: impl Into<Vec<TrainedParam>>) -> Self {
+        Self { policy, params: params.into() }
+    }
+
+    /// The policy.
+    pub fn policy(&self) -> &P {
+        &self.policy
+    }
+
+    /// Values of the trained entries of `p`, from `θ`.
+    pub fn values<F: Float>(&self, theta: &[F]) -> Vec<f64> {
+        let trained = &theta[self.policy.param_count()..];
+        self.params.iter().zip(trained).map(|(param, r)| param.value(r.as_())).collect()
+    }
+
+    /// The parameters of the policy alone.
+    fn own<'a, T>(&self, theta: &'a [T]) -> &'a [T] {
+        &theta[..self.policy.param_count()]
+    }
+}
+
+impl<P: Policy> Policy for WithParams<P> {
+    fn observation_dim(&self) -> usize {
+        self.policy.observation_dim()
+    }
+
+    fn control_dim(&self) -> usize {
+        self.policy.control_dim()
+    }
+
+    fn memory_dim(&self) -> usize {
+        self.policy.memory_dim()
+    }
+
+    fn param_count(&self) -> usize {
+        self.policy.param_count() + self.params.len()
+    }
+
+    fn trained_params(&self) -> &[TrainedParam] {
+        &self.params
+    }
+
+    fn init(&self, rng: &mut Rng, theta: &mut [f64]) {
+        let (own, trained) = theta.split_at_mut(self.policy.param_count());
+        self.policy.init(rng, own);
+        for (r, param) in trained.iter_mut().zip(&self.params) {
+            *r = param.initial();
+        }
+    }
+
+    fn act<T: Scalar>(&self, theta: &[T], observed: Observed<'_, T>, action: Action<'_, T>) {
+        self.policy.act(self.own(theta), observed, action);
+    }
+
+    fn tensors(&self) -> Vec<Tensor> {
+        let (own, all) = (self.policy.param_count(), self.param_count());
+        let mut tensors = self.policy.tensors();
+        tensors.push(Tensor { name: "trained_params".into(), shape: vec![self.params.len()], range: own..all });
+        tensors
+    }
+
+    fn sizes<F: Float>(&self, columns: usize) -> Sizes {
+        self.policy.sizes::<F>(columns)
+    }
+
+    fn pack<F: Float>(&self, theta: &[F], packed: &mut [F]) {
+        self.policy.pack(self.own(theta), packed);
+    }
+
+    fn forward<F: Float>(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
+        self.policy.forward(pass, tape, u);
+    }
+
+    fn backward<F: Float>(&self, pass: PolicyPass<F>, tape: &[F], u_bar: &[F], tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
+        self.policy.backward(pass, tape, u_bar, tape_bar, x_bar);
+    }
+
+    fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
+        let own = self.policy.param_count();
+        self.policy.param_gradient(pass, record, scratch, &mut theta_bar[..own]);
+    }
+}
