@@ -1,11 +1,12 @@
-//! [`Mlp`]: a multi-layer perceptron with tanh hidden layers and a linear output.
+//! [`Mlp`]: a multi-layer perceptron with a linear output.
 //!
 //! `θ` holds for each layer the weights (inputs × outputs, row-major), then the bias, as in Keras.
 //! Weights and bias form one (inputs + 1) × outputs matrix, and every column of activations ends in
 //! a constant 1. The forward pass and the weight gradient of a layer are therefore one matrix
 //! product each.
 
-use super::{Action, Observed, Policy, PolicyColumns, PolicyPass, PolicyRecord, Sizes, Tensor};
+use super::activation::activate;
+use super::{Action, Activation, Observed, Policy, PolicyColumns, PolicyPass, PolicyRecord, Sizes, Tensor};
 use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};
 use crate::numbers::kernels::gemm::Product;
@@ -19,13 +20,15 @@ const BLOCK: usize = 32;
 /// Columns per matrix product in the weight gradient.
 const DEPTH: usize = 64;
 
-/// A multi-layer perceptron: tanh hidden layers of any widths, a linear output.
+/// A multi-layer perceptron: hidden layers of any widths, a linear output. The default
+/// [`Activation`] is tanh.
 ///
 /// Initial weights are Glorot-uniform (Glorot and Bengio 2010); initial biases are 0.
 /// [`Mlp::zero_init_output`] makes the initial control exactly 0.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mlp {
     widths: Vec<usize>,
+    activation: Activation,
     bias: bool,
     zero_init_output: bool,
 }
@@ -62,7 +65,7 @@ impl Mlp {
         let widths = widths.into();
         assert!(widths.len() >= 2, "an MLP needs at least the widths of its input and output, not {widths:?}");
         assert!(widths.iter().all(|&w| w > 0), "every layer of an MLP needs a width of at least 1, not {widths:?}");
-        Self { widths, bias: true, zero_init_output: false }
+        Self { widths, activation: Activation::Tanh, bias: true, zero_init_output: false }
     }
 
     /// Sets whether the initial output weights are 0 (default: false).
@@ -70,6 +73,12 @@ impl Mlp {
     /// The initial control is then exactly 0, and R equals M in the first update.
     pub fn zero_init_output(mut self, zero: bool) -> Self {
         self.zero_init_output = zero;
+        self
+    }
+
+    /// Sets the activation of the hidden layers (default: tanh).
+    pub fn activation(mut self, activation: Activation) -> Self {
+        self.activation = activation;
         self
     }
 
@@ -102,6 +111,12 @@ impl Mlp {
             layer.transposed = layer.packed + layer.rows * layer.ld_out;
         }
         layer
+    }
+
+    /// True if the tape contains the slopes of the activations, after the activations. The slopes of
+    /// tanh follow from its values.
+    fn has_slopes(&self) -> bool {
+        self.activation != Activation::Tanh
     }
 
     fn last<F: Float>(&self) -> Layer {
@@ -162,7 +177,7 @@ impl Policy for Mlp {
                 }
             }
             if l.theta + weights.len() < theta.len() {
-                h = z.into_iter().map(Scalar::tanh).collect();
+                h = z.into_iter().map(|z| self.activation.value(z)).collect();
             } else {
                 u.copy_from_slice(&z);
             }
@@ -189,7 +204,7 @@ impl Policy for Mlp {
         let gradient = |l: Layer| l.ld_out * l.rows + DEPTH * l.ld_out.min(l.ld_in);
         Sizes {
             packed: last.transposed + last.outputs * last.ld_in,
-            tape: columns * (last.tape + last.ld_in),
+            tape: columns * (last.tape + last.ld_in) * if self.has_slopes() { 2 } else { 1 },
             tape_bar: columns * (last.tape + last.ld_in),
             scratch: self.layers::<F>().map(gradient).max().unwrap_or(0).max(last.outputs * (last.ld_in + DEPTH)),
         }
@@ -212,6 +227,7 @@ impl Policy for Mlp {
         let n = self.observation_dim();
         let total = x.len() / n;
         let first = self.layer::<F>(0);
+        let (tape, slopes) = tape.split_at_mut(total * (self.last::<F>().tape + self.last::<F>().ld_in));
         for c in at.iter() {
             let column = &mut tape[c * first.ld_in..][..first.ld_in];
             column[..n].copy_from_slice(&x[c * n..][..n]);
@@ -245,7 +261,12 @@ impl Policy for Mlp {
                         accumulate: false,
                     },
                 );
-                elementwise::tanh(level, after, output);
+                if self.has_slopes() {
+                    let slopes = &mut slopes[total * (l.tape + l.ld_in)..];
+                    activate(level, self.activation, after, slopes, output);
+                } else {
+                    elementwise::tanh(level, after, output);
+                }
                 for c in at.iter() {
                     after[c * l.ld_out + l.outputs] = F::one();
                 }
@@ -258,6 +279,7 @@ impl Policy for Mlp {
         let level = SimdLevel::best();
         let n = self.observation_dim();
         let total = x.len() / n;
+        let (tape, slopes) = tape.split_at(total * (self.last::<F>().tape + self.last::<F>().ld_in));
         for at in at.blocks(BLOCK) {
             for l in self.layers::<F>().rev() {
                 let first_layer = l.tape == 0;
@@ -287,7 +309,9 @@ impl Policy for Mlp {
                         accumulate: false,
                     },
                 );
-                if !first_layer {
+                if !first_layer && self.has_slopes() {
+                    elementwise::times(level, slopes, before, input);
+                } else if !first_layer {
                     elementwise::tanh_bar(level, tape, before, input);
                 } else if let Some(x_bar) = &mut x_bar {
                     for c in at.iter() {

@@ -3,27 +3,34 @@
 //! - Feedback: [`Mlp`], [`Conv`], [`Linear`], and the small [`Quadratic`] and [`Constant`].
 //! - Feedback with memory: [`Gru`], [`Elman`].
 //! - Control sequences: [`OpenLoop`].
-//! - A policy with trained parameters of the system: [`WithParams`].
+//! - Combinations: [`Bounded`] controls, the [`Sum`] of two policies, and [`WithParams`] for trained
+//!   parameters of the system.
 //! - [`AnyPolicy`]: object-safe [`Policy`] for one precision.
 //! - [`Weights`]: parameters together with their packed form.
 //!
 //! Start with [`Policy::act`]; only large policies need the batched passes.
 
+mod activation;
 mod any;
+mod bounded;
 mod conv;
 mod linear;
 mod mlp;
 mod open_loop;
 mod recurrent;
+mod sum;
 mod trained_params;
 mod two_params;
 
+pub use activation::Activation;
 pub use any::AnyPolicy;
+pub use bounded::Bounded;
 pub use conv::Conv;
 pub use linear::Linear;
 pub use mlp::Mlp;
 pub use open_loop::OpenLoop;
 pub use recurrent::{Elman, Gru};
+pub use sum::Sum;
 pub use trained_params::{TrainedParam, WithParams};
 pub use two_params::{Constant, Quadratic};
 

@@ -1,7 +1,9 @@
 //! Checks every gradient against dual numbers, and the checks themselves against planted faults.
 
 use num_traits::AsPrimitive;
-use physgrad::policy::{Action, Conv, Linear, Mlp, Observed, PolicyPass, PolicyRecord, Sizes, Tensor};
+use physgrad::policy::{
+    Action, Activation, Bounded, Conv, Gru, Linear, Mlp, Observed, OpenLoop, PolicyPass, PolicyRecord, Sizes, Sum, Tensor,
+};
 use physgrad::rng::Rng;
 use physgrad::tasks::{CartPole, CartPoleSystem, LossMode, Quantum};
 use physgrad::{Cotangent, CotangentPack, Cotangents, Float, Flow, Inputs, Policy, Real, Scalar, Start, System, Task, check};
@@ -33,6 +35,17 @@ fn policies_of_many_shapes() {
     }
     check::policy(&Linear::new(3, 2));
     check::policy(&Linear::with_bias(4, 1));
+    for activation in [Activation::Relu, Activation::Silu, Activation::Gelu] {
+        for bias in [true, false] {
+            check::policy(&Mlp::new([3, 40, 7, 2]).activation(activation).bias(bias));
+            check::policy(&Mlp::new([2, 100, 1]).activation(activation).bias(bias));
+        }
+    }
+    let inner = Mlp::new([3, 9, 2]).activation(Activation::Silu);
+    check::policy(&Bounded::new(inner.clone(), [0.5, 2.0]));
+    check::policy(&Bounded::new(Gru::new(3, 4, 2), [0.5, 2.0]));
+    check::policy(&Sum::new(Linear::new(3, 2), OpenLoop::new(3, 2, 5)));
+    check::policy(&Sum::new(Bounded::new(inner, [1.0, 0.1]), Mlp::new([3, 5, 4, 2])));
 }
 
 #[test]

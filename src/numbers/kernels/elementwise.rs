@@ -21,6 +21,23 @@ pub fn tanh<F: Float>(level: SimdLevel, values: &mut [F], columns: Strided) {
     dispatch(level, Work(values, columns));
 }
 
+/// `bar ← bar·slope` elementwise in the given columns, the same of both.
+pub fn times<F: Float>(level: SimdLevel, slopes: &[F], bar: &mut [F], columns: Strided) {
+    struct Work<'a, F>(&'a [F], &'a mut [F], Strided);
+    impl<F: Float> Vectorized for Work<'_, F> {
+        #[inline(always)]
+        fn run<const FMA: bool>(self) {
+            for start in self.2.starts() {
+                let (slopes, bar) = (&self.0[start..][..self.2.len], &mut self.1[start..][..self.2.len]);
+                for i in 0..slopes.len() {
+                    bar[i] *= slopes[i];
+                }
+            }
+        }
+    }
+    dispatch(level, Work(slopes, bar, columns));
+}
+
 /// `bar ← bar·(1 - h²)` elementwise: VJP of tanh, given its output `h`.
 pub fn tanh_bar<F: Float>(level: SimdLevel, h: &[F], bar: &mut [F], columns: Strided) {
     struct Work<'a, F>(&'a [F], &'a mut [F], Strided);
@@ -114,7 +131,7 @@ pub struct Strided {
 
 impl Strided {
     #[inline(always)]
-    fn starts(self) -> impl Iterator<Item = usize> {
+    pub(crate) fn starts(self) -> impl Iterator<Item = usize> {
         (0..self.count).map(move |i| self.first + i * self.step)
     }
 }

@@ -1,5 +1,6 @@
 //! Settings with a fixed set of values.
 
+use physgrad::policy::Activation;
 use physgrad::{Field, OptimizerKind};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{Deserializer, Error, Visitor};
@@ -86,6 +87,27 @@ pub enum DecayName {
     Constant,
     Cosine,
     Exponential,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ActivationName {
+    Tanh,
+    Relu,
+    Silu,
+    Gelu,
+}
+
+impl ActivationName {
+    /// The library's activation.
+    pub fn activation(self) -> Activation {
+        match self {
+            Self::Tanh => Activation::Tanh,
+            Self::Relu => Activation::Relu,
+            Self::Silu => Activation::Silu,
+            Self::Gelu => Activation::Gelu,
+        }
+    }
 }
 
 /// [`OptimizerKind`] with default parameters, by name.

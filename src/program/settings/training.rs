@@ -184,7 +184,16 @@ fn bytes(text: &str) -> Option<u64> {
 
 #[cfg(test)]
 mod tests {
-    use super::bytes;
+    use super::{TrainingSettings, bytes};
+    use physgrad::{Field, Flow};
+
+    #[test]
+    fn both_flows_of_a_field_are_weighted() {
+        let settings = TrainingSettings { discount: 0.5, truncation: Some(8), cut: Some(2.0), ..TrainingSettings::default() };
+        let expected = [Flow::MODIFIED, Flow::REGULAR].map(|flow| flow.discounted(0.5).truncated(8).cut(2.0));
+        assert_eq!(settings.weighted(Field::combined()).flows(), expected);
+        assert_eq!(TrainingSettings::default().weighted(Field::combined()), Field::combined());
+    }
 
     #[test]
     fn bytes_have_a_number_and_a_unit() {

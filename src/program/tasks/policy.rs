@@ -1,6 +1,7 @@
 //! The `policy` section.
 
 use crate::program::operations::Visit;
+use crate::program::settings::ActivationName;
 use crate::program::settings::config_error::{ConfigError, allowed};
 use crate::program::tasks::Section;
 use physgrad::policy::Mlp;
@@ -30,6 +31,8 @@ pub trait PolicySpec: Section + Default {
 pub struct MlpSettings {
     /// Widths of the hidden layers; an empty list gives a linear policy.
     widths: Vec<usize>,
+    /// Activation of the hidden layers.
+    activation: ActivationName,
     /// Whether layers have a bias.
     bias: bool,
     /// Initialize the weights of the output layer with zeros.
@@ -38,7 +41,7 @@ pub struct MlpSettings {
 
 impl Default for MlpSettings {
     fn default() -> Self {
-        Self { widths: vec![100, 100], bias: true, zero_init_output: true }
+        Self { widths: vec![100, 100], activation: ActivationName::Tanh, bias: true, zero_init_output: true }
     }
 }
 
@@ -59,6 +62,6 @@ impl PolicySpec for MlpSettings {
 
     fn build(&self, state_dim: usize, control_dim: usize) -> Mlp {
         let widths = [&[state_dim], &self.widths[..], &[control_dim]].concat();
-        Mlp::new(widths).bias(self.bias).zero_init_output(self.zero_init_output)
+        Mlp::new(widths).activation(self.activation.activation()).bias(self.bias).zero_init_output(self.zero_init_output)
     }
 }
