@@ -128,8 +128,8 @@ impl Comparison {
         expected.iter().try_for_each(|&(index, e)| self.one("param_gradient: theta_bar", index, found[index], e, scale))
     }
 
-    /// Compares the directional derivative of the parameter gradient with its slopes, given per
-    /// column.
+    /// Compares `⟨g, v⟩`, for the parameter gradient g and the direction v, with the slopes of `act`
+    /// along v, given per column.
     fn direction(
         &mut self,
         index: usize,

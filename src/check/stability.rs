@@ -17,7 +17,8 @@ pub struct Stability {
     /// Spectral radius of ∂S/∂x: the asymptotic growth factor per step of the fastest growing
     /// perturbation. NaN if the Jacobian is non-finite.
     pub multiplier: f64,
-    /// State component in which that perturbation is largest.
+    /// State component in which that perturbation is largest. For a NaN multiplier, the first component
+    /// with a non-finite derivative.
     pub component: usize,
 }
 
@@ -32,16 +33,20 @@ impl fmt::Display for Stability {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { multiplier, component } = *self;
         if multiplier.is_nan() {
-            return write!(f, "unknown: the derivative of the step is not finite in component {component}");
+            return write!(
+                f,
+                "unknown: the derivative of the step is non-finite in state component {component}. Evaluate at a state where the step is \
+                 differentiable, or correct the step"
+            );
         }
         if self.is_stable() {
-            return write!(f, "stable: no disturbance grows, the slowest to decay is multiplied by {multiplier:.4} in a step");
+            return write!(f, "stable: no perturbation grows exponentially. The largest multiplier per step is {multiplier:.4}");
         }
         write!(
             f,
-            "unstable: a disturbance of component {component} is multiplied by {multiplier:.4} in a step. Take shorter steps \
-             (`Substeps`), an implicit integrator (`ImplicitMidpoint`) or more damping; if in steps half as long it grows by \
-             about {:.4} in each, it is the physics that is unstable and not the step",
+            "unstable: each step multiplies a perturbation of state component {component} by {multiplier:.4}. Use shorter steps \
+             (`Substeps`), an implicit integrator (`ImplicitMidpoint`) or more damping. If steps half as long multiply it by \
+             about {:.4}, the physics is unstable, not the step",
             multiplier.sqrt()
         )
     }

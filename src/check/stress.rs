@@ -142,7 +142,8 @@ impl fmt::Display for Finding {
     }
 }
 
-/// Formats a number to about three significant digits.
+/// Formats a number: three decimals below 100, an integer from 100, and an exponent outside 1e-3 to
+/// 1e5.
 fn short(x: f64) -> String {
     if x == 0.0 || (1e-3..1e5).contains(&x.abs()) {
         let digits = if x.abs() >= 100.0 || x == x.round() { 0 } else { 3 };

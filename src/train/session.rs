@@ -98,8 +98,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// Runs to the end of the epoch: all updates, then the losses of both data sets.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`] after too many consecutive skipped updates. The session then
-    /// returns to the state before this epoch.
+    /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters and
+    /// optimizer then return to their state before this epoch.
     pub fn epoch(&mut self) -> Result<&Record, TrainError> {
         self.advance(&|| false).map(|record| record.expect("an epoch without a pause completes"))
     }
@@ -110,8 +110,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// session restored from a checkpoint taken in between. Pauses do not change the results.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`] after too many consecutive skipped updates. The session then
-    /// returns to the state before this epoch.
+    /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters and
+    /// optimizer then return to their state before this epoch.
     pub fn advance(&mut self, pause: &(dyn Fn() -> bool + Sync)) -> Result<Option<&Record>, TrainError> {
         let Self { task, policy, field, progress } = self;
         let ended = progress.advance(Trained { task, policy, field }, pause)?;

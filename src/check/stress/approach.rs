@@ -16,12 +16,12 @@ pub(super) const CASES: &[Case] = &[Case {
     about: "two agents in a walled field without friction, with repulsion or attraction so strong that dt² k = \
                 4.4 at distance 0",
     criterion: "explicit Euler: `check::stability` reports instability, with the multiplier 1 + dt sqrt(2k) or \
-                sqrt(1 + 2 dt² k) to 1 %; 1000 states are finite, and the energy doubles. Semi-implicit Euler with \
+                sqrt(1 + 2 dt² k) to 1 %; all 1000 states are finite, and the energy at least doubles. Semi-implicit Euler with \
                 128 substeps and the implicit midpoint rule with 16: the energy changes by at most 10 % over 10,000 \
                 steps. With attraction, semi-implicit quarter steps and full implicit steps are reported as stable, \
                 full semi-implicit steps as unstable",
-    story: "A spring that the steps do not resolve gains energy at every approach, and training treats this as \
-                physics. `check::stability` returns the largest multiplier of a step at a state, and names remedies. \
+    story: "A spring that the steps do not resolve gains energy at every approach, and gradients include this \
+                error. `check::stability` returns the spectral radius of a step at a state. Its text names remedies. \
                 Limits: training does not call it",
     run: guidance_close_approach,
 }];
@@ -57,8 +57,8 @@ fn energy(strength: f64, x: &[f64]) -> f64 {
     moving + walls + pair((x[4] - x[0]).hypot(x[5] - x[1])) - least
 }
 
-/// Initial state. Repelling agents pass through each other with a small offset; attracting agents
-/// start nearby.
+/// Initial state. Repelling agents pass each other at a small offset. Attracting agents start close
+/// together.
 fn start(strength: f64) -> [f64; 8] {
     if strength > 0.0 { [-2.0, 0.05, 8.0, 0.0, 2.0, -0.05, -8.0, 0.0] } else { [-0.2, 0.0, 0.0, 1.0, 0.2, 0.0, 0.0, -1.0] }
 }

@@ -14,12 +14,12 @@ use crate::tasks::DoublePendulum;
 pub(super) const CASES: &[Case] = &[Case {
     name: "double_pendulum",
     about: "chaotic double pendulum over a million steps of 2 ms, from rest with both rods 1 rad from upright",
-    criterion: "the adjoint is finite and grows with the Lyapunov exponent λ, measured independently by tangents, to \
-                within 10 %. 64 pairs of rollouts start one rounding apart. At half of ln(1/ε)/λ, the adjoints of \
-                each pair have the same direction (cosine at least 0.99). At twice ln(1/ε)/λ, the signs of 30 to 70 \
+    criterion: "the adjoint is finite and grows with the Lyapunov exponent Λ, measured independently by tangents, to \
+                within 10 %. 64 pairs of rollouts start one rounding apart. At half of ln(1/ε)/Λ, the adjoints of \
+                each pair have the same direction (cosine at least 0.99). At twice ln(1/ε)/Λ, the signs of 30 to 70 \
                 % of the pairs agree",
     story: "In chaos, a gradient over long times is exact but useless: two rollouts one rounding apart have \
-                unrelated gradients. No exponent corrects this. Beyond ln(1/ε)/λ, here 12,400 steps, the signs of R \
+                unrelated gradients. No exponent corrects this. Beyond ln(1/ε)/Λ, here 12,400 steps, the signs of R \
                 are those of rounding errors. The growth meter reports this horizon. Limits: only the sign is \
                 random; at twice the horizon all adjoints are still collinear",
     run: double_pendulum,
@@ -31,7 +31,7 @@ type State = [f64; 4];
 const STEPS: usize = 1_000_000;
 const PAIRS: usize = 64;
 const DT: f64 = 2e-3;
-/// At rest, both rods 1 rad from upright. The Lyapunov exponent λ is about 1.45/s.
+/// At rest, both rods 1 rad from upright. The Lyapunov exponent Λ is about 1.45/s.
 const START: State = [1.0, 0.0, 1.0, 0.0];
 
 fn double_pendulum() -> Vec<Finding> {
@@ -117,7 +117,7 @@ fn signs(system: &Pendulum, lambda: f64) -> Vec<Finding> {
     let agree = cosines[1].iter().filter(|&&cosine| cosine > 0.0).count() as f64 / PAIRS as f64;
     let aligned = cosines[1].iter().filter(|cosine| cosine.abs() > 0.99).count();
     vec![
-        Finding::told("ln(1/ε)/λ", format!("{horizon:.0} steps, {:.1} s", horizon * DT)),
+        Finding::told("ln(1/ε)/Λ", format!("{horizon:.0} steps, {:.1} s", horizon * DT)),
         Finding::at_least("least cosine of the two adjoints at half this horizon", least(&cosines[0]), 0.99),
         Finding::holds(
             "share of pairs with equal sign at twice this horizon",

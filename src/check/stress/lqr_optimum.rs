@@ -19,8 +19,8 @@ pub(super) const CASES: &[Case] = &[Case {
                 of 1e-6, R and M exceed 1e-11",
     story: "An optimizer does not stay at an optimum where its field does not vanish. R vanishes at any optimum; \
                 M and C need not. For the regulator they do, because the cotangent of every control is 0 there. \
-                Doubling solves the Riccati equation: plain iteration leaves rounding errors in P, which the growth \
-                of M over 100 steps amplifies to 3e-11. Limits: for other losses M has no such fixed point, which \
+                Doubling solves the Riccati equation. Plain iteration leaves rounding errors in P, which M \
+                amplifies above the limit. Limits: for other losses M has no such fixed point, which \
                 motivates C",
     run: lqr_optimum,
 }];

@@ -26,17 +26,14 @@ pub(super) const CASES: &[Case] = &[Case {
     name: "lqr_unstable",
     about: "linearized upright cart-pole over 200 and 400 steps: norms of the adjoints, and training by C, R and \
                 M",
-    criterion: "at a stabilizing gain, the adjoint of M grows by the largest eigenvalue of the plant, in the \
+    criterion: "at 1.5 times the best gain, the adjoint of M grows by the largest eigenvalue of the plant, in the \
                 logarithm to within 10 %. The adjoint of R is nowhere larger than twice its norm at the first step. \
-                From zero gain and from a stabilizing gain, C is within 1e-2 of the least loss after 3000 updates",
-    story: "On an unstable plant the roles are reversed: R, which includes the feedback, is balanced. M, which \
-                does not, grows with the plant, by 17 decades in 1000 steps. The growth meter reports this in every \
-                epoch. It finds 15 to 16 of the 17 decades, because new cost terms in the adjoint grow more slowly \
-                at first. C reaches an excess loss of 1e-2 from these initial gains, with one initial state per \
-                batch and clipping by norm. R reaches 1e-6 and below, and M stays at 0.4 and more. Limits: from 1.5 \
-                times the best gain, C misses 1e-2 with two of three seeds at 400 steps. With mini-batches of 4 or \
-                8, C is zero in most updates: with four parameters, there are regions where no signs agree. On such \
-                plants follow R",
+                From zero gain and from a gentle stabilizing gain, the relative excess loss of C is at most 1e-2 \
+                after 3000 updates",
+    story: "On an unstable plant, R includes the feedback and is bounded. M omits the feedback and grows with \
+                the plant. The growth meter reports most of this growth in every epoch. From the gains of the criterion, C converges \
+                with one initial state per batch and clipping by norm. Limits: from 1.5 times the best gain, or with \
+                mini-batches, C may stall. On such plants follow R",
     run: lqr_unstable,
 }];
 
@@ -60,10 +57,10 @@ fn lqr_unstable() -> Vec<Finding> {
         let decades = metered.map_or(f64::NAN, |growth| growth.along) / horizon as f64;
         findings.push(Finding::told(what, format!("{:.1}", 1000.0 * decades)));
         let warns = metered.is_some_and(|growth| growth.warning(Flow::MODIFIED, horizon, f64::EPSILON).is_some());
-        let said = if warns { "M outweighs" } else { "nothing" };
+        let said = if warns { "reported" } else { "not reported" };
         findings.push(Finding::holds(
             format!("T = {horizon}: warning of the growth meter"),
-            "the first steps of M outweigh the last",
+            "reports that the first steps of M outweigh the last",
             warns,
             said,
         ));

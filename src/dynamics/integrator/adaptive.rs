@@ -11,8 +11,9 @@ use crate::numbers::zip::zip;
 /// The error of an attempt is the largest `|error_i| / (atol + rtol max(|x_i|, |x'_i|))`:
 ///
 /// ```text
-/// below 1          the step is taken, and the next is tried as long; twice as long if it is below 1/64
-/// 1 or more        it is tried again, half as long
+/// below 1/64       accept the step, double the next step size
+/// below 1          accept the step, keep the step size
+/// 1 or more        reject the step, halve the step size
 /// ```
 ///
 /// Every sample has its own step sizes. Lanes are bit-identical to scalar computations. Derivatives

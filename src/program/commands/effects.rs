@@ -45,7 +45,7 @@ fn page() -> Result<String> {
     }
     let _ = writeln!(
         page,
-        "\n## Actuators\n\nAvailable in every task. They map the policy's control u to the control u' that the physics receives, \
+        "\n## Actuators\n\nAvailable in every task, except `delay` and `lag` in `quantum`. They map the policy's control u to the control u' that the physics receives, \
          in this order. Their state starts at 0. Costs are for cart_pole, which has one control.\n"
     );
     section(&mut page, TASKS[0], "actuator", &ACTUATORS)?;
