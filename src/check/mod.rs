@@ -1,6 +1,6 @@
 //! Derivative checks: analytic and batched derivatives against dual numbers.
 //!
-//! Start with [`system`], [`policy`] and [`task`], one line each in a test. They panic with a
+//! Start with [`system`], [`cost`], [`policy`] and [`task`], one line each in a test. They panic with a
 //! [`Mismatch`]: the compared quantity, the index, the expected and found values, and the random
 //! case. The `try_` functions return it instead. All checks run in double precision. Errors are
 //! relative to the largest component of the reference unless stated otherwise.
@@ -8,6 +8,7 @@
 //! Two further checks: [`stability`] detects time steps that are too long for the dynamics.
 //! [`plateau`] detects vanishing gradients.
 
+mod costs;
 mod oracle;
 mod plateau;
 mod policies;
@@ -19,6 +20,7 @@ mod stability;
 pub mod stress;
 mod systems;
 
+pub use costs::{cost, try_cost};
 pub use oracle::slope_by_duals;
 pub use plateau::{Plateau, plateau};
 pub use policies::{policy, try_policy};
@@ -36,7 +38,7 @@ use crate::engine::divergence::Divergence;
 use crate::engine::rollout::Rollout;
 use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::policy::AnyPolicy;
-use crate::policy::{Policy, Weights};
+use crate::policy::{Policy, Tensor, Weights};
 use rand_distr::{Distribution, StandardNormal};
 use std::fmt;
 
@@ -166,7 +168,12 @@ fn normal(rng: &mut Rng, len: usize) -> Vec<f64> {
 /// Panics on the first [`Mismatch`].
 #[track_caller]
 pub fn system<S: System>(system: &S) -> Passed {
-    self::try_system(system).unwrap_or_else(|mismatch| panic!("the system's derivatives are wrong: {mismatch}"))
+    self::try_system(system).unwrap_or_else(|mismatch| {
+        panic!(
+            "the system's derivatives are wrong: {mismatch}. Correct the named method, or remove it: dual numbers then provide its \
+             derivatives"
+        )
+    })
 }
 
 /// Non-panicking form of [`system`].
@@ -210,13 +217,30 @@ pub fn try_system_at<S: System>(
 #[track_caller]
 pub fn task<T: Task, P: Policy>(task: &T, policy: &P) -> Passed {
     let all = Flow::ALL.map(|flow| {
-        try_flow(task, policy, flow).unwrap_or_else(|failure| panic!("the gradient of flow {flow} is wrong: {failure}"))
+        try_flow(task, policy, flow).unwrap_or_else(|failure| {
+            panic!(
+                "the gradient of {} is wrong: {failure}. `check::system`, `check::cost` and `check::policy` find the method to \
+                 correct",
+                described(flow)
+            )
+        })
     });
     all.into_iter().fold(Passed::default(), |sum, p| Passed {
         compared: sum.compared + p.compared,
         worst: sum.worst.max(p.worst),
         allowed: p.allowed,
     })
+}
+
+/// Flow in words.
+fn described(flow: Flow) -> String {
+    let words = match flow.letter() {
+        "R" => "full backpropagation",
+        "M" => "the physics path, observations detached",
+        "N" => "the policy path, physics detached",
+        _ => "each step alone, all paths detached",
+    };
+    format!("flow {flow} ({words})")
 }
 
 /// Non-panicking form of [`task`] for one flow.
@@ -274,7 +298,8 @@ fn check_flow(
 
         let largest = gradient_alone.iter().fold(0.0, |s: f64, g| s.max(g.abs()));
         for (index, expected) in oracle::some_components(theta.len(), &mut rng, &|tangent| slope(theta, &starts, tangent)) {
-            c.one("gradient", index, gradient_alone[index], expected, largest.max(expected.abs()))?;
+            let what = format!("gradient by {}: theta_bar", parameter(&policy.tensors(), index));
+            c.one(&what, index, gradient_alone[index], expected, largest.max(expected.abs()))?;
         }
         let length = gradient_alone.iter().map(|g| g * g).sum::<f64>().sqrt();
         let directions = oracle::some_directions(theta.len(), &mut rng, &|tangent| slope(theta, &starts, tangent));
@@ -287,10 +312,24 @@ fn check_flow(
         let largest = by_starts.iter().fold(0.0, |s: f64, g| s.max(g.abs()));
         let components = oracle::some_components(starts.len(), &mut rng, &|tangent| start_slope(theta, &starts, tangent));
         for (index, expected) in components {
-            c.one("gradient by x_0 and p", index, by_starts[index], expected, largest.max(expected.abs()))?;
+            let (sample, i) = (index / len, index % len);
+            let (name, i) = if i < n { ("initial state", i) } else { ("parameters p", i - n) };
+            let what = format!("gradient by the {name} of sample {sample}, component");
+            c.one(&what, i, by_starts[index], expected, largest.max(expected.abs()))?;
         }
     }
     Ok(c.passed)
+}
+
+/// Name of a parameter of θ, for instance `layer1.kernel[3, 7]`.
+fn parameter(tensors: &[Tensor], index: usize) -> String {
+    let Some(Tensor { name, shape, range }) = tensors.iter().find(|tensor| tensor.range.contains(&index)) else {
+        return "a parameter outside of `tensors`".into();
+    };
+    let mut rest = index - range.start;
+    let mut place: Vec<String> = shape.iter().rev().map(|&len| (rest % len, rest /= len).0.to_string()).collect();
+    place.reverse();
+    format!("{name}[{}]", place.join(", "))
 }
 
 /// Gradient of the mean loss by the initial states and parameters of all samples, concatenated.

@@ -18,7 +18,9 @@ const STEPS: usize = 3;
 /// Panics on the first [`Mismatch`].
 #[track_caller]
 pub fn policy<P: Policy>(policy: &P) -> Passed {
-    try_policy(policy).unwrap_or_else(|mismatch| panic!("the policy's batched passes are wrong: {mismatch}"))
+    try_policy(policy).unwrap_or_else(|mismatch| {
+        panic!("the policy is wrong: {mismatch}. Correct the named method, or remove all batched passes: `act` then defines them")
+    })
 }
 
 /// Non-panicking form of [`policy`].
@@ -69,10 +71,14 @@ fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle:
             let at = PolicyColumns { first: t, step: steps, count: samples };
             policy.forward(PolicyPass::new(weights.packed(), at, &x).at_steps(t..t + 1), &mut tape, &mut u);
         }
-        let mut expected = vec![0.0; total * m];
-        for (c, (x, u)) in x.chunks_exact(n).zip(expected.chunks_exact_mut(m)).enumerate() {
-            act(weights.theta(), x, c, u);
-        }
+        let [expected, from_nans] = [0.0, f64::NAN].map(|initial| {
+            let mut u = vec![initial; total * m];
+            for (c, (x, u)) in x.chunks_exact(n).zip(u.chunks_exact_mut(m)).enumerate() {
+                act(weights.theta(), x, c, u);
+            }
+            u
+        });
+        c.equal("act leaves a component unwritten: (control, memory)", &from_nans[..m], &expected[..m])?;
         c.slices("forward: u", &u, &expected)?;
 
         let mut tape_bar = vec![0.0; sizes.tape_bar];

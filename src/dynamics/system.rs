@@ -25,6 +25,10 @@ use smallvec::SmallVec;
 /// `x` and `next` have [`state_dim`](System::state_dim) entries, `u` has
 /// [`control_dim`](System::control_dim), and `p` at least [`param_dim`](System::param_dim).
 /// Cotangents and tangents have the shapes of their values.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` does not implement `System`",
+    note = "implement `step`, `state_dim` and `control_dim`; a choice of systems at run time is an enum whose `step` matches, because `System` has generic methods and no `dyn` form"
+)]
 pub trait System: Send + Sync {
     /// Number of state components.
     fn state_dim(&self) -> usize;

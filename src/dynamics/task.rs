@@ -12,6 +12,10 @@ use smallvec::SmallVec;
 /// The loss of one sample is `φ(x_T, p) + Σ_t l(x_t, u_t, p, t, x_{t+1})` for `t = 0 .. T-1`, with
 /// the running cost `l` ([`running_cost`](Task::running_cost)) and the terminal cost `φ`
 /// ([`terminal_cost`](Task::terminal_cost)). The loss of a batch is the mean over its samples.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` does not implement `Task`",
+    note = "implement `system`, `horizon`, `start` and a cost; `&task` also serves as `&dyn AnyTask<F>`"
+)]
 pub trait Task: Send + Sync {
     /// Type of the system.
     type System: System;

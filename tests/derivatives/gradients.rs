@@ -209,7 +209,7 @@ impl Task for WrongCost {
 }
 
 #[test]
-#[should_panic(expected = "the gradient of flow R is wrong: gradient[")]
+#[should_panic(expected = "the gradient of flow R (full backpropagation) is wrong: gradient by ")]
 fn a_wrong_cost_gradient_is_found() {
     check::task(&WrongCost(CartPole::new(1)), &Mlp::new([4, 5, 1]));
 }

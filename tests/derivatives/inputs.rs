@@ -1,6 +1,6 @@
 //! Parameters, time and observations: a task whose step, costs and observation use all inputs.
 
-use physgrad::policy::{Gru, Linear, Mlp, TrainedParam, WithParams};
+use physgrad::policy::{Constant, Gru, Linear, Mlp, TrainedParam, WithParams};
 use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::{
     Batch, Checkpointed, Cotangent, Cotangents, Flow, Gradient, Inputs, Policy, Real, Rollout, Scalar, Schedule, Start, System,
@@ -25,6 +25,10 @@ enum Fault {
     ObservationOfParams,
     /// `running_cost_gradient` omits the parameters.
     CostOfParams,
+    /// `observe` does not write the last component.
+    Unwritten,
+    /// `terminal_cost_gradient` overwrites.
+    Overwrites,
 }
 
 const PUSHES: [f64; 6] = [0.3, -0.2, 0.5, 0.1, -0.4, 0.2];
@@ -67,7 +71,9 @@ impl<const CONTROLS: usize> Task for Tracking<CONTROLS> {
     }
     fn observe<T: Scalar>(&self, Inputs { x, p, t, .. }: Inputs<'_, T>, y: &mut [T]) {
         (y[0], y[1]) = x[0].sin_cos();
-        y[2] = (p[1] - x[1]) * x[0] + (0.1 * t as f64);
+        if self.fault != Fault::Unwritten {
+            y[2] = (p[1] - x[1]) * x[0] + (0.1 * t as f64);
+        }
     }
     fn observe_vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, p, .. }: Inputs<'_, R>, y_bar: &[C], bars: Cotangents<'_, C>) {
         let (sin, cos) = x[0].sin_cos();
@@ -102,6 +108,17 @@ impl<const CONTROLS: usize> Task for Tracking<CONTROLS> {
     }
     fn terminal_cost<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
         (x[0] - p[1]) * (x[1] + p[0])
+    }
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
+        if self.fault == Fault::Overwrites {
+            x_bar.fill(R::zero());
+        }
+        x_bar[0] += x[1] + p[0];
+        x_bar[1] += x[0] - p[1];
+        if let Some(p_bar) = p_bar {
+            p_bar[0] += x[0] - p[1];
+            p_bar[1] -= x[1] + p[0];
+        }
     }
 }
 
@@ -168,6 +185,31 @@ fn wrong_derivatives_of_observations_and_costs_are_found() {
     // The gradients by p differ, those by θ do not.
     assert_eq!(passes(Fault::ObservationOfParams), [false, true, false, true]);
     assert_eq!(passes(Fault::CostOfParams), [false; 4]);
+}
+
+#[test]
+fn wrong_derivatives_of_a_task_are_named() {
+    let found = |fault: Fault| check::try_cost(&Tracking::<1> { fault }).map_err(|mismatch| mismatch.what);
+    assert!(found(Fault::None).is_ok() && check::try_cost(&ByDuals(tracking::<2>())).is_ok());
+    let names = |fault: Fault, name: &str| assert_eq!(found(fault), Err(name.to_owned()));
+    names(Fault::Observation, "observe_vjp: x_bar");
+    names(Fault::ObservationOfParams, "observe_vjp: p_bar");
+    names(Fault::CostOfState, "running_cost_gradient: x_bar");
+    names(Fault::CostOfParams, "running_cost_gradient: p_bar");
+    names(Fault::Unwritten, "observe leaves a component unwritten: y");
+    names(Fault::Overwrites, "terminal_cost_gradient, second call that adds: x_bar");
+}
+
+#[test]
+#[should_panic(expected = "the task's derivatives are wrong: observe_vjp: p_bar[1] is")]
+fn the_message_names_the_method_and_the_component() {
+    check::cost(&Tracking::<1> { fault: Fault::ObservationOfParams });
+}
+
+#[test]
+#[should_panic(expected = "gradient by the parameters p of sample 0, component[1] is")]
+fn the_message_names_the_parameter() {
+    check::task(&Tracking::<1> { fault: Fault::CostOfParams }, &WithParams::new(Constant::new(3, 1), []));
 }
 
 /// An observation that is the state itself, as a function.

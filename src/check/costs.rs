@@ -1,0 +1,114 @@
+//! Check of the costs and of the observation of a task.
+
+use super::oracle::pulled_back;
+use super::{CASES, Comparison, Mismatch, ONE_STEP, Passed, normal};
+use crate::dynamics::inputs::{Cotangents, Inputs, Start};
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::numbers::rng::{Purpose, stream};
+
+/// Checks the derivatives of the costs and of the observation of a task. See [`try_cost`].
+///
+/// # Panics
+/// Panics on the first [`Mismatch`].
+#[track_caller]
+pub fn cost<T: Task>(task: &T) -> Passed {
+    try_cost(task).unwrap_or_else(|mismatch| {
+        panic!(
+            "the task's derivatives are wrong: {mismatch}. Correct the named method, or remove it: dual numbers then provide its \
+             derivatives"
+        )
+    })
+}
+
+/// Checks the costs and the observation of a task near its initial states, with its drawn
+/// parameters and random controls.
+///
+/// - [`observe`](Task::observe) writes every component.
+/// - [`observe_vjp`](Task::observe_vjp), [`running_cost_gradient`](Task::running_cost_gradient) and
+///   [`terminal_cost_gradient`](Task::terminal_cost_gradient) against dual numbers, for all inputs,
+///   and whether they add to their outputs.
+///
+/// # Errors
+/// Returns the first [`Mismatch`].
+pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
+    let (n, m, params) = (task.system().state_dim(), task.system().control_dim(), task.param_dim());
+    let mut c = Comparison::new(ONE_STEP);
+    for case in 0..CASES {
+        c.case = case;
+        let mut rng = stream(case, Purpose::Check, 0);
+        let (mut x, mut p) = (vec![0.0; n], vec![0.0; params]);
+        task.start(&mut rng, Start { x: &mut x, p: &mut p });
+        x.iter_mut().zip(normal(&mut rng, n)).for_each(|(x, noise)| *x += 0.1 * noise);
+        let (u, noise) = (normal(&mut rng, m), normal(&mut rng, n));
+        let next: Vec<f64> = x.iter().zip(noise).map(|(x, noise)| x + 0.1 * noise).collect();
+        let t = case as usize % task.horizon();
+        let inputs = Inputs { x: &x, u: &u, p: &p, t };
+
+        if let Some(observed) = task.observation_dim() {
+            let [from_zeros, from_nans] = [0.0, f64::NAN].map(|initial| {
+                let mut y = vec![initial; observed];
+                task.observe(inputs.with_u(&[]), &mut y);
+                y
+            });
+            c.equal("observe leaves a component unwritten: y", &from_nans, &from_zeros)?;
+            let y_bar = normal(&mut rng, observed);
+            let expected = pulled_back(&[&x[..], &p].concat(), &y_bar, &|all, y| {
+                task.observe(Inputs { x: &all[..n], u: &[], p: &all[n..], t }, y);
+            });
+            let mut bars = [vec![-0.0; n], vec![-0.0; params]];
+            c.adds("observe_vjp", ["x_bar", "p_bar"], &mut bars, &expected, &mut |[x, p]| {
+                let bars = Cotangents { x: Some(x), u: None, p: (params > 0).then_some(p) };
+                task.observe_vjp(inputs.with_u(&[]), &y_bar, bars);
+            })?;
+        }
+
+        let expected = pulled_back(&[&x[..], &u, &p, &next].concat(), &[1.0], &|all, cost| {
+            let (x, rest) = all.split_at(n);
+            let (u, rest) = rest.split_at(m);
+            let (p, next) = rest.split_at(params);
+            cost[0] = task.running_cost(Inputs { x, u, p, t }, next);
+        });
+        let mut bars = [n, m, params, n].map(|len| vec![-0.0; len]);
+        let names = ["x_bar", "u_bar", "p_bar", "next_bar"];
+        c.adds("running_cost_gradient", names, &mut bars, &expected, &mut |[x, u, p, next_bar]| {
+            let bars = Cotangents { x: Some(x), u: Some(u), p: (params > 0).then_some(p) };
+            task.running_cost_gradient(inputs, &next, bars, next_bar);
+        })?;
+
+        let expected = pulled_back(&[&x[..], &p].concat(), &[1.0], &|all, cost| {
+            cost[0] = task.terminal_cost(&all[..n], &all[n..]);
+        });
+        let mut bars = [vec![-0.0; n], vec![-0.0; params]];
+        c.adds("terminal_cost_gradient", ["x_bar", "p_bar"], &mut bars, &expected, &mut |[x_bar, p_bar]| {
+            task.terminal_cost_gradient(&x, &p, x_bar, (params > 0).then_some(p_bar));
+        })?;
+    }
+    Ok(c.passed)
+}
+
+impl Comparison {
+    /// Compares cotangents that `add` adds to `bars` with the concatenated `expected`, after one call
+    /// and after two.
+    fn adds<const K: usize>(
+        &mut self,
+        method: &str,
+        names: [&str; K],
+        bars: &mut [Vec<f64>; K],
+        expected: &[f64],
+        add: &mut dyn FnMut([&mut [f64]; K]),
+    ) -> Result<(), Mismatch> {
+        for calls in [1.0, 2.0] {
+            add(bars.each_mut().map(|bar| &mut bar[..]));
+            let mut rest = expected;
+            for (name, bar) in names.iter().zip(&*bars) {
+                let (own, others) = rest.split_at(bar.len());
+                let found: Vec<f64> = bar.iter().map(|bar| bar / calls).collect();
+                let call = if calls == 1.0 { "" } else { ", second call that adds" };
+                self.slices(&format!("{method}{call}: {name}"), &found, own)?;
+                rest = others;
+            }
+        }
+        Ok(())
+    }
+}
