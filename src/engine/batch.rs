@@ -16,31 +16,37 @@ use crate::engine::schedule::{MemoryError, Schedule};
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
 use crate::policy::Weights;
-use std::ops::Range;
 
 /// Number of samples in a group. Each group has one gradient sum, for any number of workers.
 const GROUP: usize = 4;
+/// Largest number of groups in one chunk: more samples do not fit into the cache.
+const CHUNK: usize = 8;
 /// Number of samples in one rollout of an evaluation.
 const EVALUATED: usize = 32;
 
 /// Workspace for the gradients of mini-batches of up to a fixed size.
+///
+/// Workers take chunks of samples in rounds, forward and backward. A chunk stays in the cache, and
+/// memory does not depend on the size of the mini-batch.
 #[derive(Debug)]
 pub struct Batch<F: Float> {
+    /// Largest number of samples.
+    capacity: usize,
     workers: Vec<Worker<F>>,
     gradients: Vec<Gradient<F>>,
+    /// Growth of the adjoint of each flow in the last run, if measured.
+    growth: Vec<GrowthStats>,
     /// True if runs measure the growth of the adjoints.
     measured: bool,
 }
 
-/// Workspace of one worker, for consecutive groups of samples.
+/// Workspace of one worker, for one chunk of consecutive groups of samples.
 #[derive(Debug)]
 struct Worker<F: Float> {
     rollout: Checkpointed<F>,
     /// Gradients, `[group][flow][parameter]`.
     groups: Vec<Vec<Gradient<F>>>,
     outcome: Result<(), Divergence>,
-    /// True if the last run assigned samples to this worker.
-    active: bool,
 }
 
 impl<F: Float> Batch<F> {
@@ -95,15 +101,16 @@ impl<F: Float> Batch<F> {
     ) -> Self {
         assert!(samples > 0, "a mini-batch needs at least one sample");
         let zeros = || flows.iter().map(|_| Gradient::zeros(policy.param_count())).collect::<Vec<_>>();
-        let shares = shares(samples, workers);
+        let (workers, chunk) = chunks(samples, workers);
         // Allocates the exact capacity, which `stored_bytes` assumes.
-        let mut all = Vec::with_capacity(shares.len());
-        all.extend(shares.map(|share| {
-            let groups = share.len().div_ceil(GROUP);
-            let rollout = Checkpointed::new(task, policy, share.len(), flows, schedule);
-            Worker { rollout, groups: (0..groups).map(|_| zeros()).collect(), outcome: Ok(()), active: false }
+        let mut all = Vec::with_capacity(workers);
+        all.extend((0..workers).map(|_| {
+            let groups = chunk.div_ceil(GROUP);
+            let rollout = Checkpointed::new(task, policy, chunk, flows, schedule);
+            Worker { rollout, groups: (0..groups).map(|_| zeros()).collect(), outcome: Ok(()) }
         }));
-        Self { workers: all, gradients: zeros(), measured: false }
+        let growth = vec![GrowthStats::default(); flows.len()];
+        Self { capacity: samples, workers: all, gradients: zeros(), growth, measured: false }
     }
 
     /// Returns the [`stored_bytes`](Batch::stored_bytes) of a schedule without allocating.
@@ -121,11 +128,10 @@ impl<F: Float> Batch<F> {
     ) -> usize {
         assert!(samples > 0, "a mini-batch needs at least one sample");
         let gradients = flows.len() * (size_of::<Gradient<F>>() + Gradient::<F>::bytes_of(policy.param_count()));
-        let worker = |share: Range<usize>| {
-            let groups = share.len().div_ceil(GROUP) * (size_of::<Vec<Gradient<F>>>() + gradients);
-            size_of::<Worker<F>>() + groups + Checkpointed::<F>::bytes_of(task, policy, share.len(), flows, schedule)
-        };
-        shares(samples, workers).map(worker).sum::<usize>() + gradients
+        let (workers, chunk) = chunks(samples, workers);
+        let groups = chunk.div_ceil(GROUP) * (size_of::<Vec<Gradient<F>>>() + gradients);
+        let worker = size_of::<Worker<F>>() + groups + Checkpointed::<F>::bytes_of(task, policy, chunk, flows, schedule);
+        workers * worker + gradients + flows.len() * size_of::<GrowthStats>()
     }
 
     /// Bytes on the heap, independent of the number of samples in a run.
@@ -135,7 +141,8 @@ impl<F: Float> Batch<F> {
             let groups = worker.groups.iter().map(|group| nested(group)).sum::<usize>();
             size_of_val(&worker.groups[..]) + groups + worker.rollout.stored_bytes()
         };
-        size_of_val(&self.workers[..]) + self.workers.iter().map(worker).sum::<usize>() + nested(&self.gradients)
+        let own = size_of_val(&self.workers[..]) + size_of_val(&self.growth[..]);
+        own + self.workers.iter().map(worker).sum::<usize>() + nested(&self.gradients)
     }
 
     /// Schedule of every worker.
@@ -163,38 +170,59 @@ impl<F: Float> Batch<F> {
     ) -> Result<f64, Divergence> {
         let n = task.start_dim();
         let samples = starts.len() / n;
-        let capacity: usize = self.workers.iter().map(|w| w.rollout.capacity()).sum();
+        let capacity = self.capacity;
         assert!(
             samples > 0 && samples <= capacity && starts.len().is_multiple_of(n),
             "got {} numbers; expected 1 to {capacity} samples of {n} numbers each",
             starts.len()
         );
         let scale = F::lift(1.0 / samples as f64);
-        let per_worker = self.workers[0].rollout.capacity();
-        for_each(&mut self.workers, &|index, worker| {
-            let own = starts.chunks(per_worker * n).nth(index).unwrap_or(&[]);
-            worker.outcome = worker.run(task, policy, weights, own, scale);
-        });
-
-        let active = samples.div_ceil(per_worker);
-        let diverged = self.workers[..active].iter().enumerate();
-        let diverged = diverged.filter_map(|(i, w)| w.outcome.err().map(|d| d.offset(i * per_worker)));
-        if let Some(first) = diverged.min_by_key(Divergence::order) {
+        let chunk = self.workers[0].rollout.capacity();
+        let (mut loss, mut diverged) = (0.0, None);
+        self.growth.fill(GrowthStats::default());
+        for (round, starts) in starts.chunks(self.workers.len() * chunk * n).enumerate() {
+            for_each(&mut self.workers, &|index, worker| {
+                let own = starts.chunks(chunk * n).nth(index).unwrap_or(&[]);
+                worker.outcome = worker.run(task, policy, weights, own, scale);
+            });
+            let active = starts.len().div_ceil(chunk * n);
+            // All rounds run, so that the first divergence does not depend on the number of workers.
+            let first = round * self.workers.len() * chunk;
+            let errors = self.workers[..active].iter().enumerate();
+            let errors = errors.filter_map(|(i, worker)| worker.outcome.err().map(|d| d.offset(first + i * chunk)));
+            diverged = diverged.into_iter().chain(errors).min_by_key(Divergence::order);
+            if diverged.is_none() {
+                loss = self.add_round(active, round == 0, loss);
+            }
+        }
+        if let Some(first) = diverged {
             return Err(first);
         }
+        self.gradients.iter_mut().for_each(Gradient::normalize);
+        Ok(loss / samples as f64)
+    }
+
+    /// Adds the gradients and growths of the first `active` workers, in the order of the samples.
+    /// Returns `loss` plus their costs.
+    fn add_round(&mut self, active: usize, first: bool, loss: f64) -> f64 {
+        let workers = &self.workers[..active];
         for (k, gradient) in self.gradients.iter_mut().enumerate() {
-            let groups = self.workers[..active].iter().flat_map(|w| w.groups.iter().take(w.rollout.samples().div_ceil(GROUP)));
+            let groups = workers.iter().flat_map(|w| w.groups.iter().take(w.rollout.samples().div_ceil(GROUP)));
             for (g, group) in groups.enumerate() {
-                if g == 0 {
+                if first && g == 0 {
                     gradient.copy_from(&group[k]);
                 } else {
                     gradient.add(&group[k]);
                 }
             }
-            gradient.normalize();
         }
-        let costs = self.workers[..active].iter().flat_map(|w| (0..w.rollout.samples()).map(|s| w.rollout.cost(s).as_()));
-        Ok(costs.sum::<f64>() / samples as f64)
+        if self.measured {
+            for (k, stats) in self.growth.iter_mut().enumerate() {
+                workers.iter().for_each(|worker| worker.rollout.add_growth(k, stats));
+            }
+        }
+        let costs = workers.iter().flat_map(|w| (0..w.rollout.samples()).map(|s| w.rollout.cost(s).as_()));
+        costs.fold(loss, |loss, cost: f64| loss + cost)
     }
 
     /// Gradients of the last [`run`](Batch::run), one per flow.
@@ -211,10 +239,7 @@ impl<F: Float> Batch<F> {
 
     /// Growth of the adjoint of flow `k` in the last run, if measured.
     pub fn growth(&self, k: usize) -> Option<Growth> {
-        let mut stats = GrowthStats::default();
-        let active = self.workers.iter().filter(|worker| self.measured && worker.active);
-        active.for_each(|worker| worker.rollout.add_growth(k, &mut stats));
-        stats.growth()
+        self.growth[k].growth()
     }
 }
 
@@ -227,7 +252,6 @@ impl<F: Float> Worker<F> {
         starts: &[F],
         scale: F,
     ) -> Result<(), Divergence> {
-        self.active = !starts.is_empty();
         if starts.is_empty() {
             return Ok(());
         }
@@ -235,11 +259,14 @@ impl<F: Float> Worker<F> {
     }
 }
 
-/// Returns one range of samples per worker. Each range consists of whole groups, except the last.
-fn shares(samples: usize, workers: usize) -> impl ExactSizeIterator<Item = Range<usize>> {
+/// Returns the number of workers, and the number of samples in a chunk: whole groups, such that all
+/// rounds have about equal work.
+fn chunks(samples: usize, workers: usize) -> (usize, usize) {
     let groups = samples.div_ceil(GROUP);
-    let each = groups.div_ceil(workers.clamp(1, groups)) * GROUP;
-    (0..samples).step_by(each).map(move |first| first..samples.min(first + each))
+    let workers = workers.clamp(1, groups);
+    let rounds = groups.div_ceil(workers * CHUNK);
+    let chunk = groups.div_ceil(workers * rounds) * GROUP;
+    (samples.div_ceil(chunk).min(workers), chunk.min(samples))
 }
 
 /// Workspace for the loss of a data set.

@@ -45,6 +45,31 @@ fn gradients_do_not_depend_on_the_number_of_workers() {
     }
 }
 
+/// Chunks of 32 samples: 150 samples take three rounds of two workers.
+#[test]
+fn gradients_of_large_batches_do_not_depend_on_the_number_of_workers() {
+    let one = gradients::<f32>(150, 1);
+    for workers in [2, 3, 5] {
+        assert_eq!(gradients::<f32>(150, workers), one);
+    }
+    // The mean of the gradients of two halves, up to rounding.
+    let starts = starts::<f64>(150);
+    let of = |starts: &[f64]| {
+        let mut batch = Batch::new(&task(), &policy(), 150, &[Flow::REGULAR], 2);
+        batch.run(&task(), &policy(), &weights(), starts).expect("finite");
+        batch.gradients()[0].to_vec()
+    };
+    let (first, second) = starts.split_at(starts.len() / 2);
+    let (whole, first, second) = (of(&starts), of(first), of(second));
+    let largest = whole.iter().fold(0.0, |largest: f64, g| largest.max(g.abs()));
+    for ((whole, first), second) in whole.iter().zip(first).zip(second) {
+        assert!((whole - 0.5 * (first + second)).abs() <= 1e-13 * largest);
+    }
+    // Memory does not depend on the size of the batch.
+    let bytes = |samples: usize| Batch::<f32>::new(&task(), &policy(), samples, &[Flow::REGULAR], 2).stored_bytes();
+    assert_eq!(bytes(64), bytes(1024));
+}
+
 /// Returns a session of three epochs with four updates each. The order of samples changes between
 /// epochs, and their initial states if `resample`.
 fn shuffled(starts: &[f32], resample: bool) -> Session<CartPole, Mlp, f32> {
