@@ -175,7 +175,7 @@ fn cosine(a: &[f64], b: &[f64]) -> f64 {
 fn gentle(lqr: &Lqr) -> Vec<f64> {
     let n = lqr.system().state_dim();
     let states = (0..n * n).map(|i| if i.is_multiple_of(n + 1) { 1.0 } else { 0.0 }).collect();
-    let costly = Lqr::new(lqr.system().clone(), states, vec![100.0]).expect("the plant can be held");
+    let costly = Lqr::new(lqr.system().clone(), states, vec![100.0]).expect("a gain stabilizes the plant");
     costly.optimum().gain.clone()
 }
 
@@ -223,7 +223,7 @@ fn train(lqr: &Lqr, field: Field, gain: &[f64], training: Training) -> Trained {
     let [train, test] = sets.map(|(purpose, count)| starts(lqr, training.seed, purpose, count));
     let least = lqr.least_loss(&test);
     let trainer = Trainer::new(lqr.clone(), Linear::new(gain.len(), 1)).precision::<f64>().field(field).training(training);
-    let mut session = trainer.session_from(gain.to_vec(), train, test).expect("settings that can work");
+    let mut session = trainer.session_from(gain.to_vec(), train, test).expect("the settings are valid");
     while !session.is_done() && session.epoch().is_ok() {}
     let excesses: Vec<f64> = session.records().iter().map(|record| record.test_loss / least - 1.0).collect();
     let kept = session.records().iter().filter_map(|record| record.kept);

@@ -17,8 +17,8 @@ pub struct Effects {}
 const HEAD: &str = "\
 # Effects
 
-Optional physics that a scene can add to its system; [scenes.md](scenes.md) shows how. The command
-`physgrad effects` generates this page.
+Optional physics that a scene can add to its system; [scenes.md](scenes.md) gives examples. The
+command `physgrad effects` generates this page.
 
 Costs are operation counts of one step of one sample, and of its VJP to state and control, in the
 task's default system. A test compares this page with the counts. An effect costs the same with and
@@ -40,7 +40,8 @@ pub fn effects(_args: &Effects) -> Result<()> {
 fn page() -> Result<String> {
     let mut page = HEAD.to_owned();
     for kind in TASKS.into_iter().filter(|kind| !kind.effects().is_empty()) {
-        let _ = writeln!(page, "\n## {}\n\n{} {}\n", kind.name(), sentence(kind.about()), symbols(kind.name()));
+        let intro = wrapped(&format!("{} {}", sentence(kind.about()), symbols(kind.name())));
+        let _ = writeln!(page, "\n## {}\n\n{intro}\n", kind.name());
         section(&mut page, kind, "effects", kind.effects())?;
     }
     let _ = writeln!(
@@ -65,10 +66,9 @@ fn section(page: &mut String, kind: &'static dyn AnyTaskSpec, section: &str, inf
     for (info, [step, vjp]) in infos.iter().zip(&costs) {
         let (equation, note) = info.equation.split_once("; ").unwrap_or((info.equation, ""));
         let _ = writeln!(page, "\n### {}\n\n```text\n{}\n```\n", info.name, lines(equation));
-        if !note.is_empty() {
-            let _ = write!(page, "{} ", sentence(note));
-        }
-        let _ = writeln!(page, "Derivative: {}. Step: {step}. VJP: {vjp}.\n", info.derivative);
+        let note = if note.is_empty() { String::new() } else { format!("{} ", sentence(note)) };
+        let costs = wrapped(&format!("{note}Derivative: {}. Step: {step}. VJP: {vjp}.", info.derivative));
+        let _ = writeln!(page, "{costs}\n");
         parameters(page, &of(info)["properties"]);
     }
     Ok(())
@@ -104,6 +104,25 @@ fn sentence(text: &str) -> String {
     letters.next().map_or_else(String::new, |first| format!("{}{}.", first.to_uppercase(), letters.as_str()))
 }
 
+/// Breaks a paragraph into lines of at most 100 columns.
+fn wrapped(text: &str) -> String {
+    let (mut lines, mut width) = (String::new(), 0);
+    for word in text.split(' ') {
+        let count = word.chars().count();
+        if width == 0 {
+            width = count;
+        } else if width + 1 + count > 100 {
+            lines.push('\n');
+            width = count;
+        } else {
+            lines.push(' ');
+            width += 1 + count;
+        }
+        lines += word;
+    }
+    lines
+}
+
 /// Schema description as one line, with `|` escaped for Markdown tables.
 fn description(of: &Value) -> String {
     of["description"].as_str().unwrap_or_default().replace('\n', " ").replace('|', "\\|")
@@ -130,15 +149,15 @@ fn parameters(page: &mut String, schema: &Value) {
 fn symbols(task: &str) -> &'static str {
     match task {
         "cart_pole" => {
-            "x is the position of the cart, θ_i and ω_i are angle and angular velocity of pole i, l is `half_length`; F is the \
-             force on the cart and τ_i the torque on pole i. Costs are for 2 poles."
+            "x is the position of the cart. θ_i and ω_i are angle and angular velocity of pole i. l is `half_length`. F is the \
+             force on the cart. τ_i is the torque on pole i. Costs are for 2 poles."
         }
         "guidance" => {
-            "D_j and E_k are the positions of drivers and evaders, a is an acceleration, and d is the distance plus `softening`. \
+            "D_j and E_k are the positions of drivers and evaders. a is an acceleration. d is the distance plus `softening`. \
              Costs are for 2 drivers and 4 evaders."
         }
         "quantum" => {
-            "V is the potential and ξ the position, from the middle of the box; ħ = 1 and m = 1/2. A scene has at most one \
+            "V is the potential. ξ is the position, from the middle of the box. ħ = 1 and m = 1/2. A scene has at most one \
              static potential: `harmonic`, `barrier` or `double_well`. Costs are for 32 grid points."
         }
         _ => "",

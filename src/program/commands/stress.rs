@@ -109,8 +109,8 @@ fn markdown(case: &Case, findings: &[Finding], _seconds: f64) -> String {
 const HEAD: &str = "\
 # Stability
 
-Numerically hard cases, their criteria, and measured values. Each criterion was written before its first measurement.
-Two criteria failed in part then and are now reported without a bound: springs in 60 steps per contact (`contact`), and
-waves in f32 without control (`quantum_long`). `physgrad stress` runs all cases, and the tests run each. `physgrad stress
+Numerically hard cases, their criteria, and measured values. Each criterion precedes its first measurement. Two
+original criteria fail in part and are reported without a bound: springs in 60 steps per contact (`contact`), and waves
+in f32 without control (`quantum_long`). `physgrad stress` runs all cases, and the tests run each. `physgrad stress
 --markdown` prints this text; the last digits depend on the processor. For growing adjoints and non-finite numbers during
 training, see [method.md](method.md#exponents).";

@@ -10,9 +10,9 @@ use toml::Value;
 
 pub const CASES: [Case; 1] = [Case::new(
     "reproducible",
-    "training of cart_pole over 300 steps, alone and with wind, bumpers and a lag; with 1, 2 and 8 workers, with a memory \
-     budget, and resumed after every epoch",
-    "parameters and records are bitwise equal; they differ with another seed",
+    "training of cart_pole over 300 steps, alone and with wind, bumpers and a lag. Runs use 1, 2 and 8 workers, a memory \
+     budget, and resumption after every epoch",
+    "parameters and records are bitwise equal. They differ with another seed",
     STORY,
     reproducible,
 )];
