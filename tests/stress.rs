@@ -7,7 +7,7 @@ fn passes(name: &str) {
     let findings = case.run();
     findings.iter().for_each(|finding| println!("{finding}"));
     let failed: Vec<String> = findings.iter().filter(|finding| !finding.pass).map(ToString::to_string).collect();
-    assert!(!findings.is_empty() && failed.is_empty(), "{name} asks for this: {}\n{}", case.criterion, failed.join("\n"));
+    assert!(!findings.is_empty() && failed.is_empty(), "{name} requires: {}\n{}", case.criterion, failed.join("\n"));
 }
 
 /// Defines one test per case, with the name of the case.

@@ -137,8 +137,8 @@ impl Finding {
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { what, measured, limit, pass } = self;
-        let asked = if limit.is_empty() { String::new() } else { format!(" (asked for: {limit})") };
-        write!(f, "{}: {what}: {measured}{asked}", if *pass { "pass" } else { "FAIL" })
+        let required = if limit.is_empty() { String::new() } else { format!(" (required: {limit})") };
+        write!(f, "{}: {what}: {measured}{required}", if *pass { "pass" } else { "FAIL" })
     }
 }
 

@@ -22,7 +22,7 @@ use smallvec::{SmallVec, smallvec};
 /// ```
 /// use physgrad::{Integrated, Ode, OdeInputs, RungeKutta, Scalar, check};
 ///
-/// /// A mass on a spring, pulled by u: x = [place in m, speed in m/s].
+/// /// A mass on a spring, pulled by u: x = [position in m, velocity in m/s].
 /// struct Spring { stiffness: f64 }
 ///
 /// impl Ode for Spring {

@@ -150,8 +150,8 @@ impl<F: Float> Batch<F> {
         self.workers[0].rollout.schedule()
     }
 
-    /// Runs rollouts from `starts` (see [`initial_states`](crate::initial_states)) and their reverse
-    /// passes.
+    /// Runs rollouts from `starts` (see [`initial_states`](crate::initial_states)) and their
+    /// reverse passes.
     ///
     /// Computes the gradient of the mean loss for each flow, and returns the mean loss.
     ///

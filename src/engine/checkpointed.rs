@@ -130,8 +130,8 @@ impl<F: Float> Checkpointed<F> {
         self.costs[sample / WIDTH].lane(sample % WIDTH)
     }
 
-    /// Runs rollouts from `starts` (see [`initial_states`](crate::initial_states)) and their reverse
-    /// passes.
+    /// Runs rollouts from `starts` (see [`initial_states`](crate::initial_states)) and their
+    /// reverse passes.
     ///
     /// Writes `gradients`, `[group][flow][parameter]`, each the sum over `group` successive
     /// samples. Groups without samples are unchanged. All cotangents are multiplied by `scale`. Use

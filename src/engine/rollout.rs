@@ -163,7 +163,7 @@ impl<F: Float> Rollout<F> {
         let samples = starts.len() / each;
         assert!(
             !starts.is_empty() && starts.len().is_multiple_of(each) && samples <= self.capacity,
-            "there is room for {} samples of {each} numbers, and {} numbers were given",
+            "the rollout has a capacity of {} samples of {each} numbers each, but `starts` has {} numbers",
             self.capacity,
             starts.len()
         );
@@ -302,7 +302,7 @@ impl<F: Float> Rollout<F> {
         let state = || find_non_finite(next, n, self.samples, Real::lane).map(|place| (Variable::State, t + 1, place));
         let memory = forgotten.map(|place| (Variable::Memory, t, place));
         let first = control.or(memory).or_else(state);
-        let (variable, step, (sample, component)) = first.expect("the probe found a non-finite value");
+        let (variable, step, (sample, component)) = first.expect("`step_forward` returns false only for a non-finite value");
         let of = |lanes: &[Lane<F>], n: usize| -> Vec<Single<F>> {
             let block = &lanes[sample / WIDTH * n..][..n];
             block.iter().map(|number| Lanes([number.lane(sample % WIDTH)])).collect()

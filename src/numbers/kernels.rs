@@ -56,7 +56,7 @@ impl SimdLevel {
     /// If this processor does not support the level.
     #[inline]
     fn checked(self) -> SimdLevel {
-        assert!(self <= SimdLevel::best(), "this processor has no {self:?}");
+        assert!(self <= SimdLevel::best(), "this processor does not support {self:?}; use `SimdLevel::best()`");
         self
     }
 }

@@ -14,7 +14,7 @@ pub enum Purpose {
     Test = 2,
     /// Initial parameters of the policy.
     Policy = 3,
-    /// Order of the mini-batches.
+    /// Order of the training samples.
     Shuffle = 4,
     /// Random inputs and directions of gradient checks.
     Check = 5,

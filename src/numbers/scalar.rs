@@ -184,7 +184,7 @@ pub trait Scalar:
     }
 }
 
-/// A [`Scalar`] without derivatives: `f32`, `f64`, [`Counted`], and [`Lanes`].
+/// A [`Scalar`] without derivatives: `f64`, [`Counted`], and [`Lanes`].
 pub trait Real: Scalar {
     /// Number of lanes; 1 except for [`Lanes`].
     const LANES: usize;

@@ -33,8 +33,8 @@ impl LinearPlant {
     #[track_caller]
     pub fn new(state_dim: usize, a: Vec<f64>, b: Vec<f64>) -> Self {
         let (n, of_a, of_b) = (state_dim, a.len(), b.len());
-        assert!(n > 0 && of_a == n * n, "A of {n} components has {} entries, and {of_a} were given", n * n);
-        assert!(of_b > 0 && of_b.is_multiple_of(n), "{of_b} entries are no B of {n} rows");
+        assert!(n > 0 && of_a == n * n, "A for {n} state components needs {} entries, not {of_a}", n * n);
+        assert!(of_b > 0 && of_b.is_multiple_of(n), "B has {of_b} entries; allowed: a positive multiple of {n}");
         Self { state_dim, control_dim: of_b / n, a, b }
     }
 
@@ -46,7 +46,12 @@ impl LinearPlant {
     pub fn linearized<S: System>(system: &S, inputs: Inputs<'_, f64>) -> Self {
         let Inputs { x, u, .. } = inputs;
         let (n, m) = (system.state_dim(), system.control_dim());
-        assert!(x.len() == n && u.len() == m, "the system has {n} and {m} components, x {} and u {}", x.len(), u.len());
+        assert!(
+            x.len() == n && u.len() == m,
+            "the system has {n} state and {m} control components, but x has {} and u has {}",
+            x.len(),
+            u.len()
+        );
         let (mut a, mut b, mut column) = (vec![0.0; n * n], vec![0.0; n * m], vec![0.0; n]);
         let unit = |len: usize, i: usize| (0..len).map(|j| f64::from(u8::from(j == i))).collect::<Vec<f64>>();
         for j in 0..n {
@@ -68,7 +73,7 @@ impl LinearPlant {
     #[track_caller]
     pub fn closed_by(&self, gain: &[f64]) -> Self {
         let expected = self.control_dim * self.state_dim;
-        assert_eq!(gain.len(), expected, "the gain of this plant has {expected} entries");
+        assert_eq!(gain.len(), expected, "the gain of this plant needs {expected} entries");
         let closed = self.a() + self.b() * DMatrix::from_row_slice(self.control_dim, self.state_dim, gain);
         Self { a: row_major(&closed), ..self.clone() }
     }

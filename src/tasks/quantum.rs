@@ -136,7 +136,11 @@ impl<S: HasModel<QuantumSystem>> Task for Quantum<S> {
             weight * draw
         });
         let norm = amplitudes[0].hypot(amplitudes[1]);
-        assert!(norm.is_normal(), "with the weighting {:?}, a start state cannot be normalized", self.weighting);
+        assert!(
+            norm.is_normal(),
+            "with the weighting {:?}, an initial state cannot be normalized; use finite weights of moderate size, not both 0",
+            self.weighting
+        );
         for (number, amplitude) in zip(1.., amplitudes) {
             let (sin, cos) = Scalar::sin_cos(rng.random_range(0.0..TAU));
             for (x, eigenstate) in zip(start.x.chunks_exact_mut(2), self.system.model().eigenstate(number)) {

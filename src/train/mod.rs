@@ -259,8 +259,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// Creates a session from given parameters and initial states; see
     /// [`initial_states`](crate::initial_states).
     ///
-    /// With [`Training::resample`], updates draw their initial states from the task. `train` is then
-    /// only evaluated; its number of samples is that of an epoch.
+    /// With [`Training::resample`], updates draw their initial states from the task. `train` is
+    /// then only evaluated; its number of samples is that of an epoch.
     ///
     /// # Errors
     /// [`TrainError`] if a setting is invalid, the memory limit is too small, or a set is empty or

@@ -218,7 +218,7 @@ impl<F: Float> Optimizer<F> {
         let n = self.first.len();
         assert!(
             theta.len() == n && gradient.len() == n,
-            "the optimizer has {n} parameters, θ {}, g {}",
+            "the optimizer has {n} parameters, but θ has {} and the gradient has {}",
             theta.len(),
             gradient.len()
         );

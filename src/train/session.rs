@@ -82,8 +82,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         self.progress.diverged
     }
 
-    /// Warnings about the last epoch: skipped updates, non-finite losses, unreliable gradients. Each
-    /// states the epoch and a remedy. A session returns each kind of warning once.
+    /// Warnings about the last epoch: skipped updates, non-finite losses, unreliable gradients.
+    /// Each states the epoch and a remedy. A session returns each kind of warning once.
     ///
     /// Empty within an epoch. [`Trainer::run`](crate::Trainer::run) prints them.
     pub fn warnings(&mut self) -> Vec<String> {

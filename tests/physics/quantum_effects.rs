@@ -203,7 +203,7 @@ fn a_table_has_the_values_and_derivatives_of_its_potential() {
 }
 
 #[test]
-#[should_panic(expected = "depends on the state has no table")]
+#[should_panic(expected = "depends on state, control or parameters has no table")]
 fn state_dependent_potentials_have_no_table() {
     Tabulated::of(&box_of(8), &Cubic::default());
 }

@@ -36,8 +36,8 @@ pub(crate) fn gather<L, F: Float>(
     }
 }
 
-/// Copies `n` entries of policy columns of length `stride`, from entry `offset`, to blocks of lanes.
-/// Unused lanes repeat the last sample.
+/// Copies `n` entries of policy columns of length `stride`, from entry `offset`, to blocks of
+/// lanes. Unused lanes repeat the last sample.
 pub(crate) fn scatter<F: Float>(
     columns: &[F],
     (offset, stride): (usize, usize),

@@ -91,7 +91,8 @@ pub fn train(args: &Train) -> Result<()> {
         End::Interrupted => {
             let done = finished.records.len();
             let command = format!("physgrad train {} --resume --out {results}", args.scene);
-            // Ignores errors: the terminal may be closed, and the signal determines the exit status.
+            // Ignores errors: the terminal may be closed, and the signal determines the exit
+            // status.
             let _ = say(&format!("interrupted after epoch {done}; to resume: {command}"));
             Ok(())
         }

@@ -99,8 +99,8 @@ pub fn animation(scene: &Scene, rollout: &Trajectory) -> String {
 }
 
 /// `trajectory.csv`: one row per rollout and step. A row holds the state before the step, the
-/// parameters of the rollout, the controls of the policy, and the controls that an actuator applies. The last state has no
-/// controls.
+/// parameters of the rollout, the controls of the policy, and the controls that an actuator
+/// applies. The last state has no controls.
 pub fn trajectories(scene: &Scene, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
     let mut csv = csv::Writer::from_writer(Vec::new());
     let names = ["sample", "step", "time"].map(String::from).into_iter();

@@ -165,17 +165,18 @@ impl Scene {
 
     /// Identity of a run: the settings that a resumed run must share, one per line.
     ///
-    /// Lists the differences from the task's defaults. Excludes settings that do not change results,
-    /// and the number of epochs unless the learning rate decays over them. A setting added by a later version, with a default that
-    /// preserves the behaviour, does not change the identity.
+    /// Lists the differences from the task's defaults. Excludes settings that do not change
+    /// results, and the number of epochs unless the learning rate decays over them. A setting added
+    /// by a later version, with a default that preserves the behaviour, does not change the
+    /// identity.
     pub fn identity(&self) -> String {
         let decay = self.table.get("training").and_then(|training| training.get("decay")).and_then(Value::as_str);
         let is_constant = decay.is_none_or(|decay| decay == "constant");
         self.differences(if is_constant { &["epochs", "training.memory"] } else { &["training.memory"] })
     }
 
-    /// Settings shared by the runs of a comparison: [`identity`](Self::identity) without field, seed
-    /// and epochs.
+    /// Settings shared by the runs of a comparison: [`identity`](Self::identity) without field,
+    /// seed and epochs.
     pub fn comparable(&self) -> String {
         self.differences(&["epochs", "training.memory", "field", "seed"])
     }

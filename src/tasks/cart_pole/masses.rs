@@ -6,7 +6,7 @@ use super::{CartPoleSystem, CoupledCartPole};
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum MassError {
     /// A mass or a length is not positive and finite.
-    #[error("{what} is {value}: it has to be positive and finite, or the mass matrix is singular; write a small one for none")]
+    #[error("{what} is {value}; allowed: a positive, finite number, because 0 can make the mass matrix singular")]
     NotPositive {
         /// Name of the parameter.
         what: &'static str,
@@ -15,8 +15,8 @@ pub enum MassError {
     },
     /// The cart's mass is too small relative to the mass of the poles.
     #[error(
-        "the cart's mass of {cart:.1e} kg is lost beside {poles:.1e} kg of poles: of M, their sum, it would keep fewer than seven \
-         digits. Use a cart of {:.1e} kg at least, or lighter poles",
+        "the cart's mass of {cart:.1e} kg retains fewer than seven digits in the total mass, beside {poles:.1e} kg of poles. Use a \
+         cart of {:.1e} kg at least, or lighter poles",
         poles * CartPoleSystem::LIGHTEST_CART
     )]
     CartTooLight {
@@ -26,7 +26,7 @@ pub enum MassError {
         poles: f64,
     },
     /// The number of poles is zero or too large.
-    #[error("{poles} poles: between 1 and {most} can be computed with")]
+    #[error("{poles} poles; allowed: 1 to {most}")]
     Poles {
         /// Number of poles.
         poles: usize,

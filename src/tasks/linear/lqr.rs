@@ -50,9 +50,9 @@ impl Lqr {
     pub fn new(plant: LinearPlant, state_cost: Vec<f64>, control_cost: Vec<f64>) -> Result<Self, NoOptimum> {
         let (n, m) = (plant.state_dim(), plant.control_dim());
         for (name, cost, n) in [("Q", &state_cost, n), ("R", &control_cost, m)] {
-            assert_eq!(cost.len(), n * n, "{name} of {n} components has {} entries", n * n);
+            assert_eq!(cost.len(), n * n, "{name} for {n} components needs {} entries", n * n);
             let symmetric = (0..n).all(|i| (0..i).all(|j| cost[i * n + j] == cost[j * n + i]));
-            assert!(symmetric, "{name} has to be symmetric: a cost sees nothing else of it");
+            assert!(symmetric, "{name} is not symmetric; use ({name} + {name}ᵀ)/2, which has the same cost");
         }
         let optimum = Optimum::of(&plant, &state_cost, &control_cost)?;
         Ok(Self { start: vec![0.0; n], spread: 1.0, horizon: 100, plant, state_cost, control_cost, optimum })

@@ -27,7 +27,7 @@ pub struct Optimum {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NoOptimum {
     /// The cost of controls is not positive definite.
-    #[error("the cost R of controls is not positive definite, so that no control is the best: make every eigenvalue positive")]
+    #[error("the cost R of controls is not positive definite, so no optimal control exists; use an R with positive eigenvalues")]
     Indefinite,
     /// The doubling iteration did not converge: the cost is unbounded, or the plant decays too
     /// slowly.

@@ -147,9 +147,13 @@ impl Tabulated {
     /// effects are summed before the potential of the control is added.
     ///
     /// # Panics
-    /// If an effect depends on state, control or parameters. Effects of time are tabulated at time 0.
+    /// If an effect depends on state, control or parameters. Effects of time are tabulated at time
+    /// 0.
     pub fn of<E: Effect<QuantumSystem>>(model: &QuantumSystem, effects: &E) -> Self {
-        assert!(!effects.state_dependent(), "an effect that depends on the state has no table: {effects:?}");
+        assert!(
+            !effects.state_dependent(),
+            "an effect that depends on state, control or parameters has no table; use it without `Tabulated`: {effects:?}"
+        );
         let mut values = vec![0.0; model.grid];
         effects.add_forces(model, Inputs { x: &[], u: &[], p: &[], t: 0.0 }, &mut values);
         Self { values }

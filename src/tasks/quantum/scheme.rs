@@ -27,7 +27,7 @@ pub enum QuantumScheme {
     Strang(Strang),
 }
 
-/// Outlined step of a host.
+/// Outlined step of a scheme.
 struct Step<'a, H, E, T> {
     host: &'a H,
     effects: &'a E,
@@ -42,7 +42,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>, T: Scalar> Vectorized for Step<'_, H,
     }
 }
 
-/// Outlined reverse step of a host.
+/// Outlined reverse step of a scheme.
 struct Reverse<'a, H, E, R, C> {
     host: &'a H,
     effects: &'a E,
