@@ -25,9 +25,13 @@ use smallvec::SmallVec;
 /// `x` and `next` have [`state_dim`](System::state_dim) entries, `u` has
 /// [`control_dim`](System::control_dim), and `p` at least [`param_dim`](System::param_dim).
 /// Cotangents and tangents have the shapes of their values.
+///
+/// # Choice at run time
+/// There is no `Box<dyn System>`, because `step` is generic. Write an enum with one variant per
+/// system, which implements `System` by a `match`.
 #[diagnostic::on_unimplemented(
-    message = "`{Self}` does not implement `System`",
-    note = "implement `step`, `state_dim` and `control_dim`; a choice of systems at run time is an enum whose `step` matches, because `System` has generic methods and no `dyn` form"
+    message = "`{Self}` is not a system",
+    note = "implement `physgrad::System`: `state_dim`, `control_dim` and `step`"
 )]
 pub trait System: Send + Sync {
     /// Number of state components.

@@ -13,8 +13,8 @@ use smallvec::SmallVec;
 /// the running cost `l` ([`running_cost`](Task::running_cost)) and the terminal cost `φ`
 /// ([`terminal_cost`](Task::terminal_cost)). The loss of a batch is the mean over its samples.
 #[diagnostic::on_unimplemented(
-    message = "`{Self}` does not implement `Task`",
-    note = "implement `system`, `horizon`, `start` and a cost; `&task` also serves as `&dyn AnyTask<F>`"
+    message = "`{Self}` is not a task",
+    note = "implement `physgrad::Task`: `system`, `horizon`, `start` and a cost; `check::system` checks a system alone"
 )]
 pub trait Task: Send + Sync {
     /// Type of the system.

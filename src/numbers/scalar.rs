@@ -37,6 +37,16 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 /// branches with [`select_lt`](Scalar::select_lt), [`min`](Scalar::min), [`max`](Scalar::max),
 /// [`clamp`](Scalar::clamp) and [`abs`](Scalar::abs).
 ///
+/// These forms do not compile. The operators are those of the standard library, so the compiler does
+/// not name the form on the right, and its suggestion of a further bound on `T` does not help:
+///
+/// | instead of | write |
+/// |---|---|
+/// | `2.0 * x[0]` | `x[0] * 2.0` |
+/// | `1.0 - x[0]` | `-x[0] + 1.0` or `T::from(1.0) - x[0]` |
+/// | `if x[0] > 0.0 { a } else { b }` | `T::select_lt(T::zero(), x[0], a, b)` |
+/// | `x[0] % 6.28`, an angle | `x[0].wrap_angle()` |
+///
 /// `f32` itself is not a scalar, because it has no product with `f64`. A single number in f32 is
 /// [`Single<f32>`](Single).
 #[diagnostic::on_unimplemented(

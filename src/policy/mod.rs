@@ -62,8 +62,8 @@ use std::ops::Range;
 /// Columns are stored in units of several time steps. Within a unit, the steps of one sample are
 /// adjacent, and the samples follow one another. [`PolicyColumns`] selects the columns of a call.
 #[diagnostic::on_unimplemented(
-    message = "`{Self}` does not implement `Policy`",
-    note = "implement the dimensions, `init` and `act`; `&policy` also serves as `&dyn AnyPolicy<F>`"
+    message = "`{Self}` is not a policy",
+    note = "use one of `physgrad::policy`, or implement `physgrad::Policy`: the dimensions, `init` and `act`"
 )]
 pub trait Policy: Send + Sync {
     /// Number of observed components.

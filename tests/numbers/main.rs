@@ -1,4 +1,4 @@
-//! Numbers: kernels, dual numbers, double-double.
+//! Numbers: kernels, dual numbers, double-double, compiler errors of simulators.
 
 #[path = "../common/operations.rs"]
 mod operations;
@@ -6,3 +6,4 @@ mod operations;
 mod double_double;
 mod duals;
 mod kernels;
+mod mistakes;
