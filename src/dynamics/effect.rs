@@ -12,10 +12,11 @@ mod tuples;
 mod without;
 
 use crate::dynamics::cause::Cause;
+use crate::dynamics::default_vjp::{Function, default_vjp};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs, Start};
-use crate::dynamics::system::{System, each_column, vjp_by_duals};
+use crate::dynamics::system::{System, step_vjp};
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, CotangentPack, Dual, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Over, Real, Scalar};
 use crate::numbers::zip::zip;
 pub(crate) use list::{AddForces, Vjp, any_effect};
 pub use named::Named;
@@ -69,7 +70,7 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     /// cotangents that are requested.
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, model: &B, inputs: OdeInputs<'_, R>, forces_bar: &[C], bars: Cotangents<'_, C>) {
-        effect_vjp_by_duals(self, model, inputs, forces_bar, bars);
+        default_effect_vjp(self, model, inputs, forces_bar, bars);
     }
 
     /// Returns whether the forces depend on state, control or parameters. If none do, the reverse
@@ -89,21 +90,32 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     }
 }
 
-/// Computes the exact transposed Jacobian product of any effect from `add_forces`, by dual numbers.
+/// [`Effect::add_forces`] as a function of state, control and parameters.
+struct Forces<'a, E: ?Sized, B, R> {
+    effect: &'a E,
+    model: &'a B,
+    t: R,
+}
+
+impl<B, E: Effect<B> + ?Sized, R: Real> Function<R, 3> for Forces<'_, E, B, R> {
+    #[inline(always)]
+    fn eval<T: Over<R>>(&self, [x, u, p]: [&[T]; 3], forces: &mut [T]) {
+        forces.fill(T::zero());
+        self.effect.add_forces(self.model, Inputs { x, u, p, t: T::constant(self.t) }, forces);
+    }
+}
+
+/// Exact transposed Jacobian product of any effect through [`Effect::add_forces`].
 #[inline]
-pub(crate) fn effect_vjp_by_duals<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
+pub(crate) fn default_effect_vjp<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
     effect: &E,
     model: &B,
     inputs: OdeInputs<'_, R>,
     forces_bar: &[C],
     bars: Cotangents<'_, C>,
 ) {
-    let time = Dual::constant(inputs.t);
-    let add_forces = |inputs: Inputs<'_, _, ()>, forces: &mut [_]| {
-        forces.fill(Scalar::zero());
-        effect.add_forces(model, inputs.at(time), forces);
-    };
-    each_column(inputs, forces_bar.len(), bars, add_forces, |bar: &mut C, column: &[R]| {
+    let forces = Forces { effect, model, t: inputs.t };
+    default_vjp(&forces, inputs.lists(), forces_bar, bars.lists(), |bar, column| {
         for (&force_bar, &slope) in zip(forces_bar.iter(), column) {
             *bar += force_bar * slope;
         }
@@ -158,7 +170,7 @@ pub trait ForcedSystem: Send + Sync {
         next_bar: &[C],
         bars: Cotangents<'_, C>,
     ) {
-        vjp_by_duals(&Stepping { host: self, effects }, inputs, next_bar, bars);
+        step_vjp(&Stepping { host: self, effects }, inputs, next_bar, bars);
     }
 }
 

@@ -58,6 +58,12 @@ impl<'a, T: Copy, Time: Copy> Inputs<'a, T, Time> {
         Inputs { u, ..self }
     }
 
+    /// State, control and parameters.
+    #[inline(always)]
+    pub(crate) fn lists(self) -> [&'a [T]; 3] {
+        [self.x, self.u, self.p]
+    }
+
     /// Omits the first `count` parameters.
     #[inline(always)]
     pub fn skip_params(self, count: usize) -> Self {
@@ -118,6 +124,12 @@ impl<'a, C> Cotangents<'a, C> {
     #[inline(always)]
     pub fn skip_params(self, count: usize) -> Self {
         Self { p: self.p.map(|p| &mut p[count..]), ..self }
+    }
+
+    /// Cotangents of state, control and parameters.
+    #[inline(always)]
+    pub(crate) fn lists(self) -> [Option<&'a mut [C]>; 3] {
+        [self.x, self.u, self.p]
     }
 
     /// Returns whether no cotangent is requested.

@@ -12,6 +12,7 @@
 
 pub(crate) mod actuator;
 pub(crate) mod cause;
+pub(crate) mod default_vjp;
 pub(crate) mod effect;
 pub(crate) mod inputs;
 pub(crate) mod integrator;

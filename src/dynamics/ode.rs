@@ -4,12 +4,13 @@
 //! [`Integrated`](crate::Integrated).
 
 use crate::dynamics::cause::Cause;
+use crate::dynamics::default_vjp::{Function, add_product, default_vjp};
 use crate::dynamics::effect::{Effect, Forced, ForcedSystem};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
 use crate::dynamics::outline::outline;
-use crate::dynamics::system::{System, each_column};
+use crate::dynamics::system::System;
 use crate::numbers::kernels::Vectorized;
-use crate::numbers::scalar::{Cotangent, CotangentPack, Dual, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Over, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
@@ -55,7 +56,8 @@ pub trait Ode: Send + Sync {
     /// that are requested.
     #[inline(always)]
     fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], bars: Cotangents<'_, C>) {
-        rate_vjp_by_duals(self, inputs, rate_bar, bars);
+        let rate = Rate { ode: self, t: inputs.t };
+        default_vjp(&rate, inputs.lists(), rate_bar, bars.lists(), add_product(rate_bar));
     }
 
     /// Index of the velocity of component `i`, or `None` if `i` is not a position.
@@ -73,23 +75,17 @@ pub trait Ode: Send + Sync {
     }
 }
 
-/// Default [`Ode::rate_vjp`]: exact, by dual numbers through [`Ode::rate`].
-#[inline]
-fn rate_vjp_by_duals<O: Ode + ?Sized, R: Real, C: Cotangent<R>>(
-    ode: &O,
-    inputs: OdeInputs<'_, R>,
-    rate_bar: &[C],
-    bars: Cotangents<'_, C>,
-) {
-    let time = Dual::constant(inputs.t);
-    let rate = |inputs: Inputs<'_, _, ()>, rate: &mut [_]| ode.rate(inputs.at(time), rate);
-    each_column(inputs, rate_bar.len(), bars, rate, |bar: &mut C, column: &[R]| {
-        let mut sum = C::null();
-        for (&rate_bar, &slope) in zip(rate_bar.iter(), column) {
-            sum += rate_bar * slope;
-        }
-        *bar += sum;
-    });
+/// [`Ode::rate`] as a function of state, control and parameters.
+struct Rate<'a, O: ?Sized, R> {
+    ode: &'a O,
+    t: R,
+}
+
+impl<O: Ode + ?Sized, R: Real> Function<R, 3> for Rate<'_, O, R> {
+    #[inline(always)]
+    fn eval<T: Over<R>>(&self, [x, u, p]: [&[T]; 3], rate: &mut [T]) {
+        self.ode.rate(Inputs { x, u, p, t: T::constant(self.t) }, rate);
+    }
 }
 
 /// Object-safe [`Ode`] for one scalar type.

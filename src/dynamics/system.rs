@@ -1,22 +1,23 @@
 //! [`System`]: one discrete time step of a physical system, and its Jacobian products.
 
 use crate::dynamics::cause::Cause;
+use crate::dynamics::default_vjp::{Function, add_product, default_vjp};
 use crate::dynamics::inputs::{Cotangents, Inputs, Tangents};
 use crate::dynamics::outline;
-use crate::numbers::forward_mode::{Chunk, jacobian};
 use crate::numbers::kernels::Vectorized;
-use crate::numbers::scalar::{Cotangent, Dual, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Dual, Over, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::SmallVec;
 
 /// One discrete time step of a physical system, `x' = S(x, u, p, t)`.
 ///
 /// Implement the dimensions and [`step`](System::step). The Jacobian products default to exact
-/// derivatives by dual numbers. Override [`vjp`](System::vjp) with an analytic derivative for
+/// derivatives. Override [`vjp`](System::vjp) with an analytic derivative for
 /// speed; [`check::system`](crate::check::system) compares both.
 ///
-/// The default transposed products avoid the heap while `x`, `u` and `p` together have at most 16
-/// components. Larger systems allocate in every call and should override them.
+/// The default transposed products use dual numbers while `x`, `u` and `p` together have at most 16
+/// components, and reverse mode above. Reverse mode keeps its buffers on the heap of each thread.
+/// Only the first call allocates.
 ///
 /// A system is immutable. Physical constants are `f64` fields.
 /// Constants that differ between samples, or that are to be differentiated, are parameters.
@@ -52,7 +53,7 @@ pub trait System: Send + Sync {
     /// `(∂S/∂p)ᵀ next_bar` to those cotangents that are requested.
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
-        vjp_by_duals(self, inputs, next_bar, bars);
+        step_vjp(self, inputs, next_bar, bars);
     }
 
     /// Writes the Jacobian product `(∂S/∂x) x_tan + (∂S/∂u) u_tan + (∂S/∂p) p_tan`.
@@ -68,96 +69,54 @@ pub trait System: Send + Sync {
     }
 }
 
-/// Default transposed Jacobian products: exact, by dual numbers through [`System::step`].
+/// [`System::step`] as a function of state, control and parameters.
+struct Step<'a, S: ?Sized> {
+    system: &'a S,
+    t: usize,
+}
+
+impl<S: System + ?Sized, R> Function<R, 3> for Step<'_, S> {
+    #[inline(always)]
+    fn eval<T: Over<R>>(&self, [x, u, p]: [&[T]; 3], next: &mut [T]) {
+        self.system.step(Inputs { x, u, p, t: self.t }, next);
+    }
+}
+
+/// Exact transposed Jacobian products through [`System::step`].
 #[inline]
-pub(crate) fn vjp_by_duals<S: System + ?Sized, R: Real, C: Cotangent<R>>(
+pub(crate) fn step_vjp<S: System + ?Sized, R: Real, C: Cotangent<R>>(
     system: &S,
     inputs: Inputs<'_, R>,
     next_bar: &[C],
     bars: Cotangents<'_, C>,
 ) {
-    step_jacobian(system, inputs, next_bar.len(), bars, &mut |bar: &mut C, column: &[R]| {
-        let mut sum = C::null();
-        for (&next_bar, &slope) in zip(next_bar.iter(), column) {
-            sum += next_bar * slope;
-        }
-        *bar += sum;
-    });
+    outlined_vjp(system, inputs, next_bar, bars, &mut add_product(next_bar));
 }
 
-/// Calls `visit` with each requested cotangent and its column of the Jacobian. Outlined;
-/// monomorphized once per system and scalar type.
+/// [`default_vjp`] of a step. Outlined; in forward mode, monomorphized once per system and scalar type.
 #[inline(never)]
-fn step_jacobian<S: System + ?Sized, R: Real, C>(
+fn outlined_vjp<S: System + ?Sized, R: Real, C: Cotangent<R>>(
     system: &S,
     inputs: Inputs<'_, R>,
-    outputs: usize,
+    next_bar: &[C],
     bars: Cotangents<'_, C>,
     visit: &mut dyn FnMut(&mut C, &[R]),
 ) {
     struct Work<'a, S: ?Sized, R, C> {
         system: &'a S,
         inputs: Inputs<'a, R>,
-        outputs: usize,
+        next_bar: &'a [C],
         bars: Cotangents<'a, C>,
         visit: &'a mut dyn FnMut(&mut C, &[R]),
     }
-    impl<S: System + ?Sized, R: Real, C> Vectorized for Work<'_, S, R, C> {
+    impl<S: System + ?Sized, R: Real, C: Cotangent<R>> Vectorized for Work<'_, S, R, C> {
         #[inline(always)]
         fn run<const FMA: bool>(self) {
-            let Self { system, inputs, outputs, bars, visit } = self;
-            let t = inputs.t;
-            each_column(inputs, outputs, bars, |inputs, next: &mut [_]| system.step(inputs.at(t), next), visit);
+            let Self { system, inputs, next_bar, bars, visit } = self;
+            default_vjp(&Step { system, t: inputs.t }, inputs.lists(), next_bar, bars.lists(), visit);
         }
     }
-    outline::outline::<R>(Work { system, inputs, outputs, bars, visit });
-}
-
-/// Calls `visit` with each requested cotangent and its column of the Jacobian of `f`, by dual
-/// numbers. `f` receives the inputs without their time.
-#[inline(always)]
-pub(crate) fn each_column<R: Real, C, Time>(
-    inputs: Inputs<'_, R, Time>,
-    outputs: usize,
-    bars: Cotangents<'_, C>,
-    f: impl Fn(Inputs<'_, Chunk<R>, ()>, &mut [Chunk<R>]),
-    mut visit: impl FnMut(&mut C, &[R]),
-) {
-    if bars.is_empty() {
-        return;
-    }
-    let Inputs { x, u, p, t: _ } = inputs;
-    let (n, m) = (x.len(), x.len() + u.len());
-    let all: SmallVec<[R; 16]> = x.iter().chain(u).chain(p).copied().collect();
-    let Cotangents { x: mut x_bar, u: mut u_bar, p: mut p_bar } = bars;
-    // The inputs from the first to the last requested one.
-    let first = if x_bar.is_some() {
-        0
-    } else if u_bar.is_some() {
-        n
-    } else {
-        m
-    };
-    let end = if p_bar.is_some() {
-        all.len()
-    } else if u_bar.is_some() {
-        m
-    } else {
-        n
-    };
-    let of_all = |all: &[Chunk<R>], next: &mut [Chunk<R>]| f(Inputs { x: &all[..n], u: &all[n..m], p: &all[m..], t: () }, next);
-    jacobian(&all, first..end, outputs, of_all, |i, column: &[R]| {
-        let (bars, from) = if i < n {
-            (&mut x_bar, 0)
-        } else if i < m {
-            (&mut u_bar, n)
-        } else {
-            (&mut p_bar, m)
-        };
-        if let Some(bars) = bars {
-            visit(&mut bars[i - from], column);
-        }
-    });
+    outline::outline::<R>(Work { system, inputs, next_bar, bars, visit });
 }
 
 fn jvp_by_duals<S: System + ?Sized, R: Real>(

@@ -1,11 +1,10 @@
 //! [`Task`]: an optimal control problem over a [`System`].
 
-use crate::dynamics::inputs::{Cotangents, Inputs, Start, add};
-use crate::dynamics::system::{System, each_column};
+use crate::dynamics::default_vjp::{Function, add_product, default_vjp};
+use crate::dynamics::inputs::{Cotangents, Inputs, Start};
+use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, Real, Scalar};
-use crate::numbers::zip::zip;
-use smallvec::SmallVec;
+use crate::numbers::scalar::{Cotangent, Over, Real, Scalar};
 
 /// A system with a horizon, a distribution of initial states, and costs.
 ///
@@ -56,18 +55,11 @@ pub trait Task: Send + Sync {
     /// Adds the Jacobian products `(∂y/∂x)ᵀ y_bar` and `(∂y/∂p)ᵀ y_bar` of
     /// [`observe`](Task::observe) to those of `bars` that are requested.
     ///
-    /// Defaults to exact derivatives by dual numbers. Override it for speed.
+    /// Defaults to exact derivatives, as [`System::vjp`] does. Override it for speed.
     #[inline(always)]
     fn observe_vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, y_bar: &[C], bars: Cotangents<'_, C>) {
-        let t = inputs.t;
-        let observe = |inputs: Inputs<'_, _, ()>, y: &mut [_]| self.observe(inputs.at(t), y);
-        each_column(inputs, y_bar.len(), bars, observe, |bar: &mut C, column: &[R]| {
-            let mut sum = C::null();
-            for (&y_bar, &slope) in zip(y_bar.iter(), column) {
-                sum += y_bar * slope;
-            }
-            *bar += sum;
-        });
+        let observation = Observation { task: self, t: inputs.t };
+        default_vjp(&observation, inputs.lists(), y_bar, bars.lists(), add_product(y_bar));
     }
 
     /// Running cost `l` of the step from `inputs` to `next`. Default: 0.
@@ -84,37 +76,55 @@ pub trait Task: Send + Sync {
     /// Adds the gradient of [`running_cost`](Task::running_cost) to `next_bar` and to those of
     /// `bars` that are requested.
     ///
-    /// Defaults to exact derivatives by dual numbers. Override it for speed.
+    /// Defaults to exact derivatives, as [`System::vjp`] does. Override it for speed.
     #[inline(always)]
     fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
-        let (n, t) = (next.len(), inputs.t);
-        // Appends the next state to the parameters.
-        let p: SmallVec<[R; 16]> = inputs.p.iter().chain(next).copied().collect();
-        let own = inputs.p.len();
-        let all = Inputs { p: &p, ..inputs };
-        let cost = |all: Inputs<'_, _, ()>, cost: &mut [_]| {
-            let (p, next) = all.p.split_at(own);
-            cost[0] = self.running_cost(Inputs { p, ..all.at(t) }, next);
-        };
-        let mut p_bar: SmallVec<[R; 16]> = SmallVec::from_elem(R::null(), own + n);
-        let Cotangents { x, u, p } = bars;
-        let all_bars = Cotangents { x, u, p: Some(&mut p_bar) };
-        each_column(all, 1, all_bars, cost, |bar: &mut R, slope: &[R]| *bar += slope[0]);
-        let (own_bar, of_next) = p_bar.split_at(own);
-        add(next_bar, of_next);
-        if let Some(p) = p {
-            add(p, own_bar);
-        }
+        let (cost, Inputs { x, u, p, .. }) = (RunningCost { task: self, t: inputs.t }, inputs);
+        let bars = [bars.x, bars.u, bars.p, Some(next_bar)];
+        default_vjp(&cost, [x, u, p, next], &[R::one()], bars, |bar, slope| *bar += slope[0]);
     }
     /// Adds the gradient of [`terminal_cost`](Task::terminal_cost) to `x_bar`, and to `p_bar` if
     /// requested.
     ///
-    /// Defaults to exact derivatives by dual numbers. Override it for speed.
+    /// Defaults to exact derivatives, as [`System::vjp`] does. Override it for speed.
     #[inline(always)]
     fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
-        let inputs = Inputs { x, u: &[], p, t: () };
-        let cost = |inputs: Inputs<'_, _, ()>, cost: &mut [_]| cost[0] = self.terminal_cost(inputs.x, inputs.p);
-        let bars = Cotangents { x: Some(x_bar), u: None, p: p_bar };
-        each_column(inputs, 1, bars, cost, |bar: &mut R, slope: &[R]| *bar += slope[0]);
+        default_vjp(&TerminalCost(self), [x, p], &[R::one()], [Some(x_bar), p_bar], |bar, slope| *bar += slope[0]);
+    }
+}
+
+/// [`Task::observe`] as a function of state, control and parameters.
+struct Observation<'a, T: ?Sized> {
+    task: &'a T,
+    t: usize,
+}
+
+impl<S: Task + ?Sized, R> Function<R, 3> for Observation<'_, S> {
+    #[inline(always)]
+    fn eval<T: Over<R>>(&self, [x, u, p]: [&[T]; 3], y: &mut [T]) {
+        self.task.observe(Inputs { x, u, p, t: self.t }, y);
+    }
+}
+
+/// [`Task::running_cost`] as a function of state, control, parameters and next state.
+struct RunningCost<'a, T: ?Sized> {
+    task: &'a T,
+    t: usize,
+}
+
+impl<S: Task + ?Sized, R> Function<R, 4> for RunningCost<'_, S> {
+    #[inline(always)]
+    fn eval<T: Over<R>>(&self, [x, u, p, next]: [&[T]; 4], cost: &mut [T]) {
+        cost[0] = self.task.running_cost(Inputs { x, u, p, t: self.t }, next);
+    }
+}
+
+/// [`Task::terminal_cost`] as a function of state and parameters.
+struct TerminalCost<'a, T: ?Sized>(&'a T);
+
+impl<S: Task + ?Sized, R> Function<R, 2> for TerminalCost<'_, S> {
+    #[inline(always)]
+    fn eval<T: Over<R>>(&self, [x, p]: [&[T]; 2], cost: &mut [T]) {
+        cost[0] = self.0.terminal_cost(x, p);
     }
 }

@@ -14,6 +14,9 @@ pub(crate) mod extended;
 pub(crate) mod forward_mode;
 #[doc(hidden)]
 pub mod kernels;
+pub(crate) mod pool;
+pub(crate) mod reverse_mode;
 pub mod rng;
 pub(crate) mod scalar;
+pub(crate) mod tape;
 pub(crate) mod zip;

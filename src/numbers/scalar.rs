@@ -3,8 +3,9 @@
 //! - [`Scalar`]: the trait over which simulators are generic.
 //! - [`Real`]: a scalar without derivatives. [`Float`]: `f32` or `f64`.
 //! - [`Lanes`]: several samples in one SIMD number.
-//! - [`Dual`]: forward-mode derivatives, the default derivatives of systems. Checks compare them
-//!   with those of the crate num-dual.
+//! - [`Dual`]: forward-mode derivatives, the default derivatives of small systems. Checks compare
+//!   them with those of the crate num-dual.
+//! - `Reverse`: reverse-mode derivatives, the default derivatives of large systems.
 //! - [`Counted`]: an `f64` that counts its operations.
 //! - [`Cotangent`]: the adjoint quantity of a reverse pass. [`CotangentPack`]: several of them.
 
@@ -16,6 +17,7 @@ mod dual;
 mod float;
 mod lanes;
 pub(crate) mod num_dual;
+mod reverse;
 
 pub use counted::{Counted, Ops};
 #[cfg(feature = "double-double")]
@@ -23,6 +25,9 @@ pub use double_double::DoubleDouble;
 pub use dual::Dual;
 pub use float::Float;
 pub use lanes::{Lanes, Single};
+pub(crate) use reverse::Reverse;
+
+use crate::numbers::tape::Tape;
 
 use std::fmt::Debug;
 use std::iter::Sum;
@@ -215,6 +220,15 @@ pub trait Real: Scalar {
         }
         all
     }
+    /// Calls `f` with the tape of the current thread for this type.
+    #[doc(hidden)]
+    fn with_tape<T>(f: impl FnOnce(&mut Tape<Self>) -> T) -> T;
+}
+
+/// A [`Scalar`] with derivatives, over the scalar `R`.
+pub(crate) trait Over<R>: Scalar {
+    /// A number with derivative 0.
+    fn constant(value: R) -> Self;
 }
 
 /// The adjoint quantity of a reverse pass: an element of a vector space over `R`.
@@ -223,17 +237,46 @@ pub trait Real: Scalar {
 /// but not multiply two cotangents. The type system thus enforces linearity. One implementation
 /// propagates a single adjoint or, as [`CotangentPack`], several through one linearization.
 pub trait Cotangent<R>:
-    Copy + Debug + Add<Output = Self> + Sub<Output = Self> + Neg<Output = Self> + Mul<R, Output = Self> + AddAssign + SubAssign
+    Copy
+    + Debug
+    + 'static
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Neg<Output = Self>
+    + Mul<R, Output = Self>
+    + AddAssign
+    + SubAssign
 {
     /// Neutral element of addition, the initial value of a sum: −0.0 in every lane, since
     /// `0.0 + -0.0` is `0.0`.
     fn null() -> Self;
+    /// Returns whether all numbers are finite.
+    #[doc(hidden)]
+    fn all_finite(&self) -> bool;
+    /// `self * slope`, but 0 where this product is not finite and one factor is 0.
+    #[doc(hidden)]
+    fn times_or_zero(self, slope: R) -> Self;
 }
 
 impl<R: Real> Cotangent<R> for R {
     #[inline(always)]
     fn null() -> Self {
         R::from(-0.0)
+    }
+    #[inline(always)]
+    fn all_finite(&self) -> bool {
+        self.is_finite()
+    }
+    #[inline(always)]
+    fn times_or_zero(self, slope: R) -> Self {
+        let product = self * slope;
+        let infinity = R::from(f64::INFINITY);
+        // NaN is neither less than infinity nor 0.
+        let unless_zero = |number: R, product: R| {
+            let size = number.abs();
+            R::select_lt(size, infinity, R::select_lt(R::zero(), size, product, R::zero()), product)
+        };
+        R::select_lt(product.abs(), infinity, product, unless_zero(self, unless_zero(slope, product)))
     }
 }
 
@@ -259,6 +302,15 @@ impl<R: Real, const K: usize> Cotangent<R> for CotangentPack<R, K> {
     #[inline(always)]
     fn null() -> Self {
         Self([R::from(-0.0); K])
+    }
+    #[inline(always)]
+    fn all_finite(&self) -> bool {
+        self.0.iter().all(R::is_finite)
+    }
+    #[inline(always)]
+    fn times_or_zero(mut self, slope: R) -> Self {
+        each::<K>(|k| self.0[k] = self.0[k].times_or_zero(slope));
+        self
     }
 }
 

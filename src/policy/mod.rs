@@ -13,6 +13,7 @@
 mod activation;
 mod any;
 mod bounded;
+mod by_act;
 mod conv;
 mod linear;
 mod mlp;
@@ -36,8 +37,10 @@ pub use two_params::{Constant, Quadratic};
 
 use crate::numbers::aligned::Aligned;
 use crate::numbers::forward_mode::{Chunk, jacobian};
+use crate::numbers::reverse_mode::REVERSE_ABOVE;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Lanes, Real, Scalar};
+use by_act::By;
 use smallvec::SmallVec;
 use std::ops::Range;
 
@@ -48,9 +51,9 @@ use std::ops::Range;
 /// start of a rollout.
 ///
 /// Required: the dimensions, [`init`](Policy::init) and [`act`](Policy::act). The batched passes
-/// default to one call of `act` per evaluation, with exact derivatives by dual numbers. A policy
-/// with large layers overrides all of them together; [`check::policy`](crate::check::policy)
-/// compares them with `act`.
+/// default to one call of `act` per evaluation, with exact derivatives: by dual numbers for at most
+/// 16 inputs or parameters, otherwise in reverse mode. A policy with large layers overrides all of
+/// them together; [`check::policy`](crate::check::policy) compares them with `act`.
 ///
 /// # Batched passes
 /// The batched passes are [`sizes`](Policy::sizes), [`pack`](Policy::pack),
@@ -118,17 +121,7 @@ pub trait Policy: Send + Sync {
 
     /// Evaluates the policy in the columns `pass.at`. Stores intermediate values in `tape`.
     fn forward<F: Float>(&self, pass: PolicyPass<F>, _tape: &mut [F], u: &mut [F]) {
-        let (inputs, outputs) = dims(self);
-        let theta: Block<F> = pass.packed.iter().map(|&theta| Real::splat(theta)).collect();
-        let mut block_u = lanes::<F>(outputs);
-        for (t, block) in pass.blocks() {
-            act_on(self, &theta, &gathered(pass.x, inputs, block), t, &mut block_u);
-            for (lane, c) in block.iter().enumerate() {
-                for (u, block_u) in u[c * outputs..][..outputs].iter_mut().zip(&block_u) {
-                    *u = block_u.lane(lane);
-                }
-            }
-        }
+        by_act::forward(self, pass, u);
     }
 
     /// Writes `x_bar = (∂N/∂(y, m))ᵀ u_bar` in the columns `pass.at`, after
@@ -139,6 +132,15 @@ pub trait Policy: Send + Sync {
     fn backward<F: Float>(&self, pass: PolicyPass<F>, _tape: &[F], u_bar: &[F], _tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
         let (inputs, outputs) = dims(self);
         let Some(x_bar) = x_bar else { return };
+        if inputs > REVERSE_ABOVE {
+            return by_act::each_cotangent(self, pass, By::Inputs, u_bar, |block, bars| {
+                for (lane, c) in block.iter().enumerate() {
+                    for (x_bar, bar) in x_bar[c * inputs..][..inputs].iter_mut().zip(bars) {
+                        *x_bar = bar.lane(lane);
+                    }
+                }
+            });
+        }
         let theta: SmallVec<[Chunk<Lanes<F, BLOCK>>; 32]> =
             pass.packed.iter().map(|&theta| Chunk::constant(Real::splat(theta))).collect();
         for (t, block) in pass.blocks() {
@@ -157,6 +159,16 @@ pub trait Policy: Send + Sync {
     /// Sums over the columns `pass.at`, which must be contiguous.
     fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, _scratch: &mut [F], theta_bar: &mut [F]) {
         let (inputs, outputs) = dims(self);
+        if self.param_count() > REVERSE_ABOVE {
+            return by_act::each_cotangent(self, pass, By::Params, record.u_bar, |block, bars| {
+                for (lane, c) in block.iter().enumerate() {
+                    let weight = record.weight.map_or(F::one(), |w| w[c]);
+                    for (theta_bar, bar) in theta_bar.iter_mut().zip(bars) {
+                        *theta_bar += weight * bar.lane(lane);
+                    }
+                }
+            });
+        }
         let theta: Block<F> = pass.packed.iter().map(|&theta| Real::splat(theta)).collect();
         for (t, block) in pass.blocks() {
             let x: SmallVec<[Chunk<Lanes<F, BLOCK>>; 32]> =

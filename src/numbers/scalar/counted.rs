@@ -1,7 +1,8 @@
 //! [`Counted`]: an `f64` that counts its operations.
 
 use super::{Real, Scalar};
-use std::cell::Cell;
+use crate::numbers::tape::Tape;
+use std::cell::{Cell, RefCell};
 use std::fmt;
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
@@ -114,8 +115,9 @@ impl fmt::Display for Ops {
 /// measures them. Constants (`from`), copies, [`detach`](Scalar::detach) and
 /// arithmetic on `f64` parameters are not counted.
 ///
-/// For default VJPs, the counts include the operations on the value and on all four tangents of
-/// each dual number.
+/// For default VJPs in forward mode, the counts include the operations on the value and on all four
+/// tangents of each dual number. In reverse mode, they include the operations on the value, on the
+/// slopes and on the cotangents.
 ///
 /// ```
 /// use physgrad::{Counted, Ops, Scalar};
@@ -243,6 +245,10 @@ impl Scalar for Counted {
     }
 }
 
+thread_local! {
+    static TAPE: RefCell<Tape<Counted>> = const { RefCell::new(Tape::new()) };
+}
+
 impl Real for Counted {
     const LANES: usize = 1;
     #[inline]
@@ -252,5 +258,9 @@ impl Real for Counted {
     #[inline]
     fn set_lane(&mut self, _: usize, value: f64) {
         self.0 = value;
+    }
+    #[inline]
+    fn with_tape<T>(f: impl FnOnce(&mut Tape<Self>) -> T) -> T {
+        TAPE.with_borrow_mut(f)
     }
 }

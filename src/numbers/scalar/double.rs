@@ -1,6 +1,8 @@
 //! `f64` as a [`Scalar`].
 
 use super::{Float, Real, Scalar};
+use crate::numbers::tape::Tape;
+use std::cell::RefCell;
 
 impl Scalar for f64 {
     type Real = Self;
@@ -46,6 +48,10 @@ impl Scalar for f64 {
     }
 }
 
+thread_local! {
+    static TAPE: RefCell<Tape<f64>> = const { RefCell::new(Tape::new()) };
+}
+
 impl Real for f64 {
     const LANES: usize = 1;
     #[inline(always)]
@@ -55,5 +61,9 @@ impl Real for f64 {
     #[inline(always)]
     fn set_lane(&mut self, _: usize, value: Self) {
         *self = value;
+    }
+    #[inline(always)]
+    fn with_tape<T>(f: impl FnOnce(&mut Tape<Self>) -> T) -> T {
+        TAPE.with_borrow_mut(f)
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Checks use the independent dual numbers of the crate num-dual.
 
-use super::Scalar;
+use super::{Over, Scalar};
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
@@ -68,6 +68,13 @@ impl<T: Scalar, const N: usize> Dual<T, N> {
     #[inline(always)]
     fn steep(self, value: T, slope: T) -> Self {
         self.with(value, |tangent| T::select_lt(T::zero(), tangent.abs(), tangent * slope, tangent))
+    }
+}
+
+impl<T: Scalar, const N: usize> Over<T> for Dual<T, N> {
+    #[inline(always)]
+    fn constant(value: T) -> Self {
+        Dual::constant(value)
     }
 }
 

@@ -2,10 +2,12 @@
 
 use crate::numbers::kernels::gemm::{self, Product};
 use crate::numbers::kernels::{SimdLevel, tanh, trig};
+use crate::numbers::tape::Tapes;
 use num_traits::AsPrimitive;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::{Debug, Display};
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
+use std::thread::LocalKey;
 
 /// A floating-point type: `f32` or `f64`.
 pub trait Float:
@@ -82,6 +84,9 @@ pub trait Float:
     fn to_le_bytes(self) -> impl AsRef<[u8]>;
     #[doc(hidden)]
     fn from_le_bytes(bytes: &[u8]) -> Self;
+    /// Tapes of the current thread for lanes of this type.
+    #[doc(hidden)]
+    fn tapes() -> &'static LocalKey<Tapes<Self>>;
 }
 
 macro_rules! float {
@@ -160,6 +165,14 @@ macro_rules! float {
 
             fn from_le_bytes(bytes: &[u8]) -> Self {
                 $float::from_le_bytes(bytes.try_into().expect("the width of the type"))
+            }
+
+            #[inline(always)]
+            fn tapes() -> &'static LocalKey<Tapes<Self>> {
+                thread_local! {
+                    static TAPES: Tapes<$float> = const { Tapes::new() };
+                }
+                &TAPES
             }
         }
     };

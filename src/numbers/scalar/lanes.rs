@@ -2,6 +2,7 @@
 
 use super::{Float, Real, Scalar};
 use crate::numbers::kernels::trig;
+use crate::numbers::tape::Tape;
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
@@ -50,7 +51,7 @@ macro_rules! operator {
 
 // Unrolled by the macro: loops over lanes slow compilation.
 macro_rules! lanes {
-    ($width:literal: $($i:tt)+) => {
+    ($width:literal $tape:ident: $($i:tt)+) => {
         operator!($width, [$($i)+], Add, add, AddAssign, add_assign);
         operator!($width, [$($i)+], Sub, sub, SubAssign, sub_assign);
         operator!($width, [$($i)+], Mul, mul, MulAssign, mul_assign);
@@ -136,10 +137,14 @@ macro_rules! lanes {
             fn set_lane(&mut self, lane: usize, value: F) {
                 self.0[lane] = value;
             }
+            #[inline(always)]
+            fn with_tape<T>(f: impl FnOnce(&mut Tape<Self>) -> T) -> T {
+                F::tapes().with(|tapes| f(&mut tapes.$tape.borrow_mut()))
+            }
         }
     };
 }
-lanes!(1: 0);
-lanes!(2: 0 1);
-lanes!(4: 0 1 2 3);
-lanes!(8: 0 1 2 3 4 5 6 7);
+lanes!(1 one: 0);
+lanes!(2 two: 0 1);
+lanes!(4 four: 0 1 2 3);
+lanes!(8 eight: 0 1 2 3 4 5 6 7);

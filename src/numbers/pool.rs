@@ -1,0 +1,42 @@
+//! [`lend`]: buffers of the current thread, kept between calls.
+//!
+//! Derivatives of large systems need buffers whose sizes are known only after a first evaluation.
+//! A buffer keeps its capacity, so only the first call allocates.
+
+use std::any::Any;
+use std::cell::RefCell;
+
+thread_local! {
+    static POOL: RefCell<Vec<Box<dyn Any>>> = const { RefCell::new(Vec::new()) };
+}
+
+/// Calls `work` with a value of the type `T` that belongs to the current thread.
+///
+/// The value is the default in a first call. Later calls receive it as an earlier call left it.
+/// Nested calls receive different values.
+pub(crate) fn lend<T: Default + 'static, Out>(work: impl FnOnce(&mut T) -> Out) -> Out {
+    let mut value: Box<T> = POOL.with_borrow_mut(|pool| {
+        let found = pool.iter().position(|value| value.is::<T>());
+        found.map_or_else(Box::default, |i| pool.swap_remove(i).downcast().expect("the type was compared"))
+    });
+    let result = work(&mut value);
+    POOL.with_borrow_mut(|pool| pool.push(value));
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_kept_by_type_and_nested_calls_get_others() {
+        lend(|outer: &mut Vec<u8>| {
+            outer.push(1);
+            lend(|inner: &mut Vec<u8>| assert!(inner.is_empty()));
+            lend(|other: &mut Vec<u16>| assert!(other.is_empty()));
+        });
+        let mut lengths = lend(|a: &mut Vec<u8>| lend(|b: &mut Vec<u8>| [a.len(), b.len()]));
+        lengths.sort_unstable();
+        assert_eq!(lengths, [0, 1]);
+    }
+}

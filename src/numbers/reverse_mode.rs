@@ -1,0 +1,102 @@
+//! Reverse-mode Jacobian products by a tape, used by the defaults of large functions.
+
+use crate::numbers::kernels::{Vectorized, dispatch_lanes};
+use crate::numbers::pool::lend;
+use crate::numbers::scalar::{Cotangent, Over, Real, Reverse};
+use crate::numbers::tape::Tape;
+use crate::numbers::zip::zip;
+use std::mem::swap;
+
+/// Number of inputs above which default derivatives use reverse mode. Forward mode evaluates the
+/// function once per four inputs, reverse mode once.
+///
+/// `docs/performance.md` compares both. Forward mode needs no heap up to this number.
+pub(crate) const REVERSE_ABOVE: usize = 16;
+
+/// Recorded evaluation of a function. Its buffers are reused.
+#[derive(Debug)]
+pub(crate) struct Recording<R> {
+    inputs: Vec<Reverse<R>>,
+    outputs: Vec<Reverse<R>>,
+    tape: Tape<R>,
+}
+
+impl<R> Default for Recording<R> {
+    fn default() -> Self {
+        Self { inputs: Vec::new(), outputs: Vec::new(), tape: Tape::new() }
+    }
+}
+
+impl<R: Real> Recording<R> {
+    /// Evaluates `f(inputs, outputs)` and records it. Each input comes with whether its cotangent
+    /// is requested.
+    #[inline(always)]
+    pub(crate) fn record(
+        &mut self,
+        inputs: impl Iterator<Item = (R, bool)>,
+        outputs: usize,
+        f: impl FnOnce(&[Reverse<R>], &mut [Reverse<R>]),
+    ) {
+        let mut variables = 0;
+        self.inputs.clear();
+        self.inputs.extend(inputs.map(|(value, requested)| {
+            if !requested {
+                return Reverse::constant(value);
+            }
+            variables += 1;
+            Reverse::variable(value, variables - 1)
+        }));
+        self.outputs.clear();
+        self.outputs.resize(outputs, Reverse::constant(R::zero()));
+        self.tape.reset(variables);
+        // An evaluation within `f` swaps in a tape of its own.
+        R::with_tape(|active| swap(active, &mut self.tape));
+        f(&self.inputs, &mut self.outputs);
+        R::with_tape(|active| swap(active, &mut self.tape));
+    }
+
+    /// Calls `finish` with the cotangents of the requested inputs, in order, for given cotangents of
+    /// the outputs.
+    #[inline(never)]
+    pub(crate) fn pull<C: Cotangent<R>>(&self, output_bars: &[C], finish: impl FnOnce(&[C])) {
+        struct Sweep<'a, R, C> {
+            tape: &'a Tape<R>,
+            bars: &'a mut [C],
+            guarded: bool,
+        }
+        impl<R: Real, C: Cotangent<R>> Vectorized for Sweep<'_, R, C> {
+            #[inline(always)]
+            fn run<const FMA: bool>(self) {
+                match self.guarded {
+                    false => self.tape.sweep(self.bars, |bar, slope| bar * slope),
+                    true => self.tape.sweep(self.bars, |bar, slope| bar.times_or_zero(slope)),
+                }
+            }
+        }
+        let variables = self.tape.inputs();
+        lend(|bars: &mut Vec<C>| {
+            let mut sweep = |guarded: bool| {
+                bars.clear();
+                bars.resize(self.tape.numbers(), C::null());
+                for (output, &bar) in zip(&self.outputs, output_bars) {
+                    if let Some(i) = output.index() {
+                        bars[i] += bar;
+                    }
+                }
+                let work = Sweep { tape: &self.tape, bars: bars.as_mut_slice(), guarded };
+                if R::VECTORIZED {
+                    dispatch_lanes(work)
+                } else {
+                    work.run::<false>()
+                }
+                bars[..variables].iter().all(C::all_finite)
+            };
+            // A path of derivative 0 through an infinite slope is 0, as in forward mode. Lanes with
+            // finite cotangents have the same bits in both sweeps.
+            if !sweep(false) {
+                sweep(true);
+            }
+            finish(&bars[..variables]);
+        });
+    }
+}

@@ -1,0 +1,247 @@
+//! [`Reverse`]: reverse-mode differentiation over any real scalar, by a tape.
+
+use super::{Over, Real, Scalar};
+use std::iter::Sum;
+use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
+
+/// Index of a number that does not depend on a variable.
+const CONSTANT: u32 = u32::MAX;
+
+/// A value and its index on the tape of the current thread ([`Real::with_tape`]).
+///
+/// Values are bit-identical to those of the scalar `R`. Operations on constants have no entry. A
+/// number plus a constant has the cotangent of the number, and therefore its index.
+///
+/// Slopes are those of [`Dual`](super::Dual).
+#[derive(Clone, Copy, Debug)]
+pub struct Reverse<R> {
+    value: R,
+    index: u32,
+}
+
+impl<R: Real> Reverse<R> {
+    /// The variable `index` of the recorded function.
+    #[inline(always)]
+    pub(crate) fn variable(value: R, index: usize) -> Self {
+        Self { value, index: index as u32 }
+    }
+
+    /// Index on the tape; `None` for a constant.
+    #[inline(always)]
+    pub(crate) fn index(&self) -> Option<usize> {
+        (!self.is_constant()).then_some(self.index as usize)
+    }
+
+    #[inline(always)]
+    fn is_constant(&self) -> bool {
+        self.index == CONSTANT
+    }
+
+    /// Result of a function of one number.
+    #[inline(always)]
+    fn one(self, value: R, slope: R) -> Self {
+        if self.is_constant() {
+            return Self::constant(value);
+        }
+        Self { value, index: R::with_tape(|tape| tape.one(self.index, slope)) }
+    }
+
+    /// Result of a function of two numbers.
+    #[inline(always)]
+    fn two(self, other: Self, value: R, slopes: [R; 2]) -> Self {
+        if other.is_constant() {
+            return self.one(value, slopes[0]);
+        }
+        if self.is_constant() {
+            return other.one(value, slopes[1]);
+        }
+        Self { value, index: R::with_tape(|tape| tape.two([self.index, other.index], slopes)) }
+    }
+}
+
+impl<R: Real> Over<R> for Reverse<R> {
+    #[inline(always)]
+    fn constant(value: R) -> Self {
+        Self { value, index: CONSTANT }
+    }
+}
+
+impl<R: Real> Add for Reverse<R> {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        let value = self.value + other.value;
+        if other.is_constant() {
+            return Self { value, ..self };
+        }
+        if self.is_constant() {
+            return Self { value, ..other };
+        }
+        Self { value, index: R::with_tape(|tape| tape.sum([self.index, other.index])) }
+    }
+}
+
+impl<R: Real> Sub for Reverse<R> {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        let value = self.value - other.value;
+        if other.is_constant() {
+            return Self { value, ..self };
+        }
+        if self.is_constant() {
+            return other.one(value, R::from(-1.0));
+        }
+        Self { value, index: R::with_tape(|tape| tape.difference([self.index, other.index])) }
+    }
+}
+
+impl<R: Real> Mul for Reverse<R> {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        self.two(other, self.value * other.value, [other.value, self.value])
+    }
+}
+
+impl<R: Real> Div for Reverse<R> {
+    type Output = Self;
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        let (value, inverse) = (self.value / other.value, R::one() / other.value);
+        self.two(other, value, [inverse, -(value * inverse)])
+    }
+}
+
+impl<R: Real> Neg for Reverse<R> {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        self.one(-self.value, R::from(-1.0))
+    }
+}
+
+impl<R: Real> From<f64> for Reverse<R> {
+    #[inline(always)]
+    fn from(value: f64) -> Self {
+        Self::constant(R::from(value))
+    }
+}
+
+impl<R: Real> Sum for Reverse<R> {
+    #[inline(always)]
+    fn sum<I: Iterator<Item = Self>>(values: I) -> Self {
+        values.fold(Self::from(-0.0), |sum, value| sum + value)
+    }
+}
+
+impl<R: Real> Add<f64> for Reverse<R> {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: f64) -> Self {
+        Self { value: self.value + other, ..self }
+    }
+}
+
+impl<R: Real> Sub<f64> for Reverse<R> {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: f64) -> Self {
+        Self { value: self.value - other, ..self }
+    }
+}
+
+impl<R: Real> Mul<f64> for Reverse<R> {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, other: f64) -> Self {
+        self.one(self.value * other, R::from(other))
+    }
+}
+
+impl<R: Real> Div<f64> for Reverse<R> {
+    type Output = Self;
+    #[inline(always)]
+    fn div(self, other: f64) -> Self {
+        self.one(self.value / other, R::from(1.0 / other))
+    }
+}
+
+macro_rules! assign {
+    ($($trait:ident $method:ident $operator:tt),+) => {$(
+        impl<R: Real> $trait for Reverse<R> {
+            #[inline(always)]
+            fn $method(&mut self, other: Self) {
+                *self = *self $operator other;
+            }
+        }
+        impl<R: Real> $trait<f64> for Reverse<R> {
+            #[inline(always)]
+            fn $method(&mut self, other: f64) {
+                *self = *self $operator other;
+            }
+        }
+    )+};
+}
+assign!(AddAssign add_assign +, SubAssign sub_assign -, MulAssign mul_assign *, DivAssign div_assign /);
+
+impl<R: Real> Scalar for Reverse<R> {
+    type Real = R::Real;
+
+    #[inline(always)]
+    fn detach(self) -> Self {
+        Self::constant(self.value)
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        let root = self.value.sqrt();
+        self.one(root, R::from(0.5) / root)
+    }
+
+    #[inline(always)]
+    fn exp(self) -> Self {
+        let e = self.value.exp();
+        self.one(e, e)
+    }
+
+    #[inline(always)]
+    fn ln(self) -> Self {
+        self.one(self.value.ln(), R::one() / self.value)
+    }
+
+    #[inline(always)]
+    fn sin_cos(self) -> (Self, Self) {
+        let (sin, cos) = self.value.sin_cos();
+        (self.one(sin, cos), self.one(cos, -sin))
+    }
+
+    #[inline(always)]
+    fn tanh(self) -> Self {
+        let t = self.value.tanh();
+        self.one(t, R::one() - t * t)
+    }
+
+    #[inline(always)]
+    fn atan2(self, x: Self) -> Self {
+        let square = self.value * self.value + x.value * x.value;
+        self.two(x, self.value.atan2(x.value), [x.value / square, -(self.value / square)])
+    }
+
+    #[inline(always)]
+    fn abs(self) -> Self {
+        self.one(self.value.abs(), R::select_lt(self.value, R::zero(), R::from(-1.0), R::one()))
+    }
+
+    #[inline(always)]
+    fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
+        let select = |yes, no| R::select_lt(a.value, b.value, yes, no);
+        let slopes = [select(R::one(), R::zero()), select(R::zero(), R::one())];
+        yes.two(no, select(yes.value, no.value), slopes)
+    }
+
+    #[inline(always)]
+    fn any_lt(a: Self, b: Self) -> bool {
+        R::any_lt(a.value, b.value)
+    }
+}

@@ -1,0 +1,152 @@
+//! [`Tape`]: the operations of one evaluation in the order of their execution, for reverse mode.
+//!
+//! [`Reverse`](crate::numbers::scalar::Reverse) appends to the tape of the current thread. An entry
+//! refers to numbers of the evaluation by index: inputs first, then the results of the entries.
+
+use crate::numbers::scalar::{Cotangent, Lanes, Real};
+use std::cell::RefCell;
+
+/// Derivative of the result of an entry by the numbers that it depends on.
+#[derive(Clone, Copy, Debug)]
+enum Rule {
+    /// `a + b`.
+    Sum,
+    /// `a - b`.
+    Difference,
+    /// One slope: by `a`.
+    One,
+    /// Two slopes: by `a` and by `b`.
+    Two,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Entry {
+    rule: Rule,
+    /// Indices of `a` and `b`. Equal if the rule has only `a`.
+    of: [u32; 2],
+}
+
+/// Operations of one evaluation. Only operations on variables have an entry.
+#[derive(Debug)]
+pub struct Tape<R> {
+    inputs: usize,
+    entries: Vec<Entry>,
+    /// Slopes of all entries, in order. A separate list, since sums have none.
+    slopes: Vec<R>,
+}
+
+impl<R> Default for Tape<R> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<R> Tape<R> {
+    pub(crate) const fn new() -> Self {
+        Self { inputs: 0, entries: Vec::new(), slopes: Vec::new() }
+    }
+
+    /// Removes all entries, for an evaluation with `inputs` variables.
+    pub(crate) fn reset(&mut self, inputs: usize) {
+        self.inputs = inputs;
+        self.entries.clear();
+        self.slopes.clear();
+    }
+
+    /// Number of variables.
+    pub(crate) fn inputs(&self) -> usize {
+        self.inputs
+    }
+
+    /// Number of variables and results, the length of the cotangents of [`sweep`](Tape::sweep).
+    pub(crate) fn numbers(&self) -> usize {
+        self.inputs + self.entries.len()
+    }
+
+    /// Appends an entry. Returns the index of its result.
+    ///
+    /// Indices have 32 bits. An evaluation of 2^32 operations exceeds the memory before.
+    #[inline(always)]
+    fn push(&mut self, rule: Rule, of: [u32; 2]) -> u32 {
+        let index = self.numbers() as u32;
+        self.entries.push(Entry { rule, of });
+        index
+    }
+
+    /// Appends `a + b`.
+    #[inline(always)]
+    pub(crate) fn sum(&mut self, of: [u32; 2]) -> u32 {
+        self.push(Rule::Sum, of)
+    }
+
+    /// Appends `a - b`.
+    #[inline(always)]
+    pub(crate) fn difference(&mut self, of: [u32; 2]) -> u32 {
+        self.push(Rule::Difference, of)
+    }
+
+    /// Appends a function of one number with the given derivative.
+    #[inline(always)]
+    pub(crate) fn one(&mut self, of: u32, slope: R) -> u32 {
+        self.slopes.push(slope);
+        self.push(Rule::One, [of; 2])
+    }
+
+    /// Appends a function of two numbers with the given derivatives.
+    #[inline(always)]
+    pub(crate) fn two(&mut self, of: [u32; 2], [a, b]: [R; 2]) -> u32 {
+        self.slopes.push(a);
+        self.slopes.push(b);
+        self.push(Rule::Two, of)
+    }
+}
+
+impl<R: Real> Tape<R> {
+    /// Propagates the cotangents of all results to the variables, in reverse order.
+    ///
+    /// `times(bar, slope)` is the product of a cotangent and a slope.
+    #[inline(always)]
+    pub(crate) fn sweep<C: Cotangent<R>>(&self, bars: &mut [C], times: impl Fn(C, R) -> C) {
+        let mut slopes = self.slopes.iter().rev();
+        let mut slope = || *slopes.next().expect("a slope for each of an entry");
+        for (i, entry) in self.entries.iter().enumerate().rev() {
+            let bar = bars[self.inputs + i];
+            let [a, b] = entry.of.map(|of| of as usize);
+            match entry.rule {
+                Rule::Sum => {
+                    bars[a] += bar;
+                    bars[b] += bar;
+                }
+                Rule::Difference => {
+                    bars[a] += bar;
+                    bars[b] -= bar;
+                }
+                Rule::One => bars[a] += times(bar, slope()),
+                Rule::Two => {
+                    bars[b] += times(bar, slope());
+                    bars[a] += times(bar, slope());
+                }
+            }
+        }
+    }
+}
+
+/// Tapes of one thread for lanes of `F`, by number of lanes.
+#[derive(Debug)]
+pub struct Tapes<F> {
+    pub(crate) one: RefCell<Tape<Lanes<F, 1>>>,
+    pub(crate) two: RefCell<Tape<Lanes<F, 2>>>,
+    pub(crate) four: RefCell<Tape<Lanes<F, 4>>>,
+    pub(crate) eight: RefCell<Tape<Lanes<F, 8>>>,
+}
+
+impl<F> Tapes<F> {
+    pub(crate) const fn new() -> Self {
+        Self {
+            one: RefCell::new(Tape::new()),
+            two: RefCell::new(Tape::new()),
+            four: RefCell::new(Tape::new()),
+            eight: RefCell::new(Tape::new()),
+        }
+    }
+}
