@@ -34,6 +34,7 @@ pub fn ratio(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// Policy with zero control and without arithmetic, so that the policy takes almost no time.
+#[allow(dead_code, reason = "not all benchmarks use it")]
 pub struct Nothing {
     pub state_dim: usize,
     pub control_dim: usize,

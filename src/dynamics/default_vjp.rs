@@ -141,8 +141,11 @@ fn record<R: Real, const N: usize>(
         fn run<const FMA: bool>(self) {
             let Self { function, inputs, requested, outputs, recording } = self;
             let lengths = inputs.map(<[R]>::len);
-            let all = zip(inputs, requested).flat_map(|(inputs, requested)| inputs.iter().map(move |&input| (input, requested)));
-            recording.record(all, outputs, |all, outputs| function.eval(split(all, lengths), outputs));
+            recording.clear();
+            for (inputs, requested) in zip(inputs, requested) {
+                recording.extend(inputs.iter().copied(), requested);
+            }
+            recording.record(outputs, |all, outputs| function.eval(split(all, lengths), outputs));
         }
     }
     outline::outline::<R>(Work { function, inputs, requested, outputs, recording });

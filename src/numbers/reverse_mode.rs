@@ -23,36 +23,35 @@ pub(crate) struct Recording<R> {
 
 impl<R> Default for Recording<R> {
     fn default() -> Self {
-        Self { inputs: Vec::new(), outputs: Vec::new(), tape: Tape::new() }
+        Self { inputs: Vec::new(), outputs: Vec::new(), tape: Tape::default() }
     }
 }
 
 impl<R: Real> Recording<R> {
-    /// Evaluates `f(inputs, outputs)` and records it. Each input comes with whether its cotangent
-    /// is requested.
+    /// Removes all inputs.
     #[inline(always)]
-    pub(crate) fn record(
-        &mut self,
-        inputs: impl Iterator<Item = (R, bool)>,
-        outputs: usize,
-        f: impl FnOnce(&[Reverse<R>], &mut [Reverse<R>]),
-    ) {
-        let mut variables = 0;
+    pub(crate) fn clear(&mut self) {
         self.inputs.clear();
-        self.inputs.extend(inputs.map(|(value, requested)| {
-            if !requested {
-                return Reverse::constant(value);
-            }
-            variables += 1;
-            Reverse::variable(value, variables - 1)
-        }));
+        self.tape.reset();
+    }
+
+    /// Appends inputs. Cotangents are computed of `requested` ones.
+    #[inline(always)]
+    pub(crate) fn extend(&mut self, inputs: impl Iterator<Item = R>, requested: bool) {
+        for value in inputs {
+            self.inputs.push(if requested { Reverse::variable(value, self.tape.variable()) } else { Reverse::constant(value) });
+        }
+    }
+
+    /// Evaluates `f(inputs, outputs)` and records it.
+    #[inline(always)]
+    pub(crate) fn record(&mut self, outputs: usize, f: impl FnOnce(&[Reverse<R>], &mut [Reverse<R>])) {
         self.outputs.clear();
         self.outputs.resize(outputs, Reverse::constant(R::zero()));
-        self.tape.reset(variables);
         // An evaluation within `f` swaps in a tape of its own.
-        R::with_tape(|active| swap(active, &mut self.tape));
+        swap(&mut *R::tape().borrow_mut(), &mut self.tape);
         f(&self.inputs, &mut self.outputs);
-        R::with_tape(|active| swap(active, &mut self.tape));
+        swap(&mut *R::tape().borrow_mut(), &mut self.tape);
     }
 
     /// Calls `finish` with the cotangents of the requested inputs, in order, for given cotangents of

@@ -29,6 +29,7 @@ pub(crate) use reverse::Reverse;
 
 use crate::numbers::tape::Tape;
 
+use std::cell::RefCell;
 use std::fmt::Debug;
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
@@ -220,9 +221,9 @@ pub trait Real: Scalar {
         }
         all
     }
-    /// Calls `f` with the tape of the current thread for this type.
+    /// Active tape of the current thread for this type.
     #[doc(hidden)]
-    fn with_tape<T>(f: impl FnOnce(&mut Tape<Self>) -> T) -> T;
+    fn tape() -> &'static RefCell<Tape<Self>>;
 }
 
 /// A [`Scalar`] with derivatives, over the scalar `R`.

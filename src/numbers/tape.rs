@@ -37,18 +37,21 @@ pub struct Tape<R> {
 
 impl<R> Default for Tape<R> {
     fn default() -> Self {
-        Self::new()
+        Self { inputs: 0, entries: Vec::new(), slopes: Vec::new() }
     }
 }
 
 impl<R> Tape<R> {
-    pub(crate) const fn new() -> Self {
-        Self { inputs: 0, entries: Vec::new(), slopes: Vec::new() }
+    /// Appends a variable, before all entries. Returns its index.
+    #[inline(always)]
+    pub(crate) fn variable(&mut self) -> usize {
+        self.inputs += 1;
+        self.inputs - 1
     }
 
-    /// Removes all entries, for an evaluation with `inputs` variables.
-    pub(crate) fn reset(&mut self, inputs: usize) {
-        self.inputs = inputs;
+    /// Removes all variables and entries.
+    pub(crate) fn reset(&mut self) {
+        self.inputs = 0;
         self.entries.clear();
         self.slopes.clear();
     }
@@ -111,7 +114,8 @@ impl<R: Real> Tape<R> {
         let mut slope = || *slopes.next().expect("a slope for each of an entry");
         for (i, entry) in self.entries.iter().enumerate().rev() {
             let bar = bars[self.inputs + i];
-            let [a, b] = entry.of.map(|of| of as usize);
+            let [a, b] = entry.of;
+            let (a, b) = (a as usize, b as usize);
             match entry.rule {
                 Rule::Sum => {
                     bars[a] += bar;
@@ -131,7 +135,7 @@ impl<R: Real> Tape<R> {
     }
 }
 
-/// Tapes of one thread for lanes of `F`, by number of lanes.
+/// Active tapes of one thread for lanes of `F`, by number of lanes.
 #[derive(Debug)]
 pub struct Tapes<F> {
     pub(crate) one: RefCell<Tape<Lanes<F, 1>>>,
@@ -140,13 +144,17 @@ pub struct Tapes<F> {
     pub(crate) eight: RefCell<Tape<Lanes<F, 8>>>,
 }
 
-impl<F> Tapes<F> {
-    pub(crate) const fn new() -> Self {
-        Self {
-            one: RefCell::new(Tape::new()),
-            two: RefCell::new(Tape::new()),
-            four: RefCell::new(Tape::new()),
-            eight: RefCell::new(Tape::new()),
-        }
+// Not derived, since `F` needs no default.
+impl<F> Default for Tapes<F> {
+    fn default() -> Self {
+        Self { one: RefCell::default(), two: RefCell::default(), four: RefCell::default(), eight: RefCell::default() }
     }
+}
+
+/// Place of the active tape of a thread, `T` = `RefCell<Tape<R>>` or [`Tapes`]. Never freed: a
+/// reference without destructor is faster to read in every operation.
+///
+/// The place is small. A tape is in it only while a function is recorded.
+pub(crate) fn place<T: Default>() -> &'static T {
+    Box::leak(Box::default())
 }

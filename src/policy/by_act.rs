@@ -103,9 +103,10 @@ impl<P: Policy + ?Sized, F: Float> Vectorized for Recorded<'_, P, F> {
     fn run<const FMA: bool>(self) {
         let Self { policy, pass, by, t, block, recording } = self;
         let (inputs, outputs) = dims(policy);
-        let theta = splat(pass.packed).map(|theta| (theta, by == By::Params));
-        let x = gathered(pass.x, inputs, block).map(|x| (x, by == By::Inputs));
-        recording.record(theta.chain(x), outputs, |all, u| {
+        recording.clear();
+        recording.extend(splat(pass.packed), by == By::Params);
+        recording.extend(gathered(pass.x, inputs, block), by == By::Inputs);
+        recording.record(outputs, |all, u| {
             let (theta, x) = all.split_at(pass.packed.len());
             act_on(policy, theta, x, t, u);
         });

@@ -52,7 +52,7 @@ use std::ops::Range;
 ///
 /// Required: the dimensions, [`init`](Policy::init) and [`act`](Policy::act). The batched passes
 /// default to one call of `act` per evaluation, with exact derivatives: by dual numbers for at most
-/// 16 inputs or parameters, otherwise in reverse mode. A policy with large layers overrides all of
+/// 16 observations, memories and parameters together, otherwise in reverse mode. A policy with large layers overrides all of
 /// them together; [`check::policy`](crate::check::policy) compares them with `act`.
 ///
 /// # Batched passes
@@ -132,7 +132,7 @@ pub trait Policy: Send + Sync {
     fn backward<F: Float>(&self, pass: PolicyPass<F>, _tape: &[F], u_bar: &[F], _tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
         let (inputs, outputs) = dims(self);
         let Some(x_bar) = x_bar else { return };
-        if inputs > REVERSE_ABOVE {
+        if in_reverse(self) {
             return by_act::each_cotangent(self, pass, By::Inputs, u_bar, |block, bars| {
                 for (lane, c) in block.iter().enumerate() {
                     for (x_bar, bar) in x_bar[c * inputs..][..inputs].iter_mut().zip(bars) {
@@ -159,7 +159,7 @@ pub trait Policy: Send + Sync {
     /// Sums over the columns `pass.at`, which must be contiguous.
     fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, _scratch: &mut [F], theta_bar: &mut [F]) {
         let (inputs, outputs) = dims(self);
-        if self.param_count() > REVERSE_ABOVE {
+        if in_reverse(self) {
             return by_act::each_cotangent(self, pass, By::Params, record.u_bar, |block, bars| {
                 for (lane, c) in block.iter().enumerate() {
                     let weight = record.weight.map_or(F::one(), |w| w[c]);
@@ -215,6 +215,11 @@ pub(crate) fn act_on<P: Policy + ?Sized, T: Scalar>(policy: &P, theta: &[T], x: 
 fn dims<P: Policy + ?Sized>(policy: &P) -> (usize, usize) {
     let memory = policy.memory_dim();
     (policy.observation_dim() + memory, policy.control_dim() + memory)
+}
+
+/// Returns whether [`Policy::act`] has so many inputs that defaults use reverse mode.
+fn in_reverse<P: Policy + ?Sized>(policy: &P) -> bool {
+    dims(policy).0 + policy.param_count() > REVERSE_ABOVE
 }
 
 /// One number per input, output or parameter, for [`BLOCK`] columns.

@@ -1,7 +1,7 @@
 //! [`Counted`]: an `f64` that counts its operations.
 
 use super::{Real, Scalar};
-use crate::numbers::tape::Tape;
+use crate::numbers::tape::{Tape, place};
 use std::cell::{Cell, RefCell};
 use std::fmt;
 use std::iter::Sum;
@@ -246,7 +246,7 @@ impl Scalar for Counted {
 }
 
 thread_local! {
-    static TAPE: RefCell<Tape<Counted>> = const { RefCell::new(Tape::new()) };
+    static TAPE: &'static RefCell<Tape<Counted>> = place();
 }
 
 impl Real for Counted {
@@ -260,7 +260,7 @@ impl Real for Counted {
         self.0 = value;
     }
     #[inline]
-    fn with_tape<T>(f: impl FnOnce(&mut Tape<Self>) -> T) -> T {
-        TAPE.with_borrow_mut(f)
+    fn tape() -> &'static RefCell<Tape<Self>> {
+        TAPE.with(|tape| *tape)
     }
 }

@@ -1,7 +1,7 @@
 //! `f64` as a [`Scalar`].
 
 use super::{Float, Real, Scalar};
-use crate::numbers::tape::Tape;
+use crate::numbers::tape::{Tape, place};
 use std::cell::RefCell;
 
 impl Scalar for f64 {
@@ -49,7 +49,7 @@ impl Scalar for f64 {
 }
 
 thread_local! {
-    static TAPE: RefCell<Tape<f64>> = const { RefCell::new(Tape::new()) };
+    static TAPE: &'static RefCell<Tape<f64>> = place();
 }
 
 impl Real for f64 {
@@ -63,7 +63,7 @@ impl Real for f64 {
         *self = value;
     }
     #[inline(always)]
-    fn with_tape<T>(f: impl FnOnce(&mut Tape<Self>) -> T) -> T {
-        TAPE.with_borrow_mut(f)
+    fn tape() -> &'static RefCell<Tape<Self>> {
+        TAPE.with(|tape| *tape)
     }
 }

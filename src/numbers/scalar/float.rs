@@ -2,12 +2,11 @@
 
 use crate::numbers::kernels::gemm::{self, Product};
 use crate::numbers::kernels::{SimdLevel, tanh, trig};
-use crate::numbers::tape::Tapes;
+use crate::numbers::tape::{Tapes, place};
 use num_traits::AsPrimitive;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::{Debug, Display};
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
-use std::thread::LocalKey;
 
 /// A floating-point type: `f32` or `f64`.
 pub trait Float:
@@ -86,7 +85,7 @@ pub trait Float:
     fn from_le_bytes(bytes: &[u8]) -> Self;
     /// Tapes of the current thread for lanes of this type.
     #[doc(hidden)]
-    fn tapes() -> &'static LocalKey<Tapes<Self>>;
+    fn tapes() -> &'static Tapes<Self>;
 }
 
 macro_rules! float {
@@ -168,11 +167,11 @@ macro_rules! float {
             }
 
             #[inline(always)]
-            fn tapes() -> &'static LocalKey<Tapes<Self>> {
+            fn tapes() -> &'static Tapes<Self> {
                 thread_local! {
-                    static TAPES: Tapes<$float> = const { Tapes::new() };
+                    static TAPES: &'static Tapes<$float> = place();
                 }
-                &TAPES
+                TAPES.with(|tapes| *tapes)
             }
         }
     };

@@ -3,6 +3,7 @@
 use super::{Float, Real, Scalar};
 use crate::numbers::kernels::trig;
 use crate::numbers::tape::Tape;
+use std::cell::RefCell;
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
@@ -138,8 +139,12 @@ macro_rules! lanes {
                 self.0[lane] = value;
             }
             #[inline(always)]
-            fn with_tape<T>(f: impl FnOnce(&mut Tape<Self>) -> T) -> T {
-                F::tapes().with(|tapes| f(&mut tapes.$tape.borrow_mut()))
+            fn is_finite(&self) -> bool {
+                $(Float::abs(self.0[$i]) <= F::lift(F::MAX))&&+
+            }
+            #[inline(always)]
+            fn tape() -> &'static RefCell<Tape<Self>> {
+                &F::tapes().$tape
             }
         }
     };

@@ -7,7 +7,7 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 /// Index of a number that does not depend on a variable.
 const CONSTANT: u32 = u32::MAX;
 
-/// A value and its index on the tape of the current thread ([`Real::with_tape`]).
+/// A value and its index on the tape of the current thread ([`Real::tape`]).
 ///
 /// Values are bit-identical to those of the scalar `R`. Operations on constants have no entry. A
 /// number plus a constant has the cotangent of the number, and therefore its index.
@@ -43,7 +43,7 @@ impl<R: Real> Reverse<R> {
         if self.is_constant() {
             return Self::constant(value);
         }
-        Self { value, index: R::with_tape(|tape| tape.one(self.index, slope)) }
+        Self { value, index: R::tape().borrow_mut().one(self.index, slope) }
     }
 
     /// Result of a function of two numbers.
@@ -55,7 +55,7 @@ impl<R: Real> Reverse<R> {
         if self.is_constant() {
             return other.one(value, slopes[1]);
         }
-        Self { value, index: R::with_tape(|tape| tape.two([self.index, other.index], slopes)) }
+        Self { value, index: R::tape().borrow_mut().two([self.index, other.index], slopes) }
     }
 }
 
@@ -77,7 +77,7 @@ impl<R: Real> Add for Reverse<R> {
         if self.is_constant() {
             return Self { value, ..other };
         }
-        Self { value, index: R::with_tape(|tape| tape.sum([self.index, other.index])) }
+        Self { value, index: R::tape().borrow_mut().sum([self.index, other.index]) }
     }
 }
 
@@ -92,7 +92,7 @@ impl<R: Real> Sub for Reverse<R> {
         if self.is_constant() {
             return other.one(value, R::from(-1.0));
         }
-        Self { value, index: R::with_tape(|tape| tape.difference([self.index, other.index])) }
+        Self { value, index: R::tape().borrow_mut().difference([self.index, other.index]) }
     }
 }
 
