@@ -1,6 +1,7 @@
 //! Benchmark of default derivatives against analytic and batched ones.
 //!
-//! Usage: `cargo bench --bench defaults`, or with `-- --quick`. Jobs alternate within each round;
+//! Usage: `cargo bench --bench defaults`, or with `-- products`, `-- trainings`, `-- policies` for one
+//! part. Jobs alternate within each round;
 //! ratios are medians of the ratios per round.
 
 mod measure;
@@ -245,12 +246,20 @@ impl Task for Small {
 }
 
 fn main() {
-    let rounds = if std::env::args().any(|a| a == "--quick") { 5 } else { 30 };
-    products(rounds);
-    trainings::<f32>(rounds);
-    trainings::<f64>(rounds);
-    policies::<f32>(rounds);
-    policies::<f64>(rounds);
+    let args = || std::env::args().skip(1);
+    let rounds = if args().any(|arg| arg == "--quick") { 5 } else { 30 };
+    let wanted = |part: &str| args().all(|arg| arg.starts_with('-')) || args().any(|arg| arg == part);
+    if wanted("products") {
+        products(rounds);
+    }
+    if wanted("trainings") {
+        trainings::<f32>(rounds);
+        trainings::<f64>(rounds);
+    }
+    if wanted("policies") {
+        policies::<f32>(rounds);
+        policies::<f64>(rounds);
+    }
 }
 
 /// Transposed Jacobian product of a rod by dual numbers with four tangents.

@@ -4,7 +4,8 @@
 //! refers to numbers of the evaluation by index: inputs first, then the results of the entries.
 
 use crate::numbers::scalar::{Cotangent, Lanes, Real};
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
+use std::thread::LocalKey;
 
 /// Derivative of the result of an entry by the numbers that it depends on.
 #[derive(Clone, Copy, Debug)]
@@ -151,10 +152,24 @@ impl<F> Default for Tapes<F> {
     }
 }
 
-/// Place of the active tape of a thread, `T` = `RefCell<Tape<R>>` or [`Tapes`]. Never freed: a
-/// reference without destructor is faster to read in every operation.
+/// Place of the active tape of a thread, `T` = `RefCell<Tape<R>>` or [`Tapes`].
 ///
-/// The place is small. A tape is in it only while a function is recorded.
-pub(crate) fn place<T: Default>() -> &'static T {
-    Box::leak(Box::default())
+/// The place is small and never freed. A reference without destructor is faster to read in every
+/// operation. A tape is in its place only while a function is recorded.
+pub(crate) type Place<T> = Cell<Option<&'static T>>;
+
+/// Returns the content of a place. The first call of a thread creates it.
+#[inline(always)]
+pub(crate) fn content<T: Default>(place: &'static LocalKey<Place<T>>) -> &'static T {
+    #[cold]
+    #[inline(never)]
+    fn create<T: Default>(place: &'static LocalKey<Place<T>>) -> &'static T {
+        let content = Box::leak(Box::<T>::default());
+        place.set(Some(content));
+        content
+    }
+    match place.get() {
+        Some(content) => content,
+        None => create(place),
+    }
 }

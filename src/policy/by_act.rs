@@ -14,7 +14,11 @@ type Lane<F> = Lanes<F, BLOCK>;
 /// Numbers of a block: `n` per column. Unused lanes repeat the last column.
 fn gathered<F: Float>(x: &[F], n: usize, block: PolicyColumns) -> impl Iterator<Item = Lane<F>> {
     let column = move |lane: usize| block.first + lane.min(block.count - 1) * block.step;
-    (0..n).map(move |i| Lanes(std::array::from_fn(|lane| x[column(lane) * n + i])))
+    (0..n).map(move |i| {
+        let mut numbers = Lanes([F::zero(); BLOCK]);
+        (0..BLOCK).for_each(|lane| numbers.set_lane(lane, x[column(lane) * n + i]));
+        numbers
+    })
 }
 
 /// Parameters, equal in all lanes.

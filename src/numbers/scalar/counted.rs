@@ -1,7 +1,7 @@
 //! [`Counted`]: an `f64` that counts its operations.
 
 use super::{Real, Scalar};
-use crate::numbers::tape::{Tape, place};
+use crate::numbers::tape::{Place, Tape, content};
 use std::cell::{Cell, RefCell};
 use std::fmt;
 use std::iter::Sum;
@@ -246,7 +246,7 @@ impl Scalar for Counted {
 }
 
 thread_local! {
-    static TAPE: &'static RefCell<Tape<Counted>> = place();
+    static TAPE: Place<RefCell<Tape<Counted>>> = const { Place::new(None) };
 }
 
 impl Real for Counted {
@@ -261,6 +261,6 @@ impl Real for Counted {
     }
     #[inline]
     fn tape() -> &'static RefCell<Tape<Self>> {
-        TAPE.with(|tape| *tape)
+        content(&TAPE)
     }
 }

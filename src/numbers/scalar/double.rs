@@ -1,7 +1,7 @@
 //! `f64` as a [`Scalar`].
 
 use super::{Float, Real, Scalar};
-use crate::numbers::tape::{Tape, place};
+use crate::numbers::tape::{Place, Tape, content};
 use std::cell::RefCell;
 
 impl Scalar for f64 {
@@ -49,7 +49,7 @@ impl Scalar for f64 {
 }
 
 thread_local! {
-    static TAPE: &'static RefCell<Tape<f64>> = place();
+    static TAPE: Place<RefCell<Tape<f64>>> = const { Place::new(None) };
 }
 
 impl Real for f64 {
@@ -64,6 +64,6 @@ impl Real for f64 {
     }
     #[inline(always)]
     fn tape() -> &'static RefCell<Tape<Self>> {
-        TAPE.with(|tape| *tape)
+        content(&TAPE)
     }
 }

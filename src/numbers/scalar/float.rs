@@ -2,7 +2,7 @@
 
 use crate::numbers::kernels::gemm::{self, Product};
 use crate::numbers::kernels::{SimdLevel, tanh, trig};
-use crate::numbers::tape::{Tapes, place};
+use crate::numbers::tape::{Place, Tapes, content};
 use num_traits::AsPrimitive;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::{Debug, Display};
@@ -169,9 +169,9 @@ macro_rules! float {
             #[inline(always)]
             fn tapes() -> &'static Tapes<Self> {
                 thread_local! {
-                    static TAPES: &'static Tapes<$float> = place();
+                    static TAPES: Place<Tapes<$float>> = const { Place::new(None) };
                 }
-                TAPES.with(|tapes| *tapes)
+                content(&TAPES)
             }
         }
     };
