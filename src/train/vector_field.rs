@@ -141,7 +141,8 @@ pub const ROTATION: f64 = 4.0;
 /// minimum.
 ///
 /// Gradient descent with small steps converges, because `g` always contributes. Adam does not
-/// converge. Near the minimum, Adam divides by ever smaller root mean squares, so steps grow.
+/// converge if the rotation is strong. Near the minimum, Adam divides by ever smaller root mean
+/// squares, so steps grow.
 /// The momentum delays the field by β₁ / (1 - β₁) = 9 iterations. The delayed rotation moves the
 /// iterate outwards, and `g` moves it inwards.
 ///
