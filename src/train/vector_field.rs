@@ -142,9 +142,8 @@ pub const ROTATION: f64 = 4.0;
 ///
 /// Gradient descent with small steps converges, because `g` always contributes. Adam does not
 /// converge if the rotation is strong. Near the minimum, Adam divides by ever smaller root mean
-/// squares, so steps grow.
-/// The momentum delays the field by β₁ / (1 - β₁) = 9 iterations. The delayed rotation moves the
-/// iterate outwards, and `g` moves it inwards.
+/// squares, so steps grow. The momentum delays the field by β₁ / (1 - β₁) = 9 iterations. The
+/// delayed rotation moves the iterate outwards, and `g` moves it inwards.
 ///
 /// Let η be the learning rate over the root mean square. Both motions balance at
 /// `η = 1 / (9 · strength² · curvature)`. Without a rotation, Adam is stable up to

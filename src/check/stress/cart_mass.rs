@@ -18,9 +18,9 @@ pub(super) const CASES: &[Case] = &[Case {
                 derivatives agree with dual numbers to 1e-10. Lighter carts and unphysical masses are typed errors",
     story: "Mass matrices become singular where a light body carries heavy ones, and a solver without pivoting \
                 may continue silently. The poles here are uniform, so the mass of the cart can be eliminated up to \
-                rounding, however small it is. Below 1e-8 kg, the numbers no longer determine the mass of the cart. \
-                Scenes and constructors then return a typed error that names the remedy. Limits: in f32 a chain of \
-                20 poles keeps four digits",
+                rounding, however small it is. For much lighter carts, the rounded total mass no longer determines \
+                the mass of the cart. Scenes and the `check` methods of the systems then return a typed error with a \
+                remedy. Limits: in f32 a chain of 20 poles retains four digits",
     run: cart_mass,
 }];
 

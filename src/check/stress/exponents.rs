@@ -22,10 +22,10 @@ pub(super) const CASES: &[Case] = &[Case {
     story: "Without exponents, the adjoint of a plant that grows by e per step overflows after 88 steps in f32 \
                 and 710 in f64. The gradient is then NaN or clipped to an arbitrary value, and C, which compares the \
                 signs of M and R, is silently 0. Here λ and h of each sample carry a power of two, as does the \
-                gradient. Signs are exact at any horizon in either precision, clipping by norm works on a gradient \
-                of 1e1761, and ordinary values keep their bits. Limits: numbers of one sample share an exponent, so \
-                of two decoupled states the one whose adjoint is 1e38 times smaller (f32) is lost. A state that \
-                underflows is 0 before the reverse pass",
+                gradient. Signs of R are as accurate as the trajectory at any horizon. Clipping by norm accepts any \
+                exponent. Ordinary values keep their bits. Limits: numbers of one sample share an exponent, so of two \
+                decoupled states the one whose adjoint is 1e38 times smaller (f32) is lost. A state that underflows \
+                is 0 before the reverse pass",
     run: exploding_adjoint,
 }];
 

@@ -44,19 +44,19 @@ effects_section! {
         /// A harmonic trap.
         harmonic: Harmonic {
             equation: "V = stiffness (ξ - center)²",
-            derivative: "none: independent of ψ",
+            derivative: "none, because V is independent of ψ",
             limits: { stiffness: finite, center: finite },
         }
         /// A potential barrier, or a well, in the box.
         barrier: Barrier {
             equation: "V = height / cosh²((ξ - center) / width)",
-            derivative: "none: independent of ψ",
+            derivative: "none, because V is independent of ψ",
             limits: { height: finite, width: positive, center: finite },
         }
         /// Two potential wells separated by a barrier.
         double_well: DoubleWell {
             equation: "V = height ((2 ξ / separation)² - 1)²",
-            derivative: "none: independent of ψ",
+            derivative: "none, because V is independent of ψ",
             limits: { height: finite, separation: positive },
         }
         /// Cubic self-interaction of the Gross-Pitaevskii equation.
