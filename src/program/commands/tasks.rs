@@ -11,7 +11,7 @@ pub fn tasks() -> Result<()> {
     for task in TASKS {
         describe(task)?;
     }
-    say(&format!("actuators of all tasks: {}\n", names(&ACTUATORS)))?;
+    say(&format!("actuators: {}; only limit for quantum\n", names(&ACTUATORS)))?;
     say("Each task is also a preset. `physgrad scene` lists all presets; `physgrad scene cart_pole` prints one as a template.
 `physgrad explain cart_pole` prints equations, operation counts and memory of a scene; docs/effects.md describes all effects.
 Change a setting with --set KEY=VALUE, for example --set policy.widths=[64,64] --set effects.pole_damping.damping=0.01.

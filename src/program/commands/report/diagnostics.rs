@@ -72,9 +72,9 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
         "Growth by epoch",
         Chart::linear(EPOCH, "growth along a rollout (decades)", range, series),
         "Powers of ten by which the adjoints of the field's flows grow in the reverse pass through a rollout, in the first \
-         update of every epoch, averaged over its samples; 0 is balanced. R above 7 in f32, or 16 in f64, has the signs of \
-         rounding errors. With R far below 0, later costs barely affect the gradient of early steps. M above 3 shows a plant \
-         that is unstable without its policy.",
+         applied update of every epoch, averaged over its samples; 0 is balanced. If R exceeds 7 in f32, or 16 in f64, its \
+         signs at early steps are unreliable. With R far below 0, later costs barely affect the gradient of early steps. M \
+         above 3 shows a plant that is unstable without its policy.",
     )
     .notes(warnings.flatten().collect())
 }
