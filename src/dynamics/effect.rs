@@ -97,7 +97,7 @@ struct Forces<'a, E: ?Sized, B, R> {
     t: R,
 }
 
-impl<B, E: Effect<B> + ?Sized, R: Real> Function<R, 3> for Forces<'_, E, B, R> {
+impl<B, E: Effect<B>, R: Real> Function<R, 3> for Forces<'_, E, B, R> {
     #[inline(always)]
     fn eval<T: Over<R>>(&self, [x, u, p]: [&[T]; 3], forces: &mut [T]) {
         forces.fill(T::zero());
