@@ -206,6 +206,7 @@ pub struct Action<'a, T> {
 
 /// Evaluates [`Policy::act`] on a concatenated observation and memory, `x`. Writes the concatenated
 /// control and next memory to `u`.
+#[inline(always)]
 pub(crate) fn act_on<P: Policy + ?Sized, T: Scalar>(policy: &P, theta: &[T], x: &[T], t: usize, u: &mut [T]) {
     let ((y, memory), (u, next)) = (x.split_at(policy.observation_dim()), u.split_at_mut(policy.control_dim()));
     policy.act(theta, Observed { y, memory, t }, Action { u, memory: next });

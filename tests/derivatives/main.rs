@@ -12,3 +12,4 @@ mod gradients;
 mod identities;
 mod inputs;
 mod memory;
+mod reverse_mode;
