@@ -17,12 +17,6 @@ const STEPS: usize = 150;
 #[rustfmt::skip]
 struct Rod { stiffness: f64, hardening: f64, damping: f64, dt: f64 }
 
-impl Rod {
-    fn spring<T: Scalar>(&self, d: T) -> T {
-        d * (d * d * self.hardening + self.stiffness)
-    }
-}
-
 #[rustfmt::skip]
 impl System for Rod {
     fn state_dim(&self) -> usize { 2 * MASSES }
@@ -30,9 +24,10 @@ impl System for Rod {
     #[inline(always)]
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let ((q, v), (q_next, v_next)) = (x.split_at(MASSES), next.split_at_mut(MASSES));
-        let mut left = self.spring(q[0]);
+        let spring = |d: T| d * (d * d * self.hardening + self.stiffness);
+        let mut left = spring(q[0]);
         for i in 0..MASSES {
-            let right = self.spring(if i + 1 < MASSES { q[i + 1] - q[i] } else { -q[i] });
+            let right = spring(if i + 1 < MASSES { q[i + 1] - q[i] } else { -q[i] });
             v_next[i] = v[i] + (right - left - v[i] * self.damping) * self.dt;
             left = right;
         }
@@ -61,7 +56,7 @@ impl Task for Rod {
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);
-    let epochs = args.next().map_or(Ok(100), |text| text.parse())?;
+    let epochs = args.next().map_or(Ok(120), |text| text.parse())?;
     let (task, policy) = (Rod { stiffness: 800.0, hardening: 2000.0, damping: 0.05, dt: 0.03 }, Linear::new(2 * MASSES, 4));
     check::system(&task);
     let training = Training { epochs, clip: Clip::Norm(1.0), decay: Decay::Cosine { end: 0.0 }, ..Training::default() };
