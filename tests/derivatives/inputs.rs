@@ -207,7 +207,7 @@ fn the_message_names_the_method_and_the_component() {
 }
 
 #[test]
-#[should_panic(expected = "gradient by the parameters p of sample 0, component[1] is")]
+#[should_panic(expected = "gradient by the parameters p of sample 0, component[0] is")]
 fn the_message_names_the_parameter() {
     check::task(&Tracking::<1> { fault: Fault::CostOfParams }, &WithParams::new(Constant::new(3, 1), []));
 }
