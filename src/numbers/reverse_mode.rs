@@ -10,7 +10,7 @@ use std::mem::swap;
 /// Number of inputs above which default derivatives use reverse mode. Forward mode evaluates the
 /// function once per four inputs, reverse mode once.
 ///
-/// `docs/performance.md` compares both. Forward mode needs no heap up to this number.
+/// `cargo bench --bench defaults` compares both. Forward mode needs no heap up to this number.
 pub(crate) const REVERSE_ABOVE: usize = 16;
 
 /// Recorded evaluation of a function. Its buffers are reused.

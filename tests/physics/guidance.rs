@@ -186,9 +186,18 @@ fn derivatives_agree<R: Real>(drivers: usize, evaders: usize, distance: f64, dia
         (next_bar[4 * agent + 2], next_bar[4 * agent + 3]) = (R::one(), R::from(0.5));
         let (mut x_bar, mut u_bar) = (vec![R::zero(); n], vec![R::zero(); m]);
         system.vjp(Inputs::new(&x, &u), &next_bar, Cotangents::of(&mut x_bar, &mut u_bar));
-        let (mut x_dual, mut u_dual) = (vec![R::zero(); n], vec![R::zero(); m]);
-        ByDuals(system).vjp(Inputs::new(&x, &u), &next_bar, Cotangents::of(&mut x_dual, &mut u_dual));
         let jvp = |column: &Vec<R>| column[4 * agent + 2] + column[4 * agent + 3] * R::from(0.5);
+        // Forward mode: in reverse mode, products of partial derivatives underflow at 1e120.
+        let by_duals = |k: usize, len: usize, of_state: bool| -> R {
+            let (mut tangent, mut column) = (vec![R::zero(); len], vec![R::zero(); n]);
+            tangent[k] = R::one();
+            let mut tangents = Tangents::default();
+            *(if of_state { &mut tangents.x } else { &mut tangents.u }) = Some(&tangent);
+            ByDuals(system).jvp(Inputs::new(&x, &u), tangents, &mut column);
+            jvp(&column)
+        };
+        let x_dual: Vec<R> = (0..n).map(|k| by_duals(k, n, true)).collect();
+        let u_dual: Vec<R> = (0..m).map(|k| by_duals(k, m, false)).collect();
         let x_jvp: Vec<R> = columns.iter().map(jvp).collect();
 
         // Derivatives near the underflow threshold have few digits left.
