@@ -93,7 +93,7 @@ pub(crate) fn step_vjp<S: System + ?Sized, R: Real, C: Cotangent<R>>(
     outlined_vjp(system, inputs, next_bar, bars, &mut add_product(next_bar));
 }
 
-/// [`default_vjp`] of a step. Outlined; in forward mode, monomorphized once per system and scalar type.
+/// [`default_vjp`] of a step. Outlined.
 #[inline(never)]
 fn outlined_vjp<S: System + ?Sized, R: Real, C: Cotangent<R>>(
     system: &S,

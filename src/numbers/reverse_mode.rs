@@ -54,8 +54,8 @@ impl<R: Real> Recording<R> {
         swap(&mut *R::tape().borrow_mut(), &mut self.tape);
     }
 
-    /// Calls `finish` with the cotangents of the requested inputs, in order, for given cotangents of
-    /// the outputs.
+    /// Calls `finish` with the cotangents of the requested inputs, in order, for given cotangents
+    /// of the outputs.
     #[inline(never)]
     pub(crate) fn pull<C: Cotangent<R>>(&self, output_bars: &[C], finish: impl FnOnce(&[C])) {
         struct Sweep<'a, R, C> {

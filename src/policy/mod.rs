@@ -52,8 +52,9 @@ use std::ops::Range;
 ///
 /// Required: the dimensions, [`init`](Policy::init) and [`act`](Policy::act). The batched passes
 /// default to one call of `act` per evaluation, with exact derivatives: by dual numbers for at most
-/// 16 observations, memories and parameters together, otherwise in reverse mode. A policy with large layers overrides all of
-/// them together; [`check::policy`](crate::check::policy) compares them with `act`.
+/// 16 observations, memories and parameters together, otherwise in reverse mode. A policy with
+/// large layers overrides all of them together; [`check::policy`](crate::check::policy) compares
+/// them with `act`.
 ///
 /// # Batched passes
 /// The batched passes are [`sizes`](Policy::sizes), [`pack`](Policy::pack),
