@@ -96,7 +96,7 @@ pub use dynamics::integrator::{
     Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, SemiImplicit, Verlet,
 };
 pub use dynamics::ode::{DynOde, DynOdeVjp, ForcedOde, Ode};
-pub use dynamics::op_count::OpCount;
+pub use dynamics::op_count::{OpCount, TaskOpCount};
 pub use dynamics::substeps::Substeps;
 pub use dynamics::system::System;
 pub use dynamics::task::Task;

@@ -1,7 +1,8 @@
-//! [`OpCount`]: operation counts of a system's step and of its transposed Jacobian products.
+//! [`OpCount`] and [`TaskOpCount`]: operation counts of systems and tasks.
 
 use crate::dynamics::inputs::{Cotangents, Inputs};
 use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
 use crate::numbers::scalar::{Counted, Ops};
 
 /// Operation counts of one step of one sample, and of its VJPs with one cotangent.
@@ -38,8 +39,6 @@ impl OpCount {
     /// Counts the operations of `system`.
     pub fn of<S: System>(system: &S) -> Self {
         let (n, m) = (system.state_dim(), system.control_dim());
-        // Arbitrary values of moderate size.
-        let numbers = |len: usize| (0..len).map(|i| Counted(0.1 + 0.01 * i as f64)).collect::<Vec<_>>();
         let (x, u, next_bar) = (numbers(n), numbers(m), numbers(n));
         let p = numbers(system.param_dim());
         let inputs = Inputs { x: &x, u: &u, p: &p, t: 0 };
@@ -51,4 +50,64 @@ impl OpCount {
             vjp_control: vjp(Cotangents { u: Some(&mut u_bar), ..Cotangents::default() }),
         }
     }
+}
+
+/// Operation counts of the costs and the observation of one sample, and of their derivatives by
+/// all inputs.
+///
+/// Counted as [`OpCount`] counts. [`OpCount::of`] counts the system of the task.
+///
+/// ```
+/// use physgrad::TaskOpCount;
+/// use physgrad::tasks::CartPole;
+///
+/// let counts = TaskOpCount::of(&CartPole::new(2));
+/// assert_eq!(counts.running_cost.total(), 0);
+/// assert_eq!(counts.terminal_cost.to_string(), "3 add, 1 multiply, 2 transcendental");
+/// assert_eq!(counts.terminal_cost_gradient.to_string(), "2 add, 2 multiply, 2 transcendental");
+/// ```
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TaskOpCount {
+    /// [`Task::running_cost`], once per step.
+    pub running_cost: Ops,
+    /// [`Task::running_cost_gradient`], once per step.
+    pub running_cost_gradient: Ops,
+    /// [`Task::terminal_cost`], once per rollout.
+    pub terminal_cost: Ops,
+    /// [`Task::terminal_cost_gradient`], once per rollout.
+    pub terminal_cost_gradient: Ops,
+    /// [`Task::observe`], once per step. None if the policy observes the state.
+    pub observe: Ops,
+    /// [`Task::observe_vjp`] with one cotangent, once per step.
+    pub observe_vjp: Ops,
+}
+
+impl TaskOpCount {
+    /// Counts the operations of `task`.
+    pub fn of<T: Task>(task: &T) -> Self {
+        let (n, m) = (task.system().state_dim(), task.system().control_dim());
+        let (x, u, p, next) = (numbers(n), numbers(m), numbers(task.param_dim()), numbers(n));
+        let inputs = Inputs { x: &x, u: &u, p: &p, t: 0 };
+        let (mut x_bar, mut u_bar, mut p_bar, mut next_bar) = (numbers(n), numbers(m), numbers(p.len()), numbers(n));
+        let mut counts = Self {
+            running_cost: Ops::of(|| task.running_cost(inputs, &next)).0,
+            terminal_cost: Ops::of(|| task.terminal_cost(&x, &p)).0,
+            terminal_cost_gradient: Ops::of(|| task.terminal_cost_gradient(&x, &p, &mut x_bar, Some(&mut p_bar))).0,
+            ..Self::default()
+        };
+        let bars = Cotangents { x: Some(&mut x_bar), u: Some(&mut u_bar), p: Some(&mut p_bar) };
+        counts.running_cost_gradient = Ops::of(|| task.running_cost_gradient(inputs, &next, bars, &mut next_bar)).0;
+        if let Some(dim) = task.observation_dim() {
+            let (mut y, inputs) = (numbers(dim), Inputs { u: &[], ..inputs });
+            counts.observe = Ops::of(|| task.observe(inputs, &mut y)).0;
+            let bars = Cotangents { x: Some(&mut x_bar), u: None, p: Some(&mut p_bar) };
+            counts.observe_vjp = Ops::of(|| task.observe_vjp(inputs, &y, bars)).0;
+        }
+        counts
+    }
+}
+
+/// Arbitrary values of moderate size.
+fn numbers(len: usize) -> Vec<Counted> {
+    (0..len).map(|i| Counted(0.1 + 0.01 * i as f64)).collect()
 }

@@ -3,7 +3,7 @@
 use assert_cmd::Command;
 use physgrad::policy::Mlp;
 use physgrad::tasks::{CartPole, CartPoleEffect, CartPoleSystem, CoupledCartPole, DryFriction, PoleDamping};
-use physgrad::{Adjoint, Field, Forced, OpCount, Rollout, System};
+use physgrad::{Adjoint, Field, Forced, OpCount, Rollout, System, TaskOpCount};
 use std::fs;
 use tempfile::TempDir;
 
@@ -78,6 +78,18 @@ fn operations_are_those_of_the_library_by_effect() {
         vjp_control: damped.vjp_control - alone.vjp_control,
     };
     assert_eq!(told("effects.pole_damping"), cells(&own));
+    let task = CartPole::with_system(Forced { system: CoupledCartPole(model()), effects: Vec::<CartPoleEffect>::new() });
+    let counts = TaskOpCount::of(&task);
+    let pair = |name: &str| {
+        let first = rows
+            .iter()
+            .position(|row| row.first().is_some_and(|first| first == name))
+            .unwrap_or_else(|| panic!("{name}: {rows:?}"));
+        [rows[first][1..].to_vec(), rows[first + 1].clone()]
+    };
+    let of_pair = |value, gradient| [of("value", value), of("gradient", gradient)];
+    assert_eq!(pair("running cost"), of_pair(counts.running_cost, counts.running_cost_gradient));
+    assert_eq!(pair("terminal cost"), of_pair(counts.terminal_cost, counts.terminal_cost_gradient));
     assert!(rows.iter().any(|row| row.first().is_some_and(|cell| cell == "present") && row[1] == "effects.dry_friction"));
     assert!(rows.iter().any(|row| row.first().is_some_and(|cell| cell == "absent") && row[1] == "effects.bumpers"));
     let without = explained(SCENE, &["--without", "dry_friction"]);

@@ -9,10 +9,10 @@ use crate::program::tasks::Scene;
 use anyhow::Result;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{ContentArrangement, Table};
-use physgrad::{Field, OpCount, Ops};
+use physgrad::{Field, OpCount, Ops, TaskOpCount};
 
 /// List the present and absent effects of a scene; count operations of a step and its VJP by
-/// effect, and stored bytes.
+/// effect, of costs and observations, and stored bytes.
 ///
 /// All numbers are counts, not timings, so they are equal on every machine.
 #[derive(Debug, clap::Args)]
@@ -92,13 +92,17 @@ fn effects(scene: &Scene) -> Table {
 
 /// Operation counts by pass and kind. The first entry of each pass is the total.
 fn numbers(cost: &OpCount) -> [[i64; 8]; 3] {
-    [cost.step, cost.vjp, cost.vjp_control].map(|counts| {
-        let Ops { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
-        [counts.total(), add, negate, multiply, divide, sqrt, transcendental, compare].map(|count| count as i64)
-    })
+    [cost.step, cost.vjp, cost.vjp_control].map(by_kind)
 }
 
-/// Operation counts of the system alone, of each part that is present, and of the whole.
+/// The total, then the count of each kind.
+fn by_kind(counts: Ops) -> [i64; 8] {
+    let Ops { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;
+    [counts.total(), add, negate, multiply, divide, sqrt, transcendental, compare].map(|count| count as i64)
+}
+
+/// Operation counts of the system alone, of each part that is present, and of the whole; then of
+/// the costs and the observation.
 ///
 /// The count of a part is the count of the whole minus that of the scene without the part. Two
 /// actuators share operations at their boundary. The counts of both actuators include them, and the
@@ -106,17 +110,19 @@ fn numbers(cost: &OpCount) -> [[i64; 8]; 3] {
 fn operations(scene: &Scene) -> Result<Table> {
     let kinds = ["all", "add, subtract", "negate", "multiply", "divide", "root", "function", "compare"];
     let mut table = table(&[&["", "pass"][..], &kinds].concat());
-    let mut rows = |name: &str, numbers: [[i64; 8]; 3]| {
-        for (i, (pass, numbers)) in ["step", "VJP", "VJP to control"].into_iter().zip(numbers).enumerate() {
+    let mut add_rows = |name: &str, passes: &[&str], numbers: &[[i64; 8]]| {
+        for (i, (pass, numbers)) in passes.iter().zip(numbers).enumerate() {
             let names = [if i == 0 { name } else { "" }, pass].map(str::to_owned);
             table.add_row(names.into_iter().chain(numbers.map(|count| count.to_string())));
         }
     };
+    let mut rows = |name: &str, numbers: [[i64; 8]; 3]| add_rows(name, &["step", "VJP", "VJP to control"], &numbers);
     let mut bare = scene.table.clone();
     OPTIONAL.iter().for_each(|section| drop(bare.remove(*section)));
-    let alone = numbers(&scene.task.scene(bare)?.cost());
+    let alone = numbers(&scene.task.scene(bare)?.cost().0);
     rows("system alone", alone);
-    let whole = numbers(&scene.cost());
+    let (physics, costs) = scene.cost();
+    let whole = numbers(&physics);
     let mut shared = difference(alone, whole);
     for (section, info) in parts(scene) {
         if !is_present(scene, section, info.name) {
@@ -126,7 +132,7 @@ fn operations(scene: &Scene) -> Result<Table> {
         if let Some(section) = without.get_mut(section).and_then(toml::Value::as_table_mut) {
             section.remove(info.name);
         }
-        let rest = numbers(&scene.task.scene(without)?.cost());
+        let rest = numbers(&scene.task.scene(without)?.cost().0);
         rows(&format!("{section}.{}", info.name), difference(whole, rest));
         shared = difference(shared, difference(rest, whole));
     }
@@ -134,6 +140,13 @@ fn operations(scene: &Scene) -> Result<Table> {
         rows("counted twice", shared);
     }
     rows("together", whole);
+    let TaskOpCount { running_cost, running_cost_gradient, terminal_cost, terminal_cost_gradient, observe, observe_vjp } = costs;
+    let mut pair = |name: &str, passes: [&str; 2], counts: [Ops; 2]| add_rows(name, &passes, &counts.map(by_kind));
+    pair("running cost", ["value", "gradient"], [running_cost, running_cost_gradient]);
+    pair("terminal cost", ["value", "gradient"], [terminal_cost, terminal_cost_gradient]);
+    if observe != Ops::default() {
+        pair("observation", ["value", "VJP"], [observe, observe_vjp]);
+    }
     Ok(table)
 }
 

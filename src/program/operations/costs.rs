@@ -3,19 +3,19 @@
 use crate::program::operations::Visit;
 use crate::program::settings::Precision;
 use physgrad::rng::{Purpose, stream};
-use physgrad::{Adjoint, Divergence, Field, Float, OpCount, Policy, Rollout, Task, Weights, initial_states};
+use physgrad::{Adjoint, Divergence, Field, Float, OpCount, Policy, Rollout, Task, TaskOpCount, Weights, initial_states};
 
 /// Number of samples in the measured rollout: one full block of lanes.
 pub const SAMPLES: usize = 8;
 
-/// Counts the operations of the physics.
+/// Counts the operations of the physics, and of the costs and the observation.
 pub struct Costing;
 
 impl Visit for Costing {
-    type Out = OpCount;
+    type Out = (OpCount, TaskOpCount);
 
-    fn visit<T: Task, P: Policy>(self, task: T, _policy: P) -> OpCount {
-        OpCount::of(task.system())
+    fn visit<T: Task, P: Policy>(self, task: T, _policy: P) -> Self::Out {
+        (OpCount::of(task.system()), TaskOpCount::of(&task))
     }
 }
 
