@@ -1,8 +1,8 @@
 //! Vectorized kernels: matrix products, elementwise functions, sine and cosine.
 //!
 //! [`dispatch`] selects code for the processor at run time, since builds use default target flags.
-//! A portable path serves processors without AVX2. Contains the only unsafe code of the library.
-//! Start with [`dispatch`].
+//! A portable path serves x86-64 processors without AVX2, and architectures other than x86-64 and
+//! aarch64. Contains the only unsafe code of the library. Start with [`dispatch`].
 
 pub mod elementwise;
 pub mod gemm;
@@ -14,8 +14,11 @@ use std::sync::OnceLock;
 /// Instruction set of the kernels, in ascending order. Each level implies the levels before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd)]
 pub enum SimdLevel {
-    /// Plain Rust, vectorized for the target of the build.
+    /// Plain Rust without fused operations, vectorized for the target of the build.
     Portable,
+    /// NEON with fused multiply-add, which every processor of this architecture has.
+    #[cfg(target_arch = "aarch64")]
+    Neon,
     /// AVX2 and fused multiply-add.
     #[cfg(target_arch = "x86_64")]
     Avx2,
@@ -29,6 +32,8 @@ impl SimdLevel {
     pub fn available() -> Vec<SimdLevel> {
         #[allow(unused_mut)]
         let mut levels = vec![SimdLevel::Portable];
+        #[cfg(target_arch = "aarch64")]
+        levels.push(SimdLevel::Neon);
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             levels.push(SimdLevel::Avx2);
@@ -93,11 +98,15 @@ pub fn dispatch(level: SimdLevel, work: impl Vectorized) {
             SimdLevel::Avx512 => return unsafe { avx512(work) },
         }
     }
+    #[cfg(target_arch = "aarch64")]
+    if level == SimdLevel::Neon {
+        return work.run::<true>();
+    }
     let _ = level;
     work.run::<false>();
 }
 
-/// Runs `work` with AVX2 if available, else with the portable path.
+/// Runs `work` with AVX2 or NEON if available, else with the portable path.
 ///
 /// Used for simulators on eight lanes, which gain little from wider registers. A further level
 /// would increase compile time.
@@ -114,6 +123,10 @@ pub fn dispatch_lanes(work: impl Vectorized) {
             return unsafe { avx2(work) };
         }
     }
+    #[cfg(target_arch = "aarch64")]
+    if !portable::is_forced() {
+        return work.run::<true>();
+    }
     work.run::<false>();
 }
 
@@ -126,6 +139,7 @@ pub(crate) mod portable {
         static FORCED: Cell<bool> = const { Cell::new(false) };
     }
 
+    #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
     pub(crate) fn is_forced() -> bool {
         FORCED.get()
     }
@@ -140,7 +154,7 @@ pub(crate) mod portable {
     }
 }
 
-#[cfg(not(test))]
+#[cfg(all(any(target_arch = "x86_64", target_arch = "aarch64"), not(test)))]
 mod portable {
     #[inline(always)]
     pub(super) fn is_forced() -> bool {

@@ -187,11 +187,14 @@ macro_rules! register {
 }
 
 macro_rules! gemm {
-    ($module:ident, $float:ident, $avx2:ident, $avx512:ident, $half:literal, $pad:literal,
-     [$s2:ident $l2:ident $st2:ident $f2:ident], [$s5:ident $l5:ident $st5:ident $f5:ident]) => {
+    ($module:ident, $float:ident, $neon:ident, $avx2:ident, $avx512:ident, $quarter:literal, $half:literal, $pad:literal,
+     [$s1:ident $l1:ident $st1:ident $f1:ident], [$s2:ident $l2:ident $st2:ident $f2:ident],
+     [$s5:ident $l5:ident $st5:ident $f5:ident]) => {
         pub mod $module {
             use super::{Product, Register, panels};
             use crate::numbers::kernels::SimdLevel;
+            #[cfg(target_arch = "aarch64")]
+            use std::arch::aarch64::*;
             #[cfg(target_arch = "x86_64")]
             use std::arch::x86_64::*;
 
@@ -209,6 +212,8 @@ macro_rules! gemm {
                 |to: *mut $float, Array(from)| *to.cast() = from,
                 |a: Array, b: Array, c: Array| Array(std::array::from_fn(|i| a.0[i] * b.0[i] + c.0[i]))
             );
+            #[cfg(target_arch = "aarch64")]
+            register!($neon, $float, $quarter, $s1, $l1, $st1, |a, b, c| $f1(c, a, b));
             #[cfg(target_arch = "x86_64")]
             register!($avx2, $float, $half, $s2, $l2, $st2, $f2);
             #[cfg(target_arch = "x86_64")]
@@ -235,6 +240,8 @@ macro_rules! gemm {
                 match level {
                     // SAFETY: the shapes and the level are checked above.
                     SimdLevel::Portable => unsafe { panels::<Array, 1, 4>(p) },
+                    #[cfg(target_arch = "aarch64")]
+                    SimdLevel::Neon => unsafe { panels::<$neon, 3, 8>(p) },
                     #[cfg(target_arch = "x86_64")]
                     SimdLevel::Avx2 => unsafe { avx2(p) },
                     #[cfg(target_arch = "x86_64")]
@@ -245,9 +252,11 @@ macro_rules! gemm {
     };
 }
 
-gemm!(single, f32, __m256, __m512, 8, 16,
+gemm!(single, f32, float32x4_t, __m256, __m512, 4, 8, 16,
+    [vdupq_n_f32 vld1q_f32 vst1q_f32 vfmaq_f32],
     [_mm256_set1_ps _mm256_loadu_ps _mm256_storeu_ps _mm256_fmadd_ps],
     [_mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm512_fmadd_ps]);
-gemm!(double, f64, __m256d, __m512d, 4, 8,
+gemm!(double, f64, float64x2_t, __m256d, __m512d, 2, 4, 8,
+    [vdupq_n_f64 vld1q_f64 vst1q_f64 vfmaq_f64],
     [_mm256_set1_pd _mm256_loadu_pd _mm256_storeu_pd _mm256_fmadd_pd],
     [_mm512_set1_pd _mm512_loadu_pd _mm512_storeu_pd _mm512_fmadd_pd]);
