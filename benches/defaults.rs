@@ -1,8 +1,7 @@
 //! Benchmark of default derivatives against analytic and batched ones.
 //!
 //! Usage: `cargo bench --bench defaults`, or with `-- products`, `-- trainings`, `-- policies` for
-//! one part. Jobs alternate within each round;
-//! ratios are medians of the ratios per round.
+//! one part. Jobs alternate within each round; ratios are medians of the ratios per round.
 
 mod measure;
 

@@ -52,10 +52,10 @@ impl OpCount {
     }
 }
 
-/// Operation counts of the costs and the observation of one sample, and of their derivatives by
-/// all inputs.
+/// Operation counts of the system, the costs and the observation of one sample, and of their
+/// derivatives. Those of costs and observation are by all inputs.
 ///
-/// Counted as [`OpCount`] counts. [`OpCount::of`] counts the system of the task.
+/// Counted as [`OpCount`] counts.
 ///
 /// ```
 /// use physgrad::TaskOpCount;
@@ -68,6 +68,8 @@ impl OpCount {
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TaskOpCount {
+    /// [`Task::system`].
+    pub system: OpCount,
     /// [`Task::running_cost`], once per step.
     pub running_cost: Ops,
     /// [`Task::running_cost_gradient`], once per step.
@@ -76,9 +78,9 @@ pub struct TaskOpCount {
     pub terminal_cost: Ops,
     /// [`Task::terminal_cost_gradient`], once per rollout.
     pub terminal_cost_gradient: Ops,
-    /// [`Task::observe`], once per step. None if the policy observes the state.
+    /// [`Task::observe`], once per step. Zero if the policy observes the state.
     pub observe: Ops,
-    /// [`Task::observe_vjp`] with one cotangent, once per step.
+    /// [`Task::observe_vjp`] with one cotangent, once per step. Zero likewise.
     pub observe_vjp: Ops,
 }
 
@@ -90,6 +92,7 @@ impl TaskOpCount {
         let inputs = Inputs { x: &x, u: &u, p: &p, t: 0 };
         let (mut x_bar, mut u_bar, mut p_bar, mut next_bar) = (numbers(n), numbers(m), numbers(p.len()), numbers(n));
         let mut counts = Self {
+            system: OpCount::of(task.system()),
             running_cost: Ops::of(|| task.running_cost(inputs, &next)).0,
             terminal_cost: Ops::of(|| task.terminal_cost(&x, &p)).0,
             terminal_cost_gradient: Ops::of(|| task.terminal_cost_gradient(&x, &p, &mut x_bar, Some(&mut p_bar))).0,

@@ -112,22 +112,22 @@ pub fn dispatch(level: SimdLevel, work: impl Vectorized) {
 /// would increase compile time.
 #[inline]
 pub fn dispatch_lanes(work: impl Vectorized) {
+    if portable::is_forced() {
+        return work.run::<false>();
+    }
     #[cfg(target_arch = "x86_64")]
     {
         #[target_feature(enable = "avx2,fma")]
         unsafe fn avx2(work: impl Vectorized) {
             work.run::<true>();
         }
-        if SimdLevel::best() != SimdLevel::Portable && !portable::is_forced() {
+        if SimdLevel::best() != SimdLevel::Portable {
             // SAFETY: all levels above `Portable` include these instructions.
             return unsafe { avx2(work) };
         }
     }
-    #[cfg(target_arch = "aarch64")]
-    if !portable::is_forced() {
-        return work.run::<true>();
-    }
-    work.run::<false>();
+    // `true` for NEON, which has the instruction.
+    work.run::<{ cfg!(target_arch = "aarch64") }>();
 }
 
 /// Forces the portable path of [`dispatch_lanes`], for tests.
@@ -139,7 +139,6 @@ pub(crate) mod portable {
         static FORCED: Cell<bool> = const { Cell::new(false) };
     }
 
-    #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
     pub(crate) fn is_forced() -> bool {
         FORCED.get()
     }
@@ -154,7 +153,7 @@ pub(crate) mod portable {
     }
 }
 
-#[cfg(all(any(target_arch = "x86_64", target_arch = "aarch64"), not(test)))]
+#[cfg(not(test))]
 mod portable {
     #[inline(always)]
     pub(super) fn is_forced() -> bool {

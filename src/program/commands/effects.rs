@@ -77,10 +77,10 @@ fn section(page: &mut String, kind: &'static dyn AnyTaskSpec, section: &str, inf
 /// Operations that an effect adds to a step and to its VJP, in a scene with no other effect.
 fn cost(kind: &'static dyn AnyTaskSpec, section: &str, name: &str) -> Result<[Ops; 2]> {
     let mut settings = kind.defaults();
-    let alone = kind.scene(settings.clone())?.cost().0;
+    let alone = kind.scene(settings.clone())?.cost().system;
     let part: Table = [(name.to_owned(), toml::Value::Table(required(name)))].into_iter().collect();
     settings.insert(section.into(), toml::Value::Table(part));
-    let with = kind.scene(settings)?.cost().0;
+    let with = kind.scene(settings)?.cost().system;
     Ok([with.step - alone.step, with.vjp - alone.vjp])
 }
 

@@ -9,7 +9,7 @@ use crate::program::tasks::Scene;
 use anyhow::Result;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{ContentArrangement, Table};
-use physgrad::{Field, OpCount, Ops, TaskOpCount};
+use physgrad::{Field, OpCount, Ops};
 
 /// List the present and absent effects of a scene; count operations of a step and its VJP by
 /// effect, of costs and observations, and stored bytes.
@@ -119,10 +119,10 @@ fn operations(scene: &Scene) -> Result<Table> {
     let mut rows = |name: &str, numbers: [[i64; 8]; 3]| add_rows(name, &["step", "VJP", "VJP to control"], &numbers);
     let mut bare = scene.table.clone();
     OPTIONAL.iter().for_each(|section| drop(bare.remove(*section)));
-    let alone = numbers(&scene.task.scene(bare)?.cost().0);
+    let alone = numbers(&scene.task.scene(bare)?.cost().system);
     rows("system alone", alone);
-    let (physics, costs) = scene.cost();
-    let whole = numbers(&physics);
+    let counts = scene.cost();
+    let whole = numbers(&counts.system);
     let mut shared = difference(alone, whole);
     for (section, info) in parts(scene) {
         if !is_present(scene, section, info.name) {
@@ -132,7 +132,7 @@ fn operations(scene: &Scene) -> Result<Table> {
         if let Some(section) = without.get_mut(section).and_then(toml::Value::as_table_mut) {
             section.remove(info.name);
         }
-        let rest = numbers(&scene.task.scene(without)?.cost().0);
+        let rest = numbers(&scene.task.scene(without)?.cost().system);
         rows(&format!("{section}.{}", info.name), difference(whole, rest));
         shared = difference(shared, difference(rest, whole));
     }
@@ -140,12 +140,11 @@ fn operations(scene: &Scene) -> Result<Table> {
         rows("counted twice", shared);
     }
     rows("together", whole);
-    let TaskOpCount { running_cost, running_cost_gradient, terminal_cost, terminal_cost_gradient, observe, observe_vjp } = costs;
     let mut pair = |name: &str, passes: [&str; 2], counts: [Ops; 2]| add_rows(name, &passes, &counts.map(by_kind));
-    pair("running cost", ["value", "gradient"], [running_cost, running_cost_gradient]);
-    pair("terminal cost", ["value", "gradient"], [terminal_cost, terminal_cost_gradient]);
-    if observe != Ops::default() {
-        pair("observation", ["value", "VJP"], [observe, observe_vjp]);
+    pair("running cost", ["value", "gradient"], [counts.running_cost, counts.running_cost_gradient]);
+    pair("terminal cost", ["value", "gradient"], [counts.terminal_cost, counts.terminal_cost_gradient]);
+    if counts.observe != Ops::default() {
+        pair("observation", ["value", "VJP"], [counts.observe, counts.observe_vjp]);
     }
     Ok(table)
 }

@@ -3,7 +3,7 @@
 use crate::program::operations::Visit;
 use crate::program::settings::Precision;
 use physgrad::rng::{Purpose, stream};
-use physgrad::{Adjoint, Divergence, Field, Float, OpCount, Policy, Rollout, Task, TaskOpCount, Weights, initial_states};
+use physgrad::{Adjoint, Divergence, Field, Float, Policy, Rollout, Task, TaskOpCount, Weights, initial_states};
 
 /// Number of samples in the measured rollout: one full block of lanes.
 pub const SAMPLES: usize = 8;
@@ -12,10 +12,10 @@ pub const SAMPLES: usize = 8;
 pub struct Costing;
 
 impl Visit for Costing {
-    type Out = (OpCount, TaskOpCount);
+    type Out = TaskOpCount;
 
-    fn visit<T: Task, P: Policy>(self, task: T, _policy: P) -> Self::Out {
-        (OpCount::of(task.system()), TaskOpCount::of(&task))
+    fn visit<T: Task, P: Policy>(self, task: T, _policy: P) -> TaskOpCount {
+        TaskOpCount::of(&task)
     }
 }
 

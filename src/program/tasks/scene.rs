@@ -14,7 +14,7 @@ use crate::program::settings::{FieldName, OPTIONAL, Precision};
 use crate::program::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
 use anyhow::Result;
 use physgrad::report::Animation;
-use physgrad::{Field, OpCount, TaskOpCount};
+use physgrad::{Field, TaskOpCount};
 use std::ops::Deref;
 use std::sync::Arc;
 use toml::{Table, Value};
@@ -53,7 +53,7 @@ pub trait AnySettings: Send + Sync {
     /// each.
     fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3];
     /// Operation counts of a physics step and of its VJPs, and of the costs and the observation.
-    fn cost(&self) -> (OpCount, TaskOpCount);
+    fn cost(&self) -> TaskOpCount;
     /// Memory and allocations of a rollout of a few samples, for evaluation or with the adjoint of
     /// a field.
     fn stored(&self, field: Option<Field>) -> Stored;
@@ -97,7 +97,7 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         self.visit(Referring { seed: self.seed, done })
     }
 
-    fn cost(&self) -> (OpCount, TaskOpCount) {
+    fn cost(&self) -> TaskOpCount {
         self.visit(Costing)
     }
 
