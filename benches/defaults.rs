@@ -369,5 +369,5 @@ fn policies<F: Float>(count: usize) {
     };
     let times = rounds(count, &mut [&mut fast, &mut slow]);
     let [fast, slow] = [0, 1].map(|i| median(&times[i]));
-    println!("  batched {fast:.0} us, act only {slow:.0} us, ratio {:.1}", ratio(&times[1], &times[0]));
+    println!("  batched {fast:.0} µs, act only {slow:.0} µs, ratio {:.1}", ratio(&times[1], &times[0]));
 }

@@ -63,7 +63,7 @@ fn fields<F: Float>(count: usize) {
     println!("\n{} gradient of one mini-batch, forward pass included, one thread", F::NAME);
     for (name, time) in ["forward", "R", "M", "S", "N", "C"].iter().zip(&times) {
         let (to_forward, to_r) = (ratio(time, &times[0]), ratio(time, &times[1]));
-        println!("  {name:<8} {:>7.0} us   {to_forward:.2} x forward   {to_r:.2} x R", median(time));
+        println!("  {name:<8} {:>7.0} µs   {to_forward:.2} x forward   {to_r:.2} x R", median(time));
     }
 }
 
@@ -147,7 +147,7 @@ fn shares(count: usize) {
     let times = rounds(count * 5, &mut [&mut whole, &mut own, &mut tanh, &mut physics, &mut by_crate]);
     let part = |i: usize| ratio(&times[i], &times[0]);
     let (products, tanh, physics) = (part(1), part(2), part(3));
-    println!("\nf32 gradient of R: {:.0} us, of which (each part alone, at the same shapes)", median(&times[0]));
+    println!("\nf32 gradient of R: {:.0} µs, of which (each part alone, at the same shapes)", median(&times[0]));
     println!("  matrix products        {:>4.0} %", 100.0 * products);
     println!("  tanh of the layers     {:>4.0} %", 100.0 * tanh);
     println!("  physics and its VJP    {:>4.0} %   with costs, and moving numbers between lanes and columns", 100.0 * physics);

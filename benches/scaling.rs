@@ -41,7 +41,7 @@ fn table<T: Task>(what: &str, count: usize, sizes: &[(usize, T)]) {
     for ((size, _), time) in sizes.iter().zip(&times) {
         let (growth, size_growth) = (ratio(time, &times[0]), *size as f64 / sizes[0].0 as f64);
         println!(
-            "  {what} {size:>5}: {:>8.2} us   {growth:>6.1} x for {size_growth:>6.1} x the size",
+            "  {what} {size:>5}: {:>8.2} µs   {growth:>6.1} x for {size_growth:>6.1} x the size",
             median(time) / STEPS as f64
         );
     }

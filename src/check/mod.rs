@@ -248,7 +248,13 @@ fn described(flow: Flow) -> String {
 /// # Errors
 /// Returns the first [`Mismatch`], or [`Failure::Diverged`] if the rollouts or their gradients are
 /// non-finite.
+///
+/// # Panics
+/// If the flow has a [`cut`](Flow::cut): its steps depend on the adjoint, and the reference in dual
+/// numbers has none.
+#[track_caller]
 pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<Passed, Failure> {
+    assert!(flow.cut.is_none(), "dual numbers cannot check `cut`: set `cut` to `None`");
     let slope = |theta: &[f64], starts: &[f64], tangent: &dyn Fn(usize) -> f64| {
         oracle::slope_by_duals(task, policy, theta, starts, flow, tangent)
     };

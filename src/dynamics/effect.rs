@@ -91,7 +91,7 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
 }
 
 /// [`Effect::add_forces`] as a function of state, control and parameters.
-struct Forces<'a, E: ?Sized, B, R> {
+struct Forces<'a, E, B, R> {
     effect: &'a E,
     model: &'a B,
     t: R,

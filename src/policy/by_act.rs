@@ -1,29 +1,34 @@
-//! Batched passes of a policy by calls of [`Policy::act`], on eight columns at a time.
+//! Default batched passes of a policy: calls of [`Policy::act`] on blocks of columns.
 //!
-//! Derivatives are those of reverse mode. They reuse buffers of the current thread.
+//! Derivatives are those of forward mode for few inputs and parameters, otherwise of reverse mode.
+//! Reverse mode reuses buffers of the current thread.
 
-use super::{BLOCK, Policy, PolicyColumns, PolicyPass, act_on, dims};
+use super::blocks::{Lane, gather, gathered, scatter};
+use super::{Policy, PolicyColumns, PolicyPass, PolicyRecord, act_on, dims};
+use crate::numbers::forward_mode::{Chunk, jacobian};
 use crate::numbers::kernels::{Vectorized, dispatch_lanes};
 use crate::numbers::pool::lend;
-use crate::numbers::reverse_mode::Recording;
-use crate::numbers::scalar::{Float, Lanes, Real};
+use crate::numbers::reverse_mode::{REVERSE_ABOVE, Recording};
+use crate::numbers::scalar::{Float, Real, Scalar};
+use smallvec::SmallVec;
 
-/// Numbers of the columns of one block.
-type Lane<F> = Lanes<F, BLOCK>;
+/// Numbers or parameters of a block in forward mode.
+type Few<T> = SmallVec<[T; 32]>;
 
-/// Numbers of a block: `n` per column. Unused lanes repeat the last column.
-fn gathered<F: Float>(x: &[F], n: usize, block: PolicyColumns) -> impl Iterator<Item = Lane<F>> {
-    let column = move |lane: usize| block.first + lane.min(block.count - 1) * block.step;
-    (0..n).map(move |i| {
-        let mut numbers = Lanes([F::zero(); BLOCK]);
-        (0..BLOCK).for_each(|lane| numbers.set_lane(lane, x[column(lane) * n + i]));
-        numbers
-    })
+/// Returns whether [`Policy::act`] has so many inputs and parameters that derivatives use reverse
+/// mode.
+fn in_reverse<P: Policy + ?Sized>(policy: &P) -> bool {
+    dims(policy).0 + policy.param_count() > REVERSE_ABOVE
 }
 
 /// Parameters, equal in all lanes.
 fn splat<F: Float>(packed: &[F]) -> impl Iterator<Item = Lane<F>> {
     packed.iter().map(|&theta| Real::splat(theta))
+}
+
+/// Inner product of one lane of `a` with `b`.
+fn dot<F: Float>(a: &[Lane<F>], lane: usize, b: &[F]) -> F {
+    a.iter().zip(b).fold(F::zero(), |sum, (a, &b)| sum + a.lane(lane) * b)
 }
 
 /// Writes the outputs of the columns of a pass.
@@ -32,19 +37,63 @@ pub(super) fn forward<P: Policy + ?Sized, F: Float>(policy: &P, pass: PolicyPass
     lend(|[theta, x, block_u]: &mut [Vec<Lane<F>>; 3]| {
         theta.clear();
         theta.extend(splat(pass.packed));
-        for (t, block) in pass.blocks() {
-            x.clear();
-            x.extend(gathered(pass.x, inputs, block));
+        for (t, at) in pass.blocks() {
+            gather(pass.x, inputs, at, x);
             block_u.clear();
-            block_u.resize(outputs, Lanes([F::zero(); BLOCK]));
+            block_u.resize(outputs, Lane::zero());
             dispatch_lanes(Act { policy, theta, x, t, u: block_u });
-            for (lane, c) in block.iter().enumerate() {
-                for (u, block_u) in u[c * outputs..][..outputs].iter_mut().zip(&*block_u) {
-                    *u = block_u.lane(lane);
-                }
-            }
+            scatter(block_u, at, u);
         }
     });
+}
+
+/// Writes `x_bar = (∂N/∂(y, m))ᵀ u_bar` in the columns of a pass.
+pub(super) fn input_vjp<P: Policy + ?Sized, F: Float>(policy: &P, pass: PolicyPass<F>, u_bar: &[F], x_bar: &mut [F]) {
+    if in_reverse(policy) {
+        return each_cotangent(policy, pass, By::Inputs, u_bar, |at, bars| scatter(bars, at, x_bar));
+    }
+    let (inputs, outputs) = dims(policy);
+    let theta: Few<Chunk<Lane<F>>> = splat(pass.packed).map(Chunk::constant).collect();
+    for (t, at) in pass.blocks() {
+        let x: Few<Lane<F>> = gathered(pass.x, inputs, at).collect();
+        let act = |x: &[_], u: &mut [_]| act_on(policy, &theta, x, t, u);
+        jacobian(&x, 0..inputs, outputs, act, |i, slope| {
+            for (lane, c) in at.iter().enumerate() {
+                x_bar[c * inputs + i] = dot(slope, lane, &u_bar[c * outputs..][..outputs]);
+            }
+        });
+    }
+}
+
+/// Adds `Σ_c weight[c]·(∂N/∂θ)ᵀ u_bar[c]` over the columns of a pass to `theta_bar`.
+pub(super) fn add_param_vjp<P: Policy + ?Sized, F: Float>(
+    policy: &P,
+    pass: PolicyPass<F>,
+    record: PolicyRecord<F>,
+    theta_bar: &mut [F],
+) {
+    let weight = |c: usize| record.weight.map_or(F::one(), |weight| weight[c]);
+    if in_reverse(policy) {
+        return each_cotangent(policy, pass, By::Params, record.u_bar, |at, bars| {
+            for (lane, c) in at.iter().enumerate() {
+                let weight = weight(c);
+                for (theta_bar, bar) in theta_bar.iter_mut().zip(bars) {
+                    *theta_bar += weight * bar.lane(lane);
+                }
+            }
+        });
+    }
+    let (inputs, outputs) = dims(policy);
+    let theta: Few<Lane<F>> = splat(pass.packed).collect();
+    for (t, at) in pass.blocks() {
+        let x: Few<Chunk<Lane<F>>> = gathered(pass.x, inputs, at).map(Chunk::constant).collect();
+        let act = |theta: &[_], u: &mut [_]| act_on(policy, theta, &x, t, u);
+        jacobian(&theta, 0..theta.len(), outputs, act, |i, slope| {
+            for (lane, c) in at.iter().enumerate() {
+                theta_bar[i] += weight(c) * dot(slope, lane, &record.u_bar[c * outputs..][..outputs]);
+            }
+        });
+    }
 }
 
 /// [`Policy::act`] on one block.
@@ -65,7 +114,7 @@ impl<P: Policy + ?Sized, F: Float> Vectorized for Act<'_, P, F> {
 
 /// Arguments of a derivative of [`Policy::act`].
 #[derive(Clone, Copy, PartialEq)]
-pub(super) enum By {
+enum By {
     /// Observation and memory.
     Inputs,
     /// Parameters.
@@ -74,7 +123,7 @@ pub(super) enum By {
 
 /// Calls `visit` with each block of columns and its cotangents, one per input or parameter. `u_bar`
 /// holds the cotangents of the outputs of all columns.
-pub(super) fn each_cotangent<P: Policy + ?Sized, F: Float>(
+fn each_cotangent<P: Policy + ?Sized, F: Float>(
     policy: &P,
     pass: PolicyPass<F>,
     by: By,
@@ -83,11 +132,10 @@ pub(super) fn each_cotangent<P: Policy + ?Sized, F: Float>(
 ) {
     let outputs = dims(policy).1;
     lend(|(recording, bars): &mut (Recording<Lane<F>>, Vec<Lane<F>>)| {
-        for (t, block) in pass.blocks() {
-            dispatch_lanes(Recorded { policy, pass, by, t, block, recording });
-            bars.clear();
-            bars.extend(gathered(u_bar, outputs, block));
-            recording.pull(bars, |cotangents| visit(block, cotangents));
+        for (t, at) in pass.blocks() {
+            dispatch_lanes(Recorded { policy, pass, by, t, at, recording });
+            gather(u_bar, outputs, at, bars);
+            recording.pull(bars, |cotangents| visit(at, cotangents));
         }
     });
 }
@@ -98,18 +146,18 @@ struct Recorded<'a, P: ?Sized, F: Float> {
     pass: PolicyPass<'a, F>,
     by: By,
     t: usize,
-    block: PolicyColumns,
+    at: PolicyColumns,
     recording: &'a mut Recording<Lane<F>>,
 }
 
 impl<P: Policy + ?Sized, F: Float> Vectorized for Recorded<'_, P, F> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { policy, pass, by, t, block, recording } = self;
+        let Self { policy, pass, by, t, at, recording } = self;
         let (inputs, outputs) = dims(policy);
         recording.clear();
         recording.extend(splat(pass.packed), by == By::Params);
-        recording.extend(gathered(pass.x, inputs, block), by == By::Inputs);
+        recording.extend(gathered(pass.x, inputs, at), by == By::Inputs);
         recording.record(outputs, |all, u| {
             let (theta, x) = all.split_at(pass.packed.len());
             act_on(policy, theta, x, t, u);

@@ -232,7 +232,10 @@ impl Policy for Mlp {
             let column = &mut tape[c * first.ld_in..][..first.ld_in];
             column[..n].copy_from_slice(&x[c * n..][..n]);
             column[n] = F::one();
-            column[n + 1..].fill(F::zero());
+            // Inlined, unlike `fill`.
+            for padding in &mut column[n + 1..] {
+                *padding = F::zero();
+            }
         }
         for at in at.blocks(BLOCK) {
             for l in self.layers::<F>() {

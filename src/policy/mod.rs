@@ -12,6 +12,7 @@
 
 mod activation;
 mod any;
+mod blocks;
 mod bounded;
 mod by_act;
 mod conv;
@@ -36,12 +37,9 @@ pub use trained_params::{TrainedParam, WithParams};
 pub use two_params::{Constant, Quadratic};
 
 use crate::numbers::aligned::Aligned;
-use crate::numbers::forward_mode::{Chunk, jacobian};
-use crate::numbers::reverse_mode::REVERSE_ABOVE;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Float, Lanes, Real, Scalar};
-use by_act::By;
-use smallvec::SmallVec;
+use crate::numbers::scalar::{Float, Scalar};
+use blocks::BLOCK;
 use std::ops::Range;
 
 /// A controller `(u_t, m_{t+1}) = N(y_t, m_t, t; θ)` with parameters `θ` in one flat slice.
@@ -131,26 +129,8 @@ pub trait Policy: Send + Sync {
     /// Stores cotangents of intermediate values in `tape_bar`, for
     /// [`param_gradient`](Policy::param_gradient). Skips this product if `x_bar` is `None`.
     fn backward<F: Float>(&self, pass: PolicyPass<F>, _tape: &[F], u_bar: &[F], _tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
-        let (inputs, outputs) = dims(self);
-        let Some(x_bar) = x_bar else { return };
-        if in_reverse(self) {
-            return by_act::each_cotangent(self, pass, By::Inputs, u_bar, |block, bars| {
-                for (lane, c) in block.iter().enumerate() {
-                    for (x_bar, bar) in x_bar[c * inputs..][..inputs].iter_mut().zip(bars) {
-                        *x_bar = bar.lane(lane);
-                    }
-                }
-            });
-        }
-        let theta: SmallVec<[Chunk<Lanes<F, BLOCK>>; 32]> =
-            pass.packed.iter().map(|&theta| Chunk::constant(Real::splat(theta))).collect();
-        for (t, block) in pass.blocks() {
-            let act = |x: &[_], u: &mut [_]| act_on(self, &theta, x, t, u);
-            jacobian(&gathered(pass.x, inputs, block), 0..inputs, outputs, act, |i, slope| {
-                for (lane, c) in block.iter().enumerate() {
-                    x_bar[c * inputs + i] = dot(slope, lane, &u_bar[c * outputs..][..outputs]);
-                }
-            });
+        if let Some(x_bar) = x_bar {
+            by_act::input_vjp(self, pass, u_bar, x_bar);
         }
     }
 
@@ -159,29 +139,7 @@ pub trait Policy: Send + Sync {
     ///
     /// Sums over the columns `pass.at`, which must be contiguous.
     fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, _scratch: &mut [F], theta_bar: &mut [F]) {
-        let (inputs, outputs) = dims(self);
-        if in_reverse(self) {
-            return by_act::each_cotangent(self, pass, By::Params, record.u_bar, |block, bars| {
-                for (lane, c) in block.iter().enumerate() {
-                    let weight = record.weight.map_or(F::one(), |w| w[c]);
-                    for (theta_bar, bar) in theta_bar.iter_mut().zip(bars) {
-                        *theta_bar += weight * bar.lane(lane);
-                    }
-                }
-            });
-        }
-        let theta: Block<F> = pass.packed.iter().map(|&theta| Real::splat(theta)).collect();
-        for (t, block) in pass.blocks() {
-            let x: SmallVec<[Chunk<Lanes<F, BLOCK>>; 32]> =
-                gathered(pass.x, inputs, block).into_iter().map(Chunk::constant).collect();
-            let act = |theta: &[_], u: &mut [_]| act_on(self, theta, &x, t, u);
-            jacobian(&theta, 0..theta.len(), outputs, act, |i, slope| {
-                for (lane, c) in block.iter().enumerate() {
-                    let weight = record.weight.map_or(F::one(), |w| w[c]);
-                    theta_bar[i] += weight * dot(slope, lane, &record.u_bar[c * outputs..][..outputs]);
-                }
-            });
-        }
+        by_act::add_param_vjp(self, pass, record, theta_bar);
     }
 }
 
@@ -217,38 +175,6 @@ pub(crate) fn act_on<P: Policy + ?Sized, T: Scalar>(policy: &P, theta: &[T], x: 
 fn dims<P: Policy + ?Sized>(policy: &P) -> (usize, usize) {
     let memory = policy.memory_dim();
     (policy.observation_dim() + memory, policy.control_dim() + memory)
-}
-
-/// Returns whether [`Policy::act`] has so many inputs that defaults use reverse mode.
-fn in_reverse<P: Policy + ?Sized>(policy: &P) -> bool {
-    dims(policy).0 + policy.param_count() > REVERSE_ABOVE
-}
-
-/// One number per input, output or parameter, for [`BLOCK`] columns.
-type Block<F> = SmallVec<[Lanes<F, BLOCK>; 32]>;
-
-/// Number of columns that the default batched passes evaluate at once.
-const BLOCK: usize = 8;
-
-fn lanes<F: Float>(len: usize) -> Block<F> {
-    SmallVec::from_elem(Lanes([F::zero(); BLOCK]), len)
-}
-
-/// Columns of a block as lanes. Unused lanes repeat the last column.
-fn gathered<F: Float>(x: &[F], n: usize, block: PolicyColumns) -> Block<F> {
-    let mut gathered = lanes(n);
-    for lane in 0..BLOCK {
-        let c = block.first + lane.min(block.count - 1) * block.step;
-        for (lanes, &x) in gathered.iter_mut().zip(&x[c * n..][..n]) {
-            lanes.set_lane(lane, x);
-        }
-    }
-    gathered
-}
-
-/// Inner product of one lane of `a` with `b`.
-fn dot<F: Float>(a: &[Lanes<F, BLOCK>], lane: usize, b: &[F]) -> F {
-    a.iter().zip(b).fold(F::zero(), |sum, (a, &b)| sum + a.lane(lane) * b)
 }
 
 /// Inputs of the batched passes of a [`Policy`].

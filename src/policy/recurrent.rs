@@ -4,12 +4,13 @@
 //! row-major), then the bias. [`Cell`] states the equations of one column. The batched passes apply
 //! them to blocks of columns in lanes.
 
-use super::{Action, BLOCK, Block, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor, gathered, lanes};
+use super::blocks::{Lane, gather, scatter};
+use super::{Action, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
 use crate::numbers::kernels::{Vectorized, dispatch_lanes};
+use crate::numbers::pool::lend;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Float, Lanes, Real, Scalar};
+use crate::numbers::scalar::{Float, Real, Scalar};
 use crate::numbers::zip::zip;
-use crate::policy::PolicyColumns;
 use rand::RngExt;
 use smallvec::SmallVec;
 
@@ -365,35 +366,28 @@ fn parts_mut<T, const K: usize>(column: &mut [T]) -> [&mut [T]; K] {
     std::array::from_fn(|_| parts.next().unwrap_or_default())
 }
 
-/// Copies a block of lanes to its columns.
-fn scatter<F: Float>(block: &[Lanes<F, BLOCK>], at: PolicyColumns, columns: &mut [F]) {
-    for (lane, c) in at.iter().enumerate() {
-        for (number, lanes) in zip(columns[c * block.len()..][..block.len()].iter_mut(), block) {
-            *number = lanes.lane(lane);
-        }
-    }
-}
-
 /// Forward pass of [`Policy::forward`].
 struct Forward<'a, C, F> {
     cell: &'a C,
     pass: PolicyPass<'a, F>,
     tape: &'a mut [F],
     u: &'a mut [F],
+    buffers: &'a mut [Vec<Lane<F>>; 3],
 }
 
 impl<C: Cell, F: Float> Vectorized for Forward<'_, C, F> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { cell, pass, tape, u } = self;
+        let Self { cell, pass, tape, u, buffers: [x, stored, outputs] } = self;
         let Shape { observations, units, controls } = cell.shape();
-        let (mut stored, mut outputs) = (lanes(units * C::STORED), lanes(controls + units));
+        stored.resize(units * C::STORED, Lane::zero());
+        outputs.resize(controls + units, Lane::zero());
         for (_, at) in pass.blocks() {
-            let x: Block<F> = gathered(pass.x, observations + units, at);
-            cell.evaluate(pass.packed, Real::splat, x.split_at(observations), &mut stored, &mut outputs[..controls]);
+            gather(pass.x, observations + units, at, x);
+            cell.evaluate(pass.packed, Real::splat, x.split_at(observations), stored, &mut outputs[..controls]);
             outputs[controls..].copy_from_slice(&stored[units * (C::STORED - 1)..]);
-            scatter(&stored, at, tape);
-            scatter(&outputs, at, u);
+            scatter(stored, at, tape);
+            scatter(outputs, at, u);
         }
     }
 }
@@ -406,29 +400,32 @@ struct Backward<'a, C, F> {
     u_bar: &'a [F],
     tape_bar: &'a mut [F],
     x_bar: Option<&'a mut [F]>,
+    buffers: &'a mut [Vec<Lane<F>>; 5],
 }
 
 impl<C: Cell, F: Float> Vectorized for Backward<'_, C, F> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { cell, pass, tape, u_bar, tape_bar, mut x_bar } = self;
+        let Self { cell, pass, tape, u_bar, tape_bar, mut x_bar, buffers } = self;
         let Shape { observations, units, controls } = cell.shape();
         let (inputs, to_control) = (observations + units, cell.to_control());
-        let (mut bars, mut inputs_bar): (Block<F>, Block<F>) = (lanes(units * C::BARS), lanes(inputs));
+        let [x, stored, outputs_bar, bars, inputs_bar] = buffers;
+        bars.resize(units * C::BARS, Lane::zero());
+        inputs_bar.resize(inputs, Lane::zero());
         for (_, at) in pass.blocks() {
-            let x: Block<F> = gathered(pass.x, inputs, at);
-            let stored: Block<F> = gathered(tape, units * C::STORED, at);
-            let mut outputs_bar: Block<F> = gathered(u_bar, controls + units, at);
+            gather(pass.x, inputs, at, x);
+            gather(tape, units * C::STORED, at, stored);
+            gather(u_bar, controls + units, at, outputs_bar);
             let (u_bar, next_bar) = outputs_bar.split_at_mut(controls);
             for (i, bar) in next_bar.iter_mut().enumerate() {
                 *bar += to_control.input_bar(pass.packed, i, u_bar);
             }
-            inputs_bar.fill(Lanes::zero());
+            inputs_bar.fill(Lane::zero());
             let requested = x_bar.is_some().then(|| inputs_bar.split_at_mut(observations));
-            cell.reverse(pass.packed, &x[observations..], &stored, next_bar, &mut bars, requested);
-            scatter(&bars, at, tape_bar);
+            cell.reverse(pass.packed, &x[observations..], stored, next_bar, bars, requested);
+            scatter(bars, at, tape_bar);
             if let Some(x_bar) = &mut x_bar {
-                scatter(&inputs_bar, at, x_bar);
+                scatter(inputs_bar, at, x_bar);
             }
         }
     }
@@ -475,7 +472,7 @@ macro_rules! recurrent {
             }
 
             fn forward<F: Float>(&self, pass: PolicyPass<F>, tape: &mut [F], u: &mut [F]) {
-                dispatch_lanes(Forward { cell: self, pass, tape, u });
+                lend(|buffers| dispatch_lanes(Forward { cell: self, pass, tape, u, buffers }));
             }
 
             fn backward<F: Float>(
@@ -486,7 +483,7 @@ macro_rules! recurrent {
                 tape_bar: &mut [F],
                 x_bar: Option<&mut [F]>,
             ) {
-                dispatch_lanes(Backward { cell: self, pass, tape, u_bar, tape_bar, x_bar });
+                lend(|buffers| dispatch_lanes(Backward { cell: self, pass, tape, u_bar, tape_bar, x_bar, buffers }));
             }
 
             fn param_gradient<F: Float>(

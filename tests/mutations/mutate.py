@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Multiplies every constant of the physics by 1.1, one after the other, and tells which `tests/physics.rs` does not notice.
+"""Multiplies every constant of the physics by 1.1, one at a time. Lists those that `tests/physics` does not detect.
 
     python3 tests/mutations/mutate.py [--list] [--factor 1.1] [--only EXPRESSION]
 
-A copy of the sources gets a factor at every place, which is 1 unless the environment chooses the place. So all mutations are
-one build. The sources themselves are not touched.
+Every place in a copy of the sources gets a factor of 1. The environment variable MUTATION selects the place whose factor
+differs. All mutations share one build.
 """
 
 import argparse
@@ -18,18 +18,18 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-# Without physics of their own: dispatch, limits of what is accepted, and a solver.
+# Files without physics: dispatch, limits of settings, and a solver.
 WITHOUT = {"masses.rs", "model.rs", "scheme.rs", "hard.rs", "loss.rs", "riccati.rs", "factor.rs"}
-# Numbers that have a name of their own where they are used.
+# Local variables with constants, per file.
 NAMED = {
     "double_pendulum.rs": r"(?:m1|m2|l1|l2)\b(?=\s*[-+*/)])",
     "contact.rs": r"(?:stiffness|damping)\b(?=\s*[/)])",
-    "impact.rs": r"(?<=T::lift\()restitution\b",
+    "impact.rs": r"(?<=T::from\()restitution\b",
     "pair.rs": r"(?:total|first)\b(?=\s*[*/)])",
     "absorbing.rs": r"(?:width|strength)\b(?=\s*[-*;])",
     "lqr.rs": r"(?:stiffness|damping)\b(?=[,)])",
-    "coupled.rs": r"(?<=T::lift\()moment\b|moment\b(?=\s*\* model)",
-    "system.rs": r"(?<=T::lift\()moment\b|moment\b(?= [*/])",
+    "coupled.rs": r"(?<=T::from\()moment\b|moment\b(?=\s*\* model)",
+    "system.rs": r"(?<=T::from\()moment\b|moment\b(?= [*/])",
 }
 LIBRARY = """
 #[doc(hidden)]
@@ -45,13 +45,13 @@ pub mod mutation {
 
 
 def fields(text):
-    """Names of fields that are real numbers, of fields of this file alone, and of fields that count something."""
+    """Names of public fields of type f64, of all fields of type f64, and of fields of type usize."""
     names = lambda pattern: set(re.findall(pattern, text, re.M))
     return names(r"^\s*pub (\w+): f64,"), names(r"^\s*(?:pub )?(\w+): f64,"), names(r"^\s*(?:pub )?(\w+): usize,")
 
 
 def places(name, everywhere, own):
-    """What to look for in a file, with the text that takes its place."""
+    """Pattern of the constants in a file."""
     any_of = lambda names: "|".join(sorted(names, key=len, reverse=True)) or "!"
     of_self = r"self\.(?:%s)" % any_of(own)
     of_others = r"(?:self\.(?:0|system|system\.system)|model|law)\.(?:%s)" % any_of(everywhere)
@@ -65,7 +65,7 @@ def places(name, everywhere, own):
 
 
 def mutate(folder):
-    """Puts a factor at every place. Returns where they are."""
+    """Adds a factor to every constant. Returns their places."""
     files = sorted(folder.glob("src/tasks/**/*.rs")) + [folder / "src/dynamics/actuator/kinds.rs"]
     files = [file for file in files if file.name not in WITHOUT]
     texts = {file: file.read_text() for file in files}
@@ -82,7 +82,7 @@ def mutate(folder):
                 continue
 
             def factor(match, template="({} * crate::mutation::by({}))"):
-                # What a pattern takes apart is no use of it.
+                # A name that is bound by `let` is not a use.
                 if re.match(r"\s*let\b[^=]*$", line[: match.start()]):
                     return match.group(0)
                 found.append((file.relative_to(folder), number, match.group(0), bare))
@@ -90,7 +90,7 @@ def mutate(folder):
 
             line = pattern.sub(factor, line)
             if one:
-                line = re.sub(r"\b[TR]::one\(\)", lambda m: factor(m, m.group(0)[0] + "::lift(crate::mutation::by({1}))"), line)
+                line = re.sub(r"\b[TR]::one\(\)", lambda m: factor(m, m.group(0)[0] + "::from(crate::mutation::by({1}))"), line)
             lines.append(line)
         file.write_text("\n".join(lines))
     return found

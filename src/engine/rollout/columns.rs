@@ -28,10 +28,12 @@ pub(crate) fn gather<L, F: Float>(
     columns: &mut [F],
     (offset, stride): (usize, usize),
 ) {
-    for (sample, c) in at.iter().enumerate() {
-        let block = &blocks[(sample / WIDTH) * n..][..n];
-        for (column, lanes) in zip(columns[c * stride + offset..][..n].iter_mut(), block) {
-            *column = lane(lanes, sample % WIDTH);
+    // Without components, there are no blocks.
+    for (block, at) in zip(blocks.chunks_exact(n.max(1)), at.blocks(WIDTH)) {
+        for (index, c) in at.iter().enumerate() {
+            for (column, lanes) in zip(columns[c * stride + offset..][..n].iter_mut(), block) {
+                *column = lane(lanes, index);
+            }
         }
     }
 }

@@ -82,7 +82,7 @@ fn diagrams(name: &str, rows: &[Row]) -> physgrad::report::Drawing {
         &format!("{name}: error by cost; f32 dashed, f64 solid"),
         vec![
             Work {
-                x_label: "forward, us per step",
+                x_label: "forward, µs per step",
                 y_label: "error of the trajectory",
                 series: series(|row, errors| (row.seconds[0][1] * 1e6, errors.trajectory)),
             },
@@ -92,7 +92,7 @@ fn diagrams(name: &str, rows: &[Row]) -> physgrad::report::Drawing {
                 series: series(|row, errors| (row.operations as f64, errors.trajectory)),
             },
             Work {
-                x_label: "with gradients, us per step",
+                x_label: "with gradients, µs per step",
                 y_label: "error of the gradient of R",
                 series: series(|row, errors| (row.seconds[1][1] * 1e6, errors.gradients[0])),
             },
@@ -101,7 +101,7 @@ fn diagrams(name: &str, rows: &[Row]) -> physgrad::report::Drawing {
 }
 
 const COLUMNS: [&str; 7] = ["setting", "trajectory", "loss", "R", "signs of R", "M", "signs of M"];
-const COSTS: [&str; 3] = ["operations", "forward, us", "with gradients, us"];
+const COSTS: [&str; 3] = ["operations", "forward, µs", "with gradients, µs"];
 
 fn table(style: TableStyle, conserved: Option<&str>, rows: &mut dyn Iterator<Item = &Row>) -> Table {
     let mut table = Table::new();

@@ -1,0 +1,36 @@
+//! Blocks of at most eight columns, with the columns in lanes.
+
+use super::PolicyColumns;
+use crate::numbers::scalar::{Float, Lanes, Real};
+use crate::numbers::zip::zip;
+
+/// Number of columns of a block.
+pub(super) const BLOCK: usize = 8;
+
+/// One number of each column of a block.
+pub(super) type Lane<F> = Lanes<F, BLOCK>;
+
+/// Numbers of the columns `at`, `n` per column. Unused lanes repeat the last column.
+pub(super) fn gathered<F: Float>(columns: &[F], n: usize, at: PolicyColumns) -> impl Iterator<Item = Lane<F>> {
+    let column = move |lane: usize| at.first + lane.min(at.count - 1) * at.step;
+    (0..n).map(move |i| {
+        let mut numbers = Lanes([F::zero(); BLOCK]);
+        (0..BLOCK).for_each(|lane| numbers.set_lane(lane, columns[column(lane) * n + i]));
+        numbers
+    })
+}
+
+/// Replaces `block` by the [`gathered`] numbers of the columns `at`.
+pub(super) fn gather<F: Float>(columns: &[F], n: usize, at: PolicyColumns, block: &mut Vec<Lane<F>>) {
+    block.clear();
+    block.extend(gathered(columns, n, at));
+}
+
+/// Copies the numbers of a block to its columns `at`.
+pub(super) fn scatter<F: Float>(block: &[Lane<F>], at: PolicyColumns, columns: &mut [F]) {
+    for (lane, c) in at.iter().enumerate() {
+        for (number, lanes) in zip(columns[c * block.len()..][..block.len()].iter_mut(), block) {
+            *number = lanes.lane(lane);
+        }
+    }
+}
