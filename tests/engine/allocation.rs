@@ -1,7 +1,7 @@
 //! Rollouts, gradients and whole epochs do not allocate after the first run.
 
 use allocation_counter::measure;
-use physgrad::policy::{Action, Mlp, Observed};
+use physgrad::policy::{Action, Gru, Mlp, Observed};
 use physgrad::rng::Rng;
 use physgrad::tasks::{CartPole, LossMode};
 use physgrad::{Field, Inputs, Policy, Scalar, Start, System, Task, Trainer, Training};
@@ -90,13 +90,24 @@ impl Policy for Feedback {
     }
 }
 
+/// Number of allocations of the second and third epoch.
+fn allocations_after_the_first_epoch(policy: impl Policy, field: Field) -> u64 {
+    let training = Training { epochs: 3, train_samples: 20, test_samples: 8, workers: 1, ..Training::default() };
+    let mut session = Trainer::new(Rod, policy).field(field).training(training).session().expect("valid settings");
+    session.epoch().expect("finite");
+    measure(|| (0..2).for_each(|_| _ = session.epoch().expect("finite"))).count_total
+}
+
 #[test]
 fn default_derivatives_of_many_states_do_not_allocate_after_the_first_epoch() {
-    let training = Training { epochs: 3, train_samples: 20, test_samples: 8, workers: 1, ..Training::default() };
     for field in Field::ALL {
-        let mut session = Trainer::new(Rod, Feedback).field(field).training(training.clone()).session().expect("valid settings");
-        session.epoch().expect("finite");
-        let epochs = measure(|| (0..2).for_each(|_| _ = session.epoch().expect("finite")));
-        assert_eq!(epochs.count_total, 0, "field {field}");
+        assert_eq!(allocations_after_the_first_epoch(Feedback, field), 0, "field {field}");
+    }
+}
+
+#[test]
+fn large_recurrent_policies_do_not_allocate_after_the_first_epoch() {
+    for field in Field::ALL {
+        assert_eq!(allocations_after_the_first_epoch(Gru::new(STATES, 40, 1), field), 0, "field {field}");
     }
 }
