@@ -314,3 +314,28 @@ fn an_unsolvable_step_is_nan_and_reports_its_residual() {
         assert!(residual.is_none_or(|residual| residual > 2.0 * (dt * 0.5 * std::f64::consts::E).ln()), "{residual:?}");
     }
 }
+
+/// Outflow `dh/dt = -√h` from a vessel, beside a constant. `h = (1 - t/2)²` from 1.
+struct Outflow;
+
+impl Ode for Outflow {
+    fn state_dim(&self) -> usize {
+        2
+    }
+    fn control_dim(&self) -> usize {
+        0
+    }
+    fn rate<T: Scalar>(&self, OdeInputs { x, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
+        (rate[0], rate[1]) = (-x[0].sqrt(), T::zero());
+    }
+}
+
+#[test]
+fn the_adaptive_method_rejects_a_step_with_one_nan_component() {
+    // A stage of the whole step has a negative level, whose root is NaN.
+    let system = Integrated { ode: Outflow, integrator: adaptive(1e-9), dt: 1.9 };
+    let mut next = [0.0_f64; 2];
+    system.step(Inputs::new(&[1.0, 5.0], &[]), &mut next);
+    assert!((next[0] - 0.05 * 0.05).abs() < 1e-8, "{next:?}");
+    assert_eq!(next[1], 5.0);
+}

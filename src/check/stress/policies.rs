@@ -38,9 +38,9 @@ fn saturated_policy() -> Vec<Finding> {
 fn saturated<F: Float>() -> [Finding; 2] {
     let policy = Mlp::new([4, 32, 32, 1]);
     let (columns, x) = (8, [1e6, -2e6, 3e6, 1.5e6]);
-    let mut saturated = [true; 2];
+    let mut saturated = true;
     let mut finite = true;
-    for (case, (of_weights, of_inputs)) in [(1.0, 1.0), (1e3, 1e-6)].into_iter().enumerate() {
+    for (of_weights, of_inputs) in [(1.0, 1.0), (1e3, 1e-6)] {
         let mut weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Check, 0));
         weights.update(&policy, |theta| theta.iter_mut().for_each(|t| *t *= F::lift(of_weights)));
         let x: Vec<F> = (0..columns).flat_map(|c| x.map(|x| F::lift(x * of_inputs * (1.0 + 0.1 * c as f64)))).collect();
@@ -54,7 +54,7 @@ fn saturated<F: Float>() -> [Finding; 2] {
         finite &= u.iter().chain(&x_bar).all(|x| x.as_().is_finite());
         // With inputs of 1e6, all units of the first layer saturate. With large weights, a few
         // units of the second layer may stay linear.
-        saturated[case] = x_bar.iter().all(|&x_bar| x_bar == F::zero());
+        saturated &= of_inputs < 1.0 || x_bar.iter().all(|&x_bar| x_bar == F::zero());
     }
     [
         Finding::holds(
@@ -66,8 +66,8 @@ fn saturated<F: Float>() -> [Finding; 2] {
         Finding::holds(
             format!("∂N/∂x at inputs of 1e6 in {}", F::NAME),
             "exactly 0",
-            saturated[0],
-            if saturated[0] { "exactly 0" } else { "not 0" },
+            saturated,
+            if saturated { "exactly 0" } else { "not 0" },
         ),
     ]
 }

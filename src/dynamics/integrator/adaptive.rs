@@ -105,8 +105,9 @@ impl Adaptive {
             }
             let size = x[c].abs().max(candidate[c].abs());
             let ratio = (error * step).abs() / (T::from(self.atol) + T::from(self.rtol) * size);
-            // Selects a NaN ratio. A later finite ratio replaces it.
-            largest = T::select_lt(ratio, largest, largest, ratio);
+            // Selects a NaN ratio, and keeps a NaN maximum.
+            let larger = T::select_lt(ratio, largest, largest, ratio);
+            largest = T::select_lt(largest, T::from(f64::INFINITY), larger, largest);
         }
         largest.detach()
     }

@@ -119,6 +119,8 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         let horizons = gradients::parse(&args.horizons)?;
         return gradients::gradients(&study, &name, &*folder()?, &horizons, args.quiet);
     }
+    let refined = Setting { method: "native", substeps: 2, precision: Precision::F64 };
+    refined.of(&study.source).context("accuracy varies the time step, which this task does not support; choose another task")?;
     let (reference, check) = study.reference()?;
     let settings = study.settings();
     let bar = bar(settings.len() * (1 + ROUNDS), args.quiet);
@@ -248,7 +250,7 @@ fn name_cheapest(rows: &[Row], metric: Metric, target: f64) -> Result<()> {
     let finite = || rows.iter().filter_map(|row| Some((row, metric.read(row.errors.as_ref().ok()?))));
     if let Some((row, error)) = cheapest(rows.iter(), metric, target) {
         say(&format!(
-            "\nthe cheapest setting with an error of the {} of at most {target:e} is {}: error {error:.1e}, {:.3} us per step \
+            "\nthe cheapest setting with an error of the {} of at most {target:e} is {}: error {error:.1e}, {:.3} µs per step \
              and sample; its lines in a scene file:\n\n{}",
             metric.name(),
             row.setting.name(),
