@@ -68,7 +68,8 @@
 //! - `double-double` adds `DoubleDouble`, a 31-digit scalar type for reference results and their
 //!   derivatives.
 //! - `stress` adds the module `stress`, with hard test cases and their expected results.
-//! - `program`, a default, contains everything that the `physgrad` binary needs.
+//! - `program`, a default, contains everything that the `physgrad` binary needs. `program()` runs
+//!   it with tasks of your own.
 //! - `fuzz`, a default, adds the hidden command `physgrad fuzz`.
 //!
 //! Set `default-features = false` for the library without these features.
@@ -81,12 +82,14 @@ mod dynamics;
 mod engine;
 mod numbers;
 pub mod policy;
+#[cfg(feature = "program")]
+pub mod program;
 #[cfg(feature = "report")]
 pub mod report;
 pub mod tasks;
 mod train;
 
-#[cfg(all(feature = "stress", not(test)))]
+#[cfg(feature = "stress")]
 pub use check::stress;
 pub use dynamics::actuator::{Actuated, Actuator, AnyActuator, Delay, Lag, Limit, LimitKind, OutputCotangents};
 pub use dynamics::cause::Cause;
@@ -118,6 +121,8 @@ pub use numbers::rng;
 pub use numbers::scalar::DoubleDouble;
 pub use numbers::scalar::{Cotangent, CotangentPack, Counted, Dual, Float, Lanes, Ops, Real, Scalar, Single};
 pub use policy::{Policy, Weights};
+#[cfg(feature = "program")]
+pub use program::program;
 pub use train::field::{Field, GradientCombiner, SignAgreement, UnknownField};
 pub use train::optim::{Clip, Optimizer, OptimizerKind};
 pub use train::{

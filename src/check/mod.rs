@@ -15,8 +15,7 @@ mod policies;
 #[cfg(feature = "double-double")]
 mod reference;
 mod stability;
-// Excluded from unit tests to avoid compiling it twice; `tests/stress.rs` runs the cases.
-#[cfg(all(feature = "stress", not(test)))]
+#[cfg(feature = "stress")]
 pub mod stress;
 mod systems;
 

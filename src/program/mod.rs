@@ -1,4 +1,6 @@
-//! The `physgrad` command-line program (feature `program`).
+//! The `physgrad` command-line program (feature `program`), for built-in tasks and those of users.
+//!
+//! [`program`] runs it.
 //!
 //! Layers, each importing only those above it (`tests/layout.rs` lists the allowed imports):
 //!
@@ -11,6 +13,9 @@
 //! 7. `commands`: the commands; `print` contains `scene` and `schema`.
 //!
 //! Start with `commands/train` and `tasks/scene`.
+
+// `println!` panics on a closed pipe. `terminal::say` and `terminal::tell` do not.
+#![deny(clippy::print_stdout, clippy::print_stderr)]
 
 mod commands;
 mod operations;
@@ -28,6 +33,9 @@ use platform::terminal::tell;
 use runs::run;
 use scenes::overrides::Overrides;
 use std::process::ExitCode;
+use tasks::{AnyTaskSpec, Own};
+
+pub use tasks::ProgramTask;
 
 /// Train neural controllers through long rollouts of differentiable physics; choose the vector
 /// field that the optimizer follows.
@@ -64,8 +72,83 @@ enum Command {
 /// Exit status of a training run that applied no update.
 const NO_UPDATE: u8 = 3;
 
-/// Runs the program and returns its exit status.
-pub fn main() -> ExitCode {
+/// The `physgrad` program, with tasks of the user.
+///
+/// ```no_run
+/// use physgrad::prelude::*;
+/// use physgrad::program::ProgramTask;
+/// use schemars::JsonSchema;
+/// use serde::{Deserialize, Serialize};
+///
+/// /// Its fields are the settings `system.damping` and `system.dt` of a scene.
+/// #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+/// #[serde(default, deny_unknown_fields)]
+/// struct Slide { damping: f64, dt: f64 }
+///
+/// impl Default for Slide {
+///     fn default() -> Self { Self { damping: 0.1, dt: 0.05 } }
+/// }
+///
+/// impl System for Slide {
+///     fn state_dim(&self) -> usize { 2 }
+///     fn control_dim(&self) -> usize { 1 }
+///     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+///         next[1] = x[1] + (u[0] - x[1] * self.damping) * self.dt;
+///         next[0] = x[0] + next[1] * self.dt;
+///     }
+/// }
+///
+/// impl Task for Slide {
+///     type System = Self;
+///     fn system(&self) -> &Self { self }
+///     fn horizon(&self) -> usize { 40 }
+///     fn start(&self, rng: &mut Rng, Start { x, .. }: Start<'_>) { x[0] = rng.random_range(-1.0..1.0); }
+///     fn running_cost<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, next: &[T]) -> T {
+///         next[0] * next[0] + u[0] * u[0] * 0.01
+///     }
+/// }
+///
+/// impl ProgramTask for Slide {
+///     const NAME: &'static str = "slide";
+/// }
+///
+/// fn main() -> std::process::ExitCode {
+///     physgrad::program().task::<Slide>().main()
+/// }
+/// ```
+///
+/// `cargo run --release -- train slide --field C --set system.damping=0.3` trains a policy. The
+/// other commands take `slide` as well: `compare`, `report`, `animate`, `accuracy`, `explain`,
+/// `check`, `scene` and `schema`. Without a command, the program trains the first task of the user.
+#[must_use = "call `main` to run the program"]
+pub fn program() -> Program {
+    Program { own: Vec::new() }
+}
+
+/// The program and its tasks; see [`program`].
+pub struct Program {
+    own: Vec<&'static dyn AnyTaskSpec>,
+}
+
+impl Program {
+    /// Adds a task to the built-in ones.
+    #[must_use = "call `main` to run the program"]
+    pub fn task<T: ProgramTask>(mut self) -> Self {
+        self.own.push(&const { Own::<T>::NEW });
+        self
+    }
+
+    /// Runs the command of the process arguments and returns its exit status.
+    pub fn main(self) -> ExitCode {
+        if let Err(error) = tasks::register(self.own) {
+            tell(&format!("error: {error:#}"));
+            return ExitCode::FAILURE;
+        }
+        run_command()
+    }
+}
+
+fn run_command() -> ExitCode {
     signals::ignore_file_limits();
     let command = Arguments::parse().command.unwrap_or_else(default_run);
     match (execute(&command), signals::received()) {
@@ -101,7 +184,7 @@ fn execute(command: &Command) -> Result<()> {
 
 fn default_run() -> Command {
     Command::Train(train::Train {
-        scene: "cart_pole".into(),
+        scene: tasks::own().first().map_or("cart_pole", |task| task.name()).into(),
         overrides: Overrides::default(),
         threads: None,
         out: None,

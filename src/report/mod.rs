@@ -5,8 +5,8 @@
 //! - Charts: [`learning_curve`], [`comparison`], [`study`] and [`work_precision`], and [`Chart`]
 //!   for interactive pages.
 //! - Maps of a plane: [`maps`].
-//! - Animations: [`cart_pole()`], [`guidance()`], [`quantum()`], [`mechanics()`], or
-//!   [`Animation`] for other systems.
+//! - Animations: [`cart_pole()`], [`guidance()`], [`quantum()`], [`mechanics()`],
+//!   [`channels_over_time`], or [`Animation`] for other systems.
 //!
 //! Start with [`learning_curve`]. Output contains no scripts, needs no network, and is reproducible
 //! byte for byte.
@@ -14,6 +14,7 @@
 mod animation;
 mod axes;
 mod cart_pole;
+mod channels;
 mod chart;
 mod curves;
 mod drawing;
@@ -30,6 +31,7 @@ mod work_precision;
 
 pub use animation::{Animation, Shape};
 pub use cart_pole::{Rail, cart_pole, cart_pole_on};
+pub use channels::{Channel, channels_over_time};
 pub use chart::{Chart, Frame};
 pub use curves::{Case, Curve, Point, comparison, field_color, learning_curve, study};
 pub use drawing::Drawing;

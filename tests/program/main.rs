@@ -3,17 +3,13 @@
 #[path = "../common/running.rs"]
 mod running;
 
-/// Compiles the unit tests of a module of the program.
-#[allow(dead_code)]
-#[path = "../../src/program/runs/statistics.rs"]
-mod statistics;
-
 mod accuracy;
 mod commands;
 mod docs;
 mod explain;
 mod extreme_settings;
 mod limits;
+mod own;
 mod pages;
 mod paper;
 mod report;

@@ -3,7 +3,7 @@
 use crate::program::operations::checks::Results;
 use crate::program::platform::terminal::say;
 use crate::program::scenes::presets;
-use crate::program::tasks::{Scene, TASKS};
+use crate::program::tasks::{self, Scene};
 use anyhow::{Result, bail};
 
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
@@ -32,7 +32,7 @@ pub fn check(args: &Check) -> Result<()> {
 
 /// Named scenes to check.
 fn scenes(name: Option<&str>) -> Result<Vec<(String, Scene)>> {
-    let tasks = TASKS.into_iter().filter(|kind| name.is_none_or(|name| name == kind.name()));
+    let tasks = tasks::all().iter().filter(|kind| name.is_none_or(|name| name == kind.name()));
     let variants: Vec<_> = tasks.flat_map(|kind| kind.variants()).collect();
     let preset = |name: &str| Ok((name.to_owned(), presets::source(name)?.scene()?));
     match name {

@@ -10,10 +10,10 @@ use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::settings::FieldName;
 use crate::program::tasks::Scene;
+use crate::report::{Curve, comparison};
 use anyhow::{Result, bail};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
-use physgrad::report::{Curve, comparison};
 use std::path::PathBuf;
 
 /// Train with several fields and seeds, and compare the results; in one scene or in several, which

@@ -1,10 +1,10 @@
 //! `physgrad effects`: the reference page of all effects.
 
+use crate::Ops;
 use crate::program::platform::terminal::say;
 use crate::program::settings::{ACTUATORS, Info};
-use crate::program::tasks::{AnyTaskSpec, TASKS};
+use crate::program::tasks::{self, AnyTaskSpec};
 use anyhow::Result;
-use physgrad::Ops;
 use serde_json::Value;
 use std::fmt::Write;
 use toml::Table;
@@ -39,7 +39,7 @@ pub fn effects(_args: &Effects) -> Result<()> {
 
 fn page() -> Result<String> {
     let mut page = HEAD.to_owned();
-    for kind in TASKS.into_iter().filter(|kind| !kind.effects().is_empty()) {
+    for &kind in tasks::all().iter().filter(|kind| !kind.effects().is_empty()) {
         let intro = wrapped(&format!("{} {}", sentence(kind.about()), symbols(kind.name())));
         let _ = writeln!(page, "\n## {}\n\n{intro}\n", kind.name());
         section(&mut page, kind, "effects", kind.effects())?;
@@ -49,7 +49,7 @@ fn page() -> Result<String> {
         "\n## Actuators\n\nAvailable in every task, except `delay` and `lag` in `quantum`. They map the policy's control u to the control u' that the physics receives, \
          in this order. Their state starts at 0. Costs are for cart_pole, which has one control.\n"
     );
-    section(&mut page, TASKS[0], "actuator", &ACTUATORS)?;
+    section(&mut page, tasks::all()[0], "actuator", &ACTUATORS)?;
     Ok(page)
 }
 

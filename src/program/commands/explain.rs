@@ -6,10 +6,10 @@ use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::settings::{ACTUATORS, Info, OPTIONAL};
 use crate::program::tasks::Scene;
+use crate::{Field, OpCount, Ops};
 use anyhow::Result;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{ContentArrangement, Table};
-use physgrad::{Field, OpCount, Ops};
 
 /// List the present and absent effects of a scene; count operations of a step and its VJP by
 /// effect, of costs and observations, and stored bytes.

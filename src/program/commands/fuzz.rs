@@ -6,11 +6,11 @@ use crate::program::commands::stress::{passes, table};
 use crate::program::operations::peak_bytes;
 use crate::program::platform::parallel;
 use crate::program::platform::terminal::say;
+use crate::rng::{Purpose, stream};
+use crate::stress::Finding;
 use anyhow::{Result, bail};
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use inputs::KINDS;
-use physgrad::rng::{Purpose, stream};
-use physgrad::stress::Finding;
 use std::cell::RefCell;
 use std::fs;
 use std::panic::{self, AssertUnwindSafe};
@@ -156,6 +156,6 @@ fn peak_of_process() -> Option<f64> {
 }
 
 /// Random numbers of an input.
-fn numbers_of(input: u64) -> physgrad::rng::Rng {
+fn numbers_of(input: u64) -> crate::rng::Rng {
     stream(0, Purpose::Check, input)
 }

@@ -10,9 +10,9 @@ use crate::program::platform::terminal::say;
 use crate::program::runs::run::threads;
 use crate::program::runs::sweep::{check_distinct, check_options};
 use crate::program::settings::{ClipName, FieldName};
+use crate::report::Drawing;
 use anyhow::{Result, bail};
 use clap::ValueEnum;
-use physgrad::report::Drawing;
 use std::path::{Path, PathBuf};
 use study::{FIG3, FIG4, FIG5};
 

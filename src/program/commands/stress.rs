@@ -4,11 +4,11 @@ mod reproducible;
 
 use crate::program::platform::parallel;
 use crate::program::platform::terminal::say;
+use crate::stress::{self, Case, Finding};
 use anyhow::{Result, bail};
 use comfy_table::presets::{ASCII_MARKDOWN, UTF8_FULL_CONDENSED};
 use comfy_table::{Table, TableStyle};
 use indicatif::{ProgressBar, ProgressStyle};
-use physgrad::stress::{self, Case, Finding};
 use std::time::Instant;
 
 /// Run the hard cases: long horizons, stiffness, chaos, singular geometry, overflow.

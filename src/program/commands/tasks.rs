@@ -3,13 +3,13 @@
 use crate::program::platform::terminal::say;
 use crate::program::scenes::presets;
 use crate::program::settings::{ACTUATORS, Info};
-use crate::program::tasks::{AnyTaskSpec, TASKS};
+use crate::program::tasks::{self, AnyTaskSpec};
 use anyhow::Result;
 
 /// Runs the command.
 pub fn tasks() -> Result<()> {
-    for task in TASKS {
-        describe(task)?;
+    for task in tasks::all() {
+        describe(*task)?;
     }
     say(&format!("actuators: {}; only limit for quantum\n", names(&ACTUATORS)))?;
     say("Each task is also a preset. `physgrad scene` lists all presets; `physgrad scene cart_pole` prints one as a template.

@@ -9,8 +9,8 @@ use crate::program::runs::statistics::best;
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
+use crate::{Record, differences};
 use anyhow::{Context, Result, bail};
-use physgrad::{Record, differences};
 use std::path::PathBuf;
 use std::time::Duration;
 

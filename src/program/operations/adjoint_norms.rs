@@ -1,8 +1,8 @@
 //! Norms of the adjoints along a rollout.
 
-use physgrad::any::AnyTask;
-use physgrad::policy::AnyPolicy;
-use physgrad::{Adjoint, Divergence, Float, Flow, Rollout, Weights};
+use crate::any::AnyTask;
+use crate::policy::AnyPolicy;
+use crate::{Adjoint, Divergence, Float, Flow, Rollout, Weights};
 
 /// Largest number of test initial states in the rollout.
 pub const SAMPLES: usize = 64;

@@ -1,11 +1,11 @@
 //! Gradient checks of a task and its policy, collected in a table.
 
 use super::Visit;
+use crate::check::{self, Failure, Passed};
+use crate::{Flow, Policy, System, Task};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use indicatif::ProgressBar;
-use physgrad::check::{self, Failure, Passed};
-use physgrad::{Flow, Policy, System, Task};
 use std::time::Duration;
 
 /// Visitor that adds the checks of one task and policy to the results.

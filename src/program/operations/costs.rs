@@ -2,8 +2,8 @@
 
 use crate::program::operations::Visit;
 use crate::program::settings::Precision;
-use physgrad::rng::{Purpose, stream};
-use physgrad::{Adjoint, Divergence, Field, Float, Policy, Rollout, Task, TaskOpCount, Weights, initial_states};
+use crate::rng::{Purpose, stream};
+use crate::{Adjoint, Divergence, Field, Float, Policy, Rollout, Task, TaskOpCount, Weights, initial_states};
 
 /// Number of samples in the measured rollout: one full block of lanes.
 pub const SAMPLES: usize = 8;

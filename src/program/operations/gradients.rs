@@ -1,14 +1,14 @@
 //! Methods of computing a gradient, and their costs.
 
+use crate::any::AnyTask;
+use crate::policy::AnyPolicy;
 use crate::program::operations::Visit;
 use crate::program::operations::peak_bytes;
 use crate::program::operations::seconds_per_run;
 use crate::program::platform::parallel;
 use crate::program::settings::Precision;
-use physgrad::any::AnyTask;
-use physgrad::policy::AnyPolicy;
-use physgrad::rng::{Purpose, stream};
-use physgrad::{Batch, Field, Float, Flow, Gradient, Policy, Rollout, Task, Weights, check, initial_states};
+use crate::rng::{Purpose, stream};
+use crate::{Batch, Field, Float, Flow, Gradient, Policy, Rollout, Task, Weights, check, initial_states};
 use std::sync::Arc;
 
 /// Number of samples in the mean loss.

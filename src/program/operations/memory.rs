@@ -1,10 +1,10 @@
 //! Memory that a run needs, and memory of the machine.
 
+use crate::any::AnyTask;
 use crate::program::operations::Visit;
 use crate::program::operations::trajectory::ROLLOUTS;
 use crate::program::settings::Precision;
-use physgrad::any::AnyTask;
-use physgrad::{Batch, Float, Flow, Policy, Schedule, System, Task};
+use crate::{Batch, Float, Flow, Policy, Schedule, System, Task};
 use std::fs::read_to_string;
 
 /// Visitor that estimates the memory of a run before it is allocated.

@@ -12,7 +12,7 @@ pub mod session;
 pub mod simulation;
 pub mod trajectory;
 
-use physgrad::{Policy, Task};
+use crate::{Policy, Task};
 use std::time::Instant;
 
 /// Computation that needs the concrete types of task and policy.

@@ -1,12 +1,12 @@
 //! Object-safe training session, independent of task, policy and precision.
 
+use crate::any::AnyTask;
 use crate::program::operations::Visit;
 use crate::program::operations::adjoint_norms::{self, AdjointNorms};
 use crate::program::operations::trajectory::{self, Trajectory};
 use crate::program::settings::Precision;
+use crate::{CheckpointError, Field, Float, Policy, Record, Session, Task, TrainError, Trainer, Training};
 use anyhow::Result;
-use physgrad::any::AnyTask;
-use physgrad::{CheckpointError, Field, Float, Policy, Record, Session, Task, TrainError, Trainer, Training};
 use std::ops::Range;
 
 /// Object-safe part of a [`Session`].

@@ -1,12 +1,12 @@
 //! Simulation of a scene with one setting: results and costs.
 
+use crate::any::AnyTask;
+use crate::policy::AnyPolicy;
 use crate::program::operations::Visit;
 use crate::program::operations::seconds_per_run;
 use crate::program::settings::Precision;
-use physgrad::any::AnyTask;
-use physgrad::policy::AnyPolicy;
-use physgrad::rng::{Purpose, stream};
-use physgrad::{Adjoint, Float, Flow, Gradient, OpCount, Policy, Rollout, Task, Weights, initial_states};
+use crate::rng::{Purpose, stream};
+use crate::{Adjoint, Float, Flow, Gradient, OpCount, Policy, Rollout, Task, Weights, initial_states};
 
 /// Number of samples in the rollout: one full block of lanes.
 const SAMPLES: usize = 8;

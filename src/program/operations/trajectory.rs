@@ -1,9 +1,9 @@
 //! Trajectories and parameters of a policy, independent of task and policy types.
 
+use crate::any::AnyTask;
+use crate::policy::AnyPolicy;
+use crate::{Divergence, Float, Rollout, Variable, Weights};
 use anyhow::Result;
-use physgrad::any::AnyTask;
-use physgrad::policy::AnyPolicy;
-use physgrad::{Divergence, Float, Rollout, Variable, Weights};
 use safetensors::tensor::{Dtype, TensorView};
 use std::ops::Range;
 

@@ -4,8 +4,8 @@ use crate::program::operations::trajectory::Trajectory;
 use crate::program::platform::files;
 use crate::program::platform::folder::{Folder, METRICS};
 use crate::program::tasks::Scene;
+use crate::{Growth, Record, report};
 use anyhow::{Context, Result};
-use physgrad::{Growth, Record, report};
 use std::fs::File;
 use std::path::PathBuf;
 

@@ -1,9 +1,9 @@
 //! [`Progress`]: progress bar of a run.
 
 use super::run::{EpochEvent, Observer};
+use crate::Growth;
 use crate::program::platform::terminal::tell;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use physgrad::Growth;
 
 /// Progress bar with losses, elapsed time and ETA. Without a terminal, prints up to ten lines of
 /// text instead.

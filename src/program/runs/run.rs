@@ -9,8 +9,8 @@ use crate::program::platform::terminal::tell;
 use crate::program::runs::outputs::{self, Metrics};
 use crate::program::runs::saved;
 use crate::program::tasks::Scene;
+use crate::{Record, TrainError};
 use anyhow::{Result, bail};
-use physgrad::{Record, TrainError};
 use std::fmt;
 use std::time::{Duration, Instant};
 

@@ -1,5 +1,6 @@
 //! Saved runs: search in folders, scenes, restored states.
 
+use crate::differences;
 use crate::program::operations::session::AnyRun;
 use crate::program::platform::folder::{CHECKPOINT, Folder, METRICS, POLICY, RUNS, SETTINGS};
 use crate::program::scenes::overrides::Overrides;
@@ -7,7 +8,6 @@ use crate::program::scenes::presets;
 use crate::program::scenes::source::SceneSource;
 use crate::program::tasks::Scene;
 use anyhow::{Context, Result, bail};
-use physgrad::differences;
 use std::path::Path;
 
 /// Returns whether the folder contains a run.

@@ -1,7 +1,7 @@
 //! Statistics over runs with several seeds: medians, quantiles and learning curves.
 
-use physgrad::report::{Curve, Point, field_color};
-use physgrad::{Field, Record};
+use crate::report::{Curve, Point, field_color};
+use crate::{Field, Record};
 
 /// Field, seed and records of one run.
 #[derive(Clone, Copy)]

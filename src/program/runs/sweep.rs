@@ -9,8 +9,8 @@ use crate::program::runs::saved::{self, check_resumable};
 use crate::program::runs::statistics::Outcome;
 use crate::program::settings::FieldName;
 use crate::program::tasks::Scene;
+use crate::{Field, Record};
 use anyhow::{Context, Result, bail};
-use physgrad::{Field, Record};
 use std::collections::HashSet;
 use std::sync::Mutex;
 

@@ -2,7 +2,10 @@
 
 use crate::program::platform::folder::SETTINGS;
 use crate::program::scenes::source::SceneSource;
+use crate::program::settings::VERSION;
+use crate::program::tasks::{self, AnyTaskSpec};
 use anyhow::{Context, Result, anyhow, bail};
+use std::borrow::Cow;
 use std::path::Path;
 
 /// Name and text of every file in `presets/`.
@@ -35,15 +38,19 @@ const PRESETS: [(&str, &str); 23] = [
 /// Presets with more effects than in the paper, one per task.
 pub const RICH: [&str; 3] = ["cart_pole_windy", "guidance_walled", "quantum_double_well"];
 
-/// Name and first line of every preset.
+/// Name and first line of every preset. Tasks of the user are presets with their default settings.
 pub fn all() -> impl Iterator<Item = (&'static str, &'static str)> {
-    PRESETS.into_iter().map(|(name, text)| (name, text.lines().next().unwrap_or_default().trim_start_matches(['#', ' '])))
+    let first_line = |text: &'static str| text.lines().next().unwrap_or_default().trim_start_matches(['#', ' ']);
+    let built_in = PRESETS.into_iter().map(move |(name, text)| (name, first_line(text)));
+    built_in.chain(tasks::own().iter().map(|task| (task.name(), task.about())))
 }
 
 /// Text of a preset.
-pub fn text(name: &str) -> Result<&'static str> {
-    let found = PRESETS.into_iter().find(|(preset, _)| *preset == name).map(|(_, text)| text);
-    found.with_context(|| {
+pub fn text(name: &str) -> Result<Cow<'static, str>> {
+    let built_in = PRESETS.into_iter().find(|(preset, _)| *preset == name).map(|(_, text)| text.into());
+    let own = || tasks::own().iter().find(|task| task.name() == name);
+    let preset = |task: &&dyn AnyTaskSpec| format!("# {}\nscene = {VERSION}\ntask = {name:?}\n", task.about()).into();
+    built_in.or_else(|| own().map(preset)).with_context(|| {
         let names: Vec<&str> = all().map(|(name, _)| name).collect();
         format!("there is no preset `{name}`; presets: {}", names.join(", "))
     })
@@ -52,7 +59,7 @@ pub fn text(name: &str) -> Result<&'static str> {
 /// Source of the preset with this name, or of the file at this path.
 pub fn source(name: &str) -> Result<SceneSource> {
     let path = Path::new(name);
-    if path.is_dir() && !PRESETS.iter().any(|(preset, _)| *preset == name) {
+    if path.is_dir() && !all().any(|(preset, _)| preset == name) {
         let scene = path.join(SETTINGS);
         let hint = if scene.exists() { format!("; the scene of its run is {}", scene.display()) } else { String::new() };
         bail!("{name} is a folder, not a scene{hint}");
@@ -61,7 +68,7 @@ pub fn source(name: &str) -> Result<SceneSource> {
         return SceneSource::read(path);
     }
     let text = text(name).map_err(|error| anyhow!("{error}; to use a scene file, give its path, which ends in .toml"))?;
-    SceneSource::parse(&format!("preset {name}"), text)
+    SceneSource::parse(&format!("preset {name}"), &text)
 }
 
 /// Name of the folder with the results of a preset or file.

@@ -145,12 +145,12 @@ impl SceneSource {
                 return Err(ConfigError::new("scene", what));
             }
         }
-        let names = || tasks::TASKS.map(|task| task.name()).join(", ");
+        let names = || tasks::all().iter().map(|task| task.name()).collect::<Vec<_>>().join(", ");
         let task = match self.table.get("task") {
             None => return Err(ConfigError::new("task", format!("is missing; allowed: {}", names()))),
             Some(task) => task,
         };
-        let spec = tasks::TASKS.into_iter().find(|spec| task.as_str() == Some(spec.name()));
+        let spec = tasks::all().iter().copied().find(|spec| task.as_str() == Some(spec.name()));
         let spec = spec.ok_or_else(|| ConfigError::new("task", format!("is {task}; allowed: {}", names())))?;
         let mut settings = spec.defaults();
         overlay(&mut settings, &self.table);
@@ -179,7 +179,7 @@ impl SceneSource {
 /// Replaces the error if the unknown key is an effect of another task.
 fn explain_foreign_effect(spec: &dyn AnyTaskSpec, error: ConfigError) -> ConfigError {
     let has = |spec: &dyn AnyTaskSpec| spec.effects().iter().any(|info| error.key == format!("effects.{}", info.name));
-    match tasks::TASKS.into_iter().find(|other| has(*other)) {
+    match tasks::all().iter().find(|other| has(**other)) {
         Some(other) if !has(spec) => {
             let allowed: Vec<&str> = spec.effects().iter().map(|info| info.name).collect();
             let what = format!("is an effect of {}, not of {}; allowed here: {}", other.name(), spec.name(), allowed.join(", "));

@@ -2,7 +2,7 @@
 
 use crate::program::settings::Info;
 use crate::program::settings::config_error::{ConfigError, count, positive};
-use physgrad::{Actuated, Actuator, AnyActuator, Delay, Lag, Limit, System};
+use crate::{Actuated, Actuator, AnyActuator, Delay, Lag, Limit, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

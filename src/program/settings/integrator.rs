@@ -2,7 +2,7 @@
 
 use crate::program::settings::Precision;
 use crate::program::settings::config_error::{ConfigError, allowed, count, positive};
-use physgrad::{Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Ode, RungeKutta, SemiImplicit, Substeps, System, Verlet};
+use crate::{Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Ode, RungeKutta, SemiImplicit, Substeps, System, Verlet};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

@@ -1,7 +1,7 @@
 //! Settings with a fixed set of values.
 
-use physgrad::policy::Activation;
-use physgrad::{Field, OptimizerKind};
+use crate::policy::Activation;
+use crate::{Field, OptimizerKind};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{Deserializer, Error, Visitor};
 use serde::{Deserialize, Serialize};
@@ -53,7 +53,7 @@ impl JsonSchema for FieldName {
 }
 
 impl TryFrom<String> for FieldName {
-    type Error = physgrad::UnknownField;
+    type Error = crate::UnknownField;
     fn try_from(name: String) -> Result<Self, Self::Error> {
         name.parse().map(Self)
     }

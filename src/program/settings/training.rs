@@ -2,7 +2,7 @@
 
 use crate::program::settings::config_error::{ConfigError, allowed, count, positive};
 use crate::program::settings::{ClipName, DecayName, OptimizerName};
-use physgrad::{Clip, Decay, Field, Flow, Training};
+use crate::{Clip, Decay, Field, Flow, Training};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -185,7 +185,7 @@ fn bytes(text: &str) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::{TrainingSettings, bytes};
-    use physgrad::{Field, Flow};
+    use crate::{Field, Flow};
 
     #[test]
     fn both_flows_of_a_field_are_weighted() {

@@ -6,12 +6,12 @@ use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, count, exclusive, finite, not_negative, positive};
 use crate::program::tasks::effects::{EffectsSection, Present, effects_section};
 use crate::program::tasks::{Conserved, MlpSettings, PolicySpec, Settings, TaskSpec};
-use physgrad::report::{self, Animation, Rail};
-use physgrad::tasks::{
+use crate::report::{self, Animation, Rail};
+use crate::tasks::{
     self, Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, LossMode,
     PoleDamping, SteadyWind,
 };
-use physgrad::{Forced, HasModel, Named, System};
+use crate::{Forced, HasModel, Named, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -163,7 +163,9 @@ impl TaskSpec for CartPole {
     const NAME: &'static str = "cart_pole";
     const ABOUT: &'static str = "swing up any number of poles on one cart";
     const EPOCHS: usize = 1000;
-    const HORIZON: usize = 100;
+    fn horizon() -> usize {
+        100
+    }
     const METHODS: &'static [Method] = &Method::ODE;
 
     fn system() -> CartPoleSettings {

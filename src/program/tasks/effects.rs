@@ -1,8 +1,8 @@
 //! The `effects` section of a task: each effect is declared once.
 
+use crate::Named;
 use crate::program::settings::Info;
 use crate::program::settings::config_error::ConfigError;
-use physgrad::Named;
 
 /// An `effects` section.
 pub trait EffectsSection {
@@ -65,7 +65,7 @@ macro_rules! effects_section {
         where
             $(E: From<$effect>),*
         {
-            fn present(&self) -> Vec<physgrad::Named<E>> {
+            fn present(&self) -> Vec<crate::Named<E>> {
                 let effects = [
                     $(crate::program::tasks::effects::named(concat!("effects.", stringify!($key)), self.$key.clone())),*
                 ];

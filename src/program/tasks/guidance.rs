@@ -6,9 +6,9 @@ use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, allowed, count, finite, not_negative, positive};
 use crate::program::tasks::effects::{EffectsSection, Present, effects_section, named};
 use crate::program::tasks::{MlpSettings, PolicySpec, Settings, TaskSpec};
-use physgrad::report::{self, Animation, Field};
-use physgrad::tasks::{self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles, Spread, Walls};
-use physgrad::{Forced, HasModel, Named, System};
+use crate::report::{self, Animation, Field};
+use crate::tasks::{self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles, Spread, Walls};
+use crate::{Forced, HasModel, Named, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -145,7 +145,9 @@ impl TaskSpec for Guidance {
     const NAME: &'static str = "guidance";
     const ABOUT: &'static str = "drivers herd evaders, who flee from them, to the origin";
     const EPOCHS: usize = 200;
-    const HORIZON: usize = 60;
+    fn horizon() -> usize {
+        60
+    }
     const METHODS: &'static [Method] = &Method::ODE;
 
     fn system() -> GuidanceSystem {

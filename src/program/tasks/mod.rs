@@ -2,7 +2,7 @@
 //!
 //! A [`TaskSpec`] adds settings, defaults, limits, column names and an animation to the physics of
 //! a task. [`Settings`] are the sections of one task; [`Scene`] hides the type of the task.
-//! [`TASKS`] lists all tasks.
+//! [`all`] lists the built-in tasks and those of the user, which implement [`ProgramTask`].
 //!
 //! Imports `platform`, `settings` and `operations`. Start with `cart_pole`.
 
@@ -10,12 +10,14 @@ mod cart_pole;
 mod effects;
 mod guidance;
 mod hard;
+mod own;
 mod policy;
 mod quantum;
 pub mod scene;
 mod schema;
 mod settings;
 
+pub use own::{Own, ProgramTask};
 pub use policy::{MlpSettings, PolicySpec};
 pub use scene::Scene;
 pub use schema::schema;
@@ -25,11 +27,13 @@ use crate::program::operations::Visit;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{Info, Method};
+use crate::report::Animation;
+use anyhow::{Result, anyhow, bail};
 use effects::EffectsSection;
-use physgrad::report::Animation;
 use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Debug;
+use std::sync::OnceLock;
 use toml::Table;
 
 /// A section of a scene's settings.
@@ -54,7 +58,7 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     /// Default number of epochs.
     const EPOCHS: usize;
     /// Default number of time steps.
-    const HORIZON: usize;
+    fn horizon() -> usize;
     /// Integrators that can replace the task's native scheme.
     const METHODS: &'static [Method] = &[];
 
@@ -114,8 +118,8 @@ impl Conserved {
     }
 }
 
-/// Every task.
-pub const TASKS: [&dyn AnyTaskSpec; 9] = [
+/// Built-in tasks.
+const BUILT_IN: [&dyn AnyTaskSpec; 9] = [
     &cart_pole::CartPole,
     &guidance::Guidance,
     &quantum::Quantum,
@@ -126,6 +130,33 @@ pub const TASKS: [&dyn AnyTaskSpec; 9] = [
     &hard::Bounce,
     &hard::Push,
 ];
+
+/// Tasks of this process, set once by [`register`].
+static REGISTERED: OnceLock<Vec<&'static dyn AnyTaskSpec>> = OnceLock::new();
+
+/// Every task: the built-in ones, then those of the user.
+pub fn all() -> &'static [&'static dyn AnyTaskSpec] {
+    REGISTERED.get().map_or(&BUILT_IN, Vec::as_slice)
+}
+
+/// Tasks of the user.
+pub fn own() -> &'static [&'static dyn AnyTaskSpec] {
+    &all()[BUILT_IN.len()..]
+}
+
+/// Adds tasks of the user to the built-in ones.
+///
+/// # Errors
+/// Two tasks have the same name.
+pub fn register(own: Vec<&'static dyn AnyTaskSpec>) -> Result<()> {
+    let tasks: Vec<_> = BUILT_IN.into_iter().chain(own).collect();
+    for (i, task) in tasks.iter().enumerate() {
+        if tasks[..i].iter().any(|other| other.name() == task.name()) {
+            bail!("two tasks have the name `{}`; choose another `NAME`", task.name());
+        }
+    }
+    REGISTERED.set(tasks).map_err(|_| anyhow!("a process runs one program"))
+}
 
 /// Object-safe [`TaskSpec`].
 pub trait AnyTaskSpec: Send + Sync {

@@ -1,11 +1,11 @@
 //! The `policy` section.
 
+use crate::policy::Mlp;
 use crate::program::operations::Visit;
 use crate::program::settings::ActivationName;
 use crate::program::settings::config_error::{ConfigError, allowed};
 use crate::program::tasks::Section;
-use physgrad::policy::Mlp;
-use physgrad::{Policy, System, Task};
+use crate::{Policy, System, Task};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

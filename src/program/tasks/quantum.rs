@@ -1,18 +1,18 @@
 //! Quantum control: settings, effects, limits and animation.
 
+use crate::policy::Conv;
 use crate::program::operations::Visit;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, allowed, count, exclusive, finite, not_negative, positive};
 use crate::program::tasks::effects::{EffectsSection, effects_section, named};
 use crate::program::tasks::{Conserved, PolicySpec, Settings, TaskSpec};
-use physgrad::policy::Conv;
-use physgrad::report::{self, Animation, Landscape};
-use physgrad::tasks::{
+use crate::report::{self, Animation, Landscape};
+use crate::tasks::{
     self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode, Pade, QuantumEffect,
     QuantumScheme, QuantumSystem, Strang, Tabulated,
 };
-use physgrad::{Forced, HasModel, Named, Substeps};
+use crate::{Forced, HasModel, Named, Substeps};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -181,7 +181,9 @@ impl TaskSpec for Quantum {
     const NAME: &'static str = "quantum";
     const ABOUT: &'static str = "bring a particle in a box into an eigenstate by tilting the floor";
     const EPOCHS: usize = 200;
-    const HORIZON: usize = 128;
+    fn horizon() -> usize {
+        128
+    }
     const METHODS: &'static [Method] = &Method::QUANTUM;
 
     fn system() -> QuantumSettings {

@@ -12,9 +12,9 @@ use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{FieldName, OPTIONAL, Precision};
 use crate::program::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
+use crate::report::Animation;
+use crate::{Field, TaskOpCount};
 use anyhow::Result;
-use physgrad::report::Animation;
-use physgrad::{Field, TaskOpCount};
 use std::ops::Deref;
 use std::sync::Arc;
 use toml::{Table, Value};
@@ -221,8 +221,8 @@ mod tests {
     use crate::program::settings::{Info, Method};
     use crate::program::tasks::effects::EffectsSection;
     use crate::program::tasks::{MlpSettings, PolicySpec};
-    use physgrad::report;
-    use physgrad::tasks::{CartPole, CartPoleSystem};
+    use crate::report;
+    use crate::tasks::{CartPole, CartPoleSystem};
     use schemars::JsonSchema;
     use serde::{Deserialize, Serialize};
 
@@ -268,7 +268,9 @@ mod tests {
         const NAME: &'static str = "windy";
         const ABOUT: &'static str = "a test";
         const EPOCHS: usize = 1;
-        const HORIZON: usize = 2;
+        fn horizon() -> usize {
+            2
+        }
         const METHODS: &'static [Method] = &[];
 
         fn system() -> CartPoleSystem {

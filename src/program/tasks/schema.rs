@@ -1,7 +1,7 @@
 //! JSON schema of scenes, with one branch per task.
 
 use crate::program::settings::VERSION;
-use crate::program::tasks::{AnyTaskSpec, TASKS};
+use crate::program::tasks::{self, AnyTaskSpec};
 use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, SchemaGenerator};
 use serde_json::{Map, Value, json};
@@ -14,7 +14,7 @@ pub fn schema() -> Value {
         "title": "A physgrad scene",
         "description": "Task, physics, policy and training of a run. Missing settings have defaults; effects that are not listed are absent.",
         "type": "object",
-        "oneOf": TASKS.map(|task| task.schema()),
+        "oneOf": tasks::all().iter().map(|task| task.schema()).collect::<Vec<_>>(),
     })
 }
 

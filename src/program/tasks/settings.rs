@@ -1,5 +1,6 @@
 //! Settings of a run, as one struct per task.
 
+use crate::Field;
 use crate::program::operations::Visit;
 use crate::program::operations::memory::{self, Memory, Needs};
 use crate::program::settings::config_error::{ConfigError, count};
@@ -7,7 +8,6 @@ use crate::program::settings::{
     ActuatorSettings, FieldName, IntegratorSettings, OPTIONAL, Precision, TrainingSettings, VERSION, reading,
 };
 use crate::program::tasks::{PolicySpec, TaskSpec};
-use physgrad::Field;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
@@ -63,7 +63,7 @@ impl<K: TaskSpec> Settings<K> {
             precision: Precision::F32,
             seed: 0,
             epochs: K::EPOCHS,
-            horizon: K::HORIZON,
+            horizon: K::horizon(),
             system: K::system(),
             effects: K::Effects::default(),
             actuator: ActuatorSettings::default(),
@@ -90,8 +90,16 @@ impl<K: TaskSpec> Settings<K> {
     /// # Errors
     /// Reports unknown keys, missing keys and values of the wrong type.
     pub fn fill(table: Table) -> Result<Self, ConfigError> {
+        let system = table.get("system").and_then(Value::as_table).cloned().unwrap_or_default();
         let mut settings: Self = reading::read(table).map_err(|error| ConfigError::unreadable(&error))?;
         settings.training.complete();
+        // A task of the user may ignore unknown keys.
+        let read = settings.table().get("system").and_then(Value::as_table).cloned().unwrap_or_default();
+        if let Some(key) = system.keys().find(|key| !read.contains_key(*key)) {
+            let known: Vec<String> = read.keys().map(|key| format!("`{key}`")).collect();
+            let what = format!("is unknown; allowed: {}", known.join(", "));
+            return Err(ConfigError::new(format!("system.{key}"), what));
+        }
         Ok(settings)
     }
 

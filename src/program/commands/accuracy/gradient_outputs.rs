@@ -5,10 +5,10 @@ use crate::program::commands::accuracy::outputs::right_aligned;
 use crate::program::operations::gradients::GradientMethod;
 use crate::program::platform::folder::Folder;
 use crate::program::settings::Precision;
+use crate::report::{Series, Work, work_precision};
 use anyhow::Result;
 use comfy_table::presets::{ASCII_MARKDOWN, UTF8_FULL_CONDENSED};
 use comfy_table::{Table, TableStyle};
-use physgrad::report::{Series, Work, work_precision};
 
 fn small(x: f64) -> String {
     if x.is_nan() { "-".into() } else { format!("{x:.1e}") }
@@ -179,7 +179,7 @@ fn horizons_csv(along: &[Horizon]) -> Result<Vec<u8>> {
     csv(&["horizon", "r_norm", "f32_error", "f32_signs_right", "f64_error", "f64_signs_right"], along.iter().map(row))
 }
 
-fn diagrams(name: &str, methods: &[Derivative], along: &[Horizon]) -> physgrad::report::Drawing {
+fn diagrams(name: &str, methods: &[Derivative], along: &[Horizon]) -> crate::report::Drawing {
     let colors = [("f32", "#D55E00"), ("f64", "#0072B2")];
     let of = |precision: &'static str| methods.iter().filter(move |row| row.precision.name() == precision);
     let steps = colors.iter().flat_map(|&(precision, color)| {

@@ -10,9 +10,9 @@ use crate::program::platform::parallel;
 use crate::program::platform::terminal::{say, tell};
 use crate::program::settings::Precision;
 use crate::program::tasks::Scene;
+use crate::{Field, GradientCombiner, SignAgreement};
 use anyhow::{Result, bail};
 use indicatif::ProgressBar;
-use physgrad::{Field, GradientCombiner, SignAgreement};
 use toml::Value;
 
 /// Step sizes of central differences.

@@ -2,10 +2,10 @@
 
 use crate::program::commands::accuracy::row::{Errors, Row};
 use crate::program::platform::folder::Folder;
+use crate::report::{Series, Work, work_precision};
 use anyhow::{Context, Result};
 use comfy_table::presets::{ASCII_MARKDOWN, UTF8_FULL_CONDENSED};
 use comfy_table::{CellAlignment, Table, TableStyle};
-use physgrad::report::{Series, Work, work_precision};
 
 /// Okabe-Ito colours, grey and brown.
 const COLORS: [&str; 10] =
@@ -63,7 +63,7 @@ fn record(row: &Row) -> Vec<String> {
 }
 
 /// Charts of errors over time and operations, with one line per method and precision.
-fn diagrams(name: &str, rows: &[Row]) -> physgrad::report::Drawing {
+fn diagrams(name: &str, rows: &[Row]) -> crate::report::Drawing {
     let mut methods: Vec<&str> = rows.iter().map(|row| row.setting.method).collect();
     methods.dedup();
     let series = |point: fn(&Row, &Errors) -> (f64, f64)| {

@@ -12,10 +12,11 @@ use crate::program::scenes::source::SceneSource;
 use crate::program::settings::ACTUATORS;
 use crate::program::tasks::scene::flat;
 use crate::program::tasks::{self, Scene};
+use crate::rng::Rng;
+use crate::{OptimizerKind, Session, Trainer, Training, policy::Mlp, tasks::CartPole};
 use anyhow::Result;
-use physgrad::rng::Rng;
-use physgrad::{OptimizerKind, Session, Trainer, Training, policy::Mlp, tasks::CartPole};
 use rand::RngExt;
+use std::borrow::Cow;
 use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;
@@ -56,7 +57,7 @@ fn one_of<'a, T>(rng: &mut Rng, all: &'a [T]) -> &'a T {
 }
 
 /// Text of a random preset.
-fn preset(rng: &mut Rng) -> &'static str {
+fn preset(rng: &mut Rng) -> Cow<'static, str> {
     let names: Vec<&str> = presets::all().map(|(name, _)| name).collect();
     presets::text(names[rng.random_range(0..names.len())]).expect("a preset")
 }
@@ -134,8 +135,8 @@ fn scene(number: u64, outcomes: &mut Outcomes) {
 
 /// Assignment for `--set`, mostly to a key of this preset or its task.
 fn assignment(rng: &mut Rng, preset: &Table) -> String {
-    let matching = tasks::TASKS.into_iter().find(|kind| preset.get("task").and_then(Value::as_str) == Some(kind.name()));
-    let task = matching.filter(|_| rng.random_range(0..8) > 0).unwrap_or(*one_of(rng, &tasks::TASKS));
+    let matching = tasks::all().iter().copied().find(|kind| preset.get("task").and_then(Value::as_str) == Some(kind.name()));
+    let task = matching.filter(|_| rng.random_range(0..8) > 0).unwrap_or(*one_of(rng, tasks::all()));
     let mut keys: Vec<String> = flat(&task.defaults()).into_iter().chain(flat(preset)).map(|(key, _)| key).collect();
     keys.extend(task.effects().iter().map(|info| format!("effects.{}", info.name)));
     keys.extend(ACTUATORS.iter().map(|info| format!("actuator.{}", info.name)));
@@ -173,7 +174,7 @@ fn assignments(number: u64, outcomes: &mut Outcomes) {
     let size = text.len() + set.iter().map(String::len).sum::<usize>();
     let overrides = Overrides { set, ..Overrides::default() };
     outcomes.record(number, 1_000_000 + 200 * size, || {
-        is_scene(SceneSource::parse("a preset", text).and_then(|mut source| {
+        is_scene(SceneSource::parse("a preset", &text).and_then(|mut source| {
             overrides.apply(&mut source)?;
             source.scene()
         }))

@@ -1,13 +1,13 @@
 //! Figure 1: loss, R and M over the two parameters of a quadratic policy.
 
+use crate::Field;
+use crate::policy::Quadratic;
 use crate::program::commands::paper::FinishedFigure;
 use crate::program::runs::statistics::{quantile, sorted};
+use crate::report::{Map, Plane, maps};
+use crate::tasks::Reach;
+use crate::vector_field::{self, Sample};
 use anyhow::Result;
-use physgrad::Field;
-use physgrad::policy::Quadratic;
-use physgrad::report::{Map, Plane, maps};
-use physgrad::tasks::Reach;
-use physgrad::vector_field::{self, Sample};
 use std::fmt::Write;
 
 /// Both parameters range from `-HALF_WIDTH` to `HALF_WIDTH`.

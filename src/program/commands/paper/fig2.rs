@@ -1,11 +1,11 @@
 //! Figure 2: Adam on a gradient, on the gradient with a rotation added, and on their combination.
 
+use crate::policy::Constant;
 use crate::program::commands::paper::FinishedFigure;
+use crate::report::{Map, Plane, field_color, maps};
+use crate::tasks::Bowl;
+use crate::vector_field::{self, LEARNING_RATE, Rotated, START, Sample};
 use anyhow::Result;
-use physgrad::policy::Constant;
-use physgrad::report::{Map, Plane, field_color, maps};
-use physgrad::tasks::Bowl;
-use physgrad::vector_field::{self, LEARNING_RATE, Rotated, START, Sample};
 use std::fmt::Write;
 
 /// Both parameters range from `-HALF_WIDTH` to `HALF_WIDTH`.

@@ -1,5 +1,6 @@
 //! Figures 3 to 5: learning curves of several fields, for several values of one setting.
 
+use crate::Record;
 use crate::program::commands::paper::{FinishedFigure, Options};
 use crate::program::platform::folder::Folder;
 use crate::program::platform::terminal::say;
@@ -7,11 +8,10 @@ use crate::program::runs::statistics::{Outcome, best, by_field, curves, quantile
 use crate::program::runs::sweep::{Comparison, sweep};
 use crate::program::scenes::{overrides, presets};
 use crate::program::settings::ClipName;
+use crate::report::{self, Case, Curve, Drawing};
 use anyhow::Result;
 use comfy_table::Table;
 use comfy_table::presets::ASCII_MARKDOWN;
-use physgrad::Record;
-use physgrad::report::{self, Case, Curve, Drawing};
 use toml::Value;
 
 /// Window of the moving average in epochs, as in the paper.

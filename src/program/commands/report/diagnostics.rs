@@ -5,8 +5,8 @@ use crate::program::commands::report::inspected::{Inspected, RolloutData};
 use crate::program::commands::report::learning::{field_keys, lines};
 use crate::program::operations::adjoint_norms::AdjointNorms;
 use crate::program::runs::statistics::{Outcome, curves};
-use physgrad::report::{Chart, Series, field_color};
-use physgrad::{Flow, Record};
+use crate::report::{Chart, Series, field_color};
+use crate::{Flow, Record};
 
 const EPOCH: &str = "epoch";
 const STEP: &str = "step of the rollout";

@@ -1,7 +1,7 @@
 //! A chart on the page, with legend, caption and data for the script.
 
+use crate::report::{Chart, Series};
 use maud::{Markup, PreEscaped, html};
-use physgrad::report::{Chart, Series};
 use serde::Serialize;
 
 /// A chart with its texts.

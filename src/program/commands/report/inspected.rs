@@ -8,8 +8,8 @@ use crate::program::platform::parallel;
 use crate::program::runs::statistics::Outcome;
 use crate::program::runs::{outputs, saved};
 use crate::program::tasks::Scene;
+use crate::{Field, Record, differences};
 use anyhow::{Result, bail};
-use physgrad::{Field, Record, differences};
 use toml::Table;
 
 /// Data of one run, independent of task and precision.

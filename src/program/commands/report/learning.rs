@@ -1,11 +1,11 @@
 //! Charts of losses.
 
+use crate::Record;
 use crate::program::commands::report::counted;
 use crate::program::commands::report::figure::{Figure, Key};
 use crate::program::commands::report::inspected::Inspected;
 use crate::program::runs::statistics::{Outcome, by_field, curves, field_label};
-use physgrad::Record;
-use physgrad::report::{Chart, Point, Series, field_color};
+use crate::report::{Chart, Point, Series, field_color};
 
 const EPOCH: &str = "epoch";
 const SECONDS: &str = "wall time (s)";

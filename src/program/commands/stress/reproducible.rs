@@ -1,11 +1,11 @@
 //! Hard case: bitwise reproducibility across threads, memory budgets and resumption.
 
+use crate::Record;
 use crate::program::operations::session::AnyRun;
 use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
+use crate::stress::{Case, Finding};
 use anyhow::Result;
-use physgrad::Record;
-use physgrad::stress::{Case, Finding};
 use toml::Value;
 
 pub const CASES: [Case; 1] = [Case::new(

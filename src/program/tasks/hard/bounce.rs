@@ -6,8 +6,8 @@ use crate::program::settings::config_error::{ConfigError, finite, positive};
 use crate::program::tasks::hard::contact::ContactSettings;
 use crate::program::tasks::hard::{Nothing, names, small_step, visit};
 use crate::program::tasks::{MlpSettings, Settings, TaskSpec};
-use physgrad::report::{Animation, Posture, Stage, mechanics};
-use physgrad::tasks::{self, AnyHard, BouncingBall};
+use crate::report::{Animation, Posture, Stage, mechanics};
+use crate::tasks::{self, AnyHard, BouncingBall};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -52,7 +52,9 @@ impl TaskSpec for Bounce {
     const NAME: &'static str = "bounce";
     const ABOUT: &'static str = "bring a bouncing ball to a target height at the final time, by thrust";
     const EPOCHS: usize = 300;
-    const HORIZON: usize = 100;
+    fn horizon() -> usize {
+        100
+    }
 
     fn system() -> BounceSettings {
         let BouncingBall { mass, gravity, dt, contact: _ } = BouncingBall::default();

@@ -1,7 +1,7 @@
 //! Contact settings, shared by `bounce` and `push`.
 
 use crate::program::settings::config_error::{ConfigError, allowed, not_negative, positive};
-use physgrad::tasks::Contact;
+use crate::tasks::Contact;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

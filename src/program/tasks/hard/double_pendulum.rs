@@ -6,8 +6,8 @@ use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, finite, positive};
 use crate::program::tasks::hard::{Nothing, Start, UprightLoss, names, upright, validate_upright, visit};
 use crate::program::tasks::{Conserved, MlpSettings, Settings, TaskSpec};
-use physgrad::report::{Animation, Posture, Stage, mechanics};
-use physgrad::tasks::{self, AnyHard};
+use crate::report::{Animation, Posture, Stage, mechanics};
+use crate::tasks::{self, AnyHard};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -45,7 +45,9 @@ impl TaskSpec for DoublePendulum {
     const NAME: &'static str = "double_pendulum";
     const ABOUT: &'static str = "swing up a double pendulum, which is chaotic, by a torque on its first joint";
     const EPOCHS: usize = 300;
-    const HORIZON: usize = 100;
+    fn horizon() -> usize {
+        100
+    }
     const METHODS: &'static [Method] = &Method::ODE;
 
     fn system() -> DoublePendulumSettings {

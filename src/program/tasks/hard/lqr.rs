@@ -5,8 +5,8 @@ use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::{ConfigError, allowed, positive};
 use crate::program::tasks::hard::{Nothing, names, visit};
 use crate::program::tasks::{MlpSettings, Settings, TaskSpec};
-use physgrad::report::{Animation, Posture, Stage, mechanics};
-use physgrad::tasks::{self, AnyHard, CartPoleSystem};
+use crate::report::{Animation, Posture, Stage, mechanics};
+use crate::tasks::{self, AnyHard, CartPoleSystem};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -43,7 +43,9 @@ impl TaskSpec for Lqr {
     const NAME: &'static str = "lqr";
     const ABOUT: &'static str = "regulate a linear plant to rest, with a quadratic cost of known minimum";
     const EPOCHS: usize = 300;
-    const HORIZON: usize = 100;
+    fn horizon() -> usize {
+        100
+    }
 
     fn system() -> LqrSettings {
         LqrSettings { plant: Plant::Spring, spread: 1.0 }

@@ -6,8 +6,8 @@ use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, count, finite, positive};
 use crate::program::tasks::hard::{Nothing, Start, UprightLoss, upright, validate_upright, visit};
 use crate::program::tasks::{Conserved, MlpSettings, Settings, TaskSpec};
-use physgrad::report::{Animation, Posture, Stage, mechanics};
-use physgrad::tasks::{self, AnyHard, CartPoleSystem};
+use crate::report::{Animation, Posture, Stage, mechanics};
+use crate::tasks::{self, AnyHard, CartPoleSystem};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -49,7 +49,9 @@ impl TaskSpec for PoleChain {
     const NAME: &'static str = "pole_chain";
     const ABOUT: &'static str = "swing up a chain of poles, hinged end to end, on a cart";
     const EPOCHS: usize = 300;
-    const HORIZON: usize = 100;
+    fn horizon() -> usize {
+        100
+    }
     const METHODS: &'static [Method] = &Method::ODE;
 
     fn system() -> PoleChainSettings {

@@ -6,8 +6,8 @@ use crate::program::settings::config_error::{ConfigError, positive};
 use crate::program::tasks::hard::contact::ContactSettings;
 use crate::program::tasks::hard::{Nothing, names, small_step, visit};
 use crate::program::tasks::{MlpSettings, Settings, TaskSpec};
-use physgrad::report::{Animation, Posture, Stage, mechanics};
-use physgrad::tasks::{self, AnyHard, TwoBodies};
+use crate::report::{Animation, Posture, Stage, mechanics};
+use crate::tasks::{self, AnyHard, TwoBodies};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -38,7 +38,9 @@ impl TaskSpec for Push {
     const NAME: &'static str = "push";
     const ABOUT: &'static str = "push a box to a target position, by contact only";
     const EPOCHS: usize = 300;
-    const HORIZON: usize = 100;
+    fn horizon() -> usize {
+        100
+    }
 
     fn system() -> PushSettings {
         let TwoBodies { masses, contact_distance, dt, contact: _ } = TwoBodies::pusher();

@@ -5,8 +5,8 @@ use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::{ConfigError, not_negative, positive};
 use crate::program::tasks::hard::{Nothing, names, small_step, visit};
 use crate::program::tasks::{MlpSettings, Settings, TaskSpec};
-use physgrad::report::{Animation, Posture, Stage, mechanics};
-use physgrad::tasks::{self, AnyHard, FrictionScheme, SliderSystem};
+use crate::report::{Animation, Posture, Stage, mechanics};
+use crate::tasks::{self, AnyHard, FrictionScheme, SliderSystem};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -63,7 +63,9 @@ impl TaskSpec for Slider {
     const NAME: &'static str = "slider";
     const ABOUT: &'static str = "stop a block with stiff dry friction at a target position";
     const EPOCHS: usize = 300;
-    const HORIZON: usize = 100;
+    fn horizon() -> usize {
+        100
+    }
 
     fn system() -> SliderSettings {
         let SliderSystem { mass, coefficient, smoothing, dt, scheme: _ } = SliderSystem::default();

@@ -1,0 +1,85 @@
+//! The program for a task of the user: `examples/own_program.rs`.
+
+use assert_cmd::Command;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+use tempfile::TempDir;
+
+/// The example, built in the profile of this test.
+static PROGRAM: LazyLock<PathBuf> = LazyLock::new(|| {
+    let mut build = std::process::Command::new(env!("CARGO"));
+    build.args(["build", "--quiet", "--example", "own_program"]);
+    if !cfg!(debug_assertions) {
+        build.arg("--release");
+    }
+    assert!(build.current_dir(env!("CARGO_MANIFEST_DIR")).status().expect("cargo runs").success());
+    let tests = std::env::current_exe().expect("the path of this test");
+    tests.ancestors().nth(2).expect("a target folder").join("examples/own_program")
+});
+
+/// Runs the program and returns its standard output.
+fn output(args: &[&str], folder: &Path) -> String {
+    let output = Command::new(&*PROGRAM).args(args).current_dir(folder).output().expect("it runs");
+    assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).expect("text")
+}
+
+/// Runs the program, which fails, and returns its standard error.
+fn error(args: &[&str], folder: &Path) -> String {
+    let output = Command::new(&*PROGRAM).args(args).current_dir(folder).output().expect("it runs");
+    assert!(!output.status.success(), "{args:?} should fail");
+    String::from_utf8(output.stderr).expect("text")
+}
+
+#[test]
+fn every_command_takes_the_task_of_the_user() {
+    let dir = TempDir::new().expect("a folder");
+    let run = |args: &[&str]| output(args, dir.path());
+    // Without a command, the program trains the task of the user with its default settings.
+    run(&["train", "quadrotor", "--epochs", "4", "--quiet", "--out", "run"]);
+    let state = "x,z,tilt,x_dot,z_dot,tilt_dot,left,right";
+    let trajectory = std::fs::read_to_string(dir.path().join("run/trajectory.csv")).expect("a trajectory");
+    assert!(trajectory.starts_with(&format!("sample,step,time,{state}")), "{}", &trajectory[..200]);
+    let animation = std::fs::read_to_string(dir.path().join("run/animation.svg")).expect("an animation");
+    assert!(animation.contains("tilt_dot"), "an animation of states over time");
+
+    run(&["train", "run/run.toml", "--resume", "--epochs", "6", "--quiet", "--out", "run"]);
+    assert_eq!(std::fs::read_to_string(dir.path().join("run/metrics.csv")).expect("metrics").lines().count(), 7);
+    run(&["report", "run"]);
+    run(&["animate", "run"]);
+    run(&["compare", "quadrotor", "--fields", "R,C", "--seeds", "2", "--epochs", "2", "--quiet", "--out", "compared"]);
+    assert!(run(&["check", "quadrotor"]).contains("rollout, R"));
+    assert!(run(&["explain", "quadrotor"]).contains("observation"));
+    assert!(run(&["accuracy", "quadrotor", "--quiet", "--set", "horizon=5"]).contains("native x16"));
+    assert!(run(&["schema"]).contains("Distance of a rotor from the center, m."));
+    assert!(run(&["tasks"]).contains("fly a planar quadrotor"));
+    let scene = run(&["scene", "quadrotor"]);
+    std::fs::write(dir.path().join("own.toml"), format!("{scene}[system]\nmass = 1.5\n[actuator.lag]\ntime = 0.1\n"))
+        .expect("a scene");
+    run(&["train", "own.toml", "--epochs", "2", "--quiet", "--out", "lag"]);
+    let settings = std::fs::read_to_string(dir.path().join("lag/run.toml")).expect("settings");
+    assert!(settings.contains("mass = 1.5"), "{settings}");
+}
+
+#[test]
+fn the_library_and_the_program_train_the_same_policy() {
+    let dir = TempDir::new().expect("a folder");
+    let trained = |name: &str, more: &[&str]| {
+        let args = ["train", "quadrotor", "--epochs", "3", "--quiet", "--out", name];
+        output(&[&args, more].concat(), dir.path());
+        std::fs::read(dir.path().join(name).join("policy.safetensors")).expect("a policy")
+    };
+    let one = trained("one", &["--threads", "1"]);
+    assert_eq!(one, trained("two", &["--threads", "2"]), "results do not depend on the number of threads");
+    assert_ne!(one, trained("heavy", &["--set", "system.mass=1.6"]), "a setting of the task has an effect");
+}
+
+#[test]
+fn wrong_settings_of_a_task_name_what_is_allowed() {
+    let dir = TempDir::new().expect("a folder");
+    let message = |setting: &str| error(&["train", "quadrotor", "--set", setting], dir.path());
+    assert!(message("system.masss=1").contains("`system.masss` is unknown; allowed: `mass`, `arm`, `dt`"));
+    assert!(message("system.mass=-1").contains("`system.mass` is not allowed: choose a positive number"));
+    assert!(message("integrator.method=\"rk4\"").contains("native"));
+    assert!(error(&["train", "quadroter"], dir.path()).contains("quadrotor"));
+}
