@@ -44,7 +44,7 @@ pub struct Case {
 }
 
 impl Case {
-    /// Creates a case. The fields describe the arguments.
+    /// Creates a case from its fields.
     pub const fn new(
         name: &'static str,
         about: &'static str,
@@ -125,7 +125,7 @@ impl Finding {
     }
 
     /// Information without a limit; always passes.
-    pub fn told(what: impl Into<String>, measured: impl Into<String>) -> Self {
+    pub fn info(what: impl Into<String>, measured: impl Into<String>) -> Self {
         Self::new(what, measured.into(), String::new(), true)
     }
 
@@ -142,8 +142,8 @@ impl fmt::Display for Finding {
     }
 }
 
-/// Formats a number: three decimals below 100, an integer from 100, and an exponent outside 1e-3 to
-/// 1e5.
+/// Formats a number: whole numbers and numbers from 100 without decimals, others with three. Numbers
+/// outside 1e-3 to 1e5 have an exponent.
 fn short(x: f64) -> String {
     if x == 0.0 || (1e-3..1e5).contains(&x.abs()) {
         let digits = if x.abs() >= 100.0 || x == x.round() { 0 } else { 3 };

@@ -122,8 +122,8 @@ impl fmt::Display for Divergence {
             Self::Cost { sample } => {
                 write!(
                     f,
-                    "forward pass: the cost of sample {sample} is not finite, but its states are finite. Check the costs of \
-                     the task"
+                    "forward pass: the cost of sample {sample} is not finite, but its states are finite. Check \
+                     `running_cost` and `terminal_cost` for overflow, division by 0, and roots or logarithms of negative numbers"
                 )
             }
             Self::Cotangent { flow, variable, step, sample, component, cause } => write!(
@@ -148,12 +148,12 @@ impl fmt::Display for Divergence {
     }
 }
 
-/// Describes the effect that caused the divergence, if known. Otherwise returns `general`.
+/// Advice for the effect that caused the divergence, if known. Otherwise returns `general`.
 fn advice(cause: &Option<Cause>, general: &str) -> String {
     match cause {
         Some(Cause::Effect(name)) => {
             format!(
-                ". At the previous state, the forces of {name} or their derivatives are not finite. Reduce the values of {name}"
+                ". At the state before the step, the forces of {name} or their derivatives are not finite. Reduce the values of {name}"
             )
         }
         _ => format!(". {general}"),

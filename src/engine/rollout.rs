@@ -20,16 +20,18 @@ pub use step_forward::StepForward;
 /// Number of samples in a block, which the physics steps together.
 pub(crate) const WIDTH: usize = 8;
 
-/// Number of steps in a unit. All schedules sum the parameter gradient over one unit at a time.
+/// Number of steps in a unit. The parameter gradient is a sum over units, for every schedule.
 ///
-/// A unit covers the horizons of the paper, and makes the cost of adding the sums negligible. The
-/// number is odd, so that columns of neighbouring samples map to different cache sets.
+/// A rollout of at most 129 steps is one unit; the horizons of the paper are shorter. The number is
+/// odd, so that columns of neighbouring samples map to different cache sets.
 pub(crate) const UNIT: usize = 129;
 
 /// State or control component of [`WIDTH`] samples.
 pub(crate) type Lane<F> = Lanes<F, WIDTH>;
 
-/// Batch of rollouts. The constructor allocates everything; runs do not allocate.
+/// Batch of rollouts. The constructor allocates all buffers.
+///
+/// A run allocates only if it diverges, or in steps of systems that exceed their stack buffers.
 ///
 /// With a tape it stores the trajectory and the values that [`Adjoint`](crate::Adjoint) needs.
 /// Without one ([`Rollout::for_evaluation`]) it stores a single step, and results are bitwise
@@ -71,7 +73,8 @@ impl<F: Float> Rollout<F> {
     /// Allocates `samples` rollouts with a tape.
     ///
     /// # Panics
-    /// If `samples` or the horizon is 0, or if the shapes of task and policy differ.
+    /// If `samples` or the horizon is 0, if the shapes of task and policy differ, or if the policy
+    /// trains a parameter that the task lacks.
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize) -> Self {
         Self::with_steps(task, policy, samples, task.horizon())
     }
@@ -182,10 +185,11 @@ impl<F: Float> Rollout<F> {
         self.states[states..][..memories].fill(Lane::zero());
     }
 
-    /// Runs all samples from their initial states. Stops at the first non-finite state or control.
+    /// Runs all samples from their initial states. Stops at the first non-finite
+    /// control, memory or state.
     ///
     /// # Errors
-    /// [`Divergence`] if a control, state or cost is not finite.
+    /// [`Divergence`] if a control, memory, state or cost is not finite.
     pub fn run(&mut self, task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &Weights<F>) -> Result<(), Divergence> {
         self.costs.fill(Lane::zero());
         self.advance(task, policy, weights, 0..self.horizon)?;

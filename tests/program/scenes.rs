@@ -231,7 +231,7 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
         ("[effects.steady_wind]\ngust = 1\n", "my_scene.toml:4: `effects.steady_wind.gust` is unknown; allowed: `speed`"),
         (
             "[effects.steady_wind]\n[effects.gusty_wind]\n",
-            "my_scene.toml:4: `effects.gusty_wind` cannot be combined with `effects.steady_wind`: there is one wind; allowed: one of them",
+            "my_scene.toml:4: `effects.gusty_wind` cannot be combined with `effects.steady_wind`: both set the wind speed; allowed: one of them",
         ),
         (
             "[effects.cubic]\nstrength = 1\n",

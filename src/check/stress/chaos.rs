@@ -45,10 +45,10 @@ fn double_pendulum() -> Vec<Finding> {
     let per_second = |growth: f64| growth / (STEPS as f64 * DT);
     let lambda = per_second(exponent);
     let mut findings = vec![
-        Finding::told("Lyapunov exponent, by tangents", format!("{lambda:.3} per second")),
+        Finding::info("Lyapunov exponent, by tangents", format!("{lambda:.3} per second")),
         Finding::near("growth of the adjoint per second", per_second(growth), lambda, 0.1),
         Finding::holds("states and adjoint", "finite", finite, if finite { "finite" } else { "non-finite" }),
-        Finding::told("change of energy (hanging to upright: 58.9 J)", format!("{:.1e} J", energies[1] - energies[0])),
+        Finding::info("change of energy (hanging to upright: 58.9 J)", format!("{:.1e} J", energies[1] - energies[0])),
     ];
     findings.extend(signs(&system, lambda));
     findings
@@ -117,7 +117,7 @@ fn signs(system: &Pendulum, lambda: f64) -> Vec<Finding> {
     let agree = cosines[1].iter().filter(|&&cosine| cosine > 0.0).count() as f64 / PAIRS as f64;
     let aligned = cosines[1].iter().filter(|cosine| cosine.abs() > 0.99).count();
     vec![
-        Finding::told("ln(1/ε)/Λ", format!("{horizon:.0} steps, {:.1} s", horizon * DT)),
+        Finding::info("ln(1/ε)/Λ", format!("{horizon:.0} steps, {:.1} s", horizon * DT)),
         Finding::at_least("least cosine of the two adjoints at half this horizon", least(&cosines[0]), 0.99),
         Finding::holds(
             "share of pairs with equal sign at twice this horizon",
@@ -125,6 +125,6 @@ fn signs(system: &Pendulum, lambda: f64) -> Vec<Finding> {
             (0.3..=0.7).contains(&agree),
             format!("{:.0} %", 100.0 * agree),
         ),
-        Finding::told("collinear pairs at twice this horizon, with either sign", format!("{aligned} of {PAIRS}")),
+        Finding::info("collinear pairs at twice this horizon, with either sign", format!("{aligned} of {PAIRS}")),
     ]
 }

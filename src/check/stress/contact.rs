@@ -159,7 +159,7 @@ impl Example {
         let falling = converging.windows(2).all(|errors| errors[1] <= 0.5 * errors[0]);
         [
             Finding::holds(format!("{}, springs: errors", self.name), "at most half each time", falling, formatted(converging)),
-            Finding::told(format!("{}, springs with 60 steps per contact (biased): errors", self.name), formatted(biased)),
+            Finding::info(format!("{}, springs with 60 steps per contact (biased): errors", self.name), formatted(biased)),
         ]
     }
 }
@@ -171,7 +171,7 @@ fn contact() -> Vec<Finding> {
     // reverses.
     for (name, time) in [("bouncing ball, soon after", 0.55), ("bouncing ball, long after", 0.95)] {
         let example = ball(name, 0.8, 1.0, -0.5, time);
-        findings.push(Finding::told(format!("{name}: closed form, by height"), format!("{:.4}", example.expected[0])));
+        findings.push(Finding::info(format!("{name}: closed form, by height"), format!("{:.4}", example.expected[0])));
         findings.push(example.exact(&bouncing, bouncing.dt));
         findings.push(reflected(&example));
     }
@@ -227,7 +227,7 @@ fn damped_pusher() -> [Finding; 2] {
     let biased = STIFFNESSES.map(|stiffness| error(stiffness, resolved(stiffness)));
     [
         Finding::at_most("pusher and box, damped springs: error at 1e5 N/m", error(1e5, short(1e5)), 0.01),
-        Finding::told("pusher and box, damped springs with 60 steps per contact (biased): errors", formatted(biased)),
+        Finding::info("pusher and box, damped springs with 60 steps per contact (biased): errors", formatted(biased)),
     ]
 }
 
@@ -250,7 +250,7 @@ fn damped_ball() -> [Finding; 2] {
         example.forward_error(&BouncingBall { contact, dt, ..BouncingBall::default() }, dt)
     });
     let what = format!("ball, springs with a damping of {low:.3} s/m, with equal rebound (biased): errors");
-    [Finding::told(what, formatted(errors)), Finding::at_least("ball, damped springs (biased): error at 1e6 N/m", errors[2], 0.1)]
+    [Finding::info(what, formatted(errors)), Finding::at_least("ball, damped springs (biased): error at 1e6 N/m", errors[2], 0.1)]
 }
 
 /// Stability report for 1e6 N/m in steps of 0.01 s.

@@ -63,7 +63,7 @@ fn energy() -> Vec<Finding> {
         ("double pendulum", drift(double, &horizontal, 0, &|x| double.energy(x))),
         ("chain of 3 poles", drift(chain, &[0.0, 0.0, 0.5, 0.0, 0.3, 0.0, 0.1, 0.0], 2, &|x| chain.energy(x))),
     ] {
-        findings.push(Finding::told(format!("{name}, RK4, 10 s: largest relative change of energy"), format!("{drift:.1e}")));
+        findings.push(Finding::info(format!("{name}, RK4, 10 s: largest relative change of energy"), format!("{drift:.1e}")));
     }
     let long = tenths(SemiImplicit, 1_000_000);
     findings.push(Finding::at_most("symplectic Euler, a million steps: trend relative to the amplitude", long.trend, 0.01));
@@ -72,7 +72,7 @@ fn energy() -> Vec<Finding> {
         long.growth,
         1.01,
     ));
-    findings.push(Finding::told(
+    findings.push(Finding::info(
         "symplectic Euler: amplitude of the error, relative to the energy between hanging and upright",
         format!("{:.1e}", long.amplitude),
     ));

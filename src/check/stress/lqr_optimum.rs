@@ -15,13 +15,13 @@ use crate::train::field::Field;
 pub(super) const CASES: &[Case] = &[Case {
     name: "lqr_optimum",
     about: "R, M and C at the Riccati gain of a stable and of an unstable plant, over 1, 10, 50 and 100 steps",
-    criterion: "no component exceeds 1e-11, so the optimum is a fixed point of all three. With a relative gain error \
-                of 1e-6, R and M exceed 1e-11",
-    story: "An optimizer does not stay at an optimum where its field does not vanish. R vanishes at any optimum; \
-                M and C need not. For the regulator they do, because the cotangent of every control is 0 there. \
-                Doubling solves the Riccati equation. Plain iteration leaves rounding errors in P, which M \
-                amplifies above the limit. Limits: for other losses M has no such fixed point, which \
-                motivates C",
+    criterion: "at the optimum, no component of the three exceeds 1e-11. With a relative gain error of 1e-6, R and M \
+                exceed 1e-11",
+    story: "An optimizer leaves an optimum at which its field is not 0. R vanishes at any optimum, and C where R \
+                does. M need not. For the regulator it does, because the cotangent of every control is 0 there. \
+                The doubling algorithm solves the Riccati equation. Fixed-point iteration leaves rounding errors in its \
+                solution, which M amplifies above the limit. Limits: for other losses M has no such fixed point, \
+                which motivates C",
     run: lqr_optimum,
 }];
 

@@ -55,7 +55,7 @@ fn lqr_unstable() -> Vec<Finding> {
         let metered = metered(&lqr, &stiff);
         let what = format!("T = {horizon}: decades of growth of M per 1000 steps, by the growth meter");
         let decades = metered.map_or(f64::NAN, |growth| growth.along) / horizon as f64;
-        findings.push(Finding::told(what, format!("{:.1}", 1000.0 * decades)));
+        findings.push(Finding::info(what, format!("{:.1}", 1000.0 * decades)));
         let warns = metered.is_some_and(|growth| growth.warning(Flow::MODIFIED, horizon, f64::EPSILON).is_some());
         let said = if warns { "reported" } else { "not reported" };
         findings.push(Finding::holds(
@@ -155,11 +155,11 @@ fn directions(lqr: &Lqr, name: &str, gain: &[f64]) -> [Finding; 2] {
         descends += usize::from(cosine(modified.values(), regular.values()) > 0.0);
     }
     [
-        Finding::told(
+        Finding::info(
             format!("T = 400, at {name}: least cosine between M of one initial state and Σ_t a^{{-t}} x_t"),
             format!("{least:.6}"),
         ),
-        Finding::told(
+        Finding::info(
             format!("T = 400, at {name}: initial states at which M is a descent direction"),
             format!("{descends} of {STARTS}"),
         ),
@@ -197,7 +197,7 @@ impl Trained {
     }
 
     fn finding(&self, what: String) -> Finding {
-        Finding::told(format!("{what}{}", self.remark()), format!("{:.1e}", self.excess))
+        Finding::info(format!("{what}{}", self.remark()), format!("{:.1e}", self.excess))
     }
 }
 

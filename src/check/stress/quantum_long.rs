@@ -38,7 +38,7 @@ fn quantum_long() -> Vec<Finding> {
     vec![
         Finding::at_most("drift of the norm in 1e5 steps, f64, control 0", drift::<_, f64>(&model, 100_000, 0.0), 1e-10),
         Finding::at_most("drift of the norm in 1e5 steps, f64", drift::<_, f64>(&model, 100_000, 30.0), 1e-10),
-        Finding::told(
+        Finding::info(
             "drift of the norm in 1e5 steps, f32, control 0 (original bound: 1e-2)",
             unbounded(drift::<_, Single<f32>>(&model, 100_000, 0.0)),
         ),

@@ -1,5 +1,6 @@
 //! `physgrad compare`: one training configuration with several fields and seeds, side by side.
 
+use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, SETTINGS};
 use crate::program::platform::terminal::say;
 use crate::program::runs::run::threads;
@@ -114,18 +115,16 @@ fn all_curves(scenes: &[InScene]) -> Vec<Curve> {
 
 /// `summary.csv`: one row per run. Final losses of a failed run are NaN.
 fn summary(scenes: &[InScene]) -> Result<Vec<u8>> {
-    let mut csv = csv::Writer::from_writer(Vec::new());
-    let several = scenes.len() > 1;
+    // The name of a single scene is omitted.
+    let omitted = usize::from(scenes.len() <= 1);
     let header = ["scene", "field", "seed", "final_train_loss", "final_test_loss", "best_test_loss", "seconds"];
-    csv.write_record(&header[usize::from(!several)..])?;
-    for scene in scenes {
-        for run in &scene.runs {
-            let numbers = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(run.records), run.seconds()];
-            let names = [scene.name.to_owned(), run.field.letter().to_owned(), run.seed.to_string()];
-            csv.write_record(names.into_iter().skip(usize::from(!several)).chain(numbers.map(|x| x.to_string())))?;
-        }
-    }
-    Ok(csv.into_inner()?)
+    let runs = scenes.iter().flat_map(|scene| scene.runs.iter().map(move |run| (scene, run)));
+    let rows = runs.map(|(scene, run)| {
+        let numbers = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(run.records), run.seconds()];
+        let names = [scene.name.to_owned(), run.field.letter().to_owned(), run.seed.to_string()];
+        names.into_iter().skip(omitted).chain(numbers.map(|x| x.to_string()))
+    });
+    csv(&header[omitted..], rows)
 }
 
 fn table(scenes: &[InScene]) -> Table {

@@ -108,7 +108,7 @@ impl Outcomes {
         let panics_of =
             panics.iter().take(5).map(|(number, message)| Finding::holds(format!("input {number}"), "no panic", false, message));
         let mut findings = vec![
-            Finding::told(format!("{name}: accepted and rejected inputs"), format!("{accepted} and {rejected}")),
+            Finding::info(format!("{name}: accepted and rejected inputs"), format!("{accepted} and {rejected}")),
             Finding::all(format!("{name}: without a panic"), all - panics.len(), all),
             Finding::at_most(format!("{name}: largest ratio of used to permitted memory (input {})", peak.1), peak.0, 1.0),
             Finding::at_most(format!("{name}: longest time, s (input {})", time.1), time.0, MAX_SECONDS),

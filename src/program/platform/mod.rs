@@ -2,6 +2,7 @@
 //!
 //! Imports no other part of the program. Start with `folder`.
 
+pub mod csv;
 pub mod files;
 pub mod folder;
 pub mod lock;

@@ -1,6 +1,7 @@
 //! Output files of a run: metrics, learning curve, animation, trajectories.
 
 use crate::program::operations::trajectory::Trajectory;
+use crate::program::platform::csv::csv;
 use crate::program::platform::files;
 use crate::program::platform::folder::{Folder, METRICS};
 use crate::program::tasks::Scene;
@@ -102,11 +103,11 @@ pub fn animation(scene: &Scene, rollout: &Trajectory) -> String {
 /// parameters of the rollout, the controls of the policy, and the controls that an actuator
 /// applies. The last state has no controls.
 pub fn trajectories(scene: &Scene, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
-    let mut csv = csv::Writer::from_writer(Vec::new());
     let names = ["sample", "step", "time"].map(String::from).into_iter();
     let (states, params) = (scene.state_names(), scene.param_names());
     let (controls, applied) = (scene.control_names(), scene.applied_names());
-    csv.write_record(names.chain(states).chain(params).chain(controls.clone()).chain(applied.clone()))?;
+    let header = names.chain(states).chain(params).chain(controls.clone()).chain(applied.clone());
+    let mut rows = Vec::new();
     let dt = scene.dt();
     for (sample, rollout) in rollouts.iter().enumerate() {
         let applied_rows = scene.applied(&rollout.states, &rollout.controls);
@@ -117,10 +118,9 @@ pub fn trajectories(scene: &Scene, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
                 (0..columns.len()).map(cell).collect()
             };
             let state = state.iter().chain(&rollout.params).map(f64::to_string);
-            csv.write_record(
-                index.into_iter().chain(state).chain(cells(&rollout.controls, &controls)).chain(cells(&applied_rows, &applied)),
-            )?;
+            let controls = cells(&rollout.controls, &controls).into_iter().chain(cells(&applied_rows, &applied));
+            rows.push(index.into_iter().chain(state).chain(controls).collect::<Vec<_>>());
         }
     }
-    Ok(csv.into_inner()?)
+    csv(header, rows)
 }

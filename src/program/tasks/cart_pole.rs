@@ -44,7 +44,7 @@ pub struct CartPoleSettings {
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 enum Model {
-    /// Equations of the authors' code: the control drives every pole, without coupling between
+    /// Equations of the paper's code: the control drives every pole, without coupling between
     /// poles.
     Uncoupled,
     /// Exact equations: the poles couple through the cart.
@@ -98,7 +98,7 @@ impl CartPoleEffects {
         Present::<CartPoleEffect>::present(self).is_empty()
     }
 
-    /// Wind speed at a time, given the parameters of the rollout.
+    /// Wind speed at `time`, s. The parameter of the rollout is t₀ of the gusts.
     fn wind(&self, params: &[f64], time: f64) -> Option<f64> {
         let steady = self.steady_wind.map(|wind| wind.speed);
         let gusty = self.gusty_wind.map(|wind| wind.speed + wind.gust * (TAU * (time + params[0]) / wind.period).sin());
@@ -108,7 +108,7 @@ impl CartPoleEffects {
     fn validate(&self) -> Result<(), ConfigError> {
         self.validate_values()?;
         let winds = [("steady_wind", self.steady_wind.is_some()), ("gusty_wind", self.gusty_wind.is_some())];
-        exclusive(&winds, "there is one wind")
+        exclusive(&winds, "both set the wind speed")
     }
 }
 
@@ -142,7 +142,7 @@ fn swing_up<S: HasModel<CartPoleSystem> + Clone + 'static, V: Visit>(
     settings.policy.visit(task, visitor)
 }
 
-/// Any combination of effects as a list, behind any actuator.
+/// Calls the visitor with the task whose effects are a list, with integrator and actuators.
 fn listed<V: Visit>(
     system: CartPoleModel,
     effects: Vec<Named<CartPoleEffect>>,
@@ -161,7 +161,7 @@ impl TaskSpec for CartPole {
     type PolicySpec = MlpSettings;
 
     const NAME: &'static str = "cart_pole";
-    const ABOUT: &'static str = "swing up any number of poles on one cart";
+    const ABOUT: &'static str = "swing up 1 to 64 poles on one cart";
     const EPOCHS: usize = 1000;
     fn horizon() -> usize {
         100

@@ -3,6 +3,7 @@
 use crate::program::commands::accuracy::derivatives::{Checkpoint, Derivative, Horizon};
 use crate::program::commands::accuracy::outputs::right_aligned;
 use crate::program::operations::gradients::GradientMethod;
+use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
 use crate::program::settings::Precision;
 use crate::report::{Series, Work, work_precision};
@@ -125,15 +126,6 @@ pub fn write(
     Ok(text(tables(UTF8_FULL_CONDENSED, methods, checkpoints, along)))
 }
 
-fn csv(header: &[&str], rows: impl Iterator<Item = Vec<String>>) -> Result<Vec<u8>> {
-    let mut csv = csv::Writer::from_writer(Vec::new());
-    csv.write_record(header)?;
-    for row in rows {
-        csv.write_record(row)?;
-    }
-    Ok(csv.into_inner()?)
-}
-
 fn milliseconds([low, median, high]: [f64; 3]) -> [String; 3] {
     [median, low, high].map(|s| (s * 1e3).to_string())
 }
@@ -153,18 +145,18 @@ fn methods_csv(methods: &[Derivative]) -> Result<Vec<u8>> {
         let error = if row.method == GradientMethod::Forward { None } else { row.error.as_ref().ok().copied() };
         let head = [name, step, row.precision.name().into(), row.error.as_ref().err().cloned().unwrap_or_default()];
         let tail = [optional(error), optional(row.signs)].into_iter().chain(milliseconds(row.seconds));
-        head.into_iter().chain(tail).chain([row.bytes.to_string()]).collect()
+        head.into_iter().chain(tail).chain([row.bytes.to_string()])
     };
-    csv(&header, methods.iter().map(row))
+    csv(header, methods.iter().map(row))
 }
 
 fn checkpoints_csv(checkpoints: &[Checkpoint]) -> Result<Vec<u8>> {
     let row = |row: &Checkpoint| {
         let same = row.same.as_ref().map_or_else(String::clone, |same| same.to_string());
         let head = [row.horizon.to_string(), row.budget.to_string(), row.bytes.to_string()];
-        head.into_iter().chain(milliseconds(row.seconds)).chain([same]).collect()
+        head.into_iter().chain(milliseconds(row.seconds)).chain([same])
     };
-    csv(&["horizon", "budget_bytes", "peak_bytes", "ms", "ms_lowest", "ms_highest", "same_bits"], checkpoints.iter().map(row))
+    csv(["horizon", "budget_bytes", "peak_bytes", "ms", "ms_lowest", "ms_highest", "same_bits"], checkpoints.iter().map(row))
 }
 
 fn horizons_csv(along: &[Horizon]) -> Result<Vec<u8>> {
@@ -174,9 +166,9 @@ fn horizons_csv(along: &[Horizon]) -> Result<Vec<u8>> {
             Err(error) => [error.clone(), String::new()],
         };
         let head = [row.horizon.to_string(), row.norm.to_string()];
-        head.into_iter().chain(row.found.iter().flat_map(cells)).collect()
+        head.into_iter().chain(row.found.iter().flat_map(cells)).collect::<Vec<_>>()
     };
-    csv(&["horizon", "r_norm", "f32_error", "f32_signs_right", "f64_error", "f64_signs_right"], along.iter().map(row))
+    csv(["horizon", "r_norm", "f32_error", "f32_signs_right", "f64_error", "f64_signs_right"], along.iter().map(row))
 }
 
 fn diagrams(name: &str, methods: &[Derivative], along: &[Horizon]) -> crate::report::Drawing {

@@ -1,9 +1,10 @@
 //! Output files of `physgrad accuracy`: CSV, charts and a table.
 
 use crate::program::commands::accuracy::row::{Errors, Row};
+use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
 use crate::report::{Series, Work, work_precision};
-use anyhow::{Context, Result};
+use anyhow::Result;
 use comfy_table::presets::{ASCII_MARKDOWN, UTF8_FULL_CONDENSED};
 use comfy_table::{CellAlignment, Table, TableStyle};
 
@@ -35,13 +36,7 @@ const HEADER: [&str; 19] = [
 
 /// Writes all files.
 pub fn write(folder: &Folder, name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -> Result<()> {
-    let path = folder.file("accuracy.csv");
-    let mut csv = csv::Writer::from_path(&path).with_context(|| format!("cannot write {}", path.display()))?;
-    csv.write_record(HEADER)?;
-    for row in rows {
-        csv.write_record(record(row))?;
-    }
-    csv.flush()?;
+    folder.write("accuracy.csv", csv(HEADER, rows.iter().map(record))?)?;
     folder.write("accuracy.svg", diagrams(name, rows).to_svg().as_bytes())?;
     folder.write("accuracy.md", markdown(name, check, conserved, rows).as_bytes())
 }

@@ -2,6 +2,7 @@
 
 use crate::Record;
 use crate::program::commands::paper::{FinishedFigure, Options};
+use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::terminal::say;
 use crate::program::runs::statistics::{Outcome, best, by_field, curves, quantile, sorted, trailing_mean};
@@ -138,20 +139,17 @@ impl Study {
 
     /// One row per run.
     fn csv(&self, cells: &[Cell]) -> Result<Vec<u8>> {
-        let mut csv = csv::Writer::from_writer(Vec::new());
         let header = [self.key, "clip", "field", "seed", "epochs", "final_train_loss", "final_test_loss", "best_test_loss"];
-        csv.write_record(header.into_iter().chain(["seconds", "skipped", "diverged"]))?;
-        for cell in cells {
-            for run in &cell.runs {
-                let names = [cell.value, cell.clip.name(), run.field.letter()].map(String::from);
-                let counts = [run.seed.to_string(), run.records.len().to_string()];
-                let losses = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(run.records), run.seconds()];
-                let skipped: usize = run.records.iter().map(|r| r.skipped).sum();
-                let ends = [skipped.to_string(), run.failed.to_string()];
-                csv.write_record(names.into_iter().chain(counts).chain(losses.map(|x| x.to_string())).chain(ends))?;
-            }
-        }
-        Ok(csv.into_inner()?)
+        let runs = cells.iter().flat_map(|cell| cell.runs.iter().map(move |run| (cell, run)));
+        let rows = runs.map(|(cell, run)| {
+            let names = [cell.value, cell.clip.name(), run.field.letter()].map(String::from);
+            let counts = [run.seed.to_string(), run.records.len().to_string()];
+            let losses = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(run.records), run.seconds()];
+            let skipped: usize = run.records.iter().map(|r| r.skipped).sum();
+            let ends = [skipped.to_string(), run.failed.to_string()];
+            names.into_iter().chain(counts).chain(losses.map(|x| x.to_string())).chain(ends)
+        });
+        csv(header.into_iter().chain(["seconds", "skipped", "diverged"]), rows)
     }
 
     /// Markdown table of final losses over the seeds.
