@@ -27,7 +27,7 @@ mod tasks;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
-use commands::{accuracy, animate, check, compare, effects, explain, paper, print, report, stress, train};
+use commands::{accuracy, animate, check, compare, effects, explain, new, paper, print, report, stress, train};
 use platform::signals;
 use platform::terminal::tell;
 use runs::run;
@@ -51,6 +51,7 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Train(train::Train),
+    New(new::New),
     Compare(compare::Compare),
     Animate(animate::Animate),
     Report(report::Report),
@@ -166,6 +167,7 @@ fn execute(command: &Command) -> Result<()> {
     match command {
         Command::Accuracy(args) => accuracy::accuracy(args),
         Command::Stress(args) => stress::stress(args),
+        Command::New(args) => new::new(args),
         Command::Train(args) => signals::handle().and_then(|()| train::train(args)),
         Command::Compare(args) => signals::handle().and_then(|()| compare::compare(args)),
         Command::Animate(args) => animate::animate(args),

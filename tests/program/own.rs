@@ -83,3 +83,44 @@ fn wrong_settings_of_a_task_name_what_is_allowed() {
     assert!(message("integrator.method=\"rk4\"").contains("native"));
     assert!(error(&["train", "quadroter"], dir.path()).contains("quadrotor"));
 }
+
+/// Runs `physgrad new` in a temporary folder.
+fn new(args: &[&str], folder: &Path) -> Command {
+    let mut command = Command::cargo_bin("physgrad").expect("the program is built");
+    command.arg("new").args(args).current_dir(folder);
+    command
+}
+
+#[test]
+fn a_new_crate_has_the_name_of_the_task_and_overwrites_nothing() {
+    let dir = TempDir::new().expect("a folder");
+    new(&["swing_boat"], dir.path()).assert().success();
+    let read = |file: &str| std::fs::read_to_string(dir.path().join("swing_boat").join(file)).expect(file);
+    let source = read("src/main.rs");
+    assert!(source.contains("impl System for SwingBoat") && source.contains("= \"swing_boat\";"), "{source}");
+    assert!(!source.contains("Quadrotor") && !source.contains("own_program"), "{source}");
+    assert!(read("Cargo.toml").contains("name = \"swing_boat\"") && read("scene.toml").contains("task = \"swing_boat\""));
+    let refused =
+        |name: &str| String::from_utf8(new(&[name], dir.path()).assert().failure().get_output().stderr.clone()).expect("text");
+    assert!(refused("swing_boat").contains("cannot create the folder swing_boat"));
+    assert!(refused("slider").contains("built-in task"));
+    assert!(refused("Swing-Boat").contains("lower case letters"));
+}
+
+/// Builds all dependencies, which takes minutes: `cargo test --release --test program -- --ignored`.
+#[test]
+#[ignore = "builds a crate with all its dependencies"]
+fn a_new_crate_passes_its_test_and_trains() {
+    let dir = TempDir::new().expect("a folder");
+    new(&["swing_boat"], dir.path()).assert().success();
+    let cargo = |args: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO"));
+        command.args(args).current_dir(dir.path().join("swing_boat")).env_remove("CARGO_TARGET_DIR");
+        assert!(command.status().expect("cargo runs").success(), "{args:?}");
+    };
+    cargo(&["test", "--release"]);
+    for command in ["check swing_boat", "train scene.toml --epochs 3 --quiet --out run", "report run"] {
+        cargo(&[&["run", "--release", "--"], &command.split(' ').collect::<Vec<_>>()[..]].concat());
+    }
+    cargo(&["run", "--release", "--", "compare", "scene.toml", "--fields", "R,C", "--seeds", "2", "--epochs", "2", "--quiet"]);
+}

@@ -1,0 +1,17 @@
+//! [`csv`]: tables as comma-separated values.
+
+use ::csv::Writer;
+use anyhow::Result;
+
+/// A header and rows of cells in the format of RFC 4180.
+pub fn csv(
+    header: impl IntoIterator<Item = impl AsRef<[u8]>>,
+    rows: impl IntoIterator<Item = impl IntoIterator<Item = String>>,
+) -> Result<Vec<u8>> {
+    let mut csv = Writer::from_writer(Vec::new());
+    csv.write_record(header)?;
+    for row in rows {
+        csv.write_record(row)?;
+    }
+    Ok(csv.into_inner()?)
+}
