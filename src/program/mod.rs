@@ -40,7 +40,7 @@ pub use tasks::ProgramTask;
 /// Train neural controllers through long rollouts of differentiable physics; choose the vector
 /// field that the optimizer follows.
 ///
-/// Without a command: train cart_pole with its default settings.
+/// Without a command: train the first task of this crate, otherwise cart_pole, with default settings.
 #[derive(Debug, Parser)]
 #[command(version, arg_required_else_help = false)]
 struct Arguments {
