@@ -170,25 +170,25 @@ pub trait ForcedSystem: Send + Sync {
         next_bar: &[C],
         bars: Cotangents<'_, C>,
     ) {
-        step_vjp(&Stepping { host: self, effects }, inputs, next_bar, bars);
+        step_vjp(&SystemStep { system: self, effects }, inputs, next_bar, bars);
     }
 }
 
 /// Forced system with its effects, for derivatives by dual numbers.
-struct Stepping<'a, H: ?Sized, E> {
-    host: &'a H,
+struct SystemStep<'a, H: ?Sized, E> {
+    system: &'a H,
     effects: &'a E,
 }
 
-impl<H: ForcedSystem + ?Sized, E: Effect<H::Model>> System for Stepping<'_, H, E> {
+impl<H: ForcedSystem + ?Sized, E: Effect<H::Model>> System for SystemStep<'_, H, E> {
     fn state_dim(&self) -> usize {
-        self.host.state_dim()
+        self.system.state_dim()
     }
     fn control_dim(&self) -> usize {
-        self.host.control_dim()
+        self.system.control_dim()
     }
     fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
-        self.host.forced_step(self.effects, inputs, next);
+        self.system.forced_step(self.effects, inputs, next);
     }
 }
 
@@ -230,7 +230,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     }
 }
 
-/// System around a model `B`: `B` alone, with effects, or behind an actuator.
+/// System that contains a model `B`: `B` alone, with effects, or behind an actuator.
 ///
 /// Tasks for `B` accept any such system. The first components of the state are those of `B`.
 pub trait HasModel<B>: System {

@@ -34,11 +34,11 @@ use smallvec::{SmallVec, smallvec};
 use std::fmt::Debug;
 
 /// Workspace of one step. Beyond 64 numbers, every step allocates.
-type Room<T> = SmallVec<[T; 64]>;
+type Buffer<T> = SmallVec<[T; 64]>;
 
 /// A workspace of `len` copies of `value`.
 #[inline(always)]
-fn room<T: Copy>(value: T, len: usize) -> Room<T> {
+fn buffer<T: Copy>(value: T, len: usize) -> Buffer<T> {
     smallvec![value; len]
 }
 

@@ -12,7 +12,7 @@ const LINE: usize = 64;
 #[derive(Debug)]
 pub(crate) struct Aligned<F> {
     /// Allocation that contains the numbers at `begin .. begin + len`.
-    room: Vec<F>,
+    storage: Vec<F>,
     begin: usize,
     len: usize,
 }
@@ -22,20 +22,20 @@ impl<F> Aligned<F> {
     where
         F: Float,
     {
-        let room = vec![F::zero(); Self::room_for(len)];
-        Self { begin: Self::line(&room, len), room, len }
+        let storage = vec![F::zero(); Self::room_for(len)];
+        Self { begin: Self::line(&storage, len), storage, len }
     }
 
-    /// Offset of the first aligned entry of `room`, limited to leave `len` entries.
+    /// Offset of the first aligned entry of `storage`, limited to leave `len` entries.
     ///
     /// `align_offset` may fail to find one. No result depends on the alignment.
-    fn line(room: &[F], len: usize) -> usize {
-        room.as_ptr().align_offset(LINE).min(room.len() - len)
+    fn line(storage: &[F], len: usize) -> usize {
+        storage.as_ptr().align_offset(LINE).min(storage.len() - len)
     }
 
     /// Number of bytes on the heap.
     pub(crate) fn stored_bytes(&self) -> usize {
-        size_of_val(&self.room[..])
+        size_of_val(&self.storage[..])
     }
 
     /// The [`stored_bytes`](Aligned::stored_bytes) of a buffer of `len` numbers.
@@ -51,14 +51,14 @@ impl<F> Aligned<F> {
 impl<F: Clone> Clone for Aligned<F> {
     fn clone(&self) -> Self {
         // The copy may have another alignment: move the numbers to its first aligned entry.
-        let (mut room, len) = (self.room.clone(), self.len);
-        let begin = Self::line(&room, len);
+        let (mut storage, len) = (self.storage.clone(), self.len);
+        let begin = Self::line(&storage, len);
         if begin >= self.begin {
-            room.rotate_right(begin - self.begin);
+            storage.rotate_right(begin - self.begin);
         } else {
-            room.rotate_left(self.begin - begin);
+            storage.rotate_left(self.begin - begin);
         }
-        Self { room, begin, len }
+        Self { storage, begin, len }
     }
 }
 
@@ -66,13 +66,13 @@ impl<F> Deref for Aligned<F> {
     type Target = [F];
 
     fn deref(&self) -> &[F] {
-        &self.room[self.begin..self.begin + self.len]
+        &self.storage[self.begin..self.begin + self.len]
     }
 }
 
 impl<F> DerefMut for Aligned<F> {
     fn deref_mut(&mut self) -> &mut [F] {
-        &mut self.room[self.begin..self.begin + self.len]
+        &mut self.storage[self.begin..self.begin + self.len]
     }
 }
 

@@ -148,7 +148,7 @@ impl Policy for Conv {
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {
         let layers = self.layers::<F>();
-        let gradient = |l: &Layer| l.slot_out * l.depth() + DEPTH.max(l.room) / l.room * l.input().min(l.output());
+        let gradient = |l: &Layer| l.slot_out * l.depth() + DEPTH.max(l.capacity) / l.capacity * l.input().min(l.output());
         let two = &layers[1];
         Sizes {
             packed: self.packed_dense(two) + two.output(),
@@ -254,14 +254,14 @@ impl Policy for Conv {
 
             two.windows_bar(level, w, packed, bar2, at.count, windows);
             bar1.fill(F::zero());
-            for (to, windows) in zip(bar1.chunks_exact_mut(len1), windows.chunks(two.room * two.entries)) {
+            for (to, windows) in zip(bar1.chunks_exact_mut(len1), windows.chunks(two.capacity * two.entries)) {
                 two.add_windows(windows, two.slot, to);
             }
             elementwise::tanh_bar(level, &tape[places.all[1] + at.first * len1..], bar1, whole(len1));
 
             if let Some(x_bar) = &mut x_bar {
                 one.windows_bar(level, w, packed, bar1, at.count, windows);
-                for (c, windows) in zip(at.iter(), windows.chunks(one.room * one.entries)) {
+                for (c, windows) in zip(at.iter(), windows.chunks(one.capacity * one.entries)) {
                     let x_bar = &mut x_bar[c * n..][..n];
                     x_bar.fill(F::zero());
                     one.add_windows(windows, CHANNELS, x_bar);
@@ -286,7 +286,7 @@ impl Policy for Conv {
         for (i, l) in layers.iter().enumerate() {
             let (sum, scaled) = scratch.split_at_mut(l.slot_out * l.depth());
             let (all_inputs, all_bars) = (&tape[places.all[i]..], &tape_bar[bars[i]..]);
-            for block in at.blocks(DEPTH.max(l.room) / l.room) {
+            for block in at.blocks(DEPTH.max(l.capacity) / l.capacity) {
                 let columns = block.as_range();
                 let mut input = &all_inputs[columns.start * l.input()..columns.end * l.input()];
                 let mut bar = &all_bars[columns.start * l.output()..columns.end * l.output()];

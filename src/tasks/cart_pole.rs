@@ -44,7 +44,7 @@ any_effect! {
 ///
 /// The loss lies between 0 (all upright) and 2 (all hanging). Position and control have no cost.
 ///
-/// `S` is any system around a [`CartPoleSystem`]: alone, with effects, coupled, or behind an
+/// `S` is any system that contains a [`CartPoleSystem`]: alone, with effects, coupled, or behind an
 /// actuator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CartPole<S = CartPoleSystem> {

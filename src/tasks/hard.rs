@@ -77,7 +77,7 @@ impl HasModel<AnyHard> for AnyHard {
     fn start_extra(&self, _rng: &mut Rng, _start: Start<'_>) {}
 }
 
-/// Any of the small hard tasks. `S` is any system around an [`AnyHard`]: alone, or behind an
+/// Any of the small hard tasks. `S` is any system that contains an [`AnyHard`]: alone, or behind an
 /// actuator.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hard<S = AnyHard> {

@@ -49,7 +49,7 @@ any_effect! {
 /// Initial states mix the two lowest eigenstates, so the third is the lowest target outside their
 /// span. All eigenstates are those of the box without potential, for any effects.
 ///
-/// `S` is any system around a [`QuantumSystem`]: alone, with another scheme ([`Pade`], [`Strang`]),
+/// `S` is any system that contains a [`QuantumSystem`]: alone, with another scheme ([`Pade`], [`Strang`]),
 /// with effects, with [`Absorbing`] edges, or behind an actuator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quantum<S = QuantumSystem> {

@@ -17,7 +17,7 @@ fn cause<S: System>(system: &S) -> Option<Cause> {
     system.diagnose(Inputs { p: &p, ..Inputs::new(&x, &u) })
 }
 
-/// Tests each kind of host, with more state components than forces.
+/// Tests each kind of system, with more state components than forces.
 #[test]
 fn forced_systems_state_their_force_count() {
     let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
@@ -63,7 +63,7 @@ fn wrappers_forward_causes() {
     assert_eq!(cause(&hard), cause(&stepped));
 }
 
-/// Host whose step overflows in the second substep, even without effects.
+/// System whose step overflows in the second substep, even without effects.
 struct Leaping;
 
 impl ForcedSystem for Leaping {

@@ -136,8 +136,8 @@ fn energy(model: &CartPoleSystem, x: &[f64]) -> f64 {
 }
 
 /// Returns the absolute change of energy after one second without control.
-fn drift<H: ForcedSystem<Model = CartPoleSystem>>(host: impl Fn(f64) -> H, dt: f64) -> f64 {
-    let system = Forced { system: host(dt), effects: () };
+fn drift<H: ForcedSystem<Model = CartPoleSystem>>(system: impl Fn(f64) -> H, dt: f64) -> f64 {
+    let system = Forced { system: system(dt), effects: () };
     let mut x = vec![0.0, 0.3, 3.0, 0.5, 2.0, -1.0, 1.0, 0.2];
     let start = energy(system.model(), &x);
     let library = CoupledCartPole(*system.model()).energy(&x);
@@ -256,8 +256,8 @@ fn substeps_are_the_small_steps() {
 }
 
 /// Returns the next state and all cotangents under all effects, at a generic state.
-fn everything<H: ForcedSystem<Model = CartPoleSystem>>(host: H) -> Vec<f64> {
-    let system = Forced { system: host, effects: every_effect() };
+fn everything<H: ForcedSystem<Model = CartPoleSystem>>(system: H) -> Vec<f64> {
+    let system = Forced { system, effects: every_effect() };
     let n = system.state_dim();
     let (mut x, mut u, mut p) = (vec![0.0; n], [0.0], [0.0]);
     lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u, &mut p);

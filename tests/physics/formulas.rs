@@ -288,13 +288,13 @@ fn on_cart_poles() -> Vec<(CartPoleEffect, Applied)> {
     ]
 }
 
-/// Checks the step of a host under an effect, with the control acting on the cart.
+/// Checks the step of a system under an effect, with the control acting on the cart.
 #[track_caller]
 fn cart_pole_steps_as<H: ForcedSystem<Model = CartPoleSystem> + Clone>(
-    host: H,
+    system: H,
     accelerations: impl Fn(&CartPoleSystem, &[f64], &[f64]) -> Vec<f64>,
 ) {
-    let model = *host.model();
+    let model = *system.model();
     for (effect, applied) in on_cart_poles() {
         let what = format!("{effect:?}");
         let next = |x: &[f64], u: &[f64]| {
@@ -302,16 +302,16 @@ fn cart_pole_steps_as<H: ForcedSystem<Model = CartPoleSystem> + Clone>(
             forces[0] += u[0];
             semi_implicit(x, &accelerations(&model, x, &forces), model.dt)
         };
-        steps_as(&what, &Forced { system: host.clone(), effects: effect.clone() }, next);
-        steps_as(&what, &Forced { system: host.clone(), effects: vec![effect.clone()] }, next);
+        steps_as(&what, &Forced { system: system.clone(), effects: effect.clone() }, next);
+        steps_as(&what, &Forced { system: system.clone(), effects: vec![effect.clone()] }, next);
         steps_as(&what, &Felt { model, effect: effect.clone() }, |x, _| {
             let mut applied = applied(&model, x);
             applied.resize(x.len(), 0.0);
             applied
         });
-        // Effects of statically known type may be fused into the loops of their host.
+        // Effects of statically known type may be fused into the loops of their system.
         if let CartPoleEffect::PoleDamping(effect) = effect {
-            steps_as(&what, &Forced { system: host.clone(), effects: effect }, next);
+            steps_as(&what, &Forced { system: system.clone(), effects: effect }, next);
         }
     }
 }
@@ -757,7 +757,7 @@ fn waves_in_a_box() {
             steps_as(&what, &Forced { system: model, effects: vec![effects()] }, by(0.0));
             steps_as(&what, &Forced { system: Pade(model), effects: effects() }, by(1.0 / 12.0));
             steps_as(&what, &Forced { system: Strang::new(model), effects: effects() }, strang);
-            // Effects of statically known type may be fused into the loops of their host.
+            // Effects of statically known type may be fused into the loops of their system.
             if let QuantumEffect::Cubic(effect) = effect {
                 steps_as(&what, &Forced { system: model, effects: effect }, by(0.0));
                 steps_as(&what, &Forced { system: Pade(model), effects: effect }, by(1.0 / 12.0));

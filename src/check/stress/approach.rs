@@ -33,18 +33,18 @@ const DT: f64 = 4.0 / 60.0;
 const STRENGTH: f64 = 10.0;
 const STIFFNESS: f64 = STRENGTH / 0.01;
 
-type Room = Forced<GuidanceSystem, Vec<GuidanceEffect>>;
-type Split = Substeps<Integrated<Room, AnyIntegrator>>;
+type Walled = Forced<GuidanceSystem, Vec<GuidanceEffect>>;
+type Split = Substeps<Integrated<Walled, AnyIntegrator>>;
 
 /// Two drivers that repel each other, or attract each other for negative `strength`.
-fn room(strength: f64) -> Room {
+fn walled(strength: f64) -> Walled {
     let system = GuidanceSystem { drivers: 2, evaders: 0, dt: DT, ..GuidanceSystem::default() };
     let walls = Walls { half_width: 3.0, half_height: 3.0, stiffness: 10.0 };
     Forced { system, effects: vec![Spread { strength }.into(), walls.into()] }
 }
 
 fn split(strength: f64, integrator: AnyIntegrator, count: usize) -> Split {
-    Substeps { system: Integrated { ode: room(strength), integrator, dt: DT / count as f64 }, count }
+    Substeps { system: Integrated { ode: walled(strength), integrator, dt: DT / count as f64 }, count }
 }
 
 /// Energy per mass: kinetic, walls and pair. The pair term is zero at distance 0 for attraction and
@@ -92,7 +92,7 @@ fn guidance_close_approach() -> Vec<Finding> {
         ("repulsion", STRENGTH, 1.0 + DT * (2.0 * STIFFNESS).sqrt()),
         ("attraction", -STRENGTH, (1.0 + 2.0 * DT * DT * STIFFNESS).sqrt()),
     ] {
-        let explicit = room(strength);
+        let explicit = walled(strength);
         let report = close(&explicit);
         findings.push(Finding::near(format!("{what}: multiplier of explicit steps"), report.multiplier, expected, 0.01));
         let said = report.to_string();

@@ -2,8 +2,8 @@
 
 /// Implements [`System`] for a [`ForcedSystem`] without effects.
 macro_rules! system_without_effects {
-    ($host:ty) => {
-        impl crate::dynamics::system::System for $host {
+    ($system:ty) => {
+        impl crate::dynamics::system::System for $system {
             fn state_dim(&self) -> usize {
                 crate::dynamics::effect::ForcedSystem::state_dim(self)
             }
@@ -32,9 +32,9 @@ macro_rules! system_without_effects {
             }
         }
 
-        impl crate::dynamics::effect::HasModel<<$host as crate::dynamics::effect::ForcedSystem>::Model> for $host {
+        impl crate::dynamics::effect::HasModel<<$system as crate::dynamics::effect::ForcedSystem>::Model> for $system {
             #[inline(always)]
-            fn model(&self) -> &<$host as crate::dynamics::effect::ForcedSystem>::Model {
+            fn model(&self) -> &<$system as crate::dynamics::effect::ForcedSystem>::Model {
                 crate::dynamics::effect::ForcedSystem::model(self)
             }
 

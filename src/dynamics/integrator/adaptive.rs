@@ -1,6 +1,6 @@
 //! [`Adaptive`]: Tsitouras' method with error control.
 
-use super::{Integrator, Room, RungeKutta, room};
+use super::{Buffer, Integrator, RungeKutta, buffer};
 use crate::dynamics::inputs::{Cotangents, Inputs, add};
 use crate::dynamics::ode::{DynOde, DynOdeVjp};
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
@@ -65,8 +65,8 @@ impl Adaptive {
     ) {
         let (n, tableau, one, h) = (inputs.x.len(), RungeKutta::TSIT5, T::one(), T::from(dt));
         let end = inputs.continuous(dt).t + h;
-        let (mut at, mut rates) = tableau.room(n);
-        let (mut candidate, mut last) = (room(T::zero(), n), room(T::zero(), n));
+        let (mut at, mut rates) = tableau.stage_buffers(n);
+        let (mut candidate, mut last) = (buffer(T::zero(), n), buffer(T::zero(), n));
         next.copy_from_slice(inputs.x);
         let (mut left, mut trial) = (h, h);
         for _ in 0..self.most {
@@ -135,13 +135,13 @@ impl Integrator for Adaptive {
         mut bars: Cotangents<'_, C>,
     ) {
         let n = inputs.x.len();
-        let (mut states, mut steps): (Room<R>, Room<(R, R)>) = (Room::new(), Room::new());
-        let mut next = room(R::zero(), n);
+        let (mut states, mut steps): (Buffer<R>, Buffer<(R, R)>) = (Buffer::new(), Buffer::new());
+        let mut next = buffer(R::zero(), n);
         self.attempts(ode, dt, inputs, &mut next, |x, time, step| {
             states.extend_from_slice(x);
             steps.push((time, step));
         });
-        let (mut bar, mut before) = (room(C::null(), n), room(C::null(), n));
+        let (mut bar, mut before) = (buffer(C::null(), n), buffer(C::null(), n));
         bar.copy_from_slice(next_bar);
         for (state, &(time, step)) in states.chunks_exact(n).zip(&steps).rev() {
             before.fill(C::null());

@@ -23,7 +23,7 @@ pub enum AnyIntegrator {
 }
 
 /// A vector field whose evaluations are outlined calls.
-pub(super) struct Apart<'a, O>(pub &'a O);
+pub(super) struct Outlined<'a, O>(pub &'a O);
 
 /// Outlined [`Ode::rate`].
 struct Rate<'a, O, T> {
@@ -54,7 +54,7 @@ impl<O: Ode, R: Real, C: Cotangent<R>> Vectorized for RateBack<'_, O, R, C> {
     }
 }
 
-impl<O: Ode> Ode for Apart<'_, O> {
+impl<O: Ode> Ode for Outlined<'_, O> {
     fn state_dim(&self) -> usize {
         self.0.state_dim()
     }

@@ -1,6 +1,6 @@
 //! [`Discretized`]: run-time choice between the native scheme of a system and an integrator.
 
-use super::any::Apart;
+use super::any::Outlined;
 use super::{AnyIntegrator, Integrator};
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
@@ -39,7 +39,7 @@ impl<S: System + Ode> System for Discretized<S> {
     fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
         match &self.integrator {
             None => outline::<T>(Step { system: &self.system, inputs, next }),
-            Some(integrator) => integrator.advance(&Apart(&self.system), self.dt, inputs, next),
+            Some(integrator) => integrator.advance(&Outlined(&self.system), self.dt, inputs, next),
         }
     }
 
@@ -47,12 +47,12 @@ impl<S: System + Ode> System for Discretized<S> {
     fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
         match &self.integrator {
             None => outline::<R>(Reverse { system: &self.system, inputs, next_bar, bars }),
-            Some(integrator) => integrator.reverse(&Apart(&self.system), self.dt, inputs, next_bar, bars),
+            Some(integrator) => integrator.reverse(&Outlined(&self.system), self.dt, inputs, next_bar, bars),
         }
     }
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
-        let unsolved = self.integrator.as_ref().and_then(|method| method.unsolved(&Apart(&self.system), self.dt, inputs));
+        let unsolved = self.integrator.as_ref().and_then(|method| method.unsolved(&Outlined(&self.system), self.dt, inputs));
         System::diagnose(&self.system, inputs).or(unsolved.map(Cause::Unsolved))
     }
 }

@@ -1,6 +1,6 @@
 //! [`ImplicitMidpoint`]: the implicit midpoint rule.
 
-use super::{Integrator, room, stage_time};
+use super::{Integrator, buffer, stage_time};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
 use crate::dynamics::ode::{DynOde, DynOdeVjp};
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
@@ -44,7 +44,7 @@ impl ImplicitMidpoint {
     #[inline(always)]
     fn differences<T: Scalar>(ode: &dyn DynOde<T>, h: T, inputs: OdeInputs<'_, T>, matrix: &mut [T]) {
         let (x, n) = (inputs.x, inputs.x.len());
-        let (mut at, mut before, mut after) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
+        let (mut at, mut before, mut after) = (buffer(T::zero(), n), buffer(T::zero(), n), buffer(T::zero(), n));
         // Slices: indexing a `SmallVec` may compile to a call.
         let (at, before, after) = (&mut at[..], &mut before[..], &mut after[..]);
         at.copy_from_slice(x);
@@ -77,7 +77,7 @@ impl ImplicitMidpoint {
     fn iterate<T: Scalar>(tolerance: f64, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) -> T {
         let (h, x, n) = (T::from(dt), inputs.x, inputs.x.len());
         let halfway = halfway(dt, inputs);
-        let (mut middle, mut rate, mut residual) = (room(T::zero(), n), room(T::zero(), n), room(T::zero(), n));
+        let (mut middle, mut rate, mut residual) = (buffer(T::zero(), n), buffer(T::zero(), n), buffer(T::zero(), n));
         let (middle, rate, residual) = (&mut middle[..], &mut rate[..], &mut residual[..]);
         let half = T::from(0.5);
         ode.rate(inputs.continuous(dt), rate);
@@ -85,7 +85,7 @@ impl ImplicitMidpoint {
             next[i] = x[i] + h * rate[i];
             middle[i] = (x[i] + next[i]) * half;
         }
-        let (mut matrix, mut inverse) = (room(T::zero(), n * n), room(T::zero(), n * n));
+        let (mut matrix, mut inverse) = (buffer(T::zero(), n * n), buffer(T::zero(), n * n));
         let (matrix, inverse) = (&mut matrix[..], &mut inverse[..]);
         Self::differences(ode, h, halfway.with_x(middle), matrix);
         invert_one_minus(matrix, inverse, n);
@@ -176,7 +176,8 @@ impl Integrator for ImplicitMidpoint {
 
     fn unsolved<R: Real>(&self, ode: &dyn DynOde<R>, dt: f64, inputs: Inputs<'_, R>) -> Option<f64> {
         let (h, x) = (R::from(dt), inputs.x);
-        let (mut next, mut rate, mut middle) = (room(R::zero(), x.len()), room(R::zero(), x.len()), room(R::zero(), x.len()));
+        let (mut next, mut rate, mut middle) =
+            (buffer(R::zero(), x.len()), buffer(R::zero(), x.len()), buffer(R::zero(), x.len()));
         let to_go = Self::iterate(self.tolerance, ode, dt, inputs, &mut next);
         for i in 0..x.len() {
             middle[i] = (x[i] + next[i]) * R::from(0.5);
@@ -198,13 +199,13 @@ impl Integrator for ImplicitMidpoint {
         mut bars: Cotangents<'_, C>,
     ) {
         let (h, x, n) = (R::from(dt), inputs.x, inputs.x.len());
-        let mut middle = room(R::zero(), n);
+        let mut middle = buffer(R::zero(), n);
         Self::solve(0.0, ode, dt, inputs, &mut middle);
         for i in 0..n {
             middle[i] = (x[i] + middle[i]) * R::from(0.5);
         }
         let halfway = halfway(dt, inputs).with_x(&middle);
-        let (mut matrix, mut inverse) = (room(R::zero(), n * n), room(R::zero(), n * n));
+        let (mut matrix, mut inverse) = (buffer(R::zero(), n * n), buffer(R::zero(), n * n));
         let (matrix, inverse) = (&mut matrix[..], &mut inverse[..]);
         for i in 0..n {
             let row = &mut matrix[i * n..][..n];
@@ -215,7 +216,7 @@ impl Integrator for ImplicitMidpoint {
         }
         invert_one_minus(matrix, inverse, n);
         // rate_bar = h w.
-        let mut rate_bar = room(C::null(), n);
+        let mut rate_bar = buffer(C::null(), n);
         for j in 0..n {
             let mut w = C::null();
             for i in 0..n {

@@ -3,7 +3,7 @@
 //! A component is a position if [`Ode::velocity`](crate::Ode::velocity) returns its velocity. All
 //! other components are updated like velocities.
 
-use super::{Integrator, room, stage_time};
+use super::{Integrator, buffer, stage_time};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs, add};
 use crate::dynamics::ode::{DynOde, DynOdeVjp};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
@@ -19,7 +19,7 @@ impl Integrator for SemiImplicit {
     #[inline(always)]
     fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
         let (h, x) = (T::from(dt), inputs.x);
-        let mut rate = room(T::zero(), x.len());
+        let mut rate = buffer(T::zero(), x.len());
         ode.rate(inputs.continuous(dt), &mut rate);
         for i in 0..x.len() {
             if ode.velocity(i).is_none() {
@@ -43,14 +43,14 @@ impl Integrator for SemiImplicit {
         mut bars: Cotangents<'_, C>,
     ) {
         let (h, x) = (R::from(dt), inputs.x);
-        let mut x_bar = room(C::null(), x.len());
+        let mut x_bar = buffer(C::null(), x.len());
         x_bar.copy_from_slice(next_bar);
         for (i, &next_bar) in next_bar.iter().enumerate() {
             if let Some(velocity) = ode.velocity(i) {
                 x_bar[velocity] += next_bar * h;
             }
         }
-        let mut rate_bar = room(C::null(), x.len());
+        let mut rate_bar = buffer(C::null(), x.len());
         for i in 0..x.len() {
             if ode.velocity(i).is_none() {
                 rate_bar[i] = x_bar[i] * h;
@@ -100,7 +100,7 @@ impl Integrator for Verlet {
     #[inline(always)]
     fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
         let (h, x) = (T::from(dt), inputs.x);
-        let (mut first, mut second) = (room(T::zero(), x.len()), room(T::zero(), x.len()));
+        let (mut first, mut second) = (buffer(T::zero(), x.len()), buffer(T::zero(), x.len()));
         ode.rate(inputs.continuous(dt), &mut first);
         Self::guess(ode, h, x, &first, next);
         ode.rate(end(dt, inputs).with_x(next), &mut second);
@@ -124,10 +124,10 @@ impl Integrator for Verlet {
         let (h, x) = (R::from(dt), inputs.x);
         let n = x.len();
         let (half, half_square) = (h * R::from(0.5), h * h * R::from(0.5));
-        let (mut rate, mut guess) = (room(R::zero(), n), room(R::zero(), n));
+        let (mut rate, mut guess) = (buffer(R::zero(), n), buffer(R::zero(), n));
         ode.rate(inputs.continuous(dt), &mut rate);
         Self::guess(ode, h, x, &rate, &mut guess);
-        let (mut rate_bar, mut guess_bar) = (room(C::null(), n), room(C::null(), n));
+        let (mut rate_bar, mut guess_bar) = (buffer(C::null(), n), buffer(C::null(), n));
         for i in 0..n {
             match ode.velocity(i) {
                 Some(_) => guess_bar[i] = next_bar[i],
@@ -137,7 +137,7 @@ impl Integrator for Verlet {
         let mut guess_bars = bars.reborrow();
         guess_bars.x = Some(&mut guess_bar);
         ode.rate_vjp(end(dt, inputs).with_x(&guess), &rate_bar, guess_bars);
-        let mut x_bar = room(C::null(), n);
+        let mut x_bar = buffer(C::null(), n);
         for i in 0..n {
             x_bar[i] += guess_bar[i];
             match ode.velocity(i) {

@@ -1,6 +1,6 @@
 //! [`RungeKutta`]: explicit Runge–Kutta methods with one analytic VJP for all tableaus.
 
-use super::{Integrator, Room, room, stage_time};
+use super::{Buffer, Integrator, buffer, stage_time};
 use crate::dynamics::inputs::{Cotangents, Inputs, add};
 use crate::dynamics::ode::{DynOde, DynOdeVjp};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
@@ -106,8 +106,8 @@ impl RungeKutta {
 
     /// Workspace for the arguments and rates of all stages.
     #[inline(always)]
-    pub(super) fn room<T: Scalar>(&self, n: usize) -> (Room<T>, Room<T>) {
-        (room(T::zero(), self.0.stages * n), room(T::zero(), self.0.stages * n))
+    pub(super) fn stage_buffers<T: Scalar>(&self, n: usize) -> (Buffer<T>, Buffer<T>) {
+        (buffer(T::zero(), self.0.stages * n), buffer(T::zero(), self.0.stages * n))
     }
 
     /// The weights `b_i` of the stages in the next state.
@@ -154,9 +154,9 @@ impl RungeKutta {
         mut bars: Cotangents<'_, C>,
     ) {
         let n = inputs.x.len();
-        let (mut at, mut rates) = self.room(n);
+        let (mut at, mut rates) = self.stage_buffers(n);
         self.run(ode, h, inputs, &mut at, &mut rates);
-        let (mut at_bar, mut rate_bar) = (room(C::null(), self.0.stages * n), room(C::null(), n));
+        let (mut at_bar, mut rate_bar) = (buffer(C::null(), self.0.stages * n), buffer(C::null(), n));
         // Slices: indexing a `SmallVec` may compile to a call.
         let (at_bar, rate_bar) = (&mut at_bar[..], &mut rate_bar[..]);
         for i in (0..self.0.stages).rev() {
@@ -184,7 +184,7 @@ impl RungeKutta {
 impl Integrator for RungeKutta {
     #[inline(always)]
     fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) {
-        let (h, (mut at, mut rates)) = (T::from(dt), self.room(inputs.x.len()));
+        let (h, (mut at, mut rates)) = (T::from(dt), self.stage_buffers(inputs.x.len()));
         self.run(ode, h, inputs.at(|c| stage_time(inputs.t, dt, c)), &mut at, &mut rates);
         next.copy_from_slice(inputs.x);
         self.sum(&self.0.b, h, &rates, next);

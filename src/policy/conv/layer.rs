@@ -17,7 +17,7 @@ pub struct Layer {
     /// Positions of the output.
     pub positions: usize,
     /// Capacity of an output column, in positions.
-    pub room: usize,
+    pub capacity: usize,
     /// Distance between positions of the output.
     pub slot_out: usize,
     /// Offset in `θ`.
@@ -45,17 +45,17 @@ impl Layer {
 
     /// Length of an input column.
     pub fn input(&self) -> usize {
-        self.room * self.stride()
+        self.capacity * self.stride()
     }
 
     /// Length of an output column.
     pub fn output(&self) -> usize {
-        self.room * self.slot_out
+        self.capacity * self.slot_out
     }
 
     /// Number of windows of `columns` contiguous columns, up to the last valid one.
     pub fn windows(&self, columns: usize) -> usize {
-        (columns - 1) * self.room + self.positions
+        (columns - 1) * self.capacity + self.positions
     }
 
     /// Offset in `θ` of the weight of window entry `j` for the first filter; `None` for padding.

@@ -27,7 +27,7 @@ impl Conv {
 
     pub(super) fn layers<F: Float>(&self) -> [Layer; 2] {
         let [grid, first, second] = self.positions();
-        let room = grid.div_ceil(4);
+        let capacity = grid.div_ceil(4);
         let slot = padded::<F>(self.width + 1);
         // An odd number of cache lines: adjacent columns do not map to the same cache sets.
         let lda = ((slot / F::PAD) | 1) * F::PAD;
@@ -35,7 +35,7 @@ impl Conv {
             channels: CHANNELS,
             slot: CHANNELS + 1,
             positions: first,
-            room: 2 * room,
+            capacity: 2 * capacity,
             slot_out: slot,
             theta: 0,
             packed: 0,
@@ -43,7 +43,7 @@ impl Conv {
             transposed: 0,
             entries: 0,
         };
-        let mut two = Layer { channels: self.width, slot, positions: second, room, ..one };
+        let mut two = Layer { channels: self.width, slot, positions: second, capacity, ..one };
         let mut end = 0;
         for layer in [&mut one, &mut two] {
             layer.packed = end;
@@ -85,7 +85,7 @@ impl Conv {
     ///
     /// The buffer begins with the window cotangents of one block.
     pub(super) fn places_bar([one, two]: &[Layer; 2], total: usize) -> [usize; 3] {
-        let windows = [one, two].map(|l| BLOCK * l.room * l.entries);
+        let windows = [one, two].map(|l| BLOCK * l.capacity * l.entries);
         let first = windows[0].max(windows[1]);
         let second = first + total * one.output();
         [first, second, second + total * two.output()]

@@ -44,8 +44,8 @@ impl ForcedSystem for CartPoleModel {
     #[inline(always)]
     fn forced_step<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
         match self {
-            Self::Uncoupled(host) => host.forced_step(effects, inputs, next),
-            Self::Coupled(host) => host.forced_step(effects, inputs, next),
+            Self::Uncoupled(system) => system.forced_step(effects, inputs, next),
+            Self::Coupled(system) => system.forced_step(effects, inputs, next),
         }
     }
 
@@ -58,8 +58,8 @@ impl ForcedSystem for CartPoleModel {
         bars: Cotangents<'_, C>,
     ) {
         match self {
-            Self::Uncoupled(host) => host.forced_vjp(effects, inputs, next_bar, bars),
-            Self::Coupled(host) => host.forced_vjp(effects, inputs, next_bar, bars),
+            Self::Uncoupled(system) => system.forced_vjp(effects, inputs, next_bar, bars),
+            Self::Coupled(system) => system.forced_vjp(effects, inputs, next_bar, bars),
         }
     }
 }
@@ -68,8 +68,8 @@ impl ForcedOde for CartPoleModel {
     #[inline(always)]
     fn forced_rate<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
         match self {
-            Self::Uncoupled(host) => host.forced_rate(effects, inputs, rate),
-            Self::Coupled(host) => host.forced_rate(effects, inputs, rate),
+            Self::Uncoupled(system) => system.forced_rate(effects, inputs, rate),
+            Self::Coupled(system) => system.forced_rate(effects, inputs, rate),
         }
     }
 
@@ -82,8 +82,8 @@ impl ForcedOde for CartPoleModel {
         bars: Cotangents<'_, C>,
     ) {
         match self {
-            Self::Uncoupled(host) => host.forced_rate_vjp(effects, inputs, rate_bar, bars),
-            Self::Coupled(host) => host.forced_rate_vjp(effects, inputs, rate_bar, bars),
+            Self::Uncoupled(system) => system.forced_rate_vjp(effects, inputs, rate_bar, bars),
+            Self::Coupled(system) => system.forced_rate_vjp(effects, inputs, rate_bar, bars),
         }
     }
 

@@ -29,7 +29,7 @@ pub enum QuantumScheme {
 
 /// Outlined step of a scheme.
 struct Step<'a, H, E, T> {
-    host: &'a H,
+    system: &'a H,
     effects: &'a E,
     inputs: Inputs<'a, T>,
     next: &'a mut [T],
@@ -38,13 +38,13 @@ struct Step<'a, H, E, T> {
 impl<H: ForcedSystem, E: Effect<H::Model>, T: Scalar> Vectorized for Step<'_, H, E, T> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        self.host.forced_step(self.effects, self.inputs, self.next);
+        self.system.forced_step(self.effects, self.inputs, self.next);
     }
 }
 
 /// Outlined reverse step of a scheme.
 struct Reverse<'a, H, E, R, C> {
-    host: &'a H,
+    system: &'a H,
     effects: &'a E,
     inputs: Inputs<'a, R>,
     next_bar: &'a [C],
@@ -54,8 +54,8 @@ struct Reverse<'a, H, E, R, C> {
 impl<H: ForcedSystem, E: Effect<H::Model>, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, H, E, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { host, effects, inputs, next_bar, bars } = self;
-        host.forced_vjp(effects, inputs, next_bar, bars);
+        let Self { system, effects, inputs, next_bar, bars } = self;
+        system.forced_vjp(effects, inputs, next_bar, bars);
     }
 }
 
@@ -65,9 +65,9 @@ impl ForcedSystem for QuantumScheme {
     #[inline(always)]
     fn model(&self) -> &QuantumSystem {
         match self {
-            Self::CrankNicolson(host) => host,
-            Self::Pade(host) => host.model(),
-            Self::Strang(host) => host.model(),
+            Self::CrankNicolson(system) => system,
+            Self::Pade(system) => system.model(),
+            Self::Strang(system) => system.model(),
         }
     }
 
@@ -90,9 +90,9 @@ impl ForcedSystem for QuantumScheme {
     #[inline(always)]
     fn forced_step<E: Effect<QuantumSystem>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
         match self {
-            Self::CrankNicolson(host) => outline::<T>(Step { host, effects, inputs, next }),
-            Self::Pade(host) => outline::<T>(Step { host, effects, inputs, next }),
-            Self::Strang(host) => outline::<T>(Step { host, effects, inputs, next }),
+            Self::CrankNicolson(system) => outline::<T>(Step { system, effects, inputs, next }),
+            Self::Pade(system) => outline::<T>(Step { system, effects, inputs, next }),
+            Self::Strang(system) => outline::<T>(Step { system, effects, inputs, next }),
         }
     }
 
@@ -105,9 +105,9 @@ impl ForcedSystem for QuantumScheme {
         bars: Cotangents<'_, C>,
     ) {
         match self {
-            Self::CrankNicolson(host) => outline::<R>(Reverse { host, effects, inputs, next_bar, bars }),
-            Self::Pade(host) => outline::<R>(Reverse { host, effects, inputs, next_bar, bars }),
-            Self::Strang(host) => outline::<R>(Reverse { host, effects, inputs, next_bar, bars }),
+            Self::CrankNicolson(system) => outline::<R>(Reverse { system, effects, inputs, next_bar, bars }),
+            Self::Pade(system) => outline::<R>(Reverse { system, effects, inputs, next_bar, bars }),
+            Self::Strang(system) => outline::<R>(Reverse { system, effects, inputs, next_bar, bars }),
         }
     }
 }
