@@ -18,7 +18,8 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
-/// Stack capacity for controls. Systems with more controls allocate in every step.
+/// Stack capacity for controls; four times as many for states of actuators. More allocate in every
+/// step.
 const STACK: usize = 8;
 type Controls<T> = SmallVec<[T; STACK]>;
 
@@ -27,40 +28,40 @@ type Controls<T> = SmallVec<[T; STACK]>;
 /// `()` is the identity. A pair applies its first actuator, then its second. A `Vec` is a chain
 /// chosen at run time.
 ///
-/// An actuator may have state (`own`), initially 0. Required: [`state_dim`](Actuator::state_dim)
+/// An actuator may have a `state`, initially 0. Required: [`state_dim`](Actuator::state_dim)
 /// and [`step`](Actuator::step).
 ///
 /// # Shapes
-/// `u` and `out` have one entry per control of the system. `own` and `own_next` have
+/// `u` and `out` have one entry per control of the system. `state` and `next_state` have
 /// [`state_dim`](Actuator::state_dim) entries.
 pub trait Actuator: Clone + Send + Sync {
     /// Number of state components for a system with `controls` controls.
     fn state_dim(&self, controls: usize) -> usize;
 
     /// Writes the actuator's next state and the system's control.
-    fn step<T: Scalar>(&self, own: &[T], u: &[T], own_next: &mut [T], out: &mut [T]);
+    fn step<T: Scalar>(&self, state: &[T], u: &[T], next_state: &mut [T], out: &mut [T]);
 
-    /// Returns true if the system's control is the policy's, so that steps skip the actuator.
+    /// Returns true for the identity. Steps then skip the actuator.
     #[doc(hidden)]
     #[inline(always)]
     fn is_identity(&self) -> bool {
         false
     }
 
-    /// VJP of [`step`](Actuator::step). Adds to `own_bar` and `u_bar` if given.
+    /// VJP of [`step`](Actuator::step). Adds to `state_bar` and `u_bar` if given.
     ///
     /// Defaults to exact derivatives by dual numbers. Override it with an analytic derivative for
     /// speed.
     #[inline(always)]
-    fn reverse<R: Real, C: Cotangent<R>>(
+    fn vjp<R: Real, C: Cotangent<R>>(
         &self,
-        own: &[R],
+        state: &[R],
         u: &[R],
         next_bar: OutputCotangents<'_, C>,
-        own_bar: Option<&mut [C]>,
+        state_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
-        reverse_by_duals(self, own, u, next_bar, own_bar, u_bar);
+        reverse_by_duals(self, state, u, next_bar, state_bar, u_bar);
     }
 }
 
@@ -68,34 +69,34 @@ pub trait Actuator: Clone + Send + Sync {
 #[derive(Clone, Copy, Debug)]
 pub struct OutputCotangents<'a, C> {
     /// Cotangent of the actuator's next state.
-    pub own: &'a [C],
+    pub state: &'a [C],
     /// Cotangent of the system's control.
     pub out: &'a [C],
 }
 
-/// Default [`Actuator::reverse`]: exact, by dual numbers through [`Actuator::step`].
+/// Default [`Actuator::vjp`]: exact, by dual numbers through [`Actuator::step`].
 #[inline]
 fn reverse_by_duals<A: Actuator, R: Real, C: Cotangent<R>>(
     actuator: &A,
-    own: &[R],
+    state: &[R],
     u: &[R],
     next_bar: OutputCotangents<'_, C>,
-    mut own_bar: Option<&mut [C]>,
+    mut state_bar: Option<&mut [C]>,
     mut u_bar: Option<&mut [C]>,
 ) {
-    let (n, m) = (own.len(), u.len());
-    let wrt = if own_bar.is_some() { 0 } else { n }..if u_bar.is_some() { n + m } else { n };
+    let (n, m) = (state.len(), u.len());
+    let wrt = if state_bar.is_some() { 0 } else { n }..if u_bar.is_some() { n + m } else { n };
     let step = |x: &[_], next: &mut [_]| {
-        let (own_next, out) = next.split_at_mut(n);
-        actuator.step(&x[..n], &x[n..], own_next, out);
+        let (next_state, out) = next.split_at_mut(n);
+        actuator.step(&x[..n], &x[n..], next_state, out);
     };
-    jacobian(&concat(own, u), wrt, n + m, step, |i, column: &[R]| {
+    jacobian(&concat(state, u), wrt, n + m, step, |i, column: &[R]| {
         let mut bar = C::null();
-        for (&next_bar, &slope) in zip(next_bar.own.iter().chain(next_bar.out), column) {
+        for (&next_bar, &slope) in zip(next_bar.state.iter().chain(next_bar.out), column) {
             bar += next_bar * slope;
         }
         // `wrt` contains only inputs whose cotangent is given.
-        let side = if i < n { own_bar.as_deref_mut() } else { u_bar.as_deref_mut() };
+        let side = if i < n { state_bar.as_deref_mut() } else { u_bar.as_deref_mut() };
         side.into_iter().for_each(|side| side[if i < n { i } else { i - n }] += bar);
     });
 }
@@ -112,14 +113,14 @@ impl Actuator for () {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, _own: &[T], u: &[T], _own_next: &mut [T], out: &mut [T]) {
+    fn step<T: Scalar>(&self, _state: &[T], u: &[T], _next_state: &mut [T], out: &mut [T]) {
         out.copy_from_slice(u);
     }
 
     #[inline(always)]
-    fn reverse<R: Real, C: Cotangent<R>>(
+    fn vjp<R: Real, C: Cotangent<R>>(
         &self,
-        _own: &[R],
+        _state: &[R],
         _u: &[R],
         next_bar: OutputCotangents<'_, C>,
         _own_bar: Option<&mut [C]>,
@@ -138,37 +139,31 @@ impl<A: Actuator, B: Actuator> Actuator for (A, B) {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, own: &[T], u: &[T], own_next: &mut [T], out: &mut [T]) {
+    fn step<T: Scalar>(&self, state: &[T], u: &[T], next_state: &mut [T], out: &mut [T]) {
         let n = self.0.state_dim(u.len());
         let mut between: Controls<T> = SmallVec::from_slice(u);
-        self.0.step(&own[..n], u, &mut own_next[..n], &mut between);
-        self.1.step(&own[n..], &between, &mut own_next[n..], out);
+        self.0.step(&state[..n], u, &mut next_state[..n], &mut between);
+        self.1.step(&state[n..], &between, &mut next_state[n..], out);
     }
 
     #[inline(always)]
-    fn reverse<R: Real, C: Cotangent<R>>(
+    fn vjp<R: Real, C: Cotangent<R>>(
         &self,
-        own: &[R],
+        state: &[R],
         u: &[R],
         next_bar: OutputCotangents<'_, C>,
-        own_bar: Option<&mut [C]>,
+        state_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
         let n = self.0.state_dim(u.len());
         let mut between: Controls<R> = SmallVec::from_slice(u);
-        let mut own_next: SmallVec<[R; 4 * STACK]> = smallvec![R::zero(); n];
-        self.0.step(&own[..n], u, &mut own_next, &mut between);
+        let mut next_state: SmallVec<[R; 4 * STACK]> = smallvec![R::zero(); n];
+        self.0.step(&state[..n], u, &mut next_state, &mut between);
         let mut between_bar: Controls<C> = smallvec![C::null(); u.len()];
-        let (first, second) = match own_bar {
-            Some(own_bar) => {
-                let (first, second) = own_bar.split_at_mut(n);
-                (Some(first), Some(second))
-            }
-            None => (None, None),
-        };
-        let bars = OutputCotangents { own: &next_bar.own[n..], out: next_bar.out };
-        self.1.reverse(&own[n..], &between, bars, second, Some(&mut between_bar));
-        self.0.reverse(&own[..n], u, OutputCotangents { own: &next_bar.own[..n], out: &between_bar }, first, u_bar);
+        let (first, second) = state_bar.map(|bar| bar.split_at_mut(n)).unzip();
+        let bars = OutputCotangents { state: &next_bar.state[n..], out: next_bar.out };
+        self.1.vjp(&state[n..], &between, bars, second, Some(&mut between_bar));
+        self.0.vjp(&state[..n], u, OutputCotangents { state: &next_bar.state[..n], out: &between_bar }, first, u_bar);
     }
 }
 
@@ -184,12 +179,12 @@ pub struct Actuated<S, A> {
 }
 
 impl<S: System, A: Actuator> Actuated<S, A> {
-    /// The system's control, for the policy's control `u`.
+    /// Returns the system's control for the policy's control `u`.
     #[inline(always)]
-    fn control<R: Real>(&self, own: &[R], u: &[R]) -> Controls<R> {
+    fn control<R: Real>(&self, state: &[R], u: &[R]) -> Controls<R> {
         let mut out: Controls<R> = SmallVec::from_slice(u);
-        let mut own_next: SmallVec<[R; 4 * STACK]> = SmallVec::from_slice(own);
-        self.actuator.step(own, u, &mut own_next, &mut out);
+        let mut next_state: SmallVec<[R; 4 * STACK]> = SmallVec::from_slice(state);
+        self.actuator.step(state, u, &mut next_state, &mut out);
         out
     }
 }
@@ -212,10 +207,10 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         if self.actuator.is_identity() {
             return self.system.step(inputs, next);
         }
-        let (x, own) = inputs.x.split_at(self.system.state_dim());
+        let (x, state) = inputs.x.split_at(self.system.state_dim());
         let mut out: Controls<T> = SmallVec::from_slice(inputs.u);
-        let (next, own_next) = next.split_at_mut(x.len());
-        self.actuator.step(own, inputs.u, own_next, &mut out);
+        let (next, next_state) = next.split_at_mut(x.len());
+        self.actuator.step(state, inputs.u, next_state, &mut out);
         self.system.step(inputs.with_x(x).with_u(&out), next);
     }
 
@@ -224,23 +219,23 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         if self.actuator.is_identity() {
             return self.system.vjp(inputs, next_bar, bars);
         }
-        let (x, own) = inputs.x.split_at(self.system.state_dim());
-        let (next_bar, own_next_bar) = next_bar.split_at(x.len());
-        let (x_bar, own_bar) = bars.x.map(|bar| bar.split_at_mut(x.len())).unzip();
-        let out = self.control(own, inputs.u);
+        let (x, state) = inputs.x.split_at(self.system.state_dim());
+        let (next_bar, next_state_bar) = next_bar.split_at(x.len());
+        let (x_bar, state_bar) = bars.x.map(|bar| bar.split_at_mut(x.len())).unzip();
+        let out = self.control(state, inputs.u);
         // The control matters to the requested cotangents only through `u` or the actuator's state.
-        let through_control = bars.u.is_some() || !own.is_empty() && own_bar.is_some();
+        let through_control = bars.u.is_some() || !state.is_empty() && state_bar.is_some();
         let mut out_bar: Controls<C> = smallvec![C::null(); inputs.u.len()];
         let system_bars = Cotangents { x: x_bar, u: through_control.then_some(&mut out_bar[..]), p: bars.p };
         self.system.vjp(inputs.with_x(x).with_u(&out), next_bar, system_bars);
         if through_control {
-            self.actuator.reverse(own, inputs.u, OutputCotangents { own: own_next_bar, out: &out_bar }, own_bar, bars.u);
+            self.actuator.vjp(state, inputs.u, OutputCotangents { state: next_state_bar, out: &out_bar }, state_bar, bars.u);
         }
     }
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
-        let (x, own) = inputs.x.split_at(self.system.state_dim());
-        self.system.diagnose(inputs.with_x(x).with_u(&self.control(own, inputs.u)))
+        let (x, state) = inputs.x.split_at(self.system.state_dim());
+        self.system.diagnose(inputs.with_x(x).with_u(&self.control(state, inputs.u)))
     }
 }
 
@@ -250,10 +245,11 @@ impl<B, S: HasModel<B>, A: Actuator> HasModel<B> for Actuated<S, A> {
         self.system.model()
     }
 
-    /// Draws the extra values of the system. Sets the actuator's state to 0.
+    /// Draws the state components beyond the model and their parameters. Sets the actuator's state
+    /// to 0.
     fn start_extra(&self, rng: &mut Rng, start: Start<'_>) {
-        let (x, own) = start.x.split_at_mut(self.system.state_dim());
+        let (x, state) = start.x.split_at_mut(self.system.state_dim());
         self.system.start_extra(rng, Start { x, p: start.p });
-        own.fill(0.0);
+        state.fill(0.0);
     }
 }

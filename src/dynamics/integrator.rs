@@ -59,7 +59,7 @@ pub trait Integrator: Clone + Debug + Send + Sync {
     }
 
     /// VJP of [`advance`](Integrator::advance). Adds to the requested cotangents.
-    fn reverse<R: Real, C: Cotangent<R>>(
+    fn vjp<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn DynOdeVjp<R, C>,
         dt: f64,
@@ -100,7 +100,7 @@ impl<O: Ode, I: Integrator> System for Integrated<O, I> {
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
-        self.integrator.reverse(&self.ode, self.dt, inputs, next_bar, bars);
+        self.integrator.vjp(&self.ode, self.dt, inputs, next_bar, bars);
     }
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {

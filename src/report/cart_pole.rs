@@ -31,16 +31,16 @@ const WHOLE: f64 = 10.0;
 /// the largest force of the trajectory.
 ///
 /// Trajectories shorter than 2 s play at one third of real time. For long distances the camera
-/// follows the cart. The animation ends before the first state that is non-finite, far away, or of
-/// a different length.
+/// follows the cart. The animation ends before the first state that is non-finite, beyond 1e6 m,
+/// or of a different length.
 pub fn cart_pole(states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f64) -> Animation {
     cart_pole_on(&Rail::default(), states, controls, half_length, dt)
 }
 
 /// Animates a trajectory as [`cart_pole`] does, with bumpers and wind.
 ///
-/// Bumpers are springs at the ends of the rail. The view shows the whole rail unless it is longer
-/// than a limit. An arrow in the upper left corner shows the wind.
+/// Bumpers are springs at the ends of the rail. The view shows the whole rail unless it is very
+/// long. An arrow in the upper left corner shows the wind.
 pub fn cart_pole_on(rail: &Rail, states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f64) -> Animation {
     let length = if half_length.is_normal() && half_length > 0.0 { 2.0 * half_length } else { 1.0 };
     let width = states.first().map_or(0, Vec::len).max(2);
@@ -100,7 +100,7 @@ impl Stage {
         let end = bumpers.map_or(f64::INFINITY, |bumpers| bumpers.end());
         let whole = 2.0 * end <= WHOLE * length;
         if whole {
-            // Includes the full range of the cart on the rail.
+            // Largest positions of the cart's center.
             let cart = end - 0.85 * length;
             (left, right) = (left.min(-cart), right.max(cart));
         }
@@ -171,7 +171,7 @@ impl Stage {
     }
 }
 
-/// Horizontal arrow; its head shrinks with `length`, so it is continuous through zero.
+/// Horizontal arrow. The head shrinks with `length`, so the arrow is continuous at 0.
 fn arrow(from: [f64; 2], length: f64, width: f64, color: &'static str) -> [Shape; 3] {
     let tip = [from[0] + length, from[1]];
     let head = length.signum() * length.abs().min(4.0 * width);

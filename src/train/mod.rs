@@ -50,9 +50,10 @@ pub struct Training {
     pub seed: u64,
     /// Shuffles the training set before every epoch. The paper uses one fixed order.
     pub shuffle: bool,
-    /// Draws new initial states and parameters for the updates of every epoch: sample i of N in
-    /// epoch e, both from 0, has the random stream of training sample e N + i. Losses are evaluated
-    /// on the same training and test set after every epoch.
+    /// Draws new initial states and parameters of the task for the updates of every epoch. Sample i
+    /// of epoch e has the random stream of training sample e N + i. N is the number of samples, and
+    /// both counts start at 0. Losses are evaluated on the same training and test set after every
+    /// epoch.
     pub resample: bool,
     /// The optimizer.
     pub rule: OptimizerKind,
@@ -63,7 +64,7 @@ pub struct Training {
     pub decay: Decay,
     /// Number of updates at the start in which the learning rate rises linearly to its full value.
     pub warm_up: usize,
-    /// Clipping of the field, before the optimizer. `docs/performance.md` compares its kinds.
+    /// Clipping of the field, before the optimizer. `docs/performance.md` compares the variants.
     pub clip: Clip,
     /// Largest number of consecutive updates skipped because of a non-finite number. One more stops
     /// the training.
@@ -99,6 +100,8 @@ impl Default for Training {
 }
 
 impl Training {
+    /// Checks all settings.
+    ///
     /// # Errors
     /// [`TrainError::Setting`] for the first invalid setting.
     fn validate(&self) -> Result<(), TrainError> {
@@ -217,7 +220,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
         self.run_with_warnings(|warning| _ = writeln!(std::io::stderr(), "warning: {warning}"))
     }
 
-    /// Runs all epochs. Calls `warn` with each of [`Session::warnings`].
+    /// Runs all epochs. Calls `warn` with each of [`Session::warnings`] after each epoch.
+    ///
     /// ```
     /// use physgrad::{Trainer, policy::Mlp, tasks::CartPole};
     ///
@@ -259,8 +263,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// Creates a session from given parameters and initial states; see
     /// [`initial_states`](crate::initial_states).
     ///
-    /// With [`Training::resample`], updates draw their initial states from the task. `train` is
-    /// then only evaluated; its number of samples is that of an epoch.
+    /// With [`Training::resample`], updates draw their initial states from the task. `train` then
+    /// serves for losses only, and its length sets the number of samples of an epoch.
     ///
     /// # Errors
     /// [`TrainError`] if a setting is invalid, the memory limit is too small, or a set is empty or

@@ -32,13 +32,12 @@ pub fn train(out: &Path, args: &[&str]) -> Command {
 
 #[allow(dead_code)]
 pub fn error_of(command: &mut Command) -> String {
-    let output = command.output().expect("it runs");
-    assert!(!output.status.success(), "it should fail");
+    let output = command.output().expect("physgrad starts");
+    assert!(!output.status.success(), "the command succeeded; expected an error");
     String::from_utf8(output.stderr).expect("text")
 }
 
-/// Returns `train cart_pole` with the small settings, writing to `out`, as a process to start and
-/// kill.
+/// Returns the command of [`train`] as a process that a test can kill.
 #[allow(dead_code)]
 pub fn process(out: &Path, args: &[&str]) -> std::process::Command {
     let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));

@@ -72,7 +72,7 @@ fn run_time_schemes_and_lists_have_the_bits_of_typed_ones() {
     for model in [box_of(32), dipole(33)] {
         let [a, b, c] = schemes(model);
         let (a, b, c) = (same(&model, &a), same(&Pade(model), &b), same(&Strang::new(model), &c));
-        assert!(largest_difference(&a, &b) > 1e-3 && largest_difference(&b, &c) > 1e-3, "they are three");
+        assert!(largest_difference(&a, &b) > 1e-3 && largest_difference(&b, &c) > 1e-3, "two schemes agree to 1e-3");
     }
 }
 
@@ -160,7 +160,7 @@ fn phase_error(scheme: usize, number: usize, count: usize) -> f64 {
     let phi: Vec<f64> = model.eigenstate(number).flat_map(|phi| [phi, 0.0]).collect();
     let energy = 4.0 * ((PI * number as f64 / 66.0).sin() / model.spacing()).powi(2);
     let (size, phase) = overlap(&phi, &step(&schemes(model)[scheme], &phi, 0.0));
-    assert!((size - 1.0).abs() < 1e-13, "it is an eigenstate");
+    assert!((size - 1.0).abs() < 1e-13, "the step changed the modulus of an eigenstate");
     ((-phase).rem_euclid(TAU) / (energy * model.dt) - 1.0).abs()
 }
 
@@ -218,7 +218,8 @@ fn strang_moves_free_particles_exactly() {
     }
 }
 
-/// Returns the operations of a step, `vjp`, `vjp_state` and `vjp_control`.
+/// Returns operation counts of a step, and of `vjp` for state and control, for the state alone, and
+/// for the control alone.
 fn counts<S: System>(system: &S) -> [Ops; 4] {
     let n = system.state_dim();
     let x: Vec<Counted> = (0..n).map(|i| Counted(Scalar::sin(i as f64))).collect();

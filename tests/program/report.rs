@@ -43,7 +43,7 @@ fn assert_stands_alone(page: &str) {
             assert!(page[at + attribute.len()..].starts_with(allowed), "{}", &page[at..at + 40]);
         }
     }
-    assert!(page.contains("default-src 'none'"), "and the browser is told so");
+    assert!(page.contains("default-src 'none'"), "the page has no policy that blocks loading");
 }
 
 /// Checks that elements are properly nested and closed.
@@ -264,7 +264,7 @@ fn pages_of_unfinished_runs_state_it() {
     let page = report(&one);
     assert!(page.contains("This run was interrupted after 1 epoch of 5 and can be resumed."));
     assert_eq!(cells(&page)[0][0], "1 of 5");
-    assert!(fs::read(one.join("checkpoint.bin")).expect("a checkpoint") == before, "it was only looked at");
+    assert!(fs::read(one.join("checkpoint.bin")).expect("a checkpoint") == before, "`report` changed the checkpoint");
 }
 
 #[test]

@@ -36,7 +36,7 @@ impl Actuator for Limit {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, _own: &[T], u: &[T], _own_next: &mut [T], out: &mut [T]) {
+    fn step<T: Scalar>(&self, _state: &[T], u: &[T], _next_state: &mut [T], out: &mut [T]) {
         let bound = T::from(self.bound);
         for (out, &u) in zip(out.iter_mut(), u) {
             *out = match self.kind {
@@ -48,9 +48,9 @@ impl Actuator for Limit {
     }
 
     #[inline(always)]
-    fn reverse<R: Real, C: Cotangent<R>>(
+    fn vjp<R: Real, C: Cotangent<R>>(
         &self,
-        _own: &[R],
+        _state: &[R],
         u: &[R],
         next_bar: OutputCotangents<'_, C>,
         _own_bar: Option<&mut [C]>,
@@ -91,30 +91,30 @@ impl Actuator for Lag {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, own: &[T], u: &[T], own_next: &mut [T], out: &mut [T]) {
+    fn step<T: Scalar>(&self, state: &[T], u: &[T], next_state: &mut [T], out: &mut [T]) {
         let share = T::from(self.share);
-        for (((own_next, out), &own), &u) in zip(zip(zip(own_next.iter_mut(), out), own), u) {
-            *own_next = own + (u - own) * share;
-            *out = *own_next;
+        for (((next_state, out), &state), &u) in zip(zip(zip(next_state.iter_mut(), out), state), u) {
+            *next_state = state + (u - state) * share;
+            *out = *next_state;
         }
     }
 
     #[inline(always)]
-    fn reverse<R: Real, C: Cotangent<R>>(
+    fn vjp<R: Real, C: Cotangent<R>>(
         &self,
-        _own: &[R],
+        _state: &[R],
         _u: &[R],
         next_bar: OutputCotangents<'_, C>,
-        own_bar: Option<&mut [C]>,
+        state_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
-        let bars = || zip(next_bar.own.iter(), next_bar.out);
+        let bars = || zip(next_bar.state.iter(), next_bar.out);
         let (share, rest) = (R::from(self.share), R::from(1.0 - self.share));
-        for (own_bar, (&own, &out)) in zip(own_bar.into_iter().flatten(), bars()) {
-            *own_bar += (own + out) * rest;
+        for (state_bar, (&state, &out)) in zip(state_bar.into_iter().flatten(), bars()) {
+            *state_bar += (state + out) * rest;
         }
-        for (u_bar, (&own, &out)) in zip(u_bar.into_iter().flatten(), bars()) {
-            *u_bar += (own + out) * share;
+        for (u_bar, (&state, &out)) in zip(u_bar.into_iter().flatten(), bars()) {
+            *u_bar += (state + out) * share;
         }
     }
 }
@@ -136,26 +136,26 @@ impl Actuator for Delay {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, own: &[T], u: &[T], own_next: &mut [T], out: &mut [T]) {
-        let (oldest, waiting) = own.split_at(u.len());
+    fn step<T: Scalar>(&self, state: &[T], u: &[T], next_state: &mut [T], out: &mut [T]) {
+        let (oldest, waiting) = state.split_at(u.len());
         out.copy_from_slice(oldest);
-        let (moved_up, newest) = own_next.split_at_mut(waiting.len());
+        let (moved_up, newest) = next_state.split_at_mut(waiting.len());
         moved_up.copy_from_slice(waiting);
         newest.copy_from_slice(u);
     }
 
     #[inline(always)]
-    fn reverse<R: Real, C: Cotangent<R>>(
+    fn vjp<R: Real, C: Cotangent<R>>(
         &self,
-        own: &[R],
+        state: &[R],
         u: &[R],
         next_bar: OutputCotangents<'_, C>,
-        own_bar: Option<&mut [C]>,
+        state_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
-        let (moved_up, newest) = next_bar.own.split_at(own.len() - u.len());
-        if let Some(own_bar) = own_bar {
-            let (oldest, waiting) = own_bar.split_at_mut(u.len());
+        let (moved_up, newest) = next_bar.state.split_at(state.len() - u.len());
+        if let Some(state_bar) = state_bar {
+            let (oldest, waiting) = state_bar.split_at_mut(u.len());
             add(oldest, next_bar.out);
             add(waiting, moved_up);
         }
@@ -186,27 +186,27 @@ impl Actuator for AnyActuator {
     }
 
     #[inline(always)]
-    fn step<T: Scalar>(&self, own: &[T], u: &[T], own_next: &mut [T], out: &mut [T]) {
+    fn step<T: Scalar>(&self, state: &[T], u: &[T], next_state: &mut [T], out: &mut [T]) {
         match self {
-            Self::Limit(limit) => limit.step(own, u, own_next, out),
-            Self::Delay(delay) => delay.step(own, u, own_next, out),
-            Self::Lag(lag) => lag.step(own, u, own_next, out),
+            Self::Limit(limit) => limit.step(state, u, next_state, out),
+            Self::Delay(delay) => delay.step(state, u, next_state, out),
+            Self::Lag(lag) => lag.step(state, u, next_state, out),
         }
     }
 
     #[inline(always)]
-    fn reverse<R: Real, C: Cotangent<R>>(
+    fn vjp<R: Real, C: Cotangent<R>>(
         &self,
-        own: &[R],
+        state: &[R],
         u: &[R],
         next_bar: OutputCotangents<'_, C>,
-        own_bar: Option<&mut [C]>,
+        state_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
         match self {
-            Self::Limit(limit) => limit.reverse(own, u, next_bar, own_bar, u_bar),
-            Self::Delay(delay) => delay.reverse(own, u, next_bar, own_bar, u_bar),
-            Self::Lag(lag) => lag.reverse(own, u, next_bar, own_bar, u_bar),
+            Self::Limit(limit) => limit.vjp(state, u, next_bar, state_bar, u_bar),
+            Self::Delay(delay) => delay.vjp(state, u, next_bar, state_bar, u_bar),
+            Self::Lag(lag) => lag.vjp(state, u, next_bar, state_bar, u_bar),
         }
     }
 }

@@ -58,8 +58,8 @@ impl<B, E: Effect<B>> Effect<B> for Vec<E> {
     }
 }
 
-/// Outlined [`Effect::add_forces`]. Inlining every effect of a list into every loop slows
-/// compilation.
+/// Arguments of [`Effect::add_forces`], to be outlined. Inlining every effect of a list into every
+/// loop slows compilation.
 pub(crate) struct AddForces<'a, B, E, T> {
     pub effect: &'a E,
     pub model: &'a B,
@@ -74,7 +74,7 @@ impl<B, E: Effect<B>, T: Scalar> Vectorized for AddForces<'_, B, E, T> {
     }
 }
 
-/// Outlined [`Effect::vjp`].
+/// Arguments of [`Effect::vjp`], to be outlined.
 pub(crate) struct Vjp<'a, B, E, R, C> {
     pub effect: &'a E,
     pub model: &'a B,

@@ -100,7 +100,7 @@ impl<I: Integrator, T: Scalar> Vectorized for Advance<'_, I, T> {
     }
 }
 
-/// Outlined [`Integrator::reverse`].
+/// Outlined [`Integrator::vjp`].
 struct Reverse<'a, I, R, C> {
     method: &'a I,
     ode: &'a dyn DynOdeVjp<R, C>,
@@ -114,7 +114,7 @@ impl<I: Integrator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, I, R, C
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { method, ode, dt, inputs, next_bar, bars } = self;
-        method.reverse(ode, dt, inputs, next_bar, bars);
+        method.vjp(ode, dt, inputs, next_bar, bars);
     }
 }
 
@@ -138,7 +138,7 @@ impl Integrator for AnyIntegrator {
     }
 
     #[inline(always)]
-    fn reverse<R: Real, C: Cotangent<R>>(
+    fn vjp<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn DynOdeVjp<R, C>,
         dt: f64,

@@ -47,7 +47,7 @@ impl<S: System + Ode> System for Discretized<S> {
     fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
         match &self.integrator {
             None => outline::<R>(Reverse { system: &self.system, inputs, next_bar, bars }),
-            Some(integrator) => integrator.reverse(&Outlined(&self.system), self.dt, inputs, next_bar, bars),
+            Some(integrator) => integrator.vjp(&Outlined(&self.system), self.dt, inputs, next_bar, bars),
         }
     }
 

@@ -34,7 +34,7 @@ impl Integrator for SemiImplicit {
     }
 
     #[inline(always)]
-    fn reverse<R: Real, C: Cotangent<R>>(
+    fn vjp<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn DynOdeVjp<R, C>,
         dt: f64,
@@ -113,7 +113,7 @@ impl Integrator for Verlet {
     }
 
     #[inline(always)]
-    fn reverse<R: Real, C: Cotangent<R>>(
+    fn vjp<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn DynOdeVjp<R, C>,
         dt: f64,

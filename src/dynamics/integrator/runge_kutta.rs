@@ -191,7 +191,7 @@ impl Integrator for RungeKutta {
     }
 
     #[inline(always)]
-    fn reverse<R: Real, C: Cotangent<R>>(
+    fn vjp<R: Real, C: Cotangent<R>>(
         &self,
         ode: &dyn DynOdeVjp<R, C>,
         dt: f64,

@@ -44,11 +44,11 @@ fn page() -> Result<String> {
         let _ = writeln!(page, "\n## {}\n\n{intro}\n", kind.name());
         section(&mut page, kind, "effects", kind.effects())?;
     }
-    let _ = writeln!(
-        page,
-        "\n## Actuators\n\nAvailable in every task, except `delay` and `lag` in `quantum`. They map the policy's control u to the control u' that the physics receives, \
-         in this order. Their state starts at 0. Costs are for cart_pole, which has one control.\n"
+    let actuators = wrapped(
+        "Available in every task, except `delay` and `lag` in `quantum`. They map the policy's control u to the control u' that \
+         the physics receives, in this order. Their state starts at 0. Costs are for cart_pole, which has one control.",
     );
+    let _ = writeln!(page, "\n## Actuators\n\n{actuators}\n");
     section(&mut page, tasks::all()[0], "actuator", &ACTUATORS)?;
     Ok(page)
 }

@@ -8,8 +8,8 @@ use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
-/// Repulsion of evaders by drivers, without reaction on the drivers. With `r = E_k - D_j` and
-/// `d = softening + |r|`:
+/// Repulsion of evaders by drivers, without reaction on the drivers. With `r = E_k - D_j`,
+/// `d = softening + |r|` and the softening of [`GuidanceSystem`]:
 ///
 /// ```text
 /// evader k : v̇ += strength Σ_j r / d²
@@ -32,6 +32,7 @@ impl Default for Evade {
 }
 
 impl Evade {
+    /// Force `near / d²`.
     fn law(&self) -> Law {
         Law { far: 0.0, near: self.strength }
     }

@@ -99,7 +99,7 @@ impl Propagator {
     #[inline(always)]
     fn term<T: Scalar, V: Vector<T>, const ADJOINT: bool>(&self, j: usize, k: usize, parts: &[[V; 4]]) -> [V; 4] {
         let (place, [a_re, a_im, b_re, b_im]) = (j * parts.len() + k, parts[k]);
-        // Array `map` is not inlined.
+        // `array::map` would not be inlined.
         let (even_re, even_im, odd_re, odd_im) = if size_of::<T::Real>() == size_of::<f32>() {
             let [even_re, even_im, odd_re, odd_im] = self.rounded[place];
             (f64::from(even_re), f64::from(even_im), f64::from(odd_re), f64::from(odd_im))

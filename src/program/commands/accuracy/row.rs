@@ -23,7 +23,7 @@ impl Setting {
         format!("{} x{} {}", self.method, self.substeps, self.precision.name())
     }
 
-    /// Scene with this setting.
+    /// Creates the scene of `source` with this setting.
     pub fn of(&self, source: &SceneSource) -> Result<Scene> {
         let mut source = source.clone();
         source.without_section("integrator");
@@ -60,6 +60,7 @@ pub struct Errors {
     /// Largest absolute error over all samples and steps, divided by the largest absolute state
     /// component.
     pub trajectory: f64,
+    /// Relative error of the mean loss.
     pub loss: f64,
     /// Relative errors of the gradients R and M, in the Euclidean norm.
     pub gradients: [f64; 2],
@@ -75,10 +76,11 @@ pub struct Row {
     /// Relative drift of the conserved quantity with zero control. NaN without such a quantity or
     /// if the rollout diverges.
     pub drift: f64,
+    /// Operations of one step of the system and of its VJP, per sample.
     pub operations: u64,
+    /// Bytes of rollout and adjoint per step and sample.
     pub bytes: f64,
-    /// Seconds per sample and step, forward and with gradients: lowest, median and highest of the
-    /// rounds.
+    /// Seconds per sample and step, `[forward, with gradients][lowest, median, highest]`.
     pub seconds: [[f64; 3]; 2],
 }
 
