@@ -45,6 +45,15 @@ pub fn read<T: for<'de> Deserialize<'de>>(table: Table) -> Result<T, Unreadable>
     T::deserialize(Reading(&Value::Table(table)))
 }
 
+/// Reads types as another type. The visitor checks the range.
+macro_rules! read_as {
+    ($($($method:ident)+: $other:ident;)+) => {$($(
+        fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+            self.$other(visitor)
+        }
+    )+)+};
+}
+
 /// Deserializer of a value. Each type of setting requests one type of value, which limits
 /// monomorphization.
 struct Reading<'a>(&'a Value);
@@ -125,8 +134,22 @@ impl<'de> Deserializer<'de> for Reading<'_> {
         }
     }
 
+    fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+        self.deserialize_struct("", &[], visitor)
+    }
+
+    fn deserialize_ignored_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
+        visitor.visit_unit()
+    }
+
+    read_as! {
+        deserialize_i8 deserialize_i16 deserialize_i32 deserialize_u8 deserialize_u16 deserialize_u32: deserialize_i64;
+        deserialize_f32: deserialize_f64;
+        deserialize_char deserialize_str: deserialize_string;
+    }
+
     serde::forward_to_deserialize_any! {
-        i8 i16 i32 i128 u8 u16 u32 u128 f32 char str bytes byte_buf unit unit_struct tuple_struct map identifier ignored_any
+        i128 u128 bytes byte_buf unit unit_struct tuple_struct identifier
     }
 }
 
@@ -164,5 +187,33 @@ impl<'de> MapAccess<'de> for Entries<'_> {
     fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, Unreadable> {
         let (key, value) = self.value.take().ok_or_else(|| Unreadable::custom("a value without a key"))?;
         seed.deserialize(Reading(value)).map_err(|error| error.within(key))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+
+    /// Settings of a task of the user, which may ignore unknown keys.
+    #[derive(Debug, PartialEq, serde::Deserialize)]
+    struct Own {
+        length: f32,
+        count: u32,
+        level: i8,
+        axis: char,
+        springs: BTreeMap<String, f64>,
+    }
+
+    #[test]
+    fn settings_may_have_any_plain_type() {
+        let table = |count: i64| {
+            let text = format!("length = 0.5\ncount = {count}\nlevel = -3\naxis = \"x\"\nother = [1]\n[springs]\nleft = 2\n");
+            text.parse::<Table>().expect("TOML")
+        };
+        let springs = BTreeMap::from([("left".to_owned(), 2.0)]);
+        let expected = Own { length: 0.5, count: 7, level: -3, axis: 'x', springs };
+        assert_eq!(read::<Own>(table(7)).expect("settings"), expected);
+        assert_eq!(read::<Own>(table(-1)).expect_err("a negative count").key, "count");
     }
 }
