@@ -40,7 +40,7 @@ pub use tasks::ProgramTask;
 /// Train neural controllers through long rollouts of differentiable physics; choose the vector
 /// field that the optimizer follows.
 ///
-/// Without a command: train the first task of this crate, otherwise cart_pole, with default settings.
+/// Without a command: train the first task of this crate (or cart_pole) with default settings.
 #[derive(Debug, Parser)]
 #[command(version, arg_required_else_help = false)]
 struct Arguments {
@@ -103,7 +103,9 @@ const NO_UPDATE: u8 = 3;
 ///     type System = Self;
 ///     fn system(&self) -> &Self { self }
 ///     fn horizon(&self) -> usize { 40 }
-///     fn start(&self, rng: &mut Rng, Start { x, .. }: Start<'_>) { x[0] = rng.random_range(-1.0..1.0); }
+///     fn start(&self, rng: &mut Rng, Start { x, .. }: Start<'_>) {
+///         x[0] = rng.random_range(-1.0..1.0);
+///     }
 ///     fn running_cost<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, next: &[T]) -> T {
 ///         next[0] * next[0] + u[0] * u[0] * 0.01
 ///     }
@@ -141,24 +143,16 @@ impl Program {
 
     /// Runs the command of the process arguments and returns its exit status.
     pub fn main(self) -> ExitCode {
-        if let Err(error) = tasks::register(self.own) {
-            tell(&format!("error: {error:#}"));
-            return ExitCode::FAILURE;
-        }
-        run_command()
-    }
-}
-
-fn run_command() -> ExitCode {
-    signals::ignore_file_limits();
-    let command = Arguments::parse().command.unwrap_or_else(default_run);
-    match (execute(&command), signals::received()) {
-        // A shell script stops at a command with the status of a signal.
-        (Ok(()), Some(signal)) => ExitCode::from(signals::exit_status(signal)),
-        (Ok(()), None) => ExitCode::SUCCESS,
-        (Err(error), _) => {
-            tell(&format!("error: {error:#}"));
-            if error.is::<run::NoUpdate>() { ExitCode::from(NO_UPDATE) } else { ExitCode::FAILURE }
+        signals::ignore_file_limits();
+        let outcome = tasks::register(self.own).and_then(|()| execute(&Arguments::parse().command.unwrap_or_else(default_run)));
+        match (outcome, signals::received()) {
+            // A shell script stops at a command with the status of a signal.
+            (Ok(()), Some(signal)) => ExitCode::from(signals::exit_status(signal)),
+            (Ok(()), None) => ExitCode::SUCCESS,
+            (Err(error), _) => {
+                tell(&format!("error: {error:#}"));
+                if error.is::<run::NoUpdate>() { ExitCode::from(NO_UPDATE) } else { ExitCode::FAILURE }
+            }
         }
     }
 }

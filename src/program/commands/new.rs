@@ -1,21 +1,22 @@
 //! `physgrad new`: a crate with a task of the user.
 
 use crate::program::platform::terminal::say;
+use crate::program::tasks;
 use anyhow::{Context, Result, bail};
 use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The task of `examples/own_program.rs`, renamed in new crates.
 const EXAMPLE: &str = include_str!("../../../examples/own_program.rs");
-const TYPE: &str = "Quadrotor";
-const TASK: &str = "quadrotor";
+const EXAMPLE_TYPE: &str = "Quadrotor";
+const EXAMPLE_TASK: &str = "\"quadrotor\"";
 
 /// Write a crate with a task of your own: a commented system, a scene and a gradient check.
 #[derive(Debug, clap::Args)]
 pub struct New {
     /// Name of the task and of its folder: lower case letters, digits and underscores
     pub name: String,
-    /// Folder of the physgrad sources [default: those of this program, otherwise the published version]
+    /// Folder of the physgrad sources [default: this program's, otherwise the published version]
     #[arg(long, value_name = "DIR")]
     pub path: Option<PathBuf>,
 }
@@ -27,7 +28,7 @@ pub fn new(args: &New) -> Result<()> {
     if !name.starts_with(|c: char| c.is_ascii_lowercase()) || !name.chars().all(valid) {
         bail!("`{name}` is no name of a task; allowed: lower case letters, digits and underscores, a letter first");
     }
-    if crate::program::tasks::all().iter().any(|task| task.name() == name) {
+    if tasks::all().iter().any(|task| task.name() == name) {
         bail!("`{name}` is a built-in task; choose another name");
     }
     let folder = Path::new(name);
@@ -35,7 +36,7 @@ pub fn new(args: &New) -> Result<()> {
     let files = [
         ("Cargo.toml", manifest(name, args.path.as_deref())),
         ("src/main.rs", source(name)),
-        ("scene.toml", scene(name)),
+        ("scene.toml", SCENE.replace("NAME", name)),
         (".gitignore", "/target\n/runs\n".into()),
     ];
     fs::create_dir(folder.join("src"))?;
@@ -59,34 +60,62 @@ fn manifest(name: &str, path: Option<&Path>) -> String {
         Some(path) => format!("{{ path = {:?} }}", path.canonicalize().unwrap_or(path.into())),
         None => format!("{:?}", env!("CARGO_PKG_VERSION")),
     };
-    format!(
-        "[package]\nname = {name:?}\nversion = \"0.1.0\"\nedition = \"2024\"\n\n[dependencies]\nphysgrad = {physgrad}\n\
-         schemars = \"1\"\nserde = {{ version = \"1\", features = [\"derive\"] }}\n\n\
-         # Rollouts need optimization, also in debug builds.\n[profile.dev]\nopt-level = 1\n\
-         [profile.dev.package.physgrad]\nopt-level = 3\n"
-    )
+    MANIFEST.replace("NAME", name).replace("PHYSGRAD", &physgrad)
 }
+
+const MANIFEST: &str = r#"[package]
+name = "NAME"
+version = "0.1.0"
+edition = "2024"
+
+[dependencies]
+physgrad = PHYSGRAD
+schemars = "1"
+serde = { version = "1", features = ["derive"] }
+
+# Rollouts need optimization, also in debug builds.
+[profile.dev]
+opt-level = 1
+[profile.dev.package.physgrad]
+opt-level = 3
+"#;
 
 /// The example with the name of the task, and a test of its gradients.
 fn source(name: &str) -> String {
     let words = name.split('_').filter(|word| !word.is_empty());
     let type_name: String = words.map(|word| word[..1].to_uppercase() + &word[1..]).collect();
-    // The header names the command of the example.
+    // Without the header, which names the command of the example.
     let body = EXAMPLE.split_once("\n\n").map_or(EXAMPLE, |(_, body)| body);
-    let body = body.replace(TYPE, &type_name).replace(&format!("\"{TASK}\""), &format!("{name:?}"));
-    format!(
-        "//! The task `{name}`, for now a planar quadrotor that flies to the origin and hovers.\n//!\n\
-         //! `cargo run --release -- train {name}` trains a policy; `--help` lists all commands.\n\n{body}\n\
-         #[cfg(test)]\nmod tests {{\n    use super::*;\n\n    #[test]\n    fn gradients_are_exact() {{\n        \
-         let task = {type_name}::default();\n        check::system(task.system());\n        \
-         check::task(&task, &Mlp::new([task.observation_dim().unwrap_or(task.state_dim()), 16, task.control_dim()]));\n    \
-         }}\n}}\n"
-    )
+    let body = body.replace(EXAMPLE_TYPE, &type_name).replace(EXAMPLE_TASK, &format!("{name:?}"));
+    HEADER.replace("NAME", name) + &body + &TEST.replace("TYPE", &type_name)
 }
 
-fn scene(name: &str) -> String {
-    format!(
-        "# Settings that differ from the defaults; `cargo run --release -- tasks` lists all.\nscene = 1\ntask = {name:?}\n\
-         field = \"regular\"\n\n[policy]\nwidths = [32, 32]\n"
-    )
+const HEADER: &str = "//! The task `NAME`, for now a planar quadrotor that flies to the origin and hovers.
+//!
+//! `cargo run --release -- train NAME` trains a policy; `--help` lists all commands.
+
+";
+
+const TEST: &str = "
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gradients_are_exact() {
+        let task = TYPE::default();
+        check::system(task.system());
+        let observations = task.observation_dim().unwrap_or(task.state_dim());
+        check::task(&task, &Mlp::new([observations, 16, task.control_dim()]));
+    }
 }
+";
+
+const SCENE: &str = r#"# Settings that differ from the defaults; `cargo run --release -- tasks` lists all.
+scene = 1
+task = "NAME"
+field = "regular"
+
+[policy]
+widths = [32, 32]
+"#;

@@ -113,9 +113,19 @@ impl<'de> Deserializer<'de> for Reading<'_> {
         self.deserialize_seq(visitor)
     }
 
-    fn deserialize_struct<V: Visitor<'de>>(self, _name: &str, _keys: &[&str], visitor: V) -> Result<V::Value, Unreadable> {
-        let Value::Table(table) = self.0 else { return Err(self.unexpected(&visitor)) };
-        visitor.visit_map(Entries { entries: table.iter(), value: None })
+    /// Refuses unknown keys, also of structs without `deny_unknown_fields`.
+    fn deserialize_struct<V: Visitor<'de>>(
+        self,
+        _name: &str,
+        keys: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, Unreadable> {
+        if let Value::Table(table) = self.0
+            && let Some(key) = table.keys().find(|key| !keys.contains(&key.as_str()))
+        {
+            return Err(Error::unknown_field(key, keys));
+        }
+        self.deserialize_map(visitor)
     }
 
     fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
@@ -135,11 +145,8 @@ impl<'de> Deserializer<'de> for Reading<'_> {
     }
 
     fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
-        self.deserialize_struct("", &[], visitor)
-    }
-
-    fn deserialize_ignored_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
-        visitor.visit_unit()
+        let Value::Table(table) = self.0 else { return Err(self.unexpected(&visitor)) };
+        visitor.visit_map(Entries { entries: table.iter(), value: None })
     }
 
     read_as! {
@@ -150,6 +157,7 @@ impl<'de> Deserializer<'de> for Reading<'_> {
 
     serde::forward_to_deserialize_any! {
         i128 u128 bytes byte_buf unit unit_struct tuple_struct identifier
+        ignored_any
     }
 }
 
@@ -195,7 +203,7 @@ mod tests {
     use super::*;
     use std::collections::BTreeMap;
 
-    /// Settings of a task of the user, which may ignore unknown keys.
+    /// Settings of a user's task, without `deny_unknown_fields`.
     #[derive(Debug, PartialEq, serde::Deserialize)]
     struct Own {
         length: f32,
@@ -208,12 +216,16 @@ mod tests {
     #[test]
     fn settings_may_have_any_plain_type() {
         let table = |count: i64| {
-            let text = format!("length = 0.5\ncount = {count}\nlevel = -3\naxis = \"x\"\nother = [1]\n[springs]\nleft = 2\n");
+            let text = format!("length = 0.5\ncount = {count}\nlevel = -3\naxis = \"x\"\n[springs]\nleft = 2\n");
             text.parse::<Table>().expect("TOML")
         };
         let springs = BTreeMap::from([("left".to_owned(), 2.0)]);
         let expected = Own { length: 0.5, count: 7, level: -3, axis: 'x', springs };
         assert_eq!(read::<Own>(table(7)).expect("settings"), expected);
         assert_eq!(read::<Own>(table(-1)).expect_err("a negative count").key, "count");
+        let mut misspelt = table(7);
+        misspelt.insert("lenght".into(), Value::Float(0.5));
+        let error = read::<Own>(misspelt).expect_err("an unknown key").to_string();
+        assert!(error.contains("`lenght`") && error.contains("`length`, `count`"), "{error}");
     }
 }

@@ -90,16 +90,8 @@ impl<K: TaskSpec> Settings<K> {
     /// # Errors
     /// Reports unknown keys, missing keys and values of the wrong type.
     pub fn fill(table: Table) -> Result<Self, ConfigError> {
-        let system = table.get("system").and_then(Value::as_table).cloned().unwrap_or_default();
         let mut settings: Self = reading::read(table).map_err(|error| ConfigError::unreadable(&error))?;
         settings.training.complete();
-        // A task of the user may ignore unknown keys.
-        let read = settings.table().get("system").and_then(Value::as_table).cloned().unwrap_or_default();
-        if let Some(key) = system.keys().find(|key| !read.contains_key(*key)) {
-            let known: Vec<String> = read.keys().map(|key| format!("`{key}`")).collect();
-            let what = format!("is unknown; allowed: {}", known.join(", "));
-            return Err(ConfigError::new(format!("system.{key}"), what));
-        }
         Ok(settings)
     }
 
