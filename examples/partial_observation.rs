@@ -55,7 +55,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("test loss by R: {:.3}", last.test_loss);
     }
     if let Some(path) = args.next() {
-        let length = 2.0 * task.cart_pole.half_length;
+        let length = 2.0 * task.cart_pole.half_length.nominal();
         let frame = |t: usize| {
             let (cart, angle) = ([state(0, t, 0), 0.0], state(0, t, 2));
             let tip = [cart[0] + length * angle.sin(), length * angle.cos()];

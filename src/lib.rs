@@ -98,6 +98,7 @@ pub use dynamics::inputs::{Cotangents, Inputs, OdeInputs, Start, Tangents};
 pub use dynamics::integrator::{
     Adaptive, AnyIntegrator, Discretized, ImplicitMidpoint, Integrated, Integrator, RungeKutta, SemiImplicit, Verlet,
 };
+pub use dynamics::number::{Choice, Number, Numbers, Varied};
 pub use dynamics::ode::{DynOde, DynOdeVjp, ForcedOde, Ode};
 pub use dynamics::op_count::{OpCount, TaskOpCount};
 pub use dynamics::substeps::Substeps;

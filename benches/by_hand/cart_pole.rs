@@ -29,22 +29,22 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
     #[inline(always)]
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
         let s = &self.system;
-        let mass = s.cart_mass + s.pole_mass;
+        let mass = s.cart_mass.nominal() + s.pole_mass.nominal();
         let (dt, per_mass) = (T::from(s.dt), T::from(1.0 / mass));
-        let (ml, l) = (T::from(s.pole_mass * s.half_length), T::from(s.half_length));
-        let weight = T::from(s.pole_mass * s.half_length * s.gravity);
-        let inertia = T::from(4.0 / 3.0 * s.pole_mass * s.half_length * s.half_length);
-        let coupling = T::from((s.pole_mass * s.half_length).powi(2) / mass);
-        let (pole_drag, damping) = (T::from(self.wind.pole_drag), T::from(self.pole.damping));
-        let headwind = if WIND { T::from(self.wind.speed) - x[1] } else { T::zero() };
+        let (ml, l) = (T::from(s.pole_mass.nominal() * s.half_length.nominal()), T::from(s.half_length.nominal()));
+        let weight = T::from(s.pole_mass.nominal() * s.half_length.nominal() * s.gravity.nominal());
+        let inertia = T::from(4.0 / 3.0 * s.pole_mass.nominal() * s.half_length.nominal() * s.half_length.nominal());
+        let coupling = T::from((s.pole_mass.nominal() * s.half_length.nominal()).powi(2) / mass);
+        let (pole_drag, damping) = (T::from(self.wind.pole_drag.nominal()), T::from(self.pole.damping.nominal()));
+        let headwind = if WIND { T::from(self.wind.speed.nominal()) - x[1] } else { T::zero() };
 
         // Drag on one pole pushes the cart, which accelerates every pole. Sums all forces first.
         let mut force = u[0];
         if FRICTION {
-            force -= x[1] * self.cart.damping;
+            force -= x[1] * self.cart.damping.nominal();
         }
         if WIND {
-            force += headwind.abs() * self.wind.cart_drag * headwind;
+            force += headwind.abs() * self.wind.cart_drag.nominal() * headwind;
         }
         let mut drags = PerPole::new();
         for (pole, next) in x[2..].chunks_exact(2).zip(next[2..].chunks_exact_mut(2)) {
@@ -91,21 +91,21 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
             &mut u_scratch[..]
         });
         let s = &self.system;
-        let mass = s.cart_mass + s.pole_mass;
+        let mass = s.cart_mass.nominal() + s.pole_mass.nominal();
         let (dt, per_mass) = (R::from(s.dt), R::from(1.0 / mass));
-        let (ml, l) = (R::from(s.pole_mass * s.half_length), R::from(s.half_length));
-        let weight = R::from(s.pole_mass * s.half_length * s.gravity);
-        let inertia = R::from(4.0 / 3.0 * s.pole_mass * s.half_length * s.half_length);
-        let coupling = R::from((s.pole_mass * s.half_length).powi(2) / mass);
-        let (pole_drag, damping) = (R::from(self.wind.pole_drag), R::from(self.pole.damping));
-        let headwind = if WIND { R::from(self.wind.speed) - x[1] } else { R::zero() };
+        let (ml, l) = (R::from(s.pole_mass.nominal() * s.half_length.nominal()), R::from(s.half_length.nominal()));
+        let weight = R::from(s.pole_mass.nominal() * s.half_length.nominal() * s.gravity.nominal());
+        let inertia = R::from(4.0 / 3.0 * s.pole_mass.nominal() * s.half_length.nominal() * s.half_length.nominal());
+        let coupling = R::from((s.pole_mass.nominal() * s.half_length.nominal()).powi(2) / mass);
+        let (pole_drag, damping) = (R::from(self.wind.pole_drag.nominal()), R::from(self.pole.damping.nominal()));
+        let headwind = if WIND { R::from(self.wind.speed.nominal()) - x[1] } else { R::zero() };
 
         let mut force = u[0];
         if FRICTION {
-            force -= R::from(self.cart.damping) * x[1];
+            force -= R::from(self.cart.damping.nominal()) * x[1];
         }
         if WIND {
-            force += R::from(self.wind.cart_drag) * headwind.abs() * headwind;
+            force += R::from(self.wind.cart_drag.nominal()) * headwind.abs() * headwind;
         }
         let (mut trig, mut air, mut torques_bar) = (PerPole::new(), PerPole::new(), PerPole::new());
         for pole in x[2..].chunks_exact(2) {
@@ -163,10 +163,10 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
                 x_bar[2 + 2 * i] -= (force_bar * drag + across_bar * headwind) * sin;
                 x_bar[3 + 2 * i] -= across_bar * l;
             }
-            speed_bar -= force_bar * (R::from(2.0 * self.wind.cart_drag) * headwind.abs());
+            speed_bar -= force_bar * (R::from(2.0 * self.wind.cart_drag.nominal()) * headwind.abs());
         }
         if FRICTION {
-            speed_bar -= force_bar * R::from(self.cart.damping);
+            speed_bar -= force_bar * R::from(self.cart.damping.nominal());
         }
         x_bar[0] += next_bar[0];
         x_bar[1] += speed_bar;

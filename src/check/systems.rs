@@ -3,6 +3,7 @@
 use super::oracle::pulled_back;
 use super::{CASES, Comparison, Mismatch, ONE_STEP, Passed, normal};
 use crate::dynamics::inputs::{Cotangents, Inputs, Tangents};
+use crate::dynamics::number::Varied;
 use crate::dynamics::outline::{One, step};
 use crate::dynamics::system::System;
 use crate::engine::any::{AnySystem, vjp};
@@ -13,6 +14,7 @@ use num_dual::Dual64;
 
 /// Object-safe system for all scalar types that the check uses.
 pub(super) trait Checked: AnySystem<f64> {
+    fn varied_numbers(&self) -> Vec<Varied>;
     fn step_by_duals(&self, inputs: Inputs<'_, Dual64>, next: &mut [Dual64]);
     fn step_in_lanes(&self, inputs: Inputs<'_, Lane<f64>>, next: &mut [Lane<f64>]);
     fn vjp_in_lanes(&self, inputs: Inputs<'_, Lane<f64>>, next_bar: &[Two], bars: Cotangents<'_, Two>);
@@ -22,6 +24,10 @@ pub(super) trait Checked: AnySystem<f64> {
 type Two = CotangentPack<Lane<f64>, 2>;
 
 impl<S: System> Checked for S {
+    fn varied_numbers(&self) -> Vec<Varied> {
+        self.varied(System::param_dim(self))
+    }
+
     fn step_by_duals(&self, inputs: Inputs<'_, Dual64>, next: &mut [Dual64]) {
         step(self, inputs, next);
     }
@@ -70,6 +76,9 @@ pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch
         let mut values = sizes.map(|len| vec![0.0; len]);
         let [x, u, p] = &mut values;
         draw(&mut rng, x, u, p);
+        for Varied { index, number, .. } in system.varied_numbers() {
+            p[index] = number.draw(&mut rng);
+        }
         let at = inputs(&values, case as usize);
         let next_bar = normal(&mut rng, sizes[0]);
 

@@ -11,6 +11,7 @@ pub use kinds::{AnyActuator, Delay, Lag, Limit, LimitKind};
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start, add};
+use crate::dynamics::number::Varied;
 use crate::dynamics::system::System;
 use crate::numbers::forward_mode::{concat, jacobian};
 use crate::numbers::rng::Rng;
@@ -200,6 +201,10 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
 
     fn param_dim(&self) -> usize {
         self.system.param_dim()
+    }
+
+    fn varied(&self, params: usize) -> Vec<Varied> {
+        self.system.varied(params)
     }
 
     #[inline(always)]

@@ -14,6 +14,7 @@ mod without;
 use crate::dynamics::cause::Cause;
 use crate::dynamics::default_vjp::{Function, default_vjp};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs, Start};
+use crate::dynamics::number::{Numbers, Varied};
 use crate::dynamics::system::{System, step_vjp};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, CotangentPack, Over, Real, Scalar};
@@ -50,14 +51,29 @@ pub(crate) use without::system_without_effects;
 /// check::system(&system);
 /// ```
 pub trait Effect<B>: Clone + Debug + Send + Sync {
-    /// Number of parameters of this effect: the first entries of `p`. Default: 0.
+    /// Number of parameters of this effect: the first entries of `p`. Default: the count of
+    /// [`numbers`](Effect::numbers) that vary.
     #[inline(always)]
     fn param_dim(&self) -> usize {
-        0
+        self.numbers().varied()
+    }
+
+    /// Physical numbers of this effect that may vary between samples or be trained. Those that do
+    /// are the last of its parameters. Default: none.
+    #[inline(always)]
+    fn numbers(&self) -> Numbers<'_> {
+        Numbers::default()
+    }
+
+    /// Numbers that vary, with their indices in `p` from `first`. Lists of effects override it.
+    #[doc(hidden)]
+    fn varied(&self, first: usize) -> Vec<Varied> {
+        let numbers = self.numbers();
+        numbers.placed(first + self.param_dim() - numbers.varied())
     }
 
     /// Draws the parameters of one sample into `p`, which holds [`param_dim`](Effect::param_dim)
-    /// zeros.
+    /// zeros. Physical numbers are drawn afterwards.
     fn draw_params(&self, _rng: &mut Rng, _p: &mut [f64]) {}
 
     /// Adds the forces of this effect to `forces`. The time is in s.
@@ -148,9 +164,14 @@ pub trait ForcedSystem: Send + Sync {
     fn state_dim(&self) -> usize;
     /// Number of control components.
     fn control_dim(&self) -> usize;
-    /// Number of parameters, without those of effects. Default: 0.
+    /// Number of parameters, without those of effects and without numbers. Default: 0.
     fn param_dim(&self) -> usize {
         0
+    }
+    /// Physical numbers that may vary; see [`System::numbers`].
+    #[inline(always)]
+    fn numbers(&self) -> Numbers<'_> {
+        Numbers::default()
     }
     /// Number of forces to which effects add.
     fn force_dim(&self) -> usize;
@@ -192,7 +213,20 @@ impl<H: ForcedSystem + ?Sized, E: Effect<H::Model>> System for SystemStep<'_, H,
     }
 }
 
-/// System with effects. Its parameters are those of the system, then those of the effects.
+/// Adds the cotangents of the parameters, by dual numbers. Physical numbers enter the equations in
+/// many places.
+pub(crate) fn param_vjp<H: ForcedSystem, E: Effect<H::Model>, R: Real, C: Cotangent<R>>(
+    system: &H,
+    effects: &E,
+    inputs: Inputs<'_, R>,
+    next_bar: &[C],
+    p_bar: Option<&mut [C]>,
+) {
+    step_vjp(&SystemStep { system, effects }, inputs, next_bar, Cotangents { p: p_bar, ..Cotangents::default() });
+}
+
+/// System with effects. Its parameters are those of the system, those of the effects, then the
+/// numbers of the system that vary.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Forced<H, E> {
     /// System to whose forces the effects add.
@@ -211,7 +245,14 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     }
 
     fn param_dim(&self) -> usize {
-        self.system.param_dim() + self.effects.param_dim()
+        self.system.param_dim() + self.effects.param_dim() + self.system.numbers().varied()
+    }
+
+    fn varied(&self, params: usize) -> Vec<Varied> {
+        let numbers = self.system.numbers();
+        let mut varied = self.effects.varied(self.system.param_dim());
+        varied.extend(numbers.placed(params - numbers.varied()));
+        varied
     }
 
     #[inline(always)]
@@ -220,7 +261,10 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], mut bars: Cotangents<'_, C>) {
+        if bars.p.is_some() && !self.varied(inputs.p.len()).is_empty() {
+            param_vjp(&self.system, &self.effects, inputs, next_bar, bars.p.take());
+        }
         self.system.forced_vjp(&self.effects, inputs, next_bar, bars);
     }
 

@@ -26,6 +26,7 @@ pub use runge_kutta::RungeKutta;
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
+use crate::dynamics::number::Varied;
 use crate::dynamics::ode::{DynOde, DynOdeVjp, Ode};
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
@@ -91,6 +92,10 @@ impl<O: Ode, I: Integrator> System for Integrated<O, I> {
 
     fn param_dim(&self) -> usize {
         self.ode.param_dim()
+    }
+
+    fn varied(&self, params: usize) -> Vec<Varied> {
+        self.ode.varied(params)
     }
 
     #[inline(always)]

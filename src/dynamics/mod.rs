@@ -5,6 +5,7 @@
 //! - [`System`](system::System) maps these inputs to the next state. Implement a step, or a vector
 //!   field ([`Ode`](ode::Ode)) that an integrator discretizes.
 //! - [`Effect`](effect::Effect)s add forces to a system.
+//! - [`Number`](number::Number)s of systems and effects are fixed, drawn or trained.
 //! - [`Actuator`](actuator::Actuator)s map the control of the policy to the control of the system.
 //! - [`Task`](task::Task) adds a horizon, initial states and costs.
 //!
@@ -16,6 +17,7 @@ pub(crate) mod default_vjp;
 pub(crate) mod effect;
 pub(crate) mod inputs;
 pub(crate) mod integrator;
+pub(crate) mod number;
 pub(crate) mod ode;
 pub(crate) mod op_count;
 pub(crate) mod outline;

@@ -7,6 +7,7 @@ use crate::dynamics::cause::Cause;
 use crate::dynamics::default_vjp::{Function, add_product, default_vjp};
 use crate::dynamics::effect::{Effect, Forced, ForcedSystem};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
+use crate::dynamics::number::{Numbers, Varied};
 use crate::dynamics::outline::outline;
 use crate::dynamics::system::System;
 use crate::numbers::kernels::Vectorized;
@@ -44,9 +45,22 @@ pub trait Ode: Send + Sync {
     /// Number of control components.
     fn control_dim(&self) -> usize;
 
-    /// Number of parameters. Default: 0.
+    /// Number of parameters. Default: the count of [`numbers`](Ode::numbers) that vary.
     fn param_dim(&self) -> usize {
-        0
+        self.numbers().varied()
+    }
+
+    /// Physical numbers that may vary; see [`System::numbers`](crate::System::numbers).
+    #[inline(always)]
+    fn numbers(&self) -> Numbers<'_> {
+        Numbers::default()
+    }
+
+    /// Numbers that vary, with their indices in `params` parameters.
+    #[doc(hidden)]
+    fn varied(&self, params: usize) -> Vec<Varied> {
+        let numbers = self.numbers();
+        numbers.placed(params - numbers.varied())
     }
 
     /// Writes `f(x, u, p, t)`, of `state_dim` entries, into `rate`. The time t is in s.
@@ -86,6 +100,12 @@ impl<O: Ode + ?Sized, R: Real> Function<R, 3> for Rate<'_, O, R> {
     fn eval<T: Over<R>>(&self, [x, u, p]: [&[T]; 3], rate: &mut [T]) {
         self.ode.rate(Inputs { x, u, p, t: T::constant(self.t) }, rate);
     }
+}
+
+/// Adds the cotangents of the parameters, by dual numbers. Physical numbers enter the equations in
+/// many places.
+fn param_vjp<O: Ode, R: Real, C: Cotangent<R>>(ode: &O, inputs: OdeInputs<'_, R>, rate_bar: &[C], p_bar: Option<&mut [C]>) {
+    default_vjp(&Rate { ode, t: inputs.t }, inputs.lists(), rate_bar, [None, None, p_bar], add_product(rate_bar));
 }
 
 /// Object-safe [`Ode`] for one scalar type.
@@ -185,13 +205,20 @@ impl<H: ForcedOde, E: Effect<H::Model>> Ode for Forced<H, E> {
         System::param_dim(self)
     }
 
+    fn varied(&self, params: usize) -> Vec<Varied> {
+        System::varied(self, params)
+    }
+
     #[inline(always)]
     fn rate<T: Scalar>(&self, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
         self.system.forced_rate(&self.effects, inputs, rate);
     }
 
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], bars: Cotangents<'_, C>) {
+    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], mut bars: Cotangents<'_, C>) {
+        if bars.p.is_some() && !System::varied(self, inputs.p.len()).is_empty() {
+            param_vjp(self, inputs, rate_bar, bars.p.take());
+        }
         self.system.forced_rate_vjp(&self.effects, inputs, rate_bar, bars);
     }
 
@@ -217,7 +244,12 @@ impl<H: ForcedOde> Ode for H {
     }
 
     fn param_dim(&self) -> usize {
-        ForcedSystem::param_dim(self)
+        ForcedSystem::param_dim(self) + ForcedSystem::numbers(self).varied()
+    }
+
+    #[inline(always)]
+    fn numbers(&self) -> Numbers<'_> {
+        ForcedSystem::numbers(self)
     }
 
     #[inline(always)]
@@ -226,7 +258,10 @@ impl<H: ForcedOde> Ode for H {
     }
 
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], bars: Cotangents<'_, C>) {
+    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], mut bars: Cotangents<'_, C>) {
+        if bars.p.is_some() && ForcedSystem::numbers(self).varied() > 0 {
+            param_vjp(self, inputs, rate_bar, bars.p.take());
+        }
         self.forced_rate_vjp(&(), inputs, rate_bar, bars);
     }
 

@@ -3,6 +3,7 @@
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start, add};
+use crate::dynamics::number::Varied;
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
@@ -57,6 +58,10 @@ impl<S: System> System for Substeps<S> {
 
     fn param_dim(&self) -> usize {
         self.system.param_dim()
+    }
+
+    fn varied(&self, params: usize) -> Vec<Varied> {
+        self.system.varied(params)
     }
 
     #[inline(always)]

@@ -3,6 +3,7 @@
 use crate::dynamics::cause::Cause;
 use crate::dynamics::default_vjp::{Function, add_product, default_vjp};
 use crate::dynamics::inputs::{Cotangents, Inputs, Tangents};
+use crate::dynamics::number::{Numbers, Varied};
 use crate::dynamics::outline;
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::scalar::{Cotangent, Dual, Over, Real, Scalar};
@@ -19,8 +20,8 @@ use smallvec::SmallVec;
 /// components, and reverse mode above. Reverse mode keeps its buffers on the heap of each thread.
 /// Only the first call allocates.
 ///
-/// A system is immutable. Physical constants are `f64` fields.
-/// Constants that differ between samples, or that are to be differentiated, are parameters.
+/// A system is immutable. Physical constants are `f64` fields. Constants that may differ between
+/// samples, or be trained, are [`Number`](crate::Number)s or parameters.
 ///
 /// # Shapes
 /// `x` and `next` have [`state_dim`](System::state_dim) entries, `u` has
@@ -39,9 +40,22 @@ pub trait System: Send + Sync {
     fn state_dim(&self) -> usize;
     /// Number of control components.
     fn control_dim(&self) -> usize;
-    /// Number of parameters. Default: 0.
+    /// Number of parameters. Default: the count of [`numbers`](System::numbers) that vary.
     fn param_dim(&self) -> usize {
-        0
+        self.numbers().varied()
+    }
+    /// Physical numbers that may vary between samples or be trained. Those that do are the last
+    /// entries of `p`. Default: none.
+    #[inline(always)]
+    fn numbers(&self) -> Numbers<'_> {
+        Numbers::default()
+    }
+    /// Numbers that vary, with their indices in `params` parameters. Systems that contain others
+    /// override it.
+    #[doc(hidden)]
+    fn varied(&self, params: usize) -> Vec<Varied> {
+        let numbers = self.numbers();
+        numbers.placed(params - numbers.varied())
     }
 
     /// Writes the next state `S(x, u, p, t)`.

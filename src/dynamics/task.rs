@@ -2,6 +2,7 @@
 
 use crate::dynamics::default_vjp::{Function, add_product, default_vjp};
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
+use crate::dynamics::number::Varied;
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Over, Real, Scalar};
@@ -23,13 +24,14 @@ pub trait Task: Send + Sync {
     fn system(&self) -> &Self::System;
     /// Number of time steps `T` of one rollout.
     fn horizon(&self) -> usize;
-    /// Number of parameters, at least those of the system, which come first. Default: those of the
-    /// system.
+    /// Number of parameters, at least those of the system. Default: those of the system.
+    ///
+    /// Parameters of the task follow those of the system. Physical numbers that vary come last.
     fn param_dim(&self) -> usize {
         self.system().param_dim()
     }
     /// Draws an initial state into `start.x`, of `state_dim` zeros, and parameters into `start.p`,
-    /// of `param_dim` zeros.
+    /// of `param_dim` zeros. Physical numbers that vary are drawn afterwards.
     fn start(&self, rng: &mut Rng, start: Start<'_>);
 
     /// Number of components of [`observe`](Task::observe). Default: `None`, the policy observes the
@@ -90,6 +92,14 @@ pub trait Task: Send + Sync {
     #[inline(always)]
     fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
         default_vjp(&TerminalCost(self), [x, p], &[R::one()], [Some(x_bar), p_bar], |bar, slope| *bar += slope[0]);
+    }
+}
+
+/// Draws an initial state, parameters, and physical numbers that vary.
+pub(crate) fn draw_start<T: Task + ?Sized>(task: &T, rng: &mut Rng, Start { x, p }: Start<'_>) {
+    task.start(rng, Start { x, p: &mut *p });
+    for Varied { index, number, .. } in task.system().varied(p.len()) {
+        p[index] = number.draw(rng);
     }
 }
 

@@ -8,7 +8,7 @@ use crate::dynamics::cause::Cause;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start, Tangents};
 use crate::dynamics::outline::{self, One};
 use crate::dynamics::system::System;
-use crate::dynamics::task::Task;
+use crate::dynamics::task::{Task, draw_start};
 use crate::engine::adjoint::StepBack;
 use crate::engine::observe::Observe;
 use crate::engine::rollout::{Lane, StepForward};
@@ -82,7 +82,7 @@ impl<T: Task, F: Float> AnyTask<F> for T {
     }
 
     fn start(&self, rng: &mut Rng, start: Start<'_>) {
-        Task::start(self, rng, start);
+        draw_start(self, rng, start);
     }
 
     fn terminal_cost(&self, x: &[Lane<F>], p: &[Lane<F>]) -> Lane<F> {

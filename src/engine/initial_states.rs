@@ -6,7 +6,7 @@ use crate::numbers::rng::{Purpose, Rng, stream};
 use crate::numbers::scalar::Float;
 
 /// Draws the initial states of samples `0 .. samples`: for each sample, `state_dim` numbers, then
-/// its `param_dim` parameters.
+/// its `param_dim` parameters. Physical numbers that vary are drawn last.
 ///
 /// Each sample has its own random stream, determined by `seed`, `purpose` and its index. Its
 /// numbers are therefore independent of the number of samples.

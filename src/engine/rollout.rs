@@ -388,6 +388,12 @@ impl<F: Float> Rollout<F> {
         &self.params[block * self.param_dim..][..self.param_dim]
     }
 
+    /// Returns the parameters of a sample, with the values of trained entries.
+    #[cfg(feature = "program")]
+    pub(crate) fn params_of_sample(&self, sample: usize) -> impl Iterator<Item = F> {
+        self.params_of(sample / WIDTH).iter().map(move |p| p.0[sample % WIDTH])
+    }
+
     /// Inputs of step `t` for block `block`.
     pub(crate) fn inputs_of(&self, t: usize, block: usize) -> Inputs<'_, Lane<F>> {
         let (n, m) = (self.state_dim, self.control_dim);

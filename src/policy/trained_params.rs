@@ -18,8 +18,14 @@ pub struct TrainedParam {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Scale {
     Linear,
-    Log,
-    Bounded { low: f64, high: f64 },
+    /// `low + exp(r)`.
+    Above {
+        low: f64,
+    },
+    Bounded {
+        low: f64,
+        high: f64,
+    },
 }
 
 impl TrainedParam {
@@ -34,8 +40,17 @@ impl TrainedParam {
     /// If the initial value is not positive.
     #[track_caller]
     pub const fn log(index: usize, initial: f64) -> Self {
-        assert!(initial > 0.0, "a parameter on a log scale needs a positive initial value");
-        Self { index, initial, scale: Scale::Log }
+        Self::above(index, initial, 0.0)
+    }
+
+    /// Trains `p[index] = low + exp(r)`, from a value above the bound.
+    ///
+    /// # Panics
+    /// If the initial value is not above the bound.
+    #[track_caller]
+    pub const fn above(index: usize, initial: f64, low: f64) -> Self {
+        assert!(initial > low, "a parameter with a lower bound needs an initial value above it");
+        Self { index, initial, scale: Scale::Above { low } }
     }
 
     /// Trains `p[index] = low + (high - low) / (1 + exp(-r))`, from a value between the bounds.
@@ -57,7 +72,7 @@ impl TrainedParam {
     fn initial(&self) -> f64 {
         match self.scale {
             Scale::Linear => self.initial,
-            Scale::Log => self.initial.ln(),
+            Scale::Above { low } => (self.initial - low).ln(),
             Scale::Bounded { low, high } => ((self.initial - low) / (high - self.initial)).ln(),
         }
     }
@@ -66,7 +81,7 @@ impl TrainedParam {
     pub fn value<T: Scalar>(&self, r: T) -> T {
         match self.scale {
             Scale::Linear => r,
-            Scale::Log => r.exp(),
+            Scale::Above { low } => r.exp() + low,
             // A form of the logistic function without overflow.
             Scale::Bounded { low, high } => ((r * 0.5).tanh() * 0.5 + 0.5) * (high - low) + low,
         }
@@ -76,7 +91,7 @@ impl TrainedParam {
     pub(crate) fn slope(&self, r: f64) -> f64 {
         match self.scale {
             Scale::Linear => 1.0,
-            Scale::Log => r.exp(),
+            Scale::Above { .. } => r.exp(),
             Scale::Bounded { low, high } => 0.25 * (high - low) * (1.0 - (0.5 * r).tanh().powi(2)),
         }
     }
@@ -191,6 +206,9 @@ impl<P: Policy> Policy for WithParams<P> {
     fn tensors(&self) -> Vec<Tensor> {
         let (own, all) = (self.policy.param_count(), self.param_count());
         let mut tensors = self.policy.tensors();
+        if self.params.is_empty() {
+            return tensors;
+        }
         tensors.push(Tensor { name: "trained_params".into(), shape: vec![self.params.len()], range: own..all });
         tensors
     }

@@ -58,11 +58,15 @@ impl PoleChain {
     /// Largest number of poles. Buffers of a step are on the stack.
     pub const MOST_POLES: usize = 20;
 
-    /// Checks that the masses, the half length and the number of poles are valid.
+    /// Checks that the masses, the half length and the number of poles are valid, and that all
+    /// numbers are fixed.
     ///
     /// # Errors
     /// Returns a [`MassError`] for the first invalid parameter.
     pub fn check(&self) -> Result<(), MassError> {
+        if let Some(number) = self.0.numbers().placed(0).pop() {
+            return Err(MassError::Varies { number: number.name });
+        }
         self.0.check_up_to(Self::MOST_POLES)
     }
 
@@ -73,7 +77,7 @@ impl PoleChain {
         let mut energy = 0.5 * self.mass() * x[1] * x[1];
         for k in 0..self.0.poles {
             let (theta, omega) = pole(k);
-            energy += self.moment(k) * (self.0.gravity + x[1] * omega) * theta.cos();
+            energy += self.moment(k) * (self.0.gravity.nominal() + x[1] * omega) * theta.cos();
             energy += 0.5 * self.inertia(k, k) * omega * omega;
             for j in 0..k {
                 let (other_theta, other_omega) = pole(j);
@@ -84,14 +88,16 @@ impl PoleChain {
     }
 
     fn mass(&self) -> f64 {
-        self.0.cart_mass + self.0.poles as f64 * self.0.pole_mass
+        let [cart_mass, pole_mass, ..] = self.0.nominal();
+        cart_mass + self.0.poles as f64 * pole_mass
     }
 
     /// Returns p of pole `k`, counted from 0.
     #[inline(always)]
     fn moment(&self, k: usize) -> f64 {
         let above = (self.0.poles - 1 - k) as f64;
-        self.0.pole_mass * self.0.half_length * (1.0 + 2.0 * above)
+        let [_, pole_mass, half_length, _] = self.0.nominal();
+        pole_mass * half_length * (1.0 + 2.0 * above)
     }
 
     /// Returns I of poles `j ≤ k`, counted from 0.
@@ -99,7 +105,8 @@ impl PoleChain {
     fn inertia(&self, j: usize, k: usize) -> f64 {
         let above = (self.0.poles - 1 - k) as f64;
         let own = if j == k { 4.0 / 3.0 } else { 2.0 };
-        self.0.pole_mass * self.0.half_length * self.0.half_length * (own + 4.0 * above)
+        let [_, pole_mass, half_length, _] = self.0.nominal();
+        pole_mass * half_length * half_length * (own + 4.0 * above)
     }
 
     /// Computes all terms in an empty `motion`. Returning a [`Motion`] would copy its whole
@@ -115,7 +122,7 @@ impl PoleChain {
             let moment = T::from(self.moment(j));
             accelerations[0] += moment * s * spin;
             factors.push(moment * c);
-            let mut torque = moment * self.0.gravity * s;
+            let mut torque = moment * self.0.gravity.nominal() * s;
             for k in 0..j {
                 let inertia = T::from(self.inertia(k, j));
                 let throw = inertia * (s * cos[k] - c * sin[k]);
@@ -182,7 +189,7 @@ impl Ode for PoleChain {
             let (spin, alpha) = (omega * omega, a[1 + j]);
             let moment = R::from(self.moment(j));
             let mut theta_bar = w[0] * (moment * (c * spin + s * alpha));
-            theta_bar += w[1 + j] * (moment * (R::from(self.0.gravity) * c + s * a[0]));
+            theta_bar += w[1 + j] * (moment * (R::from(self.0.gravity.nominal()) * c + s * a[0]));
             let mut spin_bar = w[0] * (moment * s);
             for k in 0..j {
                 let inertia = R::from(self.inertia(k, j));

@@ -29,7 +29,7 @@ fn forced_systems_state_their_force_count() {
         cause(&Forced { system: QuantumScheme::CrankNicolson(model), effects: vec![QuantumEffect::from(ENDLESS)] }),
         cubic
     );
-    let windy = Forced { system: CartPoleSystem::default(), effects: GustyWind { gust: 1e200, ..GustyWind::default() } };
+    let windy = Forced { system: CartPoleSystem::default(), effects: GustyWind { gust: 1e200.into(), ..GustyWind::default() } };
     assert_eq!(cause(&windy), Some(Cause::Effect("GustyWind")));
     let herd = Forced { system: GuidanceSystem::default(), effects: Evade { strength: f64::INFINITY } };
     assert_eq!(cause(&herd), Some(Cause::Effect("Evade")));

@@ -124,15 +124,15 @@ fn with_one_pole_both_models_are_the_same_equations() {
 
 /// Returns kinetic plus potential energy of the exact model.
 fn energy(model: &CartPoleSystem, x: &[f64]) -> f64 {
-    let (m, l, v) = (model.pole_mass, model.half_length, x[1]);
+    let (m, l, v) = (model.pole_mass.nominal(), model.half_length.nominal(), x[1]);
     let pole = |pole: &[f64]| {
         let (theta, omega) = (pole[0], pole[1]);
         // The middle of the pole moves with the cart and about the joint. The inertia about the
         // middle is m l² / 3.
         let (vx, vy) = (v + l * omega * theta.cos(), -l * omega * theta.sin());
-        0.5 * m * (vx * vx + vy * vy) + 0.5 * (m * l * l / 3.0) * omega * omega + m * model.gravity * l * theta.cos()
+        0.5 * m * (vx * vx + vy * vy) + 0.5 * (m * l * l / 3.0) * omega * omega + m * model.gravity.nominal() * l * theta.cos()
     };
-    0.5 * model.cart_mass * v * v + x[2..].chunks_exact(2).map(pole).sum::<f64>()
+    0.5 * model.cart_mass.nominal() * v * v + x[2..].chunks_exact(2).map(pole).sum::<f64>()
 }
 
 /// Returns the absolute change of energy after one second without control.
@@ -160,7 +160,7 @@ fn the_exact_model_keeps_energy_and_the_authors_does_not() {
 
 #[test]
 fn friction_and_still_air_only_take_energy() {
-    let still = SteadyWind { speed: 0.0, ..SteadyWind::default() };
+    let still = SteadyWind { speed: 0.0.into(), ..SteadyWind::default() };
     let effects: [CartPoleEffect; 4] =
         [PoleDamping::default().into(), CartDamping::default().into(), DryFriction::default().into(), still.into()];
     let model = poles(2);
@@ -178,7 +178,7 @@ fn friction_and_still_air_only_take_energy() {
 
 #[test]
 fn bumpers_push_and_never_pull() {
-    let (bumpers, model) = (Bumpers { half_travel: 1.0, damping: 2.0, stiffness: 10.0 }, poles(1));
+    let (bumpers, model) = (Bumpers { half_travel: 1.0, damping: 2.0.into(), stiffness: 10.0.into() }, poles(1));
     let force = |x: f64, v: f64| {
         let mut forces = [0.0; 2];
         bumpers.add_forces(&model, Inputs::new(&[x, v, 0.0, 0.0], &[]).continuous(0.0), &mut forces);
@@ -195,7 +195,7 @@ fn bumpers_push_and_never_pull() {
 #[test]
 fn a_gusty_wind_without_gusts_is_a_steady_one() {
     let SteadyWind { speed, cart_drag, pole_drag } = SteadyWind::default();
-    let gusty = GustyWind { speed, cart_drag, pole_drag, gust: 0.0, period: 1.0 };
+    let gusty = GustyWind { speed, cart_drag, pole_drag, gust: 0.0.into(), period: 1.0 };
     let steady = Forced { system: poles(2), effects: SteadyWind::default() };
     let gusty = Forced { system: poles(2), effects: gusty };
     let x = [0.1, -0.2, 3.0, 0.4, 2.8, -0.5];
@@ -218,7 +218,7 @@ fn wind_blows_a_still_cart_and_its_pole_away() {
 fn actuators_follow_their_formulas() {
     // Constant control from rest. The force on the cart is its change of speed times M / dt,
     // because the pole has negligible mass. M = 1 kg.
-    let model = CartPoleSystem { pole_mass: 1e-12, dt: 0.1, ..poles(1) };
+    let model = CartPoleSystem { pole_mass: (1e-12).into(), dt: 0.1, ..poles(1) };
     fn applied<A: physgrad::Actuator>(model: CartPoleSystem, actuator: A, u: f64, steps: usize) -> Vec<f64> {
         let system = Actuated { system: model, actuator };
         let mut x = vec![0.0; system.state_dim()];

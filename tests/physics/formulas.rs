@@ -213,12 +213,12 @@ fn rod(mass: f64, half_length: f64, base: &[f64], of_poles: usize, pole: usize) 
 }
 
 fn model(poles: usize) -> CartPoleSystem {
-    CartPoleSystem { poles, cart_mass: 1.3, pole_mass: 0.4, half_length: 0.7, gravity: 9.1, dt: 0.02 }
+    CartPoleSystem { poles, cart_mass: 1.3.into(), pole_mass: 0.4.into(), half_length: 0.7.into(), gravity: 9.1.into(), dt: 0.02 }
 }
 
 /// Returns all poles on the cart, or chained end to end.
 fn on_cart(model: &CartPoleSystem, chained: bool) -> Mechanism {
-    let CartPoleSystem { poles, cart_mass, pole_mass, half_length, gravity, .. } = *model;
+    let (poles, [cart_mass, pole_mass, half_length, gravity]) = (model.poles, model.nominal());
     let mut points = vec![Point { mass: cart_mass, arms: vec![0.0; poles] }];
     for pole in 0..poles {
         let base = vec![if chained { 2.0 * half_length } else { 0.0 }; pole];
@@ -237,7 +237,7 @@ fn semi_implicit(x: &[f64], accelerations: &[f64], dt: f64) -> Vec<f64> {
 /// follows from the reactions of all poles and the mass of the cart and one pole.
 fn uncoupled(model: &CartPoleSystem, x: &[f64], applied: &[f64]) -> Vec<f64> {
     let alone = on_cart(&CartPoleSystem { poles: 1, ..*model }, false);
-    let moment = model.pole_mass * model.half_length;
+    let moment = model.pole_mass.nominal() * model.half_length.nominal();
     let mut push = applied[0];
     let mut accelerations = vec![0.0];
     for (pole, torque) in x[2..].chunks_exact(2).zip(&applied[1..]) {
@@ -245,7 +245,7 @@ fn uncoupled(model: &CartPoleSystem, x: &[f64], applied: &[f64]) -> Vec<f64> {
         push += moment * (pole[0].sin() * pole[1] * pole[1] - pole[0].cos() * alpha);
         accelerations.push(alpha);
     }
-    accelerations[0] = push / (model.cart_mass + model.pole_mass);
+    accelerations[0] = push / (model.cart_mass.nominal() + model.pole_mass.nominal());
     accelerations
 }
 
@@ -255,10 +255,10 @@ type Applied = fn(&CartPoleSystem, &[f64]) -> Vec<f64>;
 fn drag(model: &CartPoleSystem, w: f64, x: &[f64]) -> Vec<f64> {
     let mut forces = vec![0.05 * (w - x[1]).abs() * (w - x[1])];
     for pole in x[2..2 + 2 * model.poles].chunks_exact(2) {
-        let across = (w - x[1]) * pole[0].cos() - model.half_length * pole[1];
+        let across = (w - x[1]) * pole[0].cos() - model.half_length.nominal() * pole[1];
         let drag = 0.02 * across.abs() * across;
         forces[0] += drag * pole[0].cos();
-        forces.push(drag * model.half_length);
+        forces.push(drag * model.half_length.nominal());
     }
     forces
 }
@@ -275,16 +275,17 @@ fn on_cart_poles() -> Vec<(CartPoleEffect, Applied)> {
         on_cart(model, -side * 40.0 * depth * (1.0 + 0.3 * side * x[1]).max(0.0))
     };
     vec![
-        (PoleDamping { damping: 0.03 }.into(), |model, x| {
+        (PoleDamping { damping: 0.03.into() }.into(), |model, x| {
             (0..=model.poles).map(|i| if i == 0 { 0.0 } else { -0.03 * x[2 * i + 1] }).collect()
         }),
-        (CartDamping { damping: 0.7 }.into(), |model, x| on_cart(model, -0.7 * x[1])),
-        (DryFriction { force: 1.7, smoothing: 1.9 }.into(), |model, x| on_cart(model, -1.7 * (x[1] / 1.9).tanh())),
-        (SteadyWind { speed: 2.3, cart_drag: 0.05, pole_drag: 0.02 }.into(), |model, x| drag(model, 2.3, x)),
-        (GustyWind { speed: 1.1, gust: 1.9, period: 1.7, cart_drag: 0.05, pole_drag: 0.02 }.into(), |model, x| {
-            drag(model, 1.1 + 1.9 * (TAU * (STEP as f64 * model.dt + PHASE) / 1.7).sin(), x)
-        }),
-        (Bumpers { half_travel: 0.9, stiffness: 40.0, damping: 0.3 }.into(), bumper),
+        (CartDamping { damping: 0.7.into() }.into(), |model, x| on_cart(model, -0.7 * x[1])),
+        (DryFriction { force: 1.7.into(), smoothing: 1.9 }.into(), |model, x| on_cart(model, -1.7 * (x[1] / 1.9).tanh())),
+        (SteadyWind { speed: 2.3.into(), cart_drag: 0.05.into(), pole_drag: 0.02.into() }.into(), |model, x| drag(model, 2.3, x)),
+        (
+            GustyWind { speed: 1.1.into(), gust: 1.9.into(), period: 1.7, cart_drag: 0.05.into(), pole_drag: 0.02.into() }.into(),
+            |model, x| drag(model, 1.1 + 1.9 * (TAU * (STEP as f64 * model.dt + PHASE) / 1.7).sin(), x),
+        ),
+        (Bumpers { half_travel: 0.9, stiffness: 40.0.into(), damping: 0.3.into() }.into(), bumper),
     ]
 }
 
@@ -358,11 +359,11 @@ fn poles_on_a_cart() {
 #[test]
 fn drag_at_the_middle_is_strip_theory_without_spin_and_half_of_it_without_wind() {
     let (model, c) = (model(1), 0.02);
-    let l = model.half_length;
+    let l = model.half_length.nominal();
     // [D, τ] on an upright pole, without drag of the cart.
     let here = |wind: f64, spin: f64| {
         let mut forces = [0.0; 2];
-        SteadyWind { speed: wind, cart_drag: 0.0, pole_drag: c }.add_forces(
+        SteadyWind { speed: wind.into(), cart_drag: 0.0.into(), pole_drag: c.into() }.add_forces(
             &model,
             Inputs::new(&[0.0, 0.0, 0.0, spin], &[]).continuous(0.0),
             &mut forces,
@@ -429,7 +430,8 @@ fn linear_plants_are_a_spring_and_an_upright_pole() {
     let spring = Lqr::spring();
     steps_as("spring", spring.system(), |x, u| semi_implicit(x, &[u[0] - x[0] - 0.4 * x[1]], 0.1));
     // Equations linearized in θ, ω, F about 0.
-    let CartPoleSystem { cart_mass, pole_mass, half_length: l, gravity, dt, .. } = CartPoleSystem::default();
+    let [cart_mass, pole_mass, l, gravity] = CartPoleSystem::default().nominal();
+    let dt = CartPoleSystem::default().dt;
     let (mass, moment, inertia) = (cart_mass + pole_mass, pole_mass * l, 4.0 / 3.0 * pole_mass * l * l);
     steps_as("upright pole", Lqr::upright_cart_pole().system(), |x, u| {
         let right = vec![u[0], moment * gravity * x[2]];
@@ -1006,13 +1008,20 @@ fn defaults_are_as_published() {
         assert_eq!(T::default(), expected);
     }
     // Barto, Sutton and Anderson 1983, except for steps of 0.01 s.
-    is(CartPoleSystem { poles: 1, cart_mass: 1.0, pole_mass: 0.1, half_length: 0.5, gravity: 9.8, dt: 0.01 });
-    is(PoleDamping { damping: 2e-3 });
-    is(CartDamping { damping: 0.1 });
-    is(DryFriction { force: 0.5, smoothing: 0.05 });
-    is(SteadyWind { speed: 3.0, cart_drag: 0.06, pole_drag: 0.013 });
-    is(GustyWind { speed: 3.0, gust: 2.0, period: 1.0, cart_drag: 0.06, pole_drag: 0.013 });
-    is(Bumpers { half_travel: 2.4, stiffness: 1e3, damping: 0.5 });
+    is(CartPoleSystem {
+        poles: 1,
+        cart_mass: 1.0.into(),
+        pole_mass: 0.1.into(),
+        half_length: 0.5.into(),
+        gravity: 9.8.into(),
+        dt: 0.01,
+    });
+    is(PoleDamping { damping: (2e-3).into() });
+    is(CartDamping { damping: 0.1.into() });
+    is(DryFriction { force: 0.5.into(), smoothing: 0.05 });
+    is(SteadyWind { speed: 3.0.into(), cart_drag: 0.06.into(), pole_drag: 0.013.into() });
+    is(GustyWind { speed: 3.0.into(), gust: 2.0.into(), period: 1.0, cart_drag: 0.06.into(), pole_drag: 0.013.into() });
+    is(Bumpers { half_travel: 2.4, stiffness: 1e3.into(), damping: 0.5.into() });
     is(DoublePendulum { masses: [1.0, 1.0], lengths: [1.0, 1.0], gravity: 9.81 });
     // 60 steps in 4 s, and the forces of the authors' code.
     is(GuidanceSystem { drivers: 2, evaders: 4, center: Center::Sum, softening: 0.1, dt: 4.0 / 60.0 });

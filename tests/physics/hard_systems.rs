@@ -203,7 +203,12 @@ fn energy_drifts_with_the_order_of_the_method() {
 
 #[test]
 fn non_physical_masses_are_refused() {
-    let model = |cart_mass: f64, pole_mass: f64| CartPoleSystem { poles: 3, cart_mass, pole_mass, ..CartPoleSystem::default() };
+    let model = |cart_mass: f64, pole_mass: f64| CartPoleSystem {
+        poles: 3,
+        cart_mass: cart_mass.into(),
+        pole_mass: pole_mass.into(),
+        ..CartPoleSystem::default()
+    };
     for good in [model(1.0, 0.1), model(1e-8, 0.1), model(1e6, 1e-6)] {
         assert_eq!((good.check(), CoupledCartPole(good).check(), PoleChain(good).check()), (Ok(()), Ok(()), Ok(())));
     }

@@ -12,6 +12,7 @@ mod guidance_effects;
 mod hard_contacts;
 mod hard_systems;
 mod integrators;
+mod numbers;
 mod quantum;
 mod quantum_effects;
 mod quantum_physics;

@@ -2,6 +2,7 @@
 
 use super::Effect;
 use crate::dynamics::inputs::{Cotangents, OdeInputs};
+use crate::dynamics::number::Varied;
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
@@ -11,6 +12,15 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 impl<B, E: Effect<B>> Effect<B> for Vec<E> {
     fn param_dim(&self) -> usize {
         self.iter().map(Effect::param_dim).sum()
+    }
+
+    fn varied(&self, mut first: usize) -> Vec<Varied> {
+        let mut all = Vec::new();
+        for effect in self {
+            all.extend(effect.varied(first));
+            first += effect.param_dim();
+        }
+        all
     }
 
     fn draw_params(&self, rng: &mut Rng, mut p: &mut [f64]) {
@@ -104,6 +114,12 @@ macro_rules! any_effect {
             fn param_dim(&self) -> usize {
                 match self {
                     $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$model>::param_dim(effect)),+
+                }
+            }
+
+            fn varied(&self, first: usize) -> Vec<crate::dynamics::number::Varied> {
+                match self {
+                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$model>::varied(effect, first)),+
                 }
             }
 

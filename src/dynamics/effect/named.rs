@@ -2,6 +2,7 @@
 
 use super::Effect;
 use crate::dynamics::inputs::{Cotangents, OdeInputs};
+use crate::dynamics::number::{Numbers, Varied};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
@@ -19,6 +20,16 @@ impl<B, E: Effect<B>> Effect<B> for Named<E> {
     #[inline(always)]
     fn param_dim(&self) -> usize {
         self.effect.param_dim()
+    }
+
+    #[inline(always)]
+    fn numbers(&self) -> Numbers<'_> {
+        self.effect.numbers()
+    }
+
+    fn varied(&self, first: usize) -> Vec<Varied> {
+        let named = |varied: Varied| Varied { name: format!("{}.{}", self.name, varied.name), ..varied };
+        self.effect.varied(first).into_iter().map(named).collect()
     }
 
     fn draw_params(&self, rng: &mut Rng, p: &mut [f64]) {

@@ -2,6 +2,7 @@
 
 use super::Effect;
 use crate::dynamics::inputs::{Cotangents, OdeInputs};
+use crate::dynamics::number::Varied;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
@@ -27,6 +28,15 @@ macro_rules! both {
             #[inline(always)]
             fn param_dim(&self) -> usize {
                 0 $(+ self.$i.param_dim())+
+            }
+            fn varied(&self, mut first: usize) -> Vec<Varied> {
+                let mut all = Vec::new();
+                $(
+                    all.extend(self.$i.varied(first));
+                    first += self.$i.param_dim();
+                )+
+                let _ = first;
+                all
             }
             fn draw_params(&self, rng: &mut Rng, p: &mut [f64]) {
                 let mut first = 0;

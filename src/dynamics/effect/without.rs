@@ -13,7 +13,13 @@ macro_rules! system_without_effects {
             }
 
             fn param_dim(&self) -> usize {
-                crate::dynamics::effect::ForcedSystem::param_dim(self)
+                use crate::dynamics::effect::ForcedSystem;
+                ForcedSystem::param_dim(self) + ForcedSystem::numbers(self).varied()
+            }
+
+            #[inline(always)]
+            fn numbers(&self) -> crate::dynamics::number::Numbers<'_> {
+                crate::dynamics::effect::ForcedSystem::numbers(self)
             }
 
             #[inline(always)]
@@ -26,8 +32,11 @@ macro_rules! system_without_effects {
                 &self,
                 inputs: crate::dynamics::inputs::Inputs<'_, R>,
                 next_bar: &[C],
-                bars: crate::dynamics::inputs::Cotangents<'_, C>,
+                mut bars: crate::dynamics::inputs::Cotangents<'_, C>,
             ) {
+                if bars.p.is_some() && crate::dynamics::effect::ForcedSystem::numbers(self).varied() > 0 {
+                    crate::dynamics::effect::param_vjp(self, &(), inputs, next_bar, bars.p.take());
+                }
                 crate::dynamics::effect::ForcedSystem::forced_vjp(self, &(), inputs, next_bar, bars);
             }
         }

@@ -5,6 +5,7 @@ use super::{AnyIntegrator, Integrator};
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
+use crate::dynamics::number::Varied;
 use crate::dynamics::ode::Ode;
 use crate::dynamics::outline::{Reverse, Step, outline};
 use crate::dynamics::system::System;
@@ -33,6 +34,10 @@ impl<S: System + Ode> System for Discretized<S> {
 
     fn param_dim(&self) -> usize {
         System::param_dim(&self.system)
+    }
+
+    fn varied(&self, params: usize) -> Vec<Varied> {
+        System::varied(&self.system, params)
     }
 
     #[inline(always)]

@@ -1,15 +1,15 @@
 //! `physgrad train`: one training run with progress output.
 
+use crate::differences;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::terminal::{say, tell};
 use crate::program::runs::progress::Progress;
-use crate::program::runs::run::{self, End, NoUpdate, SAVE_EVERY, threads};
+use crate::program::runs::run::{self, End, Finished, NoUpdate, SAVE_EVERY, threads};
 use crate::program::runs::saved::{changed, resumed};
 use crate::program::runs::statistics::best;
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
-use crate::{Record, differences};
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -83,7 +83,7 @@ pub fn train(args: &Train) -> Result<()> {
     let save_every = Duration::from_secs_f64(args.save_every);
     let finished = run::run(&folder, &scene, run, args.resume, save_every, &mut progress)?;
     progress.bar.finish_and_clear();
-    let text = if args.quiet { String::new() } else { summary(&folder, &scene, &finished.records) };
+    let text = if args.quiet { String::new() } else { summary(&folder, &scene, &finished) };
     let printed = if text.is_empty() { Ok(()) } else { say(&text) };
     let results = folder.path().display();
     match finished.end {
@@ -125,7 +125,7 @@ fn note_differences(folder: &Folder, scene: &Scene, file: &str, overrides: &Over
     Ok(())
 }
 
-fn summary(folder: &Folder, scene: &Scene, records: &[Record]) -> String {
+fn summary(folder: &Folder, scene: &Scene, Finished { records, numbers, .. }: &Finished) -> String {
     let mut text = String::new();
     if let Some(last) = records.last() {
         let seconds: f64 = records.iter().map(|r| r.seconds).sum();
@@ -141,10 +141,16 @@ fn summary(folder: &Folder, scene: &Scene, records: &[Record]) -> String {
             text += &format!("warning: unreliable gradients: {warning}\n");
         }
     }
+    for (name, value) in numbers {
+        text += &format!("trained: {name} = {value:.6}\n");
+    }
     text += &format!("results in {}:\n", folder.path().display());
     text += "  learning_curve.svg, animation.svg   pictures\n";
     text += "  metrics.csv, trajectory.csv         data\n";
     text += "  policy.safetensors                  the trained policy\n";
+    if !numbers.is_empty() {
+        text += "  numbers.csv                         the trained numbers\n";
+    }
     text += "  run.toml, checkpoint.bin            settings and state, to resume";
     text
 }

@@ -11,6 +11,7 @@ pub mod memory;
 pub mod session;
 pub mod simulation;
 pub mod trajectory;
+pub mod varying;
 
 use crate::{Policy, Task};
 use std::time::Instant;

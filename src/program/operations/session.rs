@@ -29,6 +29,8 @@ pub trait AnyRun {
     fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError>;
     /// Parameters as named tensors in the safetensors format.
     fn safetensors(&self, about: String) -> Result<Vec<u8>>;
+    /// Values of the trained numbers, with their indices in the parameters of a rollout.
+    fn trained(&self) -> Vec<(usize, f64)>;
     /// Number of initial states in the test set.
     fn test_samples(&self) -> usize;
     /// Rollouts from a range of test initial states, truncated to the test set.
@@ -68,6 +70,12 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
 
     fn safetensors(&self, about: String) -> Result<Vec<u8>> {
         trajectory::safetensors(about, self.policy(), self.weights().theta())
+    }
+
+    fn trained(&self) -> Vec<(usize, f64)> {
+        let (trained, theta) = (self.policy().trained_params(), self.weights().theta());
+        let values = &theta[theta.len() - trained.len()..];
+        trained.iter().zip(values).map(|(param, r)| (param.index(), param.value(r.as_()))).collect()
     }
 
     fn test_samples(&self) -> usize {

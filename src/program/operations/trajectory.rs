@@ -54,7 +54,7 @@ pub fn rollouts<F: Float>(
     let trajectory = |sample: usize| Trajectory {
         states: (0..=steps).map(|t| (0..n).map(|i| rollout.state(t, sample, i).as_()).collect()).collect(),
         controls: (0..steps).map(|t| (0..m).map(|i| rollout.control(t, sample, i).as_()).collect()).collect(),
-        params: starts[sample * len..][n..len].iter().map(|p| p.as_()).collect(),
+        params: rollout.params_of_sample(sample).map(|p| p.as_()).collect(),
     };
     (0..samples).map(trajectory).collect()
 }

@@ -15,6 +15,7 @@ pub const POLICY: &str = "policy.safetensors";
 pub const LEARNING_CURVE: &str = "learning_curve.svg";
 pub const TRAJECTORY: &str = "trajectory.csv";
 pub const ANIMATION: &str = "animation.svg";
+pub const NUMBERS: &str = "numbers.csv";
 pub const REPORT: &str = "report.html";
 
 /// Subfolder with the runs of a comparison.
@@ -27,11 +28,12 @@ pub(super) const LOCK: &str = ".physgrad.lock";
 pub(super) const PREVIOUS: &str = ".previous-";
 
 /// Files that a run and its report write.
-pub(super) const RUN_FILES: [&str; 8] = [SETTINGS, CHECKPOINT, METRICS, POLICY, LEARNING_CURVE, TRAJECTORY, ANIMATION, REPORT];
+pub(super) const RUN_FILES: [&str; 9] =
+    [SETTINGS, CHECKPOINT, METRICS, POLICY, LEARNING_CURVE, TRAJECTORY, ANIMATION, NUMBERS, REPORT];
 
 /// Files that only the holder of the lock writes. Other commands may write the remaining files
 /// during the run.
-pub(super) const LOCKED_FILES: [&str; 6] = [SETTINGS, CHECKPOINT, METRICS, POLICY, LEARNING_CURVE, TRAJECTORY];
+pub(super) const LOCKED_FILES: [&str; 7] = [SETTINGS, CHECKPOINT, METRICS, POLICY, LEARNING_CURVE, TRAJECTORY, NUMBERS];
 
 /// A folder that may not exist yet.
 #[derive(Clone, Debug)]

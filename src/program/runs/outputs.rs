@@ -99,6 +99,11 @@ pub fn animation(scene: &Scene, rollout: &Trajectory) -> String {
     scene.animation(rollout).to_svg()
 }
 
+/// `numbers.csv`: names and values of the trained numbers.
+pub fn numbers(numbers: &[(String, f64)]) -> Result<Vec<u8>> {
+    csv(["name", "value"], numbers.iter().map(|(name, value)| [name.clone(), value.to_string()]))
+}
+
 /// `trajectory.csv`: one row per rollout and step. A row holds the state before the step, the
 /// parameters of the rollout, the controls of the policy, and the controls that an actuator
 /// applies. The last state has no controls.

@@ -2,7 +2,7 @@
 
 use crate::program::operations::session::AnyRun;
 use crate::program::operations::trajectory::ROLLOUTS;
-use crate::program::platform::folder::{ANIMATION, CHECKPOINT, Folder, LEARNING_CURVE, POLICY, SETTINGS, TRAJECTORY};
+use crate::program::platform::folder::{ANIMATION, CHECKPOINT, Folder, LEARNING_CURVE, NUMBERS, POLICY, SETTINGS, TRAJECTORY};
 use crate::program::platform::lock::Locked;
 use crate::program::platform::signals;
 use crate::program::platform::terminal::tell;
@@ -36,6 +36,8 @@ pub struct EpochEvent<'a> {
 /// Records of a run, and its end.
 pub struct Finished {
     pub records: Vec<Record>,
+    /// Names and values of the trained numbers.
+    pub numbers: Vec<(String, f64)>,
     pub end: End,
 }
 
@@ -143,7 +145,12 @@ pub fn run(
         }
     }
     saver.save(&*run)?;
+    let names = scene.param_names();
+    let numbers: Vec<_> = run.trained().into_iter().map(|(i, value)| (names[i].clone(), value)).collect();
     write_outputs(folder, scene, &*run)?;
+    if !numbers.is_empty() {
+        folder.write(NUMBERS, outputs::numbers(&numbers)?)?;
+    }
     folder.check()?;
     let records = run.records().to_vec();
     let end = match failure {
@@ -153,7 +160,7 @@ pub fn run(
         Some(error) if run.updates() == 0 => End::NoUpdate(Some(error)),
         Some(error) => End::Failed(error),
     };
-    Ok(Finished { records, end })
+    Ok(Finished { records, numbers, end })
 }
 
 /// Writes checkpoints and metrics of a run.

@@ -46,7 +46,7 @@ impl Run {
     /// Trains in the run's folder, or resumes there. Waits while another process holds the lock.
     fn run(&self, observer: &mut dyn Observer) -> Result<Finished> {
         let Some(folder) = self.folder.clone().wait_and_lock()? else {
-            return Ok(Finished { records: Vec::new(), end: End::Interrupted });
+            return Ok(Finished { records: Vec::new(), numbers: Vec::new(), end: End::Interrupted });
         };
         let resume = self.resumes()?;
         let folder = if resume { folder } else { folder.without_run()? };

@@ -56,7 +56,39 @@ impl SceneSource {
         };
         let parsed = DeTable::parse(text).map_err(located)?;
         let table = Table::deserialize(Deserializer::from(parsed)).map_err(located)?;
-        Ok(Self { name: name.to_owned(), table, text: text.to_owned(), options: HashMap::new() })
+        let mut source = Self { name: name.to_owned(), table, text: text.to_owned(), options: HashMap::new() };
+        source.place("vary")?;
+        source.place("fit")?;
+        Ok(source)
+    }
+
+    /// Moves the entries of the section `vary` or `fit` to the keys that they name.
+    fn place(&mut self, section: &str) -> Result<()> {
+        let Some(entries) = self.table.remove(section) else { return Ok(()) };
+        let Value::Table(entries) = entries else { bail!("{}: `{section}` is not a section", self.origin(section)) };
+        for (key, value) in entries {
+            let origin = self.origin(&format!("{section}.{key}"));
+            let is_trained = value.as_table().is_some_and(|value| value.contains_key("start"));
+            if is_trained != (section == "fit") {
+                let allowed = match section {
+                    "fit" => "{ start = value, min = bound, max = bound }; bounds are optional",
+                    _ => "{ uniform = [low, high] }, or another distribution",
+                };
+                bail!("{origin}: `{key}` is {value}; allowed in [{section}]: {allowed}");
+            }
+            if self.get(&key).is_some() {
+                bail!("{origin}: `{key}` is set twice: in [{section}] and in its own section");
+            }
+            self.put(&key, value, &origin)?;
+        }
+        Ok(())
+    }
+
+    /// Value of a dotted key.
+    fn get(&self, key: &str) -> Option<&Value> {
+        let (first, rest) = key.split_once('.').unwrap_or((key, ""));
+        let value = self.table.get(first)?;
+        rest.split('.').filter(|part| !part.is_empty()).try_fold(value, |value, part| value.get(part))
     }
 
     /// Text of a key at the top level.

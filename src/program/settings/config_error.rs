@@ -1,5 +1,6 @@
 //! Errors in settings, and functions that check single values.
 
+use crate::Number;
 use crate::program::settings::reading::Unreadable;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -77,14 +78,19 @@ pub fn allowed(key: &str, value: impl Display, is_allowed: bool, allowed: impl D
     if is_allowed { Ok(()) } else { Err(ConfigError::new(key, format!("is {value}; allowed: {allowed}"))) }
 }
 
-/// Returns an error unless the value is finite and positive.
-pub fn positive(key: &str, value: f64) -> Result<(), ConfigError> {
-    allowed(key, value, value.is_finite() && value > 0.0, "a positive number")
+/// Returns an error unless every value that the number may have satisfies `is_allowed`.
+fn every(key: &str, number: Number, is_allowed: fn(f64) -> bool, what: &str) -> Result<(), ConfigError> {
+    number.extremes().into_iter().try_for_each(|value| allowed(key, value, is_allowed(value), what))
 }
 
-/// Returns an error unless the value is finite and not negative.
-pub fn not_negative(key: &str, value: f64) -> Result<(), ConfigError> {
-    allowed(key, value, value.is_finite() && value >= 0.0, "0 or more")
+/// Returns an error unless the number is finite and positive.
+pub fn positive(key: &str, number: impl Into<Number>) -> Result<(), ConfigError> {
+    every(key, number.into(), |value| value.is_finite() && value > 0.0, "a positive number")
+}
+
+/// Returns an error unless the number is finite and not negative.
+pub fn not_negative(key: &str, number: impl Into<Number>) -> Result<(), ConfigError> {
+    every(key, number.into(), |value| value.is_finite() && value >= 0.0, "0 or more")
 }
 
 /// Returns an error if more than one of these effects is present.
@@ -99,9 +105,9 @@ pub fn exclusive(effects: &[(&str, bool)], because: &str) -> Result<(), ConfigEr
     }
 }
 
-/// Returns an error unless the value is finite.
-pub fn finite(key: &str, value: f64) -> Result<(), ConfigError> {
-    allowed(key, value, value.is_finite(), "a finite number")
+/// Returns an error unless the number is finite.
+pub fn finite(key: &str, number: impl Into<Number>) -> Result<(), ConfigError> {
+    every(key, number.into(), f64::is_finite, "a finite number")
 }
 
 /// Returns an error unless the value is within the range.

@@ -76,9 +76,13 @@ impl Reading<'_> {
 impl<'de> Deserializer<'de> for Reading<'_> {
     type Error = Unreadable;
 
-    /// Always an error: no setting accepts values of any type.
+    /// Used by settings that are a number or a section.
     fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
-        Err(self.unexpected(&visitor))
+        match self.0 {
+            Value::Float(_) | Value::Integer(_) => self.deserialize_f64(visitor),
+            Value::Table(_) => self.deserialize_map(visitor),
+            _ => Err(self.unexpected(&visitor)),
+        }
     }
 
     fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {

@@ -11,7 +11,7 @@ use crate::tasks::{
     self, Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, LossMode,
     PoleDamping, SteadyWind,
 };
-use crate::{Forced, HasModel, Named, System};
+use crate::{Effect, Forced, HasModel, Named, Number, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -29,13 +29,13 @@ pub struct CartPoleSettings {
     /// Number of poles.
     poles: usize,
     /// Mass of the cart, kg.
-    cart_mass: f64,
+    cart_mass: Number,
     /// Mass of a pole, kg.
-    pole_mass: f64,
+    pole_mass: Number,
     /// Half the length of a pole, m.
-    half_length: f64,
+    half_length: Number,
     /// Gravitational acceleration, m/s².
-    gravity: f64,
+    gravity: Number,
     /// Time step, s.
     dt: f64,
 }
@@ -98,11 +98,21 @@ impl CartPoleEffects {
         Present::<CartPoleEffect>::present(self).is_empty()
     }
 
-    /// Wind speed at `time`, s. The parameter of the rollout is t₀ of the gusts.
+    /// Wind speed at `time`, s, with nominal numbers.
     fn wind(&self, params: &[f64], time: f64) -> Option<f64> {
-        let steady = self.steady_wind.map(|wind| wind.speed);
-        let gusty = self.gusty_wind.map(|wind| wind.speed + wind.gust * (TAU * (time + params[0]) / wind.period).sin());
+        let steady = self.steady_wind.map(|wind| wind.speed.nominal());
+        let gusty = self.gusty_wind.map(|wind| {
+            let phase = TAU * (time + params[self.params_before_gusts()]) / wind.period;
+            wind.speed.nominal() + wind.gust.nominal() * phase.sin()
+        });
         steady.or(gusty)
+    }
+
+    /// Index of t₀ of the gusts in the parameters of a rollout.
+    fn params_before_gusts(&self) -> usize {
+        let effects: Vec<Named<CartPoleEffect>> = self.present();
+        let before = effects.iter().take_while(|effect| !matches!(effect.effect, CartPoleEffect::GustyWind(_)));
+        before.map(Effect::<CartPoleSystem>::param_dim).sum()
     }
 
     fn validate(&self) -> Result<(), ConfigError> {
@@ -184,7 +194,7 @@ impl TaskSpec for CartPole {
         system
             .parameters()
             .check()
-            .map_err(|error| ConfigError::new("system.cart_mass", format!("is {}: {error}", system.cart_mass)))?;
+            .map_err(|error| ConfigError::new("system.cart_mass", format!("is {}: {error}", system.cart_mass.nominal())))?;
         settings.effects.validate()
     }
 
@@ -243,6 +253,7 @@ impl TaskSpec for CartPole {
 
     fn animation(settings: &Settings<Self>, Trajectory { states, controls, params }: &Trajectory) -> Animation {
         let CartPoleSettings { half_length, dt, .. } = settings.system;
+        let half_length = half_length.nominal();
         let dim = System::state_dim(&settings.system.parameters());
         let forces: Vec<f64> = settings.actuator.applied(dt, states, controls).iter().map(|u| u[0]).collect();
         let wind = (0..states.len()).filter_map(|t| settings.effects.wind(params, t as f64 * dt)).collect();

@@ -9,6 +9,7 @@ use crate::program::operations::gradients::{Derived, Deriving, GradientMethod, R
 use crate::program::operations::session::{AnyRun, Open};
 use crate::program::operations::simulation::{Job, Preparing};
 use crate::program::operations::trajectory::Trajectory;
+use crate::program::operations::varying::Varying;
 use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{FieldName, OPTIONAL, Precision};
 use crate::program::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
@@ -110,7 +111,15 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
     }
 
     fn param_names(&self) -> Vec<String> {
-        K::param_names(self)
+        let Varying { varied, params } = self.visit(Varying::default());
+        let mut own = K::param_names(self).into_iter();
+        let name = |i: usize| match varied.iter().find(|varied| varied.index == i) {
+            // Effects have the keys of their sections as names.
+            Some(varied) if varied.name.contains('.') => varied.name.clone(),
+            Some(varied) => format!("system.{}", varied.name),
+            None => own.next().unwrap_or_else(|| format!("p_{}", i + 1)),
+        };
+        (0..params).map(name).collect()
     }
 
     fn state_names(&self) -> Vec<String> {

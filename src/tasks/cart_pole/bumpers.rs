@@ -3,6 +3,7 @@
 use super::CartPoleSystem;
 use crate::dynamics::effect::Effect;
 use crate::dynamics::inputs::{Cotangents, OdeInputs};
+use crate::dynamics::number::{Number, Numbers};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
@@ -23,22 +24,27 @@ pub struct Bumpers {
     /// Position of the bumpers: contact at `|x| = half_travel`, m, positive.
     pub half_travel: f64,
     /// Stiffness, N/m, not negative.
-    pub stiffness: f64,
+    pub stiffness: Number,
     /// Damping, s/m, not negative. 0 conserves energy.
-    pub damping: f64,
+    pub damping: Number,
 }
 
 impl Default for Bumpers {
     fn default() -> Self {
-        Self { half_travel: 2.4, stiffness: 1000.0, damping: 0.5 }
+        Self { half_travel: 2.4, stiffness: 1000.0.into(), damping: 0.5.into() }
     }
 }
 
 impl Effect<CartPoleSystem> for Bumpers {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        let stiffness = T::from(self.stiffness);
-        let (right, left) = self.sides(x).into();
+    fn numbers(&self) -> Numbers<'_> {
+        Numbers::new([("stiffness", &self.stiffness), ("damping", &self.damping)])
+    }
+
+    #[inline(always)]
+    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, p, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+        let [stiffness, damping] = self.numbers().of(p);
+        let (right, left) = self.sides(x, damping).into();
         forces[0] += stiffness * (left.depth * left.factor - right.depth * right.factor);
     }
 
@@ -46,15 +52,15 @@ impl Effect<CartPoleSystem> for Bumpers {
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,
         _model: &CartPoleSystem,
-        OdeInputs { x, .. }: OdeInputs<'_, R>,
+        OdeInputs { x, p, .. }: OdeInputs<'_, R>,
         forces_bar: &[C],
         bars: Cotangents<'_, C>,
     ) {
         let Some(x_bar) = bars.x else { return };
-        let (zero, stiffness, damping) = (R::zero(), R::from(self.stiffness), R::from(self.damping));
+        let (zero, [stiffness, damping]) = (R::zero(), self.numbers().of(p));
         // Both forces grow with depth and outward speed, so both slopes have the same sign.
         let (mut by_x, mut by_speed) = (zero, zero);
-        for side in self.sides(x) {
+        for side in self.sides(x, damping) {
             by_x += R::select_lt(zero, side.depth, side.factor, zero);
             by_speed += R::select_lt(zero, side.factor, side.depth, zero);
         }
@@ -74,8 +80,8 @@ struct Side<T> {
 impl Bumpers {
     /// Returns the contacts at the right and the left end.
     #[inline(always)]
-    fn sides<T: Scalar>(&self, x: &[T]) -> [Side<T>; 2] {
-        let (zero, half_travel, damping) = (T::zero(), T::from(self.half_travel), T::from(self.damping));
+    fn sides<T: Scalar>(&self, x: &[T], damping: T) -> [Side<T>; 2] {
+        let (zero, half_travel) = (T::zero(), T::from(self.half_travel));
         let side = |x: T, speed: T| Side { depth: (x - half_travel).max(zero), factor: (T::one() + damping * speed).max(zero) };
         [side(x[0], x[1]), side(-x[0], -x[1])]
     }

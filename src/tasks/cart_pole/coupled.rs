@@ -4,6 +4,7 @@ use super::motion::{moved, moved_bar, rate_of, rate_of_bar, velocity_of};
 use super::system::{CartPoleSystem, Forces, PerPole};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
+use crate::dynamics::number::Numbers;
 use crate::dynamics::ode::ForcedOde;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
@@ -41,28 +42,35 @@ struct Constants<T> {
 
 impl CoupledCartPole {
     /// Returns kinetic plus potential energy of a state, J. It is 0 at rest with all poles
-    /// horizontal. Without control and effects, the equations conserve it.
+    /// horizontal. Without control and effects, the equations conserve it. Numbers that vary have
+    /// their nominal values.
     ///
     /// ```text
     /// M ẋ²/2 + Σ_i (J ω_i²/2 + m l ẋ ω_i cos θ_i + m g l cos θ_i)
     /// ```
     pub fn energy(&self, x: &[f64]) -> f64 {
-        let Constants { moment, weight, mass, per_inertia, .. } = self.constants::<f64>();
+        let [moment, weight, mass, per_inertia] = self.derived(self.0.nominal());
         let of_pole = |pole: &[f64]| 0.5 * pole[1] * pole[1] / per_inertia + (moment * x[1] * pole[1] + weight) * pole[0].cos();
         0.5 * mass * x[1] * x[1] + self.0.poles_of(x).map(of_pole).sum::<f64>()
     }
 
+    /// Constants of the equations. They are computed in f64 if all numbers are fixed.
     #[inline(always)]
-    fn constants<T: Scalar>(&self) -> Constants<T> {
-        let model = &self.0;
-        let moment = model.moment();
-        Constants {
-            dt: T::from(model.dt),
-            moment: T::from(moment),
-            weight: T::from(moment * model.gravity),
-            mass: T::from(model.cart_mass + model.poles as f64 * model.pole_mass),
-            per_inertia: T::from(1.0 / (4.0 / 3.0 * moment * model.half_length)),
-        }
+    fn constants<T: Scalar>(&self, p: &[T]) -> Constants<T> {
+        let numbers = self.0.numbers();
+        let [moment, weight, mass, per_inertia] = if numbers.varied() == 0 {
+            self.derived(numbers.of::<f64, 4>(&[])).map(T::from)
+        } else {
+            self.derived(numbers.last_of(p))
+        };
+        Constants { dt: T::from(self.0.dt), moment, weight, mass, per_inertia }
+    }
+
+    #[inline(always)]
+    fn derived<T: Scalar>(&self, [cart_mass, pole_mass, half_length, gravity]: [T; 4]) -> [T; 4] {
+        let moment = pole_mass * half_length;
+        let mass = cart_mass + pole_mass * self.0.poles as f64;
+        [moment, moment * gravity, mass, T::one() / (moment * (4.0 / 3.0) * half_length)]
     }
 }
 
@@ -90,8 +98,13 @@ impl ForcedSystem for CoupledCartPole {
     }
 
     #[inline(always)]
+    fn numbers(&self) -> Numbers<'_> {
+        self.0.numbers()
+    }
+
+    #[inline(always)]
     fn forced_step<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
-        let (k, x) = (self.constants::<T>(), inputs.x);
+        let (k, x) = (self.constants(inputs.p), inputs.x);
         let a = self.accelerate(&k, effects, inputs.continuous(self.0.dt), &mut next[2..], moved(k.dt));
         next[1] = x[1] + k.dt * a;
         next[0] = x[0] + k.dt * next[1];
@@ -105,7 +118,7 @@ impl ForcedSystem for CoupledCartPole {
         next_bar: &[C],
         mut bars: Cotangents<'_, C>,
     ) {
-        let k = self.constants::<R>();
+        let k = self.constants(inputs.p);
         let speed_bar = next_bar[1] + next_bar[0] * k.dt;
         if let Some(x_bar) = &mut bars.x {
             x_bar[0] += next_bar[0];
@@ -128,7 +141,7 @@ impl CoupledCartPole {
         of_pole: impl Fn(&[T], T) -> [T; 2],
     ) -> T {
         let (x, mut trig, mut forces) = (inputs.x, PerPole::new(), Forces::new());
-        self.0.forces(effects, inputs, &mut trig, &mut forces);
+        self.0.forces(effects, k.weight, inputs, &mut trig, &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
         for ((pole, &[sin, cos]), &torque) in zip(zip(self.0.poles_of(x), &trig), &forces[1..]) {
             let lever = k.moment * cos;
@@ -158,9 +171,9 @@ impl CoupledCartPole {
         pole_bar: impl Fn(usize) -> ([C; 2], C),
         mut bars: Cotangents<'_, C>,
     ) {
-        let (k, x) = (self.constants::<R>(), inputs.x);
+        let (k, x) = (self.constants(inputs.p), inputs.x);
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
-        self.0.forces(effects, inputs, &mut trig, &mut forces);
+        self.0.forces(effects, k.weight, inputs, &mut trig, &mut forces);
         let (mut push, mut mass) = (forces[0], k.mass);
         // Add the cotangents of ẍ that pass through the α_i = (τ_i - m l cos θ_i ẍ) / J.
         let poles = zip(zip(self.0.poles_of(x), &trig), &forces[1..]);
@@ -205,7 +218,7 @@ impl CoupledCartPole {
 impl ForcedOde for CoupledCartPole {
     #[inline(always)]
     fn forced_rate<E: Effect<CartPoleSystem>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
-        rate[1] = self.accelerate(&self.constants::<T>(), effects, inputs, &mut rate[2..], rate_of);
+        rate[1] = self.accelerate(&self.constants(inputs.p), effects, inputs, &mut rate[2..], rate_of);
         rate[0] = inputs.x[1];
     }
 

@@ -3,6 +3,7 @@
 use super::CartPoleSystem;
 use crate::dynamics::effect::Effect;
 use crate::dynamics::inputs::{Cotangents, OdeInputs};
+use crate::dynamics::number::{Number, Numbers};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
@@ -16,19 +17,24 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields, default)]
 pub struct PoleDamping {
     /// Torque per rate, N m s/rad, not negative.
-    pub damping: f64,
+    pub damping: Number,
 }
 
 impl Default for PoleDamping {
     fn default() -> Self {
-        Self { damping: 0.002 }
+        Self { damping: 0.002.into() }
     }
 }
 
 impl Effect<CartPoleSystem> for PoleDamping {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        let damping = T::from(self.damping);
+    fn numbers(&self) -> Numbers<'_> {
+        Numbers::new([("damping", &self.damping)])
+    }
+
+    #[inline(always)]
+    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, OdeInputs { x, p, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+        let [damping] = self.numbers().of(p);
         for (pole, torque) in zip(model.poles_of(x), &mut forces[1..]) {
             *torque -= damping * pole[1];
         }
@@ -38,12 +44,12 @@ impl Effect<CartPoleSystem> for PoleDamping {
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,
         model: &CartPoleSystem,
-        _inputs: OdeInputs<'_, R>,
+        OdeInputs { p, .. }: OdeInputs<'_, R>,
         forces_bar: &[C],
         bars: Cotangents<'_, C>,
     ) {
         let Some(x_bar) = bars.x else { return };
-        let damping = R::from(self.damping);
+        let [damping] = self.numbers().of(p);
         for (pole_bar, &torque_bar) in zip(x_bar[2..2 + 2 * model.poles].chunks_exact_mut(2), &forces_bar[1..]) {
             pole_bar[1] -= torque_bar * damping;
         }
@@ -56,31 +62,38 @@ impl Effect<CartPoleSystem> for PoleDamping {
 #[serde(deny_unknown_fields, default)]
 pub struct CartDamping {
     /// Force per speed, N s/m, not negative.
-    pub damping: f64,
+    pub damping: Number,
 }
 
 impl Default for CartDamping {
     fn default() -> Self {
-        Self { damping: 0.1 }
+        Self { damping: 0.1.into() }
     }
 }
 
 impl Effect<CartPoleSystem> for CartDamping {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        forces[0] -= x[1] * self.damping;
+    fn numbers(&self) -> Numbers<'_> {
+        Numbers::new([("damping", &self.damping)])
+    }
+
+    #[inline(always)]
+    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, p, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+        let [damping] = self.numbers().of(p);
+        forces[0] -= x[1] * damping;
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,
         _model: &CartPoleSystem,
-        _inputs: OdeInputs<'_, R>,
+        OdeInputs { p, .. }: OdeInputs<'_, R>,
         forces_bar: &[C],
         bars: Cotangents<'_, C>,
     ) {
         let Some(x_bar) = bars.x else { return };
-        x_bar[1] -= forces_bar[0] * R::from(self.damping);
+        let [damping] = self.numbers().of(p);
+        x_bar[1] -= forces_bar[0] * damping;
     }
 }
 
@@ -95,33 +108,40 @@ impl Effect<CartPoleSystem> for CartDamping {
 #[serde(deny_unknown_fields, default)]
 pub struct DryFriction {
     /// Force on a sliding cart, N, not negative: friction coefficient times weight.
-    pub force: f64,
+    pub force: Number,
     /// Speed at which friction reaches three quarters of `force`, m/s, positive.
     pub smoothing: f64,
 }
 
 impl Default for DryFriction {
     fn default() -> Self {
-        Self { force: 0.5, smoothing: 0.05 }
+        Self { force: 0.5.into(), smoothing: 0.05 }
     }
 }
 
 impl Effect<CartPoleSystem> for DryFriction {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        forces[0] -= (x[1] * (1.0 / self.smoothing)).tanh() * self.force;
+    fn numbers(&self) -> Numbers<'_> {
+        Numbers::new([("force", &self.force)])
+    }
+
+    #[inline(always)]
+    fn add_forces<T: Scalar>(&self, _model: &CartPoleSystem, OdeInputs { x, p, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+        let [force] = self.numbers().of(p);
+        forces[0] -= (x[1] * (1.0 / self.smoothing)).tanh() * force;
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,
         _model: &CartPoleSystem,
-        OdeInputs { x, .. }: OdeInputs<'_, R>,
+        OdeInputs { x, p, .. }: OdeInputs<'_, R>,
         forces_bar: &[C],
         bars: Cotangents<'_, C>,
     ) {
         let Some(x_bar) = bars.x else { return };
+        let [force] = self.numbers().of(p);
         let share = (x[1] * R::from(1.0 / self.smoothing)).tanh();
-        x_bar[1] -= forces_bar[0] * (R::from(self.force / self.smoothing) * (R::one() - share * share));
+        x_bar[1] -= forces_bar[0] * (force / self.smoothing * (R::one() - share * share));
     }
 }

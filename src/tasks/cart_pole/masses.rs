@@ -1,9 +1,10 @@
 //! Validation of masses and pole counts.
 
 use super::{CartPoleSystem, CoupledCartPole};
+use crate::dynamics::number::Number;
 
 /// Invalid parameters of a cart-pole.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MassError {
     /// A mass or a length is not positive and finite.
     #[error("{what} is {value}; allowed: a positive, finite number, because 0 can make the mass matrix singular")]
@@ -25,6 +26,12 @@ pub enum MassError {
         /// Mass of all poles, kg.
         poles: f64,
     },
+    /// A number of a chain of poles is not fixed.
+    #[error("{number} is not fixed; allowed: fixed numbers, because this system has no other")]
+    Varies {
+        /// Name of the number.
+        number: String,
+    },
     /// The number of poles is zero or too large.
     #[error("{poles} poles; allowed: 1 to {most}")]
     Poles {
@@ -43,7 +50,8 @@ impl CartPoleSystem {
     /// computed motion that of a different cart.
     pub const LIGHTEST_CART: f64 = 1e-9;
 
-    /// Checks that the masses, the half length and the number of poles are valid.
+    /// Checks that the masses, the half length and the number of poles are valid, for all values
+    /// that numbers may have.
     ///
     /// A negative cart mass is rejected as unphysical. The equations of [`CoupledCartPole`] are
     /// solvable down to minus a quarter of the poles' mass, where they are singular.
@@ -60,12 +68,16 @@ impl CartPoleSystem {
         }
         let parameters =
             [("the cart's mass", self.cart_mass), ("a pole's mass", self.pole_mass), ("a pole's half length", self.half_length)];
-        if let Some((what, value)) = parameters.into_iter().find(|(_, value)| !(*value > 0.0 && value.is_finite())) {
-            return Err(MassError::NotPositive { what, value });
+        for (what, number) in parameters {
+            if let Some(value) = number.extremes().into_iter().find(|value| !(*value > 0.0 && value.is_finite())) {
+                return Err(MassError::NotPositive { what, value });
+            }
         }
-        let poles = self.poles as f64 * self.pole_mass;
-        if self.cart_mass < poles * Self::LIGHTEST_CART {
-            return Err(MassError::CartTooLight { cart: self.cart_mass, poles });
+        let least = |number: Number| number.extremes().into_iter().fold(f64::INFINITY, f64::min);
+        let most = |number: Number| number.extremes().into_iter().fold(0.0, f64::max);
+        let (cart, poles) = (least(self.cart_mass), self.poles as f64 * most(self.pole_mass));
+        if cart < poles * Self::LIGHTEST_CART {
+            return Err(MassError::CartTooLight { cart, poles });
         }
         Ok(())
     }

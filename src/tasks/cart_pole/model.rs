@@ -3,6 +3,7 @@
 use super::{CartPoleSystem, CoupledCartPole};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
+use crate::dynamics::number::Numbers;
 use crate::dynamics::ode::ForcedOde;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
@@ -39,6 +40,11 @@ impl ForcedSystem for CartPoleModel {
 
     fn dt(&self) -> f64 {
         self.model().dt
+    }
+
+    #[inline(always)]
+    fn numbers(&self) -> Numbers<'_> {
+        self.model().numbers()
     }
 
     #[inline(always)]

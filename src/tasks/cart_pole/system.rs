@@ -3,6 +3,7 @@
 use super::motion::{moved, moved_bar, rate_of, rate_of_bar, velocity_of};
 use crate::dynamics::effect::{Effect, ForcedSystem, system_without_effects};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
+use crate::dynamics::number::{Number, Numbers};
 use crate::dynamics::ode::ForcedOde;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
@@ -34,20 +35,20 @@ pub struct CartPoleSystem {
     /// Number of poles, at most [`MOST_POLES`](CartPoleSystem::MOST_POLES).
     pub poles: usize,
     /// Mass of the cart, kg. M is this plus the mass of one pole.
-    pub cart_mass: f64,
+    pub cart_mass: Number,
     /// Mass m of a pole, kg.
-    pub pole_mass: f64,
+    pub pole_mass: Number,
     /// Half the length l of a pole, m.
-    pub half_length: f64,
+    pub half_length: Number,
     /// Gravitational acceleration g, m/s².
-    pub gravity: f64,
+    pub gravity: Number,
     /// Time step, s.
     pub dt: f64,
 }
 
 impl Default for CartPoleSystem {
     fn default() -> Self {
-        Self { poles: 1, cart_mass: 1.0, pole_mass: 0.1, half_length: 0.5, gravity: 9.8, dt: 0.01 }
+        Self { poles: 1, cart_mass: 1.0.into(), pole_mass: 0.1.into(), half_length: 0.5.into(), gravity: 9.8.into(), dt: 0.01 }
     }
 }
 
@@ -58,27 +59,41 @@ impl CartPoleSystem {
         x[2..2 + 2 * self.poles].chunks_exact(2)
     }
 
-    /// m l.
-    pub(super) fn moment(&self) -> f64 {
-        self.pole_mass * self.half_length
+    /// Cart mass, pole mass, half length and gravity.
+    #[inline(always)]
+    pub(crate) fn numbers(&self) -> Numbers<'_> {
+        let Self { cart_mass, pole_mass, half_length, gravity, .. } = self;
+        Numbers::new([("cart_mass", cart_mass), ("pole_mass", pole_mass), ("half_length", half_length), ("gravity", gravity)])
+    }
+
+    /// Nominal cart mass, pole mass, half length and gravity.
+    pub fn nominal(&self) -> [f64; 4] {
+        [self.cart_mass, self.pole_mass, self.half_length, self.gravity].map(|number| number.nominal())
+    }
+
+    /// Half the length of a pole, m.
+    #[inline(always)]
+    pub(super) fn half_length<T: Scalar>(&self, p: &[T]) -> T {
+        let [_, _, half_length, _] = self.numbers().last_of(p);
+        half_length
     }
 
     /// Largest number of poles. Buffers of a step are on the stack.
     pub const MOST_POLES: usize = 64;
 
     /// Appends sine and cosine of every angle to `trig`, and the forces with `effects` to
-    /// `forces`.
+    /// `forces`. `weight` is m g l.
     ///
     /// Both have to be empty. Returning them would copy their whole capacity.
     #[inline(always)]
     pub(super) fn forces<E: Effect<Self>, T: Scalar>(
         &self,
         effects: &E,
+        weight: T,
         inputs: OdeInputs<'_, T>,
         trig: &mut PerPole<[T; 2]>,
         forces: &mut Forces<T>,
     ) {
-        let weight = T::from(self.moment() * self.gravity);
         forces.push(inputs.u[0]);
         for pole in self.poles_of(inputs.x) {
             let (sin, cos) = pole[0].sin_cos();
@@ -105,17 +120,22 @@ struct Constants<T> {
 }
 
 impl CartPoleSystem {
+    /// Constants of the equations. They are computed in f64 if all numbers are fixed.
     #[inline(always)]
-    fn constants<T: Scalar>(&self) -> Constants<T> {
-        let (mass, moment) = (self.cart_mass + self.pole_mass, self.moment());
-        Constants {
-            dt: T::from(self.dt),
-            moment: T::from(moment),
-            weight: T::from(moment * self.gravity),
-            per_mass: T::from(1.0 / mass),
-            inertia: T::from(4.0 / 3.0 * moment * self.half_length),
-            coupling: T::from(moment * moment / mass),
-        }
+    fn constants<T: Scalar>(&self, p: &[T]) -> Constants<T> {
+        let numbers = self.numbers();
+        let [moment, weight, per_mass, inertia, coupling] = if numbers.varied() == 0 {
+            Self::derived(numbers.of::<f64, 4>(&[])).map(T::from)
+        } else {
+            Self::derived(numbers.last_of(p))
+        };
+        Constants { dt: T::from(self.dt), moment, weight, per_mass, inertia, coupling }
+    }
+
+    #[inline(always)]
+    fn derived<T: Scalar>([cart_mass, pole_mass, half_length, gravity]: [T; 4]) -> [T; 5] {
+        let (mass, moment) = (cart_mass + pole_mass, pole_mass * half_length);
+        [moment, moment * gravity, T::one() / mass, moment * (4.0 / 3.0) * half_length, moment * moment / mass]
     }
 }
 
@@ -143,8 +163,13 @@ impl ForcedSystem for CartPoleSystem {
     }
 
     #[inline(always)]
+    fn numbers(&self) -> Numbers<'_> {
+        Self::numbers(self)
+    }
+
+    #[inline(always)]
     fn forced_step<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]) {
-        let (k, x) = (self.constants::<T>(), inputs.x);
+        let (k, x) = (self.constants(inputs.p), inputs.x);
         let push = self.accelerate(&k, effects, inputs.continuous(self.dt), &mut next[2..], moved(k.dt));
         next[1] = x[1] + k.dt * push * k.per_mass;
         next[0] = x[0] + k.dt * next[1];
@@ -158,7 +183,7 @@ impl ForcedSystem for CartPoleSystem {
         next_bar: &[C],
         mut bars: Cotangents<'_, C>,
     ) {
-        let k = self.constants::<R>();
+        let k = self.constants(inputs.p);
         let speed_bar = next_bar[1] + next_bar[0] * k.dt;
         if let Some(x_bar) = &mut bars.x {
             x_bar[0] += next_bar[0];
@@ -181,7 +206,7 @@ impl CartPoleSystem {
         of_pole: impl Fn(&[T], T) -> [T; 2],
     ) -> T {
         let (x, mut trig, mut forces) = (inputs.x, PerPole::new(), Forces::new());
-        self.forces(effects, inputs, &mut trig, &mut forces);
+        self.forces(effects, k.weight, inputs, &mut trig, &mut forces);
         let force = forces[0];
         let mut push = force;
         let moments = zip(&trig, &forces[1..]);
@@ -211,9 +236,9 @@ impl CartPoleSystem {
         pole_bar: impl Fn(usize) -> ([C; 2], C),
         mut bars: Cotangents<'_, C>,
     ) {
-        let (k, x) = (self.constants::<R>(), inputs.x);
+        let (k, x) = (self.constants(inputs.p), inputs.x);
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
-        self.forces(effects, inputs, &mut trig, &mut forces);
+        self.forces(effects, k.weight, inputs, &mut trig, &mut forces);
         let force = forces[0];
 
         let mut force_bar = push_bar;
@@ -256,7 +281,7 @@ impl CartPoleSystem {
 impl ForcedOde for CartPoleSystem {
     #[inline(always)]
     fn forced_rate<E: Effect<Self>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]) {
-        let k = self.constants::<T>();
+        let k = self.constants(inputs.p);
         rate[1] = self.accelerate(&k, effects, inputs, &mut rate[2..], rate_of) * k.per_mass;
         rate[0] = inputs.x[1];
     }
@@ -269,7 +294,7 @@ impl ForcedOde for CartPoleSystem {
         rate_bar: &[C],
         mut bars: Cotangents<'_, C>,
     ) {
-        let k = self.constants::<R>();
+        let k = self.constants(inputs.p);
         if let Some(x_bar) = &mut bars.x {
             for i in (0..rate_bar.len()).step_by(2) {
                 x_bar[i + 1] += rate_bar[i];

@@ -3,6 +3,7 @@
 use super::CartPoleSystem;
 use crate::dynamics::effect::Effect;
 use crate::dynamics::inputs::{Cotangents, OdeInputs};
+use crate::dynamics::number::{Number, Numbers};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
@@ -45,43 +46,53 @@ use std::f64::consts::TAU;
 #[serde(deny_unknown_fields, default)]
 pub struct SteadyWind {
     /// Wind speed w, m/s, positive towards positive x.
-    pub speed: f64,
+    pub speed: Number,
     /// Drag coefficient of the cart, N s²/m², not negative. The default is that of a board of 0.1
     /// m².
-    pub cart_drag: f64,
+    pub cart_drag: Number,
     /// Drag coefficient of a pole, N s²/m², not negative. The default is that of a rod, 1 m long
     /// and 2 cm thick.
-    pub pole_drag: f64,
+    pub pole_drag: Number,
 }
 
 impl Default for SteadyWind {
     fn default() -> Self {
-        Self { speed: 3.0, cart_drag: 0.06, pole_drag: 0.013 }
+        Self { speed: 3.0.into(), cart_drag: 0.06.into(), pole_drag: 0.013.into() }
     }
 }
 
 impl SteadyWind {
-    fn drag(&self) -> Drag {
-        Drag { cart: self.cart_drag, pole: self.pole_drag }
+    /// Wind speed and drag.
+    #[inline(always)]
+    fn values<T: Scalar>(&self, model: &CartPoleSystem, p: &[T]) -> (T, Drag<T>) {
+        let [speed, cart, pole] = Effect::<CartPoleSystem>::numbers(self).of(p);
+        (speed, Drag { cart, pole, half_length: model.half_length(p) })
     }
 }
 
 impl Effect<CartPoleSystem> for SteadyWind {
     #[inline(always)]
-    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        self.drag().add_forces(model, T::from(self.speed), x, forces);
+    fn numbers(&self) -> Numbers<'_> {
+        Numbers::new([("speed", &self.speed), ("cart_drag", &self.cart_drag), ("pole_drag", &self.pole_drag)])
+    }
+
+    #[inline(always)]
+    fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, OdeInputs { x, p, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+        let (speed, drag) = self.values(model, p);
+        drag.add_forces(model, speed, x, forces);
     }
 
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,
         model: &CartPoleSystem,
-        OdeInputs { x, .. }: OdeInputs<'_, R>,
+        OdeInputs { x, p, .. }: OdeInputs<'_, R>,
         forces_bar: &[C],
         bars: Cotangents<'_, C>,
     ) {
         if bars.x.is_some() {
-            self.drag().vjp(model, R::from(self.speed), x, forces_bar, bars.x);
+            let (speed, drag) = self.values(model, p);
+            drag.vjp(model, speed, x, forces_bar, bars.x);
         }
     }
 }
@@ -95,44 +106,47 @@ impl Effect<CartPoleSystem> for SteadyWind {
 #[serde(deny_unknown_fields, default)]
 pub struct GustyWind {
     /// Mean wind speed, m/s, positive towards positive x.
-    pub speed: f64,
+    pub speed: Number,
     /// Amplitude of the wind speed, m/s.
-    pub gust: f64,
+    pub gust: Number,
     /// Period of the gusts, s, positive.
     pub period: f64,
     /// Drag coefficient of the cart, N s²/m², not negative. The default is that of a board of 0.1
     /// m².
-    pub cart_drag: f64,
+    pub cart_drag: Number,
     /// Drag coefficient of a pole, N s²/m², not negative. The default is that of a rod, 1 m long
     /// and 2 cm thick.
-    pub pole_drag: f64,
+    pub pole_drag: Number,
 }
 
 impl Default for GustyWind {
     fn default() -> Self {
         let SteadyWind { speed, cart_drag, pole_drag } = SteadyWind::default();
-        Self { speed, gust: 2.0, period: 1.0, cart_drag, pole_drag }
+        Self { speed, gust: 2.0.into(), period: 1.0, cart_drag, pole_drag }
     }
 }
 
 impl GustyWind {
-    fn drag(&self) -> Drag {
-        Drag { cart: self.cart_drag, pole: self.pole_drag }
-    }
-
-    /// Returns the wind speed and its derivative with respect to time.
+    /// Wind speed, its derivative with respect to time, and drag.
     #[inline(always)]
-    fn wind<T: Scalar>(&self, inputs: OdeInputs<'_, T>) -> (T, T) {
+    fn values<T: Scalar>(&self, model: &CartPoleSystem, OdeInputs { p, t, .. }: OdeInputs<'_, T>) -> (T, T, Drag<T>) {
+        let [speed, gust, cart, pole] = Effect::<CartPoleSystem>::numbers(self).of(&p[1..]);
         let rate = TAU / self.period;
-        let (sin, cos) = ((inputs.t + inputs.p[0]) * rate).sin_cos();
-        (T::from(self.speed) + T::from(self.gust) * sin, T::from(self.gust * rate) * cos)
+        let (sin, cos) = ((t + p[0]) * rate).sin_cos();
+        (speed + gust * sin, gust * rate * cos, Drag { cart, pole, half_length: model.half_length(p) })
     }
 }
 
 impl Effect<CartPoleSystem> for GustyWind {
     #[inline(always)]
     fn param_dim(&self) -> usize {
-        1
+        1 + Effect::<CartPoleSystem>::numbers(self).varied()
+    }
+
+    #[inline(always)]
+    fn numbers(&self) -> Numbers<'_> {
+        let Self { speed, gust, period: _, cart_drag, pole_drag } = self;
+        Numbers::new([("speed", speed), ("gust", gust), ("cart_drag", cart_drag), ("pole_drag", pole_drag)])
     }
 
     fn draw_params(&self, rng: &mut Rng, p: &mut [f64]) {
@@ -141,7 +155,8 @@ impl Effect<CartPoleSystem> for GustyWind {
 
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &CartPoleSystem, inputs: OdeInputs<'_, T>, forces: &mut [T]) {
-        self.drag().add_forces(model, self.wind(inputs).0, inputs.x, forces);
+        let (wind, _, drag) = self.values(model, inputs);
+        drag.add_forces(model, wind, inputs.x, forces);
     }
 
     #[inline(always)]
@@ -155,8 +170,8 @@ impl Effect<CartPoleSystem> for GustyWind {
         if bars.x.is_none() && bars.p.is_none() {
             return;
         }
-        let (wind, slope) = self.wind(inputs);
-        let wind_bar = self.drag().vjp(model, wind, inputs.x, forces_bar, bars.x.take());
+        let (wind, slope, drag) = self.values(model, inputs);
+        let wind_bar = drag.vjp(model, wind, inputs.x, forces_bar, bars.x.take());
         if let Some(p_bar) = bars.p {
             p_bar[0] += wind_bar * slope;
         }
@@ -164,17 +179,18 @@ impl Effect<CartPoleSystem> for GustyWind {
 }
 
 /// Drag of [`SteadyWind`], for any wind speed.
-struct Drag {
-    cart: f64,
-    pole: f64,
+struct Drag<T> {
+    cart: T,
+    pole: T,
+    half_length: T,
 }
 
-impl Drag {
+impl<T: Scalar> Drag<T> {
     #[inline(always)]
-    fn add_forces<T: Scalar>(self, model: &CartPoleSystem, wind: T, x: &[T], forces: &mut [T]) {
-        let (pole_drag, l) = (T::from(self.pole), T::from(model.half_length));
+    fn add_forces(self, model: &CartPoleSystem, wind: T, x: &[T], forces: &mut [T]) {
+        let (pole_drag, l) = (self.pole, self.half_length);
         let headwind = wind - x[1];
-        let mut push = forces[0] + T::from(self.cart) * headwind.abs() * headwind;
+        let mut push = forces[0] + self.cart * headwind.abs() * headwind;
         for (pole, torque) in zip(model.poles_of(x), &mut forces[1..]) {
             let cos = pole[0].cos();
             let across = headwind * cos - l * pole[1];
@@ -184,22 +200,17 @@ impl Drag {
         }
         forces[0] = push;
     }
+}
 
+impl<R: Real> Drag<R> {
     /// Adds the cotangents of the state, if requested, and returns that of the wind speed. The
     /// derivative of `|v| v` is `2 |v|`, at 0 as well.
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(
-        self,
-        model: &CartPoleSystem,
-        wind: R,
-        x: &[R],
-        forces_bar: &[C],
-        mut x_bar: Option<&mut [C]>,
-    ) -> C {
-        let (pole_drag, l) = (R::from(self.pole), R::from(model.half_length));
+    fn vjp<C: Cotangent<R>>(self, model: &CartPoleSystem, wind: R, x: &[R], forces_bar: &[C], mut x_bar: Option<&mut [C]>) -> C {
+        let (pole_drag, l) = (self.pole, self.half_length);
         let headwind = wind - x[1];
         let push_bar = forces_bar[0];
-        let mut headwind_bar = push_bar * (R::from(2.0 * self.cart) * headwind.abs());
+        let mut headwind_bar = push_bar * (self.cart * 2.0 * headwind.abs());
         for (i, (pole, &torque_bar)) in zip(model.poles_of(x), &forces_bar[1..]).enumerate() {
             let (sin, cos) = pole[0].sin_cos();
             let across = headwind * cos - l * pole[1];

@@ -5,6 +5,7 @@ use super::system::Wave;
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
+use crate::dynamics::number::Varied;
 use crate::dynamics::system::System;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
@@ -91,6 +92,10 @@ impl<S: HasModel<QuantumSystem>> System for Absorbing<S> {
 
     fn param_dim(&self) -> usize {
         self.system.param_dim()
+    }
+
+    fn varied(&self, params: usize) -> Vec<Varied> {
+        self.system.varied(params)
     }
 
     #[inline(always)]

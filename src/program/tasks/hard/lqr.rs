@@ -95,7 +95,7 @@ impl TaskSpec for Lqr {
     }
 
     fn animation(settings: &Settings<Self>, Trajectory { states, .. }: &Trajectory) -> Animation {
-        let length = 2.0 * CartPoleSystem::default().half_length;
+        let length = 2.0 * CartPoleSystem::default().half_length.nominal();
         let posture = |x: &Vec<f64>| {
             let cart = [x[0], 0.0];
             let chain = match settings.system.plant {

@@ -1,5 +1,6 @@
 //! Chain of poles on a cart: settings, limits and animation.
 
+use crate::Number;
 use crate::program::operations::Visit;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
@@ -37,6 +38,7 @@ pub struct PoleChainSettings {
 
 fn chain(settings: &Settings<PoleChain>) -> tasks::PoleChain {
     let PoleChainSettings { poles, cart_mass, pole_mass, half_length, gravity, dt, start: _ } = settings.system;
+    let [cart_mass, pole_mass, half_length, gravity] = [cart_mass, pole_mass, half_length, gravity].map(Number::Fixed);
     tasks::PoleChain(CartPoleSystem { poles, cart_mass, pole_mass, half_length, gravity, dt })
 }
 
@@ -55,7 +57,8 @@ impl TaskSpec for PoleChain {
     const METHODS: &'static [Method] = &Method::ODE;
 
     fn system() -> PoleChainSettings {
-        let CartPoleSystem { poles: _, cart_mass, pole_mass, half_length, gravity, dt } = CartPoleSystem::default();
+        let (model, dt) = (CartPoleSystem::default(), CartPoleSystem::default().dt);
+        let [cart_mass, pole_mass, half_length, gravity] = model.nominal();
         PoleChainSettings { poles: 2, cart_mass, pole_mass, half_length, gravity, dt, start: Start::Hanging }
     }
 

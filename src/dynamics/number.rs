@@ -1,0 +1,231 @@
+//! [`Number`]: a physical number that is fixed, drawn for each sample, or trained.
+
+mod settings;
+
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::Scalar;
+use arrayvec::ArrayVec;
+use rand::RngExt as _;
+use rand_distr::{Distribution as _, StandardNormal};
+
+/// A physical number of a system or effect: fixed, drawn for each sample, or trained.
+///
+/// A fixed number is a constant of the equations. Any other number is an entry of the parameters
+/// `p` of a sample. In a scene, it is a number or a table: `cart_mass = { uniform = [0.8, 1.2] }`.
+///
+/// ```
+/// use physgrad::{Inputs, Number, Numbers, Scalar, System, check};
+///
+/// /// A mass that a force pushes: x = [position in m, velocity in m/s].
+/// struct Puck { mass: Number }
+///
+/// impl System for Puck {
+///     fn state_dim(&self) -> usize { 2 }
+///     fn control_dim(&self) -> usize { 1 }
+///     fn numbers(&self) -> Numbers<'_> { Numbers::new([("mass", &self.mass)]) }
+///     fn step<T: Scalar>(&self, Inputs { x, u, p, .. }: Inputs<'_, T>, next: &mut [T]) {
+///         let [mass] = self.numbers().last_of(p);
+///         next[1] = x[1] + u[0] / mass * 0.05;
+///         next[0] = x[0] + next[1] * 0.05;
+///     }
+/// }
+///
+/// check::system(&Puck { mass: Number::Uniform { low: 0.5, high: 2.0 } });
+/// assert_eq!(Puck { mass: 1.0.into() }.param_dim(), 0);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Number {
+    /// A constant.
+    Fixed(f64),
+    /// Drawn between two bounds with equal density.
+    Uniform {
+        /// Lower bound.
+        low: f64,
+        /// Upper bound.
+        high: f64,
+    },
+    /// Drawn from a normal distribution, truncated at three standard deviations.
+    Normal {
+        /// Mean.
+        mean: f64,
+        /// Standard deviation before truncation.
+        deviation: f64,
+    },
+    /// Drawn between two positive bounds; its logarithm has equal density.
+    LogUniform {
+        /// Lower bound.
+        low: f64,
+        /// Upper bound.
+        high: f64,
+    },
+    /// Drawn from a list, each entry with equal probability.
+    Choice(Choice),
+    /// Trained, from an initial value, within bounds; infinite bounds are absent.
+    Trained {
+        /// Initial value.
+        start: f64,
+        /// Lower bound.
+        min: f64,
+        /// Upper bound.
+        max: f64,
+    },
+}
+
+/// Up to eight values.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Choice {
+    values: [f64; Choice::MOST],
+    count: usize,
+}
+
+impl Choice {
+    /// Largest number of values.
+    pub const MOST: usize = 8;
+
+    /// Creates a list of one to eight values; `None` for other lengths.
+    pub fn new(list: &[f64]) -> Option<Self> {
+        let mut values = [0.0; Self::MOST];
+        values.get_mut(..list.len())?.copy_from_slice(list);
+        (!list.is_empty()).then_some(Self { values, count: list.len() })
+    }
+
+    /// The values.
+    pub fn values(&self) -> &[f64] {
+        &self.values[..self.count]
+    }
+}
+
+impl From<f64> for Number {
+    fn from(value: f64) -> Self {
+        Self::Fixed(value)
+    }
+}
+
+impl Number {
+    /// Whether this number is a constant of the equations, rather than an entry of `p`.
+    #[inline(always)]
+    pub fn is_fixed(&self) -> bool {
+        matches!(self, Self::Fixed(_))
+    }
+
+    /// A single typical value: the constant, the median, the middle entry of a choice, or the
+    /// initial value.
+    #[inline(always)]
+    pub fn nominal(&self) -> f64 {
+        match *self {
+            Self::Fixed(value) => value,
+            Self::Uniform { low, high } => 0.5 * (low + high),
+            Self::Normal { mean, .. } => mean,
+            Self::LogUniform { low, high } => (low * high).sqrt(),
+            Self::Choice(choice) => choice.values()[choice.count / 2],
+            Self::Trained { start, .. } => start,
+        }
+    }
+
+    /// Values that bound all possible ones, for validation. Absent bounds of a trained number are
+    /// omitted.
+    pub fn extremes(&self) -> ArrayVec<f64, { Choice::MOST }> {
+        match *self {
+            Self::Fixed(value) => [value].into_iter().collect(),
+            Self::Uniform { low, high } | Self::LogUniform { low, high } => [low, high].into_iter().collect(),
+            Self::Normal { mean, deviation } => {
+                [mean - TRUNCATION * deviation, mean + TRUNCATION * deviation].into_iter().collect()
+            }
+            Self::Choice(choice) => choice.values().iter().copied().collect(),
+            Self::Trained { start, min, max } => [start, min, max].into_iter().filter(|value| value.is_finite()).collect(),
+        }
+    }
+
+    /// Draws a value. A trained number yields its initial value.
+    pub fn draw(&self, rng: &mut Rng) -> f64 {
+        match *self {
+            Self::Uniform { low, high } => low + (high - low) * rng.random::<f64>(),
+            Self::Normal { mean, deviation } => loop {
+                let normal: f64 = StandardNormal.sample(rng);
+                if normal.abs() <= TRUNCATION {
+                    break mean + deviation * normal;
+                }
+            },
+            Self::LogUniform { low, high } => low * (high / low).powf(rng.random()),
+            Self::Choice(choice) => choice.values()[rng.random_range(0..choice.count)],
+            Self::Fixed(value) | Self::Trained { start: value, .. } => value,
+        }
+    }
+}
+
+/// Truncation of normal distributions, in standard deviations.
+const TRUNCATION: f64 = 3.0;
+
+/// Named numbers of a system or effect, in order.
+///
+/// Those that are not fixed are entries of `p`, in the same order: the last entries of `p` for a
+/// system, the last of its own entries for an effect.
+#[derive(Clone, Debug, Default)]
+pub struct Numbers<'a>(ArrayVec<(&'static str, &'a Number), { Numbers::MOST }>);
+
+impl<'a> Numbers<'a> {
+    /// Largest number of numbers.
+    pub const MOST: usize = 12;
+
+    /// Lists names and numbers.
+    ///
+    /// # Panics
+    /// With more than [`MOST`](Self::MOST) numbers.
+    #[inline(always)]
+    pub fn new<const N: usize>(numbers: [(&'static str, &'a Number); N]) -> Self {
+        Self(numbers.into_iter().collect())
+    }
+
+    /// Count of the numbers that are not fixed.
+    #[inline(always)]
+    pub fn varied(&self) -> usize {
+        self.0.iter().filter(|(_, number)| !number.is_fixed()).count()
+    }
+
+    /// Values of all numbers: constants, and the first entries of `p`.
+    ///
+    /// # Panics
+    /// If `N` is not the count of numbers, or if `p` has too few entries.
+    #[inline(always)]
+    pub fn of<T: Scalar, const N: usize>(&self, p: &[T]) -> [T; N] {
+        let mut values = [T::zero(); N];
+        let mut entry = 0;
+        assert_eq!(self.0.len(), N, "one value per number");
+        for (value, (_, number)) in values.iter_mut().zip(&self.0) {
+            *value = match number {
+                Number::Fixed(constant) => T::from(*constant),
+                _ => {
+                    entry += 1;
+                    p[entry - 1]
+                }
+            };
+        }
+        values
+    }
+
+    /// Values of all numbers: constants, and the last entries of `p`.
+    ///
+    /// # Panics
+    /// As [`of`](Self::of).
+    #[inline(always)]
+    pub fn last_of<T: Scalar, const N: usize>(&self, p: &[T]) -> [T; N] {
+        self.of(&p[p.len() - self.varied()..])
+    }
+
+    /// The numbers that are not fixed, as entries of `p` from `first`.
+    pub(crate) fn placed(&self, first: usize) -> Vec<Varied> {
+        let varied = self.0.iter().filter(|(_, number)| !number.is_fixed());
+        varied.enumerate().map(|(i, &(name, &number))| Varied { index: first + i, name: name.into(), number }).collect()
+    }
+}
+
+/// A number that is not fixed, and its place in the parameters of a sample.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Varied {
+    /// Index in `p`.
+    pub index: usize,
+    /// Name: of a field, or of an effect and a field.
+    pub name: String,
+    /// The number.
+    pub number: Number,
+}

@@ -1,0 +1,121 @@
+//! Numbers that vary between samples or are trained.
+
+use physgrad::rng::{Purpose, stream};
+use physgrad::tasks::{
+    Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind,
+    PoleDamping, SteadyWind,
+};
+use physgrad::{
+    AnyIntegrator, Choice, Discretized, Forced, Inputs, Number, OpCount, RungeKutta, Substeps, System, check, initial_states,
+};
+
+const RANGE: Number = Number::Uniform { low: 0.5, high: 1.5 };
+
+fn varied(poles: usize) -> CartPoleSystem {
+    CartPoleSystem { poles, cart_mass: RANGE, pole_mass: RANGE, half_length: RANGE, gravity: RANGE, ..CartPoleSystem::default() }
+}
+
+/// Every effect of cart-pole, with all of its numbers.
+fn effects(of: impl Fn(f64) -> Number) -> Vec<CartPoleEffect> {
+    let [speed, cart_drag, pole_drag, gust] = [2.0, 0.1, 0.05, 1.5].map(&of);
+    vec![
+        PoleDamping { damping: of(0.1) }.into(),
+        CartDamping { damping: of(0.2) }.into(),
+        DryFriction { force: of(0.7), smoothing: 0.5 }.into(),
+        SteadyWind { speed, cart_drag, pole_drag }.into(),
+        GustyWind { speed, gust, cart_drag, pole_drag, period: 1.3 }.into(),
+        Bumpers { half_travel: 0.3, stiffness: of(20.0), damping: of(0.4) }.into(),
+    ]
+}
+
+#[test]
+fn derivatives_by_varied_numbers_are_exact() {
+    let every = |value: f64| Number::LogUniform { low: 0.5 * value, high: 2.0 * value };
+    check::system(&varied(2));
+    check::system(&CoupledCartPole(varied(2)));
+    for effect in effects(every) {
+        check::system(&Forced { system: varied(2), effects: effect.clone() });
+        check::system(&Forced { system: CartPoleSystem::default(), effects: effect });
+    }
+    let all = Forced { system: CartPoleModel::Coupled(CoupledCartPole(varied(2))), effects: effects(every) };
+    assert_eq!(all.param_dim(), 4 + 12 + 1);
+    check::system(&all);
+    for integrator in [None, Some(AnyIntegrator::RungeKutta(RungeKutta::RK4))] {
+        let system = Discretized { system: all.clone(), integrator, dt: 0.01 };
+        check::system(&Substeps { system, count: 2 });
+    }
+}
+
+/// A system with drawn numbers steps like a system with these numbers fixed.
+#[test]
+fn a_drawn_number_acts_as_the_same_fixed_number() {
+    let x = [0.4, -0.3, 0.5, 1.1, -0.7, 0.6];
+    let fixed = |value: f64| Number::Fixed(1.1 * value);
+    let drawn = |value: f64| Number::Trained { start: 1.1 * value, min: 0.0, max: f64::INFINITY };
+    let model = |of: &dyn Fn(f64) -> Number| CartPoleSystem {
+        poles: 2,
+        cart_mass: of(1.0),
+        pole_mass: of(0.1),
+        half_length: of(0.5),
+        gravity: of(9.8),
+        dt: 0.02,
+    };
+    for kind in [CartPoleModel::Uncoupled, |model| CartPoleModel::Coupled(CoupledCartPole(model))] {
+        let expected = Forced { system: kind(model(&fixed)), effects: effects(fixed) };
+        let system = Forced { system: kind(model(&drawn)), effects: effects(drawn) };
+        // The first parameter of the fixed system is t₀ of the gusts.
+        let mut p = vec![0.37; system.param_dim()];
+        for varied in system.varied(p.len()) {
+            p[varied.index] = varied.number.nominal();
+        }
+        let (mut next, mut expected_next) = ([0.0; 6], [0.0; 6]);
+        system.step::<f64>(Inputs { x: &x, u: &[0.8], p: &p, t: 3 }, &mut next);
+        expected.step::<f64>(Inputs { x: &x, u: &[0.8], p: &[0.37], t: 3 }, &mut expected_next);
+        // Products are associated differently: a few roundings of numbers up to 10.
+        for (next, expected) in next.into_iter().zip(expected_next) {
+            assert!((next - expected).abs() < 1e-14, "{next} {expected}");
+        }
+    }
+}
+
+#[test]
+fn fixed_numbers_cost_nothing() {
+    let fixed = Forced { system: CartPoleSystem::default(), effects: PoleDamping { damping: 0.1.into() } };
+    let cost = OpCount::of(&fixed);
+    // 10 operations per pole beyond those of the system would be a product and a difference.
+    let plain = OpCount::of(&CartPoleSystem::default());
+    assert_eq!(cost.step.total() - plain.step.total(), 2, "one product and one difference");
+    let half = Forced { effects: PoleDamping { damping: RANGE }, ..fixed };
+    assert_eq!(OpCount::of(&half).step, cost.step, "an entry of p replaces a constant");
+}
+
+/// The share of draws below the median is binomial: within five standard deviations of one half.
+#[test]
+fn draws_have_their_distribution() {
+    let rng = &mut stream(0, Purpose::Check, 7);
+    let choice = Choice::new(&[1.0, 2.0, 3.0]).expect("three values");
+    let cases = [
+        (Number::Uniform { low: -1.0, high: 3.0 }, 1.0, (-1.0, 3.0)),
+        (Number::Normal { mean: 2.0, deviation: 0.5 }, 2.0, (0.5, 3.5)),
+        (Number::LogUniform { low: 0.01, high: 100.0 }, 1.0, (0.01, 100.0)),
+        (Number::Choice(choice), 1.5, (1.0, 3.0)),
+    ];
+    for (number, median, (low, high)) in cases {
+        let draws: Vec<f64> = (0..10_000).map(|_| number.draw(rng)).collect();
+        let below = draws.iter().filter(|&&draw| draw < median).count() as f64 / 1e4;
+        let share = if matches!(number, Number::Choice(_)) { 1.0 / 3.0 } else { 0.5 };
+        assert!((below - share).abs() < 5.0 * (share * (1.0 - share) / 1e4_f64).sqrt(), "{number:?}: {below}");
+        assert!(draws.iter().all(|draw| (low..=high).contains(draw)), "{number:?}");
+    }
+    assert_eq!(Choice::new(&[]), None);
+    assert_eq!(Choice::new(&[0.0; 9]), None);
+}
+
+#[test]
+fn drawn_numbers_leave_initial_states_unchanged() {
+    let states = |system: CartPoleSystem, len: usize| -> Vec<f64> {
+        let starts: Vec<f64> = initial_states(&CartPole::with_system(system), 3, Purpose::Train, 5);
+        starts.chunks(len).flat_map(|start| start[..4].to_vec()).collect()
+    };
+    assert_eq!(states(CartPoleSystem::default(), 4), states(varied(1), 8));
+}
