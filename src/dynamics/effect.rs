@@ -14,7 +14,7 @@ mod without;
 use crate::dynamics::cause::Cause;
 use crate::dynamics::default_vjp::{Function, default_vjp};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs, Start};
-use crate::dynamics::number::{Numbers, Varied};
+use crate::dynamics::number::{Numbers, ParamDual, Varied, param_vjp};
 use crate::dynamics::system::{System, step_vjp};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, CotangentPack, Over, Real, Scalar};
@@ -213,16 +213,18 @@ impl<H: ForcedSystem + ?Sized, E: Effect<H::Model>> System for SystemStep<'_, H,
     }
 }
 
-/// Adds the cotangents of the parameters, by dual numbers. Physical numbers enter the equations in
-/// many places.
-pub(crate) fn param_vjp<H: ForcedSystem, E: Effect<H::Model>, R: Real, C: Cotangent<R>>(
+/// Adds the cotangents of the parameters of a step. Physical numbers enter it in many places.
+pub(crate) fn step_param_vjp<H: ForcedSystem, E: Effect<H::Model>, R: Real, C: Cotangent<R>>(
     system: &H,
     effects: &E,
     inputs: Inputs<'_, R>,
     next_bar: &[C],
     p_bar: Option<&mut [C]>,
 ) {
-    step_vjp(&SystemStep { system, effects }, inputs, next_bar, Cotangents { p: p_bar, ..Cotangents::default() });
+    let step = |[x, u, p]: [&[ParamDual]; 3], next: &mut [ParamDual]| {
+        system.forced_step(effects, Inputs { x, u, p, t: inputs.t }, next);
+    };
+    param_vjp(&step, inputs.lists(), next_bar, p_bar);
 }
 
 /// System with effects. Its parameters are those of the system, those of the effects, then the
@@ -263,7 +265,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], mut bars: Cotangents<'_, C>) {
         if bars.p.is_some() && !self.varied(inputs.p.len()).is_empty() {
-            param_vjp(&self.system, &self.effects, inputs, next_bar, bars.p.take());
+            step_param_vjp(&self.system, &self.effects, inputs, next_bar, bars.p.take());
         }
         self.system.forced_vjp(&self.effects, inputs, next_bar, bars);
     }

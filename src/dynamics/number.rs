@@ -1,6 +1,9 @@
 //! [`Number`]: a physical number that is fixed, drawn for each sample, or trained.
 
 mod settings;
+mod vjp;
+
+pub(crate) use vjp::{ParamDual, param_vjp};
 
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Scalar;
@@ -160,12 +163,22 @@ const TRUNCATION: f64 = 3.0;
 ///
 /// Those that are not fixed are entries of `p`, in the same order: the last entries of `p` for a
 /// system, the last of its own entries for an effect.
-#[derive(Clone, Debug, Default)]
-pub struct Numbers<'a>(ArrayVec<(&'static str, &'a Number), { Numbers::MOST }>);
+#[derive(Clone, Copy, Debug)]
+pub struct Numbers<'a> {
+    list: [(&'static str, &'a Number); Numbers::MOST],
+    count: usize,
+}
+
+impl Default for Numbers<'_> {
+    #[inline(always)]
+    fn default() -> Self {
+        Self { list: [("", &Number::Fixed(0.0)); Self::MOST], count: 0 }
+    }
+}
 
 impl<'a> Numbers<'a> {
     /// Largest number of numbers.
-    pub const MOST: usize = 12;
+    pub const MOST: usize = 8;
 
     /// Lists names and numbers.
     ///
@@ -173,13 +186,19 @@ impl<'a> Numbers<'a> {
     /// With more than [`MOST`](Self::MOST) numbers.
     #[inline(always)]
     pub fn new<const N: usize>(numbers: [(&'static str, &'a Number); N]) -> Self {
-        Self(numbers.into_iter().collect())
+        let mut all = Self { count: N, ..Self::default() };
+        all.list[..N].copy_from_slice(&numbers);
+        all
     }
 
     /// Count of the numbers that are not fixed.
     #[inline(always)]
     pub fn varied(&self) -> usize {
-        self.0.iter().filter(|(_, number)| !number.is_fixed()).count()
+        let mut varied = 0;
+        for i in 0..self.count {
+            varied += usize::from(!self.list[i].1.is_fixed());
+        }
+        varied
     }
 
     /// Values of all numbers: constants, and the first entries of `p`.
@@ -188,11 +207,11 @@ impl<'a> Numbers<'a> {
     /// If `N` is not the count of numbers, or if `p` has too few entries.
     #[inline(always)]
     pub fn of<T: Scalar, const N: usize>(&self, p: &[T]) -> [T; N] {
+        assert_eq!(self.count, N, "one value per number");
         let mut values = [T::zero(); N];
         let mut entry = 0;
-        assert_eq!(self.0.len(), N, "one value per number");
-        for (value, (_, number)) in values.iter_mut().zip(&self.0) {
-            *value = match number {
+        for i in 0..N {
+            values[i] = match self.list[i].1 {
                 Number::Fixed(constant) => T::from(*constant),
                 _ => {
                     entry += 1;
@@ -214,7 +233,7 @@ impl<'a> Numbers<'a> {
 
     /// The numbers that are not fixed, as entries of `p` from `first`.
     pub(crate) fn placed(&self, first: usize) -> Vec<Varied> {
-        let varied = self.0.iter().filter(|(_, number)| !number.is_fixed());
+        let varied = self.list[..self.count].iter().filter(|(_, number)| !number.is_fixed());
         varied.enumerate().map(|(i, &(name, &number))| Varied { index: first + i, name: name.into(), number }).collect()
     }
 }

@@ -7,11 +7,11 @@ use crate::dynamics::cause::Cause;
 use crate::dynamics::default_vjp::{Function, add_product, default_vjp};
 use crate::dynamics::effect::{Effect, Forced, ForcedSystem};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs};
-use crate::dynamics::number::{Numbers, Varied};
+use crate::dynamics::number::{Numbers, ParamDual, Varied, param_vjp};
 use crate::dynamics::outline::outline;
 use crate::dynamics::system::System;
 use crate::numbers::kernels::Vectorized;
-use crate::numbers::scalar::{Cotangent, CotangentPack, Over, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Over, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
@@ -102,10 +102,12 @@ impl<O: Ode + ?Sized, R: Real> Function<R, 3> for Rate<'_, O, R> {
     }
 }
 
-/// Adds the cotangents of the parameters, by dual numbers. Physical numbers enter the equations in
-/// many places.
-fn param_vjp<O: Ode, R: Real, C: Cotangent<R>>(ode: &O, inputs: OdeInputs<'_, R>, rate_bar: &[C], p_bar: Option<&mut [C]>) {
-    default_vjp(&Rate { ode, t: inputs.t }, inputs.lists(), rate_bar, [None, None, p_bar], add_product(rate_bar));
+/// Adds the cotangents of the parameters of a rate. Physical numbers enter it in many places.
+fn rate_param_vjp<O: Ode, R: Real, C: Cotangent<R>>(ode: &O, inputs: OdeInputs<'_, R>, rate_bar: &[C], p_bar: Option<&mut [C]>) {
+    // Equal in all lanes.
+    let t = ParamDual::from(inputs.t.lane(0).to_f64());
+    let rate = |[x, u, p]: [&[ParamDual]; 3], rate: &mut [ParamDual]| ode.rate(Inputs { x, u, p, t }, rate);
+    param_vjp(&rate, inputs.lists(), rate_bar, p_bar);
 }
 
 /// Object-safe [`Ode`] for one scalar type.
@@ -217,7 +219,7 @@ impl<H: ForcedOde, E: Effect<H::Model>> Ode for Forced<H, E> {
     #[inline(always)]
     fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], mut bars: Cotangents<'_, C>) {
         if bars.p.is_some() && !System::varied(self, inputs.p.len()).is_empty() {
-            param_vjp(self, inputs, rate_bar, bars.p.take());
+            rate_param_vjp(self, inputs, rate_bar, bars.p.take());
         }
         self.system.forced_rate_vjp(&self.effects, inputs, rate_bar, bars);
     }
@@ -260,7 +262,7 @@ impl<H: ForcedOde> Ode for H {
     #[inline(always)]
     fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], mut bars: Cotangents<'_, C>) {
         if bars.p.is_some() && ForcedSystem::numbers(self).varied() > 0 {
-            param_vjp(self, inputs, rate_bar, bars.p.take());
+            rate_param_vjp(self, inputs, rate_bar, bars.p.take());
         }
         self.forced_rate_vjp(&(), inputs, rate_bar, bars);
     }

@@ -35,7 +35,7 @@ macro_rules! system_without_effects {
                 mut bars: crate::dynamics::inputs::Cotangents<'_, C>,
             ) {
                 if bars.p.is_some() && crate::dynamics::effect::ForcedSystem::numbers(self).varied() > 0 {
-                    crate::dynamics::effect::param_vjp(self, &(), inputs, next_bar, bars.p.take());
+                    crate::dynamics::effect::step_param_vjp(self, &(), inputs, next_bar, bars.p.take());
                 }
                 crate::dynamics::effect::ForcedSystem::forced_vjp(self, &(), inputs, next_bar, bars);
             }
