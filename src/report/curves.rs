@@ -48,7 +48,7 @@ pub fn field_color(letter: &str) -> &'static str {
 pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) -> Drawing {
     let series = |label, color, points: &[(f64, f64)]| Series::new(label, color, thinned(cleaned(points.to_vec(), &drawable)));
     let series = vec![series("train", "#0072B2", train), series("test", "#D55E00", test)];
-    let panel = Panel { title: String::new(), x_label: "epoch", log_x: false, y_label: "loss".into(), y_axis: 0, series };
+    let panel = Panel { title: String::new(), x_label: "epoch".into(), log_x: false, y_label: "loss".into(), y_axis: 0, series };
     log_figure(title, &[vec![panel]])
 }
 
@@ -61,9 +61,9 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
 /// Values are interpolated at common x, over the range that all runs cover. Runs without valid
 /// points, and runs that failed or diverged early, are excluded; the figure states how many remain.
 pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
-    let panel = |x_label, x: fn(&Point) -> f64| {
+    let panel = |x_label: &str, x: fn(&Point) -> f64| {
         let series = curves.iter().map(|c| c.summary(x)).collect();
-        Panel { title: String::new(), x_label, log_x: false, y_label: "test loss".into(), y_axis: 0, series }
+        Panel { title: String::new(), x_label: x_label.into(), log_x: false, y_label: "test loss".into(), y_axis: 0, series }
     };
     log_figure(title, &[vec![panel("epoch", |p| p.epoch), panel("wall time (s)", |p| p.seconds)]])
 }
@@ -84,7 +84,7 @@ pub struct Case {
 pub fn study(title: &str, rows: &[Vec<Case>]) -> Drawing {
     let panel = |case: &Case| Panel {
         title: case.title.clone(),
-        x_label: "epoch",
+        x_label: "epoch".into(),
         log_x: false,
         y_label: case.y_label.clone(),
         y_axis: case.y_axis,

@@ -11,7 +11,7 @@ pub struct Panel {
     /// Title above the panel; may be empty.
     pub title: String,
     /// Label of the x axis.
-    pub x_label: &'static str,
+    pub x_label: String,
     /// True for a logarithmic x axis; every x must then be positive.
     pub log_x: bool,
     /// Label of the y axis.
@@ -139,7 +139,7 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
         layout = layout.with_title(&*panel.title);
     }
     if shows.x_name {
-        layout = layout.with_x_label(panel.x_label);
+        layout = layout.with_x_label(panel.x_label.as_str());
     }
     if shows.y_name {
         // Shifts the label left: kuva reserves space only for its own, shorter tick labels.

@@ -2,7 +2,7 @@
 //!
 //! Contents:
 //!
-//! - Charts: [`learning_curve`], [`comparison`], [`study`] and [`work_precision`], and [`Chart`]
+//! - Charts: [`learning_curve`], [`comparison`], [`study`], [`robustness`] and [`work_precision`], and [`Chart`]
 //!   for interactive pages.
 //! - Maps of a plane: [`maps`].
 //! - Animations: [`cart_pole()`], [`guidance()`], [`quantum()`], [`mechanics()`],
@@ -26,6 +26,7 @@ mod mechanics;
 mod plane;
 mod quantum;
 mod raster;
+mod robustness;
 mod series;
 mod work_precision;
 
@@ -40,5 +41,6 @@ pub use mechanics::{Posture, Stage, mechanics};
 pub use plane::{Map, Plane, maps};
 pub use quantum::{Landscape, quantum, quantum_in};
 pub use raster::Raster;
+pub use robustness::robustness;
 pub use series::Series;
 pub use work_precision::{Work, work_precision};

@@ -23,7 +23,7 @@ pub fn work_precision(title: &str, diagrams: Vec<Work>) -> Drawing {
             series.line.retain(|&(x, y)| drawable(x) && drawable(y));
         }
         let y_axis = labels.iter().position(|label| *label == y_label).unwrap_or(0);
-        Panel { title: String::new(), x_label, log_x: true, y_label: y_label.into(), y_axis, series }
+        Panel { title: String::new(), x_label: x_label.into(), log_x: true, y_label: y_label.into(), y_axis, series }
     };
     log_figure(title, &[diagrams.into_iter().map(panel).collect()])
 }

@@ -14,6 +14,7 @@ pub mod new;
 pub mod paper;
 pub mod print;
 pub mod report;
+pub mod robust;
 pub mod stress;
 pub mod tasks;
 pub mod train;

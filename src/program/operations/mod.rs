@@ -6,6 +6,7 @@
 pub mod adjoint_norms;
 pub mod checks;
 pub mod costs;
+pub mod evaluation;
 pub mod gradients;
 pub mod memory;
 pub mod session;

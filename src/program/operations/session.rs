@@ -31,6 +31,8 @@ pub trait AnyRun {
     fn safetensors(&self, about: String) -> Result<Vec<u8>>;
     /// Values of the trained numbers, with their indices in the parameters of a rollout.
     fn trained(&self) -> Vec<(usize, f64)>;
+    /// Parameters of the policy, without the trained numbers.
+    fn theta(&self) -> Vec<f64>;
     /// Number of initial states in the test set.
     fn test_samples(&self) -> usize;
     /// Rollouts from a range of test initial states, truncated to the test set.
@@ -76,6 +78,11 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
         let (trained, theta) = (self.policy().trained_params(), self.weights().theta());
         let values = &theta[theta.len() - trained.len()..];
         trained.iter().zip(values).map(|(param, r)| (param.index(), param.value(r.as_()))).collect()
+    }
+
+    fn theta(&self) -> Vec<f64> {
+        let theta = self.weights().theta();
+        theta[..theta.len() - self.policy().trained_params().len()].iter().map(|theta| theta.as_()).collect()
     }
 
     fn test_samples(&self) -> usize {

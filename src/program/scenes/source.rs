@@ -129,6 +129,17 @@ impl SceneSource {
         Ok(())
     }
 
+    /// Sets a number, also one that is drawn or trained.
+    pub fn fix(&mut self, key: &str, value: f64) -> Result<()> {
+        let (section, last) = key.rsplit_once('.').unwrap_or(("", key));
+        let path = section.split('.').filter(|part| !part.is_empty());
+        let section = path.fold(Some(&mut self.table), |table, part| table?.get_mut(part)?.as_table_mut());
+        if let Some(section) = section {
+            section.remove(last);
+        }
+        self.put(key, Value::Float(value), &format!("{key} = {value}"))
+    }
+
     /// Removes a section if it is present.
     pub fn without_section(&mut self, name: &str) {
         self.table.remove(name);

@@ -5,6 +5,7 @@
 
 use crate::program::operations::checks::{Checking, Results};
 use crate::program::operations::costs::{Costing, Stored, Storing};
+use crate::program::operations::evaluation::Evaluating;
 use crate::program::operations::gradients::{Derived, Deriving, GradientMethod, Referring};
 use crate::program::operations::session::{AnyRun, Open};
 use crate::program::operations::simulation::{Job, Preparing};
@@ -58,6 +59,9 @@ pub trait AnySettings: Send + Sync {
     /// Memory and allocations of a rollout of a few samples, for evaluation or with the adjoint of
     /// a field.
     fn stored(&self, field: Option<Field>) -> Stored;
+    /// Losses of the policy with these parameters from new initial states; infinite where a rollout
+    /// diverges.
+    fn losses(&self, theta: &[f64], seed: u64, samples: usize) -> Vec<f64>;
     /// Time step in seconds.
     fn dt(&self) -> f64;
     /// Names of the state components.
@@ -104,6 +108,10 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
 
     fn stored(&self, field: Option<Field>) -> Stored {
         self.visit(Storing { precision: self.precision, field })
+    }
+
+    fn losses(&self, theta: &[f64], seed: u64, samples: usize) -> Vec<f64> {
+        self.visit(Evaluating { precision: self.precision, theta, seed, samples })
     }
 
     fn dt(&self) -> f64 {

@@ -1,0 +1,197 @@
+//! `physgrad robust`: losses of trained policies over a grid of settings.
+
+use crate::program::operations::evaluation;
+use crate::program::platform::csv::csv;
+use crate::program::platform::folder::{Folder, SETTINGS};
+use crate::program::platform::parallel;
+use crate::program::platform::terminal::say;
+use crate::program::runs::saved;
+use crate::program::scenes::source::SceneSource;
+use crate::program::tasks::Scene;
+use crate::report::{Series, robustness};
+use anyhow::{Context, Result, bail};
+use comfy_table::Table;
+use comfy_table::presets::UTF8_FULL_CONDENSED;
+use std::path::PathBuf;
+
+/// Evaluate trained policies over a grid of one or two settings.
+#[derive(Debug, clap::Args)]
+pub struct Robust {
+    /// Folders of trained runs of one task
+    #[arg(required = true)]
+    pub runs: Vec<PathBuf>,
+    /// Setting and its values, as in system.cart_mass=0.5:2:7 (from 0.5 to 2 in 7 steps); one or two
+    #[arg(long, value_name = "KEY=LOW:HIGH:COUNT", required = true, value_parser = Axis::parse)]
+    pub grid: Vec<Axis>,
+    /// Number of initial states per grid point
+    #[arg(long, value_name = "N", default_value_t = 256)]
+    pub samples: usize,
+    /// Seed of the initial states
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    pub seed: u64,
+    /// Folder for the results [default: a new one in `runs`]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+/// A setting and its values.
+#[derive(Clone, Debug)]
+pub struct Axis {
+    key: String,
+    values: Vec<f64>,
+}
+
+impl Axis {
+    fn parse(text: &str) -> Result<Self, String> {
+        let parts = || {
+            let (key, range) = text.split_once('=')?;
+            let [low, high, count] = range.split(':').collect::<Vec<_>>().try_into().ok()?;
+            let (low, high): (f64, f64) = (low.parse().ok()?, high.parse().ok()?);
+            let count: usize = count.parse().ok()?;
+            let valid = low.is_finite() && high.is_finite() && (2..=200).contains(&count);
+            valid.then(|| (key.to_owned(), low, (high - low) / (count - 1) as f64, count))
+        };
+        let (key, low, step, count) =
+            parts().ok_or("allowed: KEY=LOW:HIGH:COUNT with 2 to 200 values, as in system.cart_mass=0.5:2:7")?;
+        Ok(Self { key, values: (0..count).map(|i| low + step * i as f64).collect() })
+    }
+}
+
+/// Result of one policy at one grid point.
+struct Cell {
+    run: usize,
+    /// Value of each setting.
+    at: Vec<f64>,
+    /// Quartiles and 90 % quantile of the losses; infinite if that share of rollouts diverged.
+    quantiles: [f64; 4],
+    diverged: usize,
+}
+
+/// Shares of the quantiles in tables.
+const SHARES: [f64; 4] = [0.25, 0.5, 0.75, 0.9];
+
+/// Runs the command.
+pub fn robust(args: &Robust) -> Result<()> {
+    if args.grid.len() > 2 {
+        bail!("--grid is given {} times; allowed: once or twice", args.grid.len());
+    }
+    if args.samples == 0 {
+        bail!("--samples is 0; allowed: 1 or more");
+    }
+    let runs = args.runs.iter().map(|path| Policy::load(path)).collect::<Result<Vec<_>>>()?;
+    if let Some(other) = runs.iter().find(|run| run.scene.task.name() != runs[0].scene.task.name()) {
+        bail!(
+            "{} has the task {}, but {} has the task {}; compare runs of one task",
+            runs[0].name,
+            runs[0].scene.task.name(),
+            other.name,
+            other.scene.task.name()
+        );
+    }
+    let mut points = Vec::new();
+    for run in 0..runs.len() {
+        for &first in &args.grid[0].values {
+            match args.grid.get(1) {
+                Some(second) => points.extend(second.values.iter().map(|&second| (run, vec![first, second]))),
+                None => points.push((run, vec![first])),
+            }
+        }
+    }
+    let cells = parallel::map(&points, |(run, at)| runs[*run].evaluate(*run, at, args));
+    let cells = cells.into_iter().collect::<Result<Vec<_>>>()?;
+    let folder = Folder::named(args.out.as_deref(), "robust")?;
+    folder.write("robust.csv", table_csv(args, &runs, &cells)?)?;
+    folder.write("robust.svg", picture(args, &runs, &cells))?;
+    say(&format!("{}\nresults in {}: robust.csv, robust.svg", table(args, &runs, &cells), folder.path().display()))
+}
+
+/// A trained policy and the scene of its run, with trained numbers at their values.
+struct Policy {
+    name: String,
+    source: SceneSource,
+    scene: Scene,
+    theta: Vec<f64>,
+}
+
+impl Policy {
+    fn load(path: &std::path::Path) -> Result<Self> {
+        let folder = Folder::existing(path)?;
+        let scene = saved::scene(&folder)?;
+        let mut run = scene.open(1)?;
+        saved::restore(&folder, &scene, &mut *run)?;
+        let mut source = SceneSource::read(&folder.readable(SETTINGS)?)?;
+        let names = scene.param_names();
+        for (index, value) in run.trained() {
+            source.fix(&names[index], value)?;
+        }
+        Ok(Self { name: folder.name(), source, scene, theta: run.theta() })
+    }
+
+    fn evaluate(&self, run: usize, at: &[f64], args: &Robust) -> Result<Cell> {
+        let mut source = self.source.clone();
+        for (axis, &value) in args.grid.iter().zip(at) {
+            source.fix(&axis.key, value)?;
+        }
+        let scene = source.scene().with_context(|| format!("--grid {}", args.grid[0].key))?;
+        let mut losses = scene.losses(&self.theta, args.seed, args.samples);
+        let diverged = losses.iter().filter(|loss| !loss.is_finite()).count();
+        losses.sort_by(f64::total_cmp);
+        Ok(Cell { run, at: at.to_vec(), quantiles: SHARES.map(|share| evaluation::quantile(&losses, share)), diverged })
+    }
+}
+
+fn rows<'a>(args: &'a Robust, runs: &'a [Policy], cells: &'a [Cell]) -> (Vec<String>, impl Iterator<Item = Vec<String>>) {
+    let mut header = vec!["run".to_owned()];
+    header.extend(args.grid.iter().map(|axis| axis.key.clone()));
+    header.extend(["quartile_1", "median", "quartile_3", "quantile_90", "diverged"].map(String::from));
+    let row = |cell: &Cell| {
+        let mut row = vec![runs[cell.run].name.clone()];
+        row.extend(cell.at.iter().map(f64::to_string));
+        row.extend(cell.quantiles.iter().map(f64::to_string));
+        row.push(cell.diverged.to_string());
+        row
+    };
+    (header, cells.iter().map(row))
+}
+
+fn table_csv(args: &Robust, runs: &[Policy], cells: &[Cell]) -> Result<Vec<u8>> {
+    let (header, rows) = rows(args, runs, cells);
+    csv(header, rows)
+}
+
+/// Median losses: one row per grid point, one column per run.
+fn table(args: &Robust, runs: &[Policy], cells: &[Cell]) -> String {
+    let mut table = Table::new();
+    let keys = args.grid.iter().map(|axis| axis.key.clone());
+    table.load_style(UTF8_FULL_CONDENSED).set_header(keys.chain(runs.iter().map(|run| run.name.clone())));
+    let points = cells.len() / runs.len();
+    for (point, cell) in cells.iter().take(points).enumerate() {
+        let medians = (0..runs.len()).map(|run| format!("{:.4}", cells[run * points + point].quantiles[1]));
+        table.add_row(cell.at.iter().map(|value| format!("{value:.4}")).chain(medians));
+    }
+    format!("{table}\nmedian loss of {} rollouts", args.samples)
+}
+
+/// Okabe-Ito colours of the runs.
+const COLORS: [&str; 7] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"];
+
+/// One panel per value of the second setting, one line per run: the median, with a band from the
+/// first to the third quartile.
+fn picture(args: &Robust, runs: &[Policy], cells: &[Cell]) -> String {
+    let seconds: Vec<Option<f64>> = match args.grid.get(1) {
+        Some(axis) => axis.values.iter().map(|&value| Some(value)).collect(),
+        None => vec![None],
+    };
+    let panel = |second: Option<f64>| {
+        let series = |(i, run): (usize, &Policy)| {
+            let own: Vec<&Cell> = cells.iter().filter(|cell| cell.run == i && cell.at.get(1).copied() == second).collect();
+            let line = own.iter().map(|cell| (cell.at[0], cell.quantiles[1])).collect();
+            let band = own.iter().map(|cell| (cell.quantiles[0], cell.quantiles[2])).collect();
+            Series { band, ..Series::new(&*run.name, COLORS[i % COLORS.len()], line) }
+        };
+        let title = second.map_or_else(String::new, |value| format!("{} = {value:.3}", args.grid[1].key));
+        (title, runs.iter().enumerate().map(series).collect())
+    };
+    let title = format!("{}: median loss and quartiles of {} rollouts", runs[0].scene.task.name(), args.samples);
+    robustness(&title, &args.grid[0].key, seconds.into_iter().map(panel).collect()).to_svg()
+}
