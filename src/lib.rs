@@ -80,6 +80,7 @@
 pub mod check;
 mod dynamics;
 mod engine;
+pub mod identify;
 mod numbers;
 pub mod policy;
 #[cfg(feature = "program")]
@@ -135,7 +136,7 @@ pub mod prelude {
     pub use crate::check;
     pub use crate::numbers::rng::Rng;
     pub use crate::policy::Mlp;
-    pub use crate::{Field, Inputs, Scalar, Start, System, Task, Trainer};
+    pub use crate::{Field, Inputs, Number, Numbers, Scalar, Start, System, Task, Trainer};
     #[doc(no_inline)]
     pub use rand::RngExt as _;
 }

@@ -7,11 +7,12 @@ use std::path::{Path, PathBuf};
 type Edges = (&'static str, &'static [&'static str]);
 
 /// Modules of the library.
-const LIBRARY: [Edges; 8] = [
+const LIBRARY: [Edges; 9] = [
     ("numbers", &[]),
     ("report", &[]),
     ("dynamics", &["numbers"]),
     ("policy", &["numbers"]),
+    ("identify", &["numbers", "dynamics"]),
     ("tasks", &["numbers", "dynamics"]),
     ("engine", &["numbers", "dynamics", "policy"]),
     ("train", &["numbers", "dynamics", "policy", "engine"]),

@@ -7,6 +7,7 @@ mod guidance;
 mod hard;
 mod linear;
 mod loss;
+mod multi_pendulum;
 mod paper_examples;
 mod pole_chain;
 mod quantum;
@@ -25,6 +26,7 @@ pub use guidance::{
 pub use hard::{AnyHard, Hard};
 pub use linear::{LinearPlant, Lqr, NoOptimum, Optimum};
 pub use loss::LossMode;
+pub use multi_pendulum::{Arm, MultiPendulum};
 pub use paper_examples::{Accumulator, Bowl, Reach};
 pub use pole_chain::PoleChain;
 pub use quantum::{

@@ -1,6 +1,6 @@
 //! [`PoleChain`]: a chain of poles, end to end, on a cart.
 
-mod factor;
+pub(super) mod factor;
 
 use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::dynamics::ode::Ode;

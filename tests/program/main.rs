@@ -9,6 +9,7 @@ mod docs;
 mod explain;
 mod extreme_settings;
 mod limits;
+mod numbers;
 mod own;
 mod pages;
 mod paper;

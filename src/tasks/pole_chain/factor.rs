@@ -18,7 +18,7 @@ fn row(i: usize) -> usize {
 
 /// Replaces the strict lower triangle of M by that of L, and the diagonal by 1/D.
 #[inline(always)]
-pub(super) fn factor<T: Scalar>(matrix: &mut [T], n: usize) {
+pub(in crate::tasks) fn factor<T: Scalar>(matrix: &mut [T], n: usize) {
     for i in 0..n {
         // Compute the entries of L D first.
         for j in 0..i {
@@ -42,7 +42,7 @@ pub(super) fn factor<T: Scalar>(matrix: &mut [T], n: usize) {
 /// Solves `M y = b` in place. `b` holds numbers or cotangents: M is symmetric, hence its own
 /// adjoint.
 #[inline(always)]
-pub(super) fn solve<T: Scalar, V: Copy + SubAssign + Mul<T, Output = V>>(factors: &[T], b: &mut [V]) {
+pub(in crate::tasks) fn solve<T: Scalar, V: Copy + SubAssign + Mul<T, Output = V>>(factors: &[T], b: &mut [V]) {
     let n = b.len();
     for i in 0..n {
         for j in 0..i {

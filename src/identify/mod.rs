@@ -1,0 +1,26 @@
+//! Identification of physical parameters from measured trajectories.
+//!
+//! [`identify`] adjusts entries of the parameters `p` of a [`System`](crate::System), and the
+//! initial states of all segments, until simulated states agree with measured ones. It minimizes
+//!
+//! ```text
+//! χ² = Σ ((x_i(t) - y_i(t)) / σ_i)²      over all finite measurements y_i(t)
+//! ```
+//!
+//! by the method of Levenberg and Marquardt (Moré 1978, doi:10.1007/BFb0067700), with exact
+//! Jacobians by dual numbers. Windows of growing length, each with its own initial state, precede
+//! whole segments (multiple shooting; Bock 1981, doi:10.1007/978-3-642-68220-9_8).
+//!
+//! The loop is our own, because crates for least squares know neither bounds nor the block structure
+//! of many initial states.
+//!
+//! Imports `numbers` and `dynamics`. Start reading in `fit.rs`.
+
+mod error;
+mod fit;
+mod jacobian;
+mod normal;
+mod statistics;
+
+pub use error::IdentifyError;
+pub use fit::{Fit, Options, Segment, Unknown, identify};

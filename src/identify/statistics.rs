@@ -1,0 +1,48 @@
+//! Standard errors, correlations, and parameters that the data cannot determine.
+
+use nalgebra::{DMatrix, SymmetricEigen};
+
+/// Smallest eigenvalue of the scaled information matrix, relative to the largest. Below it, the
+/// data do not determine the combination of parameters. Its square root is the rounding of
+/// Jacobians, about 1e-7 after long simulations.
+const DETERMINED: f64 = 1e-12;
+
+/// Smallest component of an eigenvector that is named in a combination.
+const NAMED: f64 = 1e-3;
+
+pub(super) struct Statistics {
+    /// Standard errors at unit noise; infinite for undetermined parameters.
+    pub errors: Vec<f64>,
+    pub correlations: Vec<Vec<f64>>,
+    /// Names of the parameters in each undetermined combination.
+    pub undetermined: Vec<Vec<String>>,
+}
+
+/// Evaluates the information matrix of the named parameters.
+pub(super) fn statistics(information: &DMatrix<f64>, names: &[&str]) -> Statistics {
+    let count = names.len();
+    let scale: Vec<f64> = (0..count).map(|i| information[(i, i)].max(0.0).sqrt()).collect();
+    let scaled = DMatrix::from_fn(count, count, |i, j| {
+        let product = scale[i] * scale[j];
+        if product > 0.0 { information[(i, j)] / product } else { 0.0 }
+    });
+    let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(scaled);
+    let least = DETERMINED * eigenvalues.iter().copied().fold(0.0, f64::max);
+    let mut covariance = DMatrix::<f64>::zeros(count, count);
+    let (mut undetermined, mut is_open) = (Vec::new(), vec![false; count]);
+    for (k, &eigenvalue) in eigenvalues.iter().enumerate() {
+        let vector = eigenvectors.column(k);
+        // Includes NaN.
+        if !(eigenvalue > least) {
+            let members: Vec<usize> = (0..count).filter(|&i| vector[i].abs() > NAMED).collect();
+            members.iter().for_each(|&i| is_open[i] = true);
+            undetermined.push(members.iter().map(|&i| names[i].to_owned()).collect());
+            continue;
+        }
+        covariance += vector * vector.transpose() / eigenvalue;
+    }
+    let errors = (0..count).map(|i| if is_open[i] { f64::INFINITY } else { covariance[(i, i)].sqrt() / scale[i] });
+    let correlation = |i: usize, j: usize| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
+    let correlations = (0..count).map(|i| (0..count).map(|j| correlation(i, j)).collect()).collect();
+    Statistics { errors: errors.collect(), correlations, undetermined }
+}

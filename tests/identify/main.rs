@@ -1,0 +1,4 @@
+//! Identification of parameters, on simulated and on measured trajectories.
+
+mod pendulum;
+mod simulated;

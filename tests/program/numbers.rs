@@ -1,0 +1,138 @@
+//! Numbers of a scene that are drawn or trained, and grids of settings.
+
+use assert_cmd::Command;
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+const SCENE: &str =
+    "scene = 1\ntask = \"cart_pole\"\nepochs = 2\n[system]\npoles = 1\n[training]\ntrain_samples = 16\ntest_samples = 8\n";
+
+const VARIED: &str = "[vary]\n\"system.cart_mass\" = { log_uniform = [0.5, 2] }\n\"effects.gusty_wind.gust\" = { choice = [1, 2] }\n\
+                      [fit]\n\"effects.pole_damping.damping\" = { start = 0.1, min = 0 }\n";
+
+fn physgrad(args: &str, folder: &Path) -> Command {
+    let mut command = Command::cargo_bin("physgrad").expect("the program is built");
+    command.args(args.split(' ')).current_dir(folder);
+    command
+}
+
+fn folder(scene: &str) -> TempDir {
+    let dir = TempDir::new().expect("a folder");
+    fs::write(dir.path().join("scene.toml"), scene).expect("a file");
+    dir
+}
+
+fn read(dir: &TempDir, file: &str) -> Vec<Vec<String>> {
+    let text = fs::read_to_string(dir.path().join(file)).expect(file);
+    text.lines().map(|line| line.split(',').map(String::from).collect()).collect()
+}
+
+#[test]
+fn a_scene_draws_and_trains_numbers() {
+    let dir = folder(&format!("{SCENE}{VARIED}"));
+    physgrad("train scene.toml --quiet --out run", dir.path()).assert().success();
+    let numbers = read(&dir, "run/numbers.csv");
+    assert_eq!((numbers.len(), numbers[1][0].as_str()), (2, "effects.pole_damping.damping"));
+    let trained: f64 = numbers[1][1].parse().expect("a number");
+    assert!(trained > 0.0 && trained != 0.1, "{trained}");
+
+    let rows = read(&dir, "run/trajectory.csv");
+    let column = |name: &str| {
+        let index = rows[0].iter().position(|header| header == name).unwrap_or_else(|| panic!("{name} in {:?}", rows[0]));
+        rows[1..].iter().map(|row| row[index].parse::<f64>().expect("a number")).collect::<Vec<f64>>()
+    };
+    // Within the rounding of f32.
+    assert!(column("effects.pole_damping.damping").iter().all(|damping| (damping - trained).abs() < 1e-7));
+    let masses = column("system.cart_mass");
+    assert!(masses.iter().all(|mass| (0.5..=2.0).contains(mass)));
+    assert!(masses.iter().any(|&mass| mass != masses[0]), "each sample has its own mass");
+    assert!(column("effects.gusty_wind.gust").iter().all(|gust| [1.0, 2.0].contains(gust)));
+    assert!(column("start_of_gusts").iter().all(|start| (0.0..=1.0).contains(start)));
+
+    // Resumes, and equals an uninterrupted run.
+    physgrad("train scene.toml --quiet --out run --resume --epochs 3", dir.path()).assert().success();
+    physgrad("train scene.toml --quiet --out whole --epochs 3", dir.path()).assert().success();
+    let policy = |run: &str| fs::read(dir.path().join(run).join("policy.safetensors")).expect("a policy");
+    assert_eq!(policy("run"), policy("whole"));
+    for command in
+        ["check scene.toml", "report run", "explain scene.toml", "compare scene.toml --fields R,C --seeds 1 --epochs 1"]
+    {
+        physgrad(command, dir.path()).assert().success();
+    }
+}
+
+/// `[vary]` and `[fit]` are other ways to write a table in place of a number.
+#[test]
+fn numbers_may_stand_in_their_sections() {
+    let dir = folder(&format!("{SCENE}{VARIED}"));
+    let inline =
+        "[effects]\npole_damping = { damping = { start = 0.1, min = 0 } }\ngusty_wind = { gust = { choice = [1, 2] } }\n";
+    let scene = SCENE.replace("poles = 1", "poles = 1\ncart_mass = { log_uniform = [0.5, 2] }");
+    fs::write(dir.path().join("inline.toml"), format!("{scene}{inline}")).expect("a file");
+    for scene in ["scene", "inline"] {
+        physgrad(&format!("train {scene}.toml --quiet --out {scene}"), dir.path()).assert().success();
+    }
+    let file = |run: &str, file: &str| fs::read(dir.path().join(run).join(file)).expect(file);
+    assert_eq!(file("scene", "policy.safetensors"), file("inline", "policy.safetensors"));
+}
+
+#[test]
+fn wrong_numbers_name_line_and_allowed_values() {
+    for (section, line, message) in [
+        ("[vary]\n\"system.cart_mass\" = { uniform = [-1, 1] }", 11, "`system.cart_mass` is -1; allowed: a positive number"),
+        ("[vary]\n\"system.cart_mass\" = { uniform = [2, 1] }", 11, "allowed: [low, high], with low <= high"),
+        ("[vary]\n\"system.cart_mass\" = { start = 1 }", 11, "allowed in [vary]: { uniform = [low, high] }"),
+        ("[fit]\n\"system.cart_mass\" = { uniform = [1, 2] }", 11, "allowed in [fit]: { start = value"),
+        ("[fit]\n\"system.cart_mass\" = { start = 1, min = 2 }", 11, "`start = 1` is not strictly between its bounds"),
+        ("[fit]\n\"system.cart_mass\" = { start = 1, max = 2 }", 11, "`max` requires `min`"),
+        ("[vary]\n\"system.mass\" = { uniform = [1, 2] }", 11, "`system.mass` is unknown; allowed: `model`, `poles`"),
+        ("[vary]\n\"system.poles\" = { choice = [1, 2] }", 11, "`system.poles` is a section; allowed: a whole number"),
+        ("[vary]\n\"training.batch\" = { choice = [1, 2] }", 11, "`training.batch`"),
+        (
+            "[effects.pole_damping]\ndamping = 1\n[vary]\n\"effects.pole_damping.damping\" = { uniform = [0, 1] }",
+            12,
+            "is set twice",
+        ),
+    ] {
+        let dir = folder(&format!("{SCENE}\n{section}\n"));
+        let output = physgrad("train scene.toml", dir.path()).assert().failure().get_output().stderr.clone();
+        let output = String::from_utf8(output).expect("text");
+        assert!(output.contains(&format!("scene.toml:{line}: ")) && output.contains(message), "{section}: {output}");
+    }
+}
+
+#[test]
+fn a_policy_is_evaluated_over_a_grid() {
+    let dir = folder(SCENE);
+    physgrad("train scene.toml --quiet --out first", dir.path()).assert().success();
+    fs::write(dir.path().join("varied.toml"), format!("{SCENE}{VARIED}")).expect("a file");
+    physgrad("train varied.toml --quiet --out second", dir.path()).assert().success();
+    let grid =
+        "robust first second --grid system.cart_mass=0.5:2:4 --grid effects.cart_damping.damping=0:1:2 --samples 16 --out grid";
+    physgrad(grid, dir.path()).assert().success();
+    let rows = read(&dir, "grid/robust.csv");
+    assert_eq!(rows[0][..3], ["run", "system.cart_mass", "effects.cart_damping.damping"]);
+    assert_eq!(rows.len(), 1 + 2 * 4 * 2);
+    let losses: Vec<f64> = rows[1..].iter().map(|row| row[4].parse().expect("a number")).collect();
+    assert!(losses.iter().all(|loss| loss.is_finite() && *loss > 0.0));
+    let svg = fs::read_to_string(dir.path().join("grid/robust.svg")).expect("a picture");
+    roxmltree::Document::parse(&svg).expect("an SVG is XML");
+    for label in ["system.cart_mass", "first", "second", "effects.cart_damping.damping = 1.000"] {
+        assert!(svg.contains(label), "{label}");
+    }
+    // With one test sample, the median is the test loss.
+    fs::write(dir.path().join("one.toml"), SCENE.replace("test_samples = 8", "test_samples = 1")).expect("a file");
+    physgrad("train one.toml --quiet --out one", dir.path()).assert().success();
+    physgrad("robust one --grid system.cart_mass=1:2:2 --samples 1 --seed 0 --out nominal", dir.path()).assert().success();
+    assert_eq!(read(&dir, "nominal/robust.csv")[1][3], read(&dir, "one/metrics.csv")[2][3]);
+    for (command, message) in [
+        ("robust first --grid system.cart_mass=1:2", "KEY=LOW:HIGH:COUNT"),
+        ("robust first --grid system.mass=1:2:3", "`system.mass` is unknown"),
+        ("robust first --grid system.cart_mass=-1:2:3", "`system.cart_mass` is -1; allowed: a positive number"),
+        ("robust third --grid system.cart_mass=1:2:3", "there is no folder third"),
+    ] {
+        let stderr = physgrad(command, dir.path()).assert().failure().get_output().stderr.clone();
+        assert!(String::from_utf8_lossy(&stderr).contains(message), "{command}: {}", String::from_utf8_lossy(&stderr));
+    }
+}
