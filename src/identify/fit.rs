@@ -268,8 +268,16 @@ impl<'a> Problem<'a> {
         for window in &self.windows {
             let p = self.parameters(window.segment, &self.values);
             let states = self.run(window, &p).simulate(self.model);
-            if states.len() <= window.steps {
-                return Err(IdentifyError::Diverged { segment: window.segment, step: states.len() });
+            let mut diverged = (states.len() <= window.steps).then_some(states.len());
+            if diverged.is_none() {
+                self.residuals(window, &states, |step, _, residual| {
+                    if !(residual * residual).is_finite() {
+                        diverged.get_or_insert(step);
+                    }
+                });
+            }
+            if let Some(step) = diverged {
+                return Err(IdentifyError::Diverged { segment: window.segment, step });
             }
         }
         Ok(())
@@ -383,7 +391,7 @@ impl<'a> Problem<'a> {
             |(unknown, value): (&Unknown, &f64)| (*value <= unknown.min || *value >= unknown.max).then(|| unknown.name.clone());
         Fit {
             names: names.iter().map(|name| (*name).to_owned()).collect(),
-            errors: errors.into_iter().map(|error| error * noise).collect(),
+            errors: errors.into_iter().map(|error| if error.is_finite() { error * noise } else { error }).collect(),
             correlations,
             undetermined,
             at_bound: self.unknowns.iter().zip(&self.values).filter_map(is_bound).collect(),

@@ -91,8 +91,15 @@ fn intervals_are_honest() {
 #[test]
 fn windows_prevent_phase_slips() {
     let rng = &mut stream(2, Purpose::Check, 0);
-    let segments = [simulated(rng, &pendulum(), [1.0, 0.0], 2000, NOISE)];
+    let mut segments = [simulated(rng, &pendulum(), [2.8, 6.0], 2000, NOISE)];
+    segments[0].x.iter_mut().for_each(|row| row[1] = f64::NAN);
     let noise = Some(NOISE.to_vec());
+    for f in [1.3, 1.5, 1.8, 2.5] {
+        for w in [vec![], vec![20, 60, 180, 540]] {
+            let x = fit(&segments, f, &Options { windows: w.clone(), noise: noise.clone(), ..Options::default() });
+            println!("{f} {w:?} {:?} {}", x.values, x.iterations);
+        }
+    }
     let single = fit(&segments, 1.3, &Options { windows: Vec::new(), noise: noise.clone(), ..Options::default() });
     let windows = fit(&segments, 1.3, &Options { noise, ..Options::default() });
     let off = |fit: &Fit| (fit.values[0] / TRUTH[0] - 1.0).abs();
