@@ -38,7 +38,8 @@ fn read(path: &str) -> Result<Vec<Segment>, Box<dyn Error>> {
         // Samples may be thinned: steps without a sample are missing.
         let step = (row[1] / DT).round() as usize;
         segment.x.resize(step, vec![f64::NAN; row.len() - 2]);
-        segment.x.push(row[2..].to_vec());
+        let (angles, rates) = row[2..].split_at(row.len() / 2 - 1);
+        segment.x.push(angles.iter().zip(rates).flat_map(|(&angle, &rate)| [angle, rate]).collect());
     }
     Ok(segments)
 }
@@ -49,7 +50,7 @@ const KINDS: [(&str, [bool; 3]); 5] = [
     ("dry", [false, true, false]),
     ("viscous + dry", [true, true, false]),
     ("viscous + quadratic", [true, false, true]),
-    ("viscous + dry + quadratic", [true, true, true]),
+    ("dry + quadratic", [false, true, true]),
 ];
 
 type Pendulum = Integrated<MultiPendulum, RungeKutta>;
@@ -97,7 +98,7 @@ fn model(arms: usize, kinds: [bool; 3], factor: f64) -> (Pendulum, Vec<f64>, Vec
 /// Root mean square error of all angles in a segment.
 fn angle_error(fit: &Fit, index: usize, segment: &Segment) -> f64 {
     let arms = segment.x[0].len() / 2;
-    ((0..arms).map(|i| fit.rms(index, i, segment).powi(2)).sum::<f64>() / arms as f64).sqrt()
+    ((0..arms).map(|i| fit.rms(index, 2 * i, segment).powi(2)).sum::<f64>() / arms as f64).sqrt()
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -106,7 +107,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let every: usize = args.next().map_or(Ok(1), |text| text.parse())?;
     let segments = read(&path)?;
     let arms = segments[0].x[0].len() / 2;
-    let noise = [vec![0.003; arms], vec![0.1; arms]].concat();
+    let noise = [0.003, 0.1].repeat(arms);
     let options = Options { noise: Some(noise), windows: vec![40, 120, 360], ..Options::default() };
     let scaled =
         |p: &[f64]| -> Vec<Segment> { segments.iter().map(|segment| Segment { p: p.to_vec(), ..segment.clone() }).collect() };

@@ -4,7 +4,7 @@
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum IdentifyError {
     /// Neither parameters nor initial states are free.
-    #[error("no parameter is unknown; name at least one")]
+    #[error("neither parameters nor initial states are unknown; name at least one parameter")]
     NothingUnknown,
     /// There are fewer measurements than unknowns.
     #[error("{measurements} measurements cannot determine {unknowns} unknowns; use more samples or fewer unknowns")]

@@ -168,7 +168,7 @@ impl<'a> Problem<'a> {
         options: &Options,
     ) -> Result<Self, IdentifyError> {
         let [n, m, params] = model.sizes();
-        if unknowns.is_empty() {
+        if unknowns.is_empty() && !options.free_starts {
             return Err(IdentifyError::NothingUnknown);
         }
         for (segment, Segment { x, u, p }) in segments.iter().enumerate() {
@@ -299,15 +299,17 @@ impl<'a> Problem<'a> {
     /// χ² of all windows. Infinite if a window diverges.
     fn chi_squared(&mut self, windows: &[Window], values: &[f64]) -> f64 {
         self.simulations += 1;
-        let mut sum = 0.0;
-        for window in windows {
+        let of_window = |window: &Window| {
             let p = self.parameters(window.segment, values);
             let states = self.run(window, &p).simulate(self.model);
             if states.len() <= window.steps {
                 return f64::INFINITY;
             }
+            let mut sum = 0.0;
             self.residuals(window, &states, |_, _, residual| sum += residual * residual);
-        }
+            sum
+        };
+        let sum: f64 = map(windows, of_window).into_iter().sum();
         if sum.is_finite() { sum } else { f64::INFINITY }
     }
 
@@ -326,7 +328,7 @@ impl<'a> Problem<'a> {
             });
             block
         };
-        self.windows.iter().map(block).collect()
+        map(&self.windows, block)
     }
 
     /// Iterates to a minimum. Returns whether the tolerance ended the iterations.
@@ -406,6 +408,17 @@ impl<'a> Problem<'a> {
             values: self.values,
         }
     }
+}
+
+/// Maps all windows, in parallel with the feature `parallel`. The order is that of the windows.
+fn map<R: Send>(windows: &[Window], work: impl Fn(&Window) -> R + Sync + Send) -> Vec<R> {
+    #[cfg(feature = "parallel")]
+    {
+        use rayon::prelude::*;
+        windows.par_iter().map(work).collect()
+    }
+    #[cfg(not(feature = "parallel"))]
+    windows.iter().map(work).collect()
 }
 
 impl Window {

@@ -27,7 +27,7 @@ mod tasks;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
-use commands::{accuracy, animate, check, compare, effects, explain, new, paper, print, report, robust, stress, train};
+use commands::{accuracy, animate, check, compare, effects, explain, identify, new, paper, print, report, robust, stress, train};
 use platform::signals;
 use platform::terminal::tell;
 use runs::run;
@@ -56,6 +56,7 @@ enum Command {
     Animate(animate::Animate),
     Report(report::Report),
     Robust(robust::Robust),
+    Identify(identify::Identify),
     Check(check::Check),
     Paper(paper::Paper),
     /// List the tasks with all settings and their defaults
@@ -169,6 +170,7 @@ fn execute(command: &Command) -> Result<()> {
         Command::Paper(args) => signals::handle().and_then(|()| paper::paper(args)),
         Command::Report(args) => report::report(args),
         Command::Robust(args) => robust::robust(args),
+        Command::Identify(args) => identify::identify(args),
         Command::Check(args) => check::check(args),
         Command::Tasks => commands::tasks::tasks(),
         Command::Scene(args) => print::scene(args),

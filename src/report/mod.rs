@@ -2,7 +2,7 @@
 //!
 //! Contents:
 //!
-//! - Charts: [`learning_curve`], [`comparison`], [`study`], [`robustness`] and [`work_precision`], and [`Chart`]
+//! - Charts: [`learning_curve`], [`comparison`], [`study`], [`robustness`], [`fitted`] and [`work_precision`], and [`Chart`]
 //!   for interactive pages.
 //! - Maps of a plane: [`maps`].
 //! - Animations: [`cart_pole()`], [`guidance()`], [`quantum()`], [`mechanics()`],
@@ -18,6 +18,7 @@ mod channels;
 mod chart;
 mod curves;
 mod drawing;
+mod fitted;
 mod guidance;
 mod log_axis;
 mod log_figure;
@@ -36,6 +37,7 @@ pub use channels::{Channel, channels_over_time};
 pub use chart::{Chart, Frame};
 pub use curves::{Case, Curve, Point, comparison, field_color, learning_curve, study};
 pub use drawing::Drawing;
+pub use fitted::fitted;
 pub use guidance::{Field, guidance, guidance_in};
 pub use mechanics::{Posture, Stage, mechanics};
 pub use plane::{Map, Plane, maps};

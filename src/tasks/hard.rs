@@ -1,11 +1,12 @@
 //! [`Hard`]: the small hard tasks, chosen at run time. A single type means that training code is
 //! compiled once.
 
-use super::{Bounce, DoublePendulum, Lqr, PoleChain, Push, Slider, Upright};
+use super::{Bounce, DoublePendulum, Lqr, MultiPendulum, PoleChain, Push, Slider, Upright};
 use crate::dynamics::cause::Cause;
 use crate::dynamics::effect::HasModel;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::integrator::{AnyIntegrator, Integrated};
+use crate::dynamics::number::Varied;
 use crate::dynamics::outline::{Reverse, Step, outline};
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
@@ -20,6 +21,8 @@ pub enum AnyHard {
     Lqr(Lqr),
     /// Swing-up of a [`DoublePendulum`].
     DoublePendulum(Upright<Integrated<DoublePendulum, AnyIntegrator>>),
+    /// Swing-up of a [`MultiPendulum`].
+    MultiPendulum(Upright<Integrated<MultiPendulum, AnyIntegrator>>),
     /// Swing-up of a [`PoleChain`].
     PoleChain(Upright<Integrated<PoleChain, AnyIntegrator>>),
     /// Stopping with dry friction: [`Slider`].
@@ -36,6 +39,7 @@ macro_rules! whichever {
         match $any {
             AnyHard::Lqr($task) => $work,
             AnyHard::DoublePendulum($task) => $work,
+            AnyHard::MultiPendulum($task) => $work,
             AnyHard::PoleChain($task) => $work,
             AnyHard::Slider($task) => $work,
             AnyHard::Bounce($task) => $work,
@@ -51,6 +55,14 @@ impl System for AnyHard {
 
     fn control_dim(&self) -> usize {
         whichever!(self, task => task.system().control_dim())
+    }
+
+    fn param_dim(&self) -> usize {
+        whichever!(self, task => task.system().param_dim())
+    }
+
+    fn varied(&self, params: usize) -> Vec<Varied> {
+        whichever!(self, task => task.system().varied(params))
     }
 
     #[inline(always)]
@@ -104,6 +116,7 @@ impl AnyHard {
             Self::Slider(_) | Self::Bounce(_) | Self::Push(_) => {}
             Self::Lqr(task) => task.running_cost_gradient(inputs, next, bars, next_bar),
             Self::DoublePendulum(task) => task.running_cost_gradient(inputs, next, bars, next_bar),
+            Self::MultiPendulum(task) => task.running_cost_gradient(inputs, next, bars, next_bar),
             Self::PoleChain(task) => task.running_cost_gradient(inputs, next, bars, next_bar),
         }
     }

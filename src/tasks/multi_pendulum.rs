@@ -59,7 +59,7 @@ impl Arm {
 /// Planar pendulum of rigid arms, hinged end to end on a fixed support, with friction in the
 /// joints.
 ///
-/// State `[θ₁, …, θ_n, ω₁, …, ω_n]` in rad and rad/s. The angles are absolute: 0 is upright, π
+/// State `[θ₁, ω₁, θ₂, ω₂, …]` in rad and rad/s. The angles are absolute: 0 is upright, π
 /// hangs. Control `[u]`: torque on the first arm, N m. With `l_kj = L_j` for `j < k` and
 /// `l_kk = a_k`, Lagrange's equations are:
 ///
@@ -120,9 +120,9 @@ impl MultiPendulum {
     /// Kinetic plus potential energy of a state, J, with nominal numbers. It is 0 at rest with all
     /// arms horizontal. Without friction and control, the equations conserve it.
     pub fn energy(&self, x: &[f64]) -> f64 {
-        let (theta, omega) = x.split_at(self.arms.len());
         let (mut across, mut up, mut height, mut energy) = (0.0, 0.0, 0.0, 0.0);
-        for (arm, (theta, omega)) in self.arms.iter().zip(theta.iter().zip(omega)) {
+        for (arm, pair) in self.arms.iter().zip(x.chunks_exact(2)) {
+            let (theta, omega) = (pair[0], pair[1]);
             let [mass, center, length, inertia] = [arm.mass, arm.center, arm.length, arm.inertia].map(|n| n.nominal());
             let (sin, cos) = theta.sin_cos();
             let speed = [across + center * cos * omega, up - center * sin * omega];
@@ -162,13 +162,13 @@ impl Ode for MultiPendulum {
     fn rate<T: Scalar>(&self, OdeInputs { x, u, p, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
         type Each<T> = SmallVec<[T; 8]>;
         let n = self.arms.len();
-        let (theta, omega) = x.split_at(n);
+        let omega = |i: usize| x[2 * i + 1];
         let (arms, gravity) = self.values(p);
-        let (sin, cos): (Each<T>, Each<T>) = theta.iter().map(|theta| theta.sin_cos()).unzip();
+        let (sin, cos): (Each<T>, Each<T>) = x.chunks_exact(2).map(|pair| pair[0].sin_cos()).unzip();
         let mut torque: Each<T> = smallvec![T::zero(); n];
         torque[0] += u[0];
         for (i, arm) in arms.iter().enumerate() {
-            let r = if i == 0 { omega[0] } else { omega[i] - omega[i - 1] };
+            let r = if i == 0 { omega(0) } else { omega(i) - omega(i - 1) };
             let friction = arm.viscous * r + arm.dry * (r * (1.0 / SMOOTHING)).tanh() + arm.quadratic * r.abs() * r;
             torque[i] -= friction;
             if i > 0 {
@@ -188,19 +188,20 @@ impl Ode for MultiPendulum {
                 let coupling = moment * arms[j].length;
                 let across = coupling * (sin[i] * cos[j] - cos[i] * sin[j]);
                 matrix.push(coupling * (cos[i] * cos[j] + sin[i] * sin[j]));
-                torque[i] -= across * omega[j] * omega[j];
-                torque[j] += across * omega[i] * omega[i];
+                torque[i] -= across * omega(j) * omega(j);
+                torque[j] += across * omega(i) * omega(i);
             }
             let Values { mass, center, length, inertia, .. } = arms[i];
             matrix.push(inertia + mass * center * center + beyond[i] * length * length);
         }
         factor(&mut matrix, n);
         solve(&matrix, &mut torque);
-        rate[..n].copy_from_slice(omega);
-        rate[n..].copy_from_slice(&torque);
+        for i in 0..n {
+            (rate[2 * i], rate[2 * i + 1]) = (omega(i), torque[i]);
+        }
     }
 
     fn velocity(&self, i: usize) -> Option<usize> {
-        (i < self.arms.len()).then_some(i + self.arms.len())
+        i.is_multiple_of(2).then_some(i + 1)
     }
 }

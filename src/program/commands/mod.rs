@@ -10,6 +10,7 @@ pub mod effects;
 pub mod explain;
 #[cfg(feature = "fuzz")]
 pub mod fuzz;
+pub mod identify;
 pub mod new;
 pub mod paper;
 pub mod print;

@@ -8,6 +8,7 @@ pub mod checks;
 pub mod costs;
 pub mod evaluation;
 pub mod gradients;
+pub mod identification;
 pub mod memory;
 pub mod session;
 pub mod simulation;

@@ -88,7 +88,10 @@ impl SceneSource {
     fn get(&self, key: &str) -> Option<&Value> {
         let (first, rest) = key.split_once('.').unwrap_or((key, ""));
         let value = self.table.get(first)?;
-        rest.split('.').filter(|part| !part.is_empty()).try_fold(value, |value, part| value.get(part))
+        rest.split('.').filter(|part| !part.is_empty()).try_fold(value, |value, part| match element(part) {
+            Some((list, index)) => value.get(list)?.get(index),
+            None => value.get(part),
+        })
     }
 
     /// Text of a key at the top level.
@@ -110,6 +113,12 @@ impl SceneSource {
         let mut path = String::new();
         for part in sections.split('.').filter(|part| !part.is_empty()) {
             path = join(&path, part);
+            if let Some((list, index)) = element(part) {
+                let found = inner.get_mut(list).and_then(|list| list.get_mut(index)?.as_table_mut());
+                inner = found
+                    .with_context(|| format!("{option}: the scene has no `{path}`; list all elements in the scene first"))?;
+                continue;
+            }
             let section = inner.entry(part).or_insert_with(|| {
                 self.options.insert(path.clone(), option.to_owned());
                 Value::Table(Table::new())
@@ -133,7 +142,10 @@ impl SceneSource {
     pub fn fix(&mut self, key: &str, value: f64) -> Result<()> {
         let (section, last) = key.rsplit_once('.').unwrap_or(("", key));
         let path = section.split('.').filter(|part| !part.is_empty());
-        let section = path.fold(Some(&mut self.table), |table, part| table?.get_mut(part)?.as_table_mut());
+        let section = path.fold(Some(&mut self.table), |table, part| match element(part) {
+            Some((list, index)) => table?.get_mut(list)?.get_mut(index)?.as_table_mut(),
+            None => table?.get_mut(part)?.as_table_mut(),
+        });
         if let Some(section) = section {
             section.remove(last);
         }
@@ -266,6 +278,12 @@ fn line(text: &str, offset: usize) -> usize {
 /// Strips the section: `effects.bumpers` and `bumpers` name the same part.
 fn part_name(name: &str) -> &str {
     OPTIONAL.iter().find_map(|section| name.strip_prefix(section)?.strip_prefix('.')).unwrap_or(name)
+}
+
+/// List and index of a part of a key, as in `arms[0]`.
+fn element(part: &str) -> Option<(&str, usize)> {
+    let (list, index) = part.strip_suffix(']')?.split_once('[')?;
+    Some((list, index.parse().ok()?))
 }
 
 fn join(path: &str, key: &str) -> String {

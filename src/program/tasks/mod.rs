@@ -119,12 +119,13 @@ impl Conserved {
 }
 
 /// Built-in tasks.
-const BUILT_IN: [&dyn AnyTaskSpec; 9] = [
+const BUILT_IN: [&dyn AnyTaskSpec; 10] = [
     &cart_pole::CartPole,
     &guidance::Guidance,
     &quantum::Quantum,
     &hard::Lqr,
     &hard::DoublePendulum,
+    &hard::Pendulum,
     &hard::PoleChain,
     &hard::Slider,
     &hard::Bounce,

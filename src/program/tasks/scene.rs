@@ -3,10 +3,12 @@
 //! [`Scene`] holds the settings that all tasks share. [`AnySettings`] is the object-safe interface
 //! to the settings of one task.
 
+use crate::identify::{Fit, IdentifyError, Options, Segment};
 use crate::program::operations::checks::{Checking, Results};
 use crate::program::operations::costs::{Costing, Stored, Storing};
 use crate::program::operations::evaluation::Evaluating;
 use crate::program::operations::gradients::{Derived, Deriving, GradientMethod, Referring};
+use crate::program::operations::identification::Identifying;
 use crate::program::operations::session::{AnyRun, Open};
 use crate::program::operations::simulation::{Job, Preparing};
 use crate::program::operations::trajectory::Trajectory;
@@ -15,7 +17,7 @@ use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{FieldName, OPTIONAL, Precision};
 use crate::program::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
 use crate::report::Animation;
-use crate::{Field, TaskOpCount};
+use crate::{Field, Number, TaskOpCount};
 use anyhow::Result;
 use std::ops::Deref;
 use std::sync::Arc;
@@ -68,6 +70,10 @@ pub trait AnySettings: Send + Sync {
     fn state_names(&self) -> Vec<String>;
     /// Names of the parameters of a rollout.
     fn param_names(&self) -> Vec<String>;
+    /// Keys and values of the numbers that are not fixed.
+    fn varied(&self) -> Vec<(String, Number)>;
+    /// Fits the trained numbers to measured segments.
+    fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError>;
     /// Names of the control components.
     fn control_names(&self) -> Vec<String>;
     /// Names of the applied controls, if there is an actuator.
@@ -123,11 +129,22 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         let mut own = K::param_names(self).into_iter();
         let name = |i: usize| match varied.iter().find(|varied| varied.index == i) {
             // Effects have the keys of their sections as names.
-            Some(varied) if varied.name.contains('.') => varied.name.clone(),
+            Some(varied) if varied.name.starts_with("effects.") => varied.name.clone(),
             Some(varied) => format!("system.{}", varied.name),
             None => own.next().unwrap_or_else(|| format!("p_{}", i + 1)),
         };
         (0..params).map(name).collect()
+    }
+
+    fn varied(&self) -> Vec<(String, Number)> {
+        let names = AnySettings::param_names(self);
+        let Varying { varied, .. } = self.visit(Varying::default());
+        varied.into_iter().map(|varied| (names[varied.index].clone(), varied.number)).collect()
+    }
+
+    fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError> {
+        let names = AnySettings::param_names(self);
+        self.visit(Identifying { segments, names: &names, options })
     }
 
     fn state_names(&self) -> Vec<String> {

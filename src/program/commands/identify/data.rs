@@ -1,0 +1,117 @@
+//! Measured trajectories in CSV files.
+
+use crate::identify::{Fit, Segment};
+use crate::program::platform::csv::csv;
+use crate::program::tasks::Scene;
+use anyhow::{Context, Result, bail};
+use std::path::Path;
+
+/// Largest distance of a sample from a step of the scene, relative to the step.
+const OFF_GRID: f64 = 1e-3;
+
+/// Largest number of steps of a segment.
+const MOST_STEPS: usize = 10_000_000;
+
+/// Measured trajectories on the time grid of a scene.
+pub struct Measured {
+    pub segments: Vec<Segment>,
+}
+
+/// Meaning of a column.
+enum Column {
+    Segment,
+    Time,
+    State(usize),
+    Control(usize),
+}
+
+impl Measured {
+    /// Reads a file. Steps without a sample are missing.
+    ///
+    /// # Errors
+    /// Names the line, and the columns or times that are allowed.
+    pub fn read(path: &Path, scene: &Scene) -> Result<Self> {
+        let name = path.display();
+        let (states, controls, dt) = (scene.state_names(), scene.control_names(), scene.dt());
+        let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_path(path);
+        let reader = reader.as_mut().map_err(|error| anyhow::anyhow!("cannot read {name}: {error}"))?;
+        let column = |header: &str| {
+            let state = states.iter().position(|known| known == header).map(Column::State);
+            let control = || controls.iter().position(|known| known == header).map(Column::Control);
+            match header {
+                "segment" => Ok(Column::Segment),
+                "t" | "time" => Ok(Column::Time),
+                _ => state.or_else(control).with_context(|| {
+                    format!(
+                        "{name}: unknown column `{header}`; allowed: segment, t, {}, {}",
+                        states.join(", "),
+                        controls.join(", ")
+                    )
+                }),
+            }
+        };
+        let columns = reader.headers()?.iter().map(column).collect::<Result<Vec<_>>>()?;
+        if !columns.iter().any(|column| matches!(column, Column::Time)) {
+            bail!("{name}: there is no column `t` with the time in s");
+        }
+        let mut segments: Vec<(String, f64, Segment)> = Vec::new();
+        for record in reader.records() {
+            let record = record.with_context(|| format!("cannot read {name}"))?;
+            let line = record.position().map_or(0, csv::Position::line);
+            let (mut key, mut time) = (String::new(), 0.0);
+            let (mut x, mut u) = (vec![f64::NAN; states.len()], vec![0.0; controls.len()]);
+            for (column, cell) in columns.iter().zip(&record) {
+                let number = || match cell {
+                    // An empty cell is a missing sample.
+                    "" => Ok(f64::NAN),
+                    cell => cell.parse::<f64>().with_context(|| format!("{name}:{line}: `{cell}` is not a number")),
+                };
+                match column {
+                    Column::Segment => key = cell.to_owned(),
+                    Column::Time => time = number()?,
+                    Column::State(i) => x[*i] = number()?,
+                    Column::Control(i) => u[*i] = number()?,
+                }
+            }
+            if segments.last().is_none_or(|(last, ..)| *last != key) {
+                segments.push((key, time, Segment::default()));
+            }
+            let (_, begin, segment) = segments.last_mut().context("a segment begins with its first sample")?;
+            let step = ((time - *begin) / dt).round();
+            let is_on_grid = ((time - *begin) / dt - step).abs() < OFF_GRID;
+            if !is_on_grid || step < segment.x.len() as f64 || step >= MOST_STEPS as f64 {
+                bail!("{name}:{line}: the time {time} s is not a later step of {dt} s; resample, or set system.dt");
+            }
+            // Controls stay constant until the next sample.
+            let held = segment.u.last().cloned().unwrap_or_else(|| vec![0.0; controls.len()]);
+            segment.x.resize(step as usize, vec![f64::NAN; states.len()]);
+            segment.u.resize(step as usize, held);
+            segment.x.push(x);
+            segment.u.push(u);
+        }
+        if segments.is_empty() {
+            bail!("{name} has no samples");
+        }
+        Ok(Self { segments: segments.into_iter().map(|(_, _, segment)| segment).collect() })
+    }
+
+    /// Measured and simulated states, one row per step with a measurement.
+    pub fn beside(&self, fitted: &[Segment], fit: &Fit, scene: &Scene) -> Result<Vec<u8>> {
+        let names = scene.state_names();
+        let mut header = vec!["segment".to_owned(), "t".to_owned()];
+        header.extend(names.iter().flat_map(|name| [format!("{name}_measured"), format!("{name}_simulated")]));
+        let mut rows = Vec::new();
+        for (index, (segment, states)) in fitted.iter().zip(&fit.states).enumerate() {
+            for (step, (measured, simulated)) in segment.x.iter().zip(states).enumerate() {
+                if measured.iter().all(|x| x.is_nan()) {
+                    continue;
+                }
+                let mut row = vec![index.to_string(), (step as f64 * scene.dt()).to_string()];
+                let cell = |x: &f64| if x.is_nan() { String::new() } else { x.to_string() };
+                row.extend(measured.iter().zip(simulated).flat_map(|(y, x)| [cell(y), cell(x)]));
+                rows.push(row);
+            }
+        }
+        csv(header, rows)
+    }
+}

@@ -1,0 +1,29 @@
+//! Measured beside simulated trajectories.
+
+use crate::identify::{Fit, Segment};
+use crate::program::tasks::Scene;
+use crate::report::{Series, fitted};
+
+/// Largest number of segments in the picture.
+const SEGMENTS: usize = 3;
+
+/// Two rows per component, for the first segments: measured and simulated values, and residuals.
+pub fn picture(segments: &[Segment], fit: &Fit, scene: &Scene) -> String {
+    let (names, dt) = (scene.state_names(), scene.dt());
+    let shown = segments.iter().zip(&fit.states).take(SEGMENTS).enumerate();
+    let columns = shown.map(|(index, (segment, states))| {
+        let rows = names.iter().enumerate().flat_map(|(i, name)| {
+            let points = |value: &dyn Fn(f64, f64) -> f64| -> Vec<(f64, f64)> {
+                let rows = segment.x.iter().zip(states).enumerate();
+                let points = rows.map(|(step, (y, x))| (step as f64 * dt, value(y[i], x[i])));
+                points.filter(|(_, value)| value.is_finite()).collect()
+            };
+            let simulated = Series::new("simulated", "#D55E00", points(&|_, x| x)).dashed();
+            let values = vec![Series::new("measured", "#0072B2", points(&|y, _| y)), simulated];
+            let residual = vec![Series::new("simulated - measured", "#009E73", points(&|y, x| x - y))];
+            [(name.clone(), values), (format!("residual of {name}"), residual)]
+        });
+        (format!("segment {index}"), rows.collect())
+    });
+    fitted(&format!("{}: measured and simulated", scene.task.name()), columns.collect()).to_svg()
+}

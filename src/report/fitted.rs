@@ -1,0 +1,78 @@
+//! Measured and simulated trajectories, with residuals.
+
+use super::log_figure::{Panel, legend, theme};
+use super::marks::marks;
+use super::series::x_range;
+use super::{Drawing, Series};
+use kuva::prelude::*;
+
+/// Width and height of a panel.
+const SIZE: [f64; 2] = [330.0, 170.0];
+
+/// Largest number of points of a line.
+const MAX_POINTS: usize = 800;
+
+/// Draws a grid of panels over time in s: one column per title, one row per label. All columns have
+/// the same labels.
+pub fn fitted(title: &str, columns: Vec<(String, Vec<(String, Vec<Series>)>)>) -> Drawing {
+    let rows = columns.first().map_or(0, |(_, rows)| rows.len());
+    let mut panels = Vec::new();
+    for row in 0..rows {
+        for (name, column) in &columns {
+            let (label, series) = &column[row];
+            panels.push(Panel {
+                title: if row == 0 { name.clone() } else { String::new() },
+                x_label: if row + 1 == rows { "time (s)".into() } else { String::new() },
+                log_x: false,
+                y_label: label.clone(),
+                y_axis: 0,
+                series: series.iter().map(thinned).collect(),
+            });
+        }
+    }
+    let figure = Figure::new(rows.max(1), columns.len().max(1))
+        .with_title(title)
+        .with_title_size(17)
+        .with_padding(12.0)
+        .with_spacing(8.0)
+        .with_layouts(panels.iter().map(layout).collect())
+        .with_plots(panels.iter().map(|panel| marks(&panel.series, [1.0, 1.0])).collect())
+        .with_shared_legend_right_top()
+        .with_shared_legend_entries(legend(panels.iter()));
+    let figure = (0..columns.len()).fold(figure, |figure, column| figure.with_col_width(column, SIZE[0]));
+    let figure = (0..rows).fold(figure, |figure, row| {
+        let extra = if row == 0 { 24.0 } else { 0.0 } + if row + 1 == rows { 18.0 } else { 0.0 };
+        figure.with_row_height(row, SIZE[1] + extra)
+    });
+    Drawing::of(figure.render())
+}
+
+fn thinned(series: &Series) -> Series {
+    let every = series.line.len().div_ceil(MAX_POINTS).max(1);
+    Series { line: series.line.iter().copied().step_by(every).collect(), ..series.clone() }
+}
+
+fn layout(panel: &Panel) -> Layout {
+    let values = panel.series.iter().flat_map(|series| &series.line).map(|&(_, y)| y);
+    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), y| (low.min(y), high.max(y)));
+    let (low, high) = if low < high { (low, high) } else { (-1.0, 1.0) };
+    let margin = 0.05 * (high - low);
+    let [x_min, x_max] = x_range(&panel.series);
+    let mut layout = Layout::new((x_min, x_max), (low - margin, high + margin))
+        .with_x_axis_min(x_min)
+        .with_x_axis_max(x_max)
+        .with_y_axis_min(low - margin)
+        .with_y_axis_max(high + margin)
+        .with_tick_size(11)
+        .with_label_size(12)
+        .with_title_size(14)
+        .with_y_label(&*panel.y_label)
+        .with_theme(theme());
+    if !panel.title.is_empty() {
+        layout = layout.with_title(&*panel.title);
+    }
+    if !panel.x_label.is_empty() {
+        layout = layout.with_x_label(&*panel.x_label);
+    }
+    layout
+}
