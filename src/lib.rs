@@ -81,6 +81,7 @@ pub mod check;
 mod dynamics;
 mod engine;
 mod numbers;
+pub mod optimize;
 pub mod policy;
 #[cfg(feature = "program")]
 pub mod program;

@@ -7,12 +7,13 @@ use std::path::{Path, PathBuf};
 type Edges = (&'static str, &'static [&'static str]);
 
 /// Modules of the library.
-const LIBRARY: [Edges; 8] = [
+const LIBRARY: [Edges; 9] = [
     ("numbers", &[]),
     ("report", &[]),
     ("dynamics", &["numbers"]),
     ("policy", &["numbers"]),
     ("tasks", &["numbers", "dynamics"]),
+    ("optimize", &["numbers", "dynamics"]),
     ("engine", &["numbers", "dynamics", "policy"]),
     ("train", &["numbers", "dynamics", "policy", "engine"]),
     ("check", &["numbers", "dynamics", "policy", "engine", "train", "tasks"]),
