@@ -24,7 +24,7 @@ pub(super) struct Search<'a, T> {
 const SIZES: i32 = 10;
 
 /// Fraction of the predicted decrease that a step has to reach.
-const SUFFICIENT: f64 = 1e-3;
+const SUFFICIENT: f64 = 0.1;
 
 /// Number of consecutive small decreases that count as convergence. A single one may be due to
 /// regularization.
@@ -61,7 +61,8 @@ impl<'a, T: Task> Search<'a, T> {
 
     /// Replaces the trajectory by a better one, or returns the reason for the end.
     fn improve(&mut self, expansion: &Expansion) -> Option<Stop> {
-        let tolerance = self.options.cost_tolerance * self.best.cost.abs();
+        // Rounding hides decreases below that of the initial cost.
+        let tolerance = self.options.cost_tolerance * self.best.cost.abs() + f64::EPSILON * self.costs[0].abs();
         loop {
             let regularization = self.regularization.value * expansion.curvature;
             let step = backward(expansion, &self.best.u, &self.bounds, regularization);
@@ -73,7 +74,6 @@ impl<'a, T: Task> Search<'a, T> {
                 self.regularization.decrease();
                 return None;
             }
-            // Decreases below the rounding error of the cost cannot be observed.
             if step.is_some_and(|step| step.predicted(1.0) <= tolerance) {
                 return Some(Stop::Decrease);
             }
@@ -147,15 +147,19 @@ impl Default for Regularization {
 }
 
 impl Regularization {
-    /// Smallest positive value, and the smallest change of the factor.
+    /// Value after 0.
+    const FIRST: f64 = 1e-2;
+    /// Smallest positive value.
     const LEAST: f64 = 1e-6;
+    /// Smallest change of the factor.
     const FACTOR: f64 = 2.0;
+    /// Largest value.
     const MOST: f64 = 1e10;
 
     /// Returns whether the value is still allowed.
     fn increase(&mut self) -> bool {
         self.factor = (self.factor * Self::FACTOR).max(Self::FACTOR);
-        self.value = (self.value * self.factor).max(Self::LEAST);
+        self.value = if self.value == 0.0 { Self::FIRST } else { self.value * self.factor };
         self.value <= Self::MOST
     }
 

@@ -1,0 +1,9 @@
+//! Trajectory optimization: known optima, conditions of optimality, swing-ups, and errors.
+
+mod bounds;
+mod errors;
+mod linear;
+mod problems;
+mod search;
+mod swing_up;
+mod tracking;
