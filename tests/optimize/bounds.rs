@@ -7,14 +7,16 @@ use physgrad::tasks::Lqr;
 use std::f64::consts::PI;
 
 /// Checks the conditions at a plan: the gradient vanishes between the bounds, and points outwards at
-/// them. Returns the numbers of controls at the lower bound, between the bounds, and at the upper
+/// them; a single allowed control has no condition. Returns the numbers of controls at the lower bound, between the bounds, and at the upper
 /// bound.
 fn kkt(plan: &Plan, bounds: &[[f64; 2]], gradient: &[f64], tolerance: f64) -> [usize; 3] {
     let mut counts = [0; 3];
     for (i, (&u, &gradient)) in plan.u.iter().zip(gradient).enumerate() {
         let [low, high] = bounds[i % bounds.len()];
         assert!(low <= u && u <= high, "u[{i}] = {u} is outside of [{low}, {high}]");
-        if u == low {
+        if low == high {
+            counts[0] += 1;
+        } else if u == low {
             assert!(gradient > -tolerance, "u[{i}] at its lower bound: {gradient}");
             counts[0] += 1;
         } else if u == high {
@@ -31,11 +33,13 @@ fn kkt(plan: &Plan, bounds: &[[f64; 2]], gradient: &[f64], tolerance: f64) -> [u
 /// A convex problem: the conditions are sufficient for the global minimum.
 #[test]
 fn bounded_regulator_is_optimal() {
-    let (task, x0) = (Lqr::upright_cart_pole(), [0.2, 0.1, -0.05, 0.1]);
-    let options = Options { gradient_tolerance: 1e-9, bounds: Some(vec![[-0.8, 0.5]]), ..Options::default() };
+    let (task, x0) = (Lqr::spring(), [1.0, 0.0]);
+    // Without bounds, the optimal force lies between -0.34 N and 0.40 N.
+    let bounds = [[-0.2, 0.3]];
+    let options = Options { gradient_tolerance: 1e-9, bounds: Some(bounds.to_vec()), ..Options::default() };
     let plan = optimize(&task, &x0, &[], Initial::Zeros, &options).expect("finite");
     assert!(plan.converged(), "{}", plan.stop);
-    let counts = kkt(&plan, &[[-0.8, 0.5]], &by_adjoint(&task, &x0, &plan.u), 1e-8);
+    let counts = kkt(&plan, &bounds, &by_adjoint(&task, &x0, &plan.u), 1e-8);
     assert!(counts.iter().all(|&count| count > 0), "{counts:?}: each case occurs");
     assert!(plan.cost > task.least_loss(&x0));
 }

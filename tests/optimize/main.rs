@@ -1,6 +1,7 @@
 //! Trajectory optimization: known optima, conditions of optimality, swing-ups, and errors.
 
 mod bounds;
+mod compare;
 mod errors;
 mod linear;
 mod problems;

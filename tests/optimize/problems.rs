@@ -46,6 +46,7 @@ impl Task for SwingUp {
 
 /// Pendulum of 1 kg and 1 m, to rest upright from hanging at rest. State [angle rad (0 = up), rate
 /// rad/s], control [torque N m]. The torque that holds it horizontally is 9.81 N m.
+#[derive(Clone, Debug)]
 pub struct Pendulum {
     pub dt: f64,
     pub horizon: usize,
