@@ -82,6 +82,7 @@ mod dynamics;
 mod engine;
 pub mod identify;
 mod numbers;
+pub mod optimize;
 pub mod policy;
 #[cfg(feature = "program")]
 pub mod program;

@@ -14,6 +14,7 @@ const LIBRARY: [Edges; 9] = [
     ("policy", &["numbers"]),
     ("identify", &["numbers", "dynamics"]),
     ("tasks", &["numbers", "dynamics"]),
+    ("optimize", &["numbers", "dynamics"]),
     ("engine", &["numbers", "dynamics", "policy"]),
     ("train", &["numbers", "dynamics", "policy", "engine"]),
     ("check", &["numbers", "dynamics", "policy", "engine", "train", "tasks"]),

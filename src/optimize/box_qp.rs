@@ -1,0 +1,94 @@
+//! [`BoxQp`]: quadratic program with bounds, by a projected Newton method.
+//!
+//! Bertsekas 1982, doi:10.1137/0320018; Tassa, Mansard and Todorov 2014,
+//! doi:10.1109/ICRA.2014.6907001.
+
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+
+/// Solution of `min_d dᵀ Q d / 2 + qᵀ d` with `low <= d <= high`.
+pub(super) struct BoxQp {
+    /// Minimizer d.
+    pub(super) solution: DVector<f64>,
+    /// Components strictly between their bounds, or free to leave them.
+    free: Vec<usize>,
+    /// Factor of the free rows and columns of Q.
+    factor: Cholesky<f64, Dyn>,
+}
+
+/// Largest number of Newton steps. The free set of a convex problem rarely changes more often than
+/// it has components.
+const MOST_STEPS: usize = 100;
+
+/// Fraction of a Newton step that is too small to matter.
+const SMALLEST: f64 = 1e-12;
+
+/// Fraction of the decrease to first order that a Newton step has to reach.
+const SUFFICIENT: f64 = 0.1;
+
+impl BoxQp {
+    /// Solves the program. The bounds contain 0. Returns `None` if Q is not positive definite on the
+    /// free components.
+    pub(super) fn solve(hessian: &DMatrix<f64>, gradient: &DVector<f64>, bounds: &[[f64; 2]]) -> Option<Self> {
+        let value = |d: &DVector<f64>| d.dot(&(hessian * d * 0.5 + gradient));
+        let mut solution = DVector::zeros(gradient.len());
+        let mut free = free_components(&solution, gradient, bounds);
+        let mut factor = restricted(hessian, &free)?;
+        for _ in 0..MOST_STEPS {
+            let slope = gradient + hessian * &solution;
+            let step = -factor.solve(&slope.select_rows(&free));
+            let (mut size, before) = (1.0, value(&solution));
+            let (moved, inside) = loop {
+                let (moved, inside) = moved(&solution, &free, &step, size, bounds);
+                let enough = before - value(&moved) >= SUFFICIENT * slope.dot(&(&solution - &moved));
+                if enough || size < SMALLEST {
+                    break (moved, inside);
+                }
+                size *= 0.5;
+            };
+            solution = moved;
+            let now_free = free_components(&solution, &(gradient + hessian * &solution), bounds);
+            // A full Newton step within the bounds is exact for its free set.
+            if now_free == free && inside && size == 1.0 {
+                break;
+            }
+            if now_free != free {
+                factor = restricted(hessian, &now_free)?;
+                free = now_free;
+            }
+        }
+        Some(Self { solution, free, factor })
+    }
+
+    /// Returns the gains `-Q⁻¹ c` of a linear term `c x`, with zero rows for components at a bound.
+    pub(super) fn gains(&self, cross: &DMatrix<f64>) -> DMatrix<f64> {
+        let mut gains = DMatrix::zeros(cross.nrows(), cross.ncols());
+        let of_free = -self.factor.solve(&cross.select_rows(&self.free));
+        for (row, &i) in self.free.iter().enumerate() {
+            gains.set_row(i, &of_free.row(row));
+        }
+        gains
+    }
+}
+
+/// Returns the components that are not pressed against a bound.
+fn free_components(d: &DVector<f64>, slope: &DVector<f64>, bounds: &[[f64; 2]]) -> Vec<usize> {
+    let pressed = |i: usize| (d[i] <= bounds[i][0] && slope[i] > 0.0) || (d[i] >= bounds[i][1] && slope[i] < 0.0);
+    (0..d.len()).filter(|&i| !pressed(i)).collect()
+}
+
+/// Returns the factor of the rows and columns `free`.
+fn restricted(hessian: &DMatrix<f64>, free: &[usize]) -> Option<Cholesky<f64, Dyn>> {
+    hessian.select_rows(free).select_columns(free).cholesky()
+}
+
+/// Moves the free components by `size` times `step` and clamps them. Returns whether no component
+/// was clamped.
+fn moved(d: &DVector<f64>, free: &[usize], step: &DVector<f64>, size: f64, bounds: &[[f64; 2]]) -> (DVector<f64>, bool) {
+    let (mut moved, mut inside) = (d.clone(), true);
+    for (&i, step) in free.iter().zip(step.iter()) {
+        let target = d[i] + size * step;
+        moved[i] = target.max(bounds[i][0]).min(bounds[i][1]);
+        inside &= moved[i] == target;
+    }
+    (moved, inside)
+}

@@ -1,0 +1,151 @@
+//! [`Expansion`]: derivatives of dynamics and costs along a trajectory.
+//!
+//! Jacobians of the step are exact, by dual numbers. Hessians of the costs are exact, by nested dual
+//! numbers. Second derivatives of the step are omitted (Gauss-Newton).
+
+use super::OptimizeError;
+use super::trajectory::{Problem, Trajectory};
+use crate::dynamics::inputs::{Cotangents, Inputs};
+use crate::dynamics::outline;
+use crate::dynamics::task::Task;
+use crate::numbers::forward_mode::jacobian;
+use crate::numbers::scalar::Dual;
+use nalgebra::{DMatrix, DVector};
+
+/// Number of directions of each of two nested duals.
+const CHUNK: usize = 4;
+
+/// Number for second derivatives.
+type Second = Dual<Dual<f64, CHUNK>, CHUNK>;
+
+/// Derivatives of one step in z = [x, u]: `dynamics = ∂S/∂z`, and gradient and Hessian of the running
+/// cost as a function of z, through the next state. The Hessian omits `∂²S/∂z²`.
+pub(super) struct StepExpansion {
+    pub(super) dynamics: DMatrix<f64>,
+    pub(super) gradient: DVector<f64>,
+    pub(super) hessian: DMatrix<f64>,
+}
+
+/// Derivatives along a trajectory.
+pub(super) struct Expansion {
+    pub(super) steps: Vec<StepExpansion>,
+    /// Gradient of the terminal cost.
+    pub(super) gradient: DVector<f64>,
+    /// Hessian of the terminal cost.
+    pub(super) hessian: DMatrix<f64>,
+    /// Gradient of the loss by the controls, `[step][control]`.
+    pub(super) by_control: Vec<f64>,
+    /// Largest second derivative of the costs, or largest gradient if all are 0.
+    pub(super) curvature: f64,
+}
+
+impl<T: Task> Problem<'_, T> {
+    /// Expands costs and dynamics along a trajectory, after `iteration` iterations.
+    ///
+    /// # Errors
+    /// [`OptimizeError::Derivative`] if a derivative is not finite.
+    pub(super) fn expand(&self, trajectory: &Trajectory, iteration: usize) -> Result<Expansion, OptimizeError> {
+        let (n, m, steps) = (self.n, self.m, self.task.horizon());
+        let problem = |step| OptimizeError::Derivative { iteration, step };
+        let expanded = (0..steps).map(|t| {
+            let step = self.expand_step(trajectory, t);
+            let finite = [step.dynamics.as_slice(), step.gradient.as_slice(), step.hessian.as_slice()];
+            if all_finite(finite) { Ok(step) } else { Err(problem(Some(t))) }
+        });
+        let expanded = expanded.collect::<Result<Vec<_>, _>>()?;
+        let last = &trajectory.x[steps * n..];
+        let mut gradient = DVector::zeros(n);
+        self.task.terminal_cost_gradient(last, self.p, gradient.as_mut_slice(), None);
+        let hessian = hessian(last, |x| self.task.terminal_cost(x, &constants(self.p)));
+        if !all_finite([gradient.as_slice(), hessian.as_slice()]) {
+            return Err(problem(None));
+        }
+        let (by_control, finite) = gradient_by_control(&expanded, gradient.clone(), n, m);
+        if let Err(step) = finite {
+            return Err(problem(Some(step)));
+        }
+        let largest = |of_step: fn(&StepExpansion) -> f64, terminal: f64| expanded.iter().map(of_step).fold(terminal, f64::max);
+        let second = largest(|step| step.hessian.amax(), hessian.amax());
+        let curvature = if second > 0.0 { second } else { largest(|step| step.gradient.amax(), gradient.amax()) };
+        Ok(Expansion { steps: expanded, gradient, hessian, by_control, curvature })
+    }
+
+    fn expand_step(&self, trajectory: &Trajectory, t: usize) -> StepExpansion {
+        let Self { task, p, n, m } = *self;
+        let inputs = Inputs { x: &trajectory.x[t * n..][..n], u: &trajectory.u[t * m..][..m], p, t };
+        let next = &trajectory.x[(t + 1) * n..][..n];
+        let all = [inputs.x, inputs.u, p].concat();
+        let mut dynamics = DMatrix::zeros(n, n + m);
+        jacobian(
+            &all,
+            0..n + m,
+            n,
+            |all, next| outline::step(task.system(), Inputs { x: &all[..n], u: &all[n..n + m], p: &all[n + m..], t }, next),
+            |i, column| dynamics.column_mut(i).copy_from_slice(column),
+        );
+        let (mut gradient, mut next_bar) = (DVector::zeros(n + m), DVector::zeros(n));
+        let (x_bar, u_bar) = gradient.as_mut_slice().split_at_mut(n);
+        task.running_cost_gradient(inputs, next, Cotangents::of(x_bar, u_bar), next_bar.as_mut_slice());
+        gradient += dynamics.tr_mul(&next_bar);
+        let second_p = constants(p);
+        let of_cost = hessian(&[inputs.x, inputs.u, next].concat(), |all| {
+            let inputs = Inputs { x: &all[..n], u: &all[n..n + m], p: &second_p, t };
+            task.running_cost(inputs, &all[n + m..])
+        });
+        // Chain rule: z ↦ (z, S(z)) has the Jacobian [I; F].
+        let (z, onward) = (0..n + m, n + m..n + m + n);
+        let cross = of_cost.view_range(z.clone(), onward.clone()) * &dynamics;
+        let through = dynamics.tr_mul(&of_cost.view_range(onward.clone(), onward)) * &dynamics;
+        let hessian = of_cost.view_range(z.clone(), z) + &cross + cross.transpose() + through;
+        StepExpansion { dynamics, gradient, hessian }
+    }
+}
+
+/// Returns the gradient by the controls, by the adjoint recursion, or the step at which it is not
+/// finite.
+fn gradient_by_control(steps: &[StepExpansion], terminal: DVector<f64>, n: usize, m: usize) -> (Vec<f64>, Result<(), usize>) {
+    let (mut adjoint, mut by_control) = (terminal, vec![0.0; steps.len() * m]);
+    for (t, step) in steps.iter().enumerate().rev() {
+        let both = &step.gradient + step.dynamics.tr_mul(&adjoint);
+        if !all_finite([both.as_slice()]) {
+            return (by_control, Err(t));
+        }
+        by_control[t * m..][..m].copy_from_slice(&both.as_slice()[n..]);
+        adjoint = both.rows(0, n).into_owned();
+    }
+    (by_control, Ok(()))
+}
+
+/// Returns the Hessian of `f` at `z`, by nested dual numbers.
+fn hessian(z: &[f64], f: impl Fn(&[Second]) -> Second) -> DMatrix<f64> {
+    let len = z.len();
+    let mut hessian = DMatrix::zeros(len, len);
+    let mut inputs = constants(z);
+    let in_chunk = |first: usize, i: usize| (first..first + CHUNK).contains(&i).then(|| i - first);
+    for row in (0..len).step_by(CHUNK) {
+        for column in (row..len).step_by(CHUNK) {
+            for (i, (input, &z)) in inputs.iter_mut().zip(z).enumerate() {
+                let mut inner = Dual::constant(z);
+                in_chunk(column, i).into_iter().for_each(|k| inner.tangents[k] = 1.0);
+                *input = Dual::constant(inner);
+                in_chunk(row, i).into_iter().for_each(|k| input.tangents[k] = Dual::constant(1.0));
+            }
+            let value = f(&inputs);
+            for i in row..len.min(row + CHUNK) {
+                for j in column..len.min(column + CHUNK) {
+                    let entry = value.tangents[i - row].tangents[j - column];
+                    (hessian[(i, j)], hessian[(j, i)]) = (entry, entry);
+                }
+            }
+        }
+    }
+    hessian
+}
+
+fn constants(values: &[f64]) -> Vec<Second> {
+    values.iter().map(|&value| Dual::constant(Dual::constant(value))).collect()
+}
+
+fn all_finite<const N: usize>(lists: [&[f64]; N]) -> bool {
+    lists.into_iter().flatten().all(|number| number.is_finite())
+}

@@ -1,0 +1,66 @@
+//! [`OptimizeError`]: invalid input, or a number that is not finite.
+
+/// Error of [`optimize`](super::optimize).
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum OptimizeError {
+    /// An argument has the wrong length.
+    #[error("{argument} has {found} numbers, but the task needs {expected} ({shape})")]
+    Length {
+        /// Name of the argument.
+        argument: &'static str,
+        /// Meaning of the expected length.
+        shape: &'static str,
+        /// Expected length.
+        expected: usize,
+        /// Found length.
+        found: usize,
+    },
+    /// No control lies between the bounds.
+    #[error("the bounds of control {control} are [{low}, {high}]; allowed: low <= high, each possibly infinite, none NaN")]
+    Bounds {
+        /// Index of the control.
+        control: usize,
+        /// Lower bound.
+        low: f64,
+        /// Upper bound.
+        high: f64,
+    },
+    /// A state or control of the initial trajectory is not finite.
+    #[error(
+        "initial trajectory: component {component} of the {variable} at step {step} is not finite. \
+         Start from other controls, for instance a stabilizing feedback, or reduce the time step"
+    )]
+    Diverged {
+        /// `state` or `control`.
+        variable: &'static str,
+        /// Time step. The initial state and the first control have step 0.
+        step: usize,
+        /// Component of the variable.
+        component: usize,
+    },
+    /// The cost of the initial trajectory is not finite, but its states are finite.
+    #[error(
+        "initial trajectory: the {} is not finite, but all states are finite. Check the cost for overflow, division by 0, and \
+         roots or logarithms of negative numbers", place(*step)
+    )]
+    Cost {
+        /// Step of the running cost; `None` for the terminal cost.
+        step: Option<usize>,
+    },
+    /// A derivative at a finite trajectory is not finite.
+    #[error(
+        "iteration {iteration}: a first or second derivative of the {} or of its step is not finite. \
+         Smooth the cost and the dynamics there, for instance roots near 0", place(*step)
+    )]
+    Derivative {
+        /// Number of completed iterations.
+        iteration: usize,
+        /// Step of the running cost; `None` for the terminal cost.
+        step: Option<usize>,
+    },
+}
+
+/// Name of a cost in messages.
+fn place(step: Option<usize>) -> String {
+    step.map_or("terminal cost".into(), |step| format!("running cost of step {step}"))
+}

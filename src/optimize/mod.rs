@@ -1,0 +1,97 @@
+//! Trajectory optimization: controls that minimize the loss of any [`Task`] from one initial state.
+//!
+//! [`optimize`] finds `u_0 .. u_{T-1}` that minimize `φ(x_T, p) + Σ_t l(x_t, u_t, p, t, x_{t+1})`,
+//! by Gauss-Newton differential dynamic programming (iLQR) with bounds on the controls:
+//!
+//! - Tassa, Erez and Todorov 2012, doi:10.1109/IROS.2012.6386025: regularized backward pass.
+//! - Tassa, Mansard and Todorov 2014, doi:10.1109/ICRA.2014.6907001: bounds, as a quadratic program
+//!   per step.
+//!
+//! Each iteration linearizes the dynamics, expands the costs to second order, and solves the
+//! resulting linear-quadratic problem by one backward pass. A line search along the new controls and
+//! gains accepts only steps that decrease the cost. All derivatives are exact. `docs/optimize.md`
+//! has the equations and measured figures.
+//!
+//! - [`Options`], [`Initial`]: settings and initial controls.
+//! - [`Plan`]: controls, states, gains, cost and gradient.
+//! - [`Tracking`]: the task to follow a plan by a trained policy.
+//!
+//! # Limits
+//! The minimum is local. A stationary initial trajectory, such as a pendulum at rest that hangs
+//! exactly, stays as it is: start from other controls. Contacts and dry friction have derivatives of
+//! one branch only.
+//!
+//! Imports `numbers` and `dynamics`. Start reading in `search.rs`.
+
+mod backward;
+mod box_qp;
+mod derivatives;
+mod error;
+mod options;
+mod plan;
+mod search;
+mod tracking;
+mod trajectory;
+
+pub use error::OptimizeError;
+pub use options::{Initial, Options};
+pub use plan::{Plan, Stop};
+pub use tracking::Tracking;
+
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use options::{Bounds, check_length};
+use search::Search;
+use trajectory::Problem;
+
+/// Minimizes the loss of a task from the initial state `x0`, with parameters `p`.
+///
+/// The result is never worse than the initial controls, clamped to the bounds. Computes in `f64`.
+///
+/// ```
+/// use physgrad::optimize::{Initial, Options, optimize};
+/// use physgrad::tasks::Lqr;
+///
+/// let task = Lqr::spring();
+/// let plan = optimize(&task, &[1.0, 0.0], &[], Initial::Zeros, &Options::default())?;
+/// // A linear-quadratic problem takes one iteration. Its minimum is known.
+/// assert_eq!(plan.iterations(), 1);
+/// assert!((plan.cost - task.least_loss(&[1.0, 0.0])).abs() < 1e-12);
+///
+/// let bounded = Options::default().bounded(1, 0.2);
+/// let plan = optimize(&task, &[1.0, 0.0], &[], Initial::Controls(&plan.u), &bounded)?;
+/// assert!(plan.u.iter().all(|u| u.abs() <= 0.2));
+/// # Ok::<(), physgrad::optimize::OptimizeError>(())
+/// ```
+///
+/// # Errors
+/// [`OptimizeError`] if
+/// - a length differs from that of the task,
+/// - a lower bound is above its upper bound,
+/// - the initial trajectory or its cost is not finite,
+/// - a derivative at a finite trajectory is not finite.
+pub fn optimize<T: Task>(
+    task: &T,
+    x0: &[f64],
+    p: &[f64],
+    initial: Initial<'_>,
+    options: &Options,
+) -> Result<Plan, OptimizeError> {
+    let (n, m) = (task.system().state_dim(), task.system().control_dim());
+    check_length("x0", "the state", n, x0.len())?;
+    check_length("p", "the parameters of the task", task.param_dim(), p.len())?;
+    if let Initial::Controls(u) = initial {
+        check_length("the initial controls", "horizon times controls", task.horizon() * m, u.len())?;
+    }
+    let bounds = Bounds::new(options, m)?;
+    let problem = Problem { task, p, n, m };
+    let start = problem.simulate(x0, |t, x, u| {
+        match initial {
+            Initial::Zeros => u.fill(0.0),
+            Initial::Controls(all) => u.copy_from_slice(&all[t * m..][..m]),
+            Initial::Feedback(feedback) => feedback(t, x, u),
+        }
+        bounds.clamp(u);
+    })?;
+    Search::new(problem, bounds, options, start).run()
+}

@@ -1,0 +1,117 @@
+//! [`Options`] and [`Initial`]: settings and start of an optimization.
+
+use super::OptimizeError;
+
+/// Settings of [`optimize`](super::optimize).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// Largest number of iterations. Each linearizes the trajectory once.
+    pub max_iterations: usize,
+    /// Converged if no component of the projected gradient exceeds this number. Unit: cost per unit
+    /// of control. At an active bound, a component that points out of the bounds counts as 0.
+    pub gradient_tolerance: f64,
+    /// Converged if three consecutive iterations decrease the cost by at most this fraction.
+    pub cost_tolerance: f64,
+    /// Bounds `[low, high]` of each control, at all steps. Infinite bounds are allowed. `None`: no
+    /// bounds.
+    pub bounds: Option<Vec<[f64; 2]>>,
+}
+
+impl Default for Options {
+    /// 200 iterations, tolerances of 1e-8 (gradient) and 1e-10 (cost), no bounds.
+    fn default() -> Self {
+        Self { max_iterations: 200, gradient_tolerance: 1e-8, cost_tolerance: 1e-10, bounds: None }
+    }
+}
+
+impl Options {
+    /// Sets equal bounds `[-size, size]` for `controls` controls.
+    pub fn bounded(mut self, controls: usize, size: f64) -> Self {
+        self.bounds = Some(vec![[-size, size]; controls]);
+        self
+    }
+}
+
+/// Initial controls of an optimization. Bounds clamp them.
+#[derive(Clone, Copy)]
+pub enum Initial<'a> {
+    /// All controls are 0.
+    Zeros,
+    /// Given controls, `[step][control]`: [`Plan::u`](super::Plan::u) of another plan, or the
+    /// parameters of a trained [`OpenLoop`](crate::policy::OpenLoop).
+    Controls(&'a [f64]),
+    /// Controls of a rollout of a feedback `(t, x, u)`, which writes the control `u` at step `t` and
+    /// state `x`.
+    ///
+    /// For a trained policy without memory that observes the state, call
+    /// [`Policy::act`](crate::Policy::act):
+    /// ```
+    /// use physgrad::optimize::{Initial, Options, optimize};
+    /// use physgrad::policy::{Action, Linear, Observed};
+    /// use physgrad::{Policy, tasks::Lqr};
+    ///
+    /// let (task, policy, theta) = (Lqr::spring(), Linear::new(2, 1), [-0.3, -0.8]);
+    /// let feedback = |t: usize, y: &[f64], u: &mut [f64]| {
+    ///     policy.act(&theta, Observed { y, memory: &[], t }, Action { u, memory: &mut [] });
+    /// };
+    /// let plan = optimize(&task, &[1.0, 0.0], &[], Initial::Feedback(&feedback), &Options::default())?;
+    /// assert!(plan.converged());
+    /// # Ok::<(), physgrad::optimize::OptimizeError>(())
+    /// ```
+    Feedback(&'a dyn Fn(usize, &[f64], &mut [f64])),
+}
+
+/// Valid bounds of all controls, infinite if the options have none.
+pub(super) struct Bounds(Vec<[f64; 2]>);
+
+impl Bounds {
+    /// # Errors
+    /// [`OptimizeError`] if the number of bounds differs from that of the controls, or if a lower
+    /// bound is above its upper bound.
+    pub(super) fn new(options: &Options, control_dim: usize) -> Result<Self, OptimizeError> {
+        let unbounded = [f64::NEG_INFINITY, f64::INFINITY];
+        let bounds = options.bounds.clone().unwrap_or_else(|| vec![unbounded; control_dim]);
+        check_length("options.bounds", "one pair per control", control_dim, bounds.len())?;
+        for (control, &[low, high]) in bounds.iter().enumerate() {
+            // Also refuses NaN, and intervals that contain an infinity alone.
+            if !(low <= high && low < f64::INFINITY && high > f64::NEG_INFINITY) {
+                return Err(OptimizeError::Bounds { control, low, high });
+            }
+        }
+        Ok(Self(bounds))
+    }
+
+    /// Clamps a control. A control within 4 ulp of a bound becomes the bound.
+    pub(super) fn clamp(&self, u: &mut [f64]) {
+        for (u, &[low, high]) in u.iter_mut().zip(&self.0) {
+            let near = |bound: f64| 4.0 * f64::EPSILON * bound.abs();
+            if *u >= high || *u >= high - near(high) {
+                *u = high;
+            } else if *u <= low || *u <= low + near(low) {
+                *u = low;
+            }
+        }
+    }
+
+    /// Largest and smallest change of a control.
+    pub(super) fn changes(&self, u: &[f64]) -> Vec<[f64; 2]> {
+        self.0.iter().zip(u).map(|([low, high], u)| [low - u, high - u]).collect()
+    }
+
+    /// Returns a component of the gradient, or 0 if it points out of the bounds.
+    pub(super) fn projected(&self, control: usize, u: f64, gradient: f64) -> f64 {
+        let [low, high] = self.0[control];
+        if (u <= low && gradient > 0.0) || (u >= high && gradient < 0.0) { 0.0 } else { gradient }
+    }
+}
+
+/// # Errors
+/// [`OptimizeError::Length`] if both lengths differ.
+pub(super) fn check_length(
+    argument: &'static str,
+    shape: &'static str,
+    expected: usize,
+    found: usize,
+) -> Result<(), OptimizeError> {
+    if expected == found { Ok(()) } else { Err(OptimizeError::Length { argument, shape, expected, found }) }
+}

@@ -1,0 +1,112 @@
+//! [`Plan`]: result of an optimization.
+
+use std::fmt;
+
+/// Controls that minimize the loss from one initial state, at least locally.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// Controls, `[step][control]`: the parameters of an [`OpenLoop`](crate::policy::OpenLoop).
+    pub u: Vec<f64>,
+    /// States, `[step][component]`, from the initial state to the last one.
+    pub x: Vec<f64>,
+    /// Gains `K_t`, `[step][control][component]`. See [`feedback`](Plan::feedback).
+    pub gains: Vec<f64>,
+    /// Gradient of the cost by the controls, `[step][control]`. At an active bound, a component that
+    /// points out of the bounds is not 0.
+    pub gradient: Vec<f64>,
+    /// Parameters of the sample.
+    pub p: Vec<f64>,
+    /// Running costs plus terminal cost.
+    pub cost: f64,
+    /// Initial cost, then the cost after each iteration. Never increases.
+    pub costs: Vec<f64>,
+    /// Number of simulations of the whole trajectory.
+    pub rollouts: usize,
+    /// Reason for the end.
+    pub stop: Stop,
+    pub(super) gradient_norm: f64,
+    pub(super) state_dim: usize,
+    pub(super) control_dim: usize,
+}
+
+/// Reason for the end of an optimization.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stop {
+    /// The projected gradient is within its tolerance.
+    Gradient,
+    /// The relative decrease of the cost is within its tolerance.
+    Decrease,
+    /// No step decreases the cost, even with the largest regularization.
+    NoDescent,
+    /// The largest number of iterations was reached.
+    Iterations,
+}
+
+impl Plan {
+    /// Number of iterations.
+    pub fn iterations(&self) -> usize {
+        self.costs.len() - 1
+    }
+
+    /// Returns whether a tolerance was reached.
+    pub fn converged(&self) -> bool {
+        matches!(self.stop, Stop::Gradient | Stop::Decrease)
+    }
+
+    /// Largest absolute component of the projected gradient. At an active bound, a component that
+    /// points out of the bounds counts as 0.
+    pub fn gradient_norm(&self) -> f64 {
+        self.gradient_norm
+    }
+
+    /// Number of steps.
+    pub fn horizon(&self) -> usize {
+        self.u.len().checked_div(self.control_dim).unwrap_or_default()
+    }
+
+    /// State at step `t`, from 0 to the horizon.
+    ///
+    /// # Panics
+    /// If `t` exceeds the horizon.
+    #[track_caller]
+    pub fn state(&self, t: usize) -> &[f64] {
+        &self.x[t * self.state_dim..][..self.state_dim]
+    }
+
+    /// Control of step `t`.
+    ///
+    /// # Panics
+    /// If `t` is not below the horizon.
+    #[track_caller]
+    pub fn control(&self, t: usize) -> &[f64] {
+        &self.u[t * self.control_dim..][..self.control_dim]
+    }
+
+    /// Writes the control `u_t + K_t (x - x_t)` of a state near the plan. Does not clamp it.
+    ///
+    /// The gains are those of the last regularized backward pass. They are locally optimal if the
+    /// plan converged without regularization. Rows of controls at a bound are 0.
+    ///
+    /// # Panics
+    /// If `t` is not below the horizon.
+    #[track_caller]
+    pub fn feedback(&self, t: usize, x: &[f64], u: &mut [f64]) {
+        let (n, m) = (self.state_dim, self.control_dim);
+        let rows = self.gains[t * m * n..][..m * n].chunks_exact(n);
+        let deviation = || x.iter().zip(self.state(t)).map(|(x, planned)| x - planned);
+        for ((u, planned), row) in u.iter_mut().zip(self.control(t)).zip(rows) {
+            *u = planned + row.iter().zip(deviation()).map(|(gain, deviation)| gain * deviation).sum::<f64>();
+        }
+    }
+}
+
+impl fmt::Display for Stop {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Gradient => "the gradient is within its tolerance",
+            Self::Decrease => "the decrease of the cost is within its tolerance",
+            Self::NoDescent => "no step decreases the cost",
+            Self::Iterations => "the largest number of iterations was reached",
+        })
+    }
+}

@@ -1,0 +1,171 @@
+//! [`Search`]: iterations of backward pass, line search and regularization.
+
+use super::backward::{Step, backward};
+use super::derivatives::Expansion;
+use super::options::{Bounds, Options};
+use super::plan::{Plan, Stop};
+use super::trajectory::{Problem, Trajectory};
+use super::{OptimizeError, Task};
+
+/// State of an optimization.
+pub(super) struct Search<'a, T> {
+    problem: Problem<'a, T>,
+    bounds: Bounds,
+    options: &'a Options,
+    best: Trajectory,
+    regularization: Regularization,
+    costs: Vec<f64>,
+    rollouts: usize,
+    /// Number of consecutive iterations with a decrease within the tolerance.
+    small_decreases: usize,
+}
+
+/// Line search: sizes are `2^-k` for `k < SIZES`.
+const SIZES: i32 = 10;
+
+/// Fraction of the predicted decrease that a step has to reach.
+const SUFFICIENT: f64 = 0.1;
+
+/// Number of consecutive small decreases that count as convergence. A single one may be due to
+/// regularization.
+const SMALL_DECREASES: usize = 3;
+
+impl<'a, T: Task> Search<'a, T> {
+    pub(super) fn new(problem: Problem<'a, T>, bounds: Bounds, options: &'a Options, start: Trajectory) -> Self {
+        let (costs, regularization) = (vec![start.cost], Regularization::default());
+        Self { problem, bounds, options, best: start, regularization, costs, rollouts: 1, small_decreases: 0 }
+    }
+
+    /// Iterates until a tolerance is reached.
+    ///
+    /// # Errors
+    /// [`OptimizeError::Derivative`] if a derivative is not finite.
+    pub(super) fn run(mut self) -> Result<Plan, OptimizeError> {
+        loop {
+            let iteration = self.costs.len() - 1;
+            let expansion = self.problem.expand(&self.best, iteration)?;
+            let stop = if self.gradient_norm(&expansion) <= self.options.gradient_tolerance {
+                Some(Stop::Gradient)
+            } else if self.small_decreases >= SMALL_DECREASES {
+                Some(Stop::Decrease)
+            } else if iteration == self.options.max_iterations {
+                Some(Stop::Iterations)
+            } else {
+                self.improve(&expansion)
+            };
+            if let Some(stop) = stop {
+                return Ok(self.finish(expansion, stop));
+            }
+        }
+    }
+
+    /// Replaces the trajectory by a better one, or returns the reason for the end.
+    fn improve(&mut self, expansion: &Expansion) -> Option<Stop> {
+        // Rounding hides decreases below that of the initial cost.
+        let tolerance = self.options.cost_tolerance * self.best.cost.abs() + f64::EPSILON * self.costs[0].abs();
+        loop {
+            let regularization = self.regularization.value * expansion.curvature;
+            let step = backward(expansion, &self.best.u, &self.bounds, regularization);
+            if let Some(better) = step.as_ref().and_then(|step| self.line_search(step)) {
+                let decrease = self.best.cost - better.cost;
+                self.small_decreases = if decrease <= tolerance { self.small_decreases + 1 } else { 0 };
+                self.costs.push(better.cost);
+                self.best = better;
+                self.regularization.decrease();
+                return None;
+            }
+            if step.is_some_and(|step| step.predicted(1.0) <= tolerance) {
+                return Some(Stop::Decrease);
+            }
+            if !self.regularization.increase() {
+                return Some(Stop::NoDescent);
+            }
+        }
+    }
+
+    /// Returns the first trajectory along the step with a sufficient decrease of the cost.
+    fn line_search(&mut self, step: &Step) -> Option<Trajectory> {
+        let (n, m) = (self.problem.n, self.problem.m);
+        for size in (0..SIZES).map(|k| 0.5f64.powi(k)) {
+            let Trajectory { x: old_x, u: old_u, .. } = &self.best;
+            let simulated = self.problem.simulate(&old_x[..n], |t, x, u| {
+                let deviation = x.iter().zip(&old_x[t * n..]).map(|(x, old)| x - old);
+                for i in 0..m {
+                    let feedback: f64 = deviation.clone().enumerate().map(|(j, d)| step.gains[t][(i, j)] * d).sum();
+                    u[i] = old_u[t * m + i] + size * step.changes[t][i] + feedback;
+                }
+                self.bounds.clamp(u);
+            });
+            self.rollouts += 1;
+            // A trajectory that diverges is not an improvement.
+            if let Ok(new) = simulated
+                && new.cost < self.best.cost
+                && self.best.cost - new.cost >= SUFFICIENT * step.predicted(size)
+            {
+                return Some(new);
+            }
+        }
+        None
+    }
+
+    /// Largest absolute component of the projected gradient.
+    fn gradient_norm(&self, expansion: &Expansion) -> f64 {
+        let all = expansion.by_control.iter().zip(&self.best.u).enumerate();
+        all.fold(0.0, |norm, (i, (&gradient, &u))| self.bounds.projected(i % self.problem.m, u, gradient).abs().max(norm))
+    }
+
+    /// Computes the gains of the final trajectory, with the least regularization that determines
+    /// them.
+    fn finish(self, expansion: Expansion, stop: Stop) -> Plan {
+        let (n, m) = (self.problem.n, self.problem.m);
+        let mut regularization = Regularization::default();
+        let gains = loop {
+            match backward(&expansion, &self.best.u, &self.bounds, regularization.value * expansion.curvature) {
+                Some(step) => break step.gains.iter().flat_map(|gain| gain.transpose().as_slice().to_vec()).collect(),
+                None if regularization.increase() => {}
+                None => break vec![0.0; self.best.u.len() * n],
+            }
+        };
+        let gradient_norm = self.gradient_norm(&expansion);
+        let (Trajectory { x, u, cost }, p) = (self.best, self.problem.p.to_vec());
+        let (costs, rollouts, gradient) = (self.costs, self.rollouts, expansion.by_control);
+        Plan { u, x, gains, gradient, p, cost, costs, rollouts, stop, gradient_norm, state_dim: n, control_dim: m }
+    }
+}
+
+/// Regularization relative to the curvature of the costs, with the quadratic schedule of Tassa, Erez
+/// and Todorov 2012, section II.F.
+struct Regularization {
+    value: f64,
+    factor: f64,
+}
+
+impl Default for Regularization {
+    fn default() -> Self {
+        Self { value: 0.0, factor: 1.0 }
+    }
+}
+
+impl Regularization {
+    /// Value after 0.
+    const FIRST: f64 = 1e-2;
+    /// Smallest positive value.
+    const LEAST: f64 = 1e-6;
+    /// Smallest change of the factor.
+    const FACTOR: f64 = 2.0;
+    /// Largest value.
+    const MOST: f64 = 1e10;
+
+    /// Returns whether the value is still allowed.
+    fn increase(&mut self) -> bool {
+        self.factor = (self.factor * Self::FACTOR).max(Self::FACTOR);
+        self.value = if self.value == 0.0 { Self::FIRST } else { self.value * self.factor };
+        self.value <= Self::MOST
+    }
+
+    fn decrease(&mut self) {
+        self.factor = (self.factor / Self::FACTOR).min(1.0 / Self::FACTOR);
+        let value = self.value * self.factor;
+        self.value = if value >= Self::LEAST { value } else { 0.0 };
+    }
+}

@@ -1,0 +1,64 @@
+//! [`Trajectory`]: states, controls and cost of one rollout.
+
+use super::OptimizeError;
+use crate::dynamics::inputs::Inputs;
+use crate::dynamics::outline;
+use crate::dynamics::task::Task;
+
+/// States `[step][component]`, with one more step than the controls `[step][control]`, and the cost.
+#[derive(Clone, Debug)]
+pub(super) struct Trajectory {
+    pub(super) x: Vec<f64>,
+    pub(super) u: Vec<f64>,
+    pub(super) cost: f64,
+}
+
+/// Problem of one initial state: task and parameters.
+pub(super) struct Problem<'a, T> {
+    pub(super) task: &'a T,
+    pub(super) p: &'a [f64],
+    /// Number of state components.
+    pub(super) n: usize,
+    /// Number of controls.
+    pub(super) m: usize,
+}
+
+impl<T: Task> Problem<'_, T> {
+    /// Simulates the controls that `control(t, x, u)` writes.
+    ///
+    /// # Errors
+    /// [`OptimizeError`] with the place of the first number that is not finite.
+    pub(super) fn simulate(
+        &self,
+        x0: &[f64],
+        mut control: impl FnMut(usize, &[f64], &mut [f64]),
+    ) -> Result<Trajectory, OptimizeError> {
+        let Self { task, p, n, m } = *self;
+        let steps = task.horizon();
+        let (mut x, mut u, mut cost) = (vec![0.0; (steps + 1) * n], vec![0.0; steps * m], 0.0);
+        x[..n].copy_from_slice(x0);
+        finite("state", 0, x0)?;
+        for t in 0..steps {
+            let (past, future) = x.split_at_mut((t + 1) * n);
+            let (now, next, u) = (&past[t * n..], &mut future[..n], &mut u[t * m..][..m]);
+            control(t, now, u);
+            finite("control", t, u)?;
+            let inputs = Inputs { x: now, u, p, t };
+            outline::step(task.system(), inputs, next);
+            finite("state", t + 1, next)?;
+            cost += task.running_cost(inputs, next);
+            if !cost.is_finite() {
+                return Err(OptimizeError::Cost { step: Some(t) });
+            }
+        }
+        cost += task.terminal_cost(&x[steps * n..], p);
+        if cost.is_finite() { Ok(Trajectory { x, u, cost }) } else { Err(OptimizeError::Cost { step: None }) }
+    }
+}
+
+fn finite(variable: &'static str, step: usize, values: &[f64]) -> Result<(), OptimizeError> {
+    match values.iter().position(|value| !value.is_finite()) {
+        None => Ok(()),
+        Some(component) => Err(OptimizeError::Diverged { variable, step, component }),
+    }
+}

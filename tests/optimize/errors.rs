@@ -1,0 +1,104 @@
+//! Errors name the argument, or the step.
+
+use super::problems::{Coupled, Explosive};
+use physgrad::optimize::{Initial, OptimizeError, Options, optimize};
+use physgrad::prelude::*;
+
+#[test]
+fn divergence_names_the_step() {
+    // x grows as 3^(2^t): 3^512 is finite, 3^1024 is not.
+    let result = optimize(&Explosive, &[3.0], &[], Initial::Zeros, &Options::default());
+    assert_eq!(result, Err(OptimizeError::Diverged { variable: "state", step: 10, component: 0 }));
+    assert!(result.unwrap_err().to_string().contains("component 0 of the state at step 10"));
+    let result = optimize(&Explosive, &[f64::NAN], &[], Initial::Zeros, &Options::default());
+    assert_eq!(result, Err(OptimizeError::Diverged { variable: "state", step: 0, component: 0 }));
+    let feedback = |t: usize, _: &[f64], u: &mut [f64]| u[0] = if t == 4 { f64::NAN } else { 0.0 };
+    for options in [Options::default(), Options::default().bounded(1, 1.0)] {
+        let result = optimize(&Explosive, &[0.5], &[], Initial::Feedback(&feedback), &options);
+        assert_eq!(result, Err(OptimizeError::Diverged { variable: "control", step: 4, component: 0 }));
+    }
+}
+
+#[test]
+fn wrong_lengths_are_refused() {
+    let run = |x0: &[f64], p: &[f64], u: &[f64], options: &Options| {
+        let error = optimize(&Coupled, x0, p, Initial::Controls(u), options).expect_err("a wrong length");
+        let OptimizeError::Length { argument, expected, found, .. } = error else { panic!("{error}") };
+        (argument, expected, found)
+    };
+    let (options, u) = (Options::default(), vec![0.0; 24]);
+    assert_eq!(run(&[0.0], &[0.0], &u, &options), ("x0", 2, 1));
+    assert_eq!(run(&[0.0; 2], &[], &u, &options), ("p", 1, 0));
+    assert_eq!(run(&[0.0; 2], &[0.0], &u[1..], &options), ("the initial controls", 24, 23));
+    assert_eq!(run(&[0.0; 2], &[0.0], &u, &options.bounded(3, 1.0)), ("options.bounds", 2, 3));
+}
+
+#[test]
+fn empty_bounds_are_refused() {
+    for [low, high] in [[1.0, 0.5], [f64::NAN, 1.0], [0.0, f64::NAN], [f64::INFINITY; 2], [f64::NEG_INFINITY; 2]] {
+        let options = Options { bounds: Some(vec![[0.0, 1.0], [low, high]]), ..Options::default() };
+        let error = optimize(&Coupled, &[0.0; 2], &[0.0], Initial::Zeros, &options).expect_err("no control is allowed");
+        assert!(matches!(error, OptimizeError::Bounds { control: 1, .. }), "{error}");
+    }
+}
+
+/// Costs that are not finite, or whose derivatives are not.
+struct Broken {
+    terminal: bool,
+    root: bool,
+}
+
+impl System for Broken {
+    fn state_dim(&self) -> usize {
+        1
+    }
+
+    fn control_dim(&self) -> usize {
+        1
+    }
+
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = x[0] + u[0];
+    }
+}
+
+impl Broken {
+    /// -∞, or an infinite derivative, at 0.
+    fn at_zero<T: Scalar>(&self, x: T) -> T {
+        if self.root { x.sqrt() } else { x.ln() }
+    }
+}
+
+impl Task for Broken {
+    type System = Self;
+
+    fn system(&self) -> &Self {
+        self
+    }
+
+    fn horizon(&self) -> usize {
+        5
+    }
+
+    fn start(&self, _: &mut Rng, _: Start<'_>) {}
+
+    fn running_cost<T: Scalar>(&self, Inputs { x, t, .. }: Inputs<'_, T>, _next: &[T]) -> T {
+        if t == 3 && !self.terminal { self.at_zero(x[0]) } else { x[0] * x[0] }
+    }
+
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
+        if self.terminal { self.at_zero(x[0]) } else { x[0] }
+    }
+}
+
+#[test]
+fn broken_costs_are_named() {
+    for terminal in [false, true] {
+        let step = (!terminal).then_some(3);
+        let run = |root: bool| optimize(&Broken { terminal, root }, &[0.0], &[], Initial::Zeros, &Options::default());
+        assert_eq!(run(false), Err(OptimizeError::Cost { step }));
+        assert_eq!(run(true), Err(OptimizeError::Derivative { iteration: 0, step }));
+        let place = if terminal { "terminal cost" } else { "running cost of step 3" };
+        assert!(run(true).unwrap_err().to_string().contains(place));
+    }
+}

@@ -1,0 +1,176 @@
+//! Problems of the tests.
+
+use physgrad::prelude::*;
+use physgrad::tasks::CartPoleSystem;
+use std::f64::consts::PI;
+
+/// Cart with one pole, to rest upright at the origin from hanging at rest. SI units.
+#[derive(Clone, Debug)]
+pub struct SwingUp {
+    pub system: CartPoleSystem,
+    pub horizon: usize,
+}
+
+impl SwingUp {
+    /// 2 s in steps of 0.02 s.
+    pub fn new() -> Self {
+        Self { system: CartPoleSystem { dt: 0.02, ..CartPoleSystem::default() }, horizon: 100 }
+    }
+
+    pub const START: [f64; 4] = [0.0, 0.0, PI, 0.0];
+}
+
+impl Task for SwingUp {
+    type System = CartPoleSystem;
+
+    fn system(&self) -> &CartPoleSystem {
+        &self.system
+    }
+
+    fn horizon(&self) -> usize {
+        self.horizon
+    }
+
+    fn start(&self, _: &mut Rng, Start { x, .. }: Start<'_>) {
+        x.copy_from_slice(&Self::START);
+    }
+
+    fn running_cost<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, _next: &[T]) -> T {
+        (u[0] * u[0] * 1e-3 + x[0] * x[0] * 0.1) * self.system.dt
+    }
+
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
+        (T::one() - x[2].cos()) * 100.0 + (x[0] * x[0] + x[1] * x[1] + x[3] * x[3]) * 10.0
+    }
+}
+
+/// Pendulum of 1 kg and 1 m, to rest upright from hanging at rest. State [angle rad (0 = up), rate
+/// rad/s], control [torque N m]. The torque that holds it horizontally is 9.81 N m.
+#[derive(Clone, Debug)]
+pub struct Pendulum {
+    pub dt: f64,
+    pub horizon: usize,
+}
+
+impl System for Pendulum {
+    fn state_dim(&self) -> usize {
+        2
+    }
+
+    fn control_dim(&self) -> usize {
+        1
+    }
+
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next[1] = x[1] + (u[0] + x[0].sin() * 9.81) * self.dt;
+        next[0] = x[0] + next[1] * self.dt;
+    }
+}
+
+impl Task for Pendulum {
+    type System = Self;
+
+    fn system(&self) -> &Self {
+        self
+    }
+
+    fn horizon(&self) -> usize {
+        self.horizon
+    }
+
+    fn start(&self, _: &mut Rng, Start { x, .. }: Start<'_>) {
+        x[0] = PI;
+    }
+
+    fn running_cost<T: Scalar>(&self, Inputs { u, .. }: Inputs<'_, T>, _next: &[T]) -> T {
+        u[0] * u[0] * (1e-3 * self.dt)
+    }
+
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
+        (T::one() - x[0].cos()) * 100.0 + x[1] * x[1] * 10.0
+    }
+}
+
+/// Linear system with a cost that is not quadratic and couples all of its arguments. Two states, two
+/// controls, one parameter.
+pub struct Coupled;
+
+impl System for Coupled {
+    fn state_dim(&self) -> usize {
+        2
+    }
+
+    fn control_dim(&self) -> usize {
+        2
+    }
+
+    fn param_dim(&self) -> usize {
+        1
+    }
+
+    fn step<T: Scalar>(&self, Inputs { x, u, p, t }: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = x[0] * 0.9 + x[1] * 0.3 + u[0] * 0.2 + p[0] * 0.05;
+        next[1] = x[1] * 0.8 - x[0] * 0.2 + u[1] * 0.4 - u[0] * 0.1 + 0.02 * t as f64;
+    }
+}
+
+impl Task for Coupled {
+    type System = Self;
+
+    fn system(&self) -> &Self {
+        self
+    }
+
+    fn horizon(&self) -> usize {
+        12
+    }
+
+    fn start(&self, rng: &mut Rng, Start { x, p }: Start<'_>) {
+        x.iter_mut().chain(p).for_each(|value| *value = rng.random_range(-1.0..1.0));
+    }
+
+    fn running_cost<T: Scalar>(&self, Inputs { x, u, p, t }: Inputs<'_, T>, next: &[T]) -> T {
+        let sum = x[0] - u[0] * 0.7 + next[1] * 1.3 + p[0] * (0.1 * t as f64);
+        let other = x[1] + u[1] - next[0] * 0.5;
+        (sum * sum + 1.0).sqrt() + other * other + u[0] * u[0] * 0.5 + (u[1] * 0.5).exp() * 0.1
+    }
+
+    fn terminal_cost<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
+        (x[0] - p[0]).powi(4) + (x[0] * x[1] + x[1] * x[1] * 2.0 + x[0] * x[0]) * 0.5
+    }
+}
+
+/// One state without control of its growth: `x' = x² + u`, cost of the last state alone.
+pub struct Explosive;
+
+impl System for Explosive {
+    fn state_dim(&self) -> usize {
+        1
+    }
+
+    fn control_dim(&self) -> usize {
+        1
+    }
+
+    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+        next[0] = x[0] * x[0] + u[0];
+    }
+}
+
+impl Task for Explosive {
+    type System = Self;
+
+    fn system(&self) -> &Self {
+        self
+    }
+
+    fn horizon(&self) -> usize {
+        20
+    }
+
+    fn start(&self, _: &mut Rng, _: Start<'_>) {}
+
+    fn terminal_cost<T: Scalar>(&self, x: &[T], _p: &[T]) -> T {
+        (x[0] - 3.0) * (x[0] - 3.0)
+    }
+}

@@ -1,0 +1,60 @@
+//! Initial controls, warm starts, and the promise never to return a worse trajectory.
+
+use super::problems::{Explosive, SwingUp};
+use physgrad::optimize::{Initial, Options, Stop, optimize};
+use physgrad::rng::{Purpose, stream};
+use physgrad::tasks::{CartPole, LossMode};
+use rand::RngExt;
+
+#[test]
+fn result_is_never_worse_than_the_start() {
+    let mut rng = stream(5, Purpose::Train, 0);
+    let (cart, explosive) = (CartPole { loss: LossMode::Running, ..CartPole::new(2) }, Explosive);
+    for case in 0..20 {
+        let mut draw = |count: usize, size: f64| (0..count).map(|_| rng.random_range(-size..size)).collect::<Vec<f64>>();
+        let options = Options { max_iterations: case, ..Options::default() };
+        let (x0, u) = (draw(6, 3.0), draw(100, 30.0));
+        let plan = optimize(&cart, &x0, &[], Initial::Controls(&u), &options).expect("finite");
+        let start = optimize(&cart, &x0, &[], Initial::Controls(&u), &Options { max_iterations: 0, ..options.clone() });
+        assert_eq!(plan.costs[0], start.expect("finite").cost);
+        assert!(plan.cost <= plan.costs[0] && plan.costs.is_sorted_by(|a, b| a >= b), "case {case}: {:?}", plan.costs);
+        assert!(plan.iterations() <= case);
+        let plan = optimize(&explosive, &[0.3], &[], Initial::Controls(&draw(20, 0.5)), &options).expect("finite");
+        assert!(plan.cost <= plan.costs[0] && plan.x.iter().all(|x| x.is_finite()), "case {case}");
+    }
+}
+
+#[test]
+fn states_and_cost_are_those_of_the_controls() {
+    let (task, u) = (SwingUp::new(), vec![0.3; 100]);
+    let plan = optimize(&task, &SwingUp::START, &[], Initial::Controls(&u), &Options::default()).expect("finite");
+    let again = Options { max_iterations: 0, ..Options::default() };
+    let again = optimize(&task, &SwingUp::START, &[], Initial::Controls(&plan.u), &again).expect("finite");
+    assert_eq!((again.x, again.cost), (plan.x, plan.cost));
+}
+
+#[test]
+fn warm_start_needs_fewer_iterations() {
+    let (task, push) = (SwingUp::new(), vec![0.3; 100]);
+    let options = Options::default();
+    let cold = optimize(&task, &SwingUp::START, &[], Initial::Controls(&push), &options).expect("finite");
+    // Initial state moved by 0.02 m and 0.02 rad.
+    let x0 = [0.02, 0.0, SwingUp::START[2] + 0.02, 0.0];
+    let from_push = optimize(&task, &x0, &[], Initial::Controls(&push), &options).expect("finite");
+    let from_plan = optimize(&task, &x0, &[], Initial::Controls(&cold.u), &options).expect("finite");
+    let feedback = |t: usize, x: &[f64], u: &mut [f64]| cold.feedback(t, x, u);
+    let from_gains = optimize(&task, &x0, &[], Initial::Feedback(&feedback), &options).expect("finite");
+    assert!(from_plan.converged() && from_gains.converged());
+    assert!(from_plan.iterations() < from_push.iterations(), "{}, {}", from_plan.iterations(), from_push.iterations());
+    assert!(from_gains.costs[0] < from_plan.costs[0], "gains reduce the initial cost");
+    // From its own result, an optimization ends at once.
+    let again = optimize(&task, &SwingUp::START, &[], Initial::Controls(&cold.u), &options).expect("finite");
+    assert_eq!((again.iterations(), again.stop), (0, Stop::Gradient));
+}
+
+/// A stationary trajectory is not a minimum: the pendulum hangs, and its gradient is below rounding.
+#[test]
+fn stationary_start_stays() {
+    let plan = optimize(&CartPole::new(1), &SwingUp::START, &[], Initial::Zeros, &Options::default()).expect("finite");
+    assert_eq!((plan.iterations(), plan.stop), (0, Stop::Gradient));
+}

@@ -1,0 +1,78 @@
+//! The task to follow a plan.
+
+use super::problems::{Coupled, Pendulum, SwingUp};
+use physgrad::optimize::{Initial, OptimizeError, Options, Plan, Tracking, optimize};
+use physgrad::policy::{Linear, OpenLoop, Sum};
+use physgrad::rng::Purpose;
+use physgrad::{Decay, Evaluation, Field, Rollout, Task, Trainer, Training, Weights, check, initial_states};
+use std::f64::consts::PI;
+
+fn plan() -> (SwingUp, Plan) {
+    let (task, push) = (SwingUp::new(), vec![0.3; 100]);
+    let options = Options { max_iterations: 60, ..Options::default() };
+    let plan = optimize(&task, &SwingUp::START, &[], Initial::Controls(&push), &options).expect("finite");
+    (task, plan)
+}
+
+#[test]
+fn plan_itself_has_no_cost() {
+    let (task, plan) = plan();
+    let mut tracking = Tracking::new(&task, &plan).expect("fits");
+    tracking.control_weights = vec![1.0];
+    let policy = OpenLoop::new(4, 1, task.horizon);
+    let mut rollout = Rollout::<f64>::new(&tracking, &policy, 1);
+    rollout.start(&initial_states(&tracking, 0, Purpose::Train, 1));
+    rollout.run(&tracking, &policy, &Weights::new(&policy, plan.u.clone())).expect("finite");
+    // Lanes may differ from scalars by fused multiply-add, which 100 steps of an unstable plant
+    // amplify by about 1e4.
+    assert!(rollout.cost(0) < 1e-20, "{}", rollout.cost(0));
+    let mut moved = plan.u.clone();
+    moved[10] += 0.5;
+    rollout.run(&tracking, &policy, &Weights::new(&policy, moved)).expect("finite");
+    assert!(rollout.cost(0) > 0.5 * 0.5 * 0.5, "the deviation of one control, and its consequences");
+}
+
+#[test]
+fn derivatives_are_exact() {
+    let plan = optimize(&Coupled, &[0.4, 0.1], &[0.3], Initial::Zeros, &Options::default()).expect("finite");
+    let mut tracking = Tracking::new(&Coupled, &plan).expect("fits");
+    (tracking.state_weights, tracking.control_weights, tracking.spread) = (vec![1.0, 3.0], vec![0.1, 0.2], 0.5);
+    check::cost(&tracking);
+    check::task(&tracking, &Linear::new(2, 2));
+    let starts: Vec<f64> = initial_states(&tracking, 0, Purpose::Train, 3);
+    assert!(starts.chunks(3).all(|start| start[2] == 0.3 && (start[0] - 0.4).abs() < 0.5), "{starts:?}");
+}
+
+#[test]
+fn feedback_learns_to_follow() {
+    let task = Pendulum { dt: 0.05, horizon: 40 };
+    let plan = optimize(&task, &[PI, 0.0], &[], Initial::Controls(&[1.0; 40]), &Options::default()).expect("finite");
+    let mut tracking = Tracking::new(&task, &plan).expect("fits");
+    tracking.spread = 0.1;
+    let policy = Sum::new(OpenLoop::new(2, 1, task.horizon), Linear::new(2, 1));
+    let theta = [plan.u.clone(), vec![0.0; 2]].concat();
+    let (train, test) = (initial_states(&tracking, 0, Purpose::Train, 32), initial_states(&tracking, 0, Purpose::Test, 32));
+    let loss = |theta: &[f64]| {
+        let mut evaluation = Evaluation::<f64>::new(&tracking, &policy, 1);
+        evaluation.run(&tracking, &policy, &Weights::new(&policy, theta.to_vec()), &test).expect("finite")
+    };
+    let before = loss(&theta);
+    let training = Training { epochs: 100, batch: 8, workers: 1, learning_rate: 0.1, ..Training::default() };
+    let training = Training { decay: Decay::Cosine { end: 0.0 }, ..training };
+    let trainer = Trainer::new(tracking.clone(), policy.clone()).precision::<f64>().field(Field::regular()).training(training);
+    let mut session = trainer.session_from(theta, train, test.clone()).expect("valid settings");
+    while !session.is_done() {
+        session.epoch().expect("finite");
+    }
+    let after = loss(session.weights().theta());
+    assert!(after < 0.2 * before, "{before} before, {after} after");
+}
+
+#[test]
+fn plans_of_other_tasks_are_refused() {
+    let (mut task, plan) = plan();
+    task.horizon = 99;
+    let error = Tracking::new(&task, &plan).expect_err("too many steps");
+    assert!(matches!(error, OptimizeError::Length { argument: "plan.x", expected: 400, found: 404, .. }), "{error}");
+    assert_eq!(task.horizon(), 99);
+}
