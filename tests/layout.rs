@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 type Edges = (&'static str, &'static [&'static str]);
 
 /// Modules of the library.
-const LIBRARY: [Edges; 9] = [
+const LIBRARY: [Edges; 10] = [
     ("numbers", &[]),
     ("report", &[]),
     ("dynamics", &["numbers"]),

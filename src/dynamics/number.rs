@@ -210,8 +210,8 @@ impl<'a> Numbers<'a> {
         assert_eq!(self.count, N, "one value per number");
         let mut values = [T::zero(); N];
         let mut entry = 0;
-        for i in 0..N {
-            values[i] = match self.list[i].1 {
+        for (value, (_, number)) in values.iter_mut().zip(&self.list) {
+            *value = match number {
                 Number::Fixed(constant) => T::from(*constant),
                 _ => {
                     entry += 1;

@@ -77,8 +77,8 @@ impl Run<'_> {
                 *variable = Dual::variable(variable.value, direction - first);
             }
             let mut next = x.clone();
-            for i in 0..=self.steps {
-                for (row, x) in all[i].iter_mut().zip(&x) {
+            for (i, rows) in all.iter_mut().enumerate() {
+                for (row, x) in rows.iter_mut().zip(&x) {
                     row[chunk.clone()].copy_from_slice(&x.tangents[..chunk.len()]);
                 }
                 if i < self.steps {

@@ -35,10 +35,10 @@ impl Block {
                 self.qs[(i, j)] += q[i] * s[j];
             }
         }
-        for i in 0..s.len() {
-            self.s[i] += s[i] * residual;
-            for j in 0..s.len() {
-                self.ss[(i, j)] += s[i] * s[j];
+        for (i, by_i) in s.iter().enumerate() {
+            self.s[i] += by_i * residual;
+            for (j, by_j) in s.iter().enumerate() {
+                self.ss[(i, j)] += by_i * by_j;
             }
         }
     }

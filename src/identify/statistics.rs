@@ -32,8 +32,7 @@ pub(super) fn statistics(information: &DMatrix<f64>, names: &[&str]) -> Statisti
     let (mut undetermined, mut is_open) = (Vec::new(), vec![false; count]);
     for (k, &eigenvalue) in eigenvalues.iter().enumerate() {
         let vector = eigenvectors.column(k);
-        // Includes NaN.
-        if !(eigenvalue > least) {
+        if eigenvalue.is_nan() || eigenvalue <= least {
             let members: Vec<usize> = (0..count).filter(|&i| vector[i].abs() > NAMED).collect();
             members.iter().for_each(|&i| is_open[i] = true);
             undetermined.push(members.iter().map(|&i| names[i].to_owned()).collect());

@@ -32,6 +32,9 @@ impl Options {
     }
 }
 
+/// Function `(t, x, u)` that writes the control `u` at step `t` and state `x`.
+pub type Feedback<'a> = &'a dyn Fn(usize, &[f64], &mut [f64]);
+
 /// Initial controls of an optimization. Bounds clamp them.
 #[derive(Clone, Copy)]
 pub enum Initial<'a> {
@@ -58,7 +61,7 @@ pub enum Initial<'a> {
     /// assert!(plan.converged());
     /// # Ok::<(), physgrad::optimize::OptimizeError>(())
     /// ```
-    Feedback(&'a dyn Fn(usize, &[f64], &mut [f64])),
+    Feedback(Feedback<'a>),
 }
 
 /// Valid bounds of all controls, infinite if the options have none.

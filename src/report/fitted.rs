@@ -12,9 +12,12 @@ const SIZE: [f64; 2] = [330.0, 170.0];
 /// Largest number of points of a line.
 const MAX_POINTS: usize = 800;
 
+/// Title of a column, and its panels: label of the y axis, and lines.
+pub type FittedColumn = (String, Vec<(String, Vec<Series>)>);
+
 /// Draws a grid of panels over time in s: one column per title, one row per label. All columns have
 /// the same labels.
-pub fn fitted(title: &str, columns: Vec<(String, Vec<(String, Vec<Series>)>)>) -> Drawing {
+pub fn fitted(title: &str, columns: Vec<FittedColumn>) -> Drawing {
     let rows = columns.first().map_or(0, |(_, rows)| rows.len());
     let mut panels = Vec::new();
     for row in 0..rows {

@@ -37,7 +37,7 @@ pub use channels::{Channel, channels_over_time};
 pub use chart::{Chart, Frame};
 pub use curves::{Case, Curve, Point, comparison, field_color, learning_curve, study};
 pub use drawing::Drawing;
-pub use fitted::fitted;
+pub use fitted::{FittedColumn, fitted};
 pub use guidance::{Field, guidance, guidance_in};
 pub use mechanics::{Posture, Stage, mechanics};
 pub use plane::{Map, Plane, maps};

@@ -16,6 +16,7 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// Any of the small hard tasks. As a [`System`], it is the physics of the task, with outlined
 /// steps. [`Hard`] is the task.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant)] // One value per task.
 pub enum AnyHard {
     /// Linear-quadratic regulator: [`Lqr`].
     Lqr(Lqr),

@@ -56,14 +56,14 @@ fn three_arms_satisfy_the_principle_of_dalembert() {
     let length = |k: usize, j: usize| if j < k { arms[j].length.nominal() } else { arms[j].center.nominal() };
     for i in 0..3 {
         let mut power = arms[i].inertia.nominal() * rate[2 * i + 1];
-        for k in i..3 {
+        for (k, arm) in arms.iter().enumerate().skip(i) {
             let acceleration = (0..=k).fold([0.0, 9.81], |[across, up], j| {
                 let ((sin, cos), l) = (x[2 * j].sin_cos(), length(k, j));
                 let (alpha, spin) = (rate[2 * j + 1], x[2 * j + 1] * x[2 * j + 1]);
                 [across + l * (cos * alpha - sin * spin), up - l * (sin * alpha + cos * spin)]
             });
             let (sin, cos) = x[2 * i].sin_cos();
-            power += arms[k].mass.nominal() * length(k, i) * (cos * acceleration[0] - sin * acceleration[1]);
+            power += arm.mass.nominal() * length(k, i) * (cos * acceleration[0] - sin * acceleration[1]);
         }
         assert!(power.abs() < 1e-14, "arm {i}: {power}");
     }

@@ -86,28 +86,20 @@ fn intervals_are_honest() {
     }
 }
 
-/// Over 20 s, a start that is 30 % off is wrong by several swings. Single shooting ends in another
-/// minimum; growing windows find the truth.
+/// 20 s of a large swing, of which only the angles are measured, from a start that is 80 % off.
 #[test]
-fn windows_prevent_phase_slips() {
+fn long_swings_are_identified() {
     let rng = &mut stream(2, Purpose::Check, 0);
     let mut segments = [simulated(rng, &pendulum(), [2.8, 6.0], 2000, NOISE)];
     segments[0].x.iter_mut().for_each(|row| row[1] = f64::NAN);
-    let noise = Some(NOISE.to_vec());
-    for f in [1.3, 1.5, 1.8, 2.5] {
-        for w in [vec![], vec![20, 60, 180, 540]] {
-            let x = fit(&segments, f, &Options { windows: w.clone(), noise: noise.clone(), ..Options::default() });
-            println!("{f} {w:?} {:?} {}", x.values, x.iterations);
-        }
+    for windows in [Vec::new(), Options::default().windows] {
+        let options = Options { noise: Some(NOISE.into()), windows, ..Options::default() };
+        let found = fit(&segments, 1.8, &options);
+        assert!(found.converged && (found.values[0] / TRUTH[0] - 1.0).abs() < 1e-3, "{:?}", found.values);
+        // χ² per degree of freedom is 1 within five standard deviations.
+        let dof = (found.measurements - found.unknowns) as f64;
+        assert!((found.chi_squared / dof - 1.0).abs() < 5.0 * (2.0 / dof).sqrt(), "{}", found.chi_squared / dof);
     }
-    let single = fit(&segments, 1.3, &Options { windows: Vec::new(), noise: noise.clone(), ..Options::default() });
-    let windows = fit(&segments, 1.3, &Options { noise, ..Options::default() });
-    let off = |fit: &Fit| (fit.values[0] / TRUTH[0] - 1.0).abs();
-    assert!(off(&single) > 0.1, "{:?}", single.values);
-    assert!(off(&windows) < 1e-3, "{:?}", windows.values);
-    // χ² per degree of freedom is 1 within five standard deviations.
-    let dof = (windows.measurements - windows.unknowns) as f64;
-    assert!((windows.chi_squared / dof - 1.0).abs() < 5.0 * (2.0 / dof).sqrt());
 }
 
 #[test]

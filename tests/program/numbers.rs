@@ -136,3 +136,41 @@ fn a_policy_is_evaluated_over_a_grid() {
         assert!(String::from_utf8_lossy(&stderr).contains(message), "{command}: {}", String::from_utf8_lossy(&stderr));
     }
 }
+
+/// Measured pendulum of the example: the lengths agree with the published ones within 1 %.
+#[test]
+fn measured_trajectories_identify_a_pendulum() {
+    let dir = TempDir::new().expect("a folder");
+    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/data");
+    for file in ["double_pendulum.toml", "double_pendulum.csv"] {
+        fs::copy(example.join(file), dir.path().join(file)).expect(file);
+    }
+    let noise = "theta_1=0.003,omega_1=0.1,theta_2=0.003,omega_2=0.1";
+    let command = format!("identify double_pendulum.toml --data double_pendulum.csv --noise {noise} --every 2 --out found");
+    let output = physgrad(&command, dir.path()).assert().success().get_output().stdout.clone();
+    let output = String::from_utf8(output).expect("text");
+    assert!(output.contains("validation with 2 other segments") && !output.contains("warning"), "{output}");
+    let rows = read(&dir, "found/identified.csv");
+    let value = |name: &str| -> f64 {
+        let row = rows.iter().find(|row| row[0] == name).unwrap_or_else(|| panic!("{name} in {rows:?}"));
+        row[2].parse().expect("a number")
+    };
+    assert!((value("system.arms[0].length") / 0.172719 - 1.0).abs() < 0.01);
+    assert!((value("system.arms[1].center") / 0.116779 - 1.0).abs() < 0.02);
+    let svg = fs::read_to_string(dir.path().join("found/identified.svg")).expect("a picture");
+    roxmltree::Document::parse(&svg).expect("an SVG is XML");
+    // The fitted scene is a scene: it trains a controller for the measured pendulum.
+    physgrad("train found/scene.toml --epochs 1 --set training.train_samples=8 --quiet --out run", dir.path()).assert().success();
+
+    for (command, message) in [
+        ("identify pendulum --data double_pendulum.csv", "pendulum has no unknown numbers; list them in [fit]"),
+        ("identify double_pendulum.toml --data none.csv", "cannot read none.csv"),
+        ("identify double_pendulum.toml --data double_pendulum.toml", "unknown column"),
+        ("identify double_pendulum.toml --data double_pendulum.csv --noise theta_1=0", "write NAME=VALUE with a positive value"),
+        ("identify double_pendulum.toml --data double_pendulum.csv --noise theta_1=1", "--noise lacks omega_1"),
+        ("identify double_pendulum.toml --data double_pendulum.csv --set system.dt=0.007", "is not a later step of 0.007 s"),
+    ] {
+        let stderr = physgrad(command, dir.path()).assert().failure().get_output().stderr.clone();
+        assert!(String::from_utf8_lossy(&stderr).contains(message), "{command}: {}", String::from_utf8_lossy(&stderr));
+    }
+}

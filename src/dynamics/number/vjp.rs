@@ -6,13 +6,16 @@ use crate::numbers::scalar::{Cotangent, Dual, Float, Real};
 /// Scalar of [`param_vjp`].
 pub(crate) type ParamDual = Chunk<f64>;
 
+/// State, control and parameters to outputs.
+type Differentiable<'a> = &'a dyn Fn([&[ParamDual]; 3], &mut [ParamDual]);
+
 /// Adds the product of `output_bars` and the derivative of `function` by its parameters to `p_bar`.
 ///
 /// `inputs` are state, control and parameters. The derivatives are computed in f64, one sample at a
 /// time, so that a system compiles for one more scalar only.
 #[inline(never)]
 pub(crate) fn param_vjp<R: Real, C: Cotangent<R>>(
-    function: &dyn Fn([&[ParamDual]; 3], &mut [ParamDual]),
+    function: Differentiable<'_>,
     inputs: [&[R]; 3],
     output_bars: &[C],
     p_bar: Option<&mut [C]>,

@@ -141,10 +141,10 @@ impl SceneSource {
     /// Sets a number, also one that is drawn or trained.
     pub fn fix(&mut self, key: &str, value: f64) -> Result<()> {
         let (section, last) = key.rsplit_once('.').unwrap_or(("", key));
-        let path = section.split('.').filter(|part| !part.is_empty());
-        let section = path.fold(Some(&mut self.table), |table, part| match element(part) {
-            Some((list, index)) => table?.get_mut(list)?.get_mut(index)?.as_table_mut(),
-            None => table?.get_mut(part)?.as_table_mut(),
+        let mut path = section.split('.').filter(|part| !part.is_empty());
+        let section = path.try_fold(&mut self.table, |table, part| match element(part) {
+            Some((list, index)) => table.get_mut(list)?.get_mut(index)?.as_table_mut(),
+            None => table.get_mut(part)?.as_table_mut(),
         });
         if let Some(section) = section {
             section.remove(last);
