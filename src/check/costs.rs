@@ -88,8 +88,8 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
 }
 
 impl Comparison {
-    /// Compares cotangents that `add` adds to `bars` with the concatenated `expected`, after one call
-    /// and after two.
+    /// Compares cotangents that `add` adds to `bars` with the concatenated `expected`, after one
+    /// call and after two.
     fn adds<const K: usize>(
         &mut self,
         method: &str,

@@ -1,9 +1,9 @@
 //! Derivative checks: analytic and batched derivatives against dual numbers.
 //!
-//! Start with [`system`], [`cost`], [`policy`] and [`task`], one line each in a test. They panic with a
-//! [`Mismatch`]: the compared quantity, the index, the expected and found values, and the random
-//! case. The `try_` functions return it instead. All checks run in double precision. Errors are
-//! relative to the largest component of the reference unless stated otherwise.
+//! Start with [`system`], [`cost`], [`policy`] and [`task`], one line each in a test. They panic
+//! with a [`Mismatch`]: the compared quantity, the index, the expected and found values, and the
+//! random case. The `try_` functions return it instead. All checks run in double precision. Errors
+//! are relative to the largest component of the reference unless stated otherwise.
 //!
 //! Two further checks: [`stability`] detects time steps that are too long for the dynamics.
 //! [`plateau`] detects vanishing gradients.
@@ -41,7 +41,7 @@ use crate::policy::{Policy, Tensor, Weights};
 use rand_distr::{Distribution, StandardNormal};
 use std::fmt;
 
-/// Random cases per system check.
+/// Random cases per check of a system or of costs.
 const CASES: u64 = 20;
 /// Random cases per check that evaluates a policy.
 const CASES_OF_LONG_CHECKS: u64 = 2;
@@ -193,7 +193,7 @@ pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
 /// - [`step`](System::step) writes every component of the next state.
 /// - [`vjp`](System::vjp) against dual numbers, for every combination of requested cotangents, and
 ///   whether it adds to them.
-/// - Forward against reverse mode: `⟨λ, J v⟩ = ⟨Jᵀλ, v⟩`.
+/// - [`jvp`](System::jvp) against dual numbers: `⟨λ, J v⟩ = ⟨Jᵀλ, v⟩`.
 /// - SIMD lanes against scalars, bit for bit.
 ///
 /// # Errors
@@ -208,8 +208,10 @@ pub fn try_system_at<S: System>(
 /// Checks the gradients of whole rollouts for all flows (R, M, N, S).
 ///
 /// The reference is the same rollout in dual numbers, with the paths that the flow omits detached.
-/// The check compares directional derivatives along random directions and single components. It
-/// compares all components of at most 64 parameters, otherwise 16 random ones.
+/// The check compares the loss, directional derivatives along random directions, and single
+/// components. It compares all components of at most 64 parameters, otherwise 16 random ones. It
+/// compares the gradient with respect to initial states and parameters p in the same way, by
+/// components.
 ///
 /// # Panics
 /// Panics on the first [`Mismatch`], or if the rollouts or their gradients are non-finite.
@@ -249,8 +251,8 @@ fn described(flow: Flow) -> String {
 /// non-finite.
 ///
 /// # Panics
-/// If the flow has a [`cut`](Flow::cut): its steps depend on the adjoint, and the reference in dual
-/// numbers has none.
+/// If the flow has a [`cut`](Flow::cut). The adjoint determines the steps of a cut, and dual
+/// numbers do not compute it.
 #[track_caller]
 pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<Passed, Failure> {
     assert!(flow.cut.is_none(), "dual numbers cannot check `cut`: set `cut` to `None`");
@@ -337,7 +339,8 @@ fn parameter(tensors: &[Tensor], index: usize) -> String {
     format!("{name}[{}]", place.join(", "))
 }
 
-/// Gradient of the mean loss by the initial states and parameters of all samples, concatenated.
+/// Gradient of the mean loss with respect to the initial states and parameters of all samples,
+/// concatenated.
 fn start_gradients(
     task: &dyn AnyTask<f64>,
     policy: &dyn AnyPolicy<f64>,

@@ -61,8 +61,8 @@ impl fmt::Display for Plateau {
 /// Compares the gradient R of the mean loss with the gradients at four neighbouring parameter
 /// vectors.
 ///
-/// `starts` holds the initial states. Typical causes of a vanishing gradient are a saturated
-/// policy, a contact that no rollout makes, and zero overlap with a target.
+/// `starts` holds the initial states with their parameters. Typical causes of a vanishing gradient
+/// are a saturated policy, a contact that no rollout makes, and zero overlap with a target.
 /// ```
 /// use physgrad::{Weights, check, policy::Constant, tasks::Bowl};
 ///

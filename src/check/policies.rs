@@ -134,8 +134,8 @@ impl Comparison {
         expected.iter().try_for_each(|&(index, e)| self.one("param_gradient: theta_bar", index, found[index], e, scale))
     }
 
-    /// Compares `⟨g, v⟩`, for the parameter gradient g and the direction v, with the slopes of `act`
-    /// along v, given per column.
+    /// Compares `⟨g, v⟩`, for the parameter gradient g and the direction v, with the slopes of
+    /// `act` along v, given per column.
     fn direction(
         &mut self,
         index: usize,

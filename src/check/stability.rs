@@ -17,8 +17,8 @@ pub struct Stability {
     /// Spectral radius of ∂S/∂x: the asymptotic growth factor per step of the fastest growing
     /// perturbation. NaN if the Jacobian is non-finite.
     pub multiplier: f64,
-    /// State component in which that perturbation is largest. For a NaN multiplier, the first component
-    /// with a non-finite derivative.
+    /// State component in which that perturbation is largest. For a NaN multiplier, the first
+    /// component with a non-finite derivative.
     pub component: usize,
 }
 

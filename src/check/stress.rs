@@ -142,8 +142,8 @@ impl fmt::Display for Finding {
     }
 }
 
-/// Formats a number: whole numbers and numbers from 100 without decimals, others with three. Numbers
-/// outside 1e-3 to 1e5 have an exponent.
+/// Formats a number. Integers and numbers of at least 100 have no decimals, others have three.
+/// Numbers below 1e-3 and from 1e5 on have an exponent; 0 has none.
 fn short(x: f64) -> String {
     if x == 0.0 || (1e-3..1e5).contains(&x.abs()) {
         let digits = if x.abs() >= 100.0 || x == x.round() { 0 } else { 3 };

@@ -51,7 +51,7 @@ fn inputs<T>([x, u, p]: &Values<T>, t: usize) -> Inputs<'_, T> {
     Inputs { x, u, p, t }
 }
 
-/// Jacobian products to state, control and parameters by dual numbers.
+/// Jacobian products with respect to state, control and parameters, by dual numbers.
 fn step_vjp(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64]) -> Values<f64> {
     let (n, m) = (at.x.len(), at.x.len() + at.u.len());
     let step = |all: &[Dual64], next: &mut [Dual64]| {
@@ -118,7 +118,7 @@ fn requests(
     c: &mut Comparison,
 ) -> Result<(), Mismatch> {
     let next_bar: Vec<One<f64>> = next_bar.iter().map(|&bar| CotangentPack([bar])).collect();
-    // All three first, for the clearest message.
+    // Requests all three first: a failure then has the most general message.
     for requested in (1..8).rev() {
         let asked = |k: usize| requested >> k & 1 == 1;
         let mut bars = [at.x, at.u, at.p].map(|values| vec![One::<f64>::null(); values.len()]);
@@ -144,7 +144,7 @@ fn requests(
     Ok(())
 }
 
-/// Compares SIMD lanes with scalars, bit for bit. Every lane has other inputs. The VJP has two
+/// Compares SIMD lanes with scalars, bit for bit. Every lane has different inputs. The VJP has two
 /// columns with opposite cotangents, so that their results are opposite.
 fn lanes(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
     const W: usize = WIDTH;

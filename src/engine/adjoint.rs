@@ -11,11 +11,12 @@
 //!     μ ← memory·m̄
 //! ```
 //!
-//! The weights physics, control and memory are those of the [`Flow`]. μ is the cotangent of the
-//! memory after step t. Policies without a memory have no μ.
+//! λ is the cotangent of the state, h that of the control. μ is the cotangent of the memory after
+//! step t. Policies without a memory have no μ. [`Flow`] defines the weights physics, control and
+//! memory, and the other symbols.
 //!
-//! λ, h and μ of every sample are mantissas times a common power of two, so they neither overflow nor
-//! underflow. Within a moderate range the power is 1, and results are bitwise those of plain
+//! λ, h and μ of every sample are mantissas times a common power of two, so they neither overflow
+//! nor underflow. Within a moderate range the power is 1, and results are bitwise those of plain
 //! numbers.
 
 mod exponents;
@@ -40,8 +41,9 @@ use recursion::Recursion;
 use std::ops::Range;
 pub use step_back::StepBack;
 
-/// Workspace of the reverse pass of a [`Rollout`]. The constructor allocates everything; runs do
-/// not allocate.
+/// Workspace of the reverse pass of a [`Rollout`]. The constructor allocates all buffers.
+///
+/// A run allocates only if it diverges, or in steps of systems that exceed their stack buffers.
 #[derive(Debug)]
 pub struct Adjoint<F: Float> {
     horizon: usize,
@@ -139,9 +141,9 @@ impl<F: Float> Adjoint<F> {
     ///
     /// Each is the root mean square over the samples of ‖λ_t‖, for the loss of one sample. It
     /// measures how strongly later costs depend on a state, along the paths of the flow. λ_t
-    /// contains the costs after `x_t`, not the running cost at `x_t`. λ_T is the gradient of the
-    /// terminal cost, or 0 without a terminal cost. Steps that a diverged run did not reach are
-    /// NaN.
+    /// contains the costs of step t and of later steps, not the cost of the step that ends in
+    /// `x_t`. λ_T is the gradient of the terminal cost, or 0 without a terminal cost. Steps that a
+    /// diverged run did not reach are NaN.
     ///
     /// # Panics
     /// Without [`keep_norms`](Adjoint::keep_norms).
@@ -150,7 +152,7 @@ impl<F: Float> Adjoint<F> {
         &self.norms.as_ref().expect("the norms of an adjoint are stored only after `keep_norms`")[k]
     }
 
-    /// Records the gradients by initial states and parameters in subsequent runs, for
+    /// Records the gradients with respect to initial states and parameters p in later runs, for
     /// [`start_gradient`](Adjoint::start_gradient).
     pub fn keep_start_gradients(mut self) -> Self {
         match &mut self.carried {
@@ -160,8 +162,11 @@ impl<F: Float> Adjoint<F> {
         self
     }
 
-    /// Gradient of the cost of `sample` by its initial state and its parameters p along flow `k`,
-    /// times the `scale` of the last run: `state_dim` values, then `param_dim`.
+    /// Gradient of the cost of `sample` with respect to its initial state and parameters p, along
+    /// flow `k`.
+    ///
+    /// It has `state_dim` values, then `param_dim`, and is multiplied by the `scale` of the last
+    /// run.
     ///
     /// The flow weights only paths through state, observation and memory. The direct effects of p
     /// on steps and costs have weight 1, its effect on the observation the weight `control`.
@@ -202,8 +207,8 @@ impl<F: Float> Adjoint<F> {
     /// ```
     ///
     /// # Panics
-    /// Without [`keep_start_gradients`](Adjoint::keep_start_gradients), or if `sample` exceeds the
-    /// capacity.
+    /// Without [`keep_start_gradients`](Adjoint::keep_start_gradients), or if `sample` is not
+    /// below the capacity.
     #[track_caller]
     pub fn start_gradient(&self, k: usize, sample: usize) -> &Gradient<F> {
         let missing = "the gradients by initial states are stored only after `keep_start_gradients`";
@@ -277,16 +282,17 @@ impl<F: Float> Adjoint<F> {
         }
         for k in 0..self.flows().len() {
             if !self.policy.through_inputs(self.flows()[k]) && !self.policy.linearized {
-                // M and S do not need `∂N/∂y`: one policy pass covers all steps of the unit.
+                // Without a path through the policy's inputs, one policy pass covers all steps of
+                // the unit.
                 self.policy.backward(pass, k, all, unit.clone(), false);
             }
         }
         Ok(())
     }
 
-    /// Computes `theta_bar = Σ (∂N/∂θ)ᵀ h` of flow `k` over `samples`, in large matrix products.
+    /// Computes the parameter gradient `Σ_t (∂N/∂θ)ᵀ (h_t, μ)` of flow `k`, summed over `samples`.
     ///
-    /// Overwrites `theta_bar`.
+    /// Includes the gradient by the trained entries of p. Overwrites `theta_bar`.
     pub fn param_gradient(
         &mut self,
         k: usize,

@@ -146,7 +146,7 @@ impl<S: System, R: Real> AnySystem<R> for S {
     }
 }
 
-/// Evaluates [`System::vjp`] on plain numbers. Returns `[x_bar, u_bar, p_bar]`.
+/// Evaluates [`System::vjp`] for one cotangent of the next state. Returns `[x_bar, u_bar, p_bar]`.
 pub(crate) fn vjp<R: Real>(system: &dyn AnySystem<R>, inputs: Inputs<'_, R>, next_bar: &[R]) -> [Vec<R>; 3] {
     let next_bar: Vec<_> = next_bar.iter().map(|&bar| CotangentPack([bar])).collect();
     let [mut x, mut u, mut p] = [inputs.x, inputs.u, inputs.p].map(|inputs| vec![CotangentPack::null(); inputs.len()]);

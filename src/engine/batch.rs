@@ -26,8 +26,8 @@ const EVALUATED: usize = 32;
 
 /// Workspace for the gradients of mini-batches of up to a fixed size.
 ///
-/// Workers take chunks of samples in rounds, forward and backward. A chunk stays in the cache, and
-/// memory does not depend on the size of the mini-batch.
+/// In each round, every worker runs the forward and reverse pass of one chunk of samples. A chunk
+/// stays in the cache. Mini-batches larger than one round need no more memory.
 #[derive(Debug)]
 pub struct Batch<F: Float> {
     /// Largest number of samples.
@@ -186,7 +186,7 @@ impl<F: Float> Batch<F> {
                 worker.outcome = worker.run(task, policy, weights, own, scale);
             });
             let active = starts.len().div_ceil(chunk * n);
-            // All rounds run, so that the first divergence does not depend on the number of workers.
+            // All rounds run, so the first divergence does not depend on the number of workers.
             let first = round * self.workers.len() * chunk;
             let errors = self.workers[..active].iter().enumerate();
             let errors = errors.filter_map(|(i, worker)| worker.outcome.err().map(|d| d.offset(first + i * chunk)));
@@ -295,7 +295,7 @@ impl<F: Float> Evaluation<F> {
     /// [`initial_states`](crate::initial_states).
     ///
     /// # Errors
-    /// [`Divergence`] if a control, state or cost is not finite.
+    /// [`Divergence`] if a control, memory, state or cost is not finite.
     ///
     /// # Panics
     /// If `starts` is empty or not a whole number of samples.

@@ -14,8 +14,9 @@ use crate::policy::Weights;
 
 /// Batch of rollouts and their gradients that stores the tape of one segment at a time.
 ///
-/// The constructor allocates everything; runs do not allocate. Gradients are bitwise equal to those
-/// of [`Rollout`] and [`Adjoint`], for each schedule.
+/// The constructor allocates all buffers. A run allocates only if it diverges, or in steps of
+/// systems that exceed their stack buffers. Gradients are bitwise equal to those of [`Rollout`] and
+/// [`Adjoint`], for every schedule.
 /// ```
 /// use physgrad::{Checkpointed, Flow, Gradient, Schedule, Weights, initial_states, policy::Mlp, rng, tasks::CartPole};
 ///

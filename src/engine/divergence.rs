@@ -8,9 +8,9 @@ use std::fmt;
 /// Place of a non-finite number. Training skips the affected update.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Divergence {
-    /// State or control in the forward pass.
+    /// State, control or memory in the forward pass.
     Forward {
-        /// State or control.
+        /// State, control or memory.
         variable: Variable,
         /// Time step. The initial state and the first control have step 0.
         step: usize,
@@ -26,7 +26,7 @@ pub enum Divergence {
         /// Index of the sample in its batch.
         sample: usize,
     },
-    /// Cotangent of a state or control in the reverse pass.
+    /// Cotangent of a state, control or memory in the reverse pass.
     Cotangent {
         /// Flow of the adjoint.
         flow: Flow,
@@ -49,8 +49,8 @@ pub enum Divergence {
         /// Index of the parameter in `θ`.
         parameter: usize,
     },
-    /// Composed and clipped field of finite gradients. A component or its square is not
-    /// finite.
+    /// Field composed of finite gradients. After clipping, it is too large for the optimizer, which
+    /// squares its components.
     Field {
         /// Index of the parameter in `θ`.
         parameter: usize,

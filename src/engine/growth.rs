@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 
 /// Growth of the adjoint of one flow along a rollout, in decades (log10 of a ratio of norms).
 ///
-/// One step contributes `log10(‖λ_t‖ / ‖λ_{t+1} + ∂l/∂x‖)`. The cost gradients added at each step
-/// therefore do not count as growth.
+/// One step contributes `log10(‖λ_t‖ / ‖λ_{t+1} + ∂l/∂x_{t+1}‖)`. The cost gradient `∂l/∂x_{t+1}`
+/// therefore does not count as growth. The cost gradient `∂l/∂x_t`, a part of λ_t, does.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Growth {
     /// Growth from the last state to the initial state, mean over samples. Negative if the adjoint
@@ -27,7 +27,7 @@ impl Growth {
     ///
     /// - R and N: rounding errors of the forward pass grow like the adjoint of R. If the growth
     ///   exceeds the number of digits, the signs of earlier contributions are unreliable.
-    /// - M: ignores the policy's response to deviations. On a plant that is unstable without
+    /// - M ignores the policy's response to deviations. On a plant that is unstable without
     ///   control, M grows. The first steps then outweigh the last by a factor of 10^growth.
     pub fn warning(&self, flow: Flow, horizon: usize, epsilon: f64) -> Option<String> {
         let digits = -epsilon.log10();
@@ -120,10 +120,10 @@ mod tests {
             meter.step(before, after, 0);
         }
         assert!((meter.along + 1.0).abs() < 1e-12 && (meter.worst_window - 3.0).abs() < 1e-12, "{meter:?}");
-        // Exponents count.
+        // A change of the exponent counts as growth.
         meter.step(1.0, 1.0, 100);
         assert!((meter.along + 1.0 - 100.0 * 2f64.log10()).abs() < 1e-9, "{meter:?}");
-        // A zero adjoint does not grow; one that becomes zero vanishes.
+        // A zero adjoint contributes no growth. One that becomes zero contributes -∞.
         meter.step(0.0, 0.0, 0);
         assert!(meter.along.is_finite());
         meter.step(1.0, 0.0, 0);
@@ -135,7 +135,7 @@ mod tests {
         let growth = |along: f64, worst_window: f64| Growth { along, worst_window };
         let said = |flow: Flow, growth: Growth, epsilon: f64| growth.warning(flow, 1000, epsilon).unwrap_or_default();
         let (single, double) = (f64::from(f32::EPSILON), f64::EPSILON);
-        // 6.9 digits of 10 decades allow 692 of 1000 steps.
+        // f32 has 6.92 digits. The adjoint grows by 10 decades in 1000 steps, by 6.92 in 692.
         assert!(said(Flow::REGULAR, growth(2.0, 10.0), single).contains("Before the last 692 of the 1000 steps"));
         assert_eq!(said(Flow::REGULAR, growth(2.0, 10.0), double), "");
         assert_eq!(said(Flow::REGULAR, growth(-30.0, 1.0), single), "");

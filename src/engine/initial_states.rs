@@ -8,8 +8,8 @@ use crate::numbers::scalar::Float;
 /// Draws the initial states of samples `0 .. samples`: for each sample, `state_dim` numbers, then
 /// its `param_dim` parameters. Physical numbers that vary are drawn last.
 ///
-/// Each sample has its own random stream, determined by `seed`, `purpose` and its index. Its
-/// numbers are therefore independent of the number of samples.
+/// Each sample has its own random stream, determined by `seed`, `purpose` and its index. A sample
+/// is therefore independent of the number of samples.
 /// ```
 /// use physgrad::{initial_states, rng::Purpose, tasks::CartPole};
 ///

@@ -10,7 +10,7 @@
 //! - [`gradient`], [`growth`], [`divergence`]: results and errors of the passes.
 //! - [`any`]: object-safe tasks and systems. [`parallel`]: threads.
 //!
-//! Imports `numbers`, `dynamics` and `policy`, but no concrete task. Start in `rollout.rs`.
+//! Imports `numbers`, `dynamics` and `policy`, but no concrete task. Read `rollout.rs` first.
 
 pub(crate) mod adjoint;
 pub mod any;

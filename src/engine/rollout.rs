@@ -20,7 +20,10 @@ pub use step_forward::StepForward;
 /// Number of samples in a block, which the physics steps together.
 pub(crate) const WIDTH: usize = 8;
 
-/// Number of steps in a unit. The parameter gradient is a sum over units, for every schedule.
+/// Number of steps in a unit. Units divide a rollout; the last one may be shorter.
+///
+/// One call of the policy sums the parameter gradient over the steps of one unit. Every schedule
+/// adds the same sums in the same order, so gradients are bitwise equal.
 ///
 /// A rollout of at most 129 steps is one unit; the horizons of the paper are shorter. The number is
 /// odd, so that columns of neighbouring samples map to different cache sets.
@@ -61,7 +64,7 @@ pub struct Rollout<F: Float> {
     /// Observations of one step, `[block][component]`. Empty if the policy observes the state.
     observations: Vec<Lane<F>>,
     /// Policy inputs, observation and memory, as columns: `[unit][sample][step][component]`. The
-    /// columns of one sum are contiguous.
+    /// columns of a unit are contiguous.
     inputs: Vec<F>,
     /// Policy outputs, control and next memory, as columns.
     outputs: Vec<F>,
@@ -73,7 +76,7 @@ impl<F: Float> Rollout<F> {
     /// Allocates `samples` rollouts with a tape.
     ///
     /// # Panics
-    /// If `samples` or the horizon is 0, if the shapes of task and policy differ, or if the policy
+    /// If `samples` or the horizon is 0. If the shapes of task and policy differ, or the policy
     /// trains a parameter that the task lacks.
     pub fn new(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, samples: usize) -> Self {
         Self::with_steps(task, policy, samples, task.horizon())
@@ -185,8 +188,8 @@ impl<F: Float> Rollout<F> {
         self.states[states..][..memories].fill(Lane::zero());
     }
 
-    /// Runs all samples from their initial states. Stops at the first non-finite
-    /// control, memory or state.
+    /// Runs all samples from their initial states. Stops at the first non-finite control, memory or
+    /// state.
     ///
     /// # Errors
     /// [`Divergence`] if a control, memory, state or cost is not finite.

@@ -29,8 +29,8 @@ pub struct Schedule {
 impl Schedule {
     /// Number of steps in a unit. All segments but the last consist of whole units.
     ///
-    /// All schedules sum the parameter gradient over one unit at a time. Rollouts of at most one
-    /// unit are always stored completely.
+    /// All schedules sum the parameter gradient over one unit at a time, so their gradients are
+    /// bitwise equal. Rollouts of at most one unit are always stored completely.
     pub const UNIT: usize = UNIT;
 
     /// Creates a schedule with segments of `segment` steps, rounded up to whole units.
@@ -38,7 +38,7 @@ impl Schedule {
     /// `checkpoints` is an upper bound on the number of checkpoints.
     ///
     /// # Panics
-    /// If a number is 0.
+    /// If an argument is 0.
     #[track_caller]
     pub fn new(horizon: usize, segment: usize, checkpoints: usize) -> Self {
         assert!(horizon > 0, "a schedule needs a horizon of at least one step");

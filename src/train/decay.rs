@@ -46,7 +46,7 @@ impl Decay {
         }
     }
 
-    /// Values allowed for `end`, if it has another value.
+    /// Describes an invalid `end` and the allowed values. `None` for a valid decay.
     pub(super) fn problem(self) -> Option<String> {
         match self {
             Self::Cosine { end } if !(0.0..=1.0).contains(&end) => Some(format!("ends at {end}; allowed: 0 to 1")),

@@ -135,7 +135,7 @@ impl<C: GradientCombiner> Field<C> {
         }
     }
 
-    /// Name, as used in settings and messages. Independent of truncation, decay and cuts.
+    /// Name, as used in settings and messages. Independent of truncation, discount and cuts.
     pub fn name(&self) -> &str {
         match self {
             Self::Flow(flow) => match flow.letter() {

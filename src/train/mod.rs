@@ -6,7 +6,7 @@
 //! - [`Field`] and [`GradientCombiner`]: the vector field that the optimizer follows.
 //! - [`vector_field`]: the two-parameter examples of the paper.
 //!
-//! Imports `numbers`, `dynamics`, `policy` and `engine`. Start in this file, then `progress.rs`,
+//! Imports `numbers`, `dynamics`, `policy` and `engine`. Read this file first, then `progress.rs`,
 //! which contains the update. Every part of an update is public, so that users can write their own.
 
 mod checkpoint;
@@ -100,7 +100,7 @@ impl Default for Training {
 }
 
 impl Training {
-    /// Checks all settings.
+    /// Checks counts, learning rate and decay.
     ///
     /// # Errors
     /// [`TrainError::Setting`] for the first invalid setting.
@@ -250,7 +250,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// [`TrainError`] if a setting is invalid or the memory limit is too small.
     ///
     /// # Panics
-    /// If the dimensions of task and policy differ.
+    /// If the dimensions of task and policy differ, or if the horizon is 0.
     pub fn session(self) -> Result<Session<T, P, F, C>, TrainError> {
         let Self { task, policy, field, training, .. } = self;
         training.validate()?;
@@ -271,8 +271,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// not a whole number of samples.
     ///
     /// # Panics
-    /// If the length of `theta` differs from the policy's `param_count`, or if the dimensions of
-    /// task and policy differ.
+    /// If the length of `theta` differs from the policy's `param_count`. If the dimensions of task
+    /// and policy differ, or the horizon is 0.
     pub fn session_from(self, theta: Vec<F>, train: Vec<F>, test: Vec<F>) -> Result<Session<T, P, F, C>, TrainError> {
         let Self { task, policy, field, training, .. } = self;
         let weights = Weights::new(&policy, theta);

@@ -103,7 +103,7 @@ fn larger(a: f64, b: f64) -> f64 {
     if a > b || a.is_nan() { a } else { b }
 }
 
-/// Largest residual at random states for accelerations in the precision of `F`. Angles are
+/// Largest residual at random states for accelerations in the precision of `R`. Angles are
 /// arbitrary, rates within ±5 and forces within ±10.
 fn worst<R: Real, O: Ode>(
     ode: &O,
@@ -124,7 +124,7 @@ fn worst<R: Real, O: Ode>(
     residuals.fold(0.0, larger)
 }
 
-/// Residual of an equation: absolute sum of its terms relative to the largest term.
+/// Residual of an equation: absolute value of the sum of its terms, relative to the largest term.
 fn left(terms: &[f64]) -> f64 {
     terms.iter().sum::<f64>().abs() / terms.iter().fold(f64::MIN_POSITIVE, |largest, term| larger(largest, term.abs()))
 }

@@ -84,8 +84,8 @@ fn by_tangents(system: &Pendulum, states: &[State]) -> f64 {
     growth
 }
 
-/// Adjoint of the final first angle at the initial state: growth in e-foldings, and normalized
-/// value.
+/// Derivative of the first angle at the last state with respect to the initial state: growth of the
+/// adjoint in e-foldings, and its normalized value.
 fn adjoint(system: &Pendulum, states: &[State]) -> (f64, State) {
     let (mut bar, mut growth) = ([1.0, 0.0, 0.0, 0.0], 0.0);
     for x in states[..states.len() - 1].iter().rev() {

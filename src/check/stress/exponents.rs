@@ -86,7 +86,7 @@ fn reference<F: Float>(plant: &Plant, gain: f64, flow: Flow) -> [ExtendedF64; 2]
 }
 
 fn exploding_adjoint() -> Vec<Finding> {
-    // [a, k, x_0]: the states stay in range where they matter; the adjoints of R and M do not.
+    // [a, k, x_0]: no state overflows. Adjoints of R or M overflow or underflow.
     let plants = [
         [1.5, 0.0, 0.0],
         [1.5, -0.5, 0.5],

@@ -87,7 +87,7 @@ impl<S: System> System for Scaled<S> {
     }
 }
 
-/// Formats a drift without a guarantee; exceeding 1e-2 depends on rounding.
+/// Formats a drift that has no bound. Rounding determines whether it exceeds 1e-2.
 fn unbounded(drift: f64) -> String {
     format!("{drift:.1e}{}", if drift > 1e-2 { ", above the original bound" } else { "" })
 }

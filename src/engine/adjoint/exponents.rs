@@ -122,7 +122,8 @@ pub(super) struct Limits<F> {
 
 /// Exponent of `high`, and of `low` with a negative sign.
 ///
-/// Far from the ends of the range of `F`: one step may multiply cotangents by 1e19 (f32).
+/// Both limits are far from the ends of the range of `F`, so that one step may multiply cotangents
+/// by 1e19 (f32).
 const fn reach<F: Float>() -> i32 {
     if F::EPSILON < 1e-10 { 300 } else { 60 }
 }

@@ -51,7 +51,7 @@ impl Flow {
     pub const MODIFIED: Self = Self::new(1.0, 0.0, 1.0);
     /// N: the state input of the physics is detached.
     pub const NETWORK: Self = Self::new(0.0, 1.0, 1.0);
-    /// S: no path; each control cotangent contains only the costs of its step.
+    /// S: no path; `h_t` contains only the costs that depend directly on `u_t` and `x_{t+1}`.
     pub const STOPPED: Self = Self::new(0.0, 0.0, 0.0);
     /// All flows with weights of 0 and 1.
     pub const ALL: [Self; 4] = [Self::REGULAR, Self::MODIFIED, Self::NETWORK, Self::STOPPED];
@@ -80,13 +80,14 @@ impl Flow {
         Self { cut: Some(decades), ..self }
     }
 
-    /// The flow at step `t`: without weights at a truncation.
+    /// Returns the flow at step `t`. All weights are 0 at a truncation.
     pub(crate) fn at(self, t: usize) -> Self {
         let truncated = t > 0 && self.truncation.is_some_and(|steps| t.is_multiple_of(steps));
         if truncated { self.discounted(0.0) } else { self }
     }
 
-    /// Letter of the paper, by the paths with a weight: R, M, N or S.
+    /// Letter of the paper, R, M, N or S. It depends on which of the weights `physics` and
+    /// `control` are 0.
     pub fn letter(&self) -> &'static str {
         match (self.physics != 0.0, self.control != 0.0) {
             (true, true) => "R",

@@ -33,7 +33,7 @@ pub(super) fn record_norms<F: Float, const K: usize>(
 /// Growth of λ per sample and flow.
 #[derive(Debug)]
 pub(super) struct GrowthMeters<const K: usize> {
-    /// `[sample][flow]`: meter, and `‖λ + ∂l/∂x‖²` with its exponent before the current step.
+    /// `[sample][flow]`: meter, and `‖λ + ∂l/∂x_{t+1}‖²` with its exponent before the current step.
     meters: Vec<[(Meter, f64, i32); K]>,
 }
 
@@ -54,7 +54,7 @@ impl<const K: usize> GrowthMeters<K> {
         self.meters.fill([(Meter::default(), 0.0, 0); K]);
     }
 
-    /// Records `‖λ + ∂l/∂x‖²` of the samples of a block before a step.
+    /// Records `‖λ + ∂l/∂x_{t+1}‖²` of the samples of a block before a step.
     pub(super) fn before<F: Float>(
         &mut self,
         samples: Range<usize>,
@@ -97,8 +97,8 @@ impl<const K: usize> GrowthMeters<K> {
         }
     }
 
-    /// Returns true if the adjoint has grown by more than `decades` since its last cut, and registers
-    /// a cut.
+    /// Returns true if the adjoint has grown by more than `decades` since its last cut, and
+    /// registers a cut.
     pub(super) fn reset_if_grown(&mut self, k: usize, sample: usize, decades: f64) -> bool {
         let meter = &mut self.meters[sample][k].0;
         let grown = meter.since_cut() > decades;

@@ -29,7 +29,7 @@ pub(super) struct PolicyAdjoint<F> {
     /// Empty if no flow has a path through the inputs.
     pub(super) inputs_bar: Vec<F>,
     /// Cotangents of the observations and of the states of one step, `[block][component]`. Empty if
-    /// the policy observes the state.
+    /// the policy observes the state, or if no flow has a path through the inputs.
     observed_bar: Vec<One<Lane<F>>>,
     states_bar: Vec<One<Lane<F>>>,
     observed_dim: usize,
@@ -155,7 +155,7 @@ impl<F: Float> PolicyAdjoint<F> {
         }
     }
 
-    /// Returns true if a flow has a path through the policy's inputs.
+    /// Returns true if `flow` has a path through the policy's inputs.
     pub(super) fn through_inputs(&self, flow: Flow) -> bool {
         flow.control != 0.0 || flow.memory != 0.0 && self.memory_dim > 0
     }
@@ -178,7 +178,8 @@ impl<F: Float> PolicyAdjoint<F> {
         }
     }
 
-    /// Evaluates the cotangents of the policy's inputs of flow `k` at step `t`, unless `linearized`.
+    /// Evaluates the cotangents of the policy's inputs of flow `k` at step `t`, unless
+    /// `linearized`.
     pub(super) fn linearize_inputs(&mut self, pass: &Pass<'_, F>, k: usize, t: usize) {
         if !self.linearized {
             self.backward(pass, k, pass.rollout.columns(t), t..t + 1, true);

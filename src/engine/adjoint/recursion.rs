@@ -342,13 +342,13 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
-    /// Returns the growth of the cotangents.
+    /// Growth of λ.
     pub(super) fn growth(&self) -> &GrowthMeters<K> {
         &self.growth
     }
 
-    /// Finds the first flow with a non-finite cotangent, and its first sample: cotangents of the state
-    /// first, then those of control and memory.
+    /// Finds the first flow with a non-finite cotangent, and its first sample: cotangents of the
+    /// state first, then those of control and memory.
     #[cold]
     fn divergence(&self, pass: &Pass<'_, F>, flows: [Flow; K], step: usize) -> Divergence {
         let Pass { task, rollout, .. } = *pass;
