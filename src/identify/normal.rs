@@ -31,8 +31,8 @@ impl Block {
             for j in 0..q.len() {
                 self.qq[(i, j)] += q[i] * q[j];
             }
-            for j in 0..s.len() {
-                self.qs[(i, j)] += q[i] * s[j];
+            for (j, by_j) in s.iter().enumerate() {
+                self.qs[(i, j)] += q[i] * by_j;
             }
         }
         for (i, by_i) in s.iter().enumerate() {
