@@ -14,8 +14,8 @@ use std::process::ExitCode;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 struct Quadrotor {
-    /// Mass, kg.
-    mass: f64,
+    /// Mass, kg. A `Number` may also be drawn for each sample, or trained.
+    mass: Number,
     /// Distance of a rotor from the center, m.
     arm: f64,
     /// Time step, s.
@@ -24,7 +24,7 @@ struct Quadrotor {
 
 impl Default for Quadrotor {
     fn default() -> Self {
-        Self { mass: 0.8, arm: 0.2, dt: 0.05 }
+        Self { mass: 0.8.into(), arm: 0.2, dt: 0.05 }
     }
 }
 
@@ -34,12 +34,14 @@ const GRAVITY: f64 = 9.81;
 impl System for Quadrotor {
     fn state_dim(&self) -> usize { 6 }
     fn control_dim(&self) -> usize { 2 }
-    fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
+    fn numbers(&self) -> Numbers<'_> { Numbers::new([("mass", &self.mass)]) }
+    fn step<T: Scalar>(&self, Inputs { x, u, p, .. }: Inputs<'_, T>, next: &mut [T]) {
+        let [mass] = self.numbers().last_of(p);
         let (sin, cos) = x[2].sin_cos();
-        let thrust = (u[0] + u[1]) / self.mass + GRAVITY;
+        let thrust = (u[0] + u[1]) / mass + GRAVITY;
         next[3] = x[3] - thrust * sin * self.dt;
         next[4] = x[4] + (thrust * cos - GRAVITY) * self.dt;
-        next[5] = x[5] + (u[1] - u[0]) * (2.0 / (self.mass * self.arm)) * self.dt;
+        next[5] = x[5] + (u[1] - u[0]) * 2.0 / (mass * self.arm) * self.dt;
         for i in 0..3 { next[i] = x[i] + next[i + 3] * self.dt; }
     }
 }
@@ -70,7 +72,7 @@ impl ProgramTask for Quadrotor {
     fn refined(&self, substeps: usize) -> Option<Self> { Some(Self { dt: self.dt / substeps as f64, ..*self }) }
     fn validate(&self) -> Result<(), (&'static str, &'static str)> {
         let positive = |name, value: f64| if value > 0.0 { Ok(()) } else { Err((name, "a positive number")) };
-        positive("mass", self.mass)?;
+        self.mass.extremes().into_iter().try_for_each(|mass| positive("mass", mass))?;
         positive("arm", self.arm)?;
         positive("dt", self.dt)
     }

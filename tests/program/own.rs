@@ -59,6 +59,12 @@ fn every_command_takes_the_task_of_the_user() {
     run(&["train", "own.toml", "--epochs", "2", "--quiet", "--out", "lag"]);
     let settings = std::fs::read_to_string(dir.path().join("lag/run.toml")).expect("settings");
     assert!(settings.contains("mass = 1.5"), "{settings}");
+    // A number of the task is drawn for each sample. Both policies are evaluated over a grid of it.
+    run(&["train", "quadrotor", "--set", "system.mass={uniform=[0.6, 1]}", "--epochs", "2", "--quiet", "--out", "varied"]);
+    let trajectory = std::fs::read_to_string(dir.path().join("varied/trajectory.csv")).expect("a trajectory");
+    assert!(trajectory.lines().next().expect("a header").contains("system.mass"), "{}", &trajectory[..200]);
+    run(&["robust", "run", "varied", "--grid", "system.mass=0.5:1.5:3", "--samples", "8", "--out", "grid"]);
+    assert_eq!(std::fs::read_to_string(dir.path().join("grid/robust.csv")).expect("a table").lines().count(), 7);
 }
 
 #[test]
