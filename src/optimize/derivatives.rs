@@ -40,13 +40,13 @@ pub(super) struct Expansion {
 }
 
 impl<T: Task> Problem<'_, T> {
-    /// Expands costs and dynamics along a trajectory, after `iteration` iterations.
+    /// Expands costs and dynamics along a trajectory.
     ///
     /// # Errors
     /// [`OptimizeError::Derivative`] if a derivative is not finite.
-    pub(super) fn expand(&self, trajectory: &Trajectory, iteration: usize) -> Result<Expansion, OptimizeError> {
+    pub(super) fn expand(&self, trajectory: &Trajectory) -> Result<Expansion, OptimizeError> {
         let (n, m, steps) = (self.n, self.m, self.task.horizon());
-        let problem = |step| OptimizeError::Derivative { iteration, step };
+        let problem = |step| OptimizeError::Derivative { step };
         let expanded = (0..steps).map(|t| {
             let step = self.expand_step(trajectory, t);
             let finite = [step.dynamics.as_slice(), step.gradient.as_slice(), step.hessian.as_slice()];

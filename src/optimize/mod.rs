@@ -69,7 +69,7 @@ use trajectory::Problem;
 /// - a length differs from that of the task,
 /// - a lower bound is above its upper bound,
 /// - the initial trajectory or its cost is not finite,
-/// - a derivative at a finite trajectory is not finite.
+/// - a derivative at the initial trajectory is not finite.
 pub fn optimize<T: Task>(
     task: &T,
     x0: &[f64],
