@@ -34,7 +34,7 @@ mod tracking;
 mod trajectory;
 
 pub use error::OptimizeError;
-pub use options::{Initial, Options};
+pub use options::{Feedback, Initial, Options};
 pub use plan::{Plan, Stop};
 pub use tracking::Tracking;
 
