@@ -13,9 +13,9 @@ use crate::numbers::scalar::{Cotangent, Scalar};
 ///
 /// # Parameters
 /// `p` has one value per parameter and sample, constant during a rollout: a goal, a mass that
-/// differs between samples, the phase of a wind. First come the entries of the system, then those of
-/// its effects, then those of the task. Physical [`Number`](crate::Number)s of the system that vary
-/// are the last entries.
+/// differs between samples, the phase of a wind. First come the entries of the system, then those
+/// of its effects, then those of the task. Physical [`Number`](crate::Number)s of the system that
+/// vary are the last entries.
 #[derive(Clone, Copy, Debug)]
 pub struct Inputs<'a, T, Time = usize> {
     /// State.

@@ -35,8 +35,8 @@ pub struct Unknown {
 /// Options of [`identify`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
-    /// Standard deviation of the noise of each state component. `None`: equal for all, and estimated
-    /// from the residuals.
+    /// Standard deviation of the noise of each state component. `None`: equal for all, and
+    /// estimated from the residuals.
     pub noise: Option<Vec<f64>>,
     /// Whether the initial state of each segment is unknown. Otherwise it is the first sample.
     pub free_starts: bool,

@@ -11,8 +11,8 @@
 //! Jacobians by dual numbers. Windows of growing length, each with its own initial state, precede
 //! whole segments (multiple shooting; Bock 1981, doi:10.1007/978-3-642-68220-9_8).
 //!
-//! The loop is our own, because crates for least squares know neither bounds nor the block structure
-//! of many initial states.
+//! The loop is our own, because crates for least squares know neither bounds nor the block
+//! structure of many initial states.
 //!
 //! Imports `numbers` and `dynamics`. Start reading in `fit.rs`.
 

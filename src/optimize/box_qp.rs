@@ -26,8 +26,8 @@ const SMALLEST: f64 = 1e-12;
 const SUFFICIENT: f64 = 0.1;
 
 impl BoxQp {
-    /// Solves the program. The bounds contain 0. Returns `None` if Q is not positive definite on the
-    /// free components.
+    /// Solves the program. The bounds contain 0. Returns `None` if Q is not positive definite on
+    /// the free components.
     pub(super) fn solve(hessian: &DMatrix<f64>, gradient: &DVector<f64>, bounds: &[[f64; 2]]) -> Option<Self> {
         let value = |d: &DVector<f64>| d.dot(&(hessian * d * 0.5 + gradient));
         let mut solution = DVector::zeros(gradient.len());

@@ -1,7 +1,7 @@
 //! [`Expansion`]: derivatives of dynamics and costs along a trajectory.
 //!
-//! Jacobians of the step are exact, by dual numbers. Hessians of the costs are exact, by nested dual
-//! numbers. Second derivatives of the step are omitted (Gauss-Newton).
+//! Jacobians of the step are exact, by dual numbers. Hessians of the costs are exact, by nested
+//! dual numbers. Second derivatives of the step are omitted (Gauss-Newton).
 
 use super::OptimizeError;
 use super::trajectory::{Problem, Trajectory};
@@ -18,8 +18,8 @@ const CHUNK: usize = 4;
 /// Number for second derivatives.
 type Second = Dual<Dual<f64, CHUNK>, CHUNK>;
 
-/// Derivatives of one step in z = [x, u]: `dynamics = ∂S/∂z`, and gradient and Hessian of the running
-/// cost as a function of z, through the next state. The Hessian omits `∂²S/∂z²`.
+/// Derivatives of one step in z = [x, u]: `dynamics = ∂S/∂z`, and gradient and Hessian of the
+/// running cost as a function of z, through the next state. The Hessian omits `∂²S/∂z²`.
 pub(super) struct StepExpansion {
     pub(super) dynamics: DMatrix<f64>,
     pub(super) gradient: DVector<f64>,
@@ -40,13 +40,13 @@ pub(super) struct Expansion {
 }
 
 impl<T: Task> Problem<'_, T> {
-    /// Expands costs and dynamics along a trajectory, after `iteration` iterations.
+    /// Expands costs and dynamics along a trajectory.
     ///
     /// # Errors
     /// [`OptimizeError::Derivative`] if a derivative is not finite.
-    pub(super) fn expand(&self, trajectory: &Trajectory, iteration: usize) -> Result<Expansion, OptimizeError> {
+    pub(super) fn expand(&self, trajectory: &Trajectory) -> Result<Expansion, OptimizeError> {
         let (n, m, steps) = (self.n, self.m, self.task.horizon());
-        let problem = |step| OptimizeError::Derivative { iteration, step };
+        let problem = |step| OptimizeError::Derivative { step };
         let expanded = (0..steps).map(|t| {
             let step = self.expand_step(trajectory, t);
             let finite = [step.dynamics.as_slice(), step.gradient.as_slice(), step.hessian.as_slice()];

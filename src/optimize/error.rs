@@ -47,14 +47,12 @@ pub enum OptimizeError {
         /// Step of the running cost; `None` for the terminal cost.
         step: Option<usize>,
     },
-    /// A derivative at a finite trajectory is not finite.
+    /// A derivative at the finite initial trajectory is not finite.
     #[error(
-        "iteration {iteration}: a first or second derivative of the {} or of its step is not finite. \
+        "initial trajectory: a first or second derivative of the {} or of its step is not finite. \
          Smooth the cost and the dynamics there, for instance roots near 0", place(*step)
     )]
     Derivative {
-        /// Number of completed iterations.
-        iteration: usize,
         /// Step of the running cost; `None` for the terminal cost.
         step: Option<usize>,
     },

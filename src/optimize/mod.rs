@@ -8,9 +8,9 @@
 //!   per step.
 //!
 //! Each iteration linearizes the dynamics, expands the costs to second order, and solves the
-//! resulting linear-quadratic problem by one backward pass. A line search along the new controls and
-//! gains accepts only steps that decrease the cost. All derivatives are exact. `docs/optimize.md`
-//! has the equations and measured figures.
+//! resulting linear-quadratic problem by one backward pass. A line search along the new controls
+//! and gains accepts only steps that decrease the cost. All derivatives are exact.
+//! `docs/optimize.md` has the equations and measured figures.
 //!
 //! - [`Options`], [`Initial`]: settings and initial controls.
 //! - [`Plan`]: controls, states, gains, cost and gradient.
@@ -18,8 +18,8 @@
 //!
 //! # Limits
 //! The minimum is local. A stationary initial trajectory, such as a pendulum at rest that hangs
-//! exactly, stays as it is: start from other controls. Contacts and dry friction have derivatives of
-//! one branch only.
+//! exactly, stays as it is: start from other controls. Contacts and dry friction have derivatives
+//! of one branch only.
 //!
 //! Imports `numbers` and `dynamics`. Start reading in `search.rs`.
 
@@ -69,7 +69,7 @@ use trajectory::Problem;
 /// - a length differs from that of the task,
 /// - a lower bound is above its upper bound,
 /// - the initial trajectory or its cost is not finite,
-/// - a derivative at a finite trajectory is not finite.
+/// - a derivative at the initial trajectory is not finite.
 pub fn optimize<T: Task>(
     task: &T,
     x0: &[f64],

@@ -32,8 +32,8 @@ impl Options {
     }
 }
 
-/// Function `(t, x, u)` that writes the control `u` at step `t` and state `x`.
-pub type Feedback<'a> = &'a dyn Fn(usize, &[f64], &mut [f64]);
+/// Feedback `(t, x, u)`, which writes the control `u` at step `t` and state `x`.
+pub type Feedback<'a> = dyn Fn(usize, &[f64], &mut [f64]) + 'a;
 
 /// Initial controls of an optimization. Bounds clamp them.
 #[derive(Clone, Copy)]
@@ -43,8 +43,7 @@ pub enum Initial<'a> {
     /// Given controls, `[step][control]`: [`Plan::u`](super::Plan::u) of another plan, or the
     /// parameters of a trained [`OpenLoop`](crate::policy::OpenLoop).
     Controls(&'a [f64]),
-    /// Controls of a rollout of a feedback `(t, x, u)`, which writes the control `u` at step `t` and
-    /// state `x`.
+    /// Controls of a rollout of a feedback.
     ///
     /// For a trained policy without memory that observes the state, call
     /// [`Policy::act`](crate::Policy::act):
@@ -61,7 +60,7 @@ pub enum Initial<'a> {
     /// assert!(plan.converged());
     /// # Ok::<(), physgrad::optimize::OptimizeError>(())
     /// ```
-    Feedback(Feedback<'a>),
+    Feedback(&'a Feedback<'a>),
 }
 
 /// Valid bounds of all controls, infinite if the options have none.

@@ -39,46 +39,50 @@ impl<'a, T: Task> Search<'a, T> {
     /// Iterates until a tolerance is reached.
     ///
     /// # Errors
-    /// [`OptimizeError::Derivative`] if a derivative is not finite.
+    /// [`OptimizeError::Derivative`] if a derivative at the initial trajectory is not finite.
     pub(super) fn run(mut self) -> Result<Plan, OptimizeError> {
+        let mut expansion = self.problem.expand(&self.best)?;
         loop {
-            let iteration = self.costs.len() - 1;
-            let expansion = self.problem.expand(&self.best, iteration)?;
-            let stop = if self.gradient_norm(&expansion) <= self.options.gradient_tolerance {
-                Some(Stop::Gradient)
+            let improved = if self.gradient_norm(&expansion) <= self.options.gradient_tolerance {
+                Err(Stop::Gradient)
             } else if self.small_decreases >= SMALL_DECREASES {
-                Some(Stop::Decrease)
-            } else if iteration == self.options.max_iterations {
-                Some(Stop::Iterations)
+                Err(Stop::Decrease)
+            } else if self.costs.len() > self.options.max_iterations {
+                Err(Stop::Iterations)
             } else {
                 self.improve(&expansion)
             };
-            if let Some(stop) = stop {
-                return Ok(self.finish(expansion, stop));
+            match improved {
+                Ok(next) => expansion = next,
+                Err(stop) => return Ok(self.finish(expansion, stop)),
             }
         }
     }
 
-    /// Replaces the trajectory by a better one, or returns the reason for the end.
-    fn improve(&mut self, expansion: &Expansion) -> Option<Stop> {
+    /// Replaces the trajectory by a better one and returns its expansion, or the reason for the
+    /// end.
+    fn improve(&mut self, expansion: &Expansion) -> Result<Expansion, Stop> {
         // Rounding hides decreases below that of the initial cost.
         let tolerance = self.options.cost_tolerance * self.best.cost.abs() + f64::EPSILON * self.costs[0].abs();
         loop {
             let regularization = self.regularization.value * expansion.curvature;
             let step = backward(expansion, &self.best.u, &self.bounds, regularization);
-            if let Some(better) = step.as_ref().and_then(|step| self.line_search(step)) {
+            let better = step.as_ref().and_then(|step| self.line_search(step));
+            // Refuses trajectories whose derivatives are not finite.
+            let expanded = better.and_then(|better| self.problem.expand(&better).ok().map(|next| (better, next)));
+            if let Some((better, next)) = expanded {
                 let decrease = self.best.cost - better.cost;
                 self.small_decreases = if decrease <= tolerance { self.small_decreases + 1 } else { 0 };
                 self.costs.push(better.cost);
                 self.best = better;
                 self.regularization.decrease();
-                return None;
+                return Ok(next);
             }
             if step.is_some_and(|step| step.predicted(1.0) <= tolerance) {
-                return Some(Stop::Decrease);
+                return Err(Stop::Decrease);
             }
             if !self.regularization.increase() {
-                return Some(Stop::NoDescent);
+                return Err(Stop::NoDescent);
             }
         }
     }
@@ -133,8 +137,8 @@ impl<'a, T: Task> Search<'a, T> {
     }
 }
 
-/// Regularization relative to the curvature of the costs, with the quadratic schedule of Tassa, Erez
-/// and Todorov 2012, section II.F.
+/// Regularization relative to the curvature of the costs, with the quadratic schedule of Tassa,
+/// Erez and Todorov 2012, section II.F.
 struct Regularization {
     value: f64,
     factor: f64,

@@ -16,8 +16,8 @@ use rand::RngExt;
 /// ```
 ///
 /// x̄ and ū are the states and controls of the plan. The observation is the deviation `x_t - x̄_t`.
-/// A [`Sum`](crate::policy::Sum) of an [`OpenLoop`](crate::policy::OpenLoop) with the controls of the
-/// plan and a feedback that starts at 0 therefore starts at the plan. System and parameters are
+/// A [`Sum`](crate::policy::Sum) of an [`OpenLoop`](crate::policy::OpenLoop) with the controls of
+/// the plan and a feedback that starts at 0 therefore starts at the plan. System and parameters are
 /// those of the planned task. The plan needs as many steps as that task.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tracking<'a, T> {

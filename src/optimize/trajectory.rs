@@ -5,7 +5,8 @@ use crate::dynamics::inputs::Inputs;
 use crate::dynamics::outline;
 use crate::dynamics::task::Task;
 
-/// States `[step][component]`, with one more step than the controls `[step][control]`, and the cost.
+/// States `[step][component]`, with one more step than the controls `[step][control]`, and the
+/// cost.
 #[derive(Clone, Debug)]
 pub(super) struct Trajectory {
     pub(super) x: Vec<f64>,

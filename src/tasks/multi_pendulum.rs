@@ -10,8 +10,8 @@ use smallvec::{SmallVec, smallvec};
 
 /// One arm of a [`MultiPendulum`], with the friction in the joint at its upper end.
 ///
-/// The torque of friction is `-(viscous r + dry tanh(r / 0.01 rad/s) + quadratic |r| r)` at the rate
-/// r of the arm relative to the arm before.
+/// The torque of friction is `-(viscous r + dry tanh(r / 0.01 rad/s) + quadratic |r| r)` at the
+/// rate r of the arm relative to the arm before.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]

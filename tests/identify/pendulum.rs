@@ -69,7 +69,8 @@ fn three_arms_satisfy_the_principle_of_dalembert() {
     }
 }
 
-/// RK4 conserves the energy up to its order: a quarter of the step divides the drift by 256 or more.
+/// RK4 conserves the energy up to its order: a quarter of the step divides the drift by 256 or
+/// more.
 #[test]
 fn energy_is_conserved_without_friction() {
     let mut arms: Vec<Arm> = [1.0, 1.3, 0.8].map(|scale| arm(scale, false)).into();

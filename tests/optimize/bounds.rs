@@ -6,9 +6,9 @@ use physgrad::optimize::{Initial, Options, Plan, optimize};
 use physgrad::tasks::Lqr;
 use std::f64::consts::PI;
 
-/// Checks the conditions at a plan: the gradient vanishes between the bounds, and points outwards at
-/// them; a single allowed control has no condition. Returns the numbers of controls at the lower bound, between the bounds, and at the upper
-/// bound.
+/// Checks the conditions at a plan: the gradient vanishes between the bounds, and points outwards
+/// at them; a single allowed control has no condition. Returns the numbers of controls at the lower
+/// bound, between the bounds, and at the upper bound.
 fn kkt(plan: &Plan, bounds: &[[f64; 2]], gradient: &[f64], tolerance: f64) -> [usize; 3] {
     let mut counts = [0; 3];
     for (i, (&u, &gradient)) in plan.u.iter().zip(gradient).enumerate() {

@@ -1,11 +1,12 @@
-//! Comparison with gradient descent, for `docs/optimize.md`.
-//!
-//! `cargo test --release --test optimize -- --ignored --nocapture adam`
+//! Measurements of `docs/optimize.md`: comparison with gradient descent, and tasks without control
+//! cost.
 
 use super::problems::SwingUp;
 use physgrad::optimize::{Initial, Options, optimize};
 use physgrad::policy::OpenLoop;
-use physgrad::{Adjoint, Flow, Gradient, Optimizer, Rollout, Weights};
+use physgrad::rng::Purpose;
+use physgrad::tasks::{CartPole, LossMode};
+use physgrad::{Adjoint, Flow, Gradient, Optimizer, Rollout, Weights, initial_states};
 use std::time::Instant;
 
 const UPDATES: usize = 30_000;
@@ -61,5 +62,24 @@ fn against_adam() {
     let least = optimize(&task, &SwingUp::START, &[], Initial::Controls(&push), &Options::default()).expect("finite").cost;
     for learning_rate in [0.01, 0.03, 0.1, 0.3, 1.0] {
         adam(&task, &push, learning_rate, least);
+    }
+}
+
+#[test]
+#[ignore = "measurements without criteria"]
+fn without_control_cost() {
+    for (poles, loss) in [1, 2, 3].into_iter().flat_map(|poles| [LossMode::Terminal, LossMode::Running].map(|loss| (poles, loss)))
+    {
+        let task = CartPole { loss, ..CartPole::new(poles) };
+        let starts: Vec<f64> = initial_states(&task, 0, Purpose::Train, 20);
+        let run = |x0: &[f64]| optimize(&task, x0, &[], Initial::Zeros, &Options::default()).expect("finite");
+        let plans: Vec<_> = starts.chunks(2 + 2 * poles).map(run).collect();
+        let mut costs: Vec<f64> = plans.iter().map(|plan| plan.cost).collect();
+        costs.sort_by(f64::total_cmp);
+        let converged = plans.iter().filter(|plan| plan.converged()).count();
+        println!(
+            "{poles} poles, {loss:?}: {converged} of 20 converged; cost: median {:.1e}, largest {:.1e}",
+            costs[10], costs[19]
+        );
     }
 }

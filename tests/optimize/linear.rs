@@ -76,7 +76,8 @@ fn compare_gradients<T: Task>(task: &T, start: &[f64]) {
     let options = Options { max_iterations: 0, ..Options::default() };
     let plan = optimize(task, &start[..n], &start[n..], Initial::Controls(&u), &options).expect("finite");
     assert_eq!((plan.stop, &plan.u), (Stop::Iterations, &u));
-    // The adjoint recursion of 100 steps adds about as many ulp. Both use the same exact derivatives.
+    // The adjoint recursion of 100 steps adds about as many ulp. Both use the same exact
+    // derivatives.
     assert!(difference(&plan.gradient, &by_adjoint(task, start, &u)) < 1e-12);
 }
 

@@ -91,8 +91,8 @@ impl Task for Pendulum {
     }
 }
 
-/// Linear system with a cost that is not quadratic and couples all of its arguments. Two states, two
-/// controls, one parameter.
+/// Linear system with a cost that is not quadratic and couples all of its arguments. Two states,
+/// two controls, one parameter.
 pub struct Coupled;
 
 impl System for Coupled {

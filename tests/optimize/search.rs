@@ -52,7 +52,8 @@ fn warm_start_needs_fewer_iterations() {
     assert_eq!((again.iterations(), again.stop), (0, Stop::Gradient));
 }
 
-/// A stationary trajectory is not a minimum: the pendulum hangs, and its gradient is below rounding.
+/// A stationary trajectory is not a minimum: the pendulum hangs, and its gradient is below
+/// rounding.
 #[test]
 fn stationary_start_stays() {
     let plan = optimize(&CartPole::new(1), &SwingUp::START, &[], Initial::Zeros, &Options::default()).expect("finite");

@@ -32,7 +32,8 @@ fn gradient_vanishes_at_the_plan() {
     let (_, plan) = swing_up(&Options::default());
     let gradient = by_adjoint(&SwingUp::new(), &SwingUp::START, &plan.u);
     assert!(plan.gradient_norm() <= 1e-8);
-    // The gradient of the initial controls is 1e4 times larger than 1e-2. Rounding adds 1e-12 of it.
+    // The gradient of the initial controls is 1e4 times larger than 1e-2. Rounding adds 1e-12 of
+    // it.
     assert!(gradient.iter().all(|gradient| gradient.abs() < 2e-8), "{gradient:?}");
 }
 

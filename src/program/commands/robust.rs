@@ -20,7 +20,8 @@ pub struct Robust {
     /// Folders of trained runs of one task
     #[arg(required = true)]
     pub runs: Vec<PathBuf>,
-    /// Setting and its values, as in system.cart_mass=0.5:2:7 (from 0.5 to 2 in 7 steps); one or two
+    /// Setting and its values, as in system.cart_mass=0.5:2:7 (from 0.5 to 2 in 7 steps); one or
+    /// two
     #[arg(long, value_name = "KEY=LOW:HIGH:COUNT", required = true, value_parser = Axis::parse)]
     pub grid: Vec<Axis>,
     /// Number of initial states per grid point
