@@ -45,6 +45,7 @@ fn every_preset_matches_its_name() {
     assert!(names.len() >= 14, "{names:?}");
     for name in &names {
         let out = dir.path().join(name);
+        assert!(stdout(&["scene", name]).starts_with("# "), "{name} has a description");
         let few = ["--epochs", "0", "--set", "training.train_samples=4", "--set", "training.test_samples=4"];
         train_scene(Path::new(name), &out, &few).assert().success();
         let settings = settings(&out);
