@@ -15,6 +15,7 @@ use crate::dynamics::cause::Cause;
 use crate::dynamics::default_vjp::{Function, default_vjp};
 use crate::dynamics::inputs::{Cotangents, Inputs, OdeInputs, Start};
 use crate::dynamics::number::{Numbers, ParamDual, Varied, param_vjp};
+use crate::dynamics::outline;
 use crate::dynamics::system::{System, step_vjp};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, CotangentPack, Over, Real, Scalar};
@@ -222,7 +223,7 @@ pub(crate) fn step_param_vjp<H: ForcedSystem, E: Effect<H::Model>, R: Real, C: C
     p_bar: Option<&mut [C]>,
 ) {
     let step = |[x, u, p]: [&[ParamDual]; 3], next: &mut [ParamDual]| {
-        system.forced_step(effects, Inputs { x, u, p, t: inputs.t }, next);
+        outline::step(&SystemStep { system, effects }, Inputs { x, u, p, t: inputs.t }, next);
     };
     param_vjp(&step, inputs.lists(), next_bar, p_bar);
 }

@@ -102,11 +102,17 @@ impl<O: Ode + ?Sized, R: Real> Function<R, 3> for Rate<'_, O, R> {
     }
 }
 
+/// Rate with derivatives, compiled once per equation.
+#[inline(never)]
+fn dual_rate<O: Ode>(ode: &O, inputs: OdeInputs<'_, ParamDual>, rate: &mut [ParamDual]) {
+    ode.rate(inputs, rate);
+}
+
 /// Adds the cotangents of the parameters of a rate. Physical numbers enter it in many places.
 fn rate_param_vjp<O: Ode, R: Real, C: Cotangent<R>>(ode: &O, inputs: OdeInputs<'_, R>, rate_bar: &[C], p_bar: Option<&mut [C]>) {
     // Equal in all lanes.
     let t = ParamDual::from(inputs.t.lane(0).to_f64());
-    let rate = |[x, u, p]: [&[ParamDual]; 3], rate: &mut [ParamDual]| ode.rate(Inputs { x, u, p, t }, rate);
+    let rate = |[x, u, p]: [&[ParamDual]; 3], rate: &mut [ParamDual]| dual_rate(ode, Inputs { x, u, p, t }, rate);
     param_vjp(&rate, inputs.lists(), rate_bar, p_bar);
 }
 

@@ -1,6 +1,7 @@
 //! Simulation of one window, with exact derivatives by parameters and initial state.
 
 use crate::dynamics::inputs::Inputs;
+use crate::dynamics::outline;
 use crate::dynamics::system::System;
 use crate::numbers::forward_mode::{CHUNK, Chunk};
 use crate::numbers::scalar::Dual;
@@ -18,11 +19,11 @@ impl<S: System> Model for S {
     }
 
     fn step(&self, inputs: Inputs<'_, f64>, next: &mut [f64]) {
-        System::step(self, inputs, next);
+        outline::step(self, inputs, next);
     }
 
     fn step_by_duals(&self, inputs: Inputs<'_, Chunk<f64>>, next: &mut [Chunk<f64>]) {
-        System::step(self, inputs, next);
+        outline::step(self, inputs, next);
     }
 }
 
