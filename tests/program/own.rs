@@ -107,7 +107,8 @@ fn a_new_crate_has_the_name_of_the_task_and_overwrites_nothing() {
     assert!(refused("Swing-Boat").contains("lower case letters"));
 }
 
-/// Builds all dependencies, which takes minutes: `cargo test --release --test program -- --ignored`.
+/// Builds all dependencies, which takes minutes. To run it:
+/// `cargo test --release --test program -- --ignored`.
 #[test]
 #[ignore = "builds a crate with all its dependencies"]
 fn a_new_crate_passes_its_test_and_trains() {
