@@ -143,8 +143,8 @@ fn the_quadratic_has_the_stated_axes() {
     }
 }
 
-/// "The rotational contribution in b) prevents Adam from converging while our combined vector field
-/// in c) allows Adam to approach the minimum."
+/// From the paper: "The rotational contribution in b) prevents Adam from converging while our
+/// combined vector field in c) allows Adam to approach the minimum."
 #[test]
 fn adam_converges_but_for_the_rotation() {
     let losses = Rotated::figure().map(|(_, field)| {

@@ -193,8 +193,8 @@ fn a_spring_costs_its_hand_counted_operations() {
 
     // Dual numbers, all inputs at once: 9 multiplications and 4 additions for each of 2 products of
     // variables, 5 multiplications for each of 2 products with dt, 5 additions for each of 3 sums.
-    // Each input's column of 2 derivatives then takes a
-    // product and a sum each, and the addition to the output.
+    // Each of the 2 derivatives of an input then takes a product and a sum, and each input an
+    // addition to the output.
     let inputs = |inputs: u64, columns: u64| counts(2 * (9 + 5) + columns * 2 * inputs, 2 * 4 + 3 * 5 + columns * 3 * inputs, 0);
     let [both, state, control] = [3, 2, 1].map(|count| move |columns| inputs(count, columns));
     assert_eq!(spring(&Spring::<false>, one), [step, both(1), state(1), control(1)]);

@@ -49,7 +49,7 @@ fn neutral_weights_keep_the_bits() {
     }
 }
 
-/// Without a memory, a truncation at every step leaves the costs of each step: S.
+/// With a truncation at every step and no memory, each cost acts on its own step only, as in S.
 #[test]
 fn truncation_at_every_step_is_the_stopped_flow() {
     let policy = Mlp::new([2, 4, 2]);
@@ -91,8 +91,8 @@ impl Task for Growing {
     }
 }
 
-/// Gradients by the controls of one sample, from the definition of a cut. All states and controls
-/// are 1 or `u`.
+/// Gradients by the controls of one sample, from the definition of a cut. The cost has the
+/// derivatives 1 by the next state, `u_t` by the state, and `x_t` by the control.
 fn by_definition(a: f64, u: &[f64], x: &[f64], decades: f64) -> Vec<f64> {
     let (mut lambda, mut grown) = (0.0, 0.0);
     let mut gradient = vec![0.0; u.len()];

@@ -212,10 +212,10 @@ fn the_message_names_the_parameter() {
     check::task(&Tracking::<1> { fault: Fault::CostOfParams }, &WithParams::new(Constant::new(3, 1), []));
 }
 
-/// An observation that is the state itself, as a function.
+/// Declares an observation with the dimension of the state, and the default `observe`.
 struct Copied(Tracking<1>);
 
-/// The state without a function.
+/// Declares no observation: the policy observes the state.
 struct Plain(Tracking<1>);
 
 macro_rules! around {

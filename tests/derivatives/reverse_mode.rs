@@ -131,7 +131,7 @@ fn zeros_constants_and_detached_numbers() {
     let mut next_bar = vec![2.0; N];
     next_bar[0] = -0.0;
     // The norm of a zero vector has an infinite slope; its paths have slope 0. The branch that is
-    // not selected has a NaN.
+    // not selected contributes nothing.
     let mut x = vec![0.0; N];
     x[5] = 0.5;
     let found = vjp(&Paths, &x, &next_bar, -0.0);

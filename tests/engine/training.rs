@@ -98,9 +98,9 @@ fn a_decay_to_a_value_that_is_not_allowed_is_refused() {
 }
 
 /// A plant that doubles its state. The adjoint of M grows by 2^13, 3.9 decades, in 13 of 14 steps.
-/// The last state is `g θ` with `g = 2^14 - 1 = 16383`, the gradient is `g`, and each of the epochs
-/// has one update. After n updates the last state is `-n · 1e-3 g² = -n · 2.68e5`. It is below -1e6
-/// from n = 4 on: after epoch 4, and in the update of epoch 5.
+/// The last state is `g θ` and the gradient is `g`, with `g = 2^14 - 1 = 16383`. Each epoch has one
+/// update. After n updates the last state is `-n · 1e-3 g² = -n · 2.68e5`. It is below -1e6 from
+/// n = 4 on: after epoch 4, and in the update of epoch 5.
 fn doubling() -> Trainer<Plant, Constant, f64> {
     let training = Training { epochs: 6, learning_rate: 1e-3, ..Training::default() };
     trainer(Plant { factor: 2.0, horizon: 14, weight: 1.0 }, training)

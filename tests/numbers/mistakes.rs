@@ -1,8 +1,9 @@
 //! Mistakes in a first simulator: the compiler rejects them with a known message, and the form in
 //! `docs/systems.md` compiles.
 //!
-//! One call of `rustc` per case, with the library that cargo built for this test. Snapshots of whole
-//! messages depend on the compiler version, and trybuild builds all dependencies a second time.
+//! One call of `rustc` per case, with the library that cargo built for this test. Snapshots of
+//! whole messages depend on the compiler version, and trybuild builds all dependencies a second
+//! time.
 
 use std::path::PathBuf;
 use std::process::{Command, Stdio};

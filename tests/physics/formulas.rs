@@ -970,7 +970,7 @@ fn rollouts_start_where_they_should() {
     });
     // The mean of 40 is within 0.15 of the center: three standard deviations.
     assert!((center[0] - 1.0).abs() < 0.2 && (center[1] - 2.0).abs() < 0.2, "{center:?}");
-    // On average, half of the probability is in the ground state and half in the second.
+    // Initial states mix the eigenstates 1 and 2 with any share from 0 to 1.
     let mixture = Quantum::new(3);
     let share = |number: usize, x: &[f64]| {
         let part = |part| mixture.system.eigenstate(number).zip(x.chunks_exact(2)).map(|(phi, psi)| phi * psi[part]).sum::<f64>();

@@ -187,7 +187,8 @@ fn derivatives_agree<R: Real>(drivers: usize, evaders: usize, distance: f64, dia
         let (mut x_bar, mut u_bar) = (vec![R::zero(); n], vec![R::zero(); m]);
         system.vjp(Inputs::new(&x, &u), &next_bar, Cotangents::of(&mut x_bar, &mut u_bar));
         let jvp = |column: &Vec<R>| column[4 * agent + 2] + column[4 * agent + 3] * R::from(0.5);
-        // Forward mode: in reverse mode, products of partial derivatives underflow at 1e120.
+        // Forward mode: in reverse mode, products of partial derivatives underflow at a distance
+        // of 1e120.
         let by_duals = |k: usize, len: usize, of_state: bool| -> R {
             let (mut tangent, mut column) = (vec![R::zero(); len], vec![R::zero(); n]);
             tangent[k] = R::one();

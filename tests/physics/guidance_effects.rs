@@ -183,7 +183,7 @@ fn effects_act_on_the_stated_agents() {
     for x in states(&model) {
         let (spread, flock) = (forces(&Spread::default(), &model, &x), forces(&Flock::default(), &model, &x));
         let (evade, drive) = (forces(&Evade::default(), &model, &x), forces(&Drive::default(), &model, &x));
-        // Action equals reaction, and other agents feel no force.
+        // Action equals reaction, and no force acts on other agents.
         for (within, beyond) in [(&spread[..3], &spread[3..]), (&flock[3..], &flock[..3])] {
             let (sum, size) = momentum(within);
             assert!(size > 0.0 && sum <= 1e-14 * size, "{sum} of {size}");

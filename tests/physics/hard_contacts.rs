@@ -29,7 +29,7 @@ fn jacobian<S: System>(system: &S, x: &[f64], u: f64) -> Vec<Vec<f64>> {
     (0..x.len()).map(row).collect()
 }
 
-/// Returns the same Jacobian by central differences.
+/// Returns the Jacobian of [`jacobian`] by central differences.
 fn differences<S: System>(system: &S, x: &[f64], u: f64, by: f64) -> Vec<Vec<f64>> {
     let mut rows = vec![vec![0.0; x.len() + 1]; x.len()];
     for j in 0..=x.len() {

@@ -67,7 +67,7 @@ fn diverged_settings_are_marked_and_never_ranked_fast() {
     assert!(said.contains("settings diverged"), "{said}");
     let row = &rows["euler 1 f32"];
     assert!(row["diverged"].contains("step") && row["trajectory_error"].is_empty() && row["forward_us"] == "NaN", "{row:?}");
-    // The implicit rule is stable.
+    // The implicit midpoint rule is stable.
     assert!(number(&rows["implicit_midpoint 2 f32"], "trajectory_error") < 1.0);
 }
 

@@ -136,7 +136,7 @@ fn reported_bytes_equal_those_of_the_library() {
 
 #[test]
 fn allocations_are_reported() {
-    // Steps on a grid that exceeds the stack buffers allocate.
+    // A step allocates if the grid exceeds the buffers on the stack.
     let rows = explained("scene = 1\ntask = \"quantum\"\n[system]\ngrid = 200\n[policy]\nwidth = 4\n", &[]);
     assert_ne!(row(&rows, "evaluation")[4], "0");
 }
@@ -146,7 +146,7 @@ fn the_rich_presets_have_right_gradients() {
     let dir = TempDir::new().expect("a folder");
     for preset in ["cart_pole_windy", "guidance_walled", "quantum_double_well"] {
         let scene = String::from_utf8(physgrad(&["scene", preset]).output().expect("it runs").stdout).expect("text");
-        // A short rollout contains every derivative.
+        // A short rollout covers every derivative.
         let short = |line: &str| if line.starts_with("horizon") { "horizon = 20".to_owned() } else { line.to_owned() };
         let file = dir.path().join(format!("{preset}.toml"));
         fs::write(&file, scene.lines().map(short).collect::<Vec<_>>().join("\n")).expect("a file");

@@ -128,7 +128,7 @@ fn a_resampled_run_with_a_decay_resumes_with_equal_bits_and_keeps_its_number_of_
     let [whole, part] = ["whole", "part"].map(|name| dir.path().join(name));
     train_scene(&file, &whole, &SMALL).assert().success();
     assert_eq!(settings(&whole)["training"]["decay_end"].as_float(), Some(0.01));
-    // A decay over two epochs is another one.
+    // A decay over two epochs has other learning rates than one over three.
     train_scene(&file, &part, &[&SMALL[..], &["--epochs", "2"]].concat()).assert().success();
     let said = error_of(&mut train_scene(&file, &part, &["--resume", "--epochs", "3"]));
     assert!(said.contains("only while `training.decay` is constant") && said.contains("epochs = 3"), "{said}");

@@ -363,8 +363,8 @@ fn the_second_signal_stops_at_once_and_leaves_the_checkpoint() {
     let mut child = process(&out, &["--epochs", "2", "--threads", "1"]).args(LONG_EPOCHS).spawn().expect("it starts");
     wait_until("the run begins", || out.join("metrics.csv").exists());
     signal(&child, "TERM");
-    // The answer to the first signal comes within the epoch. Waiting for a newer checkpoint instead
-    // would take a periodic one for it.
+    // The program answers the first signal within the epoch. A newer checkpoint is no evidence of
+    // the signal, because the program also saves periodically.
     let messages = BufReader::new(child.stderr.take().expect("it is piped")).lines();
     let answer = messages.map(|line| line.expect("it is text")).find(|line| line.contains("a second signal stops immediately"));
     assert!(answer.is_some(), "the first signal was not answered");

@@ -84,7 +84,8 @@ fn cost(kind: &'static dyn AnyTaskSpec, section: &str, name: &str) -> Result<[Op
     Ok([with.step - alone.step, with.vjp - alone.vjp])
 }
 
-/// Splits at commas into one line per equation. Commas within parentheses or remarks do not split.
+/// Splits into one line per equation, at each comma before an equation. Commas within parentheses
+/// do not split.
 fn lines(equations: &str) -> String {
     let mut lines = String::new();
     for part in equations.split(", ") {

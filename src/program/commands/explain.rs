@@ -25,7 +25,7 @@ pub struct Explain {
 
 /// Largest width of a table, in characters.
 const WIDTH: u16 = 130;
-/// Time steps of the rollouts whose memory is counted.
+/// Time steps of the shorter of the two rollouts whose memory is counted.
 const FEW_STEPS: usize = 8;
 
 /// Runs the command.

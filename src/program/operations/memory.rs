@@ -47,7 +47,7 @@ impl Memory {
         let flows = [Flow::REGULAR, Flow::MODIFIED];
         let of =
             |samples: usize| Batch::<F>::bytes_of(task, policy, samples, &flows, 1, &Schedule::store_all(steps)) as f64 * scale;
-        // The optimizer and its copy, and both data sets.
+        // Parameters and two moments of the optimizer, each with a copy, and both data sets.
         let numbers = policy.param_count() as f64 * 6.0 + self.start_states as f64 * AnyTask::<F>::start_dim(task) as f64;
         // Trajectories written at the end: text, and vectors of numbers.
         let text = ROLLOUTS as f64 * task.horizon() as f64 * (48.0 * (n + m) as f64 + 80.0);

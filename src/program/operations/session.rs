@@ -21,7 +21,7 @@ pub trait AnyRun {
     fn is_done(&self) -> bool;
     /// Records of the completed epochs.
     fn records(&self) -> &[Record];
-    /// Warnings about the last epoch, each kind once.
+    /// Warnings about the last epoch, of kinds that no earlier call returned.
     fn warnings(&mut self) -> Vec<String>;
     /// Serializes the run. Only a run with the same label can restore it.
     fn checkpoint(&self, label: &str) -> Vec<u8>;

@@ -85,17 +85,16 @@ pub fn changed(name: &str, overrides: &Overrides) -> Result<Scene> {
     source.scene()
 }
 
-/// Checks that the run in the folder has the settings of the scene. The number of epochs may differ
-/// if the learning rate is constant.
+/// Checks that the run in the folder and the scene have equal identities; see [`Scene::identity`].
 ///
 /// # Errors
-/// Another setting differs.
+/// The identities differ, or the settings of the run cannot be read.
 pub fn check_resumable(folder: &Folder, scene: &Scene) -> Result<()> {
     let saved = self::scene(folder)?.identity();
     if scene.identity() != saved {
         bail!(
-            "a resumed run keeps its settings (only the number of epochs may change, and only while `training.decay` is \
-             constant); in {}, these differ:\n{}",
+            "a resumed run keeps its settings (`training.memory` may change, and the number of epochs only while \
+             `training.decay` is constant); in {}, these differ:\n{}",
             folder.path().display(),
             differences(&saved, &scene.identity())
         );
@@ -106,7 +105,7 @@ pub fn check_resumable(folder: &Folder, scene: &Scene) -> Result<()> {
 /// Scene of the run in the folder, with overrides.
 ///
 /// # Errors
-/// There is no run, or the overrides change more than the number of epochs.
+/// There is no run, or the overrides change its identity.
 pub fn resumed(folder: &Folder, overrides: &Overrides) -> Result<Scene> {
     if !has_run(folder) {
         bail!("there is no run to resume in {}; omit --resume to start one", folder.path().display());

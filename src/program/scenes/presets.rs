@@ -36,7 +36,7 @@ const PRESETS: [(&str, &str); 24] = [
     ("push", include_str!("presets/push.toml")),
 ];
 
-/// Presets with more effects than in the paper, one per task.
+/// Presets with more effects than in the paper, one per task of the paper.
 pub const RICH: [&str; 3] = ["cart_pole_windy", "guidance_walled", "quantum_double_well"];
 
 /// Name and first line of every preset. Tasks of the user are presets with their default settings.

@@ -31,7 +31,7 @@ pub struct TrainingSettings {
     pub decay_end: Option<f64>,
     /// Updates at the start in which the learning rate rises linearly to its full value.
     pub warm_up: usize,
-    /// Weight of all paths of the adjoint, per step. Below 1, it discounts the effect of earlier steps.
+    /// Weight of all paths of the adjoint, per step. Below 1, it discounts effects on later costs.
     pub discount: f64,
     /// Steps between truncations of the adjoint; never by default.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -40,7 +40,8 @@ use toml::Table;
 pub trait Section: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static {}
 impl<T: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static> Section for T {}
 
-/// Task name and its settings. The effects that are present select the concrete [`Task`] type.
+/// Task name and its settings. The effects that are present select the concrete type of the
+/// [`Task`](crate::Task).
 pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     /// The `system` section: settings of the physics.
     type System: Section;
@@ -165,12 +166,12 @@ pub trait AnyTaskSpec: Send + Sync {
     fn name(&self) -> &'static str;
     /// One-line description.
     fn about(&self) -> &'static str;
-    /// Every effect.
+    /// Documentation of every effect.
     fn effects(&self) -> &'static [Info];
     /// Integrators that can replace the task's native scheme.
     fn methods(&self) -> &'static [Method];
-    /// A high-order integrator and the number of substeps per control step, used as reference
-    /// solution.
+    /// Integrator of the reference solution, and its number of substeps per control step. The
+    /// native scheme if the task has no integrator of high order.
     fn reference(&self) -> (&'static str, usize);
     /// The default settings.
     fn defaults(&self) -> Table;

@@ -32,7 +32,7 @@ pub trait ProgramTask: Task<System: Clone> + Section + Default {
     /// Checks the settings. Default: all values are valid.
     ///
     /// # Errors
-    /// The name of a field, and what it allows, for instance `("mass", "a positive number")`.
+    /// The name of a field and its allowed values, for instance `("mass", "a positive number")`.
     fn validate(&self) -> Result<(), (&'static str, &'static str)> {
         Ok(())
     }
@@ -40,8 +40,8 @@ pub trait ProgramTask: Task<System: Clone> + Section + Default {
     fn dt(&self) -> f64 {
         1.0
     }
-    /// The task with a time step that is shorter by the factor `substeps`. Its step i within step t
-    /// has the number `substeps·t + i`. Default: `None`, the time step cannot be changed.
+    /// The task with a time step that is shorter by the factor `substeps`. Substep i of step t has
+    /// the number `substeps·t + i`. Default: `None`, the time step cannot be changed.
     fn refined(&self, _substeps: usize) -> Option<Self> {
         None
     }

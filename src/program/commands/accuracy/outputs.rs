@@ -158,9 +158,9 @@ fn about(rows: &[Row], check: &Errors) -> String {
 
 fn markdown(name: &str, check: &Errors, conserved: Option<&str>, rows: &[Row]) -> String {
     format!(
-        "# Accuracy and cost: {name}\n\nErrors are relative to the reference. Operations are those of one step, including the \
-         policy, and of its VJP. Times are microseconds per step and sample, with half the spread of the rounds. {}\n\n![error \
-         by cost](accuracy.svg)\n\n{}\n",
+        "# Accuracy and cost: {name}\n\nErrors are relative to the reference. Operations are those of one step of the \
+         system and of its VJP, without the policy. Times are microseconds per step and sample, with half the spread of the \
+         rounds. {}\n\n![error by cost](accuracy.svg)\n\n{}\n",
         about(rows, check),
         table(ASCII_MARKDOWN, conserved, &mut rows.iter())
     )

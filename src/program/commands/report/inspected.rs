@@ -33,7 +33,7 @@ pub struct Inspected {
 pub enum End {
     Done,
     Interrupted,
-    /// Error that ends the next epoch.
+    /// Message of the error that ends the next epoch.
     Failed(String),
 }
 

@@ -11,13 +11,13 @@ use serde::{Deserialize, Serialize};
 pub struct ContactSettings {
     /// Contact model: time of impact, or penalty spring.
     model: Model,
-    /// Share of the speed after an impact, 0 to 1; only for `time_of_impact`.
+    /// Ratio of the speeds after and before an impact, 0 to 1; only for `time_of_impact`.
     #[serde(skip_serializing_if = "Option::is_none")]
     restitution: Option<f64>,
-    /// Spring stiffness, N/m; only for `penalty`.
+    /// Spring stiffness, N/m, 10000 by default; only for `penalty`.
     #[serde(skip_serializing_if = "Option::is_none")]
     stiffness: Option<f64>,
-    /// Damping of the spring force, s/m; only for `penalty`.
+    /// Damping of the spring force, s/m, 0 by default; only for `penalty`.
     #[serde(skip_serializing_if = "Option::is_none")]
     damping: Option<f64>,
 }
