@@ -21,6 +21,9 @@ pub(super) struct Statistics {
 /// Evaluates the information matrix of the named parameters.
 pub(super) fn statistics(information: &DMatrix<f64>, names: &[&str]) -> Statistics {
     let count = names.len();
+    if count == 0 {
+        return Statistics { errors: Vec::new(), correlations: Vec::new(), undetermined: Vec::new() };
+    }
     let scale: Vec<f64> = (0..count).map(|i| information[(i, i)].max(0.0).sqrt()).collect();
     let scaled = DMatrix::from_fn(count, count, |i, j| {
         let product = scale[i] * scale[j];

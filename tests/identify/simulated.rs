@@ -153,6 +153,10 @@ fn parameters_stay_within_their_bounds() {
     assert_eq!((found.values[1], &found.at_bound[..]), (6e-4, &["viscous".to_owned()][..]));
 }
 
+fn fit_starts(segment: &Segment) -> Fit {
+    identify(&pendulum(), std::slice::from_ref(segment), &[], &Options::default()).expect("valid data")
+}
+
 #[test]
 fn wrong_data_are_refused() {
     let rng = &mut stream(5, Purpose::Check, 0);
@@ -163,7 +167,11 @@ fn wrong_data_are_refused() {
     let mut short = good.clone();
     short.x[3].pop();
     assert_eq!(error(short, &unknowns(1.0)), "segment 0: a measured state has 1 numbers; expected 2");
-    assert_eq!(error(good.clone(), &[]), IdentifyError::NothingUnknown.to_string());
+    let exact = Options { free_starts: false, ..Options::default() };
+    let nothing = identify(&pendulum(), std::slice::from_ref(&good), &[], &exact);
+    assert_eq!(nothing.expect_err("an error"), IdentifyError::NothingUnknown);
+    // Initial states alone, for validation.
+    assert!(fit_starts(&good).chi_squared < 1e-18);
     let mut empty = good.clone();
     empty.x.iter_mut().for_each(|row| row.fill(f64::NAN));
     assert!(error(empty, &unknowns(1.0)).starts_with("0 measurements cannot determine 4 unknowns"));
