@@ -28,9 +28,9 @@ pub(crate) use without::system_without_effects;
 /// `B` is the model that effects read: sizes, masses, lengths. The documentation of each system
 /// defines its state and its forces.
 ///
-/// Only [`add_forces`](Effect::add_forces) is required. Dual numbers provide the exact derivative
-/// by default. An analytic [`vjp`](Effect::vjp) is faster.
-/// [`check::system`](crate::check::system) compares the two for a system with the effect.
+/// Only [`add_forces`](Effect::add_forces) is required. The default derivative is exact. An
+/// analytic [`vjp`](Effect::vjp) is faster. [`check::system`](crate::check::system) compares the
+/// two for a system with the effect.
 ///
 /// ```
 /// use physgrad::tasks::CartPoleSystem;
@@ -73,8 +73,8 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
         default_effect_vjp(self, model, inputs, forces_bar, bars);
     }
 
-    /// Returns whether the forces depend on state, control or parameters. If none do, the reverse
-    /// pass skips them.
+    /// Returns whether the forces depend on state, control or parameters. If they do not, the
+    /// reverse pass skips the effect.
     #[inline(always)]
     fn state_dependent(&self) -> bool {
         true
@@ -160,8 +160,9 @@ pub trait ForcedSystem: Send + Sync {
     /// Writes the next state under the given effects.
     fn forced_step<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]);
 
-    /// Adds to the requested cotangents. The default is exact, by dual numbers; override it for
-    /// speed.
+    /// VJP of [`forced_step`](ForcedSystem::forced_step). Adds to the requested cotangents.
+    ///
+    /// Defaults to exact derivatives, as [`System::vjp`] does. Override it for speed.
     #[inline(always)]
     fn forced_vjp<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
         &self,
@@ -174,7 +175,7 @@ pub trait ForcedSystem: Send + Sync {
     }
 }
 
-/// Forced system with its effects, for derivatives by dual numbers.
+/// Forced system with its effects, for default derivatives.
 struct SystemStep<'a, H: ?Sized, E> {
     system: &'a H,
     effects: &'a E,
@@ -237,7 +238,7 @@ pub trait HasModel<B>: System {
     /// Returns the model.
     fn model(&self) -> &B;
     /// Draws the initial values of the state components beyond those of the model, and the
-    /// parameters.
+    /// parameters of the effects.
     fn start_extra(&self, rng: &mut Rng, start: Start<'_>);
 }
 

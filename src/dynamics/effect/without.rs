@@ -1,6 +1,6 @@
 //! Systems without effects.
 
-/// Implements [`System`] for a [`ForcedSystem`] without effects.
+/// Implements [`System`] and [`HasModel`] for a [`ForcedSystem`] without effects.
 macro_rules! system_without_effects {
     ($system:ty) => {
         impl crate::dynamics::system::System for $system {
