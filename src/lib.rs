@@ -1,11 +1,12 @@
 //! Differentiable physics: adjoints of long rollouts, and training of neural controllers with a
 //! choice of vector fields.
 //!
-//! Systems are generic over [`Scalar`]. Dual numbers provide their exact derivatives by default.
-//! Faster analytic derivatives can replace them, and [`check`] compares the two.
+//! Systems are generic over [`Scalar`]. The default derivatives are exact: by dual numbers for
+//! small systems, in reverse mode for large ones. Faster analytic derivatives can replace them, and
+//! [`check`] compares the two.
 //!
 //! One forward pass yields three vector fields for the optimizer: the gradient of the loss (R), the
-//! gradient through the physics only (M), and their combination (C). They are those of "Stabilizing
+//! gradient through the physics only (M), and their combination (C). The source is "Stabilizing
 //! Backpropagation Through Time to Learn Complex Physics" (ICLR 2024). [`Flow`] documents the
 //! recursion and [`Field`] the fields.
 //!
@@ -16,8 +17,8 @@
 //! ```
 //!
 //! # One update, step by step
-//! [`Trainer`] combines public parts. One update consists of a forward pass, a reverse pass,
-//! composition, clipping and an optimizer step:
+//! [`Trainer`] combines public parts. One update consists of a forward pass, a reverse pass for all
+//! flows, parameter gradients, their combination, clipping and an optimizer step:
 //! ```
 //! use physgrad::{Adjoint, Clip, Field, Gradient, Optimizer, Rollout, Weights, initial_states, policy::Mlp, rng, tasks::CartPole};
 //!

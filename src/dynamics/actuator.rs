@@ -19,8 +19,8 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
-/// Stack capacity for controls; four times as many for states of actuators. More allocate in every
-/// step.
+/// Stack capacity for controls. The capacity for states of actuators is four times as large. Beyond
+/// it, every step allocates.
 const STACK: usize = 8;
 type Controls<T> = SmallVec<[T; STACK]>;
 
@@ -228,7 +228,7 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
         let (next_bar, next_state_bar) = next_bar.split_at(x.len());
         let (x_bar, state_bar) = bars.x.map(|bar| bar.split_at_mut(x.len())).unzip();
         let out = self.control(state, inputs.u);
-        // The control matters to the requested cotangents only through `u` or the actuator's state.
+        // The actuator's VJP is needed only for the cotangents of `u` and of the actuator's state.
         let through_control = bars.u.is_some() || !state.is_empty() && state_bar.is_some();
         let mut out_bar: Controls<C> = smallvec![C::null(); inputs.u.len()];
         let system_bars = Cotangents { x: x_bar, u: through_control.then_some(&mut out_bar[..]), p: bars.p };
@@ -250,8 +250,7 @@ impl<B, S: HasModel<B>, A: Actuator> HasModel<B> for Actuated<S, A> {
         self.system.model()
     }
 
-    /// Draws the state components beyond the model and their parameters. Sets the actuator's state
-    /// to 0.
+    /// Draws the extra values of the inner system. Sets the actuator's state to 0.
     fn start_extra(&self, rng: &mut Rng, start: Start<'_>) {
         let (x, state) = start.x.split_at_mut(self.system.state_dim());
         self.system.start_extra(rng, Start { x, p: start.p });

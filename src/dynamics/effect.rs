@@ -30,9 +30,9 @@ pub(crate) use without::system_without_effects;
 /// `B` is the model that effects read: sizes, masses, lengths. The documentation of each system
 /// defines its state and its forces.
 ///
-/// Only [`add_forces`](Effect::add_forces) is required. Dual numbers provide the exact derivative
-/// by default. An analytic [`vjp`](Effect::vjp) is faster.
-/// [`check::system`](crate::check::system) compares the two for a system with the effect.
+/// Only [`add_forces`](Effect::add_forces) is required. The default derivative is exact. An
+/// analytic [`vjp`](Effect::vjp) is faster. [`check::system`](crate::check::system) compares the
+/// two for a system with the effect.
 ///
 /// ```
 /// use physgrad::tasks::CartPoleSystem;
@@ -90,8 +90,8 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
         default_effect_vjp(self, model, inputs, forces_bar, bars);
     }
 
-    /// Returns whether the forces depend on state, control or parameters. If none do, the reverse
-    /// pass skips them.
+    /// Returns whether the forces depend on state, control or parameters. If they do not, the
+    /// reverse pass skips the effect.
     #[inline(always)]
     fn state_dependent(&self) -> bool {
         true
@@ -182,8 +182,9 @@ pub trait ForcedSystem: Send + Sync {
     /// Writes the next state under the given effects.
     fn forced_step<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, inputs: Inputs<'_, T>, next: &mut [T]);
 
-    /// Adds to the requested cotangents. The default is exact, by dual numbers; override it for
-    /// speed.
+    /// VJP of [`forced_step`](ForcedSystem::forced_step). Adds to the requested cotangents.
+    ///
+    /// Defaults to exact derivatives, as [`System::vjp`] does. Override it for speed.
     #[inline(always)]
     fn forced_vjp<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
         &self,
@@ -196,7 +197,7 @@ pub trait ForcedSystem: Send + Sync {
     }
 }
 
-/// Forced system with its effects, for derivatives by dual numbers.
+/// Forced system with its effects, for default derivatives.
 struct SystemStep<'a, H: ?Sized, E> {
     system: &'a H,
     effects: &'a E,
@@ -215,15 +216,14 @@ impl<H: ForcedSystem + ?Sized, E: Effect<H::Model>> System for SystemStep<'_, H,
 }
 
 /// Adds the cotangents of the parameters of a step. Physical numbers enter it in many places.
-pub(crate) fn step_param_vjp<H: ForcedSystem, E: Effect<H::Model>, R: Real, C: Cotangent<R>>(
-    system: &H,
-    effects: &E,
+pub(crate) fn step_param_vjp<S: System, R: Real, C: Cotangent<R>>(
+    system: &S,
     inputs: Inputs<'_, R>,
     next_bar: &[C],
     p_bar: Option<&mut [C]>,
 ) {
     let step = |[x, u, p]: [&[ParamDual]; 3], next: &mut [ParamDual]| {
-        outline::step(&SystemStep { system, effects }, Inputs { x, u, p, t: inputs.t }, next);
+        outline::step(system, Inputs { x, u, p, t: inputs.t }, next);
     };
     param_vjp(&step, inputs.lists(), next_bar, p_bar);
 }
@@ -266,7 +266,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], mut bars: Cotangents<'_, C>) {
         if bars.p.is_some() && !self.varied(inputs.p.len()).is_empty() {
-            step_param_vjp(&self.system, &self.effects, inputs, next_bar, bars.p.take());
+            step_param_vjp(self, inputs, next_bar, bars.p.take());
         }
         self.system.forced_vjp(&self.effects, inputs, next_bar, bars);
     }
@@ -284,7 +284,7 @@ pub trait HasModel<B>: System {
     /// Returns the model.
     fn model(&self) -> &B;
     /// Draws the initial values of the state components beyond those of the model, and the
-    /// parameters.
+    /// parameters of the effects.
     fn start_extra(&self, rng: &mut Rng, start: Start<'_>);
 }
 

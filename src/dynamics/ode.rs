@@ -18,7 +18,7 @@ use smallvec::{SmallVec, smallvec};
 /// An ordinary differential equation `dx/dt = f(x, u, p, t)`, with constant control during a step.
 ///
 /// Required: the dimensions and [`rate`](Ode::rate). [`rate_vjp`](Ode::rate_vjp) defaults to exact
-/// derivatives by dual numbers. Override it with an analytic derivative for speed.
+/// derivatives, as [`System::vjp`] does. Override it with an analytic derivative for speed.
 /// [`Integrated`](crate::Integrated) turns an `Ode` into a [`System`](crate::System).
 ///
 /// ```
@@ -187,7 +187,7 @@ pub trait ForcedOde: ForcedSystem {
     /// Writes the rates under `effects`.
     fn forced_rate<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]);
 
-    /// Adds to the requested cotangents.
+    /// VJP of [`forced_rate`](ForcedOde::forced_rate). Adds to the requested cotangents.
     fn forced_rate_vjp<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,

@@ -53,9 +53,9 @@ impl OpCount {
 }
 
 /// Operation counts of the system, the costs and the observation of one sample, and of their
-/// derivatives. Those of costs and observation are by all inputs.
+/// derivatives. Costs and observation are differentiated with respect to all inputs.
 ///
-/// Counted as [`OpCount`] counts.
+/// The counts are exact, as those of [`OpCount`].
 ///
 /// ```
 /// use physgrad::TaskOpCount;
@@ -80,7 +80,8 @@ pub struct TaskOpCount {
     pub terminal_cost_gradient: Ops,
     /// [`Task::observe`], once per step. Zero if the policy observes the state.
     pub observe: Ops,
-    /// [`Task::observe_vjp`] with one cotangent, once per step. Zero likewise.
+    /// [`Task::observe_vjp`] with one cotangent, once per step. Zero if the policy observes the
+    /// state.
     pub observe_vjp: Ops,
 }
 

@@ -13,12 +13,12 @@ use smallvec::SmallVec;
 /// One discrete time step of a physical system, `x' = S(x, u, p, t)`.
 ///
 /// Implement the dimensions and [`step`](System::step). The Jacobian products default to exact
-/// derivatives. Override [`vjp`](System::vjp) with an analytic derivative for
-/// speed; [`check::system`](crate::check::system) compares both.
+/// derivatives. Override [`vjp`](System::vjp) with an analytic derivative for speed;
+/// [`check::system`](crate::check::system) compares both.
 ///
 /// The default transposed products use dual numbers while `x`, `u` and `p` together have at most 16
-/// components, and reverse mode above. Reverse mode keeps its buffers on the heap of each thread.
-/// Only the first call allocates.
+/// components, and reverse mode above. Each thread keeps the heap buffers of reverse mode, so only
+/// its first call allocates.
 ///
 /// A system is immutable. Physical constants are `f64` fields. Constants that may differ between
 /// samples, or be trained, are [`Number`](crate::Number)s or parameters.

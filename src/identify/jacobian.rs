@@ -3,14 +3,13 @@
 use crate::dynamics::inputs::Inputs;
 use crate::dynamics::outline;
 use crate::dynamics::system::System;
-use crate::numbers::forward_mode::{CHUNK, Chunk};
-use crate::numbers::scalar::Dual;
+use num_dual::Dual64;
 
 /// Object-safe system for the two scalar types of an identification.
 pub(super) trait Model: Sync {
     fn sizes(&self) -> [usize; 3];
     fn step(&self, inputs: Inputs<'_, f64>, next: &mut [f64]);
-    fn step_by_duals(&self, inputs: Inputs<'_, Chunk<f64>>, next: &mut [Chunk<f64>]);
+    fn step_by_duals(&self, inputs: Inputs<'_, Dual64>, next: &mut [Dual64]);
 }
 
 impl<S: System> Model for S {
@@ -22,7 +21,7 @@ impl<S: System> Model for S {
         outline::step(self, inputs, next);
     }
 
-    fn step_by_duals(&self, inputs: Inputs<'_, Chunk<f64>>, next: &mut [Chunk<f64>]) {
+    fn step_by_duals(&self, inputs: Inputs<'_, Dual64>, next: &mut [Dual64]) {
         outline::step(self, inputs, next);
     }
 }
@@ -64,23 +63,19 @@ impl Run<'_> {
         let n = self.x.len();
         let directions = params.len() + if by_start { n } else { 0 };
         let mut all = vec![vec![vec![0.0; directions]; n]; self.steps + 1];
-        let lift = |values: &[f64]| values.iter().map(|&value| Chunk::constant(value)).collect::<Vec<_>>();
-        let controls: Vec<Vec<Chunk<f64>>> = self.u.iter().map(|u| lift(u)).collect();
+        let lift = |values: &[f64]| values.iter().map(|&value| Dual64::from_re(value)).collect::<Vec<_>>();
+        let controls: Vec<Vec<Dual64>> = self.u.iter().map(|u| lift(u)).collect();
         let zeros = lift(&vec![0.0; model.sizes()[1]]);
-        for first in (0..directions).step_by(CHUNK) {
-            let chunk = first..directions.min(first + CHUNK);
+        for direction in 0..directions {
             let (mut x, mut p) = (lift(self.x), lift(self.p));
-            for direction in chunk.clone() {
-                let variable = match params.get(direction) {
-                    Some(&index) => &mut p[index],
-                    None => &mut x[direction - params.len()],
-                };
-                *variable = Dual::variable(variable.value, direction - first);
+            match params.get(direction) {
+                Some(&index) => p[index].eps = 1.0,
+                None => x[direction - params.len()].eps = 1.0,
             }
             let mut next = x.clone();
             for (i, rows) in all.iter_mut().enumerate() {
                 for (row, x) in rows.iter_mut().zip(&x) {
-                    row[chunk.clone()].copy_from_slice(&x.tangents[..chunk.len()]);
+                    row[direction] = x.eps;
                 }
                 if i < self.steps {
                     let u = controls.get(i).unwrap_or(&zeros);

@@ -1,7 +1,7 @@
 //! Scalar types, vectorized kernels and random streams.
 //!
 //! - [`scalar`]: traits of scalars. A simulator is generic over [`Scalar`](scalar::Scalar). It runs
-//!   on floats, SIMD lanes, dual numbers, operation counters and double-doubles.
+//!   on `f64`, SIMD lanes, dual and reverse-mode numbers, operation counters and double-doubles.
 //! - [`kernels`]: matrix products and elementwise operations, dispatched by instruction set at run
 //!   time; tanh, sine and cosine. Contains the only unsafe code of the library.
 //! - [`rng`]: seeded random streams.

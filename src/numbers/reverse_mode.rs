@@ -1,4 +1,4 @@
-//! Reverse-mode Jacobian products by a tape, used by the defaults of large functions.
+//! Reverse-mode Jacobian products by a tape: the default derivatives of large functions.
 
 use crate::numbers::kernels::{Vectorized, dispatch_lanes};
 use crate::numbers::pool::lend;
@@ -35,7 +35,7 @@ impl<R: Real> Recording<R> {
         self.tape.reset();
     }
 
-    /// Appends inputs. Cotangents are computed of `requested` ones.
+    /// Appends inputs. [`pull`](Self::pull) computes their cotangents only if `requested`.
     #[inline(always)]
     pub(crate) fn extend(&mut self, inputs: impl Iterator<Item = R>, requested: bool) {
         for value in inputs {
@@ -90,8 +90,8 @@ impl<R: Real> Recording<R> {
                 }
                 bars[..variables].iter().all(C::all_finite)
             };
-            // A path of derivative 0 through an infinite slope is 0, as in forward mode. Lanes with
-            // finite cotangents have the same bits in both sweeps.
+            // The guarded sweep counts zero times a non-finite number as 0, as forward mode does.
+            // Lanes with finite cotangents have the same bits in both sweeps.
             if !sweep(false) {
                 sweep(true);
             }

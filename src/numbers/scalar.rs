@@ -43,8 +43,8 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 /// branches with [`select_lt`](Scalar::select_lt), [`min`](Scalar::min), [`max`](Scalar::max),
 /// [`clamp`](Scalar::clamp) and [`abs`](Scalar::abs).
 ///
-/// These forms do not compile. The operators are those of the standard library, so the compiler does
-/// not name the form on the right, and its suggestion of a further bound on `T` does not help:
+/// The forms on the left do not compile. The compiler suggests further bounds on `T`, which do not
+/// help. Write the forms on the right:
 ///
 /// | instead of | write |
 /// |---|---|

@@ -43,7 +43,7 @@ impl<R> Default for Tape<R> {
 }
 
 impl<R> Tape<R> {
-    /// Appends a variable, before all entries. Returns its index.
+    /// Appends a variable and returns its index. The tape must have no entries yet.
     #[inline(always)]
     pub(crate) fn variable(&mut self) -> usize {
         self.inputs += 1;
@@ -69,7 +69,7 @@ impl<R> Tape<R> {
 
     /// Appends an entry. Returns the index of its result.
     ///
-    /// Indices have 32 bits. An evaluation of 2^32 operations exceeds the memory before.
+    /// Indices have 32 bits. An overflow would need 2^32 entries, more than 50 GB.
     #[inline(always)]
     fn push(&mut self, rule: Rule, of: [u32; 2]) -> u32 {
         let index = self.numbers() as u32;
@@ -152,13 +152,13 @@ impl<F> Default for Tapes<F> {
     }
 }
 
-/// Place of the active tape of a thread, `T` = `RefCell<Tape<R>>` or [`Tapes`].
+/// Thread-local slot of the active tape, with `T` = `RefCell<Tape<R>>` or [`Tapes`].
 ///
-/// The place is small and never freed. A reference without destructor is faster to read in every
-/// operation. A tape is in its place only while a function is recorded.
+/// The small content is never freed: a thread-local reference without destructor is faster to read
+/// in every operation. The tape in the slot is empty except while a function is recorded.
 pub(crate) type Place<T> = Cell<Option<&'static T>>;
 
-/// Returns the content of a place. The first call of a thread creates it.
+/// Returns the content of a slot. The first call of a thread creates it.
 #[inline(always)]
 pub(crate) fn content<T: Default>(place: &'static LocalKey<Place<T>>) -> &'static T {
     #[cold]

@@ -14,8 +14,8 @@ pub enum Activation {
     Relu,
     /// `z σ(z)` with the logistic function σ (Hendrycks and Gimpel 2016, arXiv:1606.08415).
     Silu,
-    /// `z/2 (1 + tanh(√(2/π) (z + 0.044715 z³)))`: the approximation of the same paper to the Gaussian
-    /// error linear unit.
+    /// `z/2 (1 + tanh(√(2/π) (z + 0.044715 z³)))`: an approximation to the Gaussian error linear
+    /// unit (arXiv:1606.08415).
     Gelu,
 }
 
@@ -43,7 +43,7 @@ impl Activation {
                 let h = z.layer_tanh::<FMA>();
                 (h, one - h * h)
             }
-            // Passes NaN.
+            // NaN propagates: no comparison with it is true.
             Self::Relu => (if z <= F::zero() { F::zero() } else { z }, if z <= F::zero() { F::zero() } else { one }),
             Self::Silu => {
                 let sigma = (z * half).layer_tanh::<FMA>() * half + half;
@@ -60,7 +60,7 @@ impl Activation {
     }
 }
 
-/// `(v, slopes) ← f(v)` elementwise in the given columns, the same of both.
+/// `(v, slopes) ← (f(v), f'(v))` elementwise in the given columns of `values` and `slopes`.
 pub(super) fn activate<F: Float>(level: SimdLevel, f: Activation, values: &mut [F], slopes: &mut [F], columns: Strided) {
     struct Work<'a, F>(Activation, &'a mut [F], &'a mut [F], Strided);
     impl<F: Float> Vectorized for Work<'_, F> {

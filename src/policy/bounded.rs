@@ -37,7 +37,7 @@ impl<P: Policy> Bounded<P> {
         pass.x.len() / (self.policy.observation_dim() + self.policy.memory_dim())
     }
 
-    /// Offset of this policy's own entries in the tapes of the passes: the slopes of the bounds, and
+    /// Offsets of this policy's own entries: in the tape the slopes of the bounds, in `tape_bar`
     /// the cotangents of v and the memory.
     fn own<F: Float>(&self, pass: &PolicyPass<F>) -> Sizes {
         self.policy.sizes::<F>(self.columns(pass))

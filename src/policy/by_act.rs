@@ -12,7 +12,7 @@ use crate::numbers::reverse_mode::{REVERSE_ABOVE, Recording};
 use crate::numbers::scalar::{Float, Real, Scalar};
 use smallvec::SmallVec;
 
-/// Numbers or parameters of a block in forward mode.
+/// Inputs or parameters of a block in forward mode.
 type Few<T> = SmallVec<[T; 32]>;
 
 /// Returns whether [`Policy::act`] has so many inputs and parameters that derivatives use reverse

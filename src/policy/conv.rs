@@ -41,8 +41,8 @@ const CHANNELS: usize = 2;
 /// u        = b₃ + Σ_{q,c} h₂[q, c] W₃[q, c]
 /// ```
 ///
-/// Controller of the paper's quantum task, with 32 grid points (then 15 and 7 positions) and width
-/// 60. Initial weights are Glorot-uniform with the fans of Keras; initial biases are 0.
+/// The paper's quantum task uses it with 32 grid points (then 15 and 7 positions) and width 60.
+/// Initial weights are Glorot-uniform with the fans of Keras; initial biases are 0.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Conv {
     grid: usize,

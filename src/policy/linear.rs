@@ -1,11 +1,11 @@
-//! [`Linear`]: affine state feedback, `u = K x + k`.
+//! [`Linear`]: linear or affine feedback, `u = K x + k`.
 
 use super::{Action, Observed, Policy, PolicyPass, PolicyRecord, Tensor};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
 use crate::numbers::zip::zip;
 
-/// Linear state feedback, `u = K x`, or affine with a bias, `u = K x + k`.
+/// Linear feedback of the observation x, `u = K x`, or affine with a bias, `u = K x + k`.
 ///
 /// `θ` holds `K` (control_dim × observation_dim, row-major), then `k`.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -55,7 +55,7 @@ struct Layer {
 }
 
 impl Mlp {
-    /// An MLP with biases and these widths, from state to control: for instance
+    /// An MLP with biases and these widths, from observation to control: for instance
     /// `[10, 100, 100, 1]`.
     ///
     /// # Panics
@@ -88,7 +88,7 @@ impl Mlp {
         self
     }
 
-    /// The widths from the state to the control.
+    /// The widths from the observation to the control.
     pub fn widths(&self) -> &[usize] {
         &self.widths
     }
@@ -113,8 +113,8 @@ impl Mlp {
         layer
     }
 
-    /// True if the tape contains the slopes of the activations, after the activations. The slopes of
-    /// tanh follow from its values.
+    /// Returns whether the tape contains the slopes of the activations, after their values. The
+    /// slopes of tanh follow from its values.
     fn has_slopes(&self) -> bool {
         self.activation != Activation::Tanh
     }

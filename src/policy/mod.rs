@@ -1,10 +1,10 @@
 //! [`Policy`]: the controller `u = N(y, t; θ)` to be trained, for an observation y.
 //!
-//! - Feedback: [`Mlp`], [`Conv`], [`Linear`], and the small [`Quadratic`] and [`Constant`].
+//! - Feedback: [`Mlp`], [`Conv`], [`Linear`], and the small [`Quadratic`].
 //! - Feedback with memory: [`Gru`], [`Elman`].
-//! - Control sequences: [`OpenLoop`].
-//! - Combinations: [`Bounded`] controls, the [`Sum`] of two policies, and [`WithParams`] for trained
-//!   parameters of the system.
+//! - Open loop: a control sequence, [`OpenLoop`], or one control for all steps, [`Constant`].
+//! - Combinations: [`Bounded`] controls, the [`Sum`] of two policies, and [`WithParams`] for
+//!   trained parameters of the system.
 //! - [`AnyPolicy`]: object-safe [`Policy`] for one precision.
 //! - [`Weights`]: parameters together with their packed form.
 //!
@@ -49,17 +49,17 @@ use std::ops::Range;
 /// start of a rollout.
 ///
 /// Required: the dimensions, [`init`](Policy::init) and [`act`](Policy::act). The batched passes
-/// default to one call of `act` per evaluation, with exact derivatives: by dual numbers for at most
-/// 16 observations, memories and parameters together, otherwise in reverse mode. A policy with
-/// large layers overrides all of them together; [`check::policy`](crate::check::policy) compares
-/// them with `act`.
+/// default to `act` on blocks of up to eight samples. Default derivatives are exact: by dual
+/// numbers for at most 16 observations, memory components and parameters together, otherwise in
+/// reverse mode. A policy with large layers overrides all batched passes together;
+/// [`check::policy`](crate::check::policy) compares them with `act`.
 ///
 /// # Batched passes
-/// The batched passes are [`sizes`](Policy::sizes), [`pack`](Policy::pack),
-/// [`forward`](Policy::forward), [`backward`](Policy::backward) and
-/// [`param_gradient`](Policy::param_gradient). They work on *columns*. One column is one
-/// evaluation: one sample at one time step. `x` holds the observation and the memory of each column.
-/// `u` and `u_bar` hold the control and the next memory.
+/// The batched passes are [`forward`](Policy::forward), [`backward`](Policy::backward) and
+/// [`param_gradient`](Policy::param_gradient). [`sizes`](Policy::sizes) and [`pack`](Policy::pack)
+/// prepare their buffers and parameters. The passes work on *columns*. One column is one
+/// evaluation: one sample at one time step. `x` holds the observation and the memory of each
+/// column. `u` holds the control and the next memory, `u_bar` their cotangents.
 ///
 /// Columns are stored in units of several time steps. Within a unit, the steps of one sample are
 /// adjacent, and the samples follow one another. [`PolicyColumns`] selects the columns of a call.
@@ -127,7 +127,7 @@ pub trait Policy: Send + Sync {
     /// [`forward`](Policy::forward).
     ///
     /// Stores cotangents of intermediate values in `tape_bar`, for
-    /// [`param_gradient`](Policy::param_gradient). Skips this product if `x_bar` is `None`.
+    /// [`param_gradient`](Policy::param_gradient). If `x_bar` is `None`, skips only the product.
     fn backward<F: Float>(&self, pass: PolicyPass<F>, _tape: &[F], u_bar: &[F], _tape_bar: &mut [F], x_bar: Option<&mut [F]>) {
         if let Some(x_bar) = x_bar {
             by_act::input_vjp(self, pass, u_bar, x_bar);
@@ -221,7 +221,7 @@ impl<'a, F> PolicyPass<'a, F> {
 pub struct PolicyRecord<'a, F> {
     /// Values stored by [`Policy::forward`].
     pub tape: &'a [F],
-    /// Cotangents of the controls, the input of [`Policy::backward`].
+    /// Cotangents of the controls and next memories, the input of [`Policy::backward`].
     pub u_bar: &'a [F],
     /// Cotangents stored by [`Policy::backward`].
     pub tape_bar: &'a [F],
@@ -323,7 +323,7 @@ impl<F: Float> Weights<F> {
         &self.theta
     }
 
-    /// The parameters r of the [trained entries](Policy::trained_params) of `p`.
+    /// Entries of `θ` for the [trained entries](Policy::trained_params) of `p`.
     pub(crate) fn trained(&self, policy: &dyn AnyPolicy<F>) -> &[F] {
         &self.theta[self.theta.len() - policy.trained_params().len()..]
     }

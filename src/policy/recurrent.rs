@@ -35,7 +35,7 @@ impl Affine {
         self.first + (self.inputs + 1) * self.outputs
     }
 
-    /// The map whose parameters follow.
+    /// The map whose parameters follow those of this one.
     fn then(self, inputs: usize, outputs: usize) -> Self {
         Self { first: self.end(), inputs, outputs }
     }
@@ -65,7 +65,8 @@ impl Affine {
         zip(self.row(theta, i).iter(), z_bar).fold(R::zero(), |sum, (&weight, &bar)| sum + R::splat(weight) * bar)
     }
 
-    /// Adds `factor·v z_barᵀ` to the gradient of the weights, and `factor·z_bar` to that of the bias.
+    /// Adds `factor·v z_barᵀ` to the gradient of the weights, and `factor·z_bar` to that of the
+    /// bias.
     fn add_gradient<F: Float>(self, v: impl Iterator<Item = F>, z_bar: &[F], factor: F, theta_bar: &mut [F]) {
         let rows = theta_bar[self.first..self.end()].chunks_exact_mut(self.outputs);
         for (v, row) in v.chain([F::one()]).zip(rows) {
@@ -101,8 +102,8 @@ fn logistic<T: Scalar>(z: T) -> T {
 
 /// Elman network: `m' = tanh(W (y, m) + b)`, `u = V m' + c`.
 ///
-/// J. L. Elman, "Finding Structure in Time", Cognitive Science 14 (1990). Weights are
-/// Glorot-uniform, biases 0. The memory is 0 at the start of a rollout.
+/// J. L. Elman, "Finding Structure in Time", Cognitive Science 14 (1990). Initial weights are
+/// Glorot-uniform, initial biases 0. The memory is 0 at the start of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Elman(Shape);
 
@@ -115,8 +116,8 @@ pub struct Elman(Shape);
 /// m' = (1 - z) ⊙ m + z ⊙ n,    u = V m' + c
 /// ```
 ///
-/// K. Cho et al., EMNLP 2014, doi:10.3115/v1/D14-1179. Weights are Glorot-uniform, biases 0. The
-/// memory is 0 at the start of a rollout.
+/// K. Cho et al., EMNLP 2014, doi:10.3115/v1/D14-1179, with z and 1 - z exchanged. Initial weights
+/// are Glorot-uniform, initial biases 0. The memory is 0 at the start of a rollout.
 ///
 /// ```
 /// use physgrad::{check, policy::Gru};
@@ -128,7 +129,7 @@ pub struct Elman(Shape);
 pub struct Gru(Shape);
 
 impl Elman {
-    /// A network from `observations` components over `units` units to `controls` components.
+    /// A network with `observations` inputs, `units` hidden units and `controls` outputs.
     pub fn new(observations: usize, units: usize, controls: usize) -> Self {
         Self(Shape { observations, units, controls })
     }
@@ -142,8 +143,7 @@ impl Elman {
 }
 
 impl Gru {
-    /// A unit from `observations` components over a memory of `units` numbers to `controls`
-    /// components.
+    /// A network with `observations` inputs, a memory of `units` numbers and `controls` outputs.
     pub fn new(observations: usize, units: usize, controls: usize) -> Self {
         Self(Shape { observations, units, controls })
     }
@@ -177,8 +177,8 @@ trait Cell {
         u: &mut [T],
     );
 
-    /// Writes the cotangents of the affine maps to the memory, `[map][unit]`, and adds those of
-    /// the observation and the memory to `x_bar`.
+    /// Writes to `bars` the cotangents of the outputs of all affine maps but the last,
+    /// `[map][unit]`. Adds those of the observation and the memory to `x_bar`.
     ///
     /// `next_bar` contains the cotangents of the next memory.
     fn reverse<R: Real>(

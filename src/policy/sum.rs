@@ -8,7 +8,7 @@ use smallvec::{SmallVec, smallvec};
 /// Sum of the controls of two policies without memory; `θ` holds the parameters of the first, then
 /// of the second.
 ///
-/// For instance feedback beside an open-loop sequence, or a network beside a linear regulator.
+/// Examples: an open-loop sequence plus feedback, or a linear regulator plus a network.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sum<A, B>(A, B);
 

@@ -6,7 +6,7 @@ use crate::numbers::scalar::{Float, Scalar};
 
 /// An entry of the parameters `p` that is trained: shared by all samples, and a part of `θ`.
 ///
-/// `θ` holds an unbounded number r. Each constructor maps it to the entry of `p`.
+/// `θ` holds an unbounded number r. The constructors differ in the map from r to the entry of `p`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrainedParam {
     index: usize,
@@ -68,7 +68,7 @@ impl TrainedParam {
         self.index
     }
 
-    /// Returns r of the initial value.
+    /// Returns the number r that maps to the initial value.
     fn initial(&self) -> f64 {
         match self.scale {
             Scale::Linear => self.initial,
@@ -99,9 +99,9 @@ impl TrainedParam {
 
 /// A policy whose `θ` ends with trained entries of the parameters `p`.
 ///
-/// Rollouts replace these entries of each sample by the trained values. A task therefore need not
-/// know which of its parameters are drawn and which are trained. Uses: system identification, and
-/// joint design of a controller and its system.
+/// Rollouts replace these entries of each sample by the trained values. The task reads drawn and
+/// trained parameters alike. Uses: system identification, and joint design of a controller and its
+/// system.
 ///
 /// ```
 /// use physgrad::policy::{Constant, TrainedParam, WithParams};

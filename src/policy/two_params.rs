@@ -6,7 +6,8 @@ use crate::numbers::scalar::Scalar;
 
 /// Policy `u = θ₁ x² + θ₂ x`, with `θ = [θ₁, θ₂]` and scalar `x`.
 ///
-/// Figure 1 of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024).
+/// Source: Figure 1 of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR
+/// 2024).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Quadratic;
 

@@ -1,6 +1,6 @@
 //! Systems without effects.
 
-/// Implements [`System`] for a [`ForcedSystem`] without effects.
+/// Implements [`System`] and [`HasModel`] for a [`ForcedSystem`] without effects.
 macro_rules! system_without_effects {
     ($system:ty) => {
         impl crate::dynamics::system::System for $system {
@@ -35,7 +35,7 @@ macro_rules! system_without_effects {
                 mut bars: crate::dynamics::inputs::Cotangents<'_, C>,
             ) {
                 if bars.p.is_some() && crate::dynamics::effect::ForcedSystem::numbers(self).varied() > 0 {
-                    crate::dynamics::effect::step_param_vjp(self, &(), inputs, next_bar, bars.p.take());
+                    crate::dynamics::effect::step_param_vjp(self, inputs, next_bar, bars.p.take());
                 }
                 crate::dynamics::effect::ForcedSystem::forced_vjp(self, &(), inputs, next_bar, bars);
             }

@@ -50,7 +50,7 @@ const ERROR: [f64; 7] = [
 ];
 
 impl Adaptive {
-    /// Integrates over `h`, attempt by attempt, and writes the final state to `next`.
+    /// Integrates over `dt`, attempt by attempt, and writes the final state to `next`.
     ///
     /// Calls `tell(state, time, step)` for each attempt with its initial state, its initial time
     /// and its accepted duration, which is 0 if the attempt was rejected.

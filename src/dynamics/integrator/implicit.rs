@@ -126,7 +126,7 @@ fn halfway<T: Scalar>(dt: f64, inputs: Inputs<'_, T>) -> OdeInputs<'_, T> {
     inputs.at(stage_time(inputs.t, dt, 0.5))
 }
 
-/// Writes `(I - M)⁻¹` by Gauss–Jordan elimination; destroys `matrix`.
+/// Writes `(I - matrix)⁻¹` to `inverse` by Gauss–Jordan elimination; destroys `matrix`.
 ///
 /// Pivoting is branch-free: conditional row swaps move the largest entry of each column to the
 /// diagonal.

@@ -1,18 +1,18 @@
 //! [`param_vjp`]: cotangents of parameters, by dual numbers.
 
-use crate::numbers::forward_mode::{CHUNK, Chunk};
-use crate::numbers::scalar::{Cotangent, Dual, Float, Real};
+use crate::numbers::scalar::{Cotangent, Float, Real};
+use num_dual::Dual64;
 
 /// Scalar of [`param_vjp`].
-pub(crate) type ParamDual = Chunk<f64>;
+pub(crate) type ParamDual = Dual64;
 
 /// State, control and parameters to outputs.
 type Differentiable<'a> = &'a dyn Fn([&[ParamDual]; 3], &mut [ParamDual]);
 
 /// Adds the product of `output_bars` and the derivative of `function` by its parameters to `p_bar`.
 ///
-/// `inputs` are state, control and parameters. The derivatives are computed in f64, one sample at a
-/// time, so that a system compiles for one more scalar only.
+/// `inputs` are state, control and parameters. The derivatives are computed in f64, one sample and
+/// one parameter at a time, by the dual numbers of the checks: a system compiles for no other scalar.
 #[inline(never)]
 pub(crate) fn param_vjp<R: Real, C: Cotangent<R>>(
     function: Differentiable<'_>,
@@ -23,21 +23,16 @@ pub(crate) fn param_vjp<R: Real, C: Cotangent<R>>(
     let Some(p_bar) = p_bar else { return };
     let params = inputs[2].len();
     let mut slopes = vec![R::zero(); params * output_bars.len()];
-    let mut outputs = vec![ParamDual::constant(0.0); output_bars.len()];
+    let mut outputs = vec![ParamDual::from_re(0.0); output_bars.len()];
     for lane in 0..R::LANES {
         let [x, u, mut p] =
-            inputs.map(|list| list.iter().map(|value| ParamDual::constant(value.lane(lane).to_f64())).collect::<Vec<_>>());
-        for first in (0..params).step_by(CHUNK) {
-            let chunk = first..params.min(first + CHUNK);
-            for i in chunk.clone() {
-                p[i] = Dual::variable(p[i].value, i - first);
-            }
+            inputs.map(|list| list.iter().map(|value| ParamDual::from_re(value.lane(lane).to_f64())).collect::<Vec<_>>());
+        for i in 0..params {
+            p[i].eps = 1.0;
             function([&x, &u, &p], &mut outputs);
-            for i in chunk {
-                p[i] = Dual::constant(p[i].value);
-                for (slope, output) in slopes[i * output_bars.len()..].iter_mut().zip(&outputs) {
-                    slope.set_lane(lane, R::Real::lift(output.tangents[i - first]));
-                }
+            p[i].eps = 0.0;
+            for (slope, output) in slopes[i * output_bars.len()..].iter_mut().zip(&outputs) {
+                slope.set_lane(lane, R::Real::lift(output.eps));
             }
         }
     }

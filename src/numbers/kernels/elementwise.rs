@@ -21,7 +21,7 @@ pub fn tanh<F: Float>(level: SimdLevel, values: &mut [F], columns: Strided) {
     dispatch(level, Work(values, columns));
 }
 
-/// `bar ← bar·slope` elementwise in the given columns, the same of both.
+/// `bar ← bar·slope` elementwise in the given columns of `bar` and `slopes`.
 pub fn times<F: Float>(level: SimdLevel, slopes: &[F], bar: &mut [F], columns: Strided) {
     struct Work<'a, F>(&'a [F], &'a mut [F], Strided);
     impl<F: Float> Vectorized for Work<'_, F> {

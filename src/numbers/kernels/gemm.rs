@@ -155,7 +155,7 @@ unsafe fn tile<R: Register, const H: usize, const NR: usize>(
     }
 }
 
-/// Implements [`Register`]. Only `zero`, `splat` and `plus_product` of the array need no `unsafe`.
+/// Implements [`Register`]. Some of the expressions need no `unsafe`, hence the `allow`.
 macro_rules! register {
     ($register:ty, $float:ty, $width:literal, $splat:expr, $load:expr, $store:expr, $plus_product:expr) => {
         #[allow(unused_unsafe)]
@@ -198,7 +198,7 @@ macro_rules! gemm {
             #[cfg(target_arch = "x86_64")]
             use std::arch::x86_64::*;
 
-            /// Entries per cache line, the padding of rows.
+            /// Entries per cache line. The number of rows is a multiple of it.
             pub const PAD: usize = $pad;
 
             #[derive(Clone, Copy)]

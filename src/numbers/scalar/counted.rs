@@ -14,7 +14,8 @@ pub struct Ops {
     pub add: u64,
     /// Negations.
     pub negate: u64,
-    /// Multiplications. [`powi`](Scalar::powi) counts as many as its exponent.
+    /// Multiplications. [`powi`](Scalar::powi) counts the absolute value of its exponent, and one
+    /// division if the exponent is negative.
     pub multiply: u64,
     /// Divisions.
     pub divide: u64,
@@ -109,11 +110,11 @@ impl fmt::Display for Ops {
     }
 }
 
-/// An `f64` that counts its operations: a machine-independent cost of a step or a derivative.
+/// An `f64` that counts its operations: a machine-independent measure of a step or a derivative.
 ///
-/// Values are bit-identical to `f64`. [`Ops`] defines the kinds of operations; [`Ops::of`]
-/// measures them. Constants (`from`), copies, [`detach`](Scalar::detach) and
-/// arithmetic on `f64` parameters are not counted.
+/// Values are bit-identical to `f64`. [`Ops`] defines the kinds of operations; [`Ops::of`] counts
+/// them. Constants (`from`), copies, [`detach`](Scalar::detach) and arithmetic on `f64` constants
+/// are not counted.
 ///
 /// For default VJPs in forward mode, the counts include the operations on the value and on all four
 /// tangents of each dual number. In reverse mode, they include the operations on the value, on the
@@ -129,7 +130,7 @@ impl fmt::Display for Ops {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Counted(pub f64);
 
-// Outlined: inlining them slows compilation, and they are not performance-critical.
+// The operators are outlined: inlining slows compilation, and counts are not performance-critical.
 
 macro_rules! operators {
     ($($trait:ident $method:ident $assign_trait:ident $assign:ident $kind:ident),+) => {$(

@@ -64,7 +64,7 @@ pub trait Float:
     #[doc(hidden)]
     fn atan2(self, x: Self) -> Self;
 
-    /// Entries per cache line, the padding of columns.
+    /// Entries per cache line. Row counts of matrices are multiples of it.
     #[doc(hidden)]
     const PAD: usize;
     /// Matrix product with the instruction set `level`.
