@@ -5,9 +5,7 @@ use physgrad::tasks::{
     Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind,
     PoleDamping, SteadyWind,
 };
-use physgrad::{
-    AnyIntegrator, Choice, Discretized, Forced, Inputs, Number, OpCount, RungeKutta, Substeps, System, check, initial_states,
-};
+use physgrad::{Choice, Forced, Inputs, Number, OpCount, System, check, initial_states};
 
 const RANGE: Number = Number::Uniform { low: 0.5, high: 1.5 };
 
@@ -40,10 +38,6 @@ fn derivatives_by_varied_numbers_are_exact() {
     let all = Forced { system: CartPoleModel::Coupled(CoupledCartPole(varied(2))), effects: effects(every) };
     assert_eq!(all.param_dim(), 4 + 12 + 1);
     check::system(&all);
-    for integrator in [None, Some(AnyIntegrator::RungeKutta(RungeKutta::RK4))] {
-        let system = Discretized { system: all.clone(), integrator, dt: 0.01 };
-        check::system(&Substeps { system, count: 2 });
-    }
 }
 
 /// A system with drawn numbers steps like a system with these numbers fixed.
