@@ -1,7 +1,9 @@
 //! The whole program for a task of your own: a planar quadrotor flies to the origin and hovers.
 //!
-//! Run: `cargo run --release --example own_program -- train quadrotor --field R --set system.mass=0.8`
-//! Other commands: `compare`, `report`, `animate`, `accuracy`, `explain`, `check`, `scene`, `schema`.
+//! Run:
+//! `cargo run --release --example own_program -- train quadrotor --field R --set system.mass=0.8`
+//! Other commands: `compare`, `report`, `animate`, `accuracy`, `explain`, `check`, `scene`,
+//! `schema`.
 
 use physgrad::prelude::*;
 use physgrad::program::ProgramTask;
@@ -9,8 +11,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::process::ExitCode;
 
-/// State [x m, z m, tilt rad, and their rates]. Control: thrusts [left, right] beyond half the weight,
-/// N. Semi-implicit Euler; moment of inertia mass arm² / 2. The fields are settings of a scene.
+/// State [x m, z m, tilt rad, and their rates]. Control: thrusts [left, right] beyond half the
+/// weight, N. Semi-implicit Euler; moment of inertia mass arm² / 2. The fields are settings of a
+/// scene.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 struct Quadrotor {
