@@ -31,7 +31,7 @@ enum By {
 struct Rod {
     masses: usize,
     by: By,
-    /// Parameters that nothing reads. More than 16 inputs select reverse mode.
+    /// Number of unused parameters. More than 16 inputs select reverse mode.
     unused: usize,
 }
 
@@ -110,7 +110,7 @@ impl System for Rod {
     }
 }
 
-/// A system of steps only.
+/// System with the steps of another, and default derivatives.
 struct DefaultOf<'a, S>(&'a S);
 
 impl<S: System> System for DefaultOf<'_, S> {
@@ -151,7 +151,7 @@ impl Task for Rod {
     }
 }
 
-/// A task of running costs only.
+/// Task with the running cost of a [`Rod`], and its default gradient.
 struct Costs<'a>(&'a Rod);
 
 impl Task for Costs<'_> {
@@ -171,7 +171,7 @@ impl Task for Costs<'_> {
     }
 }
 
-/// A policy of `act` only: tanh layers of an [`Mlp`].
+/// Policy that implements only `act`: the tanh layers of an [`Mlp`].
 struct ActOnly {
     sizes: [usize; 4],
     mlp: Mlp,
@@ -278,7 +278,7 @@ fn by_duals(rod: &Rod, x: &[Lanes<f32, 8>], u: &[Lanes<f32, 8>], next_bar: &[Lan
     }
 }
 
-/// One transposed Jacobian product of eight samples, by the number of states.
+/// Times one transposed Jacobian product of eight samples, by the number of inputs.
 fn products(count: usize) {
     println!("microseconds of one VJP of eight samples in f32, by number of inputs");
     println!("  inputs     hand    duals  reverse   duals / hand  reverse / hand");
@@ -315,7 +315,7 @@ fn products(count: usize) {
     }
 }
 
-/// Epochs of a rod of 200 states.
+/// Times epochs of a rod with 200 states.
 fn trainings<F: Float>(count: usize) {
     println!("\n{}: epoch of a rod with 200 states, 64 samples, 100 steps, one thread", F::NAME);
     for (name, field) in [("R", Field::regular as fn() -> Field), ("C", Field::combined)] {
@@ -332,7 +332,7 @@ fn trainings<F: Float>(count: usize) {
     }
 }
 
-/// A job of one epoch.
+/// Returns a job that trains for one epoch.
 fn epoch<F: Float, P: Policy>(by: By, policy: P, field: Field) -> impl FnMut() {
     let rod = Rod { masses: 100, by, unused: 0 };
     let training = Training { epochs: usize::MAX >> 32, workers: 1, train_samples: 64, test_samples: 8, ..Training::default() };
@@ -350,7 +350,7 @@ fn compare(name: &str, count: usize, [mut hand, mut default]: [impl FnMut(); 2])
     println!("  {name:<20} analytic {hand:>6.2} ms, default {default:>6.2} ms, ratio {:.2}", ratio(&times[1], &times[0]));
 }
 
-/// Gradient of a rollout with a policy of 4802 parameters.
+/// Times the gradient of R with a policy of 4802 parameters.
 fn policies<F: Float>(count: usize) {
     println!("\n{}: gradient of R over 50 steps of eight samples, policy 7-64-64-2 with 4802 parameters", F::NAME);
     let sizes = [7, 64, 64, 2];

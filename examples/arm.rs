@@ -7,8 +7,9 @@ use physgrad::report::{Posture, Stage, mechanics};
 use physgrad::rng::Purpose;
 use physgrad::{Clip, Rollout, Training, initial_states};
 
-/// Two uniform links of equal mass and length, in the horizontal plane. State [θ₁, θ₂, ω₁, ω₂], with
-/// θ₂ relative to the first link; control [torque, torque], N m. Parameters: the goal [x, y], m.
+/// Two uniform links of equal mass and length, in the horizontal plane. State [θ₁, θ₂, ω₁, ω₂],
+/// with θ₂ and ω₂ relative to the first link. Control: torques at [shoulder, elbow], N m.
+/// Parameters: the goal [x, y], m.
 #[derive(Clone)]
 #[rustfmt::skip]
 struct Arm { mass: f64, length: f64, damping: f64, dt: f64 }

@@ -1,8 +1,9 @@
 //! The whole program for a task of your own: a planar quadrotor flies to the origin and hovers.
 //!
-//! Run: `cargo run --release --example own_program -- train quadrotor --field R --set
-//! system.mass=0.8` Other commands: `compare`, `report`, `animate`, `accuracy`, `explain`, `check`,
-//! `scene`, `schema`.
+//! Run:
+//! `cargo run --release --example own_program -- train quadrotor --field R --set system.mass=0.8`
+//! Other commands: `compare`, `report`, `animate`, `accuracy`, `explain`, `check`, `scene`,
+//! `schema`.
 
 use physgrad::prelude::*;
 use physgrad::program::ProgramTask;

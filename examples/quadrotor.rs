@@ -8,8 +8,8 @@ use physgrad::rng::Purpose;
 use physgrad::{Clip, Rollout, Training, initial_states};
 use std::f64::consts::TAU;
 
-/// State [x m, z m, tilt rad, and their rates]. Control: thrusts [left, right] beyond half the weight,
-/// N. Semi-implicit Euler; moment of inertia mass arm² / 2.
+/// State [x m, z m, tilt rad, and their rates]. Control: thrusts [left, right] beyond half the
+/// weight, N. Semi-implicit Euler; moment of inertia mass arm² / 2.
 #[derive(Clone)]
 #[rustfmt::skip]
 struct Quadrotor { mass: f64, arm: f64, dt: f64 }

@@ -11,8 +11,8 @@ use physgrad::{Clip, Decay, Rollout, Training, initial_states};
 const MASSES: usize = 100;
 const STEPS: usize = 150;
 
-/// Masses of 1 kg between two walls, bent sideways, and springs with the force k d + k₃ d³. State:
-/// deflections, m, then speeds, m/s. Control: forces at four masses, N.
+/// Masses of 1 kg in a row between two walls, coupled by springs with the force k d + k₃ d³. State:
+/// sideways deflections, m, then speeds, m/s. Control: forces at four masses, N.
 #[derive(Clone)]
 #[rustfmt::skip]
 struct Rod { stiffness: f64, hardening: f64, damping: f64, dt: f64 }

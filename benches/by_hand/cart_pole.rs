@@ -5,7 +5,7 @@ use physgrad::rng::Rng;
 use physgrad::tasks::{CartDamping, CartPoleSystem, PoleDamping, SteadyWind};
 use physgrad::{Cotangent, Cotangents, HasModel, Inputs, Real, Scalar, Start, System};
 
-/// Physics whose constant parameters switch friction and wind on.
+/// Physics of [`CartPoleSystem`]. Constant parameters switch friction and wind on.
 #[derive(Clone)]
 pub struct ByHand<const FRICTION: bool, const WIND: bool> {
     pub system: CartPoleSystem,
@@ -38,7 +38,8 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
         let (pole_drag, damping) = (T::from(self.wind.pole_drag.nominal()), T::from(self.pole.damping.nominal()));
         let headwind = if WIND { T::from(self.wind.speed.nominal()) - x[1] } else { T::zero() };
 
-        // Drag on one pole pushes the cart, which accelerates every pole. Sums all forces first.
+        // Drag on one pole pushes the cart, which accelerates every pole. All forces are therefore
+        // summed first.
         let mut force = u[0];
         if FRICTION {
             force -= x[1] * self.cart.damping.nominal();

@@ -94,7 +94,8 @@ pub(super) fn round_up(value: f64) -> f64 {
     [1.0, 2.0, 5.0].into_iter().map(|m| m * power).find(|&round| round >= value * (1.0 - 1e-9)).unwrap_or(10.0 * power)
 }
 
-/// Formats with three significant digits, without trailing zeros and with a typographic minus.
+/// Formats with about three significant digits and a typographic minus. Decimals have no trailing
+/// zeros.
 pub(super) fn number(value: f64) -> String {
     let text = match value.abs() {
         0.0 => "0".into(),

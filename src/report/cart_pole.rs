@@ -39,8 +39,8 @@ pub fn cart_pole(states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f6
 
 /// Animates a trajectory as [`cart_pole`] does, with bumpers and wind.
 ///
-/// Bumpers are springs at the ends of the rail. The view shows the whole rail unless it is very
-/// long. An arrow in the upper left corner shows the wind.
+/// Bumpers are springs at the ends of the rail. The view shows the whole rail, unless it is longer
+/// than 10 pole lengths. An arrow in the upper left corner shows the wind.
 pub fn cart_pole_on(rail: &Rail, states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f64) -> Animation {
     let length = if half_length.is_normal() && half_length > 0.0 { 2.0 * half_length } else { 1.0 };
     let width = states.first().map_or(0, Vec::len).max(2);
@@ -100,7 +100,7 @@ impl Stage {
         let end = bumpers.map_or(f64::INFINITY, |bumpers| bumpers.end());
         let whole = 2.0 * end <= WHOLE * length;
         if whole {
-            // Largest positions of the cart's center.
+            // Bounds for which the view ends at least 0.3 pole lengths beyond the rail.
             let cart = end - 0.85 * length;
             (left, right) = (left.min(-cart), right.max(cart));
         }

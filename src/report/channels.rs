@@ -26,7 +26,8 @@ pub struct Channel {
 }
 
 /// Animates numbers over time, one band per channel, each with its own range. A cursor moves in
-/// real time. Values are `dt` seconds apart and are shown up to the first that is not finite.
+/// real time, but takes at least 1 s. Values are `dt` seconds apart and are shown up to the first
+/// that is not finite.
 pub fn channels_over_time(title: &str, channels: &[Channel], dt: f64) -> Animation {
     let finite = |channel: &Channel| channel.values.iter().take_while(|value| value.is_finite()).count();
     let lengths: Vec<usize> = channels.iter().map(finite).collect();
@@ -74,7 +75,7 @@ pub fn channels_over_time(title: &str, channels: &[Channel], dt: f64) -> Animati
     }
 }
 
-/// A number with three significant digits.
+/// Formats with about three significant digits.
 fn number(value: f64) -> String {
     if value == 0.0 {
         return "0".into();

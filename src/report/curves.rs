@@ -118,7 +118,7 @@ impl Curve {
     }
 }
 
-/// All x of all runs within the range that every run covers.
+/// All x of all runs within the range that every run covers, thinned.
 fn common_grid(runs: &[Vec<(f64, f64)>]) -> Vec<f64> {
     let start = runs.iter().map(|run| run[0].0).fold(f64::NEG_INFINITY, f64::max);
     let end = runs.iter().map(|run| run[run.len() - 1].0).fold(f64::INFINITY, f64::min);

@@ -3,8 +3,8 @@
 use super::Series;
 use kuva::prelude::*;
 
-/// Logarithmic axis in units of 10^exponent. kuva draws nothing below 1e-10, so `low` is scaled
-/// into [1, 10).
+/// Logarithmic axis in units of 10^exponent. The plotting library kuva raises values below 1e-10 to
+/// 1e-10, so `low` is scaled into [1, 10).
 pub struct LogAxis {
     pub exponent: i32,
     pub low: f64,

@@ -42,7 +42,7 @@ const BARE: f64 = 62.0;
 const NUMBERS: f64 = 30.0;
 const NAME: f64 = 24.0;
 
-/// Renders rows of panels, all of the same length.
+/// Renders rows of panels. All rows have the same number of panels.
 ///
 /// The legend stands to the right of all panels, so it covers no data. A panel omits the tick
 /// labels and the label of its y axis if its left neighbour shows equal ones.

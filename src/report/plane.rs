@@ -39,7 +39,7 @@ pub struct Plane {
 /// One map.
 ///
 /// Grid cells are equal squares over the whole plane, row by row from the lower left corner. Empty
-/// fields are omitted.
+/// lists are not drawn.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Map {
     /// Title above the map.

@@ -1,6 +1,6 @@
 //! [`Series`]: a line in a chart, cleaned and thinned for drawing.
 
-/// Number of points beyond which a line is thinned. Screens resolve no more, and files stay small.
+/// Number of points beyond which a line is thinned, which keeps files small.
 const MAX_POINTS: usize = 250;
 
 /// Line with an optional band around it.

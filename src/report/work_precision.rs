@@ -8,7 +8,7 @@ use super::{Drawing, Series};
 pub struct Work {
     /// Label of the x axis.
     pub x_label: &'static str,
-    /// Label of the y axis; panels with the same label share its range.
+    /// Label of the y axis. Panels with the same label share the range of their y axes.
     pub y_label: &'static str,
     /// One line per method, with points (work, error) in drawing order.
     pub series: Vec<Series>,

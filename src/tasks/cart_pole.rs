@@ -4,8 +4,8 @@
 //! 2024), after Barto, Sutton and Anderson 1983 (doi:10.1109/TSMC.1983.6313077). [`CartPole`] is
 //! the task.
 //!
-//! [`CartPoleSystem`] is the authors' model, in which the poles share only the control. The
-//! acceleration of each pole includes only its centrifugal term. The total mass includes one pole,
+//! [`CartPoleSystem`] is the authors' model, in which no pole affects another. The acceleration of
+//! each pole includes the centrifugal term of that pole only. The total mass includes one pole,
 //! regardless of the number of poles. [`CoupledCartPole`] is the exact model.
 
 mod bumpers;

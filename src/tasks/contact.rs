@@ -15,9 +15,9 @@ use crate::numbers::scalar::Scalar;
 /// Contact model of two bodies.
 ///
 /// A naive step reflects the speed below the floor, `v ← -e v` where `h < 0`. States converge as dt
-/// → 0, but derivatives do not. By this derivative, raising the initial height by δ raises all
-/// later heights by δ. By the exact one (without gravity), the ball arrives later and is lower by
-/// `e δ` afterwards. Springs that the time step does not resolve have the same defect.
+/// → 0, but derivatives do not. According to the derivative of this step, raising the initial
+/// height by δ raises all later heights by δ. Without gravity, the ball actually arrives later, and
+/// is lower by `e δ` afterwards. Springs that the time step does not resolve have the same defect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Contact {
     /// Exact impact at the time of contact within the step.
@@ -50,8 +50,8 @@ pub enum Contact {
     /// later speed by a fraction of about `stiffness dt² / m`. The derivative of that speed with
     /// respect to position therefore has an error of about `stiffness dt / m`. Even with 60 steps
     /// per contact, derivatives differ completely from those of the impact. The difference grows
-    /// with the stiffness. Derivatives converge only if `stiffness dt / m` is small
-    /// relative to them.
+    /// with the stiffness. Derivatives converge only if `stiffness dt / m` is small relative to
+    /// them.
     ///
     /// With damping, restitution depends on the speed, and so do the derivatives. They do not
     /// converge to those of a constant restitution at any stiffness.

@@ -58,7 +58,8 @@ impl GuidanceSystem {
 ///   + regularization · mean over time, drivers j and their two numbers of c_j²
 /// ```
 ///
-/// `S` is any system that contains a [`GuidanceSystem`]: alone, with effects, or behind an actuator.
+/// `S` is any system that contains a [`GuidanceSystem`]: alone, with effects, or behind an
+/// actuator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Guidance<S = Herding> {
     /// System to control.

@@ -9,8 +9,8 @@ use crate::tasks::{CartPoleSystem, MassError};
 use arrayvec::ArrayVec;
 use factor::{factor, solve};
 
-/// Chain of rigid, uniform poles: the first is hinged on the cart, each other one on the end of its
-/// predecessor.
+/// Chain of rigid, uniform poles: the first is hinged on the cart, each other pole on the end of
+/// its predecessor.
 ///
 /// State, control and parameters are those of [`CartPoleSystem`]: `[x, ẋ, θ₁, ω₁, θ₂, ω₂, …]`, the
 /// pole on the cart first. Each angle is measured from upright. `dt` is unused, because an

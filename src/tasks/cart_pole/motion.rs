@@ -28,8 +28,8 @@ pub(super) fn rate_of<T: Scalar>(pole: &[T], alpha: T) -> [T; 2] {
     [pole[1], alpha]
 }
 
-/// Reverse of [`rate_of`]. For pole `i`, returns the cotangents of angle and rate that do not pass
-/// through α, without that of the rate as derivative of the angle, and the cotangent of α.
+/// Reverse of [`rate_of`]. For pole `i`, returns zero cotangents of angle and rate, and the
+/// cotangent of α. The caller adds the cotangent of the rate due to `dθ/dt = ω`.
 #[inline(always)]
 pub(super) fn rate_of_bar<R: Real, C: Cotangent<R>>(rate_bar: &[C]) -> impl Fn(usize) -> ([C; 2], C) {
     move |i| ([C::null(); 2], rate_bar[3 + 2 * i])

@@ -38,7 +38,7 @@ pub struct CartPoleSystem {
     pub cart_mass: Number,
     /// Mass m of a pole, kg.
     pub pole_mass: Number,
-    /// Half the length l of a pole, m.
+    /// Half length l of a pole, m.
     pub half_length: Number,
     /// Gravitational acceleration g, m/s².
     pub gravity: Number,
@@ -252,8 +252,7 @@ impl CartPoleSystem {
 
             let ([theta_bar, omega_bar], alpha_bar) = pole_bar(i);
             let alpha_bar = alpha_bar - push_bar * lever;
-            // α = (τ - m l cos θ A) / denominator. Next are the cotangents of τ and of the sum
-            // in A.
+            // α = (τ - m l cos θ A) / denominator. `thrust_bar` is the cotangent of the sum in A.
             let torque_bar = alpha_bar * per_inertia;
             let thrust_bar = -(torque_bar * (lever * k.per_mass));
             force_bar += thrust_bar;

@@ -37,10 +37,12 @@ use std::f64::consts::TAU;
 ///
 /// The two differ because the mean of squared speeds is not the square of the mean speed. For a
 /// spinning pole in still air, the torque is half that of strip theory, and the force three
-/// quarters. In a wind that is fast compared with `l ω`, the damping of the spin is three quarters.
+/// quarters. In a wind that is fast compared with `l ω`, the damping of the spin is also three
+/// quarters of that of strip theory.
+///
 /// Example with the defaults, 5 rad/s in still air and l = 0.5 m: the torque is 0.04 N m here and
-/// 0.08 N m by strip theory. The torque of gravity is 0.49 N m. The difference matters where air
-/// alone slows a spinning pole.
+/// 0.08 N m by strip theory. The torque of gravity is at most 0.49 N m. The difference matters where
+/// air alone slows a spinning pole.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]

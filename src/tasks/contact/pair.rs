@@ -13,9 +13,9 @@ use rand::RngExt;
 /// State `[p, q, ṗ, q̇]`: positions of the centers in m, with `q` to the right of `p`, and speeds
 /// in m/s. Control `[push N]`, on the first body, to the right.
 ///
-/// The bodies touch where `q - p = contact_distance`; see [`Contact`]. Equal masses give two balls,
-/// a restitution of 0 a pusher and a box. Contacts depend only on the gap
-/// `g = q - p - contact_distance` and do not affect the motion of the center of mass:
+/// The bodies touch where `q - p = contact_distance`; see [`Contact`]. Contacts depend only on the
+/// gap `g = q - p - contact_distance` and do not affect the motion of the center of mass. With the
+/// contact force F:
 ///
 /// ```text
 /// p̈ = u / m₁ - F / m₁,   q̈ = F / m₂        g̈ = -u / m₁ + F (m₁ + m₂) / (m₁ m₂)

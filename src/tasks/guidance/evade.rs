@@ -32,7 +32,6 @@ impl Default for Evade {
 }
 
 impl Evade {
-    /// Force `near / d²`.
     fn law(&self) -> Law {
         Law { far: 0.0, near: self.strength }
     }

@@ -8,15 +8,15 @@ use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
-/// Attraction or repulsion among evaders: those nearer than `distance` attract each other, farther
-/// ones repel. With `r = E_i - E_k` and `d = softening + |r|`:
+/// Attraction or repulsion among evaders. With `r = E_i - E_k` and `d = softening + |r|`, evaders
+/// with `d < distance` attract each other, and those farther apart repel each other:
 ///
 /// ```text
 /// evader k : v̇ += strength Σ_{i≠k} (distance / d - 1) r / d
 /// ```
 ///
 /// The sign is that of the authors' code (tum-pbs/StableBPTT), whose comment states the opposite.
-/// With a negative strength, the flock keeps its distance and does not scatter.
+/// With a negative strength, near evaders repel each other, and far ones attract each other.
 ///
 /// Coincident evaders are coupled by springs of stiffness
 /// `strength (distance / softening - 1) / softening`. Explicit steps of length dt damp their

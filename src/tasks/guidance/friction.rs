@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 
 /// Viscous friction: `v̇ += -friction v`, with separate coefficients for drivers and evaders.
 ///
-/// Explicit steps of length dt need `friction dt < 2`. Below 1, velocities do not change sign.
+/// Explicit steps of length dt need `friction dt < 2`. If `friction dt < 1`, velocities do not
+/// change sign.
 ///
 /// Source: Ko and Zuazua 2020 (doi:10.1142/S0218202520400047), with the coefficients of the
 /// authors' code (tum-pbs/StableBPTT).

@@ -68,7 +68,7 @@ impl Optimum {
         let towards = b.transpose() * &w;
         let factor = (&r + &towards * &b).cholesky().ok_or(NoOptimum::Indefinite)?;
         let gain = -factor.solve(&(towards * &a));
-        // Sum of squares, which does not amplify rounding.
+        // The form of P as a sum of squares does not amplify rounding errors.
         let closed = a + b * &gain;
         let p = symmetric(closed.transpose() * w * closed + gain.transpose() * r * &gain);
         Ok(Self { gain: row_major(&gain), cost_to_go: row_major(&p) })

@@ -42,7 +42,7 @@ impl Default for AbsorbingEdges {
     }
 }
 
-/// System that contains a [`QuantumSystem`] with absorbing edges.
+/// Adds absorbing edges to a system that contains a [`QuantumSystem`].
 ///
 /// The edges act once per step of `system`, for the time step of the [`QuantumSystem`]. Place them
 /// inside [`Substeps`](crate::Substeps), not around it.

@@ -13,8 +13,8 @@ use serde::{Deserialize, Serialize};
 /// doi:10.1007/BF02731494; Pitaevskii 1961, Sov. Phys. JETP 13, 451). There, ψ satisfies
 /// `∫ |ψ|² dx = 1`. A state has `Σ_j |ψ_j|² = 1`, so the probability density is `|ψ_j|² / dx`.
 ///
-/// The density is that at the beginning of the step. The step therefore remains unitary, needs a
-/// single solve, and is of first order in dt. [`Strang`](super::Strang) computes a density per half
+/// The density is that at the beginning of the step. The step therefore remains unitary, needs no
+/// iteration, and is of first order in dt. [`Strang`](super::Strang) computes a density per half
 /// step and is of second order.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -42,8 +42,8 @@ impl Effect<QuantumSystem> for Cubic {
     #[inline(always)]
     fn add_forces<T: Scalar>(&self, model: &QuantumSystem, OdeInputs { x, .. }: OdeInputs<'_, T>, potential: &mut [T]) {
         let strength = T::from(self.per_probability(model));
-        // Indexing with bounds checks prevents vectorization of this loop. Lanes fill the registers
-        // already.
+        // Indexing with bounds checks deliberately prevents vectorization over grid points. Lanes
+        // fill the registers already.
         for (j, v) in potential.iter_mut().enumerate() {
             let [re, im] = x.as_chunks().0[j];
             *v += strength * (re * re + im * im);

@@ -81,8 +81,8 @@ impl<T: Scalar> Elimination<'_, T> {
     pub(super) fn solve<V: Vector<T>>(&self, rhs: &[V], y: &mut [V]) {
         let (b, n) = (self.b, self.per_pivot.len());
         let (rhs, y, per_pivot) = (&rhs.as_chunks::<2>().0[..n], &mut y.as_chunks_mut::<2>().0[..n], &self.per_pivot[..n]);
-        // The first row of each pass is separate, and carried values are scalars. Compilers would
-        // shuffle the lanes of conditional values and of pairs of columns.
+        // The first row of each pass is separate, and carried values are scalars. Otherwise,
+        // compilers would shuffle the lanes of conditional values and of pairs of columns.
         // Forward: s_j = (rhs_j + ib s_{j-1}) / p_j.
         let (q_re, q_im) = per_pivot[0];
         let (mut s_re, mut s_im) = (rhs[0][0] * q_re - rhs[0][1] * q_im, rhs[0][0] * q_im + rhs[0][1] * q_re);

@@ -11,8 +11,8 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::smallvec;
 
-/// System that contains a [`QuantumSystem`] that normalizes the wave after each step: `ψ ← ψ /
-/// |ψ|`.
+/// Normalizes the wave of a system that contains a [`QuantumSystem`] after each step:
+/// `ψ ← ψ / |ψ|`.
 ///
 /// Steps of every [`QuantumScheme`](super::QuantumScheme) are unitary except for rounding. Rounding
 /// errors accumulate where every step rounds alike, as in long rollouts without control in single

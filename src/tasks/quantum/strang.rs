@@ -62,7 +62,7 @@ impl Strang {
         &self.system
     }
 
-    /// Returns `exp(-i dt/2 V)` at the state `x`, as pairs of cosine and sine.
+    /// Returns cosine and sine of `dt/2 V` at the state of `inputs`.
     #[inline(always)]
     fn phases<'a, E: Effect<QuantumSystem>, T: Scalar>(
         &self,

@@ -59,7 +59,7 @@ pub struct QuantumSystem {
     pub length: f64,
     /// Time step, positive. The control is constant during it.
     pub dt: f64,
-    /// Potential of the control: position of its zero.
+    /// Shape of the control potential.
     pub control: ControlShape,
 }
 
