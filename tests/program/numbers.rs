@@ -91,7 +91,7 @@ fn wrong_numbers_name_line_and_allowed_values() {
         ("[vary]\n\"training.batch\" = { choice = [1, 2] }", 11, "`training.batch`"),
         (
             "[effects.pole_damping]\ndamping = 1\n[vary]\n\"effects.pole_damping.damping\" = { uniform = [0, 1] }",
-            12,
+            13,
             "is set twice",
         ),
     ] {
@@ -149,7 +149,10 @@ fn measured_trajectories_identify_a_pendulum() {
     let command = format!("identify double_pendulum.toml --data double_pendulum.csv --noise {noise} --every 2 --out found");
     let output = physgrad(&command, dir.path()).assert().success().get_output().stdout.clone();
     let output = String::from_utf8(output).expect("text");
-    assert!(output.contains("validation with 2 other segments") && !output.contains("warning"), "{output}");
+    assert!(output.contains("validation with 2 other segments"), "{output}");
+    // Every second measurement does not determine the dry friction of the second joint.
+    let warnings: Vec<&str> = output.lines().filter(|line| line.starts_with("warning")).collect();
+    assert_eq!(warnings, ["warning: system.arms[1].dry is at its bound"], "{output}");
     let rows = read(&dir, "found/identified.csv");
     let value = |name: &str| -> f64 {
         let row = rows.iter().find(|row| row[0] == name).unwrap_or_else(|| panic!("{name} in {rows:?}"));
