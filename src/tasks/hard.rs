@@ -1,5 +1,5 @@
-//! [`Hard`]: six small tasks with difficult gradients, chosen at run time. As they have a single
-//! type, training code is compiled once.
+//! [`Hard`]: seven small tasks, chosen at run time. As they have a single type, training code is
+//! compiled once.
 
 use super::{Bounce, DoublePendulum, Lqr, MultiPendulum, PoleChain, Push, Slider, Upright};
 use crate::dynamics::cause::Cause;
@@ -13,7 +13,7 @@ use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
-/// Any of the six small tasks. As a [`System`], it is the physics of the task, with outlined
+/// Any of the seven small tasks. As a [`System`], it is the physics of the task, with outlined
 /// steps. [`Hard`] is the task.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(clippy::large_enum_variant)] // One value per task.
@@ -90,7 +90,7 @@ impl HasModel<AnyHard> for AnyHard {
     fn start_extra(&self, _rng: &mut Rng, _start: Start<'_>) {}
 }
 
-/// Any of the six small tasks. `S` is any system that contains an [`AnyHard`]: alone, or behind an
+/// Any of the seven small tasks. `S` is any system that contains an [`AnyHard`]: alone, or behind an
 /// actuator.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hard<S = AnyHard> {

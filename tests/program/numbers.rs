@@ -88,7 +88,7 @@ fn wrong_numbers_name_line_and_allowed_values() {
         ("[fit]\n\"system.cart_mass\" = { start = 1, max = 2 }", 11, "`max` requires `min`"),
         ("[vary]\n\"system.mass\" = { uniform = [1, 2] }", 11, "`system.mass` is unknown; allowed: `model`, `poles`"),
         ("[vary]\n\"system.poles\" = { choice = [1, 2] }", 11, "`system.poles` is set twice"),
-        ("[vary]\n\"training.batch\" = { choice = [1, 2] }", 11, "`training.batch`"),
+        ("[vary]\n\"training.batch\" = { choice = [1, 2] }", 11, "`training.batch` is a section; allowed: a whole number"),
         (
             "[effects.pole_damping]\ndamping = 1\n[vary]\n\"effects.pole_damping.damping\" = { uniform = [0, 1] }",
             13,

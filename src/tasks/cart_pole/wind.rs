@@ -41,8 +41,8 @@ use std::f64::consts::TAU;
 /// quarters of that of strip theory.
 ///
 /// Example with the defaults, 5 rad/s in still air and l = 0.5 m: the torque is 0.04 N m here and
-/// 0.08 N m by strip theory. The torque of gravity is at most 0.49 N m. The difference matters where
-/// air alone slows a spinning pole.
+/// 0.08 N m by strip theory. The torque of gravity is at most 0.49 N m. The difference matters
+/// where air alone slows a spinning pole.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
