@@ -55,7 +55,7 @@
 //! use physgrad::{Actuated, OpCount, Lag, Forced, check};
 //!
 //! let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
-//! let windy = Forced { system, effects: (PoleDamping::default(), SteadyWind { speed: 4.0, ..SteadyWind::default() }) };
+//! let windy = Forced { system, effects: (PoleDamping::default(), SteadyWind { speed: 4.0.into(), ..SteadyWind::default() }) };
 //! assert_eq!(OpCount::of(&Forced { system, effects: () }), OpCount::of(&system));
 //! let task = CartPole::with_system(Actuated { system: windy, actuator: Lag::new(0.05, system.dt) });
 //! check::system(&task.system);
