@@ -80,11 +80,11 @@ impl System for Rod {
         }
     }
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
         if self.by == By::Default {
-            return DefaultOf(self).vjp(inputs, next_bar, bars);
+            return DefaultOf(self).vjp(inputs, next_bar, cotangents);
         }
-        let (Cotangents { x: Some(x_bar), u: Some(u_bar), p: None }, n) = (bars, self.masses) else { unreachable!() };
+        let (Cotangents { x: Some(x_bar), u: Some(u_bar), p: None }, n) = (cotangents, self.masses) else { unreachable!() };
         let (dt, kept) = (R::from(DT), R::from(1.0 - DAMPING * DT));
         let (q, (q_next_bar, v_next_bar)) = (&inputs.x[..n], next_bar.split_at(n));
         let (q_bar, v_bar) = x_bar.split_at_mut(n);
@@ -142,12 +142,18 @@ impl Task for Rod {
         next.iter().map(|&x| x * x).sum::<T>() + u.iter().map(|&u| u * u).sum::<T>() * 0.01
     }
     #[inline(always)]
-    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+    fn running_cost_gradient<R: Real>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next: &[R],
+        cotangents: Cotangents<'_, R>,
+        next_bar: &mut [R],
+    ) {
         if self.by == By::Default {
-            return Costs(self).running_cost_gradient(inputs, next, bars, next_bar);
+            return Costs(self).running_cost_gradient(inputs, next, cotangents, next_bar);
         }
         next_bar.iter_mut().zip(next).for_each(|(bar, &x)| *bar += x + x);
-        bars.u.into_iter().flatten().zip(inputs.u).for_each(|(bar, &u)| *bar += u * 0.02);
+        cotangents.u.into_iter().flatten().zip(inputs.u).for_each(|(bar, &u)| *bar += u * 0.02);
     }
 }
 
@@ -262,7 +268,7 @@ fn main() {
 }
 
 /// Transposed Jacobian product of a rod by dual numbers with four tangents.
-fn by_duals(rod: &Rod, x: &[Lanes<f32, 8>], u: &[Lanes<f32, 8>], next_bar: &[Lanes<f32, 8>], bars: &mut [Lanes<f32, 8>]) {
+fn by_duals(rod: &Rod, x: &[Lanes<f32, 8>], u: &[Lanes<f32, 8>], next_bar: &[Lanes<f32, 8>], cotangents: &mut [Lanes<f32, 8>]) {
     let (n, m) = (x.len(), u.len());
     let mut next = vec![Dual::constant(Lanes([0.0; 8])); n];
     let mut all: Vec<Dual<Lanes<f32, 8>, 4>> = Vec::new();
@@ -273,7 +279,7 @@ fn by_duals(rod: &Rod, x: &[Lanes<f32, 8>], u: &[Lanes<f32, 8>], next_bar: &[Lan
         all.extend(x.iter().chain(u).enumerate().map(seed));
         rod.step(Inputs::new(&all[..n], &all[n..]), &mut next);
         for (k, i) in chunk.clone().enumerate() {
-            bars[i] = next.iter().zip(next_bar).fold(Lanes([0.0; 8]), |sum, (next, &bar)| sum + bar * next.tangents[k]);
+            cotangents[i] = next.iter().zip(next_bar).fold(Lanes([0.0; 8]), |sum, (next, &bar)| sum + bar * next.tangents[k]);
         }
     }
 }
@@ -306,8 +312,8 @@ fn products(count: usize) {
             }
         };
         let (mut by_hand, mut by_tape) = (job(hand, Vec::new()), job(reverse, p));
-        let (duals, mut bars) = (rod(By::Default, 0), vec![Lanes([0.0; 8]); n + m]);
-        let mut duals = || (0..100).for_each(|_| by_duals(&duals, black_box(&x), &u, &plain_bar, black_box(&mut bars)));
+        let (duals, mut cotangents) = (rod(By::Default, 0), vec![Lanes([0.0; 8]); n + m]);
+        let mut duals = || (0..100).for_each(|_| by_duals(&duals, black_box(&x), &u, &plain_bar, black_box(&mut cotangents)));
         let times = rounds(3 * count, &mut [&mut by_hand, &mut duals, &mut by_tape]);
         let [hand, duals, reverse] = [0, 1, 2].map(|i| median(&times[i]) / 100.0);
         let [to_hand, tape_to_hand] = [1, 2].map(|i| ratio(&times[i], &times[0]));

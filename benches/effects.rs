@@ -197,7 +197,7 @@ fn job<F: Float>(of: Of, task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>
         rollout.start(&starts);
         rollout.run(&*task, &*policy, &weights).expect("finite");
         if let Some(adjoint) = &mut adjoint {
-            adjoint.run(&*task, &*policy, &weights, &rollout, F::lift(0.125)).expect("finite");
+            adjoint.run(&*task, &*policy, &weights, &rollout, F::from_f64(0.125)).expect("finite");
             let asked = if of == Of::Scene { adjoint.flows().len() } else { 0 };
             for k in 0..asked {
                 adjoint.param_gradient(k, &*policy, &weights, &rollout, 0..BATCH, &mut gradient);

@@ -140,6 +140,6 @@ fn job<F: Float, S: HasModel<QuantumSystem> + 'static>(system: S, horizon: usize
     Box::new(move || {
         rollout.start(&starts);
         rollout.run(&task, &policy, &weights).expect("finite");
-        adjoint.run(&task, &policy, &weights, &rollout, F::lift(0.125)).expect("finite");
+        adjoint.run(&task, &policy, &weights, &rollout, F::from_f64(0.125)).expect("finite");
     })
 }

@@ -36,8 +36,14 @@ impl Effect<CartPoleSystem> for ByHand {
         self.0.add_forces(model, inputs, forces);
     }
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _: &CartPoleSystem, inputs: OdeInputs<'_, R>, f_bar: &[C], bars: Cotangents<'_, C>) {
-        let Some(x_bar) = bars.x else { return };
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        _: &CartPoleSystem,
+        inputs: OdeInputs<'_, R>,
+        f_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
+        let Some(x_bar) = cotangents.x else { return };
         let s = inputs.x[1] * R::from(1.0 / self.0.speed);
         let per_square = R::one() / (R::one() + s * s);
         x_bar[1] -= f_bar[0] * (R::from(2.0 * self.0.force / self.0.speed) * (R::one() - s * s) * per_square * per_square);

@@ -80,14 +80,14 @@ impl<const FRICTION: bool, const WIND: bool> System for ByHand<FRICTION, WIND> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, u, .. }: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, u, .. }: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
         // Scratch for cotangents that are not requested.
         let (mut x_scratch, mut u_scratch) = (ArrayVec::<C, 130>::new(), ArrayVec::<C, 64>::new());
-        let x_bar = bars.x.unwrap_or_else(|| {
+        let x_bar = cotangents.x.unwrap_or_else(|| {
             x_scratch.extend(x.iter().map(|_| C::null()));
             &mut x_scratch[..]
         });
-        let u_bar = bars.u.unwrap_or_else(|| {
+        let u_bar = cotangents.u.unwrap_or_else(|| {
             u_scratch.extend(u.iter().map(|_| C::null()));
             &mut u_scratch[..]
         });

@@ -56,10 +56,10 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
             let expected = pulled_back(&[&x[..], &p].concat(), &y_bar, &|all, y| {
                 task.observe(Inputs { x: &all[..n], u: &[], p: &all[n..], t }, y);
             });
-            let mut bars = [vec![-0.0; n], vec![-0.0; params]];
-            c.adds("observe_vjp", ["x_bar", "p_bar"], &mut bars, &expected, &mut |[x, p]| {
-                let bars = Cotangents { x: Some(x), u: None, p: (params > 0).then_some(p) };
-                task.observe_vjp(inputs.with_u(&[]), &y_bar, bars);
+            let mut cotangents = [vec![-0.0; n], vec![-0.0; params]];
+            c.adds("observe_vjp", ["x_bar", "p_bar"], &mut cotangents, &expected, &mut |[x, p]| {
+                let cotangents = Cotangents { x: Some(x), u: None, p: (params > 0).then_some(p) };
+                task.observe_vjp(inputs.with_u(&[]), &y_bar, cotangents);
             })?;
         }
 
@@ -69,18 +69,18 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
             let (p, next) = rest.split_at(params);
             cost[0] = task.running_cost(Inputs { x, u, p, t }, next);
         });
-        let mut bars = [n, m, params, n].map(|len| vec![-0.0; len]);
+        let mut cotangents = [n, m, params, n].map(|len| vec![-0.0; len]);
         let names = ["x_bar", "u_bar", "p_bar", "next_bar"];
-        c.adds("running_cost_gradient", names, &mut bars, &expected, &mut |[x, u, p, next_bar]| {
-            let bars = Cotangents { x: Some(x), u: Some(u), p: (params > 0).then_some(p) };
-            task.running_cost_gradient(inputs, &next, bars, next_bar);
+        c.adds("running_cost_gradient", names, &mut cotangents, &expected, &mut |[x, u, p, next_bar]| {
+            let cotangents = Cotangents { x: Some(x), u: Some(u), p: (params > 0).then_some(p) };
+            task.running_cost_gradient(inputs, &next, cotangents, next_bar);
         })?;
 
         let expected = pulled_back(&[&x[..], &p].concat(), &[1.0], &|all, cost| {
             cost[0] = task.terminal_cost(&all[..n], &all[n..]);
         });
-        let mut bars = [vec![-0.0; n], vec![-0.0; params]];
-        c.adds("terminal_cost_gradient", ["x_bar", "p_bar"], &mut bars, &expected, &mut |[x_bar, p_bar]| {
+        let mut cotangents = [vec![-0.0; n], vec![-0.0; params]];
+        c.adds("terminal_cost_gradient", ["x_bar", "p_bar"], &mut cotangents, &expected, &mut |[x_bar, p_bar]| {
             task.terminal_cost_gradient(&x, &p, x_bar, (params > 0).then_some(p_bar));
         })?;
     }
@@ -88,20 +88,20 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
 }
 
 impl Comparison {
-    /// Compares cotangents that `add` adds to `bars` with the concatenated `expected`, after one
+    /// Compares cotangents that `add` adds to `cotangents` with the concatenated `expected`, after one
     /// call and after two.
     fn adds<const K: usize>(
         &mut self,
         method: &str,
         names: [&str; K],
-        bars: &mut [Vec<f64>; K],
+        cotangents: &mut [Vec<f64>; K],
         expected: &[f64],
         add: &mut dyn FnMut([&mut [f64]; K]),
     ) -> Result<(), Mismatch> {
         for calls in [1.0, 2.0] {
-            add(bars.each_mut().map(|bar| &mut bar[..]));
+            add(cotangents.each_mut().map(|bar| &mut bar[..]));
             let mut rest = expected;
-            for (name, bar) in names.iter().zip(&*bars) {
+            for (name, bar) in names.iter().zip(&*cotangents) {
                 let (own, others) = rest.split_at(bar.len());
                 let found: Vec<f64> = bar.iter().map(|bar| bar / calls).collect();
                 let call = if calls == 1.0 { "" } else { ", second call that adds" };

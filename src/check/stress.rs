@@ -39,7 +39,7 @@ pub struct Case {
     /// Pass criterion in words.
     pub criterion: &'static str,
     /// Usual failure, remedy in this library, and remaining limits.
-    pub story: &'static str,
+    pub explanation: &'static str,
     run: fn() -> Vec<Finding>,
 }
 
@@ -49,10 +49,10 @@ impl Case {
         name: &'static str,
         about: &'static str,
         criterion: &'static str,
-        story: &'static str,
+        explanation: &'static str,
         run: fn() -> Vec<Finding>,
     ) -> Self {
-        Self { name, about, criterion, story, run }
+        Self { name, about, criterion, explanation, run }
     }
 
     /// Runs the case. Takes up to several seconds.

@@ -17,7 +17,7 @@ pub(super) trait Checked: AnySystem<f64> {
     fn varied_numbers(&self) -> Vec<Varied>;
     fn step_by_duals(&self, inputs: Inputs<'_, Dual64>, next: &mut [Dual64]);
     fn step_in_lanes(&self, inputs: Inputs<'_, Lane<f64>>, next: &mut [Lane<f64>]);
-    fn vjp_in_lanes(&self, inputs: Inputs<'_, Lane<f64>>, next_bar: &[Two], bars: Cotangents<'_, Two>);
+    fn vjp_in_lanes(&self, inputs: Inputs<'_, Lane<f64>>, next_bar: &[Two], cotangents: Cotangents<'_, Two>);
 }
 
 /// Cotangents of two flows, carried together by a reverse pass.
@@ -36,8 +36,8 @@ impl<S: System> Checked for S {
         step(self, inputs, next);
     }
 
-    fn vjp_in_lanes(&self, inputs: Inputs<'_, Lane<f64>>, next_bar: &[Two], bars: Cotangents<'_, Two>) {
-        System::vjp(self, inputs, next_bar, bars);
+    fn vjp_in_lanes(&self, inputs: Inputs<'_, Lane<f64>>, next_bar: &[Two], cotangents: Cotangents<'_, Two>) {
+        System::vjp(self, inputs, next_bar, cotangents);
     }
 }
 
@@ -121,9 +121,9 @@ fn requests(
     // Requests all three first: a failure then has the most general message.
     for requested in (1..8).rev() {
         let asked = |k: usize| requested >> k & 1 == 1;
-        let mut bars = [at.x, at.u, at.p].map(|values| vec![One::<f64>::null(); values.len()]);
+        let mut cotangents = [at.x, at.u, at.p].map(|values| vec![One::<f64>::null(); values.len()]);
         for calls in [1.0, 2.0] {
-            let [x, u, p] = &mut bars;
+            let [x, u, p] = &mut cotangents;
             let request = Cotangents {
                 x: asked(0).then_some(&mut x[..]),
                 u: asked(1).then_some(&mut u[..]),
@@ -131,7 +131,7 @@ fn requests(
             };
             system.vjp(at, &next_bar, request);
             for k in (0..3).filter(|&k| asked(k)) {
-                let found: Vec<f64> = bars[k].iter().map(|bar| bar.0[0] / calls).collect();
+                let found: Vec<f64> = cotangents[k].iter().map(|bar| bar.0[0] / calls).collect();
                 let what = match (requested, calls) {
                     (_, 2.0) => format!("vjp, second call that adds: {}", NAMES[k]),
                     (7, _) => format!("vjp: {}", NAMES[k]),
@@ -158,8 +158,8 @@ fn lanes(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64], c: &mut Co
     let mut next = vec![Lanes::zero(); at.x.len()];
     system.step_in_lanes(inputs(&packed, at.t), &mut next);
     let next_bars: Vec<Two> = pack(next_bar).into_iter().map(column).collect();
-    let mut bars = [at.x, at.u, at.p].map(|values| vec![Two::null(); values.len()]);
-    let [x, u, p] = &mut bars;
+    let mut cotangents = [at.x, at.u, at.p].map(|values| vec![Two::null(); values.len()]);
+    let [x, u, p] = &mut cotangents;
     let request = Cotangents { x: Some(x), u: Some(u), p: (!p.is_empty()).then_some(p) };
     system.vjp_in_lanes(inputs(&packed, at.t), &next_bars, request);
     for lane in 0..W {
@@ -169,8 +169,8 @@ fn lanes(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64], c: &mut Co
         c.equal("step in lanes", &next.iter().map(|v| v.lane(lane)).collect::<Vec<_>>(), &plain)?;
         let plain = vjp(system, inputs(&values, at.t), &next_bar);
         for (k, sign) in [1.0, -1.0].into_iter().enumerate() {
-            for (name, (bars, plain)) in NAMES.into_iter().zip(bars.iter().zip(&plain)) {
-                let found: Vec<f64> = bars.iter().map(|v| sign * v.0[k].lane(lane)).collect();
+            for (name, (cotangents, plain)) in NAMES.into_iter().zip(cotangents.iter().zip(&plain)) {
+                let found: Vec<f64> = cotangents.iter().map(|v| sign * v.0[k].lane(lane)).collect();
                 c.equal(&format!("vjp in lanes: {name}"), &found, plain)?;
             }
         }

@@ -162,8 +162,8 @@ impl<A: Actuator, B: Actuator> Actuator for (A, B) {
         self.0.step(&state[..n], u, &mut next_state, &mut between);
         let mut between_bar: Controls<C> = smallvec![C::null(); u.len()];
         let (first, second) = state_bar.map(|bar| bar.split_at_mut(n)).unzip();
-        let bars = OutputCotangents { state: &next_bar.state[n..], out: next_bar.out };
-        self.1.vjp(&state[n..], &between, bars, second, Some(&mut between_bar));
+        let cotangents = OutputCotangents { state: &next_bar.state[n..], out: next_bar.out };
+        self.1.vjp(&state[n..], &between, cotangents, second, Some(&mut between_bar));
         self.0.vjp(&state[..n], u, OutputCotangents { state: &next_bar.state[..n], out: &between_bar }, first, u_bar);
     }
 }
@@ -220,21 +220,27 @@ impl<S: System, A: Actuator> System for Actuated<S, A> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
         if self.actuator.is_identity() {
-            return self.system.vjp(inputs, next_bar, bars);
+            return self.system.vjp(inputs, next_bar, cotangents);
         }
         let (x, state) = inputs.x.split_at(self.system.state_dim());
         let (next_bar, next_state_bar) = next_bar.split_at(x.len());
-        let (x_bar, state_bar) = bars.x.map(|bar| bar.split_at_mut(x.len())).unzip();
+        let (x_bar, state_bar) = cotangents.x.map(|bar| bar.split_at_mut(x.len())).unzip();
         let out = self.control(state, inputs.u);
         // The actuator's VJP is needed only for the cotangents of `u` and of the actuator's state.
-        let through_control = bars.u.is_some() || !state.is_empty() && state_bar.is_some();
+        let through_control = cotangents.u.is_some() || !state.is_empty() && state_bar.is_some();
         let mut out_bar: Controls<C> = smallvec![C::null(); inputs.u.len()];
-        let system_bars = Cotangents { x: x_bar, u: through_control.then_some(&mut out_bar[..]), p: bars.p };
+        let system_bars = Cotangents { x: x_bar, u: through_control.then_some(&mut out_bar[..]), p: cotangents.p };
         self.system.vjp(inputs.with_x(x).with_u(&out), next_bar, system_bars);
         if through_control {
-            self.actuator.vjp(state, inputs.u, OutputCotangents { state: next_state_bar, out: &out_bar }, state_bar, bars.u);
+            self.actuator.vjp(
+                state,
+                inputs.u,
+                OutputCotangents { state: next_state_bar, out: &out_bar },
+                state_bar,
+                cotangents.u,
+            );
         }
     }
 

@@ -27,16 +27,16 @@ pub(crate) fn default_vjp<R: Real, C: Cotangent<R>, const N: usize>(
     function: &impl Function<R, N>,
     inputs: [&[R]; N],
     output_bars: &[C],
-    bars: [Option<&mut [C]>; N],
+    cotangents: [Option<&mut [C]>; N],
     visit: impl FnMut(&mut C, &[R]),
 ) {
-    if bars.iter().all(Option::is_none) {
+    if cotangents.iter().all(Option::is_none) {
         return;
     }
     if inputs.iter().map(|inputs| inputs.len()).sum::<usize>() > REVERSE_ABOVE {
-        reverse(function, inputs, output_bars, bars);
+        reverse(function, inputs, output_bars, cotangents);
     } else {
-        each_column(function, inputs, output_bars.len(), bars, visit);
+        each_column(function, inputs, output_bars.len(), cotangents, visit);
     }
 }
 
@@ -69,13 +69,13 @@ fn each_column<R: Real, C, const N: usize>(
     function: &impl Function<R, N>,
     inputs: [&[R]; N],
     outputs: usize,
-    mut bars: [Option<&mut [C]>; N],
+    mut cotangents: [Option<&mut [C]>; N],
     mut visit: impl FnMut(&mut C, &[R]),
 ) {
     let lengths = inputs.map(<[R]>::len);
     let all: SmallVec<[R; REVERSE_ABOVE]> = inputs.into_iter().flatten().copied().collect();
     // The lists from the first to the last requested one.
-    let requested = |k: &usize| bars[*k].is_some();
+    let requested = |k: &usize| cotangents[*k].is_some();
     let first = (0..N).find(requested).unwrap_or(N);
     let last = (0..N).rfind(requested).map_or(first, |k| k + 1);
     let before = |list: usize| lengths[..list].iter().sum::<usize>();
@@ -86,10 +86,10 @@ fn each_column<R: Real, C, const N: usize>(
         outputs,
         |all, outputs| function.eval(split(all, lengths), outputs),
         |mut i, column| {
-            for (length, bars) in zip(lengths, &mut bars) {
+            for (length, cotangents) in zip(lengths, &mut cotangents) {
                 if i < length {
-                    if let Some(bars) = bars {
-                        visit(&mut bars[i], column);
+                    if let Some(cotangents) = cotangents {
+                        visit(&mut cotangents[i], column);
                     }
                     return;
                 }
@@ -107,14 +107,14 @@ fn reverse<R: Real, C: Cotangent<R>, const N: usize>(
     function: &impl Function<R, N>,
     inputs: [&[R]; N],
     output_bars: &[C],
-    bars: [Option<&mut [C]>; N],
+    cotangents: [Option<&mut [C]>; N],
 ) {
-    let requested = std::array::from_fn(|k| bars[k].is_some());
+    let requested = std::array::from_fn(|k| cotangents[k].is_some());
     lend(|recording: &mut Recording<R>| {
         record(function, inputs, requested, output_bars.len(), recording);
-        recording.pull(output_bars, |cotangents| {
-            for (bar, &cotangent) in zip(bars.into_iter().flatten().flatten(), cotangents) {
-                *bar += cotangent;
+        recording.pull(output_bars, |pulled| {
+            for (cotangent, &part) in zip(cotangents.into_iter().flatten().flatten(), pulled) {
+                *cotangent += part;
             }
         });
     });

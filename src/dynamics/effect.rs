@@ -86,8 +86,14 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     /// Adds the Jacobian products `(∂forces/∂x)ᵀ forces_bar`, and likewise of `u` and `p`, to those
     /// cotangents that are requested.
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &B, inputs: OdeInputs<'_, R>, forces_bar: &[C], bars: Cotangents<'_, C>) {
-        default_effect_vjp(self, model, inputs, forces_bar, bars);
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        model: &B,
+        inputs: OdeInputs<'_, R>,
+        forces_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
+        default_effect_vjp(self, model, inputs, forces_bar, cotangents);
     }
 
     /// Returns whether the forces depend on state, control or parameters. If they do not, the
@@ -129,10 +135,10 @@ pub(crate) fn default_effect_vjp<B, E: Effect<B>, R: Real, C: Cotangent<R>>(
     model: &B,
     inputs: OdeInputs<'_, R>,
     forces_bar: &[C],
-    bars: Cotangents<'_, C>,
+    cotangents: Cotangents<'_, C>,
 ) {
     let forces = Forces { effect, model, t: inputs.t };
-    default_vjp(&forces, inputs.lists(), forces_bar, bars.lists(), |bar, column| {
+    default_vjp(&forces, inputs.lists(), forces_bar, cotangents.lists(), |bar, column| {
         for (&force_bar, &slope) in zip(forces_bar.iter(), column) {
             *bar += force_bar * slope;
         }
@@ -191,9 +197,9 @@ pub trait ForcedSystem: Send + Sync {
         effects: &E,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        step_vjp(&SystemStep { system: self, effects }, inputs, next_bar, bars);
+        step_vjp(&SystemStep { system: self, effects }, inputs, next_bar, cotangents);
     }
 }
 
@@ -264,11 +270,11 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], mut bars: Cotangents<'_, C>) {
-        if bars.p.is_some() && !self.varied(inputs.p.len()).is_empty() {
-            step_param_vjp(self, inputs, next_bar, bars.p.take());
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], mut cotangents: Cotangents<'_, C>) {
+        if cotangents.p.is_some() && !self.varied(inputs.p.len()).is_empty() {
+            step_param_vjp(self, inputs, next_bar, cotangents.p.take());
         }
-        self.system.forced_vjp(&self.effects, inputs, next_bar, bars);
+        self.system.forced_vjp(&self.effects, inputs, next_bar, cotangents);
     }
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {

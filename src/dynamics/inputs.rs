@@ -173,10 +173,10 @@ impl Start<'_> {
     }
 }
 
-/// Adds `values` to `bars` elementwise.
+/// Adds `values` to `cotangents` elementwise.
 #[inline(always)]
-pub(crate) fn add<R, C: Cotangent<R>>(bars: &mut [C], values: &[C]) {
-    for (bar, &value) in crate::numbers::zip::zip(bars.iter_mut(), values) {
+pub(crate) fn add<R, C: Cotangent<R>>(cotangents: &mut [C], values: &[C]) {
+    for (bar, &value) in crate::numbers::zip::zip(cotangents.iter_mut(), values) {
         *bar += value;
     }
 }

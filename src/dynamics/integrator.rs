@@ -66,7 +66,7 @@ pub trait Integrator: Clone + Debug + Send + Sync {
         dt: f64,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     );
 }
 
@@ -104,8 +104,8 @@ impl<O: Ode, I: Integrator> System for Integrated<O, I> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
-        self.integrator.vjp(&self.ode, self.dt, inputs, next_bar, bars);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+        self.integrator.vjp(&self.ode, self.dt, inputs, next_bar, cotangents);
     }
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {

@@ -77,17 +77,17 @@ pub enum Number {
 /// Up to eight values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Choice {
-    values: [f64; Choice::MOST],
+    values: [f64; Choice::MAX],
     count: usize,
 }
 
 impl Choice {
     /// Largest number of values.
-    pub const MOST: usize = 8;
+    pub const MAX: usize = 8;
 
     /// Creates a list of one to eight values; `None` for other lengths.
     pub fn new(list: &[f64]) -> Option<Self> {
-        let mut values = [0.0; Self::MOST];
+        let mut values = [0.0; Self::MAX];
         values.get_mut(..list.len())?.copy_from_slice(list);
         (!list.is_empty()).then_some(Self { values, count: list.len() })
     }
@@ -127,7 +127,7 @@ impl Number {
 
     /// Values that bound all possible ones, for validation. Absent bounds of a trained number are
     /// omitted.
-    pub fn extremes(&self) -> ArrayVec<f64, { Choice::MOST }> {
+    pub fn extremes(&self) -> ArrayVec<f64, { Choice::MAX }> {
         match *self {
             Self::Fixed(value) => [value].into_iter().collect(),
             Self::Uniform { low, high } | Self::LogUniform { low, high } => [low, high].into_iter().collect(),
@@ -165,25 +165,25 @@ const TRUNCATION: f64 = 3.0;
 /// system, the last of its own entries for an effect.
 #[derive(Clone, Copy, Debug)]
 pub struct Numbers<'a> {
-    list: [(&'static str, &'a Number); Numbers::MOST],
+    list: [(&'static str, &'a Number); Numbers::MAX],
     count: usize,
 }
 
 impl Default for Numbers<'_> {
     #[inline(always)]
     fn default() -> Self {
-        Self { list: [("", &Number::Fixed(0.0)); Self::MOST], count: 0 }
+        Self { list: [("", &Number::Fixed(0.0)); Self::MAX], count: 0 }
     }
 }
 
 impl<'a> Numbers<'a> {
     /// Largest number of numbers.
-    pub const MOST: usize = 8;
+    pub const MAX: usize = 8;
 
     /// Lists names and numbers.
     ///
     /// # Panics
-    /// With more than [`MOST`](Self::MOST) numbers.
+    /// With more than [`MAX`](Self::MAX) numbers.
     #[inline(always)]
     pub fn new<const N: usize>(numbers: [(&'static str, &'a Number); N]) -> Self {
         let mut all = Self { count: N, ..Self::default() };

@@ -69,9 +69,9 @@ pub trait Ode: Send + Sync {
     /// Adds `(∂f/∂x)ᵀ rate_bar`, `(∂f/∂u)ᵀ rate_bar` and `(∂f/∂p)ᵀ rate_bar` to those cotangents
     /// that are requested.
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], bars: Cotangents<'_, C>) {
+    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], cotangents: Cotangents<'_, C>) {
         let rate = Rate { ode: self, t: inputs.t };
-        default_vjp(&rate, inputs.lists(), rate_bar, bars.lists(), add_product(rate_bar));
+        default_vjp(&rate, inputs.lists(), rate_bar, cotangents.lists(), add_product(rate_bar));
     }
 
     /// Index of the velocity of component `i`, or `None` if `i` is not a position.
@@ -130,7 +130,7 @@ pub trait DynOde<T> {
 /// A [`DynOde`] with derivatives: object-safe [`Ode`] for one scalar and one cotangent type.
 pub trait DynOdeVjp<R, C>: DynOde<R> {
     /// See [`Ode::rate_vjp`].
-    fn rate_vjp(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], bars: Cotangents<'_, C>);
+    fn rate_vjp(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], cotangents: Cotangents<'_, C>);
     /// Writes row `i` of the Jacobian, `∂f_i/∂x`.
     fn slopes(&self, inputs: OdeInputs<'_, R>, i: usize, row: &mut [R]);
 }
@@ -173,8 +173,8 @@ impl<O: Ode, R: Real> Vectorized for Slopes<'_, O, R> {
 
 impl<O: Ode, R: Real, C: Cotangent<R>> DynOdeVjp<R, C> for O {
     #[inline(always)]
-    fn rate_vjp(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], bars: Cotangents<'_, C>) {
-        Ode::rate_vjp(self, inputs, rate_bar, bars);
+    fn rate_vjp(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], cotangents: Cotangents<'_, C>) {
+        Ode::rate_vjp(self, inputs, rate_bar, cotangents);
     }
 
     fn slopes(&self, inputs: OdeInputs<'_, R>, i: usize, row: &mut [R]) {
@@ -193,7 +193,7 @@ pub trait ForcedOde: ForcedSystem {
         effects: &E,
         inputs: OdeInputs<'_, R>,
         rate_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     );
 
     /// See [`Ode::velocity`].
@@ -223,11 +223,11 @@ impl<H: ForcedOde, E: Effect<H::Model>> Ode for Forced<H, E> {
     }
 
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], mut bars: Cotangents<'_, C>) {
-        if bars.p.is_some() && !System::varied(self, inputs.p.len()).is_empty() {
-            rate_param_vjp(self, inputs, rate_bar, bars.p.take());
+    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], mut cotangents: Cotangents<'_, C>) {
+        if cotangents.p.is_some() && !System::varied(self, inputs.p.len()).is_empty() {
+            rate_param_vjp(self, inputs, rate_bar, cotangents.p.take());
         }
-        self.system.forced_rate_vjp(&self.effects, inputs, rate_bar, bars);
+        self.system.forced_rate_vjp(&self.effects, inputs, rate_bar, cotangents);
     }
 
     #[inline(always)]
@@ -266,11 +266,11 @@ impl<H: ForcedOde> Ode for H {
     }
 
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], mut bars: Cotangents<'_, C>) {
-        if bars.p.is_some() && ForcedSystem::numbers(self).varied() > 0 {
-            rate_param_vjp(self, inputs, rate_bar, bars.p.take());
+    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], mut cotangents: Cotangents<'_, C>) {
+        if cotangents.p.is_some() && ForcedSystem::numbers(self).varied() > 0 {
+            rate_param_vjp(self, inputs, rate_bar, cotangents.p.take());
         }
-        self.forced_rate_vjp(&(), inputs, rate_bar, bars);
+        self.forced_rate_vjp(&(), inputs, rate_bar, cotangents);
     }
 
     #[inline(always)]

@@ -43,7 +43,7 @@ impl OpCount {
         let p = numbers(system.param_dim());
         let inputs = Inputs { x: &x, u: &u, p: &p, t: 0 };
         let (mut next, mut x_bar, mut u_bar) = (numbers(n), numbers(n), numbers(m));
-        let vjp = |bars: Cotangents<'_, Counted>| Ops::of(|| system.vjp(inputs, &next_bar, bars)).0;
+        let vjp = |cotangents: Cotangents<'_, Counted>| Ops::of(|| system.vjp(inputs, &next_bar, cotangents)).0;
         Self {
             step: Ops::of(|| system.step(inputs, &mut next)).0,
             vjp: vjp(Cotangents::of(&mut x_bar, &mut u_bar)),
@@ -99,13 +99,13 @@ impl TaskOpCount {
             terminal_cost_gradient: Ops::of(|| task.terminal_cost_gradient(&x, &p, &mut x_bar, Some(&mut p_bar))).0,
             ..Self::default()
         };
-        let bars = Cotangents { x: Some(&mut x_bar), u: Some(&mut u_bar), p: Some(&mut p_bar) };
-        counts.running_cost_gradient = Ops::of(|| task.running_cost_gradient(inputs, &next, bars, &mut next_bar)).0;
+        let cotangents = Cotangents { x: Some(&mut x_bar), u: Some(&mut u_bar), p: Some(&mut p_bar) };
+        counts.running_cost_gradient = Ops::of(|| task.running_cost_gradient(inputs, &next, cotangents, &mut next_bar)).0;
         if let Some(dim) = task.observation_dim() {
             let (mut y, inputs) = (numbers(dim), Inputs { u: &[], ..inputs });
             counts.observe = Ops::of(|| task.observe(inputs, &mut y)).0;
-            let bars = Cotangents { x: Some(&mut x_bar), u: None, p: Some(&mut p_bar) };
-            counts.observe_vjp = Ops::of(|| task.observe_vjp(inputs, &y, bars)).0;
+            let cotangents = Cotangents { x: Some(&mut x_bar), u: None, p: Some(&mut p_bar) };
+            counts.observe_vjp = Ops::of(|| task.observe_vjp(inputs, &y, cotangents)).0;
         }
         counts
     }

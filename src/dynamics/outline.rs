@@ -52,9 +52,9 @@ pub(crate) fn vjp<S: System + ?Sized, R: Real>(
     system: &S,
     inputs: Inputs<'_, R>,
     next_bar: &[One<R>],
-    bars: Cotangents<'_, One<R>>,
+    cotangents: Cotangents<'_, One<R>>,
 ) {
-    system.vjp(inputs, next_bar, bars);
+    system.vjp(inputs, next_bar, cotangents);
 }
 
 /// Cotangent of the reverse pass of one flow.
@@ -65,17 +65,17 @@ pub(crate) struct Reverse<'a, S, R, C> {
     pub(crate) system: &'a S,
     pub(crate) inputs: Inputs<'a, R>,
     pub(crate) next_bar: &'a [C],
-    pub(crate) bars: Cotangents<'a, C>,
+    pub(crate) cotangents: Cotangents<'a, C>,
 }
 
 impl<S: System, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, S, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { system, inputs, next_bar, bars } = self;
-        match bars {
+        let Self { system, inputs, next_bar, cotangents } = self;
+        match cotangents {
             // The request of most reverse passes, without branches.
             Cotangents { x: Some(x), u: Some(u), p: None } => system.vjp(inputs, next_bar, Cotangents::of(x, u)),
-            bars => system.vjp(inputs, next_bar, bars),
+            cotangents => system.vjp(inputs, next_bar, cotangents),
         }
     }
 }

@@ -77,21 +77,21 @@ impl<S: System> System for Substeps<S> {
     /// Needs the state cotangent even if only that of the control is requested: early inner steps
     /// influence the result through later states.
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], mut bars: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], mut cotangents: Cotangents<'_, C>) {
         if self.count <= 1 {
-            return self.system.vjp(inputs, next_bar, bars);
+            return self.system.vjp(inputs, next_bar, cotangents);
         }
         let n = inputs.x.len();
         let mut bar: SmallVec<[C; STACK / 2]> = SmallVec::from_slice(next_bar);
         let mut before: SmallVec<[C; STACK / 2]> = smallvec![C::null(); n];
         for (i, state) in self.states(inputs).chunks_exact(n).enumerate().rev() {
             before.fill(C::null());
-            let mut step_bars = bars.reborrow();
+            let mut step_bars = cotangents.reborrow();
             step_bars.x = Some(&mut before);
             self.system.vjp(self.inner(inputs, i).with_x(state), &bar, step_bars);
             std::mem::swap(&mut bar, &mut before);
         }
-        if let Some(x_bar) = bars.x {
+        if let Some(x_bar) = cotangents.x {
             add(x_bar, &bar);
         }
     }

@@ -66,8 +66,8 @@ pub trait System: Send + Sync {
     /// Adds the Jacobian products `(∂S/∂x)ᵀ next_bar`, `(∂S/∂u)ᵀ next_bar` and
     /// `(∂S/∂p)ᵀ next_bar` to those cotangents that are requested.
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
-        step_vjp(self, inputs, next_bar, bars);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+        step_vjp(self, inputs, next_bar, cotangents);
     }
 
     /// Writes the Jacobian product `(∂S/∂x) x_tan + (∂S/∂u) u_tan + (∂S/∂p) p_tan`.
@@ -102,9 +102,9 @@ pub(crate) fn step_vjp<S: System + ?Sized, R: Real, C: Cotangent<R>>(
     system: &S,
     inputs: Inputs<'_, R>,
     next_bar: &[C],
-    bars: Cotangents<'_, C>,
+    cotangents: Cotangents<'_, C>,
 ) {
-    outlined_vjp(system, inputs, next_bar, bars, &mut add_product(next_bar));
+    outlined_vjp(system, inputs, next_bar, cotangents, &mut add_product(next_bar));
 }
 
 /// [`default_vjp`] of a step. Outlined.
@@ -113,24 +113,24 @@ fn outlined_vjp<S: System + ?Sized, R: Real, C: Cotangent<R>>(
     system: &S,
     inputs: Inputs<'_, R>,
     next_bar: &[C],
-    bars: Cotangents<'_, C>,
+    cotangents: Cotangents<'_, C>,
     visit: &mut dyn FnMut(&mut C, &[R]),
 ) {
     struct Work<'a, S: ?Sized, R, C> {
         system: &'a S,
         inputs: Inputs<'a, R>,
         next_bar: &'a [C],
-        bars: Cotangents<'a, C>,
+        cotangents: Cotangents<'a, C>,
         visit: &'a mut dyn FnMut(&mut C, &[R]),
     }
     impl<S: System + ?Sized, R: Real, C: Cotangent<R>> Vectorized for Work<'_, S, R, C> {
         #[inline(always)]
         fn run<const FMA: bool>(self) {
-            let Self { system, inputs, next_bar, bars, visit } = self;
-            default_vjp(&Step { system, t: inputs.t }, inputs.lists(), next_bar, bars.lists(), visit);
+            let Self { system, inputs, next_bar, cotangents, visit } = self;
+            default_vjp(&Step { system, t: inputs.t }, inputs.lists(), next_bar, cotangents.lists(), visit);
         }
     }
-    outline::outline::<R>(Work { system, inputs, next_bar, bars, visit });
+    outline::outline::<R>(Work { system, inputs, next_bar, cotangents, visit });
 }
 
 fn jvp_by_duals<S: System + ?Sized, R: Real>(
@@ -139,11 +139,11 @@ fn jvp_by_duals<S: System + ?Sized, R: Real>(
     tangents: Tangents<'_, R>,
     next_tan: &mut [R],
 ) {
-    let lift = |values: &[R], tangents: Option<&[R]>| -> SmallVec<[Dual<R, 1>; 32]> {
+    let convert = |values: &[R], tangents: Option<&[R]>| -> SmallVec<[Dual<R, 1>; 32]> {
         let tangent = |i: usize| [tangents.map_or(R::zero(), |tangents| tangents[i])];
         values.iter().enumerate().map(|(i, &value)| Dual { value, tangents: tangent(i) }).collect()
     };
-    let (x, u, p) = (lift(x, tangents.x), lift(u, tangents.u), lift(p, tangents.p));
+    let (x, u, p) = (convert(x, tangents.x), convert(u, tangents.u), convert(p, tangents.p));
     let mut next = x.clone();
     outline::step(system, Inputs { x: &x, u: &u, p: &p, t }, &mut next);
     for (tan, next) in zip(next_tan.iter_mut(), &next) {

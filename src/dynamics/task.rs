@@ -55,13 +55,13 @@ pub trait Task: Send + Sync {
         y.copy_from_slice(inputs.x);
     }
     /// Adds the Jacobian products `(∂y/∂x)ᵀ y_bar` and `(∂y/∂p)ᵀ y_bar` of
-    /// [`observe`](Task::observe) to those of `bars` that are requested.
+    /// [`observe`](Task::observe) to those of `cotangents` that are requested.
     ///
     /// Defaults to exact derivatives, as [`System::vjp`] does. Override it for speed.
     #[inline(always)]
-    fn observe_vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, y_bar: &[C], bars: Cotangents<'_, C>) {
+    fn observe_vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, y_bar: &[C], cotangents: Cotangents<'_, C>) {
         let observation = Observation { task: self, t: inputs.t };
-        default_vjp(&observation, inputs.lists(), y_bar, bars.lists(), add_product(y_bar));
+        default_vjp(&observation, inputs.lists(), y_bar, cotangents.lists(), add_product(y_bar));
     }
 
     /// Running cost `l` of the step from `inputs` to `next`. Default: 0.
@@ -76,14 +76,20 @@ pub trait Task: Send + Sync {
     }
 
     /// Adds the gradient of [`running_cost`](Task::running_cost) to `next_bar` and to those of
-    /// `bars` that are requested.
+    /// `cotangents` that are requested.
     ///
     /// Defaults to exact derivatives, as [`System::vjp`] does. Override it for speed.
     #[inline(always)]
-    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+    fn running_cost_gradient<R: Real>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next: &[R],
+        cotangents: Cotangents<'_, R>,
+        next_bar: &mut [R],
+    ) {
         let (cost, Inputs { x, u, p, .. }) = (RunningCost { task: self, t: inputs.t }, inputs);
-        let bars = [bars.x, bars.u, bars.p, Some(next_bar)];
-        default_vjp(&cost, [x, u, p, next], &[R::one()], bars, |bar, slope| *bar += slope[0]);
+        let cotangents = [cotangents.x, cotangents.u, cotangents.p, Some(next_bar)];
+        default_vjp(&cost, [x, u, p, next], &[R::one()], cotangents, |bar, slope| *bar += slope[0]);
     }
     /// Adds the gradient of [`terminal_cost`](Task::terminal_cost) to `x_bar`, and to `p_bar` if
     /// requested.

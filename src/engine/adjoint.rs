@@ -322,7 +322,7 @@ impl<F: Float> Adjoint<F> {
         let (params, trained) = (policy.trained_params(), weights.trained(policy));
         let first = weights.theta().len() - params.len();
         for (i, (param, r)) in params.iter().zip(trained).enumerate() {
-            let slope = F::lift(param.slope(r.as_()));
+            let slope = F::from_f64(param.slope(r.as_()));
             for sample in samples.clone() {
                 let gradient = self.start_gradient(k, sample);
                 let by_p = gradient.values()[gradient.values().len() - self.param_dim + param.index()];
@@ -381,7 +381,7 @@ mod tests {
         for (i, x) in starts.chunks_exact_mut(6).enumerate() {
             Task::start(&task, &mut stream(0, Purpose::Train, i as u64), Start { x, p: &mut [] });
         }
-        let starts: Vec<F> = starts.into_iter().map(F::lift).collect();
+        let starts: Vec<F> = starts.into_iter().map(F::from_f64).collect();
         let mut rollout = Rollout::new(&task, &policy, 16);
         rollout.start(&starts);
         rollout.run(&task, &policy, &weights).expect("finite");

@@ -43,7 +43,7 @@ pub trait AnyTask<F: Float>: StepForward<F> + Observe<F> + StepBack<F, 1> + Step
         &self,
         inputs: Inputs<'_, Lane<F>>,
         next: &[Lane<F>],
-        bars: Cotangents<'_, Lane<F>>,
+        cotangents: Cotangents<'_, Lane<F>>,
         next_bar: &mut [Lane<F>],
     );
     #[doc(hidden)]
@@ -97,10 +97,10 @@ impl<T: Task, F: Float> AnyTask<F> for T {
         &self,
         inputs: Inputs<'_, Lane<F>>,
         next: &[Lane<F>],
-        bars: Cotangents<'_, Lane<F>>,
+        cotangents: Cotangents<'_, Lane<F>>,
         next_bar: &mut [Lane<F>],
     ) {
-        Task::running_cost_gradient(self, inputs, next, bars, next_bar);
+        Task::running_cost_gradient(self, inputs, next, cotangents, next_bar);
     }
 
     fn diagnose(&self, inputs: Inputs<'_, Single<F>>) -> Option<Cause> {
@@ -116,7 +116,7 @@ pub(crate) trait AnySystem<R: Real> {
     fn control_dim(&self) -> usize;
     fn param_dim(&self) -> usize;
     fn step(&self, inputs: Inputs<'_, R>, next: &mut [R]);
-    fn vjp(&self, inputs: Inputs<'_, R>, next_bar: &[One<R>], bars: Cotangents<'_, One<R>>);
+    fn vjp(&self, inputs: Inputs<'_, R>, next_bar: &[One<R>], cotangents: Cotangents<'_, One<R>>);
     fn jvp(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]);
 }
 
@@ -137,8 +137,8 @@ impl<S: System, R: Real> AnySystem<R> for S {
         outline::step(self, inputs, next);
     }
 
-    fn vjp(&self, inputs: Inputs<'_, R>, next_bar: &[One<R>], bars: Cotangents<'_, One<R>>) {
-        outline::vjp(self, inputs, next_bar, bars);
+    fn vjp(&self, inputs: Inputs<'_, R>, next_bar: &[One<R>], cotangents: Cotangents<'_, One<R>>) {
+        outline::vjp(self, inputs, next_bar, cotangents);
     }
 
     fn jvp(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]) {
@@ -150,7 +150,7 @@ impl<S: System, R: Real> AnySystem<R> for S {
 pub(crate) fn vjp<R: Real>(system: &dyn AnySystem<R>, inputs: Inputs<'_, R>, next_bar: &[R]) -> [Vec<R>; 3] {
     let next_bar: Vec<_> = next_bar.iter().map(|&bar| CotangentPack([bar])).collect();
     let [mut x, mut u, mut p] = [inputs.x, inputs.u, inputs.p].map(|inputs| vec![CotangentPack::null(); inputs.len()]);
-    let bars = Cotangents { x: Some(&mut x), u: Some(&mut u), p: (!p.is_empty()).then_some(&mut p) };
-    system.vjp(inputs, &next_bar, bars);
-    [x, u, p].map(|bars| bars.into_iter().map(|CotangentPack([bar])| bar).collect())
+    let cotangents = Cotangents { x: Some(&mut x), u: Some(&mut u), p: (!p.is_empty()).then_some(&mut p) };
+    system.vjp(inputs, &next_bar, cotangents);
+    [x, u, p].map(|cotangents| cotangents.into_iter().map(|CotangentPack([bar])| bar).collect())
 }

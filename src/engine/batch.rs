@@ -176,7 +176,7 @@ impl<F: Float> Batch<F> {
             "got {} numbers; expected 1 to {capacity} samples of {n} numbers each",
             starts.len()
         );
-        let scale = F::lift(1.0 / samples as f64);
+        let scale = F::from_f64(1.0 / samples as f64);
         let chunk = self.workers[0].rollout.capacity();
         let (mut loss, mut diverged) = (0.0, None);
         self.growth.fill(GrowthStats::default());

@@ -29,7 +29,7 @@ impl<F: Float> PartialEq for Gradient<F> {
 }
 
 /// Bound on the binary exponents of partial sums.
-const TAME: i32 = 60;
+const MAX_EXPONENT: i32 = 60;
 
 impl<F: Float> Gradient<F> {
     /// Creates a zero gradient.
@@ -142,7 +142,7 @@ impl<F: Float> Gradient<F> {
             *value += scaled(part, exponent.saturating_sub(*own));
         }
         let size: f64 = value.as_();
-        if size.is_finite() && size != 0.0 && exponent_of(size).abs() > TAME {
+        if size.is_finite() && size != 0.0 && exponent_of(size).abs() > MAX_EXPONENT {
             let by = exponent_of(size);
             (*value, *own) = (scaled(*value, -by), *own + by);
         }

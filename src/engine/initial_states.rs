@@ -30,5 +30,5 @@ pub(crate) fn append_start<F: Float>(task: &dyn AnyTask<F>, rng: &mut Rng, one: 
     one.fill(0.0);
     let (x, p) = one.split_at_mut(task.state_dim());
     task.start(rng, Start { x, p });
-    all.extend(one.iter().map(|&x| F::lift(x)));
+    all.extend(one.iter().map(|&x| F::from_f64(x)));
 }

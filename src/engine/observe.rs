@@ -80,8 +80,8 @@ impl<T: Task, F: Float> Vectorized for Back<'_, T, F> {
         let params = task.param_dim();
         for (block, x_bar) in x_bar.chunks_exact_mut(n).enumerate() {
             let p_bar = p_bar.as_deref_mut().map(|p_bar| &mut p_bar[block * params..][..params]);
-            let bars = Cotangents { x: Some(x_bar), u: None, p: p_bar };
-            task.observe_vjp(of_block(task, inputs, block), &y_bar[block * dim..][..dim], bars);
+            let cotangents = Cotangents { x: Some(x_bar), u: None, p: p_bar };
+            task.observe_vjp(of_block(task, inputs, block), &y_bar[block * dim..][..dim], cotangents);
         }
     }
 }

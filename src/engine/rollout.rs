@@ -202,7 +202,7 @@ impl<F: Float> Rollout<F> {
     /// Replaces the trained entries of the parameters of all samples.
     fn set_trained_params(&mut self, policy: &dyn AnyPolicy<F>, weights: &Weights<F>) {
         for (param, r) in policy.trained_params().iter().zip(weights.trained(policy)) {
-            let value = Lane::splat(F::lift(param.value(r.as_())));
+            let value = Lane::splat(F::from_f64(param.value(r.as_())));
             self.params.iter_mut().skip(param.index()).step_by(self.param_dim).for_each(|p| *p = value);
         }
     }

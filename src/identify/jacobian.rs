@@ -63,11 +63,11 @@ impl Run<'_> {
         let n = self.x.len();
         let directions = params.len() + if by_start { n } else { 0 };
         let mut all = vec![vec![vec![0.0; directions]; n]; self.steps + 1];
-        let lift = |values: &[f64]| values.iter().map(|&value| Dual64::from_re(value)).collect::<Vec<_>>();
-        let controls: Vec<Vec<Dual64>> = self.u.iter().map(|u| lift(u)).collect();
-        let zeros = lift(&vec![0.0; model.sizes()[1]]);
+        let convert = |values: &[f64]| values.iter().map(|&value| Dual64::from_re(value)).collect::<Vec<_>>();
+        let controls: Vec<Vec<Dual64>> = self.u.iter().map(|u| convert(u)).collect();
+        let zeros = convert(&vec![0.0; model.sizes()[1]]);
         for direction in 0..directions {
-            let (mut x, mut p) = (lift(self.x), lift(self.p));
+            let (mut x, mut p) = (convert(self.x), convert(self.p));
             match params.get(direction) {
                 Some(&index) => p[index].eps = 1.0,
                 None => x[direction - params.len()].eps = 1.0,

@@ -141,7 +141,7 @@ pub(crate) fn times_power_of_two(x: f64, exponent: i32) -> f64 {
 
 /// [`times_power_of_two`] in the precision `F`.
 pub(crate) fn scaled<F: Float>(x: F, exponent: i32) -> F {
-    F::lift(times_power_of_two(x.as_(), exponent))
+    F::from_f64(times_power_of_two(x.as_(), exponent))
 }
 
 /// [`scaled`], with underflow to the smallest subnormal number of the sign of `x` instead of 0.
@@ -151,7 +151,7 @@ pub(crate) fn scaled_with_sign<F: Float>(x: F, exponent: i32) -> F {
     if small != zero || x == zero {
         return small;
     }
-    F::lift(if x < zero { -smallest } else { smallest })
+    F::from_f64(if x < zero { -smallest } else { smallest })
 }
 
 #[cfg(test)]

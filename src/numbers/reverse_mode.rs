@@ -60,42 +60,42 @@ impl<R: Real> Recording<R> {
     pub(crate) fn pull<C: Cotangent<R>>(&self, output_bars: &[C], finish: impl FnOnce(&[C])) {
         struct Sweep<'a, R, C> {
             tape: &'a Tape<R>,
-            bars: &'a mut [C],
+            cotangents: &'a mut [C],
             guarded: bool,
         }
         impl<R: Real, C: Cotangent<R>> Vectorized for Sweep<'_, R, C> {
             #[inline(always)]
             fn run<const FMA: bool>(self) {
                 match self.guarded {
-                    false => self.tape.sweep(self.bars, |bar, slope| bar * slope),
-                    true => self.tape.sweep(self.bars, |bar, slope| bar.times_or_zero(slope)),
+                    false => self.tape.sweep(self.cotangents, |bar, slope| bar * slope),
+                    true => self.tape.sweep(self.cotangents, |bar, slope| bar.times_or_zero(slope)),
                 }
             }
         }
         let variables = self.tape.inputs();
-        lend(|bars: &mut Vec<C>| {
+        lend(|cotangents: &mut Vec<C>| {
             let mut sweep = |guarded: bool| {
-                bars.clear();
-                bars.resize(self.tape.numbers(), C::null());
+                cotangents.clear();
+                cotangents.resize(self.tape.numbers(), C::null());
                 for (output, &bar) in zip(&self.outputs, output_bars) {
                     if let Some(i) = output.index() {
-                        bars[i] += bar;
+                        cotangents[i] += bar;
                     }
                 }
-                let work = Sweep { tape: &self.tape, bars: bars.as_mut_slice(), guarded };
+                let work = Sweep { tape: &self.tape, cotangents: cotangents.as_mut_slice(), guarded };
                 if R::VECTORIZED {
                     dispatch_lanes(work)
                 } else {
                     work.run::<false>()
                 }
-                bars[..variables].iter().all(C::all_finite)
+                cotangents[..variables].iter().all(C::all_finite)
             };
             // The guarded sweep counts zero times a non-finite number as 0, as forward mode does.
             // Lanes with finite cotangents have the same bits in both sweeps.
             if !sweep(false) {
                 sweep(true);
             }
-            finish(&bars[..variables]);
+            finish(&cotangents[..variables]);
         });
     }
 }

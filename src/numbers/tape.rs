@@ -110,26 +110,26 @@ impl<R: Real> Tape<R> {
     ///
     /// `times(bar, slope)` is the product of a cotangent and a slope.
     #[inline(always)]
-    pub(crate) fn sweep<C: Cotangent<R>>(&self, bars: &mut [C], times: impl Fn(C, R) -> C) {
+    pub(crate) fn sweep<C: Cotangent<R>>(&self, cotangents: &mut [C], times: impl Fn(C, R) -> C) {
         let mut slopes = self.slopes.iter().rev();
         let mut slope = || *slopes.next().expect("a slope for each of an entry");
         for (i, entry) in self.entries.iter().enumerate().rev() {
-            let bar = bars[self.inputs + i];
+            let bar = cotangents[self.inputs + i];
             let [a, b] = entry.of;
             let (a, b) = (a as usize, b as usize);
             match entry.rule {
                 Rule::Sum => {
-                    bars[a] += bar;
-                    bars[b] += bar;
+                    cotangents[a] += bar;
+                    cotangents[b] += bar;
                 }
                 Rule::Difference => {
-                    bars[a] += bar;
-                    bars[b] -= bar;
+                    cotangents[a] += bar;
+                    cotangents[b] -= bar;
                 }
-                Rule::One => bars[a] += times(bar, slope()),
+                Rule::One => cotangents[a] += times(bar, slope()),
                 Rule::Two => {
-                    bars[b] += times(bar, slope());
-                    bars[a] += times(bar, slope());
+                    cotangents[b] += times(bar, slope());
+                    cotangents[a] += times(bar, slope());
                 }
             }
         }

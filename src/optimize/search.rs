@@ -154,22 +154,22 @@ impl Regularization {
     /// Value after 0.
     const FIRST: f64 = 1e-2;
     /// Smallest positive value.
-    const LEAST: f64 = 1e-6;
+    const SMALLEST: f64 = 1e-6;
     /// Smallest change of the factor.
     const FACTOR: f64 = 2.0;
     /// Largest value.
-    const MOST: f64 = 1e10;
+    const LARGEST: f64 = 1e10;
 
     /// Returns whether the value is still allowed.
     fn increase(&mut self) -> bool {
         self.factor = (self.factor * Self::FACTOR).max(Self::FACTOR);
         self.value = if self.value == 0.0 { Self::FIRST } else { self.value * self.factor };
-        self.value <= Self::MOST
+        self.value <= Self::LARGEST
     }
 
     fn decrease(&mut self) {
         self.factor = (self.factor / Self::FACTOR).min(1.0 / Self::FACTOR);
         let value = self.value * self.factor;
-        self.value = if value >= Self::LEAST { value } else { 0.0 };
+        self.value = if value >= Self::SMALLEST { value } else { 0.0 };
     }
 }

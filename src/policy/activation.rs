@@ -37,7 +37,7 @@ impl Activation {
     /// Value and derivative at `z`, with the vectorized tanh of layers.
     #[inline(always)]
     pub(crate) fn with_slope<F: Float, const FMA: bool>(self, z: F) -> (F, F) {
-        let (half, one) = (F::lift(0.5), F::one());
+        let (half, one) = (F::from_f64(0.5), F::one());
         match self {
             Self::Tanh => {
                 let h = z.layer_tanh::<FMA>();
@@ -51,9 +51,9 @@ impl Activation {
                 (h, sigma + h * (one - sigma))
             }
             Self::Gelu => {
-                let (c, cube) = (F::lift(GELU.0), F::lift(GELU.1));
+                let (c, cube) = (F::from_f64(GELU.0), F::from_f64(GELU.1));
                 let t = ((z + z * z * z * cube) * c).layer_tanh::<FMA>();
-                let inner = c * (one + F::lift(3.0) * cube * z * z);
+                let inner = c * (one + F::from_f64(3.0) * cube * z * z);
                 (z * half * (t + one), half * (t + one) + half * z * (one - t * t) * inner)
             }
         }

@@ -82,8 +82,8 @@ impl<P: Policy> Policy for Bounded<P> {
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {
         let inner = self.policy.sizes::<F>(columns);
-        let (slopes, bars) = (columns * self.bounds.len(), columns * self.outputs());
-        Sizes { tape: inner.tape + slopes, tape_bar: inner.tape_bar + bars, ..inner }
+        let (slopes, cotangents) = (columns * self.bounds.len(), columns * self.outputs());
+        Sizes { tape: inner.tape + slopes, tape_bar: inner.tape_bar + cotangents, ..inner }
     }
 
     fn pack<F: Float>(&self, theta: &[F], packed: &mut [F]) {
@@ -97,8 +97,8 @@ impl<P: Policy> Policy for Bounded<P> {
         for c in pass.at.iter() {
             let (u, slopes) = (&mut u[c * outputs..][..m], &mut slopes[c * m..][..m]);
             for i in 0..m {
-                let h = (u[i] * F::lift(1.0 / self.bounds[i])).tanh();
-                (u[i], slopes[i]) = (h * F::lift(self.bounds[i]), F::one() - h * h);
+                let h = (u[i] * F::from_f64(1.0 / self.bounds[i])).tanh();
+                (u[i], slopes[i]) = (h * F::from_f64(self.bounds[i]), F::one() - h * h);
             }
         }
     }

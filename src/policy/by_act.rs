@@ -50,7 +50,7 @@ pub(super) fn forward<P: Policy + ?Sized, F: Float>(policy: &P, pass: PolicyPass
 /// Writes `x_bar = (∂N/∂(y, m))ᵀ u_bar` in the columns of a pass.
 pub(super) fn input_vjp<P: Policy + ?Sized, F: Float>(policy: &P, pass: PolicyPass<F>, u_bar: &[F], x_bar: &mut [F]) {
     if in_reverse(policy) {
-        return each_cotangent(policy, pass, By::Inputs, u_bar, |at, bars| scatter(bars, at, x_bar));
+        return each_cotangent(policy, pass, By::Inputs, u_bar, |at, cotangents| scatter(cotangents, at, x_bar));
     }
     let (inputs, outputs) = dims(policy);
     let theta: Few<Chunk<Lane<F>>> = splat(pass.packed).map(Chunk::constant).collect();
@@ -74,10 +74,10 @@ pub(super) fn add_param_vjp<P: Policy + ?Sized, F: Float>(
 ) {
     let weight = |c: usize| record.weight.map_or(F::one(), |weight| weight[c]);
     if in_reverse(policy) {
-        return each_cotangent(policy, pass, By::Params, record.u_bar, |at, bars| {
+        return each_cotangent(policy, pass, By::Params, record.u_bar, |at, cotangents| {
             for (lane, c) in at.iter().enumerate() {
                 let weight = weight(c);
-                for (theta_bar, bar) in theta_bar.iter_mut().zip(bars) {
+                for (theta_bar, bar) in theta_bar.iter_mut().zip(cotangents) {
                     *theta_bar += weight * bar.lane(lane);
                 }
             }
@@ -131,11 +131,11 @@ fn each_cotangent<P: Policy + ?Sized, F: Float>(
     mut visit: impl FnMut(PolicyColumns, &[Lane<F>]),
 ) {
     let outputs = dims(policy).1;
-    lend(|(recording, bars): &mut (Recording<Lane<F>>, Vec<Lane<F>>)| {
+    lend(|(recording, cotangents): &mut (Recording<Lane<F>>, Vec<Lane<F>>)| {
         for (t, at) in pass.blocks() {
             dispatch_lanes(Recorded { policy, pass, by, t, at, recording });
-            gather(u_bar, outputs, at, bars);
-            recording.pull(bars, |cotangents| visit(at, cotangents));
+            gather(u_bar, outputs, at, cotangents);
+            recording.pull(cotangents, |pulled| visit(at, pulled));
         }
     });
 }

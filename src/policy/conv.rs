@@ -229,8 +229,8 @@ impl Policy for Conv {
         let [first, second, _] = Self::places_bar(&layers, total);
         // Only contiguous columns share a product.
         for at in at.blocks(if at.step == 1 { BLOCK } else { 1 }) {
-            let (windows, bars) = tape_bar.split_at_mut(first);
-            let (bar1, bar2) = bars.split_at_mut(second - first);
+            let (windows, cotangents) = tape_bar.split_at_mut(first);
+            let (bar1, bar2) = cotangents.split_at_mut(second - first);
             let bar1 = &mut bar1[at.first * len1..][..at.count * len1];
             let bar2 = &mut bar2[at.first * len2..][..at.count * len2];
             let (a, b) = (&packed[self.packed_dense(two)..], &u_bar[at.first..]);
@@ -282,10 +282,10 @@ impl Policy for Conv {
         let layers = self.layers::<F>();
         let [_, two] = &layers;
         let places = self.places::<F>(&layers, total);
-        let bars = Self::places_bar(&layers, total);
+        let cotangents = Self::places_bar(&layers, total);
         for (i, l) in layers.iter().enumerate() {
             let (sum, scaled) = scratch.split_at_mut(l.slot_out * l.depth());
-            let (all_inputs, all_bars) = (&tape[places.all[i]..], &tape_bar[bars[i]..]);
+            let (all_inputs, all_bars) = (&tape[places.all[i]..], &tape_bar[cotangents[i]..]);
             for block in at.blocks(DEPTH.max(l.capacity) / l.capacity) {
                 let columns = block.as_range();
                 let mut input = &all_inputs[columns.start * l.input()..columns.end * l.input()];

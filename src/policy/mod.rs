@@ -315,7 +315,7 @@ impl<F: Float> Weights<F> {
     pub fn init(policy: &dyn AnyPolicy<F>, rng: &mut Rng) -> Self {
         let mut theta = vec![0.0; policy.param_count()];
         policy.init(rng, &mut theta);
-        Self::new(policy, theta.into_iter().map(F::lift).collect())
+        Self::new(policy, theta.into_iter().map(F::from_f64).collect())
     }
 
     /// The parameters `θ`.

@@ -177,7 +177,7 @@ trait Cell {
         u: &mut [T],
     );
 
-    /// Writes to `bars` the cotangents of the outputs of all affine maps but the last,
+    /// Writes to `cotangents` the cotangents of the outputs of all affine maps but the last,
     /// `[map][unit]`. Adds those of the observation and the memory to `x_bar`.
     ///
     /// `next_bar` contains the cotangents of the next memory.
@@ -187,12 +187,20 @@ trait Cell {
         memory: &[R],
         stored: &[R],
         next_bar: &[R],
-        bars: &mut [R],
+        cotangents: &mut [R],
         x_bar: Option<(&mut [R], &mut [R])>,
     );
 
     /// Adds the parameter gradient of one column.
-    fn add_gradient<F: Float>(&self, x: (&[F], &[F]), stored: &[F], bars: &[F], u_bar: &[F], factor: F, theta_bar: &mut [F]);
+    fn add_gradient<F: Float>(
+        &self,
+        x: (&[F], &[F]),
+        stored: &[F],
+        cotangents: &[F],
+        u_bar: &[F],
+        factor: F,
+        theta_bar: &mut [F],
+    );
 
     /// The map from the next memory to the control.
     fn to_control(&self) -> Affine;
@@ -228,16 +236,16 @@ impl Cell for Elman {
         _memory: &[R],
         next: &[R],
         next_bar: &[R],
-        bars: &mut [R],
+        cotangents: &mut [R],
         x_bar: Option<(&mut [R], &mut [R])>,
     ) {
         let [to_memory, _] = self.maps();
-        for (bar, (&m, &m_bar)) in zip(bars.iter_mut(), zip(next.iter(), next_bar)) {
+        for (bar, (&m, &m_bar)) in zip(cotangents.iter_mut(), zip(next.iter(), next_bar)) {
             *bar = m_bar * (R::one() - m * m);
         }
         if let Some((y_bar, memory_bar)) = x_bar {
             for (i, bar) in y_bar.iter_mut().chain(memory_bar).enumerate() {
-                *bar += to_memory.input_bar(theta, i, bars);
+                *bar += to_memory.input_bar(theta, i, cotangents);
             }
         }
     }
@@ -246,13 +254,13 @@ impl Cell for Elman {
         &self,
         (y, memory): (&[F], &[F]),
         next: &[F],
-        bars: &[F],
+        cotangents: &[F],
         u_bar: &[F],
         factor: F,
         theta_bar: &mut [F],
     ) {
         let [to_memory, to_control] = self.maps();
-        to_memory.add_gradient(y.iter().chain(memory).copied(), bars, factor, theta_bar);
+        to_memory.add_gradient(y.iter().chain(memory).copied(), cotangents, factor, theta_bar);
         to_control.add_gradient(next.iter().copied(), u_bar, factor, theta_bar);
     }
 
@@ -305,12 +313,12 @@ impl Cell for Gru {
         memory: &[R],
         stored: &[R],
         next_bar: &[R],
-        bars: &mut [R],
+        cotangents: &mut [R],
         x_bar: Option<(&mut [R], &mut [R])>,
     ) {
         let [to_update, to_reset, to_candidate, _] = self.maps();
         let ([z, r, n, _], observations) = (parts(stored), self.0.observations);
-        let [z_bar, r_bar, n_bar] = parts_mut(bars);
+        let [z_bar, r_bar, n_bar] = parts_mut(cotangents);
         for i in 0..memory.len() {
             z_bar[i] = next_bar[i] * (n[i] - memory[i]) * z[i] * (R::one() - z[i]);
             n_bar[i] = next_bar[i] * z[i] * (R::one() - n[i] * n[i]);
@@ -335,13 +343,13 @@ impl Cell for Gru {
         &self,
         (y, memory): (&[F], &[F]),
         stored: &[F],
-        bars: &[F],
+        cotangents: &[F],
         u_bar: &[F],
         factor: F,
         theta_bar: &mut [F],
     ) {
         let [to_update, to_reset, to_candidate, to_control] = self.maps();
-        let ([_, r, _, next], [z_bar, r_bar, n_bar]) = (parts(stored), parts(bars));
+        let ([_, r, _, next], [z_bar, r_bar, n_bar]) = (parts(stored), parts(cotangents));
         to_update.add_gradient(y.iter().chain(memory).copied(), z_bar, factor, theta_bar);
         to_reset.add_gradient(y.iter().chain(memory).copied(), r_bar, factor, theta_bar);
         let kept = zip(r.iter(), memory).map(|(&r, &m)| r * m);
@@ -409,8 +417,8 @@ impl<C: Cell, F: Float> Vectorized for Backward<'_, C, F> {
         let Self { cell, pass, tape, u_bar, tape_bar, mut x_bar, buffers } = self;
         let Shape { observations, units, controls } = cell.shape();
         let (inputs, to_control) = (observations + units, cell.to_control());
-        let [x, stored, outputs_bar, bars, inputs_bar] = buffers;
-        bars.resize(units * C::BARS, Lane::zero());
+        let [x, stored, outputs_bar, cotangents, inputs_bar] = buffers;
+        cotangents.resize(units * C::BARS, Lane::zero());
         inputs_bar.resize(inputs, Lane::zero());
         for (_, at) in pass.blocks() {
             gather(pass.x, inputs, at, x);
@@ -422,8 +430,8 @@ impl<C: Cell, F: Float> Vectorized for Backward<'_, C, F> {
             }
             inputs_bar.fill(Lane::zero());
             let requested = x_bar.is_some().then(|| inputs_bar.split_at_mut(observations));
-            cell.reverse(pass.packed, &x[observations..], stored, next_bar, bars, requested);
-            scatter(bars, at, tape_bar);
+            cell.reverse(pass.packed, &x[observations..], stored, next_bar, cotangents, requested);
+            scatter(cotangents, at, tape_bar);
             if let Some(x_bar) = &mut x_bar {
                 scatter(inputs_bar, at, x_bar);
             }
@@ -497,10 +505,10 @@ macro_rules! recurrent {
                 for c in pass.at.iter() {
                     let x = &pass.x[c * (observations + units)..][..observations + units];
                     let stored = &record.tape[c * units * Self::STORED..][..units * Self::STORED];
-                    let bars = &record.tape_bar[c * units * Self::BARS..][..units * Self::BARS];
+                    let cotangents = &record.tape_bar[c * units * Self::BARS..][..units * Self::BARS];
                     let u_bar = &record.u_bar[c * (controls + units)..][..controls];
                     let factor = record.weight.map_or(F::one(), |weight| weight[c]);
-                    self.add_gradient(x.split_at(observations), stored, bars, u_bar, factor, theta_bar);
+                    self.add_gradient(x.split_at(observations), stored, cotangents, u_bar, factor, theta_bar);
                 }
             }
         }

@@ -14,7 +14,7 @@
 //!
 //! Start with `commands/train` and `tasks/scene`.
 
-// `println!` panics on a closed pipe. `terminal::say` and `terminal::tell` do not.
+// `println!` panics on a closed pipe. `terminal::print_result` and `terminal::print_message` do not.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 mod commands;
@@ -29,7 +29,7 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 use commands::{accuracy, animate, check, compare, effects, explain, identify, new, paper, print, report, robust, stress, train};
 use platform::signals;
-use platform::terminal::tell;
+use platform::terminal::print_message;
 use runs::run;
 use scenes::overrides::Overrides;
 use std::process::ExitCode;
@@ -152,7 +152,7 @@ impl Program {
             (Ok(()), Some(signal)) => ExitCode::from(signals::exit_status(signal)),
             (Ok(()), None) => ExitCode::SUCCESS,
             (Err(error), _) => {
-                tell(&format!("error: {error:#}"));
+                print_message(&format!("error: {error:#}"));
                 if error.is::<run::NoUpdate>() { ExitCode::from(NO_UPDATE) } else { ExitCode::FAILURE }
             }
         }

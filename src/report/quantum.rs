@@ -31,7 +31,7 @@ const MAX_ROWS: usize = 64;
 ///
 /// The large map shows the probability density over time and position. A cursor moves through it,
 /// and through the control and the fidelity `|⟨φ, ψ⟩|²` below. The panel at the right shows the
-/// current density as bars, and that of the target.
+/// current density as cotangents, and that of the target.
 ///
 /// The animation ends before the first state that is non-finite or of a different length.
 pub fn quantum(states: &[Vec<f64>], controls: &[f64], target: &[f64], length: f64, dt: f64) -> Animation {

@@ -121,7 +121,7 @@ impl Ode for DoublePendulum {
         &self,
         OdeInputs { x, u, .. }: OdeInputs<'_, R>,
         rate_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
         let Motion { first, second, between: [sin, cos], accelerations: [alpha, second_alpha] } = self.motion(x, u);
         let coupling = R::from(self.inertias()[1]);
@@ -133,13 +133,13 @@ impl Ode for DoublePendulum {
         // sin Δ enters the torques, cos Δ the matrix.
         let delta_bar =
             w * (coupling * (sin * second_alpha - cos * second_spin)) + second_w * (coupling * (sin * alpha + cos * spin));
-        if let Some(x_bar) = bars.x {
+        if let Some(x_bar) = cotangents.x {
             x_bar[0] += w * (weight * first[1]) + delta_bar;
             x_bar[1] += rate_bar[0] + second_w * (throw * x[1]);
             x_bar[2] += second_w * (second_weight * second[1]) - delta_bar;
             x_bar[3] += rate_bar[2] - w * (throw * x[3]);
         }
-        if let Some(u_bar) = bars.u {
+        if let Some(u_bar) = cotangents.u {
             u_bar[0] += w;
         }
     }

@@ -180,9 +180,15 @@ impl<S: HasModel<GuidanceSystem>> Task for Guidance<S> {
     }
 
     #[inline(always)]
-    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+    fn running_cost_gradient<R: Real>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next: &[R],
+        cotangents: Cotangents<'_, R>,
+        next_bar: &mut [R],
+    ) {
         let slope = R::from(2.0 * self.control_weight());
-        for (u_bar, &u) in zip(bars.u.into_iter().flatten(), inputs.u) {
+        for (u_bar, &u) in zip(cotangents.u.into_iter().flatten(), inputs.u) {
             *u_bar += u * slope;
         }
         if self.loss == LossMode::Running {

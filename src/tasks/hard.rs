@@ -72,8 +72,8 @@ impl System for AnyHard {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
-        whichever!(self, task => outline::<R>(Reverse { system: task.system(), inputs, next_bar, bars }));
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+        whichever!(self, task => outline::<R>(Reverse { system: task.system(), inputs, next_bar, cotangents }));
     }
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
@@ -111,14 +111,20 @@ impl AnyHard {
     }
 
     #[inline(never)]
-    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+    fn running_cost_gradient<R: Real>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next: &[R],
+        cotangents: Cotangents<'_, R>,
+        next_bar: &mut [R],
+    ) {
         match self {
             // These tasks have a terminal cost only.
             Self::Slider(_) | Self::Bounce(_) | Self::Push(_) => {}
-            Self::Lqr(task) => task.running_cost_gradient(inputs, next, bars, next_bar),
-            Self::DoublePendulum(task) => task.running_cost_gradient(inputs, next, bars, next_bar),
-            Self::MultiPendulum(task) => task.running_cost_gradient(inputs, next, bars, next_bar),
-            Self::PoleChain(task) => task.running_cost_gradient(inputs, next, bars, next_bar),
+            Self::Lqr(task) => task.running_cost_gradient(inputs, next, cotangents, next_bar),
+            Self::DoublePendulum(task) => task.running_cost_gradient(inputs, next, cotangents, next_bar),
+            Self::MultiPendulum(task) => task.running_cost_gradient(inputs, next, cotangents, next_bar),
+            Self::PoleChain(task) => task.running_cost_gradient(inputs, next, cotangents, next_bar),
         }
     }
 
@@ -157,11 +163,17 @@ impl<S: HasModel<AnyHard>> Task for Hard<S> {
         task.terminal_cost(&x[..task.state_dim()], p)
     }
 
-    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], mut bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+    fn running_cost_gradient<R: Real>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next: &[R],
+        mut cotangents: Cotangents<'_, R>,
+        next_bar: &mut [R],
+    ) {
         let task = self.system.model();
         let n = task.state_dim();
-        bars.x = bars.x.map(|x_bar| &mut x_bar[..n]);
-        task.running_cost_gradient(inputs.with_x(&inputs.x[..n]), &next[..n], bars, &mut next_bar[..n]);
+        cotangents.x = cotangents.x.map(|x_bar| &mut x_bar[..n]);
+        task.running_cost_gradient(inputs.with_x(&inputs.x[..n]), &next[..n], cotangents, &mut next_bar[..n]);
     }
 
     fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], _p_bar: Option<&mut [R]>) {

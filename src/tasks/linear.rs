@@ -108,16 +108,16 @@ fn dot<T: Scalar>(row: &[f64], x: &[T]) -> T {
     sum
 }
 
-/// Adds `Mᵀ next_bar` to `bars` for a row-major M with `bars.len()` columns.
+/// Adds `Mᵀ next_bar` to `cotangents` for a row-major M with `cotangents.len()` columns.
 #[inline(always)]
-fn transposed<R: Real, C: Cotangent<R>>(matrix: &[f64], next_bar: &[C], bars: &mut [C]) {
-    let columns = bars.len();
+fn transposed<R: Real, C: Cotangent<R>>(matrix: &[f64], next_bar: &[C], cotangents: &mut [C]) {
+    let columns = cotangents.len();
     for j in 0..columns {
         let mut bar = C::null();
         for i in 0..next_bar.len() {
             bar += next_bar[i] * R::from(matrix[i * columns + j]);
         }
-        bars[j] += bar;
+        cotangents[j] += bar;
     }
 }
 
@@ -139,8 +139,8 @@ impl System for LinearPlant {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
-        for (matrix, bar) in [(&self.a, bars.x), (&self.b, bars.u)] {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+        for (matrix, bar) in [(&self.a, cotangents.x), (&self.b, cotangents.u)] {
             if let Some(bar) = bar {
                 transposed(matrix, next_bar, bar);
             }

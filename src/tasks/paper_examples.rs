@@ -34,8 +34,8 @@ impl System for Accumulator {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, _inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
-        for bar in [bars.x, bars.u].into_iter().flatten() {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, _inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+        for bar in [cotangents.x, cotangents.u].into_iter().flatten() {
             add(bar, next_bar);
         }
     }

@@ -32,11 +32,11 @@ use factor::{factor, solve};
 pub struct PoleChain(pub CartPoleSystem);
 
 /// Largest number of bodies: the cart and all poles.
-const MOST: usize = PoleChain::MOST_POLES + 1;
+const MAX_BODIES: usize = PoleChain::MAX_POLES + 1;
 /// One value per body.
-type Each<T> = ArrayVec<T, MOST>;
+type Each<T> = ArrayVec<T, MAX_BODIES>;
 /// Lower triangle of a matrix, by rows.
-type Triangle<T> = ArrayVec<T, { MOST * (MOST + 1) / 2 }>;
+type Triangle<T> = ArrayVec<T, { MAX_BODIES * (MAX_BODIES + 1) / 2 }>;
 
 /// Terms of the equations of motion.
 struct Motion<T> {
@@ -56,7 +56,7 @@ impl<T> Motion<T> {
 
 impl PoleChain {
     /// Largest number of poles. Buffers of a step are on the stack.
-    pub const MOST_POLES: usize = 20;
+    pub const MAX_POLES: usize = 20;
 
     /// Checks that the masses, the half length and the number of poles are valid, and that all
     /// numbers are fixed.
@@ -67,7 +67,7 @@ impl PoleChain {
         if let Some(number) = self.0.numbers().placed(0).pop() {
             return Err(MassError::Varies { number: number.name });
         }
-        self.0.check_up_to(Self::MOST_POLES)
+        self.0.check_up_to(Self::MAX_POLES)
     }
 
     /// Returns kinetic plus potential energy of a state, J. It is 0 at rest with all poles
@@ -112,7 +112,7 @@ impl PoleChain {
     /// Computes all terms in an empty `motion`. Returning a [`Motion`] would copy its whole
     /// capacity.
     #[inline(always)]
-    fn move_on<T: Scalar>(&self, x: &[T], u: &[T], motion: &mut Motion<T>) {
+    fn solve_motion<T: Scalar>(&self, x: &[T], u: &[T], motion: &mut Motion<T>) {
         let Motion { sin, cos, factors, accelerations } = motion;
         accelerations.push(u[0]);
         factors.push(T::from(self.mass()));
@@ -152,7 +152,7 @@ impl Ode for PoleChain {
     #[inline(always)]
     fn rate<T: Scalar>(&self, OdeInputs { x, u, .. }: OdeInputs<'_, T>, rate: &mut [T]) {
         let mut motion = Motion::new();
-        self.move_on(x, u, &mut motion);
+        self.solve_motion(x, u, &mut motion);
         for i in 0..=self.0.poles {
             rate[2 * i] = x[2 * i + 1];
             rate[2 * i + 1] = motion.accelerations[i];
@@ -166,20 +166,20 @@ impl Ode for PoleChain {
         &self,
         OdeInputs { x, u, .. }: OdeInputs<'_, R>,
         rate_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
         let mut motion = Motion::new();
-        self.move_on(x, u, &mut motion);
+        self.solve_motion(x, u, &mut motion);
         let Motion { sin, cos, factors, accelerations: a } = &motion;
         let mut w = Each::<C>::new();
         for i in 0..=self.0.poles {
             w.push(rate_bar[2 * i + 1]);
         }
         solve(factors, &mut w);
-        if let Some(u_bar) = bars.u {
+        if let Some(u_bar) = cotangents.u {
             u_bar[0] += w[0];
         }
-        let Some(x_bar) = bars.x else { return };
+        let Some(x_bar) = cotangents.x else { return };
         for i in 0..=self.0.poles {
             x_bar[2 * i + 1] += rate_bar[2 * i];
         }

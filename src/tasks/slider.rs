@@ -149,14 +149,14 @@ impl System for SliderSystem {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, u, .. }: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, u, .. }: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
         let slid = self.slide(x[1], u[0]);
         let speed_bar = next_bar[1] + next_bar[0] * R::from(self.dt);
-        if let Some(x_bar) = bars.x {
+        if let Some(x_bar) = cotangents.x {
             x_bar[0] += next_bar[0];
             x_bar[1] += speed_bar * slid.by_speed;
         }
-        if let Some(u_bar) = bars.u {
+        if let Some(u_bar) = cotangents.u {
             u_bar[0] += speed_bar * slid.by_push;
         }
     }

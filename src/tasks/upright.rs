@@ -140,9 +140,15 @@ impl<S: System> Task for Upright<S> {
     }
 
     #[inline(always)]
-    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+    fn running_cost_gradient<R: Real>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next: &[R],
+        cotangents: Cotangents<'_, R>,
+        next_bar: &mut [R],
+    ) {
         self.height_gradient(self.worth()[0], next, next_bar);
-        if let Some(u_bar) = bars.u {
+        if let Some(u_bar) = cotangents.u {
             for (u_bar, &u) in zip(u_bar.iter_mut(), inputs.u) {
                 *u_bar += u * self.effort_per_step();
             }

@@ -37,7 +37,7 @@ pub enum Field<C = SignAgreement> {
 ///     }
 ///     fn combine<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]) {
 ///         for ((out, &a), &b) in out.iter_mut().zip(first).zip(second) {
-///             *out = (a + b) * F::lift(0.5);
+///             *out = (a + b) * F::from_f64(0.5);
 ///         }
 ///     }
 /// }

@@ -45,7 +45,7 @@ impl Clip {
             Self::None => gradient.flatten(),
             Self::Value(limit) => {
                 gradient.flatten();
-                let (low, high) = (F::lift(-limit), F::lift(limit));
+                let (low, high) = (F::from_f64(-limit), F::from_f64(limit));
                 for g in gradient.values_mut(0) {
                     // Comparisons preserve NaN.
                     *g = if *g < low {
@@ -60,7 +60,7 @@ impl Clip {
             Self::Norm(limit) if norm.get() > limit => {
                 // Norm of the stored values, without the exponent.
                 let length = norm.over_power_of_two(gradient.exponent());
-                let factor = F::lift(limit / length);
+                let factor = F::from_f64(limit / length);
                 for g in gradient.values_mut(0) {
                     *g *= factor;
                 }
@@ -145,7 +145,7 @@ impl<F: Float> Optimizer<F> {
     /// Creates an optimizer for `params` parameters.
     pub fn new(rule: OptimizerKind, learning_rate: f64, params: usize) -> Self {
         let start = if let OptimizerKind::Adagrad { initial, .. } = rule { initial } else { 0.0 };
-        Self { rule, learning_rate, steps: 0, first: vec![F::lift(start); params], second: vec![F::zero(); params] }
+        Self { rule, learning_rate, steps: 0, first: vec![F::from_f64(start); params], second: vec![F::zero(); params] }
     }
 
     /// Creates Adam with the defaults of Keras.
@@ -241,12 +241,12 @@ impl<F: Float> Vectorized for Step<'_, F> {
         let Optimizer { rule, steps, first, second, .. } = self.optimizer;
         let rate = self.rate;
         let all = self.theta.iter_mut().zip(self.gradient).zip(first).zip(second).map(|(((t, &g), m), v)| (t, g, m, v));
-        let lift = F::lift;
+        let convert = F::from_f64;
         match *rule {
             OptimizerKind::Adam { beta1, beta2, epsilon } => {
                 let steps = i32::try_from(*steps).unwrap_or(i32::MAX);
-                let rate = lift(rate * (1.0 - beta2.powi(steps)).sqrt() / (1.0 - beta1.powi(steps)));
-                let (share1, share2, epsilon) = (lift(1.0 - beta1), lift(1.0 - beta2), lift(epsilon));
+                let rate = convert(rate * (1.0 - beta2.powi(steps)).sqrt() / (1.0 - beta1.powi(steps)));
+                let (share1, share2, epsilon) = (convert(1.0 - beta1), convert(1.0 - beta2), convert(epsilon));
                 for (theta, g, m, v) in all {
                     *m += (g - *m) * share1;
                     *v += (g * g - *v) * share2;
@@ -255,33 +255,33 @@ impl<F: Float> Vectorized for Step<'_, F> {
             }
             OptimizerKind::Sgd => {
                 for (theta, g, _, _) in all {
-                    *theta -= g * lift(rate);
+                    *theta -= g * convert(rate);
                 }
             }
             OptimizerKind::Momentum { momentum } => {
                 for (theta, g, m, _) in all {
-                    *m = *m * lift(momentum) - g * lift(rate);
+                    *m = *m * convert(momentum) - g * convert(rate);
                     *theta += *m;
                 }
             }
             OptimizerKind::RmsProp { rho, epsilon } => {
                 for (theta, g, m, _) in all {
-                    *m = *m * lift(rho) + g * g * lift(1.0 - rho);
-                    *theta -= g * lift(rate) / Float::sqrt(*m + lift(epsilon));
+                    *m = *m * convert(rho) + g * g * convert(1.0 - rho);
+                    *theta -= g * convert(rate) / Float::sqrt(*m + convert(epsilon));
                 }
             }
             OptimizerKind::Adagrad { epsilon, .. } => {
                 for (theta, g, m, _) in all {
                     *m += g * g;
-                    *theta -= g * lift(rate) / Float::sqrt(*m + lift(epsilon));
+                    *theta -= g * convert(rate) / Float::sqrt(*m + convert(epsilon));
                 }
             }
             OptimizerKind::Adadelta { rho, epsilon } => {
                 for (theta, g, m, v) in all {
-                    *m = *m * lift(rho) + g * g * lift(1.0 - rho);
-                    let step = g * Float::sqrt(*v + lift(epsilon)) / Float::sqrt(*m + lift(epsilon));
-                    *v = *v * lift(rho) + step * step * lift(1.0 - rho);
-                    *theta -= step * lift(rate);
+                    *m = *m * convert(rho) + g * g * convert(1.0 - rho);
+                    let step = g * Float::sqrt(*v + convert(epsilon)) / Float::sqrt(*m + convert(epsilon));
+                    *v = *v * convert(rho) + step * step * convert(1.0 - rho);
+                    *theta -= step * convert(rate);
                 }
             }
         }

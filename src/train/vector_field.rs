@@ -190,7 +190,7 @@ impl GradientCombiner for Rotated {
 
     /// Rotates `first`. If combined, compares signs with `second`. Requires two components.
     fn combine<F: Float>(&self, first: &[F], second: &[F], out: &mut [F]) {
-        let strength = F::lift(self.strength);
+        let strength = F::from_f64(self.strength);
         let rotated = [first[0] - strength * first[1], first[1] + strength * first[0]];
         if self.combined {
             SignAgreement.combine(&rotated, second, out);

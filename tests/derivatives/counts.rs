@@ -136,17 +136,17 @@ impl<const BY_HAND: bool> System for Spring<BY_HAND> {
         next[1] = x[1] + (u[0] - x[0] * x[0] * x[0]) * DT;
         next[0] = x[0] + next[1] * DT;
     }
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
         if !BY_HAND {
-            return ByDuals(self).vjp(inputs, next_bar, bars);
+            return ByDuals(self).vjp(inputs, next_bar, cotangents);
         }
         let (x, dt) = (inputs.x, R::from(DT));
         let speed_bar = next_bar[1] + next_bar[0] * dt;
-        if let Some(x_bar) = bars.x {
+        if let Some(x_bar) = cotangents.x {
             x_bar[0] += next_bar[0] - speed_bar * (R::from(3.0) * x[0] * x[0] * dt);
             x_bar[1] += speed_bar;
         }
-        if let Some(u_bar) = bars.u {
+        if let Some(u_bar) = cotangents.u {
             u_bar[0] += speed_bar * dt;
         }
     }
@@ -208,8 +208,8 @@ fn bits<R: Real<Real = f64>, S: System>(system: &S, x: &[f64]) -> Vec<u64> {
     let mut draw = |len: usize| -> Vec<R> { (0..len).map(|_| R::from(rng.random_range(-1.0..1.0))).collect() };
     let (n, m) = (system.state_dim(), system.control_dim());
     let x: Vec<R> = x.iter().map(|&x| R::from(x)).collect();
-    let (u, bars) = (draw(m), draw(2 * n));
-    let next_bar: Vec<_> = bars.chunks_exact(2).map(|bars| CotangentPack([bars[0], bars[1]])).collect();
+    let (u, cotangents) = (draw(m), draw(2 * n));
+    let next_bar: Vec<_> = cotangents.chunks_exact(2).map(|cotangents| CotangentPack([cotangents[0], cotangents[1]])).collect();
     let mut all = vec![R::zero(); n];
     let null = CotangentPack::<R, 2>::null();
     let (mut x_bar, mut state_bar, mut u_bar, mut control_bar) = (vec![null; n], vec![null; n], vec![null; m], vec![null; m]);

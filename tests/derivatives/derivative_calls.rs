@@ -74,14 +74,14 @@ impl<T: Task> System for WatchedTask<T> {
         self.step.note();
         self.inner.system().step(inputs, next);
     }
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
-        match (&bars.x, &bars.u) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+        match (&cotangents.x, &cotangents.u) {
             (Some(_), Some(_)) => &self.vjp,
             (Some(_), None) => &self.vjp_state,
             _ => &self.vjp_control,
         }
         .note();
-        self.inner.system().vjp(inputs, next_bar, bars);
+        self.inner.system().vjp(inputs, next_bar, cotangents);
     }
 }
 
@@ -102,9 +102,15 @@ impl<T: Task> Task for WatchedTask<T> {
     fn terminal_cost<S: Scalar>(&self, x: &[S], p: &[S]) -> S {
         self.inner.terminal_cost(x, p)
     }
-    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+    fn running_cost_gradient<R: Real>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next: &[R],
+        cotangents: Cotangents<'_, R>,
+        next_bar: &mut [R],
+    ) {
         self.running_cost_gradient.note();
-        self.inner.running_cost_gradient(inputs, next, bars, next_bar);
+        self.inner.running_cost_gradient(inputs, next, cotangents, next_bar);
     }
     fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
         self.terminal_cost_gradient.note();

@@ -140,18 +140,18 @@ impl System for Faulty {
             next[1] = before;
         }
     }
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
         let (mut x_part, mut u_part) = ([C::null(); 4], [C::null()]);
         self.system.vjp(inputs, next_bar, Cotangents::of(&mut x_part, &mut u_part));
         match self.fault {
             Fault::State => x_part[3] += x_part[3] * R::from(1e-6),
             Fault::Control => u_part[0] = -u_part[0],
-            Fault::ControlAlone if bars.x.is_none() => u_part[0] += u_part[0],
+            Fault::ControlAlone if cotangents.x.is_none() => u_part[0] += u_part[0],
             Fault::NaN => x_part[2] = x_part[2] * R::from(f64::NAN),
             Fault::Lanes if R::LANES > 1 => x_part[0] += x_part[1] * R::from(1e-15),
             _ => {}
         }
-        let sides = [(bars.x, &x_part[..], self.fault == Fault::Overwrite), (bars.u, &u_part, false)];
+        let sides = [(cotangents.x, &x_part[..], self.fault == Fault::Overwrite), (cotangents.u, &u_part, false)];
         for (bar, part, overwrite) in sides {
             for (bar, &part) in bar.into_iter().flatten().zip(part) {
                 *bar = if overwrite { part } else { *bar + part };
@@ -295,7 +295,7 @@ impl Policy for OneOff {
     fn param_gradient<F: Float>(&self, pass: PolicyPass<F>, record: PolicyRecord<F>, scratch: &mut [F], theta_bar: &mut [F]) {
         self.conv.param_gradient(pass, record, scratch, theta_bar);
         let largest = theta_bar.iter().fold(0.0, |largest: f64, &bar| largest.max(AsPrimitive::<f64>::as_(bar).abs()));
-        theta_bar[self.index] += F::lift(1e-3 * largest);
+        theta_bar[self.index] += F::from_f64(1e-3 * largest);
     }
 }
 
@@ -329,11 +329,11 @@ fn one_wrong_weight_among_many_is_found_in_rollouts() {
 fn cotangent_columns_do_not_mix() {
     let system = CartPole::new(1).system;
     let (x, u) = ([0.1, -0.2, 3.0, 0.5], [2.0]);
-    let bars = [[1.0, -0.5, 0.25, 2.0], [0.0, 3.0, -1.0, 0.5]];
-    let both: Vec<_> = (0..4).map(|i| CotangentPack([bars[0][i], bars[1][i]])).collect();
+    let cotangents = [[1.0, -0.5, 0.25, 2.0], [0.0, 3.0, -1.0, 0.5]];
+    let both: Vec<_> = (0..4).map(|i| CotangentPack([cotangents[0][i], cotangents[1][i]])).collect();
     let (mut x_bar, mut u_bar) = ([CotangentPack([0.0; 2]); 4], [CotangentPack([0.0; 2])]);
     system.vjp(Inputs::new(&x, &u), &both, Cotangents::of(&mut x_bar, &mut u_bar));
-    for (k, bar) in bars.iter().enumerate() {
+    for (k, bar) in cotangents.iter().enumerate() {
         let (mut x_alone, mut u_alone) = ([0.0; 4], [0.0]);
         system.vjp(Inputs::new(&x, &u), bar, Cotangents::of(&mut x_alone, &mut u_alone));
         assert_eq!(x_bar.map(|c| c.0[k]), x_alone);

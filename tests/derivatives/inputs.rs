@@ -75,14 +75,19 @@ impl<const CONTROLS: usize> Task for Tracking<CONTROLS> {
             y[2] = (p[1] - x[1]) * x[0] + (0.1 * t as f64);
         }
     }
-    fn observe_vjp<R: Real, C: Cotangent<R>>(&self, Inputs { x, p, .. }: Inputs<'_, R>, y_bar: &[C], bars: Cotangents<'_, C>) {
+    fn observe_vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        Inputs { x, p, .. }: Inputs<'_, R>,
+        y_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
         let (sin, cos) = x[0].sin_cos();
         let sign = if self.fault == Fault::Observation { -R::one() } else { R::one() };
-        if let Some(x_bar) = bars.x {
+        if let Some(x_bar) = cotangents.x {
             x_bar[0] += y_bar[0] * (cos * sign) - y_bar[1] * sin + y_bar[2] * (p[1] - x[1]);
             x_bar[1] -= y_bar[2] * x[0];
         }
-        if let (Some(p_bar), true) = (bars.p, self.fault != Fault::ObservationOfParams) {
+        if let (Some(p_bar), true) = (cotangents.p, self.fault != Fault::ObservationOfParams) {
             p_bar[1] += y_bar[2] * x[0];
         }
     }
@@ -90,18 +95,24 @@ impl<const CONTROLS: usize> Task for Tracking<CONTROLS> {
         let miss = next[0] - p[1];
         miss * miss * (1.0 + t as f64) + (next[1] - x[1]) * x[0] + u[0] * u[0] * p[0]
     }
-    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+    fn running_cost_gradient<R: Real>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next: &[R],
+        cotangents: Cotangents<'_, R>,
+        next_bar: &mut [R],
+    ) {
         let Inputs { x, u, p, t } = inputs;
         next_bar[0] += (next[0] - p[1]) * R::from(2.0 * (1.0 + t as f64));
         next_bar[1] += x[0];
-        if let (Some(x_bar), true) = (bars.x, self.fault != Fault::CostOfState) {
+        if let (Some(x_bar), true) = (cotangents.x, self.fault != Fault::CostOfState) {
             x_bar[0] += next[1] - x[1];
             x_bar[1] -= x[0];
         }
-        if let Some(u_bar) = bars.u {
+        if let Some(u_bar) = cotangents.u {
             u_bar[0] += u[0] * p[0] * R::from(2.0);
         }
-        if let (Some(p_bar), true) = (bars.p, self.fault != Fault::CostOfParams) {
+        if let (Some(p_bar), true) = (cotangents.p, self.fault != Fault::CostOfParams) {
             p_bar[0] += u[0] * u[0];
             p_bar[1] -= (next[0] - p[1]) * R::from(2.0 * (1.0 + t as f64));
         }

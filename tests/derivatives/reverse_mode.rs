@@ -155,8 +155,8 @@ fn counts(system: &impl System) -> [Ops; 3] {
         Ops::of(|| system.step(Inputs::new(&x, &[]), &mut next)).0,
         Ops::of(|| vjp(system, &x, &x, Counted(0.0))).0,
         Ops::of(|| {
-            let bars = Cotangents { x: Some(&mut x_bars), ..Cotangents::default() };
-            system.vjp(Inputs::new(&x, &[]), &next_bars, bars);
+            let cotangents = Cotangents { x: Some(&mut x_bars), ..Cotangents::default() };
+            system.vjp(Inputs::new(&x, &[]), &next_bars, cotangents);
         })
         .0,
     ]
@@ -168,7 +168,7 @@ fn operations_are_those_of_values_slopes_and_cotangents() {
     let n = N as u64;
     for (operation, (name, _)) in functions::<f64>().into_iter().enumerate() {
         // Per number: the step, the slopes, and the passage of one column of cotangents.
-        let (step, slopes, bars) = match name {
+        let (step, slopes, cotangents) = match name {
             "add" => (Ops { add: 1, ..none }, none, Ops { add: 2, ..none }),
             "sub" => (Ops { add: 1, ..none }, none, Ops { add: 2, ..none }),
             "add_f64" => (Ops { add: 1, ..none }, none, none),
@@ -188,7 +188,7 @@ fn operations_are_those_of_values_slopes_and_cotangents() {
         };
         let times = |ops: Ops, factor: u64| (0..factor).fold(none, |sum, _| sum + ops);
         // Each column adds the cotangent of each output, and finally that of each input.
-        let columns = |k: u64| times(step + slopes, n) + times(bars + Ops { add: 2, ..none }, k * n);
+        let columns = |k: u64| times(step + slopes, n) + times(cotangents + Ops { add: 2, ..none }, k * n);
         assert_eq!(counts(&Pairs { operation }), [times(step, n), columns(1), columns(2)], "{name}");
     }
 }

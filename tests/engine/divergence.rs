@@ -289,7 +289,7 @@ impl GradientCombiner for Broken {
     }
     fn combine<F: Float>(&self, first: &[F], _: &[F], out: &mut [F]) {
         out.copy_from_slice(first);
-        out[0] = F::lift(self.0);
+        out[0] = F::from_f64(self.0);
     }
 }
 

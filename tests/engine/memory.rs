@@ -23,7 +23,7 @@ fn held<T>(work: impl FnOnce() -> T) -> (T, usize, usize) {
 /// Draws small parameters, so that long rollouts stay near their initial state.
 fn weights<F: Float, P: Policy>(policy: &P) -> Weights<F> {
     let mut rng = stream(3, Purpose::Check, 0);
-    Weights::new(policy, (0..policy.param_count()).map(|_| F::lift(rng.random_range(-0.1..0.1))).collect())
+    Weights::new(policy, (0..policy.param_count()).map(|_| F::from_f64(rng.random_range(-0.1..0.1))).collect())
 }
 
 fn starts<F: Float, T: Task>(task: &T, samples: usize) -> Vec<F> {
@@ -38,7 +38,7 @@ fn stored<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: usize, fl
     rollout.start(&starts(task, samples));
     rollout.run(task, policy, &weights)?;
     let mut adjoint = Adjoint::new(task, policy, &rollout, flows);
-    adjoint.run(task, policy, &weights, &rollout, F::lift(0.5))?;
+    adjoint.run(task, policy, &weights, &rollout, F::from_f64(0.5))?;
     let mut all: Vec<F> = (0..samples).map(|sample| rollout.cost(sample)).collect();
     for k in 0..flows.len() {
         let mut theta_bar = Gradient::zeros(policy.param_count());
@@ -63,7 +63,7 @@ fn scheduled<F: Float, T: Task, P: Policy>(
     // The first run has one more sample. Its remains in the buffers must not affect the second run.
     let more = [&starts[..], &starts[..starts.len() / samples]].concat();
     for starts in [&more, &starts] {
-        rollout.run(task, policy, &weights, starts, F::lift(0.5), samples + 1, &mut gradients)?;
+        rollout.run(task, policy, &weights, starts, F::from_f64(0.5), samples + 1, &mut gradients)?;
     }
     let costs = (0..samples).map(|sample| rollout.cost(sample));
     Ok(costs.chain(gradients.iter().flatten().flat_map(Gradient::to_vec)).collect())

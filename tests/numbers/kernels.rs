@@ -227,9 +227,9 @@ fn search<F: Format>(known: &[f64], mut draw: impl FnMut(&mut Rng) -> f64, error
         }
         worst.1
     };
-    look(known.iter().flat_map(|&x| [F::lift(x), F::lift(-x)]).collect());
+    look(known.iter().flat_map(|&x| [F::from_f64(x), F::from_f64(-x)]).collect());
     for _ in 0..ROUNDS {
-        let at = look((0..ARGUMENTS).map(|_| F::lift(draw(&mut rng))).collect());
+        let at = look((0..ARGUMENTS).map(|_| F::from_f64(draw(&mut rng))).collect());
         let reach = ARGUMENTS as i64 / 4;
         look((-reach..reach).map(|by| at.further(by)).collect());
     }

@@ -63,9 +63,9 @@ fn a_wrong_derivative_of_an_effect_is_found() {
             _model: &CartPoleSystem,
             _inputs: OdeInputs<'_, R>,
             forces_bar: &[C],
-            bars: Cotangents<'_, C>,
+            cotangents: Cotangents<'_, C>,
         ) {
-            if let Some(x_bar) = bars.x {
+            if let Some(x_bar) = cotangents.x {
                 x_bar[0] += forces_bar[0];
             }
         }

@@ -174,17 +174,17 @@ fn quantum_has_the_operations_of_hand_written_physics_plus_a_product_per_point()
 fn same_physics<A: System, B: System>(a: &A, b: &B) {
     let (n, m) = (a.state_dim(), a.control_dim());
     let wave = |len: usize, speed: f64| (0..len).map(|i| (1.0 + speed * i as f64).sin()).collect::<Vec<_>>();
-    let (x, u, bars) = (wave(n, 1.3), wave(m, 0.7), wave(n, 2.1));
+    let (x, u, cotangents) = (wave(n, 1.3), wave(m, 0.7), wave(n, 2.1));
     let mut found = [vec![0.0; 2 * n + m], vec![0.0; 2 * n + m]];
     for (found, by_hand) in found.iter_mut().zip([false, true]) {
         let (next, rest) = found.split_at_mut(n);
         let (x_bar, u_bar) = rest.split_at_mut(n);
         if by_hand {
             b.step(Inputs::new(&x, &u), next);
-            b.vjp(Inputs::new(&x, &u), &bars, Cotangents::of(x_bar, u_bar));
+            b.vjp(Inputs::new(&x, &u), &cotangents, Cotangents::of(x_bar, u_bar));
         } else {
             a.step(Inputs::new(&x, &u), next);
-            a.vjp(Inputs::new(&x, &u), &bars, Cotangents::of(x_bar, u_bar));
+            a.vjp(Inputs::new(&x, &u), &cotangents, Cotangents::of(x_bar, u_bar));
         }
     }
     for (a, b) in found[0].iter().zip(&found[1]) {

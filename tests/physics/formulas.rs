@@ -305,7 +305,7 @@ fn cart_pole_steps_as<H: ForcedSystem<Model = CartPoleSystem> + Clone>(
         };
         steps_as(&what, &Forced { system: system.clone(), effects: effect.clone() }, next);
         steps_as(&what, &Forced { system: system.clone(), effects: vec![effect.clone()] }, next);
-        steps_as(&what, &Felt { model, effect: effect.clone() }, |x, _| {
+        steps_as(&what, &EffectAlone { model, effect: effect.clone() }, |x, _| {
             let mut applied = applied(&model, x);
             applied.resize(x.len(), 0.0);
             applied
@@ -318,12 +318,12 @@ fn cart_pole_steps_as<H: ForcedSystem<Model = CartPoleSystem> + Clone>(
 }
 
 /// Writes the forces of an effect to the first components of the next state.
-struct Felt<E> {
+struct EffectAlone<E> {
     model: CartPoleSystem,
     effect: E,
 }
 
-impl<E: Effect<CartPoleSystem>> System for Felt<E> {
+impl<E: Effect<CartPoleSystem>> System for EffectAlone<E> {
     fn state_dim(&self) -> usize {
         2 + 2 * self.model.poles
     }
@@ -337,8 +337,8 @@ impl<E: Effect<CartPoleSystem>> System for Felt<E> {
         next.fill(T::zero());
         self.effect.add_forces(&self.model, inputs.continuous(self.model.dt), &mut next[..1 + self.model.poles]);
     }
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
-        self.effect.vjp(&self.model, inputs.continuous(self.model.dt), &next_bar[..1 + self.model.poles], bars);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+        self.effect.vjp(&self.model, inputs.continuous(self.model.dt), &next_bar[..1 + self.model.poles], cotangents);
     }
 }
 

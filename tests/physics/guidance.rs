@@ -276,10 +276,10 @@ fn agents_at_one_place_in_lanes_beside_others() {
     let starts: [Vec<f64>; W] = distances.map(|distance| row_of_agents(4, distance, true));
     let x: Vec<physgrad::Lanes<f64, W>> = (0..16).map(|i| physgrad::Lanes(std::array::from_fn(|l| starts[l][i]))).collect();
     let u = [physgrad::Lanes([0.3; W]); 4];
-    let bars: Vec<_> = (0..16).map(|i| CotangentPack([physgrad::Lanes([f64::from(i) - 7.5; W])])).collect();
+    let cotangents: Vec<_> = (0..16).map(|i| CotangentPack([physgrad::Lanes([f64::from(i) - 7.5; W])])).collect();
     let (mut next, mut x_bar, mut u_bar) = (x.clone(), vec![CotangentPack::null(); 16], vec![CotangentPack::null(); 4]);
     system.step(Inputs::new(&x, &u), &mut next);
-    system.vjp(Inputs::new(&x, &u), &bars, Cotangents::of(&mut x_bar, &mut u_bar));
+    system.vjp(Inputs::new(&x, &u), &cotangents, Cotangents::of(&mut x_bar, &mut u_bar));
     for (lane, start) in starts.iter().enumerate() {
         let (mut plain, mut plain_bar, mut plain_u) = ([0.0; 16], [0.0; 16], [0.0; 4]);
         system.step(Inputs::new(start, &[0.3; 4]), &mut plain);

@@ -70,9 +70,9 @@ fn step<S: System>(system: &S, x: &[f64], u: &[f64]) -> Vec<f64> {
 
 /// Returns the next state, followed by the cotangents of state and control.
 fn step_and_vjp<S: System>(system: &S, x: &[f64], u: &[f64]) -> Vec<f64> {
-    let bars: Vec<f64> = (0..x.len()).map(|i| (i as f64 * 1.3).cos()).collect();
+    let cotangents: Vec<f64> = (0..x.len()).map(|i| (i as f64 * 1.3).cos()).collect();
     let (mut x_bar, mut u_bar) = (vec![0.0; x.len()], vec![0.0; u.len()]);
-    system.vjp(Inputs::new(x, u), &bars, Cotangents::of(&mut x_bar, &mut u_bar));
+    system.vjp(Inputs::new(x, u), &cotangents, Cotangents::of(&mut x_bar, &mut u_bar));
     [step(system, x, u), x_bar, u_bar].concat()
 }
 
@@ -250,8 +250,8 @@ fn obstacles_have_finite_derivatives_at_their_centers_and_worlds_away() {
         let obstacles = Obstacles { centers: vec![[0.0; 2]], radius: 0.5, stiffness: 10.0 };
         let x = [R::from(0.6 * r), R::from(0.8 * r), R::zero(), R::zero()];
         let mut bar = [R::null(); 4];
-        let bars = Cotangents { x: Some(&mut bar), ..Cotangents::default() };
-        obstacles.vjp(&model, Inputs::new(&x, &[]).continuous(0.0), &[R::one(), R::from(-2.0)], bars);
+        let cotangents = Cotangents { x: Some(&mut bar), ..Cotangents::default() };
+        obstacles.vjp(&model, Inputs::new(&x, &[]).continuous(0.0), &[R::one(), R::from(-2.0)], cotangents);
         assert!(bar.iter().all(|&b| finite(b)), "{bar:?} at {r:e}");
     }
     for r in [0.0, 1e-300, 1e-40, 1e-20, 1e20, 1e38, 1e200, 1e308] {

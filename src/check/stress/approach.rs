@@ -20,7 +20,7 @@ pub(super) const CASES: &[Case] = &[Case {
                 128 substeps and the implicit midpoint rule with 16: the energy changes by at most 10 % over 10,000 \
                 steps. With attraction, semi-implicit quarter steps and full implicit steps are reported as stable, \
                 full semi-implicit steps as unstable",
-    story: "A spring that the steps do not resolve gains energy at every approach, and gradients include this \
+    explanation: "A spring that the steps do not resolve gains energy at every approach, and gradients include this \
                 error. `check::stability` returns the spectral radius of a step at a state. Its text names remedies. \
                 Limits: training does not call it",
     run: guidance_close_approach,

@@ -18,7 +18,7 @@ pub(super) const CASES: &[Case] = &[Case {
                 within 10 %. 64 pairs of rollouts start one rounding apart. At half of ln(1/ε)/Λ, the adjoints of \
                 each pair have the same direction (cosine at least 0.99). At twice ln(1/ε)/Λ, the signs of 30 to 70 \
                 % of the pairs agree",
-    story: "In chaos, a gradient over long times is exact but useless: two rollouts one rounding apart have \
+    explanation: "In chaos, a gradient over long times is exact but useless: two rollouts one rounding apart have \
                 unrelated gradients. No exponent corrects this. Beyond ln(1/ε)/Λ, here 12,400 steps, the signs of R \
                 are those of rounding errors. The growth meter reports this horizon. Limits: only the sign is \
                 random; at twice the horizon all adjoints are still collinear",

@@ -19,7 +19,7 @@ pub(super) const CASES: &[Case] = &[Case {
                 are biased, and reported without a bound. Damped springs are biased: for a ball with the same \
                 rebound, errors exceed 10 %. A spring that the steps do not resolve is reported as unstable. A step \
                 that reflects the speed below the floor has an error of at least one half (a planted fault)",
-    story: "An impact has a derivative that fixed steps miss, often with the wrong sign: that of the time of \
+    explanation: "An impact has a derivative that fixed steps miss, often with the wrong sign: that of the time of \
                 impact. The time-of-impact model is exact. Penalty springs converge only in steps so short that \
                 stiffness times step vanishes too. With damping they are biased, and labelled so. Limits: impacts \
                 here are along a line; frictional contact in the plane is not covered",

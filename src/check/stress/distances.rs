@@ -16,7 +16,7 @@ pub(super) const CASES: &[Case] = &[Case {
     criterion: "states, JVPs and VJPs are finite. Dual numbers and VJP agree to 1e-12 (f64) and 1e-5 (f32), also for \
                 position components alone. Forces have the correct direction and magnitude to 1e-12 (f64) and 1e-5 \
                 (f32). An unguarded distance has a non-finite derivative (a planted fault)",
-    story: "The norm |r| has no derivative at 0, and r² underflows at 1e-162 and overflows at 1e154. Each case \
+    explanation: "The norm |r| has no derivative at 0, and r² underflows at 1e-162 and overflows at 1e154. Each case \
                 yields NaN in the reverse pass of an unguarded distance. Here separations are scaled by a power of \
                 two before squaring. The derivative at 0 is that of the force, which is smooth. Limits: at 0 a force \
                 has no direction, and is 0",

@@ -15,7 +15,7 @@ pub(super) const CASES: &[Case] = &[Case {
                 plus the delay by smoothing. The derivative of the distance by v₀ is finite, and within 2 % of v₀/(μ \
                 g) at 1e-3 m/s and below. Explicit steps oscillate exactly where `check::stability` reports \
                 instability, with the multiplier |1 - dt μ g/ε| to 1e-6",
-    story: "Sharply smoothed dry friction is stiff: an explicit step overshoots rest and oscillates \
+    explanation: "Sharply smoothed dry friction is stiff: an explicit step overshoots rest and oscillates \
                 indefinitely, and its derivative alternates and grows. The implicit step solves for the speed after \
                 the step, and its derivative is that of the solution. Limits: smoothed friction creeps where real \
                 friction sticks",

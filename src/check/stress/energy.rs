@@ -16,7 +16,7 @@ pub(super) const CASES: &[Case] = &[Case {
                 upright at rest. With symplectic Euler, the largest error of the last tenth is at most 1.01 times that \
                 of the first, and the means of both tenths differ by at most 1 % of the amplitude. With explicit \
                 Euler, they differ by at least 10 %",
-    story: "Explicit Euler gains energy at every step, and training can exploit this gain. RK4 \
+    explanation: "Explicit Euler gains energy at every step, and training can exploit this gain. RK4 \
                 loses little over long times; symplectic methods have no trend. Scenes select the method by \
                 `integrator.method`, and `physgrad accuracy` measures errors and costs. Limits: with RK4, the energy \
                 of the chain drifts in chaos, as reported",

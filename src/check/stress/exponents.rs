@@ -19,7 +19,7 @@ pub(super) const CASES: &[Case] = &[Case {
                 (x_T - 1)² / 2",
     criterion: "R, M and C agree with a reference with 32-bit exponents: signs exactly, largest components to 1e-9 \
                 (f64) and 1e-2 (f32). A component is 0 only where the reference is 0",
-    story: "Without exponents, the adjoint of a plant that grows by e per step overflows after 88 steps in f32 \
+    explanation: "Without exponents, the adjoint of a plant that grows by e per step overflows after 88 steps in f32 \
                 and 710 in f64. The gradient is then NaN or clipped to an arbitrary value, and C, which compares the \
                 signs of M and R, is silently 0. Here λ and h of each sample carry a power of two, as does the \
                 gradient. Signs of R are as accurate as the trajectory at any horizon. Clipping by norm accepts any \
@@ -71,9 +71,9 @@ impl Task for Plant {
 /// `[∂L/∂k, ∂L/∂b]` of a flow, with states in the precision of `F` and adjoints with 32-bit
 /// exponents.
 fn reference<F: Float>(plant: &Plant, gain: f64, flow: Flow) -> [ExtendedF64; 2] {
-    let mut states = vec![F::lift(plant.start)];
+    let mut states = vec![F::from_f64(plant.start)];
     for t in 0..HORIZON {
-        states.push(F::lift(plant.a) * states[t] + F::lift(gain) * states[t]);
+        states.push(F::from_f64(plant.a) * states[t] + F::from_f64(gain) * states[t]);
     }
     let factor = plant.a + if flow.control != 0.0 { gain } else { 0.0 };
     let mut lambda = ExtendedF64::from(states[HORIZON].as_() - 1.0);
@@ -106,9 +106,9 @@ fn of_precision<F: Float>(plants: &[[f64; 3]], allowed: f64) -> Vec<Finding> {
     for &[a, gain, start] in plants {
         let plant = Plant { a, start };
         let policy = Linear::with_bias(1, 1);
-        let weights = Weights::new(&policy, vec![F::lift(gain), F::zero()]);
+        let weights = Weights::new(&policy, vec![F::from_f64(gain), F::zero()]);
         let mut batch = Batch::new(&plant, &policy, 1, &Field::combined().flows(), 1);
-        if batch.run(&plant, &policy, &weights, &[F::lift(start)]).is_err() {
+        if batch.run(&plant, &policy, &weights, &[F::from_f64(start)]).is_err() {
             all += 6;
             continue;
         }

@@ -19,7 +19,7 @@ pub(super) const CASES: &[Case] = &[Case {
     name: "injected_nan",
     about: "effect that fails at one step of one sample, in its force or only in its derivative",
     criterion: "step, sample, pass and effect are named exactly, for any number of workers. No parameter changes",
-    story: "Without checks, a NaN appears in the loss an epoch later, when all parameters contain it. Here both \
+    explanation: "Without checks, a NaN appears in the loss an epoch later, when all parameters contain it. Here both \
                 passes check every step. The message names the effect whose force or derivative is non-finite. \
                 Training skips the update, and stops after more than `max_skipped` consecutive skips. Limits: a \
                 fault inside a custom system is reported as a component of the state",

@@ -30,7 +30,7 @@ pub(super) const CASES: &[Case] = &[Case {
                 logarithm to within 10 %. The adjoint of R is nowhere larger than twice its norm at the first step. \
                 From zero gain and from a gentle stabilizing gain, the relative excess loss of C is at most 1e-2 \
                 after 3000 updates",
-    story: "On an unstable plant, R includes the feedback and is bounded. M omits the feedback and grows with \
+    explanation: "On an unstable plant, R includes the feedback and is bounded. M omits the feedback and grows with \
                 the plant. The growth meter reports most of this growth in every epoch. From the gains of the criterion, C converges \
                 with one initial state per batch and clipping by norm. Limits: from 1.5 times the best gain, or with \
                 mini-batches, C may stall. On such plants follow R",

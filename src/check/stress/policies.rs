@@ -13,7 +13,7 @@ pub(super) const CASES: &[Case] = &[Case {
     about: "policy inputs of 1e6, weights times 1e3, angles of 1e6 rad",
     criterion: "all values are finite. A saturated tanh has a derivative of exactly 0. Dual numbers and VJP agree to \
                 1e-12",
-    story: "Saturated layers give 0/0 or ∞ - ∞ where tanh is computed from exponentials, and sines of large \
+    explanation: "Saturated layers give 0/0 or ∞ - ∞ where tanh is computed from exponentials, and sines of large \
                 angles lose all digits under careless range reduction. Limits: beyond 1e6 rad, sine and cosine come \
                 from the standard library, which takes longer",
     run: saturated_policy,
@@ -42,12 +42,12 @@ fn saturated<F: Float>() -> [Finding; 2] {
     let mut finite = true;
     for (of_weights, of_inputs) in [(1.0, 1.0), (1e3, 1e-6)] {
         let mut weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Check, 0));
-        weights.update(&policy, |theta| theta.iter_mut().for_each(|t| *t *= F::lift(of_weights)));
-        let x: Vec<F> = (0..columns).flat_map(|c| x.map(|x| F::lift(x * of_inputs * (1.0 + 0.1 * c as f64)))).collect();
+        weights.update(&policy, |theta| theta.iter_mut().for_each(|t| *t *= F::from_f64(of_weights)));
+        let x: Vec<F> = (0..columns).flat_map(|c| x.map(|x| F::from_f64(x * of_inputs * (1.0 + 0.1 * c as f64)))).collect();
         let sizes = policy.sizes::<F>(columns);
         let zeros = |len: usize| vec![F::zero(); len];
         let (mut tape, mut u, mut tape_bar) = (zeros(sizes.tape), zeros(columns), zeros(sizes.tape_bar));
-        let mut x_bar = vec![F::lift(f64::NAN); 4 * columns];
+        let mut x_bar = vec![F::from_f64(f64::NAN); 4 * columns];
         let pass = PolicyPass::new(weights.packed(), PolicyColumns::range(0..columns), &x);
         policy.forward(pass, &mut tape, &mut u);
         policy.backward(pass, &tape, &vec![F::one(); columns], &mut tape_bar, Some(&mut x_bar));

@@ -22,7 +22,7 @@ pub(super) const CASES: &[Case] = &[Case {
                 without control, where each step rounds alike, is reported without a bound. The norm of the adjoint \
                 drifts by at most 1e-10. Integration forward and backward in time ends within 1e-9 of the initial \
                 state. A wave with losses fails (a planted fault)",
-    story: "The Crank-Nicolson step and its adjoint are unitary except for rounding, so neither explodes. In f64 \
+    explanation: "The Crank-Nicolson step and its adjoint are unitary except for rounding, so neither explodes. In f64 \
                 the norm drifts within its bound. In f32, each step of a wave without control rounds alike, and the \
                 norm can drift beyond the original bound of 1e-2. `Renormalized` restores the norm and differentiates \
                 the restoration. A correction of the plain step would change the bits of the paper's runs",

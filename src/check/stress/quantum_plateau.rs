@@ -12,7 +12,7 @@ pub(super) const CASES: &[Case] = &[Case {
     about: "zero overlap with the target and zero control, with a policy whose output layer is zero",
     criterion: "the gradient is finite, smaller than 1e-6 of that at neighbouring parameters, and reported as a \
                 plateau. From an initial state with overlap, it is reported as a slope",
-    story: "Where the initial state has no overlap with the target and the control is zero, the gradient is 0 \
+    explanation: "Where the initial state has no overlap with the target and the control is zero, the gradient is 0 \
                 except for rounding. An optimizer that divides by its norm, as Adam does, follows noise. \
                 `check::plateau` compares a gradient with those at neighbouring parameters and reports a plateau, a \
                 minimum or a slope. The paper's initialization for eigenstate 3, with a zeroed output layer, is such \

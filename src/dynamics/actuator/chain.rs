@@ -92,13 +92,13 @@ impl<A: Actuator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, A, R, C> 
         let mut before_bar: Controls<C> = smallvec![C::null(); m];
         for (i, (actuator, given)) in chain.iter().zip(given.chunks_exact(m)).enumerate().rev() {
             let begin = end - actuator.state_dim(m);
-            let bars = OutputCotangents { state: &next_bar.state[begin..end], out: &out_bar };
+            let cotangents = OutputCotangents { state: &next_bar.state[begin..end], out: &out_bar };
             let here = state_bar.as_deref_mut().map(|state_bar| &mut state_bar[begin..end]);
             if i == 0 {
-                return actuator.vjp(&state[begin..end], given, bars, here, u_bar);
+                return actuator.vjp(&state[begin..end], given, cotangents, here, u_bar);
             }
             before_bar.fill(C::null());
-            actuator.vjp(&state[begin..end], given, bars, here, Some(&mut before_bar));
+            actuator.vjp(&state[begin..end], given, cotangents, here, Some(&mut before_bar));
             std::mem::swap(&mut out_bar, &mut before_bar);
             end = begin;
         }

@@ -108,12 +108,12 @@ impl Actuator for Lag {
         state_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
-        let bars = || zip(next_bar.state.iter(), next_bar.out);
+        let cotangents = || zip(next_bar.state.iter(), next_bar.out);
         let (share, rest) = (R::from(self.share), R::from(1.0 - self.share));
-        for (state_bar, (&state, &out)) in zip(state_bar.into_iter().flatten(), bars()) {
+        for (state_bar, (&state, &out)) in zip(state_bar.into_iter().flatten(), cotangents()) {
             *state_bar += (state + out) * rest;
         }
-        for (u_bar, (&state, &out)) in zip(u_bar.into_iter().flatten(), bars()) {
+        for (u_bar, (&state, &out)) in zip(u_bar.into_iter().flatten(), cotangents()) {
             *u_bar += (state + out) * share;
         }
     }

@@ -45,12 +45,12 @@ impl<B, E: Effect<B>> Effect<B> for Vec<E> {
         model: &B,
         mut inputs: OdeInputs<'_, R>,
         forces_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         for effect in self {
-            effect.vjp(model, inputs, forces_bar, bars.reborrow());
+            effect.vjp(model, inputs, forces_bar, cotangents.reborrow());
             inputs = inputs.skip_params(effect.param_dim());
-            bars = bars.skip_params(effect.param_dim());
+            cotangents = cotangents.skip_params(effect.param_dim());
         }
     }
 
@@ -90,13 +90,13 @@ pub(crate) struct Vjp<'a, B, E, R, C> {
     pub model: &'a B,
     pub inputs: OdeInputs<'a, R>,
     pub forces_bar: &'a [C],
-    pub bars: Cotangents<'a, C>,
+    pub cotangents: Cotangents<'a, C>,
 }
 
 impl<B, E: Effect<B>, R: Real, C: Cotangent<R>> Vectorized for Vjp<'_, B, E, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        self.effect.vjp(self.model, self.inputs, self.forces_bar, self.bars);
+        self.effect.vjp(self.model, self.inputs, self.forces_bar, self.cotangents);
     }
 }
 
@@ -142,10 +142,10 @@ macro_rules! any_effect {
                 model: &$model,
                 inputs: crate::dynamics::inputs::OdeInputs<'_, R>,
                 forces_bar: &[C],
-                bars: crate::dynamics::inputs::Cotangents<'_, C>,
+                cotangents: crate::dynamics::inputs::Cotangents<'_, C>,
             ) {
                 match self {
-                    $(Self::$effect(effect) => crate::dynamics::outline::outline::<R>(crate::dynamics::effect::Vjp { effect, model, inputs, forces_bar, bars })),+
+                    $(Self::$effect(effect) => crate::dynamics::outline::outline::<R>(crate::dynamics::effect::Vjp { effect, model, inputs, forces_bar, cotangents })),+
                 }
             }
 

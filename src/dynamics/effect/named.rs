@@ -42,8 +42,14 @@ impl<B, E: Effect<B>> Effect<B> for Named<E> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, model: &B, inputs: OdeInputs<'_, R>, forces_bar: &[C], bars: Cotangents<'_, C>) {
-        self.effect.vjp(model, inputs, forces_bar, bars);
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        model: &B,
+        inputs: OdeInputs<'_, R>,
+        forces_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
+        self.effect.vjp(model, inputs, forces_bar, cotangents);
     }
 
     #[inline(always)]

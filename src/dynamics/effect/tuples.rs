@@ -61,14 +61,14 @@ macro_rules! both {
                 model: &B,
                 mut inputs: OdeInputs<'_, R>,
                 forces_bar: &[C],
-                mut bars: Cotangents<'_, C>,
+                mut cotangents: Cotangents<'_, C>,
             ) {
                 $(
-                    self.$i.vjp(model, inputs, forces_bar, bars.reborrow());
+                    self.$i.vjp(model, inputs, forces_bar, cotangents.reborrow());
                     inputs = inputs.skip_params(self.$i.param_dim());
-                    bars = bars.skip_params(self.$i.param_dim());
+                    cotangents = cotangents.skip_params(self.$i.param_dim());
                 )+
-                let _ = (inputs, bars);
+                let _ = (inputs, cotangents);
             }
             #[inline(always)]
             fn state_dependent(&self) -> bool {

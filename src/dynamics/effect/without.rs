@@ -32,12 +32,12 @@ macro_rules! system_without_effects {
                 &self,
                 inputs: crate::dynamics::inputs::Inputs<'_, R>,
                 next_bar: &[C],
-                mut bars: crate::dynamics::inputs::Cotangents<'_, C>,
+                mut cotangents: crate::dynamics::inputs::Cotangents<'_, C>,
             ) {
-                if bars.p.is_some() && crate::dynamics::effect::ForcedSystem::numbers(self).varied() > 0 {
-                    crate::dynamics::effect::step_param_vjp(self, inputs, next_bar, bars.p.take());
+                if cotangents.p.is_some() && crate::dynamics::effect::ForcedSystem::numbers(self).varied() > 0 {
+                    crate::dynamics::effect::step_param_vjp(self, inputs, next_bar, cotangents.p.take());
                 }
-                crate::dynamics::effect::ForcedSystem::forced_vjp(self, &(), inputs, next_bar, bars);
+                crate::dynamics::effect::ForcedSystem::forced_vjp(self, &(), inputs, next_bar, cotangents);
             }
         }
 

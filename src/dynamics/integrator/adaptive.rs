@@ -52,7 +52,7 @@ const ERROR: [f64; 7] = [
 impl Adaptive {
     /// Integrates over `dt`, attempt by attempt, and writes the final state to `next`.
     ///
-    /// Calls `tell(state, time, step)` for each attempt with its initial state, its initial time
+    /// Calls `record(state, time, step)` for each attempt with its initial state, its initial time
     /// and its accepted duration, which is 0 if the attempt was rejected.
     #[inline(always)]
     fn attempts<T: Scalar>(
@@ -61,7 +61,7 @@ impl Adaptive {
         dt: f64,
         inputs: Inputs<'_, T>,
         next: &mut [T],
-        mut tell: impl FnMut(&[T], T, T),
+        mut record: impl FnMut(&[T], T, T),
     ) {
         let (n, tableau, one, h) = (inputs.x.len(), RungeKutta::TSIT5, T::one(), T::from(dt));
         let end = inputs.continuous(dt).t + h;
@@ -80,7 +80,7 @@ impl Adaptive {
             tableau.sum(tableau.weights(), step, &rates, &mut candidate);
             ode.rate(inputs.at(time + step).with_x(&candidate), &mut last);
             let error = self.error(step, next, &candidate, &rates, &last);
-            tell(next, time, T::select_lt(error, one, step, T::zero()));
+            record(next, time, T::select_lt(error, one, step, T::zero()));
             for (next, &candidate) in zip(next.iter_mut(), &candidate) {
                 *next = T::select_lt(error, one, candidate, *next);
             }
@@ -132,7 +132,7 @@ impl Integrator for Adaptive {
         dt: f64,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         let n = inputs.x.len();
         let (mut states, mut steps): (Buffer<R>, Buffer<(R, R)>) = (Buffer::new(), Buffer::new());
@@ -145,12 +145,12 @@ impl Integrator for Adaptive {
         bar.copy_from_slice(next_bar);
         for (state, &(time, step)) in states.chunks_exact(n).zip(&steps).rev() {
             before.fill(C::null());
-            let mut step_bars = bars.reborrow();
+            let mut step_bars = cotangents.reborrow();
             step_bars.x = Some(&mut before);
             RungeKutta::TSIT5.run_back(ode, step, span(inputs, time, step).with_x(state), &bar, step_bars);
             std::mem::swap(&mut bar, &mut before);
         }
-        if let Some(x_bar) = bars.x {
+        if let Some(x_bar) = cotangents.x {
             add(x_bar, &bar);
         }
     }

@@ -44,13 +44,13 @@ struct RateBack<'a, O, R, C> {
     ode: &'a O,
     inputs: OdeInputs<'a, R>,
     rate_bar: &'a [C],
-    bars: Cotangents<'a, C>,
+    cotangents: Cotangents<'a, C>,
 }
 
 impl<O: Ode, R: Real, C: Cotangent<R>> Vectorized for RateBack<'_, O, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        self.ode.rate_vjp(self.inputs, self.rate_bar, self.bars);
+        self.ode.rate_vjp(self.inputs, self.rate_bar, self.cotangents);
     }
 }
 
@@ -73,8 +73,8 @@ impl<O: Ode> Ode for Outlined<'_, O> {
     }
 
     #[inline(always)]
-    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], bars: Cotangents<'_, C>) {
-        outline::<R>(RateBack { ode: self.0, inputs, rate_bar, bars });
+    fn rate_vjp<R: Real, C: Cotangent<R>>(&self, inputs: OdeInputs<'_, R>, rate_bar: &[C], cotangents: Cotangents<'_, C>) {
+        outline::<R>(RateBack { ode: self.0, inputs, rate_bar, cotangents });
     }
 
     #[inline(always)]
@@ -107,14 +107,14 @@ struct Reverse<'a, I, R, C> {
     dt: f64,
     inputs: Inputs<'a, R>,
     next_bar: &'a [C],
-    bars: Cotangents<'a, C>,
+    cotangents: Cotangents<'a, C>,
 }
 
 impl<I: Integrator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, I, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { method, ode, dt, inputs, next_bar, bars } = self;
-        method.vjp(ode, dt, inputs, next_bar, bars);
+        let Self { method, ode, dt, inputs, next_bar, cotangents } = self;
+        method.vjp(ode, dt, inputs, next_bar, cotangents);
     }
 }
 
@@ -144,14 +144,14 @@ impl Integrator for AnyIntegrator {
         dt: f64,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
         match self {
-            Self::RungeKutta(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, bars }),
-            Self::SemiImplicit(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, bars }),
-            Self::Verlet(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, bars }),
-            Self::Adaptive(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, bars }),
-            Self::ImplicitMidpoint(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, bars }),
+            Self::RungeKutta(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents }),
+            Self::SemiImplicit(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents }),
+            Self::Verlet(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents }),
+            Self::Adaptive(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents }),
+            Self::ImplicitMidpoint(method) => outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents }),
         }
     }
 }

@@ -49,10 +49,10 @@ impl<S: System + Ode> System for Discretized<S> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
         match &self.integrator {
-            None => outline::<R>(Reverse { system: &self.system, inputs, next_bar, bars }),
-            Some(integrator) => integrator.vjp(&Outlined(&self.system), self.dt, inputs, next_bar, bars),
+            None => outline::<R>(Reverse { system: &self.system, inputs, next_bar, cotangents }),
+            Some(integrator) => integrator.vjp(&Outlined(&self.system), self.dt, inputs, next_bar, cotangents),
         }
     }
 

@@ -35,7 +35,7 @@ impl Default for ImplicitMidpoint {
 }
 
 /// Maximal number of Newton iterations.
-const MOST: usize = 30;
+const MAX_ITERATIONS: usize = 30;
 
 impl ImplicitMidpoint {
     /// Writes `h/2 ∂f/∂x` by central differences, detached from differentiation.
@@ -93,7 +93,7 @@ impl ImplicitMidpoint {
         // Tangents of dual numbers converge one iteration after the values.
         let rounds_after = T::from(2.0);
         let mut to_go = rounds_after;
-        for _ in 0..MOST {
+        for _ in 0..MAX_ITERATIONS {
             if !T::any_lt(T::zero(), to_go) {
                 break;
             }
@@ -196,7 +196,7 @@ impl Integrator for ImplicitMidpoint {
         dt: f64,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         let (h, x, n) = (R::from(dt), inputs.x, inputs.x.len());
         let mut middle = buffer(R::zero(), n);
@@ -223,13 +223,13 @@ impl Integrator for ImplicitMidpoint {
                 w += next_bar[i] * inverse[i * n + j];
             }
             rate_bar[j] = w * h;
-            if let Some(x_bar) = &mut bars.x {
+            if let Some(x_bar) = &mut cotangents.x {
                 x_bar[j] += w + w - next_bar[j];
             }
         }
-        bars.x = None;
-        if !bars.is_empty() {
-            ode.rate_vjp(halfway, &rate_bar, bars);
+        cotangents.x = None;
+        if !cotangents.is_empty() {
+            ode.rate_vjp(halfway, &rate_bar, cotangents);
         }
     }
 }

@@ -40,7 +40,7 @@ impl Integrator for SemiImplicit {
         dt: f64,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         let (h, x) = (R::from(dt), inputs.x);
         let mut x_bar = buffer(C::null(), x.len());
@@ -56,10 +56,10 @@ impl Integrator for SemiImplicit {
                 rate_bar[i] = x_bar[i] * h;
             }
         }
-        if let Some(bar) = &mut bars.x {
+        if let Some(bar) = &mut cotangents.x {
             add(bar, &x_bar);
         }
-        ode.rate_vjp(inputs.continuous(dt), &rate_bar, bars);
+        ode.rate_vjp(inputs.continuous(dt), &rate_bar, cotangents);
     }
 }
 
@@ -119,7 +119,7 @@ impl Integrator for Verlet {
         dt: f64,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         let (h, x) = (R::from(dt), inputs.x);
         let n = x.len();
@@ -134,7 +134,7 @@ impl Integrator for Verlet {
                 None => rate_bar[i] = next_bar[i] * half,
             }
         }
-        let mut guess_bars = bars.reborrow();
+        let mut guess_bars = cotangents.reborrow();
         guess_bars.x = Some(&mut guess_bar);
         ode.rate_vjp(end(dt, inputs).with_x(&guess), &rate_bar, guess_bars);
         let mut x_bar = buffer(C::null(), n);
@@ -151,9 +151,9 @@ impl Integrator for Verlet {
                 }
             }
         }
-        if let Some(bar) = &mut bars.x {
+        if let Some(bar) = &mut cotangents.x {
             add(bar, &x_bar);
         }
-        ode.rate_vjp(inputs.continuous(dt), &rate_bar, bars);
+        ode.rate_vjp(inputs.continuous(dt), &rate_bar, cotangents);
     }
 }

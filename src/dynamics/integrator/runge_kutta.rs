@@ -6,7 +6,7 @@ use crate::dynamics::ode::{DynOde, DynOdeVjp};
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// Maximal number of stages of a tableau.
-const MOST: usize = 7;
+const MAX_STAGES: usize = 7;
 
 /// An explicit Runge–Kutta method: `k_i = f(x + h Σ_{j<i} a_ij k_j, u, p, t + c_i h)`,
 /// `x' = x + h Σ_i b_i k_i`.
@@ -24,9 +24,9 @@ pub struct RungeKutta(&'static Tableau);
 #[derive(Debug, PartialEq)]
 struct Tableau {
     stages: usize,
-    a: [[f64; MOST - 1]; MOST],
-    b: [f64; MOST],
-    c: [f64; MOST],
+    a: [[f64; MAX_STAGES - 1]; MAX_STAGES],
+    b: [f64; MAX_STAGES],
+    c: [f64; MAX_STAGES],
 }
 
 impl RungeKutta {
@@ -118,7 +118,7 @@ impl RungeKutta {
 
 impl Tableau {
     const fn new(stages: usize, rows: &[&[f64]], weights: &[f64]) -> Self {
-        let (mut a, mut b, mut c) = ([[0.0; MOST - 1]; MOST], [0.0; MOST], [0.0; MOST]);
+        let (mut a, mut b, mut c) = ([[0.0; MAX_STAGES - 1]; MAX_STAGES], [0.0; MAX_STAGES], [0.0; MAX_STAGES]);
         let mut i = 0;
         while i < weights.len() {
             b[i] = weights[i];
@@ -151,7 +151,7 @@ impl RungeKutta {
         h: R,
         inputs: Inputs<'_, R, impl Fn(f64) -> R + Copy>,
         next_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         let n = inputs.x.len();
         let (mut at, mut rates) = self.stage_buffers(n);
@@ -168,11 +168,11 @@ impl RungeKutta {
                     }
                 }
             }
-            let mut stage_bars = bars.reborrow();
+            let mut stage_bars = cotangents.reborrow();
             stage_bars.x = Some(&mut at_bar[i * n..(i + 1) * n]);
             ode.rate_vjp(inputs.at((inputs.t)(self.0.c[i])).with_x(&at[i * n..(i + 1) * n]), rate_bar, stage_bars);
         }
-        if let Some(x_bar) = bars.x {
+        if let Some(x_bar) = cotangents.x {
             add(x_bar, next_bar);
             for stage in at_bar.chunks_exact(n) {
                 add(x_bar, stage);
@@ -197,8 +197,8 @@ impl Integrator for RungeKutta {
         dt: f64,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        self.run_back(ode, R::from(dt), inputs.at(|c| stage_time(inputs.t, dt, c)), next_bar, bars);
+        self.run_back(ode, R::from(dt), inputs.at(|c| stage_time(inputs.t, dt, c)), next_bar, cotangents);
     }
 }

@@ -32,7 +32,7 @@ pub(crate) fn param_vjp<R: Real, C: Cotangent<R>>(
             function([&x, &u, &p], &mut outputs);
             p[i].eps = 0.0;
             for (slope, output) in slopes[i * output_bars.len()..].iter_mut().zip(&outputs) {
-                slope.set_lane(lane, R::Real::lift(output.eps));
+                slope.set_lane(lane, R::Real::from_f64(output.eps));
             }
         }
     }

@@ -130,7 +130,7 @@ const fn reach<F: Float>() -> i32 {
 
 impl<F: Float> Limits<F> {
     pub(super) fn new() -> Self {
-        let power = |exponent: i32| F::lift(crate::numbers::extended::power_of_two(exponent));
+        let power = |exponent: i32| F::from_f64(crate::numbers::extended::power_of_two(exponent));
         Self { low: power(-reach::<F>()), high: power(reach::<F>()) }
     }
 

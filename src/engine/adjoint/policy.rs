@@ -200,7 +200,7 @@ impl<F: Float> PolicyAdjoint<F> {
         let Recursion { lambda, starts, exponents, .. } = carried;
         let observed = 0..self.observed_dim;
         if task.own_observation().is_none() {
-            let weight = F::lift(flow.control);
+            let weight = F::from_f64(flow.control);
             return self.each_input_bar(k, rollout.columns(t), observed, |i, lane, bar| lambda[i].0[k].0[lane] += bar * weight);
         }
         let mut observed_bar = std::mem::take(&mut self.observed_bar);
@@ -237,7 +237,7 @@ impl<F: Float> PolicyAdjoint<F> {
             let memories = u_bar.chunks_exact_mut(m + memory).flat_map(|block| &mut block[m..]);
             return memories.for_each(|bar| bar.0[k] = Lane::zero());
         }
-        let weight = F::lift(flow.memory);
+        let weight = F::from_f64(flow.memory);
         self.each_input_bar(k, at, observed..observed + memory, |i, lane, bar| {
             u_bar[i / memory * (m + memory) + m + i % memory].0[k].0[lane] = bar * weight;
         });

@@ -85,8 +85,8 @@ impl<R: Real> CostGradient<R> {
 
 /// Sets all cotangents to the initial value of a sum. Inlined, unlike `fill`.
 #[inline(always)]
-fn clear<R, C: Cotangent<R>>(bars: &mut [C]) {
-    for bar in bars {
+fn clear<R, C: Cotangent<R>>(cotangents: &mut [C]) {
+    for bar in cotangents {
         *bar = C::null();
     }
 }
@@ -109,8 +109,8 @@ pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
     let mut size = CotangentPack([R::zero(); K]);
 
     cost.clear();
-    let (bars, next_bar) = cost.requests();
-    task.running_cost_gradient(inputs, next, bars, next_bar);
+    let (cotangents, next_bar) = cost.requests();
+    task.running_cost_gradient(inputs, next, cotangents, next_bar);
     for (lambda, &cost) in zip(lambda.iter_mut(), &cost.next) {
         *lambda += inject * cost;
     }
@@ -289,8 +289,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         for block in 0..rollout.samples.div_ceil(WIDTH) {
             let next = &rollout.states_at(t + 1)[block * n..][..n];
             self.cost.clear();
-            let (bars, next_bar) = self.cost.requests();
-            task.running_cost_gradient(rollout.inputs_of(t, block), next, bars, next_bar);
+            let (cotangents, next_bar) = self.cost.requests();
+            task.running_cost_gradient(rollout.inputs_of(t, block), next, cotangents, next_bar);
             let lambda = &mut self.lambda[block * n..][..n];
             let outputs = rollout.control_dim + rollout.memory_dim;
             let u_bar = &mut self.u_bar[block * outputs..][..outputs];
@@ -330,8 +330,13 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             }
             let (block, lane) = (sample / WIDTH, sample % WIDTH);
             self.cost.clear();
-            let (bars, next_bar) = self.cost.requests();
-            task.running_cost_gradient(rollout.inputs_of(t, block), &rollout.states_at(t + 1)[block * n..][..n], bars, next_bar);
+            let (cotangents, next_bar) = self.cost.requests();
+            task.running_cost_gradient(
+                rollout.inputs_of(t, block),
+                &rollout.states_at(t + 1)[block * n..][..n],
+                cotangents,
+                next_bar,
+            );
             let inject = self.exponents.blocks[block].inject.0[k].lane(lane);
             for (lambda, cost) in zip(self.lambda[block * n..][..n].iter_mut(), &self.cost.x) {
                 lambda.0[k].set_lane(lane, inject * cost.lane(lane));

@@ -247,13 +247,13 @@ mod tests {
 
     #[test]
     fn saturated_and_non_finite_values_equal_those_of_f64() {
-        let lift = |value: f64| Quad(value, 0.0);
-        assert_eq!(Functions::tanh(lift(1e3)), Quad::ONE);
-        assert_eq!(Functions::tanh(lift(-1e3)), -Quad::ONE);
+        let quad = |value: f64| Quad(value, 0.0);
+        assert_eq!(Functions::tanh(quad(1e3)), Quad::ONE);
+        assert_eq!(Functions::tanh(quad(-1e3)), -Quad::ONE);
         assert_eq!(Functions::tanh(Quad::ZERO), Quad::ZERO);
         assert_eq!(Quad::sqrt(Quad::ZERO), Quad::ZERO);
         assert!(Functions::tanh(Quad::NAN).0.is_nan());
-        assert!(lift(f64::INFINITY).sin_cos().0.0.is_nan());
+        assert!(quad(f64::INFINITY).sin_cos().0.0.is_nan());
         assert_eq!(Functions::atan2(Quad::ZERO, Quad::ZERO), Quad::ZERO);
     }
 }

@@ -46,7 +46,7 @@ impl<T: Scalar, const N: usize> Dual<T, N> {
 
     /// Applies a unary rule: sets the value and maps each tangent.
     #[inline(always)]
-    fn with(mut self, value: T, rule: impl Fn(T) -> T) -> Self {
+    fn unary(mut self, value: T, rule: impl Fn(T) -> T) -> Self {
         self.value = value;
         for k in 0..N {
             self.tangents[k] = rule(self.tangents[k]);
@@ -56,7 +56,7 @@ impl<T: Scalar, const N: usize> Dual<T, N> {
 
     /// Applies a binary rule: sets the value and combines the tangents of both numbers.
     #[inline(always)]
-    fn join(mut self, other: Self, value: T, rule: impl Fn(T, T) -> T) -> Self {
+    fn binary(mut self, other: Self, value: T, rule: impl Fn(T, T) -> T) -> Self {
         self.value = value;
         for k in 0..N {
             self.tangents[k] = rule(self.tangents[k], other.tangents[k]);
@@ -66,8 +66,8 @@ impl<T: Scalar, const N: usize> Dual<T, N> {
 
     /// Chain rule for a slope that may be infinite: zero tangents stay 0 instead of NaN.
     #[inline(always)]
-    fn steep(self, value: T, slope: T) -> Self {
-        self.with(value, |tangent| T::select_lt(T::zero(), tangent.abs(), tangent * slope, tangent))
+    fn unary_if_nonzero(self, value: T, slope: T) -> Self {
+        self.unary(value, |tangent| T::select_lt(T::zero(), tangent.abs(), tangent * slope, tangent))
     }
 }
 
@@ -82,7 +82,7 @@ impl<T: Scalar, const N: usize> Add for Dual<T, N> {
     type Output = Self;
     #[inline(always)]
     fn add(self, other: Self) -> Self {
-        self.join(other, self.value + other.value, |a, b| a + b)
+        self.binary(other, self.value + other.value, |a, b| a + b)
     }
 }
 
@@ -90,7 +90,7 @@ impl<T: Scalar, const N: usize> Sub for Dual<T, N> {
     type Output = Self;
     #[inline(always)]
     fn sub(self, other: Self) -> Self {
-        self.join(other, self.value - other.value, |a, b| a - b)
+        self.binary(other, self.value - other.value, |a, b| a - b)
     }
 }
 
@@ -99,7 +99,7 @@ impl<T: Scalar, const N: usize> Mul for Dual<T, N> {
     #[inline(always)]
     #[allow(clippy::suspicious_arithmetic_impl, reason = "the product rule is a sum")]
     fn mul(self, other: Self) -> Self {
-        self.join(other, self.value * other.value, |a, b| a * other.value + self.value * b)
+        self.binary(other, self.value * other.value, |a, b| a * other.value + self.value * b)
     }
 }
 
@@ -108,7 +108,7 @@ impl<T: Scalar, const N: usize> Div for Dual<T, N> {
     #[inline(always)]
     fn div(self, other: Self) -> Self {
         let (value, inverse) = (self.value / other.value, T::one() / other.value);
-        self.join(other, value, |a, b| (a - value * b) * inverse)
+        self.binary(other, value, |a, b| (a - value * b) * inverse)
     }
 }
 
@@ -116,7 +116,7 @@ impl<T: Scalar, const N: usize> Neg for Dual<T, N> {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
-        self.with(-self.value, |tangent| -tangent)
+        self.unary(-self.value, |tangent| -tangent)
     }
 }
 
@@ -154,7 +154,7 @@ impl<T: Scalar, const N: usize> Mul<f64> for Dual<T, N> {
     type Output = Self;
     #[inline(always)]
     fn mul(self, other: f64) -> Self {
-        self.with(self.value * other, |tangent| tangent * other)
+        self.unary(self.value * other, |tangent| tangent * other)
     }
 }
 
@@ -162,7 +162,7 @@ impl<T: Scalar, const N: usize> Div<f64> for Dual<T, N> {
     type Output = Self;
     #[inline(always)]
     fn div(self, other: f64) -> Self {
-        self.with(self.value / other, |tangent| tangent / other)
+        self.unary(self.value / other, |tangent| tangent / other)
     }
 }
 
@@ -195,50 +195,51 @@ impl<T: Scalar, const N: usize> Scalar for Dual<T, N> {
     #[inline(always)]
     fn sqrt(self) -> Self {
         let root = self.value.sqrt();
-        self.steep(root, T::from(0.5) / root)
+        self.unary_if_nonzero(root, T::from(0.5) / root)
     }
 
     #[inline(always)]
     fn exp(self) -> Self {
         let e = self.value.exp();
-        self.with(e, |tangent| tangent * e)
+        self.unary(e, |tangent| tangent * e)
     }
 
     #[inline(always)]
     fn ln(self) -> Self {
-        self.steep(self.value.ln(), T::one() / self.value)
+        self.unary_if_nonzero(self.value.ln(), T::one() / self.value)
     }
 
     #[inline(always)]
     fn sin_cos(self) -> (Self, Self) {
         let (sin, cos) = self.value.sin_cos();
         let down = -sin;
-        (self.with(sin, |tangent| tangent * cos), self.with(cos, |tangent| tangent * down))
+        (self.unary(sin, |tangent| tangent * cos), self.unary(cos, |tangent| tangent * down))
     }
 
     #[inline(always)]
     fn tanh(self) -> Self {
         let t = self.value.tanh();
         let slope = T::one() - t * t;
-        self.with(t, |tangent| tangent * slope)
+        self.unary(t, |tangent| tangent * slope)
     }
 
     #[inline(always)]
     fn atan2(self, x: Self) -> Self {
         let square = self.value * self.value + x.value * x.value;
-        let (across, along) = (self.steep(T::zero(), x.value / square), x.steep(T::zero(), self.value / square));
-        across.join(along, self.value.atan2(x.value), |a, b| a - b)
+        let (across, along) =
+            (self.unary_if_nonzero(T::zero(), x.value / square), x.unary_if_nonzero(T::zero(), self.value / square));
+        across.binary(along, self.value.atan2(x.value), |a, b| a - b)
     }
 
     #[inline(always)]
     fn abs(self) -> Self {
-        self.with(self.value.abs(), |tangent| T::select_lt(self.value, T::zero(), -tangent, tangent))
+        self.unary(self.value.abs(), |tangent| T::select_lt(self.value, T::zero(), -tangent, tangent))
     }
 
     #[inline(always)]
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self {
         let select = |yes, no| T::select_lt(a.value, b.value, yes, no);
-        yes.join(no, select(yes.value, no.value), select)
+        yes.binary(no, select(yes.value, no.value), select)
     }
 
     #[inline(always)]

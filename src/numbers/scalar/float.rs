@@ -39,7 +39,7 @@ pub trait Float:
     const MAX: f64;
 
     /// Rounds a constant to this type.
-    fn lift(value: f64) -> Self;
+    fn from_f64(value: f64) -> Self;
     /// Converts to `f64`, exactly.
     #[inline(always)]
     fn to_f64(self) -> f64 {
@@ -98,7 +98,7 @@ macro_rules! float {
             const PAD: usize = gemm::$gemm::PAD;
 
             #[inline(always)]
-            fn lift(value: f64) -> Self {
+            fn from_f64(value: f64) -> Self {
                 value as $float
             }
             #[inline(always)]

@@ -61,7 +61,7 @@ macro_rules! lanes {
         impl<F: Float> From<f64> for Lanes<F, $width> {
             #[inline(always)]
             fn from(value: f64) -> Self {
-                Self([F::lift(value); $width])
+                Self([F::from_f64(value); $width])
             }
         }
 
@@ -101,7 +101,7 @@ macro_rules! lanes {
             }
             #[inline(always)]
             fn sin_cos(self) -> (Self, Self) {
-                let reach = F::lift(trig::REACH);
+                let reach = F::from_f64(trig::REACH);
                 let far = false $(| (Float::abs(self.0[$i]) > reach))+;
                 let pairs = if far { [$(Float::sin_cos(self.0[$i])),+] } else { [$(F::sin_cos_near(self.0[$i])),+] };
                 (Self([$(pairs[$i].0),+]), Self([$(pairs[$i].1),+]))
@@ -140,7 +140,7 @@ macro_rules! lanes {
             }
             #[inline(always)]
             fn is_finite(&self) -> bool {
-                $(Float::abs(self.0[$i]) <= F::lift(F::MAX))&&+
+                $(Float::abs(self.0[$i]) <= F::from_f64(F::MAX))&&+
             }
             #[inline(always)]
             fn tape() -> &'static RefCell<Tape<Self>> {

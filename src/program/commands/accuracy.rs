@@ -8,7 +8,7 @@ mod row;
 
 use crate::program::operations::simulation::{Job, Simulated};
 use crate::program::platform::folder::Folder;
-use crate::program::platform::terminal::{say, tell};
+use crate::program::platform::terminal::{print_message, print_result};
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::scenes::source::SceneSource;
@@ -125,7 +125,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     let settings = study.settings();
     let bar = bar(settings.len() * (1 + ROUNDS), args.quiet);
     if !args.quiet && bar.is_hidden() {
-        tell(&format!("measuring {} settings, {ROUNDS} rounds of timing", settings.len()));
+        print_message(&format!("measuring {} settings, {ROUNDS} rounds of timing", settings.len()));
     }
     let mut jobs = Vec::new();
     for setting in &settings {
@@ -155,8 +155,8 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
     let folder = folder()?;
     let conserved = conserved.map(|conserved| conserved.name);
     outputs::write(&folder, &name, &check, conserved, &rows)?;
-    say(&outputs::summary(&rows, &check, conserved))?;
-    say(&format!("results in {}: accuracy.csv, accuracy.svg, accuracy.md", folder.path().display()))?;
+    print_result(&outputs::summary(&rows, &check, conserved))?;
+    print_result(&format!("results in {}: accuracy.csv, accuracy.svg, accuracy.md", folder.path().display()))?;
     let Some(target) = args.target else { return Ok(()) };
     let scenes = study.scenes(&rows, args.metric, target)?;
     if !scenes.is_empty() {
@@ -164,7 +164,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         for (method, scene) in scenes {
             inner.write(&format!("{method}.toml"), scene.table.to_string())?;
         }
-        say(&format!("scenes with the cheapest setting of each method are in {}", inner.path().display()))?;
+        print_result(&format!("scenes with the cheapest setting of each method are in {}", inner.path().display()))?;
     }
     name_cheapest(&rows, args.metric, target)
 }
@@ -249,7 +249,7 @@ fn cheapest<'a>(rows: impl Iterator<Item = &'a Row>, metric: Metric, target: f64
 fn name_cheapest(rows: &[Row], metric: Metric, target: f64) -> Result<()> {
     let finite = || rows.iter().filter_map(|row| Some((row, metric.read(row.errors.as_ref().ok()?))));
     if let Some((row, error)) = cheapest(rows.iter(), metric, target) {
-        say(&format!(
+        print_result(&format!(
             "\nthe cheapest setting with an error of the {} of at most {target:e} is {}: error {error:.1e}, {:.3} µs per step \
              and sample; its lines in a scene file:\n\n{}",
             metric.name(),

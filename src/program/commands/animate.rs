@@ -1,7 +1,7 @@
 //! `physgrad animate`: an animation of a trained policy.
 
 use crate::program::platform::folder::{ANIMATION, Folder};
-use crate::program::platform::terminal::say;
+use crate::program::platform::terminal::print_result;
 use crate::program::runs::{outputs, saved};
 use anyhow::{Result, bail};
 use std::path::PathBuf;
@@ -24,7 +24,7 @@ pub fn animate(args: &Animate) -> Result<()> {
     for folder in saved::runs(&Folder::existing(&args.folder)?)? {
         animation(&folder, args.sample)?;
         if !args.quiet {
-            say(&folder.file(ANIMATION).display().to_string())?;
+            print_result(&folder.file(ANIMATION).display().to_string())?;
         }
     }
     Ok(())

@@ -1,7 +1,7 @@
 //! `physgrad check`: the gradient checks of the library, as a table.
 
 use crate::program::operations::checks::Results;
-use crate::program::platform::terminal::say;
+use crate::program::platform::terminal::print_result;
 use crate::program::scenes::presets;
 use crate::program::tasks::{self, Scene};
 use anyhow::{Result, bail};
@@ -22,8 +22,8 @@ pub fn check(args: &Check) -> Result<()> {
         scene.check(&variant, &mut results);
     }
     let (table, failures) = results.finish();
-    say(&table.to_string())?;
-    say("errors in f64 against dual numbers, relative to the largest component")?;
+    print_result(&table.to_string())?;
+    print_result("errors in f64 against dual numbers, relative to the largest component")?;
     if failures.is_empty() {
         return Ok(());
     }

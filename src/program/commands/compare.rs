@@ -2,7 +2,7 @@
 
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, SETTINGS};
-use crate::program::platform::terminal::say;
+use crate::program::platform::terminal::print_result;
 use crate::program::runs::run::threads;
 use crate::program::runs::saved::changed;
 use crate::program::runs::statistics::{self, Outcome, best, curves};
@@ -70,7 +70,7 @@ pub fn compare(args: &Compare) -> Result<()> {
     }
     let swept = sweep(&mut comparisons, args.quiet)?;
     if swept.interrupted {
-        let _ = say(&format!("interrupted; to resume, repeat the command with --out {}", folder.path().display()));
+        let _ = print_result(&format!("interrupted; to resume, repeat the command with --out {}", folder.path().display()));
         return swept.into_result();
     }
     let scenes: Vec<InScene> = names
@@ -87,7 +87,7 @@ pub fn compare(args: &Compare) -> Result<()> {
         } else {
             "summary.csv, curves.svg, and one folder per scene"
         };
-        say(&format!("{}\nresults in {}: {files}", table(&scenes), folder.path().display()))?;
+        print_result(&format!("{}\nresults in {}: {files}", table(&scenes), folder.path().display()))?;
     }
     swept.into_result()
 }

@@ -1,7 +1,7 @@
 //! `physgrad effects`: the reference page of all effects.
 
 use crate::Ops;
-use crate::program::platform::terminal::say;
+use crate::program::platform::terminal::print_result;
 use crate::program::settings::{ACTUATORS, Info};
 use crate::program::tasks::{self, AnyTaskSpec};
 use anyhow::Result;
@@ -33,7 +33,7 @@ jumps at a point, and the value of one side is used.
 
 /// Runs the command.
 pub fn effects(_args: &Effects) -> Result<()> {
-    say(page()?.trim_end())?;
+    print_result(page()?.trim_end())?;
     Ok(())
 }
 

@@ -1,7 +1,7 @@
 //! `physgrad explain`: equations, operation counts and memory of a scene.
 
 use crate::program::operations::costs::SAMPLES;
-use crate::program::platform::terminal::say;
+use crate::program::platform::terminal::print_result;
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::settings::{ACTUATORS, Info, OPTIONAL};
@@ -33,22 +33,27 @@ pub fn explain(args: &Explain) -> Result<()> {
     let mut source = presets::source(&args.scene)?;
     args.overrides.apply(&mut source)?;
     let scene = source.scene()?;
-    say(&format!("{}: {}\n", args.scene, scene.task.about()))?;
+    print_result(&format!("{}: {}\n", args.scene, scene.task.about()))?;
     let states = scene.state_names();
-    say(&format!("state, {} components: {}", states.len(), names(&states)))?;
+    print_result(&format!("state, {} components: {}", states.len(), names(&states)))?;
     let controls = scene.control_names();
-    say(&format!("control, {} component{}: {}\n", controls.len(), if controls.len() == 1 { "" } else { "s" }, names(&controls)))?;
-    say(&effects(&scene).to_string())?;
-    say(
+    print_result(&format!(
+        "control, {} component{}: {}\n",
+        controls.len(),
+        if controls.len() == 1 { "" } else { "s" },
+        names(&controls)
+    ))?;
+    print_result(&effects(&scene).to_string())?;
+    print_result(
         "\noperations per step and sample: of the step, of its VJP to state and control (R, M), of its VJP to the control (N, S)",
     )?;
-    say("the count of an effect is the whole minus the scene without it")?;
-    say(&operations(&scene)?.to_string())?;
-    say(&format!(
+    print_result("the count of an effect is the whole minus the scene without it")?;
+    print_result(&operations(&scene)?.to_string())?;
+    print_result(&format!(
         "\nmemory per sample in {}, and allocations per step of a block of {SAMPLES} samples after the first run",
         scene.precision.name()
     ))?;
-    say(&bytes(&scene)?.to_string())?;
+    print_result(&bytes(&scene)?.to_string())?;
     Ok(())
 }
 

@@ -5,7 +5,7 @@ mod inputs;
 use crate::program::commands::stress::{passes, table};
 use crate::program::operations::peak_bytes;
 use crate::program::platform::parallel;
-use crate::program::platform::terminal::say;
+use crate::program::platform::terminal::print_result;
 use crate::rng::{Purpose, stream};
 use crate::stress::Finding;
 use anyhow::{Result, bail};
@@ -141,7 +141,7 @@ pub fn fuzz(args: &Fuzz) -> Result<()> {
     if let Some(bytes) = peak_of_process() {
         findings.push(Finding::at_most("peak memory of the process, MB", bytes * 1e-6, MAX_MEMORY * 1e-6));
     }
-    say(&format!("{} inputs\n{}", args.inputs, table(&findings, UTF8_FULL_CONDENSED)))?;
+    print_result(&format!("{} inputs\n{}", args.inputs, table(&findings, UTF8_FULL_CONDENSED)))?;
     if !passes(&findings) {
         bail!("some inputs fail their limits; `physgrad fuzz --first NUMBER --inputs 1` repeats one of them");
     }

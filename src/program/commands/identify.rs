@@ -7,7 +7,7 @@ use crate::Number;
 use crate::identify::{Fit, Options, Segment};
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
-use crate::program::platform::terminal::say;
+use crate::program::platform::terminal::print_result;
 use crate::program::runs::run::threads;
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
@@ -108,7 +108,7 @@ pub fn identify(args: &Identify) -> Result<()> {
         text += "\nwarning: the iterations ended before convergence; try other initial values or windows";
     }
     let results = folder.path().display();
-    say(&format!(
+    print_result(&format!(
         "{text}\nresults in {results}: scene.toml (with the fitted numbers), identified.csv, trajectories.csv, identified.svg"
     ))
 }

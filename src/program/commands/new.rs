@@ -1,6 +1,6 @@
 //! `physgrad new`: a crate with a task of the user.
 
-use crate::program::platform::terminal::say;
+use crate::program::platform::terminal::print_result;
 use crate::program::tasks;
 use anyhow::{Context, Result, bail};
 use std::fs;
@@ -44,7 +44,7 @@ pub fn new(args: &New) -> Result<()> {
         let path = folder.join(file);
         fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
     }
-    say(&format!(
+    print_result(&format!(
         "created {name}: Cargo.toml, src/main.rs, scene.toml. Replace the equations in src/main.rs by yours. Then:\n\n\
          cd {name}\n\
          cargo test --release                            # gradient check\n\

@@ -6,7 +6,7 @@ mod study;
 
 use crate::program::platform::folder::Folder;
 use crate::program::platform::signals;
-use crate::program::platform::terminal::say;
+use crate::program::platform::terminal::print_result;
 use crate::program::runs::run::threads;
 use crate::program::runs::sweep::{check_distinct, check_options};
 use crate::program::settings::{ClipName, FieldName};
@@ -104,7 +104,10 @@ impl FinishedFigure {
         folder.write(&format!("{name}.md"), format!("{}\n", self.table.trim_end()))?;
         if !options.quiet {
             let path = folder.path().display();
-            say(&format!("{}\n{name}.svg, {name}.png, {name}.csv and {name}.md are in {path}\n", self.table.trim_end()))?;
+            print_result(&format!(
+                "{}\n{name}.svg, {name}.png, {name}.csv and {name}.md are in {path}\n",
+                self.table.trim_end()
+            ))?;
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! `physgrad scene` and `physgrad schema`: print presets and the JSON schema of scenes.
 
-use crate::program::platform::terminal::say;
+use crate::program::platform::terminal::print_result;
 use crate::program::scenes::presets;
 use crate::program::tasks;
 use anyhow::{Context, Result};
@@ -29,10 +29,10 @@ pub struct Schema {
 /// Runs `scene`.
 pub fn scene(args: &Scene) -> Result<()> {
     match &args.preset {
-        Some(name) => say(presets::text(name)?.trim_end()),
+        Some(name) => print_result(presets::text(name)?.trim_end()),
         None => {
             let width = presets::all().map(|(name, _)| name.len()).max().unwrap_or(0);
-            presets::all().try_for_each(|(name, about)| say(&format!("{name:width$}  {about}")))
+            presets::all().try_for_each(|(name, about)| print_result(&format!("{name:width$}  {about}")))
         }
     }
 }
@@ -42,6 +42,6 @@ pub fn schema(args: &Schema) -> Result<()> {
     let text = serde_json::to_string_pretty(&tasks::schema())?;
     match &args.out {
         Some(path) => std::fs::write(path, text + "\n").with_context(|| format!("cannot write {}", path.display())),
-        None => say(&text),
+        None => print_result(&text),
     }
 }

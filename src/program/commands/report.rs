@@ -7,7 +7,7 @@ mod learning;
 mod page;
 
 use crate::program::platform::folder::{Folder, REPORT};
-use crate::program::platform::terminal::say;
+use crate::program::platform::terminal::print_result;
 use crate::program::runs::saved;
 use anyhow::Result;
 use std::path::PathBuf;
@@ -33,7 +33,7 @@ pub fn report(args: &Report) -> Result<()> {
     };
     folder.write(REPORT, html)?;
     if !args.quiet {
-        say(&folder.file(REPORT).display().to_string())?;
+        print_result(&folder.file(REPORT).display().to_string())?;
     }
     Ok(())
 }

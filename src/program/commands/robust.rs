@@ -4,7 +4,7 @@ use crate::program::operations::evaluation;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, SETTINGS};
 use crate::program::platform::parallel;
-use crate::program::platform::terminal::say;
+use crate::program::platform::terminal::print_result;
 use crate::program::runs::saved;
 use crate::program::scenes::source::SceneSource;
 use crate::program::tasks::Scene;
@@ -103,7 +103,7 @@ pub fn robust(args: &Robust) -> Result<()> {
     let folder = Folder::named(args.out.as_deref(), "robust")?;
     folder.write("robust.csv", table_csv(args, &runs, &cells)?)?;
     folder.write("robust.svg", picture(args, &runs, &cells))?;
-    say(&format!("{}\nresults in {}: robust.csv, robust.svg", table(args, &runs, &cells), folder.path().display()))
+    print_result(&format!("{}\nresults in {}: robust.csv, robust.svg", table(args, &runs, &cells), folder.path().display()))
 }
 
 /// A trained policy and the scene of its run, with trained numbers at their values.

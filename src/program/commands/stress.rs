@@ -3,7 +3,7 @@
 mod reproducible;
 
 use crate::program::platform::parallel;
-use crate::program::platform::terminal::say;
+use crate::program::platform::terminal::print_result;
 use crate::stress::{self, Case, Finding};
 use anyhow::{Result, bail};
 use comfy_table::presets::{ASCII_MARKDOWN, UTF8_FULL_CONDENSED};
@@ -30,7 +30,7 @@ pub fn stress(args: &Stress) -> Result<()> {
     if args.list {
         let lines: Vec<String> =
             cases.iter().map(|case| format!("{}: {}\n    passes when: {}", case.name, case.about, case.criterion)).collect();
-        say(&lines.join("\n"))?;
+        print_result(&lines.join("\n"))?;
         return Ok(());
     }
     let bar = ProgressBar::new(cases.len() as u64);
@@ -48,10 +48,10 @@ pub fn stress(args: &Stress) -> Result<()> {
     bar.finish_and_clear();
     let format = if args.markdown { markdown } else { text };
     if args.markdown {
-        say(HEAD)?;
+        print_result(HEAD)?;
     }
     for (case, (findings, seconds)) in cases.iter().zip(&results) {
-        say(&format(case, findings, *seconds))?;
+        print_result(&format(case, findings, *seconds))?;
     }
     let failed: Vec<&str> =
         cases.iter().zip(&results).filter(|(_, (found, _))| !passes(found)).map(|(case, _)| case.name).collect();
@@ -59,7 +59,7 @@ pub fn stress(args: &Stress) -> Result<()> {
         bail!("{} of {} cases failed: {}", failed.len(), cases.len(), failed.join(", "));
     }
     if !args.markdown {
-        say(&format!("{} of {} cases pass", cases.len(), cases.len()))?;
+        print_result(&format!("{} of {} cases pass", cases.len(), cases.len()))?;
     }
     Ok(())
 }
@@ -101,8 +101,8 @@ fn text(case: &Case, findings: &[Finding], seconds: f64) -> String {
 }
 
 fn markdown(case: &Case, findings: &[Finding], _seconds: f64) -> String {
-    let Case { name, about, criterion, story, .. } = case;
-    format!("\n## {name}\n\n{about}.\n\nPasses when: {criterion}.\n\n{}\n\n{story}.", table(findings, ASCII_MARKDOWN))
+    let Case { name, about, criterion, explanation, .. } = case;
+    format!("\n## {name}\n\n{about}.\n\nPasses when: {criterion}.\n\n{}\n\n{explanation}.", table(findings, ASCII_MARKDOWN))
 }
 
 /// Head of the Markdown page.

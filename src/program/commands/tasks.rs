@@ -1,6 +1,6 @@
 //! `physgrad tasks`: lists the tasks and their settings.
 
-use crate::program::platform::terminal::say;
+use crate::program::platform::terminal::print_result;
 use crate::program::scenes::presets;
 use crate::program::settings::{ACTUATORS, Info};
 use crate::program::tasks::{self, AnyTaskSpec};
@@ -11,12 +11,14 @@ pub fn tasks() -> Result<()> {
     for task in tasks::all() {
         describe(*task)?;
     }
-    say(&format!("actuators: {}; only limit for quantum\n", names(&ACTUATORS)))?;
-    say("Each task is also a preset. `physgrad scene` lists all presets; `physgrad scene cart_pole` prints one as a template.
+    print_result(&format!("actuators: {}; only limit for quantum\n", names(&ACTUATORS)))?;
+    print_result(
+        "Each task is also a preset. `physgrad scene` lists all presets; `physgrad scene cart_pole` prints one as a template.
 `physgrad explain cart_pole` prints equations, operation counts and memory of a scene; docs/effects.md describes all effects.
 Change a setting with --set KEY=VALUE, for example --set policy.widths=[64,64] --set effects.pole_damping.damping=0.01.
 field: combined, regular, modified, network, stopped; precision: f32, f64; training.clip: none, value, norm;
-training.optimizer: adam, sgd, momentum, rmsprop, adagrad, adadelta; loss.mode: terminal, running.")?;
+training.optimizer: adam, sgd, momentum, rmsprop, adagrad, adadelta; loss.mode: terminal, running.",
+    )?;
     Ok(())
 }
 
@@ -24,7 +26,7 @@ fn describe(task: &dyn AnyTaskSpec) -> Result<()> {
     let settings = presets::source(task.name())?.scene()?.table.to_string();
     let indented: String = settings.trim_end().lines().map(|line| format!("    {line}\n")).collect();
     let effects = if task.effects().is_empty() { "none".into() } else { names(task.effects()) };
-    say(&format!("{}: {}\neffects: {effects}\n\n{indented}", task.name(), task.about()))?;
+    print_result(&format!("{}: {}\neffects: {effects}\n\n{indented}", task.name(), task.about()))?;
     Ok(())
 }
 

@@ -2,7 +2,7 @@
 
 use crate::differences;
 use crate::program::platform::folder::Folder;
-use crate::program::platform::terminal::{say, tell};
+use crate::program::platform::terminal::{print_message, print_result};
 use crate::program::runs::progress::Progress;
 use crate::program::runs::run::{self, End, Finished, NoUpdate, SAVE_EVERY, threads};
 use crate::program::runs::saved::{changed, resumed};
@@ -70,7 +70,7 @@ pub fn train(args: &Train) -> Result<()> {
     };
     let mut progress = Progress::new(scene.epochs, args.quiet);
     if !args.quiet {
-        tell(&format!(
+        print_message(&format!(
             "{} ({}): field {}, seed {}, {}, {workers} thread{}",
             scene.task.name(),
             scene.task.about(),
@@ -84,7 +84,7 @@ pub fn train(args: &Train) -> Result<()> {
     let finished = run::run(&folder, &scene, run, args.resume, save_every, &mut progress)?;
     progress.bar.finish_and_clear();
     let text = if args.quiet { String::new() } else { summary(&folder, &scene, &finished) };
-    let printed = if text.is_empty() { Ok(()) } else { say(&text) };
+    let printed = if text.is_empty() { Ok(()) } else { print_result(&text) };
     let results = folder.path().display();
     match finished.end {
         End::Complete => printed,
@@ -93,7 +93,7 @@ pub fn train(args: &Train) -> Result<()> {
             let command = format!("physgrad train {} --resume --out {results}", args.scene);
             // Ignores errors: the terminal may be closed, and the signal determines the exit
             // status.
-            let _ = say(&format!("interrupted after epoch {done}; to resume: {command}"));
+            let _ = print_result(&format!("interrupted after epoch {done}; to resume: {command}"));
             Ok(())
         }
         End::NoUpdate(error) => {
@@ -116,7 +116,7 @@ fn note_differences(folder: &Folder, scene: &Scene, file: &str, overrides: &Over
     overrides.apply_again(&mut source)?;
     let (saved, named) = (scene.identity(), source.scene()?.identity());
     if saved != named {
-        tell(&format!(
+        print_message(&format!(
             "note: the run in {} resumes with its saved settings; {file} differs in:\n{}",
             folder.path().display(),
             differences(&saved, &named)

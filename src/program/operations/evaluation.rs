@@ -31,7 +31,7 @@ impl Visit for Evaluating<'_> {
 fn losses<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, of: &Evaluating) -> Vec<f64> {
     /// Samples in a rollout.
     const BLOCK: usize = 32;
-    let weights = Weights::new(policy, of.theta.iter().map(|&theta| F::lift(theta)).collect());
+    let weights = Weights::new(policy, of.theta.iter().map(|&theta| F::from_f64(theta)).collect());
     let starts: Vec<F> = initial_states(task, of.seed, Purpose::Test, of.samples);
     let mut rollout = Rollout::for_evaluation(task, policy, BLOCK.min(of.samples));
     let mut run = |starts: &[F]| {

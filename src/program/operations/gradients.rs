@@ -117,11 +117,11 @@ fn derive<F: Float>(
         let nudge = |(i, x): (usize, &mut f64)| *x *= if i % 2 == 0 { 1.0 + ROUNDING } else { 1.0 - ROUNDING };
         starts.iter_mut().enumerate().for_each(nudge);
     }
-    let lift = |numbers: &[f64]| numbers.iter().map(|&x| F::lift(x)).collect::<Vec<F>>();
-    let (weights, lifted) = (Weights::new(&*policy, lift(&theta)), lift(&starts));
+    let convert = |numbers: &[f64]| numbers.iter().map(|&x| F::from_f64(x)).collect::<Vec<F>>();
+    let (weights, converted) = (Weights::new(&*policy, convert(&theta)), convert(&starts));
     match method {
         GradientMethod::Reverse { field, budget, nudged: _ } => {
-            let (result, bytes) = peak_bytes(|| reverse(task, policy, weights, lifted, field, budget));
+            let (result, bytes) = peak_bytes(|| reverse(task, policy, weights, converted, field, budget));
             match result {
                 Ok((gradient, run)) => Derived { gradient: Ok(gradient), bytes, rounds: 1.0, run },
                 Err(error) => Derived { gradient: Err(error), bytes, rounds: 1.0, run: Box::new(|| ()) },
@@ -129,7 +129,7 @@ fn derive<F: Float>(
         }
         GradientMethod::Forward => {
             let (mut loss, bytes) = peak_bytes(|| {
-                let mut loss = losses(task, policy, lifted);
+                let mut loss = losses(task, policy, converted);
                 drop(loss(&weights));
                 loss
             });
@@ -138,10 +138,10 @@ fn derive<F: Float>(
         GradientMethod::Central(step) => {
             let mut loss = None;
             let mut difference = move |i: usize| {
-                let loss = loss.get_or_insert_with(|| losses(task.clone(), policy.clone(), lifted.clone()));
+                let loss = loss.get_or_insert_with(|| losses(task.clone(), policy.clone(), converted.clone()));
                 let mut side = |step: f64| {
-                    let mut theta = lift(&theta);
-                    theta[i] = F::lift(theta[i].as_() + step);
+                    let mut theta = convert(&theta);
+                    theta[i] = F::from_f64(theta[i].as_() + step);
                     let perturbed = theta[i].as_();
                     loss(&Weights::new(&*policy, theta)).map(|loss| (loss, perturbed))
                 };

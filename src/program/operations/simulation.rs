@@ -70,7 +70,7 @@ fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, c
     let starts = initial_states(&*task, seed, Purpose::Test, SAMPLES);
     let mut rollout = Rollout::new(&*task, &*policy, SAMPLES);
     let mut adjoint = Adjoint::new(&*task, &*policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]);
-    let scale = F::lift(1.0 / SAMPLES as f64);
+    let scale = F::from_f64(1.0 / SAMPLES as f64);
 
     let run = |rollout: &mut Rollout<F>, adjoint: &mut Adjoint<F>| {
         rollout.start(&starts);

@@ -1,7 +1,7 @@
 //! [`Locked`]: a folder with an exclusive lock, held by this process.
 
 use super::folder::{Folder, LOCK, LOCKED_FILES, PREVIOUS, RUN_FILES, RUNS, SETTINGS, unwritable};
-use super::terminal::tell;
+use super::terminal::print_message;
 use super::{files, signals};
 use anyhow::{Context, Result, bail};
 use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
@@ -39,7 +39,7 @@ impl Folder {
                 return Ok(Some(locked));
             }
             if !reported {
-                tell(&format!("waiting for the folder {}, in use by {}", self.path().display(), self.holder()));
+                print_message(&format!("waiting for the folder {}, in use by {}", self.path().display(), self.holder()));
                 reported = true;
             }
             std::thread::sleep(RETRY_INTERVAL);
@@ -61,7 +61,7 @@ impl Folder {
                 Ok(()) => {}
                 Err(TryLockError::WouldBlock) => return Ok(None),
                 Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => {
-                    tell(&format!(
+                    print_message(&format!(
                         "warning: this file system has no locks; only one process may write to {}",
                         self.path().display()
                     ));
@@ -203,7 +203,7 @@ impl Locked {
         let aside = aside.next().context("some number is free")?;
         let cannot = || format!("cannot move the run in {} aside; choose another folder with --out", path.display());
         files::rename(&whole, &aside).with_context(cannot)?;
-        tell(&format!("moved the earlier run in {} to {}", path.display(), aside.display()));
+        print_message(&format!("moved the earlier run in {} to {}", path.display(), aside.display()));
         // The lock moved with the folder. Another process may lock the new folder first.
         Folder::at(&whole).create()?;
         Folder::at(&path).lock()?.without_run()

@@ -7,7 +7,7 @@ use std::io::{ErrorKind, Write};
 ///
 /// # Errors
 /// The text cannot be written. A pipe that its reader closes, for example `head`, is not an error.
-pub fn say(text: &str) -> Result<()> {
+pub fn print_result(text: &str) -> Result<()> {
     match writeln!(std::io::stdout(), "{text}") {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
         written => written.context("cannot write the result to standard output"),
@@ -15,6 +15,6 @@ pub fn say(text: &str) -> Result<()> {
 }
 
 /// Prints a message to standard error. Ignores write errors.
-pub fn tell(text: &str) {
+pub fn print_message(text: &str) {
     let _ = writeln!(std::io::stderr(), "{text}");
 }

@@ -2,7 +2,7 @@
 
 use super::run::{EpochEvent, Observer};
 use crate::Growth;
-use crate::program::platform::terminal::tell;
+use crate::program::platform::terminal::print_message;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Progress bar with losses, elapsed time and ETA. Without a terminal, prints up to ten lines of
@@ -29,7 +29,7 @@ impl Observer for Progress {
         self.bar.set_position(epochs as u64);
         self.bar.reset_eta();
         if !self.quiet {
-            tell(&format!("resumed after epoch {epochs}"));
+            print_message(&format!("resumed after epoch {epochs}"));
         }
     }
 
@@ -50,7 +50,7 @@ impl Progress {
         self.bar.inc(1);
         let (done, all) = (self.bar.position(), self.bar.length().unwrap_or(0).max(1));
         if !self.quiet && self.bar.is_hidden() && done * 10 / all != (done - 1) * 10 / all {
-            tell(&format!("epoch {done}/{all}: {}", self.bar.message()));
+            print_message(&format!("epoch {done}/{all}: {}", self.bar.message()));
         }
     }
 
@@ -60,7 +60,7 @@ impl Progress {
         for warning in event.warnings {
             let text = format!("{run}{warning}");
             // Prints above a visible bar.
-            if self.bar.is_hidden() { tell(&text) } else { self.bar.println(text) }
+            if self.bar.is_hidden() { print_message(&text) } else { self.bar.println(text) }
         }
     }
 }

@@ -5,7 +5,7 @@ use crate::program::operations::trajectory::ROLLOUTS;
 use crate::program::platform::folder::{ANIMATION, CHECKPOINT, Folder, LEARNING_CURVE, NUMBERS, POLICY, SETTINGS, TRAJECTORY};
 use crate::program::platform::lock::Locked;
 use crate::program::platform::signals;
-use crate::program::platform::terminal::tell;
+use crate::program::platform::terminal::print_message;
 use crate::program::runs::outputs::{self, Metrics};
 use crate::program::runs::saved;
 use crate::program::tasks::Scene;
@@ -207,7 +207,7 @@ impl Saver<'_> {
     fn try_to_save(&mut self, run: &dyn AnyRun) -> Result<()> {
         if !self.signal_seen && signals::received().is_some() {
             self.signal_seen = true;
-            tell("\nfinishing the epoch and saving; a second signal stops immediately");
+            print_message("\nfinishing the epoch and saving; a second signal stops immediately");
         }
         if let Err(error) = self.save(run) {
             if self.folder.is_gone() {
@@ -215,7 +215,7 @@ impl Saver<'_> {
             }
             self.metrics = None;
             self.last = Instant::now();
-            tell(&format!("warning: the run continues, but could not be saved: {error:#}"));
+            print_message(&format!("warning: the run continues, but could not be saved: {error:#}"));
         }
         Ok(())
     }

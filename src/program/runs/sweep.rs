@@ -2,7 +2,7 @@
 
 use crate::program::platform::folder::{Folder, RUNS};
 use crate::program::platform::parallel;
-use crate::program::platform::terminal::tell;
+use crate::program::platform::terminal::print_message;
 use crate::program::runs::progress::Progress;
 use crate::program::runs::run::{self, End, EpochEvent, Finished, NoUpdate, Observer, SAVE_EVERY};
 use crate::program::runs::saved::{self, check_resumable};
@@ -165,7 +165,7 @@ pub fn sweep(comparisons: &mut [Comparison], quiet: bool) -> Result<SweepOutcome
     let progress = Mutex::new(Progress::new(total, quiet));
     if !quiet {
         let task = runs.first().map_or("no task", |(run, ..)| run.scene.task.name());
-        tell(&format!("{task}: {} runs, {total} epochs in total, {} threads", runs.len(), rayon::current_num_threads()));
+        print_message(&format!("{task}: {} runs, {total} epochs in total, {} threads", runs.len(), rayon::current_num_threads()));
     }
     let finished: Vec<Result<Finished>> = parallel::map(&runs, |(run, label)| {
         let mut observer = SharedProgress { progress: &progress, label };

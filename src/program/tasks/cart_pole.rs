@@ -185,7 +185,7 @@ impl TaskSpec for CartPole {
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
         let system = &settings.system;
-        count("system.poles", system.poles, 1..=CartPoleSystem::MOST_POLES)?;
+        count("system.poles", system.poles, 1..=CartPoleSystem::MAX_POLES)?;
         positive("system.cart_mass", system.cart_mass)?;
         positive("system.pole_mass", system.pole_mass)?;
         positive("system.half_length", system.half_length)?;

@@ -175,8 +175,8 @@ impl<T: ProgramTask> InScene<T> {
 
     /// The cotangents of the inputs of the task.
     #[inline(always)]
-    fn inner_bars<'a, C>(&self, bars: Cotangents<'a, C>) -> Cotangents<'a, C> {
-        Cotangents { x: bars.x.map(|bar| &mut bar[..self.states]), ..bars }
+    fn inner_cotangents<'a, C>(&self, cotangents: Cotangents<'a, C>) -> Cotangents<'a, C> {
+        Cotangents { x: cotangents.x.map(|bar| &mut bar[..self.states]), ..cotangents }
     }
 }
 
@@ -209,8 +209,8 @@ impl<T: ProgramTask> Task for InScene<T> {
     }
 
     #[inline(always)]
-    fn observe_vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, y_bar: &[C], bars: Cotangents<'_, C>) {
-        self.task.observe_vjp(self.inner(inputs), y_bar, self.inner_bars(bars));
+    fn observe_vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, y_bar: &[C], cotangents: Cotangents<'_, C>) {
+        self.task.observe_vjp(self.inner(inputs), y_bar, self.inner_cotangents(cotangents));
     }
 
     #[inline(always)]
@@ -219,9 +219,15 @@ impl<T: ProgramTask> Task for InScene<T> {
     }
 
     #[inline(always)]
-    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+    fn running_cost_gradient<R: Real>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next: &[R],
+        cotangents: Cotangents<'_, R>,
+        next_bar: &mut [R],
+    ) {
         let (next, next_bar) = (&next[..self.states], &mut next_bar[..self.states]);
-        self.task.running_cost_gradient(self.inner(inputs), next, self.inner_bars(bars), next_bar);
+        self.task.running_cost_gradient(self.inner(inputs), next, self.inner_cotangents(cotangents), next_bar);
     }
 
     #[inline(always)]

@@ -54,9 +54,9 @@ impl Effect<CartPoleSystem> for Bumpers {
         _model: &CartPoleSystem,
         OdeInputs { x, p, .. }: OdeInputs<'_, R>,
         forces_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        let Some(x_bar) = bars.x else { return };
+        let Some(x_bar) = cotangents.x else { return };
         let (zero, [stiffness, damping]) = (R::zero(), self.numbers().of(p));
         // Both forces grow with depth and outward speed, so both slopes have the same sign.
         let (mut by_x, mut by_speed) = (zero, zero);

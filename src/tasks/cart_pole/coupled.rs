@@ -116,16 +116,16 @@ impl ForcedSystem for CoupledCartPole {
         effects: &E,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         let k = self.constants(inputs.p);
         let speed_bar = next_bar[1] + next_bar[0] * k.dt;
-        if let Some(x_bar) = &mut bars.x {
+        if let Some(x_bar) = &mut cotangents.x {
             x_bar[0] += next_bar[0];
             x_bar[1] += speed_bar;
         }
         let inputs = inputs.continuous(self.0.dt);
-        self.accelerate_reverse(effects, inputs, speed_bar * k.dt, moved_bar(next_bar, k.dt), bars);
+        self.accelerate_reverse(effects, inputs, speed_bar * k.dt, moved_bar(next_bar, k.dt), cotangents);
     }
 }
 
@@ -169,7 +169,7 @@ impl CoupledCartPole {
         inputs: OdeInputs<'_, R>,
         mut a_bar: C,
         pole_bar: impl Fn(usize) -> ([C; 2], C),
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         let (k, x) = (self.constants(inputs.p), inputs.x);
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
@@ -195,7 +195,7 @@ impl CoupledCartPole {
             let alpha_bar = alpha_bar * k.per_inertia;
             let torque_bar = alpha_bar - push_bar * (lever * k.per_inertia);
             forces_bar.push(torque_bar);
-            if let Some(x_bar) = &mut bars.x {
+            if let Some(x_bar) = &mut cotangents.x {
                 let sin_bar = torque_bar * k.weight + push_bar * (k.moment * omega * omega);
                 // The cosine enters α and the push linearly, and the mass as a square. The
                 // cotangent of the mass is -ẍ times that of the push.
@@ -208,10 +208,10 @@ impl CoupledCartPole {
                 x_bar[3 + 2 * i] += push_bar * (R::from(2.0) * k.moment * sin * omega);
             }
         }
-        if let Some(u_bar) = &mut bars.u {
+        if let Some(u_bar) = &mut cotangents.u {
             u_bar[0] += push_bar;
         }
-        effects.vjp(&self.0, inputs, &forces_bar, bars);
+        effects.vjp(&self.0, inputs, &forces_bar, cotangents);
     }
 }
 
@@ -228,14 +228,14 @@ impl ForcedOde for CoupledCartPole {
         effects: &E,
         inputs: OdeInputs<'_, R>,
         rate_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
-        if let Some(x_bar) = &mut bars.x {
+        if let Some(x_bar) = &mut cotangents.x {
             for i in (0..rate_bar.len()).step_by(2) {
                 x_bar[i + 1] += rate_bar[i];
             }
         }
-        self.accelerate_reverse(effects, inputs, rate_bar[1], rate_of_bar(rate_bar), bars);
+        self.accelerate_reverse(effects, inputs, rate_bar[1], rate_of_bar(rate_bar), cotangents);
     }
 
     fn velocity_of(&self, i: usize) -> Option<usize> {

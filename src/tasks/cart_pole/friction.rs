@@ -46,9 +46,9 @@ impl Effect<CartPoleSystem> for PoleDamping {
         model: &CartPoleSystem,
         OdeInputs { p, .. }: OdeInputs<'_, R>,
         forces_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        let Some(x_bar) = bars.x else { return };
+        let Some(x_bar) = cotangents.x else { return };
         let [damping] = self.numbers().of(p);
         for (pole_bar, &torque_bar) in zip(x_bar[2..2 + 2 * model.poles].chunks_exact_mut(2), &forces_bar[1..]) {
             pole_bar[1] -= torque_bar * damping;
@@ -89,9 +89,9 @@ impl Effect<CartPoleSystem> for CartDamping {
         _model: &CartPoleSystem,
         OdeInputs { p, .. }: OdeInputs<'_, R>,
         forces_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        let Some(x_bar) = bars.x else { return };
+        let Some(x_bar) = cotangents.x else { return };
         let [damping] = self.numbers().of(p);
         x_bar[1] -= forces_bar[0] * damping;
     }
@@ -137,9 +137,9 @@ impl Effect<CartPoleSystem> for DryFriction {
         _model: &CartPoleSystem,
         OdeInputs { x, p, .. }: OdeInputs<'_, R>,
         forces_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        let Some(x_bar) = bars.x else { return };
+        let Some(x_bar) = cotangents.x else { return };
         let [force] = self.numbers().of(p);
         let share = (x[1] * R::from(1.0 / self.smoothing)).tanh();
         x_bar[1] -= forces_bar[0] * (force / self.smoothing * (R::one() - share * share));

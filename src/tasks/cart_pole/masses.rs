@@ -59,7 +59,7 @@ impl CartPoleSystem {
     /// # Errors
     /// Returns a [`MassError`] for the first invalid parameter.
     pub fn check(&self) -> Result<(), MassError> {
-        self.check_up_to(Self::MOST_POLES)
+        self.check_up_to(Self::MAX_POLES)
     }
 
     pub(crate) fn check_up_to(&self, most: usize) -> Result<(), MassError> {

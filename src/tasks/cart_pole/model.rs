@@ -61,11 +61,11 @@ impl ForcedSystem for CartPoleModel {
         effects: &E,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
         match self {
-            Self::Uncoupled(system) => system.forced_vjp(effects, inputs, next_bar, bars),
-            Self::Coupled(system) => system.forced_vjp(effects, inputs, next_bar, bars),
+            Self::Uncoupled(system) => system.forced_vjp(effects, inputs, next_bar, cotangents),
+            Self::Coupled(system) => system.forced_vjp(effects, inputs, next_bar, cotangents),
         }
     }
 }
@@ -85,11 +85,11 @@ impl ForcedOde for CartPoleModel {
         effects: &E,
         inputs: OdeInputs<'_, R>,
         rate_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
         match self {
-            Self::Uncoupled(system) => system.forced_rate_vjp(effects, inputs, rate_bar, bars),
-            Self::Coupled(system) => system.forced_rate_vjp(effects, inputs, rate_bar, bars),
+            Self::Uncoupled(system) => system.forced_rate_vjp(effects, inputs, rate_bar, cotangents),
+            Self::Coupled(system) => system.forced_rate_vjp(effects, inputs, rate_bar, cotangents),
         }
     }
 

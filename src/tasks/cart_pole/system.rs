@@ -11,9 +11,9 @@ use arrayvec::ArrayVec;
 use serde::{Deserialize, Serialize};
 
 /// One value per pole.
-pub(super) type PerPole<T> = ArrayVec<T, { CartPoleSystem::MOST_POLES }>;
+pub(super) type PerPole<T> = ArrayVec<T, { CartPoleSystem::MAX_POLES }>;
 /// Force on the cart, followed by the torque on each pole.
-pub(super) type Forces<T> = ArrayVec<T, { CartPoleSystem::MOST_POLES + 1 }>;
+pub(super) type Forces<T> = ArrayVec<T, { CartPoleSystem::MAX_POLES + 1 }>;
 
 /// Cart with poles that do not act on each other: semi-implicit Euler, velocities first.
 ///
@@ -32,7 +32,7 @@ pub(super) type Forces<T> = ArrayVec<T, { CartPoleSystem::MOST_POLES + 1 }>;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct CartPoleSystem {
-    /// Number of poles, at most [`MOST_POLES`](CartPoleSystem::MOST_POLES).
+    /// Number of poles, at most [`MAX_POLES`](CartPoleSystem::MAX_POLES).
     pub poles: usize,
     /// Mass of the cart, kg. M is this plus the mass of one pole.
     pub cart_mass: Number,
@@ -79,7 +79,7 @@ impl CartPoleSystem {
     }
 
     /// Largest number of poles. Buffers of a step are on the stack.
-    pub const MOST_POLES: usize = 64;
+    pub const MAX_POLES: usize = 64;
 
     /// Appends sine and cosine of every angle to `trig`, and the forces with `effects` to
     /// `forces`. `weight` is m g l.
@@ -181,16 +181,16 @@ impl ForcedSystem for CartPoleSystem {
         effects: &E,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         let k = self.constants(inputs.p);
         let speed_bar = next_bar[1] + next_bar[0] * k.dt;
-        if let Some(x_bar) = &mut bars.x {
+        if let Some(x_bar) = &mut cotangents.x {
             x_bar[0] += next_bar[0];
             x_bar[1] += speed_bar;
         }
         let inputs = inputs.continuous(self.dt);
-        self.accelerate_reverse(effects, inputs, speed_bar * (k.dt * k.per_mass), moved_bar(next_bar, k.dt), bars);
+        self.accelerate_reverse(effects, inputs, speed_bar * (k.dt * k.per_mass), moved_bar(next_bar, k.dt), cotangents);
     }
 }
 
@@ -234,7 +234,7 @@ impl CartPoleSystem {
         inputs: OdeInputs<'_, R>,
         push_bar: C,
         pole_bar: impl Fn(usize) -> ([C; 2], C),
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         let (k, x) = (self.constants(inputs.p), inputs.x);
         let (mut trig, mut forces, mut forces_bar) = (PerPole::new(), Forces::new(), Forces::new());
@@ -257,7 +257,7 @@ impl CartPoleSystem {
             let thrust_bar = -(torque_bar * (lever * k.per_mass));
             force_bar += thrust_bar;
             forces_bar.push(torque_bar);
-            if let Some(x_bar) = &mut bars.x {
+            if let Some(x_bar) = &mut cotangents.x {
                 let centrifugal_bar = push_bar + thrust_bar;
                 let sin_bar = torque_bar * k.weight + centrifugal_bar * (k.moment * spin);
                 let cos_bar =
@@ -269,11 +269,11 @@ impl CartPoleSystem {
                 x_bar[3 + 2 * i] += centrifugal_bar * (R::from(2.0) * k.moment * sin * omega);
             }
         }
-        if let Some(u_bar) = &mut bars.u {
+        if let Some(u_bar) = &mut cotangents.u {
             u_bar[0] += force_bar;
         }
         forces_bar[0] = force_bar;
-        effects.vjp(self, inputs, &forces_bar, bars);
+        effects.vjp(self, inputs, &forces_bar, cotangents);
     }
 }
 
@@ -291,15 +291,15 @@ impl ForcedOde for CartPoleSystem {
         effects: &E,
         inputs: OdeInputs<'_, R>,
         rate_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         let k = self.constants(inputs.p);
-        if let Some(x_bar) = &mut bars.x {
+        if let Some(x_bar) = &mut cotangents.x {
             for i in (0..rate_bar.len()).step_by(2) {
                 x_bar[i + 1] += rate_bar[i];
             }
         }
-        self.accelerate_reverse(effects, inputs, rate_bar[1] * k.per_mass, rate_of_bar(rate_bar), bars);
+        self.accelerate_reverse(effects, inputs, rate_bar[1] * k.per_mass, rate_of_bar(rate_bar), cotangents);
     }
 
     fn velocity_of(&self, i: usize) -> Option<usize> {

@@ -90,11 +90,11 @@ impl Effect<CartPoleSystem> for SteadyWind {
         model: &CartPoleSystem,
         OdeInputs { x, p, .. }: OdeInputs<'_, R>,
         forces_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        if bars.x.is_some() {
+        if cotangents.x.is_some() {
             let (speed, drag) = self.values(model, p);
-            drag.vjp(model, speed, x, forces_bar, bars.x);
+            drag.vjp(model, speed, x, forces_bar, cotangents.x);
         }
     }
 }
@@ -167,14 +167,14 @@ impl Effect<CartPoleSystem> for GustyWind {
         model: &CartPoleSystem,
         inputs: OdeInputs<'_, R>,
         forces_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
-        if bars.x.is_none() && bars.p.is_none() {
+        if cotangents.x.is_none() && cotangents.p.is_none() {
             return;
         }
         let (wind, slope, drag) = self.values(model, inputs);
-        let wind_bar = drag.vjp(model, wind, inputs.x, forces_bar, bars.x.take());
-        if let Some(p_bar) = bars.p {
+        let wind_bar = drag.vjp(model, wind, inputs.x, forces_bar, cotangents.x.take());
+        if let Some(p_bar) = cotangents.p {
             p_bar[0] += wind_bar * slope;
         }
     }

@@ -50,13 +50,13 @@ impl Effect<GuidanceSystem> for Friction {
         model: &GuidanceSystem,
         _inputs: OdeInputs<'_, R>,
         forces_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        let Some(x_bar) = bars.x else { return };
-        let (forces_bar, bars) = (forces_bar.as_chunks::<2>().0, x_bar.as_chunks_mut::<AGENT>().0);
+        let Some(x_bar) = cotangents.x else { return };
+        let (forces_bar, cotangents) = (forces_bar.as_chunks::<2>().0, x_bar.as_chunks_mut::<AGENT>().0);
         for (friction, range) in [(self.drivers, model.all_drivers()), (self.evaders, model.all_evaders())] {
             let friction = R::from(friction);
-            for (force_bar, bar) in zip(forces_bar[range.clone()].iter(), &mut bars[range]) {
+            for (force_bar, bar) in zip(forces_bar[range.clone()].iter(), &mut cotangents[range]) {
                 bar[2] -= force_bar[0] * friction;
                 bar[3] -= force_bar[1] * friction;
             }

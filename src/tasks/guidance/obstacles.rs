@@ -45,7 +45,7 @@ impl Default for Obstacles {
 
 /// Returns the vector from `center` to an agent.
 #[inline(always)]
-fn way<T: Scalar>(agent: &[T], center: [f64; 2]) -> [T; 2] {
+fn offset<T: Scalar>(agent: &[T], center: [f64; 2]) -> [T; 2] {
     [agent[0] - center[0], agent[1] - center[1]]
 }
 
@@ -55,7 +55,7 @@ impl Effect<GuidanceSystem> for Obstacles {
         let stiffness = T::from(self.stiffness);
         for (force, agent) in zip(forces.chunks_exact_mut(2), x.chunks_exact(AGENT)) {
             for &center in &self.centers {
-                let r = way(agent, center);
+                let r = offset(agent, center);
                 let push = stiffness * Gap::new(r, model.softening).depth_share(self.radius);
                 force[0] += push * r[0];
                 force[1] += push * r[1];
@@ -69,14 +69,14 @@ impl Effect<GuidanceSystem> for Obstacles {
         model: &GuidanceSystem,
         OdeInputs { x, .. }: OdeInputs<'_, R>,
         forces_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        let Some(x_bar) = bars.x else { return };
+        let Some(x_bar) = cotangents.x else { return };
         let agents = zip(x.chunks_exact(AGENT), x_bar.chunks_exact_mut(AGENT));
         for (force_bar, (agent, x_bar)) in zip(forces_bar.chunks_exact(2), agents) {
             let force_bar = [force_bar[0], force_bar[1]];
             for &center in &self.centers {
-                let gap = Gap::new(way(agent, center), model.softening);
+                let gap = Gap::new(offset(agent, center), model.softening);
                 let [by_x, by_y] = gap.depth_vjp(self.radius, model.softening, self.stiffness, force_bar);
                 x_bar[0] += by_x;
                 x_bar[1] += by_y;

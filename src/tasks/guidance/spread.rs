@@ -48,9 +48,9 @@ impl Effect<GuidanceSystem> for Spread {
         model: &GuidanceSystem,
         OdeInputs { x, .. }: OdeInputs<'_, R>,
         forces_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        let Some(x_bar) = bars.x else { return };
+        let Some(x_bar) = cotangents.x else { return };
         among_vjp(model, self.law(), model.all_drivers(), x, forces_bar, x_bar);
     }
 }

@@ -207,14 +207,14 @@ impl ForcedSystem for GuidanceSystem {
         effects: &E,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         let dt = R::from(self.dt);
         let next_bars = &next_bar.as_chunks::<AGENT>().0[..self.agents()];
         let mut forces_bar = SmallVec::<[[C; 2]; STACK]>::new();
         forces_bar.extend(next_bars.iter().map(|next| [next[2] * dt, next[3] * dt]));
         let forces_bar = forces_bar.as_flattened();
-        if let Some(x_bar) = &mut bars.x {
+        if let Some(x_bar) = &mut cotangents.x {
             for (bar, next) in zip(x_bar.as_chunks_mut::<AGENT>().0.iter_mut(), next_bars) {
                 bar[0] += next[0];
                 bar[1] += next[1];
@@ -223,10 +223,10 @@ impl ForcedSystem for GuidanceSystem {
             }
             self.reverse_steering(inputs.u, forces_bar, x_bar);
         }
-        if let Some(u_bar) = &mut bars.u {
+        if let Some(u_bar) = &mut cotangents.u {
             self.reverse_control(inputs.x, next_bar, u_bar);
         }
-        effects.vjp(self, inputs.continuous(self.dt), forces_bar, bars);
+        effects.vjp(self, inputs.continuous(self.dt), forces_bar, cotangents);
     }
 }
 
@@ -249,20 +249,20 @@ impl ForcedOde for GuidanceSystem {
         effects: &E,
         inputs: OdeInputs<'_, R>,
         rate_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         let rate_bars = &rate_bar.as_chunks::<AGENT>().0[..self.agents()];
         let mut forces_bar = SmallVec::<[[C; 2]; STACK]>::new();
         forces_bar.extend(rate_bars.iter().map(|rate| [rate[2], rate[3]]));
         let forces_bar = forces_bar.as_flattened();
-        if let Some(x_bar) = &mut bars.x {
+        if let Some(x_bar) = &mut cotangents.x {
             for (bar, rate) in zip(x_bar.as_chunks_mut::<AGENT>().0.iter_mut(), rate_bars) {
                 bar[2] += rate[0];
                 bar[3] += rate[1];
             }
             self.reverse_steering(inputs.u, forces_bar, x_bar);
         }
-        if let Some(u_bar) = &mut bars.u {
+        if let Some(u_bar) = &mut cotangents.u {
             let x = inputs.x;
             let herd = self.herd(x);
             for ((c_bar, x), force) in zip(zip(u_bar.chunks_exact_mut(2), x.chunks_exact(AGENT)), forces_bar.chunks_exact(2)) {
@@ -271,7 +271,7 @@ impl ForcedOde for GuidanceSystem {
                 c_bar[1] += force[1] * q[0] - force[0] * q[1];
             }
         }
-        effects.vjp(self, inputs, forces_bar, bars);
+        effects.vjp(self, inputs, forces_bar, cotangents);
     }
 
     fn velocity_of(&self, i: usize) -> Option<usize> {

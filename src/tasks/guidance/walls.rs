@@ -66,9 +66,9 @@ impl Effect<GuidanceSystem> for Walls {
         _model: &GuidanceSystem,
         OdeInputs { x, .. }: OdeInputs<'_, R>,
         forces_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        let Some(x_bar) = bars.x else { return };
+        let Some(x_bar) = cotangents.x else { return };
         let (zero, stiffness) = (R::zero(), R::from(self.stiffness));
         let agents = zip(x.chunks_exact(AGENT), x_bar.chunks_exact_mut(AGENT));
         for (force_bar, (agent, x_bar)) in zip(forces_bar.chunks_exact(2), agents) {

@@ -144,9 +144,15 @@ impl Task for Lqr {
     }
 
     #[inline(always)]
-    fn running_cost_gradient<R: Real>(&self, inputs: Inputs<'_, R>, next: &[R], bars: Cotangents<'_, R>, next_bar: &mut [R]) {
+    fn running_cost_gradient<R: Real>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next: &[R],
+        cotangents: Cotangents<'_, R>,
+        next_bar: &mut [R],
+    ) {
         quadratic_gradient(&self.state_cost, next, next_bar);
-        if let Some(u_bar) = bars.u {
+        if let Some(u_bar) = cotangents.u {
             quadratic_gradient(&self.control_cost, inputs.u, u_bar);
         }
     }

@@ -33,7 +33,7 @@ pub enum NoOptimum {
     /// slowly.
     #[error(
         "Riccati's equation did not converge in 2^{doublings} steps (the last doubling changed W by {change:.1e} of its size): \
-         the plant has motions that do not decay and that no control reaches, or that the cost does not see"
+         the plant has motions without decay that no control reaches or on which the cost does not depend"
     )]
     NotConverged {
         /// Number of doublings of the horizon.
@@ -44,7 +44,7 @@ pub enum NoOptimum {
 }
 
 /// Largest number of doublings. For slower loops, f64 cannot represent the optimum either.
-const MOST: usize = 40;
+const MAX_DOUBLINGS: usize = 40;
 
 impl Optimum {
     /// Computes the optimum of a plant for the row-major costs Q and R, by doubling the horizon
@@ -82,7 +82,7 @@ fn symmetric(matrix: DMatrix<f64>) -> DMatrix<f64> {
 /// Computes W from the A, G and H of one step.
 fn doubled(mut a: DMatrix<f64>, mut g: DMatrix<f64>, mut h: DMatrix<f64>) -> Result<DMatrix<f64>, NoOptimum> {
     let mut change = f64::INFINITY;
-    for doublings in 0..MOST {
+    for doublings in 0..MAX_DOUBLINGS {
         let inverse = (DMatrix::identity(a.nrows(), a.nrows()) + &g * &h).try_inverse();
         let inverse = inverse.ok_or(NoOptimum::NotConverged { doublings, change })?;
         let onward = &a * &inverse;
@@ -95,5 +95,5 @@ fn doubled(mut a: DMatrix<f64>, mut g: DMatrix<f64>, mut h: DMatrix<f64>) -> Res
             return Ok(h);
         }
     }
-    Err(NoOptimum::NotConverged { doublings: MOST, change })
+    Err(NoOptimum::NotConverged { doublings: MAX_DOUBLINGS, change })
 }

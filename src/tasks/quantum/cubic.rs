@@ -56,9 +56,9 @@ impl Effect<QuantumSystem> for Cubic {
         model: &QuantumSystem,
         OdeInputs { x, .. }: OdeInputs<'_, R>,
         potential_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
-        let Some(x_bar) = bars.x else { return };
+        let Some(x_bar) = cotangents.x else { return };
         let slope = R::from(2.0 * self.per_probability(model));
         for ((&v_bar, [re, im]), bar) in zip(zip(potential_bar.iter(), x.as_chunks().0), x_bar.as_chunks_mut::<2>().0) {
             let v_bar = v_bar * slope;

@@ -119,7 +119,7 @@ impl ForcedSystem for Pade {
         effects: &E,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         let (model, dt) = (&self.0, self.factor_dt());
         let (x, inputs) = (inputs.x, inputs.continuous(model.dt));
@@ -131,8 +131,8 @@ impl ForcedSystem for Pade {
         let (chi_bar, wave_bar) = (chi_bar.as_flattened_mut(), wave_bar.as_flattened_mut());
         let effects_read = effects.state_dependent();
         // Shorter path if only the cotangent of the state is requested.
-        if bars.u.is_none() && !effects_read {
-            if let Some(x_bar) = bars.x {
+        if cotangents.u.is_none() && !effects_read {
+            if let Some(x_bar) = cotangents.x {
                 plus.conjugate();
                 plus.solve(next_bar, chi_bar);
                 reflect(next_bar, chi_bar);
@@ -159,7 +159,7 @@ impl ForcedSystem for Pade {
         plus.solve(chi.as_flattened(), y_plus.as_flattened_mut());
         minus.conjugate();
         plus.conjugate();
-        let with_control = bars.u.is_some();
+        let with_control = cotangents.u.is_some();
         plus.solve(next_bar, chi_bar);
         let (mut first, mut second) = (PerPoint::new(), PerPoint::new());
         let control_bar = if effects_read {
@@ -175,14 +175,14 @@ impl ForcedSystem for Pade {
             minus.solve(chi_bar, wave_bar);
             plus_bar + model.reverse_potential(dt, y_minus, chi_bar, wave_bar, with_control, None)
         };
-        if let Some(x_bar) = &mut bars.x {
+        if let Some(x_bar) = &mut cotangents.x {
             add(x_bar, wave_bar);
         }
-        if let Some(u_bar) = &mut bars.u {
+        if let Some(u_bar) = &mut cotangents.u {
             u_bar[0] += control_bar;
         }
         if effects_read {
-            effects.vjp(model, inputs, &first, bars);
+            effects.vjp(model, inputs, &first, cotangents);
         }
     }
 }

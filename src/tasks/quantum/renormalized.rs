@@ -97,8 +97,8 @@ impl<S: HasModel<QuantumSystem>> System for Renormalized<S> {
     }
 
     #[inline(always)]
-    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], bars: Cotangents<'_, C>) {
-        self.system.vjp(inputs, &self.reverse(inputs, next_bar), bars);
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+        self.system.vjp(inputs, &self.reverse(inputs, next_bar), cotangents);
     }
 
     fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {

@@ -48,14 +48,14 @@ struct Reverse<'a, H, E, R, C> {
     effects: &'a E,
     inputs: Inputs<'a, R>,
     next_bar: &'a [C],
-    bars: Cotangents<'a, C>,
+    cotangents: Cotangents<'a, C>,
 }
 
 impl<H: ForcedSystem, E: Effect<H::Model>, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, H, E, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { system, effects, inputs, next_bar, bars } = self;
-        system.forced_vjp(effects, inputs, next_bar, bars);
+        let Self { system, effects, inputs, next_bar, cotangents } = self;
+        system.forced_vjp(effects, inputs, next_bar, cotangents);
     }
 }
 
@@ -102,12 +102,12 @@ impl ForcedSystem for QuantumScheme {
         effects: &E,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        bars: Cotangents<'_, C>,
+        cotangents: Cotangents<'_, C>,
     ) {
         match self {
-            Self::CrankNicolson(system) => outline::<R>(Reverse { system, effects, inputs, next_bar, bars }),
-            Self::Pade(system) => outline::<R>(Reverse { system, effects, inputs, next_bar, bars }),
-            Self::Strang(system) => outline::<R>(Reverse { system, effects, inputs, next_bar, bars }),
+            Self::CrankNicolson(system) => outline::<R>(Reverse { system, effects, inputs, next_bar, cotangents }),
+            Self::Pade(system) => outline::<R>(Reverse { system, effects, inputs, next_bar, cotangents }),
+            Self::Strang(system) => outline::<R>(Reverse { system, effects, inputs, next_bar, cotangents }),
         }
     }
 }

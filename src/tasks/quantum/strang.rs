@@ -156,7 +156,7 @@ impl ForcedSystem for Strang {
         effects: &E,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         let (model, reads) = (&self.system, effects.state_dependent());
         let (x, inputs) = (inputs.x, inputs.continuous(model.dt));
@@ -167,8 +167,8 @@ impl ForcedSystem for Strang {
         wave_bar.resize(model.grid, [C::null(); 2]);
         let (a_bar, wave_bar) = (a_bar.as_flattened_mut(), wave_bar.as_flattened_mut());
         // Shorter path if only the cotangent of the state is requested.
-        if bars.u.is_none() && !reads {
-            if let Some(x_bar) = bars.x {
+        if cotangents.u.is_none() && !reads {
+            if let Some(x_bar) = cotangents.x {
                 turn::<R, C, true>(before, next_bar, wave_bar);
                 self.kinetic.apply::<R, C, true>(wave_bar, a_bar);
                 turn::<R, C, true>(before, a_bar, wave_bar);
@@ -183,7 +183,7 @@ impl ForcedSystem for Strang {
         let (a, b) = (a.as_flattened_mut(), b.as_flattened_mut());
         turn::<R, R, false>(before, x, a);
         self.kinetic.apply::<R, R, false>(a, b);
-        let with_control = bars.u.is_some();
+        let with_control = cotangents.u.is_some();
         let mut control_bar;
         let mut potential_bar = PerPoint::new();
         if reads {
@@ -193,7 +193,7 @@ impl ForcedSystem for Strang {
             let after = self.phases(effects, inputs.with_x(b), &mut phases);
             turn::<R, C, true>(after, next_bar, wave_bar);
             control_bar = self.reverse_half(b, wave_bar, with_control, Some(&mut *potential_bar));
-            let mut half_bars = bars.reborrow();
+            let mut half_bars = cotangents.reborrow();
             half_bars.x = Some(&mut *wave_bar);
             effects.vjp(model, inputs.with_x(b), potential_bar, half_bars);
             self.kinetic.apply::<R, C, true>(wave_bar, a_bar);
@@ -204,15 +204,15 @@ impl ForcedSystem for Strang {
             self.kinetic.apply::<R, C, true>(wave_bar, a_bar);
             control_bar += self.reverse_half(a, a_bar, with_control, None);
         }
-        if let Some(x_bar) = &mut bars.x {
+        if let Some(x_bar) = &mut cotangents.x {
             turn::<R, C, true>(before, a_bar, wave_bar);
             add(x_bar, wave_bar);
         }
-        if let Some(u_bar) = &mut bars.u {
+        if let Some(u_bar) = &mut cotangents.u {
             u_bar[0] += control_bar;
         }
         if reads {
-            effects.vjp(model, inputs, &potential_bar, bars);
+            effects.vjp(model, inputs, &potential_bar, cotangents);
         }
     }
 }

@@ -253,7 +253,7 @@ impl ForcedSystem for QuantumSystem {
         effects: &E,
         inputs: Inputs<'_, R>,
         next_bar: &[C],
-        mut bars: Cotangents<'_, C>,
+        mut cotangents: Cotangents<'_, C>,
     ) {
         let inputs = inputs.continuous(self.dt);
         let mut per_pivot = PerPoint::new();
@@ -263,8 +263,8 @@ impl ForcedSystem for QuantumSystem {
         let wave_bar = wave_bar.as_flattened_mut();
         let effects_read = effects.state_dependent();
         // Shorter path if only the cotangent of the state is requested.
-        if bars.u.is_none() && !effects_read {
-            if let Some(x_bar) = bars.x {
+        if cotangents.u.is_none() && !effects_read {
+            if let Some(x_bar) = cotangents.x {
                 a.conjugate();
                 a.solve(next_bar, wave_bar);
                 for (x_bar, (&w, &next_bar)) in zip(x_bar.iter_mut(), zip(wave_bar.iter(), next_bar)) {
@@ -280,7 +280,7 @@ impl ForcedSystem for QuantumSystem {
         a.solve(inputs.x, y.as_flattened_mut());
         a.conjugate();
         a.solve(next_bar, wave_bar);
-        let with_control = bars.u.is_some();
+        let with_control = cotangents.u.is_some();
         let mut potential_bar = PerPoint::new();
         let potential_bar = effects_read.then(|| {
             potential_bar.resize(self.grid, C::null());
@@ -290,14 +290,14 @@ impl ForcedSystem for QuantumSystem {
             Some(bar) => (self.reverse_potential(self.dt, y, next_bar, wave_bar, with_control, Some(&mut *bar)), &bar[..]),
             None => (self.reverse_potential(self.dt, y, next_bar, wave_bar, with_control, None), &[][..]),
         };
-        if let Some(x_bar) = &mut bars.x {
+        if let Some(x_bar) = &mut cotangents.x {
             add(x_bar, wave_bar);
         }
-        if let Some(u_bar) = &mut bars.u {
+        if let Some(u_bar) = &mut cotangents.u {
             u_bar[0] += control_bar;
         }
         if effects_read {
-            effects.vjp(self, inputs, potential_bar, bars);
+            effects.vjp(self, inputs, potential_bar, cotangents);
         }
     }
 }

@@ -7,7 +7,7 @@ use crate::program::commands::accuracy::{Study, bar};
 use crate::program::operations::gradients::{Derived, GradientMethod, REFERENCES, chosen};
 use crate::program::platform::folder::Folder;
 use crate::program::platform::parallel;
-use crate::program::platform::terminal::{say, tell};
+use crate::program::platform::terminal::{print_message, print_result};
 use crate::program::settings::Precision;
 use crate::program::tasks::Scene;
 use crate::{Field, GradientCombiner, SignAgreement};
@@ -47,7 +47,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
 
     let bar = bar(methods.len() * (1 + ROUNDS) + REFERENCES + 3 * horizons.len() + PARTS.len(), quiet);
     if !quiet && bar.is_hidden() {
-        tell(&format!(
+        print_message(&format!(
             "measuring {} gradient methods, {REFERENCES} double-double derivatives, {} horizons",
             methods.len(),
             horizons.len()
@@ -102,8 +102,8 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
     let horizons = along(study, horizons, &bar)?;
     bar.finish_and_clear();
     let text = write(folder, name, &derivatives, &checkpoints, &horizons)?;
-    say(&text)?;
-    say(&format!(
+    print_result(&text)?;
+    print_result(&format!(
         "results in {}: gradients.csv, horizons.csv, checkpoints.csv, gradients.svg, gradients.md",
         folder.path().display()
     ))?;

@@ -4,7 +4,7 @@ use crate::Record;
 use crate::program::commands::paper::{FinishedFigure, Options};
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
-use crate::program::platform::terminal::say;
+use crate::program::platform::terminal::print_result;
 use crate::program::runs::statistics::{Outcome, best, by_field, curves, quantile, sorted, trailing_mean};
 use crate::program::runs::sweep::{Comparison, sweep};
 use crate::program::scenes::{overrides, presets};
@@ -81,7 +81,7 @@ impl Study {
         let mut comparisons = plans.collect::<Result<Vec<_>>>()?;
         let swept = sweep(&mut comparisons, options.quiet)?;
         if swept.interrupted {
-            let _ = say(&format!("interrupted; to resume in {}, repeat the same command", folder.path().display()));
+            let _ = print_result(&format!("interrupted; to resume in {}, repeat the same command", folder.path().display()));
             return swept.into_result();
         }
         let outcomes = comparisons.iter().map(Comparison::outcomes);
