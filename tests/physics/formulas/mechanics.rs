@@ -1,0 +1,148 @@
+//! Double pendulum, chain of poles, linear plants, friction and impacts.
+
+use super::mechanism::*;
+use super::*;
+
+/// Checks the rates of an [`Ode`] whose positions and speeds alternate, and its energy.
+#[track_caller]
+fn moves_as<O: Ode + Copy>(what: &str, ode: O, energy: impl Fn(&[f64]) -> f64, mechanism: &Mechanism) {
+    for (x, u) in states(ode.state_dim(), 1) {
+        let mut applied = vec![0.0; x.len() / 2];
+        applied[0] = u[0];
+        let expected: Vec<f64> =
+            mechanism.accelerations(&x, &applied).iter().zip(x.chunks_exact(2)).flat_map(|(a, pair)| [pair[1], *a]).collect();
+        let mut rate = vec![f64::NAN; x.len()];
+        ode.rate(Inputs::new(&x, &u).continuous(0.0), &mut rate);
+        near(what, &rate, &expected);
+        near(&format!("energy of a {what}"), &[energy(&x)], &[mechanism.energy(&x)]);
+    }
+    let passed = check::try_system(&physgrad::Integrated { ode, integrator: physgrad::SemiImplicit, dt: 0.02 });
+    passed.unwrap_or_else(|mismatch| panic!("{what}: {mismatch}"));
+}
+
+#[test]
+fn a_double_pendulum_is_two_point_masses() {
+    let pendulum = DoublePendulum { masses: [1.3, 0.4], lengths: [0.7, 1.1], gravity: 9.1 };
+    let points = vec![Point { mass: 1.3, arms: vec![0.7, 0.0] }, Point { mass: 0.4, arms: vec![0.7, 1.1] }];
+    let mechanism = Mechanism { points, cart: false, gravity: 9.1 };
+    moves_as("double pendulum", pendulum, |x| pendulum.energy(x), &mechanism);
+}
+
+#[test]
+fn a_chain_is_rods_end_to_end() {
+    for poles in [1, 2, 4] {
+        let chain = PoleChain(model(poles));
+        moves_as("chain", chain, |x| chain.energy(x), &on_cart(&model(poles), true));
+    }
+}
+
+#[test]
+fn linear_plants_are_a_spring_and_an_upright_pole() {
+    // 1 kg, 1 N/m, 0.4 N s/m, steps of 0.1 s.
+    let spring = Lqr::spring();
+    steps_as("spring", spring.system(), |x, u| semi_implicit(x, &[u[0] - x[0] - 0.4 * x[1]], 0.1));
+    // Equations linearized in θ, ω, F about 0.
+    let [cart_mass, pole_mass, l, gravity] = CartPoleSystem::default().nominal();
+    let dt = CartPoleSystem::default().dt;
+    let (mass, moment, inertia) = (cart_mass + pole_mass, pole_mass * l, 4.0 / 3.0 * pole_mass * l * l);
+    steps_as("upright pole", Lqr::upright_cart_pole().system(), |x, u| {
+        let right = vec![u[0], moment * gravity * x[2]];
+        semi_implicit(x, &solve(vec![vec![mass, moment], vec![moment, inertia]], right), dt)
+    });
+}
+
+#[test]
+fn a_block_slides_with_coulombs_friction() {
+    let slider = SliderSystem { mass: 1.7, coefficient: 0.6, smoothing: 0.8, dt: 0.05, scheme: FrictionScheme::Explicit };
+    // Newton's law with friction μ m g tanh(v / ε).
+    let friction = |v: f64| 0.6 * 1.7 * 9.81 * (v / 0.8).tanh();
+    steps_as("explicit", &slider, |x, u| semi_implicit(x, &[(u[0] - friction(x[1])) / 1.7], 0.05));
+    let implicit = SliderSystem { scheme: FrictionScheme::Implicit, ..slider };
+    steps_as("implicit", &implicit, |x, u| {
+        // Friction at the new speed, found by bisection of an increasing function.
+        let missing = |v: f64| v - x[1] - 0.05 * (u[0] - friction(v)) / 1.7;
+        let (mut low, mut high) = (-100.0, 100.0);
+        for _ in 0..100 {
+            let middle = 0.5 * (low + high);
+            if missing(middle) < 0.0 { low = middle } else { high = middle }
+        }
+        vec![x[0] + 0.05 * low, low]
+    });
+}
+
+/// Returns position and speed of a body under constant acceleration.
+fn fall(place: f64, speed: f64, acceleration: f64, time: f64) -> [f64; 2] {
+    [place + speed * time + 0.5 * acceleration * time * time, speed + acceleration * time]
+}
+
+/// Returns the time at which a falling body reaches the ground.
+fn landing(height: f64, speed: f64, acceleration: f64) -> f64 {
+    2.0 * height / ((speed * speed - 2.0 * acceleration * height).sqrt() - speed)
+}
+
+#[test]
+fn a_ball_falls_and_bounces() {
+    let (mass, gravity, dt) = (0.7, 9.3, 0.1);
+    let ball = |contact| BouncingBall { mass, gravity, contact, dt };
+    let bouncing = ball(Contact::TimeOfImpact { restitution: 0.6 });
+    let springy = ball(Contact::Penalty { stiffness: 30.0, damping: 0.2 });
+    let mut landed = 0;
+    for (x, u) in states(2, 1) {
+        let acceleration = u[0] / mass - gravity;
+        let height = 0.1 * x[0].abs();
+        let time = landing(height, x[1], acceleration);
+        let expected = if time < dt {
+            landed += 1;
+            let speed = -0.6 * (x[1] + acceleration * time);
+            // Holds if the ball does not land again. Other cases have a negative height and are
+            // skipped.
+            fall(0.0, speed, acceleration, dt - time)
+        } else {
+            fall(height, x[1], acceleration, dt)
+        };
+        if expected[0] >= 0.0 {
+            near("bounce", &step(&bouncing, &[height, x[1]], &u), &expected);
+        }
+        // The spring of the floor acts as in semi-implicit Euler. All other motion is free fall.
+        let kick = dt / mass * 30.0 * (-x[0]).max(0.0) * (1.0 - 0.2 * x[1]).max(0.0);
+        let [place, speed] = fall(x[0], x[1], acceleration, dt);
+        near("spring", &step(&springy, &x, &u), &[place + dt * kick, speed + kick]);
+    }
+    assert!(landed > 20, "{landed}");
+}
+
+#[test]
+fn two_bodies_hit_each_other() {
+    let ([m1, m2], dt) = ([1.2, 0.5], 0.1);
+    let pair = |contact| TwoBodies { masses: [m1, m2], contact_distance: 0.3, contact, dt };
+    let elastic = pair(Contact::TimeOfImpact { restitution: 0.6 });
+    let springy = pair(Contact::Penalty { stiffness: 30.0, damping: 0.2 });
+    let mut hits = 0;
+    for (x, u) in states(4, 1) {
+        let push = u[0] / m1;
+        let x = [x[0], x[0] + 0.3 + x[1].abs() * 0.2, x[2], x[3]];
+        let (gap, speed) = (x[1] - x[0] - 0.3, x[3] - x[2]);
+        let time = landing(gap, speed, -push);
+        let [a, va] = fall(x[0], x[2], push, dt);
+        let mut expected = [a, x[1] + dt * x[3], va, x[3]];
+        if time > 0.0 && time < dt {
+            hits += 1;
+            let ([a, va], b) = (fall(x[0], x[2], push, time), x[1] + time * x[3]);
+            // Momentum is conserved, and the bodies separate with 0.6 of their approach speed.
+            let (center, separation) = ((m1 * va + m2 * x[3]) / (m1 + m2), 0.6 * (va - x[3]));
+            let (after, other) = (center - m2 / (m1 + m2) * separation, center + m1 / (m1 + m2) * separation);
+            let [a, va] = fall(a, after, push, dt - time);
+            expected = [a, b + (dt - time) * other, va, other];
+        }
+        // Skips pairs that meet twice.
+        if expected[1] - expected[0] >= 0.3 {
+            near("hit", &step(&elastic, &x, &u), &expected);
+        }
+        let x = [x[0], x[0] + 0.1, x[2], x[3]];
+        let force = 30.0 * 0.2 * (1.0 - 0.2 * (x[3] - x[2])).max(0.0);
+        let [a, va] = fall(x[0], x[2], push, dt);
+        let (back, on) = (dt * force / m1, dt * force / m2);
+        near("spring", &step(&springy, &x, &u), &[a - dt * back, x[1] + dt * x[3] + dt * on, va - back, x[3] + on]);
+    }
+    assert!(hits > 5, "{hits}");
+}
