@@ -10,7 +10,7 @@ use physgrad::tasks::{
 };
 use physgrad::{
     Actuated, AnyActuator, Batch, Cotangents, Delay, Effect, Float, Flow, Forced, ForcedSystem, HasModel, Inputs, Lag, Limit,
-    LimitKind, OpCount, Ops, Real, Rollout, Single, System, Task, Weights, initial_states,
+    LimitKind, OpCount, Ops, Real, Rollout, Single, Start, System, Task, Weights, initial_states,
 };
 
 fn cart_pole(poles: usize) -> CartPoleSystem {
@@ -209,10 +209,11 @@ fn hand_written_physics_has_the_same_results() {
 /// reverse pass, as bits. Uses one sample and scalars.
 fn steps<R: Real, T: Task>(task: &T) -> Vec<u64> {
     let (n, m, horizon) = (task.system().state_dim(), task.system().control_dim(), task.horizon());
-    let starts: Vec<R::Real> = initial_states(task, 3, Purpose::Train, 1);
-    let mut start: Vec<R> = starts.into_iter().map(R::splat).collect();
-    let p = start.split_off(n);
-    let mut states = vec![start];
+    let (mut x, mut p) = (vec![0.0; n], vec![0.0; task.param_dim()]);
+    // `initial_states` would compile whole rollouts of each task.
+    task.start(&mut stream(3, Purpose::Train, 0), Start { x: &mut x, p: &mut p });
+    let [x, p]: [Vec<R>; 2] = [x, p].map(|values| values.into_iter().map(R::from).collect());
+    let mut states = vec![x];
     let control = |t: usize| (0..m).map(|i| R::from((0.3 * t as f64 + i as f64).sin())).collect::<Vec<R>>();
     for t in 0..horizon {
         let mut next = vec![R::zero(); n];
