@@ -54,15 +54,13 @@ fn main() -> Result<(), TrainError> {
     let epochs = std::env::args().nth(1).map_or(3, |text| text.parse().expect("a number of epochs"));
     let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
     let brake = EddyBrake { force: 5.0, speed: 1.0 };
-
     // Compares both derivatives with dual numbers. Panics with input, index, expected and found.
     check::system(&Forced { system, effects: brake });
     check::system(&Forced { system, effects: ByHand(brake) });
 
     // Counts operations. Absent effects cost nothing.
-    let alone = OpCount::of(&system);
-    let (by_duals, by_hand) =
-        (OpCount::of(&Forced { system, effects: brake }), OpCount::of(&Forced { system, effects: ByHand(brake) }));
+    let (alone, by_duals) = (OpCount::of(&system), OpCount::of(&Forced { system, effects: brake }));
+    let by_hand = OpCount::of(&Forced { system, effects: ByHand(brake) });
     for (pass, alone, with) in [("step", alone.step, by_hand.step), ("reverse", alone.vjp, by_hand.vjp)] {
         println!("{pass:>8}: {} operations, with the brake {}: {}", alone.total(), with.total(), with - alone);
     }
