@@ -6,8 +6,6 @@
 use super::OptimizeError;
 use super::trajectory::{Problem, Trajectory};
 use crate::dynamics::inputs::{Cotangents, Inputs};
-use crate::dynamics::outline;
-use crate::dynamics::task::Task;
 use crate::numbers::forward_mode::jacobian;
 use crate::numbers::scalar::Dual;
 use nalgebra::{DMatrix, DVector};
@@ -16,7 +14,7 @@ use nalgebra::{DMatrix, DVector};
 const CHUNK: usize = 4;
 
 /// Number for second derivatives.
-type Second = Dual<Dual<f64, CHUNK>, CHUNK>;
+pub(super) type Second = Dual<Dual<f64, CHUNK>, CHUNK>;
 
 /// Derivatives of one step in z = [x, u]: `dynamics = ∂S/∂z`, and gradient and Hessian of the
 /// running cost as a function of z, through the next state. The Hessian omits `∂²S/∂z²`.
@@ -39,13 +37,13 @@ pub(super) struct Expansion {
     pub(super) curvature: f64,
 }
 
-impl<T: Task> Problem<'_, T> {
+impl Problem<'_> {
     /// Expands costs and dynamics along a trajectory.
     ///
     /// # Errors
     /// [`OptimizeError::Derivative`] if a derivative is not finite.
     pub(super) fn expand(&self, trajectory: &Trajectory) -> Result<Expansion, OptimizeError> {
-        let (n, m, steps) = (self.n, self.m, self.task.horizon());
+        let (n, m, steps) = (self.n, self.m, self.model.horizon());
         let problem = |step| OptimizeError::Derivative { step };
         let expanded = (0..steps).map(|t| {
             let step = self.expand_step(trajectory, t);
@@ -55,8 +53,9 @@ impl<T: Task> Problem<'_, T> {
         let expanded = expanded.collect::<Result<Vec<_>, _>>()?;
         let last = &trajectory.x[steps * n..];
         let mut gradient = DVector::zeros(n);
-        self.task.terminal_cost_gradient(last, self.p, gradient.as_mut_slice(), None);
-        let hessian = hessian(last, |x| self.task.terminal_cost(x, &constants(self.p)));
+        self.model.terminal_cost_gradient(last, self.p, gradient.as_mut_slice());
+        let p = constants(self.p);
+        let hessian = hessian(last, |x| self.model.terminal_cost_by_duals(x, &p));
         if !all_finite([gradient.as_slice(), hessian.as_slice()]) {
             return Err(problem(None));
         }
@@ -71,7 +70,7 @@ impl<T: Task> Problem<'_, T> {
     }
 
     fn expand_step(&self, trajectory: &Trajectory, t: usize) -> StepExpansion {
-        let Self { task, p, n, m } = *self;
+        let Self { model, p, n, m } = *self;
         let inputs = Inputs { x: &trajectory.x[t * n..][..n], u: &trajectory.u[t * m..][..m], p, t };
         let next = &trajectory.x[(t + 1) * n..][..n];
         let all = [inputs.x, inputs.u, p].concat();
@@ -80,17 +79,17 @@ impl<T: Task> Problem<'_, T> {
             &all,
             0..n + m,
             n,
-            |all, next| outline::step(task.system(), Inputs { x: &all[..n], u: &all[n..n + m], p: &all[n + m..], t }, next),
+            |all, next| model.step_by_duals(Inputs { x: &all[..n], u: &all[n..n + m], p: &all[n + m..], t }, next),
             |i, column| dynamics.column_mut(i).copy_from_slice(column),
         );
         let (mut gradient, mut next_bar) = (DVector::zeros(n + m), DVector::zeros(n));
         let (x_bar, u_bar) = gradient.as_mut_slice().split_at_mut(n);
-        task.running_cost_gradient(inputs, next, Cotangents::of(x_bar, u_bar), next_bar.as_mut_slice());
+        model.running_cost_gradient(inputs, next, Cotangents::of(x_bar, u_bar), next_bar.as_mut_slice());
         gradient += dynamics.tr_mul(&next_bar);
         let second_p = constants(p);
         let of_cost = hessian(&[inputs.x, inputs.u, next].concat(), |all| {
             let inputs = Inputs { x: &all[..n], u: &all[n..n + m], p: &second_p, t };
-            task.running_cost(inputs, &all[n + m..])
+            model.running_cost_by_duals(inputs, &all[n + m..])
         });
         // Chain rule: z ↦ (z, S(z)) has the Jacobian [I; F].
         let (z, onward) = (0..n + m, n + m..n + m + n);

@@ -27,6 +27,7 @@ mod backward;
 mod box_qp;
 mod derivatives;
 mod error;
+mod model;
 mod options;
 mod plan;
 mod search;
@@ -38,8 +39,8 @@ pub use options::{Feedback, Initial, Options};
 pub use plan::{Plan, Stop};
 pub use tracking::Tracking;
 
-use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
+use model::Model;
 use options::{Bounds, check_length};
 use search::Search;
 use trajectory::Problem;
@@ -77,14 +78,18 @@ pub fn optimize<T: Task>(
     initial: Initial<'_>,
     options: &Options,
 ) -> Result<Plan, OptimizeError> {
-    let (n, m) = (task.system().state_dim(), task.system().control_dim());
+    minimize(task, x0, p, initial, options)
+}
+
+fn minimize(model: &dyn Model, x0: &[f64], p: &[f64], initial: Initial<'_>, options: &Options) -> Result<Plan, OptimizeError> {
+    let [n, m, params] = model.sizes();
     check_length("x0", "the state", n, x0.len())?;
-    check_length("p", "the parameters of the task", task.param_dim(), p.len())?;
+    check_length("p", "the parameters of the task", params, p.len())?;
     if let Initial::Controls(u) = initial {
-        check_length("the initial controls", "horizon times controls", task.horizon() * m, u.len())?;
+        check_length("the initial controls", "horizon times controls", model.horizon() * m, u.len())?;
     }
     let bounds = Bounds::new(options, m)?;
-    let problem = Problem { task, p, n, m };
+    let problem = Problem { model, p, n, m };
     let start = problem.simulate(x0, |t, x, u| {
         match initial {
             Initial::Zeros => u.fill(0.0),

@@ -1,15 +1,15 @@
 //! [`Search`]: iterations of backward pass, line search and regularization.
 
+use super::OptimizeError;
 use super::backward::{Step, backward};
 use super::derivatives::Expansion;
 use super::options::{Bounds, Options};
 use super::plan::{Plan, Stop};
 use super::trajectory::{Problem, Trajectory};
-use super::{OptimizeError, Task};
 
 /// State of an optimization.
-pub(super) struct Search<'a, T> {
-    problem: Problem<'a, T>,
+pub(super) struct Search<'a> {
+    problem: Problem<'a>,
     bounds: Bounds,
     options: &'a Options,
     best: Trajectory,
@@ -30,8 +30,8 @@ const SUFFICIENT: f64 = 0.1;
 /// regularization.
 const SMALL_DECREASES: usize = 3;
 
-impl<'a, T: Task> Search<'a, T> {
-    pub(super) fn new(problem: Problem<'a, T>, bounds: Bounds, options: &'a Options, start: Trajectory) -> Self {
+impl<'a> Search<'a> {
+    pub(super) fn new(problem: Problem<'a>, bounds: Bounds, options: &'a Options, start: Trajectory) -> Self {
         let (costs, regularization) = (vec![start.cost], Regularization::default());
         Self { problem, bounds, options, best: start, regularization, costs, rollouts: 1, small_decreases: 0 }
     }

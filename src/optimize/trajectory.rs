@@ -1,9 +1,8 @@
 //! [`Trajectory`]: states, controls and cost of one rollout.
 
 use super::OptimizeError;
+use super::model::Model;
 use crate::dynamics::inputs::Inputs;
-use crate::dynamics::outline;
-use crate::dynamics::task::Task;
 
 /// States `[step][component]`, with one more step than the controls `[step][control]`, and the
 /// cost.
@@ -15,8 +14,8 @@ pub(super) struct Trajectory {
 }
 
 /// Problem of one initial state: task and parameters.
-pub(super) struct Problem<'a, T> {
-    pub(super) task: &'a T,
+pub(super) struct Problem<'a> {
+    pub(super) model: &'a dyn Model,
     pub(super) p: &'a [f64],
     /// Number of state components.
     pub(super) n: usize,
@@ -24,7 +23,7 @@ pub(super) struct Problem<'a, T> {
     pub(super) m: usize,
 }
 
-impl<T: Task> Problem<'_, T> {
+impl Problem<'_> {
     /// Simulates the controls that `control(t, x, u)` writes.
     ///
     /// # Errors
@@ -34,8 +33,8 @@ impl<T: Task> Problem<'_, T> {
         x0: &[f64],
         mut control: impl FnMut(usize, &[f64], &mut [f64]),
     ) -> Result<Trajectory, OptimizeError> {
-        let Self { task, p, n, m } = *self;
-        let steps = task.horizon();
+        let Self { model, p, n, m } = *self;
+        let steps = model.horizon();
         let (mut x, mut u, mut cost) = (vec![0.0; (steps + 1) * n], vec![0.0; steps * m], 0.0);
         x[..n].copy_from_slice(x0);
         finite("state", 0, x0)?;
@@ -45,14 +44,14 @@ impl<T: Task> Problem<'_, T> {
             control(t, now, u);
             finite("control", t, u)?;
             let inputs = Inputs { x: now, u, p, t };
-            outline::step(task.system(), inputs, next);
+            model.step(inputs, next);
             finite("state", t + 1, next)?;
-            cost += task.running_cost(inputs, next);
+            cost += model.running_cost(inputs, next);
             if !cost.is_finite() {
                 return Err(OptimizeError::Cost { step: Some(t) });
             }
         }
-        cost += task.terminal_cost(&x[steps * n..], p);
+        cost += model.terminal_cost(&x[steps * n..], p);
         if cost.is_finite() { Ok(Trajectory { x, u, cost }) } else { Err(OptimizeError::Cost { step: None }) }
     }
 }

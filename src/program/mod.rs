@@ -27,7 +27,9 @@ mod tasks;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
-use commands::{accuracy, animate, check, compare, effects, explain, identify, new, paper, print, report, robust, stress, train};
+use commands::{
+    accuracy, animate, check, compare, effects, explain, identify, new, optimize, paper, print, report, robust, stress, train,
+};
 use platform::signals;
 use platform::terminal::print_message;
 use runs::run;
@@ -57,6 +59,7 @@ enum Command {
     Report(report::Report),
     Robust(robust::Robust),
     Identify(identify::Identify),
+    Optimize(optimize::Optimize),
     Check(check::Check),
     Paper(paper::Paper),
     /// List the tasks with all settings and their defaults
@@ -171,6 +174,7 @@ fn execute(command: &Command) -> Result<()> {
         Command::Report(args) => report::report(args),
         Command::Robust(args) => robust::robust(args),
         Command::Identify(args) => identify::identify(args),
+        Command::Optimize(args) => optimize::optimize(args),
         Command::Check(args) => check::check(args),
         Command::Tasks => commands::tasks::tasks(),
         Command::Scene(args) => print::scene(args),

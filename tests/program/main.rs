@@ -10,6 +10,7 @@ mod explain;
 mod extreme_settings;
 mod limits;
 mod numbers;
+mod optimize;
 mod own;
 mod pages;
 mod paper;

@@ -11,7 +11,7 @@ const SCENE: &str =
 const VARIED: &str = "[vary]\n\"system.cart_mass\" = { log_uniform = [0.5, 2] }\n\"effects.gusty_wind.gust\" = { choice = [1, 2] }\n\
                       [fit]\n\"effects.pole_damping.damping\" = { start = 0.1, min = 0 }\n";
 
-fn physgrad(args: &str, folder: &Path) -> Command {
+pub fn physgrad(args: &str, folder: &Path) -> Command {
     let mut command = Command::cargo_bin("physgrad").expect("the program is built");
     command.args(args.split(' ')).current_dir(folder);
     command
@@ -23,7 +23,7 @@ fn folder(scene: &str) -> TempDir {
     dir
 }
 
-fn read(dir: &TempDir, file: &str) -> Vec<Vec<String>> {
+pub fn read(dir: &TempDir, file: &str) -> Vec<Vec<String>> {
     let text = fs::read_to_string(dir.path().join(file)).expect(file);
     text.lines().map(|line| line.split(',').map(String::from).collect()).collect()
 }

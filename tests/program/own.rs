@@ -36,34 +36,34 @@ fn every_command_takes_the_task_of_the_user() {
     let dir = TempDir::new().expect("a folder");
     let run = |args: &[&str]| output(args, dir.path());
     // Without a command, the program trains the task of the user with its default settings.
-    run(&["train", "quadrotor", "--epochs", "4", "--quiet", "--out", "run"]);
-    let state = "x,z,tilt,x_dot,z_dot,tilt_dot,left,right";
+    run(&["train", "ball_beam", "--epochs", "4", "--quiet", "--out", "run"]);
+    let state = "r,r_dot,alpha,alpha_dot,torque";
     let trajectory = std::fs::read_to_string(dir.path().join("run/trajectory.csv")).expect("a trajectory");
     assert!(trajectory.starts_with(&format!("sample,step,time,{state}")), "{}", &trajectory[..200]);
     let animation = std::fs::read_to_string(dir.path().join("run/animation.svg")).expect("an animation");
-    assert!(animation.contains("tilt_dot"), "an animation of states over time");
+    assert!(animation.contains("roll a ball to the middle"), "the animation of the task");
 
     run(&["train", "run/run.toml", "--resume", "--epochs", "6", "--quiet", "--out", "run"]);
     assert_eq!(std::fs::read_to_string(dir.path().join("run/metrics.csv")).expect("metrics").lines().count(), 7);
     run(&["report", "run"]);
     run(&["animate", "run"]);
-    run(&["compare", "quadrotor", "--fields", "R,C", "--seeds", "2", "--epochs", "2", "--quiet", "--out", "compared"]);
-    assert!(run(&["check", "quadrotor"]).contains("rollout, R"));
-    assert!(run(&["explain", "quadrotor"]).contains("observation"));
-    assert!(run(&["accuracy", "quadrotor", "--quiet", "--set", "horizon=5"]).contains("native x16"));
-    assert!(run(&["schema"]).contains("Distance of a rotor from the center, m."));
-    assert!(run(&["tasks"]).contains("fly a planar quadrotor"));
-    let scene = run(&["scene", "quadrotor"]);
-    std::fs::write(dir.path().join("own.toml"), format!("{scene}[system]\nmass = 1.5\n[actuator.lag]\ntime = 0.1\n"))
+    run(&["compare", "ball_beam", "--fields", "R,C", "--seeds", "2", "--epochs", "2", "--quiet", "--out", "compared"]);
+    assert!(run(&["check", "ball_beam"]).contains("rollout, R"));
+    assert!(run(&["explain", "ball_beam"]).contains("observation"));
+    assert!(run(&["accuracy", "ball_beam", "--quiet", "--set", "horizon=5"]).contains("native x16"));
+    assert!(run(&["schema"]).contains("Moment of inertia of the beam J, kg m²"));
+    assert!(run(&["tasks"]).contains("roll a ball to the middle"));
+    let scene = run(&["scene", "ball_beam"]);
+    std::fs::write(dir.path().join("own.toml"), format!("{scene}[system]\nball = 0.2\n[actuator.lag]\ntime = 0.1\n"))
         .expect("a scene");
     run(&["train", "own.toml", "--epochs", "2", "--quiet", "--out", "lag"]);
     let settings = std::fs::read_to_string(dir.path().join("lag/run.toml")).expect("settings");
-    assert!(settings.contains("mass = 1.5"), "{settings}");
+    assert!(settings.contains("ball = 0.2"), "{settings}");
     // A number of the task is drawn for each sample. Both policies are evaluated over a grid of it.
-    run(&["train", "quadrotor", "--set", "system.mass={uniform=[0.6, 1]}", "--epochs", "2", "--quiet", "--out", "varied"]);
+    run(&["train", "ball_beam", "--set", "system.ball={uniform=[0.05, 0.2]}", "--epochs", "2", "--quiet", "--out", "varied"]);
     let trajectory = std::fs::read_to_string(dir.path().join("varied/trajectory.csv")).expect("a trajectory");
-    assert!(trajectory.lines().next().expect("a header").contains("system.mass"), "{}", &trajectory[..200]);
-    run(&["robust", "run", "varied", "--grid", "system.mass=0.5:1.5:3", "--samples", "8", "--out", "grid"]);
+    assert!(trajectory.lines().next().expect("a header").contains("system.ball"), "{}", &trajectory[..200]);
+    run(&["robust", "run", "varied", "--grid", "system.ball=0.05:0.2:3", "--samples", "8", "--out", "grid"]);
     assert_eq!(std::fs::read_to_string(dir.path().join("grid/robust.csv")).expect("a table").lines().count(), 7);
 }
 
@@ -71,23 +71,23 @@ fn every_command_takes_the_task_of_the_user() {
 fn the_library_and_the_program_train_the_same_policy() {
     let dir = TempDir::new().expect("a folder");
     let trained = |name: &str, more: &[&str]| {
-        let args = ["train", "quadrotor", "--epochs", "3", "--quiet", "--out", name];
+        let args = ["train", "ball_beam", "--epochs", "3", "--quiet", "--out", name];
         output(&[&args, more].concat(), dir.path());
         std::fs::read(dir.path().join(name).join("policy.safetensors")).expect("a policy")
     };
     let one = trained("one", &["--threads", "1"]);
     assert_eq!(one, trained("two", &["--threads", "2"]), "results do not depend on the number of threads");
-    assert_ne!(one, trained("heavy", &["--set", "system.mass=1.6"]), "a setting of the task has an effect");
+    assert_ne!(one, trained("heavy", &["--set", "system.ball=0.2"]), "a setting of the task has an effect");
 }
 
 #[test]
 fn wrong_settings_of_a_task_name_what_is_allowed() {
     let dir = TempDir::new().expect("a folder");
-    let message = |setting: &str| error(&["train", "quadrotor", "--set", setting], dir.path());
-    assert!(message("system.masss=1").contains("`system.masss` is unknown; allowed: `mass`, `arm`, `dt`"));
-    assert!(message("system.mass=-1").contains("`system.mass` is not allowed: choose a positive number"));
+    let message = |setting: &str| error(&["train", "ball_beam", "--set", setting], dir.path());
+    assert!(message("system.bal=1").contains("`system.bal` is unknown; allowed: `ball`, `friction`, `beam`, `dt`"));
+    assert!(message("system.ball=-1").contains("`system.ball` is not allowed: choose a positive number"));
     assert!(message("integrator.method=\"rk4\"").contains("native"));
-    assert!(error(&["train", "quadroter"], dir.path()).contains("quadrotor"));
+    assert!(error(&["train", "ball_bean"], dir.path()).contains("ball_beam"));
 }
 
 /// Runs `physgrad new` in a temporary folder.
@@ -104,7 +104,7 @@ fn a_new_crate_has_the_name_of_the_task_and_overwrites_nothing() {
     let read = |file: &str| std::fs::read_to_string(dir.path().join("swing_boat").join(file)).expect(file);
     let source = read("src/main.rs");
     assert!(source.contains("impl System for SwingBoat") && source.contains("= \"swing_boat\";"), "{source}");
-    assert!(!source.contains("Quadrotor") && !source.contains("own_program"), "{source}");
+    assert!(!source.contains("BallBeam") && !source.contains("own_program"), "{source}");
     assert!(read("Cargo.toml").contains("name = \"swing_boat\"") && read("scene.toml").contains("task = \"swing_boat\""));
     let refused =
         |name: &str| String::from_utf8(new(&[name], dir.path()).assert().failure().get_output().stderr.clone()).expect("text");

@@ -12,6 +12,7 @@ pub mod explain;
 pub mod fuzz;
 pub mod identify;
 pub mod new;
+pub mod optimize;
 pub mod paper;
 pub mod print;
 pub mod report;

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 /// The task of `examples/own_program.rs`, renamed in new crates.
 const EXAMPLE: &str = include_str!("../../../examples/own_program.rs");
-const EXAMPLE_TYPE: &str = "Quadrotor";
-const EXAMPLE_TASK: &str = "\"quadrotor\"";
+const EXAMPLE_TYPE: &str = "BallBeam";
+const EXAMPLE_TASK: &str = "\"ball_beam\"";
 
 /// Write a crate with a task of your own: a commented system, a scene and a gradient check.
 #[derive(Debug, clap::Args)]
@@ -90,7 +90,7 @@ fn source(name: &str) -> String {
     HEADER.replace("NAME", name) + &body + &TEST.replace("TYPE", &type_name)
 }
 
-const HEADER: &str = "//! The task `NAME`, for now a planar quadrotor that flies to the origin and hovers.
+const HEADER: &str = "//! The task `NAME`, for now a ball on a beam.
 //!
 //! `cargo run --release -- train NAME` trains a policy; `--help` lists all commands.
 

@@ -10,6 +10,7 @@ pub mod evaluation;
 pub mod gradients;
 pub mod identification;
 pub mod memory;
+pub mod optimization;
 pub mod session;
 pub mod simulation;
 pub mod trajectory;

@@ -4,11 +4,13 @@
 //! to the settings of one task.
 
 use crate::identify::{Fit, IdentifyError, Options, Segment};
+use crate::optimize::{OptimizeError, Plan};
 use crate::program::operations::checks::{Checking, Results};
 use crate::program::operations::costs::{Costing, Stored, Storing};
 use crate::program::operations::evaluation::Evaluating;
 use crate::program::operations::gradients::{Derived, Deriving, GradientMethod, Referring};
 use crate::program::operations::identification::Identifying;
+use crate::program::operations::optimization::Optimizing;
 use crate::program::operations::session::{AnyRun, Open};
 use crate::program::operations::simulation::{Job, Preparing};
 use crate::program::operations::trajectory::Trajectory;
@@ -74,6 +76,8 @@ pub trait AnySettings: Send + Sync {
     fn varied(&self) -> Vec<(String, Number)>;
     /// Fits the trained numbers to measured segments.
     fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError>;
+    /// Optimizes the controls from one initial state.
+    fn optimize(&self, optimizing: Optimizing) -> Result<Plan, OptimizeError>;
     /// Names of the control components.
     fn control_names(&self) -> Vec<String>;
     /// Names of the applied controls, if there is an actuator.
@@ -151,6 +155,10 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         let mut names = K::state_names(self);
         names.extend(self.actuator.state_names(&K::control_names(self)));
         names
+    }
+
+    fn optimize(&self, optimizing: Optimizing) -> Result<Plan, OptimizeError> {
+        self.visit(optimizing)
     }
 
     fn control_names(&self) -> Vec<String> {

@@ -10,7 +10,7 @@ use std::path::Path;
 const OFF_GRID: f64 = 1e-3;
 
 /// Largest number of steps of a segment.
-const MOST_STEPS: usize = 10_000_000;
+const MAX_STEPS: usize = 10_000_000;
 
 /// Measured trajectories on the time grid of a scene.
 pub struct Measured {
@@ -23,24 +23,29 @@ enum Column {
     Time,
     State(usize),
     Control(usize),
+    /// A column of `trajectory.csv` that is not measured.
+    Ignored,
 }
 
 impl Measured {
-    /// Reads a file. Steps without a sample are missing.
+    /// Reads a file, for example `trajectory.csv` of a run. Steps without a sample are missing. A
+    /// control stays constant until its next value, and is 0 before the first.
     ///
     /// # Errors
     /// Names the line, and the columns or times that are allowed.
     pub fn read(path: &Path, scene: &Scene) -> Result<Self> {
         let name = path.display();
         let (states, controls, dt) = (scene.state_names(), scene.control_names(), scene.dt());
+        let ignored = [scene.param_names(), scene.applied_names(), vec!["step".into()]].concat();
         let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_path(path);
         let reader = reader.as_mut().map_err(|error| anyhow::anyhow!("cannot read {name}: {error}"))?;
         let column = |header: &str| {
             let state = states.iter().position(|known| known == header).map(Column::State);
             let control = || controls.iter().position(|known| known == header).map(Column::Control);
             match header {
-                "segment" => Ok(Column::Segment),
+                "segment" | "sample" => Ok(Column::Segment),
                 "t" | "time" => Ok(Column::Time),
+                _ if ignored.iter().any(|known| known == header) => Ok(Column::Ignored),
                 _ => state.or_else(control).with_context(|| {
                     format!(
                         "{name}: unknown column `{header}`; allowed: segment, t, {}, {}",
@@ -59,7 +64,7 @@ impl Measured {
             let record = record.with_context(|| format!("cannot read {name}"))?;
             let line = record.position().map_or(0, csv::Position::line);
             let (mut key, mut time) = (String::new(), 0.0);
-            let (mut x, mut u) = (vec![f64::NAN; states.len()], vec![0.0; controls.len()]);
+            let (mut x, mut u) = (vec![f64::NAN; states.len()], vec![f64::NAN; controls.len()]);
             for (column, cell) in columns.iter().zip(&record) {
                 let number = || match cell {
                     // An empty cell is a missing sample.
@@ -71,6 +76,7 @@ impl Measured {
                     Column::Time => time = number()?,
                     Column::State(i) => x[*i] = number()?,
                     Column::Control(i) => u[*i] = number()?,
+                    Column::Ignored => {}
                 }
             }
             if segments.last().is_none_or(|(last, ..)| *last != key) {
@@ -79,13 +85,15 @@ impl Measured {
             let (_, begin, segment) = segments.last_mut().context("a segment begins with its first sample")?;
             let step = ((time - *begin) / dt).round();
             let is_on_grid = ((time - *begin) / dt - step).abs() < OFF_GRID;
-            if !is_on_grid || step < segment.x.len() as f64 || step >= MOST_STEPS as f64 {
+            if !is_on_grid || step < segment.x.len() as f64 || step >= MAX_STEPS as f64 {
                 bail!("{name}:{line}: the time {time} s is not a later step of {dt} s; resample, or set system.dt");
             }
-            // Controls stay constant until the next sample.
             let held = segment.u.last().cloned().unwrap_or_else(|| vec![0.0; controls.len()]);
             segment.x.resize(step as usize, vec![f64::NAN; states.len()]);
-            segment.u.resize(step as usize, held);
+            segment.u.resize(step as usize, held.clone());
+            for (u, held) in u.iter_mut().zip(held) {
+                *u = if u.is_nan() { held } else { *u };
+            }
             segment.x.push(x);
             segment.u.push(u);
         }

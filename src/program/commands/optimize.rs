@@ -1,0 +1,215 @@
+//! `physgrad optimize`: controls that minimize the loss of a scene from single initial states.
+
+use crate::optimize::{Initial, Options, Plan};
+use crate::program::operations::optimization::Optimizing;
+use crate::program::operations::trajectory::Trajectory;
+use crate::program::platform::csv::csv;
+use crate::program::platform::folder::{Folder, TRAJECTORY};
+use crate::program::platform::parallel;
+use crate::program::platform::terminal::{print_message, print_result};
+use crate::program::runs::run::threads;
+use crate::program::runs::{outputs, saved};
+use crate::program::scenes::overrides::Overrides;
+use crate::program::scenes::presets;
+use crate::program::tasks::Scene;
+use crate::report::{Series, fitted};
+use anyhow::{Context, Result, bail};
+use comfy_table::Table;
+use comfy_table::presets::UTF8_FULL_CONDENSED;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Optimize the controls of a scene from single initial states, without a policy.
+///
+/// Writes controls and states, feedback gains along them, animations and a picture.
+#[derive(Debug, clap::Args)]
+pub struct Optimize {
+    /// Task, preset or path of a scene
+    #[arg(required_unless_present = "from", conflicts_with = "from")]
+    pub scene: Option<String>,
+    #[command(flatten)]
+    pub overrides: Overrides,
+    /// Folder of a trained run: take its scene, and start at the controls of its policy instead of 0
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["field", "epochs", "seed", "precision", "set", "without"])]
+    pub from: Option<PathBuf>,
+    /// Bounds of the controls, as in force=-10:10, or -10:10 for all controls; may be repeated
+    #[arg(long, value_name = "[NAME=]LOW:HIGH", allow_hyphen_values = true)]
+    pub bound: Vec<String>,
+    /// Number of initial states, the first ones of the test set
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub starts: usize,
+    /// Largest number of iterations
+    #[arg(long, value_name = "N", default_value_t = Options::default().max_iterations)]
+    pub iterations: usize,
+    /// Number of threads [default: RAYON_NUM_THREADS, or all cores]; results do not depend on it
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Folder for the results [default: a new one in `runs`]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print only warnings and errors
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Largest number of initial states with an animation, and in the picture.
+const SHOWN: usize = 3;
+
+/// Largest number of state components in the picture.
+const COMPONENTS: usize = 8;
+
+/// Runs the command.
+pub fn optimize(args: &Optimize) -> Result<()> {
+    threads(args.threads)?;
+    let (name, scene) = match &args.from {
+        Some(path) => (Folder::existing(path)?.name(), saved::scene(&Folder::existing(path)?)?),
+        None => {
+            let name = args.scene.as_deref().context("no scene is given")?;
+            (presets::short_name(name), saved::changed(name, &args.overrides)?)
+        }
+    };
+    let bounds = bounds(&args.bound, &scene.control_names())?;
+    let options = Options { max_iterations: args.iterations, bounds, ..Options::default() };
+    let starts = starts(args, &scene)?;
+
+    let begin = Instant::now();
+    let plans = parallel::map(&starts.iter().enumerate().collect::<Vec<_>>(), |&(i, start)| {
+        let zeros = args.from.is_none();
+        let controls = start.controls.concat();
+        let initial = if zeros { Initial::Zeros } else { Initial::Controls(&controls) };
+        let plan = scene.optimize(Optimizing { x0: &start.states[0], p: &start.params, initial, options: &options });
+        let plan = plan.with_context(|| format!("initial state {i}"))?;
+        if !args.quiet {
+            print_message(&format!("initial state {i}: cost {:.6} after {} iterations", plan.cost, plan.iterations()));
+        }
+        Ok(plan)
+    });
+    let plans = plans.into_iter().collect::<Result<Vec<_>>>()?;
+    let seconds = begin.elapsed().as_secs_f64();
+
+    let optimized: Vec<Trajectory> = plans.iter().map(trajectory).collect();
+    let folder = Folder::named(args.out.as_deref(), &format!("optimize-{name}"))?;
+    folder.write("scene.toml", scene.table.to_string())?;
+    folder.write("optimized.csv", summary(&plans)?)?;
+    folder.write(TRAJECTORY, outputs::trajectories(&scene, &optimized)?)?;
+    folder.write("gains.csv", gains(&plans, &scene)?)?;
+    let initial = if args.from.is_some() { &starts[..] } else { &[] };
+    folder.write("optimized.svg", picture(&scene, &optimized, initial))?;
+    for (i, rollout) in optimized.iter().enumerate().take(SHOWN) {
+        folder.write(&format!("animation-{i}.svg"), outputs::animation(&scene, rollout))?;
+    }
+    if args.quiet {
+        return Ok(());
+    }
+    let results = folder.path().display();
+    print_result(&format!(
+        "{}\n{} steps, {seconds:.1} s\nresults in {results}: {TRAJECTORY}, gains.csv, optimized.csv, optimized.svg, \
+         animation-*.svg, scene.toml",
+        table(&plans),
+        scene.horizon
+    ))
+}
+
+/// Test initial states. With `--from`, rollouts of the trained policy.
+///
+/// # Errors
+/// The test set is smaller, or a rollout of the policy diverges.
+fn starts(args: &Optimize, scene: &Scene) -> Result<Vec<Trajectory>> {
+    let mut run = scene.open(1)?;
+    if let Some(path) = &args.from {
+        saved::restore(&Folder::existing(path)?, scene, &mut *run)?;
+    }
+    let samples = run.test_samples();
+    if !(1..=samples).contains(&args.starts) {
+        bail!("--starts is {}; allowed: 1 to {samples}, the number of test initial states (training.test_samples)", args.starts);
+    }
+    let rollouts = run.rollouts(0..args.starts);
+    match &args.from {
+        Some(path) if rollouts.iter().any(|rollout| rollout.controls.len() < scene.horizon) => {
+            bail!("the policy of {} diverges; name a scene instead of --from {0}", path.display())
+        }
+        _ => Ok(rollouts),
+    }
+}
+
+/// Bounds in the order of the controls, infinite for controls that no argument names.
+fn bounds(arguments: &[String], names: &[String]) -> Result<Option<Vec<[f64; 2]>>> {
+    let mut bounds = vec![[f64::NEG_INFINITY, f64::INFINITY]; names.len()];
+    for argument in arguments {
+        let (name, range) = argument.split_once('=').map_or((None, argument.as_str()), |(name, range)| (Some(name), range));
+        let range = range.split_once(':').and_then(|(low, high)| Some([low.parse().ok()?, high.parse().ok()?]));
+        let range = range.filter(|[low, high]: &[f64; 2]| low < high);
+        let chosen = bounds.iter_mut().zip(names).filter(|(_, known)| name.is_none_or(|name| name == *known));
+        let chosen: Vec<_> = chosen.map(|(bound, _)| bound).collect();
+        match range {
+            Some(range) if !chosen.is_empty() => chosen.into_iter().for_each(|bound| *bound = range),
+            _ => bail!(
+                "--bound {argument}: write [NAME=]LOW:HIGH with LOW below HIGH, as in {}=-10:10; names: {}",
+                names[0],
+                names.join(", ")
+            ),
+        }
+    }
+    Ok((!arguments.is_empty()).then_some(bounds))
+}
+
+fn trajectory(plan: &Plan) -> Trajectory {
+    Trajectory {
+        states: (0..=plan.horizon()).map(|t| plan.state(t).to_vec()).collect(),
+        controls: (0..plan.horizon()).map(|t| plan.control(t).to_vec()).collect(),
+        params: plan.p.clone(),
+    }
+}
+
+/// One row per initial state.
+fn summary(plans: &[Plan]) -> Result<Vec<u8>> {
+    let header = ["sample", "initial_cost", "cost", "iterations", "rollouts", "gradient_norm", "stop"];
+    let rows = plans.iter().enumerate().map(|(i, plan)| {
+        let numbers = [i as f64, plan.costs[0], plan.cost, plan.iterations() as f64, plan.rollouts as f64, plan.gradient_norm()];
+        numbers.iter().map(f64::to_string).chain([plan.stop.to_string()]).collect::<Vec<_>>()
+    });
+    csv(header, rows)
+}
+
+/// One row per initial state and step: the gains `K_t` of the feedback `u_t + K_t (x - x_t)`.
+fn gains(plans: &[Plan], scene: &Scene) -> Result<Vec<u8>> {
+    let (states, controls) = (scene.state_names(), scene.control_names());
+    let columns = controls.iter().flat_map(|control| states.iter().map(move |state| format!("{control} by {state}")));
+    let header = ["sample", "step"].map(String::from).into_iter().chain(columns);
+    let rows = plans.iter().enumerate().flat_map(|(i, plan)| {
+        let gains = plan.gains.chunks(states.len() * controls.len()).enumerate();
+        gains.map(move |(t, gains)| {
+            let numbers = gains.iter().map(f64::to_string);
+            [i.to_string(), t.to_string()].into_iter().chain(numbers).collect::<Vec<_>>()
+        })
+    });
+    csv(header, rows)
+}
+
+fn table(plans: &[Plan]) -> Table {
+    let mut table = Table::new();
+    table.load_style(UTF8_FULL_CONDENSED).set_header(["initial state", "initial cost", "cost", "iterations", "end"]);
+    for (i, plan) in plans.iter().enumerate() {
+        let [initial, cost] = [plan.costs[0], plan.cost].map(|cost| format!("{cost:.6}"));
+        table.add_row([i.to_string(), initial, cost, plan.iterations().to_string(), plan.stop.to_string()]);
+    }
+    table
+}
+
+/// One column per initial state, one row per control and state component, over time.
+fn picture(scene: &Scene, optimized: &[Trajectory], initial: &[Trajectory]) -> String {
+    let dt = scene.dt();
+    let line = |rows: &[Vec<f64>], i: usize| rows.iter().enumerate().map(|(t, row)| (t as f64 * dt, row[i])).collect();
+    let columns = optimized.iter().enumerate().take(SHOWN).map(|(start, rollout)| {
+        let row = |(i, name): (usize, String), rows: fn(&Trajectory) -> &[Vec<f64>]| {
+            let optimized = Series::new("optimized", "#0072B2", line(rows(rollout), i));
+            let policy = initial.get(start).map(|rollout| Series::new("policy", "#D55E00", line(rows(rollout), i)).dashed());
+            (name, [optimized].into_iter().chain(policy).collect())
+        };
+        let controls = scene.control_names().into_iter().enumerate().map(|named| row(named, |rollout| &rollout.controls));
+        let states = scene.state_names().into_iter().enumerate().take(COMPONENTS);
+        let states = states.map(|named| row(named, |rollout| &rollout.states));
+        (format!("initial state {start}"), controls.chain(states).collect())
+    });
+    fitted(&format!("{}: optimized controls and states", scene.task.name()), columns.collect()).to_svg()
+}

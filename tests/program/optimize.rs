@@ -1,0 +1,77 @@
+//! `physgrad optimize`.
+
+use crate::numbers::{physgrad, read};
+use physgrad::tasks::Lqr;
+use std::fs;
+use tempfile::TempDir;
+
+/// Columns of a CSV file with these names, as rows.
+fn columns(dir: &TempDir, file: &str, names: &[&str]) -> Vec<Vec<f64>> {
+    let rows = read(dir, file);
+    let index = |name: &&str| rows[0].iter().position(|known| known == name).unwrap_or_else(|| panic!("{name} in {:?}", rows[0]));
+    let indices: Vec<usize> = names.iter().map(index).collect();
+    rows[1..].iter().map(|row| indices.iter().map(|&i| row[i].parse().unwrap_or(f64::NAN)).collect()).collect()
+}
+
+/// The minimum is known from every state. One gain is optimal at all steps.
+#[test]
+fn the_optimum_of_a_linear_quadratic_task_is_that_of_riccati() {
+    let dir = TempDir::new().expect("a folder");
+    let output = physgrad("optimize lqr --starts 3 --out plan", dir.path()).assert().success().get_output().stdout.clone();
+    let printed = String::from_utf8(output).expect("text");
+    let states = ["x", "x_dot", "theta_1", "omega_1"];
+    let trajectory = columns(&dir, "plan/trajectory.csv", &[&["step"][..], &states].concat());
+    let starts: Vec<&[f64]> = trajectory.iter().filter(|row| row[0] == 0.0).map(|row| &row[1..]).collect();
+    let costs = columns(&dir, "plan/optimized.csv", &["cost", "iterations"]);
+    assert_eq!((starts.len(), costs.len()), (3, 3), "{printed}");
+    let lqr = Lqr::upright_cart_pole();
+    for (start, cost) in starts.iter().zip(&costs) {
+        let least = lqr.least_loss(start);
+        assert!((cost[0] / least - 1.0).abs() < 1e-9, "{} against {least}", cost[0]);
+        assert!(printed.contains(&format!("{:.6}", cost[0])), "{printed}");
+    }
+    let gains = columns(&dir, "plan/gains.csv", &states.map(|state| format!("force by {state}")).each_ref().map(String::as_str));
+    let gain = &lqr.optimum().gain;
+    assert_eq!(gains.len(), 3 * 100);
+    assert!(
+        gains.iter().flatten().zip(gain.iter().cycle()).all(|(found, gain)| (found - gain).abs() < 1e-6),
+        "{gain:?} {:?}",
+        gains[0]
+    );
+}
+
+#[test]
+fn bounds_hold_and_a_policy_is_improved() {
+    let dir = TempDir::new().expect("a folder");
+    // With one test sample, the test loss is the cost of the policy.
+    let settings = "--set training.train_samples=32 --set training.test_samples=1 --set horizon=40 --precision f64 --epochs 3";
+    physgrad(&format!("train cart_pole_1 {settings} --quiet --out run"), dir.path()).assert().success();
+    physgrad("optimize --from run --bound force=-4:5 --out plan --quiet", dir.path()).assert().success().stdout("");
+    physgrad("optimize --from run --iterations 0 --out policy --quiet", dir.path()).assert().success();
+    let costs = |plan: &str| columns(&dir, &format!("{plan}/optimized.csv"), &["initial_cost", "cost"]).remove(0);
+    let policy = columns(&dir, "run/metrics.csv", &["test_loss"])[2][0];
+    assert!((costs("policy")[1] / policy - 1.0).abs() < 1e-9, "{:?} against {policy}", costs("policy"));
+    assert!(costs("plan")[1] < policy, "{:?} against {policy}", costs("plan"));
+    let forces: Vec<f64> = columns(&dir, "plan/trajectory.csv", &["force"]).concat();
+    let forces = &forces[..40];
+    assert!(forces.iter().all(|force| (-4.0..=5.0).contains(force)), "{forces:?}");
+    assert!(forces.iter().any(|force| [-4.0, 5.0].contains(force)), "{forces:?}");
+    for picture in ["optimized.svg", "animation-0.svg"] {
+        let svg = fs::read_to_string(dir.path().join("plan").join(picture)).expect(picture);
+        roxmltree::Document::parse(&svg).expect("an SVG is XML");
+    }
+    for (command, message) in [
+        (
+            "optimize --from run --bound torque=-1:1",
+            "write [NAME=]LOW:HIGH with LOW below HIGH, as in force=-10:10; names: force",
+        ),
+        ("optimize cart_pole --bound 1:-1", "--bound 1:-1: write [NAME=]LOW:HIGH with LOW below HIGH"),
+        ("optimize cart_pole --starts 0", "--starts is 0; allowed: 1 to "),
+        ("optimize cart_pole --from run", "cannot be used with"),
+        ("optimize --from run --set horizon=30", "cannot be used with"),
+        ("optimize", "required arguments were not provided"),
+    ] {
+        let stderr = physgrad(command, dir.path()).assert().failure().get_output().stderr.clone();
+        assert!(String::from_utf8_lossy(&stderr).contains(message), "{command}: {}", String::from_utf8_lossy(&stderr));
+    }
+}
