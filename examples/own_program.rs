@@ -89,8 +89,9 @@ impl ProgramTask for BallBeam {
     fn control_names(&self) -> Vec<String> { vec!["torque".into()] }
     fn animation(&self, states: &[Vec<f64>], _controls: &[Vec<f64>], _params: &[f64]) -> Animation {
         let posture = |x: &Vec<f64>| {
-            let along = |r: f64| [r * x[2].cos(), r * x[2].sin()];
-            Posture { chain: vec![along(-0.6), along(0.6)], boxes: vec![along(x[0])] }
+            let (sin, cos) = x[2].sin_cos();
+            let point = |r: f64, height: f64| [r * cos - height * sin, r * sin + height * cos];
+            Posture { chain: vec![point(-0.6, 0.0), point(0.6, 0.0)], boxes: vec![point(x[0], 0.04)] }
         };
         let stage = Stage { title: Self::ABOUT.into(), size: 0.06, floor: None, mark: Some([0.0, 0.0]) };
         mechanics(&stage, &states.iter().map(posture).collect::<Vec<_>>(), self.dt)

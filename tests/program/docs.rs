@@ -9,6 +9,13 @@ fn the_readme_shows_the_pendulum_example_as_it_is() {
 }
 
 #[test]
+fn the_guide_shows_the_task_of_a_new_crate_as_it_is() {
+    let page = include_str!("../../docs/own_system.md");
+    let example = include_str!("../../examples/own_program.rs");
+    assert!(page.contains(&format!("```rust\n{example}```")), "docs/own_system.md and examples/own_program.rs differ");
+}
+
+#[test]
 fn the_page_on_scenes_shows_the_example_of_an_effect_as_it_is() {
     let page = include_str!("../../docs/scenes.md");
     let example = include_str!("../../examples/own_effect.rs");

@@ -49,7 +49,7 @@ fn every_command_takes_the_task_of_the_user() {
     run(&["animate", "run"]);
     run(&["compare", "ball_beam", "--fields", "R,C", "--seeds", "2", "--epochs", "2", "--quiet", "--out", "compared"]);
     assert!(run(&["check", "ball_beam"]).contains("rollout, R"));
-    assert!(run(&["explain", "ball_beam"]).contains("observation"));
+    assert!(run(&["explain", "ball_beam"]).contains("running cost"));
     assert!(run(&["accuracy", "ball_beam", "--quiet", "--set", "horizon=5"]).contains("native x16"));
     assert!(run(&["schema"]).contains("Moment of inertia of the beam J, kg m²"));
     assert!(run(&["tasks"]).contains("roll a ball to the middle"));
@@ -63,6 +63,14 @@ fn every_command_takes_the_task_of_the_user() {
     run(&["train", "ball_beam", "--set", "system.ball={uniform=[0.05, 0.2]}", "--epochs", "2", "--quiet", "--out", "varied"]);
     let trajectory = std::fs::read_to_string(dir.path().join("varied/trajectory.csv")).expect("a trajectory");
     assert!(trajectory.lines().next().expect("a header").contains("system.ball"), "{}", &trajectory[..200]);
+    // Identification from simulated trajectories finds the settings of the simulation.
+    let unknown = "scene = 1\ntask = \"ball_beam\"\n[fit]\n\"system.ball\" = { start = 0.15, min = 0.01 }\n";
+    std::fs::write(dir.path().join("unknown.toml"), unknown).expect("a scene");
+    run(&["identify", "unknown.toml", "--data", "run/trajectory.csv", "--out", "identified"]);
+    let identified = std::fs::read_to_string(dir.path().join("identified/identified.csv")).expect("numbers");
+    let ball: f64 = identified.lines().nth(1).and_then(|row| row.split(',').nth(2)).expect("a row").parse().expect("a number");
+    assert!((ball - 0.1).abs() < 1e-6, "{ball}");
+    assert!(run(&["optimize", "ball_beam", "--out", "plan"]).contains("within its tolerance"));
     run(&["robust", "run", "varied", "--grid", "system.ball=0.05:0.2:3", "--samples", "8", "--out", "grid"]);
     assert_eq!(std::fs::read_to_string(dir.path().join("grid/robust.csv")).expect("a table").lines().count(), 7);
 }
