@@ -6,6 +6,7 @@
 //! The effects are part of a system's type: `()` for none, a tuple for several. Absent effects
 //! compile to nothing: no branch, state, memory or operation.
 
+mod dyn_effect;
 mod list;
 mod named;
 mod tuples;
@@ -20,6 +21,7 @@ use crate::dynamics::system::{System, step_vjp};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, CotangentPack, Over, Real, Scalar};
 use crate::numbers::zip::zip;
+pub use dyn_effect::DynEffect;
 pub(crate) use list::{AddForces, Vjp, any_effect};
 pub use named::Named;
 use std::fmt::Debug;

@@ -12,6 +12,7 @@
 pub(crate) mod aligned;
 pub(crate) mod extended;
 pub(crate) mod forward_mode;
+pub(crate) mod instances;
 #[doc(hidden)]
 pub mod kernels;
 pub(crate) mod pool;

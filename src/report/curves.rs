@@ -58,8 +58,9 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
 ///   not dominate it.
 /// - Band: range from the best to the worst seed, always positive. A single seed has no band.
 ///
-/// Values are interpolated at common x, over the range that all runs cover. Runs without valid
-/// points, and runs that failed or diverged early, are excluded; the figure states how many remain.
+/// Values are interpolated at common epochs, over the range that all runs cover. The wall time of an
+/// epoch is the mean over the seeds. Runs without valid points, and runs that failed or diverged
+/// early, are excluded; the figure states how many remain.
 pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
     let panel = |x_label: &str, x: fn(&Point) -> f64| {
         let series = curves.iter().map(|c| c.summary(x)).collect();
@@ -96,20 +97,23 @@ pub fn study(title: &str, rows: &[Vec<Case>]) -> Drawing {
 impl Curve {
     /// Geometric mean and band of the runs against `x`, as in [`comparison`].
     pub fn summary(&self, x: fn(&Point) -> f64) -> Series {
-        let end = |run: &Vec<Point>| run.iter().filter(|p| drawable(p.value)).map(|p| p.epoch).fold(f64::NEG_INFINITY, f64::max);
-        let last = self.runs.iter().map(end).fold(f64::NEG_INFINITY, f64::max);
-        let whole = self.runs.iter().filter(|run| end(run) >= EARLY * last);
-        let clean = |run: &Vec<Point>| cleaned(run.iter().map(|p| (x(p), p.value)).collect(), &drawable);
-        let runs: Vec<Vec<(f64, f64)>> = whole.map(clean).filter(|run| !run.is_empty()).collect();
+        let shown = |run: &Vec<Point>| cleaned(run.iter().map(|p| (p.epoch, p.value)).collect(), &drawable);
+        let all: Vec<_> = self.runs.iter().map(|run| (run, shown(run))).filter(|(_, shown)| !shown.is_empty()).collect();
+        let end = |shown: &[(f64, f64)]| shown[shown.len() - 1].0;
+        let last = all.iter().map(|(_, shown)| end(shown)).fold(f64::NEG_INFINITY, f64::max);
+        let (whole, runs): (Vec<_>, Vec<_>) = all.into_iter().filter(|(_, shown)| end(shown) >= EARLY * last).unzip();
         let note = match self.runs.len() - runs.len() {
             0 => String::new(),
             _ => format!("{} of {} seeds", runs.len(), self.runs.len()),
         };
+        // The seeds of a field reach the same epoch at different times.
+        let xs: Vec<Vec<(f64, f64)>> = whole.into_iter().map(|run| run.iter().map(|p| (p.epoch, x(p))).collect()).collect();
         let (mut line, mut band) = (Vec::new(), Vec::new());
-        for x in common_grid(&runs) {
-            let losses: Vec<f64> = runs.iter().map(|run| interpolated(run, x)).collect();
+        for epoch in common_grid(&runs) {
+            let losses: Vec<f64> = runs.iter().map(|run| interpolated(run, epoch, log_between)).collect();
             let mean_log = losses.iter().map(|loss| loss.ln()).sum::<f64>() / losses.len() as f64;
-            line.push((x, mean_log.exp()));
+            let mean_x = xs.iter().map(|run| interpolated(run, epoch, between)).sum::<f64>() / xs.len() as f64;
+            line.push((mean_x, mean_log.exp()));
             if losses.len() > 1 {
                 band.push((losses.iter().copied().fold(f64::INFINITY, f64::min), losses.iter().copied().fold(0.0, f64::max)));
             }
@@ -118,7 +122,7 @@ impl Curve {
     }
 }
 
-/// All x of all runs within the range that every run covers, thinned.
+/// All epochs of all runs within the range that every run covers, thinned.
 fn common_grid(runs: &[Vec<(f64, f64)>]) -> Vec<f64> {
     let start = runs.iter().map(|run| run[0].0).fold(f64::NEG_INFINITY, f64::max);
     let end = runs.iter().map(|run| run[run.len() - 1].0).fold(f64::INFINITY, f64::min);
@@ -128,11 +132,21 @@ fn common_grid(runs: &[Vec<(f64, f64)>]) -> Vec<f64> {
     thinned(grid)
 }
 
-/// Interpolates the loss of a run at x, linearly on the log axis.
-fn interpolated(run: &[(f64, f64)], x: f64) -> f64 {
+/// Value of a run at x, between the values of its neighbours.
+fn interpolated(run: &[(f64, f64)], x: f64, between: fn(f64, f64, f64) -> f64) -> f64 {
     let right = run.partition_point(|&(at, _)| at < x).min(run.len() - 1);
     let ((x0, y0), (x1, y1)) = (run[right.saturating_sub(1)], run[right]);
-    if x >= x1 || x1 <= x0 { y1 } else { y0 * (y1 / y0).powf((x - x0) / (x1 - x0)) }
+    if x >= x1 || x1 <= x0 { y1 } else { between(y0, y1, (x - x0) / (x1 - x0)) }
+}
+
+/// Linear interpolation.
+fn between(a: f64, b: f64, share: f64) -> f64 {
+    a + (b - a) * share
+}
+
+/// Linear interpolation on a log axis.
+fn log_between(a: f64, b: f64, share: f64) -> f64 {
+    a * (b / a).powf(share)
 }
 
 #[cfg(test)]
@@ -163,8 +177,19 @@ mod tests {
         assert!((by_epoch.line[1].1 / 1e-3 - 1.0).abs() < 1e-12);
         assert_eq!(by_epoch.band[1], (1e-4, 1e-2));
         let by_time = curve.summary(|p| p.seconds);
-        assert_eq!(by_time.line.iter().map(|p| p.0).collect::<Vec<_>>(), [0.0, 5.0, 10.0, 15.0], "as far as both");
-        assert!((by_time.band[1].1 / 0.1 - 1.0).abs() < 1e-12, "half way from 1 to 1e-2 on a log axis");
+        assert_eq!(by_time.line.iter().map(|p| p.0).collect::<Vec<_>>(), [0.0, 7.5, 17.5], "mean times of the epochs");
+        assert_eq!(by_time.band, by_epoch.band);
+    }
+
+    #[test]
+    fn seeds_that_share_no_time_share_epochs() {
+        let fast = run(&[(1.0, 0.1, 1.0), (3.0, 0.3, 1e-2)]);
+        let slow = run(&[(1.0, 1.0, 1.0), (2.0, 2.0, 1.0), (3.0, 3.0, 1.0)]);
+        let curve = Curve { label: "a".into(), color: "red", runs: vec![fast, slow] };
+        let by_time = curve.summary(|p| p.seconds);
+        assert_eq!(by_time.line.len(), 3);
+        assert!((by_time.line[1].0 - 1.1).abs() < 1e-12, "half way between the times of epochs 1 and 3");
+        assert!((by_time.band[1].0 / 0.1 - 1.0).abs() < 1e-12, "half way from 1 to 1e-2 on a log axis");
     }
 
     #[test]

@@ -100,39 +100,46 @@ impl<B, E: Effect<B>, R: Real, C: Cotangent<R>> Vectorized for Vjp<'_, B, E, R, 
     }
 }
 
-/// Defines an enum with one variant per effect of a model, each named like its effect.
+/// Defines an enum with one variant per effect of a model, each named like its effect, and one for
+/// effects of the user.
 macro_rules! any_effect {
     ($(#[$doc:meta])* $name:ident of $model:ty: $($effect:ident),+ $(,)?) => {
         $(#[$doc])*
         #[derive(Clone, Debug, PartialEq)]
         pub enum $name {
-            $(#[doc = concat!("[`", stringify!($effect), "`].")] $effect($effect)),+
+            $(#[doc = concat!("[`", stringify!($effect), "`].")] $effect($effect),)+
+            /// An effect of the user.
+            Other(crate::dynamics::effect::DynEffect<$model>),
         }
 
         impl crate::dynamics::effect::Effect<$model> for $name {
             #[inline(always)]
             fn param_dim(&self) -> usize {
                 match self {
-                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$model>::param_dim(effect)),+
+                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$model>::param_dim(effect),)+
+                    Self::Other(effect) => crate::dynamics::effect::Effect::<$model>::param_dim(effect),
                 }
             }
 
             fn varied(&self, first: usize) -> Vec<crate::dynamics::number::Varied> {
                 match self {
-                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$model>::varied(effect, first)),+
+                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$model>::varied(effect, first),)+
+                    Self::Other(effect) => crate::dynamics::effect::Effect::<$model>::varied(effect, first),
                 }
             }
 
             fn draw_params(&self, rng: &mut crate::numbers::rng::Rng, p: &mut [f64]) {
                 match self {
-                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$model>::draw_params(effect, rng, p)),+
+                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$model>::draw_params(effect, rng, p),)+
+                    Self::Other(effect) => crate::dynamics::effect::Effect::<$model>::draw_params(effect, rng, p),
                 }
             }
 
             #[inline(always)]
             fn add_forces<T: crate::numbers::scalar::Scalar>(&self, model: &$model, inputs: crate::dynamics::inputs::OdeInputs<'_, T>, forces: &mut [T]) {
                 match self {
-                    $(Self::$effect(effect) => crate::dynamics::outline::outline::<T>(crate::dynamics::effect::AddForces { effect, model, inputs, forces })),+
+                    $(Self::$effect(effect) => crate::dynamics::outline::outline::<T>(crate::dynamics::effect::AddForces { effect, model, inputs, forces }),)+
+                    Self::Other(effect) => crate::dynamics::effect::Effect::<$model>::add_forces(effect, model, inputs, forces),
                 }
             }
 
@@ -145,22 +152,31 @@ macro_rules! any_effect {
                 cotangents: crate::dynamics::inputs::Cotangents<'_, C>,
             ) {
                 match self {
-                    $(Self::$effect(effect) => crate::dynamics::outline::outline::<R>(crate::dynamics::effect::Vjp { effect, model, inputs, forces_bar, cotangents })),+
+                    $(Self::$effect(effect) => crate::dynamics::outline::outline::<R>(crate::dynamics::effect::Vjp { effect, model, inputs, forces_bar, cotangents }),)+
+                    Self::Other(effect) => crate::dynamics::effect::Effect::<$model>::vjp(effect, model, inputs, forces_bar, cotangents),
                 }
             }
 
             #[inline(always)]
             fn state_dependent(&self) -> bool {
                 match self {
-                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$model>::state_dependent(effect)),+
+                    $(Self::$effect(effect) => crate::dynamics::effect::Effect::<$model>::state_dependent(effect),)+
+                    Self::Other(effect) => crate::dynamics::effect::Effect::<$model>::state_dependent(effect),
                 }
             }
 
             fn diagnose<R: crate::numbers::scalar::Real>(&self, model: &$model, inputs: crate::dynamics::inputs::OdeInputs<'_, R>, forces: usize) -> Option<&'static str> {
                 let name = match self {
-                    $(Self::$effect(_) => stringify!($effect)),+
+                    $(Self::$effect(_) => stringify!($effect),)+
+                    Self::Other(_) => "Other",
                 };
                 if crate::dynamics::effect::is_finite(self, model, inputs, forces) { None } else { Some(name) }
+            }
+        }
+
+        impl From<crate::dynamics::effect::DynEffect<$model>> for $name {
+            fn from(effect: crate::dynamics::effect::DynEffect<$model>) -> Self {
+                Self::Other(effect)
             }
         }
 

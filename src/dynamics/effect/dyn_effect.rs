@@ -1,0 +1,176 @@
+//! [`DynEffect`]: any effect behind a pointer.
+
+use super::list::{AddForces, Vjp};
+use super::{Effect, default_effect_vjp, is_finite};
+use crate::dynamics::inputs::{Cotangents, OdeInputs};
+use crate::dynamics::number::{Numbers, Varied};
+use crate::dynamics::outline::outline;
+use crate::numbers::instances::{CotangentFunction, ScalarFunction, cotangent_pointer, scalar_pointer};
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use std::any::{Any, type_name};
+use std::fmt::{self, Debug};
+use std::marker::PhantomData;
+use std::sync::Arc;
+
+/// Any effect of the model `B`, chosen at run time. Results are bitwise equal to those of the
+/// effect.
+///
+/// ```
+/// use physgrad::tasks::{CartDamping, CartPoleSystem};
+/// use physgrad::{DynEffect, Forced, check};
+///
+/// let effects: Vec<DynEffect<CartPoleSystem>> = vec![DynEffect::new(CartDamping::default())];
+/// check::system(&Forced { system: CartPoleSystem::default(), effects });
+/// ```
+pub struct DynEffect<B>(Arc<dyn AnyEffect<B>>);
+
+impl<B: 'static> DynEffect<B> {
+    /// Wraps an effect.
+    pub fn new<E: Effect<B> + 'static>(effect: E) -> Self {
+        Self(Arc::new(effect))
+    }
+}
+
+impl<B> Clone for DynEffect<B> {
+    fn clone(&self) -> Self {
+        Self(self.0.clone())
+    }
+}
+
+impl<B> Debug for DynEffect<B> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// Whether both are the same object.
+impl<B> PartialEq for DynEffect<B> {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
+}
+
+/// Object-safe [`Effect`].
+trait AnyEffect<B>: Debug + Send + Sync {
+    fn as_any(&self) -> &dyn Any;
+    fn param_dim(&self) -> usize;
+    fn numbers(&self) -> Numbers<'_>;
+    fn varied(&self, first: usize) -> Vec<Varied>;
+    fn draw_params(&self, rng: &mut Rng, p: &mut [f64]);
+    fn state_dependent(&self) -> bool;
+    /// Writes the function [`Forces`] for one scalar.
+    fn add_forces(&self, slot: &mut dyn Any);
+    /// Writes the function [`Reverse`] for one scalar and cotangent.
+    fn vjp(&self, slot: &mut dyn Any);
+}
+
+impl<B: 'static, E: Effect<B> + 'static> AnyEffect<B> for E {
+    fn as_any(&self) -> &dyn Any {
+        self
+    }
+    fn param_dim(&self) -> usize {
+        Effect::param_dim(self)
+    }
+    fn numbers(&self) -> Numbers<'_> {
+        Effect::numbers(self)
+    }
+    fn varied(&self, first: usize) -> Vec<Varied> {
+        Effect::varied(self, first)
+    }
+    fn draw_params(&self, rng: &mut Rng, p: &mut [f64]) {
+        Effect::draw_params(self, rng, p);
+    }
+    fn state_dependent(&self) -> bool {
+        Effect::state_dependent(self)
+    }
+    fn add_forces(&self, slot: &mut dyn Any) {
+        scalar_pointer::<Forces<E, B>>(slot);
+    }
+    fn vjp(&self, slot: &mut dyn Any) {
+        cotangent_pointer::<Reverse<E, B>>(slot);
+    }
+}
+
+/// Pointer to [`Effect::add_forces`]. The first argument is the effect.
+type AddForcesOf<B, T> = fn(&dyn Any, &B, OdeInputs<'_, T>, &mut [T]);
+/// Pointer to [`Effect::vjp`]. The first argument is the effect.
+type VjpOf<B, R, C> = fn(&dyn Any, &B, OdeInputs<'_, R>, &[C], Cotangents<'_, C>);
+
+/// Outlined [`Effect::add_forces`] of the effect `E`.
+struct Forces<E, B>(PhantomData<(E, B)>);
+
+impl<B: 'static, E: Effect<B> + 'static> ScalarFunction for Forces<E, B> {
+    type Pointer<T: Scalar> = AddForcesOf<B, T>;
+
+    fn pointer<T: Scalar>() -> Self::Pointer<T> {
+        |effect, model, inputs, forces| {
+            let effect = effect.downcast_ref::<E>().expect("the effect that returned the pointer");
+            outline::<T>(AddForces { effect, model, inputs, forces });
+        }
+    }
+}
+
+/// Outlined [`Effect::vjp`] of the effect `E`.
+struct Reverse<E, B>(PhantomData<(E, B)>);
+
+impl<B: 'static, E: Effect<B> + 'static> CotangentFunction for Reverse<E, B> {
+    type Pointer<R: Real, C: Cotangent<R>> = VjpOf<B, R, C>;
+
+    fn pointer<R: Real, C: Cotangent<R>>() -> Self::Pointer<R, C> {
+        |effect, model, inputs, forces_bar, cotangents| {
+            let effect = effect.downcast_ref::<E>().expect("the effect that returned the pointer");
+            outline::<R>(Vjp { effect, model, inputs, forces_bar, cotangents });
+        }
+    }
+}
+
+impl<B: 'static> Effect<B> for DynEffect<B> {
+    fn param_dim(&self) -> usize {
+        self.0.param_dim()
+    }
+
+    fn numbers(&self) -> Numbers<'_> {
+        self.0.numbers()
+    }
+
+    fn varied(&self, first: usize) -> Vec<Varied> {
+        self.0.varied(first)
+    }
+
+    fn draw_params(&self, rng: &mut Rng, p: &mut [f64]) {
+        self.0.draw_params(rng, p);
+    }
+
+    fn state_dependent(&self) -> bool {
+        self.0.state_dependent()
+    }
+
+    /// # Panics
+    /// If `T` is not a number of rollouts, checks, counts or default derivatives.
+    fn add_forces<T: Scalar>(&self, model: &B, inputs: OdeInputs<'_, T>, forces: &mut [T]) {
+        let mut slot: Option<AddForcesOf<B, T>> = None;
+        self.0.add_forces(&mut slot);
+        let Some(add_forces) = slot else { panic!("a `DynEffect` has no forces for the scalar {}", type_name::<T>()) };
+        add_forces(self.0.as_any(), model, inputs, forces);
+    }
+
+    fn vjp<R: Real, C: Cotangent<R>>(
+        &self,
+        model: &B,
+        inputs: OdeInputs<'_, R>,
+        forces_bar: &[C],
+        cotangents: Cotangents<'_, C>,
+    ) {
+        let mut slot: Option<VjpOf<B, R, C>> = None;
+        self.0.vjp(&mut slot);
+        match slot {
+            Some(vjp) => vjp(self.0.as_any(), model, inputs, forces_bar, cotangents),
+            None => default_effect_vjp(self, model, inputs, forces_bar, cotangents),
+        }
+    }
+
+    fn diagnose<R: Real>(&self, model: &B, inputs: OdeInputs<'_, R>, forces: usize) -> Option<&'static str> {
+        if is_finite(self, model, inputs, forces) { None } else { Some("an effect of the user") }
+    }
+}
