@@ -5,10 +5,10 @@
 //! small systems, in reverse mode for large ones. Faster analytic derivatives can replace them, and
 //! [`check`] compares the two.
 //!
-//! One forward pass yields three vector fields for the optimizer: the gradient of the loss (R), the
-//! gradient through the physics only (M), and their combination (C). The source is "Stabilizing
-//! Backpropagation Through Time to Learn Complex Physics" (ICLR 2024). [`Flow`] documents the
-//! recursion and [`Field`] the fields.
+//! One forward pass yields several vector fields for the optimizer. The main three are the gradient
+//! of the loss (R), the gradient through the physics only (M), and their combination (C). The
+//! source is "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024).
+//! [`Flow`] documents the recursion and [`Field`] the fields.
 //!
 //! # A custom system
 //! The code is that of `examples/pendulum.rs`. Tests compile, run and gradient-check it.
@@ -49,7 +49,8 @@
 //! An [`Effect`] is an optional part of the physics: friction, wind, obstacles, potentials. The
 //! effects of a system are part of its type, so absent effects cost nothing. [`OpCount`] counts the
 //! operations of a system exactly. An [`Actuator`] transforms controls between policy and system.
-//! [`Substeps`] performs several small steps of a system as one.
+//! [`Substeps`] performs several small steps of a system as one. [`Integrated`] makes a system of
+//! an [`Ode`] and an [`Integrator`].
 //! ```
 //! use physgrad::tasks::{CartPole, CartPoleSystem, PoleDamping, SteadyWind};
 //! use physgrad::{Actuated, OpCount, Lag, Forced, check};
@@ -62,9 +63,14 @@
 //! ```
 //! `docs/scenes.md` and `examples/own_effect.rs` show how to write a custom effect.
 //!
+//! # Physical numbers, measurements and plans
+//! - [`Number`]: a physical number that is fixed, drawn for each sample, or trained.
+//! - [`identify`]: physical numbers and initial states from measured trajectories.
+//! - [`optimize`]: controls that minimize the loss from one initial state.
+//!
 //! # Features
 //! - `parallel` splits mini-batches and data sets over threads.
-//! - `report` draws curves and animations.
+//! - `report` adds the module `report`, which draws charts and animations.
 //! - `schema` provides a JSON schema for the settings of systems and effects.
 //! - `double-double` adds `DoubleDouble`, a 31-digit scalar type for reference results and their
 //!   derivatives.

@@ -43,7 +43,7 @@ pub use step_back::StepBack;
 
 /// Workspace of the reverse pass of a [`Rollout`]. The constructor allocates all buffers.
 ///
-/// A run allocates only if it diverges, or in steps of systems that exceed their stack buffers.
+/// A run allocates only in the cases that [`Rollout`] lists.
 #[derive(Debug)]
 pub struct Adjoint<F: Float> {
     horizon: usize,

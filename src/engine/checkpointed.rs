@@ -14,9 +14,8 @@ use crate::policy::Weights;
 
 /// Batch of rollouts and their gradients that stores the tape of one segment at a time.
 ///
-/// The constructor allocates all buffers. A run allocates only if it diverges, or in steps of
-/// systems that exceed their stack buffers. Gradients are bitwise equal to those of [`Rollout`] and
-/// [`Adjoint`], for every schedule.
+/// The constructor allocates all buffers. A run allocates only in the cases that [`Rollout`] lists.
+/// Gradients are bitwise equal to those of [`Rollout`] and [`Adjoint`], for every schedule.
 /// ```
 /// use physgrad::{Checkpointed, Flow, Gradient, Schedule, Weights, initial_states, policy::Mlp, rng, tasks::CartPole};
 ///

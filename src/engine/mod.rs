@@ -1,7 +1,7 @@
 //! Rollouts and their gradients.
 //!
 //! - [`rollout`]: forward pass of a task under a policy.
-//! - [`adjoint`]: reverse pass for the flows R, M, N and S of one forward pass.
+//! - [`adjoint`]: reverse pass for one or two flows of one forward pass.
 //!   `adjoint/recursion.rs` contains the recursion.
 //! - [`initial_states`]: initial states, drawn by a task from seeded streams.
 //! - [`observe`]: the input of the policy.

@@ -35,6 +35,7 @@ pub(crate) type Lane<F> = Lanes<F, WIDTH>;
 /// Batch of rollouts. The constructor allocates all buffers.
 ///
 /// A run allocates only if it diverges, or in steps of systems that exceed their stack buffers.
+/// Some policies and all reverse-mode derivatives also allocate in their first call on a thread.
 ///
 /// With a tape it stores the trajectory and the values that [`Adjoint`](crate::Adjoint) needs.
 /// Without one ([`Rollout::for_evaluation`]) it stores a single step, and results are bitwise

@@ -1,4 +1,4 @@
-//! Forward-mode Jacobians by dual numbers, used by default gradients and VJPs.
+//! Forward-mode Jacobians by dual numbers: the default derivatives of small functions.
 
 use crate::numbers::scalar::{Dual, Real};
 use crate::numbers::zip::zip;
@@ -11,9 +11,9 @@ pub(crate) const CHUNK: usize = 4;
 /// Dual number over `R` with [`CHUNK`] tangents.
 pub(crate) type Chunk<R> = Dual<R, CHUNK>;
 
-/// Half the stack capacity of a [`Buffer`].
-const STACK: usize = 32;
-type Buffer<T> = SmallVec<[T; 2 * STACK]>;
+/// Stack capacity of a [`Buffer`], in numbers.
+const STACK: usize = 64;
+type Buffer<T> = SmallVec<[T; STACK]>;
 
 /// Calls `visit(i, column)` with `column[j] = ∂f_j/∂input_i`, in order, for all inputs `i` in
 /// `wrt`.

@@ -1,10 +1,13 @@
-//! Scalar types, vectorized kernels and random streams.
+//! Scalar types, derivatives, vectorized kernels and random streams.
 //!
 //! - [`scalar`]: traits of scalars. A simulator is generic over [`Scalar`](scalar::Scalar). It runs
 //!   on `f64`, SIMD lanes, dual and reverse-mode numbers, operation counters and double-doubles.
+//! - [`forward_mode`], [`reverse_mode`]: default derivatives, by dual numbers and by a [`tape`].
+//! - [`extended`]: numbers beyond the range of `f64`.
 //! - [`kernels`]: matrix products and elementwise operations, dispatched by instruction set at run
 //!   time; tanh, sine and cosine. Contains the only unsafe code of the library.
 //! - [`rng`]: seeded random streams.
+//! - [`aligned`], [`pool`]: buffers. [`zip`]: an iterator that is always inlined.
 //!
 //! Imports no other module of the crate; every other module may import it. Start reading in
 //! `scalar.rs`.

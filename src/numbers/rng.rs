@@ -8,9 +8,9 @@ pub type Rng = rand_pcg::Pcg64Mcg;
 /// Purpose of a random stream. Streams of different purposes are independent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// Initial states of the training set.
+    /// Initial states and parameters of training samples.
     Train = 1,
-    /// Initial states of the test set.
+    /// Initial states and parameters of the test set.
     Test = 2,
     /// Initial parameters of the policy.
     Policy = 3,

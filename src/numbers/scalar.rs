@@ -7,6 +7,7 @@
 //!   them with those of the crate num-dual.
 //! - `Reverse`: reverse-mode derivatives, the default derivatives of large systems.
 //! - [`Counted`]: an `f64` that counts its operations.
+//! - `DoubleDouble`: a number with 31 digits, for references (feature `double-double`).
 //! - [`Cotangent`]: the adjoint quantity of a reverse pass. [`CotangentPack`]: several of them.
 
 mod counted;
@@ -34,14 +35,15 @@ use std::fmt::Debug;
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 
-/// Number type over which simulators are generic: `f64`, [`Lanes`], [`Dual`], [`Counted`].
+/// Number type over which simulators are generic. Among the types are `f64`, [`Lanes`], [`Dual`],
+/// [`Counted`] and `DoubleDouble`.
 ///
 /// Constants are plain `f64` on the right of an operator: `x[0].sin() * (9.81 / self.length)`. They
 /// are rounded to the precision of the simulation.
 ///
-/// Supports no ordering and no branching on values, since lanes hold several values at once. Write
-/// branches with [`select_lt`](Scalar::select_lt), [`min`](Scalar::min), [`max`](Scalar::max),
-/// [`clamp`](Scalar::clamp) and [`abs`](Scalar::abs).
+/// A scalar has no ordering and permits no branches on values, since lanes hold several values.
+/// Write branches with [`select_lt`](Scalar::select_lt), [`min`](Scalar::min),
+/// [`max`](Scalar::max), [`clamp`](Scalar::clamp) and [`abs`](Scalar::abs).
 ///
 /// The forms on the left do not compile. The compiler suggests further bounds on `T`, which do not
 /// help. Write the forms on the right:
@@ -285,7 +287,7 @@ impl<R: Real> Cotangent<R> for R {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CotangentPack<R, const K: usize>(pub [R; K]);
 
-/// Calls `column(k)` for `k = 0 .. K`. Unrolled for `K ≤ 2`, as used by rollouts: small loops slow
+/// Calls `column(k)` for `k = 0 .. K`. Unrolled for the `K ≤ 2` of rollouts: small loops slow
 /// compilation.
 #[inline(always)]
 fn each<const K: usize>(mut column: impl FnMut(usize)) {

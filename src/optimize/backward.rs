@@ -29,8 +29,9 @@ const CONTROL_SHARE: f64 = 1e-6;
 /// Computes the step of Gauss-Newton differential dynamic programming. Returns `None` if the
 /// regularized Hessian by the controls is not positive definite at a step.
 ///
-/// With the gradient v and the Hessian V of the cost-to-go after the step, A = ∂S/∂x, B = ∂S/∂u and
-/// the regularization μ:
+/// v and V are the gradient and the Hessian of the cost-to-go after the step, v' and V' those
+/// before it. A = ∂S/∂x, B = ∂S/∂u, z = [x, u], and μ is the regularization. l is a function of z,
+/// through the next state:
 ///
 /// ```text
 /// q = ∂l/∂z + [A B]ᵀ v,    Q = ∂²l/∂z² + [A B]ᵀ V [A B]
@@ -72,8 +73,8 @@ pub(super) fn backward(expansion: &Expansion, u: &[f64], bounds: &Bounds, regula
     Some(Step { changes, gains, model })
 }
 
-/// Returns `μ Bᵀ [A B]`, plus a small multiple of the identity at the controls, which also
-/// determines controls without effect on the state.
+/// Returns `μ Bᵀ [A B]`, plus a multiple of the identity in the columns of the controls:
+/// `1e-6 μ ‖B‖²`, or μ if B = 0. The multiple determines controls without effect on the state.
 fn regularized(dynamics: &DMatrix<f64>, n: usize, regularization: f64) -> DMatrix<f64> {
     let by_u = dynamics.columns_range(n..);
     let mut product = by_u.tr_mul(dynamics) * regularization;

@@ -33,7 +33,8 @@ pub(super) struct Expansion {
     pub(super) hessian: DMatrix<f64>,
     /// Gradient of the loss by the controls, `[step][control]`.
     pub(super) by_control: Vec<f64>,
-    /// Largest second derivative of the costs, or largest gradient if all are 0.
+    /// Largest absolute second derivative of the costs. If all are 0, largest absolute first
+    /// derivative.
     pub(super) curvature: f64,
 }
 
@@ -44,11 +45,11 @@ impl Problem<'_> {
     /// [`OptimizeError::Derivative`] if a derivative is not finite.
     pub(super) fn expand(&self, trajectory: &Trajectory) -> Result<Expansion, OptimizeError> {
         let (n, m, steps) = (self.n, self.m, self.model.horizon());
-        let problem = |step| OptimizeError::Derivative { step };
+        let not_finite = |step| OptimizeError::Derivative { step };
         let expanded = (0..steps).map(|t| {
             let step = self.expand_step(trajectory, t);
             let finite = [step.dynamics.as_slice(), step.gradient.as_slice(), step.hessian.as_slice()];
-            if all_finite(finite) { Ok(step) } else { Err(problem(Some(t))) }
+            if all_finite(finite) { Ok(step) } else { Err(not_finite(Some(t))) }
         });
         let expanded = expanded.collect::<Result<Vec<_>, _>>()?;
         let last = &trajectory.x[steps * n..];
@@ -57,11 +58,11 @@ impl Problem<'_> {
         let p = constants(self.p);
         let hessian = hessian(last, |x| self.model.terminal_cost_by_duals(x, &p));
         if !all_finite([gradient.as_slice(), hessian.as_slice()]) {
-            return Err(problem(None));
+            return Err(not_finite(None));
         }
         let (by_control, finite) = gradient_by_control(&expanded, gradient.clone(), n, m);
         if let Err(step) = finite {
-            return Err(problem(Some(step)));
+            return Err(not_finite(Some(step)));
         }
         let largest = |of_step: fn(&StepExpansion) -> f64, terminal: f64| expanded.iter().map(of_step).fold(terminal, f64::max);
         let second = largest(|step| step.hessian.amax(), hessian.amax());
@@ -100,8 +101,8 @@ impl Problem<'_> {
     }
 }
 
-/// Returns the gradient by the controls, by the adjoint recursion, or the step at which it is not
-/// finite.
+/// Computes the gradient by the controls with the adjoint recursion. Also returns the step at which
+/// the gradient is not finite, as an error.
 fn gradient_by_control(steps: &[StepExpansion], terminal: DVector<f64>, n: usize, m: usize) -> (Vec<f64>, Result<(), usize>) {
     let (mut adjoint, mut by_control) = (terminal, vec![0.0; steps.len() * m]);
     for (t, step) in steps.iter().enumerate().rev() {

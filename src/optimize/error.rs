@@ -15,7 +15,7 @@ pub enum OptimizeError {
         /// Found length.
         found: usize,
     },
-    /// No control lies between the bounds.
+    /// No finite control lies between the bounds, or a bound is NaN.
     #[error("the bounds of control {control} are [{low}, {high}]; allowed: low <= high, each possibly infinite, none NaN")]
     Bounds {
         /// Index of the control.

@@ -1,7 +1,7 @@
 //! Trajectory optimization: controls that minimize the loss of any [`Task`] from one initial state.
 //!
-//! [`optimize`] finds `u_0 .. u_{T-1}` that minimize `φ(x_T, p) + Σ_t l(x_t, u_t, p, t, x_{t+1})`,
-//! by Gauss-Newton differential dynamic programming (iLQR) with bounds on the controls:
+//! [`optimize`] finds `u_0 .. u_{T-1}` that minimize `φ(x_T, p) + Σ_t l(x_t, u_t, p, t, x_{t+1})`.
+//! The method is Gauss-Newton differential dynamic programming (iLQR) with bounds on the controls:
 //!
 //! - Tassa, Erez and Todorov 2012, doi:10.1109/IROS.2012.6386025: regularized backward pass.
 //! - Tassa, Mansard and Todorov 2014, doi:10.1109/ICRA.2014.6907001: bounds, as a quadratic program
@@ -9,17 +9,18 @@
 //!
 //! Each iteration linearizes the dynamics, expands the costs to second order, and solves the
 //! resulting linear-quadratic problem by one backward pass. A line search along the new controls
-//! and gains accepts only steps that decrease the cost. All derivatives are exact.
-//! `docs/optimize.md` has the equations and measured figures.
+//! and gains accepts only steps that decrease the cost. First derivatives, and second derivatives
+//! of the costs, are exact. Second derivatives of the dynamics are omitted. `docs/optimize.md` has
+//! the equations and measured figures.
 //!
 //! - [`Options`], [`Initial`]: settings and initial controls.
-//! - [`Plan`]: controls, states, gains, cost and gradient.
+//! - [`Plan`]: controls, states, gains, cost and gradient. [`Stop`]: the reason for the end.
 //! - [`Tracking`]: the task to follow a plan by a trained policy.
 //!
 //! # Limits
-//! The minimum is local. A stationary initial trajectory, such as a pendulum at rest that hangs
-//! exactly, stays as it is: start from other controls. Contacts and dry friction have derivatives
-//! of one branch only.
+//! The minimum is local. A stationary initial trajectory, such as that of a pendulum that hangs at
+//! rest, does not change: start from other controls. Contacts and dry friction have derivatives of
+//! one branch only.
 //!
 //! Imports `numbers` and `dynamics`. Start reading in `search.rs`.
 
@@ -68,7 +69,7 @@ use trajectory::Problem;
 /// # Errors
 /// [`OptimizeError`] if
 /// - a length differs from that of the task,
-/// - a lower bound is above its upper bound,
+/// - a lower bound is above its upper bound, or a bound is NaN,
 /// - the initial trajectory or its cost is not finite,
 /// - a derivative at the initial trajectory is not finite.
 pub fn optimize<T: Task>(

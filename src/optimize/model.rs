@@ -7,7 +7,8 @@ use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::forward_mode::Chunk;
 
-/// Object-safe task. The compiler monomorphizes these functions for each task, and the search once.
+/// Object-safe task. The compiler monomorphizes these functions for each task. The search is
+/// compiled once.
 pub(super) trait Model {
     /// Numbers of state components, controls and parameters.
     fn sizes(&self) -> [usize; 3];

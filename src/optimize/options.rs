@@ -10,7 +10,9 @@ pub struct Options {
     /// Converged if no component of the projected gradient exceeds this number. Unit: cost per unit
     /// of control. At an active bound, a component that points out of the bounds counts as 0.
     pub gradient_tolerance: f64,
-    /// Converged if three consecutive iterations decrease the cost by at most this fraction.
+    /// Converged if each of three consecutive iterations decreases the cost by at most this
+    /// fraction. Also converged if the line search fails and the predicted decrease of the full
+    /// step is no larger.
     pub cost_tolerance: f64,
     /// Bounds `[low, high]` of each control, at all steps. Infinite bounds are allowed. `None`: no
     /// bounds.
@@ -83,7 +85,8 @@ impl Bounds {
         Ok(Self(bounds))
     }
 
-    /// Clamps a control. A control within 4 ulp of a bound becomes the bound.
+    /// Clamps a control. A control at a distance of at most 4 ε |bound| becomes the bound, with the
+    /// machine epsilon ε. Rounding therefore moves no control away from its bound.
     pub(super) fn clamp(&self, u: &mut [f64]) {
         for (u, &[low, high]) in u.iter_mut().zip(&self.0) {
             let near = |bound: f64| 4.0 * f64::EPSILON * bound.abs();
@@ -95,7 +98,7 @@ impl Bounds {
         }
     }
 
-    /// Largest and smallest change of a control.
+    /// Smallest and largest change of each control within the bounds.
     pub(super) fn changes(&self, u: &[f64]) -> Vec<[f64; 2]> {
         self.0.iter().zip(u).map(|([low, high], u)| [low - u, high - u]).collect()
     }

@@ -20,7 +20,7 @@ pub struct Plan {
     pub cost: f64,
     /// Initial cost, then the cost after each iteration. Never increases.
     pub costs: Vec<f64>,
-    /// Number of simulations of the whole trajectory.
+    /// Number of simulated trajectories, rejected ones included.
     pub rollouts: usize,
     /// Reason for the end.
     pub stop: Stop,
@@ -84,8 +84,9 @@ impl Plan {
 
     /// Writes the control `u_t + K_t (x - x_t)` of a state near the plan. Does not clamp it.
     ///
-    /// The gains are those of the last regularized backward pass. They are locally optimal if the
-    /// plan converged without regularization. Rows of controls at a bound are 0.
+    /// The gains result from a backward pass along the plan, with the least regularization that
+    /// determines them. They are locally optimal if the plan converged and that regularization is
+    /// 0. Rows of controls at a bound are 0. All gains are 0 if no regularization determines them.
     ///
     /// # Panics
     /// If `t` is not below the horizon.

@@ -26,8 +26,8 @@ const SIZES: i32 = 10;
 /// Fraction of the predicted decrease that a step has to reach.
 const SUFFICIENT: f64 = 0.1;
 
-/// Number of consecutive small decreases that count as convergence. A single one may be due to
-/// regularization.
+/// Number of consecutive small decreases that count as convergence. Regularization alone may cause
+/// a single small decrease.
 const SMALL_DECREASES: usize = 3;
 
 impl<'a> Search<'a> {
@@ -62,7 +62,7 @@ impl<'a> Search<'a> {
     /// Replaces the trajectory by a better one and returns its expansion, or the reason for the
     /// end.
     fn improve(&mut self, expansion: &Expansion) -> Result<Expansion, Stop> {
-        // Rounding hides decreases below that of the initial cost.
+        // Decreases below the rounding error of the initial cost count as none.
         let tolerance = self.options.cost_tolerance * self.best.cost.abs() + f64::EPSILON * self.costs[0].abs();
         loop {
             let regularization = self.regularization.value * expansion.curvature;
@@ -151,16 +151,17 @@ impl Default for Regularization {
 }
 
 impl Regularization {
-    /// Value after 0.
+    /// Value after an increase from 0.
     const FIRST: f64 = 1e-2;
-    /// Smallest positive value.
+    /// Smallest positive value. A decrease below it yields 0.
     const SMALLEST: f64 = 1e-6;
     /// Smallest change of the factor.
     const FACTOR: f64 = 2.0;
     /// Largest value.
     const LARGEST: f64 = 1e10;
 
-    /// Returns whether the value is still allowed.
+    /// Increases the value, faster after each call. Returns false if the value exceeds the largest
+    /// one.
     fn increase(&mut self) -> bool {
         self.factor = (self.factor * Self::FACTOR).max(Self::FACTOR);
         self.value = if self.value == 0.0 { Self::FIRST } else { self.value * self.factor };

@@ -9,7 +9,7 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Scalar;
 use rand::RngExt;
 
-/// Task to follow a [`Plan`] from initial states near its own.
+/// Task to follow a [`Plan`] from initial states near that of the plan.
 ///
 /// ```text
 /// l = Σ_i w_i (x_{t+1,i} - x̄_{t+1,i})²/2 + Σ_j v_j (u_{t,j} - ū_{t,j})²/2

@@ -1,7 +1,7 @@
 //! Default batched passes of a policy: calls of [`Policy::act`] on blocks of columns.
 //!
 //! Derivatives are those of forward mode for few inputs and parameters, otherwise of reverse mode.
-//! Reverse mode reuses buffers of the current thread.
+//! The forward pass and reverse mode reuse buffers of the current thread.
 
 use super::blocks::{Lane, gather, gathered, scatter};
 use super::{Policy, PolicyColumns, PolicyPass, PolicyRecord, act_on, dims};

@@ -30,10 +30,10 @@ const BLOCK: usize = 8;
 const DEPTH: usize = 64;
 /// Kernel size, in positions; the stride is 2.
 const KERNEL: usize = 3;
-/// Channels of the state: real and imaginary parts.
+/// Channels of the observation: real and imaginary parts of a wave function.
 const CHANNELS: usize = 2;
 
-/// Two tanh convolutions and a linear output: maps a state (grid × 2) to one control.
+/// Two tanh convolutions and a linear output: maps an observation x (grid × 2) to one control.
 ///
 /// ```text
 /// h₁[q, f] = tanh(b₁[f] + Σ_{k,c} x[2q + k, c] W₁[k, c, f])       q < (grid - 1)/2
@@ -51,7 +51,7 @@ pub struct Conv {
 }
 
 impl Conv {
-    /// A policy for a state of `grid` points with two channels, with `width` filters per
+    /// A policy for an observation of `grid` points with two channels, with `width` filters per
     /// convolution.
     ///
     /// # Panics

@@ -1,11 +1,11 @@
-//! [`Linear`]: linear or affine feedback, `u = K x + k`.
+//! [`Linear`]: linear or affine feedback, `u = K y + k`.
 
 use super::{Action, Observed, Policy, PolicyPass, PolicyRecord, Tensor};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
 use crate::numbers::zip::zip;
 
-/// Linear feedback of the observation x, `u = K x`, or affine with a bias, `u = K x + k`.
+/// Linear feedback of the observation y, `u = K y`, or affine with a bias, `u = K y + k`.
 ///
 /// `θ` holds `K` (control_dim × observation_dim, row-major), then `k`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -16,12 +16,12 @@ pub struct Linear {
 }
 
 impl Linear {
-    /// Linear feedback `u = K x`.
+    /// Linear feedback `u = K y`.
     pub fn new(observation_dim: usize, control_dim: usize) -> Self {
         Self { observation_dim, control_dim, bias: false }
     }
 
-    /// Affine feedback `u = K x + k`.
+    /// Affine feedback `u = K y + k`.
     pub fn with_bias(observation_dim: usize, control_dim: usize) -> Self {
         Self { observation_dim, control_dim, bias: true }
     }

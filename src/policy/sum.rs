@@ -23,8 +23,8 @@ impl<A: Policy, B: Policy> Sum<A, B> {
         let dims = [first.observation_dim(), first.control_dim()];
         let other = [second.observation_dim(), second.control_dim()];
         assert_eq!(dims, other, "both policies of a sum need equal numbers of observations and controls");
-        let plain = first.memory_dim() + second.memory_dim() + first.trained_params().len() + second.trained_params().len();
-        assert_eq!(plain, 0, "a policy with a memory or trained parameters cannot be part of a sum");
+        let excluded = first.memory_dim() + second.memory_dim() + first.trained_params().len() + second.trained_params().len();
+        assert_eq!(excluded, 0, "a policy with a memory or trained parameters cannot be part of a sum");
         Self(first, second)
     }
 

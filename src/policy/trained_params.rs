@@ -34,7 +34,8 @@ impl TrainedParam {
         Self { index, initial, scale: Scale::Linear }
     }
 
-    /// Trains `p[index] = exp(r)`, from a positive initial value. Suits masses and other scales.
+    /// Trains `p[index] = exp(r)`, from a positive initial value: for masses, lengths and other
+    /// positive numbers.
     ///
     /// # Panics
     /// If the initial value is not positive.

@@ -4,7 +4,7 @@ use super::{Action, Observed, Policy};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Scalar;
 
-/// Policy `u = θ₁ x² + θ₂ x`, with `θ = [θ₁, θ₂]` and scalar `x`.
+/// Policy `u = θ₁ x² + θ₂ x`, with `θ = [θ₁, θ₂]` and an observation of one component x.
 ///
 /// Source: Figure 1 of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR
 /// 2024).
@@ -34,7 +34,7 @@ impl Policy for Quadratic {
     }
 }
 
-/// Open-loop control `u = θ`, independent of the state; one parameter per control.
+/// Open-loop control `u = θ`, equal at all steps; one parameter per control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Constant {
     observation_dim: usize,
@@ -42,7 +42,7 @@ pub struct Constant {
 }
 
 impl Constant {
-    /// Creates an open-loop control for a system with these dimensions.
+    /// Creates an open-loop control for a task with these dimensions.
     pub fn new(observation_dim: usize, control_dim: usize) -> Self {
         Self { observation_dim, control_dim }
     }

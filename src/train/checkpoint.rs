@@ -1,7 +1,8 @@
 //! Checkpoints: serialization of a [`Session`](crate::Session).
 //!
-//! A checkpoint is a magic number, a format number, a CRC-32C of the contents, and the postcard
-//! contents. A label identifies the run. A session restores only checkpoints with the same label.
+//! A checkpoint consists of a magic number, a format number, a CRC-32C of the contents, and the
+//! contents in the format of the crate postcard. A label identifies the run. A session restores
+//! only checkpoints with its label.
 
 use super::Record;
 use super::progress::{Epoch, Progress, Snapshot};

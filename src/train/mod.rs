@@ -4,6 +4,7 @@
 //! - [`Session`]: a training in progress, one epoch at a time, with checkpoints.
 //! - [`Training`]: settings. [`Decay`]: learning rates. [`Record`]: results of one epoch.
 //! - [`Field`] and [`GradientCombiner`]: the vector field that the optimizer follows.
+//! - [`OptimizerKind`] and [`Clip`]: update rules, and clipping of the field.
 //! - [`vector_field`]: the two-parameter examples of the paper.
 //!
 //! Imports `numbers`, `dynamics`, `policy` and `engine`. Read this file first, then `progress.rs`,
@@ -46,14 +47,14 @@ pub struct Training {
     pub train_samples: usize,
     /// Number of initial states in the test set.
     pub test_samples: usize,
-    /// Seed of the initial states, the initial parameters and, with `shuffle`, the sample order.
+    /// Seed of the initial states, of the initial parameters of the policy and, with `shuffle`, of
+    /// the sample order.
     pub seed: u64,
     /// Shuffles the training set before every epoch. The paper uses one fixed order.
     pub shuffle: bool,
     /// Draws new initial states and parameters of the task for the updates of every epoch. Sample i
-    /// of epoch e has the random stream of training sample e N + i. N is the number of samples, and
-    /// both counts start at 0. Losses are evaluated on the same training and test set after every
-    /// epoch.
+    /// of epoch e has the random stream of training sample e N + i. N is the number of training
+    /// samples, and i and e start at 0. The data sets on which losses are evaluated do not change.
     pub resample: bool,
     /// The optimizer.
     pub rule: OptimizerKind,

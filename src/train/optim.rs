@@ -137,7 +137,10 @@ pub struct Optimizer<F> {
     rule: OptimizerKind,
     learning_rate: f64,
     steps: u64,
+    /// Adam: first moment. Momentum: previous step. RMSprop and Adadelta: mean square of the
+    /// gradient. Adagrad: sum of squares. Gradient descent: unused.
     first: Vec<F>,
+    /// Adam: second moment. Adadelta: mean square of the steps. Others: unused.
     second: Vec<F>,
 }
 

@@ -11,17 +11,18 @@ use serde::{Deserialize, Serialize};
 pub struct Record {
     /// Number of the epoch, from 1.
     pub epoch: usize,
-    /// Mean over the updates of the batch loss before each update.
+    /// Mean over the applied updates of the batch loss before each update; NaN if none.
     pub loss: f64,
     /// Loss of the whole training set after the epoch; NaN if it diverged.
     pub train_loss: f64,
     /// Loss of the whole test set after the epoch; NaN if it diverged.
     pub test_loss: f64,
-    /// Mean over the updates of the norm of the field, before clipping.
+    /// Mean over the applied updates of the norm of the field, before clipping.
     pub grad_norm: ExtendedF64,
-    /// Mean over the updates of the cosine between the two gradients of a field of two flows.
+    /// Mean over the applied updates of the cosine between the gradients of a field of two flows.
     pub cosine: Option<f64>,
-    /// Mean over the updates of the fraction of non-zero components of a field of two flows.
+    /// Mean over the applied updates of the fraction of non-zero components of a field of two
+    /// flows.
     pub kept: Option<f64>,
     /// Number of updates skipped because of a non-finite number.
     pub skipped: usize,

@@ -1,8 +1,9 @@
 //! Exponents: the cotangents of each sample and flow are mantissas times a common power of two.
 //!
-//! The recursion is linear in λ. A power of two taken out of λ and h is therefore taken out of all
-//! later values, exactly. Only the cost gradients added at each step must be divided by it. At
-//! moderate sizes all exponents are 0, and results are bitwise those of plain numbers.
+//! The recursion is linear in λ and μ. A power of two taken out of λ, h and μ is therefore taken
+//! out of all later values, exactly. Only the cost gradients added at each step must be divided by
+//! this power. At moderate sizes all exponents are 0, and results are bitwise those of plain
+//! numbers.
 
 use super::recursion::CostGradient;
 use super::{Flow, Pass};
@@ -107,7 +108,7 @@ impl<F: Float, const K: usize> Exponents<F, K> {
 /// Exponents of one block of samples, for `K` flows.
 #[derive(Clone, Debug)]
 pub(super) struct BlockExponents<F: Float, const K: usize> {
-    /// Exponents, `[flow][lane]`: λ and h are the stored values times 2^exponent.
+    /// Exponents, `[flow][lane]`: λ, h and μ are the stored values times 2^exponent.
     pub(super) of: [[i32; WIDTH]; K],
     /// Factor of the cost gradients: `scale` of the pass times 2^-exponent.
     pub(super) inject: CotangentPack<Lane<F>, K>,
@@ -173,7 +174,7 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
 
     /// Rescales the cotangents of one sample and flow to a size of about 1, if needed.
     ///
-    /// `lambda` and `u_bar` are λ and h of the block.
+    /// `lambda` is λ of the block, `u_bar` its h and μ.
     fn rescale(
         &mut self,
         flow: Flow,

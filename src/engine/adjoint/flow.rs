@@ -16,8 +16,8 @@ use std::fmt;
 /// The parameter gradient is `Σ_t (∂N/∂θ)ᵀ (h_t, μ)`. S is the step of the system, N the policy, y
 /// the observation, m the memory, l the running cost and φ the terminal cost.
 ///
-/// A weight of 1 passes a path, 0 detaches it. Weights between 0 and 1 discount the effect of
-/// earlier steps.
+/// A weight of 1 passes a path, 0 detaches it. Weights between 0 and 1 discount the effect of a
+/// step on later costs.
 ///
 /// ```
 /// use physgrad::Flow;
@@ -34,10 +34,10 @@ pub struct Flow {
     pub control: f64,
     /// Weight of the path through the memory of the policy, `∂N/∂m`.
     pub memory: f64,
-    /// Number of steps between truncations: all weights are 0 at steps that are multiples of it.
-    /// `None` for no truncation.
+    /// Number of steps between truncations. At positive multiples of this number, all weights are 0
+    /// for one step. `None` for no truncation.
     pub truncation: Option<usize>,
-    /// Growth in decades at which the adjoint of a sample is cut. `None` for no cut.
+    /// Growth in decades above which the adjoint of a sample is cut. `None` for no cut.
     ///
     /// Growth is measured since the last cut, as in [`Growth::along`](crate::Growth). At a cut, all
     /// weights of the sample are 0 for one step.
@@ -75,7 +75,7 @@ impl Flow {
         Self { truncation: Some(steps), ..self }
     }
 
-    /// Cuts the adjoint of a sample where it has grown by `decades`.
+    /// Cuts the adjoint of a sample where it has grown by more than `decades`.
     pub const fn cut(self, decades: f64) -> Self {
         Self { cut: Some(decades), ..self }
     }

@@ -59,7 +59,7 @@ impl<const K: usize> GrowthMeters<K> {
         &mut self,
         samples: Range<usize>,
         lambda: &[CotangentPack<Lane<F>, K>],
-        cost_x: &[Lane<F>],
+        cost_next: &[Lane<F>],
         exponents: &BlockExponents<F, K>,
     ) {
         for (lane, meters) in self.meters[samples].iter_mut().enumerate() {
@@ -67,13 +67,13 @@ impl<const K: usize> GrowthMeters<K> {
                 let sum = |(lambda, cost): (&CotangentPack<Lane<F>, K>, &Lane<F>)| -> f64 {
                     (lambda.0[k].lane(lane) + cost.lane(lane) * exponents.inject.0[k].lane(lane)).as_()
                 };
-                let terms = zip(lambda.iter(), cost_x).map(sum);
+                let terms = zip(lambda.iter(), cost_next).map(sum);
                 (*before, *exponent) = (terms.map(|x| x * x).sum(), exponents.of[k][lane]);
             }
         }
     }
 
-    /// Adds the growth over step `t`, unless the flow is truncated there.
+    /// Adds the growth over step `t`, or registers a cut if the flow is truncated there.
     pub(super) fn after<F: Float>(
         &mut self,
         rollout: &Rollout<F>,

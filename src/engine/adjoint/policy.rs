@@ -24,9 +24,8 @@ pub(super) struct PolicyAdjoint<F> {
     pub(super) controls_bar: Vec<Vec<F>>,
     /// Tape of the policy's backward pass, per flow, or one for all flows if `linearized`.
     pub(super) tape_bar: Vec<Aligned<F>>,
-    /// Cotangents of the policy's inputs, or `∂N/∂y` if `linearized`, as policy columns.
-    ///
-    /// Empty if no flow has a path through the inputs.
+    /// Cotangents of the policy's inputs, or `∂N/∂y` if `linearized`, as policy columns. Empty if
+    /// no flow has a path through the inputs.
     pub(super) inputs_bar: Vec<F>,
     /// Cotangents of the observations and of the states of one step, `[block][component]`. Empty if
     /// the policy observes the state, or if no flow has a path through the inputs.

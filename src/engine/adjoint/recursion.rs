@@ -158,7 +158,7 @@ pub(super) fn weighted<R: Scalar>(bar: R, weight: f64) -> R {
 pub struct Recursion<F: Float, const K: usize> {
     /// λ, `[block][component]`.
     pub(super) lambda: Vec<CotangentPack<Lane<F>, K>>,
-    /// `(∂S/∂x)ᵀ λ`, before the flows select their paths.
+    /// `(∂S/∂x)ᵀ λ`, without the weights of the flows.
     pub(super) x_bar: Vec<CotangentPack<Lane<F>, K>>,
     /// h and μ, the cotangents of the policy's outputs, `[block][control, memory]`.
     pub(super) u_bar: Vec<CotangentPack<Lane<F>, K>>,
@@ -303,8 +303,8 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         self.exponents.update_low();
     }
 
-    /// Measures growth and norms after step `t`, cuts adjoints that have grown, and completes the
-    /// gradients by the initial states.
+    /// Measures growth and norms after step `t`, and cuts adjoints that have grown. After step 0,
+    /// completes the gradients by the initial states.
     fn after_step(&mut self, pass: &Pass<'_, F>, flows: [Flow; K], t: usize, norms: &mut [Vec<f64>]) {
         if pass.measured {
             self.growth.after(pass.rollout, &self.lambda, &self.exponents, flows, t);
@@ -320,7 +320,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
         }
     }
 
-    /// Sets `λ ← ∂l/∂x_t` and `μ ← 0` in samples whose adjoint has grown by `decades`.
+    /// Sets `λ ← ∂l/∂x_t` and `μ ← 0` in samples whose adjoint has grown by more than `decades`.
     fn cut(&mut self, pass: &Pass<'_, F>, k: usize, decades: f64, t: usize) {
         let Pass { task, rollout, .. } = *pass;
         let (n, m, outputs) = (rollout.state_dim, rollout.control_dim, rollout.control_dim + rollout.memory_dim);

@@ -18,17 +18,17 @@ pub struct MemoryError {
     pub everything: u64,
 }
 
-/// Tolerance on recomputed steps, as the fraction 1 / `SAME` of the horizon.
+/// Tolerance on recomputed steps: the horizon divided by this number.
 ///
-/// Within it, the schedule with the smaller tape is faster, because the tape stays in the cache.
-const SAME: u64 = 100;
+/// Within the tolerance, the schedule with the smaller tape is faster: the tape stays in the cache.
+const TOLERANCE: u64 = 100;
 
 impl Schedule {
     /// Finds a schedule with few recomputed steps within `budget` bytes.
     ///
     /// Stores all steps if they fit. Otherwise, returns the smallest schedule whose recomputed
-    /// steps exceed the minimum by at most the tolerance [`SAME`]. `bytes` returns the size of a
-    /// schedule.
+    /// steps exceed the minimum within the budget by at most 1 % of the horizon. `bytes` returns
+    /// the size of a schedule.
     pub(crate) fn within(horizon: usize, budget: u64, bytes: impl Fn(&Self) -> usize) -> Result<Self, MemoryError> {
         let bytes = |schedule: &Self| bytes(schedule) as u64;
         let all = Self::store_all(horizon);
@@ -47,7 +47,7 @@ impl Schedule {
             });
         let fitting: Vec<_> = fitting.map(|schedule| (schedule.recomputed_steps(), schedule)).collect();
         let fewest = fitting.iter().map(|&(again, _)| again).min().unwrap_or(0);
-        let hardly_more = fitting.iter().filter(|&&(again, _)| again <= fewest.saturating_add(horizon as u64 / SAME));
+        let hardly_more = fitting.iter().filter(|&&(again, _)| again <= fewest.saturating_add(horizon as u64 / TOLERANCE));
         let best = hardly_more.min_by_key(|(again, schedule)| (bytes(schedule), *again));
         best.map(|&(_, schedule)| schedule).ok_or_else(|| {
             let smallest = bytes(&Self::binomial(horizon, 1)).min(bytes(&all));

@@ -227,6 +227,8 @@ macro_rules! gemm {
             pub fn product(level: SimdLevel, p: Product<'_, $float>) {
                 p.check(PAD);
                 let level = level.checked();
+                // A tile of H × NR registers needs H · NR + H + 1 of them: 15 of 16 with AVX2, 28
+                // of 32 with AVX-512 and NEON.
                 #[cfg(target_arch = "x86_64")]
                 #[target_feature(enable = "avx2,fma")]
                 unsafe fn avx2(p: Product<'_, $float>) {

@@ -58,8 +58,9 @@ pub fn tanh_64<const FMA: bool>(x: f64) -> f64 {
         1.666_666_666_666_666_6e-1,
         0.5,
     ];
+    // Beyond |x| = 20, tanh rounds to ±1.
     let z = -2.0 * x.abs().min(20.0);
-    // expm1(z) = 2^n·(1 + expm1(r)) - 1 with z = n·ln 2 + r.
+    // expm1(z) = 2^n·(1 + expm1(r)) - 1 with z = n·ln 2 + r, and ln 2 in two parts (fdlibm).
     let n = fma_64::<FMA>(z, std::f64::consts::LOG2_E, ROUND);
     let bits = n.to_bits();
     let n = n - ROUND;

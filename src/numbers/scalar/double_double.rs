@@ -7,9 +7,9 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 
 /// A number with 31 digits, stored as the sum of two `f64`s (Dekker 1971, doi:10.1007/BF01397083).
 ///
-/// A [`Scalar`] for reference solutions, from the crate `qd`. The relative error of an operation is
-/// about 1e-31. Constants are `f64` and thus equal to those of an `f64` computation. The range is
-/// that of `f64`. Much slower than `f64`.
+/// A [`Scalar`] for reference solutions, much slower than `f64`. The crate `qd` provides the
+/// arithmetic. The relative error of an operation is about 1e-31. Constants are `f64` and thus
+/// equal to those of an `f64` computation. The range is that of `f64`.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct DoubleDouble(Quad);
 
@@ -80,7 +80,7 @@ macro_rules! operators {
 }
 operators!(Add add AddAssign add_assign, Sub sub SubAssign sub_assign, Mul mul MulAssign mul_assign, Div div DivAssign div_assign);
 
-/// `1/n!` for `n = 0 .. 29`.
+/// `1/n!` for n from 0 to 29.
 const INVERSE_FACTORIALS: [Quad; 30] = {
     let mut all = [Quad::ONE; 30];
     let mut n = 2;

@@ -1,4 +1,4 @@
-//! [`Float`]: `f32` and `f64`, with constants and kernels beyond [`Scalar`].
+//! [`Float`]: the floating-point types `f32` and `f64`, with their constants and kernels.
 
 use crate::numbers::kernels::gemm::{self, Product};
 use crate::numbers::kernels::{SimdLevel, tanh, trig};
