@@ -193,7 +193,8 @@ pub trait ForcedSystem: Send + Sync {
 
     /// VJP of [`forced_step`](ForcedSystem::forced_step). Adds to the requested cotangents.
     ///
-    /// Defaults to exact derivatives, as [`System::vjp`] does. Override it for speed.
+    /// Defaults to exact derivatives, as [`System::vjp`] does. Override it for speed. It may omit
+    /// physical numbers that vary, as [`Effect::vjp`] may.
     #[inline(always)]
     fn forced_vjp<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
         &self,
@@ -244,7 +245,7 @@ pub(crate) fn step_param_vjp<S: System, R: Real, C: Cotangent<R>>(
 pub struct Forced<H, E> {
     /// System to whose forces the effects add.
     pub system: H,
-    /// Effects: `()` for none, a tuple for several.
+    /// Effects: `()` for none, a tuple for several, a `Vec` for a choice at run time.
     pub effects: E,
 }
 

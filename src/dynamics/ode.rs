@@ -188,7 +188,8 @@ pub trait ForcedOde: ForcedSystem {
     /// Writes the rates under `effects`.
     fn forced_rate<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]);
 
-    /// VJP of [`forced_rate`](ForcedOde::forced_rate). Adds to the requested cotangents.
+    /// VJP of [`forced_rate`](ForcedOde::forced_rate). Adds to the requested cotangents. It may
+    /// omit physical numbers that vary, as [`Effect::vjp`] may.
     fn forced_rate_vjp<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,
