@@ -21,8 +21,8 @@ pub fn cost<T: Task>(task: &T) -> Passed {
     })
 }
 
-/// Checks the costs and the observation of a task near its initial states, with its drawn
-/// parameters and random controls.
+/// Checks the costs and the observation of a task near its initial states, with drawn parameters
+/// and random controls.
 ///
 /// - [`observe`](Task::observe) writes every component.
 /// - [`observe_vjp`](Task::observe_vjp), [`running_cost_gradient`](Task::running_cost_gradient) and
@@ -88,8 +88,8 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
 }
 
 impl Comparison {
-    /// Compares cotangents that `add` adds to `cotangents` with the concatenated `expected`, after one
-    /// call and after two.
+    /// Compares cotangents that `add` adds to `cotangents` with the concatenated `expected`, after
+    /// one call and after two.
     fn adds<const K: usize>(
         &mut self,
         method: &str,

@@ -7,6 +7,9 @@
 //!
 //! Two further checks: [`stability`] detects time steps that are too long for the dynamics.
 //! [`plateau`] detects vanishing gradients.
+//!
+//! [`slope_by_duals`] returns a reference derivative of the mean loss. `slope` (feature
+//! `double-double`) returns it in double-double arithmetic.
 
 mod costs;
 mod oracle;
@@ -160,8 +163,8 @@ fn normal(rng: &mut Rng, len: usize) -> Vec<f64> {
     (0..len).map(|_| StandardNormal.sample(rng)).collect()
 }
 
-/// Checks a system at states, controls and parameters from a standard normal distribution. See
-/// [`try_system_at`].
+/// Checks a system at states, controls and parameters from a standard normal distribution. Physical
+/// numbers that vary have their own distributions. See [`try_system_at`].
 ///
 /// # Panics
 /// Panics on the first [`Mismatch`].
@@ -188,7 +191,7 @@ pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
 }
 
 /// Checks the derivatives of a system at states `x`, controls `u` and parameters `p` drawn by
-/// `draw(rng, x, u, p)`.
+/// `draw(rng, x, u, p)`. The check then draws physical numbers that vary.
 ///
 /// - [`step`](System::step) writes every component of the next state.
 /// - [`vjp`](System::vjp) against dual numbers, for every combination of requested cotangents, and
@@ -211,7 +214,7 @@ pub fn try_system_at<S: System>(
 /// The check compares the loss, directional derivatives along random directions, and single
 /// components. It compares all components of at most 64 parameters, otherwise 16 random ones. It
 /// compares the gradient with respect to initial states and parameters p in the same way, by
-/// components.
+/// components. It also compares the gradient of one flow with that computed together with M.
 ///
 /// # Panics
 /// Panics on the first [`Mismatch`], or if the rollouts or their gradients are non-finite.
@@ -251,8 +254,8 @@ fn described(flow: Flow) -> String {
 /// non-finite.
 ///
 /// # Panics
-/// If the flow has a [`cut`](Flow::cut). The adjoint determines the steps of a cut, and dual
-/// numbers do not compute it.
+/// Panics if the flow has a [`cut`](Flow::cut). The adjoint determines the steps of a cut, and dual
+/// numbers do not evaluate the adjoint.
 #[track_caller]
 pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<Passed, Failure> {
     assert!(flow.cut.is_none(), "dual numbers cannot check `cut`: set `cut` to `None`");
@@ -267,8 +270,8 @@ pub fn try_flow<T: Task, P: Policy>(task: &T, policy: &P, flow: Flow) -> Result<
 
 /// Mean loss for parameters and initial states.
 type Loss<'a> = &'a dyn Fn(&[f64], &[f64]) -> f64;
-/// Directional derivative of the mean loss for parameters, initial states and a tangent per
-/// parameter.
+/// Directional derivative of the mean loss for parameters, initial states, and a tangent per
+/// parameter or per entry of the initial states.
 type Slope<'a> = &'a dyn Fn(&[f64], &[f64], &dyn Fn(usize) -> f64) -> f64;
 
 /// Object-safe part of [`try_flow`]; limits monomorphization.
@@ -308,11 +311,11 @@ fn check_flow(
             let what = format!("gradient by {}: theta_bar", parameter(&policy.tensors(), index));
             c.one(&what, index, gradient_alone[index], expected, largest.max(expected.abs()))?;
         }
-        let length = gradient_alone.iter().map(|g| g * g).sum::<f64>().sqrt();
+        let norm = gradient_alone.iter().map(|g| g * g).sum::<f64>().sqrt();
         let directions = oracle::some_directions(theta.len(), &mut rng, &|tangent| slope(theta, &starts, tangent));
         for (index, (direction, expected)) in directions.into_iter().enumerate() {
             let found = direction.iter().zip(&gradient_alone).map(|(d, g)| d * g).sum();
-            c.one("gradient in random direction", index, found, expected, length.max(expected.abs()))?;
+            c.one("gradient in random direction", index, found, expected, norm.max(expected.abs()))?;
         }
         let by_starts = start_gradients(task, policy, &weights, &starts, flow);
         let by_starts = by_starts.map_err(|divergence| Failure::Diverged { case, divergence })?;

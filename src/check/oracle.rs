@@ -1,5 +1,7 @@
 //! Reference values of the checks: dual numbers through `act` and `step`, with the paths that a
 //! flow omits detached.
+//!
+//! N is the policy. A column is one sample at one step.
 
 use crate::dynamics::inputs::Inputs;
 use crate::dynamics::outline::step;
@@ -44,7 +46,7 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
         let trained = policy.trained_params();
         for (param, &r) in trained.iter().zip(&theta[theta.len() - trained.len()..]) {
             let p = &mut p[param.index()];
-            // Differentiable along the entry of p as well.
+            // The value is that of θ. The derivative includes that along the entry of p.
             *p = param.value(r) + (*p - p.detach());
         }
         let (mut next, mut u) = (x.clone(), vec![S::zero(); m]);

@@ -11,10 +11,10 @@ use std::fmt;
 
 /// Number of neighbouring parameter vectors.
 const NEIGHBOURS: u64 = 4;
-/// Standard deviation of the distance to a neighbour, per parameter.
+/// Standard deviation of the difference between a parameter and that of a neighbour.
 const AWAY: f64 = 0.01;
 /// Gradients below this share of the largest neighbouring gradient count as zero.
-const NONE: f64 = 1e-6;
+const NEGLIGIBLE: f64 = 1e-6;
 
 /// Result of [`plateau`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,7 +33,7 @@ impl Plateau {
     /// True if the gradient vanishes although a neighbour has a lower loss, as at a maximum or a
     /// saddle.
     pub fn is_stuck(&self) -> bool {
-        self.gradient <= NONE * self.gradient_nearby && self.lowest_nearby < self.loss
+        self.gradient <= NEGLIGIBLE * self.gradient_nearby && self.lowest_nearby < self.loss
     }
 }
 
@@ -50,7 +50,7 @@ impl fmt::Display for Plateau {
             )
         } else if *gradient == 0.0 && *gradient_nearby == 0.0 {
             write!(f, "flat: {numbers}")
-        } else if *gradient <= NONE * gradient_nearby {
+        } else if *gradient <= NEGLIGIBLE * gradient_nearby {
             write!(f, "a minimum: {numbers}, and no lower loss there")
         } else {
             write!(f, "a slope: {numbers}")

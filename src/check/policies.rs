@@ -1,4 +1,4 @@
-//! Check of the batched passes of a policy.
+//! Check of the batched passes of a policy. A column is one sample at one step.
 
 use super::{CASES_OF_LONG_CHECKS, Comparison, Mismatch, ONE_STEP, Passed, normal, oracle};
 use crate::numbers::rng::{Purpose, Rng, stream};

@@ -144,8 +144,8 @@ fn requests(
     Ok(())
 }
 
-/// Compares SIMD lanes with scalars, bit for bit. Every lane has different inputs. The VJP has two
-/// columns with opposite cotangents, so that their results are opposite.
+/// Compares SIMD lanes with scalars, bit for bit. Every lane has different inputs. The VJP carries
+/// two flows with opposite cotangents, so that their results are opposite.
 fn lanes(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
     const W: usize = WIDTH;
     let vary = |v: &[f64], lane: usize| v.iter().map(|v| v * (1.0 + lane as f64 / 64.0)).collect::<Vec<f64>>();
@@ -153,11 +153,11 @@ fn lanes(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64], c: &mut Co
         let lanes: [Vec<f64>; W] = std::array::from_fn(|lane| vary(v, lane));
         (0..v.len()).map(|i| Lanes(std::array::from_fn(|lane| lanes[lane][i]))).collect()
     };
-    let column = |v: Lane<f64>| CotangentPack([v, -v]);
+    let both_flows = |v: Lane<f64>| CotangentPack([v, -v]);
     let packed = [at.x, at.u, at.p].map(pack);
     let mut next = vec![Lanes::zero(); at.x.len()];
     system.step_in_lanes(inputs(&packed, at.t), &mut next);
-    let next_bars: Vec<Two> = pack(next_bar).into_iter().map(column).collect();
+    let next_bars: Vec<Two> = pack(next_bar).into_iter().map(both_flows).collect();
     let mut cotangents = [at.x, at.u, at.p].map(|values| vec![Two::null(); values.len()]);
     let [x, u, p] = &mut cotangents;
     let request = Cotangents { x: Some(x), u: Some(u), p: (!p.is_empty()).then_some(p) };

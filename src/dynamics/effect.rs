@@ -54,15 +54,15 @@ pub(crate) use without::system_without_effects;
 /// check::system(&system);
 /// ```
 pub trait Effect<B>: Clone + Debug + Send + Sync {
-    /// Number of parameters of this effect: the first entries of `p`. Default: the count of
-    /// [`numbers`](Effect::numbers) that vary.
+    /// Number of parameters of this effect. They are the first entries of the `p` that it receives.
+    /// Default: the count of [`numbers`](Effect::numbers) that vary.
     #[inline(always)]
     fn param_dim(&self) -> usize {
         self.numbers().varied()
     }
 
-    /// Physical numbers of this effect that may vary between samples or be trained. Those that do
-    /// are the last of its parameters. Default: none.
+    /// Physical numbers of this effect that may vary between samples or be trained. Numbers that
+    /// vary are the last of its parameters. Default: none.
     #[inline(always)]
     fn numbers(&self) -> Numbers<'_> {
         Numbers::default()
@@ -87,6 +87,9 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
 
     /// Adds the Jacobian products `(∂forces/∂x)ᵀ forces_bar`, and likewise of `u` and `p`, to those
     /// cotangents that are requested.
+    ///
+    /// An implementation may omit physical numbers that vary. If there are any, dual numbers
+    /// provide the cotangents of all parameters, and `p` is not requested.
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,
@@ -161,8 +164,8 @@ pub(crate) fn is_finite<B, E: Effect<B>, R: Real>(effect: &E, model: &B, inputs:
 ///
 /// Only [`forced_step`](ForcedSystem::forced_step), the model, the sizes and the time step are
 /// required. Effects receive the inputs of the step, with the time in s
-/// ([`Inputs::continuous`]). A system with parameters of its own omits them
-/// ([`Inputs::skip_params`]).
+/// ([`Inputs::continuous`]). A system with parameters of its own removes these from the inputs of
+/// the effects ([`Inputs::skip_params`]).
 pub trait ForcedSystem: Send + Sync {
     /// Model that effects read; often the system itself.
     type Model;
@@ -192,7 +195,8 @@ pub trait ForcedSystem: Send + Sync {
 
     /// VJP of [`forced_step`](ForcedSystem::forced_step). Adds to the requested cotangents.
     ///
-    /// Defaults to exact derivatives, as [`System::vjp`] does. Override it for speed.
+    /// Defaults to exact derivatives, as [`System::vjp`] does. Override it for speed. It may omit
+    /// physical numbers that vary, as [`Effect::vjp`] may.
     #[inline(always)]
     fn forced_vjp<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
         &self,
@@ -223,7 +227,8 @@ impl<H: ForcedSystem + ?Sized, E: Effect<H::Model>> System for SystemStep<'_, H,
     }
 }
 
-/// Adds the cotangents of the parameters of a step. Physical numbers enter it in many places.
+/// Adds the cotangents of all parameters of a step, by dual numbers. Used if physical numbers vary,
+/// because analytic VJPs omit these.
 pub(crate) fn step_param_vjp<S: System, R: Real, C: Cotangent<R>>(
     system: &S,
     inputs: Inputs<'_, R>,
@@ -236,13 +241,13 @@ pub(crate) fn step_param_vjp<S: System, R: Real, C: Cotangent<R>>(
     param_vjp(&step, inputs.lists(), next_bar, p_bar);
 }
 
-/// System with effects. Its parameters are those of the system, those of the effects, then the
+/// System with effects. The parameters are those of the system, those of the effects, then the
 /// numbers of the system that vary.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Forced<H, E> {
     /// System to whose forces the effects add.
     pub system: H,
-    /// Effects: `()` for none, a tuple for several.
+    /// Effects: `()` for none, a tuple for several, a `Vec` for a choice at run time.
     pub effects: E,
 }
 
@@ -285,7 +290,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>> System for Forced<H, E> {
     }
 }
 
-/// System that contains a model `B`: `B` alone, with effects, or behind an actuator.
+/// System that contains a model `B`, for instance `B` alone, with effects or behind an actuator.
 ///
 /// Tasks for `B` accept any such system. The first components of the state are those of `B`.
 pub trait HasModel<B>: System {

@@ -3,11 +3,13 @@
 //! - [`Inputs`](inputs::Inputs) are the arguments of a step, [`Cotangents`](inputs::Cotangents) the
 //!   outputs of its reverse.
 //! - [`System`](system::System) maps these inputs to the next state. Implement a step, or a vector
-//!   field ([`Ode`](ode::Ode)) that an integrator discretizes.
+//!   field ([`Ode`](ode::Ode)) that an [`Integrator`](integrator::Integrator) discretizes.
+//! - [`Substeps`](substeps::Substeps) performs several steps of a system as one.
 //! - [`Effect`](effect::Effect)s add forces to a system.
 //! - [`Number`](number::Number)s of systems and effects are fixed, drawn or trained.
 //! - [`Actuator`](actuator::Actuator)s map the control of the policy to the control of the system.
 //! - [`Task`](task::Task) adds a horizon, initial states and costs.
+//! - [`OpCount`](op_count::OpCount) counts the operations of a system.
 //!
 //! Imports `numbers`. Start reading in `system.rs`.
 

@@ -13,8 +13,9 @@ use rand_distr::{Distribution as _, StandardNormal};
 
 /// A physical number of a system or effect: fixed, drawn for each sample, or trained.
 ///
-/// A fixed number is a constant of the equations. Any other number is an entry of the parameters
-/// `p` of a sample. In a scene, it is a number or a table: `cart_mass = { uniform = [0.8, 1.2] }`.
+/// A fixed number is a constant of the equations. Any other number varies: it is an entry of the
+/// parameters `p` of a sample. A scene contains a fixed number as such, and any other as a table:
+/// `cart_mass = { uniform = [0.8, 1.2] }`.
 ///
 /// ```
 /// use physgrad::{Inputs, Number, Numbers, Scalar, System, check};
@@ -63,7 +64,8 @@ pub enum Number {
     },
     /// Drawn from a list, each entry with equal probability.
     Choice(Choice),
-    /// Trained, from an initial value, within bounds; infinite bounds are absent.
+    /// Trained, from an initial value, within bounds; infinite bounds are absent. A finite upper
+    /// bound requires a finite lower bound.
     Trained {
         /// Initial value.
         start: f64,
@@ -161,8 +163,8 @@ const TRUNCATION: f64 = 3.0;
 
 /// Named numbers of a system or effect, in order.
 ///
-/// Those that are not fixed are entries of `p`, in the same order: the last entries of `p` for a
-/// system, the last of its own entries for an effect.
+/// Numbers that are not fixed are entries of `p`, in the same order. For a system they are the last
+/// entries of `p`, for an effect the last of its own entries.
 #[derive(Clone, Copy, Debug)]
 pub struct Numbers<'a> {
     list: [(&'static str, &'a Number); Numbers::MAX],
@@ -177,13 +179,13 @@ impl Default for Numbers<'_> {
 }
 
 impl<'a> Numbers<'a> {
-    /// Largest number of numbers.
+    /// Largest count of numbers.
     pub const MAX: usize = 8;
 
     /// Lists names and numbers.
     ///
     /// # Panics
-    /// With more than [`MAX`](Self::MAX) numbers.
+    /// If there are more than [`MAX`](Self::MAX) numbers.
     #[inline(always)]
     pub fn new<const N: usize>(numbers: [(&'static str, &'a Number); N]) -> Self {
         let mut all = Self { count: N, ..Self::default() };

@@ -102,15 +102,16 @@ impl<O: Ode + ?Sized, R: Real> Function<R, 3> for Rate<'_, O, R> {
     }
 }
 
-/// Rate with derivatives, compiled once per equation.
+/// [`Ode::rate`] in dual numbers, never inlined: compiled once per vector field.
 #[inline(never)]
 fn dual_rate<O: Ode>(ode: &O, inputs: OdeInputs<'_, ParamDual>, rate: &mut [ParamDual]) {
     ode.rate(inputs, rate);
 }
 
-/// Adds the cotangents of the parameters of a rate. Physical numbers enter it in many places.
+/// Adds the cotangents of all parameters of a rate, by dual numbers. Used if physical numbers vary,
+/// because analytic VJPs omit these.
 fn rate_param_vjp<O: Ode, R: Real, C: Cotangent<R>>(ode: &O, inputs: OdeInputs<'_, R>, rate_bar: &[C], p_bar: Option<&mut [C]>) {
-    // Equal in all lanes.
+    // The time is equal in all lanes.
     let t = ParamDual::from(inputs.t.lane(0).to_f64());
     let rate = |[x, u, p]: [&[ParamDual]; 3], rate: &mut [ParamDual]| dual_rate(ode, Inputs { x, u, p, t }, rate);
     param_vjp(&rate, inputs.lists(), rate_bar, p_bar);
@@ -182,12 +183,13 @@ impl<O: Ode, R: Real, C: Cotangent<R>> DynOdeVjp<R, C> for O {
     }
 }
 
-/// A [`ForcedSystem`] in continuous time; with effects, it is an [`Ode`].
+/// A [`ForcedSystem`] in continuous time: an [`Ode`], with or without effects.
 pub trait ForcedOde: ForcedSystem {
     /// Writes the rates under `effects`.
     fn forced_rate<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]);
 
-    /// VJP of [`forced_rate`](ForcedOde::forced_rate). Adds to the requested cotangents.
+    /// VJP of [`forced_rate`](ForcedOde::forced_rate). Adds to the requested cotangents. It may
+    /// omit physical numbers that vary, as [`Effect::vjp`] may.
     fn forced_rate_vjp<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,

@@ -1,7 +1,7 @@
 //! Outlined code, monomorphized once per scalar type.
 //!
-//! Simulators are `#[inline(always)]`. Without outlining, every run-time choice would be inlined
-//! into every loop over samples, which slows compilation.
+//! Steps and effects are `#[inline(always)]`. Without outlining, every run-time choice would be
+//! inlined into every loop over samples, which slows compilation.
 
 use crate::dynamics::inputs::{Cotangents, Inputs};
 use crate::dynamics::system::System;
@@ -46,7 +46,7 @@ pub(crate) fn step<S: System + ?Sized, T: Scalar>(system: &S, inputs: Inputs<'_,
     system.step(inputs, next);
 }
 
-/// [`System::vjp`] with one cotangent column, never inlined.
+/// [`System::vjp`] with the cotangents of one flow, never inlined.
 #[inline(never)]
 pub(crate) fn vjp<S: System + ?Sized, R: Real>(
     system: &S,

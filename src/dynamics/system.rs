@@ -44,7 +44,7 @@ pub trait System: Send + Sync {
     fn param_dim(&self) -> usize {
         self.numbers().varied()
     }
-    /// Physical numbers that may vary between samples or be trained. Those that do are the last
+    /// Physical numbers that may vary between samples or be trained. Numbers that vary are the last
     /// entries of `p`. Default: none.
     #[inline(always)]
     fn numbers(&self) -> Numbers<'_> {

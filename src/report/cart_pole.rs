@@ -27,8 +27,8 @@ const WHOLE: f64 = 10.0;
 /// Animates a trajectory on a bare rail.
 ///
 /// A state is `[x, ẋ, θ, θ̇, …]` with angle and angular velocity of every pole; angle 0 is upright.
-/// States are `dt` seconds apart. The arrow on the cart shows the force in `controls`, relative to
-/// the largest force of the trajectory.
+/// States are `dt` seconds apart. `half_length` is half the length of a pole, in m. The arrow on
+/// the cart shows the force in `controls`, relative to the largest force of the trajectory.
 ///
 /// Trajectories shorter than 2 s play at one third of real time. For long distances the camera
 /// follows the cart. The animation ends before the first state that is non-finite, beyond 1e6 m,

@@ -27,12 +27,12 @@ pub struct Channel {
 
 /// Animates numbers over time, one band per channel, each with its own range. A cursor moves in
 /// real time, but takes at least 1 s. Values are `dt` seconds apart and are shown up to the first
-/// that is not finite.
+/// non-finite one.
 pub fn channels_over_time(title: &str, channels: &[Channel], dt: f64) -> Animation {
     let finite = |channel: &Channel| channel.values.iter().take_while(|value| value.is_finite()).count();
     let lengths: Vec<usize> = channels.iter().map(finite).collect();
     let steps = lengths.iter().copied().max().unwrap_or(0).saturating_sub(1);
-    // One unit is the height of a band. The last half band holds the time axis.
+    // One unit is the height of a band. The lowest half band holds the time axis.
     let height = channels.len().max(1) as f64 + 0.5;
     let (width, font) = (1.5 * height, FONT * height / HEIGHT);
     let left = LABELS * width;

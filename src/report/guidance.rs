@@ -35,14 +35,14 @@ const ASPECT: f64 = 1.5;
 /// seconds apart. Each agent has a trail of past positions; the target is the origin.
 ///
 /// Trajectories shorter than 2 s play at one third of real time. The view contains the whole
-/// trajectory, except agents that move far away. The animation ends before the first state that is
-/// non-finite, far away, or of a different length.
+/// trajectory, except positions beyond twice the largest initial coordinate. The animation ends
+/// before the first state that is non-finite, beyond 1e6 m, or of a different length.
 pub fn guidance(states: &[Vec<f64>], drivers: usize, dt: f64) -> Animation {
     guidance_in(&Field::default(), states, drivers, dt)
 }
 
 /// Animates a trajectory as [`guidance`] does, with obstacles and walls. The view includes them
-/// unless they extend far beyond the initial positions of the agents.
+/// unless they extend beyond twice the largest initial coordinate.
 pub fn guidance_in(field: &Field, states: &[Vec<f64>], drivers: usize, dt: f64) -> Animation {
     let width = states.first().map_or(0, Vec::len);
     let valid = |s: &&Vec<f64>| {

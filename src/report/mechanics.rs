@@ -16,9 +16,9 @@ const FAR: f64 = 1e6;
 /// Configuration at one time, m.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Posture {
-    /// Joints of a chain of rods, in order; empty for no chain. The same number at every time.
+    /// Joints of a chain of rods, in order, equally many at every time. Empty for no chain.
     pub chain: Vec<[f64; 2]>,
-    /// Centers of the boxes. The same number at every time.
+    /// Centers of the boxes, equally many at every time.
     pub boxes: Vec<[f64; 2]>,
 }
 
@@ -38,7 +38,7 @@ pub struct Stage {
 /// Animates a motion, with postures `dt` seconds apart.
 ///
 /// Motions shorter than 2 s play at one third of real time. The animation ends before the first
-/// posture that is non-finite or far away.
+/// posture that is non-finite or beyond 1e6 m.
 pub fn mechanics(stage: &Stage, postures: &[Posture], dt: f64) -> Animation {
     let points = |posture: &Posture| [&posture.chain[..], &posture.boxes[..]].concat();
     let near = |posture: &&Posture| points(posture).iter().flatten().all(|x| x.abs() < FAR);

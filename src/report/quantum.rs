@@ -31,9 +31,10 @@ const MAX_ROWS: usize = 64;
 ///
 /// The large map shows the probability density over time and position. A cursor moves through it,
 /// and through the control and the fidelity `|⟨φ, ψ⟩|²` below. The panel at the right shows the
-/// current density as cotangents, and that of the target.
+/// current density as bars, and the density of the target as a line.
 ///
-/// The animation ends before the first state that is non-finite or of a different length.
+/// A unit of time takes 1 s, but the whole trajectory takes at least 4 s and at most 12 s. The
+/// animation ends before the first state that is non-finite or of a different length.
 pub fn quantum(states: &[Vec<f64>], controls: &[f64], target: &[f64], length: f64, dt: f64) -> Animation {
     quantum_in(&Landscape::default(), states, controls, target, length, dt)
 }

@@ -4,8 +4,8 @@ use super::log_figure::{Panel, log_figure};
 use super::series::drawable;
 use super::{Drawing, Series};
 
-/// Draws losses against a setting: one panel per title, one line per policy. Omits points that a
-/// logarithmic axis cannot show.
+/// Draws losses against a setting: one panel per title, one line with a band per policy. Omits
+/// points without a band, and points that a logarithmic axis cannot show.
 pub fn robustness(title: &str, setting: &str, panels: Vec<(String, Vec<Series>)>) -> Drawing {
     let shown = |mut series: Series| {
         let points = series.line.into_iter().zip(series.band);

@@ -44,8 +44,8 @@ any_effect! {
 ///
 /// The loss lies between 0 (all upright) and 2 (all hanging). Position and control have no cost.
 ///
-/// `S` is any system that contains a [`CartPoleSystem`]: alone, with effects, coupled, or behind an
-/// actuator.
+/// `S` is any system that contains a [`CartPoleSystem`]: alone, coupled, with effects, behind an
+/// actuator, or advanced by an integrator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CartPole<S = CartPoleSystem> {
     /// System to control.

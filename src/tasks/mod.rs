@@ -1,4 +1,8 @@
 //! Built-in tasks and their systems and effects. Start with [`CartPole`].
+//!
+//! - Tasks of the ICLR 2024 paper: [`CartPole`], [`Guidance`], [`Quantum`].
+//! - Two-parameter examples of the paper: [`Reach`], [`Bowl`].
+//! - Small tasks: [`Lqr`], [`Upright`], [`Slider`], [`Bounce`], [`Push`]; [`Hard`] is any of them.
 
 mod cart_pole;
 mod contact;

@@ -8,10 +8,12 @@ use crate::tasks::pole_chain::factor::{factor, solve};
 use serde::{Deserialize, Serialize};
 use smallvec::{SmallVec, smallvec};
 
-/// One arm of a [`MultiPendulum`], with the friction in the joint at its upper end.
+/// One arm of a [`MultiPendulum`], with the joint that connects it to the arm before or to the
+/// support.
 ///
-/// The torque of friction is `-(viscous r + dry tanh(r / 0.01 rad/s) + quadratic |r| r)` at the
-/// rate r of the arm relative to the arm before.
+/// The torque of friction in this joint is
+/// `-(viscous r + dry tanh(r / 0.01 rad/s) + quadratic |r| r)`. Here, r is the rate of the arm
+/// relative to the arm before.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -20,7 +22,7 @@ pub struct Arm {
     pub mass: Number,
     /// Distance a of the center of mass from the joint, m.
     pub center: Number,
-    /// Distance L of the next joint, m. The last arm does not use it.
+    /// Distance L between the joint and the next joint, m. Unused in the last arm.
     pub length: Number,
     /// Moment of inertia I about the center of mass, kg m².
     pub inertia: Number,
@@ -102,7 +104,8 @@ struct Values<T> {
 }
 
 impl MultiPendulum {
-    /// Values of all arms, and gravity. They are the last entries of `p` in this order.
+    /// Values of all arms, and gravity. Values that vary are the last entries of `p`, in this
+    /// order.
     fn values<T: Scalar>(&self, p: &[T]) -> (SmallVec<[Values<T>; 4]>, T) {
         let count: usize = self.arms.iter().map(|arm| arm.numbers().varied()).sum();
         let mut p = &p[p.len() - count - usize::from(!self.gravity.is_fixed())..];
@@ -144,6 +147,7 @@ impl Ode for MultiPendulum {
     }
 
     fn param_dim(&self) -> usize {
+        // Any large argument: only the count is used, not the indices.
         self.varied(usize::MAX / 2).len()
     }
 

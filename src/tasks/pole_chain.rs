@@ -12,9 +12,10 @@ use factor::{factor, solve};
 /// Chain of rigid, uniform poles: the first is hinged on the cart, each other pole on the end of
 /// its predecessor.
 ///
-/// State, control and parameters are those of [`CartPoleSystem`]: `[x, ẋ, θ₁, ω₁, θ₂, ω₂, …]`, the
-/// pole on the cart first. Each angle is measured from upright. `dt` is unused, because an
-/// [`Integrator`](crate::Integrator) makes the steps.
+/// State, control and constants are those of [`CartPoleSystem`]. The state is
+/// `[x, ẋ, θ₁, ω₁, θ₂, ω₂, …]`, the pole on the cart first. Each angle is measured from upright.
+/// All numbers must be fixed ([`check`](PoleChain::check)), because the equations use nominal
+/// values. `dt` is unused, because an [`Integrator`](crate::Integrator) makes the steps.
 ///
 /// The n poles have mass m, half length l and inertia m l²/3 about their middle. M is the mass of
 /// the cart and all poles. Lagrange's equations are:

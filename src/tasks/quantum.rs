@@ -50,7 +50,7 @@ any_effect! {
 /// span. All eigenstates are those of the box without potential, for any effects.
 ///
 /// `S` is any system that contains a [`QuantumSystem`]: alone, with another scheme ([`Pade`],
-/// [`Strang`]), with effects, with [`Absorbing`] edges, or behind an actuator.
+/// [`Strang`]), with effects, with [`Absorbing`] edges, [`Renormalized`], or behind an actuator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quantum<S = QuantumSystem> {
     /// System to control.

@@ -21,7 +21,7 @@ pub(super) const CASES: &[Case] = &[Case {
                 steps. With attraction, semi-implicit quarter steps and full implicit steps are reported as stable, \
                 full semi-implicit steps as unstable",
     explanation: "A spring that the steps do not resolve gains energy at every approach, and gradients include this \
-                error. `check::stability` returns the spectral radius of a step at a state. Its text names remedies. \
+                error. `check::stability` returns the spectral radius of a step at a state. The report names remedies. \
                 Limits: training does not call it",
     run: guidance_close_approach,
 }];

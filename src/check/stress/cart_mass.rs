@@ -81,8 +81,8 @@ fn rejected() -> Vec<Finding> {
     };
     let light = [1, 20].map(|poles| model(poles, 1e-12));
     let (lights, all_lights) = count(&light, |error| matches!(error, MassError::CartTooLight { .. }));
-    // The equations are singular for a cart of −1/4 of the pole mass. All other mass splits have
-    // solutions.
+    // The equations are singular for a cart of −1/4 of the pole mass. For all other finite masses
+    // below, they have solutions.
     let split = |cart_mass: f64, pole_mass: f64| CartPoleSystem {
         cart_mass: cart_mass.into(),
         pole_mass: pole_mass.into(),
@@ -125,7 +125,7 @@ fn worst<R: Real, O: Ode>(
 }
 
 /// Residual of an equation: absolute value of the sum of its terms, relative to the largest term.
-fn left(terms: &[f64]) -> f64 {
+fn relative_residual(terms: &[f64]) -> f64 {
     terms.iter().sum::<f64>().abs() / terms.iter().fold(f64::MIN_POSITIVE, |largest, term| larger(largest, term.abs()))
 }
 
@@ -162,14 +162,14 @@ fn dalembert(model: &CartPoleSystem, chained: bool, x: &[f64], rate: &[f64], u: 
         .collect();
     let mut terms = vec![cart_mass * rate[1], -u];
     terms.extend(middles.iter().map(|[across, _]| m * across));
-    let mut worst = left(&terms);
+    let mut worst = relative_residual(&terms);
     for k in 0..n {
         let (sin, cos, _, alpha) = pole(k);
         let mut terms = vec![m * l * l / 3.0 * alpha];
         for (i, [across, up]) in middles.iter().enumerate() {
             terms.extend([m * arm(i, k) * cos * across, -m * arm(i, k) * sin * (up + gravity)]);
         }
-        worst = larger(worst, left(&terms));
+        worst = larger(worst, relative_residual(&terms));
     }
     worst
 }
@@ -183,8 +183,8 @@ fn in_the_authors_equations(model: &CartPoleSystem, x: &[f64], rate: &[f64], u: 
         let ((sin, cos), omega, alpha) = (x[2 + 2 * k].sin_cos(), x[3 + 2 * k], rate[3 + 2 * k]);
         let thrust = (u + m * l * sin * omega * omega) / mass;
         let of_pole = [4.0 / 3.0 * l * alpha, -(m * l * cos * cos / mass * alpha), -(gravity * sin), cos * thrust];
-        worst = larger(worst, left(&of_pole));
+        worst = larger(worst, relative_residual(&of_pole));
         terms.extend([-(m * l * sin * omega * omega), m * l * alpha * cos]);
     }
-    larger(worst, left(&terms))
+    larger(worst, relative_residual(&terms))
 }

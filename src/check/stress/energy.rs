@@ -81,8 +81,8 @@ fn energy() -> Vec<Finding> {
     findings
 }
 
-/// Energy difference between all hanging and all upright, at rest. It does not depend on the zero
-/// of energy. Angles are every second component from `first_angle` on.
+/// Energy difference between all angles hanging and all upright, at rest. It does not depend on the
+/// zero of energy. Angles are every second component from `first_angle` on.
 fn scale(state_dim: usize, first_angle: usize, energy: &dyn Fn(&[f64]) -> f64) -> f64 {
     let at = |angle: f64| {
         let mut x = vec![0.0; state_dim];

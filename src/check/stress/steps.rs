@@ -61,8 +61,8 @@ pub(super) fn larger(a: f64, b: f64) -> f64 {
     if a.is_nan() || b.is_nan() { f64::INFINITY } else { a.max(b) }
 }
 
-/// Largest absolute difference, relative to the largest expected component; absolute if all of
-/// these are zero.
+/// Largest absolute difference, relative to the largest expected component; absolute if all
+/// expected components are zero.
 pub(super) fn error<R: Real>(found: &[R], expected: &[R]) -> f64 {
     let (mut scale, mut worst) = (0.0, 0.0f64);
     for (found, expected) in found.iter().zip(expected) {

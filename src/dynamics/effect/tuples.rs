@@ -1,4 +1,4 @@
-//! Effects known at compile time: tuples, applied in order.
+//! Effects known at compile time: tuples of up to six, applied in order.
 
 use super::Effect;
 use crate::dynamics::inputs::{Cotangents, OdeInputs};

@@ -52,8 +52,8 @@ const ERROR: [f64; 7] = [
 impl Adaptive {
     /// Integrates over `dt`, attempt by attempt, and writes the final state to `next`.
     ///
-    /// Calls `record(state, time, step)` for each attempt with its initial state, its initial time
-    /// and its accepted duration, which is 0 if the attempt was rejected.
+    /// Calls `record(state, time, step)` for each attempt, with its initial state and its initial
+    /// time. `step` is the accepted duration, 0 if the attempt is rejected.
     #[inline(always)]
     fn attempts<T: Scalar>(
         &self,

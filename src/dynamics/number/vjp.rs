@@ -6,13 +6,14 @@ use num_dual::Dual64;
 /// Scalar of [`param_vjp`].
 pub(crate) type ParamDual = Dual64;
 
-/// State, control and parameters to outputs.
+/// Function of state, control and parameters that writes outputs.
 type Differentiable<'a> = &'a dyn Fn([&[ParamDual]; 3], &mut [ParamDual]);
 
 /// Adds the product of `output_bars` and the derivative of `function` by its parameters to `p_bar`.
 ///
-/// `inputs` are state, control and parameters. The derivatives are computed in f64, one sample and
-/// one parameter at a time, by the dual numbers of the checks: a system compiles for no other scalar.
+/// `inputs` are state, control and parameters. The function evaluates the derivatives in f64, one
+/// sample and one parameter at a time. It uses the dual numbers of the checks, so a system compiles
+/// for no further scalar.
 #[inline(never)]
 pub(crate) fn param_vjp<R: Real, C: Cotangent<R>>(
     function: Differentiable<'_>,

@@ -1,3 +1,5 @@
+//! Tests of the quantum animation.
+
 use super::*;
 
 fn trajectory(grid: usize, states: usize) -> Vec<Vec<f64>> {
@@ -5,7 +7,7 @@ fn trajectory(grid: usize, states: usize) -> Vec<Vec<f64>> {
     (0..states).map(|t| (0..2 * grid).map(|i| part(t, i)).collect()).collect()
 }
 
-fn cotangents(animation: &Animation, frame: usize) -> Vec<f64> {
+fn bars(animation: &Animation, frame: usize) -> Vec<f64> {
     let bar = |shape: &Shape| match shape {
         Shape::Rect { size, color, .. } if *color == DENSITY => Some(size[0]),
         _ => None,
@@ -24,7 +26,7 @@ fn curve(shapes: &[Shape], of: &str) -> Vec<[f64; 2]> {
 #[test]
 fn bars_are_as_long_as_the_density() {
     let animation = quantum(&[vec![0.6, 0.0, 0.0, 0.3]], &[], &[0.1, 0.2], 2.0, 0.1);
-    let lengths = cotangents(&animation, 0);
+    let lengths = bars(&animation, 0);
     assert!(lengths.len() == 2 && (lengths[0] - 150.0).abs() < 1e-9 && (lengths[1] - 37.5).abs() < 1e-9, "{lengths:?}");
 }
 

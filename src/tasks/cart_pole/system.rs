@@ -84,7 +84,7 @@ impl CartPoleSystem {
     /// Appends sine and cosine of every angle to `trig`, and the forces with `effects` to
     /// `forces`. `weight` is m g l.
     ///
-    /// Both have to be empty. Returning them would copy their whole capacity.
+    /// Both buffers must be empty on entry. Returning them would copy their whole capacity.
     #[inline(always)]
     pub(super) fn forces<E: Effect<Self>, T: Scalar>(
         &self,

@@ -3,10 +3,12 @@
 use crate::numbers::extended::power_of_two;
 use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 
-/// Central force `(far / d + near / d²) r`. Positive coefficients repel.
+/// Central force per mass, `(far / d + near / d²) r`. Positive coefficients repel.
 #[derive(Clone, Copy)]
 pub(super) struct Law {
+    /// Coefficient of the force that dominates at large distances, m/s².
     pub far: f64,
+    /// Coefficient of the force that dominates at small distances, m²/s².
     pub near: f64,
 }
 

@@ -4,7 +4,7 @@ use super::system::{Pair, PerPoint};
 use crate::numbers::scalar::Scalar;
 use std::ops::{Add, Mul, Neg, Sub};
 
-/// Right-hand sides of [`Elimination`]: numbers, or cotangents in several columns.
+/// Right-hand sides of [`Elimination`]: numbers, or cotangents of several flows.
 pub(super) trait Vector<T>:
     Copy + Add<Output = Self> + Sub<Output = Self> + Neg<Output = Self> + Mul<T, Output = Self>
 {
@@ -82,7 +82,7 @@ impl<T: Scalar> Elimination<'_, T> {
         let (b, n) = (self.b, self.per_pivot.len());
         let (rhs, y, per_pivot) = (&rhs.as_chunks::<2>().0[..n], &mut y.as_chunks_mut::<2>().0[..n], &self.per_pivot[..n]);
         // The first row of each pass is separate, and carried values are scalars. Otherwise,
-        // compilers would shuffle the lanes of conditional values and of pairs of columns.
+        // compilers would shuffle the lanes of conditional values and of pairs of flows.
         // Forward: s_j = (rhs_j + ib s_{j-1}) / p_j.
         let (q_re, q_im) = per_pivot[0];
         let (mut s_re, mut s_im) = (rhs[0][0] * q_re - rhs[0][1] * q_im, rhs[0][0] * q_im + rhs[0][1] * q_re);

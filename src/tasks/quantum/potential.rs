@@ -10,7 +10,7 @@ use crate::numbers::zip::zip;
 use serde::{Deserialize, Serialize};
 
 /// Implements [`Effect`] for functions of ξ: types with `fn potential(&self, xi: f64) -> f64`.
-macro_rules! stand_still {
+macro_rules! static_potentials {
     ($($effect:ty),+) => {$(
         impl Effect<QuantumSystem> for $effect {
             #[inline(always)]
@@ -30,7 +30,7 @@ macro_rules! stand_still {
         }
     )+};
 }
-stand_still!(Harmonic, Barrier, DoubleWell);
+static_potentials!(Harmonic, Barrier, DoubleWell);
 
 /// Harmonic oscillator: `V = stiffness (ξ - center)²`.
 ///
