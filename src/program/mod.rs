@@ -35,9 +35,9 @@ use platform::terminal::print_message;
 use runs::run;
 use scenes::overrides::Overrides;
 use std::process::ExitCode;
-use tasks::{AnyTaskSpec, Own};
+use tasks::{AnyEffectSpec, AnyTaskSpec, Own, OwnEffect};
 
-pub use tasks::ProgramTask;
+pub use tasks::{ProgramEffect, ProgramTask, SceneEffects};
 
 /// Train neural controllers through long rollouts of differentiable physics; choose the vector
 /// field that the optimizer follows.
@@ -130,12 +130,13 @@ const NO_UPDATE: u8 = 3;
 /// `check`, `scene` and `schema`. Without a command, the program trains the first task of the user.
 #[must_use = "call `main` to run the program"]
 pub fn program() -> Program {
-    Program { own: Vec::new() }
+    Program { own: Vec::new(), effects: Vec::new() }
 }
 
 /// The program and its tasks; see [`program`].
 pub struct Program {
     own: Vec<&'static dyn AnyTaskSpec>,
+    effects: Vec<&'static dyn AnyEffectSpec>,
 }
 
 impl Program {
@@ -146,10 +147,18 @@ impl Program {
         self
     }
 
+    /// Adds an effect to those of its task.
+    #[must_use = "call `main` to run the program"]
+    pub fn effect<E: ProgramEffect>(mut self) -> Self {
+        self.effects.push(&const { OwnEffect::<E>::NEW });
+        self
+    }
+
     /// Runs the command of the process arguments and returns its exit status.
     pub fn main(self) -> ExitCode {
         signals::ignore_file_limits();
-        let outcome = tasks::register(self.own).and_then(|()| execute(&Arguments::parse().command.unwrap_or_else(default_run)));
+        let outcome = tasks::register(self.own, self.effects)
+            .and_then(|()| execute(&Arguments::parse().command.unwrap_or_else(default_run)));
         match (outcome, signals::received()) {
             // A shell script stops at a command with the status of a signal.
             (Ok(()), Some(signal)) => ExitCode::from(signals::exit_status(signal)),

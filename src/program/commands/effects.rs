@@ -42,7 +42,7 @@ fn page() -> Result<String> {
     for &kind in tasks::all().iter().filter(|kind| !kind.effects().is_empty()) {
         let intro = wrapped(&format!("{} {}", sentence(kind.about()), symbols(kind.name())));
         let _ = writeln!(page, "\n## {}\n\n{intro}\n", kind.name());
-        section(&mut page, kind, "effects", kind.effects())?;
+        section(&mut page, kind, "effects", &kind.effects())?;
     }
     let actuators = wrapped(
         "Available in every task, except `delay` and `lag` in `quantum`. They map the policy's control u to the control u' that \

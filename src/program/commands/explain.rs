@@ -73,9 +73,9 @@ fn table(header: &[&str]) -> Table {
 }
 
 /// Section and documentation of every effect and actuator available in a scene.
-fn parts(scene: &Scene) -> Vec<(&'static str, &'static Info)> {
-    let sections = [scene.task.effects(), &ACTUATORS];
-    OPTIONAL.into_iter().zip(sections).flat_map(|(section, infos)| infos.iter().map(move |info| (section, info))).collect()
+fn parts(scene: &Scene) -> Vec<(&'static str, Info)> {
+    let sections = [scene.task.effects(), ACTUATORS.to_vec()];
+    OPTIONAL.into_iter().zip(sections).flat_map(|(section, infos)| infos.into_iter().map(move |info| (section, info))).collect()
 }
 
 fn is_present(scene: &Scene, section: &str, name: &str) -> bool {

@@ -25,7 +25,7 @@ training.optimizer: adam, sgd, momentum, rmsprop, adagrad, adadelta; loss.mode: 
 fn describe(task: &dyn AnyTaskSpec) -> Result<()> {
     let settings = presets::source(task.name())?.scene()?.table.to_string();
     let indented: String = settings.trim_end().lines().map(|line| format!("    {line}\n")).collect();
-    let effects = if task.effects().is_empty() { "none".into() } else { names(task.effects()) };
+    let effects = if task.effects().is_empty() { "none".into() } else { names(&task.effects()) };
     print_result(&format!("{}: {}\neffects: {effects}\n\n{indented}", task.name(), task.about()))?;
     Ok(())
 }

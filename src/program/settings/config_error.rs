@@ -67,6 +67,15 @@ impl ConfigError {
         Self::new(key, format!("is {found}; allowed: {expected}"))
     }
 
+    /// Adds further allowed names to the error of an unknown key of this section.
+    pub fn also_allowed(mut self, section: &str, names: impl Iterator<Item = &'static str>) -> Self {
+        let is_of_section = self.key.rsplit_once('.').is_some_and(|(parent, _)| parent == section);
+        if is_of_section && self.what.starts_with("is unknown") {
+            names.for_each(|name| self.what += &format!(", `{name}`"));
+        }
+        self
+    }
+
     /// Error of a setting that another setting makes ineffective.
     pub fn unread(key: &str, value: impl Display, because: &str) -> Self {
         Self::new(key, format!("is {value}, but has no effect: {because}"))

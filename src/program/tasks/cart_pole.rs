@@ -5,7 +5,7 @@ use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, count, exclusive, finite, not_negative, positive};
 use crate::program::tasks::effects::{EffectsSection, Present, effects_section};
-use crate::program::tasks::{Conserved, MlpSettings, PolicySpec, Settings, TaskSpec};
+use crate::program::tasks::{Conserved, MlpSettings, PolicySpec, SceneEffects, Settings, TaskSpec};
 use crate::report::{self, Animation, Rail};
 use crate::tasks::{
     self, Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, LossMode,
@@ -94,10 +94,6 @@ effects_section! {
 }
 
 impl CartPoleEffects {
-    fn is_empty(&self) -> bool {
-        Present::<CartPoleEffect>::present(self).is_empty()
-    }
-
     /// Wind speed at `time`, s, with nominal numbers.
     fn wind(&self, params: &[f64], time: f64) -> Option<f64> {
         let steady = self.steady_wind.map(|wind| wind.speed.nominal());
@@ -198,8 +194,12 @@ impl TaskSpec for CartPole {
         settings.effects.validate()
     }
 
+    fn validate_own_effects(effects: &SceneEffects) -> Result<(), ConfigError> {
+        effects.only_of::<CartPoleSystem>()
+    }
+
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
-        let effects = settings.effects.present();
+        let effects = settings.all_effects();
         let system = CartPoleSystem { dt: system_dt(settings), ..settings.system.parameters() };
         // Uses a separate type only for the paper's system, because each type adds compile time.
         match settings.system.model {
@@ -246,7 +246,7 @@ impl TaskSpec for CartPole {
     fn conserved(settings: &Settings<Self>) -> Option<Conserved> {
         // With several poles, only the exact equations conserve energy.
         let exact = matches!(settings.system.model, Model::Coupled) || settings.system.poles == 1;
-        let free = settings.effects.is_empty() && settings.actuator.is_empty();
+        let free = settings.all_effects::<_, CartPoleEffect>().is_empty() && settings.actuator.is_empty();
         let system = CoupledCartPole(settings.system.parameters());
         (exact && free).then(|| Conserved { name: "energy", value: Box::new(move |x| system.energy(x)) })
     }

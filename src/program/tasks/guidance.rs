@@ -4,8 +4,8 @@ use crate::program::operations::Visit;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, allowed, count, finite, not_negative, positive};
-use crate::program::tasks::effects::{EffectsSection, Present, effects_section, named};
-use crate::program::tasks::{MlpSettings, PolicySpec, Settings, TaskSpec};
+use crate::program::tasks::effects::{EffectsSection, effects_section, named};
+use crate::program::tasks::{MlpSettings, PolicySpec, SceneEffects, Settings, TaskSpec};
 use crate::report::{self, Animation, Field};
 use crate::tasks::{self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles, Spread, Walls};
 use crate::{Forced, HasModel, Named, System};
@@ -164,17 +164,22 @@ impl TaskSpec for Guidance {
         settings.effects.validate_values()
     }
 
+    fn validate_own_effects(effects: &SceneEffects) -> Result<(), ConfigError> {
+        effects.only_of::<GuidanceSystem>()
+    }
+
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
         let dt = settings.system.dt / settings.integrator.count() as f64;
         let system = GuidanceSystem { dt, ..settings.system };
         // Uses a separate type for the paper's effects.
         if settings.actuator.is_empty()
             && settings.integrator.is_empty()
+            && settings.own_effects.is_empty()
             && let Some(effects) = settings.effects.only_of_the_paper()
         {
             return herd(Forced { system, effects }, settings, visitor);
         }
-        let effects: Vec<Named<GuidanceEffect>> = settings.effects.present();
+        let effects: Vec<Named<GuidanceEffect>> = settings.all_effects();
         let system = settings.integrator.discretize(Forced { system, effects }, dt, settings.precision);
         herd(settings.actuator.wrap(system, settings.system.dt), settings, visitor)
     }

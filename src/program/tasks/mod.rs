@@ -11,6 +11,7 @@ mod effects;
 mod guidance;
 mod hard;
 mod own;
+mod own_effect;
 mod policy;
 mod quantum;
 pub mod scene;
@@ -18,6 +19,7 @@ mod schema;
 mod settings;
 
 pub use own::{Own, ProgramTask};
+pub use own_effect::{AnyEffectSpec, OwnEffect, ProgramEffect, SceneEffects};
 pub use policy::{MlpSettings, PolicySpec};
 pub use scene::Scene;
 pub use schema::schema;
@@ -70,6 +72,15 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     /// # Errors
     /// A value is out of range, or a setting has no effect in this task.
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError>;
+    /// Checks that the task accepts the effects of the user.
+    ///
+    /// # Errors
+    /// An effect has another model than the task. By default, any effect is refused.
+    fn validate_own_effects(effects: &SceneEffects) -> Result<(), ConfigError> {
+        effects
+            .first()
+            .map_or(Ok(()), |key| Err(ConfigError::new(key, "is an effect of the user, which this task does not accept")))
+    }
     /// Calls the visitor with the task and the policy of these settings.
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out;
     /// Named settings for gradient checks.
@@ -133,12 +144,18 @@ const BUILT_IN: [&dyn AnyTaskSpec; 10] = [
     &hard::Push,
 ];
 
-/// Tasks of this process, set once by [`register`].
-static REGISTERED: OnceLock<Vec<&'static dyn AnyTaskSpec>> = OnceLock::new();
+/// Tasks and effects of this process, set once by [`register`].
+static REGISTERED: OnceLock<Registered> = OnceLock::new();
+
+struct Registered {
+    tasks: Vec<&'static dyn AnyTaskSpec>,
+    /// Effects of the user with their keys in scenes.
+    effects: Vec<(&'static str, &'static dyn AnyEffectSpec)>,
+}
 
 /// Every task: the built-in ones, then those of the user.
 pub fn all() -> &'static [&'static dyn AnyTaskSpec] {
-    REGISTERED.get().map_or(&BUILT_IN, Vec::as_slice)
+    REGISTERED.get().map_or(&BUILT_IN, |registered| &registered.tasks)
 }
 
 /// Tasks of the user.
@@ -146,18 +163,37 @@ pub fn own() -> &'static [&'static dyn AnyTaskSpec] {
     &all()[BUILT_IN.len()..]
 }
 
-/// Adds tasks of the user to the built-in ones.
+/// Effects of the user for this task, with their keys in scenes.
+fn own_effects(task: &str) -> Vec<(&'static str, &'static dyn AnyEffectSpec)> {
+    let effects = REGISTERED.get().map_or(&[][..], |registered| &registered.effects);
+    effects.iter().copied().filter(|(_, effect)| effect.task() == task).collect()
+}
+
+/// Adds tasks and effects of the user to the built-in ones.
 ///
 /// # Errors
-/// Two tasks have the same name.
-pub fn register(own: Vec<&'static dyn AnyTaskSpec>) -> Result<()> {
+/// Two tasks, or two effects of a task, have the same name. An effect names an unknown task.
+pub fn register(own: Vec<&'static dyn AnyTaskSpec>, own_effects: Vec<&'static dyn AnyEffectSpec>) -> Result<()> {
     let tasks: Vec<_> = BUILT_IN.into_iter().chain(own).collect();
     for (i, task) in tasks.iter().enumerate() {
         if tasks[..i].iter().any(|other| other.name() == task.name()) {
             bail!("two tasks have the name `{}`; choose another `NAME`", task.name());
         }
     }
-    REGISTERED.set(tasks).map_err(|_| anyhow!("a process runs one program"))
+    for (i, effect) in own_effects.iter().enumerate() {
+        let (name, of) = (effect.info().name, effect.task());
+        let Some(task) = tasks.iter().find(|task| task.name() == of) else {
+            bail!("the effect `{name}` is of the task `{of}`, which is unknown; choose another `TASK`");
+        };
+        let is_same = |other: &&dyn AnyEffectSpec| other.task() == of && other.info().name == name;
+        if task.effects().iter().any(|info| info.name == name) || own_effects[..i].iter().any(is_same) {
+            bail!("two effects of {of} have the name `{name}`; choose another `NAME`");
+        }
+    }
+    // Names of effects are static, and a process registers once.
+    let key = |name: &str| -> &'static str { Box::leak(format!("effects.{name}").into_boxed_str()) };
+    let effects = own_effects.into_iter().map(|effect| (key(effect.info().name), effect)).collect();
+    REGISTERED.set(Registered { tasks, effects }).map_err(|_| anyhow!("a process runs one program"))
 }
 
 /// Object-safe [`TaskSpec`].
@@ -167,7 +203,7 @@ pub trait AnyTaskSpec: Send + Sync {
     /// One-line description.
     fn about(&self) -> &'static str;
     /// Documentation of every effect.
-    fn effects(&self) -> &'static [Info];
+    fn effects(&self) -> Vec<Info>;
     /// Integrators that can replace the task's native scheme.
     fn methods(&self) -> &'static [Method];
     /// Integrator of the reference solution, and its number of substeps per control step. The
@@ -194,8 +230,9 @@ impl<K: TaskSpec> AnyTaskSpec for K {
         K::ABOUT
     }
 
-    fn effects(&self) -> &'static [Info] {
-        K::Effects::INFO
+    fn effects(&self) -> Vec<Info> {
+        let own = own_effects(K::NAME).into_iter().map(|(_, effect)| effect.info());
+        K::Effects::INFO.iter().copied().chain(own).collect()
     }
 
     fn methods(&self) -> &'static [Method] {
@@ -222,7 +259,7 @@ impl<K: TaskSpec> AnyTaskSpec for K {
     }
 
     fn schema(&self) -> serde_json::Value {
-        schema::of::<Settings<K>>(self)
+        schema::of::<Settings<K>>(self, &own_effects(K::NAME))
     }
 
     fn variants(&'static self) -> Vec<(String, Scene)> {

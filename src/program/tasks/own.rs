@@ -4,7 +4,7 @@ use crate::program::operations::Visit;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::{ConfigError, allowed};
 use crate::program::tasks::hard::Nothing;
-use crate::program::tasks::{MlpSettings, PolicySpec, Section, Settings, TaskSpec};
+use crate::program::tasks::{MlpSettings, PolicySpec, SceneEffects, Section, Settings, TaskSpec};
 use crate::report::{Animation, Channel, channels_over_time};
 use crate::rng::Rng;
 use crate::{Actuated, AnyActuator, Cotangent, Cotangents, Inputs, Real, Scalar, Start, Substeps, System, Task};
@@ -43,6 +43,11 @@ pub trait ProgramTask: Task<System: Clone> + Section + Default {
     /// The task with a time step that is shorter by the factor `substeps`. Substep i of step t has
     /// the number `substeps·t + i`. Default: `None`, the time step cannot be changed.
     fn refined(&self, _substeps: usize) -> Option<Self> {
+        None
+    }
+    /// The task with the effects of a scene; `effects.of::<Model>()` lists those of a model. Default:
+    /// `None`, the task accepts no effects.
+    fn with_effects(&self, _effects: &SceneEffects) -> Option<Self> {
         None
     }
     /// Names of the state components. Default: `x_1`, `x_2`, …
@@ -119,8 +124,17 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
         allowed("integrator.substeps", substeps, refined, "1; for others, implement `ProgramTask::refined`")
     }
 
+    fn validate_own_effects(effects: &SceneEffects) -> Result<(), ConfigError> {
+        match effects.first() {
+            Some(key) if T::default().with_effects(effects).is_none() => {
+                Err(ConfigError::new(key, "has no effect; implement `ProgramTask::with_effects`"))
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
-        let task = settings.system.clone();
+        let task = settings.system.with_effects(&settings.own_effects).unwrap_or_else(|| settings.system.clone());
         let count = settings.integrator.count();
         let refined = if count == 1 { None } else { task.refined(count) };
         let system = Substeps { system: refined.as_ref().unwrap_or(&task).system().clone(), count };

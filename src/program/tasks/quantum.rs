@@ -6,7 +6,7 @@ use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, allowed, count, exclusive, finite, not_negative, positive};
 use crate::program::tasks::effects::{EffectsSection, effects_section, named};
-use crate::program::tasks::{Conserved, PolicySpec, Settings, TaskSpec};
+use crate::program::tasks::{Conserved, PolicySpec, SceneEffects, Settings, TaskSpec};
 use crate::report::{self, Animation, Landscape};
 use crate::tasks::{
     self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode, Pade, QuantumEffect,
@@ -208,9 +208,14 @@ impl TaskSpec for Quantum {
         settings.actuator.without_state("the network of this task observes only the wave function")
     }
 
+    fn validate_own_effects(effects: &SceneEffects) -> Result<(), ConfigError> {
+        effects.only_of::<QuantumSystem>()
+    }
+
     fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
         let system = settings.physics();
-        let effects = settings.effects.list(&system);
+        let mut effects = settings.effects.list(&system);
+        effects.extend(settings.own_effects.listed());
         // Uses one type in all scenes: an empty list of effects costs little compared with the
         // tridiagonal solve. Absorbing edges of width 0 leave the state unchanged.
         let edges = settings.effects.absorbing_edges.unwrap_or(AbsorbingEdges { width: 0.0, strength: 0.0 });

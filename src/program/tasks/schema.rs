@@ -1,7 +1,7 @@
 //! JSON schema of scenes, with one branch per task.
 
 use crate::program::settings::VERSION;
-use crate::program::tasks::{self, AnyTaskSpec};
+use crate::program::tasks::{self, AnyEffectSpec, AnyTaskSpec};
 use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, SchemaGenerator};
 use serde_json::{Map, Value, json};
@@ -18,14 +18,32 @@ pub fn schema() -> Value {
     })
 }
 
-/// Schema of the scenes of one task.
-pub fn of<S: JsonSchema>(task: &dyn AnyTaskSpec) -> Value {
+/// Schema of a type, with defaults.
+fn with_defaults<S: JsonSchema>(defaults: &Table) -> Value {
     // Inlines subschemas: sections of different tasks share type names but not contents.
     let settings = SchemaSettings::draft2020_12().with(|settings| settings.inline_subschemas = true);
     let mut schema = SchemaGenerator::new(settings).into_root_schema_for::<S>().to_value();
-    complete(&mut schema, Some(&task.defaults()));
+    complete(&mut schema, Some(defaults));
     if let Some(all) = schema.as_object_mut() {
         all.remove("$schema");
+    }
+    schema
+}
+
+/// Schema of an effect of the user.
+pub fn of_section<S: JsonSchema>(defaults: &Table) -> Value {
+    let mut schema = with_defaults::<S>(defaults);
+    schema.as_object_mut().map(|all| all.remove("title"));
+    schema
+}
+
+/// Schema of the scenes of one task, with effects of the user.
+pub fn of<S: JsonSchema>(task: &dyn AnyTaskSpec, own_effects: &[(&str, &dyn AnyEffectSpec)]) -> Value {
+    let mut schema = with_defaults::<S>(&task.defaults());
+    for (_, effect) in own_effects {
+        schema["properties"]["effects"]["properties"][effect.info().name] = effect.schema();
+    }
+    if let Some(all) = schema.as_object_mut() {
         all.insert("title".into(), task.name().into());
         all.insert("description".into(), task.about().into());
         all.insert("required".into(), json!(["scene", "task"]));

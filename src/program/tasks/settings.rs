@@ -1,13 +1,14 @@
 //! Settings of a run, as one struct per task.
 
-use crate::Field;
 use crate::program::operations::Visit;
 use crate::program::operations::memory::{self, Memory, Needs};
 use crate::program::settings::config_error::{ConfigError, count};
 use crate::program::settings::{
     ActuatorSettings, FieldName, IntegratorSettings, OPTIONAL, Precision, TrainingSettings, VERSION, reading,
 };
-use crate::program::tasks::{PolicySpec, TaskSpec};
+use crate::program::tasks::effects::Present;
+use crate::program::tasks::{self, PolicySpec, SceneEffects, TaskSpec};
+use crate::{DynEffect, Field, Named};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
@@ -38,6 +39,9 @@ pub struct Settings<K: TaskSpec> {
     /// Optional physics; effects that are not listed are absent.
     #[serde(default)]
     pub effects: K::Effects,
+    /// Effects of the user that the scene lists.
+    #[serde(skip)]
+    pub own_effects: SceneEffects,
     /// Actuators between policy and physics; actuators that are not listed are absent.
     #[serde(default)]
     pub actuator: ActuatorSettings,
@@ -66,6 +70,7 @@ impl<K: TaskSpec> Settings<K> {
             horizon: K::horizon(),
             system: K::system(),
             effects: K::Effects::default(),
+            own_effects: SceneEffects::default(),
             actuator: ActuatorSettings::default(),
             integrator: IntegratorSettings::default(),
             loss: K::Loss::default(),
@@ -77,6 +82,7 @@ impl<K: TaskSpec> Settings<K> {
     /// Table of all settings, without empty optional sections.
     pub fn table(&self) -> Table {
         let mut table = Table::try_from(self).expect("settings are plain tables");
+        self.own_effects.put(&mut table);
         for section in OPTIONAL.into_iter().chain(["integrator"]) {
             if table.get(section).and_then(Value::as_table).is_some_and(Table::is_empty) {
                 table.remove(section);
@@ -89,8 +95,13 @@ impl<K: TaskSpec> Settings<K> {
     ///
     /// # Errors
     /// Reports unknown keys, missing keys and values of the wrong type.
-    pub fn fill(table: Table) -> Result<Self, ConfigError> {
-        let mut settings: Self = reading::read(table).map_err(|error| ConfigError::unreadable(&error))?;
+    pub fn fill(mut table: Table) -> Result<Self, ConfigError> {
+        let registered = tasks::own_effects(K::NAME);
+        let own_effects = SceneEffects::take(&registered, &mut table)?;
+        let names = registered.iter().map(|(_, effect)| effect.info().name);
+        let unreadable = |error| ConfigError::unreadable(&error).also_allowed("effects", names);
+        let settings: Self = reading::read(table).map_err(unreadable)?;
+        let mut settings = Self { own_effects, ..settings };
         settings.training.complete();
         Ok(settings)
     }
@@ -103,6 +114,7 @@ impl<K: TaskSpec> Settings<K> {
         self.actuator.validate()?;
         self.integrator.validate(self.precision, K::METHODS)?;
         K::validate(self)?;
+        K::validate_own_effects(&self.own_effects)?;
         let TrainingSettings { batch, train_samples, test_samples, .. } = self.training;
         let samples = batch.min(train_samples);
         let Needs { batch: whole, rest } =
@@ -123,6 +135,16 @@ impl<K: TaskSpec> Settings<K> {
             return Err(ConfigError::new("horizon", what));
         }
         Ok(())
+    }
+
+    /// Effects that are present, in order of evaluation: those of the task, then those of the user.
+    pub fn all_effects<M: 'static, E: From<DynEffect<M>>>(&self) -> Vec<Named<E>>
+    where
+        K::Effects: Present<E>,
+    {
+        let mut effects = self.effects.present();
+        effects.extend(self.own_effects.listed());
+        effects
     }
 
     /// Calls the visitor with the task and the policy.

@@ -1,0 +1,165 @@
+//! [`ProgramEffect`]: an effect of the user, with its fields as settings.
+
+use crate::program::settings::config_error::ConfigError;
+use crate::program::settings::{Info, reading};
+use crate::program::tasks::{Section, schema};
+use crate::{DynEffect, Effect, Named};
+use std::any::Any;
+use std::marker::PhantomData;
+use std::sync::Arc;
+use toml::{Table, Value};
+
+/// An effect that scenes add by its name, in the section `effects.NAME`.
+///
+/// The fields of the effect are the settings of this section. `Default` gives their default values.
+/// Fields of type [`Number`](crate::Number) may be drawn or trained if
+/// [`Effect::numbers`] lists them. The comment on the struct is the description of the effect.
+///
+/// [`Program::effect`](crate::program::Program::effect) registers it.
+pub trait ProgramEffect: Effect<Self::Model> + Section + Default {
+    /// Model that the effect reads, for instance
+    /// [`CartPoleSystem`](crate::tasks::CartPoleSystem).
+    type Model: 'static;
+    /// Name of the task that accepts the effect.
+    const TASK: &'static str;
+    /// Name of the effect in scenes: lower case letters, digits and underscores.
+    const NAME: &'static str;
+    /// Equation of the added force.
+    const EQUATION: &'static str;
+    /// Method of differentiation, for the tables of `explain`.
+    const DERIVATIVE: &'static str = "dual numbers";
+
+    /// Checks the settings. Default: all values are valid.
+    ///
+    /// # Errors
+    /// The name of a field and its allowed values, for instance `("force", "a positive number")`.
+    fn validate(&self) -> Result<(), (&'static str, &'static str)> {
+        Ok(())
+    }
+}
+
+/// Object-safe [`ProgramEffect`], without a value.
+pub trait AnyEffectSpec: Send + Sync {
+    /// Name of the task that accepts the effect.
+    fn task(&self) -> &'static str;
+    /// Name and documentation.
+    fn info(&self) -> Info;
+    /// JSON schema of the section.
+    fn schema(&self) -> serde_json::Value;
+    /// Reads a section with the given key. Missing settings have their defaults.
+    fn read(&self, key: &'static str, section: Table) -> Result<SceneEffect, ConfigError>;
+}
+
+/// Entry of a [`ProgramEffect`] in the list of effects.
+pub struct OwnEffect<E>(PhantomData<fn() -> E>);
+
+impl<E> OwnEffect<E> {
+    pub const NEW: Self = Self(PhantomData);
+}
+
+impl<E: ProgramEffect> AnyEffectSpec for OwnEffect<E> {
+    fn task(&self) -> &'static str {
+        E::TASK
+    }
+
+    fn info(&self) -> Info {
+        Info { name: E::NAME, equation: E::EQUATION, derivative: E::DERIVATIVE }
+    }
+
+    fn schema(&self) -> serde_json::Value {
+        schema::of_section::<E>(&table(&E::default()))
+    }
+
+    fn read(&self, key: &'static str, section: Table) -> Result<SceneEffect, ConfigError> {
+        let mut settings = table(&E::default());
+        settings.extend(section);
+        let within = |ConfigError { key: inner, what }: ConfigError| {
+            ConfigError::new(if inner.is_empty() { key.into() } else { format!("{key}.{inner}") }, what)
+        };
+        let effect: E = reading::read(settings).map_err(|error| within(ConfigError::unreadable(&error)))?;
+        let invalid = |(field, allowed)| within(ConfigError::new(field, format!("is not allowed: choose {allowed}")));
+        effect.validate().map_err(invalid)?;
+        Ok(SceneEffect { key, section: table(&effect), effect: Arc::new(DynEffect::new(effect)) })
+    }
+}
+
+fn table(effect: &impl Section) -> Table {
+    Table::try_from(effect).expect("settings are plain tables")
+}
+
+/// An effect of the user in a scene.
+#[derive(Clone, Debug)]
+pub struct SceneEffect {
+    /// Key of its section.
+    key: &'static str,
+    /// All settings.
+    section: Table,
+    /// A [`DynEffect`] of some model.
+    effect: Arc<dyn Any + Send + Sync>,
+}
+
+impl SceneEffect {
+    fn of<B: 'static>(&self) -> Option<Named<DynEffect<B>>> {
+        Some(Named { name: self.key, effect: self.effect.downcast_ref::<DynEffect<B>>()?.clone() })
+    }
+}
+
+/// Effects of the user in a scene, in order of registration.
+#[derive(Clone, Debug, Default)]
+pub struct SceneEffects(Vec<SceneEffect>);
+
+impl SceneEffects {
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Effects of the model `B`.
+    pub fn of<B: 'static>(&self) -> Vec<Named<DynEffect<B>>> {
+        self.0.iter().filter_map(SceneEffect::of).collect()
+    }
+
+    /// Effects of the model `B`, as elements of a list with those of a task.
+    pub(super) fn listed<B: 'static, E: From<DynEffect<B>>>(&self) -> impl Iterator<Item = Named<E>> {
+        self.of().into_iter().map(|Named { name, effect }| Named { name, effect: E::from(effect) })
+    }
+
+    /// Returns an error if an effect has another model than `B`.
+    pub(super) fn only_of<B: 'static>(&self) -> Result<(), ConfigError> {
+        match self.0.iter().find(|effect| effect.of::<B>().is_none()) {
+            Some(effect) => Err(ConfigError::new(effect.key, format!("has another model than {}", std::any::type_name::<B>()))),
+            None => Ok(()),
+        }
+    }
+
+    /// Key of the first effect.
+    pub(super) fn first(&self) -> Option<&'static str> {
+        self.0.first().map(|effect| effect.key)
+    }
+
+    /// Moves the sections of registered effects out of the settings of a scene.
+    pub(super) fn take(
+        registered: &[(&'static str, &'static dyn AnyEffectSpec)],
+        table: &mut Table,
+    ) -> Result<Self, ConfigError> {
+        let Some(Value::Table(sections)) = table.get_mut("effects") else { return Ok(Self::default()) };
+        let mut effects = Vec::new();
+        for &(key, spec) in registered {
+            match sections.remove(spec.info().name) {
+                Some(Value::Table(section)) => effects.push(spec.read(key, section)?),
+                Some(other) => return Err(ConfigError::new(key, format!("is {other}; allowed: a section"))),
+                None => {}
+            }
+        }
+        Ok(Self(effects))
+    }
+
+    /// Adds the sections to the settings of a scene.
+    pub(super) fn put(&self, table: &mut Table) {
+        for SceneEffect { key, section, .. } in &self.0 {
+            let sections = table.entry("effects").or_insert_with(|| Value::Table(Table::new()));
+            let name = key.trim_start_matches("effects.");
+            sections.as_table_mut().expect("effects are a section").insert(name.into(), Value::Table(section.clone()));
+        }
+    }
+}
