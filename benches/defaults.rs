@@ -1,7 +1,8 @@
 //! Benchmark of default derivatives against analytic and batched ones.
 //!
 //! Usage: `cargo bench --bench defaults`, or with `-- products`, `-- trainings`, `-- policies` for
-//! one part. Jobs alternate within each round; ratios are medians of the ratios per round.
+//! one part, and with `-- --quick` for few rounds. Jobs alternate within each round; ratios are
+//! medians of the ratios per round.
 
 mod measure;
 
@@ -15,6 +16,7 @@ use physgrad::{
 use rand::RngExt;
 use std::hint::black_box;
 
+/// Numbers of a [`Rod`]: k, N/m, k₃, N/m³, damping, N s/m, and time step, s.
 const STIFFNESS: f64 = 8000.0;
 const HARDENING: f64 = 2e5;
 const DAMPING: f64 = 0.1;
@@ -27,7 +29,8 @@ enum By {
     Default,
 }
 
-/// Masses in a row between two walls, springs with f = k d + k₃ d³, and forces on every 25th mass.
+/// Masses of 1 kg in a row between two walls, springs with f = k d + k₃ d³, viscous damping, and
+/// forces on every 25th mass.
 struct Rod {
     masses: usize,
     by: By,
@@ -157,7 +160,7 @@ impl Task for Rod {
     }
 }
 
-/// Task with the running cost of a [`Rod`], and its default gradient.
+/// Task with the running cost of a [`Rod`], and the default gradient of the cost.
 struct Costs<'a>(&'a Rod);
 
 impl Task for Costs<'_> {

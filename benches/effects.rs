@@ -1,8 +1,9 @@
 //! Benchmark of the effect system against the same physics in a single handwritten function.
 //!
-//! Usage: `cargo bench --bench effects`, or with `-- guidance` for one task. Measures steps of
-//! eight samples on one thread: forward, and forward with the adjoints of R and C. Covers the whole
-//! scene with the policy of the paper and its gradients, and the physics alone with zero control.
+//! Usage: `cargo bench --bench effects`, or with `-- guidance` for one task, and with `-- --quick`
+//! for few rounds. Measures steps of eight samples on one thread: forward, and forward with the
+//! adjoints of R and C. Covers the whole scene with the policy of the paper and its gradients, and
+//! the physics alone with zero control.
 //!
 //! Jobs alternate within each round; a ratio is the median over rounds. Timings depend on the
 //! memory layout. The benchmark therefore constructs all jobs several times, in varying order and

@@ -1,7 +1,9 @@
-//! Benchmark of a cart-pole epoch, with the shares of matrix products, tanh and physics.
+//! Benchmark of cart-pole training: the gradient of each field, the shares of matrix products, tanh
+//! and physics in the gradient of R, and whole epochs.
 //!
-//! Usage: `cargo bench --bench epoch`. Jobs alternate within each round; times are medians. Ratios
-//! are medians of the ratios per round, which cancels drifts of the machine's speed.
+//! Usage: `cargo bench --bench epoch`, or with `-- --quick` for few rounds. Jobs alternate within
+//! each round; times are medians. Ratios are medians of the ratios per round, which cancels drifts
+//! of the machine's speed.
 
 mod measure;
 
@@ -88,7 +90,7 @@ fn shares(count: usize) {
     };
 
     // (rows, depth, columns, calls) of the matrix products in one gradient, padded as in the
-    // library.
+    // library: forward pass, reverse pass, weight gradients in products of 64 columns.
     let (pad_n, pad_w) = (16, 112);
     let products = [
         (pad_w, n + 1, BATCH, steps),

@@ -3,8 +3,8 @@
 //!
 //! Run: `cargo run --release --example identify -- [measured.csv] [every]`
 //!
-//! `every` uses one segment in so many for the fit and the others for validation. The data and
-//! their source: `examples/data/README.md`.
+//! With `every` = n, the fit uses every n-th segment only. `examples/data/README.md` describes the
+//! data and their source.
 
 use physgrad::identify::{Fit, Options, Segment, Unknown, identify};
 use physgrad::tasks::{Arm, MultiPendulum};
@@ -12,17 +12,19 @@ use physgrad::{Integrated, Number, RungeKutta};
 use std::error::Error;
 use std::time::Instant;
 
-/// Published numbers of each arm: mass, center, length, inertia (SI units), by number of arms.
+/// Published numbers by number of arms, for each arm: mass, kg, distance of the center of mass from
+/// the joint, m, length, m, and moment of inertia, kg m².
 const PUBLISHED: [&[[f64; 4]]; 3] = [
     &[[0.14758, 0.14775, 0.0, 1.0912e-4]],
     &[[0.093844, 0.108565, 0.172719, 4.3753e-4], [0.137596, 0.116779, 0.0, 1.26883e-3]],
     &[[0.258172, 0.160000, 0.172800, 1.0004e-4], [0.279428, 0.202939, 0.228700, 3.1416e-4], [0.118624, 0.183709, 0.0, 1.6874e-4]],
 ];
-/// Published viscous friction, N m s/rad.
+/// Published viscous friction by number of arms, for each arm, N m s/rad.
 const FRICTION: [&[f64]; 3] = [&[2.2394e-4], &[2.37143e-4, 1.0e-5], &[1.47710e-3, 2.5960e-4, 1.0e-5]];
 
+/// Makes a number of the pendulum an entry of the parameters p.
 const VARIES: Number = Number::Trained { start: 1.0, min: 0.0, max: f64::INFINITY };
-/// Sampling interval of the data, s.
+/// Time step of the simulation, s. Sampling times of the data are multiples of it.
 const DT: f64 = 0.005;
 
 /// Reads segments: columns segment, time, angles, rates.
@@ -35,7 +37,7 @@ fn read(path: &str) -> Result<Vec<Segment>, Box<dyn Error>> {
             segments.push(Segment::default());
         }
         let segment = segments.last_mut().ok_or("the first sample of a segment has the time 0")?;
-        // Samples may be thinned: steps without a sample are missing.
+        // The data may have fewer samples than the simulation has steps. Missing states are NaN.
         let step = (row[1] / DT).round() as usize;
         segment.x.resize(step, vec![f64::NAN; row.len() - 2]);
         let (angles, rates) = row[2..].split_at(row.len() / 2 - 1);
@@ -44,7 +46,7 @@ fn read(path: &str) -> Result<Vec<Segment>, Box<dyn Error>> {
     Ok(segments)
 }
 
-/// Joint friction: viscous, dry, quadratic.
+/// Models of joint friction: name, and presence of viscous, dry and quadratic friction.
 const KINDS: [(&str, [bool; 3]); 5] = [
     ("viscous", [true, false, false]),
     ("dry", [false, true, false]),
@@ -57,8 +59,9 @@ type Pendulum = Integrated<MultiPendulum, RungeKutta>;
 
 /// The pendulum, its fixed and initial numbers p, and the unknown entries of p.
 ///
-/// Free swings determine masses, inertias and frictions up to a common factor, and one more
-/// combination: the masses and the last inertia keep their published values.
+/// Free swings do not determine a common factor of masses, inertias and frictions, nor one more
+/// combination. The masses and the last inertia therefore keep their published values. Initial
+/// values differ from the published ones by `factor`.
 fn model(arms: usize, kinds: [bool; 3], factor: f64) -> (Pendulum, Vec<f64>, Vec<Unknown>) {
     let arm =
         Arm { mass: VARIES, center: VARIES, length: VARIES, inertia: VARIES, viscous: VARIES, dry: VARIES, quadratic: VARIES };
@@ -77,7 +80,7 @@ fn model(arms: usize, kinds: [bool; 3], factor: f64) -> (Pendulum, Vec<f64>, Vec
             ("quadratic", 0.1 * friction, kinds[2]),
         ];
         for (name, value, is_unknown) in entries {
-            // Alternates between too large and too small.
+            // Alternates between values that are too large and too small.
             let start = if unknowns.len() % 2 == 0 { value * factor } else { value / factor };
             if is_unknown {
                 unknowns.push(Unknown { name: format!("{name}_{}", i + 1), index: p.len(), start, min: 0.0, max: f64::INFINITY });

@@ -1,4 +1,4 @@
-//! Modules import downwards only.
+//! Modules import downwards only. Lists of modules begin with the lowest.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -4,7 +4,7 @@
 //!
 //! Layers, each importing only those above it (`tests/layout.rs` lists the allowed imports):
 //!
-//! 1. `platform`: files, folders, locks, signals, threads, terminal.
+//! 1. `platform`: files, folders, locks, signals, threads, terminal, CSV.
 //! 2. `settings`: sections of a scene, errors in settings.
 //! 3. `operations`: computations generic over task and policy.
 //! 4. `tasks`: built-in tasks; `Scene`, independent of the type of its task.
@@ -125,9 +125,9 @@ const NO_UPDATE: u8 = 3;
 /// }
 /// ```
 ///
-/// `cargo run --release -- train slide --field C --set system.damping=0.3` trains a policy. The
-/// other commands take `slide` as well: `compare`, `report`, `animate`, `accuracy`, `explain`,
-/// `check`, `scene` and `schema`. Without a command, the program trains the first task of the user.
+/// `cargo run --release -- train slide --field C --set system.damping=0.3` trains a policy. Every
+/// command that takes a scene accepts `slide`. Every command that takes the folder of a run accepts
+/// a run of `slide`. Without a command, the program trains the first task of the user.
 #[must_use = "call `main` to run the program"]
 pub fn program() -> Program {
     Program { own: Vec::new(), effects: Vec::new() }

@@ -50,7 +50,8 @@ pub fn operations<T: Scalar>() -> [(&'static str, Operation<T>); 27] {
     ]
 }
 
-/// Returns the functions that are composed of [`operations`].
+/// Returns the functions that are composed of [`operations`]. Those with the prefix `div` divide by
+/// the second number.
 #[allow(dead_code)]
 pub fn compositions<T: Scalar>() -> [(&'static str, Operation<T>); 12] {
     [

@@ -167,8 +167,8 @@ impl<S: System> System for ByDuals<'_, S> {
     }
 }
 
-/// Returns the operations of the step of a spring, and of its `vjp` to state and control, to the
-/// state and to the control, for one type of cotangent.
+/// Returns the operations of the step of a spring, and of its `vjp` for one type of cotangent: to
+/// state and control, to the state only, to the control only.
 fn spring<S: System, C: Cotangent<Counted>>(system: &S, bar: C) -> [Ops; 4] {
     let (x, u) = ([Counted(0.3), Counted(-1.2)], [Counted(0.8)]);
     let (mut next, mut x_bar, mut u_bar) = (x, [bar; 2], [bar; 1]);
@@ -191,8 +191,8 @@ fn a_spring_costs_its_hand_counted_operations() {
     assert_eq!(spring(&Spring::<true>, one)[..2], [step, counts(3 + 3, 2 + 3, 0)]);
     assert_eq!(spring(&Spring::<true>, two)[..2], [step, counts(3 + 2 * 3, 2 * (2 + 3), 0)]);
 
-    // Dual numbers, all inputs at once: 9 multiplications and 4 additions for each of 2 products of
-    // variables, 5 multiplications for each of 2 products with dt, 5 additions for each of 3 sums.
+    // Dual numbers, all inputs at once. Each of 2 products of variables takes 9 multiplications and
+    // 4 additions. Each of 2 products with dt takes 5 multiplications, each of 3 sums 5 additions.
     // Each of the 2 derivatives of an input then takes a product and a sum, and each input an
     // addition to the output.
     let inputs = |inputs: u64, columns: u64| counts(2 * (9 + 5) + columns * 2 * inputs, 2 * 4 + 3 * 5 + columns * 3 * inputs, 0);

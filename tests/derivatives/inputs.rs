@@ -137,7 +137,7 @@ fn tracking<const CONTROLS: usize>() -> Tracking<CONTROLS> {
     Tracking { fault: Fault::None }
 }
 
-/// The same task with all derivatives by dual numbers.
+/// Task with the default derivatives of all its methods, by dual numbers.
 struct ByDuals<T>(T);
 
 impl<T: Task> Task for ByDuals<T> {

@@ -203,8 +203,8 @@ fn the_memory_path_trains_recurrent_weights() {
     let recurrent = units..units + units * units;
     let norm = |flow| gradient(&policy, flow)[recurrent.clone()].iter().map(|g| g * g).sum::<f64>().sqrt();
     let without = Flow { memory: 0.0, ..Flow::MODIFIED };
-    // S and `without` see the memory of the step before as a constant. They omit the later effects
-    // of a weight, but not its immediate one.
+    // S and `without` treat the memory of the step before as a constant. They omit the later
+    // effects of a weight, but not its immediate effect.
     for (flow, name) in [(Flow::REGULAR, "R"), (Flow::MODIFIED, "M"), (Flow::NETWORK, "N"), (Flow::STOPPED, "S")] {
         assert!(norm(flow) > 0.0, "{name}");
     }
@@ -212,10 +212,10 @@ fn the_memory_path_trains_recurrent_weights() {
     assert_eq!(gradient(&policy, Flow::STOPPED), gradient(&policy, Flow { memory: 0.0, ..Flow::STOPPED }));
 }
 
-/// The memory doubles at each step; the control does not depend on it.
-struct Doubling;
+/// Policy whose memory grows by a factor of 1e200 per step. The control does not depend on it.
+struct Exploding;
 
-impl Policy for Doubling {
+impl Policy for Exploding {
     fn observation_dim(&self) -> usize {
         1
     }
@@ -239,11 +239,11 @@ impl Policy for Doubling {
 
 #[test]
 fn a_diverging_memory_is_named() {
-    let weights = Weights::<f64>::new(&Doubling, vec![1.0]);
+    let weights = Weights::<f64>::new(&Exploding, vec![1.0]);
     let mut gradients = [vec![Gradient::zeros(1)]];
-    let mut rollout = Checkpointed::new(&AngleOnly, &Doubling, 3, &[Flow::MODIFIED], Schedule::store_all(12));
+    let mut rollout = Checkpointed::new(&AngleOnly, &Exploding, 3, &[Flow::MODIFIED], Schedule::store_all(12));
     let starts = initial_states(&AngleOnly, 0, Purpose::Train, 3);
     let divergence: Divergence =
-        rollout.run(&AngleOnly, &Doubling, &weights, &starts, 1.0, 3, &mut gradients).expect_err("the memory overflows");
+        rollout.run(&AngleOnly, &Exploding, &weights, &starts, 1.0, 3, &mut gradients).expect_err("the memory overflows");
     assert!(divergence.to_string().contains("memory"), "{divergence}");
 }

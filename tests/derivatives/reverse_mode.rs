@@ -6,7 +6,7 @@ use physgrad::rng::Rng;
 use physgrad::{CotangentPack, Cotangents, Counted, Dual, Inputs, Lanes, Ops, Policy, Real, Scalar, Start, System, Task, check};
 use rand::RngExt;
 
-/// Number of states, above the number of inputs of forward mode.
+/// Number of states: more than the 16 inputs up to which forward mode computes derivatives.
 const N: usize = 20;
 
 /// Each pair of neighbouring states under one operation, `x'_i = f(x_i, x_{i+1})`.
@@ -65,7 +65,7 @@ fn every_function_has_the_derivative_of_dual_numbers() {
         let found = vjp(&system, &x, &next_bar, -0.0);
         for (i, (found, [expected, size])) in found.into_iter().zip(vjp_by_duals(&system, &x, &next_bar)).enumerate() {
             // Slopes and products are rounded a few times each. Operations that cancel, such as
-            // 1 - tanh², and compositions amplify it by less than 20.
+            // 1 - tanh², and compositions amplify the rounding by less than 20.
             assert!((found - expected).abs() <= 40.0 * f64::EPSILON * (1.0 + size), "{name} {i}: {found} for {expected}");
         }
     }
@@ -193,7 +193,8 @@ fn operations_are_those_of_values_slopes_and_cotangents() {
     }
 }
 
-/// Masses between two walls with hardening springs, parameters of each spring, and forces on two.
+/// Masses between two walls with hardening springs, a stiffness as parameter, and forces on two
+/// masses.
 struct Chain;
 
 const MASSES: usize = 12;

@@ -24,7 +24,7 @@ fn epochs_do_not_allocate_after_the_first() {
     }
 }
 
-/// Diffusion along a rod of 200 states, heated at one end, with defaults only.
+/// Diffusion along a rod of 200 states, heated at one end, with default derivatives only.
 struct Rod;
 
 const STATES: usize = 200;

@@ -30,7 +30,8 @@ fn taken(rule: &str, bytes: &mut [u8]) -> Result<(), String> {
     session.epoch().map(drop).map_err(|error| error.to_string())
 }
 
-/// Damages each byte of the body in several ways. No damage causes a panic.
+/// Damages each byte of the contents in several ways. No damage causes a panic. The contents follow
+/// 14 bytes: magic number, format number and checksum.
 #[test]
 fn whatever_byte_is_damaged_an_epoch_runs_or_the_checkpoint_is_refused() {
     for (rule, paused) in [("adam", false), ("adam", true), ("adagrad", true)] {

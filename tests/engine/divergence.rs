@@ -12,10 +12,10 @@ use physgrad::{
 enum Fault {
     /// Component 1 becomes infinite in step 5 of the samples that start above 0.5.
     State,
-    /// The cost of those samples is NaN.
+    /// The cost of the samples that start above 0.5 is NaN.
     Cost,
-    /// Those samples take a square root at 0 in step 3. Its value is finite, its derivative
-    /// infinite.
+    /// In step 3, samples that start above 0.5 take a square root at 0. The value is finite, the
+    /// derivative infinite.
     Cotangent,
     /// As `Cotangent`, with respect to the control.
     ControlCotangent,

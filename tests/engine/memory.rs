@@ -60,7 +60,7 @@ fn scheduled<F: Float, T: Task, P: Policy>(
     let mut rollout = Checkpointed::new(task, policy, samples + 1, flows, schedule);
     let mut gradients = [vec![Gradient::zeros(policy.param_count()); flows.len()]];
     let starts = starts::<F, T>(task, samples);
-    // The first run has one more sample. Its remains in the buffers must not affect the second run.
+    // The first run has one more sample. Values left in the buffers must not affect the second run.
     let more = [&starts[..], &starts[..starts.len() / samples]].concat();
     for starts in [&more, &starts] {
         rollout.run(task, policy, &weights, starts, F::from_f64(0.5), samples + 1, &mut gradients)?;

@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-# Files without physics: dispatch, limits of settings, and a solver.
+# Files without physics: dispatch, limits of settings, and solvers.
 WITHOUT = {"masses.rs", "model.rs", "scheme.rs", "hard.rs", "loss.rs", "riccati.rs", "factor.rs"}
 # Local variables with constants, per file.
 NAMED = {

@@ -6,9 +6,10 @@ use physgrad::optimize::{Initial, Options, Plan, optimize};
 use physgrad::tasks::Lqr;
 use std::f64::consts::PI;
 
-/// Checks the conditions at a plan: the gradient vanishes between the bounds, and points outwards
-/// at them; a single allowed control has no condition. Returns the numbers of controls at the lower
-/// bound, between the bounds, and at the upper bound.
+/// Checks the conditions at a plan. Between the bounds, the gradient vanishes. At a bound, the
+/// negative gradient points outwards. A control whose bounds are equal has no condition.
+///
+/// Returns the numbers of controls at the lower bound, between the bounds, and at the upper bound.
 fn kkt(plan: &Plan, bounds: &[[f64; 2]], gradient: &[f64], tolerance: f64) -> [usize; 3] {
     let mut counts = [0; 3];
     for (i, (&u, &gradient)) in plan.u.iter().zip(gradient).enumerate() {
@@ -66,7 +67,8 @@ fn each_control_has_its_bounds() {
     }
 }
 
-/// Half of the torque that holds the pendulum horizontally: it has to swing back and forth.
+/// The limit is about half of the torque that holds the pendulum horizontally. The pendulum
+/// therefore swings back and forth.
 #[test]
 fn weak_torque_swings_up_a_pendulum() {
     let (task, limit) = (Pendulum { dt: 0.05, horizon: 100 }, 5.0);

@@ -140,7 +140,7 @@ impl Task for Coupled {
     }
 }
 
-/// One state without control of its growth: `x' = x² + u`, cost of the last state alone.
+/// One state that grows by squaring, `x' = x² + u`. Only the last state has a cost.
 pub struct Explosive;
 
 impl System for Explosive {

@@ -1,4 +1,4 @@
-//! Initial controls, warm starts, and the promise never to return a worse trajectory.
+//! Initial controls, warm starts, and results that are never worse than the start.
 
 use super::problems::{Explosive, SwingUp};
 use physgrad::optimize::{Initial, Options, Stop, optimize};

@@ -1,4 +1,4 @@
-//! The task to follow a plan.
+//! [`Tracking`]: the task to follow a plan.
 
 use super::problems::{Coupled, Pendulum, SwingUp};
 use physgrad::optimize::{Initial, OptimizeError, Options, Plan, Tracking, optimize};

@@ -155,7 +155,7 @@ fn the_exact_model_keeps_energy_and_the_authors_does_not() {
     // First order: a tenth of the step gives a tenth of the drift.
     let (coarse, fine) = (drift(exact, 1e-3), drift(exact, 1e-4));
     assert!(fine < 1e-3 && (8.0..12.0).contains(&(coarse / fine)), "{coarse:e}, {fine:e}");
-    assert!(drift(simple, 1e-4) > 20.0 * fine, "what poles do to each other is missing there");
+    assert!(drift(simple, 1e-4) > 20.0 * fine, "the uncoupled model omits the forces between poles");
 }
 
 #[test]

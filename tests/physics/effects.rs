@@ -311,7 +311,7 @@ fn typed_and_listed_effects_have_the_same_bits() {
     let system = CoupledCartPole(system);
     same_bits(&swing(Forced { system, effects }), &swing(Forced { system, effects: list }));
 
-    // Local effects alone, before others, and after others.
+    // Friction alone, before wind, and after wind.
     let (pole, cart, wind) = (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
     let list: [CartPoleEffect; 3] = [pole.into(), cart.into(), wind.into()];
     let system = cart_pole(3);

@@ -192,7 +192,7 @@ fn whole_rollouts_of_every_flow() {
 }
 
 #[test]
-fn steps_are_as_exact_as_one_is_long() {
+fn long_steps_are_as_exact_as_short_ones() {
     for restitution in [0.5, 0.8, 1.0] {
         let after = |dt: f64| {
             let ball = BouncingBall { contact: Contact::TimeOfImpact { restitution }, dt, ..BouncingBall::default() };

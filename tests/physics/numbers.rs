@@ -40,12 +40,13 @@ fn derivatives_by_varied_numbers_are_exact() {
     check::system(&all);
 }
 
-/// A system with drawn numbers steps like a system with these numbers fixed.
+/// A system whose numbers are parameters of the rollout steps like a system with these numbers
+/// fixed.
 #[test]
-fn a_drawn_number_acts_as_the_same_fixed_number() {
+fn a_number_as_parameter_acts_as_a_fixed_number() {
     let x = [0.4, -0.3, 0.5, 1.1, -0.7, 0.6];
     let fixed = |value: f64| Number::Fixed(1.1 * value);
-    let drawn = |value: f64| Number::Trained { start: 1.1 * value, min: 0.0, max: f64::INFINITY };
+    let trained = |value: f64| Number::Trained { start: 1.1 * value, min: 0.0, max: f64::INFINITY };
     let model = |of: &dyn Fn(f64) -> Number| CartPoleSystem {
         poles: 2,
         cart_mass: of(1.0),
@@ -56,8 +57,8 @@ fn a_drawn_number_acts_as_the_same_fixed_number() {
     };
     for kind in [CartPoleModel::Uncoupled, |model| CartPoleModel::Coupled(CoupledCartPole(model))] {
         let expected = Forced { system: kind(model(&fixed)), effects: effects(fixed) };
-        let system = Forced { system: kind(model(&drawn)), effects: effects(drawn) };
-        // The first parameter of the fixed system is t₀ of the gusts.
+        let system = Forced { system: kind(model(&trained)), effects: effects(trained) };
+        // The only parameter of the fixed system is t₀ of the gusts.
         let mut p = vec![0.37; system.param_dim()];
         for varied in system.varied(p.len()) {
             p[varied.index] = varied.number.nominal();
@@ -76,14 +77,15 @@ fn a_drawn_number_acts_as_the_same_fixed_number() {
 fn fixed_numbers_cost_nothing() {
     let fixed = Forced { system: CartPoleSystem::default(), effects: PoleDamping { damping: 0.1.into() } };
     let cost = OpCount::of(&fixed);
-    // 10 operations per pole beyond those of the system would be a product and a difference.
+    // The friction of the single pole adds a product and a difference.
     let plain = OpCount::of(&CartPoleSystem::default());
     assert_eq!(cost.step.total() - plain.step.total(), 2, "one product and one difference");
     let half = Forced { effects: PoleDamping { damping: RANGE }, ..fixed };
     assert_eq!(OpCount::of(&half).step, cost.step, "an entry of p replaces a constant");
 }
 
-/// The share of draws below the median is binomial: within five standard deviations of one half.
+/// The number of draws below a threshold is binomial: the share is within five standard deviations
+/// of its expected value.
 #[test]
 fn draws_have_their_distribution() {
     let rng = &mut stream(0, Purpose::Check, 7);

@@ -29,7 +29,7 @@ fn effects_may_depend_on_time() {
     assert_eq!((system.state_dim(), system.param_dim()), (16, 1));
     check_lively(&system);
     let x: Vec<f64> = (0..16).map(|i| Scalar::sin(f64::from(i + 1))).collect();
-    // The phase shifts the time: 0.0625 s per step.
+    // The phase is added to the time. A step takes 0.0625.
     let after = |t: usize, phase: f64| {
         let mut next = vec![f64::NAN; 16];
         system.step(Inputs { t, p: &[phase], ..Inputs::new(&x, &[1.0]) }, &mut next);
@@ -105,7 +105,8 @@ fn lists_equal_tuples_and_zero_effects_change_nothing() {
     }
 }
 
-/// Returns the operations of a step, `vjp`, `vjp_state` and `vjp_control`.
+/// Returns the operations of a step, and of its `vjp` to state and control, to the state only, and
+/// to the control only.
 fn counts<S: System>(system: &S) -> [Ops; 4] {
     let n = system.state_dim();
     let x: Vec<Counted> = (0..n).map(|i| Counted(Scalar::sin(i as f64))).collect();

@@ -1,4 +1,4 @@
-//! The program's interface is a contract: files, headers, messages, exit codes.
+//! Interface of the program: files, headers, messages, exit codes.
 
 use crate::running::{SMALL, error_of, physgrad, train};
 use std::collections::BTreeMap;
@@ -64,18 +64,18 @@ fn a_training_leaves_every_file() {
 #[test]
 fn a_saved_run_is_animated_from_any_test_state() {
     let dir = TempDir::new().expect("a folder");
-    let (run, film) = (dir.path().join("run"), |path: &Path| fs::read(path.join("animation.svg")).expect("a film"));
+    let (run, animation) = (dir.path().join("run"), |path: &Path| fs::read(path.join("animation.svg")).expect("an animation"));
     train(&run, &["--epochs", "1"]).assert().success();
-    let first = film(&run);
+    let first = animation(&run);
     let animate = |args: &[&str]| {
         let mut command = physgrad(&["animate"]);
         command.arg(dir.path().join("run")).args(args);
         command
     };
     animate(&["--sample", "3"]).assert().success();
-    assert_ne!(film(&run), first, "another start state");
+    assert_ne!(animation(&run), first, "another initial state");
     animate(&[]).assert().success();
-    assert_eq!(film(&run), first, "what `train` leaves is the film of sample 0");
+    assert_eq!(animation(&run), first, "`train` animates sample 0");
     let text = error_of(&mut animate(&["--sample", "100000"]));
     assert!(text.contains("--sample is 100000; allowed: 0 to "), "{text}");
 
@@ -84,8 +84,8 @@ fn a_saved_run_is_animated_from_any_test_state() {
         .arg(&compare)
         .assert()
         .success();
-    let films = physgrad(&["animate"]).arg(&compare).output().expect("it runs");
-    assert_eq!(String::from_utf8_lossy(&films.stdout).lines().count(), 2, "one film a run");
+    let output = physgrad(&["animate"]).arg(&compare).output().expect("it runs");
+    assert_eq!(String::from_utf8_lossy(&output.stdout).lines().count(), 2, "one animation per run");
     let text = error_of(physgrad(&["animate"]).arg(dir.path()));
     assert!(text.contains("holds 2 runs or comparisons; choose one"), "{text}");
     let nothing = dir.path().join("nothing");

@@ -107,7 +107,7 @@ fn parts_add_up_to_the_whole() {
         let sum = total("system alone", pass) + parts.map(|part| total(part, pass)).into_iter().sum::<i64>();
         assert_eq!(sum - total("counted twice", pass), total("together", pass));
     }
-    assert!(total("counted twice", 1) > 0, "either actuator needs what the limit hands to the lag");
+    assert!(total("counted twice", 1) > 0, "the counts of limit and lag both include their boundary");
 }
 
 #[test]

@@ -35,7 +35,6 @@ fn error(args: &[&str], folder: &Path) -> String {
 fn every_command_takes_the_task_of_the_user() {
     let dir = TempDir::new().expect("a folder");
     let run = |args: &[&str]| output(args, dir.path());
-    // Without a command, the program trains the task of the user with its default settings.
     run(&["train", "ball_beam", "--epochs", "4", "--quiet", "--out", "run"]);
     let state = "r,r_dot,alpha,alpha_dot,torque";
     let trajectory = std::fs::read_to_string(dir.path().join("run/trajectory.csv")).expect("a trajectory");
@@ -76,7 +75,7 @@ fn every_command_takes_the_task_of_the_user() {
 }
 
 #[test]
-fn the_library_and_the_program_train_the_same_policy() {
+fn policies_depend_on_settings_and_not_on_threads() {
     let dir = TempDir::new().expect("a folder");
     let trained = |name: &str, more: &[&str]| {
         let args = ["train", "ball_beam", "--epochs", "3", "--quiet", "--out", name];
@@ -98,7 +97,7 @@ fn wrong_settings_of_a_task_name_what_is_allowed() {
     assert!(error(&["train", "ball_bean"], dir.path()).contains("ball_beam"));
 }
 
-/// Runs `physgrad new` in a temporary folder.
+/// Returns the command `physgrad new`, to run in this folder.
 fn new(args: &[&str], folder: &Path) -> Command {
     let mut command = Command::cargo_bin("physgrad").expect("the program is built");
     command.arg("new").args(args).current_dir(folder);

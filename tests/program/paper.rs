@@ -47,7 +47,7 @@ fn a_trained_figure_has_a_row_for_every_run_and_every_case() {
         assert_eq!(read(&dir.path().join(format!("{figure}.csv"))).lines().count(), 1 + cases * clips * fields * seeds);
         let table = read(&dir.path().join(format!("{figure}.md")));
         assert_eq!(table.lines().filter(|line| line.starts_with('|')).count(), 2 + cases * clips * fields);
-        assert!(table.contains("geometric means over the seeds"), "and what it shows");
+        assert!(table.contains("geometric means over the seeds"), "the table has a note");
         assert!(table.contains(panel) && read(&dir.path().join(format!("{figure}.svg"))).contains(panel));
     }
 }
@@ -80,7 +80,7 @@ fn an_interrupted_figure_resumes_to_identical_results() {
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(text.contains("already has 3 epochs, but `epochs` is 1"), "{text}");
     let kept = dir.path().join("once");
-    assert_eq!((read(&kept.join("fig3.svg")), read(&kept.join("fig3.md"))), once, "what was there is still there");
+    assert_eq!((read(&kept.join("fig3.svg")), read(&kept.join("fig3.md"))), once, "earlier results are unchanged");
 }
 
 #[test]

@@ -96,8 +96,8 @@ fn cells(page: &str) -> Vec<Vec<&str>> {
 }
 
 /// Returns the animations on the page, decoded.
-fn films(page: &str) -> Vec<String> {
-    let decoded = |film: &&str| String::from_utf8(BASE64_STANDARD.decode(film).expect("base64")).expect("text");
+fn animations(page: &str) -> Vec<String> {
+    let decoded = |animation: &&str| String::from_utf8(BASE64_STANDARD.decode(animation).expect("base64")).expect("text");
     between(page, "data:image/svg+xml;base64,", "\"").iter().map(decoded).collect()
 }
 
@@ -138,7 +138,7 @@ fn a_run_has_a_complete_page() {
     assert_ne!(growth[2].1, growth[3].1);
     let row = &cells(&page)[0];
     assert_eq!((row[0], row[3], row[5]), ("4", &*format!("{:.3e}", rows[3][3]), "0"));
-    assert_eq!(films(&page), [fs::read_to_string(out.join("animation.svg")).expect("a film")]);
+    assert_eq!(animations(&page), [fs::read_to_string(out.join("animation.svg")).expect("an animation")]);
 
     assert!(report(&out) == page, "the same bytes");
     train(&out, &["--epochs", "1"]).assert().success();
@@ -185,22 +185,22 @@ fn a_comparison_has_a_page_with_the_table_it_printed() {
     assert_eq!(labels(&diagram(&page, "Growth of the adjoint before training")), ["R", "M"]);
     assert_eq!(labels(&diagram(&page, "Growth of M as trained")), ["R seed 9", "C seed 9"]);
 
-    let film = |run: &str| -> PathBuf { dir.path().join("runs").join(run).join("animation.svg") };
-    assert_eq!(films(&page), ["R-9", "C-9"].map(|run| fs::read_to_string(film(run)).expect("a film")));
-    fs::remove_file(film("C-9")).expect("it was there");
-    assert!(report(dir.path()) == page, "a film that is not there is made");
+    let file = |run: &str| -> PathBuf { dir.path().join("runs").join(run).join("animation.svg") };
+    assert_eq!(animations(&page), ["R-9", "C-9"].map(|run| fs::read_to_string(file(run)).expect("an animation")));
+    fs::remove_file(file("C-9")).expect("it was there");
+    assert!(report(dir.path()) == page, "the page does not need the file of an animation");
 }
 
 #[test]
 fn a_page_shows_the_current_policy() {
     let dir = TempDir::new().expect("a folder");
     train(dir.path(), &["--epochs", "1"]).assert().success();
-    let film = fs::read_to_string(dir.path().join("animation.svg")).expect("a film");
+    let animation = fs::read_to_string(dir.path().join("animation.svg")).expect("an animation");
     let page = report(dir.path());
     // Animates another sample. The animation in the folder then differs from that of the page.
     physgrad(&["animate", "--sample", "3"]).arg(dir.path()).assert().success();
-    assert_ne!(fs::read_to_string(dir.path().join("animation.svg")).expect("a film"), film);
-    assert!(report(dir.path()) == page && films(&page) == [film]);
+    assert_ne!(fs::read_to_string(dir.path().join("animation.svg")).expect("an animation"), animation);
+    assert!(report(dir.path()) == page && animations(&page) == [animation]);
 }
 
 #[test]

@@ -102,10 +102,10 @@ fn a_file_says_only_what_differs() {
     let settings = settings(&out);
     assert_eq!(settings["system"]["cart_mass"].as_float(), Some(2.0));
     assert_eq!(settings["system"]["poles"].as_integer(), Some(2), "as the task has it");
-    assert!(!settings.contains_key("effects") && !settings.contains_key("actuator"), "nothing that is absent is written");
-    assert!(settings["training"].get("clip_limit").is_none(), "nor what nothing reads");
+    assert!(!settings.contains_key("effects") && !settings.contains_key("actuator"), "absent sections are not written");
+    assert!(settings["training"].get("clip_limit").is_none(), "an unused setting is not written");
 
-    // Other commands that accept a scene file.
+    // `compare` and `check` also accept a scene file.
     let compare = dir.path().join("compare");
     physgrad(&["compare"])
         .arg(&file)

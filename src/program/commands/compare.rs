@@ -98,7 +98,8 @@ struct InScene<'a> {
     runs: Vec<Outcome<'a>>,
 }
 
-/// Okabe-Ito colours, one per scene and field. With a single scene, curves have the field's colour.
+/// Okabe-Ito colours with grey in place of yellow, one per scene and field. With a single scene,
+/// curves have the field's colour.
 const COLORS: [&str; 8] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999"];
 
 /// One curve per scene and field.

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The task of `examples/own_program.rs`, renamed in new crates.
+/// The task of `examples/own_program.rs`. A new crate replaces the names of its type and task.
 const EXAMPLE: &str = include_str!("../../../examples/own_program.rs");
 const EXAMPLE_TYPE: &str = "BallBeam";
 const EXAMPLE_TASK: &str = "\"ball_beam\"";
@@ -84,7 +84,7 @@ opt-level = 3
 fn source(name: &str) -> String {
     let words = name.split('_').filter(|word| !word.is_empty());
     let type_name: String = words.map(|word| word[..1].to_uppercase() + &word[1..]).collect();
-    // Without the header, which names the command of the example.
+    // Omits the header, which contains the command of the example.
     let body = EXAMPLE.split_once("\n\n").map_or(EXAMPLE, |(_, body)| body);
     let body = body.replace(EXAMPLE_TYPE, &type_name).replace(EXAMPLE_TASK, &format!("{name:?}"));
     HEADER.replace("NAME", name) + &body + &TEST.replace("TYPE", &type_name)

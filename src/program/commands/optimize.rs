@@ -113,7 +113,7 @@ pub fn optimize(args: &Optimize) -> Result<()> {
 /// Test initial states. With `--from`, rollouts of the trained policy.
 ///
 /// # Errors
-/// The test set is smaller, or a rollout of the policy diverges.
+/// `--starts` is 0 or exceeds the test set, or a rollout of the policy diverges.
 fn starts(args: &Optimize, scene: &Scene) -> Result<Vec<Trajectory>> {
     let mut run = scene.open(1)?;
     if let Some(path) = &args.from {
@@ -132,7 +132,8 @@ fn starts(args: &Optimize, scene: &Scene) -> Result<Vec<Trajectory>> {
     }
 }
 
-/// Bounds in the order of the controls, infinite for controls that no argument names.
+/// Bounds in the order of the controls, infinite for controls that no argument names. None without
+/// arguments.
 fn bounds(arguments: &[String], names: &[String]) -> Result<Option<Vec<[f64; 2]>>> {
     let mut bounds = vec![[f64::NEG_INFINITY, f64::INFINITY]; names.len()];
     for argument in arguments {
@@ -161,7 +162,7 @@ fn trajectory(plan: &Plan) -> Trajectory {
     }
 }
 
-/// One row per initial state.
+/// `optimized.csv`: one row per initial state.
 fn summary(plans: &[Plan]) -> Result<Vec<u8>> {
     let header = ["sample", "initial_cost", "cost", "iterations", "rollouts", "gradient_norm", "stop"];
     let rows = plans.iter().enumerate().map(|(i, plan)| {
@@ -171,7 +172,8 @@ fn summary(plans: &[Plan]) -> Result<Vec<u8>> {
     csv(header, rows)
 }
 
-/// One row per initial state and step: the gains `K_t` of the feedback `u_t + K_t (x - x_t)`.
+/// `gains.csv`: one row per initial state and step, with the gains `K_t` of the feedback
+/// `u_t + K_t (x - x_t)`.
 fn gains(plans: &[Plan], scene: &Scene) -> Result<Vec<u8>> {
     let (states, controls) = (scene.state_names(), scene.control_names());
     let columns = controls.iter().flat_map(|control| states.iter().map(move |state| format!("{control} by {state}")));

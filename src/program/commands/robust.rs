@@ -20,8 +20,7 @@ pub struct Robust {
     /// Folders of trained runs of one task
     #[arg(required = true)]
     pub runs: Vec<PathBuf>,
-    /// Setting and its values, as in system.cart_mass=0.5:2:7 (from 0.5 to 2 in 7 steps); one or
-    /// two
+    /// Setting and its values, as in system.cart_mass=0.5:2:7 (7 values from 0.5 to 2); one or two
     #[arg(long, value_name = "KEY=LOW:HIGH:COUNT", required = true, value_parser = Axis::parse)]
     pub grid: Vec<Axis>,
     /// Number of initial states per grid point
@@ -63,7 +62,7 @@ struct Cell {
     run: usize,
     /// Value of each setting.
     at: Vec<f64>,
-    /// Quartiles and 90 % quantile of the losses; infinite if that share of rollouts diverged.
+    /// Quartiles and 90 % quantile of the losses. The loss of a diverged rollout is infinite.
     quantiles: [f64; 4],
     diverged: usize,
 }
@@ -141,6 +140,7 @@ impl Policy {
     }
 }
 
+/// Header and rows of `robust.csv`.
 fn rows<'a>(args: &'a Robust, runs: &'a [Policy], cells: &'a [Cell]) -> (Vec<String>, impl Iterator<Item = Vec<String>>) {
     let mut header = vec!["run".to_owned()];
     header.extend(args.grid.iter().map(|axis| axis.key.clone()));

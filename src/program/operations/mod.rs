@@ -1,7 +1,8 @@
 //! Computations that need the concrete types of a task and its policy: sessions, checks,
-//! simulations, gradients, costs.
+//! simulations, gradients, costs, evaluation, identification and trajectory optimization.
 //!
-//! Each implements [`Visit`]. Imports `platform` and `settings`. Start with `session`.
+//! A visitor, which implements [`Visit`], starts each computation. Imports `platform` and
+//! `settings`. Start with `session`.
 
 pub mod adjoint_norms;
 pub mod checks;

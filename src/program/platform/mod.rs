@@ -1,4 +1,4 @@
-//! Services of the operating system: files, folders and their locks, signals, threads, terminal.
+//! Files, folders and their locks, CSV, signals, threads, terminal.
 //!
 //! Imports no other part of the program. Start with `folder`.
 

@@ -47,6 +47,7 @@ fn row<const N: usize>(fields: [impl AsRef<[u8]>; N]) -> Result<String> {
     Ok(String::from_utf8(csv.into_inner()?)?)
 }
 
+/// Columns of `metrics.csv`.
 pub const METRICS_HEADER: [&str; 13] = [
     "epoch",
     "loss",
@@ -63,6 +64,7 @@ pub const METRICS_HEADER: [&str; 13] = [
     "worst_window_M",
 ];
 
+/// Row of an epoch in `metrics.csv`. Absent values are empty.
 pub fn metrics_row(record: &Record) -> [String; 13] {
     let Record { epoch, loss, train_loss, test_loss, grad_norm, cosine, kept, skipped, seconds, .. } = record;
     let growth = |growth: Option<Growth>| {

@@ -45,7 +45,7 @@ pub fn read<T: for<'de> Deserialize<'de>>(table: Table) -> Result<T, Unreadable>
     T::deserialize(Reading(&Value::Table(table)))
 }
 
-/// Reads types as another type. The visitor checks the range.
+/// Reads the types on the left like the type on the right. The visitor checks the range.
 macro_rules! read_as {
     ($($($method:ident)+: $other:ident;)+) => {$($(
         fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
@@ -54,8 +54,7 @@ macro_rules! read_as {
     )+)+};
 }
 
-/// Deserializer of a value. Each type of setting requests one type of value, which limits
-/// monomorphization.
+/// Deserializer of a value. Most methods accept one type of value, which limits monomorphization.
 struct Reading<'a>(&'a Value);
 
 impl Reading<'_> {

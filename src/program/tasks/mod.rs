@@ -4,7 +4,7 @@
 //! a task. [`Settings`] are the sections of one task; [`Scene`] hides the type of the task.
 //! [`all`] lists the built-in tasks and those of the user, which implement [`ProgramTask`].
 //!
-//! Imports `platform`, `settings` and `operations`. Start with `cart_pole`.
+//! Imports `settings` and `operations`. Start with `cart_pole`.
 
 mod cart_pole;
 mod effects;

@@ -4,8 +4,8 @@ use super::*;
 
 type Pull = fn(usize, usize, [f64; 2], f64) -> [f64; 2];
 
-/// Returns effects of pairs, with the acceleration of agent `k` due to agent `i` as a function of
-/// `k`, `i`, their separation and the softened distance.
+/// Returns effects of pairs, with the acceleration of agent `k` due to agent `i`. The acceleration
+/// is a function of `k`, `i`, their separation and the softened distance.
 fn between() -> Vec<(GuidanceEffect, Pull)> {
     fn times(by: f64, [x, y]: [f64; 2]) -> [f64; 2] {
         [by * x, by * y]

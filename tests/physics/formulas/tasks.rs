@@ -32,7 +32,7 @@ fn costs_of<T: Task>(what: &str, task: &T, on_the_way: impl Fn(&[f64], &[f64]) -
 }
 
 #[test]
-fn every_task_has_its_price() {
+fn costs_equal_their_formulas() {
     let none = |_: &[f64], _: &[f64]| 0.0;
     let height = |angles: &[f64]| angles.iter().map(|theta| 1.0 - theta.cos()).sum::<f64>() / angles.len() as f64;
     let swing = CartPole { horizon: 5, ..CartPole::with_system(model(2)) };
@@ -88,13 +88,13 @@ fn every_task_has_its_price() {
     // Integral of (|x|² + u²)/2. The terminal cost is the minimal remaining cost, by Riccati's
     // equation.
     for (mut lqr, dt) in [(Lqr::spring(), 0.1), (Lqr::upright_cart_pole(), 0.01)] {
-        let price = |x: &[f64], u: &[f64]| dt * 0.5 * x.iter().chain(u).map(|x| x * x).sum::<f64>();
+        let cost = |x: &[f64], u: &[f64]| dt * 0.5 * x.iter().chain(u).map(|x| x * x).sum::<f64>();
         lqr.horizon = 5;
-        costs_of("regulator", &lqr, price, |x| {
+        costs_of("regulator", &lqr, cost, |x| {
             let gain = &lqr.optimum().gain;
             let u = [gain.iter().zip(x).map(|(gain, x)| gain * x).sum::<f64>()];
             let next = step(lqr.system(), x, &u);
-            price(&next, &u) + lqr.terminal_cost(&next, &[])
+            cost(&next, &u) + lqr.terminal_cost(&next, &[])
         });
     }
 }

@@ -40,7 +40,9 @@ pub struct Derivative {
     pub error: Result<f64, String>,
     /// Share of all components with the same sign as in f64.
     pub signs: Option<f64>,
+    /// Seconds for a whole gradient: lowest, median and highest.
     pub seconds: [f64; 3],
+    /// Peak memory in bytes.
     pub bytes: usize,
 }
 
@@ -62,8 +64,11 @@ impl Derivative {
 /// Reverse pass of R within a memory budget.
 pub struct Checkpoint {
     pub horizon: usize,
+    /// Memory budget in bytes.
     pub budget: u64,
+    /// Peak memory in bytes.
     pub bytes: usize,
+    /// Seconds for the gradient: lowest, median and highest.
     pub seconds: [f64; 3],
     /// True if the gradient is bitwise equal to the gradient without a budget, or the message of an
     /// error.

@@ -248,7 +248,8 @@ fn folder(number: u64, outcomes: &mut Outcomes) {
     let _ = fs::remove_dir_all(&path);
 }
 
-/// Creates the folder.
+/// Creates the folder of a run of a preset, with small sizes. Damages the preset or a file of the
+/// run in most cases.
 fn create(rng: &mut Rng, path: &Path) -> Result<()> {
     let mut text = preset(rng).as_bytes().to_vec();
     for _ in 0..rng.random_range(0..3) {
@@ -282,7 +283,7 @@ fn create(rng: &mut Rng, path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Uses the folder.
+/// Reports, animates and resumes the run in the folder.
 fn use_folder(path: &Path) -> Result<()> {
     report::report(&Report { folder: path.to_owned(), quiet: true })?;
     animate::animate(&Animate { folder: path.to_owned(), sample: 0, quiet: true })?;

@@ -3,9 +3,9 @@
 "use strict";
 
 const SVG = "http://www.w3.org/2000/svg";
-// Largest number of values shown at once, those nearest to the pointer.
-// Largest distance from the end of a curve at which it still has a value, in units of the chart.
+// Largest number of values shown at once. Values nearest to the pointer take precedence.
 const MOST_ROWS = 8;
+// Largest distance from the end of a curve at which it still has a value, in units of the chart.
 const NEAR = 12;
 
 const element = (name, attributes, parent) => {

@@ -65,7 +65,7 @@ fn document(title: &str, folder: &str, run: &Inspected, trouble: &[String], cont
             head {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
-                // Forbids network requests for any content of a settings file or an animation.
+                // Forbids network requests, whatever a settings file or an animation contains.
                 meta http-equiv="Content-Security-Policy"
                     content="default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:";
                 title { (title) " (" (folder) ")" }
