@@ -22,3 +22,14 @@ fn the_page_on_scenes_shows_the_example_of_an_effect_as_it_is() {
     assert!(page.contains(&format!("```rust\n{example}```")), "docs/scenes.md and examples/own_effect.rs differ");
     assert!(example.lines().count() < 80, "an effect and its training have fewer than 80 lines");
 }
+
+#[test]
+fn the_page_on_scenes_shows_lines_of_the_example_of_a_scene_effect() {
+    let page = include_str!("../../docs/scenes.md");
+    let example = include_str!("../../examples/scene_effect.rs");
+    let section = page.split("## Custom effects in scenes").nth(1).expect("the section");
+    let block = section.split("```").nth(1).expect("a block of code");
+    for line in block.lines().skip(1) {
+        assert!(example.lines().any(|of_example| of_example == line), "{line} is no line of examples/scene_effect.rs");
+    }
+}

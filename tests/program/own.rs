@@ -1,32 +1,44 @@
-//! The program for a task of the user: `examples/own_program.rs`.
+//! Programs of the user: `examples/own_program.rs` with a task, `examples/scene_effect.rs` with
+//! effects.
 
 use assert_cmd::Command;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use tempfile::TempDir;
 
-/// The example, built in the profile of this test.
-static PROGRAM: LazyLock<PathBuf> = LazyLock::new(|| {
+static PROGRAM: LazyLock<PathBuf> = LazyLock::new(|| example("own_program"));
+static WITH_EFFECTS: LazyLock<PathBuf> = LazyLock::new(|| example("scene_effect"));
+
+/// An example, built in the profile of this test.
+fn example(name: &str) -> PathBuf {
     let mut build = std::process::Command::new(env!("CARGO"));
-    build.args(["build", "--quiet", "--example", "own_program"]);
+    build.args(["build", "--quiet", "--example", name]);
     if !cfg!(debug_assertions) {
         build.arg("--release");
     }
     assert!(build.current_dir(env!("CARGO_MANIFEST_DIR")).status().expect("cargo runs").success());
     let tests = std::env::current_exe().expect("the path of this test");
-    tests.ancestors().nth(2).expect("a target folder").join("examples/own_program")
-});
+    tests.ancestors().nth(2).expect("a target folder").join("examples").join(name)
+}
 
 /// Runs the program and returns its standard output.
 fn output(args: &[&str], folder: &Path) -> String {
-    let output = Command::new(&*PROGRAM).args(args).current_dir(folder).output().expect("it runs");
+    output_of(&PROGRAM, args, folder)
+}
+
+fn output_of(program: &Path, args: &[&str], folder: &Path) -> String {
+    let output = Command::new(program).args(args).current_dir(folder).output().expect("it runs");
     assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).expect("text")
 }
 
 /// Runs the program, which fails, and returns its standard error.
 fn error(args: &[&str], folder: &Path) -> String {
-    let output = Command::new(&*PROGRAM).args(args).current_dir(folder).output().expect("it runs");
+    error_of(&PROGRAM, args, folder)
+}
+
+fn error_of(program: &Path, args: &[&str], folder: &Path) -> String {
+    let output = Command::new(program).args(args).current_dir(folder).output().expect("it runs");
     assert!(!output.status.success(), "{args:?} should fail");
     String::from_utf8(output.stderr).expect("text")
 }
@@ -95,6 +107,41 @@ fn wrong_settings_of_a_task_name_what_is_allowed() {
     assert!(message("system.ball=-1").contains("`system.ball` is not allowed: choose a positive number"));
     assert!(message("integrator.method=\"rk4\"").contains("native"));
     assert!(error(&["train", "ball_bean"], dir.path()).contains("ball_beam"));
+}
+
+#[test]
+fn scenes_name_effects_of_the_user() {
+    let dir = TempDir::new().expect("a folder");
+    let run = |args: &[&str]| output_of(&WITH_EFFECTS, args, dir.path());
+    let failed = |args: &[&str]| error_of(&WITH_EFFECTS, args, dir.path());
+    // An effect of a built-in task, beside a built-in one, with a number that is drawn.
+    let scene = "scene = 1\ntask = \"cart_pole\"\n[effects.gusty_wind]\nspeed = 3\n\
+                 [vary]\n\"effects.eddy_brake.force\" = { uniform = [1.0, 8.0] }\n";
+    std::fs::write(dir.path().join("brake.toml"), scene).expect("a scene");
+    run(&["check", "brake.toml"]);
+    run(&["train", "brake.toml", "--epochs", "2", "--quiet", "--out", "run"]);
+    run(&["train", "run/run.toml", "--resume", "--epochs", "3", "--quiet", "--out", "run"]);
+    run(&["report", "run"]);
+    let trajectory = std::fs::read_to_string(dir.path().join("run/trajectory.csv")).expect("a trajectory");
+    assert!(trajectory.contains("start_of_gusts,effects.eddy_brake.force,force"), "{}", &trajectory[..200]);
+    run(&["train", "brake.toml", "--epochs", "1", "--quiet", "--without", "eddy_brake", "--out", "without"]);
+    assert!(run(&["schema"]).contains("Largest force, N."));
+    // The effect of a task of the user. `explain` counts its product and its sum.
+    let explained = run(&["explain", "puck", "--set", "effects.spring.stiffness=3"]);
+    let row = explained.lines().find(|line| line.contains("effects.spring") && line.contains("┆ step")).expect("a row");
+    assert_eq!(row.split('┆').nth(2).map(str::trim), Some("2"), "{row}");
+    let trained = |name: &str, more: &[&str]| {
+        run(&[&["train", "puck", "--epochs", "1", "--quiet", "--out", name], more].concat());
+        std::fs::read(dir.path().join(name).join("policy.safetensors")).expect("a policy")
+    };
+    assert_ne!(trained("free", &[]), trained("held", &["--set", "effects.spring.stiffness=3"]), "the effect acts");
+
+    let message = |setting: &str| failed(&["train", "cart_pole", "--set", setting]);
+    assert!(message("effects.eddy_brake.sped=3").contains("`effects.eddy_brake.sped` is unknown; allowed: `force` or `speed`"));
+    assert!(message("effects.eddy_brake.speed=-3").contains("is not allowed: choose a positive number"));
+    assert!(message("effects.edy_brake.speed=3").contains("`bumpers`, `eddy_brake`"));
+    assert!(message("effects.spring.stiffness=3").contains("is an effect of puck, not of cart_pole"));
+    assert!(failed(&["train", "lqr", "--set", "effects.spring.stiffness=3"]).contains("allowed here: none"));
 }
 
 /// Returns the command `physgrad new`, to run in this folder.

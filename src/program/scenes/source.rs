@@ -236,8 +236,10 @@ fn explain_foreign_effect(spec: &dyn AnyTaskSpec, error: ConfigError) -> ConfigE
     let has = |spec: &dyn AnyTaskSpec| spec.effects().iter().any(|info| error.key == format!("effects.{}", info.name));
     match tasks::all().iter().find(|other| has(**other)) {
         Some(other) if !has(spec) => {
-            let allowed: Vec<&str> = spec.effects().iter().map(|info| info.name).collect();
-            let what = format!("is an effect of {}, not of {}; allowed here: {}", other.name(), spec.name(), allowed.join(", "));
+            let effects = spec.effects();
+            let names: Vec<&str> = effects.iter().map(|info| info.name).collect();
+            let allowed = if names.is_empty() { "none".into() } else { names.join(", ") };
+            let what = format!("is an effect of {}, not of {}; allowed here: {allowed}", other.name(), spec.name());
             ConfigError::new(error.key, what)
         }
         _ => error,
