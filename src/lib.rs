@@ -102,6 +102,7 @@ mod train;
 pub use check::stress;
 pub use dynamics::actuator::{Actuated, Actuator, AnyActuator, Delay, Lag, Limit, LimitKind, OutputCotangents};
 pub use dynamics::cause::Cause;
+pub use dynamics::dyn_task::{DynSystem, DynTask};
 pub use dynamics::effect::{DynEffect, Effect, Forced, ForcedSystem, HasModel, Named};
 pub use dynamics::inputs::{Cotangents, Inputs, OdeInputs, Start, Tangents};
 pub use dynamics::integrator::{

@@ -9,6 +9,7 @@
 //! - [`Number`](number::Number)s of systems and effects are fixed, drawn or trained.
 //! - [`Actuator`](actuator::Actuator)s map the control of the policy to the control of the system.
 //! - [`Task`](task::Task) adds a horizon, initial states and costs.
+//! - [`DynTask`](dyn_task::DynTask) is any task behind a pointer.
 //! - [`OpCount`](op_count::OpCount) counts the operations of a system.
 //!
 //! Imports `numbers`. Start reading in `system.rs`.
@@ -16,6 +17,7 @@
 pub(crate) mod actuator;
 pub(crate) mod cause;
 pub(crate) mod default_vjp;
+pub(crate) mod dyn_task;
 pub(crate) mod effect;
 pub(crate) mod inputs;
 pub(crate) mod integrator;

@@ -26,6 +26,14 @@ pub(crate) trait CotangentFunction {
     fn pointer<R: Real, C: Cotangent<R>>() -> Self::Pointer<R, C>;
 }
 
+/// A function that is generic in a scalar without derivatives.
+pub(crate) trait RealFunction {
+    /// Function pointer for the scalar `R`.
+    type Pointer<R: Real>: 'static;
+    /// The function for `R`.
+    fn pointer<R: Real>() -> Self::Pointer<R>;
+}
+
 /// Writes the pointer to `slot` if this is an `Option` of its type.
 fn fill<P: 'static>(slot: &mut dyn Any, pointer: fn() -> P) -> bool {
     slot.downcast_mut::<Option<P>>().map(|slot| *slot = Some(pointer())).is_some()
@@ -59,4 +67,13 @@ pub(crate) fn cotangent_pointer<G: CotangentFunction>(slot: &mut dyn Any) {
     let _found = among!(Lanes<f32, 8>: Pack<Lanes<f32, 8>, 2>, Lanes<f64, 8>: Pack<Lanes<f64, 8>, 2>)
         || among!(Lanes<f32, 8>: Pack<Lanes<f32, 8>, 1>, Lanes<f64, 8>: Pack<Lanes<f64, 8>, 1>)
         || among!(f64: Pack<f64, 1>, Single<f32>: Pack<Single<f32>, 1>, Single<f64>: Pack<Single<f64>, 1>, Counted: Counted);
+}
+
+/// Writes the pointer that `slot` has room for: `slot` is an `Option<G::Pointer<R>>`. It stays `None`
+/// for scalars outside the fixed set.
+pub(crate) fn real_pointer<G: RealFunction>(slot: &mut dyn Any) {
+    macro_rules! among {
+        ($($real:ty),+) => { $(fill(slot, G::pointer::<$real>))||+ };
+    }
+    let _found = among!(Lanes<f32, 8>, Lanes<f64, 8>, f64, Counted, Single<f32>, Single<f64>);
 }

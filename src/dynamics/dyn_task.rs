@@ -1,0 +1,341 @@
+//! [`DynTask`] and [`DynSystem`]: any task, and its system, behind a pointer.
+
+use crate::dynamics::cause::Cause;
+use crate::dynamics::inputs::{Cotangents, Inputs, Start, Tangents};
+use crate::dynamics::number::{Numbers, Varied};
+use crate::dynamics::outline::outline;
+use crate::dynamics::system::System;
+use crate::dynamics::task::Task;
+use crate::numbers::instances::{
+    CotangentFunction, RealFunction, ScalarFunction, cotangent_pointer, real_pointer, scalar_pointer,
+};
+use crate::numbers::kernels::Vectorized;
+use crate::numbers::rng::Rng;
+use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use std::any::{Any, type_name};
+use std::fmt;
+use std::marker::PhantomData;
+use std::sync::Arc;
+
+/// Any [`Task`], chosen at run time. Results are bitwise equal to those of the task.
+///
+/// ```
+/// use physgrad::tasks::CartPole;
+/// use physgrad::{DynTask, Trainer, policy::Mlp};
+///
+/// let swing_up = CartPole::new(1);
+/// for task in [DynTask::new(swing_up), DynTask::new(CartPole { horizon: 20, ..swing_up })] {
+///     Trainer::new(task, Mlp::new([4, 8, 1])).epochs(1).run()?;
+/// }
+/// # Ok::<(), physgrad::TrainError>(())
+/// ```
+///
+/// # Panics
+/// Its generic methods panic for scalars other than those of rollouts, checks, counts, references
+/// and default derivatives.
+#[derive(Clone)]
+pub struct DynTask(DynSystem);
+
+/// System of a [`DynTask`].
+#[derive(Clone)]
+pub struct DynSystem(Arc<dyn AnyTask>);
+
+impl DynTask {
+    /// Wraps a task.
+    pub fn new<T: Task + 'static>(task: T) -> Self {
+        Self(DynSystem(Arc::new(task)))
+    }
+}
+
+impl fmt::Debug for DynTask {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.0.0.name())
+    }
+}
+
+/// Object-safe [`Task`]. A method with a slot writes the instance of a generic function there.
+trait AnyTask: Send + Sync {
+    fn name(&self) -> &'static str;
+    fn as_any(&self) -> &dyn Any;
+    fn state_dim(&self) -> usize;
+    fn control_dim(&self) -> usize;
+    /// Number of parameters of the system.
+    fn system_params(&self) -> usize;
+    fn numbers(&self) -> Numbers<'_>;
+    fn varied(&self, params: usize) -> Vec<Varied>;
+    fn horizon(&self) -> usize;
+    fn param_dim(&self) -> usize;
+    fn observation_dim(&self) -> Option<usize>;
+    fn start(&self, rng: &mut Rng, start: Start<'_>);
+    fn step(&self, slot: &mut dyn Any);
+    fn vjp(&self, slot: &mut dyn Any);
+    fn jvp(&self, slot: &mut dyn Any);
+    fn diagnose(&self, slot: &mut dyn Any);
+    fn observe(&self, slot: &mut dyn Any);
+    fn observe_vjp(&self, slot: &mut dyn Any);
+    fn running_cost(&self, slot: &mut dyn Any);
+    fn running_cost_gradient(&self, slot: &mut dyn Any);
+    fn terminal_cost(&self, slot: &mut dyn Any);
+    fn terminal_cost_gradient(&self, slot: &mut dyn Any);
+}
+
+impl<T: Task + 'static> AnyTask for T {
+    fn name(&self) -> &'static str {
+        type_name::<T>()
+    }
+    fn as_any(&self) -> &dyn Any {
+        self
+    }
+    fn state_dim(&self) -> usize {
+        self.system().state_dim()
+    }
+    fn control_dim(&self) -> usize {
+        self.system().control_dim()
+    }
+    fn system_params(&self) -> usize {
+        self.system().param_dim()
+    }
+    fn numbers(&self) -> Numbers<'_> {
+        self.system().numbers()
+    }
+    fn varied(&self, params: usize) -> Vec<Varied> {
+        self.system().varied(params)
+    }
+    fn horizon(&self) -> usize {
+        Task::horizon(self)
+    }
+    fn param_dim(&self) -> usize {
+        Task::param_dim(self)
+    }
+    fn observation_dim(&self) -> Option<usize> {
+        Task::observation_dim(self)
+    }
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
+        Task::start(self, rng, start);
+    }
+    fn step(&self, slot: &mut dyn Any) {
+        scalar_pointer::<Step<T>>(slot);
+    }
+    fn vjp(&self, slot: &mut dyn Any) {
+        cotangent_pointer::<Vjp<T>>(slot);
+    }
+    fn jvp(&self, slot: &mut dyn Any) {
+        real_pointer::<Jvp<T>>(slot);
+    }
+    fn diagnose(&self, slot: &mut dyn Any) {
+        real_pointer::<Diagnose<T>>(slot);
+    }
+    fn observe(&self, slot: &mut dyn Any) {
+        scalar_pointer::<Observe<T>>(slot);
+    }
+    fn observe_vjp(&self, slot: &mut dyn Any) {
+        cotangent_pointer::<ObserveVjp<T>>(slot);
+    }
+    fn running_cost(&self, slot: &mut dyn Any) {
+        scalar_pointer::<RunningCost<T>>(slot);
+    }
+    fn running_cost_gradient(&self, slot: &mut dyn Any) {
+        real_pointer::<RunningCostGradient<T>>(slot);
+    }
+    fn terminal_cost(&self, slot: &mut dyn Any) {
+        scalar_pointer::<TerminalCost<T>>(slot);
+    }
+    fn terminal_cost_gradient(&self, slot: &mut dyn Any) {
+        real_pointer::<TerminalCostGradient<T>>(slot);
+    }
+}
+
+/// Defines a generic function of a task and the type of its pointers, whose first argument is the
+/// task. The function runs outlined.
+macro_rules! function {
+    (
+        $name:ident, $pointer:ident: $family:ident [$($bounds:tt)+] [$($params:ident),+],
+        |$task:ident: T $(, $argument:ident: $type:ty)+| $body:expr
+    ) => {
+        type $pointer<$($params),+> = for<'a> fn(&'a dyn Any $(, $type)+);
+
+        struct $name<T>(PhantomData<T>);
+
+        impl<T: Task + 'static> $family for $name<T> {
+            type Pointer<$($bounds)+> = $pointer<$($params),+>;
+
+            fn pointer<$($bounds)+>() -> Self::Pointer<$($params),+> {
+                struct Work<'a, T, $($params),+> {
+                    $task: &'a T,
+                    $($argument: $type,)+
+                }
+                impl<T: Task, $($bounds)+> Vectorized for Work<'_, T, $($params),+> {
+                    #[inline(always)]
+                    fn run<const FMA: bool>(self) {
+                        let Self { $task, $($argument),+ } = self;
+                        $body
+                    }
+                }
+                |task, $($argument),+| {
+                    let $task = task.downcast_ref::<T>().expect("the task that wrote the pointer");
+                    outline::<R>(Work { $task, $($argument),+ });
+                }
+            }
+        }
+    };
+}
+
+function!(Step, StepOf: ScalarFunction[R: Scalar][R], |task: T, inputs: Inputs<'a, R>, next: &'a mut [R]| {
+    task.system().step(inputs, next);
+});
+function!(
+    Vjp, VjpOf: CotangentFunction[R: Real, C: Cotangent<R>][R, C],
+    |task: T, inputs: Inputs<'a, R>, next_bar: &'a [C], cotangents: Cotangents<'a, C>| {
+        task.system().vjp(inputs, next_bar, cotangents);
+    }
+);
+function!(
+    Jvp, JvpOf: RealFunction[R: Real][R],
+    |task: T, inputs: Inputs<'a, R>, tangents: Tangents<'a, R>, next_tan: &'a mut [R]| {
+        task.system().jvp(inputs, tangents, next_tan);
+    }
+);
+function!(Diagnose, DiagnoseOf: RealFunction[R: Real][R], |task: T, inputs: Inputs<'a, R>, cause: &'a mut Option<Cause>| {
+    *cause = task.system().diagnose(inputs);
+});
+function!(Observe, ObserveOf: ScalarFunction[R: Scalar][R], |task: T, inputs: Inputs<'a, R>, y: &'a mut [R]| {
+    task.observe(inputs, y);
+});
+function!(
+    ObserveVjp, ObserveVjpOf: CotangentFunction[R: Real, C: Cotangent<R>][R, C],
+    |task: T, inputs: Inputs<'a, R>, y_bar: &'a [C], cotangents: Cotangents<'a, C>| {
+        task.observe_vjp(inputs, y_bar, cotangents);
+    }
+);
+function!(
+    RunningCost, RunningCostOf: ScalarFunction[R: Scalar][R],
+    |task: T, inputs: Inputs<'a, R>, next: &'a [R], cost: &'a mut R| {
+        *cost = task.running_cost(inputs, next);
+    }
+);
+function!(
+    RunningCostGradient, RunningCostGradientOf: RealFunction[R: Real][R],
+    |task: T, inputs: Inputs<'a, R>, next: &'a [R], cotangents: Cotangents<'a, R>, next_bar: &'a mut [R]| {
+        task.running_cost_gradient(inputs, next, cotangents, next_bar);
+    }
+);
+function!(
+    TerminalCost, TerminalCostOf: ScalarFunction[R: Scalar][R],
+    |task: T, x: &'a [R], p: &'a [R], cost: &'a mut R| {
+        *cost = task.terminal_cost(x, p);
+    }
+);
+function!(
+    TerminalCostGradient, TerminalCostGradientOf: RealFunction[R: Real][R],
+    |task: T, x: &'a [R], p: &'a [R], x_bar: &'a mut [R], p_bar: Option<&'a mut [R]>| {
+        task.terminal_cost_gradient(x, p, x_bar, p_bar);
+    }
+);
+
+/// Calls a generic function of the task in `$object`.
+macro_rules! call {
+    ($object:expr, $method:ident: $pointer:ty, $($argument:expr),+) => {{
+        let mut slot: Option<$pointer> = None;
+        $object.$method(&mut slot);
+        let Some(pointer) = slot else { panic!("a `DynTask` has no function {}", type_name::<$pointer>()) };
+        pointer($object.as_any(), $($argument),+)
+    }};
+}
+
+impl System for DynSystem {
+    fn state_dim(&self) -> usize {
+        self.0.state_dim()
+    }
+
+    fn control_dim(&self) -> usize {
+        self.0.control_dim()
+    }
+
+    fn param_dim(&self) -> usize {
+        self.0.system_params()
+    }
+
+    fn numbers(&self) -> Numbers<'_> {
+        self.0.numbers()
+    }
+
+    fn varied(&self, params: usize) -> Vec<Varied> {
+        self.0.varied(params)
+    }
+
+    fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
+        call!(self.0, step: StepOf<T>, inputs, next);
+    }
+
+    fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], cotangents: Cotangents<'_, C>) {
+        call!(self.0, vjp: VjpOf<R, C>, inputs, next_bar, cotangents);
+    }
+
+    fn jvp<R: Real>(&self, inputs: Inputs<'_, R>, tangents: Tangents<'_, R>, next_tan: &mut [R]) {
+        call!(self.0, jvp: JvpOf<R>, inputs, tangents, next_tan);
+    }
+
+    fn diagnose<R: Real>(&self, inputs: Inputs<'_, R>) -> Option<Cause> {
+        let mut cause = None;
+        call!(self.0, diagnose: DiagnoseOf<R>, inputs, &mut cause);
+        cause
+    }
+}
+
+impl Task for DynTask {
+    type System = DynSystem;
+
+    fn system(&self) -> &DynSystem {
+        &self.0
+    }
+
+    fn horizon(&self) -> usize {
+        self.0.0.horizon()
+    }
+
+    fn param_dim(&self) -> usize {
+        self.0.0.param_dim()
+    }
+
+    fn start(&self, rng: &mut Rng, start: Start<'_>) {
+        self.0.0.start(rng, start);
+    }
+
+    fn observation_dim(&self) -> Option<usize> {
+        self.0.0.observation_dim()
+    }
+
+    fn observe<T: Scalar>(&self, inputs: Inputs<'_, T>, y: &mut [T]) {
+        call!(self.0.0, observe: ObserveOf<T>, inputs, y);
+    }
+
+    fn observe_vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, y_bar: &[C], cotangents: Cotangents<'_, C>) {
+        call!(self.0.0, observe_vjp: ObserveVjpOf<R, C>, inputs, y_bar, cotangents);
+    }
+
+    fn running_cost<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &[T]) -> T {
+        let mut cost = T::zero();
+        call!(self.0.0, running_cost: RunningCostOf<T>, inputs, next, &mut cost);
+        cost
+    }
+
+    fn running_cost_gradient<R: Real>(
+        &self,
+        inputs: Inputs<'_, R>,
+        next: &[R],
+        cotangents: Cotangents<'_, R>,
+        next_bar: &mut [R],
+    ) {
+        call!(self.0.0, running_cost_gradient: RunningCostGradientOf<R>, inputs, next, cotangents, next_bar);
+    }
+
+    fn terminal_cost<T: Scalar>(&self, x: &[T], p: &[T]) -> T {
+        let mut cost = T::zero();
+        call!(self.0.0, terminal_cost: TerminalCostOf<T>, x, p, &mut cost);
+        cost
+    }
+
+    fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
+        call!(self.0.0, terminal_cost_gradient: TerminalCostGradientOf<R>, x, p, x_bar, p_bar);
+    }
+}
