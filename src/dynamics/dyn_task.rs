@@ -7,11 +7,12 @@ use crate::dynamics::outline::outline;
 use crate::dynamics::system::System;
 use crate::dynamics::task::Task;
 use crate::numbers::instances::{
-    CotangentFunction, RealFunction, ScalarFunction, cotangent_pointer, real_pointer, scalar_pointer,
+    CotangentFunction, RealFunction, ScalarFunction, cotangent_pointer, fill, real_pointer, scalar_pointer,
+    scalar_pointer_of_cost,
 };
 use crate::numbers::kernels::Vectorized;
 use crate::numbers::rng::Rng;
-use crate::numbers::scalar::{Cotangent, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, CotangentPack, Counted, Lanes, Real, Scalar, Single};
 use std::any::{Any, type_name};
 use std::fmt;
 use std::marker::PhantomData;
@@ -31,8 +32,9 @@ use std::sync::Arc;
 /// ```
 ///
 /// # Panics
-/// Its generic methods panic for scalars other than those of rollouts, checks, counts, references
-/// and default derivatives.
+/// Generic methods panic for scalars other than those of rollouts, checks, counts, optimization and
+/// references. In particular, a system that contains a [`DynSystem`] needs a
+/// [`vjp`](System::vjp) of its own.
 #[derive(Clone)]
 pub struct DynTask(DynSystem);
 
@@ -120,25 +122,27 @@ impl<T: Task + 'static> AnyTask for T {
         cotangent_pointer::<Vjp<T>>(slot);
     }
     fn jvp(&self, slot: &mut dyn Any) {
-        real_pointer::<Jvp<T>>(slot);
+        fill(slot, Jvp::<T>::pointer::<f64>);
     }
     fn diagnose(&self, slot: &mut dyn Any) {
-        real_pointer::<Diagnose<T>>(slot);
+        let _found = fill(slot, Diagnose::<T>::pointer::<Single<f32>>) || fill(slot, Diagnose::<T>::pointer::<Single<f64>>);
     }
     fn observe(&self, slot: &mut dyn Any) {
         scalar_pointer::<Observe<T>>(slot);
     }
     fn observe_vjp(&self, slot: &mut dyn Any) {
-        cotangent_pointer::<ObserveVjp<T>>(slot);
+        let _found = fill(slot, ObserveVjp::<T>::pointer::<Lanes<f32, 8>, CotangentPack<Lanes<f32, 8>, 1>>)
+            || fill(slot, ObserveVjp::<T>::pointer::<Lanes<f64, 8>, CotangentPack<Lanes<f64, 8>, 1>>)
+            || fill(slot, ObserveVjp::<T>::pointer::<Counted, Counted>);
     }
     fn running_cost(&self, slot: &mut dyn Any) {
-        scalar_pointer::<RunningCost<T>>(slot);
+        scalar_pointer_of_cost::<RunningCost<T>>(slot);
     }
     fn running_cost_gradient(&self, slot: &mut dyn Any) {
         real_pointer::<RunningCostGradient<T>>(slot);
     }
     fn terminal_cost(&self, slot: &mut dyn Any) {
-        scalar_pointer::<TerminalCost<T>>(slot);
+        scalar_pointer_of_cost::<TerminalCost<T>>(slot);
     }
     fn terminal_cost_gradient(&self, slot: &mut dyn Any) {
         real_pointer::<TerminalCostGradient<T>>(slot);

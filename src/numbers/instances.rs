@@ -34,31 +34,46 @@ pub(crate) trait RealFunction {
     fn pointer<R: Real>() -> Self::Pointer<R>;
 }
 
-/// Writes the pointer to `slot` if this is an `Option` of its type.
-fn fill<P: 'static>(slot: &mut dyn Any, pointer: fn() -> P) -> bool {
+/// Writes the pointer to `slot` if this is an `Option` of its type. Returns whether it is.
+pub(crate) fn fill<P: 'static>(slot: &mut dyn Any, pointer: fn() -> P) -> bool {
     slot.downcast_mut::<Option<P>>().map(|slot| *slot = Some(pointer())).is_some()
 }
 
+/// Calls [`fill`] for the instances of a [`ScalarFunction`], up to the one that the slot has room
+/// for.
+macro_rules! fill_scalars {
+    ($slot:expr, $function:ty: $($scalar:ty),+) => { $(fill($slot, <$function>::pointer::<$scalar>))||+ };
+}
+
 /// Writes the pointer that `slot` has room for: `slot` is an `Option<G::Pointer<T>>`. It stays
-/// `None` for scalars outside the fixed set.
+/// `None` unless `T` is a scalar of rollouts, checks, counts, optimization or references. Returns
+/// whether it is.
 ///
 /// Lanes come first, because rollouts look them up in every step.
-pub(crate) fn scalar_pointer<G: ScalarFunction>(slot: &mut dyn Any) {
-    macro_rules! among {
-        ($($scalar:ty),+) => { $(fill(slot, G::pointer::<$scalar>))||+ };
-    }
-    let _found = among!(Lanes<f32, 8>, Lanes<f64, 8>, f64, Dual64, Counted, Single<f32>, Single<f64>)
-        || among!(Dual<Lanes<f32, 8>, CHUNK>, Dual<Lanes<f64, 8>, CHUNK>, Dual<f64, CHUNK>, Dual<Counted, CHUNK>)
-        || among!(Dual<Single<f32>, CHUNK>, Dual<Single<f64>, CHUNK>)
-        || among!(Reverse<Lanes<f32, 8>>, Reverse<Lanes<f64, 8>>, Reverse<f64>, Reverse<Counted>)
-        || among!(Reverse<Single<f32>>, Reverse<Single<f64>>)
-        || among!(Dual<f64, 1>, Dual<Dual<f64, CHUNK>, CHUNK>);
+pub(crate) fn scalar_pointer<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
+    let found = fill_scalars!(slot, G: Lanes<f32, 8>, Lanes<f64, 8>, f64, Dual64, Counted, Dual<f64, CHUNK>);
     #[cfg(feature = "double-double")]
-    let _found = _found || among!(DoubleDouble, Dual<DoubleDouble, 1>);
+    let found = found || fill_scalars!(slot, G: Dual<DoubleDouble, 1>);
+    found
+}
+
+/// As [`scalar_pointer`], for the scalars of second derivatives as well.
+pub(crate) fn scalar_pointer_of_cost<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
+    scalar_pointer::<G>(slot) || fill_scalars!(slot, G: Dual<Dual<f64, CHUNK>, CHUNK>)
+}
+
+/// As [`scalar_pointer`], for the scalars of default derivatives and diagnoses as well.
+pub(crate) fn scalar_pointer_of_effect<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
+    scalar_pointer::<G>(slot)
+        || fill_scalars!(slot, G: Single<f32>, Single<f64>, Dual<f64, 1>, Reverse<f64>)
+        || fill_scalars!(slot, G: Dual<Lanes<f32, 8>, CHUNK>, Dual<Lanes<f64, 8>, CHUNK>, Dual<Counted, CHUNK>)
+        || fill_scalars!(slot, G: Reverse<Lanes<f32, 8>>, Reverse<Lanes<f64, 8>>, Reverse<Counted>)
+        || fill_scalars!(slot, G: Dual<Single<f32>, CHUNK>, Dual<Single<f64>, CHUNK>)
+        || fill_scalars!(slot, G: Reverse<Single<f32>>, Reverse<Single<f64>>)
 }
 
 /// Writes the pointer that `slot` has room for: `slot` is an `Option<G::Pointer<R, C>>`. It stays
-/// `None` for types outside the fixed set.
+/// `None` unless the types are those of reverse passes, checks or counts.
 pub(crate) fn cotangent_pointer<G: CotangentFunction>(slot: &mut dyn Any) {
     macro_rules! among {
         ($($real:ty: $cotangent:ty),+) => { $(fill(slot, G::pointer::<$real, $cotangent>))||+ };
@@ -66,14 +81,14 @@ pub(crate) fn cotangent_pointer<G: CotangentFunction>(slot: &mut dyn Any) {
     type Pack<R, const K: usize> = CotangentPack<R, K>;
     let _found = among!(Lanes<f32, 8>: Pack<Lanes<f32, 8>, 2>, Lanes<f64, 8>: Pack<Lanes<f64, 8>, 2>)
         || among!(Lanes<f32, 8>: Pack<Lanes<f32, 8>, 1>, Lanes<f64, 8>: Pack<Lanes<f64, 8>, 1>)
-        || among!(f64: Pack<f64, 1>, Single<f32>: Pack<Single<f32>, 1>, Single<f64>: Pack<Single<f64>, 1>, Counted: Counted);
+        || among!(f64: Pack<f64, 1>, Counted: Counted);
 }
 
 /// Writes the pointer that `slot` has room for: `slot` is an `Option<G::Pointer<R>>`. It stays `None`
-/// for scalars outside the fixed set.
+/// unless `R` is the scalar of a reverse pass, a count or an optimization.
 pub(crate) fn real_pointer<G: RealFunction>(slot: &mut dyn Any) {
     macro_rules! among {
         ($($real:ty),+) => { $(fill(slot, G::pointer::<$real>))||+ };
     }
-    let _found = among!(Lanes<f32, 8>, Lanes<f64, 8>, f64, Counted, Single<f32>, Single<f64>);
+    let _found = among!(Lanes<f32, 8>, Lanes<f64, 8>, f64, Counted);
 }

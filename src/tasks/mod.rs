@@ -8,7 +8,6 @@ mod cart_pole;
 mod contact;
 mod double_pendulum;
 mod guidance;
-mod hard;
 mod linear;
 mod loss;
 mod multi_pendulum;
@@ -27,7 +26,6 @@ pub use double_pendulum::DoublePendulum;
 pub use guidance::{
     Center, Drive, Evade, Flock, Friction, Guidance, GuidanceEffect, GuidanceSystem, Herding, Obstacles, Spread, Walls,
 };
-pub use hard::{AnyHard, Hard};
 pub use linear::{LinearPlant, Lqr, NoOptimum, Optimum};
 pub use loss::LossMode;
 pub use multi_pendulum::{Arm, MultiPendulum};

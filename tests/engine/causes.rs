@@ -1,12 +1,12 @@
 //! Wrappers of systems forward the cause of a non-finite number.
 
 use physgrad::tasks::{
-    AnyHard, Barrier, CartPoleSystem, Cubic, DoublePendulum, Evade, GuidanceSystem, GustyWind, Pade, QuantumEffect,
-    QuantumScheme, QuantumSystem, Renormalized, Strang, Tabulated, Upright,
+    Barrier, CartPoleSystem, Cubic, DoublePendulum, Evade, GuidanceSystem, GustyWind, Pade, QuantumEffect, QuantumScheme,
+    QuantumSystem, Renormalized, Strang, Tabulated, Upright,
 };
 use physgrad::{
-    Actuated, AnyIntegrator, Cause, Delay, Effect, Forced, ForcedSystem, ImplicitMidpoint, Inputs, Integrated, Named, OdeInputs,
-    Scalar, Substeps, System,
+    Actuated, AnyIntegrator, Cause, Delay, DynTask, Effect, Forced, ForcedSystem, ImplicitMidpoint, Inputs, Integrated, Named,
+    OdeInputs, Scalar, Substeps, System, Task,
 };
 
 const ENDLESS: Cubic = Cubic { strength: 1e308 };
@@ -58,9 +58,10 @@ fn wrappers_forward_causes() {
     let integrator = AnyIntegrator::ImplicitMidpoint(ImplicitMidpoint::default());
     let stepped = Integrated { ode: DoublePendulum::default(), integrator, dt: 1e6 };
     let Upright { first_angle, from, spread, loss, control_weight, horizon, .. } = Upright::double_pendulum();
-    let hard = AnyHard::DoublePendulum(Upright { system: stepped, first_angle, from, spread, loss, control_weight, horizon });
-    assert!(matches!(cause(&hard), Some(Cause::Unsolved(_))), "{:?}", cause(&hard));
-    assert_eq!(cause(&hard), cause(&stepped));
+    let hard = DynTask::new(Upright { system: stepped, first_angle, from, spread, loss, control_weight, horizon });
+    let hard = hard.system();
+    assert!(matches!(cause(hard), Some(Cause::Unsolved(_))), "{:?}", cause(hard));
+    assert_eq!(cause(hard), cause(&stepped));
 }
 
 /// System whose step overflows in the second substep, even without effects.

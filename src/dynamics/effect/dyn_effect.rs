@@ -5,7 +5,7 @@ use super::{Effect, default_effect_vjp, is_finite};
 use crate::dynamics::inputs::{Cotangents, OdeInputs};
 use crate::dynamics::number::{Numbers, Varied};
 use crate::dynamics::outline::outline;
-use crate::numbers::instances::{CotangentFunction, ScalarFunction, cotangent_pointer, scalar_pointer};
+use crate::numbers::instances::{CotangentFunction, ScalarFunction, cotangent_pointer, scalar_pointer_of_effect};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use std::any::{Any, type_name};
@@ -85,7 +85,7 @@ impl<B: 'static, E: Effect<B> + 'static> AnyEffect<B> for E {
         Effect::state_dependent(self)
     }
     fn add_forces(&self, slot: &mut dyn Any) {
-        scalar_pointer::<Forces<E, B>>(slot);
+        scalar_pointer_of_effect::<Forces<E, B>>(slot);
     }
     fn vjp(&self, slot: &mut dyn Any) {
         cotangent_pointer::<Reverse<E, B>>(slot);

@@ -1,7 +1,6 @@
 //! `physgrad optimize`: controls that minimize the loss of a scene from single initial states.
 
 use crate::optimize::{Initial, Options, Plan};
-use crate::program::operations::optimization::Optimizing;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, TRAJECTORY};
@@ -77,7 +76,7 @@ pub fn optimize(args: &Optimize) -> Result<()> {
         let zeros = args.from.is_none();
         let controls = start.controls.concat();
         let initial = if zeros { Initial::Zeros } else { Initial::Controls(&controls) };
-        let plan = scene.optimize(Optimizing { x0: &start.states[0], p: &start.params, initial, options: &options });
+        let plan = scene.optimize(&start.states[0], &start.params, initial, &options);
         let plan = plan.with_context(|| format!("initial state {i}"))?;
         if !args.quiet {
             print_message(&format!("initial state {i}: cost {:.6} after {} iterations", plan.cost, plan.iterations()));

@@ -1,34 +1,23 @@
 //! Gradient checks of a task and its policy, collected in a table.
 
-use super::Visit;
 use crate::check::{self, Failure, Passed};
-use crate::{Flow, Policy, System, Task};
+use crate::{DynTask, Flow, Policy, System, Task};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use indicatif::ProgressBar;
 use std::time::Duration;
 
-/// Visitor that adds the checks of one task and policy to the results.
-pub struct Checking<'a> {
-    pub variant: &'a str,
-    pub results: &'a mut Results,
-}
-
-impl Visit for Checking<'_> {
-    type Out = ();
-
-    fn visit<T: Task, P: Policy>(self, task: T, policy: P) {
-        let Self { variant, results } = self;
-        let system = task.system();
-        let (n, m) = (system.state_dim(), system.control_dim());
-        results.add(&format!("{variant}: system"), || check::try_system(system).map_err(Failure::from));
-        // Skips the policy check if the dimensions did not change since the last variant.
-        if results.dims.replace((n, m)) != Some((n, m)) {
-            results.add(&format!("{variant}: network"), || check::try_policy(&policy).map_err(Failure::from));
-        }
-        for flow in Flow::ALL {
-            results.add(&format!("{variant}: rollout, {flow}"), || check::try_flow(&task, &policy, flow));
-        }
+/// Adds the checks of one task and policy to the results.
+pub fn check(task: &DynTask, policy: &impl Policy, variant: &str, results: &mut Results) {
+    let system = task.system();
+    let (n, m) = (system.state_dim(), system.control_dim());
+    results.add(&format!("{variant}: system"), || check::try_system(system).map_err(Failure::from));
+    // Skips the policy check if the dimensions did not change since the last variant.
+    if results.dims.replace((n, m)) != Some((n, m)) {
+        results.add(&format!("{variant}: network"), || check::try_policy(policy).map_err(Failure::from));
+    }
+    for flow in Flow::ALL {
+        results.add(&format!("{variant}: rollout, {flow}"), || check::try_flow(task, policy, flow));
     }
 }
 

@@ -1,30 +1,11 @@
-//! Visitors of `explain`: operation counts, stored bytes and allocations.
+//! Stored bytes and allocations of a rollout, for `explain`.
 
-use crate::program::operations::Visit;
 use crate::program::settings::Precision;
 use crate::rng::{Purpose, stream};
-use crate::{Adjoint, Divergence, Field, Float, Policy, Rollout, Task, TaskOpCount, Weights, initial_states};
+use crate::{Adjoint, Divergence, DynTask, Field, Float, Policy, Rollout, Weights, initial_states};
 
 /// Number of samples in the measured rollout: one full block of lanes.
 pub const SAMPLES: usize = 8;
-
-/// Counts the operations of the physics, and of the costs and the observation.
-pub struct Costing;
-
-impl Visit for Costing {
-    type Out = TaskOpCount;
-
-    fn visit<T: Task, P: Policy>(self, task: T, _policy: P) -> TaskOpCount {
-        TaskOpCount::of(&task)
-    }
-}
-
-/// Measures a rollout of [`SAMPLES`] samples and its adjoint.
-pub struct Storing {
-    pub precision: Precision,
-    /// Field of the adjoint. None for a rollout in evaluation mode.
-    pub field: Option<Field>,
-}
 
 /// Memory of a rollout and its adjoint.
 pub struct Stored {
@@ -34,38 +15,34 @@ pub struct Stored {
     pub allocations: Option<u64>,
 }
 
-impl Visit for Storing {
-    type Out = Stored;
-
-    fn visit<T: Task, P: Policy>(self, task: T, policy: P) -> Stored {
-        match self.precision {
-            Precision::F32 => self.measure::<f32>(&task, &policy),
-            Precision::F64 => self.measure::<f64>(&task, &policy),
-        }
+/// Measures a rollout of [`SAMPLES`] samples and the adjoint of a field. Without a field, measures a
+/// rollout in evaluation mode.
+pub fn stored(task: &DynTask, policy: &impl Policy, precision: Precision, field: Option<Field>) -> Stored {
+    match precision {
+        Precision::F32 => measure::<f32>(task, policy, field),
+        Precision::F64 => measure::<f64>(task, policy, field),
     }
 }
 
-impl Storing {
-    fn measure<F: Float>(&self, task: &impl Task, policy: &impl Policy) -> Stored {
-        let starts: Vec<F> = initial_states(task, 0, Purpose::Test, SAMPLES);
-        let weights = Weights::init(policy, &mut stream(0, Purpose::Policy, 0));
-        let Some(field) = self.field else {
-            let mut rollout = Rollout::<F>::for_evaluation(task, policy, SAMPLES);
-            let allocations = allocations_of_second_run(|| {
-                rollout.start(&starts);
-                rollout.run(task, policy, &weights)
-            });
-            return Stored { bytes: rollout.stored_bytes(), allocations };
-        };
-        let mut rollout = Rollout::<F>::new(task, policy, SAMPLES);
-        let mut adjoint = Adjoint::new(task, policy, &rollout, &field.flows());
+fn measure<F: Float>(task: &DynTask, policy: &impl Policy, field: Option<Field>) -> Stored {
+    let starts: Vec<F> = initial_states(task, 0, Purpose::Test, SAMPLES);
+    let weights = Weights::init(policy, &mut stream(0, Purpose::Policy, 0));
+    let Some(field) = field else {
+        let mut rollout = Rollout::<F>::for_evaluation(task, policy, SAMPLES);
         let allocations = allocations_of_second_run(|| {
             rollout.start(&starts);
-            rollout.run(task, policy, &weights)?;
-            adjoint.run(task, policy, &weights, &rollout, F::one())
+            rollout.run(task, policy, &weights)
         });
-        Stored { bytes: rollout.stored_bytes() + adjoint.stored_bytes(), allocations }
-    }
+        return Stored { bytes: rollout.stored_bytes(), allocations };
+    };
+    let mut rollout = Rollout::<F>::new(task, policy, SAMPLES);
+    let mut adjoint = Adjoint::new(task, policy, &rollout, &field.flows());
+    let allocations = allocations_of_second_run(|| {
+        rollout.start(&starts);
+        rollout.run(task, policy, &weights)?;
+        adjoint.run(task, policy, &weights, &rollout, F::one())
+    });
+    Stored { bytes: rollout.stored_bytes() + adjoint.stored_bytes(), allocations }
 }
 
 /// Allocations of the second run, because the first run allocates the workspaces. None if the

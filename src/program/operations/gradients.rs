@@ -2,13 +2,12 @@
 
 use crate::any::AnyTask;
 use crate::policy::AnyPolicy;
-use crate::program::operations::Visit;
 use crate::program::operations::peak_bytes;
 use crate::program::operations::seconds_per_run;
 use crate::program::platform::parallel;
 use crate::program::settings::Precision;
 use crate::rng::{Purpose, stream};
-use crate::{Batch, Field, Float, Flow, Gradient, Policy, Rollout, Task, Weights, check, initial_states};
+use crate::{Batch, DynTask, Field, Float, Flow, Gradient, Policy, Rollout, Weights, check, initial_states};
 use std::sync::Arc;
 
 /// Number of samples in the mean loss.
@@ -73,31 +72,24 @@ fn inputs(task: &dyn AnyTask<f32>, policy: &dyn AnyPolicy<f32>, seed: u64) -> (V
     (exact(weights.theta()), exact(&starts))
 }
 
-/// Visitor that computes a gradient with one method.
-pub struct Deriving {
-    pub precision: Precision,
-    pub seed: u64,
-    pub method: GradientMethod,
-}
-
-impl Visit for Deriving {
-    type Out = Derived;
-
-    fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Derived {
-        let Self { precision, seed, method } = self;
-        let inputs = inputs(&task, &policy, seed);
-        let (task, policy) = (Arc::new(task), Arc::new(policy));
-        let slope: Slope = {
-            let (task, policy) = (task.clone(), policy.clone());
-            let unit = |i: usize, p: usize| f64::from(u8::from(p == i));
-            Box::new(move |theta, starts, i| {
-                check::slope_by_duals(&*task, &*policy, theta, starts, Flow::REGULAR, &|p| unit(i, p))
-            })
-        };
-        match precision {
-            Precision::F32 => derive::<f32>(task, policy, inputs, method, slope),
-            Precision::F64 => derive::<f64>(task, policy, inputs, method, slope),
-        }
+/// Computes a gradient with one method.
+pub fn derived<P: Policy + 'static>(
+    task: DynTask,
+    policy: P,
+    precision: Precision,
+    seed: u64,
+    method: GradientMethod,
+) -> Derived {
+    let inputs = inputs(&task, &policy, seed);
+    let (task, policy) = (Arc::new(task), Arc::new(policy));
+    let slope: Slope = {
+        let (task, policy) = (task.clone(), policy.clone());
+        let unit = |i: usize, p: usize| f64::from(u8::from(p == i));
+        Box::new(move |theta, starts, i| check::slope_by_duals(&*task, &*policy, theta, starts, Flow::REGULAR, &|p| unit(i, p)))
+    };
+    match precision {
+        Precision::F32 => derive::<f32>(task, policy, inputs, method, slope),
+        Precision::F64 => derive::<f64>(task, policy, inputs, method, slope),
     }
 }
 
@@ -198,35 +190,25 @@ fn reverse<F: Float>(
     Ok((gradient, Box::new(move || drop::<Result<Gradient<F>, String>>(run()))))
 }
 
-/// Visitor that computes the gradients of R, M and S in double-double arithmetic, at the [`chosen`]
-/// parameters.
-pub struct Referring<'a> {
-    pub seed: u64,
-    /// Callback after each derivative.
-    pub done: &'a (dyn Fn() + Sync),
-}
-
 /// Flows of the reference.
 pub const FLOWS: [Flow; 3] = [Flow::REGULAR, Flow::MODIFIED, Flow::STOPPED];
 
-/// Largest number of derivatives that [`Referring`] computes.
+/// Largest number of derivatives that [`reference`] computes.
 pub const REFERENCES: usize = FLOWS.len() * CHOSEN;
 
-impl Visit for Referring<'_> {
-    type Out = [Vec<f64>; 3];
-
-    fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Self::Out {
-        let (theta, starts) = inputs(&task, &policy, self.seed);
-        let derivative: &(dyn Fn((Flow, usize)) -> f64 + Sync) = &|(flow, parameter)| {
-            let direction = |i| f64::from(u8::from(i == parameter));
-            let [_, slope] = check::slope(&task, &policy, &theta, &starts, flow, direction);
-            (self.done)();
-            slope
-        };
-        let parameters = chosen(theta.len());
-        let pairs: Vec<(Flow, usize)> = FLOWS.into_iter().flat_map(|flow| parameters.iter().map(move |&p| (flow, p))).collect();
-        let slopes: Vec<f64> = parallel::map(&pairs, |&pair| derivative(pair));
-        let mut flows = slopes.chunks(parameters.len()).map(<[f64]>::to_vec);
-        [(); 3].map(|()| flows.next().expect("a chunk for every flow"))
-    }
+/// Components of the gradients of R, M and S in double-double arithmetic, at the [`chosen`]
+/// parameters. Calls `done` after each.
+pub fn reference(task: &DynTask, policy: &impl Policy, seed: u64, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3] {
+    let (theta, starts) = inputs(task, policy, seed);
+    let derivative: &(dyn Fn((Flow, usize)) -> f64 + Sync) = &|(flow, parameter)| {
+        let direction = |i| f64::from(u8::from(i == parameter));
+        let [_, slope] = check::slope(task, policy, &theta, &starts, flow, direction);
+        done();
+        slope
+    };
+    let parameters = chosen(theta.len());
+    let pairs: Vec<(Flow, usize)> = FLOWS.into_iter().flat_map(|flow| parameters.iter().map(move |&p| (flow, p))).collect();
+    let slopes: Vec<f64> = parallel::map(&pairs, |&pair| derivative(pair));
+    let mut flows = slopes.chunks(parameters.len()).map(<[f64]>::to_vec);
+    [(); 3].map(|()| flows.next().expect("a chunk for every flow"))
 }

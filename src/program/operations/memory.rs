@@ -1,20 +1,10 @@
 //! Memory that a run needs, and memory of the machine.
 
 use crate::any::AnyTask;
-use crate::program::operations::Visit;
 use crate::program::operations::trajectory::ROLLOUTS;
 use crate::program::settings::Precision;
-use crate::{Batch, Float, Flow, Policy, Schedule, System, Task};
+use crate::{Batch, DynTask, Float, Flow, Policy, Schedule, System, Task};
 use std::fs::read_to_string;
-
-/// Visitor that estimates the memory of a run before it is allocated.
-pub struct Memory {
-    pub precision: Precision,
-    /// Samples of a mini-batch.
-    pub samples: usize,
-    /// Samples of both data sets.
-    pub start_states: usize,
-}
 
 /// Memory of a run, in bytes.
 pub struct Needs {
@@ -24,14 +14,12 @@ pub struct Needs {
     pub rest: f64,
 }
 
-impl Visit for Memory {
-    type Out = Needs;
-
-    fn visit<T: Task, P: Policy>(self, task: T, policy: P) -> Needs {
-        match self.precision {
-            Precision::F32 => self.needs::<f32>(&task, &policy),
-            Precision::F64 => self.needs::<f64>(&task, &policy),
-        }
+/// Estimates the memory of a run before it is allocated, from the samples of a mini-batch and of both
+/// data sets.
+pub fn needs(task: &DynTask, policy: &impl Policy, precision: Precision, samples: usize, start_states: usize) -> Needs {
+    match precision {
+        Precision::F32 => needs_in::<f32>(task, policy, samples, start_states),
+        Precision::F64 => needs_in::<f64>(task, policy, samples, start_states),
     }
 }
 
@@ -39,20 +27,17 @@ impl Visit for Memory {
 /// of longer horizons are extrapolated.
 const COUNTED_STEPS: usize = 10_000;
 
-impl Memory {
-    fn needs<F: Float>(&self, task: &impl Task, policy: &impl Policy) -> Needs {
-        let (n, m) = (task.system().state_dim(), task.system().control_dim());
-        let steps = task.horizon().min(COUNTED_STEPS);
-        let scale = task.horizon() as f64 / steps as f64;
-        let flows = [Flow::REGULAR, Flow::MODIFIED];
-        let of =
-            |samples: usize| Batch::<F>::bytes_of(task, policy, samples, &flows, 1, &Schedule::store_all(steps)) as f64 * scale;
-        // Parameters and two moments of the optimizer, each with a copy, and both data sets.
-        let numbers = policy.param_count() as f64 * 6.0 + self.start_states as f64 * AnyTask::<F>::start_dim(task) as f64;
-        // Trajectories written at the end: text, and vectors of numbers.
-        let text = ROLLOUTS as f64 * task.horizon() as f64 * (48.0 * (n + m) as f64 + 80.0);
-        Needs { batch: of(self.samples), rest: numbers * size_of::<F>() as f64 + of(ROLLOUTS) + text }
-    }
+fn needs_in<F: Float>(task: &DynTask, policy: &impl Policy, samples: usize, start_states: usize) -> Needs {
+    let (n, m) = (task.system().state_dim(), task.system().control_dim());
+    let steps = Task::horizon(task).min(COUNTED_STEPS);
+    let scale = Task::horizon(task) as f64 / steps as f64;
+    let flows = [Flow::REGULAR, Flow::MODIFIED];
+    let of = |samples: usize| Batch::<F>::bytes_of(task, policy, samples, &flows, 1, &Schedule::store_all(steps)) as f64 * scale;
+    // Parameters and two moments of the optimizer, each with a copy, and both data sets.
+    let numbers = policy.param_count() as f64 * 6.0 + start_states as f64 * AnyTask::<F>::start_dim(task) as f64;
+    // Trajectories written at the end: text, and vectors of numbers.
+    let text = ROLLOUTS as f64 * Task::horizon(task) as f64 * (48.0 * (n + m) as f64 + 80.0);
+    Needs { batch: of(samples), rest: numbers * size_of::<F>() as f64 + of(ROLLOUTS) + text }
 }
 
 /// Memory limit of this process, in bytes: the smaller limit of the machine and the control group.

@@ -11,24 +11,11 @@ pub mod evaluation;
 pub mod gradients;
 pub mod identification;
 pub mod memory;
-pub mod optimization;
 pub mod session;
 pub mod simulation;
 pub mod trajectory;
-pub mod varying;
 
-use crate::{Policy, Task};
 use std::time::Instant;
-
-/// Computation that needs the concrete types of task and policy.
-///
-/// Keep implementations short: the compiler monomorphizes them once per task and policy.
-pub trait Visit {
-    /// Result type.
-    type Out;
-    /// Runs the computation.
-    fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Self::Out;
-}
 
 /// Result of `work`, and the peak of the bytes that this thread allocates during the call.
 pub fn peak_bytes<T>(work: impl FnOnce() -> T) -> (T, usize) {

@@ -1,11 +1,10 @@
 //! Object-safe training session, independent of task, policy and precision.
 
 use crate::any::AnyTask;
-use crate::program::operations::Visit;
 use crate::program::operations::adjoint_norms::{self, AdjointNorms};
 use crate::program::operations::trajectory::{self, Trajectory};
 use crate::program::settings::Precision;
-use crate::{CheckpointError, Field, Float, Policy, Record, Session, Task, TrainError, Trainer, Training};
+use crate::{CheckpointError, DynTask, Field, Float, Policy, Record, Session, Task, TrainError, Trainer, Training};
 use anyhow::Result;
 use std::ops::Range;
 
@@ -98,21 +97,17 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
     }
 }
 
-/// Visitor that opens a session before its first epoch.
-pub struct Open {
-    pub precision: Precision,
-    pub field: Field,
-    pub training: Training,
-}
-
-impl Visit for Open {
-    type Out = Result<Box<dyn AnyRun>, TrainError>;
-
-    fn visit<T: Task + 'static, P: Policy + 'static>(self, task: T, policy: P) -> Self::Out {
-        let trainer = Trainer::new(task, policy).field(self.field).training(self.training);
-        Ok(match self.precision {
-            Precision::F32 => Box::new(trainer.precision::<f32>().session()?),
-            Precision::F64 => Box::new(trainer.precision::<f64>().session()?),
-        })
-    }
+/// Opens a session before its first epoch.
+pub fn open<P: Policy + 'static>(
+    task: DynTask,
+    policy: P,
+    precision: Precision,
+    field: Field,
+    training: Training,
+) -> Result<Box<dyn AnyRun>, TrainError> {
+    let trainer = Trainer::new(task, policy).field(field).training(training);
+    Ok(match precision {
+        Precision::F32 => Box::new(trainer.precision::<f32>().session()?),
+        Precision::F64 => Box::new(trainer.precision::<f64>().session()?),
+    })
 }

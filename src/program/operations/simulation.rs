@@ -2,11 +2,10 @@
 
 use crate::any::AnyTask;
 use crate::policy::AnyPolicy;
-use crate::program::operations::Visit;
 use crate::program::operations::seconds_per_run;
 use crate::program::settings::Precision;
 use crate::rng::{Purpose, stream};
-use crate::{Adjoint, Float, Flow, Gradient, OpCount, Policy, Rollout, Task, Weights, initial_states};
+use crate::{Adjoint, DynTask, Float, Flow, Gradient, OpCount, Policy, Rollout, Task, Weights, initial_states};
 
 /// Number of samples in the rollout: one full block of lanes.
 const SAMPLES: usize = 8;
@@ -46,21 +45,12 @@ impl Job {
     }
 }
 
-/// Visitor that creates the job of a scene.
-pub struct Preparing {
-    pub precision: Precision,
-    pub seed: u64,
-}
-
-impl Visit for Preparing {
-    type Out = Job;
-
-    fn visit<T: Task + Clone + 'static, P: Policy + Clone + 'static>(self, task: T, policy: P) -> Job {
-        let cost = OpCount::of(task.system());
-        match self.precision {
-            Precision::F32 => prepare::<f32>(Box::new(task), Box::new(policy), cost, self.seed),
-            Precision::F64 => prepare::<f64>(Box::new(task), Box::new(policy), cost, self.seed),
-        }
+/// Creates the job of a scene.
+pub fn job<P: Policy + 'static>(task: DynTask, policy: P, precision: Precision, seed: u64) -> Job {
+    let cost = OpCount::of(task.system());
+    match precision {
+        Precision::F32 => prepare::<f32>(Box::new(task), Box::new(policy), cost, seed),
+        Precision::F64 => prepare::<f64>(Box::new(task), Box::new(policy), cost, seed),
     }
 }
 

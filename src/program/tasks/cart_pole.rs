@@ -1,17 +1,16 @@
 //! Cart-pole: settings, effects, limits and animation.
 
-use crate::program::operations::Visit;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, count, exclusive, finite, not_negative, positive};
 use crate::program::tasks::effects::{EffectsSection, Present, effects_section};
-use crate::program::tasks::{Conserved, MlpSettings, PolicySpec, SceneEffects, Settings, TaskSpec};
+use crate::program::tasks::{Conserved, MlpSettings, SceneEffects, Settings, TaskSpec};
 use crate::report::{self, Animation, Rail};
 use crate::tasks::{
     self, Bumpers, CartDamping, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind, LossMode,
     PoleDamping, SteadyWind,
 };
-use crate::{Effect, Forced, HasModel, Named, Number, System};
+use crate::{DynTask, Effect, Forced, HasModel, Named, Number, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -138,26 +137,16 @@ fn system_dt(settings: &Settings<CartPole>) -> f64 {
     settings.system.dt / settings.integrator.count() as f64
 }
 
-/// Calls the visitor with the swing-up task for this system.
-fn swing_up<S: HasModel<CartPoleSystem> + Clone + 'static, V: Visit>(
-    system: S,
-    settings: &Settings<CartPole>,
-    visitor: V,
-) -> V::Out {
-    let task = tasks::CartPole { system, loss: settings.loss.mode, horizon: settings.horizon };
-    settings.policy.visit(task, visitor)
+/// Swing-up task for this system.
+fn swing_up(system: impl HasModel<CartPoleSystem> + 'static, settings: &Settings<CartPole>) -> DynTask {
+    DynTask::new(tasks::CartPole { system, loss: settings.loss.mode, horizon: settings.horizon })
 }
 
-/// Calls the visitor with the task whose effects are a list, with integrator and actuators.
-fn listed<V: Visit>(
-    system: CartPoleModel,
-    effects: Vec<Named<CartPoleEffect>>,
-    settings: &Settings<CartPole>,
-    visitor: V,
-) -> V::Out {
+/// Task whose effects are a list, with integrator and actuators.
+fn listed(system: CartPoleModel, effects: Vec<Named<CartPoleEffect>>, settings: &Settings<CartPole>) -> DynTask {
     let system = settings.integrator.discretize(Forced { system, effects }, system_dt(settings), settings.precision);
     let system = settings.actuator.wrap(system, settings.system.dt);
-    swing_up(system, settings, visitor)
+    swing_up(system, settings)
 }
 
 impl TaskSpec for CartPole {
@@ -198,16 +187,16 @@ impl TaskSpec for CartPole {
         effects.only_of::<CartPoleSystem>()
     }
 
-    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+    fn task(settings: &Settings<Self>) -> DynTask {
         let effects = settings.all_effects();
         let system = CartPoleSystem { dt: system_dt(settings), ..settings.system.parameters() };
         // Uses a separate type only for the paper's system, because each type adds compile time.
         match settings.system.model {
             Model::Uncoupled if effects.is_empty() && settings.actuator.is_empty() && settings.integrator.is_empty() => {
-                swing_up(system, settings, visitor)
+                swing_up(system, settings)
             }
-            Model::Uncoupled => listed(CartPoleModel::Uncoupled(system), effects, settings, visitor),
-            Model::Coupled => listed(CartPoleModel::Coupled(CoupledCartPole(system)), effects, settings, visitor),
+            Model::Uncoupled => listed(CartPoleModel::Uncoupled(system), effects, settings),
+            Model::Coupled => listed(CartPoleModel::Coupled(CoupledCartPole(system)), effects, settings),
         }
     }
 

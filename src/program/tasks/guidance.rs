@@ -1,14 +1,13 @@
 //! Guidance by repulsion: settings, effects, limits and animation.
 
-use crate::program::operations::Visit;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, allowed, count, finite, not_negative, positive};
 use crate::program::tasks::effects::{EffectsSection, effects_section, named};
-use crate::program::tasks::{MlpSettings, PolicySpec, SceneEffects, Settings, TaskSpec};
+use crate::program::tasks::{MlpSettings, SceneEffects, Settings, TaskSpec};
 use crate::report::{self, Animation, Field};
 use crate::tasks::{self, Drive, Evade, Flock, Friction, GuidanceEffect, GuidanceSystem, LossMode, Obstacles, Spread, Walls};
-use crate::{Forced, HasModel, Named, System};
+use crate::{DynTask, Forced, HasModel, Named, System};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -129,11 +128,10 @@ impl Default for GuidanceLoss {
     }
 }
 
-/// Calls the visitor with the herding task for this system.
-fn herd<S: HasModel<GuidanceSystem> + Clone + 'static, V: Visit>(system: S, settings: &Settings<Guidance>, visitor: V) -> V::Out {
+/// Herding task for this system.
+fn herd(system: impl HasModel<GuidanceSystem> + 'static, settings: &Settings<Guidance>) -> DynTask {
     let GuidanceLoss { mode: loss, regularization } = settings.loss;
-    let task = tasks::Guidance { system, loss, regularization, horizon: settings.horizon };
-    settings.policy.visit(task, visitor)
+    DynTask::new(tasks::Guidance { system, loss, regularization, horizon: settings.horizon })
 }
 
 impl TaskSpec for Guidance {
@@ -168,7 +166,7 @@ impl TaskSpec for Guidance {
         effects.only_of::<GuidanceSystem>()
     }
 
-    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+    fn task(settings: &Settings<Self>) -> DynTask {
         let dt = settings.system.dt / settings.integrator.count() as f64;
         let system = GuidanceSystem { dt, ..settings.system };
         // Uses a separate type for the paper's effects.
@@ -177,11 +175,11 @@ impl TaskSpec for Guidance {
             && settings.own_effects.is_empty()
             && let Some(effects) = settings.effects.only_of_the_paper()
         {
-            return herd(Forced { system, effects }, settings, visitor);
+            return herd(Forced { system, effects }, settings);
         }
         let effects: Vec<Named<GuidanceEffect>> = settings.all_effects();
         let system = settings.integrator.discretize(Forced { system, effects }, dt, settings.precision);
-        herd(settings.actuator.wrap(system, settings.system.dt), settings, visitor)
+        herd(settings.actuator.wrap(system, settings.system.dt), settings)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {

@@ -18,13 +18,12 @@ pub use pole_chain::PoleChain;
 pub use push::Push;
 pub use slider::Slider;
 
-use crate::program::operations::Visit;
 use crate::program::settings::Info;
 use crate::program::settings::config_error::{ConfigError, not_negative};
 use crate::program::tasks::effects::EffectsSection;
-use crate::program::tasks::{MlpSettings, PolicySpec, Settings, TaskSpec};
-use crate::tasks::{AnyHard, Hard, LossMode, Upright};
-use crate::{AnyIntegrator, Integrated, Ode, RungeKutta, Substeps};
+use crate::program::tasks::{Settings, TaskSpec, in_scene};
+use crate::tasks::{LossMode, Upright};
+use crate::{AnyIntegrator, DynTask, Integrated, Ode, RungeKutta, Task};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
@@ -42,11 +41,11 @@ impl EffectsSection for Nothing {
     }
 }
 
-/// Calls the visitor with the task, its substeps and its actuators.
-fn visit<K: TaskSpec<PolicySpec = MlpSettings>, V: Visit>(settings: &Settings<K>, task: AnyHard, visitor: V) -> V::Out {
-    let system = Substeps { system: task, count: settings.integrator.count() };
-    let system = settings.actuator.wrap(system, K::dt(settings));
-    settings.policy.visit(Hard { system }, visitor)
+/// A task with substeps and actuators of a scene. Its time step is that of a substep.
+fn in_scene<K: TaskSpec>(settings: &Settings<K>, task: impl Task + 'static) -> DynTask {
+    let task = DynTask::new(task);
+    let system = task.system().clone();
+    in_scene::in_scene(settings, task, system)
 }
 
 /// Time step of the physics: the control step divided by the number of substeps.

@@ -10,6 +10,7 @@ mod cart_pole;
 mod effects;
 mod guidance;
 mod hard;
+mod in_scene;
 mod own;
 mod own_effect;
 mod policy;
@@ -25,7 +26,7 @@ pub use scene::Scene;
 pub use schema::schema;
 pub use settings::Settings;
 
-use crate::program::operations::Visit;
+use crate::DynTask;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{Info, Method};
@@ -81,8 +82,8 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
             .first()
             .map_or(Ok(()), |key| Err(ConfigError::new(key, "is an effect of the user, which this task does not accept")))
     }
-    /// Calls the visitor with the task and the policy of these settings.
-    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out;
+    /// Task of these settings.
+    fn task(settings: &Settings<Self>) -> DynTask;
     /// Named settings for gradient checks.
     fn variants() -> Vec<(String, Settings<Self>)>;
 

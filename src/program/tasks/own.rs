@@ -1,13 +1,12 @@
 //! [`ProgramTask`]: a task of the user, with its fields as settings.
 
-use crate::program::operations::Visit;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::{ConfigError, allowed};
 use crate::program::tasks::hard::Nothing;
-use crate::program::tasks::{MlpSettings, PolicySpec, SceneEffects, Section, Settings, TaskSpec};
+use crate::program::tasks::in_scene::in_scene;
+use crate::program::tasks::{MlpSettings, SceneEffects, Section, Settings, TaskSpec};
 use crate::report::{Animation, Channel, channels_over_time};
-use crate::rng::Rng;
-use crate::{Actuated, AnyActuator, Cotangent, Cotangents, Inputs, Real, Scalar, Start, Substeps, System, Task};
+use crate::{DynTask, System, Task};
 use std::fmt::{self, Debug};
 use std::marker::PhantomData;
 
@@ -21,7 +20,7 @@ use std::marker::PhantomData;
 /// - Names of components label tables, CSV files and pictures.
 /// - [`refined`](ProgramTask::refined) admits `integrator.substeps` and the command `accuracy`.
 /// - [`animation`](ProgramTask::animation) draws a rollout.
-pub trait ProgramTask: Task<System: Clone> + Section + Default {
+pub trait ProgramTask: Task + Section + Default {
     /// Name of the task in commands and scenes: lower case letters, digits and underscores.
     const NAME: &'static str;
     /// Description in one line.
@@ -133,14 +132,13 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
         }
     }
 
-    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+    fn task(settings: &Settings<Self>) -> DynTask {
         let task = settings.system.with_effects(&settings.own_effects).unwrap_or_else(|| settings.system.clone());
         let count = settings.integrator.count();
         let refined = if count == 1 { None } else { task.refined(count) };
-        let system = Substeps { system: refined.as_ref().unwrap_or(&task).system().clone(), count };
-        let states = system.state_dim();
-        let system = settings.actuator.wrap(system, task.dt());
-        settings.policy.visit(InScene { task, system, states, horizon: settings.horizon }, visitor)
+        let task = DynTask::new(task);
+        let system = refined.map_or_else(|| task.clone(), DynTask::new).system().clone();
+        in_scene(settings, task, system)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {
@@ -167,90 +165,5 @@ impl<T: ProgramTask> TaskSpec for Own<T> {
         let dim = settings.system.system().state_dim();
         let states: Vec<Vec<f64>> = states.iter().map(|x| x[..dim].to_vec()).collect();
         settings.system.animation(&states, controls, params)
-    }
-}
-
-/// A task of the user with horizon, substeps and actuators of a scene. The states of actuators
-/// follow the `states` components of the task.
-#[derive(Clone)]
-struct InScene<T: ProgramTask> {
-    task: T,
-    system: Actuated<Substeps<T::System>, Vec<AnyActuator>>,
-    states: usize,
-    horizon: usize,
-}
-
-impl<T: ProgramTask> InScene<T> {
-    /// The inputs of the task.
-    #[inline(always)]
-    fn inner<'a, R: Scalar>(&self, inputs: Inputs<'a, R>) -> Inputs<'a, R> {
-        inputs.with_x(&inputs.x[..self.states])
-    }
-
-    /// The cotangents of the inputs of the task.
-    #[inline(always)]
-    fn inner_cotangents<'a, C>(&self, cotangents: Cotangents<'a, C>) -> Cotangents<'a, C> {
-        Cotangents { x: cotangents.x.map(|bar| &mut bar[..self.states]), ..cotangents }
-    }
-}
-
-impl<T: ProgramTask> Task for InScene<T> {
-    type System = Actuated<Substeps<T::System>, Vec<AnyActuator>>;
-
-    fn system(&self) -> &Self::System {
-        &self.system
-    }
-
-    fn horizon(&self) -> usize {
-        self.horizon
-    }
-
-    fn param_dim(&self) -> usize {
-        self.task.param_dim()
-    }
-
-    fn start(&self, rng: &mut Rng, start: Start<'_>) {
-        self.task.start(rng, Start { x: &mut start.x[..self.states], p: start.p });
-    }
-
-    fn observation_dim(&self) -> Option<usize> {
-        self.task.observation_dim()
-    }
-
-    #[inline(always)]
-    fn observe<R: Scalar>(&self, inputs: Inputs<'_, R>, y: &mut [R]) {
-        self.task.observe(self.inner(inputs), y);
-    }
-
-    #[inline(always)]
-    fn observe_vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, y_bar: &[C], cotangents: Cotangents<'_, C>) {
-        self.task.observe_vjp(self.inner(inputs), y_bar, self.inner_cotangents(cotangents));
-    }
-
-    #[inline(always)]
-    fn running_cost<R: Scalar>(&self, inputs: Inputs<'_, R>, next: &[R]) -> R {
-        self.task.running_cost(self.inner(inputs), &next[..self.states])
-    }
-
-    #[inline(always)]
-    fn running_cost_gradient<R: Real>(
-        &self,
-        inputs: Inputs<'_, R>,
-        next: &[R],
-        cotangents: Cotangents<'_, R>,
-        next_bar: &mut [R],
-    ) {
-        let (next, next_bar) = (&next[..self.states], &mut next_bar[..self.states]);
-        self.task.running_cost_gradient(self.inner(inputs), next, self.inner_cotangents(cotangents), next_bar);
-    }
-
-    #[inline(always)]
-    fn terminal_cost<R: Scalar>(&self, x: &[R], p: &[R]) -> R {
-        self.task.terminal_cost(&x[..self.states], p)
-    }
-
-    #[inline(always)]
-    fn terminal_cost_gradient<R: Real>(&self, x: &[R], p: &[R], x_bar: &mut [R], p_bar: Option<&mut [R]>) {
-        self.task.terminal_cost_gradient(&x[..self.states], p, &mut x_bar[..self.states], p_bar);
     }
 }

@@ -1,11 +1,10 @@
 //! The `policy` section.
 
-use crate::policy::{Mlp, TrainedParam, WithParams};
-use crate::program::operations::Visit;
+use crate::policy::{Mlp, TrainedParam};
 use crate::program::settings::ActivationName;
 use crate::program::settings::config_error::{ConfigError, allowed};
 use crate::program::tasks::Section;
-use crate::{Number, Policy, System, Task, Varied};
+use crate::{Number, Policy, Varied};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -17,18 +16,10 @@ pub trait PolicySpec: Section + Default {
     fn validate(&self) -> Result<(), ConfigError>;
     /// Builds the policy for these dimensions of state and control.
     fn build(&self, state_dim: usize, control_dim: usize) -> Self::Policy;
-
-    /// Calls the visitor with the task, and with a policy of matching dimensions and the trained
-    /// numbers of the system.
-    fn visit<T: Task + Clone + 'static, V: Visit>(&self, task: T, visitor: V) -> V::Out {
-        let policy = self.build(task.observation_dim().unwrap_or(task.system().state_dim()), task.system().control_dim());
-        let trained = task.system().varied(task.param_dim()).iter().filter_map(trained).collect::<Vec<_>>();
-        visitor.visit(task, WithParams::new(policy, trained))
-    }
 }
 
 /// A trained number as an entry of `θ`.
-fn trained(varied: &Varied) -> Option<TrainedParam> {
+pub fn trained(varied: &Varied) -> Option<TrainedParam> {
     let Number::Trained { start, min, max } = varied.number else { return None };
     let index = varied.index;
     Some(if max.is_finite() {

@@ -1,7 +1,6 @@
 //! Quantum control: settings, effects, limits and animation.
 
 use crate::policy::Conv;
-use crate::program::operations::Visit;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, allowed, count, exclusive, finite, not_negative, positive};
@@ -12,7 +11,7 @@ use crate::tasks::{
     self, Absorbing, AbsorbingEdges, Barrier, ControlShape, Cubic, DoubleWell, Harmonic, LossMode, Pade, QuantumEffect,
     QuantumScheme, QuantumSystem, Strang, Tabulated,
 };
-use crate::{Forced, HasModel, Named, Substeps};
+use crate::{DynTask, Forced, Named, Substeps};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -161,17 +160,6 @@ impl PolicySpec for ConvSettings {
     }
 }
 
-/// Calls the visitor with the task of reaching the target eigenstate.
-fn visit_task<S: HasModel<QuantumSystem> + Clone + 'static, V: Visit>(
-    system: S,
-    settings: &Settings<Quantum>,
-    visitor: V,
-) -> V::Out {
-    let QuantumSettings { target, weighting, .. } = settings.system;
-    let task = tasks::Quantum { system, target, loss: settings.loss.mode, horizon: settings.horizon, weighting };
-    settings.policy.visit(task, visitor)
-}
-
 impl TaskSpec for Quantum {
     type System = QuantumSettings;
     type Effects = QuantumEffects;
@@ -212,7 +200,7 @@ impl TaskSpec for Quantum {
         effects.only_of::<QuantumSystem>()
     }
 
-    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+    fn task(settings: &Settings<Self>) -> DynTask {
         let system = settings.physics();
         let mut effects = settings.effects.list(&system);
         effects.extend(settings.own_effects.listed());
@@ -227,7 +215,9 @@ impl TaskSpec for Quantum {
             _ => QuantumScheme::CrankNicolson(system),
         };
         let system = Substeps { system: Absorbing::new(Forced { system: scheme, effects }, edges), count };
-        visit_task(settings.actuator.wrap(system, settings.system.dt), settings, visitor)
+        let system = settings.actuator.wrap(system, settings.system.dt);
+        let QuantumSettings { target, weighting, .. } = settings.system;
+        DynTask::new(tasks::Quantum { system, target, loss: settings.loss.mode, horizon: settings.horizon, weighting })
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {

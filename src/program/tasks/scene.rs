@@ -4,22 +4,19 @@
 //! to the settings of one task.
 
 use crate::identify::{Fit, IdentifyError, Options, Segment};
-use crate::optimize::{OptimizeError, Plan};
-use crate::program::operations::checks::{Checking, Results};
-use crate::program::operations::costs::{Costing, Stored, Storing};
-use crate::program::operations::evaluation::Evaluating;
-use crate::program::operations::gradients::{Derived, Deriving, GradientMethod, Referring};
-use crate::program::operations::identification::Identifying;
-use crate::program::operations::optimization::Optimizing;
-use crate::program::operations::session::{AnyRun, Open};
-use crate::program::operations::simulation::{Job, Preparing};
+use crate::optimize::{self, Initial, OptimizeError, Plan};
+use crate::program::operations::checks::Results;
+use crate::program::operations::costs::Stored;
+use crate::program::operations::gradients::{Derived, GradientMethod};
+use crate::program::operations::session::AnyRun;
+use crate::program::operations::simulation::Job;
 use crate::program::operations::trajectory::Trajectory;
-use crate::program::operations::varying::Varying;
+use crate::program::operations::{checks, costs, evaluation, gradients, identification, session, simulation};
 use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{FieldName, OPTIONAL, Precision};
 use crate::program::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
 use crate::report::Animation;
-use crate::{Field, Number, TaskOpCount};
+use crate::{Field, Number, System, Task, TaskOpCount};
 use anyhow::Result;
 use std::ops::Deref;
 use std::sync::Arc;
@@ -76,8 +73,8 @@ pub trait AnySettings: Send + Sync {
     fn varied(&self) -> Vec<(String, Number)>;
     /// Fits the trained numbers to measured segments.
     fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError>;
-    /// Optimizes the controls from one initial state.
-    fn optimize(&self, optimizing: Optimizing) -> Result<Plan, OptimizeError>;
+    /// Optimizes the controls from the initial state `x0` with the parameters `p`.
+    fn optimize(&self, x0: &[f64], p: &[f64], initial: Initial, options: &optimize::Options) -> Result<Plan, OptimizeError>;
     /// Names of the control components.
     fn control_names(&self) -> Vec<String>;
     /// Names of the applied controls, if there is an actuator.
@@ -93,35 +90,42 @@ pub trait AnySettings: Send + Sync {
 impl<K: TaskSpec> AnySettings for Settings<K> {
     fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>> {
         let training = self.training.training(self.epochs, self.seed, workers);
-        Ok(self.visit(Open { precision: self.precision, field: self.training.weighted(self.field.0), training })?)
+        let (task, policy) = self.task_and_policy();
+        Ok(session::open(task, policy, self.precision, self.training.weighted(self.field.0), training)?)
     }
 
     fn check(&self, variant: &str, results: &mut Results) {
-        self.visit(Checking { variant, results });
+        let (task, policy) = self.task_and_policy();
+        checks::check(&task, &policy, variant, results);
     }
 
     fn prepare(&self) -> Job {
-        self.visit(Preparing { precision: self.precision, seed: self.seed })
+        let (task, policy) = self.task_and_policy();
+        simulation::job(task, policy, self.precision, self.seed)
     }
 
     fn derive(&self, precision: Precision, method: GradientMethod) -> Derived {
-        self.visit(Deriving { precision, seed: self.seed, method })
+        let (task, policy) = self.task_and_policy();
+        gradients::derived(task, policy, precision, self.seed, method)
     }
 
     fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3] {
-        self.visit(Referring { seed: self.seed, done })
+        let (task, policy) = self.task_and_policy();
+        gradients::reference(&task, &policy, self.seed, done)
     }
 
     fn cost(&self) -> TaskOpCount {
-        self.visit(Costing)
+        TaskOpCount::of(&self.task())
     }
 
     fn stored(&self, field: Option<Field>) -> Stored {
-        self.visit(Storing { precision: self.precision, field })
+        let (task, policy) = self.task_and_policy();
+        costs::stored(&task, &policy, self.precision, field)
     }
 
     fn losses(&self, theta: &[f64], seed: u64, samples: usize) -> Vec<f64> {
-        self.visit(Evaluating { precision: self.precision, theta, seed, samples })
+        let (task, policy) = self.task_and_policy();
+        evaluation::losses(&task, &policy, self.precision, theta, seed, samples)
     }
 
     fn dt(&self) -> f64 {
@@ -129,7 +133,8 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
     }
 
     fn param_names(&self) -> Vec<String> {
-        let Varying { varied, params } = self.visit(Varying::default());
+        let task = self.task();
+        let (params, varied) = (task.param_dim(), task.system().varied(task.param_dim()));
         let mut own = K::param_names(self).into_iter();
         let name = |i: usize| match varied.iter().find(|varied| varied.index == i) {
             // Effects have the keys of their sections as names.
@@ -142,13 +147,14 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
 
     fn varied(&self) -> Vec<(String, Number)> {
         let names = AnySettings::param_names(self);
-        let Varying { varied, .. } = self.visit(Varying::default());
+        let task = self.task();
+        let varied = task.system().varied(task.param_dim());
         varied.into_iter().map(|varied| (names[varied.index].clone(), varied.number)).collect()
     }
 
     fn identify(&self, segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError> {
         let names = AnySettings::param_names(self);
-        self.visit(Identifying { segments, names: &names, options })
+        identification::identified(&self.task(), &names, segments, options)
     }
 
     fn state_names(&self) -> Vec<String> {
@@ -157,8 +163,8 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         names
     }
 
-    fn optimize(&self, optimizing: Optimizing) -> Result<Plan, OptimizeError> {
-        self.visit(optimizing)
+    fn optimize(&self, x0: &[f64], p: &[f64], initial: Initial, options: &optimize::Options) -> Result<Plan, OptimizeError> {
+        optimize::optimize(&self.task(), x0, p, initial, options)
     }
 
     fn control_names(&self) -> Vec<String> {
@@ -259,7 +265,7 @@ pub fn flat(table: &Table) -> Vec<(String, Value)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::program::operations::Visit;
+    use crate::DynTask;
     use crate::program::settings::{Info, Method};
     use crate::program::tasks::MlpSettings;
     use crate::program::tasks::effects::EffectsSection;
@@ -323,8 +329,7 @@ mod tests {
             Ok(())
         }
 
-        /// Compiles no computation of the program.
-        fn visit<V: Visit>(_settings: &Settings<Self>, _visitor: V) -> V::Out {
+        fn task(_settings: &Settings<Self>) -> DynTask {
             unreachable!("these tests need settings only")
         }
 

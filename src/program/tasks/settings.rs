@@ -1,14 +1,15 @@
 //! Settings of a run, as one struct per task.
 
-use crate::program::operations::Visit;
-use crate::program::operations::memory::{self, Memory, Needs};
+use crate::policy::WithParams;
+use crate::program::operations::memory::{self, Needs};
 use crate::program::settings::config_error::{ConfigError, count};
 use crate::program::settings::{
     ActuatorSettings, FieldName, IntegratorSettings, OPTIONAL, Precision, TrainingSettings, VERSION, reading,
 };
 use crate::program::tasks::effects::Present;
+use crate::program::tasks::policy::trained;
 use crate::program::tasks::{self, PolicySpec, SceneEffects, TaskSpec};
-use crate::{DynEffect, Field, Named};
+use crate::{DynEffect, DynTask, Field, Named, System, Task};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
@@ -117,8 +118,8 @@ impl<K: TaskSpec> Settings<K> {
         K::validate_own_effects(&self.own_effects)?;
         let TrainingSettings { batch, train_samples, test_samples, .. } = self.training;
         let samples = batch.min(train_samples);
-        let Needs { batch: whole, rest } =
-            self.visit(Memory { precision: self.precision, samples, start_states: train_samples + test_samples });
+        let (task, policy) = self.task_and_policy();
+        let Needs { batch: whole, rest } = memory::needs(&task, &policy, self.precision, samples, train_samples + test_samples);
         // With a budget, the reverse pass recomputes the steps that do not fit.
         let batch = self.training.budget().map_or(whole, |budget| whole.min(budget as f64));
         let (needed, most) = (batch + rest, memory::of_this_machine());
@@ -147,8 +148,17 @@ impl<K: TaskSpec> Settings<K> {
         effects
     }
 
-    /// Calls the visitor with the task and the policy.
-    pub fn visit<V: Visit>(&self, visitor: V) -> V::Out {
-        K::visit(self, visitor)
+    /// The task.
+    pub fn task(&self) -> DynTask {
+        K::task(self)
+    }
+
+    /// The task and a policy for it, with the trained numbers of its system.
+    pub fn task_and_policy(&self) -> (DynTask, WithParams<<K::PolicySpec as PolicySpec>::Policy>) {
+        let task = self.task();
+        let system = task.system();
+        let policy = self.policy.build(task.observation_dim().unwrap_or(system.state_dim()), system.control_dim());
+        let trained = system.varied(task.param_dim()).iter().filter_map(trained).collect::<Vec<_>>();
+        (task, WithParams::new(policy, trained))
     }
 }

@@ -1,13 +1,13 @@
 //! Bouncing ball: settings, limits and animation.
 
-use crate::program::operations::Visit;
+use crate::DynTask;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::{ConfigError, finite, positive};
 use crate::program::tasks::hard::contact::ContactSettings;
-use crate::program::tasks::hard::{Nothing, names, small_step, visit};
+use crate::program::tasks::hard::{Nothing, in_scene, names, small_step};
 use crate::program::tasks::{MlpSettings, Settings, TaskSpec};
 use crate::report::{Animation, Posture, Stage, mechanics};
-use crate::tasks::{self, AnyHard, BouncingBall};
+use crate::tasks::{self, BouncingBall};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -70,11 +70,11 @@ impl TaskSpec for Bounce {
         contact.validate()
     }
 
-    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+    fn task(settings: &Settings<Self>) -> DynTask {
         let BounceSettings { mass, gravity, dt: _, contact } = settings.system;
         let system = BouncingBall { mass, gravity, dt: small_step(settings), contact: contact.contact(0.8) };
         let task = tasks::Bounce { system, target: settings.loss.target, horizon: settings.horizon };
-        visit(settings, AnyHard::Bounce(task), visitor)
+        in_scene(settings, task)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {

@@ -1,13 +1,13 @@
 //! Double pendulum: settings, limits and animation.
 
-use crate::program::operations::Visit;
+use crate::DynTask;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, finite, positive};
-use crate::program::tasks::hard::{Nothing, Start, UprightLoss, names, upright, validate_upright, visit};
+use crate::program::tasks::hard::{Nothing, Start, UprightLoss, in_scene, names, upright, validate_upright};
 use crate::program::tasks::{Conserved, MlpSettings, Settings, TaskSpec};
 use crate::report::{Animation, Posture, Stage, mechanics};
-use crate::tasks::{self, AnyHard};
+use crate::tasks;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -64,9 +64,9 @@ impl TaskSpec for DoublePendulum {
         validate_upright(settings)
     }
 
-    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+    fn task(settings: &Settings<Self>) -> DynTask {
         let task = upright(settings, body(settings), 0, settings.system.start);
-        visit(settings, AnyHard::DoublePendulum(task), visitor)
+        in_scene(settings, task)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {

@@ -1,12 +1,12 @@
 //! Linear-quadratic regulator: settings, limits and animation.
 
-use crate::program::operations::Visit;
+use crate::DynTask;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::{ConfigError, allowed, positive};
-use crate::program::tasks::hard::{Nothing, names, visit};
+use crate::program::tasks::hard::{Nothing, in_scene, names};
 use crate::program::tasks::{MlpSettings, Settings, TaskSpec};
 use crate::report::{Animation, Posture, Stage, mechanics};
-use crate::tasks::{self, AnyHard, CartPoleSystem};
+use crate::tasks::{self, CartPoleSystem};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -57,14 +57,14 @@ impl TaskSpec for Lqr {
         allowed("integrator.substeps", substeps, substeps == 1, "1, because a linear plant is discrete in time")
     }
 
-    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+    fn task(settings: &Settings<Self>) -> DynTask {
         let LqrSettings { plant, spread } = settings.system;
         let mut lqr = match plant {
             Plant::Spring => tasks::Lqr::spring(),
             Plant::UprightCartPole => tasks::Lqr::upright_cart_pole(),
         };
         (lqr.spread, lqr.horizon) = (spread, settings.horizon);
-        visit(settings, AnyHard::Lqr(lqr), visitor)
+        in_scene(settings, lqr)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {

@@ -1,14 +1,14 @@
 //! Pendulum of several arms with friction: settings, limits and animation.
 
+use crate::DynTask;
 use crate::Number;
-use crate::program::operations::Visit;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, count, finite, not_negative, positive};
-use crate::program::tasks::hard::{Nothing, Start, UprightLoss, names, upright, validate_upright, visit};
+use crate::program::tasks::hard::{Nothing, Start, UprightLoss, in_scene, names, upright, validate_upright};
 use crate::program::tasks::{Conserved, MlpSettings, Settings, TaskSpec};
 use crate::report::{Animation, Posture, Stage, mechanics};
-use crate::tasks::{self, AnyHard, Arm, MultiPendulum};
+use crate::tasks::{self, Arm, MultiPendulum};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -68,9 +68,9 @@ impl TaskSpec for Pendulum {
         validate_upright(settings)
     }
 
-    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+    fn task(settings: &Settings<Self>) -> DynTask {
         let task = upright(settings, body(settings), 0, settings.system.start);
-        visit(settings, AnyHard::MultiPendulum(task), visitor)
+        in_scene(settings, task)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {

@@ -1,14 +1,14 @@
 //! Chain of poles on a cart: settings, limits and animation.
 
+use crate::DynTask;
 use crate::Number;
-use crate::program::operations::Visit;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::Method;
 use crate::program::settings::config_error::{ConfigError, count, finite, positive};
-use crate::program::tasks::hard::{Nothing, Start, UprightLoss, upright, validate_upright, visit};
+use crate::program::tasks::hard::{Nothing, Start, UprightLoss, in_scene, upright, validate_upright};
 use crate::program::tasks::{Conserved, MlpSettings, Settings, TaskSpec};
 use crate::report::{Animation, Posture, Stage, mechanics};
-use crate::tasks::{self, AnyHard, CartPoleSystem};
+use crate::tasks::{self, CartPoleSystem};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -74,9 +74,9 @@ impl TaskSpec for PoleChain {
         validate_upright(settings)
     }
 
-    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+    fn task(settings: &Settings<Self>) -> DynTask {
         let task = upright(settings, chain(settings), 2, settings.system.start);
-        visit(settings, AnyHard::PoleChain(task), visitor)
+        in_scene(settings, task)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {

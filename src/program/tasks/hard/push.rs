@@ -1,13 +1,13 @@
 //! Pusher and box: settings, limits and animation.
 
-use crate::program::operations::Visit;
+use crate::DynTask;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::{ConfigError, positive};
 use crate::program::tasks::hard::contact::ContactSettings;
-use crate::program::tasks::hard::{Nothing, names, small_step, visit};
+use crate::program::tasks::hard::{Nothing, in_scene, names, small_step};
 use crate::program::tasks::{MlpSettings, Settings, TaskSpec};
 use crate::report::{Animation, Posture, Stage, mechanics};
-use crate::tasks::{self, AnyHard, TwoBodies};
+use crate::tasks::{self, TwoBodies};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -55,10 +55,10 @@ impl TaskSpec for Push {
         contact.validate()
     }
 
-    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+    fn task(settings: &Settings<Self>) -> DynTask {
         let PushSettings { masses, contact_distance, dt: _, contact } = settings.system;
         let system = TwoBodies { masses, contact_distance, dt: small_step(settings), contact: contact.contact(0.0) };
-        visit(settings, AnyHard::Push(tasks::Push { system, horizon: settings.horizon }), visitor)
+        in_scene(settings, tasks::Push { system, horizon: settings.horizon })
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {

@@ -1,12 +1,12 @@
 //! Block with dry friction: settings, limits and animation.
 
-use crate::program::operations::Visit;
+use crate::DynTask;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::settings::config_error::{ConfigError, not_negative, positive};
-use crate::program::tasks::hard::{Nothing, names, small_step, visit};
+use crate::program::tasks::hard::{Nothing, in_scene, names, small_step};
 use crate::program::tasks::{MlpSettings, Settings, TaskSpec};
 use crate::report::{Animation, Posture, Stage, mechanics};
-use crate::tasks::{self, AnyHard, FrictionScheme, SliderSystem};
+use crate::tasks::{self, FrictionScheme, SliderSystem};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -81,7 +81,7 @@ impl TaskSpec for Slider {
         not_negative("loss.speed_weight", settings.loss.speed_weight)
     }
 
-    fn visit<V: Visit>(settings: &Settings<Self>, visitor: V) -> V::Out {
+    fn task(settings: &Settings<Self>) -> DynTask {
         let SliderSettings { mass, coefficient, smoothing, dt: _, scheme } = settings.system;
         let scheme = match scheme {
             Scheme::Explicit => FrictionScheme::Explicit,
@@ -89,7 +89,7 @@ impl TaskSpec for Slider {
         };
         let system = SliderSystem { mass, coefficient, smoothing, dt: small_step(settings), scheme };
         let task = tasks::Slider { system, speed_weight: settings.loss.speed_weight, horizon: settings.horizon };
-        visit(settings, AnyHard::Slider(task), visitor)
+        in_scene(settings, task)
     }
 
     fn variants() -> Vec<(String, Settings<Self>)> {
