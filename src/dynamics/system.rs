@@ -29,8 +29,8 @@ use smallvec::SmallVec;
 /// Cotangents and tangents have the shapes of their values.
 ///
 /// # Choice at run time
-/// There is no `Box<dyn System>`, because `step` is generic. Write an enum with one variant per
-/// system, which implements `System` by a `match`.
+/// There is no `Box<dyn System>`, because `step` is generic. [`DynTask`](crate::DynTask) holds any
+/// task. An enum with one variant per system may implement `System` by a `match`.
 #[diagnostic::on_unimplemented(
     message = "`{Self}` is not a system",
     note = "implement `physgrad::System`: `state_dim`, `control_dim` and `step`"

@@ -1,8 +1,7 @@
-//! Computations that need the concrete types of a task and its policy: sessions, checks,
-//! simulations, gradients, costs, evaluation, identification and trajectory optimization.
+//! Computations with a task and its policy: sessions, checks, simulations, gradients, costs,
+//! evaluation and identification.
 //!
-//! A visitor, which implements [`Visit`], starts each computation. Imports `platform` and
-//! `settings`. Start with `session`.
+//! Imports `platform` and `settings`. Start with `session`.
 
 pub mod adjoint_norms;
 pub mod checks;
