@@ -3,6 +3,7 @@
 use super::normal;
 use crate::dynamics::task::Task;
 use crate::engine::adjoint::Flow;
+use crate::engine::any::AnyTask;
 use crate::engine::batch::Batch;
 use crate::engine::divergence::Divergence;
 use crate::numbers::rng::{Purpose, stream};
@@ -77,8 +78,8 @@ impl fmt::Display for Plateau {
 /// # Errors
 /// Returns [`Divergence`] if a loss or gradient is non-finite.
 pub fn plateau<T: Task, P: Policy>(task: &T, policy: &P, weights: &Weights<f64>, starts: &[f64]) -> Result<Plateau, Divergence> {
-    let mut batch =
-        Batch::new(task, policy, starts.len() / crate::dynamics::system::System::state_dim(task.system()), &[Flow::REGULAR], 1);
+    let samples = starts.len() / AnyTask::<f64>::start_dim(task);
+    let mut batch = Batch::new(task, policy, samples, &[Flow::REGULAR], 1);
     let mut slope = |weights: &Weights<f64>| -> Result<(f64, f64), Divergence> {
         let loss = batch.run(task, policy, weights, starts)?;
         Ok((loss, batch.gradients()[0].norm().get()))

@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 # Files without physics: dispatch, limits of settings, and solvers.
-WITHOUT = {"masses.rs", "model.rs", "scheme.rs", "hard.rs", "loss.rs", "riccati.rs", "factor.rs"}
+WITHOUT = {"masses.rs", "model.rs", "scheme.rs", "loss.rs", "riccati.rs", "factor.rs"}
 # Local variables with constants, per file.
 NAMED = {
     "double_pendulum.rs": r"(?:m1|m2|l1|l2)\b(?=\s*[-+*/)])",
@@ -45,9 +45,9 @@ pub mod mutation {
 
 
 def fields(text):
-    """Names of public fields of type f64, of all fields of type f64, and of fields of type usize."""
+    """Names of public fields of type f64 or Number, of all such fields, and of fields of type usize."""
     names = lambda pattern: set(re.findall(pattern, text, re.M))
-    return names(r"^\s*pub (\w+): f64,"), names(r"^\s*(?:pub )?(\w+): f64,"), names(r"^\s*(?:pub )?(\w+): usize,")
+    return names(r"^\s*pub (\w+): (?:f64|Number),"), names(r"^\s*(?:pub )?(\w+): (?:f64|Number),"), names(r"^\s*(?:pub )?(\w+): usize,")
 
 
 def places(name, everywhere, own):

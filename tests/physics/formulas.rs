@@ -18,7 +18,7 @@ use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::tasks::*;
 use physgrad::{
     Actuated, Actuator, AnyActuator, Cotangent, Cotangents, Delay, Effect, Forced, ForcedSystem, Inputs, Lag, Limit, LimitKind,
-    Ode, Real, Scalar, Start, System, Task, check,
+    Number as PhysicalNumber, Ode, Real, Scalar, Start, System, Task, check,
 };
 use rand::RngExt;
 use std::f64::consts::{FRAC_PI_6, PI, TAU};

@@ -7,6 +7,9 @@ use crate::program::tasks::{self, Scene};
 use anyhow::{Result, bail};
 
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
+///
+/// For a named task or scene, also check the stability of the time step in states of test rollouts,
+/// and whether the loss has a slope at the initial parameters.
 #[derive(Debug, clap::Args)]
 pub struct Check {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
@@ -24,6 +27,11 @@ pub fn check(args: &Check) -> Result<()> {
     let (table, failures) = results.finish();
     print_result(&table.to_string())?;
     print_result("errors in f64 against dual numbers, relative to the largest component")?;
+    if let Some(name) = &args.scene {
+        for sentence in presets::source(name)?.scene()?.diagnosis() {
+            print_result(&sentence)?;
+        }
+    }
     if failures.is_empty() {
         return Ok(());
     }

@@ -1,11 +1,11 @@
 //! `physgrad robust`: losses of trained policies over a grid of settings.
 
-use crate::program::operations::evaluation;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, SETTINGS};
 use crate::program::platform::parallel;
 use crate::program::platform::terminal::print_result;
 use crate::program::runs::saved;
+use crate::program::runs::statistics::quantile;
 use crate::program::scenes::source::SceneSource;
 use crate::program::tasks::Scene;
 use crate::report::{Series, robustness};
@@ -136,7 +136,7 @@ impl Policy {
         let mut losses = scene.losses(&self.theta, args.seed, args.samples);
         let diverged = losses.iter().filter(|loss| !loss.is_finite()).count();
         losses.sort_by(f64::total_cmp);
-        Ok(Cell { run, at: at.to_vec(), quantiles: SHARES.map(|share| evaluation::quantile(&losses, share)), diverged })
+        Ok(Cell { run, at: at.to_vec(), quantiles: SHARES.map(|share| quantile(&losses, share)), diverged })
     }
 }
 

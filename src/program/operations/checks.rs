@@ -1,7 +1,9 @@
 //! Gradient checks of a task and its policy, collected in a table.
 
 use crate::check::{self, Failure, Passed};
-use crate::{DynTask, Flow, Policy, System, Task};
+use crate::program::operations::trajectory::rollouts;
+use crate::rng::{Purpose, stream};
+use crate::{DynTask, Flow, Inputs, Policy, System, Task, Weights, initial_states};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use indicatif::ProgressBar;
@@ -20,6 +22,40 @@ pub fn check(task: &DynTask, policy: &impl Policy, variant: &str, results: &mut 
         results.add(&format!("{variant}: rollout, {flow}"), || check::try_flow(task, policy, flow));
     }
 }
+
+/// Stability of the step in states of test rollouts with initial parameters, and the slope of the
+/// loss there, as sentences.
+pub fn diagnosis(task: &DynTask, policy: &impl Policy, seed: u64, state_names: &[String]) -> Vec<String> {
+    let weights = Weights::<f64>::init(policy, &mut stream(seed, Purpose::Policy, 0));
+    let starts = initial_states(task, seed, Purpose::Test, ROLLOUTS);
+    let rollouts = rollouts(task, policy, &weights, &starts, 0..ROLLOUTS);
+    let slope = match check::plateau(task, policy, &weights, &starts) {
+        Ok(plateau) => format!("loss at the initial parameters: {plateau}"),
+        Err(divergence) => format!("loss at the initial parameters: {divergence}"),
+    };
+    if state_names.len() > MAX_STATES {
+        return vec![format!("time step: not checked beyond {MAX_STATES} state components"), slope];
+    }
+    let states = rollouts.iter().enumerate().flat_map(|(sample, rollout)| {
+        let steps = (0..rollout.controls.len()).step_by(rollout.controls.len().div_ceil(STATES).max(1));
+        steps.map(move |t| (sample, t, Inputs { x: &rollout.states[t], u: &rollout.controls[t], p: &rollout.params, t }))
+    });
+    let found = states.map(|(sample, t, inputs)| (sample, t, check::stability(task.system(), inputs)));
+    // A NaN is the worst.
+    let worst = found.max_by(|(_, _, a), (_, _, b)| a.multiplier.total_cmp(&b.multiplier));
+    let step = worst.map_or_else(String::new, |(sample, t, worst)| {
+        let name = &state_names[worst.component];
+        format!("time step, worst in test rollout {sample}, step {t}, component {} ({name}): {worst}", worst.component)
+    });
+    vec![step, slope]
+}
+
+/// Number of rollouts of [`diagnosis`].
+const ROLLOUTS: usize = 4;
+/// Largest number of states per rollout in [`diagnosis`].
+const STATES: usize = 8;
+/// Largest number of state components whose stability is computed.
+const MAX_STATES: usize = 100;
 
 /// Results of the checks so far.
 pub struct Results {

@@ -39,12 +39,3 @@ fn evaluate<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, theta: &
     }
     losses
 }
-
-/// Quantile of sorted numbers, linear between neighbours (Hyndman and Fan 1996, type 7,
-/// doi:10.1080/00031305.1996.10473566).
-pub fn quantile(sorted: &[f64], share: f64) -> f64 {
-    let at = share * (sorted.len() - 1) as f64;
-    let (low, rest) = (sorted[at.floor() as usize], at.fract());
-    // Avoids 0 · ∞ for diverged rollouts.
-    if rest == 0.0 { low } else { low + rest * (sorted[at.ceil() as usize] - low) }
-}

@@ -88,7 +88,8 @@ pub fn best(records: &[Record]) -> f64 {
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     let at = q * (sorted.len() - 1) as f64;
     let (below, above) = (sorted[at.floor() as usize], sorted[at.ceil() as usize]);
-    if at.fract() == 0.0 { below } else { below + at.fract() * (above - below) }
+    // Equal infinities have no difference.
+    if at.fract() == 0.0 || below == above { below } else { below + at.fract() * (above - below) }
 }
 
 /// Sorts in ascending order. NaN of either sign comes last.
@@ -117,6 +118,7 @@ mod tests {
     fn quantiles_interpolate_linearly() {
         let numbers = sorted([4.0, 1.0, 2.0].into_iter());
         assert_eq!([0.0, 0.25, 0.5, 0.75, 1.0].map(|q| quantile(&numbers, q)), [1.0, 1.5, 2.0, 3.0, 4.0]);
+        assert_eq!(quantile(&[1.0, f64::INFINITY, f64::INFINITY], 0.75), f64::INFINITY);
         assert_eq!(quantile(&[7.0], 0.75), 7.0);
         assert_eq!(quantile(&sorted([1.0, 2.0].into_iter()), 0.5), 1.5);
     }

@@ -48,6 +48,8 @@ pub trait AnySettings: Send + Sync {
     fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>>;
     /// Checks the gradients of system, policy and rollout. Results carry the name `variant`.
     fn check(&self, variant: &str, results: &mut Results);
+    /// Stability of the time step and slope of the loss at the initial parameters, as sentences.
+    fn diagnosis(&self) -> Vec<String>;
     /// Rollout with its adjoints, for comparison with other methods.
     fn prepare(&self) -> Job;
     /// Gradient, computed by the given method.
@@ -97,6 +99,11 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
     fn check(&self, variant: &str, results: &mut Results) {
         let (task, policy) = self.task_and_policy();
         checks::check(&task, &policy, variant, results);
+    }
+
+    fn diagnosis(&self) -> Vec<String> {
+        let (task, policy) = self.task_and_policy();
+        checks::diagnosis(&task, &policy, self.seed, &AnySettings::state_names(self))
     }
 
     fn prepare(&self) -> Job {

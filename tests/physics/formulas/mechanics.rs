@@ -5,7 +5,7 @@ use super::*;
 
 /// Checks the rates of an [`Ode`] whose positions and speeds alternate, and its energy.
 #[track_caller]
-fn moves_as<O: Ode + Copy>(what: &str, ode: O, energy: impl Fn(&[f64]) -> f64, mechanism: &Mechanism) {
+fn moves_as<O: Ode + Clone>(what: &str, ode: O, energy: impl Fn(&[f64]) -> f64, mechanism: &Mechanism) {
     for (x, u) in states(ode.state_dim(), 1) {
         let mut applied = vec![0.0; x.len() / 2];
         applied[0] = u[0];
@@ -26,6 +26,50 @@ fn a_double_pendulum_is_two_point_masses() {
     let points = vec![Point { mass: 1.3, arms: vec![0.7, 0.0] }, Point { mass: 0.4, arms: vec![0.7, 1.1] }];
     let mechanism = Mechanism { points, cart: false, gravity: 9.1 };
     moves_as("double pendulum", pendulum, |x| pendulum.energy(x), &mechanism);
+}
+
+/// Rigid arms with friction in their joints, and point masses with the same masses, centers and
+/// inertias: half of the mass of an arm at `center ± sqrt(inertia / mass)`.
+fn rigid_arms(friction: [f64; 3]) -> (MultiPendulum, Mechanism) {
+    let sizes = [[1.3, 0.4, 0.7, 0.05], [0.6, 0.5, 0.9, 0.11], [0.8, 0.3, 0.2, 0.02]];
+    let [viscous, dry, quadratic] = friction.map(PhysicalNumber::from);
+    let arm = |[mass, center, length, inertia]: [f64; 4]| {
+        let [mass, center, length, inertia] = [mass, center, length, inertia].map(PhysicalNumber::from);
+        Arm { mass, center, length, inertia, viscous, dry, quadratic }
+    };
+    let points = sizes.into_iter().enumerate().flat_map(|(i, [mass, center, _, inertia])| {
+        [-1.0, 1.0].map(|side| {
+            let mut arms: Vec<f64> = sizes.iter().map(|size| size[2]).collect();
+            arms[i] = center + side * (inertia / mass).sqrt();
+            arms[i + 1..].fill(0.0);
+            Point { mass: 0.5 * mass, arms }
+        })
+    });
+    let mechanism = Mechanism { points: points.collect(), cart: false, gravity: 9.1 };
+    (MultiPendulum { arms: sizes.map(arm).into(), gravity: 9.1.into() }, mechanism)
+}
+
+#[test]
+fn a_pendulum_of_rigid_arms_is_pairs_of_point_masses() {
+    let (pendulum, mechanism) = rigid_arms([0.0; 3]);
+    moves_as("pendulum", pendulum.clone(), |x| pendulum.energy(x), &mechanism);
+}
+
+#[test]
+fn friction_of_a_joint_acts_on_both_arms() {
+    let (pendulum, mechanism) = rigid_arms([0.2, 0.3, 0.4]);
+    for (x, u) in states(6, 1) {
+        let speeds: Vec<f64> = x.chunks_exact(2).map(|pair| pair[1]).collect();
+        // The support does not turn. Dry friction is smoothed below 0.01 rad/s.
+        let torque = |r: f64| -(0.2 * r + 0.3 * (r / 0.01).tanh() + 0.4 * r * r.abs());
+        let joints = [torque(speeds[0]), torque(speeds[1] - speeds[0]), torque(speeds[2] - speeds[1])];
+        let applied = [u[0] + joints[0] - joints[1], joints[1] - joints[2], joints[2]];
+        let accelerations = mechanism.accelerations(&x, &applied);
+        let expected: Vec<f64> = speeds.iter().zip(accelerations).flat_map(|(&speed, a)| [speed, a]).collect();
+        let mut rate = vec![f64::NAN; 6];
+        pendulum.rate(Inputs::new(&x, &u).continuous(0.0), &mut rate);
+        near("pendulum with friction", &rate, &expected);
+    }
 }
 
 #[test]
