@@ -5,8 +5,9 @@ use crate::dynamics::default_vjp::{Function, add_product, default_vjp};
 use crate::dynamics::inputs::{Cotangents, Inputs, Tangents};
 use crate::dynamics::number::{Numbers, Varied};
 use crate::dynamics::outline;
+use crate::numbers::forward_mode::Chunk;
 use crate::numbers::kernels::Vectorized;
-use crate::numbers::scalar::{Cotangent, Dual, Over, Real, Scalar};
+use crate::numbers::scalar::{Cotangent, Over, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::SmallVec;
 
@@ -133,20 +134,26 @@ fn outlined_vjp<S: System + ?Sized, R: Real, C: Cotangent<R>>(
     outline::outline::<R>(Work { system, inputs, next_bar, cotangents, visit });
 }
 
+/// [`System::jvp`] by the dual numbers of Jacobians, with one direction, so that a step is compiled for
+/// no other type.
 fn jvp_by_duals<S: System + ?Sized, R: Real>(
     system: &S,
     Inputs { x, u, p, t }: Inputs<'_, R>,
     tangents: Tangents<'_, R>,
     next_tan: &mut [R],
 ) {
-    let convert = |values: &[R], tangents: Option<&[R]>| -> SmallVec<[Dual<R, 1>; 32]> {
-        let tangent = |i: usize| [tangents.map_or(R::zero(), |tangents| tangents[i])];
-        values.iter().enumerate().map(|(i, &value)| Dual { value, tangents: tangent(i) }).collect()
+    let convert = |values: &[R], tangents: Option<&[R]>| -> SmallVec<[Chunk<R>; 32]> {
+        let along = |(i, &value): (usize, &R)| {
+            let mut number = Chunk::constant(value);
+            number.tangents[0] = tangents.map_or(R::zero(), |tangents| tangents[i]);
+            number
+        };
+        values.iter().enumerate().map(along).collect()
     };
     let (x, u, p) = (convert(x, tangents.x), convert(u, tangents.u), convert(p, tangents.p));
     let mut next = x.clone();
     outline::step(system, Inputs { x: &x, u: &u, p: &p, t }, &mut next);
     for (tan, next) in zip(next_tan.iter_mut(), &next) {
-        [*tan] = next.tangents;
+        *tan = next.tangents[0];
     }
 }

@@ -65,7 +65,7 @@ pub(crate) fn scalar_pointer_of_cost<G: ScalarFunction>(slot: &mut dyn Any) -> b
 /// As [`scalar_pointer`], for the scalars of default derivatives and diagnoses as well.
 pub(crate) fn scalar_pointer_of_effect<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
     scalar_pointer::<G>(slot)
-        || fill_scalars!(slot, G: Single<f32>, Single<f64>, Dual<f64, 1>, Reverse<f64>)
+        || fill_scalars!(slot, G: Single<f32>, Single<f64>, Reverse<f64>)
         || fill_scalars!(slot, G: Dual<Lanes<f32, 8>, CHUNK>, Dual<Lanes<f64, 8>, CHUNK>, Dual<Counted, CHUNK>)
         || fill_scalars!(slot, G: Reverse<Lanes<f32, 8>>, Reverse<Lanes<f64, 8>>, Reverse<Counted>)
         || fill_scalars!(slot, G: Dual<Single<f32>, CHUNK>, Dual<Single<f64>, CHUNK>)

@@ -316,6 +316,29 @@ fn checks_pass_and_report_it() {
 }
 
 #[test]
+fn a_check_distinguishes_long_steps_from_unstable_physics() {
+    let dir = TempDir::new().expect("a folder");
+    let checked = |scene: &str| {
+        let file = dir.path().join("scene.toml");
+        fs::write(&file, format!("scene = 1\n{scene}")).expect("a scene");
+        let output = physgrad(&["check"]).arg(&file).assert().success();
+        String::from_utf8(output.get_output().stdout.clone()).expect("text")
+    };
+    // The friction decays at 300/s. RK4 with 0.01 s amplifies by 1 - 3 + 9/2 - 27/6 + 81/24 = 1.375.
+    let rubbed = "task = \"pendulum\"\nhorizon = 10\n[[system.arms]]\nviscous = 0.4\n";
+    let text = checked(rubbed);
+    assert!(text.contains("omega_1 grows by 1.3") && text.contains("Shorten the step: `integrator.substeps = 2`"), "{text}");
+    let text = checked(&format!("{rubbed}[integrator]\nsubsteps = 2\n"));
+    assert!(text.contains("stable: no perturbation"), "{text}");
+    // An upright pole falls.
+    let text = checked("task = \"cart_pole\"\n");
+    assert!(text.contains("the physics is unstable, not the step"), "{text}");
+    // In 20 steps, the pusher does not reach the box.
+    let text = checked("task = \"push\"\nhorizon = 20\n");
+    assert!(text.contains("loss at the initial parameters: flat"), "{text}");
+}
+
+#[test]
 fn tasks_are_listed_with_their_settings() {
     let output = physgrad(&["tasks"]).assert().success();
     let text = String::from_utf8(output.get_output().stdout.clone()).expect("text");

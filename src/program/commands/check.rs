@@ -1,10 +1,13 @@
 //! `physgrad check`: the gradient checks of the library, as a table.
 
-use crate::program::operations::checks::Results;
+use crate::check::Stability;
+use crate::program::operations::checks::{Amplification, Results};
 use crate::program::platform::terminal::print_result;
 use crate::program::scenes::presets;
+use crate::program::scenes::source::SceneSource;
 use crate::program::tasks::{self, Scene};
 use anyhow::{Result, bail};
+use toml::Value;
 
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
 ///
@@ -28,14 +31,57 @@ pub fn check(args: &Check) -> Result<()> {
     print_result(&table.to_string())?;
     print_result("errors in f64 against dual numbers, relative to the largest component")?;
     if let Some(name) = &args.scene {
-        for sentence in presets::source(name)?.scene()?.diagnosis() {
-            print_result(&sentence)?;
-        }
+        let source = presets::source(name)?;
+        let scene = source.scene()?;
+        print_result(&stability(&scene, source)?)?;
+        print_result(&match scene.plateau() {
+            Ok(plateau) => format!("loss at the initial parameters: {plateau}"),
+            Err(divergence) => format!("loss at the initial parameters: {divergence}"),
+        })?;
     }
     if failures.is_empty() {
         return Ok(());
     }
     bail!("{} gradient checks failed:\n{}", failures.len(), failures.join("\n"));
+}
+
+/// Largest number of state components whose stability is computed.
+const MAX_STATES: usize = 100;
+
+/// Stability of the time step, compared with that of half the step where a scene admits it.
+fn stability(scene: &Scene, mut halved: SceneSource) -> Result<String> {
+    let names = scene.state_names();
+    if names.len() > MAX_STATES {
+        return Ok(format!("time step: not checked beyond {MAX_STATES} state components"));
+    }
+    let Some(Amplification { sample, step, stability }) = scene.amplification() else {
+        return Ok("time step: not checked, because all test rollouts diverge in their first step".into());
+    };
+    let Stability { multiplier, component } = stability;
+    let place = format!("in test rollout {sample}, step {step}");
+    if stability.is_stable() || multiplier.is_nan() {
+        return Ok(format!("time step, worst {place}, component {component} ({}): {stability}", names[component]));
+    }
+    let substeps = scene.table.get("integrator").and_then(|section| section.get("substeps")?.as_integer()).unwrap_or(1);
+    halved.put("integrator.substeps", Value::Integer(2 * substeps), "half the step")?;
+    let found = format!("time step: a perturbation of {} grows by {multiplier:.4} per step {place}", names[component]);
+    let half = halved
+        .scene()
+        .ok()
+        .and_then(|scene| scene.amplification())
+        .map(|half| half.stability)
+        .filter(|half| !half.multiplier.is_nan());
+    Ok(match half {
+        Some(half) if half.is_stable() || half.multiplier - 1.0 < 0.5 * (multiplier - 1.0) => {
+            format!(
+                "{found}, but by {:.4} with two substeps. Shorten the step: `integrator.substeps = {}`",
+                half.multiplier,
+                2 * substeps
+            )
+        }
+        Some(half) => format!("{found}, and by {:.4} with two substeps: the physics is unstable, not the step", half.multiplier),
+        None => format!("{found}. Without substeps, step and physics cannot be distinguished"),
+    })
 }
 
 /// Named scenes to check.

@@ -1,9 +1,9 @@
 //! Gradient checks of a task and its policy, collected in a table.
 
-use crate::check::{self, Failure, Passed};
+use crate::check::{self, Failure, Passed, Plateau, Stability};
 use crate::program::operations::trajectory::rollouts;
 use crate::rng::{Purpose, stream};
-use crate::{DynTask, Flow, Inputs, Policy, System, Task, Weights, initial_states};
+use crate::{Divergence, DynTask, Flow, Inputs, Policy, System, Task, Weights, initial_states};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use indicatif::ProgressBar;
@@ -23,39 +23,41 @@ pub fn check(task: &DynTask, policy: &impl Policy, variant: &str, results: &mut 
     }
 }
 
-/// Stability of the step in states of test rollouts with initial parameters, and the slope of the
-/// loss there, as sentences.
-pub fn diagnosis(task: &DynTask, policy: &impl Policy, seed: u64, state_names: &[String]) -> Vec<String> {
+/// Where the step amplifies perturbations most, among states of test rollouts.
+pub struct Amplification {
+    /// Test rollout.
+    pub sample: usize,
+    /// Step of the rollout.
+    pub step: usize,
+    pub stability: Stability,
+}
+
+/// Largest amplification in states of test rollouts with initial parameters. `None` without such
+/// states.
+pub fn amplification(task: &DynTask, policy: &impl Policy, seed: u64) -> Option<Amplification> {
     let weights = Weights::<f64>::init(policy, &mut stream(seed, Purpose::Policy, 0));
     let starts = initial_states(task, seed, Purpose::Test, ROLLOUTS);
     let rollouts = rollouts(task, policy, &weights, &starts, 0..ROLLOUTS);
-    let slope = match check::plateau(task, policy, &weights, &starts) {
-        Ok(plateau) => format!("loss at the initial parameters: {plateau}"),
-        Err(divergence) => format!("loss at the initial parameters: {divergence}"),
-    };
-    if state_names.len() > MAX_STATES {
-        return vec![format!("time step: not checked beyond {MAX_STATES} state components"), slope];
-    }
     let states = rollouts.iter().enumerate().flat_map(|(sample, rollout)| {
         let steps = (0..rollout.controls.len()).step_by(rollout.controls.len().div_ceil(STATES).max(1));
         steps.map(move |t| (sample, t, Inputs { x: &rollout.states[t], u: &rollout.controls[t], p: &rollout.params, t }))
     });
-    let found = states.map(|(sample, t, inputs)| (sample, t, check::stability(task.system(), inputs)));
-    // A NaN is the worst.
-    let worst = found.max_by(|(_, _, a), (_, _, b)| a.multiplier.total_cmp(&b.multiplier));
-    let step = worst.map_or_else(String::new, |(sample, t, worst)| {
-        let name = &state_names[worst.component];
-        format!("time step, worst in test rollout {sample}, step {t}, component {} ({name}): {worst}", worst.component)
-    });
-    vec![step, slope]
+    let amplifications =
+        states.map(|(sample, step, inputs)| Amplification { sample, step, stability: check::stability(task.system(), inputs) });
+    // NaN is the largest.
+    amplifications.max_by(|a, b| a.stability.multiplier.total_cmp(&b.stability.multiplier))
 }
 
-/// Number of rollouts of [`diagnosis`].
+/// Loss and gradient at the initial parameters and at parameters nearby.
+pub fn plateau(task: &DynTask, policy: &impl Policy, seed: u64) -> Result<Plateau, Divergence> {
+    let weights = Weights::<f64>::init(policy, &mut stream(seed, Purpose::Policy, 0));
+    check::plateau(task, policy, &weights, &initial_states(task, seed, Purpose::Test, ROLLOUTS))
+}
+
+/// Number of test rollouts.
 const ROLLOUTS: usize = 4;
-/// Largest number of states per rollout in [`diagnosis`].
+/// Largest number of states per rollout.
 const STATES: usize = 8;
-/// Largest number of state components whose stability is computed.
-const MAX_STATES: usize = 100;
 
 /// Results of the checks so far.
 pub struct Results {

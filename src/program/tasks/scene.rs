@@ -3,9 +3,10 @@
 //! [`Scene`] holds the settings that all tasks share. [`AnySettings`] is the object-safe interface
 //! to the settings of one task.
 
+use crate::check::Plateau;
 use crate::identify::{Fit, IdentifyError, Options, Segment};
 use crate::optimize::{self, Initial, OptimizeError, Plan};
-use crate::program::operations::checks::Results;
+use crate::program::operations::checks::{Amplification, Results};
 use crate::program::operations::costs::Stored;
 use crate::program::operations::gradients::{Derived, GradientMethod};
 use crate::program::operations::session::AnyRun;
@@ -16,7 +17,7 @@ use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{FieldName, OPTIONAL, Precision};
 use crate::program::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
 use crate::report::Animation;
-use crate::{Field, Number, System, Task, TaskOpCount};
+use crate::{Divergence, Field, Number, System, Task, TaskOpCount};
 use anyhow::Result;
 use std::ops::Deref;
 use std::sync::Arc;
@@ -48,8 +49,10 @@ pub trait AnySettings: Send + Sync {
     fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>>;
     /// Checks the gradients of system, policy and rollout. Results carry the name `variant`.
     fn check(&self, variant: &str, results: &mut Results);
-    /// Stability of the time step and slope of the loss at the initial parameters, as sentences.
-    fn diagnosis(&self) -> Vec<String>;
+    /// Largest amplification of a perturbation by a step, in states of test rollouts.
+    fn amplification(&self) -> Option<Amplification>;
+    /// Loss and gradient at the initial parameters and at parameters nearby.
+    fn plateau(&self) -> Result<Plateau, Divergence>;
     /// Rollout with its adjoints, for comparison with other methods.
     fn prepare(&self) -> Job;
     /// Gradient, computed by the given method.
@@ -101,9 +104,14 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         checks::check(&task, &policy, variant, results);
     }
 
-    fn diagnosis(&self) -> Vec<String> {
+    fn amplification(&self) -> Option<Amplification> {
         let (task, policy) = self.task_and_policy();
-        checks::diagnosis(&task, &policy, self.seed, &AnySettings::state_names(self))
+        checks::amplification(&task, &policy, self.seed)
+    }
+
+    fn plateau(&self) -> Result<Plateau, Divergence> {
+        let (task, policy) = self.task_and_policy();
+        checks::plateau(&task, &policy, self.seed)
     }
 
     fn prepare(&self) -> Job {
