@@ -62,8 +62,7 @@ enum Command {
     Optimize(optimize::Optimize),
     Check(check::Check),
     Paper(paper::Paper),
-    /// List the tasks with all settings and their defaults
-    Tasks,
+    Tasks(commands::tasks::Tasks),
     Scene(print::Scene),
     Schema(print::Schema),
     Explain(explain::Explain),
@@ -185,7 +184,7 @@ fn execute(command: &Command) -> Result<()> {
         Command::Identify(args) => identify::identify(args),
         Command::Optimize(args) => optimize::optimize(args),
         Command::Check(args) => check::check(args),
-        Command::Tasks => commands::tasks::tasks(),
+        Command::Tasks(args) => commands::tasks::tasks(args),
         Command::Scene(args) => print::scene(args),
         Command::Schema(args) => print::schema(args),
         Command::Explain(args) => explain::explain(args),
@@ -197,7 +196,7 @@ fn execute(command: &Command) -> Result<()> {
 
 fn default_run() -> Command {
     Command::Train(train::Train {
-        scene: tasks::own().first().map_or("cart_pole", |task| task.name()).into(),
+        scene: Some(tasks::own().first().map_or("cart_pole", |task| task.name()).into()),
         overrides: Overrides::default(),
         threads: None,
         out: None,

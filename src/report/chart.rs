@@ -118,11 +118,11 @@ impl Chart {
 fn shown(series: Vec<Series>, can_be: impl Fn(f64) -> bool) -> Vec<Series> {
     let clean = |mut s: Series| {
         if s.band.is_empty() {
-            s.line = thinned(cleaned(s.line, &can_be));
+            s.line = thinned(cleaned(s.line, &can_be), |p| p.1);
         } else {
             let pairs = s.line.into_iter().zip(s.band);
             let seen = pairs.filter(|&((x, y), (low, high))| x.is_finite() && [y, low, high].into_iter().all(&can_be));
-            (s.line, s.band) = thinned(seen.collect()).into_iter().unzip();
+            (s.line, s.band) = thinned(seen.collect(), |(point, _)| point.1).into_iter().unzip();
         }
         s
     };

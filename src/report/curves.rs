@@ -46,7 +46,8 @@ pub fn field_color(letter: &str) -> &'static str {
 /// Omits losses that a log axis cannot show: non-finite, zero or negative. An empty list omits its
 /// line.
 pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) -> Drawing {
-    let series = |label, color, points: &[(f64, f64)]| Series::new(label, color, thinned(cleaned(points.to_vec(), &drawable)));
+    let series =
+        |label, color, points: &[(f64, f64)]| Series::new(label, color, thinned(cleaned(points.to_vec(), &drawable), |p| p.1));
     let series = vec![series("train", "#0072B2", train), series("test", "#D55E00", test)];
     let panel = Panel { title: String::new(), x_label: "epoch".into(), log_x: false, y_label: "loss".into(), y_axis: 0, series };
     log_figure(title, &[vec![panel]])
@@ -108,28 +109,31 @@ impl Curve {
         };
         // The seeds of a field reach the same epoch at different times.
         let xs: Vec<Vec<(f64, f64)>> = whole.into_iter().map(|run| run.iter().map(|p| (p.epoch, x(p))).collect()).collect();
-        let (mut line, mut band) = (Vec::new(), Vec::new());
+        // Point of the line, and edges of the band.
+        let mut summaries = Vec::new();
         for epoch in common_grid(&runs) {
             let losses: Vec<f64> = runs.iter().map(|run| interpolated(run, epoch, log_between)).collect();
             let mean_log = losses.iter().map(|loss| loss.ln()).sum::<f64>() / losses.len() as f64;
             let mean_x = xs.iter().map(|run| interpolated(run, epoch, between)).sum::<f64>() / xs.len() as f64;
-            line.push((mean_x, mean_log.exp()));
-            if losses.len() > 1 {
-                band.push((losses.iter().copied().fold(f64::INFINITY, f64::min), losses.iter().copied().fold(0.0, f64::max)));
-            }
+            let range = (losses.iter().copied().fold(f64::INFINITY, f64::min), losses.iter().copied().fold(0.0, f64::max));
+            summaries.push(((mean_x, mean_log.exp()), range));
+        }
+        let (line, mut band): (Vec<_>, Vec<_>) = thinned(summaries, |(point, _)| point.1).into_iter().unzip();
+        if runs.len() < 2 {
+            band.clear();
         }
         Series { band, note, ..Series::new(&*self.label, self.color, line) }
     }
 }
 
-/// All epochs of all runs within the range that every run covers, thinned.
+/// All epochs of all runs within the range that every run covers.
 fn common_grid(runs: &[Vec<(f64, f64)>]) -> Vec<f64> {
     let start = runs.iter().map(|run| run[0].0).fold(f64::NEG_INFINITY, f64::max);
     let end = runs.iter().map(|run| run[run.len() - 1].0).fold(f64::INFINITY, f64::min);
     let mut grid: Vec<f64> = runs.iter().flatten().map(|&(x, _)| x).filter(|&x| start <= x && x <= end).collect();
     grid.sort_by(f64::total_cmp);
     grid.dedup();
-    thinned(grid)
+    grid
 }
 
 /// Value of a run at x, between the values of its neighbours.

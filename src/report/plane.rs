@@ -68,7 +68,9 @@ pub fn maps(plane: &Plane, maps: &[Map], runs: &[(&str, &'static str, Vec<f64>)]
     layouts.push(plane.scale_layout());
     plots.push(vec![plane.colors(&plane.scale(), 1, Some(plane.decades))]);
     if !runs.is_empty() {
-        let line = |run: &[f64]| thinned(cleaned(run.iter().enumerate().map(|(i, &loss)| (i as f64, loss)).collect(), &drawable));
+        let line = |run: &[f64]| {
+            thinned(cleaned(run.iter().enumerate().map(|(i, &loss)| (i as f64, loss)).collect(), &drawable), |p| p.1)
+        };
         let series = runs.iter().map(|(label, color, run)| Series::new(*label, color, line(run))).collect();
         let title = format!("({}) loss", char::from(b'a' + maps.len() as u8));
         let panel = Panel { title, x_label: "iteration".into(), log_x: false, y_label: "loss".into(), y_axis: 0, series };

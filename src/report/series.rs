@@ -55,9 +55,27 @@ pub fn x_range(series: &[Series]) -> [f64; 2] {
     [low, if high > low { high } else { low + 1.0 }]
 }
 
-/// At most [`MAX_POINTS`] evenly spaced items, including the first and the last.
-pub fn thinned<T: Copy>(items: Vec<T>) -> Vec<T> {
-    thinned_to(MAX_POINTS, items)
+/// At most [`MAX_POINTS`] items: the first, the last, and of each of equal bins between them those
+/// with the lowest and the highest y.
+pub fn thinned<T: Copy>(items: Vec<T>, y: impl Fn(&T) -> f64) -> Vec<T> {
+    if items.len() <= MAX_POINTS {
+        return items;
+    }
+    let bins = MAX_POINTS / 2 - 1;
+    let (inner, last) = (1..items.len() - 1, items[items.len() - 1]);
+    let mut kept = vec![items[0]];
+    for bin in 0..bins {
+        let bin = inner.start + bin * inner.len() / bins..inner.start + (bin + 1) * inner.len() / bins;
+        let by_y = |a: &usize, b: &usize| y(&items[*a]).total_cmp(&y(&items[*b]));
+        let ends = [bin.clone().min_by(by_y), bin.max_by(by_y)].map(|i| i.expect("more items than bins"));
+        let [first, second] = [ends[0].min(ends[1]), ends[0].max(ends[1])];
+        kept.push(items[first]);
+        if second > first {
+            kept.push(items[second]);
+        }
+    }
+    kept.push(last);
+    kept
 }
 
 /// At most `most` evenly spaced items, including the first and the last.
@@ -79,9 +97,12 @@ mod tests {
     }
 
     #[test]
-    fn thinning_keeps_both_ends() {
-        let many = thinned((0..1001).collect());
-        assert_eq!((many.len(), many[0], many[MAX_POINTS - 1]), (MAX_POINTS, 0, 1000));
-        assert_eq!(thinned(vec![1, 2]), [1, 2]);
+    fn thinning_keeps_both_ends_and_extreme_values() {
+        let many: Vec<(f64, f64)> = (0..1001).map(|i| (f64::from(i), if i == 333 { -5.0 } else { f64::from(i % 7) })).collect();
+        let kept = thinned(many.clone(), |p| p.1);
+        assert!(kept.len() <= MAX_POINTS && kept.is_sorted_by(|a, b| a.0 < b.0), "{}", kept.len());
+        assert_eq!((kept[0], kept[kept.len() - 1]), (many[0], many[1000]));
+        assert!(kept.contains(&(333.0, -5.0)), "a single low value remains");
+        assert_eq!(thinned(many[..2].to_vec(), |p| p.1), many[..2]);
     }
 }

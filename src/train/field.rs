@@ -191,7 +191,10 @@ impl fmt::Display for Field {
 impl FromStr for Field {
     type Err = UnknownField;
     fn from_str(name: &str) -> Result<Self, UnknownField> {
-        Self::ALL.into_iter().find(|f| f.name() == name || f.letter() == name).ok_or_else(|| UnknownField(name.into()))
+        Self::ALL
+            .into_iter()
+            .find(|f| f.name() == name || f.letter().eq_ignore_ascii_case(name))
+            .ok_or_else(|| UnknownField(name.into()))
     }
 }
 

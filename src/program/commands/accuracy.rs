@@ -27,6 +27,7 @@ use toml::Value;
 /// many steps. The policy has the initial parameters of the scene, with a nonzero output layer.
 /// Eight samples run on one thread.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("epochs", |arg| arg.hide(true)))]
 pub struct Accuracy {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     pub scene: String,

@@ -20,6 +20,7 @@ use std::path::PathBuf;
 /// Train with several fields and seeds, and compare the results; in one scene or in several, which
 /// may differ in integrator or precision.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("field", |arg| arg.hide(true)))]
 pub struct Compare {
     /// A task or another preset (see `physgrad scene`), or the path of a scene; several scenes are
     /// compared with each other

@@ -1,10 +1,10 @@
 //! `physgrad effects`: the reference page of all effects.
 
 use crate::Ops;
-use crate::program::platform::terminal::print_result;
+use crate::program::platform::terminal::{did_you_mean, print_result};
 use crate::program::settings::{ACTUATORS, Info};
 use crate::program::tasks::{self, AnyTaskSpec};
-use anyhow::Result;
+use anyhow::{Result, bail};
 use serde_json::Value;
 use std::fmt::Write;
 use toml::Table;
@@ -12,7 +12,10 @@ use toml::Table;
 /// Print the reference page of all effects, in Markdown: equation, parameters with units and
 /// defaults, derivative, cost.
 #[derive(Debug, clap::Args)]
-pub struct Effects {}
+pub struct Effects {
+    /// An effect or a part of the actuator [default: the whole page]
+    pub effect: Option<String>,
+}
 
 const HEAD: &str = "\
 # Effects
@@ -32,9 +35,19 @@ jumps at a point, and the value of one side is used.
 ";
 
 /// Runs the command.
-pub fn effects(_args: &Effects) -> Result<()> {
-    print_result(page()?.trim_end())?;
-    Ok(())
+pub fn effects(args: &Effects) -> Result<()> {
+    let page = page()?;
+    let Some(name) = &args.effect else { return print_result(page.trim_end()) };
+    let entries = page.split("\n### ").skip(1);
+    let of_name = entries.filter(|entry| entry.lines().next() == Some(name)).map(|entry| entry.split("\n## ").next());
+    let found: Vec<&str> = of_name.flatten().collect();
+    if found.is_empty() {
+        let effects = tasks::all().iter().flat_map(|task| task.effects());
+        let names: Vec<&str> = effects.chain(ACTUATORS).map(|info| info.name).collect();
+        let question = did_you_mean(name, names.iter().copied());
+        bail!("there is no effect `{name}`; effects: {}{question}", names.join(", "));
+    }
+    found.into_iter().try_for_each(|entry| print_result(&format!("### {}", entry.trim_end())))
 }
 
 fn page() -> Result<String> {

@@ -16,6 +16,7 @@ use comfy_table::{ContentArrangement, Table};
 ///
 /// All numbers are counts, not timings, so they are equal on every machine.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("epochs", |arg| arg.hide(true)))]
 pub struct Explain {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     pub scene: String,

@@ -37,8 +37,3 @@ pub fn report(args: &Report) -> Result<()> {
     }
     Ok(())
 }
-
-/// Count with its noun, in the regular plural if needed.
-fn counted(count: usize, noun: &str) -> String {
-    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
-}

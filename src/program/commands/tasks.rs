@@ -1,15 +1,32 @@
 //! `physgrad tasks`: lists the tasks and their settings.
 
-use crate::program::platform::terminal::print_result;
+use crate::program::platform::terminal::{did_you_mean, print_result};
 use crate::program::scenes::presets;
 use crate::program::settings::{ACTUATORS, Info};
 use crate::program::tasks::{self, AnyTaskSpec};
-use anyhow::Result;
+use anyhow::{Result, bail};
+
+/// List the tasks with all settings and their defaults
+#[derive(Debug, clap::Args)]
+pub struct Tasks {
+    /// A task [default: all tasks]
+    pub task: Option<String>,
+}
 
 /// Runs the command.
-pub fn tasks() -> Result<()> {
-    for task in tasks::all() {
+pub fn tasks(args: &Tasks) -> Result<()> {
+    let all = tasks::all().iter().filter(|task| args.task.as_ref().is_none_or(|name| name == task.name()));
+    let all: Vec<_> = all.collect();
+    if let (true, Some(name)) = (all.is_empty(), &args.task) {
+        let names: Vec<&str> = tasks::all().iter().map(|task| task.name()).collect();
+        let question = did_you_mean(name, names.iter().copied());
+        bail!("there is no task `{name}`; tasks: {}{question}", names.join(", "));
+    }
+    for task in all {
         describe(*task)?;
+    }
+    if args.task.is_some() {
+        return Ok(());
     }
     print_result(&format!("actuators: {}; only limit for quantum\n", names(&ACTUATORS)))?;
     print_result(

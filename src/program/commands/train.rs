@@ -2,7 +2,7 @@
 
 use crate::differences;
 use crate::program::platform::folder::Folder;
-use crate::program::platform::terminal::{print_message, print_result};
+use crate::program::platform::terminal::{counted, print_message, print_result};
 use crate::program::runs::progress::Progress;
 use crate::program::runs::run::{self, End, Finished, NoUpdate, SAVE_EVERY, threads};
 use crate::program::runs::saved::{changed, resumed};
@@ -17,8 +17,10 @@ use std::time::Duration;
 /// Train a policy on a task.
 #[derive(Debug, clap::Args)]
 pub struct Train {
-    /// A task or another preset (see `physgrad scene`), or the path of a scene
-    pub scene: String,
+    /// A task or another preset (see `physgrad scene`), or the path of a scene; optional with
+    /// --resume
+    #[arg(required_unless_present = "resume")]
+    pub scene: Option<String>,
     #[command(flatten)]
     pub overrides: Overrides,
     /// Number of threads [default: RAYON_NUM_THREADS, or all cores]; results do not depend on it
@@ -47,24 +49,17 @@ pub fn train(args: &Train) -> Result<()> {
         (Some(out), true) => {
             let folder = Folder::existing(out)?.lock()?;
             let scene = resumed(&folder, &args.overrides)?;
-            let [named, saved] = [presets::source(&args.scene)?.scene()?, scene.clone()].map(|scene| scene.task.name());
-            if named != saved {
-                bail!(
-                    "the run in {} has the task {saved}, but {} has the task {named}; name a scene of {saved}",
-                    folder.path().display(),
-                    args.scene
-                );
-            }
-            if presets::is_path(&args.scene) {
-                note_differences(&folder, &scene, &args.scene, &args.overrides)?;
+            if let Some(name) = &args.scene {
+                check_scene(&folder, &scene, name, &args.overrides)?;
             }
             let run = scene.open(workers)?;
             (scene, run, folder)
         }
         (out, _) => {
-            let scene = changed(&args.scene, &args.overrides)?;
+            let name = args.scene.as_deref().context("name a scene")?;
+            let scene = changed(name, &args.overrides)?;
             let run = scene.open(workers)?;
-            let folder = Folder::named(out.as_deref(), &presets::short_name(&args.scene))?;
+            let folder = Folder::named(out.as_deref(), &presets::short_name(name))?;
             (scene, run, folder.without_run()?)
         }
     };
@@ -90,7 +85,7 @@ pub fn train(args: &Train) -> Result<()> {
         End::Complete => printed,
         End::Interrupted => {
             let done = finished.records.len();
-            let command = format!("physgrad train {} --resume --out {results}", args.scene);
+            let command = format!("physgrad train --resume --out {results}");
             // Ignores errors: the terminal may be closed, and the signal determines the exit
             // status.
             let _ = print_result(&format!("interrupted after epoch {done}; to resume: {command}"));
@@ -110,9 +105,18 @@ fn seconds(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(allowed).ok_or_else(|| "allowed: 0 (after every update) to 86400 s".to_owned())
 }
 
-/// Prints the settings in which the scene file differs from the resumed run.
-fn note_differences(folder: &Folder, scene: &Scene, file: &str, overrides: &Overrides) -> Result<()> {
+/// Checks that a named scene has the task of the resumed run. Prints the settings in which a scene
+/// file differs from it.
+fn check_scene(folder: &Folder, scene: &Scene, file: &str, overrides: &Overrides) -> Result<()> {
     let mut source = presets::source(file)?;
+    let [named, saved] = [source.scene()?.task.name(), scene.task.name()];
+    if named != saved {
+        let folder = folder.path().display();
+        bail!("the run in {folder} has the task {saved}, but {file} has the task {named}; name a scene of {saved}");
+    }
+    if !presets::is_path(file) {
+        return Ok(());
+    }
     overrides.apply_again(&mut source)?;
     let (saved, named) = (scene.identity(), source.scene()?.identity());
     if saved != named {
@@ -130,12 +134,11 @@ fn summary(folder: &Folder, scene: &Scene, Finished { records, numbers, .. }: &F
     if let Some(last) = records.last() {
         let seconds: f64 = records.iter().map(|r| r.seconds).sum();
         let (train, test, best) = (last.train_loss, last.test_loss, best(records));
-        let epochs = records.len();
-        text +=
-            &format!("{epochs} epochs in {seconds:.1} s: training loss {train:.3e}, test loss {test:.3e} (best {best:.3e})\n");
+        let epochs = counted(records.len(), "epoch");
+        text += &format!("{epochs} in {seconds:.1} s: training loss {train:.3e}, test loss {test:.3e} (best {best:.3e})\n");
         let skipped: usize = records.iter().map(|r| r.skipped).sum();
         if skipped > 0 {
-            text += &format!("{skipped} updates were skipped because a number was non-finite\n");
+            text += &format!("skipped because a number was non-finite: {}\n", counted(skipped, "update"));
         }
         for warning in last.warnings(scene.horizon, scene.precision.epsilon()) {
             text += &format!("warning: unreliable gradients: {warning}\n");

@@ -18,3 +18,36 @@ pub fn print_result(text: &str) -> Result<()> {
 pub fn print_message(text: &str) {
     let _ = writeln!(std::io::stderr(), "{text}");
 }
+
+/// Count with its noun, in the regular plural if needed.
+pub fn counted(count: usize, noun: &str) -> String {
+    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
+}
+
+/// Question for the most similar name, to be appended to a message; empty if no name is similar.
+pub fn did_you_mean<'a>(name: &str, names: impl IntoIterator<Item = &'a str>) -> String {
+    /// Least similarity of a suggestion, between 0 and 1.
+    const SIMILAR: f64 = 0.8;
+    let similarity = |known: &str| strsim::jaro_winkler(name, known);
+    let similar = names.into_iter().map(|known| (similarity(known), known)).filter(|(score, _)| *score >= SIMILAR);
+    let best = similar.max_by(|(a, _), (b, _)| a.total_cmp(b));
+    best.map_or_else(String::new, |(_, known)| format!("; did you mean `{known}`?"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn similar_names_are_suggested() {
+        let names = ["cart_pole", "quantum", "guidance"];
+        assert_eq!(did_you_mean("cartpole", names), "; did you mean `cart_pole`?");
+        assert_eq!(did_you_mean("quantom", names), "; did you mean `quantum`?");
+        assert_eq!(did_you_mean("rocket", names), "");
+    }
+
+    #[test]
+    fn one_is_singular() {
+        assert_eq!([counted(1, "epoch"), counted(2, "epoch")], ["1 epoch", "2 epochs"]);
+    }
+}

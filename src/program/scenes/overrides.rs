@@ -12,10 +12,10 @@ pub struct Overrides {
     #[arg(long, value_parser = |name: &str| name.parse().map(FieldName))]
     pub field: Option<FieldName>,
     /// Total number of epochs, including those before --resume
-    #[arg(long, value_name = "N")]
-    pub epochs: Option<usize>,
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(1..))]
+    pub epochs: Option<u64>,
     /// Seed of initial states and initial parameters
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub seed: Option<u64>,
     /// Floating-point precision of all computations
     #[arg(long, value_enum)]
@@ -39,7 +39,7 @@ impl Overrides {
         }
         let overrides = [
             ("field", self.field.map(|f| Value::String(f.into()))),
-            ("epochs", self.epochs.map(|e| integer("--epochs", e as u64)).transpose()?),
+            ("epochs", self.epochs.map(|e| integer("--epochs", e)).transpose()?),
             ("seed", self.seed.map(|s| integer("--seed", s)).transpose()?),
             ("precision", self.precision.map(Value::try_from).transpose()?),
         ];

@@ -1,6 +1,7 @@
 //! Presets: scenes that are compiled into the program.
 
 use crate::program::platform::folder::SETTINGS;
+use crate::program::platform::terminal::did_you_mean;
 use crate::program::scenes::source::SceneSource;
 use crate::program::settings::VERSION;
 use crate::program::tasks::{self, AnyTaskSpec};
@@ -53,7 +54,8 @@ pub fn text(name: &str) -> Result<Cow<'static, str>> {
     let preset = |task: &&dyn AnyTaskSpec| format!("# {}\nscene = {VERSION}\ntask = {name:?}\n", task.about()).into();
     built_in.or_else(|| own().map(preset)).with_context(|| {
         let names: Vec<&str> = all().map(|(name, _)| name).collect();
-        format!("there is no preset `{name}`; presets: {}", names.join(", "))
+        let question = did_you_mean(name, names.iter().copied());
+        format!("there is no preset `{name}`; presets: {}{question}", names.join(", "))
     })
 }
 

@@ -1,7 +1,9 @@
 //! [`SceneSource`]: a scene before validation, with the line or option of every value.
 
+use crate::program::platform::terminal::did_you_mean;
 use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{OPTIONAL, VERSION};
+use crate::program::tasks::scene::flat;
 use crate::program::tasks::{self, AnyTaskSpec, Scene};
 use anyhow::{Context, Result, anyhow, bail};
 use serde::Deserialize;
@@ -213,7 +215,7 @@ impl SceneSource {
             // Replaces the version in the settings of a saved run: this version creates the scene.
             settings.insert("physgrad".into(), env!("CARGO_PKG_VERSION").into());
         }
-        spec.scene(settings).map_err(|error| explain_foreign_effect(spec, error))
+        spec.scene(settings).map_err(|error| suggest(spec, explain_foreign_effect(spec, error)))
     }
 
     /// Option or line that set a key or, for an absent key, its section.
@@ -244,6 +246,23 @@ fn explain_foreign_effect(spec: &dyn AnyTaskSpec, error: ConfigError) -> ConfigE
         }
         _ => error,
     }
+}
+
+/// Appends the most similar key to the error of an unknown key.
+fn suggest(spec: &dyn AnyTaskSpec, mut error: ConfigError) -> ConfigError {
+    if error.what.starts_with("is unknown") {
+        let settings = flat(&spec.defaults()).into_iter().map(|(key, _)| key);
+        let effects = spec.effects().into_iter().map(|info| format!("effects.{}", info.name));
+        let keys: Vec<String> = settings.chain(effects).collect();
+        let name = error.key.rsplit('.').next().unwrap_or_default();
+        // The key of another section, as in `learning_rate`, or a misspelt one.
+        let same = keys.iter().find(|key| key.rsplit('.').next() == Some(name));
+        error.what += &match same {
+            Some(key) => format!("; did you mean `{key}`?"),
+            None => did_you_mean(&error.key, keys.iter().map(String::as_str)),
+        };
+    }
+    error
 }
 
 /// Byte offset of the key at this dotted path or, for an absent key, of its section.

@@ -1,10 +1,10 @@
 //! Data of a run for the page, read from its folder.
 
-use crate::program::commands::report::counted;
 use crate::program::operations::adjoint_norms::AdjointNorms;
 use crate::program::operations::session::AnyRun;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::parallel;
+use crate::program::platform::terminal::counted;
 use crate::program::runs::statistics::Outcome;
 use crate::program::runs::{outputs, saved};
 use crate::program::tasks::Scene;

@@ -1,9 +1,9 @@
 //! Charts of losses.
 
 use crate::Record;
-use crate::program::commands::report::counted;
 use crate::program::commands::report::figure::{Figure, Key};
 use crate::program::commands::report::inspected::Inspected;
+use crate::program::platform::terminal::counted;
 use crate::program::runs::statistics::{Outcome, by_field, curves, field_label};
 use crate::report::{Chart, Point, Series, field_color};
 

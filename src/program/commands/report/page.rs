@@ -2,8 +2,9 @@
 
 use crate::program::commands::report::figure::Figure;
 use crate::program::commands::report::inspected::Inspected;
-use crate::program::commands::report::{counted, diagnostics, learning};
+use crate::program::commands::report::{diagnostics, learning};
 use crate::program::operations::adjoint_norms::SAMPLES;
+use crate::program::platform::terminal::counted;
 use crate::program::runs::statistics::{self, Outcome, best, field_label};
 use crate::program::tasks::scene::flat;
 use base64::prelude::{BASE64_STANDARD, Engine};
