@@ -69,7 +69,10 @@ fn fields<F: Float>(count: usize) {
     }
 }
 
-/// Times the parts of R's gradient in f32, each alone with its actual shapes.
+/// Times the parts of R's gradient in f32, each alone.
+///
+/// Products of the reverse pass cover all columns at once here. The library splits them into blocks
+/// of 32 columns.
 fn shares(count: usize) {
     let (task, policy) = task_and_policy();
     let n = task.system.state_dim();
@@ -105,7 +108,7 @@ fn shares(count: usize) {
     let a = vec![0.5f32; 112 * 1024];
     let b = vec![0.25f32; 112 * 1024];
     let mut c = vec![0.0f32; 112 * 1024];
-    let mut own = || {
+    let mut by_physgrad = || {
         for (rows, depth, cols, times) in products {
             for _ in 0..times {
                 let (a, b, c) = (black_box(&a), black_box(&b), &mut c);
@@ -114,17 +117,20 @@ fn shares(count: usize) {
             }
         }
     };
-    let mut c_crate = vec![0.0f32; 112 * 1024];
-    let mut by_crate = || {
+    let mut c_matrixmultiply = vec![0.0f32; 112 * 1024];
+    let mut by_matrixmultiply = || {
         for (rows, depth, cols, times) in products {
-            let (a, b, c) = (&black_box(&a)[..rows * depth], &black_box(&b)[..depth * cols], &mut c_crate[..rows * cols]);
+            let (a, b, c) =
+                (&black_box(&a)[..rows * depth], &black_box(&b)[..depth * cols], &mut c_matrixmultiply[..rows * cols]);
             // Column-major layout for all three matrices.
-            let (down, [a_right, b_right, c_right]) = (1, [rows, depth, rows].map(|rows| rows as isize));
+            let (row_stride, [a_stride, b_stride, c_stride]) = (1, [rows, depth, rows].map(|rows| rows as isize));
             for _ in 0..times {
                 let (a, b, c) = (a.as_ptr(), b.as_ptr(), c.as_mut_ptr());
                 // SAFETY: the three slices are complete matrices of these shapes.
                 unsafe {
-                    matrixmultiply::sgemm(rows, depth, cols, 1.0, a, down, a_right, b, down, b_right, 0.0, c, down, c_right)
+                    matrixmultiply::sgemm(
+                        rows, depth, cols, 1.0, a, row_stride, a_stride, b, row_stride, b_stride, 0.0, c, row_stride, c_stride,
+                    )
                 };
             }
         }
@@ -136,20 +142,20 @@ fn shares(count: usize) {
             elementwise::tanh(level, black_box(&mut layer), all);
         }
     };
-    let nothing = Nothing { state_dim: n, control_dim: 1 };
-    let none = Weights::<f32>::init(&nothing, &mut stream(0, Purpose::Policy, 0));
-    let mut bare = Rollout::new(&task, &nothing, BATCH);
-    let mut bare_adjoint = Adjoint::new(&task, &nothing, &bare, &[Flow::REGULAR]);
+    let zero_control = Nothing { state_dim: n, control_dim: 1 };
+    let zero_weights = Weights::<f32>::init(&zero_control, &mut stream(0, Purpose::Policy, 0));
+    let mut physics_rollout = Rollout::new(&task, &zero_control, BATCH);
+    let mut physics_adjoint = Adjoint::new(&task, &zero_control, &physics_rollout, &[Flow::REGULAR]);
     let mut physics = || {
-        bare.start(&starts);
-        bare.run(&task, &nothing, &none).expect("finite");
-        bare_adjoint.run(&task, &nothing, &none, &bare, 0.125).expect("finite");
+        physics_rollout.start(&starts);
+        physics_rollout.run(&task, &zero_control, &zero_weights).expect("finite");
+        physics_adjoint.run(&task, &zero_control, &zero_weights, &physics_rollout, 0.125).expect("finite");
     };
 
-    let times = rounds(count * 5, &mut [&mut whole, &mut own, &mut tanh, &mut physics, &mut by_crate]);
+    let times = rounds(count * 5, &mut [&mut whole, &mut by_physgrad, &mut tanh, &mut physics, &mut by_matrixmultiply]);
     let part = |i: usize| ratio(&times[i], &times[0]);
     let (products, tanh, physics) = (part(1), part(2), part(3));
-    println!("\nf32 gradient of R: {:.0} µs, of which (each part alone, at the same shapes)", median(&times[0]));
+    println!("\nf32 gradient of R: {:.0} µs, of which (each part alone)", median(&times[0]));
     println!("  matrix products        {:>4.0} %", 100.0 * products);
     println!("  tanh of the layers     {:>4.0} %", 100.0 * tanh);
     println!("  physics and its VJP    {:>4.0} %   with costs, and moving numbers between lanes and columns", 100.0 * physics);

@@ -1,4 +1,5 @@
-//! A particle in a box with a tilt as control, a harmonic trap and a cubic term.
+//! Hand-written step and VJP of a particle in a box, with a tilt as control, a harmonic trap and a
+//! cubic term. [`QuantumSystem`] documents the equations.
 
 use arrayvec::ArrayVec;
 use physgrad::rng::Rng;
@@ -6,7 +7,7 @@ use physgrad::tasks::{Cubic, Harmonic, QuantumSystem};
 use physgrad::{Cotangent, Cotangents, HasModel, Inputs, Real, Scalar, Start, System};
 use std::ops::{Add, Mul, Sub};
 
-/// Physics for at most 64 grid points. Constant parameters switch the trap and the cubic term on.
+/// Physics for at most 64 grid points. The const generics enable the trap and the cubic term.
 #[derive(Clone)]
 pub struct ByHand<const TRAP: bool, const CUBIC: bool> {
     pub system: QuantumSystem,
@@ -20,35 +21,35 @@ type PerPoint<T> = ArrayVec<T, 64>;
 /// Solves `A y = rhs` for a tridiagonal A, from its reciprocal pivots and its off-diagonal entry
 /// `-ib`.
 #[inline(always)]
-fn solve<T, V>(per_pivot: &[(T, T)], b: T, rhs: &[V], y: &mut [V])
+fn solve<T, V>(inverse_pivots: &[(T, T)], b: T, rhs: &[V], y: &mut [V])
 where
     T: Scalar,
     V: Copy + Add<Output = V> + Sub<Output = V> + Mul<T, Output = V>,
 {
-    let mut before: Option<(V, V)> = None;
-    for ((rhs, y), &(q_re, q_im)) in rhs.chunks_exact(2).zip(y.chunks_exact_mut(2)).zip(per_pivot) {
+    let mut previous: Option<(V, V)> = None;
+    for ((rhs, y), &(q_re, q_im)) in rhs.chunks_exact(2).zip(y.chunks_exact_mut(2)).zip(inverse_pivots) {
         let (mut re, mut im) = (rhs[0], rhs[1]);
-        if let Some((s_re, s_im)) = before {
+        if let Some((s_re, s_im)) = previous {
             (re, im) = (re - s_im * b, im + s_re * b);
         }
         (y[0], y[1]) = (re * q_re - im * q_im, re * q_im + im * q_re);
-        before = Some((y[0], y[1]));
+        previous = Some((y[0], y[1]));
     }
-    let mut after: Option<(V, V)> = None;
-    for (y, &(q_re, q_im)) in y.chunks_exact_mut(2).zip(per_pivot).rev() {
-        if let Some((y_re, y_im)) = after {
+    let mut following: Option<(V, V)> = None;
+    for (y, &(q_re, q_im)) in y.chunks_exact_mut(2).zip(inverse_pivots).rev() {
+        if let Some((y_re, y_im)) = following {
             let (re, im) = (q_re * b, q_im * b);
             y[0] = y[0] - (y_re * im + y_im * re);
             y[1] = y[1] + (y_re * re - y_im * im);
         }
-        after = Some((y[0], y[1]));
+        following = Some((y[0], y[1]));
     }
 }
 
 impl<const TRAP: bool, const CUBIC: bool> ByHand<TRAP, CUBIC> {
     /// Returns the off-diagonal magnitude `b` and stores the reciprocal pivots of A.
     #[inline(always)]
-    fn eliminate<T: Scalar>(&self, x: &[T], u: &[T], per_pivot: &mut PerPoint<(T, T)>) -> T {
+    fn eliminate<T: Scalar>(&self, x: &[T], u: &[T], inverse_pivots: &mut PerPoint<(T, T)>) -> T {
         let (s, dx, half_dt) = (&self.system, self.system.spacing(), 0.5 * self.system.dt);
         let off_diagonal = half_dt / (dx * dx);
         let (b, kinetic) = (T::from(off_diagonal), T::from(2.0 * off_diagonal));
@@ -56,10 +57,10 @@ impl<const TRAP: bool, const CUBIC: bool> ByHand<TRAP, CUBIC> {
         let b_squared = b * b;
         let (mut q_re, mut q_im) = (T::zero(), T::zero());
         for (j, psi) in x.chunks_exact(2).enumerate() {
-            let place = (j + 1) as f64;
-            let mut potential = kinetic + tilt * place;
+            let point = (j + 1) as f64;
+            let mut potential = kinetic + tilt * point;
             if TRAP {
-                let xi = place * dx - 0.5 * s.length - self.trap.center;
+                let xi = point * dx - 0.5 * s.length - self.trap.center;
                 potential += half_dt * self.trap.stiffness * xi * xi;
             }
             if CUBIC {
@@ -69,7 +70,7 @@ impl<const TRAP: bool, const CUBIC: bool> ByHand<TRAP, CUBIC> {
             let im = potential + b_squared * q_im;
             let per_square = T::one() / (re * re + im * im);
             (q_re, q_im) = (re * per_square, -(im * per_square));
-            per_pivot.push((q_re, q_im));
+            inverse_pivots.push((q_re, q_im));
         }
         b
     }
@@ -86,9 +87,9 @@ impl<const TRAP: bool, const CUBIC: bool> System for ByHand<TRAP, CUBIC> {
 
     #[inline(always)]
     fn step<T: Scalar>(&self, Inputs { x, u, .. }: Inputs<'_, T>, next: &mut [T]) {
-        let mut per_pivot = PerPoint::new();
-        let b = self.eliminate(x, u, &mut per_pivot);
-        solve(&per_pivot, b, x, next);
+        let mut inverse_pivots = PerPoint::new();
+        let b = self.eliminate(x, u, &mut inverse_pivots);
+        solve(&inverse_pivots, b, x, next);
         for (next, &x) in next.iter_mut().zip(x) {
             *next = *next + *next - x;
         }
@@ -106,17 +107,17 @@ impl<const TRAP: bool, const CUBIC: bool> System for ByHand<TRAP, CUBIC> {
             u_scratch.extend(u.iter().map(|_| C::null()));
             &mut u_scratch[..]
         });
-        let mut per_pivot = PerPoint::new();
-        let b = self.eliminate(x, u, &mut per_pivot);
+        let mut inverse_pivots = PerPoint::new();
+        let b = self.eliminate(x, u, &mut inverse_pivots);
         let mut y = PerPoint::new();
         y.extend(x.chunks_exact(2).map(|_| [R::zero(); 2]));
-        solve(&per_pivot, b, x, y.as_flattened_mut());
-        for (_, im) in &mut per_pivot {
+        solve(&inverse_pivots, b, x, y.as_flattened_mut());
+        for (_, im) in &mut inverse_pivots {
             *im = -*im;
         }
         let mut waves_bar = PerPoint::new();
         waves_bar.extend(x.chunks_exact(2).map(|_| [C::null(); 2]));
-        solve(&per_pivot, -b, next_bar, waves_bar.as_flattened_mut());
+        solve(&inverse_pivots, -b, next_bar, waves_bar.as_flattened_mut());
         let (factor, dx) = (0.5 * self.system.dt * self.system.spacing(), self.system.spacing());
         let slope = R::from(self.system.dt * self.cubic.strength / dx);
         let waves = x.chunks_exact(2).zip(&y).zip(next_bar.chunks_exact(2)).zip(&waves_bar).zip(x_bar.chunks_exact_mut(2));

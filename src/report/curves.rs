@@ -4,8 +4,8 @@ use super::log_figure::{Panel, log_figure};
 use super::series::{cleaned, drawable, thinned};
 use super::{Drawing, Series};
 
-/// A summary excludes runs that end before this share of the epochs of the longest run.
-const EARLY: f64 = 0.95;
+/// Summaries exclude runs that end before this share of the epochs of the longest run.
+const MIN_SHARE: f64 = 0.95;
 
 /// Runs of one method, one per seed.
 pub struct Curve {
@@ -43,8 +43,7 @@ pub fn field_color(letter: &str) -> &'static str {
 
 /// Draws the training and test loss of one run, as points (epoch, loss).
 ///
-/// Omits losses that a log axis cannot show: non-finite, zero or negative. An empty list omits its
-/// line.
+/// Omits losses outside 1e-100 to 1e100, and non-finite ones. An empty list yields no line.
 pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) -> Drawing {
     let series =
         |label, color, points: &[(f64, f64)]| Series::new(label, color, thinned(cleaned(points.to_vec(), &drawable), |p| p.1));
@@ -55,12 +54,12 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
 
 /// Draws the test losses of several methods against epochs and against wall time.
 ///
-/// - Line: geometric mean over the seeds, the natural mean on a log axis. A single bad seed does
-///   not dominate it.
+/// - Line: geometric mean over the seeds, which is the arithmetic mean on a log axis. A single bad
+///   seed does not dominate it.
 /// - Band: range from the best to the worst seed, always positive. A single seed has no band.
 ///
-/// Values are interpolated at common epochs, over the range that all runs cover. The wall time of an
-/// epoch is the mean over the seeds. Runs without valid points, and runs that failed or diverged
+/// Values are interpolated at common epochs, over the range that all runs cover. The wall time of
+/// an epoch is the mean over the seeds. Runs without valid points, and runs that failed or diverged
 /// early, are excluded; the figure states how many remain.
 pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
     let panel = |x_label: &str, x: fn(&Point) -> f64| {
@@ -98,17 +97,17 @@ pub fn study(title: &str, rows: &[Vec<Case>]) -> Drawing {
 impl Curve {
     /// Geometric mean and band of the runs against `x`, as in [`comparison`].
     pub fn summary(&self, x: fn(&Point) -> f64) -> Series {
-        let shown = |run: &Vec<Point>| cleaned(run.iter().map(|p| (p.epoch, p.value)).collect(), &drawable);
-        let all: Vec<_> = self.runs.iter().map(|run| (run, shown(run))).filter(|(_, shown)| !shown.is_empty()).collect();
-        let end = |shown: &[(f64, f64)]| shown[shown.len() - 1].0;
-        let last = all.iter().map(|(_, shown)| end(shown)).fold(f64::NEG_INFINITY, f64::max);
-        let (whole, runs): (Vec<_>, Vec<_>) = all.into_iter().filter(|(_, shown)| end(shown) >= EARLY * last).unzip();
+        let points_of = |run: &Vec<Point>| cleaned(run.iter().map(|p| (p.epoch, p.value)).collect(), &drawable);
+        let all: Vec<_> = self.runs.iter().map(|run| (run, points_of(run))).filter(|(_, points)| !points.is_empty()).collect();
+        let end = |points: &[(f64, f64)]| points[points.len() - 1].0;
+        let last = all.iter().map(|(_, points)| end(points)).fold(f64::NEG_INFINITY, f64::max);
+        let (measured, runs): (Vec<_>, Vec<_>) = all.into_iter().filter(|(_, points)| end(points) >= MIN_SHARE * last).unzip();
         let note = match self.runs.len() - runs.len() {
             0 => String::new(),
             _ => format!("{} of {} seeds", runs.len(), self.runs.len()),
         };
-        // The seeds of a field reach the same epoch at different times.
-        let xs: Vec<Vec<(f64, f64)>> = whole.into_iter().map(|run| run.iter().map(|p| (p.epoch, x(p))).collect()).collect();
+        // Seeds reach the same epoch at different times.
+        let xs: Vec<Vec<(f64, f64)>> = measured.into_iter().map(|run| run.iter().map(|p| (p.epoch, x(p))).collect()).collect();
         // Point of the line, and edges of the band.
         let mut summaries = Vec::new();
         for epoch in common_grid(&runs) {
@@ -136,7 +135,7 @@ fn common_grid(runs: &[Vec<(f64, f64)>]) -> Vec<f64> {
     grid
 }
 
-/// Value of a run at x, between the values of its neighbours.
+/// Value of a run at x, interpolated with `between` from the two nearest points.
 fn interpolated(run: &[(f64, f64)], x: f64, between: fn(f64, f64, f64) -> f64) -> f64 {
     let right = run.partition_point(|&(at, _)| at < x).min(run.len() - 1);
     let ((x0, y0), (x1, y1)) = (run[right.saturating_sub(1)], run[right]);
@@ -186,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn seeds_that_share_no_time_share_epochs() {
+    fn seeds_are_averaged_at_equal_epochs_not_equal_times() {
         let fast = run(&[(1.0, 0.1, 1.0), (3.0, 0.3, 1e-2)]);
         let slow = run(&[(1.0, 1.0, 1.0), (2.0, 2.0, 1.0), (3.0, 3.0, 1.0)]);
         let curve = Curve { label: "a".into(), color: "red", runs: vec![fast, slow] };
@@ -211,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn any_input_gives_a_picture() {
+    fn any_input_yields_a_valid_drawing() {
         check(&learning_curve("nothing", &[], &[]));
         check(&learning_curve("one <point> & no more", &[(0.0, 2.0)], &[(0.0, f64::NAN), (1.0, -1.0)]));
         let long: Vec<(f64, f64)> = (0..10_000).map(|i| (f64::from(i), 1.0 / f64::from(i))).collect();

@@ -29,22 +29,25 @@ impl Panel {
         self.log_x.then(|| LogAxis::covering(xs))
     }
 
-    /// Value of one unit of the x axis.
+    /// Unit of the x axis: a power of ten on a logarithmic axis, otherwise 1.
     pub fn x_unit(&self) -> f64 {
         self.x_axis().map_or(1.0, |axis| axis.unit())
     }
 }
 
-/// Plotted area of a panel, in figures of one row with at most two panels and in larger figures.
+/// Width and height of a plotted area: first in figures of one row with at most two panels, then in
+/// larger figures.
 const SIZES: [[f64; 2]; 2] = [[380.0, 350.0], [250.0, 240.0]];
-/// Widths beside the plotted area: minimum, y tick labels, y label.
-const BARE: f64 = 62.0;
-const NUMBERS: f64 = 30.0;
-const NAME: f64 = 24.0;
+/// Width beside the plotted area without tick labels and label of the y axis.
+const MARGIN: f64 = 62.0;
+/// Width of the y tick labels.
+const TICK_LABELS: f64 = 30.0;
+/// Width of the y label.
+const LABEL: f64 = 24.0;
 
 /// Renders rows of panels. All rows have the same number of panels.
 ///
-/// The legend stands to the right of all panels, so it covers no data. A panel omits the tick
+/// The legend is to the right of all panels, so it covers no data. A panel omits the tick
 /// labels and the label of its y axis if its left neighbour shows equal ones.
 pub fn log_figure(title: &str, rows: &[Vec<Panel>]) -> Drawing {
     let panels = || rows.iter().flatten();
@@ -76,11 +79,11 @@ pub fn log_figure(title: &str, rows: &[Vec<Panel>]) -> Drawing {
         .with_shared_legend_entries(legend(panels()));
     // Widens panels by the visible parts of their y axes, so that all plotted areas have the same
     // width.
-    let room = |column: usize| {
-        let any = |what: fn(Shows) -> bool| f64::from(u8::from(rows.iter().any(|row| what(shows(row, column)))));
-        BARE + NUMBERS * any(|shows| shows.y_numbers) + NAME * any(|shows| shows.y_name)
+    let y_axis_width = |column: usize| {
+        let any = |visible: fn(Shows) -> bool| f64::from(u8::from(rows.iter().any(|row| visible(shows(row, column)))));
+        MARGIN + TICK_LABELS * any(|shows| shows.y_numbers) + LABEL * any(|shows| shows.y_name)
     };
-    let figure = (0..columns).fold(figure, |figure, column| figure.with_col_width(column, width + room(column)));
+    let figure = (0..columns).fold(figure, |figure, column| figure.with_col_width(column, width + y_axis_width(column)));
     // Adds height for titles, and for the x labels of the last row.
     let figure = (0..rows.len()).fold(figure, |figure, row| {
         let title = if rows[row].iter().any(|panel| !panel.title.is_empty()) { 24.0 } else { 0.0 };
@@ -117,8 +120,8 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
         None => {
             let [x_min, x_max] = x_range(&panel.series);
             // Adds a margin for single dots; lines may start at the axis.
-            let room = if panel.series.iter().any(|s| s.line.len() == 1) { 0.04 * (x_max - x_min) } else { 0.0 };
-            (x_min - room, x_max + room)
+            let margin = if panel.series.iter().any(|s| s.line.len() == 1) { 0.04 * (x_max - x_min) } else { 0.0 };
+            (x_min - margin, x_max + margin)
         }
     };
     let mut layout = Layout::new((x_min, x_max), (axis.low, axis.high))

@@ -72,12 +72,13 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         &self.progress.test
     }
 
-    /// Updates skipped in the current or last epoch.
+    /// Updates skipped in the current or last epoch. [`restore`](Session::restore) clears them.
     pub fn skips(&self) -> &[Skip] {
         &self.progress.skips
     }
 
     /// Non-finite numbers in the last evaluation of the training set and of the test set.
+    /// [`restore`](Session::restore) clears them.
     pub fn diverged(&self) -> [Option<Divergence>; 2] {
         self.progress.diverged
     }
@@ -106,8 +107,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
 
     /// Runs until the end of the epoch, or until `pause` returns true after an update.
     ///
-    /// Returns the record of the epoch, or `None` after a pause. The next call resumes, as does a
-    /// session restored from a checkpoint taken in between. Pauses do not change the results.
+    /// Returns the record of the epoch, or `None` after a pause. The next call continues the epoch.
+    /// So does a session restored from a checkpoint of the pause. Pauses do not change the results.
     ///
     /// # Errors
     /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters and
@@ -133,7 +134,7 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
         self.progress.restore(&self.policy, bytes, label)
     }
 
-    /// Rewrites magic number, format and checksum to match `bytes`. Tests use it to corrupt the
+    /// Rewrites magic number, format and checksum to match `bytes`. Used by tests that corrupt the
     /// body.
     #[doc(hidden)]
     pub fn seal(bytes: &mut [u8]) {

@@ -1,4 +1,4 @@
-//! Rollouts, gradients and whole epochs do not allocate after the first run.
+//! Epochs, with their rollouts and gradients, do not allocate after the first epoch.
 
 use allocation_counter::measure;
 use physgrad::policy::{Action, Gru, Mlp, Observed};

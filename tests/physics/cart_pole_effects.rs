@@ -108,7 +108,7 @@ fn step<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
 }
 
 #[test]
-fn with_one_pole_both_models_are_the_same_equations() {
+fn with_one_pole_both_models_are_equal() {
     let mut rng = physgrad::rng::stream(0, physgrad::rng::Purpose::Check, 0);
     for _ in 0..100 {
         let (mut x, mut u) = ([0.0; 4], [0.0]);
@@ -149,7 +149,7 @@ fn drift<H: ForcedSystem<Model = CartPoleSystem>>(system: impl Fn(f64) -> H, dt:
 }
 
 #[test]
-fn the_exact_model_keeps_energy_and_the_authors_does_not() {
+fn the_exact_model_conserves_energy_and_the_uncoupled_model_does_not() {
     let exact = |dt| CoupledCartPole(CartPoleSystem { dt, ..poles(3) });
     let simple = |dt| CartPoleSystem { dt, ..poles(3) };
     // First order: a tenth of the step gives a tenth of the drift.
@@ -159,7 +159,7 @@ fn the_exact_model_keeps_energy_and_the_authors_does_not() {
 }
 
 #[test]
-fn friction_and_still_air_only_take_energy() {
+fn friction_and_still_air_dissipate_energy() {
     let still = SteadyWind { speed: 0.0.into(), ..SteadyWind::default() };
     let effects: [CartPoleEffect; 4] =
         [PoleDamping::default().into(), CartDamping::default().into(), DryFriction::default().into(), still.into()];
@@ -187,8 +187,8 @@ fn bumpers_push_and_never_pull() {
     assert_eq!(force(0.99, 5.0), 0.0);
     assert_eq!(force(1.5, 0.0), -5.0);
     assert_eq!(force(-1.5, 0.0), 5.0);
-    assert!(force(1.5, 1.0) < force(1.5, 0.0), "harder on the way in");
-    assert_eq!(force(1.5, -1.0), 0.0, "let go, where a dashpot would pull");
+    assert!(force(1.5, 1.0) < force(1.5, 0.0), "damping adds to the force during compression");
+    assert_eq!(force(1.5, -1.0), 0.0, "0 during release, where a dashpot would pull");
     assert_eq!(force(-1.5, 1.0), 0.0);
 }
 
@@ -205,7 +205,7 @@ fn a_gusty_wind_without_gusts_is_a_steady_one() {
 }
 
 #[test]
-fn wind_blows_a_still_cart_and_its_pole_away() {
+fn wind_accelerates_a_cart_and_its_pole_at_rest() {
     let x = step(&Forced { system: poles(1), effects: SteadyWind::default() }, &[0.0; 4], 0.0);
     // Upright pole at rest: F = (cart_drag + pole_drag) w², τ = half_length pole_drag w².
     assert!(x[1] > 0.0);
@@ -245,7 +245,7 @@ fn actuators_follow_their_formulas() {
 }
 
 #[test]
-fn substeps_are_the_small_steps() {
+fn substeps_equal_repeated_steps() {
     let small = CartPoleSystem { dt: 0.0025, ..poles(2) };
     let x = [0.1, -0.2, 3.0, 0.4, 2.8, -0.5];
     let mut expected = x.to_vec();
@@ -256,7 +256,7 @@ fn substeps_are_the_small_steps() {
 }
 
 /// Returns the next state and all cotangents under all effects, at a generic state.
-fn everything<H: ForcedSystem<Model = CartPoleSystem>>(system: H) -> Vec<f64> {
+fn step_and_cotangents<H: ForcedSystem<Model = CartPoleSystem>>(system: H) -> Vec<f64> {
     let system = Forced { system, effects: every_effect() };
     let n = system.state_dim();
     let (mut x, mut u, mut p) = (vec![0.0; n], [0.0], [0.0]);
@@ -270,9 +270,9 @@ fn everything<H: ForcedSystem<Model = CartPoleSystem>>(system: H) -> Vec<f64> {
 }
 
 #[test]
-fn a_model_chosen_at_run_time_has_the_numbers_of_the_model() {
+fn a_model_chosen_at_run_time_equals_the_typed_model() {
     let (model, coupled) = (poles(3), CoupledCartPole(poles(3)));
-    assert_eq!(everything(CartPoleModel::Uncoupled(model)), everything(model));
-    assert_eq!(everything(CartPoleModel::Coupled(coupled)), everything(coupled));
-    assert_ne!(everything(coupled), everything(model));
+    assert_eq!(step_and_cotangents(CartPoleModel::Uncoupled(model)), step_and_cotangents(model));
+    assert_eq!(step_and_cotangents(CartPoleModel::Coupled(coupled)), step_and_cotangents(coupled));
+    assert_ne!(step_and_cotangents(coupled), step_and_cotangents(model));
 }

@@ -1,4 +1,5 @@
-//! Effects of quantum control, absorbing edges and control shapes: derivatives, bits and counts.
+//! Effects of quantum control, absorbing edges and control shapes: derivatives, bitwise
+//! equality and operation counts.
 
 use crate::boxes::{Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, lively, norm, step};
 use physgrad::policy::Linear;
@@ -29,7 +30,7 @@ fn effects_may_depend_on_time() {
     assert_eq!((system.state_dim(), system.param_dim()), (16, 1));
     check_lively(&system);
     let x: Vec<f64> = (0..16).map(|i| Scalar::sin(f64::from(i + 1))).collect();
-    // The phase is added to the time. A step takes 0.0625.
+    // The effect depends on time plus phase. Four steps of 0.0625 equal a phase of 0.25.
     let after = |t: usize, phase: f64| {
         let mut next = vec![f64::NAN; 16];
         system.step(Inputs { t, p: &[phase], ..Inputs::new(&x, &[1.0]) }, &mut next);
@@ -74,7 +75,7 @@ fn whole_rollouts_of_every_flow() {
 }
 
 /// Returns the next state and all cotangents of a step.
-fn everything<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
+fn step_and_cotangents<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
     let n = x.len();
     let bar: Vec<f64> = (0..n).map(|i| Scalar::sin(i as f64)).collect();
     let (mut x_bar, mut u_bar) = (vec![0.0; 2 * n], [0.0; 2]);
@@ -91,16 +92,16 @@ fn lists_equal_tuples_and_zero_effects_change_nothing() {
     for system in [box_of(32), dipole(33)] {
         let (mut x, mut u) = (vec![0.0; 2 * system.grid], [0.0]);
         lively(&mut rng, &mut x, &mut u, &mut []);
-        let typed = everything(&Forced { system, effects: every_effect_typed() }, &x, u[0]);
-        assert_eq!(typed, everything(&Forced { system, effects: every_effect() }, &x, u[0]));
+        let typed = step_and_cotangents(&Forced { system, effects: every_effect_typed() }, &x, u[0]);
+        assert_eq!(typed, step_and_cotangents(&Forced { system, effects: every_effect() }, &x, u[0]));
 
-        let alone = everything(&system, &x, u[0]);
-        assert_ne!(typed, alone);
-        assert_eq!(alone, everything(&Forced { system, effects: () }, &x, u[0]));
-        assert_eq!(alone, everything(&Forced { system, effects: Vec::<QuantumEffect>::new() }, &x, u[0]));
-        assert_eq!(alone, everything(&Forced { system, effects: Cubic { strength: 0.0 } }, &x, u[0]));
+        let without_effects = step_and_cotangents(&system, &x, u[0]);
+        assert_ne!(typed, without_effects);
+        assert_eq!(without_effects, step_and_cotangents(&Forced { system, effects: () }, &x, u[0]));
+        assert_eq!(without_effects, step_and_cotangents(&Forced { system, effects: Vec::<QuantumEffect>::new() }, &x, u[0]));
+        assert_eq!(without_effects, step_and_cotangents(&Forced { system, effects: Cubic { strength: 0.0 } }, &x, u[0]));
         for edges in [AbsorbingEdges { width: 0.0, strength: 10.0 }, AbsorbingEdges { width: 0.3, strength: 0.0 }] {
-            assert_eq!(alone, everything(&Absorbing::new(system, edges), &x, u[0]));
+            assert_eq!(without_effects, step_and_cotangents(&Absorbing::new(system, edges), &x, u[0]));
         }
     }
 }
@@ -135,7 +136,8 @@ fn an_effect_costs_only_its_own_operations() {
     // Elimination, conjugation, one solve, and the addition to the output.
     let state = eliminated + Ops { negate: n + 1, ..solve } + sums(4 * n + 2 * n, 0);
     assert_eq!(plain[2], state);
-    // Two solves, the cotangents of the potential, Im(w̄ y) times dt, and that of the control.
+    // Adds to `state` a second solve, the cotangents `dt Im(w̄ y)` of the potential, and the
+    // cotangent of the control.
     let potential = sums(n, 3 * n);
     let control = sums(n + 1, n);
     assert_eq!(plain[1], state + solve + potential + control);
@@ -145,8 +147,8 @@ fn an_effect_costs_only_its_own_operations() {
     assert_eq!(counts(&Forced { system: model, effects: Vec::<QuantumEffect>::new() }), plain);
 
     // The cubic term reads the state, so the state's cotangent needs the second solve.
-    let (add_forces, act_and_reverse) = (sums(2 * n, 3 * n), sums(4 * n, 6 * n));
-    let cubic = [add_forces, act_and_reverse, act_and_reverse + solve + potential, add_forces];
+    let (add_forces, forces_and_vjp) = (sums(2 * n, 3 * n), sums(4 * n, 6 * n));
+    let cubic = [add_forces, forces_and_vjp, forces_and_vjp + solve + potential, add_forces];
     let added = |effect: &QuantumEffect| match effect {
         QuantumEffect::Cubic(_) => cubic,
         _ => [sums(n, 0); 4],
@@ -154,10 +156,10 @@ fn an_effect_costs_only_its_own_operations() {
     let mut all = plain;
     for effect in every_effect() {
         let found = counts(&Forced { system: model, effects: vec![effect.clone()] });
-        let more = added(&effect);
+        let extra = added(&effect);
         for i in 0..4 {
-            assert_eq!(found[i], plain[i] + more[i], "{effect:?}, {i}");
-            all[i] += more[i];
+            assert_eq!(found[i], plain[i] + extra[i], "{effect:?}, {i}");
+            all[i] += extra[i];
         }
     }
     let mut effects = every_effect();
@@ -175,18 +177,18 @@ fn an_effect_costs_only_its_own_operations() {
 fn a_wrapped_task_has_the_costs_of_the_model() {
     let plain = Quantum { loss: LossMode::Terminal, ..Quantum::new(2) };
     let system = Actuated { system: Absorbing::new(plain.system, AbsorbingEdges::default()), actuator: Delay { steps: 1 } };
-    let around = Quantum { loss: LossMode::Terminal, ..Quantum::with_system(system, 2) };
-    assert_eq!(HasModel::<QuantumSystem>::model(around.system()), &plain.system);
-    let (mut x, mut more) = (vec![0.0; 64], vec![0.0; 65]);
+    let wrapped = Quantum { loss: LossMode::Terminal, ..Quantum::with_system(system, 2) };
+    assert_eq!(HasModel::<QuantumSystem>::model(wrapped.system()), &plain.system);
+    let (mut x, mut extended) = (vec![0.0; 64], vec![0.0; 65]);
     plain.start(&mut stream(0, Purpose::Train, 3), Start { x: &mut x, p: &mut [] });
-    around.start(&mut stream(0, Purpose::Train, 3), Start { x: &mut more, p: &mut [] });
-    assert_eq!(more, [&x[..], &[0.0]].concat());
-    more[64] = 7.0;
-    assert_eq!(around.terminal_cost(&more, &[]), plain.terminal_cost(&x, &[]));
-    let (mut bar, mut more_bar) = (vec![0.0; 64], vec![0.0; 65]);
+    wrapped.start(&mut stream(0, Purpose::Train, 3), Start { x: &mut extended, p: &mut [] });
+    assert_eq!(extended, [&x[..], &[0.0]].concat());
+    extended[64] = 7.0;
+    assert_eq!(wrapped.terminal_cost(&extended, &[]), plain.terminal_cost(&x, &[]));
+    let (mut bar, mut extended_bar) = (vec![0.0; 64], vec![0.0; 65]);
     plain.terminal_cost_gradient(&x, &[], &mut bar, None);
-    around.terminal_cost_gradient(&more, &[], &mut more_bar, None);
-    assert_eq!(more_bar, [&bar[..], &[0.0]].concat());
+    wrapped.terminal_cost_gradient(&extended, &[], &mut extended_bar, None);
+    assert_eq!(extended_bar, [&bar[..], &[0.0]].concat());
 }
 
 #[test]
@@ -197,8 +199,8 @@ fn a_table_has_the_values_and_derivatives_of_its_potential() {
     lively(&mut rng, &mut x, &mut u, &mut []);
     for effect in every_effect().into_iter().filter(|effect| !effect.state_dependent()) {
         let table = Tabulated::of(&system, &effect);
-        let typed = everything(&Forced { system, effects: (table.clone(), Cubic::default()) }, &x, u[0]);
-        assert_eq!(typed, everything(&Forced { system, effects: vec![effect, Cubic::default().into()] }, &x, u[0]));
+        let typed = step_and_cotangents(&Forced { system, effects: (table.clone(), Cubic::default()) }, &x, u[0]);
+        assert_eq!(typed, step_and_cotangents(&Forced { system, effects: vec![effect, Cubic::default().into()] }, &x, u[0]));
         check_lively(&Forced { system, effects: table });
     }
 }
@@ -210,7 +212,7 @@ fn state_dependent_potentials_have_no_table() {
 }
 
 #[test]
-fn a_renormalized_wave_keeps_its_direction_and_its_derivatives() {
+fn renormalization_changes_only_the_norm_and_has_exact_derivatives() {
     for grid in [3, 32, 65] {
         check_lively(&Renormalized { system: box_of(grid) });
         check_lively(&Renormalized { system: Substeps { system: box_of(grid), count: 3 } });
@@ -226,5 +228,5 @@ fn a_renormalized_wave_keeps_its_direction_and_its_derivatives() {
     assert!((norm(&kept[..16]) - 1.0).abs() < 1e-15 && kept[16] == free[16]);
     let size = norm(&free[..16]);
     assert!(size > 1.5 && kept[..16].iter().zip(&free).all(|(kept, free)| (kept * size - free).abs() < 1e-14));
-    assert!(step(&system, &[0.0; 17], 1.0)[0].is_nan(), "a wave that is nowhere has no direction");
+    assert!(step(&system, &[0.0; 17], 1.0)[0].is_nan(), "NaN for a zero wave");
 }

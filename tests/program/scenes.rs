@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 use toml::Table;
 
-/// Returns `train` on a preset or file, writing to `out`.
+/// Builds the command that trains a preset or file and writes to `out`.
 fn train_scene(scene: &Path, out: &Path, args: &[&str]) -> assert_cmd::Command {
     let mut command = physgrad(&["train"]);
     command.arg(scene).args(args).arg("--out").arg(out);
@@ -46,8 +46,8 @@ fn every_preset_matches_its_name() {
     for name in &names {
         let out = dir.path().join(name);
         assert!(stdout(&["scene", name]).starts_with("# "), "{name} has a description");
-        let few = ["--epochs", "0", "--set", "training.train_samples=4", "--set", "training.test_samples=4"];
-        train_scene(Path::new(name), &out, &few).assert().success();
+        let options = ["--epochs", "0", "--set", "training.train_samples=4", "--set", "training.test_samples=4"];
+        train_scene(Path::new(name), &out, &options).assert().success();
         let settings = settings(&out);
         assert!(name.starts_with(settings["task"].as_str().expect("a task")), "{name}");
         let number = name.rsplit('_').next().and_then(|number| number.parse::<f64>().ok());
@@ -74,17 +74,17 @@ fn the_presets_of_the_tasks_are_their_defaults_in_full() {
         let preset: Table = stdout(&["scene", task]).parse().expect("TOML");
         assert_eq!(preset, defaults, "{task}");
     }
-    assert!(stdout(&["scene", "cart_pole"]).contains("# kg"), "with its comments");
+    assert!(stdout(&["scene", "cart_pole"]).contains("# kg"), "the preset has comments");
 }
 
 #[test]
-fn a_file_is_the_same_as_the_preset_and_a_saved_run_repeats_itself() {
+fn a_preset_its_text_and_its_saved_run_train_equally() {
     let dir = TempDir::new().expect("a folder");
     let file = write(&dir, &stdout(&["scene", "cart_pole"]));
     let [of_preset, of_file, again] = ["preset", "file", "again"].map(|name| dir.path().join(name));
-    let few = [&SMALL[..], &["--epochs", "2", "--set", "training.clip=norm"]].concat();
-    train_scene(Path::new("cart_pole"), &of_preset, &few).assert().success();
-    train_scene(&file, &of_file, &few).assert().success();
+    let options = [&SMALL[..], &["--epochs", "2", "--set", "training.clip=norm"]].concat();
+    train_scene(Path::new("cart_pole"), &of_preset, &options).assert().success();
+    train_scene(&file, &of_file, &options).assert().success();
     assert!(policy(&of_preset) == policy(&of_file));
     train_scene(&of_file.join("run.toml"), &again, &[]).assert().success();
     assert!(policy(&again) == policy(&of_file));
@@ -93,7 +93,7 @@ fn a_file_is_the_same_as_the_preset_and_a_saved_run_repeats_itself() {
 }
 
 #[test]
-fn a_file_says_only_what_differs() {
+fn absent_settings_have_the_defaults_of_the_task() {
     let dir = TempDir::new().expect("a folder");
     let file =
         write(&dir, "scene = 1\ntask = \"cart_pole\"\nepochs = 0\n[system]\ncart_mass = 2\n[training]\ntrain_samples = 8\n");
@@ -101,7 +101,7 @@ fn a_file_says_only_what_differs() {
     train_scene(&file, &out, &["--quiet"]).assert().success();
     let settings = settings(&out);
     assert_eq!(settings["system"]["cart_mass"].as_float(), Some(2.0));
-    assert_eq!(settings["system"]["poles"].as_integer(), Some(2), "as the task has it");
+    assert_eq!(settings["system"]["poles"].as_integer(), Some(2), "the default of the task");
     assert!(!settings.contains_key("effects") && !settings.contains_key("actuator"), "absent sections are not written");
     assert!(settings["training"].get("clip_limit").is_none(), "an unused setting is not written");
 
@@ -119,7 +119,7 @@ fn a_file_says_only_what_differs() {
 }
 
 #[test]
-fn a_resampled_run_with_a_decay_resumes_with_equal_bits_and_keeps_its_number_of_epochs() {
+fn a_resampled_run_resumes_with_equal_bits_and_a_decay_fixes_the_number_of_epochs() {
     let dir = TempDir::new().expect("a folder");
     let file = write(
         &dir,
@@ -130,9 +130,9 @@ fn a_resampled_run_with_a_decay_resumes_with_equal_bits_and_keeps_its_number_of_
     assert_eq!(settings(&whole)["training"]["decay_end"].as_float(), Some(0.01));
     // A decay over two epochs has other learning rates than one over three.
     train_scene(&file, &part, &[&SMALL[..], &["--epochs", "2"]].concat()).assert().success();
-    let said = error_of(&mut train_scene(&file, &part, &["--resume", "--epochs", "3"]));
-    assert!(said.contains("only while `training.decay` is constant") && said.contains("epochs = 3"), "{said}");
-    // A constant rate after the warm-up admits more epochs.
+    let error = error_of(&mut train_scene(&file, &part, &["--resume", "--epochs", "3"]));
+    assert!(error.contains("only while `training.decay` is constant") && error.contains("epochs = 3"), "{error}");
+    // With a constant rate after the warm-up, a run may be extended.
     let constant = |out: &Path, args: &[&str]| {
         train_scene(&file, out, &[&SMALL[..], &["--set", "training.decay=constant"], args].concat()).assert().success();
     };
@@ -146,7 +146,7 @@ fn a_resampled_run_with_a_decay_resumes_with_equal_bits_and_keeps_its_number_of_
 }
 
 #[test]
-fn weights_of_flows_change_the_training_and_neutral_ones_do_not() {
+fn discount_and_truncation_change_the_training_and_neutral_values_do_not() {
     let dir = TempDir::new().expect("a folder");
     let file = write(&dir, "scene = 1\ntask = \"cart_pole\"\nepochs = 1\n");
     let trained = |name: &str, setting: &str| {
@@ -156,7 +156,7 @@ fn weights_of_flows_change_the_training_and_neutral_ones_do_not() {
     };
     let plain = trained("plain", "training.discount=1");
     assert!(trained("whole", "training.truncation=100") == plain);
-    assert!(trained("calm", "training.cut=300") == plain);
+    assert!(trained("uncut", "training.cut=300") == plain);
     assert!(trained("discounted", "training.discount=0.9") != plain);
     assert!(trained("truncated", "training.truncation=10") != plain);
 }
@@ -244,8 +244,8 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
         ("epochs = 1\nepochs = 2\n", "my_scene.toml:4: "),
     ] {
         let file = write(&dir, &format!("{CART_POLE}{text}"));
-        let said = error_of(&mut train_scene(&file, &out, &[]));
-        assert!(said.contains(message), "{message}\n{said}");
+        let error = error_of(&mut train_scene(&file, &out, &[]));
+        assert!(error.contains(message), "{message}\n{error}");
         assert!(!out.exists(), "nothing is written");
     }
     for (text, message) in [
@@ -281,13 +281,13 @@ fn errors_in_a_file_name_the_line_and_the_allowed_values() {
         ),
         ("scene = 1\ntask = \"cart_pool\"\n", "my_scene.toml:2: `task` is \"cart_pool\"; allowed: cart_pole, guidance, quantum"),
     ] {
-        let said = error_of(&mut train_scene(&write(&dir, text), &out, &[]));
-        assert!(said.contains(message), "{message}\n{said}");
+        let error = error_of(&mut train_scene(&write(&dir, text), &out, &[]));
+        assert!(error.contains(message), "{message}\n{error}");
     }
-    let said = error_of(&mut train_scene(&dir.path().join("nowhere.toml"), &out, &[]));
-    assert!(said.contains("cannot read") && said.contains("nowhere.toml"), "{said}");
-    let said = error_of(&mut physgrad(&["train", "cart_pool"]));
-    assert!(said.contains("there is no preset `cart_pool`; presets: cart_pole, ") && said.contains("ends in .toml"), "{said}");
+    let error = error_of(&mut train_scene(&dir.path().join("nowhere.toml"), &out, &[]));
+    assert!(error.contains("cannot read") && error.contains("nowhere.toml"), "{error}");
+    let error = error_of(&mut physgrad(&["train", "cart_pool"]));
+    assert!(error.contains("there is no preset `cart_pool`; presets: cart_pole, ") && error.contains("ends in .toml"), "{error}");
 }
 
 #[test]
@@ -295,18 +295,18 @@ fn errors_distinguish_command_line_and_file() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("run");
     let file = write(&dir, &format!("{CART_POLE}[system]\ndt = -1\n"));
-    let said = error_of(&mut train_scene(&file, &out, &["--set", "system.dt=-2"]));
-    assert!(said.contains("error: --set system.dt=-2: `system.dt` is -2"), "{said}");
-    let said = error_of(&mut train_scene(&file, &out, &["--set", "system.poles=1"]));
-    assert!(said.contains("my_scene.toml:4: `system.dt` is -1"), "{said}");
+    let error = error_of(&mut train_scene(&file, &out, &["--set", "system.dt=-2"]));
+    assert!(error.contains("error: --set system.dt=-2: `system.dt` is -2"), "{error}");
+    let error = error_of(&mut train_scene(&file, &out, &["--set", "system.poles=1"]));
+    assert!(error.contains("my_scene.toml:4: `system.dt` is -1"), "{error}");
     for (set, message) in [
         ("effects.wind.speed=1", "--set effects.wind.speed=1: `effects.wind` is unknown"),
         ("task=quantum", "`task` defines the meaning of the other settings"),
         ("scene=2", "`scene` defines the meaning of the other settings"),
         ("system.dt.unit=s", "`system.dt` is not a section"),
     ] {
-        let said = error_of(&mut train_scene(&file, &out, &["--set", set]));
-        assert!(said.contains(message), "{message}\n{said}");
+        let error = error_of(&mut train_scene(&file, &out, &["--set", set]));
+        assert!(error.contains(message), "{message}\n{error}");
     }
 }
 
@@ -314,14 +314,14 @@ fn errors_distinguish_command_line_and_file() {
 fn effects_are_added_and_left_out_on_the_command_line() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("run");
-    let few = [&SMALL[..], &["--epochs", "1"]].concat();
+    let options = [&SMALL[..], &["--epochs", "1"]].concat();
     let change = ["--without", "gusty_wind", "--without", "lag", "--set", "effects.steady_wind.speed=1"];
-    train_scene(Path::new("cart_pole_windy"), &out, &[&few[..], &change[..]].concat()).assert().success();
+    train_scene(Path::new("cart_pole_windy"), &out, &[&options[..], &change[..]].concat()).assert().success();
     let settings = settings(&out);
     let parts = |section: &str| settings[section].as_table().expect("a section").keys().cloned().collect::<Vec<_>>();
     assert_eq!(parts("effects"), ["pole_damping", "dry_friction", "steady_wind", "bumpers"]);
     assert_eq!(parts("actuator"), ["limit"]);
-    assert_eq!(settings["effects"]["steady_wind"]["cart_drag"].as_float(), Some(0.06), "as the effect has it");
+    assert_eq!(settings["effects"]["steady_wind"]["cart_drag"].as_float(), Some(0.06), "the default of the effect");
 }
 
 #[test]
@@ -335,23 +335,23 @@ fn the_same_command_resumes_a_run_and_names_differences() {
 
     let file = write(&dir, &format!("{CART_POLE}[system]\ndt = 0.5\n"));
     let output = train_scene(&file, &out, &["--epochs", "3", "--resume"]).assert().success().get_output().clone();
-    let said = String::from_utf8(output.stderr).expect("UTF-8");
-    assert!(said.contains("resumes with its saved settings") && said.contains("system.dt = 0.5"), "{said}");
+    let stderr = String::from_utf8(output.stderr).expect("UTF-8");
+    assert!(stderr.contains("resumes with its saved settings") && stderr.contains("system.dt = 0.5"), "{stderr}");
 
-    let said = error_of(&mut train_scene(&out, &dir.path().join("again"), &[]));
-    assert!(said.contains("is a folder, not a scene") && said.contains("run.toml"), "{said}");
+    let error = error_of(&mut train_scene(&out, &dir.path().join("again"), &[]));
+    assert!(error.contains("is a folder, not a scene") && error.contains("run.toml"), "{error}");
 }
 
 #[test]
 fn states_that_effects_and_actuators_add_are_named_in_trajectories() {
     let dir = TempDir::new().expect("a folder");
-    let few = [&SMALL[..], &["--epochs", "1", "--set", "actuator.delay.steps=2"]].concat();
-    train_scene(Path::new("cart_pole_windy"), dir.path(), &few).assert().success();
+    let options = [&SMALL[..], &["--epochs", "1", "--set", "actuator.delay.steps=2"]].concat();
+    train_scene(Path::new("cart_pole_windy"), dir.path(), &options).assert().success();
     let text = fs::read_to_string(dir.path().join("trajectory.csv")).expect("trajectories");
     let header = text.lines().next().expect("a header");
     assert!(header.ends_with("omega_2,force_in_1,force_in_2,force_before,start_of_gusts,force,force_applied"), "{header}");
     let widths: Vec<usize> = text.lines().map(|line| line.split(',').count()).collect();
-    assert!(widths.iter().all(|&width| width == widths[0]), "every state has its number");
+    assert!(widths.iter().all(|&width| width == widths[0]), "every row has all columns");
 }
 
 /// Checks, at each step, Newton's second law for a block without friction, and the limit, delay and
@@ -386,8 +386,8 @@ fn the_force_of_a_row_accelerates_the_block_to_the_next_row() {
         let number = |t: usize, name: &str| rollout[t][column(name)].expect("a number");
         let mut motor = 0.0;
         for (t, row) in rollout[..12].iter().enumerate() {
-            let heard = if t < 2 { 0.0 } else { number(t - 2, "push").clamp(-0.01, 0.01) };
-            motor = heard + (motor - heard) * (-0.05f64 / 0.1).exp();
+            let delayed = if t < 2 { 0.0 } else { number(t - 2, "push").clamp(-0.01, 0.01) };
+            motor = delayed + (motor - delayed) * (-0.05f64 / 0.1).exp();
             let accelerating = 2.0 * (number(t + 1, "x_dot") - number(t, "x_dot")) / 0.05;
             for force in [motor, accelerating] {
                 assert!((number(t, "push_applied") - force).abs() < 1e-12, "step {t}: {force}, {row:?}");
@@ -403,8 +403,11 @@ fn the_force_of_a_row_accelerates_the_block_to_the_next_row() {
 #[test]
 fn without_refuses_absent_effects() {
     let dir = TempDir::new().expect("a folder");
-    let said = error_of(&mut train(dir.path(), &["--without", "wind"]));
-    assert!(said.contains("--without wind: preset cart_pole has no such effect or part of the actuator; it has none"), "{said}");
+    let error = error_of(&mut train(dir.path(), &["--without", "wind"]));
+    assert!(
+        error.contains("--without wind: preset cart_pole has no such effect or part of the actuator; it has none"),
+        "{error}"
+    );
 }
 
 /// Checks that each key of a table is a property of the schema, with a description. All except
@@ -423,7 +426,7 @@ fn assert_described(schema: &Value, table: &Table, path: &str) {
 }
 
 #[test]
-fn the_schema_has_a_branch_a_task_with_every_setting() {
+fn the_schema_has_one_branch_per_task_with_every_setting() {
     let dir = TempDir::new().expect("a folder");
     let file = dir.path().join("schema.json");
     physgrad(&["schema", "--out"]).arg(&file).assert().success();

@@ -19,9 +19,9 @@ pub(super) const CASES: &[Case] = &[Case {
                 each pair have the same direction (cosine at least 0.99). At twice ln(1/ε)/Λ, the signs of 30 to 70 \
                 % of the pairs agree",
     explanation: "In chaos, a gradient over long times is exact but useless: two rollouts one rounding apart have \
-                unrelated gradients. No exponent corrects this. Beyond ln(1/ε)/Λ, here 12,400 steps, the signs of R \
-                are those of rounding errors. The growth meter reports this horizon. Limits: only the sign is \
-                random; at twice the horizon all adjoints are still collinear",
+                unrelated gradients. A wider range of exponents does not help. Beyond ln(1/ε)/Λ, here 12,400 steps, the \
+                signs of R are those of rounding errors. The warning about growth reports a similar horizon. Limits: \
+                only the sign is random; at twice the horizon all adjoints are still collinear",
     run: double_pendulum,
 }];
 
@@ -101,15 +101,15 @@ fn adjoint(system: &Pendulum, states: &[State]) -> (f64, State) {
 /// rounding error.
 fn signs(system: &Pendulum, lambda: f64) -> Vec<Finding> {
     let horizon = (1.0 / f64::EPSILON).ln() / (lambda * DT);
-    let horizons = [0.5, 2.0].map(|of| (of * horizon) as usize);
+    let horizons = [0.5, 2.0].map(|factor| (factor * horizon) as usize);
     let mut cosines = [[0.0; PAIRS]; 2];
     for pair in 0..PAIRS {
         let mut start = START;
         start[0] += 0.01 * pair as f64;
-        let beside = [start[0] * (1.0 + f64::EPSILON), start[1], start[2], start[3]];
-        let both = [start, beside].map(|start| rollout(system, start, horizons[1]));
+        let perturbed = [start[0] * (1.0 + f64::EPSILON), start[1], start[2], start[3]];
+        let rollouts = [start, perturbed].map(|start| rollout(system, start, horizons[1]));
         for (cosines, steps) in cosines.iter_mut().zip(horizons) {
-            let [a, b] = [&both[0], &both[1]].map(|states| adjoint(system, &states[..=steps]).1);
+            let [a, b] = [&rollouts[0], &rollouts[1]].map(|states| adjoint(system, &states[..=steps]).1);
             cosines[pair] = a.iter().zip(&b).map(|(a, b)| a * b).sum();
         }
     }

@@ -18,8 +18,8 @@ pub(super) const CASES: &[Case] = &[Case {
                 (f32). An unguarded distance has a non-finite derivative (a planted fault)",
     explanation: "The norm |r| has no derivative at 0, and r² underflows at 1e-162 and overflows at 1e154. Each case \
                 yields NaN in the reverse pass of an unguarded distance. Here separations are scaled by a power of \
-                two before squaring. The derivative at 0 is that of the force, which is smooth. Limits: at 0 a force \
-                has no direction, and is 0",
+                two before squaring. The derivative at 0 is that of the force, which is differentiable there. Limits: \
+                at 0 a force has no direction, and is 0",
     run: guidance_distances,
 }];
 
@@ -42,15 +42,15 @@ fn crowd() -> Crowd {
 }
 
 fn guidance_distances() -> Vec<Finding> {
-    let mut findings = at::<f64>(&[0.0, 1e-300, 1e-160, 1e-20, 1e-8, 1e8], 1e-12);
-    findings.extend(at::<Single<f32>>(&[0.0, 1e-30, 1e-10], 1e-5));
+    let mut findings = findings_at::<f64>(&[0.0, 1e-300, 1e-160, 1e-20, 1e-8, 1e8], 1e-12);
+    findings.extend(findings_at::<Single<f32>>(&[0.0, 1e-30, 1e-10], 1e-5));
     let [x_bar, ..] = vjp(&Unguarded, Inputs::new(&[6e-301, 8e-301], &[]), &[1.0; 2]);
-    let whether = finite(&x_bar);
+    let is_finite = finite(&x_bar);
     findings.push(Finding::holds(
         "unguarded distance of 1e-300",
         "non-finite",
-        !whether,
-        if whether { "finite" } else { "non-finite" },
+        !is_finite,
+        if is_finite { "finite" } else { "non-finite" },
     ));
     findings
 }
@@ -74,21 +74,21 @@ impl System for Unguarded {
     }
 }
 
-fn at<R: Real>(distances: &[f64], allowed: f64) -> Vec<Finding> {
+fn findings_at<R: Real>(distances: &[f64], allowed: f64) -> Vec<Finding> {
     let system = crowd();
-    let (mut finite, mut agreeing, mut pushing) = (0, 0.0f64, 0.0f64);
+    let (mut finite_count, mut vjp_error, mut force_error) = (0, 0.0f64, 0.0f64);
     for &distance in distances {
-        let (whether, error) = derivatives::<R>(&system, distance);
-        finite += usize::from(whether);
-        agreeing = larger(agreeing, error);
+        let (is_finite, error) = derivatives::<R>(&system, distance);
+        finite_count += usize::from(is_finite);
+        vjp_error = larger(vjp_error, error);
         if distance > 0.0 {
-            pushing = larger(pushing, force::<R>(distance));
+            force_error = larger(force_error, relative_force_error::<R>(distance));
         }
     }
     vec![
-        Finding::all(format!("distances in {} with finite results", <R::Real as Float>::NAME), finite, distances.len()),
-        Finding::at_most(format!("VJP against dual numbers in {}", <R::Real as Float>::NAME), agreeing, allowed),
-        Finding::at_most(format!("relative error of forces in {}", <R::Real as Float>::NAME), pushing, allowed),
+        Finding::all(format!("distances in {} with finite results", <R::Real as Float>::NAME), finite_count, distances.len()),
+        Finding::at_most(format!("VJP against dual numbers in {}", <R::Real as Float>::NAME), vjp_error, allowed),
+        Finding::at_most(format!("relative error of forces in {}", <R::Real as Float>::NAME), force_error, allowed),
     ]
 }
 
@@ -98,17 +98,17 @@ fn at<R: Real>(distances: &[f64], allowed: f64) -> Vec<Finding> {
 /// terms would mask the force derivatives.
 fn derivatives<R: Real>(system: &dyn AnySystem<R>, distance: f64) -> (bool, f64) {
     let (n, m) = (system.state_dim(), system.control_dim());
-    let place = |agent: usize| [0.6, 0.8].map(|share| R::from(agent as f64 * distance * share));
-    let x: Vec<R> = (0..4).flat_map(|agent| place(agent).into_iter().chain([R::zero(); 2])).collect();
+    let position = |agent: usize| [0.6, 0.8].map(|share| R::from(agent as f64 * distance * share));
+    let x: Vec<R> = (0..4).flat_map(|agent| position(agent).into_iter().chain([R::zero(); 2])).collect();
     let u = vec![R::zero(); m];
     let mut next = vec![R::zero(); n];
     system.step(Inputs::new(&x, &u), &mut next);
-    let (mut whether, mut worst) = (finite(&next), 0.0f64);
+    let (mut all_finite, mut worst) = (finite(&next), 0.0f64);
     for k in 0..n {
         let mut x_tan = vec![R::zero(); n];
         x_tan[k] = R::one();
         system.jvp(Inputs::new(&x, &u), Tangents { x: Some(&x_tan), ..Tangents::default() }, &mut next);
-        whether &= finite(&next);
+        all_finite &= finite(&next);
     }
     for agent in 0..4 {
         let mut bar = vec![R::zero(); n];
@@ -116,17 +116,16 @@ fn derivatives<R: Real>(system: &dyn AnySystem<R>, distance: f64) -> (bool, f64)
         let [x_bar, u_bar, _] = vjp(system, Inputs::new(&x, &u), &bar);
         let [x_dual, u_dual] = vjp_by_jvps(system, &x, &u, &bar);
         let positions = |v: &[R]| (0..n).filter(|k| k % 4 < 2).map(|k| v[k]).collect::<Vec<R>>();
-        whether &= [&x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|bar| finite(bar));
+        all_finite &= [&x_bar, &u_bar, &x_dual, &u_dual].into_iter().all(|bar| finite(bar));
         for error in [error(&x_bar, &x_dual), error(&u_bar, &u_dual), error(&positions(&x_bar), &positions(&x_dual))] {
             worst = larger(worst, error);
         }
     }
-    (whether, worst)
+    (all_finite, worst)
 }
 
 /// Relative error of an evader's acceleration by one driver, against `15 r / (0.1 + |r|)²`.
-/// Squaring 1e-160 directly would underflow to a zero force.
-fn force<R: Real>(distance: f64) -> f64 {
+fn relative_force_error<R: Real>(distance: f64) -> f64 {
     let model = GuidanceSystem { drivers: 1, evaders: 1, dt: 1.0, ..GuidanceSystem::default() };
     let (zero, along, across) = (R::zero(), R::from(0.6 * distance), R::from(0.8 * distance));
     let mut next = [zero; 8];

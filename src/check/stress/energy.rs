@@ -47,14 +47,14 @@ impl Ode for Pendulum {
 /// At rest with a large amplitude, where the swing is not sinusoidal.
 const START: [f64; 2] = [2.0, 0.0];
 
-fn of_pendulum(x: &[f64]) -> f64 {
+fn pendulum_energy(x: &[f64]) -> f64 {
     0.5 * x[1] * x[1] - GRAVITY * x[0].cos()
 }
 
 fn energy() -> Vec<Finding> {
     let mut findings = vec![Finding::at_most(
         "pendulum, RK4, 10 s: largest relative change of energy",
-        drift(Pendulum, &START, 0, &of_pendulum),
+        drift(Pendulum, &START, 0, &pendulum_energy),
         1e-9,
     )];
     let (double, chain) = (DoublePendulum::default(), PoleChain(CartPoleSystem { poles: 3, ..CartPoleSystem::default() }));
@@ -121,18 +121,18 @@ struct Tenths {
 fn tenths<I: Integrator>(integrator: I, steps: usize) -> Tenths {
     let system = Integrated { ode: Pendulum, integrator, dt: 1e-2 };
     let (mut x, mut next) = (START, START);
-    let before = of_pendulum(&x);
+    let before = pendulum_energy(&x);
     let (mut low, mut high): (f64, f64) = (0.0, 0.0);
     let (mut sums, mut largest) = ([0.0; 10], [0.0_f64; 10]);
     for t in 0..steps {
         step(&system, Inputs::new(&x, &[0.0]), &mut next);
         std::mem::swap(&mut x, &mut next);
-        let (error, tenth) = (of_pendulum(&x) - before, 10 * t / steps);
+        let (error, tenth) = (pendulum_energy(&x) - before, 10 * t / steps);
         (low, high) = (low.min(error), high.max(error));
         sums[tenth] += error;
         largest[tenth] = largest[tenth].max(error.abs());
     }
     let amplitude = 0.5 * (high - low);
     let trend = (sums[9] - sums[0]).abs() / (0.1 * steps as f64) / amplitude;
-    Tenths { trend, growth: largest[9] / largest[0], amplitude: amplitude / scale(START.len(), 0, &of_pendulum) }
+    Tenths { trend, growth: largest[9] / largest[0], amplitude: amplitude / scale(START.len(), 0, &pendulum_energy) }
 }

@@ -27,11 +27,11 @@ pub(super) const CASES: &[Case] = &[Case {
 }];
 
 /// Mass of 1 kg pushed along a line: `[position m, velocity m/s]`, semi-implicit Euler.
-struct Pushed;
+struct PointMass;
 
 const DT: f64 = 0.02;
 
-impl ForcedSystem for Pushed {
+impl ForcedSystem for PointMass {
     type Model = Self;
 
     fn model(&self) -> &Self {
@@ -66,20 +66,20 @@ struct Injected {
     in_derivative: bool,
 }
 
-impl Effect<Pushed> for Injected {
-    fn add_forces<T: Scalar>(&self, _model: &Pushed, OdeInputs { x, t, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
-        let nothing = if self.in_derivative { (x[1] - x[1].detach()).sqrt() } else { T::from(f64::NAN) };
-        let late = (t - (self.step as f64 * DT)).abs();
-        let here = T::select_lt(T::from(50.0), x[0], nothing, T::zero());
-        forces[0] += T::select_lt(late, T::from(0.5 * DT), here, T::zero());
+impl Effect<PointMass> for Injected {
+    fn add_forces<T: Scalar>(&self, _model: &PointMass, OdeInputs { x, t, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+        let fault = if self.in_derivative { (x[1] - x[1].detach()).sqrt() } else { T::from(f64::NAN) };
+        let time_difference = (t - (self.step as f64 * DT)).abs();
+        let of_sample = T::select_lt(T::from(50.0), x[0], fault, T::zero());
+        forces[0] += T::select_lt(time_difference, T::from(0.5 * DT), of_sample, T::zero());
     }
 }
 
 /// Task with the running cost x².
-struct Return(Forced<Pushed, Injected>);
+struct ReturnTask(Forced<PointMass, Injected>);
 
-impl Task for Return {
-    type System = Forced<Pushed, Injected>;
+impl Task for ReturnTask {
+    type System = Forced<PointMass, Injected>;
 
     fn system(&self) -> &Self::System {
         &self.0
@@ -106,7 +106,7 @@ fn injected_nan() -> Vec<Finding> {
     let (mut named, mut unchanged, mut all) = (0, 0, 0);
     for (step, bad) in [(0, 0), (1, 10), (7, 3), (17, 8), (HORIZON - 1, 5)] {
         for in_derivative in [false, true] {
-            let task = || Return(Forced { system: Pushed, effects: Injected { step, in_derivative } });
+            let task = || ReturnTask(Forced { system: PointMass, effects: Injected { step, in_derivative } });
             let starts: Vec<f64> = (0..SAMPLES)
                 .flat_map(|sample| {
                     let mut x = [0.0; 2];
@@ -138,10 +138,10 @@ fn injected_nan() -> Vec<Finding> {
                 let training = Training { batch: SAMPLES, workers, ..Training::default() };
                 let trainer = Trainer::new(task(), policy.clone()).precision::<f64>().training(training);
                 let session = trainer.session_from(weights.theta().to_vec(), starts.clone(), starts.clone());
-                let same = session.is_ok_and(|mut session| {
+                let is_unchanged = session.is_ok_and(|mut session| {
                     session.epoch().is_ok_and(|record| record.skipped == 1) && session.weights().theta() == weights.theta()
                 });
-                unchanged += usize::from(same);
+                unchanged += usize::from(is_unchanged);
             }
         }
     }

@@ -53,7 +53,7 @@ impl Actuator for Limit {
         _state: &[R],
         u: &[R],
         next_bar: OutputCotangents<'_, C>,
-        _own_bar: Option<&mut [C]>,
+        _state_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
         for ((u_bar, &out_bar), &u) in zip(zip(u_bar.into_iter().flatten(), next_bar.out), u) {
@@ -137,10 +137,10 @@ impl Actuator for Delay {
 
     #[inline(always)]
     fn step<T: Scalar>(&self, state: &[T], u: &[T], next_state: &mut [T], out: &mut [T]) {
-        let (oldest, waiting) = state.split_at(u.len());
+        let (oldest, pending) = state.split_at(u.len());
         out.copy_from_slice(oldest);
-        let (moved_up, newest) = next_state.split_at_mut(waiting.len());
-        moved_up.copy_from_slice(waiting);
+        let (shifted, newest) = next_state.split_at_mut(pending.len());
+        shifted.copy_from_slice(pending);
         newest.copy_from_slice(u);
     }
 
@@ -153,11 +153,11 @@ impl Actuator for Delay {
         state_bar: Option<&mut [C]>,
         u_bar: Option<&mut [C]>,
     ) {
-        let (moved_up, newest) = next_bar.state.split_at(state.len() - u.len());
+        let (shifted, newest) = next_bar.state.split_at(state.len() - u.len());
         if let Some(state_bar) = state_bar {
-            let (oldest, waiting) = state_bar.split_at_mut(u.len());
+            let (oldest, pending) = state_bar.split_at_mut(u.len());
             add(oldest, next_bar.out);
-            add(waiting, moved_up);
+            add(pending, shifted);
         }
         if let Some(u_bar) = u_bar {
             add(u_bar, newest);

@@ -23,11 +23,11 @@ pub(super) struct Law {
 /// the square root of 0, so the tangents of dual numbers are finite.
 pub(super) struct Gap<T> {
     /// r / d.
-    share: [T; 2],
+    r_over_d: [T; 2],
     /// |r| / d.
-    length_share: T,
+    norm_over_d: T,
     /// 1 / d.
-    per_distance: T,
+    inverse_d: T,
     /// r / |r|, and 0 at r = 0. Used only in the reverse pass, because its derivative is unbounded.
     direction: [T; 2],
 }
@@ -58,9 +58,9 @@ impl<T: Scalar> Gap<T> {
         let per_length = one / (T::from(softening) * unit + length);
         let per_root = one / root;
         Self {
-            share: [x * per_length, y * per_length],
-            length_share: length * per_length,
-            per_distance: unit * per_length,
+            r_over_d: [x * per_length, y * per_length],
+            norm_over_d: length * per_length,
+            inverse_d: unit * per_length,
             direction: [near_x * per_root, near_y * per_root],
         }
     }
@@ -68,14 +68,14 @@ impl<T: Scalar> Gap<T> {
     /// Returns `F = (far / d + near / d²) r`.
     #[inline(always)]
     pub(super) fn force(&self, law: Law) -> [T; 2] {
-        let strength = T::from(law.far) + T::from(law.near) * self.per_distance;
-        [self.share[0] * strength, self.share[1] * strength]
+        let strength = T::from(law.far) + T::from(law.near) * self.inverse_d;
+        [self.r_over_d[0] * strength, self.r_over_d[1] * strength]
     }
 
     /// Returns `max(0, radius - |r|) / d`.
     #[inline(always)]
     pub(super) fn depth_share(&self, radius: f64) -> T {
-        (T::from(radius) * self.per_distance - self.length_share).max(T::zero())
+        (T::from(radius) * self.inverse_d - self.norm_over_d).max(T::zero())
     }
 }
 
@@ -83,18 +83,18 @@ impl<R: Real> Gap<R> {
     /// Returns `r̄ = (∂F/∂r)ᵀ F̄` of the force `F = f(|r|) r`, where `∂F/∂r = f + |r| f' r̂ r̂ᵀ`.
     #[inline(always)]
     pub(super) fn force_vjp<C: Cotangent<R>>(&self, law: Law, force_bar: [C; 2]) -> [C; 2] {
-        let (far, near) = (R::from(law.far), R::from(law.near) * self.per_distance);
-        let across = (far + near) * self.per_distance;
-        let along = -((far + near + near) * self.per_distance * self.length_share);
+        let (far, near) = (R::from(law.far), R::from(law.near) * self.inverse_d);
+        let across = (far + near) * self.inverse_d;
+        let along = -((far + near + near) * self.inverse_d * self.norm_over_d);
         self.central_vjp(across, along, force_bar)
     }
 
-    /// Returns `r̄ = (∂F/∂r)ᵀ F̄` of the force `F = stiffness max(0, radius - |r|) r / d`. At
-    /// `|r| = radius`, the derivative is that of the outside, 0.
+    /// Returns `r̄ = (∂F/∂r)ᵀ F̄` of the force `F = stiffness max(0, radius - |r|) r / d`. The
+    /// derivative is 0 at `|r| = radius`, as outside the radius.
     #[inline(always)]
     pub(super) fn depth_vjp<C: Cotangent<R>>(&self, radius: f64, softening: f64, stiffness: f64, force_bar: [C; 2]) -> [C; 2] {
         let (zero, stiffness, share) = (R::zero(), R::from(stiffness), self.depth_share(radius));
-        let along = -(R::from(radius + softening) * self.per_distance * self.length_share);
+        let along = -(R::from(radius + softening) * self.inverse_d * self.norm_over_d);
         let along = R::select_lt(zero, share, along, zero);
         self.central_vjp(stiffness * share, stiffness * along, force_bar)
     }

@@ -19,11 +19,11 @@ use serde::{Deserialize, Serialize};
 /// The force is a penalty spring in the depth (Moore and Wilhelms 1988, Collision Detection and
 /// Response for Computer Animation). As in the forces between agents, `r / d` replaces the
 /// direction. Force and derivative are therefore finite at the center, where the force is 0. The
-/// derivative is discontinuous at contact; at the point of contact it is that of the outside.
+/// derivative is discontinuous at `|r| = radius`, and is 0 there, as outside the obstacle.
 ///
 /// Explicit steps of length dt return an agent faster than it arrived, unless `stiffness dt` is
-/// less than its friction. With the paper's dt and [`Friction`](super::Friction), the largest
-/// stiffness is 15/s² for drivers and 60/s² for evaders.
+/// less than the friction coefficient of the agent. With the paper's dt and
+/// [`Friction`](super::Friction), the largest stiffness is 15/s² for drivers and 60/s² for evaders.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
