@@ -1,6 +1,7 @@
 //! Effects of your own, named in scenes: a brake for cart-pole, and a task that accepts effects.
 //!
-//! Run: `cargo run --release --example scene_effect -- explain cart_pole --with eddy_brake`
+//! Run:
+//! `cargo run --release --example scene_effect -- explain cart_pole --set effects.eddy_brake={}`
 
 use physgrad::prelude::*;
 use physgrad::program::{ProgramEffect, ProgramTask, SceneEffects};

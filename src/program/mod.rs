@@ -6,7 +6,7 @@
 //!
 //! 1. `platform`: files, folders, locks, signals, threads, terminal, CSV.
 //! 2. `settings`: sections of a scene, errors in settings.
-//! 3. `operations`: computations generic over task and policy.
+//! 3. `operations`: computations on any task, generic over the policy.
 //! 4. `tasks`: built-in tasks; `Scene`, independent of the type of its task.
 //! 5. `scenes`: scene files, presets, overrides.
 //! 6. `runs`: training, resuming, sweeps, output files.

@@ -2,7 +2,7 @@
 //!
 //! - Tasks of the ICLR 2024 paper: [`CartPole`], [`Guidance`], [`Quantum`].
 //! - Two-parameter examples of the paper: [`Reach`], [`Bowl`].
-//! - Small tasks: [`Lqr`], [`Upright`], [`Slider`], [`Bounce`], [`Push`]; [`Hard`] is any of them.
+//! - Small tasks: [`Lqr`], [`Upright`], [`Slider`], [`Bounce`], [`Push`].
 
 mod cart_pole;
 mod contact;
