@@ -274,7 +274,7 @@ impl<R: Real> Cotangent<R> for R {
     fn times_or_zero(self, slope: R) -> Self {
         let product = self * slope;
         let infinity = R::from(f64::INFINITY);
-        // NaN is neither less than infinity nor 0.
+        // The outer selection keeps the product for NaN, for which `0 < size` is false too.
         let unless_zero = |number: R, product: R| {
             let size = number.abs();
             R::select_lt(size, infinity, R::select_lt(R::zero(), size, product, R::zero()), product)
