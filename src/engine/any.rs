@@ -25,7 +25,7 @@ pub trait AnyTask<F: Float>: StepForward<F> + Observe<F> + StepBack<F, 1> + Step
     fn state_dim(&self) -> usize;
     #[doc(hidden)]
     fn control_dim(&self) -> usize;
-    /// Number of components of the observation, if it is not the state.
+    /// Number of components of the observation. `None` if the policy observes the state.
     #[doc(hidden)]
     fn own_observation(&self) -> Option<usize>;
     #[doc(hidden)]
@@ -110,7 +110,7 @@ impl<T: Task, F: Float> AnyTask<F> for T {
 
 /// Object-safe [`System`] for one scalar type, of one sample at a time.
 ///
-/// Used where a loop over steps should compile only once. Methods forward to those of the system.
+/// Used for loops over steps that should compile only once. Methods forward to those of the system.
 pub(crate) trait AnySystem<R: Real> {
     fn state_dim(&self) -> usize;
     fn control_dim(&self) -> usize;

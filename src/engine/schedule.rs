@@ -149,7 +149,8 @@ fn again(l: u64, s: u64) -> u64 {
 
 /// Returns an optimal number of segments to run before the next checkpoint.
 ///
-/// `l ≥ 2` segments remain. `s ≥ 1` checkpoints are available, including the one at their start.
+/// `l ≥ 2` segments remain. `s ≥ 1` checkpoints are available, including the checkpoint at the
+/// start of the remaining segments.
 pub(crate) fn split(l: usize, s: usize) -> usize {
     if s == 1 {
         return l - 1;

@@ -78,7 +78,7 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         Ok(())
     }
 
-    /// Resets exponents of a block that are too low for its cost gradients to 0.
+    /// Resets to 0 the exponents of a block that are too low for its cost gradients.
     ///
     /// Exponents of samples whose cost gradients are 0 do not change.
     pub(super) fn raise(
@@ -166,15 +166,15 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
 
     fn set(&mut self, k: usize, lane: usize, exponent: i32, scale: F) {
         self.of[k][lane] = exponent;
-        // Bounded, so that the factor stays finite. `raise` resets such exponents before a non-zero
-        // cost gradient is added.
+        // The limit keeps the factor finite. `raise` resets exponents below `-limit` before a
+        // nonzero cost gradient is added.
         let limit = reach::<F>() * 3 / 2;
         self.inject.0[k].set_lane(lane, scaled(scale, (-exponent).min(limit)));
     }
 
     /// Rescales the cotangents of one sample and flow to a size of about 1, if needed.
     ///
-    /// `lambda` is λ of the block, `u_bar` its h and μ.
+    /// `lambda` is λ of the block. `u_bar` contains h and μ of the block.
     fn rescale(
         &mut self,
         flow: Flow,

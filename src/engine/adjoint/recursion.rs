@@ -369,7 +369,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             })
         };
         let first = (0..K).find_map(|k| state(k).or_else(|| output(k)));
-        let (k, variable, (sample, component)) = first.expect("the probe found a non-finite value");
+        let (k, variable, (sample, component)) = first.expect("`rescale` fails only for non-finite cotangents");
         let of =
             |lanes: &[Lane<F>]| -> Vec<Single<F>> { lanes.iter().map(|number| Lanes([number.lane(sample % WIDTH)])).collect() };
         let inputs = rollout.inputs_of(step, sample / WIDTH);
