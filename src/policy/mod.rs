@@ -96,8 +96,8 @@ pub trait Policy: Send + Sync {
     /// ```
     fn act<T: Scalar>(&self, theta: &[T], observed: Observed<'_, T>, action: Action<'_, T>);
 
-    /// Entries of the parameters `p` that are trained, the last parameters in `θ`. Default: none;
-    /// [`WithParams`] adds them to any policy.
+    /// Entries of the parameters `p` that are trained, the last parameters in `θ`. Default: none.
+    /// [`WithParams`] adds trained entries to a policy.
     fn trained_params(&self) -> &[TrainedParam] {
         &[]
     }
