@@ -137,8 +137,8 @@ pub const ROTATION: f64 = 4.0;
 
 /// Gradient `g` plus its rotation: `g + strength · (-g₂, g₁)`.
 ///
-/// It vanishes where the gradient does, but is not a gradient: it also circulates around the
-/// minimum.
+/// The field vanishes where the gradient vanishes. The rotation circulates around the minimum, so
+/// the field is not a gradient.
 ///
 /// Gradient descent with small steps converges, because `g` always contributes. Adam does not
 /// converge if the rotation is strong. Near the minimum, Adam divides by ever smaller root mean
@@ -151,8 +151,9 @@ pub const ROTATION: f64 = 4.0;
 /// `√2 · 9 · learning rate · strength`. The estimate assumes an isotropic curvature and a strength
 /// well above 1.
 ///
-/// The combination descends everywhere. It converges from most, but not all, initial parameters,
-/// and rarely with a large learning rate. The final loss is far below that of the rotation alone.
+/// The combination descends everywhere. It converges from most, but not all, initial parameters.
+/// With a large learning rate, it rarely converges. The final loss is far below the final loss of
+/// the field with the rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rotated {
     /// Norm of the rotated part, as a multiple of the norm of the gradient.
