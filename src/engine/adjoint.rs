@@ -355,6 +355,7 @@ pub(crate) struct Pass<'a, F: Float> {
     pub(crate) policy: &'a dyn AnyPolicy<F>,
     pub(crate) weights: &'a Weights<F>,
     pub(crate) rollout: &'a Rollout<F>,
+    /// Factor of all cotangents.
     pub(crate) scale: F,
     /// True if the pass measures the growth of the adjoints.
     pub(crate) measured: bool,

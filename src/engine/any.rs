@@ -17,8 +17,8 @@ use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Single};
 
 /// Object-safe [`Task`] for one precision.
 ///
-/// Every task implements it, so `&task` coerces to `&dyn AnyTask<F>`. The trait is sealed. The
-/// hidden methods forward to those of the task.
+/// Every task implements the trait, so `&task` coerces to `&dyn AnyTask<F>`. The trait is sealed.
+/// Hidden methods forward to the methods of the task.
 #[allow(missing_docs)]
 pub trait AnyTask<F: Float>: StepForward<F> + Observe<F> + StepBack<F, 1> + StepBack<F, 2> + Send + Sync {
     #[doc(hidden)]

@@ -1,5 +1,5 @@
-//! [`Batch`]: gradients of a mini-batch. [`Evaluation`]: loss of a data set. Both use several
-//! workers.
+//! [`Batch`]: gradients of a mini-batch. [`Evaluation`]: loss of a data set. Workers share the
+//! samples.
 //!
 //! Results do not depend on the number of workers. Samples are independent. Gradients are summed
 //! over fixed groups of samples, and groups are summed in order.

@@ -28,7 +28,7 @@ impl<F: Float> PartialEq for Gradient<F> {
     }
 }
 
-/// Bound on the binary exponents of partial sums.
+/// Bound on the binary exponents of partial sums. Far from the limits of f32, 2^-126 and 2^128.
 const MAX_EXPONENT: i32 = 60;
 
 impl<F: Float> Gradient<F> {
@@ -53,7 +53,7 @@ impl<F: Float> Gradient<F> {
         ExtendedF64::new(square.sqrt(), self.exponent)
     }
 
-    /// Returns the values times 2^exponent. They become infinite, or 0, beyond the range of `F`.
+    /// Returns the values times 2^exponent, which become infinite, or 0, beyond the range of `F`.
     pub fn to_vec(&self) -> Vec<F> {
         self.values.iter().map(|&value| scaled(value, self.exponent)).collect()
     }

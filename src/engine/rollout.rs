@@ -69,7 +69,9 @@ pub struct Rollout<F: Float> {
     inputs: Vec<F>,
     /// Policy outputs, control and next memory, as columns.
     outputs: Vec<F>,
+    /// Tape of the policy.
     pub(crate) tape: Aligned<F>,
+    /// Cost of each sample, `[block]`.
     pub(crate) costs: Vec<Lane<F>>,
 }
 

@@ -160,7 +160,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sums_quotients_and_logarithms_are_exact_up_to_2_to_the_power_4001() {
+    fn sums_quotients_and_logarithms_are_right_up_to_2_to_the_power_4001() {
         let sum = ExtendedF64::from(3.0) + ExtendedF64::from(0.5);
         assert_eq!((sum.get(), sum.exponent), (3.5, 0));
         let huge = ExtendedF64::new(1.0, 4000);

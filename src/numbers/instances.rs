@@ -44,7 +44,8 @@ macro_rules! fill_scalars {
     ($slot:expr, $function:ty: $($scalar:ty),+) => { $(fill($slot, <$function>::pointer::<$scalar>))||+ };
 }
 
-/// Writes the function pointer for `T` to `slot`, an `Option<G::Pointer<T>>`.
+/// Writes the function pointer to `slot`, an `Option<G::Pointer<T>>` for the scalar `T` of the
+/// caller.
 ///
 /// Returns false and leaves `None` unless `T` is a scalar of rollouts, checks, counts, optimization
 /// or references.
@@ -72,7 +73,8 @@ pub(crate) fn scalar_pointer_of_effect<G: ScalarFunction>(slot: &mut dyn Any) ->
         || fill_scalars!(slot, G: Reverse<Single<f32>>, Reverse<Single<f64>>)
 }
 
-/// Writes the function pointer for `R` and `C` to `slot`, an `Option<G::Pointer<R, C>>`.
+/// Writes the function pointer to `slot`, an `Option<G::Pointer<R, C>>` for the types `R` and `C`
+/// of the caller.
 ///
 /// Leaves `None` unless the types are those of reverse passes, checks or counts.
 pub(crate) fn cotangent_pointer<G: CotangentFunction>(slot: &mut dyn Any) {
@@ -85,7 +87,8 @@ pub(crate) fn cotangent_pointer<G: CotangentFunction>(slot: &mut dyn Any) {
         || among!(f64: Pack<f64, 1>, Counted: Counted);
 }
 
-/// Writes the function pointer for `R` to `slot`, an `Option<G::Pointer<R>>`.
+/// Writes the function pointer to `slot`, an `Option<G::Pointer<R>>` for the scalar `R` of the
+/// caller.
 ///
 /// Leaves `None` unless `R` is the scalar of a reverse pass, a count or an optimization.
 pub(crate) fn real_pointer<G: RealFunction>(slot: &mut dyn Any) {

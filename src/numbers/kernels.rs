@@ -11,7 +11,7 @@ pub mod trig;
 
 use std::sync::OnceLock;
 
-/// Instruction set of the kernels, in ascending order. Each level implies the levels before it.
+/// Instruction sets of the kernels, in ascending order. Each level implies the levels before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd)]
 pub enum SimdLevel {
     /// Plain Rust without fused operations, vectorized for the target of the build.

@@ -38,8 +38,8 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 /// Number type over which simulators are generic. Among the types are `f64`, [`Lanes`], [`Dual`],
 /// [`Counted`] and `DoubleDouble`.
 ///
-/// Constants are plain `f64` on the right of an operator: `x[0].sin() * (9.81 / self.length)`. They
-/// are rounded to the precision of the simulation.
+/// Constants are plain `f64` on the right of an operator: `x[0].sin() * (9.81 / self.length)`.
+/// Operators round constants to the precision of the simulation.
 ///
 /// A scalar has no ordering and permits no branches on values, since lanes hold several values.
 /// Write branches with [`select_lt`](Scalar::select_lt), [`min`](Scalar::min),

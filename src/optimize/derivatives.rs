@@ -104,8 +104,9 @@ impl Problem<'_> {
     }
 }
 
-/// Computes the gradient by the controls with the adjoint recursion. Also returns the step at which
-/// the gradient is not finite, as an error.
+/// Computes the gradient by the controls with the adjoint recursion.
+///
+/// The second result is an error with the step at which the gradient is not finite.
 fn gradient_by_control(steps: &[StepExpansion], terminal: DVector<f64>, n: usize, m: usize) -> (Vec<f64>, Result<(), usize>) {
     let (mut adjoint, mut by_control) = (terminal, vec![0.0; steps.len() * m]);
     for (t, step) in steps.iter().enumerate().rev() {

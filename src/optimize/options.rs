@@ -11,8 +11,8 @@ pub struct Options {
     /// of control. At an active bound, a component that points out of the bounds counts as 0.
     pub gradient_tolerance: f64,
     /// Converged if each of three consecutive iterations decreases the cost by at most this
-    /// fraction. Also converged if the line search fails and the predicted decrease of the full
-    /// step is no larger.
+    /// fraction. Also converged if the line search fails and the full step has a predicted decrease
+    /// of at most this fraction.
     pub cost_tolerance: f64,
     /// Bounds `[low, high]` of each control, at all steps. Infinite bounds are allowed. `None`: no
     /// bounds.

@@ -68,7 +68,7 @@ impl<'a> Search<'a> {
             let regularization = self.regularization.value * expansion.curvature;
             let step = backward(expansion, &self.best.u, &self.bounds, regularization);
             let better = step.as_ref().and_then(|step| self.line_search(step));
-            // Refuses trajectories whose derivatives are not finite.
+            // Rejects trajectories whose derivatives are not finite.
             let expanded = better.and_then(|better| self.problem.expand(&better).ok().map(|next| (better, next)));
             if let Some((better, next)) = expanded {
                 let decrease = self.best.cost - better.cost;
@@ -140,7 +140,9 @@ impl<'a> Search<'a> {
 /// Regularization relative to the curvature of the costs, with the quadratic schedule of Tassa,
 /// Erez and Todorov 2012, section II.F.
 struct Regularization {
+    /// Regularization divided by the curvature.
     value: f64,
+    /// Factor of the last change.
     factor: f64,
 }
 

@@ -12,7 +12,7 @@ use crate::numbers::reverse_mode::{REVERSE_ABOVE, Recording};
 use crate::numbers::scalar::{Float, Real, Scalar};
 use smallvec::SmallVec;
 
-/// Inputs or parameters of a block in forward mode.
+/// Inputs or parameters of a block in forward mode, on the stack.
 type Few<T> = SmallVec<[T; 32]>;
 
 /// Returns whether derivatives of [`Policy::act`] use reverse mode.

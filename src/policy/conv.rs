@@ -26,7 +26,7 @@ use rand::RngExt;
 
 /// Columns per block. A block passes all layers while its activations stay in the cache.
 const BLOCK: usize = 8;
-/// Windows per matrix product in the weight gradient.
+/// Approximate number of windows per matrix product in the weight gradient.
 const DEPTH: usize = 64;
 /// Kernel size, in positions; the stride is 2.
 const KERNEL: usize = 3;

@@ -270,9 +270,12 @@ impl PolicyColumns {
         Self { first: columns.start, step: 1, count: columns.len() }
     }
 
-    /// The columns as a range. They must be contiguous (a debug assertion).
+    /// The columns as a range.
+    ///
+    /// # Panics
+    /// With debug assertions, if the columns are not contiguous.
     pub fn as_range(self) -> Range<usize> {
-        debug_assert!(self.step == 1, "the columns are not adjacent");
+        debug_assert!(self.step == 1, "the columns are not contiguous");
         self.first..self.first + self.count
     }
 

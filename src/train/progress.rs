@@ -239,8 +239,9 @@ impl<F: Float> Progress<F> {
         Ok(step)
     }
 
-    /// Learning rate of update `index` of the epoch. It depends on the settings and on the number
-    /// of the update only, so checkpoints do not contain it.
+    /// Learning rate of update `index` of the epoch.
+    ///
+    /// Checkpoints do not store the rate, which depends only on settings and the update number.
     fn learning_rate(&self, index: usize) -> f64 {
         let Training { epochs, learning_rate, decay, warm_up, .. } = self.training;
         let update = self.records.len() * self.updates_per_epoch() + index;

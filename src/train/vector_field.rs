@@ -145,14 +145,14 @@ pub const ROTATION: f64 = 4.0;
 /// squares, so steps grow. The momentum delays the field by β₁ / (1 - β₁) = 9 iterations. The
 /// delayed rotation moves the iterate outwards, and `g` moves it inwards.
 ///
-/// Let η be the learning rate over the root mean square. Both motions balance at
+/// Let η be the learning rate over the root mean square. The two motions balance at
 /// `η = 1 / (9 · strength² · curvature)`. Without a rotation, Adam is stable up to
 /// `η = 38 / curvature`. The iterate circles the minimum at a distance of about
 /// `√2 · 9 · learning rate · strength`. The estimate assumes an isotropic curvature and a strength
 /// well above 1.
 ///
-/// The combination descends everywhere. It converges from most, but not all, initial parameters.
-/// With a large learning rate, it rarely converges. The final loss is far below the final loss of
+/// The combination descends everywhere. Adam converges along it from most, but not all, initial
+/// parameters, and rarely with a large learning rate. The final loss is far below the final loss of
 /// the field with the rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rotated {

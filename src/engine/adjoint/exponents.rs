@@ -123,7 +123,7 @@ pub(super) struct Limits<F> {
 
 /// Exponent of `high`, and of `low` with a negative sign.
 ///
-/// Both limits are far from the ends of the range of `F`, so that one step may multiply cotangents
+/// The limits are far from the ends of the range of `F`, so that one step may multiply cotangents
 /// by 1e19 (f32).
 const fn reach<F: Float>() -> i32 {
     if F::EPSILON < 1e-10 { 300 } else { 60 }
@@ -206,7 +206,7 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
 
     /// Resets the exponent of one sample and flow to 0, if scaled cost gradients may overflow.
     ///
-    /// λ may underflow to 0. This error is negligible relative to the cost gradients.
+    /// λ may underflow to 0, which is negligible relative to the cost gradients.
     fn raise(
         &mut self,
         (k, lane): (usize, usize),

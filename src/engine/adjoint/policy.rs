@@ -49,7 +49,9 @@ pub(super) struct PolicyAdjoint<F> {
     part: Vec<F>,
 }
 
-/// Buffer lengths of the policy part.
+/// Dimensions and buffer lengths of the policy part.
+///
+/// Lengths are in lanes for `observed_bar` and `states_bar`, in numbers for the others.
 pub(super) struct PolicyBufferSizes {
     control_dim: usize,
     memory_dim: usize,

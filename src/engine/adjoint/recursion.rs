@@ -20,8 +20,9 @@ use std::ops::Range;
 
 /// Inputs and outputs of one step of the recursion, for one block of samples or one sample.
 pub(super) struct Step<'a, R, const K: usize> {
-    /// Inputs `x_t`, `u_t`, `p`, `t`, and the result `x_{t+1}`.
+    /// Inputs `x_t`, `u_t`, `p`, `t`.
     pub(super) inputs: Inputs<'a, R>,
+    /// Next state `x_{t+1}`.
     pub(super) next: &'a [R],
     /// λ, read and overwritten.
     pub(super) lambda: &'a mut [CotangentPack<R, K>],
