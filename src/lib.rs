@@ -6,12 +6,12 @@
 //! [`check`] compares the two.
 //!
 //! One forward pass yields several vector fields for the optimizer. The main three are the gradient
-//! of the loss (R), the gradient through the physics only (M), and their combination (C). The
-//! source is "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024).
+//! of the loss (R), the gradient through the physics only (M), and their combination (C). Source:
+//! "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR 2024).
 //! [`Flow`] documents the recursion and [`Field`] the fields.
 //!
 //! # A custom system
-//! The code is that of `examples/pendulum.rs`. Tests compile, run and gradient-check it.
+//! This is the file `examples/pendulum.rs`.
 //! ```
 #![doc = include_str!("../examples/pendulum.rs")]
 //! ```

@@ -7,7 +7,7 @@
 //!     h_t ← (∂S/∂u)ᵀ λ + ∂l/∂u_t
 //!     ȳ, m̄ ← (∂N/∂(y, m))ᵀ (h_t, μ)
 //!     λ ← physics·(∂S/∂x)ᵀ λ + ∂l/∂x_t + control·(∂y/∂x)ᵀ ȳ
-//!     g ← g + (∂N/∂θ)ᵀ (h_t, μ)                        in large products, a fixed number of steps at a time
+//!     g ← g + (∂N/∂θ)ᵀ (h_t, μ)                        in matrix products over units of steps
 //!     μ ← memory·m̄
 //! ```
 //!
@@ -69,7 +69,7 @@ impl<F: Float> Adjoint<F> {
     /// Allocates a workspace for the gradients of one or two flows.
     ///
     /// Two flows share one pass through the physics, which always evaluates `∂S/∂x`. A workspace
-    /// for N or S alone omits it.
+    /// for N or S alone does not evaluate `∂S/∂x`.
     ///
     /// # Panics
     /// If `flows` does not have one or two elements, or `rollout` has no tape.
@@ -139,7 +139,7 @@ impl<F: Float> Adjoint<F> {
     /// Norms of the adjoint of flow `k` at the states `x_0 .. x_T` of the last run, `horizon + 1`
     /// numbers.
     ///
-    /// Each is the root mean square over the samples of ‖λ_t‖, for the loss of one sample. It
+    /// Each is the root mean square over the samples of ‖λ_t‖, for the loss of one sample. The norm
     /// measures how strongly later costs depend on a state, along the paths of the flow. λ_t
     /// contains the costs of step t and of later steps, not the cost of the step that ends in
     /// `x_t`. λ_T is the gradient of the terminal cost, or 0 without a terminal cost. Steps that a
@@ -165,11 +165,11 @@ impl<F: Float> Adjoint<F> {
     /// Gradient of the cost of `sample` with respect to its initial state and parameters p, along
     /// flow `k`.
     ///
-    /// It has `state_dim` values, then `param_dim`, and is multiplied by the `scale` of the last
-    /// run.
+    /// The first `state_dim` values are derivatives by the initial state, the next `param_dim` by
+    /// p. All are multiplied by the `scale` of the last run.
     ///
     /// The flow weights only paths through state, observation and memory. The direct effects of p
-    /// on steps and costs have weight 1, its effect on the observation the weight `control`.
+    /// on steps and costs have weight 1. The effect of p on the observation has weight `control`.
     ///
     /// ```
     /// use physgrad::policy::Linear;
@@ -355,6 +355,7 @@ pub(crate) struct Pass<'a, F: Float> {
     pub(crate) policy: &'a dyn AnyPolicy<F>,
     pub(crate) weights: &'a Weights<F>,
     pub(crate) rollout: &'a Rollout<F>,
+    /// Factor of all cotangents.
     pub(crate) scale: F,
     /// True if the pass measures the growth of the adjoints.
     pub(crate) measured: bool,
@@ -371,8 +372,8 @@ mod tests {
     use crate::policy::Mlp;
     use crate::tasks::{Bumpers, CartDamping, CartPole, CartPoleSystem};
 
-    /// Returns costs, one state component per sample, and the gradients of three flows.
-    fn all_of_it<F: Float>(samples: usize) -> Vec<F> {
+    /// Returns costs, the first state component at step 100, and the gradients of three flows.
+    fn results<F: Float>(samples: usize) -> Vec<F> {
         let system = CartPoleSystem { poles: 2, ..CartPoleSystem::default() };
         let task = CartPole::with_system(Forced { system, effects: (CartDamping::default(), Bumpers::default()) });
         let policy = Mlp::new(vec![6, 8, 1]);
@@ -399,10 +400,10 @@ mod tests {
     }
 
     #[test]
-    fn the_portable_path_has_the_bits_of_the_vectorized_one() {
+    fn portable_and_vectorized_passes_of_1_8_and_13_samples_are_bitwise_equal() {
         for samples in [1, 8, 13] {
-            assert_eq!(all_of_it::<f32>(samples), portable::force(|| all_of_it::<f32>(samples)));
-            assert_eq!(all_of_it::<f64>(samples), portable::force(|| all_of_it::<f64>(samples)));
+            assert_eq!(results::<f32>(samples), portable::force(|| results::<f32>(samples)));
+            assert_eq!(results::<f64>(samples), portable::force(|| results::<f64>(samples)));
         }
     }
 }

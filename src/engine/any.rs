@@ -17,15 +17,15 @@ use crate::numbers::scalar::{Cotangent, CotangentPack, Float, Real, Single};
 
 /// Object-safe [`Task`] for one precision.
 ///
-/// Every task implements it, so `&task` coerces to `&dyn AnyTask<F>`. The trait is sealed. The
-/// hidden methods forward to those of the task.
+/// Every task implements the trait, so `&task` coerces to `&dyn AnyTask<F>`. The trait is sealed.
+/// Hidden methods forward to the methods of the task.
 #[allow(missing_docs)]
 pub trait AnyTask<F: Float>: StepForward<F> + Observe<F> + StepBack<F, 1> + StepBack<F, 2> + Send + Sync {
     #[doc(hidden)]
     fn state_dim(&self) -> usize;
     #[doc(hidden)]
     fn control_dim(&self) -> usize;
-    /// Number of components of the observation, if it is not the state.
+    /// Number of components of the observation. `None` if the policy observes the state.
     #[doc(hidden)]
     fn own_observation(&self) -> Option<usize>;
     #[doc(hidden)]
@@ -110,7 +110,7 @@ impl<T: Task, F: Float> AnyTask<F> for T {
 
 /// Object-safe [`System`] for one scalar type, of one sample at a time.
 ///
-/// Used where a loop over steps should compile only once. Methods forward to those of the system.
+/// Used for loops over steps that should compile only once. Methods forward to those of the system.
 pub(crate) trait AnySystem<R: Real> {
     fn state_dim(&self) -> usize;
     fn control_dim(&self) -> usize;

@@ -1,5 +1,5 @@
-//! [`Batch`]: gradients of a mini-batch. [`Evaluation`]: loss of a data set. Both use several
-//! workers.
+//! [`Batch`]: gradients of a mini-batch. [`Evaluation`]: loss of a data set. Workers share the
+//! samples.
 //!
 //! Results do not depend on the number of workers. Samples are independent. Gradients are summed
 //! over fixed groups of samples, and groups are summed in order.
@@ -173,7 +173,7 @@ impl<F: Float> Batch<F> {
         let capacity = self.capacity;
         assert!(
             samples > 0 && samples <= capacity && starts.len().is_multiple_of(n),
-            "got {} numbers; expected 1 to {capacity} samples of {n} numbers each",
+            "`starts` has {} numbers; expected 1 to {capacity} samples of {n} numbers each",
             starts.len()
         );
         let scale = F::from_f64(1.0 / samples as f64);
@@ -203,7 +203,7 @@ impl<F: Float> Batch<F> {
     }
 
     /// Adds the gradients and growths of the first `active` workers, in the order of the samples.
-    /// Returns `loss` plus their costs.
+    /// Returns `loss` plus the costs of these samples.
     fn add_round(&mut self, active: usize, first: bool, loss: f64) -> f64 {
         let workers = &self.workers[..active];
         for (k, gradient) in self.gradients.iter_mut().enumerate() {
@@ -259,8 +259,9 @@ impl<F: Float> Worker<F> {
     }
 }
 
-/// Returns the number of workers, and the number of samples in a chunk: whole groups, such that all
-/// rounds have about equal work.
+/// Returns the number of workers and the number of samples in a chunk.
+///
+/// A chunk consists of whole groups, or of all samples. All rounds have about equal work.
 fn chunks(samples: usize, workers: usize) -> (usize, usize) {
     let groups = samples.div_ceil(GROUP);
     let workers = workers.clamp(1, groups);
@@ -311,7 +312,7 @@ impl<F: Float> Evaluation<F> {
         let samples = starts.len() / n;
         assert!(
             samples > 0 && starts.len().is_multiple_of(n),
-            "got {} numbers; expected one or more samples of {n} numbers each",
+            "`starts` has {} numbers; expected one or more samples of {n} numbers each",
             starts.len()
         );
         let per_worker = samples.div_ceil(EVALUATED).div_ceil(self.workers.len()) * EVALUATED;

@@ -34,12 +34,12 @@ use crate::policy::Weights;
 #[derive(Debug)]
 pub struct Checkpointed<F: Float> {
     schedule: Schedule,
-    /// Stores one segment.
+    /// Rollout that stores one segment.
     rollout: Rollout<F>,
     adjoint: Adjoint<F>,
     /// Length of the states and memories of all samples at one step, in lanes.
     state_len: usize,
-    /// Checkpoints, `[checkpoint][block][component]`.
+    /// Checkpoints. Each has states, `[block][component]`, then memories, `[block][component]`.
     states: Vec<Lane<F>>,
     /// Segments that start at a checkpoint, in ascending order.
     kept: Vec<usize>,
@@ -74,7 +74,7 @@ impl<F: Float> Checkpointed<F> {
 
     /// Finds a schedule with few recomputed steps within `budget` bytes.
     ///
-    /// It recomputes at most 1 % of the horizon more steps than the minimum.
+    /// The schedule recomputes at most 1 % of the horizon more steps than the minimum.
     ///
     /// # Errors
     /// [`MemoryError`] if no schedule fits.
@@ -160,8 +160,8 @@ impl<F: Float> Checkpointed<F> {
         Ok(())
     }
 
-    /// As [`run`](Checkpointed::run), without a common exponent: callers sum and normalize the
-    /// gradients.
+    /// Like [`run`](Checkpointed::run), but without a common exponent: callers sum and normalize
+    /// the gradients.
     #[track_caller]
     #[allow(clippy::too_many_arguments)]
     pub(crate) fn run_unnormalized(
@@ -178,7 +178,7 @@ impl<F: Float> Checkpointed<F> {
         let groups = samples.div_ceil(group);
         assert!(
             groups <= gradients.len(),
-            "{samples} samples form {groups} groups of {group}, but there are {} gradients",
+            "{samples} samples form {groups} groups of {group}, but `gradients` has {} groups",
             gradients.len()
         );
         let gradients = &mut gradients[..groups];

@@ -1,11 +1,13 @@
-//! [`Divergence`]: place of a non-finite number.
+//! [`Divergence`]: place of a non-finite or too large number.
 
 use crate::dynamics::cause::Cause;
 use crate::engine::adjoint::Flow;
 use crate::numbers::extended::ExtendedF64;
 use std::fmt;
 
-/// Place of a non-finite number. Training skips the affected update.
+/// Place of a number that is not finite, or too large for the optimizer.
+///
+/// Training skips the affected update.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Divergence {
     /// State, control or memory in the forward pass.

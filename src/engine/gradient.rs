@@ -28,7 +28,7 @@ impl<F: Float> PartialEq for Gradient<F> {
     }
 }
 
-/// Bound on the binary exponents of partial sums.
+/// Bound on the binary exponents of partial sums. Far from the limits of f32, 2^-126 and 2^128.
 const MAX_EXPONENT: i32 = 60;
 
 impl<F: Float> Gradient<F> {
@@ -53,7 +53,7 @@ impl<F: Float> Gradient<F> {
         ExtendedF64::new(square.sqrt(), self.exponent)
     }
 
-    /// Returns the values times 2^exponent. They become infinite, or 0, beyond the range of `F`.
+    /// Returns the values times 2^exponent, which become infinite, or 0, beyond the range of `F`.
     pub fn to_vec(&self) -> Vec<F> {
         self.values.iter().map(|&value| scaled(value, self.exponent)).collect()
     }
@@ -104,7 +104,7 @@ impl<F: Float> Gradient<F> {
         }
     }
 
-    /// Copies another gradient without allocating.
+    /// Copies another gradient of equal length without allocating.
     pub(crate) fn copy_from(&mut self, other: &Self) {
         self.values.copy_from_slice(&other.values);
         (self.exponent, self.spread) = (other.exponent, other.spread);
@@ -192,7 +192,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parts_of_any_size_add_up_and_small_ones_keep_their_sign() {
+    fn terms_from_2_to_the_minus_5000_to_2_to_the_3000_add_up_and_keep_their_sign() {
         let mut sum = Gradient::<f32>::zeros(4);
         sum.add_part(&[1.0, 1.0, 0.0, -1.0], 3000);
         sum.add_part(&[3.0, -1.0, -1.0, 1.0], 2999);
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn representable_sums_are_unscaled() {
+    fn sums_within_the_range_of_the_type_have_exponent_0() {
         let mut sum = Gradient::<f32>::zeros(2);
         sum.unscaled_sum().expect("plain").copy_from_slice(&[1.0, 2.0]);
         sum.add_part(&[1.0, 1.0], 3);

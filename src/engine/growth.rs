@@ -26,7 +26,7 @@ impl Growth {
     /// precision.
     ///
     /// - R and N: rounding errors of the forward pass grow like the adjoint of R. If the growth
-    ///   exceeds the number of digits, the signs of earlier contributions are unreliable.
+    ///   exceeds the number of digits, the contributions of early steps have unreliable signs.
     /// - M ignores the policy's response to deviations. On a plant that is unstable without
     ///   control, M grows. The first steps then outweigh the last by a factor of 10^growth.
     pub fn warning(&self, flow: Flow, horizon: usize, epsilon: f64) -> Option<String> {
@@ -81,7 +81,7 @@ impl Meter {
         self.since_cut
     }
 
-    /// Registers a cut of the adjoint: no range of steps contains it.
+    /// Registers a cut of the adjoint. Ranges of steps end there.
     pub(crate) fn cut(&mut self) {
         (self.running, self.since_cut) = (0.0, 0.0);
     }
@@ -102,7 +102,7 @@ impl GrowthStats {
         self.worst_window = self.worst_window.max(meter.worst_window);
     }
 
-    /// Returns `None` without samples.
+    /// Mean and largest growth. `None` without samples.
     pub(crate) fn growth(&self) -> Option<Growth> {
         (self.samples > 0).then(|| Growth { along: self.along / self.samples as f64, worst_window: self.worst_window })
     }
@@ -113,7 +113,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_worst_window_may_grow_while_the_horizon_decays() {
+    fn norms_that_decay_by_one_decade_have_a_worst_window_of_three_decades() {
         let mut meter = Meter::default();
         // Norms 1, 10, 1000, 1, 0.01, 0.1; `step` takes squares.
         for (before, after) in [(1.0, 1e2), (1e2, 1e6), (1e6, 1.0), (1.0, 1e-4), (1e-4, 1e-2)] {
@@ -123,7 +123,7 @@ mod tests {
         // A change of the exponent counts as growth.
         meter.step(1.0, 1.0, 100);
         assert!((meter.along + 1.0 - 100.0 * 2f64.log10()).abs() < 1e-9, "{meter:?}");
-        // A zero adjoint contributes no growth. One that becomes zero contributes -∞.
+        // A zero adjoint contributes no growth. An adjoint that becomes zero contributes -∞.
         meter.step(0.0, 0.0, 0);
         assert!(meter.along.is_finite());
         meter.step(1.0, 0.0, 0);
@@ -131,17 +131,17 @@ mod tests {
     }
 
     #[test]
-    fn warnings_appear_exactly_for_unreliable_flows() {
+    fn r_warns_of_growth_beyond_its_digits_and_m_of_growth_beyond_3_decades() {
         let growth = |along: f64, worst_window: f64| Growth { along, worst_window };
-        let said = |flow: Flow, growth: Growth, epsilon: f64| growth.warning(flow, 1000, epsilon).unwrap_or_default();
+        let warning = |flow: Flow, growth: Growth, epsilon: f64| growth.warning(flow, 1000, epsilon).unwrap_or_default();
         let (single, double) = (f64::from(f32::EPSILON), f64::EPSILON);
         // f32 has 6.92 digits. The adjoint grows by 10 decades in 1000 steps, by 6.92 in 692.
-        assert!(said(Flow::REGULAR, growth(2.0, 10.0), single).contains("Before the last 692 of the 1000 steps"));
-        assert_eq!(said(Flow::REGULAR, growth(2.0, 10.0), double), "");
-        assert_eq!(said(Flow::REGULAR, growth(-30.0, 1.0), single), "");
-        assert!(said(Flow::REGULAR, growth(20.0, 20.0), double).contains("R grows by up to 10^20"));
-        assert!(said(Flow::MODIFIED, growth(4.0, 4.0), double).contains("M grows by 10^4"));
-        assert_eq!(said(Flow::MODIFIED, growth(2.0, 9.0), double), "");
-        assert_eq!(said(Flow::STOPPED, growth(f64::NEG_INFINITY, 0.0), double), "");
+        assert!(warning(Flow::REGULAR, growth(2.0, 10.0), single).contains("Before the last 692 of the 1000 steps"));
+        assert_eq!(warning(Flow::REGULAR, growth(2.0, 10.0), double), "");
+        assert_eq!(warning(Flow::REGULAR, growth(-30.0, 1.0), single), "");
+        assert!(warning(Flow::REGULAR, growth(20.0, 20.0), double).contains("R grows by up to 10^20"));
+        assert!(warning(Flow::MODIFIED, growth(4.0, 4.0), double).contains("M grows by 10^4"));
+        assert_eq!(warning(Flow::MODIFIED, growth(2.0, 9.0), double), "");
+        assert_eq!(warning(Flow::STOPPED, growth(f64::NEG_INFINITY, 0.0), double), "");
     }
 }

@@ -4,7 +4,7 @@
 //! - [`adjoint`]: reverse pass for one or two flows of one forward pass.
 //!   `adjoint/recursion.rs` contains the recursion.
 //! - [`initial_states`]: initial states, drawn by a task from seeded streams.
-//! - [`observe`]: the input of the policy.
+//! - [`observe`]: observations of all samples.
 //! - [`schedule`], [`checkpointed`]: recomputation of steps from checkpoints.
 //! - [`batch`]: mini-batches and data sets, split over threads.
 //! - [`gradient`], [`growth`], [`divergence`]: results and errors of the passes.

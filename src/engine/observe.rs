@@ -8,8 +8,8 @@ use crate::engine::rollout::Lane;
 use crate::numbers::kernels::{Vectorized, dispatch_lanes};
 use crate::numbers::scalar::Float;
 
-/// Observations of a task for all samples at once. The inputs are those of all blocks,
-/// concatenated, without controls.
+/// Observations of a task for all samples at once. Inputs concatenate the states and parameters of
+/// all blocks; controls are empty.
 pub trait Observe<F: Float> {
     /// Writes the observations of all blocks.
     fn observe(&self, inputs: Inputs<'_, Lane<F>>, y: &mut [Lane<F>]);

@@ -14,8 +14,8 @@ pub(crate) fn for_each<W: Send>(items: &mut [W], work: &(dyn Fn(usize, &mut W) +
 
 /// Runs `work` on a thread of the pool of [`for_each`].
 ///
-/// A parallel call within `work` starts its first half on the same thread. Outside the pool, the
-/// call would first wake a thread.
+/// A parallel call within `work` runs its first items on the same thread at once. Outside the pool,
+/// the call would first wake a thread.
 #[cfg(feature = "parallel")]
 pub(crate) fn among_workers(work: &mut (dyn FnMut() + Send)) {
     rayon::scope(|_| work());

@@ -37,9 +37,9 @@ pub(crate) type Lane<F> = Lanes<F, WIDTH>;
 /// A run allocates only if it diverges, or in steps of systems that exceed their stack buffers.
 /// Some policies and all reverse-mode derivatives also allocate in their first call on a thread.
 ///
-/// With a tape it stores the trajectory and the values that [`Adjoint`](crate::Adjoint) needs.
-/// Without one ([`Rollout::for_evaluation`]) it stores a single step, and results are bitwise
-/// equal.
+/// With a tape, the rollout stores the trajectory and the values that [`Adjoint`](crate::Adjoint)
+/// needs. Without a tape ([`Rollout::for_evaluation`]), it stores a single step. Costs and states
+/// are bitwise equal in both cases.
 #[derive(Debug)]
 pub struct Rollout<F: Float> {
     capacity: usize,
@@ -69,7 +69,9 @@ pub struct Rollout<F: Float> {
     inputs: Vec<F>,
     /// Policy outputs, control and next memory, as columns.
     outputs: Vec<F>,
+    /// Tape of the policy.
     pub(crate) tape: Aligned<F>,
+    /// Cost of each sample, `[block]`.
     pub(crate) costs: Vec<Lane<F>>,
 }
 
@@ -302,13 +304,13 @@ impl<F: Float> Rollout<F> {
         scatter(&self.outputs, (m, m + memory_dim), memory_dim, at, next_memory);
 
         let finite = task.step_forward(Inputs { x, u: controls, p: &self.params, t }, next, &mut self.costs);
-        let forgotten = find_non_finite(next_memory, memory_dim, self.samples, Real::lane);
-        if finite && forgotten.is_none() {
+        let bad_memory = find_non_finite(next_memory, memory_dim, self.samples, Real::lane);
+        if finite && bad_memory.is_none() {
             return Ok(());
         }
         let control = find_non_finite(controls, m, self.samples, Real::lane).map(|place| (Variable::Control, t, place));
         let state = || find_non_finite(next, n, self.samples, Real::lane).map(|place| (Variable::State, t + 1, place));
-        let memory = forgotten.map(|place| (Variable::Memory, t, place));
+        let memory = bad_memory.map(|place| (Variable::Memory, t, place));
         let first = control.or(memory).or_else(state);
         let (variable, step, (sample, component)) = first.expect("`step_forward` returns false only for a non-finite value");
         let of = |lanes: &[Lane<F>], n: usize| -> Vec<Single<F>> {
@@ -345,7 +347,7 @@ impl<F: Float> Rollout<F> {
     /// Policy columns of `samples` at the steps of a unit.
     pub(crate) fn columns_of(&self, unit: &Range<usize>, samples: Range<usize>) -> PolicyColumns {
         let PolicyColumns { first, step, .. } = self.columns(unit.start);
-        debug_assert_eq!(step, unit.len(), "the unit {unit:?} has another number of steps");
+        debug_assert_eq!(step, unit.len(), "the unit {unit:?} does not have {step} steps");
         PolicyColumns::range(first + samples.start * step..first + samples.end * step)
     }
 

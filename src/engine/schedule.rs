@@ -115,6 +115,7 @@ impl Schedule {
 /// β is the largest number of segments that can be reversed with `s` checkpoints, if each segment
 /// is recomputed at most `r` times.
 fn reach(s: u64, r: u64) -> u64 {
+    /// Saturation value.
     const HUGE: u128 = 1 << 62;
     let (few, many) = (s.min(r) as u128, s.max(r) as u128);
     let mut product = 1u128;
@@ -149,14 +150,15 @@ fn again(l: u64, s: u64) -> u64 {
 
 /// Returns an optimal number of segments to run before the next checkpoint.
 ///
-/// `l ≥ 2` segments remain. `s ≥ 1` checkpoints are available, including the one at their start.
+/// `l ≥ 2` segments remain. `s ≥ 1` checkpoints are available, including the checkpoint at the
+/// start of the remaining segments.
 pub(crate) fn split(l: usize, s: usize) -> usize {
     if s == 1 {
         return l - 1;
     }
     let (l, s) = (l as u64, s as u64);
     let r = repeats(l, s);
-    // Both parts must admit the optimum: the first with s checkpoints and r - 1 further
-    // recomputations, the second with s - 1 checkpoints.
+    // An optimal split leaves at most β(s, r - 1) segments before the next checkpoint, and at least
+    // β(s - 1, r - 1) segments after it.
     reach(s, r - 1).min(l - reach(s - 1, r - 1)) as usize
 }

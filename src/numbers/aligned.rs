@@ -8,7 +8,8 @@ const LINE: usize = 64;
 
 /// A fixed-size buffer aligned to a cache line.
 ///
-/// Vector loads that cross a cache line are slower. Matrices padded to whole lines avoid them.
+/// Vector loads that cross a cache line are slower. Matrices padded to whole lines avoid such
+/// loads.
 #[derive(Debug)]
 pub(crate) struct Aligned<F> {
     /// Allocation that contains the numbers at `begin .. begin + len`.
@@ -22,13 +23,13 @@ impl<F> Aligned<F> {
     where
         F: Float,
     {
-        let storage = vec![F::zero(); Self::room_for(len)];
+        let storage = vec![F::zero(); Self::padded_len(len)];
         Self { begin: Self::line(&storage, len), storage, len }
     }
 
     /// Offset of the first aligned entry of `storage`, limited to leave `len` entries.
     ///
-    /// `align_offset` may fail to find one. No result depends on the alignment.
+    /// `align_offset` may find no aligned entry. No result depends on the alignment.
     fn line(storage: &[F], len: usize) -> usize {
         storage.as_ptr().align_offset(LINE).min(storage.len() - len)
     }
@@ -40,10 +41,10 @@ impl<F> Aligned<F> {
 
     /// The [`stored_bytes`](Aligned::stored_bytes) of a buffer of `len` numbers.
     pub(crate) fn bytes_of(len: usize) -> usize {
-        Self::room_for(len) * size_of::<F>()
+        Self::padded_len(len) * size_of::<F>()
     }
 
-    fn room_for(len: usize) -> usize {
+    fn padded_len(len: usize) -> usize {
         if len == 0 { 0 } else { len + LINE / size_of::<F>() - 1 }
     }
 }
@@ -81,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_begin_at_a_line_wherever_they_are_cloned_to() {
+    fn forty_clones_of_five_numbers_are_equal_and_aligned_to_64_bytes() {
         let mut numbers = Aligned::<f64>::zeros(5);
         numbers.copy_from_slice(&[1.0, 2.0, 3.0, 4.0, 5.0]);
         // Store all clones, so that their addresses differ.

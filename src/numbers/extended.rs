@@ -49,7 +49,7 @@ impl ExtendedF64 {
         self.mantissa.abs().log10() + f64::from(self.exponent) * std::f64::consts::LOG10_2
     }
 
-    /// Sign: -1, 0 or 1.
+    /// Sign: -1, 0 or 1; NaN for NaN.
     pub fn signum(self) -> f64 {
         if self.mantissa == 0.0 { 0.0 } else { self.mantissa.signum() }
     }
@@ -127,8 +127,9 @@ pub(crate) const fn power_of_two(exponent: i32) -> f64 {
 
 /// `x · 2^exponent`. Exact within the normal range; infinite on overflow, rounded on underflow.
 pub(crate) fn times_power_of_two(x: f64, exponent: i32) -> f64 {
+    /// Largest exponent of one multiplication: 2^1000 and 2^-1000 are normal numbers.
     const STEP: i32 = 1000;
-    // The clamp exceeds the range of all ratios of two `f64`s, so it changes no result.
+    // The clamp changes no result: the ratio of two nonzero `f64`s is below 2^2100.
     let (mut x, mut left) = (x, exponent.clamp(-3 * STEP, 3 * STEP));
     while left > STEP {
         (x, left) = (x * power_of_two(STEP), left - STEP);
@@ -159,7 +160,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sums_and_logarithms_are_those_of_floats_and_go_beyond_them() {
+    fn sums_quotients_and_logarithms_are_right_up_to_2_to_the_power_4001() {
         let sum = ExtendedF64::from(3.0) + ExtendedF64::from(0.5);
         assert_eq!((sum.get(), sum.exponent), (3.5, 0));
         let huge = ExtendedF64::new(1.0, 4000);
@@ -175,11 +176,11 @@ mod tests {
     }
 
     #[test]
-    fn powers_of_two_are_exact_at_the_ends_of_the_range() {
+    fn scaling_by_powers_of_two_is_exact_at_the_ends_of_the_range_of_f64() {
         for x in [1.0, -1.75, f64::MIN_POSITIVE, f64::from_bits(1), f64::MAX] {
             let exponent = exponent_of(x);
             let mantissa = times_power_of_two(x, -exponent);
-            assert!((1.0..2.0).contains(&mantissa.abs()), "{x:e} is {mantissa} times 2^{exponent}");
+            assert!((1.0..2.0).contains(&mantissa.abs()), "the mantissa of {x:e} is {mantissa}, expected 1 to 2");
             assert_eq!(times_power_of_two(mantissa, exponent), x);
         }
         assert_eq!((scaled(1.0f32, -200), scaled(-1.0f32, 200)), (0.0, f32::NEG_INFINITY));

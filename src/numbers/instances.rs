@@ -34,20 +34,21 @@ pub(crate) trait RealFunction {
     fn pointer<R: Real>() -> Self::Pointer<R>;
 }
 
-/// Writes the pointer to `slot` if this is an `Option` of its type. Returns whether it is.
+/// Writes the pointer if `slot` is an `Option<P>`. Returns whether `slot` is one.
 pub(crate) fn fill<P: 'static>(slot: &mut dyn Any, pointer: fn() -> P) -> bool {
     slot.downcast_mut::<Option<P>>().map(|slot| *slot = Some(pointer())).is_some()
 }
 
-/// Calls [`fill`] for the instances of a [`ScalarFunction`], up to the one that the slot has room
-/// for.
+/// Calls [`fill`] for the listed scalars, in order, until one matches the type of the slot.
 macro_rules! fill_scalars {
     ($slot:expr, $function:ty: $($scalar:ty),+) => { $(fill($slot, <$function>::pointer::<$scalar>))||+ };
 }
 
-/// Writes the pointer that `slot` has room for: `slot` is an `Option<G::Pointer<T>>`. It stays
-/// `None` unless `T` is a scalar of rollouts, checks, counts, optimization or references. Returns
-/// whether it is.
+/// Writes the function pointer to `slot`, an `Option<G::Pointer<T>>` for the scalar `T` of the
+/// caller.
+///
+/// Returns false and leaves `None` unless `T` is a scalar of rollouts, checks, counts, optimization
+/// or references.
 ///
 /// Lanes come first, because rollouts look them up in every step.
 pub(crate) fn scalar_pointer<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
@@ -57,12 +58,12 @@ pub(crate) fn scalar_pointer<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
     found
 }
 
-/// As [`scalar_pointer`], for the scalars of second derivatives as well.
+/// Extends [`scalar_pointer`] by the scalar of second derivatives.
 pub(crate) fn scalar_pointer_of_cost<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
     scalar_pointer::<G>(slot) || fill_scalars!(slot, G: Dual<Dual<f64, CHUNK>, CHUNK>)
 }
 
-/// As [`scalar_pointer`], for the scalars of default derivatives and diagnoses as well.
+/// Extends [`scalar_pointer`] by the scalars of default derivatives and diagnoses.
 pub(crate) fn scalar_pointer_of_effect<G: ScalarFunction>(slot: &mut dyn Any) -> bool {
     scalar_pointer::<G>(slot)
         || fill_scalars!(slot, G: Single<f32>, Single<f64>, Reverse<f64>)
@@ -72,8 +73,10 @@ pub(crate) fn scalar_pointer_of_effect<G: ScalarFunction>(slot: &mut dyn Any) ->
         || fill_scalars!(slot, G: Reverse<Single<f32>>, Reverse<Single<f64>>)
 }
 
-/// Writes the pointer that `slot` has room for: `slot` is an `Option<G::Pointer<R, C>>`. It stays
-/// `None` unless the types are those of reverse passes, checks or counts.
+/// Writes the function pointer to `slot`, an `Option<G::Pointer<R, C>>` for the types `R` and `C`
+/// of the caller.
+///
+/// Leaves `None` unless the types are those of reverse passes, checks or counts.
 pub(crate) fn cotangent_pointer<G: CotangentFunction>(slot: &mut dyn Any) {
     macro_rules! among {
         ($($real:ty: $cotangent:ty),+) => { $(fill(slot, G::pointer::<$real, $cotangent>))||+ };
@@ -84,8 +87,10 @@ pub(crate) fn cotangent_pointer<G: CotangentFunction>(slot: &mut dyn Any) {
         || among!(f64: Pack<f64, 1>, Counted: Counted);
 }
 
-/// Writes the pointer that `slot` has room for: `slot` is an `Option<G::Pointer<R>>`. It stays `None`
-/// unless `R` is the scalar of a reverse pass, a count or an optimization.
+/// Writes the function pointer to `slot`, an `Option<G::Pointer<R>>` for the scalar `R` of the
+/// caller.
+///
+/// Leaves `None` unless `R` is the scalar of a reverse pass, a count or an optimization.
 pub(crate) fn real_pointer<G: RealFunction>(slot: &mut dyn Any) {
     macro_rules! among {
         ($($real:ty),+) => { $(fill(slot, G::pointer::<$real>))||+ };

@@ -11,12 +11,12 @@ pub mod trig;
 
 use std::sync::OnceLock;
 
-/// Instruction set of the kernels, in ascending order. Each level implies the levels before it.
+/// Instruction sets of the kernels, in ascending order. Each level implies the levels before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd)]
 pub enum SimdLevel {
     /// Plain Rust without fused operations, vectorized for the target of the build.
     Portable,
-    /// NEON with fused multiply-add, which every processor of this architecture has.
+    /// NEON with fused multiply-add. Every aarch64 processor supports it.
     #[cfg(target_arch = "aarch64")]
     Neon,
     /// AVX2 and fused multiply-add.
@@ -55,7 +55,7 @@ impl SimdLevel {
         *BEST.get_or_init(|| SimdLevel::available().pop().unwrap_or(SimdLevel::Portable))
     }
 
-    /// Returns the level, after a check of the processor.
+    /// Returns the level if this processor supports it.
     ///
     /// # Panics
     /// If this processor does not support the level.
@@ -71,7 +71,7 @@ impl SimdLevel {
 /// Implement `run` as `#[inline(always)]`. Code that is not inlined into the dispatching function
 /// is compiled for the default target: correct, but slower.
 pub trait Vectorized {
-    /// Executes the code. `FMA` states whether fused multiply-add is an instruction.
+    /// Executes the code. `FMA` is true if the instruction set has fused multiply-add.
     fn run<const FMA: bool>(self);
 }
 
@@ -126,7 +126,7 @@ pub fn dispatch_lanes(work: impl Vectorized) {
             return unsafe { avx2(work) };
         }
     }
-    // `true` for NEON, which has the instruction.
+    // NEON has fused multiply-add.
     work.run::<{ cfg!(target_arch = "aarch64") }>();
 }
 

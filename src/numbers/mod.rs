@@ -1,8 +1,10 @@
 //! Scalar types, derivatives, vectorized kernels and random streams.
 //!
-//! - [`scalar`]: traits of scalars. A simulator is generic over [`Scalar`](scalar::Scalar). It runs
-//!   on `f64`, SIMD lanes, dual and reverse-mode numbers, operation counters and double-doubles.
+//! - [`scalar`]: traits of scalars. A simulator is generic over [`Scalar`](scalar::Scalar).
+//!   Scalars are `f64`, SIMD lanes, dual and reverse-mode numbers, operation counters and
+//!   double-doubles.
 //! - [`forward_mode`], [`reverse_mode`]: default derivatives, by dual numbers and by a [`tape`].
+//! - [`instances`]: generic functions behind trait objects, one instance per scalar type.
 //! - [`extended`]: numbers beyond the range of `f64`.
 //! - [`kernels`]: matrix products and elementwise operations, dispatched by instruction set at run
 //!   time; tanh, sine and cosine. Contains the only unsafe code of the library.

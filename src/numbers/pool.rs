@@ -1,7 +1,7 @@
 //! [`lend`]: buffers of the current thread, kept between calls.
 //!
 //! Derivatives of large systems need buffers whose sizes are known only after a first evaluation.
-//! A buffer keeps its capacity, so only the first call allocates.
+//! A buffer keeps its capacity, so later calls of the same size do not allocate.
 
 use std::any::Any;
 use std::cell::RefCell;
@@ -12,12 +12,13 @@ thread_local! {
 
 /// Calls `work` with a value of the type `T` that belongs to the current thread.
 ///
-/// The value is the default in a first call. Later calls receive it as an earlier call left it.
+/// The first call receives the default value. A later call receives the value that an earlier call
+/// left.
 /// Nested calls receive different values.
 pub(crate) fn lend<T: Default + 'static, Out>(work: impl FnOnce(&mut T) -> Out) -> Out {
     let mut value: Box<T> = POOL.with_borrow_mut(|pool| {
         let found = pool.iter().position(|value| value.is::<T>());
-        found.map_or_else(Box::default, |i| pool.swap_remove(i).downcast().expect("the type was compared"))
+        found.map_or_else(Box::default, |i| pool.swap_remove(i).downcast().expect("`position` found a value of this type"))
     });
     let result = work(&mut value);
     POOL.with_borrow_mut(|pool| pool.push(value));
@@ -29,7 +30,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_are_kept_by_type_and_nested_calls_get_others() {
+    fn later_calls_receive_the_pushed_byte_and_nested_calls_an_empty_buffer() {
         lend(|outer: &mut Vec<u8>| {
             outer.push(1);
             lend(|inner: &mut Vec<u8>| assert!(inner.is_empty()));

@@ -38,8 +38,8 @@ use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssi
 /// Number type over which simulators are generic. Among the types are `f64`, [`Lanes`], [`Dual`],
 /// [`Counted`] and `DoubleDouble`.
 ///
-/// Constants are plain `f64` on the right of an operator: `x[0].sin() * (9.81 / self.length)`. They
-/// are rounded to the precision of the simulation.
+/// Constants are plain `f64` on the right of an operator: `x[0].sin() * (9.81 / self.length)`.
+/// Operators round constants to the precision of the simulation.
 ///
 /// A scalar has no ordering and permits no branches on values, since lanes hold several values.
 /// Write branches with [`select_lt`](Scalar::select_lt), [`min`](Scalar::min),
@@ -274,7 +274,7 @@ impl<R: Real> Cotangent<R> for R {
     fn times_or_zero(self, slope: R) -> Self {
         let product = self * slope;
         let infinity = R::from(f64::INFINITY);
-        // NaN is neither less than infinity nor 0.
+        // The outer selection keeps the product for NaN, for which `0 < size` is false too.
         let unless_zero = |number: R, product: R| {
             let size = number.abs();
             R::select_lt(size, infinity, R::select_lt(R::zero(), size, product, R::zero()), product)

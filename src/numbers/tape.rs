@@ -112,7 +112,7 @@ impl<R: Real> Tape<R> {
     #[inline(always)]
     pub(crate) fn sweep<C: Cotangent<R>>(&self, cotangents: &mut [C], times: impl Fn(C, R) -> C) {
         let mut slopes = self.slopes.iter().rev();
-        let mut slope = || *slopes.next().expect("a slope for each of an entry");
+        let mut slope = || *slopes.next().expect("the tape stores the slopes of all entries");
         for (i, entry) in self.entries.iter().enumerate().rev() {
             let bar = cotangents[self.inputs + i];
             let [a, b] = entry.of;

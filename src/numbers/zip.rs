@@ -1,4 +1,4 @@
-//! [`zip`]: always inlined, for performance-critical loops.
+//! [`zip`]: an iterator over pairs that is always inlined, for performance-critical loops.
 
 /// Like [`std::iter::zip`], with all methods `#[inline(always)]`.
 ///

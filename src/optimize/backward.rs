@@ -23,7 +23,7 @@ impl Step {
     }
 }
 
-/// Smallest regularization of the controls, as a fraction of that of the states.
+/// Coefficient of `μ ‖B‖²` in the regularization of the controls.
 const CONTROL_SHARE: f64 = 1e-6;
 
 /// Computes the step of Gauss-Newton differential dynamic programming. Returns `None` if the

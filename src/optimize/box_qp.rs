@@ -9,7 +9,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 pub(super) struct BoxQp {
     /// Minimizer d.
     pub(super) solution: DVector<f64>,
-    /// Components strictly between their bounds, or free to leave them.
+    /// Components between their bounds, or at a bound with a descent direction that points inside.
     free: Vec<usize>,
     /// Factor of the free rows and columns of Q.
     factor: Cholesky<f64, Dyn>,
@@ -19,10 +19,10 @@ pub(super) struct BoxQp {
 /// it has components.
 const MOST_STEPS: usize = 100;
 
-/// Fraction of a Newton step that is too small to matter.
+/// Fraction of a Newton step below which the line search ends.
 const SMALLEST: f64 = 1e-12;
 
-/// Fraction of the decrease to first order that a Newton step has to reach.
+/// Required decrease of a Newton step, as a fraction of the first-order prediction.
 const SUFFICIENT: f64 = 0.1;
 
 impl BoxQp {
@@ -70,10 +70,10 @@ impl BoxQp {
     }
 }
 
-/// Returns the components that are not pressed against a bound.
+/// Returns the components except those at a bound with a descent direction that points outside.
 fn free_components(d: &DVector<f64>, slope: &DVector<f64>, bounds: &[[f64; 2]]) -> Vec<usize> {
-    let pressed = |i: usize| (d[i] <= bounds[i][0] && slope[i] > 0.0) || (d[i] >= bounds[i][1] && slope[i] < 0.0);
-    (0..d.len()).filter(|&i| !pressed(i)).collect()
+    let at_active_bound = |i: usize| (d[i] <= bounds[i][0] && slope[i] > 0.0) || (d[i] >= bounds[i][1] && slope[i] < 0.0);
+    (0..d.len()).filter(|&i| !at_active_bound(i)).collect()
 }
 
 /// Returns the factor of the rows and columns `free`.

@@ -13,14 +13,17 @@ use nalgebra::{DMatrix, DVector};
 /// Number of directions of each of two nested duals.
 const CHUNK: usize = 4;
 
-/// Number for second derivatives.
+/// Nested dual number for second derivatives.
 pub(super) type Second = Dual<Dual<f64, CHUNK>, CHUNK>;
 
-/// Derivatives of one step in z = [x, u]: `dynamics = ∂S/∂z`, and gradient and Hessian of the
-/// running cost as a function of z, through the next state. The Hessian omits `∂²S/∂z²`.
+/// Derivatives of one step by z = [x, u].
 pub(super) struct StepExpansion {
+    /// `∂S/∂z`.
     pub(super) dynamics: DMatrix<f64>,
+    /// Gradient of the running cost by z, including the path through the next state.
     pub(super) gradient: DVector<f64>,
+    /// Hessian of the running cost by z, including the path through the next state, without
+    /// `∂²S/∂z²`.
     pub(super) hessian: DMatrix<f64>,
 }
 
@@ -92,7 +95,7 @@ impl Problem<'_> {
             let inputs = Inputs { x: &all[..n], u: &all[n..n + m], p: &second_p, t };
             model.running_cost_by_duals(inputs, &all[n + m..])
         });
-        // Chain rule: z ↦ (z, S(z)) has the Jacobian [I; F].
+        // Chain rule: z ↦ (z, S(z)) has the Jacobian [I; ∂S/∂z].
         let (z, onward) = (0..n + m, n + m..n + m + n);
         let cross = of_cost.view_range(z.clone(), onward.clone()) * &dynamics;
         let through = dynamics.tr_mul(&of_cost.view_range(onward.clone(), onward)) * &dynamics;
@@ -101,8 +104,9 @@ impl Problem<'_> {
     }
 }
 
-/// Computes the gradient by the controls with the adjoint recursion. Also returns the step at which
-/// the gradient is not finite, as an error.
+/// Computes the gradient by the controls with the adjoint recursion.
+///
+/// The second result is an error with the step at which the gradient is not finite.
 fn gradient_by_control(steps: &[StepExpansion], terminal: DVector<f64>, n: usize, m: usize) -> (Vec<f64>, Result<(), usize>) {
     let (mut adjoint, mut by_control) = (terminal, vec![0.0; steps.len() * m]);
     for (t, step) in steps.iter().enumerate().rev() {

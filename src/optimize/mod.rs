@@ -14,7 +14,7 @@
 //! the equations and measured figures.
 //!
 //! - [`Options`], [`Initial`]: settings and initial controls.
-//! - [`Plan`]: controls, states, gains, cost and gradient. [`Stop`]: the reason for the end.
+//! - [`Plan`]: controls, states, gains, cost and gradient. [`Stop`]: the reason for termination.
 //! - [`Tracking`]: the task to follow a plan by a trained policy.
 //!
 //! # Limits
@@ -48,7 +48,8 @@ use trajectory::Problem;
 
 /// Minimizes the loss of a task from the initial state `x0`, with parameters `p`.
 ///
-/// The result is never worse than the initial controls, clamped to the bounds. Computes in `f64`.
+/// The cost never exceeds the cost of the initial controls, clamped to the bounds. Computes in
+/// `f64`.
 ///
 /// ```
 /// use physgrad::optimize::{Initial, Options, optimize};
@@ -56,7 +57,7 @@ use trajectory::Problem;
 ///
 /// let task = Lqr::spring();
 /// let plan = optimize(&task, &[1.0, 0.0], &[], Initial::Zeros, &Options::default())?;
-/// // A linear-quadratic problem takes one iteration. Its minimum is known.
+/// // A linear-quadratic problem takes one iteration and has a known minimum.
 /// assert_eq!(plan.iterations(), 1);
 /// assert!((plan.cost - task.least_loss(&[1.0, 0.0])).abs() < 1e-12);
 ///

@@ -11,8 +11,8 @@ pub struct Options {
     /// of control. At an active bound, a component that points out of the bounds counts as 0.
     pub gradient_tolerance: f64,
     /// Converged if each of three consecutive iterations decreases the cost by at most this
-    /// fraction. Also converged if the line search fails and the predicted decrease of the full
-    /// step is no larger.
+    /// fraction. Also converged if the line search fails and the full step has a predicted decrease
+    /// of at most this fraction.
     pub cost_tolerance: f64,
     /// Bounds `[low, high]` of each control, at all steps. Infinite bounds are allowed. `None`: no
     /// bounds.
@@ -69,15 +69,17 @@ pub enum Initial<'a> {
 pub(super) struct Bounds(Vec<[f64; 2]>);
 
 impl Bounds {
+    /// Checks the bounds of the options.
+    ///
     /// # Errors
-    /// [`OptimizeError`] if the number of bounds differs from that of the controls, or if a lower
-    /// bound is above its upper bound.
+    /// [`OptimizeError`] if the numbers of bounds and controls differ, if no finite control lies
+    /// between two bounds, or if a bound is NaN.
     pub(super) fn new(options: &Options, control_dim: usize) -> Result<Self, OptimizeError> {
         let unbounded = [f64::NEG_INFINITY, f64::INFINITY];
         let bounds = options.bounds.clone().unwrap_or_else(|| vec![unbounded; control_dim]);
         check_length("options.bounds", "one pair per control", control_dim, bounds.len())?;
         for (control, &[low, high]) in bounds.iter().enumerate() {
-            // Also refuses NaN, and intervals that contain an infinity alone.
+            // False for NaN, and if both bounds are ∞ or both are -∞.
             if !(low <= high && low < f64::INFINITY && high > f64::NEG_INFINITY) {
                 return Err(OptimizeError::Bounds { control, low, high });
             }
@@ -110,6 +112,8 @@ impl Bounds {
     }
 }
 
+/// Checks the length of an argument. `shape` names its expected shape.
+///
 /// # Errors
 /// [`OptimizeError::Length`] if both lengths differ.
 pub(super) fn check_length(

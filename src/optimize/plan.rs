@@ -22,14 +22,14 @@ pub struct Plan {
     pub costs: Vec<f64>,
     /// Number of simulated trajectories, rejected ones included.
     pub rollouts: usize,
-    /// Reason for the end.
+    /// Reason for the termination.
     pub stop: Stop,
     pub(super) gradient_norm: f64,
     pub(super) state_dim: usize,
     pub(super) control_dim: usize,
 }
 
-/// Reason for the end of an optimization.
+/// Reason for the termination of an optimization.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stop {
     /// The projected gradient is within its tolerance.
@@ -82,10 +82,10 @@ impl Plan {
         &self.u[t * self.control_dim..][..self.control_dim]
     }
 
-    /// Writes the control `u_t + K_t (x - x_t)` of a state near the plan. Does not clamp it.
+    /// Writes the control `u_t + K_t (x - x_t)` of a state near the plan, without clamping.
     ///
     /// The gains result from a backward pass along the plan, with the least regularization that
-    /// determines them. They are locally optimal if the plan converged and that regularization is
+    /// determines them. Gains are locally optimal if the plan converged and this regularization is
     /// 0. Rows of controls at a bound are 0. All gains are 0 if no regularization determines them.
     ///
     /// # Panics

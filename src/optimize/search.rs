@@ -20,10 +20,10 @@ pub(super) struct Search<'a> {
     small_decreases: usize,
 }
 
-/// Line search: sizes are `2^-k` for `k < SIZES`.
+/// Number of step sizes in the line search: `2^-k` for `k < SIZES`.
 const SIZES: i32 = 10;
 
-/// Fraction of the predicted decrease that a step has to reach.
+/// Required decrease of the cost, as a fraction of the predicted decrease.
 const SUFFICIENT: f64 = 0.1;
 
 /// Number of consecutive small decreases that count as convergence. Regularization alone may cause
@@ -36,7 +36,7 @@ impl<'a> Search<'a> {
         Self { problem, bounds, options, best: start, regularization, costs, rollouts: 1, small_decreases: 0 }
     }
 
-    /// Iterates until a tolerance is reached.
+    /// Iterates until a reason for [`Stop`] applies.
     ///
     /// # Errors
     /// [`OptimizeError::Derivative`] if a derivative at the initial trajectory is not finite.
@@ -60,7 +60,7 @@ impl<'a> Search<'a> {
     }
 
     /// Replaces the trajectory by a better one and returns its expansion, or the reason for the
-    /// end.
+    /// termination.
     fn improve(&mut self, expansion: &Expansion) -> Result<Expansion, Stop> {
         // Decreases below the rounding error of the initial cost count as none.
         let tolerance = self.options.cost_tolerance * self.best.cost.abs() + f64::EPSILON * self.costs[0].abs();
@@ -68,7 +68,7 @@ impl<'a> Search<'a> {
             let regularization = self.regularization.value * expansion.curvature;
             let step = backward(expansion, &self.best.u, &self.bounds, regularization);
             let better = step.as_ref().and_then(|step| self.line_search(step));
-            // Refuses trajectories whose derivatives are not finite.
+            // Rejects trajectories whose derivatives are not finite.
             let expanded = better.and_then(|better| self.problem.expand(&better).ok().map(|next| (better, next)));
             if let Some((better, next)) = expanded {
                 let decrease = self.best.cost - better.cost;
@@ -140,7 +140,9 @@ impl<'a> Search<'a> {
 /// Regularization relative to the curvature of the costs, with the quadratic schedule of Tassa,
 /// Erez and Todorov 2012, section II.F.
 struct Regularization {
+    /// Regularization divided by the curvature.
     value: f64,
+    /// Factor of the last change.
     factor: f64,
 }
 
@@ -155,13 +157,13 @@ impl Regularization {
     const FIRST: f64 = 1e-2;
     /// Smallest positive value. A decrease below it yields 0.
     const SMALLEST: f64 = 1e-6;
-    /// Smallest change of the factor.
+    /// Ratio of the factors of consecutive increases or decreases.
     const FACTOR: f64 = 2.0;
     /// Largest value.
     const LARGEST: f64 = 1e10;
 
-    /// Increases the value, faster after each call. Returns false if the value exceeds the largest
-    /// one.
+    /// Multiplies the value by a factor that doubles with each call. Returns false if the value
+    /// exceeds [`LARGEST`](Self::LARGEST).
     fn increase(&mut self) -> bool {
         self.factor = (self.factor * Self::FACTOR).max(Self::FACTOR);
         self.value = if self.value == 0.0 { Self::FIRST } else { self.value * self.factor };

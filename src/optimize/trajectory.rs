@@ -4,16 +4,18 @@ use super::OptimizeError;
 use super::model::Model;
 use crate::dynamics::inputs::Inputs;
 
-/// States `[step][component]`, with one more step than the controls `[step][control]`, and the
-/// cost.
+/// States, controls and cost of one rollout.
 #[derive(Clone, Debug)]
 pub(super) struct Trajectory {
+    /// States, `[step][component]`, at steps `0 ..= horizon`.
     pub(super) x: Vec<f64>,
+    /// Controls, `[step][control]`.
     pub(super) u: Vec<f64>,
+    /// Running costs plus terminal cost.
     pub(super) cost: f64,
 }
 
-/// Problem of one initial state: task and parameters.
+/// Task with the parameters of one sample.
 pub(super) struct Problem<'a> {
     pub(super) model: &'a dyn Model,
     pub(super) p: &'a [f64],

@@ -43,7 +43,7 @@ impl Activation {
                 let h = z.layer_tanh::<FMA>();
                 (h, one - h * h)
             }
-            // NaN propagates: no comparison with it is true.
+            // NaN propagates, since `NaN <= 0` is false.
             Self::Relu => (if z <= F::zero() { F::zero() } else { z }, if z <= F::zero() { F::zero() } else { one }),
             Self::Silu => {
                 let sigma = (z * half).layer_tanh::<FMA>() * half + half;

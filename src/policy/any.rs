@@ -6,8 +6,8 @@ use crate::numbers::scalar::Float;
 
 /// Object-safe [`Policy`] for one precision.
 ///
-/// Every [`Policy`] implements it, so `&policy` coerces to `&dyn AnyPolicy<F>`. Each hidden method
-/// forwards to the [`Policy`] method of equal name.
+/// Every [`Policy`] implements the trait, so `&policy` coerces to `&dyn AnyPolicy<F>`. Each hidden
+/// method forwards to the [`Policy`] method of equal name.
 #[allow(missing_docs)]
 pub trait AnyPolicy<F: Float>: Send + Sync {
     #[doc(hidden)]

@@ -6,7 +6,7 @@ use crate::numbers::scalar::{Float, Scalar};
 
 /// Bounds the controls of a policy: `u_i = b_i tanh(v_i / b_i)` for its controls v.
 ///
-/// Small controls pass almost unchanged, and |u_i| stays at or below `b_i`.
+/// |u_i| is at most `b_i`, and `u_i` is close to `v_i` if |v_i| is small relative to `b_i`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bounded<P> {
     policy: P,

@@ -1,6 +1,6 @@
 //! Default batched passes of a policy: calls of [`Policy::act`] on blocks of columns.
 //!
-//! Derivatives are those of forward mode for few inputs and parameters, otherwise of reverse mode.
+//! Derivatives use forward mode for at most 16 inputs and parameters together, else reverse mode.
 //! The forward pass and reverse mode reuse buffers of the current thread.
 
 use super::blocks::{Lane, gather, gathered, scatter};
@@ -12,11 +12,10 @@ use crate::numbers::reverse_mode::{REVERSE_ABOVE, Recording};
 use crate::numbers::scalar::{Float, Real, Scalar};
 use smallvec::SmallVec;
 
-/// Inputs or parameters of a block in forward mode.
+/// Inputs or parameters of a block in forward mode, on the stack.
 type Few<T> = SmallVec<[T; 32]>;
 
-/// Returns whether [`Policy::act`] has so many inputs and parameters that derivatives use reverse
-/// mode.
+/// Returns whether derivatives of [`Policy::act`] use reverse mode.
 fn in_reverse<P: Policy + ?Sized>(policy: &P) -> bool {
     dims(policy).0 + policy.param_count() > REVERSE_ABOVE
 }

@@ -26,7 +26,7 @@ use rand::RngExt;
 
 /// Columns per block. A block passes all layers while its activations stay in the cache.
 const BLOCK: usize = 8;
-/// Windows per matrix product in the weight gradient.
+/// Approximate number of windows per matrix product in the weight gradient.
 const DEPTH: usize = 64;
 /// Kernel size, in positions; the stride is 2.
 const KERNEL: usize = 3;
@@ -41,7 +41,7 @@ const CHANNELS: usize = 2;
 /// u        = b₃ + Σ_{q,c} h₂[q, c] W₃[q, c]
 /// ```
 ///
-/// The paper's quantum task uses it with 32 grid points (then 15 and 7 positions) and width 60.
+/// The quantum task of the paper uses 32 grid points, hence 15 and 7 positions, and width 60.
 /// Initial weights are Glorot-uniform with the fans of Keras; initial biases are 0.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Conv {

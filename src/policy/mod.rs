@@ -96,8 +96,8 @@ pub trait Policy: Send + Sync {
     /// ```
     fn act<T: Scalar>(&self, theta: &[T], observed: Observed<'_, T>, action: Action<'_, T>);
 
-    /// Entries of the parameters `p` that are trained, the last parameters in `θ`. Default: none;
-    /// [`WithParams`] adds them to any policy.
+    /// Entries of the parameters `p` that are trained, the last parameters in `θ`. Default: none.
+    /// [`WithParams`] adds trained entries to a policy.
     fn trained_params(&self) -> &[TrainedParam] {
         &[]
     }
@@ -270,9 +270,12 @@ impl PolicyColumns {
         Self { first: columns.start, step: 1, count: columns.len() }
     }
 
-    /// The columns as a range. They must be contiguous (a debug assertion).
+    /// The columns as a range.
+    ///
+    /// # Panics
+    /// With debug assertions, if the columns are not contiguous.
     pub fn as_range(self) -> Range<usize> {
-        debug_assert!(self.step == 1, "the columns are not adjacent");
+        debug_assert!(self.step == 1, "the columns are not contiguous");
         self.first..self.first + self.count
     }
 

@@ -1,7 +1,7 @@
 //! [`Gru`] and [`Elman`]: recurrent policies with a linear output.
 //!
-//! Both consist of affine maps `z = W v + b`. `θ` holds for each map the weights (inputs × outputs,
-//! row-major), then the bias. [`Cell`] states the equations of one column. The batched passes apply
+//! The networks consist of affine maps `z = W v + b`. `θ` holds for each map the weights (inputs ×
+//! outputs, row-major), then the bias. [`Cell`] states the equations of one column. The batched passes apply
 //! them to blocks of columns in lanes.
 
 mod affine;
@@ -38,6 +38,8 @@ trait Cell {
     fn shape(&self) -> Shape;
 
     /// Writes the stored numbers, `[number][unit]`, and the control.
+    ///
+    /// Converts parameters by `splat`.
     fn evaluate<W: Copy, T: Scalar>(
         &self,
         theta: &[W],
@@ -48,7 +50,7 @@ trait Cell {
     );
 
     /// Writes to `cotangents` the cotangents of the outputs of all affine maps but the last,
-    /// `[map][unit]`. Adds those of the observation and the memory to `x_bar`.
+    /// `[map][unit]`. Adds the cotangents of the observation and the memory to `x_bar`.
     ///
     /// `next_bar` contains the cotangents of the next memory.
     fn reverse<R: Real>(
@@ -61,7 +63,7 @@ trait Cell {
         x_bar: Option<(&mut [R], &mut [R])>,
     );
 
-    /// Adds the parameter gradient of one column.
+    /// Adds `factor` times the parameter gradient of one column.
     fn add_gradient<F: Float>(
         &self,
         x: (&[F], &[F]),

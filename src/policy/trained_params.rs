@@ -17,15 +17,12 @@ pub struct TrainedParam {
 /// Map from r to the parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Scale {
+    /// `r`.
     Linear,
     /// `low + exp(r)`.
-    Above {
-        low: f64,
-    },
-    Bounded {
-        low: f64,
-        high: f64,
-    },
+    Above { low: f64 },
+    /// `low + (high - low) / (1 + exp(-r))`.
+    Bounded { low: f64, high: f64 },
 }
 
 impl TrainedParam {

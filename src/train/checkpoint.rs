@@ -12,6 +12,7 @@ use crate::train::optim::Optimizer;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
+/// First bytes of every checkpoint.
 const MAGIC: &[u8; 8] = b"physgrad";
 /// Incremented whenever the layout of [`Body`] changes.
 const FORMAT: u16 = 3;
@@ -92,10 +93,12 @@ pub fn differences(found: &str, expected: &str) -> String {
     [only(found, expected, "there:"), only(expected, found, "here: ")].concat().join("\n")
 }
 
+/// CRC-32C.
 const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
 
 /// Writes magic number, format and a matching checksum into the head of `bytes`.
 pub(super) fn seal(bytes: &mut [u8]) {
+    /// Offset of the contents.
     const CONTENTS: usize = MAGIC.len() + size_of::<u16>() + size_of::<u32>();
     if let Some((head, contents)) = bytes.split_at_mut_checked(CONTENTS) {
         head[..MAGIC.len()].copy_from_slice(MAGIC);
@@ -121,7 +124,7 @@ impl<F: Float> Progress<F> {
             skipped_in_a_row: self.skipped_in_a_row,
             epoch: self.epoch.clone().map(|epoch| (epoch, Cow::Borrowed(&self.before))),
         };
-        let contents = postcard::to_stdvec(&(header, body)).expect("plain numbers and text are always written");
+        let contents = postcard::to_stdvec(&(header, body)).expect("postcard serializes numbers and text without errors");
         [MAGIC.as_slice(), &FORMAT.to_le_bytes(), &CRC.checksum(&contents).to_le_bytes(), &contents].concat()
     }
 

@@ -65,7 +65,7 @@ mod tests {
     /// Values of the formulas at quarters of the decay, by hand: cos 45° = √½, and fourth roots of
     /// 1/16.
     #[test]
-    fn factors_are_those_of_the_formulas() {
+    fn factors_at_quarters_of_the_decay_equal_the_formulas() {
         let factors = |decay: Decay| [0, 4, 8, 12, 16].map(|update| decay.factor(0, update, 16));
         let root = 0.5f64.sqrt();
         for (decay, expected) in [
@@ -75,15 +75,15 @@ mod tests {
             (Decay::Exponential { end: 0.0625 }, [1.0, 0.5, 0.25, 0.125, 0.0625]),
         ] {
             for (found, expected) in factors(decay).into_iter().zip(expected) {
-                // A few roundings of numbers up to 1.
+                // Allows for a few roundings of numbers up to 1.
                 assert!((found - expected).abs() < 1e-15, "{decay:?}: {found} instead of {expected}");
             }
-            assert_eq!(decay.factor(0, 99, 16), decay.factor(0, 16, 16), "beyond the end");
+            assert_eq!(decay.factor(0, 99, 16), decay.factor(0, 16, 16), "{decay:?}: the factor changes after the end");
         }
     }
 
     #[test]
-    fn a_warm_up_is_linear_and_precedes_the_decay() {
+    fn three_warm_up_updates_have_factors_of_1_2_and_3_quarters_before_the_decay() {
         for decay in [Decay::Constant, Decay::Cosine { end: 0.1 }, Decay::Exponential { end: 0.1 }] {
             assert_eq!([0, 1, 2, 3].map(|update| decay.factor(3, update, 19)), [0.25, 0.5, 0.75, 1.0]);
             for update in 0..16 {

@@ -27,7 +27,7 @@ pub enum Field<C = SignAgreement> {
 /// ```
 /// use physgrad::{GradientCombiner, Field, Float, Flow};
 ///
-/// /// The mean of the two.
+/// /// Mean of both gradients.
 /// #[derive(Clone, Copy)]
 /// struct Mean;
 ///
@@ -61,7 +61,7 @@ pub trait GradientCombiner: Sync + Send {
 
 /// Components of the first gradient whose sign is that of the second; 0 elsewhere.
 ///
-/// With M and R it yields the combined gradient C of the paper.
+/// M and R yield the combined gradient C of the paper.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SignAgreement;
 
@@ -86,15 +86,15 @@ impl Field {
     pub const fn regular() -> Self {
         Self::Flow(Flow::REGULAR)
     }
-    /// M: physics path only.
+    /// M: gradient without the path through the observation.
     pub const fn modified() -> Self {
         Self::Flow(Flow::MODIFIED)
     }
-    /// N: policy path only.
+    /// N: gradient without the path through the state input of the physics.
     pub const fn network() -> Self {
         Self::Flow(Flow::NETWORK)
     }
-    /// S: one-step gradients.
+    /// S: gradient without paths between steps.
     pub const fn stopped() -> Self {
         Self::Flow(Flow::STOPPED)
     }

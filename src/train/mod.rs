@@ -8,7 +8,8 @@
 //! - [`vector_field`]: the two-parameter examples of the paper.
 //!
 //! Imports `numbers`, `dynamics`, `policy` and `engine`. Read this file first, then `progress.rs`,
-//! which contains the update. Every part of an update is public, so that users can write their own.
+//! which contains the update. Every part of an update is public, so that users can write their
+//! own updates.
 
 mod checkpoint;
 mod decay;
@@ -56,7 +57,7 @@ pub struct Training {
     /// of epoch e has the random stream of training sample e N + i. N is the number of training
     /// samples, and i and e start at 0. The data sets on which losses are evaluated do not change.
     pub resample: bool,
-    /// The optimizer.
+    /// Update rule of the optimizer.
     pub rule: OptimizerKind,
     /// Learning rate of the optimizer, positive and at most 1e6.
     pub learning_rate: f64,
@@ -67,14 +68,14 @@ pub struct Training {
     pub warm_up: usize,
     /// Clipping of the field, before the optimizer. `docs/performance.md` compares the variants.
     pub clip: Clip,
-    /// Largest number of consecutive updates skipped because of a non-finite number. One more stops
-    /// the training.
+    /// Largest number of consecutive updates skipped because of a
+    /// [`Divergence`](crate::Divergence). One more stops the training.
     pub max_skipped: usize,
     /// Number of threads that share a mini-batch. Results do not depend on it.
     pub workers: usize,
     /// Upper bound in bytes on the workspace of a mini-batch, over all workers. Steps whose tape
     /// does not fit are recomputed, see [`Schedule`](crate::Schedule). `None` stores everything.
-    /// Results do not depend on it.
+    /// Results do not depend on the bound.
     pub memory: Option<u64>,
 }
 

@@ -19,7 +19,7 @@ pub enum Clip {
 }
 
 impl Clip {
-    /// Upper bound on the components after clipping, given the norm before it.
+    /// Upper bound on the components after clipping, given the norm before clipping.
     pub(crate) fn bound(self, norm: f64) -> f64 {
         match self {
             Self::None => norm,
@@ -307,7 +307,7 @@ mod tests {
 
     /// The formulas of Keras 2.15, written out for two steps.
     #[test]
-    fn every_rule_takes_the_steps_of_its_formula() {
+    fn two_steps_of_every_rule_equal_the_formulas_of_keras() {
         let epsilon = 1e-7;
         let expected = |rule: &str| -> [f64; 2] {
             match rule {
@@ -348,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn an_invalid_optimizer_state_is_reported() {
+    fn wrong_sizes_signs_rates_rules_and_step_counts_of_a_restored_optimizer_are_errors() {
         let settings = |rule: &str| Optimizer::<f32>::new(OptimizerKind::named(rule).expect(rule), 0.1, 2);
         let fault = |rule: &str, change: fn(&mut Optimizer<f32>)| {
             let mut read = settings(rule);
@@ -374,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn clipping_limits_and_leaves_the_rest_alone() {
+    fn clipping_bounds_components_or_the_norm_for_exponents_of_minus_5000_to_5000() {
         let clipped_with = |clip: Clip, exponent: i32| {
             let mut g = Gradient::<f64>::zeros(3);
             g.values_mut(exponent).copy_from_slice(&[3.0, -4.0, 0.5]);
@@ -387,7 +387,7 @@ mod tests {
         assert_eq!(clipped(Clip::None), [3.0, -4.0, 0.5]);
         assert_eq!(clipped(Clip::Value(1.0)), [1.0, -1.0, 0.5]);
         assert_eq!(clipped(Clip::Norm(10.0)), [3.0, -4.0, 0.5]);
-        // Norm clipping works for any exponent.
+        // The clipped vector does not depend on the exponent.
         for exponent in [0, 5000] {
             for (got, whole) in clipped_with(Clip::Norm(1.0), exponent).into_iter().zip([3.0, -4.0, 0.5]) {
                 approx::assert_relative_eq!(got, whole / norm, max_relative = 1e-15);

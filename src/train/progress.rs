@@ -120,7 +120,7 @@ impl<F: Float> Progress<F> {
             starts: Vec::with_capacity(samples * n),
             drawn: vec![0.0; n],
             combined: Gradient::zeros(params),
-            // Bounded, because `epochs` may be huge.
+            // The bound limits the allocation, because `epochs` may be huge.
             records: Vec::with_capacity(training.epochs.min(100_000)),
             skips: Vec::new(),
             skipped_in_a_row: 0,
@@ -239,8 +239,9 @@ impl<F: Float> Progress<F> {
         Ok(step)
     }
 
-    /// Learning rate of update `index` of the epoch. It depends on the settings and on the number
-    /// of the update only, so checkpoints do not contain it.
+    /// Learning rate of update `index` of the epoch.
+    ///
+    /// Checkpoints do not store the rate, which depends only on settings and the update number.
     fn learning_rate(&self, index: usize) -> f64 {
         let Training { epochs, learning_rate, decay, warm_up, .. } = self.training;
         let update = self.records.len() * self.updates_per_epoch() + index;
@@ -279,7 +280,7 @@ impl<F: Float> Progress<F> {
         let values = self.combined.values();
         let size = if two { elementwise::moments(level, values, values).0.sqrt() } else { first_square.sqrt() };
         let norm = ExtendedF64::new(size, self.combined.exponent());
-        // Optimizers square the components and sum the squares of many updates.
+        // Optimizers sum the squares of many updates. The factor 1e-3 allows 1e6 summands.
         if !size.is_finite() || self.training.clip.bound(norm.get()) > F::MAX.sqrt() * 1e-3 {
             return Err(Divergence::Field { parameter: worst(values), norm });
         }
@@ -298,7 +299,7 @@ impl<F: Float> Progress<F> {
     }
 }
 
-/// Returns the index of the first non-finite component, or else of the largest.
+/// Returns the index of the first non-finite component, or else of the largest absolute value.
 #[cold]
 fn worst<F: Float>(gradient: &[F]) -> usize {
     let size = |i: &usize| gradient[*i].as_().abs();

@@ -24,7 +24,7 @@ pub struct Record {
     /// Mean over the applied updates of the fraction of non-zero components of a field of two
     /// flows.
     pub kept: Option<f64>,
-    /// Number of updates skipped because of a non-finite number.
+    /// Number of updates skipped because of a [`Divergence`].
     pub skipped: usize,
     /// Growth of the adjoint of R in the first applied update, if the field contains R.
     pub regular_growth: Option<Growth>,
@@ -72,14 +72,15 @@ impl Record {
     }
 }
 
-/// An update skipped because of a non-finite number.
+/// An update skipped because of a [`Divergence`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Skip {
     /// Number of the epoch, from 1.
     pub epoch: usize,
     /// Index of the update in its epoch, from 0.
     pub update: usize,
-    /// Place of the non-finite number. Samples are counted within the mini-batch.
+    /// Place of the number that is not finite or too large. Samples are counted within the
+    /// mini-batch.
     pub divergence: Divergence,
 }
 

@@ -108,7 +108,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// Runs until the end of the epoch, or until `pause` returns true after an update.
     ///
     /// Returns the record of the epoch, or `None` after a pause. The next call continues the epoch.
-    /// So does a session restored from a checkpoint of the pause. Pauses do not change the results.
+    /// A session restored from a checkpoint of the pause continues the epoch too. Pauses do not
+    /// change the results.
     ///
     /// # Errors
     /// [`TrainError::Diverged`] after too many consecutive skipped updates. Parameters and

@@ -137,22 +137,23 @@ pub const ROTATION: f64 = 4.0;
 
 /// Gradient `g` plus its rotation: `g + strength · (-g₂, g₁)`.
 ///
-/// It vanishes where the gradient does, but is not a gradient: it also circulates around the
-/// minimum.
+/// The field vanishes where the gradient vanishes. The rotation circulates around the minimum, so
+/// the field is not a gradient.
 ///
 /// Gradient descent with small steps converges, because `g` always contributes. Adam does not
 /// converge if the rotation is strong. Near the minimum, Adam divides by ever smaller root mean
 /// squares, so steps grow. The momentum delays the field by β₁ / (1 - β₁) = 9 iterations. The
 /// delayed rotation moves the iterate outwards, and `g` moves it inwards.
 ///
-/// Let η be the learning rate over the root mean square. Both motions balance at
+/// Let η be the learning rate over the root mean square. The two motions balance at
 /// `η = 1 / (9 · strength² · curvature)`. Without a rotation, Adam is stable up to
 /// `η = 38 / curvature`. The iterate circles the minimum at a distance of about
 /// `√2 · 9 · learning rate · strength`. The estimate assumes an isotropic curvature and a strength
 /// well above 1.
 ///
-/// The combination descends everywhere. It converges from most, but not all, initial parameters,
-/// and rarely with a large learning rate. The final loss is far below that of the rotation alone.
+/// The combination descends everywhere. Adam converges along it from most, but not all, initial
+/// parameters, and rarely with a large learning rate. The final loss is far below the final loss of
+/// the field with the rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rotated {
     /// Norm of the rotated part, as a multiple of the norm of the gradient.

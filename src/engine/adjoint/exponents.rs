@@ -78,7 +78,7 @@ impl<F: Float, const K: usize> Exponents<F, K> {
         Ok(())
     }
 
-    /// Resets exponents of a block that are too low for its cost gradients to 0.
+    /// Resets to 0 the exponents of a block that are too low for its cost gradients.
     ///
     /// Exponents of samples whose cost gradients are 0 do not change.
     pub(super) fn raise(
@@ -123,7 +123,7 @@ pub(super) struct Limits<F> {
 
 /// Exponent of `high`, and of `low` with a negative sign.
 ///
-/// Both limits are far from the ends of the range of `F`, so that one step may multiply cotangents
+/// The limits are far from the ends of the range of `F`, so that one step may multiply cotangents
 /// by 1e19 (f32).
 const fn reach<F: Float>() -> i32 {
     if F::EPSILON < 1e-10 { 300 } else { 60 }
@@ -166,15 +166,15 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
 
     fn set(&mut self, k: usize, lane: usize, exponent: i32, scale: F) {
         self.of[k][lane] = exponent;
-        // Bounded, so that the factor stays finite. `raise` resets such exponents before a non-zero
-        // cost gradient is added.
+        // The limit keeps the factor finite. `raise` resets exponents below `-limit` before a
+        // nonzero cost gradient is added.
         let limit = reach::<F>() * 3 / 2;
         self.inject.0[k].set_lane(lane, scaled(scale, (-exponent).min(limit)));
     }
 
     /// Rescales the cotangents of one sample and flow to a size of about 1, if needed.
     ///
-    /// `lambda` is λ of the block, `u_bar` its h and μ.
+    /// `lambda` is λ of the block. `u_bar` contains h and μ of the block.
     fn rescale(
         &mut self,
         flow: Flow,
@@ -206,7 +206,7 @@ impl<F: Float, const K: usize> BlockExponents<F, K> {
 
     /// Resets the exponent of one sample and flow to 0, if scaled cost gradients may overflow.
     ///
-    /// λ may underflow to 0. This error is negligible relative to the cost gradients.
+    /// λ may underflow to 0, which is negligible relative to the cost gradients.
     fn raise(
         &mut self,
         (k, lane): (usize, usize),

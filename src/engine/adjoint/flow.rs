@@ -16,7 +16,7 @@ use std::fmt;
 /// The parameter gradient is `Σ_t (∂N/∂θ)ᵀ (h_t, μ)`. S is the step of the system, N the policy, y
 /// the observation, m the memory, l the running cost and φ the terminal cost.
 ///
-/// A weight of 1 passes a path, 0 detaches it. Weights between 0 and 1 discount the effect of a
+/// A weight of 1 keeps a path, 0 detaches it. Weights between 0 and 1 discount the effect of a
 /// step on later costs.
 ///
 /// ```
@@ -34,8 +34,8 @@ pub struct Flow {
     pub control: f64,
     /// Weight of the path through the memory of the policy, `∂N/∂m`.
     pub memory: f64,
-    /// Number of steps between truncations. At positive multiples of this number, all weights are 0
-    /// for one step. `None` for no truncation.
+    /// Number of steps between truncations. All weights are 0 at each time step that is a positive
+    /// multiple of this number. `None` for no truncation.
     pub truncation: Option<usize>,
     /// Growth in decades above which the adjoint of a sample is cut. `None` for no cut.
     ///
@@ -53,7 +53,7 @@ impl Flow {
     pub const NETWORK: Self = Self::new(0.0, 1.0, 1.0);
     /// S: no path; `h_t` contains only the costs that depend directly on `u_t` and `x_{t+1}`.
     pub const STOPPED: Self = Self::new(0.0, 0.0, 0.0);
-    /// All flows with weights of 0 and 1.
+    /// The flows R, M, N and S.
     pub const ALL: [Self; 4] = [Self::REGULAR, Self::MODIFIED, Self::NETWORK, Self::STOPPED];
 
     const fn new(physics: f64, control: f64, memory: f64) -> Self {
@@ -86,8 +86,8 @@ impl Flow {
         if truncated { self.discounted(0.0) } else { self }
     }
 
-    /// Letter of the paper, R, M, N or S. It depends on which of the weights `physics` and
-    /// `control` are 0.
+    /// Letter of the flow: R, M, N or S, depending on which of the weights `physics` and `control`
+    /// are 0.
     pub fn letter(&self) -> &'static str {
         match (self.physics != 0.0, self.control != 0.0) {
             (true, true) => "R",
@@ -98,7 +98,7 @@ impl Flow {
     }
 }
 
-/// The letter, followed by all deviations from the flow of the paper.
+/// Formats the letter and all deviations from the flow of this letter in [`Flow::ALL`].
 impl fmt::Display for Flow {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.letter())?;

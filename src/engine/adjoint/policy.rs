@@ -27,25 +27,31 @@ pub(super) struct PolicyAdjoint<F> {
     /// Cotangents of the policy's inputs, or `∂N/∂y` if `linearized`, as policy columns. Empty if
     /// no flow has a path through the inputs.
     pub(super) inputs_bar: Vec<F>,
-    /// Cotangents of the observations and of the states of one step, `[block][component]`. Empty if
-    /// the policy observes the state, or if no flow has a path through the inputs.
+    /// Cotangents of the observations of one step, `[block][component]`. Empty if the policy
+    /// observes the state, or if no flow has a path through the inputs.
     observed_bar: Vec<One<Lane<F>>>,
+    /// Cotangents of the states of one step through the observations, `[block][component]`. Empty
+    /// if `observed_bar` is empty.
     states_bar: Vec<One<Lane<F>>>,
     observed_dim: usize,
     /// True if the policy is linearized for all steps of a unit at once.
     pub(super) linearized: bool,
-    /// Cotangents of the only control, all equal to 1, if `linearized`.
+    /// Cotangents of the only policy output, all equal to 1, if `linearized`.
     pub(super) ones: Vec<F>,
     pub(super) scratch: Aligned<F>,
     /// Exponent of each column, per flow. All 0 unless `scaled`.
     exponents: Vec<Vec<i32>>,
+    /// True if an exponent may not be 0.
     scaled: bool,
-    /// Column weights and partial parameter gradient, for columns of different exponents.
+    /// Weight of each column, for columns of different exponents.
     weights: Vec<F>,
+    /// Parameter gradient of the weighted columns.
     part: Vec<F>,
 }
 
-/// Buffer lengths of the policy part.
+/// Dimensions and buffer lengths of the policy part.
+///
+/// Lengths are in lanes for `observed_bar` and `states_bar`, in numbers for the others.
 pub(super) struct PolicyBufferSizes {
     control_dim: usize,
     memory_dim: usize,

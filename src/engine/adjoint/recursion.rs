@@ -20,8 +20,9 @@ use std::ops::Range;
 
 /// Inputs and outputs of one step of the recursion, for one block of samples or one sample.
 pub(super) struct Step<'a, R, const K: usize> {
-    /// Inputs `x_t`, `u_t`, `p`, `t`, and the result `x_{t+1}`.
+    /// Inputs `x_t`, `u_t`, `p`, `t`.
     pub(super) inputs: Inputs<'a, R>,
+    /// Next state `x_{t+1}`.
     pub(super) next: &'a [R],
     /// λ, read and overwritten.
     pub(super) lambda: &'a mut [CotangentPack<R, K>],
@@ -369,7 +370,7 @@ impl<F: Float, const K: usize> Recursion<F, K> {
             })
         };
         let first = (0..K).find_map(|k| state(k).or_else(|| output(k)));
-        let (k, variable, (sample, component)) = first.expect("the probe found a non-finite value");
+        let (k, variable, (sample, component)) = first.expect("`rescale` fails only for non-finite cotangents");
         let of =
             |lanes: &[Lane<F>]| -> Vec<Single<F>> { lanes.iter().map(|number| Lanes([number.lane(sample % WIDTH)])).collect() };
         let inputs = rollout.inputs_of(step, sample / WIDTH);

@@ -6,7 +6,7 @@ use crate::numbers::aligned::Aligned;
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
 
-/// Buffer lengths of a rollout.
+/// Buffer lengths of a rollout: in numbers for inputs, outputs and tape, in lanes for the others.
 pub(super) struct BufferSizes {
     pub(super) states: usize,
     pub(super) controls: usize,

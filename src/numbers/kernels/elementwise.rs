@@ -73,7 +73,8 @@ pub fn scale<F: Float>(level: SimdLevel, from: &[F], weight: &[F], len: usize, t
     dispatch(level, Work(from, weight, len, to));
 }
 
-/// `out[c·out_step + r] = row r · column c`. Rows and columns have equal length.
+/// `out[c·out_step + r]` is the dot product of row r of `a` and column c of `b`. Rows and columns
+/// have equal length.
 pub fn dots<F: Float>(level: SimdLevel, a: &[F], rows: Strided, b: &[F], columns: Strided, out: &mut [F], out_step: usize) {
     struct Work<'a, F>(&'a [F], Strided, &'a [F], Strided, &'a mut [F], usize);
     impl<F: Float> Vectorized for Work<'_, F> {
@@ -94,6 +95,7 @@ pub fn dots<F: Float>(level: SimdLevel, a: &[F], rows: Strided, b: &[F], columns
 /// Dot product: 16 partial sums, then a tree. The order is independent of the vector width.
 #[inline(always)]
 fn dot<F: Float, const FMA: bool>(a: &[F], b: &[F]) -> F {
+    /// Number of partial sums.
     const WIDTH: usize = 16;
     let mut sum = [F::zero(); WIDTH];
     let (a, a_rest) = a.as_chunks::<WIDTH>();
@@ -138,6 +140,7 @@ impl Strided {
 
 /// `(Σ a·b, Σ a², Σ b²)` in double precision, summed in an order independent of the processor.
 pub fn moments<F: Float>(level: SimdLevel, a: &[F], b: &[F]) -> (f64, f64, f64) {
+    /// Number of partial sums.
     const WIDTH: usize = 16;
     struct Work<'a, F>(&'a [F], &'a [F], &'a mut [[f64; WIDTH]; 3]);
     impl<F: Float> Vectorized for Work<'_, F> {

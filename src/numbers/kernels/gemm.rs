@@ -41,10 +41,25 @@ impl<F> Product<'_, F> {
         let within = |a: Option<usize>, b: Option<usize>, len: usize| {
             a.zip(b).and_then(|(a, b)| a.checked_add(b)).is_some_and(|i| i < len)
         };
-        assert!(rows > 0 && depth > 0 && cols > 0 && rows.is_multiple_of(pad), "product: {rows}x{depth}x{cols}, padding {pad}");
-        assert!(lda >= rows && within(last(depth, lda), Some(rows - 1), self.a.len()), "product: A has {} entries", self.a.len());
-        assert!(within(last(depth, b_row), last(cols, b_col), self.b.len()), "product: B has {} entries", self.b.len());
-        assert!(ldc >= rows && within(last(cols, ldc), Some(rows - 1), self.c.len()), "product: C has {} entries", self.c.len());
+        assert!(
+            rows > 0 && depth > 0 && cols > 0 && rows.is_multiple_of(pad),
+            "product: shape {rows}x{depth}x{cols} has a 0, or rows not divisible by {pad}"
+        );
+        assert!(
+            lda >= rows && within(last(depth, lda), Some(rows - 1), self.a.len()),
+            "product: A has {} entries, which do not fit its shape",
+            self.a.len()
+        );
+        assert!(
+            within(last(depth, b_row), last(cols, b_col), self.b.len()),
+            "product: B has {} entries, which do not fit its shape",
+            self.b.len()
+        );
+        assert!(
+            ldc >= rows && within(last(cols, ldc), Some(rows - 1), self.c.len()),
+            "product: C has {} entries, which do not fit its shape",
+            self.c.len()
+        );
     }
 }
 
@@ -63,7 +78,7 @@ trait Register: Copy {
 
 /// Computes the product in panels of up to `MAX` registers of rows and tiles of `NR` columns.
 ///
-/// The panel of `A` stays in the L1 cache during its tiles.
+/// The panel of `A` stays in the L1 cache while its tiles are computed.
 ///
 /// # Safety
 /// `p.check()` has passed, and the processor supports the instructions of `R`.

@@ -5,11 +5,12 @@
 //! it is at most 2.6 ulps. Callers use the standard library beyond [`REACH`].
 //!
 //! The bound in `f64` has three terms. The argument reduction rounds twice, an error of up to 1 ulp
-//! of the angle. This is up to 2 ulps of the sine, if a power of two separates sine and angle. The
-//! last sum adds 0.5, the polynomial less than 0.1.
+//! of the angle. If a power of two separates sine and angle, 1 ulp of the angle is 2 ulps of the
+//! sine. The last sum adds 0.5 ulp, the polynomial less than 0.1 ulp.
 
-/// Bound on |x| for the argument reduction: n < 2^20, so its products with the first two parts of
-/// π/2 are exact. Use [`std`] for larger arguments.
+/// Bound on |x| for the argument reduction `x = n·π/2 + r`.
+///
+/// |n| is below 2^20, so the products of n with the first two parts of π/2 are exact.
 pub const REACH: f64 = 1e6;
 
 /// 1.5·2^52: adding and subtracting it rounds to an integer. The low bits of the sum are those of
@@ -50,7 +51,7 @@ pub fn sin_cos_64(x: f64) -> (f64, f64) {
     let half = 0.5 * r2;
     let one = 1.0 - half;
     let cos = one + ((1.0 - one - half) + r2 * r2 * cos);
-    // Odd quadrants swap the two. Quadrants 2 and 3 negate the sine, 1 and 2 the cosine.
+    // Odd quadrants swap sine and cosine. Quadrants 2 and 3 negate the sine, 1 and 2 the cosine.
     let swap = 0u64.wrapping_sub(n & 1);
     let (s, c) = (sin.to_bits(), cos.to_bits());
     let (s, c) = ((s & !swap) | (c & swap), (c & !swap) | (s & swap));

@@ -70,7 +70,7 @@ pub trait Float:
     /// Matrix product with the instruction set `level`.
     #[doc(hidden)]
     fn product(level: SimdLevel, product: Product<'_, Self>);
-    /// `a·b + c`, fused if `FMA`, which the caller sets where fused multiply-add is an instruction.
+    /// `a·b + c`, fused if `FMA`. Set `FMA` if the instruction set has fused multiply-add.
     #[doc(hidden)]
     fn plus_product<const FMA: bool>(c: Self, a: Self, b: Self) -> Self;
     /// Branch-free tanh for policy layers.
@@ -163,7 +163,7 @@ macro_rules! float {
             }
 
             fn from_le_bytes(bytes: &[u8]) -> Self {
-                $float::from_le_bytes(bytes.try_into().expect("the width of the type"))
+                $float::from_le_bytes(bytes.try_into().expect("`bytes` has the width of the type"))
             }
 
             #[inline(always)]

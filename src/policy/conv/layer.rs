@@ -134,7 +134,7 @@ impl Layer {
         );
     }
 
-    /// Adds the window cotangents of one column to its input positions, which are `slot` apart.
+    /// Adds the window cotangents of one column to its input positions, at a distance of `slot`.
     pub fn add_windows<F: Float>(&self, windows: &[F], slot: usize, to: &mut [F]) {
         for (q, window) in windows.chunks_exact(self.entries).take(self.positions).enumerate() {
             for k in 0..KERNEL {

@@ -10,6 +10,7 @@ pub(super) struct Places {
     pub(super) block: [usize; 3],
     /// Offsets of the columns of x, h₁, h₂ of the whole rollout.
     pub(super) all: [usize; 3],
+    /// Length of the tape.
     pub(super) len: usize,
 }
 

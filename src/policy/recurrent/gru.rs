@@ -141,7 +141,7 @@ fn parts<T, const K: usize>(column: &[T]) -> [&[T]; K] {
     std::array::from_fn(|i| &column[i * units..][..units])
 }
 
-/// As [`parts`], mutable.
+/// Mutable [`parts`].
 fn parts_mut<T, const K: usize>(column: &mut [T]) -> [&mut [T]; K] {
     let mut parts = column.chunks_exact_mut(column.len() / K);
     std::array::from_fn(|_| parts.next().unwrap_or_default())
