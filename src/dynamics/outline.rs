@@ -39,8 +39,8 @@ impl<S: System, T: Scalar> Vectorized for Step<'_, S, T> {
     }
 }
 
-/// [`System::step`], never inlined. Used by checks and default derivatives, which have many call
-/// sites and are not performance-critical.
+/// [`System::step`], never inlined. Callers are not performance-critical: checks, Jacobian-vector
+/// products, derivatives with respect to parameters.
 #[inline(never)]
 pub(crate) fn step<S: System + ?Sized, T: Scalar>(system: &S, inputs: Inputs<'_, T>, next: &mut [T]) {
     system.step(inputs, next);
