@@ -30,18 +30,18 @@ pub struct CoupledCartPole(pub CartPoleSystem);
 /// Constants of the model in one scalar type.
 struct Constants<T> {
     dt: T,
-    /// m l.
+    /// m l, kg m.
     moment: T,
-    /// m g l.
+    /// m g l, N m.
     weight: T,
-    /// M.
+    /// M, kg.
     mass: T,
-    /// 1 / J.
+    /// 1 / J, 1/(kg m²).
     per_inertia: T,
 }
 
 impl CoupledCartPole {
-    /// Returns kinetic plus potential energy of a state, J. It is 0 at rest with all poles
+    /// Returns kinetic plus potential energy of a state, in joules. It is 0 at rest with all poles
     /// horizontal. Without control and effects, the equations conserve it. Numbers that vary have
     /// their nominal values.
     ///
