@@ -19,8 +19,9 @@ use serde::{Deserialize, Serialize};
 /// does not use it.
 ///
 /// Near an evader, the force is a spring of stiffness `strength / softening²`. Explicit steps of
-/// length dt damp its oscillation if this stiffness times dt is less than the drivers' friction.
-/// The default exceeds this limit slightly, within a few centimetres of an evader.
+/// length dt damp its oscillation if this stiffness times dt is less than the drivers' friction
+/// coefficient. All defaults together give a stiffness of 20/s² near an evader and a limit of
+/// 15/s².
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
