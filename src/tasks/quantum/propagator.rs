@@ -58,7 +58,7 @@ impl Propagator {
         for j in 1..=half {
             for k in 1..=half {
                 let entry = |k: usize, part: usize| sums[j.abs_diff(k)][part] - sums[j + k][part];
-                // The middle point is its own mirror image, and counts twice in a_k.
+                // The middle point is its own mirror image, so a_k contains it twice.
                 let share = if 2 * k == intervals { 0.25 } else { 0.5 };
                 let even = |part| share * (entry(k, part) + entry(intervals - k, part));
                 let odd = |part| share * (entry(k, part) - entry(intervals - k, part));
