@@ -11,7 +11,7 @@ use crate::numbers::scalar::{Cotangent, CotangentPack, Real, Scalar};
 /// Runs `work` outlined, vectorized for this processor.
 ///
 /// Scalar types other than the lanes of rollouts (`T::VECTORIZED` is false) take the portable path.
-/// They are not performance-critical.
+/// Work on such types is not performance-critical.
 #[inline(always)]
 pub(crate) fn outline<T: Scalar>(work: impl Vectorized) {
     #[inline(never)]

@@ -13,8 +13,8 @@ use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 /// NaN after 30 iterations without convergence.
 ///
 /// The reverse pass differentiates the solution, not the iteration, by the implicit function
-/// theorem. It recomputes the solution with a tolerance of 256 ε, where ε is the machine epsilon.
-/// With `A = I - h/2 ∂f/∂x` at the midpoint,
+/// theorem. For any `tolerance`, the reverse pass recomputes the solution with a tolerance of 256
+/// machine epsilons. With `A = I - h/2 ∂f/∂x` at the midpoint,
 ///
 /// ```text
 /// w = A⁻ᵀ x̄',   x̄ = 2 w - x̄',   ū += h (∂f/∂u)ᵀ w

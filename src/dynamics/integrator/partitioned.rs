@@ -70,7 +70,7 @@ impl Integrator for SemiImplicit {
 /// v' = v + h/2 (a(q, v) + a(q', v + h a(q, v)))
 /// ```
 ///
-/// Symplectic if accelerations depend on positions alone. If they depend on velocities, the second
+/// Symplectic if accelerations depend on positions alone. If velocities also enter, the second
 /// evaluation uses the velocities of an explicit Euler step, as in Heun's method. The order is then
 /// still 2, but the method is not symplectic.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
