@@ -48,8 +48,8 @@ struct Motion<T> {
 }
 
 impl DoublePendulum {
-    /// Returns kinetic plus potential energy of a state, J. It is 0 at rest with both rods
-    /// horizontal. Without torque, the equations conserve it.
+    /// Returns kinetic plus potential energy of a state, J. The energy is 0 at rest with both rods
+    /// horizontal. Without torque, the equations conserve the energy.
     pub fn energy(&self, x: &[f64]) -> f64 {
         let ([inertia, coupling, second_inertia], [weight, second_weight]) = (self.inertias(), self.weights());
         let [theta, omega, second_theta, second_omega] = [x[0], x[1], x[2], x[3]];

@@ -11,7 +11,7 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-/// Air drag on cart and poles. In still air (`speed = 0`) it slows them down.
+/// Air drag on cart and poles. In still air (`speed = 0`), drag slows cart and poles down.
 ///
 /// ```text
 /// cart:   F   = cart_drag |w - ẋ| (w - ẋ)

@@ -22,7 +22,7 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// pivoting, because the real part of each pivot is at least 1.
 ///
 /// H and grid are those of [`QuantumSystem`], so only the error in time differs. The phase of an
-/// eigenstate of energy E advances by `E dt (1 - (E dt)⁴/720 + …)`. With Crank-Nicolson, it is
+/// eigenstate of energy E advances by `E dt (1 - (E dt)⁴/720 + …)`, with Crank-Nicolson by
 /// `E dt (1 - (E dt)²/12 + …)`. For energies beyond about 3/dt, the phase advances too slowly. The
 /// advance is at most one turn per step.
 ///
