@@ -73,8 +73,8 @@ impl PoleChain {
         self.0.check_up_to(Self::MAX_POLES)
     }
 
-    /// Returns kinetic plus potential energy of a state, in joules. The energy is 0 at rest with all
-    /// poles horizontal. Without control, the equations conserve the energy.
+    /// Returns kinetic plus potential energy of a state, in joules. The energy is 0 at rest with
+    /// all poles horizontal. Without control, the equations conserve the energy.
     pub fn energy(&self, x: &[f64]) -> f64 {
         let pole = |k: usize| (x[2 + 2 * k], x[3 + 2 * k]);
         let mut energy = 0.5 * self.mass() * x[1] * x[1];

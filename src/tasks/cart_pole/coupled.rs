@@ -41,9 +41,9 @@ struct Constants<T> {
 }
 
 impl CoupledCartPole {
-    /// Returns kinetic plus potential energy of a state, in joules. The energy is 0 at rest with all
-    /// poles horizontal. Without control and effects, the equations conserve the energy. Numbers
-    /// that vary have their nominal values.
+    /// Returns kinetic plus potential energy of a state, in joules. The energy is 0 at rest with
+    /// all poles horizontal. Without control and effects, the equations conserve the energy.
+    /// Numbers that vary have their nominal values.
     ///
     /// ```text
     /// M ẋ²/2 + Σ_i (J ω_i²/2 + m l ẋ ω_i cos θ_i + m g l cos θ_i)
