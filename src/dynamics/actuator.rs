@@ -19,8 +19,8 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 use smallvec::{SmallVec, smallvec};
 
-/// Stack capacity for controls. The capacity for states of actuators is four times as large. Beyond
-/// it, every step allocates.
+/// Number of controls up to which steps do not allocate. The limit for state components of an
+/// actuator is four times as large.
 const STACK: usize = 8;
 type Controls<T> = SmallVec<[T; STACK]>;
 
@@ -42,7 +42,7 @@ pub trait Actuator: Clone + Send + Sync {
     /// Writes the actuator's next state and the system's control.
     fn step<T: Scalar>(&self, state: &[T], u: &[T], next_state: &mut [T], out: &mut [T]);
 
-    /// Returns true for the identity. Steps then skip the actuator.
+    /// Returns true for the identity. [`Actuated`] then skips the actuator.
     #[doc(hidden)]
     #[inline(always)]
     fn is_identity(&self) -> bool {
@@ -175,7 +175,7 @@ impl<A: Actuator, B: Actuator> Actuator for (A, B) {
 pub struct Actuated<S, A> {
     /// The controlled system.
     pub system: S,
-    /// The actuator: `()` for none, a pair for two in sequence.
+    /// The actuator: `()` for none, a pair for two in sequence, a `Vec` for a choice at run time.
     pub actuator: A,
 }
 
@@ -256,7 +256,7 @@ impl<B, S: HasModel<B>, A: Actuator> HasModel<B> for Actuated<S, A> {
         self.system.model()
     }
 
-    /// Draws the extra values of the inner system. Sets the actuator's state to 0.
+    /// Draws the extra values of the controlled system. Sets the actuator's state to 0.
     fn start_extra(&self, rng: &mut Rng, start: Start<'_>) {
         let (x, state) = start.x.split_at_mut(self.system.state_dim());
         self.system.start_extra(rng, Start { x, p: start.p });

@@ -1,7 +1,7 @@
 //! [`default_vjp`]: exact transposed Jacobian products of any [`Function`].
 //!
-//! Up to [`REVERSE_ABOVE`] inputs, dual numbers give columns of the Jacobian. Above, one recorded
-//! evaluation gives the product itself.
+//! Up to [`REVERSE_ABOVE`] inputs, dual numbers give columns of the Jacobian. For more inputs, one
+//! recorded evaluation gives the product itself.
 
 use crate::dynamics::outline;
 use crate::numbers::forward_mode::jacobian;
@@ -74,7 +74,7 @@ fn each_column<R: Real, C, const N: usize>(
 ) {
     let lengths = inputs.map(<[R]>::len);
     let all: SmallVec<[R; REVERSE_ABOVE]> = inputs.into_iter().flatten().copied().collect();
-    // The lists from the first to the last requested one.
+    // Differentiate with respect to all lists from the first to the last requested list.
     let requested = |k: &usize| cotangents[*k].is_some();
     let first = (0..N).find(requested).unwrap_or(N);
     let last = (0..N).rfind(requested).map_or(first, |k| k + 1);

@@ -33,8 +33,8 @@ use std::sync::Arc;
 ///
 /// # Panics
 /// Generic methods panic for scalars other than those of rollouts, checks, counts, optimization and
-/// references. In particular, a system that contains a [`DynSystem`] needs a
-/// [`vjp`](System::vjp) of its own.
+/// references. Default derivatives use other scalars, so a system that contains a [`DynSystem`]
+/// needs a [`vjp`](System::vjp) of its own.
 #[derive(Clone)]
 pub struct DynTask(DynSystem);
 
@@ -55,7 +55,8 @@ impl fmt::Debug for DynTask {
     }
 }
 
-/// Object-safe [`Task`]. A method with a slot writes the instance of a generic function there.
+/// Object-safe [`Task`]. A method with a `slot` writes a function pointer to the slot: the generic
+/// function of the same name, for the scalar type of the slot.
 trait AnyTask: Send + Sync {
     fn name(&self) -> &'static str;
     fn as_any(&self) -> &dyn Any;
@@ -149,8 +150,8 @@ impl<T: Task + 'static> AnyTask for T {
     }
 }
 
-/// Defines a generic function of a task and the type of its pointers, whose first argument is the
-/// task. The function runs outlined.
+/// Defines an outlined generic function of a task, and the type of pointers to it. Their first
+/// argument is the task.
 macro_rules! function {
     (
         $name:ident, $pointer:ident: $family:ident [$($bounds:tt)+] [$($params:ident),+],
@@ -176,7 +177,7 @@ macro_rules! function {
                     }
                 }
                 |task, $($argument),+| {
-                    let $task = task.downcast_ref::<T>().expect("the task that wrote the pointer");
+                    let $task = task.downcast_ref::<T>().expect("the argument is the task that wrote the pointer");
                     outline::<R>(Work { $task, $($argument),+ });
                 }
             }

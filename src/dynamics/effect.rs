@@ -68,7 +68,8 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
         Numbers::default()
     }
 
-    /// Numbers that vary, with their indices in `p` from `first`. Lists of effects override it.
+    /// Numbers that vary, with their indices in `p` from `first`. Lists and wrappers of effects
+    /// override it.
     #[doc(hidden)]
     fn varied(&self, first: usize) -> Vec<Varied> {
         let numbers = self.numbers();
@@ -88,8 +89,9 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
     /// Adds the Jacobian products `(∂forces/∂x)ᵀ forces_bar`, and likewise of `u` and `p`, to those
     /// cotangents that are requested.
     ///
-    /// An implementation may omit physical numbers that vary. If there are any, dual numbers
-    /// provide the cotangents of all parameters, and `p` is not requested.
+    /// An implementation may omit the cotangents of physical numbers that vary. If the system or an
+    /// effect has such numbers, dual numbers provide the cotangents of all parameters, and `p` is
+    /// not requested.
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(
         &self,
@@ -101,8 +103,8 @@ pub trait Effect<B>: Clone + Debug + Send + Sync {
         default_effect_vjp(self, model, inputs, forces_bar, cotangents);
     }
 
-    /// Returns whether the forces depend on state, control or parameters. If they do not, the
-    /// reverse pass skips the effect.
+    /// Returns whether the forces depend on state, control or parameters. If they do not, a system
+    /// may skip [`vjp`](Effect::vjp).
     #[inline(always)]
     fn state_dependent(&self) -> bool {
         true
@@ -176,7 +178,7 @@ pub trait ForcedSystem: Send + Sync {
     fn state_dim(&self) -> usize;
     /// Number of control components.
     fn control_dim(&self) -> usize;
-    /// Number of parameters, without those of effects and without numbers. Default: 0.
+    /// Number of parameters, without those of effects and without numbers that vary. Default: 0.
     fn param_dim(&self) -> usize {
         0
     }
@@ -196,7 +198,7 @@ pub trait ForcedSystem: Send + Sync {
     /// VJP of [`forced_step`](ForcedSystem::forced_step). Adds to the requested cotangents.
     ///
     /// Defaults to exact derivatives, as [`System::vjp`] does. Override it for speed. It may omit
-    /// physical numbers that vary, as [`Effect::vjp`] may.
+    /// the cotangents of physical numbers that vary, as [`Effect::vjp`] may.
     #[inline(always)]
     fn forced_vjp<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
         &self,
@@ -228,7 +230,7 @@ impl<H: ForcedSystem + ?Sized, E: Effect<H::Model>> System for SystemStep<'_, H,
 }
 
 /// Adds the cotangents of all parameters of a step, by dual numbers. Used if physical numbers vary,
-/// because analytic VJPs omit these.
+/// because analytic VJPs may omit their cotangents.
 pub(crate) fn step_param_vjp<S: System, R: Real, C: Cotangent<R>>(
     system: &S,
     inputs: Inputs<'_, R>,

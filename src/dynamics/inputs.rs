@@ -1,4 +1,4 @@
-//! [`Inputs`] and [`Cotangents`]: the arguments of a step, and the outputs of its reverse.
+//! [`Inputs`] and [`Cotangents`]: the arguments of a step, and the outputs of its VJP.
 
 use crate::numbers::scalar::{Cotangent, Scalar};
 
@@ -24,7 +24,7 @@ pub struct Inputs<'a, T, Time = usize> {
     pub u: &'a [T],
     /// Parameters.
     pub p: &'a [T],
-    /// Number of the step, from 0; in [`OdeInputs`] the time in s since the start of the rollout.
+    /// Number of the step, from 0. In [`OdeInputs`], the time in s since the start of the rollout.
     pub t: Time,
 }
 
@@ -86,7 +86,7 @@ impl<'a, T: Scalar> Inputs<'a, T> {
     }
 }
 
-/// Cotangents of the inputs. Reverse functions add to those requested; `None` is not requested.
+/// Cotangents of the inputs. VJPs add to the requested cotangents; `None` requests no cotangent.
 ///
 /// A buffer to which nothing was added yet holds [`Cotangent::null`].
 #[derive(Debug)]
@@ -139,7 +139,7 @@ impl<'a, C> Cotangents<'a, C> {
     }
 }
 
-/// Tangents of the inputs, the directions of a forward-mode derivative; `None` is 0.
+/// Tangents of the inputs: the direction of a forward-mode derivative. `None` is a zero tangent.
 #[derive(Clone, Copy, Debug)]
 pub struct Tangents<'a, T> {
     /// Tangent of the state.

@@ -43,7 +43,7 @@ fn buffer<T: Copy>(value: T, len: usize) -> Buffer<T> {
     smallvec![value; len]
 }
 
-/// Time in s at a fraction of a step of `dt` seconds.
+/// Time in s at a fraction of step number `step`, with steps of `dt` seconds.
 #[inline(always)]
 fn stage_time<T: Scalar>(step: usize, dt: f64, fraction: f64) -> T {
     T::from((step as f64 + fraction) * dt)
@@ -54,7 +54,8 @@ pub trait Integrator: Clone + Debug + Send + Sync {
     /// Writes the state at the end of the step.
     fn advance<T: Scalar>(&self, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]);
 
-    /// Largest remaining residual of an implicit step that did not converge, else `None`.
+    /// Largest residual among the state components of an implicit step that did not converge, else
+    /// `None`.
     fn unsolved<R: Real>(&self, _ode: &dyn DynOde<R>, _dt: f64, _inputs: Inputs<'_, R>) -> Option<f64> {
         None
     }

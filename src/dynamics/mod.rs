@@ -1,7 +1,7 @@
 //! Systems and their parts: steps, vector fields, integrators, effects, actuators.
 //!
 //! - [`Inputs`](inputs::Inputs) are the arguments of a step, [`Cotangents`](inputs::Cotangents) the
-//!   outputs of its reverse.
+//!   outputs of its VJP.
 //! - [`System`](system::System) maps these inputs to the next state. Implement a step, or a vector
 //!   field ([`Ode`](ode::Ode)) that an [`Integrator`](integrator::Integrator) discretizes.
 //! - [`Substeps`](substeps::Substeps) performs several steps of a system as one.
@@ -12,7 +12,7 @@
 //! - [`DynTask`](dyn_task::DynTask) is any task behind a pointer.
 //! - [`OpCount`](op_count::OpCount) counts the operations of a system.
 //!
-//! Imports `numbers`. Start reading in `system.rs`.
+//! Depends on `numbers` only. Start reading in `system.rs`.
 
 pub(crate) mod actuator;
 pub(crate) mod cause;

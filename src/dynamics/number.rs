@@ -41,7 +41,7 @@ use rand_distr::{Distribution as _, StandardNormal};
 pub enum Number {
     /// A constant.
     Fixed(f64),
-    /// Drawn between two bounds with equal density.
+    /// Drawn uniformly between two bounds.
     Uniform {
         /// Lower bound.
         low: f64,
@@ -55,7 +55,7 @@ pub enum Number {
         /// Standard deviation before truncation.
         deviation: f64,
     },
-    /// Drawn between two positive bounds; its logarithm has equal density.
+    /// Drawn between two positive bounds. The logarithm is uniform.
     LogUniform {
         /// Lower bound.
         low: f64,
@@ -64,8 +64,8 @@ pub enum Number {
     },
     /// Drawn from a list, each entry with equal probability.
     Choice(Choice),
-    /// Trained, from an initial value, within bounds; infinite bounds are absent. A finite upper
-    /// bound requires a finite lower bound.
+    /// Trained from an initial value, within bounds. An infinite bound is no restriction. A finite
+    /// upper bound requires a finite lower bound.
     Trained {
         /// Initial value.
         start: f64,
@@ -76,7 +76,7 @@ pub enum Number {
     },
 }
 
-/// Up to eight values.
+/// List of one to eight values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Choice {
     values: [f64; Choice::MAX],
@@ -107,14 +107,14 @@ impl From<f64> for Number {
 }
 
 impl Number {
-    /// Whether this number is a constant of the equations, rather than an entry of `p`.
+    /// Returns whether this number is a constant of the equations, rather than an entry of `p`.
     #[inline(always)]
     pub fn is_fixed(&self) -> bool {
         matches!(self, Self::Fixed(_))
     }
 
-    /// A single typical value: the constant, the median, the middle entry of a choice, or the
-    /// initial value.
+    /// Returns a typical value: the constant, the median of a distribution, the initial value, or
+    /// the middle entry of a choice (the second of two middle entries).
     #[inline(always)]
     pub fn nominal(&self) -> f64 {
         match *self {
@@ -127,8 +127,8 @@ impl Number {
         }
     }
 
-    /// Values that bound all possible ones, for validation. Absent bounds of a trained number are
-    /// omitted.
+    /// Returns values that include the smallest and the largest possible value, for validation.
+    /// Infinite bounds of a trained number are omitted.
     pub fn extremes(&self) -> ArrayVec<f64, { Choice::MAX }> {
         match *self {
             Self::Fixed(value) => [value].into_iter().collect(),
@@ -209,7 +209,7 @@ impl<'a> Numbers<'a> {
     /// If `N` is not the count of numbers, or if `p` has too few entries.
     #[inline(always)]
     pub fn of<T: Scalar, const N: usize>(&self, p: &[T]) -> [T; N] {
-        assert_eq!(self.count, N, "one value per number");
+        assert_eq!(self.count, N, "the count of requested values differs from the count of numbers");
         let mut values = [T::zero(); N];
         let mut entry = 0;
         for (value, (_, number)) in values.iter_mut().zip(&self.list) {
@@ -227,7 +227,7 @@ impl<'a> Numbers<'a> {
     /// Values of all numbers: constants, and the last entries of `p`.
     ///
     /// # Panics
-    /// As [`of`](Self::of).
+    /// If `N` is not the count of numbers, or if `p` has too few entries.
     #[inline(always)]
     pub fn last_of<T: Scalar, const N: usize>(&self, p: &[T]) -> [T; N] {
         self.of(&p[p.len() - self.varied()..])
@@ -245,7 +245,7 @@ impl<'a> Numbers<'a> {
 pub struct Varied {
     /// Index in `p`.
     pub index: usize,
-    /// Name: of a field, or of an effect and a field.
+    /// Name of the field, after that of the effect if there is one: `wind.speed`.
     pub name: String,
     /// The number.
     pub number: Number,

@@ -1,7 +1,7 @@
 //! [`Ode`]: a vector field in continuous time.
 //!
-//! An [`Integrator`](crate::Integrator) discretizes it into a [`System`](crate::System); see
-//! [`Integrated`](crate::Integrated).
+//! An [`Integrator`](crate::Integrator) discretizes the vector field into a
+//! [`System`](crate::System); see [`Integrated`](crate::Integrated).
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::default_vjp::{Function, add_product, default_vjp};
@@ -109,7 +109,7 @@ fn dual_rate<O: Ode>(ode: &O, inputs: OdeInputs<'_, ParamDual>, rate: &mut [Para
 }
 
 /// Adds the cotangents of all parameters of a rate, by dual numbers. Used if physical numbers vary,
-/// because analytic VJPs omit these.
+/// because analytic VJPs may omit their cotangents.
 fn rate_param_vjp<O: Ode, R: Real, C: Cotangent<R>>(ode: &O, inputs: OdeInputs<'_, R>, rate_bar: &[C], p_bar: Option<&mut [C]>) {
     // The time is equal in all lanes.
     let t = ParamDual::from(inputs.t.lane(0).to_f64());
@@ -120,7 +120,7 @@ fn rate_param_vjp<O: Ode, R: Real, C: Cotangent<R>>(ode: &O, inputs: OdeInputs<'
 /// Object-safe [`Ode`] for one scalar type.
 ///
 /// Integrators take `&dyn DynOde<T>`, so they are monomorphized once per scalar type and not once
-/// per vector field. Every [`Ode`] implements it.
+/// per vector field. Every [`Ode`] implements `DynOde`.
 pub trait DynOde<T> {
     /// See [`Ode::rate`].
     fn rate(&self, inputs: OdeInputs<'_, T>, rate: &mut [T]);
@@ -189,7 +189,7 @@ pub trait ForcedOde: ForcedSystem {
     fn forced_rate<E: Effect<Self::Model>, T: Scalar>(&self, effects: &E, inputs: OdeInputs<'_, T>, rate: &mut [T]);
 
     /// VJP of [`forced_rate`](ForcedOde::forced_rate). Adds to the requested cotangents. It may
-    /// omit physical numbers that vary, as [`Effect::vjp`] may.
+    /// omit the cotangents of physical numbers that vary, as [`Effect::vjp`] may.
     fn forced_rate_vjp<E: Effect<Self::Model>, R: Real, C: Cotangent<R>>(
         &self,
         effects: &E,

@@ -10,9 +10,9 @@ use crate::numbers::scalar::{Counted, Ops};
 /// Exact and independent of the machine: the step is evaluated on [`Counted`] numbers. Operations
 /// on the `f64` constants of a system are not counted.
 ///
-/// Systems do not branch on values, so the counts are independent of the state. Exceptions are
-/// systems that iterate ([`Adaptive`](crate::Adaptive),
-/// [`ImplicitMidpoint`](crate::ImplicitMidpoint)): their counts are those of one fixed state.
+/// Systems do not branch on values, so the counts are independent of the state. The integrators
+/// [`Adaptive`](crate::Adaptive) and [`ImplicitMidpoint`](crate::ImplicitMidpoint) are exceptions.
+/// Their iterations are counted at one fixed state.
 ///
 /// ```
 /// use physgrad::tasks::{CartDamping, CartPoleSystem};
@@ -28,10 +28,10 @@ use crate::numbers::scalar::{Counted, Ops};
 pub struct OpCount {
     /// [`System::step`].
     pub step: Ops,
-    /// [`System::vjp`], to state and control. Evaluated by the flows R and M, and by any two flows
-    /// together.
+    /// [`System::vjp`] with respect to state and control. Evaluated by the flows R and M, and by
+    /// any two flows together.
     pub vjp: Ops,
-    /// [`System::vjp`], to the control alone. Evaluated by a single flow N or S.
+    /// [`System::vjp`] with respect to the control alone. Evaluated by a single flow N or S.
     pub vjp_control: Ops,
 }
 
@@ -55,7 +55,7 @@ impl OpCount {
 /// Operation counts of the system, the costs and the observation of one sample, and of their
 /// derivatives. Costs and observation are differentiated with respect to all inputs.
 ///
-/// The counts are exact, as those of [`OpCount`].
+/// Counting is exact, as in [`OpCount`].
 ///
 /// ```
 /// use physgrad::TaskOpCount;

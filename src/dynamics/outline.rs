@@ -11,7 +11,7 @@ use crate::numbers::scalar::{Cotangent, CotangentPack, Real, Scalar};
 /// Runs `work` outlined, vectorized for this processor.
 ///
 /// Scalar types other than the lanes of rollouts (`T::VECTORIZED` is false) take the portable path.
-/// They are not performance-critical.
+/// Work on such types is not performance-critical.
 #[inline(always)]
 pub(crate) fn outline<T: Scalar>(work: impl Vectorized) {
     #[inline(never)]
@@ -39,8 +39,8 @@ impl<S: System, T: Scalar> Vectorized for Step<'_, S, T> {
     }
 }
 
-/// [`System::step`], never inlined. Used by checks and default derivatives, which have many call
-/// sites and are not performance-critical.
+/// [`System::step`], never inlined. Callers are not performance-critical: checks, Jacobian-vector
+/// products, derivatives with respect to parameters.
 #[inline(never)]
 pub(crate) fn step<S: System + ?Sized, T: Scalar>(system: &S, inputs: Inputs<'_, T>, next: &mut [T]) {
     system.step(inputs, next);

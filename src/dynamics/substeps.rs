@@ -9,8 +9,7 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use smallvec::{SmallVec, smallvec};
 
-/// Stack capacity for the intermediate states of one step, in numbers. Beyond it, every step
-/// allocates.
+/// Number of components of all intermediate states of one step up to which steps do not allocate.
 const STACK: usize = 128;
 
 /// A system whose time step consists of `count` steps of an inner system, with constant control.
@@ -27,7 +26,7 @@ pub struct Substeps<S> {
 }
 
 impl<S: System> Substeps<S> {
-    /// Inputs of inner step `i`, except its state.
+    /// Inputs of inner step `i`, with the state of `inputs`. Callers replace the state if `i > 0`.
     #[inline(always)]
     fn inner<'a, T: Scalar>(&self, inputs: Inputs<'a, T>, i: usize) -> Inputs<'a, T> {
         inputs.at(inputs.t * self.count.max(1) + i)
@@ -74,8 +73,8 @@ impl<S: System> System for Substeps<S> {
         }
     }
 
-    /// Needs the state cotangent even if only that of the control is requested: early inner steps
-    /// influence the result through later states.
+    /// Computes the state cotangent even if only the cotangent of the control is requested. Early
+    /// inner steps influence the result through later states.
     #[inline(always)]
     fn vjp<R: Real, C: Cotangent<R>>(&self, inputs: Inputs<'_, R>, next_bar: &[C], mut cotangents: Cotangents<'_, C>) {
         if self.count <= 1 {

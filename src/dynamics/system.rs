@@ -17,9 +17,9 @@ use smallvec::SmallVec;
 /// derivatives. Override [`vjp`](System::vjp) with an analytic derivative for speed;
 /// [`check::system`](crate::check::system) compares both.
 ///
-/// The default transposed products use dual numbers while `x`, `u` and `p` together have at most 16
-/// components, and reverse mode above. Each thread keeps the heap buffers of reverse mode, so only
-/// its first call allocates.
+/// The default [`vjp`](System::vjp) uses dual numbers while `x`, `u` and `p` together have at most
+/// 16 components, and reverse mode for more. Each thread keeps the heap buffers of reverse mode, so
+/// only its first call allocates.
 ///
 /// A system is immutable. Physical constants are `f64` fields. Constants that may differ between
 /// samples, or be trained, are [`Number`](crate::Number)s or parameters.
@@ -134,8 +134,8 @@ fn outlined_vjp<S: System + ?Sized, R: Real, C: Cotangent<R>>(
     outline::outline::<R>(Work { system, inputs, next_bar, cotangents, visit });
 }
 
-/// [`System::jvp`] by the dual numbers of Jacobians, with one direction, so that a step is compiled for
-/// no other type.
+/// Default [`System::jvp`]: uses one tangent of the dual numbers that compute Jacobians. A step is
+/// therefore compiled for no further scalar.
 fn jvp_by_duals<S: System + ?Sized, R: Real>(
     system: &S,
     Inputs { x, u, p, t }: Inputs<'_, R>,

@@ -64,7 +64,7 @@ pub trait Task: Send + Sync {
         default_vjp(&observation, inputs.lists(), y_bar, cotangents.lists(), add_product(y_bar));
     }
 
-    /// Running cost `l` of the step from `inputs` to `next`. Default: 0.
+    /// Running cost `l` of the step from `inputs` to the state `next`. Default: 0.
     #[inline(always)]
     fn running_cost<T: Scalar>(&self, _inputs: Inputs<'_, T>, _next: &[T]) -> T {
         T::zero()

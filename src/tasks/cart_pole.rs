@@ -1,4 +1,4 @@
-//! Cart-pole: one force swings up any number of poles on one cart.
+//! Cart-pole: swing-up of any number of poles on one cart by one force.
 //!
 //! The task is that of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR
 //! 2024), after Barto, Sutton and Anderson 1983 (doi:10.1109/TSMC.1983.6313077). [`CartPole`] is
@@ -105,7 +105,7 @@ impl<S: HasModel<CartPoleSystem>> Task for CartPole<S> {
         self.horizon
     }
 
-    /// Draws angles within ±30° of hanging, and all other components within ±1.
+    /// Draws angles within ±30° of hanging, and all other components within ±1, in SI units.
     fn start(&self, rng: &mut Rng, start: Start<'_>) {
         let own = 2 + 2 * self.system.model().poles;
         for (i, x) in start.x[..own].iter_mut().enumerate() {

@@ -15,7 +15,7 @@ use crate::numbers::scalar::Scalar;
 /// Contact model of two bodies.
 ///
 /// A naive step reflects the speed below the floor, `v ← -e v` where `h < 0`. States converge as dt
-/// → 0, but derivatives do not. According to the derivative of this step, raising the initial
+/// → 0, but derivatives do not. According to the derivative of the naive step, raising the initial
 /// height by δ raises all later heights by δ. Without gravity, the ball actually arrives later, and
 /// is lower by `e δ` afterwards. Springs that the time step does not resolve have the same defect.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,8 +28,8 @@ pub enum Contact {
     /// ("saltation": Hiskens and Pai 2000, doi:10.1109/81.828574).
     ///
     /// A step may contain infinitely many impacts (Zeno). Four are computed. At a fifth, the gap
-    /// closes and stays at rest until it is pulled apart. This discards bounces lower than
-    /// `|a| dt² / 128`.
+    /// closes and stays at rest until a positive acceleration opens it. This discards bounces lower
+    /// than `|a| dt² / 128`, where a is the acceleration of the gap.
     TimeOfImpact {
         /// Coefficient of restitution, from 0 (perfectly inelastic) to 1 (elastic).
         restitution: f64,
@@ -44,7 +44,7 @@ pub enum Contact {
     ///
     /// Without damping, the model converges to an elastic impact as the stiffness grows. The error
     /// is proportional to the duration of the contact, `π sqrt(m / stiffness)`, where m is the
-    /// reduced mass. Steps of length dt need `stiffness dt² < 4 m`.
+    /// reduced mass. Steps of length dt are stable if `stiffness dt² < 4 m`.
     ///
     /// Derivatives need much smaller time steps. The time of contact within a step changes the
     /// later speed by a fraction of about `stiffness dt² / m`. The derivative of that speed with

@@ -17,7 +17,7 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// ```
 ///
 /// The determinant is computed as `m₂ l₁² l₂² (m₁ + m₂ sin² Δ)`. The difference of products would
-/// lose all digits for small m₁.
+/// lose all digits for small m₁ and sin Δ.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DoublePendulum {
     /// Masses m₁ and m₂, kg.
@@ -37,17 +37,19 @@ impl Default for DoublePendulum {
 
 /// Trigonometric functions of the angles, and accelerations.
 struct Motion<T> {
-    /// `[sin, cos]` of θ₁, θ₂ and Δ.
+    /// `[sin, cos]` of θ₁.
     first: [T; 2],
+    /// `[sin, cos]` of θ₂.
     second: [T; 2],
+    /// `[sin, cos]` of Δ.
     between: [T; 2],
-    /// `[α₁, α₂]`.
+    /// `[α₁, α₂]`, rad/s².
     accelerations: [T; 2],
 }
 
 impl DoublePendulum {
-    /// Returns kinetic plus potential energy of a state, J. It is 0 at rest with both rods
-    /// horizontal. Without torque, the equations conserve it.
+    /// Returns kinetic plus potential energy of a state, J. The energy is 0 at rest with both rods
+    /// horizontal. Without torque, the equations conserve the energy.
     pub fn energy(&self, x: &[f64]) -> f64 {
         let ([inertia, coupling, second_inertia], [weight, second_weight]) = (self.inertias(), self.weights());
         let [theta, omega, second_theta, second_omega] = [x[0], x[1], x[2], x[3]];
@@ -56,13 +58,13 @@ impl DoublePendulum {
         kinetic + weight * theta.cos() + second_weight * second_theta.cos()
     }
 
-    /// Returns `(m₁ + m₂) l₁²`, `m₂ l₁ l₂`, `m₂ l₂²`.
+    /// Returns `(m₁ + m₂) l₁²`, `m₂ l₁ l₂`, `m₂ l₂²`, in kg m².
     fn inertias(&self) -> [f64; 3] {
         let ([m1, m2], [l1, l2]) = (self.masses, self.lengths);
         [(m1 + m2) * l1 * l1, m2 * l1 * l2, m2 * l2 * l2]
     }
 
-    /// Returns `(m₁ + m₂) g l₁`, `m₂ g l₂`.
+    /// Returns `(m₁ + m₂) g l₁`, `m₂ g l₂`, in N m.
     fn weights(&self) -> [f64; 2] {
         let ([m1, m2], [l1, l2]) = (self.masses, self.lengths);
         [(m1 + m2) * self.gravity * l1, m2 * self.gravity * l2]
@@ -130,7 +132,7 @@ impl Ode for DoublePendulum {
         let [w, second_w] = self.solve([sin, cos], [rate_bar[1], rate_bar[3]]);
         let (spin, second_spin) = (x[1] * x[1], x[3] * x[3]);
         let throw = coupling * sin * R::from(2.0);
-        // sin Δ enters the torques, cos Δ the matrix.
+        // Cotangent of Δ: sin Δ enters the torques τ, cos Δ the matrix M.
         let delta_bar =
             w * (coupling * (sin * second_alpha - cos * second_spin)) + second_w * (coupling * (sin * alpha + cos * spin));
         if let Some(x_bar) = cotangents.x {

@@ -1,4 +1,4 @@
-//! Guidance by repulsion: drivers in the plane herd evaders, who flee from them, to the origin.
+//! Guidance by repulsion: drivers in the plane repel evaders and herd them to the origin.
 //!
 //! The task is that of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR
 //! 2024), after Ko and Zuazua 2020 (doi:10.1142/S0218202520400047). Signs and constants are those
@@ -51,11 +51,12 @@ impl GuidanceSystem {
     }
 }
 
-/// Task to bring the evaders to the origin with little control. The loss, in m²:
+/// Task to bring the evaders to the origin with little control. The loss, in m², is the sum of two
+/// means:
 ///
 /// ```text
-/// mean over evaders k and coordinates of E_k² (and over time, or at the end)
-///   + regularization · mean over time, drivers j and their two numbers of c_j²
+/// E²                    mean over evaders and both coordinates, and over time or at the end
+/// regularization · c²   mean over time, drivers and both control components
 /// ```
 ///
 /// `S` is any system that contains a [`GuidanceSystem`]: alone, with effects, or behind an

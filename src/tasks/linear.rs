@@ -65,8 +65,8 @@ impl LinearPlant {
         Self { state_dim: n, control_dim: m, a, b }
     }
 
-    /// Returns the plant under the policy `u = K x`, with `A + B K` in place of A. Further controls
-    /// add to the policy. K is row-major.
+    /// Returns the plant under the policy `u = K x`, with `A + B K` in place of A. K is row-major.
+    /// The control of the new plant adds to `K x`.
     ///
     /// # Panics
     /// If K is not `control_dim × state_dim`.

@@ -8,7 +8,8 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use crate::numbers::zip::zip;
 
-/// Simplest physics, `x' = x + u`. The backward flow is the identity: it neither grows nor decays.
+/// Simplest physics, `x' = x + u`. The Jacobian `∂x'/∂x` is the identity, so cotangents neither
+/// grow nor decay along a rollout.
 ///
 /// State and control have the same number of components, without units.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,8 +42,8 @@ impl System for Accumulator {
     }
 }
 
-/// Task of the paper's figure 1: from one initial state to a target, `L = (x_T - y)² / 2`. The
-/// default is the paper's.
+/// Task of the paper's figure 1: from one initial state to a target, `L = (x_T - y)² / 2`. Default
+/// values are those of the paper.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reach {
     /// System to control, with one component.
@@ -94,7 +95,7 @@ pub struct Bowl {
     pub system: Accumulator,
     /// Curvatures a and b.
     pub curvatures: [f64; 2],
-    /// Angle of the axis of a from the first component, counter-clockwise, rad.
+    /// Angle from the axis of the first component to that of curvature a, counter-clockwise, rad.
     pub angle: f64,
 }
 

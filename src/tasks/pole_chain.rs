@@ -9,13 +9,13 @@ use crate::tasks::{CartPoleSystem, MassError};
 use arrayvec::ArrayVec;
 use factor::{factor, solve};
 
-/// Chain of rigid, uniform poles: the first is hinged on the cart, each other pole on the end of
-/// its predecessor.
+/// Chain of rigid, uniform poles: the first is hinged on the cart, each other pole on the free end
+/// of the previous pole.
 ///
 /// State, control and constants are those of [`CartPoleSystem`]. The state is
 /// `[x, ẋ, θ₁, ω₁, θ₂, ω₂, …]`, the pole on the cart first. Each angle is measured from upright.
 /// All numbers must be fixed ([`check`](PoleChain::check)), because the equations use nominal
-/// values. `dt` is unused, because an [`Integrator`](crate::Integrator) makes the steps.
+/// values. The vector field does not use `dt`; [`Integrated`](crate::Integrated) has a time step.
 ///
 /// The n poles have mass m, half length l and inertia m l²/3 about their middle. M is the mass of
 /// the cart and all poles. Lagrange's equations are:
@@ -27,8 +27,8 @@ use factor::{factor, solve};
 /// ```
 ///
 /// The mass matrix is symmetric and positive definite, even for a massless cart. Cholesky's method
-/// solves it in O(n³). The reverse pass uses the same factors. With one pole, the equations are
-/// those of [`CoupledCartPole`](crate::tasks::CoupledCartPole).
+/// solves the equations in O(n³). The reverse pass uses the same factors. With one pole, the
+/// equations are those of [`CoupledCartPole`](crate::tasks::CoupledCartPole).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PoleChain(pub CartPoleSystem);
 
@@ -41,7 +41,9 @@ type Triangle<T> = ArrayVec<T, { MAX_BODIES * (MAX_BODIES + 1) / 2 }>;
 
 /// Terms of the equations of motion.
 struct Motion<T> {
+    /// Sine of each angle.
     sin: Each<T>,
+    /// Cosine of each angle.
     cos: Each<T>,
     /// Factors of the mass matrix.
     factors: Triangle<T>,
@@ -71,8 +73,8 @@ impl PoleChain {
         self.0.check_up_to(Self::MAX_POLES)
     }
 
-    /// Returns kinetic plus potential energy of a state, J. It is 0 at rest with all poles
-    /// horizontal. Without control, the equations conserve it.
+    /// Returns kinetic plus potential energy of a state, in joules. The energy is 0 at rest with
+    /// all poles horizontal. Without control, the equations conserve the energy.
     pub fn energy(&self, x: &[f64]) -> f64 {
         let pole = |k: usize| (x[2 + 2 * k], x[3 + 2 * k]);
         let mut energy = 0.5 * self.mass() * x[1] * x[1];
@@ -93,7 +95,7 @@ impl PoleChain {
         cart_mass + self.0.poles as f64 * pole_mass
     }
 
-    /// Returns p of pole `k`, counted from 0.
+    /// Returns p of pole `k`, counted from 0, in kg m.
     #[inline(always)]
     fn moment(&self, k: usize) -> f64 {
         let above = (self.0.poles - 1 - k) as f64;
@@ -101,7 +103,7 @@ impl PoleChain {
         pole_mass * half_length * (1.0 + 2.0 * above)
     }
 
-    /// Returns I of poles `j ≤ k`, counted from 0.
+    /// Returns I of poles `j ≤ k`, counted from 0, in kg m².
     #[inline(always)]
     fn inertia(&self, j: usize, k: usize) -> f64 {
         let above = (self.0.poles - 1 - k) as f64;

@@ -1,4 +1,4 @@
-//! Quantum control: tilting the floor of a box brings a particle into an eigenstate.
+//! Quantum control: a linear potential brings a particle in a box into an eigenstate.
 //!
 //! The task is that of "Stabilizing Backpropagation Through Time to Learn Complex Physics" (ICLR
 //! 2024). Units: ħ = 1 and m = 1/2, so the Hamiltonian is `-∂²/∂x² + V`. [`Quantum`] is the task,
@@ -55,8 +55,8 @@ any_effect! {
 pub struct Quantum<S = QuantumSystem> {
     /// System to control.
     pub system: S,
-    /// Number of the target eigenstate, from 1 (the ground state) to the number of grid points.
-    /// (The paper counts from 0.)
+    /// Number of the target eigenstate, from 1 (the ground state) to the number of grid points. The
+    /// paper counts from 0.
     pub target: usize,
     /// States that enter the loss. [`LossMode::Terminal`]: infidelity of the last state.
     /// [`LossMode::Running`]: sum of the infidelity over all states after the initial one, between
@@ -124,8 +124,8 @@ impl<S: HasModel<QuantumSystem>> Task for Quantum<S> {
         self.horizon
     }
 
-    /// Draws `(c₁ e^{ip₁} φ₁ + c₂ e^{ip₂} φ₂) / sqrt(c₁² + c₂²)`. The amplitudes c are normal,
-    /// times the weights; the phases p are uniform.
+    /// Draws `(c₁ e^{ip₁} φ₁ + c₂ e^{ip₂} φ₂) / sqrt(c₁² + c₂²)`. The amplitudes c are standard
+    /// normal, times the weights. The phases p are uniform.
     ///
     /// # Panics
     /// If both weights are zero, one is non-finite, or they are so large or small that the state

@@ -10,9 +10,9 @@ use rand::RngExt;
 /// Gravitational acceleration g, m/s².
 const GRAVITY: f64 = 9.81;
 
-/// Number of Newton iterations. Where friction and push nearly cancel, convergence takes two
-/// iterations per unit of `|v'| / smoothing`, and five more. This ratio is at most about 9 at a
-/// smoothing of 1e-9 m/s.
+/// Number of Newton iterations. Convergence is slowest where friction and push nearly cancel: two
+/// iterations per unit of `|v'| / ε`, and five more. There, the default block with a smoothing
+/// speed ε of 1e-9 m/s has `|v'| / ε ≤ 9`.
 const ROUNDS: usize = 24;
 
 /// Block on a table, pushed along one line. State `[position m, speed m/s]`, control `[push N]`.
@@ -63,7 +63,7 @@ impl Default for SliderSystem {
     }
 }
 
-/// Speed after a step, with its derivatives with respect to the speed before it and the push.
+/// Speed after a step, and its derivatives with respect to the speed before the step and the push.
 struct Slid<T> {
     speed: T,
     by_speed: T,
@@ -71,7 +71,7 @@ struct Slid<T> {
 }
 
 impl SliderSystem {
-    /// Returns the largest change of speed due to friction in one step, `dt μ g`.
+    /// Returns the largest change of speed due to friction in one step, `dt μ g`, m/s.
     pub fn grip(&self) -> f64 {
         self.dt * self.coefficient * GRAVITY
     }
@@ -95,10 +95,10 @@ impl SliderSystem {
 
     /// Returns the root z of `z + b tanh(z/ε) = w`, with `b = dt μ g`, and dz/dw.
     ///
-    /// In `y = |z|/ε`, the left side `ε y + b tanh y` is increasing and concave. Started below the
-    /// root, Newton's iteration therefore converges monotonically and needs no safeguard.
-    /// Increments of y are clamped at 0, because rounding could otherwise make them negative. The
-    /// initial value is the larger of two lower bounds, from `tanh y ≤ y` and `tanh y ≤ 1`.
+    /// In `y = |z|/ε`, the left side `ε y + b tanh y` is increasing and concave. Newton's iteration
+    /// from below the root therefore converges monotonically and needs no safeguard. Increments of
+    /// y are clamped at 0, because rounding could otherwise make them negative. The initial value
+    /// is the larger of two lower bounds, which follow from `tanh y ≤ y` and `tanh y ≤ 1`.
     ///
     /// The iteration uses plain values. Dual numbers receive the derivative by the implicit
     /// function theorem, `dz/dw = ε / (ε + b (1 - tanh² y))`.
@@ -117,8 +117,8 @@ impl SliderSystem {
     }
 }
 
-/// Computes tanh with an accurate derivative. The derivative of dual numbers would be `1 - tanh²`.
-/// The factor `dt μ g/ε` would amplify its rounding error.
+/// Computes tanh with an accurate derivative. Dual numbers would compute the derivative as
+/// `1 - tanh²`, and the factor `dt μ g/ε` would amplify the rounding error of this difference.
 #[inline(always)]
 fn tanh<T: Scalar>(y: T) -> T {
     let at = y.detach();

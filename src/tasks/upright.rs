@@ -14,8 +14,8 @@ use std::f64::consts::PI;
 /// Task to swing up or balance, with the mean of `1 - cos θ` over the angles as loss.
 ///
 /// This mean lies between 0 (all upright) and 2 (all hanging). It is evaluated at the last
-/// state or averaged over time, as in [`CartPole`](crate::tasks::CartPole). The mean over time of
-/// `control_weight |u|²/2` is added.
+/// state or averaged over time, as in [`CartPole`](crate::tasks::CartPole). The loss also contains
+/// the mean over time of `control_weight |u|²/2`.
 ///
 /// The angles are every second component of the state, starting at
 /// [`first_angle`](Upright::first_angle).
@@ -32,7 +32,7 @@ pub struct Upright<S> {
     pub spread: f64,
     /// States that enter the loss.
     pub loss: LossMode,
-    /// Weight of the control in the loss.
+    /// Weight of `|u|²/2` in the loss, per squared unit of the control.
     pub control_weight: f64,
     /// Number of steps.
     pub horizon: usize,
@@ -42,13 +42,14 @@ pub struct Upright<S> {
 type Stepped<O> = Integrated<O, RungeKutta>;
 
 impl<S> Upright<S> {
-    /// Creates a swing-up from within ±π/6 of hanging: 100 steps, terminal loss, no control cost.
+    /// Creates a swing-up: 100 steps, terminal loss, no control cost. Initial angles lie within
+    /// ±π/6 of hanging, other components within ±π/6 of 0.
     fn swing_up(system: S, first_angle: usize) -> Self {
         Self { system, first_angle, from: PI, spread: PI / 6.0, loss: LossMode::Terminal, control_weight: 0.0, horizon: 100 }
     }
 
-    /// Converts the task to balancing: initial states within ±0.05 of upright, running loss, a
-    /// small control cost.
+    /// Converts the task to balancing: running loss, control weight 0.001. Initial components lie
+    /// within ±0.05 of upright or of 0.
     pub fn held(self) -> Self {
         Self { from: 0.0, spread: 0.05, loss: LossMode::Running, control_weight: 1e-3, ..self }
     }

@@ -23,10 +23,10 @@ pub struct Limit {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum LimitKind {
-    /// `bound tanh(u / bound)`. The gradient decays smoothly beyond the bound.
+    /// `bound tanh(u / bound)`. The derivative `1 - tanh²(u / bound)` decays smoothly to 0.
     #[default]
     Smooth,
-    /// `u`, clipped at ±bound. The gradient is 0 beyond the bound.
+    /// `u`, clipped at ±bound. The derivative is 0 beyond the bound.
     Hard,
 }
 
@@ -41,7 +41,7 @@ impl Actuator for Limit {
         for (out, &u) in zip(out.iter_mut(), u) {
             *out = match self.kind {
                 LimitKind::Smooth => bound * (u * (1.0 / self.bound)).tanh(),
-                // In this order, NaN propagates.
+                // `min` and `max` return their argument if an operand is NaN, so NaN propagates.
                 LimitKind::Hard => (-bound).max(bound.min(u)),
             };
         }
@@ -68,7 +68,7 @@ impl Actuator for Limit {
     }
 }
 
-/// First-order lag: `ḟ = (u - f) / time`, solved exactly over a step with constant `u`.
+/// First-order lag `ḟ = (u - f) / time`, exact for a control `u` that is constant during a step.
 ///
 /// The system's control is `f` at the end of the step. Adds `f` to the state, one component per
 /// control.

@@ -44,7 +44,7 @@ impl<B> Debug for DynEffect<B> {
     }
 }
 
-/// Whether both are the same object.
+/// True if both point to the same effect object.
 impl<B> PartialEq for DynEffect<B> {
     fn eq(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
@@ -59,9 +59,9 @@ trait AnyEffect<B>: Debug + Send + Sync {
     fn varied(&self, first: usize) -> Vec<Varied>;
     fn draw_params(&self, rng: &mut Rng, p: &mut [f64]);
     fn state_dependent(&self) -> bool;
-    /// Writes the function [`Forces`] for one scalar.
+    /// Writes the pointer of [`Forces`] for the scalar of `slot`.
     fn add_forces(&self, slot: &mut dyn Any);
-    /// Writes the function [`Reverse`] for one scalar and cotangent.
+    /// Writes the pointer of [`Reverse`] for the scalar and the cotangent of `slot`.
     fn vjp(&self, slot: &mut dyn Any);
 }
 
@@ -147,7 +147,7 @@ impl<B: 'static> Effect<B> for DynEffect<B> {
     }
 
     /// # Panics
-    /// If `T` is not a number of rollouts, checks, counts or default derivatives.
+    /// If `T` is not a scalar of rollouts, checks, counts, diagnoses or default derivatives.
     fn add_forces<T: Scalar>(&self, model: &B, inputs: OdeInputs<'_, T>, forces: &mut [T]) {
         let mut slot: Option<AddForcesOf<B, T>> = None;
         self.0.add_forces(&mut slot);

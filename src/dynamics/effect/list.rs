@@ -69,7 +69,7 @@ impl<B, E: Effect<B>> Effect<B> for Vec<E> {
 }
 
 /// Arguments of [`Effect::add_forces`], to be outlined. Inlining every effect of a list into every
-/// loop slows compilation.
+/// loop over samples slows compilation.
 pub(crate) struct AddForces<'a, B, E, T> {
     pub effect: &'a E,
     pub model: &'a B,

@@ -7,7 +7,8 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
 /// Effect with a name for messages, such as its key in a scene. Results are bitwise equal to
-/// those of the unnamed effect. The names of its numbers begin with this name: `wind.speed`.
+/// those of the unnamed effect. The names of its numbers begin with the name of the effect:
+/// `wind.speed`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Named<E> {
     /// Name in messages.

@@ -1,4 +1,4 @@
-//! Systems without effects.
+//! [`system_without_effects`]: a [`ForcedSystem`](super::ForcedSystem) as a system on its own.
 
 /// Implements [`System`] and [`HasModel`] for a [`ForcedSystem`] without effects.
 macro_rules! system_without_effects {

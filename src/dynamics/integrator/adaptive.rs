@@ -16,11 +16,12 @@ use crate::numbers::zip::zip;
 /// 1 or more        reject the step, halve the step size
 /// ```
 ///
-/// Every sample has its own step sizes. Lanes are bit-identical to scalar computations. Derivatives
-/// are those of the accepted steps at constant step sizes. Step sizes are piecewise constant
-/// functions of the state.
+/// Every sample has its own step sizes. Lanes are bit-identical to scalar computations.
 ///
-/// Yields NaN if a time step is incomplete after `most` attempts.
+/// Derivatives are those of the accepted steps at constant step sizes. Step sizes are piecewise
+/// constant functions of the state, so these derivatives are exact almost everywhere.
+///
+/// A sample becomes NaN if its time step is incomplete after `most` attempts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Adaptive {
     /// Relative tolerance. Below [`floor`](Adaptive::floor), rounding errors dominate.
@@ -37,8 +38,8 @@ impl Default for Adaptive {
     }
 }
 
-/// Error estimate, the difference of the fifth- and fourth-order results: weights of the six stages
-/// and of the rate at the end of the step.
+/// Weights of the error estimate, the difference of the fifth- and fourth-order results: six for
+/// the stages, one for the rate at the end of the step.
 const ERROR: [f64; 7] = [
     -0.001_780_011_052_225_777,
     -0.000_816_434_459_656_746_9,
@@ -93,7 +94,8 @@ impl Adaptive {
         }
     }
 
-    /// Largest error relative to the tolerance, detached from differentiation.
+    /// Largest error among the components, relative to the tolerance. Detached from
+    /// differentiation.
     #[inline(always)]
     fn error<T: Scalar>(&self, step: T, x: &[T], candidate: &[T], rates: &[T], last: &[T]) -> T {
         let n = x.len();
@@ -113,7 +115,7 @@ impl Adaptive {
     }
 }
 
-/// Inputs of a step that begins at `time`; see [`RungeKutta::run`].
+/// Inputs of a step of duration `step` s that begins at `time` s; see [`RungeKutta::run`].
 #[inline(always)]
 fn span<T: Scalar>(inputs: Inputs<'_, T>, time: T, step: T) -> Inputs<'_, T, impl Fn(f64) -> T + Copy> {
     inputs.at(move |fraction| time + step * fraction)

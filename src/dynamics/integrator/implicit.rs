@@ -8,13 +8,13 @@ use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 /// The implicit midpoint rule, `x' = x + h f((x + x')/2, u, p, t + h/2)`: order 2, symplectic,
 /// A-stable.
 ///
-/// Solved by simplified Newton iteration. The Jacobian is constant: central differences at the
-/// midpoint of an explicit Euler step. Each sample iterates until it converges, and yields NaN
-/// after 30 iterations without convergence.
+/// Simplified Newton iteration solves the equation. The Jacobian is constant: central differences
+/// at the midpoint of an explicit Euler step. Each sample iterates until it converges, and becomes
+/// NaN after 30 iterations without convergence.
 ///
 /// The reverse pass differentiates the solution, not the iteration, by the implicit function
-/// theorem. It recomputes the solution to 256 ε, regardless of `tolerance`. With
-/// `A = I - h/2 ∂f/∂x` at the midpoint,
+/// theorem. For any `tolerance`, the reverse pass recomputes the solution with a tolerance of 256
+/// machine epsilons. With `A = I - h/2 ∂f/∂x` at the midpoint,
 ///
 /// ```text
 /// w = A⁻ᵀ x̄',   x̄ = 2 w - x̄',   ū += h (∂f/∂u)ᵀ w
@@ -24,7 +24,8 @@ use crate::numbers::scalar::{Cotangent, Float, Real, Scalar};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImplicitMidpoint {
     /// Bound on the largest correction `|Δx'_i| / (1 + |x'_i|)`, to be met in two successive
-    /// iterations. Clamped to at least 256 ε: corrections of stiff fields stagnate near that size.
+    /// iterations. Clamped to at least 256 machine epsilons, because corrections of stiff fields
+    /// stagnate near that size.
     pub tolerance: f64,
 }
 
@@ -72,7 +73,8 @@ impl ImplicitMidpoint {
         }
     }
 
-    /// Simplified Newton iteration. Returns 0 in lanes that converged, else a positive number.
+    /// Solves for the next state by simplified Newton iteration. Returns 0 in lanes that converged,
+    /// else a positive number.
     #[inline(always)]
     fn iterate<T: Scalar>(tolerance: f64, ode: &dyn DynOde<T>, dt: f64, inputs: Inputs<'_, T>, next: &mut [T]) -> T {
         let (h, x, n) = (T::from(dt), inputs.x, inputs.x.len());
@@ -184,7 +186,7 @@ impl Integrator for ImplicitMidpoint {
         }
         ode.rate(halfway(dt, inputs).with_x(&middle), &mut rate);
         let residual = (0..x.len()).map(|i| (next[i] - x[i] - h * rate[i]).lane(0).to_f64().abs());
-        // A NaN residual is reported as infinite.
+        // Report a NaN residual as infinite.
         let largest = residual.fold(0.0, |largest, r| if r.is_nan() { f64::INFINITY } else { r.max(largest) });
         R::any_lt(R::zero(), to_go).then_some(largest)
     }

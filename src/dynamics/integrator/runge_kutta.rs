@@ -68,9 +68,10 @@ impl RungeKutta {
         self.0.stages
     }
 
-    /// Writes the argument of each stage to `at` and the rate there to `rates`, each stages × n.
+    /// Writes the argument of each stage to `at` and its rate to `rates`. Both have shape
+    /// (stages, n) for n state components.
     ///
-    /// `inputs.t` returns the time at a fraction of the step.
+    /// `inputs.t` returns the time in s at a fraction of the step.
     #[inline(always)]
     pub(super) fn run<T: Scalar>(
         &self,
@@ -104,7 +105,7 @@ impl RungeKutta {
         }
     }
 
-    /// Workspace for the arguments and rates of all stages.
+    /// Workspace for the arguments and rates of all stages, for `n` state components.
     #[inline(always)]
     pub(super) fn stage_buffers<T: Scalar>(&self, n: usize) -> (Buffer<T>, Buffer<T>) {
         (buffer(T::zero(), self.0.stages * n), buffer(T::zero(), self.0.stages * n))

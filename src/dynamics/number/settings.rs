@@ -5,6 +5,7 @@ use serde::de::{Deserialize, Deserializer, Error, MapAccess, Visitor};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use std::fmt;
 
+/// Keys of the table of a number that is not fixed.
 const KEYS: [&str; 7] = ["uniform", "normal", "log_uniform", "choice", "start", "min", "max"];
 
 impl Serialize for Number {
@@ -71,7 +72,7 @@ impl<'de> Visitor<'de> for NumberVisitor {
                 "min" => min = Some(map.next_value()?),
                 "max" => max = Some(map.next_value()?),
                 key if KEYS.contains(&key) && drawn.is_none() => drawn = Some(distribution(key, &map.next_value::<Vec<f64>>()?)),
-                key if KEYS.contains(&key) => return Err(A::Error::custom("a number has one distribution")),
+                key if KEYS.contains(&key) => return Err(A::Error::custom("two distributions; choose one")),
                 _ => return Err(A::Error::unknown_field(&key, &KEYS)),
             }
         }

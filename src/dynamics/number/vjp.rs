@@ -9,11 +9,12 @@ pub(crate) type ParamDual = Dual64;
 /// Function of state, control and parameters that writes outputs.
 type Differentiable<'a> = &'a dyn Fn([&[ParamDual]; 3], &mut [ParamDual]);
 
-/// Adds the product of `output_bars` and the derivative of `function` by its parameters to `p_bar`.
+/// Adds the product of `output_bars` and the derivative of `function` with respect to its
+/// parameters to `p_bar`.
 ///
-/// `inputs` are state, control and parameters. The function evaluates the derivatives in f64, one
-/// sample and one parameter at a time. It uses the dual numbers of the checks, so a system compiles
-/// for no further scalar.
+/// `inputs` are state, control and parameters. Derivatives are evaluated in f64, for one sample and
+/// one parameter at a time. The scalar is that of the checks, so a system compiles for no further
+/// scalar.
 #[inline(never)]
 pub(crate) fn param_vjp<R: Real, C: Cotangent<R>>(
     function: Differentiable<'_>,

@@ -16,7 +16,8 @@ use serde::{Deserialize, Serialize};
 ///
 /// The damping is that of Hunt and Crossley 1975 (doi:10.1115/1.3423596) with a linear spring. The
 /// force is continuous at contact, but the derivative is not. At the point of contact, the
-/// derivative is that of the free side. Explicit steps of length dt need `stiffness dt² < 4 M`.
+/// derivative is 0, as without contact. Semi-implicit steps of length dt need about
+/// `stiffness dt² < 4 M`, with the total mass M.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]

@@ -30,20 +30,20 @@ pub struct CoupledCartPole(pub CartPoleSystem);
 /// Constants of the model in one scalar type.
 struct Constants<T> {
     dt: T,
-    /// m l.
+    /// m l, kg m.
     moment: T,
-    /// m g l.
+    /// m g l, N m.
     weight: T,
-    /// M.
+    /// M, kg.
     mass: T,
-    /// 1 / J.
+    /// 1 / J, 1/(kg m²).
     per_inertia: T,
 }
 
 impl CoupledCartPole {
-    /// Returns kinetic plus potential energy of a state, J. It is 0 at rest with all poles
-    /// horizontal. Without control and effects, the equations conserve it. Numbers that vary have
-    /// their nominal values.
+    /// Returns kinetic plus potential energy of a state, in joules. The energy is 0 at rest with
+    /// all poles horizontal. Without control and effects, the equations conserve the energy.
+    /// Numbers that vary have their nominal values.
     ///
     /// ```text
     /// M ẋ²/2 + Σ_i (J ω_i²/2 + m l ẋ ω_i cos θ_i + m g l cos θ_i)

@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 
 /// Viscous friction in the joints of the poles: `τ_i = -damping ω_i`.
 ///
-/// Source: Barto, Sutton and Anderson 1983 (doi:10.1109/TSMC.1983.6313077), with the coefficient
-/// 0.000002.
+/// Source: Barto, Sutton and Anderson 1983 (doi:10.1109/TSMC.1983.6313077). Their coefficient is
+/// 0.000002, the default here 0.002.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -100,7 +100,8 @@ impl Effect<CartPoleSystem> for CartDamping {
 /// Dry (Coulomb) friction of the cart on its rail, smoothed: `F = -force tanh(ẋ / smoothing)`.
 ///
 /// Smoothing is necessary because sgn(ẋ) has no derivative at 0. Below the speed `smoothing`, the
-/// cart creeps instead of sticking. Explicit steps of length dt need `force dt < 2 smoothing M`.
+/// cart creeps instead of sticking. Explicit steps of length dt need about
+/// `force dt < 2 smoothing M`, with the total mass M.
 ///
 /// Source: Andersson, Söderberg and Björklund 2007 (doi:10.1016/j.triboint.2005.11.014), eq. 3.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

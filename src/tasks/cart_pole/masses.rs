@@ -27,7 +27,7 @@ pub enum MassError {
         poles: f64,
     },
     /// A number of a chain of poles is not fixed.
-    #[error("{number} is not fixed; allowed: fixed numbers, because this system has no other")]
+    #[error("{number} is not fixed; allowed: fixed numbers, because a chain of poles computes with constants")]
     Varies {
         /// Name of the number.
         number: String,
@@ -46,15 +46,15 @@ impl CartPoleSystem {
     /// Smallest cart mass relative to the mass of all poles.
     ///
     /// The equations of motion remain solvable for lighter carts, even massless ones, because
-    /// uniform poles have inertia about their middle. Rounding of the total mass then makes the
-    /// computed motion that of a different cart.
+    /// uniform poles have inertia about their middle. However, rounding of the total mass then
+    /// changes the mass of the cart noticeably.
     pub const LIGHTEST_CART: f64 = 1e-9;
 
     /// Checks that the masses, the half length and the number of poles are valid, for all values
     /// that numbers may have.
     ///
     /// A negative cart mass is rejected as unphysical. The equations of [`CoupledCartPole`] are
-    /// solvable down to minus a quarter of the poles' mass, where they are singular.
+    /// solvable at all angles for cart masses above minus a quarter of the poles' mass.
     ///
     /// # Errors
     /// Returns a [`MassError`] for the first invalid parameter.

@@ -7,7 +7,8 @@ use crate::dynamics::number::Numbers;
 use crate::dynamics::ode::ForcedOde;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
-/// Either model of poles side by side. Results equal those of the model itself, bit for bit.
+/// Either model of a cart with poles side by side. Results equal those of the contained model bit
+/// for bit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CartPoleModel {
     /// Poles do not act on each other.

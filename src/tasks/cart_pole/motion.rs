@@ -1,4 +1,5 @@
-//! Motion of the poles from their accelerations, in a step and in a vector field, for both models.
+//! Angles and rates of the poles from their accelerations, in a step and in a vector field. Shared
+//! by the uncoupled and the coupled model.
 
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 

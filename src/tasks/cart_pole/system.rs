@@ -34,7 +34,7 @@ pub(super) type Forces<T> = ArrayVec<T, { CartPoleSystem::MAX_POLES + 1 }>;
 pub struct CartPoleSystem {
     /// Number of poles, at most [`MAX_POLES`](CartPoleSystem::MAX_POLES).
     pub poles: usize,
-    /// Mass of the cart, kg. M is this plus the mass of one pole.
+    /// Mass of the cart, kg. M is the sum of this mass and `pole_mass`.
     pub cart_mass: Number,
     /// Mass m of a pole, kg.
     pub pole_mass: Number,
@@ -66,7 +66,7 @@ impl CartPoleSystem {
         Numbers::new([("cart_mass", cart_mass), ("pole_mass", pole_mass), ("half_length", half_length), ("gravity", gravity)])
     }
 
-    /// Nominal cart mass, pole mass, half length and gravity.
+    /// Nominal cart mass and pole mass in kg, half length in m, and gravity in m/s².
     pub fn nominal(&self) -> [f64; 4] {
         [self.cart_mass, self.pole_mass, self.half_length, self.gravity].map(|number| number.nominal())
     }
@@ -82,7 +82,7 @@ impl CartPoleSystem {
     pub const MAX_POLES: usize = 64;
 
     /// Appends sine and cosine of every angle to `trig`, and the forces with `effects` to
-    /// `forces`. `weight` is m g l.
+    /// `forces`. `weight` is m g l in N m.
     ///
     /// Both buffers must be empty on entry. Returning them would copy their whole capacity.
     #[inline(always)]
@@ -107,15 +107,15 @@ impl CartPoleSystem {
 /// Constants of [`CartPoleSystem`] in one scalar type.
 struct Constants<T> {
     dt: T,
-    /// m l.
+    /// m l, kg m.
     moment: T,
-    /// m g l.
+    /// m g l, N m.
     weight: T,
-    /// 1 / M.
+    /// 1 / M, 1/kg.
     per_mass: T,
-    /// 4 m l² / 3.
+    /// 4 m l² / 3, kg m².
     inertia: T,
-    /// (m l)² / M.
+    /// (m l)² / M, kg m².
     coupling: T,
 }
 
@@ -252,7 +252,8 @@ impl CartPoleSystem {
 
             let ([theta_bar, omega_bar], alpha_bar) = pole_bar(i);
             let alpha_bar = alpha_bar - push_bar * lever;
-            // α = (τ - m l cos θ A) / denominator. `thrust_bar` is the cotangent of the sum in A.
+            // α = (τ - m l cos θ A) / (4 m l²/3 - (m l cos θ)²/M). `thrust_bar` is the cotangent of
+            // M A = F + m l sin θ ω².
             let torque_bar = alpha_bar * per_inertia;
             let thrust_bar = -(torque_bar * (lever * k.per_mass));
             force_bar += thrust_bar;

@@ -11,7 +11,7 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-/// Air drag on cart and poles. In still air (`speed = 0`) it slows them down.
+/// Air drag on cart and poles. In still air (`speed = 0`), drag slows cart and poles down.
 ///
 /// ```text
 /// cart:   F   = cart_drag |w - ẋ| (w - ẋ)
@@ -64,7 +64,7 @@ impl Default for SteadyWind {
 }
 
 impl SteadyWind {
-    /// Wind speed and drag.
+    /// Wind speed, m/s, and drag.
     #[inline(always)]
     fn values<T: Scalar>(&self, model: &CartPoleSystem, p: &[T]) -> (T, Drag<T>) {
         let [speed, cart, pole] = Effect::<CartPoleSystem>::numbers(self).of(p);
@@ -129,7 +129,7 @@ impl Default for GustyWind {
 }
 
 impl GustyWind {
-    /// Wind speed, its derivative with respect to time, and drag.
+    /// Wind speed, m/s, its derivative with respect to time, m/s², and drag.
     #[inline(always)]
     fn values<T: Scalar>(&self, model: &CartPoleSystem, OdeInputs { p, t, .. }: OdeInputs<'_, T>) -> (T, T, Drag<T>) {
         let [speed, gust, cart, pole] = Effect::<CartPoleSystem>::numbers(self).of(&p[1..]);
@@ -205,8 +205,8 @@ impl<T: Scalar> Drag<T> {
 }
 
 impl<R: Real> Drag<R> {
-    /// Adds the cotangents of the state, if requested, and returns that of the wind speed. The
-    /// derivative of `|v| v` is `2 |v|`, at 0 as well.
+    /// Adds the cotangents of the state, if requested, and returns the cotangent of the wind speed.
+    /// The derivative of `|v| v` is `2 |v|`, also at `v = 0`.
     #[inline(always)]
     fn vjp<C: Cotangent<R>>(self, model: &CartPoleSystem, wind: R, x: &[R], forces_bar: &[C], mut x_bar: Option<&mut [C]>) -> C {
         let (pole_drag, l) = (self.pole, self.half_length);

@@ -15,19 +15,21 @@ struct Impact<T> {
 }
 
 impl<T: Scalar> Impact<T> {
-    /// Returns the first root of `g + v t + a t²/2` at which the gap closes. The speed there is
-    /// `s = sqrt(v² - 2 a g)`.
+    /// Returns the first root of `g + v t + a t²/2` at which the gap closes, for a gap of width g
+    /// and speed v under the acceleration a. The closing speed is `s = sqrt(v² - 2 a g)`.
     ///
     /// ```text
-    /// closing, v ≤ 0 : t = 2 g / (s - v)                if s is real and not 0; a gap that is closed and pressed: 0
-    /// opening, v > 0 : t = (v + s) / -a                 if a < 0
+    /// closing, v ≤ 0 : t = 2 g / (s - v)      if s is real and not 0
+    ///                  t = 0                  if not, and a < 0
+    /// opening, v > 0 : t = (v + s) / -a       if a < 0
+    /// otherwise      : no impact, t = 4 dt
     /// ```
     ///
     /// Neither form subtracts nearly equal numbers. Unused roots and quotients are evaluated at 1,
     /// so no derivative takes the root of 0.
     ///
-    /// Rounding may leave a gap slightly negative. If `v² > 2 |a g|`, it is moved back to its
-    /// impact, by at most dt. Otherwise it rests if `a < 0`, and moves freely if not.
+    /// Rounding may leave a closing gap slightly negative. If `v² > 2 |a g|`, the impact time is
+    /// negative, at least -dt. Otherwise the gap is at rest if `a < 0`, and moves freely if not.
     #[inline(always)]
     fn next(gap: Gap<T>, acceleration: T, dt: f64) -> Self {
         let (zero, one, never) = (T::zero(), T::one(), T::from(4.0 * dt));
@@ -35,7 +37,7 @@ impl<T: Scalar> Impact<T> {
         let square = speed_squared + gain;
         let certain = T::select_lt(gap.width, zero, speed_squared - gain.abs(), square);
         let root = T::select_lt(zero, square, square, one).sqrt();
-        // Propagate NaN.
+        // The factor 0 propagates NaN.
         let speed = T::select_lt(zero, square, root, square * zero);
 
         let pressed = T::select_lt(acceleration, zero, zero, never);
@@ -49,8 +51,8 @@ impl<T: Scalar> Impact<T> {
 }
 
 /// Advances a gap as described in [`Contact::TimeOfImpact`](super::Contact::TimeOfImpact). At an
-/// impact the width is exactly 0 and has no derivative. The impact time enters the result through
-/// the remaining time.
+/// impact, the width is the constant 0, with derivative 0. The impact time enters the result
+/// through the remaining time.
 #[inline(always)]
 pub(super) fn advance<T: Scalar>(mut gap: Gap<T>, acceleration: T, restitution: f64, dt: f64) -> Gap<T> {
     let (zero, restitution) = (T::zero(), T::from(restitution));
@@ -63,7 +65,7 @@ pub(super) fn advance<T: Scalar>(mut gap: Gap<T>, acceleration: T, restitution: 
     }
     let fifth = Impact::next(gap, acceleration, dt);
     let free = gap.free(acceleration, left);
-    // At rest; NaN propagates.
+    // A fifth impact sets the gap to rest. The factor 0 sets the speed to 0 but propagates NaN.
     Gap {
         width: T::select_lt(fifth.time, left, zero, free.width),
         speed: T::select_lt(fifth.time, left, free.speed * zero, free.speed),

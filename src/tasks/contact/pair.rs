@@ -8,7 +8,7 @@ use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Real, Scalar};
 use rand::RngExt;
 
-/// Two bodies on a line without friction, of which the first is pushed.
+/// Two bodies on a line without friction. The control pushes the first body.
 ///
 /// State `[p, q, ṗ, q̇]`: positions of the centers in m, with `q` to the right of `p`, and speeds
 /// in m/s. Control `[push N]`, on the first body, to the right.
@@ -38,8 +38,8 @@ impl TwoBodies {
         Self { masses: [1.0, 1.0], contact_distance: 0.1, contact: Contact::TimeOfImpact { restitution: 1.0 }, dt: 0.01 }
     }
 
-    /// Creates a pusher of 1 kg and a box of 2 kg. After contact they stay together until the
-    /// pusher is pulled back.
+    /// Creates a pusher of 1 kg and a box of 2 kg. After contact, both stay together until the
+    /// control pulls the pusher back.
     pub fn pusher() -> Self {
         Self { masses: [1.0, 2.0], contact: Contact::TimeOfImpact { restitution: 0.0 }, ..Self::balls() }
     }

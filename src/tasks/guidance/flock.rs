@@ -9,18 +9,19 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 use serde::{Deserialize, Serialize};
 
 /// Attraction or repulsion among evaders. With `r = E_i - E_k` and `d = softening + |r|`, evaders
-/// with `d < distance` attract each other, and those farther apart repel each other:
+/// with `d < distance` attract each other, and evaders with `d > distance` repel each other:
 ///
 /// ```text
 /// evader k : v̇ += strength Σ_{i≠k} (distance / d - 1) r / d
 /// ```
 ///
-/// The sign is that of the authors' code (tum-pbs/StableBPTT), whose comment states the opposite.
-/// With a negative strength, near evaders repel each other, and far ones attract each other.
+/// The sign is that of the authors' code (tum-pbs/StableBPTT). A comment in that code states the
+/// opposite sign. With a negative strength, near evaders repel each other, and distant evaders
+/// attract each other.
 ///
 /// Coincident evaders are coupled by springs of stiffness
-/// `strength (distance / softening - 1) / softening`. Explicit steps of length dt damp their
-/// oscillation if the number of evaders times this stiffness times dt is less than their friction.
+/// `k = strength (distance / softening - 1) / softening`. Explicit steps of length dt damp their
+/// oscillation if `n k dt` is less than the friction coefficient of the n evaders.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]

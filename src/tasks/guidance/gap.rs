@@ -26,7 +26,7 @@ pub(super) struct Gap<T> {
     r_over_d: [T; 2],
     /// |r| / d.
     norm_over_d: T,
-    /// 1 / d.
+    /// 1 / d, in 1/m.
     inverse_d: T,
     /// r / |r|, and 0 at r = 0. Used only in the reverse pass, because its derivative is unbounded.
     direction: [T; 2],
@@ -72,7 +72,7 @@ impl<T: Scalar> Gap<T> {
         [self.r_over_d[0] * strength, self.r_over_d[1] * strength]
     }
 
-    /// Returns `max(0, radius - |r|) / d`.
+    /// Returns `max(0, radius - |r|) / d`, for a radius in m.
     #[inline(always)]
     pub(super) fn depth_share(&self, radius: f64) -> T {
         (T::from(radius) * self.inverse_d - self.norm_over_d).max(T::zero())

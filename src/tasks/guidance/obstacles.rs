@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 /// The force is a penalty spring in the depth (Moore and Wilhelms 1988, Collision Detection and
 /// Response for Computer Animation). As in the forces between agents, `r / d` replaces the
 /// direction. Force and derivative are therefore finite at the center, where the force is 0. The
-/// derivative is discontinuous at `|r| = radius`, and is 0 there, as outside the obstacle.
+/// derivative is discontinuous at `|r| = radius`, where its value is 0, as outside the obstacle.
 ///
 /// Explicit steps of length dt return an agent faster than it arrived, unless `stiffness dt` is
 /// less than the friction coefficient of the agent. With the paper's dt and

@@ -16,12 +16,13 @@ pub(super) const AGENT: usize = 4;
 /// Number of agents up to which reverse steps do not allocate.
 const STACK: usize = 32;
 
-/// Agents in the plane, of which the drivers steer: explicit Euler, positions with the old
-/// velocities.
+/// Agents in the plane: drivers, which the control accelerates, and evaders. Steps are explicit
+/// Euler, so positions advance with the velocities before the step.
 ///
 /// State `[x, y, vx, vy]` of every driver, then of every evader, in m and m/s. Control
-/// `[radial, tangential]` of every driver, in 1/s². The two multiply the vector `q` from the
-/// evaders' [`center`](GuidanceSystem::center) to the driver, and `q⊥ = (-q_y, q_x)`:
+/// `[radial, tangential]` of every driver, in 1/s². The radial control multiplies the vector `q`
+/// from the evaders' [`center`](GuidanceSystem::center) to the driver. The tangential control
+/// multiplies `q⊥ = (-q_y, q_x)`:
 ///
 /// ```text
 /// q_j      = D_j - center(E)
@@ -41,7 +42,7 @@ pub struct GuidanceSystem {
     pub drivers: usize,
     /// Number of evaders.
     pub evaders: usize,
-    /// Reference point from which drivers steer.
+    /// Reference point of the vectors `q` that the controls multiply.
     pub center: Center,
     /// Softening of the distance between agents in effects, `d = softening + |r|`, m, positive. At
     /// 0, the force between coincident agents would be undefined.
@@ -50,13 +51,13 @@ pub struct GuidanceSystem {
     pub dt: f64,
 }
 
-/// Reference point, computed from the evaders' positions, from which drivers steer.
+/// Reference point of the controls, computed from the evaders' positions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Center {
-    /// Sum of the positions, as in the authors' code. It moves faster than the herd, and depends on
-    /// the choice of the origin.
+    /// Sum of the positions, as in the authors' code. The sum moves faster than the herd, and its
+    /// place relative to the herd depends on the origin.
     #[default]
     Sum,
     /// Mean of the positions. The physics is then invariant under translation.
@@ -125,8 +126,8 @@ impl GuidanceSystem {
     /// Adds the cotangents of the state due to steering, given those of the accelerations.
     #[inline(always)]
     fn reverse_steering<R: Real, C: Cotangent<R>>(&self, u: &[R], forces_bar: &[C], x_bar: &mut [C]) {
-        // q̄ = (∂v̇/∂q)ᵀ v̇̄. Every evader receives the negative sum over the drivers, times its
-        // weight in the center.
+        // q̄ = (∂v̇/∂q)ᵀ v̇̄. Every evader receives the negative sum of q̄ over the drivers, times
+        // its weight in the center.
         let mut herd_bar = [C::null(); 2];
         for ((bar, force), c) in zip(zip(x_bar.chunks_exact_mut(AGENT), forces_bar.chunks_exact(2)), u.chunks_exact(2)) {
             let q_bar = [force[0] * c[0] + force[1] * c[1], force[1] * c[0] - force[0] * c[1]];

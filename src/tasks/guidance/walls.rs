@@ -1,4 +1,4 @@
-//! [`Walls`]: a fence around the field.
+//! [`Walls`]: walls around a rectangular field.
 
 use super::GuidanceSystem;
 use super::system::AGENT;
@@ -16,12 +16,12 @@ use serde::{Deserialize, Serialize};
 /// ```
 ///
 /// The force is a penalty spring in the depth (Moore and Wilhelms 1988, Collision Detection and
-/// Response for Computer Animation). The derivative is discontinuous at contact; at the point of
-/// contact it is that of the inside.
+/// Response for Computer Animation). The derivative is discontinuous at contact. At the point of
+/// contact, the derivative is 0, as inside the field.
 ///
 /// Explicit steps of length dt return an agent faster than it arrived, unless `stiffness dt` is
-/// less than its friction. With the paper's dt and [`Friction`](super::Friction), the largest
-/// stiffness is 15/s² for drivers and 60/s² for evaders.
+/// less than the friction coefficient of the agent. With the paper's dt and
+/// [`Friction`](super::Friction), the largest stiffness is 15/s² for drivers and 60/s² for evaders.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]

@@ -19,9 +19,10 @@ use rand::RngExt;
 /// P is the cost-to-go matrix of the infinite horizon. A single gain, [`Optimum::gain`], is
 /// therefore optimal at any horizon and from any initial state, and the minimal loss is known.
 ///
-/// This gain is a fixed point of R, M and C. With `λ_{t+1} = (Q + P) x_{t+1}`, the control's
-/// cotangent `h_t = Bᵀ λ_{t+1} + R u_t` is 0 at each step. The path through the policy therefore
-/// vanishes, and R and M have equal adjoints.
+/// This gain is a fixed point of the flows R and M and of their combination C. With
+/// `λ_{t+1} = (Q + P) x_{t+1}`, the control's cotangent `h_t = Bᵀ λ_{t+1} + R u_t`, with the cost
+/// matrix R, is 0 at each step. The path through the policy therefore contributes 0, and both flows
+/// have equal adjoints.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lqr {
     plant: LinearPlant,

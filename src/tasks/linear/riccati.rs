@@ -6,10 +6,10 @@ use nalgebra::DMatrix;
 
 /// Optimal control of a [`LinearPlant`] whose steps cost `(x_{t+1}ᵀ Q x_{t+1} + u_tᵀ R u_t)/2`.
 ///
-/// The minimal remaining cost after `x` is `xᵀ P x / 2`, and the optimal control is `u = K x`. The
-/// cost of a step includes the state after the step. In textbooks, it includes the state before the
-/// step (Bertsekas, Dynamic Programming and Optimal Control, 3.1). Riccati's equation therefore has
-/// `W = Q + P` in place of P:
+/// The minimal cost of all steps from the state x is `xᵀ P x / 2`, and the optimal control is
+/// `u = K x`. The cost of a step includes the state after the step. In textbooks, the cost includes
+/// the state before the step (Bertsekas, Dynamic Programming and Optimal Control, 3.1). Riccati's
+/// equation therefore has `W = Q + P` in place of P:
 ///
 /// ```text
 /// K = -(R + Bᵀ W B)⁻¹ Bᵀ W A
@@ -43,7 +43,8 @@ pub enum NoOptimum {
     },
 }
 
-/// Largest number of doublings. For slower loops, f64 cannot represent the optimum either.
+/// Largest number of doublings of the horizon. For closed loops that decay more slowly, f64 cannot
+/// represent the optimum either.
 const MAX_DOUBLINGS: usize = 40;
 
 impl Optimum {
@@ -68,7 +69,7 @@ impl Optimum {
         let towards = b.transpose() * &w;
         let factor = (&r + &towards * &b).cholesky().ok_or(NoOptimum::Indefinite)?;
         let gain = -factor.solve(&(towards * &a));
-        // The form of P as a sum of squares does not amplify rounding errors.
+        // The second form of P, a sum of squares, does not amplify rounding errors.
         let closed = a + b * &gain;
         let p = symmetric(closed.transpose() * w * closed + gain.transpose() * r * &gain);
         Ok(Self { gain: row_major(&gain), cost_to_go: row_major(&p) })

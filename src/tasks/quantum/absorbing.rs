@@ -32,7 +32,7 @@ pub struct AbsorbingEdges {
     /// Width of the layer along each wall, length, positive.
     pub width: f64,
     /// W at the walls, energy, not negative. In the default box during 8 units of time, the
-    /// defaults absorb a fifth of the ground state and five sixths of the third eigenstate.
+    /// defaults absorb 19 % of the ground state and 82 % of the third eigenstate.
     pub strength: f64,
 }
 
@@ -49,7 +49,7 @@ impl Default for AbsorbingEdges {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Absorbing<S = QuantumSystem> {
     system: S,
-    /// Grid points within the edges, counted from 0, with the factor of their wave per step.
+    /// Index from 0 of each grid point within the edges, and the factor of the wave there per step.
     factors: Vec<(usize, f64)>,
 }
 

@@ -10,11 +10,11 @@ use serde::{Deserialize, Serialize};
 /// Interaction of particles in one wave, a Bose-Einstein condensate: `V_j = strength |ψ_j|² / dx`.
 ///
 /// The equation is `i ∂ψ/∂t = -∂²ψ/∂x² + V ψ + strength |ψ|² ψ` (Gross 1961,
-/// doi:10.1007/BF02731494; Pitaevskii 1961, Sov. Phys. JETP 13, 451). There, ψ satisfies
+/// doi:10.1007/BF02731494; Pitaevskii 1961, Sov. Phys. JETP 13, 451). In this equation, ψ satisfies
 /// `∫ |ψ|² dx = 1`. A state has `Σ_j |ψ_j|² = 1`, so the probability density is `|ψ_j|² / dx`.
 ///
-/// The density is that at the beginning of the step. The step therefore remains unitary, needs no
-/// iteration, and is of first order in dt. [`Strang`](super::Strang) computes a density per half
+/// Steps use the density at the beginning of the step. They therefore remain unitary, need no
+/// iteration, and are of first order in dt. [`Strang`](super::Strang) computes a density per half
 /// step and is of second order.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -31,7 +31,7 @@ impl Default for Cubic {
 }
 
 impl Cubic {
-    /// Returns the energy per probability at a grid point.
+    /// Returns the energy per probability at a grid point, `strength / dx`.
     #[inline(always)]
     fn per_probability(&self, model: &QuantumSystem) -> f64 {
         self.strength * (1.0 / model.spacing())

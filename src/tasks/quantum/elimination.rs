@@ -14,10 +14,15 @@ impl<T, V> Vector<T> for V where V: Copy + Add<Output = V> + Sub<Output = V> + N
 
 /// Successive pivots of `A = I + i dt/2 (H + shift)`, `H = -D₂ + diag(V)`.
 pub(super) struct Pivots<T> {
+    /// `dt / 2dx²`: the off-diagonal entries of A are `-ib`.
     b: T,
+    /// `b²`.
     b_squared: T,
+    /// Imaginary part of the diagonal of A without V.
     kinetic: T,
+    /// `dt / 2`.
     half_dt: T,
+    /// Reciprocal pivot of the previous row; 0 before the first row.
     per_pivot: Pair<T>,
 }
 
@@ -70,6 +75,7 @@ impl<'a, T: Scalar> Rows<'a, T> {
 
 /// Complete elimination of A, which is complex symmetric with off-diagonal entries `-ib`.
 pub(super) struct Elimination<'a, T> {
+    /// `dt / 2dx²`; negated for the conjugate.
     b: T,
     /// Reciprocal pivot of each row.
     per_pivot: &'a mut [Pair<T>],
@@ -81,8 +87,8 @@ impl<T: Scalar> Elimination<'_, T> {
     pub(super) fn solve<V: Vector<T>>(&self, rhs: &[V], y: &mut [V]) {
         let (b, n) = (self.b, self.per_pivot.len());
         let (rhs, y, per_pivot) = (&rhs.as_chunks::<2>().0[..n], &mut y.as_chunks_mut::<2>().0[..n], &self.per_pivot[..n]);
-        // The first row of each pass is separate, and carried values are scalars. Otherwise,
-        // compilers would shuffle the lanes of conditional values and of pairs of flows.
+        // The first row of each pass is separate, and one variable per number passes values from
+        // row to row. Otherwise, compilers would shuffle lanes.
         // Forward: s_j = (rhs_j + ib s_{j-1}) / p_j.
         let (q_re, q_im) = per_pivot[0];
         let (mut s_re, mut s_im) = (rhs[0][0] * q_re - rhs[0][1] * q_im, rhs[0][0] * q_im + rhs[0][1] * q_re);

@@ -17,18 +17,18 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 ///
 /// The zeros of the denominator are `z = 3i ± √3`. Their real parts shift the energy. The constant
 /// factor 4/3 of numerator and denominator cancels. A step thus consists of two Crank-Nicolson
-/// steps of 2/3 dt each, with the potentials `V ∓ √3/dt`. It costs two tridiagonal solves, O(grid).
-/// As in [`QuantumSystem`], both are unitary for any potential. Elimination needs no pivoting,
-/// because the real part of each pivot is at least 1.
+/// steps of 2/3 dt each, with the potentials `V ∓ √3/dt`. The cost is two tridiagonal solves,
+/// O(grid). As in [`QuantumSystem`], both steps are unitary for any potential. Elimination needs no
+/// pivoting, because the real part of each pivot is at least 1.
 ///
 /// H and grid are those of [`QuantumSystem`], so only the error in time differs. The phase of an
-/// eigenstate of energy E advances by `E dt (1 - (E dt)⁴/720 + …)`. With Crank-Nicolson, it is
-/// `E dt (1 - (E dt)²/12 + …)`. For energies beyond about 3/dt, the phase advances too slowly here
-/// too. It advances by at most one turn per step.
+/// eigenstate of energy E advances by `E dt (1 - (E dt)⁴/720 + …)`, with Crank-Nicolson by
+/// `E dt (1 - (E dt)²/12 + …)`. For energies beyond about 3/dt, the phase advances too slowly. The
+/// advance is at most one turn per step.
 ///
-/// The order in dt is four for potentials that are constant during a step. Effects act at the state
-/// at the beginning of the step, as in [`QuantumSystem`]. State-dependent effects, such as
-/// [`Cubic`](super::Cubic), are of first order.
+/// The order in dt is four for potentials that are constant during a step. Effects use the state
+/// at the beginning of the step, as in [`QuantumSystem`]. With state-dependent effects, such as
+/// [`Cubic`](super::Cubic), the order is one.
 ///
 /// Sources: Hairer and Wanner, Solving Ordinary Differential Equations II, IV.3; for this equation,
 /// van Dijk and Toyama 2007 (doi:10.1103/PhysRevE.75.036707).
@@ -39,7 +39,7 @@ pub struct Pade(
 );
 
 impl Pade {
-    /// Returns the time step of the Crank-Nicolson steps with the factors A∓.
+    /// Returns the time step of both Crank-Nicolson steps, `2/3 dt`.
     #[inline(always)]
     fn factor_dt(&self) -> f64 {
         self.0.dt * (2.0 / 3.0)
@@ -58,7 +58,7 @@ impl Pade {
         let mut minus = Rows::new(Pivots::new(dt, dx, -shift), self.0.grid, minus);
         let mut plus = Rows::new(Pivots::new(dt, dx, shift), self.0.grid, plus);
         let mut potential = PerPoint::new();
-        // Two chains of divisions side by side take little longer than one.
+        // Two interleaved chains of divisions take little longer than one chain.
         for &v in self.0.potential(effects, inputs, &mut potential) {
             minus.push(v);
             plus.push(v);

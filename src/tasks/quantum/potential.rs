@@ -41,10 +41,10 @@ static_potentials!(Harmonic, Barrier, DoubleWell);
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Harmonic {
-    /// Stiffness, energy per length squared. The ground state of the default has energy 10 and
-    /// spans a third of the default box.
+    /// Stiffness, energy per length squared. The ground state of the default has energy 10. At 0.32
+    /// from its center, `|ψ|²` falls to 1/e.
     pub stiffness: f64,
-    /// Position of the minimum relative to the middle of the box.
+    /// Position ξ of the minimum, length.
     pub center: f64,
 }
 
@@ -82,7 +82,7 @@ pub struct Barrier {
     /// Width, length, positive. At this distance from the top, V is 42 % of the height, at twice
     /// the distance 7 %.
     pub width: f64,
-    /// Position of the top relative to the middle of the box.
+    /// Position ξ of the top, length.
     pub center: f64,
 }
 
@@ -110,9 +110,9 @@ impl Barrier {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct DoubleWell {
-    /// Energy in the middle, above the minima.
+    /// Energy in the middle of the box, above the minima.
     pub height: f64,
-    /// Distance between the minima, positive.
+    /// Distance between the minima, length, positive.
     pub separation: f64,
 }
 
@@ -138,17 +138,16 @@ impl DoubleWell {
 /// step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tabulated {
-    /// V at each grid point.
+    /// V at each grid point, energy.
     pub values: Vec<f64>,
 }
 
 impl Tabulated {
-    /// Tabulates the sum of the given effects. For one effect, steps are equal bit for bit. Several
-    /// effects are summed before the potential of the control is added.
+    /// Tabulates the sum of the given effects at time 0. For one effect, steps are equal bit for
+    /// bit. For several effects, steps differ by rounding errors of the sum.
     ///
     /// # Panics
-    /// If an effect depends on state, control or parameters. Effects of time are tabulated at time
-    /// 0.
+    /// If an effect depends on state, control or parameters.
     pub fn of<E: Effect<QuantumSystem>>(model: &QuantumSystem, effects: &E) -> Self {
         assert!(
             !effects.state_dependent(),

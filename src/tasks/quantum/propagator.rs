@@ -17,8 +17,8 @@ use std::f64::consts::PI;
 /// t(d) = 1/M Σ_m cos(πmd/M) exp(-i E_m dt)
 /// ```
 ///
-/// K commutes with reflection: it maps even functions to even ones and odd to odd. It is stored as
-/// two matrices of half the size, which halves the work.
+/// K commutes with reflection: it maps even functions to even functions and odd to odd functions.
+/// K is stored as two matrices with half as many rows, which halves the work.
 ///
 /// ```text
 /// a_k = ψ_k + ψ_{M-k},  b_k = ψ_k - ψ_{M-k}
@@ -58,7 +58,7 @@ impl Propagator {
         for j in 1..=half {
             for k in 1..=half {
                 let entry = |k: usize, part: usize| sums[j.abs_diff(k)][part] - sums[j + k][part];
-                // The middle point is its own mirror image, and counts twice in a_k.
+                // The middle point is its own mirror image, so a_k contains it twice.
                 let share = if 2 * k == intervals { 0.25 } else { 0.5 };
                 let even = |part| share * (entry(k, part) + entry(intervals - k, part));
                 let odd = |part| share * (entry(k, part) - entry(intervals - k, part));

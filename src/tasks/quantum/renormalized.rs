@@ -15,8 +15,8 @@ use smallvec::smallvec;
 /// `ψ ← ψ / |ψ|`.
 ///
 /// Steps of every [`QuantumScheme`](super::QuantumScheme) are unitary except for rounding. Rounding
-/// errors accumulate where every step rounds alike, as in long rollouts without control in single
-/// precision. Around [`Substeps`](crate::Substeps) of `system`, the normalization acts once per
+/// errors accumulate if every step rounds alike, as in long rollouts without control in single
+/// precision. For a `system` of [`Substeps`](crate::Substeps), the normalization acts once per
 /// outer step.
 ///
 /// The reverse step projects the component along ψ' out of the cotangent, because the norm is

@@ -23,14 +23,14 @@ use crate::numbers::scalar::{Cotangent, Real, Scalar};
 /// indistinguishable, so the potential may couple states that are uncoupled in continuous time.
 ///
 /// H and grid are those of [`QuantumSystem`]. A step costs O(grid²), which suits small grids. It
-/// multiplies by two complex matrices of half the grid's size. It evaluates one sine and cosine per
-/// grid point, or two if the potential depends on the state. The matrices take 12 grid² bytes, in
-/// both precisions together.
+/// multiplies by two complex matrices with half as many rows as grid points. It evaluates one sine
+/// and cosine per grid point, or two if the potential depends on the state. The matrices take
+/// 12 grid² bytes, in both precisions together.
 ///
 /// The second half step evaluates the potential at the state after the kinetic step. The first half
 /// step does not change |ψ|. With [`Cubic`](super::Cubic), both halves are therefore exact, and the
-/// order remains two. (The other schemes use the state at the beginning of the step, which gives
-/// first order.) Both halves use the time at the beginning of the step.
+/// order remains two. The other schemes use the state at the beginning of the step, which gives
+/// first order. Both halves use the time at the beginning of the step.
 ///
 /// Sources: Strang 1968 (doi:10.1137/0705041); Feit, Fleck and Steiger 1982
 /// (doi:10.1016/0021-9991(82)90091-2).
@@ -83,10 +83,10 @@ impl Strang {
 
     /// Returns the cotangent of the control from one half step, if requested. Writes the cotangent
     /// of the potential to `potential_bar`, if given. `psi` and its cotangent are both before or
-    /// both after the half step: it rotates both by the same phase.
+    /// both after the half step, which rotates both by the same phase.
     ///
     /// ```text
-    /// dψ_j/dV_j = -i dt/2 ψ_j,  V_bar_j = dt/2 Im(ψ̄_bar_j ψ_j)
+    /// dψ_j/dV_j = -i dt/2 ψ_j,  V_bar_j = dt/2 Im(conj(psi_bar_j) ψ_j)
     /// ```
     #[inline(always)]
     fn reverse_half<R: Real, C: Cotangent<R>>(

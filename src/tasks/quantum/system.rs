@@ -87,8 +87,8 @@ pub enum ControlShape {
 }
 
 impl QuantumSystem {
-    /// Returns eigenstate `number` of the box without potential, at the grid points; 1 is the
-    /// ground state.
+    /// Returns eigenstate `number` of the box without potential, at the grid points. Number 1 is
+    /// the ground state.
     ///
     /// ```text
     /// φ_j = sqrt(2 / (grid + 1)) sin(π number j / (grid + 1)),  Σ_j φ_j² = 1,  1 ≤ number ≤ grid
@@ -183,10 +183,10 @@ impl QuantumSystem {
     ///
     /// ```text
     /// A y = ψ, so dψ'/dV_j = 2 dy/dV_j = -i dt A⁻¹ e_j y_j
-    /// V_bar_j = Re ⟨v, dψ'/dV_j⟩ = dt Im(w̄_j y_j)
+    /// V_bar_j = Re ⟨v, dψ'/dV_j⟩ = dt Im(conj(w_j) y_j)
     /// ```
     ///
-    /// `dt` is the time step of the factor.
+    /// `v` is `next_bar`, and `dt` the time step of A.
     #[inline(always)]
     pub(super) fn reverse_potential<R: Real, C: Cotangent<R>>(
         &self,
