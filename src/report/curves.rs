@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn any_input_yields_a_valid_drawing() {
+    fn empty_invalid_and_long_inputs_yield_valid_drawings() {
         check(&learning_curve("nothing", &[], &[]));
         check(&learning_curve("one <point> & no more", &[(0.0, 2.0)], &[(0.0, f64::NAN), (1.0, -1.0)]));
         let long: Vec<(f64, f64)> = (0..10_000).map(|i| (f64::from(i), 1.0 / f64::from(i))).collect();
