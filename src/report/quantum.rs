@@ -43,7 +43,8 @@ pub fn quantum(states: &[Vec<f64>], controls: &[f64], target: &[f64], length: f6
 /// Animates a trajectory as [`quantum`] does, with a potential and absorbing edges.
 ///
 /// The right panel shows the potential behind the density. Absorbing edges are shaded in that panel
-/// and on the map. Densities and fidelities are not renormalized, so they include absorption losses.
+/// and on the map. Densities and fidelities are not renormalized, so they include absorption
+/// losses.
 pub fn quantum_in(
     landscape: &Landscape,
     states: &[Vec<f64>],
