@@ -1,5 +1,5 @@
-//! Policies with a memory or a dependence on time: recurrent policies, control sequences, the memory
-//! path of flows.
+//! Policies with a memory or a dependence on time: recurrent policies, control sequences, the
+//! memory path of flows.
 
 use physgrad::policy::{Action, Elman, Gru, Observed, OpenLoop, PolicyPass, PolicyRecord, Sizes};
 use physgrad::rng::{Purpose, Rng, stream};
@@ -197,8 +197,8 @@ fn gradient(policy: &impl Policy, flow: Flow) -> Vec<f64> {
     gradients[0][0].to_vec()
 }
 
-/// Recurrent weights multiply the memory, so they have a gradient in every flow. The memory path adds
-/// their effects on later steps.
+/// Recurrent weights multiply the memory, so they have a gradient in every flow. The memory path
+/// adds their effects on later steps.
 #[test]
 fn recurrent_weights_have_a_gradient_in_every_flow_and_memory_changes_m() {
     let (units, policy) = (4, Elman::new(1, 4, 1));

@@ -39,7 +39,8 @@ fn vjp<R: Real>(system: &impl System, x: &[R], next_bar: &[R], initial: R) -> Ve
     x_bar
 }
 
-/// `(∂S/∂x)ᵀ next_bar` by dual numbers with one tangent, and the sum of the magnitudes of its terms.
+/// `(∂S/∂x)ᵀ next_bar` by dual numbers with one tangent, and the sum of the magnitudes of its
+/// terms.
 fn vjp_by_duals(system: &impl System, x: &[f64], next_bar: &[f64]) -> Vec<[f64; 2]> {
     let column = |i: usize| {
         let seed = |(k, &x): (usize, &f64)| Dual { value: x, tangents: [if k == i { 1.0 } else { 0.0 }] };

@@ -48,7 +48,7 @@ fn stored<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: usize, fl
     Ok(all)
 }
 
-/// As `stored`, with a checkpoint schedule.
+/// Returns the costs and gradients as [`stored`] does, with a checkpoint schedule.
 fn scheduled<F: Float, T: Task, P: Policy>(
     task: &T,
     policy: &P,
@@ -60,7 +60,8 @@ fn scheduled<F: Float, T: Task, P: Policy>(
     let mut rollout = Checkpointed::new(task, policy, samples + 1, flows, schedule);
     let mut gradients = [vec![Gradient::zeros(policy.param_count()); flows.len()]];
     let starts = starts::<F, T>(task, samples);
-    // The first run has one more sample. Values left in the buffers must not affect the second run.
+    // The first run has one more sample. Values that remain in the buffers must not affect the
+    // second run.
     let more = [&starts[..], &starts[..starts.len() / samples]].concat();
     for starts in [&more, &starts] {
         rollout.run(task, policy, &weights, starts, F::from_f64(0.5), samples + 1, &mut gradients)?;
@@ -159,7 +160,7 @@ fn bits_of_mini_batches(task: &CartPole, policy: &impl Policy) {
 }
 
 #[test]
-fn a_divergence_is_that_of_store_all() {
+fn every_schedule_reports_the_divergence_of_store_all() {
     let task = CartPole { horizon: 3 * UNIT, ..CartPole::new(1) };
     // The control grows with the state.
     for factor in [1e4, 1e10, 1e30] {
@@ -214,7 +215,7 @@ impl Policy for Growing {
     }
 }
 
-fn bytes_are_those_held<F: Float>() {
+fn assert_exact_bytes<F: Float>() {
     let (task, policy) = (cart_pole(6 * UNIT + 40), Mlp::new([4, 8, 1]));
     let (weights, starts) = (weights::<F, _>(&policy), starts::<F, _>(&task, 17));
     // The first run of a process detects the processor's features.
@@ -227,7 +228,7 @@ fn bytes_are_those_held<F: Float>() {
             let mut gradients = vec![vec![Gradient::zeros(policy.param_count()); flows.len()]; 5];
             let run = || rollout.run(&task, &policy, &weights, &starts, F::one(), 4, &mut gradients);
             let (outcome, _, most) = held(run);
-            assert_eq!((outcome, most), (Ok(()), 0), "a schedule is run without allocating");
+            assert_eq!((outcome, most), (Ok(()), 0), "a run of a schedule allocates");
 
             for workers in [1, 3] {
                 let (batch, bytes, most) = held(|| Batch::<F>::scheduled(&task, &policy, 17, &flows, workers, schedule));
@@ -239,13 +240,13 @@ fn bytes_are_those_held<F: Float>() {
 }
 
 #[test]
-fn schedules_state_their_bytes() {
-    bytes_are_those_held::<f32>();
-    bytes_are_those_held::<f64>();
+fn stored_bytes_of_schedules_equal_allocated_bytes() {
+    assert_exact_bytes::<f32>();
+    assert_exact_bytes::<f64>();
 }
 
 #[test]
-fn budgets_are_kept_and_used() {
+fn batches_stay_within_the_budget_and_recompute_the_fewest_steps() {
     let (task, policy) = (cart_pole(40 * UNIT - 50), Mlp::new([4, 8, 1]));
     let (weights, starts) = (weights::<f32, _>(&policy), starts::<f32, _>(&task, 6));
     let flows = Field::combined().flows();
@@ -266,7 +267,7 @@ fn budgets_are_kept_and_used() {
         });
         assert!(loss.is_finite() && most as u64 <= budget && most == batch.stored_bytes(), "{most} bytes of {budget}");
         let schedule = batch.schedule();
-        assert!(schedule.recomputed_steps() <= last, "more memory makes no more work");
+        assert!(schedule.recomputed_steps() <= last, "a larger budget recomputes more steps");
         last = schedule.recomputed_steps();
         // No other schedule within the budget recomputes fewer steps.
         for units in 1..=40 {
@@ -282,14 +283,14 @@ fn budgets_are_kept_and_used() {
 }
 
 #[test]
-fn a_training_within_a_budget_is_that_without() {
+fn a_training_within_a_budget_has_the_parameters_of_one_without() {
     let train = |memory: Option<u64>| {
         let task = CartPole { horizon: 2 * UNIT, ..CartPole::new(1) };
         let training = Training { epochs: 2, train_samples: 20, test_samples: 4, memory, ..Training::default() };
         let mut session = Trainer::new(task, Mlp::new([4, 8, 1])).training(training).session()?;
         session.epoch()?;
         let (_, held, _) = held(|| session.epoch().map(|_| ()));
-        assert_eq!(held, 0, "epochs do not allocate after the first");
+        assert_eq!(held, 0, "the second epoch retains memory");
         Ok::<_, TrainError>((session.schedule().recomputed_steps(), session.weights().theta().to_vec()))
     };
     let error = train(Some(10_000)).unwrap_err();
@@ -302,7 +303,7 @@ fn a_training_within_a_budget_is_that_without() {
 }
 
 #[test]
-fn many_steps_fit_in_a_small_budget() {
+fn a_hundred_thousand_steps_fit_in_300_kilobytes() {
     let (task, policy) = (cart_pole(100_000), Mlp::new([4, 4, 1]).zero_init_output(true));
     let flows = [Flow::REGULAR];
     let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
@@ -319,7 +320,7 @@ fn many_steps_fit_in_a_small_budget() {
 
 #[test]
 #[ignore = "a million steps take 7 s and more"]
-fn a_million_steps_fit_in_64_megabytes() {
+fn a_million_steps_fit_in_64_and_in_4_mebibytes() {
     let (task, policy) = (cart_pole(1_000_000), Mlp::new([4, 16, 16, 1]).zero_init_output(true));
     let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
     let starts = starts::<f64, _>(&task, 8);

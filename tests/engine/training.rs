@@ -68,7 +68,7 @@ fn updates_have_the_learning_rates_of_the_decay() {
                 session.advance(&|| true).expect("finite");
                 next.restore(&session.checkpoint("a run"), "a run").expect("its own checkpoint");
                 session = next;
-                // The formulas, written out.
+                // Documented formulas, with the progress s after the warm-up.
                 let s = (f64::from(update) - warm_up as f64) / (12.0 - warm_up as f64);
                 let factor = match decay {
                     _ if s < 0.0 => f64::from(update + 1) / (warm_up as f64 + 1.0),
@@ -78,7 +78,7 @@ fn updates_have_the_learning_rates_of_the_decay() {
                 };
                 theta -= 0.5 * factor;
                 let found = session.weights().theta()[0];
-                // A few roundings of numbers up to 6 per update.
+                // Each update rounds numbers up to 6 a few times.
                 assert!((found - theta).abs() < 1e-13, "{decay:?}, warm-up {warm_up}, update {update}: {found}, not {theta}");
             }
             assert!(session.is_done());
@@ -87,7 +87,7 @@ fn updates_have_the_learning_rates_of_the_decay() {
 }
 
 #[test]
-fn a_decay_to_a_value_that_is_not_allowed_is_refused() {
+fn a_cosine_decay_to_2_and_an_exponential_decay_to_0_are_refused() {
     let refused = |decay| {
         let training = Training { decay, ..Training::default() };
         trainer(Plant { factor: 1.0, horizon: 1, weight: 1.0 }, training).session().expect_err("a mistake").to_string()
@@ -132,15 +132,16 @@ fn each_kind_of_warning_appears_once_in_its_first_epoch() {
 }
 
 #[test]
-fn a_session_warns_between_epochs_only() {
+fn a_session_reports_each_warning_once_after_its_epoch() {
     let mut session = doubling().session().expect("valid settings");
     assert_eq!(session.warnings(), [""; 0]);
     session.epoch().expect("finite");
     assert_eq!(session.warnings().len(), 1);
-    assert_eq!(session.warnings(), [""; 0], "reported already");
+    assert_eq!(session.warnings(), [""; 0], "a warning is reported twice");
 }
 
-/// The test below runs this one in a process of its own.
+/// Test program of [`a_run_prints_its_warnings_to_standard_error`], which runs it in a separate
+/// process.
 #[test]
 #[ignore = "prints"]
 fn a_run_that_warns() {
