@@ -223,7 +223,7 @@ impl Policy for ActOnly {
     }
 }
 
-/// A leaky integrator of seven states, and controls that drive two of them.
+/// Leaky integrator with seven states. Two controls drive the first two states.
 struct Small;
 
 impl System for Small {

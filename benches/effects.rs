@@ -143,7 +143,7 @@ fn table(of: Of, scenes: Vec<Vec<Form>>, precision: &str, horizon: usize, places
             for pass in 0..3 {
                 let mut jobs: Vec<&mut dyn FnMut()> = jobs.iter_mut().map(|job| &mut *job[pass] as &mut dyn FnMut()).collect();
                 let times = deeper(3 * place, &mut || rounds(count, &mut jobs));
-                let hand = &times[order.iter().position(|&form| form == 0).expect("it is there")];
+                let hand = &times[order.iter().position(|&form| form == 0).expect("the order contains form 0")];
                 for (&form, times) in order.iter().zip(&times) {
                     found[pass][form].0.push(median(times) / horizon as f64);
                     found[pass][form].1.push(ratio(times, hand));

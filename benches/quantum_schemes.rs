@@ -102,7 +102,7 @@ fn table(precision: &str, grid: usize, horizon: usize, places: usize, count: usi
             }
             let mut jobs: Vec<&mut dyn FnMut()> = jobs.iter_mut().map(|job| &mut **job as &mut dyn FnMut()).collect();
             let times = rounds(count, &mut jobs);
-            let first = &times[order.iter().position(|&form| form == 0).expect("it is there")];
+            let first = &times[order.iter().position(|&form| form == 0).expect("the order contains form 0")];
             for (&form, times) in order.iter().zip(&times) {
                 found[form].0.push(median(times));
                 found[form].1.push(ratio(times, first));

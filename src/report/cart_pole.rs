@@ -79,10 +79,15 @@ fn relative_force(controls: &[f64], step: usize) -> f64 {
 
 /// Data shared by all frames: view and rail marks.
 struct Stage {
+    /// Length of a pole, m.
     length: f64,
+    /// Lower left corner of the view, m.
     low: [f64; 2],
+    /// Upper right corner of the view, m.
     high: [f64; 2],
+    /// True if the camera follows the cart.
     follow: bool,
+    /// Positions of the rail marks, m.
     marks: Vec<f64>,
     bumpers: Option<Bumpers>,
 }

@@ -6,8 +6,11 @@ use kuva::prelude::*;
 /// Logarithmic axis in units of 10^exponent. The plotting library kuva raises values below 1e-10 to
 /// 1e-10, so `low` is scaled into [1, 10).
 pub struct LogAxis {
+    /// Power of ten of the axis unit.
     pub exponent: i32,
+    /// Lower end of the range, in axis units.
     pub low: f64,
+    /// Upper end of the range, in axis units.
     pub high: f64,
 }
 
@@ -37,7 +40,7 @@ impl LogAxis {
         Self { exponent, low, high }
     }
 
-    /// Value of one axis unit.
+    /// Axis unit in units of the data.
     pub fn unit(&self) -> f64 {
         10f64.powi(self.exponent)
     }

@@ -107,8 +107,11 @@ pub fn legend<'a>(panels: impl Iterator<Item = &'a Panel>) -> Vec<LegendEntry> {
 /// Visible axis elements of a panel.
 #[derive(Clone, Copy)]
 pub struct Shows {
+    /// Tick labels of the y axis.
     pub y_numbers: bool,
+    /// Label of the y axis.
     pub y_name: bool,
+    /// Label of the x axis.
     pub x_name: bool,
 }
 

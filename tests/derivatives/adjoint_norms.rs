@@ -53,9 +53,9 @@ fn norms<const CONTROLS: usize>(scale: f64) -> [Vec<f64>; 2] {
     let weights = Weights::new(&policy, (0..CONTROLS * CONTROLS).map(gain).collect());
     let mut rollout = Rollout::new(&task, &policy, samples);
     rollout.start(&(0..samples * CONTROLS).map(|i| (1 + i / CONTROLS) as f64).collect::<Vec<_>>());
-    rollout.run(&task, &policy, &weights).expect("it decays");
+    rollout.run(&task, &policy, &weights).expect("the rollout is finite");
     let mut adjoint = Adjoint::new(&task, &policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]).keep_norms();
-    adjoint.run(&task, &policy, &weights, &rollout, scale).expect("it is finite");
+    adjoint.run(&task, &policy, &weights, &rollout, scale).expect("the adjoint is finite");
     [0, 1].map(|k| adjoint.norms(k).to_vec())
 }
 
@@ -107,9 +107,9 @@ fn the_norm_at_a_state_omits_the_cost_of_that_state() {
     let weights = Weights::new(&policy, vec![GAIN]);
     let mut rollout = Rollout::new(&RunningLoss, &policy, 1);
     rollout.start(&[1.0]);
-    rollout.run(&RunningLoss, &policy, &weights).expect("it decays");
+    rollout.run(&RunningLoss, &policy, &weights).expect("the rollout is finite");
     let mut adjoint = Adjoint::new(&RunningLoss, &policy, &rollout, &[Flow::REGULAR]).keep_norms();
-    adjoint.run(&RunningLoss, &policy, &weights, &rollout, 1.0).expect("it is finite");
+    adjoint.run(&RunningLoss, &policy, &weights, &rollout, 1.0).expect("the adjoint is finite");
     let a = GROWTH + GAIN;
     for (t, &norm) in adjoint.norms(0).iter().enumerate() {
         // The costs of the states after x_t sum to x_t² (a² + a⁴ + …) / 2. The norm is the
@@ -133,10 +133,10 @@ fn norms_and_gradients_beyond_the_range_of_f32_are_exact_to_1e_4() {
     let weights = Weights::<f32>::new(&policy, vec![GAIN as f32]);
     let mut rollout = Rollout::new(&task, &policy, 1);
     rollout.start(&[1e3]);
-    rollout.run(&task, &policy, &weights).expect("it decays");
+    rollout.run(&task, &policy, &weights).expect("the rollout is finite");
     let mut adjoint = Adjoint::new(&task, &policy, &rollout, &[Flow::MODIFIED]).keep_norms();
     // With this scale, neither the adjoint of M nor its gradient fits in f32.
-    adjoint.run(&task, &policy, &weights, &rollout, f32::MAX).expect("it is carried with its exponent");
+    adjoint.run(&task, &policy, &weights, &rollout, f32::MAX).expect("the adjoint has an exponent");
     let end = f64::from(rollout.state(HORIZON, 0, 0));
     for (t, &norm) in adjoint.norms(0).iter().enumerate() {
         let expected = end * GROWTH.powi((HORIZON - t) as i32);

@@ -268,7 +268,7 @@ fn gradients<T: Task, P: Policy>(task: &T, policy: &P, workers: usize, budget: O
     let flows = [Flow::MODIFIED, Flow::REGULAR];
     let mut batch = match budget {
         None => Batch::new(task, policy, 21, &flows, workers),
-        Some(budget) => Batch::within(task, policy, 21, &flows, workers, budget).expect("enough"),
+        Some(budget) => Batch::within(task, policy, 21, &flows, workers, budget).expect("a sufficient budget"),
     };
     let loss = batch.run(task, policy, &weights, &starts).expect("finite");
     let gradients = batch.gradients().iter().flat_map(Gradient::to_vec);

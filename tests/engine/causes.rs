@@ -43,8 +43,8 @@ fn the_cause_has_the_name_that_named_gives_to_its_effect() {
     let table = Tabulated { values: vec![f64::INFINITY; 7] };
     let named = Named { name: "effects.double_well", effect: QuantumEffect::from(table) };
     assert_eq!(cause(&Forced { system: model, effects: vec![named] }), Some(Cause::Effect("effects.double_well")));
-    let both = (Named { name: "harmless", effect: Barrier::default() }, Named { name: "guilty", effect: OVERFLOWING });
-    assert_eq!(cause(&Forced { system: model, effects: both }), Some(Cause::Effect("guilty")));
+    let both = (Named { name: "finite", effect: Barrier::default() }, Named { name: "infinite", effect: OVERFLOWING });
+    assert_eq!(cause(&Forced { system: model, effects: both }), Some(Cause::Effect("infinite")));
 }
 
 #[test]

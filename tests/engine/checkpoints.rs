@@ -7,7 +7,7 @@ type Small = Session<CartPole, Mlp, f32>;
 
 fn session(rule: &str, learning_rate: f64) -> Small {
     let task = CartPole { horizon: 3, ..CartPole::new(1) };
-    let rule = OptimizerKind::named(rule).expect("a rule");
+    let rule = OptimizerKind::named(rule).expect("a known optimizer");
     let training = Training { rule, learning_rate, batch: 2, train_samples: 4, test_samples: 2, ..Training::default() };
     Trainer::new(task, Mlp::new([4, 2, 1])).training(training).session().expect("valid settings")
 }
@@ -70,6 +70,6 @@ fn a_checkpoint_with_another_number_of_updates_per_epoch_is_refused() {
     let task = CartPole { horizon: 3, ..CartPole::new(1) };
     let training = Training { batch: 4, train_samples: 4, test_samples: 2, ..Training::default() };
     let mut other = Trainer::new(task, Mlp::new([4, 2, 1])).training(training).session().expect("valid settings");
-    let error = other.restore(&bytes, "a run").expect_err("two updates an epoch").to_string();
+    let error = other.restore(&bytes, "a run").expect_err("another number of updates").to_string();
     assert!(error.contains("its optimizer counts 4 steps, but its epochs have 2 updates"), "{error}");
 }

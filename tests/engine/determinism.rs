@@ -75,7 +75,7 @@ fn gradients_of_large_batches_do_not_depend_on_the_number_of_workers() {
 fn shuffled(starts: &[f32], resample: bool) -> Session<CartPole, Mlp, f32> {
     let training = Training { epochs: 3, batch: 4, shuffle: true, resample, ..Training::default() };
     let trainer = Trainer::new(task(), policy()).training(training);
-    trainer.session_from(weights::<f32>().theta().to_vec(), starts.to_vec(), starts.to_vec()).expect("it can be trained")
+    trainer.session_from(weights::<f32>().theta().to_vec(), starts.to_vec(), starts.to_vec()).expect("valid settings")
 }
 
 #[test]
@@ -88,12 +88,12 @@ fn a_session_restored_after_every_update_has_the_bits_of_an_uninterrupted_one() 
         }
         let mut whole = shuffled(&starts, resample);
         while !whole.is_done() {
-            whole.epoch().expect("it goes on");
+            whole.epoch().expect("training continues");
         }
         let mut pauses = 0;
         let mut parts = shuffled(&starts, resample);
         while !parts.is_done() {
-            pauses += usize::from(parts.advance(&|| true).expect("it goes on").is_none());
+            pauses += usize::from(parts.advance(&|| true).expect("training continues").is_none());
             let mut next = shuffled(&starts, resample);
             next.restore(&parts.checkpoint("run"), "run").expect("its own checkpoint");
             parts = next;
@@ -121,7 +121,7 @@ fn losses_do_not_depend_on_the_number_of_workers_nor_on_the_tape() {
         for workers in [2, 3, 7] {
             assert_eq!(evaluate(workers), one);
         }
-        assert_eq!(gradients::<f32>(samples, 1).0, one, "with a tape");
+        assert_eq!(gradients::<f32>(samples, 1).0, one, "rollout with a tape");
     }
 }
 
@@ -262,7 +262,7 @@ fn training_does_not_depend_on_the_number_of_workers() {
     for workers in [2, 8] {
         assert_eq!(train(session(1, 4, workers)), one);
     }
-    assert_ne!(train(session(2, 4, 1)).1, one.1, "another seed");
+    assert_ne!(train(session(2, 4, 1)).1, one.1, "another seed yields the same parameters");
 }
 
 #[test]

@@ -152,7 +152,7 @@ fn updates_with_a_bad_sample_are_skipped_counted_and_change_nothing() {
     let training = Training { epochs: 3, batch: 6, max_skipped: 10, ..Training::default() };
     let trainer = Trainer::new(Faulty(Fault::Cotangent), Linear::with_bias(3, 1)).precision::<f64>().training(training.clone());
     let mut session = trainer.session_from(vec![0.1; 4], starts(), starts()).expect("valid settings");
-    let record = session.epoch().expect("one good update").clone();
+    let record = session.epoch().expect("one finite update").clone();
     assert_eq!(record.skipped, 1);
     assert_eq!(session.skips()[0].update, 1);
     assert_eq!(
@@ -176,11 +176,11 @@ fn the_fourth_skip_in_a_row_stops_training_with_unchanged_parameters() {
     let trainer = Trainer::new(Faulty(Fault::State), Linear::with_bias(3, 1)).precision::<f64>().training(training);
     let mut session = trainer.session_from(vec![0.1; 4], starts(), starts()).expect("valid settings");
     for epoch in 1..=3 {
-        let record = session.epoch().expect("not yet too many");
+        let record = session.epoch().expect("fewer skips than the limit");
         assert_eq!((record.epoch, record.skipped), (epoch, 1));
         assert!(record.loss.is_nan() && record.train_loss.is_nan());
     }
-    let error = session.epoch().expect_err("the fourth in a row");
+    let error = session.epoch().expect_err("the fourth skip in a row");
     assert!(matches!(error, TrainError::Diverged { count: 4, .. }));
     let text = error.to_string();
     assert!(text.contains("step 5") && text.contains("sample 9") && text.contains("Try"), "{text}");
@@ -324,7 +324,7 @@ fn a_diverging_evaluation_of_the_test_set_is_reported() {
     let trainer = Trainer::new(Faulty(Fault::State), Linear::with_bias(3, 1)).precision::<f64>().training(training);
     let good = [0.1, 0.3, 0.0].repeat(6);
     let mut session = trainer.session_from(vec![0.1; 4], good, starts()).expect("valid settings");
-    assert!(session.epoch().expect("good updates").test_loss.is_nan());
+    assert!(session.epoch().expect("finite updates").test_loss.is_nan());
     assert_eq!(
         session.diverged(),
         [None, Some(Divergence::Forward { variable: Variable::State, step: 5, sample: 9, component: 1, cause: None })]
@@ -335,12 +335,12 @@ fn a_diverging_evaluation_of_the_test_set_is_reported() {
 fn invalid_settings_are_refused_by_name() {
     let refused = |training: Training| {
         let trainer = Trainer::new(Saturated, Linear::new(1, 1)).training(training);
-        trainer.session_from(vec![0.0], vec![1.0], vec![1.0]).expect_err("a mistake").to_string()
+        trainer.session_from(vec![0.0], vec![1.0], vec![1.0]).expect_err("invalid").to_string()
     };
     assert!(refused(Training { batch: 0, ..Training::default() }).contains("batch"));
     for learning_rate in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e9] {
         assert!(refused(Training { learning_rate, ..Training::default() }).contains("learning_rate"));
     }
     let trainer = Trainer::new(Saturated, Linear::new(1, 1));
-    assert!(trainer.session_from(vec![0.0], vec![1.0], vec![]).expect_err("a mistake").to_string().contains("test_samples"));
+    assert!(trainer.session_from(vec![0.0], vec![1.0], vec![]).expect_err("invalid").to_string().contains("test_samples"));
 }

@@ -82,7 +82,7 @@ fn flows() -> Vec<Vec<Flow>> {
     Flow::ALL.map(|flow| vec![flow]).into_iter().chain(pairs.map(Vec::from)).collect()
 }
 
-fn bits_are_those_of_store_all<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: &[usize]) {
+fn assert_bits_of_store_all<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: &[usize]) {
     for &samples in samples {
         for flows in flows() {
             let all = stored::<F, T, P>(task, policy, samples, &flows).expect("finite");
@@ -100,26 +100,26 @@ fn cart_pole(horizon: usize) -> CartPole {
 }
 
 #[test]
-fn bits_are_those_of_store_all_with_one_control() {
+fn all_schedules_have_the_bits_of_store_all_with_one_control() {
     let (task, policy) = (cart_pole(4 * UNIT + 17), Mlp::new([4, 8, 8, 1]));
-    bits_are_those_of_store_all::<f32, _, _>(&task, &policy, &[3, 11]);
-    bits_are_those_of_store_all::<f64, _, _>(&task, &policy, &[3, 11]);
+    assert_bits_of_store_all::<f32, _, _>(&task, &policy, &[3, 11]);
+    assert_bits_of_store_all::<f64, _, _>(&task, &policy, &[3, 11]);
     // Horizons whose last segment has one step or full length.
     for horizon in [2 * UNIT + 1, 3 * UNIT, UNIT + 1] {
-        bits_are_those_of_store_all::<f64, _, _>(&cart_pole(horizon), &policy, &[9]);
+        assert_bits_of_store_all::<f64, _, _>(&cart_pole(horizon), &policy, &[9]);
     }
 }
 
 #[test]
-fn bits_are_those_of_store_all_with_several_controls() {
+fn all_schedules_have_the_bits_of_store_all_with_several_controls() {
     let task = Guidance { horizon: 3 * UNIT + 5, ..Guidance::new(1, 1) };
     let policy = Mlp::new([physgrad::System::state_dim(&task.system), 8, 2]);
-    bits_are_those_of_store_all::<f32, _, _>(&task, &policy, &[5]);
-    bits_are_those_of_store_all::<f64, _, _>(&task, &policy, &[9]);
+    assert_bits_of_store_all::<f32, _, _>(&task, &policy, &[5]);
+    assert_bits_of_store_all::<f64, _, _>(&task, &policy, &[9]);
 }
 
 #[test]
-fn bits_are_those_of_store_all_with_a_convolution_and_with_derivatives_by_duals() {
+fn all_schedules_have_the_bits_of_store_all_with_a_convolution_and_with_derivatives_by_duals() {
     let task = Quantum { horizon: 2 * UNIT + 9, ..Quantum::new(1) };
     let n = physgrad::System::state_dim(&task.system);
     let flows = [Flow::MODIFIED, Flow::REGULAR];
@@ -128,23 +128,23 @@ fn bits_are_those_of_store_all_with_a_convolution_and_with_derivatives_by_duals(
     for schedule in schedules(task.horizon) {
         assert_eq!(scheduled(&task, &conv, 5, &flows, schedule), Ok(all.clone()), "{schedule:?}");
     }
-    bits_are_those_of_store_all::<f64, _, _>(&cart_pole(2 * UNIT + 9), &Plain, &[3]);
+    assert_bits_of_store_all::<f64, _, _>(&cart_pole(2 * UNIT + 9), &Plain, &[3]);
 }
 
 #[test]
-fn bits_are_those_of_store_all_with_a_memory() {
+fn all_schedules_have_the_bits_of_store_all_with_a_memory() {
     let (task, policy) = (cart_pole(2 * UNIT + 9), Gru::new(4, 6, 1));
-    bits_are_those_of_store_all::<f32, _, _>(&task, &policy, &[11]);
-    bits_are_those_of_store_all::<f64, _, _>(&task, &policy, &[3]);
+    assert_bits_of_store_all::<f32, _, _>(&task, &policy, &[11]);
+    assert_bits_of_store_all::<f64, _, _>(&task, &policy, &[3]);
 }
 
 #[test]
 fn mini_batches_over_several_workers_have_the_bits_of_store_all() {
-    bits_of_mini_batches(&cart_pole(3 * UNIT + 2), &Mlp::new([4, 8, 1]));
-    bits_of_mini_batches(&cart_pole(UNIT + 20), &Gru::new(4, 5, 1));
+    assert_bits_of_mini_batches(&cart_pole(3 * UNIT + 2), &Mlp::new([4, 8, 1]));
+    assert_bits_of_mini_batches(&cart_pole(UNIT + 20), &Gru::new(4, 5, 1));
 }
 
-fn bits_of_mini_batches(task: &CartPole, policy: &impl Policy) {
+fn assert_bits_of_mini_batches(task: &CartPole, policy: &impl Policy) {
     let (weights, starts) = (weights::<f32, _>(policy), starts::<f32, _>(task, 13));
     let flows = Field::combined().flows();
     let run = |mut batch: Batch<f32>| {
@@ -261,7 +261,7 @@ fn batches_stay_within_the_budget_and_recompute_the_fewest_steps() {
     let mut expected: Option<Vec<Gradient<f32>>> = None;
     for budget in [smallest, smallest + 500, smallest + 3000, all / 15, all / 5, all / 2, all - 1, all, u64::MAX] {
         let ((batch, loss), _, most) = held(|| {
-            let mut batch = Batch::<f32>::within(&task, &policy, 6, &flows, 1, budget).expect("enough");
+            let mut batch = Batch::<f32>::within(&task, &policy, 6, &flows, 1, budget).expect("a sufficient budget");
             let loss = batch.run(&task, &policy, &weights, &starts).expect("finite");
             (batch, loss)
         });
@@ -313,7 +313,7 @@ fn a_hundred_thousand_steps_fit_in_300_kilobytes() {
         (batch.gradients().to_vec(), batch.schedule().recomputed_steps(), batch.stored_bytes())
     };
     let (all, none, bytes) = run(Batch::new(&task, &policy, 2, &flows, 1));
-    let (gradients, again, fewer) = run(Batch::within(&task, &policy, 2, &flows, 1, 300_000).expect("enough"));
+    let (gradients, again, fewer) = run(Batch::within(&task, &policy, 2, &flows, 1, 300_000).expect("a sufficient budget"));
     assert!(all[0].values().iter().any(|&g| g != 0.0) && gradients == all);
     assert!(none == 0 && again > 0 && again < 200_000 && fewer <= 300_000 && bytes > 100 * fewer, "{again} {fewer} {bytes}");
 }
@@ -327,7 +327,7 @@ fn a_million_steps_fit_in_64_and_in_4_mebibytes() {
     for budget in [64 << 20, 4 << 20] {
         let time = std::time::Instant::now();
         let (schedule, _, most) = held(|| {
-            let mut batch = Batch::within(&task, &policy, 8, &[Flow::REGULAR], 1, budget).expect("enough");
+            let mut batch = Batch::within(&task, &policy, 8, &[Flow::REGULAR], 1, budget).expect("a sufficient budget");
             batch.run(&task, &policy, &weights, &starts).expect("finite");
             batch.schedule()
         });

@@ -1,4 +1,5 @@
-//! Checkpoint schedules recompute the minimal number of steps, and exactly as many as they report.
+//! Binomial checkpoint schedules recompute the fewest steps. All schedules recompute exactly as
+//! many steps as they report.
 
 use physgrad::policy::{Action, Observed, PolicyPass};
 use physgrad::rng::Rng;

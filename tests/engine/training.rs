@@ -90,17 +90,17 @@ fn updates_have_the_learning_rates_of_the_decay() {
 fn a_cosine_decay_to_2_and_an_exponential_decay_to_0_are_refused() {
     let refused = |decay| {
         let training = Training { decay, ..Training::default() };
-        trainer(Plant { factor: 1.0, horizon: 1, weight: 1.0 }, training).session().expect_err("a mistake").to_string()
+        trainer(Plant { factor: 1.0, horizon: 1, weight: 1.0 }, training).session().expect_err("an invalid decay").to_string()
     };
     assert_eq!(refused(Decay::Cosine { end: 2.0 }), "training.decay: ends at 2; allowed: 0 to 1");
     assert_eq!(refused(Decay::Cosine { end: f64::NAN }), "training.decay: ends at NaN; allowed: 0 to 1");
     assert_eq!(refused(Decay::Exponential { end: 0.0 }), "training.decay: ends at 0; allowed: a positive number up to 1");
 }
 
-/// A plant that doubles its state. The adjoint of M grows by 2^13, 3.9 decades, in 13 of 14 steps.
-/// The last state is `g θ` and the gradient is `g`, with `g = 2^14 - 1 = 16383`. Each epoch has one
-/// update. After n updates the last state is `-n · 1e-3 g² = -n · 2.68e5`. It is below -1e6 from
-/// n = 4 on: after epoch 4, and in the update of epoch 5.
+/// Trainer on a plant that doubles its state. The adjoint of M grows by 2^13, 3.9 decades, in 13 of
+/// 14 steps. The last state is `g θ` and the gradient is `g`, with `g = 2^14 - 1 = 16383`. Each
+/// epoch has one update. After n updates the last state is `-n · 1e-3 g² = -n · 2.68e5`. It is below
+/// -1e6 from n = 4 on: after epoch 4, and in the update of epoch 5.
 fn doubling() -> Trainer<Plant, Constant, f64> {
     let training = Training { epochs: 6, learning_rate: 1e-3, ..Training::default() };
     trainer(Plant { factor: 2.0, horizon: 14, weight: 1.0 }, training)
@@ -152,7 +152,7 @@ fn a_run_that_warns() {
 fn a_run_prints_its_warnings_to_standard_error() {
     let mut process = Command::new(std::env::current_exe().expect("a path"));
     process.args(["--exact", "training::a_run_that_warns", "--ignored", "--nocapture"]);
-    let output = process.output().expect("it runs");
+    let output = process.output().expect("the test program starts");
     let printed = String::from_utf8(output.stderr).expect("text");
     assert!(output.status.success(), "{printed}");
     assert_eq!(printed.matches("warning: epoch").count(), 4, "{printed}");

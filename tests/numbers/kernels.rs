@@ -223,7 +223,7 @@ fn search<F: Format>(known: &[f64], mut draw: impl FnMut(&mut Rng) -> f64, error
     let mut worst = (0.0, F::zero());
     let mut look = |x: Vec<F>| {
         for (error, &x) in errors(&x).into_iter().zip(&x) {
-            assert!(!error.is_nan(), "no error at {x:?}");
+            assert!(!error.is_nan(), "the error at {x:?} is NaN");
             if error > worst.0 {
                 worst = (error, x);
             }
