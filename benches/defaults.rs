@@ -32,8 +32,8 @@ enum By {
     Default,
 }
 
-/// Masses of 1 kg in a row between two walls, springs with f = k d + k₃ d³, viscous damping, and
-/// forces on every 25th mass.
+/// Masses of 1 kg in a row between two walls, with viscous damping. The springs have the force
+/// k d + k₃ d³. Controls are forces on every 25th mass, N.
 struct Rod {
     masses: usize,
     by: By,

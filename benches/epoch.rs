@@ -71,8 +71,8 @@ fn fields<F: Float>(count: usize) {
 
 /// Times the parts of R's gradient in f32, each alone.
 ///
-/// Products of the reverse pass cover all columns at once here. The library splits them into blocks
-/// of 32 columns.
+/// Products of the reverse pass cover all columns at once here. The library splits these products
+/// into blocks of 32 columns.
 fn shares(count: usize) {
     let (task, policy) = task_and_policy();
     let n = task.system.state_dim();

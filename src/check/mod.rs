@@ -9,7 +9,7 @@
 //! [`plateau`] detects vanishing gradients.
 //!
 //! [`slope_by_duals`] returns a reference derivative of the mean loss. `slope` (feature
-//! `double-double`) returns it in double-double arithmetic.
+//! `double-double`) returns the loss and this derivative in double-double arithmetic.
 
 mod costs;
 mod oracle;

@@ -59,8 +59,8 @@ impl fmt::Display for Stability {
 /// evaluate it at the closest approach, in contact and at rest.
 ///
 /// The spectral radius follows from Gelfand's formula, `ρ = lim ‖Jᵏ‖^(1/k)`, with 30 squarings of
-/// the Jacobian. Unlike power iteration, it handles complex eigenvalue pairs and defective
-/// matrices. The cost is `state_dim` forward-mode derivatives and 30 matrix products.
+/// the Jacobian. Unlike power iteration, the formula handles complex eigenvalue pairs and
+/// defective matrices. The cost is `state_dim` forward-mode derivatives and 30 matrix products.
 /// ```
 /// use physgrad::{Inputs, check, tasks::{FrictionScheme, SliderSystem}};
 ///

@@ -79,12 +79,12 @@ pub struct Animation {
     pub title: String,
     /// Duration from the first frame to the last, s.
     pub seconds: f64,
-    /// Visible rectangle of the world: lower left and upper right corner. Shapes are clipped to it.
+    /// Visible rectangle of the world: lower left and upper right corner. Clips all shapes.
     pub view: ([f64; 2], [f64; 2]),
     /// Static background.
     pub still: Vec<Shape>,
-    /// Shapes of each frame: the same kinds in the same order. Colours and texts are those of the
-    /// first frame.
+    /// Shapes of each frame: the same kinds in the same order. Colours and texts keep their values
+    /// of the first frame.
     pub frames: Vec<Vec<Shape>>,
 }
 
@@ -137,7 +137,7 @@ struct Element {
     tag: &'static str,
     /// Attributes that may change between frames.
     numbers: Vec<(&'static str, String)>,
-    /// Attributes fixed to those of the first frame.
+    /// Attributes that keep their values of the first frame.
     style: String,
     /// Text content.
     content: String,

@@ -1,4 +1,4 @@
-//! Animation of numbers over time, for tasks without a picture of their own.
+//! Animation of numbers over time, for tasks without a specific animation.
 
 use super::animation::{Animation, Shape};
 

@@ -21,7 +21,7 @@ const MAX_FRAMES: usize = 120;
 const ALL_PIECES: usize = 120;
 /// Largest number of trail segments per agent.
 const MAX_PIECES: usize = 8;
-/// Duration of a trail, relative to that of the animation.
+/// Duration of a trail, as a share of the animation.
 const TRAIL: f64 = 0.25;
 /// Coordinate of an agent that counts as diverged, m.
 const FAR: f64 = 1e6;

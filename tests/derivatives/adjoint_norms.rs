@@ -76,7 +76,7 @@ fn assert_powers<const CONTROLS: usize>() {
 }
 
 #[test]
-fn per_step_back_the_norm_of_r_shrinks_by_0_75_and_of_m_grows_by_1_25() {
+fn r_shrinks_by_0_75_and_m_grows_by_1_25_per_step_back() {
     assert_powers::<1>();
     // With more than one control, the reverse pass through the policy runs step by step.
     assert_powers::<2>();

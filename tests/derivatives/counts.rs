@@ -168,8 +168,8 @@ impl<S: System> System for ByDuals<'_, S> {
     }
 }
 
-/// Returns the operations of the step of a spring, and of its `vjp` for one type of cotangent: to
-/// state and control, to the state only, to the control only.
+/// Returns the operations of the step of a spring, then of its `vjp` for three requests: state and
+/// control, state only, control only. `bar` sets the type of the cotangents.
 fn spring<S: System, C: Cotangent<Counted>>(system: &S, bar: C) -> [Ops; 4] {
     let (x, u) = ([Counted(0.3), Counted(-1.2)], [Counted(0.8)]);
     let (mut next, mut x_bar, mut u_bar) = (x, [bar; 2], [bar; 1]);

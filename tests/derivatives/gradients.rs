@@ -114,7 +114,7 @@ enum Fault {
     State,
     /// `u_bar` has the wrong sign.
     Control,
-    /// `u_bar` is wrong if it is requested alone.
+    /// `u_bar` is wrong if requested alone.
     ControlAlone,
     /// Overwrites `x_bar` instead of adding to it.
     Overwrite,
@@ -161,7 +161,7 @@ impl System for Faulty {
 }
 
 #[test]
-fn a_wrong_vjp_is_found_and_named() {
+fn check_system_names_the_wrong_output_for_seven_planted_faults() {
     for (fault, what, index) in [
         (Fault::State, "vjp: x_bar", 3),
         (Fault::Control, "vjp: u_bar", 0),
@@ -210,7 +210,7 @@ impl Task for WrongCost {
 
 #[test]
 #[should_panic(expected = "the gradient of flow R (full backpropagation) is wrong: gradient by ")]
-fn a_wrong_cost_gradient_is_found() {
+fn check_task_finds_a_relative_error_of_1e_6_in_a_cost_gradient() {
     check::task(&WrongCost(CartPole::new(1)), &Mlp::new([4, 5, 1]));
 }
 
@@ -250,7 +250,7 @@ impl Policy for Forgetting {
 
 #[test]
 #[should_panic(expected = "backward: x_bar[1]")]
-fn a_wrong_batched_policy_is_found() {
+fn check_policy_finds_a_batched_input_derivative_set_to_0() {
     check::policy(&Forgetting(Linear::new(3, 1)));
 }
 
@@ -308,7 +308,7 @@ fn one_off(index: usize) -> OneOff {
 }
 
 #[test]
-fn one_wrong_weight_among_many_is_found_and_named() {
+fn check_policy_names_one_wrong_weight_among_more_than_1000() {
     for index in (0..120).step_by(11) {
         let mismatch = check::try_policy(&one_off(index)).expect_err("a wrong gradient");
         assert_eq!((mismatch.what.as_str(), mismatch.index), ("param_gradient: theta_bar", index));
@@ -317,7 +317,7 @@ fn one_wrong_weight_among_many_is_found_and_named() {
 }
 
 #[test]
-fn one_wrong_weight_among_many_is_found_in_rollouts() {
+fn rollout_checks_find_one_wrong_weight_among_more_than_1000() {
     let task = Quantum { horizon: 5, ..Quantum::new(3) };
     for flow in Flow::ALL {
         let failure = check::try_flow(&task, &one_off(37), flow).expect_err("a wrong gradient");

@@ -55,7 +55,8 @@ impl Policy for Blind {
 }
 
 /// Memoryless physics: the next state depends on the control only. With two controls, the reverse
-/// pass through the policy runs step by step. With one, it linearizes all steps at once.
+/// pass through the policy runs step by step. With one
+/// control, the pass linearizes all steps at once.
 struct Forgetful<const CONTROLS: usize>;
 
 impl<const CONTROLS: usize> System for Forgetful<CONTROLS> {

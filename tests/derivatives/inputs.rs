@@ -185,7 +185,7 @@ fn rollout_gradients_of_every_flow_agree_with_dual_numbers() {
 }
 
 #[test]
-fn wrong_derivatives_of_observations_and_costs_are_found() {
+fn rollout_checks_find_wrong_derivatives_of_observations_and_costs() {
     let passes = |fault: Fault| {
         let (task, policy) = (Tracking::<1> { fault }, Linear::with_bias(3, 1));
         Flow::ALL.map(|flow| check::try_flow(&task, &policy, flow).is_ok())
@@ -201,7 +201,7 @@ fn wrong_derivatives_of_observations_and_costs_are_found() {
 }
 
 #[test]
-fn wrong_derivatives_of_a_task_are_named() {
+fn check_cost_names_the_wrong_method_and_output() {
     let found = |fault: Fault| check::try_cost(&Tracking::<1> { fault }).map_err(|mismatch| mismatch.what);
     assert!(found(Fault::None).is_ok() && check::try_cost(&ByDuals(tracking::<2>())).is_ok());
     let names = |fault: Fault, name: &str| assert_eq!(found(fault), Err(name.to_owned()));
@@ -215,13 +215,13 @@ fn wrong_derivatives_of_a_task_are_named() {
 
 #[test]
 #[should_panic(expected = "the task's derivatives are wrong: observe_vjp: p_bar[1] is")]
-fn the_message_names_the_method_and_the_component() {
+fn check_cost_panics_with_the_wrong_method_and_component() {
     check::cost(&Tracking::<1> { fault: Fault::ObservationOfParams });
 }
 
 #[test]
 #[should_panic(expected = "gradient by the parameters p of sample 0, component[0] is")]
-fn the_message_names_the_parameter() {
+fn check_task_panics_with_sample_and_index_of_a_wrong_gradient_of_p() {
     check::task(&Tracking::<1> { fault: Fault::CostOfParams }, &WithParams::new(Constant::new(3, 1), []));
 }
 

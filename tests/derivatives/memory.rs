@@ -214,7 +214,7 @@ fn recurrent_weights_have_a_gradient_in_every_flow_and_memory_changes_m() {
     assert_eq!(gradient(&policy, Flow::STOPPED), gradient(&policy, Flow { memory: 0.0, ..Flow::STOPPED }));
 }
 
-/// Policy whose memory grows by a factor of 1e200 per step. The control does not depend on it.
+/// Policy whose memory grows by a factor of 1e200 per step. The control does not use the memory.
 struct Exploding;
 
 impl Policy for Exploding {

@@ -48,7 +48,7 @@ fn the_cause_has_the_name_that_named_gives_to_its_effect() {
 }
 
 #[test]
-fn wrappers_forward_causes() {
+fn wrappers_forward_the_cause_of_the_wrapped_system() {
     let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
     let system = Forced { system: model, effects: OVERFLOWING };
     let cubic = Some(Cause::Effect("Cubic"));

@@ -12,8 +12,8 @@ fn session(rule: &str, learning_rate: f64) -> Small {
     Trainer::new(task, Mlp::new([4, 2, 1])).training(training).session().expect("valid settings")
 }
 
-/// Returns a session after two epochs. If `paused`, it has also done one of the two updates of the
-/// third epoch.
+/// Returns a session after two epochs. If `paused`, the session has also done one of the two
+/// updates of the third epoch.
 fn trained(rule: &str, paused: bool) -> Small {
     let mut session = session(rule, 1e-3);
     (0..2).for_each(|_| drop(session.epoch().expect("finite").clone()));

@@ -167,8 +167,8 @@ fn a_sample_does_not_depend_on_the_other_samples() {
 
 #[test]
 fn single_precision_agrees_with_double_precision_to_1e_4() {
-    // Each step adds a relative rounding error of 2^-24. 40 steps of hanging poles amplify it
-    // little.
+    // Each step adds a relative rounding error of 2^-24. 40 steps of hanging poles amplify this
+    // error little.
     let allowed = 1e-4;
     let (loss32, g32) = gradients::<f32>(8, 1);
     let (loss64, g64) = gradients::<f64>(8, 1);

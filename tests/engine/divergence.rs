@@ -1,4 +1,4 @@
-//! Non-finite numbers are reported, and updates with them are skipped.
+//! Rollouts and reverse passes report non-finite numbers. Training skips such updates.
 
 use physgrad::policy::{Linear, Mlp};
 use physgrad::rng::Rng;
@@ -226,7 +226,7 @@ fn an_infinite_gradient_of_finite_cotangents_is_named() {
         session.epoch().expect("one skip at most");
         (session.skips().first().map(|skip| skip.divergence), session.weights().theta()[0])
     };
-    // The cotangents are representable, their product with the state is not.
+    // The cotangents are representable. Their product with the state overflows.
     let gradient = Divergence::Gradient { flow: Flow::REGULAR, parameter: 0 };
     assert_eq!(epoch(1e10, 1e30, Clip::None), (Some(gradient), 0.0));
     // Cotangents and gradients beyond the range of f32 carry an exponent. Training skips such a

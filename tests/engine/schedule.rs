@@ -64,8 +64,8 @@ fn binomial_schedules_recompute_the_fewest_steps() {
         }
     }
     // Griewank and Walther 2000 (doi:10.1145/347837.347846): s checkpoints reverse
-    // l = β(s, r) = C(s + r, s) segments with at most r recomputations each, r l - β(s + 1, r - 1) in
-    // total. Here s = 3, r = 9, l = 220.
+    // l = β(s, r) = C(s + r, s) segments with at most r recomputations of each. The total is
+    // r l - β(s + 1, r - 1). Here s = 3, r = 9, l = 220.
     let schedule = Schedule::binomial(220 * UNIT, 3);
     assert_eq!(schedule.recomputed_steps(), (9 * 220 - 495) * UNIT as u64);
 }

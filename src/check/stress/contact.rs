@@ -85,8 +85,8 @@ fn ball(name: &'static str, restitution: f64, h: f64, v: f64, time: f64) -> Exam
     }
 }
 
-/// Position of the second ball after the first hits it at time t with speed v. From initial
-/// positions p and q, it is `q + v (T - t) = p + contact_distance + v T` at time T.
+/// Position of the second ball at time T, after the first hits it at time t with speed v. The
+/// initial positions p and q yield `q + v (T - t) = p + contact_distance + v T`.
 fn balls(second: f64, time: f64) -> Example {
     let expected = vec![1.0, 0.0, time, 0.0, f64::NAN];
     Example { name: "two equal balls", start: vec![0.0, second, 2.0, 0.0], control: 0.0, component: 1, time, expected }
@@ -95,9 +95,9 @@ fn balls(second: f64, time: f64) -> Example {
 /// Position at time T of a box that a pusher reaches from rest and then pushes with force u.
 ///
 /// The masses of pusher and box are m and m₂, their initial positions p and q, and the gap is g.
-/// The impact is at `t = sqrt(2 g m/u)`. The position is `q + V (T - t) + u (T - t)²/2M`, with
-/// `M = m + m₂` and `V = sqrt(2 g m u)/M`. For fixed q, the derivatives with respect to p and g
-/// have opposite signs.
+/// The impact is at `t = sqrt(2 g m/u)`. The common speed is `V = sqrt(2 g m u)/M` afterwards, with
+/// `M = m + m₂`. The position is `q + V (T - t) + u (T - t)²/2M`. For fixed q, the derivatives with
+/// respect to p and g have opposite signs.
 fn pusher() -> Example {
     let (u, gap, [first, second], time) = (4.0, 0.2, [1.0, 2.0], 1.2f64);
     let total = first + second;

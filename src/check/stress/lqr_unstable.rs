@@ -1,10 +1,10 @@
 //! Stress case: linear-quadratic regulator on an unstable plant, where R is bounded and M grows.
 //!
 //! M propagates the adjoint through the open loop, which the policy does not stabilize. For one
-//! sample, this adjoint converges to the left eigenvector of the largest eigenvalue a, up to a
-//! factor that depends on the end of the rollout. The parameter gradient of M therefore points
-//! along `± Σ_t a^{-t} x_t` for any loss, with a sign set by the last states. C retains the
-//! components of M that agree in sign with R.
+//! sample, this adjoint aligns with the left eigenvector of the largest eigenvalue a. The end of
+//! the rollout sets its factor. The parameter gradient of M therefore points along
+//! `± Σ_t a^{-t} x_t` for any loss, with a sign set by the last states. C retains the components of
+//! M that agree in sign with R.
 
 use super::{Case, Finding};
 use crate::dynamics::inputs::Inputs;

@@ -79,7 +79,7 @@ fn sliding(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     (x[0], x[1], u[0]) = (normal(rng), any_size(rng, -9.0, 1.0), 10.0 * normal(rng));
 }
 
-/// Draws a ball above the floor, or on it and possibly at rest.
+/// Draws a ball above the floor, or on the floor and possibly at rest.
 fn falling(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     let on_floor = rng.random_bool(0.1);
     x[0] = if on_floor { 0.0 } else { any_size(rng, -6.0, 0.5).abs() };
