@@ -255,8 +255,8 @@ fn assert_sin_cos_within_bound<F: Format>(known: &[f64]) {
         let turns = f64::from(rng.random_range(0..636_000)) * std::f64::consts::FRAC_PI_2;
         let sign = if rng.random_range(0.0..1.0) < 0.5 { -1.0 } else { 1.0 };
         match rng.random_range(0..4) {
-            // For a remainder just above a power of two, the sine is just below this power. The unit
-            // is half as large there, so the error of the reduction counts twice.
+            // A remainder just above a power of two has a sine just below this power. The unit is
+            // half as large there, so the error of the reduction counts twice.
             0 => {
                 let power = 0.5f64.powi(rng.random_range(1..8));
                 turns + sign * power * (1.0 + rng.random_range(0.0..0.2) * power * power)
