@@ -16,21 +16,24 @@ use physgrad::{
 use rand::RngExt;
 use std::hint::black_box;
 
-/// Numbers of a [`Rod`]: k, N/m, k₃, N/m³, damping, N s/m, and time step, s.
+/// Stiffness k of the springs of a [`Rod`], N/m.
 const STIFFNESS: f64 = 8000.0;
+/// Cubic stiffness k₃ of the springs, N/m³.
 const HARDENING: f64 = 2e5;
+/// Viscous damping, N s/m.
 const DAMPING: f64 = 0.1;
+/// Time step, s.
 const DT: f64 = 0.01;
 
-/// Derivatives of a [`Rod`].
+/// Implementation of the derivatives of a [`Rod`].
 #[derive(Clone, Copy, PartialEq)]
 enum By {
     Hand,
     Default,
 }
 
-/// Masses of 1 kg in a row between two walls, springs with f = k d + k₃ d³, viscous damping, and
-/// forces on every 25th mass.
+/// Masses of 1 kg in a row between two walls, with viscous damping. The springs have the force
+/// k d + k₃ d³. Controls are forces on every 25th mass, N.
 struct Rod {
     masses: usize,
     by: By,
@@ -44,12 +47,13 @@ impl Rod {
     }
 }
 
-/// Spring force and its slope.
+/// Spring force at the extension d, N.
 #[inline(always)]
 fn spring<T: Scalar>(d: T) -> T {
     d * (d * d * HARDENING + STIFFNESS)
 }
 
+/// Derivative of the spring force, N/m.
 #[inline(always)]
 fn slope<T: Scalar>(d: T) -> T {
     d * d * (3.0 * HARDENING) + STIFFNESS
@@ -113,7 +117,7 @@ impl System for Rod {
     }
 }
 
-/// System with the steps of another, and default derivatives.
+/// System that forwards the step of `S` and uses default derivatives.
 struct DefaultOf<'a, S>(&'a S);
 
 impl<S: System> System for DefaultOf<'_, S> {
@@ -219,7 +223,7 @@ impl Policy for ActOnly {
     }
 }
 
-/// A leaky integrator of seven states, and controls that drive two of them.
+/// Leaky integrator with seven states. Two controls drive the first two states.
 struct Small;
 
 impl System for Small {
@@ -287,7 +291,7 @@ fn by_duals(rod: &Rod, x: &[Lanes<f32, 8>], u: &[Lanes<f32, 8>], next_bar: &[Lan
     }
 }
 
-/// Times one transposed Jacobian product of eight samples, by the number of inputs.
+/// Times one transposed Jacobian product of eight samples for several numbers of inputs.
 fn products(count: usize) {
     println!("microseconds of one VJP of eight samples in f32, by number of inputs");
     println!("  inputs     hand    duals  reverse   duals / hand  reverse / hand");

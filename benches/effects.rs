@@ -2,8 +2,8 @@
 //!
 //! Usage: `cargo bench --bench effects`, or with `-- guidance` for one task, and with `-- --quick`
 //! for few rounds. Measures steps of eight samples on one thread: forward, and forward with the
-//! adjoints of R and C. Covers the whole scene with the policy of the paper and its gradients, and
-//! the physics alone with zero control.
+//! adjoints of R and C. One part measures whole scenes with the policy of the paper and its
+//! gradients, the other the physics alone with zero control.
 //!
 //! Jobs alternate within each round; a ratio is the median over rounds. Timings depend on the
 //! memory layout. The benchmark therefore constructs all jobs several times, in varying order and
@@ -51,7 +51,7 @@ fn main() {
     println!("microseconds of a step, {BATCH} samples, one thread; through effects, by hand: ratio (lowest, highest)");
     let wanted = |task: &str| args.iter().all(|a| a.starts_with('-')) || args.iter().any(|a| a == task);
     let tables = |of: Of, name: &str, single: Vec<Vec<Form>>, double: Vec<Vec<Form>>, horizon: usize| {
-        // Uses fewer rounds for scenes, because networks take longer and vary less.
+        // Scenes need fewer rounds: networks take longer and vary less.
         let (what, count) = if of == Of::Physics { ("physics alone", count) } else { ("the scene", count.div_ceil(4)) };
         println!("\n{name}: {what}");
         table(of, single, "f32", horizon, places, count);
@@ -143,7 +143,7 @@ fn table(of: Of, scenes: Vec<Vec<Form>>, precision: &str, horizon: usize, places
             for pass in 0..3 {
                 let mut jobs: Vec<&mut dyn FnMut()> = jobs.iter_mut().map(|job| &mut *job[pass] as &mut dyn FnMut()).collect();
                 let times = deeper(3 * place, &mut || rounds(count, &mut jobs));
-                let hand = &times[order.iter().position(|&form| form == 0).expect("it is there")];
+                let hand = &times[order.iter().position(|&form| form == 0).expect("the order contains form 0")];
                 for (&form, times) in order.iter().zip(&times) {
                     found[pass][form].0.push(median(times) / horizon as f64);
                     found[pass][form].1.push(ratio(times, hand));

@@ -2,8 +2,8 @@
 //! and physics in the gradient of R, and whole epochs.
 //!
 //! Usage: `cargo bench --bench epoch`, or with `-- --quick` for few rounds. Jobs alternate within
-//! each round; times are medians. Ratios are medians of the ratios per round, which cancels drifts
-//! of the machine's speed.
+//! each round; times are medians. A ratio is the median of the ratios per round, which cancels
+//! drifts of the machine's speed.
 
 mod measure;
 
@@ -71,8 +71,8 @@ fn fields<F: Float>(count: usize) {
 
 /// Times the parts of R's gradient in f32, each alone.
 ///
-/// Products of the reverse pass cover all columns at once here. The library splits them into blocks
-/// of 32 columns.
+/// Products of the reverse pass cover all columns at once here. The library splits these products
+/// into blocks of 32 columns.
 fn shares(count: usize) {
     let (task, policy) = task_and_policy();
     let n = task.system.state_dim();
@@ -92,8 +92,9 @@ fn shares(count: usize) {
         adjoint.param_gradient(0, &policy, &weights, &rollout, 0..BATCH, &mut theta_bar);
     };
 
-    // (rows, depth, columns, calls) of the matrix products in one gradient, padded as in the
-    // library: forward pass, reverse pass, weight gradients in products of 64 columns.
+    // (rows, depth, columns, calls) of the matrix products in one gradient, with rows padded to
+    // multiples of 16 as in the library. Two products of the forward pass, three of the reverse
+    // pass, three of the weight gradients, which sum over 64 columns per call.
     let (pad_n, pad_w) = (16, 112);
     let products = [
         (pad_w, n + 1, BATCH, steps),

@@ -2,8 +2,8 @@
 //!
 //! Usage: `cargo bench --bench quantum_schemes`, or with `-- --quick` for few rounds. Measures
 //! rollouts with the adjoint of R: eight samples, one thread, zero control. Each scheme takes the
-//! fewest substeps for which the phase of the fifth eigenstate is correct to 1 %. Schemes named
-//! "chosen" are selected at run time by [`QuantumScheme`].
+//! fewest substeps for which the phase of the fifth eigenstate is correct to 1 %. [`QuantumScheme`]
+//! selects the schemes named "chosen" at run time.
 //!
 //! Jobs alternate within each round. Ratios are medians over rounds, relative to Crank-Nicolson.
 
@@ -23,7 +23,7 @@ const BATCH: usize = 8;
 
 type Job = Box<dyn FnMut()>;
 
-/// A scheme: name, number of substeps, and a factory of jobs.
+/// One scheme: name, number of substeps, and a factory of jobs.
 struct Form {
     name: String,
     count: usize,
@@ -36,7 +36,7 @@ fn main() {
         "microseconds of a rollout with adjoint, {BATCH} samples, one thread; ratio to Crank and Nicolson (lowest, highest)"
     );
     for grid in [32, 64, 128, 512] {
-        // Uses short jobs, so that a disturbance of the machine affects few rounds.
+        // A disturbance of the machine affects few rounds if jobs are short.
         let horizon = if grid < 128 { 16 } else { 4 };
         let (places, count) = if quick { (1, 3) } else { (5, (6400 / grid).max(25)) };
         table("f32", grid, horizon, places, count, forms::<f32>(grid, horizon));
@@ -84,7 +84,7 @@ fn least_substeps<S: System>(model: QuantumSystem, make: impl Fn(QuantumSystem) 
         let part = |i: usize| phi.iter().step_by(2).zip(next[i..].iter().step_by(2)).map(|(a, b)| a * b).sum::<f64>();
         (-part(1).atan2(part(0))).rem_euclid(2.0 * PI) / (4.0 * sine * sine * dt) - 1.0
     };
-    (1..100).find(|count| error(count).abs() <= 0.01).expect("some number is enough")
+    (1..100).find(|count| error(count).abs() <= 0.01).expect("fewer than 100 substeps suffice")
 }
 
 fn table(precision: &str, grid: usize, horizon: usize, places: usize, count: usize, scenes: [Vec<Form>; 2]) {
@@ -102,7 +102,7 @@ fn table(precision: &str, grid: usize, horizon: usize, places: usize, count: usi
             }
             let mut jobs: Vec<&mut dyn FnMut()> = jobs.iter_mut().map(|job| &mut **job as &mut dyn FnMut()).collect();
             let times = rounds(count, &mut jobs);
-            let first = &times[order.iter().position(|&form| form == 0).expect("it is there")];
+            let first = &times[order.iter().position(|&form| form == 0).expect("the order contains form 0")];
             for (&form, times) in order.iter().zip(&times) {
                 found[form].0.push(median(times));
                 found[form].1.push(ratio(times, first));

@@ -1,8 +1,8 @@
 //! Benchmark of the cost of a step and its adjoint over the size of the system.
 //!
 //! Usage: `cargo bench --bench scaling`, or with `-- --quick` for few rounds. Eight samples in f32,
-//! one thread, zero control: measures physics, costs and data movement. Sizes alternate within each
-//! round.
+//! one thread, zero control: the times cover physics, costs and data movement. Sizes alternate
+//! within each round.
 
 mod measure;
 

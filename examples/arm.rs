@@ -7,9 +7,9 @@ use physgrad::report::{Posture, Stage, mechanics};
 use physgrad::rng::Purpose;
 use physgrad::{Clip, Rollout, Training, initial_states};
 
-/// Two uniform links of equal mass and length, in the horizontal plane. State [θ₁, θ₂, ω₁, ω₂],
-/// with θ₂ and ω₂ relative to the first link. Control: torques at [shoulder, elbow], N m.
-/// Parameters: the goal [x, y], m.
+/// Two uniform links of equal mass and length, in the horizontal plane. State [θ₁ rad, θ₂ rad,
+/// ω₁ rad/s, ω₂ rad/s], with θ₂ and ω₂ relative to the first link. Control: torques at [shoulder,
+/// elbow], N m. Parameters: the goal [x, y], m.
 #[derive(Clone)]
 #[rustfmt::skip]
 struct Arm { mass: f64, length: f64, damping: f64, dt: f64 }
@@ -17,7 +17,7 @@ struct Arm { mass: f64, length: f64, damping: f64, dt: f64 }
 const STEPS: usize = 60;
 
 impl Arm {
-    /// Position of the hand.
+    /// Position of the hand, m.
     fn hand<T: Scalar>(&self, x: &[T]) -> [T; 2] {
         let ((s1, c1), (s2, c2)) = (x[0].sin_cos(), (x[0] + x[1]).sin_cos());
         [(c1 + c2) * self.length, (s1 + s2) * self.length]

@@ -34,8 +34,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);
     let force = args.next().map_or(Ok(10.0), |text| text.parse())?;
     let task = SwingUp { system: CartPoleSystem { dt: 0.02, ..CartPoleSystem::default() } };
-    // Without a force, the pole hangs at rest: a stationary trajectory, which the gradient cannot
-    // leave.
+    // With zero controls the pole hangs at rest, and the gradient is 0. The search therefore starts
+    // from a sine.
     let push: Vec<f64> = (0..task.horizon()).map(|t| (0.1 * t as f64).sin()).collect();
     let plan = optimize(&task, &START, &[], Initial::Controls(&push), &Options::default().bounded(1, force))?;
     for (iteration, cost) in plan.costs.iter().enumerate().step_by(10) {

@@ -1,5 +1,5 @@
-//! A controller that is trained with varied physics, against one that is trained with the nominal
-//! physics: losses over a grid of pole lengths.
+//! Losses of two controllers over a grid of pole lengths. One trains with varied pole lengths, the
+//! other with the nominal length.
 //!
 //! Run: `cargo run --release --example robust -- [epochs]`
 

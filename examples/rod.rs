@@ -1,4 +1,4 @@
-//! An elastic rod of 100 masses comes to rest by forces at four points, with default derivatives.
+//! Forces at four points bring an elastic rod of 100 masses to rest, with default derivatives.
 //!
 //! Run: `cargo run --release --example rod -- [epochs] [picture.svg]`
 

@@ -1,11 +1,11 @@
-//! Cart-pole with friction and wind.
+//! Handwritten step and VJP of the cart-pole with friction and wind.
 
 use arrayvec::ArrayVec;
 use physgrad::rng::Rng;
 use physgrad::tasks::{CartDamping, CartPoleSystem, PoleDamping, SteadyWind};
 use physgrad::{Cotangent, Cotangents, HasModel, Inputs, Real, Scalar, Start, System};
 
-/// Physics of [`CartPoleSystem`]. Constant parameters switch friction and wind on.
+/// Physics of [`CartPoleSystem`] for at most 16 poles. The const generics enable friction and wind.
 #[derive(Clone)]
 pub struct ByHand<const FRICTION: bool, const WIND: bool> {
     pub system: CartPoleSystem,

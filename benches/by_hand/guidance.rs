@@ -1,12 +1,13 @@
-//! Herding as in the paper: friction, drivers that repel each other, evaders that flee and flock.
+//! Handwritten step and VJP of herding as in the paper: friction, drivers that repel each other,
+//! evaders that flee and flock.
 
 use arrayvec::ArrayVec;
 use physgrad::rng::Rng;
 use physgrad::tasks::{Evade, Flock, Friction, GuidanceSystem, Spread};
 use physgrad::{Cotangent, Cotangents, Float, HasModel, Inputs, Real, Scalar, Start, System};
 
-/// [`GuidanceSystem::herding`] for at most 32 agents, with a control frame at the sum of the
-/// evaders' positions.
+/// [`GuidanceSystem::herding`] for at most 32 agents, with a control frame centered at the
+/// sum of the evaders' positions.
 #[derive(Clone)]
 pub struct ByHand {
     pub system: GuidanceSystem,
@@ -36,8 +37,8 @@ struct Law<T> {
 }
 
 impl<T: Scalar> Gap<T> {
-    /// Separation from agent `a` to agent `b`. Rescales it where squares would overflow or lose
-    /// digits.
+    /// Quantities of the separation from agent `a` to agent `b`. Rescales the separation where
+    /// squares would overflow or lose digits.
     #[inline(always)]
     fn new(x: &[T], a: usize, b: usize, softening: T) -> Self {
         let (range, shift) = if T::Real::EPSILON < 1e-10 { (500, 600) } else { (60, 90) };

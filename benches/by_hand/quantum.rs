@@ -1,4 +1,4 @@
-//! Hand-written step and VJP of a particle in a box, with a tilt as control, a harmonic trap and a
+//! Handwritten step and VJP of a particle in a box, with a tilt as control, a harmonic trap and a
 //! cubic term. [`QuantumSystem`] documents the equations.
 
 use arrayvec::ArrayVec;

@@ -33,7 +33,7 @@ pub fn ratio(a: &[f64], b: &[f64]) -> f64 {
     median(&a.iter().zip(b).map(|(a, b)| a / b).collect::<Vec<_>>())
 }
 
-/// Policy with zero control and without arithmetic, so that the policy takes almost no time.
+/// Policy with zero control and without arithmetic. It takes almost no time.
 #[allow(dead_code, reason = "not all benchmarks use it")]
 pub struct Nothing {
     pub state_dim: usize,

@@ -24,10 +24,12 @@ pub fn cost<T: Task>(task: &T) -> Passed {
 /// Checks the costs and the observation of a task near its initial states, with drawn parameters
 /// and random controls.
 ///
+/// The check requires:
+///
 /// - [`observe`](Task::observe) writes every component.
 /// - [`observe_vjp`](Task::observe_vjp), [`running_cost_gradient`](Task::running_cost_gradient) and
-///   [`terminal_cost_gradient`](Task::terminal_cost_gradient) against dual numbers, for all inputs,
-///   and whether they add to their outputs.
+///   [`terminal_cost_gradient`](Task::terminal_cost_gradient) agree with dual numbers for all
+///   inputs, and add to their outputs.
 ///
 /// # Errors
 /// Returns the first [`Mismatch`].
@@ -88,8 +90,8 @@ pub fn try_cost<T: Task>(task: &T) -> Result<Passed, Mismatch> {
 }
 
 impl Comparison {
-    /// Compares cotangents that `add` adds to `cotangents` with the concatenated `expected`, after
-    /// one call and after two.
+    /// Calls `add` twice. After each call, compares `cotangents`, divided by the number of calls,
+    /// with the concatenated `expected`.
     fn adds<const K: usize>(
         &mut self,
         method: &str,

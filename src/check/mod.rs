@@ -2,14 +2,14 @@
 //!
 //! Start with [`system`], [`cost`], [`policy`] and [`task`], one line each in a test. They panic
 //! with a [`Mismatch`]: the compared quantity, the index, the expected and found values, and the
-//! random case. The `try_` functions return it instead. All checks run in double precision. Errors
-//! are relative to the largest component of the reference unless stated otherwise.
+//! random case. The `try_` functions return the error instead. All checks run in double precision.
+//! Errors are relative to the largest component of the reference unless stated otherwise.
 //!
 //! Two further checks: [`stability`] detects time steps that are too long for the dynamics.
 //! [`plateau`] detects vanishing gradients.
 //!
 //! [`slope_by_duals`] returns a reference derivative of the mean loss. `slope` (feature
-//! `double-double`) returns it in double-double arithmetic.
+//! `double-double`) returns the loss and this derivative in double-double arithmetic.
 
 mod costs;
 mod oracle;
@@ -50,13 +50,13 @@ const CASES: u64 = 20;
 const CASES_OF_LONG_CHECKS: u64 = 2;
 /// Tolerance for one step of a system and for one evaluation of a policy.
 const ONE_STEP: f64 = 1e-12;
-/// Tolerance for the gradient of a whole rollout.
+/// Tolerance for the loss and the gradients of a whole rollout.
 const ROLLOUT: f64 = 1e-10;
 
 /// Summary of a passed check.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Passed {
-    /// Numbers compared.
+    /// Number of compared values.
     pub compared: usize,
     /// Largest relative error.
     pub worst: f64,
@@ -191,13 +191,15 @@ pub fn try_system<S: System>(system: &S) -> Result<Passed, Mismatch> {
 }
 
 /// Checks the derivatives of a system at states `x`, controls `u` and parameters `p` drawn by
-/// `draw(rng, x, u, p)`. The check then draws physical numbers that vary.
+/// `draw(rng, x, u, p)`. Draws of physical numbers that vary then replace their entries of `p`.
+///
+/// The check requires:
 ///
 /// - [`step`](System::step) writes every component of the next state.
-/// - [`vjp`](System::vjp) against dual numbers, for every combination of requested cotangents, and
-///   whether it adds to them.
-/// - [`jvp`](System::jvp) against dual numbers: `⟨λ, J v⟩ = ⟨Jᵀλ, v⟩`.
-/// - SIMD lanes against scalars, bit for bit.
+/// - [`vjp`](System::vjp) agrees with dual numbers for every combination of requested cotangents,
+///   and adds to the cotangents.
+/// - [`jvp`](System::jvp) agrees with dual numbers: `⟨λ, J v⟩ = ⟨Jᵀλ, v⟩`.
+/// - `step` and `vjp` in SIMD lanes have the bits of scalars.
 ///
 /// # Errors
 /// Returns the first [`Mismatch`].
@@ -212,9 +214,9 @@ pub fn try_system_at<S: System>(
 ///
 /// The reference is the same rollout in dual numbers, with the paths that the flow omits detached.
 /// The check compares the loss, directional derivatives along random directions, and single
-/// components. It compares all components of at most 64 parameters, otherwise 16 random ones. It
-/// compares the gradient with respect to initial states and parameters p in the same way, by
-/// components. It also compares the gradient of one flow with that computed together with M.
+/// components. It compares all components of at most 64 parameters, otherwise 16 random ones. The
+/// same rule selects components of the gradient with respect to initial states and parameters p.
+/// The gradient of a flow computed alone must agree with its gradient computed together with M.
 ///
 /// # Panics
 /// Panics on the first [`Mismatch`], or if the rollouts or their gradients are non-finite.
@@ -360,7 +362,8 @@ fn start_gradients(
     Ok((0..samples).flat_map(|sample| adjoint.start_gradient(0, sample).to_vec()).collect())
 }
 
-/// Draws parameters with finite rollouts: initial ones plus noise, reduced if a rollout diverges.
+/// Draws parameters with finite rollouts: initial parameters plus noise. Reduces the noise if a
+/// rollout diverges.
 fn finite_weights(
     task: &dyn AnyTask<f64>,
     policy: &dyn AnyPolicy<f64>,

@@ -16,7 +16,7 @@ use num_dual::Dual64;
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Number of random directions.
+/// Number of random directions per check of a gradient.
 const DIRECTIONS: usize = 4;
 
 /// Largest number of parameters for which every component is compared.
@@ -46,7 +46,7 @@ pub(super) fn rollouts<T: Task, P: Policy, S: Scalar>(task: &T, policy: &P, thet
         let trained = policy.trained_params();
         for (param, &r) in trained.iter().zip(&theta[theta.len() - trained.len()..]) {
             let p = &mut p[param.index()];
-            // The value is that of θ. The derivative includes that along the entry of p.
+            // The value comes from θ. The derivative with respect to the entry of p remains.
             *p = param.value(r) + (*p - p.detach());
         }
         let (mut next, mut u) = (x.clone(), vec![S::zero(); m]);
@@ -89,8 +89,9 @@ pub fn loss<T: Task, P: Policy>(task: &T, policy: &P, theta: &[f64], starts: &[f
 
 /// Directional derivative of the mean loss, by forward mode with num-dual.
 ///
-/// `starts` holds the initial states, and `flow` selects the differentiated paths. `tangent(i)` is
-/// the component of the direction along parameter i.
+/// `starts` concatenates the initial states of the samples, each followed by its parameters. `flow`
+/// selects the differentiated paths. `tangent(i)` is the component of the direction along policy
+/// parameter i.
 pub fn slope_by_duals<T: Task, P: Policy>(
     task: &T,
     policy: &P,
@@ -102,7 +103,8 @@ pub fn slope_by_duals<T: Task, P: Policy>(
     rollouts(task, policy, &along(theta, tangent), &constants(starts), flow).eps
 }
 
-/// As [`slope_by_duals`], along a direction of the initial states with their parameters.
+/// Directional derivative as in [`slope_by_duals`], along a direction of the initial states with
+/// their parameters.
 pub(super) fn start_slope_by_duals<T: Task, P: Policy>(
     task: &T,
     policy: &P,
@@ -117,8 +119,7 @@ pub(super) fn start_slope_by_duals<T: Task, P: Policy>(
 /// Directional derivative, as a function of the tangent of every parameter.
 type Along<'a> = &'a dyn Fn(&dyn Fn(usize) -> f64) -> f64;
 
-/// Gradient components with their indices: all of at most [`ALL`] parameters, otherwise 16 random
-/// ones.
+/// Indices with gradient components: all of at most [`ALL`] parameters, otherwise 16 random ones.
 pub fn some_components(params: usize, rng: &mut Rng, along: Along) -> Vec<(usize, f64)> {
     let all = params <= ALL;
     let indices: Vec<usize> = if all { (0..params).collect() } else { (0..16).map(|_| rng.random_range(0..params)).collect() };
@@ -219,7 +220,7 @@ pub fn policy_directions(
 }
 
 /// Random directions with components of either sign and magnitude between 1/2 and 3/2. A single
-/// wrong component always changes the slope; several cancel only by chance.
+/// wrong component always changes the slope. Several wrong components cancel only by chance.
 fn directions(rng: &mut Rng, len: usize) -> Vec<Vec<f64>> {
     let mut component = || rng.random_range(0.5..1.5) * if rng.random() { 1.0 } else { -1.0 };
     (0..DIRECTIONS).map(|_| (0..len).map(|_| component()).collect()).collect()

@@ -12,9 +12,9 @@ use std::fmt;
 
 /// Number of neighbouring parameter vectors.
 const NEIGHBOURS: u64 = 4;
-/// Standard deviation of the difference between a parameter and that of a neighbour.
+/// Standard deviation of the normal noise that is added to each parameter for a neighbour.
 const AWAY: f64 = 0.01;
-/// Gradients below this share of the largest neighbouring gradient count as zero.
+/// Gradients of at most this share of the largest neighbouring gradient norm count as zero.
 const NEGLIGIBLE: f64 = 1e-6;
 
 /// Result of [`plateau`].
@@ -62,12 +62,13 @@ impl fmt::Display for Plateau {
 /// Compares the gradient R of the mean loss with the gradients at four neighbouring parameter
 /// vectors.
 ///
-/// `starts` holds the initial states with their parameters. Typical causes of a vanishing gradient
-/// are a saturated policy, a contact that no rollout makes, and zero overlap with a target.
+/// `starts` concatenates the initial states of the samples, each followed by its parameters.
+/// Typical causes of a vanishing gradient are a saturated policy, a contact that no rollout makes,
+/// and zero overlap with a target.
 /// ```
 /// use physgrad::{Weights, check, policy::Constant, tasks::Bowl};
 ///
-/// // One step from the origin to the bottom of a bowl, and to its side.
+/// // One step moves the state from the origin to θ. The loss is lowest at the origin.
 /// let policy = Constant::new(2, 2);
 /// let at = |theta: [f64; 2]| check::plateau(&Bowl::default(), &policy, &Weights::new(&policy, theta.to_vec()), &[0.0, 0.0]);
 /// assert!(at([0.0, 0.0])?.to_string().starts_with("a minimum"));

@@ -37,7 +37,7 @@ pub fn policy<P: Policy>(policy: &P) -> Passed {
 ///
 /// The tolerance of a direction is `1e-12 Σ |gᵢ vᵢ|`. A sum of n terms, each rounded to
 /// `ε = 1.1e-16`, has an error of about `√n ε Σ |gᵢ vᵢ|`. Cancellation within the `gᵢ`, which are
-/// sums over columns and positions, adds about one digit. A single component with error d is
+/// sums over columns and positions, increases the error about tenfold. A component with error d is
 /// detected if `d > 2e-12 Σ |gᵢ vᵢ|`. This bound is at most `3e-12 n` times the largest component.
 ///
 /// # Errors
@@ -54,8 +54,8 @@ type Act<'a> = &'a dyn Fn(&[f64], &[f64], usize, &mut [f64]);
 /// Object-safe part of [`try_policy`]; limits monomorphization.
 fn check(policy: &dyn crate::policy::AnyPolicy<f64>, act: Act, by_duals: oracle::Act) -> Result<Passed, Mismatch> {
     let (n, m, params) = (policy.input_dim(), policy.output_dim(), policy.param_count());
-    // Three samples of a few steps: forward passes of one step each, then one backward pass over
-    // all, as in a rollout.
+    // Each forward pass covers one step of all samples. One backward pass covers all steps, as in
+    // a rollout.
     let (samples, steps) = (3, STEPS);
     let total = samples * steps;
     let mut c = Comparison::new(ONE_STEP);
@@ -156,10 +156,10 @@ mod tests {
     use crate::policy::{Conv, Linear};
 
     #[test]
-    fn some_of_each_tensor_are_compared() {
+    fn up_to_64_components_per_tensor_are_compared_and_all_of_a_small_policy() {
         let policy = Conv::new(32, 60);
         let chosen = some_parameters(&policy.tensors(), &mut stream(0, Purpose::Check, 0));
-        assert!(chosen.is_sorted_by(|a, b| a < b), "every index once");
+        assert!(chosen.is_sorted_by(|a, b| a < b), "indices are sorted and unique");
         let of = |tensor: crate::policy::Tensor| chosen.iter().filter(|i| tensor.range.contains(i)).count();
         assert_eq!(policy.tensors().into_iter().map(of).collect::<Vec<_>>(), [64, 60, 64, 60, 64, 1]);
         let few = some_parameters(&Linear::with_bias(3, 2).tensors(), &mut stream(0, Purpose::Check, 0));

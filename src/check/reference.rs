@@ -9,12 +9,12 @@ use crate::policy::Policy;
 /// Mean loss of rollouts and its directional derivative, by forward mode in double-double
 /// arithmetic.
 ///
-/// `starts` holds the initial states, and `flow` selects the differentiated paths. `direction(i)`
-/// is the component of the direction along parameter i. The function returns `[loss, slope]`,
-/// rounded to `f64`.
+/// `starts` concatenates the initial states of the samples, each followed by its parameters. `flow`
+/// selects the differentiated paths. `direction(i)` is the component of the direction along
+/// policy parameter i. The function returns `[loss, slope]`, rounded to `f64`.
 ///
-/// Parameters, initial states and physical constants enter as exact `f64` values. Intended as a
-/// reference: it is orders of magnitude slower than `f64`.
+/// Parameters, initial states and physical constants enter as exact `f64` values. The result is
+/// intended as a reference: the computation is orders of magnitude slower than in `f64`.
 /// ```
 /// use physgrad::{Flow, Task, check, policy::Linear, tasks::CartPole};
 ///

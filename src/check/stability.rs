@@ -17,8 +17,8 @@ pub struct Stability {
     /// Spectral radius of ∂S/∂x: the asymptotic growth factor per step of the fastest growing
     /// perturbation. NaN if the Jacobian is non-finite.
     pub multiplier: f64,
-    /// State component in which that perturbation is largest. For a NaN multiplier, the first
-    /// component with a non-finite derivative.
+    /// State component in which the fastest growing perturbation is largest. For a NaN multiplier,
+    /// the first component with a non-finite derivative.
     pub component: usize,
 }
 
@@ -54,13 +54,13 @@ impl fmt::Display for Stability {
 
 /// Growth of a perturbation of the state under repeated steps with the Jacobian at `inputs`.
 ///
-/// An explicit step is unstable where the dynamics are too stiff for it. The perturbation then
-/// grows with every step and usually alternates in sign. Stability depends on the state: evaluate
-/// it at the closest approach, in contact and at rest.
+/// An explicit step is unstable where the dynamics are too stiff for its length. The perturbation
+/// then grows with every step and usually alternates in sign. Stability depends on the state:
+/// evaluate it at the closest approach, in contact and at rest.
 ///
 /// The spectral radius follows from Gelfand's formula, `ρ = lim ‖Jᵏ‖^(1/k)`, with 30 squarings of
-/// the Jacobian. Unlike power iteration, it handles complex eigenvalue pairs and defective
-/// matrices. The cost is `state_dim` forward-mode derivatives and 30 matrix products.
+/// the Jacobian. Unlike power iteration, the formula handles complex eigenvalue pairs and
+/// defective matrices. The cost is `state_dim` forward-mode derivatives and 30 matrix products.
 /// ```
 /// use physgrad::{Inputs, check, tasks::{FrictionScheme, SliderSystem}};
 ///
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn spectral_radii_of_every_kind() {
+    fn spectral_radii_are_correct_for_complex_defective_and_nilpotent_matrices() {
         let near = |found: Stability, expected: f64| assert!((found.multiplier - expected).abs() < 1e-7, "{found:?}");
         near(of([[0.5, 0.0, 0.0], [0.0, -3.0, 0.0], [0.0, 0.0, 2.0]]), 3.0);
         assert_eq!(of([[0.5, 0.0, 0.0], [0.0, -3.0, 0.0], [0.0, 0.0, 2.0]]).component, 1);

@@ -61,7 +61,8 @@ impl Case {
     }
 }
 
-/// All cases, in the order of `docs/stability.md`.
+/// All cases of the library, in the order of `docs/stability.md`. `physgrad stress` adds the case
+/// `reproducible`.
 pub fn cases() -> impl Iterator<Item = Case> {
     [
         exponents::CASES,

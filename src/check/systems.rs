@@ -51,7 +51,7 @@ fn inputs<T>([x, u, p]: &Values<T>, t: usize) -> Inputs<'_, T> {
     Inputs { x, u, p, t }
 }
 
-/// Jacobian products with respect to state, control and parameters, by dual numbers.
+/// Transposed Jacobian products with respect to state, control and parameters, by dual numbers.
 fn step_vjp(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64]) -> Values<f64> {
     let (n, m) = (at.x.len(), at.x.len() + at.u.len());
     let step = |all: &[Dual64], next: &mut [Dual64]| {
@@ -66,7 +66,7 @@ fn step_vjp(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64]) -> Valu
 /// Draws a state, a control and parameters.
 type Draw<'a> = &'a dyn Fn(&mut Rng, &mut [f64], &mut [f64], &mut [f64]);
 
-/// See [`try_system_at`](super::try_system_at).
+/// Performs the check of [`try_system_at`](super::try_system_at).
 pub(super) fn check(system: &dyn Checked, draw: Draw) -> Result<Passed, Mismatch> {
     let sizes = [system.state_dim(), system.control_dim(), system.param_dim()];
     let mut c = Comparison::new(ONE_STEP);
@@ -118,7 +118,8 @@ fn requests(
     c: &mut Comparison,
 ) -> Result<(), Mismatch> {
     let next_bar: Vec<One<f64>> = next_bar.iter().map(|&bar| CotangentPack([bar])).collect();
-    // Requests all three first: a failure then has the most general message.
+    // Starts with the request of all three: a `vjp` that is always wrong is then reported without
+    // naming a combination.
     for requested in (1..8).rev() {
         let asked = |k: usize| requested >> k & 1 == 1;
         let mut cotangents = [at.x, at.u, at.p].map(|values| vec![One::<f64>::null(); values.len()]);
@@ -145,7 +146,7 @@ fn requests(
 }
 
 /// Compares SIMD lanes with scalars, bit for bit. Every lane has different inputs. The VJP carries
-/// two flows with opposite cotangents, so that their results are opposite.
+/// two flows with cotangents of opposite sign, so the results have opposite signs too.
 fn lanes(system: &dyn Checked, at: Inputs<'_, f64>, next_bar: &[f64], c: &mut Comparison) -> Result<(), Mismatch> {
     const W: usize = WIDTH;
     let vary = |v: &[f64], lane: usize| v.iter().map(|v| v * (1.0 + lane as f64 / 64.0)).collect::<Vec<f64>>();

@@ -3,14 +3,14 @@
 use super::Raster;
 use std::fmt::Write;
 
-/// Time for which the last frame stays before the loop restarts, s.
+/// Duration of the last frame before the loop restarts, s.
 const HOLD: f64 = 0.7;
-/// Largest size of the view, in pixels.
+/// Largest width and height of the view, in pixels.
 const MAX_SIZE: [f64; 2] = [720.0, 480.0];
 /// Height of the title strip above the view, in pixels.
 const TITLE_HEIGHT: f64 = 40.0;
 
-/// Shape in world coordinates: metres, y up.
+/// Shape in the coordinates of [`Animation::view`], with y upwards.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shape {
     /// Straight line with round ends.
@@ -79,12 +79,12 @@ pub struct Animation {
     pub title: String,
     /// Duration from the first frame to the last, s.
     pub seconds: f64,
-    /// Visible rectangle of the world: lower left and upper right corner. Shapes are clipped to it.
+    /// Visible rectangle of the world: lower left and upper right corner. Clips all shapes.
     pub view: ([f64; 2], [f64; 2]),
     /// Static background.
     pub still: Vec<Shape>,
-    /// Shapes of each frame: the same kinds in the same order. Colours and texts are those of the
-    /// first frame.
+    /// Shapes of each frame: the same kinds in the same order. Colours and texts keep their values
+    /// of the first frame.
     pub frames: Vec<Vec<Shape>>,
 }
 
@@ -137,7 +137,7 @@ struct Element {
     tag: &'static str,
     /// Attributes that may change between frames.
     numbers: Vec<(&'static str, String)>,
-    /// Attributes fixed to those of the first frame.
+    /// Attributes that keep their values of the first frame.
     style: String,
     /// Text content.
     content: String,
@@ -173,8 +173,8 @@ impl Element {
                 ("polyline", vec![("points", points.join(" ")), ("stroke-width", length(*width))], style)
             }
             Shape::Image { center, size, raster } => {
-                // Sharp cell edges; the first rule is a fallback for viewers without support for
-                // the second.
+                // Both rules keep cell edges sharp. Viewers that do not support `pixelated` use
+                // `optimizeSpeed`.
                 let style = "preserveAspectRatio=\"none\" style=\"image-rendering:optimizeSpeed;image-rendering:pixelated\"";
                 ("image", rectangle(*center, *size), format!("{style} href=\"{}\"", raster.data_uri()))
             }
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_moves_is_animated() {
+    fn only_attributes_that_change_are_animated() {
         let svg = moving_dot(&[0.0, 1.0, f64::NAN]).to_svg();
         let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
         let animated: Vec<_> = document.descendants().filter(|node| node.has_tag_name("animate")).collect();
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn few_frames_stand_still() {
+    fn zero_or_one_frame_yields_no_animate_element() {
         for svg in [moving_dot(&[]).to_svg(), moving_dot(&[1.0]).to_svg()] {
             roxmltree::Document::parse(&svg).expect("an SVG is XML");
             assert!(!svg.contains("<animate"));
@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn the_background_is_written_once() {
+    fn static_shapes_are_written_once_without_an_animate_element() {
         let curve = |y: f64| Shape::Curve { points: vec![[0.0, y], [1.0, 0.5]], width: 0.1, color: "red" };
         let raster = Raster::new(&[vec![0.0, 1.0]]);
         let mut animation = moving_dot(&[0.0, 1.0]);
@@ -301,7 +301,7 @@ mod tests {
 
     #[test]
     #[should_panic(expected = "same shapes")]
-    fn frames_must_agree() {
+    fn frames_with_different_shapes_panic() {
         let mut animation = moving_dot(&[0.0, 1.0]);
         animation.frames[1].clear();
         animation.to_svg();

@@ -8,11 +8,13 @@ const LETTERS: f64 = 12.0;
 
 /// Rectangle in picture coordinates, in pixels, with a linear scale along each side.
 pub(super) struct Axes {
-    /// Left and right edge.
+    /// Left edge.
     pub left: f64,
+    /// Right edge.
     pub right: f64,
-    /// Lower and upper edge.
+    /// Lower edge.
     pub bottom: f64,
+    /// Upper edge.
     pub top: f64,
     /// Data x at the left and right edge.
     pub x: [f64; 2],
@@ -114,14 +116,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ticks_are_round() {
+    fn ticks_are_multiples_of_1_2_or_5_times_a_power_of_ten() {
         assert_eq!(ticks(-0.03, 8.03, 5.0), [0.0, 2.0, 4.0, 6.0, 8.0]);
         assert_eq!(ticks(0.0, 2.0, 4.0), [0.0, 0.5, 1.0, 1.5, 2.0]);
         assert_eq!(ticks(-0.5, 0.5, 5.0), [-0.4, -0.2, 0.0, 0.2, 0.4]);
     }
 
     #[test]
-    fn numbers_have_three_digits() {
+    fn numbers_have_about_three_digits_and_a_typographic_minus() {
         for (value, text) in [(0.0, "0"), (2.0, "2"), (-12.345, "−12.3"), (0.05, "0.05"), (1234.0, "1234"), (2e-7, "2.0e−7")]
         {
             assert_eq!(number(value), text);

@@ -30,9 +30,9 @@ const WHOLE: f64 = 10.0;
 /// States are `dt` seconds apart. `half_length` is half the length of a pole, in m. The arrow on
 /// the cart shows the force in `controls`, relative to the largest force of the trajectory.
 ///
-/// Trajectories shorter than 2 s play at one third of real time. For long distances the camera
-/// follows the cart. The animation ends before the first state that is non-finite, beyond 1e6 m,
-/// or of a different length.
+/// Trajectories shorter than 2 s play at one third of real time. The camera follows a cart whose
+/// positions span more than 6 pole lengths. The animation ends before the first state that is
+/// non-finite, beyond 1e6 m, or of a different length.
 pub fn cart_pole(states: &[Vec<f64>], controls: &[f64], half_length: f64, dt: f64) -> Animation {
     cart_pole_on(&Rail::default(), states, controls, half_length, dt)
 }
@@ -79,10 +79,15 @@ fn relative_force(controls: &[f64], step: usize) -> f64 {
 
 /// Data shared by all frames: view and rail marks.
 struct Stage {
+    /// Length of a pole, m.
     length: f64,
+    /// Lower left corner of the view, m.
     low: [f64; 2],
+    /// Upper right corner of the view, m.
     high: [f64; 2],
+    /// True if the camera follows the cart.
     follow: bool,
+    /// Positions of the rail marks, m.
     marks: Vec<f64>,
     bumpers: Option<Bumpers>,
 }
@@ -210,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn camera_follows_a_cart_that_travels_far() {
+    fn camera_follows_a_cart_that_travels_30_m() {
         let animation = cart_pole(&trajectory(30.0), &[2.0, -2.0], 0.5, 0.01);
         assert!(animation.view.1[0] - animation.view.0[0] < 6.0);
         let svg = animation.to_svg();
@@ -218,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn empty_inputs_give_a_picture() {
+    fn empty_and_invalid_inputs_give_a_picture() {
         for states in [vec![], vec![vec![]], vec![vec![f64::NAN; 4]], vec![vec![0.0]]] {
             roxmltree::Document::parse(&cart_pole(&states, &[], 0.5, 0.02).to_svg()).expect("an SVG is XML");
         }

@@ -1,4 +1,4 @@
-//! Animation of numbers over time, for tasks without a picture of their own.
+//! Animation of numbers over time, for tasks without a specific animation.
 
 use super::animation::{Animation, Shape};
 
@@ -8,10 +8,11 @@ const CURSOR: &str = "#5B6470";
 
 /// Largest number of frames. Longer rollouts are thinned.
 const MAX_FRAMES: usize = 250;
-/// Height of the picture and font size, in pixels.
+/// Height of the picture, in pixels.
 const HEIGHT: f64 = 480.0;
+/// Font size, in pixels.
 const FONT: f64 = 13.0;
-/// Share of the width for names and ranges.
+/// Share of the picture width for names and ranges.
 const LABELS: f64 = 0.24;
 
 /// One number over time.
@@ -25,14 +26,14 @@ pub struct Channel {
     pub color: &'static str,
 }
 
-/// Animates numbers over time, one band per channel, each with its own range. A cursor moves in
-/// real time, but takes at least 1 s. Values are `dt` seconds apart and are shown up to the first
-/// non-finite one.
+/// Animates numbers over time, one band per channel, each with its own range. Values are `dt`
+/// seconds apart. A cursor crosses the bands in real time, or in 1 s if the rollout is shorter. A
+/// curve ends before the first non-finite value.
 pub fn channels_over_time(title: &str, channels: &[Channel], dt: f64) -> Animation {
     let finite = |channel: &Channel| channel.values.iter().take_while(|value| value.is_finite()).count();
     let lengths: Vec<usize> = channels.iter().map(finite).collect();
     let steps = lengths.iter().copied().max().unwrap_or(0).saturating_sub(1);
-    // One unit is the height of a band. The lowest half band holds the time axis.
+    // The unit of length is the height of a band. The lowest half unit holds the time axis.
     let height = channels.len().max(1) as f64 + 0.5;
     let (width, font) = (1.5 * height, FONT * height / HEIGHT);
     let left = LABELS * width;

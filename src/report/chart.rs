@@ -8,9 +8,9 @@ use super::series::{cleaned, drawable, thinned, x_range};
 use super::{Drawing, Series};
 use kuva::prelude::{Layout, render_multiple};
 
-/// Width and height; small enough to keep labels legible on phones.
+/// Width and height, in pixels; small enough to keep labels legible on phones.
 const SIZE: [f64; 2] = [460.0, 270.0];
-/// Margins around the plotted area: left, top, right, bottom.
+/// Margins around the plotted area, in pixels: left, top, right, bottom.
 const MARGINS: [f64; 4] = [58.0, 12.0, 16.0, 44.0];
 
 /// Chart without title, legend and y label, which the surrounding page supplies.
@@ -45,8 +45,8 @@ pub struct Frame {
 }
 
 impl Chart {
-    /// Creates a chart with a logarithmic y axis. Omits points that are non-finite, zero or
-    /// negative.
+    /// Creates a chart with a logarithmic y axis. Omits points with a non-finite x or a y outside
+    /// 1e-100 to 1e100.
     pub fn log(x_label: &'static str, y_label: &'static str, series: Vec<Series>) -> Self {
         let series = shown(series, drawable);
         Self { x_label, y_label, x: x_range(&series), y: Axis::Log(LogAxis::of(series.iter())), series }
@@ -129,7 +129,7 @@ fn shown(series: Vec<Series>, can_be: impl Fn(f64) -> bool) -> Vec<Series> {
     series.into_iter().map(clean).filter(|s| !s.line.is_empty()).collect()
 }
 
-/// Tick step: 1, 2 or 5 times a power of ten, for at most seven steps. An integer if all x are
+/// Tick step: 1, 2 or 5 times a power of ten, for at most seven ticks. An integer if all x are
 /// integers.
 fn tick_step([low, high]: &[f64; 2], series: &[Series]) -> f64 {
     let step = round_up((high - low) / 6.5);
@@ -166,8 +166,8 @@ mod tests {
     }
 
     #[test]
-    fn axes_state_the_range() {
-        // Includes values below the smallest that kuva draws without rescaling.
+    fn the_frame_maps_data_to_the_drawn_vertices() {
+        // The first points are below 1e-10, which kuva cannot draw without a change of unit.
         for points in [[(0.0, 3e-14), (2.0, 4e-11), (7.0, 2e-12)], [(10.0, 0.3), (2000.0, 4e3), (4000.0, 1.0)]] {
             check(&Chart::log("x", "y", vec![Series::new("a", "#123456", points.to_vec())]), &points);
         }
@@ -176,14 +176,14 @@ mod tests {
     }
 
     #[test]
-    fn ticks_are_round_and_epochs_whole() {
+    fn tick_steps_are_round_and_integers_for_integer_x() {
         let step = |high: f64, x: f64| tick_step(&[0.0, high], &[Series::new("a", "red", vec![(x, 1.0)])]);
         assert_eq!([step(3.0, 1.0), step(15.0, 1.0), step(60.0, 1.0), step(1000.0, 1.0)], [1.0, 5.0, 10.0, 200.0]);
         assert_eq!([step(3.0, 0.5), step(0.3, 0.1)], [0.5, 0.05]);
     }
 
     #[test]
-    fn invisible_elements_are_omitted() {
+    fn points_that_cannot_be_shown_are_omitted() {
         let series = |points: &[(f64, f64)]| Series::new("a", "#123456", points.to_vec());
         let chart =
             Chart::log("x", "y", vec![series(&[(0.0, f64::NAN), (1.0, 0.0)]), series(&[(0.0, f64::INFINITY), (1.0, 2.0)])]);

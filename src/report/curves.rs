@@ -55,7 +55,7 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
 /// Draws the test losses of several methods against epochs and against wall time.
 ///
 /// - Line: geometric mean over the seeds, which is the arithmetic mean on a log axis. A single bad
-///   seed does not dominate it.
+///   seed does not dominate this mean.
 /// - Band: range from the best to the worst seed, always positive. A single seed has no band.
 ///
 /// Values are interpolated at common epochs, over the range that all runs cover. The wall time of
@@ -108,7 +108,7 @@ impl Curve {
         };
         // Seeds reach the same epoch at different times.
         let xs: Vec<Vec<(f64, f64)>> = measured.into_iter().map(|run| run.iter().map(|p| (p.epoch, x(p))).collect()).collect();
-        // Point of the line, and edges of the band.
+        // Points of the line, with the edges of the band.
         let mut summaries = Vec::new();
         for epoch in common_grid(&runs) {
             let losses: Vec<f64> = runs.iter().map(|run| interpolated(run, epoch, log_between)).collect();
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn any_input_yields_a_valid_drawing() {
+    fn empty_invalid_and_long_inputs_yield_valid_drawings() {
         check(&learning_curve("nothing", &[], &[]));
         check(&learning_curve("one <point> & no more", &[(0.0, 2.0)], &[(0.0, f64::NAN), (1.0, -1.0)]));
         let long: Vec<(f64, f64)> = (0..10_000).map(|i| (f64::from(i), 1.0 / f64::from(i))).collect();

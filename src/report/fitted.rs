@@ -6,13 +6,13 @@ use super::series::x_range;
 use super::{Drawing, Series};
 use kuva::prelude::*;
 
-/// Width and height of a panel.
+/// Width and height of a panel, in pixels.
 const SIZE: [f64; 2] = [330.0, 170.0];
 
 /// Largest number of points of a line.
 const MAX_POINTS: usize = 800;
 
-/// Title of a column, and its panels: label of the y axis, and lines.
+/// Title of a column, and its panels from top to bottom: label of the y axis, and lines.
 pub type FittedColumn = (String, Vec<(String, Vec<Series>)>);
 
 /// Draws a grid of panels over time in s: one column per title, one row per label. All columns have

@@ -17,10 +17,11 @@ const TRACK: &str = "#ECEEF1";
 
 /// Number of frames beyond which a trajectory is thinned; motion between frames is linear.
 const MAX_FRAMES: usize = 120;
-/// Maximum number of trail segments, for all agents together and per agent.
+/// Number of trail segments of all agents together. Each agent has at least one segment.
 const ALL_PIECES: usize = 120;
+/// Largest number of trail segments per agent.
 const MAX_PIECES: usize = 8;
-/// Duration of a trail, relative to that of the animation.
+/// Duration of a trail, as a share of the animation.
 const TRAIL: f64 = 0.25;
 /// Coordinate of an agent that counts as diverged, m.
 const FAR: f64 = 1e6;
@@ -41,8 +42,8 @@ pub fn guidance(states: &[Vec<f64>], drivers: usize, dt: f64) -> Animation {
     guidance_in(&Field::default(), states, drivers, dt)
 }
 
-/// Animates a trajectory as [`guidance`] does, with obstacles and walls. The view includes them
-/// unless they extend beyond twice the largest initial coordinate.
+/// Animates a trajectory as [`guidance`] does, with obstacles and walls. The view includes an
+/// obstacle or the walls unless they extend beyond twice the largest initial coordinate.
 pub fn guidance_in(field: &Field, states: &[Vec<f64>], drivers: usize, dt: f64) -> Animation {
     let width = states.first().map_or(0, Vec::len);
     let valid = |s: &&Vec<f64>| {
@@ -125,7 +126,7 @@ impl Layout {
         shapes
     }
 
-    /// Trail of past positions, thinner with age. Before the start it stays at the initial
+    /// Trail of past positions, thinner with age. Times before the start count as the initial
     /// position.
     fn trail(&self, frame: usize, agent: usize, radius: f64) -> Vec<Shape> {
         let pieces = (ALL_PIECES / self.path[frame].len()).clamp(1, MAX_PIECES);
@@ -213,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn a_runaway_agent_leaves_the_view() {
+    fn an_agent_at_10_km_per_s_does_not_widen_the_view() {
         let animation = guidance(&trajectory(1e4), 1, 1.0 / 15.0);
         assert!(animation.view.1[0] - animation.view.0[0] < 50.0);
         let svg = animation.to_svg();
@@ -221,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn many_agents_do_not_make_a_large_file() {
+    fn an_animation_of_100_agents_is_below_1_500_000_bytes() {
         let states: Vec<Vec<f64>> =
             (0..2000).map(|t| (0..400).map(|i| f64::from(i).sin() + (f64::from(t * i) * 1e-3).cos()).collect()).collect();
         let svg = guidance(&states, 20, 0.01).to_svg();
@@ -229,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn empty_inputs_give_a_picture() {
+    fn empty_and_invalid_inputs_give_a_picture() {
         for states in [vec![], vec![vec![]], vec![vec![]; 3], vec![vec![f64::NAN; 4]], vec![vec![0.0; 3]], vec![vec![0.0; 4]]] {
             roxmltree::Document::parse(&guidance(&states, 2, 0.02).to_svg()).expect("an SVG is XML");
         }

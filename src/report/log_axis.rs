@@ -6,8 +6,11 @@ use kuva::prelude::*;
 /// Logarithmic axis in units of 10^exponent. The plotting library kuva raises values below 1e-10 to
 /// 1e-10, so `low` is scaled into [1, 10).
 pub struct LogAxis {
+    /// Power of ten of the axis unit.
     pub exponent: i32,
+    /// Lower end of the range, in axis units.
     pub low: f64,
+    /// Upper end of the range, in axis units.
     pub high: f64,
 }
 
@@ -30,19 +33,20 @@ impl LogAxis {
         let exponent = min.log10().floor() as i32;
         let unit = 10f64.powi(exponent);
         let round_numbers = || (-1..=200).flat_map(|e| (1..10).map(move |m| f64::from(m) * 10f64.powi(e)));
-        // Tolerance, so that a rounding error of the division does not extend the range by a tick.
+        // The tolerance prevents a rounding error of the division from extending the range by a
+        // tick.
         let low = round_numbers().take_while(|&y| y <= min / unit * (1.0 + 1e-9)).last().unwrap_or(1.0);
         let high = round_numbers().find(|&y| y > low * 1.9 && y >= max / unit * (1.0 - 1e-9)).unwrap_or(1e200);
         Self { exponent, low, high }
     }
 
-    /// Value of one axis unit.
+    /// Axis unit in units of the data.
     pub fn unit(&self) -> f64 {
         10f64.powi(self.exponent)
     }
 
-    /// Formats ticks as powers of ten. Axes with a short range also label 2 and 5 times these
-    /// powers, as plain numbers where these are short.
+    /// Formats ticks as powers of ten. Axes of at most two decades also label 2 and 5 times these
+    /// powers. These axes show numbers with exponents from -3 to 3 without a power of ten.
     pub fn tick_format(&self) -> TickFormat {
         let (shift, decades) = (self.exponent, (self.high / self.low).log10());
         let every = (decades / 12.0).ceil().max(1.0) as i32;
@@ -92,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn ticks_are_named_in_the_units_of_the_data() {
+    fn tick_labels_state_data_values_not_axis_units() {
         assert_eq!(labels(&[1e-13, 1e-5]), ["10⁻¹³", "", "", "10⁻¹²"]);
         assert_eq!(labels(&[0.1, 1.0]), ["0.1", "0.2", "0.5", "1"]);
         assert_eq!(labels(&[1e-5, 1e-4]), ["10⁻⁵", "2·10⁻⁵", "5·10⁻⁵", "10⁻⁴"]);

@@ -35,14 +35,14 @@ impl Panel {
     }
 }
 
-/// Width and height of a plotted area: first in figures of one row with at most two panels, then in
-/// larger figures.
+/// Width and height of a plotted area, in pixels: first in figures of one row with at most two
+/// panels, then in larger figures.
 const SIZES: [[f64; 2]; 2] = [[380.0, 350.0], [250.0, 240.0]];
-/// Width beside the plotted area without tick labels and label of the y axis.
+/// Width of a panel beyond its plotted area, y tick labels and y label, in pixels.
 const MARGIN: f64 = 62.0;
-/// Width of the y tick labels.
+/// Width of the y tick labels, in pixels.
 const TICK_LABELS: f64 = 30.0;
-/// Width of the y label.
+/// Width of the y label, in pixels.
 const LABEL: f64 = 24.0;
 
 /// Renders rows of panels. All rows have the same number of panels.
@@ -107,8 +107,11 @@ pub fn legend<'a>(panels: impl Iterator<Item = &'a Panel>) -> Vec<LegendEntry> {
 /// Visible axis elements of a panel.
 #[derive(Clone, Copy)]
 pub struct Shows {
+    /// Tick labels of the y axis.
     pub y_numbers: bool,
+    /// Label of the y axis.
     pub y_name: bool,
+    /// Label of the x axis.
     pub x_name: bool,
 }
 

@@ -13,16 +13,16 @@ const MAX_FRAMES: usize = 250;
 /// Coordinate that counts as diverged, m.
 const FAR: f64 = 1e6;
 
-/// Configuration at one time, m.
+/// Positions at one time, m.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Posture {
-    /// Joints of a chain of rods, in order, equally many at every time. Empty for no chain.
+    /// Joints of a chain of rods, in order; the same number at every time. Empty for no chain.
     pub chain: Vec<[f64; 2]>,
-    /// Centers of the boxes, equally many at every time.
+    /// Centers of the boxes; the same number at every time.
     pub boxes: Vec<[f64; 2]>,
 }
 
-/// Static surroundings.
+/// Static parts and settings of the animation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stage {
     /// Title of the animation.
@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_animation_shows_all_bodies_and_ends_at_divergence() {
+    fn an_animation_shows_all_bodies_and_ends_before_a_nan() {
         let stage = Stage { title: "A test".into(), size: 0.2, floor: Some(0.0), mark: Some([3.0, 0.0]) };
         let posture = |x: f64| Posture { chain: vec![[x, 0.0], [x, 1.0]], boxes: vec![[x, 0.1]] };
         let animation = mechanics(&stage, &[posture(0.0), posture(1.0), posture(f64::NAN), posture(2.0)], 0.5);

@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn the_colour_is_that_of_the_value_whatever_the_others_are() {
+    fn the_colour_of_a_value_does_not_depend_on_other_values() {
         // Thirteenth of eighteen steps, six per decade.
         let twelve = format!("fill=\"{}\"", color(12.0 / 17.0));
         for others in [[12.0, 12.0, 12.0], [1.0, 0.2, 30.0], [1e9, 1e-9, f64::NAN]] {
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_of_one_colour_are_one_rectangle() {
+    fn adjacent_cells_of_equal_colour_share_a_rectangle() {
         let flat = rects(&maps(&PLANE, &[map(&[1.0; 100])], &[]));
         let board: Vec<f64> = (0..100).map(|i| if (i + i / 10) % 2 == 0 { 0.2 } else { 50.0 }).collect();
         assert_eq!(rects(&maps(&PLANE, &[map(&board)], &[])) - flat, 100 - 10);

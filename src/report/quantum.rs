@@ -19,8 +19,9 @@ const CURSOR: &str = "#56B4E9";
 
 /// Number of frames beyond which a trajectory is thinned.
 const MAX_FRAMES: usize = 200;
-/// Numbers of states and grid points beyond which map cells and curve vertices are averages.
+/// Number of states beyond which map columns and curve vertices are averages over states.
 const MAX_COLUMNS: usize = 256;
+/// Number of grid points beyond which map rows and bars are averages over grid points.
 const MAX_ROWS: usize = 64;
 
 /// Animates a trajectory in an empty box.
@@ -29,9 +30,9 @@ const MAX_ROWS: usize = 64;
 /// with `Σ |ψ_j|² = 1`. `length` is the length of the box. States are `dt` units of time apart.
 /// `target` is the real target state φ at the grid points.
 ///
-/// The large map shows the probability density over time and position. A cursor moves through it,
-/// and through the control and the fidelity `|⟨φ, ψ⟩|²` below. The panel at the right shows the
-/// current density as bars, and the density of the target as a line.
+/// The large map shows the probability density over time and position. Below the map are the
+/// control and the fidelity `|⟨φ, ψ⟩|²`. A cursor moves through all three. The panel at the right
+/// shows the current density as bars, and the density of the target as a line.
 ///
 /// A unit of time takes 1 s, but the whole trajectory takes at least 4 s and at most 12 s. The
 /// animation ends before the first state that is non-finite or of a different length.
@@ -41,8 +42,9 @@ pub fn quantum(states: &[Vec<f64>], controls: &[f64], target: &[f64], length: f6
 
 /// Animates a trajectory as [`quantum`] does, with a potential and absorbing edges.
 ///
-/// The potential is drawn behind the density at the right; absorbing edges are shaded there and on
-/// the map. Densities and fidelities are not renormalized, so they include absorption losses.
+/// The right panel shows the potential behind the density. Absorbing edges are shaded in that panel
+/// and on the map. Densities and fidelities are not renormalized, so they include absorption
+/// losses.
 pub fn quantum_in(
     landscape: &Landscape,
     states: &[Vec<f64>],

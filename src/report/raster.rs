@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cells_come_back_from_the_file() {
+    fn the_png_decodes_to_the_colours_of_the_cells() {
         let raster = Raster::new(&[vec![0.0, 0.5, 1.0], vec![f64::NAN, -1.0, f64::INFINITY]]);
         let file = raster.png();
         let mut reader = png::Decoder::new(std::io::Cursor::new(&file)).read_info().expect("a PNG");

@@ -1,4 +1,4 @@
-//! Losses over a grid of settings.
+//! Losses over the values of a setting.
 
 use super::log_figure::{Panel, log_figure};
 use super::series::drawable;

@@ -34,20 +34,20 @@ impl Series {
     }
 }
 
-/// True if a log axis can show the value: between 1e-100 and 1e100.
+/// True for values between 1e-100 and 1e100, which a log axis can show.
 pub fn drawable(y: f64) -> bool {
     y > 1e-100 && y < 1e100
 }
 
-/// Removes points that a chart cannot show and sorts the others by x.
+/// Removes points with a non-finite x or a y that `shown` rejects, and sorts the others by x.
 pub fn cleaned(mut points: Vec<(f64, f64)>, shown: &dyn Fn(f64) -> bool) -> Vec<(f64, f64)> {
     points.retain(|&(x, y)| x.is_finite() && shown(y));
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
     points
 }
 
-/// Range of x: from 0, or the smallest x if negative, to the largest. An empty range is widened by
-/// 1.
+/// Range of x: from 0, or the smallest x if negative, to the largest x. A range of width 0 becomes
+/// 1 wide.
 pub fn x_range(series: &[Series]) -> [f64; 2] {
     let xs = || series.iter().flat_map(|s| &s.line).map(|&(x, _)| x);
     let low = xs().fold(0.0, f64::min);
@@ -55,8 +55,8 @@ pub fn x_range(series: &[Series]) -> [f64; 2] {
     [low, if high > low { high } else { low + 1.0 }]
 }
 
-/// At most [`MAX_POINTS`] items: the first, the last, and of each of equal bins between them those
-/// with the lowest and the highest y.
+/// At most [`MAX_POINTS`] items: the first and the last, and two from each of equal bins between
+/// them. These two have the lowest and the highest y of the bin.
 pub fn thinned<T: Copy>(items: Vec<T>, y: impl Fn(&T) -> f64) -> Vec<T> {
     if items.len() <= MAX_POINTS {
         return items;
@@ -91,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_drawable_values_pass() {
+    fn zero_negative_non_finite_and_subnormal_values_are_not_drawable() {
         assert!(drawable(1e-12));
         assert!(![0.0, -1.0, f64::NAN, f64::INFINITY, 1e-320].into_iter().any(drawable));
     }
@@ -102,7 +102,7 @@ mod tests {
         let kept = thinned(many.clone(), |p| p.1);
         assert!(kept.len() <= MAX_POINTS && kept.is_sorted_by(|a, b| a.0 < b.0), "{}", kept.len());
         assert_eq!((kept[0], kept[kept.len() - 1]), (many[0], many[1000]));
-        assert!(kept.contains(&(333.0, -5.0)), "a single low value remains");
+        assert!(kept.contains(&(333.0, -5.0)), "the lowest value remains");
         assert_eq!(thinned(many[..2].to_vec(), |p| p.1), many[..2]);
     }
 }

@@ -8,8 +8,11 @@ use physgrad::{Adjoint, Flow, Gradient, Inputs, Rollout, Scalar, Start, System, 
 /// final state.
 struct Plant<const CONTROLS: usize>;
 
+/// Factor of the state per step without control.
 const GROWTH: f64 = 1.25;
+/// Gain k of the policy `u = k x`.
 const GAIN: f64 = -0.5;
+/// Number of steps.
 const HORIZON: usize = 60;
 
 impl<const CONTROLS: usize> System for Plant<CONTROLS> {
@@ -50,9 +53,9 @@ fn norms<const CONTROLS: usize>(scale: f64) -> [Vec<f64>; 2] {
     let weights = Weights::new(&policy, (0..CONTROLS * CONTROLS).map(gain).collect());
     let mut rollout = Rollout::new(&task, &policy, samples);
     rollout.start(&(0..samples * CONTROLS).map(|i| (1 + i / CONTROLS) as f64).collect::<Vec<_>>());
-    rollout.run(&task, &policy, &weights).expect("it decays");
+    rollout.run(&task, &policy, &weights).expect("the rollout is finite");
     let mut adjoint = Adjoint::new(&task, &policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]).keep_norms();
-    adjoint.run(&task, &policy, &weights, &rollout, scale).expect("it is finite");
+    adjoint.run(&task, &policy, &weights, &rollout, scale).expect("the adjoint is finite");
     [0, 1].map(|k| adjoint.norms(k).to_vec())
 }
 
@@ -73,16 +76,16 @@ fn assert_powers<const CONTROLS: usize>() {
 }
 
 #[test]
-fn regular_shrinks_with_the_loop_and_modified_grows_with_the_plant() {
+fn r_shrinks_by_0_75_and_m_grows_by_1_25_per_step_back() {
     assert_powers::<1>();
     // With more than one control, the reverse pass through the policy runs step by step.
     assert_powers::<2>();
 }
 
 /// Task on `Plant<1>` with the running cost `x²/2` instead of a terminal cost.
-struct OnTheWay;
+struct RunningLoss;
 
-impl Task for OnTheWay {
+impl Task for RunningLoss {
     type System = Plant<1>;
     fn system(&self) -> &Plant<1> {
         &Plant
@@ -99,17 +102,18 @@ impl Task for OnTheWay {
 }
 
 #[test]
-fn the_cost_of_a_state_itself_is_not_in_its_norm() {
+fn the_norm_at_a_state_omits_the_cost_of_that_state() {
     let policy = Linear::new(1, 1);
     let weights = Weights::new(&policy, vec![GAIN]);
-    let mut rollout = Rollout::new(&OnTheWay, &policy, 1);
+    let mut rollout = Rollout::new(&RunningLoss, &policy, 1);
     rollout.start(&[1.0]);
-    rollout.run(&OnTheWay, &policy, &weights).expect("it decays");
-    let mut adjoint = Adjoint::new(&OnTheWay, &policy, &rollout, &[Flow::REGULAR]).keep_norms();
-    adjoint.run(&OnTheWay, &policy, &weights, &rollout, 1.0).expect("it is finite");
+    rollout.run(&RunningLoss, &policy, &weights).expect("the rollout is finite");
+    let mut adjoint = Adjoint::new(&RunningLoss, &policy, &rollout, &[Flow::REGULAR]).keep_norms();
+    adjoint.run(&RunningLoss, &policy, &weights, &rollout, 1.0).expect("the adjoint is finite");
     let a = GROWTH + GAIN;
     for (t, &norm) in adjoint.norms(0).iter().enumerate() {
-        // The costs of the states after x_t sum to x_t² (a² + a⁴ + …) / 2.
+        // The costs of the states after x_t sum to x_t² (a² + a⁴ + …) / 2. The norm is the
+        // derivative of this sum with respect to x_t.
         let later: f64 = (1..=HORIZON - t).map(|k| a.powi(2 * k as i32)).sum();
         let expected = a.powi(t as i32) * later;
         assert!((norm - expected).abs() <= 1e-12 * expected, "step {t}: {norm:e}, expected {expected:e}");
@@ -118,21 +122,21 @@ fn the_cost_of_a_state_itself_is_not_in_its_norm() {
 }
 
 #[test]
-fn norms_are_of_the_loss_of_a_sample_whatever_the_scale() {
+fn norms_do_not_depend_on_the_scale_of_the_loss() {
     let ([a, b], [c, d]) = (norms::<2>(1.0), norms::<2>(0.125));
     assert_eq!((a, b), (c, d));
 }
 
 #[test]
-fn beyond_the_range_of_f32_an_adjoint_has_the_norms_it_should_have() {
+fn norms_and_gradients_beyond_the_range_of_f32_are_exact_to_1e_4() {
     let (task, policy) = (Plant::<1>, Linear::new(1, 1));
     let weights = Weights::<f32>::new(&policy, vec![GAIN as f32]);
     let mut rollout = Rollout::new(&task, &policy, 1);
     rollout.start(&[1e3]);
-    rollout.run(&task, &policy, &weights).expect("it decays");
+    rollout.run(&task, &policy, &weights).expect("the rollout is finite");
     let mut adjoint = Adjoint::new(&task, &policy, &rollout, &[Flow::MODIFIED]).keep_norms();
     // With this scale, neither the adjoint of M nor its gradient fits in f32.
-    adjoint.run(&task, &policy, &weights, &rollout, f32::MAX).expect("it is carried with its exponent");
+    adjoint.run(&task, &policy, &weights, &rollout, f32::MAX).expect("the adjoint has an exponent");
     let end = f64::from(rollout.state(HORIZON, 0, 0));
     for (t, &norm) in adjoint.norms(0).iter().enumerate() {
         let expected = end * GROWTH.powi((HORIZON - t) as i32);

@@ -73,7 +73,7 @@ fn every_operation_on_duals_counts_the_value_and_four_tangents() {
         let (x, y) = (Dual::variable(Counted(0.4), 1), Dual::constant(Counted(0.3)));
         let expected = match name {
             "add" | "add_assign" | "sub" | "sub_assign" => Ops { add: 5, ..NONE },
-            // Constants change the value only, or scale the tangents.
+            // A constant summand changes only the value. A constant factor scales the tangents too.
             "add_f64" | "sub_f64" => Ops { add: 1, ..NONE },
             "mul_f64" => Ops { multiply: 5, ..NONE },
             "div_f64" => Ops { divide: 5, ..NONE },
@@ -103,7 +103,7 @@ fn every_operation_on_duals_counts_the_value_and_four_tangents() {
 }
 
 #[test]
-fn counts_within_counts_are_counted_in_both() {
+fn operations_of_a_nested_count_are_in_both_counts() {
     let (outer, inner) = Ops::of(|| {
         let x = Counted(2.0) * Counted(3.0);
         let (inner, y) = Ops::of(|| (x + x) / x);
@@ -123,6 +123,7 @@ fn counts_within_counts_are_counted_in_both() {
 /// additions. Derivatives are analytic if `BY_HAND`, else by dual numbers.
 struct Spring<const BY_HAND: bool>;
 
+/// Time step, s.
 const DT: f64 = 0.1;
 
 impl<const BY_HAND: bool> System for Spring<BY_HAND> {
@@ -167,8 +168,8 @@ impl<S: System> System for ByDuals<'_, S> {
     }
 }
 
-/// Returns the operations of the step of a spring, and of its `vjp` for one type of cotangent: to
-/// state and control, to the state only, to the control only.
+/// Returns the operations of the step of a spring, then of its `vjp` for three requests: state and
+/// control, state only, control only. `bar` sets the type of the cotangents.
 fn spring<S: System, C: Cotangent<Counted>>(system: &S, bar: C) -> [Ops; 4] {
     let (x, u) = ([Counted(0.3), Counted(-1.2)], [Counted(0.8)]);
     let (mut next, mut x_bar, mut u_bar) = (x, [bar; 2], [bar; 1]);
@@ -181,7 +182,7 @@ fn spring<S: System, C: Cotangent<Counted>>(system: &S, bar: C) -> [Ops; 4] {
 }
 
 #[test]
-fn a_spring_costs_its_hand_counted_operations() {
+fn operations_of_a_spring_equal_those_counted_by_hand() {
     let counts = |multiply, add, negate| Ops { multiply, add, negate, ..NONE };
     let step = counts(4, 3, 0);
     let (one, two) = (Counted(0.7), CotangentPack([Counted(0.7), Counted(-0.4)]));
@@ -231,7 +232,7 @@ fn counted_is_f64<T: Task>(task: &T) {
 }
 
 #[test]
-fn systems_have_the_bits_of_f64() {
+fn counted_systems_have_the_bits_of_f64() {
     counted_is_f64(&CartPole::new(2));
     counted_is_f64(&Guidance::new(2, 4));
     counted_is_f64(&Quantum::new(3));

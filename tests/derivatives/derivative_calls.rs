@@ -1,4 +1,4 @@
-//! Derivative calls of a rollout: no flow evaluates derivatives of a path that it does not take.
+//! Derivative calls of a rollout: no flow evaluates derivatives of a path that the flow omits.
 
 use physgrad::policy::{Action, Mlp, Observed, PolicyPass, PolicyRecord, Sizes};
 use physgrad::rng::{Purpose, Rng, stream};
@@ -195,9 +195,9 @@ const B: usize = 3;
 /// Number of samples. The last block has one sample.
 const SAMPLES: usize = 17;
 
-/// Returns the calls of the forward pass, then those of the reverse pass and the gradients of
+/// Returns the calls of the forward pass, then the calls of the reverse pass with the gradients of
 /// `flows`. Without flows, the rollout is an evaluation.
-fn asked<S: Task>(task: S, flows: &[Flow]) -> [(OfTask, OfPolicy); 2] {
+fn calls_of<S: Task>(task: S, flows: &[Flow]) -> [(OfTask, OfPolicy); 2] {
     let task = WatchedTask::new(task);
     let (n, m) = (task.state_dim(), task.control_dim());
     let policy = WatchedPolicy::new(Mlp::new([n, 8, m]));
@@ -216,13 +216,14 @@ fn asked<S: Task>(task: S, flows: &[Flow]) -> [(OfTask, OfPolicy); 2] {
         let mut theta_bar = Gradient::zeros(weights.theta().len());
         for k in 0..flows.len() {
             adjoint.param_gradient(k, &policy, &weights, &rollout, 0..SAMPLES, &mut theta_bar);
-            assert!(theta_bar.values().iter().any(|&g| g != 0.0), "a gradient of zeros shows nothing");
+            assert!(theta_bar.values().iter().any(|&g| g != 0.0), "the gradient is 0");
         }
     }
     [forward, (task.take(), policy.take())]
 }
 
-/// One step per block, and one policy call per step for all samples.
+/// Calls of a forward pass: one step of the physics per block and time step, one policy call per
+/// time step.
 fn one_forward_pass() -> (OfTask, OfPolicy) {
     (OfTask { step: T * B, ..OfTask::default() }, OfPolicy { forward: T, ..OfPolicy::default() })
 }
@@ -235,18 +236,20 @@ fn two_controls() -> Guidance {
     Guidance { horizon: T, ..Guidance::new(1, 1) }
 }
 
-/// Gradients of the costs: the running cost once per block and step, the terminal cost once per
-/// block. The number of flows does not matter.
+/// Calls of the cost gradients for any number of flows: the running cost once per block and step,
+/// the terminal cost once per block.
 fn costs() -> OfTask {
     OfTask { running_cost_gradient: T * B, terminal_cost_gradient: B, ..OfTask::default() }
 }
 
-/// Both derivatives of the physics at once, for each block and step.
+/// Calls of the physics and the costs for a flow through the state: one call per block and step
+/// returns both derivatives of the physics.
 fn both() -> OfTask {
     OfTask { vjp: T * B, ..costs() }
 }
 
-/// Derivative of the physics with respect to the control only.
+/// Calls of the physics and the costs for a flow that needs only the derivative of the physics with
+/// respect to the control.
 fn control_alone() -> OfTask {
     OfTask { vjp_control: T * B, ..costs() }
 }
@@ -256,14 +259,14 @@ fn policy(backward_with_inputs: usize, backward_without: usize, param_gradient: 
 }
 
 #[test]
-fn an_evaluation_asks_for_no_derivative() {
-    for all in [asked(one_control(), &[]), asked(two_controls(), &[])] {
+fn an_evaluation_evaluates_no_derivative() {
+    for all in [calls_of(one_control(), &[]), calls_of(two_controls(), &[])] {
         assert_eq!(all, [one_forward_pass(), Default::default()]);
     }
 }
 
 #[test]
-fn with_one_control_the_policy_is_asked_for_its_derivatives_once() {
+fn with_one_control_one_policy_call_covers_the_derivatives_of_all_steps() {
     // One call computes ∂N/∂x of all steps if any flow passes through the policy's input.
     for (flows, physics, network) in [
         (&[Flow::REGULAR][..], both(), policy(1, 0, 1)),
@@ -273,12 +276,12 @@ fn with_one_control_the_policy_is_asked_for_its_derivatives_once() {
         (&[Flow::MODIFIED, Flow::REGULAR], both(), policy(1, 0, 2)),
         (&[Flow::MODIFIED, Flow::STOPPED], both(), policy(0, 2, 2)),
     ] {
-        assert_eq!(asked(one_control(), flows), [one_forward_pass(), (physics, network)], "{flows:?}");
+        assert_eq!(calls_of(one_control(), flows), [one_forward_pass(), (physics, network)], "{flows:?}");
     }
 }
 
 #[test]
-fn with_two_controls_the_policy_is_asked_for_its_input_derivative_step_by_step() {
+fn with_two_controls_each_step_has_one_policy_call_for_input_derivatives() {
     // A flow through the policy's input needs ∂N/∂x at each step. Each other flow needs one call
     // for all steps.
     for (flows, physics, network) in [
@@ -289,6 +292,6 @@ fn with_two_controls_the_policy_is_asked_for_its_input_derivative_step_by_step()
         (&[Flow::MODIFIED, Flow::REGULAR], both(), policy(T, 1, 2)),
         (&[Flow::NETWORK, Flow::REGULAR], both(), policy(2 * T, 0, 2)),
     ] {
-        assert_eq!(asked(two_controls(), flows), [one_forward_pass(), (physics, network)], "{flows:?}");
+        assert_eq!(calls_of(two_controls(), flows), [one_forward_pass(), (physics, network)], "{flows:?}");
     }
 }

@@ -23,7 +23,7 @@ fn weighted_flows() -> Vec<Flow> {
 }
 
 #[test]
-fn weights_and_truncations_are_those_of_dual_numbers() {
+fn weighted_and_truncated_flows_agree_with_dual_numbers() {
     for flow in weighted_flows() {
         let checked = [
             check::try_flow(&AngleOnly, &Linear::with_bias(1, 1), flow),
@@ -38,7 +38,7 @@ fn weights_and_truncations_are_those_of_dual_numbers() {
 }
 
 #[test]
-fn neutral_weights_keep_the_bits() {
+fn neutral_discounts_truncations_and_cuts_keep_the_bits() {
     for flow in Flow::ALL {
         let policy = Mlp::new([1, 4, 1]);
         let plain = gradient(&AngleOnly, &policy, flow);
@@ -49,9 +49,9 @@ fn neutral_weights_keep_the_bits() {
     }
 }
 
-/// With a truncation at every step and no memory, each cost acts on its own step only, as in S.
+/// With a truncation at every step and no memory, no adjoint passes between steps, as in S.
 #[test]
-fn truncation_at_every_step_is_the_stopped_flow() {
+fn truncation_at_every_step_equals_the_stopped_flow() {
     let policy = Mlp::new([2, 4, 2]);
     let stopped = gradient(&Whole, &policy, Flow::STOPPED);
     for flow in [Flow::REGULAR, Flow::MODIFIED, Flow::NETWORK] {
@@ -91,8 +91,8 @@ impl Task for Growing {
     }
 }
 
-/// Gradients by the controls of one sample, from the definition of a cut. The cost has the
-/// derivatives 1 by the next state, `u_t` by the state, and `x_t` by the control.
+/// Gradient with respect to the controls of one sample, from the definition of a cut. The cost has
+/// the derivatives 1 with respect to the next state, `u_t` to the state, and `x_t` to the control.
 fn by_definition(a: f64, u: &[f64], x: &[f64], decades: f64) -> Vec<f64> {
     let (mut lambda, mut grown) = (0.0, 0.0);
     let mut gradient = vec![0.0; u.len()];
@@ -109,7 +109,7 @@ fn by_definition(a: f64, u: &[f64], x: &[f64], decades: f64) -> Vec<f64> {
 }
 
 #[test]
-fn a_cut_is_that_of_the_definition_in_each_sample() {
+fn a_cut_agrees_with_its_definition_in_each_sample() {
     let task = Growing(vec![10.0, 0.5, 3.0, -4.0, 1.0]);
     let policy = OpenLoop::new(1, 1, 20);
     let controls: Vec<f64> = (0..20).map(|t| (t as f64).sin()).collect();
@@ -134,7 +134,7 @@ fn a_cut_is_that_of_the_definition_in_each_sample() {
 }
 
 #[test]
-fn flows_name_their_weights() {
+fn names_of_flows_state_weights_truncation_and_cut() {
     let shown = |flow: Flow| flow.to_string();
     assert_eq!(Flow::ALL.map(shown), ["R", "M", "N", "S"]);
     assert_eq!(shown(Flow::MODIFIED.truncated(8).cut(3.0)), "M, truncated every 8 steps, cut at a growth of 3 decades");

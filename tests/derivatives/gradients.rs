@@ -1,4 +1,4 @@
-//! Checks every gradient against dual numbers, and the checks themselves against planted faults.
+//! Gradients of systems, tasks and policies agree with dual numbers. Checks find planted faults.
 
 use num_traits::AsPrimitive;
 use physgrad::policy::{
@@ -10,14 +10,14 @@ use physgrad::{Cotangent, CotangentPack, Cotangents, Float, Flow, Inputs, Policy
 use rand::RngExt;
 
 #[test]
-fn cart_pole_with_any_number_of_poles() {
+fn cart_pole_derivatives_are_exact_for_1_2_3_and_7_poles() {
     for poles in [1, 2, 3, 7] {
         check::system(&CartPole::new(poles).system);
     }
 }
 
 #[test]
-fn cart_pole_far_from_where_it_starts() {
+fn cart_pole_derivatives_are_exact_up_to_30_in_state_and_100_n_in_force() {
     let draw = |rng: &mut Rng, x: &mut [f64], u: &mut [f64], _: &mut [f64]| {
         x.fill_with(|| rng.random_range(-30.0..30.0));
         u.fill_with(|| rng.random_range(-100.0..100.0));
@@ -27,7 +27,7 @@ fn cart_pole_far_from_where_it_starts() {
 }
 
 #[test]
-fn policies_of_many_shapes() {
+fn policy_derivatives_are_exact_for_many_shapes_and_activations() {
     for widths in [&[1, 1][..], &[3, 2], &[2, 5, 1], &[10, 100, 100, 1], &[4, 31, 33, 17, 3], &[5, 16, 15, 64, 2]] {
         for bias in [false, true] {
             check::policy(&Mlp::new(widths).bias(bias));
@@ -49,7 +49,7 @@ fn policies_of_many_shapes() {
 }
 
 #[test]
-fn whole_rollouts_of_every_flow() {
+fn rollout_gradients_of_every_flow_agree_with_dual_numbers() {
     for loss in [LossMode::Terminal, LossMode::Running] {
         let task = CartPole { loss, ..CartPole::new(2) };
         check::task(&task, &Mlp::new([6, 24, 24, 1]));
@@ -96,7 +96,7 @@ impl Task for TwoControls {
 }
 
 #[test]
-fn a_user_system_with_several_controls() {
+fn default_derivatives_of_a_system_with_two_controls_are_exact() {
     check::system(&TwoControls);
     check::task(&TwoControls, &Mlp::new([3, 9, 7, 2]));
     check::task(&TwoControls, &Linear::with_bias(3, 2));
@@ -114,7 +114,7 @@ enum Fault {
     State,
     /// `u_bar` has the wrong sign.
     Control,
-    /// `u_bar` is wrong if it is requested alone.
+    /// `u_bar` is wrong if requested alone.
     ControlAlone,
     /// Overwrites `x_bar` instead of adding to it.
     Overwrite,
@@ -161,7 +161,7 @@ impl System for Faulty {
 }
 
 #[test]
-fn a_wrong_vjp_is_found_and_named() {
+fn check_system_names_the_wrong_output_for_seven_planted_faults() {
     for (fault, what, index) in [
         (Fault::State, "vjp: x_bar", 3),
         (Fault::Control, "vjp: u_bar", 0),
@@ -181,7 +181,7 @@ fn a_wrong_vjp_is_found_and_named() {
 
 #[test]
 #[should_panic(expected = "vjp: x_bar[3]")]
-fn the_one_line_check_panics() {
+fn check_system_panics_and_names_the_wrong_component() {
     check::system(&Faulty { system: CartPole::new(1).system, fault: Fault::State });
 }
 
@@ -210,7 +210,7 @@ impl Task for WrongCost {
 
 #[test]
 #[should_panic(expected = "the gradient of flow R (full backpropagation) is wrong: gradient by ")]
-fn a_wrong_cost_gradient_is_found() {
+fn check_task_finds_a_relative_error_of_1e_6_in_a_cost_gradient() {
     check::task(&WrongCost(CartPole::new(1)), &Mlp::new([4, 5, 1]));
 }
 
@@ -250,7 +250,7 @@ impl Policy for Forgetting {
 
 #[test]
 #[should_panic(expected = "backward: x_bar[1]")]
-fn a_wrong_batched_policy_is_found() {
+fn check_policy_finds_a_batched_input_derivative_set_to_0() {
     check::policy(&Forgetting(Linear::new(3, 1)));
 }
 
@@ -299,7 +299,7 @@ impl Policy for OneOff {
     }
 }
 
-/// Returns a policy with too many parameters to compare each. The check compares 64 of the 120
+/// Returns a policy with more than 1000 parameters. The check therefore compares only 64 of the 120
 /// weights in the first kernel.
 fn one_off(index: usize) -> OneOff {
     let conv = Conv::new(32, 20);
@@ -308,7 +308,7 @@ fn one_off(index: usize) -> OneOff {
 }
 
 #[test]
-fn one_wrong_weight_among_many_is_found_and_named() {
+fn check_policy_names_one_wrong_weight_among_more_than_1000() {
     for index in (0..120).step_by(11) {
         let mismatch = check::try_policy(&one_off(index)).expect_err("a wrong gradient");
         assert_eq!((mismatch.what.as_str(), mismatch.index), ("param_gradient: theta_bar", index));
@@ -317,7 +317,7 @@ fn one_wrong_weight_among_many_is_found_and_named() {
 }
 
 #[test]
-fn one_wrong_weight_among_many_is_found_in_rollouts() {
+fn rollout_checks_find_one_wrong_weight_among_more_than_1000() {
     let task = Quantum { horizon: 5, ..Quantum::new(3) };
     for flow in Flow::ALL {
         let failure = check::try_flow(&task, &one_off(37), flow).expect_err("a wrong gradient");
@@ -326,7 +326,7 @@ fn one_wrong_weight_among_many_is_found_in_rollouts() {
 }
 
 #[test]
-fn cotangent_columns_do_not_mix() {
+fn two_cotangent_columns_have_the_bits_of_each_column_alone() {
     let system = CartPole::new(1).system;
     let (x, u) = ([0.1, -0.2, 3.0, 0.5], [2.0]);
     let cotangents = [[1.0, -0.5, 0.25, 2.0], [0.0, 3.0, -1.0, 0.5]];

@@ -1,4 +1,4 @@
-//! Identities of the four flows and their compositions, for any physics.
+//! Identities between the four flows, sign agreement of two flows, and names of fields.
 
 use physgrad::policy::{Action, Mlp, Observed};
 use physgrad::rng::{Purpose, Rng, stream};
@@ -22,7 +22,7 @@ fn all_flows<T: Task, P: Policy>(task: &T, policy: &P) -> [Vec<f64>; 4] {
 
 fn assert_close(a: &[f64], b: &[f64]) {
     let scale = a.iter().fold(0.0, |s: f64, a| s.max(a.abs()));
-    assert!(scale > 0.0, "an identity of zeros shows nothing");
+    assert!(scale > 0.0, "all components are 0, so the comparison proves nothing");
     for (i, (a, b)) in a.iter().zip(b).enumerate() {
         assert!((a - b).abs() <= 1e-13 * scale, "component {i}: {a:e} and {b:e}");
     }
@@ -30,7 +30,7 @@ fn assert_close(a: &[f64], b: &[f64]) {
 
 fn assert_differ(a: &[f64], b: &[f64]) {
     let scale = a.iter().fold(0.0, |s: f64, a| s.max(a.abs()));
-    assert!(a.iter().zip(b).any(|(a, b)| (a - b).abs() > 1e-6 * scale), "the two should differ");
+    assert!(a.iter().zip(b).any(|(a, b)| (a - b).abs() > 1e-6 * scale), "the vectors agree to 1e-6");
 }
 
 /// Policy with one control, `u = θ_0 + sin θ_1`, independent of the state.
@@ -55,7 +55,8 @@ impl Policy for Blind {
 }
 
 /// Memoryless physics: the next state depends on the control only. With two controls, the reverse
-/// pass through the policy runs step by step. With one, it linearizes all steps at once.
+/// pass through the policy runs step by step. With one
+/// control, the pass linearizes all steps at once.
 struct Forgetful<const CONTROLS: usize>;
 
 impl<const CONTROLS: usize> System for Forgetful<CONTROLS> {
@@ -95,7 +96,7 @@ fn cart_pole(horizon: usize, loss: LossMode) -> CartPole {
 }
 
 #[test]
-fn over_one_step_all_flows_are_one() {
+fn all_flows_are_equal_over_one_step() {
     for loss in [LossMode::Terminal, LossMode::Running] {
         let [r, m, n, s] = all_flows(&cart_pole(1, loss), &Mlp::new([6, 8, 1]));
         for other in [m, n, s] {
@@ -105,7 +106,7 @@ fn over_one_step_all_flows_are_one() {
 }
 
 #[test]
-fn over_many_steps_all_flows_differ() {
+fn all_flows_differ_over_20_steps() {
     let [r, m, n, s] = all_flows(&cart_pole(20, LossMode::Running), &Mlp::new([6, 8, 1]));
     for (a, b) in [(&r, &m), (&r, &n), (&r, &s), (&m, &n), (&m, &s), (&n, &s)] {
         assert_differ(a, b);
@@ -113,7 +114,7 @@ fn over_many_steps_all_flows_differ() {
 }
 
 #[test]
-fn with_a_policy_blind_to_the_state_regular_is_modified_and_network_is_stopped() {
+fn if_the_policy_ignores_the_state_r_equals_m_and_n_equals_s() {
     let [r, m, n, s] = all_flows(&cart_pole(20, LossMode::Running), &Blind);
     assert_close(&r, &m);
     assert_close(&n, &s);
@@ -121,7 +122,7 @@ fn with_a_policy_blind_to_the_state_regular_is_modified_and_network_is_stopped()
 }
 
 #[test]
-fn with_physics_blind_to_the_state_modified_is_stopped_and_regular_is_network() {
+fn if_the_physics_ignores_the_state_m_equals_s_and_r_equals_n() {
     let with_one = all_flows(&Forgetful::<1>, &Mlp::new([2, 8, 1]));
     let with_two = all_flows(&Forgetful::<2>, &Mlp::new([2, 8, 2]));
     for [r, m, n, s] in [with_one, with_two] {
@@ -132,7 +133,7 @@ fn with_physics_blind_to_the_state_modified_is_stopped_and_regular_is_network() 
 }
 
 #[test]
-fn a_final_loss_reaches_stopped_gradients_at_the_last_step_only() {
+fn with_a_terminal_loss_s_is_less_than_a_tenth_of_r() {
     let [_, _, _, s] = all_flows(&cart_pole(20, LossMode::Terminal), &Mlp::new([6, 8, 1]));
     let [r, _, _, _] = all_flows(&cart_pole(20, LossMode::Terminal), &Mlp::new([6, 8, 1]));
     let norm = |g: &[f64]| g.iter().map(|g| g * g).sum::<f64>().sqrt();
@@ -140,7 +141,7 @@ fn a_final_loss_reaches_stopped_gradients_at_the_last_step_only() {
 }
 
 #[test]
-fn composition_keeps_what_agrees_and_nothing_else() {
+fn sign_agreement_keeps_components_of_equal_sign_and_sets_others_to_0() {
     let combine = |a: &[f64], b: &[f64]| {
         let mut out = vec![f64::NAN; a.len()];
         SignAgreement.combine(a, b, &mut out);
@@ -163,7 +164,7 @@ fn composition_keeps_what_agrees_and_nothing_else() {
 }
 
 #[test]
-fn fields_are_found_by_name_and_letter() {
+fn fields_parse_from_names_and_letters() {
     for field in Field::ALL {
         assert_eq!(field.name().parse(), Ok(field));
         assert_eq!(field.letter().parse(), Ok(field));

@@ -1,4 +1,5 @@
-//! Parameters, time and observations: a task whose step, costs and observation use all inputs.
+//! Derivatives of a task whose step, costs and observation use the state, control, parameters and
+//! time.
 
 use physgrad::policy::{Constant, Gru, Linear, Mlp, TrainedParam, WithParams};
 use physgrad::rng::{Purpose, Rng, stream};
@@ -27,10 +28,11 @@ enum Fault {
     CostOfParams,
     /// `observe` does not write the last component.
     Unwritten,
-    /// `terminal_cost_gradient` overwrites.
+    /// `terminal_cost_gradient` overwrites `x_bar` instead of adding to it.
     Overwrites,
 }
 
+/// Forces added to the control, one per step in turn.
 const PUSHES: [f64; 6] = [0.3, -0.2, 0.5, 0.1, -0.4, 0.2];
 
 impl<const CONTROLS: usize> System for Tracking<CONTROLS> {
@@ -169,13 +171,13 @@ impl<T: Task> Task for ByDuals<T> {
 }
 
 #[test]
-fn steps_of_all_inputs() {
+fn step_derivatives_agree_with_dual_numbers_for_all_inputs() {
     check::system(&tracking::<1>());
     check::system(&tracking::<3>());
 }
 
 #[test]
-fn whole_rollouts_of_every_flow() {
+fn rollout_gradients_of_every_flow_agree_with_dual_numbers() {
     check::task(&tracking::<1>(), &Mlp::new([3, 7, 1]));
     check::task(&tracking::<2>(), &Mlp::new([3, 7, 2]));
     check::task(&ByDuals(tracking::<1>()), &Linear::with_bias(3, 1));
@@ -183,7 +185,7 @@ fn whole_rollouts_of_every_flow() {
 }
 
 #[test]
-fn wrong_derivatives_of_observations_and_costs_are_found() {
+fn rollout_checks_find_wrong_derivatives_of_observations_and_costs() {
     let passes = |fault: Fault| {
         let (task, policy) = (Tracking::<1> { fault }, Linear::with_bias(3, 1));
         Flow::ALL.map(|flow| check::try_flow(&task, &policy, flow).is_ok())
@@ -193,13 +195,13 @@ fn wrong_derivatives_of_observations_and_costs_are_found() {
     assert_eq!(passes(Fault::Observation), [false, true, false, true]);
     // No flow detaches a cost.
     assert_eq!(passes(Fault::CostOfState), [false; 4]);
-    // The gradients by p differ, those by θ do not.
+    // These faults affect the gradient with respect to p, not the gradient with respect to θ.
     assert_eq!(passes(Fault::ObservationOfParams), [false, true, false, true]);
     assert_eq!(passes(Fault::CostOfParams), [false; 4]);
 }
 
 #[test]
-fn wrong_derivatives_of_a_task_are_named() {
+fn check_cost_names_the_wrong_method_and_output() {
     let found = |fault: Fault| check::try_cost(&Tracking::<1> { fault }).map_err(|mismatch| mismatch.what);
     assert!(found(Fault::None).is_ok() && check::try_cost(&ByDuals(tracking::<2>())).is_ok());
     let names = |fault: Fault, name: &str| assert_eq!(found(fault), Err(name.to_owned()));
@@ -213,13 +215,13 @@ fn wrong_derivatives_of_a_task_are_named() {
 
 #[test]
 #[should_panic(expected = "the task's derivatives are wrong: observe_vjp: p_bar[1] is")]
-fn the_message_names_the_method_and_the_component() {
+fn check_cost_panics_with_the_wrong_method_and_component() {
     check::cost(&Tracking::<1> { fault: Fault::ObservationOfParams });
 }
 
 #[test]
 #[should_panic(expected = "gradient by the parameters p of sample 0, component[0] is")]
-fn the_message_names_the_parameter() {
+fn check_task_panics_with_sample_and_index_of_a_wrong_gradient_of_p() {
     check::task(&Tracking::<1> { fault: Fault::CostOfParams }, &WithParams::new(Constant::new(3, 1), []));
 }
 
@@ -229,7 +231,7 @@ struct Copied(Tracking<1>);
 /// Declares no observation: the policy observes the state.
 struct Plain(Tracking<1>);
 
-macro_rules! around {
+macro_rules! forwarding_task {
     ($name:ident, $($observation:tt)*) => {
         impl Task for $name {
             type System = Tracking<1>;
@@ -252,8 +254,8 @@ macro_rules! around {
         }
     };
 }
-around!(Plain,);
-around!(
+forwarding_task!(Plain,);
+forwarding_task!(
     Copied,
     fn observation_dim(&self) -> Option<usize> {
         Some(2)
@@ -266,7 +268,7 @@ fn gradients<T: Task, P: Policy>(task: &T, policy: &P, workers: usize, budget: O
     let flows = [Flow::MODIFIED, Flow::REGULAR];
     let mut batch = match budget {
         None => Batch::new(task, policy, 21, &flows, workers),
-        Some(budget) => Batch::within(task, policy, 21, &flows, workers, budget).expect("enough"),
+        Some(budget) => Batch::within(task, policy, 21, &flows, workers, budget).expect("a sufficient budget"),
     };
     let loss = batch.run(task, policy, &weights, &starts).expect("finite");
     let gradients = batch.gradients().iter().flat_map(Gradient::to_vec);
@@ -274,18 +276,18 @@ fn gradients<T: Task, P: Policy>(task: &T, policy: &P, workers: usize, budget: O
 }
 
 #[test]
-fn an_observation_of_the_state_has_the_bits_of_none() {
+fn observing_the_whole_state_gives_the_bits_of_no_observation() {
     let policy = Mlp::new([2, 7, 1]);
     assert_eq!(gradients(&Copied(tracking()), &policy, 1, None), gradients(&Plain(tracking()), &policy, 1, None));
 }
 
 #[test]
-fn bits_depend_on_neither_workers_nor_memory_and_bytes_are_exact() {
-    same_bits(&Mlp::new([3, 7, 1]));
-    same_bits(&WithParams::new(Mlp::new([3, 7, 1]), [TrainedParam::log(0, 0.8)]));
+fn bits_do_not_depend_on_workers_and_stored_bytes_are_exact() {
+    check_bits_and_bytes(&Mlp::new([3, 7, 1]));
+    check_bits_and_bytes(&WithParams::new(Mlp::new([3, 7, 1]), [TrainedParam::log(0, 0.8)]));
 }
 
-fn same_bits(policy: &impl Policy) {
+fn check_bits_and_bytes(policy: &impl Policy) {
     let one = gradients(&tracking::<1>(), policy, 1, None);
     for workers in [2, 3] {
         assert_eq!(gradients(&tracking::<1>(), policy, workers, None), one);
@@ -298,7 +300,7 @@ fn same_bits(policy: &impl Policy) {
 }
 
 #[test]
-fn trained_parameters_of_every_scale_and_flow() {
+fn gradients_of_trained_parameters_are_exact_for_every_scale_and_flow() {
     let trained = [TrainedParam::log(0, 0.8), TrainedParam::bounded(1, 0.2, -1.0, 0.5)];
     check::task(&tracking::<1>(), &WithParams::new(Linear::with_bias(3, 1), trained));
     check::task(&tracking::<2>(), &WithParams::new(Gru::new(3, 2, 2), trained));
@@ -307,13 +309,13 @@ fn trained_parameters_of_every_scale_and_flow() {
         let policy = WithParams::new(Linear::with_bias(3, 1), trained);
         check::try_flow(&tracking::<1>(), &policy, flow).unwrap_or_else(|failure| panic!("{flow}: {failure}"));
     }
-    // Without the gradients by p, those by the trained entries are wrong.
+    // The gradients of trained parameters include the gradients with respect to p.
     let faulty = Tracking::<1> { fault: Fault::CostOfParams };
     assert!(check::try_flow(&faulty, &WithParams::new(Linear::with_bias(3, 1), trained), Flow::REGULAR).is_err());
 }
 
 #[test]
-fn all_samples_have_the_trained_value() {
+fn the_cost_depends_on_the_trained_value_not_on_the_drawn_one() {
     let policy = WithParams::new(Linear::with_bias(3, 1), [TrainedParam::bounded(0, 1.25, 1.0, 2.0)]);
     let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
     assert!((policy.values(weights.theta())[0] - 1.25).abs() < 1e-15);
@@ -328,6 +330,6 @@ fn all_samples_have_the_trained_value() {
 
 #[test]
 #[should_panic(expected = "the policy trains p[2], but the task has 2 parameters")]
-fn an_entry_beyond_the_parameters_is_refused() {
+fn training_p_2_of_a_task_with_2_parameters_is_refused() {
     check::task(&tracking::<1>(), &WithParams::new(Linear::with_bias(3, 1), [TrainedParam::linear(2, 1.0)]));
 }

@@ -1,5 +1,5 @@
-//! Derivatives: against dual numbers and differences, identities of the flows, calls and operation
-//! counts, norms.
+//! Derivatives: comparison with dual numbers, identities of the flows, numbers of calls and
+//! operations, norms of adjoints.
 
 #[path = "../common/operations.rs"]
 mod operations;

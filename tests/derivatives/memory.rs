@@ -1,4 +1,5 @@
-//! Policies with memory and time: recurrent policies, control sequences, the memory path of flows.
+//! Policies with a memory or a dependence on time: recurrent policies, control sequences, the
+//! memory path of flows.
 
 use physgrad::policy::{Action, Elman, Gru, Observed, OpenLoop, PolicyPass, PolicyRecord, Sizes};
 use physgrad::rng::{Purpose, Rng, stream};
@@ -49,7 +50,7 @@ impl Task for AngleOnly {
     }
 }
 
-/// `AngleOnly` with the state observed and two controls.
+/// Pendulum of [`AngleOnly`] with the whole state observed and two controls.
 pub struct Whole;
 
 impl System for Whole {
@@ -147,7 +148,7 @@ impl<P: Policy> Policy for Forgetting<P> {
 }
 
 #[test]
-fn batched_passes() {
+fn batched_passes_of_policies_with_memory_agree_with_act() {
     for (observations, units, controls) in [(1, 1, 1), (2, 8, 1), (3, 5, 2), (4, 40, 3)] {
         check::policy(&Gru::new(observations, units, controls));
         check::policy(&Elman::new(observations, units, controls));
@@ -157,7 +158,7 @@ fn batched_passes() {
 }
 
 #[test]
-fn whole_rollouts_of_every_flow() {
+fn rollout_gradients_of_every_flow_agree_with_dual_numbers() {
     check::task(&AngleOnly, &Gru::new(1, 6, 1));
     check::task(&AngleOnly, &Elman::new(1, 3, 1));
     check::task(&AngleOnly, &Integral);
@@ -169,19 +170,19 @@ fn whole_rollouts_of_every_flow() {
 
 #[test]
 #[should_panic(expected = "backward: x_bar")]
-fn a_forgotten_cotangent_of_the_memory_is_found() {
+fn check_policy_finds_an_omitted_cotangent_of_the_memory() {
     check::policy(&Forgetting(Gru::new(1, 3, 1)));
 }
 
 #[test]
 #[should_panic(expected = "flow")]
-fn a_forgotten_cotangent_of_the_memory_is_found_in_rollouts() {
+fn check_task_finds_an_omitted_cotangent_of_the_memory() {
     check::task(&AngleOnly, &Forgetting(Gru::new(1, 3, 1)));
 }
 
 #[test]
 #[should_panic(expected = "controls for 11 steps, but the rollout has more")]
-fn a_short_control_sequence_is_refused() {
+fn a_sequence_of_11_controls_is_refused_for_12_steps() {
     check::task(&AngleOnly, &OpenLoop::new(1, 1, 11));
 }
 
@@ -196,15 +197,16 @@ fn gradient(policy: &impl Policy, flow: Flow) -> Vec<f64> {
     gradients[0][0].to_vec()
 }
 
-/// The recurrent weights of an Elman network have a gradient only through the memory.
+/// Recurrent weights multiply the memory, so they have a gradient in every flow. The memory path
+/// adds their effects on later steps.
 #[test]
-fn the_memory_path_trains_recurrent_weights() {
+fn recurrent_weights_have_a_gradient_in_every_flow_and_memory_changes_m() {
     let (units, policy) = (4, Elman::new(1, 4, 1));
     let recurrent = units..units + units * units;
     let norm = |flow| gradient(&policy, flow)[recurrent.clone()].iter().map(|g| g * g).sum::<f64>().sqrt();
     let without = Flow { memory: 0.0, ..Flow::MODIFIED };
-    // S and `without` treat the memory of the step before as a constant. They omit the later
-    // effects of a weight, but not its immediate effect.
+    // S and `without` treat the memory of the step before as a constant. They omit the effects of a
+    // weight on later steps, but not its effect on the present step.
     for (flow, name) in [(Flow::REGULAR, "R"), (Flow::MODIFIED, "M"), (Flow::NETWORK, "N"), (Flow::STOPPED, "S")] {
         assert!(norm(flow) > 0.0, "{name}");
     }
@@ -212,7 +214,7 @@ fn the_memory_path_trains_recurrent_weights() {
     assert_eq!(gradient(&policy, Flow::STOPPED), gradient(&policy, Flow { memory: 0.0, ..Flow::STOPPED }));
 }
 
-/// Policy whose memory grows by a factor of 1e200 per step. The control does not depend on it.
+/// Policy whose memory grows by a factor of 1e200 per step. The control does not use the memory.
 struct Exploding;
 
 impl Policy for Exploding {

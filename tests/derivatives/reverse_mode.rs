@@ -32,14 +32,15 @@ impl System for Pairs {
     }
 }
 
-/// The default `(∂S/∂x)ᵀ next_bar`, for cotangents that begin at `initial`.
+/// `(∂S/∂x)ᵀ next_bar` by the default VJP, added to cotangents with the value `initial`.
 fn vjp<R: Real>(system: &impl System, x: &[R], next_bar: &[R], initial: R) -> Vec<R> {
     let mut x_bar = vec![initial; x.len()];
     system.vjp(Inputs::new(x, &[]), next_bar, Cotangents { x: Some(&mut x_bar), ..Cotangents::default() });
     x_bar
 }
 
-/// `(∂S/∂x)ᵀ next_bar` by dual numbers with one tangent each, and the sum of its terms' sizes.
+/// `(∂S/∂x)ᵀ next_bar` by dual numbers with one tangent, and the sum of the magnitudes of its
+/// terms.
 fn vjp_by_duals(system: &impl System, x: &[f64], next_bar: &[f64]) -> Vec<[f64; 2]> {
     let column = |i: usize| {
         let seed = |(k, &x): (usize, &f64)| Dual { value: x, tangents: [if k == i { 1.0 } else { 0.0 }] };
@@ -58,7 +59,7 @@ fn mixed(numbers: &[f64], step: usize) -> Vec<f64> {
 }
 
 #[test]
-fn every_function_has_the_derivative_of_dual_numbers() {
+fn the_derivative_of_every_function_agrees_with_dual_numbers() {
     let (x, next_bar) = (mixed(&[0.3, 2.5, 1.0, 7e-3, 12.0], 2), mixed(&[0.7, -1.3, 0.2], 1));
     for (operation, (name, _)) in functions::<f64>().into_iter().enumerate() {
         let system = Pairs { operation };
@@ -72,7 +73,7 @@ fn every_function_has_the_derivative_of_dual_numbers() {
 }
 
 #[test]
-fn derivatives_are_finite_where_those_of_dual_numbers_are() {
+fn derivatives_at_zeros_and_infinities_agree_where_dual_numbers_are_finite() {
     let x = mixed(&[0.0, -0.0, 1.0, -1.0, 0.3, -2.7, 1e7, f64::INFINITY, f64::NAN], 4);
     let next_bar = mixed(&[0.7, 0.0, -1.3], 1);
     for (operation, (name, _)) in functions::<f64>().into_iter().enumerate() {
@@ -87,7 +88,7 @@ fn derivatives_are_finite_where_those_of_dual_numbers_are() {
 }
 
 #[test]
-fn lanes_have_the_bits_of_one_number_each() {
+fn every_lane_has_the_bits_of_a_scalar() {
     let (x, next_bar) = (mixed(&[0.0, -0.5, 1.0, 3.25, -1e-3, 7e6, f64::NAN], 3), mixed(&[0.7, 0.0, -1.3], 1));
     let shifted = |values: &[f64], lane: usize| -> Vec<f64> { (0..N).map(|i| values[(i + 5 * lane) % N]).collect() };
     let packed = |values: &[f64]| -> Vec<Lanes<f64, 8>> {
@@ -127,11 +128,11 @@ impl System for Paths {
 }
 
 #[test]
-fn zeros_constants_and_detached_numbers() {
+fn zero_cotangents_constants_and_detached_numbers_contribute_nothing() {
     let mut next_bar = vec![2.0; N];
     next_bar[0] = -0.0;
-    // The norm of a zero vector has an infinite slope; its paths have slope 0. The branch that is
-    // not selected contributes nothing.
+    // At the zero vector, the square root has an infinite slope and the squares have slope 0. Their
+    // product counts as 0. The branch that is not selected contributes nothing.
     let mut x = vec![0.0; N];
     x[5] = 0.5;
     let found = vjp(&Paths, &x, &next_bar, -0.0);
@@ -140,7 +141,7 @@ fn zeros_constants_and_detached_numbers() {
     let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&found[..3]), bits(&expected[..3]));
     assert_eq!(found, expected);
-    assert_eq!(bits(&found[6..]), bits(&expected[6..]), "inputs without a path");
+    assert_eq!(bits(&found[6..]), bits(&expected[6..]), "an input without a path has a changed cotangent");
     x[3] = f64::NAN;
     assert!(vjp(&Paths, &x, &next_bar, 0.0)[3].is_nan());
 }
@@ -163,11 +164,12 @@ fn counts(system: &impl System) -> [Ops; 3] {
 }
 
 #[test]
-fn operations_are_those_of_values_slopes_and_cotangents() {
+fn operation_counts_are_those_of_values_slopes_and_cotangents() {
     let none = Ops::default();
     let n = N as u64;
     for (operation, (name, _)) in functions::<f64>().into_iter().enumerate() {
-        // Per number: the step, the slopes, and the passage of one column of cotangents.
+        // Operations per output: the step, the slopes, and the products with one column of
+        // cotangents.
         let (step, slopes, cotangents) = match name {
             "add" => (Ops { add: 1, ..none }, none, Ops { add: 2, ..none }),
             "sub" => (Ops { add: 1, ..none }, none, Ops { add: 2, ..none }),
@@ -187,7 +189,7 @@ fn operations_are_those_of_values_slopes_and_cotangents() {
             _ => continue,
         };
         let times = |ops: Ops, factor: u64| (0..factor).fold(none, |sum, _| sum + ops);
-        // Each column adds the cotangent of each output, and finally that of each input.
+        // Each column adds one number per output, and one per input at the end.
         let columns = |k: u64| times(step + slopes, n) + times(cotangents + Ops { add: 2, ..none }, k * n);
         assert_eq!(counts(&Pairs { operation }), [times(step, n), columns(1), columns(2)], "{name}");
     }
@@ -281,13 +283,13 @@ impl Policy for Layer {
 }
 
 #[test]
-fn steps_costs_and_observations_in_every_flow() {
+fn default_derivatives_of_a_task_with_24_states_are_exact_in_every_flow() {
     check::system(&Chain);
     check::task(&Chain, &Linear::new(MASSES, 2));
 }
 
 #[test]
-fn policies_of_act_only_in_every_flow() {
+fn default_derivatives_of_act_only_policies_are_exact_in_every_flow() {
     check::policy(&Layer { inputs: 5, outputs: 3 });
     check::policy(&Layer { inputs: 20, outputs: 2 });
     check::task(&Chain, &Layer { inputs: MASSES, outputs: 2 });

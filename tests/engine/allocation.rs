@@ -99,7 +99,7 @@ fn allocations_after_the_first_epoch(policy: impl Policy, field: Field) -> u64 {
 }
 
 #[test]
-fn default_derivatives_of_many_states_do_not_allocate_after_the_first_epoch() {
+fn default_derivatives_of_200_states_do_not_allocate_after_the_first_epoch() {
     for field in Field::ALL {
         assert_eq!(allocations_after_the_first_epoch(Feedback, field), 0, "field {field}");
     }

@@ -16,7 +16,7 @@ fn allocated<T>(work: impl FnOnce() -> T) -> (T, usize) {
 /// Number of samples: two blocks of eight, and one sample in a third.
 const SAMPLES: usize = 17;
 
-fn bytes_are_those_asked_for<F: Float>() {
+fn assert_exact_bytes_and_no_later_allocation<F: Float>() {
     let (task, policy) = (CartPole { horizon: 20, ..CartPole::new(2) }, Mlp::new([6, 16, 16, 1]));
     let weights = Weights::<F>::init(&policy, &mut stream(0, Purpose::Policy, 0));
     let starts: Vec<F> = initial_states(&task, 0, Purpose::Train, SAMPLES);
@@ -32,12 +32,12 @@ fn bytes_are_those_asked_for<F: Float>() {
     // Three blocks of lanes: 21 states, 20 controls, one cost.
     let lanes = 3 * 8 * (21 * 6 + 20 + 1);
     let columns = SAMPLES * 20 * (6 + 1);
-    assert!(bytes > (lanes + columns) * size_of::<F>(), "the policy's tape is on top of that");
+    assert!(bytes > (lanes + columns) * size_of::<F>(), "the bytes include the tape of the policy");
     let run = allocated(|| {
         rollout.start(&starts);
         rollout.run(&task, &policy, &weights).expect("finite");
     });
-    assert_eq!(run.1, 0, "a rollout is run without allocating");
+    assert_eq!(run.1, 0, "a run of a rollout allocates");
 
     let one = Flow::ALL.map(|flow| vec![flow]);
     for flows in one.into_iter().chain([vec![Flow::MODIFIED, Flow::REGULAR], vec![Flow::MODIFIED, Flow::STOPPED]]) {
@@ -52,7 +52,7 @@ fn bytes_are_those_asked_for<F: Float>() {
                 adjoint.run(&task, &policy, &weights, &rollout, F::one()).expect("finite");
                 (0..flows.len()).for_each(|k| adjoint.param_gradient(k, &policy, &weights, &rollout, 0..SAMPLES, &mut theta_bar));
             });
-            assert_eq!(run.1, 0, "{names:?}, norms {norms}: an adjoint is run without allocating");
+            assert_eq!(run.1, 0, "{names:?}, norms {norms}: a run of an adjoint allocates");
         }
     }
 
@@ -63,13 +63,13 @@ fn bytes_are_those_asked_for<F: Float>() {
         evaluation.start(&starts);
         evaluation.run(&task, &policy, &weights).expect("finite");
     });
-    assert_eq!(run.1, 0, "an evaluation is run without allocating");
+    assert_eq!(run.1, 0, "a run of an evaluation allocates");
     let longer = CartPole { horizon: 2000, ..task };
     assert_eq!(Rollout::<F>::for_evaluation(&longer, &policy, SAMPLES).stored_bytes(), bytes);
 }
 
 #[test]
-fn rollouts_and_adjoints_state_their_bytes() {
-    bytes_are_those_asked_for::<f64>();
-    bytes_are_those_asked_for::<f32>();
+fn stored_bytes_equal_allocated_bytes_and_runs_allocate_nothing() {
+    assert_exact_bytes_and_no_later_allocation::<f64>();
+    assert_exact_bytes_and_no_later_allocation::<f32>();
 }

@@ -9,7 +9,8 @@ use physgrad::{
     OdeInputs, Scalar, Substeps, System, Task,
 };
 
-const ENDLESS: Cubic = Cubic { strength: 1e308 };
+/// Effect whose force is infinite at a state of ones.
+const OVERFLOWING: Cubic = Cubic { strength: 1e308 };
 
 /// Returns the cause at a state of ones.
 fn cause<S: System>(system: &S) -> Option<Cause> {
@@ -17,16 +18,16 @@ fn cause<S: System>(system: &S) -> Option<Cause> {
     system.diagnose(Inputs { p: &p, ..Inputs::new(&x, &u) })
 }
 
-/// Tests each kind of system, with more state components than forces.
+/// Each of these systems has more state components than forces.
 #[test]
-fn forced_systems_state_their_force_count() {
+fn forced_systems_name_the_effect_with_a_non_finite_force() {
     let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
     let cubic = Some(Cause::Effect("Cubic"));
-    assert_eq!(cause(&Forced { system: model, effects: ENDLESS }), cubic);
-    assert_eq!(cause(&Forced { system: Pade(model), effects: ENDLESS }), cubic);
-    assert_eq!(cause(&Forced { system: Strang::new(model), effects: ENDLESS }), cubic);
+    assert_eq!(cause(&Forced { system: model, effects: OVERFLOWING }), cubic);
+    assert_eq!(cause(&Forced { system: Pade(model), effects: OVERFLOWING }), cubic);
+    assert_eq!(cause(&Forced { system: Strang::new(model), effects: OVERFLOWING }), cubic);
     assert_eq!(
-        cause(&Forced { system: QuantumScheme::CrankNicolson(model), effects: vec![QuantumEffect::from(ENDLESS)] }),
+        cause(&Forced { system: QuantumScheme::CrankNicolson(model), effects: vec![QuantumEffect::from(OVERFLOWING)] }),
         cubic
     );
     let windy = Forced { system: CartPoleSystem::default(), effects: GustyWind { gust: 1e200.into(), ..GustyWind::default() } };
@@ -37,19 +38,19 @@ fn forced_systems_state_their_force_count() {
 }
 
 #[test]
-fn an_effect_has_the_name_it_is_given() {
+fn the_cause_has_the_name_that_named_gives_to_its_effect() {
     let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
     let table = Tabulated { values: vec![f64::INFINITY; 7] };
     let named = Named { name: "effects.double_well", effect: QuantumEffect::from(table) };
     assert_eq!(cause(&Forced { system: model, effects: vec![named] }), Some(Cause::Effect("effects.double_well")));
-    let both = (Named { name: "harmless", effect: Barrier::default() }, Named { name: "guilty", effect: ENDLESS });
-    assert_eq!(cause(&Forced { system: model, effects: both }), Some(Cause::Effect("guilty")));
+    let both = (Named { name: "finite", effect: Barrier::default() }, Named { name: "infinite", effect: OVERFLOWING });
+    assert_eq!(cause(&Forced { system: model, effects: both }), Some(Cause::Effect("infinite")));
 }
 
 #[test]
-fn wrappers_forward_causes() {
+fn wrappers_forward_the_cause_of_the_wrapped_system() {
     let model = QuantumSystem { grid: 7, ..QuantumSystem::default() };
-    let system = Forced { system: model, effects: ENDLESS };
+    let system = Forced { system: model, effects: OVERFLOWING };
     let cubic = Some(Cause::Effect("Cubic"));
     assert_eq!(cause(&Renormalized { system }), cubic);
     assert_eq!(cause(&Substeps { system, count: 3 }), cubic);
@@ -64,10 +65,10 @@ fn wrappers_forward_causes() {
     assert_eq!(cause(hard), cause(&stepped));
 }
 
-/// System whose step overflows in the second substep, even without effects.
-struct Leaping;
+/// System whose state is 1e200 after one substep and infinite after two, even without effects.
+struct Overflows;
 
-impl ForcedSystem for Leaping {
+impl ForcedSystem for Overflows {
     type Model = Self;
     fn model(&self) -> &Self {
         self
@@ -92,16 +93,16 @@ impl ForcedSystem for Leaping {
 
 /// Effect that adds the state to the forces.
 #[derive(Clone, Debug)]
-struct Innocent;
+struct AddsState;
 
-impl Effect<Leaping> for Innocent {
-    fn add_forces<T: Scalar>(&self, _model: &Leaping, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
+impl Effect<Overflows> for AddsState {
+    fn add_forces<T: Scalar>(&self, _model: &Overflows, OdeInputs { x, .. }: OdeInputs<'_, T>, forces: &mut [T]) {
         forces[0] += x[0];
     }
 }
 
 #[test]
 fn a_non_finite_state_is_not_attributed_to_an_effect() {
-    let system = Forced { system: Leaping, effects: Innocent };
+    let system = Forced { system: Overflows, effects: AddsState };
     assert_eq!(cause(&Substeps { system, count: 4 }), None);
 }

@@ -7,12 +7,13 @@ type Small = Session<CartPole, Mlp, f32>;
 
 fn session(rule: &str, learning_rate: f64) -> Small {
     let task = CartPole { horizon: 3, ..CartPole::new(1) };
-    let rule = OptimizerKind::named(rule).expect("a rule");
+    let rule = OptimizerKind::named(rule).expect("a known optimizer");
     let training = Training { rule, learning_rate, batch: 2, train_samples: 4, test_samples: 2, ..Training::default() };
     Trainer::new(task, Mlp::new([4, 2, 1])).training(training).session().expect("valid settings")
 }
 
-/// Returns a session after two epochs, and after one update of the third if `paused`.
+/// Returns a session after two epochs. If `paused`, the session has also done one of the two
+/// updates of the third epoch.
 fn trained(rule: &str, paused: bool) -> Small {
     let mut session = session(rule, 1e-3);
     (0..2).for_each(|_| drop(session.epoch().expect("finite").clone()));
@@ -23,20 +24,20 @@ fn trained(rule: &str, paused: bool) -> Small {
 }
 
 /// Corrects the checksum, restores the bytes, and trains to the end of an epoch.
-fn taken(rule: &str, bytes: &mut [u8]) -> Result<(), String> {
+fn restored_and_trained(rule: &str, bytes: &mut [u8]) -> Result<(), String> {
     Small::seal(bytes);
     let mut session = session(rule, 1e-3);
     session.restore(bytes, "a run").map_err(|error| error.to_string())?;
     session.epoch().map(drop).map_err(|error| error.to_string())
 }
 
-/// Damages each byte of the contents in several ways. No damage causes a panic. The contents follow
-/// 14 bytes: magic number, format number and checksum.
+/// Damages each byte of the contents in eleven ways. The contents follow 14 bytes: magic number,
+/// format number and checksum.
 #[test]
-fn whatever_byte_is_damaged_an_epoch_runs_or_the_checkpoint_is_refused() {
+fn a_damaged_checkpoint_is_refused_or_trains_an_epoch_without_a_panic() {
     for (rule, paused) in [("adam", false), ("adam", true), ("adagrad", true)] {
         let good = trained(rule, paused).checkpoint("a run");
-        taken(rule, &mut good.clone()).expect("its own checkpoint");
+        restored_and_trained(rule, &mut good.clone()).expect("its own checkpoint");
         for at in 14..good.len() {
             let replaced = |with: &[u8]| [&good[..at], with, &good[at + 1..]].concat();
             let byte = good[at];
@@ -45,7 +46,7 @@ fn whatever_byte_is_damaged_an_epoch_runs_or_the_checkpoint_is_refused() {
                 .into();
             damaged.extend([replaced(&[]), replaced(&[byte, byte]), replaced(&[0xff; 9])]);
             for mut bytes in damaged {
-                let outcome = catch_unwind(AssertUnwindSafe(|| taken(rule, &mut bytes)));
+                let outcome = catch_unwind(AssertUnwindSafe(|| restored_and_trained(rule, &mut bytes)));
                 assert!(outcome.is_ok(), "{rule}, paused: {paused}, byte {at}: {byte:#x}");
             }
         }
@@ -59,16 +60,16 @@ fn a_checkpoint_of_another_optimizer_is_refused() {
         let mut other = session(rule, rate);
         let error = other.restore(&bytes, "a run").expect_err("another optimizer").to_string();
         assert!(error.contains("its optimizer is Adam"), "{error}");
-        assert!(other.records().is_empty(), "the session is as it was");
+        assert!(other.records().is_empty(), "the refused checkpoint changes the session");
     }
 }
 
 #[test]
-fn a_checkpoint_of_other_numbers_of_updates_is_refused() {
+fn a_checkpoint_with_another_number_of_updates_per_epoch_is_refused() {
     let bytes = trained("adam", false).checkpoint("a run");
     let task = CartPole { horizon: 3, ..CartPole::new(1) };
     let training = Training { batch: 4, train_samples: 4, test_samples: 2, ..Training::default() };
     let mut other = Trainer::new(task, Mlp::new([4, 2, 1])).training(training).session().expect("valid settings");
-    let error = other.restore(&bytes, "a run").expect_err("two updates an epoch").to_string();
+    let error = other.restore(&bytes, "a run").expect_err("another number of updates").to_string();
     assert!(error.contains("its optimizer counts 4 steps, but its epochs have 2 updates"), "{error}");
 }

@@ -52,7 +52,7 @@ fn gradients_of_large_batches_do_not_depend_on_the_number_of_workers() {
     for workers in [2, 3, 5] {
         assert_eq!(gradients::<f32>(150, workers), one);
     }
-    // The mean of the gradients of two halves, up to rounding.
+    // The gradient is the mean of the gradients of two halves, up to rounding.
     let starts = starts::<f64>(150);
     let of = |starts: &[f64]| {
         let mut batch = Batch::new(&task(), &policy(), 150, &[Flow::REGULAR], 2);
@@ -70,16 +70,16 @@ fn gradients_of_large_batches_do_not_depend_on_the_number_of_workers() {
     assert_eq!(bytes(64), bytes(1024));
 }
 
-/// Returns a session of three epochs with four updates each. The order of samples changes between
-/// epochs, and their initial states if `resample`.
+/// Returns a session of three epochs with four updates each. The order of the samples changes
+/// between epochs. If `resample`, the initial states change too.
 fn shuffled(starts: &[f32], resample: bool) -> Session<CartPole, Mlp, f32> {
     let training = Training { epochs: 3, batch: 4, shuffle: true, resample, ..Training::default() };
     let trainer = Trainer::new(task(), policy()).training(training);
-    trainer.session_from(weights::<f32>().theta().to_vec(), starts.to_vec(), starts.to_vec()).expect("it can be trained")
+    trainer.session_from(weights::<f32>().theta().to_vec(), starts.to_vec(), starts.to_vec()).expect("valid settings")
 }
 
 #[test]
-fn a_session_restored_after_every_update_is_an_uninterrupted_one() {
+fn a_session_restored_after_every_update_has_the_bits_of_an_uninterrupted_one() {
     for (skips, resample) in [(false, false), (true, false), (false, true)] {
         let mut starts = starts::<f32>(16);
         if skips {
@@ -88,12 +88,12 @@ fn a_session_restored_after_every_update_is_an_uninterrupted_one() {
         }
         let mut whole = shuffled(&starts, resample);
         while !whole.is_done() {
-            whole.epoch().expect("it goes on");
+            whole.epoch().expect("training continues");
         }
         let mut pauses = 0;
         let mut parts = shuffled(&starts, resample);
         while !parts.is_done() {
-            pauses += usize::from(parts.advance(&|| true).expect("it goes on").is_none());
+            pauses += usize::from(parts.advance(&|| true).expect("training continues").is_none());
             let mut next = shuffled(&starts, resample);
             next.restore(&parts.checkpoint("run"), "run").expect("its own checkpoint");
             parts = next;
@@ -121,7 +121,7 @@ fn losses_do_not_depend_on_the_number_of_workers_nor_on_the_tape() {
         for workers in [2, 3, 7] {
             assert_eq!(evaluate(workers), one);
         }
-        assert_eq!(gradients::<f32>(samples, 1).0, one, "with a tape");
+        assert_eq!(gradients::<f32>(samples, 1).0, one, "rollout with a tape");
     }
 }
 
@@ -153,7 +153,7 @@ fn costs_and_last_states_do_not_depend_on_the_tape() {
 }
 
 #[test]
-fn a_sample_does_not_see_its_neighbours() {
+fn a_sample_does_not_depend_on_the_other_samples() {
     let run = |samples: usize| {
         let mut rollout = Rollout::new(&task(), &policy(), 19);
         rollout.start(&starts::<f64>(19)[..samples * STATES]);
@@ -166,9 +166,9 @@ fn a_sample_does_not_see_its_neighbours() {
 }
 
 #[test]
-fn single_precision_is_double_precision_rounded() {
-    // Each step adds a relative rounding error of 2^-24. 40 steps of hanging poles amplify it
-    // little.
+fn single_precision_agrees_with_double_precision_to_1e_4() {
+    // Each step adds a relative rounding error of 2^-24. 40 steps of hanging poles amplify this
+    // error little.
     let allowed = 1e-4;
     let (loss32, g32) = gradients::<f32>(8, 1);
     let (loss64, g64) = gradients::<f64>(8, 1);
@@ -177,7 +177,7 @@ fn single_precision_is_double_precision_rounded() {
         let scale = g64.values().iter().fold(0.0, |s: f64, g| s.max(g.abs()));
         let worst = g32.values().iter().zip(g64.values()).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
         assert!(worst <= allowed * scale, "{worst:e} of {scale:e}");
-        assert!(worst > 0.0, "single precision cannot be exact");
+        assert!(worst > 0.0, "the gradients in f32 and f64 are equal");
     }
 }
 
@@ -233,12 +233,12 @@ fn resampling_draws_one_stream_per_epoch_and_sample() {
 
 #[test]
 fn resampling_keeps_the_evaluated_sets() {
-    // θ stays the same to rounding, so losses of fixed sets do as well.
+    // The learning rate is too small to change a loss, so losses of fixed sets stay equal.
     let training = Training { epochs: 3, learning_rate: 1e-300, train_samples: 8, resample: true, ..Training::default() };
     let mut session = Trainer::new(task(), policy()).precision::<f64>().training(training).session().expect("valid settings");
     (0..3).for_each(|_| drop(session.epoch().expect("finite").clone()));
     let [first, second, third] = session.records() else { panic!("three epochs") };
-    assert!(first.loss != second.loss && second.loss != third.loss, "new initial states");
+    assert!(first.loss != second.loss && second.loss != third.loss, "an epoch repeats the initial states");
     for later in [second, third] {
         assert_eq!((later.train_loss, later.test_loss), (first.train_loss, first.test_loss));
     }
@@ -262,11 +262,11 @@ fn training_does_not_depend_on_the_number_of_workers() {
     for workers in [2, 8] {
         assert_eq!(train(session(1, 4, workers)), one);
     }
-    assert_ne!(train(session(2, 4, 1)).1, one.1, "another seed");
+    assert_ne!(train(session(2, 4, 1)).1, one.1, "another seed yields the same parameters");
 }
 
 #[test]
-fn a_resumed_training_is_an_uninterrupted_one() {
+fn a_resumed_training_has_the_bits_of_an_uninterrupted_one() {
     let whole = train(session(1, 5, 1));
     for stop in 0..5 {
         let mut first = session(1, 5, 1);
@@ -281,7 +281,7 @@ fn a_resumed_training_is_an_uninterrupted_one() {
 }
 
 #[test]
-fn a_checkpoint_that_does_not_belong_is_refused_and_changes_nothing() {
+fn a_foreign_or_damaged_checkpoint_is_refused_and_changes_nothing() {
     let mut first = session(1, 2, 1);
     first.epoch().expect("finite");
     let bytes = first.checkpoint("a run");
@@ -311,14 +311,14 @@ fn a_checkpoint_that_does_not_belong_is_refused_and_changes_nothing() {
 }
 
 #[test]
-fn composed_fields_share_one_forward_pass_with_the_same_bits() {
+fn r_computed_together_with_m_has_the_bits_of_r_alone() {
     let alone = |flow: Flow| {
         let mut batch = Batch::new(&task(), &policy(), 8, &[flow], 1);
         batch.run(&task(), &policy(), &weights(), &starts::<f64>(8)).expect("finite");
         batch.gradients()[0].clone()
     };
     let both = gradients::<f64>(8, 1).1;
-    assert_eq!(both[1], alone(Flow::REGULAR), "R beside M is R alone");
+    assert_eq!(both[1], alone(Flow::REGULAR), "R computed together with M");
     let mut composed = Gradient::zeros(both[0].values().len());
     Field::combined().combine(&both, &mut composed);
     assert!(composed.values().iter().any(|&c| c != 0.0));

@@ -1,4 +1,4 @@
-//! Non-finite numbers are reported, and updates with them are skipped.
+//! Rollouts and reverse passes report non-finite numbers. Training skips such updates.
 
 use physgrad::policy::{Linear, Mlp};
 use physgrad::rng::Rng;
@@ -10,7 +10,7 @@ use physgrad::{
 /// Type and place of a fault.
 #[derive(Clone, Copy)]
 enum Fault {
-    /// Component 1 becomes infinite in step 5 of the samples that start above 0.5.
+    /// Component 1 is infinite from state 5 on, in samples that start above 0.5.
     State,
     /// The cost of the samples that start above 0.5 is NaN.
     Cost,
@@ -93,7 +93,7 @@ fn run(fault: Fault, workers: usize) -> Result<f64, Divergence> {
 }
 
 #[test]
-fn the_step_sample_component_and_pass_are_named_whatever_the_workers() {
+fn step_sample_component_and_pass_are_named_for_1_to_3_workers() {
     for workers in [1, 2, 3] {
         assert_eq!(
             run(Fault::State, workers),
@@ -116,7 +116,7 @@ fn the_step_sample_component_and_pass_are_named_whatever_the_workers() {
 }
 
 #[test]
-fn the_message_says_where() {
+fn the_message_names_pass_component_sample_and_step() {
     let text = run(Fault::Cotangent, 1).unwrap_err().to_string();
     for part in ["reverse pass of M", "state component 1", "sample 9", "step 3"] {
         assert!(text.contains(part), "{text}");
@@ -124,7 +124,7 @@ fn the_message_says_where() {
 }
 
 #[test]
-fn evaluation_names_the_sample_of_the_whole_set() {
+fn an_evaluation_names_sample_71_of_100() {
     let (task, policy) = (Faulty(Fault::State), Linear::with_bias(3, 1));
     let weights = Weights::new(&policy, vec![0.1, 0.2, -0.05, 0.3]);
     let mut many = [0.1, 0.3, 0.0].repeat(100);
@@ -136,7 +136,7 @@ fn evaluation_names_the_sample_of_the_whole_set() {
 }
 
 #[test]
-fn the_trajectory_up_to_there_can_be_read() {
+fn states_before_a_divergence_can_be_read() {
     let (task, policy) = (Faulty(Fault::State), Linear::with_bias(3, 1));
     let weights = Weights::new(&policy, vec![0.0; 4]);
     let mut rollout = Rollout::new(&task, &policy, 11);
@@ -152,7 +152,7 @@ fn updates_with_a_bad_sample_are_skipped_counted_and_change_nothing() {
     let training = Training { epochs: 3, batch: 6, max_skipped: 10, ..Training::default() };
     let trainer = Trainer::new(Faulty(Fault::Cotangent), Linear::with_bias(3, 1)).precision::<f64>().training(training.clone());
     let mut session = trainer.session_from(vec![0.1; 4], starts(), starts()).expect("valid settings");
-    let record = session.epoch().expect("one good update").clone();
+    let record = session.epoch().expect("one finite update").clone();
     assert_eq!(record.skipped, 1);
     assert_eq!(session.skips()[0].update, 1);
     assert_eq!(
@@ -171,16 +171,16 @@ fn updates_with_a_bad_sample_are_skipped_counted_and_change_nothing() {
 }
 
 #[test]
-fn too_many_skips_in_a_row_stop_the_training_with_the_parameters_untouched() {
+fn the_fourth_skip_in_a_row_stops_training_with_unchanged_parameters() {
     let training = Training { epochs: 100, batch: 11, max_skipped: 3, ..Training::default() };
     let trainer = Trainer::new(Faulty(Fault::State), Linear::with_bias(3, 1)).precision::<f64>().training(training);
     let mut session = trainer.session_from(vec![0.1; 4], starts(), starts()).expect("valid settings");
     for epoch in 1..=3 {
-        let record = session.epoch().expect("not yet too many");
+        let record = session.epoch().expect("fewer skips than the limit");
         assert_eq!((record.epoch, record.skipped), (epoch, 1));
         assert!(record.loss.is_nan() && record.train_loss.is_nan());
     }
-    let error = session.epoch().expect_err("the fourth in a row");
+    let error = session.epoch().expect_err("the fourth skip in a row");
     assert!(matches!(error, TrainError::Diverged { count: 4, .. }));
     let text = error.to_string();
     assert!(text.contains("step 5") && text.contains("sample 9") && text.contains("Try"), "{text}");
@@ -226,7 +226,7 @@ fn an_infinite_gradient_of_finite_cotangents_is_named() {
         session.epoch().expect("one skip at most");
         (session.skips().first().map(|skip| skip.divergence), session.weights().theta()[0])
     };
-    // The cotangents are representable, their product with the state is not.
+    // The cotangents are representable. Their product with the state overflows.
     let gradient = Divergence::Gradient { flow: Flow::REGULAR, parameter: 0 };
     assert_eq!(epoch(1e10, 1e30, Clip::None), (Some(gradient), 0.0));
     // Cotangents and gradients beyond the range of f32 carry an exponent. Training skips such a
@@ -294,7 +294,7 @@ impl GradientCombiner for Broken {
 }
 
 #[test]
-fn a_composition_is_checked_before_the_optimizer_sees_it() {
+fn an_update_with_a_non_finite_composed_field_is_skipped() {
     // In single precision, the square of 1e30 is infinite. Clipping reduces the value first.
     for (value, clip, bad) in [
         (f64::NAN, Clip::None, true),
@@ -319,12 +319,12 @@ fn a_composition_is_checked_before_the_optimizer_sees_it() {
 }
 
 #[test]
-fn a_diverging_evaluation_is_reported() {
+fn a_diverging_evaluation_of_the_test_set_is_reported() {
     let training = Training { batch: 6, max_skipped: 100, ..Training::default() };
     let trainer = Trainer::new(Faulty(Fault::State), Linear::with_bias(3, 1)).precision::<f64>().training(training);
     let good = [0.1, 0.3, 0.0].repeat(6);
     let mut session = trainer.session_from(vec![0.1; 4], good, starts()).expect("valid settings");
-    assert!(session.epoch().expect("good updates").test_loss.is_nan());
+    assert!(session.epoch().expect("finite updates").test_loss.is_nan());
     assert_eq!(
         session.diverged(),
         [None, Some(Divergence::Forward { variable: Variable::State, step: 5, sample: 9, component: 1, cause: None })]
@@ -335,12 +335,12 @@ fn a_diverging_evaluation_is_reported() {
 fn invalid_settings_are_refused_by_name() {
     let refused = |training: Training| {
         let trainer = Trainer::new(Saturated, Linear::new(1, 1)).training(training);
-        trainer.session_from(vec![0.0], vec![1.0], vec![1.0]).expect_err("a mistake").to_string()
+        trainer.session_from(vec![0.0], vec![1.0], vec![1.0]).expect_err("invalid").to_string()
     };
     assert!(refused(Training { batch: 0, ..Training::default() }).contains("batch"));
     for learning_rate in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e9] {
         assert!(refused(Training { learning_rate, ..Training::default() }).contains("learning_rate"));
     }
     let trainer = Trainer::new(Saturated, Linear::new(1, 1));
-    assert!(trainer.session_from(vec![0.0], vec![1.0], vec![]).expect_err("a mistake").to_string().contains("test_samples"));
+    assert!(trainer.session_from(vec![0.0], vec![1.0], vec![]).expect_err("invalid").to_string().contains("test_samples"));
 }

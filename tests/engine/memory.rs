@@ -48,7 +48,7 @@ fn stored<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: usize, fl
     Ok(all)
 }
 
-/// As `stored`, with a checkpoint schedule.
+/// Returns the costs and gradients as [`stored`] does, with a checkpoint schedule.
 fn scheduled<F: Float, T: Task, P: Policy>(
     task: &T,
     policy: &P,
@@ -60,7 +60,8 @@ fn scheduled<F: Float, T: Task, P: Policy>(
     let mut rollout = Checkpointed::new(task, policy, samples + 1, flows, schedule);
     let mut gradients = [vec![Gradient::zeros(policy.param_count()); flows.len()]];
     let starts = starts::<F, T>(task, samples);
-    // The first run has one more sample. Values left in the buffers must not affect the second run.
+    // The first run has one more sample. Values that remain in the buffers must not affect the
+    // second run.
     let more = [&starts[..], &starts[..starts.len() / samples]].concat();
     for starts in [&more, &starts] {
         rollout.run(task, policy, &weights, starts, F::from_f64(0.5), samples + 1, &mut gradients)?;
@@ -81,7 +82,7 @@ fn flows() -> Vec<Vec<Flow>> {
     Flow::ALL.map(|flow| vec![flow]).into_iter().chain(pairs.map(Vec::from)).collect()
 }
 
-fn bits_are_those_of_store_all<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: &[usize]) {
+fn assert_bits_of_store_all<F: Float, T: Task, P: Policy>(task: &T, policy: &P, samples: &[usize]) {
     for &samples in samples {
         for flows in flows() {
             let all = stored::<F, T, P>(task, policy, samples, &flows).expect("finite");
@@ -99,26 +100,26 @@ fn cart_pole(horizon: usize) -> CartPole {
 }
 
 #[test]
-fn bits_are_those_of_store_all_with_one_control() {
+fn all_schedules_have_the_bits_of_store_all_with_one_control() {
     let (task, policy) = (cart_pole(4 * UNIT + 17), Mlp::new([4, 8, 8, 1]));
-    bits_are_those_of_store_all::<f32, _, _>(&task, &policy, &[3, 11]);
-    bits_are_those_of_store_all::<f64, _, _>(&task, &policy, &[3, 11]);
+    assert_bits_of_store_all::<f32, _, _>(&task, &policy, &[3, 11]);
+    assert_bits_of_store_all::<f64, _, _>(&task, &policy, &[3, 11]);
     // Horizons whose last segment has one step or full length.
     for horizon in [2 * UNIT + 1, 3 * UNIT, UNIT + 1] {
-        bits_are_those_of_store_all::<f64, _, _>(&cart_pole(horizon), &policy, &[9]);
+        assert_bits_of_store_all::<f64, _, _>(&cart_pole(horizon), &policy, &[9]);
     }
 }
 
 #[test]
-fn bits_are_those_of_store_all_with_several_controls() {
+fn all_schedules_have_the_bits_of_store_all_with_several_controls() {
     let task = Guidance { horizon: 3 * UNIT + 5, ..Guidance::new(1, 1) };
     let policy = Mlp::new([physgrad::System::state_dim(&task.system), 8, 2]);
-    bits_are_those_of_store_all::<f32, _, _>(&task, &policy, &[5]);
-    bits_are_those_of_store_all::<f64, _, _>(&task, &policy, &[9]);
+    assert_bits_of_store_all::<f32, _, _>(&task, &policy, &[5]);
+    assert_bits_of_store_all::<f64, _, _>(&task, &policy, &[9]);
 }
 
 #[test]
-fn bits_are_those_of_store_all_with_a_convolution_and_with_derivatives_by_duals() {
+fn all_schedules_have_the_bits_of_store_all_with_a_convolution_and_with_derivatives_by_duals() {
     let task = Quantum { horizon: 2 * UNIT + 9, ..Quantum::new(1) };
     let n = physgrad::System::state_dim(&task.system);
     let flows = [Flow::MODIFIED, Flow::REGULAR];
@@ -127,23 +128,23 @@ fn bits_are_those_of_store_all_with_a_convolution_and_with_derivatives_by_duals(
     for schedule in schedules(task.horizon) {
         assert_eq!(scheduled(&task, &conv, 5, &flows, schedule), Ok(all.clone()), "{schedule:?}");
     }
-    bits_are_those_of_store_all::<f64, _, _>(&cart_pole(2 * UNIT + 9), &Plain, &[3]);
+    assert_bits_of_store_all::<f64, _, _>(&cart_pole(2 * UNIT + 9), &Plain, &[3]);
 }
 
 #[test]
-fn bits_are_those_of_store_all_with_a_memory() {
+fn all_schedules_have_the_bits_of_store_all_with_a_memory() {
     let (task, policy) = (cart_pole(2 * UNIT + 9), Gru::new(4, 6, 1));
-    bits_are_those_of_store_all::<f32, _, _>(&task, &policy, &[11]);
-    bits_are_those_of_store_all::<f64, _, _>(&task, &policy, &[3]);
+    assert_bits_of_store_all::<f32, _, _>(&task, &policy, &[11]);
+    assert_bits_of_store_all::<f64, _, _>(&task, &policy, &[3]);
 }
 
 #[test]
 fn mini_batches_over_several_workers_have_the_bits_of_store_all() {
-    bits_of_mini_batches(&cart_pole(3 * UNIT + 2), &Mlp::new([4, 8, 1]));
-    bits_of_mini_batches(&cart_pole(UNIT + 20), &Gru::new(4, 5, 1));
+    assert_bits_of_mini_batches(&cart_pole(3 * UNIT + 2), &Mlp::new([4, 8, 1]));
+    assert_bits_of_mini_batches(&cart_pole(UNIT + 20), &Gru::new(4, 5, 1));
 }
 
-fn bits_of_mini_batches(task: &CartPole, policy: &impl Policy) {
+fn assert_bits_of_mini_batches(task: &CartPole, policy: &impl Policy) {
     let (weights, starts) = (weights::<f32, _>(policy), starts::<f32, _>(task, 13));
     let flows = Field::combined().flows();
     let run = |mut batch: Batch<f32>| {
@@ -159,7 +160,7 @@ fn bits_of_mini_batches(task: &CartPole, policy: &impl Policy) {
 }
 
 #[test]
-fn a_divergence_is_that_of_store_all() {
+fn every_schedule_reports_the_divergence_of_store_all() {
     let task = CartPole { horizon: 3 * UNIT, ..CartPole::new(1) };
     // The control grows with the state.
     for factor in [1e4, 1e10, 1e30] {
@@ -214,7 +215,7 @@ impl Policy for Growing {
     }
 }
 
-fn bytes_are_those_held<F: Float>() {
+fn assert_exact_bytes<F: Float>() {
     let (task, policy) = (cart_pole(6 * UNIT + 40), Mlp::new([4, 8, 1]));
     let (weights, starts) = (weights::<F, _>(&policy), starts::<F, _>(&task, 17));
     // The first run of a process detects the processor's features.
@@ -227,7 +228,7 @@ fn bytes_are_those_held<F: Float>() {
             let mut gradients = vec![vec![Gradient::zeros(policy.param_count()); flows.len()]; 5];
             let run = || rollout.run(&task, &policy, &weights, &starts, F::one(), 4, &mut gradients);
             let (outcome, _, most) = held(run);
-            assert_eq!((outcome, most), (Ok(()), 0), "a schedule is run without allocating");
+            assert_eq!((outcome, most), (Ok(()), 0), "a run of a schedule allocates");
 
             for workers in [1, 3] {
                 let (batch, bytes, most) = held(|| Batch::<F>::scheduled(&task, &policy, 17, &flows, workers, schedule));
@@ -239,13 +240,13 @@ fn bytes_are_those_held<F: Float>() {
 }
 
 #[test]
-fn schedules_state_their_bytes() {
-    bytes_are_those_held::<f32>();
-    bytes_are_those_held::<f64>();
+fn stored_bytes_of_schedules_equal_allocated_bytes() {
+    assert_exact_bytes::<f32>();
+    assert_exact_bytes::<f64>();
 }
 
 #[test]
-fn budgets_are_kept_and_used() {
+fn batches_stay_within_the_budget_and_recompute_the_fewest_steps() {
     let (task, policy) = (cart_pole(40 * UNIT - 50), Mlp::new([4, 8, 1]));
     let (weights, starts) = (weights::<f32, _>(&policy), starts::<f32, _>(&task, 6));
     let flows = Field::combined().flows();
@@ -260,13 +261,13 @@ fn budgets_are_kept_and_used() {
     let mut expected: Option<Vec<Gradient<f32>>> = None;
     for budget in [smallest, smallest + 500, smallest + 3000, all / 15, all / 5, all / 2, all - 1, all, u64::MAX] {
         let ((batch, loss), _, most) = held(|| {
-            let mut batch = Batch::<f32>::within(&task, &policy, 6, &flows, 1, budget).expect("enough");
+            let mut batch = Batch::<f32>::within(&task, &policy, 6, &flows, 1, budget).expect("a sufficient budget");
             let loss = batch.run(&task, &policy, &weights, &starts).expect("finite");
             (batch, loss)
         });
         assert!(loss.is_finite() && most as u64 <= budget && most == batch.stored_bytes(), "{most} bytes of {budget}");
         let schedule = batch.schedule();
-        assert!(schedule.recomputed_steps() <= last, "more memory makes no more work");
+        assert!(schedule.recomputed_steps() <= last, "a larger budget recomputes more steps");
         last = schedule.recomputed_steps();
         // No other schedule within the budget recomputes fewer steps.
         for units in 1..=40 {
@@ -282,14 +283,14 @@ fn budgets_are_kept_and_used() {
 }
 
 #[test]
-fn a_training_within_a_budget_is_that_without() {
+fn a_training_within_a_budget_has_the_parameters_of_one_without() {
     let train = |memory: Option<u64>| {
         let task = CartPole { horizon: 2 * UNIT, ..CartPole::new(1) };
         let training = Training { epochs: 2, train_samples: 20, test_samples: 4, memory, ..Training::default() };
         let mut session = Trainer::new(task, Mlp::new([4, 8, 1])).training(training).session()?;
         session.epoch()?;
         let (_, held, _) = held(|| session.epoch().map(|_| ()));
-        assert_eq!(held, 0, "epochs do not allocate after the first");
+        assert_eq!(held, 0, "the second epoch retains memory");
         Ok::<_, TrainError>((session.schedule().recomputed_steps(), session.weights().theta().to_vec()))
     };
     let error = train(Some(10_000)).unwrap_err();
@@ -302,7 +303,7 @@ fn a_training_within_a_budget_is_that_without() {
 }
 
 #[test]
-fn many_steps_fit_in_a_small_budget() {
+fn a_hundred_thousand_steps_fit_in_300_kilobytes() {
     let (task, policy) = (cart_pole(100_000), Mlp::new([4, 4, 1]).zero_init_output(true));
     let flows = [Flow::REGULAR];
     let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
@@ -312,21 +313,21 @@ fn many_steps_fit_in_a_small_budget() {
         (batch.gradients().to_vec(), batch.schedule().recomputed_steps(), batch.stored_bytes())
     };
     let (all, none, bytes) = run(Batch::new(&task, &policy, 2, &flows, 1));
-    let (gradients, again, fewer) = run(Batch::within(&task, &policy, 2, &flows, 1, 300_000).expect("enough"));
+    let (gradients, again, fewer) = run(Batch::within(&task, &policy, 2, &flows, 1, 300_000).expect("a sufficient budget"));
     assert!(all[0].values().iter().any(|&g| g != 0.0) && gradients == all);
     assert!(none == 0 && again > 0 && again < 200_000 && fewer <= 300_000 && bytes > 100 * fewer, "{again} {fewer} {bytes}");
 }
 
 #[test]
 #[ignore = "a million steps take 7 s and more"]
-fn a_million_steps_fit_in_64_megabytes() {
+fn a_million_steps_fit_in_64_and_in_4_mebibytes() {
     let (task, policy) = (cart_pole(1_000_000), Mlp::new([4, 16, 16, 1]).zero_init_output(true));
     let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
     let starts = starts::<f64, _>(&task, 8);
     for budget in [64 << 20, 4 << 20] {
         let time = std::time::Instant::now();
         let (schedule, _, most) = held(|| {
-            let mut batch = Batch::within(&task, &policy, 8, &[Flow::REGULAR], 1, budget).expect("enough");
+            let mut batch = Batch::within(&task, &policy, 8, &[Flow::REGULAR], 1, budget).expect("a sufficient budget");
             batch.run(&task, &policy, &weights, &starts).expect("finite");
             batch.schedule()
         });

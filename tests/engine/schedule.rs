@@ -1,4 +1,5 @@
-//! Checkpoint schedules recompute the minimal number of steps, and exactly as many as they report.
+//! Binomial checkpoint schedules recompute the fewest steps. All schedules recompute exactly as
+//! many steps as they report.
 
 use physgrad::policy::{Action, Observed, PolicyPass};
 use physgrad::rng::Rng;
@@ -8,10 +9,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 const UNIT: usize = Schedule::UNIT;
 
-/// Counts policy calls: one per step.
-struct Asked(AtomicU64);
+/// Policy that counts its forward passes, one per step.
+struct CallCounter(AtomicU64);
 
-impl Policy for Asked {
+impl Policy for CallCounter {
     fn observation_dim(&self) -> usize {
         4
     }
@@ -33,8 +34,9 @@ impl Policy for Asked {
     }
 }
 
-/// Returns a table: entry `[s][l]` is the fewest segments to recompute when reversing `l` segments
-/// with `s` checkpoints. Uses dynamic programming over the position of the next checkpoint.
+/// Returns a table: entry `[s][l]` is the smallest number of recomputed segments in a reversal of
+/// `l` segments with `s` checkpoints. Uses dynamic programming over the position of the next
+/// checkpoint.
 fn fewest(most: usize) -> Vec<Vec<u64>> {
     let mut table = vec![vec![0; most + 1]; most + 1];
     for s in 1..=most {
@@ -51,7 +53,7 @@ fn fewest(most: usize) -> Vec<Vec<u64>> {
 }
 
 #[test]
-fn binomial_runs_as_few_steps_again_as_there_can_be() {
+fn binomial_schedules_recompute_the_fewest_steps() {
     let table = fewest(60);
     for (s, row) in table.iter().enumerate().skip(1) {
         for (l, &fewest) in row.iter().enumerate().skip(1) {
@@ -62,15 +64,15 @@ fn binomial_runs_as_few_steps_again_as_there_can_be() {
         }
     }
     // Griewank and Walther 2000 (doi:10.1145/347837.347846): s checkpoints reverse
-    // l = β(s, r) = C(s + r, s) segments with at most r recomputations each, r l - β(s + 1, r - 1) in
-    // total. Here s = 3, r = 9, l = 220.
+    // l = β(s, r) = C(s + r, s) segments with at most r recomputations of each. The total is
+    // r l - β(s + 1, r - 1). Here s = 3, r = 9, l = 220.
     let schedule = Schedule::binomial(220 * UNIT, 3);
     assert_eq!(schedule.recomputed_steps(), (9 * 220 - 495) * UNIT as u64);
 }
 
 #[test]
 fn schedules_recompute_the_stated_number_of_steps() {
-    let policy = Asked(AtomicU64::new(0));
+    let policy = CallCounter(AtomicU64::new(0));
     let weights = Weights::<f64>::new(&policy, vec![0.0; policy.param_count()]);
     let count = |segments: usize, schedule: &dyn Fn(usize) -> Schedule| {
         let task = CartPole { horizon: segments * UNIT - 3, ..CartPole::new(1) };
@@ -93,7 +95,7 @@ fn schedules_recompute_the_stated_number_of_steps() {
 }
 
 #[test]
-fn two_levels_are_about_the_root_of_the_horizon() {
+fn two_level_segments_have_about_the_root_of_the_horizon() {
     let schedule = Schedule::two_level(1_000_000);
     assert_eq!((schedule.segment(), schedule.segments()), (8 * UNIT, 969));
     assert_eq!(schedule.recomputed_steps(), 968 * 8 * UNIT as u64);

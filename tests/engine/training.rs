@@ -68,7 +68,7 @@ fn updates_have_the_learning_rates_of_the_decay() {
                 session.advance(&|| true).expect("finite");
                 next.restore(&session.checkpoint("a run"), "a run").expect("its own checkpoint");
                 session = next;
-                // The formulas, written out.
+                // Documented formulas, with the progress s after the warm-up.
                 let s = (f64::from(update) - warm_up as f64) / (12.0 - warm_up as f64);
                 let factor = match decay {
                     _ if s < 0.0 => f64::from(update + 1) / (warm_up as f64 + 1.0),
@@ -78,7 +78,7 @@ fn updates_have_the_learning_rates_of_the_decay() {
                 };
                 theta -= 0.5 * factor;
                 let found = session.weights().theta()[0];
-                // A few roundings of numbers up to 6 per update.
+                // Each update rounds numbers up to 6 a few times.
                 assert!((found - theta).abs() < 1e-13, "{decay:?}, warm-up {warm_up}, update {update}: {found}, not {theta}");
             }
             assert!(session.is_done());
@@ -87,20 +87,20 @@ fn updates_have_the_learning_rates_of_the_decay() {
 }
 
 #[test]
-fn a_decay_to_a_value_that_is_not_allowed_is_refused() {
+fn a_cosine_decay_to_2_and_an_exponential_decay_to_0_are_refused() {
     let refused = |decay| {
         let training = Training { decay, ..Training::default() };
-        trainer(Plant { factor: 1.0, horizon: 1, weight: 1.0 }, training).session().expect_err("a mistake").to_string()
+        trainer(Plant { factor: 1.0, horizon: 1, weight: 1.0 }, training).session().expect_err("an invalid decay").to_string()
     };
     assert_eq!(refused(Decay::Cosine { end: 2.0 }), "training.decay: ends at 2; allowed: 0 to 1");
     assert_eq!(refused(Decay::Cosine { end: f64::NAN }), "training.decay: ends at NaN; allowed: 0 to 1");
     assert_eq!(refused(Decay::Exponential { end: 0.0 }), "training.decay: ends at 0; allowed: a positive number up to 1");
 }
 
-/// A plant that doubles its state. The adjoint of M grows by 2^13, 3.9 decades, in 13 of 14 steps.
-/// The last state is `g θ` and the gradient is `g`, with `g = 2^14 - 1 = 16383`. Each epoch has one
-/// update. After n updates the last state is `-n · 1e-3 g² = -n · 2.68e5`. It is below -1e6 from
-/// n = 4 on: after epoch 4, and in the update of epoch 5.
+/// Trainer on a plant that doubles its state. The adjoint of M grows by 2^13, 3.9 decades, in 13 of
+/// 14 steps. The last state is `g θ` and the gradient is `g`, with `g = 2^14 - 1 = 16383`. Each
+/// epoch has one update. After n updates the last state is `-n · 1e-3 g² = -n · 2.68e5`. This value
+/// is below -1e6 from n = 4 on: after epoch 4, and in the update of epoch 5.
 fn doubling() -> Trainer<Plant, Constant, f64> {
     let training = Training { epochs: 6, learning_rate: 1e-3, ..Training::default() };
     trainer(Plant { factor: 2.0, horizon: 14, weight: 1.0 }, training)
@@ -132,15 +132,16 @@ fn each_kind_of_warning_appears_once_in_its_first_epoch() {
 }
 
 #[test]
-fn a_session_warns_between_epochs_only() {
+fn a_session_reports_each_warning_once_after_its_epoch() {
     let mut session = doubling().session().expect("valid settings");
     assert_eq!(session.warnings(), [""; 0]);
     session.epoch().expect("finite");
     assert_eq!(session.warnings().len(), 1);
-    assert_eq!(session.warnings(), [""; 0], "reported already");
+    assert_eq!(session.warnings(), [""; 0], "a warning is reported twice");
 }
 
-/// The test below runs this one in a process of its own.
+/// Test program of [`a_run_prints_its_warnings_to_standard_error`], which runs it in a separate
+/// process.
 #[test]
 #[ignore = "prints"]
 fn a_run_that_warns() {
@@ -151,7 +152,7 @@ fn a_run_that_warns() {
 fn a_run_prints_its_warnings_to_standard_error() {
     let mut process = Command::new(std::env::current_exe().expect("a path"));
     process.args(["--exact", "training::a_run_that_warns", "--ignored", "--nocapture"]);
-    let output = process.output().expect("it runs");
+    let output = process.output().expect("the test program starts");
     let printed = String::from_utf8(output.stderr).expect("text");
     assert!(output.status.success(), "{printed}");
     assert_eq!(printed.matches("warning: epoch").count(), 4, "{printed}");

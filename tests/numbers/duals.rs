@@ -27,7 +27,7 @@ fn values_have_the_bits_of_the_plain_number() {
 }
 
 #[test]
-fn tangents_are_those_of_num_dual() {
+fn tangents_agree_with_num_dual_to_1e_14() {
     let numbers = [0.3, 2.5, 1.0, 7e-3, 12.0];
     for ((name, ours), (_, theirs)) in functions().zip(functions()) {
         for (a, b) in numbers.into_iter().flat_map(|a| numbers.map(|b| (a, b))) {
@@ -45,7 +45,7 @@ fn tangents_are_those_of_num_dual() {
 fn derivatives_of_constants_stay_zero() {
     for value in [0.0, 1.0, -0.0] {
         for (name, operation) in functions::<Dual<f64, 2>>() {
-            // The value of 1/0 is infinite.
+            // Avoids division by zero, whose result is infinite.
             let divisor = if name.starts_with("div") { 1.0 } else { value };
             let found = operation(Dual::constant(value), Dual::constant(divisor));
             assert_eq!(found.tangents.map(f64::abs), [0.0; 2], "{name} of {value}");
@@ -56,7 +56,7 @@ fn derivatives_of_constants_stay_zero() {
 }
 
 #[test]
-fn lanes_have_the_bits_of_one_number_each() {
+fn every_lane_has_the_bits_of_a_scalar() {
     let firsts: [f32; 8] = [0.0, -0.5, 1.0, 3.25, -1e-3, 7e6, f32::INFINITY, 0.1];
     let seconds: [f32; 8] = [0.25, -0.5, -1.0, 0.0, 1e3, 2.0, 1.0, 0.1];
     let (first_slopes, second_slopes) = ([0.5, -1.25], [0.0, 0.75]);

@@ -1,5 +1,5 @@
-//! Kernels at odd shapes and on all instruction sets of this processor, against nalgebra and the
-//! standard library.
+//! Kernels on all instruction sets of this processor: matrix products of many shapes against
+//! nalgebra, sine, cosine and tanh against double-double.
 
 use nalgebra::DMatrix;
 use physgrad::kernels::gemm::{self, Product};
@@ -8,7 +8,7 @@ use physgrad::rng::{Purpose, Rng, stream};
 use physgrad::{DoubleDouble, Float, Lanes, Scalar};
 use rand::RngExt;
 
-/// Shapes (rows, depth, columns): depth 1, fewer and more columns than a tile, and all remainders.
+/// Shapes (rows, depth, columns): depth 1, fewer and more columns than a tile, several remainders.
 /// Miri uses only the first five.
 const SHAPES: [(usize, usize, usize); 12] = [
     (1, 1, 1),
@@ -38,7 +38,7 @@ macro_rules! products {
                 let (a, b, start) = (random(lda * k), random(ldb * n), random(ldc * n));
                 let a_matrix = DMatrix::from_fn(m, k, |i, p| a[i + p * lda]);
                 let b_matrix = DMatrix::from_fn(k, n, |p, j| b[p + j * ldb]);
-                // Row-major copy of the matrix.
+                // Row-major copy of B.
                 let b_rows: Vec<$float> = (0..k).flat_map(|p| (0..n).map(move |j| (p, j))).map(|(p, j)| b[p + j * ldb]).collect();
                 for accumulate in [false, true] {
                     let mut first: Option<Vec<$float>> = None;
@@ -65,8 +65,8 @@ macro_rules! products {
         }
     };
 }
-products!(single_products_are_nalgebras, f32, single, f32::EPSILON);
-products!(double_products_are_nalgebras, f64, double, f64::EPSILON);
+products!(single_products_agree_with_nalgebra, f32, single, f32::EPSILON);
+products!(double_products_agree_with_nalgebra, f64, double, f64::EPSILON);
 
 #[test]
 fn columns_do_not_depend_on_how_many_are_computed_together() {
@@ -103,7 +103,7 @@ fn columns_do_not_depend_on_how_many_are_computed_together() {
 
 #[test]
 #[should_panic(expected = "product: B")]
-fn a_product_checks_its_slices() {
+fn a_product_with_too_short_a_slice_is_refused() {
     let (a, b, mut c) = (vec![0.0f32; 32], vec![0.0; 1], vec![0.0; 16]);
     let product =
         Product { rows: 16, depth: 2, cols: 1, a: &a, lda: 16, b: &b, b_row: 1, b_col: 2, c: &mut c, ldc: 16, accumulate: false };
@@ -125,10 +125,13 @@ const ROUNDS: usize = if cfg!(miri) { 1 } else { 4 };
 /// Number of arguments per round.
 const ARGUMENTS: usize = if cfg!(miri) { 64 } else { 20_000 };
 
-/// Number format with the error bounds of its kernels, in units in the last place (ulps).
+/// Number format with the error bounds of its kernels in units in the last place (ulps).
 trait Format: Float {
+    /// Error bound of sine and cosine, ulps.
     const SIN_COS: f64;
+    /// Error bound of tanh with fused multiply-add, ulps.
     const TANH_FUSED: f64;
+    /// Error bound of tanh without fused multiply-add, ulps.
     const TANH_UNFUSED: f64;
     /// Exponent of the smallest normal number.
     const SMALLEST: i32;
@@ -175,7 +178,7 @@ fn exact_sin_cos(x: f64) -> (DoubleDouble, DoubleDouble) {
     let n = (x / PARTS[0]).round();
     let mut rest = DoubleDouble::from(x);
     for part in PARTS {
-        // Subtract the product as two exact parts.
+        // Subtracts the product as two exact parts.
         let product = n * part;
         for piece in [product, n.mul_add(part, -product)] {
             rest -= DoubleDouble::from(piece);
@@ -220,7 +223,7 @@ fn search<F: Format>(known: &[f64], mut draw: impl FnMut(&mut Rng) -> f64, error
     let mut worst = (0.0, F::zero());
     let mut look = |x: Vec<F>| {
         for (error, &x) in errors(&x).into_iter().zip(&x) {
-            assert!(!error.is_nan(), "no error at {x:?}");
+            assert!(!error.is_nan(), "the error at {x:?} is NaN");
             if error > worst.0 {
                 worst = (error, x);
             }
@@ -236,7 +239,7 @@ fn search<F: Format>(known: &[f64], mut draw: impl FnMut(&mut Rng) -> f64, error
     worst
 }
 
-fn sin_cos_is_within_its_claim<F: Format>(known: &[f64]) {
+fn assert_sin_cos_within_bound<F: Format>(known: &[f64]) {
     let errors = |x: &[F]| -> Vec<f64> {
         let alone: Vec<(F, F)> = x.iter().map(|x| x.sin_cos_near()).collect();
         for level in SimdLevel::available() {
@@ -252,8 +255,8 @@ fn sin_cos_is_within_its_claim<F: Format>(known: &[f64]) {
         let turns = f64::from(rng.random_range(0..636_000)) * std::f64::consts::FRAC_PI_2;
         let sign = if rng.random_range(0.0..1.0) < 0.5 { -1.0 } else { 1.0 };
         match rng.random_range(0..4) {
-            // For a remainder just above a power of two, the sine is just below it, where the unit
-            // is half as large. The error of the reduction then counts twice.
+            // A remainder just above a power of two has a sine just below this power. The unit is
+            // half as large there, so the error of the reduction counts twice.
             0 => {
                 let power = 0.5f64.powi(rng.random_range(1..8));
                 turns + sign * power * (1.0 + rng.random_range(0.0..0.2) * power * power)
@@ -269,7 +272,7 @@ fn sin_cos_is_within_its_claim<F: Format>(known: &[f64]) {
     assert!(worst <= F::SIN_COS, "{worst} ulps at {at:?}");
 }
 
-fn tanh_is_within_its_claim<F: Format>(known: &[f64]) {
+fn assert_tanh_within_bound<F: Format>(known: &[f64]) {
     for level in SimdLevel::available() {
         let fused = level != SimdLevel::Portable;
         let errors = |x: &[F]| -> Vec<f64> {
@@ -301,7 +304,7 @@ fn tanh_is_within_its_claim<F: Format>(known: &[f64]) {
 fn errors_are_counted_in_units_in_the_last_place() {
     let one = DoubleDouble::from(1.0);
     let small = DoubleDouble::from(1e-20);
-    // Units below 1 are half those above.
+    // Units in the last place below 1 are half as large as above 1.
     assert_eq!((1.0 + f64::EPSILON).ulps(one), 1.0);
     assert_eq!((1.0 + f64::EPSILON).ulps(one - small).round(), 2.0);
     assert_eq!((1.0 - f64::EPSILON).ulps(one - DoubleDouble::from(f64::EPSILON / 2.0)), 1.0);
@@ -315,15 +318,15 @@ fn errors_are_counted_in_units_in_the_last_place() {
 }
 
 #[test]
-fn sine_and_cosine_are_within_their_claims() {
-    sin_cos_is_within_its_claim::<f32>(&[2_100.902_1, 130_659.61]);
-    sin_cos_is_within_its_claim::<f64>(&[873_180.420_139_821_6, 226_252.915_719_264_07, 527_498.664_482_847_6]);
+fn errors_of_sine_and_cosine_are_within_1_6_ulps_in_f32_and_2_6_in_f64() {
+    assert_sin_cos_within_bound::<f32>(&[2_100.902_1, 130_659.61]);
+    assert_sin_cos_within_bound::<f64>(&[873_180.420_139_821_6, 226_252.915_719_264_07, 527_498.664_482_847_6]);
 }
 
 #[test]
-fn tanh_is_within_its_claims() {
-    tanh_is_within_its_claim::<f32>(&[5.981_79, 5.952_199, 5.746_696]);
-    tanh_is_within_its_claim::<f64>(&[0.221_084_473_376_383_07, 0.221_397_272_859_856_75]);
+fn errors_of_tanh_are_within_8_ulps_in_f32_and_3_in_f64() {
+    assert_tanh_within_bound::<f32>(&[5.981_79, 5.952_199, 5.746_696]);
+    assert_tanh_within_bound::<f64>(&[0.221_084_473_376_383_07, 0.221_397_272_859_856_75]);
 }
 
 /// Below this magnitude, sin and tanh in single precision equal their argument to within a unit in
@@ -339,7 +342,7 @@ fn worst_of_all(reach: f32, error: impl Fn(f32) -> f64) -> (f64, f32) {
 
 #[test]
 #[ignore = "every f32: minutes"]
-fn every_single_precision_sine_and_cosine_is_within_its_claim() {
+fn every_sine_and_cosine_in_f32_is_within_1_6_ulps() {
     let (worst, at) = worst_of_all(1e6, |x| {
         let ((sin, cos), exact) = (trig::sin_cos_32(x), f64::from(x).sin_cos());
         sin.ulps(DoubleDouble::from(exact.0)).max(cos.ulps(DoubleDouble::from(exact.1)))
@@ -350,7 +353,7 @@ fn every_single_precision_sine_and_cosine_is_within_its_claim() {
 
 #[test]
 #[ignore = "every f32: minutes"]
-fn every_single_precision_tanh_is_within_its_claim() {
+fn every_tanh_in_f32_is_within_6_ulps_fused_and_8_unfused() {
     for (claim, kernel) in
         [(f32::TANH_UNFUSED, tanh::tanh_32::<false> as fn(f32) -> f32), (f32::TANH_FUSED, tanh::tanh_32::<true>)]
     {
@@ -382,7 +385,7 @@ fn tanh_saturates_at_one_and_passes_nan_on() {
 }
 
 #[test]
-fn lanes_have_the_bits_of_plain_numbers_also_far_out() {
+fn lanes_have_the_bits_of_plain_numbers_up_to_1e300_infinity_and_nan() {
     for x in [0.3, 1e5, 2e6, 1e300, f64::INFINITY, f64::NAN] {
         let lanes = Lanes([0.1, x, -x, 7.0]);
         let (sin, cos) = lanes.sin_cos();

@@ -1,9 +1,9 @@
 //! Mistakes in a first simulator: the compiler rejects them with a known message, and the form in
 //! `docs/systems.md` compiles.
 //!
-//! One call of `rustc` per case, with the library that cargo built for this test. Snapshots of
-//! whole messages depend on the compiler version, and trybuild builds all dependencies a second
-//! time.
+//! The tests call `rustc` once per case, with the library that cargo built for this test. They
+//! compare parts of messages, because whole messages depend on the compiler version. The crate
+//! trybuild would build all dependencies a second time.
 
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -72,7 +72,7 @@ fn wrong_expressions_have_a_documented_form() {
 }
 
 #[test]
-fn limits_and_negative_powers_compile() {
+fn min_max_and_negative_powers_of_a_scalar_compile() {
     assert_eq!(errors("x[0].max(0.0) + x[0].min(x[0]) + x[0].powi(-1)", ""), "");
 }
 

@@ -28,9 +28,10 @@ pub(super) const CASES: &[Case] = &[Case {
 
 /// Time step of the ICLR 2024 paper, s.
 const DT: f64 = 4.0 / 60.0;
-/// Strength of the pair force, m²/s². The stiffness at distance 0 is the strength over the squared
-/// softening length: 10 m²/s² / (0.1 m)² = 1000/s².
+/// Strength of the pair force, m²/s².
 const STRENGTH: f64 = 10.0;
+/// Stiffness of the pair force at distance 0 per mass, 1/s²: the strength over the squared
+/// softening length of 0.1 m.
 const STIFFNESS: f64 = STRENGTH / 0.01;
 
 type Walled = Forced<GuidanceSystem, Vec<GuidanceEffect>>;
@@ -80,6 +81,7 @@ fn energies(system: &impl System, strength: f64, steps: usize) -> (bool, f64, f6
     (all, lowest, highest)
 }
 
+/// Stability of a step at rest and at a distance of 1 µm.
 fn close(system: &impl System) -> Stability {
     check::stability(system, Inputs::new(&[0.0, 0.0, 0.0, 0.0, 1e-6, 0.0, 0.0, 0.0], &[0.0; 4]))
 }

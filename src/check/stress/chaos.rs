@@ -29,9 +29,11 @@ type Pendulum = Integrated<DoublePendulum, RungeKutta>;
 type State = [f64; 4];
 
 const STEPS: usize = 1_000_000;
+/// Number of pairs of rollouts whose initial states differ by one rounding.
 const PAIRS: usize = 64;
+/// Time step, s.
 const DT: f64 = 2e-3;
-/// At rest, both rods 1 rad from upright. The Lyapunov exponent Λ is about 1.45/s.
+/// Initial state at rest, both rods 1 rad from upright. The Lyapunov exponent Λ is about 1.45/s.
 const START: State = [1.0, 0.0, 1.0, 0.0];
 
 fn double_pendulum() -> Vec<Finding> {

@@ -36,12 +36,13 @@ fn resolved(stiffness: f64) -> f64 {
     std::f64::consts::PI / stiffness.sqrt() / 60.0
 }
 
-/// Time step for accurate derivatives: `stiffness dt` decreases in proportion to the contact
-/// duration.
+/// Time step for accurate derivatives, s. The product `stiffness dt` decreases in proportion to the
+/// contact duration.
 fn short(stiffness: f64) -> f64 {
     5.0 / stiffness.powf(1.5)
 }
 
+/// Stiffnesses of the springs, N/m.
 const STIFFNESSES: [f64; 3] = [1e4, 1e5, 1e6];
 
 fn formatted(errors: [f64; 3]) -> String {
@@ -63,8 +64,9 @@ struct Example {
     expected: Vec<f64>,
 }
 
-/// Ball height after one bounce: `e s (T - t) - g (T - t)²/2` with `t = (v + s)/g` and
-/// `s² = v² + 2 g h`.
+/// Ball height at time T after one bounce with restitution e: `e s (T - t) - g (T - t)²/2`. The
+/// impact is at `t = (v + s)/g`, with speed s and `s² = v² + 2 g h`. Height h and upward speed v
+/// are the initial state.
 ///
 /// Derivatives with respect to h and v follow from `ds/dh = g/s`, `dt/dh = 1/s`, `ds/dv = v/s` and
 /// `dt/dv = (1 + v/s)/g`.
@@ -83,18 +85,19 @@ fn ball(name: &'static str, restitution: f64, h: f64, v: f64, time: f64) -> Exam
     }
 }
 
-/// Position of the second ball after the first hits it with speed v:
-/// `q + v (T - t) = p + contact_distance + v T`.
+/// Position of the second ball at time T, after the first hits it at time t with speed v. The
+/// initial positions p and q yield `q + v (T - t) = p + contact_distance + v T`.
 fn balls(second: f64, time: f64) -> Example {
     let expected = vec![1.0, 0.0, time, 0.0, f64::NAN];
     Example { name: "two equal balls", start: vec![0.0, second, 2.0, 0.0], control: 0.0, component: 1, time, expected }
 }
 
-/// Position of a box that a pusher meets from rest and then pushes.
+/// Position at time T of a box that a pusher reaches from rest and then pushes with force u.
 ///
-/// Impact at `t = sqrt(2 g m/u)` with gap g. The final position is `q + V (T - t) + u (T - t)²/2M`,
-/// with `M = m + m₂` and `V = sqrt(2 g m u)/M`. The derivative with respect to p is minus that with
-/// respect to g.
+/// The masses of pusher and box are m and m₂, their initial positions p and q, and the gap is g.
+/// The impact is at `t = sqrt(2 g m/u)`. The common speed is `V = sqrt(2 g m u)/M` afterwards, with
+/// `M = m + m₂`. The position is `q + V (T - t) + u (T - t)²/2M`. For fixed q, the derivatives with
+/// respect to p and g have opposite signs.
 fn pusher() -> Example {
     let (u, gap, [first, second], time) = (4.0, 0.2, [1.0, 2.0], 1.2f64);
     let total = first + second;
@@ -210,7 +213,7 @@ impl System for Reflected {
     }
 }
 
-/// Derivative error of the reflected speed, which does not vanish with the time step.
+/// Derivative error of the planted fault, which does not vanish with the time step.
 fn reflected(example: &Example) -> Finding {
     let dt = 1e-4;
     let error = example.error(&Reflected(BouncingBall { dt, ..BouncingBall::default() }), dt);

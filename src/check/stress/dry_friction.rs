@@ -22,7 +22,9 @@ pub(super) const CASES: &[Case] = &[Case {
     run: dry_friction,
 }];
 
+/// Initial position, m, and speed, m/s.
 const START: [f64; 2] = [0.0, 1.0];
+/// Number of steps of 0.01 s.
 const STEPS: usize = 400;
 
 fn slider(smoothing: f64, scheme: FrictionScheme) -> SliderSystem {
@@ -94,6 +96,8 @@ fn explicit(smoothing: f64) -> Vec<Finding> {
     let last: Vec<f64> = states[STEPS - 49..].iter().map(|x| x[1]).collect();
     let turns = last.windows(2).filter(|v| v[0] * v[1] < 0.0).count();
     let left = last.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
+    // Oscillation: most of the last steps reverse the speed, at more than a tenth of the largest
+    // speed change by friction in one step.
     let chatters = turns > 40 && left > 0.1 * system.grip();
     let measured = format!("{report}; {turns} of 49 steps reverse, at up to {left:.1e} m/s");
     vec![

@@ -26,6 +26,7 @@ pub(super) const CASES: &[Case] = &[Case {
 /// Pendulum of 1 m: x = [angle from hanging in rad, rate in rad/s].
 struct Pendulum;
 
+/// Gravitational acceleration, m/s².
 const GRAVITY: f64 = 9.81;
 
 impl Ode for Pendulum {
@@ -44,9 +45,10 @@ impl Ode for Pendulum {
     }
 }
 
-/// At rest with a large amplitude, where the swing is not sinusoidal.
+/// Initial state at rest, 2 rad from hanging, where the oscillation is not sinusoidal.
 const START: [f64; 2] = [2.0, 0.0];
 
+/// Energy per mass, J/kg.
 fn pendulum_energy(x: &[f64]) -> f64 {
     0.5 * x[1] * x[1] - GRAVITY * x[0].cos()
 }
@@ -102,7 +104,8 @@ fn drift<O: Ode>(ode: O, start: &[f64], first_angle: usize, energy: &dyn Fn(&[f6
         step(&system, Inputs::new(&x, &[0.0]), &mut next);
         std::mem::swap(&mut x, &mut next);
         let change = (energy(&x) - before).abs();
-        // Selects a NaN change. Later changes are NaN too, because the state stays non-finite.
+        // Stores a NaN change too. All later changes are then NaN, because the state stays
+        // non-finite.
         largest = if change <= largest { largest } else { change };
     }
     largest / scale(start.len(), first_angle, energy)

@@ -29,6 +29,7 @@ pub(super) const CASES: &[Case] = &[Case {
 /// Mass of 1 kg pushed along a line: `[position m, velocity m/s]`, semi-implicit Euler.
 struct PointMass;
 
+/// Time step, s.
 const DT: f64 = 0.02;
 
 impl ForcedSystem for PointMass {

@@ -1,10 +1,10 @@
 //! Stress case: linear-quadratic regulator on an unstable plant, where R is bounded and M grows.
 //!
-//! The adjoint of M is that of the open loop, which the policy does not stabilize. For one sample
-//! it converges to the unstable left eigenvector of the plant times a scalar set by the end of the
-//! rollout. The parameter gradient of M thus points along `Σ_t a^{-t} x_t` for any loss, with a the
-//! largest eigenvalue of the plant. The sign depends on the last states. C retains the components
-//! of M that agree in sign with R.
+//! M propagates the adjoint through the open loop, which the policy does not stabilize. For one
+//! sample, this adjoint aligns with the left eigenvector of the largest eigenvalue a. The end of
+//! the rollout sets its factor. The parameter gradient of M therefore points along
+//! `± Σ_t a^{-t} x_t` for any loss, with a sign set by the last states. C retains the components of
+//! M that agree in sign with R.
 
 use super::{Case, Finding};
 use crate::dynamics::inputs::Inputs;
@@ -92,7 +92,7 @@ fn lqr_unstable() -> Vec<Finding> {
             findings.push(trained.finding(format!("T = 400, from {name}: {}", field.letter())));
         }
     }
-    // Report cases in which C does not converge.
+    // Reports runs in which C may not converge.
     for seed in 1..3 {
         let trained = train(&lqr, Field::combined(), &stiff, one_by_one(seed));
         findings.push(trained.finding(format!("T = 400, from 1.5 times the best gain, seed {seed}: C")));
@@ -124,14 +124,14 @@ fn norms(lqr: &Lqr, gain: &[f64]) -> [Vec<f64>; 2] {
     let mut rollout = Rollout::new(lqr, &policy, 8);
     rollout.start(&starts(lqr, 0, Purpose::Train, 8));
     let mut adjoint = Adjoint::new(lqr, &policy, &rollout, &[Flow::REGULAR, Flow::MODIFIED]).keep_norms();
-    // Norms of a diverged rollout are NaN, which fails every check.
+    // After a divergence, the norms are NaN, and every finding with a limit fails.
     let ran = rollout.run(lqr, &policy, &weights);
     let _ = ran.and_then(|()| adjoint.run(lqr, &policy, &weights, &rollout, 1.0));
     [0, 1].map(|k| adjoint.norms(k).to_vec())
 }
 
-/// Reports M for single initial states: its least alignment with `Σ_t a^{-t} x_t`, and how often it
-/// is a descent direction.
+/// Reports M for single initial states: the smallest cosine with `Σ_t a^{-t} x_t`, and the number
+/// of states at which M is a descent direction.
 fn directions(lqr: &Lqr, name: &str, gain: &[f64]) -> [Finding; 2] {
     const STARTS: usize = 64;
     let n = gain.len();

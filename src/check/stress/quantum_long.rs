@@ -87,7 +87,7 @@ impl<S: System> System for Scaled<S> {
     }
 }
 
-/// Formats a drift that has no bound. Rounding determines whether it exceeds 1e-2.
+/// Formats a drift that has no bound. Rounding determines whether the drift exceeds 1e-2.
 fn unbounded(drift: f64) -> String {
     format!("{drift:.1e}{}", if drift > 1e-2 { ", above the original bound" } else { "" })
 }
@@ -108,7 +108,8 @@ fn controls(count: usize, size: f64) -> Vec<f64> {
     (0..count).map(|_| size * rng.random_range(-1.0..1.0)).collect()
 }
 
-/// Largest deviation of the norm from 1 along a rollout, evaluated in double precision.
+/// Largest deviation of the norm from 1 along a rollout in the precision of `R`. The norm is
+/// evaluated in double precision.
 fn drift<S: System, R: Real>(system: &S, steps: usize, size: f64) -> f64 {
     let mut x = start::<R>();
     let mut next = x.clone();

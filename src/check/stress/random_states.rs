@@ -61,10 +61,12 @@ fn any_size(rng: &mut Rng, from: f64, to: f64) -> f64 {
     10f64.powf(rng.random_range(from..to)) * if rng.random() { 1.0 } else { -1.0 }
 }
 
+/// Draws normal states and controls with a standard deviation of 3.
 fn wide(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     x.iter_mut().chain(u).for_each(|x| *x = 3.0 * normal(rng));
 }
 
+/// Draws a wave of norm 1, and a control within ±30.
 fn wave(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     x.iter_mut().for_each(|x| *x = normal(rng));
     let norm = x.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -72,11 +74,12 @@ fn wave(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     u[0] = rng.random_range(-30.0..30.0);
 }
 
+/// Draws speeds from 1e-9 to 10 m/s, in either direction.
 fn sliding(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     (x[0], x[1], u[0]) = (normal(rng), any_size(rng, -9.0, 1.0), 10.0 * normal(rng));
 }
 
-/// Draws a ball above the floor, or on it and possibly at rest.
+/// Draws a ball above the floor, or on the floor and possibly at rest.
 fn falling(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     let on_floor = rng.random_bool(0.1);
     x[0] = if on_floor { 0.0 } else { any_size(rng, -6.0, 0.5).abs() };
@@ -84,6 +87,7 @@ fn falling(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     u[0] = 10.0 * normal(rng);
 }
 
+/// Draws two bodies in contact, or with a gap of 1e-6 to 3 m.
 fn meeting(rng: &mut Rng, x: &mut [f64], u: &mut [f64]) {
     x[0] = normal(rng);
     x[1] = x[0] + 0.1 + if rng.random_bool(0.1) { 0.0 } else { any_size(rng, -6.0, 0.5).abs() };
@@ -160,6 +164,7 @@ fn at<R: Real>(system: &dyn AnySystem<R>, sample: &Sample<R>) -> Outcome {
 /// Condition number κ: relative change of the VJP per relative change of state and control, in a
 /// random direction.
 fn condition(system: &dyn AnySystem<f64>, sample: &Sample<f64>, rng: &mut Rng) -> f64 {
+    /// Relative change of each entry.
     const BY: f64 = 1e-7;
     let mut moved = |v: &[f64]| v.iter().map(|v| v * (1.0 + if rng.random() { BY } else { -BY })).collect::<Vec<f64>>();
     let near = Sample { x: moved(&sample.x), u: moved(&sample.u), bar: sample.bar.clone() };

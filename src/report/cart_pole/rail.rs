@@ -8,8 +8,9 @@ use crate::report::axes::number;
 pub(super) const HALF_CART: f64 = 0.28;
 /// Heights of the rail and of the upper edge of the cart, in pole lengths.
 const HEIGHTS: [f64; 2] = [-0.2, 0.1];
-/// Width of the post behind a spring, and minimum length of the spring, in pole lengths.
+/// Width of the post behind a spring, in pole lengths.
 const POST: f64 = 0.07;
+/// Minimum rest length of a spring, in pole lengths.
 const SPRING: f64 = 0.2;
 /// Length of the arrow for the strongest wind, in pole lengths.
 const WIND: f64 = 0.5;
@@ -27,11 +28,11 @@ pub struct Rail {
 /// Two bumpers sized for a trajectory.
 #[derive(Clone, Copy)]
 pub(super) struct Bumpers {
-    /// Distance `|x|` at contact.
+    /// Distance `|x|` at contact, m.
     half_travel: f64,
-    /// Rest length of a spring.
+    /// Rest length of a spring, m.
     spring: f64,
-    /// Length of a pole.
+    /// Length of a pole, m.
     unit: f64,
 }
 
@@ -43,7 +44,7 @@ impl Bumpers {
         (half_travel.is_finite() && half_travel >= 0.0).then_some(Self { half_travel, spring, unit })
     }
 
-    /// Distance of the end of the rail from the origin.
+    /// Distance of the end of the rail from the origin, m.
     pub fn end(&self) -> f64 {
         self.half_travel + self.spring + (HALF_CART + POST) * self.unit
     }
@@ -74,7 +75,7 @@ impl Bumpers {
 
 /// Wind over an animation.
 pub(super) struct Wind {
-    /// Speed at every state.
+    /// Speed at every state, m/s.
     speeds: Vec<f64>,
     strongest: f64,
     /// True if the wind ever blows towards negative x.
@@ -144,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn without_surroundings_only_the_animation_is_drawn() {
+    fn an_empty_rail_does_not_change_the_animation() {
         let states: Vec<Vec<f64>> = (0..50).map(f64::from).map(|t| vec![t * 0.1, 5.0, t, 1.0, -t, 1.0]).collect();
         let forces: Vec<f64> = (0..50).map(|t| f64::from(t).sin()).collect();
         let bare = cart_pole(&states, &forces, 0.5, 0.02).to_svg();
@@ -152,18 +153,18 @@ mod tests {
     }
 
     #[test]
-    fn a_pad_meets_the_cart_where_the_cart_touches() {
+    fn a_cart_at_or_beyond_a_bumper_touches_its_pad() {
         let animation = animation(&Rail { bumpers: Some(2.0), ..Rail::default() }, &[1.0, 2.0, 2.3]);
         let right = |frame: usize| (plates(&animation, frame, CART, 0.2)[0][1], plates(&animation, frame, RAIL, 0.3)[1][0]);
         assert!(right(0).0 < right(0).1);
         assert!(same(right(1).0, right(1).1) && same(right(2).0, right(2).1), "{:?}", right(2));
         let post = plates(&animation, 2, DARK, 0.3)[1];
-        assert!(right(2).1 + 0.03 < post[0], "a spring is never flat");
-        assert!(animation.view.1[0] > post[1] && animation.view.0[0] < -post[1], "both ends are seen");
+        assert!(right(2).1 + 0.03 < post[0], "a compressed spring keeps a positive length");
+        assert!(animation.view.1[0] > post[1] && animation.view.0[0] < -post[1], "the view contains both posts");
     }
 
     #[test]
-    fn the_arrow_is_as_long_as_the_wind_is_strong() {
+    fn the_arrow_length_is_proportional_to_the_wind_speed() {
         let rail = Rail { wind: vec![4.0, -2.0, f64::NAN], ..Rail::default() };
         let windy = animation(&rail, &[0.0; 3]);
         let lengths: Vec<f64> = windy
@@ -186,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn any_numbers_give_a_picture() {
+    fn extreme_and_non_finite_numbers_give_a_picture() {
         for bumpers in [f64::NAN, f64::INFINITY, -1.0, 0.0, 1e-3, 1e9] {
             for wind in [vec![], vec![0.0], vec![f64::INFINITY]] {
                 let rail = Rail { bumpers: Some(bumpers), wind };

@@ -64,13 +64,13 @@ mod tests {
     }
 
     #[test]
-    fn without_obstacles_only_the_animation_is_drawn() {
+    fn an_empty_field_does_not_change_the_animation() {
         let bare = guidance(&trajectory(), 1, 0.1).to_svg();
         assert!(guidance_in(&Field::default(), &trajectory(), 1, 0.1).to_svg() == bare);
     }
 
     #[test]
-    fn obstacles_and_walls_are_where_they_are() {
+    fn obstacles_and_walls_are_drawn_at_their_positions() {
         let field = Field { obstacles: vec![([1.0, -3.0], 0.4)], walls: Some([5.0, 4.5]) };
         let animation = guidance_in(&field, &trajectory(), 1, 0.1);
         let is = |shape: &Shape| matches!(shape, Shape::Circle { center: [1.0, -3.0], radius, .. } if *radius == 0.4);
@@ -84,13 +84,13 @@ mod tests {
     }
 
     #[test]
-    fn distant_walls_do_not_shrink_the_agents() {
+    fn walls_at_1_km_do_not_widen_the_view() {
         let animation = guidance_in(&Field { obstacles: vec![], walls: Some([1e3, 1e3]) }, &trajectory(), 1, 0.1);
         assert!(animation.view.1[0] < 20.0);
     }
 
     #[test]
-    fn any_numbers_give_a_picture() {
+    fn extreme_and_non_finite_numbers_give_a_picture() {
         for wild in [f64::NAN, f64::INFINITY, -1.0, 0.0, 1e300] {
             let field = Field { obstacles: vec![([wild, 0.0], 0.4), ([0.0; 2], wild)], walls: Some([wild, 1.0]) };
             for states in [vec![], vec![vec![0.0; 4]], trajectory()] {

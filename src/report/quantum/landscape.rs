@@ -96,13 +96,13 @@ mod tests {
     }
 
     #[test]
-    fn without_effects_only_the_animation_is_drawn() {
+    fn an_empty_landscape_does_not_change_the_animation() {
         let bare = quantum(&states(), &[1.0; 19], &[0.3; 7], 2.0, 0.1).to_svg();
         assert!(quantum_in(&Landscape::default(), &states(), &[1.0; 19], &[0.3; 7], 2.0, 0.1).to_svg() == bare);
     }
 
     #[test]
-    fn the_floor_is_as_high_as_the_potential() {
+    fn the_curve_is_at_the_values_of_the_potential() {
         let landscape = Landscape { potential: vec![50.0, 0.0, 25.0], ..Landscape::default() };
         let animation = quantum_in(&landscape, &[vec![0.5; 6]], &[], &[0.5; 3], 2.0, 0.1);
         let curve = animation.still.iter().find_map(|shape| match shape {
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn absorbed_probability_is_labelled() {
+    fn absorbing_edges_are_drawn_and_the_remaining_probability_is_labelled() {
         let landscape = Landscape { absorbing: Some(0.5), ..Landscape::default() };
         let animation =
             quantum_in(&landscape, &[vec![0.0, 1.0, 0.0, 0.0], vec![0.5, 0.0, 0.0, 0.5]], &[1.0], &[1.0, 0.0], 2.0, 0.1);
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn any_numbers_give_a_picture() {
+    fn extreme_and_non_finite_numbers_give_a_picture() {
         for wild in [f64::NAN, f64::INFINITY, -1e300, -1.0, 0.0, 1e300] {
             for potential in [vec![wild], vec![wild; 7], vec![1e300, wild, 2.0]] {
                 let landscape = Landscape { potential, absorbing: Some(wild) };

@@ -24,14 +24,14 @@ fn curve(shapes: &[Shape], of: &str) -> Vec<[f64; 2]> {
 }
 
 #[test]
-fn bars_are_as_long_as_the_density() {
+fn bar_lengths_are_proportional_to_the_density() {
     let animation = quantum(&[vec![0.6, 0.0, 0.0, 0.3]], &[], &[0.1, 0.2], 2.0, 0.1);
     let lengths = bars(&animation, 0);
     assert!(lengths.len() == 2 && (lengths[0] - 150.0).abs() < 1e-9 && (lengths[1] - 37.5).abs() < 1e-9, "{lengths:?}");
 }
 
 #[test]
-fn the_dot_is_where_the_fidelity_is() {
+fn the_dot_is_at_the_height_of_the_fidelity() {
     let states = [vec![0.6, 0.0, 0.0, 0.8], vec![0.0, 1.0, 0.0, 0.0]];
     let animation = quantum(&states, &[2.0], &[1.0, 0.0], 2.0, 0.5);
     let expected = [0.36, 1.0].map(|f| 44.0 + (120.0 - 44.0) * (f + 0.05) / 1.1);
@@ -46,7 +46,7 @@ fn the_dot_is_where_the_fidelity_is() {
 }
 
 #[test]
-fn the_map_has_a_cell_for_every_state_and_position() {
+fn the_map_has_a_cell_per_state_and_position_up_to_256_by_64() {
     for (grid, states, size) in [(7, 5, "5 × 7"), (32, 129, "129 × 32"), (100_000, 2, "2 × 64"), (9, 2000, "256 × 9")] {
         let animation = quantum(&trajectory(grid, states), &vec![1.0; states - 1], &vec![0.1; grid], 2.0, 0.1);
         let images = animation.still.iter().filter(|shape| format!("{shape:?}").contains(&format!("Raster({size})")));
@@ -55,7 +55,7 @@ fn the_map_has_a_cell_for_every_state_and_position() {
 }
 
 #[test]
-fn large_animations_are_small_files() {
+fn an_animation_of_3000_states_is_below_300_kilobytes() {
     let mut states = trajectory(200, 3000);
     states.iter_mut().zip(0..).for_each(|(s, t)| s.iter_mut().for_each(|v| *v *= 1.0 + 0.5 * f64::sin(f64::from(t))));
     let controls: Vec<f64> = (0..3000).map(|t| f64::from(t).sin()).collect();
@@ -75,7 +75,7 @@ fn animation_ends_before_a_non_finite_state() {
 }
 
 #[test]
-fn empty_inputs_give_a_picture() {
+fn empty_and_invalid_inputs_give_a_picture() {
     for states in [vec![], vec![vec![]], vec![vec![f64::NAN; 4]], vec![vec![0.0]], vec![vec![0.0; 6]; 2], vec![vec![1e200; 6]]] {
         for (target, length, dt) in [(vec![], 2.0, 0.0625), (vec![0.5; 3], f64::NAN, 0.0)] {
             let svg = quantum(&states, &[], &target, length, dt).to_svg();
