@@ -58,7 +58,7 @@ pub fn explain(args: &Explain) -> Result<()> {
     Ok(())
 }
 
-/// Joins the names. Abbreviates a list of more than 12.
+/// Joins the names. Abbreviates a list of more than 12 names.
 fn names(names: &[String]) -> String {
     match names {
         [first, second, third, _, .., last] if names.len() > 12 => format!("{first}, {second}, {third} … {last}"),
@@ -110,9 +110,9 @@ fn by_kind(counts: Ops) -> [i64; 8] {
 /// Operation counts of the system alone, of each part that is present, and of the whole; then of
 /// the costs and the observation.
 ///
-/// The count of a part is the count of the whole minus that of the scene without the part. Two
-/// actuators share operations at their boundary. The counts of both actuators include them, and the
-/// row "counted twice" shows the overlap.
+/// The count of a part is the count of the whole scene minus the count without the part. Two
+/// chained actuators share operations, which the counts of both include. The row "counted twice"
+/// shows these operations.
 fn operations(scene: &Scene) -> Result<Table> {
     let kinds = ["all", "add, subtract", "negate", "multiply", "divide", "root", "function", "compare"];
     let mut table = table(&[&["", "pass"][..], &kinds].concat());

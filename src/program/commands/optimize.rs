@@ -131,8 +131,8 @@ fn starts(args: &Optimize, scene: &Scene) -> Result<Vec<Trajectory>> {
     }
 }
 
-/// Bounds in the order of the controls, infinite for controls that no argument names. None without
-/// arguments.
+/// Bounds `[low, high]` in the order of the controls, infinite for controls that no argument names.
+/// None without arguments.
 fn bounds(arguments: &[String], names: &[String]) -> Result<Option<Vec<[f64; 2]>>> {
     let mut bounds = vec![[f64::NEG_INFINITY, f64::INFINITY]; names.len()];
     for argument in arguments {

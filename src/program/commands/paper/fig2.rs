@@ -10,7 +10,9 @@ use std::fmt::Write;
 
 /// Both parameters range from `-HALF_WIDTH` to `HALF_WIDTH`.
 const HALF_WIDTH: f64 = 4.0;
+/// Number of Adam updates of each method.
 const ITERATIONS: usize = 1500;
+/// Labels of the panels.
 const LETTERS: [&str; 3] = ["(a)", "(b)", "(c)"];
 
 pub fn fig2(quick: bool) -> Result<FinishedFigure> {

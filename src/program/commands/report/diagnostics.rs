@@ -79,10 +79,10 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
     .notes(warnings.flatten().collect())
 }
 
-/// Note on the charts that [`of_epochs`] omits.
+/// Note on the charts that [`of_epochs`] omits, if no run has two gradients.
 pub fn missing(runs: &[Inspected]) -> Option<&'static str> {
-    let several = runs.iter().all(|run| run.field.flows().len() == 1);
-    several.then_some(
+    let has_one_flow = runs.iter().all(|run| run.field.flows().len() == 1);
+    has_one_flow.then_some(
         "Cosine and share kept are recorded for the combined field (C) only, which uses two gradients. These runs use one.",
     )
 }
