@@ -43,8 +43,8 @@ use toml::Table;
 pub trait Section: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static {}
 impl<T: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static> Section for T {}
 
-/// Task name and its settings. The effects that are present select the concrete type of the
-/// [`Task`](crate::Task).
+/// Specification of a task: name, settings, defaults and limits. [`task`](TaskSpec::task) creates
+/// the [`Task`](crate::Task) of given settings.
 pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     /// The `system` section: settings of the physics.
     type System: Section;
@@ -126,7 +126,7 @@ impl Conserved {
                 (drift, size) = (drift.max((value - start).abs()), size.max(value.abs()));
             }
         }
-        // NaN without samples.
+        // 0/0 is NaN without samples.
         drift / size
     }
 }
@@ -191,7 +191,7 @@ pub fn register(own: Vec<&'static dyn AnyTaskSpec>, own_effects: Vec<&'static dy
             bail!("two effects of {of} have the name `{name}`; choose another `NAME`");
         }
     }
-    // Names of effects are static, and a process registers once.
+    // Leaks the keys, because names of effects are static. A process registers once.
     let key = |name: &str| -> &'static str { Box::leak(format!("effects.{name}").into_boxed_str()) };
     let effects = own_effects.into_iter().map(|effect| (key(effect.info().name), effect)).collect();
     REGISTERED.set(Registered { tasks, effects }).map_err(|_| anyhow!("a process runs one program"))

@@ -39,8 +39,8 @@ pub trait ProgramTask: Task + Section + Default {
     fn dt(&self) -> f64 {
         1.0
     }
-    /// The task with a time step that is shorter by the factor `substeps`. Substep i of step t has
-    /// the number `substeps·t + i`. Default: `None`, the time step cannot be changed.
+    /// The task with a time step that is shorter by the factor `substeps`. Substep i of step t
+    /// has the step number `substeps·t + i`. Default: `None`, the time step cannot be changed.
     fn refined(&self, _substeps: usize) -> Option<Self> {
         None
     }
