@@ -1,4 +1,4 @@
-//! `physgrad paper`: its output files, and resumption of stopped runs.
+//! `physgrad paper`: output files, and resumption of stopped runs.
 
 use assert_cmd::Command;
 use std::fs;
@@ -15,7 +15,7 @@ fn read(path: &Path) -> String {
     fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// Checks the figure's images, numbers and table.
+/// Checks that the SVG is XML with data in every panel, and that PNG, CSV and table are not empty.
 fn assert_figure(dir: &Path, name: &str) {
     let file = |extension: &str| dir.join(format!("{name}.{extension}"));
     let svg = read(&file("svg"));
@@ -27,7 +27,7 @@ fn assert_figure(dir: &Path, name: &str) {
 }
 
 #[test]
-fn figures_of_the_paper_examples_are_drawn_and_described() {
+fn figures_1_and_2_are_written_as_svg_png_csv_and_table() {
     let dir = TempDir::new().expect("a folder");
     for figure in ["fig1", "fig2"] {
         let said = paper(figure, dir.path(), &[]).assert().success();
@@ -37,7 +37,7 @@ fn figures_of_the_paper_examples_are_drawn_and_described() {
 }
 
 #[test]
-fn a_trained_figure_has_a_row_for_every_run_and_every_case() {
+fn figures_3_and_4_have_one_csv_row_per_run_and_one_table_row_per_case_and_field() {
     let dir = TempDir::new().expect("a folder");
     let args = ["--seeds", "2", "--epochs", "1", "--fields", "R,C", "--clip", "none,norm", "--quiet"];
     for (figure, cases, panel) in [("fig3", 4, "regularization 0.001"), ("fig4", 4, "poles: 4")] {
@@ -47,13 +47,13 @@ fn a_trained_figure_has_a_row_for_every_run_and_every_case() {
         assert_eq!(read(&dir.path().join(format!("{figure}.csv"))).lines().count(), 1 + cases * clips * fields * seeds);
         let table = read(&dir.path().join(format!("{figure}.md")));
         assert_eq!(table.lines().filter(|line| line.starts_with('|')).count(), 2 + cases * clips * fields);
-        assert!(table.contains("geometric means over the seeds"), "the table has a note");
+        assert!(table.contains("geometric means over the seeds"), "the note below the table explains the lines");
         assert!(table.contains(panel) && read(&dir.path().join(format!("{figure}.svg"))).contains(panel));
     }
 }
 
 #[test]
-fn the_quantum_figure_also_shows_the_size_of_the_updates() {
+fn figure_5_shows_the_update_size_of_eigenstate_5() {
     let dir = TempDir::new().expect("a folder");
     paper("fig5", dir.path(), &["--seeds", "1", "--epochs", "1", "--fields", "C", "--clip", "none"]).assert().success();
     assert_figure(dir.path(), "fig5");
@@ -61,7 +61,7 @@ fn the_quantum_figure_also_shows_the_size_of_the_updates() {
 }
 
 #[test]
-fn an_interrupted_figure_resumes_to_identical_results() {
+fn a_figure_extended_from_2_to_3_epochs_equals_a_figure_of_3_epochs() {
     let dir = TempDir::new().expect("a folder");
     let figure = |out: &str, epochs: &str| {
         let args = ["--seeds", "1", "--fields", "C", "--clip", "none", "--epochs", epochs];
@@ -84,7 +84,7 @@ fn an_interrupted_figure_resumes_to_identical_results() {
 }
 
 #[test]
-fn an_interrupted_figure_writes_only_started_runs_and_resumes() {
+fn an_interrupted_figure_writes_only_the_started_run_and_resumes() {
     let dir = TempDir::new().expect("a folder");
     let args = ["--seeds", "2", "--fields", "R,C", "--clip", "none", "--threads", "1"];
     let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
@@ -116,7 +116,7 @@ fn an_interrupted_figure_writes_only_started_runs_and_resumes() {
 }
 
 #[test]
-fn invalid_figure_options_are_refused_before_any_run() {
+fn figures_with_0_seeds_or_epochs_or_repeated_names_are_refused_before_any_run() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("paper");
     for (args, word) in [
