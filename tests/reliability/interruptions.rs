@@ -1,5 +1,5 @@
-//! Reliability: concurrent processes, signals, closed pipes and full disks neither lose work nor
-//! fail silently.
+//! Concurrent processes, signals, closed pipes and full disks: no finished work is lost, and errors
+//! are reported.
 #![cfg(unix)]
 
 use crate::running::{SMALL, error_of, physgrad, process, train};
@@ -40,14 +40,16 @@ fn metrics(out: &Path) -> Vec<String> {
 fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     let begin = Instant::now();
     while !holds() {
-        assert!(begin.elapsed() < Duration::from_secs(120), "{what}");
+        assert!(begin.elapsed() < Duration::from_secs(120), "not within 120 s: {what}");
         std::thread::sleep(Duration::from_millis(5));
     }
 }
 
 /// Waits until the run has recorded at least `epochs` epochs.
 fn wait_for_epochs(out: &Path, epochs: usize) {
-    wait_until("the run begins", || fs::read_to_string(out.join("metrics.csv")).is_ok_and(|text| text.lines().count() > epochs));
+    wait_until("the run completes the epochs", || {
+        fs::read_to_string(out.join("metrics.csv")).is_ok_and(|text| text.lines().count() > epochs)
+    });
 }
 
 fn signal(child: &Child, name: &str) {
@@ -68,7 +70,7 @@ fn assert_complete(out: &Path) {
 }
 
 #[test]
-fn of_a_hundred_simultaneous_starts_one_runs_and_the_others_are_refused() {
+fn one_of_100_simultaneous_starts_runs_and_99_are_refused() {
     let (_dir, out) = folder();
     let mut children: Vec<Child> =
         (0..100).map(|_| process(&out, &["--epochs", ENDLESS, "--threads", "1"]).spawn().expect("it starts")).collect();
@@ -90,11 +92,11 @@ fn of_a_hundred_simultaneous_starts_one_runs_and_the_others_are_refused() {
     signal(&survivor, "TERM");
     assert_eq!(survivor.wait_with_output().expect("it ends").status.code(), Some(143));
     assert_complete(&out);
-    assert_eq!(fs::read_dir(out.parent().expect("a parent")).expect("a folder").count(), 1, "nothing was moved aside");
+    assert_eq!(fs::read_dir(out.parent().expect("a parent")).expect("a folder").count(), 1, "no run was renamed");
 }
 
 #[test]
-fn two_resumes_of_one_run_give_the_metrics_of_one() {
+fn two_simultaneous_resumes_give_the_metrics_of_one_uninterrupted_run() {
     let (dir, out) = folder();
     let whole = dir.path().join("whole");
     train(&whole, &["--epochs", "12"]).assert().success();
@@ -139,7 +141,7 @@ fn a_comparison_waits_for_a_run_of_another_process() {
 }
 
 #[test]
-fn a_reader_that_stops_reading_does_not_stop_the_training() {
+fn closed_output_pipes_do_not_stop_the_training() {
     for closed in ["stdout", "stderr", "both"] {
         let (_dir, out) = folder();
         let mut command = process(&out, &["--epochs", "3"]);
@@ -167,7 +169,7 @@ fn full() -> File {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn messages_that_cannot_be_written_stop_nothing_and_results_are_an_error() {
+fn a_full_standard_error_is_ignored_and_a_full_standard_output_is_an_error() {
     let (_dir, out) = folder();
     let status = process(&out, &["--epochs", "2"]).stderr(full()).status().expect("it runs");
     assert!(status.success(), "{status}");
@@ -194,13 +196,13 @@ fn messages_that_cannot_be_written_stop_nothing_and_results_are_an_error() {
 }
 
 #[test]
-fn an_earlier_run_is_moved_by_one_rename_and_foreign_files_stay() {
+fn an_earlier_run_is_renamed_and_a_folder_with_foreign_files_is_refused() {
     let (dir, out) = folder();
     let again = || train(&out, &["--epochs", "1", "--seed", "9"]);
     train(&out, &["--epochs", "1"]).assert().success();
     let first = policy(&out);
     assert!(error_of(&mut train(&out, &["--threads", "0"])).contains("--threads"));
-    assert!(policy(&out) == first, "a mistake moves nothing");
+    assert!(policy(&out) == first, "an invalid option renames no run");
 
     fs::write(out.join("notes.txt"), "mine").expect("a file");
     let error = error_of(&mut again());
@@ -226,7 +228,7 @@ fn an_earlier_run_is_moved_by_one_rename_and_foreign_files_stay() {
 }
 
 #[test]
-fn staggered_starts_lose_no_finished_run() {
+fn sixty_staggered_starts_lose_no_finished_run() {
     let (dir, out) = folder();
     let start = |seed: usize| {
         std::thread::sleep(Duration::from_millis(7));
@@ -254,7 +256,7 @@ fn staggered_starts_lose_no_finished_run() {
 }
 
 #[test]
-fn the_folder_of_an_earlier_run_may_be_behind_a_link() {
+fn an_earlier_run_behind_a_symbolic_link_is_renamed() {
     let (dir, out) = folder();
     let link = dir.path().join("link");
     fs::create_dir(&out).expect("a folder");
@@ -267,7 +269,7 @@ fn the_folder_of_an_earlier_run_may_be_behind_a_link() {
 }
 
 #[test]
-fn runs_and_comparisons_do_not_mix() {
+fn a_run_is_refused_in_the_folder_of_a_comparison_and_vice_versa() {
     let (_dir, out) = folder();
     let compare = || {
         let mut compare = physgrad(&["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", "1", "--out"]);
@@ -283,7 +285,7 @@ fn runs_and_comparisons_do_not_mix() {
 }
 
 #[test]
-fn devices_and_pipes_neither_hang_nor_are_written_to() {
+fn named_pipes_are_refused_and_hard_links_are_not_written_through() {
     let fifo = |path: &Path| assert!(Command::new("mkfifo").arg(path).status().expect("it runs").success());
     let (_dir, out) = folder();
     fs::create_dir(&out).expect("a folder");
@@ -339,7 +341,7 @@ fn symbolic_links_are_not_written_through() {
 }
 
 #[test]
-fn the_first_signal_ends_the_run_in_order() {
+fn the_first_signal_saves_a_complete_run_that_resumes() {
     for (name, status) in [("INT", 130), ("TERM", 143), ("HUP", 129)] {
         let (_dir, out) = folder();
         let child = process(&out, &["--epochs", ENDLESS]).spawn().expect("it starts");
@@ -358,16 +360,16 @@ fn the_first_signal_ends_the_run_in_order() {
 const LONG_EPOCHS: [&str; 4] = ["--set", "training.train_samples=100000", "--set", "training.batch=1"];
 
 #[test]
-fn the_second_signal_stops_at_once_and_leaves_the_checkpoint() {
+fn the_second_signal_stops_within_the_epoch_and_keeps_the_checkpoint() {
     let (_dir, out) = folder();
     let mut child = process(&out, &["--epochs", "2", "--threads", "1"]).args(LONG_EPOCHS).spawn().expect("it starts");
     wait_until("the run begins", || out.join("metrics.csv").exists());
     signal(&child, "TERM");
-    // The program answers the first signal within the epoch. A newer checkpoint is no evidence of
-    // the signal, because the program also saves periodically.
+    // After the first signal, the program prints a message within the epoch. A newer checkpoint is
+    // no evidence of the signal, because the program also saves periodically.
     let messages = BufReader::new(child.stderr.take().expect("it is piped")).lines();
     let answer = messages.map(|line| line.expect("it is text")).find(|line| line.contains("a second signal stops immediately"));
-    assert!(answer.is_some(), "the first signal was not answered");
+    assert!(answer.is_some(), "no message follows the first signal");
     signal(&child, "HUP");
     assert_eq!(child.wait().expect("it ends").code(), Some(129));
     assert!(!out.join("policy.safetensors").exists());
@@ -397,13 +399,13 @@ fn a_run_killed_within_an_epoch_resumes_there_to_the_same_bits() {
     let args = ["--epochs", "2", "--save-every", "0", "--set", "training.train_samples=2000", "--set", "training.shuffle=true"];
     let mut child = process(&out, &args).spawn().expect("it starts");
     let mut states = Vec::new();
-    wait_until("five checkpoints of the first epoch", || {
+    wait_until("the run writes six checkpoints in its first epoch", || {
         states.extend(fs::read(out.join("checkpoint.bin")).ok().filter(|state| states.last() != Some(state)));
         states.len() > 5
     });
     child.kill().expect("it is killed");
     assert_eq!(child.wait().expect("it ends").signal(), Some(9));
-    assert_eq!(metrics(&out).len(), 1, "no epoch is done");
+    assert_eq!(metrics(&out).len(), 1, "the metrics have a header and no epoch");
     train(&out, &args).arg("--resume").assert().success();
     let whole = dir.path().join("whole");
     train(&whole, &args[..2]).args(&args[4..]).assert().success();
@@ -412,7 +414,7 @@ fn a_run_killed_within_an_epoch_resumes_there_to_the_same_bits() {
 }
 
 #[test]
-fn a_training_without_an_update_has_a_status_of_its_own() {
+fn a_training_without_an_update_exits_with_status_3() {
     let diverges = ["--set", "system.gravity=1e38", "--set", "system.dt=1e5", "--quiet", "--epochs", "2"];
     let (_dir, out) = folder();
     let output = train(&out, &diverges).output().expect("it runs");
@@ -421,7 +423,7 @@ fn a_training_without_an_update_has_a_status_of_its_own() {
     assert!(error.contains("no update was applied") && error.contains("3 update(s) skipped"), "{error}");
     let (_dir, out) = folder();
     let output = train(&out, &[&diverges[..5], &["--epochs", "100"]].concat()).output().expect("it runs");
-    assert_eq!(output.status.code(), Some(3), "updates in a row: {}", text(&output.stderr));
+    assert_eq!(output.status.code(), Some(3), "too many skipped updates in a row: {}", text(&output.stderr));
 
     let (_dir, out) = folder();
     let mut compare = physgrad(&["compare", "cart_pole", "--fields", "R,C", "--seeds", "1", "--out"]);
@@ -433,7 +435,7 @@ fn a_training_without_an_update_has_a_status_of_its_own() {
 }
 
 #[test]
-fn mistakes_have_no_side_effects() {
+fn commands_with_invalid_settings_change_and_create_no_folder() {
     let (dir, out) = folder();
     train(&out, &["--epochs", "1"]).assert().success();
     let first = policy(&out);
@@ -452,7 +454,7 @@ fn mistakes_have_no_side_effects() {
 }
 
 #[test]
-fn a_limit_on_the_size_of_files_is_an_error() {
+fn exceeding_the_file_size_limit_is_an_error() {
     let (_dir, out) = folder();
     let mut shell = Command::new("sh");
     // Blocks have 512 bytes in POSIX, 1,024 in some shells.
@@ -465,7 +467,7 @@ fn a_limit_on_the_size_of_files_is_an_error() {
 }
 
 #[test]
-fn a_folder_that_is_removed_or_replaced_during_the_run_is_an_error() {
+fn a_folder_that_is_renamed_or_replaced_during_the_run_is_an_error() {
     for replaced in [false, true] {
         let (dir, out) = folder();
         let child = process(&out, &["--epochs", "2000", "--save-every", "0.05"]).spawn().expect("it starts");
