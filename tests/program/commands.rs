@@ -84,7 +84,7 @@ fn a_saved_run_is_animated_from_any_test_state() {
         .arg(&compare)
         .assert()
         .success();
-    let output = physgrad(&["animate"]).arg(&compare).output().expect("it runs");
+    let output = physgrad(&["animate"]).arg(&compare).output().expect("the command runs");
     assert_eq!(String::from_utf8_lossy(&output.stdout).lines().count(), 2, "one animation per run");
     let text = error_of(physgrad(&["animate"]).arg(dir.path()));
     assert!(text.contains("holds 2 runs or comparisons; choose one"), "{text}");
@@ -246,7 +246,7 @@ fn a_comparison_without_any_update_has_status_3_and_losses_of_nan() {
     let dir = TempDir::new().expect("a folder");
     let mut compare = physgrad(&["compare", "cart_pole", "--fields", "R,C", "--seeds", "2", "--epochs", "40", "--out"]);
     compare.arg(dir.path()).args(SMALL).args(["--set", "system.gravity=1e38", "--set", "system.dt=1e5"]);
-    let output = compare.output().expect("it runs");
+    let output = compare.output().expect("the command runs");
     assert_eq!(output.status.code(), Some(3));
     let text = String::from_utf8(output.stderr).expect("text");
     assert!(
@@ -363,11 +363,11 @@ fn a_run_killed_25_times_equals_an_uninterrupted_run() {
         let out = killed.to_str().expect("a path");
         let mut process = std::process::Command::new(assert_cmd::cargo::cargo_bin("physgrad"));
         process.args(["train", "cart_pole", "--out", out, "--quiet"]).args(SMALL).args(epochs).args(&resume);
-        let mut process = process.spawn().expect("it starts");
+        let mut process = process.spawn().expect("the process starts");
         random = random.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
         std::thread::sleep(std::time::Duration::from_millis(20 + (random >> 33) % 120));
-        process.kill().expect("it can be killed, or has ended");
-        let ended = process.wait().expect("it has ended");
+        process.kill().expect("the process is killed or has ended");
+        let ended = process.wait().expect("the process has ended");
         // A run that is killed before it writes its settings starts again. A run with settings is
         // resumed.
         resume = if killed.join("run.toml").exists() { vec!["--resume"] } else { Vec::new() };
@@ -381,7 +381,7 @@ fn a_run_killed_25_times_equals_an_uninterrupted_run() {
 
 #[test]
 fn the_hard_case_reproducible_passes_and_an_unknown_case_is_refused() {
-    let output = physgrad(&["stress", "reproducible"]).output().expect("it runs");
+    let output = physgrad(&["stress", "reproducible"]).output().expect("the command runs");
     let said = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success() && said.contains("1 of 1 cases pass"), "{said}");
     assert!(error_of(&mut physgrad(&["stress", "nothing"])).contains("there is no case `nothing`; available: exploding_adjoint"));

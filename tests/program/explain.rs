@@ -18,7 +18,7 @@ fn explained(scene: &str, args: &[&str]) -> Vec<Vec<String>> {
     let dir = TempDir::new().expect("a folder");
     let file = dir.path().join("scene.toml");
     fs::write(&file, scene).expect("a file");
-    let output = physgrad(&["explain"]).arg(&file).args(args).output().expect("it runs");
+    let output = physgrad(&["explain"]).arg(&file).args(args).output().expect("the command runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = String::from_utf8(output.stdout).expect("text");
     let cells = |line: &str| line.split(['│', '┆']).map(|cell| cell.trim().to_owned()).collect::<Vec<_>>();
@@ -150,12 +150,12 @@ fn a_quantum_step_with_200_grid_points_allocates() {
 fn the_presets_with_more_effects_than_the_paper_pass_the_gradient_checks() {
     let dir = TempDir::new().expect("a folder");
     for preset in ["cart_pole_windy", "guidance_walled", "quantum_double_well"] {
-        let scene = String::from_utf8(physgrad(&["scene", preset]).output().expect("it runs").stdout).expect("text");
+        let scene = String::from_utf8(physgrad(&["scene", preset]).output().expect("the command runs").stdout).expect("text");
         // A short rollout covers every derivative.
         let short = |line: &str| if line.starts_with("horizon") { "horizon = 20".to_owned() } else { line.to_owned() };
         let file = dir.path().join(format!("{preset}.toml"));
         fs::write(&file, scene.lines().map(short).collect::<Vec<_>>().join("\n")).expect("a file");
-        let output = physgrad(&["check"]).arg(&file).output().expect("it runs");
+        let output = physgrad(&["check"]).arg(&file).output().expect("the command runs");
         let text = String::from_utf8_lossy(&output.stdout);
         assert!(output.status.success() && text.contains("rollout, R"), "{text}{}", String::from_utf8_lossy(&output.stderr));
     }

@@ -53,7 +53,7 @@ fn physgrad(args: &[&str]) -> Command {
 }
 
 fn presets() -> Vec<String> {
-    let output = physgrad(&["scene"]).output().expect("it runs");
+    let output = physgrad(&["scene"]).output().expect("the command runs");
     let text = String::from_utf8(output.stdout).expect("text");
     text.lines().map(|line| line.split(' ').next().expect("a name").to_owned()).collect()
 }
@@ -138,7 +138,7 @@ enum End {
 fn run(mut args: Vec<String>, case: &Case) -> Result<End, String> {
     args.extend(case.settings.iter().flat_map(|setting| ["--set".to_owned(), setting.clone()]));
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
-    let output = physgrad(&args).timeout(TIME_LIMIT).output().expect("it runs");
+    let output = physgrad(&args).timeout(TIME_LIMIT).output().expect("the command runs");
     let errors = String::from_utf8_lossy(&output.stderr);
     let describe = || format!("physgrad {}\n{:?}\n{errors}", args.join(" "), output.status.code());
     if errors.contains("panicked") || !matches!(output.status.code(), Some(0..=100)) {
@@ -227,7 +227,7 @@ fn errors_of_extreme_effects_name_the_key_of_the_effect() {
         if command != "explain" {
             program.arg("--out").arg(dir.path().join(format!("{command} {setting}")));
         }
-        let output = program.timeout(TIME_LIMIT).output().expect("it runs");
+        let output = program.timeout(TIME_LIMIT).output().expect("the command runs");
         let errors = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(!errors.contains("panicked") && output.status.code() != Some(101), "{command} {preset} {setting}: {errors}");
         errors

@@ -12,7 +12,7 @@ const TIME_LIMIT: Duration = Duration::from_secs(10);
 
 /// Returns the error message of a command that refuses its input.
 fn refusal(command: &mut Command) -> String {
-    let output = command.timeout(TIME_LIMIT).output().expect("it runs");
+    let output = command.timeout(TIME_LIMIT).output().expect("the command runs");
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(1), "{said}");
     said

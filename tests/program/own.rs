@@ -27,7 +27,7 @@ fn output(args: &[&str], folder: &Path) -> String {
 }
 
 fn output_of(program: &Path, args: &[&str], folder: &Path) -> String {
-    let output = Command::new(program).args(args).current_dir(folder).output().expect("it runs");
+    let output = Command::new(program).args(args).current_dir(folder).output().expect("the command runs");
     assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).expect("text")
 }
@@ -38,7 +38,7 @@ fn error(args: &[&str], folder: &Path) -> String {
 }
 
 fn error_of(program: &Path, args: &[&str], folder: &Path) -> String {
-    let output = Command::new(program).args(args).current_dir(folder).output().expect("it runs");
+    let output = Command::new(program).args(args).current_dir(folder).output().expect("the command runs");
     assert!(!output.status.success(), "{args:?} should fail");
     String::from_utf8(output.stderr).expect("text")
 }

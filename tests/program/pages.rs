@@ -12,7 +12,7 @@ fn physgrad(args: &[&str]) -> Command {
 }
 
 fn stdout(args: &[&str]) -> String {
-    let output = physgrad(args).output().expect("it runs");
+    let output = physgrad(args).output().expect("the command runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).expect("text")
 }
@@ -51,7 +51,7 @@ fn scenes_md_quotes_an_output_of_explain_and_four_errors() {
     let file = dir.path().join("windy.toml");
     fs::write(&file, first).expect("a file");
     let mut explain = physgrad(&["explain", "windy.toml"]);
-    let output = explain.current_dir(dir.path()).output().expect("it runs");
+    let output = explain.current_dir(dir.path()).output().expect("the command runs");
     let output = String::from_utf8(output.stdout).expect("text");
     let shown = blocks(&page, "text").into_iter().find(|block| block.starts_with("windy.toml: ")).expect("an explanation");
     // The page omits some rows of the output.
@@ -65,7 +65,7 @@ fn scenes_md_quotes_an_output_of_explain_and_four_errors() {
         first.replace("steady_wind", "walls").replace("speed = 4.0\n", ""),
     ] {
         fs::write(&file, mistaken).expect("a file");
-        let output = physgrad(&["train", "windy.toml"]).current_dir(dir.path()).output().expect("it runs");
+        let output = physgrad(&["train", "windy.toml"]).current_dir(dir.path()).output().expect("the command runs");
         let said = String::from_utf8(output.stderr).expect("text");
         assert!(!output.status.success() && page.contains(&said), "{said}");
     }

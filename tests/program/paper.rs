@@ -75,7 +75,7 @@ fn a_figure_extended_from_2_to_3_epochs_equals_a_figure_of_3_epochs() {
 
     // A resumed run cannot reduce the number of epochs.
     let args = ["--seeds", "1", "--fields", "C", "--clip", "none", "--epochs", "1"];
-    let output = paper("fig3", &dir.path().join("once"), &args).output().expect("it runs");
+    let output = paper("fig3", &dir.path().join("once"), &args).output().expect("the command runs");
     assert!(!output.status.success());
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(text.contains("already has 3 epochs, but `epochs` is 1"), "{text}");
@@ -90,7 +90,7 @@ fn an_interrupted_figure_writes_only_the_started_run_and_resumes() {
     let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
     command.args(["paper", "fig3", "--quick", "--epochs", "1000000", "--out"]).arg(dir.path()).args(args);
     command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::null());
-    let child = command.spawn().expect("it runs");
+    let child = command.spawn().expect("the command runs");
     let runs = || -> Vec<_> {
         let cases = fs::read_dir(dir.path().join("fig3")).into_iter().flatten().flatten();
         let runs = cases.flat_map(|case| fs::read_dir(case.path().join("runs")).into_iter().flatten().flatten());
@@ -102,7 +102,7 @@ fn an_interrupted_figure_writes_only_the_started_run_and_resumes() {
     std::thread::sleep(std::time::Duration::from_millis(100));
     let killed = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status();
     assert!(killed.expect("kill runs").success());
-    let output = child.wait_with_output().expect("it ends");
+    let output = child.wait_with_output().expect("the process ends");
     assert_eq!(output.status.code(), Some(130));
     assert!(String::from_utf8_lossy(&output.stdout).contains("repeat the same command"));
     assert!(!dir.path().join("fig3.svg").exists());
@@ -125,7 +125,7 @@ fn figures_with_0_seeds_or_epochs_or_repeated_names_are_refused_before_any_run()
         (["--fields", "C,combined"], "--fields names combined twice"),
         (["--clip", "norm,norm"], "--clip names norm twice"),
     ] {
-        let output = paper("all", &out, &args).output().expect("it runs");
+        let output = paper("all", &out, &args).output().expect("the command runs");
         assert!(!output.status.success());
         let text = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(text.matches(word).count() == 1, "{text}");
@@ -136,7 +136,7 @@ fn figures_with_0_seeds_or_epochs_or_repeated_names_are_refused_before_any_run()
 #[test]
 fn an_unknown_figure_is_refused_with_the_known_ones() {
     let dir = TempDir::new().expect("a folder");
-    let output = paper("fig9", dir.path(), &[]).output().expect("it runs");
+    let output = paper("fig9", dir.path(), &[]).output().expect("the command runs");
     assert!(!output.status.success());
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(text.contains("fig9") && text.contains("fig1, fig2, fig3, fig4, fig5, all"), "{text}");

@@ -18,7 +18,7 @@ fn compare(out: &Path, args: &[&str]) -> Command {
 }
 
 fn report(folder: &Path) -> String {
-    let output = physgrad(&["report"]).arg(folder).output().expect("it runs");
+    let output = physgrad(&["report"]).arg(folder).output().expect("the command runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert!(String::from_utf8_lossy(&output.stdout).contains("report.html"));
     let page = fs::read_to_string(folder.join("report.html")).expect("a page");
@@ -160,7 +160,7 @@ fn the_page_of_field_m_states_why_the_cosine_is_absent() {
 fn the_page_of_a_comparison_has_the_printed_table_and_curves_of_all_seeds() {
     let dir = TempDir::new().expect("a folder");
     let args = ["--fields", "C,R", "--seeds", "2", "--seed", "9", "--epochs", "3"];
-    let printed = compare(dir.path(), &args).output().expect("it runs").stdout;
+    let printed = compare(dir.path(), &args).output().expect("the command runs").stdout;
     let printed = String::from_utf8(printed).expect("text");
     let page = report(dir.path());
     assert!(page.contains("<th scope=\"row\">field</th><td>regular, combined</td>"));

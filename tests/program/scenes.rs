@@ -15,7 +15,7 @@ fn train_scene(scene: &Path, out: &Path, args: &[&str]) -> assert_cmd::Command {
 }
 
 fn stdout(args: &[&str]) -> String {
-    let output = physgrad(args).output().expect("it runs");
+    let output = physgrad(args).output().expect("the command runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).expect("text")
 }
@@ -114,7 +114,7 @@ fn absent_settings_have_the_defaults_of_the_task() {
         .assert()
         .success();
     assert!(compare.join("runs/R-0/run.toml").exists());
-    let checks = physgrad(&["check"]).arg(&file).output().expect("it runs");
+    let checks = physgrad(&["check"]).arg(&file).output().expect("the command runs");
     assert!(String::from_utf8_lossy(&checks.stdout).contains("my_scene.toml: system"));
 }
 

@@ -177,7 +177,7 @@ fn write(tree: &Tree, root: &Path) {
 
 /// Runs the program in the folder. Returns its messages on failure.
 fn run(folder: &Path, args: &[&str]) -> Result<(), String> {
-    let output = physgrad(args).args(SMALL).current_dir(folder).output().expect("it runs");
+    let output = physgrad(args).args(SMALL).current_dir(folder).output().expect("the command runs");
     if output.status.success() { Ok(()) } else { Err(String::from_utf8_lossy(&output.stderr).into_owned()) }
 }
 
@@ -194,7 +194,7 @@ impl Scenario {
         let folder = TempDir::new().expect("a folder");
         let logs = TempDir::new().expect("a folder");
         if let Some(first) = first {
-            run(folder.path(), first).expect("it succeeds");
+            run(folder.path(), first).expect("the first command succeeds");
         }
         let before = Disk::of(folder.path());
         let log = logs.path().join("log");

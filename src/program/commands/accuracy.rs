@@ -136,7 +136,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         jobs.push(study.job(setting)?);
         bar.inc(1);
     }
-    // Interleaves the settings, so that other load on the machine affects all of them.
+    // Interleaves the settings: other load on the machine then affects all settings.
     let mut times = vec![Vec::new(); jobs.len()];
     for round in 0..ROUNDS {
         for (job, times) in jobs.iter_mut().zip(&mut times) {

@@ -12,7 +12,7 @@ use toml::Value;
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
 ///
 /// For a named task or scene, also check the stability of the time step in states of test rollouts,
-/// and whether the loss has a slope at the initial parameters.
+/// and the slope of the loss at the initial parameters.
 #[derive(Debug, clap::Args)]
 pub struct Check {
     /// A task, a preset (see `physgrad scene`), or the path of a scene

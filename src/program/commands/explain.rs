@@ -11,8 +11,8 @@ use anyhow::Result;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{ContentArrangement, Table};
 
-/// List the present and absent effects of a scene; count operations of a step and its VJP by
-/// effect, of costs and observations, and stored bytes.
+/// List the present and absent effects of a scene; count operations by effect, of costs and of
+/// observations, and stored bytes.
 ///
 /// All numbers are counts, not timings, so they are equal on every machine.
 #[derive(Debug, clap::Args)]

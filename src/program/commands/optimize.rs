@@ -34,7 +34,7 @@ pub struct Optimize {
     /// Bounds of the controls, as in force=-10:10, or -10:10 for all controls; may be repeated
     #[arg(long, value_name = "[NAME=]LOW:HIGH", allow_hyphen_values = true)]
     pub bound: Vec<String>,
-    /// Number of initial states, the first ones of the test set
+    /// Number of initial states, from the beginning of the test set
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub starts: usize,
     /// Largest number of iterations

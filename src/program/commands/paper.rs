@@ -144,8 +144,8 @@ pub fn paper(args: &Paper) -> Result<()> {
 mod tests {
     use super::*;
 
-    /// Checks that the SVG is valid XML below 500 kB, that the CSV has more than 100 lines without
-    /// NaN, and that the table has rows.
+    /// Checks an SVG of valid XML below 500 kB, a CSV of more than 100 lines without NaN, and a
+    /// table of at least 4 lines.
     fn check(header: &str, figure: &FinishedFigure) {
         let svg = figure.drawing.to_svg();
         roxmltree::Document::parse(&svg).expect("an SVG is XML");

@@ -65,7 +65,7 @@ pub fn chosen(count: usize) -> Vec<usize> {
     (0..chosen).map(|i| i * (count - 1) / (chosen - 1).max(1)).collect()
 }
 
-/// Parameters and initial states, rounded to f32, so that they are equal in every precision.
+/// Parameters and initial states, rounded to f32, which makes them equal in every precision.
 fn inputs(task: &dyn AnyTask<f32>, policy: &dyn AnyPolicy<f32>, seed: u64) -> (Vec<f64>, Vec<f64>) {
     let weights = Weights::init(policy, &mut stream(seed, Purpose::Policy, 0));
     let starts = initial_states(task, seed, Purpose::Test, SAMPLES);

@@ -21,7 +21,7 @@ pub const REPORT: &str = "report.html";
 /// Subfolder with the runs of a comparison.
 pub const RUNS: &str = "runs";
 
-/// Lock file of the folder. It contains the name of the process that holds the lock.
+/// Lock file of the folder, with the name of the process that holds the lock.
 pub(super) const LOCK: &str = ".physgrad.lock";
 
 /// Infix in the name of the folder of an earlier run: `<name>.previous-<number>`.

@@ -33,7 +33,7 @@ impl InScene {
         inputs.with_x(&inputs.x[..self.states])
     }
 
-    /// Cotangents without those of the state of the actuators.
+    /// Cotangents of the inputs without the state of the actuators.
     fn inner_cotangents<'a, C>(&self, cotangents: Cotangents<'a, C>) -> Cotangents<'a, C> {
         Cotangents { x: cotangents.x.map(|bar| &mut bar[..self.states]), ..cotangents }
     }

@@ -2,7 +2,7 @@
 //!
 //! A [`TaskSpec`] adds settings, defaults, limits, column names and an animation to the physics of
 //! a task. [`Settings`] are the sections of one task; [`Scene`] hides the type of the task.
-//! [`all`] lists the built-in tasks and those of the user, which implement [`ProgramTask`].
+//! [`all`] lists the built-in tasks and the tasks of the user, which implement [`ProgramTask`].
 //!
 //! Imports `settings` and `operations`. Start with `cart_pole`.
 
@@ -154,7 +154,7 @@ struct Registered {
     effects: Vec<(&'static str, &'static dyn AnyEffectSpec)>,
 }
 
-/// Every task: the built-in ones, then those of the user.
+/// All tasks: first the built-in tasks, then the tasks of the user.
 pub fn all() -> &'static [&'static dyn AnyTaskSpec] {
     REGISTERED.get().map_or(&BUILT_IN, |registered| &registered.tasks)
 }
@@ -170,7 +170,7 @@ fn own_effects(task: &str) -> Vec<(&'static str, &'static dyn AnyEffectSpec)> {
     effects.iter().copied().filter(|(_, effect)| effect.task() == task).collect()
 }
 
-/// Adds tasks and effects of the user to the built-in ones.
+/// Adds tasks and effects of the user to the built-in tasks and effects.
 ///
 /// # Errors
 /// Two tasks, or two effects of a task, have the same name. An effect names an unknown task.

@@ -12,8 +12,9 @@ use std::marker::PhantomData;
 
 /// A task that the program trains, checks, compares and animates.
 ///
-/// The fields of the task are the settings of the section `system` of a scene. They need serde and
-/// schemars. `Default` gives their default values. [`program`](crate::program()) has an example.
+/// The fields of the task are the settings of the section `system` of a scene. The task derives
+/// traits of serde and schemars. `Default` gives the default values of the settings.
+/// [`program`](crate::program()) has an example.
 ///
 /// Only [`NAME`](ProgramTask::NAME) is required. The other items have these effects:
 ///
@@ -44,8 +45,8 @@ pub trait ProgramTask: Task + Section + Default {
     fn refined(&self, _substeps: usize) -> Option<Self> {
         None
     }
-    /// The task with the effects of a scene; `effects.of::<Model>()` lists those of a model. Default:
-    /// `None`, the task accepts no effects.
+    /// The task with the effects of a scene. `effects.of::<Model>()` lists the effects of a model.
+    /// Default: `None`, the task accepts no effects.
     fn with_effects(&self, _effects: &SceneEffects) -> Option<Self> {
         None
     }

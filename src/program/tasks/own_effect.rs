@@ -119,7 +119,7 @@ impl SceneEffects {
         self.0.iter().filter_map(SceneEffect::of).collect()
     }
 
-    /// Effects of the model `B`, as elements of a list with those of a task.
+    /// Effects of the model `B`, converted to elements of a task's list of effects.
     pub(super) fn listed<B: 'static, E: From<DynEffect<B>>>(&self) -> impl Iterator<Item = Named<E>> {
         self.of().into_iter().map(|Named { name, effect }| Named { name, effect: E::from(effect) })
     }

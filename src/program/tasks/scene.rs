@@ -84,7 +84,7 @@ pub trait AnySettings: Send + Sync {
     fn control_names(&self) -> Vec<String>;
     /// Names of the applied controls, if there is an actuator.
     fn applied_names(&self) -> Vec<String>;
-    /// Controls that the actuator applies in these states, given those of the policy.
+    /// Controls that the actuator applies, for these states and controls of the policy.
     fn applied(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>>;
     /// A quantity that is conserved while the control is zero, or None.
     fn conserved(&self) -> Option<Conserved>;

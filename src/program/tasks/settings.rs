@@ -138,7 +138,8 @@ impl<K: TaskSpec> Settings<K> {
         Ok(())
     }
 
-    /// Effects that are present, in order of evaluation: those of the task, then those of the user.
+    /// Effects that are present, in order of evaluation: first built-in effects, then effects of
+    /// the user.
     pub fn all_effects<M: 'static, E: From<DynEffect<M>>>(&self) -> Vec<Named<E>>
     where
         K::Effects: Present<E>,

@@ -17,7 +17,7 @@ impl fmt::Display for GradientMethod {
     }
 }
 
-/// Euclidean norm, scaled so that squares do not overflow.
+/// Euclidean norm. Scales the components first, because squares may overflow.
 fn norm(x: &[f64]) -> f64 {
     let largest = x.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
     if largest == 0.0 { 0.0 } else { largest * x.iter().map(|x| (x / largest) * (x / largest)).sum::<f64>().sqrt() }

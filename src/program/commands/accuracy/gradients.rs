@@ -74,7 +74,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
         derived.push(study.scene.derive(*precision, *method));
         bar.inc(1);
     }
-    // Interleaves the methods, so that other load on the machine affects all of them.
+    // Interleaves the methods: other load on the machine then affects all methods.
     let mut times = vec![Vec::new(); methods.len()];
     for round in 0..ROUNDS {
         bar.set_message(format!("round {} of {ROUNDS}", round + 1));
@@ -85,8 +85,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
             bar.inc(1);
         }
     }
-    // Compares signs with the gradient in f64, which has all components. The reference has only the
-    // chosen ones.
+    // Compares signs with the gradient in f64, because the reference has only chosen components.
     let full = |field: Field| {
         let found = methods.iter().position(|method| *method == (reverse(field, None), Precision::F64));
         found.and_then(|i| derived[i].gradient.as_ref().ok())

@@ -8,7 +8,7 @@ use crate::vector_field::{self, LEARNING_RATE, Rotated, START, Sample};
 use anyhow::Result;
 use std::fmt::Write;
 
-/// Both parameters range from `-HALF_WIDTH` to `HALF_WIDTH`.
+/// Half the range of each parameter, which is centered at 0.
 const HALF_WIDTH: f64 = 4.0;
 /// Number of Adam updates of each method.
 const ITERATIONS: usize = 1500;
