@@ -20,12 +20,12 @@ use row::{Errors, Row, Setting};
 use std::path::PathBuf;
 use toml::Value;
 
-/// Simulate a scene with every integrator, step size and precision; report errors of trajectory,
-/// loss and gradients, times, operations and memory.
+/// Simulate a scene with every integrator, step size and precision; report times, operations,
+/// memory, and the errors of trajectory, loss and gradients.
 ///
 /// The reference is a run in f64 with a high-order method and small steps, checked against half as
-/// many steps. The policy has the initial parameters of the scene, with a nonzero output layer.
-/// Eight samples run on one thread.
+/// many steps. The policy has the initial parameters of the scene, with a nonzero output layer. A
+/// rollout has eight samples and runs on one thread.
 #[derive(Debug, clap::Args)]
 #[command(mut_arg("epochs", |arg| arg.hide(true)))]
 pub struct Accuracy {
