@@ -1,8 +1,10 @@
-//! The `physgrad` command-line program (feature `program`), for built-in tasks and those of users.
+//! The `physgrad` command-line program (feature `program`), for built-in tasks and tasks of the
+//! user.
 //!
 //! [`program`] runs it.
 //!
-//! Layers, each importing only those above it (`tests/layout.rs` lists the allowed imports):
+//! Layers. Each imports only layers with smaller numbers; `tests/layout.rs` lists the allowed
+//! imports:
 //!
 //! 1. `platform`: files, folders, locks, signals, threads, terminal, CSV.
 //! 2. `settings`: sections of a scene, errors in settings.
@@ -139,14 +141,14 @@ pub struct Program {
 }
 
 impl Program {
-    /// Adds a task to the built-in ones.
+    /// Adds a task of the user to the built-in tasks.
     #[must_use = "call `main` to run the program"]
     pub fn task<T: ProgramTask>(mut self) -> Self {
         self.own.push(&const { Own::<T>::NEW });
         self
     }
 
-    /// Adds an effect to those of its task.
+    /// Adds an effect of the user to the effects of its task.
     #[must_use = "call `main` to run the program"]
     pub fn effect<E: ProgramEffect>(mut self) -> Self {
         self.effects.push(&const { OwnEffect::<E>::NEW });

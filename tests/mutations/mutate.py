@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""Multiplies every constant of the physics by 1.1, one at a time. Lists those that `tests/physics` does not detect.
+"""Multiplies every constant of the physics by 1.1, one at a time. Prints the mutations that
+`tests/physics` does not detect.
 
     python3 tests/mutations/mutate.py [--list] [--factor 1.1] [--only EXPRESSION]
 
-Every place in a copy of the sources gets a factor of 1. The environment variable MUTATION selects the place whose factor
-differs. All mutations share one build.
+The script inserts a factor of 1 at every place in a copy of the sources. The environment variable
+MUTATION selects the place whose factor differs. All mutations share one build.
 """
 
 import argparse
@@ -18,9 +19,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-# Files without physics: dispatch, limits of settings, and solvers.
+# Names of files without physics: dispatch, limits of settings, and solvers.
 WITHOUT = {"masses.rs", "model.rs", "scheme.rs", "loss.rs", "riccati.rs", "factor.rs"}
-# Local variables with constants, per file.
+# Patterns of local variables that hold constants, per file.
 NAMED = {
     "double_pendulum.rs": r"(?:m1|m2|l1|l2)\b(?=\s*[-+*/)])",
     "contact.rs": r"(?:stiffness|damping)\b(?=\s*[/)])",
@@ -45,13 +46,18 @@ pub mod mutation {
 
 
 def fields(text):
-    """Names of public fields of type f64 or Number, of all such fields, and of fields of type usize."""
+    """Returns three sets of names: public fields of type f64 or Number, all fields of these types, and
+    fields of type usize.
+    """
     names = lambda pattern: set(re.findall(pattern, text, re.M))
     return names(r"^\s*pub (\w+): (?:f64|Number),"), names(r"^\s*(?:pub )?(\w+): (?:f64|Number),"), names(r"^\s*(?:pub )?(\w+): usize,")
 
 
 def places(name, everywhere, own):
-    """Pattern of the constants in a file."""
+    """Returns the pattern of the constants in a file.
+
+    `everywhere` contains the public fields of all files, `own` the fields of this file.
+    """
     any_of = lambda names: "|".join(sorted(names, key=len, reverse=True)) or "!"
     of_self = r"self\.(?:%s)" % any_of(own)
     of_others = r"(?:self\.(?:0|system|system\.system)|model|law)\.(?:%s)" % any_of(everywhere)
@@ -65,7 +71,7 @@ def places(name, everywhere, own):
 
 
 def mutate(folder):
-    """Adds a factor to every constant. Returns their places."""
+    """Adds a factor to every constant. Returns the places of the constants."""
     files = sorted(folder.glob("src/tasks/**/*.rs")) + [folder / "src/dynamics/actuator/kinds.rs"]
     files = [file for file in files if file.name not in WITHOUT]
     texts = {file: file.read_text() for file in files}
@@ -82,7 +88,7 @@ def mutate(folder):
                 continue
 
             def factor(match, template="({} * crate::mutation::by({}))"):
-                # A name that is bound by `let` is not a use.
+                # Skips a name that `let` binds.
                 if re.match(r"\s*let\b[^=]*$", line[: match.start()]):
                     return match.group(0)
                 found.append((file.relative_to(folder), number, match.group(0), bare))
@@ -132,7 +138,7 @@ def main():
             return run.returncode != 0
 
         if fails(len(found)):
-            sys.exit("the test fails without a mutation")
+            sys.exit("tests/physics fails without a mutation")
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             killed = dict(zip(chosen, pool.map(fails, chosen)))
         survived = [at for at in chosen if not killed[at]]

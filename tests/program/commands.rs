@@ -1,4 +1,4 @@
-//! Interface of the program: files, headers, messages, exit codes.
+//! Interface of the program: output files, CSV headers, messages, exit codes.
 
 use crate::running::{SMALL, error_of, physgrad, train};
 use std::collections::BTreeMap;
@@ -27,7 +27,7 @@ fn policy(out: &Path) -> Vec<u8> {
 }
 
 #[test]
-fn a_training_leaves_every_file() {
+fn a_training_run_writes_every_output_file() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("deep/run");
     train(&out, &["--epochs", "3", "--set", "system.poles=3"]).assert().success();
@@ -73,7 +73,7 @@ fn a_saved_run_is_animated_from_any_test_state() {
         command
     };
     animate(&["--sample", "3"]).assert().success();
-    assert_ne!(animation(&run), first, "another initial state");
+    assert_ne!(animation(&run), first, "sample 3 has another animation than sample 0");
     animate(&[]).assert().success();
     assert_eq!(animation(&run), first, "`train` animates sample 0");
     let text = error_of(&mut animate(&["--sample", "100000"]));
@@ -84,7 +84,7 @@ fn a_saved_run_is_animated_from_any_test_state() {
         .arg(&compare)
         .assert()
         .success();
-    let output = physgrad(&["animate"]).arg(&compare).output().expect("it runs");
+    let output = physgrad(&["animate"]).arg(&compare).output().expect("the command runs");
     assert_eq!(String::from_utf8_lossy(&output.stdout).lines().count(), 2, "one animation per run");
     let text = error_of(physgrad(&["animate"]).arg(dir.path()));
     assert!(text.contains("holds 2 runs or comparisons; choose one"), "{text}");
@@ -104,7 +104,7 @@ fn the_cosine_column_is_empty_for_a_single_gradient() {
 }
 
 #[test]
-fn same_seed_same_bytes_whatever_the_threads() {
+fn results_are_equal_with_1_2_and_5_threads_and_depend_on_the_seed() {
     let dir = TempDir::new().expect("a folder");
     let run = |name: &str, args: &[&str]| {
         let out = dir.path().join(name);
@@ -118,7 +118,7 @@ fn same_seed_same_bytes_whatever_the_threads() {
 }
 
 #[test]
-fn a_resumed_run_is_an_uninterrupted_one() {
+fn a_run_resumed_after_2_of_5_epochs_equals_an_uninterrupted_run() {
     let dir = TempDir::new().expect("a folder");
     let (whole, parts) = (dir.path().join("whole"), dir.path().join("parts"));
     train(&whole, &["--epochs", "5"]).assert().success();
@@ -212,7 +212,7 @@ fn runs_that_cannot_resume_are_refused_with_the_reason() {
 }
 
 #[test]
-fn a_diverged_run_reports_the_place_and_keeps_its_results() {
+fn a_diverged_run_reports_step_sample_and_component_and_writes_its_policy() {
     let dir = TempDir::new().expect("a folder");
     let text = error_of(&mut train(dir.path(), &["--epochs", "50", "--set", "system.gravity=1e38", "--set", "system.dt=1e5"]));
     for part in ["forward pass", "step", "sample", "component", "in a row"] {
@@ -223,7 +223,7 @@ fn a_diverged_run_reports_the_place_and_keeps_its_results() {
 }
 
 #[test]
-fn a_comparison_has_a_row_a_run_and_a_picture() {
+fn a_comparison_has_one_row_per_run_and_its_runs_equal_single_runs() {
     let dir = TempDir::new().expect("a folder");
     let mut compare = physgrad(&["compare", "cart_pole", "--fields", "R,combined", "--seeds", "2", "--epochs", "2", "--out"]);
     compare.arg(dir.path()).args(SMALL).assert().success();
@@ -235,18 +235,18 @@ fn a_comparison_has_a_row_a_run_and_a_picture() {
     let curves = fs::read_to_string(dir.path().join("curves.svg")).expect("a picture");
     roxmltree::Document::parse(&curves).expect("an SVG is XML");
 
-    // Repeats the run without a comparison, on several threads.
+    // Repeats one run without a comparison, on two threads.
     let alone = dir.path().join("alone");
     train(&alone, &["--epochs", "2", "--field", "C", "--seed", "1", "--threads", "2"]).assert().success();
     assert_eq!(columns(&alone.join("metrics.csv"))["test_loss"][1], summary["final_test_loss"][3]);
 }
 
 #[test]
-fn a_comparison_keeps_and_reports_failed_runs() {
+fn a_comparison_without_any_update_has_status_3_and_losses_of_nan() {
     let dir = TempDir::new().expect("a folder");
     let mut compare = physgrad(&["compare", "cart_pole", "--fields", "R,C", "--seeds", "2", "--epochs", "40", "--out"]);
     compare.arg(dir.path()).args(SMALL).args(["--set", "system.gravity=1e38", "--set", "system.dt=1e5"]);
-    let output = compare.output().expect("it runs");
+    let output = compare.output().expect("the command runs");
     assert_eq!(output.status.code(), Some(3));
     let text = String::from_utf8(output.stderr).expect("text");
     assert!(
@@ -258,7 +258,7 @@ fn a_comparison_keeps_and_reports_failed_runs() {
 }
 
 #[test]
-fn a_comparison_resumes_and_refuses_other_folders() {
+fn a_comparison_resumes_with_more_epochs_and_refuses_other_settings() {
     let dir = TempDir::new().expect("a folder");
     let compare = |args: &[&str]| {
         let mut compare = physgrad(&["compare", "cart_pole", "--seeds", "1", "--out"]);
@@ -274,11 +274,15 @@ fn a_comparison_resumes_and_refuses_other_folders() {
     assert!(error_of(&mut compare(&["--fields", "R,regular"])).contains("twice"));
     assert!(error_of(&mut compare(&["--set", "field=S"])).contains("--fields"));
     assert!(error_of(&mut compare(&["--seed", "9223372036854775807", "--seeds", "2"])).contains("seeds"));
-    assert_eq!(fs::read_to_string(dir.path().join("summary.csv")).expect("a summary"), before, "nothing was lost");
+    assert_eq!(
+        fs::read_to_string(dir.path().join("summary.csv")).expect("a summary"),
+        before,
+        "a refused command leaves the summary unchanged"
+    );
 }
 
 #[test]
-fn every_task_trains_and_leaves_its_pictures() {
+fn guidance_and_quantum_train_and_refuse_settings_out_of_range() {
     let dir = TempDir::new().expect("a folder");
     for (task, settings, column) in [
         ("guidance", ["system.drivers=3", "system.evaders=2", "loss.regularization=0.01", "loss.mode=terminal"], "evader_2_vy"),
@@ -309,7 +313,7 @@ fn every_task_trains_and_leaves_its_pictures() {
 }
 
 #[test]
-fn checks_pass_and_report_it() {
+fn the_gradient_checks_of_cart_pole_pass() {
     let output = physgrad(&["check", "cart_pole"]).assert().success();
     let text = String::from_utf8(output.get_output().stdout.clone()).expect("text");
     assert!(text.contains("rollout") && text.contains("ok") && !text.contains("FAILED"), "{text}");
@@ -324,13 +328,14 @@ fn a_check_distinguishes_long_steps_from_unstable_physics() {
         let output = physgrad(&["check"]).arg(&file).assert().success();
         String::from_utf8(output.get_output().stdout.clone()).expect("text")
     };
-    // The friction decays at 300/s. RK4 with 0.01 s amplifies by 1 - 3 + 9/2 - 27/6 + 81/24 = 1.375.
+    // Friction damps the velocity at 300/s. RK4 with 0.01 s amplifies the velocity by
+    // 1 - 3 + 9/2 - 27/6 + 81/24 = 1.375.
     let rubbed = "task = \"pendulum\"\nhorizon = 10\n[[system.arms]]\nviscous = 0.4\n";
     let text = checked(rubbed);
     assert!(text.contains("omega_1 grows by 1.3") && text.contains("Shorten the step: `integrator.substeps = 2`"), "{text}");
     let text = checked(&format!("{rubbed}[integrator]\nsubsteps = 2\n"));
     assert!(text.contains("stable: no perturbation"), "{text}");
-    // An upright pole falls.
+    // Upright poles are unstable.
     let text = checked("task = \"cart_pole\"\n");
     assert!(text.contains("the physics is unstable, not the step"), "{text}");
     // In 20 steps, the pusher does not reach the box.
@@ -346,7 +351,7 @@ fn tasks_are_listed_with_their_settings() {
 }
 
 #[test]
-fn a_killed_run_resumes_to_the_bits_of_an_uninterrupted_one() {
+fn a_run_killed_25_times_equals_an_uninterrupted_run() {
     let dir = TempDir::new().expect("a folder");
     let [whole, killed] = ["whole", "killed"].map(|name| dir.path().join(name));
     let epochs = ["--epochs", "400", "--save-every", "0", "--threads", "1"];
@@ -358,25 +363,25 @@ fn a_killed_run_resumes_to_the_bits_of_an_uninterrupted_one() {
         let out = killed.to_str().expect("a path");
         let mut process = std::process::Command::new(assert_cmd::cargo::cargo_bin("physgrad"));
         process.args(["train", "cart_pole", "--out", out, "--quiet"]).args(SMALL).args(epochs).args(&resume);
-        let mut process = process.spawn().expect("it starts");
+        let mut process = process.spawn().expect("the process starts");
         random = random.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
         std::thread::sleep(std::time::Duration::from_millis(20 + (random >> 33) % 120));
-        process.kill().expect("it can be killed, or has ended");
-        let ended = process.wait().expect("it has ended");
-        // A run that is killed before it writes its settings starts again. Any later one can be
+        process.kill().expect("the process is killed or has ended");
+        let ended = process.wait().expect("the process has ended");
+        // A run that is killed before it writes its settings starts again. A run with settings is
         // resumed.
         resume = if killed.join("run.toml").exists() { vec!["--resume"] } else { Vec::new() };
         resumed += resume.len();
-        assert!(ended.code().is_none_or(|code| code == 0), "a run that was left at some moment could not be resumed");
+        assert!(ended.code().is_none_or(|code| code == 0), "a killed run does not resume: {ended}");
     }
-    assert!(resumed > 10, "it was resumed {resumed} times");
+    assert!(resumed > 10, "resumed {resumed} of 25 times, not more than 10");
     train(&killed, &["--resume", "--epochs", "400", "--threads", "1"]).assert().success();
     assert_eq!((policy(&killed), numbers(&killed)), (policy(&whole), numbers(&whole)));
 }
 
 #[test]
-fn other_workers_are_a_hard_case_of_the_program_and_pass() {
-    let output = physgrad(&["stress", "reproducible"]).output().expect("it runs");
+fn the_hard_case_reproducible_passes_and_an_unknown_case_is_refused() {
+    let output = physgrad(&["stress", "reproducible"]).output().expect("the command runs");
     let said = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success() && said.contains("1 of 1 cases pass"), "{said}");
     assert!(error_of(&mut physgrad(&["stress", "nothing"])).contains("there is no case `nothing`; available: exploding_adjoint"));

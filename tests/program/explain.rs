@@ -1,4 +1,4 @@
-//! The output of `physgrad explain` agrees with the counts of the library.
+//! The counts in the output of `physgrad explain` equal those of the library.
 
 use assert_cmd::Command;
 use physgrad::policy::Mlp;
@@ -18,7 +18,7 @@ fn explained(scene: &str, args: &[&str]) -> Vec<Vec<String>> {
     let dir = TempDir::new().expect("a folder");
     let file = dir.path().join("scene.toml");
     fs::write(&file, scene).expect("a file");
-    let output = physgrad(&["explain"]).arg(&file).args(args).output().expect("it runs");
+    let output = physgrad(&["explain"]).arg(&file).args(args).output().expect("the command runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = String::from_utf8(output.stdout).expect("text");
     let cells = |line: &str| line.split(['│', '┆']).map(|cell| cell.trim().to_owned()).collect::<Vec<_>>();
@@ -54,7 +54,7 @@ fn model() -> CartPoleSystem {
 }
 
 #[test]
-fn operations_are_those_of_the_library_by_effect() {
+fn operation_counts_of_each_effect_equal_those_of_the_library() {
     let rows = explained(SCENE, &[]);
     let cost = |system: &Forced<CoupledCartPole, Vec<CartPoleEffect>>| OpCount::of(system);
     let with = |effects: Vec<CartPoleEffect>| cost(&Forced { system: CoupledCartPole(model()), effects });
@@ -69,15 +69,15 @@ fn operations_are_those_of_the_library_by_effect() {
         [pass.to_owned()].into_iter().chain(numbers.map(|count| count.to_string())).collect::<Vec<_>>()
     };
     let cells = |cost: &OpCount| vec![of("step", cost.step), of("VJP", cost.vjp), of("VJP to control", cost.vjp_control)];
-    let told = |name: &str| passes(&rows, name);
-    assert_eq!(told("system alone"), cells(&alone));
-    assert_eq!(told("together"), cells(&all));
+    let printed = |name: &str| passes(&rows, name);
+    assert_eq!(printed("system alone"), cells(&alone));
+    assert_eq!(printed("together"), cells(&all));
     let own = OpCount {
         step: damped.step - alone.step,
         vjp: damped.vjp - alone.vjp,
         vjp_control: damped.vjp_control - alone.vjp_control,
     };
-    assert_eq!(told("effects.pole_damping"), cells(&own));
+    assert_eq!(printed("effects.pole_damping"), cells(&own));
     let task = CartPole::with_system(Forced { system: CoupledCartPole(model()), effects: Vec::<CartPoleEffect>::new() });
     let counts = TaskOpCount::of(&task);
     let pair = |name: &str| {
@@ -97,7 +97,7 @@ fn operations_are_those_of_the_library_by_effect() {
 }
 
 #[test]
-fn parts_add_up_to_the_whole() {
+fn counts_of_parts_minus_the_overlap_add_up_to_the_whole() {
     let scene =
         "scene = 1\ntask = \"cart_pole\"\n[effects.cart_damping]\n[actuator]\nlimit = { bound = 2 }\nlag = { time = 0.1 }\n";
     let rows = explained(scene, &[]);
@@ -107,7 +107,7 @@ fn parts_add_up_to_the_whole() {
         let sum = total("system alone", pass) + parts.map(|part| total(part, pass)).into_iter().sum::<i64>();
         assert_eq!(sum - total("counted twice", pass), total("together", pass));
     }
-    assert!(total("counted twice", 1) > 0, "the counts of limit and lag both include their boundary");
+    assert!(total("counted twice", 1) > 0, "limit and lag share operations in the VJP");
 }
 
 #[test]
@@ -122,35 +122,40 @@ fn reported_bytes_equal_those_of_the_library() {
         let rollout = Rollout::<f32>::new(&task, &policy, samples);
         rollout.stored_bytes() + Adjoint::new(&task, &policy, &rollout, &field.flows()).stored_bytes()
     };
-    let told = |name: &str| row(&rows, name)[1..].iter().map(|cell| cell.parse::<usize>().expect("a number")).collect::<Vec<_>>();
+    let printed =
+        |name: &str| row(&rows, name)[1..].iter().map(|cell| cell.parse::<usize>().expect("a number")).collect::<Vec<_>>();
     let fields = Field::ALL.map(|field| (field.to_string(), Some(field)));
     for (name, field) in fields.into_iter().chain([("evaluation".to_owned(), None)]) {
         let (short, long) = (stored(40, field), stored(140, field));
-        assert_eq!((long - short) % (100 * samples), 0, "every step takes the same");
+        assert_eq!((long - short) % (100 * samples), 0, "every step stores the same number of bytes");
         let (each, whole) = ((long - short) / (100 * samples), short / samples);
-        assert_eq!(told(&name), [each, whole - 40 * each, whole, 0], "{name}: bytes, and no allocation");
+        assert_eq!(
+            printed(&name),
+            [each, whole - 40 * each, whole, 0],
+            "{name}: bytes per step, constant and whole; no allocation"
+        );
     }
-    assert_eq!(told("evaluation")[0], 0, "evaluation stores no step");
-    assert!(told("modified")[0] < told("regular")[0], "M keeps nothing of the policy's input derivative");
+    assert_eq!(printed("evaluation")[0], 0, "evaluation stores no step");
+    assert!(printed("modified")[0] < printed("regular")[0], "M stores no input derivative of the policy");
 }
 
 #[test]
-fn allocations_are_reported() {
-    // A step allocates if the grid exceeds the buffers on the stack.
+fn a_quantum_step_with_200_grid_points_allocates() {
+    // A step with 200 points exceeds the buffers on the stack.
     let rows = explained("scene = 1\ntask = \"quantum\"\n[system]\ngrid = 200\n[policy]\nwidth = 4\n", &[]);
     assert_ne!(row(&rows, "evaluation")[4], "0");
 }
 
 #[test]
-fn the_rich_presets_have_right_gradients() {
+fn the_presets_with_more_effects_than_the_paper_pass_the_gradient_checks() {
     let dir = TempDir::new().expect("a folder");
     for preset in ["cart_pole_windy", "guidance_walled", "quantum_double_well"] {
-        let scene = String::from_utf8(physgrad(&["scene", preset]).output().expect("it runs").stdout).expect("text");
+        let scene = String::from_utf8(physgrad(&["scene", preset]).output().expect("the command runs").stdout).expect("text");
         // A short rollout covers every derivative.
         let short = |line: &str| if line.starts_with("horizon") { "horizon = 20".to_owned() } else { line.to_owned() };
         let file = dir.path().join(format!("{preset}.toml"));
         fs::write(&file, scene.lines().map(short).collect::<Vec<_>>().join("\n")).expect("a file");
-        let output = physgrad(&["check"]).arg(&file).output().expect("it runs");
+        let output = physgrad(&["check"]).arg(&file).output().expect("the command runs");
         let text = String::from_utf8_lossy(&output.stdout);
         assert!(output.status.success() && text.contains("rollout, R"), "{text}{}", String::from_utf8_lossy(&output.stderr));
     }

@@ -14,11 +14,13 @@ use tempfile::TempDir;
 use toml::{Table, Value};
 
 /// Time limit, far above the duration of any case.
-const HANGS: Duration = Duration::from_secs(120);
+const TIME_LIMIT: Duration = Duration::from_secs(120);
 /// Number of cases in the samples of `train` and `explain`. `compare` runs a tenth.
 const SAMPLE: usize = 150;
 
+/// Extreme values of settings that are floating-point numbers.
 const NUMBERS: [&str; 7] = ["0.0", "1e38", "-1e38", "1e300", "-1e300", "1e-300", "-1e-300"];
+/// Extreme values of settings that are integers.
 const COUNTS: [&str; 5] = ["0", "-1", "1", "9223372036854775807", "1e38"];
 
 /// Fast training settings for any scene.
@@ -51,7 +53,7 @@ fn physgrad(args: &[&str]) -> Command {
 }
 
 fn presets() -> Vec<String> {
-    let output = physgrad(&["scene"]).output().expect("it runs");
+    let output = physgrad(&["scene"]).output().expect("the command runs");
     let text = String::from_utf8(output.stdout).expect("text");
     text.lines().map(|line| line.split(' ').next().expect("a name").to_owned()).collect()
 }
@@ -124,8 +126,11 @@ fn cases(dir: &Path) -> Vec<Case> {
 /// Outcome of a run of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum End {
+    /// Success.
     Done,
+    /// An error without the key of an effect.
     Refused,
+    /// A message with the key of an effect.
     Blamed,
 }
 
@@ -133,21 +138,21 @@ enum End {
 fn run(mut args: Vec<String>, case: &Case) -> Result<End, String> {
     args.extend(case.settings.iter().flat_map(|setting| ["--set".to_owned(), setting.clone()]));
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
-    let output = physgrad(&args).timeout(HANGS).output().expect("it runs");
+    let output = physgrad(&args).timeout(TIME_LIMIT).output().expect("the command runs");
     let errors = String::from_utf8_lossy(&output.stderr);
-    let told = || format!("physgrad {}\n{:?}\n{errors}", args.join(" "), output.status.code());
+    let describe = || format!("physgrad {}\n{:?}\n{errors}", args.join(" "), output.status.code());
     if errors.contains("panicked") || !matches!(output.status.code(), Some(0..=100)) {
-        return Err(told());
+        return Err(describe());
     }
     let Some(blamed) = errors.split("the forces of ").nth(1).and_then(|rest| rest.split(' ').next()) else {
         let silent = !output.status.success() && errors.trim().is_empty();
-        return if silent { Err(told()) } else { Ok(if output.status.success() { End::Done } else { End::Refused }) };
+        return if silent { Err(describe()) } else { Ok(if output.status.success() { End::Done } else { End::Refused }) };
     };
     let known = ["pole_damping", "cart_damping", "dry_friction", "steady_wind", "gusty_wind", "bumpers"]
         .into_iter()
         .chain(["friction", "spread", "evade", "flock", "drive", "obstacles", "walls"])
         .chain(["harmonic", "barrier", "double_well", "cubic"]);
-    if known.map(|name| format!("effects.{name}")).any(|key| key == blamed) { Ok(End::Blamed) } else { Err(told()) }
+    if known.map(|name| format!("effects.{name}")).any(|key| key == blamed) { Ok(End::Blamed) } else { Err(describe()) }
 }
 
 /// Runs the command on all cases in parallel. Panics with the list of all faults.
@@ -181,14 +186,14 @@ fn run_all(command: &str, cases: &[Case]) {
     let (ends, wrong) = (ends.into_inner().expect("no panic"), wrong.into_inner().expect("no panic"));
     let count = |end| ends.iter().filter(|&&other| other == end).count();
     println!(
-        "{command}: {} cases, {} done, {} refused, {} blame an effect, {} wrong",
+        "{command}: {} cases, {} done, {} refused, {} messages with the key of an effect, {} faults",
         cases.len(),
         count(End::Done),
         count(End::Refused),
         count(End::Blamed),
         wrong.len()
     );
-    assert!(wrong.is_empty(), "{} of {}:\n{}", wrong.len(), cases.len(), wrong.join("\n"));
+    assert!(wrong.is_empty(), "{} faults in {} cases:\n{}", wrong.len(), cases.len(), wrong.join("\n"));
 }
 
 /// Returns all cases, or a deterministic sample.
@@ -201,19 +206,19 @@ fn sample(cases: &[Case], count: usize) -> Vec<Case> {
 }
 
 #[test]
-fn extreme_settings_are_trained_with_or_refused() {
+fn extreme_settings_train_or_are_refused_without_a_panic() {
     let dir = TempDir::new().expect("a folder");
     let cases = cases(dir.path());
-    assert!(cases.len() > 2000, "{}", cases.len());
+    assert!(cases.len() > 2000, "{} cases, not more than 2000", cases.len());
     run_all("train", &sample(&cases, SAMPLE));
     run_all("explain", &sample(&cases, SAMPLE));
     run_all("compare", &sample(&cases, SAMPLE / 10));
 }
 
-/// For extreme parameters of an effect, no command panics. The messages of `train` and `compare`
+/// No command panics for extreme parameters of an effect. The messages of `train` and `compare`
 /// name the effect.
 #[test]
-fn errors_name_the_key_of_the_scene() {
+fn errors_of_extreme_effects_name_the_key_of_the_effect() {
     let dir = TempDir::new().expect("a folder");
     let few = ["--epochs", "1", "--set", "training.train_samples=8", "--set", "training.test_samples=8", "--set", "horizon=6"];
     let errors = |command: &str, preset: &str, setting: &str| -> String {
@@ -222,7 +227,7 @@ fn errors_name_the_key_of_the_scene() {
         if command != "explain" {
             program.arg("--out").arg(dir.path().join(format!("{command} {setting}")));
         }
-        let output = program.timeout(HANGS).output().expect("it runs");
+        let output = program.timeout(TIME_LIMIT).output().expect("the command runs");
         let errors = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(!errors.contains("panicked") && output.status.code() != Some(101), "{command} {preset} {setting}: {errors}");
         errors
@@ -242,7 +247,7 @@ fn errors_name_the_key_of_the_scene() {
             assert!(errors.contains(&format!("the forces of {key} ")), "{command} {preset} {setting}: {errors}");
         }
     }
-    // No message attributes an excessive time step to an effect.
+    // The messages about an excessive time step name no effect.
     for command in ["train", "explain", "compare"] {
         let errors = errors(command, "quantum_double_well", "system.dt=1e30");
         assert!(!errors.contains("the forces of"), "{errors}");

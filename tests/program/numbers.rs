@@ -1,4 +1,4 @@
-//! Numbers of a scene that are drawn or trained, and grids of settings.
+//! Drawn and trained numbers of a scene, grids of settings, and identification.
 
 use assert_cmd::Command;
 use std::fs;
@@ -29,7 +29,7 @@ pub fn read(dir: &TempDir, file: &str) -> Vec<Vec<String>> {
 }
 
 #[test]
-fn a_scene_draws_and_trains_numbers() {
+fn a_scene_draws_masses_and_gusts_and_trains_a_damping() {
     let dir = folder(&format!("{SCENE}{VARIED}"));
     physgrad("train scene.toml --quiet --out run", dir.path()).assert().success();
     let numbers = read(&dir, "run/numbers.csv");
@@ -42,15 +42,15 @@ fn a_scene_draws_and_trains_numbers() {
         let index = rows[0].iter().position(|header| header == name).unwrap_or_else(|| panic!("{name} in {:?}", rows[0]));
         rows[1..].iter().map(|row| row[index].parse::<f64>().expect("a number")).collect::<Vec<f64>>()
     };
-    // Within the rounding of f32.
+    // f32 rounds the trained value.
     assert!(column("effects.pole_damping.damping").iter().all(|damping| (damping - trained).abs() < 1e-7));
     let masses = column("system.cart_mass");
     assert!(masses.iter().all(|mass| (0.5..=2.0).contains(mass)));
-    assert!(masses.iter().any(|&mass| mass != masses[0]), "each sample has its own mass");
+    assert!(masses.iter().any(|&mass| mass != masses[0]), "masses differ between samples");
     assert!(column("effects.gusty_wind.gust").iter().all(|gust| [1.0, 2.0].contains(gust)));
     assert!(column("start_of_gusts").iter().all(|start| (0.0..=1.0).contains(start)));
 
-    // Resumes, and equals an uninterrupted run.
+    // The resumed run equals an uninterrupted run.
     physgrad("train scene.toml --quiet --out run --resume --epochs 3", dir.path()).assert().success();
     physgrad("train scene.toml --quiet --out whole --epochs 3", dir.path()).assert().success();
     let policy = |run: &str| fs::read(dir.path().join(run).join("policy.safetensors")).expect("a policy");
@@ -62,9 +62,9 @@ fn a_scene_draws_and_trains_numbers() {
     }
 }
 
-/// `[vary]` and `[fit]` are other ways to write a table in place of a number.
+/// An entry in `[vary]` or `[fit]` equals a table in place of the number.
 #[test]
-fn numbers_may_stand_in_their_sections() {
+fn scenes_with_inline_tables_and_with_vary_and_fit_train_equal_policies() {
     let dir = folder(&format!("{SCENE}{VARIED}"));
     let inline =
         "[effects]\npole_damping = { damping = { start = 0.1, min = 0 } }\ngusty_wind = { gust = { choice = [1, 2] } }\n";
@@ -78,7 +78,7 @@ fn numbers_may_stand_in_their_sections() {
 }
 
 #[test]
-fn wrong_numbers_name_line_and_allowed_values() {
+fn errors_of_drawn_and_trained_numbers_name_line_and_allowed_values() {
     for (section, line, message) in [
         ("[vary]\n\"system.cart_mass\" = { uniform = [-1, 1] }", 11, "`system.cart_mass` is -1; allowed: a positive number"),
         ("[vary]\n\"system.cart_mass\" = { uniform = [2, 1] }", 11, "allowed: [low, high], with low <= high"),
@@ -103,7 +103,7 @@ fn wrong_numbers_name_line_and_allowed_values() {
 }
 
 #[test]
-fn a_policy_is_evaluated_over_a_grid() {
+fn two_policies_are_evaluated_over_a_grid_of_4_by_2_settings() {
     let dir = folder(SCENE);
     physgrad("train scene.toml --quiet --out first", dir.path()).assert().success();
     fs::write(dir.path().join("varied.toml"), format!("{SCENE}{VARIED}")).expect("a file");
@@ -137,10 +137,10 @@ fn a_policy_is_evaluated_over_a_grid() {
     }
 }
 
-/// Measured pendulum of the example: the length of the first arm agrees with the published one
-/// within 1 %, the center of mass of the second within 2 %.
+/// Measured pendulum of the example: the length of the first arm agrees with the published value
+/// within 1 %, the center of mass of the second arm within 2 %.
 #[test]
-fn measured_trajectories_identify_a_pendulum() {
+fn measured_trajectories_identify_length_within_1_and_center_within_2_percent() {
     let dir = TempDir::new().expect("a folder");
     let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/data");
     for file in ["double_pendulum.toml", "double_pendulum.csv"] {

@@ -9,7 +9,7 @@ use tempfile::TempDir;
 static PROGRAM: LazyLock<PathBuf> = LazyLock::new(|| example("own_program"));
 static WITH_EFFECTS: LazyLock<PathBuf> = LazyLock::new(|| example("scene_effect"));
 
-/// An example, built in the profile of this test.
+/// Builds an example in the profile of this test. Returns the path of its program.
 fn example(name: &str) -> PathBuf {
     let mut build = std::process::Command::new(env!("CARGO"));
     build.args(["build", "--quiet", "--example", name]);
@@ -21,30 +21,30 @@ fn example(name: &str) -> PathBuf {
     tests.ancestors().nth(2).expect("a target folder").join("examples").join(name)
 }
 
-/// Runs the program and returns its standard output.
+/// Runs the program. Returns its standard output.
 fn output(args: &[&str], folder: &Path) -> String {
     output_of(&PROGRAM, args, folder)
 }
 
 fn output_of(program: &Path, args: &[&str], folder: &Path) -> String {
-    let output = Command::new(program).args(args).current_dir(folder).output().expect("it runs");
+    let output = Command::new(program).args(args).current_dir(folder).output().expect("the command runs");
     assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).expect("text")
 }
 
-/// Runs the program, which fails, and returns its standard error.
+/// Runs the program and asserts that it fails. Returns its standard error.
 fn error(args: &[&str], folder: &Path) -> String {
     error_of(&PROGRAM, args, folder)
 }
 
 fn error_of(program: &Path, args: &[&str], folder: &Path) -> String {
-    let output = Command::new(program).args(args).current_dir(folder).output().expect("it runs");
+    let output = Command::new(program).args(args).current_dir(folder).output().expect("the command runs");
     assert!(!output.status.success(), "{args:?} should fail");
     String::from_utf8(output.stderr).expect("text")
 }
 
 #[test]
-fn every_command_takes_the_task_of_the_user() {
+fn thirteen_commands_take_the_task_of_the_user() {
     let dir = TempDir::new().expect("a folder");
     let run = |args: &[&str]| output(args, dir.path());
     run(&["train", "ball_beam", "--epochs", "4", "--quiet", "--out", "run"]);
@@ -52,7 +52,7 @@ fn every_command_takes_the_task_of_the_user() {
     let trajectory = std::fs::read_to_string(dir.path().join("run/trajectory.csv")).expect("a trajectory");
     assert!(trajectory.starts_with(&format!("sample,step,time,{state}")), "{}", &trajectory[..200]);
     let animation = std::fs::read_to_string(dir.path().join("run/animation.svg")).expect("an animation");
-    assert!(animation.contains("roll a ball to the middle"), "the animation of the task");
+    assert!(animation.contains("roll a ball to the middle"), "the animation has the title of the task");
 
     run(&["train", "run/run.toml", "--resume", "--epochs", "6", "--quiet", "--out", "run"]);
     assert_eq!(std::fs::read_to_string(dir.path().join("run/metrics.csv")).expect("metrics").lines().count(), 7);
@@ -70,11 +70,11 @@ fn every_command_takes_the_task_of_the_user() {
     run(&["train", "own.toml", "--epochs", "2", "--quiet", "--out", "lag"]);
     let settings = std::fs::read_to_string(dir.path().join("lag/run.toml")).expect("settings");
     assert!(settings.contains("ball = 0.2"), "{settings}");
-    // A number of the task is drawn for each sample. Both policies are evaluated over a grid of it.
+    // Draws a number of the task for each sample.
     run(&["train", "ball_beam", "--set", "system.ball={uniform=[0.05, 0.2]}", "--epochs", "2", "--quiet", "--out", "varied"]);
     let trajectory = std::fs::read_to_string(dir.path().join("varied/trajectory.csv")).expect("a trajectory");
     assert!(trajectory.lines().next().expect("a header").contains("system.ball"), "{}", &trajectory[..200]);
-    // Identification from simulated trajectories finds the settings of the simulation.
+    // Identification from simulated trajectories finds the setting 0.1 of the simulation.
     let unknown = "scene = 1\ntask = \"ball_beam\"\n[fit]\n\"system.ball\" = { start = 0.15, min = 0.01 }\n";
     std::fs::write(dir.path().join("unknown.toml"), unknown).expect("a scene");
     run(&["identify", "unknown.toml", "--data", "run/trajectory.csv", "--out", "identified"]);
@@ -87,7 +87,7 @@ fn every_command_takes_the_task_of_the_user() {
 }
 
 #[test]
-fn policies_depend_on_settings_and_not_on_threads() {
+fn policies_depend_on_the_mass_of_the_ball_and_not_on_the_number_of_threads() {
     let dir = TempDir::new().expect("a folder");
     let trained = |name: &str, more: &[&str]| {
         let args = ["train", "ball_beam", "--epochs", "3", "--quiet", "--out", name];
@@ -96,11 +96,11 @@ fn policies_depend_on_settings_and_not_on_threads() {
     };
     let one = trained("one", &["--threads", "1"]);
     assert_eq!(one, trained("two", &["--threads", "2"]), "results do not depend on the number of threads");
-    assert_ne!(one, trained("heavy", &["--set", "system.ball=0.2"]), "a setting of the task has an effect");
+    assert_ne!(one, trained("heavy", &["--set", "system.ball=0.2"]), "a setting of the task changes the policy");
 }
 
 #[test]
-fn wrong_settings_of_a_task_name_what_is_allowed() {
+fn errors_of_a_task_of_the_user_name_the_allowed_settings() {
     let dir = TempDir::new().expect("a folder");
     let message = |setting: &str| error(&["train", "ball_beam", "--set", setting], dir.path());
     assert!(message("system.bal=1").contains("`system.bal` is unknown; allowed: `ball`, `friction`, `beam`, `dt`"));
@@ -110,11 +110,11 @@ fn wrong_settings_of_a_task_name_what_is_allowed() {
 }
 
 #[test]
-fn scenes_name_effects_of_the_user() {
+fn scenes_add_effects_of_the_user_to_built_in_and_own_tasks() {
     let dir = TempDir::new().expect("a folder");
     let run = |args: &[&str]| output_of(&WITH_EFFECTS, args, dir.path());
     let failed = |args: &[&str]| error_of(&WITH_EFFECTS, args, dir.path());
-    // An effect of a built-in task, beside a built-in one, with a number that is drawn.
+    // Adds an effect of the user, with a drawn number, to a built-in task with a built-in effect.
     let scene = "scene = 1\ntask = \"cart_pole\"\n[effects.gusty_wind]\nspeed = 3\n\
                  [vary]\n\"effects.eddy_brake.force\" = { uniform = [1.0, 8.0] }\n";
     std::fs::write(dir.path().join("brake.toml"), scene).expect("a scene");
@@ -126,7 +126,7 @@ fn scenes_name_effects_of_the_user() {
     assert!(trajectory.contains("start_of_gusts,effects.eddy_brake.force,force"), "{}", &trajectory[..200]);
     run(&["train", "brake.toml", "--epochs", "1", "--quiet", "--without", "eddy_brake", "--out", "without"]);
     assert!(run(&["schema"]).contains("Largest force, N."));
-    // The effect of a task of the user. `explain` counts its product and its sum.
+    // Adds an effect of the user to a task of the user. `explain` counts a product and a sum.
     let explained = run(&["explain", "puck", "--set", "effects.spring.stiffness=3"]);
     let row = explained.lines().find(|line| line.contains("effects.spring") && line.contains("┆ step")).expect("a row");
     assert_eq!(row.split('┆').nth(2).map(str::trim), Some("2"), "{row}");
@@ -134,7 +134,7 @@ fn scenes_name_effects_of_the_user() {
         run(&[&["train", "puck", "--epochs", "1", "--quiet", "--out", name], more].concat());
         std::fs::read(dir.path().join(name).join("policy.safetensors")).expect("a policy")
     };
-    assert_ne!(trained("free", &[]), trained("held", &["--set", "effects.spring.stiffness=3"]), "the effect acts");
+    assert_ne!(trained("free", &[]), trained("held", &["--set", "effects.spring.stiffness=3"]), "the effect changes the policy");
 
     let message = |setting: &str| failed(&["train", "cart_pole", "--set", setting]);
     assert!(message("effects.eddy_brake.sped=3").contains("`effects.eddy_brake.sped` is unknown; allowed: `force` or `speed`"));
@@ -144,7 +144,7 @@ fn scenes_name_effects_of_the_user() {
     assert!(failed(&["train", "lqr", "--set", "effects.spring.stiffness=3"]).contains("allowed here: none"));
 }
 
-/// Returns the command `physgrad new`, to run in this folder.
+/// Returns the command `physgrad new` with these arguments, to run in `folder`.
 fn new(args: &[&str], folder: &Path) -> Command {
     let mut command = Command::cargo_bin("physgrad").expect("the program is built");
     command.arg("new").args(args).current_dir(folder);

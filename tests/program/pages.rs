@@ -1,4 +1,4 @@
-//! Scenes and outputs in the documentation are correct.
+//! Scenes in the documentation are valid. Quoted outputs equal those of the program.
 
 use assert_cmd::Command;
 use std::fs;
@@ -12,7 +12,7 @@ fn physgrad(args: &[&str]) -> Command {
 }
 
 fn stdout(args: &[&str]) -> String {
-    let output = physgrad(args).output().expect("it runs");
+    let output = physgrad(args).output().expect("the command runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).expect("text")
 }
@@ -29,12 +29,12 @@ fn blocks<'a>(page: &'a str, language: &str) -> Vec<&'a str> {
 }
 
 #[test]
-fn every_scene_in_the_documentation_is_one() {
+fn every_scene_in_scenes_md_and_the_readme_is_valid() {
     let dir = TempDir::new().expect("a folder");
     for (name, least) in [("docs/scenes.md", 3), ("README.md", 1)] {
         let page = page(name);
         let scenes = blocks(&page, "toml");
-        assert!(scenes.len() >= least, "{name}");
+        assert!(scenes.len() >= least, "{name} has at least {least} scenes");
         for scene in scenes {
             let file = dir.path().join("a_scene.toml");
             fs::write(&file, scene).expect("a file");
@@ -44,17 +44,17 @@ fn every_scene_in_the_documentation_is_one() {
 }
 
 #[test]
-fn documented_outputs_equal_those_of_the_program() {
+fn scenes_md_quotes_an_output_of_explain_and_four_errors() {
     let dir = TempDir::new().expect("a folder");
     let page = page("docs/scenes.md");
     let first = blocks(&page, "toml")[0];
     let file = dir.path().join("windy.toml");
     fs::write(&file, first).expect("a file");
     let mut explain = physgrad(&["explain", "windy.toml"]);
-    let output = explain.current_dir(dir.path()).output().expect("it runs");
+    let output = explain.current_dir(dir.path()).output().expect("the command runs");
     let output = String::from_utf8(output.stdout).expect("text");
     let shown = blocks(&page, "text").into_iter().find(|block| block.starts_with("windy.toml: ")).expect("an explanation");
-    // The page omits some rows.
+    // The page omits some rows of the output.
     for line in shown.lines() {
         assert!(output.lines().any(|said| said == line), "{line}\n{output}");
     }
@@ -65,19 +65,22 @@ fn documented_outputs_equal_those_of_the_program() {
         first.replace("steady_wind", "walls").replace("speed = 4.0\n", ""),
     ] {
         fs::write(&file, mistaken).expect("a file");
-        let output = physgrad(&["train", "windy.toml"]).current_dir(dir.path()).output().expect("it runs");
+        let output = physgrad(&["train", "windy.toml"]).current_dir(dir.path()).output().expect("the command runs");
         let said = String::from_utf8(output.stderr).expect("text");
         assert!(!output.status.success() && page.contains(&said), "{said}");
     }
 }
 
 #[test]
-fn the_page_of_effects_is_the_one_that_the_command_writes() {
-    assert!(page("docs/effects.md") == stdout(&["effects"]), "docs/effects.md is old: physgrad effects > docs/effects.md");
+fn effects_md_equals_the_output_of_physgrad_effects() {
+    assert!(
+        page("docs/effects.md") == stdout(&["effects"]),
+        "docs/effects.md is out of date; run: physgrad effects > docs/effects.md"
+    );
 }
 
 #[test]
-fn the_page_of_hard_cases_lists_every_case_and_condition() {
+fn stability_md_lists_every_hard_case_and_criterion() {
     let page = page("docs/stability.md");
     // Joins the lines of paragraphs and of quotations.
     let text = page.replace("\n> ", " ").replace("\n\n", "\u{b6}").replace('\n', " ");
@@ -88,13 +91,12 @@ fn the_page_of_hard_cases_lists_every_case_and_condition() {
         let (name, about) = case.split_once(": ").expect("a name");
         assert!(
             text.contains(&format!("\u{b6}## {name}\u{b6}{about}.")),
-            "docs/stability.md describes {name} otherwise: {about}"
+            "docs/stability.md lacks this description of {name}: {about}"
         );
     }
     for criterion in list.lines().filter_map(|line| line.strip_prefix("    passes when: ")) {
         assert!(text.contains(criterion), "docs/stability.md lacks the criterion: {criterion}");
     }
-    // Measured values are not compared, because they depend on the processor. The page must not
-    // show failures.
-    assert!(!page.contains("FAIL"), "docs/stability.md shows a case that fails");
+    // Does not compare measured values, which depend on the processor.
+    assert!(!page.contains("FAIL"), "docs/stability.md contains FAIL");
 }

@@ -1,4 +1,4 @@
-//! `physgrad paper`: its output files, and resumption of stopped runs.
+//! `physgrad paper`: output files, and resumption of stopped runs.
 
 use assert_cmd::Command;
 use std::fs;
@@ -15,7 +15,7 @@ fn read(path: &Path) -> String {
     fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// Checks the figure's images, numbers and table.
+/// Checks that the SVG is XML with data in every panel, and that PNG, CSV and table are not empty.
 fn assert_figure(dir: &Path, name: &str) {
     let file = |extension: &str| dir.join(format!("{name}.{extension}"));
     let svg = read(&file("svg"));
@@ -27,7 +27,7 @@ fn assert_figure(dir: &Path, name: &str) {
 }
 
 #[test]
-fn figures_of_the_paper_examples_are_drawn_and_described() {
+fn figures_1_and_2_are_written_as_svg_png_csv_and_table() {
     let dir = TempDir::new().expect("a folder");
     for figure in ["fig1", "fig2"] {
         let said = paper(figure, dir.path(), &[]).assert().success();
@@ -37,7 +37,7 @@ fn figures_of_the_paper_examples_are_drawn_and_described() {
 }
 
 #[test]
-fn a_trained_figure_has_a_row_for_every_run_and_every_case() {
+fn figures_3_and_4_have_one_csv_row_per_run_and_one_table_row_per_case_and_field() {
     let dir = TempDir::new().expect("a folder");
     let args = ["--seeds", "2", "--epochs", "1", "--fields", "R,C", "--clip", "none,norm", "--quiet"];
     for (figure, cases, panel) in [("fig3", 4, "regularization 0.001"), ("fig4", 4, "poles: 4")] {
@@ -47,13 +47,13 @@ fn a_trained_figure_has_a_row_for_every_run_and_every_case() {
         assert_eq!(read(&dir.path().join(format!("{figure}.csv"))).lines().count(), 1 + cases * clips * fields * seeds);
         let table = read(&dir.path().join(format!("{figure}.md")));
         assert_eq!(table.lines().filter(|line| line.starts_with('|')).count(), 2 + cases * clips * fields);
-        assert!(table.contains("geometric means over the seeds"), "the table has a note");
+        assert!(table.contains("geometric means over the seeds"), "the note below the table explains the lines");
         assert!(table.contains(panel) && read(&dir.path().join(format!("{figure}.svg"))).contains(panel));
     }
 }
 
 #[test]
-fn the_quantum_figure_also_shows_the_size_of_the_updates() {
+fn figure_5_shows_the_update_size_of_eigenstate_5() {
     let dir = TempDir::new().expect("a folder");
     paper("fig5", dir.path(), &["--seeds", "1", "--epochs", "1", "--fields", "C", "--clip", "none"]).assert().success();
     assert_figure(dir.path(), "fig5");
@@ -61,7 +61,7 @@ fn the_quantum_figure_also_shows_the_size_of_the_updates() {
 }
 
 #[test]
-fn an_interrupted_figure_resumes_to_identical_results() {
+fn a_figure_extended_from_2_to_3_epochs_equals_a_figure_of_3_epochs() {
     let dir = TempDir::new().expect("a folder");
     let figure = |out: &str, epochs: &str| {
         let args = ["--seeds", "1", "--fields", "C", "--clip", "none", "--epochs", epochs];
@@ -75,7 +75,7 @@ fn an_interrupted_figure_resumes_to_identical_results() {
 
     // A resumed run cannot reduce the number of epochs.
     let args = ["--seeds", "1", "--fields", "C", "--clip", "none", "--epochs", "1"];
-    let output = paper("fig3", &dir.path().join("once"), &args).output().expect("it runs");
+    let output = paper("fig3", &dir.path().join("once"), &args).output().expect("the command runs");
     assert!(!output.status.success());
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(text.contains("already has 3 epochs, but `epochs` is 1"), "{text}");
@@ -84,13 +84,13 @@ fn an_interrupted_figure_resumes_to_identical_results() {
 }
 
 #[test]
-fn an_interrupted_figure_writes_only_started_runs_and_resumes() {
+fn an_interrupted_figure_writes_only_the_started_run_and_resumes() {
     let dir = TempDir::new().expect("a folder");
     let args = ["--seeds", "2", "--fields", "R,C", "--clip", "none", "--threads", "1"];
     let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
     command.args(["paper", "fig3", "--quick", "--epochs", "1000000", "--out"]).arg(dir.path()).args(args);
     command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::null());
-    let child = command.spawn().expect("it runs");
+    let child = command.spawn().expect("the command runs");
     let runs = || -> Vec<_> {
         let cases = fs::read_dir(dir.path().join("fig3")).into_iter().flatten().flatten();
         let runs = cases.flat_map(|case| fs::read_dir(case.path().join("runs")).into_iter().flatten().flatten());
@@ -102,7 +102,7 @@ fn an_interrupted_figure_writes_only_started_runs_and_resumes() {
     std::thread::sleep(std::time::Duration::from_millis(100));
     let killed = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status();
     assert!(killed.expect("kill runs").success());
-    let output = child.wait_with_output().expect("it ends");
+    let output = child.wait_with_output().expect("the process ends");
     assert_eq!(output.status.code(), Some(130));
     assert!(String::from_utf8_lossy(&output.stdout).contains("repeat the same command"));
     assert!(!dir.path().join("fig3.svg").exists());
@@ -116,7 +116,7 @@ fn an_interrupted_figure_writes_only_started_runs_and_resumes() {
 }
 
 #[test]
-fn invalid_figure_options_are_refused_before_any_run() {
+fn figures_with_0_seeds_or_epochs_or_repeated_names_are_refused_before_any_run() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("paper");
     for (args, word) in [
@@ -125,7 +125,7 @@ fn invalid_figure_options_are_refused_before_any_run() {
         (["--fields", "C,combined"], "--fields names combined twice"),
         (["--clip", "norm,norm"], "--clip names norm twice"),
     ] {
-        let output = paper("all", &out, &args).output().expect("it runs");
+        let output = paper("all", &out, &args).output().expect("the command runs");
         assert!(!output.status.success());
         let text = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(text.matches(word).count() == 1, "{text}");
@@ -136,7 +136,7 @@ fn invalid_figure_options_are_refused_before_any_run() {
 #[test]
 fn an_unknown_figure_is_refused_with_the_known_ones() {
     let dir = TempDir::new().expect("a folder");
-    let output = paper("fig9", dir.path(), &[]).output().expect("it runs");
+    let output = paper("fig9", dir.path(), &[]).output().expect("the command runs");
     assert!(!output.status.success());
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(text.contains("fig9") && text.contains("fig1, fig2, fig3, fig4, fig5, all"), "{text}");

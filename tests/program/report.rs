@@ -1,4 +1,4 @@
-//! `physgrad report`: page contents, independence of other files, and availability for all runs.
+//! `physgrad report`: contents of the page, which needs no other files, for all kinds of runs.
 
 use crate::running::{SMALL, error_of, physgrad, train};
 use assert_cmd::Command;
@@ -18,7 +18,7 @@ fn compare(out: &Path, args: &[&str]) -> Command {
 }
 
 fn report(folder: &Path) -> String {
-    let output = physgrad(&["report"]).arg(folder).output().expect("it runs");
+    let output = physgrad(&["report"]).arg(folder).output().expect("the command runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert!(String::from_utf8_lossy(&output.stdout).contains("report.html"));
     let page = fs::read_to_string(folder.join("report.html")).expect("a page");
@@ -55,7 +55,7 @@ fn assert_nested(page: &str) {
         let tag = &rest[..rest.find('>').expect("a tag ends")];
         let name = tag.split([' ', '/', '\n']).find(|part| !part.is_empty()).expect("a tag has a name");
         if tag.starts_with('/') {
-            assert_eq!(open.pop(), Some(name), "in front of {}", &rest[..40.min(rest.len())]);
+            assert_eq!(open.pop(), Some(name), "before {}", &rest[..40.min(rest.len())]);
         } else if !tag.starts_with('!') && !tag.ends_with('/') && !["meta", "img"].contains(&name) {
             open.push(name);
         }
@@ -102,7 +102,7 @@ fn animations(page: &str) -> Vec<String> {
 }
 
 #[test]
-fn a_run_has_a_complete_page() {
+fn the_page_of_a_run_has_its_settings_metrics_adjoint_norms_and_animation() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("run");
     train(&out, &["--epochs", "4", "--set", "system.poles=3"]).assert().success();
@@ -133,23 +133,23 @@ fn a_run_has_a_complete_page() {
     assert!((times[3][0] / rows.iter().map(|row| row[6]).sum::<f64>() - 1.0).abs() < 1e-4);
     let growth = diagram(&page, "Growth of the adjoint");
     assert_eq!(labels(&growth), ["R before training", "M before training", "R as trained", "M as trained"]);
-    assert!(growth.iter().all(|(_, points)| points.len() == 26 && points[25][0] == 25.0), "a length at every state");
-    assert_eq!(growth[0].1, growth[1].1, "the last kernel is zero");
+    assert!(growth.iter().all(|(_, points)| points.len() == 26 && points[25][0] == 25.0), "a norm at each of the 26 states");
+    assert_eq!(growth[0].1, growth[1].1, "R and M are equal while the output layer is zero");
     assert_ne!(growth[2].1, growth[3].1);
     let row = &cells(&page)[0];
     assert_eq!((row[0], row[3], row[5]), ("4", &*format!("{:.3e}", rows[3][3]), "0"));
     assert_eq!(animations(&page), [fs::read_to_string(out.join("animation.svg")).expect("an animation")]);
 
-    assert!(report(&out) == page, "the same bytes");
+    assert!(report(&out) == page, "a second report has the same bytes");
     train(&out, &["--epochs", "1"]).assert().success();
     assert!(
         dir.path().join("run.previous-1/report.html").exists() && !out.join("report.html").exists(),
-        "a page stays with its run"
+        "the page moves with the folder of its run"
     );
 }
 
 #[test]
-fn absent_quantities_are_explained() {
+fn the_page_of_field_m_states_why_the_cosine_is_absent() {
     let dir = TempDir::new().expect("a folder");
     train(dir.path(), &["--epochs", "2", "--field", "M"]).assert().success();
     let page = report(dir.path());
@@ -157,14 +157,14 @@ fn absent_quantities_are_explained() {
 }
 
 #[test]
-fn a_comparison_has_a_page_with_the_table_it_printed() {
+fn the_page_of_a_comparison_has_the_printed_table_and_curves_of_all_seeds() {
     let dir = TempDir::new().expect("a folder");
     let args = ["--fields", "C,R", "--seeds", "2", "--seed", "9", "--epochs", "3"];
-    let printed = compare(dir.path(), &args).output().expect("it runs").stdout;
+    let printed = compare(dir.path(), &args).output().expect("the command runs").stdout;
     let printed = String::from_utf8(printed).expect("text");
     let page = report(dir.path());
     assert!(page.contains("<th scope=\"row\">field</th><td>regular, combined</td>"));
-    assert!(page.contains("<th scope=\"row\">seed</th><td>9, 10</td>"), "by number");
+    assert!(page.contains("<th scope=\"row\">seed</th><td>9, 10</td>"), "seeds in increasing order");
     assert!(page.contains("<th scope=\"row\">horizon</th><td>25</td>"));
     let rows = cells(&page);
     assert_eq!((rows[0][0], rows[1][0]), ("regular", "combined"));
@@ -187,44 +187,44 @@ fn a_comparison_has_a_page_with_the_table_it_printed() {
 
     let file = |run: &str| -> PathBuf { dir.path().join("runs").join(run).join("animation.svg") };
     assert_eq!(animations(&page), ["R-9", "C-9"].map(|run| fs::read_to_string(file(run)).expect("an animation")));
-    fs::remove_file(file("C-9")).expect("it was there");
+    fs::remove_file(file("C-9")).expect("the file exists");
     assert!(report(dir.path()) == page, "the page does not need the file of an animation");
 }
 
 #[test]
-fn a_page_shows_the_current_policy() {
+fn a_page_animates_sample_0_whatever_the_animation_in_the_folder() {
     let dir = TempDir::new().expect("a folder");
     train(dir.path(), &["--epochs", "1"]).assert().success();
     let animation = fs::read_to_string(dir.path().join("animation.svg")).expect("an animation");
     let page = report(dir.path());
-    // Animates another sample. The animation in the folder then differs from that of the page.
+    // Animates sample 3 in the folder. The page still animates sample 0.
     physgrad(&["animate", "--sample", "3"]).arg(dir.path()).assert().success();
     assert_ne!(fs::read_to_string(dir.path().join("animation.svg")).expect("an animation"), animation);
     assert!(report(dir.path()) == page && animations(&page) == [animation]);
 }
 
 #[test]
-fn runs_of_different_things_are_not_a_comparison() {
+fn runs_with_different_poles_or_tasks_are_not_a_comparison() {
     let dir = TempDir::new().expect("a folder");
     let out = |name: &str| dir.path().join("runs").join(name);
     train(&out("a"), &["--epochs", "1", "--set", "system.poles=2"]).assert().success();
     train(&out("b"), &["--epochs", "1", "--set", "system.poles=3"]).assert().success();
     let text = refusal(dir.path());
     assert!(text.contains("not runs of one comparison") && text.contains("poles = 3"), "{text}");
-    fs::remove_dir_all(out("b")).expect("it was there");
+    fs::remove_dir_all(out("b")).expect("the folder exists");
     physgrad(&["train", "guidance", "--epochs", "1", "--set", "training.train_samples=8", "--out"])
         .arg(out("b"))
         .assert()
         .success();
     let text = refusal(dir.path());
     assert!(text.contains("(cart_pole)") && text.contains("(guidance) are not runs of one comparison"), "{text}");
-    fs::rename(dir.path().join("runs"), dir.path().join("others")).expect("it was there");
+    fs::rename(dir.path().join("runs"), dir.path().join("others")).expect("the folder exists");
     let text = refusal(&dir.path().join("others"));
     assert!(text.contains("holds 2 runs or comparisons; choose one"), "{text}");
 }
 
 #[test]
-fn names_are_text_and_not_markup() {
+fn folder_names_are_escaped_in_html() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("<i>&\"x");
     train(&out, &["--epochs", "1"]).assert().success();
@@ -233,7 +233,7 @@ fn names_are_text_and_not_markup() {
 }
 
 #[test]
-fn pages_of_unfinished_runs_state_it() {
+fn pages_state_that_a_run_failed_was_interrupted_or_has_no_epoch() {
     let dir = TempDir::new().expect("a folder");
     let (broken, all, none, one) =
         (dir.path().join("broken"), dir.path().join("all"), dir.path().join("none"), dir.path().join("one"));
@@ -268,10 +268,10 @@ fn pages_of_unfinished_runs_state_it() {
 }
 
 #[test]
-fn an_adjoint_beyond_the_range_of_f32_is_drawn_to_the_start() {
+fn adjoint_norms_above_the_largest_f32_are_drawn_to_step_0() {
     let dir = TempDir::new().expect("a folder");
-    // The cart is so light that small policy noise moves it strongly: states stay finite, and their
-    // derivatives grow. For lighter carts, finiteness depends on rounding.
+    // The cart is so light that the controls of the untrained policy move it strongly: states stay
+    // finite, and their derivatives grow. For lighter carts, finiteness depends on rounding.
     let light = ["--set", "system.cart_mass=2e-4", "--set", "system.pole_mass=2e-4", "--set", "policy.zero_init_output=false"];
     train(dir.path(), &["--epochs", "0"]).args(light).args(["--set", "horizon=1500"]).assert().success();
     let page = report(dir.path());
@@ -284,7 +284,7 @@ fn an_adjoint_beyond_the_range_of_f32_is_drawn_to_the_start() {
 }
 
 #[test]
-fn unreportable_folders_are_refused_with_the_reason() {
+fn folders_without_a_run_or_with_half_a_checkpoint_are_refused() {
     let dir = TempDir::new().expect("a folder");
     assert!(refusal(&dir.path().join("nowhere")).contains("there is no folder"));
     assert!(refusal(dir.path()).contains("there is no run in"));

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 use toml::Table;
 
-/// Builds the command that trains a preset or file and writes to `out`.
+/// Returns the command that trains a preset or file and writes to `out`.
 fn train_scene(scene: &Path, out: &Path, args: &[&str]) -> assert_cmd::Command {
     let mut command = physgrad(&["train"]);
     command.arg(scene).args(args).arg("--out").arg(out);
@@ -15,7 +15,7 @@ fn train_scene(scene: &Path, out: &Path, args: &[&str]) -> assert_cmd::Command {
 }
 
 fn stdout(args: &[&str]) -> String {
-    let output = physgrad(args).output().expect("it runs");
+    let output = physgrad(args).output().expect("the command runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).expect("text")
 }
@@ -39,13 +39,13 @@ fn write(dir: &TempDir, text: &str) -> PathBuf {
 }
 
 #[test]
-fn every_preset_matches_its_name() {
+fn every_preset_has_the_task_and_the_number_in_its_name() {
     let dir = TempDir::new().expect("a folder");
     let names = presets();
     assert!(names.len() >= 14, "{names:?}");
     for name in &names {
         let out = dir.path().join(name);
-        assert!(stdout(&["scene", name]).starts_with("# "), "{name} has a description");
+        assert!(stdout(&["scene", name]).starts_with("# "), "the first line of {name} is a description");
         let options = ["--epochs", "0", "--set", "training.train_samples=4", "--set", "training.test_samples=4"];
         train_scene(Path::new(name), &out, &options).assert().success();
         let settings = settings(&out);
@@ -62,7 +62,7 @@ fn every_preset_matches_its_name() {
 }
 
 #[test]
-fn the_presets_of_the_tasks_are_their_defaults_in_full() {
+fn the_presets_of_the_tasks_of_the_paper_list_all_defaults() {
     let tasks = stdout(&["tasks"]);
     for task in ["cart_pole", "guidance", "quantum"] {
         let listed = tasks.split(&format!("{task}: ")).nth(1).expect("the task").lines().skip(2);
@@ -114,7 +114,7 @@ fn absent_settings_have_the_defaults_of_the_task() {
         .assert()
         .success();
     assert!(compare.join("runs/R-0/run.toml").exists());
-    let checks = physgrad(&["check"]).arg(&file).output().expect("it runs");
+    let checks = physgrad(&["check"]).arg(&file).output().expect("the command runs");
     assert!(String::from_utf8_lossy(&checks.stdout).contains("my_scene.toml: system"));
 }
 
@@ -128,7 +128,7 @@ fn a_resampled_run_resumes_with_equal_bits_and_a_decay_fixes_the_number_of_epoch
     let [whole, part] = ["whole", "part"].map(|name| dir.path().join(name));
     train_scene(&file, &whole, &SMALL).assert().success();
     assert_eq!(settings(&whole)["training"]["decay_end"].as_float(), Some(0.01));
-    // A decay over two epochs has other learning rates than one over three.
+    // A decay over two epochs has other learning rates than a decay over three.
     train_scene(&file, &part, &[&SMALL[..], &["--epochs", "2"]].concat()).assert().success();
     let error = error_of(&mut train_scene(&file, &part, &["--resume", "--epochs", "3"]));
     assert!(error.contains("only while `training.decay` is constant") && error.contains("epochs = 3"), "{error}");
@@ -311,7 +311,7 @@ fn errors_distinguish_command_line_and_file() {
 }
 
 #[test]
-fn effects_are_added_and_left_out_on_the_command_line() {
+fn set_adds_steady_wind_and_without_removes_gusty_wind_and_lag() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("run");
     let options = [&SMALL[..], &["--epochs", "1"]].concat();
@@ -325,7 +325,7 @@ fn effects_are_added_and_left_out_on_the_command_line() {
 }
 
 #[test]
-fn the_same_command_resumes_a_run_and_names_differences() {
+fn the_same_command_resumes_a_run_and_another_scene_prints_its_differences() {
     let dir = TempDir::new().expect("a folder");
     let out = dir.path().join("run");
     let start = [&SMALL[..], &["--epochs", "1", "--without", "effects.lag"]].concat();
@@ -343,7 +343,7 @@ fn the_same_command_resumes_a_run_and_names_differences() {
 }
 
 #[test]
-fn states_that_effects_and_actuators_add_are_named_in_trajectories() {
+fn trajectories_name_actuator_states_the_phase_of_gusts_and_applied_forces() {
     let dir = TempDir::new().expect("a folder");
     let options = [&SMALL[..], &["--epochs", "1", "--set", "actuator.delay.steps=2"]].concat();
     train_scene(Path::new("cart_pole_windy"), dir.path(), &options).assert().success();
@@ -397,11 +397,11 @@ fn the_force_of_a_row_accelerates_the_block_to_the_next_row() {
         }
         assert_eq!([rollout[12][column("push")], rollout[12][column("push_applied")]], [None; 2]);
     }
-    assert!(largest > 0.005, "the motor pushes: {largest}");
+    assert!(largest > 0.005, "the largest force of the motor is {largest} N, not more than 0.005 N");
 }
 
 #[test]
-fn without_refuses_absent_effects() {
+fn without_wind_is_refused_if_the_scene_has_no_effect() {
     let dir = TempDir::new().expect("a folder");
     let error = error_of(&mut train(dir.path(), &["--without", "wind"]));
     assert!(

@@ -1,5 +1,5 @@
-//! Reliability: concurrent processes, signals, closed pipes and full disks neither lose work nor
-//! fail silently.
+//! Concurrent processes, signals, closed pipes and full disks: no finished work is lost, and errors
+//! are reported.
 #![cfg(unix)]
 
 use crate::running::{SMALL, error_of, physgrad, process, train};
@@ -40,14 +40,16 @@ fn metrics(out: &Path) -> Vec<String> {
 fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     let begin = Instant::now();
     while !holds() {
-        assert!(begin.elapsed() < Duration::from_secs(120), "{what}");
+        assert!(begin.elapsed() < Duration::from_secs(120), "not within 120 s: {what}");
         std::thread::sleep(Duration::from_millis(5));
     }
 }
 
 /// Waits until the run has recorded at least `epochs` epochs.
 fn wait_for_epochs(out: &Path, epochs: usize) {
-    wait_until("the run begins", || fs::read_to_string(out.join("metrics.csv")).is_ok_and(|text| text.lines().count() > epochs));
+    wait_until("the run completes the epochs", || {
+        fs::read_to_string(out.join("metrics.csv")).is_ok_and(|text| text.lines().count() > epochs)
+    });
 }
 
 fn signal(child: &Child, name: &str) {
@@ -68,14 +70,15 @@ fn assert_complete(out: &Path) {
 }
 
 #[test]
-fn of_a_hundred_simultaneous_starts_one_runs_and_the_others_are_refused() {
+fn one_of_100_simultaneous_starts_runs_and_99_are_refused() {
     let (_dir, out) = folder();
     let mut children: Vec<Child> =
-        (0..100).map(|_| process(&out, &["--epochs", ENDLESS, "--threads", "1"]).spawn().expect("it starts")).collect();
+        (0..100).map(|_| process(&out, &["--epochs", ENDLESS, "--threads", "1"]).spawn().expect("the process starts")).collect();
     let mut refused: Vec<Output> = Vec::new();
     wait_until("99 processes end", || {
-        while let Some(ended) = children.iter_mut().position(|child| child.try_wait().expect("it is a child").is_some()) {
-            refused.push(children.swap_remove(ended).wait_with_output().expect("it has ended"));
+        while let Some(ended) = children.iter_mut().position(|child| child.try_wait().expect("the process is a child").is_some())
+        {
+            refused.push(children.swap_remove(ended).wait_with_output().expect("the process has ended"));
         }
         refused.len() >= 99
     });
@@ -88,13 +91,13 @@ fn of_a_hundred_simultaneous_starts_one_runs_and_the_others_are_refused() {
     }
     wait_for_epochs(&out, 2);
     signal(&survivor, "TERM");
-    assert_eq!(survivor.wait_with_output().expect("it ends").status.code(), Some(143));
+    assert_eq!(survivor.wait_with_output().expect("the process ends").status.code(), Some(143));
     assert_complete(&out);
-    assert_eq!(fs::read_dir(out.parent().expect("a parent")).expect("a folder").count(), 1, "nothing was moved aside");
+    assert_eq!(fs::read_dir(out.parent().expect("a parent")).expect("a folder").count(), 1, "no run was renamed");
 }
 
 #[test]
-fn two_resumes_of_one_run_give_the_metrics_of_one() {
+fn two_simultaneous_resumes_give_the_metrics_of_one_uninterrupted_run() {
     let (dir, out) = folder();
     let whole = dir.path().join("whole");
     train(&whole, &["--epochs", "12"]).assert().success();
@@ -102,9 +105,9 @@ fn two_resumes_of_one_run_give_the_metrics_of_one() {
     for epochs in ["6", "12"] {
         let resume = || {
             let mut command = process(&out, &["--resume", "--epochs", epochs]);
-            command.spawn().expect("it starts")
+            command.spawn().expect("the process starts")
         };
-        let pair = [resume(), resume()].map(|child| child.wait_with_output().expect("it ends"));
+        let pair = [resume(), resume()].map(|child| child.wait_with_output().expect("the process ends"));
         assert!(pair.iter().any(|output| output.status.success()));
         for output in pair {
             assert!(output.status.success() || text(&output.stderr).contains("in use by"), "{}", text(&output.stderr));
@@ -118,28 +121,28 @@ fn two_resumes_of_one_run_give_the_metrics_of_one() {
 fn a_comparison_waits_for_a_run_of_another_process() {
     let dir = TempDir::new().expect("a folder");
     let run = dir.path().join("runs/C-0");
-    let mut first = process(&run, &["--epochs", ENDLESS]).spawn().expect("it starts");
+    let mut first = process(&run, &["--epochs", ENDLESS]).spawn().expect("the process starts");
     wait_for_epochs(&run, 1);
     let mut compare = Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
     compare.args(["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", ENDLESS, "--out"]).arg(dir.path());
-    let compare = compare.args(SMALL).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
+    let compare = compare.args(SMALL).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the process starts");
     wait_until("the comparison holds its folder", || dir.path().join(".physgrad.lock").exists());
     // A second comparison in the folder is refused.
     let mut second = physgrad(&["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", ENDLESS, "--out"]);
     assert!(error_of(second.arg(dir.path()).args(SMALL)).contains("in use by process"));
     let done = metrics(&run).len();
-    first.kill().expect("it is killed");
-    first.wait().expect("it ends");
+    first.kill().expect("the process is killed");
+    first.wait().expect("the process ends");
     wait_for_epochs(&run, done + 5);
     signal(&compare, "INT");
-    let output = compare.wait_with_output().expect("it ends");
+    let output = compare.wait_with_output().expect("the process ends");
     assert_eq!(output.status.code(), Some(130), "{}", text(&output.stderr));
     assert!(text(&output.stderr).contains("waiting for the folder"), "{}", text(&output.stderr));
     assert_complete(&run);
 }
 
 #[test]
-fn a_reader_that_stops_reading_does_not_stop_the_training() {
+fn closed_output_pipes_do_not_stop_the_training() {
     for closed in ["stdout", "stderr", "both"] {
         let (_dir, out) = folder();
         let mut command = process(&out, &["--epochs", "3"]);
@@ -154,7 +157,7 @@ fn a_reader_that_stops_reading_does_not_stop_the_training() {
         if closed != "stdout" {
             command.stderr(pipe());
         }
-        let status = command.status().expect("it runs");
+        let status = command.status().expect("the command runs");
         assert!(status.success(), "{closed}: {status}");
         assert_complete(&out);
     }
@@ -167,13 +170,13 @@ fn full() -> File {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn messages_that_cannot_be_written_stop_nothing_and_results_are_an_error() {
+fn a_full_standard_error_is_ignored_and_a_full_standard_output_is_an_error() {
     let (_dir, out) = folder();
-    let status = process(&out, &["--epochs", "2"]).stderr(full()).status().expect("it runs");
+    let status = process(&out, &["--epochs", "2"]).stderr(full()).status().expect("the command runs");
     assert!(status.success(), "{status}");
     assert_complete(&out);
     let (_dir, out) = folder();
-    let output = process(&out, &["--epochs", "2"]).stdout(full()).output().expect("it runs");
+    let output = process(&out, &["--epochs", "2"]).stdout(full()).output().expect("the command runs");
     assert_eq!(output.status.code(), Some(1));
     assert!(text(&output.stderr).contains("standard output"), "{}", text(&output.stderr));
     assert_complete(&out);
@@ -187,20 +190,20 @@ fn messages_that_cannot_be_written_stop_nothing_and_results_are_an_error() {
         &["stress", "--list"],
     ] {
         let mut command = Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));
-        let output = command.args(args).stdout(full()).stderr(Stdio::piped()).output().expect("it runs");
+        let output = command.args(args).stdout(full()).stderr(Stdio::piped()).output().expect("the command runs");
         assert_eq!(output.status.code(), Some(1), "{args:?}");
         assert!(text(&output.stderr).contains("No space left"), "{args:?}: {}", text(&output.stderr));
     }
 }
 
 #[test]
-fn an_earlier_run_is_moved_by_one_rename_and_foreign_files_stay() {
+fn an_earlier_run_is_renamed_and_a_folder_with_foreign_files_is_refused() {
     let (dir, out) = folder();
     let again = || train(&out, &["--epochs", "1", "--seed", "9"]);
     train(&out, &["--epochs", "1"]).assert().success();
     let first = policy(&out);
     assert!(error_of(&mut train(&out, &["--threads", "0"])).contains("--threads"));
-    assert!(policy(&out) == first, "a mistake moves nothing");
+    assert!(policy(&out) == first, "an invalid option renames no run");
 
     fs::write(out.join("notes.txt"), "mine").expect("a file");
     let error = error_of(&mut again());
@@ -208,7 +211,7 @@ fn an_earlier_run_is_moved_by_one_rename_and_foreign_files_stay() {
     assert!(policy(&out) == first);
     fs::remove_file(out.join("notes.txt")).expect("a file");
 
-    let output = again().output().expect("it runs");
+    let output = again().output().expect("the command runs");
     assert!(output.status.success() && text(&output.stderr).contains("run.previous-1"));
     assert!(policy(&dir.path().join("run.previous-1")) == first && policy(&out) != first);
     again().assert().success();
@@ -226,17 +229,17 @@ fn an_earlier_run_is_moved_by_one_rename_and_foreign_files_stay() {
 }
 
 #[test]
-fn staggered_starts_lose_no_finished_run() {
+fn sixty_staggered_starts_lose_no_finished_run() {
     let (dir, out) = folder();
     let start = |seed: usize| {
         std::thread::sleep(Duration::from_millis(7));
         let seed = seed.to_string();
-        (seed.clone(), process(&out, &["--epochs", "1", "--seed", &seed]).spawn().expect("it starts"))
+        (seed.clone(), process(&out, &["--epochs", "1", "--seed", &seed]).spawn().expect("the process starts"))
     };
     let children: Vec<(String, Child)> = (0..60).map(start).collect();
     let mut finished = Vec::new();
     for (seed, child) in children {
-        let output = child.wait_with_output().expect("it ends");
+        let output = child.wait_with_output().expect("the process ends");
         let error = text(&output.stderr);
         assert!(output.status.success() || error.contains("in use by process"), "{error}");
         finished.extend(output.status.success().then_some(format!("seed = {seed}")));
@@ -254,7 +257,7 @@ fn staggered_starts_lose_no_finished_run() {
 }
 
 #[test]
-fn the_folder_of_an_earlier_run_may_be_behind_a_link() {
+fn an_earlier_run_behind_a_symbolic_link_is_renamed() {
     let (dir, out) = folder();
     let link = dir.path().join("link");
     fs::create_dir(&out).expect("a folder");
@@ -267,7 +270,7 @@ fn the_folder_of_an_earlier_run_may_be_behind_a_link() {
 }
 
 #[test]
-fn runs_and_comparisons_do_not_mix() {
+fn a_run_is_refused_in_the_folder_of_a_comparison_and_vice_versa() {
     let (_dir, out) = folder();
     let compare = || {
         let mut compare = physgrad(&["compare", "cart_pole", "--fields", "C", "--seeds", "1", "--epochs", "1", "--out"]);
@@ -283,8 +286,8 @@ fn runs_and_comparisons_do_not_mix() {
 }
 
 #[test]
-fn devices_and_pipes_neither_hang_nor_are_written_to() {
-    let fifo = |path: &Path| assert!(Command::new("mkfifo").arg(path).status().expect("it runs").success());
+fn named_pipes_are_refused_and_hard_links_are_not_written_through() {
+    let fifo = |path: &Path| assert!(Command::new("mkfifo").arg(path).status().expect("the command runs").success());
     let (_dir, out) = folder();
     fs::create_dir(&out).expect("a folder");
     fifo(&out.join(".physgrad.lock"));
@@ -339,13 +342,13 @@ fn symbolic_links_are_not_written_through() {
 }
 
 #[test]
-fn the_first_signal_ends_the_run_in_order() {
+fn the_first_signal_saves_a_complete_run_that_resumes() {
     for (name, status) in [("INT", 130), ("TERM", 143), ("HUP", 129)] {
         let (_dir, out) = folder();
-        let child = process(&out, &["--epochs", ENDLESS]).spawn().expect("it starts");
+        let child = process(&out, &["--epochs", ENDLESS]).spawn().expect("the process starts");
         wait_for_epochs(&out, 2);
         signal(&child, name);
-        let output = child.wait_with_output().expect("it ends");
+        let output = child.wait_with_output().expect("the process ends");
         assert_eq!(output.status.code(), Some(status), "{name}");
         assert!(text(&output.stdout).contains("--resume"), "{name}");
         assert_complete(&out);
@@ -358,18 +361,19 @@ fn the_first_signal_ends_the_run_in_order() {
 const LONG_EPOCHS: [&str; 4] = ["--set", "training.train_samples=100000", "--set", "training.batch=1"];
 
 #[test]
-fn the_second_signal_stops_at_once_and_leaves_the_checkpoint() {
+fn the_second_signal_stops_within_the_epoch_and_keeps_the_checkpoint() {
     let (_dir, out) = folder();
-    let mut child = process(&out, &["--epochs", "2", "--threads", "1"]).args(LONG_EPOCHS).spawn().expect("it starts");
+    let mut child = process(&out, &["--epochs", "2", "--threads", "1"]).args(LONG_EPOCHS).spawn().expect("the process starts");
     wait_until("the run begins", || out.join("metrics.csv").exists());
     signal(&child, "TERM");
-    // The program answers the first signal within the epoch. A newer checkpoint is no evidence of
-    // the signal, because the program also saves periodically.
-    let messages = BufReader::new(child.stderr.take().expect("it is piped")).lines();
-    let answer = messages.map(|line| line.expect("it is text")).find(|line| line.contains("a second signal stops immediately"));
-    assert!(answer.is_some(), "the first signal was not answered");
+    // After the first signal, the program prints a message within the epoch. A newer checkpoint is
+    // no evidence of the signal, because the program also saves periodically.
+    let messages = BufReader::new(child.stderr.take().expect("standard error is piped")).lines();
+    let answer =
+        messages.map(|line| line.expect("the messages are text")).find(|line| line.contains("a second signal stops immediately"));
+    assert!(answer.is_some(), "no message follows the first signal");
     signal(&child, "HUP");
-    assert_eq!(child.wait().expect("it ends").code(), Some(129));
+    assert_eq!(child.wait().expect("the process ends").code(), Some(129));
     assert!(!out.join("policy.safetensors").exists());
     physgrad(&["animate"]).arg(&out).assert().success();
 }
@@ -382,28 +386,28 @@ fn an_ignored_signal_stays_ignored() {
     shell.args(["-c", "trap '' HUP; exec \"$@\"", "sh"]);
     let train = process(&out, &["--epochs", ENDLESS]);
     shell.arg(train.get_program()).args(train.get_args()).stdout(Stdio::null()).stderr(Stdio::null());
-    let mut child = shell.spawn().expect("it starts");
+    let mut child = shell.spawn().expect("the process starts");
     wait_for_epochs(&out, 1);
     signal(&child, "HUP");
     let done = metrics(&out).len();
     wait_for_epochs(&out, done + 3);
     signal(&child, "TERM");
-    assert_eq!(child.wait().expect("it ends").code(), Some(143));
+    assert_eq!(child.wait().expect("the process ends").code(), Some(143));
 }
 
 #[test]
 fn a_run_killed_within_an_epoch_resumes_there_to_the_same_bits() {
     let (dir, out) = folder();
     let args = ["--epochs", "2", "--save-every", "0", "--set", "training.train_samples=2000", "--set", "training.shuffle=true"];
-    let mut child = process(&out, &args).spawn().expect("it starts");
+    let mut child = process(&out, &args).spawn().expect("the process starts");
     let mut states = Vec::new();
-    wait_until("five checkpoints of the first epoch", || {
+    wait_until("the run writes six checkpoints in its first epoch", || {
         states.extend(fs::read(out.join("checkpoint.bin")).ok().filter(|state| states.last() != Some(state)));
         states.len() > 5
     });
-    child.kill().expect("it is killed");
-    assert_eq!(child.wait().expect("it ends").signal(), Some(9));
-    assert_eq!(metrics(&out).len(), 1, "no epoch is done");
+    child.kill().expect("the process is killed");
+    assert_eq!(child.wait().expect("the process ends").signal(), Some(9));
+    assert_eq!(metrics(&out).len(), 1, "the metrics have a header and no epoch");
     train(&out, &args).arg("--resume").assert().success();
     let whole = dir.path().join("whole");
     train(&whole, &args[..2]).args(&args[4..]).assert().success();
@@ -412,20 +416,20 @@ fn a_run_killed_within_an_epoch_resumes_there_to_the_same_bits() {
 }
 
 #[test]
-fn a_training_without_an_update_has_a_status_of_its_own() {
+fn a_training_without_an_update_exits_with_status_3() {
     let diverges = ["--set", "system.gravity=1e38", "--set", "system.dt=1e5", "--quiet", "--epochs", "2"];
     let (_dir, out) = folder();
-    let output = train(&out, &diverges).output().expect("it runs");
+    let output = train(&out, &diverges).output().expect("the command runs");
     let error = text(&output.stderr);
     assert_eq!(output.status.code(), Some(3), "{error}");
     assert!(error.contains("no update was applied") && error.contains("3 update(s) skipped"), "{error}");
     let (_dir, out) = folder();
-    let output = train(&out, &[&diverges[..5], &["--epochs", "100"]].concat()).output().expect("it runs");
-    assert_eq!(output.status.code(), Some(3), "updates in a row: {}", text(&output.stderr));
+    let output = train(&out, &[&diverges[..5], &["--epochs", "100"]].concat()).output().expect("the command runs");
+    assert_eq!(output.status.code(), Some(3), "too many skipped updates in a row: {}", text(&output.stderr));
 
     let (_dir, out) = folder();
     let mut compare = physgrad(&["compare", "cart_pole", "--fields", "R,C", "--seeds", "1", "--out"]);
-    let output = compare.arg(&out).args(SMALL).args(diverges).output().expect("it runs");
+    let output = compare.arg(&out).args(SMALL).args(diverges).output().expect("the command runs");
     let error = text(&output.stderr);
     assert_eq!(output.status.code(), Some(3), "{error}");
     assert!(error.contains("2 of 2 runs (R seed 0, C seed 0)"), "{error}");
@@ -433,7 +437,7 @@ fn a_training_without_an_update_has_a_status_of_its_own() {
 }
 
 #[test]
-fn mistakes_have_no_side_effects() {
+fn commands_with_invalid_settings_change_and_create_no_folder() {
     let (dir, out) = folder();
     train(&out, &["--epochs", "1"]).assert().success();
     let first = policy(&out);
@@ -452,29 +456,29 @@ fn mistakes_have_no_side_effects() {
 }
 
 #[test]
-fn a_limit_on_the_size_of_files_is_an_error() {
+fn exceeding_the_file_size_limit_is_an_error() {
     let (_dir, out) = folder();
     let mut shell = Command::new("sh");
     // Blocks have 512 bytes in POSIX, 1,024 in some shells.
     shell.args(["-c", "ulimit -f 4; exec \"$@\"", "sh"]);
     let train = process(&out, &["--epochs", "60"]);
-    let output = shell.arg(train.get_program()).args(train.get_args()).output().expect("it runs");
+    let output = shell.arg(train.get_program()).args(train.get_args()).output().expect("the command runs");
     let error = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{error}");
     assert!(error.contains("cannot write") && error.contains("File too large"), "{error}");
 }
 
 #[test]
-fn a_folder_that_is_removed_or_replaced_during_the_run_is_an_error() {
+fn a_folder_that_is_renamed_or_replaced_during_the_run_is_an_error() {
     for replaced in [false, true] {
         let (dir, out) = folder();
-        let child = process(&out, &["--epochs", "2000", "--save-every", "0.05"]).spawn().expect("it starts");
+        let child = process(&out, &["--epochs", "2000", "--save-every", "0.05"]).spawn().expect("the process starts");
         wait_for_epochs(&out, 2);
         fs::rename(&out, dir.path().join("moved")).expect("a folder");
         if replaced {
             fs::create_dir(&out).expect("a folder");
         }
-        let output = child.wait_with_output().expect("it ends");
+        let output = child.wait_with_output().expect("the process ends");
         let error = text(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{error}");
         assert!(error.contains("was removed or replaced"), "{error}");

@@ -1,9 +1,9 @@
 //! Power loss at any time: the program logs its file operations, and the test replays each prefix
 //! of the log.
 //!
-//! The disk model is pessimistic. After a power loss, a folder has either its current names or
-//! those of its last synchronization. A file has its current bytes, those of its last
-//! synchronization, or the synchronized bytes and half of the rest.
+//! The disk model is pessimistic. After a power loss, either all folders have their current names,
+//! or all have the names of their last synchronization. Files have their current bytes, the
+//! synchronized bytes, or the synchronized bytes and half of the rest.
 #![cfg(unix)]
 
 use crate::running::{SMALL, physgrad};
@@ -18,6 +18,8 @@ use tempfile::TempDir;
 /// Entries of a folder: names and indices of nodes.
 type Names = BTreeMap<String, usize>;
 
+/// Folder or file, with its current contents (`now`) and those of its last synchronization
+/// (`synced`).
 #[derive(Clone)]
 enum Node {
     Folder { now: Names, synced: Names },
@@ -27,7 +29,7 @@ enum Node {
 /// Files and folders after a power loss. A folder has the value `None`.
 type Tree = BTreeMap<PathBuf, Option<Vec<u8>>>;
 
-/// Unsynchronized bytes that survive.
+/// Unsynchronized bytes that remain after a power loss.
 #[derive(Clone, Copy)]
 enum Bytes {
     All,
@@ -35,14 +37,17 @@ enum Bytes {
     Half,
 }
 
+/// Model of the disk.
 #[derive(Clone)]
 struct Disk {
+    /// Path of the root folder.
     root: PathBuf,
+    /// Folders and files. The first node is the root folder.
     nodes: Vec<Node>,
 }
 
 impl Disk {
-    /// Returns the current contents of a folder, all of them synchronized.
+    /// Returns the current contents of a folder, all synchronized.
     fn of(root: &Path) -> Self {
         let mut disk = Self { root: root.canonicalize().expect("a folder"), nodes: Vec::new() };
         disk.load(root);
@@ -67,7 +72,7 @@ impl Disk {
     }
 
     fn find(&self, path: &Path) -> usize {
-        // Relative paths start at the root, in which the program runs.
+        // Relative paths start at the root folder, in which the program runs.
         let inside = path.strip_prefix(&self.root).unwrap_or(path);
         inside.components().fold(0, |node, part| match (&self.nodes[node], part) {
             (_, Component::CurDir) => node,
@@ -122,18 +127,18 @@ impl Disk {
         }
     }
 
-    fn after_power_loss(&self, names_survive: bool, bytes: Bytes) -> Tree {
+    fn after_power_loss(&self, keeps_names: bool, bytes: Bytes) -> Tree {
         let mut tree = Tree::new();
-        self.collect(0, Path::new(""), names_survive, bytes, &mut tree);
+        self.collect(0, Path::new(""), keeps_names, bytes, &mut tree);
         tree
     }
 
-    fn collect(&self, node: usize, path: &Path, names_survive: bool, bytes: Bytes, tree: &mut Tree) {
+    fn collect(&self, node: usize, path: &Path, keeps_names: bool, bytes: Bytes, tree: &mut Tree) {
         match &self.nodes[node] {
             Node::Folder { now, synced } => {
                 tree.insert(path.to_owned(), None);
-                for (name, &node) in if names_survive { now } else { synced } {
-                    self.collect(node, &path.join(name), names_survive, bytes, tree);
+                for (name, &node) in if keeps_names { now } else { synced } {
+                    self.collect(node, &path.join(name), keeps_names, bytes, tree);
                 }
             }
             Node::File { now, synced } => {
@@ -154,8 +159,8 @@ fn states(mut disk: Disk, log: &[Value]) -> BTreeSet<Tree> {
     let mut states = BTreeSet::new();
     for operation in [None].into_iter().chain(log.iter().map(Some)) {
         operation.into_iter().for_each(|operation| disk.replay(operation));
-        for names_survive in [true, false] {
-            states.extend([Bytes::All, Bytes::None, Bytes::Half].map(|bytes| disk.after_power_loss(names_survive, bytes)));
+        for keeps_names in [true, false] {
+            states.extend([Bytes::All, Bytes::None, Bytes::Half].map(|bytes| disk.after_power_loss(keeps_names, bytes)));
         }
     }
     states
@@ -172,7 +177,7 @@ fn write(tree: &Tree, root: &Path) {
 
 /// Runs the program in the folder. Returns its messages on failure.
 fn run(folder: &Path, args: &[&str]) -> Result<(), String> {
-    let output = physgrad(args).args(SMALL).current_dir(folder).output().expect("it runs");
+    let output = physgrad(args).args(SMALL).current_dir(folder).output().expect("the command runs");
     if output.status.success() { Ok(()) } else { Err(String::from_utf8_lossy(&output.stderr).into_owned()) }
 }
 
@@ -184,12 +189,12 @@ struct Scenario {
 }
 
 impl Scenario {
-    /// Runs `first`, if given, and records `command`.
+    /// Runs `first`, if given. Then runs `command` and records its file operations.
     fn record(first: Option<&[&str]>, command: &[&str]) -> Self {
         let folder = TempDir::new().expect("a folder");
         let logs = TempDir::new().expect("a folder");
         if let Some(first) = first {
-            run(folder.path(), first).expect("it succeeds");
+            run(folder.path(), first).expect("the first command succeeds");
         }
         let before = Disk::of(folder.path());
         let log = logs.path().join("log");
@@ -205,8 +210,8 @@ impl Scenario {
         fs::read(self.folder.path().join(path)).expect(path)
     }
 
-    /// Recovers from each state in a separate folder. Returns the number of states, and the failed
-    /// ones.
+    /// Recovers from each state in a separate folder. Returns the number of states, and a message
+    /// for each failed recovery.
     fn recover(&self, recover: &dyn Fn(&Path) -> Result<(), String>) -> (usize, Vec<String>) {
         let states = states(self.before.clone(), &self.log);
         let failed = states.iter().filter_map(|tree| {
@@ -222,7 +227,7 @@ impl Scenario {
     fn assert_recovers(&self, recover: &dyn Fn(&Path) -> Result<(), String>) {
         let (states, failed) = self.recover(recover);
         println!("{} operations, {states} states", self.log.len());
-        assert!(states > self.log.len() / 2, "{states}");
+        assert!(states > self.log.len() / 2, "only {states} states for {} operations", self.log.len());
         assert!(failed.is_empty(), "{} of {states} states: {}", failed.len(), failed[0]);
     }
 }
@@ -244,7 +249,7 @@ fn go_on(folder: &Path, start: &[&str]) -> Result<(), String> {
 const TRAIN: [&str; 8] = ["train", "cart_pole", "--out", "run", "--epochs", "2", "--save-every", "0"];
 
 #[test]
-fn a_training_survives_a_power_loss() {
+fn a_training_gives_the_same_policy_after_any_power_loss() {
     let scenario = Scenario::record(None, &TRAIN);
     let policy = scenario.file("run/policy.safetensors");
     let recover = |folder: &Path| {
@@ -253,14 +258,14 @@ fn a_training_survives_a_power_loss() {
     };
     scenario.assert_recovers(&recover);
 
-    // Without synchronization of files, the replay finds lost runs.
+    // Without synchronization of files, recovery fails from some states.
     let log = scenario.log.iter().filter(|operation| operation.get("sync").is_none()).cloned().collect();
     let unsafe_scenario = Scenario { log, ..Scenario::record(None, &TRAIN) };
     assert!(!unsafe_scenario.recover(&recover).1.is_empty());
 }
 
 #[test]
-fn a_resumed_training_survives_a_power_loss() {
+fn a_resumed_training_gives_the_same_policy_after_any_power_loss() {
     let first = ["train", "cart_pole", "--out", "run", "--epochs", "1"];
     let resume = ["train", "cart_pole", "--out", "run", "--resume", "--epochs", "2", "--save-every", "0"];
     let scenario = Scenario::record(Some(&first), &resume);
@@ -272,7 +277,7 @@ fn a_resumed_training_survives_a_power_loss() {
 }
 
 #[test]
-fn moving_a_run_aside_survives_a_power_loss() {
+fn renaming_an_earlier_run_loses_no_policy_after_any_power_loss() {
     let second = ["train", "cart_pole", "--out", "run", "--epochs", "2", "--seed", "1"];
     let scenario = Scenario::record(Some(&["train", "cart_pole", "--out", "run", "--epochs", "2"]), &second);
     let [old, new] = ["run.previous-1", "run"].map(|run| scenario.file(&format!("{run}/policy.safetensors")));
@@ -290,7 +295,7 @@ fn moving_a_run_aside_survives_a_power_loss() {
 }
 
 #[test]
-fn a_comparison_survives_a_power_loss() {
+fn a_comparison_gives_the_same_policies_after_any_power_loss() {
     let compare = ["compare", "cart_pole", "--fields", "R,C", "--seeds", "1", "--epochs", "1", "--threads", "1", "--out", "both"];
     let scenario = Scenario::record(None, &compare);
     let paths = ["R-0", "C-0"].map(|run| format!("both/runs/{run}/policy.safetensors"));

@@ -20,12 +20,12 @@ use row::{Errors, Row, Setting};
 use std::path::PathBuf;
 use toml::Value;
 
-/// Simulate a scene with every integrator, step size and precision; report errors of trajectory,
-/// loss and gradients, times, operations and memory.
+/// Simulate a scene with every integrator, step size and precision; report times, operations,
+/// memory, and the errors of trajectory, loss and gradients.
 ///
 /// The reference is a run in f64 with a high-order method and small steps, checked against half as
-/// many steps. The policy has the initial parameters of the scene, with a nonzero output layer.
-/// Eight samples run on one thread.
+/// many steps. The policy has the initial parameters of the scene, with a nonzero output layer. A
+/// rollout has eight samples and runs on one thread.
 #[derive(Debug, clap::Args)]
 #[command(mut_arg("epochs", |arg| arg.hide(true)))]
 pub struct Accuracy {
@@ -78,7 +78,8 @@ impl Metric {
         }
     }
 
-    /// Seconds of the pass that produces this quantity: forward, or forward with gradients.
+    /// Median seconds per step and sample of the pass that computes this quantity: forward, or
+    /// forward with gradients.
     fn time(self, row: &Row) -> f64 {
         row.seconds[usize::from(matches!(self, Self::R | Self::M))][1]
     }
@@ -95,8 +96,9 @@ impl Metric {
 
 /// Numbers of physics steps per control step.
 const SUBSTEPS: [usize; 5] = [1, 2, 4, 8, 16];
-/// Number of timing rounds, and the minimum time per round for each setting and pass, s.
+/// Number of timing rounds.
 const ROUNDS: usize = 5;
+/// Minimum time per round, setting and pass, s.
 const MIN_TIME: f64 = 0.003;
 
 /// Runs the command.
@@ -134,7 +136,7 @@ pub fn accuracy(args: &Accuracy) -> Result<()> {
         jobs.push(study.job(setting)?);
         bar.inc(1);
     }
-    // Interleaves the settings, so that other load on the machine affects all of them.
+    // Interleaves the settings: other load on the machine then affects all settings.
     let mut times = vec![Vec::new(); jobs.len()];
     for round in 0..ROUNDS {
         for (job, times) in jobs.iter_mut().zip(&mut times) {
@@ -184,8 +186,9 @@ fn bar(steps: usize, quiet: bool) -> ProgressBar {
 struct Study {
     /// Source of the scene with the user's overrides only.
     given: SceneSource,
+    /// Validated scene of `given`.
     scene: Scene,
-    /// Source of the scene with a nonzero output layer.
+    /// Source of the scene with the user's overrides and a nonzero initial output layer.
     source: SceneSource,
 }
 
@@ -225,7 +228,7 @@ impl Study {
     fn settings(&self) -> Vec<Setting> {
         let methods = ["native"].into_iter().chain(self.scene.task.methods().iter().map(|method| method.name()));
         let each = methods.flat_map(|method| {
-            // Takes only one step count for the adaptive method, which selects its step sizes.
+            // Tries one number of substeps for the adaptive method, which selects its step sizes.
             let counts = if method == "adaptive" { &SUBSTEPS[..1] } else { &SUBSTEPS };
             counts.iter().map(move |&substeps| (method, substeps))
         });

@@ -1,4 +1,4 @@
-//! `physgrad animate`: an animation of a trained policy.
+//! `physgrad animate`: animates a rollout of a trained policy.
 
 use crate::program::platform::folder::{ANIMATION, Folder};
 use crate::program::platform::terminal::print_result;

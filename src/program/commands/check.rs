@@ -12,7 +12,7 @@ use toml::Value;
 /// Check the gradients of systems, policies and whole rollouts against dual numbers.
 ///
 /// For a named task or scene, also check the stability of the time step in states of test rollouts,
-/// and whether the loss has a slope at the initial parameters.
+/// and the slope of the loss at the initial parameters.
 #[derive(Debug, clap::Args)]
 pub struct Check {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
@@ -48,7 +48,8 @@ pub fn check(args: &Check) -> Result<()> {
 /// Largest number of state components whose stability is computed.
 const MAX_STATES: usize = 100;
 
-/// Stability of the time step, compared with that of half the step where a scene admits it.
+/// Describes the stability of the time step. Compares an unstable step with half the step, if the
+/// scene admits substeps.
 fn stability(scene: &Scene, mut halved: SceneSource) -> Result<String> {
     let names = scene.state_names();
     if names.len() > MAX_STATES {
@@ -84,7 +85,7 @@ fn stability(scene: &Scene, mut halved: SceneSource) -> Result<String> {
     })
 }
 
-/// Named scenes to check.
+/// Scenes to check, with their names in the table.
 fn scenes(name: Option<&str>) -> Result<Vec<(String, Scene)>> {
     let tasks = tasks::all().iter().filter(|kind| name.is_none_or(|name| name == kind.name()));
     let variants: Vec<_> = tasks.flat_map(|kind| kind.variants()).collect();

@@ -65,7 +65,7 @@ pub fn compare(args: &Compare) -> Result<()> {
     let one = bases.len() == 1;
     let mut comparisons = Vec::new();
     for (name, base) in names.iter().zip(&bases) {
-        // With several scenes, each one has a comparison folder inside this folder.
+        // Several scenes have one comparison folder each, inside this folder.
         let (label, inner) = if one { ("", Folder::clone(&folder)) } else { (&**name, Folder::at(folder.file(name))) };
         comparisons.push(Comparison::plan(label, base, &args.fields, args.seeds, &inner)?);
     }
@@ -99,8 +99,8 @@ struct InScene<'a> {
     runs: Vec<Outcome<'a>>,
 }
 
-/// Okabe-Ito colours with grey in place of yellow, one per scene and field. With a single scene,
-/// curves have the field's colour.
+/// Okabe-Ito colours with grey in place of yellow, one per scene and field. Curves of a single
+/// scene have the colours of the fields instead.
 const COLORS: [&str; 8] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999"];
 
 /// One curve per scene and field.
@@ -117,7 +117,7 @@ fn all_curves(scenes: &[InScene]) -> Vec<Curve> {
 
 /// `summary.csv`: one row per run. Final losses of a failed run are NaN.
 fn summary(scenes: &[InScene]) -> Result<Vec<u8>> {
-    // The name of a single scene is omitted.
+    // Omits the name of a single scene.
     let omitted = usize::from(scenes.len() <= 1);
     let header = ["scene", "field", "seed", "final_train_loss", "final_test_loss", "best_test_loss", "seconds"];
     let runs = scenes.iter().flat_map(|scene| scene.runs.iter().map(move |run| (scene, run)));

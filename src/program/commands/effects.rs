@@ -159,7 +159,8 @@ fn parameters(page: &mut String, schema: &Value) {
     }
 }
 
-/// Symbols in the equations of a task, and the system size of its operation counts.
+/// Sentences that define the symbols in the equations of a task, and the size of the counted
+/// system.
 fn symbols(task: &str) -> &'static str {
     match task {
         "cart_pole" => {
@@ -178,7 +179,7 @@ fn symbols(task: &str) -> &'static str {
     }
 }
 
-/// Values for parameters without a default.
+/// Values for the parameters of an effect that have no default.
 fn required(name: &str) -> Table {
     match name {
         "limit" => toml::toml! { bound = 10.0 },

@@ -11,8 +11,8 @@ use anyhow::Result;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{ContentArrangement, Table};
 
-/// List the present and absent effects of a scene; count operations of a step and its VJP by
-/// effect, of costs and observations, and stored bytes.
+/// List the present and absent effects of a scene; count operations by effect, of costs and of
+/// observations, and stored bytes.
 ///
 /// All numbers are counts, not timings, so they are equal on every machine.
 #[derive(Debug, clap::Args)]
@@ -58,7 +58,7 @@ pub fn explain(args: &Explain) -> Result<()> {
     Ok(())
 }
 
-/// Joins the names. Abbreviates a list of more than 12.
+/// Joins the names. Abbreviates a list of more than 12 names.
 fn names(names: &[String]) -> String {
     match names {
         [first, second, third, _, .., last] if names.len() > 12 => format!("{first}, {second}, {third} … {last}"),
@@ -110,9 +110,9 @@ fn by_kind(counts: Ops) -> [i64; 8] {
 /// Operation counts of the system alone, of each part that is present, and of the whole; then of
 /// the costs and the observation.
 ///
-/// The count of a part is the count of the whole minus that of the scene without the part. Two
-/// actuators share operations at their boundary. The counts of both actuators include them, and the
-/// row "counted twice" shows the overlap.
+/// The count of a part is the count of the whole scene minus the count without the part. Two
+/// chained actuators share operations, which the counts of both include. The row "counted twice"
+/// shows these operations.
 fn operations(scene: &Scene) -> Result<Table> {
     let kinds = ["all", "add, subtract", "negate", "multiply", "divide", "root", "function", "compare"];
     let mut table = table(&[&["", "pass"][..], &kinds].concat());

@@ -6,9 +6,11 @@ use anyhow::{Context, Result, bail};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The task of `examples/own_program.rs`. A new crate replaces the names of its type and task.
+/// Source of the task that a new crate starts from.
 const EXAMPLE: &str = include_str!("../../../examples/own_program.rs");
+/// Type of the task in [`EXAMPLE`], which a new crate renames.
 const EXAMPLE_TYPE: &str = "BallBeam";
+/// Quoted name of the task in [`EXAMPLE`], which a new crate renames.
 const EXAMPLE_TASK: &str = "\"ball_beam\"";
 
 /// Write a crate with a task of your own: a commented system, a scene and a gradient check.
@@ -80,7 +82,7 @@ opt-level = 1
 opt-level = 3
 "#;
 
-/// The example with the name of the task, and a test of its gradients.
+/// Source of the new crate: the renamed example, and a test of its gradients.
 fn source(name: &str) -> String {
     let words = name.split('_').filter(|word| !word.is_empty());
     let type_name: String = words.map(|word| word[..1].to_uppercase() + &word[1..]).collect();

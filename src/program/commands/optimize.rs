@@ -34,7 +34,7 @@ pub struct Optimize {
     /// Bounds of the controls, as in force=-10:10, or -10:10 for all controls; may be repeated
     #[arg(long, value_name = "[NAME=]LOW:HIGH", allow_hyphen_values = true)]
     pub bound: Vec<String>,
-    /// Number of initial states, the first ones of the test set
+    /// Number of initial states, from the beginning of the test set
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub starts: usize,
     /// Largest number of iterations
@@ -131,8 +131,8 @@ fn starts(args: &Optimize, scene: &Scene) -> Result<Vec<Trajectory>> {
     }
 }
 
-/// Bounds in the order of the controls, infinite for controls that no argument names. None without
-/// arguments.
+/// Bounds `[low, high]` in the order of the controls, infinite for controls that no argument names.
+/// None without arguments.
 fn bounds(arguments: &[String], names: &[String]) -> Result<Option<Vec<[f64; 2]>>> {
     let mut bounds = vec![[f64::NEG_INFINITY, f64::INFINITY]; names.len()];
     for argument in arguments {

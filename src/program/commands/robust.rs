@@ -59,15 +59,17 @@ impl Axis {
 
 /// Result of one policy at one grid point.
 struct Cell {
+    /// Index of the run.
     run: usize,
     /// Value of each setting.
     at: Vec<f64>,
     /// Quartiles and 90 % quantile of the losses. The loss of a diverged rollout is infinite.
     quantiles: [f64; 4],
+    /// Number of diverged rollouts.
     diverged: usize,
 }
 
-/// Shares of the quantiles in tables.
+/// Probabilities of the quantiles in a [`Cell`].
 const SHARES: [f64; 4] = [0.25, 0.5, 0.75, 0.9];
 
 /// Runs the command.
@@ -105,11 +107,15 @@ pub fn robust(args: &Robust) -> Result<()> {
     print_result(&format!("{}\nresults in {}: robust.csv, robust.svg", table(args, &runs, &cells), folder.path().display()))
 }
 
-/// A trained policy and the scene of its run, with trained numbers at their values.
+/// A trained policy and the scene of its run.
 struct Policy {
+    /// Name of the run's folder.
     name: String,
+    /// Settings of the run, with trained numbers fixed at their final values.
     source: SceneSource,
+    /// Scene of the run.
     scene: Scene,
+    /// Parameters of the policy, without trained numbers.
     theta: Vec<f64>,
 }
 

@@ -105,8 +105,8 @@ fn seconds(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(allowed).ok_or_else(|| "allowed: 0 (after every update) to 86400 s".to_owned())
 }
 
-/// Checks that a named scene has the task of the resumed run. Prints the settings in which a scene
-/// file differs from it.
+/// Checks that a named scene has the task of the resumed run. Prints the settings that differ
+/// between a scene file and the run.
 fn check_scene(folder: &Folder, scene: &Scene, file: &str, overrides: &Overrides) -> Result<()> {
     let mut source = presets::source(file)?;
     let [named, saved] = [source.scene()?.task.name(), scene.task.name()];

@@ -23,17 +23,17 @@ pub fn check(task: &DynTask, policy: &impl Policy, variant: &str, results: &mut 
     }
 }
 
-/// Where the step amplifies perturbations most, among states of test rollouts.
+/// Largest amplification of a perturbation by a step, among states of test rollouts.
 pub struct Amplification {
-    /// Test rollout.
+    /// Index of the test rollout.
     pub sample: usize,
     /// Step of the rollout.
     pub step: usize,
     pub stability: Stability,
 }
 
-/// Largest amplification in states of test rollouts with initial parameters. `None` without such
-/// states.
+/// Largest amplification in states of test rollouts with initial parameters. `None` if all rollouts
+/// diverge in their first step.
 pub fn amplification(task: &DynTask, policy: &impl Policy, seed: u64) -> Option<Amplification> {
     let weights = Weights::<f64>::init(policy, &mut stream(seed, Purpose::Policy, 0));
     let starts = initial_states(task, seed, Purpose::Test, ROLLOUTS);
@@ -44,7 +44,7 @@ pub fn amplification(task: &DynTask, policy: &impl Policy, seed: u64) -> Option<
     });
     let amplifications =
         states.map(|(sample, step, inputs)| Amplification { sample, step, stability: check::stability(task.system(), inputs) });
-    // NaN is the largest.
+    // `total_cmp` ranks NaN above every number.
     amplifications.max_by(|a, b| a.stability.multiplier.total_cmp(&b.stability.multiplier))
 }
 
@@ -54,9 +54,9 @@ pub fn plateau(task: &DynTask, policy: &impl Policy, seed: u64) -> Result<Platea
     check::plateau(task, policy, &weights, &initial_states(task, seed, Purpose::Test, ROLLOUTS))
 }
 
-/// Number of test rollouts.
+/// Number of test rollouts of [`amplification`] and [`plateau`].
 const ROLLOUTS: usize = 4;
-/// Largest number of states per rollout.
+/// Largest number of states per rollout at which [`amplification`] is computed.
 const STATES: usize = 8;
 
 /// Results of the checks so far.

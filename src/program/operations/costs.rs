@@ -45,8 +45,8 @@ fn measure<F: Float>(task: &DynTask, policy: &impl Policy, field: Option<Field>)
     Stored { bytes: rollout.stored_bytes() + adjoint.stored_bytes(), allocations }
 }
 
-/// Allocations of the second run, because the first run allocates the workspaces. None if the
-/// first run diverges.
+/// Counts the allocations of the second run, because the first run allocates the workspaces. None
+/// if the first run diverges.
 fn allocations_of_second_run<T>(mut run: impl FnMut() -> Result<T, Divergence>) -> Option<u64> {
     run().ok()?;
     Some(allocation_counter::measure(|| drop(run())).count_total)

@@ -16,7 +16,7 @@ pub fn losses(task: &DynTask, policy: &impl Policy, precision: Precision, theta:
 }
 
 fn evaluate<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, theta: &[f64], seed: u64, samples: usize) -> Vec<f64> {
-    /// Samples in a rollout.
+    /// Largest number of samples in a rollout.
     const BLOCK: usize = 32;
     let weights = Weights::new(policy, theta.iter().map(|&theta| F::from_f64(theta)).collect());
     let starts: Vec<F> = initial_states(task, seed, Purpose::Test, samples);

@@ -39,10 +39,11 @@ pub enum GradientMethod {
 
 type Run = Box<dyn FnMut() + Send>;
 
-/// Result of a method.
+/// Gradient computed by one method, and its costs.
 pub struct Derived {
-    /// All components, or those at the [`chosen`] parameters; or the message of a divergence. Empty
-    /// for [`GradientMethod::Forward`].
+    /// All components, or those at the [`chosen`] parameters. Empty for
+    /// [`GradientMethod::Forward`]. An error is the message of a divergence or of a budget that is
+    /// too small.
     pub gradient: Result<Vec<f64>, String>,
     /// Peak memory in bytes.
     pub bytes: usize,
@@ -64,7 +65,7 @@ pub fn chosen(count: usize) -> Vec<usize> {
     (0..chosen).map(|i| i * (count - 1) / (chosen - 1).max(1)).collect()
 }
 
-/// Parameters and initial states, rounded to f32, so that they are equal in every precision.
+/// Parameters and initial states, rounded to f32, which makes them equal in every precision.
 fn inputs(task: &dyn AnyTask<f32>, policy: &dyn AnyPolicy<f32>, seed: u64) -> (Vec<f64>, Vec<f64>) {
     let weights = Weights::init(policy, &mut stream(seed, Purpose::Policy, 0));
     let starts = initial_states(task, seed, Purpose::Test, SAMPLES);
@@ -197,7 +198,7 @@ pub const FLOWS: [Flow; 3] = [Flow::REGULAR, Flow::MODIFIED, Flow::STOPPED];
 pub const REFERENCES: usize = FLOWS.len() * CHOSEN;
 
 /// Components of the gradients of R, M and S in double-double arithmetic, at the [`chosen`]
-/// parameters. Calls `done` after each.
+/// parameters. Calls `done` after each component.
 pub fn reference(task: &DynTask, policy: &impl Policy, seed: u64, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3] {
     let (theta, starts) = inputs(task, policy, seed);
     let derivative: &(dyn Fn((Flow, usize)) -> f64 + Sync) = &|(flow, parameter)| {

@@ -3,8 +3,8 @@
 use crate::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
 use crate::{DynTask, Number, System, Task, Varied};
 
-/// Fits the trained numbers of a task to measured segments, whose parameters are replaced by those
-/// of the task. `names` are the names of the parameters of a rollout.
+/// Fits the trained numbers of a task to measured segments. Replaces the parameters of the segments
+/// by the nominal values of the task. `names` are the names of the parameters of a rollout.
 pub fn identified(task: &DynTask, names: &[String], segments: &[Segment], options: &Options) -> Result<Fit, IdentifyError> {
     let system = task.system();
     let mut p = vec![0.0; system.param_dim()];

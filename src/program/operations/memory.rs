@@ -14,8 +14,8 @@ pub struct Needs {
     pub rest: f64,
 }
 
-/// Estimates the memory of a run before it is allocated, from the samples of a mini-batch and of both
-/// data sets.
+/// Estimates the memory of a run before allocation. `samples` is the size of a mini-batch,
+/// `start_states` the number of initial states in both data sets.
 pub fn needs(task: &DynTask, policy: &impl Policy, precision: Precision, samples: usize, start_states: usize) -> Needs {
     match precision {
         Precision::F32 => needs_in::<f32>(task, policy, samples, start_states),
@@ -23,8 +23,8 @@ pub fn needs(task: &DynTask, policy: &impl Policy, precision: Precision, samples
     }
 }
 
-/// Largest horizon whose bytes are counted. The bytes are linear in the number of steps, so those
-/// of longer horizons are extrapolated.
+/// Largest horizon whose bytes are counted. The bytes are nearly linear in the number of steps, so
+/// the estimate scales them to longer horizons.
 const COUNTED_STEPS: usize = 10_000;
 
 fn needs_in<F: Float>(task: &DynTask, policy: &impl Policy, samples: usize, start_states: usize) -> Needs {
@@ -35,7 +35,7 @@ fn needs_in<F: Float>(task: &DynTask, policy: &impl Policy, samples: usize, star
     let of = |samples: usize| Batch::<F>::bytes_of(task, policy, samples, &flows, 1, &Schedule::store_all(steps)) as f64 * scale;
     // Parameters and two moments of the optimizer, each with a copy, and both data sets.
     let numbers = policy.param_count() as f64 * 6.0 + start_states as f64 * AnyTask::<F>::start_dim(task) as f64;
-    // Trajectories written at the end: text, and vectors of numbers.
+    // Trajectories written at the end, as text and vectors: 48 bytes per component and 80 per step.
     let text = ROLLOUTS as f64 * Task::horizon(task) as f64 * (48.0 * (n + m) as f64 + 80.0);
     Needs { batch: of(samples), rest: numbers * size_of::<F>() as f64 + of(ROLLOUTS) + text }
 }
@@ -62,7 +62,7 @@ mod tests {
     use super::total;
 
     #[test]
-    fn the_memory_of_a_machine_is_read() {
+    fn mem_total_is_read_in_kb_and_this_machine_has_more_than_100_mb() {
         assert_eq!(total("MemFree:  7 kB\nMemTotal:       24576 kB\n"), Some(24576.0 * 1024.0));
         assert_eq!(total("MemTotal: much"), None);
         assert!(of_this_machine() > 1e8);

@@ -20,11 +20,11 @@ pub trait AnyRun {
     fn is_done(&self) -> bool;
     /// Records of the completed epochs.
     fn records(&self) -> &[Record];
-    /// Warnings about the last epoch, of kinds that no earlier call returned.
+    /// Warnings about the last epoch. Omits the kinds of warnings that an earlier call returned.
     fn warnings(&mut self) -> Vec<String>;
     /// Serializes the run. Only a run with the same label can restore it.
     fn checkpoint(&self, label: &str) -> Vec<u8>;
-    /// Restores a checkpoint.
+    /// Restores a checkpoint that was serialized with this label.
     fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError>;
     /// Parameters as named tensors in the safetensors format.
     fn safetensors(&self, about: String) -> Result<Vec<u8>>;

@@ -25,11 +25,12 @@ pub struct Simulated {
 pub struct Job {
     /// Results, or the message of a divergence.
     pub found: Result<Simulated, String>,
-    /// States with zero control, `[sample][step]`. Empty if that rollout diverges.
+    /// States of a rollout with zero control, `[sample][step][component]`. Empty if the rollout
+    /// diverges.
     pub idle: Vec<Vec<Vec<f64>>>,
-    /// Number of operations of one control step plus its VJP for one adjoint.
+    /// Number of operations of one control step and its VJP for one adjoint, per sample.
     pub operations: u64,
-    /// Bytes of rollout and adjoint, per sample and step.
+    /// Bytes of the rollout and of the adjoints of R and M, per sample and step.
     pub bytes: f64,
     /// Number of steps in a run, over all samples.
     steps: f64,
@@ -45,7 +46,7 @@ impl Job {
     }
 }
 
-/// Creates the job of a scene.
+/// Runs a rollout and its adjoints once, and prepares them for timing.
 pub fn job<P: Policy + 'static>(task: DynTask, policy: P, precision: Precision, seed: u64) -> Job {
     let cost = OpCount::of(task.system());
     match precision {
@@ -90,7 +91,7 @@ fn prepare<F: Float>(task: Box<dyn AnyTask<F>>, policy: Box<dyn AnyPolicy<F>>, c
     let bytes = (rollout.stored_bytes() + adjoint.stored_bytes()) as f64 / steps;
     let run = Box::new(move |gradient: bool| {
         rollout.start(&starts);
-        // Ignores divergence: diverged jobs are reported and not timed.
+        // Ignores divergence: the command reports diverged jobs and does not time them.
         if rollout.run(&*task, &*policy, &weights).is_ok() && gradient {
             let _ = adjoint.run(&*task, &*policy, &weights, &rollout, scale);
         }

@@ -25,15 +25,18 @@ pub fn safetensors<F: Float>(about: String, policy: &dyn AnyPolicy<F>, theta: &[
     Ok(safetensors::serialize(views, Some(about))?)
 }
 
-/// One rollout, truncated at the step where it diverged.
+/// One rollout, truncated before the step at which the batch of rollouts diverged.
 pub struct Trajectory {
+    /// States `[step][component]`, the initial state first.
     pub states: Vec<Vec<f64>>,
+    /// Controls `[step][component]`, one entry fewer than the states.
     pub controls: Vec<Vec<f64>>,
     /// Parameters, constant during the rollout.
     pub params: Vec<f64>,
 }
 
-/// Rollouts of the policy from a range of the initial states, truncated to those available.
+/// Rollouts of the policy from a range of the initial states. Truncates the range to the available
+/// states.
 pub fn rollouts<F: Float>(
     task: &dyn AnyTask<F>,
     policy: &dyn AnyPolicy<F>,

@@ -40,8 +40,8 @@ fn temporary(name: &str) -> String {
     format!(".{name}.{}{:016x}.new", process::id(), RandomState::new().hash_one(name))
 }
 
-/// Name of the file that a temporary file replaces. None if the name is not that of a temporary
-/// file.
+/// Name of the file that a temporary file replaces. None for a name of another form than
+/// [`temporary`] gives.
 pub fn replaced_by(temporary: &str) -> Option<&str> {
     let (name, process) = temporary.strip_prefix('.')?.strip_suffix(".new")?.rsplit_once('.')?;
     process.bytes().all(|byte| byte.is_ascii_hexdigit()).then_some(name)

@@ -21,10 +21,10 @@ pub const REPORT: &str = "report.html";
 /// Subfolder with the runs of a comparison.
 pub const RUNS: &str = "runs";
 
-/// Lock file of the folder. It contains the name of the process that holds the lock.
+/// Lock file of the folder, with the name of the process that holds the lock.
 pub(super) const LOCK: &str = ".physgrad.lock";
 
-/// Infix of the folder of an earlier run: `<name>.previous-<number>`.
+/// Infix in the name of the folder of an earlier run: `<name>.previous-<number>`.
 pub(super) const PREVIOUS: &str = ".previous-";
 
 /// Files that a run and its report write.
@@ -55,7 +55,7 @@ impl Folder {
         if path.is_dir() { Ok(Self::at(path)) } else { bail!("there is no folder {}", path.display()) }
     }
 
-    /// A new folder `runs/<name>`, or `runs/<name>-2` and so on if that exists.
+    /// A new folder `runs/<name>`, or `runs/<name>-2` and so on if it exists.
     pub fn fresh(name: &str) -> Result<Self> {
         let runs = Self::at(RUNS);
         runs.create()?;
@@ -80,7 +80,7 @@ impl Folder {
         files::create_folders(&self.path).with_context(|| unwritable(&self.path))
     }
 
-    /// Last part of the path.
+    /// Last part of the canonical path.
     pub fn name(&self) -> String {
         let whole = fs::canonicalize(&self.path).unwrap_or_else(|_| self.path.clone());
         whole.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
@@ -98,7 +98,7 @@ impl Folder {
         self.file(name).exists()
     }
 
-    /// Returns whether the folder contains an earlier run that was moved aside.
+    /// Returns whether the folder has the name of a renamed earlier run, with [`PREVIOUS`].
     pub fn is_previous(&self) -> bool {
         self.name().contains(PREVIOUS)
     }

@@ -201,7 +201,8 @@ impl Locked {
         // `rename` never replaces a folder with contents. Replacing an empty folder loses nothing.
         let mut aside = free.filter(|path| fs::symlink_metadata(path).is_err());
         let aside = aside.next().context("some number is free")?;
-        let cannot = || format!("cannot move the run in {} aside; choose another folder with --out", path.display());
+        let cannot =
+            || format!("cannot rename the folder {} of the earlier run; choose another folder with --out", path.display());
         files::rename(&whole, &aside).with_context(cannot)?;
         print_message(&format!("moved the earlier run in {} to {}", path.display(), aside.display()));
         // The lock moved with the folder. Another process may lock the new folder first.

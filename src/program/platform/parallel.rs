@@ -1,4 +1,4 @@
-//! Parallel map. Only a non-generic function calls rayon, which limits monomorphization.
+//! Parallel map. Limits monomorphization: only a non-generic function calls rayon.
 
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};

@@ -1,4 +1,4 @@
-//! Signals that stop a training gracefully: SIGINT (Ctrl-C), SIGTERM, SIGHUP.
+//! Signals that end a training run after a checkpoint: SIGINT (Ctrl-C), SIGTERM, SIGHUP.
 
 use anyhow::{Context, Result};
 use signal_hook::consts;
@@ -29,7 +29,7 @@ pub fn handle() -> Result<()> {
     let received_before = Arc::new(AtomicBool::new(false));
     for signal in STOPPING.into_iter().filter(|&signal| !is_ignored(signal)) {
         let number = usize::try_from(signal).expect("numbers of signals are positive");
-        // The order matters: the first signal finds `received_before` unset, then sets it.
+        // Order of the actions: the first signal finds `received_before` unset, then sets it.
         flag::register_conditional_shutdown(signal, 128 + signal, received_before.clone())
             .and_then(|_| flag::register_usize(signal, received.clone(), number))
             .and_then(|_| flag::register(signal, received_before.clone()))

@@ -39,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn similar_names_are_suggested() {
+    fn cartpole_and_quantom_suggest_the_tasks_and_rocket_suggests_none() {
         let names = ["cart_pole", "quantum", "guidance"];
         assert_eq!(did_you_mean("cartpole", names), "; did you mean `cart_pole`?");
         assert_eq!(did_you_mean("quantom", names), "; did you mean `quantum`?");
@@ -47,7 +47,7 @@ mod tests {
     }
 
     #[test]
-    fn one_is_singular() {
+    fn one_epoch_is_singular_and_two_epochs_are_plural() {
         assert_eq!([counted(1, "epoch"), counted(2, "epoch")], ["1 epoch", "2 epochs"]);
     }
 }

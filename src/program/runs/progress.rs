@@ -44,7 +44,7 @@ impl Observer for Progress {
 }
 
 impl Progress {
-    /// Advances by one epoch.
+    /// Advances by one epoch. `message` is the text beside the bar.
     pub fn advance(&mut self, message: String) {
         self.bar.set_message(message);
         self.bar.inc(1);
@@ -54,8 +54,7 @@ impl Progress {
         }
     }
 
-    /// Prints the warnings of an epoch, even if quiet.
-    /// `run` is a prefix that names the run.
+    /// Prints the warnings of an epoch, even if quiet. `run` is a prefix that names the run.
     pub fn warn(&self, run: &str, event: EpochEvent) {
         for warning in event.warnings {
             let text = format!("{run}{warning}");

@@ -52,7 +52,7 @@ pub enum End {
     NoUpdate(Option<TrainError>),
 }
 
-/// Error of a training that applied no update. Contains the names of the runs.
+/// Error of training that applied no update. Contains the names of the runs.
 #[derive(Debug)]
 pub struct NoUpdate(pub String);
 
@@ -61,8 +61,8 @@ impl fmt::Display for NoUpdate {
         let Self(runs) = self;
         write!(
             f,
-            "no update was applied in {runs}: every update was skipped because of a non-finite number. The policy is untrained. Try smaller time steps, a \
-             shorter horizon, or other settings of the effects"
+            "no update was applied in {runs}: every update was skipped because of a non-finite number. The \
+             policy is untrained. Try smaller time steps, a shorter horizon, or other settings of the effects"
         )
     }
 }
@@ -75,7 +75,7 @@ const MAX_THREADS: usize = 256;
 /// Sets up the thread pool and returns its number of threads.
 pub fn threads(requested: Option<usize>) -> Result<usize> {
     let max = std::thread::available_parallelism().map_or(1, usize::from).max(MAX_THREADS);
-    // Reads the variable as rayon does. 0 stands for all cores.
+    // Reads the variable as rayon does: 0 stands for all cores.
     let default = || std::env::var("RAYON_NUM_THREADS").ok()?.parse().ok().filter(|&threads| threads > 0);
     let (source, threads) = match (requested, default()) {
         (Some(threads), _) => ("--threads", threads),
@@ -116,7 +116,7 @@ pub fn run(
         observer.resumed(done);
     }
     folder.clean()?;
-    // A folder with settings is a run. Without a checkpoint, it is before its first epoch.
+    // A folder with settings contains a run. A run without a checkpoint is before its first epoch.
     folder.write(SETTINGS, scene.table.to_string())?;
     let mut saver = Saver { folder, identity: &identity, metrics: None, save_every, last: Instant::now(), signal_seen: false };
     saver.save(&*run)?;
@@ -167,7 +167,7 @@ pub fn run(
 struct Saver<'a> {
     folder: &'a Locked,
     identity: &'a str,
-    /// None if the next save has to rewrite the file.
+    /// Open `metrics.csv`. None if the next save has to rewrite the file.
     metrics: Option<Metrics>,
     save_every: Duration,
     /// Time of the last attempt to save.
@@ -200,7 +200,7 @@ impl Saver<'_> {
         Ok(())
     }
 
-    /// Saves. If that fails, prints a warning and continues: disk space may become free.
+    /// Saves the run. On an error, prints a warning and continues: disk space may become free.
     ///
     /// # Errors
     /// The folder was removed or replaced.

@@ -15,7 +15,7 @@ pub fn has_run(folder: &Folder) -> bool {
     folder.has(SETTINGS)
 }
 
-/// Folders of the run, or of all runs of the comparison, sorted by name.
+/// Folders of the run or comparison in `folder`: one per run, sorted by name.
 ///
 /// # Errors
 /// Neither the folder nor its subfolder [`RUNS`] contains a run.
@@ -38,7 +38,7 @@ pub fn runs(folder: &Folder) -> Result<Vec<Folder>> {
     }
 }
 
-/// Subfolders, sorted by name. Omits earlier runs that were moved aside.
+/// Subfolders, sorted by name. Omits renamed earlier runs.
 fn folders(path: &Path) -> Result<Vec<Folder>> {
     let context = || format!("cannot read the folder {}", path.display());
     let entries = std::fs::read_dir(path).with_context(context)?;

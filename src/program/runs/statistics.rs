@@ -9,7 +9,7 @@ pub struct Outcome<'a> {
     pub field: Field,
     pub seed: u64,
     pub records: &'a [Record],
-    /// The run failed at a non-finite number and has no final losses.
+    /// True if the training failed. A failed run has no final losses.
     pub failed: bool,
 }
 
@@ -88,7 +88,7 @@ pub fn best(records: &[Record]) -> f64 {
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     let at = q * (sorted.len() - 1) as f64;
     let (below, above) = (sorted[at.floor() as usize], sorted[at.ceil() as usize]);
-    // Equal infinities have no difference.
+    // The difference of equal infinities is NaN.
     if at.fract() == 0.0 || below == above { below } else { below + at.fract() * (above - below) }
 }
 
@@ -99,7 +99,7 @@ pub fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
     values
 }
 
-/// Mean over each value and up to `window - 1` before it.
+/// Mean over each value and up to `window - 1` values before it.
 ///
 /// Non-finite values stay unchanged and do not enter the means of other values.
 pub fn trailing_mean(values: &[f64], window: usize) -> Vec<f64> {
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn nan_ranks_as_the_worst() {
+    fn nan_of_either_sign_ranks_above_every_number() {
         let numbers = sorted([-f64::NAN, 1.0, 2.0].into_iter());
         assert_eq!(quantile(&numbers, 0.5), 2.0);
         assert!(quantile(&numbers, 0.75).is_nan());

@@ -1,4 +1,4 @@
-//! Sweeps: many runs in parallel, one thread each, each resumed from its folder.
+//! Sweeps: many runs in parallel, one thread per run. Resumes runs that are in their folders.
 
 use crate::program::platform::folder::{Folder, RUNS};
 use crate::program::platform::parallel;
@@ -32,7 +32,7 @@ struct Run {
 }
 
 impl Run {
-    /// Returns whether the folder already contains this run.
+    /// Returns whether the folder already contains the run.
     ///
     /// # Errors
     /// The folder contains a run with other settings.

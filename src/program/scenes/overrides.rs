@@ -5,7 +5,7 @@ use crate::program::settings::{FieldName, Precision};
 use anyhow::{Context, Result, bail};
 use toml::Value;
 
-/// Settings that replace those of the scene.
+/// Options that replace settings of a scene.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct Overrides {
     /// Vector field to follow: combined, regular, modified, network, stopped (C, R, M, N, S)

@@ -129,7 +129,7 @@ impl SceneSource {
         }
         if let Some(Value::Table(section)) = inner.get(last) {
             if value.as_table().is_some_and(Table::is_empty) {
-                // The requested section exists.
+                // Keeps the existing section: an empty table requests it with any contents.
                 return Ok(());
             }
             let keys: Vec<String> = section.keys().map(|inner| format!("{key}.{inner}")).collect();
@@ -140,7 +140,7 @@ impl SceneSource {
         Ok(())
     }
 
-    /// Sets a number, also one that is drawn or trained.
+    /// Replaces a number by a fixed value, even if it is drawn or trained.
     pub fn fix(&mut self, key: &str, value: f64) -> Result<()> {
         let (section, last) = key.rsplit_once('.').unwrap_or(("", key));
         let mut path = section.split('.').filter(|part| !part.is_empty());
@@ -168,7 +168,7 @@ impl SceneSource {
     /// Removes an effect or a part of the actuator.
     ///
     /// # Errors
-    /// The scene has no such part.
+    /// The scene has no such effect or part.
     pub fn without(&mut self, name: &str) -> Result<()> {
         let name = part_name(name);
         let sections = || OPTIONAL.into_iter().filter_map(|section| self.table.get(section)?.as_table());
@@ -255,7 +255,7 @@ fn suggest(spec: &dyn AnyTaskSpec, mut error: ConfigError) -> ConfigError {
         let effects = spec.effects().into_iter().map(|info| format!("effects.{}", info.name));
         let keys: Vec<String> = settings.chain(effects).collect();
         let name = error.key.rsplit('.').next().unwrap_or_default();
-        // The key of another section, as in `learning_rate`, or a misspelt one.
+        // Suggests the same key in another section, as for `learning_rate`, or else a similar key.
         let same = keys.iter().find(|key| key.rsplit('.').next() == Some(name));
         error.what += &match same {
             Some(key) => format!("; did you mean `{key}`?"),
@@ -311,7 +311,7 @@ fn join(path: &str, key: &str) -> String {
     if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") }
 }
 
-/// Replaces values of the lower table by those of the upper one, section by section.
+/// Replaces values of `lower` by those of `upper`, section by section.
 fn overlay(lower: &mut Table, upper: &Table) {
     for (key, value) in upper {
         match (lower.get_mut(key), value) {
@@ -330,7 +330,7 @@ mod tests {
     const WINDY: &str = "scene = 1\n[effects.wind]\nspeed = 3\n[actuator]\nlag = { time = 1 }\n[[effects.walls]]\nx = 1\n";
 
     #[test]
-    fn every_key_has_its_line() {
+    fn the_origin_of_a_key_is_its_line_or_the_line_of_its_section() {
         let source = SceneSource::parse("a.toml", WINDY).expect("TOML");
         for (key, line) in [
             ("scene", 1),
@@ -346,18 +346,18 @@ mod tests {
     }
 
     #[test]
-    fn effects_are_removed_and_added() {
+    fn without_removes_and_put_adds_effects_and_actuators() {
         let mut source = SceneSource::parse("a.toml", WINDY).expect("TOML");
-        let error = source.without("rain").expect_err("there is none").to_string();
+        let error = source.without("rain").expect_err("no effect rain").to_string();
         assert!(error.ends_with("it has wind, walls, lag"), "{error}");
         source.without("effects.wind").expect("an effect");
         source.without("lag").expect("a part of the actuator");
-        assert!(source.without("wind").is_err(), "it is gone");
-        source.put("effects.rain.rate", Value::Integer(2), "--set").expect("another");
+        assert!(source.without("wind").is_err(), "an effect is removed only once");
+        source.put("effects.rain.rate", Value::Integer(2), "--set").expect("a new effect");
         assert_eq!(source.table["effects"]["rain"]["rate"].as_integer(), Some(2));
         assert_eq!([source.origin("effects.rain"), source.origin("effects.rain.rate")], ["--set"; 2]);
         source.put("effects.walls", Value::Integer(2), "--set walls").expect("a list is a value");
-        assert_eq!(source.origin("effects.walls[0].x"), "--set walls", "the line of the old one is forgotten");
+        assert_eq!(source.origin("effects.walls[0].x"), "--set walls", "the option replaces the line in the file");
         let error = source.put("effects.rain", Value::Integer(2), "--set").expect_err("a section").to_string();
         assert!(error.ends_with("set one of its keys: effects.rain.rate"), "{error}");
     }

@@ -52,7 +52,7 @@ impl ActuatorSettings {
         self.lag.map_or(Ok(()), |lag| positive("actuator.lag.time", lag.time))
     }
 
-    /// Returns an error if a part has a state. The caller gives the reason.
+    /// Returns an error if a part has a state. `because` is the reason.
     pub fn without_state(&self, because: &str) -> Result<(), ConfigError> {
         let parts = [("delay", self.delay.is_some()), ("lag", self.lag.is_some())];
         match parts.into_iter().find(|(_, present)| *present) {
@@ -64,7 +64,7 @@ impl ActuatorSettings {
         }
     }
 
-    /// Returns whether there is no part.
+    /// Returns whether all parts are absent.
     pub fn is_empty(&self) -> bool {
         self.limit.is_none() && self.delay.is_none() && self.lag.is_none()
     }
@@ -74,7 +74,8 @@ impl ActuatorSettings {
         Actuated { system, actuator: self.chain(dt) }
     }
 
-    /// Controls that reach the physics, given the states and the controls of the policy.
+    /// Controls that reach the physics, for these states and controls of the policy. All lists are
+    /// `[step][component]`.
     pub fn applied(&self, dt: f64, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>> {
         let chain = self.chain(dt);
         let step = |(state, control): (&Vec<f64>, &Vec<f64>)| {
@@ -115,12 +116,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn applied_controls_pass_all_parts() {
+    fn applied_controls_pass_limit_delay_and_lag() {
         let applied = |actuator: &str, state: &[f64]| {
             let actuator: ActuatorSettings = toml::from_str(actuator).expect("settings");
             actuator.applied(0.05, &[state.to_vec()], &[vec![9.0]])[0][0]
         };
-        // State: the body's component, the delayed control, the lagged control.
+        // Components of the state: the body's, the delayed control, the lagged control.
         let share = 1.0 - (-0.5f64).exp();
         let all = "limit = { bound = 2.0, kind = 'hard' }\ndelay = { steps = 1 }\nlag = { time = 0.1 }";
         assert!((applied(all, &[7.0, 3.0, 1.0]) - (1.0 + 2.0 * share)).abs() < 1e-12);

@@ -11,7 +11,7 @@ use std::ops::RangeInclusive;
 pub struct ConfigError {
     /// Dotted key: `system.dt`.
     pub key: String,
-    /// Value found and values allowed.
+    /// Message after the key: value found and values allowed.
     pub what: String,
 }
 
@@ -87,7 +87,7 @@ pub fn allowed(key: &str, value: impl Display, is_allowed: bool, allowed: impl D
     if is_allowed { Ok(()) } else { Err(ConfigError::new(key, format!("is {value}; allowed: {allowed}"))) }
 }
 
-/// Returns an error unless every value that the number may have satisfies `is_allowed`.
+/// Returns an error unless the extreme values of the number satisfy `is_allowed`.
 fn every(key: &str, number: Number, is_allowed: fn(f64) -> bool, what: &str) -> Result<(), ConfigError> {
     number.extremes().into_iter().try_for_each(|value| allowed(key, value, is_allowed(value), what))
 }

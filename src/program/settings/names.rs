@@ -99,7 +99,7 @@ pub enum ActivationName {
 }
 
 impl ActivationName {
-    /// The library's activation.
+    /// Activation function of the library.
     pub fn activation(self) -> Activation {
         match self {
             Self::Tanh => Activation::Tanh,

@@ -1,7 +1,7 @@
 //! Deserializes settings from TOML tables. Errors name the key.
 //!
-//! Replaces `serde_path_to_error` around the deserializer of `toml`. That deserializer reads a list
-//! as a section, and its errors do not list the allowed values of a choice.
+//! The program uses this module instead of `serde_path_to_error` and the deserializer of `toml`.
+//! The latter reads a list as a section, and its errors omit the allowed values of a choice.
 
 use serde::de::{
     Deserialize, DeserializeSeed, Deserializer, Error, Expected, IntoDeserializer, MapAccess, SeqAccess, Unexpected, Visitor,
@@ -45,7 +45,7 @@ pub fn read<T: for<'de> Deserialize<'de>>(table: Table) -> Result<T, Unreadable>
     T::deserialize(Reading(&Value::Table(table)))
 }
 
-/// Reads the types on the left like the type on the right. The visitor checks the range.
+/// Implements the methods on the left by the method on the right. The visitor checks the range.
 macro_rules! read_as {
     ($($($method:ident)+: $other:ident;)+) => {$($(
         fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Unreadable> {
@@ -182,7 +182,7 @@ impl<'de> SeqAccess<'de> for &mut Elements<'_> {
 
 struct Entries<'a> {
     entries: toml::map::Iter<'a, String, Value>,
-    /// Entry of the last key.
+    /// Entry of the last key that was read.
     value: Option<(&'a str, &'a Value)>,
 }
 
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn settings_may_have_any_plain_type() {
+    fn settings_may_be_f32_u32_i8_char_or_map_and_unknown_keys_are_refused() {
         let table = |count: i64| {
             let text = format!("length = 0.5\ncount = {count}\nlevel = -3\naxis = \"x\"\n[springs]\nleft = 2\n");
             text.parse::<Table>().expect("TOML")

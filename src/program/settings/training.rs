@@ -18,7 +18,7 @@ pub struct TrainingSettings {
     pub test_samples: usize,
     /// Draws a new order of the training set in every epoch.
     pub shuffle: bool,
-    /// Draws new initial states for the updates of every epoch. The sets that are evaluated stay.
+    /// Draws new initial states for the updates of every epoch. The evaluated sets stay fixed.
     pub resample: bool,
     /// Optimizer that turns the field into updates.
     pub optimizer: OptimizerName,
@@ -125,12 +125,12 @@ impl TrainingSettings {
         }
     }
 
-    /// Bound on the bytes of a mini-batch.
+    /// Bound on the bytes of a mini-batch. None without a bound.
     pub fn budget(&self) -> Option<u64> {
         self.memory.as_deref().and_then(bytes)
     }
 
-    /// The field with the discount, truncation and cut of its flows.
+    /// The field, with discount, truncation and cut of all its flows.
     pub fn weighted(&self, field: Field) -> Field {
         field.with_flows(|flow| Flow { truncation: self.truncation, cut: self.cut, ..flow.discounted(self.discount) })
     }
@@ -165,7 +165,7 @@ impl TrainingSettings {
     }
 }
 
-/// Parses a number of bytes with its unit.
+/// Parses a number of bytes with its unit, from 1 B to below 1e15 B.
 fn bytes(text: &str) -> Option<u64> {
     let end = text.find(|c: char| c.is_ascii_alphabetic())?;
     let number: f64 = text[..end].trim().parse().ok()?;
@@ -188,7 +188,7 @@ mod tests {
     use crate::{Field, Flow};
 
     #[test]
-    fn both_flows_of_a_field_are_weighted() {
+    fn discount_truncation_and_cut_apply_to_both_flows_of_c() {
         let settings = TrainingSettings { discount: 0.5, truncation: Some(8), cut: Some(2.0), ..TrainingSettings::default() };
         let expected = [Flow::MODIFIED, Flow::REGULAR].map(|flow| flow.discounted(0.5).truncated(8).cut(2.0));
         assert_eq!(settings.weighted(Field::combined()).flows(), expected);
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_have_a_number_and_a_unit() {
+    fn bytes_have_a_positive_number_and_a_unit_from_b_to_gib() {
         assert_eq!(["64MB", "1.5 kB", "2GiB", "7B"].map(bytes), [Some(64_000_000), Some(1500), Some(1 << 31), Some(7)]);
         assert_eq!(["64", "MB", "-1MB", "0MB", "1 mb", "nanMB", "1e30GB"].map(bytes), [None; 7]);
     }

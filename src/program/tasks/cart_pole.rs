@@ -93,7 +93,7 @@ effects_section! {
 }
 
 impl CartPoleEffects {
-    /// Wind speed at `time`, s, with nominal numbers.
+    /// Wind speed in m/s at `time` in s, with nominal numbers. None without wind.
     fn wind(&self, params: &[f64], time: f64) -> Option<f64> {
         let steady = self.steady_wind.map(|wind| wind.speed.nominal());
         let gusty = self.gusty_wind.map(|wind| {
@@ -103,7 +103,7 @@ impl CartPoleEffects {
         steady.or(gusty)
     }
 
-    /// Index of t₀ of the gusts in the parameters of a rollout.
+    /// Number of parameters of a rollout before t₀ of the gusts.
     fn params_before_gusts(&self) -> usize {
         let effects: Vec<Named<CartPoleEffect>> = self.present();
         let before = effects.iter().take_while(|effect| !matches!(effect.effect, CartPoleEffect::GustyWind(_)));
@@ -137,7 +137,7 @@ fn system_dt(settings: &Settings<CartPole>) -> f64 {
     settings.system.dt / settings.integrator.count() as f64
 }
 
-/// Swing-up task for this system.
+/// Swing-up task with this system.
 fn swing_up(system: impl HasModel<CartPoleSystem> + 'static, settings: &Settings<CartPole>) -> DynTask {
     DynTask::new(tasks::CartPole { system, loss: settings.loss.mode, horizon: settings.horizon })
 }

@@ -13,7 +13,7 @@ pub trait EffectsSection {
     fn validate_values(&self) -> Result<(), ConfigError>;
 }
 
-/// Effects of a section as one type.
+/// Conversion of a section's effects to elements of type `E`.
 pub trait Present<E> {
     /// Effects that are present, with their keys, in order of evaluation.
     fn present(&self) -> Vec<Named<E>>;
@@ -27,7 +27,7 @@ pub fn named<T, E: From<T>>(name: &'static str, effect: Option<T>) -> Option<Nam
 /// Declares an `effects` section: key and type of each effect, its documentation, and the limits of
 /// its values.
 ///
-/// A limit is a function of key and value. Every value needs one.
+/// A limit is a function of key and value. Every value needs a limit.
 macro_rules! effects_section {
     (
         $(#[$doc:meta])*

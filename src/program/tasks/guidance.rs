@@ -97,7 +97,7 @@ impl GuidanceEffects {
     }
 }
 
-/// Checks the centers of obstacles.
+/// Checks that there are 1 to 1000 centers, all finite.
 fn some_centers(key: &str, centers: Vec<[f64; 2]>) -> Result<(), ConfigError> {
     const MAX: usize = 1000;
     allowed(key, "[]", !centers.is_empty(), "one center or more, each [x, y]")?;
@@ -128,7 +128,7 @@ impl Default for GuidanceLoss {
     }
 }
 
-/// Herding task for this system.
+/// Herding task with this system.
 fn herd(system: impl HasModel<GuidanceSystem> + 'static, settings: &Settings<Guidance>) -> DynTask {
     let GuidanceLoss { mode: loss, regularization } = settings.loss;
     DynTask::new(tasks::Guidance { system, loss, regularization, horizon: settings.horizon })
@@ -169,7 +169,7 @@ impl TaskSpec for Guidance {
     fn task(settings: &Settings<Self>) -> DynTask {
         let dt = settings.system.dt / settings.integrator.count() as f64;
         let system = GuidanceSystem { dt, ..settings.system };
-        // Uses a separate type for the paper's effects.
+        // Uses a separate type only for the paper's effects, because each type adds compile time.
         if settings.actuator.is_empty()
             && settings.integrator.is_empty()
             && settings.own_effects.is_empty()

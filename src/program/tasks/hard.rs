@@ -1,5 +1,4 @@
-//! Tasks that are numerically hard by design. They share one type, so the compiler monomorphizes
-//! them once.
+//! Tasks that are numerically hard by design. A function adds substeps and actuators to each task.
 
 mod bounce;
 mod contact;
@@ -41,7 +40,7 @@ impl EffectsSection for Nothing {
     }
 }
 
-/// A task with substeps and actuators of a scene. Its time step is that of a substep.
+/// Adds substeps and actuators of a scene to a task whose time step is [`small_step`].
 fn in_scene<K: TaskSpec>(settings: &Settings<K>, task: impl Task + 'static) -> DynTask {
     let task = DynTask::new(task);
     let system = task.system().clone();

@@ -1,4 +1,4 @@
-//! [`in_scene`]: horizon, substeps and actuators of a scene around any task.
+//! [`in_scene`]: adds horizon, substeps and actuators of a scene to any task.
 
 use crate::program::tasks::{Settings, TaskSpec};
 use crate::rng::Rng;
@@ -18,7 +18,8 @@ pub fn in_scene<K: TaskSpec>(settings: &Settings<K>, task: DynTask, system: DynS
     DynTask::new(InScene { task, system, states, horizon: settings.horizon })
 }
 
-/// See [`in_scene`]. The states of actuators follow the `states` components of the task.
+/// Task that [`in_scene`] returns. The first `states` components of its state belong to the task,
+/// the others to the actuators.
 struct InScene {
     task: DynTask,
     system: Actuated<Substeps<DynSystem>, Vec<AnyActuator>>,
@@ -27,12 +28,12 @@ struct InScene {
 }
 
 impl InScene {
-    /// The inputs of the task.
+    /// Inputs without the state of the actuators.
     fn inner<'a, R: Scalar>(&self, inputs: Inputs<'a, R>) -> Inputs<'a, R> {
         inputs.with_x(&inputs.x[..self.states])
     }
 
-    /// The cotangents of the inputs of the task.
+    /// Cotangents of the inputs without the state of the actuators.
     fn inner_cotangents<'a, C>(&self, cotangents: Cotangents<'a, C>) -> Cotangents<'a, C> {
         Cotangents { x: cotangents.x.map(|bar| &mut bar[..self.states]), ..cotangents }
     }

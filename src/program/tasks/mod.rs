@@ -2,7 +2,7 @@
 //!
 //! A [`TaskSpec`] adds settings, defaults, limits, column names and an animation to the physics of
 //! a task. [`Settings`] are the sections of one task; [`Scene`] hides the type of the task.
-//! [`all`] lists the built-in tasks and those of the user, which implement [`ProgramTask`].
+//! [`all`] lists the built-in tasks and the tasks of the user, which implement [`ProgramTask`].
 //!
 //! Imports `settings` and `operations`. Start with `cart_pole`.
 
@@ -43,8 +43,8 @@ use toml::Table;
 pub trait Section: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static {}
 impl<T: Clone + Debug + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static> Section for T {}
 
-/// Task name and its settings. The effects that are present select the concrete type of the
-/// [`Task`](crate::Task).
+/// Specification of a task: name, settings, defaults and limits. [`task`](TaskSpec::task) creates
+/// the [`Task`](crate::Task) of given settings.
 pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     /// The `system` section: settings of the physics.
     type System: Section;
@@ -126,7 +126,7 @@ impl Conserved {
                 (drift, size) = (drift.max((value - start).abs()), size.max(value.abs()));
             }
         }
-        // NaN without samples.
+        // 0/0 is NaN without samples.
         drift / size
     }
 }
@@ -154,7 +154,7 @@ struct Registered {
     effects: Vec<(&'static str, &'static dyn AnyEffectSpec)>,
 }
 
-/// Every task: the built-in ones, then those of the user.
+/// All tasks: first the built-in tasks, then the tasks of the user.
 pub fn all() -> &'static [&'static dyn AnyTaskSpec] {
     REGISTERED.get().map_or(&BUILT_IN, |registered| &registered.tasks)
 }
@@ -170,7 +170,7 @@ fn own_effects(task: &str) -> Vec<(&'static str, &'static dyn AnyEffectSpec)> {
     effects.iter().copied().filter(|(_, effect)| effect.task() == task).collect()
 }
 
-/// Adds tasks and effects of the user to the built-in ones.
+/// Adds tasks and effects of the user to the built-in tasks and effects.
 ///
 /// # Errors
 /// Two tasks, or two effects of a task, have the same name. An effect names an unknown task.
@@ -191,7 +191,7 @@ pub fn register(own: Vec<&'static dyn AnyTaskSpec>, own_effects: Vec<&'static dy
             bail!("two effects of {of} have the name `{name}`; choose another `NAME`");
         }
     }
-    // Names of effects are static, and a process registers once.
+    // Leaks the keys, because names of effects are static. A process registers once.
     let key = |name: &str| -> &'static str { Box::leak(format!("effects.{name}").into_boxed_str()) };
     let effects = own_effects.into_iter().map(|effect| (key(effect.info().name), effect)).collect();
     REGISTERED.set(Registered { tasks, effects }).map_err(|_| anyhow!("a process runs one program"))

@@ -12,8 +12,9 @@ use std::marker::PhantomData;
 
 /// A task that the program trains, checks, compares and animates.
 ///
-/// The fields of the task are the settings of the section `system` of a scene. They need serde and
-/// schemars. `Default` gives their default values. [`program`](crate::program()) has an example.
+/// The fields of the task are the settings of the section `system` of a scene. The task derives
+/// traits of serde and schemars. `Default` gives the default values of the settings.
+/// [`program`](crate::program()) has an example.
 ///
 /// Only [`NAME`](ProgramTask::NAME) is required. The other items have these effects:
 ///
@@ -39,13 +40,13 @@ pub trait ProgramTask: Task + Section + Default {
     fn dt(&self) -> f64 {
         1.0
     }
-    /// The task with a time step that is shorter by the factor `substeps`. Substep i of step t has
-    /// the number `substeps·t + i`. Default: `None`, the time step cannot be changed.
+    /// The task with a time step that is shorter by the factor `substeps`. Substep i of step t
+    /// has the step number `substeps·t + i`. Default: `None`, the time step cannot be changed.
     fn refined(&self, _substeps: usize) -> Option<Self> {
         None
     }
-    /// The task with the effects of a scene; `effects.of::<Model>()` lists those of a model. Default:
-    /// `None`, the task accepts no effects.
+    /// The task with the effects of a scene. `effects.of::<Model>()` lists the effects of a model.
+    /// Default: `None`, the task accepts no effects.
     fn with_effects(&self, _effects: &SceneEffects) -> Option<Self> {
         None
     }

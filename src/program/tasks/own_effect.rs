@@ -15,7 +15,7 @@ use toml::{Table, Value};
 /// Fields of type [`Number`](crate::Number) may be drawn or trained if
 /// [`Effect::numbers`] lists them. The comment on the struct is the description of the effect.
 ///
-/// [`Program::effect`](crate::program::Program::effect) registers it.
+/// [`Program::effect`](crate::program::Program::effect) registers the effect.
 pub trait ProgramEffect: Effect<Self::Model> + Section + Default {
     /// Model that the effect reads, for instance
     /// [`CartPoleSystem`](crate::tasks::CartPoleSystem).
@@ -90,9 +90,9 @@ fn table(effect: &impl Section) -> Table {
 /// An effect of the user in a scene.
 #[derive(Clone, Debug)]
 pub struct SceneEffect {
-    /// Key of its section.
+    /// Key of the effect's section.
     key: &'static str,
-    /// All settings.
+    /// All settings of the effect.
     section: Table,
     /// A [`DynEffect`] of some model.
     effect: Arc<dyn Any + Send + Sync>,
@@ -109,7 +109,7 @@ impl SceneEffect {
 pub struct SceneEffects(Vec<SceneEffect>);
 
 impl SceneEffects {
-    /// Whether there are none.
+    /// Returns whether the scene has no effects of the user.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -119,7 +119,7 @@ impl SceneEffects {
         self.0.iter().filter_map(SceneEffect::of).collect()
     }
 
-    /// Effects of the model `B`, as elements of a list with those of a task.
+    /// Effects of the model `B`, converted to elements of a task's list of effects.
     pub(super) fn listed<B: 'static, E: From<DynEffect<B>>>(&self) -> impl Iterator<Item = Named<E>> {
         self.of().into_iter().map(|Named { name, effect }| Named { name, effect: E::from(effect) })
     }
@@ -132,7 +132,7 @@ impl SceneEffects {
         }
     }
 
-    /// Key of the first effect.
+    /// Key of the first effect, if any.
     pub(super) fn first(&self) -> Option<&'static str> {
         self.0.first().map(|effect| effect.key)
     }

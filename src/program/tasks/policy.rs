@@ -18,7 +18,7 @@ pub trait PolicySpec: Section + Default {
     fn build(&self, state_dim: usize, control_dim: usize) -> Self::Policy;
 }
 
-/// A trained number as an entry of `θ`.
+/// Converts a trained number to an entry of `θ`. None for other numbers.
 pub fn trained(varied: &Varied) -> Option<TrainedParam> {
     let Number::Trained { start, min, max } = varied.number else { return None };
     let index = varied.index;
@@ -39,9 +39,9 @@ pub struct MlpSettings {
     widths: Vec<usize>,
     /// Activation of the hidden layers.
     activation: ActivationName,
-    /// Whether layers have a bias.
+    /// Adds a bias to every layer.
     bias: bool,
-    /// Initialize the weights of the output layer with zeros.
+    /// Initializes the weights of the output layer with zeros.
     zero_init_output: bool,
 }
 

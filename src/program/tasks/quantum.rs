@@ -25,9 +25,9 @@ pub struct Quantum;
 pub struct QuantumSettings {
     /// Number of grid points between the walls.
     grid: usize,
-    /// Length of the box.
+    /// Length of the box, in units with ħ = 1 and m = 1/2.
     length: f64,
-    /// Time step.
+    /// Time step, in units with ħ = 1 and m = 1/2.
     dt: f64,
     /// Shape of the control potential.
     control: ControlShape,
@@ -74,7 +74,7 @@ effects_section! {
 }
 
 impl QuantumEffects {
-    /// The static potential.
+    /// The static potential on the grid, if any.
     fn potential(&self, system: &QuantumSystem) -> Option<Named<Tabulated>> {
         let harmonic = self.harmonic.map(|effect| Tabulated::of(system, &effect));
         let barrier = self.barrier.map(|effect| Tabulated::of(system, &effect));
@@ -138,7 +138,7 @@ impl Default for QuantumLoss {
 pub struct ConvSettings {
     /// Number of filters of each convolution.
     width: usize,
-    /// Initialize the weights of the output layer with zeros.
+    /// Initializes the weights of the output layer with zeros.
     zero_init_output: bool,
 }
 
@@ -182,7 +182,7 @@ impl TaskSpec for Quantum {
 
     fn validate(settings: &Settings<Self>) -> Result<(), ConfigError> {
         let QuantumSettings { grid, length, dt, target, weighting: [first, second], control: _ } = settings.system;
-        // Two unpadded convolutions need at least seven points.
+        // Two convolutions of kernel size 3 and stride 2 need at least seven points.
         count("system.grid", grid, 7..=100_000)?;
         count("system.target", target, 1..=grid)?;
         positive("system.length", length)?;
@@ -192,7 +192,7 @@ impl TaskSpec for Quantum {
         let weighting = format!("[{first}, {second}]");
         allowed("system.weighting", weighting, can_be_normalized, "two numbers, the larger magnitude from 1e-6 to 1e6")?;
         settings.effects.validate(length)?;
-        // The convolutions run over the wave function and accept no further state components.
+        // The convolutions accept no state components besides the wave function.
         settings.actuator.without_state("the network of this task observes only the wave function")
     }
 

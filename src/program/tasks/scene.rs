@@ -23,7 +23,7 @@ use std::ops::Deref;
 use std::sync::Arc;
 use toml::{Table, Value};
 
-/// Validated settings.
+/// Validated settings of a run, independent of the type of the task.
 #[derive(Clone)]
 pub struct Scene {
     /// Specification of the task.
@@ -53,17 +53,17 @@ pub trait AnySettings: Send + Sync {
     fn amplification(&self) -> Option<Amplification>;
     /// Loss and gradient at the initial parameters and at parameters nearby.
     fn plateau(&self) -> Result<Plateau, Divergence>;
-    /// Rollout with its adjoints, for comparison with other methods.
+    /// Runs a rollout and its adjoints, and prepares them for timing.
     fn prepare(&self) -> Job;
     /// Gradient, computed by the given method.
     fn derive(&self, precision: Precision, method: GradientMethod) -> Derived;
     /// Components of the gradients of R, M and S in double-double arithmetic. Calls `done` after
-    /// each.
+    /// each component.
     fn refer(&self, done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3];
     /// Operation counts of a physics step and of its VJPs, and of the costs and the observation.
     fn cost(&self) -> TaskOpCount;
-    /// Memory and allocations of a rollout of a few samples, for evaluation or with the adjoint of
-    /// a field.
+    /// Memory and allocations of a rollout of 8 samples, for evaluation or with the adjoint of a
+    /// field.
     fn stored(&self, field: Option<Field>) -> Stored;
     /// Losses of the policy with these parameters from new initial states; infinite where a rollout
     /// diverges.
@@ -84,7 +84,7 @@ pub trait AnySettings: Send + Sync {
     fn control_names(&self) -> Vec<String>;
     /// Names of the applied controls, if there is an actuator.
     fn applied_names(&self) -> Vec<String>;
-    /// Controls that the actuator applies in these states, given those of the policy.
+    /// Controls that the actuator applies, for these states and controls of the policy.
     fn applied(&self, states: &[Vec<f64>], controls: &[Vec<f64>]) -> Vec<Vec<f64>>;
     /// A quantity that is conserved while the control is zero, or None.
     fn conserved(&self) -> Option<Conserved>;

@@ -1,4 +1,4 @@
-//! Settings of a run, as one struct per task.
+//! [`Settings`]: settings of a run, generic over the task.
 
 use crate::policy::WithParams;
 use crate::program::operations::memory::{self, Needs};
@@ -120,7 +120,7 @@ impl<K: TaskSpec> Settings<K> {
         let samples = batch.min(train_samples);
         let (task, policy) = self.task_and_policy();
         let Needs { batch: whole, rest } = memory::needs(&task, &policy, self.precision, samples, train_samples + test_samples);
-        // With a budget, the reverse pass recomputes the steps that do not fit.
+        // With a budget, the reverse pass recomputes the steps that exceed the budget.
         let batch = self.training.budget().map_or(whole, |budget| whole.min(budget as f64));
         let (needed, most) = (batch + rest, memory::of_this_machine());
         if needed > most {
@@ -138,7 +138,8 @@ impl<K: TaskSpec> Settings<K> {
         Ok(())
     }
 
-    /// Effects that are present, in order of evaluation: those of the task, then those of the user.
+    /// Effects that are present, in order of evaluation: first built-in effects, then effects of
+    /// the user.
     pub fn all_effects<M: 'static, E: From<DynEffect<M>>>(&self) -> Vec<Named<E>>
     where
         K::Effects: Present<E>,

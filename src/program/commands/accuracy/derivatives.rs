@@ -17,7 +17,7 @@ impl fmt::Display for GradientMethod {
     }
 }
 
-/// Euclidean norm, scaled so that squares do not overflow.
+/// Euclidean norm. Scales the components first, because squares may overflow.
 fn norm(x: &[f64]) -> f64 {
     let largest = x.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
     if largest == 0.0 { 0.0 } else { largest * x.iter().map(|x| (x / largest) * (x / largest)).sum::<f64>().sqrt() }
@@ -38,7 +38,7 @@ pub struct Derivative {
     pub precision: Precision,
     /// Error relative to the double-double reference, or the message of a divergence.
     pub error: Result<f64, String>,
-    /// Share of all components with the same sign as in f64.
+    /// Share of all components with the same sign as in f64. None except for reverse passes.
     pub signs: Option<f64>,
     /// Seconds for a whole gradient: lowest, median and highest.
     pub seconds: [f64; 3],
@@ -63,6 +63,7 @@ impl Derivative {
 
 /// Reverse pass of R within a memory budget.
 pub struct Checkpoint {
+    /// Number of steps.
     pub horizon: usize,
     /// Memory budget in bytes.
     pub budget: u64,
@@ -70,8 +71,8 @@ pub struct Checkpoint {
     pub bytes: usize,
     /// Seconds for the gradient: lowest, median and highest.
     pub seconds: [f64; 3],
-    /// True if the gradient is bitwise equal to the gradient without a budget, or the message of an
-    /// error.
+    /// True if the gradient is bitwise equal to the gradient without a budget. An error is the
+    /// message of a divergence or of a budget that is too small.
     pub same: Result<bool, String>,
 }
 
@@ -88,18 +89,19 @@ impl Checkpoint {
 
 /// Gradient R at one horizon.
 pub struct Horizon {
+    /// Number of steps.
     pub horizon: usize,
     /// Norm of the gradient in f64.
     pub norm: f64,
     /// Relative error and share of correct signs, or the message of a divergence.
     ///
-    /// The first entry compares f32 with f64. The second compares f64 with f64 from initial states
-    /// perturbed by one rounding.
+    /// Both entries are relative to the gradient in f64. The first is for the gradient in f32, the
+    /// second for the gradient in f64 from initial states perturbed by one rounding.
     pub found: [Result<(f64, f64), String>; 2],
 }
 
 impl Horizon {
-    /// Takes the gradients in f32, in f64, and in f64 from perturbed initial states.
+    /// `gradients` are those in f32, in f64, and in f64 from perturbed initial states.
     pub fn new(horizon: usize, gradients: &[Result<Vec<f64>, String>]) -> Self {
         let against = |found: &Result<Vec<f64>, String>| match (found, &gradients[1]) {
             (Ok(found), Ok(right)) => Ok(compare(found, right)),

@@ -83,7 +83,8 @@ fn tables(style: TableStyle, methods: &[Derivative], checkpoints: &[Checkpoint],
     ]
 }
 
-/// Sentence with the last horizon up to which at least 99 % of the signs are correct.
+/// Sentence with the last horizon up to which at least 99 % of the signs are correct. `which` is 0
+/// for f32, 1 for f64.
 fn trusted(along: &[Horizon], which: usize) -> String {
     let right = |row: &&Horizon| row.found[which].as_ref().is_ok_and(|(_, signs)| *signs >= 0.99);
     let precision = ["f32", "f64"][which];
@@ -98,7 +99,7 @@ fn trusted(along: &[Horizon], which: usize) -> String {
     }
 }
 
-/// Writes all files and returns the text for the terminal.
+/// Writes all files. Returns the text for the terminal.
 pub fn write(
     folder: &Folder,
     name: &str,
@@ -114,8 +115,8 @@ pub fn write(
     let text = |[methods, checkpoints, horizons]: [Table; 3]| {
         format!(
             "Errors at eight parameters, relative to double-double. Times of the whole gradient on one thread.\n\n{methods}\n\n\
-             Reverse pass of R through {horizon} steps, with checkpoints:\n\n{checkpoints}\n\nError of R by horizon: f32 \
-             relative to f64, and f64 relative to f64 from initial states perturbed by one rounding:\n\n{horizons}\n\n{}.\n{}.",
+             Reverse pass of R through {horizon} steps, with checkpoints:\n\n{checkpoints}\n\nError of R by horizon, \
+             relative to f64: in f32, and in f64 from initial states perturbed by one rounding:\n\n{horizons}\n\n{}.\n{}.",
             trusted(along, 0),
             trusted(along, 1)
         )

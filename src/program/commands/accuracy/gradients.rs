@@ -17,14 +17,15 @@ use toml::Value;
 
 /// Step sizes of central differences.
 const STEPS: [f64; 10] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10];
-/// Number of timing rounds, and the minimum time per round for each method, s.
+/// Number of timing rounds.
 const ROUNDS: usize = 5;
+/// Minimum time per round and method, s.
 const MIN_TIME: f64 = 0.01;
-/// Minimum horizon of the checkpoint measurements. The budgets are the full memory divided by each
-/// divisor.
+/// Minimum horizon of the checkpoint measurements, in steps.
 const CHECKPOINTED: usize = 1024;
+/// Divisors of the full memory: one budget each.
 const PARTS: [u64; 4] = [1, 2, 4, 8];
-/// Memory budget, in bytes, of a rollout at any horizon.
+/// Memory budget of a reverse pass at each of the `--horizons`, in bytes.
 const BUDGET: u64 = 256_000_000;
 
 const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::F64];
@@ -73,7 +74,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
         derived.push(study.scene.derive(*precision, *method));
         bar.inc(1);
     }
-    // Interleaves the methods, so that other load on the machine affects all of them.
+    // Interleaves the methods: other load on the machine then affects all methods.
     let mut times = vec![Vec::new(); methods.len()];
     for round in 0..ROUNDS {
         bar.set_message(format!("round {} of {ROUNDS}", round + 1));
@@ -84,7 +85,7 @@ pub fn gradients(study: &Study, name: &str, folder: &Folder, horizons: &[usize],
             bar.inc(1);
         }
     }
-    // Compares signs with the gradient in f64: the reference contains only the chosen components.
+    // Compares signs with the gradient in f64, because the reference has only chosen components.
     let full = |field: Field| {
         let found = methods.iter().position(|method| *method == (reverse(field, None), Precision::F64));
         found.and_then(|i| derived[i].gradient.as_ref().ok())
@@ -173,9 +174,9 @@ pub fn parse(horizons: &[usize]) -> Result<Vec<usize>> {
     Ok(horizons)
 }
 
-/// Components of a gradient at the [`chosen`] parameters.
+/// Components of a gradient at the [`chosen`] parameters. `reference` is their number.
 pub fn at_chosen(gradient: &[f64], reference: usize) -> Vec<f64> {
-    // Methods that differentiate by one parameter at a time return only these components.
+    // Methods that differentiate by one parameter at a time return only the chosen components.
     if gradient.len() == reference {
         gradient.to_vec()
     } else {

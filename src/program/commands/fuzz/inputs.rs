@@ -62,7 +62,7 @@ fn preset(rng: &mut Rng) -> Cow<'static, str> {
     presets::text(names[rng.random_range(0..names.len())]).expect("a preset")
 }
 
-/// Changes, removes or inserts bytes, lines, numbers or keys of a text.
+/// Changes, removes or inserts a byte, line, value or key of a text, or truncates the text.
 fn damage_text(rng: &mut Rng, text: &mut Vec<u8>) {
     let at = rng.random_range(0..=text.len());
     let lines: Vec<Vec<u8>> = text.split(|&byte| byte == b'\n').map(<[u8]>::to_vec).collect();
@@ -98,14 +98,15 @@ fn damage_bytes(rng: &mut Rng, bytes: &mut Vec<u8>) {
     match rng.random_range(0..5) {
         0 => bytes.truncate(at.max(1)),
         1 => bytes.insert(at, rng.random()),
-        // A length is encoded in several bytes. All bytes but the last have the highest bit set.
+        // Inserts part of a huge length: in an encoded length, all bytes but the last have the
+        // highest bit set.
         2 => bytes.splice(at..at, [0xff; 9]).for_each(drop),
         _ => bytes[at] = rng.random(),
     }
 }
 
-/// True if the scene is valid. Checks that a valid scene survives writing and reading, and that an
-/// error has a message.
+/// True if the scene is valid. Asserts that writing and reading preserve the identity of a valid
+/// scene, and that an error has a message.
 fn is_scene(read: Result<Scene>) -> bool {
     match read {
         Ok(scene) => {
@@ -120,7 +121,7 @@ fn is_scene(read: Result<Scene>) -> bool {
     }
 }
 
-/// Reads a damaged preset and writes it as the settings of a run.
+/// Reads a damaged preset. Writes and reads the settings of a valid one.
 fn scene(number: u64, outcomes: &mut Outcomes) {
     let rng = &mut numbers_of(number);
     let mut text = preset(rng).as_bytes().to_vec();
@@ -133,7 +134,7 @@ fn scene(number: u64, outcomes: &mut Outcomes) {
     });
 }
 
-/// Assignment for `--set`, mostly to a key of this preset or its task.
+/// Random assignment for `--set`, mostly to a key of this preset or its task.
 fn assignment(rng: &mut Rng, preset: &Table) -> String {
     let matching = tasks::all().iter().copied().find(|kind| preset.get("task").and_then(Value::as_str) == Some(kind.name()));
     let task = matching.filter(|_| rng.random_range(0..8) > 0).unwrap_or(*one_of(rng, tasks::all()));
@@ -248,8 +249,8 @@ fn folder(number: u64, outcomes: &mut Outcomes) {
     let _ = fs::remove_dir_all(&path);
 }
 
-/// Creates the folder of a run of a preset, with small sizes. Damages the preset or a file of the
-/// run in most cases.
+/// Creates the folder of a small run of a preset. Damages the preset, settings or checkpoint in
+/// most cases. The metrics are always random bytes.
 fn create(rng: &mut Rng, path: &Path) -> Result<()> {
     let mut text = preset(rng).as_bytes().to_vec();
     for _ in 0..rng.random_range(0..3) {

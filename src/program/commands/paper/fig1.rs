@@ -10,7 +10,7 @@ use crate::vector_field::{self, Sample};
 use anyhow::Result;
 use std::fmt::Write;
 
-/// Both parameters range from `-HALF_WIDTH` to `HALF_WIDTH`.
+/// Half the range of each parameter, which is centered at 0.
 const HALF_WIDTH: f64 = 4.0;
 /// Decades of the colour scale. A few values lie below the scale. The values in the corner with
 /// large x_4 lie above it.
@@ -20,8 +20,8 @@ pub fn fig1(quick: bool) -> Result<FinishedFigure> {
     let (cells, arrows) = if quick { (40, 14) } else { (80, 18) };
     let (fine, coarse) = (Fields::sample(cells)?, Fields::sample(arrows)?);
     let plane = Plane { labels: ["θ₁", "θ₂"], half_width: HALF_WIDTH, decades: DECADES, values: "loss, |R|, |M|" };
-    // x_4 - y, which vanishes at the minima. The first component of M is (x_4 - y) Σ x_t², so it
-    // has the same sign.
+    // x_4 - y, which vanishes at the minima. The first component of M, (x_4 - y) Σ x_t², has the
+    // same sign.
     let signs: Vec<f64> = fine.modified.iter().map(|m| (2.0 * m.loss).sqrt().copysign(m.vector[0])).collect();
     let vectors = |title: &str, fine: &[Sample], coarse: &[Sample]| Map {
         title: title.into(),
@@ -68,7 +68,7 @@ impl Fields {
     }
 
     fn table(&self) -> String {
-        // |x_4 - y|, to which both fields are proportional.
+        // |x_4 - y|. R and M are proportional to it.
         let miss = |s: &Sample| (2.0 * s.loss).sqrt();
         let mut table = "| over θ | min | median | max | orders of magnitude |\n|---|---|---|---|---|\n".to_string();
         for (name, values) in [

@@ -8,9 +8,11 @@ use crate::vector_field::{self, LEARNING_RATE, Rotated, START, Sample};
 use anyhow::Result;
 use std::fmt::Write;
 
-/// Both parameters range from `-HALF_WIDTH` to `HALF_WIDTH`.
+/// Half the range of each parameter, which is centered at 0.
 const HALF_WIDTH: f64 = 4.0;
+/// Number of Adam updates of each method.
 const ITERATIONS: usize = 1500;
+/// Labels of the panels.
 const LETTERS: [&str; 3] = ["(a)", "(b)", "(c)"];
 
 pub fn fig2(quick: bool) -> Result<FinishedFigure> {

@@ -26,13 +26,15 @@ const NOTE: &str = "Table: test loss after the last epoch. Figure: the mean of u
 pub struct Study {
     pub name: &'static str,
     pub title: &'static str,
-    /// Preset, the key of the varied setting, and its values.
+    /// Preset.
     scene: &'static str,
+    /// Key of the varied setting.
     key: &'static str,
+    /// Values of the varied setting.
     values: &'static [&'static str],
-    /// Title of a panel, with `{}` for the value.
+    /// Title of a panel. `{}` stands for the value.
     panel: &'static str,
-    /// Value for which a further panel shows the norm of the field.
+    /// Value with a further panel, which shows the norm of the field.
     update_size_of: Option<&'static str>,
 }
 
@@ -117,8 +119,8 @@ impl Study {
         let rows = cells.chunks(self.values.len()).enumerate().map(|(i, row)| {
             // Puts titles above the first row only.
             let title = |text: String| if i == 0 { text } else { String::new() };
-            // Shares the loss axis within a column: clipping kinds are comparable, whereas columns
-            // differ by orders of magnitude.
+            // Shares the loss axis within a column. Losses of different columns differ by orders of
+            // magnitude.
             let losses = row.iter().enumerate().map(|(j, cell)| Case {
                 title: title(self.panel(cell.value)),
                 y_label: format!("test loss (clip: {})", cell.clip.name()),

@@ -22,8 +22,8 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
         "Norm of the field",
         Chart::log(EPOCH, "gradient norm", norms),
         "Norm of the vector that the optimizer follows, before clipping, averaged over the updates of an epoch; for several \
-         seeds, mean and band as above. Jumps by powers of ten show an exploding field. A line that falls while the loss does \
-         not shows a vanishing field.",
+         seeds, mean and band as above. Jumps by powers of ten show an exploding field. A norm that falls at a constant loss \
+         shows a vanishing field.",
     )];
     let composed = |run: &&Inspected| run.records.iter().any(|r| r.cosine.is_some());
     if runs.iter().any(|run| composed(&run)) {
@@ -33,7 +33,7 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
                 "Agreement of M and R",
                 Chart::linear(EPOCH, "cosine", [-1.0, 1.0], by_epoch(|r| r.cosine.unwrap_or(f64::NAN))),
                 "Cosine of the angle between the gradients M and R, from which C is computed. At 1 their directions are equal. \
-                 At 0 or below, backpropagation through the network has turned R away from M.",
+                 At 0 or below, backpropagation through the network gives R a direction that does not agree with M.",
             )
             .keys(keys()),
         );
@@ -57,7 +57,7 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
         let growth = |r: &Record| if flow == Flow::REGULAR { r.regular_growth } else { r.modified_growth };
         let points = run.records.iter().filter_map(|r| Some((r.epoch as f64, growth(r)?.along)));
         let series = Series::new(format!("{flow} of {}", run.name()), field_color(&flow.to_string()), points.collect());
-        // Dashes the lines of C, to distinguish them from those of R and M.
+        // Dashes the lines of runs that train with C. Runs that train with R or M have solid lines.
         if run.field.flows().len() > 1 { series.dashed() } else { series }
     };
     let both = runs.iter().flat_map(|run| [Flow::REGULAR, Flow::MODIFIED].map(|flow| line(run, flow)));
@@ -79,10 +79,10 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
     .notes(warnings.flatten().collect())
 }
 
-/// Note on the charts that [`of_epochs`] omits.
+/// Note on the charts that [`of_epochs`] omits, if no run has two gradients.
 pub fn missing(runs: &[Inspected]) -> Option<&'static str> {
-    let several = runs.iter().all(|run| run.field.flows().len() == 1);
-    several.then_some(
+    let has_one_flow = runs.iter().all(|run| run.field.flows().len() == 1);
+    has_one_flow.then_some(
         "Cosine and share kept are recorded for the combined field (C) only, which uses two gradients. These runs use one.",
     )
 }
@@ -130,15 +130,15 @@ pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
         trained(
             "Growth of M as trained",
             1,
-            "Adjoint of M (through the physics only) under the same policies. Lines that stay level where those of R do not \
-             show an imbalance caused by the network.",
+            "Adjoint of M (through the physics only) under the same policies. If the lines of M are level and the lines of R \
+             are not, the network causes the growth.",
         ),
     ]
 }
 
 const GROWTH: &str = "Norm of the derivative of the later cost by the state at each step, through physics and network (R) or \
                       through the physics alone (M); root mean square over test rollouts. The reverse pass runs from right to \
-                      left: a line that rises by powers of ten explodes, one that falls vanishes.";
+                      left: a line that rises by powers of ten shows an exploding adjoint, a falling line a vanishing adjoint.";
 
 /// Notes on divergences that truncate or remove a line.
 fn diverged(growths: &[AdjointNorms], when: &str) -> Vec<String> {

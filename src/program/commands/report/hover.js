@@ -3,9 +3,10 @@
 "use strict";
 
 const SVG = "http://www.w3.org/2000/svg";
-// Largest number of values shown at once. Values nearest to the pointer take precedence.
+// Largest number of values shown at once.
 const MOST_ROWS = 8;
-// Largest distance from the end of a curve at which it still has a value, in units of the chart.
+// Largest distance beyond the end of a curve at which the readout shows the last value, in units
+// of the chart.
 const NEAR = 12;
 
 const element = (name, attributes, parent) => {
@@ -51,7 +52,7 @@ const activate = (chart) => {
     readout.hidden = true;
   };
 
-  // Shows the values at index `i` of all x. If there are too many, shows those nearest to `y`.
+  // Shows the values of the curves at `all[i]`, or the MOST_ROWS values nearest to the height `y`.
   const show = (i, y) => {
     index = Math.max(0, Math.min(all.length - 1, i));
     const x = all[index];

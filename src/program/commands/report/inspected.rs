@@ -19,8 +19,9 @@ pub struct Inspected {
     pub seed: u64,
     /// Total number of epochs in the settings.
     pub epochs: usize,
-    /// Time steps of a rollout, and the machine epsilon of the precision.
+    /// Time steps of a rollout.
     pub horizon: usize,
+    /// Machine epsilon of the precision.
     pub epsilon: f64,
     pub settings: Table,
     pub records: Vec<Record>,
@@ -37,11 +38,11 @@ pub enum End {
     Failed(String),
 }
 
-/// Data that need rollouts.
+/// Data computed from rollouts.
 pub struct RolloutData {
     /// Adjoint norms of R and M before the first epoch.
     pub before: [AdjointNorms; 2],
-    /// Adjoint norms of R and M in the saved state.
+    /// Adjoint norms of R and M under the saved policy.
     pub after: [AdjointNorms; 2],
     /// Animation as SVG.
     pub animation: String,
@@ -122,7 +123,7 @@ fn open(folder: &Folder, scene: &Scene, with_rollouts: bool) -> Result<Inspected
     })
 }
 
-/// Determines how the run ended. A checkpoint does not record an error, so this function trains
+/// Determines the end of the run. A checkpoint does not record an error, so this function trains
 /// the next epoch: training is deterministic, and a failed run fails again.
 fn end(run: &mut dyn AnyRun, epochs: usize) -> End {
     if run.records().len() >= epochs {

@@ -181,7 +181,7 @@ fn remarks(runs: &[Inspected]) -> Markup {
     }
 }
 
-/// Tables of all settings. Where runs differ, lists every value.
+/// Tables of all settings. Lists every value of a setting that differs between runs.
 fn settings(runs: &[&Inspected]) -> Markup {
     let mut values: Vec<(String, Vec<String>)> = Vec::new();
     for (key, value) in runs.iter().flat_map(|run| flat(&run.settings)) {

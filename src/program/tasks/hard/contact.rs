@@ -33,6 +33,7 @@ enum Model {
 }
 
 impl ContactSettings {
+    /// Contact by time of impact, with the default restitution of the task.
     pub(super) const DEFAULT: Self = Self { model: Model::TimeOfImpact, restitution: None, stiffness: None, damping: None };
 
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
@@ -57,7 +58,7 @@ impl ContactSettings {
         not_negative("system.contact.damping", damping.unwrap_or(0.0))
     }
 
-    /// Contact of these settings. `restitution` is the default.
+    /// Contact model of these settings. `restitution` is the default of the task.
     pub(super) fn contact(&self, restitution: f64) -> Contact {
         match self.model {
             Model::TimeOfImpact => Contact::TimeOfImpact { restitution: self.restitution.unwrap_or(restitution) },
@@ -65,7 +66,7 @@ impl ContactSettings {
         }
     }
 
-    /// Penalty contact that substeps of 1 ms resolve.
+    /// Penalty contact with a stiffness of 10 kN/m, which substeps of 1 ms resolve.
     pub(super) fn soft() -> Self {
         Self { model: Model::Penalty, stiffness: Some(1e4), ..Self::DEFAULT }
     }
