@@ -2,8 +2,8 @@
 //! file.
 //!
 //! `tests/reference/README.md` describes the files. `PHYSGRAD_REFERENCE` selects another folder.
-//! Errors are relative to the largest expected component, those of cosines absolute. Prints errors:
-//! `cargo test --test reference -- --nocapture`.
+//! Errors of cosines are absolute. Other errors are relative to the largest expected component.
+//! `cargo test --test reference -- --nocapture` prints all errors.
 
 use physgrad::policy::{Conv, Mlp};
 use physgrad::tasks::{CartPole, CartPoleSystem, Guidance, GuidanceSystem, LossMode, Quantum, QuantumSystem};

@@ -15,7 +15,7 @@ fn agents(drivers: usize, evaders: usize) -> GuidanceSystem {
     GuidanceSystem { drivers, evaders, ..GuidanceSystem::default() }
 }
 
-/// Returns obstacles within reach of the tested states.
+/// Returns obstacles that act on some of the states of [`draw_large`].
 fn obstacles() -> Obstacles {
     Obstacles { centers: vec![[0.5, -0.3], [-1.5, 1.0]], radius: 1.2, stiffness: 9.0 }
 }
@@ -36,7 +36,7 @@ fn every_effect() -> Vec<GuidanceEffect> {
     ]
 }
 
-/// Draws fast agents on both sides of obstacles and walls.
+/// Draws components within ±2.5: agents inside and outside of obstacles and walls.
 fn draw_large(rng: &mut Rng, x: &mut [f64], u: &mut [f64], _p: &mut [f64]) {
     x.iter_mut().chain(u).for_each(|x| *x = rng.random_range(-2.5..2.5));
 }
@@ -177,7 +177,7 @@ fn momentum(forces: &[[f64; 2]]) -> (f64, f64) {
 }
 
 #[test]
-fn effects_act_on_the_stated_agents() {
+fn effects_act_on_the_documented_agents() {
     let model = agents(3, 4);
     for x in states(&model) {
         let (spread, flock) = (forces(&Spread::default(), &model, &x), forces(&Flock::default(), &model, &x));
