@@ -30,7 +30,8 @@ fn absorbing_edges_only_remove_probability() {
     let model = QuantumSystem { grid: 399, length: 10.0, dt: 0.002, ..QuantumSystem::default() };
     let edges = AbsorbingEdges { width: 3.0, strength: 30.0 };
     let system = Absorbing::new(Forced { system: model, effects: Cubic { strength: 2.0 } }, edges);
-    // The packet moves at the speed 2k = 20 and would return to the middle after 500 steps.
+    // The packet moves at the speed 2k = 20. Without edges, it returns to the middle after 250 and
+    // after 500 steps.
     let mut x = packet(&model, 5.0, 0.5, 10.0);
     let mut before = norm(&x);
     for _ in 0..500 {
