@@ -1,12 +1,12 @@
-//! Modules import downwards only. Lists of modules begin with the lowest.
+//! Each module imports only the modules that its list permits. These stand above it in the list.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Module, and the modules that it may import. All of these stand above it in the list.
+/// Module, and the modules that it may import.
 type Edges = (&'static str, &'static [&'static str]);
 
-/// Modules of the library.
+/// Modules of the library in `src`.
 const LIBRARY: [Edges; 10] = [
     ("numbers", &[]),
     ("report", &[]),
@@ -20,7 +20,7 @@ const LIBRARY: [Edges; 10] = [
     ("check", &["numbers", "dynamics", "policy", "engine", "train", "tasks"]),
 ];
 
-/// Modules of the program.
+/// Modules of the program in `src/program`.
 const PROGRAM: [Edges; 7] = [
     ("platform", &[]),
     ("settings", &[]),
@@ -41,9 +41,9 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     nested.flatten().filter(|path| path.extension().is_some_and(|extension| extension == "rs")).collect()
 }
 
-/// Returns the forbidden imports in a file of `module`: paths that start with `root`.
+/// Returns the modules that a file of `module` imports without permission.
 ///
-/// Skips comments and unit tests.
+/// Imports are paths that start with `root`. Skips comment lines and all lines from `#[cfg(test)]`.
 fn forbidden(modules: &[Edges], root: &str, module: &str, text: &str) -> Vec<String> {
     let (_, allowed) = modules.iter().find(|(name, _)| *name == module).expect("a module of the list");
     let lines = text.lines().take_while(|line| line.trim() != "#[cfg(test)]").filter(|line| !line.trim().starts_with("//"));
@@ -52,10 +52,14 @@ fn forbidden(modules: &[Edges], root: &str, module: &str, text: &str) -> Vec<Str
     names.filter(|name| *name != module && !allowed.contains(name)).map(String::from).collect()
 }
 
-/// Checks the imports of all files below `folder`, and that the list of modules is complete.
+/// Checks the imports of all listed modules below `folder`. Checks that `folder` contains only the
+/// listed modules and `others`.
 fn check(folder: &Path, modules: &[Edges], root: &str, others: &[&str]) {
     for (i, (module, allowed)) in modules.iter().enumerate() {
-        assert!(allowed.iter().all(|name| modules[..i].iter().any(|(above, _)| above == name)), "{module}");
+        assert!(
+            allowed.iter().all(|name| modules[..i].iter().any(|(above, _)| above == name)),
+            "{module} may import a module below it"
+        );
         for path in files(&folder.join(module)) {
             let text = fs::read_to_string(&path).expect("a source file");
             let forbidden = forbidden(modules, root, module, &text);
@@ -63,41 +67,42 @@ fn check(folder: &Path, modules: &[Edges], root: &str, others: &[&str]) {
         }
     }
     for entry in fs::read_dir(folder).expect("a folder") {
-        let name = entry.expect("an entry").file_name().into_string().expect("text");
+        let name = entry.expect("an entry").file_name().into_string().expect("a name in UTF-8");
         let listed = others.contains(&&*name) || modules.iter().any(|(module, _)| *module == name);
         assert!(listed, "{}/{name} is not in the list of modules", folder.display());
     }
 }
 
-/// Returns whether the text contains `depth` consecutive `super::`, which leave the folder of the
-/// program.
+/// Returns whether the text contains `depth` consecutive `super::`.
+///
+/// In a file `depth` levels below `src/program`, this path leaves the folder of its module.
 fn leaves_folder(text: &str, depth: usize) -> bool {
     text.contains(&"super::".repeat(depth))
 }
 
 #[test]
-fn modules_of_the_library_import_downwards() {
+fn library_modules_import_only_permitted_modules() {
     check(&source(), &LIBRARY, "crate::", &["program", "lib.rs", "main.rs"]);
 }
 
 #[test]
-fn modules_of_the_program_import_downwards() {
+fn program_modules_import_only_permitted_modules() {
     let folder = source().join("program");
     check(&folder, &PROGRAM, "crate::program::", &["mod.rs"]);
     for path in PROGRAM.iter().flat_map(|(module, _)| files(&folder.join(module))) {
         let text = fs::read_to_string(&path).expect("a source file");
         let depth = path.strip_prefix(&folder).expect("a file of the program").components().count();
         let depth = if path.ends_with("mod.rs") { depth - 1 } else { depth };
-        assert!(!leaves_folder(&text, depth), "{} leaves its folder by `super`", path.display());
+        assert!(!leaves_folder(&text, depth), "{} leaves the folder of its module by `super`", path.display());
     }
 }
 
 #[test]
-fn planted_imports_are_found() {
+fn forbidden_imports_are_found_in_example_texts() {
     let library = |module: &str, text: &str| forbidden(&LIBRARY, "crate::", module, text);
     assert_eq!(library("numbers", "use crate::dynamics::system::System;\n"), ["dynamics"]);
     assert_eq!(library("policy", "//! [`x`](crate::train)\nfn f() -> crate::engine::Batch {}\n"), ["engine"]);
-    assert_eq!(library("engine", "use crate::System;"), ["System"], "imports name the module");
+    assert_eq!(library("engine", "use crate::System;"), ["System"], "imports from the root of the crate are forbidden");
     assert!(library("tasks", "use crate::dynamics::x;\n#[cfg(test)]\nmod tests { use crate::engine::y; }").is_empty());
     let program = |module: &str, text: &str| forbidden(&PROGRAM, "crate::program::", module, text);
     assert_eq!(program("settings", "use crate::program::tasks::Settings;\n"), ["tasks"]);

@@ -1,5 +1,5 @@
-//! Simple tasks of the paper against dual numbers, closed forms and finite differences, and the
-//! paper's statements about them.
+//! Compares the tasks `Reach` and `Bowl` with dual numbers, closed forms, finite differences, and
+//! statements of the paper.
 
 use approx::assert_relative_eq;
 use physgrad::policy::{Constant, Linear, Quadratic};
@@ -8,7 +8,7 @@ use physgrad::vector_field::{self, LEARNING_RATE, ROTATION, Rotated, START};
 use physgrad::{Field, GradientCombiner, Optimizer, OptimizerKind, check};
 
 #[test]
-fn every_derivative() {
+fn derivatives_of_the_examples_equal_dual_numbers() {
     for dim in [1, 2, 5] {
         check::system(&Accumulator { dim });
     }
@@ -19,12 +19,12 @@ fn every_derivative() {
     check::task(&Bowl::default(), &Constant::new(2, 2));
 }
 
-/// Returns parameters covering figure 1.
+/// Returns a grid of parameters over the area of figure 1.
 fn thetas() -> Vec<[f64; 2]> {
     vector_field::grid(4.0, 12)
 }
 
-/// Returns the states of figure 1, and ∂x_4/∂θ by the chain rule along the steps.
+/// Returns the states x_0 to x_4 of figure 1, and ∂x_4/∂θ by the chain rule.
 fn trajectory([a, b]: [f64; 2]) -> ([f64; 5], [f64; 2]) {
     let (mut x, mut slope) = ([-0.3; 5], [0.0; 2]);
     for t in 0..4 {
@@ -37,13 +37,14 @@ fn trajectory([a, b]: [f64; 2]) -> ([f64; 5], [f64; 2]) {
 }
 
 #[test]
-fn regular_is_the_chain_rule_written_out() {
+fn regular_field_equals_an_explicit_chain_rule() {
     let samples = vector_field::sample(&Reach::default(), &Quadratic, &Field::regular(), &thetas()).expect("finite");
     for s in samples {
         let (x, slope) = trajectory(s.theta);
         let miss = x[4] - 2.0;
         assert_relative_eq!(s.loss, miss * miss / 2.0, max_relative = 1e-12);
-        // Terms of opposite sign may cancel. The tolerance is therefore relative to the norm.
+        // Terms of opposite sign may cancel. The tolerance is therefore relative to the norm of
+        // the gradient.
         let scale = miss.abs() * slope[0].hypot(slope[1]);
         for (found, slope) in s.vector.into_iter().zip(slope) {
             assert_relative_eq!(found, miss * slope, epsilon = 1e-12 * scale, max_relative = 1e-11);
@@ -52,7 +53,7 @@ fn regular_is_the_chain_rule_written_out() {
 }
 
 #[test]
-fn regular_is_the_slope_of_the_loss() {
+fn regular_field_equals_finite_differences_of_the_loss() {
     let loss = |theta| vector_field::sample(&Reach::default(), &Quadratic, &Field::regular(), &[theta]).expect("finite")[0].loss;
     let h = 1e-5;
     for s in vector_field::sample(&Reach::default(), &Quadratic, &Field::regular(), &vector_field::grid(1.5, 5)).expect("finite")
@@ -67,7 +68,7 @@ fn regular_is_the_slope_of_the_loss() {
 
 /// In M, all controls receive the same cotangent, since ∂S/∂x = 1.
 #[test]
-fn modified_is_the_sum_over_the_steps() {
+fn modified_field_is_the_cotangent_times_the_sum_of_policy_derivatives() {
     for s in vector_field::sample(&Reach::default(), &Quadratic, &Field::modified(), &thetas()).expect("finite") {
         let (x, _) = trajectory(s.theta);
         let miss = x[4] - 2.0;
@@ -76,15 +77,15 @@ fn modified_is_the_sum_over_the_steps() {
         for (found, sum) in s.vector.into_iter().zip(sums) {
             assert_relative_eq!(found, miss * sum, epsilon = 1e-12 * scale, max_relative = 1e-11);
         }
-        // The first component therefore points towards the target everywhere, and vanishes only
-        // there.
+        // Σ x² ≥ x_0² = 0.09. The first component therefore has the sign of x_4 - 2, and vanishes
+        // only for x_4 = 2.
         assert!(s.vector[0] * miss >= 0.09 * miss * miss, "{s:?}");
     }
 }
 
-/// R, M and C vanish where the target is met. Elsewhere, R may vanish, and C with it, but not M.
+/// R, M and C vanish if x_4 equals the target. Otherwise, R and C can vanish, but M does not.
 #[test]
-fn the_fields_have_their_minima_in_common() {
+fn r_m_and_c_vanish_at_the_target_and_m_only_there() {
     for theta in thetas() {
         let target = trajectory(theta).0[4];
         let task = Reach { target, ..Reach::default() };
@@ -93,11 +94,11 @@ fn the_fields_have_their_minima_in_common() {
             .norm();
         for field in [Field::regular(), Field::modified(), Field::combined()] {
             let s = vector_field::sample(&task, &Quadratic, &field, &[theta]).expect("finite")[0];
-            // The rollout may round differently from the test.
+            // The rollout may round differently from `trajectory`.
             assert!(s.norm() <= 1e-9 * target.abs().max(1.0) * scale.max(1.0), "{field}: {s:?}");
         }
     }
-    // For θ₁ = 0, θ₂ = -1, one step maps all states to 0, where R vanishes. M does not.
+    // For θ₁ = 0, θ₂ = -1, one step maps all states to 0. R vanishes, and M does not.
     let theta = [[0.0, -1.0]];
     let [r, m] = [Field::regular(), Field::modified()]
         .map(|f| vector_field::sample(&Reach::default(), &Quadratic, &f, &theta).expect("finite")[0]);
@@ -105,7 +106,7 @@ fn the_fields_have_their_minima_in_common() {
 }
 
 #[test]
-fn a_rotation_has_the_gradients_zeros_and_the_combination_descends() {
+fn rotated_field_vanishes_at_the_minimum_and_combined_field_descends() {
     let (task, policy) = (Bowl::default(), Constant::new(2, 2));
     let at = |field: &Field<Rotated>, thetas: &[[f64; 2]]| vector_field::sample(&task, &policy, field, thetas).expect("finite");
     let [(_, gradient), (_, rotated), (_, combined)] = Rotated::figure();
@@ -123,16 +124,15 @@ fn a_rotation_has_the_gradients_zeros_and_the_combination_descends() {
             assert_eq!(c.vector[i], if agrees { r.vector[i] } else { 0.0 });
             dropped += usize::from(!agrees);
         }
-        // At least one component agrees, since r·g > 0. The combination therefore descends
-        // everywhere except at the minimum.
+        // r·g > 0: at least one component of r has the sign of g. The combination therefore
+        // descends everywhere except at the minimum.
         assert!(dot(c.vector, g.vector) > 0.0);
     }
     assert!((thetas.len() / 2..=thetas.len()).contains(&dropped), "{dropped} components dropped of {}", 2 * thetas.len());
 }
 
-/// Checks the curvature along both axes of the bowl, which is rotated by 30°.
 #[test]
-fn the_quadratic_has_the_stated_axes() {
+fn bowl_has_curvatures_1_and_4_along_axes_rotated_by_30_degrees() {
     let (sin, cos) = std::f64::consts::FRAC_PI_6.sin_cos();
     let places = [[2.0 * cos, 2.0 * sin], [-2.0 * sin, 2.0 * cos]];
     let samples = vector_field::sample(&Bowl::default(), &Constant::new(2, 2), &Field::regular(), &places).expect("finite");
@@ -146,7 +146,7 @@ fn the_quadratic_has_the_stated_axes() {
 /// From the paper: "The rotational contribution in b) prevents Adam from converging while our
 /// combined vector field in c) allows Adam to approach the minimum."
 #[test]
-fn adam_converges_but_for_the_rotation() {
+fn adam_converges_by_gradient_and_combined_field_but_not_by_rotated_field() {
     let losses = Rotated::figure().map(|(_, field)| {
         let path =
             vector_field::descend(&Bowl::default(), &Constant::new(2, 2), &field, START, LEARNING_RATE, 1500).expect("finite");
@@ -156,9 +156,10 @@ fn adam_converges_but_for_the_rotation() {
     assert!(losses[0] < 1e-20 && losses[1] > 1.0 && losses[2] < 1e-5, "{losses:?}");
 }
 
-/// Bounds the worst losses of the last iterations, from initial values in all directions.
+/// Compares the largest losses of iterations 2700 to 3000, from 16 starts on a circle with the
+/// radius 2. With the combination, at least `arrivals` losses are below 1e-4.
 #[test]
-fn the_combination_arrives_from_most_starts() {
+fn adam_has_a_tenth_of_the_loss_by_combined_instead_of_rotated_field() {
     let [_, (_, rotated), (_, combined)] = Rotated::figure();
     for (rate, arrivals) in [(LEARNING_RATE, 10), (10.0 * LEARNING_RATE, 2)] {
         let mut arrived = 0;
@@ -173,15 +174,15 @@ fn the_combination_arrives_from_most_starts() {
             assert!(rotation > 1.0 && combination < rotation / 10.0, "{rate}, start {i}: {rotation:e} {combination:e}");
             arrived += usize::from(combination < 1e-4);
         }
-        // The bounds are below the observed counts: chaos amplifies rounding differences between
-        // processors.
+        // `arrivals` is below the observed counts, because chaos amplifies rounding differences
+        // between processors.
         assert!(arrived >= arrivals, "{rate}: {arrived} of 16");
     }
 }
 
-/// Checks the documentation of `Rotated` for bowls with a single curvature.
+/// Checks the documented radius of the orbit, for bowls with equal curvatures.
 #[test]
-fn adam_orbits_where_plain_descent_arrives() {
+fn adam_orbits_in_a_rotated_field_where_sgd_converges() {
     for (curvature, rate, strength) in [(1.0, 0.1, 3.0), (5.0, 0.1, 3.0), (1.0, 0.1, 8.0), (1.0, 0.05, 8.0)] {
         let round = Bowl { curvatures: [curvature; 2], ..Bowl::default() };
         let (policy, field) = (Constant::new(2, 2), Rotated::field(strength));
@@ -200,7 +201,7 @@ fn adam_orbits_where_plain_descent_arrives() {
 }
 
 #[test]
-fn rotations_are_composed_like_any_other() {
+fn rotated_field_adds_the_turned_gradient_and_combination_drops_opposite_signs() {
     let mut out = [0.0; 2];
     Rotated { strength: 2.0, combined: false }.combine(&[1.0, -0.5], &[1.0, -0.5], &mut out);
     assert_eq!(out, [2.0, 1.5]);
@@ -210,6 +211,6 @@ fn rotations_are_composed_like_any_other() {
 
 #[test]
 #[should_panic(expected = "two parameters, not 1")]
-fn a_plane_has_two_dimensions() {
+fn sampling_a_policy_with_one_parameter_panics() {
     let _ = vector_field::sample(&Reach::default(), &Linear::new(1, 1), &Field::regular(), &[[0.0; 2]]);
 }

@@ -1,8 +1,9 @@
-//! Results against those of the authors' code (TensorFlow in float64), for each reference file.
+//! Compares results with those of the authors' code (TensorFlow in float64), for each reference
+//! file.
 //!
 //! `tests/reference/README.md` describes the files. `PHYSGRAD_REFERENCE` selects another folder.
-//! Errors are relative to the largest component of their array, and printed:
-//! `cargo test --test reference -- --nocapture`.
+//! Errors of cosines are absolute. Other errors are relative to the largest expected component.
+//! `cargo test --test reference -- --nocapture` prints all errors.
 
 use physgrad::policy::{Conv, Mlp};
 use physgrad::tasks::{CartPole, CartPoleSystem, Guidance, GuidanceSystem, LossMode, Quantum, QuantumSystem};
@@ -13,7 +14,7 @@ use physgrad::{
 use serde_json::Value;
 use std::path::PathBuf;
 
-/// Returns the folder's files for a task and kind. Panics if there are none.
+/// Returns names and contents of the files `{task}*_{kind}.json`. Panics if there are none.
 fn files(task: &str, kind: &str) -> Vec<(String, Value)> {
     let own = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/reference");
     let folder = std::env::var_os("PHYSGRAD_REFERENCE").map_or(own, PathBuf::from);
@@ -52,7 +53,7 @@ fn count(value: &Value) -> usize {
     value.as_u64().expect("a count") as usize
 }
 
-/// Returns a list of kernels and biases, concatenated in the order of `θ`.
+/// Returns the entries of all kernels and biases in a list, in the order of θ.
 fn variables(list: &Value) -> Vec<f64> {
     self::list(list).iter().flat_map(data).collect()
 }
@@ -67,7 +68,7 @@ fn error(got: &[f64], expected: &[f64]) -> f64 {
     if scale > 0.0 { worst / scale } else { worst }
 }
 
-/// Prints the worst error under a name and compares it with a tolerance.
+/// Largest error of a quantity in a file. Dropping prints it and compares it with `tolerance`.
 struct Worst {
     file: String,
     what: &'static str,
@@ -100,15 +101,15 @@ impl Drop for Worst {
     }
 }
 
-/// Task of the authors, as described by their files.
+/// Task and policy of the authors, as described by their files.
 trait Authors {
     /// Prefix of the file names.
     const FILES: &'static str;
     type Task: Task + Clone;
     type Policy: Policy + Clone;
 
-    /// Returns the task of a file. `case` is the part with the loss mode and other settings, or
-    /// else the file itself.
+    /// Returns the task of a file. `case` is the part of the file with the loss mode, or the file
+    /// itself.
     fn task(file: &Value, case: &Value, horizon: usize) -> Self::Task;
     fn policy(file: &Value, task: &Self::Task) -> Self::Policy;
 }
@@ -136,7 +137,7 @@ impl Authors for AuthorsGuidance {
     fn task(file: &Value, case: &Value, horizon: usize) -> Guidance {
         let (drivers, evaders) = (count(&file["n_drivers"]), count(&file["n_evaders"]));
         let system = GuidanceSystem { drivers, evaders, dt: number(&file["dt"]), ..GuidanceSystem::default() };
-        // Missing in files of steps and trajectories, which do not depend on it.
+        // Steps and trajectories do not depend on the regularization. Their settings omit it.
         let regularization = case["regularization"].as_f64().unwrap_or(0.0);
         Guidance { system: system.herding(), loss: loss_mode(case), regularization, horizon }
     }
@@ -155,7 +156,7 @@ impl Authors for AuthorsQuantum {
 
     fn task(file: &Value, case: &Value, horizon: usize) -> Quantum {
         let system = QuantumSystem { grid: count(&file["Nx"]), dt: number(&file["dt"]), ..QuantumSystem::default() };
-        // Missing in files of steps and trajectories, which do not depend on it.
+        // Steps and trajectories do not depend on the target. Their settings omit it.
         let target = case["target_state"].as_u64().unwrap_or(1) as usize;
         Quantum { system, loss: loss_mode(case), horizon, ..Quantum::new(target) }
     }
@@ -187,7 +188,7 @@ fn flow(mode: &str) -> Flow {
         "F" => Flow::REGULAR,
         "P" => Flow::MODIFIED,
         "S" => Flow::STOPPED,
-        _ => panic!("no flow {mode}"),
+        _ => panic!("unknown flow {mode}"),
     }
 }
 
@@ -285,7 +286,7 @@ fn losses_and_gradients<A: Authors>() {
             let [m, r] = [0, 1].map(|k| batch.gradients()[k].values());
             let kept = |g: &[f64]| g.iter().map(|&g| g != 0.0).collect::<Vec<_>>();
             assert_eq!(kept(&got), kept(&expected), "{name}: C keeps other components than the authors'");
-            // Zeros are exact, and the other components are those of M.
+            // Kept components equal those of M, and the others are exactly 0.
             for ((&c, &m), &r) in got.iter().zip(m).zip(r) {
                 assert!(if m * r > 0.0 { c == m } else { c == 0.0 }, "{name}: C = {c} of M = {m}, R = {r}");
             }
@@ -298,21 +299,23 @@ fn mean(numbers: &[f64]) -> f64 {
     numbers.iter().sum::<f64>() / numbers.len() as f64
 }
 
-/// Compares a session with an explicit loop of updates. The loop provides columns that records
-/// lack: the mean squared norms of gradients, and losses without regularization.
+/// Compares a session with the authors' logs and with an explicit loop of updates.
+///
+/// The loop provides the columns that records lack: the mean squared norms of gradients, and losses
+/// without regularization.
 fn training<A: Authors>() {
     for (name, file) in files(A::FILES, "train") {
         let task = A::task(&file, &file, count(&file["Nt"]));
         let physics = physics::<A>(&file, &file, task.horizon());
         let policy = A::policy(&file, &task);
         let (epochs, size, rate) = (count(&file["epochs"]), count(&file["batch_size"]), number(&file["lr"]));
-        let rule = OptimizerKind::named("adam").expect("a rule");
+        let rule = OptimizerKind::named("adam").expect("a known optimizer");
         let [theta, train, test] = [variables(&file["controller"]), data(&file["train_states"]), data(&file["test_states"])];
-        let mut losses = Worst::new(&name, "losses of two epochs", 1e-8);
-        let mut sizes = Worst::new(&name, "sizes of gradients", 1e-8);
+        let mut losses = Worst::new(&name, "losses of all epochs", 1e-8);
+        let mut sizes = Worst::new(&name, "squared gradient norms", 1e-8);
         let mut cosines = Worst::new(&name, "cosine of P and F", 1e-8);
-        let mut finals = Worst::new(&name, "variables after them", 1e-8);
-        let mut replays = Worst::new(&name, "loop against session", 1e-12);
+        let mut finals = Worst::new(&name, "final variables", 1e-8);
+        let mut replays = Worst::new(&name, "session and loop", 1e-12);
         for run in list(&file["runs"]) {
             let (mode, limit) = (text(&run["mode"]), number(&run["clip_num"]));
             let clip = match text(&run["clip_mode"]) {
@@ -369,7 +372,7 @@ fn training<A: Authors>() {
 }
 
 #[test]
-fn eigenstates_are_the_authors() {
+fn eigenstates_equal_the_authors() {
     for (name, file) in files("quantum", "step") {
         let system = AuthorsQuantum::task(&file, &file, 1).system;
         let expected = data(&file["eigenstates"]);
@@ -387,19 +390,19 @@ macro_rules! authors {
             use super::*;
 
             #[test]
-            fn steps_and_vjps_are_the_authors() {
+            fn steps_and_vjps_equal_the_authors() {
                 steps_and_vjps::<$authors>();
             }
             #[test]
-            fn trajectories_are_the_authors() {
+            fn trajectories_equal_the_authors() {
                 trajectories::<$authors>();
             }
             #[test]
-            fn losses_and_gradients_are_the_authors() {
+            fn losses_and_gradients_equal_the_authors() {
                 losses_and_gradients::<$authors>();
             }
             #[test]
-            fn training_replays_the_authors() {
+            fn training_equals_the_authors_logs() {
                 training::<$authors>();
             }
         }

@@ -19,7 +19,7 @@ macro_rules! cases {
         })+
 
         #[test]
-        fn no_case_is_left_out() {
+        fn every_stress_case_has_a_test() {
             let tested = [$(stringify!($name)),+];
             for case in stress::cases() {
                 assert!(tested.contains(&case.name), "no test runs `{}`", case.name);

@@ -1,8 +1,8 @@
-//! All operations of a [`Scalar`].
+//! Operations of a [`Scalar`], and functions composed of them.
 
 use physgrad::Scalar;
 
-/// Operation on two numbers, not necessarily using both.
+/// Function of two numbers. Some ignore one or both.
 pub type Operation<T> = fn(T, T) -> T;
 
 /// Returns all operations by name, for any scalar type.
@@ -50,12 +50,14 @@ pub fn operations<T: Scalar>() -> [(&'static str, Operation<T>); 27] {
     ]
 }
 
-/// Returns the functions that are composed of [`operations`]. Those with the prefix `div` divide by
-/// the second number.
+/// Returns the functions that are composed of [`operations`], by name.
+///
+/// Functions whose name starts with `div` divide by the second number.
 #[allow(dead_code)]
 pub fn compositions<T: Scalar>() -> [(&'static str, Operation<T>); 12] {
     [
         ("tan", |a, _| a.tan()),
+        // The factor 0.05 keeps the arguments of asin and acos within ±1 for |a| ≤ 20.
         ("asin", |a, _| (a * 0.05).asin()),
         ("acos", |a, _| (a * 0.05).acos()),
         ("powf", |a, _| a.powf(1.7)),
@@ -76,5 +78,5 @@ pub fn compositions<T: Scalar>() -> [(&'static str, Operation<T>); 12] {
     ]
 }
 
-/// Special and ordinary values.
+/// Zeros, infinities, NaN, and finite values with magnitudes from 1e-300 to 1e300.
 pub const NUMBERS: [f64; 12] = [0.0, -0.0, 1.0, -1.0, 0.3, -2.7, 1e-300, 1e300, 1e7, f64::INFINITY, f64::NEG_INFINITY, f64::NAN];

@@ -1,10 +1,10 @@
-//! The program, and a training run small enough for a test.
+//! Runs of the program, with small training settings.
 
 use assert_cmd::Command;
 use std::path::Path;
 use std::process::Stdio;
 
-/// Settings of the small training run.
+/// Settings of a small training run.
 pub const SMALL: [&str; 8] = [
     "--set",
     "training.train_samples=24",
@@ -22,7 +22,7 @@ pub fn physgrad(args: &[&str]) -> Command {
     command
 }
 
-/// Returns `train cart_pole` with the small settings, writing to `out`.
+/// Returns the command `train cart_pole` with the settings [`SMALL`] and the folder `out`.
 #[allow(dead_code)]
 pub fn train(out: &Path, args: &[&str]) -> Command {
     let mut command = physgrad(&["train", "cart_pole", "--out"]);
@@ -30,6 +30,7 @@ pub fn train(out: &Path, args: &[&str]) -> Command {
     command
 }
 
+/// Returns the error output of a command. Panics if the command succeeds.
 #[allow(dead_code)]
 pub fn error_of(command: &mut Command) -> String {
     let output = command.output().expect("physgrad starts");
@@ -37,7 +38,7 @@ pub fn error_of(command: &mut Command) -> String {
     String::from_utf8(output.stderr).expect("text")
 }
 
-/// Returns the command of [`train`] as a process that a test can kill.
+/// Returns the command of [`train`] as a `std::process::Command`. A test can kill its process.
 #[allow(dead_code)]
 pub fn process(out: &Path, args: &[&str]) -> std::process::Command {
     let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin!("physgrad"));

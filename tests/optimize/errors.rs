@@ -1,11 +1,11 @@
-//! Errors name the argument, or the step.
+//! Errors name the invalid argument, or the step with a non-finite value.
 
 use super::problems::{Coupled, Explosive};
 use physgrad::optimize::{Initial, OptimizeError, Options, optimize};
 use physgrad::prelude::*;
 
 #[test]
-fn divergence_names_the_step() {
+fn divergence_error_names_variable_step_and_component() {
     // x grows as 3^(2^t): 3^512 is finite, 3^1024 is not.
     let result = optimize(&Explosive, &[3.0], &[], Initial::Zeros, &Options::default());
     assert_eq!(result, Err(OptimizeError::Diverged { variable: "state", step: 10, component: 0 }));
@@ -20,7 +20,7 @@ fn divergence_names_the_step() {
 }
 
 #[test]
-fn wrong_lengths_are_refused() {
+fn wrong_lengths_of_arguments_are_refused() {
     let run = |x0: &[f64], p: &[f64], u: &[f64], options: &Options| {
         let error = optimize(&Coupled, x0, p, Initial::Controls(u), options).expect_err("a wrong length");
         let OptimizeError::Length { argument, expected, found, .. } = error else { panic!("{error}") };
@@ -34,7 +34,7 @@ fn wrong_lengths_are_refused() {
 }
 
 #[test]
-fn empty_bounds_are_refused() {
+fn bounds_without_a_finite_control_are_refused() {
     for [low, high] in [[1.0, 0.5], [f64::NAN, 1.0], [0.0, f64::NAN], [f64::INFINITY; 2], [f64::NEG_INFINITY; 2]] {
         let options = Options { bounds: Some(vec![[0.0, 1.0], [low, high]]), ..Options::default() };
         let error = optimize(&Coupled, &[0.0; 2], &[0.0], Initial::Zeros, &options).expect_err("no control is allowed");
@@ -42,9 +42,11 @@ fn empty_bounds_are_refused() {
     }
 }
 
-/// Costs that are not finite, or whose derivatives are not.
+/// Task in which one cost is not finite at the state 0, or has an infinite derivative there.
 struct Broken {
+    /// Selects the terminal cost instead of the running cost of step 3.
     terminal: bool,
+    /// Selects the infinite derivative of the root instead of the infinite value of the logarithm.
     root: bool,
 }
 
@@ -63,7 +65,7 @@ impl System for Broken {
 }
 
 impl Broken {
-    /// -∞, or an infinite derivative, at 0.
+    /// Returns `√x`, whose derivative is infinite at 0, or `ln x`, which is -∞ at 0.
     fn at_zero<T: Scalar>(&self, x: T) -> T {
         if self.root { x.sqrt() } else { x.ln() }
     }
@@ -92,7 +94,7 @@ impl Task for Broken {
 }
 
 #[test]
-fn broken_costs_are_named() {
+fn errors_name_the_cost_with_a_non_finite_value_or_derivative() {
     for terminal in [false, true] {
         let step = (!terminal).then_some(3);
         let run = |root: bool| optimize(&Broken { terminal, root }, &[0.0], &[], Initial::Zeros, &Options::default());

@@ -1,4 +1,4 @@
-//! Linear plants: the optimum of Riccati's equation, and exact gradients and Hessians of costs.
+//! Optima of linear plants by Riccati's equation, and exact gradients and Hessians of costs.
 
 use super::problems::{Coupled, SwingUp};
 use physgrad::optimize::{Initial, Options, Plan, Stop, optimize};
@@ -8,19 +8,20 @@ use physgrad::tasks::{CartPole, LinearPlant, LossMode, Lqr};
 use physgrad::{Batch, Flow, System, Task, Weights, initial_states};
 use rand::RngExt;
 
-/// A plant with four states and two controls, weakly unstable, and costs that couple the controls.
+/// Returns a random plant with four states and two controls, and costs that couple the controls.
 fn coupled_plant() -> Lqr {
     let mut rng = stream(3, Purpose::Train, 0);
     let mut draw = |size: f64| -> f64 { rng.random_range(-size..size) };
     let a = (0..16).map(|i| if i % 5 == 0 { 0.9 } else { draw(0.2) }).collect();
     let b = (0..8).map(|_| draw(1.0)).collect();
     let q = (0..16).map(|i| if i % 5 == 0 { 1.0 } else { 0.1 }).collect();
-    Lqr::new(LinearPlant::new(4, a, b), q, vec![1.0, 0.4, 0.4, 0.5]).expect("a plant that its controls reach")
+    Lqr::new(LinearPlant::new(4, a, b), q, vec![1.0, 0.4, 0.4, 0.5]).expect("a stabilizable plant")
 }
 
-/// Bound on the rounding error of one linear-quadratic solution. Each of the steps adds errors of a
-/// few ulp per product of size n, relative to the largest number of the initial rollout. The factor
-/// 100 covers the constants.
+/// Returns a bound on the rounding error of one linear-quadratic solution.
+///
+/// Each step adds errors of a few ulp per component of the state, relative to the largest state of
+/// the initial rollout or control of the plan. The factor 100 covers the constants.
 fn rounding(plan: &Plan, task: &Lqr, x0: &[f64]) -> f64 {
     let initial = optimize(task, x0, &[], Initial::Zeros, &Options { max_iterations: 0, ..Options::default() });
     let largest = initial.expect("finite").x.iter().chain(&plan.u).fold(1.0, |largest: f64, x| largest.max(x.abs()));
@@ -28,7 +29,7 @@ fn rounding(plan: &Plan, task: &Lqr, x0: &[f64]) -> f64 {
 }
 
 #[test]
-fn one_iteration_solves_riccatis_equation() {
+fn one_iteration_reaches_the_optimum_of_riccatis_equation() {
     for task in [Lqr::spring(), Lqr::upright_cart_pole(), coupled_plant()] {
         let (n, m) = (task.system().state_dim(), task.system().control_dim());
         let x0: Vec<f64> = initial_states(&task, 1, Purpose::Test, 1);
@@ -54,8 +55,9 @@ fn one_iteration_solves_riccatis_equation() {
     }
 }
 
-/// Gradient of an open-loop policy by the adjoint of the library, from one initial state with
-/// parameters.
+/// Returns the gradient of the cost with respect to the controls, by the adjoint of the library.
+///
+/// `start` is the initial state, followed by the parameters.
 pub fn by_adjoint<T: Task>(task: &T, start: &[f64], u: &[f64]) -> Vec<f64> {
     let (n, m) = (task.system().state_dim(), task.system().control_dim());
     let policy = OpenLoop::new(task.observation_dim().unwrap_or(n), m, task.horizon());
@@ -64,7 +66,7 @@ pub fn by_adjoint<T: Task>(task: &T, start: &[f64], u: &[f64]) -> Vec<f64> {
     batch.gradients()[0].to_vec()
 }
 
-/// Largest difference relative to the largest component.
+/// Returns the largest difference, relative to the largest component of `b`.
 fn difference(a: &[f64], b: &[f64]) -> f64 {
     let largest = b.iter().fold(0.0, |largest: f64, b| largest.max(b.abs()));
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / largest
@@ -76,13 +78,13 @@ fn compare_gradients<T: Task>(task: &T, start: &[f64]) {
     let options = Options { max_iterations: 0, ..Options::default() };
     let plan = optimize(task, &start[..n], &start[n..], Initial::Controls(&u), &options).expect("finite");
     assert_eq!((plan.stop, &plan.u), (Stop::Iterations, &u));
-    // The adjoint recursion of 100 steps adds about as many ulp. Both use the same exact
-    // derivatives.
+    // Both gradients use the same exact derivatives. Rounding adds about one ulp per step, in at
+    // most 100 steps.
     assert!(difference(&plan.gradient, &by_adjoint(task, start, &u)) < 1e-12);
 }
 
 #[test]
-fn gradients_are_those_of_the_adjoint() {
+fn gradients_of_plans_equal_the_adjoint_to_1e_12() {
     let start = |task: &CartPole| initial_states(task, 0, Purpose::Test, 1);
     for loss in [LossMode::Terminal, LossMode::Running] {
         let task = CartPole { loss, ..CartPole::new(2) };
@@ -100,7 +102,8 @@ fn newton_steps_converge_quadratically() {
         let options = Options { max_iterations, gradient_tolerance: 1e-13, cost_tolerance: 0.0, ..Options::default() };
         optimize(&Coupled, &[0.9, -1.3], &[0.8], Initial::Zeros, &options).expect("finite")
     };
-    // Rounding of the cost J hides steps from gradients below about (ε J)^(1/2) = 5e-8.
+    // The decrease of the cost J is below its rounding if the gradient is below about
+    // (ε J)^(1/2) = 5e-8.
     let norms: Vec<f64> = (0..7).map(|k| at(k).gradient_norm()).collect();
     let small = norms.iter().position(|&norm| norm < 1.0).expect("a small gradient");
     for pair in norms[small..].windows(2) {

@@ -1,4 +1,4 @@
-//! Trajectory optimization: known optima, conditions of optimality, swing-ups, and errors.
+//! Trajectory optimization: known optima, conditions of optimality, swing-ups, tracking, errors.
 
 mod bounds;
 mod compare;

@@ -1,10 +1,10 @@
-//! Problems of the tests.
+//! Optimization problems of these tests.
 
 use physgrad::prelude::*;
 use physgrad::tasks::CartPoleSystem;
 use std::f64::consts::PI;
 
-/// Cart with one pole, to rest upright at the origin from hanging at rest. SI units.
+/// Swing-up of one pole on a cart, from hanging at rest to rest upright at the origin. SI units.
 #[derive(Clone, Debug)]
 pub struct SwingUp {
     pub system: CartPoleSystem,
@@ -12,11 +12,12 @@ pub struct SwingUp {
 }
 
 impl SwingUp {
-    /// 2 s in steps of 0.02 s.
+    /// Returns the task with a horizon of 2 s in steps of 0.02 s.
     pub fn new() -> Self {
         Self { system: CartPoleSystem { dt: 0.02, ..CartPoleSystem::default() }, horizon: 100 }
     }
 
+    /// Cart at rest at the origin, with the pole hanging at rest.
     pub const START: [f64; 4] = [0.0, 0.0, PI, 0.0];
 }
 
@@ -44,10 +45,13 @@ impl Task for SwingUp {
     }
 }
 
-/// Pendulum of 1 kg and 1 m, to rest upright from hanging at rest. State [angle rad (0 = up), rate
-/// rad/s], control [torque N m]. The torque that holds it horizontally is 9.81 N m.
+/// Swing-up of a pendulum of 1 kg and 1 m, from hanging at rest to rest upright.
+///
+/// State [angle rad (0 = up), rate rad/s], control [torque N m]. A torque of 9.81 N m holds the
+/// pendulum horizontally.
 #[derive(Clone, Debug)]
 pub struct Pendulum {
+    /// Time step, s.
     pub dt: f64,
     pub horizon: usize,
 }
@@ -91,8 +95,9 @@ impl Task for Pendulum {
     }
 }
 
-/// Linear system with a cost that is not quadratic and couples all of its arguments. Two states,
-/// two controls, one parameter.
+/// Affine system with a non-quadratic cost that couples states, controls and parameter.
+///
+/// Has two states, two controls and one parameter.
 pub struct Coupled;
 
 impl System for Coupled {

@@ -1,4 +1,4 @@
-//! Initial controls, warm starts, and results that are never worse than the start.
+//! Initial controls, warm starts, and costs that never increase.
 
 use super::problems::{Explosive, SwingUp};
 use physgrad::optimize::{Initial, Options, Stop, optimize};
@@ -7,7 +7,7 @@ use physgrad::tasks::{CartPole, LossMode};
 use rand::RngExt;
 
 #[test]
-fn result_is_never_worse_than_the_start() {
+fn cost_never_exceeds_that_of_the_initial_controls() {
     let mut rng = stream(5, Purpose::Train, 0);
     let (cart, explosive) = (CartPole { loss: LossMode::Running, ..CartPole::new(2) }, Explosive);
     for case in 0..20 {
@@ -25,7 +25,7 @@ fn result_is_never_worse_than_the_start() {
 }
 
 #[test]
-fn states_and_cost_are_those_of_the_controls() {
+fn rollout_of_the_planned_controls_has_the_states_and_cost_of_the_plan() {
     let (task, u) = (SwingUp::new(), vec![0.3; 100]);
     let plan = optimize(&task, &SwingUp::START, &[], Initial::Controls(&u), &Options::default()).expect("finite");
     let again = Options { max_iterations: 0, ..Options::default() };
@@ -34,11 +34,11 @@ fn states_and_cost_are_those_of_the_controls() {
 }
 
 #[test]
-fn warm_start_needs_fewer_iterations() {
+fn warm_start_from_a_plan_needs_fewer_iterations() {
     let (task, push) = (SwingUp::new(), vec![0.3; 100]);
     let options = Options::default();
     let cold = optimize(&task, &SwingUp::START, &[], Initial::Controls(&push), &options).expect("finite");
-    // Initial state moved by 0.02 m and 0.02 rad.
+    // The initial state is displaced by 0.02 m and 0.02 rad.
     let x0 = [0.02, 0.0, SwingUp::START[2] + 0.02, 0.0];
     let from_push = optimize(&task, &x0, &[], Initial::Controls(&push), &options).expect("finite");
     let from_plan = optimize(&task, &x0, &[], Initial::Controls(&cold.u), &options).expect("finite");
@@ -47,15 +47,14 @@ fn warm_start_needs_fewer_iterations() {
     assert!(from_plan.converged() && from_gains.converged());
     assert!(from_plan.iterations() < from_push.iterations(), "{}, {}", from_plan.iterations(), from_push.iterations());
     assert!(from_gains.costs[0] < from_plan.costs[0], "gains reduce the initial cost");
-    // From its own result, an optimization ends at once.
+    // An optimization that starts from its own result ends before the first iteration.
     let again = optimize(&task, &SwingUp::START, &[], Initial::Controls(&cold.u), &options).expect("finite");
     assert_eq!((again.iterations(), again.stop), (0, Stop::Gradient));
 }
 
-/// A stationary trajectory is not a minimum: the pendulum hangs, and its gradient is below
-/// rounding.
+/// The pole hangs at rest. The gradient is 0 up to rounding, although the cost is not minimal.
 #[test]
-fn stationary_start_stays() {
+fn optimization_ends_at_a_stationary_start() {
     let plan = optimize(&CartPole::new(1), &SwingUp::START, &[], Initial::Zeros, &Options::default()).expect("finite");
     assert_eq!((plan.iterations(), plan.stop), (0, Stop::Gradient));
 }

@@ -15,7 +15,7 @@ fn plan() -> (SwingUp, Plan) {
 }
 
 #[test]
-fn plan_itself_has_no_cost() {
+fn tracking_cost_of_the_plan_is_0_up_to_rounding() {
     let (task, plan) = plan();
     let mut tracking = Tracking::new(&task, &plan).expect("fits");
     tracking.control_weights = vec![1.0];
@@ -23,17 +23,17 @@ fn plan_itself_has_no_cost() {
     let mut rollout = Rollout::<f64>::new(&tracking, &policy, 1);
     rollout.start(&initial_states(&tracking, 0, Purpose::Train, 1));
     rollout.run(&tracking, &policy, &Weights::new(&policy, plan.u.clone())).expect("finite");
-    // Lanes may differ from scalars by fused multiply-add, which 100 steps of an unstable plant
-    // amplify by about 1e4.
+    // Lanes may use fused multiply-add, and then round differently from scalars. 100 steps of an
+    // unstable plant amplify the difference by about 1e4.
     assert!(rollout.cost(0) < 1e-20, "{}", rollout.cost(0));
     let mut moved = plan.u.clone();
     moved[10] += 0.5;
     rollout.run(&tracking, &policy, &Weights::new(&policy, moved)).expect("finite");
-    assert!(rollout.cost(0) > 0.5 * 0.5 * 0.5, "the deviation of one control, and its consequences");
+    assert!(rollout.cost(0) > 0.5 * 0.5 * 0.5, "the deviation of 0.5 in one control costs more than 0.5 · 0.5² = 0.125");
 }
 
 #[test]
-fn derivatives_are_exact() {
+fn derivatives_of_tracking_equal_dual_numbers() {
     let plan = optimize(&Coupled, &[0.4, 0.1], &[0.3], Initial::Zeros, &Options::default()).expect("finite");
     let mut tracking = Tracking::new(&Coupled, &plan).expect("fits");
     (tracking.state_weights, tracking.control_weights, tracking.spread) = (vec![1.0, 3.0], vec![0.1, 0.2], 0.5);
@@ -44,7 +44,7 @@ fn derivatives_are_exact() {
 }
 
 #[test]
-fn feedback_learns_to_follow() {
+fn training_linear_feedback_reduces_the_tracking_loss_to_a_fifth() {
     let task = Pendulum { dt: 0.05, horizon: 40 };
     let plan = optimize(&task, &[PI, 0.0], &[], Initial::Controls(&[1.0; 40]), &Options::default()).expect("finite");
     let mut tracking = Tracking::new(&task, &plan).expect("fits");
@@ -69,7 +69,7 @@ fn feedback_learns_to_follow() {
 }
 
 #[test]
-fn plans_of_other_tasks_are_refused() {
+fn plan_of_100_steps_is_refused_for_a_horizon_of_99() {
     let (mut task, plan) = plan();
     task.horizon = 99;
     let error = Tracking::new(&task, &plan).expect_err("too many steps");

@@ -1,4 +1,4 @@
-//! Shared parts of the quantum-control tests: boxes, effects, waves.
+//! Systems, effects and states that the tests of quantum control share.
 #![allow(dead_code)]
 
 use physgrad::rng::Rng;
@@ -14,7 +14,8 @@ pub fn dipole(grid: usize) -> QuantumSystem {
     QuantumSystem { control: ControlShape::Dipole, ..box_of(grid) }
 }
 
-/// Returns all effects. Off-center parameters break the symmetry, which could hide errors.
+/// Returns one effect of each type except tables. Centers off the middle break the symmetry, which
+/// could hide errors.
 pub fn every_effect() -> Vec<QuantumEffect> {
     vec![
         Harmonic { center: 0.3, ..Harmonic::default() }.into(),
@@ -24,6 +25,7 @@ pub fn every_effect() -> Vec<QuantumEffect> {
     ]
 }
 
+/// Returns the effects of [`every_effect`] as a tuple.
 pub fn every_effect_typed() -> (Harmonic, Barrier, DoubleWell, Cubic) {
     (
         Harmonic { center: 0.3, ..Harmonic::default() },
@@ -39,6 +41,7 @@ pub fn step<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
     next
 }
 
+/// Returns the state after `steps` steps without control.
 pub fn run<S: System>(system: &S, mut x: Vec<f64>, steps: usize) -> Vec<f64> {
     for _ in 0..steps {
         x = step(system, &x, 0.0);
@@ -53,7 +56,8 @@ pub fn wave(model: &QuantumSystem, psi: impl Fn(f64) -> (f64, f64)) -> Vec<f64> 
     x.into_iter().map(|x| x / norm).collect()
 }
 
-/// Returns a Gaussian with wave number k, whose density has the standard deviation `sigma`.
+/// Returns a Gaussian wave packet with the wave number k. Its density has the standard deviation
+/// `sigma`.
 pub fn packet(model: &QuantumSystem, center: f64, sigma: f64, k: f64) -> Vec<f64> {
     wave(model, |x| {
         let size = (-((x - center) / (2.0 * sigma)).powi(2)).exp();
@@ -84,8 +88,7 @@ pub fn overlap(a: &[f64], b: &[f64]) -> (f64, f64) {
     (re.hypot(im), im.atan2(re))
 }
 
-/// Draws states of norm about 1, and large controls. Errors are relative to the control cotangent,
-/// which large controls keep away from 0.
+/// Draws states of norm about 1, controls within ±30, and parameters within ±3.
 pub fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64], p: &mut [f64]) {
     let size = (3.0 / x.len() as f64).sqrt();
     x.iter_mut().for_each(|x| *x = rng.random_range(-size..size));
@@ -93,7 +96,9 @@ pub fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64], p: &mut [f64]) {
     p.iter_mut().for_each(|p| *p = rng.random_range(-3.0..3.0));
 }
 
-/// Custom effect: a time-dependent force that depends on more than the density of the wave.
+/// Custom effect: the potential `sin(t + p) Re ψ₀ x` at the position x, with ψ₀ at the first point.
+///
+/// Depends on time, on a parameter, and on more than the density of the wave.
 #[derive(Clone, Debug)]
 pub struct Swinging;
 
@@ -115,5 +120,5 @@ impl Effect<QuantumSystem> for Swinging {
 /// Checks the derivatives of a system at the states and controls of [`lively`].
 #[track_caller]
 pub fn check_lively<S: System>(system: &S) {
-    check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{} numbers: {mismatch}", system.state_dim()));
+    check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{} state components: {mismatch}", system.state_dim()));
 }

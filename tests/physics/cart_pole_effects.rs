@@ -1,4 +1,4 @@
-//! Effects of cart-pole, its exact model, and actuators: derivatives, and the documented physics.
+//! Effects of cart-pole, its coupled model, and actuators: derivatives, and the documented physics.
 
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, Rng, stream};
@@ -23,30 +23,30 @@ fn every_effect() -> Vec<CartPoleEffect> {
         DryFriction::default().into(),
         SteadyWind::default().into(),
         GustyWind::default().into(),
-        // Within reach of the tested states.
+        // Bumpers at ±0.4 m act on most of the drawn states, which reach ±3 m.
         Bumpers { half_travel: 0.4, ..Bumpers::default() }.into(),
     ]
 }
 
-/// Draws states with fast carts and poles, so that no term is negligible.
-fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64], p: &mut [f64]) {
+/// Draws components within ±3 (SI units), so that no term is negligible.
+fn draw_large(rng: &mut Rng, x: &mut [f64], u: &mut [f64], p: &mut [f64]) {
     x.iter_mut().chain(u).chain(p).for_each(|x| *x = rng.random_range(-3.0..3.0));
 }
 
-fn check_lively<S: System>(system: &S) {
-    check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{mismatch}"));
+fn check_large<S: System>(system: &S) {
+    check::try_system_at(system, draw_large).unwrap_or_else(|mismatch| panic!("{mismatch}"));
 }
 
 #[test]
-fn the_derivatives_of_every_effect_are_those_of_duals() {
+fn derivatives_of_every_effect_equal_dual_numbers() {
     for effect in every_effect() {
         for n in [1, 3] {
-            check_lively(&Forced { system: poles(n), effects: vec![effect.clone()] });
-            check_lively(&Forced { system: CoupledCartPole(poles(n)), effects: vec![effect.clone()] });
+            check_large(&Forced { system: poles(n), effects: vec![effect.clone()] });
+            check_large(&Forced { system: CoupledCartPole(poles(n)), effects: vec![effect.clone()] });
         }
     }
-    check_lively(&Forced { system: poles(2), effects: every_effect() });
-    check_lively(&CoupledCartPole(poles(3)));
+    check_large(&Forced { system: poles(2), effects: every_effect() });
+    check_large(&CoupledCartPole(poles(3)));
 }
 
 #[test]
@@ -70,30 +70,30 @@ fn a_wrong_derivative_of_an_effect_is_found() {
             }
         }
     }
-    let mismatch = check::try_system(&Forced { system: poles(1), effects: Spring }).expect_err("it is wrong");
+    let mismatch = check::try_system(&Forced { system: poles(1), effects: Spring }).expect_err("the derivative is wrong");
     assert_eq!((mismatch.what.as_str(), mismatch.index), ("vjp: x_bar", 0));
 }
 
 #[test]
-fn the_derivatives_behind_actuators_and_of_substeps_are_those_of_duals() {
+fn derivatives_with_actuators_and_substeps_equal_dual_numbers() {
     let system = || Forced { system: poles(2), effects: every_effect() };
     let dt = system().system.dt;
     for kind in [LimitKind::Smooth, LimitKind::Hard] {
-        check_lively(&Actuated { system: system(), actuator: Limit { bound: 1.5, kind } });
+        check_large(&Actuated { system: system(), actuator: Limit { bound: 1.5, kind } });
     }
-    check_lively(&Actuated { system: system(), actuator: Lag::new(0.03, dt) });
-    check_lively(&Actuated { system: system(), actuator: Delay { steps: 3 } });
-    check_lively(&Actuated { system: system(), actuator: (Limit { bound: 1.5, kind: LimitKind::Smooth }, Lag::new(0.03, dt)) });
+    check_large(&Actuated { system: system(), actuator: Lag::new(0.03, dt) });
+    check_large(&Actuated { system: system(), actuator: Delay { steps: 3 } });
+    check_large(&Actuated { system: system(), actuator: (Limit { bound: 1.5, kind: LimitKind::Smooth }, Lag::new(0.03, dt)) });
     let chain = vec![
         AnyActuator::Limit(Limit { bound: 1.5, kind: LimitKind::Smooth }),
         AnyActuator::Delay(Delay { steps: 2 }),
         AnyActuator::Lag(Lag::new(0.03, dt)),
     ];
-    check_lively(&Actuated { system: system(), actuator: chain });
+    check_large(&Actuated { system: system(), actuator: chain });
     for count in [1, 3] {
-        check_lively(&Substeps { system: system(), count });
+        check_large(&Substeps { system: system(), count });
     }
-    // Whole rollouts, in all flows, with the states of effects and actuators.
+    // Whole rollouts in all flows, with the parameter of the gusts and the states of the delay.
     let full =
         Actuated { system: Forced { system: CoupledCartPole(poles(2)), effects: every_effect() }, actuator: Delay { steps: 2 } };
     let n = full.state_dim();
@@ -108,11 +108,11 @@ fn step<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
 }
 
 #[test]
-fn with_one_pole_both_models_are_equal() {
+fn with_one_pole_the_coupled_equals_the_uncoupled_model() {
     let mut rng = physgrad::rng::stream(0, physgrad::rng::Purpose::Check, 0);
     for _ in 0..100 {
         let (mut x, mut u) = ([0.0; 4], [0.0]);
-        lively(&mut rng, &mut x, &mut u, &mut []);
+        draw_large(&mut rng, &mut x, &mut u, &mut []);
         let effects = (PoleDamping::default(), SteadyWind::default());
         let simple = step(&Forced { system: poles(1), effects }, &x, u[0]);
         let exact = step(&Forced { system: CoupledCartPole(poles(1)), effects }, &x, u[0]);
@@ -122,7 +122,7 @@ fn with_one_pole_both_models_are_equal() {
     }
 }
 
-/// Returns kinetic plus potential energy of the exact model.
+/// Returns kinetic plus potential energy of the coupled model, J.
 fn energy(model: &CartPoleSystem, x: &[f64]) -> f64 {
     let (m, l, v) = (model.pole_mass.nominal(), model.half_length.nominal(), x[1]);
     let pole = |pole: &[f64]| {
@@ -135,7 +135,7 @@ fn energy(model: &CartPoleSystem, x: &[f64]) -> f64 {
     0.5 * model.cart_mass.nominal() * v * v + x[2..].chunks_exact(2).map(pole).sum::<f64>()
 }
 
-/// Returns the absolute change of energy after one second without control.
+/// Returns the absolute change of energy after 1 s without control, J.
 fn drift<H: ForcedSystem<Model = CartPoleSystem>>(system: impl Fn(f64) -> H, dt: f64) -> f64 {
     let system = Forced { system: system(dt), effects: () };
     let mut x = vec![0.0, 0.3, 3.0, 0.5, 2.0, -1.0, 1.0, 0.2];
@@ -149,10 +149,10 @@ fn drift<H: ForcedSystem<Model = CartPoleSystem>>(system: impl Fn(f64) -> H, dt:
 }
 
 #[test]
-fn the_exact_model_conserves_energy_and_the_uncoupled_model_does_not() {
+fn the_coupled_model_conserves_energy_and_the_uncoupled_model_does_not() {
     let exact = |dt| CoupledCartPole(CartPoleSystem { dt, ..poles(3) });
     let simple = |dt| CartPoleSystem { dt, ..poles(3) };
-    // First order: a tenth of the step gives a tenth of the drift.
+    // The method is of first order: a tenth of the step gives a tenth of the drift.
     let (coarse, fine) = (drift(exact, 1e-3), drift(exact, 1e-4));
     assert!(fine < 1e-3 && (8.0..12.0).contains(&(coarse / fine)), "{coarse:e}, {fine:e}");
     assert!(drift(simple, 1e-4) > 20.0 * fine, "the uncoupled model omits the forces between poles");
@@ -168,7 +168,7 @@ fn friction_and_still_air_dissipate_energy() {
     for effect in effects {
         for _ in 0..100 {
             let (mut x, mut forces) = ([0.0; 6], [0.0; 3]);
-            lively(&mut rng, &mut x, &mut [], &mut []);
+            draw_large(&mut rng, &mut x, &mut [], &mut []);
             effect.add_forces(&model, Inputs::new(&x, &[]).continuous(0.0), &mut forces);
             let power = forces[0] * x[1] + forces[1] * x[3] + forces[2] * x[5];
             assert!(power < 0.0, "{effect:?} does work: {power} W at {x:?}");
@@ -187,13 +187,13 @@ fn bumpers_push_and_never_pull() {
     assert_eq!(force(0.99, 5.0), 0.0);
     assert_eq!(force(1.5, 0.0), -5.0);
     assert_eq!(force(-1.5, 0.0), 5.0);
-    assert!(force(1.5, 1.0) < force(1.5, 0.0), "damping adds to the force during compression");
-    assert_eq!(force(1.5, -1.0), 0.0, "0 during release, where a dashpot would pull");
+    assert!(force(1.5, 1.0) < force(1.5, 0.0), "damping increases the force during compression");
+    assert_eq!(force(1.5, -1.0), 0.0, "the force is 0 during a fast release, where a linear damper would pull");
     assert_eq!(force(-1.5, 1.0), 0.0);
 }
 
 #[test]
-fn a_gusty_wind_without_gusts_is_a_steady_one() {
+fn gusty_wind_with_gusts_of_0_equals_steady_wind() {
     let SteadyWind { speed, cart_drag, pole_drag } = SteadyWind::default();
     let gusty = GustyWind { speed, cart_drag, pole_drag, gust: 0.0.into(), period: 1.0 };
     let steady = Forced { system: poles(2), effects: SteadyWind::default() };
@@ -205,7 +205,7 @@ fn a_gusty_wind_without_gusts_is_a_steady_one() {
 }
 
 #[test]
-fn wind_accelerates_a_cart_and_its_pole_at_rest() {
+fn wind_on_an_upright_pole_at_rest_has_the_documented_force_and_torque() {
     let x = step(&Forced { system: poles(1), effects: SteadyWind::default() }, &[0.0; 4], 0.0);
     // Upright pole at rest: F = (cart_drag + pole_drag) w², τ = half_length pole_drag w².
     assert!(x[1] > 0.0);
@@ -216,8 +216,8 @@ fn wind_accelerates_a_cart_and_its_pole_at_rest() {
 
 #[test]
 fn actuators_follow_their_formulas() {
-    // Constant control from rest. The force on the cart is its change of speed times M / dt,
-    // because the pole has negligible mass. M = 1 kg.
+    // The control is constant, and the cart starts at rest. The force on the cart is its change of
+    // speed times M / dt, because the pole has negligible mass. M is 1 kg.
     let model = CartPoleSystem { pole_mass: (1e-12).into(), dt: 0.1, ..poles(1) };
     fn applied<A: physgrad::Actuator>(model: CartPoleSystem, actuator: A, u: f64, steps: usize) -> Vec<f64> {
         let system = Actuated { system: model, actuator };
@@ -245,7 +245,7 @@ fn actuators_follow_their_formulas() {
 }
 
 #[test]
-fn substeps_equal_repeated_steps() {
+fn four_substeps_equal_four_steps() {
     let small = CartPoleSystem { dt: 0.0025, ..poles(2) };
     let x = [0.1, -0.2, 3.0, 0.4, 2.8, -0.5];
     let mut expected = x.to_vec();
@@ -255,12 +255,12 @@ fn substeps_equal_repeated_steps() {
     assert_eq!(step(&Substeps { system: small, count: 4 }, &x, 1.5), expected);
 }
 
-/// Returns the next state and all cotangents under all effects, at a generic state.
+/// Returns the next state and all cotangents under all effects, at a random state.
 fn step_and_cotangents<H: ForcedSystem<Model = CartPoleSystem>>(system: H) -> Vec<f64> {
     let system = Forced { system, effects: every_effect() };
     let n = system.state_dim();
     let (mut x, mut u, mut p) = (vec![0.0; n], [0.0], [0.0]);
-    lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u, &mut p);
+    draw_large(&mut stream(0, Purpose::Check, 0), &mut x, &mut u, &mut p);
     let inputs = Inputs { p: &p, ..Inputs::new(&x, &u) };
     let bar: Vec<f64> = (0..n).map(|i| 0.3 + i as f64).collect();
     let (mut next, mut x_bar, mut u_bar) = (vec![0.0; n], vec![0.0; n], [0.0]);

@@ -1,4 +1,4 @@
-//! Absent effects cost nothing. Counts and bits are exact; nothing is timed.
+//! Absent effects cost no operations. Tests compare operation counts and results, not times.
 
 use crate::by_hand::{cart_pole::ByHand, guidance, quantum};
 use physgrad::policy::Mlp;
@@ -58,28 +58,28 @@ fn minus(a: [Ops; 3], b: [Ops; 3]) -> [Ops; 3] {
     std::array::from_fn(|i| a[i] - b[i])
 }
 
-/// Checks that absent effects cost nothing, and that the cost of a present effect is independent of
-/// other effects and their order.
+/// Checks that absent effects cost no operations. Checks that the operations of an effect depend
+/// neither on other effects nor on their order.
 fn costs_add_up<H: ForcedSystem + System + Clone, E: Effect<H::Model>>(system: &H, effects: &[E]) {
     let with = |effects: &[E]| counts(&Forced { system: system.clone(), effects: effects.to_vec() });
     let bare = counts(system);
-    assert_eq!(with(&[]), bare, "an empty list is no effect");
-    assert_eq!(counts(&Forced { system: system.clone(), effects: () }), bare, "() is no effect");
+    assert_eq!(with(&[]), bare, "an empty list adds no operations");
+    assert_eq!(counts(&Forced { system: system.clone(), effects: () }), bare, "() adds no operations");
     let own: Vec<_> = effects.iter().map(|effect| minus(with(std::slice::from_ref(effect)), bare)).collect();
     let mut sum = bare;
     for (i, own) in own.iter().enumerate() {
-        assert!(own[0].total() > 0, "{:?} does something", effects[i]);
+        assert!(own[0].total() > 0, "{:?} has operations", effects[i]);
         sum = std::array::from_fn(|k| sum[k] + own[k]);
-        assert_eq!(with(&effects[..=i]), sum, "{:?} costs the same beside others", effects[i]);
+        assert_eq!(with(&effects[..=i]), sum, "{:?} adds the same operations to others", effects[i]);
         let mut others = effects.to_vec();
         others.remove(i);
-        assert_eq!(minus(with(effects), with(&others)), *own, "all but {:?}", effects[i]);
+        assert_eq!(minus(with(effects), with(&others)), *own, "removing {:?} saves its own operations", effects[i]);
     }
     let mut turned = effects.to_vec();
     turned.reverse();
-    assert_eq!(with(&turned), with(effects), "the order does not matter");
+    assert_eq!(with(&turned), with(effects), "reversed order");
     turned.rotate_left(1);
-    assert_eq!(with(&turned), with(effects), "the order does not matter");
+    assert_eq!(with(&turned), with(effects), "reversed and rotated order");
 }
 
 #[test]
@@ -88,7 +88,7 @@ fn an_effect_costs_its_own_operations_and_nothing_when_absent() {
         costs_add_up(&cart_pole(poles), &cart_pole_effects());
         costs_add_up(&CoupledCartPole(cart_pole(poles)), &cart_pole_effects());
     }
-    // Two drivers and two evaders at least, so that each effect of guidance has work.
+    // With at least two drivers and two evaders, each effect of guidance acts on some agent.
     for (drivers, evaders) in [(2, 2), (2, 4), (3, 2)] {
         costs_add_up(&agents(drivers, evaders), &guidance_effects());
     }
@@ -98,14 +98,14 @@ fn an_effect_costs_its_own_operations_and_nothing_when_absent() {
 }
 
 #[test]
-fn absorbing_edges_have_one_cost() {
+fn absorbing_edges_cost_four_multiplications_with_any_effects() {
     let (system, edges) = (QuantumSystem { grid: 10, ..QuantumSystem::default() }, AbsorbingEdges::default());
     let own = |effects: &[QuantumEffect]| {
         let system = Forced { system, effects: effects.to_vec() };
         minus(counts(&Absorbing::new(system.clone(), edges)), counts(&system))
     };
-    // Two components at each point within a tenth of the box from a wall: the first and the last
-    // point.
+    // The edges multiply both components at the first and the last point, which are within 0.2 of a
+    // wall.
     let two_points = Ops { multiply: 4, ..Ops::default() };
     let effects = quantum_effects();
     for present in 0..=effects.len() {
@@ -115,7 +115,7 @@ fn absorbing_edges_have_one_cost() {
 }
 
 #[test]
-fn a_scene_without_effects_has_the_operations_of_bare_physics() {
+fn cart_pole_with_and_without_damping_has_the_operations_of_handwritten_code() {
     let system = cart_pole(3);
     let (pole, cart, wind) = (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
     let by_hand = ByHand::<false, false> { system, pole, cart, wind };
@@ -134,43 +134,44 @@ fn herding_by_hand(system: GuidanceSystem) -> guidance::ByHand {
 }
 
 #[test]
-fn guidance_has_the_operations_of_hand_written_physics_plus_its_options() {
+fn guidance_has_the_operations_of_handwritten_code_plus_those_of_its_options() {
     for (drivers, evaders) in [(1, 1), (2, 4), (3, 2)] {
-        let (machinery, by_hand) = (agents(drivers, evaders).herding(), herding_by_hand(agents(drivers, evaders)));
-        let (machinery, by_hand) = (OpCount::of(&machinery), OpCount::of(&by_hand));
+        let (library, by_hand) = (agents(drivers, evaders).herding(), herding_by_hand(agents(drivers, evaders)));
+        let (library, by_hand) = (OpCount::of(&library), OpCount::of(&by_hand));
         let (d, e) = (drivers as u64, evaders as u64);
         // Friction is subtracted from zero accelerations of evaders, in x and y. The center of the
         // herd is multiplied by a weight, in x and y, to support the mean.
         let step = Ops { add: 2 * e, multiply: 2, ..Ops::default() };
-        assert_eq!(machinery.step - by_hand.step, step);
-        // Friction is not merged into the factor of the velocities: one more subtraction for each.
-        // The weight enters forward and backward. The cotangents of the control can be requested
-        // alone, and are therefore multiplied by dt separately.
+        assert_eq!(library.step - by_hand.step, step);
+        // Friction takes one more subtraction per velocity component, because it is not merged into
+        // the factor of the velocities. The weight is a factor in the forward and in the reverse
+        // pass. The cotangents of the control can be requested alone, and are therefore multiplied
+        // by dt separately.
         let vjp = Ops { add: 2 * (d + e), multiply: 4 + 2 * d, ..Ops::default() };
-        assert_eq!(machinery.vjp - by_hand.vjp, vjp);
+        assert_eq!(library.vjp - by_hand.vjp, vjp);
     }
 }
 
 #[test]
-fn quantum_has_the_operations_of_hand_written_physics_plus_a_product_per_point() {
+fn quantum_has_the_operations_of_handwritten_code_plus_a_product_per_point() {
     for grid in [3, 10] {
         let system = QuantumSystem { grid, ..QuantumSystem::default() };
         let (trap, cubic) = (Harmonic::default(), Cubic::default());
         // The potential is multiplied by dt/2 at each point. The handwritten code multiplies the
-        // control once. The reverse sums the cotangent of the control before adding it.
+        // control once. The reverse pass sums the cotangent of the control before adding it to the
+        // output.
         let more = Ops { multiply: grid as u64 - 1, ..Ops::default() };
         let more_back = Ops { add: 1, ..more };
         let bare = OpCount::of(&quantum::ByHand::<false, false> { system, trap, cubic });
         assert_eq!(OpCount::of(&system).step - bare.step, more);
         assert_eq!(OpCount::of(&system).vjp - bare.vjp, more_back);
-        let (full, machinery) =
-            (quantum::ByHand::<true, true> { system, trap, cubic }, Forced { system, effects: (trap, cubic) });
-        assert_eq!(OpCount::of(&machinery).step - OpCount::of(&full).step, more);
-        assert_eq!(OpCount::of(&machinery).vjp - OpCount::of(&full).vjp, more_back);
+        let (full, library) = (quantum::ByHand::<true, true> { system, trap, cubic }, Forced { system, effects: (trap, cubic) });
+        assert_eq!(OpCount::of(&library).step - OpCount::of(&full).step, more);
+        assert_eq!(OpCount::of(&library).vjp - OpCount::of(&full).vjp, more_back);
     }
 }
 
-/// Checks that next state and cotangents agree to rounding.
+/// Checks that next state and cotangents agree to 1e-12.
 fn same_physics<A: System, B: System>(a: &A, b: &B) {
     let (n, m) = (a.state_dim(), a.control_dim());
     let wave = |len: usize, speed: f64| (0..len).map(|i| (1.0 + speed * i as f64).sin()).collect::<Vec<_>>();
@@ -193,7 +194,7 @@ fn same_physics<A: System, B: System>(a: &A, b: &B) {
 }
 
 #[test]
-fn hand_written_physics_has_the_same_results() {
+fn handwritten_code_has_the_same_results_to_1e_12() {
     let system = cart_pole(3);
     let (pole, cart, wind) = (PoleDamping::default(), CartDamping::default(), SteadyWind::default());
     same_physics(&system, &ByHand::<false, false> { system, pole, cart, wind });
@@ -223,6 +224,7 @@ fn steps<R: Real, T: Task>(task: &T) -> Vec<u64> {
     let mut found = states.concat();
     let mut bar = vec![R::zero(); n];
     task.terminal_cost_gradient(&states[horizon], &[], &mut bar, None);
+    // The terminal cost depends on some components only. Adds a cotangent of 0.1 to all.
     bar.iter_mut().for_each(|bar| *bar += R::from(0.1));
     for t in (0..horizon).rev() {
         let (mut x_bar, mut u_bar, mut u_only) = (vec![R::zero(); n], vec![R::zero(); m], vec![R::zero(); m]);
@@ -237,6 +239,7 @@ fn steps<R: Real, T: Task>(task: &T) -> Vec<u64> {
     found.into_iter().map(|x| x.lane(0).to_f64().to_bits()).collect()
 }
 
+/// Compares the bits of trajectories and cotangents in both precisions.
 fn same_bits<A: Task, B: Task>(a: &A, b: &B) {
     assert_eq!(steps::<Single<f32>, _>(a), steps::<Single<f32>, _>(b));
     assert_eq!(steps::<f64, _>(a), steps::<f64, _>(b));
@@ -263,8 +266,9 @@ fn bits<F: Float, T: Task>(task: &T) -> Vec<u64> {
     found
 }
 
-/// Compares whole rollouts in lanes, in single precision. Used sparingly, because it is slow to
-/// compile.
+/// Compares the bits of whole rollouts in lanes, in single precision, and calls [`same_bits`].
+///
+/// Each pair of tasks takes long to compile.
 fn same_rollouts<A: Task, B: Task>(a: &A, b: &B) {
     assert_eq!(bits::<f32, _>(a), bits::<f32, _>(b));
     same_bits(a, b);
@@ -283,7 +287,7 @@ fn particle<S: HasModel<QuantumSystem>>(system: S) -> Quantum<S> {
 }
 
 #[test]
-fn without_effects_a_rollout_has_the_bits_of_the_system_alone() {
+fn empty_effects_and_actuators_keep_the_bits_of_trajectories() {
     let system = cart_pole(2);
     same_bits(&swing(system), &swing(Forced { system, effects: () }));
     same_bits(&swing(system), &swing(Forced { system, effects: Vec::<CartPoleEffect>::new() }));

@@ -1,9 +1,9 @@
-//! Physics against independent formulas: steps, energies, costs, ranges of initial states,
+//! Physics compared with independent formulas: steps, energies, costs, ranges of initial states,
 //! defaults.
 //!
-//! The tests use none of the library's equations. Mechanics uses d'Alembert's principle for point
-//! masses, quantum mechanics a dense matrix. They therefore detect constants that are wrong in
-//! forward and reverse pass alike. `tests/mutations/README.md` measures this.
+//! The tests use none of the library's equations. Tests of mechanics use d'Alembert's principle for
+//! point masses, those of quantum mechanics dense matrices. The tests therefore detect constants
+//! that are wrong in both forward and reverse pass. `tests/mutations/mutate.py` lists exceptions.
 
 mod actuators;
 mod cart_pole;
@@ -24,9 +24,11 @@ use rand::RngExt;
 use std::f64::consts::{FRAC_PI_6, PI, TAU};
 use std::ops::{Add, Mul, Sub};
 
-/// Rounding error of numbers of magnitude 1 over the few hundred operations of a step.
+/// Bound on the rounding error of numbers of magnitude 1, after the few hundred operations of a
+/// step.
 const ROUNDING: f64 = 1e-11;
 
+/// Checks that numbers agree to [`ROUNDING`], relative to the larger of 1 and the expected number.
 #[track_caller]
 fn near(what: &str, found: &[f64], expected: &[f64]) {
     assert_eq!(found.len(), expected.len(), "{what}");
@@ -35,21 +37,24 @@ fn near(what: &str, found: &[f64], expected: &[f64]) {
     }
 }
 
-/// Returns a hundred states with `n` components and controls with `m`, within ±3.
+/// Returns a hundred random pairs of a state with `n` components and a control with `m`, within ±3.
 fn states(n: usize, m: usize) -> impl Iterator<Item = (Vec<f64>, Vec<f64>)> {
     let mut rng = stream(0, Purpose::Test, 0);
     let mut draw = move |len: usize| (0..len).map(|_| rng.random_range(-3.0..3.0)).collect::<Vec<f64>>();
     (0..100).map(move |_| (draw(n), draw(m)))
 }
 
+/// Returns the next state after step number [`STEP`], with all parameters equal to [`PHASE`].
 fn step<S: System>(system: &S, x: &[f64], u: &[f64]) -> Vec<f64> {
     let mut next = vec![f64::NAN; x.len()];
     system.step(at(x, u, &vec![PHASE; system.param_dim()]), &mut next);
     next
 }
 
-/// Number of the step, and value of every parameter, in [`step`].
+/// Number of the step.
 const STEP: usize = 3;
+
+/// Value of every parameter.
 const PHASE: f64 = 0.37;
 
 fn at<'a>(x: &'a [f64], u: &'a [f64], p: &'a [f64]) -> Inputs<'a, f64> {
@@ -72,8 +77,8 @@ fn slopes(of: impl Fn(&[f64]) -> Vec<f64>, at: &[f64]) -> Vec<Vec<f64>> {
     (0..at.len()).map(slope).collect()
 }
 
-/// Compares derivatives. The tolerance covers the error of central differences for third
-/// derivatives of up to 1e5.
+/// Checks that derivatives agree with central differences. The tolerance covers the error of the
+/// differences for third derivatives of up to 1e5.
 #[track_caller]
 fn near_slopes(what: &str, found: &[f64], expected: &[f64]) {
     assert_eq!(found.len(), expected.len(), "{what}");
@@ -82,8 +87,8 @@ fn near_slopes(what: &str, found: &[f64], expected: &[f64]) {
     }
 }
 
-/// Checks that the step equals `expected`, and that its derivatives are those of the step and of
-/// `expected`.
+/// Compares the step with `expected`. Compares the VJP with slopes of `expected` and with dual
+/// numbers of the step.
 #[track_caller]
 fn steps_as<S: System>(what: &str, system: &S, expected: impl Fn(&[f64], &[f64]) -> Vec<f64>) {
     let (n, m) = (system.state_dim(), system.control_dim());
@@ -98,13 +103,13 @@ fn steps_as<S: System>(what: &str, system: &S, expected: impl Fn(&[f64], &[f64])
         let by_slopes = slopes(|xu| pulled(expected(&xu[..n], &xu[n..])), &[x, u].concat()).concat();
         near_slopes(what, &[x_bar, u_bar].concat(), &by_slopes);
     }
-    let lively = |rng: &mut Rng, x: &mut [f64], u: &mut [f64], p: &mut [f64]| {
+    let draw = |rng: &mut Rng, x: &mut [f64], u: &mut [f64], p: &mut [f64]| {
         x.iter_mut().chain(u).chain(p).for_each(|x| *x = rng.random_range(-3.0..3.0));
     };
-    check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{what}: {mismatch}"));
+    check::try_system_at(system, draw).unwrap_or_else(|mismatch| panic!("{what}: {mismatch}"));
 }
 
-/// Gaussian elimination with partial pivoting.
+/// Solves `a x = b` by Gaussian elimination with partial pivoting.
 fn solve<T: Number>(mut a: Vec<Vec<T>>, mut b: Vec<T>) -> Vec<T> {
     let n = b.len();
     for i in 0..n {
@@ -127,6 +132,7 @@ fn solve<T: Number>(mut a: Vec<Vec<T>>, mut b: Vec<T>) -> Vec<T> {
     b
 }
 
+/// Real or complex number.
 trait Number: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> {
     fn size(self) -> f64;
     fn inverse(self) -> Self;

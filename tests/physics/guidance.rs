@@ -19,14 +19,14 @@ fn system(drivers: usize, evaders: usize) -> Herding {
 }
 
 #[test]
-fn systems_of_any_number_of_agents() {
+fn derivatives_for_2_to_11_agents_equal_dual_numbers() {
     for (drivers, evaders) in [(1, 1), (1, 3), (2, 4), (3, 2), (4, 7)] {
         check::system(&system(drivers, evaders));
     }
 }
 
 #[test]
-fn systems_with_other_constants() {
+fn derivatives_with_other_constants_equal_dual_numbers() {
     let effects = (
         Friction { drivers: 0.3, evaders: 2.5 },
         Spread { strength: 1.7 },
@@ -38,25 +38,25 @@ fn systems_with_other_constants() {
 }
 
 #[test]
-fn drivers_may_steer_by_the_mean() {
+fn steps_are_translation_invariant_with_the_mean_as_center() {
     let by_mean = GuidanceSystem { center: Center::Mean, ..agents(2, 3) }.herding();
     check::system(&by_mean);
-    // The physics is invariant under translation if and only if the center is the mean.
+    // With the mean as center, a step is invariant under translation. With the sum, it is not.
     let x: Vec<f64> = (0..20).map(|i| (i as f64 * 0.7).sin()).collect();
     let moved: Vec<f64> = x.iter().enumerate().map(|(i, x)| if i % 4 < 2 { x + 3.0 } else { *x }).collect();
     let largest_change = |system: &Herding| {
         let (mut near, mut far) = (vec![0.0; 20], vec![0.0; 20]);
         system.step(Inputs::new(&x, &[0.3, -0.2, 1.1, 0.4]), &mut near);
         system.step(Inputs::new(&moved, &[0.3, -0.2, 1.1, 0.4]), &mut far);
-        let way = |i: usize| if i % 4 < 2 { 3.0 } else { 0.0 };
-        near.iter().zip(&far).enumerate().map(|(i, (a, b))| (b - a - way(i)).abs()).fold(0.0, f64::max)
+        let shift = |i: usize| if i % 4 < 2 { 3.0 } else { 0.0 };
+        near.iter().zip(&far).enumerate().map(|(i, (a, b))| (b - a - shift(i)).abs()).fold(0.0, f64::max)
     };
     assert!(largest_change(&by_mean) < 1e-13);
     assert!(largest_change(&system(2, 3)) > 0.1);
 }
 
 #[test]
-fn systems_from_crowded_to_scattered() {
+fn derivatives_at_states_within_1e_minus_6_to_1e3_equal_dual_numbers() {
     for (drivers, evaders) in [(1, 1), (2, 4), (3, 2)] {
         for scale in [1e-6, 1e-2, 1e3] {
             let passed = check::try_system_at(&system(drivers, evaders), |rng, x, u, _| {
@@ -69,7 +69,7 @@ fn systems_from_crowded_to_scattered() {
 }
 
 #[test]
-fn whole_rollouts_of_every_flow() {
+fn gradients_of_rollouts_equal_dual_numbers_in_every_flow() {
     for loss in [LossMode::Terminal, LossMode::Running] {
         for (drivers, evaders) in [(2, 4), (1, 1)] {
             let task = Guidance { loss, regularization: 0.3, horizon: 20, ..Guidance::new(drivers, evaders) };
@@ -79,7 +79,7 @@ fn whole_rollouts_of_every_flow() {
 }
 
 #[test]
-fn starts_are_where_the_task_says() {
+fn drivers_start_on_a_ring_and_evaders_within_a_square_metre() {
     let task = Guidance::new(2, 4);
     let radius = |p: &[f64]| p[0].hypot(p[1]);
     for x in initial_states(&task, 1, Purpose::Train, 200).chunks_exact(24) {
@@ -115,7 +115,7 @@ fn error(found: &[f64], expected: &[f64]) -> f64 {
 }
 
 #[test]
-fn steps_and_vjps_are_the_authors() {
+fn steps_and_vjps_equal_the_authors() {
     let text = include_str!("../reference/gbr_2-4_step.json");
     let file: Value = serde_json::from_str(text).expect("JSON");
     let numbers = |key: &str| -> Vec<f64> {
@@ -187,8 +187,8 @@ fn derivatives_agree<R: Real>(drivers: usize, evaders: usize, distance: f64, dia
         let (mut x_bar, mut u_bar) = (vec![R::zero(); n], vec![R::zero(); m]);
         system.vjp(Inputs::new(&x, &u), &next_bar, Cotangents::of(&mut x_bar, &mut u_bar));
         let jvp = |column: &Vec<R>| column[4 * agent + 2] + column[4 * agent + 3] * R::from(0.5);
-        // Forward mode: in reverse mode, products of partial derivatives underflow at a distance
-        // of 1e120.
+        // Uses forward mode, because products of partial derivatives underflow in reverse mode at a
+        // distance of 1e120.
         let by_duals = |k: usize, len: usize, of_state: bool| -> R {
             let (mut tangent, mut column) = (vec![R::zero(); len], vec![R::zero(); n]);
             tangent[k] = R::one();
@@ -219,7 +219,7 @@ fn derivatives_agree<R: Real>(drivers: usize, evaders: usize, distance: f64, dia
 }
 
 #[test]
-fn agents_at_one_place_or_worlds_apart() {
+fn derivatives_agree_for_coincident_and_very_distant_agents() {
     for diagonal in [false, true] {
         for (drivers, evaders) in [(1, 1), (2, 4), (3, 2)] {
             for distance in [0.0, 1e-300, 1e-150, 1e-20, 1e-3, 1.0, 1e20, 1e120, 1e150] {
@@ -243,13 +243,14 @@ fn flight<R: Real>(distance: f64) -> (f64, f64) {
 }
 
 #[test]
-fn forces_have_their_limits() {
+fn evasion_has_its_limiting_forces_at_distances_from_1e_minus_300_to_1e300() {
     fn check<R: Real>(distance: f64, force: f64) {
         let (x, y) = flight::<R>(distance);
         let error = (x / (0.6 * force) - 1.0).abs().max((y / (0.8 * force) - 1.0).abs());
         assert!(error <= 10.0 * <R::Real as Float>::EPSILON, "{} at {distance:e}: {error:e}", <R::Real as Float>::NAME);
     }
-    // 15 / |r| far away and 1500 |r| near, without overflow or underflow of squares.
+    // The force is 15 |r| / (0.1 + |r|)²: 1500 |r| near, and 15 / |r| far away. Squares of many of
+    // these distances overflow or underflow.
     for distance in [1e-300, 1e-200, 1e-150, 1e-50, 1e-20] {
         check::<f64>(distance, 1500.0 * distance);
     }
@@ -268,8 +269,8 @@ fn forces_have_their_limits() {
 }
 
 #[test]
-fn agents_at_one_place_in_lanes_beside_others() {
-    // Each lane has a separate scale of the separation.
+fn lanes_with_distances_from_0_to_1e160_equal_single_samples() {
+    // Each lane scales the separation of two agents independently.
     const W: usize = 4;
     let system = system(2, 2);
     let distances = [0.0, 1e-160, 1.0, 1e160];

@@ -1,4 +1,4 @@
-//! Effects of guidance: derivatives, and the documented physics.
+//! Effects of guidance: derivatives, and documented physics.
 
 use physgrad::policy::Linear;
 use physgrad::rng::{Purpose, Rng, stream};
@@ -15,7 +15,7 @@ fn agents(drivers: usize, evaders: usize) -> GuidanceSystem {
     GuidanceSystem { drivers, evaders, ..GuidanceSystem::default() }
 }
 
-/// Returns obstacles within reach of the tested states.
+/// Returns obstacles that act on some of the states of [`draw_large`].
 fn obstacles() -> Obstacles {
     Obstacles { centers: vec![[0.5, -0.3], [-1.5, 1.0]], radius: 1.2, stiffness: 9.0 }
 }
@@ -36,13 +36,13 @@ fn every_effect() -> Vec<GuidanceEffect> {
     ]
 }
 
-/// Draws fast agents on both sides of obstacles and walls.
-fn lively(rng: &mut Rng, x: &mut [f64], u: &mut [f64], _p: &mut [f64]) {
+/// Draws components within ±2.5: agents inside and outside of obstacles and walls.
+fn draw_large(rng: &mut Rng, x: &mut [f64], u: &mut [f64], _p: &mut [f64]) {
     x.iter_mut().chain(u).for_each(|x| *x = rng.random_range(-2.5..2.5));
 }
 
-fn check_lively<S: System>(system: &S) {
-    check::try_system_at(system, lively).unwrap_or_else(|mismatch| panic!("{mismatch}"));
+fn check_large<S: System>(system: &S) {
+    check::try_system_at(system, draw_large).unwrap_or_else(|mismatch| panic!("{mismatch}"));
 }
 
 /// Returns a hundred random states of a herd.
@@ -50,7 +50,7 @@ fn states(model: &GuidanceSystem) -> Vec<Vec<f64>> {
     let mut rng = stream(0, Purpose::Check, 0);
     let state = |_| {
         let mut x = vec![0.0; System::state_dim(model)];
-        lively(&mut rng, &mut x, &mut [], &mut []);
+        draw_large(&mut rng, &mut x, &mut [], &mut []);
         x
     };
     (0..100).map(state).collect()
@@ -77,26 +77,25 @@ fn step_and_vjp<S: System>(system: &S, x: &[f64], u: &[f64]) -> Vec<f64> {
 }
 
 #[test]
-fn the_derivatives_of_every_effect_are_those_of_duals() {
+fn derivatives_of_every_effect_equal_dual_numbers() {
     for (drivers, evaders) in [(1, 1), (2, 4), (3, 2)] {
         let system = agents(drivers, evaders);
-        check_lively(&system);
+        check_large(&system);
         for effect in every_effect() {
-            check_lively(&Forced { system, effects: vec![effect] });
+            check_large(&Forced { system, effects: vec![effect] });
         }
-        check_lively(&Forced { system, effects: every_effect() });
+        check_large(&Forced { system, effects: every_effect() });
     }
     let effects = (Obstacles { centers: vec![], ..obstacles() }, Flock { strength: -2.0, distance: 1.5 });
-    check_lively(&Forced { system: GuidanceSystem { softening: 0.4, dt: 0.2, ..agents(3, 3) }, effects });
+    check_large(&Forced { system: GuidanceSystem { softening: 0.4, dt: 0.2, ..agents(3, 3) }, effects });
 }
 
 #[test]
-fn the_derivatives_behind_actuators_and_of_substeps_are_those_of_duals() {
+fn derivatives_with_actuators_and_substeps_equal_dual_numbers() {
     let system = || Forced { system: agents(2, 3), effects: every_effect() };
-    check_lively(&Actuated { system: system(), actuator: Limit { bound: 1.5, kind: LimitKind::Smooth } });
-    check_lively(&Actuated { system: system(), actuator: Lag::new(0.2, system().system.dt) });
-    check_lively(&Substeps { system: agents(2, 3).herding(), count: 3 });
-    // Whole rollouts, in all flows.
+    check_large(&Actuated { system: system(), actuator: Limit { bound: 1.5, kind: LimitKind::Smooth } });
+    check_large(&Actuated { system: system(), actuator: Lag::new(0.2, system().system.dt) });
+    check_large(&Substeps { system: agents(2, 3).herding(), count: 3 });
     let full = Actuated { system: system(), actuator: Delay { steps: 2 } };
     let (n, m) = (full.state_dim(), full.control_dim());
     assert_eq!((n, m), (4 * 5 + 2 * 4, 4));
@@ -104,10 +103,10 @@ fn the_derivatives_behind_actuators_and_of_substeps_are_those_of_duals() {
 }
 
 #[test]
-fn without_effects_only_drivers_who_steer_accelerate() {
+fn without_effects_only_drivers_with_control_accelerate() {
     let system = GuidanceSystem { dt: 0.5, ..agents(1, 2) };
     let x = [1.0, 2.0, 0.3, 0.4, 3.0, 1.0, -0.5, 0.5, 1.0, -2.0, 0.0, 1.0];
-    // q = (1, 2) - (4, -1) = (-3, 3).
+    // The driver is at q = (1, 2) - (4, -1) = (-3, 3) from the sum of the evaders' positions.
     let expected = [1.15, 2.2, 0.3 + 0.5 * (-6.0 - 3.0), 0.4 + 0.5 * (6.0 - 3.0), 2.75, 1.25, -0.5, 0.5, 1.0, -1.5, 0.0, 1.0];
     for (found, expected) in step(&system, &x, &[2.0, 1.0]).iter().zip(expected) {
         assert!((found - expected).abs() < 1e-15, "{found} is not {expected}");
@@ -129,7 +128,7 @@ fn a_tuple_and_a_list_agree_bit_for_bit() {
 }
 
 #[test]
-fn the_order_of_effects_only_rounds() {
+fn reversing_the_order_of_effects_changes_results_by_rounding_only() {
     let system = agents(2, 4);
     let reversed: Vec<_> = every_effect().into_iter().rev().collect();
     let (one, other) = (Forced { system, effects: every_effect() }, Forced { system, effects: reversed });
@@ -142,7 +141,7 @@ fn the_order_of_effects_only_rounds() {
 }
 
 #[test]
-fn forces_of_several_are_the_sum_of_those_of_each() {
+fn forces_of_a_list_are_the_sum_over_its_effects() {
     let model = agents(2, 3);
     for x in states(&model) {
         let mut sum = vec![[0.0; 2]; 5];
@@ -158,7 +157,7 @@ fn forces_of_several_are_the_sum_of_those_of_each() {
 }
 
 #[test]
-fn friction_only_takes_energy() {
+fn friction_reduces_energy_and_is_proportional_to_velocity() {
     let model = agents(2, 3);
     for x in states(&model) {
         for (force, agent) in forces(&Friction::default(), &model, &x).iter().zip(x.chunks_exact(4)) {
@@ -171,14 +170,14 @@ fn friction_only_takes_energy() {
     assert_eq!((driver, evader), ([-2.0, 1.0], [-8.0, 4.0]));
 }
 
-/// Returns the norm of the sum, and the sum of norms as its scale.
+/// Returns the norm of the sum of forces, and the sum of their norms.
 fn momentum(forces: &[[f64; 2]]) -> (f64, f64) {
     let sum = |axis: usize| forces.iter().map(|force| force[axis]).sum::<f64>();
     (sum(0).hypot(sum(1)), forces.iter().map(|force| force[0].hypot(force[1])).sum())
 }
 
 #[test]
-fn effects_act_on_the_stated_agents() {
+fn effects_act_on_the_documented_agents() {
     let model = agents(3, 4);
     for x in states(&model) {
         let (spread, flock) = (forces(&Spread::default(), &model, &x), forces(&Flock::default(), &model, &x));
@@ -201,7 +200,7 @@ fn effects_act_on_the_stated_agents() {
 }
 
 #[test]
-fn forces_have_the_stated_directions() {
+fn pair_forces_have_the_documented_values_and_directions() {
     let along = |effect: GuidanceEffect, drivers, evaders, distance: f64| {
         let x = [0.0, 0.0, 0.0, 0.0, distance, 0.0, 0.0, 0.0];
         let forces = forces(&effect, &agents(drivers, evaders), &x);
@@ -210,23 +209,23 @@ fn forces_have_the_stated_directions() {
     let near = |found: (f64, f64), expected: (f64, f64)| {
         assert!((found.0 - expected.0).abs() < 1e-14 && (found.1 - expected.1).abs() < 1e-14, "{found:?}, {expected:?}");
     };
-    // d = 1 at a distance of 0.9.
+    // At a distance of 0.9, the softened distance is 1.
     near(along(Evade::default().into(), 1, 1, 0.9), (0.0, 15.0 * 0.9));
     near(along(Drive::default().into(), 1, 1, 0.9), (0.2 * 0.9, 0.0));
     near(along(Spread::default().into(), 2, 0, 0.9), (-0.2 * 0.9, 0.2 * 0.9));
     near(along(Flock::default().into(), 0, 2, 0.9), (-0.2 * 0.5 * 0.9, 0.2 * 0.5 * 0.9));
     near(along(Flock::default().into(), 0, 2, 0.4), (0.0, 0.0));
     let (left, right) = along(Flock::default().into(), 0, 2, 0.2);
-    assert!(left > 0.0 && right == -left, "they attract each other below the distance");
+    assert!(left > 0.0 && right == -left, "evaders attract each other at 0.2, below the distance 0.5 of the effect");
 }
 
 #[test]
-fn obstacles_push_outwards_and_only_inside() {
+fn obstacles_push_outwards_only_within_their_radius() {
     let (obstacles, model) = (Obstacles { centers: vec![[1.0, -2.0]], radius: 0.5, stiffness: 10.0 }, agents(1, 1));
     let push = |r: [f64; 2]| {
         let at = [1.0 + r[0], -2.0 + r[1], 3.0, 3.0];
         let forces = forces(&obstacles, &model, &[at, at].concat());
-        assert_eq!(forces[0], forces[1], "drivers and evaders alike");
+        assert_eq!(forces[0], forces[1], "equal forces on drivers and evaders");
         forces[0]
     };
     for angle in 0..12 {
@@ -244,7 +243,7 @@ fn obstacles_push_outwards_and_only_inside() {
 }
 
 #[test]
-fn obstacles_have_finite_derivatives_at_their_centers_and_worlds_away() {
+fn obstacles_have_finite_derivatives_at_distances_from_0_to_1e308() {
     fn check<R: Real>(r: f64, finite: impl Fn(R) -> bool) {
         let model = agents(1, 0);
         let obstacles = Obstacles { centers: vec![[0.0; 2]], radius: 0.5, stiffness: 10.0 };
@@ -265,7 +264,7 @@ fn obstacles_have_finite_derivatives_at_their_centers_and_worlds_away() {
     let system = Forced { system: GuidanceSystem { dt: 0.5, ..agents(2, 2) }, effects: obstacles() };
     for scale in [0.0, 1e-200, 1e-20, 1e-6, 1e-2] {
         let passed = check::try_system_at(&system, |rng, x, u, p| {
-            lively(rng, x, u, p);
+            draw_large(rng, x, u, p);
             for agent in x.chunks_exact_mut(4) {
                 let [a, b] = [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0)];
                 (agent[0], agent[1]) = (0.5 + scale * a, -0.3 + scale * b);
@@ -276,12 +275,12 @@ fn obstacles_have_finite_derivatives_at_their_centers_and_worlds_away() {
 }
 
 #[test]
-fn walls_push_inwards_and_only_outside() {
+fn walls_push_inwards_only_beyond_their_position() {
     let (walls, model) = (Walls { half_width: 3.0, half_height: 2.0, stiffness: 10.0 }, agents(1, 1));
     let push = |x: f64, y: f64| {
         let at = [x, y, 3.0, 3.0];
         let forces = forces(&walls, &model, &[at, at].concat());
-        assert_eq!(forces[0], forces[1], "drivers and evaders alike");
+        assert_eq!(forces[0], forces[1], "equal forces on drivers and evaders");
         forces[0]
     };
     for (x, y) in [(0.0, 0.0), (3.0, 2.0), (-3.0, -2.0), (2.5, -1.5)] {
@@ -304,13 +303,13 @@ fn bounce(stiffness: f64) -> f64 {
             return -x[2];
         }
     }
-    panic!("it sticks")
+    panic!("the driver has not left the wall after 1000 steps")
 }
 
 #[test]
-fn springs_within_their_limit_take_speed() {
-    // The limit of the stiffness is `friction / dt`, which is 15 for drivers. The defaults are
-    // below it.
+fn walls_reduce_speed_below_the_limit_of_stiffness_and_raise_it_above() {
+    // The limit of the stiffness is `friction / dt`, which is 15 for drivers. The default
+    // stiffnesses are below this limit.
     assert!(Walls::default().stiffness < 15.0 && Obstacles::default().stiffness < 15.0);
     assert!(bounce(10.0) < 1.0, "{}", bounce(10.0));
     assert!(bounce(60.0) > 1.0, "{}", bounce(60.0));
@@ -326,8 +325,8 @@ fn pair_forces_are_translation_invariant() {
         let u = [0.3, -0.2, 1.1, 0.4];
         let (near, far) = (step(&system, &x, &u), step(&system, &moved, &u));
         for (i, (near, far)) in near.iter().zip(&far).enumerate() {
-            let way = [3.0, -4.0, 0.0, 0.0][i % 4];
-            assert!((far - near - way).abs() < 1e-11 * (1.0 + near.abs()), "{i}: {near}, {far}");
+            let shift = [3.0, -4.0, 0.0, 0.0][i % 4];
+            assert!((far - near - shift).abs() < 1e-11 * (1.0 + near.abs()), "{i}: {near}, {far}");
         }
     }
 }

@@ -5,6 +5,7 @@ use physgrad::tasks::{Bounce, BouncingBall, Contact, FrictionScheme, Push, Slide
 use physgrad::{Cotangents, Float, Inputs, Real, Scalar, Single, System, check};
 use rand::RngExt;
 
+/// Spring with a stiffness of 1000 N/m and a damping of 0.3 s/m.
 const SPRING: Contact = Contact::Penalty { stiffness: 1e3, damping: 0.3 };
 
 fn step<S: System, R: Scalar>(system: &S, x: &[R], u: R) -> Vec<R> {
@@ -29,7 +30,7 @@ fn jacobian<S: System>(system: &S, x: &[f64], u: f64) -> Vec<Vec<f64>> {
     (0..x.len()).map(row).collect()
 }
 
-/// Returns the Jacobian of [`jacobian`] by central differences.
+/// Returns the matrix of [`jacobian`] by central differences at ±`by`.
 fn differences<S: System>(system: &S, x: &[f64], u: f64, by: f64) -> Vec<Vec<f64>> {
     let mut rows = vec![vec![0.0; x.len() + 1]; x.len()];
     for j in 0..=x.len() {
@@ -60,7 +61,7 @@ fn sliders() -> impl Iterator<Item = SliderSystem> {
 }
 
 #[test]
-fn sliders_of_every_smoothing() {
+fn derivatives_of_sliders_equal_dual_numbers_at_every_smoothing() {
     for slider in sliders() {
         check::system(&slider);
         let passed = check::try_system_at(&slider, |rng, x, u, _| {
@@ -97,14 +98,14 @@ fn implicit_friction_solves_its_equation() {
                 let (double, single) = (residual::<f64>(&slider, v, u), residual::<Single<f32>>(&slider, v, u));
                 assert!(double < 8.0 && single < 8.0, "{slider:?} at {v}, {u}: {double} and {single} roundings");
             }
-            let there = step(&slider, &[0.0, v], 3.0)[1];
-            assert_eq!(there, -step(&slider, &[0.0, -v], -3.0)[1], "friction has no preferred side");
+            let forward = step(&slider, &[0.0, v], 3.0)[1];
+            assert_eq!(forward, -step(&slider, &[0.0, -v], -3.0)[1], "the step is odd in speed and force");
         }
     }
 }
 
 #[test]
-fn implicit_friction_has_the_slope_of_its_solution() {
+fn derivatives_of_implicit_friction_equal_finite_differences() {
     for smoothing in [1e-1, 1e-2, 1e-3] {
         let slider = SliderSystem { smoothing, ..SliderSystem::default() };
         for v in [0.0, 1e-3, slider.grip(), 0.06, 1.0] {
@@ -114,7 +115,7 @@ fn implicit_friction_has_the_slope_of_its_solution() {
 }
 
 #[test]
-fn both_schemes_have_one_limit() {
+fn explicit_and_implicit_friction_converge_to_each_other_with_order_1() {
     let after = |scheme, dt: f64| {
         let slider = SliderSystem { smoothing: 0.1, dt, scheme, ..SliderSystem::default() };
         run(&slider, &[0.0, 1.0], 0.5, (0.3 / dt).round() as usize)
@@ -154,7 +155,7 @@ fn pairs() -> [TwoBodies; 4] {
 }
 
 #[test]
-fn contacts_of_every_kind() {
+fn derivatives_of_contacts_of_every_kind_equal_dual_numbers() {
     for ball in balls() {
         check::system(&ball);
         let passed = check::try_system_at(&ball, |rng, x, u, _| {
@@ -178,7 +179,7 @@ fn contacts_of_every_kind() {
 }
 
 #[test]
-fn whole_rollouts_of_every_flow() {
+fn gradients_of_rollouts_equal_dual_numbers_in_every_flow() {
     for scheme in [FrictionScheme::Explicit, FrictionScheme::Implicit] {
         let system = SliderSystem { scheme, smoothing: 0.03, ..SliderSystem::default() };
         check::task(&Slider { system, horizon: 40, ..Slider::default() }, &Mlp::new([2, 8, 1]));
@@ -192,7 +193,7 @@ fn whole_rollouts_of_every_flow() {
 }
 
 #[test]
-fn long_steps_are_as_exact_as_short_ones() {
+fn bounces_in_steps_of_0_4_s_and_0_0125_s_agree_to_1e_12() {
     for restitution in [0.5, 0.8, 1.0] {
         let after = |dt: f64| {
             let ball = BouncingBall { contact: Contact::TimeOfImpact { restitution }, dt, ..BouncingBall::default() };
@@ -204,7 +205,7 @@ fn long_steps_are_as_exact_as_short_ones() {
 }
 
 #[test]
-fn an_elastic_ball_keeps_its_energy() {
+fn an_elastic_ball_keeps_its_energy_for_1e5_steps() {
     let ball = BouncingBall { contact: Contact::TimeOfImpact { restitution: 1.0 }, ..BouncingBall::default() };
     let energy = |x: &[f64]| 9.81 * x[0] + 0.5 * x[1] * x[1];
     let after = run(&ball, &[1.0, 0.3], 0.0, 100_000);
@@ -217,16 +218,16 @@ fn a_ball_comes_to_rest_after_infinitely_many_bounces() {
     // Falls for sqrt(2 h/g), then bounces for 2 e/(1 - e) times as long.
     let rest = f64::sqrt(2.0 / 9.81) * (1.0 + 2.0 * 0.5 / (1.0 - 0.5));
     let steps = (rest / ball.dt) as usize;
-    assert!(run(&ball, &[1.0, 0.0], 0.0, steps - 4)[0] > 0.0, "it still bounces");
+    assert!(run(&ball, &[1.0, 0.0], 0.0, steps - 4)[0] > 0.0, "the ball still bounces");
     assert_eq!(run(&ball, &[1.0, 0.0], 0.0, steps + 1), [0.0, 0.0]);
-    // The next state of a resting ball depends neither on its past nor on a push that does not lift
-    // it. A push that lifts it has a derivative.
+    // At rest without force, the derivatives with respect to state and force are 0. A force of 15 N
+    // exceeds the weight of 9.81 N, and its derivatives are those of free motion.
     near(&jacobian(&ball, &[0.0, 0.0], 0.0), &[vec![0.0; 3], vec![0.0; 3]], 0.0);
     near(&jacobian(&ball, &[0.0, 0.0], 15.0), &[vec![1.0, 0.01, 5e-5], vec![0.0, 1.0, 0.01]], 1e-14);
 }
 
 #[test]
-fn several_impacts_in_a_step_have_their_slope() {
+fn derivatives_of_steps_with_0_to_4_impacts_equal_finite_differences() {
     // Initial height and speed, and the number of impacts.
     let impacts = [(1.0, 0.0, 0), (0.2, 0.0, 1), (0.06, 0.0, 2), (0.03, -0.2, 3), (0.02, 0.0, 4)];
     for (h, v, count) in impacts {
@@ -244,9 +245,9 @@ fn several_impacts_in_a_step_have_their_slope() {
 }
 
 #[test]
-fn a_touch_at_the_end_of_a_step_keeps_its_derivative() {
+fn a_ball_within_rounding_of_the_floor_has_the_derivative_of_an_impact() {
     let ball = BouncingBall::default();
-    // Above the floor by a rounding error, on it, and below.
+    // Heights within a rounding error of the floor.
     for h in [1e-17, 0.0, -1e-17] {
         let by_height = jacobian(&ball, &[h, -2.0], 0.0)[0][0];
         // ∂h'/∂h = e (g dt / s - 1) + g dt / s for an impact at the speed s, with the whole step dt
@@ -257,7 +258,7 @@ fn a_touch_at_the_end_of_a_step_keeps_its_derivative() {
 }
 
 #[test]
-fn a_non_finite_state_does_not_come_to_rest() {
+fn nan_in_state_or_force_gives_nan() {
     for ball in balls() {
         for x in [[f64::NAN, 0.0], [0.5, f64::NAN], [0.0, f64::NAN]] {
             assert!(step(&ball, &x, 0.0).iter().any(|x| x.is_nan()), "{ball:?} at {x:?}");
@@ -270,7 +271,7 @@ fn a_non_finite_state_does_not_come_to_rest() {
 }
 
 #[test]
-fn two_bodies_keep_their_momentum_and_equal_balls_exchange_it() {
+fn momentum_changes_only_by_the_force_and_equal_balls_exchange_speeds() {
     for pair in pairs() {
         let momentum = |x: &[f64]| pair.masses[0] * x[2] + pair.masses[1] * x[3];
         let after = run(&pair, &[0.0, 0.3, 2.0, -0.5], 0.7, 80);
@@ -283,13 +284,13 @@ fn two_bodies_keep_their_momentum_and_equal_balls_exchange_it() {
 }
 
 #[test]
-fn a_pusher_takes_a_box_along_and_lets_it_go() {
+fn a_pusher_pushes_a_box_and_does_not_pull_it() {
     let pair = TwoBodies::pusher();
     let pushed = run(&pair, &[0.0, 0.2, 0.0, 0.0], 6.0, 60);
     assert!((pushed[1] - pushed[0] - pair.contact_distance).abs() < 1e-13 && (pushed[3] - pushed[2]).abs() < 1e-13);
     let pulled = run(&pair, &pushed, -6.0, 30);
     assert!(pulled[1] - pulled[0] > pair.contact_distance + 0.1 && (pulled[3] - pushed[3]).abs() < 1e-13);
-    // Pushed, the pair moves as one body of 3 kg.
+    // The pushed pair moves as one body of 3 kg.
     let slopes = jacobian(&pair, &pushed, 6.0);
     assert!((slopes[3][4] - 0.01 / 3.0).abs() < 1e-15 && (slopes[3][2] - 1.0 / 3.0).abs() < 1e-15);
 }

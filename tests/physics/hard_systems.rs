@@ -27,7 +27,7 @@ fn random(len: usize, case: u64) -> Vec<f64> {
 }
 
 #[test]
-fn the_derivatives_of_linear_plants_are_those_of_duals() {
+fn derivatives_of_linear_plants_equal_dual_numbers() {
     let plant = LinearPlant::new(3, random(9, 0), random(6, 1));
     assert_eq!((plant.state_dim(), plant.control_dim()), (3, 2));
     check::system(&plant);
@@ -35,13 +35,13 @@ fn the_derivatives_of_linear_plants_are_those_of_duals() {
     let mut cost = vec![0.0; 9];
     (0..3).for_each(|i| cost[4 * i] = 1.0 + i as f64);
     (cost[1], cost[3]) = (0.3, 0.3);
-    let lqr = Lqr::new(plant, cost, vec![1.0, 0.2, 0.2, 0.5]).expect("random plants can be held");
+    let lqr = Lqr::new(plant, cost, vec![1.0, 0.2, 0.2, 0.5]).expect("a stabilizable plant");
     check::task(&lqr, &Linear::new(3, 2));
     check::task(&Lqr::spring(), &Linear::with_bias(2, 1));
 }
 
 #[test]
-fn the_derivatives_of_mechanics_are_those_of_duals() {
+fn derivatives_of_pendulums_and_chains_equal_dual_numbers() {
     let dt = 0.01;
     check::system(&Integrated { ode: unequal(), integrator: RungeKutta::RK4, dt });
     check::system(&Integrated { ode: DoublePendulum::default(), integrator: SemiImplicit, dt });
@@ -59,21 +59,21 @@ fn the_derivatives_of_mechanics_are_those_of_duals() {
 }
 
 #[test]
-fn a_linearized_plant_moves_as_the_system_does_nearby() {
+fn error_of_a_linearized_plant_is_cubic_in_state_and_control() {
     let system = CartPoleSystem::default();
     let plant = LinearPlant::linearized(&system, Inputs::new(&[0.0; 4], &[0.0]));
     let (mut next, mut linear) = ([0.0; 4], [0.0; 4]);
-    let far = |scale: f64| {
+    let error = |scale: f64| {
         let x: Vec<f64> = random(4, 3).iter().map(|x| x * scale).collect();
         system.step(Inputs::new(&x, &[scale]), &mut next);
         plant.step(Inputs::new(&x, &[scale]), &mut linear);
         next.iter().zip(&linear).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
     };
     let [near, nearer] = [1e-2, 1e-3].map({
-        let mut far = far;
-        move |scale| far(scale)
+        let mut error = error;
+        move |scale| error(scale)
     });
-    // The neglected terms are odd, hence cubic.
+    // The system is an odd function of state and control. The neglected terms are therefore cubic.
     assert!((near / nearer / 1e3 - 1.0).abs() < 0.01, "{near:e} and {nearer:e}");
 }
 
@@ -88,7 +88,7 @@ fn losses(lqr: &Lqr, gain: Vec<f64>) -> [f64; 2] {
 }
 
 #[test]
-fn the_riccati_gain_is_optimal_at_every_horizon() {
+fn riccati_gain_is_optimal_at_horizons_1_7_and_100() {
     for mut lqr in [Lqr::spring(), Lqr::upright_cart_pole()] {
         for horizon in [1, 7, 100] {
             lqr.horizon = horizon;
@@ -100,7 +100,10 @@ fn the_riccati_gain_is_optimal_at_every_horizon() {
                     let mut gain = best.clone();
                     gain[i] *= 1.0 + by;
                     let [worse, _] = losses(&lqr, gain);
-                    assert!(worse > least, "T = {horizon}: a gain {i} of {by} more pays {worse} instead of {least}");
+                    assert!(
+                        worse > least,
+                        "T = {horizon}: gain {i} times 1 + {by} gives the loss {worse}, not more than {least}"
+                    );
                 }
             }
         }
@@ -108,7 +111,7 @@ fn the_riccati_gain_is_optimal_at_every_horizon() {
 }
 
 #[test]
-fn loops_are_stable_at_the_optimum_whatever_the_plant() {
+fn optimal_gains_stabilize_a_stable_and_an_unstable_plant() {
     for (lqr, stable) in [(Lqr::spring(), true), (Lqr::upright_cart_pole(), false)] {
         assert_eq!(lqr.system().spectral_radius() < 1.0, stable);
         assert!(lqr.system().closed_by(&lqr.optimum().gain).spectral_radius() < 1.0);
@@ -120,13 +123,13 @@ fn unstabilizable_plants_are_reported() {
     // The control does not affect the growing component.
     let plant = LinearPlant::new(2, vec![0.5, 0.0, 0.0, 1.5], vec![1.0, 0.0]);
     let identity = vec![1.0, 0.0, 0.0, 1.0];
-    let endless = Lqr::new(plant.clone(), identity.clone(), vec![1.0]);
-    assert!(matches!(endless, Err(NoOptimum::NotConverged { .. })), "{endless:?}");
+    let unstabilizable = Lqr::new(plant.clone(), identity.clone(), vec![1.0]);
+    assert!(matches!(unstabilizable, Err(NoOptimum::NotConverged { .. })), "{unstabilizable:?}");
     assert!(matches!(Lqr::new(plant, identity, vec![-1.0]), Err(NoOptimum::Indefinite)));
 }
 
 #[test]
-fn with_one_pole_the_chain_is_the_coupled_model() {
+fn with_one_pole_the_chain_equals_the_coupled_model() {
     let (one, coupled) = (chain(1), CoupledCartPole::default());
     for case in 0..20 {
         let (x, u) = (random(4, case).iter().map(|x| 3.0 * x).collect::<Vec<_>>(), random(1, 100 + case));
@@ -140,8 +143,9 @@ fn with_one_pole_the_chain_is_the_coupled_model() {
     }
 }
 
-/// Returns `dE/dt - power`, by central differences of the energy along the motion, relative to the
-/// largest rate times the energy.
+/// Returns `|dE/dt - power|`, relative to the largest rate times `1 + |E|`.
+///
+/// dE/dt comes from central differences of the energy along the motion.
 fn power_missing<O: Ode>(ode: &O, energy: impl Fn(&[f64]) -> f64, power: impl Fn(&[f64], f64) -> f64, case: u64) -> f64 {
     let (x, u) = (random(ode.state_dim(), case), random(1, 50 + case));
     let mut rate = vec![0.0; x.len()];
@@ -154,7 +158,7 @@ fn power_missing<O: Ode>(ode: &O, energy: impl Fn(&[f64]) -> f64, power: impl Fn
 }
 
 #[test]
-fn energy_changes_by_the_work_that_is_done() {
+fn energy_changes_by_the_power_of_the_control() {
     for case in 0..10 {
         for pendulum in [DoublePendulum::default(), unequal()] {
             let missing = power_missing(&pendulum, |x| pendulum.energy(x), |x, u| u * x[1], case);
@@ -180,11 +184,11 @@ fn drift<S: System>(system: &S, steps: usize, energy: impl Fn(&[f64]) -> f64) ->
 }
 
 #[test]
-fn energy_drifts_with_the_order_of_the_method() {
+fn energy_drifts_with_order_4_by_rk4_and_order_2_by_verlet() {
     let (pendulum, chain) = (unequal(), chain(3));
     let order = |drift: &dyn Fn(usize) -> f64| (drift(40) / drift(80)).log2();
     let rk4 = RungeKutta::RK4;
-    // The chain falls during this time, and its drift is monotonic. Later, the drift changes sign
+    // In the first 0.3 s, the chain falls and its drift is monotonic. Later, the drift changes sign
     // repeatedly.
     let dt = |steps: usize| 0.3 / steps as f64;
     let of_pendulum = order(&|n| drift(&Integrated { ode: pendulum, integrator: rk4, dt: dt(n) }, n, |x| pendulum.energy(x)));
@@ -195,7 +199,7 @@ fn energy_drifts_with_the_order_of_the_method() {
     {
         assert!((found - expected).abs() < 0.1, "{what}: order {found}");
     }
-    // Short substeps conserve the energy of a chain almost to rounding.
+    // RK4 with steps of 1e-4 s conserves the energy of a chain almost to rounding for 1 s.
     let substeps = Substeps { system: Integrated { ode: chain, integrator: rk4, dt: 1e-4 }, count: 100 };
     let left = drift(&substeps, 100, |x| chain.energy(x));
     assert!(left < 1e-11, "{left:e}");

@@ -10,6 +10,7 @@ use physgrad::{
 };
 use rand::RngExt;
 
+/// Integrators of fixed step, with name and order.
 const FIXED: [(&str, AnyIntegrator, f64); 7] = [
     ("Euler", AnyIntegrator::RungeKutta(RungeKutta::EULER), 1.0),
     ("semi-implicit", AnyIntegrator::SemiImplicit(SemiImplicit), 1.0),
@@ -39,7 +40,7 @@ fn integrated<O: Ode, I>(ode: O, integrator: I, dt: f64) -> Integrated<O, I> {
 }
 
 #[test]
-fn the_reverse_of_every_integrator_is_that_of_duals() {
+fn derivatives_of_every_integrator_equal_dual_numbers() {
     let all = FIXED.map(|(_, integrator, _)| integrator).into_iter().chain([adaptive(1e-6), adaptive(1e-3)]);
     for integrator in all {
         check::system(&integrated(cart_pole(), integrator, 0.05));
@@ -69,7 +70,7 @@ impl Ode for ByDuals {
 }
 
 /// Returns the state after `steps` steps over the time `span`, and the cotangents of initial state
-/// and control for a fixed final cotangent.
+/// and control for a fixed final cotangent. All inputs are random and fixed.
 fn reached<O: Ode + Clone, I: Integrator>(ode: &O, integrator: &I, span: f64, steps: usize) -> (Vec<f64>, Vec<f64>) {
     let (n, m) = (ode.state_dim(), ode.control_dim());
     let mut rng = stream(3, Purpose::Test, 0);
@@ -90,8 +91,10 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// Returns the observed orders of state and gradient when the number of steps doubles. Uses the
-/// doubling whose order is closest to theory, because errors of opposite sign may cancel in others.
+/// Returns the observed orders of state and gradient when the number of steps doubles.
+///
+/// Uses the doubling whose order is closest to `theory`, because errors of opposite sign may cancel
+/// in others.
 fn orders<O: Ode + Clone, I: Integrator>(ode: &O, integrator: &I, span: f64, theory: f64) -> [f64; 2] {
     let (state, gradient) = reached(ode, &RungeKutta::TSIT5, span, 2000);
     let coarsest = if theory < 3.0 { 128 } else { 32 };
@@ -127,7 +130,7 @@ fn every_integrator_has_its_order_in_state_and_gradient() {
 }
 
 #[test]
-fn the_steps_of_the_tasks_are_their_integrators() {
+fn steps_of_cart_pole_and_guidance_equal_their_integrators() {
     fn step<S: System>(system: &S) -> Vec<f64> {
         let mut rng = stream(0, Purpose::Test, 0);
         let mut numbers = |len: usize| (0..len).map(|_| rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
@@ -152,14 +155,14 @@ fn adaptive_steps_meet_their_tolerance() {
     for rtol in [1e-3, 1e-5, 1e-7, 1e-9] {
         let (found, _) = reached(&ByDuals, &Adaptive { rtol, atol: rtol, most: 10_000 }, 10.0, 1);
         let error = distance(&found, &state);
-        // The errors of the steps accumulate.
+        // The factor 100 allows for the accumulated errors of all substeps.
         assert!(error < 100.0 * rtol && error < before, "rtol {rtol:e}: {error:e}");
         before = error;
     }
 }
 
 #[test]
-fn adaptive_steps_beyond_the_limit_are_nan() {
+fn adaptive_steps_beyond_the_limit_of_substeps_are_nan() {
     let (found, _) = reached(&ByDuals, &Adaptive { rtol: 1e-9, atol: 1e-9, most: 3 }, 10.0, 1);
     assert!(found.iter().all(|x| x.is_nan()), "{found:?}");
 }
@@ -184,7 +187,7 @@ impl Ode for Stiff {
 }
 
 #[test]
-fn the_implicit_midpoint_rule_is_stable_where_explicit_ones_are_not() {
+fn the_implicit_midpoint_rule_is_stable_where_rk4_is_not() {
     let ode = Stiff { rate: 1e4, square: 0.0 };
     let (found, _) = reached(&ode, &ImplicitMidpoint::default(), 10.0, 100);
     assert!(found[0].abs() < 2.0, "{found:?}");
@@ -210,8 +213,7 @@ fn an_unsolved_newton_step_is_nan() {
     assert!(next[0].is_nan(), "{next:?}");
 }
 
-/// Two coupled masses on springs, one of which hardens. The control has no effect, and there is no
-/// friction.
+/// Two masses on springs without friction. One spring hardens, and the control has no effect.
 #[derive(Clone, Debug)]
 struct Springs;
 
@@ -233,7 +235,7 @@ impl Ode for Springs {
 }
 
 #[test]
-fn symplectic_methods_keep_energy_without_a_trend() {
+fn energy_errors_of_symplectic_methods_do_not_grow_and_those_of_heun_do() {
     let energy = |x: &[f64]| {
         let kinetic = 0.5 * (x[1] * x[1] + x[3] * x[3]);
         kinetic + 3.0 * (x[0] * x[0] - x[0] * x[2] + 0.5 * x[2] * x[2] + 0.25 * x[2].powi(4))
@@ -270,8 +272,7 @@ fn symplectic_methods_keep_energy_without_a_trend() {
 }
 
 #[test]
-fn a_user_ode_accepts_effects() {
-    // Tests contacts and dry friction as parts of a vector field.
+fn derivatives_of_bumpers_and_dry_friction_equal_dual_numbers_in_every_integrator() {
     let system = CartPoleSystem { poles: 1, ..CartPoleSystem::default() };
     let rough = Forced { system, effects: (DryFriction::default(), Bumpers::default()) };
     for (_, integrator, _) in FIXED {
@@ -279,7 +280,7 @@ fn a_user_ode_accepts_effects() {
     }
 }
 
-/// Vector field `dx/dt = exp(x)`. Its solution diverges after the time exp(-x).
+/// Vector field `dx/dt = exp(x)`. The solution diverges after the time exp(-x) from the state x.
 struct Exploding;
 
 impl Ode for Exploding {
@@ -308,14 +309,16 @@ fn an_unsolvable_step_is_nan_and_reports_its_residual() {
         });
         assert_eq!(residual.is_none(), solved, "{dt}: {residual:?}");
         // Wrappers forward the cause.
-        let around = Substeps { system: of(dt), count: 1 };
-        assert_eq!(around.diagnose(Inputs::new(&[0.0], &[0.0])), residual.map(Cause::Unsolved));
-        // No state has a smaller residual.
+        let wrapped = Substeps { system: of(dt), count: 1 };
+        assert_eq!(wrapped.diagnose(Inputs::new(&[0.0], &[0.0])), residual.map(Cause::Unsolved));
+        // The least residual of all states x' is 2 ln(e h / 2).
         assert!(residual.is_none_or(|residual| residual > 2.0 * (dt * 0.5 * std::f64::consts::E).ln()), "{residual:?}");
     }
 }
 
-/// Outflow `dh/dt = -√h` from a vessel, beside a constant. `h = (1 - t/2)²` from 1.
+/// Level h of a vessel with the outflow `dh/dt = -√h`, and a constant.
+///
+/// The solution from `h = 1` is `h = (1 - t/2)²`.
 struct Outflow;
 
 impl Ode for Outflow {
@@ -332,7 +335,7 @@ impl Ode for Outflow {
 
 #[test]
 fn the_adaptive_method_rejects_a_step_with_one_nan_component() {
-    // A stage of the whole step has a negative level, whose root is NaN.
+    // A stage of a step over the whole time has a negative level, whose root is NaN.
     let system = Integrated { ode: Outflow, integrator: adaptive(1e-9), dt: 1.9 };
     let mut next = [0.0_f64; 2];
     system.step(Inputs::new(&[1.0, 5.0], &[]), &mut next);

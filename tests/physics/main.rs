@@ -1,4 +1,4 @@
-//! Built-in systems, effects and integrators, against formulas written independently of the code.
+//! Built-in systems, effects and integrators, compared with dual numbers and independent formulas.
 
 #[path = "../../benches/by_hand/mod.rs"]
 mod by_hand;

@@ -1,4 +1,4 @@
-//! Numbers that vary between samples or are trained.
+//! Physical numbers that vary between samples or are trained.
 
 use physgrad::rng::{Purpose, stream};
 use physgrad::tasks::{
@@ -13,7 +13,7 @@ fn varied(poles: usize) -> CartPoleSystem {
     CartPoleSystem { poles, cart_mass: RANGE, pole_mass: RANGE, half_length: RANGE, gravity: RANGE, ..CartPoleSystem::default() }
 }
 
-/// Every effect of cart-pole, with all of its numbers.
+/// Returns every effect of cart-pole. `of` makes a number of a value.
 fn effects(of: impl Fn(f64) -> Number) -> Vec<CartPoleEffect> {
     let [speed, cart_drag, pole_drag, gust] = [2.0, 0.1, 0.05, 1.5].map(&of);
     vec![
@@ -27,7 +27,7 @@ fn effects(of: impl Fn(f64) -> Number) -> Vec<CartPoleEffect> {
 }
 
 #[test]
-fn derivatives_by_varied_numbers_are_exact() {
+fn derivatives_with_respect_to_varied_numbers_equal_dual_numbers() {
     let every = |value: f64| Number::LogUniform { low: 0.5 * value, high: 2.0 * value };
     check::system(&varied(2));
     check::system(&CoupledCartPole(varied(2)));
@@ -36,14 +36,14 @@ fn derivatives_by_varied_numbers_are_exact() {
         check::system(&Forced { system: CartPoleSystem::default(), effects: effect });
     }
     let all = Forced { system: CartPoleModel::Coupled(CoupledCartPole(varied(2))), effects: effects(every) };
+    // Numbers of the model, numbers of the effects, and t₀ of the gusts.
     assert_eq!(all.param_dim(), 4 + 12 + 1);
     check::system(&all);
 }
 
-/// A system whose numbers are parameters of the rollout steps like a system with these numbers
-/// fixed.
+/// Compares a system whose numbers are parameters with one whose numbers are fixed.
 #[test]
-fn a_number_as_parameter_acts_as_a_fixed_number() {
+fn steps_with_numbers_as_parameters_equal_steps_with_fixed_numbers() {
     let x = [0.4, -0.3, 0.5, 1.1, -0.7, 0.6];
     let fixed = |value: f64| Number::Fixed(1.1 * value);
     let trained = |value: f64| Number::Trained { start: 1.1 * value, min: 0.0, max: f64::INFINITY };
@@ -66,7 +66,7 @@ fn a_number_as_parameter_acts_as_a_fixed_number() {
         let (mut next, mut expected_next) = ([0.0; 6], [0.0; 6]);
         system.step::<f64>(Inputs { x: &x, u: &[0.8], p: &p, t: 3 }, &mut next);
         expected.step::<f64>(Inputs { x: &x, u: &[0.8], p: &[0.37], t: 3 }, &mut expected_next);
-        // Products are associated differently: a few roundings of numbers up to 10.
+        // The order of multiplications differs, which rounds numbers up to 10 differently.
         for (next, expected) in next.into_iter().zip(expected_next) {
             assert!((next - expected).abs() < 1e-14, "{next} {expected}");
         }
@@ -74,20 +74,20 @@ fn a_number_as_parameter_acts_as_a_fixed_number() {
 }
 
 #[test]
-fn fixed_numbers_cost_nothing() {
+fn fixed_and_varied_numbers_cost_the_same_operations() {
     let fixed = Forced { system: CartPoleSystem::default(), effects: PoleDamping { damping: 0.1.into() } };
     let cost = OpCount::of(&fixed);
-    // The friction of the single pole adds a product and a difference.
     let plain = OpCount::of(&CartPoleSystem::default());
-    assert_eq!(cost.step.total() - plain.step.total(), 2, "one product and one difference");
+    assert_eq!(cost.step.total() - plain.step.total(), 2, "the friction of one pole takes a product and a difference");
     let half = Forced { effects: PoleDamping { damping: RANGE }, ..fixed };
-    assert_eq!(OpCount::of(&half).step, cost.step, "an entry of p replaces a constant");
+    assert_eq!(OpCount::of(&half).step, cost.step, "a parameter replaces a constant");
 }
 
-/// The number of draws below a threshold is binomial: the share is within five standard deviations
-/// of its expected value.
+/// Compares the share of draws below a threshold with its expected value.
+///
+/// The number of these draws is binomial. The tolerance is five standard deviations.
 #[test]
-fn draws_have_their_distribution() {
+fn draws_have_the_range_and_share_below_a_threshold_of_their_distribution() {
     let rng = &mut stream(0, Purpose::Check, 7);
     let choice = Choice::new(&[1.0, 2.0, 3.0]).expect("three values");
     let cases = [
@@ -96,9 +96,9 @@ fn draws_have_their_distribution() {
         (Number::LogUniform { low: 0.01, high: 100.0 }, 1.0, (0.01, 100.0)),
         (Number::Choice(choice), 1.5, (1.0, 3.0)),
     ];
-    for (number, median, (low, high)) in cases {
+    for (number, threshold, (low, high)) in cases {
         let draws: Vec<f64> = (0..10_000).map(|_| number.draw(rng)).collect();
-        let below = draws.iter().filter(|&&draw| draw < median).count() as f64 / 1e4;
+        let below = draws.iter().filter(|&&draw| draw < threshold).count() as f64 / 1e4;
         let share = if matches!(number, Number::Choice(_)) { 1.0 / 3.0 } else { 0.5 };
         assert!((below - share).abs() < 5.0 * (share * (1.0 - share) / 1e4_f64).sqrt(), "{number:?}: {below}");
         assert!(draws.iter().all(|draw| (low..=high).contains(draw)), "{number:?}");

@@ -15,11 +15,11 @@ fn norm(x: &[f64]) -> f64 {
 }
 
 #[test]
-fn derivatives_on_any_grid() {
+fn derivatives_on_grids_of_3_to_70_points_equal_dual_numbers() {
     for grid in [3, 8, 32, 33, 70] {
         println!("grid {grid}: {:?}", check::system(&system(grid)));
     }
-    // Large controls: the matrix of the step is not diagonally dominant.
+    // With this control, the matrix of the step is not diagonally dominant.
     let draw = |_: &mut _, x: &mut [f64], u: &mut [f64], _: &mut [f64]| {
         x.iter_mut().enumerate().for_each(|(i, x)| *x = (i as f64).sin());
         u[0] = -500.0;
@@ -28,7 +28,7 @@ fn derivatives_on_any_grid() {
 }
 
 #[test]
-fn convolutions_of_many_shapes() {
+fn derivatives_of_convolutions_of_nine_shapes_equal_dual_numbers() {
     for (grid, width) in [(7, 1), (8, 3), (9, 8), (10, 15), (11, 16), (32, 5), (33, 17), (32, 24), (41, 4)] {
         println!("grid {grid}, width {width}: {:?}", check::policy(&Conv::new(grid, width)));
     }
@@ -37,7 +37,7 @@ fn convolutions_of_many_shapes() {
 /// Adjacent samples share a matrix product, which also computes windows across their border.
 /// Results are independent of these windows.
 #[test]
-fn a_column_does_not_depend_on_its_neighbours() {
+fn a_sample_does_not_depend_on_adjacent_samples() {
     let policy = Conv::new(33, 7);
     let (n, total) = (66, 11);
     let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
@@ -63,13 +63,13 @@ fn a_column_does_not_depend_on_its_neighbours() {
     for other in [run(&single), run(&turns)] {
         for (i, (&a, &b)) in together.iter().zip(&other).enumerate() {
             let column = if i < total { i } else { (i - total) / n };
-            assert!(if column == 4 { a.is_nan() && b.is_nan() } else { a == b }, "number {i}: {a} and {b}");
+            assert!(if column == 4 { a.is_nan() && b.is_nan() } else { a == b }, "component {i}: {a} and {b}");
         }
     }
 }
 
 #[test]
-fn whole_rollouts_of_every_flow() {
+fn gradients_of_rollouts_equal_dual_numbers_in_every_flow() {
     for loss in [LossMode::Terminal, LossMode::Running] {
         let task = Quantum { loss, horizon: 25, ..Quantum::new(2) };
         println!("{loss:?}: {:?}", check::task(&task, &Conv::new(32, 3)));
@@ -95,7 +95,7 @@ fn error(got: &[f64], expected: &[f64]) -> f64 {
 }
 
 #[test]
-fn steps_and_eigenstates_are_the_authors() {
+fn steps_and_eigenstates_equal_the_authors() {
     let file = reference("step");
     let (state, control, cotangent) = (data(&file["state"]), data(&file["control"]), data(&file["cotangent"]));
     let expected = ["next_state", "vjp_state", "vjp_control"].map(|key| data(&file[key]));
@@ -117,7 +117,7 @@ fn steps_and_eigenstates_are_the_authors() {
 }
 
 #[test]
-fn probability_is_conserved() {
+fn probability_is_conserved_for_1e5_steps() {
     let task = Quantum::new(3);
     let system = task.system;
     let (mut x, mut next) = (initial_states(&task, 0, Purpose::Test, 1), vec![0.0; 64]);
@@ -131,7 +131,7 @@ fn probability_is_conserved() {
 }
 
 #[test]
-fn the_adjoint_through_the_physics_keeps_its_norm() {
+fn norm_of_the_adjoint_is_conserved_for_1e4_steps() {
     let task = Quantum::new(3);
     let mut states: Vec<Vec<f64>> = vec![initial_states(&task, 0, Purpose::Test, 1)];
     let controls: Vec<[f64; 1]> = (0..10_000).map(|step| [20.0 * (0.3 * f64::from(step)).cos()]).collect();
@@ -152,7 +152,7 @@ fn the_adjoint_through_the_physics_keeps_its_norm() {
 }
 
 #[test]
-fn starts_are_mixtures_of_the_two_lowest_eigenstates() {
+fn initial_states_mix_the_two_lowest_eigenstates_by_their_weights() {
     for weighting in [[1.0, 1.0], [3.0, 1.0], [7.0, 1.0], [15.0, 1.0], [0.0, 1.0]] {
         let task = Quantum { weighting, ..Quantum::new(3) };
         let (samples, mut mean) = (2000, [0.0; 3]);
@@ -162,7 +162,7 @@ fn starts_are_mixtures_of_the_two_lowest_eigenstates() {
                 *mean += (1.0 - Quantum { target, ..task }.running_cost(Inputs::new(x, &[0.0]), x)) / samples as f64;
             }
         }
-        // E[w₁²n₁² / (w₁²n₁² + w₂²n₂²)] = w₁ / (w₁ + w₂).
+        // E[w₁²n₁² / (w₁²n₁² + w₂²n₂²)] = w₁ / (w₁ + w₂) for weights w and standard normal n.
         let share = weighting[0] / (weighting[0] + weighting[1]);
         println!("weighting {weighting:?}: {mean:.3?}");
         assert!((mean[0] - share).abs() < 0.03 && (mean[1] - 1.0 + share).abs() < 0.03 && mean[2].abs() < 1e-13);

@@ -1,5 +1,5 @@
-//! Effects of quantum control, absorbing edges and control shapes: derivatives, bitwise
-//! equality and operation counts.
+//! Effects of quantum control, absorbing edges and control shapes: derivatives, equal results of
+//! lists and tuples, and operation counts.
 
 use crate::boxes::{Swinging, box_of, check_lively, dipole, every_effect, every_effect_typed, lively, norm, step};
 use physgrad::policy::Linear;
@@ -13,7 +13,7 @@ use physgrad::{
 };
 
 #[test]
-fn the_derivatives_of_every_effect_are_those_of_duals() {
+fn derivatives_of_every_effect_equal_dual_numbers() {
     for grid in [3, 32, 65] {
         for effect in every_effect() {
             check_lively(&Forced { system: box_of(grid), effects: vec![effect.clone()] });
@@ -25,7 +25,7 @@ fn the_derivatives_of_every_effect_are_those_of_duals() {
 }
 
 #[test]
-fn effects_may_depend_on_time() {
+fn time_dependent_effect_depends_on_time_plus_phase() {
     let system = Forced { system: dipole(8), effects: (Swinging, Cubic::default()) };
     assert_eq!((system.state_dim(), system.param_dim()), (16, 1));
     check_lively(&system);
@@ -45,7 +45,7 @@ fn effects_may_depend_on_time() {
 }
 
 #[test]
-fn the_derivatives_with_absorbing_edges_and_behind_actuators_are_those_of_duals() {
+fn derivatives_with_absorbing_edges_and_actuators_equal_dual_numbers() {
     let edges = AbsorbingEdges::default();
     for grid in [5, 32, 65] {
         check_lively(&Absorbing::new(Forced { system: box_of(grid), effects: every_effect() }, edges));
@@ -61,7 +61,7 @@ fn the_derivatives_with_absorbing_edges_and_behind_actuators_are_those_of_duals(
 }
 
 #[test]
-fn whole_rollouts_of_every_flow() {
+fn gradients_of_rollouts_equal_dual_numbers_in_every_flow() {
     for loss in [LossMode::Terminal, LossMode::Running] {
         let limit = Limit { bound: 5.0, kind: LimitKind::Smooth };
         let system = Forced { system: dipole(8), effects: every_effect() };
@@ -74,7 +74,7 @@ fn whole_rollouts_of_every_flow() {
     }
 }
 
-/// Returns the next state and all cotangents of a step.
+/// Returns the next state, and the cotangents of state and control, requested together and alone.
 fn step_and_cotangents<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
     let n = x.len();
     let bar: Vec<f64> = (0..n).map(|i| Scalar::sin(i as f64)).collect();
@@ -87,7 +87,7 @@ fn step_and_cotangents<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
 }
 
 #[test]
-fn lists_equal_tuples_and_zero_effects_change_nothing() {
+fn lists_equal_tuples_and_effects_of_strength_0_change_nothing() {
     let mut rng = stream(0, Purpose::Check, 0);
     for system in [box_of(32), dipole(33)] {
         let (mut x, mut u) = (vec![0.0; 2 * system.grid], [0.0]);
@@ -136,8 +136,8 @@ fn an_effect_costs_only_its_own_operations() {
     // Elimination, conjugation, one solve, and the addition to the output.
     let state = eliminated + Ops { negate: n + 1, ..solve } + sums(4 * n + 2 * n, 0);
     assert_eq!(plain[2], state);
-    // Adds to `state` a second solve, the cotangents `dt Im(w̄ y)` of the potential, and the
-    // cotangent of the control.
+    // The cotangent of the control takes a second solve, the cotangents `dt Im(w̄ y)` of the
+    // potential, and their sum.
     let potential = sums(n, 3 * n);
     let control = sums(n + 1, n);
     assert_eq!(plain[1], state + solve + potential + control);
@@ -146,7 +146,8 @@ fn an_effect_costs_only_its_own_operations() {
     assert_eq!(counts(&Forced { system: model, effects: () }), plain);
     assert_eq!(counts(&Forced { system: model, effects: Vec::<QuantumEffect>::new() }), plain);
 
-    // The cubic term reads the state, so the state's cotangent needs the second solve.
+    // The cubic term depends on the state. The cotangent of the state therefore takes the second
+    // solve.
     let (add_forces, forces_and_vjp) = (sums(2 * n, 3 * n), sums(4 * n, 6 * n));
     let cubic = [add_forces, forces_and_vjp, forces_and_vjp + solve + potential, add_forces];
     let added = |effect: &QuantumEffect| match effect {
@@ -168,13 +169,13 @@ fn an_effect_costs_only_its_own_operations() {
     assert_eq!(counts(&Forced { system: model, effects }), all);
     assert_eq!(counts(&Forced { system: model, effects: every_effect_typed() }), all);
 
-    // Points at 2 j / 33: three are within 0.2 of either wall.
+    // Of the points at 2 j / 33, three are within 0.2 of each wall.
     let edges = counts(&Absorbing::new(model, AbsorbingEdges { width: 0.2, strength: 1.0 }));
     assert_eq!(edges, plain.map(|plain| plain + sums(0, 2 * 6)));
 }
 
 #[test]
-fn a_wrapped_task_has_the_costs_of_the_model() {
+fn a_task_with_wrapped_system_has_the_costs_of_the_bare_system() {
     let plain = Quantum { loss: LossMode::Terminal, ..Quantum::new(2) };
     let system = Actuated { system: Absorbing::new(plain.system, AbsorbingEdges::default()), actuator: Delay { steps: 1 } };
     let wrapped = Quantum { loss: LossMode::Terminal, ..Quantum::with_system(system, 2) };
@@ -228,5 +229,5 @@ fn renormalization_changes_only_the_norm_and_has_exact_derivatives() {
     assert!((norm(&kept[..16]) - 1.0).abs() < 1e-15 && kept[16] == free[16]);
     let size = norm(&free[..16]);
     assert!(size > 1.5 && kept[..16].iter().zip(&free).all(|(kept, free)| (kept * size - free).abs() < 1e-14));
-    assert!(step(&system, &[0.0; 17], 1.0)[0].is_nan(), "NaN for a zero wave");
+    assert!(step(&system, &[0.0; 17], 1.0)[0].is_nan(), "renormalizing a zero wave gives NaN");
 }

@@ -13,7 +13,7 @@ fn potential<E: Effect<QuantumSystem>>(effect: &E, model: &QuantumSystem) -> Vec
 }
 
 #[test]
-fn every_real_potential_keeps_the_norm() {
+fn every_real_potential_keeps_the_norm_for_5000_steps() {
     for effects in every_effect().into_iter().map(|effect| vec![effect]).chain([every_effect()]) {
         let system = Forced { system: dipole(32), effects };
         let mut x = vec![0.0; 64];
@@ -30,7 +30,8 @@ fn absorbing_edges_only_remove_probability() {
     let model = QuantumSystem { grid: 399, length: 10.0, dt: 0.002, ..QuantumSystem::default() };
     let edges = AbsorbingEdges { width: 3.0, strength: 30.0 };
     let system = Absorbing::new(Forced { system: model, effects: Cubic { strength: 2.0 } }, edges);
-    // The packet moves at the speed 2k = 20 and would return to the middle after 500 steps.
+    // The packet moves at the speed 2k = 20. Without edges, it returns to the middle after 250 and
+    // after 500 steps.
     let mut x = packet(&model, 5.0, 0.5, 10.0);
     let mut before = norm(&x);
     for _ in 0..500 {
@@ -38,8 +39,8 @@ fn absorbing_edges_only_remove_probability() {
         assert!(norm(&x) <= before * (1.0 + 1e-14));
         before = norm(&x);
     }
-    assert!(before * before < 0.01, "{:e} is left", before * before);
-    // In one step, the edges act on each point separately.
+    assert!(before * before < 0.01, "the remaining probability is {:e}", before * before);
+    // In one step, the edges multiply the wave at each point by a factor.
     let x = packet(&model, 5.0, 3.0, 1.0);
     let (kept, free) = (step(&system, &x, 0.0), step(system.system(), &x, 0.0));
     for ((x, kept), free) in model.points().zip(kept.chunks_exact(2)).zip(free.chunks_exact(2)) {
@@ -49,15 +50,14 @@ fn absorbing_edges_only_remove_probability() {
     }
 }
 
-/// Checks the documentation of the defaults.
 #[test]
-fn the_default_edges_take_a_fifth_of_the_ground_state() {
+fn default_edges_keep_0_8_of_eigenstate_1_and_a_sixth_of_eigenstate_3() {
     let system = Absorbing::new(box_of(32), AbsorbingEdges::default());
     let left = |number| {
         let x = box_of(32).eigenstate(number).flat_map(|phi| [phi, 0.0]).collect();
         norm(&run(&system, x, 128)).powi(2)
     };
-    println!("{:.3}, {:.3}", left(1), left(3));
+    println!("remaining probability of eigenstates 1 and 3: {:.3}, {:.3}", left(1), left(3));
     assert!((left(1) - 0.8).abs() < 0.03 && (left(3) - 1.0 / 6.0).abs() < 0.03);
 }
 
@@ -84,7 +84,7 @@ fn levels(model: &QuantumSystem, potential: &[f64], count: usize) -> Vec<f64> {
 }
 
 #[test]
-fn the_levels_of_a_trap_are_those_of_an_oscillator() {
+fn levels_of_a_trap_equal_those_of_the_harmonic_oscillator() {
     let trap = Harmonic { stiffness: 2500.0, center: 0.1 };
     let omega = 2.0 * 2500f64.sqrt();
     let errors = |grid| -> Vec<f64> {
@@ -92,7 +92,7 @@ fn the_levels_of_a_trap_are_those_of_an_oscillator() {
         levels.iter().enumerate().map(|(n, level)| level / (omega * (n as f64 + 0.5)) - 1.0).collect()
     };
     let (coarse, fine) = (errors(199), errors(399));
-    println!("{coarse:?}, {fine:?}");
+    println!("relative errors of levels: {coarse:?}, {fine:?}");
     for (coarse, fine) in coarse.iter().zip(&fine) {
         // Errors are of second order in dx.
         assert!(fine.abs() < 1e-3 && (3.9..4.1).contains(&(coarse / fine)));
@@ -100,22 +100,22 @@ fn the_levels_of_a_trap_are_those_of_an_oscillator() {
 }
 
 #[test]
-fn a_coherent_state_swings_and_comes_back() {
+fn a_coherent_state_returns_after_a_period_with_the_phase_pi() {
     let (stiffness, steps) = (2500.0, 2000);
     let omega = 2.0 * f64::sqrt(stiffness);
     let model = QuantumSystem { grid: 399, dt: TAU / omega / steps as f64, ..dipole(0) };
     let trap = Forced { system: model, effects: Harmonic { stiffness, center: 0.0 } };
-    // The density of the ground state is a Gaussian of this width.
+    // The density of the ground state is a Gaussian with this standard deviation.
     let sigma = 0.5f64.sqrt() * stiffness.powf(-0.25);
     let start = packet(&model, 1.0 + 0.3, sigma, 0.0);
     let half = run(&trap, start.clone(), steps / 2);
     let (there, _) = overlap(&half, &packet(&model, 1.0 - 0.3, sigma, 0.0));
     let (back, phase) = overlap(&start, &run(&trap, half, steps / 2));
-    println!("{there}, {back}, {phase}");
+    println!("overlaps after half a period and a period: {there}, {back}; phase {phase}");
     // exp(-i ω (n + 1/2) 2π/ω) = -1 for all n.
     assert!(there > 0.999 && back > 0.999 && PI - phase.abs() < 0.1);
-    // A constant force c shifts the center of a trap of stiffness k by c / 2k and changes nothing
-    // else.
+    // The potential u x of the control shifts the center of a trap of stiffness k by -u / 2k, and
+    // changes the energy by a constant.
     let shifted = packet(&model, 1.0 - 0.2, sigma, 0.0);
     let after = (0..500).fold(shifted.clone(), |x, _| step(&trap, &x, 2.0 * stiffness * 0.2));
     assert!(overlap(&shifted, &after).0 > 0.999);
@@ -143,19 +143,19 @@ fn barrier_transmission_matches_eckart() {
         expected += weight * transmission(wave_number + off / (2.0 * sigma));
         total += weight;
     }
-    println!("{through}, expected {}", expected / total);
+    println!("transmission {through}, expected {}", expected / total);
     assert!((through - expected / total).abs() < 0.01);
 }
 
 #[test]
-fn a_double_well_has_two_valleys_and_keeps_a_symmetric_state() {
+fn a_double_well_has_the_documented_shape_symmetry_and_tunneling() {
     let (well, model) = (DoubleWell { height: 40.0, separation: 1.0 }, QuantumSystem { grid: 199, ..dipole(0) });
     let v = potential(&well, &model);
     // Points at 0.01 j: minima at 0.5 and 1.5.
     assert!(v[49].abs() < 1e-9 && v[149].abs() < 1e-9 && (v[99] - 40.0).abs() < 1e-9);
-    assert!(v.iter().all(|&v| v >= 0.0) && v.iter().rev().eq(&v), "mirrored bit for bit");
+    assert!(v.iter().all(|&v| v >= 0.0) && v.iter().rev().eq(&v), "the potential is symmetric bit for bit");
     let curvature = (v[48] - 2.0 * v[49] + v[50]) / 0.01f64.powi(2);
-    // V = k δ², ω = 2 sqrt(k).
+    // At a small distance δ from a minimum, V = k δ² and ω = 2 sqrt(k).
     let omega = 2.0 * (curvature / 2.0).sqrt();
     assert!((omega / (8.0 * 40f64.sqrt()) - 1.0).abs() < 1e-3, "{omega}");
 
@@ -163,7 +163,7 @@ fn a_double_well_has_two_valleys_and_keeps_a_symmetric_state() {
     let start: Vec<f64> = model.eigenstate(1).zip(model.eigenstate(3)).flat_map(|(a, b)| [0.6 * a, 0.8 * b]).collect();
     let after = densities(&run(&Forced { system: model, effects }, start.clone(), 500));
     let mirrored: Vec<f64> = after.iter().rev().copied().collect();
-    assert!(largest_difference(&after, &densities(&start)) > 1e-3, "it moves");
+    assert!(largest_difference(&after, &densities(&start)) > 1e-3, "the density changes");
     assert!(largest_difference(&after, &mirrored) < 1e-12);
 
     // At energies below the barrier, the particle tunnels slowly. It reaches the other well after
@@ -173,17 +173,18 @@ fn a_double_well_has_two_valleys_and_keeps_a_symmetric_state() {
     let levels = levels(&model, &potential(&deep, &model), 3);
     let splitting = levels[1] - levels[0];
     assert!(levels[1] < 60.0 && splitting < 0.1 * (levels[2] - levels[0]), "{levels:?}");
+    // Near a minimum, k = 4 height / (separation / 2)².
     let stiffness = 240.0 / 0.25;
     let left = packet(&model, 0.5, 0.5f64.sqrt() * f64::powf(stiffness, -0.25), 0.0);
     let on_the_right = |x: &[f64]| densities(&x[100..]).iter().sum::<f64>();
     let half_beat = (PI / splitting / model.dt) as usize;
     let there = run(&Forced { system: model, effects: deep }, left.clone(), half_beat);
-    println!("{levels:?}, {half_beat} steps, {}", on_the_right(&there));
+    println!("levels {levels:?}, {half_beat} steps, probability on the right {}", on_the_right(&there));
     assert!(on_the_right(&left) < 0.01 && on_the_right(&there) > 0.85);
 }
 
 #[test]
-fn a_mirrored_state_under_the_opposite_control_stays_mirrored() {
+fn mirroring_with_the_opposite_control_is_a_symmetry_of_the_dipole_only() {
     let mirror = |x: &[f64]| x.chunks_exact(2).rev().flatten().copied().collect::<Vec<f64>>();
     let mut rng = stream(0, Purpose::Check, 1);
     for grid in [32, 33] {
@@ -192,13 +193,13 @@ fn a_mirrored_state_under_the_opposite_control_stays_mirrored() {
         let mirrored = mirror(&step(&dipole(grid), &mirror(&x), -u[0]));
         assert!(largest_difference(&step(&dipole(grid), &x, u[0]), &mirrored) < 1e-14);
         let mirrored = mirror(&step(&box_of(grid), &mirror(&x), -u[0]));
-        assert!(largest_difference(&step(&box_of(grid), &x, u[0]), &mirrored) > 1e-3, "not so a tilt");
+        assert!(largest_difference(&step(&box_of(grid), &x, u[0]), &mirrored) > 1e-3, "a tilt lacks this symmetry");
     }
 }
 
 /// Densities agree in the limit of small steps. The phase of one step differs by O(dt³).
 #[test]
-fn a_dipole_is_a_tilt_up_to_a_global_phase_and_the_time_step() {
+fn densities_of_dipole_and_tilt_converge_to_each_other_with_order_2() {
     let difference = |count: u32| {
         let dt = 0.5 / f64::from(count);
         let (tilt, dipole) = (QuantumSystem { dt, ..box_of(16) }, QuantumSystem { dt, ..dipole(16) });
@@ -211,9 +212,9 @@ fn a_dipole_is_a_tilt_up_to_a_global_phase_and_the_time_step() {
         largest_difference(&densities(&a), &densities(&b))
     };
     let (coarse, fine) = (difference(4000), difference(8000));
-    println!("{coarse:e}, {fine:e}");
+    println!("differences of densities: {coarse:e}, {fine:e}");
     assert!(fine < 1e-6 && (3.9..4.1).contains(&(coarse / fine)));
-    assert!(difference(8) > 1e-3, "with the paper's time step they differ");
+    assert!(difference(8) > 1e-3, "the densities differ by at least 1e-3 at the time step of the paper");
 }
 
 /// Potential that is equal at all points.
@@ -238,7 +239,7 @@ impl Effect<QuantumSystem> for Uniform {
 }
 
 #[test]
-fn where_the_density_is_constant_the_cubic_term_is_an_energy() {
+fn at_constant_density_the_cubic_term_equals_a_uniform_potential() {
     let strength = 3.0;
     let phases = |model: &QuantumSystem| wave(model, |x| (Scalar::cos(3.0 * x), Scalar::sin(3.0 * x)));
     let model = box_of(32);
@@ -278,11 +279,11 @@ fn an_attractive_condensate_has_a_soliton() {
         let start = wave(&model, |x| (1.0 / (kappa * (x - 3.0)).cosh(), 0.0));
         let bound = run(&Forced { system: model, effects: Cubic { strength: -4.0 * kappa } }, start.clone(), steps);
         let free = run(&model, start.clone(), steps);
-        assert!(overlap(&start, &free).0 < 0.7, "without it, it spreads");
+        assert!(overlap(&start, &free).0 < 0.7, "without the cubic term, the packet spreads");
         let (size, phase) = overlap(&start, &bound);
         (1.0 - size, phase)
     };
     let (size, phase) = errors(steps);
-    println!("{size:e}, {phase:e}");
+    println!("1 - overlap {size:e}, phase {phase:e}");
     assert!(size < 1e-3 && phase.abs() < 0.05);
 }

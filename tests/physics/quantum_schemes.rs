@@ -19,7 +19,7 @@ fn schemes(model: QuantumSystem) -> [QuantumScheme; 3] {
 }
 
 #[test]
-fn the_derivatives_of_every_scheme_are_those_of_duals() {
+fn derivatives_of_every_scheme_equal_dual_numbers() {
     for model in [box_of(3), dipole(4), box_of(9), dipole(32), box_of(65), dipole(66)] {
         check_lively(&Pade(model));
         check_lively(&Strang::new(model));
@@ -34,7 +34,7 @@ fn the_derivatives_of_every_scheme_are_those_of_duals() {
 }
 
 #[test]
-fn time_dependent_effects_and_wrappers_work_with_every_scheme() {
+fn derivatives_of_time_dependent_effects_and_wrappers_equal_dual_numbers() {
     let (limit, edges) = (Limit { bound: 20.0, kind: LimitKind::Smooth }, AbsorbingEdges::default());
     for system in schemes(dipole(8)) {
         check_lively(&Forced { system: system.clone(), effects: (Swinging, Cubic::default()) });
@@ -47,7 +47,7 @@ fn time_dependent_effects_and_wrappers_work_with_every_scheme() {
 }
 
 /// Returns the next state and all cotangents of a step.
-fn everything<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
+fn step_and_cotangents<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
     let n = x.len();
     let bar: Vec<f64> = (0..n).map(|i| Scalar::sin(i as f64)).collect();
     let (mut x_bar, mut u_bar) = (vec![0.0; n], [0.0]);
@@ -56,28 +56,28 @@ fn everything<S: System>(system: &S, x: &[f64], u: f64) -> Vec<f64> {
 }
 
 #[test]
-fn run_time_schemes_and_lists_have_the_bits_of_typed_ones() {
+fn schemes_and_effects_chosen_at_run_time_have_the_results_of_typed_ones() {
     fn same<H: ForcedSystem<Model = QuantumSystem> + System + Clone>(alone: &H, chosen: &QuantumScheme) -> Vec<f64> {
         let (mut x, mut u) = (vec![0.0; alone.model().grid * 2], [0.0]);
         lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u, &mut []);
-        let plain = everything(alone, &x, u[0]);
-        assert_eq!(plain, everything(chosen, &x, u[0]));
-        assert_eq!(plain, everything(&Forced { system: alone.clone(), effects: Vec::<QuantumEffect>::new() }, &x, u[0]));
-        let typed = everything(&Forced { system: alone.clone(), effects: every_effect_typed() }, &x, u[0]);
-        assert_eq!(typed, everything(&Forced { system: alone.clone(), effects: every_effect() }, &x, u[0]));
-        assert_eq!(typed, everything(&Forced { system: chosen.clone(), effects: every_effect() }, &x, u[0]));
+        let plain = step_and_cotangents(alone, &x, u[0]);
+        assert_eq!(plain, step_and_cotangents(chosen, &x, u[0]));
+        assert_eq!(plain, step_and_cotangents(&Forced { system: alone.clone(), effects: Vec::<QuantumEffect>::new() }, &x, u[0]));
+        let typed = step_and_cotangents(&Forced { system: alone.clone(), effects: every_effect_typed() }, &x, u[0]);
+        assert_eq!(typed, step_and_cotangents(&Forced { system: alone.clone(), effects: every_effect() }, &x, u[0]));
+        assert_eq!(typed, step_and_cotangents(&Forced { system: chosen.clone(), effects: every_effect() }, &x, u[0]));
         assert_ne!(plain, typed);
         plain
     }
     for model in [box_of(32), dipole(33)] {
         let [a, b, c] = schemes(model);
         let (a, b, c) = (same(&model, &a), same(&Pade(model), &b), same(&Strang::new(model), &c));
-        assert!(largest_difference(&a, &b) > 1e-3 && largest_difference(&b, &c) > 1e-3, "two schemes agree to 1e-3");
+        assert!(largest_difference(&a, &b) > 1e-3 && largest_difference(&b, &c) > 1e-3, "two schemes differ by less than 1e-3");
     }
 }
 
 #[test]
-fn every_scheme_is_unitary_whatever_the_potential() {
+fn every_scheme_keeps_the_norm_for_5000_steps_with_any_potential() {
     for (model, effects) in [(box_of(32), vec![]), (dipole(32), every_effect()), (box_of(7), every_effect())] {
         for system in schemes(model) {
             let system = Forced { system, effects: effects.clone() };
@@ -86,14 +86,17 @@ fn every_scheme_is_unitary_whatever_the_potential() {
             for t in 0..5000 {
                 x = step(&system, &x, 300.0 * (0.1 * f64::from(t)).sin());
             }
-            println!("{:e}", norm(&x) - 1.0);
+            println!("norm - 1 after 5000 steps: {:e}", norm(&x) - 1.0);
             assert!((norm(&x) - 1.0).abs() < 1e-12, "{:?}: {:e}", system.system, norm(&x) - 1.0);
         }
     }
 }
 
 /// Returns the state after half a unit of time, and the derivatives of its infidelity with respect
-/// to eight controls. Each control acts for 1/16 of a unit of time, in `count` time steps.
+/// to eight controls.
+///
+/// Each control acts for 1/16 of a unit of time, in `count` time steps. `scheme` is an index of
+/// [`schemes`].
 fn rollout<E: Effect<QuantumSystem>>(scheme: usize, effects: &E, count: usize) -> (Vec<f64>, Vec<f64>) {
     const PIECES: usize = 8;
     let model = QuantumSystem { dt: 0.0625 / count as f64, ..dipole(12) };
@@ -144,7 +147,7 @@ fn states_and_gradients_converge_with_the_order_of_the_scheme() {
 }
 
 #[test]
-fn with_the_cubic_term_strang_keeps_its_order() {
+fn with_the_cubic_term_strang_has_order_2_and_other_schemes_order_1() {
     let cubic = Cubic { strength: 3.0 };
     let reference = rollout(2, &cubic, 2048);
     for (scheme, order, count) in [(0, 1.0, 128), (1, 1.0, 64), (2, 2.0, 8)] {
@@ -154,7 +157,8 @@ fn with_the_cubic_term_strang_keeps_its_order() {
     }
 }
 
-/// Returns the relative phase error of an eigenstate after a time step of the default box.
+/// Returns the relative phase error of an eigenstate after a time step of 0.0625 / `count` in the
+/// default box.
 fn phase_error(scheme: usize, number: usize, count: usize) -> f64 {
     let model = QuantumSystem { dt: 0.0625 / count as f64, ..QuantumSystem::default() };
     let phi: Vec<f64> = model.eigenstate(number).flat_map(|phi| [phi, 0.0]).collect();
@@ -165,19 +169,20 @@ fn phase_error(scheme: usize, number: usize, count: usize) -> f64 {
 }
 
 #[test]
-fn phases_of_eigenstates() {
+fn phase_errors_of_eigenstates_3_to_5_have_the_stated_sizes() {
     for (number, crank_nicolson, pade) in [(3, 0.12, 0.0045), (4, 0.28, 0.033), (5, 0.43, 0.116)] {
         let errors = [0, 1, 2].map(|scheme| phase_error(scheme, number, 1));
-        println!("{number}: {errors:.4?}");
+        println!("eigenstate {number}: phase errors {errors:.4?}");
         assert!((errors[0] - crank_nicolson).abs() < 0.006 && (errors[1] - pade).abs() < 0.03 * pade);
-        assert!(errors[2] < 1e-14, "exact");
+        assert!(errors[2] < 1e-14, "the phase of Strang's scheme is exact");
     }
+    // Least number of steps per 0.0625 with which the phase error of eigenstate 5 is at most 1 %.
     let least = |scheme| (1..).find(|&count| phase_error(scheme, 5, count) <= 0.01);
     assert_eq!([0, 1, 2].map(least), [Some(11), Some(3), Some(1)]);
 }
 
 #[test]
-fn a_step_of_pade_is_two_of_crank_and_nicolson_with_shifted_energies() {
+fn a_step_of_pade_equals_two_steps_of_crank_nicolson_with_shifted_energies() {
     #[derive(Clone, Debug)]
     struct Shift(f64);
     impl Effect<QuantumSystem> for Shift {
@@ -187,6 +192,8 @@ fn a_step_of_pade_is_two_of_crank_and_nicolson_with_shifted_energies() {
     }
     let (mut x, mut u) = (vec![0.0; 64], [0.0]);
     lively(&mut stream(0, Purpose::Check, 0), &mut x, &mut u, &mut []);
+    // Crank and Nicolson with steps of 2 dt / 3 and energies shifted by ±√3 / dt give both factors
+    // of Padé's approximation.
     let (model, shift) = (box_of(32), 3f64.sqrt() / 0.0625);
     let part = QuantumSystem { dt: model.dt * 2.0 / 3.0, ..model };
     let halfway = step(&Forced { system: part, effects: Shift(-shift) }, &x, u[0]);
@@ -194,9 +201,9 @@ fn a_step_of_pade_is_two_of_crank_and_nicolson_with_shifted_energies() {
     assert!(largest_difference(&twice, &step(&Pade(model), &x, u[0])) < 1e-13);
 }
 
-/// Compares a step without potential with the sum over all eigenstates.
+/// Compares a step without potential with the exact solution, a sum over all eigenstates.
 #[test]
-fn strang_moves_free_particles_exactly() {
+fn strang_solves_the_free_particle_to_1e_12() {
     for grid in [3, 6, 7, 33, 300] {
         let model = QuantumSystem { length: 2.0 * (grid + 1) as f64 / 33.0, ..box_of(grid) };
         let (mut x, mut u) = (vec![0.0; 2 * grid], [0.0]);
@@ -233,12 +240,13 @@ fn counts<S: System>(system: &S) -> [Ops; 4] {
 }
 
 #[test]
-fn a_step_of_pade_costs_two_and_works_out_the_potential_once() {
+fn a_step_of_pade_costs_two_of_crank_nicolson_less_one_potential() {
     let sums = |add, multiply| Ops { add, multiply, ..Ops::default() };
     let (crank_nicolson, pade) = (counts(&box_of(32)), counts(&Pade(box_of(32))));
-    // The reverse pass recomputes the state between the factors, and adds the cotangents of both.
+    // For the cotangent of the control, the reverse pass recomputes the state between the factors.
+    // It also adds the control cotangents of both factors.
     let more = [sums(0, 0), sums(4 * 32 + 1, 0), sums(0, 0), sums(4 * 32 + 1, 0)];
-    // Additions to the requested cotangents, once per step.
+    // Additions to the requested cotangents occur once per step.
     let outputs = [sums(0, 0), sums(64 + 1, 0), sums(64, 0), sums(1, 0)];
     for i in 0..4 {
         let one = crank_nicolson[i] - outputs[i];

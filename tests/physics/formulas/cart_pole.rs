@@ -3,8 +3,10 @@
 use super::mechanism::*;
 use super::*;
 
-/// Returns the accelerations of the authors' model. Each pole turns as if alone on the cart. ẍ
-/// follows from the reactions of all poles and the mass of the cart and one pole.
+/// Returns the accelerations of the authors' model: cart, then poles.
+///
+/// Each pole turns as if alone on the cart. ẍ follows from the reactions of all poles and the mass
+/// of the cart and one pole.
 fn uncoupled(model: &CartPoleSystem, x: &[f64], applied: &[f64]) -> Vec<f64> {
     let alone = on_cart(&CartPoleSystem { poles: 1, ..*model }, false);
     let moment = model.pole_mass.nominal() * model.half_length.nominal();
@@ -19,9 +21,10 @@ fn uncoupled(model: &CartPoleSystem, x: &[f64], applied: &[f64]) -> Vec<f64> {
     accelerations
 }
 
+/// Forces of an effect on cart and poles, as a function of the state.
 type Applied = fn(&CartPoleSystem, &[f64]) -> Vec<f64>;
 
-/// Returns the drag of the wind w on cart and poles.
+/// Returns the forces of the wind speed w, with drag coefficients of 0.05 (cart) and 0.02 (poles).
 fn drag(model: &CartPoleSystem, w: f64, x: &[f64]) -> Vec<f64> {
     let mut forces = vec![0.05 * (w - x[1]).abs() * (w - x[1])];
     for pole in x[2..2 + 2 * model.poles].chunks_exact(2) {
@@ -33,7 +36,7 @@ fn drag(model: &CartPoleSystem, w: f64, x: &[f64]) -> Vec<f64> {
     forces
 }
 
-/// Returns all effects with distinct parameters, and the forces they apply.
+/// Returns all effects with distinct parameters, and their forces.
 fn on_cart_poles() -> Vec<(CartPoleEffect, Applied)> {
     fn on_cart(model: &CartPoleSystem, force: f64) -> Vec<f64> {
         let mut forces = vec![0.0; 1 + model.poles];
@@ -59,7 +62,7 @@ fn on_cart_poles() -> Vec<(CartPoleEffect, Applied)> {
     ]
 }
 
-/// Checks the step of a system under an effect, with the control acting on the cart.
+/// Compares steps under each effect with `accelerations`. The control acts on the cart.
 #[track_caller]
 fn cart_pole_steps_as<H: ForcedSystem<Model = CartPoleSystem> + Clone>(
     system: H,
@@ -87,7 +90,7 @@ fn cart_pole_steps_as<H: ForcedSystem<Model = CartPoleSystem> + Clone>(
     }
 }
 
-/// Writes the forces of an effect to the first components of the next state.
+/// System whose next state consists of the forces of an effect, followed by zeros.
 struct EffectAlone<E> {
     model: CartPoleSystem,
     effect: E,
@@ -113,7 +116,7 @@ impl<E: Effect<CartPoleSystem>> System for EffectAlone<E> {
 }
 
 #[test]
-fn poles_on_a_cart() {
+fn steps_of_cart_poles_with_each_effect_equal_their_formulas() {
     for poles in [1, 3] {
         cart_pole_steps_as(model(poles), uncoupled);
         let coupled = |model: &CartPoleSystem, x: &[f64], forces: &[f64]| on_cart(model, false).accelerations(x, forces);
@@ -127,10 +130,10 @@ fn poles_on_a_cart() {
 /// Compares drag, evaluated at the middle of the pole, with strip theory, as documented in
 /// [`SteadyWind`].
 #[test]
-fn drag_at_the_middle_is_strip_theory_without_spin_and_half_of_it_without_wind() {
+fn drag_at_the_middle_equals_strip_theory_without_spin_and_has_half_its_torque_without_wind() {
     let (model, c) = (model(1), 0.02);
     let l = model.half_length.nominal();
-    // [D, τ] on an upright pole, without drag of the cart.
+    // Returns [drag, torque] of the library on an upright pole, without drag of the cart.
     let here = |wind: f64, spin: f64| {
         let mut forces = [0.0; 2];
         SteadyWind { speed: wind.into(), cart_drag: 0.0.into(), pole_drag: c.into() }.add_forces(
@@ -140,6 +143,7 @@ fn drag_at_the_middle_is_strip_theory_without_spin_and_half_of_it_without_wind()
         );
         forces
     };
+    // Returns [drag, torque] as sums over strips of the pole.
     let strips = |wind: f64, spin: f64| {
         const STRIPS: usize = 100_000;
         let width = 2.0 * l / STRIPS as f64;
@@ -149,7 +153,7 @@ fn drag_at_the_middle_is_strip_theory_without_spin_and_half_of_it_without_wind()
             [force + drag, torque + s * drag]
         })
     };
-    // The sum over this many strips is accurate to 1e-9.
+    // The sum over the strips is accurate to 1e-9.
     let is = |found: f64, expected: f64| assert!((found / expected - 1.0).abs() < 1e-6, "{found} is not {expected}");
     for i in 0..2 {
         is(strips(3.0, 0.0)[i], here(3.0, 0.0)[i]);

@@ -2,10 +2,11 @@
 
 use super::*;
 
+/// Acceleration of agent `k` due to agent `i`, as a function of `k`, `i`, their separation and the
+/// softened distance.
 type Pull = fn(usize, usize, [f64; 2], f64) -> [f64; 2];
 
-/// Returns effects of pairs, with the acceleration of agent `k` due to agent `i`. The acceleration
-/// is a function of `k`, `i`, their separation and the softened distance.
+/// Returns the effects on pairs of agents, with their accelerations. Agents 0 and 1 are drivers.
 fn between() -> Vec<(GuidanceEffect, Pull)> {
     fn times(by: f64, [x, y]: [f64; 2]) -> [f64; 2] {
         [by * x, by * y]
@@ -23,6 +24,7 @@ fn between() -> Vec<(GuidanceEffect, Pull)> {
 /// Acceleration of agent `k` as a function of its state, independent of the other agents.
 type Alone = fn(usize, &[f64]) -> [f64; 2];
 
+/// Returns the effects on single agents, with their accelerations. Agents 0 and 1 are drivers.
 fn alone() -> Vec<(GuidanceEffect, Alone)> {
     let obstacles = Obstacles { centers: vec![[0.5, -0.3], [-1.5, 1.0]], radius: 1.2, stiffness: 9.0 };
     vec![
@@ -45,11 +47,11 @@ fn alone() -> Vec<(GuidanceEffect, Alone)> {
 }
 
 #[test]
-fn agents_in_the_plane() {
+fn steps_of_guidance_with_each_effect_equal_their_formulas() {
     let softening = 0.2;
     for center in [Center::Sum, Center::Mean] {
         let model = GuidanceSystem { drivers: 2, evaders: 3, center, softening, dt: 0.07 };
-        // Explicit Euler with the drivers' steering and the accelerations of an effect.
+        // Explicit Euler with the accelerations of the controls and of an effect.
         let next = |x: &[f64], u: &[f64], added: &dyn Fn(usize) -> [f64; 2]| -> Vec<f64> {
             let agents: Vec<&[f64]> = x.chunks_exact(4).collect();
             let share = if matches!(center, Center::Sum) { 1.0 } else { 1.0 / 3.0 };

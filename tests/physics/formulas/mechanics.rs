@@ -3,7 +3,8 @@
 use super::mechanism::*;
 use super::*;
 
-/// Checks the rates of an [`Ode`] whose positions and speeds alternate, and its energy.
+/// Compares rates and energy of an [`Ode`] with a mechanism. Positions and speeds alternate in the
+/// state.
 #[track_caller]
 fn moves_as<O: Ode + Clone>(what: &str, ode: O, energy: impl Fn(&[f64]) -> f64, mechanism: &Mechanism) {
     for (x, u) in states(ode.state_dim(), 1) {
@@ -21,15 +22,17 @@ fn moves_as<O: Ode + Clone>(what: &str, ode: O, energy: impl Fn(&[f64]) -> f64, 
 }
 
 #[test]
-fn a_double_pendulum_is_two_point_masses() {
+fn a_double_pendulum_moves_as_two_point_masses() {
     let pendulum = DoublePendulum { masses: [1.3, 0.4], lengths: [0.7, 1.1], gravity: 9.1 };
     let points = vec![Point { mass: 1.3, arms: vec![0.7, 0.0] }, Point { mass: 0.4, arms: vec![0.7, 1.1] }];
     let mechanism = Mechanism { points, cart: false, gravity: 9.1 };
     moves_as("double pendulum", pendulum, |x| pendulum.energy(x), &mechanism);
 }
 
-/// Rigid arms with friction in their joints, and point masses with the same masses, centers and
-/// inertias: half of the mass of an arm at `center ± sqrt(inertia / mass)`.
+/// Returns rigid arms with the given joint friction `[viscous, dry, quadratic]`, and equivalent
+/// point masses without friction.
+///
+/// Each arm corresponds to two points with half of its mass, at `center ± sqrt(inertia / mass)`.
 fn rigid_arms(friction: [f64; 3]) -> (MultiPendulum, Mechanism) {
     let sizes = [[1.3, 0.4, 0.7, 0.05], [0.6, 0.5, 0.9, 0.11], [0.8, 0.3, 0.2, 0.02]];
     let [viscous, dry, quadratic] = friction.map(PhysicalNumber::from);
@@ -50,7 +53,7 @@ fn rigid_arms(friction: [f64; 3]) -> (MultiPendulum, Mechanism) {
 }
 
 #[test]
-fn a_pendulum_of_rigid_arms_is_pairs_of_point_masses() {
+fn a_pendulum_of_rigid_arms_moves_as_pairs_of_point_masses() {
     let (pendulum, mechanism) = rigid_arms([0.0; 3]);
     moves_as("pendulum", pendulum.clone(), |x| pendulum.energy(x), &mechanism);
 }
@@ -60,7 +63,7 @@ fn friction_of_a_joint_acts_on_both_arms() {
     let (pendulum, mechanism) = rigid_arms([0.2, 0.3, 0.4]);
     for (x, u) in states(6, 1) {
         let speeds: Vec<f64> = x.chunks_exact(2).map(|pair| pair[1]).collect();
-        // The support does not turn. Dry friction is smoothed below 0.01 rad/s.
+        // The support does not turn. The library smooths dry friction below 0.01 rad/s.
         let torque = |r: f64| -(0.2 * r + 0.3 * (r / 0.01).tanh() + 0.4 * r * r.abs());
         let joints = [torque(speeds[0]), torque(speeds[1] - speeds[0]), torque(speeds[2] - speeds[1])];
         let applied = [u[0] + joints[0] - joints[1], joints[1] - joints[2], joints[2]];
@@ -73,7 +76,7 @@ fn friction_of_a_joint_acts_on_both_arms() {
 }
 
 #[test]
-fn a_chain_is_rods_end_to_end() {
+fn a_chain_of_poles_moves_as_uniform_rods_end_to_end() {
     for poles in [1, 2, 4] {
         let chain = PoleChain(model(poles));
         moves_as("chain", chain, |x| chain.energy(x), &on_cart(&model(poles), true));
@@ -81,8 +84,8 @@ fn a_chain_is_rods_end_to_end() {
 }
 
 #[test]
-fn linear_plants_are_a_spring_and_an_upright_pole() {
-    // 1 kg, 1 N/m, 0.4 N s/m, steps of 0.1 s.
+fn linear_plants_equal_a_damped_spring_and_a_linearized_pole() {
+    // Mass 1 kg, stiffness 1 N/m, damping 0.4 N s/m, steps of 0.1 s.
     let spring = Lqr::spring();
     steps_as("spring", spring.system(), |x, u| semi_implicit(x, &[u[0] - x[0] - 0.4 * x[1]], 0.1));
     // Equations linearized in θ, ω, F about 0.
@@ -96,7 +99,7 @@ fn linear_plants_are_a_spring_and_an_upright_pole() {
 }
 
 #[test]
-fn a_block_slides_with_coulombs_friction() {
+fn a_block_slides_with_smoothed_coulomb_friction() {
     let slider = SliderSystem { mass: 1.7, coefficient: 0.6, smoothing: 0.8, dt: 0.05, scheme: FrictionScheme::Explicit };
     // Newton's law with friction μ m g tanh(v / ε).
     let friction = |v: f64| 0.6 * 1.7 * 9.81 * (v / 0.8).tanh();
@@ -119,13 +122,13 @@ fn fall(place: f64, speed: f64, acceleration: f64, time: f64) -> [f64; 2] {
     [place + speed * time + 0.5 * acceleration * time * time, speed + acceleration * time]
 }
 
-/// Returns the time at which a falling body reaches the ground.
+/// Returns the time after which a body at `height` reaches the height 0.
 fn landing(height: f64, speed: f64, acceleration: f64) -> f64 {
     2.0 * height / ((speed * speed - 2.0 * acceleration * height).sqrt() - speed)
 }
 
 #[test]
-fn a_ball_falls_and_bounces() {
+fn steps_of_a_ball_equal_formulas_of_fall_impact_and_spring() {
     let (mass, gravity, dt) = (0.7, 9.3, 0.1);
     let ball = |contact| BouncingBall { mass, gravity, contact, dt };
     let bouncing = ball(Contact::TimeOfImpact { restitution: 0.6 });
@@ -138,8 +141,8 @@ fn a_ball_falls_and_bounces() {
         let expected = if time < dt {
             landed += 1;
             let speed = -0.6 * (x[1] + acceleration * time);
-            // Holds if the ball does not land again. Other cases have a negative height and are
-            // skipped.
+            // Holds if the ball does not land again. Otherwise, the height is negative, and the
+            // case is skipped.
             fall(0.0, speed, acceleration, dt - time)
         } else {
             fall(height, x[1], acceleration, dt)
@@ -147,7 +150,7 @@ fn a_ball_falls_and_bounces() {
         if expected[0] >= 0.0 {
             near("bounce", &step(&bouncing, &[height, x[1]], &u), &expected);
         }
-        // The spring of the floor acts as in semi-implicit Euler. All other motion is free fall.
+        // The force of the floor enters as in semi-implicit Euler. All other motion is free fall.
         let kick = dt / mass * 30.0 * (-x[0]).max(0.0) * (1.0 - 0.2 * x[1]).max(0.0);
         let [place, speed] = fall(x[0], x[1], acceleration, dt);
         near("spring", &step(&springy, &x, &u), &[place + dt * kick, speed + kick]);
@@ -156,7 +159,7 @@ fn a_ball_falls_and_bounces() {
 }
 
 #[test]
-fn two_bodies_hit_each_other() {
+fn steps_of_two_bodies_equal_formulas_of_impact_and_spring() {
     let ([m1, m2], dt) = ([1.2, 0.5], 0.1);
     let pair = |contact| TwoBodies { masses: [m1, m2], contact_distance: 0.3, contact, dt };
     let elastic = pair(Contact::TimeOfImpact { restitution: 0.6 });
@@ -178,7 +181,7 @@ fn two_bodies_hit_each_other() {
             let [a, va] = fall(a, after, push, dt - time);
             expected = [a, b + (dt - time) * other, va, other];
         }
-        // Skips pairs that meet twice.
+        // Skips pairs that collide twice.
         if expected[1] - expected[0] >= 0.3 {
             near("hit", &step(&elastic, &x, &u), &expected);
         }

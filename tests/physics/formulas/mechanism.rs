@@ -2,14 +2,15 @@
 
 use super::*;
 
-/// Point mass at `(cart q₀ + Σ arms_k sin θ_k, Σ arms_k cos θ_k)`. With a cart, its position
-/// precedes the angles.
+/// Point mass at `(X + Σ arms_k sin θ_k, Σ arms_k cos θ_k)`. X is the position of the cart, or 0
+/// without a cart.
 pub(super) struct Point {
     pub(super) mass: f64,
     pub(super) arms: Vec<f64>,
 }
 
-/// Point masses on massless rods, with or without a cart.
+/// Point masses on massless rods. The coordinates q are the position of the cart, if there is one,
+/// and the angles.
 pub(super) struct Mechanism {
     pub(super) points: Vec<Point>,
     pub(super) cart: bool,
@@ -28,7 +29,8 @@ impl Mechanism {
         }
     }
 
-    /// d'Alembert's principle: `Σ m J_i · (J q̈ + dJ/dt q̇ - g) = Q_i`.
+    /// Returns q̈ for the applied forces Q, by d'Alembert's principle:
+    /// `Σ m J_i · (J q̈ + dJ/dt q̇ - g) = Q_i`.
     pub(super) fn accelerations(&self, x: &[f64], applied: &[f64]) -> Vec<f64> {
         let (q, speed): (Vec<f64>, Vec<f64>) = x.chunks_exact(2).map(|pair| (pair[0], pair[1])).unzip();
         let (n, first) = (q.len(), usize::from(self.cart));
@@ -51,6 +53,7 @@ impl Mechanism {
         solve(matrix, right)
     }
 
+    /// Returns kinetic plus potential energy.
     pub(super) fn energy(&self, x: &[f64]) -> f64 {
         let (q, speed): (Vec<f64>, Vec<f64>) = x.chunks_exact(2).map(|pair| (pair[0], pair[1])).unzip();
         let of_point = |point: &Point| {
@@ -79,11 +82,12 @@ pub(super) fn rod(mass: f64, half_length: f64, base: &[f64], of_poles: usize, po
     })
 }
 
+/// Returns a model whose numbers differ from the defaults.
 pub(super) fn model(poles: usize) -> CartPoleSystem {
     CartPoleSystem { poles, cart_mass: 1.3.into(), pole_mass: 0.4.into(), half_length: 0.7.into(), gravity: 9.1.into(), dt: 0.02 }
 }
 
-/// Returns all poles on the cart, or chained end to end.
+/// Returns a cart with all poles hinged on it, or, if `chained`, on the end of the previous pole.
 pub(super) fn on_cart(model: &CartPoleSystem, chained: bool) -> Mechanism {
     let (poles, [cart_mass, pole_mass, half_length, gravity]) = (model.poles, model.nominal());
     let mut points = vec![Point { mass: cart_mass, arms: vec![0.0; poles] }];
@@ -94,7 +98,7 @@ pub(super) fn on_cart(model: &CartPoleSystem, chained: bool) -> Mechanism {
     Mechanism { points, cart: true, gravity }
 }
 
-/// Updates speeds first, then positions with the new speeds.
+/// Returns the next state: first updates speeds, then positions with the new speeds.
 pub(super) fn semi_implicit(x: &[f64], accelerations: &[f64], dt: f64) -> Vec<f64> {
     let moved = |(pair, a): (&[f64], &f64)| [pair[0] + dt * (pair[1] + dt * a), pair[1] + dt * a];
     x.chunks_exact(2).zip(accelerations).flat_map(moved).collect()

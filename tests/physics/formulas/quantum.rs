@@ -1,8 +1,8 @@
-//! Waves in a box, with complex matrices.
+//! Quantum control and its effects, by dense complex matrices.
 
 use super::*;
 
-/// Complex number.
+/// Complex number: real and imaginary part.
 #[derive(Clone, Copy)]
 struct Complex(f64, f64);
 
@@ -35,9 +35,17 @@ impl Number for Complex {
 }
 
 type Matrix = Vec<Vec<Complex>>;
+
+/// Number of grid points.
 pub(super) const GRID: usize = 7;
+
+/// Length of the box.
 const LENGTH: f64 = 2.6;
+
+/// Time step.
 const DT: f64 = 0.03;
+
+/// Distance between grid points.
 const DX: f64 = LENGTH / (GRID + 1) as f64;
 
 fn wave(x: &[f64]) -> Vec<Complex> {
@@ -52,7 +60,7 @@ fn matrix(entry: impl Fn(usize, usize) -> Complex) -> Matrix {
     (0..GRID).map(|j| (0..GRID).map(|k| entry(j, k)).collect()).collect()
 }
 
-/// `dt H`: second difference and potential.
+/// Returns `dt H`: the negative second difference plus the potential.
 fn hamiltonian(potential: &[f64]) -> Matrix {
     matrix(|j, k| match j.abs_diff(k) {
         0 => Complex(DT * (2.0 / (DX * DX) + potential[j]), 0.0),
@@ -66,7 +74,7 @@ fn times(matrix: &Matrix, psi: &[Complex]) -> Vec<Complex> {
     matrix.iter().map(dot).collect()
 }
 
-/// `(1 + i z/2 - tail z²)⁻¹ (1 - i z/2 - tail z²) ψ`.
+/// Returns `(1 + i z/2 - tail z²)⁻¹ (1 - i z/2 - tail z²) ψ`.
 fn rational(z: &Matrix, tail: f64, psi: &[Complex]) -> Vec<Complex> {
     let square: Matrix = (0..GRID).map(|j| times(z, &z.iter().map(|row| row[j]).collect::<Vec<_>>())).collect();
     let factor = |sign: f64| {
@@ -78,7 +86,7 @@ fn rational(z: &Matrix, tail: f64, psi: &[Complex]) -> Vec<Complex> {
     solve(factor(1.0), times(&factor(-1.0), psi))
 }
 
-/// `exp(-i z) ψ` as 64 factors `exp(-i z / 64)`, each by its power series.
+/// Returns `exp(-i z) ψ` by 64 factors `exp(-i z / 64)`, each by its power series.
 fn exponential(z: &Matrix, psi: &[Complex]) -> Vec<Complex> {
     (0..64).fold(psi.to_vec(), |psi, _| {
         let (mut sum, mut term) = (psi.clone(), psi);
@@ -106,7 +114,7 @@ fn potentials() -> Vec<(QuantumEffect, Potential)> {
 }
 
 #[test]
-fn waves_in_a_box() {
+fn steps_of_quantum_schemes_with_each_effect_equal_dense_matrices() {
     for control in [ControlShape::Tilt, ControlShape::Dipole] {
         let model = QuantumSystem { grid: GRID, length: LENGTH, dt: DT, control };
         let origin = if matches!(control, ControlShape::Tilt) { 0.0 } else { 0.5 * LENGTH };

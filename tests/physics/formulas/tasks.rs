@@ -4,12 +4,12 @@ use super::mechanism::model;
 use super::quantum::GRID;
 use super::*;
 
-/// Checks running and terminal costs.
+/// Compares running and terminal costs, and their gradients, with formulas.
 #[track_caller]
-fn costs<T: Task>(what: &str, task: &T, on_the_way: impl Fn(&[f64], &[f64]) -> f64, last: impl Fn(&[f64]) -> f64) {
+fn costs<T: Task>(what: &str, task: &T, running: impl Fn(&[f64], &[f64]) -> f64, terminal: impl Fn(&[f64]) -> f64) {
     let (n, m) = (task.system().state_dim(), task.system().control_dim());
     for (x, u) in states(n, m) {
-        near(what, &[task.running_cost(Inputs::new(&x, &u), &x), task.terminal_cost(&x, &[])], &[on_the_way(&x, &u), last(&x)]);
+        near(what, &[task.running_cost(Inputs::new(&x, &u), &x), task.terminal_cost(&x, &[])], &[running(&x, &u), terminal(&x)]);
         let (mut x_bar, mut u_bar, mut last_bar) = (vec![0.0; n], vec![0.0; m], vec![0.0; n]);
         task.running_cost_gradient(
             Inputs::new(&x, &u),
@@ -18,16 +18,16 @@ fn costs<T: Task>(what: &str, task: &T, on_the_way: impl Fn(&[f64], &[f64]) -> f
             &mut x_bar,
         );
         task.terminal_cost_gradient(&x, &[], &mut last_bar, None);
-        let by_slopes = slopes(|xu| vec![on_the_way(&xu[..n], &xu[n..])], &[&x[..], &u].concat()).concat();
+        let by_slopes = slopes(|xu| vec![running(&xu[..n], &xu[n..])], &[&x[..], &u].concat()).concat();
         near_slopes(what, &[x_bar, u_bar].concat(), &by_slopes);
-        near_slopes(what, &last_bar, &slopes(|x| vec![last(x)], &x).concat());
+        near_slopes(what, &last_bar, &slopes(|x| vec![terminal(x)], &x).concat());
     }
 }
 
-/// As [`costs`], and checks the gradients of whole rollouts.
+/// Calls [`costs`], and compares the gradients of whole rollouts with dual numbers.
 #[track_caller]
-fn costs_of<T: Task>(what: &str, task: &T, on_the_way: impl Fn(&[f64], &[f64]) -> f64, last: impl Fn(&[f64]) -> f64) {
-    costs(what, task, on_the_way, last);
+fn costs_of<T: Task>(what: &str, task: &T, running: impl Fn(&[f64], &[f64]) -> f64, terminal: impl Fn(&[f64]) -> f64) {
+    costs(what, task, running, terminal);
     check::task(task, &Linear::new(task.system().state_dim(), task.system().control_dim()));
 }
 
@@ -85,8 +85,8 @@ fn costs_equal_their_formulas() {
         (1.3 * along * along + 3.1 * across * across) / 2.0
     });
 
-    // Integral of (|x|² + u²)/2. The terminal cost is the minimal remaining cost, by Riccati's
-    // equation.
+    // The running cost is (|x|² + u²) dt / 2. The terminal cost is the minimal remaining cost and
+    // therefore satisfies Bellman's equation.
     for (mut lqr, dt) in [(Lqr::spring(), 0.1), (Lqr::upright_cart_pole(), 0.01)] {
         let cost = |x: &[f64], u: &[f64]| dt * 0.5 * x.iter().chain(u).map(|x| x * x).sum::<f64>();
         lqr.horizon = 5;
@@ -112,17 +112,17 @@ fn range<T: Task>(task: &T, of: impl Fn(&[f64]) -> f64) -> [f64; 2] {
     })
 }
 
-/// Checks bounds: 4000 draws come within 1 % of both ends with probability 1 - 2 · 0.99⁴⁰⁰⁰, and
-/// never exceed them.
+/// Checks that 4000 draws stay within bounds and come within 1 % of both. Uniform draws do so with
+/// probability 1 - 2 · 0.99⁴⁰⁰⁰.
 #[track_caller]
 fn starts_within<T: Task>(what: &str, task: &T, low: f64, high: f64, of: impl Fn(&[f64]) -> f64) {
     let ([least, most], near) = (range(task, of), 0.01 * (high - low));
-    assert!(least >= low && least < low + near, "{what} begins at {least}, not at {low}");
-    assert!(most <= high && most > high - near, "{what} ends at {most}, not at {high}");
+    assert!(least >= low && least < low + near, "the least {what} is {least}, not {low}");
+    assert!(most <= high && most > high - near, "the largest {what} is {most}, not {high}");
 }
 
 #[test]
-fn rollouts_start_where_they_should() {
+fn initial_states_span_the_documented_ranges() {
     let within = FRAC_PI_6;
     let swing = CartPole::new(1);
     for i in [0, 1, 3] {
@@ -147,7 +147,7 @@ fn rollouts_start_where_they_should() {
     assert_eq!(range(&Reach { start: 0.7, ..Reach::default() }, |x| x[0]), [0.7, 0.7]);
     // Bearings are uniformly distributed.
     evenly("driver's bearing", &herding, |x| x[1].atan2(x[0]));
-    // Evaders are within half a metre of a common center.
+    // Evaders are within half a metre of a common center, in x and in y.
     let many = Guidance::new(1, 40);
     let spread = range(&many, |x| {
         let xs: Vec<f64> = x[4..].chunks_exact(4).map(|agent| agent[0]).collect();
@@ -158,7 +158,8 @@ fn rollouts_start_where_they_should() {
         let mean = |axis: usize| x[4..].chunks_exact(4).map(|agent| agent[axis]).sum::<f64>() / 40.0;
         mean(0).hypot(mean(1))
     });
-    // The mean of 40 is within 0.15 of the center: three standard deviations.
+    // The center is 1 m to 2 m from the origin. The mean of 40 evaders is within 0.15 m of the
+    // center: three standard deviations.
     assert!((center[0] - 1.0).abs() < 0.2 && (center[1] - 2.0).abs() < 0.2, "{center:?}");
     // Initial states mix the eigenstates 1 and 2 with any share from 0 to 1.
     let mixture = Quantum::new(3);
@@ -171,12 +172,12 @@ fn rollouts_start_where_they_should() {
     assert!(range(&lopsided, |x| share(1, x))[0] > 1.0 - ROUNDING);
     let [least, most] = range(&mixture, |x| share(1, x) + share(2, x));
     near("norm", &[least, most], &[1.0, 1.0]);
-    // A negative amplitude shifts the phase by half a turn.
+    // A negative amplitude shifts the phase by π. Doubling the phase removes this shift.
     evenly("phase", &lopsided, |x| 2.0 * x[1].atan2(x[0]));
 }
 
-/// Checks uniformity: the mean direction of 4000 uniform draws has norm 1/√4000 = 0.016. For a
-/// range that is 10 % too long, it is 0.085.
+/// Checks that an angle is uniform. The mean direction of 4000 uniform draws has a norm of about
+/// 1/√4000 = 0.016. If the range is 10 % too long, the norm is 0.089.
 #[track_caller]
 fn evenly<T: Task>(what: &str, task: &T, angle: impl Fn(&[f64]) -> f64) {
     let (mut rng, mut sum) = (stream(0, Purpose::Train, 1), [0.0; 2]);
@@ -187,12 +188,12 @@ fn evenly<T: Task>(what: &str, task: &T, angle: impl Fn(&[f64]) -> f64) {
         sum = [sum[0] + cos, sum[1] + sin];
     }
     let length = sum[0].hypot(sum[1]) / 4000.0;
-    assert!(length < 0.06, "{what}: the mean direction has a length of {length}");
+    assert!(length < 0.06, "{what}: the mean direction has the norm {length}");
 }
 
 /// Compares defaults with the documentation, the paper, and the authors' code.
 #[test]
-fn defaults_are_as_published() {
+fn defaults_equal_the_documented_ones() {
     #[track_caller]
     fn is<T: Default + PartialEq + std::fmt::Debug>(expected: T) {
         assert_eq!(T::default(), expected);
