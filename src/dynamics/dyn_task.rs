@@ -126,7 +126,9 @@ impl<T: Task + 'static> AnyTask for T {
         fill(slot, Jvp::<T>::pointer::<f64>);
     }
     fn diagnose(&self, slot: &mut dyn Any) {
-        let _found = fill(slot, Diagnose::<T>::pointer::<Single<f32>>) || fill(slot, Diagnose::<T>::pointer::<Single<f64>>);
+        let _found = fill(slot, Diagnose::<T>::pointer::<Single<f32>>)
+            || fill(slot, Diagnose::<T>::pointer::<Single<f64>>)
+            || fill(slot, Diagnose::<T>::pointer::<f64>);
     }
     fn observe(&self, slot: &mut dyn Any) {
         scalar_pointer::<Observe<T>>(slot);
