@@ -108,7 +108,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let segments = read(&path)?;
     let arms = segments[0].x[0].len() / 2;
     let noise = [0.003, 0.1].repeat(arms);
-    let options = Options { noise: Some(noise), windows: vec![40, 120, 360], ..Options::default() };
+    let options = Options { noise: Some(noise), ..Options::default() };
     let scaled =
         |p: &[f64]| -> Vec<Segment> { segments.iter().map(|segment| Segment { p: p.to_vec(), ..segment.clone() }).collect() };
     for (name, kinds) in KINDS {

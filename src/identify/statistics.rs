@@ -18,12 +18,16 @@ pub(super) struct Statistics {
     pub undetermined: Vec<Vec<String>>,
 }
 
-/// Evaluates the information matrix of the named parameters.
-pub(super) fn statistics(information: &DMatrix<f64>, names: &[&str]) -> Statistics {
+/// Evaluates the equations of the named parameters, one matrix `[J | r]` for each segment.
+pub(super) fn statistics(equations: &[DMatrix<f64>], names: &[String]) -> Statistics {
     let count = names.len();
     if count == 0 {
         return Statistics { errors: Vec::new(), correlations: Vec::new(), undetermined: Vec::new() };
     }
+    let information = equations.iter().fold(DMatrix::zeros(count, count), |sum, rows| {
+        let slopes = rows.columns(0, count);
+        sum + slopes.tr_mul(&slopes)
+    });
     let scale: Vec<f64> = (0..count).map(|i| information[(i, i)].max(0.0).sqrt()).collect();
     let scaled = DMatrix::from_fn(count, count, |i, j| {
         let product = scale[i] * scale[j];
@@ -38,7 +42,7 @@ pub(super) fn statistics(information: &DMatrix<f64>, names: &[&str]) -> Statisti
         if eigenvalue.is_nan() || eigenvalue <= least {
             let members: Vec<usize> = (0..count).filter(|&i| vector[i].abs() > NAMED).collect();
             members.iter().for_each(|&i| is_open[i] = true);
-            undetermined.push(members.iter().map(|&i| names[i].to_owned()).collect());
+            undetermined.push(members.iter().map(|&i| names[i].clone()).collect());
             continue;
         }
         covariance += vector * vector.transpose() / eigenvalue;

@@ -92,8 +92,8 @@ fn long_swings_are_identified() {
     let rng = &mut stream(2, Purpose::Check, 0);
     let mut segments = [simulated(rng, &pendulum(), [2.8, 6.0], 2000, NOISE)];
     segments[0].x.iter_mut().for_each(|row| row[1] = f64::NAN);
-    for windows in [Vec::new(), Options::default().windows] {
-        let options = Options { noise: Some(NOISE.into()), windows, ..Options::default() };
+    for window in [None, Options::default().window] {
+        let options = Options { noise: Some(NOISE.into()), window, ..Options::default() };
         let found = fit(&segments, 1.8, &options);
         assert!(found.converged && (found.values[0] / TRUTH[0] - 1.0).abs() < 1e-3, "{:?}", found.values);
         // χ² per degree of freedom is 1 within five standard deviations.

@@ -38,9 +38,9 @@ pub struct Identify {
     /// Take the first sample of each segment as its exact initial state
     #[arg(long)]
     pub exact_starts: bool,
-    /// Lengths of the windows before whole segments are fitted, in steps
-    #[arg(long, value_name = "STEPS,...", value_delimiter = ',', default_values_t = [40, 120, 360])]
-    pub windows: Vec<usize>,
+    /// Length of the windows of multiple shooting, in steps; 0: whole segments
+    #[arg(long, value_name = "STEPS", default_value_t = 10)]
+    pub window: usize,
     /// Fit every N-th segment only, and evaluate the others with free initial states
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub every: usize,
@@ -66,7 +66,12 @@ pub fn identify(args: &Identify) -> Result<()> {
     if args.every == 0 {
         bail!("--every is 0; allowed: 1 or more");
     }
-    let options = Options { noise, free_starts: !args.exact_starts, windows: args.windows.clone(), ..Options::default() };
+    let options = Options {
+        noise,
+        free_starts: !args.exact_starts,
+        window: (args.window > 0).then_some(args.window),
+        ..Options::default()
+    };
     let fitted: Vec<Segment> = measured.segments.iter().step_by(args.every).cloned().collect();
     let begin = Instant::now();
     let fit = scene.identify(&fitted, &options).with_context(|| format!("{} with {}", args.scene, args.data.display()))?;
@@ -105,7 +110,7 @@ pub fn identify(args: &Identify) -> Result<()> {
         text += &format!("\nwarning: {name} is at its bound");
     }
     if !fit.converged {
-        text += "\nwarning: the iterations ended before convergence; try other initial values or windows";
+        text += "\nwarning: the iterations ended before convergence; try other initial values or another --window";
     }
     let results = folder.path().display();
     print_result(&format!(
