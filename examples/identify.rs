@@ -45,12 +45,13 @@ fn read(path: &str) -> Result<Vec<Segment>, Box<dyn Error>> {
 }
 
 /// Joint friction: viscous, dry, quadratic.
-const KINDS: [(&str, [bool; 3]); 5] = [
+const KINDS: [(&str, [bool; 3]); 6] = [
     ("viscous", [true, false, false]),
     ("dry", [false, true, false]),
     ("viscous + dry", [true, true, false]),
     ("viscous + quadratic", [true, false, true]),
     ("dry + quadratic", [false, true, true]),
+    ("all", [true, true, true]),
 ];
 
 type Pendulum = Integrated<MultiPendulum, RungeKutta>;
@@ -80,7 +81,9 @@ fn model(arms: usize, kinds: [bool; 3], factor: f64) -> (Pendulum, Vec<f64>, Vec
             // Alternates between too large and too small.
             let start = if unknowns.len() % 2 == 0 { value * factor } else { value / factor };
             if is_unknown {
-                unknowns.push(Unknown { name: format!("{name}_{}", i + 1), index: p.len(), start, min: 0.0, max: f64::INFINITY });
+                // With fixed masses, only the sum of inertia and m a² has to be positive.
+                let min = if name == "inertia" { f64::NEG_INFINITY } else { 0.0 };
+                unknowns.push(Unknown { name: format!("{name}_{}", i + 1), index: p.len(), start, min, max: f64::INFINITY });
             }
             let absent = name == "viscous" || name == "dry" || name == "quadratic";
             p.push(if is_unknown {

@@ -63,16 +63,21 @@ fn step(problem: &Problem<'_>, point: &Point, linearized: &[Vec<Linearized>], we
     let params = point.values.len();
     let segments = eliminated(linearized, params, weights);
     let equations = stacked(&segments, params);
+    let norms = norms(linearized, params);
+    let limits = |i: usize| [problem.unknowns[i].min - point.values[i], problem.unknowns[i].max - point.values[i]];
     // A parameter at a bound stays there while the objective decreases beyond it.
     let slopes = gradient(&equations);
-    let free = problem
-        .unknowns
-        .iter()
-        .zip(&point.values)
-        .zip(slopes.iter())
-        .map(|((unknown, value), slope)| !(*value <= unknown.min && *slope > 0.0 || *value >= unknown.max && *slope < 0.0));
-    let free: Vec<bool> = free.collect();
-    let step = solve(&equations, &free, &norms(linearized, params), weights.damping)?;
+    let stays = |i: usize| limits(i)[0] >= 0.0 && slopes[i] > 0.0 || limits(i)[1] <= 0.0 && slopes[i] < 0.0;
+    let mut fixed: Vec<Option<f64>> = (0..params).map(|i| stays(i).then_some(0.0)).collect();
+    // Steps beyond a bound end there. The other parameters adapt to that.
+    let step = loop {
+        let step = solve(&equations, &fixed, &norms, weights.damping)?;
+        let beyond: Vec<usize> = (0..params).filter(|&i| !(limits(i)[0]..=limits(i)[1]).contains(&step[i])).collect();
+        if beyond.is_empty() || beyond.iter().any(|&i| fixed[i].is_some()) {
+            break step;
+        }
+        beyond.iter().for_each(|&i| fixed[i] = Some(step[i].clamp(limits(i)[0], limits(i)[1])));
+    };
     let bounded = problem.unknowns.iter().zip(&point.values).zip(step.iter());
     let values: Vec<f64> = bounded.map(|((u, value), step)| (value + step).clamp(u.min, u.max)).collect();
     let taken = DVector::from_fn(params, |i, _| values[i] - point.values[i]);

@@ -106,23 +106,25 @@ pub(super) fn gradient(equations: &DMatrix<f64>) -> DVector<f64> {
     equations.columns(0, params).tr_mul(&equations.column(params))
 }
 
-/// Step of the parameters, damped in proportion to the norms of their columns. Parameters that are
-/// not `free` do not move.
-pub(super) fn solve(equations: &DMatrix<f64>, free: &[bool], norms: &[f64], damping: f64) -> Option<DVector<f64>> {
-    let free: Vec<usize> = (0..free.len()).filter(|&i| free[i]).collect();
+/// Step of the parameters, damped in proportion to the norms of their columns. Some steps are
+/// `fixed` in advance.
+pub(super) fn solve(equations: &DMatrix<f64>, fixed: &[Option<f64>], norms: &[f64], damping: f64) -> Option<DVector<f64>> {
+    let free: Vec<usize> = (0..fixed.len()).filter(|&i| fixed[i].is_none()).collect();
     let rows = equations.nrows();
+    let mut step = DVector::from_fn(fixed.len(), |i, _| fixed[i].unwrap_or(0.0));
+    let right = equations.column(fixed.len()) + equations.columns(0, fixed.len()) * &step;
     let mut all = DMatrix::zeros(rows + free.len(), free.len() + 1);
     for (column, &i) in free.iter().enumerate() {
         all.view_mut((0, column), (rows, 1)).copy_from(&equations.column(i));
         // A parameter without influence does not move.
         all[(rows + column, column)] = damping.sqrt() * if norms[i] > 0.0 { norms[i] } else { 1.0 };
     }
-    all.view_mut((0, free.len()), (rows, 1)).copy_from(&equations.column(norms.len()));
+    all.view_mut((0, free.len()), (rows, 1)).copy_from(&right);
     let all = triangle(all);
-    let step = all.view((0, 0), (free.len(), free.len())).solve_upper_triangular(&all.view((0, free.len()), (free.len(), 1)))?;
-    let mut params = DVector::zeros(norms.len());
-    free.iter().zip(step.iter()).for_each(|(&i, step)| params[i] = -step);
-    Some(params)
+    let solved =
+        all.view((0, 0), (free.len(), free.len())).solve_upper_triangular(&all.view((0, free.len()), (free.len(), 1)))?;
+    free.iter().zip(solved.iter()).for_each(|(&i, solved)| step[i] = -solved);
+    Some(step)
 }
 
 /// Upper triangle R of the factorization QR, which has the norms and products of the columns.

@@ -112,7 +112,7 @@ impl Fit {
 ///
 /// The first one lets windows fit their own samples, so a wrong parameter cannot accumulate a phase
 /// error over a long segment. The last one reduces jumps to rounding.
-const CONTINUITY: [f64; 6] = [1.0, 10.0, 100.0, 1e3, 1e4, 1e6];
+const CONTINUITY: [f64; 5] = [1.0, 10.0, 100.0, 1e4, 1e6];
 
 /// Relative decrease that ends the iterations of all weights but the last.
 const COARSE: f64 = 1e-2;
