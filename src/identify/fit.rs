@@ -64,6 +64,10 @@ pub struct Fit {
     pub values: Vec<f64>,
     /// Standard errors; infinite for parameters in an undetermined combination.
     pub errors: Vec<f64>,
+    /// Standard errors that allow for correlated residuals within a segment, from the scatter between
+    /// segments (sandwich estimate; Liang and Zeger 1986, doi:10.1093/biomet/73.1.13). Infinite
+    /// unless there are more segments than unknown parameters.
+    pub robust_errors: Vec<f64>,
     /// Correlations of the values.
     pub correlations: Vec<Vec<f64>>,
     /// Combinations of parameters that the data do not determine, by name.
@@ -152,7 +156,7 @@ pub fn identify<S: System>(
 fn result(problem: &Problem<'_>, point: Point, continuity: f64, converged: bool, mut counts: Counts) -> Fit {
     let names: Vec<String> = problem.unknowns.iter().map(|unknown| unknown.name.clone()).collect();
     let equations = equations(problem, &point, continuity, &mut counts);
-    let Statistics { errors, correlations, undetermined } = statistics(&equations, &names);
+    let Statistics { errors, robust_errors, correlations, undetermined } = statistics(&equations, &names);
     let chi_squared = problem.misfit(&point).map_or(f64::INFINITY, |misfit| misfit.samples);
     let (measurements, unknowns) = (problem.measurements(), problem.count());
     let noise = if problem.noise_is_known { 1.0 } else { (chi_squared / (measurements - unknowns).max(1) as f64).sqrt() };
@@ -160,6 +164,7 @@ fn result(problem: &Problem<'_>, point: Point, continuity: f64, converged: bool,
         |(unknown, value): (&Unknown, &f64)| (*value <= unknown.min || *value >= unknown.max).then(|| unknown.name.clone());
     Fit {
         errors: errors.into_iter().map(|error| if error.is_finite() { error * noise } else { error }).collect(),
+        robust_errors,
         correlations,
         undetermined,
         at_bound: problem.unknowns.iter().zip(&point.values).filter_map(is_bound).collect(),

@@ -27,6 +27,8 @@ PUBLISHED = {
 FRICTION = 2.2394e-4
 KINDS = {"viscous": ["viscous"], "dry + quadratic": ["dry", "quadratic"], "all": ["viscous", "dry", "quadratic"]}
 GRAVITY = 9.81
+# Largest angle error of a fit that found the minimum, rad. Otherwise another start follows.
+FAILED = 0.02
 
 
 def rates(p, x):
@@ -153,7 +155,10 @@ def main():
     rows = []
     for friction, kinds in KINDS.items():
         for subset, fitted in [("all", segments), ("half", segments[::2])]:
+            best = np.inf
             for start, factor in [("30 % off", 1.3), ("published", 1.0)]:
+                if best < FAILED:
+                    break
                 problem = Problem(fitted, kinds, factor)
                 result, errors, seconds = problem.fit()
                 print(
@@ -163,6 +168,7 @@ def main():
                     flush=True,
                 )
                 print("  angle errors, rad:", " ".join(f"{error:.4f}" for error in errors))
+                best = np.max(errors)
                 values = result.x[: len(problem.scale)] * problem.scale
                 print("  " + ", ".join(f"{name} {value:.4e}" for name, value in zip(problem.names, values)), flush=True)
                 rows += [[friction, subset, start, name, repr(float(value))] for name, value in zip(problem.names, values)]
