@@ -1,5 +1,5 @@
-//! Identifies the physical numbers of a measured pendulum of one to three arms, chooses the friction
-//! by an information criterion, and validates the numbers on segments that were not fitted.
+//! Identifies the physical numbers of a measured pendulum of one to three arms, chooses the
+//! friction by an information criterion, and validates it on segments that were not fitted.
 //!
 //! Run: `cargo run --release --example identify -- [measured.csv] [scipy.csv]`
 //!

@@ -71,7 +71,7 @@ impl Eliminated {
         Self { windows: eliminated, reduced: carried }
     }
 
-    /// Steps of the initial states after the step of the parameters. Empty for known initial states.
+    /// Steps of the initial states for this step of the parameters. Empty for known initial states.
     pub fn starts(&self, params: &DVector<f64>) -> Option<Vec<DVector<f64>>> {
         let mut steps: Vec<DVector<f64>> = Vec::with_capacity(self.windows.len());
         for rows in self.windows.iter().rev() {

@@ -64,9 +64,9 @@ pub struct Fit {
     pub values: Vec<f64>,
     /// Standard errors; infinite for parameters in an undetermined combination.
     pub errors: Vec<f64>,
-    /// Standard errors that allow for correlated residuals within a segment, from the scatter between
-    /// segments (sandwich estimate; Liang and Zeger 1986, doi:10.1093/biomet/73.1.13). Infinite
-    /// unless there are more segments than unknown parameters.
+    /// Standard errors that allow for correlated residuals within a segment, from the scatter
+    /// between segments (sandwich estimate; Liang and Zeger 1986, doi:10.1093/biomet/73.1.13).
+    /// Infinite unless there are more segments than unknown parameters.
     pub robust_errors: Vec<f64>,
     /// Correlations of the values.
     pub correlations: Vec<Vec<f64>>,
@@ -76,8 +76,8 @@ pub struct Fit {
     pub at_bound: Vec<String>,
     /// Simulated states of each segment.
     pub states: Vec<Vec<Vec<f64>>>,
-    /// Largest jump of the simulated states between windows, in units of the noise. At 0, the states
-    /// of a segment are one simulation from its initial state.
+    /// Largest jump of the simulated states between windows, in units of the noise. At 0, the
+    /// states of a segment are one simulation from its initial state.
     pub jump: f64,
     /// χ² of whole segments.
     pub chi_squared: f64,

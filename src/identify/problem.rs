@@ -109,8 +109,8 @@ impl<'a> Problem<'a> {
         self.unknowns.len() + if self.free_starts { self.segments.len() * self.model.sizes()[0] } else { 0 }
     }
 
-    /// Initial values. Splits the segments into windows of this length, or none. The initial state of
-    /// a window is measured. Missing components continue the simulation of the window before.
+    /// Initial values. Splits the segments into windows of this length, or none. The initial state
+    /// of a window is measured. Missing components continue the simulation of the window before.
     ///
     /// # Errors
     /// A simulation or its squared residuals are not finite.
