@@ -36,7 +36,7 @@ fn measured(mut x: Vec<Vec<f64>>, p: &[f64]) -> Segment {
 
 /// Fits from initial values that are 30 % off, alternately too large and too small.
 fn fit(system: &Pendulum, segment: &Segment, window: Option<usize>) -> Fit {
-    let start = |i: usize, truth: f64| if i % 2 == 0 { truth * 1.3 } else { truth / 1.3 };
+    let start = |i: usize, truth: f64| if i.is_multiple_of(2) { truth * 1.3 } else { truth / 1.3 };
     let unknown = |(index, &truth): (usize, &f64)| Unknown {
         name: format!("p{index}"),
         index,
