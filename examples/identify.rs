@@ -1,12 +1,12 @@
-//! Identifies the physical numbers of a measured pendulum of one to three arms, and chooses the
-//! friction by an information criterion.
+//! Identifies the physical numbers of a measured pendulum of one to three arms, chooses the
+//! friction by an information criterion, and validates it on segments that were not fitted.
 //!
-//! Run: `cargo run --release --example identify -- [measured.csv] [every]`
+//! Run: `cargo run --release --example identify -- [measured.csv] [scipy.csv]`
 //!
-//! With `every` = n, the fit uses every n-th segment only. `examples/data/README.md` describes the
-//! data and their source.
+//! `examples/data/README.md` describes the data and their source. `tests/identify/scipy_compare.py`
+//! writes `scipy.csv`, whose numbers are compared.
 
-use physgrad::identify::{Fit, Options, Segment, Unknown, identify};
+use physgrad::identify::{Fit, IdentifyError, Options, Segment, Unknown, identify};
 use physgrad::tasks::{Arm, MultiPendulum};
 use physgrad::{Integrated, Number, RungeKutta};
 use std::error::Error;
@@ -21,6 +21,8 @@ const PUBLISHED: [&[[f64; 4]]; 3] = [
 ];
 /// Published viscous friction by number of arms, for each arm, N m s/rad.
 const FRICTION: [&[f64]; 3] = [&[2.2394e-4], &[2.37143e-4, 1.0e-5], &[1.47710e-3, 2.5960e-4, 1.0e-5]];
+/// Published gravity by number of arms, m/s².
+const GRAVITY: [f64; 3] = [9.81, 9.80858, 9.80834];
 
 /// Makes a number of the pendulum an entry of the parameters p.
 const VARIES: Number = Number::Trained { start: 1.0, min: 0.0, max: f64::INFINITY };
@@ -47,79 +49,123 @@ fn read(path: &str) -> Result<Vec<Segment>, Box<dyn Error>> {
 }
 
 /// Models of joint friction: name, and presence of viscous, dry and quadratic friction.
-const KINDS: [(&str, [bool; 3]); 5] = [
+const KINDS: [(&str, [bool; 3]); 6] = [
     ("viscous", [true, false, false]),
     ("dry", [false, true, false]),
     ("viscous + dry", [true, true, false]),
     ("viscous + quadratic", [true, false, true]),
     ("dry + quadratic", [false, true, true]),
+    ("all", [true, true, true]),
 ];
 
-type Pendulum = Integrated<MultiPendulum, RungeKutta>;
-
-/// The pendulum, its fixed and initial numbers p, and the unknown entries of p.
-///
-/// Free swings do not determine a common factor of masses, inertias and frictions, nor one more
-/// combination. The masses and the last inertia therefore keep their published values. Initial
-/// values differ from the published ones by `factor`.
-fn model(arms: usize, kinds: [bool; 3], factor: f64) -> (Pendulum, Vec<f64>, Vec<Unknown>) {
-    let arm =
-        Arm { mass: VARIES, center: VARIES, length: VARIES, inertia: VARIES, viscous: VARIES, dry: VARIES, quadratic: VARIES };
-    let ode = MultiPendulum { arms: vec![arm; arms], gravity: 9.81.into() };
-    let (mut p, mut unknowns) = (Vec::new(), Vec::new());
-    for (i, [mass, center, length, inertia]) in PUBLISHED[arms - 1].iter().copied().enumerate() {
-        let is_last = i + 1 == arms;
-        let friction = FRICTION[0][0];
-        let entries = [
-            ("mass", mass, false),
-            ("center", center, true),
-            ("length", length, !is_last),
-            ("inertia", inertia, !is_last),
-            ("viscous", friction, kinds[0]),
-            ("dry", friction, kinds[1]),
-            ("quadratic", 0.1 * friction, kinds[2]),
-        ];
-        for (name, value, is_unknown) in entries {
-            // Alternates between values that are too large and too small.
-            let start = if unknowns.len() % 2 == 0 { value * factor } else { value / factor };
-            if is_unknown {
-                unknowns.push(Unknown { name: format!("{name}_{}", i + 1), index: p.len(), start, min: 0.0, max: f64::INFINITY });
-            }
-            let absent = name == "viscous" || name == "dry" || name == "quadratic";
-            p.push(if is_unknown {
-                start
-            } else if absent {
-                0.0
-            } else {
-                value
-            });
-        }
-    }
-    (Integrated { ode, integrator: RungeKutta::RK4, dt: DT }, p, unknowns)
+/// A pendulum with numbers p, of which some entries are unknown.
+struct Model {
+    system: Integrated<MultiPendulum, RungeKutta>,
+    p: Vec<f64>,
+    unknowns: Vec<Unknown>,
 }
 
-/// Root mean square error of all angles in a segment.
+impl Model {
+    /// Initial values are `factor` times too large or too small, in turn.
+    ///
+    /// Free swings determine masses, inertias and frictions up to a common factor, and one more
+    /// combination: the masses and the last inertia keep their published values.
+    fn new(arms: usize, kinds: [bool; 3], factor: f64) -> Self {
+        let arm = Arm {
+            mass: VARIES,
+            center: VARIES,
+            length: VARIES,
+            inertia: VARIES,
+            viscous: VARIES,
+            dry: VARIES,
+            quadratic: VARIES,
+        };
+        let ode = MultiPendulum { arms: vec![arm; arms], gravity: 9.81.into() };
+        let (mut p, mut unknowns) = (Vec::new(), Vec::<Unknown>::new());
+        for (i, [mass, center, length, inertia]) in PUBLISHED[arms - 1].iter().copied().enumerate() {
+            let is_last = i + 1 == arms;
+            let friction = FRICTION[0][0];
+            let entries = [
+                ("mass", mass, false),
+                ("center", center, true),
+                ("length", length, !is_last),
+                ("inertia", inertia, !is_last),
+                ("viscous", friction, kinds[0]),
+                ("dry", friction, kinds[1]),
+                ("quadratic", 0.1 * friction, kinds[2]),
+            ];
+            for (k, (name, value, is_unknown)) in entries.into_iter().enumerate() {
+                let start = if unknowns.len() % 2 == 0 { value * factor } else { value / factor };
+                if is_unknown {
+                    // With fixed masses, only the sum of inertia and m a² has to be positive.
+                    let min = if name == "inertia" { f64::NEG_INFINITY } else { 0.0 };
+                    unknowns.push(Unknown { name: format!("{name}_{}", i + 1), index: p.len(), start, min, max: f64::INFINITY });
+                }
+                let absent = if k < 4 { value } else { 0.0 };
+                p.push(if is_unknown { start } else { absent });
+            }
+        }
+        Self { system: Integrated { ode, integrator: RungeKutta::RK4, dt: DT }, p, unknowns }
+    }
+
+    /// The published numbers.
+    fn published(arms: usize) -> Self {
+        let mut model = Self::new(arms, [true, false, false], 1.0);
+        model.system.ode.gravity = GRAVITY[arms - 1].into();
+        FRICTION[arms - 1].iter().enumerate().for_each(|(i, friction)| model.p[7 * i + 4] = *friction);
+        model
+    }
+
+    /// Replaces numbers by name.
+    fn with<'a>(mut self, values: impl Iterator<Item = (&'a str, f64)>) -> Self {
+        for (name, value) in values {
+            if let Some(unknown) = self.unknowns.iter().find(|unknown| unknown.name == name) {
+                self.p[unknown.index] = value;
+            }
+        }
+        self
+    }
+
+    fn fit(&self, segments: &[Segment], unknowns: &[Unknown]) -> Result<Fit, IdentifyError> {
+        let options = Options { noise: Some([0.003, 0.1].repeat(segments[0].x[0].len() / 2)), ..Options::default() };
+        let segments: Vec<Segment> = segments.iter().map(|segment| Segment { p: self.p.clone(), ..segment.clone() }).collect();
+        identify(&self.system, &segments, unknowns, &options)
+    }
+
+    /// Root mean square errors of all angles in each segment, with fitted initial states.
+    fn errors(&self, segments: &[Segment]) -> Result<Vec<f64>, IdentifyError> {
+        let fit = self.fit(segments, &[])?;
+        Ok((0..segments.len()).map(|i| angle_error(&fit, i, &segments[i])).collect())
+    }
+}
+
 fn angle_error(fit: &Fit, index: usize, segment: &Segment) -> f64 {
     let arms = segment.x[0].len() / 2;
     ((0..arms).map(|i| fit.rms(index, 2 * i, segment).powi(2)).sum::<f64>() / arms as f64).sqrt()
 }
 
+/// Numbers found by SciPy: friction, segments (all or half), name, value.
+fn scipy(path: &str) -> Result<Vec<[String; 4]>, Box<dyn Error>> {
+    let text = std::fs::read_to_string(path).map_err(|error| format!("cannot read {path}: {error}"))?;
+    let cells = |line: &str| {
+        let cells: Vec<&str> = line.split(',').collect();
+        [cells[0], cells[1], cells[3], cells[4]].map(String::from)
+    };
+    Ok(text.lines().skip(1).map(cells).collect())
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
     let mut args = std::env::args().skip(1);
     let path = args.next().unwrap_or_else(|| "examples/data/double_pendulum.csv".into());
-    let every: usize = args.next().map_or(Ok(1), |text| text.parse())?;
+    let others = args.next().map_or(Ok(Vec::new()), |path| scipy(&path))?;
     let segments = read(&path)?;
     let arms = segments[0].x[0].len() / 2;
-    let noise = [0.003, 0.1].repeat(arms);
-    let options = Options { noise: Some(noise), windows: vec![40, 120, 360], ..Options::default() };
-    let scaled =
-        |p: &[f64]| -> Vec<Segment> { segments.iter().map(|segment| Segment { p: p.to_vec(), ..segment.clone() }).collect() };
+
+    let mut best = (f64::INFINITY, KINDS[0]);
     for (name, kinds) in KINDS {
-        let (system, p, unknowns) = model(arms, kinds, 1.3);
-        let all = scaled(&p);
-        let fitted: Vec<Segment> = all.iter().step_by(every).cloned().collect();
+        let model = Model::new(arms, kinds, 1.3);
         let begin = Instant::now();
-        let fit = identify(&system, &fitted, &unknowns, &options)?;
+        let fit = model.fit(&segments, &model.unknowns)?;
         println!(
             "{name}: BIC {:.0}, {} iterations, {} simulations, {} Jacobians, {:.2} s, converged {}",
             fit.bic(),
@@ -129,15 +175,50 @@ fn main() -> Result<(), Box<dyn Error>> {
             begin.elapsed().as_secs_f64(),
             fit.converged
         );
-        for (i, unknown) in unknowns.iter().enumerate() {
-            println!("  {:<12} {:>11.4e} -> {:>11.4e} ± {:.1e}", unknown.name, unknown.start, fit.values[i], fit.errors[i]);
+        for (i, unknown) in model.unknowns.iter().enumerate() {
+            let (value, error, robust) = (fit.values[i], fit.errors[i], fit.robust_errors[i]);
+            println!("  {:<12} {:>11.4e} -> {value:>11.4e} ± {error:.1e} (robust {robust:.1e})", unknown.name, unknown.start);
         }
         if !fit.undetermined.is_empty() {
             println!("  not determined: {:?}", fit.undetermined);
         }
-        let errors: Vec<String> =
-            fitted.iter().enumerate().map(|(i, segment)| format!("{:.4}", angle_error(&fit, i, segment))).collect();
-        println!("  angle errors, rad: {}", errors.join(" "));
+        if fit.bic() < best.0 {
+            best = (fit.bic(), (name, kinds));
+        }
+    }
+
+    let (name, kinds) = best.1;
+    let half: Vec<Segment> = segments.iter().step_by(2).cloned().collect();
+    let rest: Vec<Segment> = segments.iter().skip(1).step_by(2).cloned().collect();
+    for (title, subset, fitted, evaluated) in
+        [("fitted to all segments", "all", &segments, &segments), ("fitted to half, errors of the others", "half", &half, &rest)]
+    {
+        println!("{title}: root mean square angle errors, rad");
+        let model = Model::new(arms, kinds, 1.3);
+        let fit = model.fit(fitted, &model.unknowns)?;
+        let found = fit.names.iter().map(String::as_str).zip(fit.values.iter().copied());
+        let ours = model.with(found).errors(evaluated)?;
+        let mut rows = vec![(format!("physgrad, {name}"), ours.clone())];
+        rows.push(("published".into(), Model::published(arms).errors(evaluated)?));
+        for (kind, kinds) in KINDS {
+            let chosen = others.iter().filter(|row| row[0] == kind && row[1] == subset);
+            let values: Vec<(&str, f64)> =
+                chosen.map(|row| Ok((&*row[2], row[3].parse()?))).collect::<Result<_, Box<dyn Error>>>()?;
+            if !values.is_empty() {
+                let model = Model::new(arms, kinds, 1.0).with(values.into_iter());
+                rows.push((format!("SciPy, {kind}"), model.errors(evaluated)?));
+            }
+        }
+        for (label, errors) in &rows {
+            let mut sorted = errors.clone();
+            sorted.sort_by(f64::total_cmp);
+            let (median, max) = (0.5 * (sorted[(sorted.len() - 1) / 2] + sorted[sorted.len() / 2]), sorted[sorted.len() - 1]);
+            // Equal up to the tolerances of the fits.
+            let wins = ours.iter().zip(errors).filter(|(ours, other)| **ours <= 1.001 * **other).count();
+            let each: Vec<String> = errors.iter().map(|error| format!("{error:.4}")).collect();
+            println!("  {label:<28} median {median:.4}, max {max:.4}; ours is at most this in {wins} of {}", ours.len());
+            println!("    {}", each.join(" "));
+        }
     }
     Ok(())
 }

@@ -1,15 +1,16 @@
-//! Simulation of one window, with exact derivatives by parameters and initial state.
+//! Simulation of one window, with exact derivatives by initial state and parameters.
 
 use crate::dynamics::inputs::Inputs;
 use crate::dynamics::outline;
 use crate::dynamics::system::System;
-use num_dual::Dual64;
+use crate::numbers::forward_mode::{CHUNK, Chunk};
+use nalgebra::DMatrix;
 
 /// Object-safe system for the two scalar types of an identification.
 pub(super) trait Model: Sync {
     fn sizes(&self) -> [usize; 3];
     fn step(&self, inputs: Inputs<'_, f64>, next: &mut [f64]);
-    fn step_by_duals(&self, inputs: Inputs<'_, Dual64>, next: &mut [Dual64]);
+    fn step_by_duals(&self, inputs: Inputs<'_, Chunk<f64>>, next: &mut [Chunk<f64>]);
 }
 
 impl<S: System> Model for S {
@@ -21,7 +22,7 @@ impl<S: System> Model for S {
         outline::step(self, inputs, next);
     }
 
-    fn step_by_duals(&self, inputs: Inputs<'_, Dual64>, next: &mut [Dual64]) {
+    fn step_by_duals(&self, inputs: Inputs<'_, Chunk<f64>>, next: &mut [Chunk<f64>]) {
         outline::step(self, inputs, next);
     }
 }
@@ -55,27 +56,29 @@ impl Run<'_> {
         states
     }
 
-    /// Derivatives of the states at all steps: `[step][component][direction]`.
-    ///
-    /// The directions are the parameters with these indices, then the initial state if
-    /// `by_start`.
-    pub fn derivatives(&self, model: &dyn Model, params: &[usize], by_start: bool) -> Vec<Vec<Vec<f64>>> {
+    /// Derivatives of the states at all steps. Rows are components of the state. Columns are the
+    /// initial state if `by_start`, then the parameters with these indices.
+    pub fn derivatives(&self, model: &dyn Model, by_start: bool, params: &[usize]) -> Vec<DMatrix<f64>> {
         let n = self.x.len();
-        let directions = params.len() + if by_start { n } else { 0 };
-        let mut all = vec![vec![vec![0.0; directions]; n]; self.steps + 1];
-        let convert = |values: &[f64]| values.iter().map(|&value| Dual64::from_re(value)).collect::<Vec<_>>();
-        let controls: Vec<Vec<Dual64>> = self.u.iter().map(|u| convert(u)).collect();
-        let zeros = convert(&vec![0.0; model.sizes()[1]]);
-        for direction in 0..directions {
-            let (mut x, mut p) = (convert(self.x), convert(self.p));
-            match params.get(direction) {
-                Some(&index) => p[index].eps = 1.0,
-                None => x[direction - params.len()].eps = 1.0,
+        let starts = if by_start { n } else { 0 };
+        let directions = starts + params.len();
+        let mut all = vec![DMatrix::zeros(n, directions); self.steps + 1];
+        let constants = |values: &[f64]| values.iter().map(|&value| Chunk::constant(value)).collect::<Vec<_>>();
+        let controls: Vec<Vec<Chunk<f64>>> = self.u.iter().take(self.steps).map(|u| constants(u)).collect();
+        let zeros = constants(&vec![0.0; model.sizes()[1]]);
+        for first in (0..directions).step_by(CHUNK) {
+            let chunk = first..directions.min(first + CHUNK);
+            let (mut x, mut p) = (constants(self.x), constants(self.p));
+            for (k, direction) in chunk.clone().enumerate() {
+                match direction.checked_sub(starts) {
+                    Some(unknown) => p[params[unknown]] = Chunk::variable(self.p[params[unknown]], k),
+                    None => x[direction] = Chunk::variable(self.x[direction], k),
+                }
             }
             let mut next = x.clone();
-            for (i, rows) in all.iter_mut().enumerate() {
-                for (row, x) in rows.iter_mut().zip(&x) {
-                    row[direction] = x.eps;
+            for (i, slopes) in all.iter_mut().enumerate() {
+                for (row, x) in x.iter().enumerate() {
+                    chunk.clone().enumerate().for_each(|(k, direction)| slopes[(row, direction)] = x.tangents[k]);
                 }
                 if i < self.steps {
                     let u = controls.get(i).unwrap_or(&zeros);

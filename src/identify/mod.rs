@@ -8,18 +8,21 @@
 //! ```
 //!
 //! by the method of Levenberg and Marquardt (Moré 1978, doi:10.1007/BFb0067700), with exact
-//! Jacobians by dual numbers. Windows of growing length, each with its own initial state, precede
-//! whole segments (multiple shooting; Bock 1981, doi:10.1007/978-3-642-68220-9_8).
+//! Jacobians by dual numbers. Segments consist of windows, each with its own initial state
+//! (multiple shooting; Bock 1981, doi:10.1007/978-3-642-68220-9_8). Jumps between windows enter χ²
+//! with a weight that grows until they vanish up to rounding.
 //!
 //! The loop is our own, because crates for least squares know neither bounds nor the block
 //! structure of many initial states.
 //!
 //! Imports `numbers` and `dynamics`. Start reading in `fit.rs`.
 
+mod descent;
+mod elimination;
 mod error;
 mod fit;
 mod jacobian;
-mod normal;
+mod problem;
 mod statistics;
 
 pub use error::IdentifyError;

@@ -1,6 +1,7 @@
 //! Standard errors, correlations, and parameters that the data cannot determine.
 
-use nalgebra::{DMatrix, SymmetricEigen};
+use super::elimination::gradient;
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// Smallest eigenvalue of the scaled information matrix, relative to the largest. Below it, the
 /// data do not determine the combination of parameters. Its square root is the rounding of
@@ -13,17 +14,23 @@ const NAMED: f64 = 1e-3;
 pub(super) struct Statistics {
     /// Standard errors at unit noise; infinite for undetermined parameters.
     pub errors: Vec<f64>,
+    /// Standard errors from the scatter between segments; infinite for undetermined parameters.
+    pub robust_errors: Vec<f64>,
     pub correlations: Vec<Vec<f64>>,
     /// Names of the parameters in each undetermined combination.
     pub undetermined: Vec<Vec<String>>,
 }
 
-/// Evaluates the information matrix of the named parameters.
-pub(super) fn statistics(information: &DMatrix<f64>, names: &[&str]) -> Statistics {
+/// Evaluates the equations of the named parameters, one matrix `[J | r]` for each segment.
+pub(super) fn statistics(equations: &[DMatrix<f64>], names: &[String]) -> Statistics {
     let count = names.len();
     if count == 0 {
-        return Statistics { errors: Vec::new(), correlations: Vec::new(), undetermined: Vec::new() };
+        return Statistics { errors: Vec::new(), robust_errors: Vec::new(), correlations: Vec::new(), undetermined: Vec::new() };
     }
+    let information = equations.iter().fold(DMatrix::zeros(count, count), |sum, rows| {
+        let slopes = rows.columns(0, count);
+        sum + slopes.tr_mul(&slopes)
+    });
     let scale: Vec<f64> = (0..count).map(|i| information[(i, i)].max(0.0).sqrt()).collect();
     let scaled = DMatrix::from_fn(count, count, |i, j| {
         let product = scale[i] * scale[j];
@@ -38,13 +45,30 @@ pub(super) fn statistics(information: &DMatrix<f64>, names: &[&str]) -> Statisti
         if eigenvalue.is_nan() || eigenvalue <= least {
             let members: Vec<usize> = (0..count).filter(|&i| vector[i].abs() > NAMED).collect();
             members.iter().for_each(|&i| is_open[i] = true);
-            undetermined.push(members.iter().map(|&i| names[i].to_owned()).collect());
+            undetermined.push(members.iter().map(|&i| names[i].clone()).collect());
             continue;
         }
         covariance += vector * vector.transpose() / eigenvalue;
     }
     let errors = (0..count).map(|i| if is_open[i] { f64::INFINITY } else { covariance[(i, i)].sqrt() / scale[i] });
+    let scatter = scatter(equations, &scale);
+    let robust = &covariance * scatter * &covariance;
+    let is_known = |i: usize| !is_open[i] && equations.len() > count;
+    let robust_errors = (0..count).map(|i| if is_known(i) { robust[(i, i)].sqrt() / scale[i] } else { f64::INFINITY });
+    let robust_errors = robust_errors.collect();
     let correlation = |i: usize, j: usize| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
     let correlations = (0..count).map(|i| (0..count).map(|j| correlation(i, j)).collect()).collect();
-    Statistics { errors: errors.collect(), correlations, undetermined }
+    Statistics { errors: errors.collect(), robust_errors, correlations, undetermined }
+}
+
+/// Covariance of the gradient by the scaled parameters, from its scatter between segments.
+fn scatter(equations: &[DMatrix<f64>], scale: &[f64]) -> DMatrix<f64> {
+    let (count, segments) = (scale.len(), equations.len() as f64);
+    let scaled = |rows| {
+        gradient(rows).zip_map(&DVector::from_row_slice(scale), |slope, scale| if scale > 0.0 { slope / scale } else { 0.0 })
+    };
+    let gradients: Vec<DVector<f64>> = equations.iter().map(scaled).collect();
+    let mean = gradients.iter().fold(DVector::zeros(count), |sum, gradient| sum + gradient) / segments;
+    let squares = gradients.iter().map(|gradient| gradient - &mean).map(|rest| &rest * rest.transpose());
+    squares.fold(DMatrix::zeros(count, count), |sum, square| sum + square) * (segments / (segments - 1.0))
 }

@@ -1,4 +1,5 @@
 //! Identification of parameters, on simulated and on measured trajectories.
 
 mod pendulum;
+mod shooting;
 mod simulated;

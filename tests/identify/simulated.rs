@@ -86,14 +86,46 @@ fn intervals_are_honest() {
     }
 }
 
+/// Noise with a correlation of 0.95 between steps, as the count of independent noise above. The
+/// estimate from 20 segments has fewer degrees of freedom: it covers a little less than 95 %.
+#[test]
+fn correlated_noise_calls_for_robust_errors() {
+    let (mut plain, mut robust) = ([0; 2], [0; 2]);
+    for repetition in 0..100 {
+        let rng = &mut stream(7, Purpose::Check, repetition);
+        let segment = |i: u32| {
+            let mut segment = simulated(rng, &pendulum(), [0.8 + 0.1 * f64::from(i), 0.0], 60, [0.0; 2]);
+            let mut drift = NOISE.map(|noise| noise * Distribution::<f64>::sample(&StandardNormal, rng));
+            for row in &mut segment.x {
+                for ((x, drift), noise) in row.iter_mut().zip(&mut drift).zip(NOISE) {
+                    *x += *drift;
+                    let normal: f64 = StandardNormal.sample(rng);
+                    *drift = 0.95 * *drift + (1.0 - 0.95_f64 * 0.95).sqrt() * noise * normal;
+                }
+            }
+            segment
+        };
+        let segments: Vec<Segment> = (0..20).map(segment).collect();
+        let options = Options { noise: Some(NOISE.into()), window: None, ..Options::default() };
+        let found = fit(&segments, 0.9, &options);
+        for i in 0..2 {
+            let error = (found.values[i] - TRUTH[i]).abs();
+            plain[i] += usize::from(error < 1.96 * found.errors[i]);
+            robust[i] += usize::from(error < 1.96 * found.robust_errors[i]);
+        }
+    }
+    assert!(plain.iter().all(|&covered| covered < 80), "{plain:?}");
+    assert!(robust.iter().all(|covered| (84..=100).contains(covered)), "{robust:?}");
+}
+
 /// 20 s of a large swing, of which only the angles are measured, from a start that is 80 % off.
 #[test]
 fn long_swings_are_identified() {
     let rng = &mut stream(2, Purpose::Check, 0);
     let mut segments = [simulated(rng, &pendulum(), [2.8, 6.0], 2000, NOISE)];
     segments[0].x.iter_mut().for_each(|row| row[1] = f64::NAN);
-    for windows in [Vec::new(), Options::default().windows] {
-        let options = Options { noise: Some(NOISE.into()), windows, ..Options::default() };
+    for window in [None, Options::default().window] {
+        let options = Options { noise: Some(NOISE.into()), window, ..Options::default() };
         let found = fit(&segments, 1.8, &options);
         assert!(found.converged && (found.values[0] / TRUTH[0] - 1.0).abs() < 1e-3, "{:?}", found.values);
         // χ² per degree of freedom is 1 within five standard deviations.

@@ -5,7 +5,7 @@ use physgrad::tasks::{
     Bumpers, CartDamping, CartPole, CartPoleEffect, CartPoleModel, CartPoleSystem, CoupledCartPole, DryFriction, GustyWind,
     PoleDamping, SteadyWind,
 };
-use physgrad::{Choice, Forced, Inputs, Number, OpCount, System, check, initial_states};
+use physgrad::{Choice, Cotangents, Forced, Inputs, Number, OpCount, System, check, initial_states};
 
 const RANGE: Number = Number::Uniform { low: 0.5, high: 1.5 };
 
@@ -39,6 +39,41 @@ fn derivatives_with_respect_to_varied_numbers_equal_dual_numbers() {
     // Numbers of the model, numbers of the effects, and t₀ of the gusts.
     assert_eq!(all.param_dim(), 4 + 12 + 1);
     check::system(&all);
+}
+
+/// Central differences, without dual numbers. For a relative change h of 1e-5, their truncation is
+/// about h² = 1e-10 and their rounding 1e-16 / h = 1e-11 of the derivative.
+fn assert_agrees_with_differences(system: &impl System, x: &[f64]) {
+    let n = system.state_dim();
+    let mut p = vec![0.4; system.param_dim()];
+    system.varied(p.len()).iter().for_each(|varied| p[varied.index] = varied.number.nominal());
+    let step = |p: &[f64]| {
+        let mut next = vec![0.0; n];
+        system.step::<f64>(Inputs { x, u: &[0.8], p, t: 3 }, &mut next);
+        next
+    };
+    for i in 0..n {
+        let mut by_p = vec![-0.0; p.len()];
+        let mut next_bar = vec![0.0; n];
+        next_bar[i] = 1.0;
+        let inputs = Inputs { x, u: &[0.8], p: &p, t: 3 };
+        system.vjp::<f64, f64>(inputs, &next_bar, Cotangents { p: Some(&mut by_p), ..Cotangents::default() });
+        for k in 0..p.len() {
+            let h = 1e-5 * p[k];
+            let at = |value: f64| step(&[&p[..k], &[value], &p[k + 1..]].concat())[i];
+            let difference = (at(p[k] + h) - at(p[k] - h)) / (2.0 * h);
+            let error = (difference - by_p[k]).abs();
+            assert!(error < 1e-8 * difference.abs().max(1.0), "component {i} by p[{k}]: {} and {difference}", by_p[k]);
+        }
+    }
+}
+
+#[test]
+fn derivatives_by_numbers_agree_with_differences() {
+    let x = [0.4, -0.3, 0.5, 1.1, -0.7, 0.6];
+    assert_agrees_with_differences(&CoupledCartPole(varied(2)), &x);
+    let wind = GustyWind { speed: RANGE, gust: RANGE, cart_drag: RANGE, pole_drag: RANGE, period: 1.3 };
+    assert_agrees_with_differences(&Forced { system: CartPoleSystem::default(), effects: wind }, &x[..4]);
 }
 
 /// Compares a system whose numbers are parameters with one whose numbers are fixed.

@@ -163,6 +163,17 @@ fn measured_trajectories_identify_length_within_1_and_center_within_2_percent() 
     assert!((value("system.arms[1].center") / 0.116779 - 1.0).abs() < 0.02);
     let svg = fs::read_to_string(dir.path().join("found/identified.svg")).expect("a picture");
     roxmltree::Document::parse(&svg).expect("an SVG is XML");
+    // The report depends on the files only.
+    for _ in 0..2 {
+        let page = fs::read_to_string(dir.path().join("found/report.html")).expect("a page");
+        for text in ["Residuals of theta_1", "Validation", "system.arms[1].dry is at its bound", "Correlations"] {
+            assert!(page.contains(text), "{text}");
+        }
+        fs::remove_file(dir.path().join("found/report.html")).expect("a page");
+        physgrad("report found", dir.path()).assert().success();
+    }
+    // The segments keep their numbers.
+    assert_eq!((&*read(&dir, "found/trajectories.csv")[500][0], &*read(&dir, "found/validation.csv")[1][0]), ("2", "1"));
     // The fitted scene trains a controller for the measured pendulum.
     physgrad("train found/scene.toml --epochs 1 --set training.train_samples=8 --quiet --out run", dir.path()).assert().success();
 

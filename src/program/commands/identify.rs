@@ -5,8 +5,9 @@ mod picture;
 
 use crate::Number;
 use crate::identify::{Fit, Options, Segment};
+use crate::program::commands::report::identification::{self, FIT, IDENTIFIED, TRAJECTORIES, VALIDATION, WARNING};
 use crate::program::platform::csv::csv;
-use crate::program::platform::folder::Folder;
+use crate::program::platform::folder::{Folder, REPORT};
 use crate::program::platform::terminal::print_result;
 use crate::program::runs::run::threads;
 use crate::program::scenes::overrides::Overrides;
@@ -19,10 +20,13 @@ use data::Measured;
 use std::path::PathBuf;
 use std::time::Instant;
 
+/// Largest jump between windows without a warning, in units of the noise.
+const JUMP: f64 = 1e-3;
+
 /// Fit the numbers in [fit] of a scene to measured trajectories.
 ///
-/// Writes the fitted scene, the numbers with their standard errors, and measured beside simulated
-/// trajectories.
+/// Writes a report, the fitted scene, the numbers with their standard errors, and measured beside
+/// simulated trajectories.
 #[derive(Debug, clap::Args)]
 pub struct Identify {
     /// Preset or path of a scene; its section [fit] lists the unknown numbers
@@ -38,9 +42,9 @@ pub struct Identify {
     /// Take the first sample of each segment as its exact initial state
     #[arg(long)]
     pub exact_starts: bool,
-    /// Lengths of the windows before whole segments are fitted, in steps
-    #[arg(long, value_name = "STEPS,...", value_delimiter = ',', default_values_t = [40, 120, 360])]
-    pub windows: Vec<usize>,
+    /// Length of the windows of multiple shooting, in steps; 0: whole segments
+    #[arg(long, value_name = "STEPS", default_value_t = 10)]
+    pub window: usize,
     /// Fit every N-th segment only, and evaluate the others with free initial states
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub every: usize,
@@ -66,51 +70,88 @@ pub fn identify(args: &Identify) -> Result<()> {
     if args.every == 0 {
         bail!("--every is 0; allowed: 1 or more");
     }
-    let options = Options { noise, free_starts: !args.exact_starts, windows: args.windows.clone(), ..Options::default() };
-    let fitted: Vec<Segment> = measured.segments.iter().step_by(args.every).cloned().collect();
+    let options = Options {
+        noise,
+        free_starts: !args.exact_starts,
+        window: (args.window > 0).then_some(args.window),
+        ..Options::default()
+    };
+    let [fitted, others] = measured.split(args.every);
+    if args.every > 1 && others.is_empty() {
+        bail!("--every {}: no segment remains for validation", args.every);
+    }
+    let segments = measured.chosen(&fitted);
     let begin = Instant::now();
-    let fit = scene.identify(&fitted, &options).with_context(|| format!("{} with {}", args.scene, args.data.display()))?;
+    let fit = scene.identify(&segments, &options).with_context(|| format!("{} with {}", args.scene, args.data.display()))?;
     let seconds = begin.elapsed().as_secs_f64();
 
     for (name, &value) in fit.names.iter().zip(&fit.values) {
         source.fix(name, value)?;
     }
+    let found = source.scene()?;
     let folder = Folder::named(args.out.as_deref(), &format!("identify-{}", presets::short_name(&args.scene)))?;
-    folder.write("scene.toml", source.scene()?.table.to_string())?;
-    folder.write("identified.csv", numbers(&fit, &scene)?)?;
-    folder.write("trajectories.csv", measured.beside(&fitted, &fit, &scene)?)?;
-    folder.write("identified.svg", picture::picture(&fitted, &fit, &scene))?;
-    let mut text = format!(
-        "{}\n{} measurements in {} segments, {} unknowns with initial states; {} iterations, {} simulations, {} Jacobians, {seconds:.1} s",
-        table(&fit, &scene),
-        fit.measurements,
-        fitted.len(),
-        fit.unknowns,
-        fit.iterations,
-        fit.simulations,
-        fit.jacobians
-    );
-    text += &format!("\nχ² {:.6e}, BIC {:.1}", fit.chi_squared, fit.bic());
-    text += &format!("\n{}", residuals(&fit, &fitted, &scene));
-    if args.every > 1 {
-        text += &format!("\n{}", validated(&measured, args, &source.scene()?, &options, &fit)?);
+    let mut text = format!("{}", table(&fit, &scene));
+    for (name, value) in facts(&fit, seconds) {
+        text += &format!("{}{name} {value}", if name == "segments" { "\n" } else { ", " });
     }
-    for combination in &fit.undetermined {
-        text += &format!(
-            "\nwarning: the data do not determine {} separately; fix one of them, or measure a motion with forces",
-            combination.join(", ")
-        );
+    text += &format!("\n{}", residuals(&fit, &segments, &scene));
+    // Only the initial states of the other segments are fitted.
+    let validation = if others.is_empty() { None } else { Some(found.identify(&measured.chosen(&others), &options)?) };
+    if let Some(validation) = &validation {
+        let residuals = residuals(validation, &measured.chosen(&others), &scene);
+        text += &format!("\nvalidation with {} other segments: {residuals}", others.len());
     }
-    for name in &fit.at_bound {
-        text += &format!("\nwarning: {name} is at its bound");
+    let warnings = warnings(&fit);
+    warnings.iter().for_each(|warning| text += &format!("\n{WARNING}: {warning}"));
+
+    folder.write("scene.toml", found.table.to_string())?;
+    folder.write(IDENTIFIED, numbers(&fit, &scene)?)?;
+    let warnings = warnings.into_iter().map(|warning| [WARNING.to_owned(), warning]);
+    let facts = facts(&fit, seconds).into_iter().map(|(name, value)| [name.to_owned(), value]);
+    folder.write(FIT, csv(["name", "value"], facts.chain(warnings))?)?;
+    folder.write(TRAJECTORIES, measured.beside(&fitted, &fit, &scene)?)?;
+    if let Some(validation) = &validation {
+        folder.write(VALIDATION, measured.beside(&others, validation, &scene)?)?;
     }
-    if !fit.converged {
-        text += "\nwarning: the iterations ended before convergence; try other initial values or windows";
-    }
+    folder.write("identified.svg", picture::picture(&fitted, &segments, &fit, &scene))?;
+    folder.write(REPORT, identification::page(&Folder::existing(folder.path())?)?)?;
     let results = folder.path().display();
     print_result(&format!(
-        "{text}\nresults in {results}: scene.toml (with the fitted numbers), identified.csv, trajectories.csv, identified.svg"
+        "{text}\nresults in {results}: report.html, scene.toml (with the fitted numbers), {IDENTIFIED}, {FIT}, {TRAJECTORIES}, identified.svg"
     ))
+}
+
+/// Size and end of the fit.
+fn facts(fit: &Fit, seconds: f64) -> Vec<(&'static str, String)> {
+    vec![
+        ("segments", fit.states.len().to_string()),
+        ("measurements", fit.measurements.to_string()),
+        ("unknowns with initial states", fit.unknowns.to_string()),
+        ("χ²", format!("{:.6e}", fit.chi_squared)),
+        ("BIC", format!("{:.1}", fit.bic())),
+        ("iterations", fit.iterations.to_string()),
+        ("simulations", fit.simulations.to_string()),
+        ("Jacobians", fit.jacobians.to_string()),
+        ("seconds", format!("{seconds:.1}")),
+    ]
+}
+
+fn warnings(fit: &Fit) -> Vec<String> {
+    let undetermined = fit.undetermined.iter().map(|names| {
+        format!("the data do not determine {} separately; fix one of them, or measure a motion with forces", names.join(", "))
+    });
+    let bounds = fit.at_bound.iter().map(|name| format!("{name} is at its bound"));
+    let mut warnings: Vec<String> = undetermined.chain(bounds).collect();
+    if !fit.converged {
+        warnings.push("the iterations ended before convergence; try other initial values or another --window".into());
+    }
+    if fit.jump > JUMP {
+        warnings.push(format!(
+            "the simulated states jump by {:.1e} times the noise between windows; try other initial values or another --window",
+            fit.jump
+        ));
+    }
+    warnings
 }
 
 /// Standard deviations in the order of the state components.
@@ -145,10 +186,11 @@ fn starts(fit: &Fit, scene: &Scene) -> Vec<f64> {
 }
 
 fn numbers(fit: &Fit, scene: &Scene) -> Result<Vec<u8>> {
-    let mut header = ["name", "start", "value", "standard_error"].map(String::from).to_vec();
+    let mut header = ["name", "start", "value", "standard_error", "robust_error"].map(String::from).to_vec();
     header.extend(fit.names.iter().map(|name| format!("correlation with {name}")));
     let rows = starts(fit, scene).into_iter().enumerate().map(|(i, start)| {
-        let mut row = vec![fit.names[i].clone(), start.to_string(), fit.values[i].to_string(), fit.errors[i].to_string()];
+        let mut row = vec![fit.names[i].clone()];
+        row.extend([start, fit.values[i], fit.errors[i], fit.robust_errors[i]].map(|number| number.to_string()));
         row.extend(fit.correlations[i].iter().map(f64::to_string));
         row
     });
@@ -175,17 +217,4 @@ fn residuals(fit: &Fit, segments: &[Segment], scene: &Scene) -> String {
     let names = scene.state_names();
     let parts: Vec<String> = names.iter().enumerate().map(|(i, name)| format!("{name} {:.3e}", rms(i))).collect();
     format!("root mean square of the residuals: {}", parts.join(", "))
-}
-
-/// Residuals of the segments that were not fitted: only their initial states are free.
-fn validated(measured: &Measured, args: &Identify, scene: &Scene, options: &Options, fit: &Fit) -> Result<String> {
-    let others = measured.segments.iter().enumerate().filter(|(i, _)| i % args.every != 0).map(|(_, segment)| segment.clone());
-    let others: Vec<Segment> = others.collect();
-    if others.is_empty() {
-        bail!("--every {}: no segment remains for validation", args.every);
-    }
-    let simulated = scene.identify(&others, options)?;
-    let mut held = fit.clone();
-    held.states = simulated.states;
-    Ok(format!("validation with {} other segments: {}", others.len(), residuals(&held, &others, scene)))
 }

@@ -1,7 +1,8 @@
-//! `physgrad report`: an HTML page about a run or a comparison.
+//! `physgrad report`: an HTML page about a run, a comparison or an identification.
 
 mod diagnostics;
 mod figure;
+pub mod identification;
 mod inspected;
 mod learning;
 mod page;
@@ -12,11 +13,13 @@ use crate::program::runs::saved;
 use anyhow::Result;
 use std::path::PathBuf;
 
-/// Write an HTML page about a run or a comparison: results, curves, gradients, animation and
-/// settings.
+/// Write an HTML page about a run, a comparison or an identification.
+///
+/// For runs: results, curves, gradients, animation and settings. For an identification: numbers,
+/// measured and simulated states, and residuals.
 #[derive(Debug, clap::Args)]
 pub struct Report {
-    /// Folder of a run or of a comparison
+    /// Folder of a run, a comparison or an identification
     pub folder: PathBuf,
     /// Print only warnings and errors
     #[arg(long)]
@@ -26,14 +29,19 @@ pub struct Report {
 /// Runs the command.
 pub fn report(args: &Report) -> Result<()> {
     let folder = Folder::existing(&args.folder)?;
-    let inspected = inspected::inspect(&saved::runs(&folder)?)?;
-    let html = match &inspected[..] {
-        [run] if saved::has_run(&folder) => page::run(&folder.name(), run),
-        _ => page::comparison(&folder.name(), &inspected),
-    };
+    let html = if folder.has(identification::IDENTIFIED) { identification::page(&folder)? } else { of_runs(&folder)? };
     folder.write(REPORT, html)?;
     if !args.quiet {
         print_result(&folder.file(REPORT).display().to_string())?;
     }
     Ok(())
+}
+
+/// The page about the run or the comparison in the folder.
+fn of_runs(folder: &Folder) -> Result<String> {
+    let inspected = inspected::inspect(&saved::runs(folder)?)?;
+    Ok(match &inspected[..] {
+        [run] if saved::has_run(folder) => page::run(&folder.name(), run),
+        _ => page::comparison(&folder.name(), &inspected),
+    })
 }

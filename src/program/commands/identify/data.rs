@@ -103,18 +103,30 @@ impl Measured {
         Ok(Self { segments: segments.into_iter().map(|(_, _, segment)| segment).collect() })
     }
 
-    /// Measured and simulated states, one row per step with a measurement.
-    pub fn beside(&self, fitted: &[Segment], fit: &Fit, scene: &Scene) -> Result<Vec<u8>> {
+    /// Numbers of the segments that are fitted, and of the others: every N-th one is fitted.
+    pub fn split(&self, every: usize) -> [Vec<usize>; 2] {
+        let (fitted, others) = (0..self.segments.len()).partition(|i| i % every == 0);
+        [fitted, others]
+    }
+
+    /// The segments with these numbers.
+    pub fn chosen(&self, numbers: &[usize]) -> Vec<Segment> {
+        numbers.iter().map(|&i| self.segments[i].clone()).collect()
+    }
+
+    /// Measured and simulated states of the segments with these numbers, one row per step with a
+    /// measurement.
+    pub fn beside(&self, numbers: &[usize], fit: &Fit, scene: &Scene) -> Result<Vec<u8>> {
         let names = scene.state_names();
         let mut header = vec!["segment".to_owned(), "t".to_owned()];
         header.extend(names.iter().flat_map(|name| [format!("{name}_measured"), format!("{name}_simulated")]));
         let mut rows = Vec::new();
-        for (index, (segment, states)) in fitted.iter().zip(&fit.states).enumerate() {
-            for (step, (measured, simulated)) in segment.x.iter().zip(states).enumerate() {
+        for (&number, states) in numbers.iter().zip(&fit.states) {
+            for (step, (measured, simulated)) in self.segments[number].x.iter().zip(states).enumerate() {
                 if measured.iter().all(|x| x.is_nan()) {
                     continue;
                 }
-                let mut row = vec![index.to_string(), (step as f64 * scene.dt()).to_string()];
+                let mut row = vec![number.to_string(), (step as f64 * scene.dt()).to_string()];
                 let cell = |x: &f64| if x.is_nan() { String::new() } else { x.to_string() };
                 row.extend(measured.iter().zip(simulated).flat_map(|(y, x)| [cell(y), cell(x)]));
                 rows.push(row);

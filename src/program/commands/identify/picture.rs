@@ -8,10 +8,10 @@ use crate::report::{Series, fitted};
 const SEGMENTS: usize = 3;
 
 /// Two rows per component, for the first segments: measured and simulated values, and residuals.
-pub fn picture(segments: &[Segment], fit: &Fit, scene: &Scene) -> String {
+pub fn picture(numbers: &[usize], segments: &[Segment], fit: &Fit, scene: &Scene) -> String {
     let (names, dt) = (scene.state_names(), scene.dt());
-    let shown = segments.iter().zip(&fit.states).take(SEGMENTS).enumerate();
-    let columns = shown.map(|(index, (segment, states))| {
+    let shown = numbers.iter().zip(segments).zip(&fit.states).take(SEGMENTS);
+    let columns = shown.map(|((number, segment), states)| {
         let rows = names.iter().enumerate().flat_map(|(i, name)| {
             let points = |value: &dyn Fn(f64, f64) -> f64| -> Vec<(f64, f64)> {
                 let rows = segment.x.iter().zip(states).enumerate();
@@ -23,7 +23,7 @@ pub fn picture(segments: &[Segment], fit: &Fit, scene: &Scene) -> String {
             let residual = vec![Series::new("simulated - measured", "#009E73", points(&|y, x| x - y))];
             [(name.clone(), values), (format!("residual of {name}"), residual)]
         });
-        (format!("segment {index}"), rows.collect())
+        (format!("segment {number}"), rows.collect())
     });
     fitted(&format!("{}: measured and simulated", scene.task.name()), columns.collect()).to_svg()
 }

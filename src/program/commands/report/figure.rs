@@ -6,7 +6,7 @@ use serde::Serialize;
 
 /// A chart with its texts.
 pub struct Figure {
-    pub title: &'static str,
+    pub title: String,
     pub chart: Chart,
     pub keys: Vec<Key>,
     /// Explanation of the chart and hints for reading it.
@@ -25,14 +25,14 @@ pub struct Key {
 
 impl Figure {
     /// Creates a figure with one legend entry per series.
-    pub fn new(title: &'static str, chart: Chart, caption: &'static str) -> Self {
+    pub fn new(title: impl Into<String>, chart: Chart, caption: &'static str) -> Self {
         let label = |s: &Series| match &*s.note {
             "" => s.label.clone(),
             note => format!("{} ({note})", s.label),
         };
         let key = |s: &Series| Key { label: label(s), color: s.color, dashed: s.dashed };
         let keys = chart.series().iter().map(key).collect();
-        Self { title, chart, keys, caption, notes: Vec::new() }
+        Self { title: title.into(), chart, keys, caption, notes: Vec::new() }
     }
 
     pub fn keys(self, keys: Vec<Key>) -> Self {

@@ -11,6 +11,11 @@ use base64::prelude::{BASE64_STANDARD, Engine};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use toml::Value;
 
+/// Explanation of the letters of the fields.
+const FIELDS: &str = "Fields: R is the exact gradient, backpropagated through physics and network. M is backpropagated through the \
+                      physics only, N through the network only, S through neither. C, the combined field, is M where M and R have \
+                      the same sign, and zero elsewhere.";
+
 /// Page about one run.
 pub fn run(folder: &str, run: &Inspected) -> String {
     let title = format!("{}: field {}, seed {}", run.task, field_label(run.field), run.seed);
@@ -26,7 +31,7 @@ pub fn run(folder: &str, run: &Inspected) -> String {
         }))
         (section("Settings", settings(&[run])))
     };
-    document(&title, folder, run, trouble.as_slice(), &content)
+    document(&title, folder, version(run), FIELDS, trouble.as_slice(), &content)
 }
 
 /// Page about the runs of a comparison.
@@ -55,11 +60,16 @@ pub fn comparison(folder: &str, runs: &[Inspected]) -> String {
         }))
         (section("Settings", settings(&runs.iter().collect::<Vec<_>>())))
     };
-    document(&title, folder, &runs[0], &trouble, &content)
+    document(&title, folder, version(&runs[0]), FIELDS, &trouble, &content)
 }
 
-fn document(title: &str, folder: &str, run: &Inspected, trouble: &[String], content: &Markup) -> String {
-    let version = run.settings.get("physgrad").and_then(Value::as_str).unwrap_or_default();
+/// Version of the program that made the run.
+fn version(run: &Inspected) -> &str {
+    run.settings.get("physgrad").and_then(Value::as_str).unwrap_or_default()
+}
+
+/// A page with a header and this content.
+pub fn document(title: &str, folder: &str, version: &str, note: &str, trouble: &[String], content: &Markup) -> String {
     html! {
         (DOCTYPE)
         html lang="en" {
@@ -76,11 +86,7 @@ fn document(title: &str, folder: &str, run: &Inspected, trouble: &[String], cont
                 header {
                     h1 { (title) }
                     p { "Folder " b { (folder) } ", made by physgrad " (version) "." }
-                    p.note {
-                        "Fields: R is the exact gradient, backpropagated through physics and network. M is backpropagated \
-                         through the physics only, N through the network only, S through neither. C, the combined field, is M \
-                         where M and R have the same sign, and zero elsewhere."
-                    }
+                    p.note { (note) }
                     (troubles(trouble))
                     p.hint hidden { "To read values, point at a chart, or select it with Tab and use the arrow keys." }
                 }
@@ -106,21 +112,21 @@ fn troubles(troubles: &[String]) -> Markup {
     }
 }
 
-fn section(title: &str, content: Markup) -> Markup {
+pub fn section(title: &str, content: Markup) -> Markup {
     html! { section { h2 { (title) } (content) } }
 }
 
-fn figures(figures: impl IntoIterator<Item = Figure>) -> Markup {
+pub fn figures(figures: impl IntoIterator<Item = Figure>) -> Markup {
     html! { div.figures { @for figure in figures { (figure.html()) } } }
 }
 
-fn table<const N: usize>(header: &[&str; N], rows: &[[String; N]]) -> Markup {
+pub fn table(header: &[impl AsRef<str>], rows: &[impl AsRef<[String]>]) -> Markup {
     html! {
         div.wide { table {
-            thead { tr { @for name in header { th scope="col" { (name) } } } }
+            thead { tr { @for name in header { th scope="col" { (name.as_ref()) } } } }
             tbody { @for row in rows { tr {
                 // Repeats the column's name in each cell, for narrow screens.
-                @for (name, cell) in header.iter().zip(row) { td data-name=(name) { (cell) } }
+                @for (name, cell) in header.iter().zip(row.as_ref()) { td data-name=(name.as_ref()) { (cell) } }
             } } }
         } }
     }

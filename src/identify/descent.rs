@@ -1,0 +1,114 @@
+//! Iterations of Levenberg and Marquardt.
+
+use super::elimination::{Eliminated, Linearized, Weights, gradient, solve, stacked};
+use super::problem::{Point, Problem, map};
+use nalgebra::{DMatrix, DVector};
+
+/// Numbers of computations so far.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Counts {
+    pub iterations: usize,
+    pub simulations: usize,
+    pub jacobians: usize,
+}
+
+/// Condition that ends the iterations.
+#[derive(Clone, Copy)]
+pub(super) struct Stop {
+    /// Relative decrease of the objective.
+    pub tolerance: f64,
+    pub max_iterations: usize,
+}
+
+/// Minimizes χ² plus `continuity²` times the squared jumps between windows. Returns whether the
+/// tolerance ended the iterations.
+pub(super) fn minimize(problem: &Problem<'_>, point: &mut Point, continuity: f64, stop: Stop, counts: &mut Counts) -> bool {
+    let objective = |point: &Point, counts: &mut Counts| {
+        counts.simulations += 1;
+        problem.misfit(point).map_or(f64::INFINITY, |misfit| misfit.samples + continuity * continuity * misfit.jumps)
+    };
+    let (mut damping, mut quiet) = (1e-3, 0);
+    let mut least = objective(point, counts);
+    for _ in 0..stop.max_iterations {
+        counts.iterations += 1;
+        counts.jacobians += 1;
+        let linearized = problem.linearize(point);
+        let mut decrease = None;
+        while decrease.is_none() && damping < 1e12 {
+            let next = step(problem, point, &linearized, Weights { per_noise: &problem.per_noise, continuity, damping });
+            let value = next.as_ref().map_or(f64::INFINITY, |next| objective(next, counts));
+            if let Some(next) = next.filter(|_| value < least) {
+                decrease = Some((least - value) / least);
+                (*point, least) = (next, value);
+                damping = (damping * 0.1).max(1e-14);
+            } else {
+                damping = (damping * 10.0).max(1e-12);
+            }
+        }
+        quiet = match decrease {
+            Some(decrease) if decrease > stop.tolerance => 0,
+            Some(_) => quiet + 1,
+            // No step decreases the objective: a minimum up to rounding.
+            None => return true,
+        };
+        if quiet >= 2 {
+            return true;
+        }
+    }
+    false
+}
+
+/// The point after one damped step, within the bounds. `None` for singular equations.
+fn step(problem: &Problem<'_>, point: &Point, linearized: &[Vec<Linearized>], weights: Weights<'_>) -> Option<Point> {
+    let params = point.values.len();
+    let segments = eliminated(linearized, params, weights);
+    let equations = stacked(&segments, params);
+    let norms = norms(linearized, params);
+    let limits = |i: usize| [problem.unknowns[i].min - point.values[i], problem.unknowns[i].max - point.values[i]];
+    // A parameter at a bound stays there while the objective decreases beyond it.
+    let slopes = gradient(&equations);
+    let stays = |i: usize| limits(i)[0] >= 0.0 && slopes[i] > 0.0 || limits(i)[1] <= 0.0 && slopes[i] < 0.0;
+    let mut fixed: Vec<Option<f64>> = (0..params).map(|i| stays(i).then_some(0.0)).collect();
+    // Steps beyond a bound end there. The other parameters adapt to that.
+    let step = loop {
+        let step = solve(&equations, &fixed, &norms, weights.damping)?;
+        let beyond: Vec<usize> = (0..params).filter(|&i| !(limits(i)[0]..=limits(i)[1]).contains(&step[i])).collect();
+        if beyond.is_empty() || beyond.iter().any(|&i| fixed[i].is_some()) {
+            break step;
+        }
+        beyond.iter().for_each(|&i| fixed[i] = Some(step[i].clamp(limits(i)[0], limits(i)[1])));
+    };
+    let bounded = problem.unknowns.iter().zip(&point.values).zip(step.iter());
+    let values: Vec<f64> = bounded.map(|((u, value), step)| (value + step).clamp(u.min, u.max)).collect();
+    let taken = DVector::from_fn(params, |i, _| values[i] - point.values[i]);
+    let mut next = Point { values, windows: point.windows.clone() };
+    let mut windows = next.windows.iter_mut();
+    for segment in &segments {
+        // The segment comes first: its end must not consume a window.
+        for (step, window) in segment.starts(&taken)?.iter().zip(windows.by_ref()) {
+            window.start.iter_mut().zip(step.iter()).for_each(|(x, step)| *x += step);
+        }
+    }
+    Some(next)
+}
+
+fn eliminated(linearized: &[Vec<Linearized>], params: usize, weights: Weights<'_>) -> Vec<Eliminated> {
+    map(linearized.len(), |i| Eliminated::new(&linearized[i], params, weights))
+}
+
+/// Norms of the columns of the Jacobian by the parameters.
+fn norms(linearized: &[Vec<Linearized>], params: usize) -> Vec<f64> {
+    let squares = linearized.iter().flatten().fold(vec![0.0; params], |sums: Vec<f64>, Linearized { samples, .. }| {
+        let first = samples.ncols() - params - 1;
+        sums.iter().enumerate().map(|(i, sum)| sum + samples.column(first + i).norm_squared()).collect()
+    });
+    squares.into_iter().map(f64::sqrt).collect()
+}
+
+/// Equations of the parameters without damping, for each segment.
+pub(super) fn equations(problem: &Problem<'_>, point: &Point, continuity: f64, counts: &mut Counts) -> Vec<DMatrix<f64>> {
+    counts.jacobians += 1;
+    // The damping keeps initial states without influence determined.
+    let weights = Weights { per_noise: &problem.per_noise, continuity, damping: 1e-24 };
+    eliminated(&problem.linearize(point), point.values.len(), weights).into_iter().map(|segment| segment.reduced).collect()
+}

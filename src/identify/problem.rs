@@ -1,0 +1,260 @@
+//! Windows of the measured segments: simulation, residuals, continuity and their derivatives.
+
+use super::elimination::{Linearized, triangle};
+use super::error::IdentifyError;
+use super::fit::{Options, Segment, Unknown};
+use super::jacobian::{Model, Run};
+use nalgebra::DMatrix;
+
+/// Consecutive steps of a segment with an initial state.
+#[derive(Clone)]
+pub(super) struct Window {
+    pub segment: usize,
+    pub first: usize,
+    pub steps: usize,
+    pub start: Vec<f64>,
+    /// Whether the initial state is unknown.
+    pub is_free: bool,
+}
+
+/// Values of the parameters, and all windows with their initial states.
+#[derive(Clone)]
+pub(super) struct Point {
+    pub values: Vec<f64>,
+    pub windows: Vec<Window>,
+}
+
+/// Sums of squares, in units of the noise.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Misfit {
+    /// χ² of the samples.
+    pub samples: f64,
+    /// Sum of the squared jumps between windows.
+    pub jumps: f64,
+}
+
+pub(super) struct Problem<'a> {
+    pub model: &'a dyn Model,
+    pub segments: &'a [Segment],
+    pub unknowns: &'a [Unknown],
+    /// 1 / σ of each state component.
+    pub per_noise: Vec<f64>,
+    pub noise_is_known: bool,
+    pub free_starts: bool,
+}
+
+impl<'a> Problem<'a> {
+    pub fn new(
+        model: &'a dyn Model,
+        segments: &'a [Segment],
+        unknowns: &'a [Unknown],
+        options: &Options,
+    ) -> Result<Self, IdentifyError> {
+        let [n, m, params] = model.sizes();
+        if unknowns.is_empty() && !options.free_starts {
+            return Err(IdentifyError::NothingUnknown);
+        }
+        for (segment, Segment { x, u, p }) in segments.iter().enumerate() {
+            let shape = |what, found, expected| IdentifyError::Shape { segment, what, found, expected };
+            if let Some(row) = x.iter().find(|row| row.len() != n) {
+                return Err(shape("a measured state", row.len(), n));
+            }
+            if let Some(row) = u.iter().find(|row| row.len() != m) {
+                return Err(shape("a control", row.len(), m));
+            }
+            if p.len() != params {
+                return Err(shape("the list of parameters", p.len(), params));
+            }
+            if let Some(noise) = options.noise.as_ref().filter(|noise| noise.len() != n) {
+                return Err(shape("the list of noise levels", noise.len(), n));
+            }
+        }
+        for Unknown { name, index, start, min, max } in unknowns {
+            let is_inside = start.is_finite() && min <= start && start <= max && *index < params;
+            if !is_inside {
+                let (name, start, min, max, index) = (name.clone(), *start, *min, *max, *index);
+                return Err(IdentifyError::Unknown { name, start, min, max, index, params });
+            }
+        }
+        let per_noise = options.noise.as_ref().map_or_else(|| vec![1.0; n], |noise| noise.iter().map(|s| 1.0 / s).collect());
+        let (noise_is_known, free_starts) = (options.noise.is_some(), options.free_starts);
+        let problem = Self { model, segments, unknowns, per_noise, noise_is_known, free_starts };
+        let (measurements, unknowns) = (problem.measurements(), problem.count());
+        if measurements < unknowns {
+            return Err(IdentifyError::TooFewMeasurements { measurements, unknowns });
+        }
+        Ok(problem)
+    }
+
+    /// Finite measurements. Without free initial states, the first sample of a segment is exact.
+    fn finite(&self) -> impl Iterator<Item = f64> {
+        let skipped = usize::from(!self.free_starts);
+        let rows = self.segments.iter().flat_map(move |segment| segment.x.iter().skip(skipped));
+        rows.flat_map(|row| row.iter().zip(&self.per_noise).map(|(y, per_noise)| y * per_noise)).filter(|y| y.is_finite())
+    }
+
+    /// Number of finite measurements.
+    pub fn measurements(&self) -> usize {
+        self.finite().count()
+    }
+
+    /// Root mean square of the measurements, in units of the noise.
+    pub fn size(&self) -> f64 {
+        (self.finite().map(|y| y * y).sum::<f64>() / self.measurements() as f64).sqrt()
+    }
+
+    /// Number of unknowns: parameters and the initial states of segments. Continuity determines the
+    /// initial states of the other windows.
+    pub fn count(&self) -> usize {
+        self.unknowns.len() + if self.free_starts { self.segments.len() * self.model.sizes()[0] } else { 0 }
+    }
+
+    /// Initial values. Splits the segments into windows of this length, or none. The initial state
+    /// of a window is measured. Missing components continue the simulation of the window before.
+    ///
+    /// # Errors
+    /// A simulation or its squared residuals are not finite.
+    pub fn begin(&self, length: Option<usize>) -> Result<Point, IdentifyError> {
+        let values: Vec<f64> = self.unknowns.iter().map(|unknown| unknown.start).collect();
+        let mut windows = Vec::new();
+        for (index, segment) in self.segments.iter().enumerate() {
+            let last = segment.x.len().saturating_sub(1);
+            let p = self.parameters(index, &values);
+            let mut start = vec![0.0; self.model.sizes()[0]];
+            for first in (0..last.max(1)).step_by(length.unwrap_or(last).max(1)) {
+                let steps = length.unwrap_or(last).min(last - first);
+                start.iter_mut().zip(&segment.x[first]).filter(|(_, y)| y.is_finite()).for_each(|(x, y)| *x = *y);
+                let window = Window { segment: index, first, steps, start, is_free: self.free_starts || first > 0 };
+                let states = self.run(&window, &p).simulate(self.model);
+                let mut diverged = (states.len() <= steps).then_some(first + states.len());
+                if diverged.is_none() {
+                    self.residuals(&window, &states, |step, _, residual| {
+                        if !(residual * residual).is_finite() {
+                            diverged.get_or_insert(first + step);
+                        }
+                    });
+                }
+                if let Some(step) = diverged {
+                    return Err(IdentifyError::Diverged { segment: index, step });
+                }
+                start = states[steps].clone();
+                windows.push(window);
+            }
+        }
+        Ok(Point { values, windows })
+    }
+
+    fn parameters(&self, segment: usize, values: &[f64]) -> Vec<f64> {
+        let mut p = self.segments[segment].p.clone();
+        for (unknown, value) in self.unknowns.iter().zip(values) {
+            p[unknown.index] = *value;
+        }
+        p
+    }
+
+    fn run<'b>(&'b self, window: &'b Window, p: &'b [f64]) -> Run<'b> {
+        let u = &self.segments[window.segment].u;
+        Run { x: &window.start, p, u: &u[window.first.min(u.len())..], t: window.first, steps: window.steps }
+    }
+
+    /// Calls `add(step, component, residual)` for the measurements of a window.
+    fn residuals(&self, window: &Window, states: &[Vec<f64>], mut add: impl FnMut(usize, usize, f64)) {
+        let measured = &self.segments[window.segment].x[window.first..];
+        // The last state of a window is the first one of the next, where it is measured.
+        let is_last = window.first + window.steps + 1 == self.segments[window.segment].x.len();
+        let steps = usize::from(!window.is_free)..window.steps + usize::from(is_last || window.steps == 0);
+        for step in steps {
+            for (i, (x, y)) in states[step].iter().zip(&measured[step]).enumerate().filter(|(_, (_, y))| y.is_finite()) {
+                add(step, i, (x - y) * self.per_noise[i]);
+            }
+        }
+    }
+
+    /// Misfit of all windows. `None` if a window diverges.
+    pub fn misfit(&self, point: &Point) -> Option<Misfit> {
+        let of_window = |k: usize| {
+            let window = &point.windows[k];
+            let states = self.run(window, &self.parameters(window.segment, &point.values)).simulate(self.model);
+            let end = states.get(window.steps)?;
+            let mut misfit = Misfit { samples: 0.0, jumps: 0.0 };
+            self.residuals(window, &states, |_, _, residual| misfit.samples += residual * residual);
+            for ((end, start), per_noise) in end.iter().zip(point.after(k).unwrap_or(end)).zip(&self.per_noise) {
+                misfit.jumps += ((end - start) * per_noise).powi(2);
+            }
+            Some(misfit)
+        };
+        let misfits = map(point.windows.len(), of_window).into_iter().collect::<Option<Vec<Misfit>>>()?;
+        let [samples, jumps] = [|m: &Misfit| m.samples, |m: &Misfit| m.jumps].map(|part| misfits.iter().map(part).sum::<f64>());
+        (samples + jumps).is_finite().then_some(Misfit { samples, jumps })
+    }
+
+    /// Largest jump between windows in units of the noise.
+    pub fn largest_jump(&self, point: &Point) -> f64 {
+        let of_window = |k: usize| {
+            let window = &point.windows[k];
+            let states = self.run(window, &self.parameters(window.segment, &point.values)).simulate(self.model);
+            let (Some(end), Some(start)) = (states.get(window.steps), point.after(k)) else { return 0.0 };
+            let jumps =
+                end.iter().zip(start).zip(&self.per_noise).map(|((end, start), per_noise)| (end - start).abs() * per_noise);
+            jumps.fold(0.0, f64::max)
+        };
+        map(point.windows.len(), of_window).into_iter().fold(0.0, f64::max)
+    }
+
+    /// States of all segments. Those of the windows follow each other.
+    pub fn states(&self, point: &Point) -> Vec<Vec<Vec<f64>>> {
+        let mut states = vec![Vec::new(); self.segments.len()];
+        for window in &point.windows {
+            let run = self.run(window, &self.parameters(window.segment, &point.values)).simulate(self.model);
+            states[window.segment].truncate(window.first);
+            states[window.segment].extend(run);
+        }
+        states
+    }
+
+    /// Linearizes all windows, by segment.
+    pub fn linearize(&self, point: &Point) -> Vec<Vec<Linearized>> {
+        let indices: Vec<usize> = self.unknowns.iter().map(|unknown| unknown.index).collect();
+        let of_window = |k: usize| {
+            let window = &point.windows[k];
+            let p = self.parameters(window.segment, &point.values);
+            let run = self.run(window, &p);
+            let (states, slopes) = (run.simulate(self.model), run.derivatives(self.model, window.is_free, &indices));
+            let columns = slopes[0].ncols() + 1;
+            let mut rows = Vec::new();
+            self.residuals(window, &states, |step, i, residual| {
+                rows.extend(slopes[step].row(i).iter().map(|slope| slope * self.per_noise[i]));
+                rows.push(residual);
+            });
+            let samples = triangle(DMatrix::from_row_slice(rows.len() / columns, columns, &rows));
+            let (end, slopes) = (&states[window.steps], &slopes[window.steps]);
+            let jump = point.after(k).map_or(DMatrix::zeros(0, columns), |start| {
+                DMatrix::from_fn(end.len(), columns, |i, j| if j + 1 < columns { slopes[(i, j)] } else { end[i] - start[i] })
+            });
+            Linearized { samples, jump }
+        };
+        let mut segments: Vec<Vec<Linearized>> = self.segments.iter().map(|_| Vec::new()).collect();
+        for (window, linearized) in point.windows.iter().zip(map(point.windows.len(), of_window)) {
+            segments[window.segment].push(linearized);
+        }
+        segments
+    }
+}
+
+impl Point {
+    /// Initial state of the window after window `k`, if it belongs to the same segment.
+    fn after(&self, k: usize) -> Option<&Vec<f64>> {
+        self.windows.get(k + 1).filter(|next| next.segment == self.windows[k].segment).map(|next| &next.start)
+    }
+}
+
+/// Maps the numbers below `count`, in parallel with the feature `parallel`, in their order.
+pub(super) fn map<R: Send>(count: usize, work: impl Fn(usize) -> R + Sync + Send) -> Vec<R> {
+    #[cfg(feature = "parallel")]
+    {
+        use rayon::prelude::*;
+        (0..count).into_par_iter().map(work).collect()
+    }
+    #[cfg(not(feature = "parallel"))]
+    (0..count).map(work).collect()
+}

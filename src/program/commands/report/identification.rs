@@ -1,0 +1,179 @@
+//! Page about an identification, from the files that `physgrad identify` writes.
+
+use crate::program::commands::report::figure::Figure;
+use crate::program::commands::report::page::{document, figures, section, table};
+use crate::program::platform::folder::Folder;
+use crate::report::{Chart, Series};
+use anyhow::{Context, Result};
+use maud::{Markup, html};
+
+/// Numbers with errors and correlations. Present in every folder of an identification.
+pub const IDENTIFIED: &str = "identified.csv";
+/// Size and end of the fit, and warnings.
+pub const FIT: &str = "fit.csv";
+/// Measured beside simulated states of the fitted segments.
+pub const TRAJECTORIES: &str = "trajectories.csv";
+/// Measured beside simulated states of the segments that were not fitted.
+pub const VALIDATION: &str = "validation.csv";
+/// Name of a row of [`FIT`] with a warning.
+pub const WARNING: &str = "warning";
+
+/// Number of columns of [`IDENTIFIED`] before the correlations.
+const NUMBERS: usize = 5;
+
+const NOTE: &str = "Residuals are simulated minus measured states. A standard error assumes independent residuals. A robust error \
+                    allows for correlated residuals within a segment; it needs more segments than numbers.";
+
+/// The page of the identification in the folder.
+pub fn page(folder: &Folder) -> Result<String> {
+    let [header, numbers @ ..] = &rows(folder, IDENTIFIED)?[..] else { return Ok(String::new()) };
+    let fit = rows(folder, FIT)?;
+    let (warnings, facts): (Vec<_>, Vec<_>) = fit.iter().skip(1).partition(|row| row[0] == WARNING);
+    let warnings: Vec<String> = warnings.into_iter().map(|row| row[1].clone()).collect();
+    let (names, values): (Vec<String>, Vec<String>) = facts.into_iter().map(|row| (row[0].clone(), row[1].clone())).unzip();
+    let names_and = |row: &[String], cells: Vec<String>| [vec![row[0].clone()], cells].concat();
+    let errors = |row: &Vec<String>| names_and(row, row[1..NUMBERS].iter().map(|cell| rounded(cell)).collect());
+    let errors: Vec<Vec<String>> = numbers.iter().map(errors).collect();
+    let two_digits = |cell: &String| cell.parse::<f64>().map_or_else(|_| cell.clone(), |x| format!("{x:.2}"));
+    let correlations = |row: &Vec<String>| names_and(row, row[NUMBERS..].iter().map(two_digits).collect());
+    let correlations: Vec<Vec<String>> = numbers.iter().map(correlations).collect();
+    let headers = ["name", "start", "value", "standard error", "robust error"];
+    let columns = names_and(header, correlations.iter().map(|row| row[0].clone()).collect());
+    let content = html! {
+        (section("Numbers", table(&headers, &errors)))
+        (section("Correlations", table(&columns, &correlations)))
+        (section("Fit", table(&names, &[values])))
+        (compared("Fitted segments", &Trajectories::read(folder, TRAJECTORIES)?))
+        @if folder.has(VALIDATION) {
+            (compared("Validation: segments that were not fitted", &Trajectories::read(folder, VALIDATION)?))
+        }
+    };
+    Ok(document("Identification", &folder.name(), env!("CARGO_PKG_VERSION"), NOTE, &warnings, &content))
+}
+
+/// Header and rows of a file.
+fn rows(folder: &Folder, name: &str) -> Result<Vec<Vec<String>>> {
+    let bytes = folder.read(name)?;
+    let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).from_reader(&bytes[..]);
+    let row = |record: csv::Result<csv::StringRecord>| Ok(record?.iter().map(String::from).collect());
+    let rows: Result<Vec<Vec<String>>> = reader.records().map(row).collect();
+    rows.with_context(|| format!("cannot read {}", folder.file(name).display()))
+}
+
+/// A number with four digits. Other text stays.
+fn rounded(cell: &str) -> String {
+    cell.parse::<f64>().map_or_else(|_| cell.to_owned(), |x| if x.is_finite() { format!("{x:.3e}") } else { "unknown".into() })
+}
+
+/// A measured and a simulated state component at a time.
+#[derive(Clone, Copy)]
+struct Sample {
+    t: f64,
+    measured: f64,
+    simulated: f64,
+}
+
+impl Sample {
+    fn residual(&self) -> f64 {
+        self.simulated - self.measured
+    }
+}
+
+/// Measured samples by segment and state component.
+struct Trajectories {
+    components: Vec<String>,
+    /// Name of the segment, and samples of each component.
+    segments: Vec<(String, Vec<Vec<Sample>>)>,
+}
+
+impl Trajectories {
+    fn read(folder: &Folder, name: &str) -> Result<Self> {
+        let rows = rows(folder, name)?;
+        let headers = rows.first().map_or(&[][..], |header| &header[2..]);
+        let components: Vec<String> =
+            headers.iter().step_by(2).map(|name| name.trim_end_matches("_measured").to_owned()).collect();
+        let mut segments: Vec<(String, Vec<Vec<Sample>>)> = Vec::new();
+        for row in rows.iter().skip(1) {
+            if segments.last().is_none_or(|(name, _)| *name != row[0]) {
+                segments.push((row[0].clone(), vec![Vec::new(); components.len()]));
+            }
+            let Some((_, samples)) = segments.last_mut() else { continue };
+            // An empty cell was not measured.
+            for (samples, pair) in samples.iter_mut().zip(row[2..].chunks_exact(2)) {
+                if let (Ok(t), Ok(measured), Ok(simulated)) = (row[1].parse(), pair[0].parse(), pair[1].parse()) {
+                    samples.push(Sample { t, measured, simulated });
+                }
+            }
+        }
+        Ok(Self { components, segments })
+    }
+}
+
+fn rms(samples: &[Sample]) -> f64 {
+    (samples.iter().map(|sample| sample.residual().powi(2)).sum::<f64>() / samples.len() as f64).sqrt()
+}
+
+/// Charts of every measured component, and the residuals of every segment.
+fn compared(title: &str, trajectories: &Trajectories) -> Markup {
+    let Trajectories { components, segments } = trajectories;
+    let measured: Vec<usize> = (0..components.len()).filter(|&i| segments.iter().any(|(_, all)| !all[i].is_empty())).collect();
+    let header: Vec<String> =
+        ["segment"].map(String::from).into_iter().chain(measured.iter().map(|&i| components[i].clone())).collect();
+    let row = |(name, all): &(String, Vec<Vec<Sample>>)| -> Vec<String> {
+        let cells = measured.iter().map(|&i| if all[i].is_empty() { String::new() } else { format!("{:.3e}", rms(&all[i])) });
+        [name.clone()].into_iter().chain(cells).collect()
+    };
+    let rows: Vec<Vec<String>> = segments.iter().map(row).collect();
+    section(
+        title,
+        html! {
+            (figures(measured.iter().flat_map(|&i| [worst(&components[i], i, segments), over_time(&components[i], i, segments)])))
+            h3 { "Root mean square residuals" }
+            (table(&header, &rows))
+        },
+    )
+}
+
+/// Measured and simulated values in the segment with the largest residuals.
+fn worst(name: &str, component: usize, segments: &[(String, Vec<Vec<Sample>>)]) -> Figure {
+    let size = |all: &[Vec<Sample>]| if all[component].is_empty() { 0.0 } else { rms(&all[component]) };
+    let worst = segments.iter().max_by(|(_, a), (_, b)| size(a).total_cmp(&size(b)));
+    let (segment, samples) = worst.map_or(("", &[][..]), |(name, all)| (&**name, &all[component][..]));
+    let line = |value: fn(&Sample) -> f64| samples.iter().map(|sample| (sample.t, value(sample))).collect();
+    let measured = Series::new("measured", "#0072B2", line(|sample| sample.measured));
+    let simulated = Series::new("simulated", "#D55E00", line(|sample| sample.simulated)).dashed();
+    Figure::new(
+        format!("{name}, segment {segment}"),
+        chart("state", vec![measured, simulated]),
+        "Measured and simulated state in the segment with the largest residuals.",
+    )
+}
+
+/// Residuals of all segments over time.
+fn over_time(name: &str, component: usize, segments: &[(String, Vec<Vec<Sample>>)]) -> Figure {
+    let mut samples: Vec<Sample> = segments.iter().flat_map(|(_, all)| all[component].iter().copied()).collect();
+    samples.sort_by(|a, b| a.t.total_cmp(&b.t));
+    let instants = || samples.chunk_by(|a, b| a.t == b.t);
+    let line = |value: fn(f64, f64) -> f64| -> Vec<(f64, f64)> {
+        let extreme = |all: &[Sample]| all.iter().map(Sample::residual).reduce(value).unwrap_or(0.0);
+        instants().map(|all| (all[0].t, extreme(all))).collect()
+    };
+    let series = vec![
+        Series::new("largest", "#D55E00", line(f64::max)),
+        Series::new("smallest", "#0072B2", line(f64::min)),
+        Series::new("root mean square", "#009E73", instants().map(|all| (all[0].t, rms(all))).collect()),
+    ];
+    Figure::new(
+        format!("Residuals of {name}"),
+        chart("simulated - measured", series),
+        "Largest, smallest and root mean square residual of all segments. Residuals that vary slowly show an error of the model.",
+    )
+}
+
+fn chart(y_label: &'static str, series: Vec<Series>) -> Chart {
+    let values = || series.iter().flat_map(|series| &series.line).map(|&(_, y)| y);
+    let (low, high) = values().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), y| (low.min(y), high.max(y)));
+    let (low, high) = if low < high { (low, high) } else { (low.min(0.0) - 1.0, high.max(0.0) + 1.0) };
+    let margin = 0.05 * (high - low);
+    Chart::linear("time (s)", y_label, [low - margin, high + margin], series)
+}
