@@ -144,6 +144,9 @@ fn summary(folder: &Folder, scene: &Scene, Finished { records, numbers, .. }: &F
             text += &format!("warning: unreliable gradients: {warning}\n");
         }
     }
+    if records.is_empty() {
+        text += "no epoch: the policy is untrained\n";
+    }
     for (name, value) in numbers {
         text += &format!("trained: {name} = {value:.6}\n");
     }

@@ -12,7 +12,7 @@ pub struct Overrides {
     #[arg(long, value_parser = |name: &str| name.parse().map(FieldName))]
     pub field: Option<FieldName>,
     /// Total number of epochs, including those before --resume
-    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub epochs: Option<u64>,
     /// Seed of initial states and initial parameters
     #[arg(long, value_name = "S", allow_negative_numbers = true)]

@@ -54,8 +54,7 @@ pub fn text(name: &str) -> Result<Cow<'static, str>> {
     let preset = |task: &&dyn AnyTaskSpec| format!("# {}\nscene = {VERSION}\ntask = {name:?}\n", task.about()).into();
     built_in.or_else(|| own().map(preset)).with_context(|| {
         let names: Vec<&str> = all().map(|(name, _)| name).collect();
-        let question = did_you_mean(name, names.iter().copied());
-        format!("there is no preset `{name}`; presets: {}{question}", names.join(", "))
+        format!("there is no preset `{name}`; presets: {}", names.join(", "))
     })
 }
 
@@ -70,7 +69,9 @@ pub fn source(name: &str) -> Result<SceneSource> {
     if is_path(name) {
         return SceneSource::read(path);
     }
-    let text = text(name).map_err(|error| anyhow!("{error}; to use a scene file, give its path, which ends in .toml"))?;
+    let question = did_you_mean(name, all().map(|(preset, _)| preset));
+    let text =
+        text(name).map_err(|error| anyhow!("{error}; to use a scene file, give its path, which ends in .toml{question}"))?;
     SceneSource::parse(&format!("preset {name}"), &text)
 }
 

@@ -251,16 +251,19 @@ fn explain_foreign_effect(spec: &dyn AnyTaskSpec, error: ConfigError) -> ConfigE
 /// Appends the most similar key to the error of an unknown key.
 fn suggest(spec: &dyn AnyTaskSpec, mut error: ConfigError) -> ConfigError {
     if error.what.starts_with("is unknown") {
+        let (section, name) = error.key.rsplit_once('.').unwrap_or(("", &error.key));
+        let siblings = error.what.split('`').skip(1).step_by(2).map(|sibling| join(section, sibling));
         let settings = flat(&spec.defaults()).into_iter().map(|(key, _)| key);
         let effects = spec.effects().into_iter().map(|info| format!("effects.{}", info.name));
-        let keys: Vec<String> = settings.chain(effects).collect();
-        let name = error.key.rsplit('.').next().unwrap_or_default();
-        // Suggests the same key in another section, as for `learning_rate`, or else a similar key.
+        let is_other = |key: &String| !error.key.starts_with(&format!("{key}."));
+        let keys: Vec<String> = siblings.chain(settings).chain(effects).filter(is_other).collect();
+        // The key of another section, as in `learning_rate`, or a misspelt one.
         let same = keys.iter().find(|key| key.rsplit('.').next() == Some(name));
-        error.what += &match same {
+        let question = match same {
             Some(key) => format!("; did you mean `{key}`?"),
             None => did_you_mean(&error.key, keys.iter().map(String::as_str)),
         };
+        error.what += &question;
     }
     error
 }
