@@ -152,8 +152,8 @@ impl<T: Task + 'static> AnyTask for T {
     }
 }
 
-/// Defines an outlined generic function of a task, and the type of pointers to it. Their first
-/// argument is the task.
+/// Defines an outlined generic function of a task, and the type of pointers to it. The first
+/// argument of the function is the task.
 macro_rules! function {
     (
         $name:ident, $pointer:ident: $family:ident [$($bounds:tt)+] [$($params:ident),+],
@@ -244,7 +244,9 @@ macro_rules! call {
     ($object:expr, $method:ident: $pointer:ty, $($argument:expr),+) => {{
         let mut slot: Option<$pointer> = None;
         $object.$method(&mut slot);
-        let Some(pointer) = slot else { panic!("a `DynTask` has no function {}", type_name::<$pointer>()) };
+        let Some(pointer) = slot else {
+            panic!("a `DynTask` has no function {} for this scalar; call the task itself", type_name::<$pointer>())
+        };
         pointer($object.as_any(), $($argument),+)
     }};
 }

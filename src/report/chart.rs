@@ -115,13 +115,13 @@ impl Chart {
 }
 
 /// Cleans and thins the series. Removes empty series.
-fn shown(series: Vec<Series>, can_be: impl Fn(f64) -> bool) -> Vec<Series> {
+fn shown(series: Vec<Series>, is_drawable: impl Fn(f64) -> bool) -> Vec<Series> {
     let clean = |mut s: Series| {
         if s.band.is_empty() {
-            s.line = thinned(cleaned(s.line, &can_be), |p| p.1);
+            s.line = thinned(cleaned(s.line, &is_drawable), |p| p.1);
         } else {
             let pairs = s.line.into_iter().zip(s.band);
-            let seen = pairs.filter(|&((x, y), (low, high))| x.is_finite() && [y, low, high].into_iter().all(&can_be));
+            let seen = pairs.filter(|&((x, y), (low, high))| x.is_finite() && [y, low, high].into_iter().all(&is_drawable));
             (s.line, s.band) = thinned(seen.collect(), |(point, _)| point.1).into_iter().unzip();
         }
         s

@@ -95,7 +95,7 @@ fn error(got: &[f64], expected: &[f64]) -> f64 {
 }
 
 #[test]
-fn steps_and_eigenstates_equal_the_authors() {
+fn steps_and_eigenstates_equal_the_reference_data_of_the_authors() {
     let file = reference("step");
     let (state, control, cotangent) = (data(&file["state"]), data(&file["control"]), data(&file["cotangent"]));
     let expected = ["next_state", "vjp_state", "vjp_control"].map(|key| data(&file[key]));

@@ -1,4 +1,5 @@
-//! The counts in the output of `physgrad explain` equal those of the library.
+//! Compares the counts and bytes of `physgrad explain` with those of the library. Checks presets by
+//! `physgrad check`.
 
 use assert_cmd::Command;
 use physgrad::policy::Mlp;
@@ -29,7 +30,7 @@ fn row<'a>(rows: &'a [Vec<String>], name: &str) -> &'a [String] {
     rows.iter().find(|row| row.first().is_some_and(|first| first == name)).unwrap_or_else(|| panic!("{name}: {rows:?}"))
 }
 
-/// Returns the three rows of operations that begin with this name.
+/// Returns the rows of the three passes of the part with this name, without the name.
 fn passes(rows: &[Vec<String>], name: &str) -> Vec<Vec<String>> {
     let first = rows.iter().position(|row| row.len() == 10 && row[0] == name).unwrap_or_else(|| panic!("{name}: {rows:?}"));
     vec![rows[first][1..].to_vec(), rows[first + 1].clone(), rows[first + 2].clone()]
@@ -57,11 +58,11 @@ fn model() -> CartPoleSystem {
 fn operation_counts_of_each_effect_equal_those_of_the_library() {
     let rows = explained(SCENE, &[]);
     let cost = |system: &Forced<CoupledCartPole, Vec<CartPoleEffect>>| OpCount::of(system);
-    let with = |effects: Vec<CartPoleEffect>| cost(&Forced { system: CoupledCartPole(model()), effects });
+    let count = |effects: Vec<CartPoleEffect>| cost(&Forced { system: CoupledCartPole(model()), effects });
     let (alone, damped, all) = (
-        with(vec![]),
-        with(vec![PoleDamping::default().into()]),
-        with(vec![PoleDamping::default().into(), DryFriction::default().into()]),
+        count(vec![]),
+        count(vec![PoleDamping::default().into()]),
+        count(vec![PoleDamping::default().into(), DryFriction::default().into()]),
     );
     let of = |pass: &str, counts: physgrad::Ops| {
         let physgrad::Ops { add, negate, multiply, divide, sqrt, transcendental, compare } = counts;

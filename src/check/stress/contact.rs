@@ -19,10 +19,10 @@ pub(super) const CASES: &[Case] = &[Case {
                 are biased, and reported without a bound. Damped springs are biased: for a ball with the same \
                 rebound, errors exceed 10 %. A spring that the steps do not resolve is reported as unstable. A step \
                 that reflects the speed below the floor has an error of at least one half (a planted fault)",
-    explanation: "An impact has a derivative that fixed steps miss, often with the wrong sign: that of the time of \
-                impact. The time-of-impact model is exact. Penalty springs converge only in steps so short that \
-                stiffness times step vanishes too. With damping they are biased, and labelled so. Limits: impacts \
-                here are along a line; frictional contact in the plane is not covered",
+    explanation: "Fixed steps miss the derivative of the time of impact. Their derivatives often have the wrong sign. \
+                The time-of-impact model is exact. Penalty springs converge only in steps so short that stiffness \
+                times step vanishes too. Damped springs are biased. Limits: impacts here are along a line; \
+                frictional contact in the plane is not covered",
     run: contact,
 }];
 
@@ -92,7 +92,8 @@ fn balls(second: f64, time: f64) -> Example {
     Example { name: "two equal balls", start: vec![0.0, second, 2.0, 0.0], control: 0.0, component: 1, time, expected }
 }
 
-/// Position at time T of a box that a pusher reaches from rest and then pushes with force u.
+/// Position at time T of a box. A pusher starts at rest under the force u, reaches the box and
+/// pushes it.
 ///
 /// The masses of pusher and box are m and m₂, their initial positions p and q, and the gap is g.
 /// The impact is at `t = sqrt(2 g m/u)`. The common speed is `V = sqrt(2 g m u)/M` afterwards, with

@@ -13,15 +13,15 @@ pub(super) const CASES: &[Case] = &[Case {
     criterion: "the gradient is finite, smaller than 1e-6 of that at neighbouring parameters, and reported as a \
                 plateau. From an initial state with overlap, it is reported as a slope",
     explanation: "Where the initial state has no overlap with the target and the control is zero, the gradient is 0 \
-                except for rounding. An optimizer that divides by its norm, as Adam does, follows noise. \
+                except for rounding. An optimizer that normalizes the gradient, such as Adam, follows noise. \
                 `check::plateau` compares a gradient with those at neighbouring parameters and reports a plateau, a \
-                minimum or a slope. The paper's initialization for eigenstate 3, with a zeroed output layer, is such \
-                a plateau; runs leave it by rounding. Limits: training does not call `check::plateau`",
+                minimum, a slope or a flat loss. The paper's initialization for eigenstate 3, with a zeroed output \
+                layer, is such a plateau; runs leave it by rounding. Limits: training does not call `check::plateau`",
     run: quantum_plateau,
 }];
 
 /// Plateau report from eigenstates 1 and 2 with weighted random amplitudes and random phases.
-fn look(target: usize, weighting: [f64; 2], loss: LossMode) -> Option<Plateau> {
+fn report(target: usize, weighting: [f64; 2], loss: LossMode) -> Option<Plateau> {
     let task = Quantum { weighting, loss, ..Quantum::new(target) };
     let policy = Mlp::new([64, 16, 1]).zero_init_output(true);
     let weights = Weights::<f64>::init(&policy, &mut stream(0, Purpose::Policy, 0));
@@ -39,10 +39,10 @@ fn quantum_plateau() -> Vec<Finding> {
             ("from 1 and 2 to 2", 2, [1.0, 1.0], false),
         ] {
             let required = if stuck { "finite, and a plateau" } else { "finite, and a slope" };
-            let found = look(target, weighting, loss);
-            let said = found.map_or("non-finite".into(), |found| found.to_string());
-            let pass = said.starts_with(if stuck { "a plateau" } else { "a slope" });
-            findings.push(Finding::holds(format!("{what}, {loss:?}"), required, pass, said));
+            let found = report(target, weighting, loss);
+            let measured = found.map_or("non-finite".into(), |found| found.to_string());
+            let pass = measured.starts_with(if stuck { "a plateau" } else { "a slope" });
+            findings.push(Finding::holds(format!("{what}, {loss:?}"), required, pass, measured));
         }
     }
     findings

@@ -94,10 +94,10 @@ impl Wind {
     /// as label.
     pub fn shapes(&self, stage: &Stage, step: usize) -> Vec<Shape> {
         let (unit, size) = (stage.length, 0.12 * stage.length);
-        let room = WIND * unit;
-        let from = [stage.low[0] + 0.15 * unit + if self.back { room } else { 0.0 }, stage.high[1] - 0.12 * unit];
+        let longest = WIND * unit;
+        let from = [stage.low[0] + 0.15 * unit + if self.back { longest } else { 0.0 }, stage.high[1] - 0.12 * unit];
         let speed = self.speeds.get(step).or(self.speeds.last()).copied().unwrap_or(0.0);
-        let length = if self.strongest > 0.0 { room * speed / self.strongest } else { 0.0 };
+        let length = if self.strongest > 0.0 { longest * speed / self.strongest } else { 0.0 };
         let steady = self.speeds.iter().all(|speed| *speed == self.speeds[0]);
         let text = match (self.strongest > 0.0, steady) {
             (false, _) => "no wind".into(),
@@ -105,7 +105,7 @@ impl Wind {
             (true, false) => format!("wind, up to {} m/s", number(self.strongest)),
         };
         // Texts are centered; letters are about 0.6 of the font size wide.
-        let middle = from[0] + room + 0.1 * unit + 0.3 * size * text.chars().count() as f64;
+        let middle = from[0] + longest + 0.1 * unit + 0.3 * size * text.chars().count() as f64;
         let mut shapes = vec![Shape::Line {
             from: [from[0], from[1] - 0.05 * unit],
             to: [from[0], from[1] + 0.05 * unit],

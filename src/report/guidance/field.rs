@@ -18,19 +18,19 @@ pub struct Field {
 impl Field {
     /// Removes obstacles and walls with non-finite numbers, and walls of non-positive size.
     pub(super) fn finite(&self) -> Self {
-        let round = |(center, radius): &&([f64; 2], f64)| center.iter().all(|c| c.is_finite()) && radius.is_finite();
+        let is_finite = |(center, radius): &&([f64; 2], f64)| center.iter().all(|c| c.is_finite()) && radius.is_finite();
         let walls = self.walls.filter(|walls| walls.iter().all(|half| half.is_finite() && *half > 0.0));
-        Self { obstacles: self.obstacles.iter().filter(round).copied().collect(), walls }
+        Self { obstacles: self.obstacles.iter().filter(is_finite).copied().collect(), walls }
     }
 
     /// Corners of the bounding boxes of obstacles and walls. Omits a box if the magnitude of a
     /// corner coordinate exceeds `limit`.
     pub(super) fn corners(&self, limit: f64) -> Vec<[f64; 2]> {
-        let around = |([x, y], [w, h]): ([f64; 2], [f64; 2])| [[x - w, y - h], [x + w, y + h]];
+        let ends = |([x, y], [w, h]): ([f64; 2], [f64; 2])| [[x - w, y - h], [x + w, y + h]];
         let obstacles = self.obstacles.iter().map(|&(center, radius)| (center, [radius; 2]));
         let walls = self.walls.map(|halves| ([0.0; 2], halves));
         let near = |corners: &[[f64; 2]; 2]| corners.iter().flatten().all(|c| c.abs() <= limit);
-        obstacles.chain(walls).map(around).filter(near).flatten().collect()
+        obstacles.chain(walls).map(ends).filter(near).flatten().collect()
     }
 
     /// Shapes of walls and obstacles.

@@ -87,8 +87,8 @@ impl<T: Scalar> Elimination<'_, T> {
     pub(super) fn solve<V: Vector<T>>(&self, rhs: &[V], y: &mut [V]) {
         let (b, n) = (self.b, self.per_pivot.len());
         let (rhs, y, per_pivot) = (&rhs.as_chunks::<2>().0[..n], &mut y.as_chunks_mut::<2>().0[..n], &self.per_pivot[..n]);
-        // The first row of each pass is separate, and one variable per number passes values from
-        // row to row. Otherwise, compilers would shuffle lanes.
+        // The first row of each pass precedes the loop. Scalar variables, not arrays, carry the
+        // values of a row to the next. Other forms make compilers shuffle lanes.
         // Forward: s_j = (rhs_j + ib s_{j-1}) / p_j.
         let (q_re, q_im) = per_pivot[0];
         let (mut s_re, mut s_im) = (rhs[0][0] * q_re - rhs[0][1] * q_im, rhs[0][0] * q_im + rhs[0][1] * q_re);
