@@ -51,7 +51,7 @@ pub(super) fn vjp_by_jvps<R: Real>(system: &dyn AnySystem<R>, x: &[R], u: &[R], 
     ]
 }
 
-/// True if all numbers are finite.
+/// True if all numbers are finite. Reads lane 0 only.
 pub(super) fn finite<R: Real>(numbers: &[R]) -> bool {
     numbers.iter().all(|number| number.lane(0).to_f64().is_finite())
 }
@@ -62,7 +62,7 @@ pub(super) fn larger(a: f64, b: f64) -> f64 {
 }
 
 /// Largest absolute difference, relative to the largest expected component; absolute if all
-/// expected components are zero.
+/// expected components are zero. Reads lane 0 only.
 pub(super) fn error<R: Real>(found: &[R], expected: &[R]) -> f64 {
     let (mut scale, mut worst) = (0.0, 0.0f64);
     for (found, expected) in found.iter().zip(expected) {
