@@ -169,7 +169,7 @@ fn an_effect_costs_only_its_own_operations() {
     assert_eq!(counts(&Forced { system: model, effects }), all);
     assert_eq!(counts(&Forced { system: model, effects: every_effect_typed() }), all);
 
-    // Of the points at 2 j / 33, three are within 0.2 of each wall.
+    // Three of the points at 2 j / 33 lie within 0.2 of each wall.
     let edges = counts(&Absorbing::new(model, AbsorbingEdges { width: 0.2, strength: 1.0 }));
     assert_eq!(edges, plain.map(|plain| plain + sums(0, 2 * 6)));
 }
