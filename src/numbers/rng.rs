@@ -18,6 +18,8 @@ pub enum Purpose {
     Shuffle = 4,
     /// Random inputs and directions of gradient checks.
     Check = 5,
+    /// Initial states and parameters of an evaluation, which no training uses.
+    Evaluate = 6,
 }
 
 /// Returns the stream of one (seed, purpose, index).

@@ -30,7 +30,8 @@ mod tasks;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use commands::{
-    accuracy, animate, check, compare, effects, explain, identify, new, optimize, paper, print, report, robust, stress, train,
+    accuracy, animate, check, compare, effects, eval, explain, identify, new, optimize, paper, print, report, robust, stress,
+    train,
 };
 use platform::signals;
 use platform::terminal::print_message;
@@ -59,6 +60,7 @@ enum Command {
     Compare(compare::Compare),
     Animate(animate::Animate),
     Report(report::Report),
+    Eval(eval::Eval),
     Robust(robust::Robust),
     Identify(identify::Identify),
     Optimize(optimize::Optimize),
@@ -182,6 +184,7 @@ fn execute(command: &Command) -> Result<()> {
         Command::Animate(args) => animate::animate(args),
         Command::Paper(args) => signals::handle().and_then(|()| paper::paper(args)),
         Command::Report(args) => report::report(args),
+        Command::Eval(args) => eval::eval(args),
         Command::Robust(args) => robust::robust(args),
         Command::Identify(args) => identify::identify(args),
         Command::Optimize(args) => optimize::optimize(args),

@@ -2,7 +2,7 @@
 //!
 //! Contents:
 //!
-//! - Charts: [`learning_curve`], [`comparison`], [`study`], [`robustness`], [`fitted`] and
+//! - Charts: [`learning_curve`], [`comparison`], [`study`], [`robustness`], [`distribution`], [`fitted`] and
 //!   [`work_precision`], and [`Chart`] for interactive pages.
 //! - Maps of a plane: [`maps`].
 //! - Animations: [`cart_pole()`], [`guidance()`], [`quantum()`], [`mechanics()`],
@@ -17,6 +17,7 @@ mod cart_pole;
 mod channels;
 mod chart;
 mod curves;
+mod distribution;
 mod drawing;
 mod fitted;
 mod guidance;
@@ -36,6 +37,7 @@ pub use cart_pole::{Rail, cart_pole, cart_pole_on};
 pub use channels::{Channel, channels_over_time};
 pub use chart::{Chart, Frame};
 pub use curves::{Case, Curve, Point, comparison, field_color, learning_curve, study};
+pub use distribution::distribution;
 pub use drawing::Drawing;
 pub use fitted::{FittedColumn, fitted};
 pub use guidance::{Field, guidance, guidance_in};

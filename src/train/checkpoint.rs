@@ -5,7 +5,7 @@
 //! only checkpoints with its label.
 
 use super::Record;
-use super::progress::{Epoch, Progress, Snapshot};
+use super::progress::{Best, Epoch, Progress, Snapshot};
 use crate::numbers::scalar::Float;
 use crate::policy::AnyPolicy;
 use crate::train::optim::Optimizer;
@@ -15,7 +15,7 @@ use std::borrow::Cow;
 /// First bytes of every checkpoint.
 const MAGIC: &[u8; 8] = b"physgrad";
 /// Incremented whenever the layout of [`Body`] changes.
-const FORMAT: u16 = 3;
+const FORMAT: u16 = 4;
 
 /// Decoded before the body, so that a mismatch yields a specific error.
 #[derive(Serialize, Deserialize)]
@@ -32,6 +32,7 @@ struct Body<'a, F: Clone> {
     optimizer: Cow<'a, Optimizer<F>>,
     records: Cow<'a, [Record]>,
     skipped_in_a_row: usize,
+    best: Cow<'a, Best<F>>,
     /// Unfinished epoch, and the state before it.
     epoch: Option<(Epoch, Cow<'a, Snapshot<F>>)>,
 }
@@ -122,6 +123,7 @@ impl<F: Float> Progress<F> {
             optimizer: Cow::Borrowed(&self.optimizer),
             records: Cow::Borrowed(&self.records),
             skipped_in_a_row: self.skipped_in_a_row,
+            best: Cow::Borrowed(&self.best),
             epoch: self.epoch.clone().map(|epoch| (epoch, Cow::Borrowed(&self.before))),
         };
         let contents = postcard::to_stdvec(&(header, body)).expect("postcard serializes numbers and text without errors");
@@ -162,6 +164,7 @@ impl<F: Float> Progress<F> {
         self.optimizer = body.optimizer.into_owned();
         self.records = body.records.into_owned();
         self.skipped_in_a_row = body.skipped_in_a_row;
+        self.best = body.best.into_owned();
         self.skips.clear();
         self.diverged = [None; 2];
         self.epoch = body.epoch.map(|(epoch, before)| {
@@ -191,21 +194,27 @@ impl<F: Float> Progress<F> {
             self.validate_state(&before.theta, &before.optimizer, before.skipped_in_a_row, steps)?;
             steps += means.updates() as u64;
         }
+        self.validate_theta(&body.best.theta)?;
         self.validate_state(&body.theta, &body.optimizer, body.skipped_in_a_row, steps)
     }
 
     /// Checks the state after `steps` applied updates.
     fn validate_state(&self, theta: &[F], optimizer: &Optimizer<F>, skipped: usize, steps: u64) -> Result<(), String> {
-        let params = self.weights.theta().len();
-        if theta.len() != params {
-            return Err(format!("it has {} parameters, but the policy has {params}", theta.len()));
-        }
-        if let Some(i) = theta.iter().position(|p| !p.as_().is_finite()) {
-            return Err(format!("parameter {i} is {}", theta[i]));
-        }
+        self.validate_theta(theta)?;
         if skipped > self.training.max_skipped {
             return Err(format!("{skipped} updates in a row were skipped; allowed: {}", self.training.max_skipped));
         }
         optimizer.validate(&self.optimizer, steps)
+    }
+
+    fn validate_theta(&self, theta: &[F]) -> Result<(), String> {
+        let params = self.weights.theta().len();
+        if theta.len() != params {
+            return Err(format!("it has {} parameters, but the policy has {params}", theta.len()));
+        }
+        match theta.iter().position(|p| !p.as_().is_finite()) {
+            Some(i) => Err(format!("parameter {i} is {}", theta[i])),
+            None => Ok(()),
+        }
     }
 }

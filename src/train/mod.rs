@@ -171,27 +171,29 @@ pub struct Trainer<T, P, F = f32, C = SignAgreement> {
     policy: P,
     field: Field<C>,
     training: Training,
+    /// Parameters at the start of the training. None for random ones.
+    theta: Option<Vec<f64>>,
     precision: PhantomData<F>,
 }
 
 impl<T: Task, P: Policy> Trainer<T, P> {
     /// Creates a trainer with the settings of the paper: combined field, Adam, 1000 epochs, `f32`.
     pub fn new(task: T, policy: P) -> Self {
-        Self { task, policy, field: Field::combined(), training: Training::default(), precision: PhantomData }
+        Self { task, policy, field: Field::combined(), training: Training::default(), theta: None, precision: PhantomData }
     }
 }
 
 impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// Sets the vector field.
     pub fn field<D: GradientCombiner>(self, field: Field<D>) -> Trainer<T, P, F, D> {
-        let Self { task, policy, training, precision, .. } = self;
-        Trainer { task, policy, field, training, precision }
+        let Self { task, policy, training, theta, precision, .. } = self;
+        Trainer { task, policy, field, training, theta, precision }
     }
 
     /// Sets the precision, `f32` or `f64`.
     pub fn precision<G: Float>(self) -> Trainer<T, P, G, C> {
-        let Self { task, policy, field, training, .. } = self;
-        Trainer { task, policy, field, training, precision: PhantomData }
+        let Self { task, policy, field, training, theta, .. } = self;
+        Trainer { task, policy, field, training, theta, precision: PhantomData }
     }
 
     /// Sets the number of epochs.
@@ -203,6 +205,12 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// Sets the seed of initial states, initial parameters and sample order.
     pub fn seed(mut self, seed: u64) -> Self {
         self.training.seed = seed;
+        self
+    }
+
+    /// Starts from these parameters of the policy, rather than from random ones.
+    pub fn start_from(mut self, theta: Vec<f64>) -> Self {
+        self.theta = Some(theta);
         self
     }
 
@@ -252,13 +260,17 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
     /// [`TrainError`] if a setting is invalid or the memory limit is too small.
     ///
     /// # Panics
-    /// If the dimensions of task and policy differ, or if the horizon is 0.
+    /// If the dimensions of task and policy differ, or if the horizon is 0. If the number of
+    /// parameters of [`start_from`](Self::start_from) differs from the policy's `param_count`.
     pub fn session(self) -> Result<Session<T, P, F, C>, TrainError> {
-        let Self { task, policy, field, training, .. } = self;
+        let Self { task, policy, field, training, theta, .. } = self;
         training.validate()?;
         let starts = |purpose, samples| initial_states(&task, training.seed, purpose, samples);
         let (train, test) = (starts(Purpose::Train, training.train_samples), starts(Purpose::Test, training.test_samples));
-        let weights = Weights::init(&policy, &mut stream(training.seed, Purpose::Policy, 0));
+        let weights = match theta {
+            Some(theta) => Weights::new(&policy, theta.into_iter().map(F::from_f64).collect()),
+            None => Weights::init(&policy, &mut stream(training.seed, Purpose::Policy, 0)),
+        };
         Session::new(task, policy, field, training, weights, train, test)
     }
 
@@ -285,8 +297,10 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Trainer<T, P, F, C> {
 /// Result of a training.
 #[derive(Clone, Debug)]
 pub struct Report<F> {
-    /// Trained parameters.
+    /// Trained parameters, after the last epoch.
     pub weights: Weights<F>,
+    /// Parameters after the epoch with the lowest test loss; see [`Session::best_theta`].
+    pub best: Weights<F>,
     /// One record per epoch.
     pub records: Vec<Record>,
 }

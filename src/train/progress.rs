@@ -40,6 +40,24 @@ pub(super) struct Snapshot<F> {
     pub(super) skipped_in_a_row: usize,
 }
 
+/// Parameters after the epoch with the lowest test loss.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Best<F> {
+    pub(super) theta: Vec<F>,
+    /// Test loss of these parameters. NaN before the first epoch whose test loss is a number.
+    pub(super) loss: f64,
+}
+
+impl<F: Float> Best<F> {
+    /// Replaces the parameters if their test loss is lower. The first of equal losses stays.
+    fn update(&mut self, theta: &[F], loss: f64) {
+        if loss < self.loss || (self.loss.is_nan() && !loss.is_nan()) {
+            self.theta.copy_from_slice(theta);
+            self.loss = loss;
+        }
+    }
+}
+
 /// Unfinished epoch.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(super) struct Epoch {
@@ -67,6 +85,7 @@ pub(super) struct Progress<F: Float> {
     pub(super) skipped_in_a_row: usize,
     /// State at the start of the epoch.
     pub(super) before: Snapshot<F>,
+    pub(super) best: Best<F>,
     /// Unfinished epoch, if the training is paused within one.
     pub(super) epoch: Option<Epoch>,
     /// Non-finite numbers in the last evaluation of the training set and of the test set.
@@ -111,6 +130,7 @@ impl<F: Float> Progress<F> {
             batch,
             flows,
             evaluation: Evaluation::new(task, policy, training.workers),
+            best: Best { theta: weights.theta().to_vec(), loss: f64::NAN },
             before: Snapshot { theta: weights.theta().to_vec(), optimizer: optimizer.clone(), skipped_in_a_row: 0 },
             epoch: None,
             diverged: [None; 2],
@@ -162,6 +182,7 @@ impl<F: Float> Progress<F> {
             }
         }
         let [train_loss, test_loss] = self.evaluate(trained);
+        self.best.update(self.weights.theta(), test_loss);
         let seconds = epoch.seconds + begin.elapsed().as_secs_f64();
         let number = self.records.len() + 1;
         self.records.push(epoch.means.record(number, train_loss, test_loss, epoch.skipped, seconds));

@@ -34,7 +34,8 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     }
 
     pub(super) fn into_report(self) -> Report<F> {
-        Report { weights: self.progress.weights, records: self.progress.records }
+        let Progress { weights, best, records, .. } = self.progress;
+        Report { weights, best: Weights::new(&self.policy, best.theta), records }
     }
 
     /// Returns true after the last epoch.
@@ -55,6 +56,15 @@ impl<T: Task, P: Policy, F: Float, C: GradientCombiner> Session<T, P, F, C> {
     /// Current parameters.
     pub fn weights(&self) -> &Weights<F> {
         &self.progress.weights
+    }
+
+    /// Parameters after the epoch with the lowest test loss, the first of equal ones. The initial
+    /// parameters before the first epoch.
+    ///
+    /// The test set selects these parameters, so its loss is optimistic. Evaluate them on other
+    /// initial states.
+    pub fn best_theta(&self) -> &[F] {
+        &self.progress.best.theta
     }
 
     /// Schedule of stored and recomputed steps of a mini-batch.

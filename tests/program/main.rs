@@ -6,6 +6,7 @@ mod running;
 mod accuracy;
 mod commands;
 mod docs;
+mod eval;
 mod explain;
 mod extreme_settings;
 mod limits;

@@ -7,6 +7,7 @@ pub mod animate;
 pub mod check;
 pub mod compare;
 pub mod effects;
+pub mod eval;
 pub mod explain;
 #[cfg(feature = "fuzz")]
 pub mod fuzz;

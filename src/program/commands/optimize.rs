@@ -90,7 +90,7 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     let folder = Folder::named(args.out.as_deref(), &format!("optimize-{name}"))?;
     folder.write("scene.toml", scene.table.to_string())?;
     folder.write("optimized.csv", summary(&plans)?)?;
-    folder.write(TRAJECTORY, outputs::trajectories(&scene, &optimized)?)?;
+    folder.write(TRAJECTORY, outputs::trajectories(&scene, optimized.iter().enumerate())?)?;
     folder.write("gains.csv", gains(&plans, &scene)?)?;
     let initial = if args.from.is_some() { &starts[..] } else { &[] };
     folder.write("optimized.svg", picture(&scene, &optimized, initial))?;

@@ -1,13 +1,12 @@
 //! `physgrad robust`: losses of trained policies over a grid of settings.
 
+use crate::program::operations::session::Epoch;
 use crate::program::platform::csv::csv;
-use crate::program::platform::folder::{Folder, SETTINGS};
+use crate::program::platform::folder::Folder;
 use crate::program::platform::parallel;
 use crate::program::platform::terminal::print_result;
-use crate::program::runs::saved;
 use crate::program::runs::statistics::quantile;
-use crate::program::scenes::source::SceneSource;
-use crate::program::tasks::Scene;
+use crate::program::runs::trained::Trained;
 use crate::report::{Series, robustness};
 use anyhow::{Context, Result, bail};
 use comfy_table::Table;
@@ -23,6 +22,9 @@ pub struct Robust {
     /// Setting and its values, as in system.cart_mass=0.5:2:7 (7 values from 0.5 to 2); one or two
     #[arg(long, value_name = "KEY=LOW:HIGH:COUNT", required = true, value_parser = Axis::parse)]
     pub grid: Vec<Axis>,
+    /// Epoch of the policies
+    #[arg(long, value_enum, default_value_t = Epoch::Last)]
+    pub epoch: Epoch,
     /// Number of initial states per grid point
     #[arg(long, value_name = "N", default_value_t = 256)]
     pub samples: usize,
@@ -80,16 +82,7 @@ pub fn robust(args: &Robust) -> Result<()> {
     if args.samples == 0 {
         bail!("--samples is 0; allowed: 1 or more");
     }
-    let runs = args.runs.iter().map(|path| Policy::load(path)).collect::<Result<Vec<_>>>()?;
-    if let Some(other) = runs.iter().find(|run| run.scene.task.name() != runs[0].scene.task.name()) {
-        bail!(
-            "{} has the task {}, but {} has the task {}; compare runs of one task",
-            runs[0].name,
-            runs[0].scene.task.name(),
-            other.name,
-            other.scene.task.name()
-        );
-    }
+    let runs = Trained::load_all(&args.runs, args.epoch)?;
     let mut points = Vec::new();
     for run in 0..runs.len() {
         for &first in &args.grid[0].values {
@@ -99,7 +92,7 @@ pub fn robust(args: &Robust) -> Result<()> {
             }
         }
     }
-    let cells = parallel::map(&points, |(run, at)| runs[*run].evaluate(*run, at, args));
+    let cells = parallel::map(&points, |(run, at)| evaluate(&runs[*run], *run, at, args));
     let cells = cells.into_iter().collect::<Result<Vec<_>>>()?;
     let folder = Folder::named(args.out.as_deref(), "robust")?;
     folder.write("robust.csv", table_csv(args, &runs, &cells)?)?;
@@ -107,47 +100,21 @@ pub fn robust(args: &Robust) -> Result<()> {
     print_result(&format!("{}\nresults in {}: robust.csv, robust.svg", table(args, &runs, &cells), folder.path().display()))
 }
 
-/// A trained policy and the scene of its run.
-struct Policy {
-    /// Name of the run's folder.
-    name: String,
-    /// Settings of the run, with trained numbers fixed at their final values.
-    source: SceneSource,
-    /// Scene of the run.
-    scene: Scene,
-    /// Parameters of the policy, without trained numbers.
-    theta: Vec<f64>,
-}
-
-impl Policy {
-    fn load(path: &std::path::Path) -> Result<Self> {
-        let folder = Folder::existing(path)?;
-        let scene = saved::scene(&folder)?;
-        let mut run = scene.open(1)?;
-        saved::restore(&folder, &scene, &mut *run)?;
-        let mut source = SceneSource::read(&folder.readable(SETTINGS)?)?;
-        let names = scene.param_names();
-        for (index, value) in run.trained() {
-            source.fix(&names[index], value)?;
-        }
-        Ok(Self { name: folder.name(), source, scene, theta: run.theta() })
+/// Evaluates a policy at one grid point.
+fn evaluate(policy: &Trained, run: usize, at: &[f64], args: &Robust) -> Result<Cell> {
+    let mut source = policy.source.clone();
+    for (axis, &value) in args.grid.iter().zip(at) {
+        source.fix(&axis.key, value)?;
     }
-
-    fn evaluate(&self, run: usize, at: &[f64], args: &Robust) -> Result<Cell> {
-        let mut source = self.source.clone();
-        for (axis, &value) in args.grid.iter().zip(at) {
-            source.fix(&axis.key, value)?;
-        }
-        let scene = source.scene().with_context(|| format!("--grid {}", args.grid[0].key))?;
-        let mut losses = scene.losses(&self.theta, args.seed, args.samples);
-        let diverged = losses.iter().filter(|loss| !loss.is_finite()).count();
-        losses.sort_by(f64::total_cmp);
-        Ok(Cell { run, at: at.to_vec(), quantiles: SHARES.map(|share| quantile(&losses, share)), diverged })
-    }
+    let scene = source.scene().with_context(|| format!("--grid {}", args.grid[0].key))?;
+    let mut losses = scene.evaluation(&policy.theta, args.seed)?.losses(args.samples);
+    let diverged = losses.iter().filter(|loss| !loss.is_finite()).count();
+    losses.sort_by(f64::total_cmp);
+    Ok(Cell { run, at: at.to_vec(), quantiles: SHARES.map(|share| quantile(&losses, share)), diverged })
 }
 
 /// Header and rows of `robust.csv`.
-fn rows<'a>(args: &'a Robust, runs: &'a [Policy], cells: &'a [Cell]) -> (Vec<String>, impl Iterator<Item = Vec<String>>) {
+fn rows<'a>(args: &'a Robust, runs: &'a [Trained], cells: &'a [Cell]) -> (Vec<String>, impl Iterator<Item = Vec<String>>) {
     let mut header = vec!["run".to_owned()];
     header.extend(args.grid.iter().map(|axis| axis.key.clone()));
     header.extend(["quartile_1", "median", "quartile_3", "quantile_90", "diverged"].map(String::from));
@@ -161,13 +128,13 @@ fn rows<'a>(args: &'a Robust, runs: &'a [Policy], cells: &'a [Cell]) -> (Vec<Str
     (header, cells.iter().map(row))
 }
 
-fn table_csv(args: &Robust, runs: &[Policy], cells: &[Cell]) -> Result<Vec<u8>> {
+fn table_csv(args: &Robust, runs: &[Trained], cells: &[Cell]) -> Result<Vec<u8>> {
     let (header, rows) = rows(args, runs, cells);
     csv(header, rows)
 }
 
 /// Median losses: one row per grid point, one column per run.
-fn table(args: &Robust, runs: &[Policy], cells: &[Cell]) -> String {
+fn table(args: &Robust, runs: &[Trained], cells: &[Cell]) -> String {
     let mut table = Table::new();
     let keys = args.grid.iter().map(|axis| axis.key.clone());
     table.load_style(UTF8_FULL_CONDENSED).set_header(keys.chain(runs.iter().map(|run| run.name.clone())));
@@ -184,13 +151,13 @@ const COLORS: [&str; 7] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00"
 
 /// One panel per value of the second setting, one line per run: the median, with a band from the
 /// first to the third quartile.
-fn picture(args: &Robust, runs: &[Policy], cells: &[Cell]) -> String {
+fn picture(args: &Robust, runs: &[Trained], cells: &[Cell]) -> String {
     let seconds: Vec<Option<f64>> = match args.grid.get(1) {
         Some(axis) => axis.values.iter().map(|&value| Some(value)).collect(),
         None => vec![None],
     };
     let panel = |second: Option<f64>| {
-        let series = |(i, run): (usize, &Policy)| {
+        let series = |(i, run): (usize, &Trained)| {
             let own: Vec<&Cell> = cells.iter().filter(|cell| cell.run == i && cell.at.get(1).copied() == second).collect();
             let line = own.iter().map(|cell| (cell.at[0], cell.quantiles[1])).collect();
             let band = own.iter().map(|cell| (cell.quantiles[0], cell.quantiles[2])).collect();

@@ -1,29 +1,79 @@
-//! Losses of a policy on new initial states.
+//! Rollouts of a policy from new initial states.
 
 use crate::any::AnyTask;
 use crate::policy::AnyPolicy;
+use crate::program::operations::trajectory::{self, Trajectory};
 use crate::program::settings::Precision;
-use crate::rng::Purpose;
+use crate::rng::{Purpose, stream};
 use crate::{DynTask, Float, Policy, Rollout, Weights, initial_states};
+use anyhow::{Result, bail};
 
-/// Losses of the policy with the parameters `theta` from new initial states; infinite for rollouts
-/// that diverge.
-pub fn losses(task: &DynTask, policy: &impl Policy, precision: Precision, theta: &[f64], seed: u64, samples: usize) -> Vec<f64> {
-    match precision {
-        Precision::F32 => evaluate::<f32>(task, policy, theta, seed, samples),
-        Precision::F64 => evaluate::<f64>(task, policy, theta, seed, samples),
+/// A policy with its parameters, and a seed of initial states.
+pub trait AnyEvaluation {
+    /// Losses from the initial states `0 .. samples`; infinite for rollouts that diverge.
+    fn losses(&self, samples: usize) -> Vec<f64>;
+    /// Rollout from an initial state.
+    fn rollout(&self, sample: usize) -> Trajectory;
+}
+
+struct Evaluation<P, F> {
+    task: DynTask,
+    policy: P,
+    weights: Weights<F>,
+    seed: u64,
+}
+
+/// Prepares rollouts of the policy. `theta` has its parameters, without the trained numbers, which
+/// have their initial values.
+///
+/// # Errors
+/// The policy has another number of parameters.
+pub fn new<P: Policy + 'static>(
+    task: DynTask,
+    policy: P,
+    precision: Precision,
+    theta: &[f64],
+    seed: u64,
+) -> Result<Box<dyn AnyEvaluation>> {
+    let mut all = vec![0.0; policy.param_count()];
+    policy.init(&mut stream(seed, Purpose::Policy, 0), &mut all);
+    let own = policy.param_count() - policy.trained_params().len();
+    if theta.len() != own {
+        bail!(
+            "the policy has {} parameters, but the policy of this scene has {own}; use a scene with as many observations and controls",
+            theta.len()
+        );
+    }
+    all[..own].copy_from_slice(theta);
+    Ok(match precision {
+        Precision::F32 => Box::new(Evaluation { weights: weights::<f32>(&policy, &all), task, policy, seed }),
+        Precision::F64 => Box::new(Evaluation { weights: weights::<f64>(&policy, &all), task, policy, seed }),
+    })
+}
+
+fn weights<F: Float>(policy: &dyn AnyPolicy<F>, theta: &[f64]) -> Weights<F> {
+    Weights::new(policy, theta.iter().map(|&theta| F::from_f64(theta)).collect())
+}
+
+impl<P: Policy, F: Float> AnyEvaluation for Evaluation<P, F> {
+    fn losses(&self, samples: usize) -> Vec<f64> {
+        losses(&self.task, &self.policy, &self.weights, &initial_states(&self.task, self.seed, Purpose::Evaluate, samples))
+    }
+
+    fn rollout(&self, sample: usize) -> Trajectory {
+        let starts = initial_states(&self.task, self.seed, Purpose::Evaluate, sample + 1);
+        trajectory::rollouts(&self.task, &self.policy, &self.weights, &starts, sample..sample + 1).remove(0)
     }
 }
 
-fn evaluate<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, theta: &[f64], seed: u64, samples: usize) -> Vec<f64> {
+fn losses<F: Float>(task: &dyn AnyTask<F>, policy: &dyn AnyPolicy<F>, weights: &Weights<F>, starts: &[F]) -> Vec<f64> {
     /// Largest number of samples in a rollout.
     const BLOCK: usize = 32;
-    let weights = Weights::new(policy, theta.iter().map(|&theta| F::from_f64(theta)).collect());
-    let starts: Vec<F> = initial_states(task, seed, Purpose::Test, samples);
+    let samples = starts.len() / task.start_dim();
     let mut rollout = Rollout::for_evaluation(task, policy, BLOCK.min(samples));
     let mut run = |starts: &[F]| {
         rollout.start(starts);
-        let outcome = rollout.run(task, policy, &weights);
+        let outcome = rollout.run(task, policy, weights);
         outcome.map(|()| (0..rollout.samples()).map(|sample| rollout.cost(sample).as_()).collect::<Vec<f64>>())
     };
     let each = |start: &[F], run: &mut dyn FnMut(&[F]) -> Option<Vec<f64>>| run(start).map_or(f64::INFINITY, |cost| cost[0]);

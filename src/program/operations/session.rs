@@ -2,11 +2,21 @@
 
 use crate::any::AnyTask;
 use crate::program::operations::adjoint_norms::{self, AdjointNorms};
+use crate::program::operations::policy_file;
 use crate::program::operations::trajectory::{self, Trajectory};
 use crate::program::settings::Precision;
 use crate::{CheckpointError, DynTask, Field, Float, Policy, Record, Session, Task, TrainError, Trainer, Training};
 use anyhow::Result;
 use std::ops::Range;
+
+/// Epoch of a run whose parameters are used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Epoch {
+    /// The last epoch.
+    Last,
+    /// The epoch with the lowest test loss.
+    Best,
+}
 
 /// Object-safe part of a [`Session`].
 pub trait AnyRun {
@@ -26,12 +36,13 @@ pub trait AnyRun {
     fn checkpoint(&self, label: &str) -> Vec<u8>;
     /// Restores a checkpoint that was serialized with this label.
     fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError>;
-    /// Parameters as named tensors in the safetensors format.
-    fn safetensors(&self, about: String) -> Result<Vec<u8>>;
-    /// Values of the trained numbers, with their indices in the parameters of a rollout.
-    fn trained(&self) -> Vec<(usize, f64)>;
-    /// Parameters of the policy, without the trained numbers.
-    fn theta(&self) -> Vec<f64>;
+    /// Parameters after the epoch as named tensors in the safetensors format.
+    fn safetensors(&self, epoch: Epoch, about: String) -> Result<Vec<u8>>;
+    /// Values of the trained numbers after the epoch, with their indices in the parameters of a
+    /// rollout.
+    fn trained(&self, epoch: Epoch) -> Vec<(usize, f64)>;
+    /// Parameters of the policy after the epoch, without the trained numbers.
+    fn theta(&self, epoch: Epoch) -> Vec<f64>;
     /// Number of initial states in the test set.
     fn test_samples(&self) -> usize;
     /// Rollouts from a range of test initial states, truncated to the test set.
@@ -69,18 +80,18 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
         Session::restore(self, bytes, label)
     }
 
-    fn safetensors(&self, about: String) -> Result<Vec<u8>> {
-        trajectory::safetensors(about, self.policy(), self.weights().theta())
+    fn safetensors(&self, epoch: Epoch, about: String) -> Result<Vec<u8>> {
+        policy_file::write(about, self.policy(), theta(self, epoch))
     }
 
-    fn trained(&self) -> Vec<(usize, f64)> {
-        let (trained, theta) = (self.policy().trained_params(), self.weights().theta());
+    fn trained(&self, epoch: Epoch) -> Vec<(usize, f64)> {
+        let (trained, theta) = (self.policy().trained_params(), theta(self, epoch));
         let values = &theta[theta.len() - trained.len()..];
         trained.iter().zip(values).map(|(param, r)| (param.index(), param.value(r.as_()))).collect()
     }
 
-    fn theta(&self) -> Vec<f64> {
-        let theta = self.weights().theta();
+    fn theta(&self, epoch: Epoch) -> Vec<f64> {
+        let theta = theta(self, epoch);
         theta[..theta.len() - self.policy().trained_params().len()].iter().map(|theta| theta.as_()).collect()
     }
 
@@ -97,15 +108,29 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
     }
 }
 
-/// Opens a session before its first epoch.
+fn theta<T: Task, P: Policy, F: Float>(session: &Session<T, P, F>, epoch: Epoch) -> &[F] {
+    match epoch {
+        Epoch::Last => session.weights().theta(),
+        Epoch::Best => session.best_theta(),
+    }
+}
+
+/// Opens a session before its first epoch. It starts from the parameters in the bytes of a policy
+/// file, or from random ones.
 pub fn open<P: Policy + 'static>(
     task: DynTask,
     policy: P,
     precision: Precision,
     field: Field,
     training: Training,
-) -> Result<Box<dyn AnyRun>, TrainError> {
+    initial: Option<&[u8]>,
+) -> Result<Box<dyn AnyRun>> {
+    let initial = initial.map(|bytes| policy_file::read(bytes, &policy, training.seed)).transpose()?;
     let trainer = Trainer::new(task, policy).field(field).training(training);
+    let trainer = match initial {
+        Some(theta) => trainer.start_from(theta),
+        None => trainer,
+    };
     Ok(match precision {
         Precision::F32 => Box::new(trainer.precision::<f32>().session()?),
         Precision::F64 => Box::new(trainer.precision::<f64>().session()?),

@@ -1,29 +1,12 @@
-//! Trajectories and parameters of a policy, independent of task and policy types.
+//! Trajectories of a policy, independent of task and policy types.
 
 use crate::any::AnyTask;
 use crate::policy::AnyPolicy;
 use crate::{Divergence, Float, Rollout, Variable, Weights};
-use anyhow::Result;
-use safetensors::tensor::{Dtype, TensorView};
 use std::ops::Range;
 
 /// Number of test rollouts in `trajectory.csv`.
 pub const ROLLOUTS: usize = 4;
-
-/// Parameters as named tensors in the safetensors format.
-pub fn safetensors<F: Float>(about: String, policy: &dyn AnyPolicy<F>, theta: &[F]) -> Result<Vec<u8>> {
-    let bytes: Vec<u8> = theta.iter().flat_map(|t| t.to_le_bytes().as_ref().to_vec()).collect();
-    let dtype = if F::NAME == "f32" { Dtype::F32 } else { Dtype::F64 };
-    let width = size_of::<F>();
-    let views = policy.tensors().into_iter().map(|t| {
-        let view = TensorView::new(dtype, t.shape, &bytes[t.range.start * width..t.range.end * width])?;
-        Ok((t.name, view))
-    });
-    let views: Vec<_> = views.collect::<Result<_, safetensors::SafeTensorError>>()?;
-    // Writes a single entry, because the iteration order of the map is not fixed.
-    let about = [("about".to_owned(), about)].into_iter().collect();
-    Ok(safetensors::serialize(views, Some(about))?)
-}
 
 /// One rollout, truncated before the step at which the batch of rollouts diverged.
 pub struct Trajectory {

@@ -12,6 +12,8 @@ pub const SETTINGS: &str = "run.toml";
 pub const CHECKPOINT: &str = "checkpoint.bin";
 pub const METRICS: &str = "metrics.csv";
 pub const POLICY: &str = "policy.safetensors";
+pub const BEST_POLICY: &str = "best_policy.safetensors";
+pub const INITIAL_POLICY: &str = "initial_policy.safetensors";
 pub const LEARNING_CURVE: &str = "learning_curve.svg";
 pub const TRAJECTORY: &str = "trajectory.csv";
 pub const ANIMATION: &str = "animation.svg";
@@ -28,12 +30,13 @@ pub(super) const LOCK: &str = ".physgrad.lock";
 pub(super) const PREVIOUS: &str = ".previous-";
 
 /// Files that a run and its report write.
-pub(super) const RUN_FILES: [&str; 9] =
-    [SETTINGS, CHECKPOINT, METRICS, POLICY, LEARNING_CURVE, TRAJECTORY, ANIMATION, NUMBERS, REPORT];
+pub(super) const RUN_FILES: [&str; 11] =
+    [SETTINGS, CHECKPOINT, METRICS, POLICY, BEST_POLICY, INITIAL_POLICY, LEARNING_CURVE, TRAJECTORY, ANIMATION, NUMBERS, REPORT];
 
 /// Files that only the holder of the lock writes. Other commands may write the remaining files
 /// during the run.
-pub(super) const LOCKED_FILES: [&str; 7] = [SETTINGS, CHECKPOINT, METRICS, POLICY, LEARNING_CURVE, TRAJECTORY, NUMBERS];
+pub(super) const LOCKED_FILES: [&str; 9] =
+    [SETTINGS, CHECKPOINT, METRICS, POLICY, BEST_POLICY, INITIAL_POLICY, LEARNING_CURVE, TRAJECTORY, NUMBERS];
 
 /// A folder that may not exist yet.
 #[derive(Clone, Debug)]

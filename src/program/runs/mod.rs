@@ -8,3 +8,4 @@ pub mod run;
 pub mod saved;
 pub mod statistics;
 pub mod sweep;
+pub mod trained;

@@ -106,17 +106,18 @@ pub fn numbers(numbers: &[(String, f64)]) -> Result<Vec<u8>> {
     csv(["name", "value"], numbers.iter().map(|(name, value)| [name.clone(), value.to_string()]))
 }
 
-/// `trajectory.csv`: one row per rollout and step. A row holds the state before the step, the
+/// `trajectory.csv`: one row per rollout and step, for rollouts with the indices of their initial
+/// states. A row holds the state before the step, the
 /// parameters of the rollout, the controls of the policy, and the controls that an actuator
 /// applies. The last state has no controls.
-pub fn trajectories(scene: &Scene, rollouts: &[Trajectory]) -> Result<Vec<u8>> {
+pub fn trajectories<'a>(scene: &Scene, rollouts: impl IntoIterator<Item = (usize, &'a Trajectory)>) -> Result<Vec<u8>> {
     let names = ["sample", "step", "time"].map(String::from).into_iter();
     let (states, params) = (scene.state_names(), scene.param_names());
     let (controls, applied) = (scene.control_names(), scene.applied_names());
     let header = names.chain(states).chain(params).chain(controls.clone()).chain(applied.clone());
     let mut rows = Vec::new();
     let dt = scene.dt();
-    for (sample, rollout) in rollouts.iter().enumerate() {
+    for (sample, rollout) in rollouts {
         let applied_rows = scene.applied(&rollout.states, &rollout.controls);
         for (t, state) in rollout.states.iter().enumerate() {
             let index = [sample.to_string(), t.to_string(), (t as f64 * dt).to_string()];

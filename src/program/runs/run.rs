@@ -1,8 +1,8 @@
 //! One run in its folder: trains, saves, resumes, writes the output files.
 
-use crate::program::operations::session::AnyRun;
+use crate::program::operations::session::{AnyRun, Epoch};
 use crate::program::operations::trajectory::ROLLOUTS;
-use crate::program::platform::folder::{ANIMATION, CHECKPOINT, Folder, LEARNING_CURVE, NUMBERS, POLICY, SETTINGS, TRAJECTORY};
+use crate::program::platform::folder::{ANIMATION, BEST_POLICY, CHECKPOINT, Folder, LEARNING_CURVE, NUMBERS, POLICY, TRAJECTORY};
 use crate::program::platform::lock::Locked;
 use crate::program::platform::signals;
 use crate::program::platform::terminal::print_message;
@@ -117,7 +117,7 @@ pub fn run(
     }
     folder.clean()?;
     // A folder with settings contains a run. A run without a checkpoint is before its first epoch.
-    folder.write(SETTINGS, scene.table.to_string())?;
+    saved::write_settings(folder, scene)?;
     let mut saver = Saver { folder, identity: &identity, metrics: None, save_every, last: Instant::now(), signal_seen: false };
     saver.save(&*run)?;
 
@@ -146,7 +146,7 @@ pub fn run(
     }
     saver.save(&*run)?;
     let names = scene.param_names();
-    let numbers: Vec<_> = run.trained().into_iter().map(|(i, value)| (names[i].clone(), value)).collect();
+    let numbers: Vec<_> = run.trained(Epoch::Last).into_iter().map(|(i, value)| (names[i].clone(), value)).collect();
     write_outputs(folder, scene, &*run)?;
     if !numbers.is_empty() {
         folder.write(NUMBERS, outputs::numbers(&numbers)?)?;
@@ -226,9 +226,10 @@ fn write_outputs(folder: &Folder, scene: &Scene, run: &dyn AnyRun) -> Result<()>
     let task = scene.task.name();
     let title = format!("{task}, field {}, seed {}", scene.field.0, scene.seed);
     let about = format!("physgrad {}, {task}, policy: {}", env!("CARGO_PKG_VERSION"), scene.table["policy"]);
-    folder.write(POLICY, run.safetensors(about)?)?;
+    folder.write(POLICY, run.safetensors(Epoch::Last, about.clone())?)?;
+    folder.write(BEST_POLICY, run.safetensors(Epoch::Best, about)?)?;
     folder.write(LEARNING_CURVE, outputs::learning_curve(&title, run.records()))?;
     let rollouts = run.rollouts(0..ROLLOUTS);
-    folder.write(TRAJECTORY, outputs::trajectories(scene, &rollouts)?)?;
+    folder.write(TRAJECTORY, outputs::trajectories(scene, rollouts.iter().enumerate())?)?;
     folder.write(ANIMATION, outputs::animation(scene, &rollouts[0]))
 }

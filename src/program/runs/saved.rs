@@ -2,11 +2,11 @@
 
 use crate::differences;
 use crate::program::operations::session::AnyRun;
-use crate::program::platform::folder::{CHECKPOINT, Folder, METRICS, POLICY, RUNS, SETTINGS};
+use crate::program::platform::folder::{CHECKPOINT, Folder, INITIAL_POLICY, METRICS, POLICY, RUNS, SETTINGS};
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::scenes::source::SceneSource;
-use crate::program::tasks::Scene;
+use crate::program::tasks::{Scene, scene};
 use anyhow::{Context, Result, bail};
 use std::path::Path;
 
@@ -66,6 +66,16 @@ pub fn scene(folder: &Folder) -> Result<Scene> {
         );
     }
     source.scene()
+}
+
+/// Writes the settings of a run, and a copy of the policy file that starts the training.
+pub fn write_settings(folder: &Folder, scene: &Scene) -> Result<()> {
+    let mut table = scene.table.clone();
+    if let Some(policy) = scene.initial_policy() {
+        folder.write(INITIAL_POLICY, policy)?;
+        table.insert(scene::INITIAL_POLICY.into(), INITIAL_POLICY.into());
+    }
+    folder.write(SETTINGS, table.to_string())
 }
 
 /// Restores the saved state of a run. In a folder without checkpoint, metrics and policy, the run

@@ -1,8 +1,11 @@
 //! Options of the command line that override settings of a scene or of a resumed run.
 
+use crate::program::platform::folder::POLICY;
 use crate::program::scenes::source::{SceneSource, short};
 use crate::program::settings::{FieldName, Precision};
+use crate::program::tasks::scene::INITIAL_POLICY;
 use anyhow::{Context, Result, bail};
+use std::path::PathBuf;
 use toml::Value;
 
 /// Options that replace settings of a scene.
@@ -20,6 +23,9 @@ pub struct Overrides {
     /// Floating-point precision of all computations
     #[arg(long, value_enum)]
     pub precision: Option<Precision>,
+    /// Start from this policy: a file `policy.safetensors`, or the folder of a run
+    #[arg(long, value_name = "FILE")]
+    pub policy: Option<PathBuf>,
     /// Change or add a setting, for example system.poles=4; `physgrad tasks` lists them
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
@@ -47,6 +53,12 @@ impl Overrides {
             if let Some(value) = value {
                 source.put(key, value, &format!("--{key}"))?;
             }
+        }
+        if let Some(path) = &self.policy {
+            let option = format!("--policy {}", path.display());
+            let file = if path.is_dir() { path.join(POLICY) } else { path.clone() };
+            let file = file.to_str().with_context(|| format!("{option}: the path is not UTF-8 text"))?;
+            source.put(INITIAL_POLICY, Value::String(file.into()), &option)?;
         }
         Ok(())
     }

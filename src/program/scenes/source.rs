@@ -1,16 +1,17 @@
 //! [`SceneSource`]: a scene before validation, with the line or option of every value.
 
+use crate::program::platform::folder::Folder;
 use crate::program::platform::terminal::did_you_mean;
 use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{OPTIONAL, VERSION};
-use crate::program::tasks::scene::flat;
+use crate::program::tasks::scene::{INITIAL_POLICY, flat};
 use crate::program::tasks::{self, AnyTaskSpec, Scene};
 use anyhow::{Context, Result, anyhow, bail};
 use serde::Deserialize;
 use std::collections::HashMap;
 use std::fs::File;
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use toml::de::{DeTable, DeValue, Deserializer};
 use toml::{Table, Value};
 
@@ -26,6 +27,8 @@ pub struct SceneSource {
     /// Name in messages.
     name: String,
     table: Table,
+    /// Folder of the file. None for a preset.
+    folder: Option<PathBuf>,
     /// Text of the file, for line numbers.
     text: String,
     /// For each dotted key, the option that set it or created its section.
@@ -43,7 +46,7 @@ impl SceneSource {
             bail!("{name} has more than {MAX_BYTES} bytes, the limit of a scene");
         }
         let text = std::str::from_utf8(&bytes).with_context(|| format!("{name} is not UTF-8 text"))?;
-        Self::parse(&name, text)
+        Ok(Self { folder: path.parent().map(Path::to_owned), ..Self::parse(&name, text)? })
     }
 
     /// Parses the text of the file with this name.
@@ -58,7 +61,7 @@ impl SceneSource {
         };
         let parsed = DeTable::parse(text).map_err(located)?;
         let table = Table::deserialize(Deserializer::from(parsed)).map_err(located)?;
-        let mut source = Self { name: name.to_owned(), table, text: text.to_owned(), options: HashMap::new() };
+        let mut source = Self { name: name.to_owned(), table, folder: None, text: text.to_owned(), options: HashMap::new() };
         source.place("vary")?;
         source.place("fit")?;
         Ok(source)
@@ -154,6 +157,14 @@ impl SceneSource {
         self.put(key, Value::Float(value), &format!("{key} = {value}"))
     }
 
+    /// Replaces the value of a top-level key by the value in another source.
+    pub fn copy(&mut self, key: &str, from: &Self) {
+        if let Some(value) = from.table.get(key) {
+            self.table.insert(key.into(), value.clone());
+            self.options.insert(key.into(), from.name.clone());
+        }
+    }
+
     /// Removes a section if it is present.
     pub fn without_section(&mut self, name: &str) {
         self.table.remove(name);
@@ -187,7 +198,14 @@ impl SceneSource {
 
     /// Validates the scene. Absent settings get the task's defaults. Absent effects stay absent.
     pub fn scene(&self) -> Result<Scene> {
-        self.validate().map_err(|error| anyhow!("{}: {error}", self.origin(&error.key)))
+        let scene = self.validate().map_err(|error| anyhow!("{}: {error}", self.origin(&error.key)))?;
+        let Some(file) = self.text(INITIAL_POLICY) else { return Ok(scene) };
+        // The path in an option is relative to the working folder.
+        let is_option = self.options.contains_key(INITIAL_POLICY);
+        let folder = self.folder.as_deref().filter(|_| !is_option).unwrap_or(Path::new(""));
+        let bytes = Folder::at(folder).read(file);
+        let bytes = bytes.with_context(|| format!("{}: `{INITIAL_POLICY}`", self.origin(INITIAL_POLICY)))?;
+        Ok(scene.starting_from(bytes))
     }
 
     fn validate(&self) -> Result<Scene, ConfigError> {

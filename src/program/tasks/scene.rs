@@ -8,6 +8,7 @@ use crate::identify::{Fit, IdentifyError, Options, Segment};
 use crate::optimize::{self, Initial, OptimizeError, Plan};
 use crate::program::operations::checks::{Amplification, Results};
 use crate::program::operations::costs::Stored;
+use crate::program::operations::evaluation::AnyEvaluation;
 use crate::program::operations::gradients::{Derived, GradientMethod};
 use crate::program::operations::session::AnyRun;
 use crate::program::operations::simulation::Job;
@@ -18,10 +19,15 @@ use crate::program::settings::{FieldName, OPTIONAL, Precision};
 use crate::program::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
 use crate::report::Animation;
 use crate::{Divergence, Field, Number, System, Task, TaskOpCount};
-use anyhow::Result;
+use anyhow::{Context, Result};
 use std::ops::Deref;
 use std::sync::Arc;
 use toml::{Table, Value};
+
+/// Setting with the path of the policy file that starts the training.
+pub const INITIAL_POLICY: &str = "initial_policy";
+
+const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
 
 /// Validated settings of a run, independent of the type of the task.
 #[derive(Clone)]
@@ -40,13 +46,16 @@ pub struct Scene {
     pub horizon: usize,
     /// All settings.
     pub table: Table,
+    /// Contents of the policy file that starts the training.
+    initial_policy: Option<Arc<[u8]>>,
     settings: Arc<dyn AnySettings>,
 }
 
 /// Object-safe operations on the settings of a task.
 pub trait AnySettings: Send + Sync {
-    /// Opens a run before its first epoch.
-    fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>>;
+    /// Opens a run before its first epoch. It starts from the parameters in the bytes of a policy
+    /// file, or from random ones.
+    fn open_from(&self, initial: Option<&[u8]>, workers: usize) -> Result<Box<dyn AnyRun>>;
     /// Checks the gradients of system, policy and rollout. Results carry the name `variant`.
     fn check(&self, variant: &str, results: &mut Results);
     /// Largest amplification of a perturbation by a step, in states of test rollouts.
@@ -65,9 +74,9 @@ pub trait AnySettings: Send + Sync {
     /// Memory and allocations of a rollout of 8 samples, for evaluation or with the adjoint of a
     /// field.
     fn stored(&self, field: Option<Field>) -> Stored;
-    /// Losses of the policy with these parameters from new initial states; infinite where a rollout
-    /// diverges.
-    fn losses(&self, theta: &[f64], seed: u64, samples: usize) -> Vec<f64>;
+    /// Prepares the policy with these parameters for rollouts from new initial states. Numbers that
+    /// the scene trains have their initial values.
+    fn evaluation(&self, theta: &[f64], seed: u64) -> Result<Box<dyn AnyEvaluation>>;
     /// Time step in seconds.
     fn dt(&self) -> f64;
     /// Names of the state components.
@@ -93,10 +102,10 @@ pub trait AnySettings: Send + Sync {
 }
 
 impl<K: TaskSpec> AnySettings for Settings<K> {
-    fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>> {
+    fn open_from(&self, initial: Option<&[u8]>, workers: usize) -> Result<Box<dyn AnyRun>> {
         let training = self.training.training(self.epochs, self.seed, workers);
         let (task, policy) = self.task_and_policy();
-        Ok(session::open(task, policy, self.precision, self.training.weighted(self.field.0), training)?)
+        session::open(task, policy, self.precision, self.training.weighted(self.field.0), training, initial)
     }
 
     fn check(&self, variant: &str, results: &mut Results) {
@@ -138,9 +147,9 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         costs::stored(&task, &policy, self.precision, field)
     }
 
-    fn losses(&self, theta: &[f64], seed: u64, samples: usize) -> Vec<f64> {
+    fn evaluation(&self, theta: &[f64], seed: u64) -> Result<Box<dyn AnyEvaluation>> {
         let (task, policy) = self.task_and_policy();
-        evaluation::losses(&task, &policy, self.precision, theta, seed, samples)
+        evaluation::new(task, policy, self.precision, theta, seed)
     }
 
     fn dt(&self) -> f64 {
@@ -215,7 +224,27 @@ impl Scene {
     /// Creates a scene from validated settings.
     pub fn new<K: TaskSpec>(task: &'static dyn AnyTaskSpec, settings: Settings<K>) -> Self {
         let Settings { field, precision, seed, epochs, horizon, .. } = settings;
-        Self { task, field, precision, seed, epochs, horizon, table: settings.table(), settings: Arc::new(settings) }
+        let table = settings.table();
+        Self { task, field, precision, seed, epochs, horizon, table, initial_policy: None, settings: Arc::new(settings) }
+    }
+
+    /// Copy that starts the training from the policy file with these contents.
+    pub fn starting_from(self, policy: Vec<u8>) -> Self {
+        Self { initial_policy: Some(policy.into()), ..self }
+    }
+
+    /// Contents of the policy file that starts the training.
+    pub fn initial_policy(&self) -> Option<&[u8]> {
+        self.initial_policy.as_deref()
+    }
+
+    /// Opens a run before its first epoch.
+    pub fn open(&self, workers: usize) -> Result<Box<dyn AnyRun>> {
+        let opened = self.settings.open_from(self.initial_policy.as_deref(), workers);
+        match self.table.get(INITIAL_POLICY) {
+            Some(file) => opened.with_context(|| format!("`{INITIAL_POLICY}` {file}")),
+            None => opened,
+        }
     }
 
     /// Copy with another field and seed.
@@ -223,7 +252,7 @@ impl Scene {
         let mut table = self.table.clone();
         table.insert("field".into(), Value::String(field.into()));
         table.insert("seed".into(), Value::Integer(seed as i64));
-        self.task.scene(table)
+        Ok(Self { initial_policy: self.initial_policy.clone(), ..self.task.scene(table)? })
     }
 
     /// Identity of a run: the settings that a resumed run must share, one per line.
@@ -260,7 +289,10 @@ impl Scene {
         let defaults = flat(&self.task.fill(defaults.clone()).unwrap_or(defaults));
         let differences =
             flat(&self.table).into_iter().filter(|setting| !defaults.contains(setting) && !but.contains(&&*setting.0));
+        let differences = differences.filter(|(key, _)| key != INITIAL_POLICY);
         lines.extend(differences.map(|(key, value)| format!("{key} = {value}")));
+        // The contents matter, and the path does not.
+        lines.extend(self.initial_policy.iter().map(|bytes| format!("{INITIAL_POLICY} = CRC-32C {:08x}", CRC.checksum(bytes))));
         lines.join("\n")
     }
 }

@@ -33,6 +33,10 @@ pub struct Settings<K: TaskSpec> {
     pub seed: u64,
     /// Total number of epochs: passes over the training set.
     pub epochs: usize,
+    /// Policy file whose parameters start the training, relative to the folder of the scene.
+    /// Random parameters if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub initial_policy: Option<String>,
     /// Time steps of a rollout.
     pub horizon: usize,
     /// Settings of the physics.
@@ -68,6 +72,7 @@ impl<K: TaskSpec> Settings<K> {
             precision: Precision::F32,
             seed: 0,
             epochs: K::EPOCHS,
+            initial_policy: None,
             horizon: K::horizon(),
             system: K::system(),
             effects: K::Effects::default(),

@@ -1,7 +1,7 @@
 //! Hard case: bitwise reproducibility across threads, memory budgets and resumption.
 
 use crate::Record;
-use crate::program::operations::session::AnyRun;
+use crate::program::operations::session::{AnyRun, Epoch};
 use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
 use crate::stress::{Case, Finding};
@@ -42,7 +42,7 @@ fn trained(mut run: Box<dyn AnyRun>) -> Result<(Vec<u8>, Vec<Record>)> {
         run.advance(&|| false)?;
     }
     let records = run.records().iter().map(|record| Record { seconds: 0.0, ..record.clone() });
-    Ok((run.safetensors(String::new())?, records.collect()))
+    Ok((run.safetensors(Epoch::Last, String::new())?, records.collect()))
 }
 
 /// Returns the results of [`trained`], but resumes after some epochs in a session with another

@@ -1,0 +1,73 @@
+//! Policy files: parameters of a policy as named tensors in the safetensors format.
+
+use crate::Float;
+use crate::policy::AnyPolicy;
+use crate::rng::{Purpose, stream};
+use anyhow::{Context, Result, bail};
+use safetensors::SafeTensors;
+use safetensors::tensor::{Dtype, TensorView};
+
+/// Serializes the parameters of a policy.
+pub fn write<F: Float>(about: String, policy: &dyn AnyPolicy<F>, theta: &[F]) -> Result<Vec<u8>> {
+    let bytes: Vec<u8> = theta.iter().flat_map(|t| t.to_le_bytes().as_ref().to_vec()).collect();
+    let dtype = if F::NAME == "f32" { Dtype::F32 } else { Dtype::F64 };
+    let width = size_of::<F>();
+    let views = policy.tensors().into_iter().map(|t| {
+        let view = TensorView::new(dtype, t.shape, &bytes[t.range.start * width..t.range.end * width])?;
+        Ok((t.name, view))
+    });
+    let views: Vec<_> = views.collect::<Result<_, safetensors::SafeTensorError>>()?;
+    // Writes a single entry, because the iteration order of the map is not fixed.
+    let about = [("about".to_owned(), about)].into_iter().collect();
+    Ok(safetensors::serialize(views, Some(about))?)
+}
+
+/// Name of the tensor with the trained numbers of a scene.
+const NUMBERS: &str = "trained_params";
+
+/// Parameters of the policy from a file. Numbers that the scene trains keep their initial values if
+/// the file has none.
+///
+/// # Errors
+/// The bytes are not in the safetensors format. A tensor is missing, unknown or has another shape.
+/// A parameter is not finite.
+pub fn read(bytes: &[u8], policy: &dyn AnyPolicy<f64>, seed: u64) -> Result<Vec<f64>> {
+    let file = SafeTensors::deserialize(bytes).context("it is not a file in the safetensors format")?;
+    let tensors = policy.tensors();
+    let is_unknown = |name: &&str| *name != NUMBERS && tensors.iter().all(|own| own.name != **name);
+    // The order of the names is not fixed.
+    if let Some(name) = file.names().into_iter().filter(is_unknown).min() {
+        let own: Vec<&str> = tensors.iter().map(|own| &*own.name).collect();
+        bail!(
+            "it has the tensor {name}, but the policy of the scene has {}; use the `policy` section of its run",
+            own.join(", ")
+        );
+    }
+    let mut theta = vec![0.0; policy.param_count()];
+    policy.init(&mut stream(seed, Purpose::Policy, 0), &mut theta);
+    for own in tensors {
+        let found = match file.tensor(&own.name) {
+            Err(_) if own.name == NUMBERS => continue,
+            found => found.with_context(|| format!("it has no tensor {}, which the policy of the scene has", own.name))?,
+        };
+        if found.shape() != own.shape {
+            bail!(
+                "its tensor {} has the shape {:?}, but the policy of the scene has {:?}; use the `policy` section of its run, and \
+                 as many states and controls",
+                own.name,
+                found.shape(),
+                own.shape
+            );
+        }
+        let values: Vec<f64> = match found.dtype() {
+            Dtype::F32 => found.data().as_chunks().0.iter().map(|&bytes| f32::from_le_bytes(bytes).into()).collect(),
+            Dtype::F64 => found.data().as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect(),
+            other => bail!("its tensor {} has the type {other:?}; allowed: F32, F64", own.name),
+        };
+        if let Some(value) = values.iter().find(|value| !value.is_finite()) {
+            bail!("its tensor {} contains {value}", own.name);
+        }
+        theta[own.range].copy_from_slice(&values);
+    }
+    Ok(theta)
+}

@@ -1,0 +1,58 @@
+//! [`Trained`]: the policy of a saved run, with the scene in which it is evaluated.
+
+use crate::program::operations::session::Epoch;
+use crate::program::platform::folder::{Folder, SETTINGS};
+use crate::program::runs::saved;
+use crate::program::scenes::source::SceneSource;
+use crate::program::tasks::Scene;
+use anyhow::{Result, bail};
+use std::collections::HashSet;
+use std::path::PathBuf;
+
+/// Policy of a saved run.
+pub struct Trained {
+    /// Name of the run's folder, or its path if several runs have the same name.
+    pub name: String,
+    /// Settings of the run, with trained numbers fixed at their values.
+    pub source: SceneSource,
+    /// Scene of the run.
+    pub scene: Scene,
+    /// Parameters of the policy, without trained numbers.
+    pub theta: Vec<f64>,
+}
+
+impl Trained {
+    /// Loads the policies after an epoch of the runs in these folders.
+    ///
+    /// # Errors
+    /// A folder has no run. The runs have different tasks.
+    pub fn load_all(paths: &[PathBuf], epoch: Epoch) -> Result<Vec<Self>> {
+        let folders = paths.iter().map(|path| Folder::existing(path)).collect::<Result<Vec<_>>>()?;
+        let names: HashSet<String> = folders.iter().map(Folder::name).collect();
+        let are_distinct = names.len() == folders.len();
+        let name = |folder: &Folder| if are_distinct { folder.name() } else { folder.path().display().to_string() };
+        let runs = folders.iter().map(|folder| Self::load(name(folder), folder, epoch)).collect::<Result<Vec<_>>>()?;
+        if let Some(other) = runs.iter().find(|run| run.scene.task.name() != runs[0].scene.task.name()) {
+            bail!(
+                "{} has the task {}, but {} has the task {}; compare runs of one task",
+                runs[0].name,
+                runs[0].scene.task.name(),
+                other.name,
+                other.scene.task.name()
+            );
+        }
+        Ok(runs)
+    }
+
+    fn load(name: String, folder: &Folder, epoch: Epoch) -> Result<Self> {
+        let scene = saved::scene(folder)?;
+        let mut run = scene.open(1)?;
+        saved::restore(folder, &scene, &mut *run)?;
+        let mut source = SceneSource::read(&folder.readable(SETTINGS)?)?;
+        let names = scene.param_names();
+        for (index, value) in run.trained(epoch) {
+            source.fix(&names[index], value)?;
+        }
+        Ok(Self { name, source, scene, theta: run.theta(epoch) })
+    }
+}

@@ -1,0 +1,160 @@
+//! Evaluation of saved policies, the best policy, and trainings that start from a policy.
+
+use super::numbers::{physgrad, read};
+use std::fs;
+use tempfile::TempDir;
+
+const SMALL: &str = "--set training.train_samples=16 --set training.test_samples=8 --set policy.widths=[8]";
+
+fn succeed(dir: &TempDir, args: &str) {
+    physgrad(args, dir.path()).assert().success();
+}
+
+fn error(dir: &TempDir, args: &str) -> String {
+    String::from_utf8(physgrad(args, dir.path()).assert().failure().get_output().stderr.clone()).expect("text")
+}
+
+fn bytes(dir: &TempDir, file: &str) -> Vec<u8> {
+    fs::read(dir.path().join(file)).expect(file)
+}
+
+fn column(rows: &[Vec<String>], name: &str) -> Vec<f64> {
+    let index = rows[0].iter().position(|header| header == name).unwrap_or_else(|| panic!("{name} in {:?}", rows[0]));
+    rows[1..].iter().map(|row| row[index].parse().expect("a number")).collect()
+}
+
+#[test]
+fn a_summary_agrees_with_its_losses_and_with_robust_at_unchanged_settings() {
+    let dir = TempDir::new().expect("a folder");
+    succeed(&dir, &format!("train cart_pole_1 {SMALL} --epochs 2 --quiet --out a"));
+    succeed(&dir, "eval a --samples 40 --worst 2 --out many");
+    succeed(&dir, "eval a --samples 10 --out few");
+    succeed(&dir, "robust a --grid system.cart_mass=1:2:2 --samples 40 --seed 0 --out grid");
+
+    let losses = column(&read(&dir, "many/losses.csv"), "loss");
+    assert_eq!(losses.len(), 40);
+    assert_eq!(column(&read(&dir, "few/losses.csv"), "loss"), losses[..10], "a sample is independent of their number");
+    let summary = read(&dir, "many/summary.csv");
+    let number = |name: &str| column(&summary, name)[0];
+    let mean = losses.iter().sum::<f64>() / 40.0;
+    let variance = losses.iter().map(|loss| (loss - mean) * (loss - mean)).sum::<f64>() / 39.0;
+    assert!((number("mean") - mean).abs() < 1e-12 && (number("standard_error") - (variance / 40.0).sqrt()).abs() < 1e-12);
+    let mut sorted = losses.clone();
+    sorted.sort_by(f64::total_cmp);
+    assert_eq!((number("median"), number("worst")), (0.5 * (sorted[19] + sorted[20]), sorted[39]));
+    let grid = read(&dir, "grid/robust.csv");
+    assert_eq!(column(&grid, "median")[0], number("median"), "the first grid point has the mass of the run");
+
+    // The rollouts start from the reported samples, the worst first, and from no test initial state.
+    let worst = read(&dir, "many/worst.csv");
+    let mut samples = column(&worst, "sample");
+    samples.dedup();
+    let ranked = [sorted[39], sorted[38]].map(|loss| losses.iter().position(|&l| l == loss).expect("a loss") as f64);
+    assert_eq!(samples, ranked);
+    let tested: Vec<String> =
+        read(&dir, "a/trajectory.csv").iter().filter(|row| row[1] == "0").map(|row| row[3..].concat()).collect();
+    assert!(worst[1..].iter().all(|row| !tested.contains(&row[3..].concat())));
+    for rank in 1..=2 {
+        let svg = String::from_utf8(bytes(&dir, &format!("many/worst_{rank}.svg"))).expect("text");
+        roxmltree::Document::parse(&svg).expect("an SVG is XML");
+    }
+}
+
+/// The loss of `push` is the squared distance of the box from 0 at the end.
+#[test]
+fn losses_are_the_costs_of_the_written_rollouts() {
+    let dir = TempDir::new().expect("a folder");
+    succeed(&dir, &format!("train push {SMALL} --epochs 1 --quiet --out run"));
+    succeed(&dir, "eval run --samples 5 --worst 5 --out eval");
+    let losses = column(&read(&dir, "eval/losses.csv"), "loss");
+    let worst = read(&dir, "eval/worst.csv");
+    let steps = column(&worst, "step");
+    let last = steps.iter().copied().fold(0.0, f64::max);
+    let ends: Vec<usize> = (0..steps.len()).filter(|&row| steps[row] == last).collect();
+    assert_eq!(ends.len(), 5);
+    for row in ends {
+        let (sample, end) = (column(&worst, "sample")[row], column(&worst, "box")[row]);
+        let loss = losses[sample as usize];
+        assert!((end * end - loss).abs() < 1e-6 * loss, "sample {sample}: {} and {loss}", end * end);
+    }
+}
+
+#[test]
+fn two_policies_are_evaluated_in_another_scene_and_errors_name_the_scene() {
+    let dir = TempDir::new().expect("a folder");
+    for seed in [1, 2] {
+        succeed(&dir, &format!("train cart_pole_1 {SMALL} --seed {seed} --epochs 1 --quiet --out seed{seed}"));
+    }
+    succeed(&dir, "eval seed1 seed2 --scene cart_pole_1 --set system.cart_mass=3 --samples 8 --out heavy");
+    succeed(&dir, "eval seed1 seed2 --samples 8 --out nominal");
+    let losses = |folder: &str| column(&read(&dir, &format!("{folder}/losses.csv")), "loss");
+    assert_eq!(losses("heavy").len(), 16);
+    assert!(losses("heavy").iter().zip(losses("nominal")).all(|(heavy, nominal)| *heavy != nominal));
+    assert!(dir.path().join("heavy/2-seed2/worst_1.svg").exists());
+    let message = error(&dir, "eval seed1 --scene cart_pole_2");
+    assert!(message.contains("use a scene with as many observations and controls"), "{message}");
+    let message = error(&dir, "eval seed1 --scene guidance");
+    assert!(message.contains("name a scene of cart_pole"), "{message}");
+}
+
+/// The best policy of a run is the last policy of a run that ends with the best epoch.
+#[test]
+fn the_best_policy_is_that_of_the_epoch_with_the_lowest_test_loss() {
+    let dir = TempDir::new().expect("a folder");
+    let train = format!("train cart_pole_1 {SMALL} --set training.learning_rate=0.3 --quiet");
+    succeed(&dir, &format!("{train} --epochs 6 --out whole"));
+    let losses = column(&read(&dir, "whole/metrics.csv"), "test_loss");
+    let best = (0..losses.len()).min_by(|&a, &b| losses[a].total_cmp(&losses[b])).expect("an epoch") + 1;
+    assert!(best < 6, "the test needs a run whose last epoch is not the best: {losses:?}");
+    succeed(&dir, &format!("{train} --epochs {best} --out short"));
+    assert_eq!(bytes(&dir, "whole/best_policy.safetensors"), bytes(&dir, "short/policy.safetensors"));
+    assert_ne!(bytes(&dir, "whole/best_policy.safetensors"), bytes(&dir, "whole/policy.safetensors"));
+    succeed(&dir, "train --resume --epochs 6 --quiet --out short");
+    assert_eq!(bytes(&dir, "whole/best_policy.safetensors"), bytes(&dir, "short/best_policy.safetensors"));
+
+    succeed(&dir, "eval whole --epoch best --samples 8 --out best");
+    succeed(&dir, "eval whole --samples 8 --out last");
+    assert_ne!(bytes(&dir, "best/losses.csv"), bytes(&dir, "last/losses.csv"));
+}
+
+#[test]
+fn a_training_starts_from_a_policy_and_resumes_without_its_file() {
+    let dir = TempDir::new().expect("a folder");
+    succeed(&dir, &format!("train cart_pole_1 {SMALL} --epochs 2 --quiet --out first"));
+    let continued = format!("train cart_pole_1 {SMALL} --policy first --quiet");
+    succeed(&dir, &format!("{continued} --epochs 0 --out none"));
+    assert_eq!(bytes(&dir, "none/policy.safetensors"), bytes(&dir, "first/policy.safetensors"));
+    succeed(&dir, &format!("{continued} --epochs 2 --out whole"));
+    succeed(&dir, &format!("{continued} --epochs 1 --out parts"));
+    fs::write(dir.path().join("moved.toml"), "scene = 1\ntask = \"cart_pole\"\ninitial_policy = \"none/policy.safetensors\"\n")
+        .expect("a file");
+    fs::remove_dir_all(dir.path().join("first")).expect("a folder");
+    succeed(&dir, "train --resume --epochs 2 --quiet --out parts");
+    assert_eq!(bytes(&dir, "parts/policy.safetensors"), bytes(&dir, "whole/policy.safetensors"));
+
+    // A path in a scene is relative to the scene.
+    fs::create_dir(dir.path().join("elsewhere")).expect("a folder");
+    physgrad(
+        &format!("train ../moved.toml {SMALL} --set system.poles=1 --epochs 0 --quiet --out here"),
+        &dir.path().join("elsewhere"),
+    )
+    .assert()
+    .success();
+    assert_eq!(bytes(&dir, "elsewhere/here/policy.safetensors"), bytes(&dir, "none/policy.safetensors"));
+
+    for (scene, message) in [
+        ("cart_pole_2", "its tensor layer1.kernel has the shape [4, 8], but the policy of the scene has [6, 100]"),
+        (
+            "cart_pole_1 --set policy.bias=false --set policy.widths=[8]",
+            "it has the tensor layer1.bias, but the policy of the scene has layer1.kernel, layer2.kernel",
+        ),
+        ("cart_pole_1 --set policy.widths=[8,8]", "its tensor layer2.kernel has the shape [8, 1]"),
+    ] {
+        let found = error(&dir, &format!("train {scene} --policy none"));
+        assert!(found.contains(message), "{scene}: {found}");
+    }
+    fs::write(dir.path().join("text"), "no policy").expect("a file");
+    let message = error(&dir, "train cart_pole_1 --policy text");
+    assert!(message.contains("it is not a file in the safetensors format"), "{message}");
+    assert!(error(&dir, "train cart_pole_1 --policy absent").contains("--policy absent"));
+}
