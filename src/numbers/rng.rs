@@ -20,6 +20,8 @@ pub enum Purpose {
     Check = 5,
     /// Initial states and parameters of an evaluation, which no training uses.
     Evaluate = 6,
+    /// Random points of a sweep over settings.
+    Sweep = 7,
 }
 
 /// Returns the stream of one (seed, purpose, index).

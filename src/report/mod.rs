@@ -2,7 +2,7 @@
 //!
 //! Contents:
 //!
-//! - Charts: [`learning_curve`], [`comparison`], [`study`], [`robustness`], [`distribution`], [`fitted`] and
+//! - Charts: [`learning_curve`], [`comparison`], [`study`], [`robustness`], [`distribution`], [`settings()`], [`fitted`] and
 //!   [`work_precision`], and [`Chart`] for interactive pages.
 //! - Maps of a plane: [`maps`].
 //! - Animations: [`cart_pole()`], [`guidance()`], [`quantum()`], [`mechanics()`],
@@ -30,6 +30,7 @@ mod quantum;
 mod raster;
 mod robustness;
 mod series;
+mod settings;
 mod work_precision;
 
 pub use animation::{Animation, Shape};
@@ -47,4 +48,5 @@ pub use quantum::{Landscape, quantum, quantum_in};
 pub use raster::Raster;
 pub use robustness::robustness;
 pub use series::Series;
+pub use settings::settings;
 pub use work_precision::{Work, work_precision};

@@ -17,3 +17,4 @@ mod pages;
 mod paper;
 mod report;
 mod scenes;
+mod sweeps;

@@ -9,7 +9,7 @@ mod row;
 use crate::program::operations::simulation::{Job, Simulated};
 use crate::program::platform::folder::Folder;
 use crate::program::platform::terminal::{print_message, print_result};
-use crate::program::scenes::overrides::Overrides;
+use crate::program::scenes::overrides::{Overrides, hide_training};
 use crate::program::scenes::presets;
 use crate::program::scenes::source::SceneSource;
 use crate::program::settings::Precision;
@@ -27,7 +27,7 @@ use toml::Value;
 /// many steps. The policy has the initial parameters of the scene, with a nonzero output layer. A
 /// rollout has eight samples and runs on one thread.
 #[derive(Debug, clap::Args)]
-#[command(mut_arg("epochs", |arg| arg.hide(true)))]
+#[command(mut_args(hide_training))]
 pub struct Accuracy {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     pub scene: String,

@@ -1,24 +1,28 @@
 //! `physgrad compare`: one training configuration with several fields and seeds, side by side.
 
+use crate::Field;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, SETTINGS};
-use crate::program::platform::terminal::print_result;
+use crate::program::platform::terminal::{counted, print_result};
 use crate::program::runs::run::threads;
-use crate::program::runs::saved::changed;
-use crate::program::runs::statistics::{self, Outcome, best, curves};
+use crate::program::runs::statistics::{self, Outcome, best, by_field, curves, field_label, quantile, sorted};
 use crate::program::runs::sweep::{Comparison, check_distinct, check_options, check_sessions, sweep};
-use crate::program::scenes::overrides::Overrides;
+use crate::program::scenes::overrides::{Overrides, take_several};
 use crate::program::scenes::presets;
+use crate::program::scenes::sweep::Point;
 use crate::program::settings::FieldName;
 use crate::program::tasks::Scene;
-use crate::report::{Curve, comparison};
+use crate::report::{Curve, Drawing, Series, comparison, field_color, settings};
 use anyhow::{Result, bail};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use std::path::PathBuf;
+use toml::Value;
 
 /// Train with several fields and seeds, and compare the results; in one scene or in several, which
 /// may differ in integrator or precision.
+///
+/// `--set KEY=VALUE,VALUE` and a section `[sweep]` train every combination of values.
 #[derive(Debug, clap::Args)]
 #[command(mut_arg("field", |arg| arg.hide(true)))]
 pub struct Compare {
@@ -52,51 +56,85 @@ pub fn compare(args: &Compare) -> Result<()> {
     }
     let names: Vec<String> = args.scenes.iter().map(|scene| presets::short_name(scene)).collect();
     check_distinct("the command", names.iter().map(String::as_str))?;
-    let bases = args.scenes.iter().map(|scene| changed(scene, &args.overrides)).collect::<Result<Vec<Scene>>>()?;
-    for base in &bases {
-        check_options(&args.fields, args.seeds, base.epochs)?;
+    let cases = args.scenes.iter().map(|scene| cases(scene, args)).collect::<Result<Vec<_>>>()?.concat();
+    check_distinct("the sweep", cases.iter().map(|case| &*case.name))?;
+    for case in &cases {
+        check_options(&args.fields, args.seeds, case.scene.epochs)?;
     }
     threads(args.threads)?;
-    check_sessions(&bases, &args.fields)?;
+    check_sessions(cases.iter().map(|case| &case.scene), &args.fields)?;
     let folder = Folder::named(args.out.as_deref(), &format!("compare-{}", names.join("-")))?;
     if folder.has(SETTINGS) {
         bail!("{} holds a run and is not a comparison; choose another folder with --out", folder.path().display());
     }
-    let one = bases.len() == 1;
+    let one = cases.len() == 1;
     let mut comparisons = Vec::new();
-    for (name, base) in names.iter().zip(&bases) {
-        // Several scenes have one comparison folder each, inside this folder.
-        let (label, inner) = if one { ("", Folder::clone(&folder)) } else { (&**name, Folder::at(folder.file(name))) };
-        comparisons.push(Comparison::plan(label, base, &args.fields, args.seeds, &inner)?);
+    for Case { name, scene, .. } in &cases {
+        // Several cases have one comparison folder each, inside this folder.
+        let inner = if one { Folder::clone(&folder) } else { Folder::at(folder.file(name)) };
+        comparisons.push(Comparison::plan(name, scene, &args.fields, args.seeds, &inner)?);
     }
     let swept = sweep(&mut comparisons, args.quiet)?;
     if swept.interrupted {
         let _ = print_result(&format!("interrupted; to resume, repeat the command with --out {}", folder.path().display()));
         return swept.into_result();
     }
-    let scenes: Vec<InScene> = names
-        .iter()
-        .zip(&comparisons)
-        .map(|(name, comparison)| InScene { name: if one { "" } else { name }, runs: comparison.outcomes() })
-        .collect();
-    folder.write("summary.csv", summary(&scenes)?)?;
-    let title = format!("{}, {} seed{}", names.join(", "), args.seeds, if args.seeds == 1 { "" } else { "s" });
-    folder.write("curves.svg", comparison(&title, &all_curves(&scenes)).to_svg())?;
+    let finished: Vec<Finished> =
+        cases.iter().zip(&comparisons).map(|(case, comparison)| Finished { case, runs: comparison.outcomes() }).collect();
+    folder.write("summary.csv", summary(&finished)?)?;
+    let title = format!("{}, {}", names.join(", "), counted(args.seeds as usize, "seed"));
+    let mut files = vec!["summary.csv"];
+    if finished.len() <= MAX_CURVES {
+        folder.write("curves.svg", comparison(&title, &all_curves(&finished)).to_svg())?;
+        files.push("curves.svg");
+    }
+    if let Some(picture) = sweep_picture(&title, &finished) {
+        folder.write("sweep.svg", picture.to_svg())?;
+        files.push("sweep.svg");
+    }
+    files.push(if one { "all runs in runs/" } else { "one folder per case" });
     if !args.quiet {
-        let files = if one {
-            "summary.csv, curves.svg, and all runs in runs/"
-        } else {
-            "summary.csv, curves.svg, and one folder per scene"
-        };
-        print_result(&format!("{}\nresults in {}: {files}", table(&scenes), folder.path().display()))?;
+        print_result(&format!("{}{}", table(&finished), lowest(&finished)))?;
+        print_result(&format!("results in {}: {}", folder.path().display(), files.join(", ")))?;
     }
     swept.into_result()
 }
 
-/// Runs of one scene. The name is empty if there is only one scene.
-struct InScene<'a> {
-    name: &'a str,
+/// A scene at one point of its sweep.
+#[derive(Clone)]
+struct Case {
+    /// Name of scene and point. Empty if there is only one case.
+    name: String,
+    point: Point,
+    scene: Scene,
+}
+
+/// Runs of one case.
+struct Finished<'a> {
+    case: &'a Case,
     runs: Vec<Outcome<'a>>,
+}
+
+/// Largest number of cases whose learning curves are drawn.
+const MAX_CURVES: usize = 8;
+
+/// The points of the sweep of a scene; a single one without a sweep.
+fn cases(name: &str, args: &Compare) -> Result<Vec<Case>> {
+    let mut source = presets::source(name)?;
+    let mut sweep = source.take_sweep();
+    let mut overrides = args.overrides.clone();
+    take_several(&mut overrides.set, &mut sweep)?;
+    let points = sweep.points()?;
+    // Messages of a comparison of one scene omit its name.
+    let short = if args.scenes.len() == 1 { String::new() } else { presets::short_name(name) };
+    let case = |point: Point| {
+        let mut source = source.clone();
+        overrides.apply(&mut source)?;
+        point.apply(&mut source)?;
+        let name = [short.clone(), point.name()].into_iter().filter(|name| !name.is_empty()).collect::<Vec<_>>().join("+");
+        Ok(Case { name, point, scene: source.scene()? })
+    };
+    points.into_iter().map(case).collect()
 }
 
 /// Okabe-Ito colours with grey in place of yellow, one per scene and field. Curves of a single
@@ -104,8 +142,10 @@ struct InScene<'a> {
 const COLORS: [&str; 8] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999"];
 
 /// One curve per scene and field.
-fn all_curves(scenes: &[InScene]) -> Vec<Curve> {
-    let each = scenes.iter().flat_map(|scene| curves(&scene.runs, |r| r.test_loss).into_iter().map(|curve| (scene.name, curve)));
+fn all_curves(cases: &[Finished]) -> Vec<Curve> {
+    let each = cases
+        .iter()
+        .flat_map(|Finished { case, runs }| curves(runs, |r| r.test_loss).into_iter().map(|curve| (&*case.name, curve)));
     let named = |(i, (name, curve)): (usize, (&str, Curve))| {
         if name.is_empty() {
             return curve;
@@ -115,28 +155,91 @@ fn all_curves(scenes: &[InScene]) -> Vec<Curve> {
     each.enumerate().map(named).collect()
 }
 
-/// `summary.csv`: one row per run. Final losses of a failed run are NaN.
-fn summary(scenes: &[InScene]) -> Result<Vec<u8>> {
-    // Omits the name of a single scene.
-    let omitted = usize::from(scenes.len() <= 1);
-    let header = ["scene", "field", "seed", "final_train_loss", "final_test_loss", "best_test_loss", "seconds"];
-    let runs = scenes.iter().flat_map(|scene| scene.runs.iter().map(move |run| (scene, run)));
-    let rows = runs.map(|(scene, run)| {
-        let numbers = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(run.records), run.seconds()];
-        let names = [scene.name.to_owned(), run.field.letter().to_owned(), run.seed.to_string()];
-        names.into_iter().skip(omitted).chain(numbers.map(|x| x.to_string()))
-    });
-    csv(&header[omitted..], rows)
+/// Swept keys of all cases.
+fn swept_keys(cases: &[Finished]) -> Vec<String> {
+    let mut keys: Vec<String> = Vec::new();
+    for (key, _) in cases.iter().flat_map(|finished| &finished.case.point.0) {
+        if !keys.contains(key) {
+            keys.push(key.clone());
+        }
+    }
+    keys
 }
 
-fn table(scenes: &[InScene]) -> Table {
+/// Value of a key at the point of a case. None for a case without the key.
+fn value<'a>(case: &'a Case, key: &str) -> Option<&'a Value> {
+    case.point.0.iter().find(|(own, _)| own == key).map(|(_, value)| value)
+}
+
+/// `summary.csv`: one row per run, with a column for each swept setting. Final losses of a failed
+/// run are NaN.
+fn summary(cases: &[Finished]) -> Result<Vec<u8>> {
+    let keys = swept_keys(cases);
+    // Omits the name of a single case.
+    let case = if cases.len() > 1 { &["case"][..] } else { &[] };
+    let numbers = ["field", "seed", "final_train_loss", "final_test_loss", "best_test_loss", "seconds"];
+    let header = case.iter().copied().chain(keys.iter().map(String::as_str)).chain(numbers);
+    let runs = cases.iter().flat_map(|Finished { case, runs }| runs.iter().map(move |run| (*case, run)));
+    let rows = runs.map(|(found, run)| {
+        let name = case.iter().map(|_| found.name.clone());
+        let swept = keys.iter().map(|key| value(found, key).map_or_else(String::new, text));
+        let names = [run.field.letter().to_owned(), run.seed.to_string()];
+        let numbers = [run.last(|r| r.train_loss), run.last(|r| r.test_loss), best(run.records), run.seconds()];
+        name.chain(swept).chain(names).chain(numbers.map(|x| x.to_string())).collect::<Vec<_>>()
+    });
+    csv(header, rows)
+}
+
+/// Text of a value in a table.
+fn text(value: &Value) -> String {
+    value.as_str().map_or_else(|| value.to_string(), String::from)
+}
+
+/// Final test losses against each swept setting with numeric values: one panel per setting, one
+/// line per field. None without such a setting.
+fn sweep_picture(title: &str, cases: &[Finished]) -> Option<Drawing> {
+    let number = |value: &Value| value.as_float().or_else(|| value.as_integer().map(|x| x as f64));
+    let panel = |key: &String| {
+        let mut values: Vec<f64> = cases.iter().filter_map(|finished| number(value(finished.case, key)?)).collect();
+        values.sort_by(f64::total_cmp);
+        values.dedup();
+        let losses = |field: Field, at: f64| {
+            let cases = cases.iter().filter(move |finished| value(finished.case, key).and_then(number) == Some(at));
+            let runs = cases.flat_map(|finished| &finished.runs).filter(move |run| run.field == field);
+            sorted(runs.map(|run| run.last(|r| r.test_loss)))
+        };
+        let series = |(field, _): (Field, &[Outcome])| {
+            let points: Vec<(f64, Vec<f64>)> = values.iter().map(|&at| (at, losses(field, at))).collect();
+            let line = points.iter().map(|(at, losses)| (*at, quantile(losses, 0.5))).collect();
+            let band = points.iter().map(|(_, losses)| (quantile(losses, 0.25), quantile(losses, 0.75))).collect();
+            Series { band, ..Series::new(field_label(field), field_color(field.letter()), line) }
+        };
+        (values.len() > 1).then(|| (key.clone(), by_field(&cases[0].runs).map(series).collect()))
+    };
+    let panels: Vec<_> = swept_keys(cases).iter().filter_map(panel).collect();
+    (!panels.is_empty()).then(|| settings(&format!("{title}: median and quartiles of the final test loss"), panels))
+}
+
+/// Case and field with the lowest median of the final test loss. Empty for a single case.
+fn lowest(cases: &[Finished]) -> String {
+    let median = |runs: &[Outcome]| quantile(&sorted(runs.iter().map(|run| run.last(|r| r.test_loss))), 0.5);
+    let fields = |finished: &'_ Finished| by_field(&finished.runs).map(|(field, runs)| (median(runs), field)).collect::<Vec<_>>();
+    let all =
+        cases.iter().flat_map(|finished| fields(finished).into_iter().map(|(loss, field)| (loss, &finished.case.name, field)));
+    match all.filter(|(loss, ..)| !loss.is_nan()).min_by(|a, b| a.0.total_cmp(&b.0)) {
+        Some((loss, case, field)) if cases.len() > 1 => format!("\nlowest median final test loss: {case}, {field}: {loss:.4}"),
+        _ => String::new(),
+    }
+}
+
+fn table(cases: &[Finished]) -> Table {
     let mut table = Table::new();
-    let several = scenes.len() > 1;
-    let header = ["scene"].into_iter().chain(statistics::TABLE_HEADER).skip(usize::from(!several));
+    let several = cases.len() > 1;
+    let header = ["case"].into_iter().chain(statistics::TABLE_HEADER).skip(usize::from(!several));
     table.load_style(UTF8_FULL_CONDENSED).set_header(header);
-    for scene in scenes {
-        for row in statistics::table(&scene.runs) {
-            table.add_row([scene.name.to_owned()].into_iter().chain(row).skip(usize::from(!several)));
+    for Finished { case, runs } in cases {
+        for row in statistics::table(runs) {
+            table.add_row([case.name.clone()].into_iter().chain(row).skip(usize::from(!several)));
         }
     }
     table

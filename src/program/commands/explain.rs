@@ -2,7 +2,7 @@
 
 use crate::program::operations::costs::SAMPLES;
 use crate::program::platform::terminal::print_result;
-use crate::program::scenes::overrides::Overrides;
+use crate::program::scenes::overrides::{Overrides, hide_training};
 use crate::program::scenes::presets;
 use crate::program::settings::{ACTUATORS, Info, OPTIONAL};
 use crate::program::tasks::Scene;
@@ -16,7 +16,7 @@ use comfy_table::{ContentArrangement, Table};
 ///
 /// All numbers are counts, not timings, so they are equal on every machine.
 #[derive(Debug, clap::Args)]
-#[command(mut_arg("epochs", |arg| arg.hide(true)))]
+#[command(mut_args(hide_training))]
 pub struct Explain {
     /// A task, a preset (see `physgrad scene`), or the path of a scene
     pub scene: String,

@@ -10,7 +10,7 @@ use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, REPORT};
 use crate::program::platform::terminal::print_result;
 use crate::program::runs::run::threads;
-use crate::program::scenes::overrides::Overrides;
+use crate::program::scenes::overrides::{Overrides, hide_training};
 use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
 use anyhow::{Context, Result, bail};
@@ -28,6 +28,7 @@ const JUMP: f64 = 1e-3;
 /// Writes a report, the fitted scene, the numbers with their standard errors, and measured beside
 /// simulated trajectories.
 #[derive(Debug, clap::Args)]
+#[command(mut_args(hide_training))]
 pub struct Identify {
     /// Preset or path of a scene; its section [fit] lists the unknown numbers
     pub scene: String,

@@ -18,6 +18,7 @@ pub mod paper;
 pub mod print;
 pub mod report;
 pub mod robust;
+pub mod runs;
 pub mod stress;
 pub mod tasks;
 pub mod train;

@@ -8,7 +8,7 @@ use crate::program::platform::parallel;
 use crate::program::platform::terminal::{print_message, print_result};
 use crate::program::runs::run::threads;
 use crate::program::runs::{outputs, saved};
-use crate::program::scenes::overrides::Overrides;
+use crate::program::scenes::overrides::{Overrides, hide_training};
 use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
 use crate::report::{Series, fitted};
@@ -22,6 +22,7 @@ use std::time::Instant;
 ///
 /// Writes controls and states, feedback gains along them, animations and a picture.
 #[derive(Debug, clap::Args)]
+#[command(mut_args(hide_training))]
 pub struct Optimize {
     /// Task, preset or path of a scene
     #[arg(required_unless_present = "from", conflicts_with = "from")]
@@ -29,7 +30,7 @@ pub struct Optimize {
     #[command(flatten)]
     pub overrides: Overrides,
     /// Folder of a trained run: take its scene, and start at the controls of its policy instead of 0
-    #[arg(long, value_name = "RUN", conflicts_with_all = ["field", "epochs", "seed", "precision", "set", "without"])]
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["field", "epochs", "seed", "precision", "policy", "tag", "set", "without"])]
     pub from: Option<PathBuf>,
     /// Bounds of the controls, as in force=-10:10, or -10:10 for all controls; may be repeated
     #[arg(long, value_name = "[NAME=]LOW:HIGH", allow_hyphen_values = true)]

@@ -2,6 +2,7 @@
 //!
 //! Imports all parts of the program except `commands`. Start with `run`.
 
+pub mod listed;
 pub mod outputs;
 pub mod progress;
 pub mod run;

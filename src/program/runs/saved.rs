@@ -39,7 +39,7 @@ pub fn runs(folder: &Folder) -> Result<Vec<Folder>> {
 }
 
 /// Subfolders, sorted by name. Omits renamed earlier runs.
-fn folders(path: &Path) -> Result<Vec<Folder>> {
+pub(super) fn folders(path: &Path) -> Result<Vec<Folder>> {
     let context = || format!("cannot read the folder {}", path.display());
     let entries = std::fs::read_dir(path).with_context(context)?;
     let mut paths = entries.map(|entry| Ok(entry.with_context(context)?.path())).collect::<Result<Vec<_>>>()?;

@@ -113,7 +113,7 @@ pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a str>) ->
 ///
 /// # Errors
 /// A setting is unusable; the memory budget may be too small, for example.
-pub fn check_sessions(bases: &[Scene], fields: &[FieldName]) -> Result<()> {
+pub fn check_sessions<'a>(bases: impl Iterator<Item = &'a Scene>, fields: &[FieldName]) -> Result<()> {
     for base in bases {
         for &field in fields {
             base.with(field, base.seed)?.open(1)?;

@@ -1,4 +1,4 @@
-//! Scene files, presets and command-line overrides.
+//! Scene files, presets, sweeps and command-line overrides.
 //!
 //! Errors name the line or option of a key. Imports `settings`, `tasks` and `platform`. Start with
 //! `source`.
@@ -6,3 +6,4 @@
 pub mod overrides;
 pub mod presets;
 pub mod source;
+pub mod sweep;

@@ -2,6 +2,7 @@
 
 use crate::program::platform::folder::POLICY;
 use crate::program::scenes::source::{SceneSource, short};
+use crate::program::scenes::sweep::{Sweep, several};
 use crate::program::settings::{FieldName, Precision};
 use crate::program::tasks::scene::INITIAL_POLICY;
 use anyhow::{Context, Result, bail};
@@ -26,6 +27,9 @@ pub struct Overrides {
     /// Start from this policy: a file `policy.safetensors`, or the folder of a run
     #[arg(long, value_name = "FILE")]
     pub policy: Option<PathBuf>,
+    /// Tag of the run, for `physgrad runs --tag`
+    #[arg(long)]
+    pub tag: Vec<String>,
     /// Change or add a setting, for example system.poles=4; `physgrad tasks` lists them
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
@@ -54,6 +58,9 @@ impl Overrides {
                 source.put(key, value, &format!("--{key}"))?;
             }
         }
+        if !self.tag.is_empty() {
+            source.put("tags", Value::from(self.tag.clone()), "--tag")?;
+        }
         if let Some(path) = &self.policy {
             let option = format!("--policy {}", path.display());
             let file = if path.is_dir() { path.join(POLICY) } else { path.clone() };
@@ -72,6 +79,24 @@ impl Overrides {
     }
 }
 
+/// Hides options that only trainings use in the help text of other commands.
+pub fn hide_training(arg: clap::Arg) -> clap::Arg {
+    let is_hidden = ["epochs", "policy", "tag"].contains(&arg.get_id().as_str());
+    if is_hidden { arg.hide(true) } else { arg }
+}
+
+/// Removes the assignments with several values from `set`, and adds them to the sweep.
+pub fn take_several(set: &mut Vec<String>, sweep: &mut Sweep) -> Result<()> {
+    for assignment in std::mem::take(set) {
+        let parts = assignment.split_once('=').and_then(|(key, text)| Some((key.trim(), several(text.trim())?)));
+        match parts {
+            Some((key, values)) => sweep.add(key, values)?,
+            None => set.push(assignment),
+        }
+    }
+    Ok(())
+}
+
 /// Converts to an integer of TOML, which is signed.
 fn integer(option: &str, value: u64) -> Result<Value> {
     let value = i64::try_from(value).ok().with_context(|| format!("{option} is {value}; allowed: up to {}", i64::MAX))?;
@@ -86,6 +111,9 @@ pub fn set(source: &mut SceneSource, assignment: &str) -> Result<()> {
     let (key, text) = (key.trim(), text.trim());
     if ["physgrad", "scene", "task"].contains(&key) {
         bail!("{option}: `{key}` defines the meaning of the other settings and cannot be set; edit the scene file");
+    }
+    if several(text).is_some() {
+        bail!("{option}: `{key}` has several values, which only `compare` trains; choose one");
     }
     // Reads text that is not a TOML value as a string, because shells remove quotes.
     let value = text.parse().unwrap_or_else(|_| Value::String(text.into()));

@@ -2,6 +2,7 @@
 
 use crate::program::platform::folder::Folder;
 use crate::program::platform::terminal::did_you_mean;
+use crate::program::scenes::sweep::Sweep;
 use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{OPTIONAL, VERSION};
 use crate::program::tasks::scene::{INITIAL_POLICY, flat};
@@ -27,6 +28,8 @@ pub struct SceneSource {
     /// Name in messages.
     name: String,
     table: Table,
+    /// Section `sweep`, which only `compare` reads.
+    sweep: Option<Sweep>,
     /// Folder of the file. None for a preset.
     folder: Option<PathBuf>,
     /// Text of the file, for line numbers.
@@ -61,9 +64,13 @@ impl SceneSource {
         };
         let parsed = DeTable::parse(text).map_err(located)?;
         let table = Table::deserialize(Deserializer::from(parsed)).map_err(located)?;
-        let mut source = Self { name: name.to_owned(), table, folder: None, text: text.to_owned(), options: HashMap::new() };
+        let mut source =
+            Self { name: name.to_owned(), table, sweep: None, folder: None, text: text.to_owned(), options: HashMap::new() };
         source.place("vary")?;
         source.place("fit")?;
+        if let Some(sweep) = source.table.remove("sweep") {
+            source.sweep = sweep.try_into().with_context(|| format!("{}: `sweep`", source.origin("sweep")))?;
+        }
         Ok(source)
     }
 
@@ -143,8 +150,18 @@ impl SceneSource {
         Ok(())
     }
 
+    /// Takes the section `sweep`. Empty if absent.
+    pub fn take_sweep(&mut self) -> Sweep {
+        self.sweep.take().unwrap_or_default()
+    }
+
     /// Replaces a number by a fixed value, even if it is drawn or trained.
     pub fn fix(&mut self, key: &str, value: f64) -> Result<()> {
+        self.replace(key, Value::Float(value), &format!("{key} = {value}"))
+    }
+
+    /// Replaces the value of a dotted key, even if it is a section.
+    pub fn replace(&mut self, key: &str, value: Value, option: &str) -> Result<()> {
         let (section, last) = key.rsplit_once('.').unwrap_or(("", key));
         let mut path = section.split('.').filter(|part| !part.is_empty());
         let section = path.try_fold(&mut self.table, |table, part| match element(part) {
@@ -154,7 +171,7 @@ impl SceneSource {
         if let Some(section) = section {
             section.remove(last);
         }
-        self.put(key, Value::Float(value), &format!("{key} = {value}"))
+        self.put(key, value, option)
     }
 
     /// Replaces the value of a top-level key by the value in another source.
@@ -197,7 +214,13 @@ impl SceneSource {
     }
 
     /// Validates the scene. Absent settings get the task's defaults. Absent effects stay absent.
+    ///
+    /// # Errors
+    /// A setting is invalid. The scene has a sweep.
     pub fn scene(&self) -> Result<Scene> {
+        if self.sweep.is_some() {
+            bail!("{}: the scene has a sweep, which only `compare` trains; remove the section", self.origin("sweep"));
+        }
         let scene = self.validate().map_err(|error| anyhow!("{}: {error}", self.origin(&error.key)))?;
         let Some(file) = self.text(INITIAL_POLICY) else { return Ok(scene) };
         // The path in an option is relative to the working folder.

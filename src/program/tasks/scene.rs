@@ -289,7 +289,7 @@ impl Scene {
         let defaults = flat(&self.task.fill(defaults.clone()).unwrap_or(defaults));
         let differences =
             flat(&self.table).into_iter().filter(|setting| !defaults.contains(setting) && !but.contains(&&*setting.0));
-        let differences = differences.filter(|(key, _)| key != INITIAL_POLICY);
+        let differences = differences.filter(|(key, _)| ![INITIAL_POLICY, "tags"].contains(&&**key));
         lines.extend(differences.map(|(key, value)| format!("{key} = {value}")));
         // The contents matter, and the path does not.
         lines.extend(self.initial_policy.iter().map(|bytes| format!("{INITIAL_POLICY} = CRC-32C {:08x}", CRC.checksum(bytes))));

@@ -33,6 +33,9 @@ pub struct Settings<K: TaskSpec> {
     pub seed: u64,
     /// Total number of epochs: passes over the training set.
     pub epochs: usize,
+    /// Tags of the run, for searches. Results do not depend on them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub tags: Vec<String>,
     /// Policy file whose parameters start the training, relative to the folder of the scene.
     /// Random parameters if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -72,6 +75,7 @@ impl<K: TaskSpec> Settings<K> {
             precision: Precision::F32,
             seed: 0,
             epochs: K::EPOCHS,
+            tags: Vec::new(),
             initial_policy: None,
             horizon: K::horizon(),
             system: K::system(),

@@ -1,0 +1,99 @@
+//! [`Listed`]: a saved run as its files describe it, without its task.
+
+use crate::program::platform::folder::{CHECKPOINT, Folder, METRICS, SETTINGS};
+use crate::program::runs::saved;
+use crate::report::Point;
+use anyhow::{Context, Result};
+use std::fs;
+use std::time::SystemTime;
+use toml::{Table, Value};
+
+/// Settings and losses of a saved run. Runs of other programs and other versions can be read.
+pub struct Listed {
+    pub folder: Folder,
+    pub task: String,
+    pub field: String,
+    pub seed: i64,
+    /// Total number of epochs in the settings.
+    pub epochs: i64,
+    pub tags: Vec<String>,
+    /// Test loss after each epoch.
+    pub losses: Vec<Point>,
+    /// Time of the last checkpoint.
+    pub saved: SystemTime,
+}
+
+/// Runs in a folder and in its subfolders, sorted by path.
+///
+/// # Errors
+/// The folder, or the files of a run in it, cannot be read.
+pub fn below(folder: &Folder) -> Result<Vec<Listed>> {
+    /// Depth of the runs of a comparison of several scenes, in a folder of comparisons.
+    const DEPTH: usize = 5;
+    let (mut level, mut runs) = (vec![folder.clone()], Vec::new());
+    for _ in 0..DEPTH {
+        let mut next = Vec::new();
+        for folder in level {
+            match saved::has_run(&folder) {
+                true => runs.push(Listed::read(folder)?),
+                false => next.extend(saved::folders(folder.path())?),
+            }
+        }
+        level = next;
+    }
+    runs.sort_by(|a, b| a.folder.path().cmp(b.folder.path()));
+    Ok(runs)
+}
+
+impl Listed {
+    fn read(folder: Folder) -> Result<Self> {
+        let path = folder.readable(SETTINGS)?;
+        let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+        let table: Table = text.parse().with_context(|| format!("{} is damaged", path.display()))?;
+        let text = |key: &str| table.get(key).and_then(Value::as_str).unwrap_or("?").to_owned();
+        let number = |key: &str| table.get(key).and_then(Value::as_integer).unwrap_or(0);
+        let tags = table.get("tags").and_then(Value::as_array).into_iter().flatten();
+        let time = |name: &str| fs::metadata(folder.file(name)).and_then(|file| file.modified());
+        Ok(Self {
+            task: text("task"),
+            field: text("field"),
+            seed: number("seed"),
+            epochs: number("epochs"),
+            tags: tags.filter_map(Value::as_str).map(String::from).collect(),
+            losses: losses(&folder)?,
+            saved: time(CHECKPOINT).or_else(|_| time(SETTINGS)).unwrap_or(SystemTime::UNIX_EPOCH),
+            folder,
+        })
+    }
+
+    /// Test loss of the last epoch. NaN before the first epoch.
+    pub fn last(&self) -> f64 {
+        self.losses.last().map_or(f64::NAN, |point| point.value)
+    }
+
+    /// Lowest test loss. NaN if no loss is a number.
+    pub fn best(&self) -> f64 {
+        self.losses.iter().map(|point| point.value).fold(f64::NAN, f64::min)
+    }
+}
+
+/// Columns `epoch`, `seconds` and `test_loss` of `metrics.csv`, with the elapsed seconds.
+fn losses(folder: &Folder) -> Result<Vec<Point>> {
+    if !folder.has(METRICS) {
+        return Ok(Vec::new());
+    }
+    let damaged = || format!("{} is damaged", folder.file(METRICS).display());
+    let bytes = folder.read(METRICS)?;
+    let mut rows = csv::Reader::from_reader(&*bytes);
+    let header = rows.headers().with_context(damaged)?.clone();
+    let column = |name: &str| header.iter().position(|header| header == name).with_context(damaged);
+    let columns = [column("epoch")?, column("seconds")?, column("test_loss")?];
+    let mut elapsed = 0.0;
+    let point = |row: Result<csv::StringRecord, csv::Error>| {
+        let row = row.with_context(damaged)?;
+        let [epoch, seconds, value] = columns.map(|column| row[column].parse::<f64>().with_context(damaged));
+        elapsed += seconds?;
+        Ok(Point { epoch: epoch?, seconds: elapsed, value: value? })
+    };
+    rows.records().map(point).collect()
+}
