@@ -213,6 +213,15 @@ mod tests {
     }
 
     #[test]
+    fn the_sweep_of_the_documentation_has_80_points() {
+        let page = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/runs.md");
+        let page = std::fs::read_to_string(page).expect("a page").replace("sweep.", "").replace("[sweep]", "[ignored]");
+        let block = page.split("```toml").nth(1).and_then(|rest| rest.split("```").next()).expect("a block");
+        let (parts, settings) = block.split_once("[ignored]").expect("the section");
+        assert_eq!(names(&sweep(&format!("{settings}{parts}"))).len(), 2 * 2 * 2 * 10);
+    }
+
+    #[test]
     fn random_draws_depend_on_seed_and_sample_only() {
         let text = |samples: usize, seed: u64| {
             sweep(&format!(
