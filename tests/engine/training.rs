@@ -158,3 +158,21 @@ fn a_run_prints_its_warnings_to_standard_error() {
     assert_eq!(printed.matches("warning: epoch").count(), 4, "{printed}");
     assert!(printed.contains("warning: epoch 1: M grows by 10^4"), "{printed}");
 }
+
+/// The loss is θ, and each of the four updates of an epoch subtracts the learning rate.
+#[test]
+fn the_best_parameters_precede_a_divergence_and_follow_a_start_from_parameters() {
+    let task = Plant { factor: 1.0, horizon: 1, weight: 1.0 };
+    let training = Training { epochs: 2, batch: 2, learning_rate: 2e5, ..Training::default() };
+    let mut session = trainer(task.clone(), training.clone()).session().expect("valid settings");
+    assert_eq!(session.best_theta(), [0.0], "the initial parameters");
+    session.epoch().expect("an epoch");
+    assert_eq!(session.best_theta(), [-8e5]);
+    assert!(session.epoch().expect("skipped updates are allowed").test_loss.is_nan());
+    assert_eq!(session.best_theta(), [-8e5]);
+    assert!(session.weights().theta()[0] < -1e6);
+
+    let training = Training { epochs: 1, learning_rate: 0.5, ..training };
+    let report = trainer(task, training).start_from(vec![5.0]).run().expect("valid settings");
+    assert_eq!((report.weights.theta(), report.best.theta()), (&[3.0][..], &[3.0][..]));
+}
