@@ -5,13 +5,13 @@ use crate::program::platform::folder::{Folder, SETTINGS};
 use crate::program::platform::terminal::print_result;
 use crate::program::runs::run::threads;
 use crate::program::runs::saved::changed;
-use crate::program::runs::statistics::{self, Outcome, best, curves};
+use crate::program::runs::statistics::{InScene, MAX_DASHED, best, curves, curves_of_scenes, table_header, table_of_scenes};
 use crate::program::runs::sweep::{Comparison, check_distinct, check_options, check_sessions, sweep};
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::settings::FieldName;
 use crate::program::tasks::Scene;
-use crate::report::{Curve, comparison};
+use crate::report::{Abscissa, Case, Drawing, comparison, study};
 use anyhow::{Result, bail};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
@@ -81,7 +81,7 @@ pub fn compare(args: &Compare) -> Result<()> {
         .collect();
     folder.write("summary.csv", summary(&scenes)?)?;
     let title = format!("{}, {} seed{}", names.join(", "), args.seeds, if args.seeds == 1 { "" } else { "s" });
-    folder.write("curves.svg", comparison(&title, &all_curves(&scenes)).to_svg())?;
+    folder.write("curves.svg", picture(&title, &scenes).to_svg())?;
     if !args.quiet {
         let files = if one {
             "summary.csv, curves.svg, and all runs in runs/"
@@ -93,26 +93,29 @@ pub fn compare(args: &Compare) -> Result<()> {
     swept.into_result()
 }
 
-/// Runs of one scene. The name is empty if there is only one scene.
-struct InScene<'a> {
-    name: &'a str,
-    runs: Vec<Outcome<'a>>,
-}
+/// Panels side by side, if every scene has its own.
+const COLUMNS: usize = 4;
 
-/// Okabe-Ito colours with grey in place of yellow, one per scene and field. Curves of a single
-/// scene have the colours of the fields instead.
-const COLORS: [&str; 8] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999"];
-
-/// One curve per scene and field.
-fn all_curves(scenes: &[InScene]) -> Vec<Curve> {
-    let each = scenes.iter().flat_map(|scene| curves(&scene.runs, |r| r.test_loss).into_iter().map(|curve| (scene.name, curve)));
-    let named = |(i, (name, curve)): (usize, (&str, Curve))| {
-        if name.is_empty() {
-            return curve;
-        }
-        Curve { label: format!("{name}: {}", curve.label), color: COLORS[i % COLORS.len()], ..curve }
+/// Test losses of all scenes. Draws up to three scenes in one panel with dashes, and more scenes in
+/// one panel each.
+fn picture(title: &str, scenes: &[InScene]) -> Drawing {
+    if scenes.len() <= MAX_DASHED {
+        return comparison(title, &curves_of_scenes(scenes, |r| r.test_loss));
+    }
+    let columns = scenes.len().div_ceil(scenes.len().div_ceil(COLUMNS));
+    let row = |x: Abscissa, first: usize, scenes: &[InScene]| -> Vec<Case> {
+        let case = |(i, scene): (usize, &InScene)| Case {
+            title: if x == Abscissa::Epoch { scene.name.to_owned() } else { String::new() },
+            y_label: "test loss".into(),
+            y_axis: first + i,
+            x,
+            curves: curves(&scene.runs, |r| r.test_loss),
+        };
+        scenes.iter().enumerate().map(case).collect()
     };
-    each.enumerate().map(named).collect()
+    let rows = scenes.chunks(columns).enumerate();
+    let rows = rows.flat_map(|(i, scenes)| [Abscissa::Epoch, Abscissa::Seconds].map(|x| row(x, i * columns, scenes)));
+    study(title, &rows.collect::<Vec<_>>())
 }
 
 /// `summary.csv`: one row per run. Final losses of a failed run are NaN.
@@ -131,13 +134,7 @@ fn summary(scenes: &[InScene]) -> Result<Vec<u8>> {
 
 fn table(scenes: &[InScene]) -> Table {
     let mut table = Table::new();
-    let several = scenes.len() > 1;
-    let header = ["scene"].into_iter().chain(statistics::TABLE_HEADER).skip(usize::from(!several));
-    table.load_style(UTF8_FULL_CONDENSED).set_header(header);
-    for scene in scenes {
-        for row in statistics::table(&scene.runs) {
-            table.add_row([scene.name.to_owned()].into_iter().chain(row).skip(usize::from(!several)));
-        }
-    }
+    table.load_style(UTF8_FULL_CONDENSED).set_header(table_header(scenes));
+    table.add_rows(table_of_scenes(scenes));
     table
 }
