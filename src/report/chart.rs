@@ -1,10 +1,9 @@
 //! [`Chart`]: a chart with its axis geometry, so that a page can locate the data.
 
-use super::axes::round_up;
 use super::log_axis::LogAxis;
 use super::log_figure::theme;
 use super::marks::marks;
-use super::series::{cleaned, drawable, thinned, x_range};
+use super::series::{cleaned, drawable, thinned, tick_step, x_range};
 use super::{Drawing, Series};
 use kuva::prelude::{Layout, render_multiple};
 
@@ -103,7 +102,7 @@ impl Chart {
             .with_y_axis_min(low)
             .with_y_axis_max(high)
             .with_x_label(self.x_label)
-            .with_x_tick_step(tick_step(&self.x, &self.series))
+            .with_x_tick_step(tick_step(self.x, &self.series))
             .with_tick_size(12)
             .with_label_size(13)
             .with_theme(theme());
@@ -127,14 +126,6 @@ fn shown(series: Vec<Series>, is_drawable: impl Fn(f64) -> bool) -> Vec<Series> 
         s
     };
     series.into_iter().map(clean).filter(|s| !s.line.is_empty()).collect()
-}
-
-/// Tick step: 1, 2 or 5 times a power of ten, for at most seven ticks. An integer if all x are
-/// integers.
-fn tick_step([low, high]: &[f64; 2], series: &[Series]) -> f64 {
-    let step = round_up((high - low) / 6.5);
-    let whole = series.iter().flat_map(|s| &s.line).all(|&(x, _)| x.fract() == 0.0);
-    if whole { step.max(1.0) } else { step }
 }
 
 #[cfg(test)]
@@ -173,13 +164,6 @@ mod tests {
         }
         let points = [(1.0, -0.7), (2.0, 0.1), (5.0, 1.0)];
         check(&Chart::linear("x", "y", [-1.0, 1.0], vec![Series::new("a", "#123456", points.to_vec())]), &points);
-    }
-
-    #[test]
-    fn tick_steps_are_round_and_integers_for_integer_x() {
-        let step = |high: f64, x: f64| tick_step(&[0.0, high], &[Series::new("a", "red", vec![(x, 1.0)])]);
-        assert_eq!([step(3.0, 1.0), step(15.0, 1.0), step(60.0, 1.0), step(1000.0, 1.0)], [1.0, 5.0, 10.0, 200.0]);
-        assert_eq!([step(3.0, 0.5), step(0.3, 0.1)], [0.5, 0.05]);
     }
 
     #[test]

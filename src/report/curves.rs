@@ -1,23 +1,30 @@
 //! Learning curves: the loss of one run, and the losses of several methods against effort.
 
-use super::log_figure::{Panel, log_figure};
+use super::log_figure::{Panel, legend, log_figure};
+use super::quantile::{quantile, sorted};
 use super::series::{cleaned, drawable, thinned};
-use super::{Drawing, Series};
+use super::{Dash, Drawing, Series};
 
 /// Summaries exclude runs that end before this share of the epochs of the longest run.
 const MIN_SHARE: f64 = 0.95;
+/// Smallest number of seeds with a band of quartiles. Fewer seeds have a band of their range.
+const MIN_QUARTILES: usize = 4;
 
 /// Runs of one method, one per seed.
+#[derive(Clone, Debug)]
 pub struct Curve {
     /// Legend label.
     pub label: String,
     /// CSS colour, for example from [`field_color`].
     pub color: &'static str,
+    /// Pattern of the line.
+    pub dash: Dash,
     /// Points of each run, one run per seed.
     pub runs: Vec<Vec<Point>>,
 }
 
 /// Measured value at one time of a training run.
+#[derive(Clone, Copy, Debug)]
 pub struct Point {
     /// Epochs completed.
     pub epoch: f64,
@@ -49,24 +56,49 @@ pub fn learning_curve(title: &str, train: &[(f64, f64)], test: &[(f64, f64)]) ->
         |label, color, points: &[(f64, f64)]| Series::new(label, color, thinned(cleaned(points.to_vec(), &drawable), |p| p.1));
     let series = vec![series("train", "#0072B2", train), series("test", "#D55E00", test)];
     let panel = Panel { title: String::new(), x_label: "epoch".into(), log_x: false, y_label: "loss".into(), y_axis: 0, series };
-    log_figure(title, &[vec![panel]])
+    draw(title, &[vec![panel]])
 }
 
 /// Draws the test losses of several methods against epochs and against wall time.
 ///
-/// - Line: geometric mean over the seeds, which is the arithmetic mean on a log axis. A single bad
-///   seed does not dominate this mean.
-/// - Band: range from the best to the worst seed, always positive. A single seed has no band.
+/// - Bold line: median over the seeds. A single bad seed does not shift it.
+/// - Band: first to third quartile of four or more seeds, or the range of two or three seeds.
+/// - Thin lines: single seeds. One seed has a bold line only.
 ///
 /// Values are interpolated at common epochs, over the range that all runs cover. The wall time of
-/// an epoch is the mean over the seeds. Runs without valid points, and runs that failed or diverged
-/// early, are excluded; the figure states how many remain.
+/// an epoch is the median over the seeds. Medians and bands exclude runs without valid points, and
+/// runs that failed or diverged early; the figure states how many remain. The title of the figure
+/// ends with the name of the statistic.
 pub fn comparison(title: &str, curves: &[Curve]) -> Drawing {
-    let panel = |x_label: &str, x: fn(&Point) -> f64| {
-        let series = curves.iter().map(|c| c.summary(x)).collect();
-        Panel { title: String::new(), x_label: x_label.into(), log_x: false, y_label: "test loss".into(), y_axis: 0, series }
-    };
-    log_figure(title, &[vec![panel("epoch", |p| p.epoch), panel("wall time (s)", |p| p.seconds)]])
+    let case = |x| Case { title: String::new(), y_label: "test loss".into(), y_axis: 0, x, curves: curves.to_vec() };
+    study(title, &[[Abscissa::Epoch, Abscissa::Seconds].map(case).into()])
+}
+
+/// Quantity along the x axis of a learning curve.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Abscissa {
+    /// Completed epochs.
+    Epoch,
+    /// Wall time since the start of training, s.
+    Seconds,
+}
+
+impl Abscissa {
+    /// Label of the axis.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Epoch => "epoch",
+            Self::Seconds => "wall time (s)",
+        }
+    }
+
+    /// Value at a point.
+    pub fn of(self, point: &Point) -> f64 {
+        match self {
+            Self::Epoch => point.epoch,
+            Self::Seconds => point.seconds,
+        }
+    }
 }
 
 /// Curves of one panel of a [`study`].
@@ -77,26 +109,60 @@ pub struct Case {
     pub y_label: String,
     /// Cases with the same number share the range of their y axes.
     pub y_axis: usize,
+    /// Quantity along the x axis.
+    pub x: Abscissa,
     /// One curve per method.
     pub curves: Vec<Curve>,
 }
 
-/// Draws a grid of cases, one panel each, against epochs. Lines and bands are as in [`comparison`].
+/// Draws a grid of cases, one panel each. Lines, bands and title are as in [`comparison`].
 pub fn study(title: &str, rows: &[Vec<Case>]) -> Drawing {
     let panel = |case: &Case| Panel {
         title: case.title.clone(),
-        x_label: "epoch".into(),
+        x_label: case.x.label().into(),
         log_x: false,
         y_label: case.y_label.clone(),
         y_axis: case.y_axis,
-        series: case.curves.iter().map(|c| c.summary(|p| p.epoch)).collect(),
+        series: case.curves.iter().flat_map(|c| c.series(case.x)).collect(),
     };
-    log_figure(title, &rows.iter().map(|row| row.iter().map(panel).collect()).collect::<Vec<_>>())
+    let statistic = statistic(rows.iter().flatten().flat_map(|case| &case.curves).map(|curve| curve.runs.len()));
+    let title = if statistic.is_empty() { title.into() } else { format!("{title}: {statistic}") };
+    draw(&title, &rows.iter().map(|row| row.iter().map(panel).collect()).collect::<Vec<_>>())
+}
+
+fn draw(title: &str, rows: &[Vec<Panel>]) -> Drawing {
+    log_figure(title, rows, legend(rows.iter().flatten()))
+}
+
+/// Name of the statistic of curves with these numbers of seeds. Empty for single seeds.
+pub fn statistic(seeds: impl Iterator<Item = usize>) -> &'static str {
+    let (mut range, mut quartiles) = (false, false);
+    for seeds in seeds {
+        range |= (2..MIN_QUARTILES).contains(&seeds);
+        quartiles |= seeds >= MIN_QUARTILES;
+    }
+    match (range, quartiles) {
+        (false, false) => "",
+        (true, false) => "median, range and single seeds",
+        (false, true) => "median, quartiles and single seeds",
+        (true, true) => "median, quartiles (range below 4 seeds) and single seeds",
+    }
 }
 
 impl Curve {
-    /// Geometric mean and band of the runs against `x`, as in [`comparison`].
-    pub fn summary(&self, x: fn(&Point) -> f64) -> Series {
+    /// Lines of the single seeds, if there are several, and the [`summary`](Curve::summary).
+    pub fn series(&self, x: Abscissa) -> Vec<Series> {
+        let seed = |(i, run): (usize, &Vec<Point>)| {
+            let line = cleaned(run.iter().map(|p| (x.of(p), p.value)).collect(), &drawable);
+            let label = format!("{}, run {}", self.label, i + 1);
+            Series { thin: true, ..Series::new(label, self.color, thinned(line, |p| p.1)).dash(self.dash) }
+        };
+        let seeds = self.runs.iter().enumerate().map(seed).filter(|_| self.runs.len() > 1);
+        seeds.chain([self.summary(x)]).collect()
+    }
+
+    /// Median and band of the runs against `x`, as in [`comparison`].
+    pub fn summary(&self, x: Abscissa) -> Series {
         let points_of = |run: &Vec<Point>| cleaned(run.iter().map(|p| (p.epoch, p.value)).collect(), &drawable);
         let all: Vec<_> = self.runs.iter().map(|run| (run, points_of(run))).filter(|(_, points)| !points.is_empty()).collect();
         let end = |points: &[(f64, f64)]| points[points.len() - 1].0;
@@ -107,21 +173,21 @@ impl Curve {
             _ => format!("{} of {} seeds", runs.len(), self.runs.len()),
         };
         // Seeds reach the same epoch at different times.
-        let xs: Vec<Vec<(f64, f64)>> = measured.into_iter().map(|run| run.iter().map(|p| (p.epoch, x(p))).collect()).collect();
+        let xs: Vec<Vec<(f64, f64)>> = measured.into_iter().map(|run| run.iter().map(|p| (p.epoch, x.of(p))).collect()).collect();
+        let [low, high] = if self.runs.len() < MIN_QUARTILES { [0.0, 1.0] } else { [0.25, 0.75] };
         // Points of the line, with the edges of the band.
         let mut summaries = Vec::new();
         for epoch in common_grid(&runs) {
-            let losses: Vec<f64> = runs.iter().map(|run| interpolated(run, epoch, log_between)).collect();
-            let mean_log = losses.iter().map(|loss| loss.ln()).sum::<f64>() / losses.len() as f64;
-            let mean_x = xs.iter().map(|run| interpolated(run, epoch, between)).sum::<f64>() / xs.len() as f64;
-            let range = (losses.iter().copied().fold(f64::INFINITY, f64::min), losses.iter().copied().fold(0.0, f64::max));
-            summaries.push(((mean_x, mean_log.exp()), range));
+            let losses = sorted(runs.iter().map(|run| interpolated(run, epoch, log_between)));
+            let xs = sorted(xs.iter().map(|run| interpolated(run, epoch, between)));
+            let point = (quantile(&xs, 0.5), quantile(&losses, 0.5));
+            summaries.push((point, (quantile(&losses, low), quantile(&losses, high))));
         }
         let (line, mut band): (Vec<_>, Vec<_>) = thinned(summaries, |(point, _)| point.1).into_iter().unzip();
         if runs.len() < 2 {
             band.clear();
         }
-        Series { band, note, ..Series::new(&*self.label, self.color, line) }
+        Series { band, note, ..Series::new(&*self.label, self.color, line).dash(self.dash) }
     }
 }
 
@@ -168,28 +234,56 @@ mod tests {
         assert!(svg.len() < 100_000, "{} bytes", svg.len());
     }
 
-    #[test]
-    fn mean_is_geometric_and_band_spans_the_seeds() {
-        let runs = vec![
-            run(&[(0.0, 0.0, 1.0), (1.0, 10.0, 1e-2), (2.0, 20.0, 1.0)]),
-            run(&[(0.0, 0.0, 1.0), (1.0, 5.0, 1e-4), (2.0, 15.0, 1.0)]),
-        ];
-        let curve = Curve { label: "a".into(), color: "red", runs };
-        let by_epoch = curve.summary(|p| p.epoch);
-        assert_eq!((by_epoch.line.len(), &*by_epoch.note), (3, ""));
-        assert!((by_epoch.line[1].1 / 1e-3 - 1.0).abs() < 1e-12);
-        assert_eq!(by_epoch.band[1], (1e-4, 1e-2));
-        let by_time = curve.summary(|p| p.seconds);
-        assert_eq!(by_time.line.iter().map(|p| p.0).collect::<Vec<_>>(), [0.0, 7.5, 17.5], "mean times of the epochs");
-        assert_eq!(by_time.band, by_epoch.band);
+    fn curve(runs: Vec<Vec<Point>>) -> Curve {
+        Curve { label: "a".into(), color: "red", dash: Dash::Dotted, runs }
+    }
+
+    /// A curve with these values and times after epoch 1.
+    fn at_epoch_1(values: &[(f64, f64)]) -> Curve {
+        curve(values.iter().map(|&(seconds, value)| run(&[(0.0, 0.0, 1.0), (1.0, seconds, value)])).collect())
     }
 
     #[test]
-    fn seeds_are_averaged_at_equal_epochs_not_equal_times() {
+    fn four_seeds_have_a_median_and_a_band_of_quartiles() {
+        let curve = at_epoch_1(&[(10.0, 1.0), (5.0, 2.0), (7.0, 4.0), (8.0, 1e9), (9.0, 3.0)]);
+        let by_epoch = curve.summary(Abscissa::Epoch);
+        assert_eq!((by_epoch.line[1], by_epoch.band[1], &*by_epoch.note), ((1.0, 3.0), (2.0, 4.0), ""));
+        let by_time = curve.summary(Abscissa::Seconds);
+        assert_eq!((by_time.line[1], &by_time.band), ((8.0, 3.0), &by_epoch.band), "the median time of the epoch");
+    }
+
+    #[test]
+    fn three_seeds_have_a_band_of_their_range_and_one_seed_has_none() {
+        let three = at_epoch_1(&[(1.0, 1.0), (1.0, 5.0), (1.0, 2.0)]).summary(Abscissa::Epoch);
+        assert_eq!((three.line[1].1, three.band[1]), (2.0, (1.0, 5.0)));
+        assert!(at_epoch_1(&[(1.0, 1.0)]).summary(Abscissa::Epoch).band.is_empty());
+    }
+
+    #[test]
+    fn single_seeds_are_thin_lines_with_the_pattern_of_the_median() {
+        let series = at_epoch_1(&[(1.0, 1.0), (3.0, 5.0)]).series(Abscissa::Seconds);
+        assert_eq!(series.iter().map(|s| (s.thin, s.dash)).collect::<Vec<_>>(), [true, true, false].map(|t| (t, Dash::Dotted)));
+        assert_eq!(series[1].line, [(0.0, 1.0), (3.0, 5.0)]);
+        assert_eq!(at_epoch_1(&[(1.0, 1.0)]).series(Abscissa::Epoch).len(), 1);
+    }
+
+    #[test]
+    fn the_title_names_the_statistic() {
+        let title = |seeds: usize| {
+            let svg = comparison("A title", &[at_epoch_1(&vec![(1.0, 1.0); seeds])]).to_svg();
+            let texts: Vec<String> = svg.split("</text>").filter_map(|text| Some(text.rsplit_once('>')?.1.into())).collect();
+            texts.into_iter().find(|text| text.starts_with("A title")).expect("a title")
+        };
+        assert_eq!(title(1), "A title");
+        assert_eq!(title(3), "A title: median, range and single seeds");
+        assert_eq!(title(4), "A title: median, quartiles and single seeds");
+    }
+
+    #[test]
+    fn seeds_are_summarized_at_equal_epochs_not_equal_times() {
         let fast = run(&[(1.0, 0.1, 1.0), (3.0, 0.3, 1e-2)]);
         let slow = run(&[(1.0, 1.0, 1.0), (2.0, 2.0, 1.0), (3.0, 3.0, 1.0)]);
-        let curve = Curve { label: "a".into(), color: "red", runs: vec![fast, slow] };
-        let by_time = curve.summary(|p| p.seconds);
+        let by_time = curve(vec![fast, slow]).summary(Abscissa::Seconds);
         assert_eq!(by_time.line.len(), 3);
         assert!((by_time.line[1].0 - 1.1).abs() < 1e-12, "half way between the times of epochs 1 and 3");
         assert!((by_time.band[1].0 / 0.1 - 1.0).abs() < 1e-12, "half way from 1 to 1e-2 on a log axis");
@@ -200,11 +294,11 @@ mod tests {
         let long = run(&[(0.0, 0.0, 1.0), (99.0, 9.0, 0.5), (100.0, 10.0, f64::NAN)]);
         let failed = run(&[(0.0, 0.0, 1.0), (5.0, 0.5, 1e9)]);
         let runs = vec![long, run(&[(0.0, 0.0, 1.0), (100.0, 12.0, 1e-4)]), failed];
-        let series = Curve { label: "a".into(), color: "red", runs }.summary(|p| p.epoch);
+        let series = curve(runs).summary(Abscissa::Epoch);
         assert_eq!((&*series.note, series.line.last().expect("a line").0), ("2 of 3 seeds", 99.0));
 
         let runs = vec![run(&[(0.0, 0.0, 1.0)]), run(&[(0.0, 0.0, f64::NAN)])];
-        let series = Curve { label: "a".into(), color: "red", runs }.summary(|p| p.epoch);
+        let series = curve(runs).summary(Abscissa::Epoch);
         assert!(series.band.is_empty());
         assert_eq!((&*series.label, &*series.note), ("a", "1 of 2 seeds"));
     }
@@ -217,9 +311,9 @@ mod tests {
         check(&learning_curve("long", &long, &long));
         check(&comparison("nothing", &[]));
         check(&study("nothing", &[]));
-        let case = || Case { title: "a".into(), y_label: "b".into(), y_axis: 1, curves: Vec::new() };
+        let case = || Case { title: "a".into(), y_label: "b".into(), y_axis: 1, x: Abscissa::Epoch, curves: Vec::new() };
         check(&study("two empty rows", &[vec![case(), case()], vec![case(), case()]]));
-        check(&comparison("no runs", &[Curve { label: "a".into(), color: field_color("R"), runs: vec![vec![]] }]));
+        check(&comparison("no runs", &[curve(vec![vec![]])]));
         assert!(learning_curve("nothing", &[], &[]).to_svg().contains("no data"));
     }
 }

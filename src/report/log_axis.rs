@@ -25,8 +25,7 @@ impl LogAxis {
 
     /// Creates the axis for the values, rounded outward to one digit.
     ///
-    /// The range spans at least a factor of about two, so that it contains a tick at 1, 2 or 5
-    /// times a power of ten.
+    /// The range contains at least two ticks at 1, 2 or 5 times a power of ten.
     pub fn covering(values: impl Iterator<Item = f64>) -> Self {
         let (min, max) = values.fold((f64::INFINITY, 0.0), |(min, max), y| (y.min(min), y.max(max)));
         let (min, max) = if max > 0.0 { (min, max) } else { (0.1, 1.0) };
@@ -36,7 +35,15 @@ impl LogAxis {
         // The tolerance prevents a rounding error of the division from extending the range by a
         // tick.
         let low = round_numbers().take_while(|&y| y <= min / unit * (1.0 + 1e-9)).last().unwrap_or(1.0);
-        let high = round_numbers().find(|&y| y > low * 1.9 && y >= max / unit * (1.0 - 1e-9)).unwrap_or(1e200);
+        let high = round_numbers().find(|&y| y >= max / unit * (1.0 - 1e-9)).unwrap_or(1e200);
+        let ticks = || (-1..=200).flat_map(|e| [1.0, 2.0, 5.0].map(|m| m * 10f64.powi(e)));
+        // Extends the end that is closer to its next tick.
+        let (mut low, mut high) = (low, high);
+        while ticks().filter(|&tick| low <= tick && tick <= high).count() < 2 {
+            let below = ticks().take_while(|&tick| tick < low).last().unwrap_or(low);
+            let above = ticks().find(|&tick| tick > high).unwrap_or(high);
+            if below >= 1.0 && low / below < above / high { low = below } else { high = above }
+        }
         Self { exponent, low, high }
     }
 
@@ -93,6 +100,21 @@ mod tests {
         assert!(flat.low <= 1.0 && flat.high >= 2.0);
         let tiny = LogAxis::covering([1e-99, 1e99].into_iter());
         assert!((1.0..10.0).contains(&tiny.low) && tiny.high.is_finite());
+    }
+
+    #[test]
+    fn every_axis_has_two_labelled_ticks() {
+        for digit in 10..100 {
+            for factor in [1.0, 1.3, 2.0, 3.0, 9.0, 30.0, 99.0, 101.0, 5e3, 1e9, 1e20] {
+                let value = f64::from(digit) * 1e-4;
+                let axis = LogAxis::covering([value, factor * value].into_iter());
+                let format = axis.tick_format();
+                let ticks = kuva::render::render_utils::generate_ticks_log(axis.low, axis.high);
+                let labels: Vec<String> = ticks.into_iter().map(|tick| format.format(tick)).filter(|t| !t.is_empty()).collect();
+                assert!(labels.len() >= 2, "{value} to {}: {labels:?} on {} to {}", value * factor, axis.low, axis.high);
+                assert!(axis.low * axis.unit() <= value * 1.0001 && axis.high * axis.unit() >= factor * value * 0.9999);
+            }
+        }
     }
 
     #[test]

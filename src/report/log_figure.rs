@@ -2,7 +2,7 @@
 
 use super::log_axis::LogAxis;
 use super::marks::marks;
-use super::series::x_range;
+use super::series::{tick_step, x_range};
 use super::{Drawing, Series};
 use kuva::prelude::*;
 
@@ -38,70 +38,82 @@ impl Panel {
 /// Width and height of a plotted area, in pixels: first in figures of one row with at most two
 /// panels, then in larger figures.
 const SIZES: [[f64; 2]; 2] = [[380.0, 350.0], [250.0, 240.0]];
-/// Width of a panel beyond its plotted area, y tick labels and y label, in pixels.
-const MARGIN: f64 = 62.0;
+/// Margins of a panel without labels, in pixels: left, right, top, bottom.
+const MARGINS: [f64; 4] = [14.0, 16.0, 10.0, 32.0];
 /// Width of the y tick labels, in pixels.
-const TICK_LABELS: f64 = 30.0;
-/// Width of the y label, in pixels.
-const LABEL: f64 = 24.0;
+const TICK_LABELS: f64 = 44.0;
+/// Height of the title and of the x label, and width of the y label, in pixels.
+const LABEL: f64 = 22.0;
+
+/// Mean width of a letter of a note, in pixels.
+const LETTER: f64 = 6.2;
 
 /// Renders rows of panels. All rows have the same number of panels.
 ///
 /// The legend is to the right of all panels, so it covers no data. A panel omits the tick
 /// labels and the label of its y axis if its left neighbour shows equal ones.
-pub fn log_figure(title: &str, rows: &[Vec<Panel>]) -> Drawing {
+pub fn log_figure(title: &str, rows: &[Vec<Panel>], legend: Vec<LegendEntry>) -> Drawing {
     let panels = || rows.iter().flatten();
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0).max(1);
     let axes: Vec<LogAxis> = (0..=panels().map(|panel| panel.y_axis).max().unwrap_or(0))
         .map(|axis| LogAxis::of(panels().filter(|panel| panel.y_axis == axis).flat_map(|panel| &panel.series)))
         .collect();
-    let shows = |row: &[Panel], j: usize| Shows {
-        y_numbers: j == 0 || row[j - 1].y_axis != row[j].y_axis,
-        y_name: j == 0 || row[j - 1].y_label != row[j].y_label,
-        x_name: false,
+    // Elements of a panel. Panels of a column reserve the same width, panels of a row the same
+    // height, so all plotted areas have the same size.
+    let below = |i: usize, j: usize| rows.get(i + 1).and_then(|row| row.get(j)).map(|panel| &panel.x_label);
+    let shows = |i: usize, j: usize| {
+        let (row, panel) = (&rows[i], &rows[i][j]);
+        let left = j.checked_sub(1).map(|j| &row[j]);
+        Shows {
+            y_numbers: left.is_none_or(|left| left.y_axis != panel.y_axis),
+            y_name: left.is_none_or(|left| left.y_label != panel.y_label),
+            x_name: below(i, j) != Some(&panel.x_label),
+        }
     };
-    let layouts = rows.iter().enumerate().flat_map(|(i, row)| {
-        let last = i + 1 == rows.len();
-        let axes = &axes;
-        row.iter()
-            .enumerate()
-            .map(move |(j, panel)| panel_layout(panel, &axes[panel.y_axis], Shows { x_name: last, ..shows(row, j) }))
-    });
+    let extra = |size: f64, visible: bool| if visible { size } else { 0.0 };
+    let left_of = |j: usize| {
+        let any = |visible: fn(Shows) -> bool| (0..rows.len()).any(|i| j < rows[i].len() && visible(shows(i, j)));
+        MARGINS[0] + extra(TICK_LABELS, any(|shows| shows.y_numbers)) + extra(LABEL, any(|shows| shows.y_name))
+    };
+    let top_of = |i: usize| MARGINS[2] + extra(LABEL, rows[i].iter().any(|panel| !panel.title.is_empty()));
+    let bottom_of = |i: usize| MARGINS[3] + extra(LABEL, (0..rows[i].len()).any(|j| shows(i, j).x_name));
+    let layout = |i: usize, j: usize| {
+        panel_layout(&rows[i][j], &axes[rows[i][j].y_axis], shows(i, j))
+            .with_force_margins(left_of(j), MARGINS[1])
+            .with_force_margins_y(top_of(i), bottom_of(i))
+    };
+    let cells = rows.iter().enumerate().flat_map(|(i, row)| (0..row.len()).map(move |j| (i, j)));
     let [width, height] = SIZES[usize::from(rows.len() > 1 || columns > 2)];
     let figure = Figure::new(rows.len().max(1), columns)
         .with_title(title)
         .with_title_size(17)
         .with_padding(12.0)
         .with_spacing(8.0)
-        .with_layouts(layouts.collect())
+        .with_layouts(cells.map(|(i, j)| layout(i, j)).collect())
         .with_plots(panels().map(|panel| marks(&panel.series, [panel.x_unit(), axes[panel.y_axis].unit()])).collect())
         .with_shared_legend_right_top()
-        .with_shared_legend_entries(legend(panels()));
-    // Widens panels by the visible parts of their y axes, so that all plotted areas have the same
-    // width.
-    let y_axis_width = |column: usize| {
-        let any = |visible: fn(Shows) -> bool| f64::from(u8::from(rows.iter().any(|row| visible(shows(row, column)))));
-        MARGIN + TICK_LABELS * any(|shows| shows.y_numbers) + LABEL * any(|shows| shows.y_name)
-    };
-    let figure = (0..columns).fold(figure, |figure, column| figure.with_col_width(column, width + y_axis_width(column)));
-    // Adds height for titles, and for the x labels of the last row.
-    let figure = (0..rows.len()).fold(figure, |figure, row| {
-        let title = if rows[row].iter().any(|panel| !panel.title.is_empty()) { 24.0 } else { 0.0 };
-        figure.with_row_height(row, height + title + if row + 1 == rows.len() { 18.0 } else { 0.0 })
-    });
+        .with_shared_legend_entries(legend);
+    let figure = (0..columns).fold(figure, |figure, j| figure.with_col_width(j, width + left_of(j) + MARGINS[1]));
+    let figure = (0..rows.len()).fold(figure, |figure, i| figure.with_row_height(i, height + top_of(i) + bottom_of(i)));
     Drawing::of(figure.render())
 }
 
-/// Builds one legend entry per label across all panels; omits series without points.
+/// Builds one legend entry per label across all panels; omits thin series and series without
+/// points.
 pub fn legend<'a>(panels: impl Iterator<Item = &'a Panel>) -> Vec<LegendEntry> {
     let mut entries: Vec<LegendEntry> = Vec::new();
-    for s in panels.flat_map(|panel| &panel.series).filter(|s| !s.line.is_empty()) {
+    for s in panels.flat_map(|panel| &panel.series).filter(|s| !s.line.is_empty() && !s.thin) {
         if entries.iter().all(|entry| entry.label != s.label) {
-            let (label, color) = (s.label.clone(), s.color.into());
-            entries.push(LegendEntry { label, color, shape: LegendShape::Line, dasharray: None });
+            entries.push(entry(s));
         }
     }
     entries
+}
+
+/// Legend entry of a series, with its dashes.
+pub fn entry(series: &Series) -> LegendEntry {
+    let (label, color) = (series.label.clone(), series.color.into());
+    LegendEntry { label, color, shape: LegendShape::Line, dasharray: series.dash.array().map(String::from) }
 }
 
 /// Visible axis elements of a panel.
@@ -140,6 +152,8 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
         .with_theme(theme());
     if let Some(axis) = &x_axis {
         layout = layout.with_log_x().with_x_tick_format(axis.tick_format());
+    } else {
+        layout = layout.with_x_tick_step(tick_step([x_min, x_max], &panel.series));
     }
     if !panel.title.is_empty() {
         layout = layout.with_title(&*panel.title);
@@ -148,15 +162,16 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
         layout = layout.with_x_label(panel.x_label.as_str());
     }
     if shows.y_name {
-        // Shifts the label left: kuva reserves space only for its own, shorter tick labels.
-        layout = layout.with_y_label(&*panel.y_label).with_y_label_offset(-6.0, 0.0);
+        layout = layout.with_y_label(&*panel.y_label);
     }
     layout.suppress_y_ticks = !shows.y_numbers;
     for (i, s) in panel.series.iter().filter(|s| !s.note.is_empty()).enumerate() {
-        // Stacks notes upwards from the lower left corner.
+        // Stacks notes upwards from the lower left corner. Texts are centered.
         let share = |share: f64, from: f64, to: f64| from + share * (to - from);
         let y = share(0.04 + 0.07 * i as f64, axis.low.ln(), axis.high.ln()).exp();
-        let note = TextAnnotation::new(format!("{}: {}", s.label, s.note), share(0.25, x_min, x_max), y);
+        let text = format!("{}: {}", s.label, s.note);
+        let middle = (8.0 + 0.5 * LETTER * text.chars().count() as f64) / SIZES[1][0];
+        let note = TextAnnotation::new(text, share(middle.min(0.5), x_min, x_max), y);
         layout = layout.with_annotation(note.with_color(s.color).with_font_size(11));
     }
     if panel.series.iter().all(|s| s.line.is_empty()) {

@@ -1,7 +1,38 @@
 //! [`Series`]: a line in a chart, cleaned and thinned for drawing.
 
+use super::axes::round_up;
+
 /// Number of points beyond which a line is thinned, which keeps files small.
 const MAX_POINTS: usize = 250;
+
+/// Pattern of a line.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Dash {
+    /// Without gaps.
+    #[default]
+    Solid,
+    /// Long dashes.
+    Dashed,
+    /// Dots.
+    Dotted,
+    /// Dashes and dots in turn.
+    DashDot,
+}
+
+impl Dash {
+    /// All patterns.
+    pub const ALL: [Self; 4] = [Self::Solid, Self::Dashed, Self::Dotted, Self::DashDot];
+
+    /// Value of the SVG attribute `stroke-dasharray`, in pixels. None for a solid line.
+    pub fn array(self) -> Option<&'static str> {
+        match self {
+            Self::Solid => None,
+            Self::Dashed => Some("7 4"),
+            Self::Dotted => Some("2 3"),
+            Self::DashDot => Some("8 3 2 3"),
+        }
+    }
+}
 
 /// Line with an optional band around it.
 ///
@@ -14,23 +45,38 @@ pub struct Series {
     pub note: String,
     /// CSS colour of line and band.
     pub color: &'static str,
-    /// True for a dashed line.
-    pub dashed: bool,
+    /// Pattern of the line.
+    pub dash: Dash,
+    /// True for a thin, pale line without a legend entry, such as a single seed beside a median.
+    pub thin: bool,
     /// Points (x, y) in order of increasing x; a single point is drawn as a dot.
     pub line: Vec<(f64, f64)>,
     /// Lower and upper edge of the band at each point of the line; empty for no band.
     pub band: Vec<(f64, f64)>,
+    /// Lowest and highest x at each point of the line, drawn as horizontal bars; empty for no bars.
+    pub spread: Vec<(f64, f64)>,
 }
 
 impl Series {
     /// Creates a solid line without a band.
     pub fn new(label: impl Into<String>, color: &'static str, line: Vec<(f64, f64)>) -> Self {
-        Self { label: label.into(), note: String::new(), color, dashed: false, line, band: Vec::new() }
+        let (note, dash, band, spread) = (String::new(), Dash::Solid, Vec::new(), Vec::new());
+        Self { label: label.into(), note, color, dash, thin: false, line, band, spread }
     }
 
-    /// Makes the line dashed.
-    pub fn dashed(self) -> Self {
-        Self { dashed: true, ..self }
+    /// Sets the pattern of the line.
+    pub fn dash(self, dash: Dash) -> Self {
+        Self { dash, ..self }
+    }
+
+    /// True if the lines coincide in at least half of the points, up to a relative difference of
+    /// 0.1 %.
+    pub(super) fn coincides(&self, other: &Self) -> bool {
+        let near = |a: f64, b: f64| (a - b).abs() <= 1e-3 * a.abs().max(b.abs());
+        let pairs = self.line.iter().zip(&other.line);
+        let equal = pairs.filter(|(a, b)| near(a.0, b.0) && near(a.1, b.1)).count();
+        let points = self.line.len().min(other.line.len());
+        points > 1 && 2 * equal >= points
     }
 }
 
@@ -53,6 +99,14 @@ pub fn x_range(series: &[Series]) -> [f64; 2] {
     let low = xs().fold(0.0, f64::min);
     let high = xs().fold(low, f64::max);
     [low, if high > low { high } else { low + 1.0 }]
+}
+
+/// Tick step: 1, 2 or 5 times a power of ten, for at most seven ticks. An integer if all x are
+/// integers.
+pub fn tick_step([low, high]: [f64; 2], series: &[Series]) -> f64 {
+    let step = round_up((high - low) / 6.5);
+    let whole = series.iter().flat_map(|s| &s.line).all(|&(x, _)| x.fract() == 0.0);
+    if whole { step.max(1.0) } else { step }
 }
 
 /// At most [`MAX_POINTS`] items: the first and the last, and two from each of equal bins between
@@ -94,6 +148,22 @@ mod tests {
     fn zero_negative_non_finite_and_subnormal_values_are_not_drawable() {
         assert!(drawable(1e-12));
         assert!(![0.0, -1.0, f64::NAN, f64::INFINITY, 1e-320].into_iter().any(drawable));
+    }
+
+    #[test]
+    fn tick_steps_are_round_and_integers_for_integer_x() {
+        let step = |high: f64, x: f64| tick_step([0.0, high], &[Series::new("a", "red", vec![(x, 1.0)])]);
+        assert_eq!([step(3.0, 1.0), step(15.0, 1.0), step(60.0, 1.0), step(1000.0, 1.0)], [1.0, 5.0, 10.0, 200.0]);
+        assert_eq!([step(3.0, 0.5), step(0.3, 0.1)], [0.5, 0.05]);
+    }
+
+    #[test]
+    fn lines_coincide_if_half_of_their_points_do() {
+        let line = |ys: &[f64]| Series::new("a", "red", ys.iter().enumerate().map(|(i, &y)| (i as f64, y)).collect());
+        let base = line(&[1.0, 2.0, 3.0, 4.0]);
+        assert!(base.coincides(&line(&[1.0, 2.0005, 9.0, 9.0])));
+        assert!(!base.coincides(&line(&[1.0, 9.0, 9.0, 9.0])));
+        assert!(!line(&[1.0]).coincides(&line(&[1.0])), "dots have no width to tell them apart");
     }
 
     #[test]

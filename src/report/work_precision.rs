@@ -1,8 +1,8 @@
 //! Work-precision diagrams: error against work, on logarithmic axes.
 
-use super::log_figure::{Panel, log_figure};
+use super::log_figure::{Panel, entry, legend, log_figure};
 use super::series::drawable;
-use super::{Drawing, Series};
+use super::{Dash, Drawing, Series};
 
 /// One panel of [`work_precision`].
 pub struct Work {
@@ -14,16 +14,63 @@ pub struct Work {
     pub series: Vec<Series>,
 }
 
+/// Colour of the legend entries of dashes.
+const INK: &str = "#444444";
+
 /// Draws panels of error against work side by side. Omits points that a logarithmic axis cannot
 /// show.
-pub fn work_precision(title: &str, diagrams: Vec<Work>) -> Drawing {
+///
+/// With `dashes`, the legend shows colours and dashes apart: one solid entry per label of the
+/// series, and one entry per name of a dash.
+pub fn work_precision(title: &str, dashes: &[(&str, Dash)], diagrams: Vec<Work>) -> Drawing {
     let labels: Vec<&str> = diagrams.iter().map(|diagram| diagram.y_label).collect();
     let panel = |Work { x_label, y_label, mut series }: Work| {
-        for series in &mut series {
-            series.line.retain(|&(x, y)| drawable(x) && drawable(y));
-        }
+        series.iter_mut().for_each(omit);
         let y_axis = labels.iter().position(|label| *label == y_label).unwrap_or(0);
         Panel { title: String::new(), x_label: x_label.into(), log_x: true, y_label: y_label.into(), y_axis, series }
     };
-    log_figure(title, &[diagrams.into_iter().map(panel).collect()])
+    let row: Vec<Panel> = diagrams.into_iter().map(panel).collect();
+    let mut entries = legend(row.iter());
+    if !dashes.is_empty() {
+        entries.iter_mut().for_each(|entry| entry.dasharray = None);
+        entries.extend(dashes.iter().map(|&(name, dash)| entry(&Series::new(name, INK, Vec::new()).dash(dash))));
+    }
+    log_figure(title, &[row], entries)
+}
+
+/// Removes the points that a logarithmic axis cannot show, with their bars.
+fn omit(series: &mut Series) {
+    let shown: Vec<bool> = series.line.iter().map(|&(x, y)| drawable(x) && drawable(y)).collect();
+    let (mut points, mut bars) = (shown.iter(), shown.iter());
+    series.line.retain(|_| points.next() == Some(&true));
+    series.spread.retain(|&(low, high)| bars.next() == Some(&true) && drawable(low) && drawable(high));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bar_extends_from_the_lowest_to_the_highest_time() {
+        let spread = vec![(1.0, 4.0), (0.0, 1.0)];
+        let series = Series { spread, ..Series::new("a", "#123456", vec![(2.0, 1e-3), (3.0, f64::NAN)]) };
+        let mut shown = series.clone();
+        omit(&mut shown);
+        assert_eq!((&shown.line[..], &shown.spread[..]), (&[(2.0, 1e-3)][..], &[(1.0, 4.0)][..]));
+        let picture = work_precision("a", &[], vec![Work { x_label: "x", y_label: "y", series: vec![series] }]).to_svg();
+        let document = roxmltree::Document::parse(&picture).expect("an SVG is XML");
+        let bars = document.descendants().filter(|node| node.has_tag_name("path") && node.attribute("stroke") == Some("#123456"));
+        assert_eq!(bars.count(), 1, "one bar beside the dot");
+    }
+
+    #[test]
+    fn the_legend_shows_every_method_and_every_dash_once() {
+        let series = [Dash::Solid, Dash::Dashed].map(|dash| Series::new("a", "#123456", vec![(1.0, 1.0), (2.0, 2.0)]).dash(dash));
+        let dashes = [("f32", Dash::Dashed), ("f64", Dash::Solid)];
+        let work = Work { x_label: "x", y_label: "y", series: series.into() };
+        let picture = work_precision("title", &dashes, vec![work]).to_svg();
+        for label in [">a<", ">f32<", ">f64<"] {
+            assert_eq!(picture.matches(label).count(), 1, "{label}");
+        }
+    }
 }

@@ -47,7 +47,7 @@ fn figures_3_and_4_have_one_csv_row_per_run_and_one_table_row_per_case_and_field
         assert_eq!(read(&dir.path().join(format!("{figure}.csv"))).lines().count(), 1 + cases * clips * fields * seeds);
         let table = read(&dir.path().join(format!("{figure}.md")));
         assert_eq!(table.lines().filter(|line| line.starts_with('|')).count(), 2 + cases * clips * fields);
-        assert!(table.contains("geometric means over the seeds"), "the note below the table explains the lines");
+        assert!(table.contains("medians over the seeds"), "the note below the table explains the lines");
         assert!(table.contains(panel) && read(&dir.path().join(format!("{figure}.svg"))).contains(panel));
     }
 }

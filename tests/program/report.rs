@@ -71,7 +71,7 @@ fn between<'a>(page: &'a str, start: &str, end: &str) -> Vec<&'a str> {
     page.split(start).skip(1).map(|rest| &rest[..rest.find(end).expect("an end")]).collect()
 }
 
-/// Returns the data of a diagram by its title, as (label, points).
+/// Returns the data of a diagram by its title, as (label, points), without thin lines.
 fn diagram(page: &str, title: &str) -> Vec<(String, Vec<Vec<f64>>)> {
     let figure = page.split("<figure>").find(|figure| figure.contains(&format!("<h3>{title}</h3>")));
     let figure = figure.unwrap_or_else(|| panic!("there is no diagram {title}"));
@@ -82,7 +82,8 @@ fn diagram(page: &str, title: &str) -> Vec<(String, Vec<Vec<f64>>)> {
     let numbers = |point: &Value| serde_json::from_value(point.clone()).expect("numbers");
     let points = |line: &Value| line["points"].as_array().expect("points").iter().map(numbers).collect();
     let label = |line: &Value| line["label"].as_str().expect("a label").to_owned();
-    data["series"].as_array().expect("series").iter().map(|line| (label(line), points(line))).collect()
+    let bold = |line: &&Value| line["thin"] == false;
+    data["series"].as_array().expect("series").iter().filter(bold).map(|line| (label(line), points(line))).collect()
 }
 
 fn labels(lines: &[(String, Vec<Vec<f64>>)]) -> Vec<&str> {
@@ -174,10 +175,10 @@ fn the_page_of_a_comparison_has_the_printed_table_and_curves_of_all_seeds() {
         let line = printed.lines().find(|line| words(line).contains(&row[0].to_owned())).expect("the same row");
         assert!(row.iter().all(|cell| words(&line).contains(&(*cell).to_owned())), "{row:?} in place of {line}");
     }
-    let means = diagram(&page, "Test loss by epoch");
-    assert_eq!(labels(&means), ["R (regular)", "C (combined)"]);
-    for (_, points) in &means {
-        assert!(points.iter().all(|p| p.len() == 4 && p[2] <= p[1] && p[1] <= p[3]), "a mean within its band: {points:?}");
+    let medians = diagram(&page, "Test loss by epoch");
+    assert_eq!(labels(&medians), ["R (regular)", "C (combined)"]);
+    for (_, points) in &medians {
+        assert!(points.iter().all(|p| p.len() == 4 && p[2] <= p[1] && p[1] <= p[3]), "a median within its band: {points:?}");
     }
     diagram(&page, "Test loss by time");
     assert_eq!(labels(&diagram(&page, "Every run")), ["R seed 9", "R seed 10", "C seed 9", "C seed 10"]);
@@ -189,6 +190,43 @@ fn the_page_of_a_comparison_has_the_printed_table_and_curves_of_all_seeds() {
     assert_eq!(animations(&page), ["R-9", "C-9"].map(|run| fs::read_to_string(file(run)).expect("an animation")));
     fs::remove_file(file("C-9")).expect("the file exists");
     assert!(report(dir.path()) == page, "the page does not need the file of an animation");
+}
+
+#[test]
+fn a_comparison_of_several_scenes_has_one_page_and_all_animations() {
+    let dir = TempDir::new().expect("a folder");
+    let mut command = physgrad(&["compare", "cart_pole_1", "cart_pole_2", "--fields", "R,M", "--seeds", "2", "--epochs", "2"]);
+    command.args(&SMALL[..]).arg("--out").arg(dir.path()).assert().success();
+    let page = report(dir.path());
+    assert!(page.contains("<title>cart_pole_1, cart_pole_2: fields R, M, 2 seeds ("));
+    let rows = cells(&page);
+    let names: Vec<[&str; 2]> = rows.iter().map(|row| [row[0], row[1]]).collect();
+    let expected = ["cart_pole_1", "cart_pole_2"].map(|scene| ["regular", "modified"].map(|field| [scene, field]));
+    assert_eq!(names, expected.concat());
+    let medians = diagram(&page, "Test loss by epoch");
+    let expected =
+        ["cart_pole_1: R (regular)", "cart_pole_1: M (modified)", "cart_pole_2: R (regular)", "cart_pole_2: M (modified)"];
+    assert_eq!(labels(&medians), expected);
+    for section in ["Animation", "Gradients", "Settings"] {
+        for scene in ["cart_pole_1", "cart_pole_2"] {
+            assert!(page.contains(&format!("<h2>{scene}: {section}</h2>")), "{scene}: {section}");
+        }
+    }
+    assert_eq!(animations(&page).len(), 4, "the first seed of two fields in two scenes");
+    // The colours are those of the fields, the dashes those of the scenes.
+    let curves = fs::read_to_string(dir.path().join("curves.svg")).expect("a picture");
+    let line = |label: &str| {
+        let (_, after) = curves.split_once(&format!(">{label}</text><line ")).unwrap_or_else(|| panic!("no entry {label}"));
+        after[..after.find("/>").expect("an end")].to_owned()
+    };
+    for (field, color) in [("R (regular)", "#0072b2"), ("M (modified)", "#d55e00")] {
+        let [one, two] = ["cart_pole_1", "cart_pole_2"].map(|scene| line(&format!("{scene}: {field}")));
+        assert!(one.contains(color) && two.contains(color), "{one} {two}");
+        assert!(!one.contains("stroke-dasharray") && two.contains("stroke-dasharray"), "{one} {two}");
+    }
+
+    let output = physgrad(&["animate"]).arg(dir.path()).output().expect("the command runs");
+    assert_eq!(String::from_utf8_lossy(&output.stdout).lines().count(), 8, "one animation per run");
 }
 
 #[test]

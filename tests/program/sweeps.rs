@@ -27,7 +27,7 @@ fn runs_of_a_sweep_equal_single_runs() {
     let output = succeed(&dir, &compare);
     assert!(output.contains("lowest median final test loss: learning_rate=0.1, "), "{output}");
     let rows = read(&dir, "sweep/summary.csv");
-    assert_eq!(rows[0][..4], ["case", "training.learning_rate", "field", "seed"]);
+    assert_eq!(rows[0][..4], ["scene", "training.learning_rate", "field", "seed"]);
     assert_eq!(rows.len(), 1 + 2 * 2 * 2);
     succeed(&dir, &format!("train cart_pole_1 {SMALL} --set training.learning_rate=0.1 --field R --seed 1 --quiet --out one"));
     let bytes = |path: &str| fs::read(dir.path().join(path)).expect(path);
@@ -51,7 +51,7 @@ fn a_scene_with_a_sweep_is_trained_by_compare_only() {
     succeed(&dir, &format!("compare sweep.toml {SMALL} --fields C --seeds 1 --quiet --out sweep"));
     let rows = read(&dir, "sweep/summary.csv");
     let values = |column: usize| rows[1..].iter().map(|row| row[column].clone()).collect::<Vec<_>>();
-    assert_eq!(rows[0][..3], ["case", "training.batch", "training.learning_rate"]);
+    assert_eq!(rows[0][..3], ["scene", "training.batch", "training.learning_rate"]);
     assert_eq!(values(1), ["4", "4", "8", "8"]);
     assert_eq!(values(2)[..2], values(2)[2..], "each random draw meets each value of the grid");
     for row in &rows[1..] {

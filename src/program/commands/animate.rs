@@ -21,8 +21,8 @@ pub struct Animate {
 
 /// Runs the command.
 pub fn animate(args: &Animate) -> Result<()> {
-    for folder in saved::runs(&Folder::existing(&args.folder)?)? {
-        animation(&folder, args.sample)?;
+    for folder in saved::scenes(&Folder::existing(&args.folder)?)?.iter().flat_map(|scene| &scene.runs) {
+        animation(folder, args.sample)?;
         if !args.quiet {
             print_result(&folder.file(ANIMATION).display().to_string())?;
         }

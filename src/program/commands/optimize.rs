@@ -11,7 +11,7 @@ use crate::program::runs::{outputs, saved};
 use crate::program::scenes::overrides::{Overrides, hide_training};
 use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
-use crate::report::{Series, fitted};
+use crate::report::{Dash, Series, fitted};
 use anyhow::{Context, Result, bail};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
@@ -205,7 +205,8 @@ fn picture(scene: &Scene, optimized: &[Trajectory], initial: &[Trajectory]) -> S
     let columns = optimized.iter().enumerate().take(SHOWN).map(|(start, rollout)| {
         let row = |(i, name): (usize, String), rows: fn(&Trajectory) -> &[Vec<f64>]| {
             let optimized = Series::new("optimized", "#0072B2", line(rows(rollout), i));
-            let policy = initial.get(start).map(|rollout| Series::new("policy", "#D55E00", line(rows(rollout), i)).dashed());
+            let policy =
+                initial.get(start).map(|rollout| Series::new("policy", "#D55E00", line(rows(rollout), i)).dash(Dash::Dashed));
             (name, [optimized].into_iter().chain(policy).collect())
         };
         let controls = scene.control_names().into_iter().enumerate().map(|named| row(named, |rollout| &rollout.controls));

@@ -11,6 +11,7 @@ use crate::program::platform::folder::{Folder, REPORT};
 use crate::program::platform::terminal::print_result;
 use crate::program::runs::saved;
 use anyhow::Result;
+use inspected::InspectedScene;
 use std::path::PathBuf;
 
 /// Write an HTML page about a run, a comparison or an identification.
@@ -39,9 +40,9 @@ pub fn report(args: &Report) -> Result<()> {
 
 /// The page about the run or the comparison in the folder.
 fn of_runs(folder: &Folder) -> Result<String> {
-    let inspected = inspected::inspect(&saved::runs(folder)?)?;
-    Ok(match &inspected[..] {
-        [run] if saved::has_run(folder) => page::run(&folder.name(), run),
-        _ => page::comparison(&folder.name(), &inspected),
+    let scenes = saved::scenes(folder)?.into_iter().map(InspectedScene::read).collect::<Result<Vec<_>>>()?;
+    Ok(match &scenes[..] {
+        [InspectedScene { runs, .. }] if saved::has_run(folder) => page::run(&folder.name(), &runs[0]),
+        _ => page::comparison(&folder.name(), &scenes),
     })
 }

@@ -4,7 +4,7 @@ use crate::program::platform::csv::csv;
 use crate::program::platform::folder::{Folder, RUNS};
 use crate::program::platform::terminal::{counted, print_result};
 use crate::program::runs::listed::{Listed, below};
-use crate::report::{Curve, comparison};
+use crate::report::{Curve, Dash, comparison};
 use anyhow::Result;
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
@@ -73,6 +73,7 @@ fn curves(runs: Vec<Listed>) -> Vec<Curve> {
     let curve = |(i, run): (usize, Listed)| Curve {
         label: run.folder.path().display().to_string(),
         color: COLORS[i % COLORS.len()],
+        dash: Dash::ALL[i / COLORS.len() % Dash::ALL.len()],
         runs: vec![run.losses],
     };
     runs.into_iter().enumerate().map(curve).collect()

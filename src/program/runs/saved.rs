@@ -15,27 +15,51 @@ pub fn has_run(folder: &Folder) -> bool {
     folder.has(SETTINGS)
 }
 
-/// Folders of the run or comparison in `folder`: one per run, sorted by name.
+/// Runs of one scene.
+pub struct SceneRuns {
+    /// Name of the scene's folder in a comparison of several scenes; otherwise empty.
+    pub name: String,
+    /// One folder per run, sorted by name.
+    pub runs: Vec<Folder>,
+}
+
+/// Runs of the run or comparison in `folder`: one item per scene, sorted by name. A comparison of
+/// several scenes has one subfolder per scene.
 ///
 /// # Errors
-/// Neither the folder nor its subfolder [`RUNS`] contains a run.
-pub fn runs(folder: &Folder) -> Result<Vec<Folder>> {
+/// There is no run, or the folder mixes runs and comparisons.
+pub fn scenes(folder: &Folder) -> Result<Vec<SceneRuns>> {
     if has_run(folder) {
-        return Ok(vec![folder.clone()]);
+        return Ok(vec![SceneRuns { name: String::new(), runs: vec![folder.clone()] }]);
     }
-    let inside = folder.file(RUNS);
-    let runs = if inside.is_dir() { folders(&inside)?.into_iter().filter(has_run).collect() } else { Vec::new() };
+    let runs = compared(folder)?;
     if !runs.is_empty() {
-        return Ok(runs);
+        return Ok(vec![SceneRuns { name: String::new(), runs }]);
     }
     let path = folder.path().display();
-    let cases: Vec<Folder> = folders(folder.path())?.into_iter().filter(|case| has_run(case) || case.has(RUNS)).collect();
-    match cases.first() {
-        Some(case) => {
-            bail!("{path} holds {} runs or comparisons; choose one, for example {}", cases.len(), case.path().display())
+    let inside = folders(folder.path())?;
+    let scene = |case: &Folder| Ok(SceneRuns { name: case.name(), runs: compared(case)? });
+    let mut scenes = inside.iter().map(scene).collect::<Result<Vec<SceneRuns>>>()?;
+    scenes.retain(|scene| !scene.runs.is_empty());
+    match inside.iter().find(|case| has_run(case)) {
+        Some(run) => {
+            let count = inside.iter().filter(|case| has_run(case)).count() + scenes.len();
+            bail!("{path} holds {count} runs or comparisons; choose one, for example {}", run.path().display())
         }
-        None => bail!("there is no run in {path} or {path}/{RUNS}; create one with `train` or `compare`"),
+        None if scenes.is_empty() => {
+            bail!("there is no run in {path} or {path}/{RUNS}; create one with `train` or `compare`")
+        }
+        None => Ok(scenes),
     }
+}
+
+/// Runs of the comparison of one scene in `folder`. Empty without a comparison.
+fn compared(folder: &Folder) -> Result<Vec<Folder>> {
+    let inside = folder.file(RUNS);
+    if !inside.is_dir() {
+        return Ok(Vec::new());
+    }
+    Ok(folders(&inside)?.into_iter().filter(has_run).collect())
 }
 
 /// Subfolders, sorted by name. Omits renamed earlier runs.

@@ -1,6 +1,7 @@
-//! Statistics over runs with several seeds: medians, quantiles and learning curves.
+//! Statistics over runs with several seeds: tables and learning curves.
 
-use crate::report::{Curve, Point, field_color};
+use crate::report::quantile::{quantile, sorted};
+use crate::report::{Curve, Dash, Point, field_color};
 use crate::{Field, Record};
 
 /// Field, seed and records of one run.
@@ -50,16 +51,53 @@ pub fn curves(runs: &[Outcome], loss: fn(&Record) -> f64) -> Vec<Curve> {
     let curve = |(field, runs): (Field, &[Outcome])| Curve {
         label: field_label(field),
         color: field_color(field.letter()),
+        dash: Dash::Solid,
         runs: runs.iter().map(|run| run.points(loss)).collect(),
     };
     by_field(runs).map(curve).collect()
 }
 
-pub const TABLE_HEADER: [&str; 8] =
+/// Runs of one scene of a comparison.
+pub struct InScene<'a> {
+    /// Name of the scene. Empty if the comparison has only one scene.
+    pub name: &'a str,
+    /// Runs, grouped by field.
+    pub runs: Vec<Outcome<'a>>,
+}
+
+/// Largest number of scenes that one chart tells apart by dashes.
+pub const MAX_DASHED: usize = 3;
+
+/// Curves of all scenes, one per scene and field: colours of the fields, and dashes of the scenes.
+pub fn curves_of_scenes(scenes: &[InScene], loss: fn(&Record) -> f64) -> Vec<Curve> {
+    let of_scene = |(scene, &dash): (&InScene, &Dash)| {
+        let named = |curve: Curve| match scene.name {
+            "" => curve,
+            name => Curve { label: format!("{name}: {}", curve.label), dash, ..curve },
+        };
+        curves(&scene.runs, loss).into_iter().map(named).collect::<Vec<_>>()
+    };
+    scenes.iter().zip(Dash::ALL.iter().cycle()).flat_map(of_scene).collect()
+}
+
+/// Header of [`table_of_scenes`].
+pub fn table_header(scenes: &[InScene]) -> Vec<&'static str> {
+    ["scene"].into_iter().chain(TABLE_HEADER).skip(usize::from(scenes.len() < 2)).collect()
+}
+
+/// One row per scene and field, with medians over the seeds. NaN ranks above every number.
+pub fn table_of_scenes(scenes: &[InScene]) -> Vec<Vec<String>> {
+    let row = |name: &str, row: [String; 8]| {
+        [name.to_owned()].into_iter().chain(row).skip(usize::from(scenes.len() < 2)).collect::<Vec<_>>()
+    };
+    scenes.iter().flat_map(|scene| table(&scene.runs).into_iter().map(|cells| row(scene.name, cells))).collect()
+}
+
+const TABLE_HEADER: [&str; 8] =
     ["field", "seeds", "failed", "median final test loss", "lowest", "highest", "median best", "median seconds"];
 
 /// One row per field, with medians over the seeds. NaN ranks above every number.
-pub fn table(runs: &[Outcome]) -> Vec<[String; 8]> {
+fn table(runs: &[Outcome]) -> Vec<[String; 8]> {
     let row = |(field, runs): (Field, &[Outcome])| {
         let median = |value: &dyn Fn(&Outcome) -> f64| quantile(&sorted(runs.iter().map(value)), 0.5);
         let last = sorted(runs.iter().map(|run| run.last(|r| r.test_loss)));
@@ -82,23 +120,6 @@ pub fn best(records: &[Record]) -> f64 {
     records.iter().map(|r| r.test_loss).fold(f64::NAN, f64::min)
 }
 
-/// Quantile `q` in [0, 1] of ascending numbers, by linear interpolation (Hyndman and Fan, type 7).
-///
-/// NaN stands for the loss of a failed run and ranks above every number, as [`sorted`] orders it.
-pub fn quantile(sorted: &[f64], q: f64) -> f64 {
-    let at = q * (sorted.len() - 1) as f64;
-    let (below, above) = (sorted[at.floor() as usize], sorted[at.ceil() as usize]);
-    // The difference of equal infinities is NaN.
-    if at.fract() == 0.0 || below == above { below } else { below + at.fract() * (above - below) }
-}
-
-/// Sorts in ascending order. NaN of either sign comes last.
-pub fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
-    let mut values: Vec<f64> = values.map(|x| if x.is_nan() { f64::NAN } else { x }).collect();
-    values.sort_by(f64::total_cmp);
-    values
-}
-
 /// Mean over each value and up to `window - 1` values before it.
 ///
 /// Non-finite values stay unchanged and do not enter the means of other values.
@@ -115,19 +136,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_interpolate_linearly() {
-        let numbers = sorted([4.0, 1.0, 2.0].into_iter());
-        assert_eq!([0.0, 0.25, 0.5, 0.75, 1.0].map(|q| quantile(&numbers, q)), [1.0, 1.5, 2.0, 3.0, 4.0]);
-        assert_eq!(quantile(&[1.0, f64::INFINITY, f64::INFINITY], 0.75), f64::INFINITY);
-        assert_eq!(quantile(&[7.0], 0.75), 7.0);
-        assert_eq!(quantile(&sorted([1.0, 2.0].into_iter()), 0.5), 1.5);
-    }
-
-    #[test]
-    fn nan_of_either_sign_ranks_above_every_number() {
-        let numbers = sorted([-f64::NAN, 1.0, 2.0].into_iter());
-        assert_eq!(quantile(&numbers, 0.5), 2.0);
-        assert!(quantile(&numbers, 0.75).is_nan());
+    fn curves_of_several_scenes_have_field_colours_and_scene_dashes() {
+        let outcome = |field| Outcome { field, seed: 0, records: &[], failed: false };
+        let scene = |name| InScene { name, runs: vec![outcome(Field::regular()), outcome(Field::modified())] };
+        let curves = curves_of_scenes(&["a", "b"].map(scene), |r| r.test_loss);
+        let looks: Vec<_> = curves.iter().map(|curve| (&*curve.label, curve.color, curve.dash)).collect();
+        let [r, m] = ["R", "M"].map(field_color);
+        let (solid, dashed) = (Dash::Solid, Dash::Dashed);
+        let expected = [("a: R (regular)", r, solid), ("a: M (modified)", m, solid)];
+        assert_eq!(looks[..2], expected);
+        assert_eq!(looks[2..], [("b: R (regular)", r, dashed), ("b: M (modified)", m, dashed)]);
     }
 
     #[test]

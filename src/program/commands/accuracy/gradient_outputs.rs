@@ -6,7 +6,7 @@ use crate::program::operations::gradients::GradientMethod;
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
 use crate::program::settings::Precision;
-use crate::report::{Series, Work, work_precision};
+use crate::report::{Dash, Series, Work, work_precision};
 use anyhow::Result;
 use comfy_table::presets::{ASCII_MARKDOWN, UTF8_FULL_CONDENSED};
 use comfy_table::{Table, TableStyle};
@@ -188,7 +188,7 @@ fn diagrams(name: &str, methods: &[Derivative], along: &[Horizon]) -> crate::rep
         let line = central.iter().map(|&(step, _)| (step, error)).collect();
         [
             Series::new(format!("differences, {precision}"), color, central),
-            Series::new(format!("reverse, {precision}"), color, line).dashed(),
+            Series::new(format!("reverse, {precision}"), color, line).dash(Dash::Dashed),
         ]
     });
     let horizons = |read: fn(&(f64, f64)) -> f64| {
@@ -199,6 +199,7 @@ fn diagrams(name: &str, methods: &[Derivative], along: &[Horizon]) -> crate::rep
     };
     work_precision(
         &format!("{name}: errors of the gradient of R"),
+        &[],
         vec![
             Work { x_label: "step of the differences", y_label: "error of the gradient of R", series: steps.collect() },
             Work { x_label: "horizon, steps", y_label: "error of the gradient of R", series: horizons(|found| found.0) },

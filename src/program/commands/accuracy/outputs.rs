@@ -1,9 +1,10 @@
 //! Output files of `physgrad accuracy`: CSV, charts and a table.
 
+use crate::program::commands::accuracy::ROUNDS;
 use crate::program::commands::accuracy::row::{Errors, Row};
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
-use crate::report::{Series, Work, work_precision};
+use crate::report::{Dash, Series, Work, work_precision};
 use anyhow::Result;
 use comfy_table::presets::{ASCII_MARKDOWN, UTF8_FULL_CONDENSED};
 use comfy_table::{CellAlignment, Table, TableStyle};
@@ -61,35 +62,38 @@ fn record(row: &Row) -> Vec<String> {
 fn diagrams(name: &str, rows: &[Row]) -> crate::report::Drawing {
     let mut methods: Vec<&str> = rows.iter().map(|row| row.setting.method).collect();
     methods.dedup();
-    let series = |point: fn(&Row, &Errors) -> (f64, f64)| {
+    // Points (work, error); works may have a spread from lowest to highest.
+    let series = |work: fn(&Row) -> [f64; 3], error: fn(&Errors) -> f64| {
         let of_method = |(i, method): (usize, &&'static str)| {
             ["f32", "f64"].map(|precision| {
                 let selected =
                     rows.iter().filter(|row| row.setting.method == *method && row.setting.precision.name() == precision);
-                let line = selected.filter_map(|row| Some(point(row, row.errors.as_ref().ok()?))).collect();
-                let series = Series::new(*method, COLORS[i % COLORS.len()], line);
-                if precision == "f32" { series.dashed() } else { series }
+                let points = selected.filter_map(|row| Some((work(row), error(row.errors.as_ref().ok()?))));
+                let (line, spread) = points.map(|([low, median, high], error)| ((median, error), (low, high))).unzip();
+                let dash = if precision == "f32" { Dash::Dashed } else { Dash::Solid };
+                Series { spread, ..Series::new(*method, COLORS[i % COLORS.len()], line).dash(dash) }
             })
         };
         methods.iter().enumerate().flat_map(of_method).collect::<Vec<Series>>()
     };
     work_precision(
-        &format!("{name}: error by cost; f32 dashed, f64 solid"),
+        &format!("{name}: error by cost; times are median and range of {ROUNDS} rounds"),
+        &[("f32", Dash::Dashed), ("f64", Dash::Solid)],
         vec![
             Work {
                 x_label: "forward, µs per step",
                 y_label: "error of the trajectory",
-                series: series(|row, errors| (row.seconds[0][1] * 1e6, errors.trajectory)),
+                series: series(|row| row.seconds[0].map(|s| s * 1e6), |errors| errors.trajectory),
             },
             Work {
                 x_label: "operations, step and VJP",
                 y_label: "error of the trajectory",
-                series: series(|row, errors| (row.operations as f64, errors.trajectory)),
+                series: series(|row| [row.operations as f64; 3], |errors| errors.trajectory),
             },
             Work {
                 x_label: "with gradients, µs per step",
                 y_label: "error of the gradient of R",
-                series: series(|row, errors| (row.seconds[1][1] * 1e6, errors.gradients[0])),
+                series: series(|row| row.seconds[1].map(|s| s * 1e6), |errors| errors.gradients[0]),
             },
         ],
     )

@@ -2,7 +2,7 @@
 
 use crate::identify::{Fit, Segment};
 use crate::program::tasks::Scene;
-use crate::report::{Series, fitted};
+use crate::report::{Dash, Series, fitted};
 
 /// Largest number of segments in the picture.
 const SEGMENTS: usize = 3;
@@ -18,7 +18,7 @@ pub fn picture(numbers: &[usize], segments: &[Segment], fit: &Fit, scene: &Scene
                 let points = rows.map(|(step, (y, x))| (step as f64 * dt, value(y[i], x[i])));
                 points.filter(|(_, value)| value.is_finite()).collect()
             };
-            let simulated = Series::new("simulated", "#D55E00", points(&|_, x| x)).dashed();
+            let simulated = Series::new("simulated", "#D55E00", points(&|_, x| x)).dash(Dash::Dashed);
             let values = vec![Series::new("measured", "#0072B2", points(&|y, _| y)), simulated];
             let residual = vec![Series::new("simulated - measured", "#009E73", points(&|y, x| x - y))];
             [(name.clone(), values), (format!("residual of {name}"), residual)]

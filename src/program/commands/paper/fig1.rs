@@ -3,7 +3,7 @@
 use crate::Field;
 use crate::policy::Quadratic;
 use crate::program::commands::paper::FinishedFigure;
-use crate::program::runs::statistics::{quantile, sorted};
+use crate::report::quantile::{quantile, sorted};
 use crate::report::{Map, Plane, maps};
 use crate::tasks::Reach;
 use crate::vector_field::{self, Sample};

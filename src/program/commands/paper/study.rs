@@ -5,11 +5,12 @@ use crate::program::commands::paper::{FinishedFigure, Options};
 use crate::program::platform::csv::csv;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::terminal::print_result;
-use crate::program::runs::statistics::{Outcome, best, by_field, curves, quantile, sorted, trailing_mean};
+use crate::program::runs::statistics::{Outcome, best, by_field, curves, trailing_mean};
 use crate::program::runs::sweep::{Comparison, sweep};
 use crate::program::scenes::{overrides, presets};
 use crate::program::settings::ClipName;
-use crate::report::{self, Case, Curve, Drawing};
+use crate::report::quantile::{quantile, sorted};
+use crate::report::{self, Abscissa, Case, Curve, Drawing};
 use anyhow::Result;
 use comfy_table::Table;
 use comfy_table::presets::ASCII_MARKDOWN;
@@ -19,8 +20,9 @@ use toml::Value;
 const SMOOTHING: usize = 30;
 
 /// Note below the table.
-const NOTE: &str = "Table: test loss after the last epoch. Figure: the mean of up to 30 epochs, as in the paper; lines are \
-                    geometric means over the seeds, bands extend from the lowest to the highest seed.";
+const NOTE: &str = "Table: test loss after the last epoch. Figure: the mean of up to 30 epochs, as in the paper; bold lines are \
+                    medians over the seeds, thin lines single seeds. Bands extend from the first to the third quartile of \
+                    four or more seeds, or over the range of fewer.";
 
 /// A figure with one column of panels per value of a setting and one row per kind of clipping.
 pub struct Study {
@@ -125,18 +127,20 @@ impl Study {
                 title: title(self.panel(cell.value)),
                 y_label: format!("test loss (clip: {})", cell.clip.name()),
                 y_axis: j,
+                x: Abscissa::Epoch,
                 curves: smooth(&cell.runs, |r| r.test_loss),
             });
             let sizes = row.iter().filter(|cell| self.update_size_of == Some(cell.value)).map(|cell| Case {
                 title: title(format!("{}: update size", self.panel(cell.value))),
                 y_label: "norm of the field".into(),
                 y_axis: self.values.len(),
+                x: Abscissa::Epoch,
                 curves: smooth(&cell.runs, |r| r.grad_norm.get()),
             });
             losses.chain(sizes).collect()
         });
         let seeds = format!("{} seed{}", options.seeds, if options.seeds == 1 { "" } else { "s" });
-        report::study(&format!("{}: mean and range of {seeds}", self.title), &rows.collect::<Vec<_>>())
+        report::study(&format!("{}, {seeds}, means of {SMOOTHING} epochs", self.title), &rows.collect::<Vec<_>>())
     }
 
     /// One row per run.

@@ -5,7 +5,7 @@ use crate::program::commands::report::inspected::{Inspected, RolloutData};
 use crate::program::commands::report::learning::{field_keys, lines};
 use crate::program::operations::adjoint_norms::AdjointNorms;
 use crate::program::runs::statistics::{Outcome, curves};
-use crate::report::{Chart, Series, field_color};
+use crate::report::{Abscissa, Chart, Dash, Series, field_color};
 use crate::{Flow, Record};
 
 const EPOCH: &str = "epoch";
@@ -17,12 +17,12 @@ pub fn of_epochs(runs: &[Inspected]) -> Vec<Figure> {
     let by_epoch =
         |value: fn(&Record) -> f64| lines(runs, |run: &Outcome| run.records.iter().map(|r| (r.epoch as f64, value(r))).collect());
     let outcomes: Vec<Outcome> = runs.iter().map(Inspected::outcome).collect();
-    let norms = curves(&outcomes, |r| r.grad_norm.get()).iter().map(|curve| curve.summary(|p| p.epoch)).collect();
+    let norms = curves(&outcomes, |r| r.grad_norm.get()).iter().flat_map(|curve| curve.series(Abscissa::Epoch)).collect();
     let mut figures = vec![Figure::new(
         "Norm of the field",
         Chart::log(EPOCH, "gradient norm", norms),
-        "Norm of the vector that the optimizer follows, before clipping, averaged over the updates of an epoch; for several \
-         seeds, mean and band as above. Jumps by powers of ten show an exploding field. A norm that falls at a constant loss \
+        "Norm of the vector that the optimizer follows, before clipping, averaged over the updates of an epoch; lines \
+         and bands of several seeds are as above. Jumps by powers of ten show an exploding field. A norm that falls at a constant loss \
          shows a vanishing field.",
     )];
     let composed = |run: &&Inspected| run.records.iter().any(|r| r.cosine.is_some());
@@ -58,7 +58,7 @@ fn growth_by_epoch(runs: &[Inspected]) -> Figure {
         let points = run.records.iter().filter_map(|r| Some((r.epoch as f64, growth(r)?.along)));
         let series = Series::new(format!("{flow} of {}", run.name()), field_color(&flow.to_string()), points.collect());
         // Dashes the lines of runs that train with C. Runs that train with R or M have solid lines.
-        if run.field.flows().len() > 1 { series.dashed() } else { series }
+        if run.field.flows().len() > 1 { series.dash(Dash::Dashed) } else { series }
     };
     let both = runs.iter().flat_map(|run| [Flow::REGULAR, Flow::MODIFIED].map(|flow| line(run, flow)));
     let series: Vec<Series> = both.filter(|series| !series.line.is_empty()).collect();
@@ -93,7 +93,7 @@ pub fn of_run(rollouts: &RolloutData) -> Figure {
         let letter = growth.flow.to_string();
         Series::new(format!("{letter} {when}"), field_color(&letter), growth.points())
     };
-    let before = rollouts.before.iter().map(|growth| series(growth, "before training").dashed());
+    let before = rollouts.before.iter().map(|growth| series(growth, "before training").dash(Dash::Dashed));
     let after = rollouts.after.iter().map(|growth| series(growth, "as trained"));
     Figure::new("Growth of the adjoint", Chart::log(STEP, NORM, before.chain(after).collect()), GROWTH).notes(
         [diverged(&rollouts.before, "Before training"), diverged(&rollouts.after, "As trained"), coincide(&rollouts.before)]

@@ -1,6 +1,6 @@
 //! A chart on the page, with legend, caption and data for the script.
 
-use crate::report::{Chart, Series};
+use crate::report::{Chart, Dash, Series};
 use maud::{Markup, PreEscaped, html};
 use serde::Serialize;
 
@@ -10,7 +10,7 @@ pub struct Figure {
     pub chart: Chart,
     pub keys: Vec<Key>,
     /// Explanation of the chart and hints for reading it.
-    pub caption: &'static str,
+    pub caption: String,
     /// Notes specific to the data.
     pub notes: Vec<String>,
 }
@@ -20,19 +20,19 @@ pub struct Figure {
 pub struct Key {
     pub label: String,
     pub color: &'static str,
-    pub dashed: bool,
+    pub dash: Dash,
 }
 
 impl Figure {
     /// Creates a figure with one legend entry per series.
-    pub fn new(title: impl Into<String>, chart: Chart, caption: &'static str) -> Self {
+    pub fn new(title: impl Into<String>, chart: Chart, caption: impl Into<String>) -> Self {
         let label = |s: &Series| match &*s.note {
             "" => s.label.clone(),
             note => format!("{} ({note})", s.label),
         };
-        let key = |s: &Series| Key { label: label(s), color: s.color, dashed: s.dashed };
-        let keys = chart.series().iter().map(key).collect();
-        Self { title: title.into(), chart, keys, caption, notes: Vec::new() }
+        let key = |s: &Series| Key { label: label(s), color: s.color, dash: s.dash };
+        let keys = chart.series().iter().filter(|s| !s.thin).map(key).collect();
+        Self { title: title.into(), chart, keys, caption: caption.into(), notes: Vec::new() }
     }
 
     pub fn keys(self, keys: Vec<Key>) -> Self {
@@ -60,7 +60,7 @@ impl Figure {
                     }
                     ul.legend {
                         @for key in &self.keys {
-                            li { span.dashed[key.dashed] style={ "border-color:" (key.color) } {} (key.label) }
+                            li { span style={ "border-color:" (key.color) } {} (key.label) }
                         }
                     }
                 }
@@ -105,6 +105,7 @@ struct Data<'a> {
 struct Line<'a> {
     label: &'a str,
     color: &'a str,
+    thin: bool,
     /// x and y, followed by the limits of the band, if any.
     points: Vec<Vec<f64>>,
 }
@@ -115,7 +116,12 @@ impl<'a> Line<'a> {
             let band = series.band.get(i).map_or(Vec::new(), |&(low, high)| vec![low, high]);
             [x, y].into_iter().chain(band).map(rounded).collect()
         };
-        Self { label: &series.label, color: series.color, points: series.line.iter().enumerate().map(point).collect() }
+        Self {
+            label: &series.label,
+            color: series.color,
+            thin: series.thin,
+            points: series.line.iter().enumerate().map(point).collect(),
+        }
     }
 }
 

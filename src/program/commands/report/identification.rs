@@ -3,7 +3,7 @@
 use crate::program::commands::report::figure::Figure;
 use crate::program::commands::report::page::{document, figures, section, table};
 use crate::program::platform::folder::Folder;
-use crate::report::{Chart, Series};
+use crate::report::{Chart, Dash, Series};
 use anyhow::{Context, Result};
 use maud::{Markup, html};
 
@@ -141,7 +141,7 @@ fn worst(name: &str, component: usize, segments: &[(String, Vec<Vec<Sample>>)]) 
     let (segment, samples) = worst.map_or(("", &[][..]), |(name, all)| (&**name, &all[component][..]));
     let line = |value: fn(&Sample) -> f64| samples.iter().map(|sample| (sample.t, value(sample))).collect();
     let measured = Series::new("measured", "#0072B2", line(|sample| sample.measured));
-    let simulated = Series::new("simulated", "#D55E00", line(|sample| sample.simulated)).dashed();
+    let simulated = Series::new("simulated", "#D55E00", line(|sample| sample.simulated)).dash(Dash::Dashed);
     Figure::new(
         format!("{name}, segment {segment}"),
         chart("state", vec![measured, simulated]),

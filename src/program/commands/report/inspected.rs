@@ -5,7 +5,8 @@ use crate::program::operations::session::AnyRun;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::parallel;
 use crate::program::platform::terminal::counted;
-use crate::program::runs::statistics::Outcome;
+use crate::program::runs::saved::SceneRuns;
+use crate::program::runs::statistics::{InScene, Outcome};
 use crate::program::runs::{outputs, saved};
 use crate::program::tasks::Scene;
 use crate::{Field, Record, differences};
@@ -28,6 +29,29 @@ pub struct Inspected {
     pub end: End,
     /// Present only for the first run of each field.
     pub rollouts: Option<RolloutData>,
+}
+
+/// Runs of one scene.
+pub struct InspectedScene {
+    /// Name in a comparison of several scenes; otherwise empty.
+    pub name: String,
+    /// Runs, sorted by field and seed.
+    pub runs: Vec<Inspected>,
+}
+
+impl InspectedScene {
+    pub fn read(scene: SceneRuns) -> Result<Self> {
+        Ok(Self { name: scene.name, runs: inspect(&scene.runs)? })
+    }
+
+    pub fn outcomes(&self) -> InScene<'_> {
+        InScene { name: &self.name, runs: self.runs.iter().map(Inspected::outcome).collect() }
+    }
+
+    /// Title of a section about this scene.
+    pub fn title(&self, title: &str) -> String {
+        if self.name.is_empty() { title.into() } else { format!("{}: {title}", self.name) }
+    }
 }
 
 /// State in which the run ended.
@@ -71,7 +95,7 @@ impl Inspected {
 
 /// Reads the runs in these folders, sorted by field and seed. Adds rollout data for the first run
 /// of each field.
-pub fn inspect(folders: &[Folder]) -> Result<Vec<Inspected>> {
+fn inspect(folders: &[Folder]) -> Result<Vec<Inspected>> {
     let mut runs = folders.iter().map(|folder| Ok((folder, saved::scene(folder)?))).collect::<Result<Vec<_>>>()?;
     for run in &runs {
         check_comparable(&runs[0], run)?;

@@ -2,10 +2,10 @@
 
 use crate::Record;
 use crate::program::commands::report::figure::{Figure, Key};
-use crate::program::commands::report::inspected::Inspected;
+use crate::program::commands::report::inspected::{Inspected, InspectedScene};
 use crate::program::platform::terminal::counted;
-use crate::program::runs::statistics::{Outcome, by_field, curves, field_label};
-use crate::report::{Chart, Point, Series, field_color};
+use crate::program::runs::statistics::{InScene, MAX_DASHED, Outcome, by_field, curves_of_scenes, field_label};
+use crate::report::{Abscissa, Chart, Dash, Point, Series, field_color, statistic};
 
 const EPOCH: &str = "epoch";
 const SECONDS: &str = "wall time (s)";
@@ -29,43 +29,51 @@ pub fn of_run(run: &Inspected) -> Vec<Figure> {
     ]
 }
 
-/// Charts of test losses by field: means with bands, and every run.
-pub fn of_comparison(runs: &[Inspected]) -> Vec<Figure> {
-    let outcomes: Vec<Outcome> = runs.iter().map(Inspected::outcome).collect();
-    let curves = curves(&outcomes, |r| r.test_loss);
-    let means = |x: fn(&Point) -> f64| curves.iter().map(|curve| curve.summary(x)).collect();
-    let single = by_field(&outcomes).all(|(_, runs)| runs.len() == 1);
-    let mut figures = vec![
+/// Charts of test losses by field: medians with bands, and every run. Up to three scenes share the
+/// charts of medians, and have different dashes. More scenes have one chart each.
+pub fn of_comparison(scenes: &[InspectedScene]) -> Vec<Figure> {
+    let all: Vec<InScene> = scenes.iter().map(InspectedScene::outcomes).collect();
+    let groups = all.chunks(if scenes.len() <= MAX_DASHED { scenes.len().max(1) } else { 1 });
+    let mut figures: Vec<Figure> = groups.flat_map(|group| medians(group, all.len() > group.len())).collect();
+    for scene in scenes {
+        if by_field(&scene.outcomes().runs).any(|(_, runs)| runs.len() > 1) {
+            let line = |run: &Outcome| run.points(|r| r.test_loss).iter().map(|p| (p.epoch, p.value)).collect();
+            figures.push(
+                Figure::new(
+                    scene.title("Every run"),
+                    Chart::log(EPOCH, "test loss", lines(&scene.runs, line)),
+                    "Test loss of every seed. Shows single seeds that fail where others of the same field succeed.",
+                )
+                .keys(field_keys(&scene.runs)),
+            );
+        }
+    }
+    figures
+}
+
+/// Test losses of these scenes against epochs and time.
+fn medians(scenes: &[InScene], titled: bool) -> [Figure; 2] {
+    let curves = curves_of_scenes(scenes, |r| r.test_loss);
+    let series = |x| curves.iter().flat_map(|curve| curve.series(x)).collect();
+    let title = |title: &str| if titled { format!("{}: {title}", scenes[0].name) } else { title.into() };
+    let outcomes: Vec<Outcome> = scenes.iter().flat_map(|scene| scene.runs.iter().copied()).collect();
+    let caption = "Loss of the test set after every epoch.";
+    let caption = match statistic(curves.iter().map(|curve| curve.runs.len())) {
+        "" => format!("{caption} A level line shows a field that does not reduce the loss."),
+        statistic => format!(
+            "{caption} Lines and bands: {statistic}. Bands that do not overlap show a difference beyond the spread of the seeds."
+        ),
+    };
+    [
+        Figure::new(title("Test loss by epoch"), Chart::log(EPOCH, "test loss", series(Abscissa::Epoch)), caption)
+            .notes(left_out(&outcomes, &[|r| r.test_loss])),
         Figure::new(
-            "Test loss by epoch",
-            Chart::log(EPOCH, "test loss", means(|p| p.epoch)),
-            if single {
-                "Loss of the test set after every epoch. A level line shows a field that does not reduce the loss."
-            } else {
-                "Loss of the test set after every epoch. Lines are geometric means over the seeds; bands extend from the best to \
-                 the worst seed. Bands that do not overlap show a difference beyond the spread of the seeds."
-            },
-        )
-        .notes(left_out(&outcomes, &[|r| r.test_loss])),
-        Figure::new(
-            "Test loss by time",
-            Chart::log(SECONDS, "test loss", means(|p| p.seconds)),
+            title("Test loss by time"),
+            Chart::log(SECONDS, "test loss", series(Abscissa::Seconds)),
             "Test loss against training time. A field of two gradients takes longer per epoch, so the order of the fields may \
              differ from the order by epoch.",
         ),
-    ];
-    if !single {
-        let line = |run: &Outcome| run.points(|r| r.test_loss).iter().map(|p| (p.epoch, p.value)).collect();
-        figures.push(
-            Figure::new(
-                "Every run",
-                Chart::log(EPOCH, "test loss", lines(runs, line)),
-                "Test loss of every seed. Shows single seeds that fail where others of the same field succeed.",
-            )
-            .keys(field_keys(runs)),
-        );
-    }
-    figures
+    ]
 }
 
 /// One line per run, in the colour of its field.
@@ -75,7 +83,7 @@ pub fn lines(runs: &[Inspected], line: impl Fn(&Outcome) -> Vec<(f64, f64)>) -> 
 
 /// Legend entries of the fields, without duplicates.
 pub fn field_keys<'a>(runs: impl IntoIterator<Item = &'a Inspected>) -> Vec<Key> {
-    let key = |run: &Inspected| Key { label: field_label(run.field), color: field_color(run.field.letter()), dashed: false };
+    let key = |run: &Inspected| Key { label: field_label(run.field), color: field_color(run.field.letter()), dash: Dash::Solid };
     let mut keys: Vec<Key> = runs.into_iter().map(key).collect();
     keys.dedup();
     keys

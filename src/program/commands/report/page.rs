@@ -1,11 +1,11 @@
 //! HTML page: a single document that embeds style, script, charts and animations.
 
 use crate::program::commands::report::figure::Figure;
-use crate::program::commands::report::inspected::Inspected;
+use crate::program::commands::report::inspected::{Inspected, InspectedScene};
 use crate::program::commands::report::{diagnostics, learning};
 use crate::program::operations::adjoint_norms::SAMPLES;
 use crate::program::platform::terminal::counted;
-use crate::program::runs::statistics::{self, Outcome, best, field_label};
+use crate::program::runs::statistics::{self, InScene, best, field_label};
 use crate::program::tasks::scene::flat;
 use base64::prelude::{BASE64_STANDARD, Engine};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -24,7 +24,7 @@ pub fn run(folder: &str, run: &Inspected) -> String {
     let content = html! {
         (section("Result", result(run)))
         (section("Learning", figures(learning::of_run(run))))
-        (animations(&[run]))
+        (section("Animation", animations(&[run])))
         (section("Gradients", html! {
             (figures(diagnostics::of_epochs(alone).into_iter().chain(run.rollouts.as_ref().map(diagnostics::of_run))))
             (remarks(alone))
@@ -34,33 +34,45 @@ pub fn run(folder: &str, run: &Inspected) -> String {
     document(&title, folder, version(run), FIELDS, trouble.as_slice(), &content)
 }
 
-/// Page about the runs of a comparison.
-pub fn comparison(folder: &str, runs: &[Inspected]) -> String {
-    let outcomes: Vec<Outcome> = runs.iter().map(Inspected::outcome).collect();
-    let letters: Vec<&str> = statistics::by_field(&outcomes).map(|(field, _)| field.letter()).collect();
-    let seeds = statistics::by_field(&outcomes).map(|(_, runs)| runs.len()).max().unwrap_or(0);
-    let title = format!("{}: fields {}, {}", runs[0].task, letters.join(", "), counted(seeds, "seed"));
-    let trouble: Vec<String> = runs.iter().filter_map(|run| Some(format!("{} {}.", run.name(), run.incomplete()?))).collect();
-    let firsts: Vec<&Inspected> = runs.iter().filter(|run| run.rollouts.is_some()).collect();
+/// Page about the runs of a comparison, of one scene or several.
+pub fn comparison(folder: &str, scenes: &[InspectedScene]) -> String {
+    let outcomes: Vec<InScene> = scenes.iter().map(InspectedScene::outcomes).collect();
+    let by_field = || outcomes.iter().flat_map(|scene| statistics::by_field(&scene.runs));
+    let mut letters: Vec<&str> = by_field().map(|(field, _)| field.letter()).collect();
+    letters.sort_by_key(|letter| "RMSCN".find(letter));
+    letters.dedup();
+    let seeds = by_field().map(|(_, runs)| runs.len()).max().unwrap_or(0);
+    let names: Vec<&str> = scenes.iter().map(|scene| if scenes.len() > 1 { &*scene.name } else { scene.runs[0].task }).collect();
+    let title = format!("{}: fields {}, {}", names.join(", "), letters.join(", "), counted(seeds, "seed"));
+    let incomplete = |scene: &InspectedScene| {
+        let reason = |run: &Inspected| Some(format!("{} {}.", scene.title(&run.name()), run.incomplete()?));
+        scene.runs.iter().filter_map(reason).collect::<Vec<_>>()
+    };
+    let trouble: Vec<String> = scenes.iter().flat_map(incomplete).collect();
     let content = html! {
         (section("Result", html! {
-            (table(&statistics::TABLE_HEADER, &statistics::table(&outcomes)))
+            (table(&statistics::table_header(&outcomes), &statistics::table_of_scenes(&outcomes)))
             p.note {
                 "Median, lowest and highest value over the seeds."
-                @if outcomes.iter().any(|run| run.failed) {
+                @if outcomes.iter().flat_map(|scene| &scene.runs).any(|run| run.failed) {
                     " A failed run has no final loss (NaN), which ranks as the worst."
                 }
             }
         }))
-        (section("Learning", figures(learning::of_comparison(runs))))
-        (animations(&firsts))
-        (section("Gradients", html! {
-            (figures(diagnostics::of_epochs(runs).into_iter().chain(diagnostics::of_comparison(runs))))
-            (remarks(runs))
-        }))
-        (section("Settings", settings(&runs.iter().collect::<Vec<_>>())))
+        (section("Learning", figures(learning::of_comparison(scenes))))
+        @for scene in scenes {
+            @let firsts: Vec<&Inspected> = scene.runs.iter().filter(|run| run.rollouts.is_some()).collect();
+            (section(&scene.title("Animation"), animations(&firsts)))
+            (section(&scene.title("Gradients"), html! {
+                (figures(diagnostics::of_epochs(&scene.runs).into_iter().chain(diagnostics::of_comparison(&scene.runs))))
+                (remarks(&scene.runs))
+            }))
+        }
+        @for scene in scenes {
+            (section(&scene.title("Settings"), settings(&scene.runs.iter().collect::<Vec<_>>())))
+        }
     };
-    document(&title, folder, version(&runs[0]), FIELDS, &trouble, &content)
+    document(&title, folder, version(&scenes[0].runs[0]), FIELDS, &trouble, &content)
 }
 
 /// Version of the program that made the run.
@@ -156,19 +168,16 @@ fn result(run: &Inspected) -> Markup {
 
 /// Animations of these runs.
 fn animations(runs: &[&Inspected]) -> Markup {
-    section(
-        "Animation",
-        html! {
-            div.figures { @for run in runs { @if let Some(rollouts) = &run.rollouts {
-                figure {
-                    @if runs.len() > 1 { h3 { (run.name()) } }
-                    @let alt = format!("Animation of {} under the policy of {}", run.task, run.name());
-                    img.animation src=(data_uri(&rollouts.animation)) alt=(alt);
-                }
-            } } }
-            p.note { "One rollout from an initial state of the test set, under the saved policy." }
-        },
-    )
+    html! {
+        div.figures { @for run in runs { @if let Some(rollouts) = &run.rollouts {
+            figure {
+                @if runs.len() > 1 { h3 { (run.name()) } }
+                @let alt = format!("Animation of {} under the policy of {}", run.task, run.name());
+                img.animation src=(data_uri(&rollouts.animation)) alt=(alt);
+            }
+        } } }
+        p.note { "One rollout from an initial state of the test set, under the saved policy." }
+    }
 }
 
 /// Data URI of an SVG. As an image, its identifiers cannot collide and its scripts do not run.
