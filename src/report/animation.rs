@@ -10,6 +10,9 @@ use element::{escaped, px};
 const HOLD: f64 = 0.7;
 /// Largest width and height of the view, in pixels.
 const MAX_SIZE: [f64; 2] = [720.0, 480.0];
+/// Width of a picture with channels, and the largest width of its view, in pixels. Small enough to
+/// keep labels legible on phones.
+const CHANNELS_WIDTH: f64 = 540.0;
 /// Height of the title strip above the view, in pixels.
 const TITLE_HEIGHT: f64 = 40.0;
 /// Height of the legend below the title, in pixels.
@@ -132,11 +135,12 @@ impl Animation {
         let (low, high) = self.view;
         let world = [high[0] - low[0], high[1] - low[1]].map(|size| if size.is_normal() && size > 0.0 { size } else { 1.0 });
         let below = below::Below::of(self);
-        let scale = (MAX_SIZE[0] / world[0]).min((MAX_SIZE[1] - below.taken_from_view()) / world[1]);
+        let largest = if self.channels.is_empty() { MAX_SIZE } else { [CHANNELS_WIDTH, MAX_SIZE[1] - below::TAKEN] };
+        let scale = (largest[0] / world[0]).min(largest[1] / world[1]);
         let has_view = !self.frames.is_empty() || !self.still.is_empty() || self.channels.is_empty();
         let (width, height) = if has_view { (world[0] * scale, world[1] * scale) } else { (0.0, 0.0) };
         // Reserves width for the title above a narrow view, and for channels below it.
-        let full_width = width.max(if self.channels.is_empty() { MAX_SIZE[0] / 2.0 } else { MAX_SIZE[0] });
+        let full_width = width.max(if self.channels.is_empty() { MAX_SIZE[0] / 2.0 } else { CHANNELS_WIDTH });
         let top = TITLE_HEIGHT + if self.legend.is_empty() { 0.0 } else { LEGEND_HEIGHT };
         let total = top + height + below.height();
         let (w, h, full_w, full_h) = (px(width), px(height), px(full_width), px(total));

@@ -166,7 +166,8 @@ fn group(attributes: &str) -> Primitive {
 
 /// Area between the lower and the upper edge of the band.
 fn band(series: &Series, frame: &Frame) -> Primitive {
-    let edge = |pick: fn(&(f64, f64)) -> f64| series.line.iter().zip(&series.band).map(move |(p, band)| frame.at(p.0, pick(band)));
+    let edge =
+        |pick: fn(&(f64, f64)) -> f64| series.line.iter().zip(&series.band).map(move |(p, band)| frame.at(p.0, pick(band)));
     let points: Vec<(f64, f64)> = edge(|band| band.0).chain(edge(|band| band.1).rev()).collect();
     let corners: Vec<String> = points.iter().map(|(x, y)| format!("{x:.2} {y:.2}")).collect();
     Primitive::Path(Box::new(PathData {

@@ -1,7 +1,7 @@
 //! Parts of a picture around its view: legend, scale of lengths, channels and time axis.
 
-use super::super::axes::{Axes, number, round_up, text, ticks};
 use super::super::Channel;
+use super::super::axes::{Axes, number, round_up, text, ticks};
 use super::{Animation, Shape};
 
 const INK: &str = "#4A4F57";
@@ -17,11 +17,11 @@ const TIME: f64 = 42.0;
 /// Height of a band, in pixels: of one channel up to four, and of more.
 const BANDS: [f64; 2] = [58.0, 44.0];
 /// Height that channels take from the largest view, in pixels.
-const TAKEN: f64 = 120.0;
+pub const TAKEN: f64 = 180.0;
 /// Left end of the bands, and space right of them, in pixels.
-const SIDES: [f64; 2] = [170.0, 24.0];
+const SIDES: [f64; 2] = [150.0, 20.0];
 /// Largest number of letters of a channel's name.
-const NAME: usize = 15;
+const NAME: usize = 13;
 /// Largest number of frames of the dots.
 const MAX_FRAMES: usize = 250;
 
@@ -31,11 +31,6 @@ pub struct Below<'a>(&'a Animation);
 impl<'a> Below<'a> {
     pub fn of(animation: &'a Animation) -> Self {
         Self(animation)
-    }
-
-    /// Height by which channels reduce the largest view.
-    pub fn taken_from_view(&self) -> f64 {
-        if self.0.channels.is_empty() { 0.0 } else { TAKEN }
     }
 
     pub fn height(&self) -> f64 {
@@ -92,7 +87,7 @@ impl<'a> Below<'a> {
         if channel.name.chars().count() > NAME {
             name.push('…');
         }
-        let mut shapes = vec![text([62.0, (axes.bottom + axes.top) / 2.0 - 4.0], name)];
+        let mut shapes = vec![text([52.0, (axes.bottom + axes.top) / 2.0 - 4.0], name)];
         if axes.y[0] < 0.0 && axes.y[1] > 0.0 {
             shapes.push(axes.curve([[0.0, 0.0], [axes.x[1], 0.0]], 1.0, ZERO));
         }

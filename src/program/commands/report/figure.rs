@@ -35,7 +35,8 @@ impl Figure {
         let series = || chart.series().iter().enumerate();
         // The entry of a summary also stands for its single seeds.
         let belongs = |s: &Series, other: &Series| {
-            std::ptr::eq(s, other) || other.thin && other.label.strip_prefix(&*s.label).is_some_and(|rest| rest.starts_with(", run "))
+            std::ptr::eq(s, other)
+                || other.thin && other.label.strip_prefix(&*s.label).is_some_and(|rest| rest.starts_with(", run "))
         };
         let members = |s: &Series| series().filter(|(_, other)| belongs(s, other)).map(|(i, _)| i).collect();
         let key = |s: &Series| Key { label: label(s), color: s.color, dash: s.dash, series: members(s) };

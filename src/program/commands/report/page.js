@@ -41,6 +41,11 @@ const csv = (data) => {
   return [["series", cell(data.x_label), cell(data.y_label), "low", "high"].join(","), ...rows, ""].join("\n");
 };
 
+const label = (value) => {
+  const size = Math.abs(value);
+  return value === 0 || size >= 1e-3 && size < 1e5 ? String(Number(value.toPrecision(6))) : value.toExponential();
+};
+
 // Ticks of an axis, as [position, label]. Positions on a logarithmic axis are decimal logarithms.
 const ticks = ([low, high], log) => {
   if (log && high - low > 0.7) {
@@ -48,7 +53,7 @@ const ticks = ([low, high], log) => {
     for (let power = Math.floor(low); power <= high; power++) {
       for (const digit of digits) {
         const at = power + Math.log10(digit);
-        if (at >= low && at <= high && power % step === 0) found.push([at, format(Number(`${digit}e${power}`))]);
+        if (at >= low && at <= high && power % step === 0) found.push([at, label(Number(`${digit}e${power}`))]);
       }
     }
     return found;
@@ -59,7 +64,7 @@ const ticks = ([low, high], log) => {
   const found = [];
   for (let i = Math.ceil(from / step); i * step <= to; i++) {
     const value = Number((i * step).toPrecision(12));
-    found.push([log ? Math.log10(value) : value, format(value)]);
+    found.push([log ? Math.log10(value) : value, label(value)]);
   }
   return found;
 };
@@ -114,24 +119,24 @@ const activate = (chart) => {
     hide();
     const zoom = view !== whole;
     const kx = (whole.x[1] - whole.x[0]) / (view.x[1] - view.x[0]), ky = (whole.y[1] - whole.y[0]) / (view.y[1] - view.y[0]);
-    const tx = left - kx * between(whole.x, data.across, view.x[0]) , ty = bottom - ky * between(whole.y, data.up, view.y[0]);
+    const tx = left - kx * between(whole.x, data.across, view.x[0]), ty = bottom - ky * between(whole.y, data.up, view.y[0]);
     plot.setAttribute("transform", zoom ? `translate(${tx} ${ty}) scale(${kx} ${ky})` : "");
     plot.setAttribute("class", zoom ? "zoomed" : "");
     axes.setAttribute("visibility", zoom ? "hidden" : "visible");
     zoomed.setAttribute("visibility", zoom ? "visible" : "hidden");
     zoomed.replaceChildren();
-    const text = (x, y, anchor, label) => {
-      element("text", { x, y, "font-size": 12, "text-anchor": anchor }, zoomed).textContent = label;
+    const text = (x, y, anchor, content) => {
+      element("text", { x, y, "font-size": 12, "text-anchor": anchor }, zoomed).textContent = content;
     };
-    for (const [at, label] of ticks(view.x, false)) {
+    for (const [at, name] of ticks(view.x, false)) {
       const x = between(view.x, data.across, at);
       element("line", { x1: x, x2: x, y1: bottom, y2: top, stroke: "#e6e6e6" }, zoomed);
-      text(x, bottom + 17, "middle", label);
+      text(x, bottom + 17, "middle", name);
     }
-    for (const [at, label] of ticks(view.y, data.log)) {
+    for (const [at, name] of ticks(view.y, data.log)) {
       const y = between(view.y, data.up, at);
       element("line", { x1: left, x2: edge, y1: y, y2: y, stroke: "#e6e6e6" }, zoomed);
-      text(left - 6, y + 4, "end", label);
+      text(left - 6, y + 4, "end", name);
     }
     element("path", { d: `M${left} ${top}V${bottom}H${edge}`, fill: "none", stroke: "#444444" }, zoomed);
     text((left + edge) / 2, data.size[1] - 6, "middle", data.x_label);
@@ -190,16 +195,17 @@ const activate = (chart) => {
       if (line.thin || hidden.has(number)) return;
       const [at, value, low, high] = line.points[nearest(line.xs, x)];
       if ((x < line.xs[0] || x > line.xs[line.xs.length - 1]) && Math.abs(right(at) - right(x)) > NEAR) return;
+      if (view !== whole && (down(value) < top || down(value) > bottom)) return;
       rows.push({ line, number, at, value, low, high });
     });
     const chosen = [...rows].sort((a, b) => Math.abs(down(a.value) - y) - Math.abs(down(b.value) - y)).slice(0, MOST_ROWS);
     readout.replaceChildren();
     readout.append(Object.assign(document.createElement("b"), { textContent: `${data.x_label} ${format(x)}` }));
     for (const row of rows.filter((row) => chosen.includes(row))) {
-      const dot = dots[row.number], inside = down(row.value) >= top && down(row.value) <= bottom;
+      const dot = dots[row.number];
       dot.setAttribute("cx", right(row.at));
       dot.setAttribute("cy", down(row.value));
-      dot.setAttribute("visibility", inside ? "inherit" : "hidden");
+      dot.setAttribute("visibility", "inherit");
       const text = document.createElement("span");
       const band = row.low === undefined ? "" : ` (${format(row.low)} to ${format(row.high)})`;
       text.textContent = `${row.line.label}: ${format(row.value)}${band}`;
@@ -270,10 +276,10 @@ const play = (film) => {
   const bar = document.createElement("div");
   bar.className = "tools";
   film.append(bar);
-  const label = () => { toggle.textContent = picture.animationsPaused() ? "Play" : "Pause"; };
+  const rename = () => { toggle.textContent = picture.animationsPaused() ? "Play" : "Pause"; };
   const toggle = button("Pause", "Pause or continue the animation", bar, () => {
     if (picture.animationsPaused()) picture.unpauseAnimations(); else picture.pauseAnimations();
-    label();
+    rename();
   });
   const slider = document.createElement("input");
   Object.assign(slider, { type: "range", min: 0, max: length, step: length / 500, value: 0 });
@@ -282,7 +288,7 @@ const play = (film) => {
     picture.pauseAnimations();
     // The end of the loop is the start of the next one.
     picture.setCurrentTime(Math.min(Number(slider.value), length * 0.999));
-    label();
+    rename();
   });
   bar.append(slider);
   const follow = () => {

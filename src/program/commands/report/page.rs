@@ -99,7 +99,7 @@ pub fn document(title: &str, folder: &str, version: &str, note: &str, trouble: &
                     p { "Folder " b { (folder) } ", made by physgrad " (version) "." }
                     p.note { (note) }
                     (troubles(trouble))
-                    p.hint hidden { 
+                    p.hint hidden {
                         "To read values, point at a chart, or select it with Tab and use the arrow keys. To zoom, drag a \
                          rectangle or press +; a double click or 0 shows the whole chart. A click on a legend entry hides its \
                          curves."
@@ -135,10 +135,16 @@ pub fn figures(figures: impl IntoIterator<Item = Figure>) -> Markup {
     html! { div.figures { @for figure in figures { (figure.html()) } } }
 }
 
+/// Largest number of columns that print at the usual size.
+const MANY: usize = 8;
+
 pub fn table(header: &[impl AsRef<str>], rows: &[impl AsRef<[String]>]) -> Markup {
     html! {
-        div.wide { table {
-            thead { tr { @for name in header { th scope="col" { (name.as_ref()) } } } }
+        div.wide.many[header.len() > MANY] { table {
+            thead { tr { @for name in header { th scope="col" {
+                // A long name of a setting may break after a dot.
+                @for part in name.as_ref().split_inclusive('.') { (part) wbr; }
+            } } } }
             tbody { @for row in rows { tr {
                 // Repeats the column's name in each cell, for narrow screens.
                 @for (name, cell) in header.iter().zip(row.as_ref()) { td data-name=(name.as_ref()) { (cell) } }
