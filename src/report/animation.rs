@@ -1,14 +1,22 @@
 //! Animated SVG pictures by SMIL. They contain no scripts, so they also play inside an `<img>` tag.
 
-use super::Raster;
-use std::fmt::Write;
+mod below;
+mod element;
+
+use super::{Channel, Raster};
+use element::{escaped, px};
 
 /// Duration of the last frame before the loop restarts, s.
 const HOLD: f64 = 0.7;
 /// Largest width and height of the view, in pixels.
 const MAX_SIZE: [f64; 2] = [720.0, 480.0];
+/// Width of a picture with channels, and the largest width of its view, in pixels. Small enough to
+/// keep labels legible on phones.
+const CHANNELS_WIDTH: f64 = 540.0;
 /// Height of the title strip above the view, in pixels.
 const TITLE_HEIGHT: f64 = 40.0;
+/// Height of the legend below the title, in pixels.
+const LEGEND_HEIGHT: f64 = 22.0;
 
 /// Shape in the coordinates of [`Animation::view`], with y upwards.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,6 +82,9 @@ pub enum Shape {
 }
 
 /// Looping animation with evenly spaced frames and a short hold on the last one.
+///
+/// From top to bottom: title, legend, view, scale of lengths, channels, and the time axis.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Animation {
     /// Title above the picture.
     pub title: String,
@@ -86,9 +97,35 @@ pub struct Animation {
     /// Shapes of each frame: the same kinds in the same order. Colours and texts keep their values
     /// of the first frame.
     pub frames: Vec<Vec<Shape>>,
+    /// Legend: names and CSS colours.
+    pub legend: Vec<(String, &'static str)>,
+    /// Unit of length of the view, for its scale. Empty for no scale.
+    pub unit: &'static str,
+    /// Numbers over time, one band each, below the view.
+    pub channels: Vec<Channel>,
+    /// Simulated time from the first frame to the last, s. 0 for no time axis.
+    pub time: f64,
 }
 
 impl Animation {
+    /// Gives animations of one system the same scale: the union of their views, and for channels
+    /// with the same index and name the union of their ranges.
+    pub fn share_scale(animations: &mut [&mut Self]) {
+        let corner = |pick: fn(f64, f64) -> f64, of: fn(&Self) -> [f64; 2]| {
+            animations.iter().map(|animation| of(animation)).reduce(|a, b| [pick(a[0], b[0]), pick(a[1], b[1])])
+        };
+        let Some((low, high)) = corner(f64::min, |a| a.view.0).zip(corner(f64::max, |a| a.view.1)) else { return };
+        let ranges: Vec<(String, [f64; 2])> =
+            animations.iter().flat_map(|animation| &animation.channels).map(|c| (c.name.clone(), c.range())).collect();
+        for animation in animations {
+            animation.view = (low, high);
+            for channel in &mut animation.channels {
+                let same = ranges.iter().filter(|(name, _)| *name == channel.name).map(|(_, range)| *range);
+                channel.range = same.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+            }
+        }
+    }
+
     /// Renders to SVG. Static shapes are written once; moving ones are interpolated linearly
     /// between frames.
     ///
@@ -97,151 +134,33 @@ impl Animation {
     pub fn to_svg(&self) -> String {
         let (low, high) = self.view;
         let world = [high[0] - low[0], high[1] - low[1]].map(|size| if size.is_normal() && size > 0.0 { size } else { 1.0 });
-        let scale = (MAX_SIZE[0] / world[0]).min(MAX_SIZE[1] / world[1]);
-        let (width, height) = (world[0] * scale, world[1] * scale);
-        // Reserves width for the title above a narrow view.
-        let full_width = width.max(MAX_SIZE[0] / 2.0);
-        let (w, h, full_w, full_h) = (px(width), px(height), px(full_width), px(height + TITLE_HEIGHT));
+        let below = below::Below::of(self);
+        let largest = if self.channels.is_empty() { MAX_SIZE } else { [CHANNELS_WIDTH, MAX_SIZE[1] - below::TAKEN] };
+        let scale = (largest[0] / world[0]).min(largest[1] / world[1]);
+        let has_view = !self.frames.is_empty() || !self.still.is_empty() || self.channels.is_empty();
+        let (width, height) = if has_view { (world[0] * scale, world[1] * scale) } else { (0.0, 0.0) };
+        // Reserves width for the title above a narrow view, and for channels below it.
+        let full_width = width.max(if self.channels.is_empty() { MAX_SIZE[0] / 2.0 } else { CHANNELS_WIDTH });
+        let top = TITLE_HEIGHT + if self.legend.is_empty() { 0.0 } else { LEGEND_HEIGHT };
+        let total = top + height + below.height();
+        let (w, h, full_w, full_h) = (px(width), px(height), px(full_width), px(total));
         let (left, middle, title) = (px((full_width - width) / 2.0), px(full_width / 2.0), escaped(&self.title));
         let mut svg = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {full_w} {full_h}\" width=\"{full_w}\" \
              height=\"{full_h}\" font-family=\"DejaVu Sans, Verdana, Arial, sans-serif\" text-anchor=\"middle\">\n\
              <title>{title}</title>\n<rect width=\"{full_w}\" height=\"{full_h}\" rx=\"12\" fill=\"white\"/>\n\
              <text x=\"{middle}\" y=\"27\" font-size=\"16\" fill=\"#222\">{title}</text>\n\
-             <svg x=\"{left}\" y=\"{TITLE_HEIGHT}\" width=\"{w}\" height=\"{h}\">\n"
+             <svg x=\"{left}\" y=\"{}\" width=\"{w}\" height=\"{h}\">\n",
+            px(top)
         );
-        let elements = |shapes: &[Shape]| -> Vec<Element> {
-            shapes.iter().map(|shape| Element::new(shape, low[0], high[1], scale)).collect()
-        };
-        let frames: Vec<Vec<Element>> = self.frames.iter().map(|shapes| elements(shapes)).collect();
-        let times = Times::new(frames.len(), self.seconds);
-        for element in elements(&self.still) {
-            times.write_element(&mut svg, &[&element]);
-        }
-        if let Some(first) = frames.first() {
-            for frame in &frames {
-                let kinds = |elements: &[Element]| elements.iter().map(|element| element.tag).collect::<Vec<_>>();
-                assert!(kinds(frame) == kinds(first), "every frame of an animation needs the same shapes in the same order");
-            }
-            for i in 0..first.len() {
-                let history: Vec<&Element> = frames.iter().map(|frame| &frame[i]).collect();
-                times.write_element(&mut svg, &history);
-            }
-        }
-        svg + "</svg>\n</svg>\n"
+        element::write(&mut svg, &self.still, &self.frames, [low[0], high[1]], scale, self.seconds);
+        svg += "</svg>\n";
+        // Shapes around the view, in pixels from the lower left corner of the picture.
+        let mut still = below::legend(&self.legend, full_width, total - TITLE_HEIGHT - LEGEND_HEIGHT / 2.0);
+        still.extend(below.still(full_width, scale));
+        element::write(&mut svg, &still, &below.frames(full_width), [0.0, total], 1.0, self.seconds);
+        svg + "</svg>\n"
     }
-}
-
-/// SVG element of a shape, in pixels.
-struct Element {
-    tag: &'static str,
-    /// Attributes that may change between frames.
-    numbers: Vec<(&'static str, String)>,
-    /// Attributes that keep their values of the first frame.
-    style: String,
-    /// Text content.
-    content: String,
-}
-
-impl Element {
-    /// Places a shape in a picture whose upper left corner has the world coordinates (left, top).
-    fn new(shape: &Shape, left: f64, top: f64, scale: f64) -> Self {
-        let (x, y) = (|x: f64| px((x - left) * scale), |y: f64| px((top - y) * scale));
-        let length = |length: f64| px(length.max(0.0) * scale);
-        let rectangle = |[cx, cy]: [f64; 2], [w, h]: [f64; 2]| {
-            vec![("x", x(cx - w / 2.0)), ("y", y(cy + h / 2.0)), ("width", length(w)), ("height", length(h))]
-        };
-        let (tag, numbers, style) = match shape {
-            Shape::Line { from, to, width, color } => (
-                "line",
-                vec![
-                    ("x1", x(from[0])),
-                    ("y1", y(from[1])),
-                    ("x2", x(to[0])),
-                    ("y2", y(to[1])),
-                    ("stroke-width", length(*width)),
-                ],
-                format!("stroke=\"{color}\" stroke-linecap=\"round\""),
-            ),
-            Shape::Circle { center, radius, color } => {
-                ("circle", vec![("cx", x(center[0])), ("cy", y(center[1])), ("r", length(*radius))], format!("fill=\"{color}\""))
-            }
-            Shape::Rect { center, size, color } => ("rect", rectangle(*center, *size), format!("rx=\"2\" fill=\"{color}\"")),
-            Shape::Curve { points, width, color } => {
-                let points: Vec<String> = points.iter().map(|point| format!("{},{}", x(point[0]), y(point[1]))).collect();
-                let style = format!("fill=\"none\" stroke=\"{color}\" stroke-linecap=\"round\" stroke-linejoin=\"round\"");
-                ("polyline", vec![("points", points.join(" ")), ("stroke-width", length(*width))], style)
-            }
-            Shape::Image { center, size, raster } => {
-                // Both rules keep cell edges sharp. Viewers that do not support `pixelated` use
-                // `optimizeSpeed`.
-                let style = "preserveAspectRatio=\"none\" style=\"image-rendering:optimizeSpeed;image-rendering:pixelated\"";
-                ("image", rectangle(*center, *size), format!("{style} href=\"{}\"", raster.data_uri()))
-            }
-            Shape::Text { at, size, color, .. } => {
-                ("text", vec![("x", x(at[0])), ("y", y(at[1])), ("font-size", length(*size))], format!("fill=\"{color}\""))
-            }
-        };
-        let content = if let Shape::Text { text, .. } = shape { escaped(text) } else { String::new() };
-        Self { tag, numbers, style, content }
-    }
-}
-
-/// Timing of an animation, as SMIL attributes.
-struct Times {
-    key_times: String,
-    duration: String,
-}
-
-impl Times {
-    /// Spaces the frames evenly over `seconds` and adds the hold.
-    fn new(frames: usize, seconds: f64) -> Self {
-        let seconds = if seconds.is_finite() { seconds.max(0.1) } else { 0.1 };
-        let share = seconds / (seconds + HOLD) / frames.saturating_sub(1).max(1) as f64;
-        let mut key_times: Vec<String> = (0..frames).map(|i| trimmed(i as f64 * share, 4)).collect();
-        key_times.push("1".into());
-        Self { key_times: key_times.join(";"), duration: trimmed(seconds + HOLD, 2) }
-    }
-
-    /// Writes an element from its states in all frames.
-    fn write_element(&self, svg: &mut String, history: &[&Element]) {
-        let Element { tag, numbers, style, content } = history[0];
-        let _ = write!(svg, "<{tag} {style}");
-        let mut animations = String::new();
-        for (i, (name, start)) in numbers.iter().enumerate() {
-            let _ = write!(svg, " {name}=\"{start}\"");
-            let mut values: Vec<&str> = history.iter().map(|element| element.numbers[i].1.as_str()).collect();
-            if values.iter().any(|value| value != start) {
-                values.push(values[values.len() - 1]);
-                let _ = write!(
-                    animations,
-                    "<animate attributeName=\"{name}\" values=\"{}\" keyTimes=\"{}\" dur=\"{}s\" repeatCount=\"indefinite\"/>",
-                    values.join(";"),
-                    self.key_times,
-                    self.duration
-                );
-            }
-        }
-        let _ = writeln!(svg, ">{content}{animations}</{tag}>");
-    }
-}
-
-/// Formats a length in pixels to two decimals. Non-finite values become 0. Other values are
-/// clamped, because browsers reject an animation with an out-of-range number.
-fn px(value: f64) -> String {
-    trimmed(if value.is_finite() { value.clamp(-1e5, 1e5) } else { 0.0 }, 2)
-}
-
-/// Formats with at most `decimals` decimals, without trailing zeros.
-fn trimmed(value: f64, decimals: usize) -> String {
-    let text = format!("{value:.decimals$}");
-    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
-    if text == "-0" { "0".into() } else { text.into() }
-}
-
-/// Escapes XML special characters.
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 #[cfg(test)]
@@ -256,6 +175,7 @@ mod tests {
             view: ([0.0, 0.0], [2.0, 1.0]),
             still: Vec::new(),
             frames: xs.iter().map(dot).collect(),
+            ..Animation::default()
         }
     }
 
@@ -305,5 +225,34 @@ mod tests {
         let mut animation = moving_dot(&[0.0, 1.0]);
         animation.frames[1].clear();
         animation.to_svg();
+    }
+    #[test]
+    fn animations_that_share_a_scale_have_equal_views_and_ranges() {
+        let channel = |values: &[f64]| Channel { name: "u".into(), values: values.to_vec(), color: "red", range: None };
+        let mut both = [moving_dot(&[0.0, 1.0]), moving_dot(&[0.0, 2.0])];
+        both[1].view = ([-1.0, 0.5], [1.0, 3.0]);
+        (both[0].channels, both[1].channels) = (vec![channel(&[0.0, 1.0])], vec![channel(&[-3.0, 0.5])]);
+        Animation::share_scale(&mut both.each_mut());
+        assert_eq!(both[0].view, ([-1.0, 0.0], [2.0, 3.0]));
+        assert_eq!((both[0].view, both[0].channels[0].range), (both[1].view, both[1].channels[0].range));
+        assert_eq!(both[0].channels[0].range(), [-3.0, 1.0]);
+    }
+
+    #[test]
+    fn a_picture_has_legend_scale_channels_and_time_axis() {
+        let mut animation = moving_dot(&[0.0, 1.0, 2.0]);
+        animation.legend = vec![("target".into(), "green")];
+        animation.unit = "m";
+        animation.time = 2.0;
+        animation.channels = vec![Channel { name: "force".into(), values: vec![-4.0, 0.0, 6.0], color: "red", range: None }];
+        let svg = animation.to_svg();
+        let document = roxmltree::Document::parse(&svg).expect("an SVG is XML");
+        let texts: Vec<&str> = document.descendants().filter(|n| n.has_tag_name("text")).filter_map(|n| n.text()).collect();
+        // A scale of 0.2 units is about a tenth of the view.
+        for text in ["target", "0.2 m", "force", "−4", "6", "time (s)", "0", "1", "2"] {
+            assert!(texts.contains(&text), "{text} in {texts:?}");
+        }
+        let cursors = document.descendants().filter(|n| n.has_tag_name("line") && n.children().count() > 0).count();
+        assert_eq!(cursors, 1, "the cursor moves");
     }
 }

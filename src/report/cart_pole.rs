@@ -14,13 +14,14 @@ const FORCE: &str = "#D55E00";
 const CART: &str = "#C9CED6";
 const DARK: &str = "#4A4F57";
 const RAIL: &str = "#9AA0A8";
-const TRACK: &str = "#ECEEF1";
 
 /// Number of frames beyond which a trajectory is thinned; motion between frames is linear.
 const MAX_FRAMES: usize = 250;
 /// Cart position that counts as diverged, m.
 const FAR: f64 = 1e6;
 
+/// Width of an unlimited rail beyond each side of the view, in widths of the view.
+const RAIL_BEYOND: f64 = 20.0;
 /// Longest rail that is shown whole, in pole lengths.
 const WHOLE: f64 = 10.0;
 
@@ -60,12 +61,13 @@ pub fn cart_pole_on(rail: &Rail, states: &[Vec<f64>], controls: &[f64], half_len
     let shown = states.len().min(MAX_FRAMES);
     let frames = (0..shown).map(|frame| {
         let step = frame * (states.len() - 1) / (shown - 1).max(1);
-        let progress = frame as f64 / (shown - 1).max(1) as f64;
-        let mut shapes = stage.frame(states[step], relative_force(controls, step), progress);
+        let mut shapes = stage.frame(states[step], relative_force(controls, step));
         shapes.extend(wind.iter().flat_map(|wind| wind.shapes(&stage, step)));
         shapes
     });
-    Animation { title, seconds: time * slowness, still: Vec::new(), frames: frames.collect(), view: (stage.low, stage.high) }
+    let (seconds, view) = (time * slowness, (stage.low, stage.high));
+    let legend = vec![("force".to_owned(), FORCE)];
+    Animation { title, seconds, view, frames: frames.collect(), legend, time, ..Animation::default() }
 }
 
 /// Force at a step, relative to the largest force. The last state has the force of the last step.
@@ -126,8 +128,8 @@ impl Stage {
         Self { length, low: [middle - half_width, bottom], high: [middle + half_width, top], follow, marks, bumpers }
     }
 
-    /// Shapes of one frame; `progress` runs from 0 to 1.
-    fn frame(&self, state: &[f64], force: f64, progress: f64) -> Vec<Shape> {
+    /// Shapes of one frame.
+    fn frame(&self, state: &[f64], force: f64) -> Vec<Shape> {
         let unit = self.length;
         let camera = if self.follow { state[0] } else { 0.0 };
         let x = state[0] - camera;
@@ -144,7 +146,6 @@ impl Stage {
             shapes.push(Shape::Circle { center: tip, radius: 0.05 * unit, color });
         }
         shapes.push(Shape::Circle { center: [x, 0.0], radius: 0.04 * unit, color: DARK });
-        shapes.extend(self.progress_bar(progress));
         shapes
     }
 
@@ -152,7 +153,9 @@ impl Stage {
     fn rail(&self, camera: f64) -> Vec<Shape> {
         let (unit, y) = (self.length, -0.2 * self.length);
         let end = self.bumpers.map_or(f64::INFINITY, |bumpers| bumpers.end());
-        let (left, right) = (self.low[0].max(-end - camera), self.high[0].min(end - camera));
+        // Extends beyond the view, which may grow to the view of another animation.
+        let beyond = RAIL_BEYOND * (self.high[0] - self.low[0]);
+        let (left, right) = ((self.low[0] - beyond).max(-end - camera), (self.high[0] + beyond).min(end - camera));
         let mut shapes = vec![Shape::Line { from: [left, y], to: [right, y], width: 0.02 * unit, color: RAIL }];
         for &mark in &self.marks {
             let x = mark - camera;
@@ -161,18 +164,6 @@ impl Stage {
             shapes.push(Shape::Text { at: [x, y - 0.2 * unit], size: 0.1 * unit, text, color: RAIL });
         }
         shapes
-    }
-
-    /// Thin progress bar along the lower edge.
-    fn progress_bar(&self, progress: f64) -> [Shape; 2] {
-        let (thickness, left) = (0.03 * self.length, self.low[0] + 0.15 * self.length);
-        let full = self.high[0] - self.low[0] - 0.3 * self.length;
-        let bar = |width: f64, color| Shape::Rect {
-            center: [left + width / 2.0, self.low[1] + 0.1 * self.length],
-            size: [width, thickness],
-            color,
-        };
-        [bar(full, TRACK), bar(full * progress, DARK)]
     }
 }
 

@@ -2,10 +2,12 @@
 
 use super::log_axis::LogAxis;
 use super::log_figure::theme;
-use super::marks::marks;
+use super::marks::widths;
 use super::series::{cleaned, drawable, thinned, tick_step, x_range};
 use super::{Drawing, Series};
-use kuva::prelude::{Layout, render_multiple};
+use kuva::prelude::{Layout, LinePlot, render_multiple};
+use kuva::render::color::Color;
+use kuva::render::render::{PathData, Primitive};
 
 /// Width and height, in pixels; small enough to keep labels legible on phones.
 const SIZE: [f64; 2] = [460.0, 270.0];
@@ -88,9 +90,9 @@ impl Chart {
     /// Renders the picture.
     pub fn drawing(&self) -> Drawing {
         let [left, top, right, bottom] = MARGINS;
-        let (low, high, unit) = match &self.y {
-            Axis::Log(axis) => (axis.low, axis.high, axis.unit()),
-            Axis::Linear([low, high]) => (*low, *high, 1.0),
+        let (low, high) = match &self.y {
+            Axis::Log(axis) => (axis.low, axis.high),
+            Axis::Linear([low, high]) => (*low, *high),
         };
         let mut layout = Layout::new((self.x[0], self.x[1]), (low, high))
             .with_width(SIZE[0])
@@ -109,8 +111,73 @@ impl Chart {
         if let Axis::Log(axis) = &self.y {
             layout = layout.with_log_y().with_y_tick_format(axis.tick_format());
         }
-        Drawing::of(render_multiple(marks(&self.series, [1.0, unit]), layout))
+        // kuva draws the axes. The series follow in groups, by which a page can hide or move them.
+        let mut scene = render_multiple(vec![LinePlot::new().into()], layout);
+        scene.elements.insert(0, group("class=\"axes\""));
+        scene.elements.push(Primitive::GroupEnd);
+        scene.elements.extend(self.marks());
+        Drawing::of(scene)
     }
+
+    /// Groups of the series, from back to front: bands, thin lines, other lines. Each has the class
+    /// `series` and the index of its series.
+    fn marks(&self) -> Vec<Primitive> {
+        let frame = self.frame();
+        let widths = widths(&self.series);
+        let mut shapes: Vec<(u8, usize, Primitive)> = Vec::new();
+        for (i, series) in self.series.iter().enumerate() {
+            let points: Vec<(f64, f64)> = series.line.iter().map(|&(x, y)| frame.at(x, y)).collect();
+            if !series.band.is_empty() {
+                shapes.push((0, i, band(series, &frame)));
+            }
+            let stroke = Color::from(series.color);
+            let line = match points[..] {
+                [(cx, cy)] => {
+                    let (fill_opacity, stroke_width) = (None, None);
+                    Primitive::Circle { cx, cy, r: 2.2 * widths[i], fill: stroke, fill_opacity, stroke: None, stroke_width }
+                }
+                _ => {
+                    let stroke_dasharray = series.dash.array().map(String::from);
+                    Primitive::PolyLine { points, stroke, stroke_width: widths[i], stroke_dasharray }
+                }
+            };
+            shapes.push((if series.thin { 1 } else { 2 }, i, line));
+        }
+        shapes.sort_by_key(|(layer, i, _)| (*layer, *i));
+        let grouped = |(layer, i, shape): (u8, usize, Primitive)| {
+            let opacity = if layer == 1 { " opacity=\"0.55\"" } else { "" };
+            [group(&format!("class=\"series\" data-series=\"{i}\"{opacity}")), shape, Primitive::GroupEnd]
+        };
+        shapes.into_iter().flat_map(grouped).collect()
+    }
+}
+
+impl Frame {
+    /// Maps a data point to picture coordinates.
+    fn at(&self, x: f64, y: f64) -> (f64, f64) {
+        let between = |[a, b]: [f64; 2], [p, q]: [f64; 2], at: f64| p + (q - p) * (at - a) / (b - a);
+        (between(self.x, self.across, x), between(self.y, self.up, if self.log { y.log10() } else { y }))
+    }
+}
+
+fn group(attributes: &str) -> Primitive {
+    Primitive::GroupStart { transform: None, title: None, extra_attrs: Some(attributes.into()) }
+}
+
+/// Area between the lower and the upper edge of the band.
+fn band(series: &Series, frame: &Frame) -> Primitive {
+    let edge =
+        |pick: fn(&(f64, f64)) -> f64| series.line.iter().zip(&series.band).map(move |(p, band)| frame.at(p.0, pick(band)));
+    let points: Vec<(f64, f64)> = edge(|band| band.0).chain(edge(|band| band.1).rev()).collect();
+    let corners: Vec<String> = points.iter().map(|(x, y)| format!("{x:.2} {y:.2}")).collect();
+    Primitive::Path(Box::new(PathData {
+        d: format!("M {} Z", corners.join(" L ")),
+        fill: Some(Color::from(series.color)),
+        stroke: Color::None,
+        stroke_width: 0.0,
+        opacity: Some(0.16),
+        stroke_dasharray: None,
+    }))
 }
 
 /// Cleans and thins the series. Removes empty series.

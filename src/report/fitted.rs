@@ -2,15 +2,12 @@
 
 use super::log_figure::{Panel, legend, theme};
 use super::marks::marks;
-use super::series::x_range;
+use super::series::{thinned, x_range};
 use super::{Drawing, Series};
 use kuva::prelude::*;
 
 /// Width and height of a panel, in pixels.
 const SIZE: [f64; 2] = [330.0, 170.0];
-
-/// Largest number of points of a line.
-const MAX_POINTS: usize = 800;
 
 /// Title of a column, and its panels from top to bottom: label of the y axis, and lines.
 pub type FittedColumn = (String, Vec<(String, Vec<Series>)>);
@@ -29,7 +26,7 @@ pub fn fitted(title: &str, columns: Vec<FittedColumn>) -> Drawing {
                 log_x: false,
                 y_label: label.clone(),
                 y_axis: 0,
-                series: series.iter().map(thinned).collect(),
+                series: series.iter().map(drawn).collect(),
             });
         }
     }
@@ -50,9 +47,8 @@ pub fn fitted(title: &str, columns: Vec<FittedColumn>) -> Drawing {
     Drawing::of(figure.render())
 }
 
-fn thinned(series: &Series) -> Series {
-    let every = series.line.len().div_ceil(MAX_POINTS).max(1);
-    Series { line: series.line.iter().copied().step_by(every).collect(), ..series.clone() }
+fn drawn(series: &Series) -> Series {
+    Series { line: thinned(series.line.clone(), |p| p.1), ..series.clone() }
 }
 
 fn layout(panel: &Panel) -> Layout {
@@ -78,4 +74,18 @@ fn layout(panel: &Panel) -> Layout {
         layout = layout.with_x_label(&*panel.x_label);
     }
     layout
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_single_extreme_value_of_a_long_line_is_drawn() {
+        let line = |i: i32| (f64::from(i), if i == 3331 { 9.0 } else { f64::from(i % 2) });
+        let series = Series::new("a", "red", (0..10_000).map(line).collect());
+        assert!(drawn(&series).line.contains(&(3331.0, 9.0)));
+        let picture = fitted("title", vec![("column".into(), vec![("row".into(), vec![series])])]).to_svg();
+        assert!(picture.len() < 50_000, "{} bytes", picture.len());
+    }
 }

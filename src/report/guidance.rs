@@ -12,8 +12,6 @@ const EVADER: &str = "#0072B2";
 const EVADER_TRAIL: &str = "#A9CDE6";
 const TARGET: &str = "#009E73";
 const TARGET_AREA: &str = "#DDF1EA";
-const DARK: &str = "#4A4F57";
-const TRACK: &str = "#ECEEF1";
 
 /// Number of frames beyond which a trajectory is thinned; motion between frames is linear.
 const MAX_FRAMES: usize = 120;
@@ -60,12 +58,17 @@ pub fn guidance_in(field: &Field, states: &[Vec<f64>], drivers: usize, dt: f64) 
     let shown = states.len().min(MAX_FRAMES);
     let step = |frame: usize| frame * (states.len() - 1) / (shown - 1).max(1);
     let layout = Layout::new((0..shown).map(|frame| positions(states[step(frame)])).collect(), drivers, field.finite());
+    let agents = [("drivers", DRIVER), ("evaders", EVADER), ("target", TARGET)];
     Animation {
         title,
         seconds: time * slowness,
         still: layout.field.shapes(&layout),
         frames: (0..shown).map(|frame| layout.frame(frame)).collect(),
         view: (layout.low, layout.high),
+        legend: agents.into_iter().chain(layout.field.legend()).map(|(name, color)| (name.into(), color)).collect(),
+        unit: "m",
+        time,
+        ..Animation::default()
     }
 }
 
@@ -96,7 +99,6 @@ impl Layout {
             }
         }
         let size = [high[0] - low[0], high[1] - low[1]].map(|size| 1.15 * size);
-        // Space for the legend above and for the progress bar below.
         let height = 1.1 * size[1].max(size[0] / ASPECT);
         let half = [ASPECT * height / 2.0, height / 2.0];
         let middle = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0];
@@ -121,8 +123,6 @@ impl Layout {
             let color = if agent < self.drivers { DRIVER } else { EVADER };
             shapes.push(Shape::Circle { center: self.path[frame][agent], radius, color });
         }
-        shapes.extend(self.legend(radius));
-        shapes.extend(self.progress_bar(frame as f64 / (self.path.len() - 1).max(1) as f64));
         shapes
     }
 
@@ -143,35 +143,6 @@ impl Layout {
         let line = |x: f64, y: f64| Shape::Line { from: [-x, -y], to: [x, y], width: 0.005 * self.unit(), color: TARGET };
         let disc = Shape::Circle { center: [0.0; 2], radius: 1.7 * arm, color: TARGET_AREA };
         vec![disc, line(arm, 0.0), line(0.0, arm)]
-    }
-
-    /// Legend in the upper left corner.
-    fn legend(&self, radius: f64) -> Vec<Shape> {
-        let (unit, size) = (self.unit(), 0.03 * self.unit());
-        let (mut x, y) = (self.low[0] + 0.04 * unit, self.high[1] - 0.04 * unit);
-        let mut shapes = Vec::new();
-        let agents = [("drivers", DRIVER), ("evaders", EVADER), ("target", TARGET)];
-        for (text, color) in agents.into_iter().chain(self.field.legend()) {
-            // Texts are centered; letters are about 0.6 of the font size wide.
-            let width = 0.6 * size * text.len() as f64;
-            let at = [x + 0.6 * size + width / 2.0, y - 0.3 * size];
-            shapes.push(Shape::Circle { center: [x, y], radius: 0.8 * radius, color });
-            shapes.push(Shape::Text { at, size, text: text.into(), color: DARK });
-            x += width + 2.2 * size;
-        }
-        shapes
-    }
-
-    /// Thin progress bar along the lower edge.
-    fn progress_bar(&self, progress: f64) -> [Shape; 2] {
-        let unit = self.unit();
-        let (left, full) = (self.low[0] + 0.04 * unit, self.high[0] - self.low[0] - 0.08 * unit);
-        let bar = |width: f64, color| Shape::Rect {
-            center: [left + width / 2.0, self.low[1] + 0.03 * unit],
-            size: [width, 0.008 * unit],
-            color,
-        };
-        [bar(full, TRACK), bar(full * progress, DARK)]
     }
 }
 
@@ -196,7 +167,6 @@ mod tests {
     fn all_agents_are_in_view() {
         let animation = guidance(&trajectory(1.0), 1, 1.0 / 15.0);
         assert_eq!(animation.title, "1 driver, 1 evader: 4.0 s in real time");
-        // The first circle is the agent, the second its legend entry.
         assert_eq!(dots(&animation, 60, DRIVER)[0], [-1.0, 1.0]);
         assert_eq!(dots(&animation, 60, EVADER)[0], [4.0, 0.5]);
         let (low, high) = animation.view;

@@ -12,6 +12,8 @@ const MARK: &str = "#D55E00";
 const MAX_FRAMES: usize = 250;
 /// Coordinate that counts as diverged, m.
 const FAR: f64 = 1e6;
+/// Width of the floor beyond each side of the view, in widths of the view.
+const FLOOR: f64 = 20.0;
 
 /// Positions at one time, m.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -62,7 +64,9 @@ pub fn mechanics(stage: &Stage, postures: &[Posture], dt: f64) -> Animation {
 
     let thin = 0.12 * stage.size;
     let ground = stage.floor.map(|height| {
-        let (from, to) = ([low[0], height - 0.5 * thin], [high[0], height - 0.5 * thin]);
+        // Extends beyond the view, which may grow to the view of another animation.
+        let width = FLOOR * (high[0] - low[0]);
+        let (from, to) = ([low[0] - width, height - 0.5 * thin], [high[0] + width, height - 0.5 * thin]);
         Shape::Line { from, to, width: thin, color: GROUND }
     });
     let mark = stage.mark.map(|center| Shape::Circle { center, radius: 0.25 * stage.size, color: MARK });
@@ -74,6 +78,10 @@ pub fn mechanics(stage: &Stage, postures: &[Posture], dt: f64) -> Animation {
         view: (low, high),
         still: ground.into_iter().chain(mark).collect(),
         frames: frames.collect(),
+        legend: stage.mark.map(|_| ("target".to_owned(), MARK)).into_iter().collect(),
+        unit: "m",
+        time,
+        ..Animation::default()
     }
 }
 

@@ -65,6 +65,7 @@ pub fn quantum_in(
         view: ([0.0, 0.0], [720.0, 480.0]),
         still: layout.background(),
         frames: frames.collect(),
+        ..Animation::default()
     }
 }
 

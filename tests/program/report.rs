@@ -2,7 +2,6 @@
 
 use crate::running::{SMALL, error_of, physgrad, train};
 use assert_cmd::Command;
-use base64::prelude::{BASE64_STANDARD, Engine};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -56,7 +55,7 @@ fn assert_nested(page: &str) {
         let name = tag.split([' ', '/', '\n']).find(|part| !part.is_empty()).expect("a tag has a name");
         if tag.starts_with('/') {
             assert_eq!(open.pop(), Some(name), "before {}", &rest[..40.min(rest.len())]);
-        } else if !tag.starts_with('!') && !tag.ends_with('/') && !["meta", "img"].contains(&name) {
+        } else if !tag.starts_with('!') && !tag.ends_with('/') && !["meta", "wbr"].contains(&name) {
             open.push(name);
         }
         if ["script", "style"].contains(&name) && !tag.starts_with('/') {
@@ -96,10 +95,22 @@ fn cells(page: &str) -> Vec<Vec<&str>> {
     between(table, "<tr>", "</tr>").iter().map(|row| between(row, "\">", "</td>")).collect()
 }
 
-/// Returns the animations on the page, decoded.
-fn animations(page: &str) -> Vec<String> {
-    let decoded = |animation: &&str| String::from_utf8(BASE64_STANDARD.decode(animation).expect("base64")).expect("text");
-    between(page, "data:image/svg+xml;base64,", "\"").iter().map(decoded).collect()
+/// Returns the animations on the page.
+fn animations(page: &str) -> Vec<&str> {
+    let films = between(page, "<div class=\"film\" ", "</div>");
+    films.into_iter().map(|film| film.split_once('>').expect("a tag ends").1).collect()
+}
+
+/// Checks that two animations have the same size of the view, and the same labels around it.
+fn assert_same_scale(a: &str, b: &str) {
+    let view = |svg: &str| between(svg, "<svg x=", ">")[0].to_owned();
+    assert_eq!(view(a), view(b));
+    let labels = |svg: &str| -> Vec<String> {
+        let around = svg.split("</svg>").nth(1).expect("channels below the view");
+        between(around, "<text ", "</text>").iter().map(|text| text.to_string()).collect()
+    };
+    assert!(labels(a).iter().any(|label| label.ends_with(">time (s)")), "{:?}", labels(a));
+    assert_eq!(labels(a), labels(b));
 }
 
 #[test]
@@ -140,6 +151,7 @@ fn the_page_of_a_run_has_its_settings_metrics_adjoint_norms_and_animation() {
     let row = &cells(&page)[0];
     assert_eq!((row[0], row[3], row[5]), ("4", &*format!("{:.3e}", rows[3][3]), "0"));
     assert_eq!(animations(&page), [fs::read_to_string(out.join("animation.svg")).expect("an animation")]);
+    assert_eq!(between(&page, "<script>", "</script>").len(), 1, "one script");
 
     assert!(report(&out) == page, "a second report has the same bytes");
     train(&out, &["--epochs", "1"]).assert().success();
@@ -187,7 +199,11 @@ fn the_page_of_a_comparison_has_the_printed_table_and_curves_of_all_seeds() {
     assert_eq!(labels(&diagram(&page, "Growth of M as trained")), ["R seed 9", "C seed 9"]);
 
     let file = |run: &str| -> PathBuf { dir.path().join("runs").join(run).join("animation.svg") };
-    assert_eq!(animations(&page), ["R-9", "C-9"].map(|run| fs::read_to_string(file(run)).expect("an animation")));
+    let [regular, combined] = animations(&page)[..] else { panic!("one animation per field") };
+    assert_same_scale(regular, combined);
+    physgrad(&["animate"]).arg(dir.path()).assert().success();
+    let animated = ["R-9", "R-10", "C-9", "C-10"].map(|run| fs::read_to_string(file(run)).expect("an animation"));
+    animated.iter().for_each(|animation| assert_same_scale(&animated[0], animation));
     fs::remove_file(file("C-9")).expect("the file exists");
     assert!(report(dir.path()) == page, "the page does not need the file of an animation");
 }
@@ -333,4 +349,57 @@ fn folders_without_a_run_or_with_half_a_checkpoint_are_refused() {
     let text = refusal(&out);
     assert!(text.contains("checkpoint.bin") && text.contains("damaged"), "{text}");
     assert!(!out.join("report.html").exists());
+}
+
+/// Runs a script in Node.js with the functions of the page's script. None without Node.js.
+fn evaluated(page: &str, expression: &str) -> Option<String> {
+    let script = between(page, "<script>", "</script>")[0];
+    let functions = script.split("const activate").next().expect("functions before the charts");
+    let program = format!("{functions}\nconsole.log({expression});");
+    let output = std::process::Command::new("node").args(["-e", &program]).output().ok()?;
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Some(String::from_utf8(output.stdout).expect("text"))
+}
+
+#[test]
+fn the_csv_of_a_chart_has_the_values_of_its_curves() {
+    let dir = TempDir::new().expect("a folder");
+    compare(dir.path(), &["--fields", "R,M", "--seeds", "2", "--epochs", "2"]).assert().success();
+    let page = report(dir.path());
+    let data = between(&page, "<script type=\"application/json\">", "</script>")[0];
+    let Some(csv) = evaluated(&page, &format!("csv({data})")) else {
+        println!("skipped: there is no Node.js");
+        return;
+    };
+    let rows: Vec<Vec<&str>> = csv.lines().filter(|row| !row.is_empty()).map(|row| row.split(',').collect()).collect();
+    assert_eq!(rows[0], ["series", "epoch", "test loss", "low", "high"]);
+    // Labels of single runs contain a comma and are quoted.
+    let medians: Vec<&Vec<&str>> = rows[1..].iter().filter(|row| !row[0].starts_with('"')).collect();
+    let mut expected = Vec::new();
+    for (label, points) in diagram(&page, "Test loss by epoch") {
+        let cells = |point: Vec<f64>| [vec![label.clone()], point.iter().map(f64::to_string).collect()].concat();
+        expected.extend(points.into_iter().map(cells));
+    }
+    assert_eq!(medians.len(), 4);
+    assert!(medians.iter().zip(&expected).all(|(found, expected)| *found == expected), "{medians:?} {expected:?}");
+    assert_eq!(rows.len(), 1 + 4 + 8, "medians and single runs");
+}
+
+#[test]
+fn ticks_of_a_zoomed_axis_are_round_numbers_within_its_range() {
+    let dir = TempDir::new().expect("a folder");
+    train(dir.path(), &["--epochs", "1"]).assert().success();
+    let page = report(dir.path());
+    for (range, log, expected) in [
+        ("[-0.03, 8.03]", false, r#"[[0,"0"],[2,"2"],[4,"4"],[6,"6"],[8,"8"]]"#),
+        ("[-2.5, 0.5]", true, r#"["0.005","0.01","0.02","0.05","0.1","0.2","0.5","1","2"]"#),
+        ("[-0.1, 0]", true, r#"["0.8","0.85","0.9","0.95","1"]"#),
+    ] {
+        let names = if log { ".map((tick) => tick[1])" } else { "" };
+        let Some(found) = evaluated(&page, &format!("JSON.stringify(ticks({range}, {log}){names})")) else {
+            println!("skipped: there is no Node.js");
+            return;
+        };
+        assert_eq!(found.trim(), expected, "{range}");
+    }
 }

@@ -1,15 +1,18 @@
 //! `physgrad animate`: animates a rollout of a trained policy.
 
 use crate::program::platform::folder::{ANIMATION, Folder};
+use crate::program::platform::parallel;
 use crate::program::platform::terminal::print_result;
-use crate::program::runs::{outputs, saved};
+use crate::program::runs::saved;
+use crate::report::Animation;
 use anyhow::{Result, bail};
 use std::path::PathBuf;
 
 /// Animate a trained policy, from an initial state of the test set.
 #[derive(Debug, clap::Args)]
 pub struct Animate {
-    /// Folder of a run or of a comparison; for a comparison, animate every run
+    /// Folder of a run or of a comparison; for a comparison, animate every run, with one scale per
+    /// scene
     pub folder: PathBuf,
     /// Index of the test initial state, from 0
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -21,16 +24,21 @@ pub struct Animate {
 
 /// Runs the command.
 pub fn animate(args: &Animate) -> Result<()> {
-    for folder in saved::scenes(&Folder::existing(&args.folder)?)?.iter().flat_map(|scene| &scene.runs) {
-        animation(folder, args.sample)?;
-        if !args.quiet {
-            print_result(&folder.file(ANIMATION).display().to_string())?;
+    for scene in saved::scenes(&Folder::existing(&args.folder)?)? {
+        let animations = parallel::map(&scene.runs, |folder| animation(folder, args.sample));
+        let mut animations = animations.into_iter().collect::<Result<Vec<_>>>()?;
+        Animation::share_scale(&mut animations.iter_mut().collect::<Vec<_>>());
+        for (folder, animation) in scene.runs.iter().zip(&animations) {
+            folder.write(ANIMATION, animation.to_svg())?;
+            if !args.quiet {
+                print_result(&folder.file(ANIMATION).display().to_string())?;
+            }
         }
     }
     Ok(())
 }
 
-fn animation(folder: &Folder, sample: usize) -> Result<()> {
+fn animation(folder: &Folder, sample: usize) -> Result<Animation> {
     let scene = saved::scene(folder)?;
     let mut run = scene.open(1)?;
     saved::restore(folder, &scene, &mut *run)?;
@@ -38,5 +46,5 @@ fn animation(folder: &Folder, sample: usize) -> Result<()> {
     if sample >= samples {
         bail!("--sample is {sample}; allowed: 0 to {}, the test initial states of {}", samples - 1, folder.path().display());
     }
-    folder.write(ANIMATION, outputs::animation(&scene, &run.rollouts(sample..sample + 1)[0]))
+    Ok(scene.animation(&run.rollouts(sample..sample + 1)[0]))
 }

@@ -11,7 +11,7 @@ use crate::program::runs::trained::Trained;
 use crate::program::scenes::overrides::Overrides;
 use crate::program::scenes::presets;
 use crate::program::tasks::Scene;
-use crate::report::distribution;
+use crate::report::{Animation, distribution};
 use crate::report::quantile::{quantile, sorted};
 use anyhow::{Context, Result, bail};
 use comfy_table::Table;
@@ -189,8 +189,10 @@ fn write_worst(folder: &Folder, scene: &Scene, evaluation: &dyn AnyEvaluation, s
     }
     let rollouts: Vec<_> = samples.iter().map(|&sample| evaluation.rollout(sample)).collect();
     folder.write("worst.csv", outputs::trajectories(scene, samples.iter().copied().zip(&rollouts))?)?;
-    for (rank, rollout) in rollouts.iter().enumerate() {
-        folder.write(&format!("worst_{}.svg", rank + 1), outputs::animation(scene, rollout))?;
+    let mut animations: Vec<Animation> = rollouts.iter().map(|rollout| scene.animation(rollout)).collect();
+    Animation::share_scale(&mut animations.iter_mut().collect::<Vec<_>>());
+    for (rank, animation) in animations.iter().enumerate() {
+        folder.write(&format!("worst_{}.svg", rank + 1), animation.to_svg())?;
     }
     Ok(())
 }

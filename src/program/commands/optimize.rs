@@ -96,7 +96,7 @@ pub fn optimize(args: &Optimize) -> Result<()> {
     let initial = if args.from.is_some() { &starts[..] } else { &[] };
     folder.write("optimized.svg", picture(&scene, &optimized, initial))?;
     for (i, rollout) in optimized.iter().enumerate().take(SHOWN) {
-        folder.write(&format!("animation-{i}.svg"), outputs::animation(&scene, rollout))?;
+        folder.write(&format!("animation-{i}.svg"), scene.animation(rollout).to_svg())?;
     }
     if args.quiet {
         return Ok(());

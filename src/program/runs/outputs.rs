@@ -96,11 +96,6 @@ pub fn learning_curve(title: &str, records: &[Record]) -> String {
     report::learning_curve(title, &points(|r| r.train_loss), &points(|r| r.test_loss)).to_svg()
 }
 
-/// `animation.svg`: animation of a rollout.
-pub fn animation(scene: &Scene, rollout: &Trajectory) -> String {
-    scene.animation(rollout).to_svg()
-}
-
 /// `numbers.csv`: names and values of the trained numbers.
 pub fn numbers(numbers: &[(String, f64)]) -> Result<Vec<u8>> {
     csv(["name", "value"], numbers.iter().map(|(name, value)| [name.clone(), value.to_string()]))

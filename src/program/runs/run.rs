@@ -231,5 +231,5 @@ fn write_outputs(folder: &Folder, scene: &Scene, run: &dyn AnyRun) -> Result<()>
     folder.write(LEARNING_CURVE, outputs::learning_curve(&title, run.records()))?;
     let rollouts = run.rollouts(0..ROLLOUTS);
     folder.write(TRAJECTORY, outputs::trajectories(scene, rollouts.iter().enumerate())?)?;
-    folder.write(ANIMATION, outputs::animation(scene, &rollouts[0]))
+    folder.write(ANIMATION, scene.animation(&rollouts[0]).to_svg())
 }

@@ -63,14 +63,11 @@ pub trait ProgramTask: Task + Section + Default {
         numbered("p", self.param_dim())
     }
     /// Animation of one rollout: T + 1 states, T controls and the parameters. Default: states and
-    /// controls over time.
+    /// controls over time. The program adds the controls to an animation with a time and without
+    /// channels.
     fn animation(&self, states: &[Vec<f64>], controls: &[Vec<f64>], _params: &[f64]) -> Animation {
-        let channels = |names: Vec<String>, rows: &[Vec<f64>], color: &'static str| -> Vec<Channel> {
-            let values = |i: usize| rows.iter().map(|row| row[i]).collect();
-            names.into_iter().enumerate().map(|(i, name)| Channel { name, values: values(i), color }).collect()
-        };
-        let states = channels(self.state_names(), states, "#0072B2");
-        let controls = channels(self.control_names(), controls, "#D55E00");
+        let states = Channel::columns(self.state_names(), states, "#0072B2");
+        let controls = Channel::columns(self.control_names(), controls, "#D55E00");
         channels_over_time(Self::ABOUT, &[states, controls].concat(), self.dt())
     }
 }

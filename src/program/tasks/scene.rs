@@ -17,7 +17,7 @@ use crate::program::operations::{checks, costs, evaluation, gradients, identific
 use crate::program::settings::config_error::ConfigError;
 use crate::program::settings::{FieldName, OPTIONAL, Precision};
 use crate::program::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
-use crate::report::Animation;
+use crate::report::{Animation, Channel};
 use crate::{Divergence, Field, Number, System, Task, TaskOpCount};
 use anyhow::{Context, Result};
 use std::ops::Deref;
@@ -208,8 +208,26 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
     }
 
     fn animation(&self, rollout: &Trajectory) -> Animation {
-        K::animation(self, rollout)
+        let mut animation = K::animation(self, rollout);
+        if animation.time > 0.0 && animation.channels.is_empty() {
+            let names = K::control_names(self);
+            animation.channels = Channel::columns(names, &held(&rollout.controls, animation.time / K::dt(self)), CONTROL);
+            for channel in &mut animation.channels {
+                let [low, high] = channel.range();
+                channel.range = Some([low.min(0.0), high.max(0.0)]);
+            }
+        }
+        animation
     }
+}
+
+/// Colour of controls in animations.
+const CONTROL: &str = "#D55E00";
+
+/// Controls up to this number of steps. The last control holds until the final time.
+fn held(controls: &[Vec<f64>], steps: f64) -> Vec<Vec<f64>> {
+    let shown = &controls[..controls.len().min(steps.round() as usize)];
+    [shown, shown.last().map_or(&[], std::slice::from_ref)].concat()
 }
 
 impl Deref for Scene {

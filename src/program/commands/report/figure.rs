@@ -21,6 +21,8 @@ pub struct Key {
     pub label: String,
     pub color: &'static str,
     pub dash: Dash,
+    /// Indices of the series of the entry.
+    pub series: Vec<usize>,
 }
 
 impl Figure {
@@ -30,12 +32,24 @@ impl Figure {
             "" => s.label.clone(),
             note => format!("{} ({note})", s.label),
         };
-        let key = |s: &Series| Key { label: label(s), color: s.color, dash: s.dash };
-        let keys = chart.series().iter().filter(|s| !s.thin).map(key).collect();
+        let series = || chart.series().iter().enumerate();
+        // The entry of a summary also stands for its single seeds.
+        let belongs = |s: &Series, other: &Series| {
+            std::ptr::eq(s, other)
+                || other.thin && other.label.strip_prefix(&*s.label).is_some_and(|rest| rest.starts_with(", run "))
+        };
+        let members = |s: &Series| series().filter(|(_, other)| belongs(s, other)).map(|(i, _)| i).collect();
+        let key = |s: &Series| Key { label: label(s), color: s.color, dash: s.dash, series: members(s) };
+        let keys = series().filter(|(_, s)| !s.thin).map(|(_, s)| key(s)).collect();
         Self { title: title.into(), chart, keys, caption: caption.into(), notes: Vec::new() }
     }
 
-    pub fn keys(self, keys: Vec<Key>) -> Self {
+    /// Replaces the legend. An entry stands for all series with its colour and dash.
+    pub fn keys(self, mut keys: Vec<Key>) -> Self {
+        for key in &mut keys {
+            let series = self.chart.series().iter().enumerate();
+            key.series = series.filter(|(_, s)| (s.color, s.dash) == (key.color, key.dash)).map(|(i, _)| i).collect();
+        }
         Self { keys, ..self }
     }
 
@@ -60,7 +74,14 @@ impl Figure {
                     }
                     ul.legend {
                         @for key in &self.keys {
-                            li { span style={ "border-color:" (key.color) } {} (key.label) }
+                            @let members: Vec<String> = key.series.iter().map(usize::to_string).collect();
+                            li { button type="button" aria-pressed="true" data-series=(members.join(" ")) {
+                                svg width="30" height="10" viewBox="0 0 30 10" aria-hidden="true" {
+                                    line x1="1" x2="29" y1="5" y2="5" stroke=(key.color) stroke-width="3"
+                                        stroke-dasharray=[key.dash.array()] {}
+                                }
+                                (key.label)
+                            } }
                         }
                     }
                 }
@@ -77,6 +98,7 @@ impl Figure {
         let frame = self.chart.frame();
         let data = Data {
             x_label: self.chart.x_label(),
+            y_label: self.chart.y_label(),
             size: frame.size,
             across: frame.across,
             up: frame.up,
@@ -92,6 +114,7 @@ impl Figure {
 #[derive(Serialize)]
 struct Data<'a> {
     x_label: &'a str,
+    y_label: &'a str,
     size: [f64; 2],
     across: [f64; 2],
     up: [f64; 2],

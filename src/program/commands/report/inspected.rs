@@ -5,10 +5,11 @@ use crate::program::operations::session::AnyRun;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::parallel;
 use crate::program::platform::terminal::counted;
+use crate::program::runs::saved;
 use crate::program::runs::saved::SceneRuns;
 use crate::program::runs::statistics::{InScene, Outcome};
-use crate::program::runs::{outputs, saved};
 use crate::program::tasks::Scene;
+use crate::report::Animation;
 use crate::{Field, Record, differences};
 use anyhow::{Result, bail};
 use toml::Table;
@@ -41,7 +42,10 @@ pub struct InspectedScene {
 
 impl InspectedScene {
     pub fn read(scene: SceneRuns) -> Result<Self> {
-        Ok(Self { name: scene.name, runs: inspect(&scene.runs)? })
+        let mut runs = inspect(&scene.runs)?;
+        let rollouts = runs.iter_mut().filter_map(|run| run.rollouts.as_mut());
+        Animation::share_scale(&mut rollouts.map(|rollouts| &mut rollouts.animation).collect::<Vec<_>>());
+        Ok(Self { name: scene.name, runs })
     }
 
     pub fn outcomes(&self) -> InScene<'_> {
@@ -68,8 +72,7 @@ pub struct RolloutData {
     pub before: [AdjointNorms; 2],
     /// Adjoint norms of R and M under the saved policy.
     pub after: [AdjointNorms; 2],
-    /// Animation as SVG.
-    pub animation: String,
+    pub animation: Animation,
 }
 
 impl Inspected {
@@ -131,7 +134,7 @@ fn open(folder: &Folder, scene: &Scene, with_rollouts: bool) -> Result<Inspected
     let mut run = scene.open(1)?;
     let before = with_rollouts.then(|| run.adjoint_norms());
     saved::restore(folder, scene, &mut *run)?;
-    let animation = || outputs::animation(scene, &run.rollouts(0..1)[0]);
+    let animation = || scene.animation(&run.rollouts(0..1)[0]);
     let rollouts = before.map(|before| RolloutData { before, after: run.adjoint_norms(), animation: animation() });
     Ok(Inspected {
         task: scene.task.name(),

@@ -83,7 +83,12 @@ pub fn lines(runs: &[Inspected], line: impl Fn(&Outcome) -> Vec<(f64, f64)>) -> 
 
 /// Legend entries of the fields, without duplicates.
 pub fn field_keys<'a>(runs: impl IntoIterator<Item = &'a Inspected>) -> Vec<Key> {
-    let key = |run: &Inspected| Key { label: field_label(run.field), color: field_color(run.field.letter()), dash: Dash::Solid };
+    let key = |run: &Inspected| Key {
+        label: field_label(run.field),
+        color: field_color(run.field.letter()),
+        dash: Dash::Solid,
+        series: Vec::new(),
+    };
     let mut keys: Vec<Key> = runs.into_iter().map(key).collect();
     keys.dedup();
     keys

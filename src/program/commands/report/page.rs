@@ -7,7 +7,6 @@ use crate::program::operations::adjoint_norms::SAMPLES;
 use crate::program::platform::terminal::counted;
 use crate::program::runs::statistics::{self, InScene, best, field_label};
 use crate::program::tasks::scene::flat;
-use base64::prelude::{BASE64_STANDARD, Engine};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use toml::Value;
 
@@ -100,10 +99,14 @@ pub fn document(title: &str, folder: &str, version: &str, note: &str, trouble: &
                     p { "Folder " b { (folder) } ", made by physgrad " (version) "." }
                     p.note { (note) }
                     (troubles(trouble))
-                    p.hint hidden { "To read values, point at a chart, or select it with Tab and use the arrow keys." }
+                    p.hint hidden {
+                        "To read values, point at a chart, or select it with Tab and use the arrow keys. To zoom, drag a \
+                         rectangle or press +; a double click or 0 shows the whole chart. A click on a legend entry hides its \
+                         curves."
+                     }
                 }
                 main { (content) }
-                script { (PreEscaped(include_str!("hover.js"))) }
+                script { (PreEscaped(include_str!("page.js"))) }
             }
         }
     }
@@ -132,10 +135,16 @@ pub fn figures(figures: impl IntoIterator<Item = Figure>) -> Markup {
     html! { div.figures { @for figure in figures { (figure.html()) } } }
 }
 
+/// Largest number of columns that print at the usual size.
+const MANY: usize = 8;
+
 pub fn table(header: &[impl AsRef<str>], rows: &[impl AsRef<[String]>]) -> Markup {
     html! {
-        div.wide { table {
-            thead { tr { @for name in header { th scope="col" { (name.as_ref()) } } } }
+        div.wide.many[header.len() > MANY] { table {
+            thead { tr { @for name in header { th scope="col" {
+                // A long name of a setting may break after a dot.
+                @for part in name.as_ref().split_inclusive('.') { (part) wbr; }
+            } } } }
             tbody { @for row in rows { tr {
                 // Repeats the column's name in each cell, for narrow screens.
                 @for (name, cell) in header.iter().zip(row.as_ref()) { td data-name=(name.as_ref()) { (cell) } }
@@ -173,16 +182,14 @@ fn animations(runs: &[&Inspected]) -> Markup {
             figure {
                 @if runs.len() > 1 { h3 { (run.name()) } }
                 @let alt = format!("Animation of {} under the policy of {}", run.task, run.name());
-                img.animation src=(data_uri(&rollouts.animation)) alt=(alt);
+                div.film role="img" aria-label=(alt) { (PreEscaped(rollouts.animation.to_svg())) }
             }
         } } }
-        p.note { "One rollout from an initial state of the test set, under the saved policy." }
+        p.note {
+            "One rollout from an initial state of the test set, under the saved policy."
+            @if runs.len() > 1 { " Lengths and ranges of the animations are equal." }
+        }
     }
-}
-
-/// Data URI of an SVG. As an image, its identifiers cannot collide and its scripts do not run.
-fn data_uri(svg: &str) -> String {
-    format!("data:image/svg+xml;base64,{}", BASE64_STANDARD.encode(svg))
 }
 
 /// Notes on all gradient charts.
