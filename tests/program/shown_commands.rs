@@ -63,7 +63,10 @@ fn explanation(call: &[String], presets: &[String]) -> Option<Vec<String>> {
     let in_capitals = |word: &str| word.rsplit('=').next().is_some_and(|value| value.chars().all(|c| c.is_ascii_uppercase()));
     let changes = |pair: &&[String]| ["--set", "--without"].contains(&&*pair[0]) && !in_capitals(&pair[1]);
     for pair in call.windows(2).filter(changes) {
-        explain.extend_from_slice(pair);
+        // Takes the first value of a sweep.
+        let in_brackets = pair[1].contains(['[', '{']);
+        let change = if in_brackets { &pair[1] } else { pair[1].split(',').next().expect("a value") };
+        explain.extend([pair[0].clone(), change.to_owned()]);
     }
     Some(explain)
 }
