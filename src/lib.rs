@@ -155,6 +155,10 @@ pub mod prelude {
 struct Readme;
 
 #[cfg(doctest)]
+#[doc = include_str!("../docs/optimize.md")]
+struct Optimization;
+
+#[cfg(doctest)]
 #[doc = include_str!("../docs/scenes.md")]
 struct Scenes;
 

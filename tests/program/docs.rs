@@ -1,4 +1,27 @@
-//! Code in the documentation equals example files that other tests compile and run.
+//! Code in the documentation is a doctest, or equals example files that other tests compile and
+//! run.
+
+use crate::markdown::{pages, root};
+use std::fs;
+
+#[test]
+fn every_rust_block_is_a_doctest_or_quotes_an_example() {
+    let library = include_str!("../../src/lib.rs");
+    let files = fs::read_dir(root().join("examples")).expect("a folder").map(|entry| entry.expect("an entry").path());
+    let examples: Vec<_> = files.filter_map(|path| fs::read_to_string(path).ok()).collect();
+    let of_an_example =
+        |block: &str| examples.iter().any(|example| block.lines().all(|line| example.lines().any(|own| own == line)));
+    let mut count = 0;
+    for page in pages() {
+        let doctest = library.contains(&format!("#[doc = include_str!(\"../{}\")]", page.path.display()));
+        for (language, block) in page.blocks.iter().filter(|(language, _)| language.starts_with("rust")) {
+            let tested = if language == "rust" { doctest || examples.contains(block) } else { of_an_example(block) };
+            assert!(tested, "{}: nothing compiles this block:\n{block}", page.path.display());
+            count += 1;
+        }
+    }
+    assert!(count >= 10, "{count} blocks");
+}
 
 #[test]
 fn the_readme_quotes_the_pendulum_example_of_fewer_than_40_lines() {
@@ -21,15 +44,4 @@ fn scenes_md_quotes_the_own_effect_example_of_fewer_than_80_lines() {
     let example = include_str!("../../examples/own_effect.rs");
     assert!(page.contains(&format!("```rust\n{example}```")), "docs/scenes.md and examples/own_effect.rs differ");
     assert!(example.lines().count() < 80, "examples/own_effect.rs has fewer than 80 lines");
-}
-
-#[test]
-fn scenes_md_quotes_only_lines_of_the_scene_effect_example() {
-    let page = include_str!("../../docs/scenes.md");
-    let example = include_str!("../../examples/scene_effect.rs");
-    let section = page.split("## Custom effects in scenes").nth(1).expect("the section");
-    let block = section.split("```").nth(1).expect("a block of code");
-    for line in block.lines().skip(1) {
-        assert!(example.lines().any(|of_example| of_example == line), "{line} is no line of examples/scene_effect.rs");
-    }
 }

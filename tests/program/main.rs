@@ -4,12 +4,15 @@
 mod running;
 
 mod accuracy;
+mod book;
 mod commands;
 mod docs;
 mod eval;
 mod explain;
 mod extreme_settings;
 mod limits;
+mod links;
+mod markdown;
 mod numbers;
 mod optimize;
 mod own;
@@ -17,4 +20,6 @@ mod pages;
 mod paper;
 mod report;
 mod scenes;
+mod shown_commands;
 mod sweeps;
+mod tutorials;

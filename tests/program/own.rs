@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use tempfile::TempDir;
 
-static PROGRAM: LazyLock<PathBuf> = LazyLock::new(|| example("own_program"));
+pub static PROGRAM: LazyLock<PathBuf> = LazyLock::new(|| example("own_program"));
 static WITH_EFFECTS: LazyLock<PathBuf> = LazyLock::new(|| example("scene_effect"));
 
 /// Builds an example in the profile of this test. Returns the path of its program.

@@ -1,8 +1,8 @@
 //! Scenes in the documentation are valid. Quoted outputs equal those of the program.
 
+use crate::markdown::Page;
 use assert_cmd::Command;
 use std::fs;
-use std::path::Path;
 use tempfile::TempDir;
 
 fn physgrad(args: &[&str]) -> Command {
@@ -17,23 +17,12 @@ fn stdout(args: &[&str]) -> String {
     String::from_utf8(output.stdout).expect("text")
 }
 
-/// Returns a page of the documentation.
-fn page(name: &str) -> String {
-    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).expect("a page")
-}
-
-/// Returns the contents of all fenced blocks of a language.
-fn blocks<'a>(page: &'a str, language: &str) -> Vec<&'a str> {
-    let begin = format!("```{language}\n");
-    page.split(&begin).skip(1).map(|rest| rest.split("```").next().expect("a block")).collect()
-}
-
 #[test]
 fn every_scene_in_scenes_md_and_the_readme_is_valid() {
     let dir = TempDir::new().expect("a folder");
     for (name, least) in [("docs/scenes.md", 3), ("README.md", 1)] {
-        let page = page(name);
-        let scenes = blocks(&page, "toml");
+        let page = Page::read(name);
+        let scenes: Vec<_> = page.blocks("toml").collect();
         assert!(scenes.len() >= least, "{name} has at least {least} scenes");
         for scene in scenes {
             let file = dir.path().join("a_scene.toml");
@@ -46,14 +35,14 @@ fn every_scene_in_scenes_md_and_the_readme_is_valid() {
 #[test]
 fn scenes_md_quotes_an_output_of_explain_and_four_errors() {
     let dir = TempDir::new().expect("a folder");
-    let page = page("docs/scenes.md");
-    let first = blocks(&page, "toml")[0];
+    let page = Page::read("docs/scenes.md");
+    let first = page.blocks("toml").next().expect("a scene");
     let file = dir.path().join("windy.toml");
     fs::write(&file, first).expect("a file");
     let mut explain = physgrad(&["explain", "windy.toml"]);
     let output = explain.current_dir(dir.path()).output().expect("the command runs");
     let output = String::from_utf8(output.stdout).expect("text");
-    let shown = blocks(&page, "text").into_iter().find(|block| block.starts_with("windy.toml: ")).expect("an explanation");
+    let shown = page.blocks("text").find(|block| block.starts_with("windy.toml: ")).expect("an explanation");
     // The page omits some rows of the output.
     for line in shown.lines() {
         assert!(output.lines().any(|said| said == line), "{line}\n{output}");
@@ -67,21 +56,21 @@ fn scenes_md_quotes_an_output_of_explain_and_four_errors() {
         fs::write(&file, mistaken).expect("a file");
         let output = physgrad(&["train", "windy.toml"]).current_dir(dir.path()).output().expect("the command runs");
         let said = String::from_utf8(output.stderr).expect("text");
-        assert!(!output.status.success() && page.contains(&said), "{said}");
+        assert!(!output.status.success() && page.text.contains(&said), "{said}");
     }
 }
 
 #[test]
 fn effects_md_equals_the_output_of_physgrad_effects() {
     assert!(
-        page("docs/effects.md") == stdout(&["effects"]),
+        Page::read("docs/effects.md").text == stdout(&["effects"]),
         "docs/effects.md is out of date; run: physgrad effects > docs/effects.md"
     );
 }
 
 #[test]
 fn stability_md_lists_every_hard_case_and_criterion() {
-    let page = page("docs/stability.md");
+    let page = Page::read("docs/stability.md").text;
     // Joins the lines of paragraphs and of quotations.
     let text = page.replace("\n> ", " ").replace("\n\n", "\u{b6}").replace('\n', " ");
     let list = stdout(&["stress", "--list"]);
