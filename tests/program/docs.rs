@@ -24,6 +24,13 @@ fn scenes_md_quotes_the_own_effect_example_of_fewer_than_80_lines() {
 }
 
 #[test]
+fn runs_md_quotes_the_reader_of_policies() {
+    let page = include_str!("../../docs/runs.md");
+    let reader = include_str!("read_policy.py");
+    assert!(page.contains(&format!("```python\n{reader}```")), "docs/runs.md and tests/program/read_policy.py differ");
+}
+
+#[test]
 fn scenes_md_quotes_only_lines_of_the_scene_effect_example() {
     let page = include_str!("../../docs/scenes.md");
     let example = include_str!("../../examples/scene_effect.rs");

@@ -3,11 +3,15 @@
 #[path = "../common/running.rs"]
 mod running;
 
+#[path = "../common/python.rs"]
+mod python;
+
 mod accuracy;
 mod commands;
 mod docs;
 mod eval;
 mod explain;
+mod export;
 mod extreme_settings;
 mod limits;
 mod numbers;
