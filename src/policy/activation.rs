@@ -3,9 +3,11 @@
 use crate::numbers::kernels::elementwise::Strided;
 use crate::numbers::kernels::{SimdLevel, Vectorized, dispatch};
 use crate::numbers::scalar::{Float, Scalar};
+use serde::Serialize;
 
 /// Activation of the hidden layers of an [`Mlp`](super::Mlp).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Activation {
     /// `tanh z`, as in the paper.
     #[default]
@@ -19,10 +21,10 @@ pub enum Activation {
     Gelu,
 }
 
-/// `√(2/π)` and the coefficient of z³ in [`Activation::Gelu`].
-const GELU: (f64, f64) = (0.797_884_560_802_865_4, 0.044_715);
-
 impl Activation {
+    /// `√(2/π)` and the coefficient of z³ in [`Activation::Gelu`].
+    pub(crate) const GELU: (f64, f64) = (0.797_884_560_802_865_4, 0.044_715);
+
     /// Value at `z`.
     #[inline(always)]
     pub(crate) fn value<T: Scalar>(self, z: T) -> T {
@@ -30,7 +32,7 @@ impl Activation {
             Self::Tanh => z.tanh(),
             Self::Relu => z.max(0.0),
             Self::Silu => z * ((z * 0.5).tanh() * 0.5 + 0.5),
-            Self::Gelu => z * 0.5 * (((z + z * z * z * GELU.1) * GELU.0).tanh() + 1.0),
+            Self::Gelu => z * 0.5 * (((z + z * z * z * Self::GELU.1) * Self::GELU.0).tanh() + 1.0),
         }
     }
 
@@ -51,7 +53,7 @@ impl Activation {
                 (h, sigma + h * (one - sigma))
             }
             Self::Gelu => {
-                let (c, cube) = (F::from_f64(GELU.0), F::from_f64(GELU.1));
+                let (c, cube) = (F::from_f64(Self::GELU.0), F::from_f64(Self::GELU.1));
                 let t = ((z + z * z * z * cube) * c).layer_tanh::<FMA>();
                 let inner = c * (one + F::from_f64(3.0) * cube * z * z);
                 (z * half * (t + one), half * (t + one) + half * z * (one - t * t) * inner)

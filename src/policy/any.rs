@@ -1,6 +1,6 @@
 //! [`AnyPolicy`]: an object-safe [`Policy`] for one precision.
 
-use super::{Policy, PolicyPass, PolicyRecord, Sizes, Tensor, TrainedParam};
+use super::{NetworkLayer, Policy, PolicyPass, PolicyRecord, Sizes, Tensor, TrainedParam};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::Float;
 
@@ -24,6 +24,8 @@ pub trait AnyPolicy<F: Float>: Send + Sync {
     fn init(&self, rng: &mut Rng, theta: &mut [f64]);
     #[doc(hidden)]
     fn tensors(&self) -> Vec<Tensor>;
+    #[doc(hidden)]
+    fn network(&self) -> Option<Vec<NetworkLayer>>;
     #[doc(hidden)]
     fn sizes(&self, columns: usize) -> Sizes;
     #[doc(hidden)]
@@ -73,6 +75,10 @@ impl<P: Policy, F: Float> AnyPolicy<F> for P {
 
     fn tensors(&self) -> Vec<Tensor> {
         Policy::tensors(self)
+    }
+
+    fn network(&self) -> Option<Vec<NetworkLayer>> {
+        Policy::network(self)
     }
 
     fn sizes(&self, columns: usize) -> Sizes {

@@ -14,7 +14,7 @@
 mod layer;
 mod layout;
 
-use super::{Action, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
+use super::{Action, Activation, LayerKind, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
 use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};
 use crate::numbers::kernels::gemm::Product;
@@ -28,8 +28,10 @@ use rand::RngExt;
 const BLOCK: usize = 8;
 /// Approximate number of windows per matrix product in the weight gradient.
 const DEPTH: usize = 64;
-/// Kernel size, in positions; the stride is 2.
+/// Kernel size, in positions.
 const KERNEL: usize = 3;
+/// Distance between windows, in positions.
+const STRIDE: usize = 2;
 /// Channels of the observation: real and imaginary parts of a wave function.
 const CHANNELS: usize = 2;
 
@@ -117,7 +119,7 @@ impl Policy for Conv {
             let mut next = Vec::with_capacity(l.positions * w);
             for q in 0..l.positions {
                 let mut z = bias.to_vec();
-                let window = &h[2 * q * l.channels..][..KERNEL * l.channels];
+                let window = &h[STRIDE * q * l.channels..][..KERNEL * l.channels];
                 for (&h, row) in zip(window.iter(), kernel.chunks_exact(w)) {
                     for (z, &weight) in zip(z.iter_mut(), row) {
                         *z += h * weight;
@@ -144,6 +146,18 @@ impl Policy for Conv {
             }
         }
         tensors
+    }
+
+    fn network(&self) -> Option<Vec<NetworkLayer>> {
+        let conv = (LayerKind::Conv { stride: STRIDE }, Some(Activation::Tanh));
+        let layers = [conv, conv, (LayerKind::Dense, None)].into_iter().zip(1..);
+        let layer = |((kind, activation), i): (_, usize)| NetworkLayer {
+            kind,
+            kernel: format!("layer{i}.kernel"),
+            bias: Some(format!("layer{i}.bias")),
+            activation,
+        };
+        Some(layers.map(layer).collect())
     }
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {

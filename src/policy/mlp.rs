@@ -6,7 +6,9 @@
 //! product each.
 
 use super::activation::activate;
-use super::{Action, Activation, Observed, Policy, PolicyColumns, PolicyPass, PolicyRecord, Sizes, Tensor};
+use super::{
+    Action, Activation, LayerKind, NetworkLayer, Observed, Policy, PolicyColumns, PolicyPass, PolicyRecord, Sizes, Tensor,
+};
 use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};
 use crate::numbers::kernels::gemm::Product;
@@ -197,6 +199,17 @@ impl Policy for Mlp {
             }
         }
         tensors
+    }
+
+    fn network(&self) -> Option<Vec<NetworkLayer>> {
+        let last = self.widths.len() - 1;
+        let layer = |i: usize| NetworkLayer {
+            kind: LayerKind::Dense,
+            kernel: format!("layer{i}.kernel"),
+            bias: self.bias.then(|| format!("layer{i}.bias")),
+            activation: (i < last).then_some(self.activation),
+        };
+        Some((1..=last).map(layer).collect())
     }
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {

@@ -6,6 +6,7 @@
 //! - Combinations: [`Bounded`] controls, the [`Sum`] of two policies, and [`WithParams`] for
 //!   trained parameters of the system.
 //! - [`AnyPolicy`]: object-safe [`Policy`] for one precision.
+//! - [`NetworkLayer`]: layers of a policy, for files that other programs read.
 //! - [`Weights`]: parameters together with their packed form.
 //!
 //! Start with [`Policy::act`]; only large policies need the batched passes.
@@ -18,6 +19,7 @@ mod by_act;
 mod conv;
 mod linear;
 mod mlp;
+mod network;
 mod open_loop;
 mod recurrent;
 mod sum;
@@ -30,6 +32,7 @@ pub use bounded::Bounded;
 pub use conv::Conv;
 pub use linear::Linear;
 pub use mlp::Mlp;
+pub use network::{LayerKind, NetworkLayer};
 pub use open_loop::OpenLoop;
 pub use recurrent::{Elman, Gru};
 pub use sum::Sum;
@@ -106,6 +109,12 @@ pub trait Policy: Send + Sync {
     /// `theta`.
     fn tensors(&self) -> Vec<Tensor> {
         vec![Tensor { name: "theta".into(), shape: vec![self.param_count()], range: 0..self.param_count() }]
+    }
+
+    /// Layers of the policy, for export to other programs. Default: None, for policies that are not
+    /// a sequence of layers.
+    fn network(&self) -> Option<Vec<NetworkLayer>> {
+        None
     }
 
     /// Buffer sizes of the batched passes, for a rollout of `columns` columns.

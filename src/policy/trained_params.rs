@@ -1,6 +1,6 @@
 //! [`WithParams`]: a policy and parameters of the system, trained together.
 
-use super::{Action, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
+use super::{Action, NetworkLayer, Observed, Policy, PolicyPass, PolicyRecord, Sizes, Tensor};
 use crate::numbers::rng::Rng;
 use crate::numbers::scalar::{Float, Scalar};
 
@@ -209,6 +209,10 @@ impl<P: Policy> Policy for WithParams<P> {
         }
         tensors.push(Tensor { name: "trained_params".into(), shape: vec![self.params.len()], range: own..all });
         tensors
+    }
+
+    fn network(&self) -> Option<Vec<NetworkLayer>> {
+        self.policy.network()
     }
 
     fn sizes<F: Float>(&self, columns: usize) -> Sizes {

@@ -30,8 +30,8 @@ mod tasks;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use commands::{
-    accuracy, animate, check, compare, effects, eval, explain, identify, new, optimize, paper, print, report, robust, stress,
-    train,
+    accuracy, animate, check, compare, effects, eval, explain, export, identify, new, optimize, paper, print, report, robust,
+    stress, train,
 };
 use platform::signals;
 use platform::terminal::print_message;
@@ -61,6 +61,7 @@ enum Command {
     Animate(animate::Animate),
     Report(report::Report),
     Eval(eval::Eval),
+    Export(export::Export),
     Robust(robust::Robust),
     Runs(commands::runs::Runs),
     Identify(identify::Identify),
@@ -186,6 +187,7 @@ fn execute(command: &Command) -> Result<()> {
         Command::Paper(args) => signals::handle().and_then(|()| paper::paper(args)),
         Command::Report(args) => report::report(args),
         Command::Eval(args) => eval::eval(args),
+        Command::Export(args) => export::export(args),
         Command::Robust(args) => robust::robust(args),
         Command::Runs(args) => commands::runs::runs(args),
         Command::Identify(args) => identify::identify(args),

@@ -45,3 +45,10 @@ fn scenes_md_quotes_the_own_effect_example_of_fewer_than_80_lines() {
     assert!(page.contains(&format!("```rust\n{example}```")), "docs/scenes.md and examples/own_effect.rs differ");
     assert!(example.lines().count() < 80, "examples/own_effect.rs has fewer than 80 lines");
 }
+
+#[test]
+fn runs_md_quotes_the_reader_of_policies() {
+    let page = include_str!("../../docs/runs.md");
+    let reader = include_str!("read_policy.py");
+    assert!(page.contains(&format!("```python\n{reader}```")), "docs/runs.md and tests/program/read_policy.py differ");
+}

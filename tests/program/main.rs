@@ -3,12 +3,16 @@
 #[path = "../common/running.rs"]
 mod running;
 
+#[path = "../common/python.rs"]
+mod python;
+
 mod accuracy;
 mod book;
 mod commands;
 mod docs;
 mod eval;
 mod explain;
+mod export;
 mod extreme_settings;
 mod limits;
 mod links;

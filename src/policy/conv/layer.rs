@@ -1,6 +1,6 @@
 //! [`Layer`]: one convolution as matrix products on padded buffers.
 
-use super::KERNEL;
+use super::{KERNEL, STRIDE};
 use crate::numbers::kernels::SimdLevel;
 use crate::numbers::kernels::elementwise::{self, Strided};
 use crate::numbers::kernels::gemm::Product;
@@ -40,7 +40,7 @@ impl Layer {
 
     /// Distance between windows.
     pub fn stride(&self) -> usize {
-        2 * self.slot
+        STRIDE * self.slot
     }
 
     /// Length of an input column.
@@ -139,7 +139,7 @@ impl Layer {
         for (q, window) in windows.chunks_exact(self.entries).take(self.positions).enumerate() {
             for k in 0..KERNEL {
                 let from = &window[k * self.slot..][..self.channels];
-                for (to, &bar) in zip(to[(2 * q + k) * slot..][..self.channels].iter_mut(), from) {
+                for (to, &bar) in zip(to[(STRIDE * q + k) * slot..][..self.channels].iter_mut(), from) {
                     *to += bar;
                 }
             }

@@ -1,7 +1,7 @@
 //! Memory layout of [`Conv`]: positions, weights in `θ` and packed, activations and cotangents.
 
 use super::layer::Layer;
-use super::{BLOCK, CHANNELS, Conv, KERNEL};
+use super::{BLOCK, CHANNELS, Conv, KERNEL, STRIDE};
 use crate::numbers::scalar::Float;
 
 /// Layout of the tape: the activations of one block, then those of all columns.
@@ -22,7 +22,7 @@ fn padded<F: Float>(n: usize) -> usize {
 impl Conv {
     /// Number of positions of x, h₁, h₂.
     pub(super) fn positions(&self) -> [usize; 3] {
-        let next = |positions: usize| (positions - KERNEL) / 2 + 1;
+        let next = |positions: usize| (positions - KERNEL) / STRIDE + 1;
         [self.grid, next(self.grid), next(next(self.grid))]
     }
 

@@ -9,6 +9,7 @@ pub mod compare;
 pub mod effects;
 pub mod eval;
 pub mod explain;
+pub mod export;
 #[cfg(feature = "fuzz")]
 pub mod fuzz;
 pub mod identify;

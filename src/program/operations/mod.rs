@@ -1,5 +1,5 @@
 //! Computations with a task and its policy: sessions, checks, simulations, gradients, costs,
-//! evaluation, policy files and identification.
+//! evaluation, policy files, ONNX models and identification.
 //!
 //! Imports `platform` and `settings`. Start with `session`.
 
@@ -10,6 +10,7 @@ pub mod evaluation;
 pub mod gradients;
 pub mod identification;
 pub mod memory;
+pub mod onnx;
 pub mod policy_file;
 pub mod session;
 pub mod simulation;

@@ -1,14 +1,44 @@
 //! Policy files: parameters of a policy as named tensors in the safetensors format.
 
 use crate::Float;
-use crate::policy::AnyPolicy;
+use crate::policy::{AnyPolicy, NetworkLayer};
 use crate::rng::{Purpose, stream};
 use anyhow::{Context, Result, bail};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
+use serde::Serialize;
+
+/// Key of the description in the metadata of policy files and ONNX models.
+pub const METADATA: &str = "physgrad";
+
+/// Description of a policy, for other programs.
+#[derive(Clone, Debug, Serialize)]
+pub struct About {
+    /// Version of physgrad.
+    pub physgrad: &'static str,
+    /// Name of the task.
+    pub task: String,
+    /// Names of the components of the observation.
+    pub observations: Vec<String>,
+    /// Names of the components of the control.
+    pub controls: Vec<String>,
+}
+
+impl About {
+    /// The description and the layers of the policy, as JSON.
+    pub fn json<F: Float>(&self, policy: &dyn AnyPolicy<F>) -> Result<String> {
+        #[derive(Serialize)]
+        struct Described<'a> {
+            #[serde(flatten)]
+            about: &'a About,
+            layers: Option<Vec<NetworkLayer>>,
+        }
+        Ok(serde_json::to_string(&Described { about: self, layers: policy.network() })?)
+    }
+}
 
 /// Serializes the parameters of a policy.
-pub fn write<F: Float>(about: String, policy: &dyn AnyPolicy<F>, theta: &[F]) -> Result<Vec<u8>> {
+pub fn write<F: Float>(about: &About, policy: &dyn AnyPolicy<F>, theta: &[F]) -> Result<Vec<u8>> {
     let bytes: Vec<u8> = theta.iter().flat_map(|t| t.to_le_bytes().as_ref().to_vec()).collect();
     let dtype = if F::NAME == "f32" { Dtype::F32 } else { Dtype::F64 };
     let width = size_of::<F>();
@@ -18,8 +48,8 @@ pub fn write<F: Float>(about: String, policy: &dyn AnyPolicy<F>, theta: &[F]) ->
     });
     let views: Vec<_> = views.collect::<Result<_, safetensors::SafeTensorError>>()?;
     // Writes a single entry, because the iteration order of the map is not fixed.
-    let about = [("about".to_owned(), about)].into_iter().collect();
-    Ok(safetensors::serialize(views, Some(about))?)
+    let metadata = [(METADATA.to_owned(), about.json(policy)?)].into_iter().collect();
+    Ok(safetensors::serialize(views, Some(metadata))?)
 }
 
 /// Name of the tensor with the trained numbers of a scene.

@@ -2,7 +2,8 @@
 
 use crate::any::AnyTask;
 use crate::program::operations::adjoint_norms::{self, AdjointNorms};
-use crate::program::operations::policy_file;
+use crate::program::operations::onnx;
+use crate::program::operations::policy_file::{self, About};
 use crate::program::operations::trajectory::{self, Trajectory};
 use crate::program::settings::Precision;
 use crate::{CheckpointError, DynTask, Field, Float, Policy, Record, Session, Task, TrainError, Trainer, Training};
@@ -37,7 +38,9 @@ pub trait AnyRun {
     /// Restores a checkpoint that was serialized with this label.
     fn restore(&mut self, bytes: &[u8], label: &str) -> Result<(), CheckpointError>;
     /// Parameters after the epoch as named tensors in the safetensors format.
-    fn safetensors(&self, epoch: Epoch, about: String) -> Result<Vec<u8>>;
+    fn safetensors(&self, epoch: Epoch, about: &About) -> Result<Vec<u8>>;
+    /// The policy after the epoch as an ONNX model.
+    fn onnx(&self, epoch: Epoch, about: &About) -> Result<Vec<u8>>;
     /// Values of the trained numbers after the epoch, with their indices in the parameters of a
     /// rollout.
     fn trained(&self, epoch: Epoch) -> Vec<(usize, f64)>;
@@ -80,8 +83,12 @@ impl<T: Task, P: Policy, F: Float> AnyRun for Session<T, P, F> {
         Session::restore(self, bytes, label)
     }
 
-    fn safetensors(&self, epoch: Epoch, about: String) -> Result<Vec<u8>> {
+    fn safetensors(&self, epoch: Epoch, about: &About) -> Result<Vec<u8>> {
         policy_file::write(about, self.policy(), theta(self, epoch))
+    }
+
+    fn onnx(&self, epoch: Epoch, about: &About) -> Result<Vec<u8>> {
+        onnx::write(about, self.policy(), theta(self, epoch))
     }
 
     fn trained(&self, epoch: Epoch) -> Vec<(usize, f64)> {

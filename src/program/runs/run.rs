@@ -225,9 +225,8 @@ impl Saver<'_> {
 fn write_outputs(folder: &Folder, scene: &Scene, run: &dyn AnyRun) -> Result<()> {
     let task = scene.task.name();
     let title = format!("{task}, field {}, seed {}", scene.field.0, scene.seed);
-    let about = format!("physgrad {}, {task}, policy: {}", env!("CARGO_PKG_VERSION"), scene.table["policy"]);
-    folder.write(POLICY, run.safetensors(Epoch::Last, about.clone())?)?;
-    folder.write(BEST_POLICY, run.safetensors(Epoch::Best, about)?)?;
+    folder.write(POLICY, run.safetensors(Epoch::Last, &scene.about())?)?;
+    folder.write(BEST_POLICY, run.safetensors(Epoch::Best, &scene.about())?)?;
     folder.write(LEARNING_CURVE, outputs::learning_curve(&title, run.records()))?;
     let rollouts = run.rollouts(0..ROLLOUTS);
     folder.write(TRAJECTORY, outputs::trajectories(scene, rollouts.iter().enumerate())?)?;

@@ -10,6 +10,7 @@ use crate::program::operations::checks::{Amplification, Results};
 use crate::program::operations::costs::Stored;
 use crate::program::operations::evaluation::AnyEvaluation;
 use crate::program::operations::gradients::{Derived, GradientMethod};
+use crate::program::operations::policy_file::About;
 use crate::program::operations::session::AnyRun;
 use crate::program::operations::simulation::Job;
 use crate::program::operations::trajectory::Trajectory;
@@ -81,6 +82,9 @@ pub trait AnySettings: Send + Sync {
     fn dt(&self) -> f64;
     /// Names of the state components.
     fn state_names(&self) -> Vec<String>;
+    /// Names of the components that the policy observes: those of the state, or y_1, y_2, … if the
+    /// task has an observation of its own.
+    fn observation_names(&self) -> Vec<String>;
     /// Names of the parameters of a rollout.
     fn param_names(&self) -> Vec<String>;
     /// Keys and values of the numbers that are not fixed.
@@ -187,6 +191,13 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         names
     }
 
+    fn observation_names(&self) -> Vec<String> {
+        match self.task().observation_dim() {
+            None => AnySettings::state_names(self),
+            Some(observations) => (1..=observations).map(|i| format!("y_{i}")).collect(),
+        }
+    }
+
     fn optimize(&self, x0: &[f64], p: &[f64], initial: Initial, options: &optimize::Options) -> Result<Plan, OptimizeError> {
         optimize::optimize(&self.task(), x0, p, initial, options)
     }
@@ -254,6 +265,16 @@ impl Scene {
     /// Contents of the policy file that starts the training.
     pub fn initial_policy(&self) -> Option<&[u8]> {
         self.initial_policy.as_deref()
+    }
+
+    /// Description of the policy, for other programs.
+    pub fn about(&self) -> About {
+        About {
+            physgrad: env!("CARGO_PKG_VERSION"),
+            task: self.task.name().into(),
+            observations: self.observation_names(),
+            controls: self.control_names(),
+        }
     }
 
     /// Opens a run before its first epoch.

@@ -1,0 +1,35 @@
+//! [`NetworkLayer`]: layers of a policy, for files that other programs read.
+
+use super::Activation;
+use serde::Serialize;
+
+/// A layer of a feedforward policy. The observation is the input of the first layer, and the control
+/// is the output of the last one.
+///
+/// Numbers between layers are vectors. A convolution reads its input position by position, with the
+/// channels of a position adjacent, and writes its output in the same order.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct NetworkLayer {
+    /// Operation on the input.
+    #[serde(flatten)]
+    pub kind: LayerKind,
+    /// Name of the [`Tensor`](super::Tensor) W with the weights.
+    pub kernel: String,
+    /// Name of the tensor b with one bias per output or filter, if any.
+    pub bias: Option<String>,
+    /// Function of every output. None for a linear layer.
+    pub activation: Option<Activation>,
+}
+
+/// Operation of a [`NetworkLayer`] before its activation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum LayerKind {
+    /// `z[o] = b[o] + Σ_i x[i] W[i, o]`.
+    Dense,
+    /// `z[q, f] = b[f] + Σ_{k,c} x[stride q + k, c] W[k, c, f]`, without padding.
+    Conv {
+        /// Distance between windows, in positions.
+        stride: usize,
+    },
+}
