@@ -40,7 +40,7 @@ pub use curves::{Abscissa, Case, Curve, Point, comparison, field_color, learning
 pub use drawing::Drawing;
 pub use fitted::{FittedColumn, fitted};
 pub use guidance::{Field, guidance, guidance_in};
-pub use mechanics::{Posture, Stage, mechanics};
+pub use mechanics::{BOXES, Posture, Stage, mechanics};
 pub use plane::{Map, Plane, maps};
 pub use quantum::{Landscape, quantum, quantum_in};
 pub use raster::Raster;

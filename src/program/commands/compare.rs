@@ -81,7 +81,8 @@ pub fn compare(args: &Compare) -> Result<()> {
         .collect();
     folder.write("summary.csv", summary(&scenes)?)?;
     let title = format!("{}, {} seed{}", names.join(", "), args.seeds, if args.seeds == 1 { "" } else { "s" });
-    folder.write("curves.svg", picture(&title, &scenes).to_svg())?;
+    let one_task = bases.iter().all(|base| base.task.name() == bases[0].task.name());
+    folder.write("curves.svg", picture(&title, &scenes, one_task).to_svg())?;
     if !args.quiet {
         let files = if one {
             "summary.csv, curves.svg, and all runs in runs/"
@@ -97,21 +98,22 @@ pub fn compare(args: &Compare) -> Result<()> {
 const COLUMNS: usize = 4;
 
 /// Test losses of all scenes. Draws up to three scenes in one panel with dashes, and more scenes in
-/// one panel each.
-fn picture(title: &str, scenes: &[InScene]) -> Drawing {
+/// one panel each. Panels of one task share the range of their y axes.
+fn picture(title: &str, scenes: &[InScene], one_task: bool) -> Drawing {
     if scenes.len() <= MAX_DASHED {
         return comparison(title, &curves_of_scenes(scenes, |r| r.test_loss));
     }
     let columns = scenes.len().div_ceil(scenes.len().div_ceil(COLUMNS));
     let row = |x: Abscissa, first: usize, scenes: &[InScene]| -> Vec<Case> {
-        let case = |(i, scene): (usize, &InScene)| Case {
-            title: if x == Abscissa::Epoch { scene.name.to_owned() } else { String::new() },
+        // Fills the last row with empty cases, which are not drawn.
+        let case = |i: usize| Case {
+            title: scenes.get(i).map(|scene| scene.name).filter(|_| x == Abscissa::Epoch).unwrap_or_default().to_owned(),
             y_label: "test loss".into(),
-            y_axis: first + i,
+            y_axis: if one_task { 0 } else { first + i },
             x,
-            curves: curves(&scene.runs, |r| r.test_loss),
+            curves: scenes.get(i).map(|scene| curves(&scene.runs, |r| r.test_loss)).unwrap_or_default(),
         };
-        scenes.iter().enumerate().map(case).collect()
+        (0..columns).map(case).collect()
     };
     let rows = scenes.chunks(columns).enumerate();
     let rows = rows.flat_map(|(i, scenes)| [Abscissa::Epoch, Abscissa::Seconds].map(|x| row(x, i * columns, scenes)));
