@@ -1,7 +1,7 @@
 //! [`Chart`]: a chart with its axis geometry, so that a page can locate the data.
 
 use super::log_axis::LogAxis;
-use super::log_figure::theme;
+use super::log_figure::{plain, theme};
 use super::marks::widths;
 use super::series::{cleaned, drawable, thinned, tick_step, x_range};
 use super::{Drawing, Series};
@@ -105,12 +105,14 @@ impl Chart {
             .with_y_axis_max(high)
             .with_x_label(self.x_label)
             .with_x_tick_step(tick_step(self.x, &self.series))
+            .with_x_tick_format(plain())
             .with_tick_size(12)
             .with_label_size(13)
             .with_theme(theme());
-        if let Axis::Log(axis) = &self.y {
-            layout = layout.with_log_y().with_y_tick_format(axis.tick_format());
-        }
+        layout = match &self.y {
+            Axis::Log(axis) => layout.with_log_y().with_y_tick_format(axis.tick_format()),
+            Axis::Linear(_) => layout.with_y_tick_format(plain()),
+        };
         // kuva draws the axes. The series follow in groups, by which a page can hide or move them.
         let mut scene = render_multiple(vec![LinePlot::new().into()], layout);
         scene.elements.insert(0, group("class=\"axes\""));

@@ -1,6 +1,6 @@
 //! Measured and simulated trajectories, with residuals.
 
-use super::log_figure::{Panel, legend, theme};
+use super::log_figure::{Panel, legend, plain, theme};
 use super::marks::marks;
 use super::series::{thinned, x_range};
 use super::{Drawing, Series};
@@ -62,6 +62,8 @@ fn layout(panel: &Panel) -> Layout {
         .with_x_axis_max(x_max)
         .with_y_axis_min(low - margin)
         .with_y_axis_max(high + margin)
+        .with_x_tick_format(plain())
+        .with_y_tick_format(plain())
         .with_tick_size(11)
         .with_label_size(12)
         .with_title_size(14)

@@ -1,5 +1,6 @@
 //! Grids of panels with logarithmic y axes.
 
+use super::axes::number;
 use super::log_axis::LogAxis;
 use super::marks::marks;
 use super::series::{tick_step, x_range};
@@ -153,7 +154,7 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
     if let Some(axis) = &x_axis {
         layout = layout.with_log_x().with_x_tick_format(axis.tick_format());
     } else {
-        layout = layout.with_x_tick_step(tick_step([x_min, x_max], &panel.series));
+        layout = layout.with_x_tick_step(tick_step([x_min, x_max], &panel.series)).with_x_tick_format(plain());
     }
     if !panel.title.is_empty() {
         layout = layout.with_title(&*panel.title);
@@ -181,7 +182,71 @@ pub fn panel_layout(panel: &Panel, axis: &LogAxis, shows: Shows) -> Layout {
     layout
 }
 
+/// Formats ticks of a linear axis.
+pub fn plain() -> TickFormat {
+    TickFormat::Custom(std::sync::Arc::new(number))
+}
+
 /// Light theme with faint grid lines.
 pub fn theme() -> Theme {
     Theme { grid_color: "#e6e6e6".into(), axis_color: "#444".into(), legend_border: "none".into(), ..Theme::light() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Dash;
+    use super::*;
+
+    fn series(label: &str, dash: Dash) -> Series {
+        Series::new(label, "#0072B2", vec![(1.0, 2.0), (10.0, 3.0)]).dash(dash)
+    }
+
+    fn panel(title: &str, y_axis: usize) -> Panel {
+        Panel {
+            title: title.into(),
+            x_label: "epoch".into(),
+            log_x: false,
+            y_label: format!("loss {y_axis}"),
+            y_axis,
+            series: vec![series("a", Dash::Solid), series("b", Dash::Dotted), Series { thin: true, ..series("c", Dash::Solid) }],
+        }
+    }
+
+    fn picture() -> String {
+        let rows = [vec![panel("one", 0), panel("two", 1)], vec![panel("", 0), panel("", 1)], vec![panel("", 0), panel("", 1)]];
+        let entries = legend(rows.iter().flatten());
+        log_figure("title", &rows, entries).to_svg()
+    }
+
+    #[test]
+    fn all_plotted_areas_have_the_same_size() {
+        let picture = picture();
+        let document = roxmltree::Document::parse(&picture).expect("an SVG is XML");
+        let clips = document.descendants().filter(|node| node.has_tag_name("clipPath"));
+        let size = |clip: roxmltree::Node| {
+            let rect = clip.first_element_child().expect("a rectangle");
+            ["width", "height"].map(|name| rect.attribute(name).expect("a length").parse::<f64>().expect("a number"))
+        };
+        let sizes: Vec<[f64; 2]> = clips.map(size).collect();
+        assert_eq!(sizes.len(), 6);
+        let near = |size: &[f64; 2]| (0..2).all(|i| (size[i] - sizes[0][i]).abs() < 0.1);
+        assert!(sizes.iter().all(near), "{sizes:?}");
+    }
+
+    #[test]
+    fn the_legend_has_one_entry_with_dashes_per_bold_label() {
+        let picture = picture();
+        let entry = |label: &str| picture.split_once(&format!(">{label}</text><line ")).expect("an entry").1;
+        let dashes = |label: &str| entry(label).split("/>").next().is_some_and(|line| line.contains("stroke-dasharray=\"2 3\""));
+        assert!(!dashes("a") && dashes("b"));
+        assert_eq!(["a", "b", "c"].map(|label| picture.matches(&format!(">{label}</text>")).count()), [1, 1, 0]);
+    }
+
+    #[test]
+    fn ticks_of_epochs_are_whole_numbers() {
+        let picture = picture();
+        let texts = picture.split("</text>").filter_map(|text| text.rsplit_once('>')).map(|(_, text)| text);
+        let numbers: Vec<f64> = texts.filter_map(|text| text.parse().ok()).collect();
+        assert!(numbers.contains(&2.0) && numbers.iter().all(|x| x.fract() == 0.0), "{numbers:?}");
+    }
 }

@@ -4,7 +4,8 @@ use super::animation::{Animation, Shape};
 
 const ROD: &str = "#0072B2";
 const JOINT: &str = "#4A4F57";
-const BOXES: [&str; 3] = ["#E69F00", "#009E73", "#CC79A7"];
+/// Colours of the boxes in turn.
+pub const BOXES: [&str; 3] = ["#E69F00", "#009E73", "#CC79A7"];
 const GROUND: &str = "#9AA0A8";
 const MARK: &str = "#D55E00";
 

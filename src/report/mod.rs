@@ -43,7 +43,7 @@ pub use distribution::distribution;
 pub use drawing::Drawing;
 pub use fitted::{FittedColumn, fitted};
 pub use guidance::{Field, guidance, guidance_in};
-pub use mechanics::{Posture, Stage, mechanics};
+pub use mechanics::{BOXES, Posture, Stage, mechanics};
 pub use plane::{Map, Plane, maps};
 pub use quantum::{Landscape, quantum, quantum_in};
 pub use raster::Raster;

@@ -246,6 +246,24 @@ fn a_comparison_of_several_scenes_has_one_page_and_all_animations() {
 }
 
 #[test]
+fn more_than_three_scenes_have_one_panel_each() {
+    let dir = TempDir::new().expect("a folder");
+    let scenes = ["slider", "push", "bounce", "lqr", "pendulum"];
+    let sizes = ["--set", "training.train_samples=8", "--set", "training.test_samples=4"];
+    let mut command = physgrad(&["compare", "--fields", "R,M", "--seeds", "1", "--epochs", "1"]);
+    command.args(scenes).args(sizes).arg("--out").arg(dir.path()).assert().success();
+    let curves = fs::read_to_string(dir.path().join("curves.svg")).expect("a picture");
+    for (text, count) in [("R (regular)", 1), ("M (modified)", 1), ("epoch", 5), ("wall time (s)", 5)] {
+        assert_eq!(curves.matches(&format!(">{text}</text>")).count(), count, "{text}");
+    }
+    assert!(scenes.iter().all(|scene| curves.contains(&format!(">{scene}</text>"))) && !curves.contains("stroke-dasharray"));
+    let page = report(dir.path());
+    for scene in scenes {
+        diagram(&page, &format!("{scene}: Test loss by epoch"));
+    }
+}
+
+#[test]
 fn a_page_animates_sample_0_whatever_the_animation_in_the_folder() {
     let dir = TempDir::new().expect("a folder");
     train(dir.path(), &["--epochs", "1"]).assert().success();

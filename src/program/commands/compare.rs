@@ -87,7 +87,8 @@ pub fn compare(args: &Compare) -> Result<()> {
     let title = format!("{}, {}", names.join(", "), counted(args.seeds as usize, "seed"));
     let mut files = vec!["summary.csv"];
     if scenes.len() <= MAX_PANELS {
-        folder.write("curves.svg", picture(&title, &scenes).to_svg())?;
+        let one_task = points.iter().all(|point| point.scene.task.name() == points[0].scene.task.name());
+        folder.write("curves.svg", picture(&title, &scenes, one_task).to_svg())?;
         files.push("curves.svg");
     }
     if let Some(picture) = sweep::picture(&title, &points, &scenes) {
@@ -137,21 +138,22 @@ const MAX_PANELS: usize = 8;
 const COLUMNS: usize = 4;
 
 /// Test losses of all scenes. Draws up to three scenes in one panel with dashes, and more scenes in
-/// one panel each.
-fn picture(title: &str, scenes: &[InScene]) -> Drawing {
+/// one panel each. Panels of one task share the range of their y axes.
+fn picture(title: &str, scenes: &[InScene], one_task: bool) -> Drawing {
     if scenes.len() <= MAX_DASHED {
         return comparison(title, &curves_of_scenes(scenes, |r| r.test_loss));
     }
     let columns = scenes.len().div_ceil(scenes.len().div_ceil(COLUMNS));
     let row = |x: Abscissa, first: usize, scenes: &[InScene]| -> Vec<Case> {
-        let case = |(i, scene): (usize, &InScene)| Case {
-            title: if x == Abscissa::Epoch { scene.name.to_owned() } else { String::new() },
+        // Fills the last row with empty cases, which are not drawn.
+        let case = |i: usize| Case {
+            title: scenes.get(i).map(|scene| scene.name).filter(|_| x == Abscissa::Epoch).unwrap_or_default().to_owned(),
             y_label: "test loss".into(),
-            y_axis: first + i,
+            y_axis: if one_task { 0 } else { first + i },
             x,
-            curves: curves(&scene.runs, |r| r.test_loss),
+            curves: scenes.get(i).map(|scene| curves(&scene.runs, |r| r.test_loss)).unwrap_or_default(),
         };
-        scenes.iter().enumerate().map(case).collect()
+        (0..columns).map(case).collect()
     };
     let rows = scenes.chunks(columns).enumerate();
     let rows = rows.flat_map(|(i, scenes)| [Abscissa::Epoch, Abscissa::Seconds].map(|x| row(x, i * columns, scenes)));

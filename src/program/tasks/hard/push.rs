@@ -6,7 +6,7 @@ use crate::program::settings::config_error::{ConfigError, positive};
 use crate::program::tasks::hard::contact::ContactSettings;
 use crate::program::tasks::hard::{Nothing, in_scene, names, small_step};
 use crate::program::tasks::{MlpSettings, Settings, TaskSpec};
-use crate::report::{Animation, Posture, Stage, mechanics};
+use crate::report::{self, Animation, Posture, Stage, mechanics};
 use crate::tasks::{self, TwoBodies};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -89,6 +89,8 @@ impl TaskSpec for Push {
             floor: Some(0.0),
             mark: Some([0.0, -0.2 * contact_distance]),
         };
-        mechanics(&stage, &states.iter().map(posture).collect::<Vec<_>>(), dt)
+        let animation = mechanics(&stage, &states.iter().map(posture).collect::<Vec<_>>(), dt);
+        let boxes = ["pusher", "box"].into_iter().zip(report::BOXES).map(|(name, color)| (name.to_owned(), color));
+        Animation { legend: boxes.chain(animation.legend).collect(), ..animation }
     }
 }
