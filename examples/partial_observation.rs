@@ -71,6 +71,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             view: ([-2.5, -1.2], [2.5, 1.2]),
             still: vec![Shape::Line { from: [-2.5, -0.1], to: [2.5, -0.1], width: 0.01, color: "#9AA0A8" }],
             frames: (0..=STEPS).map(frame).collect(),
+            ..Animation::default()
         };
         std::fs::write(path, picture.to_svg())?;
     }

@@ -95,6 +95,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             view: ([-1.4, -0.9], [1.4, 0.9]),
             still: vec![curve(reference, "#9AA0A8"), curve((0..=STEPS).map(|t| at(0, t)).collect(), "#E69F00")],
             frames: (0..=STEPS).map(body).collect(),
+            ..Animation::default()
         };
         std::fs::write(path, picture.to_svg())?;
     }

@@ -26,7 +26,8 @@ pub struct Panel {
 impl Panel {
     /// Logarithmic x axis, if the panel has one.
     fn x_axis(&self) -> Option<LogAxis> {
-        let xs = self.series.iter().flat_map(|s| &s.line).map(|&(x, _)| x);
+        let bars = |s: &Series| s.spread.iter().flat_map(|&(low, high)| [low, high]).collect::<Vec<_>>();
+        let xs = self.series.iter().flat_map(|s| s.line.iter().map(|&(x, _)| x).chain(bars(s)));
         self.log_x.then(|| LogAxis::covering(xs))
     }
 

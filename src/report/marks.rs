@@ -50,7 +50,8 @@ fn line(series: &Series, width: f64, unit: [f64; 2]) -> Plot {
 
 /// Horizontal bars from the lowest to the highest x.
 fn bars(series: &Series, unit: [f64; 2]) -> impl Iterator<Item = Plot> {
-    series.line.iter().zip(&series.spread).map(move |(&(_, y), &(low, high))| {
+    let wide = |(_, (low, high)): &(&(f64, f64), &(f64, f64))| low < high;
+    series.line.iter().zip(&series.spread).filter(wide).map(move |(&(_, y), &(low, high))| {
         let ends = [low, high].map(|x| (x / unit[0], y / unit[1]));
         LinePlot::new().with_data(ends).with_color(series.color).with_stroke_width(WIDTHS[1]).into()
     })
