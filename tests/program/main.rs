@@ -14,6 +14,7 @@ mod explain;
 mod export;
 mod extreme_settings;
 mod limits;
+mod logs;
 mod numbers;
 mod optimize;
 mod own;
