@@ -16,6 +16,7 @@ mod export;
 mod extreme_settings;
 mod limits;
 mod links;
+mod logs;
 mod markdown;
 mod numbers;
 mod optimize;

@@ -3,6 +3,7 @@
 use crate::differences;
 use crate::program::platform::folder::Folder;
 use crate::program::platform::terminal::{counted, print_message, print_result};
+use crate::program::runs::metrics;
 use crate::program::runs::progress::Progress;
 use crate::program::runs::run::{self, End, Finished, NoUpdate, SAVE_EVERY, threads};
 use crate::program::runs::saved::{changed, resumed};
@@ -153,6 +154,9 @@ fn summary(folder: &Folder, scene: &Scene, Finished { records, numbers, .. }: &F
     text += &format!("results in {}:\n", folder.path().display());
     text += "  learning_curve.svg, animation.svg   pictures\n";
     text += "  metrics.csv, trajectory.csv         data\n";
+    for &format in &scene.logs {
+        text += &format!("  {:<36}metrics, for other tools\n", metrics::file(format));
+    }
     text += "  policy.safetensors                  the trained policy\n";
     if !numbers.is_empty() {
         text += "  numbers.csv                         the trained numbers\n";

@@ -11,6 +11,9 @@ use std::path::{Path, PathBuf};
 pub const SETTINGS: &str = "run.toml";
 pub const CHECKPOINT: &str = "checkpoint.bin";
 pub const METRICS: &str = "metrics.csv";
+pub const METRICS_JSONL: &str = "metrics.jsonl";
+/// TensorBoard reads files with `tfevents` in their name.
+pub const EVENTS: &str = "events.out.tfevents.physgrad";
 pub const POLICY: &str = "policy.safetensors";
 pub const BEST_POLICY: &str = "best_policy.safetensors";
 pub const INITIAL_POLICY: &str = "initial_policy.safetensors";
@@ -30,13 +33,37 @@ pub(super) const LOCK: &str = ".physgrad.lock";
 pub(super) const PREVIOUS: &str = ".previous-";
 
 /// Files that a run and its report write.
-pub(super) const RUN_FILES: [&str; 11] =
-    [SETTINGS, CHECKPOINT, METRICS, POLICY, BEST_POLICY, INITIAL_POLICY, LEARNING_CURVE, TRAJECTORY, ANIMATION, NUMBERS, REPORT];
+pub(super) const RUN_FILES: [&str; 13] = [
+    SETTINGS,
+    CHECKPOINT,
+    METRICS,
+    METRICS_JSONL,
+    EVENTS,
+    POLICY,
+    BEST_POLICY,
+    INITIAL_POLICY,
+    LEARNING_CURVE,
+    TRAJECTORY,
+    ANIMATION,
+    NUMBERS,
+    REPORT,
+];
 
 /// Files that only the holder of the lock writes. Other commands may write the remaining files
 /// during the run.
-pub(super) const LOCKED_FILES: [&str; 9] =
-    [SETTINGS, CHECKPOINT, METRICS, POLICY, BEST_POLICY, INITIAL_POLICY, LEARNING_CURVE, TRAJECTORY, NUMBERS];
+pub(super) const LOCKED_FILES: [&str; 11] = [
+    SETTINGS,
+    CHECKPOINT,
+    METRICS,
+    METRICS_JSONL,
+    EVENTS,
+    POLICY,
+    BEST_POLICY,
+    INITIAL_POLICY,
+    LEARNING_CURVE,
+    TRAJECTORY,
+    NUMBERS,
+];
 
 /// A folder that may not exist yet.
 #[derive(Clone, Debug)]

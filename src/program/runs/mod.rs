@@ -3,10 +3,12 @@
 //! Imports all parts of the program except `commands`. Start with `run`.
 
 pub mod listed;
+pub mod metrics;
 pub mod outputs;
 pub mod progress;
 pub mod run;
 pub mod saved;
 pub mod statistics;
 pub mod sweep;
+pub mod tensorboard;
 pub mod trained;

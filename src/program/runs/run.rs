@@ -6,8 +6,10 @@ use crate::program::platform::folder::{ANIMATION, BEST_POLICY, CHECKPOINT, Folde
 use crate::program::platform::lock::Locked;
 use crate::program::platform::signals;
 use crate::program::platform::terminal::print_message;
-use crate::program::runs::outputs::{self, Metrics};
+use crate::program::runs::metrics::Metrics;
+use crate::program::runs::outputs;
 use crate::program::runs::saved;
+use crate::program::settings::LogFormat;
 use crate::program::tasks::Scene;
 use crate::{Record, TrainError};
 use anyhow::{Result, bail};
@@ -118,7 +120,15 @@ pub fn run(
     folder.clean()?;
     // A folder with settings contains a run. A run without a checkpoint is before its first epoch.
     saved::write_settings(folder, scene)?;
-    let mut saver = Saver { folder, identity: &identity, metrics: None, save_every, last: Instant::now(), signal_seen: false };
+    let mut saver = Saver {
+        folder,
+        identity: &identity,
+        logs: &scene.logs,
+        metrics: None,
+        save_every,
+        last: Instant::now(),
+        signal_seen: false,
+    };
     saver.save(&*run)?;
 
     let mut failure = None;
@@ -167,7 +177,9 @@ pub fn run(
 struct Saver<'a> {
     folder: &'a Locked,
     identity: &'a str,
-    /// Open `metrics.csv`. None if the next save has to rewrite the file.
+    /// Formats of the metrics besides CSV.
+    logs: &'a [LogFormat],
+    /// Open files of the metrics. None if the next save has to rewrite them.
     metrics: Option<Metrics>,
     save_every: Duration,
     /// Time of the last attempt to save.
@@ -181,7 +193,7 @@ impl Saver<'_> {
         self.last.elapsed() >= self.save_every || (!self.signal_seen && signals::received().is_some())
     }
 
-    /// Appends an epoch to the metrics. After an error, the next save rewrites the file.
+    /// Appends an epoch to the metrics. After an error, the next save rewrites their files.
     fn append(&mut self, record: &Record) {
         if self.metrics.as_mut().is_some_and(|metrics| metrics.append(record).is_err()) {
             self.metrics = None;
@@ -193,7 +205,7 @@ impl Saver<'_> {
         self.folder.write(CHECKPOINT, run.checkpoint(self.identity))?;
         match &self.metrics {
             // Drops rows after the last checkpoint of an earlier process: they are recomputed.
-            None => self.metrics = Some(Metrics::create(self.folder, run.records())?),
+            None => self.metrics = Some(Metrics::create(self.folder, self.logs, run.records())?),
             Some(metrics) => metrics.sync()?,
         }
         self.last = Instant::now();

@@ -3,7 +3,7 @@
 use crate::program::platform::folder::POLICY;
 use crate::program::scenes::source::{SceneSource, short};
 use crate::program::scenes::sweep::{Sweep, several};
-use crate::program::settings::{FieldName, Precision};
+use crate::program::settings::{FieldName, LogFormat, Precision};
 use crate::program::tasks::scene::INITIAL_POLICY;
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
@@ -30,6 +30,9 @@ pub struct Overrides {
     /// Tag of the run, for `physgrad runs --tag`
     #[arg(long)]
     pub tag: Vec<String>,
+    /// Also write the metrics of every epoch in these formats, for other tools
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "FORMAT")]
+    pub log: Vec<LogFormat>,
     /// Change or add a setting, for example system.poles=4; `physgrad tasks` lists them
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
@@ -61,6 +64,9 @@ impl Overrides {
         if !self.tag.is_empty() {
             source.put("tags", Value::from(self.tag.clone()), "--tag")?;
         }
+        if !self.log.is_empty() {
+            source.put("log", Value::try_from(&self.log)?, "--log")?;
+        }
         if let Some(path) = &self.policy {
             let option = format!("--policy {}", path.display());
             let file = if path.is_dir() { path.join(POLICY) } else { path.clone() };
@@ -81,7 +87,7 @@ impl Overrides {
 
 /// Hides options that only trainings use in the help text of other commands.
 pub fn hide_training(arg: clap::Arg) -> clap::Arg {
-    let is_hidden = ["epochs", "policy", "tag"].contains(&arg.get_id().as_str());
+    let is_hidden = ["epochs", "policy", "tag", "log"].contains(&arg.get_id().as_str());
     if is_hidden { arg.hide(true) } else { arg }
 }
 

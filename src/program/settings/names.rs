@@ -36,6 +36,20 @@ impl Precision {
     }
 }
 
+/// Format of the metrics of a run, besides `metrics.csv`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+pub enum LogFormat {
+    /// `metrics.jsonl`: one JSON object per epoch.
+    Jsonl,
+    /// `events.out.tfevents.physgrad`: an event file of TensorBoard.
+    Tensorboard,
+}
+
+impl LogFormat {
+    pub const ALL: [Self; 2] = [Self::Jsonl, Self::Tensorboard];
+}
+
 /// [`Field`], read as name or letter and written as name.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]

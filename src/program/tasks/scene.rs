@@ -16,7 +16,7 @@ use crate::program::operations::simulation::Job;
 use crate::program::operations::trajectory::Trajectory;
 use crate::program::operations::{checks, costs, evaluation, gradients, identification, session, simulation};
 use crate::program::settings::config_error::ConfigError;
-use crate::program::settings::{FieldName, OPTIONAL, Precision};
+use crate::program::settings::{FieldName, LogFormat, OPTIONAL, Precision};
 use crate::program::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
 use crate::report::{Animation, Channel};
 use crate::{Divergence, Field, Number, System, Task, TaskOpCount};
@@ -45,6 +45,8 @@ pub struct Scene {
     pub epochs: usize,
     /// Time steps of a rollout.
     pub horizon: usize,
+    /// Formats of the metrics besides CSV.
+    pub logs: Vec<LogFormat>,
     /// All settings.
     pub table: Table,
     /// Contents of the policy file that starts the training.
@@ -253,8 +255,8 @@ impl Scene {
     /// Creates a scene from validated settings.
     pub fn new<K: TaskSpec>(task: &'static dyn AnyTaskSpec, settings: Settings<K>) -> Self {
         let Settings { field, precision, seed, epochs, horizon, .. } = settings;
-        let table = settings.table();
-        Self { task, field, precision, seed, epochs, horizon, table, initial_policy: None, settings: Arc::new(settings) }
+        let (table, logs) = (settings.table(), settings.log.clone());
+        Self { task, field, precision, seed, epochs, horizon, logs, table, initial_policy: None, settings: Arc::new(settings) }
     }
 
     /// Copy that starts the training from the policy file with these contents.
@@ -328,7 +330,7 @@ impl Scene {
         let defaults = flat(&self.task.fill(defaults.clone()).unwrap_or(defaults));
         let differences =
             flat(&self.table).into_iter().filter(|setting| !defaults.contains(setting) && !but.contains(&&*setting.0));
-        let differences = differences.filter(|(key, _)| ![INITIAL_POLICY, "tags"].contains(&&**key));
+        let differences = differences.filter(|(key, _)| ![INITIAL_POLICY, "tags", "log"].contains(&&**key));
         lines.extend(differences.map(|(key, value)| format!("{key} = {value}")));
         // The contents matter, and the path does not.
         lines.extend(self.initial_policy.iter().map(|bytes| format!("{INITIAL_POLICY} = CRC-32C {:08x}", CRC.checksum(bytes))));

@@ -4,7 +4,7 @@ use crate::policy::WithParams;
 use crate::program::operations::memory::{self, Needs};
 use crate::program::settings::config_error::{ConfigError, count};
 use crate::program::settings::{
-    ActuatorSettings, FieldName, IntegratorSettings, OPTIONAL, Precision, TrainingSettings, VERSION, reading,
+    ActuatorSettings, FieldName, IntegratorSettings, LogFormat, OPTIONAL, Precision, TrainingSettings, VERSION, reading,
 };
 use crate::program::tasks::effects::Present;
 use crate::program::tasks::policy::trained;
@@ -36,6 +36,9 @@ pub struct Settings<K: TaskSpec> {
     /// Tags of the run, for searches. Results do not depend on them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub tags: Vec<String>,
+    /// Files with the metrics of every epoch, besides `metrics.csv`. Results do not depend on them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub log: Vec<LogFormat>,
     /// Policy file whose parameters start the training, relative to the folder of the scene.
     /// Random parameters if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -76,6 +79,7 @@ impl<K: TaskSpec> Settings<K> {
             seed: 0,
             epochs: K::EPOCHS,
             tags: Vec::new(),
+            log: Vec::new(),
             initial_policy: None,
             horizon: K::horizon(),
             system: K::system(),
